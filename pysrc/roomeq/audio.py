@@ -1,0 +1,164 @@
+"""Reading and writing audio, with every check that bad recordings have taught us.
+
+Conventions: mono, float in [-1, 1), `FS_HZ` unless a caller says otherwise.
+"""
+
+import logging
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+import soundfile
+
+from roomeq.constants import FS_HZ
+
+logger = logging.getLogger(__name__)
+
+MAX_SECONDS = 6 * 3600.0
+"""Longest recording that is read [s]: a bound, so that a broken header cannot ask for all memory."""
+
+
+def audio_info(path: Path) -> soundfile._SoundFileInfo:
+    """Return header facts (`samplerate`, `frames`, `channels`, `duration`) of an audio file.
+
+    Raises
+    ------
+    ValueError
+        The file is missing, empty, truncated, longer than `MAX_SECONDS` or no audio.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ValueError(f"{path}: no such audio file: check the path")
+    if path.stat().st_size == 0:
+        raise ValueError(f"{path}: audio file is empty (0 bytes): copy or record it again")
+    try:
+        info = soundfile.info(str(path))
+    except (soundfile.LibsndfileError, RuntimeError) as error:
+        raise ValueError(f"{path}: cannot be read as audio ({error}): convert it to WAV or FLAC") from None
+    if info.frames == 0:
+        raise ValueError(f"{path}: holds 0 samples: copy or record it again")
+    if info.frames > MAX_SECONDS * info.samplerate:
+        raise ValueError(f"{path}: {info.duration:.0f} s is longer than {MAX_SECONDS:.0f} s: split it")
+    _check_riff_length(path)
+    return info
+
+
+def read_audio(path: Path, *, fs_hz: int = FS_HZ, start: int = 0, stop: int | None = None,
+               channel: int | None = None, resample: bool = True, dtype: str = "float64") -> np.ndarray:
+    """Read one channel of an audio file at a given sample rate.
+
+    Parameters
+    ----------
+    path : Path
+        WAV, FLAC or whatever else libsndfile reads.
+    fs_hz : int
+        Rate of the result [Hz]; a higher native rate is resampled (soxr, said in the log).
+    start, stop : int
+        Range of samples, at the file's own rate.
+    channel : int, optional
+        Which channel; by default the file must be mono.
+    resample : bool
+        False refuses another sample rate.
+    dtype : str
+        ``"float64"`` or ``"float32"``.
+
+    Returns
+    -------
+    samples : ndarray, shape (n_samples,)
+
+    Raises
+    ------
+    ValueError
+        The file is missing, empty, truncated, of another rate (too low, or `resample` is false), not mono,
+        or holds NaN or infinity.
+    """
+    info = audio_info(path)
+    if channel is None and info.channels != 1:
+        raise ValueError(f"{path}: {info.channels} channels where one is needed: choose a channel, or split the file")
+    if channel is not None and not 0 <= channel < info.channels:
+        raise ValueError(f"{path}: channel {channel} of {info.channels}: count from 0")
+    if info.samplerate < fs_hz or (info.samplerate != fs_hz and not resample):
+        raise ValueError(f"{path}: sample rate {info.samplerate} Hz must be {fs_hz} Hz"
+                         + ("" if info.samplerate > fs_hz else ": the missing band cannot be made up")
+                         + ": record or convert it at that rate")
+    stop = info.frames if stop is None else stop
+    if not 0 <= start < stop <= info.frames:
+        raise ValueError(f"{path}: samples {start} to {stop} are not within its {info.frames}: correct the segment")
+    try:
+        samples, _ = soundfile.read(str(path), start=start, stop=stop, dtype=dtype, always_2d=True)
+    except (soundfile.LibsndfileError, RuntimeError) as error:
+        raise ValueError(f"{path}: broken audio ({error}): copy or record it again") from None
+    if len(samples) != stop - start:
+        raise ValueError(f"{path}: truncated: {len(samples)} samples of {stop - start}: copy it again")
+    samples = np.ascontiguousarray(samples[:, channel or 0])
+    if not np.isfinite(samples).all():
+        raise ValueError(f"{path}: holds NaN or infinite samples: convert it again")
+    if info.samplerate != fs_hz:
+        import soxr
+
+        logger.info("%s: resampled from %d to %d Hz", path, info.samplerate, fs_hz)
+        samples = soxr.resample(samples, info.samplerate, fs_hz, quality="VHQ")
+    return samples
+
+
+def write_wav(path: Path, samples: np.ndarray, fs_hz: int = FS_HZ) -> None:
+    """Write a 32-bit float WAV file atomically: exact levels, no clipping. For RIRs."""
+    _write(Path(path), samples, fs_hz, "WAV", "FLOAT")
+
+
+def write_flac(path: Path, samples: np.ndarray, fs_hz: int = FS_HZ, subtype: str = "PCM_16") -> None:
+    """Write a FLAC file atomically. For speech and noise.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (n_samples,)
+        Within [-1, 1): anything else would clip and is refused.
+
+    Raises
+    ------
+    ValueError
+        A sample is not finite or out of range.
+    """
+    peak = np.abs(samples).max(initial=0.0)
+    if not peak <= 1.0:
+        raise ValueError(f"{path}: peak {peak:.3g} must be at most 1 in a FLAC file: scale the signal down")
+    _write(Path(path), samples, fs_hz, "FLAC", subtype)
+
+
+def _write(path: Path, samples: np.ndarray, fs_hz: int, fmt: str, subtype: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        # libsndfile stamps float WAVs with the time of writing (PEAK chunk): same samples, other bytes
+        if fmt == "WAV":
+            temporary.write_bytes(_float_wav(np.asarray(samples, dtype="<f4"), fs_hz))
+        else:
+            soundfile.write(str(temporary), samples, fs_hz, format=fmt, subtype=subtype)
+        os.replace(temporary, path)
+    except soundfile.LibsndfileError as error:
+        raise OSError(f"{path}: cannot be written ({error}): check free space and permissions") from None
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _float_wav(samples: np.ndarray, fs_hz: int) -> bytes:
+    """Return a mono IEEE-float WAV file (RIFF: fmt, fact and data chunks)."""
+    data = samples.tobytes()
+    fmt = struct.pack("<4sIHHIIHHH", b"fmt ", 18, 3, 1, fs_hz, 4 * fs_hz, 4, 32, 0)
+    fact = struct.pack("<4sII", b"fact", 4, len(samples))
+    body = b"WAVE" + fmt + fact + struct.pack("<4sI", b"data", len(data)) + data
+    return struct.pack("<4sI", b"RIFF", len(body)) + body
+
+
+def _check_riff_length(path: Path) -> None:
+    """Refuse a WAV file that is shorter than its header says; libsndfile would read what is there."""
+    with open(path, "rb") as stream:
+        head = stream.read(8)
+    if head[:4] != b"RIFF" or len(head) < 8:
+        return
+    promised = int.from_bytes(head[4:], "little") + 8
+    streamed = promised - 8 in (0, 0x7FFFFFFF, 0xFFFFFFFF) or promised > 0xFFFFFFF0
+    # an odd last chunk may lack its padding byte, which is no loss
+    if not streamed and path.stat().st_size < promised - 1:
+        raise ValueError(f"{path}: truncated: {path.stat().st_size} bytes of {promised}: copy it again")

@@ -1,0 +1,88 @@
+"""Output directories are whole or absent, whatever happens while they are made."""
+
+import pytest
+
+from roomeq.build import DONE_FILE, Build, digest, share
+from roomeq.files import write_json, write_text
+
+
+def make_squares(out, inputs=(), numbers=(1, 2, 3), part=None, fail_on=None, **options):
+    build = Build(out, step="square", options=options, inputs=list(inputs))
+    if build.done:
+        return "up to date"
+
+    def one(name, number):
+        if number == fail_on:
+            raise RuntimeError("killed")
+        write_text(build.work / f"{name}.txt", str(number**2))
+        return number**2
+
+    if build.run({f"n{n}": n for n in numbers}, one, part=part):
+        build.finish(lambda directory, records: write_json(directory / "all.json", records))
+    return "made"
+
+
+def contents(directory):
+    return {p.name: p.read_bytes() for p in sorted(directory.iterdir()) if p.name != DONE_FILE}
+
+
+def test_made_once_and_remade_when_an_option_changes(tmp_path):
+    assert make_squares(tmp_path / "a", power=2) == "made"
+    assert make_squares(tmp_path / "a", power=2) == "up to date"
+    assert make_squares(tmp_path / "a", power=3) == "made"
+
+
+def test_parts_give_the_same_bytes_as_one_run(tmp_path):
+    make_squares(tmp_path / "whole")
+    for job in (2, 1):
+        make_squares(tmp_path / "parts", part=f"{job}/2")
+        assert not (tmp_path / "parts").exists()
+    make_squares(tmp_path / "parts")
+    assert contents(tmp_path / "whole") == contents(tmp_path / "parts")
+
+
+def test_a_killed_run_leaves_earlier_results_and_goes_on(tmp_path):
+    out = tmp_path / "a"
+    make_squares(out, version=1)
+    before = contents(out)
+    with pytest.raises(RuntimeError):
+        make_squares(out, version=2, fail_on=2)
+    assert contents(out) == before
+    make_squares(out, version=2)
+    assert sorted(contents(out)) == ["all.json", "n1.txt", "n2.txt", "n3.txt"]
+    assert [p.name for p in tmp_path.iterdir() if "part" in p.name] == []
+
+
+def test_a_lost_or_shortened_file_is_noticed(tmp_path):
+    make_squares(tmp_path / "a")
+    (tmp_path / "a" / "n2.txt").unlink()
+    assert make_squares(tmp_path / "a") == "made"
+    assert (tmp_path / "a" / "n2.txt").read_text() == "4"
+
+
+def test_a_changed_input_is_noticed(tmp_path):
+    make_squares(tmp_path / "in")
+    make_squares(tmp_path / "out", inputs=[tmp_path / "in"])
+    assert make_squares(tmp_path / "out", inputs=[tmp_path / "in"]) == "up to date"
+    (tmp_path / "in" / "n1.txt").write_text("7")
+    assert make_squares(tmp_path / "out", inputs=[tmp_path / "in"]) == "made"
+
+
+def test_same_content_made_again_is_the_same_input(tmp_path):
+    make_squares(tmp_path / "in", v=1)
+    first = digest(tmp_path / "in")
+    make_squares(tmp_path / "in", v=2)
+    assert digest(tmp_path / "in") == first
+
+
+def test_a_directory_of_somebody_else_is_refused(tmp_path):
+    (tmp_path / "thesis.txt").write_text("ten years")
+    with pytest.raises(ValueError, match="was not made by roomeq"):
+        make_squares(tmp_path)
+    assert (tmp_path / "thesis.txt").read_text() == "ten years"
+
+
+@pytest.mark.parametrize("part", ["0/2", "3/2", "x", "1"])
+def test_bad_parts(part):
+    with pytest.raises(ValueError, match="JOB/JOBS"):
+        share(["a"], part)
