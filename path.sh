@@ -1,0 +1,13 @@
+# shellcheck shell=bash
+# Environment of every script: source it from the recipe's own directory (`. ./path.sh`).
+[ -f ./path.sh ] && [ -d ./pysrc/roomeq ] || {
+  echo "path.sh: call this from the directory that holds run.sh, not from $PWD" >&2
+  exit 1
+}
+ROOMEQ_DIR=$PWD
+export ROOMEQ_DIR
+export PATH="$ROOMEQ_DIR/.venv/bin:$PATH"
+export PYTHONPATH="$ROOMEQ_DIR/pysrc${PYTHONPATH:+:$PYTHONPATH}"
+export LC_ALL=C PYTHONUTF8=1
+# work is split into jobs: threads below them would only fight over the cores
+export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 NUMBA_NUM_THREADS=1

@@ -1,0 +1,102 @@
+#!/usr/bin/env bash
+# From measured room impulse responses and clean speech to far-field training data: simulate, compensate, augment.
+# Usage: ./run.sh [--stage 0] [--stop-stage 7] [--nj 2] [--config conf/mini.conf] [options below]
+# e.g.:  ./run.sh                                        # embedded stand-in corpora, needs nothing
+#        ./run.sh --measured RIRS --speech SPEECH        # your own recordings
+#        ./run.sh --config conf/librispeech.conf --librispeech DIR --reverbdb DIR    # the paper's experiment
+# Options are the variables at the top of this file, with - for _. Stages that are up to date cost nothing.
+set -euo pipefail
+
+stage=0        # first stage to run
+stop_stage=7   # last stage to run
+nj=$(nproc)    # jobs; results do not depend on it
+seed=0         # of every random draw; results depend on nothing else
+data=data      # where data directories go
+exp=exp        # where models, logs and the report go
+corpora=corpora   # where generated stand-ins go
+
+# stage 0: corpora; without any, stand-ins are generated
+librispeech=   # LibriSpeech as released
+reverbdb=      # BUT ReverbDB as released
+speech=        # or: any LibriSpeech-like tree, Kaldi data directory or folder with manifest.csv
+measured=      # or: measured RIRs: folder, CSV or SOFA file
+noises=        # folder of noise recordings, beside those of the measured corpus
+train_sets=train-clean-100   # of a LibriSpeech tree, comma-separated
+dev_sets=dev-clean          # likewise
+test_sets=test-clean        # likewise
+standin_utterances=1200   # size of the stand-ins
+standin_positions=6       # microphones and loudspeakers a room
+
+# stage 1: measured RIRs
+split_by=rir              # rir, as in the paper, or room: the stricter question
+split_sizes=773,194,242   # train, dev, test; proportions where there are fewer RIRs
+
+# stages 2-4: simulation, equalisation, compensation
+t60_range=0.2,2.0         # of the simulated RIRs [s]
+num_rays=20000            # rays a source
+order=200                 # reflections
+num_components=7          # of the Gaussian mixture
+weight_rooms=false        # let rooms count equally in the mixture
+taps=511                  # of the compensation filters
+
+# stage 6: augmentation
+snr=uniform:5:25          # of the ambient noise [dB]
+point_snr=uniform:5:25    # of point noises [dB]
+layout=recording          # one FLAC a recording, with segments; or: utterance
+
+. ./path.sh
+. utils/parse_options.sh
+[ $# -eq 0 ] || usage
+log() { printf '%s run.sh: %s\n' "$(date +%H:%M:%S)" "$*"; }
+at_stage() { [ "$stage" -le "$1" ] && [ "$stop_stage" -ge "$1" ] && log "stage $1: $2"; }
+
+local/install.sh
+[ "$stop_stage" -le 7 ] || die "--stop-stage $stop_stage: stages 8-10, the hand-over to Kaldi, are not there yet"
+
+if at_stage 0 "speech and measured RIRs"; then
+  if [ -z "$librispeech$speech" ] || [ -z "$reverbdb$measured" ]; then
+    local/make_standins.sh --nj "$nj" --utterances "$standin_utterances" --positions "$standin_positions" "$corpora"
+  fi
+  steps/prepare_speech.sh --train-sets "$train_sets" --dev-sets "$dev_sets" --test-sets "$test_sets" \
+    "${librispeech:-${speech:-$corpora/speech}}" "$data"
+  steps/read_measured.sh --noises "${noises:-}" "${reverbdb:-${measured:-$corpora/reverbdb}}" "$data/measured"
+fi
+
+if at_stage 1 "measure them, leave out repeats and uncommon spaces, split"; then
+  steps/characterise_rirs.sh --nj "$nj" "$data/measured" "$data/rirs.real"
+  steps/split_rirs.sh --split-by "$split_by" --sizes "$split_sizes" --seed "$seed" "$data/rirs.real"
+fi
+
+if at_stage 2 "simulate one RIR per measured one"; then
+  for x in train dev; do
+    steps/simulate_rirs.sh --nj "$nj" --t60-range "$t60_range" --num-rays "$num_rays" --order "$order" \
+      --seed "$seed" "$data/rirs.real.$x" "$data/rirs.sim.$x"
+  done
+fi
+
+if at_stage 3 "fit the distribution of measured sub-band EQs"; then
+  steps/fit_eq.sh --num-components "$num_components" --weight-rooms "$weight_rooms" --seed "$seed" \
+    "$data/rirs.real.train" "$data/rirs.sim.train" "$exp/eq"
+fi
+
+if at_stage 4 "compensate the simulated RIRs"; then
+  for x in train dev; do
+    steps/compensate_rirs.sh --nj "$nj" --taps "$taps" --seed "$seed" \
+      "$data/rirs.sim.$x" "$exp/eq" "$data/rirs.sim.EQ.$x"
+  done
+fi
+
+if at_stage 6 "far-field speech"; then
+  for rirs in real.train sim.train sim.EQ.train real.dev sim.dev sim.EQ.dev real.test; do
+    x=${rirs##*.}
+    steps/augment_data.sh --nj "$nj" --snr "$snr" --point-snr "$point_snr" --layout "$layout" --seed "$seed" \
+      --noises "$data/rirs.real.$x" "$data/$x.clean" "$data/rirs.$rirs" "$data/$x.${rirs%.*}.rvb"
+  done
+fi
+
+if at_stage 7 "report"; then
+  steps/make_report.sh "$data" "$exp" "$exp/report"
+fi
+
+log "data directories: $PWD/$data/{train,dev,test}.*.rvb"
+log "report: $PWD/$exp/report/index.html"

@@ -1,0 +1,18 @@
+#!/usr/bin/env bash
+# Make far-field speech: x * h + point noises * their RIRs + ambient noise, aligned with the clean speech.
+# Usage: steps/augment_data.sh [options] <clean-data-dir> <rir-dir> <data-dir>
+# e.g.:  steps/augment_data.sh --nj 4 data/train.clean data/rirs.sim.train data/train.sim.rvb
+set -euo pipefail
+nj=2                     # jobs
+noises=                  # RIR directory or folder to take noises from, instead of <rir-dir>
+snr=uniform:5:25         # of the ambient noise [dB]
+point_snr=uniform:5:25   # of point noises [dB]
+layout=recording         # one FLAC a recording, with segments; or: utterance
+seed=0   # of every random draw
+. ./path.sh
+. utils/parse_options.sh
+[ $# -eq 3 ] || usage
+require "$1/wav.scp" steps/prepare_speech.sh
+require "$2/rirs.jsonl" "the step that makes $2"
+utils/run_parts.sh "$nj" "$(dirname "$3")/log/$(basename "$3")" augment ${noises:+--noises "$noises"} \
+  --snr "$snr" --point-snr "$point_snr" --layout "$layout" --seed "$seed" "$1" "$2" "$3"

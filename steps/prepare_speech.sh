@@ -1,0 +1,12 @@
+#!/usr/bin/env bash
+# Make Kaldi data directories train.clean, dev.clean and test.clean from a speech corpus.
+# Usage: steps/prepare_speech.sh [options] <corpus> <data-dir>
+# e.g.:  steps/prepare_speech.sh --train-sets train-clean-100,train-clean-360 /corpora/LibriSpeech data
+set -euo pipefail
+train_sets=train-clean-100   # names of sets, for a LibriSpeech tree
+dev_sets=dev-clean
+test_sets=test-clean
+. ./path.sh
+. utils/parse_options.sh
+[ $# -eq 2 ] || usage
+roomeq prepare-speech --train-sets "$train_sets" --dev-sets "$dev_sets" --test-sets "$test_sets" "$1" "$2"

@@ -1,0 +1,16 @@
+#!/usr/bin/env bash
+# Simulate one RIR per measured one, from its room, source and microphone, with materials drawn at random.
+# Usage: steps/simulate_rirs.sh [options] <measured-rir-dir> <rir-dir>
+# e.g.:  steps/simulate_rirs.sh --nj 4 data/rirs.real.train data/rirs.sim.train
+set -euo pipefail
+nj=2               # jobs
+t60_range=0.2,2.0  # reverberation times are uniform in it [s]
+num_rays=20000     # rays a source
+order=200          # reflections a ray
+seed=0   # of every random draw
+. ./path.sh
+. utils/parse_options.sh
+[ $# -eq 2 ] || usage
+require "$1/rirs.jsonl" steps/split_rirs.sh
+utils/run_parts.sh "$nj" "$(dirname "$2")/log/$(basename "$2")" simulate --t60-range "$t60_range" \
+  --num-rays "$num_rays" --order "$order" --seed "$seed" "$1" "$2"

@@ -1,0 +1,36 @@
+#!/usr/bin/env bash
+# Run jobs as local processes, all at once: the calling convention of Kaldi's run.pl.
+# Usage: utils/local.sh [JOB=1:N] LOG COMMAND [ARGUMENT...]
+# e.g.:  utils/local.sh JOB=1:4 exp/log/count.JOB.log wc -l data/part.JOB
+# Each JOB in LOG and in the arguments becomes the job's number. The first that fails is named.
+set -euo pipefail
+if [ $# -lt 2 ] || [ "$1" = --help ]; then
+  sed -n '2,/^[^#]/{/^#/!q;s/^# \{0,1\}//;p}' "$0"
+  [ "${1:-}" = --help ]
+  exit
+fi
+first=1 last=1
+if [[ $1 =~ ^JOB=([0-9]+):([0-9]+)$ ]]; then
+  first=${BASH_REMATCH[1]} last=${BASH_REMATCH[2]}
+  shift
+fi
+log=$1
+shift
+pids=()
+trap 'kill "${pids[@]}" 2>/dev/null || true' EXIT
+for ((job = first; job <= last; job++)); do
+  joblog=${log//JOB/$job}
+  mkdir -p "$(dirname "$joblog")"
+  "${@//JOB/$job}" </dev/null >"$joblog" 2>&1 &
+  pids+=($!)
+done
+failed=0
+for ((job = first; job <= last; job++)); do
+  if ! wait "${pids[job - first]}"; then
+    joblog=${log//JOB/$job}
+    printf '%s: job %d failed: %s (log: %s)\n' "${0##*/}" "$job" "$(tail -n 1 "$joblog")" "$joblog" >&2
+    failed=1
+  fi
+done
+trap - EXIT
+exit "$failed"

@@ -1,0 +1,73 @@
+# shellcheck shell=bash
+# Turn --some-option VALUE into the variable some_option, which the script must have set before it sources this file.
+# Also: --config FILE (lines `some_option=value`), --help, `usage` and `require`. Values are only ever assigned,
+# never evaluated. Sourced, so that it leaves the remaining arguments in "$@".
+
+# Print the caller's header comment and its options; to stderr and with exit 1 when something was wrong.
+usage() {
+  {
+    sed -n '/^# /{s/^# //;p};/^set -/q' "$0" | grep -v '^shellcheck '
+    echo "Options:"
+    sed -n '/^set -/,/parse_options\.sh/s/^\([a-z][a-z0-9_]*\)=\([^#]*\)\(#.*\)\{0,1\}$/\1|\2|\3/p' "$0" |
+      while IFS='|' read -r name default comment; do
+        printf '  %-26s %s\n' "--${name//_/-} ${default%% *}" "${comment#\# }"
+      done
+  } >&"$((${1:-1} + 1))"
+  exit "${1:-1}"
+}
+
+# Stop with one line.
+die() {
+  printf '%s: %s\n' "${0##*/}" "$*" >&2
+  exit 1
+}
+
+# require FILE STEP: stop unless FILE, which STEP makes, is there.
+require() {
+  [ -e "$1" ] || die "$1 is missing: run $2 first"
+}
+
+set_option() { # NAME VALUE WHERE
+  local name=${1//-/_}
+  [[ $name =~ ^[a-z][a-z0-9_]*$ && $name != PATH ]] && [[ ${options_known:-} == *" $name "* ]] ||
+    die "$3: unknown option '$1'; see --help"
+  if [[ ${!name} == true || ${!name} == false ]] && [[ $2 != true && $2 != false ]]; then
+    die "$3: --$1 '$2' must be true or false"
+  fi
+  printf -v "$name" '%s' "$2"
+}
+
+read_config() { # FILE
+  local line number=0
+  [ -f "$1" ] || die "--config $1: no such file"
+  while IFS= read -r line || [ -n "$line" ]; do
+    number=$((number + 1))
+    line=${line%%#*}
+    line=${line%"${line##*[![:space:]]}"}
+    [ -n "$line" ] || continue
+    [[ $line == *=* ]] || die "$1:$number: '$line' must be name=value"
+    set_option "${line%%=*}" "${line#*=}" "$1:$number"
+  done <"$1"
+}
+
+# the options of a script are the variables it assigns at the start of a line before it sources this file
+options_known=" $(sed -n '/parse_options\.sh/q;s/^\([a-z][a-z0-9_]*\)=.*/\1/p' "$0" | tr '\n' ' ')"
+options_given=("$@")
+for ((i = 0; i < $#; i++)); do # the file first, so that the command line wins over it
+  [ "${options_given[i]}" != --config ] || read_config "${options_given[i + 1]:-}"
+done
+while [ $# -gt 0 ]; do
+  case $1 in
+    --help | -h) usage 0 ;;
+    --config) shift $(($# > 1 ? 2 : 1)) ;;
+    --*=*) set_option "$(cut -d= -f1 <<<"${1#--}")" "${1#*=}" "${0##*/}" && shift ;;
+    --) shift && break ;;
+    --*)
+      [ $# -gt 1 ] || die "$1 needs a value; see --help"
+      set_option "${1#--}" "$2" "${0##*/}"
+      shift 2
+      ;;
+    *) break ;;
+  esac
+done
+unset options_given options_known
