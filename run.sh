@@ -44,6 +44,7 @@ snr=uniform:5:25          # of the ambient noise [dB]
 point_snr=uniform:5:25    # of point noises [dB]
 layout=recording          # one FLAC a recording, with segments; or: utterance
 
+[ -f path.sh ] || { echo "run.sh: call it from the directory that holds run.sh, not from $PWD" >&2 && exit 1; }
 . ./path.sh
 . utils/parse_options.sh
 [ $# -eq 0 ] || usage

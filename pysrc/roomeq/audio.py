@@ -75,7 +75,7 @@ def read_audio(path: Path, *, fs_hz: int = FS_HZ, start: int = 0, stop: int | No
     """
     info = audio_info(path)
     if channel is None and info.channels != 1:
-        raise ValueError(f"{path}: {info.channels} channels where one is needed: choose a channel or split the file")
+        raise ValueError(f"{path}: {info.channels} channels where one is needed: choose one, or split the file")
     if channel is not None and not 0 <= channel < info.channels:
         raise ValueError(f"{path}: channel {channel} of {info.channels}: count from 0")
     if info.samplerate < fs_hz or (info.samplerate != fs_hz and not resample):

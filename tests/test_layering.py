@@ -1,0 +1,49 @@
+"""Data flows one way, and so do imports."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+# each group may import those before it, and itself
+LAYERS = [
+    {"constants", "rng", "progress", "files", "audio", "rirs", "build"},
+    {"acoustics"},
+    {"corpora"},
+    {"sim"},
+    {"passport", "split"},
+    {"eq", "distance"},
+    {"compensate"},
+    {"datadir", "wavscp", "mix", "augment"},
+    {"report"},
+    {"cli", "__main__"},
+]
+PACKAGE = Path(__file__).resolve().parents[1] / "pysrc" / "roomeq"
+LAYER_OF = {name: n for n, names in enumerate(LAYERS) for name in names}
+
+
+def imported(path):
+    """Yield the top-level module of roomeq that each import of a file names."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        yield from (name.split(".")[1] for name in names if name.startswith("roomeq."))
+
+
+def module_of(path):
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_modules_import_only_leftwards(path):
+    if module_of(path) == "__init__":
+        assert not list(imported(path))
+        return
+    assert module_of(path) in LAYER_OF, f"{path}: say in LAYERS where this module stands"
+    for other in imported(path):
+        if other in LAYER_OF:
+            assert LAYER_OF[other] <= LAYER_OF[module_of(path)], f"{path} imports roomeq.{other}, to its right"

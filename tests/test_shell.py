@@ -1,0 +1,101 @@
+"""Options of shell scripts are assigned and never evaluated; jobs run, and a failing one is named."""
+
+import os
+import subprocess
+
+import pytest
+
+SCRIPT = """#!/usr/bin/env bash
+# Say what the options are.
+# Usage: say.sh [options] <word>
+set -euo pipefail
+nj=2         # jobs
+some_name=   # a name
+fast=false   # or true
+. utils/parse_options.sh
+[ $# -eq 1 ] || usage
+require "$1" steps/before.sh
+printf '%s|' "$nj" "$some_name" "$fast" "$1"
+"""
+
+
+@pytest.fixture
+def recipe(tmp_path, project_dir):
+    """A directory with our utils and one small script in it."""
+    (tmp_path / "utils").symlink_to(project_dir / "utils")
+    (tmp_path / "say.sh").write_text(SCRIPT)
+    (tmp_path / "say.sh").chmod(0o755)
+    return tmp_path
+
+
+def call(directory, *args):
+    return subprocess.run(args, cwd=directory, capture_output=True, text=True,
+                          env={"PATH": os.environ["PATH"]}, timeout=60)
+
+
+def test_options_take_values_with_and_without_equals_sign(recipe):
+    done = call(recipe, "./say.sh", "--nj", "7", "--some-name=a b", "--fast", "true", "say.sh")
+    assert (done.returncode, done.stdout) == (0, "7|a b|true|say.sh|")
+
+
+@pytest.mark.parametrize(
+    "value", ["$(touch evil)", "`touch evil`", "'; touch evil; '", "a\nb", "-x", "*", "../x", "é"])
+def test_values_are_never_evaluated(recipe, value):
+    (recipe / "size.conf").write_text(f"some_name={value.splitlines()[0]}\n")
+    done = call(recipe, "./say.sh", "--some-name", value, "say.sh")
+    assert (done.returncode, done.stdout) == (0, f"2|{value}|false|say.sh|")
+    done = call(recipe, "./say.sh", "--config", "size.conf", "say.sh")
+    assert (done.returncode, done.stdout) == (0, f"2|{value.splitlines()[0]}|false|say.sh|")
+    assert not (recipe / "evil").exists()
+
+
+def test_command_line_wins_over_config(recipe):
+    (recipe / "size.conf").write_text("# sizes\nnj=3   # three\n\nsome_name=x\n")
+    assert call(recipe, "./say.sh", "--nj", "4", "--config", "size.conf", "say.sh").stdout == "4|x|false|say.sh|"
+
+
+@pytest.mark.parametrize("args, message", [
+    (["--nope", "1", "say.sh"], "unknown option 'nope'"),
+    (["--PATH", "1", "say.sh"], "unknown option 'PATH'"),
+    (["--options-given", "1", "say.sh"], "unknown option"),
+    (["--nj"], "--nj needs a value"),
+    (["--fast", "yes", "say.sh"], "must be true or false"),
+    (["--config", "absent.conf", "say.sh"], "absent.conf: no such file"),
+    (["absent"], "absent is missing: run steps/before.sh first"),
+    ([], "Usage:"),
+])
+def test_mistakes_are_named(recipe, args, message):
+    done = call(recipe, "./say.sh", *args)
+    assert done.returncode != 0
+    assert message in done.stderr and done.stdout == ""
+
+
+@pytest.mark.parametrize("line, message", [("nope=1", "unknown option 'nope'"), ("nj 3", "must be name=value")])
+def test_mistakes_in_a_config_are_named_with_their_line(recipe, line, message):
+    (recipe / "size.conf").write_text(f"nj=3\n{line}\n")
+    done = call(recipe, "./say.sh", "--config", "size.conf", "say.sh")
+    assert done.returncode != 0 and "size.conf:2: " in done.stderr and message in done.stderr
+
+
+def test_help_prints_header_and_options(recipe):
+    done = call(recipe, "./say.sh", "--help")
+    assert done.returncode == 0
+    assert "Say what the options are." in done.stdout and "--some-name" in done.stdout and "jobs" in done.stdout
+
+
+def test_every_script_has_help(project_dir):
+    for script in [project_dir / "run.sh", project_dir / "local/make_standins.sh", *project_dir.glob("steps/*.sh")]:
+        done = call(project_dir, str(script), "--help")
+        assert done.returncode == 0 and "Usage:" in done.stdout and "e.g.:" in done.stdout, script
+
+
+def test_local_jobs_run_and_the_failing_one_is_named(recipe):
+    done = call(recipe, "utils/local.sh", "JOB=1:3", "log/x.JOB.log", "bash", "-c", "echo $0; [ $0 != 2 ]", "JOB")
+    assert done.returncode == 1
+    assert "job 2 failed" in done.stderr and "job 1" not in done.stderr
+    assert [(recipe / f"log/x.{n}.log").read_text() for n in (1, 2, 3)] == ["1\n", "2\n", "3\n"]
+
+
+def test_scripts_refuse_another_directory(tmp_path, project_dir):
+    done = call(tmp_path, str(project_dir / "run.sh"))
+    assert done.returncode != 0 and "directory that holds run.sh" in done.stderr
