@@ -1,0 +1,280 @@
+#!/usr/bin/env python3
+"""Generate a stand-in for a measured RIR corpus, in the layout of BUT ReverbDB as released.
+
+Usage: make_standin_rirs.py [--rooms 9] [--mics 6] [--speakers 6] [--silence-s 10] [--seed 0] [--nj 2] OUT_DIR
+e.g.:  python local/make_standin_rirs.py --nj 2 corpora/standin_rirs
+
+Nothing in it is measured. It holds, in small number, what makes readers of the released corpus stumble: two takes
+of a position, a retransmission session (_T) that repeats one, a room without furniture in its meta file and one
+whose meta file has its other name, a position outside its room, two silence files in a folder, a stairwell.
+"""
+
+import argparse
+import datetime
+import sys
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+import standin_acoustics
+from roomeq.audio import write_wav
+from roomeq.build import Build
+from roomeq.files import write_text
+from roomeq.rng import rng_for
+from standin_acoustics import FS_HZ, N_OUT, OCTAVES_HZ, Room, impulse_responses
+
+# name, type, subtype, depth x width x height [m], T60 at 1 kHz [s], walls, floor, ceiling, furniture [percent]
+ROOMS = (
+    ("Standin_Office_A101", "office", "small", (6.1, 5.4, 3.05), 0.50, "plaster", "carpet", "tiles", 30),
+    ("Standin_Meeting_B210", "meeting room", "medium", (7.8, 5.2, 3.1), 0.38, "wood", "carpet", "tiles", 25),
+    ("Standin_Stairs_S3", "stairs", "uncommon", (6.2, 2.7, 12.9), 1.30, "concrete", "stone", "concrete", 0),
+    ("Standin_Class_C312", "class room", "medium", (9.6, 7.3, 3.3), 0.70, "plaster", "linoleum", "plaster", 20),
+    ("Standin_Lecture_E104", "lecture room", "large", (13.8, 10.4, 4.4), 0.90, "plaster", "wood", "tiles", 35),
+    ("Standin_Lab_L005", "laboratory", "medium", (8.4, 6.7, 3.6), 0.58, "plaster", "linoleum", "plaster", 40),
+    ("Standin_Hall_D2", "lecture room", "hall", (19.5, 15.2, 6.1), 1.15, "wood", "carpet", "plaster", 45),
+    ("Standin_Conference_K1", "conference", "large", (16.8, 9.7, 3.4), 0.80, "plaster", "carpet", "tiles", 20),
+    ("Standin_Studio_T9", "studio", "treated", (7.1, 5.9, 3.2), 0.27, "foam", "carpet", "foam", 15),
+)
+REPEATED, OUTSIDE, RETRANSMITTED, NO_FURNITURE, OTHER_NAME = 0, 1, 1, 2, 1  # rooms with a trap
+SILENT_MICS = 3  # microphones of a room's first session that also recorded its background noise
+GAIN = 0.5 * 4 * np.pi * 0.9  # the nearest position peaks at about half of full scale
+SWEEP = "IR_sweep_15s_45Hzto22kHz_FS16kHz"
+README = """Generated, not measured: a stand-in for a corpus of measured room impulse responses.
+
+Made by local/make_standin_rirs.py: damped modes of rigid shoeboxes below 250-350 Hz, image sources and a decaying
+noise tail above, one loudspeaker response, microphone noise. Rooms, positions and meta files are made up as well.
+Laid out as BUT ReverbDB is (doi 10.1109/JSTSP.2019.2917582), so that the same reader reads both; nothing of that
+corpus is in here.
+"""
+
+
+@dataclass(frozen=True)
+class Corpus:
+    """What the bytes of the corpus depend on."""
+
+    rooms: int
+    mics: int
+    speakers: int
+    silence_s: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Session:
+    """One loudspeaker position in a room; `speaker` counts from 1, `kind` is S (sweeps) or T (retransmission)."""
+
+    room: int
+    speaker: int
+    kind: str = "S"
+
+    @property
+    def folder(self):
+        """Its path in the corpus."""
+        days = 70 * self.room + self.speaker - 1 + (35 if self.kind == "T" else 0)
+        date = datetime.date(2019, 5, 3) + datetime.timedelta(days)
+        return f"{ROOMS[self.room][0]}/MicID01/SpkID{self.speaker:02d}_{date:%Y%m%d}_{self.kind}"
+
+
+def sessions(corpus):
+    """Return all sessions of the corpus, by folder."""
+    found = [Session(room, speaker + 1) for room in range(corpus.rooms) for speaker in range(corpus.speakers)]
+    if corpus.rooms > RETRANSMITTED:
+        found.append(Session(RETRANSMITTED, 1, "T"))
+    return {session.folder: session for session in found}
+
+
+def draw_room(corpus, index):
+    """Return the acoustics of a room of the table.
+
+    Decay times grow by 30-80 % towards 62.5 Hz and fall by 5-25 % towards 8 kHz, air not counted.
+    """
+    name, *_, dims_m, t60_s = ROOMS[index][:5]
+    rng = rng_for(corpus.seed, "standin-room", name)
+    octaves_below = np.log2(1000 / OCTAVES_HZ)
+    shape = np.where(octaves_below > 0, 1 + rng.uniform(0.3, 0.8) * np.abs(octaves_below / 4) ** 1.5,
+                     1 + rng.uniform(0.05, 0.25) * octaves_below / 3)
+    shape *= rng.uniform(0.95, 1.05, 8)
+    share = rng.uniform(0.5, 1.6, 6)
+    room = Room(np.array(dims_m), t60_s * rng.uniform(0.92, 1.08) * shape, share, rng.uniform(0.1, 0.3),
+                round(rng.uniform(19, 24), 1), int(rng.integers(2**31)))
+    share /= np.average(share, weights=room.wall_areas_m2)
+    return room
+
+
+def draw_positions(corpus, index):
+    """Return the positions in a room: speakers, the unit vectors they face, microphones, each (n, 3) [m]."""
+    rng = rng_for(corpus.seed, "standin-positions", ROOMS[index][0])
+    dims_m = np.array(ROOMS[index][3])
+    top_m = dims_m[2] - 0.4 if dims_m[2] > 8 else 1.8  # loudspeakers in the stairwell stand on all its floors
+    speakers = rng.uniform([0.5, 0.5, 0.9], [*dims_m[:2] - 0.5, top_m], (corpus.speakers, 3)).round(3)
+    turned = rng.normal(0, np.radians(40), corpus.speakers)
+    towards = np.arctan2(*(dims_m / 2 - speakers).T[1::-1]) + turned
+    facing = np.stack([np.cos(towards), np.sin(towards), np.zeros(corpus.speakers)], 1)
+    mics = []
+    while len(mics) < corpus.mics:
+        mic = rng.uniform(0.3, np.minimum(dims_m - 0.3, [np.inf, np.inf, max(top_m, 2.4)])).round(3)
+        if np.linalg.norm(speakers - mic, axis=1).min() > 0.9:
+            mics.append(mic)
+    return speakers, facing, np.array(mics)
+
+
+def microphone_noise(rng, n_samples):
+    """Return noise of about unit power: white, rising towards low frequencies below 150 Hz."""
+    spectrum = np.fft.rfft(rng.standard_normal(n_samples))
+    freqs_hz = np.fft.rfftfreq(n_samples, 1 / FS_HZ)
+    return np.fft.irfft(spectrum * np.sqrt(1 + 150 / np.maximum(freqs_hz, 20)), n_samples)
+
+
+def background_noise(corpus, room_name, mic_name):
+    """Return what a microphone hears in a quiet room: a falling spectrum, ventilation, hum, its own noise."""
+    n_samples = corpus.silence_s * FS_HZ
+    room = rng_for(corpus.seed, "standin-background", room_name)
+    freqs_hz = np.fft.rfftfreq(n_samples, 1 / FS_HZ).clip(10)
+    spectrum = (freqs_hz / 100) ** -room.uniform(0.4, 0.8)
+    centre_hz, width = room.uniform(90, 350), room.uniform(0.3, 0.8)
+    spectrum += room.uniform(0.3, 2) * np.exp(-0.5 * (np.log(freqs_hz / centre_hz) / width) ** 2)
+    harmonics = 50 * np.arange(1, 9)
+    hum = room.uniform(0.02, 0.3) * 10 ** (-room.uniform(0, 30, 8) / 20)
+    level = 10 ** (room.uniform(-56, -44) / 20)
+    rng = rng_for(corpus.seed, "standin-background", mic_name)
+    noise = np.fft.irfft(np.fft.rfft(rng.standard_normal(n_samples)) * spectrum, n_samples)
+    time_s = np.arange(n_samples) / FS_HZ
+    phases = 2 * np.pi * (harmonics[:, None] * time_s + rng.random((8, 1)))
+    noise += hum @ np.sin(phases) * noise.std()
+    noise *= 10 ** (rng.normal(0, 1) / 20) * level / noise.std()
+    return noise + 10 ** (-78 / 20) * microphone_noise(rng, n_samples)
+
+
+def meta(title, rows):
+    """Return a meta file of the released kind: a banner, then ``$Key<TAB>value`` lines."""
+    banner = "#" * 40
+    return f"{banner}\n# {title}\n{banner}\n" + "".join(f"${key}\t{value}\n" for key, value in rows)
+
+
+def room_meta(corpus, index):
+    """Return the meta file of a room."""
+    name, kind, subtype, dims_m, _, walls, floor, ceiling, furniture = ROOMS[index]
+    room = draw_room(corpus, index)
+    rows = [("EnvName", name), ("EnvType", kind), ("EnvSubType", subtype),
+            ("EnvDescription", "generated, not measured")]
+    rows += zip(("EnvDepth", "EnvWidth", "EnvHeight"), dims_m, strict=True)
+    rows += [("EnvVolume", round(room.volume_m3, 1)), ("EnvMatWall", walls), ("EnvMatFloor", floor),
+             ("EnvMatCeiling", ceiling), ("EnvTemp", room.temperature_c), ("EnvBCKNoiseLevel", 30 + index)]
+    if index != NO_FURNITURE:
+        rows.append(("EnvFurniture", furniture))
+    return meta("ENVIRONMENT", rows)
+
+
+def speaker_rows(speaker_m):
+    """Return the meta rows of a loudspeaker position."""
+    return list(zip(("EnvSpk1Depth", "EnvSpk1Width", "EnvSpk1Height"), speaker_m, strict=True))
+
+
+def mic_meta(number, speaker_m, mic_m, t60_s):
+    """Return the meta file of a microphone (`number` from 1)."""
+    path = mic_m - speaker_m
+    key = f"EnvMic{number}"
+    values = {"Depth": mic_m[0], "Width": mic_m[1], "Height": mic_m[2],
+              "TypeID": f"01-{number}" if number <= 2 else "02", "RelDistance": round(np.linalg.norm(path), 2),
+              "RelAzimuth": round(np.degrees(np.arctan2(path[1], path[0])), 1),
+              "RelElevation": round(np.degrees(np.arcsin(path[2] / np.linalg.norm(path))), 1)}
+    values |= {f"RelRT{decay}": round(t60_s, 3) for decay in (60, 30, 20)}
+    rows = [*speaker_rows(speaker_m), ("EnvMicID", number), *((key + k, v) for k, v in values.items())]
+    return meta("MICROPHONE", rows)
+
+
+def make_session(corpus, out_dir, folder, session):
+    """Write one session; return its number of RIRs."""
+    index, name = session.room, ROOMS[session.room][0]
+    room = draw_room(corpus, index)
+    speakers, facings, mics = draw_positions(corpus, index)
+    speaker_m, facing = speakers[session.speaker - 1], facings[session.speaker - 1]
+    # The retransmission session repeats the position: same tail, other noise.
+    rngs = [rng_for(corpus.seed, "standin-tail", f"{name} {session.speaker} {k}") for k in range(len(mics))]
+    direct_samples = np.array([712 + rng.uniform(-1, 1) for rng in rngs])
+    with threadpool_limits(1):  # sums must not depend on how many threads shared them
+        responses = GAIN * impulse_responses(room, speaker_m, mics, facing, direct_samples, rngs)
+    floor_db = rng_for(corpus.seed, "standin-floor", name).uniform(-65, -55)
+
+    write_text(out_dir / folder / "spk_meta.txt", meta("SPEAKER", speaker_rows(speaker_m)))
+    written = 0
+    for k, (mic_m, response) in enumerate(zip(mics, responses, strict=True)):
+        mic_dir = out_dir / folder / f"{k + 1:02d}"
+        stated_m = mic_m + ([ROOMS[index][3][0], 0, 0] if index == OUTSIDE and k == 1 else 0)
+        write_text(mic_dir / "mic_meta.txt", mic_meta(k + 1, speaker_m, stated_m, room.total_t60_s[4]))
+        for take in range(2 if index == REPEATED and session.speaker == 1 and k < 2 else 1):
+            rng = rng_for(corpus.seed, "standin-take", f"{folder} {k} {take}")
+            floor = np.abs(response).max() * 10 ** ((floor_db + rng.normal(0, 1)) / 20)
+            noisy = response + floor * microphone_noise(rng, N_OUT)
+            write_wav(mic_dir / "RIR" / f"{SWEEP}.v{take:02d}.wav", noisy)
+            written += 1
+        if session.speaker == 1 and session.kind == "S" and k < SILENT_MICS:
+            for take in range(2 if index == REPEATED and k == 0 else 1):
+                write_wav(mic_dir / "silence" / f"silence.v{take:02d}.wav",
+                          background_noise(corpus, name, f"{folder} {k} {take}"))
+        if session.kind == "T" and k == 0:
+            rng = rng_for(corpus.seed, "standin-retransmission", folder)
+            n = 2 * FS_HZ
+            syllables = np.abs(np.sin(4 * np.pi * np.arange(n) / FS_HZ)) * microphone_noise(rng, n)
+            heard = np.fft.irfft(np.fft.rfft(response, 2 * n) * np.fft.rfft(syllables, 2 * n))[:n]
+            write_wav(mic_dir / "english/LibriSpeech/test-clean/1/2/1-2-0000.v00.wav", 0.1 * heard)
+    return written
+
+
+def make_standin_rirs(out_dir, corpus, nj=1):
+    """Make the corpus.
+
+    Parameters
+    ----------
+    out_dir : Path
+    corpus : Corpus
+    nj : int
+        Processes; the result does not depend on it.
+
+    Raises
+    ------
+    ValueError
+        `out_dir` holds something else.
+    """
+    build = Build(out_dir, step="standin-rirs", options=vars(corpus),
+                  inputs=[Path(__file__), Path(standin_acoustics.__file__)])
+
+    def assemble(directory, counts):
+        for index in range(corpus.rooms):
+            file = "env_full_meta.txt" if index == OTHER_NAME else "env_meta.txt"
+            write_text(directory / ROOMS[index][0] / file, room_meta(corpus, index))
+        write_text(directory / "README", README)
+        print(f"{out_dir}: {sum(counts)} generated RIRs of {corpus.rooms} rooms")
+
+    if not build.done and build.run(sessions(corpus), partial(make_session, corpus, build.work), nj=nj):
+        build.finish(assemble)
+
+
+def main(argv=None):
+    """Parse the command line and make the corpus; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out_dir", type=Path, metavar="OUT_DIR")
+    parser.add_argument("--rooms", type=int, default=9, help=f"rooms, 1 to {len(ROOMS)}; default 9")
+    parser.add_argument("--mics", type=int, default=6, help="microphones a room, 1 to 31; default 6")
+    parser.add_argument("--speakers", type=int, default=6, help="loudspeaker positions a room, 1 to 20; default 6")
+    parser.add_argument("--silence-s", type=int, default=10, help="length of a noise file [s], 1 to 60; default 10")
+    parser.add_argument("--seed", type=int, default=0, help="of all random draws; default 0")
+    parser.add_argument("--nj", type=int, default=1, help="processes, at least 1; default 1")
+    args = vars(parser.parse_args(argv))
+    for key, highest in (("rooms", len(ROOMS)), ("mics", 31), ("speakers", 20), ("silence_s", 60), ("nj", 1000)):
+        if not 1 <= args[key] <= highest:
+            parser.error(f"--{key.replace('_', '-')} {args[key]} must lie in 1 to {highest}")
+    out_dir, nj = args.pop("out_dir"), args.pop("nj")
+    try:
+        make_standin_rirs(out_dir, Corpus(**args), nj)
+    except (ValueError, OSError) as error:
+        print(f"make_standin_rirs.py: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
