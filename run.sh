@@ -99,5 +99,5 @@ if at_stage 7 "report"; then
   steps/make_report.sh "$data" "$exp" "$exp/report"
 fi
 
-log "data directories: $PWD/$data/{train,dev,test}.*.rvb"
-log "report: $PWD/$exp/report/index.html"
+log "data directories: $(realpath "$data")/{train,dev,test}.*.rvb"
+log "report: $(realpath "$exp")/report/index.html"

@@ -84,7 +84,7 @@ def test_help_prints_header_and_options(recipe):
 
 
 def test_every_script_has_help(project_dir):
-    for script in [project_dir / "run.sh", project_dir / "local/make_standins.sh", *project_dir.glob("steps/*.sh")]:
+    for script in [*project_dir.glob("steps/*.sh"), project_dir / "run.sh", project_dir / "local/make_standins.sh"]:
         done = call(project_dir, str(script), "--help")
         assert done.returncode == 0 and "Usage:" in done.stdout and "e.g.:" in done.stdout, script
 
