@@ -203,7 +203,8 @@ def make_session(corpus, out_dir, folder, session):
     written = 0
     for k, (mic_m, response) in enumerate(zip(mics, responses, strict=True)):
         mic_dir = out_dir / folder / f"{k + 1:02d}"
-        stated_m = mic_m + ([ROOMS[index][3][0], 0, 0] if index == OUTSIDE and k == 1 else 0)
+        outside = index == OUTSIDE and session.speaker == 1 and k == 1
+        stated_m = np.array([room.dims_m[0] + 0.31, *mic_m[1:]]) if outside else mic_m
         write_text(mic_dir / "mic_meta.txt", mic_meta(k + 1, speaker_m, stated_m, room.total_t60_s[4]))
         for take in range(2 if index == REPEATED and session.speaker == 1 and k < 2 else 1):
             rng = rng_for(corpus.seed, "standin-take", f"{folder} {k} {take}")
@@ -260,7 +261,7 @@ def main(argv=None):
     parser.add_argument("--rooms", type=int, default=9, help=f"rooms, 1 to {len(ROOMS)}; default 9")
     parser.add_argument("--mics", type=int, default=6, help="microphones a room, 1 to 31; default 6")
     parser.add_argument("--speakers", type=int, default=6, help="loudspeaker positions a room, 1 to 20; default 6")
-    parser.add_argument("--silence-s", type=int, default=10, help="length of a noise file [s], 1 to 60; default 10")
+    parser.add_argument("--silence-s", type=int, default=10, help="length of noise files [s], 1 to 60; default 10")
     parser.add_argument("--seed", type=int, default=0, help="of all random draws; default 0")
     parser.add_argument("--nj", type=int, default=1, help="processes, at least 1; default 1")
     args = vars(parser.parse_args(argv))

@@ -1,0 +1,296 @@
+#!/usr/bin/env python3
+"""Generate a stand-in for LibriSpeech with eSpeak NG: few words, many voices, transcripts; and point noises.
+
+Usage: make_standin_speech.py [--utterances 1200] [--seed 0] [--nj 2] OUT_DIR
+e.g.:  python local/make_standin_speech.py --nj 2 corpora/standin_speech
+
+Writes OUT_DIR/LibriSpeech/{train-clean-100,dev-clean,test-clean} as the real corpus has them, and
+OUT_DIR/point_noises/*.flac with noises.csv. Nobody spoke any of it.
+"""
+
+import argparse
+import json
+import struct
+import subprocess
+import sys
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import soxr
+
+import espeak_worker
+import standin_noises
+from roomeq.audio import write_flac
+from roomeq.build import Build
+from roomeq.constants import FS_HZ
+from roomeq.files import write_text
+from roomeq.rng import rng_for
+
+
+@dataclass(frozen=True)
+class Voice:
+    """An eSpeak NG voice: language, variant, words a minute, pitch and its range (50: the variant's own)."""
+
+    sex: str
+    language: str
+    variant: str
+    rate_wpm: int
+    pitch: int
+    pitch_range: int
+
+    @property
+    def name(self):
+        """As eSpeak NG calls it."""
+        return f"{self.language}+{self.variant}"
+
+
+VOICES = {
+    "train-clean-100": (
+        Voice("M", "en-us", "m1", 165, 50, 50), Voice("F", "en-us", "f1", 160, 50, 50),
+        Voice("M", "en", "m2", 170, 45, 55), Voice("F", "en", "f2", 165, 55, 45),
+        Voice("M", "en-gb-scotland", "m3", 160, 55, 50), Voice("F", "en-gb-scotland", "f3", 170, 45, 50),
+        Voice("M", "en-029", "m4", 155, 50, 60), Voice("F", "en-029", "Annie", 165, 40, 50),
+        Voice("M", "en-us", "Andy", 175, 58, 45), Voice("F", "en-us", "linda", 175, 42, 60),
+        Voice("M", "en", "marcelo", 160, 42, 50), Voice("F", "en", "Alicia", 155, 48, 50),
+        Voice("M", "en-us", "Denis", 150, 60, 40), Voice("F", "en-us", "anika", 165, 38, 45),
+        Voice("M", "en-gb-scotland", "michel", 175, 48, 60), Voice("F", "en-029", "aunty", 160, 52, 50),
+    ),
+    "dev-clean": (
+        Voice("M", "en-us", "m6", 168, 52, 50), Voice("F", "en-us", "f4", 158, 48, 55),
+        Voice("M", "en", "m7", 162, 44, 50), Voice("F", "en-029", "belinda", 170, 45, 50),
+    ),
+    "test-clean": (
+        Voice("M", "en-us", "m8", 162, 55, 50), Voice("F", "en-us", "f5", 168, 46, 50),
+        Voice("M", "en-029", "victor", 168, 50, 55), Voice("F", "en", "steph", 160, 52, 45),
+    ),
+}
+BABBLERS = (Voice("M", "en-us", "travis", 180, 50, 50), Voice("F", "en-us", "Andrea", 175, 40, 50),
+            Voice("M", "en", "sandro", 170, 55, 50), Voice("F", "en", "shelby", 180, 50, 50),
+            Voice("M", "en-029", "miguel", 175, 45, 50), Voice("F", "en-gb-scotland", "grandma", 170, 50, 50))
+VOCABULARY = """zero one two three four five six seven eight nine yes no up down left right on off stop go open
+shut turn play call find show wait lamp door window kitchen garden music table water coffee morning evening
+summer winter river mountain street house school doctor teacher paper letter market train bridge flower yellow
+orange purple silver""".split()
+CHATTER = """because perhaps nobody ever told them about it however people would rather have been somewhere else
+than listen again although every other friend remembered another story which sounded quite different""".split()
+NOISES = tuple(f"{kind}{n}" for kind in ("hum", "fan", "clatter", "babble") for n in (1, 2, 3))
+README = """Generated, not recorded: a stand-in for LibriSpeech.
+
+Made by local/make_standin_speech.py. The speech comes from the synthesiser eSpeak NG, the words are drawn at
+random; the point noises are made of sines, noise and the same synthesiser. Nothing of LibriSpeech is in here.
+"""
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """One directory of utterances of one voice."""
+
+    subset: str
+    voice: Voice
+    speaker: int
+    chapter: int
+    n_utterances: int
+
+    @property
+    def folder(self):
+        """Its path in the corpus."""
+        return f"LibriSpeech/{self.subset}/{self.speaker}/{self.chapter}"
+
+
+def chapters(n_utterances):
+    """Return all chapters by folder: an eighth of the utterances to dev and test each, two chapters a voice."""
+    eighth = n_utterances // 8
+    found, speaker = {}, 100
+    for subset, voices in VOICES.items():
+        total = n_utterances - 2 * eighth if subset.startswith("train") else eighth
+        for k, voice in enumerate(voices):
+            speaker += 1
+            mine = total * (k + 1) // len(voices) - total * k // len(voices)
+            for part, count in enumerate((mine - mine // 2, mine // 2)):
+                if count:
+                    chapter = Chapter(subset, voice, speaker, 10 * speaker + part, count)
+                    found[chapter.folder] = chapter
+    return found
+
+
+class Espeak:
+    """eSpeak NG in a process of its own; a context manager.
+
+    Raises
+    ------
+    OSError
+        On leaving, if it ended by itself; what it says is on standard error.
+    """
+
+    def __enter__(self):
+        self._process = subprocess.Popen([sys.executable, espeak_worker.__file__], stdin=subprocess.PIPE,
+                                         stdout=subprocess.PIPE)
+        return self
+
+    def __exit__(self, *_):
+        self._process.stdin.close()
+        self._process.stdout.close()
+        self._process.wait()
+
+    def speak(self, voice, words, rng):
+        """Return one utterance at `FS_HZ` without the silence around it, peak 1; `rng` varies rate and pitch."""
+        request = dict(voice=voice.name, rate_wpm=round(voice.rate_wpm * rng.uniform(0.93, 1.07)),
+                       pitch=voice.pitch + int(rng.integers(-4, 5)), pitch_range=voice.pitch_range,
+                       seed=int(rng.integers(1, 2**31)), text=" ".join(words))
+        try:
+            self._process.stdin.write(json.dumps(request).encode() + b"\n")
+            self._process.stdin.flush()
+            n_bytes, = struct.unpack("<q", self._process.stdout.read(8))
+            samples = np.frombuffer(self._process.stdout.read(n_bytes), "<i2") / 2**15
+        except (OSError, struct.error):
+            raise OSError(f"eSpeak NG ended at {request}: see the message above, is espeakng-loader "
+                          "installed (pip install espeakng-loader)?") from None
+        speech = soxr.resample(samples, espeak_worker.FS_HZ, FS_HZ, quality="VHQ")
+        loud = np.flatnonzero(np.abs(speech) > 0.003 * np.abs(speech).max())
+        speech = speech[loud[0]:loud[-1] + 1]
+        return speech / np.abs(speech).max()
+
+
+def recorded(speech, rng):
+    """Return speech as if recorded: 0.15-0.35 s of silence around it, a level of its own, a noise floor at -65 dB.
+
+    Without the floor, the zeros between words would be what recognisers learn.
+
+    Parameters
+    ----------
+    speech : ndarray, shape (n_samples,)
+        Peak 1.
+    rng : numpy.random.Generator
+    """
+    before, after = rng.uniform(0.15, 0.35, 2) + max(0, 0.7 - len(speech) / FS_HZ) / 2
+    padded = np.pad(speech, (int(before * FS_HZ), int(after * FS_HZ))) * 10 ** (rng.uniform(-10, -3) / 20)
+    spectrum = np.fft.rfft(rng.standard_normal(len(padded)))
+    freqs_hz = np.fft.rfftfreq(len(padded), 1 / FS_HZ).clip(30)
+    floor = np.fft.irfft(spectrum * np.sqrt(1 + 500 / freqs_hz), len(padded))  # white above 500 Hz, pink below
+    return padded + 10 ** (-65 / 20) * floor / floor.std()
+
+
+def draw_words(rng, vocabulary=VOCABULARY):
+    """Return 3 to 8 words, none of them twice in a row."""
+    words = []
+    while len(words) < rng.integers(3, 9):
+        words += [word for word in [str(rng.choice(vocabulary))] if word not in words[-1:]]
+    return words
+
+
+def make_chapter(seed, out_dir, chapter):
+    """Write the audio and the transcripts of one chapter; return its number of samples."""
+    lines, n_samples = [], 0
+    with Espeak() as espeak:
+        for number in range(chapter.n_utterances):
+            utterance = f"{chapter.speaker}-{chapter.chapter}-{number:04d}"
+            rng = rng_for(seed, "standin-utterance", utterance)
+            words = draw_words(rng)
+            samples = recorded(espeak.speak(chapter.voice, words, rng), rng)
+            write_flac(out_dir / chapter.folder / f"{utterance}.flac", samples)
+            lines.append(f"{utterance} {' '.join(words).upper()}\n")
+            n_samples += len(samples)
+    write_text(out_dir / chapter.folder / f"{chapter.speaker}-{chapter.chapter}.trans.txt", "".join(lines))
+    return n_samples
+
+
+def make_noise(seed, out_dir, name):
+    """Write one point noise; return its number of samples."""
+    rng = rng_for(seed, "standin-noise", name)
+    n_samples = int(rng.uniform(5, 10) * FS_HZ)
+    kind = name.rstrip("123")
+    if kind == "babble":
+        with Espeak() as espeak:
+            talkers = [[] for _ in BABBLERS]
+            for spoken, voice in zip(talkers, BABBLERS, strict=True):
+                while sum(map(len, spoken)) < n_samples:
+                    spoken.append(espeak.speak(voice, draw_words(rng, CHATTER), rng))
+        noise = standin_noises.levelled(standin_noises.babble(rng, talkers, n_samples))
+    else:
+        noise = standin_noises.point_noise(kind, rng, n_samples)
+    write_flac(out_dir / "point_noises" / f"{name}.flac", noise)
+    return n_samples
+
+
+def make_item(seed, out_dir, name, chapter):
+    """Make one chapter, or one noise if `chapter` is None."""
+    return make_chapter(seed, out_dir, chapter) if chapter else make_noise(seed, out_dir, name)
+
+
+def speakers_txt(minutes):
+    """Return LibriSpeech's table of speakers.
+
+    Parameters
+    ----------
+    minutes : dict
+        Minutes of speech by (subset, speaker, voice).
+    """
+    lines = [";\n; Generated voices of eSpeak NG, see README\n;\n", ";ID  |SEX| SUBSET           |MINUTES| NAME\n"]
+    lines += [f"{speaker:<5}| {voice.sex} | {subset:<17}|{total:6.2f} | eSpeak NG {voice.name}\n"
+              for (subset, speaker, voice), total in minutes.items()]
+    return "".join(lines)
+
+
+def make_standin_speech(out_dir, n_utterances, seed, nj=1):
+    """Make the corpus.
+
+    Parameters
+    ----------
+    out_dir : Path
+    n_utterances : int
+        At least 32, so that every voice speaks.
+    seed : int
+    nj : int
+        Processes; the result does not depend on it.
+
+    Raises
+    ------
+    ValueError
+        `out_dir` holds something else.
+    OSError
+        eSpeak NG doesn't run, or `out_dir` can't be written.
+    """
+    sources = [Path(__file__), Path(espeak_worker.__file__), Path(standin_noises.__file__)]
+    build = Build(out_dir, step="standin-speech", options=dict(utterances=n_utterances, seed=seed), inputs=sources)
+    items = {**chapters(n_utterances), **dict.fromkeys(NOISES)}
+
+    def assemble(directory, counts):
+        minutes = {}
+        for chapter, n_samples in zip(items.values(), counts, strict=True):
+            if chapter:
+                key = chapter.subset, chapter.speaker, chapter.voice
+                minutes[key] = minutes.get(key, 0) + n_samples / FS_HZ / 60
+        write_text(directory / "LibriSpeech/SPEAKERS.TXT", speakers_txt(minutes))
+        rows = "".join(f"{name}.flac,point\n" for name in NOISES)
+        write_text(directory / "point_noises/noises.csv", "file,kind\n" + rows)
+        write_text(directory / "README", README)
+        print(f"{out_dir}: {n_utterances} generated utterances, {sum(minutes.values()):.1f} minutes")
+
+    if not build.done and build.run(items, partial(make_item, seed, build.work), nj=nj):
+        build.finish(assemble)
+
+
+def main(argv=None):
+    """Parse the command line and make the corpus; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out_dir", type=Path, metavar="OUT_DIR")
+    parser.add_argument("--utterances", type=int, default=1200, help="how many, at least 32; default 1200")
+    parser.add_argument("--seed", type=int, default=0, help="of all random draws; default 0")
+    parser.add_argument("--nj", type=int, default=1, help="processes, at least 1; default 1")
+    args = parser.parse_args(argv)
+    if args.utterances < 32:
+        parser.error(f"--utterances {args.utterances} must be at least 32: every voice has to speak")
+    if args.nj < 1:
+        parser.error(f"--nj {args.nj} must be at least 1")
+    try:
+        make_standin_speech(args.out_dir, args.utterances, args.seed, args.nj)
+    except (ValueError, OSError) as error:
+        print(f"make_standin_speech.py: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
