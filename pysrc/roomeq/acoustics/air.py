@@ -1,0 +1,92 @@
+"""Air: speed of sound and absorption (ISO 9613-1:1993)."""
+
+from functools import cache
+
+import numpy as np
+
+from roomeq.constants import EXACT_BANDS_HZ
+
+PRESSURE_KPA = 101.325
+TEMPERATURE_RANGE_C = (-20.0, 50.0)  # of the tables in ISO 9613-1
+_KELVIN = 273.15
+_REFERENCE_K = 293.15
+_TRIPLE_POINT_K = 273.16
+_DB_PER_NEPER = 10.0 / np.log(10.0)
+
+
+def speed_of_sound_m_s(temperature_c):
+    """Speed of sound in air [m/s]: ``343.2 sqrt(T / 293.15 K)`` (ISO 9613-1, eq. 3.1 and annex A).
+
+    Parameters
+    ----------
+    temperature_c : float
+        Temperature [degrees Celsius].
+    """
+    return 343.2 * float(np.sqrt((temperature_c + _KELVIN) / _REFERENCE_K))
+
+
+def air_absorption_db_m(frequencies_hz, temperature_c=20.0, humidity_pct=50.0, pressure_kpa=PRESSURE_KPA):
+    """Attenuation of pure tones in air (ISO 9613-1, eq. 3 to 5 and B.1 to B.3).
+
+    Parameters
+    ----------
+    frequencies_hz : array_like
+    temperature_c : float
+        -20 to 50 degrees Celsius.
+    humidity_pct : float
+        Relative humidity, 0 to 100 %.
+    pressure_kpa : float
+
+    Returns
+    -------
+    attenuation_db_m : ndarray
+        dB per metre, of the shape of `frequencies_hz`.
+
+    Raises
+    ------
+    ValueError
+        Temperature, humidity or pressure out of range.
+    """
+    _check_air(temperature_c, humidity_pct, pressure_kpa)
+    frequency = np.asarray(frequencies_hz, dtype=np.float64)
+    kelvin = temperature_c + _KELVIN
+    pressure = pressure_kpa / PRESSURE_KPA
+    relative = kelvin / _REFERENCE_K
+    saturation = 10.0 ** (-6.8346 * (_TRIPLE_POINT_K / kelvin) ** 1.261 + 4.6151)
+    vapour_pct = humidity_pct * saturation / pressure
+    oxygen_hz = pressure * (24.0 + 4.04e4 * vapour_pct * (0.02 + vapour_pct) / (0.391 + vapour_pct))
+    nitrogen_hz = pressure * relative ** -0.5 * (
+        9.0 + 280.0 * vapour_pct * np.exp(-4.170 * (relative ** (-1.0 / 3.0) - 1.0)))
+    classical = 1.84e-11 / pressure * np.sqrt(relative)
+    oxygen = 0.01275 * np.exp(-2239.1 / kelvin) / (oxygen_hz + frequency ** 2 / oxygen_hz)
+    nitrogen = 0.1068 * np.exp(-3352.0 / kelvin) / (nitrogen_hz + frequency ** 2 / nitrogen_hz)
+    return 8.686 * frequency ** 2 * (classical + relative ** -2.5 * (oxygen + nitrogen))
+
+
+@cache
+def band_attenuation_per_m(temperature_c=20.0, humidity_pct=50.0):
+    """Energy attenuation of the eight octave bands: ``p^2 ~ exp(-m d)``, at the exact mid-band frequencies.
+
+    Returns
+    -------
+    tuple of 8 floats
+        m [1/m].
+
+    Raises
+    ------
+    ValueError
+        See `air_absorption_db_m`.
+    """
+    attenuation = air_absorption_db_m(EXACT_BANDS_HZ, temperature_c, humidity_pct) / _DB_PER_NEPER
+    return tuple(float(value) for value in attenuation)
+
+
+def _check_air(temperature_c, humidity_pct, pressure_kpa):
+    low, high = TEMPERATURE_RANGE_C
+    if not low <= temperature_c <= high:
+        raise ValueError(f"temperature_c={temperature_c:g} must lie in [{low:g}, {high:g}] (ISO 9613-1): "
+                         "give degrees Celsius")
+    if not 0.0 <= humidity_pct <= 100.0:
+        raise ValueError(f"humidity_pct={humidity_pct:g} must lie in [0, 100]: give relative humidity in percent")
+    if not 10.0 <= pressure_kpa <= 200.0:
+        raise ValueError(f"pressure_kpa={pressure_kpa:g} must lie in [10, 200]: give kilopascals")

@@ -1,0 +1,1 @@
+"""Geometric room acoustics: what a source sounds like at a microphone."""

@@ -1,0 +1,140 @@
+"""From paths to sound: early pulses and a noise-like tail, put together from eight octave bands.
+
+The tail is one random sequence for all bands, shaped per band by the echogram. Reflections in a room arrive at
+a rate of ``4 pi c^3 t^2 / V`` (Kuttruff, Room Acoustics, eq. 4.6): while that is less than one per sample the
+sequence consists of single pulses, one at a random place in each interval between arrivals; later it is Gaussian.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+
+from roomeq.acoustics.filterbank import octave_filterbank
+from roomeq.constants import FS_HZ
+from roomeq.sim.gather import FRAME_S
+from roomeq.sim.jit import compiled
+
+SINC_HALF = 32
+MIN_RATE_HZ = 2000.0  # diffuse reflections are dense from the start: at least two pulses per millisecond
+MIN_LENGTH_S = 0.5
+MAX_LENGTH_S = 3.0
+DECAY_DB = 60.0
+_OVERSAMPLING = 256
+_GUARD_S = 0.06  # the filters of the low bands spread a pulse over this time
+
+
+def tail_noise(n_samples, volume_m3, speed_m_s, rng):
+    """Random sequence of unit mean power with the echo density of a room.
+
+    Parameters
+    ----------
+    n_samples : int
+    volume_m3, speed_m_s : float
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    noise : ndarray, shape (n_samples,)
+    """
+    noise = rng.standard_normal(n_samples)
+    growth = 4.0 * np.pi * speed_m_s ** 3 / volume_m3
+    dense = min(n_samples, int(np.sqrt(FS_HZ / growth) * FS_HZ))
+    time_s = np.arange(dense + 1) / FS_HZ
+    arrivals = np.cumsum(np.maximum(growth * time_s ** 2, MIN_RATE_HZ)) / FS_HZ
+    edges = np.interp(np.arange(int(arrivals[-1]) + 1), arrivals, np.arange(dense + 1.0))
+    width = np.diff(edges)
+    place = (edges[:-1] + width * rng.random(len(width))).astype(int)
+    pulses = np.zeros(dense)
+    inside = place < dense
+    sign = np.where(rng.random(len(width)) < 0.5, -1.0, 1.0)
+    np.add.at(pulses, place[inside], (sign * np.sqrt(width))[inside])
+    noise[:dense] = pulses
+    return noise
+
+
+def response_length_s(energy, early_s=0.0):
+    """Time after which every band has decayed by `DECAY_DB`, between `MIN_LENGTH_S` and `MAX_LENGTH_S`.
+
+    Parameters
+    ----------
+    energy : ndarray, shape (n_frames, 8)
+        Everything that arrives, per frame.
+    early_s : float
+        Time that must be held in any case [s].
+    """
+    remaining = np.cumsum(energy[::-1], axis=0)[::-1]
+    held = np.any(remaining > 10.0 ** (-DECAY_DB / 10.0) * np.maximum(remaining[0], 1e-300), axis=1)
+    last = int(np.flatnonzero(held)[-1]) + 1 if held.any() else 0
+    return float(np.clip(max(last * FRAME_S, early_s), MIN_LENGTH_S, MAX_LENGTH_S))
+
+
+def render(distance_m, gains, echogram, noise, *, speed_m_s, n_samples):
+    """Put a response together.
+
+    Parameters
+    ----------
+    distance_m : ndarray, shape (n_paths,)
+        Lengths of the specular paths.
+    gains : ndarray, shape (n_paths, 8)
+        Their pressure per band.
+    echogram : ndarray, shape (n_frames, 8)
+        Squared pressure per frame of everything else, air absorption included.
+    noise : ndarray, shape (>= n_samples,)
+        From `tail_noise`.
+    speed_m_s : float
+    n_samples : int
+
+    Returns
+    -------
+    rir : ndarray, shape (n_samples,)
+        Sample 0 is the emission.
+    """
+    guard = int(_GUARD_S * FS_HZ)
+    n_fft = next_fast_len(n_samples + 2 * guard, real=True)
+    bands = np.zeros((echogram.shape[1], n_fft))
+    first = distance_m.min() / speed_m_s * FS_HZ if len(distance_m) else 0.0
+    bands[:, guard:guard + n_samples] = noise[:n_samples] * np.sqrt(_power_per_sample(echogram, n_samples, first))
+    _add_pulses(bands, guard + distance_m / speed_m_s * FS_HZ, np.ascontiguousarray(gains), _sinc_table())
+    spectrum = np.einsum("bf,bf->f", rfft(bands, n_fft), octave_filterbank(n_fft, FS_HZ))
+    return irfft(spectrum, n_fft)[guard:guard + n_samples]
+
+
+def _power_per_sample(echogram, n_samples, first_sample):
+    """Interpolate frame energies to a power per sample, shape (8, n_samples), zero before the first arrival."""
+    n_frame = FRAME_S * FS_HZ
+    n_frames = int(np.ceil(n_samples / n_frame))
+    power = np.zeros((n_frames + 1, echogram.shape[1]))
+    power[:min(n_frames + 1, len(echogram))] = echogram[:n_frames + 1] / n_frame
+    position = np.maximum((np.arange(n_samples) + 0.5) / n_frame - 0.5, 0.0)
+    frame = np.minimum(position.astype(int), n_frames - 1)
+    fraction = (position - frame)[:, None]
+    interpolated = power[frame] * (1.0 - fraction) + power[frame + 1] * fraction
+    interpolated[:int(np.ceil(first_sample))] = 0.0
+    return interpolated.T
+
+
+@lru_cache(maxsize=1)
+def _sinc_table():
+    """Hann-windowed sinc, `_OVERSAMPLING` points per sample, from ``-SINC_HALF`` to ``SINC_HALF`` samples."""
+    position = np.arange(-SINC_HALF * _OVERSAMPLING, SINC_HALF * _OVERSAMPLING + 1) / _OVERSAMPLING
+    return np.sinc(position) * np.cos(0.5 * np.pi * position / SINC_HALF) ** 2
+
+
+@compiled
+def _add_pulses(bands, delays, gains, table):
+    """Add band-limited pulses at fractional delays [samples]; what falls outside is left out."""
+    n_bands, n_samples = bands.shape
+    oversampling = (len(table) - 1) // 64
+    for path in range(len(delays)):
+        start = int(np.ceil(delays[path])) - 32
+        offset = (start - delays[path] + 32.0) * oversampling
+        for tap in range(64):
+            n = start + tap
+            if 0 <= n < n_samples:
+                position = offset + tap * oversampling
+                index = min(int(position), len(table) - 2)
+                fraction = position - index
+                value = table[index] * (1.0 - fraction) + table[index + 1] * fraction
+                for band in range(n_bands):
+                    bands[band, n] += gains[path, band] * value

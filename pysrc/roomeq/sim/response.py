@@ -1,0 +1,302 @@
+"""Impulse responses of one room: trace a source once, then render any microphone, material or target.
+
+    room = Shoebox((6, 4, 3))
+    scene = Scene(room, [Material("plaster", 0.1, 0.2)] * 6)
+    (response,) = simulate_rir(scene, (2, 1.5, 1.5), (4, 3, 1.2), seed=0)
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roomeq.constants import BAND_1KHZ, FS_HZ
+from roomeq.rng import rng_for
+from roomeq.sim.early import Images, specular_paths
+from roomeq.sim.gather import FRAME_S, gather
+from roomeq.sim.render import MAX_LENGTH_S, MIN_LENGTH_S, render, response_length_s, tail_noise
+from roomeq.sim.scene import Scene, check_positions, eyring_time_s
+from roomeq.sim.target import TOLERANCE, scaled_absorption, solve_exponent, t30_of_echogram, t30_s
+from roomeq.sim.trace import Paths, trace
+
+NUM_RAYS = 20000
+ISM_ORDER = 6
+_PILOT_RAYS = 2000
+
+
+@dataclass(frozen=True)
+class TracedSource:
+    """The paths of one source, and which of them serve which band.
+
+    Attributes
+    ----------
+    scene : Scene
+        As traced; the absorption may be another when rendering, the scattering may not.
+    source_pos_m : ndarray, shape (3,)
+    paths : tuple of Paths
+        One for each distinct column of scattering coefficients.
+    path_of_band : tuple of 8 ints
+    """
+
+    scene: Scene
+    source_pos_m: np.ndarray
+    paths: tuple[Paths, ...]
+    path_of_band: tuple[int, ...]
+
+    @property
+    def leaked_share(self):
+        """Share of the rays that slipped through the room's surface."""
+        return sum(path.n_leaked for path in self.paths) / sum(len(path.counts) for path in self.paths)
+
+    @property
+    def max_length_s(self):
+        """How far the rays were followed [s]."""
+        return self.paths[0].max_length_m / self.scene.air.speed_m_s
+
+
+@dataclass(frozen=True)
+class Response:
+    """One impulse response and what is known about it.
+
+    Attributes
+    ----------
+    rir : ndarray, shape (n_samples,)
+        At `FS_HZ`, sample 0 is the emission; a direct sound at distance r has the level ``1 / (4 pi r)``.
+    direct_sample : float
+        ``fs r / c``.
+    direct_visible : bool
+        Whether the source is seen from the microphone.
+    t30_s : float or None
+        T30 at 1 kHz of `rir`.
+    absorption : ndarray, shape (n_slots, 8)
+        As used: scaled to the target if there was one.
+    leaked_share : float
+        Rays that slipped through the surface.
+    """
+
+    rir: np.ndarray
+    direct_sample: float
+    direct_visible: bool
+    t30_s: float | None
+    absorption: np.ndarray
+    leaked_share: float
+
+
+def trace_source(scene, source_pos_m, *, num_rays=NUM_RAYS, max_length_s=MAX_LENGTH_S, max_order=None, rng):
+    """Trace a source: once for all microphones and all absorption coefficients.
+
+    Parameters
+    ----------
+    scene : Scene
+    source_pos_m : array_like, shape (3,)
+    num_rays : int
+        For each distinct column of scattering coefficients.
+    max_length_s : float
+        Longest response that will be asked for [s].
+    max_order : int, optional
+        Most reflections; by default as many as `max_length_s` takes.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    TracedSource
+
+    Raises
+    ------
+    ValueError
+        `num_rays` is not positive, or the source lies outside the room.
+    """
+    if num_rays < 1:
+        raise ValueError(f"num_rays={num_rays} must be at least 1: ask for some rays")
+    scene.room.require_inside("source_pos_m", source_pos_m)
+    columns, path_of_band = np.unique(scene.scattering, axis=1, return_inverse=True)
+    seed = int(rng.integers(2 ** 63))
+    max_length_m = max_length_s * scene.air.speed_m_s
+    # the same random numbers for all columns: bands then differ by their scattering alone
+    paths = tuple(trace(scene.room, source_pos_m, column, num_rays=num_rays, max_length_m=max_length_m,
+                        max_order=max_order, rng=np.random.default_rng(seed)) for column in columns.T)
+    return TracedSource(scene, np.asarray(source_pos_m, dtype=np.float64), paths,
+                        tuple(int(n) for n in np.ravel(path_of_band)))
+
+
+def echograms(traced, absorption, mics_m, *, ism_order=ISM_ORDER, n_rays=None, bands=None):
+    """Energy of all but the image sources, with air absorption, shape (n_mics, n_frames, 8); see `gather`."""
+    air = traced.scene.air
+    n_frames = int(np.ceil(traced.max_length_s / FRAME_S))
+    wanted = range(len(traced.path_of_band)) if bands is None else bands
+    result = np.zeros((len(mics_m), n_frames, len(traced.path_of_band)))
+    for group in sorted({traced.path_of_band[band] for band in wanted}):
+        members = [band for band in wanted if traced.path_of_band[band] == group]
+        energy = gather(traced.paths[group], traced.scene.room, absorption, mics_m, ism_order=ism_order,
+                        n_frames=n_frames, speed_m_s=air.speed_m_s, n_rays=n_rays)
+        result[:, :, members] = energy[:, :, members]
+    length_m = (np.arange(n_frames) + 0.5) * FRAME_S * air.speed_m_s
+    return result * np.exp(-length_m[:, None] * air.attenuation_per_m)
+
+
+def render_responses(traced, mics_m, rngs, *, absorption=None, ism_order=ISM_ORDER):
+    """Render the responses of a traced source at some microphones.
+
+    Parameters
+    ----------
+    traced : TracedSource
+    mics_m : array_like, shape (n_mics, 3)
+    rngs : sequence of numpy.random.Generator
+        One per microphone, for the noise of its tail.
+    absorption : ndarray, shape (n_slots, 8), optional
+        Instead of that of the traced scene.
+    ism_order : int
+
+    Returns
+    -------
+    list of Response
+
+    Raises
+    ------
+    ValueError
+        A microphone lies outside the room or on top of the source.
+    """
+    mics_m = _checked_mics(traced, mics_m)
+    absorption = traced.scene.absorption if absorption is None else absorption
+    images = [specular_paths(traced.scene.room, traced.source_pos_m, mic, ism_order) for mic in mics_m]
+    noises = [_noise(traced, rng) for rng in rngs]
+    return _render(traced, mics_m, images, noises, absorption, ism_order)
+
+
+def render_to_target(traced, mics_m, rngs, target_s, *, ism_order=ISM_ORDER):
+    """Render responses whose mean T30 at 1 kHz is the target, by scaling the absorption of all surfaces.
+
+    Parameters are those of `render_responses`.
+
+    Raises
+    ------
+    ValueError
+        No scaling brings T30 within 5 % of the target: the room, its air or the direct sound don't allow it.
+    """
+    mics_m = _checked_mics(traced, mics_m)
+    base = traced.scene.absorption
+    images = [specular_paths(traced.scene.room, traced.source_pos_m, mic, ism_order) for mic in mics_m]
+    noises = [_noise(traced, rng) for rng in rngs]
+
+    def pilot(exponent):
+        absorption = scaled_absorption(base, exponent)
+        energy = echograms(traced, absorption, mics_m, ism_order=ism_order, n_rays=_PILOT_RAYS, bands=[BAND_1KHZ])
+        _add_images(energy, traced, images, absorption)
+        return t30_of_echogram(energy[:, :, BAND_1KHZ].mean(axis=0))
+
+    rendered = {}
+
+    def measure(exponent):
+        rendered.clear()
+        rendered[exponent] = _render(traced, mics_m, images, noises, scaled_absorption(base, exponent), ism_order)
+        times_s = [response.t30_s for response in rendered[exponent]]
+        return None if None in times_s else float(np.mean(times_s))
+
+    guess, _ = solve_exponent(pilot, target_s, eyring_exponent(traced.scene, target_s))
+    exponent, time_s = solve_exponent(measure, target_s, guess)
+    if time_s is None or abs(time_s / target_s - 1.0) > TOLERANCE:
+        found = "cannot be measured" if time_s is None else f"comes to {time_s:.3g} s"
+        raise ValueError(f"target_t60_s={target_s:.3g} is out of reach: T30 at 1 kHz {found} whatever these "
+                         "materials absorb: choose other materials or another target")
+    if exponent not in rendered:
+        measure(exponent)
+    return rendered[exponent]
+
+
+def simulate_rir(scene, source_pos_m, mics_m, *, num_rays=NUM_RAYS, ism_order=ISM_ORDER, max_order=None,
+                 target_t60_s=None, seed=0):
+    """Simulate impulse responses from a source to one or more microphones.
+
+    Parameters
+    ----------
+    scene : Scene
+        Room, materials and air.
+    source_pos_m : array_like, shape (3,)
+    mics_m : array_like, shape (3,) or (n_mics, 3)
+    num_rays : int
+    ism_order : int
+        Order up to which specular reflections are exact image sources.
+    max_order : int, optional
+        Most reflections of a ray; by default as many as the length of the response takes.
+    target_t60_s : float, optional
+        Scale the materials until T30 at 1 kHz (mean over the microphones) is this.
+    seed : int
+
+    Returns
+    -------
+    list of Response
+        One per microphone.
+
+    Raises
+    ------
+    ValueError
+        Positions outside the room or on top of each other; a target that cannot be met.
+    """
+    mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
+    for mic_m in mics_m:
+        check_positions(scene.room, source_pos_m, mic_m)
+    traced = trace_source(scene, source_pos_m, num_rays=num_rays, max_order=max_order,
+                          max_length_s=needed_length_s(scene, target_t60_s), rng=rng_for(seed, "trace", ""))
+    rngs = [rng_for(seed, "tail", str(n)) for n in range(len(mics_m))]
+    if target_t60_s is None:
+        return render_responses(traced, mics_m, rngs, ism_order=ism_order)
+    return render_to_target(traced, mics_m, rngs, target_t60_s, ism_order=ism_order)
+
+
+def eyring_exponent(scene, target_s):
+    """Exponent with which Eyring's formula meets a target at 1 kHz; a first guess."""
+    air_area_m2 = 4.0 * scene.air.attenuation_per_m[BAND_1KHZ] * scene.room.volume_m3
+    wanted_m2 = 24.0 * np.log(10.0) * scene.room.volume_m3 / (scene.air.speed_m_s * target_s) - air_area_m2
+    area_m2 = scene.room.slot_area_m2
+    now_m2 = -np.log(1.0 - min(0.99, area_m2 @ scene.absorption[:, BAND_1KHZ] / area_m2.sum())) * area_m2.sum()
+    return float(np.clip(wanted_m2 / max(now_m2, 1e-6), 1e-2, 1e2))
+
+
+def needed_length_s(scene, target_s=None):
+    """How far to trace so that every band decays by 60 dB, by Eyring and with something to spare [s]."""
+    if target_s is not None:
+        absorption = scaled_absorption(scene.absorption, eyring_exponent(scene, target_s))
+        materials = [replace(material, absorption=tuple(row))
+                     for material, row in zip(scene.materials, absorption, strict=True)]
+        scene = replace(scene, materials=materials)
+    return float(np.clip(1.3 * eyring_time_s(scene).max() + 0.1, MIN_LENGTH_S, MAX_LENGTH_S))
+
+
+def _checked_mics(traced, mics_m):
+    mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
+    for mic_m in mics_m:
+        check_positions(traced.scene.room, traced.source_pos_m, mic_m)
+    return mics_m
+
+
+def _noise(traced, rng):
+    n_samples = int(np.ceil(traced.max_length_s * FS_HZ)) + 1
+    return tail_noise(n_samples, traced.scene.room.volume_m3, traced.scene.air.speed_m_s, rng)
+
+
+def _add_images(energy, traced, images, absorption):
+    """Add the energy of image sources to echograms, in place."""
+    air = traced.scene.air
+    for echogram, found in zip(energy, images, strict=True):
+        frame = (found.distance_m / air.speed_m_s / FRAME_S).astype(int)
+        gains = found.gains(absorption, traced.scene.scattering, air.attenuation_per_m)
+        inside = frame < len(echogram)
+        np.add.at(echogram, frame[inside], gains[inside] ** 2)
+
+
+def _render(traced, mics_m, images, noises, absorption, ism_order):
+    energy = echograms(traced, absorption, mics_m, ism_order=ism_order)
+    whole = energy.copy()
+    _add_images(whole, traced, images, absorption)
+    return [_render_one(traced, mic_m, *each, absorption)
+            for mic_m, *each in zip(mics_m, energy, whole, images, noises, strict=True)]
+
+
+def _render_one(traced, mic_m, echogram, whole, images: Images, noise, absorption):
+    air = traced.scene.air
+    direct_sample = float(np.linalg.norm(mic_m - traced.source_pos_m) / air.speed_m_s * FS_HZ)
+    length_s = min(response_length_s(whole, direct_sample / FS_HZ + 0.1), max(traced.max_length_s, MIN_LENGTH_S))
+    n_samples = int(round(length_s * FS_HZ))
+    gains = images.gains(absorption, traced.scene.scattering, air.attenuation_per_m)
+    rir = render(images.distance_m, gains, echogram, noise, speed_m_s=air.speed_m_s, n_samples=n_samples)
+    return Response(rir, direct_sample, images.has_direct, t30_s(rir, direct_sample), absorption,
+                    traced.leaked_share)

@@ -1,0 +1,219 @@
+"""What is simulated: materials, rooms, air, and where source and microphone stand.
+
+Conventions: metres, seconds, degrees Celsius. A room has *slots*, named parts of its surface that hold one
+material each: the six walls of a shoebox, the materials of a mesh.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from roomeq.acoustics.air import band_attenuation_per_m, speed_of_sound_m_s
+from roomeq.constants import BANDS_HZ
+
+N_BANDS = len(BANDS_HZ)
+WALLS = ("west", "east", "south", "north", "floor", "ceiling")
+"""Slots of a shoebox: x = 0, x = length, y = 0, y = width, z = 0, z = height."""
+
+MIN_WALL_DISTANCE_M = 0.01
+MIN_DISTANCE_M = 0.05
+MAX_DIMENSION_M = 200.0
+
+
+@dataclass(frozen=True)
+class Material:
+    """A surface: what it absorbs, and how much of the rest it scatters.
+
+    Attributes
+    ----------
+    name : str
+    absorption : tuple of 8 floats
+        Random-incidence absorption coefficients, octave bands 62.5 Hz to 8 kHz, in [0, 1].
+    scattering : tuple of 8 floats
+        Share of the reflected energy that leaves in other than the specular direction (ISO 17497-1), in [0, 1].
+
+    Raises
+    ------
+    ValueError
+        A coefficient lies outside [0, 1] or there are not eight; one number stands for all eight.
+    """
+
+    name: str
+    absorption: tuple
+    scattering: tuple
+
+    def __post_init__(self):
+        for what in ("absorption", "scattering"):
+            object.__setattr__(self, what, self._checked(what, getattr(self, what)))
+
+    def _checked(self, what, values):
+        try:
+            bands = tuple(float(value) for value in np.broadcast_to(values, N_BANDS))
+        except (ValueError, TypeError):
+            raise ValueError(f"{what}={values!r} of material {self.name!r} must be {N_BANDS} numbers "
+                             "(62.5 Hz to 8 kHz) or one: correct the material") from None
+        for band, value in enumerate(bands):
+            if not 0.0 <= value <= 1.0:
+                raise ValueError(f"{what}[{band}]={value:g} of material {self.name!r} must lie in [0, 1]: "
+                                 "correct the material")
+        return bands
+
+
+@dataclass(frozen=True)
+class Air:
+    """The air in a room.
+
+    Attributes
+    ----------
+    temperature_c : float
+    humidity_pct : float
+        Relative humidity.
+    """
+
+    temperature_c: float = 20.0
+    humidity_pct: float = 50.0
+
+    def __post_init__(self):
+        band_attenuation_per_m(self.temperature_c, self.humidity_pct)
+
+    @property
+    def speed_m_s(self):
+        return speed_of_sound_m_s(self.temperature_c)
+
+    @property
+    def attenuation_per_m(self):
+        """Energy attenuation per band, ndarray of shape (8,) [1/m]."""
+        return np.array(band_attenuation_per_m(self.temperature_c, self.humidity_pct))
+
+
+@dataclass(frozen=True)
+class Shoebox:
+    """A rectangular room with one corner at the origin.
+
+    Attributes
+    ----------
+    dims_m : tuple of 3 floats
+        Length, width, height (x, y, z).
+
+    Raises
+    ------
+    ValueError
+        A dimension is not in (0.1, 200] m.
+    """
+
+    dims_m: tuple
+    convex = True
+    slots = WALLS
+
+    def __post_init__(self):
+        dims_m = tuple(float(value) for value in self.dims_m)
+        object.__setattr__(self, "dims_m", dims_m)
+        if len(dims_m) != 3 or not all(0.1 <= value <= MAX_DIMENSION_M for value in dims_m):
+            raise ValueError(f"room_dims_m={list(dims_m)} must be three lengths in [0.1, {MAX_DIMENSION_M:g}] m: "
+                             "correct the room")
+
+    @property
+    def volume_m3(self):
+        return float(np.prod(self.dims_m))
+
+    @property
+    def slot_area_m2(self):
+        length, width, height = self.dims_m
+        return np.repeat([width * height, length * height, length * width], 2)
+
+    @cached_property
+    def normals(self):
+        """Inward unit normals of the faces, shape (6, 3)."""
+        return np.repeat(np.eye(3), 2, axis=0) * np.array([1, -1] * 3)[:, None]
+
+    @property
+    def face_slot(self):
+        return np.arange(6)
+
+    def require_inside(self, what, position_m):
+        """Raise ValueError unless a position lies in the room, clear of the walls."""
+        for axis, (value, size_m) in enumerate(zip(position_m, self.dims_m, strict=True)):
+            if not MIN_WALL_DISTANCE_M <= value <= size_m - MIN_WALL_DISTANCE_M:
+                raise ValueError(
+                    f"{what}[{axis}]={value:g} must lie in [{MIN_WALL_DISTANCE_M:g}, "
+                    f"{size_m - MIN_WALL_DISTANCE_M:g}] m of a room of {list(self.dims_m)} m: correct the position")
+
+    def sphere_volume_m3(self, center_m, radius_m):
+        """Volume of the part of a sphere that lies in the room."""
+        node, weight = np.polynomial.legendre.leggauss(64)
+        low, high = (np.clip([-radius_m, radius_m], -np.asarray(center_m)[:, None],
+                             np.asarray(self.dims_m)[:, None] - np.asarray(center_m)[:, None])).T
+        y, z = (0.5 * (high[axis] - low[axis]) * node + 0.5 * (high[axis] + low[axis]) for axis in (1, 2))
+        half = np.sqrt(np.maximum(radius_m ** 2 - y[:, None] ** 2 - z[None, :] ** 2, 0.0))
+        depth = np.minimum(half, high[0]) - np.maximum(-half, low[0])
+        area = 0.25 * (high[1] - low[1]) * (high[2] - low[2])
+        return float(area * weight @ depth @ weight)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A room with its materials and air.
+
+    Attributes
+    ----------
+    room : Shoebox or MeshRoom
+    materials : tuple of Material
+        One per slot of the room.
+    air : Air
+
+    Raises
+    ------
+    ValueError
+        The number of materials is not the number of slots.
+    """
+
+    room: object
+    materials: tuple
+    air: Air = Air()
+
+    def __post_init__(self):
+        object.__setattr__(self, "materials", tuple(self.materials))
+        if len(self.materials) != len(self.room.slots):
+            raise ValueError(f"{len(self.materials)} materials must be one for each of the room's "
+                             f"{len(self.room.slots)} slots ({', '.join(self.room.slots)}): give that many")
+
+    @property
+    def absorption(self):
+        """ndarray, shape (n_slots, 8)."""
+        return np.array([material.absorption for material in self.materials])
+
+    @property
+    def scattering(self):
+        """ndarray, shape (n_slots, 8)."""
+        return np.array([material.scattering for material in self.materials])
+
+
+def check_positions(room, source_pos_m, mic_pos_m):
+    """Raise ValueError unless source and microphone lie in the room and apart.
+
+    Parameters
+    ----------
+    room : Shoebox or MeshRoom
+    source_pos_m, mic_pos_m : array_like, shape (3,)
+    """
+    for what, position_m in (("source_pos_m", source_pos_m), ("mic_pos_m", mic_pos_m)):
+        if np.shape(position_m) != (3,) or not np.all(np.isfinite(np.asarray(position_m, dtype=float))):
+            raise ValueError(f"{what}={position_m!r} must be three finite numbers: correct the position")
+        room.require_inside(what, position_m)
+    distance_m = float(np.linalg.norm(np.subtract(source_pos_m, mic_pos_m)))
+    if distance_m < MIN_DISTANCE_M:
+        raise ValueError(f"source and microphone are {distance_m:g} m apart and must be at least "
+                         f"{MIN_DISTANCE_M:g} m: correct the positions")
+
+
+def sabine_area_m2(scene):
+    """Sum of ``-ln(1 - alpha_mean) S + 4 m V`` per band: the absorption area in Eyring's formula, shape (8,)."""
+    area_m2 = scene.room.slot_area_m2
+    mean = np.minimum(area_m2 @ scene.absorption / area_m2.sum(), 1.0 - 1e-6)
+    return -np.log(1.0 - mean) * area_m2.sum() + 4.0 * scene.air.attenuation_per_m * scene.room.volume_m3
+
+
+def eyring_time_s(scene):
+    """Reverberation time per band by Eyring: ``24 ln(10) V / (c A)``, shape (8,) [s]."""
+    return 24.0 * np.log(10.0) * scene.room.volume_m3 / (scene.air.speed_m_s * np.maximum(sabine_area_m2(scene), 1e-9))

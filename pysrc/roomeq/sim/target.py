@@ -1,0 +1,96 @@
+"""Meet a target: scale absorption until the reverberation time of the rendered response is the one asked for."""
+
+import numpy as np
+
+from roomeq.acoustics.metrics import reverberation_time
+from roomeq.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
+from roomeq.sim.gather import FRAME_S
+
+TOLERANCE = 0.05
+_AIM = 0.01
+_MAX_RENDERINGS = 8
+_EXPONENT_RANGE = (1e-3, 1e3)
+
+
+def scaled_absorption(absorption, exponent):
+    """Scale absorption by an exponent on what is reflected: ``1 - (1 - alpha) ** exponent``.
+
+    All surfaces and bands keep their order, and absorption stays in [0, 1].
+    """
+    return 1.0 - (1.0 - np.minimum(absorption, 0.999)) ** exponent
+
+
+def t30_s(rir, direct_sample):
+    """T30 at 1 kHz of a noiseless response, or None where it does not decay by 35 dB."""
+    try:
+        return reverberation_time(rir, FS_HZ, BANDS_HZ[BAND_1KHZ], "t30", direct_sample=direct_sample)
+    except ValueError:
+        return None
+
+
+def solve_exponent(measure, target_s, guess=1.0):
+    """Find the exponent with which a measured reverberation time meets the target.
+
+    Parameters
+    ----------
+    measure : callable
+        ``measure(exponent) -> T30 [s] or None``; falls as the exponent grows, but for some noise.
+    target_s : float
+    guess : float
+        First exponent to try.
+
+    Returns
+    -------
+    exponent : float
+    time_s : float or None
+        What was measured with it: the closest found; the caller decides whether it is close enough.
+    """
+    tried = []
+    exponent = guess
+    for _ in range(_MAX_RENDERINGS):
+        time_s = measure(exponent)
+        tried.append((exponent, time_s))
+        if time_s is not None and abs(time_s / target_s - 1.0) < _AIM:
+            break
+        exponent = _next_exponent(tried, target_s)
+        if not _EXPONENT_RANGE[0] <= exponent <= _EXPONENT_RANGE[1]:
+            break
+    measured = [(x, t) for x, t in tried if t is not None]
+    if not measured:
+        return guess, None
+    return min(measured, key=lambda pair: abs(np.log(pair[1] / target_s)))
+
+
+def _next_exponent(tried, target_s):
+    """Secant in log-log, kept inside the bracket that is known."""
+    known = sorted((np.log(x), np.log(t / target_s)) for x, t in tried if t is not None)
+    if len(known) < len(tried) and tried[-1][1] is None:  # too long to measure: absorb more
+        return tried[-1][0] * 2.0
+    above = [point for point in known if point[1] > 0.0]  # too long
+    below = [point for point in known if point[1] <= 0.0]
+    if above and below:
+        low, high = max(above), min(below)
+        step = low[0] + (high[0] - low[0]) * float(np.clip(low[1] / (low[1] - high[1]), 0.1, 0.9))
+        return float(np.exp(step))
+    x, error = max(known) if above else min(known)
+    slope = -1.0
+    if len(known) > 1:
+        (x0, e0), (x1, e1) = known[-2:] if above else known[:2]
+        slope = min(-0.3, (e1 - e0) / (x1 - x0)) if x1 > x0 else -1.0
+    return float(np.exp(x - 1.1 * error / slope))
+
+
+def t30_of_echogram(energy):
+    """T30 of an echogram of one band by backward integration, or None where it does not decay by 35 dB.
+
+    Parameters
+    ----------
+    energy : ndarray, shape (n_frames,)
+    """
+    decay = np.cumsum(energy[::-1])[::-1]
+    decay_db = 10.0 * np.log10(np.maximum(decay / max(decay[0], 1e-300), 1e-30))
+    chosen = np.flatnonzero((decay_db <= -5.0) & (decay_db >= -35.0))
+    if decay_db[-1] > -35.0 or len(chosen) < 3:
+        return None
+    slope_db = np.polyfit(chosen * FRAME_S, decay_db[chosen], 1)[0]
+    return float(-60.0 / slope_db)
