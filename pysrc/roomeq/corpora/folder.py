@@ -1,0 +1,59 @@
+"""A folder of audio files with nothing beside them: rooms are the folders, everything else is unknown."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from roomeq.corpora.record import (
+    Corpus,
+    Recording,
+    audio_files,
+    excitation_of,
+    id_of_path,
+    is_binaural_name,
+    noise_kind_of,
+    rir_row,
+)
+
+
+def list_folder(source: Path) -> Corpus:
+    """List the RIRs of a folder (or of one audio file).
+
+    Raises
+    ------
+    ValueError
+        There is no audio in it.
+    """
+    files, root = _audio_of(source)
+    corpus = Corpus(name=root.name, kind="folder")
+    for path in files:
+        corpus.rirs.append(Recording(path, id_of_path(path, root), rir_row(
+            corpus=root.name, room_id=path.parent.name, excitation=excitation_of(path.stem),
+            binaural=is_binaural_name(str(path.relative_to(root))))))
+    return corpus
+
+
+def list_noise_folder(source: Path) -> list[Recording]:
+    """List the noises of a folder: `kind` by name (room tone and silence are ambient), the room is unknown.
+
+    Raises
+    ------
+    ValueError
+        There is no audio in it.
+    """
+    files, root = _audio_of(source)
+    return noises_of(files, root)
+
+
+def noises_of(files: Iterable[Path], root: Path, room_id: str | None = None, kind: str | None = None,
+              ) -> list[Recording]:
+    """Return noises with ids made of their paths below `root`."""
+    return [Recording(path, id_of_path(path, root),
+                      dict(room_id=room_id, kind=kind or noise_kind_of(str(path.relative_to(root)))))
+            for path in files]
+
+
+def _audio_of(source: Path) -> tuple[list[Path], Path]:
+    files = [source] if source.is_file() else audio_files(source)
+    if not files:
+        raise ValueError(f"{source}: no audio files below it: check the path")
+    return files, (source.parent if source.is_file() else source)

@@ -1,0 +1,76 @@
+"""A plain Kaldi data directory as a speech corpus: its lines are passed on, its audio is not touched."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+BY_UTTERANCE = ("segments", "text", "utt2spk", "utt2dur", "utt2lang")
+BY_RECORDING = ("wav.scp", "reco2dur")
+BY_SPEAKER = ("spk2gender",)
+_REMEDY = "complete the data directory (utils/fix_data_dir.sh)"
+
+
+@dataclass(frozen=True)
+class KaldiDir:
+    """Files of a data directory as {file: {key: rest of the line}}."""
+
+    path: Path
+    files: dict[str, dict[str, str]]
+
+    def voices(self) -> dict[str, str]:
+        """Return who speaks each utterance: the speaker, and of LibriSpeech's reader-chapter the reader."""
+        return {utt: re.sub(r"^(\d+)-\d+$", r"\1", spk) for utt, spk in self.files["utt2spk"].items()}
+
+    def subset(self, utterances: set[str]) -> dict[str, dict[str, str]]:
+        """Return the files with only the lines that these utterances need."""
+        segments = self.files.get("segments")
+        recordings = {segments[utt].split()[0] for utt in utterances} if segments else utterances
+        speakers = {self.files["utt2spk"][utt] for utt in utterances}
+        wanted = dict.fromkeys(BY_UTTERANCE, utterances) | dict.fromkeys(BY_RECORDING, recordings) | dict.fromkeys(
+            BY_SPEAKER, speakers)
+        return {name: {key: rest for key, rest in lines.items() if key in wanted[name]}
+                for name, lines in self.files.items()}
+
+
+def find_kaldi_dirs(source: Path) -> dict[str, Path]:
+    """Return the data directories at a path: itself, as set ``""``, or those below it by name."""
+    if (source / "wav.scp").is_file():
+        return {"": source}
+    return {path.parent.name: path.parent for path in sorted(source.glob("*/wav.scp"))}
+
+
+def read_kaldi_dir(path: Path) -> KaldiDir:
+    """Read the files of a data directory that we pass on.
+
+    Raises
+    ------
+    ValueError
+        A needed file is missing or empty, a line has no value or its key stands twice, or the files do not fit.
+    """
+    files = {name: _read_lines(path / name) for name in (*BY_UTTERANCE, *BY_RECORDING, *BY_SPEAKER)
+             if (path / name).is_file()}
+    for name in ("wav.scp", "utt2spk", "text"):
+        if not files.get(name):
+            raise ValueError(f"{path / name}: missing or empty: {_REMEDY}")
+    audio_of = files.get("segments", files["wav.scp"])
+    for utt in files["utt2spk"]:
+        if utt not in audio_of or utt not in files["text"]:
+            lacking = "text" if utt in audio_of else "segments" if "segments" in files else "wav.scp"
+            raise ValueError(f"{path / lacking}: utterance {utt} of utt2spk is not in it: {_REMEDY}")
+        if "segments" in files and (recording := audio_of[utt].split()[0]) not in files["wav.scp"]:
+            raise ValueError(f"{path / 'wav.scp'}: recording {recording} of segments is not in it: {_REMEDY}")
+    return KaldiDir(path, files)
+
+
+def _read_lines(path: Path) -> dict[str, str]:
+    lines: dict[str, str] = {}
+    for number, line in enumerate(path.read_text(encoding="utf-8").split("\n"), start=1):
+        if not line.strip():
+            continue
+        key, *rest = line.strip().split(maxsplit=1)
+        if not rest:
+            raise ValueError(f"{path}:{number}: {key!r} has nothing behind it: correct the line")
+        if key in lines:
+            raise ValueError(f"{path}:{number}: {key} stands twice: ids must be unique: remove one line")
+        lines[key] = rest[0]
+    return lines

@@ -1,0 +1,292 @@
+"""Write any measured corpus as an RIR directory: one way for all kinds of corpora."""
+
+import logging
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from roomeq.audio import audio_info, read_audio, write_wav
+from roomeq.build import Build
+from roomeq.constants import FS_HZ
+from roomeq.corpora.folder import list_folder, list_noise_folder
+from roomeq.corpora.record import UNKNOWN, Corpus, Recording, audio_files
+from roomeq.corpora.reverbdb import find_rooms, list_reverbdb
+from roomeq.corpora.slr28 import find_real, list_slr28
+from roomeq.corpora.sofa_file import list_sofa, sofa_signals
+from roomeq.corpora.table import MANIFEST, list_noise_table, list_table
+from roomeq.files import write_json
+from roomeq.rirs import write_noises, write_rirs
+
+logger = logging.getLogger(__name__)
+
+READERS = {"reverbdb": list_reverbdb, "slr28": list_slr28, "table": list_table, "sofa": list_sofa,
+           "folder": list_folder}
+REPORT_FILE = "corpus.json"
+_CHUNK = 64
+_SAFE_PATH = re.compile(r"[A-Za-z0-9_./+@,:=%~^-]+")
+_REPORTED_NULLS = ("room_dims_m", "source_pos_m", "mic_pos_m", "distance_m", "temperature_c", "documented_t60_s")
+_REPORTED_FLAGS = ("binaural", "unreliable_geometry", "uncommon", "repeat_of", "tof_removed")
+
+
+def read_measured(source: Path, out: Path, *, kind: str | None = None, noises: Path | None = None,
+                  skip_bad: bool = False, nj: int = 1) -> Path:
+    """Make an RIR directory from a corpus of measured RIRs.
+
+    Mono files at 16 kHz are referenced where they lie; everything else (several channels, higher sample rates,
+    SOFA, paths that a shell would split) is written to `out/wav` as 32-bit float. The log counts what was found.
+
+    Parameters
+    ----------
+    source : Path
+        BUT ReverbDB as released, RIRS_NOISES, a CSV or a folder with `manifest.csv` (columns: `corpora.table`), a
+        SOFA file or a folder of them, or any folder of audio files.
+    out : Path
+        RIR directory to make: `rirs.jsonl`, `rir_list`, `noises.jsonl`, and `corpus.json` with the counts.
+    kind : str, optional
+        One of `READERS`: ``reverbdb``, ``slr28``, ``table``, ``sofa``, ``folder``; found out by itself otherwise.
+    noises : Path, optional
+        Folder (or CSV) of noise recordings to add to those of the corpus; see `read_noises`.
+    skip_bad : bool
+        Leave out recordings that cannot be used (broken, silent, sampled below 16 kHz), and report them, instead
+        of stopping at the first.
+    nj : int
+        Jobs.
+
+    Returns
+    -------
+    out : Path
+
+    Raises
+    ------
+    ValueError
+        There is nothing to read, an id stands twice, or (without `skip_bad`) a recording cannot be used.
+    """
+    source, out = _existing(source), Path(out)
+    build = _build(out, "read-measured", [source] + [Path(noises)] * bool(noises), kind=kind, skip_bad=skip_bad)
+    if build.done:
+        return out
+    corpus = list_corpus(source, kind)
+    if noises:
+        corpus.noises += list_noises(_existing(noises))
+    logger.info("%s: %s with %d RIR files, %d noises", source, corpus.kind, len(corpus.rirs), len(corpus.noises))
+    return _write(build, corpus, skip_bad, nj)
+
+
+def read_noises(source: Path, out: Path, *, skip_bad: bool = False, nj: int = 1) -> Path:
+    """Make a directory with `noises.jsonl` from noise recordings.
+
+    Parameters
+    ----------
+    source : Path
+        Folder of audio files, with or without a `manifest.csv` (columns `file`, optional `id`, `room`, `kind`), or
+        the CSV. Without the column `kind`, names with *room tone*, *silence*, *ambient* or *background* are
+        ambient and all others point noises.
+    out : Path
+        Directory to make.
+    skip_bad, nj
+        As in `read_measured`.
+
+    Returns
+    -------
+    out : Path
+
+    Raises
+    ------
+    ValueError
+        As in `read_measured`.
+    """
+    source, out = _existing(source), Path(out)
+    build = _build(out, "read-noises", [source], skip_bad=skip_bad)
+    if build.done:
+        return out
+    return _write(build, Corpus(name=source.stem, kind="noises", noises=list_noises(source)), skip_bad, nj)
+
+
+def detect_kind(source: Path) -> str:
+    """Return which of `READERS` a path is for."""
+    if source.is_file():
+        by_suffix = {".csv": "table", ".tsv": "table", ".sofa": "sofa"}
+        return by_suffix.get(source.suffix.lower(), "folder")
+    if find_rooms(source):
+        return "reverbdb"
+    if find_real(source):
+        return "slr28"
+    if _manifest(source):
+        return "table"
+    return "sofa" if not audio_files(source) and any(source.rglob("*.sofa")) else "folder"
+
+
+def list_corpus(source: Path, kind: str | None = None) -> Corpus:
+    """List a corpus by the reader of its kind.
+
+    Raises
+    ------
+    ValueError
+        Unknown kind, nothing there, or an id that stands twice.
+    """
+    if kind is not None and kind not in READERS:
+        raise ValueError(f"kind={kind!r} must be one of {', '.join(READERS)}")
+    kind = kind or detect_kind(source)
+    if kind == "table" and source.is_dir():
+        found = _manifest(source)
+        if not found:
+            raise ValueError(f"{source}: no {MANIFEST} in it: name the CSV file itself")
+        source = found
+    return READERS[kind](source)
+
+
+def list_noises(source: Path) -> list[Recording]:
+    """List noise recordings; see `read_noises`."""
+    table = source if source.suffix.lower() in (".csv", ".tsv") else _manifest(source)
+    return list_noise_table(table) if table else list_noise_folder(source)
+
+
+def _manifest(source: Path) -> Path | None:
+    path = source / MANIFEST
+    return path if source.is_dir() and path.is_file() else None
+
+
+def _existing(path: Path) -> Path:
+    path = Path(path)
+    if not path.exists():
+        raise ValueError(f"{path}: no such file or directory: check the path of the corpus")
+    return path
+
+
+def _build(out: Path, step: str, sources: list[Path], **options) -> Build:
+    # rows name the audio by its way from `out`: they are out of date when the corpus lies elsewhere
+    ways = [_way(source, out) for source in sources]
+    inputs = [source for source in sources if source.is_dir()] + [source for source in sources if source.is_file()]
+    inputs += [source.parent for source in sources if source.suffix.lower() in (".csv", ".tsv")]
+    return Build(out, step=step, options=dict(options, ways=ways), inputs=inputs)
+
+
+def _way(path: Path, out: Path) -> str:
+    """Return the way from the directory `out` (links in the way to both resolved) to a file."""
+    path, out = Path(path), Path(os.path.normpath(out))
+    return os.path.relpath(Path(os.path.realpath(path.parent)) / path.name,
+                           Path(os.path.realpath(out.parent)) / out.name)
+
+
+def _write(build: Build, corpus: Corpus, skip_bad: bool, nj: int) -> Path:
+    for recordings in (corpus.rirs, corpus.noises):
+        _check_ids(recordings)
+    todo = [("rirs", each) for each in corpus.rirs] + [("noises", each) for each in corpus.noises]
+    items = {f"{n:06d}": todo[n:n + _CHUNK] for n in range(0, len(todo), _CHUNK)}
+
+    def make(name: str, chunk: list) -> dict:
+        record = dict(rirs=[], noises=[], skipped=[], converted=0)
+        for what, recording in chunk:
+            try:
+                for row, samples in _rows(recording, what, build.out):
+                    if samples is not None:
+                        row["wav"] = f"wav/{row['id']}.wav" if what == "rirs" else f"wav/noise/{row['id']}.wav"
+                        write_wav(build.work / row["wav"], samples)
+                        record["converted"] += 1
+                    record[what].append(row)
+            except ValueError as error:
+                if not skip_bad:
+                    raise ValueError(f"{error} (or leave such files out with --skip-bad)") from None
+                record["skipped"].append(str(error))
+        return record
+
+    def assemble(directory: Path, records: list[dict]) -> None:
+        merged = {key: [row for record in records for row in record[key]] for key in ("rirs", "noises", "skipped")}
+        report = _report(corpus, merged, sum(record["converted"] for record in records))
+        if not merged["rirs"] and corpus.kind != "noises":
+            raise ValueError(f"{build.out}: none of {len(corpus.rirs)} RIR files can be used, the first because: "
+                             f"{merged['skipped'][0]}")
+        if merged["rirs"]:
+            write_rirs(directory, merged["rirs"], final_directory=build.out)
+        write_noises(directory, merged["noises"])
+        write_json(directory / REPORT_FILE, report)
+
+    if build.run(items, make, nj=nj):
+        build.finish(assemble)
+    return build.out
+
+
+def _check_ids(recordings: list[Recording]) -> None:
+    first: dict[str, Path] = {}
+    for recording in recordings:
+        if recording.id in first:
+            raise ValueError(f"{recording.path}: id {recording.id!r} is that of {first[recording.id]} too: "
+                             "ids must be unique: rename one file or id")
+        first[recording.id] = recording.path
+
+
+def _rows(recording: Recording, what: str, out: Path) -> Iterator[tuple[dict, np.ndarray | None]]:
+    """Yield the finished rows of one file, each with samples to write, or None where the file is referenced."""
+    if recording.path.suffix == ".sofa" and what == "rirs":
+        for row, samples, fs_hz in sofa_signals(recording):
+            samples = _at_16k(_usable(samples, f"{recording.path} ({row['id']})"), fs_hz, recording.path)
+            yield row | dict(fs_hz=FS_HZ, n_samples=len(samples)), samples
+        return
+    info = audio_info(recording.path)
+    way = _way(recording.path, out)
+    as_it_is = info.channels == 1 and info.samplerate == FS_HZ and _SAFE_PATH.fullmatch(way)
+    if what == "noises":
+        # long, and of an array all channels alike: the first one, looked through only where it is converted
+        samples = None if as_it_is else read_audio(recording.path, channel=0)
+        if as_it_is:
+            _check_end(recording.path, info.frames)
+        n_samples = info.frames if samples is None else len(samples)
+        yield recording.row | dict(id=recording.id, wav=way, fs_hz=FS_HZ, duration_s=n_samples / FS_HZ), samples
+        return
+    for channel in range(info.channels):
+        samples = _usable(read_audio(recording.path, channel=channel), recording.path)
+        row = dict(recording.row, id=recording.id, wav=way, fs_hz=FS_HZ, n_samples=len(samples))
+        if info.channels > 1:
+            mic_id = "" if row["mic_id"] == UNKNOWN else f"{row['mic_id']}-"
+            row.update(id=f"{recording.id}_ch{channel}", mic_id=f"{mic_id}ch{channel}")
+        yield row, None if as_it_is else samples
+
+
+def _usable(samples: np.ndarray, what: Path | str) -> np.ndarray:
+    if not np.isfinite(samples).all():
+        raise ValueError(f"{what}: holds NaN or infinite samples: convert it again")
+    if not samples.any():
+        raise ValueError(f"{what}: RIR is silent (all samples 0): leave it out or record it again")
+    return samples
+
+
+def _at_16k(samples: np.ndarray, fs_hz: int, path: Path) -> np.ndarray:
+    if fs_hz < FS_HZ:
+        raise ValueError(f"{path}: sample rate {fs_hz} Hz must be {FS_HZ} Hz or more: the missing band cannot be "
+                         "made up: record or convert it at that rate")
+    if fs_hz == FS_HZ:
+        return samples
+    import soxr
+
+    return soxr.resample(samples, fs_hz, FS_HZ, quality="VHQ")
+
+
+def _check_end(path: Path, n_samples: int) -> None:
+    """Read the last sample: what a FLAC header promises may not be there."""
+    read_audio(path, start=n_samples - 1, stop=n_samples)
+
+
+def _report(corpus: Corpus, merged: dict, converted: int) -> dict:
+    """Count what was found, say it in the log and return it."""
+    rirs = merged["rirs"]
+    report = dict(
+        corpus=corpus.name, kind=corpus.kind, rirs=len(rirs), noises=len(merged["noises"]), converted=converted,
+        rooms=dict(sorted(Counter(row["room_id"] for row in rirs).items())),
+        unknown={key: n for key in _REPORTED_NULLS if (n := sum(row[key] is None for row in rirs))},
+        marked={key: n for key in _REPORTED_FLAGS if (n := sum(bool(row[key]) for row in rirs))},
+        geometry_problems=dict(sorted(Counter(row["room_id"] for row in rirs if row["geometry_problem"]).items())),
+        excitation=dict(sorted(Counter(str(row["excitation"]) for row in rirs).items())),
+        notes=dict(sorted(corpus.notes.items())), skipped=merged["skipped"])
+    logger.info("%s: %d RIRs of %d rooms, %d noises; %d files converted to %d Hz mono, %d left out", corpus.name,
+                len(rirs), len(report["rooms"]), report["noises"], converted, FS_HZ, len(merged["skipped"]))
+    for label in ("unknown", "marked", "geometry_problems", "notes"):
+        if report[label]:
+            logger.info("%s: %s: %s", corpus.name, label.replace("_", " "),
+                        ", ".join(f"{key} {n}" for key, n in report[label].items()))
+    for line in merged["skipped"]:
+        logger.warning("left out: %s", line)
+    return report

@@ -1,0 +1,181 @@
+"""What every reader of measured RIRs delivers, and the parsing that they share."""
+
+import math
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from roomeq.rirs import make_id
+
+AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".aiff", ".aif", ".au", ".caf", ".w64", ".mp3")
+UNKNOWN = "unknown"
+"""Id of a room, source or microphone that nobody named (the contract has no null there)."""
+
+SAME_PLACE_M = 0.01
+"""Closer than this, source and microphone are said to be in one place [m]."""
+DISTANCE_SLACK_M, DISTANCE_SLACK = 0.15, 0.05
+"""A stated distance may differ from that of the positions by so much [m, and part of it]: tape measures."""
+
+_UNKNOWN_CELLS = {"", "?", "-", "na", "n/a", "nan", "none", "null", "unknown"}
+_AMBIENT_WORDS = {"ambient", "ambience", "background", "isotropic", "silence", "tone", "roomtone"}
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One audio (or SOFA) file of a corpus.
+
+    Parameters
+    ----------
+    path : Path
+    id : str
+        Of the RIR or noise; a file with several channels gets ``_ch0``, ``_ch1``, ... behind it.
+    row : dict
+        Keys of the RIR row that the corpus tells (see `rir_row`), or `kind` and `room_id` of a noise.
+    """
+
+    path: Path
+    id: str
+    row: dict = field(default_factory=dict)
+
+
+@dataclass
+class Corpus:
+    """A corpus as listed by its reader; `notes` counts what was odd, for the report."""
+
+    name: str
+    kind: str
+    rirs: list[Recording] = field(default_factory=list)
+    noises: list[Recording] = field(default_factory=list)
+    notes: Counter = field(default_factory=Counter)
+
+
+def rir_row(**known) -> dict:
+    """Return the keys of an RIR row that describe the measurement; what is not given is null (or false).
+
+    Ids are cleaned, so that they hold no path; room, source and microphone are ``"unknown"`` where not given.
+
+    Raises
+    ------
+    TypeError
+        A key that no reader delivers.
+    """
+    row = dict(
+        corpus=None, room_id=None, room_type=None, room_dims_m=None, source_pos_m=None, mic_pos_m=None,
+        source_id=None, mic_id=None, source_dir=None, mic_dir=None, temperature_c=None, humidity_pct=None,
+        binaural=False, excitation=None, session=None, repeat_of=None, distance_m=None, documented_t60_s=None,
+        tof_removed=None, unreliable_geometry=False, geometry_problem=None, uncommon=False)
+    if unexpected := set(known) - set(row):
+        raise TypeError(f"not a key of an RIR row: {sorted(unexpected)}")
+    row.update(known)
+    for key in ("room_id", "source_id", "mic_id"):
+        row[key] = make_id(str(row[key])) if row[key] is not None else UNKNOWN
+    problem = geometry_problem(row)
+    if problem:
+        row.update(geometry_problem=problem, unreliable_geometry=True)
+    return row
+
+
+def geometry_problem(row: dict) -> str | None:
+    """Return what cannot be right about the positions of a row, or None; unknown coordinates are no problem."""
+    dims_m = row["room_dims_m"] or [None] * 3
+    for axis, size_m in enumerate(dims_m):
+        if size_m is not None and size_m <= 0:
+            return f"room_dims_m[{axis}]={size_m:g} must be positive"
+    for key in ("source_pos_m", "mic_pos_m"):
+        for axis, (at_m, size_m) in enumerate(zip(row[key] or [None] * 3, dims_m, strict=True)):
+            if at_m is not None and size_m is not None and not 0 <= at_m <= size_m:
+                return f"{key}[{axis}]={at_m:g} lies outside the room (0 to {size_m:g} m)"
+    distance_m = distance_between(row["source_pos_m"], row["mic_pos_m"])
+    if distance_m is None:
+        return None
+    if distance_m < SAME_PLACE_M:
+        return f"source and microphone are {distance_m:.3g} m apart: on top of each other"
+    stated_m = row["distance_m"]
+    if stated_m is not None and abs(stated_m - distance_m) > max(DISTANCE_SLACK_M, DISTANCE_SLACK * distance_m):
+        return f"distance_m={stated_m:g} but the positions are {distance_m:.3g} m apart"
+    return None
+
+
+def distance_between(a_m: list | None, b_m: list | None) -> float | None:
+    """Return the distance of two points [m], or None where a coordinate is unknown."""
+    if a_m is None or b_m is None or None in (*a_m, *b_m):
+        return None
+    return math.dist(a_m, b_m)
+
+
+def parse_number(text: str | None) -> float | None:
+    """Parse a number; a comma may be the decimal mark; unknown (``?``, empty, ``NA``) is None.
+
+    Raises
+    ------
+    ValueError
+        The text is neither (or not finite).
+    """
+    text = (text or "").strip()
+    if text.lower() in _UNKNOWN_CELLS:
+        return None
+    if re.fullmatch(r"[+-]?\d+,\d+", text):
+        text = text.replace(",", ".")
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text!r} must be finite")
+    return value
+
+
+def parse_vector(text: str | None) -> list[float | None] | None:
+    """Parse three coordinates ``"4.71 2.75 ?"`` (also with ``,``, ``;`` or ``x`` between); all unknown is None.
+
+    Raises
+    ------
+    ValueError
+        There are not three, or one is no number.
+    """
+    text = (text or "").strip().strip("[]()")
+    if text.lower() in _UNKNOWN_CELLS:
+        return None
+    parts = [part for part in re.split(r"\s*[,;x\u00d7]\s*|\s+", text) if part]
+    if len(parts) != 3:
+        raise ValueError(f"{text!r} must be three numbers such as '4.7 2.75 ?'")
+    vector = [parse_number(part) for part in parts]
+    return None if vector == [None] * 3 else vector
+
+
+def words_of(text: str) -> set[str]:
+    """Return the lower-case words of a name: what lies between anything that is no letter."""
+    return set(re.findall(r"[a-z]+", text.lower()))
+
+
+def excitation_of(name: str) -> str | None:
+    """Recognise by the words of a file's name what excited the room: ``"clap"``, ``"sweep"`` or None."""
+    words = words_of(name)
+    if words & {"clap", "claps", "clapper", "handclap"}:
+        return "clap"
+    return "sweep" if words & {"sweep", "ess", "swept"} else None
+
+
+def is_binaural_name(name: str) -> bool:
+    """Tell by the words of a name whether a dummy head was listening."""
+    return bool(words_of(name) & {"brir", "brirs", "hrir", "binaural", "dummyhead"})
+
+
+def is_uncommon_name(text: str) -> bool:
+    """Tell by its words whether a space is none that one would simulate: stairs."""
+    return bool(words_of(text) & {"stairs", "stair", "staircase", "stairway", "stairwell"})
+
+
+def noise_kind_of(name: str) -> str:
+    """Recognise by the words of a name whether a noise surrounds (``"ambient"``) or comes from a ``"point"``."""
+    return "ambient" if words_of(name) & _AMBIENT_WORDS else "point"
+
+
+def audio_files(directory: Path) -> list[Path]:
+    """Return the audio files below a directory in a fixed order, hidden ones left out."""
+    return sorted(path for path in directory.rglob("*")
+                  if path.suffix.lower() in AUDIO_SUFFIXES and path.is_file()
+                  and not any(part.startswith(".") for part in path.relative_to(directory).parts))
+
+
+def id_of_path(path: Path, root: Path) -> str:
+    """Return an id made of a file's path below a root, without its suffix."""
+    return make_id("-".join(path.relative_to(root).with_suffix("").parts))

@@ -1,0 +1,97 @@
+"""OpenSLR 28 (`RIRS_NOISES`): its measured part `real_rirs_isotropic_noises`, and `pointsource_noises`.
+
+Lists are Kaldi's, one line of options a file: ``--rir-id 1 --room-id R FILE`` and ``--noise-id 1 --noise-type
+isotropic --room-linkage R FILE``; `FILE` is relative to the folder above `RIRS_NOISES`. Without lists, names tell:
+``RWCP_type2_rir_cirline_ofc_imp050.wav``, ``RVB2014_type1_noise_largeroom1_1.wav``,
+``air_type1_air_binaural_lecture_1_2.wav`` (room, dummy head 0/1, position). Simulated RIRs are not read.
+"""
+
+import re
+import shlex
+from pathlib import Path
+
+from roomeq.corpora.folder import noises_of
+from roomeq.corpora.record import Corpus, Recording, audio_files, is_uncommon_name, rir_row
+from roomeq.rirs import make_id
+
+REAL, POINT = "real_rirs_isotropic_noises", "pointsource_noises"
+_AIR = re.compile(r"air_type\d+_air_(?P<what>binaural|phone(?:_bt)?)_(?P<room>[a-z0-9_]*?[a-z]\d?)"
+                  r"(?:_(?P<head>[01]))?_(?P<place>\d+(?:_\d+)*|hfrp|hhp).*", re.IGNORECASE)
+_OTHER = re.compile(r"(?P<db>[A-Za-z0-9]+)_(?P<type>type\d+)_(?:rir|noise)_(?:(?P<room>.+)_)?[^_]+")
+
+
+def find_real(source: Path) -> Path | None:
+    """Return the folder of the measured part, at `source` or below it; None if there is none."""
+    for candidate in (source, source / REAL, source / "RIRS_NOISES" / REAL):
+        if candidate.name == REAL and candidate.is_dir():
+            return candidate
+    return None
+
+
+def list_slr28(source: Path) -> Corpus:
+    """List the measured RIRs and noises of RIRS_NOISES.
+
+    Raises
+    ------
+    ValueError
+        The measured part is not there, or a line of a list cannot be read.
+    """
+    real = find_real(source)
+    if real is None:
+        raise ValueError(f"{source}: no folder {REAL} in it: unpack RIRS_NOISES whole")
+    corpus = Corpus(name="SLR28", kind="slr28")
+    for path, options in _listed(real, "rir_list", "rir"):
+        binaural, uncommon = _is_dummy_head(path.stem), is_uncommon_name(path.stem)
+        corpus.rirs.append(Recording(path, make_id(path.stem), rir_row(
+            corpus=path.stem.split("_")[0], room_id=room_of(path.stem) or options.get("--room-id"),
+            excitation="sweep" if path.stem.startswith("air") else None, binaural=binaural, uncommon=uncommon)))
+    for path, options in _listed(real, "noise_list", "noise"):
+        room = room_of(path.stem) or options.get("--room-linkage")
+        noise = dict(room_id=make_id(room) if room else None, kind="ambient")
+        corpus.noises.append(Recording(path, make_id(path.stem), noise))
+    if (point := real.parent / POINT).is_dir():
+        corpus.noises += noises_of(audio_files(point), point, kind="point")
+    if not corpus.rirs:
+        raise ValueError(f"{real}: no RIRs (*_rir_*.wav, air_*.wav): unpack RIRS_NOISES whole")
+    return corpus
+
+
+def room_of(stem: str) -> str | None:
+    """Return the room that a file's name tells (the lists tell rooms of RIRs and noises apart that are one)."""
+    if found := _AIR.fullmatch(stem):
+        return f"AIR_{found['room']}"
+    if found := _OTHER.fullmatch(stem):
+        # near and far places of REVERB's rooms are of one room
+        return re.sub(r"_(near|far)$", "", f"{found['db']}_{found['room'] or found['type']}")
+    return None
+
+
+def _is_dummy_head(stem: str) -> bool:
+    found = _AIR.fullmatch(stem)
+    return bool(found) and found["what"].lower() == "binaural" and found["head"] != "0"
+
+
+def _listed(real: Path, list_name: str, word: str) -> list[tuple[Path, dict]]:
+    """Return files with their options: those of Kaldi's list, or, without one, of the folder by their names."""
+    path = real / list_name
+    if not path.is_file():
+        is_noise = [(file, "_noise_" in file.stem) for file in audio_files(real)]
+        return [(file, {}) for file, noise in is_noise if noise == (word == "noise")]
+    listed = []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        try:
+            cells = shlex.split(line)
+        except ValueError as error:
+            raise ValueError(f"{path}:{number}: {error}: correct the line") from None
+        if not cells:
+            continue
+        if len(cells) % 2 == 0 or any(not name.startswith("--") for name in cells[:-1:2]):
+            raise ValueError(f"{path}:{number}: {line[:60]!r} must be options with a value each, then one file: "
+                             "replace pipes by files")
+        listed.append((_file_of(real, cells[-1]), dict(zip(cells[:-1:2], cells[1:-1:2], strict=True))))
+    return listed
+
+
+def _file_of(real: Path, name: str) -> Path:
+    beside = real / Path(name).name
+    return beside if beside.exists() else real.parent.parent / name

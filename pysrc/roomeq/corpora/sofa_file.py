@@ -1,0 +1,193 @@
+"""SOFA files (AES69) of measured rooms, through `sofar`: one RIR a measurement, receiver and emitter.
+
+Read are the data types FIR and FIR-E: `SingleRoomSRIR`, `SingleRoomMIMOSRIR`, `MultiSpeakerBRIR`, `GeneralFIR`,
+`GeneralFIR-E` and their like. Positions are kept where the file gives the room's corners, counted from its lowest
+corner; without corners their origin says nothing about the walls, so that only the distance is kept.
+"""
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from roomeq.corpora.record import Corpus, Recording, is_binaural_name, rir_row
+from roomeq.rirs import make_id
+
+_FREE_FIELD = ("HRIR", "HRTF", "Directivity", "Headphone")
+_BINAURAL = ("MultiSpeakerBRIR", "SingleRoomDRIR")
+_HEADS = ("dummy", "head", "kemar", "ku100", "ku 100", "hats", "artificial", "human")
+_DEFAULT_CORNERS = ([0.0, 0.0, 0.0], [1.0, 2.0, 3.0])
+_DEFAULT_POSITIONS = ([0.0, 0.0, 1.0], [0.0, 0.0, 0.0])
+_TEMPERATURES_C = (-30.0, 60.0)
+_ORTHOGONAL = 1e-6
+
+
+def list_sofa(source: Path) -> Corpus:
+    """List one SOFA file, or all below a folder; what is in them is read later, file by file.
+
+    Raises
+    ------
+    ValueError
+        There is no SOFA file.
+    """
+    files = [source] if source.is_file() else sorted(path for path in source.rglob("*") if path.suffix == ".sofa")
+    if not files:
+        raise ValueError(f"{source}: no .sofa files below it: check the path")
+    root = source.parent if source.is_file() else source
+    return Corpus(name=source.stem if source.is_file() else source.name, kind="sofa", rirs=[
+        Recording(path, make_id("-".join(path.relative_to(root).with_suffix("").parts)),
+                  dict(corpus=source.stem if source.is_file() else source.name)) for path in files])
+
+
+def sofa_signals(recording: Recording) -> Iterator[tuple[dict, np.ndarray, int]]:
+    """Yield row (with its `id`), samples and sample rate [Hz] of every RIR of a SOFA file.
+
+    Raises
+    ------
+    ValueError
+        The file is no SOFA file, holds no room's impulse responses, or its arrays do not fit each other.
+    """
+    path = recording.path
+    sofa = _open(path)
+    irs = _array(sofa, "Data_IR")
+    if irs is None or irs.ndim not in (3, 4):
+        raise ValueError(f"{path}: Data.IR must have the dimensions M x R x N (x E): export it as FIR")
+    irs = irs if irs.ndim == 4 else irs[..., np.newaxis]
+    n_measurements, n_receivers, n_samples, n_emitters = irs.shape
+    rates_hz = np.atleast_1d(_array(sofa, "Data_SamplingRate", default=np.zeros(1)))
+    room = _room(sofa, path)
+    binaural = _is_binaural(sofa, n_receivers)
+    for m in range(n_measurements):
+        rate_hz = float(rates_hz[min(m, len(rates_hz) - 1)])
+        if rate_hz <= 0 or rate_hz != round(rate_hz):
+            raise ValueError(f"{path}: Data.SamplingRate={rate_hz:g} must be a positive whole number of hertz")
+        for r in range(n_receivers):
+            for e in range(n_emitters):
+                suffix = "".join((f"_m{m:0{len(str(n_measurements - 1))}d}" * (n_measurements > 1),
+                                  f"_ch{r}" * (n_receivers > 1), f"_e{e}" * (n_emitters > 1)))
+                row = rir_row(**room, **_places(sofa, m, r, e, room["room_dims_m"] is not None), binaural=binaural,
+                              corpus=recording.row["corpus"], source_id=f"{_named(sofa, 'Source')}{e or ''}",
+                              mic_id=f"{_named(sofa, 'Listener')}{f'-ch{r}' * (n_receivers > 1)}")
+                delay = _delay_samples(sofa, m, r, e, path)
+                yield row | dict(id=recording.id + suffix), np.pad(irs[m, r, :, e], (delay, 0)), round(rate_hz)
+
+
+def _open(path: Path):
+    import sofar
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of preliminary conventions: what matters here is checked here
+            sofa = sofar.read_sofa(str(path), verify=False, verbose=False)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path}: cannot be read as SOFA ({' '.join(str(error).split())[:120]}): export it "
+                         "again") from None
+    convention, data_type = sofa.GLOBAL_SOFAConventions, sofa.GLOBAL_DataType
+    if not str(data_type).startswith("FIR"):
+        raise ValueError(f"{path}: data type {data_type!r} must be FIR or FIR-E: export impulse responses")
+    if any(word in convention for word in _FREE_FIELD):
+        raise ValueError(f"{path}: convention {convention} describes a free field, no room: leave the file out")
+    return sofa
+
+
+def _array(sofa, name: str, default: np.ndarray | None = None) -> np.ndarray | None:
+    value = getattr(sofa, name, None)
+    return default if value is None else np.asarray(value, dtype=float)
+
+
+def _room(sofa, path: Path) -> dict:
+    """Return room id, size and temperature; a room as big as the convention's own example was never filled in."""
+    a, b = (_array(sofa, f"RoomCorner{x}") for x in "AB")
+    dims_m = None
+    if a is not None and b is not None and a.size == b.size == 3:
+        a, b = a.ravel(), b.ravel()
+        if (a.tolist(), b.tolist()) != _DEFAULT_CORNERS and (np.abs(b - a) > 0).all():
+            dims_m = np.abs(b - a).tolist()
+    named = str(getattr(sofa, "GLOBAL_RoomShortName", "") or "").strip()
+    return dict(room_id=named or path.stem, room_dims_m=dims_m, temperature_c=_temperature_c(sofa),
+                room_type=str(getattr(sofa, "GLOBAL_RoomDescription", "") or "").strip() or None)
+
+
+def _temperature_c(sofa) -> float | None:
+    value = _array(sofa, "RoomTemperature")
+    if value is None or value.size != 1:
+        return None
+    kelvin = str(getattr(sofa, "RoomTemperature_Units", "kelvin")).lower().startswith("k")
+    celsius = round(float(value.ravel()[0]) - (273.15 if kelvin else 0.0), 3)
+    return celsius if _TEMPERATURES_C[0] < celsius < _TEMPERATURES_C[1] and value.any() else None
+
+
+def _places(sofa, m: int, r: int, e: int, in_room: bool) -> dict:
+    """Return positions (counted from the room's lowest corner) and distance of one measurement."""
+    centres = [_vector(sofa, f"{who}Position", 0, m) for who in ("Source", "Listener")]
+    source = _place(sofa, "Source", "Emitter", m, e)
+    mic = _place(sofa, "Listener", "Receiver", m, r)
+    never_set = all(centre is not None and centre.tolist() == default
+                    for centre, default in zip(centres, _DEFAULT_POSITIONS, strict=True))
+    if never_set or source is None or mic is None:
+        return {}
+    if not in_room:
+        return dict(distance_m=round(float(np.linalg.norm(source - mic)), 4))
+    corner = np.minimum(_array(sofa, "RoomCornerA").ravel(), _array(sofa, "RoomCornerB").ravel())
+    return dict(source_pos_m=np.round(source - corner, 4).tolist(), mic_pos_m=np.round(mic - corner, 4).tolist())
+
+
+def _place(sofa, whole: str, part: str, m: int, n: int) -> np.ndarray | None:
+    """Return where the n-th part (receiver, emitter) of the whole (listener, source) stands, shape (3,) [m]."""
+    centre = _vector(sofa, f"{whole}Position", 0, m)
+    local = _vector(sofa, f"{part}Position", n, m)
+    if centre is None or local is None or not local.any():
+        return centre
+    forward, up = _vector(sofa, f"{whole}View", 0, m), _vector(sofa, f"{whole}Up", 0, m)
+    forward = np.array([1.0, 0.0, 0.0]) if forward is None or not forward.any() else forward
+    forward = forward / np.linalg.norm(forward)
+    up = np.array([0.0, 0.0, 1.0]) if up is None else up
+    up = up - (up @ forward) * forward
+    if np.linalg.norm(up) < _ORTHOGONAL:
+        return centre
+    up /= np.linalg.norm(up)
+    # local x is the view, z is up, and y completes a right-handed frame: to the left
+    return centre + np.column_stack([forward, np.cross(up, forward), up]) @ local
+
+
+def _vector(sofa, name: str, n: int, m: int) -> np.ndarray | None:
+    """Return one cartesian vector of an array of shape (1|M, 3) or (n, 3[, 1|M]); None if absent or not finite."""
+    array = _array(sofa, name)
+    if array is None or array.ndim not in (2, 3) or array.shape[1] != 3:
+        return None
+    relative = name.startswith(("Emitter", "Receiver"))
+    row = array[min(n if relative else m, len(array) - 1)]
+    vector = row if row.ndim == 1 else row[:, min(m, row.shape[1] - 1)]
+    kind = str(getattr(sofa, f"{name.replace('Up', 'View')}_Type", "cartesian"))
+    if not np.isfinite(vector).all() or "harmonics" in kind:
+        return None
+    if kind.startswith("cart"):
+        return vector
+    azimuth, elevation = np.deg2rad(vector[:2])
+    return vector[2] * np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
+                                 np.sin(elevation)])
+
+
+def _delay_samples(sofa, m: int, r: int, e: int, path: Path) -> int:
+    """Return the samples that Data.Delay puts before the stored response (the nearest whole number)."""
+    delay = _array(sofa, "Data_Delay")
+    if delay is None or not delay.any():
+        return 0
+    delay = delay.reshape((1,) * (3 - delay.ndim) + delay.shape) if delay.ndim < 2 else delay
+    delay = delay[..., np.newaxis] if delay.ndim == 2 else delay
+    at = tuple(min(i, size - 1) for i, size in zip((m, r, e), delay.shape, strict=True))
+    if not 0 <= delay[at] < 1e6:
+        raise ValueError(f"{path}: Data.Delay={delay[at]:g} samples must be 0 or positive: export it again")
+    return round(float(delay[at]))
+
+
+def _is_binaural(sofa, n_receivers: int) -> bool:
+    described = " ".join(str(getattr(sofa, f"GLOBAL_{key}", "")) for key in
+                         ("ListenerShortName", "ListenerDescription", "ReceiverShortName", "Title")).lower()
+    return sofa.GLOBAL_SOFAConventions in _BINAURAL or (
+        n_receivers == 2 and (any(head in described for head in _HEADS) or is_binaural_name(described)))
+
+
+def _named(sofa, who: str) -> str:
+    return str(getattr(sofa, f"GLOBAL_{who}ShortName", "") or "").strip() or "unknown"

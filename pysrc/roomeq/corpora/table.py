@@ -1,0 +1,193 @@
+"""A CSV of measured RIRs (or noises) beside their audio files.
+
+Columns (any order, upper or lower case, separated by comma, semicolon or tab); only `file` is needed:
+
+`file`
+    Relative to the CSV.
+`rir_id` or `id`, `dataset` or `corpus`, `room` or `room_id`, `room_type`, `source_id`, `mic_id`, `session`
+    Names. Without an id, the file's path makes one; without a room, the file's folder is it.
+`room_dims_m`, `source_pos_m`, `mic_pos_m`
+    Three numbers [m] from one lower corner of the room, e.g. ``4.71 2.75 ?``; ``?`` or empty is unknown.
+`source_dir`, `mic_dir`
+    Unit vectors that they face.
+`distance_m`, `temperature_c`, `humidity_pct`, `documented_t60_s`
+    Numbers, each may be unknown.
+`binaural`, `tof_removed`, `unreliable_geometry`, `uncommon`
+    0 or 1 (also true/false, yes/no): dummy-head ears; time of flight cut off; positions not to be trusted; a space
+    that should not be simulated (stairs).
+`excitation`
+    ``sweep``, ``clap``, ...; without the column, the words *clap* and *sweep* in id or file name say it.
+`kind`
+    Noises only: ``ambient`` or ``point``.
+
+Other columns are ignored, which the log says.
+"""
+
+import csv
+import logging
+from pathlib import Path
+
+from roomeq.corpora.record import (
+    Corpus,
+    Recording,
+    excitation_of,
+    id_of_path,
+    noise_kind_of,
+    parse_number,
+    parse_vector,
+    rir_row,
+)
+from roomeq.corpora.reverbdb import is_uncommon, is_unreliable
+from roomeq.rirs import make_id
+
+logger = logging.getLogger(__name__)
+
+MANIFEST = "manifest.csv"
+_ALIASES = {"path": "file", "wav": "file", "audio": "file", "filename": "file", "id": "rir_id",
+            "noise_id": "rir_id", "room": "room_id", "dataset": "corpus"}
+_NAMES = ("corpus", "room_id", "room_type", "source_id", "mic_id", "session")
+_VECTORS = ("room_dims_m", "source_pos_m", "mic_pos_m", "source_dir", "mic_dir")
+_NUMBERS = ("distance_m", "temperature_c", "humidity_pct", "documented_t60_s")
+_FLAGS = ("binaural", "tof_removed", "unreliable_geometry", "uncommon")
+_LENIENT = ("documented_t60_s",)
+_KNOWN = {"file", "rir_id", "excitation", *_NAMES, *_VECTORS, *_NUMBERS, *_FLAGS}
+_TRUE, _FALSE = {"1", "true", "yes"}, {"0", "false", "no"}
+
+
+def read_table(path: Path) -> tuple[list[str], list[tuple[str, dict]]]:
+    """Read a CSV, returning its columns and, for each row, where it stands (``file:line``) and its cells.
+
+    Raises
+    ------
+    ValueError
+        The file is missing, empty, not text, lacks the column `file`, or a row has more cells than columns.
+    """
+    if not path.is_file():
+        raise ValueError(f"{path}: no such CSV file: check the path")
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as stream:
+            head = stream.readline()
+            stream.seek(0)
+            delimiter = max(",;\t", key=head.count)
+            reader = csv.reader(stream, delimiter=delimiter)
+            columns = [_ALIASES.get(name, name) for name in (cell.strip().lower() for cell in next(reader, []))]
+            rows = [(f"{path}:{reader.line_num}", cells) for cells in reader if any(map(str.strip, cells))]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path}: not a CSV file in UTF-8 ({error}): export it again") from None
+    if "file" not in columns:
+        raise ValueError(f"{path}: columns {','.join(columns) or '(none)'} must hold 'file': call the paths so")
+    if len(set(columns)) < len(columns):
+        twice = next(name for name in columns if columns.count(name) > 1)
+        raise ValueError(f"{path}: column {twice!r} stands twice (also under another name): rename one")
+    if not rows:
+        raise ValueError(f"{path}: no rows below the header: the corpus is empty")
+    for where, cells in rows:
+        if len(cells) > len(columns):
+            raise ValueError(f"{where}: {len(cells)} cells under {len(columns)} columns: quote cells that hold "
+                             f"{delimiter!r}")
+    return columns, [(where, dict(zip(columns, (cell.strip() for cell in cells), strict=False)))
+                     for where, cells in rows]
+
+
+def list_table(path: Path) -> Corpus:
+    """List the RIRs of a CSV.
+
+    Raises
+    ------
+    ValueError
+        See `read_table`; also a cell that is not what its column says. The message names file and line.
+    """
+    columns, rows = read_table(path)
+    corpus = Corpus(name=path.parent.name, kind="table")
+    if ignored := sorted(set(columns) - _KNOWN):
+        logger.info("%s: columns not used: %s", path, ", ".join(ignored))
+    for where, cells in rows:
+        try:
+            file = resolve_file(path, cells)
+            corpus.rirs.append(Recording(file, _row_id(path, file, cells), _row(path, file, cells, corpus)))
+        except ValueError as error:
+            raise ValueError(f"{where}: {error}: correct the cell") from None
+    return corpus
+
+
+def list_noise_table(path: Path) -> list[Recording]:
+    """List the noises of a CSV: columns `file`, and if there are any `id`, `room`, `kind`, `description`.
+
+    Raises
+    ------
+    ValueError
+        See `read_table`.
+    """
+    noises = []
+    for where, cells in read_table(path)[1]:
+        file = resolve_file(path, cells)
+        kind = cells.get("kind") or noise_kind_of(cells["file"])
+        if kind not in ("ambient", "point"):
+            raise ValueError(f"{where}: kind={kind!r} must be 'ambient' or 'point': correct the cell")
+        room = cells.get("room_id")
+        noises.append(Recording(file, _row_id(path, file, cells),
+                                dict(room_id=make_id(room) if room else None, kind=kind)))
+    return noises
+
+
+def resolve_file(path: Path, cells: dict) -> Path:
+    """Return the audio file of a row: relative to the CSV, or to the folder above if it starts with the CSV's."""
+    name = cells["file"]
+    if not name:
+        raise ValueError("file='' must be the path of an audio file")
+    file = path.parent / name
+    if not file.exists() and Path(name).parts[0] == path.parent.resolve().name:
+        return path.parent.parent / name
+    return file
+
+
+def _row_id(path: Path, file: Path, cells: dict) -> str:
+    if cells.get("rir_id"):
+        return make_id(cells["rir_id"])
+    try:
+        return id_of_path(file, path.parent)
+    except ValueError:  # outside the CSV's folder: an id never holds the way there
+        return make_id(f"{file.parent.name}-{file.stem}")
+
+
+def _row(path: Path, file: Path, cells: dict, corpus: Corpus) -> dict:
+    known = {key: cells[key] for key in _NAMES if cells.get(key)}
+    for key in _VECTORS:
+        known[key] = _parse(key, cells, parse_vector)
+    for key in _NUMBERS:
+        try:
+            known[key] = _parse(key, cells, parse_number)
+        except ValueError:
+            if key not in _LENIENT:
+                raise
+            known[key] = None
+            corpus.notes[f"{key} that is no number, read as unknown"] += 1
+    for key in _FLAGS:
+        if (flag := _parse(key, cells, _flag)) is not None:
+            known[key] = flag
+    known.setdefault("corpus", path.parent.resolve().name)
+    room = known.setdefault("room_id", file.parent.name)
+    known["excitation"] = (cells["excitation"].lower() or None) if "excitation" in cells else \
+        excitation_of(f"{cells.get('rir_id', '')} {file.stem}")
+    if "unreliable_geometry" not in known and is_unreliable(room):
+        known["unreliable_geometry"] = True
+    if "uncommon" not in known and is_uncommon(room, known.get("room_type")):
+        known["uncommon"] = True
+    return rir_row(**known)
+
+
+def _parse(key: str, cells: dict, parse):
+    try:
+        return parse(cells.get(key))
+    except ValueError as error:
+        reason = str(error) if "must be" in str(error) else "must be a number or ?"
+        raise ValueError(f"{key}={cells[key]!r}: {reason}") from None
+
+
+def _flag(text: str | None) -> bool | None:
+    text = (text or "").lower()
+    if text in ("", "?"):
+        return None
+    if text not in _TRUE | _FALSE:
+        raise ValueError("must be 0 or 1")
+    return text in _TRUE

@@ -1,0 +1,50 @@
+"""Speech in a folder with a CSV: columns `file`, `transcript`, optional `utt_id`, `speaker`, `gender`, `set`."""
+
+import re
+from pathlib import Path
+
+from roomeq.corpora.table import read_table, resolve_file
+from roomeq.corpora.utterance import Utterance
+from roomeq.rirs import make_id
+
+_TEXT_COLUMNS = ("transcript", "text", "sentence")
+_GENDERS = {"m": "m", "male": "m", "f": "f", "female": "f"}
+
+
+def list_transcripts(path: Path) -> dict[str, list[Utterance]]:
+    """List the utterances of a CSV by set; without the column `set` all are in the set ``""``.
+
+    Raises
+    ------
+    ValueError
+        See `roomeq.corpora.table.read_table`; also a missing transcript. The message names file and line.
+    """
+    columns, rows = read_table(path)
+    text_column = next((name for name in _TEXT_COLUMNS if name in columns), None)
+    if text_column is None:
+        raise ValueError(f"{path}: columns {','.join(columns)} must hold 'transcript': add what is spoken")
+    sets: dict[str, list[Utterance]] = {}
+    for where, cells in rows:
+        try:
+            sets.setdefault(cells.get("set", ""), []).append(_utterance(path, cells, text_column, where))
+        except ValueError as error:
+            raise ValueError(f"{where}: {error}: correct the row") from None
+    return sets
+
+
+def _utterance(path: Path, cells: dict, text_column: str, where: str) -> Utterance:
+    file = resolve_file(path, cells)
+    text = " ".join(cells.get(text_column, "").split())
+    if not text:
+        raise ValueError(f"{text_column}='' of {cells['file']} must say what is spoken")
+    voice = cells.get("speaker") or file.parent.name
+    # Kaldi sorts by speaker and by utterance and wants one order: no character of a speaker may sort before '-'
+    speaker = re.sub(r"[+-]", "_", make_id(voice))
+    name = make_id(cells.get("utt_id") or file.stem)
+    if not name.startswith(f"{speaker}-"):
+        name = f"{speaker}-{name}"
+    gender = cells.get("gender", "").lower()
+    if gender not in ("", "?", *_GENDERS):
+        raise ValueError(f"gender={gender!r} must be m or f")
+    return Utterance(name, speaker=speaker, voice=speaker, gender=_GENDERS.get(gender), text=text, path=file,
+                     where=where)
