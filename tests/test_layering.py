@@ -11,10 +11,10 @@ LAYERS = [
     {"acoustics"},
     {"corpora"},
     {"sim"},
-    {"passport", "split"},
+    {"passport", "split", "mixture"},
     {"eq", "distance"},
     {"compensate"},
-    {"datadir", "wavscp", "mix", "augment"},
+    {"datadir", "wavscp", "datawrite", "draws", "mix", "augment", "validate"},
     {"report"},
     {"cli", "__main__"},
 ]

@@ -1,0 +1,132 @@
+"""Where the direct sound of an impulse response arrives, and with which sign.
+
+Everything here works on ``|h|``, so that an inverted loudspeaker or microphone changes the polarity that is
+reported and nothing else.
+"""
+
+import numpy as np
+
+ONSET_FRACTION = 0.1  # of the peak: ISO 3382-1 starts where the level has risen to 20 dB below the maximum
+NOISE_FACTOR = 6.0  # stationary noise of any length here stays below 5.5 times its standard deviation
+CLIMB_S = 0.5e-3  # a larger peak this soon belongs to the same arrival (17 cm of detour)
+CLIMB_RATIO = 2.0**0.5  # ... if it is 3 dB larger: steps over the pre-ringing of band-limited responses
+SINC_HALF_SAMPLES = 16
+
+
+def find_direct(rir, fs_hz, expected_sample=None, *, search_s=1e-3):
+    """Find the direct sound: the first arrival, which need not be the strongest one.
+
+    The onset is the first local maximum of ``|h|`` that reaches a tenth of the maximum (20 dB, ISO 3382-1:2009,
+    5.3.3) and stands clear of the noise floor. From there the search climbs to a peak that is at least 3 dB
+    larger and at most 0.5 ms later, and again: sinc pre-ringing is stepped over, a stronger first
+    reflection is not reached. The peak's position is refined by band-limited (sinc) interpolation.
+
+    Parameters
+    ----------
+    rir : array_like, shape (n_samples,)
+        Impulse response, any scale.
+    fs_hz : float
+        Sampling rate [Hz].
+    expected_sample : float, optional
+        Where geometry puts the direct sound; only `search_s` around it is searched, and the tenth is one of
+        the maximum found there, so that an obstructed direct sound is found below its reflections.
+    search_s : float, optional
+        Half width of that search [s].
+
+    Returns
+    -------
+    sample : float
+        Arrival of the direct sound [samples], with a fraction.
+    polarity : int
+        +1 or -1, the sign of the direct sound.
+
+    Raises
+    ------
+    ValueError
+        The response is empty, not mono, silent, not finite, or nothing in it stands out of its noise.
+    """
+    h = _checked(rir)
+    magnitude = np.abs(h)
+    first, last = 0, len(h)
+    if expected_sample is not None:
+        first = max(0, int(np.floor(expected_sample - search_s * fs_hz)))
+        last = min(len(h), int(np.ceil(expected_sample + search_s * fs_hz)) + 1)
+        if first >= last:
+            raise ValueError(f"expected_sample={expected_sample:g} must lie in the response's {len(h)} samples: "
+                             "correct the geometry, or leave it out where the time of flight is not in the file")
+    window = magnitude[first:last]
+    noise = NOISE_FACTOR * _quietest_rms(h, fs_hz)
+    threshold = max(ONSET_FRACTION * window.max(), noise)
+    reaches = np.flatnonzero(window >= threshold)
+    if window.max() == 0.0 or noise >= window.max() or not len(reaches):
+        raise ValueError(f"impulse response has no direct sound: its peak {window.max():.3g} must exceed "
+                         f"{NOISE_FACTOR:g} times its noise, {noise / NOISE_FACTOR:.3g}: record it again")
+    peak = first + _climb(window, int(reaches[0]), max(1, round(CLIMB_S * fs_hz)))
+    polarity = 1 if h[peak] > 0 else -1
+    return _refine(polarity * h, peak), polarity
+
+
+def _checked(rir):
+    """Return the response as float64, or say what is wrong with it."""
+    h = np.asarray(rir, dtype=np.float64)
+    if h.ndim != 1:
+        raise ValueError(f"impulse response has shape {h.shape}: must be mono, one axis: choose one channel")
+    if not len(h):
+        raise ValueError("impulse response has 0 samples: must hold a direct sound: record it again or drop it")
+    if not np.all(np.isfinite(h)):
+        bad = int(np.flatnonzero(~np.isfinite(h))[0])
+        raise ValueError(f"impulse response holds {h[bad]} at sample {bad}: must be finite: export it again")
+    if not h.any():
+        raise ValueError("impulse response is silent: must hold a direct sound: record it again or drop it")
+    return h
+
+
+def _quietest_rms(h, fs_hz):
+    """RMS of the quieter frames (20 ms, 10th percentile), which is the noise floor where there is one.
+
+    Digital silence (padding before the sound, or after) tells nothing about the noise and is left out.
+    """
+    n_frame = max(1, round(0.02 * fs_hz))
+    n_frames = len(h) // n_frame
+    if n_frames < 4:
+        return 0.0
+    power = np.mean(h[:n_frames * n_frame].reshape(n_frames, n_frame) ** 2, axis=1)
+    power = power[power > 0]
+    return float(np.sqrt(np.percentile(power, 10))) if len(power) >= 4 else 0.0
+
+
+def _climb(magnitude, start, reach):
+    """Climb from an onset to the peak of its arrival; see `find_direct`."""
+    peak = _local_maximum(magnitude, start)
+    while True:
+        later = magnitude[peak + 1:peak + 1 + reach]
+        larger = np.flatnonzero(later > CLIMB_RATIO * magnitude[peak])
+        if not len(larger):
+            return peak
+        peak = _local_maximum(magnitude, peak + 1 + int(larger[0]))
+
+
+def _local_maximum(magnitude, start):
+    """First sample from `start` on that its successor does not exceed."""
+    while start + 1 < len(magnitude) and magnitude[start + 1] > magnitude[start]:
+        start += 1
+    return start
+
+
+def _refine(h, peak):
+    """Peak position between the samples, by a Hann-windowed sinc around it and a parabola on the fine grid."""
+    offsets = np.linspace(-1.0, 1.0, 41)
+    index = np.arange(peak - SINC_HALF_SAMPLES, peak + SINC_HALF_SAMPLES + 1)
+    inside = (index >= 0) & (index < len(h))
+    values = np.where(inside, h[np.clip(index, 0, len(h) - 1)], 0.0)
+    lag = peak + offsets[:, None] - index
+    weight = np.cos(np.pi * lag / (2 * SINC_HALF_SAMPLES + 4)) ** 2
+    fine = np.sum(np.sinc(lag) * weight * values, axis=1)
+    best = int(np.argmax(fine))
+    shift = offsets[best]
+    if 0 < best < len(offsets) - 1:
+        left, middle, right = fine[best - 1:best + 2]
+        curve = left - 2 * middle + right
+        if curve < 0:
+            shift += 0.5 * (left - right) / curve * (offsets[1] - offsets[0])
+    return float(peak + shift)

@@ -1,0 +1,144 @@
+"""A Gaussian mixture over the seven free EQ gains: fitting, keeping, drawing.
+
+A mixture is a dict that goes to JSON and back, never a pickle: `weights` (k,), `means_db` (k, 7),
+`covariances_db2` (k, 7, 7), `points_hz` (7,).
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from roomeq.constants import BAND_1KHZ, BANDS_HZ
+from roomeq.files import read_json
+from roomeq.rng import rng_for
+
+FREE = tuple(k for k in range(len(BANDS_HZ)) if k != BAND_1KHZ)
+"""Indices of the seven points that are free; 1 kHz is the reference."""
+
+GMM_FILE = "gmm.json"
+COVARIANCES = ("full", "tied", "diag", "spherical")
+JND_DB = 1.0
+"""Just noticeable difference of EQ [dB]: no component of a mixture is narrower than that."""
+
+REPLICAS = 20  # rows per RIR when rooms are weighted by repeating rows: weights are exact to 5 %
+
+
+def fit_gmm(vectors_db, rooms, *, n_components=7, covariance="full", weight_rooms=False, seed):
+    """Fit the mixture by expectation-maximisation (scikit-learn), the best of ten starts.
+
+    Parameters
+    ----------
+    vectors_db : ndarray, shape (n, 7)
+    rooms : sequence of str
+        Room of each vector.
+    n_components, covariance, weight_rooms, seed
+        See `roomeq.eq.fit_eq`.
+
+    Returns
+    -------
+    dict
+        The mixture, JSON-able; covariances are full whatever the fit assumed.
+
+    Raises
+    ------
+    ValueError
+        Fewer vectors than components.
+    """
+    vectors_db = np.asarray(vectors_db, dtype=np.float64)
+    if len(vectors_db) < n_components:
+        raise ValueError(f"{len(vectors_db)} measured RIRs must be at least the mixture's {n_components} "
+                         "components: give more or ask for fewer")
+    from sklearn.mixture import GaussianMixture
+    from threadpoolctl import threadpool_limits
+
+    rows = vectors_db
+    if weight_rooms:
+        n_rows = REPLICAS * len(vectors_db)
+        edges = np.floor(np.concatenate([[0.0], np.cumsum(room_weights(rooms))]) * n_rows + 0.5)
+        rows = np.repeat(vectors_db, np.diff(edges).astype(int), axis=0)
+    state = int(rng_for(seed, "mixture", "start").integers(2 ** 31))
+    model = GaussianMixture(n_components, covariance_type=covariance, reg_covar=JND_DB ** 2, n_init=10,
+                            max_iter=500, random_state=state)
+    with threadpool_limits(1):  # the order in which threads add up changes the last bits
+        model.fit(rows)
+    full = _full_covariances(model.covariances_, covariance, n_components)
+    order = np.argsort(-model.weights_, kind="stable")
+    return dict(points_hz=[BANDS_HZ[k] for k in FREE], reference_hz=BANDS_HZ[BAND_1KHZ], n_rirs=len(vectors_db),
+                n_rooms=len(set(rooms)), covariance_type=covariance, weight_rooms=bool(weight_rooms), seed=seed,
+                weights=model.weights_[order].tolist(), means_db=model.means_[order].tolist(),
+                covariances_db2=full[order].tolist())
+
+
+def _full_covariances(covariances, kind, n_components):
+    """Covariances of any scikit-learn form as one matrix per component."""
+    size = len(FREE)
+    if kind == "full":
+        return np.asarray(covariances)
+    if kind == "tied":
+        return np.repeat(covariances[None], n_components, axis=0)
+    diagonals = np.broadcast_to(np.reshape(covariances, (n_components, -1)), (n_components, size))
+    return np.array([np.diag(diagonal) for diagonal in diagonals])
+
+
+def read_gmm(path):
+    """Read a mixture from `gmm.json` or from the directory that holds it.
+
+    Raises
+    ------
+    ValueError
+        The file is no mixture of this kind.
+    """
+    path = Path(path)
+    path = path / GMM_FILE if path.is_dir() else path
+    if not path.is_file():
+        raise ValueError(f"{path}: no such mixture: run fit-eq first")
+    gmm = read_json(path)
+    try:
+        weights, means, full = (np.array(gmm[key], dtype=float)
+                                for key in ("weights", "means_db", "covariances_db2"))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path}: not a mixture of fit-eq ({error!r}): run fit-eq again") from None
+    k, size = len(weights), len(FREE)
+    if means.shape != (k, size) or full.shape != (k, size, size) or not np.isclose(weights.sum(), 1.0) or np.any(
+            weights < 0) or not np.isfinite(means).all() or not np.isfinite(full).all():
+        raise ValueError(f"{path}: weights {weights.shape}, means {means.shape}, covariances {full.shape} must be "
+                         f"(k,), (k, {size}), (k, {size}, {size}), finite, weights summing to 1: run fit-eq again")
+    return gmm
+
+
+def sample_eq(gmm, n, rng):
+    """Draw EQs from a mixture.
+
+    Parameters
+    ----------
+    gmm : dict
+        See `fit_gmm`.
+    n : int
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    vectors_db : ndarray, shape (n, 7)
+    """
+    weights = np.array(gmm["weights"])
+    means, full = np.array(gmm["means_db"]), np.array(gmm["covariances_db2"])
+    component = np.minimum(np.searchsorted(np.cumsum(weights), rng.random(n), side="right"), len(weights) - 1)
+    factors = np.linalg.cholesky(full)
+    noise = rng.standard_normal((n, len(FREE)))
+    return means[component] + np.einsum("nij,nj->ni", factors[component], noise)
+
+
+def draw_target(gmm, seed, rir_id, *, what="EQ target"):
+    """Draw the EQ target of one RIR: the same whatever is drawn for others, shape (7,) [dB]."""
+    return sample_eq(gmm, 1, rng_for(seed, what, rir_id))[0]
+
+
+def with_reference(vector_db):
+    """The eight points of seven free gains: 0 dB at 1 kHz goes between them, shape (8,)."""
+    return np.insert(np.asarray(vector_db, dtype=np.float64), BAND_1KHZ, 0.0)
+
+
+def room_weights(rooms):
+    """Weights that let rooms count equally; they sum to 1."""
+    names, index, counts = np.unique(np.asarray(rooms), return_inverse=True, return_counts=True)
+    return 1.0 / (counts[index] * len(names))

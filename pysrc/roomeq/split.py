@@ -1,0 +1,189 @@
+"""Splitting measured RIRs into training, development and test sets that share nothing."""
+
+import hashlib
+import logging
+import os
+from collections import Counter, defaultdict
+from pathlib import Path
+
+import numpy as np
+
+from roomeq.build import Build
+from roomeq.passport import position_key
+from roomeq.rirs import read_noises, read_rirs, rir_path, write_noises, write_rirs
+
+logger = logging.getLogger(__name__)
+
+SPLITS = ("train", "dev", "test")
+N_SHUFFLES = 200  # orders of the rooms that are tried for the best proportion
+
+
+def split_rirs(rir_dir, out_prefix, *, split_by="rir", sizes=(773, 194, 242), seed):
+    """Split an RIR directory into ``<out_prefix>.train``, ``.dev`` and ``.test``.
+
+    Repeats of one source and microphone position stay together. Where more RIRs are given than `sizes` ask
+    for, the rest is left over; where there are fewer, the proportion is kept. Noises are split alike.
+
+    Parameters
+    ----------
+    rir_dir : Path
+        RIR directory, as a rule what `roomeq.passport.characterise` made.
+    out_prefix : str or Path
+        e.g. ``data/rirs.real``.
+    split_by : str
+        ``"rir"`` (the paper: rooms are in all three) or ``"room"`` (no room is in two).
+    sizes : tuple of int
+        RIRs for training, development and test.
+    seed : int
+
+    Returns
+    -------
+    dict
+        Number of RIRs per split.
+
+    Raises
+    ------
+    ValueError
+        There are too few RIRs or rooms for three sets, or an option is wrong.
+    """
+    rir_dir = Path(rir_dir)
+    if split_by not in ("rir", "room"):
+        raise ValueError(f"split_by={split_by!r} must be 'rir' or 'room'")
+    if len(sizes) != 3 or min(sizes) < 1:
+        raise ValueError(f"sizes={tuple(sizes)} must be three positive numbers: training, development, test")
+    rows = read_rirs(rir_dir)
+    split_of = _by_room(rows, sizes, seed) if split_by == "room" else _by_rir(rows, sizes, seed)
+    counts = Counter(split_of.values())
+    for split in SPLITS:
+        if not counts[split]:
+            raise ValueError(f"{rir_dir}: {len(rows)} RIRs of {len({row['room_id'] for row in rows})} rooms leave "
+                             f"{split} empty when split by {split_by}: give more RIRs, or split by 'rir'")
+    noises = _split_noises(read_noises(rir_dir), rows, split_of, sizes, seed, split_by)
+    for split in SPLITS:
+        _write(rir_dir, Path(f"{out_prefix}.{split}"), [row for row in rows if split_of.get(row["id"]) == split],
+               noises[split], dict(split=split, split_by=split_by, sizes=list(sizes), seed=seed))
+    _log_table(rows, split_of, noises)
+    return {split: counts[split] for split in SPLITS}
+
+
+def _hashed(seed, name):
+    """Stable place of a name in a random order."""
+    return hashlib.sha256(repr((int(seed), "split", name)).encode()).hexdigest()
+
+
+def _shares(sizes, n):
+    """How many of n things each split gets: the sizes where n suffices, else their proportion, none empty."""
+    if n >= sum(sizes):
+        return list(sizes)
+    exact = [n * size / sum(sizes) for size in sizes]
+    shares = [max(1, int(part)) for part in exact]
+    while sum(shares) != n and n >= len(sizes):
+        step = 1 if sum(shares) < n else -1
+        missing = [step * (part - share) for part, share in zip(exact, shares, strict=True)]
+        candidates = [k for k in range(len(shares)) if step > 0 or shares[k] > 1]
+        shares[max(candidates, key=lambda k: missing[k])] += step
+    return shares
+
+
+def _by_rir(rows, sizes, seed):
+    """Split of each id; groups that share a position go to the first set that has room for all of them."""
+    groups = defaultdict(list)
+    for row in rows:
+        groups[position_key(row) or row["id"]].append(row["id"])
+    free = dict(zip(SPLITS, _shares(sizes, len(rows)), strict=True))
+    split_of = {}
+    for ids in sorted(groups.values(), key=lambda ids: _hashed(seed, ids[0])):
+        split = next((name for name in SPLITS if free[name] >= len(ids)), None)
+        if split is None and len(rows) <= sum(sizes):
+            split = max(SPLITS, key=lambda name: free[name])
+        if split is not None:
+            free[split] -= len(ids)
+            split_of.update(dict.fromkeys(ids, split))
+    return split_of
+
+
+def _by_room(rows, sizes, seed):
+    """Split of each id, rooms kept whole: of many random orders the one that comes closest to the proportion."""
+    rooms = defaultdict(list)
+    for row in rows:
+        rooms[row["room_id"]].append(row["id"])
+    shares = np.array(_shares(sizes, len(rows)), dtype=float)
+    best, best_error = {}, np.inf
+    for attempt in range(N_SHUFFLES):
+        order = sorted(rooms, key=lambda room: _hashed(seed, f"{attempt} {room}"))
+        filled, split_of = np.zeros(3), {}
+        for n, room in enumerate(order):
+            # the first three rooms make sure that no set is empty
+            k = n if n < len(SPLITS) else int(np.argmax((shares - filled) / shares))
+            filled[k] += len(rooms[room])
+            split_of.update(dict.fromkeys(rooms[room], SPLITS[k]))
+        error = float(np.sum((filled - shares) ** 2 / shares))
+        if error < best_error:
+            best, best_error = split_of, error
+    return best
+
+
+def _split_noises(noises, rows, split_of, sizes, seed, split_by):
+    """Noises of each split: a room's go where its RIRs go; where all sets hold the room, they are dealt out."""
+    dealt = {split: [] for split in SPLITS}
+    if not noises:
+        return dealt
+    home = defaultdict(set)
+    for row in rows:
+        if row["id"] in split_of:
+            home[row["room_id"]].add(split_of[row["id"]])
+    free_to_go = []
+    for noise in sorted(noises, key=lambda noise: (str(noise.get("room_id")), _hashed(seed, noise["id"]))):
+        where = home.get(noise.get("room_id"), set())
+        if split_by == "room" and len(where) == 1:
+            dealt[next(iter(where))].append(noise)
+        else:
+            free_to_go.append((noise, where or set(SPLITS)))
+    wanted = np.array(sizes, dtype=float) / sum(sizes) * len(noises)
+    for noise, where in free_to_go:
+        lack = {split: wanted[k] - len(dealt[split]) for k, split in enumerate(SPLITS) if split in where}
+        # relative to what it shall have, so that small sets are not served last
+        dealt[max(lack, key=lambda split: lack[split] / wanted[SPLITS.index(split)])].append(noise)
+    return _none_without(dealt, split_by)
+
+
+def _none_without(dealt, split_by):
+    """Give every split noises: move one from the set that has most; only where none is to spare, share."""
+    for split in SPLITS:
+        richest = max(SPLITS, key=lambda name: len(dealt[name]))
+        if dealt[split]:
+            continue
+        if len(dealt[richest]) > 1 and split_by == "rir":
+            dealt[split].append(dealt[richest].pop())
+        else:
+            logger.warning("%s has no noises of its own and shares those of %s: give more noises", split, richest)
+            dealt[split] = list(dealt[richest])
+    return dealt
+
+
+def _write(rir_dir, out, rows, noises, options):
+    build = Build(out, step="split", options=options, inputs=[rir_dir])
+
+    def assemble(directory, _):
+        write_rirs(directory, [row | dict(wav=os.path.relpath(rir_path(rir_dir, row), out)) for row in rows],
+                   final_directory=out)
+        if noises:
+            write_noises(directory, [noise | dict(wav=os.path.relpath(rir_dir / noise["wav"], out))
+                                     for noise in noises])
+
+    if not build.done and build.run({}, lambda name, item: None):
+        build.finish(assemble)
+
+
+def _log_table(rows, split_of, noises):
+    """Print how many RIRs of each room went where."""
+    count = Counter((row["room_id"], split_of.get(row["id"], "left over")) for row in rows)
+    columns = [*SPLITS, *(["left over"] if any(split == "left over" for _, split in count) else [])]
+    rooms = sorted({row["room_id"] for row in rows})
+    width = max(len(name) for name in [*rooms, "noises"])
+    lines = [f"{'RIRs per room':{width}s}" + "".join(f"{column:>10s}" for column in columns)]
+    lines += [f"{room:{width}s}" + "".join(f"{count[room, column]:10d}" for column in columns) for room in rooms]
+    lines.append(f"{'all':{width}s}" + "".join(
+        f"{sum(count[room, column] for room in rooms):10d}" for column in columns))
+    lines.append(f"{'noises':{width}s}" + "".join(f"{len(noises.get(column, [])):10d}" for column in columns))
+    logger.info("%s", "\n".join(lines))
