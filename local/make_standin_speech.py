@@ -174,8 +174,8 @@ def recorded(speech, rng):
 
 def draw_words(rng, vocabulary=VOCABULARY):
     """Return 3 to 8 words, none of them twice in a row."""
-    words = []
-    while len(words) < rng.integers(3, 9):
+    words, count = [], rng.integers(3, 9)
+    while len(words) < count:
         words += [word for word in [str(rng.choice(vocabulary))] if word not in words[-1:]]
     return words
 
