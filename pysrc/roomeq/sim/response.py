@@ -20,6 +20,7 @@ from roomeq.sim.trace import Paths, trace
 
 NUM_RAYS = 20000
 ISM_ORDER = 6
+ORDER = 200
 _PILOT_RAYS = 2000
 
 
@@ -81,7 +82,7 @@ class Response:
     leaked_share: float
 
 
-def trace_source(scene, source_pos_m, *, num_rays=NUM_RAYS, max_length_s=MAX_LENGTH_S, max_order=None, rng):
+def trace_source(scene, source_pos_m, *, num_rays=NUM_RAYS, max_length_s=MAX_LENGTH_S, rng):
     """Trace a source: once for all microphones and all absorption coefficients.
 
     Parameters
@@ -92,8 +93,6 @@ def trace_source(scene, source_pos_m, *, num_rays=NUM_RAYS, max_length_s=MAX_LEN
         For each distinct column of scattering coefficients.
     max_length_s : float
         Longest response that will be asked for [s].
-    max_order : int, optional
-        Most reflections; by default as many as `max_length_s` takes.
     rng : numpy.random.Generator
 
     Returns
@@ -113,15 +112,15 @@ def trace_source(scene, source_pos_m, *, num_rays=NUM_RAYS, max_length_s=MAX_LEN
     max_length_m = max_length_s * scene.air.speed_m_s
     # the same random numbers for all columns: bands then differ by their scattering alone
     paths = tuple(trace(scene.room, source_pos_m, column, num_rays=num_rays, max_length_m=max_length_m,
-                        max_order=max_order, rng=np.random.default_rng(seed)) for column in columns.T)
+                        rng=np.random.default_rng(seed)) for column in columns.T)
     return TracedSource(scene, np.asarray(source_pos_m, dtype=np.float64), paths,
                         tuple(int(n) for n in np.ravel(path_of_band)))
 
 
-def echograms(traced, absorption, mics_m, *, ism_order=ISM_ORDER, n_rays=None, bands=None):
+def echograms(traced, absorption, mics_m, length_s, *, ism_order=ISM_ORDER, n_rays=None, bands=None):
     """Energy of all but the image sources, with air absorption, shape (n_mics, n_frames, 8); see `gather`."""
     air = traced.scene.air
-    n_frames = int(np.ceil(traced.max_length_s / FRAME_S))
+    n_frames = int(np.ceil(length_s / FRAME_S))
     wanted = range(len(traced.path_of_band)) if bands is None else bands
     result = np.zeros((len(mics_m), n_frames, len(traced.path_of_band)))
     for group in sorted({traced.path_of_band[band] for band in wanted}):
@@ -133,7 +132,7 @@ def echograms(traced, absorption, mics_m, *, ism_order=ISM_ORDER, n_rays=None, b
     return result * np.exp(-length_m[:, None] * air.attenuation_per_m)
 
 
-def render_responses(traced, mics_m, rngs, *, absorption=None, ism_order=ISM_ORDER):
+def render_responses(traced, mics_m, rngs, *, absorption=None, length_s=None, ism_order=ISM_ORDER):
     """Render the responses of a traced source at some microphones.
 
     Parameters
@@ -144,6 +143,8 @@ def render_responses(traced, mics_m, rngs, *, absorption=None, ism_order=ISM_ORD
         One per microphone, for the noise of its tail.
     absorption : ndarray, shape (n_slots, 8), optional
         Instead of that of the traced scene.
+    length_s : float, optional
+        Longest response [s]; by default as long as the rays were followed.
     ism_order : int
 
     Returns
@@ -155,43 +156,42 @@ def render_responses(traced, mics_m, rngs, *, absorption=None, ism_order=ISM_ORD
     ValueError
         A microphone lies outside the room or on top of the source.
     """
-    mics_m = _checked_mics(traced, mics_m)
-    absorption = traced.scene.absorption if absorption is None else absorption
-    images = [specular_paths(traced.scene.room, traced.source_pos_m, mic, ism_order) for mic in mics_m]
-    noises = [_noise(traced, rng) for rng in rngs]
-    return _render(traced, mics_m, images, noises, absorption, ism_order)
+    job = _job(traced, mics_m, rngs, length_s, ism_order)
+    return _render(job, traced.scene.absorption if absorption is None else absorption)
 
 
-def render_to_target(traced, mics_m, rngs, target_s, *, ism_order=ISM_ORDER):
+def render_to_target(traced, mics_m, rngs, target_s, *, absorption=None, length_s=None, ism_order=ISM_ORDER):
     """Render responses whose mean T30 at 1 kHz is the target, by scaling the absorption of all surfaces.
 
-    Parameters are those of `render_responses`.
+    Parameters are those of `render_responses`, and
+
+    target_s : float
+        T30 at 1 kHz [s].
 
     Raises
     ------
     ValueError
         No scaling brings T30 within 5 % of the target: the room, its air or the direct sound don't allow it.
     """
-    mics_m = _checked_mics(traced, mics_m)
-    base = traced.scene.absorption
-    images = [specular_paths(traced.scene.room, traced.source_pos_m, mic, ism_order) for mic in mics_m]
-    noises = [_noise(traced, rng) for rng in rngs]
+    job = _job(traced, mics_m, rngs, length_s, ism_order)
+    base = traced.scene.absorption if absorption is None else absorption
 
     def pilot(exponent):
         absorption = scaled_absorption(base, exponent)
-        energy = echograms(traced, absorption, mics_m, ism_order=ism_order, n_rays=_PILOT_RAYS, bands=[BAND_1KHZ])
-        _add_images(energy, traced, images, absorption)
+        energy = echograms(traced, absorption, job.mics_m, job.length_s, ism_order=ism_order, n_rays=_PILOT_RAYS,
+                           bands=[BAND_1KHZ])
+        _add_images(energy, job, absorption)
         return t30_of_echogram(energy[:, :, BAND_1KHZ].mean(axis=0))
 
     rendered = {}
 
     def measure(exponent):
         rendered.clear()
-        rendered[exponent] = _render(traced, mics_m, images, noises, scaled_absorption(base, exponent), ism_order)
+        rendered[exponent] = _render(job, scaled_absorption(base, exponent))
         times_s = [response.t30_s for response in rendered[exponent]]
         return None if None in times_s else float(np.mean(times_s))
 
-    guess, _ = solve_exponent(pilot, target_s, eyring_exponent(traced.scene, target_s))
+    guess, _ = solve_exponent(pilot, target_s, eyring_exponent(traced.scene, target_s, base))
     exponent, time_s = solve_exponent(measure, target_s, guess)
     if time_s is None or abs(time_s / target_s - 1.0) > TOLERANCE:
         found = "cannot be measured" if time_s is None else f"comes to {time_s:.3g} s"
@@ -202,7 +202,7 @@ def render_to_target(traced, mics_m, rngs, target_s, *, ism_order=ISM_ORDER):
     return rendered[exponent]
 
 
-def simulate_rir(scene, source_pos_m, mics_m, *, num_rays=NUM_RAYS, ism_order=ISM_ORDER, max_order=None,
+def simulate_rir(scene, source_pos_m, mics_m, *, num_rays=NUM_RAYS, ism_order=ISM_ORDER, order=ORDER,
                  target_t60_s=None, seed=0):
     """Simulate impulse responses from a source to one or more microphones.
 
@@ -215,8 +215,9 @@ def simulate_rir(scene, source_pos_m, mics_m, *, num_rays=NUM_RAYS, ism_order=IS
     num_rays : int
     ism_order : int
         Order up to which specular reflections are exact image sources.
-    max_order : int, optional
-        Most reflections of a ray; by default as many as the length of the response takes.
+    order : int
+        Reflections that rays are followed for on average, more where the response needs more (see
+        `needed_length_s`).
     target_t60_s : float, optional
         Scale the materials until T30 at 1 kHz (mean over the microphones) is this.
     seed : int
@@ -234,69 +235,92 @@ def simulate_rir(scene, source_pos_m, mics_m, *, num_rays=NUM_RAYS, ism_order=IS
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
     for mic_m in mics_m:
         check_positions(scene.room, source_pos_m, mic_m)
-    traced = trace_source(scene, source_pos_m, num_rays=num_rays, max_order=max_order,
-                          max_length_s=needed_length_s(scene, target_t60_s), rng=rng_for(seed, "trace", ""))
+    traced = trace_source(scene, source_pos_m, num_rays=num_rays,
+                          max_length_s=needed_length_s(scene, target_t60_s, order), rng=rng_for(seed, "trace", ""))
     rngs = [rng_for(seed, "tail", str(n)) for n in range(len(mics_m))]
     if target_t60_s is None:
         return render_responses(traced, mics_m, rngs, ism_order=ism_order)
     return render_to_target(traced, mics_m, rngs, target_t60_s, ism_order=ism_order)
 
 
-def eyring_exponent(scene, target_s):
-    """Exponent with which Eyring's formula meets a target at 1 kHz; a first guess."""
+def eyring_exponent(scene, target_s, absorption=None):
+    """Exponent with which Eyring's formula meets a target at 1 kHz; a first guess.
+
+    `absorption`, shape (n_slots, 8), stands for that of the scene if given.
+    """
+    absorption = scene.absorption if absorption is None else absorption
     air_area_m2 = 4.0 * scene.air.attenuation_per_m[BAND_1KHZ] * scene.room.volume_m3
     wanted_m2 = 24.0 * np.log(10.0) * scene.room.volume_m3 / (scene.air.speed_m_s * target_s) - air_area_m2
     area_m2 = scene.room.slot_area_m2
-    now_m2 = -np.log(1.0 - min(0.99, area_m2 @ scene.absorption[:, BAND_1KHZ] / area_m2.sum())) * area_m2.sum()
+    now_m2 = -np.log(1.0 - min(0.99, area_m2 @ absorption[:, BAND_1KHZ] / area_m2.sum())) * area_m2.sum()
     return float(np.clip(wanted_m2 / max(now_m2, 1e-6), 1e-2, 1e2))
 
 
-def needed_length_s(scene, target_s=None):
-    """How far to trace so that every band decays by 60 dB, by Eyring and with something to spare [s]."""
+def needed_length_s(scene, target_s=None, order=ORDER):
+    """How far to follow the rays [s].
+
+    Until every band has decayed by 60 dB, by Eyring and with something to spare, and for `order` mean free
+    paths ``4 V / S``; never beyond `MAX_LENGTH_S`.
+    """
+    area_m2 = scene.room.slot_area_m2.sum()
+    depth_s = order * 4.0 * scene.room.volume_m3 / (area_m2 * scene.air.speed_m_s)
     if target_s is not None:
         absorption = scaled_absorption(scene.absorption, eyring_exponent(scene, target_s))
         materials = [replace(material, absorption=tuple(row))
                      for material, row in zip(scene.materials, absorption, strict=True)]
         scene = replace(scene, materials=materials)
-    return float(np.clip(1.3 * eyring_time_s(scene).max() + 0.1, MIN_LENGTH_S, MAX_LENGTH_S))
+    decay_s = 1.3 * eyring_time_s(scene).max() + 0.1
+    return float(np.clip(max(decay_s, depth_s), MIN_LENGTH_S, MAX_LENGTH_S))
 
 
-def _checked_mics(traced, mics_m):
+@dataclass(frozen=True)
+class _Job:
+    """What does not change while absorption is searched for: microphones, their image sources and tail noise."""
+
+    traced: TracedSource
+    mics_m: np.ndarray
+    images: list[Images]
+    noises: list[np.ndarray]
+    length_s: float
+    ism_order: int
+
+
+def _job(traced, mics_m, rngs, length_s, ism_order):
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
     for mic_m in mics_m:
         check_positions(traced.scene.room, traced.source_pos_m, mic_m)
-    return mics_m
+    length_s = traced.max_length_s if length_s is None else min(length_s, traced.max_length_s)
+    room, air = traced.scene.room, traced.scene.air
+    images = [specular_paths(room, traced.source_pos_m, mic_m, ism_order) for mic_m in mics_m]
+    n_samples = int(np.ceil(length_s * FS_HZ)) + 1
+    noises = [tail_noise(n_samples, room.volume_m3, air.speed_m_s, rng) for rng in rngs]
+    return _Job(traced, mics_m, images, noises, length_s, ism_order)
 
 
-def _noise(traced, rng):
-    n_samples = int(np.ceil(traced.max_length_s * FS_HZ)) + 1
-    return tail_noise(n_samples, traced.scene.room.volume_m3, traced.scene.air.speed_m_s, rng)
-
-
-def _add_images(energy, traced, images, absorption):
+def _add_images(energy, job, absorption):
     """Add the energy of image sources to echograms, in place."""
-    air = traced.scene.air
-    for echogram, found in zip(energy, images, strict=True):
+    air = job.traced.scene.air
+    for echogram, found in zip(energy, job.images, strict=True):
         frame = (found.distance_m / air.speed_m_s / FRAME_S).astype(int)
-        gains = found.gains(absorption, traced.scene.scattering, air.attenuation_per_m)
+        gains = found.gains(absorption, job.traced.scene.scattering, air.attenuation_per_m)
         inside = frame < len(echogram)
         np.add.at(echogram, frame[inside], gains[inside] ** 2)
 
 
-def _render(traced, mics_m, images, noises, absorption, ism_order):
-    energy = echograms(traced, absorption, mics_m, ism_order=ism_order)
+def _render(job, absorption):
+    energy = echograms(job.traced, absorption, job.mics_m, job.length_s, ism_order=job.ism_order)
     whole = energy.copy()
-    _add_images(whole, traced, images, absorption)
-    return [_render_one(traced, mic_m, *each, absorption)
-            for mic_m, *each in zip(mics_m, energy, whole, images, noises, strict=True)]
+    _add_images(whole, job, absorption)
+    return [_render_one(job, absorption, *each)
+            for each in zip(job.mics_m, energy, whole, job.images, job.noises, strict=True)]
 
 
-def _render_one(traced, mic_m, echogram, whole, images: Images, noise, absorption):
-    air = traced.scene.air
+def _render_one(job, absorption, mic_m, echogram, whole, images, noise):
+    traced, air = job.traced, job.traced.scene.air
     direct_sample = float(np.linalg.norm(mic_m - traced.source_pos_m) / air.speed_m_s * FS_HZ)
-    length_s = min(response_length_s(whole, direct_sample / FS_HZ + 0.1), max(traced.max_length_s, MIN_LENGTH_S))
-    n_samples = int(round(length_s * FS_HZ))
+    length_s = min(response_length_s(whole, direct_sample / FS_HZ + 0.1), job.length_s)
     gains = images.gains(absorption, traced.scene.scattering, air.attenuation_per_m)
-    rir = render(images.distance_m, gains, echogram, noise, speed_m_s=air.speed_m_s, n_samples=n_samples)
+    rir = render(images.distance_m, gains, echogram, noise, speed_m_s=air.speed_m_s,
+                 n_samples=round(length_s * FS_HZ))
     return Response(rir, direct_sample, images.has_direct, t30_s(rir, direct_sample), absorption,
                     traced.leaked_share)

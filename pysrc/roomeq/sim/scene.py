@@ -137,7 +137,7 @@ class Shoebox:
             if not MIN_WALL_DISTANCE_M <= value <= size_m - MIN_WALL_DISTANCE_M:
                 raise ValueError(
                     f"{what}[{axis}]={value:g} must lie in [{MIN_WALL_DISTANCE_M:g}, "
-                    f"{size_m - MIN_WALL_DISTANCE_M:g}] m of a room of {list(self.dims_m)} m: correct the position")
+                    f"{size_m - MIN_WALL_DISTANCE_M:g}] m of a room of {list(self.dims_m)} m: correct it")
 
     def sphere_volume_m3(self, center_m, radius_m):
         """Volume of the part of a sphere that lies in the room."""
@@ -216,4 +216,5 @@ def sabine_area_m2(scene):
 
 def eyring_time_s(scene):
     """Reverberation time per band by Eyring: ``24 ln(10) V / (c A)``, shape (8,) [s]."""
-    return 24.0 * np.log(10.0) * scene.room.volume_m3 / (scene.air.speed_m_s * np.maximum(sabine_area_m2(scene), 1e-9))
+    area_m2 = np.maximum(sabine_area_m2(scene), 1e-9)
+    return 24.0 * np.log(10.0) * scene.room.volume_m3 / (scene.air.speed_m_s * area_m2)

@@ -59,7 +59,7 @@ def sphere_directions(n_rays, rng):
     return rng.permutation(points @ rotation)
 
 
-def trace(room, source_pos_m, scattering, *, num_rays, max_length_m, max_order=None, rng):
+def trace(room, source_pos_m, scattering, *, num_rays, max_length_m, rng):
     """Follow rays from a source.
 
     Parameters
@@ -71,8 +71,6 @@ def trace(room, source_pos_m, scattering, *, num_rays, max_length_m, max_order=N
     num_rays : int
     max_length_m : float
         How far to follow a ray [m].
-    max_order : int, optional
-        Most reflections to follow; by default as many as `max_length_m` takes.
     rng : numpy.random.Generator
 
     Returns
@@ -84,8 +82,8 @@ def trace(room, source_pos_m, scattering, *, num_rays, max_length_m, max_order=N
     directions = sphere_directions(num_rays, rng)
     seed = np.uint64(rng.integers(2 ** 63))
     if hasattr(room, "trace"):
-        return room.trace(source_pos_m, directions, scattering, max_length_m, max_order, seed)
-    capacity = _capacity(room.dims_m, max_length_m, max_order)
+        return room.trace(source_pos_m, directions, scattering, max_length_m, seed)
+    capacity = _capacity(room.dims_m, max_length_m)
     hits = np.empty((num_rays, capacity, 4), dtype=np.float32)
     codes = np.empty((num_rays, capacity), dtype=np.uint8)
     counts = np.empty(num_rays, dtype=np.int32)
@@ -95,10 +93,9 @@ def trace(room, source_pos_m, scattering, *, num_rays, max_length_m, max_order=N
     return Paths(source_pos_m, hits, codes, counts, scattering, max_length_m, 0)
 
 
-def _capacity(dims_m, max_length_m, max_order):
+def _capacity(dims_m, max_length_m):
     """Reflections per ray that there is room for: the most that a specular ray can meet, and some."""
-    most = int(1.2 * max_length_m * np.sqrt(np.sum(1.0 / np.square(dims_m)))) + 40
-    return most if max_order is None else min(most, max_order)
+    return int(1.2 * max_length_m * np.sqrt(np.sum(1.0 / np.square(dims_m)))) + 40
 
 
 @compiled

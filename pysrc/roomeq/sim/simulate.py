@@ -1,0 +1,232 @@
+"""Simulate one impulse response for each measured one: its room, drawn materials, drawn reverberation time."""
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from roomeq.audio import write_wav
+from roomeq.build import Build
+from roomeq.constants import FS_HZ
+from roomeq.rirs import read_rirs, validate_rirs, write_rirs
+from roomeq.rng import rng_for
+from roomeq.sim.geometry import find_place, noise_positions
+from roomeq.sim.materials import DEFAULT_TABLE, draw_materials, draw_scattering, read_materials
+from roomeq.sim.response import (
+    ISM_ORDER,
+    NUM_RAYS,
+    ORDER,
+    needed_length_s,
+    render_responses,
+    render_to_target,
+    trace_source,
+)
+from roomeq.sim.scene import MIN_DISTANCE_M, Air, Material, Scene
+
+logger = logging.getLogger(__name__)
+
+ROWS_PER_ITEM = 16  # responses of one source that are made together: one trace, little lost when killed
+MATERIAL_DRAWS = 4
+NOISE_CANDIDATES = 4
+_KEPT = ("room_id", "source_id", "mic_id", "source_dir", "mic_dir", "room_type", "corpus")
+
+
+def simulate(measured_dir, out, *, t60_range_s=(0.2, 2.0), num_rays=NUM_RAYS, ism_order=ISM_ORDER, order=ORDER,
+             noise_rirs=1, materials=None, seed=0, part=None, nj=1):
+    """Simulate one RIR per measured one, from its room, source and microphone.
+
+    Materials are drawn per RIR and scaled until T30 at 1 kHz of the rendered RIR meets a target drawn uniformly;
+    RIRs of noise sources elsewhere in the room share microphone and materials.
+
+    Parameters
+    ----------
+    measured_dir : Path
+        RIR directory (`roomeq.rirs`). What its rows don't know of the geometry is drawn.
+    out : Path
+        RIR directory to make.
+    t60_range_s : tuple of 2 floats
+        Range of the targets [s].
+    num_rays : int
+        Rays per source and distinct scattering column.
+    ism_order : int
+        Order of the exact image sources.
+    order : int
+        Reflections that rays are followed for, more where the RIR needs more.
+    noise_rirs : int
+        RIRs from noise sources for each RIR.
+    materials : Path, optional
+        Table of materials; default ``conf/materials.toml``.
+    seed : int
+    part : str, optional
+        ``"2/5"``: do one share of the work only.
+    nj : int
+        Number of processes.
+
+    Raises
+    ------
+    ValueError
+        An option is out of range, a position lies outside its room, or a target cannot be met.
+    """
+    _check_options(t60_range_s, num_rays, ism_order, order, noise_rirs)
+    measured_dir = Path(measured_dir)
+    table = read_materials(materials)
+    rows = read_rirs(measured_dir)
+    low_s, high_s = (float(value) for value in t60_range_s)
+    options = dict(t60_range_s=[low_s, high_s], num_rays=num_rays, ism_order=ism_order, order=order,
+                   noise_rirs=noise_rirs, seed=seed)
+    meshes = sorted({measured_dir / row["mesh"] for row in rows if row.get("mesh")})
+    build = Build(out, step="simulate", options=options,
+                  inputs=[measured_dir, Path(materials or DEFAULT_TABLE), *meshes])
+    if build.done:
+        return
+
+    def one(_, group):
+        return _simulate_group(build.work, group, table, options)
+
+    def assemble(directory, records):
+        write_rirs(directory, [row for record in records for row in record], final_directory=build.out)
+        validate_rirs(directory)
+
+    if build.run(_group(rows, measured_dir, seed), one, part=part, nj=nj):
+        build.finish(assemble)
+
+
+def _check_options(t60_range_s, num_rays, ism_order, order, noise_rirs):
+    if len(t60_range_s) != 2 or not 0.05 <= t60_range_s[0] <= t60_range_s[1] <= 10.0:
+        raise ValueError(f"t60_range={t60_range_s} must be two times in [0.05, 10] s, the smaller first")
+    for name, value, low, high in (("num_rays", num_rays, 100, 10 ** 7), ("ism_order", ism_order, 0, 20),
+                                   ("order", order, 1, 10 ** 4), ("noise_rirs", noise_rirs, 0, NOISE_CANDIDATES)):
+        if not low <= value <= high:
+            raise ValueError(f"{name}={value} must lie in [{low}, {high}]")
+
+
+def _group(rows, directory, seed):
+    """Put rows of one source together: {name: list of (row, Place)}."""
+    by_room = {}
+    for row in rows:
+        by_room.setdefault(row["room_id"], []).append(row)
+    groups = {}
+    for row in rows:
+        place = find_place(row, by_room[row["room_id"]], directory, seed)
+        air = _air(row)
+        if place.drawn:
+            logger.debug("%s: drawn or moved: %s", row["id"], ", ".join(place.drawn))
+        groups.setdefault((row["room_id"], place.room, place.source_pos_m, air), []).append((row, place))
+    n_drawn = sum(bool(place.drawn) for members in groups.values() for _, place in members)
+    if n_drawn:
+        logger.info("%s: %d of %d RIRs have unknown or unreliable coordinates, which are drawn (key 'drawn')",
+                    directory, n_drawn, len(rows))
+    items = {}
+    for members in groups.values():
+        for first in range(0, len(members), ROWS_PER_ITEM):
+            share = members[first:first + ROWS_PER_ITEM]
+            items[share[0][0]["id"]] = share
+    return items
+
+
+def _air(row):
+    """The air of a row: its own temperature and humidity where they are known."""
+    known = {key: row[key] for key in ("temperature_c", "humidity_pct") if row.get(key) is not None}
+    return Air(**known)
+
+
+def _simulate_group(work, group, table, options):
+    """Simulate the rows of one source; return their records."""
+    first_row, first_place = group[0]
+    room, air, seed = first_place.room, _air(first_row), options["seed"]
+    scattering = draw_scattering(table, room, rng_for(seed, "scattering", first_row["room_id"]))
+    traces = _Traces(room, scattering, air, first_row["room_id"], options)
+    drawn = [_draw_row(row, room, scattering, air, table, options) for row, _ in group]
+    traces.length_s = max(length_s for *_, length_s in drawn)
+    records = []
+    for (row, place), (rng, scene, target_s, length_s) in zip(group, drawn, strict=True):
+        records += _simulate_row(work, row, place, traces, table, rng, scene, target_s, length_s, options)
+    return records
+
+
+class _Traces:
+    """Traced sources of one room, each made when first asked for."""
+
+    def __init__(self, room, scattering, air, room_id, options):
+        self.room, self.scattering, self.air, self.room_id = room, scattering, air, room_id
+        self.options, self.length_s = options, 0.0
+        self._known = {}
+
+    def of(self, source_pos_m):
+        key = tuple(source_pos_m)
+        if key not in self._known:
+            scene = Scene(self.room, [Material(slot, 0.0, tuple(row)) for slot, row in
+                                      zip(self.room.slots, self.scattering, strict=True)], self.air)
+            rng = rng_for(self.options["seed"], "trace", repr((self.room_id, key)))
+            self._known[key] = trace_source(scene, key, num_rays=self.options["num_rays"],
+                                            max_length_s=self.length_s, rng=rng)
+        return self._known[key]
+
+
+def _draw_row(row, room, scattering, air, table, options):
+    """Draw what a row is to sound like: (rng for more materials, scene, target, length)."""
+    seed = options["seed"]
+    target_s = float(rng_for(seed, "t60", row["id"]).uniform(*options["t60_range_s"]))
+    rng = rng_for(seed, "materials", row["id"])
+    scene = draw_materials(table, room, scattering, air, target_s, rng)
+    return rng, scene, target_s, needed_length_s(scene, target_s, options["order"])
+
+
+def _simulate_row(work, row, place, traces, table, rng, scene, target_s, length_s, options):
+    """Render one row and its noise RIRs; write them; return their rows."""
+    seed, mic = options["seed"], place.mic_pos_m
+    how = dict(length_s=length_s, ism_order=options["ism_order"])
+    traced = traces.of(place.source_pos_m)
+    for draw in range(MATERIAL_DRAWS):
+        try:
+            (response,) = render_to_target(traced, [mic], [rng_for(seed, "tail", row["id"])], target_s,
+                                           absorption=scene.absorption, **how)
+            break
+        except ValueError as error:
+            if draw == MATERIAL_DRAWS - 1:
+                raise ValueError(f"RIR {row['id']}: {error}") from None
+            logger.info("%s: %s; drawing other materials", row["id"], error)
+            scene = draw_materials(table, place.room, traces.scattering, traces.air, target_s, rng)
+    made = [_write(work, row, place, scene, response, target_s, seed)]
+    for n, source in enumerate(_noise_sources(place, row, seed, options["noise_rirs"]), start=1):
+        noise_id = f"{row['id']}-noise{n}"
+        (noise,) = render_responses(traces.of(source), [mic], [rng_for(seed, "tail", noise_id)],
+                                    absorption=response.absorption, **how)
+        source_id = f"noise-{source[0]}-{source[1]}-{source[2]}"
+        noise_row = row | dict(id=noise_id, source_id=source_id, source_dir=None)
+        noise_place = replace(place, source_pos_m=tuple(source))
+        made.append(_write(work, noise_row, noise_place, scene, noise, target_s, seed, noise_for=row["id"]))
+    return made
+
+
+def _noise_sources(place, row, seed, count):
+    """The first few of the room's noise positions that keep clear of microphone and source."""
+    candidates = noise_positions(place.room, row["room_id"], seed, 2 * NOISE_CANDIDATES)
+    distance_m = [min(np.linalg.norm(np.subtract(one, place.mic_pos_m)),
+                      np.linalg.norm(np.subtract(one, place.source_pos_m))) for one in candidates]
+    clear = [one for one, apart_m in zip(candidates, distance_m, strict=True) if apart_m >= 0.3]
+    by_distance = [candidates[n] for n in np.argsort(distance_m)[::-1] if distance_m[n] >= MIN_DISTANCE_M]
+    return (clear if len(clear) >= count else by_distance)[:count]
+
+
+def _write(work, row, place, scene, response, target_s, seed, noise_for=None):
+    """Write one response below `work` and return its row."""
+    name = f"wav/{row['id']}.wav"
+    write_wav(work / name, response.rir)
+    slots = zip(scene.room.slots, scene.materials, response.absorption, strict=True)
+    made = {key: row.get(key) for key in _KEPT if key in row}
+    if row.get("mesh"):
+        made["mesh"] = row["mesh"]
+    else:
+        made["room_dims_m"] = list(place.room.dims_m)
+    return made | dict(
+        id=row["id"], wav=name, fs_hz=FS_HZ, n_samples=len(response.rir),
+        source_pos_m=list(place.source_pos_m), mic_pos_m=list(place.mic_pos_m), drawn=list(place.drawn),
+        temperature_c=scene.air.temperature_c, humidity_pct=scene.air.humidity_pct, seed=seed, model=[],
+        target_t60_s=target_s, t30_s=response.t30_s, leaked_share=response.leaked_share,
+        direct_sample=response.direct_sample, direct_polarity=1, direct_visible=response.direct_visible,
+        noise_for=noise_for, measured_id=noise_for or row["id"],
+        materials={slot: dict(material=material.name, absorption=[round(float(a), 6) for a in absorption],
+                              scattering=list(material.scattering))
+                   for slot, material, absorption in slots})
