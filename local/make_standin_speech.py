@@ -51,14 +51,14 @@ VOICES = {
         Voice("M", "en-us", "m1", 165, 50, 50), Voice("F", "en-us", "f1", 160, 50, 50),
         Voice("M", "en", "m2", 170, 45, 55), Voice("F", "en", "f2", 165, 55, 45),
         Voice("M", "en-gb-scotland", "m3", 160, 55, 50), Voice("F", "en-gb-scotland", "f3", 170, 45, 50),
-        Voice("M", "en-029", "m4", 155, 50, 60), Voice("F", "en-029", "Annie", 165, 40, 50),
+        Voice("M", "en-029", "m4", 165, 50, 60), Voice("F", "en-029", "Annie", 165, 40, 50),
         Voice("M", "en-us", "Andy", 175, 58, 45), Voice("F", "en-us", "linda", 175, 42, 60),
-        Voice("M", "en", "marcelo", 160, 42, 50), Voice("F", "en", "Alicia", 155, 48, 50),
-        Voice("M", "en-us", "Denis", 150, 60, 40), Voice("F", "en-us", "anika", 165, 38, 45),
+        Voice("M", "en", "marcelo", 160, 42, 50), Voice("F", "en", "Alicia", 175, 48, 50),
+        Voice("M", "en-us", "Denis", 160, 60, 40), Voice("F", "en-us", "anika", 165, 38, 45),
         Voice("M", "en-gb-scotland", "michel", 175, 48, 60), Voice("F", "en-029", "aunty", 160, 52, 50),
     ),
     "dev-clean": (
-        Voice("M", "en-us", "m6", 168, 52, 50), Voice("F", "en-us", "f4", 158, 48, 55),
+        Voice("M", "en-us", "m6", 168, 52, 50), Voice("F", "en-us", "f4", 168, 48, 55),
         Voice("M", "en", "m7", 162, 44, 50), Voice("F", "en-029", "belinda", 170, 45, 50),
     ),
     "test-clean": (
