@@ -1,0 +1,245 @@
+"""The panels of the report's figures, as SVG that follows its reader's choice of a light or a dark page.
+
+A panel is small enough to be read on a phone without zooming; panels that belong together lie side by side on a
+wide screen. A panel is a function ``draw(axes, colours)``; `render` makes pictures of it.
+"""
+
+import io
+import re
+from collections.abc import Callable
+
+import matplotlib
+import numpy as np
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter
+
+from roomeq.constants import BANDS_HZ, FS_HZ
+from roomeq.report.page import Html, picture
+from roomeq.report.style import COLOURS, LIGHT
+
+SIZE_IN = (4.4, 3.1)
+TICK_LABELS = ("62.5", "125", "250", "500", "1k", "2k", "4k", "8k")
+MAX_CURVES = 150
+"""More curves than this in one panel are a blot: every n-th is drawn."""
+
+MARKERS = dict(measured="o", simulated="s", compensated="^", drawn="D")
+"""Marks that tell kinds of RIRs apart where colours don't."""
+
+Draw = Callable[[object, dict[str, str]], None]
+
+
+def panel(ident: str, draw: Draw, alt: str, size_in: tuple[float, float] = SIZE_IN) -> Html:
+    """Return one panel as an image of the page."""
+    return picture(ident, render(draw, size_in), alt, *(round(96 * x) for x in size_in))
+
+
+def render(draw: Draw, size_in: tuple[float, float] = SIZE_IN) -> bytes:
+    """Return an SVG document that is light or dark as its reader's screen; the same drawing gives the same "
+      "bytes."""
+    with matplotlib.rc_context(_settings(LIGHT)):
+        figure = Figure(figsize=size_in, layout="constrained")
+        FigureCanvasSVG(figure)
+        draw(figure.add_subplot(), LIGHT)
+        stream = io.BytesIO()
+        figure.savefig(stream, format="svg", metadata=dict(Date=None, Creator=None), dpi=144)
+    svg = re.sub(r"\n\s*", "\n", stream.getvalue().decode())  # empty lines and indents are a tenth of the file
+    for name, colour in LIGHT.items():
+        svg = svg.replace(f": {colour}", f": var(--{name})")
+    return svg.replace("<defs>", f"<style>{COLOURS}</style>\n<defs>", 1).encode()
+
+
+def _settings(colours: dict[str, str]) -> dict:
+    ink, soft, line, paper = (colours[key] for key in ("ink", "soft", "line", "paper"))
+    return {
+        "svg.hashsalt": "roomeq", "svg.fonttype": "path", "font.family": "DejaVu Sans", "font.size": 8.5,
+        "figure.facecolor": paper, "axes.facecolor": paper, "savefig.facecolor": paper, "text.color": ink,
+        "axes.edgecolor": soft, "axes.labelcolor": ink, "xtick.color": soft, "ytick.color": soft,
+        "xtick.labelcolor": ink, "ytick.labelcolor": ink, "axes.spines.top": False, "axes.spines.right": False,
+        "axes.linewidth": 0.7, "xtick.major.width": 0.7, "ytick.major.width": 0.7, "axes.grid": True,
+        "grid.color": line, "grid.linewidth": 0.6, "axes.axisbelow": True, "axes.titlesize": 9.5,
+        "axes.titleweight": "bold", "axes.titlelocation": "left", "legend.frameon": False,
+        "legend.fontsize": 8, "lines.linewidth": 1.4, "axes.unicode_minus": True, "path.simplify": True,
+    }
+
+
+def legend(axes) -> None:
+    """Put the legend above the axes, where it hides nothing."""
+    axes.figure.legend(loc="outside upper left", ncols=2)
+
+
+def log_frequency(axes, low_hz: float = 50.0, high_hz: float = 8600.0, along: str = "x") -> None:
+    """Give an axis of frequency the eight EQ points as ticks."""
+    axis = axes.xaxis if along == "x" else axes.yaxis
+    (axes.set_xscale if along == "x" else axes.set_yscale)("log")
+    (axes.set_xlim if along == "x" else axes.set_ylim)(low_hz, high_hz)
+    axis.set_major_locator(FixedLocator(BANDS_HZ))
+    axis.set_minor_locator(FixedLocator([]))
+    axis.set_minor_formatter(NullFormatter())
+    axis.set_ticklabels(TICK_LABELS)
+    axis.set_label_text("Frequency (Hz)")
+
+
+def frequency_responses(curves: list[tuple[str, str, np.ndarray]], limits_db: tuple[float, float]) -> Draw:
+    """Draw magnitude responses with the EQ sample points marked (the paper's figure 1).
+
+    Parameters
+    ----------
+    curves : list of (label, colour name, level_db)
+        `level_db` has shape (257,): bins of 31.25 Hz, relative to 1 kHz.
+    """
+    def draw(axes, colours):
+        for label, colour, level_db in curves:
+            frequency_hz = np.arange(len(level_db)) * FS_HZ / (2 * (len(level_db) - 1))
+            points = [round(f * 2 * (len(level_db) - 1) / FS_HZ) for f in BANDS_HZ]
+            axes.plot(frequency_hz[1:], level_db[1:], color=colours[colour], lw=1.1, label=label)
+            axes.plot(frequency_hz[points], level_db[points], MARKERS[colour], color=colours[colour], ms=5.5,
+                      mec=colours["paper"], mew=0.8)
+        log_frequency(axes, 31.0)
+        axes.set_ylim(limits_db)
+        axes.set_ylabel("Level (dB, 1 kHz = 0)")
+        legend(axes)
+    return draw
+
+
+def eq_curves(title: str, eq_db: np.ndarray, colour: str, limits_db: tuple[float, float]) -> Draw:
+    """Draw a set of EQ vectors with its median and the range of the middle 90 % (the paper's figure 2).
+
+    Parameters
+    ----------
+    eq_db : ndarray, shape (n_rirs, 8)
+        Relative to 1 kHz [dB]; NaN where not valid.
+    """
+    def draw(axes, colours):
+        every = max(1, -(-len(eq_db) // MAX_CURVES))
+        lines = [np.column_stack([BANDS_HZ, row])[np.isfinite(row)] for row in eq_db[::every]]
+        axes.add_collection(LineCollection(lines, colors=colours[colour], linewidths=0.5,
+                                           alpha=max(0.15, min(0.6, 20 / len(lines)))))
+        low, middle, high = quantiles(eq_db, (5, 50, 95))
+        axes.plot(BANDS_HZ, middle, "o-", color=colours["ink"], ms=4, lw=1.5, label="median")
+        axes.plot(BANDS_HZ, low, "--", color=colours["ink"], lw=0.9, label="5 % and 95 %")
+        axes.plot(BANDS_HZ, high, "--", color=colours["ink"], lw=0.9)
+        log_frequency(axes)
+        axes.set_ylim(limits_db)
+        axes.set_ylabel("EQ gain (dB, 1 kHz = 0)")
+        axes.set_title(f"{title} (n = {len(eq_db)})")
+        axes.legend(loc="lower center", ncols=2)
+    return draw
+
+
+def quantiles(values: np.ndarray, percent: tuple[float, ...]) -> list[np.ndarray]:
+    """Return percentiles of each column without its NaNs; NaN for a column that has nothing else."""
+    columns = [column[np.isfinite(column)] for column in values.T]
+    return [np.array([np.percentile(column, p) if len(column) else np.nan for column in columns]) for p in percent]
+
+
+def common_limits(*sets: np.ndarray) -> tuple[float, float]:
+    """Return dB limits that hold all but the outermost 0.5 % of several EQ sets, on multiples of 5 dB."""
+    values = np.concatenate([eq_db[np.isfinite(eq_db)].ravel() for eq_db in sets])
+    low, high = np.percentile(values, (0.5, 99.5)) if len(values) else (-10.0, 10.0)
+    return 5.0 * np.floor(min(low - 1, -5) / 5), 5.0 * np.ceil(max(high + 1, 5) / 5)
+
+
+def spectrogram(title: str, rir: np.ndarray, duration_s: float) -> Draw:
+    """Draw the spectrogram of an RIR, dB relative to its own maximum (the paper's figure 3).
+
+    Parameters
+    ----------
+    rir : ndarray, shape (n_samples,)
+        Starts at the direct sound.
+    """
+    n_fft, hop = 512, 64
+    wanted = round(duration_s * FS_HZ)
+    padded = np.concatenate([np.zeros(n_fft // 2), rir[:wanted], np.zeros(max(0, wanted - len(rir)) + n_fft)])
+    frames = np.lib.stride_tricks.sliding_window_view(padded, n_fft)[::hop][:wanted // hop]
+    power = np.abs(np.fft.rfft(frames * np.hanning(n_fft), axis=1).T[1:]) ** 2
+    level_db = 10 * np.log10(np.maximum(power, 1e-30) / max(power.max(), 1e-30))
+
+    def draw(axes, colours):
+        edges_hz = (np.arange(len(level_db) + 1) + 0.5) * FS_HZ / n_fft
+        edges_s = np.arange(level_db.shape[1] + 1) * hop / FS_HZ
+        mesh = axes.pcolormesh(edges_s, edges_hz, level_db, vmin=-60, vmax=0, cmap="magma", rasterized=True)
+        axes.grid(False)
+        log_frequency(axes, 46.9, 8000.0, along="y")
+        axes.set_xlabel("Time after the direct sound (s)")
+        axes.set_title(title)
+        bar = axes.figure.colorbar(mesh, ax=axes, pad=0.02, fraction=0.05)
+        bar.set_label("Level (dB re maximum)")
+        bar.outline.set_visible(False)
+    return draw
+
+
+def histogram(title: str, groups: list[tuple[str, str, np.ndarray]], edges: np.ndarray, label: str,
+              per: str = "RIRs") -> Draw:
+    """Draw histograms of several groups as outlines over each other.
+
+    Parameters
+    ----------
+    groups : list of (label, colour name, values)
+    edges : ndarray
+        Edges of the bins.
+    label : str
+        Of the horizontal axis, with its unit.
+    per : str
+        What is counted.
+    """
+    def draw(axes, colours):
+        styles = iter(["-", "--", "-.", ":"])
+        for n, (name, colour, values) in enumerate(groups):
+            if n == 0:
+                axes.hist(values, edges, histtype="stepfilled", color=colours[colour], alpha=0.2)
+            axes.hist(values, edges, histtype="step", color=colours[colour], lw=1.6, ls=next(styles),
+                      label=f"{name} (n = {len(values)})")
+        axes.set_xlim(edges[0], edges[-1])
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.set_xlabel(label)
+        axes.set_ylabel(f"Number of {per}")
+        if title:
+            axes.set_title(title)
+        legend(axes)
+    return draw
+
+
+def target_and_met(target_s: np.ndarray, met_s: np.ndarray) -> Draw:
+    """Draw reverberation times met against those aimed at, with the 5 % band."""
+    def draw(axes, colours):
+        top = 1.05 * max(target_s.max(), met_s.max())
+        line = np.array([0.0, top])
+        axes.fill_between(line, 0.95 * line, 1.05 * line, color=colours["extra"], alpha=0.25, lw=0, label="±5 %")
+        axes.plot(target_s, met_s, "o", color=colours["simulated"], ms=4, alpha=0.7, mew=0, label="simulated RIR",
+                  rasterized=len(target_s) > 300)
+        axes.set_xlim(0, top)
+        axes.set_ylim(0, top)
+        axes.set_xlabel("T60 drawn as target (s)")
+        axes.set_ylabel("T30 of the rendered RIR at 1 kHz (s)")
+        legend(axes)
+    return draw
+
+
+def per_point(groups: list[tuple[str, str, np.ndarray, np.ndarray]], label: str, goals: dict[str, float]) -> Draw:
+    """Draw a dot with a whisker per EQ point and group.
+
+    Parameters
+    ----------
+    groups : list of (label, colour name, value, top), each of the two of shape (8,)
+        The dot and the upper end of its whisker; NaN leaves a point out.
+    label : str
+        Of the vertical axis, with its unit.
+    goals : dict
+        Horizontal lines by name.
+    """
+    def draw(axes, colours):
+        for n, (name, colour, value, top) in enumerate(groups):
+            x = np.arange(len(BANDS_HZ)) + 0.16 * (n - (len(groups) - 1) / 2)
+            axes.vlines(x, value, top, color=colours[colour], lw=1.4, alpha=0.7)
+            axes.plot(x, value, MARKERS[colour], color=colours[colour], ms=5, label=name)
+        for style, (name, value) in zip(("--", ":"), goals.items(), strict=False):
+            axes.axhline(value, color=colours["ink"], lw=0.9, ls=style, label=name)
+        axes.set_xticks(range(len(BANDS_HZ)), TICK_LABELS)
+        axes.grid(False, axis="x")
+        axes.set_xlabel("Frequency (Hz)")
+        axes.set_ylabel(label)
+        axes.set_ylim(bottom=0)
+        legend(axes)
+    return draw
