@@ -40,8 +40,8 @@ weight_rooms=false        # let rooms count equally in the mixture
 taps=511                  # of the compensation filters
 
 # stage 6: augmentation
-snr=uniform:5:25          # of the ambient noise [dB]
-point_snr=uniform:5:25    # of point noises [dB]
+snr="uniform 5 25"        # of the ambient noise [dB]
+point_snr="uniform 5 25"  # of point noises [dB]
 layout=recording          # one FLAC a recording, with segments; or: utterance
 
 [ -f path.sh ] || { echo "run.sh: call it from the directory that holds run.sh, not from $PWD" >&2 && exit 1; }
@@ -60,7 +60,8 @@ if at_stage 0 "speech and measured RIRs"; then
   fi
   steps/prepare_speech.sh --train-sets "$train_sets" --dev-sets "$dev_sets" --test-sets "$test_sets" \
     "${librispeech:-${speech:-$corpora/speech}}" "$data"
-  steps/read_measured.sh --noises "${noises:-}" "${reverbdb:-${measured:-$corpora/reverbdb}}" "$data/measured"
+  if [ -z "$noises$librispeech$speech" ]; then noises=$corpora/speech/point_noises; fi
+  steps/read_measured.sh --noises "$noises" "${reverbdb:-${measured:-$corpora/reverbdb}}" "$data/measured"
 fi
 
 if at_stage 1 "measure them, leave out repeats and uncommon spaces, split"; then
@@ -76,7 +77,7 @@ if at_stage 2 "simulate one RIR per measured one"; then
 fi
 
 if at_stage 3 "fit the distribution of measured sub-band EQs"; then
-  steps/fit_eq.sh --num-components "$num_components" --weight-rooms "$weight_rooms" --seed "$seed" \
+  steps/fit_eq.sh --nj "$nj" --num-components "$num_components" --weight-rooms "$weight_rooms" --seed "$seed" \
     "$data/rirs.real.train" "$data/rirs.sim.train" "$exp/eq"
 fi
 

@@ -3,11 +3,11 @@
 # Usage: steps/augment_data.sh [options] <clean-data-dir> <rir-dir> <data-dir>
 # e.g.:  steps/augment_data.sh --nj 4 data/train.clean data/rirs.sim.train data/train.sim.rvb
 set -euo pipefail
-nj=2                     # jobs
-noises=                  # RIR directory or folder to take noises from, instead of <rir-dir>
-snr=uniform:5:25         # of the ambient noise [dB]
-point_snr=uniform:5:25   # of point noises [dB]
-layout=recording         # one FLAC a recording, with segments; or: utterance
+nj=2                       # jobs
+noises=                    # directory whose noises.jsonl to take noises from, besides those of <rir-dir>
+snr="uniform 5 25"         # of the ambient noise [dB]; also "normal 15 5", "list 20,15", none
+point_snr="uniform 5 25"   # of point noises [dB]
+layout=recording           # one FLAC a recording, with segments; or: utterance
 seed=0   # of every random draw
 . ./path.sh
 . utils/parse_options.sh

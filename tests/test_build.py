@@ -53,6 +53,15 @@ def test_a_killed_run_leaves_earlier_results_and_goes_on(tmp_path):
     assert [p.name for p in tmp_path.iterdir() if "part" in p.name] == []
 
 
+def test_half_written_files_of_a_killed_job_are_swept_away(tmp_path):
+    with pytest.raises(RuntimeError):
+        make_squares(tmp_path / "a", fail_on=2)
+    (work,) = tmp_path.glob(".a.part-*")
+    (work / ".n2.txt.123.tmp").write_text("ha")
+    make_squares(tmp_path / "a")
+    assert [path.name for path in (tmp_path / "a").iterdir() if path.name.endswith(".tmp")] == []
+
+
 def test_a_lost_or_shortened_file_is_noticed(tmp_path):
     make_squares(tmp_path / "a")
     (tmp_path / "a" / "n2.txt").unlink()

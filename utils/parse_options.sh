@@ -10,7 +10,8 @@ usage() {
     echo "Options:"
     sed -n '/^set -/,/parse_options\.sh/s/^\([a-z][a-z0-9_]*\)=\([^#]*\)\(#.*\)\{0,1\}$/\1|\2|\3/p' "$0" |
       while IFS='|' read -r name default comment; do
-        printf '  %-26s %s\n' "--${name//_/-} ${default%% *}" "${comment#\# }"
+        read -r default <<<"$default" # trims
+        printf '  %-30s %s\n' "--${name//_/-} $default" "${comment#\# }"
       done
   } >&"$((${1:-1} + 1))"
   exit "${1:-1}"

@@ -135,6 +135,8 @@ class Build:
 
     def _seal(self) -> None:
         shutil.rmtree(self.work / _RECORDS, ignore_errors=True)
+        for leftover in self.work.rglob(".*.tmp"):  # of a job that was killed while it wrote
+            leftover.unlink()
         files = {}
         for path in _files_below(self.work):
             files[str(path.relative_to(self.work))] = [path.stat().st_size, hash_file(path)]

@@ -1,0 +1,202 @@
+"""The command line: ``roomeq VERB``. Each verb is one documented function with the same options."""
+
+import argparse
+import importlib
+import logging
+import os
+import sys
+
+from roomeq import __version__
+
+
+def numbers(text: str) -> tuple[float, ...]:
+    """Parse ``"0.2,2.0"``."""
+    return tuple(float(word) for word in text.split(","))
+
+
+def integers(text: str) -> tuple[int, ...]:
+    """Parse ``"773,194,242"``."""
+    return tuple(int(word) for word in text.split(","))
+
+
+def names(text: str) -> tuple[str, ...]:
+    """Parse ``"train-clean-100,train-clean-360"``."""
+    return tuple(word for word in text.split(",") if word)
+
+
+class Verb:
+    """One verb under definition: `argument` adds to its parser.
+
+    Parameters
+    ----------
+    verbs
+        What ``add_subparsers`` returned.
+    name : str
+        The verb; the function it calls has ``_`` for ``-`` unless `function` says otherwise.
+    module : str
+        Module of the package that holds the function.
+    summary, example : str
+    """
+
+    def __init__(self, verbs, name: str, module: str, summary: str, example: str, function: str | None = None):
+        self.parser = verbs.add_parser(
+            name, help=summary, description=summary, epilog=f"example:\n  roomeq {name} {example}",
+            formatter_class=argparse.RawDescriptionHelpFormatter)
+        self.parser.set_defaults(module=module, function=function or name.replace("-", "_"))
+
+    def argument(self, *flags, **how) -> "Verb":
+        if how.get("default") not in (None, False) and "help" in how:
+            how["help"] += " (default: %(default)s)"
+        self.parser.add_argument(*flags, **how)
+        return self
+
+    def seed(self) -> "Verb":
+        return self.argument("--seed", type=int, default=0, help="of every random draw")
+
+    def jobs(self) -> "Verb":
+        self.argument("--part", metavar="JOB/JOBS", help="do one share only; a later call without it finishes")
+        return self.argument("--nj", type=int, default=1, help="processes; results do not depend on it")
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Define all verbs, in the order of the data's way."""
+    parser = argparse.ArgumentParser(prog="roomeq", description=__doc__.splitlines()[0])
+    parser.add_argument("--version", action="version", version=__version__)
+    verbs = parser.add_subparsers(metavar="VERB", required=True)
+    _corpus_verbs(verbs)
+    _rir_verbs(verbs)
+    _eq_verbs(verbs)
+    _speech_verbs(verbs)
+    return parser
+
+
+def _corpus_verbs(verbs) -> None:
+    (Verb(verbs, "prepare-speech", "corpora", "Make Kaldi data directories of clean speech from a corpus.",
+          "--train-sets train-clean-100,train-clean-360 /corpora/LibriSpeech data")
+     .argument("source", help="LibriSpeech tree, Kaldi data directory, or folder with manifest.csv")
+     .argument("out", help="where train.clean, dev.clean and test.clean go")
+     .argument("--train-sets", type=names, default=("train-clean-100",), help="sets of a LibriSpeech tree")
+     .argument("--dev-sets", type=names, default=("dev-clean",), help="likewise")
+     .argument("--test-sets", type=names, default=("test-clean",), help="likewise")
+     .argument("--limit", type=int, help="at most so many utterances a set")
+     .argument("--nj", type=int, default=1, help="processes; results do not depend on it"))
+    (Verb(verbs, "read-measured", "corpora", "Read measured RIRs into an RIR directory.",
+          "/corpora/BUT_ReverbDB data/measured")
+     .argument("source", help="BUT ReverbDB, OpenSLR 28, SOFA, a CSV, or a folder of audio files")
+     .argument("out", help="RIR directory to make")
+     .argument("--kind", choices=("reverbdb", "slr28", "table", "sofa", "folder"),
+               help="what the source is, where it is not found out by itself")
+     .argument("--noises", help="folder or CSV of noise recordings, beside those of the corpus")
+     .argument("--skip-bad", action="store_true", help="leave out and report what cannot be used")
+     .argument("--nj", type=int, default=1, help="processes; results do not depend on it"))
+    (Verb(verbs, "read-noises", "corpora", "Read noise recordings into a directory with noises.jsonl.",
+          "/corpora/noises data/noises")
+     .argument("source", help="folder of audio files, with or without manifest.csv, or the CSV")
+     .argument("out", help="directory to make")
+     .argument("--skip-bad", action="store_true", help="leave out and report what cannot be used")
+     .argument("--nj", type=int, default=1, help="processes; results do not depend on it"))
+
+
+def _rir_verbs(verbs) -> None:
+    (Verb(verbs, "characterise", "passport", "Measure every RIR; drop repeats; say what is unfit for the EQ fit.",
+          "data/measured data/rirs.real")
+     .argument("rir_dir", help="RIR directory")
+     .argument("out", help="RIR directory to make: the same audio, rows with passports")
+     .argument("--drop-broken", action="store_true", help="leave out and report RIRs that cannot be measured")
+     .jobs())
+    (Verb(verbs, "split-rirs", "split", "Split RIRs into disjoint training, development and test sets.",
+          "--split-by room data/rirs.real data/rirs.real")
+     .argument("rir_dir", help="RIR directory with passports")
+     .argument("out_prefix", help="makes OUT_PREFIX.train, OUT_PREFIX.dev and OUT_PREFIX.test")
+     .argument("--split-by", choices=("rir", "room"), default="rir", help="room: no room is in two sets")
+     .argument("--sizes", type=integers, default=(773, 194, 242), help="proportions, where there are fewer RIRs")
+     .seed())
+    (Verb(verbs, "simulate", "sim.simulate", "Simulate one RIR per measured one, with T60 drawn at random.",
+          "data/rirs.real.train data/rirs.sim.train")
+     .argument("measured_dir", help="RIR directory that rooms, sources and microphones come from")
+     .argument("out", help="RIR directory to make")
+     .argument("--t60-range-s", "--t60-range", type=numbers, default=(0.2, 2.0), metavar="MIN,MAX",
+               help="reverberation times are uniform in it [s]")
+     .argument("--num-rays", type=int, default=20000, help="rays a source")
+     .argument("--order", type=int, default=200, help="reflections a ray, at least")
+     .argument("--ism-order", type=int, default=6, help="specular reflections by exact image sources")
+     .argument("--noise-rirs", type=int, default=1, help="RIRs of noise sources, per RIR")
+     .argument("--materials", help="TOML file of materials, instead of conf/materials.toml")
+     .seed().jobs())
+    (Verb(verbs, "validate", "validate", "Say whether an RIR or data directory keeps its contract.",
+          "data/rirs.sim.train data/train.sim.rvb")
+     .argument("directories", nargs="+", help="RIR directories or Kaldi data directories"))
+
+
+def _eq_verbs(verbs) -> None:
+    (Verb(verbs, "fit-eq", "eq", "Fit a Gaussian mixture to the sub-band EQs of measured RIRs.",
+          "data/rirs.real.train data/rirs.sim.train exp/eq")
+     .argument("real_dir", help="measured RIRs, training set")
+     .argument("sim_dirs", nargs="*", help="simulated RIRs, for the comparison")
+     .argument("out", help="directory to make: gmm.json, EQs of all RIRs, screening.json")
+     .argument("--num-components", dest="n_components", type=int, default=7, help="of the mixture")
+     .argument("--covariance", choices=("full", "tied", "diag", "spherical"), default="full", help="of a component")
+     .argument("--weight-rooms", action="store_true", help="let rooms count equally")
+     .seed().jobs())
+    (Verb(verbs, "compensate", "compensate", "Give every simulated RIR an EQ drawn from the measured distribution.",
+          "data/rirs.sim.train exp/eq data/rirs.sim.EQ.train")
+     .argument("sim_dir", help="simulated RIRs")
+     .argument("eq_dir", help="what fit-eq made")
+     .argument("out", help="RIR directory to make")
+     .argument("--taps", type=int, default=511, help="of the filters, odd")
+     .argument("--passes", type=int, default=3, help="designs, each corrected by what the last one left")
+     .seed().jobs())
+
+
+def _speech_verbs(verbs) -> None:
+    (Verb(verbs, "augment", "augment", "Make far-field speech: x * h + point noises * their RIRs + ambient noise.",
+          "--snr 'uniform 5 25' data/train.clean data/rirs.sim.train data/train.sim.rvb")
+     .argument("data_dir", help="Kaldi data directory of clean speech")
+     .argument("rir_dir", help="RIR directory")
+     .argument("out", help="data directory to make")
+     .argument("--copies", type=int, default=1, help="far-field versions of each utterance")
+     .argument("--snr", dest="snr_db", default="uniform 5 25", metavar="DIST",
+               help="SNR of the ambient noise [dB]: 'uniform 5 25', 'normal 15 5', 'list 20,15,10' or none")
+     .argument("--point-snr", dest="point_snr_db", default="uniform 5 25", metavar="DIST", help="of point noises")
+     .argument("--point-noise-prob", type=float, default=0.5, help="probability of each point noise")
+     .argument("--max-point-noises", type=int, default=1, help="point noises an utterance may have")
+     .argument("--noises", action="append", default=[], metavar="DIR", help="another directory with noises.jsonl")
+     .argument("--weight-rooms", action="store_true", help="draw the room first, then one of its RIRs")
+     .argument("--layout", choices=("recording", "utterance"), default="recording",
+               help="what a FLAC file holds: a whole recording, with segments, or one utterance")
+     .argument("--pipes", action="store_true", help="run the commands that wav.scp holds; without it only those "
+                                                    "known to decode a file are understood, and read directly")
+     .seed().jobs())
+    (Verb(verbs, "report", "report", "Make one self-contained HTML page of a run.", "data exp exp/report",
+          function="make_report")
+     .argument("data_dir", help="where stages 0-6 wrote")
+     .argument("exp_dir", help="where stage 3 wrote eq")
+     .argument("out", help="directory to make; it gets index.html"))
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one verb; what a user got wrong becomes one line and exit status 1."""
+    given = vars(build_parser().parse_args(argv))
+    module, function = given.pop("module"), given.pop("function")
+    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(message)s")
+    try:
+        getattr(importlib.import_module(f"roomeq.{module}"), function)(**given)
+    except (ValueError, OSError) as error:
+        print(f"roomeq: {one_line(error)}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("roomeq: interrupted; start it again to go on", file=sys.stderr)
+        return 130
+    return 0
+
+
+def one_line(error: Exception) -> str:
+    """Return an error's message on one line, with the remedy that the operating system leaves out."""
+    text = " ".join(str(error).split())
+    if isinstance(error, OSError) and error.errno is not None:
+        text = f"{error.filename or 'output'}: {os.strerror(error.errno)}: check free space and permissions"
+    return text
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,48 @@
+"""Say whether directories keep their contracts."""
+
+from pathlib import Path
+
+from roomeq.build import DONE_FILE
+from roomeq.datadir import validate_data_dir
+from roomeq.files import hash_file, read_json
+from roomeq.rirs import ROWS_FILE, validate_rirs
+
+
+def validate(directories: list[Path]) -> None:
+    """Check RIR directories and Kaldi data directories whole, and print one line for each.
+
+    Parameters
+    ----------
+    directories : list of Path
+
+    Raises
+    ------
+    ValueError
+        The first thing that is wrong.
+    """
+    for directory in map(Path, directories):
+        if (directory / ROWS_FILE).is_file():
+            print(f"{directory}: {validate_rirs(directory)} RIRs, all well")
+        elif (directory / "wav.scp").is_file():
+            print(f"{directory}: {validate_data_dir(directory)} utterances, all well")
+        else:
+            raise ValueError(f"{directory}: neither an RIR directory ({ROWS_FILE}) nor a data directory (wav.scp)")
+        check_stamp(directory)
+
+
+def check_stamp(directory: Path) -> None:
+    """Compare every file of a directory that roomeq made with the hash it had then.
+
+    Raises
+    ------
+    ValueError
+        A file is missing or has changed.
+    """
+    if not (directory / DONE_FILE).is_file():
+        return
+    for name, (_, digest) in read_json(directory / DONE_FILE)["files"].items():
+        path = directory / name
+        if not path.is_file():
+            raise ValueError(f"{path}: missing since it was made: make {directory} again")
+        if hash_file(path) != digest:
+            raise ValueError(f"{path}: changed since it was made: make {directory} again")
