@@ -29,7 +29,7 @@ MAX_MEDIAN_DB, MAX_P95_DB = 0.5, 1.5  # of |achieved - target| over all RIRs and
 _DECIMALS = 4
 
 
-def compensate(sim_dir, eq_dir, out, *, taps=511, passes=3, seed, part=None, nj=1):
+def compensate(sim_dir, eq_dir, out, *, taps=511, passes=3, match_rooms=True, seed, part=None, nj=1):
     """Draw an EQ target for every simulated RIR and filter the RIR until it has it.
 
     The RIRs of a simulated RIR's noise sources (`noise_for`) pass the same filter: it stands for the room and
@@ -48,6 +48,10 @@ def compensate(sim_dir, eq_dir, out, *, taps=511, passes=3, seed, part=None, nj=
         Length of the filter, odd.
     passes : int
         Designs per RIR: one is the plain window method, each further one corrects it by what is left.
+    match_rooms : bool
+        Choose among the mixture's components as the measured RIRs of the simulated RIR's room do. With one
+        simulated RIR per measured one, as in the paper, all targets together are drawn from the same mixture
+        either way; this also gives each room the share of it that is its own. False: each room draws from all.
     seed : int
     part : str, optional
         ``"2/5"``: do one share of the work only.
@@ -70,14 +74,15 @@ def compensate(sim_dir, eq_dir, out, *, taps=511, passes=3, seed, part=None, nj=
         raise ValueError(f"passes={passes} must be at least 1")
     sim_dir, out, gmm = Path(sim_dir), Path(out), read_gmm(eq_dir)
     groups = _groups(sim_dir, read_rirs(sim_dir))
-    options = dict(taps=taps, passes=passes, seed=seed)
+    options = dict(taps=taps, passes=passes, match_rooms=bool(match_rooms), seed=seed)
     build = Build(out, step="compensate", options=options, inputs=[sim_dir, Path(eq_dir)])
     if build.done:
         return None
     summary = {}
 
     def one(_, rows):
-        target_db = with_reference(draw_target(gmm, seed, rows[0]["id"]))
+        room_id = rows[0]["room_id"] if match_rooms else None
+        target_db = with_reference(draw_target(gmm, seed, rows[0]["id"], room_id))
         return _compensate_group(sim_dir, rows, target_db, build.work, taps, passes)
 
     def assemble(directory, records):

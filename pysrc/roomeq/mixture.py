@@ -1,7 +1,8 @@
 """A Gaussian mixture over the seven free EQ gains: fitting, keeping, drawing.
 
 A mixture is a dict that goes to JSON and back, never a pickle: `weights` (k,), `means_db` (k, 7),
-`covariances_db2` (k, 7, 7), `points_hz` (7,).
+`covariances_db2` (k, 7, 7), `points_hz` (7,), and `weights_of_room`, which says how the RIRs of each room
+are spread over the components.
 """
 
 from pathlib import Path
@@ -61,12 +62,15 @@ def fit_gmm(vectors_db, rooms, *, n_components=7, covariance="full", weight_room
                             max_iter=500, random_state=state)
     with threadpool_limits(1):  # the order in which threads add up changes the last bits
         model.fit(rows)
+        member = model.predict_proba(vectors_db)
     full = _full_covariances(model.covariances_, covariance, n_components)
     order = np.argsort(-model.weights_, kind="stable")
+    rooms = np.asarray(rooms)
+    of_room = {str(room): member[rooms == room].mean(axis=0)[order].tolist() for room in np.unique(rooms)}
     return dict(points_hz=[BANDS_HZ[k] for k in FREE], reference_hz=BANDS_HZ[BAND_1KHZ], n_rirs=len(vectors_db),
-                n_rooms=len(set(rooms)), covariance_type=covariance, weight_rooms=bool(weight_rooms), seed=seed,
+                n_rooms=len(of_room), covariance_type=covariance, weight_rooms=bool(weight_rooms), seed=seed,
                 weights=model.weights_[order].tolist(), means_db=model.means_[order].tolist(),
-                covariances_db2=full[order].tolist())
+                covariances_db2=full[order].tolist(), weights_of_room=of_room)
 
 
 def _full_covariances(covariances, kind, n_components):
@@ -106,7 +110,7 @@ def read_gmm(path):
     return gmm
 
 
-def sample_eq(gmm, n, rng):
+def sample_eq(gmm, n, rng, *, weights=None):
     """Draw EQs from a mixture.
 
     Parameters
@@ -115,12 +119,14 @@ def sample_eq(gmm, n, rng):
         See `fit_gmm`.
     n : int
     rng : numpy.random.Generator
+    weights : sequence of float, optional
+        Weights of the components, if not the mixture's own.
 
     Returns
     -------
     vectors_db : ndarray, shape (n, 7)
     """
-    weights = np.array(gmm["weights"])
+    weights = np.array(gmm["weights"] if weights is None else weights)
     means, full = np.array(gmm["means_db"]), np.array(gmm["covariances_db2"])
     component = np.minimum(np.searchsorted(np.cumsum(weights), rng.random(n), side="right"), len(weights) - 1)
     factors = np.linalg.cholesky(full)
@@ -128,9 +134,27 @@ def sample_eq(gmm, n, rng):
     return means[component] + np.einsum("nij,nj->ni", factors[component], noise)
 
 
-def draw_target(gmm, seed, rir_id, *, what="EQ target"):
-    """Draw the EQ target of one RIR: the same whatever is drawn for others, shape (7,) [dB]."""
-    return sample_eq(gmm, 1, rng_for(seed, what, rir_id))[0]
+def draw_target(gmm, seed, rir_id, room_id=None, *, what="EQ target"):
+    """Draw the EQ target of one RIR: the same whatever is drawn for others.
+
+    Parameters
+    ----------
+    gmm : dict
+        See `fit_gmm`.
+    seed : int
+    rir_id : str
+    room_id : str, optional
+        Choose among the components as this room's measured RIRs are spread over them. A room that was not measured
+        has the mixture's own weights.
+    what : str
+        Purpose of the draw.
+
+    Returns
+    -------
+    vector_db : ndarray, shape (7,)
+    """
+    weights = gmm.get("weights_of_room", {}).get(room_id)
+    return sample_eq(gmm, 1, rng_for(seed, what, rir_id), weights=weights)[0]
 
 
 def with_reference(vector_db):

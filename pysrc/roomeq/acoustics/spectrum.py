@@ -19,8 +19,8 @@ LEAD_S = 2e-3
 POINT_BINS = tuple(round(f * N_FRAME / FS_HZ) for f in BANDS_HZ)
 MIN_SNR_DB = 10.0  # at a point: less noise than that adds at most 0.4 dB
 PASS_HZ = (6500.0, 7250.0)  # anti-alias filters still pass here ...
-ROLL_OFF_HZ = 7800.0  # ... and no longer from here up
-ROLL_OFF_DB = 10.0  # steeper than any loudspeaker between the two
+ROLL_OFF_HZ = 7900.0  # ... and no longer from here up
+ROLL_OFF_DB = 20.0  # 100 dB per octave between the two: steeper than any loudspeaker, and than chance in a few bins
 _WINDOW = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N_FRAME) / N_FRAME)
 
 
