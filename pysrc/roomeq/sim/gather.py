@@ -5,14 +5,20 @@ whose last reflection is diffuse are counted at every reflection by its expected
 estimation): a Lambert reflector of scattering s sends ``s (1 - alpha) cos(theta) / (pi d^2)`` to the receiver,
 whichever way the ray itself went on. All others end in a specular reflection and are counted by the length of
 their last segment inside a sphere around the receiver: energy density is ``power * length / volume``.
+
+Once reflections are denser than samples, far more paths arrive than a smooth decay needs: from then on one ray in a
+few stands for the others.
 """
 
 import numpy as np
 
+from roomeq.constants import FS_HZ
 from roomeq.sim.jit import N_CHUNKS, compiled, for_chunks
 
 FRAME_S = 1e-3
-SPHERE_RADIUS_M = 0.5
+LATE_RAYS = 5000  # at least so many rays are followed to the end, if there are so many
+MAX_STRIDE = 4  # one ray in so many
+_SPHERE_RADII = (0.35, 1.0)  # of the receiver [m]: as large as the room lets the late field be called uniform
 NEGLIGIBLE = np.float32(1e-10)  # share of a ray's energy below which it is given up, 40 dB below -60 dB
 _BATCH = 8  # receivers that are served in one pass over the rays
 
@@ -43,29 +49,37 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n
     reflection = (1.0 - absorption)[room.face_slot].astype(np.float32)
     scattering = paths.scattering[room.face_slot]
     n_rays = len(paths.hits) if n_rays is None else min(n_rays, len(paths.hits))
+    radius_m = float(np.clip(0.11 * room.volume_m3 ** (1.0 / 3.0), *_SPHERE_RADII))
+    late_m = dense_after_s(room.volume_m3, speed_m_s, FS_HZ) * speed_m_s
+    stride = int(np.clip(n_rays // LATE_RAYS, 1, MAX_STRIDE))
     result = np.empty((len(mics_m), n_frames, absorption.shape[1]))
     for first in range(0, len(mics_m), _BATCH):
         batch = mics_m[first:first + _BATCH]
-        volumes = np.array([room.sphere_volume_m3(mic, SPHERE_RADIUS_M) for mic in batch])
+        volumes = np.array([room.sphere_volume_m3(mic, radius_m) for mic in batch])
         parts = np.zeros((N_CHUNKS, len(batch), n_frames, absorption.shape[1]), dtype=np.float32)
         for_chunks(n_rays, lambda chunk, low, high: _gather(  # noqa: B023
             paths.source_pos_m, paths.hits, paths.codes, paths.counts, room.normals, reflection, scattering,
-            batch, SPHERE_RADIUS_M ** 2, 1.0 / volumes, ism_order, 1.0 / (speed_m_s * FRAME_S), low, high,  # noqa: B023
-            parts[chunk]))  # noqa: B023
+            batch, radius_m ** 2, 1.0 / volumes, ism_order, 1.0 / (speed_m_s * FRAME_S), late_m, stride,  # noqa: B023
+            low, high, parts[chunk]))  # noqa: B023
         result[first:first + _BATCH] = parts.sum(axis=0, dtype=np.float64)
     return result / (4.0 * np.pi * n_rays)
 
 
+def dense_after_s(volume_m3, speed_m_s, rate_hz):
+    """Time when reflections become as dense as a rate: they arrive at ``4 pi c^3 t^2 / V`` (Kuttruff, eq. 4.6)."""
+    return float(np.sqrt(rate_hz * volume_m3 / (4.0 * np.pi * speed_m_s ** 3)))
+
+
 @compiled
 def _gather(source, hits, codes, counts, normals, reflection, scattering, mics, radius2, per_volume, ism_order,
-            frames_per_m, low, high, echo):
+            frames_per_m, late_m, stride, low, high, echo):
     """Add rays `low` to `high` to `echo`, shape (n_mics, n_frames, 8)."""
     n_mics, n_frames, n_bands = echo.shape
     g = np.empty(8, dtype=np.float32)
     for ray in range(low, high):
         g[:] = 1.0
         px, py, pz, path = source[0], source[1], source[2], 0.0
-        specular = True
+        specular, late = True, stride == 1
         was_diffuse = True
         for n in range(counts[ray]):
             hx, hy, hz = hits[ray, n, 0], hits[ray, n, 1], hits[ray, n, 2]
@@ -95,6 +109,12 @@ def _gather(source, hits, codes, counts, normals, reflection, scattering, mics, 
                 most = max(most, g[b])
             if most < NEGLIGIBLE:
                 break
+            if not late and path > late_m:
+                if ray % stride != 0:
+                    break
+                late = True
+                for b in range(8):
+                    g[b] *= stride
             s = scattering[face]
             if s > 0.0:
                 for m in range(n_mics):

@@ -12,7 +12,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from roomeq.acoustics.filterbank import octave_filterbank
 from roomeq.constants import FS_HZ
-from roomeq.sim.gather import FRAME_S
+from roomeq.sim.gather import FRAME_S, dense_after_s
 from roomeq.sim.jit import compiled
 
 SINC_HALF = 32
@@ -38,10 +38,10 @@ def tail_noise(n_samples, volume_m3, speed_m_s, rng):
     noise : ndarray, shape (n_samples,)
     """
     noise = rng.standard_normal(n_samples)
-    growth = 4.0 * np.pi * speed_m_s ** 3 / volume_m3
-    dense = min(n_samples, int(np.sqrt(FS_HZ / growth) * FS_HZ))
+    dense_s = dense_after_s(volume_m3, speed_m_s, FS_HZ)
+    dense = min(n_samples, int(dense_s * FS_HZ))
     time_s = np.arange(dense + 1) / FS_HZ
-    arrivals = np.cumsum(np.maximum(growth * time_s ** 2, MIN_RATE_HZ)) / FS_HZ
+    arrivals = np.cumsum(np.maximum(FS_HZ * (time_s / dense_s) ** 2, MIN_RATE_HZ)) / FS_HZ
     edges = np.interp(np.arange(int(arrivals[-1]) + 1), arrivals, np.arange(dense + 1.0))
     width = np.diff(edges)
     place = (edges[:-1] + width * rng.random(len(width))).astype(int)

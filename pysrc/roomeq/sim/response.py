@@ -12,7 +12,7 @@ import numpy as np
 from roomeq.constants import BAND_1KHZ, FS_HZ
 from roomeq.rng import rng_for
 from roomeq.sim.early import Images, specular_paths
-from roomeq.sim.gather import FRAME_S, gather
+from roomeq.sim.gather import FRAME_S, dense_after_s, gather
 from roomeq.sim.render import MAX_LENGTH_S, MIN_LENGTH_S, render, response_length_s, tail_noise
 from roomeq.sim.scene import Scene, check_positions, eyring_time_s
 from roomeq.sim.target import TOLERANCE, scaled_absorption, solve_exponent, t30_of_echogram, t30_s
@@ -21,7 +21,8 @@ from roomeq.sim.trace import Paths, trace
 NUM_RAYS = 20000
 ISM_ORDER = 6
 ORDER = 200
-_PILOT_RAYS = 2000
+_PILOT_RAYS = 4000
+_SMOOTH_FRAMES = 7  # of 1 ms
 
 
 @dataclass(frozen=True)
@@ -128,8 +129,20 @@ def echograms(traced, absorption, mics_m, length_s, *, ism_order=ISM_ORDER, n_ra
         energy = gather(traced.paths[group], traced.scene.room, absorption, mics_m, ism_order=ism_order,
                         n_frames=n_frames, speed_m_s=air.speed_m_s, n_rays=n_rays)
         result[:, :, members] = energy[:, :, members]
+    result = _smooth_late(result, dense_after_s(traced.scene.room.volume_m3, air.speed_m_s, FS_HZ))
     length_m = (np.arange(n_frames) + 0.5) * FRAME_S * air.speed_m_s
     return result * np.exp(-length_m[:, None] * air.attenuation_per_m)
+
+
+def _smooth_late(energy, late_s):
+    """Average the frames after a time over `_SMOOTH_FRAMES`; an exponential decay stays what it is to 0.1 dB."""
+    half = _SMOOTH_FRAMES // 2
+    first = int(late_s / FRAME_S) + 2 * half
+    if first + 2 * half < energy.shape[1]:
+        total = np.cumsum(energy[:, first - half - 1:], axis=1)
+        mean = (total[:, _SMOOTH_FRAMES:] - total[:, :-_SMOOTH_FRAMES]) / _SMOOTH_FRAMES
+        energy[:, first:first + mean.shape[1]] = mean
+    return energy
 
 
 def render_responses(traced, mics_m, rngs, *, absorption=None, length_s=None, ism_order=ISM_ORDER):

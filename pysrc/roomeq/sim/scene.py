@@ -5,7 +5,7 @@ material each: the six walls of a shoebox, the materials of a mesh.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -87,6 +87,11 @@ class Air:
         return np.array(band_attenuation_per_m(self.temperature_c, self.humidity_pct))
 
 
+@cache
+def _gauss_legendre():
+    return np.polynomial.legendre.leggauss(64)
+
+
 @dataclass(frozen=True)
 class Shoebox:
     """A rectangular room with one corner at the origin.
@@ -141,10 +146,12 @@ class Shoebox:
 
     def sphere_volume_m3(self, center_m, radius_m):
         """Volume of the part of a sphere that lies in the room."""
-        node, weight = np.polynomial.legendre.leggauss(64)
+        node, weight = _gauss_legendre()
         low, high = (np.clip([-radius_m, radius_m], -np.asarray(center_m)[:, None],
                              np.asarray(self.dims_m)[:, None] - np.asarray(center_m)[:, None])).T
         y, z = (0.5 * (high[axis] - low[axis]) * node + 0.5 * (high[axis] + low[axis]) for axis in (1, 2))
+        if np.all(low == -radius_m) and np.all(high == radius_m):
+            return 4.0 / 3.0 * np.pi * radius_m ** 3
         half = np.sqrt(np.maximum(radius_m ** 2 - y[:, None] ** 2 - z[None, :] ** 2, 0.0))
         depth = np.minimum(half, high[0]) - np.maximum(-half, low[0])
         area = 0.25 * (high[1] - low[1]) * (high[2] - low[2])
