@@ -61,6 +61,8 @@ def _list_chapter(trans: Path, genders: dict[str, str]) -> list[Utterance]:
             raise ValueError(f"{where}: utterance {name!r} must start with {reader}-{chapter}-: correct the line")
         if not text.strip():
             raise ValueError(f"{where}: utterance {name} has no words: correct or remove the line and its audio")
+        if any(utterance.id == name for utterance in utterances):
+            raise ValueError(f"{where}: utterance {name} stands twice: ids must be unique: remove one line")
         if name not in audio:
             raise ValueError(f"{where}: no audio {trans.parent / name}.flac: unpack the corpus again")
         utterances.append(Utterance(name, speaker=f"{reader}-{chapter}", voice=reader, gender=genders.get(reader),

@@ -13,13 +13,13 @@ from roomeq.audio import audio_info, read_audio, write_wav
 from roomeq.build import Build
 from roomeq.constants import FS_HZ
 from roomeq.corpora.folder import list_folder, list_noise_folder
-from roomeq.corpora.record import UNKNOWN, Corpus, Recording, audio_files
+from roomeq.corpora.record import UNKNOWN, Corpus, Recording, audio_digest, audio_files, is_generated
 from roomeq.corpora.reverbdb import find_rooms, list_reverbdb
 from roomeq.corpora.slr28 import find_real, list_slr28
 from roomeq.corpora.sofa_file import list_sofa, sofa_signals
 from roomeq.corpora.table import MANIFEST, list_noise_table, list_table
 from roomeq.files import write_json
-from roomeq.rirs import write_noises, write_rirs
+from roomeq.rirs import ROWS_FILE, write_noises, write_rirs
 
 logger = logging.getLogger(__name__)
 
@@ -66,12 +66,15 @@ def read_measured(source: Path, out: Path, *, kind: str | None = None, noises: P
         There is nothing to read, an id stands twice, or (without `skip_bad`) a recording cannot be used.
     """
     source, out = _existing(source), Path(out)
-    build = _build(out, "read-measured", [source] + [Path(noises)] * bool(noises), kind=kind, skip_bad=skip_bad)
+    noises = _existing(noises) if noises else None
+    corpus = list_corpus(source, kind)
+    listed = {source: corpus.rirs + corpus.noises}
+    if noises:
+        listed[noises] = list_noises(noises)
+        corpus.noises += listed[noises]
+    build = _build(out, "read-measured", listed, kind=corpus.kind, skip_bad=skip_bad)
     if build.done:
         return out
-    corpus = list_corpus(source, kind)
-    if noises:
-        corpus.noises += list_noises(_existing(noises))
     logger.info("%s: %s with %d RIR files, %d noises", source, corpus.kind, len(corpus.rirs), len(corpus.noises))
     return _write(build, corpus, skip_bad, nj)
 
@@ -100,10 +103,11 @@ def read_noises(source: Path, out: Path, *, skip_bad: bool = False, nj: int = 1)
         As in `read_measured`.
     """
     source, out = _existing(source), Path(out)
-    build = _build(out, "read-noises", [source], skip_bad=skip_bad)
+    corpus = Corpus(name=source.stem, kind="noises", noises=list_noises(source))
+    build = _build(out, "read-noises", {source: corpus.noises}, skip_bad=skip_bad)
     if build.done:
         return out
-    return _write(build, Corpus(name=source.stem, kind="noises", noises=list_noises(source)), skip_bad, nj)
+    return _write(build, corpus, skip_bad, nj)
 
 
 def detect_kind(source: Path) -> str:
@@ -111,6 +115,8 @@ def detect_kind(source: Path) -> str:
     if source.is_file():
         by_suffix = {".csv": "table", ".tsv": "table", ".sofa": "sofa"}
         return by_suffix.get(source.suffix.lower(), "folder")
+    if (source / ROWS_FILE).is_file():
+        raise ValueError(f"{source}: is an RIR directory already ({ROWS_FILE}): use it as it is")
     if find_rooms(source):
         return "reverbdb"
     if find_real(source):
@@ -157,12 +163,18 @@ def _existing(path: Path) -> Path:
     return path
 
 
-def _build(out: Path, step: str, sources: list[Path], **options) -> Build:
+def _build(out: Path, step: str, listed: dict[Path, list[Recording]], **options) -> Build:
+    """Return the build of an output that depends on recordings, listed by the source that they were found in."""
     # rows name the audio by its way from `out`: they are out of date when the corpus lies elsewhere
-    ways = [_way(source, out) for source in sources]
-    inputs = [source for source in sources if source.is_dir()] + [source for source in sources if source.is_file()]
-    inputs += [source.parent for source in sources if source.suffix.lower() in (".csv", ".tsv")]
-    return Build(out, step=step, options=dict(options, ways=ways), inputs=inputs)
+    ways = [_way(source, out) for source in listed]
+    inputs, audio = [], []
+    for source, recordings in listed.items():
+        if source.is_dir() and (is_generated(source) or not _manifest(source)):
+            inputs.append(source)
+        else:  # a list may name files anywhere, and lie among things that are none of our business
+            inputs.append(source if source.is_file() else _manifest(source))
+            audio.append(audio_digest(recording.path for recording in recordings))
+    return Build(out, step=step, options=dict(options, ways=ways, audio=audio), inputs=inputs)
 
 
 def _way(path: Path, out: Path) -> str:

@@ -3,9 +3,12 @@
 import math
 import re
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from hashlib import sha256
 from pathlib import Path
 
+from roomeq.build import DONE_FILE
 from roomeq.rirs import make_id
 
 AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".aiff", ".aif", ".au", ".caf", ".w64", ".mp3")
@@ -18,7 +21,7 @@ DISTANCE_SLACK_M, DISTANCE_SLACK = 0.15, 0.05
 """A stated distance may differ from that of the positions by so much [m, and part of it]: tape measures."""
 
 _UNKNOWN_CELLS = {"", "?", "-", "na", "n/a", "nan", "none", "null", "unknown"}
-_AMBIENT_WORDS = {"ambient", "ambience", "background", "isotropic", "silence", "tone", "roomtone"}
+_AMBIENT_WORDS = {"ambient", "ambience", "background", "isotropic", "silence", "roomtone"}
 
 
 @dataclass(frozen=True)
@@ -166,7 +169,8 @@ def is_uncommon_name(text: str) -> bool:
 
 def noise_kind_of(name: str) -> str:
     """Recognise by the words of a name whether a noise surrounds (``"ambient"``) or comes from a ``"point"``."""
-    return "ambient" if words_of(name) & _AMBIENT_WORDS else "point"
+    words = words_of(name)
+    return "ambient" if words & _AMBIENT_WORDS or {"room", "tone"} <= words else "point"
 
 
 def audio_files(directory: Path) -> list[Path]:
@@ -174,6 +178,23 @@ def audio_files(directory: Path) -> list[Path]:
     return sorted(path for path in directory.rglob("*")
                   if path.suffix.lower() in AUDIO_SUFFIXES and path.is_file()
                   and not any(part.startswith(".") for part in path.relative_to(directory).parts))
+
+
+def is_generated(source: Path) -> bool:
+    """Tell whether a corpus was made by a `roomeq.build.Build`, which stamps it with hashes of what is in it."""
+    return (source / DONE_FILE).is_file()
+
+
+def audio_digest(paths: Iterable[Path]) -> str:
+    """Return a hash of files by name, size and time of change: what an output made of a list of files depends on.
+
+    Absent files count as such: whoever reads them says so.
+    """
+    total = sha256()
+    for path in paths:
+        stat = path.stat() if path.is_file() else None
+        total.update(f"{path} {stat and (stat.st_size, stat.st_mtime_ns)}\n".encode(errors="surrogateescape"))
+    return total.hexdigest()
 
 
 def id_of_path(path: Path, root: Path) -> str:

@@ -54,7 +54,7 @@ def list_reverbdb(source: Path) -> Corpus:
     ValueError
         There is no RIR below `source`.
     """
-    corpus = Corpus(name="BUT_ReverbDB", kind="reverbdb")
+    corpus = Corpus(name=source.resolve().name, kind="reverbdb")
     for room in find_rooms(source):
         env = read_meta(room / "env_full_meta.txt") | read_meta(room / "env_meta.txt")
         if not env:
@@ -79,7 +79,7 @@ def read_meta(path: Path) -> dict[str, str]:
         return {}
     meta = {}
     for line in path.read_text(encoding="utf-8", errors="replace").lstrip("\ufeff").splitlines():
-        key, tab, value = line.strip().partition("\t")
+        key, tab, value = line.strip(" \r").partition("\t")
         if tab and key.startswith("$"):
             meta[key[1:].strip()] = value.strip()
     return meta

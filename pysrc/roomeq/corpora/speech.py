@@ -14,6 +14,7 @@ from roomeq.build import Build
 from roomeq.constants import FS_HZ
 from roomeq.corpora.kaldi_dir import KaldiDir, find_kaldi_dirs, read_kaldi_dir
 from roomeq.corpora.librispeech import find_sets, list_librispeech
+from roomeq.corpora.record import audio_digest, is_generated
 from roomeq.corpora.table import MANIFEST
 from roomeq.corpora.transcripts import list_transcripts
 from roomeq.corpora.utterance import ROLES, Utterance, split_voices
@@ -65,16 +66,26 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
         raise ValueError(f"limit={limit} utterances must be at least 1")
     if not source.exists():
         raise ValueError(f"{source}: no such file or directory: check the path of the speech corpus")
-    inputs = [source] if source.is_dir() else [source, source.parent]
+    corpus = list_speech(source, wanted)
     options = dict(sets=wanted, limit=limit, source=os.path.realpath(source))
-    builds = {role: Build(out / f"{role}.clean", step="prepare-speech", options=dict(options, role=role),
-                          inputs=inputs) for role in ROLES}
-    if not all([build.done for build in builds.values()]):
-        corpus = list_speech(source, wanted)
-        for role, build in builds.items():
+    builds = {role: Build(out / f"{role}.clean", step="prepare-speech", options=dict(
+        options, role=role, listed=_listing(source, corpus[role])), inputs=[source] * is_generated(source))
+        for role in ROLES}
+    for role, build in builds.items():
+        if not build.done:
             write = _write_kaldi if isinstance(corpus[role], dict) else _write_utterances
             write(build, corpus[role], limit, nj)
     return [build.out for build in builds.values()]
+
+
+def _listing(source: Path, listed: list[Utterance] | dict) -> str:
+    """Return a hash of what a role is made of: the words, and the audio unless a stamp of the corpus covers it."""
+    if isinstance(listed, dict):
+        said = repr(sorted((str(path), part.files, sorted(utts)) for path, (part, utts) in listed.items()))
+        return sha256(said.encode()).hexdigest()
+    said = repr([(utterance.id, utterance.speaker, utterance.gender, utterance.text) for utterance in listed])
+    audio = "" if is_generated(source) else audio_digest(utterance.path for utterance in listed)
+    return sha256((said + audio).encode()).hexdigest()
 
 
 def list_speech(source: Path, wanted: dict[str, tuple[str, ...]]) -> dict[str, list[Utterance] | dict]:
@@ -179,7 +190,7 @@ def _is_whole(name: str, lines: dict, files: dict) -> bool:
 
 
 def _write_utterances(build: Build, utterances: list[Utterance], limit: int | None, nj: int) -> None:
-    _check(utterances)
+    _check(utterances, build.out)
     kept = _limited((utterance.id for utterance in utterances), limit)
     utterances = [utterance for utterance in utterances if utterance.id in kept]
     items: dict[str, list[Utterance]] = {}
@@ -216,9 +227,9 @@ def _finish(build: Build, items: dict, make, assemble, nj: int) -> None:
         build.finish(assemble)
 
 
-def _check(utterances: list[Utterance]) -> None:
+def _check(utterances: list[Utterance], out: Path) -> None:
     if not utterances:
-        raise ValueError("speech corpus: no utterances for a role: choose other sets")
+        raise ValueError(f"{out}: no utterances in its sets: choose others")
     first: dict[str, str] = {}
     for utterance in utterances:
         if utterance.id in first:

@@ -70,12 +70,13 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[str, dict]]]:
             stream.seek(0)
             delimiter = max(",;\t", key=head.count)
             reader = csv.reader(stream, delimiter=delimiter)
-            columns = [_ALIASES.get(name, name) for name in (cell.strip().lower() for cell in next(reader, []))]
+            names = [cell.strip().lower() for cell in next(reader, [])]
             rows = [(f"{path}:{reader.line_num}", cells) for cells in reader if any(map(str.strip, cells))]
     except (UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"{path}: not a CSV file in UTF-8 ({error}): export it again") from None
+    columns = [_ALIASES.get(name, name) for name in names]
     if "file" not in columns:
-        raise ValueError(f"{path}: columns {','.join(columns) or '(none)'} must hold 'file': call the paths so")
+        raise ValueError(f"{path}: columns {','.join(names) or '(none)'} must hold 'file': call the paths so")
     if len(set(columns)) < len(columns):
         twice = next(name for name in columns if columns.count(name) > 1)
         raise ValueError(f"{path}: column {twice!r} stands twice (also under another name): rename one")
