@@ -19,6 +19,7 @@ import re
 import shutil
 from collections.abc import Callable, Iterator
 from functools import cache
+from itertools import starmap
 from pathlib import Path
 
 from roomeq.files import hash_file, read_json, to_json, write_json
@@ -102,15 +103,13 @@ class Build:
         return part is None
 
     def _each(self, todo: list[str], items: dict, make: Callable, nj: int) -> Iterator:
-        def one(name: str) -> None:
-            write_json(self._record_path(name), make(name, items[name]))
-
+        calls = ((self._record_path(name), make, name, items[name]) for name in todo)
         if nj == 1 or len(todo) < 2:
-            yield from map(one, todo)
+            yield from starmap(_make_one, calls)
             return
         from joblib import Parallel, delayed
 
-        yield from Parallel(n_jobs=nj, return_as="generator_unordered")(delayed(one)(name) for name in todo)
+        yield from Parallel(n_jobs=nj, return_as="generator_unordered")(delayed(_make_one)(*call) for call in calls)
 
     def finish(self, assemble: Callable) -> None:
         """Call ``assemble(directory, records)``, which writes the files of the whole; put the directory in place.
@@ -159,6 +158,10 @@ class Build:
         with open(self.out.with_name(f".{self.out.name}.lock"), "a") as stream:
             fcntl.flock(stream, how)
             yield
+
+
+def _make_one(record_path: Path, make: Callable, name: str, item) -> None:
+    write_json(record_path, make(name, item))
 
 
 def share(names: list[str], part: str | None) -> list[str]:

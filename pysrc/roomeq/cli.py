@@ -102,7 +102,7 @@ def _rir_verbs(verbs) -> None:
           "data/measured data/rirs.real")
      .argument("rir_dir", help="RIR directory")
      .argument("out", help="RIR directory to make: the same audio, rows with passports")
-     .argument("--drop-broken", action="store_true", help="leave out and report RIRs that cannot be measured")
+     .argument("--skip-bad", action="store_true", help="leave out and report RIRs that cannot be measured")
      .jobs())
     (Verb(verbs, "split-rirs", "split", "Split RIRs into disjoint training, development and test sets.",
           "--split-by room data/rirs.real data/rirs.real")

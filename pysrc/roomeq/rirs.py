@@ -12,6 +12,7 @@ passport
 
 import math
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -116,7 +117,7 @@ def write_rirs(directory: Path, rows: list[dict], final_directory: Path | None =
     # wav-reverberate reads 16-bit PCM only, and normalises the output: sox brings any RIR to full scale
     write_text(directory / "rir_list", "".join(
         f"--rir-id {row['id']} --room-id {row['room_id']} "
-        f"sox -D {base / row['wav']} -b 16 -e signed-integer -t wav - gain -n -1 |\n"
+        f"sox -D {shlex.quote(str(base / row['wav']))} -b 16 -e signed-integer -t wav - gain -n -1 |\n"
         for row in rows if not row.get("noise_for")))
 
 
