@@ -188,7 +188,7 @@ def _db(power):
     return 10.0 * np.log10(np.maximum(power, _TINY))
 
 
-def energy_decay(band, fs_hz, direct_sample, *, noise=True):
+def energy_decay(band, fs_hz, direct_sample):
     """Backward-integrated decay of one band, compensated for noise and truncation.
 
     Parameters
@@ -197,8 +197,6 @@ def energy_decay(band, fs_hz, direct_sample, *, noise=True):
         Band-filtered response.
     fs_hz : float
     direct_sample : float
-    noise : bool
-        False for responses known to hold no noise and their whole decay (simulated ones): faster.
 
     Returns
     -------
@@ -207,7 +205,7 @@ def energy_decay(band, fs_hz, direct_sample, *, noise=True):
     start = max(0, round(direct_sample))
     power = band ** 2
     after = power[start:]
-    knee = find_knee(after, fs_hz) if noise else Knee(len(after), 0.0, 0.0)
+    knee = find_knee(after, fs_hz)
     net = after[:knee.sample] - knee.noise_power
     energy = np.cumsum(net[::-1])[::-1] + knee.rest_energy
     total = energy[0] + power[:start].sum()
@@ -249,7 +247,7 @@ def decay_time(edc_db, fs_hz, decay):
     return float(-60.0 / slope_db / fs_hz) if slope_db < 0.0 else None
 
 
-def reverberation_time(rir, fs_hz, band_hz=1000.0, decay="t30", *, direct_sample=None, noise=False):
+def reverberation_time(rir, fs_hz, band_hz=1000.0, decay="t30", *, direct_sample=None):
     """Decay time of one octave band; quick, for solving for a target.
 
     Parameters
@@ -262,8 +260,6 @@ def reverberation_time(rir, fs_hz, band_hz=1000.0, decay="t30", *, direct_sample
         ``"edt"``, ``"t20"`` or ``"t30"``.
     direct_sample : float, optional
         Found by `find_direct` if not given.
-    noise : bool
-        True looks for a noise floor first (measured responses).
 
     Returns
     -------
@@ -279,7 +275,7 @@ def reverberation_time(rir, fs_hz, band_hz=1000.0, decay="t30", *, direct_sample
     if direct_sample is None:
         direct_sample, _ = find_direct(rir, fs_hz)
     exact_hz = 1000.0 * 10.0 ** (0.3 * round(np.log2(band_hz / 1000.0)))
-    curve = energy_decay(octave_bands(rir, fs_hz, [exact_hz])[0], fs_hz, direct_sample, noise=noise)
+    curve = energy_decay(octave_bands(rir, fs_hz, [exact_hz])[0], fs_hz, direct_sample)
     time_s = decay_time(curve.edc_db, fs_hz, decay)
     if time_s is None:
         raise ValueError(f"{decay} at {band_hz:g} Hz needs a decay of {-DECAYS_DB[decay][1]:g} dB and "

@@ -1,0 +1,144 @@
+"""ISO 3382 quantities against decays that are known by construction, and against pyrato."""
+
+import numpy as np
+import pytest
+
+from roomeq.acoustics.metrics import (
+    all_metrics,
+    decay_time,
+    energy_decay,
+    find_knee,
+    octave_bands,
+    octave_gains,
+    reverberation_time,
+)
+from roomeq.constants import EXACT_BANDS_HZ, FS_HZ
+
+DIRECT = 320
+
+
+def room(time_s, seed=0, *, length_s=1.5, snr_db=None, direct=0.0, inverted=False):
+    """Exponentially decaying noise from `DIRECT` on, an impulse at its start, stationary noise below it."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(length_s * FS_HZ)) / FS_HZ
+    rir = np.concatenate([np.zeros(DIRECT), rng.standard_normal(len(t)) * 10.0 ** (-3.0 * t / time_s)])
+    rir[DIRECT] = direct or 2.0
+    if snr_db is not None:
+        rir += rng.standard_normal(len(rir)) * 10.0 ** (-snr_db / 20.0)
+    return -rir if inverted else rir
+
+
+def test_octave_filters_are_3_db_down_at_their_edges_and_20_db_an_octave_away():
+    frequencies = np.fft.rfftfreq(2 ** 16, 1.0 / FS_HZ)
+    for band_hz in EXACT_BANDS_HZ[:-1]:
+        level_db = np.interp(band_hz * 2.0 ** np.array([-1, -0.5, 0, 0.5, 1]), frequencies,
+                             20 * np.log10(octave_gains(2 ** 16, FS_HZ, band_hz)))
+        assert level_db[[1, 3]] == pytest.approx(-3.01, abs=0.1)
+        assert level_db[2] == pytest.approx(0.0, abs=0.01)
+        assert max(level_db[[0, 4]]) < -20.0
+
+
+@pytest.mark.parametrize("time_s", [0.2, 0.7, 1.5])
+def test_decay_time_of_an_ideal_line_is_exact(time_s):
+    edc_db = -60.0 * np.arange(FS_HZ) / FS_HZ / time_s
+    for decay in ("edt", "t20", "t30"):
+        assert decay_time(edc_db, FS_HZ, decay) == pytest.approx(time_s, rel=1e-9)
+
+
+def test_decay_time_is_none_where_the_curve_ends_too_early():
+    assert decay_time(np.linspace(0.0, -30.0, 1000), FS_HZ, "t30") is None
+    assert decay_time(np.linspace(0.0, -30.0, 1000), FS_HZ, "t20") is not None
+
+
+@pytest.mark.parametrize("time_s", [0.3, 0.8, 2.0])
+def test_times_of_decaying_noise(time_s):
+    found = [all_metrics(room(time_s, seed, length_s=2.0, snr_db=70.0), FS_HZ) for seed in range(6)]
+    for key, tolerance in (("edt_s", 0.08), ("t20_s", 0.03), ("t30_s", 0.02)):
+        mean_s = np.mean([metrics[key][4:] for metrics in found], axis=0)
+        assert mean_s == pytest.approx(time_s, rel=tolerance), key
+        assert all(all(metrics[key.replace("_s", "_valid")][4:]) for metrics in found), key
+
+
+@pytest.mark.parametrize("snr_db", [30.0, 40.0, 60.0])
+def test_knee_lies_where_decay_meets_noise(snr_db):
+    time_s = 0.6
+    knees, levels_db = [], []
+    for seed in range(5):
+        knee = find_knee(room(time_s, seed, snr_db=snr_db)[DIRECT:] ** 2, FS_HZ)
+        knees.append(knee.sample / FS_HZ)
+        levels_db.append(10 * np.log10(knee.noise_power))
+    assert np.mean(knees) == pytest.approx(time_s * snr_db / 60.0, rel=0.05)
+    assert np.mean(levels_db) == pytest.approx(-snr_db, abs=0.3)
+
+
+def test_response_that_ends_above_its_noise_has_no_floor():
+    knee = find_knee(room(1.5, length_s=0.7)[DIRECT:] ** 2, FS_HZ)
+    assert (knee.sample, knee.noise_power) == (round(0.7 * FS_HZ), 0.0)
+    # what the truncated decay would still have brought: 1/(2 rate) of the power at its end
+    expected = 10.0 ** (-6.0 * 0.7 / 1.5) * 1.5 * FS_HZ / (6.0 * np.log(10.0))
+    assert 10 * np.log10(knee.rest_energy / expected) == pytest.approx(0.0, abs=1.0)
+
+
+def test_validity_follows_the_decay_range():
+    metrics = all_metrics(room(0.6, snr_db=40.0), FS_HZ)
+    assert metrics["t20_valid"][4] and not metrics["t30_valid"][4]
+    assert metrics["decay_range_db"][4] == pytest.approx(40.0, abs=4.0)
+    assert not any(all_metrics(room(0.6, snr_db=25.0), FS_HZ)["t20_valid"])
+
+
+def test_validity_follows_bandwidth_times_time():
+    metrics = all_metrics(room(0.15, snr_db=80.0), FS_HZ)
+    assert not metrics["t30_valid"][0], "44 Hz times 0.15 s is 6.6, less than 16"
+    assert metrics["t30_valid"][3]
+
+
+@pytest.mark.parametrize("time_s", [0.4, 1.0])
+def test_c50_of_an_exponential_decay(time_s):
+    # E(0..t) / E(t..inf) = exp(13.8 t / T) - 1
+    expected_db = 10 * np.log10(np.expm1(6.0 * np.log(10.0) * 0.05 / time_s))
+    found = np.mean([all_metrics(room(time_s, seed, snr_db=60.0), FS_HZ)["c50_db"] for seed in range(8)], axis=0)
+    assert found[3:] == pytest.approx(expected_db, abs=0.7)
+
+
+def test_drr_is_the_ratio_that_was_put_in_whatever_the_polarity():
+    rir = room(0.5, snr_db=70.0, direct=30.0)
+    gate = DIRECT + 40
+    expected_db = 10 * np.log10(np.sum(rir[DIRECT - 40:gate] ** 2) / np.sum(rir[gate:] ** 2))
+    for inverted in (False, True):
+        metrics = all_metrics(room(0.5, snr_db=70.0, direct=30.0, inverted=inverted), FS_HZ)
+        assert metrics["drr_db"] == pytest.approx(expected_db, abs=0.1)
+        assert metrics["direct_polarity"] == (-1 if inverted else 1)
+
+
+def test_zeros_behind_the_response_are_no_noise_floor():
+    rir = room(0.5, snr_db=60.0)
+    assert all_metrics(np.pad(rir, (0, 20000)), FS_HZ)["t30_s"] == pytest.approx(all_metrics(rir, FS_HZ)["t30_s"])
+
+
+def test_reverberation_time_is_that_of_all_metrics_and_says_when_it_cannot():
+    rir = room(0.7, length_s=1.2)
+    assert reverberation_time(rir, FS_HZ) == pytest.approx(all_metrics(rir, FS_HZ)["t30_s"][4], rel=0.01)
+    with pytest.raises(ValueError, match="t30 at 1000 Hz needs a decay of 35 dB"):
+        reverberation_time(room(2.0, length_s=0.2)[:DIRECT + 400], FS_HZ)
+
+
+def test_a_spike_decays_at_once():
+    rir = np.zeros(8000)
+    rir[100] = 1.0
+    metrics = all_metrics(rir, FS_HZ)
+    assert metrics["drr_db"] is None
+    assert not any(metrics["t30_valid"])
+
+
+@pytest.mark.parametrize("time_s", [0.4, 1.2])
+def test_t30_and_c50_agree_with_pyrato(time_s):
+    pyfar, pyrato = pytest.importorskip("pyfar"), pytest.importorskip("pyrato")
+    rir = room(time_s, 3, snr_db=65.0)
+    band = octave_bands(rir, FS_HZ)[4]
+    edc = pyrato.edc.energy_decay_curve_chu_lundeby(pyfar.Signal(band[DIRECT:], FS_HZ), smoothing_parameter=1000,
+                                                  plot=False)
+    theirs = float(np.squeeze(pyrato.parameters.reverberation_time_linear_regression(edc, T="T30")))
+    ours = decay_time(energy_decay(band, FS_HZ, DIRECT).edc_db, FS_HZ, "t30")
+    assert ours == pytest.approx(theirs, rel=0.02)
+    clarity_db = float(np.squeeze(pyrato.parameters.clarity(edc, early_time_limit=50)))
+    assert all_metrics(rir, FS_HZ, DIRECT, 1)["c50_db"][4] == pytest.approx(clarity_db, abs=0.3)
