@@ -16,6 +16,7 @@ from roomeq.wavscp import flac_entry
 
 ROOMS = {"office": (0.4, (8, 6, 2, 1, 0, -2, -4, -9)), "hall": (0.9, (4, 9, 5, 2, 0, -1, -3, -6)),
          "kitchen": (0.6, (-3, 4, 3, 0, 0, -1, -5, -12)), "studio": (0.3, (9, 3, -1, 1, 0, 0, -2, -7))}
+HOSTILE = ("<script>alert(1)</script>", '"><img onerror=alert(1)>', "'><svg/onload=alert(1)>&lt;", "a&amp;b")
 RIRS_PER_ROOM = 11
 HUMS = ("hum1", "hum2", "hum3")
 
@@ -59,7 +60,7 @@ def make_measured(directory):
             name = f"{room}-{n:02d}"
             rir = decay(rng, t60_s, np.array(eq_db) + rng.normal(0, 1.5, 8))
             write_wav(directory / f"{name}.wav", rir)
-            rows.append(row_of(name, room, rir, corpus="noise instead of rooms", binaural=n == 3))
+            rows.append(row_of(name, room, rir, corpus=HOSTILE[n % 4], binaural=n == 3))
     write_rirs(directory, rows)
     for name in HUMS:
         write_wav(directory / f"{name}.wav", 0.01 * rng_for(0, name, "").standard_normal(5 * FS_HZ))
@@ -99,7 +100,8 @@ def make_clean(directory, name):
         t = np.arange(length) / FS_HZ
         envelope = 0.5 - 0.5 * np.cos(2 * np.pi * 3 * t)
         samples.append(0.3 * envelope * np.sin(2 * np.pi * (150 + 60 * rng.random()) * t))
-        utterances.append(OutUtterance(f"{name}-{n}", name, f"{name}-all", start, length, "BLUE LAMP"))
+        ident, words = f"{name}-{n}{HOSTILE[0]}", " ".join(HOSTILE)
+        utterances.append(OutUtterance(ident, name, f"{name}-all", start, length, words))
         start += length
     write_flac(directory / "all.flac", np.concatenate(samples))
     write_data_dir(directory, {f"{name}-all": (flac_entry(str(directory / "all.flac")), start)}, utterances)

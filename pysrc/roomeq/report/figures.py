@@ -19,7 +19,7 @@ from roomeq.constants import BANDS_HZ, FS_HZ
 from roomeq.report.page import Html, picture
 from roomeq.report.style import COLOURS, LIGHT
 
-SIZE_IN = (4.4, 3.1)
+SIZE_IN, SMALL_IN = (4.4, 3.1), (3.5, 2.8)
 TICK_LABELS = ("62.5", "125", "250", "500", "1k", "2k", "4k", "8k")
 MAX_CURVES = 150
 """More curves than this in one panel are a blot: every n-th is drawn."""
@@ -165,7 +165,7 @@ def spectrogram(title: str, rir: np.ndarray, duration_s: float) -> Draw:
         axes.set_xlabel("Time after the direct sound (s)")
         axes.set_title(title)
         bar = axes.figure.colorbar(mesh, ax=axes, pad=0.02, fraction=0.05)
-        bar.set_label("Level (dB re maximum)")
+        bar.set_label("dB re maximum")
         bar.outline.set_visible(False)
     return draw
 

@@ -82,13 +82,15 @@ def table(ident: str, caption, head: list, rows: list[list], text: tuple[int, ..
         Columns of text, aligned left; all others are numbers, aligned right.
     """
     def cell(kind: str, column: int, value, scope: str | None = None) -> Html:
-        return tag(kind, value, scope=scope, class_=None if column in text else "n")
+        return tag(kind, value, scope=scope, class_="t" if column in text else "n")
 
     head_row = tag("tr", *(cell("th", n, name, "col") for n, name in enumerate(head)))
     body = [tag("tr", cell("th", 0, row[0], "row"), *(cell("td", n, value) for n, value in enumerate(row[1:], 1)))
             for row in rows]
-    whole = tag("table", tag("caption", caption), tag("thead", head_row), tag("tbody", *body), id=ident)
-    return tag("div", whole, class_="scroll", role="region", tabindex="0", aria_labelledby=ident)
+    name = f"{ident}-caption"
+    whole = tag("table", tag("thead", head_row), tag("tbody", *body), id=ident, aria_labelledby=name)
+    return tag("figure", tag("figcaption", caption, id=name),
+               tag("div", whole, class_="scroll", role="region", tabindex="0", aria_labelledby=name))
 
 
 def picture(ident: str, svg: bytes, alt: str, width: int, height: int) -> Html:

@@ -43,7 +43,8 @@ def eq_distributions(run: Run) -> Html:
                   "that RIR's target. After compensation the simulated set should look like the measured one."),
         figure("figure-2", panels, "Paper's figure 2, all panels on the same scale. Only training RIRs that "
                f"passed the screening. At most {figures.MAX_CURVES} lines a panel are drawn; medians and "
-               "percentiles are those of all.")])
+               "percentiles are those of all. Where an anti-alias filter cuts at 8 kHz, the level just below it "
+               "stands for that point.")])
 
 
 def accuracy(run: Run) -> Html:
@@ -91,7 +92,7 @@ def misses(missed: dict[str, dict], n_rirs: int) -> Html:
     where = Counter(why["hz"] for why in missed.values())
     ident, worst = max(missed.items(), key=lambda item: (abs(item[1]["error_db"]), item[0]))
     return paragraph(
-        f"{len(missed)} of {n_rirs} RIRs have a point that is off by more than {MAX_P95_DB} dB, most often at ",
+        f"RIRs with a point that is off by more than {MAX_P95_DB} dB: {len(missed)} of {n_rirs}, most often at ",
         ", ".join(f"{hz:g} Hz ({n})" for hz, n in where.most_common(3)), ". Bins of 31 Hz do not allow those "
         "targets: one bin can stand out only so far from its neighbours, and their filters step by up to "
         f"{max(why['steepest_db'] for why in missed.values()):.0f} dB an octave. The worst is "
@@ -115,8 +116,8 @@ def distances(run: Run) -> Html:
     return join([
         paragraph("How far the EQs of a set are from those of measured RIRs that nothing was fitted to (",
                   tag("code", f"data/{HELD_OUT}"), f", {len(eq_vectors(run, HELD_OUT))} RIRs). Rooms count "
-                  "equally. The measured training set is the floor: no model of it can be expected to come "
-                  "nearer."),
+                  "equally. The measured training set is the floor: a model that is fitted to it can "
+                  "hardly come nearer."),
         verdict(found),
         make_table("table-distance", "Distance to held-out measured RIRs, with 95 % bootstrap intervals over "
                    "rooms. Wasserstein: how many dB the values of one set have to be moved on average to become "

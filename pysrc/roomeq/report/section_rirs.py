@@ -74,7 +74,7 @@ def spectrograms(run: Run) -> Html:
             panels.append(figures.panel(
                 f"figure-3-{kind}", figures.spectrogram(title, rir[start:], SPECTROGRAM_S),
                 f"Spectrogram of the {KINDS[kind]} RIR {chosen[kind]['id']}, {SPECTROGRAM_S} s from the direct "
-                "sound"))
+                "sound", figures.SMALL_IN))
     if len(panels) == 1:
         run.need(DIRECTORIES["simulated"])
     return join([
@@ -129,4 +129,6 @@ def leaks(rows: list[dict]) -> Html:
     shares = [row["leaked_share"] for row in rows if row.get("leaked_share") is not None]
     if not shares:
         return Html("")
+    if not max(shares):
+        return paragraph("Energy audit: no ray left a room through a gap.")
     return paragraph(f"Energy audit: at most {100 * max(shares):.3g} % of the rays left a room through a gap.")

@@ -134,9 +134,10 @@ def limits(run: Run) -> Html:
                       "the distribution fitted is that of these rooms and of the loudspeakers and microphones "
                       "used in them, not of rooms in general.")
         if run.stamp("rirs.real.train").get("options", {}).get("split_by", "rir") == "rir":
-            points.append("RIRs are split at random as in the paper, so the same rooms are in training and test. "
-                          "The held-out distances are therefore optimistic for a room never seen; ask for "
-                          "--split-by room for the stricter question.")
+            points.append(join([
+                "RIRs are split at random as in the paper, so the same rooms are in training and test. The held-out "
+                "distances are therefore optimistic for a room never seen; for that stricter question ask for ",
+                tag("code", "--split-by room", class_="nw"), "."]))
     points += [
         "Eight points describe the spectrum. Between them, and over time, a compensated RIR remains a simulated "
         "one: no single room modes, no directivity, no diffraction.",

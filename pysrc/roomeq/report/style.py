@@ -48,16 +48,16 @@ nav li{{margin:0 0 .35rem;break-inside:avoid}}
 .warning{{border-color:var(--simulated);max-width:none}}
 figure{{margin:1.2rem 0 1.6rem}}
 .panels{{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,24rem),1fr));gap:1rem 1.4rem}}
-.panels.of3{{grid-template-columns:repeat(auto-fit,minmax(min(100%,18rem),1fr))}} .panels.of1{{max-width:36rem}}
+.panels.of3{{grid-template-columns:repeat(auto-fit,minmax(min(100%,18rem),1fr))}} .panels.of1{{max-width:32rem}}
 img{{width:100%;max-width:100%;height:auto;display:block}}
-figcaption,caption{{font-size:.92rem;line-height:1.5;color:var(--soft);text-align:left}}
-figcaption{{margin-top:.5rem;max-width:46rem}} caption{{padding-bottom:.5rem;caption-side:top}}
-.scroll{{overflow-x:auto;margin:1.2rem 0 1.6rem;max-width:100%}}
+figcaption{{font-size:.92rem;line-height:1.5;color:var(--soft);margin:.5rem 0;max-width:46rem}}
+.scroll{{overflow-x:auto;max-width:100%}}
 table{{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-nums;min-width:min(100%,30rem)}}
 th,td{{padding:.38rem .8rem;text-align:left;vertical-align:top;border-bottom:1px solid var(--line);
  overflow-wrap:normal}}
-td{{min-width:3.2rem}} thead th{{font-weight:600;border-bottom:2px solid var(--line);vertical-align:bottom}}
+thead th{{font-weight:600;border-bottom:2px solid var(--line);vertical-align:bottom}}
 tbody th{{font-weight:500;padding-left:0}} thead th:first-child{{padding-left:0}}
+.t{{min-width:8rem}} #table-run .t:last-child,#table-screening .t:last-child{{min-width:18rem}}
 .n{{text-align:right}} .nw{{white-space:nowrap}} small{{color:var(--soft)}}
 tbody tr:hover{{background:var(--wash)}}
 .key{{display:inline-block;width:.75em;height:.75em;border-radius:.2em;margin-right:.45em;vertical-align:-.05em}}

@@ -1,0 +1,224 @@
+"""The report: nothing escapes, nothing comes from outside, nothing is missing, and it looks right in a browser."""
+
+import base64
+import os
+import re
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import webdriver
+from report_run import HOSTILE, RIRS_PER_ROOM, ROOMS, make_run
+from roomeq.files import read_jsonl, write_json
+from roomeq.report import figures, make_report
+from roomeq.report.build_page import SECTIONS, render_page
+from roomeq.report.load import Run
+from roomeq.report.page import Html, escape, number, table, tag
+
+FIGURES = ("figure-1-left", "figure-1-right", "figure-2-measured", "figure-2-resampled", "figure-2-simulated",
+           "figure-2-compensated", "figure-3-simulated", "figure-3-compensated", "figure-3-measured",
+           "figure-distance-points", "figure-accuracy-points", "figure-t60-histogram", "figure-t60-met",
+           "figure-snr-train", "figure-snr-dev", "figure-snr-test")
+TABLES = ("table-datasets", "table-distance", "table-accuracy", "table-rooms", "table-passports", "table-screening",
+          "table-run")
+CLIPS = ("audio-clean", "audio-sim", "audio-sim-EQ", "audio-real")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A run and its report: the two directories and the page."""
+    root = tmp_path_factory.mktemp("<i>run")
+    data, exp = make_run(root)
+    return data, exp, make_report(data, exp, root / "report")
+
+
+class Page(HTMLParser):
+    """Elements of a page by tag, with their attributes, and its text."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.elements, self.text, self._within = [], "", []
+        self.feed(text)
+
+    def handle_starttag(self, name, attributes):
+        self.elements.append((name, dict(attributes)))
+        if name not in ("img", "meta"):
+            self._within.append(name)
+
+    def handle_data(self, data):
+        if self._within[-1:] != ["style"]:
+            self.text += data
+
+    def handle_endtag(self, name):
+        while self._within.pop() != name:
+            pass
+
+    def of(self, name):
+        return [attributes for found, attributes in self.elements if found == name]
+
+
+@pytest.fixture(scope="module")
+def page(made):
+    return Page(made[2].read_text())
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_text_cannot_become_markup(text):
+    built = tag("p", text, title=text)
+    parsed = Page(built)
+    assert parsed.elements == [("p", {"title": text})] and parsed.text == text
+
+
+def test_escape_leaves_html_and_replaces_what_utf8_cannot_hold():
+    assert escape(Html("<b>")) == "<b>"
+    assert escape("a\udcff") == "a?"
+
+
+def test_table_cells_are_escaped_and_aligned():
+    made = table("t", "<caption>", ["a", "<b>"], [["<i>", 2]])
+    assert "&lt;i&gt;" in made and "&lt;b&gt;" in made and '<td class="n">2</td>' in made
+
+
+@pytest.mark.parametrize(("value", "text"), [(1.25, "1.2"), (-0.5, "−0.5"), (None, "–"), (float("nan"), "–")])
+def test_number(value, text):
+    assert number(value) == text
+
+
+def test_hostile_names_reach_the_page_as_text_only(page):
+    assert all(text in page.text for text in HOSTILE)
+    names = {name for name, _ in page.elements}
+    assert not names & {"script", "i", "svg", "iframe", "object", "link"}
+    assert not [key for _, attributes in page.elements for key in attributes if key.startswith("on")]
+
+
+def test_page_asks_for_nothing_from_outside(made, page):
+    for _, attributes in page.elements:
+        assert attributes.get("src", "data:").startswith("data:")
+        assert attributes.get("href", "#").startswith("#")
+    policy = next(one["content"] for one in page.of("meta") if one.get("http-equiv") == "Content-Security-Policy")
+    assert policy.startswith("default-src 'none'")
+    for image in page.of("img"):
+        svg = base64.b64decode(image["src"].partition(",")[2]).decode()
+        assert all(link[0] in "#d" for link in re.findall(r'href="([^"]+)"', svg))
+    assert str(made[0].parent) not in made[2].read_text()
+
+
+def test_every_figure_table_and_clip_is_there_once(page):
+    ids = [attributes["id"] for _, attributes in page.elements if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    assert {one["id"] for one in page.of("img")} == set(FIGURES) and all(len(one["alt"]) > 20 for one in page.of("img"))
+    assert {one["id"] for one in page.of("table")} == set(TABLES)
+    assert {one["id"] for one in page.of("audio")} == set(CLIPS)
+    assert [one["href"] for one in page.of("a")] == [f"#{ident}" for ident, *_ in SECTIONS]
+    assert "Not in this run" not in page.text
+
+
+def test_counts_are_those_of_the_run(made, page):
+    data, _, path = made
+    rows = {kind: len(read_jsonl(data / f"rirs.{kind}.train" / "rirs.jsonl")) for kind in ("real", "sim")}
+    body = path.read_text()
+    line = re.search(r"<tr><th[^>]*><code>train.sim.rvb</code></th>(.*?)</tr>", body)[1]
+    assert re.findall(r"<td[^>]*>(.*?)</td>", line)[1:3] == ["4", str(rows["sim"])]
+    assert f"{RIRS_PER_ROOM * len(ROOMS)} measured RIRs of {len(ROOMS)} rooms" in page.text
+    assert re.search(r"binaural</th><td[^>]*>not in the EQ fit</td><td[^>]*>4</td>", body)
+
+
+def test_same_run_gives_same_bytes(made):
+    data, exp, path = made
+    code = ("import sys; from pathlib import Path; from roomeq.report.load import Run; "
+            "from roomeq.report.build_page import render_page; "
+            "sys.stdout.buffer.write(render_page(Run(Path(sys.argv[1]), Path(sys.argv[2]))).encode())")
+    other = subprocess.run([sys.executable, "-c", code, data, exp], capture_output=True, check=True,
+                           env={**os.environ, "PYTHONHASHSEED": "7", "PYTHONPATH": os.pathsep.join(sys.path)})
+    assert other.stdout == path.read_bytes()
+
+
+def test_report_is_made_again_only_when_needed(made, caplog):
+    data, exp, path = made
+    before = path.stat().st_mtime_ns
+    caplog.set_level("INFO")
+    assert make_report(data, exp, path.parent) == path
+    assert path.stat().st_mtime_ns == before and "up to date" in caplog.text
+
+
+def test_missing_parts_are_named_with_their_stage(made, tmp_path):
+    data, exp, _ = made
+    (tmp_path / "data").mkdir()
+    for name in ("measured", "rirs.real", "rirs.real.train"):
+        shutil.copytree(data / name, tmp_path / "data" / name)
+    text = Page(render_page(Run(tmp_path / "data", tmp_path / "exp"))).text
+    for part in ("data/rirs.sim.train. It is made by stage 2 (roomeq simulate)",
+                 "data/rirs.sim.EQ.train. It is made by stage 4 (roomeq compensate)",
+                 "exp/eq/measured.jsonl. It is made by stage 3 (roomeq fit-eq)",
+                 "any data/*.rvb. It is made by stage 6 (roomeq augment)"):
+        assert part in text
+
+
+def test_a_corpus_that_says_it_is_generated_is_called_not_real(made, tmp_path):
+    data, exp, _ = made
+    shutil.copytree(data / "measured", tmp_path / "data/measured")
+    assert "Not real" not in render_page(Run(tmp_path / "data", exp))
+    (tmp_path / "data/measured/README").write_text("Generated, not measured: a stand-in.\n")
+    assert "Not real" in render_page(Run(tmp_path / "data", exp))
+
+
+def test_nothing_to_report_is_an_error(tmp_path):
+    with pytest.raises(ValueError, match="no directory of a run in it: run stages 0 to 6 first"):
+        make_report(tmp_path, tmp_path, tmp_path / "report")
+
+
+def test_a_directory_of_somebody_else_is_left_alone(made, tmp_path):
+    (tmp_path / "thesis.txt").write_text("mine")
+    with pytest.raises(ValueError, match="was not made by roomeq"):
+        make_report(made[0], made[1], tmp_path)
+
+
+def test_a_broken_table_is_one_line(made, tmp_path):
+    shutil.copytree(made[0] / "train.real.rvb", tmp_path / "train.real.rvb")
+    (tmp_path / "train.real.rvb/utt2dur").write_text("a b\n")
+    with pytest.raises(ValueError, match="utt2dur: a: 'b' must be a number"):
+        render_page(Run(tmp_path, tmp_path))
+
+
+def test_paths_in_options_are_shortened(made, tmp_path):
+    (tmp_path / "measured").mkdir()
+    write_json(tmp_path / "measured/.done", dict(step="read-measured", key="", files={},
+                                                 options=dict(seed=3, source="/home/me/corpora/rooms", kind=None)))
+    text = Page(render_page(Run(tmp_path, tmp_path))).text
+    assert "source = rooms" in text and "/home" not in text and "kind" not in text
+
+
+def test_common_limits_hold_nearly_all_values():
+    assert figures.common_limits(np.array([[-12.0, 3.0]]), np.array([[np.nan, 8.0]])) == (-15.0, 10.0)
+    assert figures.common_limits(np.full((1, 8), np.nan)) == (-15.0, 15.0)
+
+
+def test_quantiles_ignore_what_was_not_measured():
+    low, = figures.quantiles(np.array([[1.0, np.nan], [3.0, np.nan]]), (50,))
+    assert low[0] == 2.0 and np.isnan(low[1])
+
+
+@pytest.mark.skipif(not webdriver.installed(), reason="needs chromium and chromedriver (Debian: chromium-driver)")
+@pytest.mark.parametrize("width", [1200, 390])
+def test_browser_shows_everything(made, width):
+    with webdriver.Browser(width, 844, dark=width == 390) as browser:
+        browser.open(made[2].as_uri())
+        images = browser.run("return [...document.images].map(x => [x.id, x.complete, x.naturalWidth, x.width])")
+        assert {ident for ident, *_ in images} == set(FIGURES)
+        for _, complete, natural_width, shown_width in images:
+            assert complete and natural_width > 0 and 200 < shown_width <= width
+        tables = dict(browser.run("return [...document.querySelectorAll('table')]"
+                                  ".map(x => [x.id, x.tBodies[0].rows.length])"))
+        assert set(tables) == set(TABLES) and min(tables.values()) > 0
+        for clip in CLIPS:
+            assert browser.wait("const x = document.getElementById(arguments[0]); if (x.readyState == 0) x.load(); "
+                                "return x.readyState >= 1 && x.duration > 0.5 && !x.error", clip)
+        assert browser.run("return document.documentElement.scrollWidth") <= width
+        assert browser.run("return document.querySelectorAll('h1').length") == 1
+        paper = browser.run("return getComputedStyle(document.body).backgroundColor")
+        assert paper == ("rgb(22, 27, 34)" if width == 390 else "rgb(255, 255, 255)")
+        assert browser.console() == []

@@ -1,0 +1,119 @@
+"""A headless Chromium driven over plain WebDriver (https://www.w3.org/TR/webdriver2/): Debian's packages, no client."""
+
+import base64
+import json
+import os
+import shutil
+import socket
+import subprocess
+import tempfile
+import time
+import urllib.error
+import urllib.request
+
+FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
+         "--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage",
+         "--hide-scrollbars")
+START_S, ANSWER_S = 15.0, 30.0
+
+
+def installed():
+    """Tell whether there is a Chromium to drive."""
+    return bool(shutil.which("chromium") and shutil.which("chromedriver"))
+
+
+class Browser:
+    """A browser window; a context manager.
+
+    Parameters
+    ----------
+    width, height : int
+        Of the window [CSS pixels].
+    dark : bool
+        The reader prefers dark pages.
+    """
+
+    def __init__(self, width, height, dark=False):
+        self.width, self.height, self.dark = width, height, dark
+
+    def __enter__(self):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        self._home = tempfile.mkdtemp()
+        self._server = f"http://127.0.0.1:{port}"
+        self._driver = subprocess.Popen(["chromedriver", f"--port={port}"], stdout=subprocess.DEVNULL,
+                                        stderr=subprocess.DEVNULL, env={**os.environ, "HOME": self._home})
+        try:
+            self._start()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def _start(self):
+        options = {"args": [*FLAGS, f"--user-data-dir={self._home}/profile"]}
+        wanted = {"browserName": "chrome", "goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL"}}
+        deadline = time.monotonic() + START_S
+        while True:
+            try:
+                answer = self._ask("POST", "/session", {"capabilities": {"alwaysMatch": wanted}})
+                break
+            except (ConnectionError, urllib.error.URLError):
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(0.1)
+        self._session = f"/session/{answer['sessionId']}"
+        self.devtools("Emulation.setDeviceMetricsOverride", width=self.width, height=self.height,
+                      deviceScaleFactor=1, mobile=self.width < 600)
+        features = [{"name": "prefers-color-scheme", "value": "dark" if self.dark else "light"}]
+        self.devtools("Emulation.setEmulatedMedia", features=features)
+
+    def __exit__(self, *_):
+        try:
+            if hasattr(self, "_session"):
+                self._ask("DELETE", self._session)
+        finally:
+            self._driver.terminate()
+            self._driver.wait(10)
+            shutil.rmtree(self._home, ignore_errors=True)
+
+    def _ask(self, method, path, body=None):
+        data = None if body is None else json.dumps(body).encode()
+        request = urllib.request.Request(self._server + path, data, {"Content-Type": "application/json"},
+                                         method=method)
+        # a proxy of the environment would be asked for a page of this machine
+        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+        try:
+            with opener.open(request, timeout=ANSWER_S) as answer:
+                return json.load(answer)["value"]
+        except urllib.error.HTTPError as error:
+            raise AssertionError(f"{method} {path}: {error.read().decode()[:500]}") from None
+
+    def open(self, url):
+        """Load a page and wait until it is there."""
+        self._ask("POST", self._session + "/url", {"url": url})
+
+    def run(self, script, *arguments):
+        """Run JavaScript in the page and return what it returns."""
+        return self._ask("POST", self._session + "/execute/sync", {"script": script, "args": list(arguments)})
+
+    def wait(self, script, *arguments):
+        """Run JavaScript until it returns something true, and return that; the last value after some seconds."""
+        deadline = time.monotonic() + START_S
+        while not (value := self.run(script, *arguments)) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        return value
+
+    def devtools(self, command, **arguments):
+        """Send a command of the DevTools protocol."""
+        body = {"cmd": command, "params": arguments}
+        return self._ask("POST", self._session + "/goog/cdp/execute", body)
+
+    def console(self):
+        """Return the lines of the console since the last call."""
+        return self._ask("POST", self._session + "/se/log", {"type": "browser"})
+
+    def screenshot(self):
+        """Return the whole page as PNG bytes."""
+        return base64.b64decode(self.devtools("Page.captureScreenshot", captureBeyondViewport=True)["data"])
