@@ -20,10 +20,12 @@ LATE_RAYS = 5000  # at least so many rays are followed to the end, if there are 
 MAX_STRIDE = 4  # one ray in so many
 _SPHERE_RADII = (0.35, 1.0)  # of the receiver [m]: as large as the room lets the late field be called uniform
 NEGLIGIBLE = np.float32(1e-10)  # share of a ray's energy below which it is given up, 40 dB below -60 dB
+NUDGE_M = 1e-4  # shadow rays start this far off the surface
 _BATCH = 8  # receivers that are served in one pass over the rays
 
 
-def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n_rays=None):
+def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n_rays=None,
+           visible=None):
     """Collect echograms.
 
     Parameters
@@ -39,6 +41,8 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n
     speed_m_s : float
     n_rays : int, optional
         Use the first so many rays only.
+    visible : ndarray, optional
+        From `visibility`, which is asked if need be.
 
     Returns
     -------
@@ -46,23 +50,54 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n
         Squared pressure per frame, relative to a direct sound of ``1 / (4 pi r)^2``; without air absorption.
     """
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
-    reflection = (1.0 - absorption)[room.face_slot].astype(np.float32)
-    scattering = paths.scattering[room.face_slot]
+    reflection = (1.0 - absorption)[paths.face_slot].astype(np.float32)
+    scattering = paths.scattering[paths.face_slot]
+    if visible is None:
+        visible = visibility(paths, room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
     n_rays = len(paths.hits) if n_rays is None else min(n_rays, len(paths.hits))
-    radius_m = float(np.clip(0.11 * room.volume_m3 ** (1.0 / 3.0), *_SPHERE_RADII))
-    late_m = dense_after_s(room.volume_m3, speed_m_s, FS_HZ) * speed_m_s
-    stride = int(np.clip(n_rays // LATE_RAYS, 1, MAX_STRIDE))
+    late_m, stride = _late(paths, room, speed_m_s)
+    wanted_m = float(np.clip(0.11 * room.volume_m3 ** (1.0 / 3.0), *_SPHERE_RADII))
+    radius_m = np.array([room.sphere_radius_m(mic, wanted_m) for mic in mics_m])
+    volume_m3 = np.array([room.sphere_volume_m3(*sphere) for sphere in zip(mics_m, radius_m, strict=True)])
     result = np.empty((len(mics_m), n_frames, absorption.shape[1]))
     for first in range(0, len(mics_m), _BATCH):
-        batch = mics_m[first:first + _BATCH]
-        volumes = np.array([room.sphere_volume_m3(mic, radius_m) for mic in batch])
-        parts = np.zeros((N_CHUNKS, len(batch), n_frames, absorption.shape[1]), dtype=np.float32)
-        for_chunks(n_rays, lambda chunk, low, high: _gather(  # noqa: B023
-            paths.source_pos_m, paths.hits, paths.codes, paths.counts, room.normals, reflection, scattering,
-            batch, radius_m ** 2, 1.0 / volumes, ism_order, 1.0 / (speed_m_s * FRAME_S), late_m, stride,  # noqa: B023
-            low, high, parts[chunk]))  # noqa: B023
-        result[first:first + _BATCH] = parts.sum(axis=0, dtype=np.float64)
+        batch = slice(first, first + _BATCH)
+        parts = np.zeros((N_CHUNKS, len(mics_m[batch]), n_frames, absorption.shape[1]), dtype=np.float32)
+        given = (paths.source_pos_m, paths.hits, paths.codes, paths.counts, paths.normals, reflection, scattering,
+                 mics_m[batch], visible[batch], radius_m[batch] ** 2, 1.0 / volume_m3[batch], ism_order,
+                 1.0 / (speed_m_s * FRAME_S), late_m, stride)
+        for_chunks(n_rays, lambda chunk, low, high: _gather(*given, low, high, parts[chunk]))  # noqa: B023
+        result[batch] = parts.sum(axis=0, dtype=np.float64)
     return result / (4.0 * np.pi * n_rays)
+
+
+def visibility(paths, room, mics_m, *, n_frames, speed_m_s):
+    """Tell from which stored reflections microphones are seen.
+
+    Returns
+    -------
+    ndarray of bool, shape (n_mics, n_rays, capacity)
+        Of shape (0, 0, 0) in a convex room, where all is seen. Only reflections that `gather` asks for are right.
+    """
+    if room.convex:
+        return np.zeros((0, 0, 0), dtype=np.bool_)
+    mics_m = np.atleast_2d(mics_m)
+    late_m, stride = _late(paths, room, speed_m_s)
+    wanted = np.arange(paths.hits.shape[1]) < paths.counts[:, None]
+    wanted &= paths.hits[:, :, 3] < n_frames * FRAME_S * speed_m_s
+    wanted &= (paths.hits[:, :, 3] <= late_m) | (np.arange(len(paths.hits)) % stride == 0)[:, None]
+    ray, n = np.nonzero(wanted)
+    start = paths.hits[ray, n, :3] + NUDGE_M * paths.normals[paths.codes[ray, n] >> 1]
+    visible = np.zeros((len(mics_m), *wanted.shape), dtype=np.bool_)
+    for m, mic in enumerate(mics_m):
+        visible[m, ray, n] = room.sees(start, mic)
+    return visible
+
+
+def _late(paths, room, speed_m_s):
+    """Length of path from which on one ray in a few is used, and in how many."""
+    late_m = dense_after_s(room.volume_m3, speed_m_s, FS_HZ) * speed_m_s
+    return late_m, int(np.clip(len(paths.hits) // LATE_RAYS, 1, MAX_STRIDE))
 
 
 def dense_after_s(volume_m3, speed_m_s, rate_hz):
@@ -71,10 +106,11 @@ def dense_after_s(volume_m3, speed_m_s, rate_hz):
 
 
 @compiled
-def _gather(source, hits, codes, counts, normals, reflection, scattering, mics, radius2, per_volume, ism_order,
+def _gather(source, hits, codes, counts, normals, reflection, scattering, mics, visible, radius2, per_volume, ism_order,
             frames_per_m, late_m, stride, low, high, echo):
     """Add rays `low` to `high` to `echo`, shape (n_mics, n_frames, 8)."""
-    n_mics, n_frames, n_bands = echo.shape
+    n_mics, n_frames, _ = echo.shape
+    all_visible = len(visible) == 0
     g = np.empty(8, dtype=np.float32)
     for ray in range(low, high):
         g[:] = 1.0
@@ -91,7 +127,7 @@ def _gather(source, hits, codes, counts, normals, reflection, scattering, mics, 
                 for m in range(n_mics):
                     vx, vy, vz = mics[m, 0] - px, mics[m, 1] - py, mics[m, 2] - pz
                     along = ux * vx + uy * vy + uz * vz
-                    half2 = radius2 - (vx * vx + vy * vy + vz * vz - along * along)
+                    half2 = radius2[m] - (vx * vx + vy * vy + vz * vz - along * along)
                     if half2 > 0.0:
                         half = np.sqrt(half2)
                         start = max(0.0, along - half)
@@ -123,7 +159,7 @@ def _gather(source, hits, codes, counts, normals, reflection, scattering, mics, 
                     d = np.sqrt(d2)
                     height = vx * normals[face, 0] + vy * normals[face, 1] + vz * normals[face, 2]
                     frame = int((path + d) * frames_per_m)
-                    if height > 0.0 and frame < n_frames:
+                    if height > 0.0 and frame < n_frames and (all_visible or visible[m, ray, n]):
                         w = np.float32(s * height / (np.pi * d2 * d))
                         for b in range(8):
                             echo[m, frame, b] += w * g[b]

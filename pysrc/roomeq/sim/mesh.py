@@ -1,5 +1,306 @@
-"""Rooms as triangle meshes."""
+"""Rooms as triangle meshes: checks, ray queries through embree, and purely specular paths.
+
+A room mesh is closed: a shell whose faces turn outward, and bodies standing in it. Slots are the names of its
+materials. Triangles in one plane act as one mirror.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from roomeq.sim.early import Images
+from roomeq.sim.meshfile import read_triangles
+from roomeq.sim.scene import MIN_WALL_DISTANCE_M
+from roomeq.sim.trace import Walls, sphere_directions
+
+NUDGE_M = 1e-4  # a ray starts this far off its surface: embree computes in single precision
+_MAX_WALLS = 24  # of a convex room that needs no search
+_DISCOVERY_RAYS = 20000
+_SPHERE_RAYS = 2000
+_WELD_M = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class MeshRoom:
+    """A room of triangles.
+
+    Attributes
+    ----------
+    triangles : ndarray, shape (n_faces, 3, 3)
+        Corners [m]; normals point out of the air.
+    slots : tuple of str
+        Names of the materials.
+    face_slot : ndarray of int, shape (n_faces,)
+    volume_m3 : float
+        Of the air.
+    convex : bool
+    """
+
+    triangles: np.ndarray
+    slots: tuple
+    face_slot: np.ndarray
+    volume_m3: float
+    convex: bool
+    _known: dict = field(default_factory=dict, repr=False)
+
+    def __post_init__(self):
+        a, b, c = self.triangles.transpose(1, 0, 2)
+        cross = np.cross(b - a, c - a)
+        area = np.linalg.norm(cross, axis=1)
+        normals = -cross / area[:, None]
+        offset = np.einsum("ij,ij->i", normals, a)
+        rounded = np.round(np.column_stack([normals, offset]) * [1e5, 1e5, 1e5, 1e4]).astype(np.int64)
+        _, first, plane = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+        self._known.update(
+            normals=normals, offset=offset, area=0.5 * area, plane=np.ravel(plane),
+            mirrors=np.column_stack([normals, offset])[first], embree=_embree(self.triangles))
+
+    @property
+    def normals(self):
+        """Unit normals into the air, shape (n_faces, 3)."""
+        return self._known["normals"]
+
+    @property
+    def offsets(self):
+        """Offset of each face's plane along its normal, shape (n_faces,)."""
+        return self._known["offset"]
+
+    @cached_property
+    def walls(self):
+        """The planes of a convex room of few, or None: then rays are traced by embree."""
+        plane, mirrors = self._known["plane"], self._known["mirrors"]
+        several = [len(np.unique(self.face_slot[plane == n])) > 1 for n in range(len(mirrors))] if self.convex else []
+        if not self.convex or len(mirrors) > _MAX_WALLS or any(several):
+            return None
+        slot = [self.face_slot[plane == n][0] for n in range(len(mirrors))]
+        low, high = self.bounds_m
+        normals, offsets = np.ascontiguousarray(mirrors[:, :3]), np.ascontiguousarray(mirrors[:, 3])
+        return Walls(normals, offsets, np.array(slot), high - low)
+
+    @property
+    def slot_area_m2(self):
+        return np.bincount(self.face_slot, self._known["area"], minlength=len(self.slots))
+
+    @property
+    def bounds_m(self):
+        corners = self.triangles.reshape(-1, 3)
+        return corners.min(axis=0), corners.max(axis=0)
+
+    def first_hits(self, origins, directions):
+        """Find the first face along rays: (face, -1 for none; distance [m], exact on the face's plane)."""
+        found = self._known["embree"].run(np.ascontiguousarray(origins, dtype=np.float32),
+                                          np.ascontiguousarray(directions, dtype=np.float32), output=True)
+        face = found["primID"].astype(np.int64)
+        normal, offset = self.normals[face], self.offsets[face]
+        approach = np.einsum("ij,ij->i", normal, directions)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = (offset - np.einsum("ij,ij->i", normal, origins)) / approach
+        # the back of a face is seen only by a ray that slipped through
+        return np.where(approach < 0.0, face, -1), np.where(face >= 0, distance, np.inf)
+
+    def sees(self, from_m, to_m):
+        """Tell which of some points are seen from others, bool array; arrays broadcast to shape (n, 3)."""
+        from_m, to_m = np.broadcast_arrays(np.asarray(from_m, float), np.asarray(to_m, float))
+        way = to_m - from_m
+        length = np.linalg.norm(way, axis=1)
+        hit = self._known["embree"].run(
+            np.ascontiguousarray(from_m, dtype=np.float32), (way / length[:, None]).astype(np.float32),
+            dists=(length - NUDGE_M).astype(np.float32), query="OCCLUDED")
+        return hit < 0
+
+    def surroundings(self, point_m):
+        """Distance to the surface in `_SPHERE_RAYS` even directions; raises ValueError outside the air."""
+        key = tuple(np.round(np.asarray(point_m, dtype=float), 9))
+        cache = self._known.setdefault("surroundings", {})
+        if key not in cache:
+            directions = sphere_directions(_SPHERE_RAYS, np.random.default_rng(0))
+            face, distance = self.first_hits(np.tile(np.asarray(key), (_SPHERE_RAYS, 1)), directions)
+            cache[key] = distance if np.mean(face >= 0) > 0.99 else None
+        return cache[key]
+
+    def require_inside(self, what, position_m):
+        """Raise ValueError unless a position lies in the air of the room, clear of its surfaces."""
+        distance = self.surroundings(position_m)
+        if distance is None or distance.min() < MIN_WALL_DISTANCE_M:
+            where = "outside the air of the room" if distance is None else f"{distance.min():.3g} m from a surface"
+            raise ValueError(f"{what}={[float(value) for value in position_m]} lies {where} and must lie inside, "
+                             f"{MIN_WALL_DISTANCE_M:g} m off: correct the position")
+
+    def sphere_volume_m3(self, center_m, radius_m):
+        """Volume of the part of a sphere that is seen from its centre."""
+        reach = np.minimum(self.surroundings(center_m), radius_m)
+        return float(4.0 / 3.0 * np.pi * np.mean(reach ** 3))
+
+    def sphere_radius_m(self, center_m, radius_m):
+        """Radius of a receiver sphere that no surface cuts in two: all of it is seen from its centre."""
+        if self.convex:
+            return radius_m
+        return float(np.clip(self.surroundings(center_m).min(), 0.5 * radius_m, radius_m))
+
+    def specular_paths(self, source_pos_m, mic_pos_m, order):
+        """Find the purely specular paths up to an order; see `roomeq.sim.early.specular_paths`."""
+        key = (tuple(source_pos_m), order)
+        sequences = self._known.setdefault("sequences", {})
+        if key not in sequences:
+            sequences[key] = _find_sequences(self, np.asarray(source_pos_m, dtype=float), order)
+        return _checked_paths(self, sequences[key], np.asarray(source_pos_m, dtype=float),
+                              np.asarray(mic_pos_m, dtype=float))
+
+
+def _embree(triangles):
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+
+    scene = EmbreeScene()
+    TriangleMesh(scene, np.ascontiguousarray(triangles, dtype=np.float32))
+    return scene
+
+
+@lru_cache(maxsize=8)
+def _load(path, mtime_ns):
+    return make_room(*read_triangles(path), name=path)
 
 
 def load_mesh(path):
-    raise ValueError(f"{path}: meshes are not read yet")
+    """Read a room from a mesh file; see `roomeq.sim.meshfile.read_triangles` for the formats.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be read, or the mesh leaks or is inside out.
+    """
+    path = Path(path)
+    return _load(path, path.stat().st_mtime_ns if path.is_file() else 0)
+
+
+def make_room(triangles, names, name="mesh"):
+    """Make a room of triangles.
+
+    Parameters
+    ----------
+    triangles : ndarray, shape (n_faces, 3, 3)
+        Corners [m]. The outer shell's normals point outward, away from the air.
+    names : sequence of str
+        Material of each face.
+    name : str
+        What error messages call it.
+
+    Returns
+    -------
+    MeshRoom
+
+    Raises
+    ------
+    ValueError
+        The mesh is not closed, its faces turn inconsistently, or it is inside out.
+    """
+    import trimesh
+
+    triangles = np.asarray(triangles, dtype=np.float64)
+    corners, index = np.unique(np.round(triangles.reshape(-1, 3) / _WELD_M).astype(np.int64), axis=0,
+                               return_inverse=True)
+    faces = np.ravel(index).reshape(-1, 3)
+    sound = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    faces, names = faces[sound], np.asarray(names)[sound]
+    mesh = trimesh.Trimesh(corners * _WELD_M, faces, process=False)
+    if not mesh.is_watertight:
+        edges, counts = np.unique(np.sort(mesh.edges, axis=1), axis=0, return_counts=True)
+        bad = edges[counts != 2]
+        where = np.round(mesh.vertices[bad[0]].mean(axis=0), 3).tolist() if len(bad) else "?"
+        raise ValueError(f"{name}: the mesh leaks: {len(bad)} edges don't join exactly two faces, the first near "
+                         f"{where} m: close the holes")
+    if not mesh.is_winding_consistent:
+        raise ValueError(f"{name}: the mesh is inside out in parts: neighbouring faces turn opposite ways: make "
+                         "all normals point out of the room")
+    flip, volume_m3 = _orient(mesh, name)
+    faces = np.where(flip[:, None], faces[:, ::-1], faces)
+    slots, face_slot = np.unique(names, return_inverse=True)
+    convex = bool(not flip.any() and mesh.body_count == 1 and _is_convex(mesh))
+    return MeshRoom(mesh.vertices[faces], tuple(str(slot) for slot in slots), face_slot, volume_m3, convex)
+
+
+def _orient(mesh, name):
+    """Tell which faces to turn so that all normals point out of the air, and the volume of the air."""
+    import trimesh
+
+    flip = np.zeros(len(mesh.faces), dtype=bool)
+    bodies = trimesh.graph.connected_components(mesh.face_adjacency, nodes=np.arange(len(mesh.faces)))
+    volumes = []
+    for body in bodies:
+        a, b, c = mesh.triangles[body].transpose(1, 0, 2)
+        volumes.append(float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0))
+    shell = int(np.argmax(np.abs(volumes)))
+    if volumes[shell] <= 0.0:
+        raise ValueError(f"{name}: the mesh is inside out (its volume is {volumes[shell]:.3g} m3): turn its faces "
+                         "so that normals point out of the room")
+    for n, body in enumerate(bodies):
+        flip[body] = n != shell and volumes[n] > 0.0
+    volume_m3 = volumes[shell] - sum(abs(volume) for n, volume in enumerate(volumes) if n != shell)
+    if volume_m3 <= 0.0:
+        raise ValueError(f"{name}: the bodies in the room take all of its {volumes[shell]:.3g} m3: correct them")
+    return flip, volume_m3
+
+
+def _is_convex(mesh):
+    """No vertex lies in front of any face's plane."""
+    normals, corners = mesh.face_normals, mesh.triangles[:, 0]
+    unique = np.unique(np.round(np.column_stack([normals, np.einsum("ij,ij->i", normals, corners)]), 5), axis=0)
+    if len(unique) > 200:
+        return False  # planes of a finely curved room are not worth testing one by one
+    return bool(np.all(mesh.vertices @ unique[:, :3].T <= unique[:, 3] + 1e-4))
+
+
+def _find_sequences(room, source, order):
+    """Find which mirrors rays meet in which order: a list, one array (n_sequences, k) for each order k."""
+    plane = room._known["plane"]
+    directions = sphere_directions(_DISCOVERY_RAYS, np.random.default_rng(1))
+    position = np.tile(source, (len(directions), 1))
+    met = np.empty((len(directions), 0), dtype=np.int64)
+    sequences = [np.empty((1, 0), dtype=np.int64)]
+    for _ in range(order):
+        face, distance = room.first_hits(position, directions)
+        hit = face >= 0
+        face, directions, met = face[hit], directions[hit], met[hit]
+        normal = room.normals[face]
+        position = position[hit] + distance[hit, None] * directions + NUDGE_M * normal
+        directions = directions - 2.0 * np.einsum("ij,ij->i", directions, normal)[:, None] * normal
+        met = np.column_stack([met, plane[face]])
+        sequences.append(np.unique(met, axis=0))
+    return sequences
+
+
+def _checked_paths(room, sequences, source, mic):
+    """Build the image sources of all sequences and keep those that the microphone sees."""
+    distances, counts = [], []
+    for sequence in sequences:
+        images = _images(room._known["mirrors"], sequence, source)
+        alive = np.arange(len(sequence))
+        target = np.tile(mic, (len(sequence), 1))
+        slot_counts = np.zeros((len(sequence), len(room.slots)), dtype=np.int64)
+        for k in range(sequence.shape[1] - 1, -1, -1):
+            way = images[k + 1][alive] - target
+            length = np.linalg.norm(way, axis=1)
+            face, distance = room.first_hits(target, way / length[:, None])
+            seen = (face >= 0) & (room._known["plane"][face] == sequence[alive, k]) & (distance < length)
+            alive, face = alive[seen], face[seen]
+            target = target[seen] + (distance / length)[seen, None] * way[seen] + NUDGE_M * room.normals[face]
+            slot_counts[alive, room.face_slot[face]] += 1
+        if len(alive):
+            alive = alive[room.sees(target, source)]
+        distances.append(np.linalg.norm(images[-1][alive] - mic, axis=1))
+        counts.append(slot_counts[alive])
+    distance_m, slot_counts = np.concatenate(distances), np.concatenate(counts)
+    by_length = np.argsort(distance_m, kind="stable")
+    return Images(distance_m[by_length], slot_counts[by_length])
+
+
+def _images(mirrors, sequence, source):
+    """Mirror the source along each sequence: a list, one array (n_sequences, 3) after 0, 1, ... reflections."""
+    images = [np.tile(source, (len(sequence), 1))]
+    for k in range(sequence.shape[1]):
+        normal, offset = mirrors[sequence[:, k], :3], mirrors[sequence[:, k], 3]
+        height = np.einsum("ij,ij->i", images[-1], normal) - offset
+        images.append(images[-1] - 2.0 * height[:, None] * normal)
+    return images

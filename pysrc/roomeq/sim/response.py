@@ -12,7 +12,7 @@ import numpy as np
 from roomeq.constants import BAND_1KHZ, FS_HZ
 from roomeq.rng import rng_for
 from roomeq.sim.early import Images, specular_paths
-from roomeq.sim.gather import FRAME_S, dense_after_s, gather
+from roomeq.sim.gather import FRAME_S, dense_after_s, gather, visibility
 from roomeq.sim.render import MAX_LENGTH_S, MIN_LENGTH_S, render, response_length_s, tail_noise
 from roomeq.sim.scene import Scene, check_positions, eyring_time_s
 from roomeq.sim.target import TOLERANCE, scaled_absorption, solve_exponent, t30_of_echogram, t30_s
@@ -118,16 +118,16 @@ def trace_source(scene, source_pos_m, *, num_rays=NUM_RAYS, max_length_s=MAX_LEN
                         tuple(int(n) for n in np.ravel(path_of_band)))
 
 
-def echograms(traced, absorption, mics_m, length_s, *, ism_order=ISM_ORDER, n_rays=None, bands=None):
+def _echograms(job, absorption, *, n_rays=None, bands=None):
     """Energy of all but the image sources, with air absorption, shape (n_mics, n_frames, 8); see `gather`."""
-    air = traced.scene.air
-    n_frames = int(np.ceil(length_s / FRAME_S))
+    traced, air = job.traced, job.traced.scene.air
+    n_frames = _n_frames(job.length_s)
     wanted = range(len(traced.path_of_band)) if bands is None else bands
-    result = np.zeros((len(mics_m), n_frames, len(traced.path_of_band)))
+    result = np.zeros((len(job.mics_m), n_frames, len(traced.path_of_band)))
     for group in sorted({traced.path_of_band[band] for band in wanted}):
         members = [band for band in wanted if traced.path_of_band[band] == group]
-        energy = gather(traced.paths[group], traced.scene.room, absorption, mics_m, ism_order=ism_order,
-                        n_frames=n_frames, speed_m_s=air.speed_m_s, n_rays=n_rays)
+        energy = gather(traced.paths[group], traced.scene.room, absorption, job.mics_m, ism_order=job.ism_order,
+                        n_frames=n_frames, speed_m_s=air.speed_m_s, n_rays=n_rays, visible=job.visible[group])
         result[:, :, members] = energy[:, :, members]
     result = _smooth_late(result, dense_after_s(traced.scene.room.volume_m3, air.speed_m_s, FS_HZ))
     length_m = (np.arange(n_frames) + 0.5) * FRAME_S * air.speed_m_s
@@ -191,8 +191,7 @@ def render_to_target(traced, mics_m, rngs, target_s, *, absorption=None, length_
 
     def pilot(exponent):
         absorption = scaled_absorption(base, exponent)
-        energy = echograms(traced, absorption, job.mics_m, job.length_s, ism_order=ism_order, n_rays=_PILOT_RAYS,
-                           bands=[BAND_1KHZ])
+        energy = _echograms(job, absorption, n_rays=_PILOT_RAYS, bands=[BAND_1KHZ])
         _add_images(energy, job, absorption)
         return t30_of_echogram(energy[:, :, BAND_1KHZ].mean(axis=0))
 
@@ -288,12 +287,13 @@ def needed_length_s(scene, target_s=None, order=ORDER):
 
 @dataclass(frozen=True)
 class _Job:
-    """What does not change while absorption is searched for: microphones, their image sources and tail noise."""
+    """What stays the same while absorption is searched for."""
 
     traced: TracedSource
     mics_m: np.ndarray
     images: list[Images]
     noises: list[np.ndarray]
+    visible: list[np.ndarray]
     length_s: float
     ism_order: int
 
@@ -307,7 +307,13 @@ def _job(traced, mics_m, rngs, length_s, ism_order):
     images = [specular_paths(room, traced.source_pos_m, mic_m, ism_order) for mic_m in mics_m]
     n_samples = int(np.ceil(length_s * FS_HZ)) + 1
     noises = [tail_noise(n_samples, room.volume_m3, air.speed_m_s, rng) for rng in rngs]
-    return _Job(traced, mics_m, images, noises, length_s, ism_order)
+    visible = [visibility(paths, room, mics_m, n_frames=_n_frames(length_s), speed_m_s=air.speed_m_s)
+               for paths in traced.paths]
+    return _Job(traced, mics_m, images, noises, visible, length_s, ism_order)
+
+
+def _n_frames(length_s):
+    return int(np.ceil(length_s / FRAME_S))
 
 
 def _add_images(energy, job, absorption):
@@ -321,7 +327,7 @@ def _add_images(energy, job, absorption):
 
 
 def _render(job, absorption):
-    energy = echograms(job.traced, absorption, job.mics_m, job.length_s, ism_order=job.ism_order)
+    energy = _echograms(job, absorption)
     whole = energy.copy()
     _add_images(whole, job, absorption)
     return [_render_one(job, absorption, *each)

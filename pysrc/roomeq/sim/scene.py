@@ -11,6 +11,7 @@ import numpy as np
 
 from roomeq.acoustics.air import band_attenuation_per_m, speed_of_sound_m_s
 from roomeq.constants import BANDS_HZ
+from roomeq.sim.trace import Walls
 
 N_BANDS = len(BANDS_HZ)
 WALLS = ("west", "east", "south", "north", "floor", "ceiling")
@@ -128,13 +129,14 @@ class Shoebox:
         return np.repeat([width * height, length * height, length * width], 2)
 
     @cached_property
-    def normals(self):
-        """Inward unit normals of the faces, shape (6, 3)."""
-        return np.repeat(np.eye(3), 2, axis=0) * np.array([1, -1] * 3)[:, None]
+    def walls(self):
+        normals = np.repeat(np.eye(3), 2, axis=0) * np.array([1.0, -1.0] * 3)[:, None]
+        offsets = np.where(np.arange(6) % 2 == 0, 0.0, -np.repeat(self.dims_m, 2))
+        return Walls(normals, offsets, np.arange(6), np.array(self.dims_m))
 
-    @property
-    def face_slot(self):
-        return np.arange(6)
+    def sphere_radius_m(self, center_m, radius_m):
+        """Radius of a receiver sphere: walls only cut it."""
+        return radius_m
 
     def require_inside(self, what, position_m):
         """Raise ValueError unless a position lies in the room, clear of the walls."""

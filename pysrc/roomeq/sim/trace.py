@@ -11,7 +11,27 @@ import numpy as np
 
 from roomeq.sim.jit import compiled, for_chunks, mix, uniform
 
+RETRIES = 6
 GOLDEN_RATIO = 0.5 * (1.0 + np.sqrt(5.0))
+
+
+@dataclass(frozen=True)
+class Walls:
+    """The planes around a convex room: the air is where ``normal . x > offset`` for all of them.
+
+    Attributes
+    ----------
+    normals : ndarray, shape (n_walls, 3)
+    offsets : ndarray, shape (n_walls,)
+    face_slot : ndarray of int, shape (n_walls,)
+    size_m : ndarray, shape (3,)
+        Of the box around the room.
+    """
+
+    normals: np.ndarray
+    offsets: np.ndarray
+    face_slot: np.ndarray
+    size_m: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -25,6 +45,9 @@ class Paths:
         Position of each reflection and the length of the path up to there [m].
     codes : ndarray of unsigned int, shape (n_rays, capacity)
         ``2 * face + went_on_diffusely`` per reflection.
+    normals : ndarray, shape (n_faces, 3)
+        Of the faces, into the air.
+    face_slot : ndarray of int, shape (n_faces,)
     counts : ndarray of int32, shape (n_rays,)
         Reflections stored per ray.
     scattering : ndarray, shape (n_slots,)
@@ -38,6 +61,8 @@ class Paths:
     source_pos_m: np.ndarray
     hits: np.ndarray
     codes: np.ndarray
+    normals: np.ndarray
+    face_slot: np.ndarray
     counts: np.ndarray
     scattering: np.ndarray
     max_length_m: float
@@ -81,21 +106,70 @@ def trace(room, source_pos_m, scattering, *, num_rays, max_length_m, rng):
     scattering = np.asarray(scattering, dtype=np.float64)
     directions = sphere_directions(num_rays, rng)
     seed = np.uint64(rng.integers(2 ** 63))
-    if hasattr(room, "trace"):
-        return room.trace(source_pos_m, directions, scattering, max_length_m, seed)
-    capacity = _capacity(room.dims_m, max_length_m)
-    hits = np.empty((num_rays, capacity, 4), dtype=np.float32)
-    codes = np.empty((num_rays, capacity), dtype=np.uint8)
-    counts = np.empty(num_rays, dtype=np.int32)
-    dims_m = np.array(room.dims_m)
-    for_chunks(num_rays, lambda chunk, first, last: _trace_box(
-        dims_m, source_pos_m, directions, scattering, max_length_m, seed, first, last, hits, codes, counts))
-    return Paths(source_pos_m, hits, codes, counts, scattering, max_length_m, 0)
+    walls = room.walls
+    follow = _follow_in_mesh if walls is None else _follow_in_convex
+    normals, face_slot = (room.normals, room.face_slot) if walls is None else (walls.normals, walls.face_slot)
+    hits, codes, counts, n_leaked = follow(room, source_pos_m, directions, scattering[face_slot], max_length_m, seed)
+    return Paths(source_pos_m, hits, codes, normals, face_slot, counts, scattering, max_length_m, n_leaked)
 
 
-def _capacity(dims_m, max_length_m):
-    """Reflections per ray that there is room for: the most that a specular ray can meet, and some."""
-    return int(1.2 * max_length_m * np.sqrt(np.sum(1.0 / np.square(dims_m)))) + 40
+def _storage(n_rays, capacity, n_faces):
+    codes = np.empty((n_rays, capacity), dtype=np.uint8 if n_faces < 128 else np.uint32)
+    return np.empty((n_rays, capacity, 4), dtype=np.float32), codes
+
+
+def _follow_in_convex(room, source, directions, scattering, max_length_m, seed):
+    """Trace a room that is bounded by a few planes: no search, only the nearest plane ahead."""
+    walls, n_rays = room.walls, len(directions)
+    # the most that a specular ray can meet in a box, and some
+    capacity = int(1.2 * max_length_m * np.sqrt(np.sum(1.0 / walls.size_m ** 2))) + 40
+    hits, codes = _storage(n_rays, capacity, len(walls.normals))
+    counts = np.empty(n_rays, dtype=np.int32)
+    for_chunks(n_rays, lambda chunk, first, last: _trace_convex(
+        walls.normals, walls.offsets, source, directions, scattering, max_length_m, seed, first, last, hits, codes,
+        counts))
+    return hits, codes, counts, 0
+
+
+def _follow_in_mesh(room, source, directions, scattering, max_length_m, seed):
+    """Trace any closed mesh: all rays together, one reflection after the other."""
+    n_rays = len(directions)
+    mean_m = 4.0 * room.volume_m3 / room.slot_area_m2.sum()
+    hits, codes = _storage(n_rays, int(1.5 * max_length_m / mean_m) + 40, len(room.normals))
+    counts = np.zeros(n_rays, dtype=np.int32)
+    position, before = np.tile(source, (n_rays, 1)), np.tile(source, (n_rays, 1))
+    way, length = directions.copy(), np.zeros(n_rays)
+    active, n_leaked, n = np.arange(n_rays), 0, 0
+    while len(active):
+        if n == hits.shape[1]:
+            hits, codes = (np.concatenate([array, np.empty_like(array[:, :n // 2 + 1])], axis=1)
+                           for array in (hits, codes))
+        face, distance = _next_hits(room, position, way, before, active, seed, n)
+        lost = face < 0
+        n_leaked += int(lost.sum())
+        active, face, distance = active[~lost], face[~lost], distance[~lost]
+        _advance(room.normals, active, face, distance, scattering, seed, n, position, before, way, length, hits,
+                 codes, counts)
+        active = active[length[active] < max_length_m]
+        n += 1
+    return hits, codes, counts, n_leaked
+
+
+def _next_hits(room, position, way, before, active, seed, n):
+    """First hits of the active rays; those that slip through an edge are shot again from a little further back."""
+    face, distance = room.first_hits(position[active], way[active])
+    lost = np.flatnonzero(face < 0)
+    rng = np.random.default_rng([int(seed), n]) if len(lost) else None
+    for attempt in range(RETRIES):
+        if not len(lost):
+            break
+        rays = active[lost]
+        position[rays] += 10.0 ** (attempt - RETRIES) * (before[rays] - position[rays])
+        way[rays] += 10.0 ** (attempt - RETRIES) * rng.standard_normal((len(rays), 3))
+        way[rays] /= np.linalg.norm(way[rays], axis=1)[:, None]
+        face[lost], distance[lost] = room.first_hits(position[rays], way[rays])
+        lost = lost[face[lost] < 0]
+    return face, distance
 
 
 @compiled
@@ -112,51 +186,62 @@ def lambert(normal, u, v, out):
 
 
 @compiled
-def _trace_box(dims_m, source, directions, scattering, max_length_m, seed, first, last, hits, codes, counts):
-    """Trace rays `first` to `last` in a box; axis a has faces 2a (at 0) and 2a + 1 (at its length)."""
-    capacity = hits.shape[1]
-    normal = np.zeros(3)
-    out = np.zeros(3)
+def reflect(normal, scattering, stream, n, way):
+    """Turn `way` at reflection `n` of a ray, specularly or diffusely; tell whether diffusely."""
+    if uniform(stream, 3 * n) < scattering:
+        lambert(normal, uniform(stream, 3 * n + 1), uniform(stream, 3 * n + 2), way)
+        return True
+    twice = 2.0 * (way[0] * normal[0] + way[1] * normal[1] + way[2] * normal[2])
+    for axis in range(3):
+        way[axis] -= twice * normal[axis]
+    return False
+
+
+@compiled
+def _trace_convex(normals, offsets, source, directions, scattering, max_length_m, seed, first, last, hits, codes,
+                  counts):
+    """Trace rays `first` to `last` between planes; the air is where ``normal . x > offset`` for all of them."""
+    capacity, n_faces = hits.shape[1], len(normals)
+    way = np.empty(3)
     for ray in range(first, last):
         stream = mix(seed + np.uint64(ray))
         x, y, z = source[0], source[1], source[2]
-        dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
-        length = 0.0
-        n = 0
+        way[0], way[1], way[2] = directions[ray, 0], directions[ray, 1], directions[ray, 2]
+        length, n, face = 0.0, 0, -1
         while n < capacity and length < max_length_m:
-            tx = (dims_m[0] - x) / dx if dx > 1e-12 else (-x / dx if dx < -1e-12 else 1e30)
-            ty = (dims_m[1] - y) / dy if dy > 1e-12 else (-y / dy if dy < -1e-12 else 1e30)
-            tz = (dims_m[2] - z) / dz if dz > 1e-12 else (-z / dz if dz < -1e-12 else 1e30)
-            if tx <= ty and tx <= tz:
-                axis, t, high = 0, tx, dx > 0.0
-            elif ty <= tz:
-                axis, t, high = 1, ty, dy > 0.0
-            else:
-                axis, t, high = 2, tz, dz > 0.0
-            x = min(max(x + t * dx, 0.0), dims_m[0])
-            y = min(max(y + t * dy, 0.0), dims_m[1])
-            z = min(max(z + t * dz, 0.0), dims_m[2])
-            length += t
-            face = 2 * axis + (1 if high else 0)
-            diffuse = uniform(stream, 3 * n) < scattering[face]
-            if diffuse:
-                normal[0], normal[1], normal[2] = 0.0, 0.0, 0.0
-                normal[axis] = -1.0 if high else 1.0
-                lambert(normal, uniform(stream, 3 * n + 1), uniform(stream, 3 * n + 2), out)
-                dx, dy, dz = out[0], out[1], out[2]
-            elif axis == 0:
-                dx = -dx
-            elif axis == 1:
-                dy = -dy
-            else:
-                dz = -dz
-            if axis == 0:
-                x = dims_m[0] if high else 0.0
-            elif axis == 1:
-                y = dims_m[1] if high else 0.0
-            else:
-                z = dims_m[2] if high else 0.0
+            nearest, ahead = 1e30, -1
+            for other in range(n_faces):
+                approach = normals[other, 0] * way[0] + normals[other, 1] * way[1] + normals[other, 2] * way[2]
+                if approach < -1e-12 and other != face:
+                    height = normals[other, 0] * x + normals[other, 1] * y + normals[other, 2] * z - offsets[other]
+                    if height < -nearest * approach:
+                        nearest, ahead = -height / approach, other
+            if ahead < 0:  # along the wall to within rounding
+                break
+            face, distance = ahead, max(nearest, 0.0)
+            x, y, z = x + distance * way[0], y + distance * way[1], z + distance * way[2]
+            length += distance
+            diffuse = reflect(normals[face], scattering[face], stream, n, way)
             hits[ray, n, 0], hits[ray, n, 1], hits[ray, n, 2], hits[ray, n, 3] = x, y, z, length
             codes[ray, n] = 2 * face + (1 if diffuse else 0)
             n += 1
         counts[ray] = n
+
+
+@compiled
+def _advance(normals, active, faces, distances, scattering, seed, n, position, before, way, length, hits, codes,
+             counts):
+    """Move the active rays to their hits, store reflection `n` and turn them; they start a nudge off the surface."""
+    for i in range(len(active)):
+        ray, face, distance = active[i], faces[i], distances[i]
+        for axis in range(3):
+            before[ray, axis] = position[ray, axis]
+            position[ray, axis] += distance * way[ray, axis]
+            hits[ray, n, axis] = position[ray, axis]
+        length[ray] += distance
+        hits[ray, n, 3] = length[ray]
+        diffuse = reflect(normals[face], scattering[face], mix(seed + np.uint64(ray)), n, way[ray])
+        codes[ray, n] = 2 * face + (1 if diffuse else 0)
+        counts[ray] = n + 1
+        for axis in range(3):
+            position[ray, axis] += 1e-4 * normals[face, axis]

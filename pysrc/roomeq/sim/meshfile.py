@@ -1,0 +1,114 @@
+"""Reading room meshes: triangles, and the name of the material of each."""
+
+from pathlib import Path
+
+import numpy as np
+
+FORMATS = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
+UNNAMED = "surface"
+
+
+def read_triangles(path):
+    """Read a mesh file.
+
+    Parameters
+    ----------
+    path : Path
+        OBJ (materials by ``usemtl``, no MTL file needed), GLB (materials by name), PLY, STL or OFF; metres.
+
+    Returns
+    -------
+    triangles : ndarray, shape (n_faces, 3, 3)
+        Corners [m].
+    names : list of str
+        Material of each face; ``"surface"`` where the file names none.
+
+    Raises
+    ------
+    ValueError
+        The file is missing, of another format, broken or holds no triangles.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ValueError(f"{path}: no such mesh file: check the path")
+    if path.suffix.lower() not in FORMATS:
+        raise ValueError(f"{path}: a mesh must be one of {', '.join(FORMATS)}: export it as such")
+    try:
+        triangles, names = _read_obj(path) if path.suffix.lower() == ".obj" else _read_other(path)
+    except (ValueError, IndexError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path}: cannot be read as a mesh ({error}): export it again") from None
+    if not len(triangles):
+        raise ValueError(f"{path}: holds no triangles: export it again")
+    if not np.all(np.isfinite(triangles)):
+        raise ValueError(f"{path}: a vertex is not finite: export it again")
+    return triangles, names
+
+
+def _read_other(path):
+    import trimesh
+
+    scene = trimesh.load(path, force="scene", process=False)
+    triangles, names = [np.empty((0, 3, 3))], []
+    for node in sorted(scene.graph.nodes_geometry):
+        transform, geometry = scene.graph[node]
+        mesh = scene.geometry[geometry]
+        if not isinstance(mesh, trimesh.Trimesh):
+            continue
+        material = getattr(getattr(mesh.visual, "material", None), "name", None)
+        triangles.append(trimesh.transform_points(mesh.vertices, transform)[mesh.faces])
+        names += [material or UNNAMED] * len(mesh.faces)
+    return np.concatenate(triangles), names
+
+
+def _read_obj(path):
+    """Read vertices, faces and materials of an OBJ file; polygons are cut into triangles."""
+    vertices, triangles, names, material = [], [], [], UNNAMED
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        key, *words = line.split("#")[0].split() or [""]
+        if key == "v":
+            vertices.append([float(word) for word in words[:3]])
+        elif key == "usemtl":
+            material = words[0] if words else UNNAMED
+        elif key == "f":
+            index = [int(word.split("/")[0]) for word in words]
+            if 0 in index:
+                raise ValueError("a face refers to vertex 0; OBJ counts from 1")
+            corners = np.array([vertices[n - 1 if n > 0 else n] for n in index])
+            cut = triangulate(corners)
+            triangles += [corners[list(three)] for three in cut]
+            names += [material] * len(cut)
+    return np.array(triangles).reshape(-1, 3, 3), names
+
+
+def triangulate(corners):
+    """Cut a planar polygon into triangles by clipping ears (Meisters, Amer. Math. Monthly 82 (1975) 648).
+
+    Parameters
+    ----------
+    corners : ndarray, shape (n, 3)
+
+    Returns
+    -------
+    list of tuple of 3 ints
+        Indices of corners, turning as the polygon does.
+    """
+    rest = list(range(len(corners)))
+    following = np.roll(corners, -1, axis=0)
+    normal = np.cross(corners, following).sum(axis=0)
+    triangles = []
+    while len(rest) > 3:
+        for n in range(len(rest)):
+            ear = rest[n - 1], rest[n], rest[(n + 1) % len(rest)]
+            if _is_ear(corners, ear, rest, normal):
+                break
+        triangles.append(ear)  # a polygon that is not simple has no ear: cut anywhere, the mesh check will see
+        rest.pop(n)
+    return [*triangles, tuple(rest)] if len(rest) == 3 else triangles
+
+
+def _is_ear(corners, ear, rest, normal):
+    a, b, c = corners[list(ear)]
+    if np.dot(np.cross(b - a, c - b), normal) <= 0.0:
+        return False
+    return not any(all(np.dot(np.cross(q - p, corners[n] - p), normal) > 0.0 for p, q in ((a, b), (b, c), (c, a)))
+                   for n in rest if n not in ear)
