@@ -96,7 +96,7 @@ class Build:
                 return part is None
             (self.work / _RECORDS).mkdir(parents=True, exist_ok=True)
             todo = [name for name in mine if not self._record_path(name).is_file()]
-            if len(todo) < len(mine):
+            if 0 < len(todo) < len(mine):
                 logger.info("%s: %d of %d items were done before", self.out, len(mine) - len(todo), len(mine))
             for _ in progress(self._each(todo, items, make, nj), len(todo), f"{self.step} {self.out.name}"):
                 pass
