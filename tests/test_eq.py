@@ -1,0 +1,239 @@
+"""EQ analysis against spectra that are known by construction; the mixture against what it was drawn from."""
+
+import numpy as np
+import pytest
+
+from rirmaker import DIRECT, coloured_rir, row, write_rir_dir
+from roomeq.acoustics.spectrum import N_FRAME, POINT_BINS, frame_power
+from roomeq.constants import FS_HZ
+from roomeq.eq import analyse_eq, fill_missing, fit_eq, screen_outliers, usable_eq
+from roomeq.files import read_json, read_jsonl, write_json
+from roomeq.mixture import FREE, draw_target, fit_gmm, read_gmm, room_weights, sample_eq, with_reference
+from roomeq.rng import rng_for
+
+SHAPE_DB = np.array([6.0, 4.0, 3.0, -2.0, 0.0, -3.0, -6.0, -9.0])
+
+
+def record(rir_id, vector_db, room_id="hall", **more):
+    return dict(id=rir_id, room_id=room_id, eq_db=with_reference(vector_db).tolist(), valid=[True] * 8, edge_db=None,
+                screen=None) | more
+
+
+def test_the_eight_points_are_powers_of_two_bins():
+    assert POINT_BINS == (2, 4, 8, 16, 32, 64, 128, 256)
+
+
+def test_an_impulse_is_flat():
+    rir = np.zeros(2000)
+    rir[DIRECT + 200] = 1.0
+    eq_db, valid = analyse_eq(rir + 1e-9 * np.eye(1, 2000, 1999).ravel(), FS_HZ, DIRECT)
+    assert eq_db == pytest.approx(0.0, abs=1e-3)
+    assert valid.all()
+
+
+def test_frames_are_those_of_the_definition():
+    rir = coloured_rir(0)
+    start = DIRECT - 32
+    window = np.sin(np.pi * np.arange(N_FRAME) / N_FRAME) ** 2
+    frames = [rir[n:n + N_FRAME] * window for n in range(start, len(rir) - N_FRAME + 1, 256)]
+    expected = np.mean(np.abs(np.fft.rfft(frames)) ** 2, axis=0)
+    assert frame_power(rir, start, len(rir)) == pytest.approx(expected, rel=1e-9)
+    level_db = 10 * np.log10(expected[list(POINT_BINS)])
+    assert analyse_eq(rir, FS_HZ, DIRECT)[0] == pytest.approx(level_db - level_db[4], abs=0.05)
+
+
+def test_eq_of_coloured_decays_is_their_colour():
+    found = [analyse_eq(coloured_rir(seed, eq_db=SHAPE_DB, time_s=1.0), FS_HZ, DIRECT)[0] for seed in range(60)]
+    assert np.mean(found, axis=0) == pytest.approx(SHAPE_DB, abs=1.2)
+
+
+def test_gain_and_polarity_change_nothing():
+    rir = coloured_rir(0)
+    assert analyse_eq(-7.0 * rir, FS_HZ, DIRECT)[0] == pytest.approx(analyse_eq(rir, FS_HZ, DIRECT)[0])
+
+
+def test_noise_behind_the_decay_does_not_count_and_is_not_valid_where_it_covers_a_point():
+    colour = (-45.0, -20.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    quiet, _ = analyse_eq(coloured_rir(0, eq_db=colour), FS_HZ, DIRECT)
+    noisy, valid = analyse_eq(coloured_rir(0, eq_db=colour, snr_db=40.0, length_s=3.0), FS_HZ, DIRECT)
+    assert valid.tolist() == [False] + [True] * 7
+    assert noisy[2:] == pytest.approx(quiet[2:], abs=2.5)
+
+
+@pytest.mark.parametrize("rir, fs_hz, message", [
+    (coloured_rir(0)[:DIRECT + 300], FS_HZ, "EQ analysis needs 512"),
+    (coloured_rir(0), 48000, "fs_hz=48000 must be 16000"),
+    (np.zeros(2000), FS_HZ, "must lie before the response's end")])
+def test_what_cannot_be_analysed_is_refused(rir, fs_hz, message):
+    with pytest.raises(ValueError, match=message):
+        analyse_eq(rir, fs_hz, DIRECT)
+
+
+def test_room_weights_let_rooms_count_equally():
+    weights = room_weights(["a", "a", "a", "b"])
+    assert weights == pytest.approx([1 / 6, 1 / 6, 1 / 6, 1 / 2])
+
+
+def test_outliers_are_screened_by_the_rooms_and_not_by_the_majority():
+    rng = np.random.default_rng(0)
+    big = [record(f"big{n}", rng.normal(0.0, 1.0, 7), "big") for n in range(100)]
+    small = [record(f"small{n}", rng.normal(shift, 1.0, 7), f"small{n}")
+             for n, shift in enumerate((-6, 6, 8, -8, 0, 1, -3, 2))]
+    odd = [record("odd", [-35.0, 0, 0, 0, 0, 0, 0], "odd")]
+    records = big + small + odd
+    screen_outliers(records)
+    assert [one["id"] for one in records if one["screen"]] == ["odd"]
+    assert "62.5 Hz" in odd[0]["screen"]
+
+
+def test_roll_off_takes_the_level_at_its_edge():
+    one = record("a", np.arange(7.0), edge_db=-4.0)
+    one["valid"][7] = False
+    assert usable_eq(one) == pytest.approx([0, 1, 2, 3, 4, 5, -4])
+
+
+def test_missing_points_are_drawn_given_the_others():
+    rng = np.random.default_rng(1)
+    low = rng.normal(0.0, 5.0, 400)
+    vectors = np.column_stack([low + rng.normal(0.0, 0.5, 400), low, *rng.normal(0.0, 1.0, (5, 400))])
+    records = [record(f"r{n:03d}", vector) for n, vector in enumerate(vectors)]
+    for one in records[::4]:
+        one["valid"][0] = False
+    filled = fill_missing(records, seed=0)
+    assert filled[1::4] == pytest.approx(vectors[1::4])
+    guessed = filled[::4, 0]
+    assert np.corrcoef(guessed, low[::4])[0, 1] > 0.9
+    assert np.std(guessed) == pytest.approx(np.std(low), rel=0.25)
+    assert np.array_equal(filled, fill_missing(records, seed=0))
+    reordered = fill_missing(records[::-1], seed=0)[::-1]
+    assert reordered == pytest.approx(filled, abs=1e-6)
+
+
+def test_a_point_that_nobody_measured_is_an_error():
+    records = [record(f"r{n}", np.zeros(7), valid=[False] + [True] * 7) for n in range(9)]
+    with pytest.raises(ValueError, match="none of 9 measured RIRs has a valid EQ at 62.5 Hz"):
+        fill_missing(records, seed=0)
+
+
+@pytest.fixture(scope="module")
+def two_clusters():
+    """Vectors of two well separated clusters, 3 to 1, each a room."""
+    rng = np.random.default_rng(0)
+    factor = np.tril(rng.normal(0.0, 1.0, (7, 7))) + 3.0 * np.eye(7)
+    vectors = np.concatenate([rng.standard_normal((300, 7)) @ factor.T + 20.0, rng.standard_normal((100, 7)) - 20.0])
+    return vectors, ["big"] * 300 + ["small"] * 100, factor @ factor.T
+
+
+def test_mixture_finds_what_was_put_in(two_clusters):
+    vectors, rooms, covariance = two_clusters
+    gmm = fit_gmm(vectors, rooms, n_components=2, seed=0)
+    assert gmm["weights"] == pytest.approx([0.75, 0.25], abs=1e-3)
+    assert np.array(gmm["means_db"])[:, 0] == pytest.approx([20.0, -20.0], abs=0.8)
+    # the fit adds the square of the just noticeable difference, 1 dB², to every variance
+    assert np.array(gmm["covariances_db2"][0]) - np.eye(7) == pytest.approx(covariance, abs=4.0)
+    assert gmm["weights_of_room"]["big"] == pytest.approx([1.0, 0.0], abs=1e-6)
+
+
+def test_samples_have_the_mixture_s_moments(two_clusters):
+    gmm = fit_gmm(two_clusters[0], two_clusters[1], n_components=2, seed=0)
+    drawn = sample_eq(gmm, 40000, np.random.default_rng(0))
+    first = drawn[drawn[:, 0] > 0]
+    assert len(first) / len(drawn) == pytest.approx(0.75, abs=0.01)
+    assert first.mean(axis=0) == pytest.approx(np.array(gmm["means_db"][0]), abs=0.15)
+    assert np.cov(first.T) == pytest.approx(np.array(gmm["covariances_db2"][0]), abs=0.6)
+
+
+@pytest.mark.parametrize("covariance", ["tied", "diag", "spherical"])
+def test_other_covariances_are_kept_as_full_ones(two_clusters, covariance):
+    gmm = fit_gmm(two_clusters[0], two_clusters[1], n_components=2, covariance=covariance, seed=0)
+    assert np.shape(gmm["covariances_db2"]) == (2, 7, 7)
+    assert sample_eq(gmm, 5, np.random.default_rng(0)).shape == (5, 7)
+
+
+def test_weighting_rooms_makes_them_count_equally(two_clusters):
+    gmm = fit_gmm(two_clusters[0], two_clusters[1], n_components=2, weight_rooms=True, seed=0)
+    assert gmm["weights"] == pytest.approx([0.5, 0.5], abs=0.01)
+
+
+def test_targets_differ_between_rirs_and_do_not_depend_on_order(two_clusters):
+    gmm = fit_gmm(two_clusters[0], two_clusters[1], n_components=2, seed=0)
+    targets = {name: draw_target(gmm, 3, name) for name in ("a", "b", "c")}
+    assert len({tuple(target) for target in targets.values()}) == 3
+    assert np.array_equal(draw_target(gmm, 3, "c"), targets["c"])
+    assert np.array_equal(targets["a"], sample_eq(gmm, 1, rng_for(3, "EQ target", "a"))[0])
+
+
+def test_a_room_draws_from_its_own_share_of_the_mixture(two_clusters):
+    gmm = fit_gmm(two_clusters[0], two_clusters[1], n_components=2, seed=0)
+    names = [f"r{n}" for n in range(50)]
+    assert all(draw_target(gmm, 0, name, "small")[0] < 0 for name in names)
+    assert all(draw_target(gmm, 0, name, "big")[0] > 0 for name in names)
+    assert {bool(draw_target(gmm, 0, name, "never measured")[0] > 0) for name in names} == {True, False}
+
+
+@pytest.mark.filterwarnings("ignore:Number of distinct clusters")
+def test_one_dominating_room_and_hardly_more_rirs_than_components_stay_sane():
+    rng = np.random.default_rng(0)
+    vectors = np.concatenate([np.repeat(rng.normal(0, 3, (1, 7)), 7, axis=0), rng.normal(0, 3, (2, 7))])
+    gmm = fit_gmm(vectors, ["big"] * 7 + ["x", "y"], seed=0)
+    smallest = min(np.linalg.eigvalsh(np.array(one)).min() for one in gmm["covariances_db2"])
+    assert smallest >= 1.0 - 1e-9, "no component is narrower than 1 dB"
+
+
+@pytest.fixture
+def rir_dirs(tmp_path):
+    """Measured and simulated RIR directories."""
+    rng = np.random.default_rng(0)
+    measured = [(row(f"real{n}", f"room{n % 3}"), coloured_rir(n, eq_db=SHAPE_DB + rng.normal(0, 2, 8)))
+                for n in range(12)]
+    simulated = [(row(f"sim{n}", f"room{n % 3}", direct_sample=float(DIRECT)), coloured_rir(100 + n)) for n in range(4)]
+    noise = (row("sim0-noise", "room0", noise_for="sim0"), coloured_rir(200))
+    return write_rir_dir(tmp_path / "real", measured), write_rir_dir(tmp_path / "sim", [*simulated, noise])
+
+
+def test_fit_eq_writes_what_the_report_and_the_next_stage_need(rir_dirs, tmp_path):
+    real_dir, sim_dir = rir_dirs
+    gmm = fit_eq(real_dir, [sim_dir], tmp_path / "eq", n_components=2, seed=0)
+    assert read_gmm(tmp_path / "eq") == gmm == read_gmm(tmp_path / "eq" / "gmm.json")
+    measured, simulated, resampled = (read_jsonl(tmp_path / "eq" / f"{name}.jsonl")
+                                      for name in ("measured", "simulated", "resampled"))
+    assert (len(measured), len(simulated)) == (12, 4)
+    assert len(resampled) == read_json(tmp_path / "eq" / "screening.json")["n_used"] == 12
+    assert measured[0]["eq_db"][4] == resampled[0]["eq_db"][4] == 0.0
+    assert np.mean([one["eq_db"] for one in measured], axis=0) == pytest.approx(SHAPE_DB, abs=4.0)
+    assert fit_eq(real_dir, [sim_dir], tmp_path / "eq", n_components=2, seed=0) is None
+
+
+def test_fit_eq_gives_the_same_bytes_again_and_with_more_jobs(rir_dirs, tmp_path):
+    for name, nj in (("one", 1), ("two", 2)):
+        fit_eq(rir_dirs[0], [rir_dirs[1]], tmp_path / name, n_components=2, seed=0, nj=nj)
+    for name in ("gmm.json", "measured.jsonl", "simulated.jsonl", "resampled.jsonl", "screening.json"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+
+
+def test_fewer_rirs_than_components_is_an_error_and_leaves_nothing(rir_dirs, tmp_path):
+    with pytest.raises(ValueError, match="12 measured RIRs are left after screening of 12: must be at least 13"):
+        fit_eq(rir_dirs[0], [], tmp_path / "eq", n_components=13, seed=0)
+    assert not (tmp_path / "eq").exists()
+
+
+@pytest.mark.parametrize("options, message", [
+    (dict(n_components=0), "n_components=0 must be"), (dict(covariance="round"), "covariance='round' must be one of")])
+def test_wrong_options_are_refused(rir_dirs, tmp_path, options, message):
+    with pytest.raises(ValueError, match=message):
+        fit_eq(rir_dirs[0], [], tmp_path / "eq", seed=0, **options)
+
+
+@pytest.mark.parametrize("gmm, message", [
+    (dict(weights=[1.0]), "not a mixture"),
+    (dict(weights=[1.0], means_db=[[0.0]], covariances_db2=[[[1.0]]]), r"\(k, 7\)")])
+def test_a_file_that_is_no_mixture_is_refused(tmp_path, gmm, message):
+    write_json(tmp_path / "gmm.json", gmm)
+    with pytest.raises(ValueError, match=message):
+        read_gmm(tmp_path)
+    with pytest.raises(ValueError, match="no such mixture: run fit-eq"):
+        read_gmm(tmp_path / "elsewhere")
+
+
+def test_seven_points_are_free():
+    assert len(FREE) == 7 and 4 not in FREE

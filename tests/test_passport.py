@@ -1,0 +1,134 @@
+"""Passports: what is measured, what is dropped, what is kept from the EQ fit, and why."""
+
+import numpy as np
+import pytest
+from scipy.signal import firwin
+
+from rirmaker import DIRECT, coloured_rir, row, write_rir_dir
+from roomeq.audio import read_audio
+from roomeq.files import read_json, read_jsonl
+from roomeq.passport import characterise, geometry_ok, measure
+from roomeq.rirs import read_noises, read_rirs, rir_path, validate_rirs
+
+PLACES = dict(source_pos_m=[1.0, 1.0, 1.0], mic_pos_m=[4.0, 3.0, 1.5])
+
+
+def run(tmp_path, items, **options):
+    """Characterise RIRs; return the rows that stay, by id, and the screening report."""
+    write_rir_dir(tmp_path / "in", items)
+    characterise(tmp_path / "in", tmp_path / "out", **options)
+    validate_rirs(tmp_path / "out")
+    return {one["id"]: one for one in read_rirs(tmp_path / "out")}, read_json(tmp_path / "out" / "screening.json")
+
+
+def test_passport_has_everything_and_only_json(tmp_path):
+    rows, report = run(tmp_path, [(row("a"), coloured_rir(0, snr_db=60.0))])
+    passport = rows["a"]["passport"]
+    assert passport["direct_sample"] == pytest.approx(DIRECT, abs=0.5)
+    for key in ("edt_s", "t20_s", "t30_s", "c50_db", "eq_db"):
+        assert len(passport[key]) == len(passport[key.rsplit("_", 1)[0] + "_valid"]) == 8, key
+    assert passport["eq_db"][4] == 0.0
+    assert passport["t30_s"][5] == pytest.approx(0.4, rel=0.05)
+    assert rows["a"]["screen"] is None and rows["a"]["geometry_ok"]
+    assert report["n_given"] == report["n_kept"] == report["n_for_eq"] == 1
+
+
+def test_audio_is_referred_to_and_noises_too(tmp_path):
+    write_rir_dir(tmp_path / "in", [(row("a"), coloured_rir(0))], [dict(id="n", room_id="hall")])
+    characterise(tmp_path / "in", tmp_path / "deep" / "out")
+    out = tmp_path / "deep" / "out"
+    assert not list(out.rglob("*.wav"))
+    assert len(read_audio(rir_path(out, read_rirs(out)[0]))) == read_rirs(out)[0]["n_samples"]
+    assert read_audio(out / read_noises(out)[0]["wav"]).size
+
+
+@pytest.mark.parametrize("more, rir, reason", [
+    (dict(binaural=True), coloured_rir(1), "binaural"),
+    (dict(excitation="clap"), coloured_rir(1), "hand clap"),
+    ({}, coloured_rir(1, snr_db=28.0), "too noisy"),
+    ({}, coloured_rir(1, eq_db=(-60, -50, -40, 0, 0, 0, 0, 0), snr_db=45.0), "dead bands"),
+], ids=["binaural", "clap", "noisy", "dead"])
+def test_screened_recordings_stay_but_not_for_the_eq(tmp_path, more, rir, reason):
+    rows, report = run(tmp_path, [(row("a"), coloured_rir(0)), (row("b", **more), rir)])
+    assert rows["a"]["screen"] is None
+    assert rows["b"]["screen"].startswith(f"{reason}: ")
+    assert report["screened_counts"] == {reason: 1}
+    assert (report["n_kept"], report["n_for_eq"]) == (2, 1)
+
+
+def test_roll_off_at_8_khz_costs_that_point_only(tmp_path):
+    filtered = np.convolve(coloured_rir(0, length_s=0.8), firwin(401, 7500, fs=16000, window=("kaiser", 10)))
+    rows, report = run(tmp_path, [(row("a"), filtered)])
+    passport = rows["a"]["passport"]
+    assert rows["a"]["screen"] is None
+    assert passport["eq_valid"] == [True] * 7 + [False]
+    assert passport["eq_db"][7] < -40.0 and abs(passport["eq_edge_db"]) < 4.0
+    assert report["n_roll_off_at_8khz"] == 1
+
+
+def test_a_tweeter_that_falls_by_24_db_an_octave_is_no_roll_off():
+    passport = measure(coloured_rir(0, eq_db=(0, 0, 0, 0, 0, 0, -2, -26)))
+    assert passport["eq_edge_db"] is None and passport["eq_valid"][7]
+
+
+def test_repeats_and_uncommon_spaces_are_dropped(tmp_path):
+    first = coloured_rir(0)
+    again = first + 0.01 * coloured_rir(5)
+    rows, report = run(tmp_path, [
+        (row("a", **PLACES), first), (row("b", **PLACES), again), (row("c"), 0.5 * first),
+        (row("d", repeat_of="e"), coloured_rir(2)), (row("e"), coloured_rir(3)),
+        (row("stairs", uncommon=True), coloured_rir(4))])
+    assert sorted(rows) == ["a", "e"]
+    assert report["dropped_counts"] == {"repeat": 3, "uncommon space": 1}
+    assert report["dropped"]["b"] == "repeat: same positions as a"
+    assert report["dropped"]["c"] == "repeat: same audio as a"
+    assert report["dropped"]["d"] == "repeat: same positions as e"
+
+
+def test_channels_of_one_array_are_no_repeats(tmp_path):
+    rows, _ = run(tmp_path, [(row("ch0", **PLACES), coloured_rir(0)), (row("ch1", **PLACES), coloured_rir(1))])
+    assert sorted(rows) == ["ch0", "ch1"]
+
+
+def test_a_repeat_stays_where_its_first_take_was_dropped(tmp_path):
+    rows, _ = run(tmp_path, [(row("a", uncommon=True), coloured_rir(0)), (row("b", repeat_of="a"), coloured_rir(1))])
+    assert sorted(rows) == ["b"]
+
+
+@pytest.mark.parametrize("more, ok", [
+    ({}, True), (PLACES, True), (dict(unreliable_geometry=True), False), (dict(mic_pos_m=[1.0, None, 3.5]), False),
+    (dict(source_pos_m=[-0.1, 1.0, 1.0]), False), (dict(room_dims_m=None, mic_pos_m=[99.0, 1.0, 1.0]), True)])
+def test_positions_are_believed_only_inside_the_room(more, ok):
+    assert geometry_ok(row("a", **more)) is ok
+
+
+@pytest.mark.parametrize("rir, message", [
+    (0.1 * np.random.default_rng(0).standard_normal(8000), "no direct sound"),
+    (coloured_rir(0)[:DIRECT + 200], "EQ analysis needs 512"),
+], ids=["noise", "short"])
+def test_what_cannot_be_measured_stops_naming_the_file_or_is_dropped(tmp_path, rir, message):
+    items = [(row("a"), coloured_rir(0)), (row("bad"), rir)]
+    with pytest.raises(ValueError, match=f"bad.wav: .*{message}"):
+        run(tmp_path, items)
+    assert not (tmp_path / "out").exists()
+    rows, report = run(tmp_path, items, skip_bad=True)
+    assert sorted(rows) == ["a"] and report["dropped_counts"] == {"broken": 1}
+
+
+def test_nothing_left_is_an_error(tmp_path):
+    with pytest.raises(ValueError, match="all 1 RIRs are dropped .1 uncommon space."):
+        run(tmp_path, [(row("a", uncommon=True), coloured_rir(0))])
+
+
+def test_parts_and_jobs_give_the_same_bytes(tmp_path):
+    items = [(row(f"r{n}"), coloured_rir(n)) for n in range(4)]
+    run(tmp_path, items)
+    characterise(tmp_path / "in", tmp_path / "jobs", nj=2)
+    for part in ("1/2", "2/2"):
+        characterise(tmp_path / "in", tmp_path / "parts", part=part)
+    assert not (tmp_path / "parts").exists()
+    characterise(tmp_path / "in", tmp_path / "parts")
+    whole = (tmp_path / "out" / "rirs.jsonl").read_bytes()
+    assert (tmp_path / "jobs" / "rirs.jsonl").read_bytes() == whole
+    assert (tmp_path / "parts" / "rirs.jsonl").read_bytes() == whole
+    assert read_jsonl(tmp_path / "out" / "rirs.jsonl")

@@ -1,0 +1,105 @@
+"""Splits are disjoint, whole, of the sizes asked for, and the same for the same seed."""
+
+import numpy as np
+import pytest
+
+from rirmaker import row, write_rir_dir
+from roomeq.rirs import read_noises, read_rirs, validate_rirs
+from roomeq.split import SPLITS, split_rirs
+
+RIR = np.eye(1, 600, 10).ravel() + 1e-3
+
+
+def make(directory, rooms, noises=()):
+    """An RIR directory of {room: number of RIRs}."""
+    return write_rir_dir(directory, [(row(f"{room}-{n}", room), RIR) for room, count in rooms.items()
+                                     for n in range(count)], noises)
+
+
+def split(tmp_path, rir_dir, name="out", **options):
+    """Split; return the ids, and the noises' ids, of each split."""
+    split_rirs(rir_dir, tmp_path / name, **{"seed": 0} | options)
+    for part in SPLITS:
+        validate_rirs(tmp_path / f"{name}.{part}")
+    return tuple({part: [one["id"] for one in read(tmp_path / f"{name}.{part}")] for part in SPLITS}
+                 for read in (read_rirs, read_noises))
+
+
+def sizes_of(ids):
+    return [len(ids[part]) for part in SPLITS]
+
+
+@pytest.mark.parametrize("count, sizes, expected", [
+    (20, (12, 3, 5), [12, 3, 5]), (26, (12, 3, 5), [12, 3, 5]), (40, (773, 194, 242), [26, 6, 8]),
+    (3, (773, 194, 242), [1, 1, 1]), (4, (773, 194, 242), [2, 1, 1])])
+def test_sizes_are_exact_or_in_proportion(tmp_path, count, sizes, expected):
+    ids, _ = split(tmp_path, make(tmp_path / "in", {"a": count}), sizes=sizes)
+    assert sizes_of(ids) == expected
+
+
+def test_splits_are_disjoint_and_whole(tmp_path):
+    ids, _ = split(tmp_path, make(tmp_path / "in", {"a": 9, "b": 8, "c": 5}))
+    everything = sorted(sum(ids.values(), []))
+    assert everything == sorted(one["id"] for one in read_rirs(tmp_path / "in"))
+
+
+def test_the_seed_decides_and_nothing_else(tmp_path):
+    rir_dir = make(tmp_path / "in", {"a": 20})
+    first, _ = split(tmp_path, rir_dir, "first")
+    assert split(tmp_path, rir_dir, "again")[0] == first
+    assert split(tmp_path, rir_dir, "other", seed=1)[0] != first
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_by_room_no_room_is_in_two(tmp_path, seed):
+    rooms = {"a": 10, "b": 3, "c": 4, "d": 6, "e": 2}
+    ids, _ = split(tmp_path, make(tmp_path / "in", rooms), split_by="room", seed=seed)
+    homes = {part: {one.split("-")[0] for one in ids[part]} for part in SPLITS}
+    assert sum(len(home) for home in homes.values()) == len(rooms)
+    assert sizes_of(ids)[0] == max(sizes_of(ids)) and min(sizes_of(ids)) > 0
+
+
+def test_takes_of_one_position_stay_together(tmp_path):
+    items = [(row(f"p{n}-{take}", source_pos_m=[1.0, 1.0, 0.1 * n], mic_pos_m=[2.0, 2.0, 1.0]), RIR)
+             for n in range(12) for take in range(2)]
+    ids, _ = split(tmp_path, write_rir_dir(tmp_path / "in", items))
+    assert sum(sizes_of(ids)) == 24
+    for part in SPLITS:
+        assert all(one[:-1] + str(1 - int(one[-1])) in ids[part] for one in ids[part])
+
+
+@pytest.mark.parametrize("split_by", ["rir", "room"])
+def test_every_split_gets_noises_of_its_own(tmp_path, split_by):
+    noises = [dict(id=f"n{n}{room}", room_id=room) for n in range(3) for room in ("a", "b", "c", None)]
+    rir_dir = make(tmp_path / "in", {"a": 9, "b": 4, "c": 4}, noises)
+    ids, dealt = split(tmp_path, rir_dir, split_by=split_by)
+    assert sorted(sum(dealt.values(), [])) == sorted(noise["id"] for noise in noises)
+    assert min(sizes_of(dealt)) > 0
+    if split_by == "room":
+        for part in SPLITS:
+            homes = {one.split("-")[0] for one in ids[part]}
+            assert {one[2:] for one in dealt[part]} <= homes | {"None"}
+
+
+def test_a_single_noise_is_shared_and_that_is_said(tmp_path, caplog):
+    _, dealt = split(tmp_path, make(tmp_path / "in", {"a": 9}, [dict(id="n", room_id="a")]))
+    assert all(dealt[part] == ["n"] for part in SPLITS)
+    assert "no noises of its own" in caplog.text
+
+
+def test_the_table_of_rooms_is_printed(tmp_path, caplog):
+    caplog.set_level("INFO")
+    split(tmp_path, make(tmp_path / "in", {"a": 9, "kitchen": 5}))
+    assert "kitchen" in caplog.text and "train" in caplog.text
+
+
+@pytest.mark.parametrize("rooms, options, message", [
+    ({"a": 2}, {}, "leave .* empty when split by rir"),
+    ({"a": 5, "b": 5}, dict(split_by="room"), "empty when split by room"),
+    ({"a": 5}, dict(split_by="file"), "split_by='file' must be"),
+    ({"a": 5}, dict(sizes=(3, 0, 1)), "must be three positive"),
+])
+def test_what_cannot_be_split_is_refused(tmp_path, rooms, options, message):
+    with pytest.raises(ValueError, match=message):
+        split(tmp_path, make(tmp_path / "in", rooms), **options)
+    assert not list(tmp_path.glob("out.*"))
