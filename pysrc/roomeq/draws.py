@@ -16,7 +16,6 @@ from roomeq.audio import audio_info
 from roomeq.rirs import NOISES_FILE, read_noises, read_rirs
 from roomeq.rng import rng_for
 
-OFFSET_TRIES = 4
 _MAX_SNR_DB = 200.0
 
 
@@ -78,12 +77,12 @@ class Noise:
 
 @dataclass(frozen=True)
 class NoiseDraw:
-    """One noise of one utterance; `rir_id` is None for ambient noise. `offsets_u` are tried in turn."""
+    """One noise of one utterance; `rir_id` is None for ambient noise."""
 
     noise: Noise
     rir_id: str | None
     snr_db: float
-    offsets_u: tuple[float, ...]
+    offset_u: float
 
 
 @dataclass(frozen=True)
@@ -219,19 +218,18 @@ class Rules:
         (no ambient noise, say) does not shift the others.
         """
         rng = rng_for(self.seed, "augment", utterance_id)
-        rir_u, ambient_u, ambient_snr_u, *ambient_offsets = rng.random(3 + OFFSET_TRIES).tolist()
+        rir_u, noise_u, snr_u, offset_u = rng.random(4).tolist()
         rir_id = pool.draw_rir(rir_u, self.weight_rooms)
         noises = []
         if self.ambient_snr and pool.ambient:
             choices = pool.ambient_by_room.get(pool.rows[rir_id]["room_id"]) or pool.ambient
-            noises.append(NoiseDraw(choices[int(ambient_u * len(choices))], None, self.ambient_snr(ambient_snr_u),
-                                    tuple(ambient_offsets)))
+            noises.append(NoiseDraw(choices[int(noise_u * len(choices))], None, self.ambient_snr(snr_u), offset_u))
         for _ in range(self.max_point_noises):
-            there_u, noise_u, noise_rir_u, snr_u, *offsets = rng.random(4 + OFFSET_TRIES).tolist()
+            there_u, noise_u, noise_rir_u, snr_u, offset_u = rng.random(5).tolist()
             rirs = pool.noise_rirs[rir_id]
             if there_u < self.point_noise_prob and self.point_snr and pool.point and rirs:
                 noises.append(NoiseDraw(pool.point[int(noise_u * len(pool.point))],
-                                        rirs[int(noise_rir_u * len(rirs))], self.point_snr(snr_u), tuple(offsets)))
+                                        rirs[int(noise_rir_u * len(rirs))], self.point_snr(snr_u), offset_u))
         return rir_id, noises
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from roomeq.audio import read_audio
 from roomeq.constants import FS_HZ
 from roomeq.draws import Noise, NoiseDraw, Pool, excerpt_start
-from roomeq.mix import Spectrum, convolve, direct_shift, loop, spectrum_of
+from roomeq.mix import convolve, direct_shift, loop
 from roomeq.rirs import load_rir
 
 CACHE_BYTES = 128 << 20
@@ -25,13 +25,12 @@ class Sounds:
         total = sum(noise.length[0] for noise in (*pool.ambient, *pool.point))
         self._keep_noises = total * 4 < CACHE_BYTES // 2
 
-    def rir(self, rir_id: str) -> tuple[Spectrum, int]:
-        """Return an RIR, ready for convolution, and the delay of its direct sound [samples]."""
-        def make() -> tuple[tuple[Spectrum, int], int]:
+    def rir(self, rir_id: str) -> tuple[np.ndarray, int]:
+        """Return an RIR (float32) and the delay of its direct sound [samples]."""
+        def make() -> tuple[tuple[np.ndarray, int], int]:
             row = self.pool.rows[rir_id]
             rir = load_rir(self.rir_dir, row)
-            spectrum = spectrum_of(rir)
-            return (spectrum, direct_shift(row, rir)), spectrum.values.nbytes
+            return (rir.astype(np.float32), direct_shift(row, rir)), 4 * len(rir)
 
         return self._recent(f"rir {rir_id}", make)
 
@@ -41,34 +40,31 @@ class Sounds:
         A point noise has been on for as long as its RIR lasts.
         """
         if draw.rir_id is None:
-            return self.excerpt(draw.noise, draw.offsets_u, length)
+            return self.excerpt(draw.noise, draw.offset_u, length)
         rir, _ = self.rir(draw.rir_id)
-        samples, start = self.excerpt(draw.noise, draw.offsets_u, length + rir.n_taps - 1)
-        return convolve(samples, rir, rir.n_taps - 1, length), start
+        samples, start = self.excerpt(draw.noise, draw.offset_u, length + len(rir) - 1)
+        return convolve(samples, rir, len(rir) - 1, length), start
 
-    def excerpt(self, noise: Noise, offsets_u: tuple[float, ...], length: int) -> tuple[np.ndarray, int]:
-        """Return samples of a noise and where they start; a silent stretch is passed over for the next offset.
+    def excerpt(self, noise: Noise, u: float, length: int) -> tuple[np.ndarray, int]:
+        """Return samples of a noise and where they start; a silent stretch gives way to one that is not.
 
         Raises
         ------
         ValueError
-            The noise is silent at every offset.
+            The whole noise is silent.
         """
-        for u in offsets_u:
-            samples, start = self._excerpt(noise, u, length)
-            if np.any(samples):
-                return samples, start
-        raise ValueError(f"{noise.path}: noise {noise.id} is silent (all samples 0) at {len(offsets_u)} places "
-                         "tried: leave it out")
-
-    def _excerpt(self, noise: Noise, u: float, length: int) -> tuple[np.ndarray, int]:
         frames, rate = noise.length
         if rate == FS_HZ and frames >= length and not self._keep_noises:
             start = excerpt_start(u, frames, length)
-            return read_audio(noise.path, start=start, stop=start + length, dtype="float32"), start
+            samples = read_audio(noise.path, start=start, stop=start + length, dtype="float32")
+            if np.any(samples):
+                return samples, start
         whole = self._recent(f"noise {noise.id}", lambda: _read_whole(noise.path))
         start = excerpt_start(u, len(whole), length)
-        return (whole[start:start + length] if len(whole) >= length else loop(whole, start, length)), start
+        if len(whole) >= length and not np.any(whole[start:start + length]):
+            start = min(max(0, _sounding(whole, noise, u) - length // 2), len(whole) - length)
+        samples = whole[start:start + length] if len(whole) >= length else loop(whole, start, length)
+        return samples, start
 
     def _recent(self, key: str, make: Callable):
         if key not in self._kept:
@@ -78,6 +74,14 @@ class Sounds:
                 self._bytes -= self._kept.popitem(last=False)[1][1]
         self._kept.move_to_end(key)
         return self._kept[key][0]
+
+
+def _sounding(samples: np.ndarray, noise: Noise, u: float) -> int:
+    """Return one of the samples that are not 0."""
+    places = np.flatnonzero(samples)
+    if not len(places):
+        raise ValueError(f"{noise.path}: noise {noise.id} is silent (all samples 0): leave it out")
+    return int(places[int(u * len(places))])
 
 
 def _read_whole(path: Path) -> tuple[np.ndarray, int]:
