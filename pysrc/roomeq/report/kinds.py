@@ -3,7 +3,7 @@
 import numpy as np
 
 from roomeq.acoustics.direct import find_direct
-from roomeq.constants import BANDS_HZ, FS_HZ
+from roomeq.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 from roomeq.eq import eq_row, usable_eq
 from roomeq.mixture import with_reference
 from roomeq.report.load import Run
@@ -56,3 +56,10 @@ def simulated_rows(run: Run) -> list[dict]:
 def described(name: str, eq_db: np.ndarray) -> str:
     """Return an EQ in words, for who can't see the figure."""
     return f"{name}: " + ", ".join(f"{db:.0f} dB at {hz:g} Hz" for hz, db in zip(BANDS_HZ, eq_db, strict=True))
+
+
+def reverberation_times(passports: list[dict]) -> list[float]:
+    """Return T30 at 1 kHz of the passports that have it validly, else T20; nothing for those without both [s]."""
+    found = (next((p[f"{name}_s"][BAND_1KHZ] for name in ("t30", "t20") if p[f"{name}_valid"][BAND_1KHZ]), None)
+             for p in passports)
+    return [value for value in found if value is not None]

@@ -121,6 +121,11 @@ def number(value: float | None, decimals: int = 1) -> str:
     return f"{value:.{decimals}f}".replace("-", "−")
 
 
+def percent(share: float, decimals: int = 0) -> str:
+    """Return a share as percent, which do not break from their sign."""
+    return f"{number(100 * share, decimals)}\N{NO-BREAK SPACE}%"
+
+
 def hertz(value: float) -> str:
     """Return a frequency as text that does not break between number and unit."""
     return f"{value:g}\N{NO-BREAK SPACE}Hz"

@@ -8,11 +8,14 @@ import numpy as np
 from roomeq.constants import BAND_1KHZ, BANDS_HZ
 from roomeq.files import read_json
 from roomeq.passport import SCREENING_FILE
+from roomeq.report.kinds import reverberation_times
 from roomeq.report.load import SETS, Run, corpus_readme, read_numbers, read_pairs
 from roomeq.report.page import Html, Missing, hertz, join, number, paragraph, tag
 from roomeq.report.page import table as make_table
 
 KINDS = ("real", "sim", "sim.EQ")
+BOOKKEEPING = ("seed", "ways", "listed")
+"""Options in stamps that say nothing to a reader, or have a column of their own."""
 PLANNED = ("train.real", "dev.real", "test.real", "train.sim", "dev.sim", "train.sim.EQ", "dev.sim.EQ")
 """The paper's Table 1, without ``.rvb``."""
 
@@ -52,8 +55,8 @@ def what_ran(run: Run) -> Html:
     for name in run.names:
         stamp = run.stamp(name)
         if stamp:
-            options = [join([tag("code", f"{key} = {shown(value)}")]) for key, value in stamp["options"].items()
-                       if key not in ("ways", "seed") and value is not None]
+            options = [tag("code", f"{key} = {shown(value)}") for key, value in stamp["options"].items()
+                       if key not in BOOKKEEPING and value not in (None, "", [])]
             folder = "exp" if name == "eq" else "data"
             rows.append([tag("code", f"{folder}/{name}"), stamp["step"], shown(stamp["options"].get("seed", "–")),
                          join(options, Html(" ")) or "–"])
@@ -116,7 +119,8 @@ def size(run: Run, name: str) -> tuple[float, int]:
 def source(run: Run, split: str) -> Html:
     """Name the clean speech of a split."""
     options = run.stamp(f"{split}.clean").get("options", {})
-    names = options.get("sets") or options.get(f"{split}_sets")
+    sets = options.get("sets")
+    names = sets.get(split) if isinstance(sets, dict) else None
     text = shown(names) if names else f"data/{split}.clean"
     generated = corpus_readme(run, f"{split}.clean").startswith("Generated")
     return join([text, " (generated stand-in)" if generated else ""])
@@ -135,7 +139,8 @@ def rooms_table(run: Run, rows: list[dict]) -> Html:
     """Return rooms by splits."""
     splits = {row["id"]: x for x in SETS if run.has(f"rirs.real.{x}") for row in run.rirs(f"rirs.real.{x}")}
     count = Counter((row["room_id"], splits.get(row["id"], "none")) for row in rows)
-    corpora = {row["room_id"]: row.get("corpus") or "–" for row in rows}
+    generated = " (generated)" if corpus_readme(run, "measured").startswith("Generated") else ""
+    corpora = {row["room_id"]: (row.get("corpus") or "–") + generated for row in rows}
     columns = [*SETS, *(["none"] if any(split == "none" for _, split in count) else [])]
     body = [[tag("code", room), corpora[room], *(count[room, split] for split in columns),
              sum(count[room, split] for split in columns)] for room in sorted(corpora)]
@@ -158,23 +163,18 @@ def passport_table(rows: list[dict]) -> Html:
         eq_db = np.array([np.where(p["eq_valid"], p["eq_db"], np.nan) for p in passports], dtype=float)
         spread = np.array([np.nanstd(column) for column in eq_db.T if np.isfinite(column).any()])
         body.append([
-            tag("code", room), len(members), middle(band_values(passports, "t30"), 2),
-            middle(band_values(passports, "c50"), 1),
+            tag("code", room), len(members), middle(reverberation_times(passports), 2),
+            middle([p["c50_db"][BAND_1KHZ] for p in passports if p["c50_valid"][BAND_1KHZ]], 1),
             middle([p["drr_db"] for p in passports if p["drr_db"] is not None], 1),
             number(np.sqrt(np.mean(spread ** 2)) if len(members) > 1 and len(spread) else None),
             *(middle(column[np.isfinite(column)], 1) for column in eq_db[:, [0, 1, 6]].T)])
     points = [f"EQ at {hertz(BANDS_HZ[n])} (dB)" for n in (0, 1, 6)]
+    head = ["Room", "RIRs", f"T60, {hertz(1000)} (s)", f"C50, {hertz(1000)} (dB)", "DRR (dB)", "EQ spread (dB)"]
     return make_table(
-        "table-passports", "Passports: the median of each room, over those of its RIRs that allow the "
-        "measurement. T30: reverberation time; C50: early (50 ms) to late energy; DRR: direct sound to everything "
-        "else; EQ spread: standard deviation within the room, mean over the points",
-        ["Room", "RIRs", "T30, 1 kHz (s)", "C50, 1 kHz (dB)", "DRR (dB)", "EQ spread (dB)", *points], body)
-
-
-def band_values(passports: list[dict], name: str) -> list[float]:
-    """Return a metric at 1 kHz of the passports that have it validly."""
-    unit = "db" if name == "c50" else "s"
-    return [p[f"{name}_{unit}"][BAND_1KHZ] for p in passports if p[f"{name}_valid"][BAND_1KHZ]]
+        "table-passports", "Passports: the median of each room, over those of its RIRs that allow the measurement. "
+        "T60: reverberation time, by T30 where noise leaves enough decay, else by T20; C50: early (50 ms) to late "
+        "energy; DRR: direct sound to everything else; EQ spread: standard deviation within the room, mean over "
+        "the points", [*head, *points], body)
 
 
 def middle(values, decimals: int) -> str:
@@ -185,22 +185,18 @@ def middle(values, decimals: int) -> str:
 def screening(run: Run) -> Html:
     """Return how many RIRs were dropped or left out of the EQ fit, by reason and room."""
     dropped = read_json(run.need("rirs.real", SCREENING_FILE))
-    count = Counter(("dropped", reason.split(":")[0]) for reason in dropped["dropped"].values())
-    rooms = defaultdict(Counter)
-    for row in run.rirs("rirs.real"):
-        if row.get("screen"):
-            count["not in the EQ fit", row["screen"].split(":")[0]] += 1
-            rooms[row["screen"].split(":")[0]][row["room_id"]] += 1
+    screened = {row["id"]: row["screen"] for row in run.rirs("rirs.real") if row.get("screen")}
     if (run.path("eq") / SCREENING_FILE).is_file():
-        room_of = {row["id"]: row["room_id"] for row in run.rirs("rirs.real")}
-        known = {row["id"] for row in run.rirs("rirs.real") if row.get("screen")}
-        for ident, reason in read_json(run.path("eq") / SCREENING_FILE)["screened"].items():
-            if ident not in known:
-                count["not in the EQ fit", reason.split(":")[0]] += 1
-                rooms[reason.split(":")[0]][room_of.get(ident, "–")] += 1
-    body = [[reason, what, number, ", ".join(f"{room} ({n})" for room, n in sorted(rooms[reason].items())) or "–"]
-            for (what, reason), number in sorted(count.items())]
-    body.append(["none of these", "kept and fitted", dropped["n_given"] - sum(count.values()), "–"])
+        screened = read_json(run.path("eq") / SCREENING_FILE)["screened"] | screened
+    room_of = {row["id"]: row["room_id"] for name in ("measured", "rirs.real") if run.has(name)
+               for row in run.rirs(name)}
+    rooms = defaultdict(Counter)
+    for what, reasons in (("dropped", dropped["dropped"]), ("not in the EQ fit", screened)):
+        for ident, reason in reasons.items():
+            rooms[what, reason.split(":")[0]][room_of.get(ident, "–")] += 1
+    body = [[reason, what, sum(counts.values()), ", ".join(f"{room} ({n})" for room, n in sorted(counts.items()))]
+            for (what, reason), counts in sorted(rooms.items())]
+    body.append(["none of these", "kept", dropped["n_given"] - sum(row[2] for row in body), "–"])
     return join([
         paragraph("A hand clap, a dummy head's ears or a dead band says more about the recording than about the "
                   "room and would widen the mixture until compensation hurts. Such RIRs are kept for augmentation "

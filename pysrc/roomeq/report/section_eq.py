@@ -13,7 +13,7 @@ from roomeq.mixture import FREE, with_reference
 from roomeq.report import figures
 from roomeq.report.kinds import DIRECTORIES, HELD_OUT, KINDS, described, eq_vectors, key, simulated_rows, unscreened
 from roomeq.report.load import Run
-from roomeq.report.page import Html, Missing, figure, hertz, join, number, paragraph, tag
+from roomeq.report.page import Html, Missing, figure, hertz, join, number, paragraph, percent, tag
 from roomeq.report.page import table as make_table
 from roomeq.rng import rng_for
 
@@ -149,15 +149,15 @@ def main_numbers(run: Run) -> list[tuple[str, str]]:
     rows = simulated_rows(run)
     if rows:
         error = max(abs(row["t30_s"] / row["target_t60_s"] - 1) for row in rows)
-        cards.append(("worst error of a simulated RIR's T60", f"{100 * error:.1f} %"))
+        cards.append(("worst error of a simulated RIR's T60", percent(error, 1)))
     name = DIRECTORIES["compensated"]
     errors = [row["eq_error_db"] for row in run.rirs(name) if row.get("eq_error_db")] if run.has(name) else []
     if errors:
         high = float(np.percentile(np.abs(np.array(errors)[:, list(FREE)]), 95))
-        cards.append(("or less: error of 95 % of the compensated EQ points", f"{high:.2f} dB"))
+        cards.append((f"or less: error of {percent(0.95)} of the compensated EQ points", f"{high:.2f} dB"))
     closed = gap(run)["closed"]
     if closed is not None:
-        cards.append(("of the EQ gap between simulated and measured closed", f"{100 * closed:.0f} %"))
+        cards.append(("of the EQ gap between simulated and measured closed", percent(closed)))
     return cards
 
 

@@ -5,7 +5,16 @@ import numpy as np
 from roomeq.acoustics.spectrum import LEAD_S, POINT_BINS, eq_part, frame_power
 from roomeq.constants import BAND_1KHZ, FS_HZ
 from roomeq.report import figures
-from roomeq.report.kinds import DIRECTORIES, KINDS, described, direct_sample, eq_vectors, simulated_rows, unscreened
+from roomeq.report.kinds import (
+    DIRECTORIES,
+    KINDS,
+    described,
+    direct_sample,
+    eq_vectors,
+    reverberation_times,
+    simulated_rows,
+    unscreened,
+)
 from roomeq.report.load import Run
 from roomeq.report.page import Html, Missing, figure, join, paragraph, tag
 
@@ -55,7 +64,7 @@ def frequency_responses(run: Run) -> Html:
                   "of a recording is not, above all below 500 Hz. The marks are the eight EQ sample points at "
                   "which the toolkit compares and corrects."),
         figure("figure-1", panels, join([
-            "Paper's figure 1. Left: recorded and simulated. Right: the same recording and the simulated response "
+            "Paper's figure 1. First: recorded and simulated. Second: the same recording and the simulated response "
             "after compensation. Recorded: ", tag("code", row["id"]), " of room ", tag("code", row["room_id"]),
             ", the one nearest to the median EQ; the simulated one has its room and positions. They need not be "
             "equal: the toolkit matches distributions, not pairs."]))])
@@ -92,7 +101,7 @@ def reverberation(run: Run) -> Html:
         run.need(DIRECTORIES["simulated"])
         raise Missing("target_t60_s and t30_s in data/rirs.sim.train", "stage 2 (roomeq simulate)")
     target, met = (np.array([row[name] for row in rows], dtype=np.float64) for name in ("target_t60_s", "t30_s"))
-    measured = measured_t30(run)
+    measured = measured_times(run)
     groups = [("measured", "measured", measured)] if len(measured) else []
     groups += [("target", "drawn", target), ("simulated", "simulated", met)]
     edges = np.arange(0.0, max(2.0, *(values.max() for *_, values in groups)) + 0.2, 0.2)
@@ -109,19 +118,15 @@ def reverberation(run: Run) -> Html:
                   f"Worst error: {100 * error.max():.1f} % (", tag("code", worst["id"]), f", {worst['t30_s']:.2f} "
                   f"s for {worst['target_t60_s']:.2f} s); median {100 * np.median(error):.1f} %. "
                   "5 % is the just noticeable difference."),
-        figure("figure-t60", panels, "Left: the paper aims at a uniform distribution, which measured rooms do not "
-               "have. Right: each simulated RIR of the training and development sets."),
+        figure("figure-t60", panels, "First: the paper aims at a uniform distribution, which measured rooms do not "
+               "have. Second: each simulated RIR of the training and development sets."),
         leaks(rows)])
 
 
-def measured_t30(run: Run) -> np.ndarray:
-    """Return T30 at 1 kHz of the measured training RIRs, those only that allow it [s]."""
-    found = []
-    for row in unscreened(run, DIRECTORIES["measured"]) if run.has(DIRECTORIES["measured"]) else []:
-        measures = row.get("passport") or {}
-        if measures.get("t30_s") and measures.get("t30_valid", [True] * 8)[BAND_1KHZ]:
-            found.append(measures["t30_s"][BAND_1KHZ])
-    return np.array([value for value in found if value is not None], dtype=np.float64)
+def measured_times(run: Run) -> np.ndarray:
+    """Return the reverberation times of the measured training RIRs [s]."""
+    rows = unscreened(run, DIRECTORIES["measured"]) if run.has(DIRECTORIES["measured"]) else []
+    return np.array(reverberation_times([row["passport"] for row in rows if row.get("passport")]))
 
 
 def leaks(rows: list[dict]) -> Html:

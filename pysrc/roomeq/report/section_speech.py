@@ -32,7 +32,10 @@ def noise(run: Run) -> Html:
             draw = figures.histogram(f"{x} sets", groups, np.arange(low, high + 0.1, 2.0),
                                      "Signal-to-noise ratio (dB)", "utterances")
             panels.append(figures.panel(f"figure-snr-{x}", draw,
-                                        f"SNR of the {x} sets: {values.min():.0f} to {values.max():.0f} dB"))
+                                        f"SNR of the {x} sets: {values.min():.0f} to {values.max():.0f} dB",
+                                        figures.SMALL_IN))
+    if not panels and any(run.has(f"{x}.{kind}.rvb") for x in SETS for kind in KINDS):
+        return paragraph("No noise was given, and none was added.")
     if not panels:
         raise Missing("utt2snr of any data/*.rvb", "stage 6 (roomeq augment)")
     return join([
@@ -130,7 +133,7 @@ def limits(run: Run) -> Html:
     if run.has("rirs.real"):
         rows = run.rirs("rirs.real")
         rooms = {row["room_id"] for row in rows}
-        points.append(f"{len(rows)} measured RIRs of {len(rooms)} rooms: the paper has 1209 of 8. With few rooms "
+        points.append(f"{len(rows)} measured RIRs of {len(rooms)} rooms, where the paper has 1209. With few rooms "
                       "the distribution fitted is that of these rooms and of the loudspeakers and microphones "
                       "used in them, not of rooms in general.")
         if run.stamp("rirs.real.train").get("options", {}).get("split_by", "rir") == "rir":
