@@ -6,13 +6,17 @@ import numpy as np
 
 from roomeq.constants import EXACT_BANDS_HZ
 
+MIN_CROSSOVER_OCTAVES = 1.0 / 3.0
+MIN_CROSSOVER_HZ = 62.0  # a narrower crossover would spread a pulse over more than some 20 ms
+
 
 @lru_cache(maxsize=16)
 def octave_filterbank(n_fft, fs_hz):
     """Amplitude responses of the eight complementary octave bands.
 
-    Between two neighbouring mid-band frequencies the gains are ``cos^2`` and ``sin^2`` of log frequency, so
-    that they add up to exactly one; the lowest band takes everything below, the highest everything above.
+    Neighbouring bands cross at the edge between them, where their gains are ``cos^2`` and ``sin^2`` of log
+    frequency and add up to exactly one. The crossover is a third of an octave wide, at low frequencies more. The
+    lowest band takes everything below, the highest everything above.
 
     Parameters
     ----------
@@ -26,8 +30,11 @@ def octave_filterbank(n_fft, fs_hz):
         Read-only.
     """
     frequency = np.maximum(np.fft.rfftfreq(n_fft, 1.0 / fs_hz), 1e-3)
-    position = np.interp(np.log2(frequency), np.log2(EXACT_BANDS_HZ), np.arange(len(EXACT_BANDS_HZ)))
-    distance = np.abs(position - np.arange(len(EXACT_BANDS_HZ))[:, None])
-    gains = np.cos(0.5 * np.pi * np.minimum(distance, 1.0)) ** 2
+    bands = np.array(EXACT_BANDS_HZ)
+    edges = np.sqrt(bands[:-1] * bands[1:])
+    octaves = np.clip(MIN_CROSSOVER_HZ / edges / np.log(2.0), MIN_CROSSOVER_OCTAVES, 1.0)
+    position = np.clip(np.log2(frequency / edges[:, None]) / octaves[:, None], -0.5, 0.5)
+    above = np.sin(0.5 * np.pi * (position + 0.5)) ** 2  # share of what lies above each edge
+    gains = -np.diff(above, axis=0, prepend=1.0, append=0.0)
     gains.flags.writeable = False
     return gains

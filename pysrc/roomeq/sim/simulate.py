@@ -72,6 +72,7 @@ def simulate(measured_dir, out, *, t60_range_s=(0.2, 2.0), num_rays=NUM_RAYS, is
     measured_dir = Path(measured_dir)
     table = read_materials(materials)
     rows = read_rirs(measured_dir)
+    groups = _group(rows, measured_dir, seed)
     low_s, high_s = (float(value) for value in t60_range_s)
     options = dict(t60_range_s=[low_s, high_s], num_rays=num_rays, ism_order=ism_order, order=order,
                    noise_rirs=noise_rirs, seed=seed)
@@ -88,7 +89,7 @@ def simulate(measured_dir, out, *, t60_range_s=(0.2, 2.0), num_rays=NUM_RAYS, is
         write_rirs(directory, [row for record in records for row in record], final_directory=build.out)
         validate_rirs(directory)
 
-    if build.run(_group(rows, measured_dir, seed), one, part=part, nj=nj):
+    if build.run(groups, one, part=part, nj=nj):
         build.finish(assemble)
 
 

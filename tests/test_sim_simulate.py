@@ -1,0 +1,164 @@
+"""Simulating an RIR directory: geometry known and unknown, targets, noise sources, the same bytes every time."""
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from roomeq.acoustics.metrics import reverberation_time
+from roomeq.constants import FS_HZ
+from roomeq.files import write_jsonl
+from roomeq.rirs import load_rir, read_rirs, validate_rirs
+from roomeq.sim.materials import read_materials
+from roomeq.sim.simulate import simulate
+
+BOX_M = [6.0, 4.2, 3.0]
+
+
+def measured_row(row_id, **known):
+    row = dict(id=row_id, wav=f"{row_id}.wav", room_id="office", source_id="s1", mic_id=row_id, fs_hz=FS_HZ,
+               n_samples=FS_HZ, room_dims_m=BOX_M, source_pos_m=[1.0, 2.0, 1.5], mic_pos_m=[4.0, 3.0, 1.2])
+    return row | known
+
+
+@pytest.fixture
+def measured(tmp_path):
+    rows = [
+        measured_row("a1"),
+        measured_row("a2", mic_pos_m=[4.5, 1.0, None]),
+        measured_row("b1", room_id="unknown", source_id="x", room_dims_m=None, source_pos_m=None, mic_pos_m=None,
+                     distance_m=6.3),
+        measured_row("b2", room_id="unknown", source_id="x", room_dims_m=None, source_pos_m=None, mic_pos_m=None),
+        measured_row("c1", room_id="flagged", mic_pos_m=[9.0, 3.0, 1.2], unreliable_geometry=True),
+    ]
+    (tmp_path / "measured").mkdir()
+    write_jsonl(tmp_path / "measured" / "rirs.jsonl", rows)
+    return tmp_path / "measured"
+
+
+def run(measured, out, **options):
+    simulate(measured, out, **(dict(num_rays=1000, t60_range_s=(0.3, 0.8), seed=5) | options))
+    return {row["id"]: row for row in read_rirs(out)}
+
+
+def hashes(directory):
+    return {str(path.relative_to(directory)): hashlib.sha256(path.read_bytes()).hexdigest()
+            for path in sorted(directory.rglob("*")) if path.is_file() and path.name not in (".done", "rir_list")}
+
+
+def test_every_measured_rir_gets_one_with_its_target_and_noise(measured, tmp_path):
+    out = tmp_path / "sim"
+    rows = run(measured, out)
+    assert validate_rirs(out) == 10 and set(rows) == {f"{name}{noise}" for name in ("a1", "a2", "b1", "b2", "c1")
+                                                      for noise in ("", "-noise1")}
+    for name in ("a1", "a2", "b1", "b2", "c1"):
+        row, noise = rows[name], rows[f"{name}-noise1"]
+        rir = load_rir(out, row)
+        measured_s = reverberation_time(rir, FS_HZ, 1000.0, "t30", direct_sample=row["direct_sample"])
+        assert measured_s == pytest.approx(row["target_t60_s"], rel=0.05)
+        assert 0.3 <= row["target_t60_s"] <= 0.8
+        distance_m = np.linalg.norm(np.subtract(row["source_pos_m"], row["mic_pos_m"]))
+        assert row["direct_sample"] == pytest.approx(FS_HZ * distance_m / 343.2)
+        assert row["measured_id"] == name and row["noise_for"] is None and row["model"] == []
+        assert noise["noise_for"] == name and noise["materials"] == row["materials"]
+        assert noise["mic_pos_m"] == row["mic_pos_m"] and noise["source_pos_m"] != row["source_pos_m"]
+        assert all(0.0 <= a <= 1.0 for slot in row["materials"].values() for a in slot["absorption"])
+    assert rows["a1"]["drawn"] == [] and rows["a2"]["drawn"] == ["mic_pos_m.2"]
+    assert rows["a2"]["mic_pos_m"][:2] == [4.5, 1.0] and 0.8 <= rows["a2"]["mic_pos_m"][2] <= 1.8
+    assert rows["a1-noise1"]["source_pos_m"] == rows["a2-noise1"]["source_pos_m"]
+    assert rows["a1"]["materials"] != rows["a2"]["materials"]
+    assert {"room_dims_m.0", "source_pos_m.1", "mic_pos_m.2"} <= set(rows["b1"]["drawn"])
+    assert rows["b1"]["room_dims_m"] == rows["b2"]["room_dims_m"]
+    assert rows["b1"]["source_pos_m"] == rows["b2"]["source_pos_m"]
+    assert 30.0 <= np.prod(rows["b1"]["room_dims_m"]) <= 2001.0
+    distance_m = np.linalg.norm(np.subtract(rows["b1"]["source_pos_m"], rows["b1"]["mic_pos_m"]))
+    assert distance_m == pytest.approx(6.3, abs=0.2)
+    assert "mic_pos_m.0" in rows["c1"]["drawn"] and rows["c1"]["room_dims_m"] == BOX_M
+
+
+def test_the_result_depends_on_the_seed_and_on_nothing_else(measured, tmp_path):
+    """Threads, parts and order of work change no byte; neither do other rows."""
+    run(measured, tmp_path / "one")
+    for part in ("2/2", "1/2", None):
+        simulate(measured, tmp_path / "parts", num_rays=1000, t60_range_s=(0.3, 0.8), seed=5, part=part)
+    assert hashes(tmp_path / "parts") == hashes(tmp_path / "one")
+    script = ("import sys; from roomeq.sim.simulate import simulate\n"
+              "simulate(sys.argv[1], sys.argv[2], num_rays=1000, t60_range_s=(0.3, 0.8), seed=5)")
+    for threads in ("1", "2"):
+        environment = os.environ | dict(NUMBA_NUM_THREADS=threads, PYTHONPATH=os.pathsep.join(sys.path))
+        out = tmp_path / f"threads{threads}"
+        subprocess.run([sys.executable, "-c", script, str(measured), str(out)], check=True, env=environment)
+        assert hashes(out) == hashes(tmp_path / "one")
+    rows = {row["id"]: row for row in read_rirs(tmp_path / "one")}
+    (tmp_path / "fewer").mkdir()
+    write_jsonl(tmp_path / "fewer" / "rirs.jsonl", [row for row in read_rirs(measured) if row["id"] in ("a2", "c1")])
+    fewer = run(tmp_path / "fewer", tmp_path / "few")
+    assert fewer == {name: rows[name] for name in fewer}
+    other = run(measured, tmp_path / "other", seed=6)
+    assert other["a1"]["target_t60_s"] != rows["a1"]["target_t60_s"]
+
+
+def test_a_second_run_does_nothing(measured, tmp_path):
+    run(measured, tmp_path / "sim")
+    before = (tmp_path / "sim" / "rirs.jsonl").stat().st_mtime_ns
+    run(measured, tmp_path / "sim")
+    assert (tmp_path / "sim" / "rirs.jsonl").stat().st_mtime_ns == before
+
+
+@pytest.mark.parametrize("known, message", [
+    (dict(mic_pos_m=[7.0, 3.0, 1.2]), r"RIR a1: mic_pos_m\[0\]=7 must lie in \[0.01, 5.99\] m"),
+    (dict(mic_pos_m=[1.0, 2.0, 1.51]), r"RIR a1: source and microphone are 0.01 m apart"),
+    (dict(temperature_c=90.0), r"temperature_c=90 must lie in"),
+    (dict(mesh="room.obj"), r"RIR a1: .*room.obj: no such mesh file"),
+])
+def test_wrong_geometry_is_refused_by_name(tmp_path, known, message):
+    (tmp_path / "measured").mkdir()
+    write_jsonl(tmp_path / "measured" / "rirs.jsonl", [measured_row("a1", **known)])
+    with pytest.raises(ValueError, match=message):
+        simulate(tmp_path / "measured", tmp_path / "sim", num_rays=1000)
+    assert not (tmp_path / "sim").exists()
+
+
+@pytest.mark.parametrize("options, message", [
+    (dict(t60_range_s=(2.0, 0.2)), r"t60_range=.* the smaller first"),
+    (dict(num_rays=3), r"num_rays=3 must lie in \[100, "),
+    (dict(noise_rirs=9), r"noise_rirs=9 must lie in"),
+    (dict(ism_order=-1), r"ism_order=-1 must lie in"),
+    (dict(materials="absent.toml"), r"absent.toml: cannot be read as a table of materials"),
+])
+def test_impossible_options_are_refused(measured, tmp_path, options, message):
+    with pytest.raises(ValueError, match=message):
+        simulate(measured, tmp_path / "sim", **options)
+
+
+def test_the_table_of_materials_is_whole_and_can_be_ones_own(tmp_path):
+    table = read_materials()
+    assert all(table.names(use) for use in ("wall", "floor", "ceiling"))
+    columns = np.unique(np.array(list(table.scattering.values())), axis=1)
+    assert columns.shape[1] <= 3, "each distinct column of scattering coefficients costs a trace"
+    path = tmp_path / "own.toml"
+    path.write_text("[materials.felt]\nabsorption = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]\n")
+    assert read_materials(path).names("wall") == ["felt"]
+    path.write_text("[materials.felt]\nabsorption = [0.1, 0.2, 1.3, 0.4, 0.5, 0.6, 0.7, 0.8]\n")
+    with pytest.raises(ValueError, match=r"own.toml: absorption\[2\]=1.3 of material 'felt' must lie in \[0, 1\]"):
+        read_materials(path)
+    path.write_text("[materials.felt]\nuse = ['wall']\nabsorption = 0.1\n")
+    with pytest.raises(ValueError, match=r"no material with use 'floor'"):
+        read_materials(path)
+
+
+def test_mesh_rows_are_simulated_with_materials_by_name(tmp_path):
+    from test_sim_mesh import L_PLAN, prism_obj
+    (tmp_path / "measured").mkdir()
+    (tmp_path / "measured" / "room.obj").write_text(prism_obj(L_PLAN, 3.0, "brick_bare"))
+    write_jsonl(tmp_path / "measured" / "rirs.jsonl", [
+        measured_row("m1", mesh="room.obj", room_dims_m=None, source_pos_m=[5.0, 1.0, 1.5], mic_pos_m=[1.0, 5.0, 1.5])])
+    rows = run(tmp_path / "measured", tmp_path / "sim", num_rays=1000)
+    assert rows["m1"]["materials"]["brick_bare"]["material"] == "brick_bare"
+    assert rows["m1"]["direct_visible"] is False
+    assert rows["m1"]["t30_s"] == pytest.approx(rows["m1"]["target_t60_s"], rel=0.05)
+    assert json.loads((tmp_path / "sim" / "rirs.jsonl").read_text().splitlines()[0])["leaked_share"] == 0.0
