@@ -1,0 +1,151 @@
+"""The simulator under test, as the benches call it: the only file of the benches that knows its functions."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.rooms import FURNISHED_M, box_triangles, furnished_triangles, l_triangles
+from roomeq.acoustics.air import air_absorption_db_m
+from roomeq.acoustics.filterbank import octave_filterbank
+from roomeq.constants import FS_HZ
+from roomeq.rng import rng_for
+from roomeq.sim.early import specular_paths
+from roomeq.sim.gather import FRAME_S, gather
+from roomeq.sim.materials import draw_materials, draw_scattering, read_materials
+from roomeq.sim.mesh import make_room
+from roomeq.sim.response import ISM_ORDER, simulate_rir, trace_source
+from roomeq.sim.scene import Air, Material, Scene, Shoebox
+
+N_RAYS = 20_000
+
+
+@dataclass(frozen=True)
+class StillAir:
+    """Air that absorbs nothing: decays are then the same in all bands, and the reference needs no bands."""
+
+    speed_m_s: float = 343.2
+
+    @property
+    def attenuation_per_m(self):
+        return np.zeros(8)
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """An impulse response.
+
+    Attributes
+    ----------
+    rir : ndarray, shape (n_samples,)
+    fs_hz : float
+    direct_sample : float
+    """
+
+    rir: np.ndarray
+    fs_hz: float
+    direct_sample: float
+
+
+def box_scene(dims_m, absorption, scattering, air=None):
+    """A shoebox of six walls.
+
+    Parameters
+    ----------
+    dims_m : array_like, shape (3,)
+    absorption : float or array_like, shape (6,) or (6, 8)
+        Of x = 0, x = length, y = 0, y = width, z = 0, z = height.
+    scattering : float
+    air : optional
+        Air that absorbs nothing where not given.
+    """
+    rows = np.asarray(absorption, dtype=float)
+    rows = np.broadcast_to(rows[:, None] if rows.ndim == 1 else rows, (6, 8))
+    materials = [Material(f"wall{n}", tuple(row), scattering) for n, row in enumerate(rows)]
+    return Scene(Shoebox(tuple(dims_m)), materials, StillAir() if air is None else air)
+
+
+def simulate(scene, source_pos_m, mics_m, *, n_rays=N_RAYS, ism_order=ISM_ORDER, seed=0, target_t60_s=None):
+    """Simulate and render; list of `Rendered`, one per microphone."""
+    responses = simulate_rir(scene, source_pos_m, mics_m, num_rays=n_rays, ism_order=ism_order, seed=seed,
+                             target_t60_s=target_t60_s)
+    return [Rendered(response.rir, FS_HZ, response.direct_sample) for response in responses]
+
+
+def real_air(temperature_c=20.0, humidity_pct=50.0):
+    """The simulator's own air."""
+    return Air(temperature_c, humidity_pct)
+
+
+def specular_list(dims_m, absorption, source_pos_m, mic_pos_m, order):
+    """Lengths [m] and pressure gains (scattering 0, no air) of its specular paths, sorted by length."""
+    scene = box_scene(dims_m, absorption, 0.0)
+    images = specular_paths(scene.room, source_pos_m, mic_pos_m, order)
+    return images.distance_m, images.gains(scene.absorption, scene.scattering, np.zeros(8))[:, 0]
+
+
+def air_db_m(frequency_hz, temperature_c, humidity_pct):
+    """Air absorption as the simulator computes it [dB/m]."""
+    return float(air_absorption_db_m(frequency_hz, temperature_c, humidity_pct))
+
+
+def filterbank_ripple_db(n_fft=32768):
+    """Largest deviation of the sum of the octave filters from one [dB]."""
+    return float(np.max(np.abs(20.0 * np.log10(np.sum(octave_filterbank(n_fft, FS_HZ), axis=0)))))
+
+
+def echogram(scene, source_pos_m, mics_m, *, duration_s, seed, n_rays=N_RAYS, ism_order=ISM_ORDER):
+    """Energy per frame of `FRAME_S`, image sources included and air left out, shape (n_mics, n_frames).
+
+    Materials must be the same in all bands.
+    """
+    traced = trace_source(scene, source_pos_m, num_rays=n_rays, max_length_s=duration_s, rng=rng_for(seed, "trace", ""))
+    energy = gather(traced.paths[0], scene.room, scene.absorption, mics_m, ism_order=ism_order,
+                    n_frames=round(duration_s / FRAME_S), speed_m_s=scene.air.speed_m_s)[:, :, 4]
+    for echo, mic in zip(energy, mics_m, strict=True):
+        images = specular_paths(scene.room, source_pos_m, mic, ism_order)
+        gains = images.gains(scene.absorption, scene.scattering, scene.air.attenuation_per_m)[:, 4]
+        frame = (images.distance_m / scene.air.speed_m_s / FRAME_S).astype(int)
+        np.add.at(echo, frame[frame < len(echo)], gains[frame < len(echo)] ** 2)
+    return energy
+
+
+def mesh_scene(triangles, names, absorption, scattering, air=None):
+    """A mesh whose materials all have one absorption and scattering."""
+    room = make_room(triangles, names)
+    materials = [Material(slot, absorption, scattering) for slot in room.slots]
+    return Scene(room, materials, StillAir() if air is None else air)
+
+
+def l_room_lengths(source_pos_m, mic_pos_m, order):
+    """Lengths of the simulator's specular paths in the L-shaped room, sorted [m]."""
+    scene = mesh_scene(*l_triangles(), 0.1, 0.0)
+    return np.sort(specular_paths(scene.room, source_pos_m, mic_pos_m, order).distance_m)
+
+
+def watertight_scenes():
+    """Closed rooms: (name, scene, source)."""
+    box = box_triangles(FURNISHED_M)
+    return [("box", box_scene(FURNISHED_M, 0.1, 0.5), (2.1, 3.3, 1.5)),
+            ("box as 12 triangles", mesh_scene(box, ["wall"] * 12, 0.1, 0.5), (2.1, 3.3, 1.5)),
+            ("L", mesh_scene(*l_triangles(), 0.1, 0.5), (5.2, 1.1, 1.4)),
+            ("furnished, 2,000 triangles", mesh_scene(*furnished_triangles(), 0.1, 0.5), (2.1, 3.3, 1.5))]
+
+
+def leaked(scene, source_pos_m, *, n_rays, duration_s=1.0):
+    """Trace; return the number of reflections and of rays that leaked."""
+    traced = trace_source(scene, source_pos_m, num_rays=n_rays, max_length_s=duration_s, rng=rng_for(1, "trace", ""))
+    return int(sum(path.counts.sum() for path in traced.paths)), int(sum(path.n_leaked for path in traced.paths))
+
+
+def simulate_drawn(dims_m, source_pos_m, mic_pos_m, target_s, *, seed, tries=10):
+    """Simulate a target with drawn materials, as the recipe does: drawn again where a target is out of reach."""
+    table, room, air = read_materials(), Shoebox(tuple(dims_m)), Air()
+    rng = rng_for(seed, "materials", "")
+    for draw in range(tries):
+        scattering = draw_scattering(table, room, rng)
+        scene = draw_materials(table, room, scattering, air, target_s, rng)
+        try:
+            return simulate(scene, source_pos_m, [mic_pos_m], seed=seed, target_t60_s=target_s)[0]
+        except ValueError:
+            if draw == tries - 1:
+                raise
