@@ -18,14 +18,14 @@ import numpy as np
 
 from roomeq.build import Build
 from roomeq.constants import FS_HZ
-from roomeq.datadir import Utterance, read_data_dir, read_utterance
+from roomeq.datadir import DataDir, read_data_dir
 from roomeq.datawrite import GRID_SAMPLES, OutUtterance, write_data_dir
 from roomeq.draws import Pool, Rules, parse_distribution, read_pool
 from roomeq.files import read_json, read_jsonl, to_json, write_json, write_jsonl
-from roomeq.layout import file_name, plan_recordings, write_recording
+from roomeq.layout import Planned, file_name, plan_recordings, write_recording
 from roomeq.mix import Mixture, convolve, mix
 from roomeq.sounds import Sounds
-from roomeq.wavscp import flac_entry
+from roomeq.wavscp import flac_entry, read_entry
 
 logger = logging.getLogger(__name__)
 
@@ -118,11 +118,13 @@ def augment(data_dir: Path, rir_dir: Path, out: Path, *, seed: int = 0, copies: 
     if not build.done:
         job = Job(**{**vars(job), "work": str(build.work)})
         fresh, began = not build.work.exists(), time.monotonic()
-        plan = _session(job).plan
+        data = read_data_dir(Path(data_dir), pipes=pipes)
+        plan = plan_recordings(data, copies, pipes=pipes)
+        _say_what_is_missing(_session(job))
         if not build.run(plan, partial(_make_recording, job), part=part, nj=nj):
             return None
         took_s = time.monotonic() - began if fresh else None
-        build.finish(partial(_assemble, job, build.out))
+        build.finish(partial(_assemble, job, data, build.out))
         _log_summary(build.out, took_s)
     shutil.rmtree(build.out / _ROWS, ignore_errors=True)
     return read_json(build.out / SUMMARY_FILE)
@@ -142,11 +144,10 @@ def _check(job: Job) -> None:
 
 
 class _Session:
-    """What one process keeps while it works on a job; its caches are bounded."""
+    """What one process keeps while it works on a job: nothing that grows with the number of utterances."""
 
     def __init__(self, job: Job):
-        self.data = read_data_dir(Path(job.data_dir), pipes=job.pipes)
-        self.plan = plan_recordings(self.data, job.copies, pipes=job.pipes)
+        self.job = job
         self.pool = read_pool(Path(job.rir_dir), [Path(path) for path in job.noises])
         self.rules = Rules(job.seed, job.weight_rooms, parse_distribution(job.snr_db, "snr_db"),
                            parse_distribution(job.point_snr_db, "point_snr_db"), job.point_noise_prob,
@@ -156,26 +157,27 @@ class _Session:
 
 @lru_cache(maxsize=1)
 def _session(job: Job) -> _Session:
-    session = _Session(job)
+    return _Session(job)
+
+
+def _say_what_is_missing(session: _Session) -> None:
     for noises, snr, kind in ((session.pool.ambient, session.rules.ambient_snr, "ambient"),
                               (session.pool.point, session.rules.point_snr, "point")):
         if snr and not noises:
-            logger.info("%s: no %s noises given: none are added", job.rir_dir, kind)
-    return session
+            logger.info("%s: no %s noises given: none are added", session.job.rir_dir, kind)
 
 
-def _make_recording(job: Job, name: str, pairs: list[tuple[str, str]]) -> dict:
+def _make_recording(job: Job, name: str, utterances: list[Planned]) -> dict:
     """Augment the utterances of one recording; write its audio and, for `_assemble`, their rows."""
     session, work = _session(job), Path(job.work)
     rows, files, pieces, position = [], [], [], 0
-    for new_id, clean_id in pairs:
-        utterance = session.data.utterances[clean_id]
-        mixture, row = augment_utterance(session, new_id, utterance, job.pipes)
+    for planned in utterances:
+        mixture, row = augment_utterance(session, planned)
         pcm = np.rint(mixture.samples * 32768).astype(np.int16)
         row.update(recording=name, start=position)
         if job.layout == "utterance":
-            row.update(recording=new_id, start=0)
-            files.append(write_recording(work, utterance.speaker, new_id, [pcm]))
+            row.update(recording=planned.id, start=0)
+            files.append(write_recording(work, row["speaker"], planned.id, [pcm]))
         else:
             gap = -len(pcm) % GRID_SAMPLES
             pieces += [pcm, np.zeros(gap, np.int16)]
@@ -187,10 +189,14 @@ def _make_recording(job: Job, name: str, pairs: list[tuple[str, str]]) -> dict:
     return dict(files=files, rows=f"{file_name(name)}.jsonl")
 
 
-def augment_utterance(session: _Session, new_id: str, utterance: Utterance, pipes: bool) -> tuple[Mixture, dict]:
+def augment_utterance(session: _Session, planned: Planned) -> tuple[Mixture, dict]:
     """Return one far-field utterance and a row that says everything that was drawn for it."""
-    clean = read_utterance(session.data, utterance, pipes=pipes)
-    rir_id, draws = session.rules.draw(new_id, session.pool)
+    utterance, where = planned.clean, f"{session.job.data_dir}: utterance {planned.clean.id}"
+    try:
+        clean = read_entry(planned.entry, utterance.start_s, utterance.end_s, pipes=session.job.pipes)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+    rir_id, draws = session.rules.draw(planned.id, session.pool)
     rir, shift = session.sounds.rir(rir_id)
     reverberated = convolve(clean, rir, shift, len(clean))
     noises, noise_rows = [], []
@@ -203,17 +209,16 @@ def augment_utterance(session: _Session, new_id: str, utterance: Utterance, pipe
         mixture = mix(clean, reverberated, noises)
     except ValueError as error:
         drawn = ", ".join([f"RIR {rir_id}", *(f"noise {draw.noise.id}" for draw in draws)])
-        raise ValueError(f"{session.data.path}: utterance {utterance.id} with {drawn}: {error}") from None
+        raise ValueError(f"{where} with {drawn}: {error}") from None
     return mixture, dict(
-        id=new_id, clean=utterance.id, speaker=utterance.speaker, n_samples=len(clean), rir=rir_id,
+        id=planned.id, clean=utterance.id, speaker=utterance.speaker, n_samples=len(clean), rir=rir_id,
         room=session.pool.rows[rir_id]["room_id"], shift=shift, noises=noise_rows,
         snr_db=None if mixture.snr_db is None else round(mixture.snr_db, 4),
         gain_db=round(mixture.gain_db, 4), peak_gain_db=round(mixture.peak_gain_db, 4))
 
 
-def _assemble(job: Job, out: Path, directory: Path, records: list[dict]) -> None:
+def _assemble(job: Job, data: DataDir, out: Path, directory: Path, records: list[dict]) -> None:
     """Write the tables of the whole directory, streaming over the rows of all recordings."""
-    data = _session(job).data
     recordings = {file["recording"]: (flac_entry(str(out / file["file"])), file["n_samples"])
                   for record in records for file in record["files"]}
     summary = Summary()

@@ -116,7 +116,7 @@ def read_data_dir(directory: Path, *, pipes: bool = False) -> DataDir:
 
 
 def read_utterance(data: DataDir, utterance: Utterance, *, pipes: bool = False) -> np.ndarray:
-    """Read the audio of one utterance, float32 at `FS_HZ`, shape (n_samples,).
+    """Read the audio of one utterance of a data directory, float32 at `FS_HZ`, shape (n_samples,).
 
     Raises
     ------

@@ -3,9 +3,10 @@
 import hashlib
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import groupby
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import soundfile
@@ -14,14 +15,22 @@ from roomeq.constants import FS_HZ
 from roomeq.datadir import DataDir, Utterance
 from roomeq.files import write_bytes
 from roomeq.rirs import is_id, make_id
-from roomeq.wavscp import n_samples
+from roomeq.wavscp import Entry, n_samples
 
 MAX_RECORDING_S = 900.0
 UNKNOWN_S = 15.0  # planning length of an utterance that only decoding a whole archive or pipe would tell
 FLAC_LEVEL = 0.25  # libsndfile's scale 0 to 1; higher gains 2 % of size for 15 % of time
 
 
-def plan_recordings(data: DataDir, copies: int, *, pipes: bool = False) -> dict[str, list[tuple[str, str]]]:
+class Planned(NamedTuple):
+    """One utterance to make: its new id, and the clean one with where its audio lies."""
+
+    id: str
+    clean: Utterance
+    entry: Entry
+
+
+def plan_recordings(data: DataDir, copies: int, *, pipes: bool = False) -> dict[str, list[Planned]]:
     """Decide which utterances lie together in a recording of at most 15 minutes.
 
     Neighbours (in the order of the new ids) of the same speaker and chapter lie together. A chapter is a recording
@@ -30,24 +39,23 @@ def plan_recordings(data: DataDir, copies: int, *, pipes: bool = False) -> dict[
     Returns
     -------
     plan : dict
-        By recording id: pairs of new and clean utterance id. All recordings one after the other hold the new ids
-        in byte order.
+        Utterances by recording id. All recordings one after the other hold the new ids in byte order.
     """
-    outputs = sorted((f"{key}-rvb{copy}" if copies > 1 else key, key)
-                     for key in data.utterances for copy in range(1, copies + 1))
-    if len({new for new, _ in outputs}) < len(outputs):
+    outputs = [Planned(f"{key}-rvb{copy}" if copies > 1 else key, utterance, data.recordings[utterance.recording])
+               for key, utterance in data.utterances.items() for copy in range(1, copies + 1)]
+    outputs.sort(key=lambda planned: planned.id)
+    if len({planned.id for planned in outputs}) < len(outputs):
         raise ValueError(f"{data.path}: ids with and without -rvb1 clash: use copies=1, or rename the utterances")
 
-    def chapter(pair: tuple[str, str]) -> tuple[str, str]:
-        utterance = data.utterances[pair[1]]
+    def chapter(planned: Planned) -> tuple[str, str]:
         if data.segmented:
-            return utterance.recording, utterance.speaker
-        found = re.fullmatch(r"(.+)[-_.]\d+", utterance.id)
-        return found[1] if found else utterance.speaker, utterance.speaker
+            return planned.clean.recording, planned.clean.speaker
+        found = re.fullmatch(r"(.+)[-_.]\d+", planned.clean.id)
+        return found[1] if found else planned.clean.speaker, planned.clean.speaker
 
-    taken, plan = {chapter(pair)[0] for pair in outputs}, {}
-    for (name, _), pairs in groupby(outputs, key=chapter):
-        for piece in _pieces(data, list(pairs), pipes):
+    taken, plan = {chapter(planned)[0] for planned in outputs}, {}
+    for (name, _), together in groupby(outputs, key=chapter):
+        for piece in _pieces(data, together, pipes):
             number, free = 1, name
             while free in plan or (number > 1 and free in taken):
                 number += 1
@@ -56,29 +64,29 @@ def plan_recordings(data: DataDir, copies: int, *, pipes: bool = False) -> dict[
     return plan
 
 
-def _pieces(data: DataDir, pairs: list[tuple[str, str]], pipes: bool) -> Iterator[list[tuple[str, str]]]:
+def _pieces(data: DataDir, together: Iterable[Planned], pipes: bool) -> Iterator[list[Planned]]:
     """Cut a chapter into pieces of at most `MAX_RECORDING_S` (one utterance may be longer)."""
     piece, length_s = [], 0.0
-    for pair in pairs:
-        duration_s = _planned_s(data, data.utterances[pair[1]], pipes)
+    for planned in together:
+        duration_s = _duration_s(data, planned, pipes)
         if piece and length_s + duration_s > MAX_RECORDING_S:
             yield piece
             piece, length_s = [], 0.0
-        piece.append(pair)
+        piece.append(planned)
         length_s += duration_s
     yield piece
 
 
-def _planned_s(data: DataDir, utterance: Utterance, pipes: bool) -> float:
+def _duration_s(data: DataDir, planned: Planned, pipes: bool) -> float:
+    utterance = planned.clean
     if utterance.end_s is not None:
         return utterance.end_s - utterance.start_s
     if utterance.id in data.utt2dur:
         return data.utt2dur[utterance.id]
-    entry = data.recordings[utterance.recording]
-    if entry.kind != "file":
+    if planned.entry.kind != "file":
         return UNKNOWN_S
     try:
-        length, rate = n_samples(entry, pipes=pipes)
+        length, rate = n_samples(planned.entry, pipes=pipes)
     except ValueError as error:
         raise ValueError(f"{data.path}: utterance {utterance.id}: {error}") from None
     return length / rate - utterance.start_s

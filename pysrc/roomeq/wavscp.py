@@ -24,10 +24,12 @@ MAX_OVERSHOOT_S = 0.01
 _AUDIO_TAGS = (b"RIFF", b"fLaC", b"AUDIO")
 _FLAC_FLAG = re.compile(r"-[cds]+|--stdout|--decode|--silent|--totally-silent")
 # one shell word whose meaning is the text itself: no expansion, no operator, no glob
-_WORD = re.compile(r"""(?:'[^']*'|"[^"$`\\!]*"|\\[^\n]|[^\s'"\\$`|&;<>()*?\[\]#~{}!])+""")
+_PIECE = r"""'([^']*)'|"([^"$`\\!]*)"|\\([^\n])|([^\s'"\\$`|&;<>()*?\[\]#~{}!]+)"""
+_WORD, _PIECE = re.compile(f"(?:{_PIECE})+"), re.compile(_PIECE)
+_BLANK = re.compile(r"[ \t]*")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Entry:
     """Where the audio of one recording comes from.
 
@@ -92,9 +94,9 @@ def _flac_file(command: str) -> str | None:
         found = _WORD.match(command, position)
         if not found:
             return None
-        words.append("".join(shlex.split(found[0])))
+        words.append("".join("".join(piece) for piece in _PIECE.findall(found[0])))
         position = found.end()
-        blank = re.compile(r"[ \t]*").match(command, position).end()
+        blank = _BLANK.match(command, position).end()
         if blank == position < len(command):
             return None
         position = blank
