@@ -86,6 +86,7 @@ def test_a_mesh_box_sounds_like_the_shoebox(box, searched):
     levels = []
     for one in (Shoebox(DIMS_M), room):
         paths = trace(one, (1.0, 1.3, 1.2), np.full(len(one.slots), 0.4), num_rays=6000, max_length_m=0.4 * C,
+                      speed_m_s=C,
                       rng=np.random.default_rng(0))
         assert paths.n_leaked == 0
         energy = gather(paths, one, np.full((len(one.slots), 8), 0.15), mics, ism_order=3, n_frames=350, speed_m_s=C)
@@ -183,6 +184,7 @@ def test_energy_is_conserved_in_a_room_with_a_table(write_obj):
     with pytest.raises(ValueError, match="outside the air"):
         room.require_inside("mic_pos_m", (3.0, 2.0, 0.7))
     paths = trace(room, (1.0, 1.0, 1.5), np.full(len(room.slots), 0.5), num_rays=5000, max_length_m=0.3 * C,
+                      speed_m_s=C,
                   rng=np.random.default_rng(0))
     assert paths.n_leaked == 0
     mics = np.array([(5.0, 3.0, 1.2), (1.0, 3.2, 2.0), (4.8, 0.8, 0.7), (3.0, 2.0, 1.8)])

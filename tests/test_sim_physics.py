@@ -90,7 +90,7 @@ def test_energy_is_conserved_without_absorption(scattering, ism_order):
     level = []
     for seed in range(3):
         source, *mics = places(room, 9, seed)
-        paths = trace(room, source, np.full(6, scattering), num_rays=10000, max_length_m=0.3 * C,
+        paths = trace(room, source, np.full(6, scattering), num_rays=10000, max_length_m=0.3 * C, speed_m_s=C,
                       rng=np.random.default_rng(seed))
         energy = gather(paths, room, np.zeros((6, 8)), mics, ism_order=ism_order, n_frames=250, speed_m_s=C)[..., 0]
         for echogram, mic in zip(energy, mics, strict=True):

@@ -5,19 +5,13 @@ whose last reflection is diffuse are counted at every reflection by its expected
 estimation): a Lambert reflector of scattering s sends ``s (1 - alpha) cos(theta) / (pi d^2)`` to the receiver,
 whichever way the ray itself went on. All others end in a specular reflection and are counted by the length of
 their last segment inside a sphere around the receiver: energy density is ``power * length / volume``.
-
-Once reflections are denser than samples, far more paths arrive than a smooth decay needs: from then on one ray in a
-few stands for the others.
 """
 
 import numpy as np
 
-from roomeq.constants import FS_HZ
 from roomeq.sim.jit import N_CHUNKS, compiled, for_chunks
 
 FRAME_S = 1e-3
-LATE_RAYS = 5000  # at least so many rays are followed to the end, if there are so many
-MAX_STRIDE = 4  # one ray in so many
 _SPHERE_RADII = (0.35, 1.0)  # of the receiver [m]: as large as the room lets the late field be called uniform
 NEGLIGIBLE = np.float32(1e-10)  # share of a ray's energy below which it is given up, 40 dB below -60 dB
 NUDGE_M = 1e-4  # shadow rays start this far off the surface
@@ -55,7 +49,6 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n
     if visible is None:
         visible = visibility(paths, room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
     n_rays = len(paths.hits) if n_rays is None else min(n_rays, len(paths.hits))
-    late_m, stride = _late(paths, room, speed_m_s)
     wanted_m = float(np.clip(0.11 * room.volume_m3 ** (1.0 / 3.0), *_SPHERE_RADII))
     radius_m = np.array([room.sphere_radius_m(mic, wanted_m) for mic in mics_m])
     volume_m3 = np.array([room.sphere_volume_m3(*sphere) for sphere in zip(mics_m, radius_m, strict=True)])
@@ -65,7 +58,7 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n
         parts = np.zeros((N_CHUNKS, len(mics_m[batch]), n_frames, absorption.shape[1]), dtype=np.float32)
         given = (paths.source_pos_m, paths.hits, paths.codes, paths.counts, paths.normals, reflection, scattering,
                  mics_m[batch], visible[batch], radius_m[batch] ** 2, 1.0 / volume_m3[batch], ism_order,
-                 1.0 / (speed_m_s * FRAME_S), late_m, stride)
+                 1.0 / (speed_m_s * FRAME_S), paths.late_m, paths.stride)
         for_chunks(n_rays, lambda chunk, low, high: _gather(*given, low, high, parts[chunk]))  # noqa: B023
         result[batch] = parts.sum(axis=0, dtype=np.float64)
     return result / (4.0 * np.pi * n_rays)
@@ -82,27 +75,17 @@ def visibility(paths, room, mics_m, *, n_frames, speed_m_s):
     if room.convex:
         return np.zeros((0, 0, 0), dtype=np.bool_)
     mics_m = np.atleast_2d(mics_m)
-    late_m, stride = _late(paths, room, speed_m_s)
     wanted = np.arange(paths.hits.shape[1]) < paths.counts[:, None]
     wanted &= paths.hits[:, :, 3] < n_frames * FRAME_S * speed_m_s
-    wanted &= (paths.hits[:, :, 3] <= late_m) | (np.arange(len(paths.hits)) % stride == 0)[:, None]
+    late = paths.hits[:, :, 3] > paths.late_m
+    late[::paths.stride] = False
+    wanted &= ~late
     ray, n = np.nonzero(wanted)
     start = paths.hits[ray, n, :3] + NUDGE_M * paths.normals[paths.codes[ray, n] >> 1]
     visible = np.zeros((len(mics_m), *wanted.shape), dtype=np.bool_)
     for m, mic in enumerate(mics_m):
         visible[m, ray, n] = room.sees(start, mic)
     return visible
-
-
-def _late(paths, room, speed_m_s):
-    """Length of path from which on one ray in a few is used, and in how many."""
-    late_m = dense_after_s(room.volume_m3, speed_m_s, FS_HZ) * speed_m_s
-    return late_m, int(np.clip(len(paths.hits) // LATE_RAYS, 1, MAX_STRIDE))
-
-
-def dense_after_s(volume_m3, speed_m_s, rate_hz):
-    """Time when reflections become as dense as a rate: they arrive at ``4 pi c^3 t^2 / V`` (Kuttruff, eq. 4.6)."""
-    return float(np.sqrt(rate_hz * volume_m3 / (4.0 * np.pi * speed_m_s ** 3)))
 
 
 @compiled

@@ -12,8 +12,9 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from roomeq.acoustics.filterbank import octave_filterbank
 from roomeq.constants import FS_HZ
-from roomeq.sim.gather import FRAME_S, dense_after_s
+from roomeq.sim.gather import FRAME_S
 from roomeq.sim.jit import compiled
+from roomeq.sim.trace import dense_after_s
 
 SINC_HALF = 32
 MIN_RATE_HZ = 2000.0  # diffuse reflections are dense from the start: at least two pulses per millisecond

@@ -12,11 +12,11 @@ import numpy as np
 from roomeq.constants import BAND_1KHZ, FS_HZ
 from roomeq.rng import rng_for
 from roomeq.sim.early import Images, specular_paths
-from roomeq.sim.gather import FRAME_S, dense_after_s, gather, visibility
+from roomeq.sim.gather import FRAME_S, gather, visibility
 from roomeq.sim.render import MAX_LENGTH_S, MIN_LENGTH_S, render, response_length_s, tail_noise
 from roomeq.sim.scene import Scene, check_positions, eyring_time_s
 from roomeq.sim.target import TOLERANCE, scaled_absorption, solve_exponent, t30_of_echogram, t30_s
-from roomeq.sim.trace import Paths, trace
+from roomeq.sim.trace import Paths, dense_after_s, trace
 
 NUM_RAYS = 20000
 ISM_ORDER = 6
@@ -113,7 +113,7 @@ def trace_source(scene, source_pos_m, *, num_rays=NUM_RAYS, max_length_s=MAX_LEN
     max_length_m = max_length_s * scene.air.speed_m_s
     # the same random numbers for all columns: bands then differ by their scattering alone
     paths = tuple(trace(scene.room, source_pos_m, column, num_rays=num_rays, max_length_m=max_length_m,
-                        rng=np.random.default_rng(seed)) for column in columns.T)
+                        speed_m_s=scene.air.speed_m_s, rng=np.random.default_rng(seed)) for column in columns.T)
     return TracedSource(scene, np.asarray(source_pos_m, dtype=np.float64), paths,
                         tuple(int(n) for n in np.ravel(path_of_band)))
 

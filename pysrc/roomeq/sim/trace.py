@@ -3,15 +3,21 @@
 A ray leaves the source with an equal share of its power. Where it meets a surface it goes on specularly or, with
 a probability equal to the scattering coefficient, diffusely (Lambert's law). No absorption is applied, so one
 trace serves all receivers and all absorption coefficients; bands with equal scattering share a trace.
+
+Once reflections are denser than samples, far more paths arrive than a smooth decay needs: from then on one ray in a
+few goes on and stands for the others.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from roomeq.constants import FS_HZ
 from roomeq.sim.jit import compiled, for_chunks, mix, uniform
 
 RETRIES = 6
+LATE_RAYS = 5000  # at least so many rays are followed to the end, if there are so many
+MAX_STRIDE = 4  # one ray in so many
 GOLDEN_RATIO = 0.5 * (1.0 + np.sqrt(5.0))
 
 
@@ -52,6 +58,8 @@ class Paths:
         Reflections stored per ray.
     scattering : ndarray, shape (n_slots,)
         Scattering coefficient of each slot that the rays were traced with.
+    late_m, stride : float, int
+        Beyond this length one ray in `stride` goes on and stands for the others.
     max_length_m : float
         Rays end with the first reflection beyond this length.
     n_leaked : int
@@ -65,6 +73,8 @@ class Paths:
     face_slot: np.ndarray
     counts: np.ndarray
     scattering: np.ndarray
+    late_m: float
+    stride: int
     max_length_m: float
     n_leaked: int
 
@@ -84,7 +94,7 @@ def sphere_directions(n_rays, rng):
     return rng.permutation(points @ rotation)
 
 
-def trace(room, source_pos_m, scattering, *, num_rays, max_length_m, rng):
+def trace(room, source_pos_m, scattering, *, num_rays, max_length_m, speed_m_s, rng):
     """Follow rays from a source.
 
     Parameters
@@ -96,6 +106,8 @@ def trace(room, source_pos_m, scattering, *, num_rays, max_length_m, rng):
     num_rays : int
     max_length_m : float
         How far to follow a ray [m].
+    speed_m_s : float
+        Speed of sound.
     rng : numpy.random.Generator
 
     Returns
@@ -106,11 +118,20 @@ def trace(room, source_pos_m, scattering, *, num_rays, max_length_m, rng):
     scattering = np.asarray(scattering, dtype=np.float64)
     directions = sphere_directions(num_rays, rng)
     seed = np.uint64(rng.integers(2 ** 63))
+    late_m = dense_after_s(room.volume_m3, speed_m_s, FS_HZ) * speed_m_s
+    stride = int(np.clip(num_rays // LATE_RAYS, 1, MAX_STRIDE))
     walls = room.walls
     follow = _follow_in_mesh if walls is None else _follow_in_convex
     normals, face_slot = (room.normals, room.face_slot) if walls is None else (walls.normals, walls.face_slot)
-    hits, codes, counts, n_leaked = follow(room, source_pos_m, directions, scattering[face_slot], max_length_m, seed)
-    return Paths(source_pos_m, hits, codes, normals, face_slot, counts, scattering, max_length_m, n_leaked)
+    hits, codes, counts, n_leaked = follow(room, source_pos_m, directions, scattering[face_slot], late_m, stride,
+                                           max_length_m, seed)
+    return Paths(source_pos_m, hits, codes, normals, face_slot, counts, scattering, late_m, stride, max_length_m,
+                 n_leaked)
+
+
+def dense_after_s(volume_m3, speed_m_s, rate_hz):
+    """Time when reflections become as dense as a rate: they arrive at ``4 pi c^3 t^2 / V`` (Kuttruff, eq. 4.6)."""
+    return float(np.sqrt(rate_hz * volume_m3 / (4.0 * np.pi * speed_m_s ** 3)))
 
 
 def _storage(n_rays, capacity, n_faces):
@@ -118,7 +139,7 @@ def _storage(n_rays, capacity, n_faces):
     return np.empty((n_rays, capacity, 4), dtype=np.float32), codes
 
 
-def _follow_in_convex(room, source, directions, scattering, max_length_m, seed):
+def _follow_in_convex(room, source, directions, scattering, late_m, stride, max_length_m, seed):
     """Trace a room that is bounded by a few planes: no search, only the nearest plane ahead."""
     walls, n_rays = room.walls, len(directions)
     # the most that a specular ray can meet in a box, and some
@@ -126,12 +147,12 @@ def _follow_in_convex(room, source, directions, scattering, max_length_m, seed):
     hits, codes = _storage(n_rays, capacity, len(walls.normals))
     counts = np.empty(n_rays, dtype=np.int32)
     for_chunks(n_rays, lambda chunk, first, last: _trace_convex(
-        walls.normals, walls.offsets, source, directions, scattering, max_length_m, seed, first, last, hits, codes,
-        counts))
+        walls.normals, walls.offsets, source, directions, scattering, late_m, stride, max_length_m, seed, first,
+        last, hits, codes, counts))
     return hits, codes, counts, 0
 
 
-def _follow_in_mesh(room, source, directions, scattering, max_length_m, seed):
+def _follow_in_mesh(room, source, directions, scattering, late_m, stride, max_length_m, seed):
     """Trace any closed mesh: all rays together, one reflection after the other."""
     n_rays = len(directions)
     mean_m = 4.0 * room.volume_m3 / room.slot_area_m2.sum()
@@ -150,7 +171,8 @@ def _follow_in_mesh(room, source, directions, scattering, max_length_m, seed):
         active, face, distance = active[~lost], face[~lost], distance[~lost]
         _advance(room.normals, active, face, distance, scattering, seed, n, position, before, way, length, hits,
                  codes, counts)
-        active = active[length[active] < max_length_m]
+        end_m = np.where(active % stride == 0, max_length_m, min(late_m, max_length_m))
+        active = active[length[active] <= end_m]
         n += 1
     return hits, codes, counts, n_leaked
 
@@ -173,57 +195,58 @@ def _next_hits(room, position, way, before, active, seed, n):
 
 
 @compiled
-def lambert(normal, u, v, out):
-    """Write a cosine-distributed direction about `normal` to `out`: the normal plus a point on the unit sphere."""
-    z = 1.0 - 2.0 * u
-    radius = np.sqrt(max(0.0, 1.0 - z * z))
-    angle = 2.0 * np.pi * v
-    x = normal[0] + radius * np.cos(angle)
-    y = normal[1] + radius * np.sin(angle)
-    z = normal[2] + z
+def reflect(normals, face, scattering, stream, n, way):
+    """Turn `way` at reflection `n` of a ray, specularly or diffusely; tell whether diffusely.
+
+    The diffuse direction is the normal plus a point on the unit sphere, which is Lambert's cosine distribution.
+    """
+    nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
+    if uniform(stream, 3 * n) >= scattering:
+        twice = 2.0 * (way[0] * nx + way[1] * ny + way[2] * nz)
+        way[0], way[1], way[2] = way[0] - twice * nx, way[1] - twice * ny, way[2] - twice * nz
+        return False
+    rise = 1.0 - 2.0 * uniform(stream, 3 * n + 1)
+    radius = np.sqrt(max(0.0, 1.0 - rise * rise))
+    angle = 2.0 * np.pi * uniform(stream, 3 * n + 2)
+    x, y, z = nx + radius * np.cos(angle), ny + radius * np.sin(angle), nz + rise
     scale = 1.0 / np.sqrt(max(x * x + y * y + z * z, 1e-20))
-    out[0], out[1], out[2] = x * scale, y * scale, z * scale
+    way[0], way[1], way[2] = x * scale, y * scale, z * scale
+    return True
 
 
 @compiled
-def reflect(normal, scattering, stream, n, way):
-    """Turn `way` at reflection `n` of a ray, specularly or diffusely; tell whether diffusely."""
-    if uniform(stream, 3 * n) < scattering:
-        lambert(normal, uniform(stream, 3 * n + 1), uniform(stream, 3 * n + 2), way)
-        return True
-    twice = 2.0 * (way[0] * normal[0] + way[1] * normal[1] + way[2] * normal[2])
-    for axis in range(3):
-        way[axis] -= twice * normal[axis]
-    return False
-
-
-@compiled
-def _trace_convex(normals, offsets, source, directions, scattering, max_length_m, seed, first, last, hits, codes,
-                  counts):
+def _trace_convex(normals, offsets, source, directions, scattering, late_m, stride, max_length_m, seed, first, last,
+                  hits, codes, counts):
     """Trace rays `first` to `last` between planes; the air is where ``normal . x > offset`` for all of them."""
     capacity, n_faces = hits.shape[1], len(normals)
-    way = np.empty(3)
+    height, approach, way = np.empty(n_faces), np.empty(n_faces), np.empty(3)
     for ray in range(first, last):
         stream = mix(seed + np.uint64(ray))
+        end_m = max_length_m if ray % stride == 0 else min(late_m, max_length_m)
         x, y, z = source[0], source[1], source[2]
         way[0], way[1], way[2] = directions[ray, 0], directions[ray, 1], directions[ray, 2]
-        length, n, face = 0.0, 0, -1
-        while n < capacity and length < max_length_m:
-            nearest, ahead = 1e30, -1
-            for other in range(n_faces):
-                approach = normals[other, 0] * way[0] + normals[other, 1] * way[1] + normals[other, 2] * way[2]
-                if approach < -1e-12 and other != face:
-                    height = normals[other, 0] * x + normals[other, 1] * y + normals[other, 2] * z - offsets[other]
-                    if height < -nearest * approach:
-                        nearest, ahead = -height / approach, other
+        for face in range(n_faces):
+            height[face] = normals[face, 0] * x + normals[face, 1] * y + normals[face, 2] * z - offsets[face]
+        length, n = 0.0, 0
+        while n < capacity and length <= end_m:
+            ahead, ahead_height, ahead_approach = -1, 1e30, 1.0
+            for face in range(n_faces):
+                toward = -(normals[face, 0] * way[0] + normals[face, 1] * way[1] + normals[face, 2] * way[2])
+                approach[face] = toward
+                # height / toward < ahead_height / ahead_approach
+                if toward > 1e-12 and height[face] * ahead_approach < ahead_height * toward:
+                    ahead, ahead_height, ahead_approach = face, height[face], toward
             if ahead < 0:  # along the wall to within rounding
                 break
-            face, distance = ahead, max(nearest, 0.0)
+            distance = max(ahead_height / ahead_approach, 0.0)
             x, y, z = x + distance * way[0], y + distance * way[1], z + distance * way[2]
+            for face in range(n_faces):
+                height[face] -= distance * approach[face]
+            height[ahead] = 0.0
             length += distance
-            diffuse = reflect(normals[face], scattering[face], stream, n, way)
+            diffuse = reflect(normals, ahead, scattering[ahead], stream, n, way)
             hits[ray, n, 0], hits[ray, n, 1], hits[ray, n, 2], hits[ray, n, 3] = x, y, z, length
-            codes[ray, n] = 2 * face + (1 if diffuse else 0)
+            codes[ray, n] = 2 * ahead + (1 if diffuse else 0)
             n += 1
         counts[ray] = n
 
@@ -240,7 +263,7 @@ def _advance(normals, active, faces, distances, scattering, seed, n, position, b
             hits[ray, n, axis] = position[ray, axis]
         length[ray] += distance
         hits[ray, n, 3] = length[ray]
-        diffuse = reflect(normals[face], scattering[face], mix(seed + np.uint64(ray)), n, way[ray])
+        diffuse = reflect(normals, face, scattering[face], mix(seed + np.uint64(ray)), n, way[ray])
         codes[ray, n] = 2 * face + (1 if diffuse else 0)
         counts[ray] = n + 1
         for axis in range(3):
