@@ -151,7 +151,7 @@ def screen_reason(row, passport):
         return "hand clap: its spectrum is part of the response"
     if not passport["t20_valid"][BAND_1KHZ]:
         needed_db = MARGIN_DB - DECAYS_DB["t20"][1]
-        return (f"too noisy: {passport['decay_range_db'][BAND_1KHZ]:.0f} dB of decay at 1 kHz, "
+        return (f"too noisy: {passport['decay_range_db'][BAND_1KHZ]:.1f} dB of decay at 1 kHz, "
                 f"T20 needs {needed_db:.0f}")
     rolled_off = passport["eq_edge_db"] is not None
     dead = [f"{hz:g}" for k, (hz, valid) in enumerate(zip(BANDS_HZ, passport["eq_valid"], strict=True))
