@@ -37,6 +37,7 @@ num_rays=20000            # rays a source
 order=200                 # reflections
 num_components=7          # of the Gaussian mixture
 weight_rooms=false        # let rooms count equally in the mixture
+match_rooms=true          # draw each RIR's EQ from its room's share of the mixture; false: from all of it
 taps=511                  # of the compensation filters
 
 # stage 6: augmentation
@@ -83,7 +84,7 @@ fi
 
 if at_stage 4 "compensate the simulated RIRs"; then
   for x in train dev; do
-    steps/compensate_rirs.sh --nj "$nj" --taps "$taps" --seed "$seed" \
+    steps/compensate_rirs.sh --nj "$nj" --match-rooms "$match_rooms" --taps "$taps" --seed "$seed" \
       "$data/rirs.sim.$x" "$exp/eq" "$data/rirs.sim.EQ.$x"
   done
 fi

@@ -14,7 +14,7 @@ LAYERS = [
     {"passport", "split", "mixture"},
     {"eq", "distance"},
     {"compensate"},
-    {"datadir", "wavscp", "datawrite", "draws", "mix", "augment", "validate"},
+    {"datadir", "wavscp", "datawrite", "draws", "sounds", "layout", "mix", "augment", "validate"},
     {"report"},
     {"cli", "__main__"},
 ]

@@ -19,29 +19,35 @@ MAX_SECONDS = 6 * 3600.0
 """Longest recording that is read [s]: a bound, so that a broken header cannot ask for all memory."""
 
 
-def audio_info(path: Path) -> soundfile._SoundFileInfo:
-    """Return header facts (`samplerate`, `frames`, `channels`, `duration`) of an audio file.
+def audio_info(path: Path) -> soundfile.SoundFile:
+    """Return header facts (`samplerate`, `frames`, `channels`) of an audio file: the file, closed.
 
     Raises
     ------
     ValueError
         The file is missing, empty, truncated, longer than `MAX_SECONDS` or no audio.
     """
+    with _opened(path) as file:
+        return file
+
+
+def _opened(path: Path) -> soundfile.SoundFile:
+    """Open an audio file after checking that it can be what it says."""
     path = Path(path)
     if not path.is_file():
         raise ValueError(f"{path}: no such audio file: check the path")
     if path.stat().st_size == 0:
         raise ValueError(f"{path}: audio file is empty (0 bytes): copy or record it again")
+    _check_riff_length(path)
     try:
-        info = soundfile.info(str(path))
+        file = soundfile.SoundFile(str(path))
     except (soundfile.LibsndfileError, RuntimeError) as error:
         raise ValueError(f"{path}: cannot be read as audio ({error}): convert it to WAV or FLAC") from None
-    if info.frames == 0:
+    if file.frames == 0:
         raise ValueError(f"{path}: holds 0 samples: copy or record it again")
-    if info.frames > MAX_SECONDS * info.samplerate:
-        raise ValueError(f"{path}: {info.duration:.0f} s is longer than {MAX_SECONDS:.0f} s: split it")
-    _check_riff_length(path)
-    return info
+    if file.frames > MAX_SECONDS * file.samplerate:
+        raise ValueError(f"{path}: {file.frames / file.samplerate:.0f} s is longer than {MAX_SECONDS:.0f} s: split it")
+    return file
 
 
 def read_audio(path: Path, *, fs_hz: int = FS_HZ, start: int = 0, stop: int | None = None,
@@ -73,32 +79,34 @@ def read_audio(path: Path, *, fs_hz: int = FS_HZ, start: int = 0, stop: int | No
         The file is missing, empty, truncated, of another rate (too low, or `resample` is false), not mono,
         or holds NaN or infinity.
     """
-    info = audio_info(path)
-    if channel is None and info.channels != 1:
-        raise ValueError(f"{path}: {info.channels} channels where one is needed: choose one, or split the file")
-    if channel is not None and not 0 <= channel < info.channels:
-        raise ValueError(f"{path}: channel {channel} of {info.channels}: count from 0")
-    if info.samplerate < fs_hz or (info.samplerate != fs_hz and not resample):
-        raise ValueError(f"{path}: sample rate {info.samplerate} Hz must be {fs_hz} Hz"
-                         + ("" if info.samplerate > fs_hz else ": the missing band cannot be made up")
-                         + ": record or convert it at that rate")
-    stop = info.frames if stop is None else stop
-    if not 0 <= start < stop <= info.frames:
-        raise ValueError(f"{path}: samples {start} to {stop} are not in its {info.frames}: correct the segment")
-    try:
-        samples, _ = soundfile.read(str(path), start=start, stop=stop, dtype=dtype, always_2d=True)
-    except (soundfile.LibsndfileError, RuntimeError) as error:
-        raise ValueError(f"{path}: broken audio ({error}): copy or record it again") from None
+    with _opened(path) as file:
+        if channel is None and file.channels != 1:
+            raise ValueError(f"{path}: {file.channels} channels where one is needed: choose one, or split the file")
+        if channel is not None and not 0 <= channel < file.channels:
+            raise ValueError(f"{path}: channel {channel} of {file.channels}: count from 0")
+        if file.samplerate < fs_hz:
+            raise ValueError(f"{path}: sample rate {file.samplerate} Hz must be {fs_hz} Hz: the missing band cannot be "
+                             "made up: record or convert it at that rate")
+        if file.samplerate != fs_hz and not resample:
+            raise ValueError(f"{path}: sample rate {file.samplerate} Hz must be {fs_hz} Hz: convert it")
+        stop = file.frames if stop is None else stop
+        if not 0 <= start < stop <= file.frames:
+            raise ValueError(f"{path}: samples {start} to {stop} are not in its {file.frames}: correct the segment")
+        try:
+            file.seek(start)
+            samples = file.read(stop - start, dtype=dtype, always_2d=True)
+        except (soundfile.LibsndfileError, RuntimeError) as error:
+            raise ValueError(f"{path}: broken audio ({error}): copy or record it again") from None
     if len(samples) != stop - start:
         raise ValueError(f"{path}: truncated: {len(samples)} samples of {stop - start}: copy it again")
     samples = np.ascontiguousarray(samples[:, channel or 0])
     if not np.isfinite(samples).all():
         raise ValueError(f"{path}: holds NaN or infinite samples: convert it again")
-    if info.samplerate != fs_hz:
+    if file.samplerate != fs_hz:
         import soxr
 
-        logger.info("%s: resampled from %d to %d Hz", path, info.samplerate, fs_hz)
-        samples = soxr.resample(samples, info.samplerate, fs_hz, quality="VHQ")
+        logger.info("%s: resampled from %d to %d Hz", path, file.samplerate, fs_hz)
+        samples = soxr.resample(samples, file.samplerate, fs_hz, quality="VHQ")
     return samples
 
 

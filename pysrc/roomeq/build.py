@@ -103,7 +103,7 @@ class Build:
         return part is None
 
     def _each(self, todo: list[str], items: dict, make: Callable, nj: int) -> Iterator:
-        calls = ((self._record_path(name), make, name, items[name]) for name in todo)
+        calls = ((os.getcwd(), self._record_path(name), make, name, items[name]) for name in todo)
         if nj == 1 or len(todo) < 2:
             yield from starmap(_make_one, calls)
             return
@@ -160,7 +160,8 @@ class Build:
             yield
 
 
-def _make_one(record_path: Path, make: Callable, name: str, item) -> None:
+def _make_one(folder: str, record_path: Path, make: Callable, name: str, item) -> None:
+    os.chdir(folder)  # workers live longer than one call, and paths may be relative
     write_json(record_path, make(name, item))
 
 

@@ -145,6 +145,8 @@ def _eq_verbs(verbs) -> None:
      .argument("out", help="RIR directory to make")
      .argument("--taps", type=int, default=511, help="of the filters, odd")
      .argument("--passes", type=int, default=3, help="designs, each corrected by what the last one left")
+     .argument("--match-rooms", action=argparse.BooleanOptionalAction, default=True,
+               help="choose the mixture's components as the measured RIRs of the same room do")
      .seed().jobs())
 
 
