@@ -86,7 +86,8 @@ def make_simulated(measured, directory):
         rir = decay(rng, met_s, np.zeros(8))
         write_wav(directory / f"{row['id']}.wav", rir)
         rows.append(row_of(row["id"], row["room_id"], rir, measured_id=row["id"], target_t60_s=target_s, t30_s=met_s,
-                           direct_sample=32.0, direct_polarity=1, leaked_share=0.0, noise_for=None, seed=0))
+                           direct_sample=32.0, direct_polarity=1, leaked_share=0.0, drawn=["mic_pos_m.2"],
+                           noise_for=None, seed=0))
     write_rirs(directory, rows)
     write_hums(directory, "../measured/")
 

@@ -18,6 +18,7 @@ from roomeq.report import figures, make_report
 from roomeq.report.build_page import SECTIONS, render_page
 from roomeq.report.load import Run
 from roomeq.report.page import Html, escape, number, table, tag
+from roomeq.report.section_eq import verdict
 
 FIGURES = ("figure-1-left", "figure-1-right", "figure-2-measured", "figure-2-resampled", "figure-2-simulated",
            "figure-2-compensated", "figure-3-simulated", "figure-3-compensated", "figure-3-measured",
@@ -115,6 +116,7 @@ def test_every_figure_table_and_clip_is_there_once(page):
     assert {one["id"] for one in page.of("audio")} == set(CLIPS)
     assert [one["href"] for one in page.of("a")] == [f"#{ident}" for ident, *_ in SECTIONS]
     assert "Not in this run" not in page.text
+    assert re.search(r"\d+ of \d+ simulated training RIRs have coordinates or room sizes that were drawn", page.text)
 
 
 def test_counts_are_those_of_the_run(made, page):
@@ -190,6 +192,13 @@ def test_paths_in_options_are_shortened(made, tmp_path):
                                                  options=dict(seed=3, source="/home/me/corpora/rooms", kind=None)))
     text = Page(render_page(Run(tmp_path, tmp_path))).text
     assert "source = rooms" in text and "/home" not in text and "kind" not in text
+
+
+@pytest.mark.parametrize(("closed", "part"), [(0.8, "closes 80 % of"), (1.2, "few, and rooms"), (None, "no gap")])
+def test_verdict_claims_no_more_than_the_numbers(closed, part):
+    found = dict(closed=closed, closed_interval=[0.5, 1.0], closed_energy=None)
+    assert part in verdict(found)
+    assert ("few, and rooms" in verdict(found)) == (closed == 1.2)
 
 
 def test_common_limits_hold_nearly_all_values():

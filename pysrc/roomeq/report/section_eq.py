@@ -95,8 +95,7 @@ def misses(missed: dict[str, dict], n_rirs: int) -> Html:
         f"RIRs with a point that is off by more than {MAX_P95_DB} dB: {len(missed)} of {n_rirs}, most often at ",
         ", ".join(f"{hz:g} Hz ({n})" for hz, n in where.most_common(3)), ". Bins of 31 Hz do not allow those "
         "targets: one bin can stand out only so far from its neighbours, and their filters step by up to "
-        f"{max(why['steepest_db'] for why in missed.values()):.0f} dB an octave. The worst is "
-        "", tag("code", ident),
+        f"{max(why['steepest_db'] for why in missed.values()):.0f} dB an octave. The worst is ", tag("code", ident),
         f": {worst['error_db']:+.1f} dB at {worst['hz']:g} Hz.")
 
 
@@ -116,8 +115,8 @@ def distances(run: Run) -> Html:
     return join([
         paragraph("How far the EQs of a set are from those of measured RIRs that nothing was fitted to (",
                   tag("code", f"data/{HELD_OUT}"), f", {len(eq_vectors(run, HELD_OUT))} RIRs). Rooms count "
-                  "equally. The measured training set is the floor: a model that is fitted to it can "
-                  "hardly come nearer."),
+                  "equally. The measured training set is the floor: what more "
+                  "measurements of the same kind would give."),
         verdict(found),
         make_table("table-distance", "Distance to held-out measured RIRs, with 95 % bootstrap intervals over "
                    "rooms. Wasserstein: how many dB the values of one set have to be moved on average to become "
@@ -170,8 +169,10 @@ def verdict(found: dict) -> Html:
     interval = found["closed_interval"]
     between = f" (95 % interval {100 * interval[0]:.0f} to {100 * interval[1]:.0f} %)" if interval else ""
     energy = found["closed_energy"]
+    beyond = (" More than all of it means no more than all of it: the held-out RIRs are few, and rooms that lie only "
+              "in the training set move the floor.") if found["closed"] > 1 else ""
     return paragraph(tag("strong", text), between,
-                     f"; by the energy distance {100 * energy:.0f} %" if energy is not None else "", ".")
+                     f"; by the energy distance {percent(energy)}" if energy is not None else "", ".", beyond)
 
 
 def with_interval(value: float, interval: list[float]) -> Html:

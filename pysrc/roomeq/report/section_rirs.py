@@ -66,7 +66,7 @@ def frequency_responses(run: Run) -> Html:
         figure("figure-1", panels, join([
             "Paper's figure 1. First: recorded and simulated. Second: the same recording and the simulated response "
             "after compensation. Recorded: ", tag("code", row["id"]), " of room ", tag("code", row["room_id"]),
-            ", the one nearest to the median EQ; the simulated one has its room and positions. They need not be "
+            ", the one nearest to the median EQ; the simulated one was made after it. They need not be "
             "equal: the toolkit matches distributions, not pairs."]))])
 
 
@@ -115,8 +115,8 @@ def reverberation(run: Run) -> Html:
     return join([
         paragraph("The time in which sound decays by 60 dB, measured at 1 kHz. Materials are drawn at random and "
                   "scaled until the rendered response meets a target that is uniform over the range asked for. "
-                  f"Worst error: {100 * error.max():.1f} % (", tag("code", worst["id"]), f", {worst['t30_s']:.2f} "
-                  f"s for {worst['target_t60_s']:.2f} s); median {100 * np.median(error):.1f} %. "
+                  f"Worst error: {100 * error.max():.1f} % (", tag("code", worst["id"]), f", {worst['t30_s']:.3f} "
+                  f"s for {worst['target_t60_s']:.3f} s); median {100 * np.median(error):.1f} %. "
                   "5 % is the just noticeable difference."),
         figure("figure-t60", panels, "First: the paper aims at a uniform distribution, which measured rooms do not "
                "have. Second: each simulated RIR of the training and development sets."),

@@ -118,7 +118,7 @@ def clip(kind: str, title: str, what: str, data: DataDir, ident: str) -> Html:
     if rir:
         note += [", RIR ", tag("code", rir)]
     if snr:
-        note.append(f", SNR {snr} dB")
+        note.append(", no noise" if snr == "inf" else f", SNR {snr} dB")
     return tag("li", tag("span", class_=f"key {COLOURS[kind]}"), tag("strong", title), ": ", *note,
                tag("audio", controls="controls", preload="metadata", id=f"audio-{kind.replace('.', '-')}",
                    src=data_uri("audio/flac", stream.getvalue()), aria_label=f"{title}: {what}"))
@@ -141,6 +141,11 @@ def limits(run: Run) -> Html:
                 "RIRs are split at random as in the paper, so the same rooms are in training and test. The held-out "
                 "distances are therefore optimistic for a room never seen; for that stricter question ask for ",
                 tag("code", "--split-by room", class_="nw"), "."]))
+    if run.has("rirs.sim.train"):
+        rows = run.rirs("rirs.sim.train")
+        if drawn := sum(bool(row.get("drawn")) for row in rows):
+            points.append(f"{drawn} of {len(rows)} simulated training RIRs have coordinates or room sizes that were "
+                          "drawn at random, since nobody measured them or the stated ones cannot be right.")
     points += [
         "Eight points describe the spectrum. Between them, and over time, a compensated RIR remains a simulated "
         "one: no single room modes, no directivity, no diffraction.",

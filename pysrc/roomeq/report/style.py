@@ -57,7 +57,7 @@ th,td{{padding:.38rem .8rem;text-align:left;vertical-align:top;border-bottom:1px
  overflow-wrap:normal}}
 thead th{{font-weight:600;border-bottom:2px solid var(--line);vertical-align:bottom}}
 tbody th{{font-weight:500;padding-left:0}} thead th:first-child{{padding-left:0}}
-.t{{min-width:8rem}} #table-run .t:last-child,#table-screening .t:last-child{{min-width:18rem}}
+.t{{min-width:6.5rem}} #table-run .t:last-child,#table-screening .t:last-child{{min-width:18rem}}
 .n{{text-align:right}} .nw{{white-space:nowrap}} small{{color:var(--soft)}}
 tbody tr:hover{{background:var(--wash)}}
 .key{{display:inline-block;width:.75em;height:.75em;border-radius:.2em;margin-right:.45em;vertical-align:-.05em}}
