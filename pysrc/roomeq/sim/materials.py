@@ -7,13 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from roomeq.sim.response import eyring_exponent
-from roomeq.sim.scene import WALLS, Material, Scene
+from roomeq.sim.scene import WALLS, Material, Scene, eyring_time_s, with_absorption
+from roomeq.sim.target import scaled_absorption
 
 DEFAULT_TABLE = Path(__file__).resolve().parents[3] / "conf" / "materials.toml"
 USES = ("wall", "floor", "ceiling")
 _SAME_WALLS = 0.4  # probability that a wall is of the same material as the first
 _PLAUSIBLE_EXPONENT = 2.5  # absorption is scaled by no more, where a few draws allow it
-_DRAWS = 12
+_PLAUSIBLE_RATIO = 2.0  # reverberation time of the most reverberant band over that at 1 kHz
+_DRAWS = 24
 
 
 @dataclass(frozen=True)
@@ -107,12 +109,21 @@ def draw_materials(table, room, scattering, air, target_s, rng):
         names = _draw_names(table, room, rng)
         scene = Scene(room, [Material(name, table.absorption[name], tuple(row))
                              for name, row in zip(names, scattering, strict=True)], air)
-        misfit = abs(np.log(eyring_exponent(scene, target_s)))
+        misfit = _misfit(scene, target_s)
         if misfit < best_misfit:
             best, best_misfit = scene, misfit
-        if misfit < np.log(_PLAUSIBLE_EXPONENT):
+        if misfit == 0.0:
             break
     return best
+
+
+def _misfit(scene, target_s):
+    """How much stranger than real rooms a scene would be at its target; 0 for a plausible one."""
+    exponent = eyring_exponent(scene, target_s)
+    longest_s = eyring_time_s(with_absorption(scene, scaled_absorption(scene.absorption, exponent))).max()
+    excess = np.array([abs(np.log(exponent)) / np.log(_PLAUSIBLE_EXPONENT),
+                       np.log(longest_s / target_s) / np.log(_PLAUSIBLE_RATIO)])
+    return float(np.maximum(excess - 1.0, 0.0).sum())
 
 
 def _draw_names(table, room, rng):

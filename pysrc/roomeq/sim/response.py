@@ -5,7 +5,7 @@
     (response,) = simulate_rir(scene, (2, 1.5, 1.5), (4, 3, 1.2), seed=0)
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from roomeq.rng import rng_for
 from roomeq.sim.early import Images, specular_paths
 from roomeq.sim.gather import FRAME_S, gather, visibility
 from roomeq.sim.render import MAX_LENGTH_S, MIN_LENGTH_S, render, response_length_s, tail_noise
-from roomeq.sim.scene import Scene, check_positions, eyring_time_s
+from roomeq.sim.scene import Scene, check_positions, eyring_time_s, with_absorption
 from roomeq.sim.target import TOLERANCE, scaled_absorption, solve_exponent, t30_of_echogram, t30_s
 from roomeq.sim.trace import Paths, dense_after_s, trace
 
@@ -277,10 +277,7 @@ def needed_length_s(scene, target_s=None, order=ORDER):
     area_m2 = scene.room.slot_area_m2.sum()
     depth_s = order * 4.0 * scene.room.volume_m3 / (area_m2 * scene.air.speed_m_s)
     if target_s is not None:
-        absorption = scaled_absorption(scene.absorption, eyring_exponent(scene, target_s))
-        materials = [replace(material, absorption=tuple(row))
-                     for material, row in zip(scene.materials, absorption, strict=True)]
-        scene = replace(scene, materials=materials)
+        scene = with_absorption(scene, scaled_absorption(scene.absorption, eyring_exponent(scene, target_s)))
     decay_s = 1.3 * eyring_time_s(scene).max() + 0.1
     return float(np.clip(max(decay_s, depth_s), MIN_LENGTH_S, MAX_LENGTH_S))
 

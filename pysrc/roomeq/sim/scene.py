@@ -4,7 +4,7 @@ Conventions: metres, seconds, degrees Celsius. A room has *slots*, named parts o
 material each: the six walls of a shoebox, the materials of a mesh.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -196,6 +196,13 @@ class Scene:
     def scattering(self):
         """ndarray, shape (n_slots, 8)."""
         return np.array([material.scattering for material in self.materials])
+
+
+def with_absorption(scene, absorption):
+    """Return the scene with other absorption coefficients, shape (n_slots, 8)."""
+    materials = [replace(material, absorption=tuple(row))
+                 for material, row in zip(scene.materials, absorption, strict=True)]
+    return replace(scene, materials=materials)
 
 
 def check_positions(room, source_pos_m, mic_pos_m):
