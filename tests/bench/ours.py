@@ -1,5 +1,6 @@
 """The simulator under test, as the benches call it: the only file of the benches that knows its functions."""
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,14 @@ from roomeq.sim.early import specular_paths
 from roomeq.sim.gather import FRAME_S, gather
 from roomeq.sim.materials import draw_materials, draw_scattering, read_materials
 from roomeq.sim.mesh import make_room
-from roomeq.sim.response import ISM_ORDER, simulate_rir, trace_source
+from roomeq.sim.response import (
+    ISM_ORDER,
+    needed_length_s,
+    render_responses,
+    render_to_target,
+    simulate_rir,
+    trace_source,
+)
 from roomeq.sim.scene import Air, Material, Scene, Shoebox
 
 N_RAYS = 20_000
@@ -54,7 +62,7 @@ def box_scene(dims_m, absorption, scattering, air=None):
     dims_m : array_like, shape (3,)
     absorption : float or array_like, shape (6,) or (6, 8)
         Of x = 0, x = length, y = 0, y = width, z = 0, z = height.
-    scattering : float
+    scattering : float or array_like, shape (8,)
     air : optional
         Air that absorbs nothing where not given.
     """
@@ -98,8 +106,8 @@ def echogram(scene, source_pos_m, mics_m, *, duration_s, seed, n_rays=N_RAYS, is
 
     Materials must be the same in all bands.
     """
-    traced = trace_source(scene, source_pos_m, num_rays=n_rays, max_length_s=duration_s, rng=rng_for(seed, "trace", ""))
-    energy = gather(traced.paths[0], scene.room, scene.absorption, mics_m, ism_order=ism_order,
+    (path,) = traced(scene, source_pos_m, seed=seed, n_rays=n_rays, duration_s=duration_s).paths
+    energy = gather(path, scene.room, scene.absorption, mics_m, ism_order=ism_order,
                     n_frames=round(duration_s / FRAME_S), speed_m_s=scene.air.speed_m_s)[:, :, 4]
     for echo, mic in zip(energy, mics_m, strict=True):
         images = specular_paths(scene.room, source_pos_m, mic, ism_order)
@@ -133,8 +141,8 @@ def watertight_scenes():
 
 def leaked(scene, source_pos_m, *, n_rays, duration_s=1.0):
     """Trace; return the number of reflections and of rays that leaked."""
-    traced = trace_source(scene, source_pos_m, num_rays=n_rays, max_length_s=duration_s, rng=rng_for(1, "trace", ""))
-    return int(sum(path.counts.sum() for path in traced.paths)), int(sum(path.n_leaked for path in traced.paths))
+    paths = traced(scene, source_pos_m, seed=1, n_rays=n_rays, duration_s=duration_s).paths
+    return int(sum(path.counts.sum() for path in paths)), int(sum(path.n_leaked for path in paths))
 
 
 def simulate_drawn(dims_m, source_pos_m, mic_pos_m, target_s, *, seed, tries=10):
@@ -149,3 +157,66 @@ def simulate_drawn(dims_m, source_pos_m, mic_pos_m, target_s, *, seed, tries=10)
         except ValueError:
             if draw == tries - 1:
                 raise
+
+
+def traced(scene, source_pos_m, *, seed, n_rays=N_RAYS, duration_s=1.5):
+    """Trace only."""
+    return trace_source(scene, source_pos_m, num_rays=n_rays, max_length_s=duration_s, rng=rng_for(seed, "trace", ""))
+
+
+def stages(scene, source_pos_m, mics_m, *, repeats):
+    """Median seconds of the stages: ``trace``, ``gather``, ``new materials``, ``target``."""
+    length_s = needed_length_s(scene)
+    spent = {}
+    for n in range(repeats + 1):
+        marks = [time.perf_counter()]
+        paths = traced(scene, source_pos_m, seed=n, duration_s=length_s)
+        marks.append(time.perf_counter())
+        for one in paths.paths:
+            gather(one, scene.room, scene.absorption, mics_m, ism_order=ISM_ORDER,
+                   n_frames=int(length_s / FRAME_S), speed_m_s=scene.air.speed_m_s)
+        marks.append(time.perf_counter())
+        rngs = [rng_for(n, "tail", str(k)) for k in range(len(mics_m))]
+        render_responses(paths, mics_m, rngs, absorption=scene.absorption)
+        again = time.perf_counter()
+        render_responses(paths, mics_m, rngs, absorption=0.9 * scene.absorption)
+        marks += [again, time.perf_counter()]
+        render_to_target(paths, mics_m, rngs, 0.8)
+        marks.append(time.perf_counter())
+        for key, seconds in (("trace", marks[1] - marks[0]), ("gather", marks[2] - marks[1]),
+                             ("new materials", marks[4] - marks[3]), ("target", marks[5] - marks[4])):
+            spent.setdefault(key, []).append(seconds)
+    return {key: float(np.median(values[1:])) for key, values in spent.items()}
+
+
+class _Clock:
+    """Stands for a room's embree scene and counts what it does."""
+
+    def __init__(self, scene):
+        self.scene, self.seconds, self.queries = scene, 0.0, 0
+
+    def run(self, origins, *args, **kwargs):
+        start = time.perf_counter()
+        found = self.scene.run(origins, *args, **kwargs)
+        self.seconds += time.perf_counter() - start
+        self.queries += len(origins)
+        return found
+
+
+def embree_of(room):
+    """The room's own embree scene."""
+    return room._known["embree"]
+
+
+def traced_with_clock(scene, source_pos_m):
+    """Trace; seconds in all, seconds in ray queries, number of queries and of reflections."""
+    clock = _Clock(embree_of(scene.room))
+    traced(scene, source_pos_m, seed=0)
+    scene.room._known["embree"] = clock
+    try:
+        start = time.perf_counter()
+        result = traced(scene, source_pos_m, seed=1)
+        seconds = time.perf_counter() - start
+    finally:
+        scene.room._known["embree"] = clock.scene
+    return seconds, clock.seconds, clock.queries, int(sum(path.counts.sum() for path in result.paths))

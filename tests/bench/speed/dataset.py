@@ -1,0 +1,134 @@
+"""A data set: 200 responses in the nine rooms of BUT ReverbDB's size, targets met, as the recipe's stage 2 does it."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from bench import ours, peer
+from bench.kit import Check, Section
+
+ROOMS_M = {  # the public room sizes of BUT ReverbDB, the stairwell included
+    "Q301": (10.776, 6.94, 2.598), "L207": (4.585, 6.903, 3.144), "L212": (7.5, 4.63, 3.1),
+    "L227": (6.161, 2.604, 14.275), "Room112": (4.433, 2.838, 2.637),
+    "ConferenceRoom2": (28.201, 11.051, 3.331), "E112": (11.45, 20.1, 4.8),
+    "D105": (17.2, 22.791, 6.9), "C236": (6.963, 4.115, 3.564)}
+N_MICS = 31
+JOBS = 2
+
+
+def rows(count, seed=6):
+    """Rows of an RIR directory: sources with up to 31 microphones each, the rooms in turn."""
+    rng = np.random.default_rng(seed)
+    per_room = [count // len(ROOMS_M) + (n < count % len(ROOMS_M)) for n in range(len(ROOMS_M))]
+    made = []
+    for (room, dims_m), wanted in zip(ROOMS_M.items(), per_room, strict=True):
+        sources = [rng.uniform(0.5, np.asarray(dims_m) - 0.5) for _ in range(-(-wanted // N_MICS))]
+        for n in range(wanted):
+            source, mic = sources[n // N_MICS], None
+            while mic is None or np.linalg.norm(mic - source) < 1.0:
+                mic = rng.uniform(0.5, np.asarray(dims_m) - 0.5)
+            name = f"{room}-s{n // N_MICS:02d}-m{n % N_MICS + 1:02d}"
+            made.append(dict(id=name, wav=f"{name}.wav", room_id=room, room_dims_m=list(dims_m), fs_hz=ours.FS_HZ,
+                             source_pos_m=list(map(float, source)), mic_pos_m=list(map(float, mic)),
+                             source_id=f"s{n // N_MICS:02d}", mic_id=f"{n % N_MICS + 1:02d}", n_samples=1))
+    return sorted(made, key=lambda row: row["id"])
+
+
+def simulate_rows(count):
+    """Run stage 2's function on `count` rows in a process of its own.
+
+    Returns
+    -------
+    seconds, peak_mib : float
+        Wall time of the simulation without interpreter start, and the largest memory of any process.
+    within : float
+        Share of the responses whose T30 is within 5 % of its target.
+    """
+    with tempfile.TemporaryDirectory() as directory:
+        measured, out = Path(directory, "measured"), Path(directory, "out")
+        measured.mkdir()
+        (measured / "rirs.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows(count)))
+        done = subprocess.run([sys.executable, "-c", _CHILD, str(measured), str(out), str(JOBS)], check=True,
+                              capture_output=True, text=True, env=os.environ | {"NUMBA_NUM_THREADS": "1"}
+                              | {"PYTHONPATH": os.pathsep.join(sys.path)})
+        seconds, peak_kib = (float(word) for word in done.stdout.split()[-2:])
+        made = [json.loads(line) for line in (out / "rirs.jsonl").read_text().splitlines()]
+    error = [abs(row["t30_s"] / row["target_t60_s"] - 1.0) for row in made]
+    return seconds, peak_kib / 1024.0, float(np.mean(np.array(error) <= 0.05))
+
+
+_CHILD = """
+import resource, sys, time
+from roomeq.sim.simulate import simulate
+start = time.perf_counter()
+simulate(sys.argv[1], sys.argv[2], noise_rirs=0, nj=int(sys.argv[3]))
+seconds = time.perf_counter() - start
+peak = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+print(seconds, peak)
+"""
+
+
+def run(quick):
+    """Responses per second and core, against pyroomacoustics on the same list."""
+    count = 20 if quick else 200
+    seconds, peak_mib, within = simulate_rows(count)
+    table = [["roomeq", count, seconds, count / seconds / JOBS, peak_mib, 100.0 * within]]
+    checks = [Check("targets met within 5 %", 100.0 * within, low=95.0, unit="%"),
+              Check("responses per second and core", count / seconds / JOBS)]
+    notes = [f"roomeq: stage 2 itself, {JOBS} processes, materials and target of its own for each response, files "
+             "written; largest process's memory"]
+    if peer.load():
+        each = _peer_seconds(count, 9 if quick else 27)
+        table.append(["pyroomacoustics", count, each * count, 1.0 / each / JOBS, None, None])
+        checks.append(Check("times faster than pyroomacoustics", each * count / seconds, low=20.0))
+        notes.append(f"pyroomacoustics: a room per response (materials differ), {'9' if quick else '27'} of the list "
+                     "measured one after the other on 2 threads and scaled to all; absorption by Sabine's formula "
+                     "for such targets (it has no other), 8 bands, air, so its targets are not met")
+    else:
+        notes.append(peer.ABSENT)
+    return Section("dataset", f"{count} responses over 9 rooms, targets 0.2 to 2.0 s",
+                   ["who", "responses", "s", "per second and core", "peak MiB", "within 5 %"], table, checks, notes)
+
+
+def _peer_seconds(count, sample):
+    """Mean seconds per response of every n-th row."""
+    pra = peer.load()
+    chosen = rows(count)[::max(1, count // sample)][:sample]
+    rng = np.random.default_rng(1)
+    total = 0.0
+    for row in chosen:
+        target_s = rng.uniform(0.2, 2.0)
+        try:
+            absorption, _ = pra.inverse_sabine(target_s, row["room_dims_m"])
+        except ValueError:  # its formula has no solution for short times
+            absorption = 0.99
+        start = time.perf_counter()
+        peer.hybrid(row["room_dims_m"], min(absorption, 0.99), 0.2, row["source_pos_m"], [row["mic_pos_m"]],
+                    n_bands=8, air=True, n_rays=ours.N_RAYS)
+        total += time.perf_counter() - start
+    return total / len(chosen)
+
+
+def run_memory(quick):
+    """Peak memory over the number of responses: flat."""
+    counts = (9, 36) if quick else (36, 100, 200, 400)
+    table, peaks = [], []
+    for count in counts:
+        seconds, peak_mib, _ = simulate_rows(count)
+        table.append([count, peak_mib, seconds])
+        peaks.append(peak_mib)
+    return Section("memory", "Peak memory over the number of responses", ["responses", "peak MiB", "s"], table,
+                   [Check("largest over smallest", max(peaks) / min(peaks), high=1.3)],
+                   curves={"responses": list(counts), "peak_mib": peaks})
+
+
+def draw(axis, section):
+    """Peak memory."""
+    axis.plot(section.curves["responses"], np.array(section.curves["peak_mib"], dtype=float), "o-")
+    axis.set(title="memory: largest process", xlabel="responses", ylabel="MiB", ylim=(0, None))
