@@ -5,7 +5,6 @@ sound stays where it was. What counts is the EQ of the compensated RIR, measured
 """
 
 import logging
-import os
 from collections import defaultdict
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from roomeq.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 from roomeq.files import write_json
 from roomeq.mixture import FREE, draw_target, read_gmm, with_reference
 from roomeq.passport import measure
-from roomeq.rirs import load_rir, read_noises, read_rirs, rir_path, write_noises, write_rirs
+from roomeq.rirs import load_rir, read_noises, read_rirs, relocated, rir_path, write_noises, write_rirs
 
 logger = logging.getLogger(__name__)
 
@@ -88,9 +87,7 @@ def compensate(sim_dir, eq_dir, out, *, taps=511, passes=3, match_rooms=True, se
     def assemble(directory, records):
         rows = [row for record in records for row in record]
         write_rirs(directory, rows, final_directory=out)
-        noises = [noise | dict(wav=os.path.relpath(sim_dir / noise["wav"], out)) for noise in read_noises(sim_dir)]
-        if noises:
-            write_noises(directory, noises)
+        write_noises(directory, relocated(read_noises(sim_dir), sim_dir, out))
         summary.update(summarise([row for row in rows if not row.get("noise_for")]))
         write_json(directory / SUMMARY_FILE, summary)
 

@@ -145,7 +145,7 @@ def read_pool(rir_dir: Path, noise_dirs: list[Path]) -> Pool:
     Raises
     ------
     ValueError
-        There is no RIR for speech, a directory has no noises, or two noises share an id.
+        There is no RIR for speech, a directory has no list of noises, or two noises share an id.
     """
     rows = {row["id"]: row for row in read_rirs(rir_dir)}
     main = [key for key, row in rows.items() if not row.get("noise_for")]
@@ -187,11 +187,10 @@ def _noises(directories: list[Path]) -> list[Noise]:
     """Return all noises by id; the same recording may be listed by several directories."""
     by_id: dict[str, Noise] = {}
     for n, directory in enumerate(map(Path, directories)):
-        rows = read_noises(directory)
-        if n and not rows:
-            raise ValueError(f"{directory}: no noises in it ({NOISES_FILE} is missing or empty): "
+        if n and not (directory / NOISES_FILE).is_file():
+            raise ValueError(f"{directory}: no noises in it ({NOISES_FILE} is missing): "
                              "make it with 'roomeq read-noises'")
-        for row in rows:
+        for row in read_noises(directory):
             noise = Noise(row["id"], directory / row["wav"], row.get("room_id"), row["kind"])
             other = by_id.setdefault(noise.id, noise)
             if other.path.resolve() != noise.path.resolve():

@@ -8,7 +8,6 @@ something else than the room (a dummy head, a hand clap, noise): it stays, and t
 import hashlib
 import logging
 import math
-import os
 from collections import Counter
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from roomeq.acoustics.spectrum import MIN_SNR_DB, analyse
 from roomeq.build import Build
 from roomeq.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 from roomeq.files import write_json
-from roomeq.rirs import load_rir, read_noises, read_rirs, rir_path, write_noises, write_rirs
+from roomeq.rirs import load_rir, read_noises, read_rirs, relocated, rir_path, write_noises, write_rirs
 
 logger = logging.getLogger(__name__)
 
@@ -75,12 +74,8 @@ def characterise(rir_dir, out, *, skip_bad=False, part=None, nj=1):
         if not kept:
             raise ValueError(f"{rir_dir}: all {len(rows)} RIRs are dropped ({_counts_text(dropped)}): "
                              "measure others")
-        for row in kept:
-            row["wav"] = os.path.relpath(rir_path(rir_dir, row), out)
-        write_rirs(directory, kept, final_directory=out)
-        noises = [noise | dict(wav=os.path.relpath(rir_dir / noise["wav"], out)) for noise in read_noises(rir_dir)]
-        if noises:
-            write_noises(directory, noises)
+        write_rirs(directory, relocated(kept, rir_dir, out), final_directory=out)
+        write_noises(directory, relocated(read_noises(rir_dir), rir_dir, out))
         summary.update(_summary(rows, kept, dropped))
         write_json(directory / SCREENING_FILE, summary)
 

@@ -11,6 +11,7 @@ passport
 """
 
 import math
+import os
 import re
 import shlex
 from pathlib import Path
@@ -124,6 +125,11 @@ def write_rirs(directory: Path, rows: list[dict], final_directory: Path | None =
 def rir_path(directory: Path, row: dict) -> Path:
     """Return the path of a row's audio."""
     return Path(directory) / row["wav"]
+
+
+def relocated(rows: list[dict], directory: Path, out: Path) -> list[dict]:
+    """Return rows of RIRs or noises as another directory must write them, so that they name the same audio."""
+    return [row | dict(wav=os.path.relpath(rir_path(directory, row), out)) for row in rows]
 
 
 def load_rir(directory: Path, row: dict) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 import hashlib
 import logging
-import os
 from collections import Counter, defaultdict
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from roomeq.build import Build
 from roomeq.passport import position_key
-from roomeq.rirs import read_noises, read_rirs, rir_path, write_noises, write_rirs
+from roomeq.rirs import read_noises, read_rirs, relocated, write_noises, write_rirs
 
 logger = logging.getLogger(__name__)
 
@@ -165,11 +164,8 @@ def _write(rir_dir, out, rows, noises, options):
     build = Build(out, step="split", options=options, inputs=[rir_dir])
 
     def assemble(directory, _):
-        write_rirs(directory, [row | dict(wav=os.path.relpath(rir_path(rir_dir, row), out)) for row in rows],
-                   final_directory=out)
-        if noises:
-            write_noises(directory, [noise | dict(wav=os.path.relpath(rir_dir / noise["wav"], out))
-                                     for noise in noises])
+        write_rirs(directory, relocated(rows, rir_dir, out), final_directory=out)
+        write_noises(directory, relocated(noises, rir_dir, out))
 
     if not build.done and build.run({}, lambda name, item: None):
         build.finish(assemble)
