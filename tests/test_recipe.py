@@ -1,0 +1,83 @@
+"""The whole recipe at its smallest size: the same bytes over jobs and interruptions."""
+
+import hashlib
+import os
+import random
+import signal
+import subprocess
+import time
+
+import pytest
+
+OPTIONS = ["--config", "conf/smallest.conf", "--num-rays", "500"]
+
+
+def start(project_dir, where, corpora, nj, *more):
+    return subprocess.Popen(
+        ["./run.sh", *OPTIONS, "--nj", str(nj), "--data", f"{where}/data", "--exp", f"{where}/exp",
+         "--corpora", str(corpora), *more],
+        cwd=project_dir, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True)
+
+
+def finish(process):
+    output, _ = process.communicate(timeout=1200)
+    assert process.returncode == 0, output
+    return output
+
+
+def hashes(where):
+    """Return the hash of every file that a run made, with the run's own place taken out of the text."""
+    found = {}
+    for path in sorted(where.rglob("*")):
+        name = str(path.relative_to(where))
+        if path.is_file() and "/log/" not in name and path.name != ".done" and not name.endswith(".lock"):
+            found[name] = hashlib.sha256(path.read_bytes().replace(str(where).encode(), b"HERE")).hexdigest()
+    return found
+
+
+@pytest.fixture(scope="module")
+def corpora(tmp_path_factory):
+    return tmp_path_factory.mktemp("recipe")
+
+
+@pytest.fixture(scope="module")
+def undisturbed(corpora, project_dir):
+    """A run with one job; what it printed, and what it made."""
+    where = corpora / "run-a"
+    return finish(start(project_dir, where, corpora / "corpora", 1)), hashes(where)
+
+
+def test_ends_with_data_directories_and_a_report(undisturbed, corpora):
+    output, files = undisturbed
+    assert "report: " in output.splitlines()[-1] and "data directories: " in output.splitlines()[-2]
+    for name in ("train.real", "train.sim", "train.sim.EQ", "dev.real", "dev.sim", "dev.sim.EQ", "test.real"):
+        assert f"data/{name}.rvb/wav.scp" in files and f"data/{name}.rvb/segments" in files
+    assert "exp/report/index.html" in files
+
+
+def test_two_jobs_and_a_second_run_give_the_same_bytes(undisturbed, corpora, project_dir):
+    where = corpora / "run-b"
+    finish(start(project_dir, where, corpora / "corpora", 2))
+    assert hashes(where) == undisturbed[1]
+    again = finish(start(project_dir, where, corpora / "corpora", 2))
+    assert "up to date" in again
+    assert hashes(where) == undisturbed[1]
+
+
+def test_killed_and_started_again_gives_the_same_bytes(undisturbed, corpora, project_dir):
+    where = corpora / "run-c"
+    moments = random.Random(0)
+    for _ in range(4):
+        process = start(project_dir, where, corpora / "corpora", 2)
+        time.sleep(moments.uniform(2, 15))
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+    finish(start(project_dir, where, corpora / "corpora", 2))
+    assert hashes(where) == undisturbed[1]
+
+
+def test_stages_without_what_they_need_say_which_to_run(corpora, project_dir):
+    process = start(project_dir, corpora / "run-d", corpora / "corpora", 1, "--stage", "4")
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode != 0
+    assert "rirs.sim.train/rirs.jsonl is missing: run steps/simulate_rirs.sh first" in output.splitlines()[-1]
