@@ -54,24 +54,52 @@ def simulate_rows(count):
         measured, out = Path(directory, "measured"), Path(directory, "out")
         measured.mkdir()
         (measured / "rirs.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows(count)))
-        done = subprocess.run([sys.executable, "-c", _CHILD, str(measured), str(out), str(JOBS)], check=True,
-                              capture_output=True, text=True, env=os.environ | {"NUMBA_NUM_THREADS": "1"}
-                              | {"PYTHONPATH": os.pathsep.join(sys.path)})
-        seconds, peak_kib = (float(word) for word in done.stdout.split()[-2:])
+        child = subprocess.Popen([sys.executable, "-c", _CHILD, str(measured), str(out), str(JOBS)], text=True,
+                                 stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                                 env=os.environ | {"NUMBA_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)})
+        peak_kib = 0
+        while child.poll() is None:
+            peak_kib = max([peak_kib, *map(_peak_kib, _family(child.pid))])
+            time.sleep(0.05)
+        printed, errors = child.communicate()
+        if child.returncode:
+            raise RuntimeError(f"the simulation of {count} rows failed: {errors.strip().splitlines()[-1]}")
+        seconds = float(printed.split()[-1])
         made = [json.loads(line) for line in (out / "rirs.jsonl").read_text().splitlines()]
     error = [abs(row["t30_s"] / row["target_t60_s"] - 1.0) for row in made]
     return seconds, peak_kib / 1024.0, float(np.mean(np.array(error) <= 0.05))
 
 
 _CHILD = """
-import resource, sys, time
+import sys, time
 from roomeq.sim.simulate import simulate
 start = time.perf_counter()
 simulate(sys.argv[1], sys.argv[2], noise_rirs=0, nj=int(sys.argv[3]))
-seconds = time.perf_counter() - start
-peak = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-print(seconds, peak)
+print(time.perf_counter() - start)
 """
+
+
+def _family(pid):
+    """A process and all its descendants, as far as they still run."""
+    parents = {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            parents[int(path.parent.name)] = int(path.read_text().rpartition(")")[2].split()[1])
+        except OSError:
+            continue
+    family = {pid}
+    while more := {child for child, parent in parents.items() if parent in family} - family:
+        family |= more
+    return family
+
+
+def _peak_kib(pid):
+    """Largest resident memory of a process so far, 0 if it is gone."""
+    try:
+        status = Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")), 0)
 
 
 def run(quick):
