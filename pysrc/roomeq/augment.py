@@ -16,8 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.build import Build
+from roomeq.build import Build, audio_digest
 from roomeq.constants import FS_HZ
+from roomeq.corpora.record import is_generated
 from roomeq.datadir import DataDir, read_data_dir
 from roomeq.datawrite import GRID_SAMPLES, OutUtterance, write_data_dir
 from roomeq.draws import Pool, Rules, parse_distribution, read_pool
@@ -113,6 +114,9 @@ def augment(data_dir: Path, rir_dir: Path, out: Path, *, seed: int = 0, copies: 
     flac_entry(str(out))  # refuses what wav.scp cannot name before hours of work
     options = {name: value for name, value in vars(job).items()
                if name not in ("data_dir", "rir_dir", "work", "noises", "pipes")}
+    if not is_generated(Path(data_dir)):  # nobody else looked whether its audio has changed
+        recordings = read_data_dir(Path(data_dir), pipes=pipes).recordings
+        options["audio"] = audio_digest(Path(entry.text) for entry in recordings.values() if entry.kind != "pipe")
     build = Build(out, step="augment", options=options,
                   inputs=[Path(data_dir), Path(rir_dir), *map(Path, noises)])
     if not build.done:

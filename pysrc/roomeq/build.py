@@ -10,14 +10,18 @@ Whether a directory is up to date is decided by a key: a hash of the step, its o
 """
 
 import contextlib
+import errno
 import fcntl
+import glob
 import hashlib
+import importlib.metadata
 import json
 import logging
 import os
+import platform
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from itertools import starmap
 from pathlib import Path
@@ -29,6 +33,7 @@ logger = logging.getLogger(__name__)
 
 DONE_FILE = ".done"
 _RECORDS = ".items"
+_NUMERICS = ("embreex", "numba", "numpy", "pyfar", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
 
 
 class Build:
@@ -44,6 +49,9 @@ class Build:
         Everything that changes the result, JSON-able. Not: paths, number of jobs.
     inputs : list of Path
         Files and directories that the result depends on.
+    refers : bool
+        The output names audio that lies elsewhere: those who take it as input depend on how it was made, not only
+        on the files in it.
 
     Attributes
     ----------
@@ -59,10 +67,10 @@ class Build:
         `out` holds something else, or an input is missing.
     """
 
-    def __init__(self, out: Path, *, step: str, options: dict, inputs: list[Path]):
+    def __init__(self, out: Path, *, step: str, options: dict, inputs: list[Path], refers: bool = False):
         self.out = Path(os.path.normpath(out))
         self._check_ours()
-        self.step, self.options = step, options
+        self.step, self.options, self.refers = step, options, refers
         described = dict(step=step, options=options, inputs=[digest(path) for path in inputs], code=code_digest())
         self.key = hashlib.sha256(to_json(described).encode()).hexdigest()
         self.work = self.out.with_name(f".{self.out.name}.part-{self.key[:16]}")
@@ -95,15 +103,15 @@ class Build:
             if _is_done(self.out, self.key) or _is_done(self.work, self.key):
                 return part is None
             (self.work / _RECORDS).mkdir(parents=True, exist_ok=True)
-            todo = [name for name in mine if not self._record_path(name).is_file()]
-            if 0 < len(todo) < len(mine):
-                logger.info("%s: %d of %d items were done before", self.out, len(mine) - len(todo), len(mine))
-            for _ in progress(self._each(todo, items, make, nj), len(todo), f"{self.step} {self.out.name}"):
-                pass
+        todo = [name for name in mine if not self._record_path(name).is_file()]
+        if 0 < len(todo) < len(mine):
+            logger.info("%s: %d of %d items were done before", self.out, len(mine) - len(todo), len(mine))
+        for _ in progress(self._each(todo, items, make, nj), len(todo), f"{self.step} {self.out.name}"):
+            pass
         return part is None
 
     def _each(self, todo: list[str], items: dict, make: Callable, nj: int) -> Iterator:
-        calls = ((os.getcwd(), self._record_path(name), make, name, items[name]) for name in todo)
+        calls = ((os.getcwd(), self._lock_path, self._record_path(name), make, name, items[name]) for name in todo)
         if nj == 1 or len(todo) < 2:
             yield from starmap(_make_one, calls)
             return
@@ -111,58 +119,104 @@ class Build:
 
         yield from Parallel(n_jobs=nj, return_as="generator_unordered")(delayed(_make_one)(*call) for call in calls)
 
-    def finish(self, assemble: Callable) -> None:
+    def finish(self, assemble: Callable) -> bool:
         """Call ``assemble(directory, records)``, which writes the files of the whole; put the directory in place.
 
         `records` are the items' records in the order of the items. `assemble` also validates.
+
+        Returns
+        -------
+        assembled : bool
+            False where it was not called, since another run, or a killed one, had come as far as that.
+
+        Raises
+        ------
+        ValueError
+            Another run with other options put the directory in place meanwhile.
         """
+        assembled = False
         with self._lock(fcntl.LOCK_EX):
             if _is_done(self.out, self.key):
-                return
+                return False
             if not _is_done(self.work, self.key):
-                self.work.mkdir(parents=True, exist_ok=True)
-                assemble(self.work, [read_json(self._record_path(name)) for name in self._names])
+                assemble(self.work, self._read_records())
                 self._seal()
+                assembled = True
+            shutil.rmtree(self.work / _RECORDS, ignore_errors=True)
             self._check_ours()
-            retired = self.out.with_name(f".{self.out.name}.old-{os.getpid()}")
+            retired = self.out.with_name(f".{self.out.name}.old")
+            shutil.rmtree(retired, ignore_errors=True)
             if self.out.exists():
                 self.out.rename(retired)
             self.work.rename(self.out)
-            for stale in [*self.out.parent.glob(f".{self.out.name}.part-*"),
-                          *self.out.parent.glob(f".{self.out.name}.old-*")]:
+            shutil.rmtree(retired, ignore_errors=True)
+            for stale in self.out.parent.glob(f".{glob.escape(self.out.name)}.part-{'[0-9a-f]' * 16}"):
                 shutil.rmtree(stale, ignore_errors=True)
+        return assembled
+
+    def _read_records(self) -> list:
+        self.work.mkdir(parents=True, exist_ok=True)
+        try:
+            return [read_json(self._record_path(name)) for name in self._names]
+        except FileNotFoundError:
+            raise ValueError(f"{self.out}: another run, with other options or inputs, made it meanwhile: let one "
+                             "run at a time work on a directory, and start this one again") from None
 
     def _seal(self) -> None:
-        shutil.rmtree(self.work / _RECORDS, ignore_errors=True)
         for leftover in self.work.rglob(".*.tmp"):  # of a job that was killed while it wrote
-            leftover.unlink()
+            leftover.unlink(missing_ok=True)
         files = {}
         for path in _files_below(self.work):
             files[str(path.relative_to(self.work))] = [path.stat().st_size, hash_file(path)]
-        write_json(self.work / DONE_FILE, dict(step=self.step, options=self.options, key=self.key, files=files))
+        write_json(self.work / DONE_FILE, dict(step=self.step, options=self.options, key=self.key,
+                                               refers=self.refers, files=files))
 
     def _record_path(self, name: str) -> Path:
-        safe = name if re.fullmatch(r"[\w+-][\w.+-]{0,150}", name) else hashlib.sha256(name.encode()).hexdigest()
+        plain = re.fullmatch(r"[\w+-][\w.+-]{0,150}", name, re.ASCII)
+        safe = name if plain else hashlib.sha256(name.encode()).hexdigest()
         return self.work / _RECORDS / f"{safe}.json"
 
     def _check_ours(self) -> None:
+        if self.out.is_symlink():
+            raise ValueError(f"{self.out}: is a link, and would be replaced: give the directory that it leads to "
+                             "(directories above may be links)")
         if self.out.is_file() or (self.out.is_dir() and any(self.out.iterdir())
                                   and not (self.out / DONE_FILE).is_file()):
             raise ValueError(f"{self.out}: exists and was not made by roomeq (no {DONE_FILE} in it): "
                              "choose another output, or move it away")
 
-    @contextlib.contextmanager
-    def _lock(self, how: int) -> Iterator[None]:
+    @property
+    def _lock_path(self) -> Path:
+        return self.out.with_name(f".{self.out.name}.lock")
+
+    def _lock(self, how: int):
         """Jobs that work on items share the lock; putting the directory in place needs it alone."""
         self.out.parent.mkdir(parents=True, exist_ok=True)
-        with open(self.out.with_name(f".{self.out.name}.lock"), "a") as stream:
+        return locked(self._lock_path, how)
+
+
+@contextlib.contextmanager
+def locked(path: Path, how: int) -> Iterator[None]:
+    """Hold the lock of a file, ``fcntl.LOCK_SH`` or ``LOCK_EX``; whoever has it goes first."""
+    with open(path, "a+") as stream:  # NFS gives shared locks to readers only, exclusive ones to writers
+        try:
+            fcntl.flock(stream, how | fcntl.LOCK_NB)
+        except BlockingIOError:
+            logger.info("%s: waiting for another run that works on it", path.with_name(path.name[1:-len(".lock")]))
             fcntl.flock(stream, how)
-            yield
+        except OSError as error:
+            if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
+                raise
+            logger.warning("%s: this file system has no locks: let one run at a time work on a directory", path)
+        yield
 
 
-def _make_one(folder: str, record_path: Path, make: Callable, name: str, item) -> None:
+def _make_one(folder: str, lock: Path, record_path: Path, make: Callable, name: str, item) -> None:
     os.chdir(folder)  # workers live longer than one call, and paths may be relative
-    write_json(record_path, make(name, item))
+    with locked(lock, fcntl.LOCK_SH):
+        # another run may have made the item, or put the whole directory in place: nothing must come after that
+        if record_path.parent.is_dir() and not record_path.is_file():
+            write_json(record_path, make(name, item))
 
 
 def share(names: list[str], part: str | None) -> list[str]:
@@ -193,8 +247,9 @@ def _is_done(directory: Path, key: str) -> bool:
 def digest(path: Path) -> str:
     """Return a hash of a file's content or of a directory's.
 
-    Files of a directory that a `Build` made count by the content hash in its stamp (unless changed since); files
-    of any other directory (a corpus of many gigabytes) count by name, size and time of change.
+    Files of a directory that a `Build` made count by the content hash in its stamp (unless changed since), and
+    with its key where they refer to audio elsewhere; files of any other directory (a corpus of many gigabytes)
+    count by name, size and time of change.
 
     Raises
     ------
@@ -206,23 +261,54 @@ def digest(path: Path) -> str:
         return hash_file(path)
     if not path.is_dir():
         raise ValueError(f"{path}: no such file or directory: check the path, or run the step that makes it")
-    stamped, sealed_ns = {}, 0
+    stamp, sealed_ns = {}, 0
     if (path / DONE_FILE).is_file():
-        stamped = read_json(path / DONE_FILE)["files"]
-        sealed_ns = (path / DONE_FILE).stat().st_mtime_ns
-    total = hashlib.sha256()
+        stamp = read_json(path / DONE_FILE)
+        sealed_ns = (path / DONE_FILE).stat().st_ctime_ns
+    stamped = stamp.get("files", {})
+    total = hashlib.sha256(stamp["key"].encode() if stamp.get("refers") else b"")
     for file in _files_below(path):
         name, stat = str(file.relative_to(path)), file.stat()
         if name not in stamped and stamped:
             continue  # what others (Kaldi) put beside our files is not our input
-        if name in stamped and stat.st_size == stamped[name][0] and stat.st_mtime_ns <= sealed_ns:
+        # by the inode's time: a file put back from elsewhere keeps its own time of change
+        if name in stamped and stat.st_size == stamped[name][0] and stat.st_ctime_ns <= sealed_ns:
             mark = stamped[name][1]
         elif stamped:
             mark = hash_file(file)
         else:
             mark = f"{stat.st_size} {stat.st_mtime_ns}"
         total.update(f"{name}\0{mark}\n".encode(errors="surrogateescape"))
+    for file in [] if stamped else _named_audio(path):
+        total.update(f"{file} {_size_and_time(file)}\n".encode(errors="surrogateescape"))
     return total.hexdigest()
+
+
+def audio_digest(paths: Iterable[Path]) -> str:
+    """Return a hash of files by name, size and time of change: what an output made of a list of files depends on.
+
+    Absent files count as such: whoever reads them says so.
+    """
+    total = hashlib.sha256()
+    for path in paths:
+        total.update(f"{path} {_size_and_time(path)}\n".encode(errors="surrogateescape"))
+    return total.hexdigest()
+
+
+def _size_and_time(path: Path) -> tuple[int, int] | None:
+    try:
+        stat = path.stat()
+    except (OSError, ValueError):
+        return None
+    return stat.st_size, stat.st_mtime_ns
+
+
+def _named_audio(directory: Path) -> Iterator[Path]:
+    """Yield the audio that tables of an RIR directory name; lines that are wrong are the reader's business."""
+    for name in ("rirs.jsonl", "noises.jsonl"):
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            for line in (directory / name).read_text(encoding="utf-8").splitlines():
+                yield directory / json.loads(line)["wav"]
 
 
 def _files_below(directory: Path) -> list[Path]:
@@ -236,8 +322,11 @@ def _files_below(directory: Path) -> list[Path]:
 
 @cache
 def code_digest() -> str:
-    """Return a hash of the package's source: results of other code are not up to date."""
-    total = hashlib.sha256()
+    """Return a hash of the package's source and of what computes for it: other code's results are not up to date."""
+    total = hashlib.sha256(f"Python {platform.python_version_tuple()[:2]}".encode())
+    for name in _NUMERICS:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            total.update(f"{name} {importlib.metadata.version(name)}".encode())
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         total.update(path.read_bytes())
     return total.hexdigest()

@@ -91,8 +91,7 @@ def compensate(sim_dir, eq_dir, out, *, taps=511, passes=3, match_rooms=True, se
         summary.update(summarise([row for row in rows if not row.get("noise_for")]))
         write_json(directory / SUMMARY_FILE, summary)
 
-    if build.run(groups, one, part=part, nj=nj):
-        build.finish(assemble)
+    if build.run(groups, one, part=part, nj=nj) and build.finish(assemble):
         _log(out, summary)
     return summary or None
 

@@ -60,7 +60,8 @@ def characterise(rir_dir, out, *, skip_bad=False, part=None, nj=1):
     """
     rir_dir, out = Path(rir_dir), Path(out)
     rows = read_rirs(rir_dir)
-    build = Build(out, step="characterise", options=dict(skip_bad=bool(skip_bad)), inputs=[rir_dir])
+    build = Build(out, step="characterise", options=dict(skip_bad=bool(skip_bad)), inputs=[rir_dir],
+                  refers=True)
     if build.done:
         return None
 
@@ -79,8 +80,7 @@ def characterise(rir_dir, out, *, skip_bad=False, part=None, nj=1):
         summary.update(_summary(rows, kept, dropped))
         write_json(directory / SCREENING_FILE, summary)
 
-    if build.run({row["id"]: row for row in rows}, one, part=part, nj=nj):
-        build.finish(assemble)
+    if build.run({row["id"]: row for row in rows}, one, part=part, nj=nj) and build.finish(assemble):
         _log(summary)
     return summary or None
 

@@ -161,7 +161,7 @@ def _none_without(dealt, split_by):
 
 
 def _write(rir_dir, out, rows, noises, options):
-    build = Build(out, step="split", options=options, inputs=[rir_dir])
+    build = Build(out, step="split", options=options, inputs=[rir_dir], refers=True)
 
     def assemble(directory, _):
         write_rirs(directory, relocated(rows, rir_dir, out), final_directory=out)

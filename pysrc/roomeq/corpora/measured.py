@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from roomeq.audio import audio_info, read_audio, write_wav
-from roomeq.build import Build
+from roomeq.build import Build, audio_digest
 from roomeq.constants import FS_HZ
 from roomeq.corpora.folder import list_folder, list_noise_folder
-from roomeq.corpora.record import UNKNOWN, Corpus, Recording, audio_digest, audio_files, is_generated
+from roomeq.corpora.record import UNKNOWN, Corpus, Recording, audio_files, is_generated
 from roomeq.corpora.reverbdb import find_rooms, list_reverbdb
 from roomeq.corpora.slr28 import find_real, list_slr28
 from roomeq.corpora.sofa_file import list_sofa, sofa_signals
@@ -174,7 +174,7 @@ def _build(out: Path, step: str, listed: dict[Path, list[Recording]], **options)
         else:  # a list may name files anywhere, and lie among things that are none of our business
             inputs.append(source if source.is_file() else _manifest(source))
             audio.append(audio_digest(recording.path for recording in recordings))
-    return Build(out, step=step, options=dict(options, ways=ways, audio=audio), inputs=inputs)
+    return Build(out, step=step, options=dict(options, ways=ways, audio=audio), inputs=inputs, refers=True)
 
 
 def _way(path: Path, out: Path) -> str:

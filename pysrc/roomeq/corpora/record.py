@@ -3,9 +3,7 @@
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import dataclass, field
-from hashlib import sha256
 from pathlib import Path
 
 from roomeq.build import DONE_FILE
@@ -183,18 +181,6 @@ def audio_files(directory: Path) -> list[Path]:
 def is_generated(source: Path) -> bool:
     """Tell whether a corpus was made by a `roomeq.build.Build`, which stamps it with hashes of what is in it."""
     return (source / DONE_FILE).is_file()
-
-
-def audio_digest(paths: Iterable[Path]) -> str:
-    """Return a hash of files by name, size and time of change: what an output made of a list of files depends on.
-
-    Absent files count as such: whoever reads them says so.
-    """
-    total = sha256()
-    for path in paths:
-        stat = path.stat() if path.is_file() else None
-        total.update(f"{path} {stat and (stat.st_size, stat.st_mtime_ns)}\n".encode(errors="surrogateescape"))
-    return total.hexdigest()
 
 
 def id_of_path(path: Path, root: Path) -> str:

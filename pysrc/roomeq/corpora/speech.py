@@ -10,11 +10,11 @@ from hashlib import sha256
 from pathlib import Path
 
 from roomeq.audio import audio_info, read_audio, write_flac
-from roomeq.build import Build
+from roomeq.build import Build, audio_digest
 from roomeq.constants import FS_HZ
 from roomeq.corpora.kaldi_dir import KaldiDir, find_kaldi_dirs, read_kaldi_dir
 from roomeq.corpora.librispeech import find_sets, list_librispeech
-from roomeq.corpora.record import audio_digest, is_generated
+from roomeq.corpora.record import is_generated
 from roomeq.corpora.table import MANIFEST
 from roomeq.corpora.transcripts import list_transcripts
 from roomeq.corpora.utterance import ROLES, Utterance, split_voices
@@ -69,7 +69,7 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
     corpus = list_speech(source, wanted)
     options = dict(sets=wanted, limit=limit, source=os.path.realpath(source))
     builds = {role: Build(out / f"{role}.clean", step="prepare-speech", options=dict(
-        options, role=role, listed=_listing(source, corpus[role])), inputs=[source] * is_generated(source))
+        options, role=role, listed=_listing(source, corpus[role])), inputs=[source] * is_generated(source), refers=True)
         for role in ROLES}
     for role, build in builds.items():
         if not build.done:
@@ -82,10 +82,21 @@ def _listing(source: Path, listed: list[Utterance] | dict) -> str:
     """Return a hash of what a role is made of: the words, and the audio unless a stamp of the corpus covers it."""
     if isinstance(listed, dict):
         said = repr(sorted((str(path), part.files, sorted(utts)) for path, (part, utts) in listed.items()))
-        return sha256(said.encode()).hexdigest()
+        words = {word for part, _ in listed.values() for entry in part.files["wav.scp"].values()
+                 for word in _words(entry)}
+        audio = audio_digest(Path(re.sub(r":\d+$", "", word)) for word in sorted(words))
+        return sha256((said + audio).encode()).hexdigest()
     said = repr([(utterance.id, utterance.speaker, utterance.gender, utterance.text) for utterance in listed])
     audio = "" if is_generated(source) else audio_digest(utterance.path for utterance in listed)
     return sha256((said + audio).encode()).hexdigest()
+
+
+def _words(entry: str) -> list[str]:
+    """Return the words of an entry of `wav.scp`, among them the files that it reads, whatever it does with them."""
+    try:
+        return shlex.split(entry)
+    except ValueError:
+        return entry.split()
 
 
 def list_speech(source: Path, wanted: dict[str, tuple[str, ...]]) -> dict[str, list[Utterance] | dict]:
