@@ -1,38 +1,11 @@
 """The whole recipe at its smallest size: the same bytes over jobs and interruptions."""
 
-import hashlib
-import os
 import random
-import signal
-import subprocess
 import time
 
 import pytest
 
-OPTIONS = ["--config", "conf/smallest.conf", "--num-rays", "500"]
-
-
-def start(project_dir, where, corpora, nj, *more):
-    return subprocess.Popen(
-        ["./run.sh", *OPTIONS, "--nj", str(nj), "--data", f"{where}/data", "--exp", f"{where}/exp",
-         "--corpora", str(corpora), *more],
-        cwd=project_dir, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True)
-
-
-def finish(process):
-    output, _ = process.communicate(timeout=1200)
-    assert process.returncode == 0, output
-    return output
-
-
-def hashes(where):
-    """Return the hash of every file that a run made, with the run's own place taken out of the text."""
-    found = {}
-    for path in sorted(where.rglob("*")):
-        name = str(path.relative_to(where))
-        if path.is_file() and "/log/" not in name and path.name != ".done" and not name.endswith(".lock"):
-            found[name] = hashlib.sha256(path.read_bytes().replace(str(where).encode(), b"HERE")).hexdigest()
-    return found
+from recipe_run import finish, hashes, kill, start
 
 
 @pytest.fixture(scope="module")
@@ -70,8 +43,7 @@ def test_killed_and_started_again_gives_the_same_bytes(undisturbed, corpora, pro
     for _ in range(4):
         process = start(project_dir, where, corpora / "corpora", 2)
         time.sleep(moments.uniform(2, 15))
-        os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
+        kill(process)
     finish(start(project_dir, where, corpora / "corpora", 2))
     assert hashes(where) == undisturbed[1]
 

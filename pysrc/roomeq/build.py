@@ -74,12 +74,16 @@ class Build:
         described = dict(step=step, options=options, inputs=[digest(path) for path in inputs], code=code_digest())
         self.key = hashlib.sha256(to_json(described).encode()).hexdigest()
         self.work = self.out.with_name(f".{self.out.name}.part-{self.key[:16]}")
+        self._retired = self.out.with_name(f".{self.out.name}.old")
         self._names: list[str] = []
 
     @property
     def done(self) -> bool:
         if _is_done(self.out, self.key):
             logger.info("%s: up to date", self.out)
+            if self._retired.exists():  # whoever put the directory in place was killed before the end
+                with contextlib.suppress(OSError), self._lock(fcntl.LOCK_EX):
+                    self._clear_retired()
             return True
         return False
 
@@ -144,15 +148,18 @@ class Build:
                 assembled = True
             shutil.rmtree(self.work / _RECORDS, ignore_errors=True)
             self._check_ours()
-            retired = self.out.with_name(f".{self.out.name}.old")
-            shutil.rmtree(retired, ignore_errors=True)
-            if self.out.exists():
-                self.out.rename(retired)
-            self.work.rename(self.out)
-            shutil.rmtree(retired, ignore_errors=True)
             for stale in self.out.parent.glob(f".{glob.escape(self.out.name)}.part-{'[0-9a-f]' * 16}"):
-                shutil.rmtree(stale, ignore_errors=True)
+                if stale != self.work:
+                    shutil.rmtree(stale, ignore_errors=True)
+            self._clear_retired()
+            if self.out.exists():
+                self.out.rename(self._retired)
+            self.work.rename(self.out)
+            self._clear_retired()
         return assembled
+
+    def _clear_retired(self) -> None:
+        shutil.rmtree(self._retired, ignore_errors=True)
 
     def _read_records(self) -> list:
         self.work.mkdir(parents=True, exist_ok=True)
