@@ -23,10 +23,12 @@ def finish(process):
     return output
 
 
-def kill(process):
-    """Kill a run with everything that it started, at once."""
+def kill(process, *, read=True):
+    """Kill a run with everything that it started, at once; `read` what it printed, unless somebody else does."""
     os.killpg(process.pid, signal.SIGKILL)
-    process.communicate()
+    if read:
+        process.communicate()
+    process.wait()
 
 
 def hashes(where):
