@@ -139,9 +139,9 @@ def watertight_scenes():
             ("furnished, 2,000 triangles", mesh_scene(*furnished_triangles(), 0.1, 0.5), (2.1, 3.3, 1.5))]
 
 
-def leaked(scene, source_pos_m, *, n_rays, duration_s=1.0):
+def leaked(scene, source_pos_m, *, n_rays, seed, duration_s=1.0):
     """Trace; return the number of reflections and of rays that leaked."""
-    paths = traced(scene, source_pos_m, seed=1, n_rays=n_rays, duration_s=duration_s).paths
+    paths = traced(scene, source_pos_m, seed=seed, n_rays=n_rays, duration_s=duration_s).paths
     return int(sum(path.counts.sum() for path in paths)), int(sum(path.n_leaked for path in paths))
 
 

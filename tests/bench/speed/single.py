@@ -44,7 +44,7 @@ def run(quick):
                 positions = np.random.default_rng(8).uniform([0.7, 0.7, 1.0], [2.3, 5.3, 2.0], (count, 3))
             median, spread, first = repeated(
                 lambda n, scene=scene, source=source, positions=positions: ours.simulate(
-                    scene, source, positions, seed=n), repeats)
+                    scene, source, positions, seed=n), repeats if count == 1 else max(1, repeats // 2))
             seconds[name, count] = median
             rows.append([name, count, "roomeq", median, spread, first, None])
     if peer.load():
@@ -95,7 +95,7 @@ def _peer_rows(rows, seconds, mics, repeats):
 
 def run_stages(quick):
     """Where the time goes, and what new materials cost on a traced room."""
-    repeats = 2 if quick else 5
+    repeats = 1 if quick else 3
     rows, checks = [], []
     for name, scene in scenes().items():
         if name.startswith("L"):
