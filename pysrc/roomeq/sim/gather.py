@@ -7,6 +7,8 @@ whichever way the ray itself went on. All others end in a specular reflection an
 their last segment inside a sphere around the receiver: energy density is ``power * length / volume``.
 """
 
+from functools import partial
+
 import numpy as np
 
 from roomeq.sim.jit import N_CHUNKS, compiled, for_chunks
@@ -15,7 +17,7 @@ FRAME_S = 1e-3
 _SPHERE_RADII = (0.35, 1.0)  # of the receiver [m]: as large as the room lets the late field be called uniform
 NEGLIGIBLE = np.float32(1e-10)  # share of a ray's energy below which it is given up, 40 dB below -60 dB
 NUDGE_M = 1e-4  # shadow rays start this far off the surface
-_BATCH = 8  # receivers that are served in one pass over the rays
+_BATCH = 32  # receivers that are served in one pass over the rays
 
 
 def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n_rays=None,
@@ -44,8 +46,9 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n
         Squared pressure per frame, relative to a direct sound of ``1 / (4 pi r)^2``; without air absorption.
     """
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
-    reflection = (1.0 - absorption)[paths.face_slot].astype(np.float32)
-    scattering = paths.scattering[paths.face_slot]
+    single = partial(np.asarray, dtype=np.float32)
+    reflection = single((1.0 - absorption)[paths.face_slot])
+    scattering = single(paths.scattering[paths.face_slot])
     if visible is None:
         visible = visibility(paths, room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
     n_rays = len(paths.hits) if n_rays is None else min(n_rays, len(paths.hits))
@@ -56,9 +59,10 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n
     for first in range(0, len(mics_m), _BATCH):
         batch = slice(first, first + _BATCH)
         parts = np.zeros((N_CHUNKS, len(mics_m[batch]), n_frames, absorption.shape[1]), dtype=np.float32)
-        given = (paths.source_pos_m, paths.hits, paths.codes, paths.counts, paths.normals, reflection, scattering,
-                 mics_m[batch], visible[batch], radius_m[batch] ** 2, 1.0 / volume_m3[batch], ism_order,
-                 1.0 / (speed_m_s * FRAME_S), paths.late_m, paths.stride)
+        given = (single(paths.source_pos_m), paths.hits, paths.codes, paths.counts, single(paths.normals), reflection,
+                 scattering, single(mics_m[batch].T, order="C"), visible[batch], single(radius_m[batch] ** 2),
+                 single(1.0 / volume_m3[batch]), ism_order, np.float32(1.0 / (speed_m_s * FRAME_S)),
+                 np.float32(paths.late_m), paths.stride)
         for_chunks(n_rays, lambda chunk, low, high: _gather(*given, low, high, parts[chunk]))  # noqa: B023
         result[batch] = parts.sum(axis=0, dtype=np.float64)
     return result / (4.0 * np.pi * n_rays)
@@ -89,63 +93,77 @@ def visibility(paths, room, mics_m, *, n_frames, speed_m_s):
 
 
 @compiled
+def _add(row, weight, g0, g1, g2, g3, g4, g5, g6, g7):
+    row[0] += weight * g0
+    row[1] += weight * g1
+    row[2] += weight * g2
+    row[3] += weight * g3
+    row[4] += weight * g4
+    row[5] += weight * g5
+    row[6] += weight * g6
+    row[7] += weight * g7
+
+
+@compiled
 def _gather(source, hits, codes, counts, normals, reflection, scattering, mics, visible, radius2, per_volume, ism_order,
             frames_per_m, late_m, stride, low, high, echo):
-    """Add rays `low` to `high` to `echo`, shape (n_mics, n_frames, 8)."""
+    """Add rays `low` to `high` to `echo`, shape (n_mics, n_frames, 8).
+
+    All in single precision. First what a reflection means to every microphone, which is vectorised over them, then
+    the adding up; the eight bands are eight variables, so that they are added at once.
+    """
     n_mics, n_frames, _ = echo.shape
     all_visible = len(visible) == 0
-    g = np.empty(8, dtype=np.float32)
+    zero, one = np.float32(0.0), np.float32(1.0)
+    mx, my, mz = mics[0], mics[1], mics[2]
+    along, weight, frame = np.empty(n_mics, np.float32), np.empty(n_mics, np.float32), np.empty(n_mics, np.float32)
     for ray in range(low, high):
-        g[:] = 1.0
-        px, py, pz, path = source[0], source[1], source[2], 0.0
+        g0, g1, g2, g3, g4, g5, g6, g7 = one, one, one, one, one, one, one, one
+        px, py, pz, path = source[0], source[1], source[2], zero
         specular, late = True, stride == 1
         was_diffuse = True
         for n in range(counts[ray]):
-            hx, hy, hz = hits[ray, n, 0], hits[ray, n, 1], hits[ray, n, 2]
-            new_path = hits[ray, n, 3]
+            hx, hy, hz, new_path = hits[ray, n, 0], hits[ray, n, 1], hits[ray, n, 2], hits[ray, n, 3]
             if not was_diffuse and (n > ism_order or not specular):
                 length = new_path - path
-                scale = 1.0 / max(length, 1e-9)
+                scale = one / max(length, np.float32(1e-9))
                 ux, uy, uz = (hx - px) * scale, (hy - py) * scale, (hz - pz) * scale
                 for m in range(n_mics):
-                    vx, vy, vz = mics[m, 0] - px, mics[m, 1] - py, mics[m, 2] - pz
-                    along = ux * vx + uy * vy + uz * vz
-                    half2 = radius2[m] - (vx * vx + vy * vy + vz * vz - along * along)
-                    if half2 > 0.0:
-                        half = np.sqrt(half2)
-                        start = max(0.0, along - half)
-                        stop = min(length, along + half)
-                        frame = int((path + 0.5 * (start + stop)) * frames_per_m)
-                        if stop > start and frame < n_frames:
-                            w = np.float32((stop - start) * per_volume[m])
-                            for b in range(8):
-                                echo[m, frame, b] += w * g[b]
+                    vx, vy, vz = mx[m] - px, my[m] - py, mz[m] - pz
+                    along[m] = ux * vx + uy * vy + uz * vz
+                    weight[m] = radius2[m] - (vx * vx + vy * vy + vz * vz - along[m] * along[m])
+                for m in range(n_mics):
+                    if weight[m] > zero:
+                        half = np.sqrt(weight[m])
+                        start, stop = max(zero, along[m] - half), min(length, along[m] + half)
+                        middle = (path + np.float32(0.5) * (start + stop)) * frames_per_m
+                        if stop > start and middle < n_frames:
+                            _add(echo[m, np.uint32(middle)], (stop - start) * per_volume[m],
+                                 g0, g1, g2, g3, g4, g5, g6, g7)
             px, py, pz, path = hx, hy, hz, new_path
             face = codes[ray, n] >> 1
-            most = np.float32(0.0)
-            for b in range(8):
-                g[b] *= reflection[face, b]
-                most = max(most, g[b])
-            if most < NEGLIGIBLE:
+            rho = reflection[face]
+            g0, g1, g2, g3 = g0 * rho[0], g1 * rho[1], g2 * rho[2], g3 * rho[3]
+            g4, g5, g6, g7 = g4 * rho[4], g5 * rho[5], g6 * rho[6], g7 * rho[7]
+            if max(max(max(g0, g1), max(g2, g3)), max(max(g4, g5), max(g6, g7))) < NEGLIGIBLE:
                 break
             if not late and path > late_m:
                 if ray % stride != 0:
                     break
-                late = True
-                for b in range(8):
-                    g[b] *= stride
+                late, k = True, np.float32(stride)
+                g0, g1, g2, g3, g4, g5, g6, g7 = g0 * k, g1 * k, g2 * k, g3 * k, g4 * k, g5 * k, g6 * k, g7 * k
             s = scattering[face]
-            if s > 0.0:
+            if s > zero:
+                nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
                 for m in range(n_mics):
-                    vx, vy, vz = mics[m, 0] - hx, mics[m, 1] - hy, mics[m, 2] - hz
+                    vx, vy, vz = mx[m] - hx, my[m] - hy, mz[m] - hz
                     d2 = vx * vx + vy * vy + vz * vz
                     d = np.sqrt(d2)
-                    height = vx * normals[face, 0] + vy * normals[face, 1] + vz * normals[face, 2]
-                    frame = int((path + d) * frames_per_m)
-                    if height > 0.0 and frame < n_frames and (all_visible or visible[m, ray, n]):
-                        w = np.float32(s * height / (np.pi * d2 * d))
-                        for b in range(8):
-                            echo[m, frame, b] += w * g[b]
+                    weight[m] = s * (vx * nx + vy * ny + vz * nz) / (np.float32(np.pi) * d2 * d)
+                    frame[m] = (path + d) * frames_per_m
+                for m in range(n_mics):
+                    if weight[m] > zero and frame[m] < n_frames and (all_visible or visible[m, ray, n]):
+                        _add(echo[m, np.uint32(frame[m])], weight[m], g0, g1, g2, g3, g4, g5, g6, g7)
             was_diffuse = (codes[ray, n] & 1) == 1
             if was_diffuse:
                 specular = False

@@ -8,17 +8,22 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numba import njit, uint64
+from numba import config, njit, uint64
 
 N_CHUNKS = 8
+config.SLP_VECTORIZE = 1  # off by default; it lets the eight bands of an echogram be added at once
+
+
+# dividing by zero gives infinity as in numpy: a check for it would keep loops from being vectorised
+_HOW = dict(nogil=True, error_model="numpy")
 
 
 def compiled(function):
     """Compile a kernel that holds no lock of the interpreter; keep the result on disk where that is possible."""
     try:
-        return njit(cache=True, nogil=True)(function)
+        return njit(cache=True, **_HOW)(function)
     except RuntimeError:  # neither the package nor the home directory can be written
-        return njit(nogil=True)(function)
+        return njit(**_HOW)(function)
 
 
 def n_threads():
@@ -36,9 +41,13 @@ def for_chunks(n_rays, work):
         What the calls returned, in the order of the chunks.
     """
     edges = np.linspace(0, n_rays, N_CHUNKS + 1).astype(int)
-    jobs = [(chunk, int(edges[chunk]), int(edges[chunk + 1])) for chunk in range(N_CHUNKS)]
-    threads = min(n_threads(), N_CHUNKS)
-    if threads == 1:
+    return on_threads(work, [(chunk, int(edges[chunk]), int(edges[chunk + 1])) for chunk in range(N_CHUNKS)])
+
+
+def on_threads(work, jobs):
+    """Return ``[work(*job) for job in jobs]``, done on threads: for work that lets go of the interpreter."""
+    threads = min(n_threads(), len(jobs))
+    if threads <= 1:
         return [work(*job) for job in jobs]
     with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(lambda job: work(*job), jobs))

@@ -48,8 +48,8 @@ def tail_noise(n_samples, volume_m3, speed_m_s, rng):
     place = (edges[:-1] + width * rng.random(len(width))).astype(int)
     pulses = np.zeros(dense)
     inside = place < dense
-    sign = np.where(rng.random(len(width)) < 0.5, -1.0, 1.0)
-    np.add.at(pulses, place[inside], (sign * np.sqrt(width))[inside])
+    # Gaussian pulses grow into Gaussian noise without a seam; pulses of one size would be flatter than noise
+    np.add.at(pulses, place[inside], (rng.standard_normal(len(width)) * np.sqrt(width))[inside])
     noise[:dense] = pulses
     return noise
 
@@ -95,24 +95,31 @@ def render(distance_m, gains, echogram, noise, *, speed_m_s, n_samples):
     n_fft = next_fast_len(n_samples + 2 * guard, real=True)
     bands = np.zeros((echogram.shape[1], n_fft))
     first = distance_m.min() / speed_m_s * FS_HZ if len(distance_m) else 0.0
-    bands[:, guard:guard + n_samples] = noise[:n_samples] * np.sqrt(_power_per_sample(echogram, n_samples, first))
+    _shape_noise(bands[:, guard:guard + n_samples], noise, _padded(echogram, n_samples), int(np.ceil(first)),
+                 FRAME_S * FS_HZ)
     _add_pulses(bands, guard + distance_m / speed_m_s * FS_HZ, np.ascontiguousarray(gains), _sinc_table())
     spectrum = np.einsum("bf,bf->f", rfft(bands, n_fft), octave_filterbank(n_fft, FS_HZ))
     return irfft(spectrum, n_fft)[guard:guard + n_samples]
 
 
-def _power_per_sample(echogram, n_samples, first_sample):
-    """Interpolate frame energies to a power per sample, shape (8, n_samples), zero before the first arrival."""
-    n_frame = FRAME_S * FS_HZ
-    n_frames = int(np.ceil(n_samples / n_frame))
-    power = np.zeros((n_frames + 1, echogram.shape[1]))
-    power[:min(n_frames + 1, len(echogram))] = echogram[:n_frames + 1] / n_frame
-    position = np.maximum((np.arange(n_samples) + 0.5) / n_frame - 0.5, 0.0)
-    frame = np.minimum(position.astype(int), n_frames - 1)
-    fraction = (position - frame)[:, None]
-    interpolated = power[frame] * (1.0 - fraction) + power[frame + 1] * fraction
-    interpolated[:int(np.ceil(first_sample))] = 0.0
-    return interpolated.T
+def _padded(echogram, n_samples):
+    """Echogram of as many frames as the samples need and one more, shape (8, n)."""
+    n_frames = int(np.ceil(n_samples / (FRAME_S * FS_HZ))) + 1
+    kept = echogram[:n_frames].T
+    return np.ascontiguousarray(np.pad(kept, ((0, 0), (0, n_frames - kept.shape[1]))))
+
+
+@compiled
+def _shape_noise(bands, noise, energy, first, frame_samples):
+    """Give noise the power of an echogram, linear between the middles of frames, from sample `first` on."""
+    n_bands, n_samples = bands.shape
+    for band in range(n_bands):
+        for n in range(first, n_samples):
+            position = max((n + 0.5) / frame_samples - 0.5, 0.0)
+            frame = np.uint32(position)
+            fraction = position - frame
+            power = energy[band, frame] * (1.0 - fraction) + energy[band, frame + np.uint32(1)] * fraction
+            bands[band, n] = noise[n] * np.sqrt(power / frame_samples)
 
 
 @lru_cache(maxsize=1)

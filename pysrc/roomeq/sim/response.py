@@ -6,6 +6,7 @@
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from roomeq.constants import BAND_1KHZ, FS_HZ
 from roomeq.rng import rng_for
 from roomeq.sim.early import Images, specular_paths
 from roomeq.sim.gather import FRAME_S, gather, visibility
+from roomeq.sim.jit import on_threads
 from roomeq.sim.render import MAX_LENGTH_S, MIN_LENGTH_S, render, response_length_s, tail_noise
 from roomeq.sim.scene import Scene, check_positions, eyring_time_s, with_absorption
 from roomeq.sim.target import TOLERANCE, scaled_absorption, solve_exponent, t30_of_echogram, t30_s
@@ -327,8 +329,8 @@ def _render(job, absorption):
     energy = _echograms(job, absorption)
     whole = energy.copy()
     _add_images(whole, job, absorption)
-    return [_render_one(job, absorption, *each)
-            for each in zip(job.mics_m, energy, whole, job.images, job.noises, strict=True)]
+    return on_threads(partial(_render_one, job, absorption),
+                      list(zip(job.mics_m, energy, whole, job.images, job.noises, strict=True)))
 
 
 def _render_one(job, absorption, mic_m, echogram, whole, images, noise):
