@@ -10,7 +10,7 @@ from roomeq.sim.response import eyring_exponent
 from roomeq.sim.scene import WALLS, Material, Scene, eyring_time_s, with_absorption
 from roomeq.sim.target import scaled_absorption
 
-DEFAULT_TABLE = Path(__file__).resolve().parents[3] / "conf" / "materials.toml"
+DEFAULT_TABLE = Path(__file__).with_name("materials.toml")  # conf/materials.toml links to it
 USES = ("wall", "floor", "ceiling")
 _SAME_WALLS = 0.4  # probability that a wall is of the same material as the first
 _PLAUSIBLE_EXPONENT = 2.5  # absorption is scaled by no more, where a few draws allow it
