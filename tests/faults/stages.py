@@ -91,7 +91,13 @@ class Run:
         self._reader.join()
 
     def survivors(self) -> list[int]:
-        """Return processes of its session that are still there."""
+        """Return processes of its session that are still there some seconds after it was killed."""
+        until_s = time.monotonic() + 5
+        while (found := self._in_session()) and time.monotonic() < until_s:
+            time.sleep(0.1)
+        return found
+
+    def _in_session(self) -> list[int]:
         found = []
         for path in Path("/proc").glob("[0-9]*/stat"):
             try:
