@@ -119,9 +119,11 @@ def size(run: Run, name: str) -> tuple[float, int]:
 def source(run: Run, split: str) -> Html:
     """Name the clean speech of a split."""
     options = run.stamp(f"{split}.clean").get("options", {})
-    sets = options.get("sets")
-    names = sets.get(split) if isinstance(sets, dict) else None
-    text = shown(names) if names else f"data/{split}.clean"
+    corpus, sets = options.get("source"), options.get("sets")
+    names = sets.get(split, ()) if isinstance(sets, dict) else ()
+    # a corpus without sets of these names was split by speaker
+    found = [name for name in names if corpus and any(Path(corpus, top, name).is_dir() for top in (".", "LibriSpeech"))]
+    text = shown(found) if found else Path(corpus).name if corpus else f"data/{split}.clean"
     generated = corpus_readme(run, f"{split}.clean").startswith("Generated")
     return join([text, " (generated stand-in)" if generated else ""])
 
