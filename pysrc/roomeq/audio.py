@@ -3,8 +3,8 @@
 Conventions: mono, float in [-1, 1), `FS_HZ` unless a caller says otherwise.
 """
 
+import io
 import logging
-import os
 import struct
 from pathlib import Path
 
@@ -12,11 +12,13 @@ import numpy as np
 import soundfile
 
 from roomeq.constants import FS_HZ
+from roomeq.files import replacing
+from roomeq.limits import AUDIO_HOURS, max_audio_samples
 
 logger = logging.getLogger(__name__)
 
-MAX_SECONDS = 6 * 3600.0
-"""Longest recording that is read [s]: a bound, so that a broken header cannot ask for all memory."""
+MAX_RATE_HZ = 768000
+"""Highest sample rate that is taken for one [Hz]."""
 
 
 def audio_info(path: Path) -> soundfile.SoundFile:
@@ -25,7 +27,7 @@ def audio_info(path: Path) -> soundfile.SoundFile:
     Raises
     ------
     ValueError
-        The file is missing, empty, truncated, longer than `MAX_SECONDS` or no audio.
+        The file is missing, empty, truncated, too long (`roomeq.limits`) or no audio.
     """
     with _opened(path) as file:
         return file
@@ -45,8 +47,13 @@ def _opened(path: Path) -> soundfile.SoundFile:
         raise ValueError(f"{path}: cannot be read as audio ({error}): convert it to WAV or FLAC") from None
     if file.frames == 0:
         raise ValueError(f"{path}: holds 0 samples: copy or record it again")
-    if file.frames > MAX_SECONDS * file.samplerate:
-        raise ValueError(f"{path}: {file.frames / file.samplerate:.0f} s is longer than {MAX_SECONDS:.0f} s: split it")
+    if file.samplerate > MAX_RATE_HZ:
+        raise ValueError(f"{path}: sample rate {file.samplerate} Hz must be at most {MAX_RATE_HZ} Hz: "
+                         "correct the header")
+    if file.frames * file.channels > max_audio_samples():
+        raise ValueError(f"{path}: {file.frames} samples in {file.channels} channels must be at most "
+                         f"{max_audio_samples()} ({AUDIO_HOURS.value():g} h at {FS_HZ} Hz): split the file, or raise "
+                         f"the bound with roomeq --{AUDIO_HOURS.option}")
     return file
 
 
@@ -135,19 +142,15 @@ def write_flac(path: Path, samples: np.ndarray, fs_hz: int = FS_HZ, subtype: str
 
 
 def _write(path: Path, samples: np.ndarray, fs_hz: int, fmt: str, subtype: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        # libsndfile stamps float WAVs with the time of writing (PEAK chunk): same samples, other bytes
-        if fmt == "WAV":
-            temporary.write_bytes(_float_wav(np.asarray(samples, dtype="<f4"), fs_hz))
-        else:
-            soundfile.write(str(temporary), samples, fs_hz, format=fmt, subtype=subtype)
-        os.replace(temporary, path)
-    except soundfile.LibsndfileError as error:
-        raise OSError(f"{path}: cannot be written ({error}): check free space and permissions") from None
-    finally:
-        temporary.unlink(missing_ok=True)
+    # libsndfile stamps float WAVs with the time of writing (PEAK chunk): same samples, other bytes
+    if fmt == "WAV":
+        data = _float_wav(np.asarray(samples, dtype="<f4"), fs_hz)
+    else:  # in memory first: on a full disk libsndfile leaves a shorter FLAC file and says nothing
+        buffer = io.BytesIO()
+        soundfile.write(buffer, samples, fs_hz, format=fmt, subtype=subtype)
+        data = buffer.getbuffer()
+    with replacing(path) as temporary:
+        temporary.write_bytes(data)
 
 
 def _float_wav(samples: np.ndarray, fs_hz: int) -> bytes:

@@ -28,11 +28,12 @@ from pathlib import Path
 
 from roomeq.files import hash_file, read_json, to_json, write_json
 from roomeq.progress import progress
+from roomeq.stamps import DONE_FILE, check_output, read_stamp
 
 logger = logging.getLogger(__name__)
 
-DONE_FILE = ".done"
 _RECORDS = ".items"
+MAX_JOBS = 1024
 _NUMERICS = ("embreex", "numba", "numpy", "pyfar", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
 
 
@@ -69,10 +70,10 @@ class Build:
 
     def __init__(self, out: Path, *, step: str, options: dict, inputs: list[Path], refers: bool = False):
         self.out = Path(os.path.normpath(out))
+        self.step, self.options, self.refers, self._inputs = step, options, refers, inputs
         self._check_ours()
-        self.step, self.options, self.refers = step, options, refers
         described = dict(step=step, options=options, inputs=[digest(path) for path in inputs], code=code_digest())
-        self.key = hashlib.sha256(to_json(described).encode()).hexdigest()
+        self.key = hashlib.sha256(to_json(described).encode(errors="surrogateescape")).hexdigest()
         self.work = self.out.with_name(f".{self.out.name}.part-{self.key[:16]}")
         self._retired = self.out.with_name(f".{self.out.name}.old")
         self._names: list[str] = []
@@ -103,6 +104,8 @@ class Build:
         """
         self._names = list(items)
         mine = share(self._names, part)
+        if not 1 <= nj <= MAX_JOBS:
+            raise ValueError(f"nj={nj} must lie in [1, {MAX_JOBS}]: give the number of processes")
         with self._lock(fcntl.LOCK_SH):
             if _is_done(self.out, self.key) or _is_done(self.work, self.key):
                 return part is None
@@ -184,13 +187,7 @@ class Build:
         return self.work / _RECORDS / f"{safe}.json"
 
     def _check_ours(self) -> None:
-        if self.out.is_symlink():
-            raise ValueError(f"{self.out}: is a link, and would be replaced: give the directory that it leads to "
-                             "(directories above may be links)")
-        if self.out.is_file() or (self.out.is_dir() and any(self.out.iterdir())
-                                  and not (self.out / DONE_FILE).is_file()):
-            raise ValueError(f"{self.out}: exists and was not made by roomeq (no {DONE_FILE} in it): "
-                             "choose another output, or move it away")
+        check_output(self.out, self.step, self._inputs)
 
     @property
     def _lock_path(self) -> Path:
@@ -236,7 +233,7 @@ def share(names: list[str], part: str | None) -> list[str]:
     """
     if part is None:
         return names
-    found = re.fullmatch(r"(\d+)/(\d+)", part)
+    found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", part)
     if not found or not 1 <= int(found[1]) <= int(found[2]):
         raise ValueError(f"part={part!r} must be JOB/JOBS with 1 <= JOB <= JOBS, such as 2/5")
     return names[int(found[1]) - 1::int(found[2])]
@@ -268,10 +265,8 @@ def digest(path: Path) -> str:
         return hash_file(path)
     if not path.is_dir():
         raise ValueError(f"{path}: no such file or directory: check the path, or run the step that makes it")
-    stamp, sealed_ns = {}, 0
-    if (path / DONE_FILE).is_file():
-        stamp = read_json(path / DONE_FILE)
-        sealed_ns = (path / DONE_FILE).stat().st_ctime_ns
+    stamp = read_stamp(path)
+    sealed_ns = (path / DONE_FILE).stat().st_ctime_ns if stamp else 0
     stamped = stamp.get("files", {})
     total = hashlib.sha256(stamp["key"].encode() if stamp.get("refers") else b"")
     for file in _files_below(path):
@@ -319,11 +314,17 @@ def _named_audio(directory: Path) -> Iterator[Path]:
 
 
 def _files_below(directory: Path) -> list[Path]:
-    """Return all files below a directory, hidden ones left out, in a fixed order."""
-    found = []
+    """Return all files below a directory, hidden ones left out, in a fixed order; each folder once, links or not."""
+    found, seen = [], set()
     for folder, folders, names in os.walk(directory, followlinks=True):
+        place = os.path.realpath(folder)
+        if place in seen:  # links to links, or to a folder above: there would be no end
+            folders.clear()
+            continue
+        seen.add(place)
         folders[:] = sorted(name for name in folders if not name.startswith("."))
-        found += [Path(folder) / name for name in sorted(names) if not name.startswith(".")]
+        paths = (Path(folder) / name for name in sorted(names) if not name.startswith("."))
+        found += [path for path in paths if path.is_file()]
     return found
 
 

@@ -1,30 +1,77 @@
 """Files that are whole or absent: atomic writing, JSON lines, hashes."""
 
+import contextlib
 import hashlib
 import json
+import math
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file under a temporary name and rename it, so that nobody ever sees half of it."""
+    with replacing(path) as temporary, open(temporary, "wb") as stream:
+        stream.write(data)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary name to write to; it becomes `path` when the block ends, and is removed when it fails.
+
+    Raises
+    ------
+    OSError
+        The disk is full, say; the error names `path`.
+    """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with open(temporary, "wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
         os.replace(temporary, path)
+    except OSError as error:
+        if error.errno is None or error.filename not in (None, str(temporary)):
+            raise
+        raise OSError(error.errno, os.strerror(error.errno), str(path)) from None
     finally:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            temporary.unlink()
 
 
 def write_text(path: Path, text: str) -> None:
-    """`write_bytes` for UTF-8 text."""
-    write_bytes(path, text.encode())
+    """`write_bytes` for UTF-8 text.
+
+    Raises
+    ------
+    ValueError
+        The text is not Unicode: a file name in another encoding, as a rule.
+    """
+    try:
+        data = text.encode()
+    except UnicodeEncodeError as error:
+        around = text[max(0, error.start - 40):error.end + 20]
+        raise ValueError(f"{path}: {around!r} cannot be written as UTF-8: rename the file or folder") from None
+    write_bytes(path, data)
+
+
+def read_text(path: Path) -> str:
+    """Read UTF-8 text.
+
+    Raises
+    ------
+    ValueError
+        A byte is not UTF-8; the message names its line.
+    """
+    content = Path(path).read_bytes()
+    try:
+        return content.decode()
+    except UnicodeDecodeError as error:
+        number = content.count(b"\n", 0, error.start) + 1
+        raise ValueError(f"{path}:{number}: byte 0x{content[error.start]:02x} is not UTF-8: "
+                         "convert the file") from None
 
 
 def to_json(value, indent: int | None = None) -> str:
@@ -45,9 +92,10 @@ def read_json(path: Path):
     ValueError
         The file is not UTF-8 JSON.
     """
+    text = read_text(path)
     try:
-        return json.loads(Path(path).read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        return _from_json(text)
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: not a JSON file ({error}): make it again") from None
 
 
@@ -67,23 +115,30 @@ def read_jsonl(path: Path) -> list[dict]:
     path = Path(path)
     if not path.is_file():
         raise ValueError(f"{path}: no such file: check the path, or run the step that makes it")
-    rows = []
-    with open(path, encoding="utf-8", newline="\n") as stream:
-        try:
-            for number, line in enumerate(stream, start=1):
-                rows.append(_json_object(line, f"{path}:{number}"))
-        except UnicodeDecodeError as error:
-            raise ValueError(f"{path}: not UTF-8 text ({error.reason} at byte {error.start})") from None
-    return rows
+    with open(path, "rb") as stream:
+        return [_json_object(line, f"{path}:{number}") for number, line in enumerate(stream, start=1)]
 
 
-def _json_object(line: str, where: str) -> dict:
+def _json_object(line: bytes, where: str) -> dict:
     try:
-        value = json.loads(line)
-    except (json.JSONDecodeError, RecursionError) as error:
+        value = _from_json(line.decode())
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{where}: not JSON ({error}): correct the line or make the file again") from None
     if not isinstance(value, dict):
-        raise ValueError(f"{where}: {line.strip()[:60]!r} must be a JSON object")
+        raise ValueError(f"{where}: {line.decode()[:60].strip()!r} must be a JSON object: correct the line or make "
+                         "the file again")
+    return value
+
+
+def _from_json(text: str):
+    """Parse JSON; NaN and infinity, which are none, are refused here rather than when they are written."""
+    return json.loads(text, parse_constant=_finite, parse_float=_finite)
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"number {text[:20]} must be finite")
     return value
 
 

@@ -14,7 +14,7 @@ import soundfile
 from roomeq.constants import FS_HZ
 from roomeq.datadir import DataDir, Utterance
 from roomeq.files import write_bytes
-from roomeq.rirs import is_id, make_id
+from roomeq.rows import is_id, make_id
 from roomeq.wavscp import Entry, n_samples
 
 MAX_RECORDING_S = 900.0

@@ -10,10 +10,9 @@ passport
     `passport`: what `roomeq characterise` measured; `screen`: why the RIR is left out of the EQ fit, or null
 """
 
-import math
 import os
-import re
 import shlex
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -21,23 +20,10 @@ import numpy as np
 from roomeq.audio import audio_info, read_audio
 from roomeq.constants import FS_HZ
 from roomeq.files import read_jsonl, write_jsonl, write_text
+from roomeq.rows import noise_problem, row_problem
 
 ROWS_FILE = "rirs.jsonl"
 NOISES_FILE = "noises.jsonl"
-_ID = re.compile(r"[A-Za-z0-9_+][A-Za-z0-9._+-]*")
-_REQUIRED = ("id", "wav", "room_id", "source_id", "mic_id", "fs_hz", "n_samples")
-_POSITIONS = ("room_dims_m", "source_pos_m", "mic_pos_m", "source_dir", "mic_dir")
-
-
-def is_id(text: str) -> bool:
-    """Tell whether a text may be an id: letters, digits and ``._+-``, no path, no leading dash or dot."""
-    return isinstance(text, str) and _ID.fullmatch(text) is not None
-
-
-def make_id(text: str) -> str:
-    """Return the text with everything that an id may not hold turned into ``-``."""
-    cleaned = re.sub(r"[^A-Za-z0-9._+-]+", "-", text).lstrip(".-")
-    return cleaned or "x"
 
 
 def read_rirs(directory: Path) -> list[dict]:
@@ -50,43 +36,23 @@ def read_rirs(directory: Path) -> list[dict]:
         the first line that does.
     """
     path = Path(directory) / ROWS_FILE
-    rows = read_jsonl(path)
+    rows = _checked(path, row_problem)
     if not rows:
         raise ValueError(f"{path}: no RIRs in it: run the step that makes it again")
-    previous = ""
+    return rows
+
+
+def _checked(path: Path, problem_of: Callable) -> list[dict]:
+    """Read rows; each must be right, and its id sort after the one before."""
+    rows, previous = read_jsonl(path), ""
     for number, row in enumerate(rows, start=1):
-        problem = row_problem(row)
+        problem = problem_of(row)
         if not problem and row["id"] <= previous:
             problem = f"id {row['id']!r} must sort after {previous!r} (duplicate or unsorted)"
         if problem:
             raise ValueError(f"{path}:{number}: {problem}: correct the line or make the file again")
         previous = row["id"]
     return rows
-
-
-def row_problem(row: dict) -> str | None:
-    """Return what is wrong with one row, or None."""
-    missing = [key for key in _REQUIRED if key not in row]
-    if missing:
-        return f"key {missing[0]!r} is missing"
-    for key in ("id", "room_id", "source_id", "mic_id"):
-        if not is_id(row[key]):
-            return f"{key}={row[key]!r} must be letters, digits or ._+- and hold no path"
-    if not isinstance(row["wav"], str) or "\n" in row["wav"] or not row["wav"]:
-        return f"wav={row['wav']!r} must be a file name"
-    for key in ("fs_hz", "n_samples"):
-        if not isinstance(row[key], int) or isinstance(row[key], bool) or row[key] <= 0:
-            return f"{key}={row[key]!r} must be a positive integer"
-    for key in _POSITIONS:
-        value = row.get(key)
-        if value is not None and not _is_vector(value):
-            return f"{key}={value!r} must be three numbers (each may be null)"
-    return None
-
-
-def _is_vector(value) -> bool:
-    return isinstance(value, list) and len(value) == 3 and all(
-        x is None or (isinstance(x, (int, float)) and not isinstance(x, bool) and math.isfinite(x)) for x in value)
 
 
 def write_rirs(directory: Path, rows: list[dict], final_directory: Path | None = None) -> None:
@@ -150,17 +116,15 @@ def load_rir(directory: Path, row: dict) -> np.ndarray:
 
 
 def read_noises(directory: Path) -> list[dict]:
-    """Read `noises.jsonl` of an RIR directory (`id, wav, room_id, kind, duration_s, fs_hz`), or []."""
+    """Read and check `noises.jsonl` of an RIR directory (`id, wav, room_id, kind, duration_s, fs_hz`), or return [].
+
+    Raises
+    ------
+    ValueError
+        A row breaks the contract; the message names the first line that does.
+    """
     path = Path(directory) / NOISES_FILE
-    if not path.is_file():
-        return []
-    rows = read_jsonl(path)
-    for number, row in enumerate(rows, start=1):
-        if not is_id(row.get("id")) or not isinstance(row.get("wav"), str):
-            raise ValueError(f"{path}:{number}: a noise needs an id (letters, digits, ._+-) and a wav")
-        if row.get("kind") not in ("ambient", "point"):
-            raise ValueError(f"{path}:{number}: kind={row.get('kind')!r} must be 'ambient' or 'point'")
-    return rows
+    return _checked(path, noise_problem) if path.is_file() else []
 
 
 def write_noises(directory: Path, rows: list[dict]) -> None:
@@ -185,6 +149,31 @@ def validate_rirs(directory: Path) -> int:
         if info.samplerate != FS_HZ:
             raise ValueError(f"{rir_path(directory, row)}: sample rate {info.samplerate} Hz must be {FS_HZ} Hz")
         load_rir(directory, row)
-    for noise in read_noises(directory):
-        audio_info(Path(directory) / noise["wav"])
+    ids = {row["id"] for row in rows}
+    for number, row in enumerate(rows, start=1):
+        if row.get("noise_for") and row["noise_for"] not in ids:
+            raise ValueError(f"{Path(directory) / ROWS_FILE}:{number}: noise_for={row['noise_for']!r} must be the id "
+                             "of another RIR of the directory: make it again")
+    validate_noises(directory)
     return len(rows)
+
+
+def validate_noises(directory: Path) -> int:
+    """Check the noises of a directory whole, audio included, and return their number.
+
+    Raises
+    ------
+    ValueError
+        The first line that breaks the contract, or the first audio file that does not fit its row.
+    """
+    noises = read_noises(directory)
+    for noise in noises:
+        path = Path(directory) / noise["wav"]
+        info = audio_info(path)
+        stated_s, rate_hz = noise.get("duration_s"), noise.get("fs_hz") or info.samplerate
+        if info.samplerate != rate_hz or (stated_s is not None and abs(info.frames / rate_hz - stated_s) > 1e-3):
+            raise ValueError(f"{path}: {info.frames / info.samplerate:g} s at {info.samplerate} Hz do not fit row "
+                             f"{noise['id']} ({stated_s} s at {rate_hz} Hz): make it again")
+        if not np.any(read_audio(path, channel=0, dtype="float32")):
+            raise ValueError(f"{path}: noise {noise['id']} is silent (all samples 0): leave it out")
+    return len(noises)

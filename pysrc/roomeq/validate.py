@@ -2,14 +2,14 @@
 
 from pathlib import Path
 
-from roomeq.build import DONE_FILE
 from roomeq.datadir import validate_data_dir
-from roomeq.files import hash_file, read_json
-from roomeq.rirs import ROWS_FILE, validate_rirs
+from roomeq.files import hash_file
+from roomeq.rirs import NOISES_FILE, ROWS_FILE, validate_noises, validate_rirs
+from roomeq.stamps import read_stamp
 
 
 def validate(directories: list[Path]) -> None:
-    """Check RIR directories and Kaldi data directories whole, and print one line for each.
+    """Check RIR directories, directories of noises and Kaldi data directories whole; print one line for each.
 
     Parameters
     ----------
@@ -25,8 +25,11 @@ def validate(directories: list[Path]) -> None:
             print(f"{directory}: {validate_rirs(directory)} RIRs, all well")
         elif (directory / "wav.scp").is_file():
             print(f"{directory}: {validate_data_dir(directory)} utterances, all well")
+        elif (directory / NOISES_FILE).is_file():
+            print(f"{directory}: {validate_noises(directory)} noises, all well")
         else:
-            raise ValueError(f"{directory}: neither an RIR directory ({ROWS_FILE}) nor a data directory (wav.scp)")
+            raise ValueError(f"{directory}: neither an RIR directory ({ROWS_FILE}), nor one of noises ({NOISES_FILE}), "
+                             "nor a data directory (wav.scp): check the path")
         check_stamp(directory)
 
 
@@ -38,9 +41,7 @@ def check_stamp(directory: Path) -> None:
     ValueError
         A file is missing or has changed.
     """
-    if not (directory / DONE_FILE).is_file():
-        return
-    for name, (_, digest) in read_json(directory / DONE_FILE)["files"].items():
+    for name, (_, digest) in read_stamp(directory).get("files", {}).items():
         path = directory / name
         if not path.is_file():
             raise ValueError(f"{path}: missing since it was made: make {directory} again")

@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from roomeq.audio import MAX_SECONDS, audio_info, read_audio
+from roomeq.audio import audio_info, read_audio
 from roomeq.constants import FS_HZ
+from roomeq.limits import AUDIO_HOURS, max_audio_samples
 
 MAX_OVERSHOOT_S = 0.01
 """A segment may end this much after its recording (times rounded to 10 ms); it is cut there, as Kaldi does."""
@@ -65,7 +66,9 @@ def parse_entry(text: str) -> Entry:
         raise ValueError(f"{text!r} names no audio: give a file, FILE:OFFSET or a command that ends in '|'")
     if text.endswith("]") and re.search(r":\d+\[", text):
         raise ValueError(f"{text!r} selects a range, which audio does not have: use a segments file")
-    found = re.fullmatch(r"(.+):(\d+)", text)
+    found = re.fullmatch(r"(.+):([0-9]+)", text)
+    if found and len(found[2]) > 18:
+        raise ValueError(f"offset {found[2][:20]}... of {found[1]!r} must be that of a byte in it: correct the line")
     return Entry("ark", found[1], int(found[2])) if found else Entry("file", text)
 
 
@@ -198,6 +201,9 @@ def _decoded(entry: Entry, pipes: bool) -> tuple[int, np.ndarray]:
         raise ValueError(f"{entry.text}: {samples.shape[1]} channels where one is needed: split the file")
     if not len(samples):
         raise ValueError(f"{entry.text}: holds 0 samples: make it again")
+    if len(samples) > max_audio_samples():
+        raise ValueError(f"{entry.text}: must hold at most {max_audio_samples()} samples ({AUDIO_HOURS.value():g} h at "
+                         f"{FS_HZ} Hz): split it, or raise the bound with roomeq --{AUDIO_HOURS.option}")
     if not np.isfinite(samples).all():
         raise ValueError(f"{entry.text}: holds NaN or infinite samples: convert it again")
     samples.flags.writeable = False
@@ -218,13 +224,21 @@ def _read_ark(entry: Entry) -> tuple[int, np.ndarray]:
                              "pickles are not read: write the archive again with wav-copy or kaldiio")
         stream.seek(entry.offset)
         try:
-            rate, samples = read_kaldi(stream)
+            if tag.startswith(b"fLaC"):
+                samples, rate = soundfile.read(io.BytesIO(stream.read()), frames=_one_too_many(), dtype="float32")
+            else:
+                rate, samples = read_kaldi(stream, load_kwargs=dict(frames=_one_too_many(), dtype="float32"))
         except Exception as error:  # kaldiio lets anything through that broken bytes can raise
             raise ValueError(f"{where}: broken audio ({error or type(error).__name__}): "
                              "make the archive again") from None
     if tag.startswith(b"RIFF"):
         _check_ark_length(entry, samples)
     return int(rate), _to_float(samples)
+
+
+def _one_too_many() -> int:
+    """Return how many samples to decode at most: a few bytes of FLAC can hold hours of silence."""
+    return max_audio_samples() + 1
 
 
 def _check_ark_length(entry: Entry, samples: np.ndarray) -> None:
@@ -256,8 +270,8 @@ def _run_pipe(command: str, pipes: bool) -> tuple[int, np.ndarray]:
         raise ValueError(f"{command!r}: command failed with status {result.returncode} ({last[:200]}): "
                          "run it by hand")
     try:
-        samples, rate = soundfile.read(io.BytesIO(result.stdout), dtype="float32",
-                                       frames=int(MAX_SECONDS * FS_HZ))
+        samples, rate = soundfile.read(io.BytesIO(result.stdout), dtype="float32", frames=_one_too_many())
     except (soundfile.LibsndfileError, RuntimeError, TypeError) as error:
-        raise ValueError(f"{command!r}: output cannot be read as audio ({error}): let it write WAV") from None
+        raise ValueError(f"{command!r}: its {len(result.stdout)} bytes of output cannot be read as audio "
+                         f"({str(error).rsplit(': ', 1)[-1]}): let it write WAV") from None
     return rate, samples

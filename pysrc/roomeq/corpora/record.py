@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from roomeq.build import DONE_FILE
-from roomeq.rirs import make_id
+from roomeq.rows import make_id
 
 AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".aiff", ".aif", ".au", ".caf", ".w64", ".mp3")
 UNKNOWN = "unknown"

@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 
 from roomeq.corpora.record import Corpus, Recording, excitation_of, is_uncommon_name, parse_number, rir_row
-from roomeq.rirs import make_id
+from roomeq.rows import make_id
 
 logger = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from roomeq.corpora.record import Corpus, Recording, is_binaural_name, rir_row
-from roomeq.rirs import make_id
+from roomeq.rows import make_id
 
 _FREE_FIELD = ("HRIR", "HRTF", "Directivity", "Headphone")
 _BINAURAL = ("MultiSpeakerBRIR", "SingleRoomDRIR")

@@ -1,0 +1,50 @@
+"""Bounds on what is read into memory, so that a broken or hostile header cannot ask for all of it.
+
+They are options of `roomeq` (``roomeq --max-audio-hours 24 VERB ...``) and reach worker processes, and whole recipes,
+as environment variables. Results do not depend on them.
+"""
+
+import os
+from dataclasses import dataclass
+
+from roomeq.constants import FS_HZ
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A bound, the option and the environment variable that change it."""
+
+    option: str
+    default: float
+    what: str
+
+    @property
+    def variable(self) -> str:
+        return "ROOMEQ_" + self.option.upper().replace("-", "_")
+
+    def value(self) -> float:
+        """Return the bound that holds now.
+
+        Raises
+        ------
+        ValueError
+            The environment variable is no positive number.
+        """
+        text = os.environ.get(self.variable, "")
+        try:
+            value = float(text or self.default)
+            if not 0 < value < float("inf"):
+                raise ValueError
+        except ValueError:
+            raise ValueError(f"{self.variable}={text!r} (option --{self.option}) must be a positive number") from None
+        return value
+
+
+AUDIO_HOURS = Limit("max-audio-hours", 6.0, f"longest recording that is read [h of mono at {FS_HZ} Hz]")
+MESH_MB = Limit("max-mesh-mb", 64.0, "largest mesh file that is read [MB]")
+LIMITS = (AUDIO_HOURS, MESH_MB)
+
+
+def max_audio_samples() -> int:
+    """Return how many samples, in all channels together, a recording may have."""
+    return round(AUDIO_HOURS.value() * 3600 * FS_HZ)
