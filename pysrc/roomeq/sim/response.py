@@ -12,6 +12,7 @@ import numpy as np
 
 from roomeq.constants import BAND_1KHZ, FS_HZ
 from roomeq.rng import rng_for
+from roomeq.sim.diffraction import Diffracted, diffract
 from roomeq.sim.early import Images, specular_paths
 from roomeq.sim.gather import FRAME_S, gather, visibility
 from roomeq.sim.jit import on_threads
@@ -69,6 +70,8 @@ class Response:
         ``fs r / c``.
     direct_visible : bool
         Whether the source is seen from the microphone.
+    diffracted : bool
+        Whether sound that came around edges is part of it.
     t30_s : float or None
         T30 at 1 kHz of `rir`.
     absorption : ndarray, shape (n_slots, 8)
@@ -80,6 +83,7 @@ class Response:
     rir: np.ndarray
     direct_sample: float
     direct_visible: bool
+    diffracted: bool
     t30_s: float | None
     absorption: np.ndarray
     leaked_share: float
@@ -147,7 +151,8 @@ def _smooth_late(energy, late_s):
     return energy
 
 
-def render_responses(traced, mics_m, rngs, *, absorption=None, length_s=None, ism_order=ISM_ORDER):
+def render_responses(traced, mics_m, rngs, *, absorption=None, length_s=None, ism_order=ISM_ORDER,
+                     diffraction=True):
     """Render the responses of a traced source at some microphones.
 
     Parameters
@@ -161,6 +166,8 @@ def render_responses(traced, mics_m, rngs, *, absorption=None, length_s=None, is
     length_s : float, optional
         Longest response [s]; by default as long as the rays were followed.
     ism_order : int
+    diffraction : bool
+        Whether sound comes around the edges of a mesh (`roomeq.sim.diffraction`).
 
     Returns
     -------
@@ -171,11 +178,12 @@ def render_responses(traced, mics_m, rngs, *, absorption=None, length_s=None, is
     ValueError
         A microphone lies outside the room or on top of the source.
     """
-    job = _job(traced, mics_m, rngs, length_s, ism_order)
+    job = _job(traced, mics_m, rngs, length_s, ism_order, diffraction)
     return _render(job, traced.scene.absorption if absorption is None else absorption)
 
 
-def render_to_target(traced, mics_m, rngs, target_s, *, absorption=None, length_s=None, ism_order=ISM_ORDER):
+def render_to_target(traced, mics_m, rngs, target_s, *, absorption=None, length_s=None, ism_order=ISM_ORDER,
+                     diffraction=True):
     """Render responses whose mean T30 at 1 kHz is the target, by scaling the absorption of all surfaces.
 
     Parameters are those of `render_responses`, and
@@ -188,7 +196,7 @@ def render_to_target(traced, mics_m, rngs, target_s, *, absorption=None, length_
     ValueError
         No scaling brings T30 within 5 % of the target: the room, its air or the direct sound don't allow it.
     """
-    job = _job(traced, mics_m, rngs, length_s, ism_order)
+    job = _job(traced, mics_m, rngs, length_s, ism_order, diffraction)
     base = traced.scene.absorption if absorption is None else absorption
 
     def pilot(exponent):
@@ -217,7 +225,7 @@ def render_to_target(traced, mics_m, rngs, target_s, *, absorption=None, length_
 
 
 def simulate_rir(scene, source_pos_m, mics_m, *, num_rays=NUM_RAYS, ism_order=ISM_ORDER, order=ORDER,
-                 target_t60_s=None, seed=0):
+                 target_t60_s=None, diffraction=True, seed=0):
     """Simulate impulse responses from a source to one or more microphones.
 
     Parameters
@@ -234,6 +242,8 @@ def simulate_rir(scene, source_pos_m, mics_m, *, num_rays=NUM_RAYS, ism_order=IS
         `needed_length_s`).
     target_t60_s : float, optional
         Scale the materials until T30 at 1 kHz (mean over the microphones) is this.
+    diffraction : bool
+        Whether sound comes around the edges of a mesh (`roomeq.sim.diffraction`); convex rooms have none.
     seed : int
 
     Returns
@@ -253,8 +263,8 @@ def simulate_rir(scene, source_pos_m, mics_m, *, num_rays=NUM_RAYS, ism_order=IS
                           max_length_s=needed_length_s(scene, target_t60_s, order), rng=rng_for(seed, "trace", ""))
     rngs = [rng_for(seed, "tail", str(n)) for n in range(len(mics_m))]
     if target_t60_s is None:
-        return render_responses(traced, mics_m, rngs, ism_order=ism_order)
-    return render_to_target(traced, mics_m, rngs, target_t60_s, ism_order=ism_order)
+        return render_responses(traced, mics_m, rngs, ism_order=ism_order, diffraction=diffraction)
+    return render_to_target(traced, mics_m, rngs, target_t60_s, ism_order=ism_order, diffraction=diffraction)
 
 
 def eyring_exponent(scene, target_s, absorption=None):
@@ -291,13 +301,14 @@ class _Job:
     traced: TracedSource
     mics_m: np.ndarray
     images: list[Images]
+    diffracted: list[Diffracted | None]
     noises: list[np.ndarray]
     visible: list[np.ndarray]
     length_s: float
     ism_order: int
 
 
-def _job(traced, mics_m, rngs, length_s, ism_order):
+def _job(traced, mics_m, rngs, length_s, ism_order, diffraction):
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
     for mic_m in mics_m:
         check_positions(traced.scene.room, traced.source_pos_m, mic_m)
@@ -305,10 +316,13 @@ def _job(traced, mics_m, rngs, length_s, ism_order):
     room, air = traced.scene.room, traced.scene.air
     images = [specular_paths(room, traced.source_pos_m, mic_m, ism_order) for mic_m in mics_m]
     n_samples = int(np.ceil(length_s * FS_HZ)) + 1
+    diffracted = [diffract(room, traced.source_pos_m, mic_m, speed_m_s=air.speed_m_s, n_samples=n_samples,
+                           direct_visible=found.has_direct) if diffraction else None
+                  for mic_m, found in zip(mics_m, images, strict=True)]
     noises = [tail_noise(n_samples, room.volume_m3, air.speed_m_s, rng) for rng in rngs]
     visible = [visibility(paths, room, mics_m, n_frames=_n_frames(length_s), speed_m_s=air.speed_m_s)
                for paths in traced.paths]
-    return _Job(traced, mics_m, images, noises, visible, length_s, ism_order)
+    return _Job(traced, mics_m, images, diffracted, noises, visible, length_s, ism_order)
 
 
 def _n_frames(length_s):
@@ -330,15 +344,17 @@ def _render(job, absorption):
     whole = energy.copy()
     _add_images(whole, job, absorption)
     return on_threads(partial(_render_one, job, absorption),
-                      list(zip(job.mics_m, energy, whole, job.images, job.noises, strict=True)))
+                      list(zip(job.mics_m, energy, whole, job.images, job.diffracted, job.noises, strict=True)))
 
 
-def _render_one(job, absorption, mic_m, echogram, whole, images, noise):
+def _render_one(job, absorption, mic_m, echogram, whole, images, diffracted, noise):
     traced, air = job.traced, job.traced.scene.air
     direct_sample = float(np.linalg.norm(mic_m - traced.source_pos_m) / air.speed_m_s * FS_HZ)
     length_s = min(response_length_s(whole, direct_sample / FS_HZ + 0.1), job.length_s)
     gains = images.gains(absorption, traced.scene.scattering, air.attenuation_per_m)
     rir = render(images.distance_m, gains, echogram, noise, speed_m_s=air.speed_m_s,
                  n_samples=round(length_s * FS_HZ))
-    return Response(rir, direct_sample, images.has_direct, t30_s(rir, direct_sample), absorption,
-                    traced.leaked_share)
+    if diffracted is not None:
+        rir = rir + diffracted.response(absorption, traced.scene.scattering, air, len(rir))
+    return Response(rir, direct_sample, images.has_direct, diffracted is not None, t30_s(rir, direct_sample),
+                    absorption, traced.leaked_share)

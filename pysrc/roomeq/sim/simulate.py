@@ -33,7 +33,7 @@ _KEPT = ("room_id", "source_id", "mic_id", "source_dir", "mic_dir", "room_type",
 
 
 def simulate(measured_dir, out, *, t60_range_s=(0.2, 2.0), num_rays=NUM_RAYS, ism_order=ISM_ORDER, order=ORDER,
-             noise_rirs=1, materials=None, seed=0, part=None, nj=1):
+             noise_rirs=1, materials=None, diffraction=True, seed=0, part=None, nj=1):
     """Simulate one RIR per measured one, from its room, source and microphone.
 
     Materials are drawn per RIR and scaled until T30 at 1 kHz of the rendered RIR meets a target drawn uniformly;
@@ -57,6 +57,8 @@ def simulate(measured_dir, out, *, t60_range_s=(0.2, 2.0), num_rays=NUM_RAYS, is
         RIRs from noise sources for each RIR.
     materials : Path, optional
         Table of materials; default ``conf/materials.toml``.
+    diffraction : bool
+        Whether sound comes around the edges of meshes.
     seed : int
     part : str, optional
         ``"2/5"``: do one share of the work only.
@@ -75,7 +77,7 @@ def simulate(measured_dir, out, *, t60_range_s=(0.2, 2.0), num_rays=NUM_RAYS, is
     groups = _group(rows, measured_dir, seed)
     low_s, high_s = (float(value) for value in t60_range_s)
     options = dict(t60_range_s=[low_s, high_s], num_rays=num_rays, ism_order=ism_order, order=order,
-                   noise_rirs=noise_rirs, seed=seed)
+                   noise_rirs=noise_rirs, diffraction=bool(diffraction), seed=seed)
     meshes = sorted({measured_dir / row["mesh"] for row in rows if row.get("mesh")})
     build = Build(out, step="simulate", options=options,
                   inputs=[measured_dir, Path(materials or DEFAULT_TABLE), *meshes])
@@ -177,7 +179,7 @@ def _draw_row(row, room, scattering, air, table, options):
 def _simulate_row(work, row, place, traces, table, rng, scene, target_s, length_s, options):
     """Render one row and its noise RIRs; write them; return their rows."""
     seed, mic = options["seed"], place.mic_pos_m
-    how = dict(length_s=length_s, ism_order=options["ism_order"])
+    how = dict(length_s=length_s, ism_order=options["ism_order"], diffraction=options["diffraction"])
     traced = traces.of(place.source_pos_m)
     for draw in range(MATERIAL_DRAWS):
         try:
@@ -224,7 +226,8 @@ def _write(work, row, place, scene, response, target_s, seed, noise_for=None):
     return made | dict(
         id=row["id"], wav=name, fs_hz=FS_HZ, n_samples=len(response.rir),
         source_pos_m=list(place.source_pos_m), mic_pos_m=list(place.mic_pos_m), drawn=list(place.drawn),
-        temperature_c=scene.air.temperature_c, humidity_pct=scene.air.humidity_pct, seed=seed, model=[],
+        temperature_c=scene.air.temperature_c, humidity_pct=scene.air.humidity_pct, seed=seed,
+        model=["diffraction"] if response.diffracted else [],
         target_t60_s=target_s, t30_s=response.t30_s, leaked_share=response.leaked_share,
         direct_sample=response.direct_sample, direct_polarity=1, direct_visible=response.direct_visible,
         noise_for=noise_for, measured_id=noise_for or row["id"],

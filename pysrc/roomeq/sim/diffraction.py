@@ -1,0 +1,360 @@
+"""First-order diffraction at the edges of a mesh: source, edge, microphone.
+
+The line integral of Svensson, Fred and Vanderkooy (J. Acoust. Soc. Am. 106 (1999) 2331, eq. 8) over a rigid wedge
+of the open angle ``theta_w``, in the coordinate ``eta`` of Biot and Tolstoy instead of the place z along the edge
+(``d eta = (1/m + 1/l) dz``, where m and l are the two legs):
+
+    h(t) = -nu / (4 pi)^2  integral of  delta(t - L / c) beta(eta) / L  d eta,     nu = pi / theta_w
+    beta = sum over the signs of sin x / (cosh(nu eta) - cos x),                   x = nu (pi +- theta_s +- theta_r)
+    L^2 = r_s^2 + r_r^2 + (z_s - z_r)^2 + 2 r_s r_r cosh eta
+
+A term of beta has the integral ``2 / nu atan(cot(x / 2) tanh(nu eta / 2))``, so that each short bin of time gets
+its exact share, at shadow boundaries too, where beta grows without bounds. Of the four terms two continue the
+direct sound across its shadow boundary; the other two continue the reflection at either face and are weighted with
+the ``sqrt((1 - alpha) (1 - s))`` that the face reflects (as Luebbers, IEEE Trans. Antennas Propag. 32 (1984) 70).
+
+Left out: paths that diffract twice or diffract and reflect. Behind a screen with two edges on top only the
+receivers that see an edge in common with the source get a contribution.
+"""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.signal import upfirdn
+
+from roomeq.acoustics.filterbank import octave_filterbank
+from roomeq.constants import FS_HZ
+from roomeq.sim.jit import compiled
+
+logger = logging.getLogger(__name__)
+
+MAX_EDGES = 2000
+MIN_EXCESS_RAD = np.radians(10.0)  # an edge that is blunter than this is a curved surface, cut into triangles
+PIECE_M = 0.05  # visibility is looked at once in so much of an edge
+_OFF_EDGE_M = 1e-3
+_OVERSAMPLING = 16
+_BINS_PER_SAMPLE = 8
+_SINC_HALF = 32
+_GUARD_S = 0.06  # the filters of the low bands spread a pulse over this time
+_ON_BOUNDARY = 1e-6
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Straight edges that stand out into the air.
+
+    Attributes
+    ----------
+    start_m : ndarray, shape (n_edges, 3)
+    along : ndarray, shape (n_edges, 3)
+        Unit vectors.
+    length_m : ndarray, shape (n_edges,)
+    across : ndarray, shape (n_edges, 3)
+        Unit vectors in the first face, away from the edge: where angles are zero.
+    normal : ndarray, shape (n_edges, 3)
+        Of the first face, into the air: where angles are a right one.
+    wedge_rad : ndarray, shape (n_edges,)
+        Open angle, on the side of the air, in (pi, 2 pi].
+    slots : ndarray of int, shape (n_edges, 2)
+        Materials of the first face and the other.
+    n_left_out : int
+        Edges beyond `MAX_EDGES`, the shortest.
+    """
+
+    start_m: np.ndarray
+    along: np.ndarray
+    length_m: np.ndarray
+    across: np.ndarray
+    normal: np.ndarray
+    wedge_rad: np.ndarray
+    slots: np.ndarray
+    n_left_out: int = 0
+
+    def __len__(self):
+        return len(self.length_m)
+
+    def coordinates(self, point_m):
+        """Cylinder coordinates about each edge: distance [m], angle [rad], place along it [m]; shape (3, n_edges)."""
+        offset = np.asarray(point_m, dtype=float) - self.start_m
+        x, y, z = (np.einsum("ij,ij->i", offset, axis) for axis in (self.across, self.normal, self.along))
+        angle = np.mod(np.arctan2(y, x), 2.0 * np.pi)
+        return np.stack([np.hypot(x, y), np.where(angle > 2.0 * np.pi - 1e-9, 0.0, angle), z])
+
+
+@dataclass(frozen=True)
+class Diffracted:
+    """What comes to one microphone by way of edges, before materials and air weigh it.
+
+    Attributes
+    ----------
+    first_sample : int
+        Time of the first sample of `signals`.
+    signals : ndarray, shape (1 + n_slots, n)
+        What continues the direct sound, and what continues the reflection at faces of each slot.
+    """
+
+    first_sample: int
+    signals: np.ndarray
+
+    def response(self, absorption, scattering, air, n_samples):
+        """Weigh by materials and air and add up.
+
+        Parameters
+        ----------
+        absorption, scattering : ndarray, shape (n_slots, 8)
+        air : Air
+        n_samples : int
+
+        Returns
+        -------
+        ndarray, shape (n_samples,)
+            Part of a response; sample 0 is the emission.
+        """
+        kept = np.sqrt((1.0 - absorption) * (1.0 - scattering))
+        time_s = (self.first_sample + np.arange(self.signals.shape[1])) / FS_HZ
+        loss = np.exp(-0.5 * air.speed_m_s * np.maximum(time_s, 0.0) * air.attenuation_per_m[:, None])
+        bands = loss * np.einsum("sb,sn->bn", np.vstack([np.ones(kept.shape[1]), kept]), self.signals)
+        guard = int(_GUARD_S * FS_HZ)
+        n_fft = next_fast_len(bands.shape[1] + 2 * guard, real=True)
+        spectrum = np.einsum("bf,bf->f", rfft(np.pad(bands, ((0, 0), (guard, guard))), n_fft),
+                             octave_filterbank(n_fft, FS_HZ))
+        shaped = irfft(spectrum, n_fft)
+        result = np.zeros(n_samples)
+        start = self.first_sample - guard
+        low, high = max(0, start), min(n_samples, start + n_fft)
+        result[low:high] = shaped[low - start:high - start]
+        return result
+
+
+def find_edges(room):
+    """Find the edges of a room whose open angle exceeds pi; found once per room.
+
+    Parameters
+    ----------
+    room : Shoebox or MeshRoom
+
+    Returns
+    -------
+    Edges or None
+        None where there are none, as in every convex room.
+    """
+    if room.convex:
+        return None
+    if "edges" not in room._known:
+        room._known["edges"] = _find_edges(room)
+    return room._known["edges"]
+
+
+def _find_edges(room):
+    corners = room.triangles.reshape(-1, 3)
+    _, index = np.unique(np.round(corners, 5), axis=0, return_inverse=True)
+    index = np.ravel(index).reshape(-1, 3)
+    face = np.repeat(np.arange(len(index)), 3)
+    ends = np.sort(np.stack([index, np.roll(index, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    order = np.lexsort(ends.T)
+    first, second = order[0::2], order[1::2]  # a closed mesh has two faces at every edge
+    points = corners.reshape(-1, 3, 3)
+    start, end, opposite = (np.roll(points, -n, axis=1).reshape(-1, 3) for n in range(3))
+    along = _unit(end - start)
+
+    def away(which):
+        way = opposite[which] - start[first]
+        return _unit(way - np.einsum("ij,ij->i", way, along[first])[:, None] * along[first])
+
+    across, other, normal = away(first), away(second), room.normals[face[first]]
+    wedge = np.mod(np.arctan2(np.einsum("ij,ij->i", other, normal), np.einsum("ij,ij->i", other, across)), 2 * np.pi)
+    chosen = np.flatnonzero(wedge > np.pi + MIN_EXCESS_RAD)
+    if not len(chosen):
+        return None
+    faces = np.stack([face[first], face[second]], axis=1)[chosen]
+    return _merged(start[first[chosen]], end[first[chosen]], along[first[chosen]], across[chosen],
+                   normal[chosen], wedge[chosen], room.face_slot[faces], room._known["plane"][faces])
+
+
+def _merged(start, end, along, across, normal, wedge, slots, planes):
+    """Join edges that go on in one line between the same planes."""
+    swap = planes[:, 0] > planes[:, 1]
+    key = np.where(swap[:, None], np.hstack([planes[:, ::-1], slots[:, ::-1]]), np.hstack([planes, slots]))
+    _, group = np.unique(key, axis=0, return_inverse=True)
+    kept = []
+    for n in range(group.max() + 1):
+        members = np.flatnonzero(np.ravel(group) == n)
+        lead = members[0]
+        spans = np.sort([[(point[m] - start[lead]) @ along[lead] for point in (start, end)] for m in members], axis=1)
+        low, high = None, None
+        for a, b in spans[np.argsort(spans[:, 0])]:
+            if high is not None and a <= high + 1e-4:
+                high = max(high, b)
+                continue
+            if high is not None:
+                kept.append((lead, low, high))
+            low, high = a, b
+        kept.append((lead, low, high))
+    kept.sort(key=lambda one: (one[1] - one[2], one[0]))
+    if len(kept) > MAX_EDGES:
+        logger.warning("the mesh has %d edges that diffract: the %d longest do, the others, up to %.3g m, don't",
+                       len(kept), MAX_EDGES, kept[MAX_EDGES][2] - kept[MAX_EDGES][1])
+    lead = np.array([one[0] for one in kept[:MAX_EDGES]])
+    low, high = np.array([one[1:] for one in kept[:MAX_EDGES]]).T
+    return Edges(start[lead] + low[:, None] * along[lead], along[lead], high - low, across[lead], normal[lead],
+                 wedge[lead], slots[lead], max(0, len(kept) - MAX_EDGES))
+
+
+def _unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def _pieces(room, edges):
+    """Short pieces of all edges: (edge, from [m], to [m], a point just off its middle)."""
+    if "edge_pieces" not in room._known:
+        count = np.maximum(1, np.ceil(edges.length_m / PIECE_M).astype(int))
+        edge = np.repeat(np.arange(len(edges)), count)
+        step = (edges.length_m / count)[edge]
+        number = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
+        half = 0.5 * edges.wedge_rad[:, None]
+        outward = np.cos(half) * edges.across + np.sin(half) * edges.normal
+        middle = edges.start_m[edge] + ((number + 0.5) * step)[:, None] * edges.along[edge]
+        room._known["edge_pieces"] = edge, number * step, (number + 1) * step, middle + _OFF_EDGE_M * outward[edge]
+    return room._known["edge_pieces"]
+
+
+def _seen(room, edges, point_m):
+    """Which pieces are seen from a point, bool array; remembered."""
+    known = room._known.setdefault("edges_seen", {})
+    key = tuple(float(value) for value in point_m)
+    if key not in known:
+        known[key] = room.sees(_pieces(room, edges)[3], np.asarray(key))
+    return known[key]
+
+
+def diffract(room, source_pos_m, mic_pos_m, *, speed_m_s, n_samples, direct_visible):
+    """Find what reaches a microphone by way of one edge.
+
+    Parameters
+    ----------
+    room : Shoebox or MeshRoom
+    source_pos_m, mic_pos_m : array_like, shape (3,)
+    speed_m_s : float
+    n_samples : int
+        What arrives later is left out.
+    direct_visible : bool
+        Whether the direct sound is counted; decides what a microphone right on its shadow boundary gets.
+
+    Returns
+    -------
+    Diffracted or None
+        None where no edge is seen from both.
+    """
+    edges = find_edges(room)
+    if edges is None:
+        return None
+    both = np.flatnonzero(_seen(room, edges, source_pos_m) & _seen(room, edges, mic_pos_m))
+    if not len(both):
+        return None
+    edge, low, high, _ = _pieces(room, edges)
+    opens = np.append(True, (np.diff(both) > 1) | (np.diff(edge[both]) > 0))
+    closes = np.append(opens[1:], True)
+    return diffract_at(edges, edge[both[opens]], low[both[opens]], high[both[closes]], source_pos_m, mic_pos_m,
+                       n_slots=len(room.slots), speed_m_s=speed_m_s, n_samples=n_samples,
+                       direct_visible=direct_visible)
+
+
+def diffract_at(edges, edge, low_m, high_m, source_pos_m, mic_pos_m, *, n_slots, speed_m_s, n_samples,
+                direct_visible):
+    """Diffract at given stretches of edges; parameters are those of `diffract`, and
+
+    edges : Edges
+    edge : ndarray of int, shape (n_stretches,)
+    low_m, high_m : ndarray, shape (n_stretches,)
+        From where to where along its edge each stretch goes.
+    n_slots : int
+    """
+    source, mic = edges.coordinates(source_pos_m)[:, edge], edges.coordinates(mic_pos_m)[:, edge]
+    wedge = edges.wedge_rad[edge]
+    in_air = (source[1] <= wedge) & (mic[1] <= wedge) & (source[0] > 1e-6) & (mic[0] > 1e-6)
+    bounds = np.stack([_eta(low_m, source, mic), _eta(high_m, source, mic)])[:, in_air]
+    if not bounds.size:
+        return None
+    source, mic, wedge, slots = source[:, in_air], mic[:, in_air], wedge[in_air], edges.slots[edge[in_air]]
+    nearest = np.where(bounds[0] * bounds[1] <= 0.0, 0.0, np.abs(bounds).min(axis=0))
+    to_samples = FS_HZ / speed_m_s
+    first = int(np.floor(_length(nearest, source, mic).min() * to_samples)) - 1
+    last = min(int(np.ceil(_length(np.abs(bounds).max(axis=0), source, mic).max() * to_samples)) + 1, n_samples)
+    if last <= first:
+        return None
+    fine = np.zeros((1 + n_slots, (last - first) * _OVERSAMPLING + 1))
+    _deposit(fine, float(first), bounds, source, mic, wedge, slots, to_samples, direct_visible)
+    signals = upfirdn(_lowpass(), fine, down=_OVERSAMPLING, axis=1)
+    return Diffracted(first - _SINC_HALF, signals)
+
+
+def _eta(z, source, mic):
+    """Biot and Tolstoy's coordinate of places on edges, signed, 0 at the shortest way."""
+    return np.arcsinh((z - source[2]) / source[0]) + np.arcsinh((z - mic[2]) / mic[0])
+
+
+def _length(eta, source, mic):
+    """Length of the way over a place on an edge [m]."""
+    return np.sqrt((source[0] - mic[0]) ** 2 + (source[2] - mic[2]) ** 2
+                   + 4.0 * source[0] * mic[0] * np.cosh(0.5 * eta) ** 2)
+
+
+def _lowpass():
+    """Sinc with a Hann window on the fine grid, as pulses of image sources have it."""
+    position = np.arange(-_SINC_HALF * _OVERSAMPLING, _SINC_HALF * _OVERSAMPLING + 1) / _OVERSAMPLING
+    return np.sinc(position) * np.cos(0.5 * np.pi * position / _SINC_HALF) ** 2
+
+
+@compiled
+def _deposit(fine, first, bounds, source, mic, wedge, slots, to_samples, direct_visible):
+    """Add all stretches to a fine grid of time: one branch on either side of the shortest way."""
+    sine, cosine, rows = np.empty(4), np.empty(4), np.zeros(4, dtype=np.int64)
+    for n in range(len(wedge)):
+        nu = np.pi / wedge[n]
+        less, more = source[1, n] - mic[1, n], source[1, n] + mic[1, n]
+        rows[2], rows[3] = 1 + slots[n, 0], 1 + slots[n, 1]
+        for k, angle in enumerate((less, -less, -more, more)):
+            half = 0.5 * nu * (np.pi + angle)
+            sine[k], cosine[k] = np.sin(half), np.cos(half)
+            if k < 2 and abs(sine[k]) < _ON_BOUNDARY:  # there it makes up for the direct sound
+                sine[k] = _ON_BOUNDARY if direct_visible else -_ON_BOUNDARY
+            if sine[k] < 0.0:
+                sine[k], cosine[k] = -sine[k], -cosine[k]
+        squared = (source[0, n] - mic[0, n]) ** 2 + (source[2, n] - mic[2, n]) ** 2
+        product = source[0, n] * mic[0, n]
+        low, high = bounds[0, n], bounds[1, n]
+        if low < 0.0:
+            _branch(fine, rows, first, max(0.0, -high), -low, nu, sine, cosine, squared, product, to_samples)
+        if high > 0.0:
+            _branch(fine, rows, first, max(0.0, low), high, nu, sine, cosine, squared, product, to_samples)
+
+
+@compiled
+def _branch(fine, rows, first, low, high, nu, sine, cosine, squared, product, to_samples):
+    """Integrate beta from eta = low to high by bins of time, short ones first: there it may be steep."""
+    apex_m = np.sqrt(squared + 4.0 * product)
+    here = np.sqrt(squared + 4.0 * product * np.cosh(0.5 * low) ** 2)
+    end_m = np.sqrt(squared + 4.0 * product * np.cosh(0.5 * high) ** 2)
+    before = np.arctan2(np.tanh(0.5 * nu * low) * cosine, sine)
+    width = 1.0 / (_BINS_PER_SAMPLE * to_samples)
+    step = width / 256.0
+    while here < end_m:
+        there = min(here + step, end_m)
+        quotient = np.sqrt(max((there - apex_m) * (there + apex_m) / (4.0 * product), 0.0))  # sinh(eta / 2)
+        power = (quotient + np.sqrt(1.0 + quotient * quotient)) ** (2.0 * nu)
+        steepness = (power - 1.0) / (power + 1.0)  # tanh(nu eta / 2)
+        middle = 0.5 * (here + there)
+        place = (middle * to_samples - first) * _OVERSAMPLING
+        index = int(place)
+        if index + 1 >= fine.shape[1]:
+            return
+        share = place - index
+        for k in range(4):
+            after = np.arctan2(steepness * cosine[k], sine[k])
+            weight = (before[k] - after) / (8.0 * np.pi * np.pi * middle)
+            fine[rows[k], index] += weight * (1.0 - share)
+            fine[rows[k], index + 1] += weight * share
+            before[k] = after
+        here, step = there, min(2.0 * step, width)

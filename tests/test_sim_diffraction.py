@@ -1,0 +1,247 @@
+"""Edge diffraction: against the exact half-plane, across the shadow boundary, and in rooms."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import hankel2e
+
+from roomeq.constants import FS_HZ
+from roomeq.sim.diffraction import Edges, diffract, diffract_at, find_edges
+from roomeq.sim.mesh import load_mesh, make_room
+from roomeq.sim.response import simulate_rir
+from roomeq.sim.scene import Air, Material, Scene, Shoebox
+from test_sim_mesh import L_PLAN, box_plan, prism_obj
+
+C = Air().speed_m_s
+FREQUENCIES_HZ = np.array([100.0, 200.0, 400.0, 800.0, 1500.0, 3000.0, 4500.0, 6000.0])
+
+
+def wedge(open_deg, length_m=400.0):
+    """An edge along z, its first face in the half-plane y = 0, x > 0, the air from there over y > 0."""
+    x, y, z = np.eye(3)
+    return Edges(np.array([-0.5 * length_m * z]), z[None], np.array([length_m]), x[None], y[None],
+                 np.radians([open_deg]), np.zeros((1, 2), dtype=int))
+
+
+def at(distance_m, angle_deg, z_m=0.0):
+    angle = np.radians(angle_deg)
+    return np.array([distance_m * np.cos(angle), distance_m * np.sin(angle), z_m])
+
+
+def wedge_spectrum(edges, source, mic, frequencies_hz, rows=slice(None), visible=True):
+    """Diffraction at all of an edge, faces rigid, at some frequencies."""
+    found = diffract_at(edges, np.array([0]), np.zeros(1), edges.length_m, source, mic, n_slots=1, speed_m_s=C,
+                        n_samples=200000, direct_visible=visible)
+    time_s = (found.first_sample + np.arange(found.signals.shape[1])) / FS_HZ
+    return np.exp(-2j * np.pi * np.outer(frequencies_hz, time_s)) @ found.signals[rows].sum(axis=0)
+
+
+def exact_half_plane(source, mic, frequencies_hz):
+    """Total field at a rigid half-plane y = 0, x > 0, time factor exp(+i w t), by Macdonald's integral.
+
+    ``V(R, m) = i k / (8 pi) * integral of H1(k R cosh u) du up to m`` for the source (m from the difference of the
+    angles) and its image (from their sum); the integral over all u gives exp(-i k R) / (4 pi R)
+    (Bowman, Senior, Uslenghi, Electromagnetic and Acoustic Scattering by Simple Shapes, 8.3).
+    """
+    (rs, ts), (rr, tr) = [(np.hypot(p[0], p[1]), np.arctan2(p[1], p[0]) % (2.0 * np.pi)) for p in (source, mic)]
+    total = []
+    for k in 2.0 * np.pi * np.asarray(frequencies_hz) / C:
+        field = 0.0
+        for angle in (ts - tr, ts + tr):
+            r = np.sqrt(rs ** 2 + rr ** 2 + (source[2] - mic[2]) ** 2 - 2.0 * rs * rr * np.cos(angle))
+            m = np.arcsinh(2.0 * np.sqrt(rs * rr) / r * np.cos(0.5 * angle))
+            plane = np.exp(-1j * k * r) / (4.0 * np.pi * r)
+            tail = _tail(k, r, abs(m))
+            field += plane - tail if m > 0.0 else tail
+        total.append(field)
+    return np.array(total)
+
+
+def _tail(k, r, m):
+    """The integral from m > 0 to infinity, the way bent into the lower half-plane, where H1(2) dies out."""
+    def value(s):
+        u, slope = m + s - 0.5j * np.tanh(2.0 * s), 1.0 - 1j / np.cosh(2.0 * s) ** 2
+        x = k * r * np.cosh(u)
+        return -1j * k / (8.0 * np.pi) * hankel2e(1, x) * np.exp(-1j * x) * slope
+    parts = [quad(lambda s, f=f: f(value(s)), 0.0, 14.0, limit=2000, epsabs=1e-9, points=[0.01, 0.1, 1.0])[0]
+             for f in (np.real, np.imag)]
+    return complex(*parts)
+
+
+def geometric(source, mic, frequencies_hz):
+    """Direct sound and reflection at that half-plane, each where it exists."""
+    k = 2.0 * np.pi * np.asarray(frequencies_hz) / C
+    field = np.zeros(len(k), dtype=complex)
+    image = source * [1.0, -1.0, 1.0]
+    for one, behind in ((source, mic[1] * source[1] < 0.0), (image, mic[1] * image[1] < 0.0)):
+        share = one[1] / (one[1] - mic[1]) if one[1] != mic[1] else 0.0
+        crosses = behind and one[0] + share * (mic[0] - one[0]) > 0.0
+        if crosses == (one is image):
+            r = np.linalg.norm(mic - one)
+            field += np.exp(-1j * k * r) / (4.0 * np.pi * r)
+    return field
+
+
+CASES = [(30.0, 100.0, 0.0), (60.0, 300.0, 0.0), (60.0, 250.0, 0.7), (60.0, 240.5, 0.7), (60.0, 239.5, 0.7),
+         (60.0, 121.0, 0.0), (60.0, 119.0, 0.4), (135.0, 345.0, 0.0), (80.0, 275.0, -1.1), (20.0, 180.0, 0.0)]
+
+
+@pytest.mark.parametrize("source_deg, mic_deg, z_m", CASES)
+def test_a_rigid_half_plane_gives_the_exact_field(source_deg, mic_deg, z_m):
+    source, mic = at(1.7, source_deg), at(2.3, mic_deg, z_m)
+    exact = exact_half_plane(source, mic, FREQUENCIES_HZ)
+    total = geometric(source, mic, FREQUENCIES_HZ) + wedge_spectrum(wedge(360.0), source, mic, FREQUENCIES_HZ)
+    np.testing.assert_allclose(20.0 * np.log10(np.abs(total / exact)), 0.0, atol=0.5)
+
+
+def test_the_field_is_continuous_across_a_shadow_boundary():
+    """A wedge of 270 degrees, source at 60: the direct sound ends at 240, the reflection at 120."""
+    frequencies_hz = np.array([250.0, 1000.0, 4000.0])
+    edges, source = wedge(270.0, 20.0), at(1.7, 60.0)
+
+    def level_db(angle_deg, visible=True):
+        mic = at(2.3, angle_deg)
+        total = geometric(source, mic, frequencies_hz)
+        return 20.0 * np.log10(np.abs(total + wedge_spectrum(edges, source, mic, frequencies_hz, visible=visible)))
+
+    for boundary_deg in (120.0, 240.0):
+        below, above = level_db(boundary_deg - 1e-3), level_db(boundary_deg + 1e-3)
+        np.testing.assert_allclose(below, above, atol=0.02)
+    right_on = at(2.3, 240.0)
+    for visible in (True, False):
+        direct = visible * np.exp(-2j * np.pi * frequencies_hz / C * 4.0) / (16.0 * np.pi)
+        total = direct + wedge_spectrum(edges, source, right_on, frequencies_hz, visible=visible)
+        np.testing.assert_allclose(20.0 * np.log10(np.abs(total)), level_db(239.999), atol=0.05)
+
+
+def test_source_and_microphone_can_change_places():
+    edges, source, mic = wedge(300.0, 4.0), at(1.2, 40.0, -0.3), at(2.9, 260.0, 0.8)
+    there = wedge_spectrum(edges, source, mic, FREQUENCIES_HZ)
+    np.testing.assert_allclose(wedge_spectrum(edges, mic, source, FREQUENCIES_HZ), there, rtol=1e-9)
+
+
+def test_level_falls_with_distance_as_it_must():
+    """Deep in the shadow of a long edge: with 1 / sqrt(r_s r_r (r_s + r_r)) (Keller); a short edge: 1 / (r_s r_r)."""
+    frequency_hz, source_deg, mic_deg = [1000.0], 40.0, 320.0
+
+    def level(edges, factor):
+        return abs(wedge_spectrum(edges, at(2.0 * factor, source_deg), at(3.0 * factor, mic_deg), frequency_hz)[0])
+
+    assert level(wedge(360.0), 4.0) / level(wedge(360.0), 1.0) == pytest.approx(4.0 ** -1.5, rel=0.01)
+    assert level(wedge(360.0, 0.05), 4.0) / level(wedge(360.0, 0.05), 1.0) == pytest.approx(4.0 ** -2, rel=0.01)
+
+
+def test_splitting_an_edge_changes_nothing():
+    edges, source, mic = wedge(270.0, 3.0), at(1.2, 40.0, -0.3), at(2.9, 250.0, 0.8)
+    how = dict(n_slots=1, speed_m_s=C, n_samples=4000, direct_visible=False)
+    whole = diffract_at(edges, np.array([0]), np.zeros(1), np.array([3.0]), source, mic, **how)
+    cuts = np.array([0.0, 0.4, 1.5, 1.6, 3.0])
+    parts = diffract_at(edges, np.zeros(4, dtype=int), cuts[:-1], cuts[1:], source, mic, **how)
+    spectrum = [np.abs(np.fft.rfft(one.signals.sum(axis=0), 4096))[:1536] for one in (whole, parts)]
+    np.testing.assert_allclose(20.0 * np.log10(spectrum[1] / spectrum[0]), 0.0, atol=0.1)
+
+
+def lifted_box_obj(size_m, corner_m, first_vertex, material="wood"):
+    lines = []
+    for line in prism_obj(box_plan(size_m[0], size_m[1], *corner_m[:2]), size_m[2], material).splitlines():
+        words = line.split()
+        if words[0] == "v":
+            words[3] = str(float(words[3]) + corner_m[2])
+        elif words[0] == "f":
+            words[1:] = [str(int(word) + first_vertex) for word in words[1:]]
+        lines.append(" ".join(words))
+    return "\n".join(lines) + "\n"
+
+
+@pytest.fixture
+def room_with_box(tmp_path):
+    """6 x 4 x 3 m with a cupboard of 1 x 1 x 1.5 m in the air, from (2.5, 1.5, 0.5) on."""
+    path = tmp_path / "room.obj"
+    path.write_text(prism_obj(box_plan(6.0, 4.0), 3.0) + lifted_box_obj((1.0, 1.0, 1.5), (2.5, 1.5, 0.5), 8))
+    return load_mesh(path)
+
+
+def test_edges_are_those_that_stand_out(room_with_box, tmp_path):
+    edges = find_edges(room_with_box)
+    assert len(edges) == 12 and edges.n_left_out == 0
+    np.testing.assert_allclose(np.degrees(edges.wedge_rad), 270.0)
+    np.testing.assert_allclose(np.sort(edges.length_m), [1.0] * 8 + [1.5] * 4)
+    path = tmp_path / "l.obj"
+    path.write_text(prism_obj(L_PLAN, 3.0))
+    corner = find_edges(load_mesh(path))
+    assert len(corner) == 1 and corner.length_m[0] == pytest.approx(3.0)
+    np.testing.assert_allclose(np.sort([corner.start_m[0, 2], corner.start_m[0, 2] + 3.0 * corner.along[0, 2]]), [0, 3])
+    np.testing.assert_allclose(corner.start_m[0, :2], 2.0)
+
+
+def test_convex_rooms_have_none(tmp_path):
+    path = tmp_path / "box.obj"
+    path.write_text(prism_obj(box_plan(6.0, 4.0), 3.0))
+    for room in (Shoebox((6.0, 4.0, 3.0)), load_mesh(path)):
+        assert find_edges(room) is None
+        assert diffract(room, (1, 1, 1), (4, 3, 1), speed_m_s=C, n_samples=800, direct_visible=True) is None
+        scene = Scene(room, [Material("all", 0.2, 0.1)] * len(room.slots))
+        with_, without = (simulate_rir(scene, (1, 1, 1), (4, 3, 1), num_rays=500, diffraction=which)[0]
+                          for which in (True, False))
+        np.testing.assert_array_equal(with_.rir, without.rir)
+        assert not with_.diffracted
+
+
+def test_pieces_of_a_line_are_one_edge(room_with_box):
+    """Every triangle in four: the edges stay what they were."""
+    a, b, c = room_with_box.triangles.transpose(1, 0, 2)
+    ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+    fine = np.concatenate([np.stack(three, axis=1) for three in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+    names = list(np.array(room_with_box.slots)[np.tile(room_with_box.face_slot, 4)])
+    edges = find_edges(make_room(fine, names))
+    assert len(edges) == 12
+    np.testing.assert_allclose(np.sort(edges.length_m), [1.0] * 8 + [1.5] * 4)
+
+
+def test_too_many_edges_are_reported(room_with_box, monkeypatch, caplog):
+    monkeypatch.setattr("roomeq.sim.diffraction.MAX_EDGES", 4)
+    edges = find_edges(make_room(room_with_box.triangles, ["all"] * len(room_with_box.triangles)))
+    assert len(edges) == 4 and edges.n_left_out == 8 and np.all(edges.length_m > 1.4)
+    assert "12 edges that diffract: the 4 longest do" in caplog.text
+
+
+def test_a_shadow_in_a_room_begins_smoothly(room_with_box):
+    """Move a microphone out of the shadow of the cupboard: the early sound has no jump, without diffraction it has."""
+    source = (1.0, 2.0, 1.0)  # rays past (3.5, 2.5) and (2.5, 2.5): the near edge is the silhouette
+    edge_y = 2.5 + (2.5 - 2.0) / (2.5 - 1.0) * 2.5  # y of the boundary at x = 5
+    scene = Scene(room_with_box, [Material("black", 1.0, 0.0)] * len(room_with_box.slots))
+    levels = {}
+    for diffraction in (True, False):
+        mics = [(5.0, edge_y + shift, 1.0) for shift in (-0.002, 0.002)]
+        found = simulate_rir(scene, source, mics, num_rays=500, ism_order=0, diffraction=diffraction)
+        assert [one.direct_visible for one in found] == [False, True]
+        window = slice(int(found[0].direct_sample) - 40, int(found[0].direct_sample) + 20)
+        spectra = [np.abs(np.fft.rfft(one.rir[window], 512))[16:192] for one in found]
+        levels[diffraction] = 20.0 * np.log10(spectra[1] / np.maximum(spectra[0], 1e-12))
+    np.testing.assert_allclose(levels[True], 0.0, atol=0.5)
+    assert levels[False].min() > 20.0
+
+
+def test_absorbing_faces_leave_the_shadow_and_lose_the_reflection(room_with_box):
+    how = dict(speed_m_s=C, n_samples=1600, direct_visible=True)
+    found = diffract(room_with_box, (1.0, 2.3, 1.0), (3.0, 3.5, 1.0), **how)
+    wood = 1 + room_with_box.slots.index("wood")
+    rows = [n for n, row in enumerate(found.signals) if np.any(row)]
+    assert rows[0] == 0 and wood in rows and 1 + room_with_box.slots.index("wall") not in rows
+    absorption = np.full((len(room_with_box.slots), 8), 1.0)
+    rir = found.response(absorption, np.zeros_like(absorption), Air(), 1600)
+    black = found.first_sample + np.argmax(np.abs(found.signals[0]))
+    assert rir[black] == pytest.approx(found.signals[0][black - found.first_sample], rel=0.1)
+
+
+def test_the_switch_reaches_the_response(room_with_box):
+    scene = Scene(room_with_box, [Material("all", 0.3, 0.1)] * len(room_with_box.slots))
+    source, mic = (1.0, 2.0, 1.0), (5.0, 2.6, 1.2)
+    on, off = (simulate_rir(scene, source, mic, num_rays=500, diffraction=which)[0] for which in (True, False))
+    assert on.diffracted and not off.diffracted and not on.direct_visible
+    way_m = min(np.linalg.norm(np.subtract(place, source)) + np.linalg.norm(np.subtract(place, mic))
+                for place in ((2.5, 2.5, 1.1), (3.5, 2.5, 1.15)))
+    first = int(way_m / C * FS_HZ)
+    extra = on.rir - off.rir
+    assert np.abs(extra[:first - 60]).max() < 0.02 * np.abs(extra).max()
+    assert np.abs(extra[first - 5:first + 60]).max() == np.abs(extra).max()
