@@ -11,8 +11,12 @@ python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
 
 mark=.venv/.installed-$(cat pyproject.toml "$@" | sha256sum | cut -c1-16)
 [ ! -f "$mark" ] || exit 0
+mkdir -p .venv
+exec 9>.venv/.lock # two runs that start at once would install over each other
+flock 9
+[ ! -f "$mark" ] || exit 0
 echo "install.sh: installing Python packages into .venv (a minute, once)"
-if [ ! -x .venv/bin/python ]; then
+if ! .venv/bin/python -m pip --version >/dev/null 2>&1; then # absent, or left half made by a killed run
   python3 -m venv .venv || {
     rm -rf .venv
     echo "install.sh: python3 -m venv failed: on Debian and Ubuntu 'apt install python3-venv' provides it" >&2

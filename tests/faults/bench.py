@@ -1,10 +1,12 @@
 """The bench behind tests/faults/run.sh: see there."""
 
 import argparse
+import atexit
 import json
 import os
 import random
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -24,6 +26,7 @@ class Bench:
 
     def __init__(self, out, seed, nj):
         self.out, self.seed, self.nj = out, seed, nj
+        subprocess.run(["local/install.sh"], cwd=PROJECT, check=True)  # the copy shares what is installed
         self.tree = freeze(PROJECT, out / "tree")
         self.durations_s, self.size = {}, 0
 
@@ -184,7 +187,7 @@ def table(out):
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=30)
-    parser.add_argument("--kills-per-run", type=int, default=3)
+    parser.add_argument("--kills-per-run", type=int, default=5)
     parser.add_argument("--pairs", type=int, default=3, help="with, and as many without a kill")
     parser.add_argument("--disks", type=int, default=6, help="full disks; half as many read-only ones")
     parser.add_argument("--seed", type=int, default=0)
@@ -192,6 +195,8 @@ def main():
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
     bench = Bench(args.out.resolve(), args.seed, args.nj)
+    atexit.register(Run.kill_all)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     bench.undisturbed()
     for first in range(0, args.kills, args.kills_per_run):
         numbers = range(first, min(first + args.kills_per_run, args.kills))

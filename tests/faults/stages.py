@@ -46,12 +46,15 @@ class Run:
         Further options of `run.sh`.
     """
 
+    _running: set["Run"] = set()
+
     def __init__(self, tree: Path, where: Path, nj: int, *more: str):
         where.mkdir(parents=True, exist_ok=True)
         self.lines: list[str] = []
         self.began_s: dict[int, float] = {}
         self._changed = threading.Condition()
         self._process = start(tree, where, where / "corpora", nj, *more)
+        self._running.add(self)
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
@@ -74,6 +77,7 @@ class Run:
     def wait(self) -> int:
         """Wait until it ends; return its exit status."""
         self._reader.join()
+        self._running.discard(self)
         return self._process.wait()
 
     def wait_for(self, stage: int, then_s: float) -> bool:
@@ -89,6 +93,13 @@ class Run:
         """Kill it with everything it started."""
         kill(self._process, read=False)
         self._reader.join()
+        self._running.discard(self)
+
+    @classmethod
+    def kill_all(cls) -> None:
+        """Kill all that have not been waited for."""
+        for run in list(cls._running):
+            run.kill()
 
     def survivors(self) -> list[int]:
         """Return processes of its session that are still there some seconds after it was killed."""
