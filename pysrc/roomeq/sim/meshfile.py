@@ -14,7 +14,8 @@ def read_triangles(path):
     Parameters
     ----------
     path : Path
-        OBJ (materials by ``usemtl``, no MTL file needed), GLB (materials by name), PLY, STL or OFF; metres.
+        OBJ (materials by ``usemtl``, no MTL file needed), GLB (materials by name), STL (of several solids: by the
+        name of the solid), PLY or OFF; metres.
 
     Returns
     -------
@@ -55,6 +56,8 @@ def _read_other(path):
         if not isinstance(mesh, trimesh.Trimesh):
             continue
         material = getattr(getattr(mesh.visual, "material", None), "name", None)
+        if path.suffix.lower() == ".stl" and len(scene.geometry) > 1:
+            material = geometry  # of an STL file of several solids, the name of the solid
         triangles.append(trimesh.transform_points(mesh.vertices, transform)[mesh.faces])
         names += [material or UNNAMED] * len(mesh.faces)
     return np.concatenate(triangles), names
@@ -68,7 +71,7 @@ def _read_obj(path):
         if key == "v":
             vertices.append([float(word) for word in words[:3]])
         elif key == "usemtl":
-            material = words[0] if words else UNNAMED
+            material = " ".join(words) or UNNAMED
         elif key == "f":
             index = [int(word.split("/")[0]) for word in words]
             if 0 in index:

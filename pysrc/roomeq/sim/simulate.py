@@ -1,5 +1,6 @@
 """Simulate one impulse response for each measured one: its room, drawn materials, drawn reverberation time."""
 
+import json
 import logging
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,8 @@ from roomeq.constants import FS_HZ
 from roomeq.rirs import read_rirs, validate_rirs, write_rirs
 from roomeq.rng import rng_for
 from roomeq.sim.geometry import find_place, noise_positions
-from roomeq.sim.materials import DEFAULT_TABLE, draw_materials, draw_scattering, read_materials
+from roomeq.sim.materials import DEFAULT_TABLE, draw_materials, draw_scattering, given_surfaces, read_materials
+from roomeq.sim.published import published_file
 from roomeq.sim.response import (
     ISM_ORDER,
     NUM_RAYS,
@@ -42,7 +44,9 @@ def simulate(measured_dir, out, *, t60_range_s=(0.2, 2.0), num_rays=NUM_RAYS, is
     Parameters
     ----------
     measured_dir : Path
-        RIR directory (`roomeq.rirs`). What its rows don't know of the geometry is drawn.
+        RIR directory (`roomeq.rirs`). What its rows don't know of the geometry is drawn. A row's `materials`
+        (material of the mesh, wall of the shoebox or ``"default"``, each to what `roomeq.sim.materials.find_surface`
+        takes) are used instead of drawn ones; with its `target_t60_s` null as well they are not scaled.
     out : Path
         RIR directory to make.
     t60_range_s : tuple of 2 floats
@@ -80,7 +84,7 @@ def simulate(measured_dir, out, *, t60_range_s=(0.2, 2.0), num_rays=NUM_RAYS, is
                    noise_rirs=noise_rirs, diffraction=bool(diffraction), seed=seed)
     meshes = sorted({measured_dir / row["mesh"] for row in rows if row.get("mesh")})
     build = Build(out, step="simulate", options=options,
-                  inputs=[measured_dir, Path(materials or DEFAULT_TABLE), *meshes])
+                  inputs=[measured_dir, Path(materials or DEFAULT_TABLE), *meshes, *_published(rows)])
     if build.done:
         return
 
@@ -93,6 +97,12 @@ def simulate(measured_dir, out, *, t60_range_s=(0.2, 2.0), num_rays=NUM_RAYS, is
 
     if build.run(groups, one, part=part, nj=nj):
         build.finish(assemble)
+
+
+def _published(rows):
+    """The published table of materials, where a row may refer to it and it is installed."""
+    path = published_file() if any(row.get("materials") for row in rows) else None
+    return [path] if path else []
 
 
 def _check_options(t60_range_s, num_rays, ism_order, order, noise_rirs):
@@ -115,7 +125,8 @@ def _group(rows, directory, seed):
         air = _air(row)
         if place.drawn:
             logger.debug("%s: drawn or moved: %s", row["id"], ", ".join(place.drawn))
-        groups.setdefault((row["room_id"], place.room, place.source_pos_m, air), []).append((row, place))
+        materials = json.dumps(row.get("materials"), sort_keys=True)  # a trace serves one set of scattering
+        groups.setdefault((row["room_id"], place.room, place.source_pos_m, air, materials), []).append((row, place))
     n_drawn = sum(bool(place.drawn) for members in groups.values() for _, place in members)
     if n_drawn:
         logger.info("%s: %d of %d RIRs have unknown or unreliable coordinates, which are drawn (key 'drawn')",
@@ -138,13 +149,17 @@ def _simulate_group(work, group, table, options):
     """Simulate the rows of one source; return their records."""
     first_row, first_place = group[0]
     room, air, seed = first_place.room, _air(first_row), options["seed"]
-    scattering = draw_scattering(table, room, rng_for(seed, "scattering", first_row["room_id"]))
+    try:
+        given = given_surfaces(table, room, first_row.get("materials"))
+    except ValueError as error:
+        raise ValueError(f"RIR {first_row['id']}: {error}") from None
+    scattering = draw_scattering(table, room, rng_for(seed, "scattering", first_row["room_id"]), given)
     traces = _Traces(room, scattering, air, first_row["room_id"], options)
-    drawn = [_draw_row(row, room, scattering, air, table, options) for row, _ in group]
+    drawn = [_draw_row(row, room, scattering, air, table, given, options) for row, _ in group]
     traces.length_s = max(length_s for *_, length_s in drawn)
     records = []
     for (row, place), (rng, scene, target_s, length_s) in zip(group, drawn, strict=True):
-        records += _simulate_row(work, row, place, traces, table, rng, scene, target_s, length_s, options)
+        records += _simulate_row(work, row, place, traces, table, given, rng, scene, target_s, length_s, options)
     return records
 
 
@@ -167,30 +182,32 @@ class _Traces:
         return self._known[key]
 
 
-def _draw_row(row, room, scattering, air, table, options):
-    """Draw what a row is to sound like: (rng for more materials, scene, target, length)."""
+def _draw_row(row, room, scattering, air, table, given, options):
+    """Draw what a row is to sound like: (rng for more materials, scene, target or None, length)."""
     seed = options["seed"]
     target_s = float(rng_for(seed, "t60", row["id"]).uniform(*options["t60_range_s"]))
     rng = rng_for(seed, "materials", row["id"])
-    scene = draw_materials(table, room, scattering, air, target_s, rng)
+    scene = draw_materials(table, room, scattering, air, target_s, rng, given)
+    if row.get("materials"):  # a row that says what it is made of may say how it sounds: null, as it is
+        target_s = row.get("target_t60_s", target_s)
     return rng, scene, target_s, needed_length_s(scene, target_s, options["order"])
 
 
-def _simulate_row(work, row, place, traces, table, rng, scene, target_s, length_s, options):
+def _simulate_row(work, row, place, traces, table, given, rng, scene, target_s, length_s, options):
     """Render one row and its noise RIRs; write them; return their rows."""
     seed, mic = options["seed"], place.mic_pos_m
     how = dict(length_s=length_s, ism_order=options["ism_order"], diffraction=options["diffraction"])
     traced = traces.of(place.source_pos_m)
     for draw in range(MATERIAL_DRAWS):
         try:
-            (response,) = render_to_target(traced, [mic], [rng_for(seed, "tail", row["id"])], target_s,
-                                           absorption=scene.absorption, **how)
+            (response,) = _rendered(traced, mic, rng_for(seed, "tail", row["id"]), target_s,
+                                    absorption=scene.absorption, **how)
             break
         except ValueError as error:
             if draw == MATERIAL_DRAWS - 1:
                 raise ValueError(f"RIR {row['id']}: {error}") from None
             logger.info("%s: %s; drawing other materials", row["id"], error)
-            scene = draw_materials(table, place.room, traces.scattering, traces.air, target_s, rng)
+            scene = draw_materials(table, place.room, traces.scattering, traces.air, target_s, rng, given)
     made = [_write(work, row, place, scene, response, target_s, seed)]
     for n, source in enumerate(_noise_sources(place, row, seed, options["noise_rirs"]), start=1):
         noise_id = f"{row['id']}-noise{n}"
@@ -201,6 +218,12 @@ def _simulate_row(work, row, place, traces, table, rng, scene, target_s, length_
         noise_place = replace(place, source_pos_m=tuple(source))
         made.append(_write(work, noise_row, noise_place, scene, noise, target_s, seed, noise_for=row["id"]))
     return made
+
+
+def _rendered(traced, mic, rng, target_s, **how):
+    if target_s is None:
+        return render_responses(traced, [mic], [rng], **how)
+    return render_to_target(traced, [mic], [rng], target_s, **how)
 
 
 def _noise_sources(place, row, seed, count):
