@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
-from scipy.special import hankel2e
 
+from bench.fidelity import halfplane
+from bench.fidelity.halfplane import at
 from roomeq.constants import FS_HZ
 from roomeq.sim.diffraction import Edges, diffract, diffract_at, find_edges
 from roomeq.sim.mesh import load_mesh, make_room
@@ -23,63 +23,12 @@ def wedge(open_deg, length_m=400.0):
                  np.radians([open_deg]), np.zeros((1, 2), dtype=int))
 
 
-def at(distance_m, angle_deg, z_m=0.0):
-    angle = np.radians(angle_deg)
-    return np.array([distance_m * np.cos(angle), distance_m * np.sin(angle), z_m])
-
-
 def wedge_spectrum(edges, source, mic, frequencies_hz, rows=slice(None), visible=True):
     """Diffraction at all of an edge, faces rigid, at some frequencies."""
     found = diffract_at(edges, np.array([0]), np.zeros(1), edges.length_m, source, mic, n_slots=1, speed_m_s=C,
                         n_samples=200000, direct_visible=visible)
     time_s = (found.first_sample + np.arange(found.signals.shape[1])) / FS_HZ
     return np.exp(-2j * np.pi * np.outer(frequencies_hz, time_s)) @ found.signals[rows].sum(axis=0)
-
-
-def exact_half_plane(source, mic, frequencies_hz):
-    """Total field at a rigid half-plane y = 0, x > 0, time factor exp(+i w t), by Macdonald's integral.
-
-    ``V(R, m) = i k / (8 pi) * integral of H1(k R cosh u) du up to m`` for the source (m from the difference of the
-    angles) and its image (from their sum); the integral over all u gives exp(-i k R) / (4 pi R)
-    (Bowman, Senior, Uslenghi, Electromagnetic and Acoustic Scattering by Simple Shapes, 8.3).
-    """
-    (rs, ts), (rr, tr) = [(np.hypot(p[0], p[1]), np.arctan2(p[1], p[0]) % (2.0 * np.pi)) for p in (source, mic)]
-    total = []
-    for k in 2.0 * np.pi * np.asarray(frequencies_hz) / C:
-        field = 0.0
-        for angle in (ts - tr, ts + tr):
-            r = np.sqrt(rs ** 2 + rr ** 2 + (source[2] - mic[2]) ** 2 - 2.0 * rs * rr * np.cos(angle))
-            m = np.arcsinh(2.0 * np.sqrt(rs * rr) / r * np.cos(0.5 * angle))
-            plane = np.exp(-1j * k * r) / (4.0 * np.pi * r)
-            tail = _tail(k, r, abs(m))
-            field += plane - tail if m > 0.0 else tail
-        total.append(field)
-    return np.array(total)
-
-
-def _tail(k, r, m):
-    """The integral from m > 0 to infinity, the way bent into the lower half-plane, where H1(2) dies out."""
-    def value(s):
-        u, slope = m + s - 0.5j * np.tanh(2.0 * s), 1.0 - 1j / np.cosh(2.0 * s) ** 2
-        x = k * r * np.cosh(u)
-        return -1j * k / (8.0 * np.pi) * hankel2e(1, x) * np.exp(-1j * x) * slope
-    parts = [quad(lambda s, f=f: f(value(s)), 0.0, 14.0, limit=2000, epsabs=1e-9, points=[0.01, 0.1, 1.0])[0]
-             for f in (np.real, np.imag)]
-    return complex(*parts)
-
-
-def geometric(source, mic, frequencies_hz):
-    """Direct sound and reflection at that half-plane, each where it exists."""
-    k = 2.0 * np.pi * np.asarray(frequencies_hz) / C
-    field = np.zeros(len(k), dtype=complex)
-    image = source * [1.0, -1.0, 1.0]
-    for one, behind in ((source, mic[1] * source[1] < 0.0), (image, mic[1] * image[1] < 0.0)):
-        share = one[1] / (one[1] - mic[1]) if one[1] != mic[1] else 0.0
-        crosses = behind and one[0] + share * (mic[0] - one[0]) > 0.0
-        if crosses == (one is image):
-            r = np.linalg.norm(mic - one)
-            field += np.exp(-1j * k * r) / (4.0 * np.pi * r)
-    return field
 
 
 CASES = [(30.0, 100.0, 0.0), (60.0, 300.0, 0.0), (60.0, 250.0, 0.7), (60.0, 240.5, 0.7), (60.0, 239.5, 0.7),
@@ -89,8 +38,9 @@ CASES = [(30.0, 100.0, 0.0), (60.0, 300.0, 0.0), (60.0, 250.0, 0.7), (60.0, 240.
 @pytest.mark.parametrize("source_deg, mic_deg, z_m", CASES)
 def test_a_rigid_half_plane_gives_the_exact_field(source_deg, mic_deg, z_m):
     source, mic = at(1.7, source_deg), at(2.3, mic_deg, z_m)
-    exact = exact_half_plane(source, mic, FREQUENCIES_HZ)
-    total = geometric(source, mic, FREQUENCIES_HZ) + wedge_spectrum(wedge(360.0), source, mic, FREQUENCIES_HZ)
+    exact = halfplane.exact(source, mic, FREQUENCIES_HZ, C)
+    total = wedge_spectrum(wedge(360.0), source, mic, FREQUENCIES_HZ)
+    total += halfplane.geometric(source, mic, FREQUENCIES_HZ, C)
     np.testing.assert_allclose(20.0 * np.log10(np.abs(total / exact)), 0.0, atol=0.5)
 
 
@@ -101,7 +51,7 @@ def test_the_field_is_continuous_across_a_shadow_boundary():
 
     def level_db(angle_deg, visible=True):
         mic = at(2.3, angle_deg)
-        total = geometric(source, mic, frequencies_hz)
+        total = halfplane.geometric(source, mic, frequencies_hz, C)
         return 20.0 * np.log10(np.abs(total + wedge_spectrum(edges, source, mic, frequencies_hz, visible=visible)))
 
     for boundary_deg in (120.0, 240.0):

@@ -10,6 +10,7 @@ from roomeq.acoustics.air import air_absorption_db_m
 from roomeq.acoustics.filterbank import octave_filterbank
 from roomeq.constants import FS_HZ
 from roomeq.rng import rng_for
+from roomeq.sim.diffraction import Edges, diffract, diffract_at, find_edges
 from roomeq.sim.early import specular_paths
 from roomeq.sim.gather import FRAME_S, gather
 from roomeq.sim.materials import draw_materials, draw_scattering, read_materials
@@ -128,6 +129,32 @@ def l_room_lengths(source_pos_m, mic_pos_m, order):
     """Lengths of the simulator's specular paths in the L-shaped room, sorted [m]."""
     scene = mesh_scene(*l_triangles(), 0.1, 0.0)
     return np.sort(specular_paths(scene.room, source_pos_m, mic_pos_m, order).distance_m)
+
+
+def half_plane_speed_m_s():
+    """Speed of sound that `half_plane` takes."""
+    return StillAir().speed_m_s
+
+
+def half_plane(source_pos_m, mic_pos_m, length_m, frequencies_hz):
+    """Spectrum of the diffraction at the edge along z of a rigid half-plane y = 0, x > 0."""
+    x, y, z = np.eye(3)
+    edges = Edges(np.array([-0.5 * length_m * z]), z[None], np.array([length_m]), x[None], y[None],
+                  np.array([2.0 * np.pi]), np.zeros((1, 2), dtype=int))
+    found = diffract_at(edges, np.array([0]), np.zeros(1), edges.length_m, source_pos_m, mic_pos_m, n_slots=1,
+                        speed_m_s=half_plane_speed_m_s(), n_samples=10 ** 6, direct_visible=True)
+    time_s = (found.first_sample + np.arange(found.signals.shape[1])) / FS_HZ
+    return np.exp(-2j * np.pi * np.outer(frequencies_hz, time_s)) @ found.signals.sum(axis=0)
+
+
+def diffraction_ms(mics_m):
+    """Median milliseconds per microphone that diffraction takes in the furnished mesh, and its number of edges."""
+    room, spent = mesh_scene(*furnished_triangles(), 0.1, 0.5).room, []
+    for mic_m in mics_m:
+        start = time.perf_counter()
+        diffract(room, (2.1, 3.3, 1.5), mic_m, speed_m_s=StillAir().speed_m_s, n_samples=FS_HZ, direct_visible=True)
+        spent.append(1e3 * (time.perf_counter() - start))
+    return float(np.median(spent)), len(find_edges(room))
 
 
 def watertight_scenes():

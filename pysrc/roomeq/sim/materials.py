@@ -152,7 +152,7 @@ def _look_up(what, name, table):
     published = read_published()[what]
     if name in table or name in published:
         return table[name] if name in table else published[name]
-    close = get_close_matches(name, [*table, *published], n=4, cutoff=0.4)
+    close = get_close_matches(name, {**table, **published}, n=4, cutoff=0.4)
     hint = f"closest: {', '.join(close)}" if close else "nothing there is called like it"
     absent = "" if published_file() else f"; {PACKAGE}, whose table would be searched too, is not installed"
     raise ValueError(f"{what}={name!r} is in no table of materials ({hint}{absent}): correct the name")
