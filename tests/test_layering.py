@@ -7,7 +7,7 @@ import pytest
 
 # each group may import those before it, and itself
 LAYERS = [
-    {"constants", "rng", "progress", "files", "limits", "audio", "rows", "rirs", "stamps", "build"},
+    {"constants", "rng", "progress", "files", "limits", "audio", "rows", "rirs", "stamps", "build", "words"},
     {"acoustics"},
     {"corpora"},
     {"sim"},

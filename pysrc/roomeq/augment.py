@@ -32,6 +32,7 @@ logger = logging.getLogger(__name__)
 
 ROWS_FILE = "augment.jsonl"
 SUMMARY_FILE = "summary.json"
+MAX_COPIES, MAX_POINT_NOISES = 1000, 100
 _ROWS = ".rows"
 
 
@@ -135,12 +136,12 @@ def augment(data_dir: Path, rir_dir: Path, out: Path, *, seed: int = 0, copies: 
 
 
 def _check(job: Job) -> None:
-    if job.copies < 1:
-        raise ValueError(f"copies={job.copies} must be at least 1")
+    if not 1 <= job.copies <= MAX_COPIES:
+        raise ValueError(f"copies={job.copies} must be at least 1 and at most {MAX_COPIES}")
     if not 0 <= job.point_noise_prob <= 1:
         raise ValueError(f"point_noise_prob={job.point_noise_prob} must lie in [0, 1]")
-    if job.max_point_noises < 0:
-        raise ValueError(f"max_point_noises={job.max_point_noises} must be at least 0")
+    if not 0 <= job.max_point_noises <= MAX_POINT_NOISES:
+        raise ValueError(f"max_point_noises={job.max_point_noises} must lie in [0, {MAX_POINT_NOISES}]")
     if job.layout not in ("recording", "utterance"):
         raise ValueError(f"layout={job.layout!r} must be 'recording' or 'utterance'")
     parse_distribution(job.snr_db, "snr_db")

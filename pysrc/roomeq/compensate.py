@@ -24,6 +24,8 @@ from roomeq.rirs import load_rir, read_noises, read_rirs, relocated, rir_path, w
 logger = logging.getLogger(__name__)
 
 SUMMARY_FILE = "compensation.json"
+MAX_TAPS = 4095  # as many points as the response is sampled at in the design
+MAX_PASSES = 100
 MAX_MEDIAN_DB, MAX_P95_DB = 0.5, 1.5  # of |achieved - target| over all RIRs and points
 _DECIMALS = 4
 
@@ -67,10 +69,11 @@ def compensate(sim_dir, eq_dir, out, *, taps=511, passes=3, match_rooms=True, se
     ValueError
         An option is wrong, or an RIR is shorter than the analysis.
     """
-    if taps < 3 or taps % 2 == 0:
-        raise ValueError(f"taps={taps} must be odd and at least 3: a linear-phase filter delays by half of them")
-    if passes < 1:
-        raise ValueError(f"passes={passes} must be at least 1")
+    if not 3 <= taps <= MAX_TAPS or taps % 2 == 0:
+        raise ValueError(f"taps={taps} must be odd and lie in [3, {MAX_TAPS}]: a linear-phase filter delays by half "
+                         "of them")
+    if not 1 <= passes <= MAX_PASSES:
+        raise ValueError(f"passes={passes} must be at least 1 and at most {MAX_PASSES}")
     sim_dir, out, gmm = Path(sim_dir), Path(out), read_gmm(eq_dir)
     groups = _groups(sim_dir, read_rirs(sim_dir))
     options = dict(taps=taps, passes=passes, match_rooms=bool(match_rooms), seed=seed)

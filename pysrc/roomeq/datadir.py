@@ -7,26 +7,26 @@ once. Writing lies in `roomeq.datawrite`, one line of `wav.scp` in `roomeq.wavsc
 import logging
 import math
 import re
-import unicodedata
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from roomeq.files import read_text
 from roomeq.wavscp import Entry, n_samples, parse_entry, read_entry, segment_samples
+from roomeq.words import symbol_in, unprintable_in
 
 logger = logging.getLogger(__name__)
 
-_ILLEGAL_WORDS = re.compile(r"(?<!\w)(<s>|</s>|#0)(?!\w)", re.ASCII)
 _PER_UTTERANCE = ("utt2dur", "utt2num_frames", "utt2uniq", "utt2lang", "utt2warp", "utt2rir", "utt2snr",
                   "feats.scp", "vad.scp")
 _PER_SPEAKER = ("spk2gender", "spk2warp", "cmvn.scp")
 _PER_RECORDING = ("reco2dur", "reco2file_and_channel")
 _VALUES = {
     "spk2gender": (lambda value: value in ("m", "f"), "m or f"),
-    "utt2dur": (lambda value: _number(value) > 0, "a positive number of seconds"),
-    "reco2dur": (lambda value: _number(value) > 0, "a positive number of seconds"),
+    "utt2dur": (lambda value: 0 < _number(value) < math.inf, "a positive number of seconds"),
+    "reco2dur": (lambda value: 0 < _number(value) < math.inf, "a positive number of seconds"),
     "utt2num_frames": (lambda value: re.fullmatch(r"0*[1-9]\d*", value), "a positive whole number"),
     "utt2warp": (lambda value: 0.5 < _number(value) < 1.5, "a number between 0.5 and 1.5"),
     "spk2warp": (lambda value: 0.5 < _number(value) < 1.5, "a number between 0.5 and 1.5"),
@@ -175,15 +175,9 @@ def _lines(path: Path) -> list[str]:
     """Return the lines of a table without their line ends."""
     if not path.is_file():
         raise ValueError(f"{path}: no such file: every Kaldi data directory has it: prepare the directory again")
-    content = path.read_bytes()
-    if not content:
+    lines = read_text(path).split("\n")
+    if lines == [""]:
         raise ValueError(f"{path}: file is empty: prepare the directory again")
-    try:
-        lines = content.decode().split("\n")
-    except UnicodeDecodeError as error:
-        number = content.count(b"\n", 0, error.start) + 1
-        raise ValueError(f"{path}:{number}: byte 0x{content[error.start]:02x} is not UTF-8: "
-                         "convert the file") from None
     if lines.pop():
         raise ValueError(f"{path}:{len(lines) + 1}: last line must end in a line break: the file may be cut off")
     return lines
@@ -269,8 +263,8 @@ def _read_text(path: Path) -> dict[str, str]:
         if not words:
             raise ValueError(f"{path}:{number}: transcript of {utterance!r} is empty: write it, or remove the "
                              "utterance from every file")
-        if found := _ILLEGAL_WORDS.search(words):
-            raise ValueError(f"{path}:{number}: {found[0]!r} in the transcript of {utterance!r} is a symbol of "
+        if symbol := symbol_in(words):
+            raise ValueError(f"{path}:{number}: {symbol!r} in the transcript of {utterance!r} is a symbol of "
                              "Kaldi's own: remove it")
     return text
 
@@ -326,10 +320,9 @@ def _number(text: str) -> float:
 
 
 def _check_printable(line: str, where: str) -> None:
-    for character in line.replace("\t", " "):
-        control = unicodedata.category(character) in ("Cc", "Cn", "Cs")
-        if control or (character.isspace() and character != " "):
-            raise ValueError(f"{where}: character {character!r} must be printable, or a plain blank: replace it")
+    character = unprintable_in(line.replace("\t", " "))
+    if character is not None:
+        raise ValueError(f"{where}: character {character!r} must be printable, or a plain blank: replace it")
 
 
 def _check_segments_strictly(data: DataDir) -> None:

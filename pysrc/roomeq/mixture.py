@@ -16,6 +16,10 @@ from roomeq.rng import rng_for
 FREE = tuple(k for k in range(len(BANDS_HZ)) if k != BAND_1KHZ)
 """Indices of the seven points that are free; 1 kHz is the reference."""
 
+POINTS_HZ = [BANDS_HZ[k] for k in FREE]
+MAX_DB = 200.0
+"""No gain of a mixture comes near it."""
+
 GMM_FILE = "gmm.json"
 COVARIANCES = ("full", "tied", "diag", "spherical")
 JND_DB = 1.0
@@ -67,7 +71,7 @@ def fit_gmm(vectors_db, rooms, *, n_components=7, covariance="full", weight_room
     order = np.argsort(-model.weights_, kind="stable")
     rooms = np.asarray(rooms)
     of_room = {str(room): member[rooms == room].mean(axis=0)[order].tolist() for room in np.unique(rooms)}
-    return dict(points_hz=[BANDS_HZ[k] for k in FREE], reference_hz=BANDS_HZ[BAND_1KHZ], n_rirs=len(vectors_db),
+    return dict(points_hz=POINTS_HZ, reference_hz=BANDS_HZ[BAND_1KHZ], n_rirs=len(vectors_db),
                 n_rooms=len(of_room), covariance_type=covariance, weight_rooms=bool(weight_rooms), seed=seed,
                 weights=model.weights_[order].tolist(), means_db=model.means_[order].tolist(),
                 covariances_db2=full[order].tolist(), weights_of_room=of_room)
@@ -100,14 +104,30 @@ def read_gmm(path):
     try:
         weights, means, full = (np.array(gmm[key], dtype=float)
                                 for key in ("weights", "means_db", "covariances_db2"))
-    except (KeyError, TypeError, ValueError) as error:
+        of_rooms = {room: np.array(values, dtype=float) for room, values in gmm.get("weights_of_room", {}).items()}
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise ValueError(f"{path}: not a mixture of fit-eq ({error!r}): run fit-eq again") from None
-    k, size = len(weights), len(FREE)
-    if means.shape != (k, size) or full.shape != (k, size, size) or not np.isclose(weights.sum(), 1.0) or np.any(
-            weights < 0) or not np.isfinite(means).all() or not np.isfinite(full).all():
+    k, size = weights.size, len(FREE)
+    if weights.shape != (k,) or means.shape != (k, size) or full.shape != (k, size, size):
         raise ValueError(f"{path}: weights {weights.shape}, means {means.shape}, covariances {full.shape} must be "
-                         f"(k,), (k, {size}), (k, {size}, {size}), finite, weights summing to 1: run fit-eq again")
+                         f"(k,), (k, {size}), (k, {size}, {size}): run fit-eq again")
+    for name, values in (("weights", weights), *((f"weights of room {room}", of_rooms[room]) for room in of_rooms)):
+        if values.shape != (k,) or not np.isclose(values.sum(), 1.0) or np.any(values < 0):
+            raise ValueError(f"{path}: {name} must be {k} numbers from 0 that sum to 1: run fit-eq again")
+    if gmm.get("points_hz", POINTS_HZ) != POINTS_HZ:
+        raise ValueError(f"{path}: points_hz={gmm['points_hz']} must be {POINTS_HZ}: run fit-eq again")
+    if not np.all(np.abs(means) < MAX_DB) or not np.all(np.abs(full) < MAX_DB ** 2) or not _positive(full):
+        raise ValueError(f"{path}: means must be below {MAX_DB:g} dB and covariances positive definite: "
+                         "run fit-eq again")
     return gmm
+
+
+def _positive(covariances):
+    try:
+        np.linalg.cholesky(covariances)
+    except np.linalg.LinAlgError:
+        return False
+    return np.allclose(covariances, covariances.transpose(0, 2, 1))
 
 
 def sample_eq(gmm, n, rng, *, weights=None):

@@ -62,6 +62,7 @@ def _is_a(kind: type) -> Callable:
 
 _BANDS = len(BANDS_HZ)
 _AUDIO = {"wav": (_is_file_name, "a file name"), "fs_hz": (_is_count, "a positive whole number")}
+_DIRECT = (lambda value: _is_number(value) and value > -1, "a number of samples, not negative")
 _REQUIRED = {
     **dict.fromkeys(("id", "room_id", "source_id", "mic_id"), (is_id, _ID_RULE)),
     **_AUDIO, "n_samples": (_is_count, "a positive whole number"),
@@ -71,7 +72,8 @@ _OPTIONAL = {
                     (_is_list(lambda x: x is None or _is_number(x), 3), "three numbers (each may be null)")),
     **dict.fromkeys(("distance_m", "documented_t60_s", "target_t60_s", "t30_s"),
                     (_is_amount, "a number, not negative")),
-    **dict.fromkeys(("temperature_c", "humidity_pct", "direct_sample"), (_is_number, "a number")),
+    **dict.fromkeys(("temperature_c", "humidity_pct"), (_is_number, "a number")),
+    "direct_sample": _DIRECT,
     "direct_polarity": (lambda value: _is_number(value) and abs(value) == 1, "1 or -1"),
     **dict.fromkeys(("binaural", "unreliable_geometry", "uncommon", "tof_removed"), (_is_bool, "true or false")),
     **dict.fromkeys(("corpus", "room_type", "excitation", "session", "geometry_problem", "screen"),
@@ -84,7 +86,7 @@ _OPTIONAL = {
 """What the keys of a row hold, null apart: a test and its name."""
 
 _PASSPORT = {
-    "direct_sample": (_is_number, "a number"),
+    "direct_sample": _DIRECT,
     "eq_db": (_is_list(_is_number, _BANDS), f"{_BANDS} numbers"),
     "eq_valid": (_is_list(_is_bool, _BANDS), f"{_BANDS} times true or false"),
     "eq_edge_db": (lambda value: value is None or _is_number(value), "a number or null"),

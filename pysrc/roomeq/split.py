@@ -58,9 +58,11 @@ def split_rirs(rir_dir, out_prefix, *, split_by="rir", sizes=(773, 194, 242), se
             raise ValueError(f"{rir_dir}: {len(rows)} RIRs of {len({row['room_id'] for row in rows})} rooms leave "
                              f"{split} empty when split by {split_by}: give more RIRs, or split by 'rir'")
     noises = _split_noises(read_noises(rir_dir), rows, split_of, sizes, seed, split_by)
-    for split in SPLITS:
-        _write(rir_dir, Path(f"{out_prefix}.{split}"), [row for row in rows if split_of.get(row["id"]) == split],
-               noises[split], dict(split=split, split_by=split_by, sizes=list(sizes), seed=seed))
+    # all places are looked at before anything goes to one of them
+    builds = {split: Build(Path(f"{out_prefix}.{split}"), step="split", inputs=[rir_dir], refers=True, options=dict(
+        split=split, split_by=split_by, sizes=list(sizes), seed=seed)) for split in SPLITS}
+    for split, build in builds.items():
+        _write(build, rir_dir, [row for row in rows if split_of.get(row["id"]) == split], noises[split])
     _log_table(rows, split_of, noises)
     return {split: counts[split] for split in SPLITS}
 
@@ -160,12 +162,10 @@ def _none_without(dealt, split_by):
     return dealt
 
 
-def _write(rir_dir, out, rows, noises, options):
-    build = Build(out, step="split", options=options, inputs=[rir_dir], refers=True)
-
+def _write(build, rir_dir, rows, noises):
     def assemble(directory, _):
-        write_rirs(directory, relocated(rows, rir_dir, out), final_directory=out)
-        write_noises(directory, relocated(noises, rir_dir, out))
+        write_rirs(directory, relocated(rows, rir_dir, build.out), final_directory=build.out)
+        write_noises(directory, relocated(noises, rir_dir, build.out))
 
     if not build.done and build.run({}, lambda name, item: None):
         build.finish(assemble)

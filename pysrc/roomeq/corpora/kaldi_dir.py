@@ -4,6 +4,9 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from roomeq.files import read_text
+from roomeq.words import words_problem
+
 BY_UTTERANCE = ("segments", "text", "utt2spk", "utt2dur", "utt2lang")
 BY_RECORDING = ("wav.scp", "reco2dur")
 BY_SPEAKER = ("spk2gender",)
@@ -52,6 +55,9 @@ def read_kaldi_dir(path: Path) -> KaldiDir:
     for name in ("wav.scp", "utt2spk", "text"):
         if not files.get(name):
             raise ValueError(f"{path / name}: missing or empty: {_REMEDY}")
+    for utt, words in files["text"].items():
+        if problem := words_problem(words.replace("\t", " ")):
+            raise ValueError(f"{path / 'text'}: transcript of {utt}: {problem}")
     audio_of = files.get("segments", files["wav.scp"])
     for utt in files["utt2spk"]:
         if utt not in audio_of or utt not in files["text"]:
@@ -64,7 +70,7 @@ def read_kaldi_dir(path: Path) -> KaldiDir:
 
 def _read_lines(path: Path) -> dict[str, str]:
     lines: dict[str, str] = {}
-    for number, line in enumerate(path.read_text(encoding="utf-8").split("\n"), start=1):
+    for number, line in enumerate(read_text(path).split("\n"), start=1):
         if not line.strip():
             continue
         key, *rest = line.strip().split(maxsplit=1)

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from roomeq.corpora.utterance import Utterance
+from roomeq.files import read_text
 
 SPEAKERS_FILE = "SPEAKERS.TXT"
 
@@ -51,8 +52,8 @@ def read_genders(path: Path) -> dict[str, str]:
 def _list_chapter(trans: Path, genders: dict[str, str]) -> list[Utterance]:
     reader, chapter = trans.parent.parent.name, trans.parent.name
     audio = {path.stem: path for path in sorted(trans.parent.glob("*.flac"))}
-    utterances = []
-    for number, line in enumerate(trans.read_text(encoding="utf-8").splitlines(), start=1):
+    utterances, seen = [], set()
+    for number, line in enumerate(read_text(trans).splitlines(), start=1):
         if not line.strip():
             continue
         name, _, text = line.strip().partition(" ")
@@ -61,10 +62,11 @@ def _list_chapter(trans: Path, genders: dict[str, str]) -> list[Utterance]:
             raise ValueError(f"{where}: utterance {name!r} must start with {reader}-{chapter}-: correct the line")
         if not text.strip():
             raise ValueError(f"{where}: utterance {name} has no words: correct or remove the line and its audio")
-        if any(utterance.id == name for utterance in utterances):
+        if name in seen:
             raise ValueError(f"{where}: utterance {name} stands twice: ids must be unique: remove one line")
         if name not in audio:
             raise ValueError(f"{where}: no audio {trans.parent / name}.flac: unpack the corpus again")
+        seen.add(name)
         utterances.append(Utterance(name, speaker=f"{reader}-{chapter}", voice=reader, gender=genders.get(reader),
                                     text=text, path=audio.pop(name), where=where))
     if audio:

@@ -20,6 +20,7 @@ UNCOMMON_ROOMS = ("L227",)
 """Spaces that the paper leaves out: stairs."""
 
 _SESSION = re.compile(r"(SpkID\d+)_(.+)_([A-Z])")
+_DIGITS = re.compile("[0-9]{1,9}")
 _AXES = ("Depth", "Width", "Height")
 
 
@@ -96,7 +97,7 @@ def _list_session(session: Path, room_id: str, env: dict, corpus: Corpus) -> lis
     source_id, kind = (found[1], found[3]) if found else (session.name, None)
     spk = read_meta(session / "spk_meta.txt")
     listed = []
-    for mic in sorted(path for path in session.iterdir() if path.is_dir() and path.name.isdigit()):
+    for mic in sorted(path for path in session.iterdir() if path.is_dir() and _DIGITS.fullmatch(path.name)):
         stem = make_id(f"{room_id}-{session.parent.name}-{session.name}-{mic.name}")
         wavs = sorted((mic / "RIR").glob("*.wav"))
         # the microphone's meta file repeats the loudspeaker's position: that of the session is the fallback
@@ -121,13 +122,13 @@ def _version(wav: Path) -> str:
 def _row(meta: dict, mic: Path, room_id: str, corpus: Corpus) -> dict:
     n = int(mic.name)
     stated = meta.get("EnvMicID", "")
-    if stated.isdigit() and int(stated) != n and f"EnvMic{int(stated)}Depth" in meta:
+    if _DIGITS.fullmatch(stated) and int(stated) != n and f"EnvMic{int(stated)}Depth" in meta:
         corpus.notes["microphone folders whose $EnvMicID is another number (its keys were used)"] += 1
         n = int(stated)
 
     def number(key: str) -> float | None:
         try:
-            value = parse_number(re.sub(r"\s*(\u00b0?\s*C|m|s|deg)$", "", meta.get(key, "")))
+            value = parse_number(re.sub(r"(\u00b0? ?C|m|s|deg)$", "", meta.get(key, "")))
         except ValueError:
             value = None
         if value is None:

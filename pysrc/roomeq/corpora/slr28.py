@@ -12,6 +12,7 @@ from pathlib import Path
 
 from roomeq.corpora.folder import noises_of
 from roomeq.corpora.record import Corpus, Recording, audio_files, is_uncommon_name, rir_row
+from roomeq.files import read_text
 from roomeq.rows import make_id
 
 REAL, POINT = "real_rirs_isotropic_noises", "pointsource_noises"
@@ -78,7 +79,7 @@ def _listed(real: Path, list_name: str, word: str) -> list[tuple[Path, dict]]:
         is_noise = [(file, "_noise_" in file.stem) for file in audio_files(real)]
         return [(file, {}) for file, noise in is_noise if noise == (word == "noise")]
     listed = []
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
         try:
             cells = shlex.split(line)
         except ValueError as error:

@@ -5,13 +5,16 @@ Read are the data types FIR and FIR-E: `SingleRoomSRIR`, `SingleRoomMIMOSRIR`, `
 corner; without corners their origin says nothing about the walls, so that only the distance is kept.
 """
 
+import math
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
+from roomeq.audio import MAX_RATE_HZ
 from roomeq.corpora.record import Corpus, Recording, is_binaural_name, rir_row
+from roomeq.limits import AUDIO_HOURS, max_audio_samples
 from roomeq.rows import make_id
 
 _FREE_FIELD = ("HRIR", "HRTF", "Directivity", "Headphone")
@@ -34,6 +37,8 @@ def list_sofa(source: Path) -> Corpus:
     files = [source] if source.is_file() else sorted(path for path in source.rglob("*") if path.suffix == ".sofa")
     if not files:
         raise ValueError(f"{source}: no .sofa files below it: check the path")
+    if any(path.suffix != ".sofa" for path in files):
+        raise ValueError(f"{source}: a SOFA file's name must end in .sofa: rename it, or choose another kind")
     root = source.parent if source.is_file() else source
     return Corpus(name=source.stem if source.is_file() else source.name, kind="sofa", rirs=[
         Recording(path, make_id("-".join(path.relative_to(root).with_suffix("").parts)),
@@ -46,10 +51,20 @@ def sofa_signals(recording: Recording) -> Iterator[tuple[dict, np.ndarray, int]]
     Raises
     ------
     ValueError
-        The file is no SOFA file, holds no room's impulse responses, or its arrays do not fit each other.
+        The file is no SOFA file, too large, holds no room's impulse responses, or its arrays do not fit each other.
     """
     path = recording.path
     sofa = _open(path)
+    try:
+        yield from _signals(sofa, recording)
+    except (ValueError, TypeError, IndexError) as error:  # arrays of texts, of other shapes, empty ones
+        text = str(error)
+        raise ValueError(text if text.startswith(str(path)) else f"{path}: arrays do not fit each other ({text}): "
+                         "export it again") from None
+
+
+def _signals(sofa, recording: Recording) -> Iterator[tuple[dict, np.ndarray, int]]:
+    path = recording.path
     irs = _array(sofa, "Data_IR")
     if irs is None or irs.ndim not in (3, 4):
         raise ValueError(f"{path}: Data.IR must have the dimensions M x R x N (x E): export it as FIR")
@@ -60,8 +75,9 @@ def sofa_signals(recording: Recording) -> Iterator[tuple[dict, np.ndarray, int]]
     binaural = _is_binaural(sofa, n_receivers)
     for m in range(n_measurements):
         rate_hz = float(rates_hz[min(m, len(rates_hz) - 1)])
-        if rate_hz <= 0 or rate_hz != round(rate_hz):
-            raise ValueError(f"{path}: Data.SamplingRate={rate_hz:g} must be a positive whole number of hertz")
+        if not 0 < rate_hz <= MAX_RATE_HZ or rate_hz != round(rate_hz):
+            raise ValueError(f"{path}: Data.SamplingRate={rate_hz:g} must be a whole number of hertz, at most "
+                             f"{MAX_RATE_HZ}: export it again")
         for r in range(n_receivers):
             for e in range(n_emitters):
                 suffix = "".join((f"_m{m:0{len(str(n_measurements - 1))}d}" * (n_measurements > 1),
@@ -77,10 +93,11 @@ def _open(path: Path):
     import sofar
 
     try:
+        _check_size(path)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of preliminary conventions: what matters here is checked here
             sofa = sofar.read_sofa(str(path), verify=False, verbose=False)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except Exception as error:  # netCDF and sofar let anything through that broken bytes can raise
         raise ValueError(f"{path}: cannot be read as SOFA ({' '.join(str(error).split())[:120]}): export it "
                          "again") from None
     convention, data_type = sofa.GLOBAL_SOFAConventions, sofa.GLOBAL_DataType
@@ -89,6 +106,16 @@ def _open(path: Path):
     if any(word in convention for word in _FREE_FIELD):
         raise ValueError(f"{path}: convention {convention} describes a free field, no room: leave the file out")
     return sofa
+
+
+def _check_size(path: Path) -> None:
+    """Refuse a file whose arrays are too large, before they are read: compressed ones tell nothing by their bytes."""
+    from netCDF4 import Dataset
+
+    with Dataset(str(path)) as file:
+        n_values = sum(math.prod(variable.shape) for variable in file.variables.values())
+    if n_values > max_audio_samples():
+        raise ValueError(f"{n_values} values must be at most {max_audio_samples()}, see roomeq --{AUDIO_HOURS.option}")
 
 
 def _array(sofa, name: str, default: np.ndarray | None = None) -> np.ndarray | None:
@@ -178,7 +205,7 @@ def _delay_samples(sofa, m: int, r: int, e: int, path: Path) -> int:
     delay = delay[..., np.newaxis] if delay.ndim == 2 else delay
     at = tuple(min(i, size - 1) for i, size in zip((m, r, e), delay.shape, strict=True))
     if not 0 <= delay[at] < 1e6:
-        raise ValueError(f"{path}: Data.Delay={delay[at]:g} samples must be 0 or positive: export it again")
+        raise ValueError(f"{path}: Data.Delay={delay[at]:g} samples must lie in [0, 1e6): export it again")
     return round(float(delay[at]))
 
 

@@ -19,6 +19,7 @@ from roomeq.corpora.table import MANIFEST
 from roomeq.corpora.transcripts import list_transcripts
 from roomeq.corpora.utterance import ROLES, Utterance, split_voices
 from roomeq.files import write_text
+from roomeq.words import words_problem
 
 logger = logging.getLogger(__name__)
 
@@ -71,10 +72,12 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
     builds = {role: Build(out / f"{role}.clean", step="prepare-speech", options=dict(
         options, role=role, listed=_listing(source, corpus[role])), inputs=[source] * is_generated(source), refers=True)
         for role in ROLES}
-    for role, build in builds.items():
-        if not build.done:
-            write = _write_kaldi if isinstance(corpus[role], dict) else _write_utterances
-            write(build, corpus[role], limit, nj)
+    plans = [(build, *(_plan_kaldi if isinstance(corpus[role], dict) else _plan_utterances)(
+        build, corpus[role], limit)) for role, build in builds.items() if not build.done]
+    for build, items, make, _ in plans:  # all are made before one is put in place
+        build.run(items, make, nj=nj)
+    for build, *_, assemble in plans:
+        build.finish(assemble)
     return [build.out for build in builds.values()]
 
 
@@ -111,14 +114,14 @@ def list_speech(source: Path, wanted: dict[str, tuple[str, ...]]) -> dict[str, l
     if manifest.is_file():
         sets = list_transcripts(manifest)
         if set(sets) == {""}:
-            return _split(sets[""])
+            return _split(sets[""], source)
         return {role: [utterance for name in names for utterance in sets[name]]
                 for role, names in _sets_of_roles(wanted, sets, manifest).items()}
     if paths := find_kaldi_dirs(source):
         return _list_kaldi(paths, wanted, source)
     if trees := find_sets(source):
         if list(trees.values()) == [source]:
-            return _split(list_librispeech([source]))
+            return _split(list_librispeech([source]), source)
         return {role: list_librispeech(trees[name] for name in names)
                 for role, names in _sets_of_roles(wanted, trees, source).items()}
     raise ValueError(f"{source}: no speech corpus: expected LibriSpeech (set/reader/chapter/*.trans.txt), "
@@ -144,16 +147,23 @@ def _sets_of_roles(wanted: dict[str, tuple[str, ...]], sets: dict, source: Path)
     return wanted
 
 
-def _split(utterances: list[Utterance]) -> dict[str, list[Utterance]]:
-    roles = split_voices(Counter(utterance.voice for utterance in utterances))
+def _split(utterances: list[Utterance], source: Path) -> dict[str, list[Utterance]]:
+    roles = _roles((utterance.voice for utterance in utterances), source)
     return {role: [utterance for utterance in utterances if roles[utterance.voice] == role] for role in ROLES}
+
+
+def _roles(voices: Iterable[str], source: Path) -> dict[str, str]:
+    try:
+        return split_voices(Counter(voices))
+    except ValueError as error:
+        raise ValueError(f"{source}: {error}") from None
 
 
 def _list_kaldi(paths: dict[str, Path], wanted: dict, source: Path) -> dict[str, dict]:
     if "" in paths:
         whole = read_kaldi_dir(paths[""])
         voices = whole.voices()
-        roles = split_voices(Counter(voices.values()))
+        roles = _roles(voices.values(), source)
         return {role: {whole.path: (whole, {utt for utt, voice in voices.items() if roles[voice] == role})}
                 for role in ROLES}
     of_role = {}
@@ -168,7 +178,8 @@ def _limited(ids: Iterable[str], limit: int | None) -> set[str]:
     return set(sorted(ids, key=lambda name: sha256(name.encode()).digest())[:limit])
 
 
-def _write_kaldi(build: Build, parts: dict[Path, tuple[KaldiDir, set[str]]], limit: int | None, nj: int) -> None:
+def _plan_kaldi(build: Build, parts: dict[Path, tuple[KaldiDir, set[str]]], limit: int | None) -> tuple:
+    """Return items, what makes one, and what assembles the directory (see `Build`): there are only lines to copy."""
     kept = _limited((utt for _, utterances in parts.values() for utt in utterances), limit)
     files: dict[str, dict[str, str]] = {}
     for part, utterances in parts.values():
@@ -180,11 +191,12 @@ def _write_kaldi(build: Build, parts: dict[Path, tuple[KaldiDir, set[str]]], lim
             target.update(lines)
     if any("segments" in part.files for part, _ in parts.values()) and len(parts) > 1:
         _complete_segments(files, parts)
+    _check_order(files["utt2spk"])
 
     def assemble(directory: Path, records: list) -> None:
         _write_dir(directory, {name: lines for name, lines in files.items() if _is_whole(name, lines, files)})
 
-    _finish(build, {}, None, assemble, nj)
+    return {}, None, assemble
 
 
 def _complete_segments(files: dict, parts: dict) -> None:
@@ -200,7 +212,8 @@ def _is_whole(name: str, lines: dict, files: dict) -> bool:
     return set(lines) >= of.get(name, set(files["utt2spk"]) if name not in ("wav.scp",) else set())
 
 
-def _write_utterances(build: Build, utterances: list[Utterance], limit: int | None, nj: int) -> None:
+def _plan_utterances(build: Build, utterances: list[Utterance], limit: int | None) -> tuple:
+    """Return items (utterances by speaker), what makes one, and what assembles the directory (see `Build`)."""
     _check(utterances, build.out)
     kept = _limited((utterance.id for utterance in utterances), limit)
     utterances = [utterance for utterance in utterances if utterance.id in kept]
@@ -230,12 +243,7 @@ def _write_utterances(build: Build, utterances: list[Utterance], limit: int | No
         logger.info("%s: %d utterances of %d speakers, %.2f h%s", build.out, len(utterances), len(genders), hours,
                     f", {converted} converted to {FS_HZ} Hz FLAC" if converted else "")
 
-    _finish(build, items, make, assemble, nj)
-
-
-def _finish(build: Build, items: dict, make, assemble, nj: int) -> None:
-    if build.run(items, make, nj=nj):
-        build.finish(assemble)
+    return items, make, assemble
 
 
 def _check(utterances: list[Utterance], out: Path) -> None:
@@ -246,7 +254,10 @@ def _check(utterances: list[Utterance], out: Path) -> None:
         if utterance.id in first:
             raise ValueError(f"{utterance.where}: utterance {utterance.id} stands in {first[utterance.id]} too: "
                              "ids must be unique: rename one")
+        if problem := words_problem(utterance.text):
+            raise ValueError(f"{utterance.where}: transcript of {utterance.id}: {problem}")
         first[utterance.id] = utterance.where
+    _check_order({utterance.id: utterance.speaker for utterance in utterances})
 
 
 def _audio(utterance: Utterance, build: Build) -> tuple[str, int]:
@@ -255,7 +266,7 @@ def _audio(utterance: Utterance, build: Build) -> tuple[str, int]:
         path = Path(os.path.realpath(utterance.path.parent)) / utterance.path.name
         info = audio_info(path)
         as_it_is = (info.format in _READABLE and info.subtype == "PCM_16" and info.samplerate == FS_HZ
-                    and info.channels == 1 and "\n" not in str(path) and "\r" not in str(path))
+                    and info.channels == 1 and _has_a_line(path))
         if as_it_is and (info.format == "FLAC" or _PLAIN_PATH.fullmatch(str(path))):
             read_audio(path, start=info.frames - 1, stop=info.frames)  # a cut FLAC shows only at its end
             return _flac_entry(path) if info.format == "FLAC" else str(path), info.frames
@@ -269,6 +280,14 @@ def _audio(utterance: Utterance, build: Build) -> tuple[str, int]:
         raise ValueError(f"{error} (named by {utterance.where})") from None
 
 
+def _has_a_line(path: Path) -> bool:
+    """Tell whether a line of text can hold a path: no line break, and UTF-8."""
+    try:
+        return not {"\n", "\r"} & set(str(path)) and bool(str(path).encode())
+    except UnicodeEncodeError:
+        return False
+
+
 def _flac_entry(path: Path) -> str:
     return f"flac -c -d -s {shlex.quote(str(path))} |"
 
@@ -279,22 +298,19 @@ def seconds(n_samples: int) -> str:
 
 
 def _write_dir(directory: Path, files: dict[str, dict[str, str]]) -> None:
-    """Write the files of a data directory, sorted by bytes, with `spk2utt`.
+    """Write the files of a data directory, sorted by bytes, with `spk2utt`."""
+    spk2utt: dict[str, list[str]] = {}
+    for utt in sorted(files["utt2spk"], key=str.encode):
+        spk2utt.setdefault(files["utt2spk"][utt], []).append(utt)
+    for name, lines in (files | {"spk2utt": {spk: " ".join(utts) for spk, utts in spk2utt.items()}}).items():
+        write_text(directory / name, "".join(f"{key} {lines[key]}\n" for key in sorted(lines, key=str.encode)))
 
-    Raises
-    ------
-    ValueError
-        Sorted by utterance and sorted by speaker are two orders: Kaldi would refuse the directory.
-    """
-    utt2spk = files["utt2spk"]
+
+def _check_order(utt2spk: dict[str, str]) -> None:
+    """Refuse utterances whose order is another than that of their speakers: Kaldi would refuse the directory."""
     by_utterance = sorted(utt2spk, key=str.encode)
     by_speaker = sorted(utt2spk, key=lambda utt: (utt2spk[utt].encode(), utt.encode()))
     if by_utterance != by_speaker:
         at = next(n for n, (a, b) in enumerate(zip(by_utterance, by_speaker, strict=True)) if a != b)
         raise ValueError(f"utterance {by_utterance[at]} of speaker {utt2spk[by_utterance[at]]} sorts apart from "
                          "its speaker: utterance ids must start with the speaker's id and '-': rename one of them")
-    spk2utt: dict[str, list[str]] = {}
-    for utt in by_utterance:
-        spk2utt.setdefault(utt2spk[utt], []).append(utt)
-    for name, lines in (files | {"spk2utt": {spk: " ".join(utts) for spk, utts in spk2utt.items()}}).items():
-        write_text(directory / name, "".join(f"{key} {lines[key]}\n" for key in sorted(lines, key=str.encode)))
