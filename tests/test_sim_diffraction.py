@@ -6,7 +6,7 @@ import pytest
 from bench.fidelity import halfplane
 from bench.fidelity.halfplane import at
 from roomeq.constants import FS_HZ
-from roomeq.sim.diffraction import Edges, diffract, diffract_at, find_edges
+from roomeq.sim.diffraction import Edges, Grid, deposit, diffract, find_edges
 from roomeq.sim.mesh import load_mesh, make_room
 from roomeq.sim.response import simulate_rir
 from roomeq.sim.scene import Air, Material, Scene, Shoebox
@@ -20,13 +20,19 @@ def wedge(open_deg, length_m=400.0):
     """An edge along z, its first face in the half-plane y = 0, x > 0, the air from there over y > 0."""
     x, y, z = np.eye(3)
     return Edges(np.array([-0.5 * length_m * z]), z[None], np.array([length_m]), x[None], y[None],
-                 np.radians([open_deg]), np.zeros((1, 2), dtype=int))
+                 np.radians([open_deg]), np.zeros((1, 2), dtype=int), np.array([[0, 1]]))
+
+
+def diffracted(edges, low_m, high_m, source, mic, visible=True):
+    """Diffraction at stretches of the one edge."""
+    grid = Grid.between(np.linalg.norm(source - mic), 1.1 * edges.length_m[0] + 20.0, 1, C, 10 ** 6)
+    deposit(grid, edges, np.zeros(len(low_m), dtype=int), low_m, high_m, source, mic, direct_visible=visible)
+    return grid.sampled()
 
 
 def wedge_spectrum(edges, source, mic, frequencies_hz, rows=slice(None), visible=True):
     """Diffraction at all of an edge, faces rigid, at some frequencies."""
-    found = diffract_at(edges, np.array([0]), np.zeros(1), edges.length_m, source, mic, n_slots=1, speed_m_s=C,
-                        n_samples=200000, direct_visible=visible)
+    found = diffracted(edges, np.zeros(1), edges.length_m, source, mic, visible)
     time_s = (found.first_sample + np.arange(found.signals.shape[1])) / FS_HZ
     return np.exp(-2j * np.pi * np.outer(frequencies_hz, time_s)) @ found.signals[rows].sum(axis=0)
 
@@ -83,10 +89,9 @@ def test_level_falls_with_distance_as_it_must():
 
 def test_splitting_an_edge_changes_nothing():
     edges, source, mic = wedge(270.0, 3.0), at(1.2, 40.0, -0.3), at(2.9, 250.0, 0.8)
-    how = dict(n_slots=1, speed_m_s=C, n_samples=4000, direct_visible=False)
-    whole = diffract_at(edges, np.array([0]), np.zeros(1), np.array([3.0]), source, mic, **how)
+    whole = diffracted(edges, np.zeros(1), np.array([3.0]), source, mic)
     cuts = np.array([0.0, 0.4, 1.5, 1.6, 3.0])
-    parts = diffract_at(edges, np.zeros(4, dtype=int), cuts[:-1], cuts[1:], source, mic, **how)
+    parts = diffracted(edges, cuts[:-1], cuts[1:], source, mic)
     spectrum = [np.abs(np.fft.rfft(one.signals.sum(axis=0), 4096))[:1536] for one in (whole, parts)]
     np.testing.assert_allclose(20.0 * np.log10(spectrum[1] / spectrum[0]), 0.0, atol=0.1)
 
@@ -195,3 +200,45 @@ def test_the_switch_reaches_the_response(room_with_box):
     extra = on.rir - off.rir
     assert np.abs(extra[:first - 60]).max() < 0.02 * np.abs(extra).max()
     assert np.abs(extra[first - 5:first + 60]).max() == np.abs(extra).max()
+
+
+SHADOW_HZ = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0])
+
+
+def shadow_spectrum(room, source, mic, until_sample=None):
+    """Diffraction in a room with rigid surfaces, faded out before a sample."""
+    found = diffract(room, source, mic, speed_m_s=C, n_samples=4000, direct_visible=False)
+    sample = found.first_sample + np.arange(found.signals.shape[1])
+    fade = np.ones(len(sample))
+    if until_sample is not None:
+        fade = np.sin(0.5 * np.pi * np.clip((until_sample - sample) / 150.0, 0.0, 1.0)) ** 2
+    return np.exp(-2j * np.pi * np.outer(SHADOW_HZ / FS_HZ, sample)) @ (found.signals.sum(axis=0) * fade)
+
+
+def test_behind_a_box_sound_comes_over_two_edges(room_with_box):
+    """No edge is seen from both sides. Into the plane of a face, and out of it, both orders make a continuous field."""
+    source, mic = np.array([1.0, 2.0, 1.0]), np.array([5.0, 2.1, 1.2])
+    edges = find_edges(room_with_box)
+    inside = [edges.coordinates(one)[1] <= edges.wedge_rad for one in (source, mic)]
+    assert not np.any(inside[0] & inside[1] & (edges.length_m > 1.4))  # of the upright edges, none
+    there = shadow_spectrum(room_with_box, source, mic)
+    assert np.all(np.abs(there) > 1e-3 / (4.0 * np.pi * 4.0))
+    np.testing.assert_allclose(np.abs(shadow_spectrum(room_with_box, mic, source)), np.abs(there), rtol=0.02)
+    for moved in ("source", "mic"):
+        levels = []
+        for y in (2.49, 2.51):
+            ends = dict(source=source, mic=mic) | {moved: np.array([1.0 if moved == "source" else 5.0, y, 1.0])}
+            levels.append(20.0 * np.log10(np.abs(shadow_spectrum(room_with_box, **ends))))
+        np.testing.assert_allclose(levels[0], levels[1], atol=2.5)
+
+
+def test_a_thin_screen_is_a_half_plane(tmp_path):
+    """First and second order at a screen of 1 cm, whose other edges are far: what they leave out is below 2 dB."""
+    path = tmp_path / "screen.obj"
+    path.write_text(prism_obj(box_plan(20.0, 20.0), 8.0) + lifted_box_obj((0.01, 9.5, 7.0), (9.995, 0.25, 0.5), 8))
+    source, mic = np.array([8.0, 8.75, 4.0]), np.array([12.5, 8.75, 4.0])  # the edge is x = 10, y = 9.75
+    way_m = np.hypot(2.0, 1.0) + np.hypot(2.5, 1.0)
+    found = shadow_spectrum(load_mesh(path), source, mic, until_sample=int(way_m / C * FS_HZ) + 170)
+    turned = [np.array([9.75 - one[1], one[0] - 10.0, one[2] - 4.0]) for one in (source, mic)]
+    exact = halfplane.exact(*turned, SHADOW_HZ, C)
+    np.testing.assert_allclose(20.0 * np.log10(np.abs(found / exact)), 0.0, atol=2.0)

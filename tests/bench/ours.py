@@ -10,7 +10,7 @@ from roomeq.acoustics.air import air_absorption_db_m
 from roomeq.acoustics.filterbank import octave_filterbank
 from roomeq.constants import FS_HZ
 from roomeq.rng import rng_for
-from roomeq.sim.diffraction import Edges, diffract, diffract_at, find_edges
+from roomeq.sim.diffraction import Edges, Grid, deposit, diffract, find_edges
 from roomeq.sim.early import specular_paths
 from roomeq.sim.gather import FRAME_S, gather
 from roomeq.sim.materials import draw_materials, draw_scattering, read_materials
@@ -140,9 +140,10 @@ def half_plane(source_pos_m, mic_pos_m, length_m, frequencies_hz):
     """Spectrum of the diffraction at the edge along z of a rigid half-plane y = 0, x > 0."""
     x, y, z = np.eye(3)
     edges = Edges(np.array([-0.5 * length_m * z]), z[None], np.array([length_m]), x[None], y[None],
-                  np.array([2.0 * np.pi]), np.zeros((1, 2), dtype=int))
-    found = diffract_at(edges, np.array([0]), np.zeros(1), edges.length_m, source_pos_m, mic_pos_m, n_slots=1,
-                        speed_m_s=half_plane_speed_m_s(), n_samples=10 ** 6, direct_visible=True)
+                  np.array([2.0 * np.pi]), np.zeros((1, 2), dtype=int), np.array([[0, 1]]))
+    grid = Grid.between(np.linalg.norm(source_pos_m - mic_pos_m), 1.1 * length_m, 1, half_plane_speed_m_s(), 10 ** 6)
+    deposit(grid, edges, np.array([0]), np.zeros(1), edges.length_m, source_pos_m, mic_pos_m, direct_visible=True)
+    found = grid.sampled()
     time_s = (found.first_sample + np.arange(found.signals.shape[1])) / FS_HZ
     return np.exp(-2j * np.pi * np.outer(frequencies_hz, time_s)) @ found.signals.sum(axis=0)
 

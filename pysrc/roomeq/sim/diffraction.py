@@ -1,4 +1,4 @@
-"""First-order diffraction at the edges of a mesh: source, edge, microphone.
+"""Diffraction at the edges of a mesh: source, edge, microphone; two edges of one face: `double_diffraction`.
 
 The line integral of Svensson, Fred and Vanderkooy (J. Acoust. Soc. Am. 106 (1999) 2331, eq. 8) over a rigid wedge
 of the open angle ``theta_w``, in the coordinate ``eta`` of Biot and Tolstoy instead of the place z along the edge
@@ -13,8 +13,7 @@ its exact share, at shadow boundaries too, where beta grows without bounds. Of t
 direct sound across its shadow boundary; the other two continue the reflection at either face and are weighted with
 the ``sqrt((1 - alpha) (1 - s))`` that the face reflects (as Luebbers, IEEE Trans. Antennas Propag. 32 (1984) 70).
 
-Left out: paths that diffract twice or diffract and reflect. Behind a screen with two edges on top only the
-receivers that see an edge in common with the source get a contribution.
+Left out: paths that diffract at edges of different faces or more than twice, and those that diffract and reflect.
 """
 
 import logging
@@ -23,9 +22,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.signal import upfirdn
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from roomeq.acoustics.filterbank import octave_filterbank
 from roomeq.constants import FS_HZ
+from roomeq.sim.double_diffraction import deposit_over_faces, over_faces
 from roomeq.sim.jit import compiled
 
 logger = logging.getLogger(__name__)
@@ -33,6 +35,7 @@ logger = logging.getLogger(__name__)
 MAX_EDGES = 2000
 MIN_EXCESS_RAD = np.radians(10.0)  # an edge that is blunter than this is a curved surface, cut into triangles
 PIECE_M = 0.05  # visibility is looked at once in so much of an edge
+MOST_PIECES, MOST_PIECES_TWICE = 1000, 20  # of an edge, for first and second order
 _OFF_EDGE_M = 1e-3
 _OVERSAMPLING = 16
 _BINS_PER_SAMPLE = 8
@@ -59,6 +62,8 @@ class Edges:
         Open angle, on the side of the air, in (pi, 2 pi].
     slots : ndarray of int, shape (n_edges, 2)
         Materials of the first face and the other.
+    faces : ndarray of int, shape (n_edges, 2)
+        Numbers of these faces: triangles that go on in one plane are one face.
     n_left_out : int
         Edges beyond `MAX_EDGES`, the shortest.
     """
@@ -70,6 +75,7 @@ class Edges:
     normal: np.ndarray
     wedge_rad: np.ndarray
     slots: np.ndarray
+    faces: np.ndarray
     n_left_out: int = 0
 
     def __len__(self):
@@ -168,15 +174,19 @@ def _find_edges(room):
     chosen = np.flatnonzero(wedge > np.pi + MIN_EXCESS_RAD)
     if not len(chosen):
         return None
+    plane = room._known["plane"]
+    flat = plane[face[first]] == plane[face[second]]
+    _, whole = connected_components(coo_array((np.ones(flat.sum()), (face[first][flat], face[second][flat])),
+                                              shape=(len(index), len(index))), directed=False)
     faces = np.stack([face[first], face[second]], axis=1)[chosen]
     return _merged(start[first[chosen]], end[first[chosen]], along[first[chosen]], across[chosen],
-                   normal[chosen], wedge[chosen], room.face_slot[faces], room._known["plane"][faces])
+                   normal[chosen], wedge[chosen], room.face_slot[faces], whole[faces])
 
 
-def _merged(start, end, along, across, normal, wedge, slots, planes):
-    """Join edges that go on in one line between the same planes."""
-    swap = planes[:, 0] > planes[:, 1]
-    key = np.where(swap[:, None], np.hstack([planes[:, ::-1], slots[:, ::-1]]), np.hstack([planes, slots]))
+def _merged(start, end, along, across, normal, wedge, slots, faces):
+    """Join edges that go on in one line between the same faces."""
+    swap = faces[:, 0] > faces[:, 1]
+    key = np.where(swap[:, None], np.hstack([faces[:, ::-1], slots[:, ::-1]]), np.hstack([faces, slots]))
     _, group = np.unique(key, axis=0, return_inverse=True)
     kept = []
     for n in range(group.max() + 1):
@@ -199,38 +209,39 @@ def _merged(start, end, along, across, normal, wedge, slots, planes):
     lead = np.array([one[0] for one in kept[:MAX_EDGES]])
     low, high = np.array([one[1:] for one in kept[:MAX_EDGES]]).T
     return Edges(start[lead] + low[:, None] * along[lead], along[lead], high - low, across[lead], normal[lead],
-                 wedge[lead], slots[lead], max(0, len(kept) - MAX_EDGES))
+                 wedge[lead], slots[lead], faces[lead], max(0, len(kept) - MAX_EDGES))
 
 
 def _unit(vectors):
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def _pieces(room, edges):
-    """Short pieces of all edges: (edge, from [m], to [m], a point just off its middle)."""
-    if "edge_pieces" not in room._known:
-        count = np.maximum(1, np.ceil(edges.length_m / PIECE_M).astype(int))
+def _pieces(room, edges, most):
+    """Short pieces of all edges, at most some of each: (edge, from [m], to [m], a point just off its middle)."""
+    known = room._known.setdefault("edge_pieces", {})
+    if most not in known:
+        count = np.clip(np.ceil(edges.length_m / PIECE_M).astype(int), 1, most)
         edge = np.repeat(np.arange(len(edges)), count)
         step = (edges.length_m / count)[edge]
         number = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
         half = 0.5 * edges.wedge_rad[:, None]
         outward = np.cos(half) * edges.across + np.sin(half) * edges.normal
         middle = edges.start_m[edge] + ((number + 0.5) * step)[:, None] * edges.along[edge]
-        room._known["edge_pieces"] = edge, number * step, (number + 1) * step, middle + _OFF_EDGE_M * outward[edge]
-    return room._known["edge_pieces"]
+        known[most] = edge, number * step, (number + 1) * step, middle + _OFF_EDGE_M * outward[edge]
+    return known[most]
 
 
-def _seen(room, edges, point_m):
+def _seen(room, edges, most, point_m):
     """Which pieces are seen from a point, bool array; remembered."""
     known = room._known.setdefault("edges_seen", {})
-    key = tuple(float(value) for value in point_m)
+    key = (most, *(float(value) for value in point_m))
     if key not in known:
-        known[key] = room.sees(_pieces(room, edges)[3], np.asarray(key))
+        known[key] = room.sees(_pieces(room, edges, most)[3], np.asarray(key[1:]))
     return known[key]
 
 
 def diffract(room, source_pos_m, mic_pos_m, *, speed_m_s, n_samples, direct_visible):
-    """Find what reaches a microphone by way of one edge.
+    """Find what reaches a microphone by way of one edge, or of two of one face.
 
     Parameters
     ----------
@@ -245,60 +256,78 @@ def diffract(room, source_pos_m, mic_pos_m, *, speed_m_s, n_samples, direct_visi
     Returns
     -------
     Diffracted or None
-        None where no edge is seen from both.
+        None where there is no such way.
     """
     edges = find_edges(room)
     if edges is None:
         return None
-    both = np.flatnonzero(_seen(room, edges, source_pos_m) & _seen(room, edges, mic_pos_m))
-    if not len(both):
+    coarse, (edge, low, high, _) = (_pieces(room, edges, most) for most in (MOST_PIECES_TWICE, MOST_PIECES))
+    ways = over_faces(room, edges, coarse, *(_seen(room, edges, MOST_PIECES_TWICE, one)
+                                             for one in (source_pos_m, mic_pos_m)))
+    both = np.flatnonzero(_seen(room, edges, MOST_PIECES, source_pos_m) & _seen(room, edges, MOST_PIECES, mic_pos_m))
+    if not len(both) and not len(ways):
         return None
-    edge, low, high, _ = _pieces(room, edges)
-    opens = np.append(True, (np.diff(both) > 1) | (np.diff(edge[both]) > 0))
-    closes = np.append(opens[1:], True)
-    return diffract_at(edges, edge[both[opens]], low[both[opens]], high[both[closes]], source_pos_m, mic_pos_m,
-                       n_slots=len(room.slots), speed_m_s=speed_m_s, n_samples=n_samples,
-                       direct_visible=direct_visible)
+    opens = np.append(True, (np.diff(both) > 1) | (np.diff(edge[both]) > 0))[:len(both)]
+    closes = np.append(opens[1:], True)[:len(both)]
+    size_m = np.linalg.norm(np.subtract(*room.bounds_m))
+    distance_m = np.linalg.norm(np.subtract(source_pos_m, mic_pos_m))
+    grid = Grid.between(distance_m, 3.0 * size_m, len(room.slots), speed_m_s, n_samples)
+    deposit(grid, edges, edge[both[opens]], low[both[opens]], high[both[closes]], source_pos_m, mic_pos_m,
+            direct_visible=direct_visible)
+    deposit_over_faces(grid.fine, grid.first_sample, ways, edges, coarse, source_pos_m, mic_pos_m,
+                       speed_m_s=speed_m_s, oversampling=_OVERSAMPLING)
+    return grid.sampled()
 
 
-def diffract_at(edges, edge, low_m, high_m, source_pos_m, mic_pos_m, *, n_slots, speed_m_s, n_samples,
-                direct_visible):
-    """Diffract at given stretches of edges; parameters are those of `diffract`, and
+@dataclass(frozen=True)
+class Grid:
+    """A fine grid of time that contributions are gathered on."""
 
+    fine: np.ndarray
+    first_sample: int
+    speed_m_s: float
+
+    @classmethod
+    def between(cls, distance_m, longest_m, n_slots, speed_m_s, n_samples):
+        """A grid for ways of `distance_m` to `longest_m`, of which `n_samples` samples are wanted."""
+        first = int(np.floor(distance_m / speed_m_s * FS_HZ)) - 1
+        last = min(int(np.ceil(longest_m / speed_m_s * FS_HZ)) + 1, n_samples)
+        return cls(np.zeros((1 + n_slots, max(0, last - first) * _OVERSAMPLING + 1)), first, speed_m_s)
+
+    def sampled(self):
+        """Sample what was gathered, as far as there is something."""
+        used = np.flatnonzero(self.fine.any(axis=0))
+        if not len(used):
+            return None
+        signals = upfirdn(_lowpass(), self.fine[:, :used[-1] + 1], down=_OVERSAMPLING, axis=1)
+        return Diffracted(self.first_sample - _SINC_HALF, signals)
+
+
+def deposit(grid, edges, edge, low_m, high_m, source_pos_m, mic_pos_m, *, direct_visible):
+    """Add the first-order diffraction at given stretches of edges to a grid.
+
+    Parameters
+    ----------
+    grid : Grid
     edges : Edges
     edge : ndarray of int, shape (n_stretches,)
     low_m, high_m : ndarray, shape (n_stretches,)
         From where to where along its edge each stretch goes.
-    n_slots : int
+    source_pos_m, mic_pos_m : array_like, shape (3,)
+    direct_visible : bool
     """
     source, mic = edges.coordinates(source_pos_m)[:, edge], edges.coordinates(mic_pos_m)[:, edge]
     wedge = edges.wedge_rad[edge]
-    in_air = (source[1] <= wedge) & (mic[1] <= wedge) & (source[0] > 1e-6) & (mic[0] > 1e-6)
-    bounds = np.stack([_eta(low_m, source, mic), _eta(high_m, source, mic)])[:, in_air]
-    if not bounds.size:
-        return None
-    source, mic, wedge, slots = source[:, in_air], mic[:, in_air], wedge[in_air], edges.slots[edge[in_air]]
-    nearest = np.where(bounds[0] * bounds[1] <= 0.0, 0.0, np.abs(bounds).min(axis=0))
-    to_samples = FS_HZ / speed_m_s
-    first = int(np.floor(_length(nearest, source, mic).min() * to_samples)) - 1
-    last = min(int(np.ceil(_length(np.abs(bounds).max(axis=0), source, mic).max() * to_samples)) + 1, n_samples)
-    if last <= first:
-        return None
-    fine = np.zeros((1 + n_slots, (last - first) * _OVERSAMPLING + 1))
-    _deposit(fine, float(first), bounds, source, mic, wedge, slots, to_samples, direct_visible)
-    signals = upfirdn(_lowpass(), fine, down=_OVERSAMPLING, axis=1)
-    return Diffracted(first - _SINC_HALF, signals)
+    on = (source[1] <= wedge) & (mic[1] <= wedge) & (source[0] > 1e-6) & (mic[0] > 1e-6)
+    source, mic = source[:, on], mic[:, on]
+    bounds = np.stack([_eta(low_m[on], source, mic), _eta(high_m[on], source, mic)])
+    _deposit(grid.fine, float(grid.first_sample), bounds, source, mic, wedge[on], edges.slots[edge[on]],
+             FS_HZ / grid.speed_m_s, direct_visible)
 
 
 def _eta(z, source, mic):
     """Biot and Tolstoy's coordinate of places on edges, signed, 0 at the shortest way."""
     return np.arcsinh((z - source[2]) / source[0]) + np.arcsinh((z - mic[2]) / mic[0])
-
-
-def _length(eta, source, mic):
-    """Length of the way over a place on an edge [m]."""
-    return np.sqrt((source[0] - mic[0]) ** 2 + (source[2] - mic[2]) ** 2
-                   + 4.0 * source[0] * mic[0] * np.cosh(0.5 * eta) ** 2)
 
 
 def _lowpass():

@@ -316,9 +316,10 @@ def _job(traced, mics_m, rngs, length_s, ism_order, diffraction):
     room, air = traced.scene.room, traced.scene.air
     images = [specular_paths(room, traced.source_pos_m, mic_m, ism_order) for mic_m in mics_m]
     n_samples = int(np.ceil(length_s * FS_HZ)) + 1
-    diffracted = [diffract(room, traced.source_pos_m, mic_m, speed_m_s=air.speed_m_s, n_samples=n_samples,
-                           direct_visible=found.has_direct) if diffraction else None
-                  for mic_m, found in zip(mics_m, images, strict=True)]
+    diffracted = on_threads(
+        lambda mic_m, found: diffract(room, traced.source_pos_m, mic_m, speed_m_s=air.speed_m_s, n_samples=n_samples,
+                                      direct_visible=found.has_direct) if diffraction else None,
+        list(zip(mics_m, images, strict=True)))
     noises = [tail_noise(n_samples, room.volume_m3, air.speed_m_s, rng) for rng in rngs]
     visible = [visibility(paths, room, mics_m, n_frames=_n_frames(length_s), speed_m_s=air.speed_m_s)
                for paths in traced.paths]

@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""How right the simulator is: eighteen rooms against a reference, levels, paths, diffraction, air, balance, tail, targets.
+"""How right the simulator is: 18 rooms against a reference, levels, paths, diffraction, air, balance, tail, targets.
 
 Prints a table per section, with pyroomacoustics beside ours where it is installed, and writes fidelity.json and
 fidelity.png.
