@@ -24,11 +24,17 @@ COLUMNS = ("case", "what", "stage hit", "then", "restarted", "ok")
 class Bench:
     """Cases with a result file each, so that a stopped bench goes on."""
 
-    def __init__(self, out, seed, nj):
-        self.out, self.seed, self.nj = out, seed, nj
+    def __init__(self, out, seed, nj, corpora, stop_stage):
+        self.out, self.seed, self.nj, self.corpora = out, seed, nj, corpora
+        self.stages = [stage for stage in STAGES if stage <= stop_stage]
         subprocess.run(["local/install.sh"], cwd=PROJECT, check=True)  # the copy shares what is installed
         self.tree = freeze(PROJECT, out / "tree")
         self.durations_s, self.size = {}, 0
+
+    def run(self, where, *more):
+        """Start a run."""
+        return Run(self.tree, where, self.corpora or where / "corpora", self.nj, "--stop-stage",
+                   str(self.stages[-1]), *more)
 
     def case(self, name, make):
         """Do a case unless it is done; its directory goes, unless it failed."""
@@ -49,9 +55,11 @@ class Bench:
         """Make (once) the run that all others are compared with."""
         path = self.out / "undisturbed.json"
         if not path.is_file():
-            where = self.out / "undisturbed"
+            where = self.out / "work" / "undisturbed"  # as deep as the others: paths are relative
+            if self.corpora:
+                self.run(where, "--stop-stage", "0").wait()
             shutil.rmtree(where, ignore_errors=True)
-            run = Run(self.tree, where, self.nj)
+            run = self.run(where)
             if run.wait():
                 sys.exit("the undisturbed run failed:\n" + "\n".join(run.lines[-20:]))
             write_json(path, dict(durations_s=run.durations_s(), hashes=hashes(where),
@@ -66,7 +74,7 @@ class Bench:
 
     def restarted(self, where):
         """Run to the end; return how that went, and whether the bytes are right."""
-        run = Run(self.tree, where, self.nj)
+        run = self.run(where)
         status = run.wait()
         if status:
             write_text(where / "output", "\n".join(run.lines))
@@ -87,7 +95,7 @@ class Bench:
         def make(where, rng):
             hit, said, alive = [], [], []
             for stage in stages:
-                run = Run(self.tree, where, self.nj)
+                run = self.run(where)
                 after_s = self.moment(rng, stage)
                 if run.wait_for(stage, after_s):
                     run.kill()
@@ -104,12 +112,12 @@ class Bench:
     def pair(self, number, with_kill):
         """Start two copies in one directory at nearly the same time; kill one of them or none."""
         def make(where, rng):
-            first = Run(self.tree, where, self.nj)
+            first = self.run(where)
             time.sleep(rng.uniform(0, 2))
-            second = Run(self.tree, where, self.nj)
+            second = self.run(where)
             hit = "-"
             if with_kill:
-                stage = rng.choice(STAGES)
+                stage = rng.choice(self.stages)
                 after_s = 2 * self.moment(rng, stage)
                 if first.wait_for(stage, after_s):
                     hit = f"{first.stage} +{after_s:.1f} s"
@@ -131,7 +139,7 @@ class Bench:
         def make(where, rng):
             mount(where, f"size={int(share * self.size_kib)}k")
             try:
-                run = Run(self.tree, where, self.nj)
+                run = self.run(where)
                 status = run.wait()
                 said = run.lines[-1] if run.lines else "nothing"
                 mount(where, "remount,size=4g")
@@ -146,12 +154,12 @@ class Bench:
     def read_only(self, number):
         """Stop after a stage, forbid writing, start again; then allow writing."""
         def make(where, rng):
-            stop = rng.choice(STAGES[:-1])
+            stop = rng.choice(self.stages[:-1])
             mount(where, "size=4g")
             try:
-                Run(self.tree, where, self.nj, "--stop-stage", str(stop)).wait()
+                self.run(where, "--stop-stage", str(stop)).wait()
                 mount(where, "remount,ro")
-                run = Run(self.tree, where, self.nj)
+                run = self.run(where)
                 status = run.wait()
                 said = run.lines[-1]
                 mount(where, "remount,rw")
@@ -184,26 +192,28 @@ def table(out):
     return "\n".join(lines) + "\n"
 
 
-def main():
+def main(argv=None):
+    """Do all cases; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=30)
     parser.add_argument("--kills-per-run", type=int, default=5)
-    parser.add_argument("--pairs", type=int, default=3, help="with, and as many without a kill")
+    parser.add_argument("--pairs", type=int, default=6, help="two at once; in every second case one is killed")
     parser.add_argument("--disks", type=int, default=6, help="full disks; half as many read-only ones")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--nj", type=int, default=2)
     parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args()
-    bench = Bench(args.out.resolve(), args.seed, args.nj)
+    parser.add_argument("--corpora", type=Path, help="where stand-ins are, or go; else every case makes its own")
+    parser.add_argument("--stop-stage", type=int, default=STAGES[-1])
+    args = parser.parse_args(argv)
+    bench = Bench(args.out.resolve(), args.seed, args.nj, args.corpora, args.stop_stage)
     atexit.register(Run.kill_all)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     bench.undisturbed()
     for first in range(0, args.kills, args.kills_per_run):
         numbers = range(first, min(first + args.kills_per_run, args.kills))
         # every stage in turn; within a run in order, since what is done is not done again
-        stages = sorted(STAGES[number % len(STAGES)] for number in numbers)
+        stages = sorted(bench.stages[number % len(bench.stages)] for number in numbers)
         bench.kills([n + 1 for n in numbers], stages)
-    for number in range(1, 2 * args.pairs + 1):
+    for number in range(1, args.pairs + 1):
         bench.pair(number, with_kill=number % 2 == 0)
     disks = args.disks if os.geteuid() == 0 else print("full and read-only disks need root: left out") or 0
     for number in range(disks):
@@ -217,4 +227,5 @@ def main():
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     sys.exit(main())

@@ -40,7 +40,9 @@ class Run:
     tree : Path
         Directory of `run.sh`.
     where : Path
-        Everything is written below it.
+        Everything but stand-in corpora is written below it.
+    corpora : Path
+        Where these are, or go.
     nj : int
     more : str
         Further options of `run.sh`.
@@ -48,12 +50,12 @@ class Run:
 
     _running: set["Run"] = set()
 
-    def __init__(self, tree: Path, where: Path, nj: int, *more: str):
+    def __init__(self, tree: Path, where: Path, corpora: Path, nj: int, *more: str):
         where.mkdir(parents=True, exist_ok=True)
         self.lines: list[str] = []
         self.began_s: dict[int, float] = {}
         self._changed = threading.Condition()
-        self._process = start(tree, where, where / "corpora", nj, *more)
+        self._process = start(tree, where, corpora, nj, *more)
         self._running.add(self)
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
