@@ -81,11 +81,15 @@ def write_rirs(directory: Path, rows: list[dict], final_directory: Path | None =
             raise ValueError(f"{directory / ROWS_FILE}: {problem}")
     write_jsonl(directory / ROWS_FILE, rows)
     base = Path(final_directory or directory)
-    # wav-reverberate reads 16-bit PCM only, and normalises the output: sox brings any RIR to full scale
     write_text(directory / "rir_list", "".join(
-        f"--rir-id {row['id']} --room-id {row['room_id']} "
-        f"sox -D {shlex.quote(str(base / row['wav']))} -b 16 -e signed-integer -t wav - gain -n -1 |\n"
+        f"--rir-id {row['id']} --room-id {row['room_id']} {shlex.quote(_as_16_bit(base / row['wav']))}\n"
         for row in rows if not row.get("noise_for")))
+
+
+def _as_16_bit(path: Path) -> str:
+    """Return the pipe through which Kaldi reads an RIR: `wav-reverberate` takes 16-bit PCM only, and its output does
+    not depend on the RIR's level, so sox brings it to full scale."""
+    return f"sox -D {shlex.quote(os.path.normpath(path))} -b 16 -e signed-integer -t wav - gain -n -1 |"
 
 
 def rir_path(directory: Path, row: dict) -> Path:
