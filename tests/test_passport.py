@@ -5,9 +5,10 @@ import pytest
 from scipy.signal import firwin
 
 from rirmaker import DIRECT, coloured_rir, row, write_rir_dir
+from roomeq.acoustics.passport import measure
 from roomeq.audio import read_audio
 from roomeq.files import read_json, read_jsonl
-from roomeq.passport import characterise, geometry_ok, measure
+from roomeq.passport import characterise, geometry_ok
 from roomeq.rirs import read_noises, read_rirs, rir_path, validate_rirs
 
 PLACES = dict(source_pos_m=[1.0, 1.0, 1.0], mic_pos_m=[4.0, 3.0, 1.5])

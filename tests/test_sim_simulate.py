@@ -13,6 +13,7 @@ from roomeq.acoustics.metrics import reverberation_time
 from roomeq.constants import FS_HZ
 from roomeq.files import write_jsonl
 from roomeq.rirs import load_rir, read_rirs, validate_rirs
+from roomeq.rng import rng_for
 from roomeq.sim.materials import read_materials
 from roomeq.sim.simulate import simulate
 
@@ -162,3 +163,21 @@ def test_mesh_rows_are_simulated_with_materials_by_name(tmp_path):
     assert rows["m1"]["direct_visible"] is False
     assert rows["m1"]["t30_s"] == pytest.approx(rows["m1"]["target_t60_s"], rel=0.05)
     assert json.loads((tmp_path / "sim" / "rirs.jsonl").read_text().splitlines()[0])["leaked_share"] == 0.0
+
+
+def test_a_target_out_of_reach_is_drawn_again_and_that_is_said(tmp_path, caplog):
+    caplog.set_level("INFO")
+    far = measured_row("far", room_dims_m=[28.0, 11.0, 3.3], source_pos_m=[1.0, 1.0, 1.5], mic_pos_m=[27.0, 10.0, 1.5])
+    (tmp_path / "in").mkdir()
+    write_jsonl(tmp_path / "in" / "rirs.jsonl", [far])
+    range_s = (0.06, 1.0)
+    short = next(seed for seed in range(1000) if rng_for(seed, "t60", "far").uniform(*range_s) < 0.08)
+    row = run(tmp_path / "in", tmp_path / "out", t60_range_s=range_s, seed=short)["far"]
+    assert "target_t60_s again" in row["drawn"] and "drawing another target" in caplog.text
+    assert row["t30_s"] == pytest.approx(row["target_t60_s"], rel=0.05)
+
+
+def test_rows_carry_passports_and_only_main_rirs_a_target(measured, tmp_path):
+    for row in run(measured, tmp_path / "out").values():
+        assert row["passport"]["direct_sample"] == pytest.approx(row["direct_sample"], abs=1e-3)
+        assert (row["target_t60_s"] is None) == bool(row["noise_for"])

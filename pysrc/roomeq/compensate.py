@@ -12,13 +12,13 @@ import numpy as np
 from scipy.signal import fftconvolve, firwin2
 
 from roomeq.acoustics.direct import find_direct
+from roomeq.acoustics.passport import measure
 from roomeq.acoustics.spectrum import analyse
 from roomeq.audio import write_wav
 from roomeq.build import Build
 from roomeq.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 from roomeq.files import write_json
 from roomeq.mixture import FREE, draw_target, read_gmm, with_reference
-from roomeq.passport import measure
 from roomeq.rirs import load_rir, read_noises, read_rirs, relocated, rir_path, write_noises, write_rirs
 
 logger = logging.getLogger(__name__)
@@ -191,7 +191,8 @@ def _compensate_group(sim_dir, rows, target_db, work, taps, passes):
         except ValueError as error:
             raise ValueError(f"{rir_path(sim_dir, row)}: {error}") from None
         row = row | dict(wav=f"wav/{row['id']}.wav", model=[*(row.get("model") or []), "room_eq"],
-                         direct_sample=sample, direct_polarity=polarity, passport=passport)
+                         direct_sample=sample, direct_polarity=polarity, passport=passport,
+                         t30_s=passport["t30_s"][BAND_1KHZ])
         if achieved_db is not None:
             row.update(eq_target_db=_rounded(target_db), eq_achieved_db=_rounded(achieved_db),
                        eq_error_db=_rounded(achieved_db - target_db), eq_gain_db=_rounded(gain_db))

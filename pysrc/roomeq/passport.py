@@ -7,15 +7,14 @@ something else than the room (a dummy head, a hand clap, noise): it stays, and t
 
 import hashlib
 import logging
-import math
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
-from roomeq.acoustics.direct import find_direct
-from roomeq.acoustics.metrics import DECAYS_DB, MARGIN_DB, all_metrics
-from roomeq.acoustics.spectrum import MIN_SNR_DB, analyse
+from roomeq.acoustics.metrics import DECAYS_DB, MARGIN_DB
+from roomeq.acoustics.passport import measure
+from roomeq.acoustics.spectrum import MIN_SNR_DB
 from roomeq.build import Build
 from roomeq.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 from roomeq.files import write_json
@@ -83,41 +82,6 @@ def characterise(rir_dir, out, *, skip_bad=False, part=None, nj=1):
     if build.run({row["id"]: row for row in rows}, one, part=part, nj=nj) and build.finish(assemble):
         _log(summary)
     return summary or None
-
-
-def measure(rir, *, direct=None):
-    """Make the passport of one RIR at 16 kHz.
-
-    Parameters
-    ----------
-    rir : ndarray, shape (n_samples,)
-    direct : tuple of (float, int), optional
-        Sample and polarity of the direct sound where they are known (simulated RIRs); else they are found.
-
-    Returns
-    -------
-    dict
-        JSON-able. `roomeq.acoustics.metrics.all_metrics` plus `eq_db` (8 points, relative to 1 kHz),
-        `eq_valid`, `eq_snr_db` (null: no noise seen) and `eq_edge_db` (level below an anti-alias roll-off that
-        takes the 8 kHz point, or null).
-
-    Raises
-    ------
-    ValueError
-        There is no direct sound, or fewer than 512 samples follow it.
-    """
-    sample, polarity = find_direct(rir, FS_HZ) if direct is None else direct
-    eq = analyse(rir, sample)
-    passport = all_metrics(rir, FS_HZ, sample, polarity)
-    passport.update(eq_db=eq.eq_db.tolist(), eq_valid=eq.valid.tolist(), eq_edge_db=eq.edge_db,
-                    eq_snr_db=[value if math.isfinite(value) else None for value in eq.snr_db.tolist()])
-    return {key: _rounded(value) for key, value in passport.items()}
-
-
-def _rounded(value):
-    if isinstance(value, list):
-        return [_rounded(item) for item in value]
-    return round(value, _DECIMALS) if isinstance(value, float) else value
 
 
 def _characterise_one(rir_dir, row, skip_bad):

@@ -18,7 +18,15 @@ from roomeq.sim.gather import FRAME_S, gather, visibility
 from roomeq.sim.jit import on_threads
 from roomeq.sim.render import MAX_LENGTH_S, MIN_LENGTH_S, render, response_length_s, tail_noise
 from roomeq.sim.scene import Scene, check_positions, eyring_time_s, with_absorption
-from roomeq.sim.target import TOLERANCE, scaled_absorption, solve_exponent, t30_of_echogram, t30_s
+from roomeq.sim.target import (
+    STRAIGHT,
+    TOLERANCE,
+    decays_straight,
+    scaled_absorption,
+    solve_exponent,
+    t30_of_echogram,
+    t30_s,
+)
 from roomeq.sim.trace import Paths, dense_after_s, trace
 
 NUM_RAYS = 20000
@@ -194,7 +202,8 @@ def render_to_target(traced, mics_m, rngs, target_s, *, absorption=None, length_
     Raises
     ------
     ValueError
-        No scaling brings T30 within 5 % of the target: the room, its air or the direct sound don't allow it.
+        No scaling was found that brings T30 within 5 % of the target, with T20 about the same: the room, its air
+        or the direct sound don't allow it.
     """
     job = _job(traced, mics_m, rngs, length_s, ism_order, diffraction)
     base = traced.scene.absorption if absorption is None else absorption
@@ -217,10 +226,13 @@ def render_to_target(traced, mics_m, rngs, target_s, *, absorption=None, length_
     exponent, time_s = solve_exponent(measure, target_s, guess)
     if time_s is None or abs(time_s / target_s - 1.0) > TOLERANCE:
         found = "cannot be measured" if time_s is None else f"comes to {time_s:.3g} s"
-        raise ValueError(f"target_t60_s={target_s:.3g} is out of reach: T30 at 1 kHz {found} whatever these "
-                         "materials absorb: choose other materials or another target")
+        raise ValueError(f"target_t60_s={target_s:.3g} was not met: T30 at 1 kHz {found} with these materials, "
+                         "however scaled: choose other materials or another target")
     if exponent not in rendered:
         measure(exponent)
+    if not all(decays_straight(response.rir, response.direct_sample) for response in rendered[exponent]):
+        raise ValueError(f"target_t60_s={target_s:.3g} was met by a decay that is no straight line: T20 and T30 at "
+                         f"1 kHz differ by more than {STRAIGHT:.0%}: choose other materials or another target")
     return rendered[exponent]
 
 

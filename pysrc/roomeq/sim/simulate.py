@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from roomeq.acoustics.passport import measure
 from roomeq.audio import write_wav
 from roomeq.build import Build
 from roomeq.constants import FS_HZ
@@ -29,7 +30,8 @@ from roomeq.sim.scene import MIN_DISTANCE_M, Air, Material, Scene
 logger = logging.getLogger(__name__)
 
 ROWS_PER_ITEM = 16  # responses of one source that are made together: one trace, little lost when killed
-MATERIAL_DRAWS = 4
+MATERIAL_DRAWS = 4  # for one target
+TARGET_DRAWS = 8
 NOISE_CANDIDATES = 4
 _KEPT = ("room_id", "source_id", "mic_id", "source_dir", "mic_dir", "room_type", "corpus")
 
@@ -171,14 +173,16 @@ class _Traces:
         self.options, self.length_s = options, 0.0
         self._known = {}
 
-    def of(self, source_pos_m):
-        key = tuple(source_pos_m)
+    def of(self, source_pos_m, length_s):
+        """The trace of a source, followed at least so long."""
+        length_s = max(length_s, self.length_s)
+        key = (*source_pos_m, length_s)
         if key not in self._known:
             scene = Scene(self.room, [Material(slot, 0.0, tuple(row)) for slot, row in
                                       zip(self.room.slots, self.scattering, strict=True)], self.air)
-            rng = rng_for(self.options["seed"], "trace", repr((self.room_id, key)))
-            self._known[key] = trace_source(scene, key, num_rays=self.options["num_rays"],
-                                            max_length_s=self.length_s, rng=rng)
+            rng = rng_for(self.options["seed"], "trace", repr((self.room_id, tuple(source_pos_m))))
+            self._known[key] = trace_source(scene, source_pos_m, num_rays=self.options["num_rays"],
+                                            max_length_s=length_s, rng=rng)
         return self._known[key]
 
 
@@ -197,26 +201,30 @@ def _simulate_row(work, row, place, traces, table, given, rng, scene, target_s, 
     """Render one row and its noise RIRs; write them; return their rows."""
     seed, mic = options["seed"], place.mic_pos_m
     how = dict(length_s=length_s, ism_order=options["ism_order"], diffraction=options["diffraction"])
-    traced = traces.of(place.source_pos_m)
-    for draw in range(MATERIAL_DRAWS):
+    for draw in range(1, MATERIAL_DRAWS * TARGET_DRAWS + 1):
         try:
-            (response,) = _rendered(traced, mic, rng_for(seed, "tail", row["id"]), target_s,
-                                    absorption=scene.absorption, **how)
+            (response,) = _rendered(traces.of(place.source_pos_m, how["length_s"]), mic,
+                                    rng_for(seed, "tail", row["id"]), target_s, absorption=scene.absorption, **how)
             break
         except ValueError as error:
-            if draw == MATERIAL_DRAWS - 1:
+            if draw == MATERIAL_DRAWS * (1 if row.get("materials") else TARGET_DRAWS):
                 raise ValueError(f"RIR {row['id']}: {error}") from None
-            logger.info("%s: %s; drawing other materials", row["id"], error)
+            if draw % MATERIAL_DRAWS == 0:  # this room, at this distance, cannot sound like that
+                logger.info("%s: %s; drawing another target", row["id"], error)
+                target_s = float(rng.uniform(*options["t60_range_s"]))
             scene = draw_materials(table, place.room, traces.scattering, traces.air, target_s, rng, given)
+            how["length_s"] = needed_length_s(scene, target_s, options["order"])
+    if draw > MATERIAL_DRAWS:
+        place = replace(place, drawn=(*place.drawn, "target_t60_s again"))
     made = [_write(work, row, place, scene, response, target_s, seed)]
     for n, source in enumerate(_noise_sources(place, row, seed, options["noise_rirs"]), start=1):
         noise_id = f"{row['id']}-noise{n}"
-        (noise,) = render_responses(traces.of(source), [mic], [rng_for(seed, "tail", noise_id)],
+        (noise,) = render_responses(traces.of(source, how["length_s"]), [mic], [rng_for(seed, "tail", noise_id)],
                                     absorption=response.absorption, **how)
         source_id = f"noise-{source[0]}-{source[1]}-{source[2]}"
         noise_row = row | dict(id=noise_id, source_id=source_id, source_dir=None)
         noise_place = replace(place, source_pos_m=tuple(source))
-        made.append(_write(work, noise_row, noise_place, scene, noise, target_s, seed, noise_for=row["id"]))
+        made.append(_write(work, noise_row, noise_place, scene, noise, None, seed, noise_for=row["id"]))
     return made
 
 
@@ -254,6 +262,7 @@ def _write(work, row, place, scene, response, target_s, seed, noise_for=None):
         target_t60_s=target_s, t30_s=response.t30_s, leaked_share=response.leaked_share,
         direct_sample=response.direct_sample, direct_polarity=1, direct_visible=response.direct_visible,
         noise_for=noise_for, measured_id=noise_for or row["id"],
+        passport=measure(response.rir, direct=(response.direct_sample, 1)),
         materials={slot: dict(material=material.name, absorption=[round(float(a), 6) for a in absorption],
                               scattering=list(material.scattering))
                    for slot, material, absorption in slots})

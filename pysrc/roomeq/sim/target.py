@@ -7,6 +7,7 @@ from roomeq.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 from roomeq.sim.gather import FRAME_S
 
 TOLERANCE = 0.05
+STRAIGHT = 0.3  # how much T20 and T30 may differ
 _AIM = 0.01
 _MAX_RENDERINGS = 8
 _EXPONENT_RANGE = (1e-3, 1e3)
@@ -23,9 +24,24 @@ def scaled_absorption(absorption, exponent):
 def t30_s(rir, direct_sample):
     """T30 at 1 kHz of a noiseless response, or None where it does not decay by 35 dB."""
     try:
-        return reverberation_time(rir, FS_HZ, BANDS_HZ[BAND_1KHZ], "t30", direct_sample=direct_sample)
+        time_s = reverberation_time(rir, FS_HZ, BANDS_HZ[BAND_1KHZ], "t30", direct_sample=direct_sample)
     except ValueError:
         return None
+    return time_s if time_s > 0.0 else None
+
+
+def decays_straight(rir, direct_sample):
+    """Tell whether T20 and T30 at 1 kHz of a noiseless response are about the same.
+
+    Where the direct sound or a few reflections hold most of the energy, T30 jumps from one value to another as
+    absorption grows, and may meet a target that nobody would hear.
+    """
+    try:
+        t20_s, t30_s = (reverberation_time(rir, FS_HZ, BANDS_HZ[BAND_1KHZ], decay, direct_sample=direct_sample)
+                        for decay in ("t20", "t30"))
+    except ValueError:
+        return False
+    return abs(t20_s / t30_s - 1.0) < STRAIGHT
 
 
 def solve_exponent(measure, target_s, guess=1.0):
@@ -93,4 +109,4 @@ def t30_of_echogram(energy):
     if decay_db[-1] > -35.0 or len(chosen) < 3:
         return None
     slope_db = np.polyfit(chosen * FRAME_S, decay_db[chosen], 1)[0]
-    return float(-60.0 / slope_db)
+    return float(-60.0 / slope_db) if slope_db < 0.0 else None
