@@ -21,6 +21,15 @@ def test_a_set_is_at_no_distance_from_itself(vectors):
     assert found["energy_db"] == pytest.approx(0.0, abs=1e-6)
 
 
+def test_intervals_are_not_shifted_by_resampling():
+    few = np.random.default_rng(1).normal(0.0, 3.0, (24, 7))
+    rooms = [f"r{n % 6}" for n in range(24)]
+    found = eq_distance(few, few, rooms, rooms, np.random.default_rng(2), n_bootstrap=100)
+    assert found["wasserstein_db"] == 0.0 and found["interval_db"] == [0.0, 0.0]
+    found = eq_distance(few, few + 2.0, rooms, rooms, np.random.default_rng(2), n_bootstrap=200)
+    assert found["interval_db"][0] <= found["wasserstein_db"] <= found["interval_db"][1]
+
+
 def test_a_shift_is_the_distance(vectors):
     shift_db = np.array([7.0, 0.0, 0.0, 0.0, -3.5, 0.0, 0.0])
     found = eq_distance(vectors, vectors + shift_db, ["a"] * 200, ["a"] * 200, rng(), n_bootstrap=5)

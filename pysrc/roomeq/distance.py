@@ -26,8 +26,9 @@ def eq_distance(a_db, b_db, rooms_a, rooms_b, rng, *, n_bootstrap=N_BOOTSTRAP):
     dict
         `wasserstein_db`: mean over bands of the 1-Wasserstein distance; `bands_db` (7,); `energy_db`: square
         root of the energy distance ``2 E|X-Y| - E|X-X'| - E|Y-Y'|`` of the 7-vectors (Székely & Rizzo 2013),
-        without the vectors that are not complete; `interval_db`, `energy_interval_db`: 95 % percentile
-        intervals, whole rooms resampled where a set has at least two, else RIRs.
+        without the vectors that are not complete; `interval_db`, `energy_interval_db`: 95 % basic bootstrap
+        intervals (Davison & Hinkley 1997, eq. 5.6: resampled sets are farther apart than the sets themselves,
+        which this turns round), not below 0; whole rooms are resampled, the same in both sets.
 
     Raises
     ------
@@ -36,11 +37,11 @@ def eq_distance(a_db, b_db, rooms_a, rooms_b, rng, *, n_bootstrap=N_BOOTSTRAP):
     """
     a, b = _Set(a_db, rooms_a, "first"), _Set(b_db, rooms_b, "second")
     bands_db = _bands(a.vectors, a.weights, b.vectors, b.weights)
-    boot = np.array([_both(a.resampled(rng), b.resampled(rng)) for _ in range(n_bootstrap)])
-    low, high = np.nanpercentile(boot, [2.5, 97.5], axis=0)
-    return dict(wasserstein_db=float(np.nanmean(bands_db)), bands_db=[float(band) for band in bands_db],
-                energy_db=_energy(a.vectors, a.weights, b.vectors, b.weights),
-                interval_db=[float(low[0]), float(high[0])], energy_interval_db=[float(low[1]), float(high[1])])
+    found = float(np.nanmean(bands_db)), _energy(a.vectors, a.weights, b.vectors, b.weights)
+    boot = np.array([_both(*_resampled([a, b], rng)) for _ in range(n_bootstrap)])
+    intervals = [_basic(value, boot[:, k]) for k, value in enumerate(found)]
+    return dict(wasserstein_db=found[0], bands_db=[float(band) for band in bands_db], energy_db=found[1],
+                interval_db=intervals[0], energy_interval_db=intervals[1])
 
 
 def gap_closed(sim_db, comp_db, train_db, heldout_db, *, rooms_sim, rooms_comp, rooms_train, rooms_heldout, rng,
@@ -60,21 +61,23 @@ def gap_closed(sim_db, comp_db, train_db, heldout_db, *, rooms_sim, rooms_comp, 
     Returns
     -------
     dict
-        `sim`, `comp`, `floor` (see `eq_distance`), `closed` and `closed_energy` with `closed_interval` (95 %,
-        all sets resampled together); None where the simulation is no farther than the floor.
+        `sim`, `comp`, `floor` (see `eq_distance`), `closed` and `closed_energy`, None where the simulation is no
+        farther than the floor; `closed_interval`: 95 % percentiles over resampled rooms, the same in all sets;
+        `closed_undefined`: share of the resamples that had no gap to close and are not in it.
     """
     sets = [_Set(sim_db, rooms_sim, "simulated"), _Set(comp_db, rooms_comp, "compensated"),
             _Set(train_db, rooms_train, "training"), _Set(heldout_db, rooms_heldout, "held-out")]
     boot = []
     for _ in range(n_bootstrap):
-        drawn = [one.resampled(rng) for one in sets]
-        boot.append(_closed(*[_both(one, drawn[3])[0] for one in drawn[:3]]))
-    boot = [value for value in boot if value is not None]
+        *models, heldout = _resampled(sets, rng)
+        boot.append(_closed(*[_both(one, heldout)[0] for one in models]))
+    defined = [value for value in boot if value is not None]
     others = ((sim_db, rooms_sim), (comp_db, rooms_comp), (train_db, rooms_train))
     sim, comp, floor = (eq_distance(vectors, heldout_db, rooms, rooms_heldout, rng, n_bootstrap=n_bootstrap)
                         for vectors, rooms in others)
-    interval = [float(value) for value in np.percentile(boot, [2.5, 97.5])] if boot else None
+    interval = [float(value) for value in np.percentile(defined, [2.5, 97.5])] if defined else None
     return dict(sim=sim, comp=comp, floor=floor, closed_interval=interval,
+                closed_undefined=1.0 - len(defined) / max(len(boot), 1),
                 closed=_closed(*[one["wasserstein_db"] for one in (sim, comp, floor)]),
                 closed_energy=_closed(*[one["energy_db"] for one in (sim, comp, floor)]))
 
@@ -93,16 +96,34 @@ class _Set:
             raise ValueError(f"the {name} set has vectors {self.vectors.shape} and {len(self.rooms)} rooms: "
                              "there must be at least one vector, and a room for each")
         self.weights = room_weights(self.rooms)
-        self.members = [np.flatnonzero(self.rooms == room) for room in np.unique(self.rooms)]
+        self.members = {str(room): np.flatnonzero(self.rooms == room) for room in np.unique(self.rooms)}
 
-    def resampled(self, rng):
-        """Vectors and weights of a bootstrap sample: rooms drawn with replacement, each with all its vectors."""
-        if len(self.members) < 2:
-            drawn = rng.integers(len(self.vectors), size=len(self.vectors))
-            return self.vectors[drawn], np.full(len(drawn), 1.0 / len(drawn))
-        rooms = [self.members[k] for k in rng.integers(len(self.members), size=len(self.members))]
-        weights = np.concatenate([np.full(len(room), 1.0 / (len(room) * len(rooms))) for room in rooms])
-        return self.vectors[np.concatenate(rooms)], weights
+    def of_rooms(self, names, rng):
+        """Vectors and weights of the rooms named, a room as often as it is named; None if it has none of them.
+
+        The RIRs of a room are drawn anew, with replacement, so that a single room has a spread too.
+        """
+        drawn = [rng.choice(self.members[name], len(self.members[name])) for name in names if name in self.members]
+        if not drawn:
+            return None
+        weights = np.concatenate([np.full(len(room), 1.0 / (len(room) * len(drawn))) for room in drawn])
+        return self.vectors[np.concatenate(drawn)], weights
+
+
+def _resampled(sets, rng):
+    """Bootstrap samples of several sets: rooms drawn with replacement from all there are, the same for every set."""
+    rooms = sorted({name for one in sets for name in one.members})
+    while True:
+        names = [rooms[k] for k in rng.integers(len(rooms), size=len(rooms))]
+        samples = [one.of_rooms(names, rng) for one in sets]
+        if all(sample is not None for sample in samples):
+            return samples
+
+
+def _basic(found, boot):
+    """Basic bootstrap interval of a distance: twice what was found, less the percentiles of the resamples."""
+    low, high = np.nanpercentile(boot, [2.5, 97.5])
+    return [float(max(2.0 * found - high, 0.0)), float(max(2.0 * found - low, 0.0))]
 
 
 def _both(a, b):
