@@ -68,6 +68,20 @@ def test_takes_of_one_position_stay_together(tmp_path):
         assert all(one[:-1] + str(1 - int(one[-1])) in ids[part] for one in ids[part])
 
 
+def test_channels_of_one_measurement_stay_together(tmp_path):
+    items = [(row(f"p{n}_ch{take}", source_pos_m=None, mic_pos_m=None), RIR) for n in range(12) for take in range(2)]
+    ids, _ = split(tmp_path, write_rir_dir(tmp_path / "in", items))
+    assert sum(sizes_of(ids)) == 24
+    for part in SPLITS:
+        assert all(one[:-1] + str(1 - int(one[-1])) in ids[part] for one in ids[part])
+
+
+def test_every_split_gets_noises_of_each_kind(tmp_path):
+    noises = [dict(id=f"{kind}{n}", room_id=None, kind=kind) for kind in ("ambient", "point") for n in range(3)]
+    _, dealt = split(tmp_path, make(tmp_path / "in", {"a": 9}, noises))
+    assert all({one[:-1] for one in dealt[part]} == {"ambient", "point"} for part in SPLITS)
+
+
 @pytest.mark.parametrize("split_by", ["rir", "room"])
 def test_every_split_gets_noises_of_its_own(tmp_path, split_by):
     noises = [dict(id=f"n{n}{room}", room_id=room) for n in range(3) for room in ("a", "b", "c", None)]

@@ -2,6 +2,7 @@
 
 import hashlib
 import logging
+import re
 from collections import Counter, defaultdict
 from pathlib import Path
 
@@ -86,11 +87,21 @@ def _shares(sizes, n):
     return shares
 
 
+def _measurement(row):
+    """What recordings of one measurement have in common: positions, or where those are unknown the file but for its
+    channel."""
+    place = position_key(row)
+    if place is None:
+        stem = re.sub(r"[._-](ch\d+|[LR])$", "", Path(row["wav"]).stem)
+        place = (row["room_id"], row["source_id"], row.get("source_pos_m"), row.get("mic_pos_m"), stem)
+    return repr(place)
+
+
 def _by_rir(rows, sizes, seed):
-    """Split of each id; groups that share a position go to the first set that has room for all of them."""
+    """Split of each id; groups of one measurement go to the first set that has room for all of them."""
     groups = defaultdict(list)
     for row in rows:
-        groups[position_key(row) or row["id"]].append(row["id"])
+        groups[_measurement(row)].append(row["id"])
     free = dict(zip(SPLITS, _shares(sizes, len(rows)), strict=True))
     split_of = {}
     for ids in sorted(groups.values(), key=lambda ids: _hashed(seed, ids[0])):
@@ -125,10 +136,18 @@ def _by_room(rows, sizes, seed):
 
 
 def _split_noises(noises, rows, split_of, sizes, seed, split_by):
-    """Noises of each split: a room's go where its RIRs go; where all sets hold the room, they are dealt out."""
+    """Noises of each split, each kind by itself, so that no set lacks what another has."""
     dealt = {split: [] for split in SPLITS}
-    if not noises:
-        return dealt
+    for kind in sorted({noise["kind"] for noise in noises}):
+        alike = [noise for noise in noises if noise["kind"] == kind]
+        for split, share in _deal(alike, kind, rows, split_of, sizes, seed, split_by).items():
+            dealt[split] += share
+    return dealt
+
+
+def _deal(noises, kind, rows, split_of, sizes, seed, split_by):
+    """Noises of one kind: a room's go where its RIRs go; where all sets hold the room, they are dealt out."""
+    dealt = {split: [] for split in SPLITS}
     home = defaultdict(set)
     for row in rows:
         if row["id"] in split_of:
@@ -145,10 +164,10 @@ def _split_noises(noises, rows, split_of, sizes, seed, split_by):
         lack = {split: wanted[k] - len(dealt[split]) for k, split in enumerate(SPLITS) if split in where}
         # relative to what it shall have, so that small sets are not served last
         dealt[max(lack, key=lambda split: lack[split] / wanted[SPLITS.index(split)])].append(noise)
-    return _none_without(dealt, split_by)
+    return _none_without(dealt, kind, split_by)
 
 
-def _none_without(dealt, split_by):
+def _none_without(dealt, kind, split_by):
     """Give every split noises: move one from the set that has most; only where none is to spare, share."""
     for split in SPLITS:
         richest = max(SPLITS, key=lambda name: len(dealt[name]))
@@ -157,7 +176,7 @@ def _none_without(dealt, split_by):
         if len(dealt[richest]) > 1 and split_by == "rir":
             dealt[split].append(dealt[richest].pop())
         else:
-            logger.warning("%s has no noises of its own and shares those of %s: give more noises", split, richest)
+            logger.warning("%s has no noises of its own (%s) and shares those of %s: give more", split, kind, richest)
             dealt[split] = list(dealt[richest])
     return dealt
 
