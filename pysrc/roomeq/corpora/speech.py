@@ -7,6 +7,7 @@ import shlex
 from collections import Counter
 from collections.abc import Iterable
 from hashlib import sha256
+from itertools import combinations
 from pathlib import Path
 
 from roomeq.audio import audio_info, read_audio, write_flac
@@ -68,6 +69,7 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
     if not source.exists():
         raise ValueError(f"{source}: no such file or directory: check the path of the speech corpus")
     corpus = list_speech(source, wanted)
+    _warn_of_shared({role: _voices(corpus[role]) for role in ROLES}, source)
     options = dict(sets=wanted, limit=limit, source=os.path.realpath(source))
     builds = {role: Build(out / f"{role}.clean", step="prepare-speech", options=dict(
         options, role=role, listed=_listing(source, corpus[role])), inputs=[source] * is_generated(source), refers=True)
@@ -150,6 +152,20 @@ def _sets_of_roles(wanted: dict[str, tuple[str, ...]], sets: dict, source: Path)
 def _split(utterances: list[Utterance], source: Path) -> dict[str, list[Utterance]]:
     roles = _roles((utterance.voice for utterance in utterances), source)
     return {role: [utterance for utterance in utterances if roles[utterance.voice] == role] for role in ROLES}
+
+
+def _voices(listed: list[Utterance] | dict) -> set[str]:
+    if isinstance(listed, dict):
+        return {voice for part, utts in listed.values() for utt, voice in part.voices().items() if utt in utts}
+    return {utterance.voice for utterance in listed}
+
+
+def _warn_of_shared(voices: dict[str, set[str]], source: Path) -> None:
+    """Say it when a voice is in two roles: held-out speech is then no test of unseen voices."""
+    for one, other in combinations(ROLES, 2):
+        if shared := sorted(voices[one] & voices[other]):
+            logger.warning("%s: %d voices are both in %s and in %s (%s ...): results on unseen voices they are not",
+                           source, len(shared), one, other, shared[0])
 
 
 def _roles(voices: Iterable[str], source: Path) -> dict[str, str]:
