@@ -16,6 +16,7 @@ if [[ $1 =~ ^JOB=([0-9]+):([0-9]+)$ ]]; then
 fi
 log=$1
 shift
+last_words() { { tail -n 1 -- "$1" 2>/dev/null || true; } | grep . || echo "it left no word: is the disk full?"; }
 pids=()
 trap 'kill "${pids[@]}" 2>/dev/null || true' EXIT
 for ((job = first; job <= last; job++)); do
@@ -28,7 +29,7 @@ failed=0
 for ((job = first; job <= last; job++)); do
   if ! wait "${pids[job - first]}"; then
     joblog=${log//JOB/$job}
-    printf '%s: job %d failed: %s (log: %s)\n' "${0##*/}" "$job" "$(tail -n 1 "$joblog")" "$joblog" >&2
+    printf '%s: job %d failed: %s (log: %s)\n' "${0##*/}" "$job" "$(last_words "$joblog")" "$joblog" >&2
     failed=1
   fi
 done

@@ -90,11 +90,18 @@ id=$(cut -d';' -f1 "$ended/id")
 [ -n "$id" ] || { waiting= && die "sbatch refused: $(tail -n 1 "$ended/said")"; }
 
 # sbatch may have lost the controller, and a requeued job is not at its end
-while jobs=$(squeue --noheader --jobs="$id" 2>&1) && [ -n "$jobs" ] ||
-  { [ -n "$jobs" ] && [[ $jobs != *"Invalid job id"* ]]; }; do
+said=
+while true; do
+  if jobs=$(squeue --noheader --jobs="$id" 2>&1); then [ -n "$jobs" ] || break; else
+    [[ $jobs != *"Invalid job id"* ]] || break # so long at its end that Slurm has forgotten it
+    [ -n "$said" ] || printf '%s: Slurm does not answer, asking on: %s\n' "${0##*/}" "$(tail -n 1 <<<"$jobs")" >&2
+    said=yes
+  fi
   sleep 3
 done
 waiting=
+
+last_words() { { tail -n 1 -- "$1" 2>/dev/null || true; } | grep . || echo "it left no word: is the disk full?"; }
 
 state_of() { # JOB: Slurm's word on it; sacct may be absent, and scontrol forgets after some minutes
   { scontrol --oneliner show job "${id}_$1" | sed -n 's/.*JobState=\([A-Z_]*\) Reason=\([^ ]*\).*/\1 (\2)/p' ||
@@ -115,7 +122,7 @@ for ((job = first; job <= last; job++)); do
   status=$(cat "$ended/$job" 2>/dev/null) || status=none
   if [ "$status" != 0 ]; then
     printf '%s: job %d failed, exit status %s, Slurm says %s: %s (log: %s)\n' "${0##*/}" "$job" "$status" \
-      "${state:-$(state_of "$job")}" "$(tail -n 1 "${log//JOB/$job}")" "${log//JOB/$job}" >&2
+      "${state:-$(state_of "$job")}" "$(last_words "${log//JOB/$job}")" "${log//JOB/$job}" >&2
     failed=1
   fi
 done
