@@ -2,7 +2,8 @@
 
 import pytest
 
-from roomeq.build import DONE_FILE, Build, digest, share
+from roomeq.build import DONE_FILE, Build, share
+from roomeq.digests import digest
 from roomeq.files import write_json, write_text
 
 

@@ -7,7 +7,7 @@ import pytest
 
 # each group may import those before it, and itself
 LAYERS = [
-    {"constants", "rng", "progress", "files", "limits", "audio", "rows", "rirs", "stamps", "build", "words"},
+    {"constants", "rng", "progress", "files", "limits", "audio", "rows", "rirs", "stamps", "digests", "build", "words"},
     {"acoustics"},
     {"corpora"},
     {"sim"},

@@ -16,11 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.build import Build, audio_digest
+from roomeq.build import Build
 from roomeq.constants import FS_HZ
 from roomeq.corpora.record import is_generated
 from roomeq.datadir import DataDir, read_data_dir
 from roomeq.datawrite import GRID_SAMPLES, OutUtterance, write_data_dir
+from roomeq.digests import audio_digest
 from roomeq.draws import Pool, Rules, parse_distribution, read_pool
 from roomeq.files import read_json, read_jsonl, to_json, write_json, write_jsonl
 from roomeq.layout import Planned, file_name, plan_recordings, write_recording
