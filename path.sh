@@ -2,7 +2,8 @@
 # Environment of every script: source it from the recipe's own directory (`. ./path.sh`).
 [ -f ./path.sh ] && [ -d ./pysrc/roomeq ] || {
   echo "path.sh: call this from the directory that holds run.sh, not from $PWD" >&2
-  exit 1
+  # shellcheck disable=SC2317 # reached where it is run instead of sourced
+  return 1 2>/dev/null || exit 1
 }
 ROOMEQ_DIR=$PWD
 export ROOMEQ_DIR

@@ -29,7 +29,7 @@ standin_positions=6       # microphones and loudspeakers a room
 
 # stage 1: measured RIRs
 split_by=rir              # rir, as in the paper, or room: the stricter question
-split_sizes=773,194,242   # train, dev, test; proportions where there are fewer RIRs
+split_sizes=773,194,242   # RIRs for train, dev, test; scaled down where there are fewer
 
 # stages 2-4: simulation, equalisation, compensation
 t60_range=0.2,2.0         # of the simulated RIRs [s]
@@ -52,11 +52,17 @@ layout=recording          # one FLAC a recording, with segments; or: utterance
 log() { printf '%s run.sh: %s\n' "$(date +%H:%M:%S)" "$*"; }
 at_stage() { [ "$stage" -le "$1" ] && [ "$stop_stage" -ge "$1" ] && log "stage $1: $2"; }
 
-local/install.sh
+[[ $split_by =~ ^(rir|room)$ ]] || die "--split-by '$split_by' must be rir or room"
+[[ $split_sizes =~ ^[0-9]+,[0-9]+,[0-9]+$ ]] || die "--split-sizes '$split_sizes' must be three counts, as 773,194,242"
+[[ $t60_range =~ ^[0-9.]+,[0-9.]+$ ]] || die "--t60-range '$t60_range' must be two times, as 0.2,2.0"
+[[ $layout =~ ^(recording|utterance)$ ]] || die "--layout '$layout' must be recording or utterance"
 [ "$stop_stage" -le 7 ] || die "--stop-stage $stop_stage: stages 8-10, the hand-over to Kaldi, are not there yet"
+local/install.sh
 
 if at_stage 0 "speech and measured RIRs"; then
   if [ -z "$librispeech$speech" ] || [ -z "$reverbdb$measured" ]; then
+    [ -n "$librispeech$speech" ] || log "no --speech or --librispeech given: generated stand-in speech is used"
+    [ -n "$reverbdb$measured" ] || log "no --measured or --reverbdb given: generated stand-in RIRs are used"
     local/make_standins.sh --nj "$nj" --utterances "$standin_utterances" --positions "$standin_positions" "$corpora"
   fi
   steps/prepare_speech.sh --train-sets "$train_sets" --dev-sets "$dev_sets" --test-sets "$test_sets" \
@@ -101,5 +107,7 @@ if at_stage 7 "report"; then
   steps/make_report.sh "$data" "$exp" "$exp/report"
 fi
 
-log "data directories: $(realpath "$data")/{train,dev,test}.*.rvb"
-log "report: $(realpath "$exp")/report/index.html"
+for made in "$data"/*.rvb; do
+  [ ! -d "$made" ] || log "data directory: $(realpath "$made")"
+done
+[ ! -f "$exp/report/index.html" ] || log "report: $(realpath "$exp")/report/index.html"

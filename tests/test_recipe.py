@@ -22,7 +22,7 @@ def undisturbed(corpora, project_dir):
 
 def test_ends_with_data_directories_and_a_report(undisturbed, corpora):
     output, files = undisturbed
-    assert "report: " in output.splitlines()[-1] and "data directories: " in output.splitlines()[-2]
+    assert "report: " in output.splitlines()[-1] and "data directory: " in output.splitlines()[-2]
     for name in ("train.real", "train.sim", "train.sim.EQ", "dev.real", "dev.sim", "dev.sim.EQ", "test.real"):
         assert f"data/{name}.rvb/wav.scp" in files and f"data/{name}.rvb/segments" in files
     assert "exp/report/index.html" in files

@@ -31,9 +31,12 @@ require() {
 set_option() { # NAME VALUE WHERE
   local name=${1//-/_}
   [[ $name =~ ^[a-z][a-z0-9_]*$ && $name != PATH ]] && [[ ${options_known:-} == *" $name "* ]] ||
-    die "$3: unknown option '$1'; see --help"
+    die "${3:+$3: }unknown option '$1'; see --help"
   if [[ ${!name} == true || ${!name} == false ]] && [[ $2 != true && $2 != false ]]; then
-    die "$3: --$1 '$2' must be true or false"
+    die "${3:+$3: }--$1 '$2' must be true or false"
+  fi
+  if [[ ${!name} =~ ^[0-9]+$ && ! $2 =~ ^[0-9]{1,9}$ ]]; then
+    die "${3:+$3: }--$1 '$2' must be a whole number"
   fi
   printf -v "$name" '%s' "$2"
 }
@@ -61,11 +64,11 @@ while [ $# -gt 0 ]; do
   case $1 in
     --help | -h) usage 0 ;;
     --config) shift $(($# > 1 ? 2 : 1)) ;;
-    --*=*) set_option "$(cut -d= -f1 <<<"${1#--}")" "${1#*=}" "${0##*/}" && shift ;;
+    --*=*) set_option "$(cut -d= -f1 <<<"${1#--}")" "${1#*=}" "" && shift ;;
     --) shift && break ;;
     --*)
       [ $# -gt 1 ] || die "$1 needs a value; see --help"
-      set_option "${1#--}" "$2" "${0##*/}"
+      set_option "${1#--}" "$2" ""
       shift 2
       ;;
     *) break ;;

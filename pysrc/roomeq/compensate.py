@@ -246,8 +246,8 @@ def _log(out, summary):
     if not summary:
         return
     logger.info("%s: |achieved - target| %.2f dB (median), %.2f dB (95th percentile) at the seven points; %s",
-                out, summary["median_db"], summary["p95_db"], "held" if summary["held"] else
-                f"more than {MAX_MEDIAN_DB} and {MAX_P95_DB} dB: see {SUMMARY_FILE}")
+                out, summary["median_db"], summary["p95_db"],
+                f"{'within' if summary['held'] else 'not within'} the goal of {MAX_MEDIAN_DB} and {MAX_P95_DB} dB")
     for rir_id, why in list(summary["missed"].items())[:5]:
-        logger.info("%s: %+.1f dB at %g Hz, steps of up to %.0f dB per octave", rir_id, why["error_db"], why["hz"],
-                    why["steepest_db"])
+        logger.info("%s: off by %+.1f dB at %g Hz: 31 Hz bins do not follow steps of %.0f dB per octave", rir_id,
+                    why["error_db"], why["hz"], why["steepest_db"])

@@ -4,6 +4,7 @@ Tang, Meng, Manocha, sections 3.1 and 3.2.
 """
 
 import logging
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -131,9 +132,10 @@ def fit_eq(real_dir, sim_dirs, out, *, n_components=7, covariance="full", weight
     if build.run(items, lambda _, item: eq_row(*item), part=part, nj=nj):
         build.finish(assemble)
         screening = read_json(Path(out) / SCREENING_FILE)
-        left_out = [f"{name}: {why}" for name, why in screening["screened"].items()]
-        logger.info("%s: %d of %d measured RIRs shape the mixture; left out: %s", out, screening["n_used"],
-                    screening["n_given"], "; ".join(left_out) or "none")
+        left_out = Counter(why.split(":")[0] for why in screening["screened"].values())
+        logger.info("%s: %d of %d measured RIRs shape the mixture; left out (see %s): %s", out, screening["n_used"],
+                    screening["n_given"], SCREENING_FILE,
+                    ", ".join(f"{count} {kind}" for kind, count in sorted(left_out.items())) or "none")
     return fitted or None
 
 

@@ -154,9 +154,11 @@ def main_numbers(run: Run) -> list[tuple[str, str]]:
     if errors:
         high = float(np.percentile(np.abs(np.array(errors)[:, list(FREE)]), 95))
         cards.append((f"or less: error of {percent(0.95)} of the compensated EQ points", f"{high:.2f} dB"))
-    closed = gap(run)["closed"]
-    if closed is not None:
-        cards.append(("of the EQ gap between simulated and measured closed", percent(closed)))
+    found = gap(run)
+    if found["closed"] is not None:
+        low, high = found["closed_interval"] or (float("nan"),) * 2
+        cards.append((f"of the EQ gap between simulated and measured closed ({percent(low)} to {percent(high)})",
+                      percent(found["closed"])))
     return cards
 
 
@@ -169,8 +171,8 @@ def verdict(found: dict) -> Html:
     interval = found["closed_interval"]
     between = f" (95 % interval {100 * interval[0]:.0f} to {100 * interval[1]:.0f} %)" if interval else ""
     energy = found["closed_energy"]
-    beyond = (" More than all of it means no more than all of it: the held-out RIRs are few, and rooms that lie only "
-              "in the training set move the floor.") if found["closed"] > 1 else ""
+    beyond = (" More than 100 % is no better than 100 %: the held-out RIRs are few, and rooms that lie only in the "
+              "training set make the floor higher than a perfect model's.") if found["closed"] > 1 else ""
     return paragraph(tag("strong", text), between,
                      f"; by the energy distance {percent(energy)}" if energy is not None else "", ".", beyond)
 

@@ -148,7 +148,7 @@ def limits(run: Run) -> Html:
                           "drawn at random, since nobody measured them or the stated ones cannot be right.")
     points += [
         "Eight points describe the spectrum. Between them, and over time, a compensated RIR remains a simulated "
-        "one: no single room modes, no directivity, no diffraction.",
+        "one: no single room modes, no directivity, no diffraction in empty boxes.",
         "Simulated RIRs are not paired with measured ones: materials are drawn at random, so a low error of "
         "distributions does not mean a low error for a given room.",
         "No recogniser was trained: whether these data lead to fewer word errors is for stages 8 to 10, with "
