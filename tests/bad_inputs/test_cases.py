@@ -1,0 +1,34 @@
+"""Every bad input: exit 1, one line that says what, where and what to do, nothing lost, nothing left behind."""
+
+import re
+
+import cases_audio
+import cases_corpora
+import cases_datadirs
+import cases_options
+import cases_rows
+import pytest
+from running import call, set_up, snapshot
+
+TABLES = dict(audio=cases_audio, rows=cases_rows, datadirs=cases_datadirs, corpora=cases_corpora,
+              options=cases_options)
+CASES = [pytest.param(case, id=f"{table}-{case.name}".replace(" ", "_")) for table, module in TABLES.items()
+         for case in module.CASES]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_one_line_and_nothing_lost(case, worlds, tmp_path, monkeypatch, strict):
+    set_up(case, worlds, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    before = snapshot(tmp_path)
+    status, said = call(case.argv)
+    assert status == 1
+    assert said.count("\n") == 1 and said.isprintable() is False and said[:-1].isprintable()
+    assert re.fullmatch(".*".join(map(re.escape, f"{case.message}".split("..."))),
+                        said[:-1].removeprefix("roomeq: ")), said
+    assert snapshot(tmp_path) == before
+
+
+def test_names_are_unique():
+    names = [param.id for param in CASES]
+    assert len(names) == len(set(names)) >= 80
