@@ -9,9 +9,11 @@ from roomeq.constants import BANDS_HZ
 MAX_ID = 200
 """Longest id: files are named by ids, with something behind them."""
 
+LARGEST = 1e9
+"""No length, time or level of a room comes near it."""
+
 _SUFFIX = 50  # room for what is put behind an id: a channel, "-noise1"
 _HASH = 12
-_LARGEST = 1e9  # no length, time or level of a room comes near it
 _ID = re.compile(r"[A-Za-z0-9_+][A-Za-z0-9._+-]*")
 _ID_RULE = f"1 to {MAX_ID} letters, digits or ._+-, no dash or dot first, no path"
 _KINDS = ("ambient", "point")
@@ -23,16 +25,20 @@ def is_id(text: str) -> bool:
 
 
 def make_id(text: str) -> str:
-    """Return the text with everything that an id may not hold turned into ``-``; a long one ends in its hash."""
+    """Return the text with everything that an id may not hold turned into ``-``.
+
+    A hash stands at the end where little would be left to tell two texts apart: of a long one, and of one in
+    another script.
+    """
     cleaned = re.sub(r"[^A-Za-z0-9._+-]+", "-", text).lstrip(".-") or "x"
-    if len(cleaned) <= MAX_ID - _SUFFIX:
+    if len(cleaned) <= MAX_ID - _SUFFIX and text.isascii():
         return cleaned
     digest = hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()[:_HASH]
-    return f"{cleaned[:MAX_ID - _SUFFIX - _HASH - 1]}-{digest}"
+    return f"{cleaned[:MAX_ID - _SUFFIX - _HASH - 1].rstrip('-')}-{digest}"
 
 
 def _is_number(value) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= _LARGEST
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
 def _is_amount(value) -> bool:
@@ -40,7 +46,7 @@ def _is_amount(value) -> bool:
 
 
 def _is_count(value) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 < value <= _LARGEST
+    return isinstance(value, int) and not isinstance(value, bool) and 0 < value <= LARGEST
 
 
 def _is_file_name(value) -> bool:

@@ -52,12 +52,16 @@ CASES = [
     cell("csv distance", "table/manifest.csv:2: distance_m='near': must be a number or ?: correct the cell",
          "distance_m", "near"),
     cell("csv distance infinite",
-         "table/manifest.csv:2: distance_m='1e999': '1e999' must be finite: correct the cell", "distance_m", "1e999"),
+         "table/manifest.csv:2: distance_m='1e999': '1e999' must be finite and within 1e+09: correct the cell",
+         "distance_m", "1e999"),
     cell("csv position",
          "table/manifest.csv:2: source_pos_m='1 2': '1 2' must be three numbers such as '4.7 2.75 ?': correct "
          "the cell", "source_pos_m", "1 2"),
     cell("csv position of nan",
-         "table/manifest.csv:2: mic_pos_m='1 2 inf': 'inf' must be finite: correct the cell", "mic_pos_m", "1 2 inf"),
+         "table/manifest.csv:2: mic_pos_m='1 2 inf': 'inf' must be finite and within 1e+09: correct the cell",
+         "mic_pos_m", "1 2 inf"),
+    cell("csv distance negative", "table/manifest.csv:2: distance_m='-1': '-1' must be 0 or more: correct the cell",
+         "distance_m", "-1"),
     Case("csv same id twice", TABLE,
          "table/rirs/lab/two_clap.flac: id 'a' is that of table/rirs/lab/one.flac too: ids must be unique: "
          "rename one file or id", (write(

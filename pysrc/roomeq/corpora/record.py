@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from roomeq.build import DONE_FILE
-from roomeq.rows import make_id
+from roomeq.rows import LARGEST, make_id
 
 AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".aiff", ".aif", ".au", ".caf", ".w64", ".mp3")
 UNKNOWN = "unknown"
@@ -111,7 +111,7 @@ def parse_number(text: str | None) -> float | None:
     Raises
     ------
     ValueError
-        The text is neither (or not finite).
+        The text is neither, not finite or beyond all measure.
     """
     text = (text or "").strip()
     if text.lower() in _UNKNOWN_CELLS:
@@ -119,8 +119,16 @@ def parse_number(text: str | None) -> float | None:
     if re.fullmatch(r"[+-]?\d+,\d+", text):
         text = text.replace(",", ".")
     value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(f"{text!r} must be finite")
+    if not abs(value) <= LARGEST:
+        raise ValueError(f"{text!r} must be finite and within {LARGEST:g}")
+    return value
+
+
+def parse_amount(text: str | None) -> float | None:
+    """`parse_number` for what cannot be negative: a distance, a time."""
+    value = parse_number(text)
+    if value is not None and value < 0:
+        raise ValueError(f"{text!r} must be 0 or more")
     return value
 
 

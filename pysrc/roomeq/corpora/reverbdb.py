@@ -9,7 +9,15 @@ import logging
 import re
 from pathlib import Path
 
-from roomeq.corpora.record import Corpus, Recording, excitation_of, is_uncommon_name, parse_number, rir_row
+from roomeq.corpora.record import (
+    Corpus,
+    Recording,
+    excitation_of,
+    is_uncommon_name,
+    parse_amount,
+    parse_number,
+    rir_row,
+)
 from roomeq.rows import make_id
 
 logger = logging.getLogger(__name__)
@@ -126,9 +134,9 @@ def _row(meta: dict, mic: Path, room_id: str, corpus: Corpus) -> dict:
         corpus.notes["microphone folders whose $EnvMicID is another number (its keys were used)"] += 1
         n = int(stated)
 
-    def number(key: str) -> float | None:
+    def number(key: str, parse=parse_number) -> float | None:
         try:
-            value = parse_number(re.sub(r"(\u00b0? ?C|m|s|deg)$", "", meta.get(key, "")))
+            value = parse(re.sub(r"(\u00b0? ?C|m|s|deg)$", "", meta.get(key, "")))
         except ValueError:
             value = None
         if value is None:
@@ -143,7 +151,8 @@ def _row(meta: dict, mic: Path, room_id: str, corpus: Corpus) -> dict:
     return dict(
         corpus=corpus.name, room_id=room_id, room_type=room_type, room_dims_m=vector("Env"),
         source_pos_m=vector("EnvSpk1"), mic_pos_m=vector(f"EnvMic{n}"), temperature_c=number("EnvTemp"),
-        distance_m=number(f"EnvMic{n}RelDistance"), documented_t60_s=number(f"EnvMic{n}RelRT60"),
+        distance_m=number(f"EnvMic{n}RelDistance", parse_amount),
+        documented_t60_s=number(f"EnvMic{n}RelRT60", parse_amount),
         unreliable_geometry=is_unreliable(room_id), uncommon=is_uncommon(room_id, room_type))
 
 

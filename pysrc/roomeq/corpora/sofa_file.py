@@ -15,7 +15,7 @@ import numpy as np
 from roomeq.audio import MAX_RATE_HZ
 from roomeq.corpora.record import Corpus, Recording, is_binaural_name, rir_row
 from roomeq.limits import AUDIO_HOURS, max_audio_samples
-from roomeq.rows import make_id
+from roomeq.rows import LARGEST, make_id
 
 _FREE_FIELD = ("HRIR", "HRTF", "Directivity", "Headphone")
 _BINAURAL = ("MultiSpeakerBRIR", "SingleRoomDRIR")
@@ -129,7 +129,8 @@ def _room(sofa, path: Path) -> dict:
     dims_m = None
     if a is not None and b is not None and a.size == b.size == 3:
         a, b = a.ravel(), b.ravel()
-        if (a.tolist(), b.tolist()) != _DEFAULT_CORNERS and (np.abs(b - a) > 0).all():
+        if (a.tolist(), b.tolist()) != _DEFAULT_CORNERS and (np.abs(b - a) > 0).all() and (
+                np.abs([a, b]) <= LARGEST).all():
             dims_m = np.abs(b - a).tolist()
     named = str(getattr(sofa, "GLOBAL_RoomShortName", "") or "").strip()
     return dict(room_id=named or path.stem, room_dims_m=dims_m, temperature_c=_temperature_c(sofa),
@@ -187,7 +188,7 @@ def _vector(sofa, name: str, n: int, m: int) -> np.ndarray | None:
     row = array[min(n if relative else m, len(array) - 1)]
     vector = row if row.ndim == 1 else row[:, min(m, row.shape[1] - 1)]
     kind = str(getattr(sofa, f"{name.replace('Up', 'View')}_Type", "cartesian"))
-    if not np.isfinite(vector).all() or "harmonics" in kind:
+    if not (np.abs(vector) <= LARGEST).all() or "harmonics" in kind:
         return None
     if kind.startswith("cart"):
         return vector

@@ -33,6 +33,7 @@ from roomeq.corpora.record import (
     excitation_of,
     id_of_path,
     noise_kind_of,
+    parse_amount,
     parse_number,
     parse_vector,
     rir_row,
@@ -50,6 +51,7 @@ _VECTORS = ("room_dims_m", "source_pos_m", "mic_pos_m", "source_dir", "mic_dir")
 _NUMBERS = ("distance_m", "temperature_c", "humidity_pct", "documented_t60_s")
 _FLAGS = ("binaural", "tof_removed", "unreliable_geometry", "uncommon")
 _LENIENT = ("documented_t60_s",)
+_AMOUNTS = ("distance_m", "documented_t60_s")
 _KNOWN = {"file", "rir_id", "excitation", *_NAMES, *_VECTORS, *_NUMBERS, *_FLAGS}
 _TRUE, _FALSE = {"1", "true", "yes"}, {"0", "false", "no"}
 
@@ -157,7 +159,7 @@ def _row(path: Path, file: Path, cells: dict, corpus: Corpus) -> dict:
         known[key] = _parse(key, cells, parse_vector)
     for key in _NUMBERS:
         try:
-            known[key] = _parse(key, cells, parse_number)
+            known[key] = _parse(key, cells, parse_amount if key in _AMOUNTS else parse_number)
         except ValueError:
             if key not in _LENIENT:
                 raise

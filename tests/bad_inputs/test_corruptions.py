@@ -1,0 +1,164 @@
+"""`roomeq validate` finds every one of 30 seeded corruptions of an RIR directory, and of a data directory."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from running import call
+from wrong import audio, remove, reorder
+
+from roomeq.rng import rng_for
+
+
+@pytest.fixture(scope="module", params=["rirs", "rirs that refer to audio", "speech"])
+def made(request, worlds, tmp_path_factory):
+    """A directory that a verb made, right as it is."""
+    root = tmp_path_factory.mktemp("made")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(worlds)
+        out = root / "made"
+        argv = {"rirs": ["compensate", "measured", "eq", out], "speech": ["augment", "speech", "rirs", out],
+                "rirs that refer to audio": ["characterise", "measured", out]}[request.param]
+        assert call(list(map(str, argv)))[0] == 0
+    assert call(["validate", str(out)]) == (0, "")
+    return out
+
+
+def flip(rng, data):
+    at = int(rng.integers(len(data)))
+    return data[:at] + bytes([data[at] ^ (1 << int(rng.integers(8)))]) + data[at + 1:]
+
+
+def cut(rng, data):
+    return data[:int(rng.integers(len(data)))]
+
+
+def more(rng, data):
+    return data + rng.bytes(1 + int(rng.integers(50)))
+
+
+def zero(rng, data):
+    start = int(rng.integers(len(data) - len(data) // 3))
+    return data[:start] + bytes(len(data) // 3) + data[start + len(data) // 3:]
+
+
+def lose_a_piece(rng, data):
+    start = int(rng.integers(len(data) - 1))
+    return data[:start] + data[start + 1 + int(rng.integers(len(data) - start - 1)):]
+
+
+def twice(rng, data):
+    return data + data
+
+
+WAYS = (flip, cut, more, zero, lose_a_piece, twice)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_a_corrupted_file_is_found(seed, made, worlds, tmp_path, monkeypatch):
+    monkeypatch.chdir(worlds)
+    rng = rng_for(seed, "corruption", made.parent.name.rstrip("0123456789"))
+    copy = shutil.copytree(made, made.with_name("copy"), dirs_exist_ok=False)
+    try:
+        files = sorted(path for path in copy.rglob("*") if path.is_file() and path.name != ".done")
+        path = files[rng.integers(len(files))]
+        before = path.read_bytes()
+        way = WAYS[rng.integers(len(WAYS))] if rng.random() < 0.9 else None
+        changed = None if way is None else way(rng, before)
+        if changed is None:
+            path.unlink()
+        else:
+            path.write_bytes(changed)
+        assert changed != before
+        status, said = call(["validate", str(copy)])
+        assert status == 1, f"{path.name}: {way and way.__name__} was not found"
+        assert said.count("\n") == 1 and str(copy) in said and "internal error" not in said
+    finally:
+        shutil.rmtree(copy)
+
+
+def rows(change):
+    """Edit the parsed rows of `rirs.jsonl`."""
+    def edit(rng, root):
+        def changed(lines):
+            return list(map(json.dumps, change(rng, list(map(json.loads, lines)))))
+
+        reorder("rirs/rirs.jsonl", changed)(root)
+    return edit
+
+
+def one_row(change):
+    def edit(rng, found):
+        change(rng, found[rng.integers(len(found))])
+        return found
+    return rows(edit)
+
+
+def without_a_key(rng, row):
+    row.pop(rng.choice(["id", "wav", "room_id", "source_id", "mic_id", "fs_hz", "n_samples"]))
+
+
+def with_a_wrong_value(rng, row):
+    row[rng.choice([key for key in row if row[key] is not None])] = {"not": "this"}
+
+
+def with_another_length(rng, row):
+    row["n_samples"] += int(rng.integers(1, 99))
+
+
+def with_lost_audio(rng, row):
+    row["wav"] = row["wav"] + "x"
+
+
+def for_nobody(rng, row):
+    row["noise_for"] = "nobody"
+
+
+def swapped(rng, found):
+    n = int(rng.integers(len(found) - 1))
+    return [*found[:n], found[n + 1], found[n], *found[n + 2:]]
+
+
+def repeated(rng, found):
+    n = int(rng.integers(len(found)))
+    return [*found[:n], found[n], *found[n:]]
+
+
+def on_audio(samples, **how):
+    def edit(rng, root):
+        audio(f"rirs/wav/room{rng.integers(2)}-{rng.integers(3)}.wav", samples, subtype="FLOAT", **how)(root)
+    return edit
+
+
+def cut_audio(rng, root):
+    path = root / f"rirs/wav/room{rng.integers(2)}-{rng.integers(3)}.wav"
+    path.write_bytes(path.read_bytes()[:int(rng.integers(path.stat().st_size - 2))])
+
+
+def lost_noise(rng, root):
+    remove("rirs/wav/tap.flac")(root)
+
+
+def silent_noise(rng, root):
+    audio("rirs/wav/tap.flac", np.zeros(4800))(root)
+
+
+def short_noise(rng, root):
+    audio("rirs/wav/tap.flac", 3000)(root)
+
+
+BREAKS = (one_row(without_a_key), one_row(with_a_wrong_value), one_row(with_another_length), one_row(with_lost_audio),
+          one_row(for_nobody), rows(swapped), rows(repeated), on_audio(np.zeros(4000)), on_audio(np.full(4000, np.nan)),
+          on_audio(4001), on_audio(4000, fs_hz=48000), on_audio(np.ones((4000, 2))), cut_audio, lost_noise,
+          silent_noise, short_noise)
+
+
+@pytest.mark.parametrize("seed", range(32))
+def test_a_broken_contract_is_found_without_a_stamp(seed, worlds, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(worlds / "rirs", tmp_path / "rirs")
+    assert call(["validate", "rirs"]) == (0, "")
+    BREAKS[seed % len(BREAKS)](rng_for(seed, "break", "rirs"), tmp_path)
+    status, said = call(["validate", "rirs"])
+    assert status == 1 and said.startswith("roomeq: rirs") and said.count("\n") == 1 and "internal error" not in said
