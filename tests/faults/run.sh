@@ -8,4 +8,4 @@ set -euo pipefail
 cd "$(dirname "$0")/../.."
 . ./path.sh
 [ $# -gt 0 ] || set -- --help
-PYTHONPATH="tests:$PYTHONPATH" exec python tests/faults/bench.py "$@"
+PYTHONPATH="tests:$PYTHONPATH" exec python tests/faults/runs.py "$@"

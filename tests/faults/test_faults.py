@@ -1,6 +1,6 @@
 """A small part of tests/faults/run.sh: the recipe's first stages, on stand-ins made once."""
 
-from bench import main
+from runs import main
 
 
 def test_kills_two_at_once_and_a_full_disk(tmp_path, capfd):
