@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from roomeq.audio import read_audio
 from roomeq.files import read_text
 from roomeq.wavscp import Entry, n_samples, parse_entry, read_entry, segment_samples
 from roomeq.words import symbol_in, unprintable_in
@@ -344,7 +345,9 @@ def _check_audio(data: DataDir, pipes: bool) -> None:
         if entry.kind == "pipe" and not pipes:
             continue
         try:
-            lengths[recording] = n_samples(entry, pipes=pipes)
+            lengths[recording] = frames, rate = n_samples(entry, pipes=pipes)
+            if entry.kind == "file":  # a cut FLAC file shows only at its end
+                read_audio(Path(entry.text), fs_hz=rate, start=frames - 1, channel=0)
         except ValueError as error:
             raise ValueError(f"{data.path / 'wav.scp'}:{number}: {error}") from None
     if len(lengths) < len(data.recordings):

@@ -1,6 +1,6 @@
 """Broken Kaldi data directories; those that `tests/test_datadir.py` breaks are not repeated here."""
 
-from wrong import Case, audio, line, remove, reorder, write
+from wrong import Case, audio, cut, line, remove, reorder, write
 
 AUGMENT = "augment speech rirs out"
 SEGMENTED = "augment segmented rirs out"
@@ -128,6 +128,9 @@ CASES = [
     Case("kaldi without text", "prepare-speech speech out",
          "speech/text: missing or empty: complete the data directory (utils/fix_data_dir.sh)",
          (remove("speech/text"),)),
+    Case("validate cut audio", "validate speech",
+         "speech/wav.scp:4: speech/wav/b-1-0001.flac: broken audio (...): copy or record it again",
+         (cut("speech/wav/b-1-0001.flac", 0.9),)),
     Case("validate nothing", "validate folder",
          "folder: neither an RIR directory (rirs.jsonl), nor one of noises (noises.jsonl), nor a data "
          "directory (wav.scp): check the path"),

@@ -25,6 +25,7 @@ Other columns are ignored, which the log says.
 
 import csv
 import logging
+from itertools import zip_longest
 from pathlib import Path
 
 from roomeq.corpora.record import (
@@ -88,8 +89,7 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[str, dict]]]:
         if len(cells) > len(columns):
             raise ValueError(f"{where}: {len(cells)} cells under {len(columns)} columns: quote cells that hold "
                              f"{delimiter!r}")
-    return columns, [(where, dict(zip(columns, (cell.strip() for cell in cells), strict=False)))
-                     for where, cells in rows]
+    return columns, [(where, dict(zip_longest(columns, map(str.strip, cells), fillvalue=""))) for where, cells in rows]
 
 
 def list_table(path: Path) -> Corpus:
