@@ -6,12 +6,13 @@ import cases_audio
 import cases_corpora
 import cases_datadirs
 import cases_options
+import cases_rooms
 import cases_rows
 import pytest
 from running import call, set_up, snapshot
 
 TABLES = dict(audio=cases_audio, rows=cases_rows, datadirs=cases_datadirs, corpora=cases_corpora,
-              options=cases_options)
+              rooms=cases_rooms, options=cases_options)
 CASES = [pytest.param(case, id=f"{table}-{case.name}".replace(" ", "_")) for table, module in TABLES.items()
          for case in module.CASES]
 
