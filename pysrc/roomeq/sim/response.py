@@ -226,7 +226,7 @@ def render_to_target(traced, mics_m, rngs, target_s, *, absorption=None, length_
     exponent, time_s = solve_exponent(measure, target_s, guess)
     if time_s is None or abs(time_s / target_s - 1.0) > TOLERANCE:
         found = "cannot be measured" if time_s is None else f"comes to {time_s:.3g} s"
-        raise ValueError(f"target_t60_s={target_s:.3g} was not met: T30 at 1 kHz {found} with these materials, "
+        raise ValueError(f"target_t60_s={target_s:.3g} is out of reach: T30 at 1 kHz {found} with these materials, "
                          "however scaled: choose other materials or another target")
     if exponent not in rendered:
         measure(exponent)
