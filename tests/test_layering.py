@@ -11,6 +11,7 @@ LAYERS = [
     {"acoustics"},
     {"corpora"},
     {"sim"},
+    {"effects"},
     {"passport", "split", "mixture"},
     {"eq", "distance"},
     {"compensate"},

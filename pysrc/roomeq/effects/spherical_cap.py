@@ -1,0 +1,160 @@
+"""Directivity of a membrane in a rigid sphere: a loudspeaker in its cabinet, with two parameters.
+
+A cap of half-angle ``cap_rad`` on a sphere of radius ``radius_m`` moves, the rest of the sphere stands still. Far away
+(Morse and Ingard, Theoretical Acoustics, 1968, sec. 7.2; time goes as ``exp(-i omega t)``)
+
+    p(theta) ~ sum_n c_n P_n(cos theta),  c_n = (-i)^n U_n / h_n'(k a),  U_n = (2 n + 1) / 2 int u P_n d(cos theta).
+
+There the cap moves as one. The sound of its rim then comes late on the axis by the depth of the cap and, where that
+is a wavelength, cancels the sound of its middle: so does no flat membrane. Here the cap moves as a plane wave that
+comes through it, ``u = exp(i k a (cos theta - 1))``. That is the same where the depth is short against a wavelength,
+is never zero on the axis, and is as narrow as a piston in a baffle where that is known to hold.
+
+All is relative to the axis: what a loudspeaker does on its axis is its response, another effect. The radius of the
+sphere sets from where on the cabinet casts a shadow, that of the membrane, ``radius_m sin(cap_rad)``, how narrow the
+beam becomes.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+from scipy.special import eval_legendre, spherical_jn, spherical_yn
+
+from roomeq.acoustics.air import speed_of_sound_m_s
+from roomeq.constants import EXACT_BANDS_HZ
+from roomeq.sim.jit import compiled
+
+MAX_RADIUS_M = 0.5
+SPEED_M_S = speed_of_sound_m_s(20.0)  # 10 degrees more or less are 2 % of a radius
+_PER_BAND = 12  # frequencies
+_N_ANGLES = 2049
+_STEP = 32  # numbers of terms for which polynomials are kept
+
+
+def cap_spectrum(cos_angle, radius_m, cap_rad, frequencies_hz):
+    """Pressure relative to the axis, at single frequencies.
+
+    Parameters
+    ----------
+    cos_angle : array_like
+        Cosine of the angle between the axis and a direction.
+    radius_m : float
+        Of the sphere, up to `MAX_RADIUS_M`.
+    cap_rad : float
+        Half-angle of the cap, up to pi / 2.
+    frequencies_hz : array_like, shape (n_frequencies,)
+
+    Returns
+    -------
+    pressure : ndarray of complex, shape (..., n_frequencies)
+        1 on the axis. Phases are those of numpy's FFT; the delay is that from the middle of the sphere less that
+        on the axis.
+
+    Raises
+    ------
+    ValueError
+        A parameter is out of range.
+    """
+    coefficients = cap_series(radius_m, cap_rad, frequencies_hz)
+    legendre = eval_legendre(np.arange(coefficients.shape[1]), np.asarray(cos_angle, dtype=float)[..., None])
+    return (legendre @ coefficients.T / coefficients.sum(axis=1)).conj()
+
+
+def cap_gain(cos_angle, radius_m, cap_rad, bands_hz=EXACT_BANDS_HZ):
+    """Energy relative to the axis, averaged over octave bands.
+
+    Parameters
+    ----------
+    cos_angle : array_like
+        Cosine of the angle between the axis and a direction.
+    radius_m : float
+        Of the sphere, up to `MAX_RADIUS_M`.
+    cap_rad : float
+        Half-angle of the cap, up to pi / 2.
+    bands_hz : sequence of float
+        Mid-band frequencies.
+
+    Returns
+    -------
+    gain : ndarray, shape (..., n_bands)
+
+    Raises
+    ------
+    ValueError
+        A parameter is out of range.
+    """
+    table = _table(float(radius_m), float(cap_rad), tuple(bands_hz))
+    cos_angle = np.asarray(cos_angle, dtype=float)
+    gain = np.empty((cos_angle.size, len(bands_hz)))
+    _look_up(np.ravel(cos_angle), table, gain)
+    return gain.reshape(*cos_angle.shape, len(bands_hz))
+
+
+def cap_series(radius_m, cap_rad, frequencies_hz):
+    """Coefficients ``c_n`` of the Legendre series of the far field.
+
+    The mean of ``|p|^2`` over all directions is ``sum_n |c_n|^2 / (2 n + 1)``, and ``p = sum_n c_n`` on the axis.
+
+    Parameters
+    ----------
+    radius_m, cap_rad : float
+    frequencies_hz : array_like, shape (n_frequencies,)
+
+    Returns
+    -------
+    coefficients : ndarray of complex, shape (n_frequencies, n_terms)
+
+    Raises
+    ------
+    ValueError
+        A parameter is out of range.
+    """
+    if not 0.0 < radius_m <= MAX_RADIUS_M:
+        raise ValueError(f"radius_m={radius_m:g} of the sphere must lie in (0, {MAX_RADIUS_M:g}] m: correct it")
+    if not 0.0 < cap_rad <= 0.5 * np.pi:
+        raise ValueError(f"cap_rad={cap_rad:g} must lie in (0, pi / 2]: correct the half-angle of the cap")
+    ka = 2.0 * np.pi * np.asarray(frequencies_hz, dtype=float) / SPEED_M_S * radius_m
+    n = np.arange(int(1.1 * ka.max()) + 25)  # what is left out is below 1e-9
+    node, weight = _gauss_legendre(_STEP * (len(n) // _STEP + 1))
+    depth = 0.5 * (1.0 - np.cos(cap_rad)) * (1.0 - node)  # of points of the cap below its middle, in radii
+    velocity = (np.exp(-1j * np.outer(ka, depth)) * weight) @ eval_legendre(n, 1.0 - depth[:, None])
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        slope = (spherical_jn(n, ka[:, None], derivative=True)
+                 + 1j * spherical_yn(n, ka[:, None], derivative=True))
+        radiated = np.where(np.isfinite(slope), 1.0 / slope, 0.0)  # high orders at low ka: they don't get away
+    return (2 * n + 1) * velocity * (-1j) ** n * radiated
+
+
+@lru_cache(maxsize=8)
+def _gauss_legendre(n_nodes):
+    return np.polynomial.legendre.leggauss(n_nodes)
+
+
+@lru_cache(maxsize=4)
+def _polynomials(n_terms):
+    """Legendre polynomials at the angles of a table, shape (n_terms, _N_ANGLES)."""
+    return eval_legendre(np.arange(n_terms)[:, None], np.cos(np.linspace(0.0, np.pi, _N_ANGLES)))
+
+
+@lru_cache(maxsize=64)
+def _table(radius_m, cap_rad, bands_hz):
+    """Band averages at even angles from 0 to pi, shape (_N_ANGLES, n_bands)."""
+    within = 2.0 ** ((np.arange(_PER_BAND) + 0.5) / _PER_BAND - 0.5)
+    coefficients = cap_series(radius_m, cap_rad, np.outer(bands_hz, within).ravel())
+    n_terms = coefficients.shape[1]
+    polynomials = _polynomials(_STEP * (n_terms // _STEP + 1))[:n_terms]
+    relative = coefficients / coefficients.sum(axis=1, keepdims=True)
+    energy = (relative.real @ polynomials) ** 2 + (relative.imag @ polynomials) ** 2
+    return np.ascontiguousarray(energy.reshape(len(bands_hz), _PER_BAND, -1).mean(axis=1).T)
+
+
+@compiled
+def _look_up(cos_angle, table, gain):
+    """Interpolate between the angles of a table."""
+    last = len(table) - 1
+    for n in range(len(cos_angle)):
+        place = np.arccos(min(max(cos_angle[n], -1.0), 1.0)) * (last / np.pi)
+        row = min(int(place), last - 1)
+        share = place - row
+        for band in range(gain.shape[1]):
+            gain[n, band] = table[row, band] * (1.0 - share) + table[row + 1, band] * share
