@@ -20,10 +20,13 @@ class Images:
         Length of each path.
     slot_counts : ndarray of int, shape (n_paths, n_slots)
         How often it is reflected by each slot.
+    departure : ndarray, shape (n_paths, 3)
+        Unit vector in which it leaves the source.
     """
 
     distance_m: np.ndarray
     slot_counts: np.ndarray
+    departure: np.ndarray
 
     @property
     def has_direct(self):
@@ -62,9 +65,12 @@ def specular_paths(room, source_pos_m, mic_pos_m, order):
     dims_m = np.array(room.dims_m)
     source = np.asarray(source_pos_m, dtype=np.float64)
     images = lattice * dims_m + np.where(lattice % 2 == 0, source, dims_m - source)
-    distance_m = np.linalg.norm(images - np.asarray(mic_pos_m, dtype=np.float64), axis=1)
+    way = np.asarray(mic_pos_m, dtype=np.float64) - images
+    distance_m = np.linalg.norm(way, axis=1)
+    # what leaves an image leaves the source mirrored along each axis with an odd number of reflections
+    departure = np.where(lattice % 2 == 0, way, -way) / distance_m[:, None]
     by_length = np.argsort(distance_m, kind="stable")
-    return Images(distance_m[by_length], slot_counts[by_length])
+    return Images(distance_m[by_length], slot_counts[by_length], departure[by_length])
 
 
 @lru_cache(maxsize=8)

@@ -52,9 +52,7 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n
     if visible is None:
         visible = visibility(paths, room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
     n_rays = len(paths.hits) if n_rays is None else min(n_rays, len(paths.hits))
-    wanted_m = float(np.clip(0.11 * room.volume_m3 ** (1.0 / 3.0), *_SPHERE_RADII))
-    radius_m = np.array([room.sphere_radius_m(mic, wanted_m) for mic in mics_m])
-    volume_m3 = np.array([room.sphere_volume_m3(*sphere) for sphere in zip(mics_m, radius_m, strict=True)])
+    radius_m, volume_m3 = spheres(room, mics_m)
     result = np.empty((len(mics_m), n_frames, absorption.shape[1]))
     for first in range(0, len(mics_m), _BATCH):
         batch = slice(first, first + _BATCH)
@@ -66,6 +64,13 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n
         for_chunks(n_rays, lambda chunk, low, high: _gather(*given, low, high, parts[chunk]))  # noqa: B023
         result[batch] = parts.sum(axis=0, dtype=np.float64)
     return result / (4.0 * np.pi * n_rays)
+
+
+def spheres(room, mics_m):
+    """Radius [m] and volume inside the room [m3] of the sphere around each microphone, shape (n_mics,) each."""
+    wanted_m = float(np.clip(0.11 * room.volume_m3 ** (1.0 / 3.0), *_SPHERE_RADII))
+    radius_m = np.array([room.sphere_radius_m(mic, wanted_m) for mic in mics_m])
+    return radius_m, np.array([room.sphere_volume_m3(*sphere) for sphere in zip(mics_m, radius_m, strict=True)])
 
 
 def visibility(paths, room, mics_m, *, n_frames, speed_m_s):

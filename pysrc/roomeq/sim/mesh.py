@@ -273,9 +273,9 @@ def _find_sequences(room, source, order):
 
 def _checked_paths(room, sequences, source, mic):
     """Build the image sources of all sequences and keep those that the microphone sees."""
-    distances, counts = [], []
+    mirrors, distances, counts, departures = room._known["mirrors"], [], [], []
     for sequence in sequences:
-        images = _images(room._known["mirrors"], sequence, source)
+        images = _images(mirrors, sequence, source)
         alive = np.arange(len(sequence))
         target = np.tile(mic, (len(sequence), 1))
         slot_counts = np.zeros((len(sequence), len(room.slots)), dtype=np.int64)
@@ -289,11 +289,21 @@ def _checked_paths(room, sequences, source, mic):
             slot_counts[alive, room.face_slot[face]] += 1
         if len(alive):
             alive = alive[room.sees(target, source)]
-        distances.append(np.linalg.norm(images[-1][alive] - mic, axis=1))
+        way = mic - images[-1][alive]
+        distances.append(np.linalg.norm(way, axis=1))
         counts.append(slot_counts[alive])
-    distance_m, slot_counts = np.concatenate(distances), np.concatenate(counts)
+        departures.append(_unmirrored(mirrors, sequence[alive], way / distances[-1][:, None]))
+    distance_m, slot_counts, departure = (np.concatenate(parts) for parts in (distances, counts, departures))
     by_length = np.argsort(distance_m, kind="stable")
-    return Images(distance_m[by_length], slot_counts[by_length])
+    return Images(distance_m[by_length], slot_counts[by_length], departure[by_length])
+
+
+def _unmirrored(mirrors, sequence, direction):
+    """Directions at the source of what leaves its images in some directions, shape (n_sequences, 3)."""
+    for k in range(sequence.shape[1] - 1, -1, -1):
+        normal = mirrors[sequence[:, k], :3]
+        direction = direction - 2.0 * np.einsum("ij,ij->i", direction, normal)[:, None] * normal
+    return direction
 
 
 def _images(mirrors, sequence, source):

@@ -47,6 +47,8 @@ class Paths:
     Attributes
     ----------
     source_pos_m : ndarray, shape (3,)
+    directions : ndarray, shape (n_rays, 3)
+        Unit vectors in which the rays leave the source.
     hits : ndarray of float32, shape (n_rays, capacity, 4)
         Position of each reflection and the length of the path up to there [m].
     codes : ndarray of unsigned int, shape (n_rays, capacity)
@@ -67,6 +69,7 @@ class Paths:
     """
 
     source_pos_m: np.ndarray
+    directions: np.ndarray
     hits: np.ndarray
     codes: np.ndarray
     normals: np.ndarray
@@ -125,8 +128,8 @@ def trace(room, source_pos_m, scattering, *, num_rays, max_length_m, speed_m_s, 
     normals, face_slot = (room.normals, room.face_slot) if walls is None else (walls.normals, walls.face_slot)
     hits, codes, counts, n_leaked = follow(room, source_pos_m, directions, scattering[face_slot], late_m, stride,
                                            max_length_m, seed)
-    return Paths(source_pos_m, hits, codes, normals, face_slot, counts, scattering, late_m, stride, max_length_m,
-                 n_leaked)
+    return Paths(source_pos_m, directions, hits, codes, normals, face_slot, counts, scattering, late_m, stride,
+                 max_length_m, n_leaked)
 
 
 def dense_after_s(volume_m3, speed_m_s, rate_hz):

@@ -1,0 +1,253 @@
+"""Echoes: a fair sample of the paths that reach a microphone, for materials that are not known yet.
+
+`roomeq.sim.gather` walks along all stored paths for one set of absorption coefficients. Here one walk keeps, per
+microphone and millisecond, `N_KEPT` of the paths that arrive, drawn with probabilities proportional to the energy
+that they bring at a reference absorption (weighted reservoir sampling with jumps, as Efraimidis and Spirakis,
+Inf. Process. Lett. 97 (2006) 181). A kept path knows what it met, so that the echogram for any other absorption is a
+small matrix product: exact at the reference, unbiased elsewhere, and the noisier the further from it.
+
+Every chunk of rays keeps its own share of the paths: strata, which no thread sees but one.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from roomeq.sim.gather import FRAME_S, spheres, visibility
+from roomeq.sim.jit import N_CHUNKS, compiled, for_chunks, mix, uniform
+
+_PER_CHUNK = 2
+N_KEPT = _PER_CHUNK * N_CHUNKS  # per frame
+MAX_ABSORPTION = 0.999  # of the reference: a path that it left nothing of could stand for no other
+_LOG_NOTHING = -200.0  # what a surface keeps that absorbs all: its exponential is 0 in single precision
+_GIVEN_UP = np.float32(1e-25)  # share of a ray's energy at the reference
+_BATCH = 32  # microphones that are served in one pass over the rays
+
+
+@dataclass(frozen=True)
+class Echoes:
+    """Paths that reach one microphone, without those of the image sources.
+
+    Attributes
+    ----------
+    weight : ndarray of float32, shape (n_columns, n_frames, N_KEPT)
+        Squared pressure that each stands for before anything was absorbed, relative to a direct sound of
+        ``1 / (4 pi r)^2``; 0 where there is none. A column is one trace.
+    counts : ndarray of unsigned int, shape (n_columns, n_frames, N_KEPT, n_slots)
+        How often each was reflected by each slot.
+    ray : ndarray of uint32, shape (n_columns, n_frames, N_KEPT)
+        Index of the ray that it came with: it left the source in that of `Paths.directions`.
+    column_of_band : tuple of 8 ints
+    """
+
+    weight: np.ndarray
+    counts: np.ndarray
+    ray: np.ndarray
+    column_of_band: tuple
+
+
+def keep_echoes(traced, mics_m, reference, rngs, *, ism_order, n_frames, visible=None):
+    """Sample what reaches some microphones.
+
+    Parameters
+    ----------
+    traced : TracedSource
+    mics_m : ndarray, shape (n_mics, 3)
+    reference : ndarray, shape (n_mics, n_slots)
+        Absorption for which the sample is best, of each microphone; see `middle`.
+    rngs : sequence of numpy.random.Generator
+        One per microphone; the sample of one does not depend on the others.
+    ism_order, n_frames : int
+        As for `gather`.
+    visible : list of ndarray, optional
+        From `visibility`, one for each column.
+
+    Returns
+    -------
+    list of Echoes
+        One per microphone.
+    """
+    mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
+    seeds = np.array([rng.integers(2 ** 63) for rng in rngs], dtype=np.uint64)
+    reference = np.minimum(reference, MAX_ABSORPTION)
+    sphere = spheres(traced.scene.room, mics_m)
+    result = []
+    for first in range(0, len(mics_m), _BATCH):
+        batch = slice(first, first + _BATCH)
+        columns = [_keep_column(paths, traced.scene, mics_m[batch], reference[batch], seeds[batch],
+                                [values[batch] for values in sphere], ism_order, n_frames,
+                                None if visible is None else visible[n][batch])
+                   for n, paths in enumerate(traced.paths)]
+        result += [Echoes(*(np.stack(parts) for parts in zip(*one, strict=True)), traced.path_of_band)
+                   for one in zip(*columns, strict=True)]
+    return result
+
+
+def middle(absorption):
+    """Reference for all bands together: what is kept at each slot is their geometric mean.
+
+    Parameters
+    ----------
+    absorption : ndarray, shape (..., n_slots, 8)
+
+    Returns
+    -------
+    ndarray, shape (..., n_slots)
+    """
+    return 1.0 - np.exp(np.log1p(-np.minimum(absorption, MAX_ABSORPTION)).mean(axis=-1))
+
+
+def echogram(echoes, absorption, *, bands=None, ray_gain=None):
+    """Energy that reaches the microphone from all but image sources, for any absorption; compare `gather`.
+
+    Parameters
+    ----------
+    echoes : Echoes
+    absorption : ndarray, shape (n_slots, 8)
+    bands : sequence of int, optional
+        Leave the others 0.
+    ray_gain : ndarray, shape (n_rays, 8), optional
+        Energy gain of each ray, for sources that are not omnidirectional.
+
+    Returns
+    -------
+    ndarray, shape (n_frames, 8)
+        Squared pressure per frame, without air absorption.
+    """
+    bands = np.arange(len(echoes.column_of_band)) if bands is None else np.asarray(bands)
+    n_frames, n_kept = echoes.weight.shape[1:]
+    column_of_band = np.asarray(echoes.column_of_band)[bands]
+    with np.errstate(divide="ignore"):
+        log_kept = np.maximum(np.log1p(-np.asarray(absorption)[:, bands]), _LOG_NOTHING).astype(np.float32)
+    result = np.zeros((n_frames, len(echoes.column_of_band)))
+    for column in np.unique(column_of_band):
+        members = np.flatnonzero(column_of_band == column)
+        counts = echoes.counts[column].reshape(n_frames * n_kept, -1).astype(np.float32)
+        share = counts @ log_kept[:, members]
+        np.exp(share, out=share)
+        if ray_gain is not None:
+            share *= ray_gain[echoes.ray[column].ravel()][:, bands[members]]
+        # one row of weights times a matrix, per frame
+        energy = echoes.weight[column][:, None, :] @ share.reshape(n_frames, n_kept, -1)
+        result[:, bands[members]] = energy[:, 0]
+    return result
+
+
+def _keep_column(paths, scene, mics_m, reference, seeds, sphere, ism_order, n_frames, visible):
+    """Sample one trace: (weight, counts, ray) for each microphone."""
+    single = partial(np.asarray, dtype=np.float32)
+    n_mics, n_slots, n_rays = len(mics_m), reference.shape[1], len(paths.counts)
+    speed_m_s = scene.air.speed_m_s
+    if visible is None:
+        visible = visibility(paths, scene.room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
+    radius_m, volume_m3 = sphere
+    shape = (N_CHUNKS, n_mics, n_frames, _PER_CHUNK)
+    sums = np.zeros((*shape[:3], 2 + _PER_CHUNK), dtype=np.float32)
+    counts = np.zeros((*shape, n_slots), dtype=np.uint8 if paths.counts.max() < 256 else np.uint16)
+    ray = np.zeros(shape, dtype=np.uint32)
+    reflection = np.ascontiguousarray((1.0 - reference).T, dtype=np.float32)
+    given = (single(paths.source_pos_m), paths.hits, paths.codes, paths.counts, single(paths.normals),
+             paths.face_slot, reflection, single(paths.scattering), single(mics_m.T, order="C"), visible,
+             single(radius_m ** 2), single(1.0 / volume_m3), ism_order, np.float32(1.0 / (speed_m_s * FRAME_S)),
+             np.float32(paths.late_m), paths.stride, seeds)
+    for_chunks(n_rays, lambda chunk, low, high: _keep(*given, low, high, sums[chunk], counts[chunk], ray[chunk]))
+    kept = counts @ np.log1p(-reference)[None, :, None, :, None]
+    weight = sums[..., :1] * np.exp(-kept[..., 0]) / (4.0 * np.pi * n_rays * _PER_CHUNK)
+    weight, counts, ray = (np.moveaxis(values, 0, 2).reshape(n_mics, n_frames, N_KEPT, *values.shape[4:])
+                           for values in (weight.astype(np.float32), counts, ray))
+    return list(zip(weight, counts, ray, strict=True))
+
+
+@compiled
+def _replace(sums, m, frame, counts, rays, stream, counter, met, ray):
+    """Let a path that has just been added to the sum of a frame take the places that it wins.
+
+    A place is lost to a new path with probability ``energy / sum so far``; the sum at which that happens next is drawn
+    at once: it exceeds the present one by a factor of more than x with probability 1 / x.
+    """
+    for place in range(counts.shape[2]):
+        if sums[m, frame, 0] >= sums[m, frame, 2 + place]:
+            sums[m, frame, 2 + place] = sums[m, frame, 0] / (1.0 - uniform(stream, counter + place))
+            rays[m, frame, place] = ray
+            for slot in range(len(met)):
+                counts[m, frame, place, slot] = met[slot]
+    sums[m, frame, 1] = sums[m, frame, 2:].min()
+
+
+@compiled
+def _keep(source, hits, codes, face_counts, normals, face_slot, reflection, scattering, mics, visible, radius2,
+          per_volume, ism_order, frames_per_m, late_m, stride, seeds, low, high, sums, counts, rays):
+    """Sample rays `low` to `high`; the walk along them is that of `roomeq.sim.gather`.
+
+    `sums`, shape (n_mics, n_frames, 2 + _PER_CHUNK): energy so far, the least sum at which a place changes hands, and
+    that sum of each place.
+    """
+    n_mics, n_frames, _ = sums.shape
+    all_visible = len(visible) == 0
+    zero, one = np.float32(0.0), np.float32(1.0)
+    mx, my, mz = mics[0], mics[1], mics[2]
+    along, weight, frame = np.empty(n_mics, np.float32), np.empty(n_mics, np.float32), np.empty(n_mics, np.float32)
+    share, met = np.empty(n_mics, np.float32), np.zeros(counts.shape[3], counts.dtype)
+    for ray in range(low, high):
+        share[:] = one
+        met[:] = 0
+        px, py, pz, path = source[0], source[1], source[2], zero
+        specular, late = True, stride == 1
+        was_diffuse = True
+        for n in range(face_counts[ray]):
+            hx, hy, hz, new_path = hits[ray, n, 0], hits[ray, n, 1], hits[ray, n, 2], hits[ray, n, 3]
+            if not was_diffuse and (n > ism_order or not specular):
+                length = new_path - path
+                scale = one / max(length, np.float32(1e-9))
+                ux, uy, uz = (hx - px) * scale, (hy - py) * scale, (hz - pz) * scale
+                for m in range(n_mics):
+                    vx, vy, vz = mx[m] - px, my[m] - py, mz[m] - pz
+                    along[m] = ux * vx + uy * vy + uz * vz
+                    weight[m] = radius2[m] - (vx * vx + vy * vy + vz * vz - along[m] * along[m])
+                for m in range(n_mics):
+                    if weight[m] > zero:
+                        half = np.sqrt(weight[m])
+                        start, stop = max(zero, along[m] - half), min(length, along[m] + half)
+                        middle = (path + np.float32(0.5) * (start + stop)) * frames_per_m
+                        if stop > start and middle < n_frames:
+                            k = np.uint32(middle)
+                            sums[m, k, 0] += (stop - start) * per_volume[m] * share[m]
+                            if sums[m, k, 0] >= sums[m, k, 1]:
+                                _replace(sums, m, k, counts, rays, mix(seeds[m] + np.uint64(ray)), 2 * (2 * n + 1),
+                                         met, ray)
+            px, py, pz, path = hx, hy, hz, new_path
+            face = codes[ray, n] >> 1
+            slot = face_slot[face]
+            met[slot] += 1
+            largest = zero
+            for m in range(n_mics):
+                share[m] *= reflection[slot, m]
+                largest = max(largest, share[m])
+            if largest < _GIVEN_UP:
+                break
+            if not late and path > late_m:
+                if ray % stride != 0:
+                    break
+                late = True
+                for m in range(n_mics):
+                    share[m] *= np.float32(stride)
+            s = scattering[slot]
+            if s > zero:
+                nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
+                for m in range(n_mics):
+                    vx, vy, vz = mx[m] - hx, my[m] - hy, mz[m] - hz
+                    d2 = vx * vx + vy * vy + vz * vz
+                    d = np.sqrt(d2)
+                    weight[m] = share[m] * s * (vx * nx + vy * ny + vz * nz) / (np.float32(np.pi) * d2 * d)
+                    frame[m] = (path + d) * frames_per_m
+                for m in range(n_mics):
+                    if weight[m] > zero and frame[m] < n_frames and (all_visible or visible[m, ray, n]):
+                        k = np.uint32(frame[m])
+                        sums[m, k, 0] += weight[m]
+                        if sums[m, k, 0] >= sums[m, k, 1]:
+                            _replace(sums, m, k, counts, rays, mix(seeds[m] + np.uint64(ray)), 2 * (2 * n + 2), met,
+                                     ray)
+            was_diffuse = (codes[ray, n] & 1) == 1
+            if was_diffuse:
+                specular = False
