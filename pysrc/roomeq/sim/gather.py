@@ -21,7 +21,7 @@ _BATCH = 32  # receivers that are served in one pass over the rays
 
 
 def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n_rays=None,
-           visible=None):
+           visible=None, ray_gain=None):
     """Collect echograms.
 
     Parameters
@@ -39,6 +39,8 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n
         Use the first so many rays only.
     visible : ndarray, optional
         From `visibility`, which is asked if need be.
+    ray_gain : ndarray, shape (n_rays, 8), optional
+        Energy with which each ray leaves the source, 1 by default.
 
     Returns
     -------
@@ -53,6 +55,7 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n
         visible = visibility(paths, room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
     n_rays = len(paths.hits) if n_rays is None else min(n_rays, len(paths.hits))
     radius_m, volume_m3 = spheres(room, mics_m)
+    ray_gain = np.zeros((0, 8), dtype=np.float32) if ray_gain is None else single(ray_gain)
     result = np.empty((len(mics_m), n_frames, absorption.shape[1]))
     for first in range(0, len(mics_m), _BATCH):
         batch = slice(first, first + _BATCH)
@@ -60,7 +63,7 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n
         given = (single(paths.source_pos_m), paths.hits, paths.codes, paths.counts, single(paths.normals), reflection,
                  scattering, single(mics_m[batch].T, order="C"), visible[batch], single(radius_m[batch] ** 2),
                  single(1.0 / volume_m3[batch]), ism_order, np.float32(1.0 / (speed_m_s * FRAME_S)),
-                 np.float32(paths.late_m), paths.stride)
+                 np.float32(paths.late_m), paths.stride, ray_gain)
         for_chunks(n_rays, lambda chunk, low, high: _gather(*given, low, high, parts[chunk]))  # noqa: B023
         result[batch] = parts.sum(axis=0, dtype=np.float64)
     return result / (4.0 * np.pi * n_rays)
@@ -111,7 +114,7 @@ def _add(row, weight, g0, g1, g2, g3, g4, g5, g6, g7):
 
 @compiled
 def _gather(source, hits, codes, counts, normals, reflection, scattering, mics, visible, radius2, per_volume, ism_order,
-            frames_per_m, late_m, stride, low, high, echo):
+            frames_per_m, late_m, stride, ray_gain, low, high, echo):
     """Add rays `low` to `high` to `echo`, shape (n_mics, n_frames, 8).
 
     All in single precision. First what a reflection means to every microphone, which is vectorised over them, then
@@ -124,6 +127,9 @@ def _gather(source, hits, codes, counts, normals, reflection, scattering, mics, 
     along, weight, frame = np.empty(n_mics, np.float32), np.empty(n_mics, np.float32), np.empty(n_mics, np.float32)
     for ray in range(low, high):
         g0, g1, g2, g3, g4, g5, g6, g7 = one, one, one, one, one, one, one, one
+        if len(ray_gain):
+            g = ray_gain[ray]
+            g0, g1, g2, g3, g4, g5, g6, g7 = g[0], g[1], g[2], g[3], g[4], g[5], g[6], g[7]
         px, py, pz, path = source[0], source[1], source[2], zero
         specular, late = True, stride == 1
         was_diffuse = True

@@ -141,7 +141,8 @@ def _echograms(job, absorption, *, n_rays=None, bands=None):
     for group in sorted({traced.path_of_band[band] for band in wanted}):
         members = [band for band in wanted if traced.path_of_band[band] == group]
         energy = gather(traced.paths[group], traced.scene.room, absorption, job.mics_m, ism_order=job.ism_order,
-                        n_frames=n_frames, speed_m_s=air.speed_m_s, n_rays=n_rays, visible=job.visible[group])
+                        n_frames=n_frames, speed_m_s=air.speed_m_s, n_rays=n_rays, visible=job.visible[group],
+                        ray_gain=None if job.path_gain is None else job.path_gain(traced.paths[group].directions))
         result[:, :, members] = energy[:, :, members]
     result = _smooth_late(result, dense_after_s(traced.scene.room.volume_m3, air.speed_m_s, FS_HZ))
     length_m = (np.arange(n_frames) + 0.5) * FRAME_S * air.speed_m_s
@@ -160,7 +161,7 @@ def _smooth_late(energy, late_s):
 
 
 def render_responses(traced, mics_m, rngs, *, absorption=None, length_s=None, ism_order=ISM_ORDER,
-                     diffraction=True):
+                     diffraction=True, path_gain=None):
     """Render the responses of a traced source at some microphones.
 
     Parameters
@@ -176,6 +177,9 @@ def render_responses(traced, mics_m, rngs, *, absorption=None, length_s=None, is
     ism_order : int
     diffraction : bool
         Whether sound comes around the edges of a mesh (`roomeq.sim.diffraction`).
+    path_gain : callable, optional
+        Takes the directions in which paths leave the source, shape (n, 3), and gives their energy, shape (n, 8): a
+        directivity. Diffracted sound has none.
 
     Returns
     -------
@@ -186,12 +190,12 @@ def render_responses(traced, mics_m, rngs, *, absorption=None, length_s=None, is
     ValueError
         A microphone lies outside the room or on top of the source.
     """
-    job = _job(traced, mics_m, rngs, length_s, ism_order, diffraction)
+    job = _job(traced, mics_m, rngs, length_s, ism_order, diffraction, path_gain)
     return _render(job, traced.scene.absorption if absorption is None else absorption)
 
 
 def render_to_target(traced, mics_m, rngs, target_s, *, absorption=None, length_s=None, ism_order=ISM_ORDER,
-                     diffraction=True):
+                     diffraction=True, path_gain=None):
     """Render responses whose mean T30 at 1 kHz is the target, by scaling the absorption of all surfaces.
 
     Parameters are those of `render_responses`, and
@@ -205,7 +209,7 @@ def render_to_target(traced, mics_m, rngs, target_s, *, absorption=None, length_
         No scaling was found that brings T30 within 5 % of the target, with T20 about the same: the room, its air
         or the direct sound don't allow it.
     """
-    job = _job(traced, mics_m, rngs, length_s, ism_order, diffraction)
+    job = _job(traced, mics_m, rngs, length_s, ism_order, diffraction, path_gain)
     base = traced.scene.absorption if absorption is None else absorption
 
     def pilot(exponent):
@@ -318,9 +322,16 @@ class _Job:
     visible: list[np.ndarray]
     length_s: float
     ism_order: int
+    path_gain: object
+
+    def image_gains(self, images, absorption):
+        """Pressure of image sources, as they leave the source."""
+        scene = self.traced.scene
+        gains = images.gains(absorption, scene.scattering, scene.air.attenuation_per_m)
+        return gains if self.path_gain is None else gains * np.sqrt(self.path_gain(images.departure))
 
 
-def _job(traced, mics_m, rngs, length_s, ism_order, diffraction):
+def _job(traced, mics_m, rngs, length_s, ism_order, diffraction, path_gain):
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
     for mic_m in mics_m:
         check_positions(traced.scene.room, traced.source_pos_m, mic_m)
@@ -335,7 +346,7 @@ def _job(traced, mics_m, rngs, length_s, ism_order, diffraction):
     noises = [tail_noise(n_samples, room.volume_m3, air.speed_m_s, rng) for rng in rngs]
     visible = [visibility(paths, room, mics_m, n_frames=_n_frames(length_s), speed_m_s=air.speed_m_s)
                for paths in traced.paths]
-    return _Job(traced, mics_m, images, diffracted, noises, visible, length_s, ism_order)
+    return _Job(traced, mics_m, images, diffracted, noises, visible, length_s, ism_order, path_gain)
 
 
 def _n_frames(length_s):
@@ -347,7 +358,7 @@ def _add_images(energy, job, absorption):
     air = job.traced.scene.air
     for echogram, found in zip(energy, job.images, strict=True):
         frame = (found.distance_m / air.speed_m_s / FRAME_S).astype(int)
-        gains = found.gains(absorption, job.traced.scene.scattering, air.attenuation_per_m)
+        gains = job.image_gains(found, absorption)
         inside = frame < len(echogram)
         np.add.at(echogram, frame[inside], gains[inside] ** 2)
 
@@ -364,7 +375,7 @@ def _render_one(job, absorption, mic_m, echogram, whole, images, diffracted, noi
     traced, air = job.traced, job.traced.scene.air
     direct_sample = float(np.linalg.norm(mic_m - traced.source_pos_m) / air.speed_m_s * FS_HZ)
     length_s = min(response_length_s(whole, direct_sample / FS_HZ + 0.1), job.length_s)
-    gains = images.gains(absorption, traced.scene.scattering, air.attenuation_per_m)
+    gains = job.image_gains(images, absorption)
     rir = render(images.distance_m, gains, echogram, noise, speed_m_s=air.speed_m_s,
                  n_samples=round(length_s * FS_HZ))
     if diffracted is not None:

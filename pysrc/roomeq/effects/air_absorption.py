@@ -1,0 +1,46 @@
+"""Air that absorbs otherwise than declared: its temperature or humidity was another (ISO 9613-1)."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roomeq.acoustics.air import band_attenuation_per_m
+from roomeq.effects.base import Effect, ModelAir
+
+_TEMPERATURES_C = (-15.0, 45.0)
+_HUMIDITIES_PCT = (3.0, 99.0)
+
+
+@dataclass(frozen=True)
+class AirAbsorption(Effect):
+    """Absorption of the air, the speed of sound left as declared.
+
+    Attributes
+    ----------
+    temperature_c, humidity_pct : float
+        Air that absorbs like this; absorption alone does not tell the two apart well.
+    """
+
+    temperature_c: float
+    humidity_pct: float
+
+    NAME = "air_absorption"
+    SCOPE = "all"
+    STARTS = ((2.0, np.log(40.0)),)  # temperature in tens of degrees, logarithm of the humidity
+    SPREAD = (0.8, 0.6)
+    TELLS = "distances and rooms of very different size, or a hygrometer"
+
+    def vector(self):
+        return np.array([self.temperature_c / 10.0, np.log(self.humidity_pct)])
+
+    @classmethod
+    def from_vector(cls, vector):
+        return cls(float(np.clip(10.0 * vector[0], *_TEMPERATURES_C)),
+                   float(np.exp(np.clip(vector[1], *np.log(_HUMIDITIES_PCT)))))
+
+    def act(self, state, data, rows):
+        state.air_per_m[rows] = band_attenuation_per_m(self.temperature_c, self.humidity_pct)
+
+    def on_scene(self, scene):
+        attenuation = np.array(band_attenuation_per_m(self.temperature_c, self.humidity_pct))
+        return replace(scene, air=ModelAir(scene.air.speed_m_s, attenuation))

@@ -1,0 +1,18 @@
+"""All effects by name."""
+
+from roomeq.effects.air_absorption import AirAbsorption
+from roomeq.effects.coupled_volume import CoupledVolume
+from roomeq.effects.mic_response import MicResponse
+from roomeq.effects.near_reflector import NearReflector
+from roomeq.effects.noise_floor import NoiseFloor
+from roomeq.effects.occlusion import Occlusion
+from roomeq.effects.room_eq import RoomEq
+from roomeq.effects.room_modes import RoomModes
+from roomeq.effects.sound_speed import SoundSpeed
+from roomeq.effects.source_directivity import SourceDirectivity
+from roomeq.effects.source_response import SourceResponse
+
+CATALOGUE = {effect.NAME: effect for effect in (
+    AirAbsorption, SoundSpeed, SourceDirectivity, Occlusion, NearReflector, CoupledVolume, RoomModes, SourceResponse,
+    MicResponse, RoomEq, NoiseFloor)}
+"""In the order in which sound meets them, which is the order in which a model applies them."""

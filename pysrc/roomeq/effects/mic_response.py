@@ -1,0 +1,14 @@
+"""Magnitude response of each microphone: presence peaks, proximity, roll-offs."""
+
+from dataclasses import dataclass
+
+from roomeq.effects.response import Response
+
+
+@dataclass(frozen=True)
+class MicResponse(Response):
+    """Of one `mic_id`."""
+
+    NAME = "mic_response"
+    SCOPE = "mic"
+    TELLS = "the same room recorded with another microphone"

@@ -1,0 +1,163 @@
+"""A model: the simulator plus a list of effects, in a file that a person can read and edit.
+
+    {"effects": [{"effect": "source_response", "of": {"spk1": {"gains_db": [...]}}, "typical": {...}, ...}]}
+
+`of` holds the parameters of each unit (loudspeaker, microphone, room or all) that was measured. Others get parameters
+drawn from the spread of those.
+"""
+
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from roomeq.effects.catalogue import CATALOGUE
+from roomeq.files import read_json, write_json
+from roomeq.rng import rng_for
+
+MODEL_FILE = "model.json"
+_KEY = {"source": "source_id", "mic": "mic_id", "room": "room_id"}
+
+
+@dataclass(frozen=True)
+class Extension:
+    """One effect of a model.
+
+    Attributes
+    ----------
+    effect : type
+        From the catalogue.
+    of : dict
+        {unit: effect with its parameters}.
+    typical, spread : ndarray, shape (n,)
+        Mean and standard deviation of the vectors of units that were not measured.
+    """
+
+    effect: type
+    of: dict
+    typical: np.ndarray
+    spread: np.ndarray
+
+    def for_row(self, row, seed):
+        """The effect with the parameters of a row's unit; drawn where that was not measured."""
+        unit = "all" if self.effect.SCOPE == "all" else row[_KEY[self.effect.SCOPE]]
+        if unit in self.of:
+            return self.of[unit]
+        rng = rng_for(seed, f"effect {self.effect.NAME}", unit)
+        return self.effect.from_vector(self.typical + self.spread * rng.standard_normal(len(self.typical)))
+
+
+@dataclass(frozen=True)
+class Model:
+    """The simulator's extensions, in the catalogue's order.
+
+    Attributes
+    ----------
+    extensions : tuple of Extension
+    """
+
+    extensions: tuple = ()
+
+    def with_extension(self, extension):
+        """The model with one effect more, in the catalogue's order."""
+        order = list(CATALOGUE)
+        return Model(tuple(sorted([*self.extensions, extension], key=lambda one: order.index(one.effect.NAME))))
+
+    @property
+    def names(self):
+        return [extension.effect.NAME for extension in self.extensions]
+
+    def for_row(self, row, seed):
+        """Effects of a row, as a list."""
+        return [extension.for_row(row, seed) for extension in self.extensions]
+
+
+def extend_scene(effects, scene):
+    """The scene as effects change it."""
+    for effect in effects:
+        scene = effect.on_scene(scene)
+    return scene
+
+
+def path_gain(effects, facing):
+    """Energy gain of paths by the direction in which they leave the source.
+
+    Parameters
+    ----------
+    effects : list of Effect
+    facing : array_like, shape (3,), or None
+        Where the source faces.
+
+    Returns
+    -------
+    callable or None
+        Takes unit vectors, shape (n, 3), and gives gains, shape (n, 8); None where all are 1.
+    """
+    turned = [effect for effect in effects if effect.on_paths(np.ones(1)) is not None]
+    if not turned or facing is None or None in facing:
+        return None
+    facing = np.asarray(facing, dtype=float) / np.linalg.norm(facing)
+    return lambda directions: np.prod([effect.on_paths(directions @ facing) for effect in turned], axis=0)
+
+
+def write_model(path, model):
+    """Write a model file."""
+    write_json(path, dict(effects=[dict(
+        effect=one.effect.NAME, of={unit: asdict(effect) for unit, effect in sorted(one.of.items())},
+        typical=[float(value) for value in one.typical], spread=[float(value) for value in one.spread])
+        for one in model.extensions]))
+
+
+def read_model(path):
+    """Read a model file.
+
+    Raises
+    ------
+    ValueError
+        It is not one, or names an effect or a parameter that does not exist; the message names the file.
+    """
+    path = Path(path)
+    content = read_json(path)
+    if not isinstance(content, dict) or not isinstance(content.get("effects"), list):
+        raise ValueError(f"{path}: must hold an object with a list of 'effects': make it with roomeq close-loop")
+    return Model(tuple(_extension(path, n, one) for n, one in enumerate(content["effects"])))
+
+
+def _extension(path, n, one):
+    what = f"{path}: effects[{n}]"
+    if not isinstance(one, dict) or one.get("effect") not in CATALOGUE:
+        name = one.get("effect") if isinstance(one, dict) else one
+        raise ValueError(f"{what}: effect={name!r} must be one of {', '.join(sorted(CATALOGUE))}: correct the name")
+    effect = CATALOGUE[one["effect"]]
+    size = len(effect.SPREAD)
+    if not isinstance(one.get("of"), dict):
+        raise ValueError(f"{what}: of={one.get('of')!r} must map each {effect.SCOPE} to its parameters: add them")
+    vectors = {}
+    for key in ("typical", "spread"):
+        vectors[key] = one.get(key, [0.0] * size)
+        if not (isinstance(vectors[key], list) and len(vectors[key]) == size and all(map(_is_number, vectors[key]))):
+            raise ValueError(f"{what}: {key}={vectors[key]!r} must be {size} numbers: correct them")
+    units = {unit: _parameters(f"{what}: of[{unit!r}]", effect, given) for unit, given in one["of"].items()}
+    return Extension(effect, units, np.array(vectors["typical"], float), np.array(vectors["spread"], float))
+
+
+def _parameters(what, effect, given):
+    names = [field.name for field in fields(effect)]
+    if not isinstance(given, dict) or sorted(given) != sorted(names):
+        raise ValueError(f"{what} must hold {', '.join(names) or 'nothing'}: correct the names")
+    wanted = {field.name: getattr(effect.from_vector(np.zeros(len(effect.SPREAD))), field.name)
+              for field in fields(effect)}
+    for name, value in given.items():
+        sequence = isinstance(wanted[name], tuple)
+        fits = (isinstance(value, list) and len(value) == len(wanted[name]) and all(map(_is_number, value))
+                if sequence else _is_number(value))
+        if not fits:
+            rule = f"{len(wanted[name])} numbers" if sequence else "a number"
+            raise ValueError(f"{what}: {name}={value!r} must be {rule}: correct it")
+    return effect(**{name: tuple(value) if isinstance(value, list) else value for name, value in given.items()})
+
+
+def _is_number(value):
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and np.isfinite(value)
+
+

@@ -1,0 +1,53 @@
+"""Noise of a room and its recording chain behind the response: hum, ventilation, hiss that is not white."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roomeq.acoustics.metrics import octave_bands
+from roomeq.constants import EXACT_BANDS_HZ, FS_HZ
+from roomeq.effects.base import Effect
+from roomeq.sim.gather import FRAME_S
+from roomeq.sim.render import render
+
+_QUIET_DB = -55.0  # below it, noise disturbs nothing: roomeq.loop.cells
+
+
+@dataclass(frozen=True)
+class NoiseFloor(Effect):
+    """Stationary noise in recordings of a room.
+
+    Attributes
+    ----------
+    levels_db : tuple of 8 floats
+        Energy of 100 ms of noise relative to the response, per octave; -55 and less is as good as none.
+    """
+
+    levels_db: tuple
+
+    NAME = "noise_floor"
+    SCOPE = "room"
+    STARTS = ((1.0,) * 8,)  # tens of dB above -55
+    SPREAD = (1.0,) * 8
+    TELLS = "a recording of the silence before the sweep"
+
+    def vector(self):
+        return (np.array(self.levels_db) - _QUIET_DB) / 10.0
+
+    @classmethod
+    def from_vector(cls, vector):
+        return cls(tuple(float(value) for value in _QUIET_DB + 10.0 * np.clip(vector, 0.0, 5.0)))
+
+    def act(self, state, data, rows):
+        state.floor_db[rows] = np.maximum(state.floor_db[rows], self.levels_db)
+
+    def on_rir(self, rir, rendering):
+        total = np.sum(octave_bands(rir, FS_HZ) ** 2, axis=1)
+        density = 10.0 ** (np.array(self.levels_db) / 10.0) * total / (0.1 * FS_HZ)
+        density[np.array(self.levels_db) <= _QUIET_DB] = 0.0
+        width = np.minimum(np.array(EXACT_BANDS_HZ) * np.sqrt(2.0), 0.5 * FS_HZ) - np.array(EXACT_BANDS_HZ) / np.sqrt(2)
+        per_frame = density / (width / (0.5 * FS_HZ)) * FRAME_S * FS_HZ
+        n_frames = int(np.ceil(len(rir) / FS_HZ / FRAME_S)) + 1
+        noise = rendering.rng.standard_normal(len(rir))
+        return rir + render(np.zeros(0), np.zeros((0, 8)), np.tile(per_frame, (n_frames, 1)), noise,
+                            speed_m_s=rendering.scene.air.speed_m_s, n_samples=len(rir))

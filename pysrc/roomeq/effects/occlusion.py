@@ -1,0 +1,52 @@
+"""An obstacle between source and microphone: the direct sound comes around its edge.
+
+Kurze and Anderson, Appl. Acoust. 4 (1971) 35, and Maekawa, Appl. Acoust. 1 (1968) 157, for a screen: attenuation
+``10 log10(1 + 20 N)`` dB at the Fresnel number ``N = 2 delta f / c``, delta being the detour.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roomeq.constants import EXACT_BANDS_HZ
+from roomeq.effects.base import Effect
+
+_MOST_DB = 24.0  # what scatters around a screen leaves
+
+
+@dataclass(frozen=True)
+class Occlusion(Effect):
+    """Obstructed direct sound in a room.
+
+    Attributes
+    ----------
+    detour_m : float
+        How much longer the way around the edge is; 0 for a free view.
+    """
+
+    detour_m: float
+
+    NAME = "occlusion"
+    SCOPE = "room"
+    STARTS = ((0.5,),)  # square root of decimetres
+    SPREAD = (1.0,)
+    TELLS = "a recording with the obstacle taken away"
+
+    def vector(self):
+        return np.array([np.sqrt(10.0 * self.detour_m)])
+
+    @classmethod
+    def from_vector(cls, vector):
+        return cls(0.1 * float(np.clip(vector[0], 0.0, 4.0)) ** 2)
+
+    def energy_gain(self, frequencies_hz, speed_m_s):
+        """Energy of the direct sound that is left."""
+        fresnel = 2.0 * self.detour_m * np.asarray(frequencies_hz) / speed_m_s
+        return np.maximum(1.0 / (1.0 + 20.0 * fresnel), 10.0 ** (-_MOST_DB / 10.0))
+
+    def act(self, state, data, rows):
+        state.direct_gain[rows] *= self.energy_gain(EXACT_BANDS_HZ, data.speed_m_s[rows][:, None])
+
+    def on_rir(self, rir, rendering):
+        left = np.sqrt(self.energy_gain(EXACT_BANDS_HZ, rendering.scene.air.speed_m_s))
+        return rir - rendering.pulse(rendering.distance_m, (1.0 - left) * rendering.direct_gain, len(rir))

@@ -1,0 +1,194 @@
+"""Measured RIRs as the loop sees them: their cells, who recorded them where, and what rays bring there."""
+
+import logging
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from roomeq.constants import FS_HZ
+from roomeq.loop.cells import JND, measure_cells, slots
+from roomeq.loop.tables import ANGLES, N_FRAMES, collect
+from roomeq.rirs import load_rir, read_rirs
+from roomeq.rng import rng_for
+from roomeq.sim.geometry import find_place
+from roomeq.sim.response import trace_source
+from roomeq.sim.scene import Air, Material, Scene
+
+logger = logging.getLogger(__name__)
+
+NUM_RAYS = 5000
+LENGTHS_S = (0.4, 3.0)
+
+
+@dataclass(frozen=True)
+class Data:
+    """RIRs of some rooms.
+
+    Attributes
+    ----------
+    rows : list of dict
+        Rows of the RIR directories, sorted by room and id.
+    places : list of roomeq.sim.geometry.Place
+    cells, valid : ndarray, shape (n_rirs, n_cells)
+        What was measured, and which of it can be believed (`roomeq.loop.cells`).
+    room, chain : ndarray of int, shape (n_rirs,)
+        Number of the room, and of the combination of room, source and microphone.
+    room_names : list of str
+    traced : list of TracedSource
+        Of each RIR; shared by the RIRs of one source.
+    tables : list of Table
+    counts : ndarray, shape (n_rirs, N_FRAMES, n_reflections)
+        Of the tables, summed over departure angles.
+    air_per_m, speed_m_s, distance_m : ndarray, shape (n_rirs, 8), (n_rirs,), (n_rirs,)
+        The declared air, and distances between source and microphone.
+    """
+
+    rows: list
+    places: list
+    cells: np.ndarray
+    valid: np.ndarray
+    room: np.ndarray
+    chain: np.ndarray
+    room_names: list
+    traced: list
+    tables: list
+    counts: np.ndarray
+    air_per_m: np.ndarray
+    speed_m_s: np.ndarray
+    distance_m: np.ndarray
+
+    angles = ANGLES
+
+    def units(self, scope):
+        """Names of what a parameter of a scope belongs to, and its number for each RIR."""
+        if scope == "all":
+            return ["all"], np.zeros(len(self.rows), dtype=int)
+        key = {"source": "source_id", "mic": "mic_id", "room": "room_id"}[scope]
+        names = sorted({row[key] for row in self.rows})
+        return names, np.array([names.index(row[key]) for row in self.rows])
+
+
+def load_data(directories, *, scattering, seed, measured=None):
+    """Read RIR directories, measure their RIRs and trace their rooms.
+
+    Parameters
+    ----------
+    directories : sequence of Path
+        RIR directories (`roomeq.rirs`). Coordinates that nobody measured are drawn.
+    scattering : float
+        Scattering coefficient of all surfaces.
+    seed : int
+    measured : dict, optional
+        Cells by (directory, id), where they were measured before; filled in.
+
+    Returns
+    -------
+    Data
+
+    Raises
+    ------
+    ValueError
+        A directory breaks its contract, an RIR cannot be measured, or two directories share an id.
+    """
+    found = []
+    for directory in map(Path, directories):
+        rows = [row for row in read_rirs(directory) if not row.get("noise_for")]
+        by_room = {}
+        for row in rows:
+            by_room.setdefault(row["room_id"], []).append(row)
+        found += [(row["room_id"], row["id"], directory, row,
+                   find_place(row, by_room[row["room_id"]], directory, seed)) for row in rows]
+    found.sort(key=lambda one: one[:2])
+    _require_unique(found)
+    measured = {} if measured is None else measured
+    for _, rir_id, directory, row, place in found:
+        if (str(directory), rir_id) not in measured:
+            measured[str(directory), rir_id] = _measure(directory, row, place)
+    cells = [measured[str(directory), rir_id] for _, rir_id, directory, *_ in found]
+    return _traced(found, cells, scattering, seed)
+
+
+def _require_unique(found):
+    first = {}
+    for _, rir_id, directory, *_ in found:
+        if rir_id in first:
+            raise ValueError(f"RIR {rir_id} is in both {first[rir_id]} and {directory}: give each RIR once")
+        first[rir_id] = directory
+
+
+def air_of(row):
+    """The declared air of a row."""
+    return Air(**{key: row[key] for key in ("temperature_c", "humidity_pct") if row.get(key) is not None})
+
+
+def is_timed(row):
+    """Tell whether sample 0 of an RIR is the emission: only where its row says so."""
+    return row.get("tof_removed") is False
+
+
+def _measure(directory, row, place):
+    rir = load_rir(directory, row)
+    timed = is_timed(row)
+    expected = float(np.linalg.norm(np.subtract(place.mic_pos_m, place.source_pos_m))) / air_of(
+        row).speed_m_s * FS_HZ if timed else None
+    try:
+        return measure_cells(rir, expected, timed=timed)
+    except ValueError as error:
+        raise ValueError(f"{Path(directory) / row['wav']}: {error}") from None
+
+
+def _traced(found, cells, scattering, seed):
+    rows, places = [one[3] for one in found], [one[4] for one in found]
+    room_names = sorted({row["room_id"] for row in rows})
+    chains = sorted({(row["room_id"], row["source_id"], row["mic_id"]) for row in rows})
+    by_source = {}
+    for n, (row, place) in enumerate(zip(rows, places, strict=True)):
+        by_source.setdefault((row["room_id"], place.source_pos_m), []).append(n)
+    traced, tables = [None] * len(rows), [None] * len(rows)
+    for (room_id, source_pos_m), members in by_source.items():
+        place = places[members[0]]
+        material = Material("surface", 0.0, float(scattering))
+        scene = Scene(place.room, [material] * len(place.room.slots), air_of(rows[members[0]]))
+        length_s = float(np.clip(1.2 * max(_longest_s(cells[n]) for n in members) + 0.1, *LENGTHS_S))
+        one = trace_source(scene, source_pos_m, num_rays=NUM_RAYS, max_length_s=length_s,
+                           rng=rng_for(seed, "loop trace", repr((room_id, source_pos_m))))
+        made = collect(one, [places[n].mic_pos_m for n in members], [_facing(rows[n]) for n in members])
+        for n, table in zip(members, made, strict=True):
+            traced[n], tables[n] = one, table
+    depth = max(table.counts.shape[1] for table in tables)
+    counts = np.zeros((len(rows), N_FRAMES, depth))
+    for n, table in enumerate(tables):
+        counts[n, :, :table.counts.shape[1]] = table.counts.sum(axis=2)
+    airs = [air_of(row) for row in rows]
+    return Data(rows=rows, places=places, cells=np.array([one.values for one in cells]),
+                valid=np.array([one.valid for one in cells]),
+                room=np.array([room_names.index(row["room_id"]) for row in rows]),
+                chain=np.array([chains.index((row["room_id"], row["source_id"], row["mic_id"])) for row in rows]),
+                room_names=room_names, traced=traced, tables=tables, counts=counts,
+                air_per_m=np.array([air.attenuation_per_m for air in airs]),
+                speed_m_s=np.array([air.speed_m_s for air in airs]),
+                distance_m=np.array([table.distance_m for table in tables]))
+
+
+def _facing(row):
+    facing = row.get("source_dir")
+    if facing is None or None in facing or not np.any(facing):
+        return None
+    return np.array(facing, dtype=float) / np.linalg.norm(facing)
+
+
+def _longest_s(cells):
+    """Longest decay time that was measured on an RIR [s]."""
+    times = [np.exp(cells.values[slots(metric)][cells.valid[slots(metric)]] * JND[metric]) for metric in ("t20", "t30")]
+    return max([LENGTHS_S[0], *np.concatenate(times)])
+
+
+def subset(data, chosen):
+    """The same with some of the RIRs only, numbering of rooms and chains kept."""
+    index = np.flatnonzero(chosen) if np.asarray(chosen).dtype == bool else np.asarray(chosen)
+    lists = {key: [getattr(data, key)[n] for n in index] for key in ("rows", "places", "traced", "tables")}
+    arrays = {key: getattr(data, key)[index] for key in ("cells", "valid", "room", "chain", "counts", "air_per_m",
+                                                         "speed_m_s", "distance_m")}
+    return replace(data, **lists, **arrays)
+

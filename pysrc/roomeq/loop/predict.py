@@ -1,0 +1,218 @@
+"""Expected cells of every RIR from tables of energy: what a parameter changes, without rendering.
+
+A `State` says what is assumed: absorption and air, and what effects changed. Only differences between two states are
+used, added to cells measured on rendered RIRs: what windows and filters do to a cell is then in both.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roomeq.constants import EXACT_BANDS_HZ, FS_HZ
+from roomeq.effects.response import RESPONSE_HZ
+from roomeq.loop.cells import BAND_HZ, DIRECT_THIRDS_HZ, EARLY_S, JND, LATE_S, N_CELLS, QUIET_DB, THIRDS_HZ, slots
+from roomeq.loop.tables import FRAME_EDGES_S
+from roomeq.sim.jit import compiled
+
+N_BANDS = len(EXACT_BANDS_HZ)
+_N_DIRECT = len(DIRECT_THIRDS_HZ)
+_FRAME_MID_S = 0.5 * (FRAME_EDGES_S[1:] + FRAME_EDGES_S[:-1])
+_GATE, _EARLY, _LATE = (int(np.searchsorted(FRAME_EDGES_S, seconds - 1e-6)) for seconds in (2.5e-3, EARLY_S, LATE_S))
+_WIDTH_HZ = np.minimum(np.array(EXACT_BANDS_HZ) * np.sqrt(2.0), 0.5 * FS_HZ) - np.array(EXACT_BANDS_HZ) / np.sqrt(2.0)
+
+
+def _octaves_to(frequencies_hz):
+    """Matrix of linear interpolation over log frequency from the octave bands, shape (n, 8)."""
+    position = np.clip(np.interp(np.log(frequencies_hz), np.log(EXACT_BANDS_HZ), np.arange(N_BANDS)), 0, N_BANDS - 1)
+    return np.maximum(0.0, 1.0 - np.abs(position[:, None] - np.arange(N_BANDS)))
+
+
+TO_THIRDS = _octaves_to(THIRDS_HZ)
+_RESPONSE_TO_OCTAVES = np.array([np.abs(np.log2(np.array(RESPONSE_HZ) / band_hz)) < 0.4 for band_hz in EXACT_BANDS_HZ])
+RESPONSE_TO_OCTAVES = _RESPONSE_TO_OCTAVES / _RESPONSE_TO_OCTAVES.sum(axis=1, keepdims=True)
+"""Mean of the third octaves of each octave, shape (8, 23)."""
+
+
+@dataclass
+class State:
+    """What is assumed of each RIR.
+
+    Attributes
+    ----------
+    absorption : ndarray, shape (n_rirs, 8)
+        ``-ln(1 - alpha)`` of the room's surfaces.
+    air_per_m : ndarray, shape (n_rirs, 8)
+        Energy attenuation of the air [1/m].
+    speed_m_s : ndarray, shape (n_rirs,)
+    ray_gain : ndarray, shape (n_rirs, n_angles, 8), or None
+        Energy gain of rays over their angle of departure.
+    direct_gain : ndarray, shape (n_rirs, 8)
+        Energy gain of the direct sound.
+    direct_thirds : ndarray, shape (n_rirs, 22)
+        The same in third octaves, times `direct_gain`.
+    extra : ndarray, shape (n_rirs, N_FRAMES, 8)
+        Energy that arrives besides.
+    room_energy : ndarray, shape (n_rirs, 8)
+        Energy of all reflections as they were at first.
+    response_db : ndarray, shape (n_rirs, 23)
+        Of the recording chain at `RESPONSE_HZ`.
+    floor_db : ndarray, shape (n_rirs, 8)
+        Noise behind the response, relative to it.
+    shift : ndarray, shape (n_rirs, n_cells)
+        Added to the cells [JND].
+    """
+
+    absorption: np.ndarray
+    air_per_m: np.ndarray
+    speed_m_s: np.ndarray
+    ray_gain: np.ndarray | None
+    direct_gain: np.ndarray
+    direct_thirds: np.ndarray
+    extra: np.ndarray
+    room_energy: np.ndarray
+    response_db: np.ndarray
+    floor_db: np.ndarray
+    shift: np.ndarray
+
+    def turn(self, rows, gains, direct):
+        """Give sources a directivity: gains at the tables' angles, shape (n_angles, 8), and of the direct sound."""
+        if self.ray_gain is None:
+            self.ray_gain = np.ones((len(self.direct_gain), *gains.shape))
+        self.ray_gain[rows] *= gains
+        self.direct_gain[rows] *= direct
+
+    def add_decay(self, data, rows, share, rate_per_s):
+        """Add an exponential decay that holds a share of the energy of all reflections; air shortens it."""
+        rate = rate_per_s + self.speed_m_s[rows][:, None] * self.air_per_m[rows]  # (rirs, 8)
+        left = np.exp(-FRAME_EDGES_S[:, None] * rate[:, None, :])
+        self.extra[rows] += share * self.room_energy[rows][:, None, :] * (left[:, :-1] - left[:, 1:])
+
+
+def base_state(data, absorption):
+    """State of the base model: declared air, nothing else.
+
+    Parameters
+    ----------
+    data : roomeq.loop.data.Data
+    absorption : ndarray, shape (n_rooms, 8)
+        ``-ln(1 - alpha)``.
+    """
+    n = len(data.rows)
+    state = State(absorption=absorption[data.room], air_per_m=data.air_per_m.copy(), speed_m_s=data.speed_m_s.copy(),
+                  ray_gain=None, direct_gain=np.ones((n, N_BANDS)), direct_thirds=np.ones((n, len(THIRDS_HZ))),
+                  extra=np.zeros((n, len(_FRAME_MID_S), N_BANDS)), room_energy=np.zeros((n, N_BANDS)),
+                  response_db=np.zeros((n, len(RESPONSE_HZ))),
+                  floor_db=np.full((n, N_BANDS), QUIET_DB), shift=np.zeros((n, N_CELLS)))
+    state.room_energy = reflected_energy(data, state).sum(axis=1)
+    return state
+
+
+def reflected_energy(data, state):
+    """Energy of all but the direct sound, shape (n_rirs, N_FRAMES, 8)."""
+    kept = np.exp(-np.arange(data.counts.shape[2])[:, None] * state.absorption[:, None, :])  # (rirs, n, 8)
+    if state.ray_gain is None:
+        energy = np.matmul(data.counts, kept)
+    else:
+        energy = np.empty((len(kept), data.counts.shape[1], N_BANDS))
+        for i, table in enumerate(data.tables):
+            gains = state.ray_gain[i] if table.counts.shape[2] > 1 else state.ray_gain[i][:1]
+            by_n = np.einsum("fna,ab->fnb", table.counts, gains, optimize=True)
+            energy[i] = np.einsum("fnb,nb->fb", by_n, kept[i, :table.counts.shape[1]])
+    length_m = data.distance_m[:, None] + _FRAME_MID_S * data.speed_m_s[:, None]
+    return energy * np.exp(-length_m[:, :, None] * state.air_per_m[:, None, :]) + state.extra
+
+
+def predict(data, state):
+    """Expected cells, shape (n_rirs, n_cells), in JND; gains of the recordings left out."""
+    energy = reflected_energy(data, state)
+    visible = np.array([table.visible for table in data.tables], dtype=float)
+    direct = (visible / (4.0 * np.pi * data.distance_m) ** 2)[:, None] * state.direct_gain * np.exp(
+        -data.distance_m[:, None] * state.air_per_m)
+    thirds_direct = _db(np.maximum(direct, 1e-30)) @ TO_THIRDS.T + _db(state.direct_thirds)
+    cells = np.zeros((len(energy), N_CELLS))
+    late = energy[:, _EARLY:].sum(axis=1)
+    whole = energy.sum(axis=1)
+    octaves_db = state.response_db @ RESPONSE_TO_OCTAVES.T
+    thirds_db = state.response_db[:, :len(THIRDS_HZ)]
+    first = _db(energy[:, 0]) @ TO_THIRDS.T
+    cells[:, slots("direct")] = (_sum_db(thirds_direct, first) + thirds_db)[:, -_N_DIRECT:]
+    cells[:, slots("early")] = _db(energy[:, _GATE:_EARLY].sum(axis=1)) + octaves_db
+    cells[:, slots("late")] = _db(energy[:, _EARLY:_LATE].sum(axis=1)) + octaves_db
+    cells[:, slots("spectrum")] = _sum_db(thirds_direct, _db(whole) @ TO_THIRDS.T) + thirds_db
+    early = direct + energy[:, :_EARLY].sum(axis=1)
+    cells[:, slots("c50")] = (_db(early) - _db(late)) / JND["c50"]
+    weight = _WIDTH_HZ * 10.0 ** (octaves_db / 10.0)
+    near = ((direct + energy[:, 0]) * weight).sum(axis=1)
+    far = ((whole - energy[:, 0]) * weight).sum(axis=1)
+    cells[:, slots("drr")] = ((_db(near) - _db(far)) / JND["drr"])[:, None]
+    times = np.empty((len(energy), 3, N_BANDS))
+    _decay_times(direct + energy[:, 0], energy, FRAME_EDGES_S, times)
+    ratio = np.log(data.speed_m_s / state.speed_m_s)[:, None]
+    for k, metric in enumerate(("edt", "t20", "t30")):
+        cells[:, slots(metric)] = (np.log(times[:, k]) + ratio) / JND[metric]
+    cells[:, slots("arrival")] = (data.distance_m / state.speed_m_s / JND["arrival"])[:, None]
+    cells[:, slots("floor")] = state.floor_db
+    cells[:, slots("ahead")] = QUIET_DB
+    return cells + state.shift
+
+
+def _db(power):
+    return 10.0 * np.log10(np.maximum(power, 1e-30))
+
+
+def _sum_db(one_db, other_db):
+    return _db(10.0 ** (one_db / 10.0) + 10.0 ** (other_db / 10.0))
+
+
+@compiled
+def _decay_times(direct, energy, edges_s, times_s):
+    """EDT, T20 and T30 from energies per frame, shape (n_rirs, 3, 8)."""
+    n_rirs, n_frames, n_bands = energy.shape
+    curve = np.empty(n_frames + 1)
+    for i in range(n_rirs):
+        for band in range(n_bands):
+            total = 0.0
+            curve[n_frames] = 1e-30
+            for frame in range(n_frames - 1, 0, -1):
+                total += energy[i, frame, band]
+                curve[frame] = total
+            curve[0] = total + direct[i, band]
+            for k in range(3):
+                top, bottom = (0.0, -10.0) if k == 0 else ((-5.0, -25.0) if k == 1 else (-5.0, -35.0))
+                times_s[i, k, band] = _slope(curve, edges_s, 10.0 ** (0.1 * top), 10.0 ** (0.1 * bottom))
+
+
+@compiled
+def _slope(curve, edges_s, top, bottom):
+    """Regression over the part of a decay curve between two fractions of its start, 24 points [s per 60 dB]."""
+    first, last = _crossing(curve, edges_s, top), _crossing(curve, edges_s, bottom)
+    n = 24
+    sum_ty, sum_tt, frame = 0.0, 0.0, 0
+    for k in range(n):
+        time = first + (last - first) * (k + 0.5) / n
+        while frame + 2 < len(curve) and edges_s[frame + 1] < time:
+            frame += 1
+        part = (time - edges_s[frame]) / (edges_s[frame + 1] - edges_s[frame])
+        level = 10.0 * (np.log10(max(curve[frame], 1e-30)) * (1.0 - part)
+                        + np.log10(max(curve[frame + 1], 1e-30)) * part)
+        centred = time - 0.5 * (first + last)
+        sum_ty += centred * level
+        sum_tt += centred * centred
+    return max(1e-3, -60.0 / min(sum_ty / max(sum_tt, 1e-12), -1e-3))
+
+
+@compiled
+def _crossing(curve, edges_s, fraction):
+    """Time at which a curve has fallen to a fraction of its start, interpolated in dB."""
+    level = curve[0] * fraction
+    for frame in range(len(curve) - 1):
+        if curve[frame + 1] < level:
+            high, low = np.log(max(curve[frame], 1e-30)), np.log(max(curve[frame + 1], 1e-30))
+            part = 0.0 if high <= low else min(max((high - np.log(level)) / (high - low), 0.0), 1.0)
+            return edges_s[frame] + part * (edges_s[frame + 1] - edges_s[frame])
+    return edges_s[len(curve) - 1]
+
+
+BAND_OF_CELL = np.where(BAND_HZ > 0, np.argmin(np.abs(np.log(np.maximum(BAND_HZ, 1.0)[:, None]
+                                                               / np.array(EXACT_BANDS_HZ))), axis=1), -1)
+"""Octave band of each cell, -1 for the whole band, shape (n_cells,)."""

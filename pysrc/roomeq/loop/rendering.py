@@ -1,0 +1,88 @@
+"""RIRs of a model for every row of the data, and their cells: measured in the same way as the recordings' own."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from roomeq.constants import FS_HZ
+from roomeq.effects.base import Rendering
+from roomeq.effects.model import extend_scene, path_gain
+from roomeq.loop.cells import measure_cells
+from roomeq.rng import rng_for
+from roomeq.sim.response import render_responses
+from roomeq.sim.scene import eyring_time_s, with_absorption
+
+
+@dataclass(frozen=True)
+class Raw:
+    """An RIR before effects that act behind the rendering.
+
+    Attributes
+    ----------
+    rir : ndarray, shape (n_samples,)
+    scene : Scene
+    direct_gain : ndarray, shape (8,)
+        Pressure of the direct sound; 0 where it is obstructed by the room itself.
+    """
+
+    rir: np.ndarray
+    scene: object
+    direct_gain: np.ndarray
+
+
+def render_rows(data, absorption, effects, *, seed, nj=1):
+    """Render each row of the data.
+
+    Parameters
+    ----------
+    data : roomeq.loop.data.Data
+    absorption : ndarray, shape (n_rirs, 8)
+        ``-ln(1 - alpha)`` of the surfaces.
+    effects : list of list of Effect
+        Of each row.
+    seed : int
+    nj : int
+
+    Returns
+    -------
+    list of Raw
+    """
+    return Parallel(n_jobs=nj, prefer="threads")(
+        delayed(_render_one)(data, n, 1.0 - np.exp(-absorption[n]), effects[n], seed) for n in range(len(data.rows)))
+
+
+def _render_one(data, n, alpha, effects, seed):
+    row, place, traced = data.rows[n], data.places[n], data.traced[n]
+    scene = extend_scene(effects, traced.scene)
+    surfaces = np.tile(alpha, (len(scene.room.slots), 1))
+    gain = path_gain(effects, row.get("source_dir"))
+    (response,) = render_responses(replace(traced, scene=scene), [place.mic_pos_m],
+                                   [rng_for(seed, "loop tail", row["id"])], absorption=surfaces, path_gain=gain)
+    distance_m = data.distance_m[n]
+    direct = np.exp(-0.5 * distance_m * np.asarray(scene.air.attenuation_per_m)) / (4.0 * np.pi * distance_m)
+    if gain is not None:
+        toward = np.subtract(place.mic_pos_m, place.source_pos_m) / distance_m
+        direct = direct * np.sqrt(gain(toward[None])[0])
+    return Raw(response.rir, with_absorption(scene, surfaces), direct * response.direct_visible)
+
+
+def finished(data, n, raw, effects, seed):
+    """The RIR of one row with all its effects."""
+    place = data.places[n]
+    rendering = Rendering(raw.scene, place.source_pos_m, place.mic_pos_m, raw.direct_gain, eyring_time_s(raw.scene),
+                          rng_for(seed, "loop effects", data.rows[n]["id"]))
+    rir = raw.rir
+    for effect in effects:
+        rir = effect.on_rir(rir, rendering)
+    return rir
+
+
+def rendered_cells(data, raws, effects, *, seed, nj=1):
+    """Cells of all rows as rendered, shape (n_rirs, n_cells); NaN where there is nothing to measure."""
+    def one(n):
+        rir = finished(data, n, raws[n], effects[n], seed)
+        expected = data.distance_m[n] / raws[n].scene.air.speed_m_s * FS_HZ
+        return measure_cells(rir, expected).values
+
+    return np.array(Parallel(n_jobs=nj, prefer="threads")(delayed(one)(n) for n in range(len(data.rows))))
