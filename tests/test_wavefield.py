@@ -11,6 +11,7 @@ from roomeq.effects.wavefield import (
     HIGHPASS_HZ,
     MARGIN,
     MAX_CROSSOVER_HZ,
+    MAX_MESH_MODES,
     MAX_MODES,
     cross_over,
     crossover_hz,
@@ -209,7 +210,7 @@ def test_the_crossover_is_the_schroeder_frequency_within_its_limits():
     falling = crossover_hz(big, [4.0, 2.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5], C)
     assert crossover_hz(big, [0.5] * 8, C) < falling < crossover_hz(big, [2.0] * 8, C)
     mesh = make_room(box_triangles(big.dims_m), ["wall"] * 12)
-    for room, t60_s, most in ((mesh, 4.0, MAX_MODES[False]), (big, 9.0, MAX_MODES[True])):
+    for room, t60_s, most in ((mesh, 4.0, MAX_MESH_MODES), (big, 9.0, MAX_MODES)):
         found_hz = crossover_hz(room, [t60_s] * 8, C)
         assert found_hz < 2000.0 * np.sqrt(t60_s / 384.0)
         assert mode_count(room, 2.0 * np.pi * MARGIN * found_hz / C) == pytest.approx(most, rel=1e-3)

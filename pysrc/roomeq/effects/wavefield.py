@@ -25,7 +25,8 @@ from roomeq.effects.voxels import mode_count, voxel_modes
 from roomeq.sim.scene import Shoebox
 
 MAX_CROSSOVER_HZ = 300.0
-MAX_MODES = {True: 1000, False: 300}  # of a shoebox, of a mesh, up to `MARGIN` times the crossover
+MAX_MODES = 1000  # of a shoebox, up to `MARGIN` times the crossover
+MAX_MESH_MODES = 300  # they take seconds to find
 MARGIN = 1.5  # modes above the crossover over its frequency: what they add below must not be missed
 CROSSOVER_OCTAVES = 1.0
 HIGHPASS_HZ = 15.0  # no loudspeaker breathes: without it the pressure of a closed room stays up for ever
@@ -185,8 +186,7 @@ def modal_response(modes, source_pos_m, mic_pos_m, damping, n_samples, fs_hz):
 def crossover_hz(room, t60_s, speed_m_s):
     """Where rays take over: the Schroeder frequency ``2000 sqrt(T / V)``, limited.
 
-    At most `MAX_CROSSOVER_HZ`, and as low as it takes for `MAX_MODES` up to `MARGIN` times it: the modes of a mesh take
-    seconds to find.
+    At most `MAX_CROSSOVER_HZ`, and as low as it takes for `MAX_MODES` or `MAX_MESH_MODES` up to `MARGIN` times it.
 
     Parameters
     ----------
@@ -198,8 +198,10 @@ def crossover_hz(room, t60_s, speed_m_s):
     def above_schroeder(frequency_hz):  # T changes with frequency
         return frequency_hz - 2000.0 * np.sqrt(3.0 * np.log(10.0) / damping_per_s(frequency_hz, t60_s) / room.volume_m3)
 
+    most = MAX_MODES if isinstance(room, Shoebox) else MAX_MESH_MODES
+
     def too_many(frequency_hz):
-        return mode_count(room, 2.0 * np.pi * MARGIN * frequency_hz / speed_m_s) - MAX_MODES[isinstance(room, Shoebox)]
+        return mode_count(room, 2.0 * np.pi * MARGIN * frequency_hz / speed_m_s) - most
 
     limits_hz = [brentq(surplus, 1e-3, MAX_CROSSOVER_HZ) for surplus in (above_schroeder, too_many)
                  if surplus(MAX_CROSSOVER_HZ) > 0.0]
