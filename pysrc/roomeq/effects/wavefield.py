@@ -1,0 +1,233 @@
+"""The low-frequency field of a room as a sum of its modes, crossed over to rays.
+
+Below the Schroeder frequency a room answers at its own frequencies, which rays don't know. In a room with rigid
+walls the impulse response is (Kuttruff, Room Acoustics, sec. 3.1 and 3.2; Green's function of the wave equation)
+
+    h(t) = c^2 / V sum_n psi_n(r) psi_n(r0) exp(-d_n t) sin(w_n t) / w_n,  mean of psi_n^2 over the room = 1,
+
+where losses are small. It has the level of the simulator: the direct sound is ``delta(t - r / c) / (4 pi r)``.
+
+Modes above those that are summed answer to low frequencies at once, all of them together by what they lack of the
+direct sound: ``(1 - 2 / pi Si(k_max r)) / (4 pi r)``, the part of ``1 / (4 pi r)`` that has wave numbers above k_max.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.optimize import brentq
+from scipy.signal import butter, sosfilt
+from scipy.special import sici
+
+from roomeq.constants import EXACT_BANDS_HZ
+from roomeq.effects.voxels import mode_count, voxel_modes
+from roomeq.sim.scene import Shoebox
+
+MAX_CROSSOVER_HZ = 300.0
+MAX_MODES = 1000  # of a shoebox, up to `MARGIN` times the crossover
+MAX_MESH_MODES = 300  # they take seconds to find
+MARGIN = 1.5  # modes above the crossover over its frequency: what they add below must not be missed
+CROSSOVER_OCTAVES = 1.0
+HIGHPASS_HZ = 15.0  # no loudspeaker breathes: without it the pressure of a closed room stays up for ever
+_GUARD_S = 0.06
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """The modes of a room, without the static one.
+
+    Attributes
+    ----------
+    frequencies_hz : ndarray, shape (n_modes,)
+        Ascending.
+    f_max_hz : float
+        Up to which they are known.
+    volume_m3, speed_m_s : float
+    shapes : callable
+        Gives the pressure of each mode at a position, shape (3,) [m] to (n_modes,); the mean of its square over the
+        room is 1.
+    """
+
+    frequencies_hz: np.ndarray
+    f_max_hz: float
+    volume_m3: float
+    speed_m_s: float
+    shapes: object
+
+
+def modes(room, f_max_hz, speed_m_s):
+    """Find the modes of a room with rigid walls up to a frequency.
+
+    Parameters
+    ----------
+    room : Shoebox or MeshRoom
+        Cosines for a shoebox, eigenmodes of a grid of voxels for a mesh (`roomeq.effects.voxels`).
+    f_max_hz, speed_m_s : float
+
+    Returns
+    -------
+    Modes
+
+    Raises
+    ------
+    ValueError
+        A mesh needs too many voxels.
+    """
+    if isinstance(room, Shoebox):
+        frequencies_hz, shapes = _cosines(room.dims_m, float(f_max_hz), float(speed_m_s))
+    else:
+        k, shapes = voxel_modes(room, 2.0 * np.pi * f_max_hz / speed_m_s)
+        frequencies_hz = speed_m_s * k / (2.0 * np.pi)
+    return Modes(frequencies_hz, float(f_max_hz), room.volume_m3, float(speed_m_s), shapes)
+
+
+@lru_cache(maxsize=64)
+def _cosines(dims_m, f_max_hz, speed_m_s):
+    """Frequencies and shapes of a shoebox (Kuttruff, eq. 3.15 and 3.16)."""
+    dims_m = np.array(dims_m)
+    counts = [np.arange(int(2.0 * f_max_hz * size_m / speed_m_s) + 1) for size_m in dims_m]
+    index = np.stack(np.meshgrid(*counts, indexing="ij"), axis=-1).reshape(-1, 3)[1:]
+    frequencies_hz = 0.5 * speed_m_s * np.linalg.norm(index / dims_m, axis=1)
+    order = np.argsort(frequencies_hz, kind="stable")
+    order = order[frequencies_hz[order] <= f_max_hz]
+    return frequencies_hz[order], Cosines(dims_m, index[order])
+
+
+@dataclass(frozen=True, eq=False)
+class Cosines:
+    """Shapes of the modes of a shoebox.
+
+    Attributes
+    ----------
+    dims_m : ndarray, shape (3,)
+    index : ndarray of int, shape (n_modes, 3)
+        Half-waves along x, y and z.
+    """
+
+    dims_m: np.ndarray
+    index: np.ndarray
+
+    def __call__(self, position_m):
+        cosines = np.cos(np.pi * self.index * (np.asarray(position_m, dtype=float) / self.dims_m))
+        return np.prod(cosines * np.where(self.index > 0, np.sqrt(2.0), 1.0), axis=1)
+
+
+def damping_per_s(frequencies_hz, t60_s):
+    """Damping at frequencies from reverberation times: ``3 ln(10) / T``, between octaves over log frequency [1/s].
+
+    Parameters
+    ----------
+    frequencies_hz : array_like
+    t60_s : array_like, shape (8,)
+        Per octave band.
+    """
+    return np.interp(np.log(frequencies_hz), np.log(EXACT_BANDS_HZ), 3.0 * np.log(10.0) / np.asarray(t60_s))
+
+
+def wall_damping_per_s(modes, absorption):
+    """Damping of the modes of a shoebox by its walls (Kuttruff, eq. 3.30 ff.) [1/s].
+
+    ``c / (8 V) sum_i e_i A_i``, where the area A of a wall is ``-ln(1 - alpha) S`` and e is 1/2 for walls that the mode
+    runs along, else 1: oblique modes decay as Eyring has it, axial ones more slowly.
+
+    Parameters
+    ----------
+    modes : Modes
+        Of a shoebox.
+    absorption : array_like, shape (6, 8)
+        Per wall and octave band.
+    """
+    dims_m = modes.shapes.dims_m
+    area_m2 = np.repeat(modes.volume_m3 / dims_m, 2)[:, None] * -np.log1p(-np.minimum(absorption, 1.0 - 1e-6))
+    pairs_m2 = area_m2.reshape(3, 2, -1).sum(axis=1)
+    at_mode_m2 = np.stack([np.interp(np.log(modes.frequencies_hz), np.log(EXACT_BANDS_HZ), row) for row in pairs_m2])
+    share = np.where(modes.shapes.index > 0, 1.0, 0.5)
+    return modes.speed_m_s / (8.0 * modes.volume_m3) * np.sum(share * at_mode_m2.T, axis=1)
+
+
+def modal_response(modes, source_pos_m, mic_pos_m, damping, n_samples, fs_hz):
+    """Impulse response below the highest frequency of the modes.
+
+    Parameters
+    ----------
+    modes : Modes
+    source_pos_m, mic_pos_m : array_like, shape (3,)
+    damping : float or array_like, shape (n_modes,)
+        See `damping_per_s` and `wall_damping_per_s` [1/s].
+    n_samples : int
+    fs_hz : float
+
+    Returns
+    -------
+    rir : ndarray, shape (n_samples,)
+        Sample 0 is the emission; a Butterworth filter of second order takes what lies below `HIGHPASS_HZ`. Right up
+        to the highest mode over `MARGIN`.
+    """
+    distance_m = float(np.linalg.norm(np.subtract(source_pos_m, mic_pos_m)))
+    omega = 2.0 * np.pi * modes.frequencies_hz
+    damping = np.broadcast_to(damping, omega.shape)
+    scale = modes.speed_m_s ** 2 / (modes.volume_m3 * fs_hz)
+    weight = scale * (modes.shapes(source_pos_m) * modes.shapes(mic_pos_m)) / omega
+    # exp(z (q L + r)) = exp(z q L) exp(z r): all samples by one product of matrices
+    length = int(np.ceil(np.sqrt(n_samples)))
+    pole = (-damping + 1j * omega) / fs_hz
+    coarse = weight * np.exp(length * np.outer(np.arange(length), pole))
+    fine = np.exp(np.outer(pole, np.arange(length)))
+    rir = (np.hstack([coarse.real, coarse.imag]) @ np.vstack([fine.imag, fine.real])).ravel()[:n_samples]
+    # pressure that is the same everywhere meets the walls as at grazing incidence: half the damping, first order
+    rate = damping[0] if len(damping) else 1.0
+    rir += scale * -np.expm1(-rate * np.arange(n_samples) / fs_hz) / rate
+    missing = 1.0 - 2.0 / np.pi * sici(2.0 * np.pi * modes.f_max_hz / modes.speed_m_s * distance_m)[0]
+    rir[0] += missing / (4.0 * np.pi * distance_m)
+    return sosfilt(butter(2, HIGHPASS_HZ, "highpass", fs=fs_hz, output="sos"), rir)
+
+
+def crossover_hz(room, t60_s, speed_m_s):
+    """Where rays take over: the Schroeder frequency ``2000 sqrt(T / V)``, limited.
+
+    At most `MAX_CROSSOVER_HZ`, and as low as it takes for `MAX_MODES` or `MAX_MESH_MODES` up to `MARGIN` times it.
+
+    Parameters
+    ----------
+    room : Shoebox or MeshRoom
+    t60_s : array_like, shape (8,)
+        Per octave band.
+    speed_m_s : float
+    """
+    def above_schroeder(frequency_hz):  # T changes with frequency
+        return frequency_hz - 2000.0 * np.sqrt(3.0 * np.log(10.0) / damping_per_s(frequency_hz, t60_s) / room.volume_m3)
+
+    most = MAX_MODES if isinstance(room, Shoebox) else MAX_MESH_MODES
+
+    def too_many(frequency_hz):
+        return mode_count(room, 2.0 * np.pi * MARGIN * frequency_hz / speed_m_s) - most
+
+    limits_hz = [brentq(surplus, 1e-3, MAX_CROSSOVER_HZ) for surplus in (above_schroeder, too_many)
+                 if surplus(MAX_CROSSOVER_HZ) > 0.0]
+    return float(min(limits_hz, default=MAX_CROSSOVER_HZ))
+
+
+def cross_over(low, high, fs_hz, frequency_hz):
+    """Put a response together from two: one below a frequency, one above.
+
+    Within `CROSSOVER_OCTAVES` around the frequency the gains are ``cos(a) exp(-i a)`` and ``i sin(a) exp(-i a)``,
+    where `a` goes from 0 to pi / 2. They add up to one, and so do their squares: what both responses have alike, the
+    direct sound, is left as it is, and where they don't resemble each other the energy has no notch.
+
+    Parameters
+    ----------
+    low, high : ndarray, shape (n_low,), (n_high,)
+    fs_hz, frequency_hz : float
+
+    Returns
+    -------
+    rir : ndarray, shape (n_high,)
+    """
+    n_samples, guard = len(high), int(_GUARD_S * fs_hz)
+    n_fft = next_fast_len(n_samples + 2 * guard, real=True)
+    octaves = np.log2(np.maximum(rfftfreq(n_fft, 1.0 / fs_hz), 1e-3) / frequency_hz) / CROSSOVER_OCTAVES
+    angle = 0.5 * np.pi * np.sin(0.5 * np.pi * np.clip(octaves + 0.5, 0.0, 1.0)) ** 2
+    below = np.cos(angle) * np.exp(-1j * angle)
+    change = rfft(low[:n_samples], n_fft) - rfft(high, n_fft)
+    return high + irfft(below * change, n_fft)[:n_samples]
