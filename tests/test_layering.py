@@ -16,6 +16,7 @@ LAYERS = [
     {"eq", "distance"},
     {"compensate"},
     {"datadir", "wavscp", "datawrite", "draws", "sounds", "layout", "mix", "augment", "validate"},
+    {"loop"},
     {"report"},
     {"cli", "__main__"},
 ]

@@ -191,6 +191,14 @@ def _eq_verbs(verbs) -> None:
      .argument("--match-rooms", action=argparse.BooleanOptionalAction, default=True,
                help="choose the mixture's components as the measured RIRs of the same room do")
      .seed().jobs())
+    (Verb(verbs, "close-loop", "loop.close", "Find out which effects the simulation of measured RIRs lacks; add them.",
+          "data/rirs.real.train --judge data/rirs.real.dev --out exp/loop")
+     .argument("rir_dirs", nargs="+", help="measured RIRs with geometry, of three rooms or more")
+     .argument("--out", required=True, help="directory to make: ledger.json, model.json")
+     .argument("--judge", action="append", default=[], metavar="DIR", help="RIRs that are only scored")
+     .argument("--max-effects", type=integer, default=4, help="at most so many are added")
+     .seed()
+     .argument("--nj", type=integer, default=1, help="threads; results do not depend on it"))
 
 
 def _speech_verbs(verbs) -> None:

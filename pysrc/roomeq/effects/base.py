@@ -77,6 +77,10 @@ class Effect:
         Standard deviations of the vector over the things that exist.
     TELLS : str
         Which measurement would tell it from others.
+    RENDERED : bool
+        Whether `act` needs to know what `on_rir` does to the data's RIRs (`Data.shift_of`).
+    REFLECTIONS : bool
+        Whether `act` changes the energy of reflections; if not, a fit need not sum it again.
     """
 
     NAME = ""
@@ -84,6 +88,8 @@ class Effect:
     STARTS = ((),)
     SPREAD = ()
     TELLS = ""
+    RENDERED = False
+    REFLECTIONS = True
 
     @classmethod
     def prior_covariance(cls):

@@ -12,7 +12,7 @@ from roomeq.acoustics.metrics import octave_bands
 from roomeq.constants import FS_HZ
 from roomeq.effects.base import Effect
 from roomeq.sim.gather import FRAME_S
-from roomeq.sim.render import render, tail_noise
+from roomeq.sim.render import MAX_LENGTH_S, render, tail_noise
 
 _LEVELS_DB = (-60.0, 0.0)
 _TIMES_S = (0.2, 6.0)
@@ -59,6 +59,7 @@ class CoupledVolume(Effect):
         air = rendering.scene.air
         start_s = rendering.distance_m / air.speed_m_s
         total = np.sum(octave_bands(rir, FS_HZ) ** 2, axis=1) - rendering.direct_gain ** 2 * _band_shares()
+        rir = np.pad(rir, (0, max(0, self._n_samples(start_s) - len(rir))))
         time_s = (np.arange(int(np.ceil(len(rir) / FS_HZ / FRAME_S))) + 0.5) * FRAME_S - start_s
         rate = self.rate_per_s(air)
         shape = np.where(time_s[:, None] > 0.0, np.exp(-np.maximum(time_s, 0.0)[:, None] * rate), 0.0)
@@ -66,6 +67,10 @@ class CoupledVolume(Effect):
         energy = 10.0 ** (self.level_db / 10.0) * np.maximum(total, 0.0) / _band_shares() * rate * FRAME_S * shape
         noise = tail_noise(len(rir), rendering.scene.room.volume_m3, air.speed_m_s, rendering.rng)
         return rir + render(np.zeros(0), np.zeros((0, 8)), energy, noise, speed_m_s=air.speed_m_s, n_samples=len(rir))
+
+    def _n_samples(self, start_s):
+        """Length that holds it until it lies 60 dB below the response."""
+        return round(min(start_s + (60.0 + self.level_db) / 60.0 * self.time_s, MAX_LENGTH_S) * FS_HZ)
 
 
 def _band_shares():

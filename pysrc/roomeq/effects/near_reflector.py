@@ -26,6 +26,7 @@ class NearReflector(Effect):
     depth_m: float
     reflection: float
 
+    REFLECTIONS = False
     NAME = "near_reflector"
     SCOPE = "room"
     STARTS = tuple((np.log(depth_m), 0.6) for depth_m in (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.9, 1.1))

@@ -25,6 +25,7 @@ class NoiseFloor(Effect):
 
     levels_db: tuple
 
+    REFLECTIONS = False
     NAME = "noise_floor"
     SCOPE = "room"
     STARTS = ((1.0,) * 8,)  # tens of dB above -55

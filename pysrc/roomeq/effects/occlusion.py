@@ -26,6 +26,7 @@ class Occlusion(Effect):
 
     detour_m: float
 
+    REFLECTIONS = False
     NAME = "occlusion"
     SCOPE = "room"
     STARTS = ((0.5,),)  # square root of decimetres

@@ -26,6 +26,7 @@ class Response(Effect):
 
     gains_db: tuple
 
+    REFLECTIONS = False
     STARTS = ((0.0,) * len(RESPONSE_HZ),)
     SPREAD = (_SPREAD_DB,) * len(RESPONSE_HZ)
 

@@ -1,4 +1,4 @@
-"""The wave field of a room below its Schroeder frequency, in place of what rays say there (`roomeq.effects.wavefield`)."""
+"""The wave field of a room below its Schroeder frequency, in place of rays (`roomeq.effects.wavefield`)."""
 
 from dataclasses import dataclass
 
@@ -11,10 +11,12 @@ from roomeq.effects.wavefield import MARGIN, cross_over, crossover_hz, damping_p
 class RoomModes(Effect):
     """Modes of the room's own geometry, damped as its surfaces and air absorb: nothing is left to fit."""
 
+    REFLECTIONS = False
     NAME = "room_modes"
     SCOPE = "room"
     STARTS = ((),)
     SPREAD = ()
+    RENDERED = True
     TELLS = "a source that reaches lower, or more positions"
 
     @classmethod

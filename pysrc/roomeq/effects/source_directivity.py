@@ -47,7 +47,7 @@ class SourceDirectivity(Effect):
     def act(self, state, data, rows):
         gains = self.on_paths(np.cos(data.angles))
         direct = self.on_paths(np.cos([data.tables[n].direct_angle for n in rows]))
-        knows = np.array([data.tables[n].counts.shape[2] > 1 for n in rows])
+        knows = np.array([data.tables[n].angular is not None for n in rows])
         state.turn(rows[knows], gains, direct[knows])
 
     def on_paths(self, cos_angle):

@@ -8,7 +8,7 @@ import numpy as np
 
 from roomeq.constants import FS_HZ
 from roomeq.loop.cells import JND, measure_cells, slots
-from roomeq.loop.tables import ANGLES, N_FRAMES, collect
+from roomeq.loop.tables import ANGLES, collect
 from roomeq.rirs import load_rir, read_rirs
 from roomeq.rng import rng_for
 from roomeq.sim.geometry import find_place
@@ -18,6 +18,7 @@ from roomeq.sim.scene import Air, Material, Scene
 logger = logging.getLogger(__name__)
 
 NUM_RAYS = 5000
+SAME_PLACE_M = 0.15
 LENGTHS_S = (0.4, 3.0)
 
 
@@ -38,10 +39,10 @@ class Data:
     traced : list of TracedSource
         Of each RIR; shared by the RIRs of one source.
     tables : list of Table
-    counts : ndarray, shape (n_rirs, N_FRAMES, n_reflections)
-        Of the tables, summed over departure angles.
     air_per_m, speed_m_s, distance_m : ndarray, shape (n_rirs, 8), (n_rirs,), (n_rirs,)
         The declared air, and distances between source and microphone.
+    shifts : dict
+        See `shift_of`.
     """
 
     rows: list
@@ -53,12 +54,16 @@ class Data:
     room_names: list
     traced: list
     tables: list
-    counts: np.ndarray
     air_per_m: np.ndarray
     speed_m_s: np.ndarray
     distance_m: np.ndarray
+    shifts: dict
 
     angles = ANGLES
+
+    def shift_of(self, effect):
+        """What an effect that has no say on tables changes in the cells, as rendered, shape (n_rirs, n_cells)."""
+        return self.shifts[effect.NAME]
 
     def units(self, scope):
         """Names of what a parameter of a scope belongs to, and its number for each RIR."""
@@ -100,6 +105,7 @@ def load_data(directories, *, scattering, seed, measured=None):
         found += [(row["room_id"], row["id"], directory, row,
                    find_place(row, by_room[row["room_id"]], directory, seed)) for row in rows]
     found.sort(key=lambda one: one[:2])
+    found = _snapped(found)
     _require_unique(found)
     measured = {} if measured is None else measured
     for _, rir_id, directory, row, place in found:
@@ -107,6 +113,25 @@ def load_data(directories, *, scattering, seed, measured=None):
             measured[str(directory), rir_id] = _measure(directory, row, place)
     cells = [measured[str(directory), rir_id] for _, rir_id, directory, *_ in found]
     return _traced(found, cells, scattering, seed)
+
+
+def _snapped(found):
+    """Give sources of one name that stand closer than they are known to their middle: one trace serves them all."""
+    groups = []
+    for n, (room_id, _, _, row, place) in enumerate(found):
+        for group in groups:
+            if group[0] == (room_id, row["source_id"]) and np.linalg.norm(
+                    np.subtract(place.source_pos_m, group[1])) < SAME_PLACE_M:
+                group[2].append(n)
+                break
+        else:
+            groups.append(((room_id, row["source_id"]), place.source_pos_m, [n]))
+    snapped = list(found)
+    for _, _, members in groups:
+        middle = tuple(float(x) for x in np.mean([found[n][4].source_pos_m for n in members], axis=0))
+        for n in members:
+            snapped[n] = (*found[n][:4], replace(found[n][4], source_pos_m=middle))
+    return snapped
 
 
 def _require_unique(found):
@@ -156,19 +181,15 @@ def _traced(found, cells, scattering, seed):
         made = collect(one, [places[n].mic_pos_m for n in members], [_facing(rows[n]) for n in members])
         for n, table in zip(members, made, strict=True):
             traced[n], tables[n] = one, table
-    depth = max(table.counts.shape[1] for table in tables)
-    counts = np.zeros((len(rows), N_FRAMES, depth))
-    for n, table in enumerate(tables):
-        counts[n, :, :table.counts.shape[1]] = table.counts.sum(axis=2)
     airs = [air_of(row) for row in rows]
     return Data(rows=rows, places=places, cells=np.array([one.values for one in cells]),
                 valid=np.array([one.valid for one in cells]),
                 room=np.array([room_names.index(row["room_id"]) for row in rows]),
                 chain=np.array([chains.index((row["room_id"], row["source_id"], row["mic_id"])) for row in rows]),
-                room_names=room_names, traced=traced, tables=tables, counts=counts,
+                room_names=room_names, traced=traced, tables=tables,
                 air_per_m=np.array([air.attenuation_per_m for air in airs]),
                 speed_m_s=np.array([air.speed_m_s for air in airs]),
-                distance_m=np.array([table.distance_m for table in tables]))
+                distance_m=np.array([table.distance_m for table in tables]), shifts={})
 
 
 def _facing(row):
@@ -188,7 +209,7 @@ def subset(data, chosen):
     """The same with some of the RIRs only, numbering of rooms and chains kept."""
     index = np.flatnonzero(chosen) if np.asarray(chosen).dtype == bool else np.asarray(chosen)
     lists = {key: [getattr(data, key)[n] for n in index] for key in ("rows", "places", "traced", "tables")}
-    arrays = {key: getattr(data, key)[index] for key in ("cells", "valid", "room", "chain", "counts", "air_per_m",
+    arrays = {key: getattr(data, key)[index] for key in ("cells", "valid", "room", "chain", "air_per_m",
                                                          "speed_m_s", "distance_m")}
     return replace(data, **lists, **arrays)
 

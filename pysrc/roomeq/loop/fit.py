@@ -2,8 +2,8 @@
 
 Conventions
 -----------
-What is unknown of a room: its absorption per band ``x = ln(-ln(1 - alpha))``, one gain per chain of source and
-microphone, and the vectors of effects whose scope is the room. These are Gaussian about a mean that all rooms share,
+What is unknown of a room: its absorption per band ``x = ln(-ln(1 - alpha))``, by how much floor and ceiling absorb more
+than the walls, one gain per chain of source and microphone, and the vectors of effects whose scope is the room. These are Gaussian about a mean that all rooms share,
 with a spread that is estimated from them (empirical Bayes): so absorption cannot swallow what all rooms have in
 common, unless rooms differ so much that nothing is common. What is unknown of all: those means, and the vectors of the
 other effects.
@@ -13,12 +13,12 @@ A model is judged by the probability density it gives to each room after it has 
 approximation about the joint fit; Gelman et al., Bayesian Data Analysis, 3rd ed., sec. 5.4, 7.1 and 13.3).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from roomeq.loop.cells import HAS_GAIN, METRIC, N_CELLS
-from roomeq.loop.predict import N_BANDS, base_state, predict
+from roomeq.loop.predict import N_BANDS, base_state, predict, reflected_energy
 
 _STEP = 0.03  # of numerical derivatives, in units of a vector's spread
 _ITERATIONS = 5
@@ -28,6 +28,9 @@ _SIGMA = (0.7, 12.0)
 _OMEGA = (0.2, 12.0)
 _START_X = np.log(0.2)
 _MEAN_SPREAD = 1.5  # of the mean absorption, natural logarithm
+_CONTRAST = (0.4, 0.2, 0.1)  # spread of ln(absorption of floor and ceiling / of walls) over rooms, as `_SHAPES`
+_MEAN_CONTRAST = 0.3
+N_SURFACE = 2 * N_BANDS  # unknowns of the surfaces
 _SHAPES = tuple((level, bend, rough) for level in (0.15, 0.3, 0.6) for bend in (0.03, 0.1, 0.2, 0.4)
                 for rough in (0.03, 0.1, 0.2))
 _CORRELATED = 1.5  # bands over which absorption bends
@@ -57,6 +60,8 @@ class Fit:
     normal : list of (ndarray, ndarray, ndarray, ndarray, ndarray, float)
         Per room, whitened: products of the derivatives by local and by shared unknowns with themselves, with each
         other and with the residual; and its density's constant.
+    by_surface : ndarray, shape (n_rirs, n_cells, 16)
+        Derivatives of the cells by the unknowns of the surfaces.
     """
 
     effects: tuple
@@ -67,6 +72,7 @@ class Fit:
     omega: np.ndarray
     predicted: np.ndarray
     normal: list
+    by_surface: np.ndarray
 
 
 class Layout:
@@ -75,7 +81,7 @@ class Layout:
     def __init__(self, data, effects):
         self.data, self.effects = data, tuple(effects)
         self.chains = [sorted(set(data.chain[data.room == r])) for r in range(len(data.room_names))]
-        self.shared, self.own, start = [], [], N_BANDS
+        self.shared, start = [], N_SURFACE
         for effect in self.effects:
             names, unit = data.units(effect.SCOPE)
             size = len(effect.SPREAD)
@@ -86,7 +92,7 @@ class Layout:
         self.n_shared = start
         self.own_slices = []
         for chains in self.chains:
-            at, slices = N_BANDS + len(chains), []
+            at, slices = N_SURFACE + len(chains), []
             for effect in self.effects:
                 size = len(effect.SPREAD) if effect.SCOPE == "room" else 0
                 slices.append(slice(at, at + size))
@@ -106,16 +112,18 @@ class Layout:
         return found
 
     def absorption(self, mean, local):
-        """``-ln(1 - alpha)``, shape (n_rooms, 8)."""
-        return np.exp(np.array([mean[:N_BANDS] + one[:N_BANDS] for one in local]))
+        """``-ln(1 - alpha)`` of walls, and of floor and ceiling, shape (n_rooms, 2, 8)."""
+        unknown = np.array([mean[:N_SURFACE] + one[:N_SURFACE] for one in local])
+        middle, contrast = unknown[:, :N_BANDS], unknown[:, N_BANDS:]
+        return np.exp(np.stack([middle - 0.5 * contrast, middle + 0.5 * contrast], axis=1))
 
     def gains(self, local):
         """Gain of each RIR [dB], shape (n_rirs,)."""
-        return np.array([local[r][N_BANDS + self.chains[r].index(chain)]
+        return np.array([local[r][N_SURFACE + self.chains[r].index(chain)]
                          for r, chain in zip(self.data.room, self.data.chain, strict=True)])
 
-    def predict(self, absorption, vectors, gains, offset):
-        """Cells, shape (n_rirs, n_cells)."""
+    def state(self, absorption, vectors):
+        """What is assumed of each RIR."""
         state = base_state(self.data, absorption)
         for k, effect in enumerate(self.effects):
             unit = self.shared[k][2]
@@ -123,10 +131,14 @@ class Layout:
                 rows = np.flatnonzero(unit == u)
                 if len(rows):
                     effect.from_vector(vector).act(state, self.data, rows)
-        return predict(self.data, state) + offset + np.outer(gains, HAS_GAIN)
+        return state
+
+    def predict(self, absorption, vectors, gains, offset, energy=None):
+        """Cells, shape (n_rirs, n_cells); `energy` as for `roomeq.loop.predict.predict`."""
+        return predict(self.data, self.state(absorption, vectors), energy) + offset + np.outer(gains, HAS_GAIN)
 
 
-def fit(data, offset, effects, start=None, like=None):
+def fit(data, offset, effects, start=None, like=None, iterations=_ITERATIONS):
     """Fit a model.
 
     Parameters
@@ -138,7 +150,8 @@ def fit(data, offset, effects, start=None, like=None):
     start : sequence of array_like, optional
         First vector of each effect; its own first `STARTS` if not given.
     like : Fit, optional
-        Fit of fewer effects to begin from.
+        Fit of the same or fewer effects to begin from; its derivatives by the surfaces are used again.
+    iterations : int
 
     Returns
     -------
@@ -156,9 +169,10 @@ def fit(data, offset, effects, start=None, like=None):
     else:
         _continue(layout, like, mean, local)
         sigma, omega = like.sigma.copy(), like.omega.copy()
-    for iteration in range(_ITERATIONS):
+    known = None if like is None else like.by_surface
+    for iteration in range(iterations):
         covariance = _covariances(layout, shape, own_scale)
-        predicted, slopes = _linearise(layout, mean, local, offset)
+        predicted, slopes = _linearise(layout, mean, local, offset, known)
         residual = data.cells - predicted
         valid = data.valid & np.isfinite(residual)
         if iteration:
@@ -169,19 +183,20 @@ def fit(data, offset, effects, start=None, like=None):
         shape = _best_shape(local, spreads)
         own_scale = [_own_scale(layout, k, local, spreads) for k in range(len(layout.effects))]
     covariance = _covariances(layout, shape, own_scale)
-    predicted, slopes = _linearise(layout, mean, local, offset)
+    predicted, slopes = _linearise(layout, mean, local, offset, known)
     residual = data.cells - predicted
     valid = data.valid & np.isfinite(residual)
     sigma, omega = scatter(data, residual, valid)
     normal = [_normal(layout, r, residual, valid, slopes, sigma, omega) for r in range(len(local))]
-    return Fit(layout.effects, mean, local, covariance, sigma, omega, predicted, normal)
+    return Fit(layout.effects, mean, local, covariance, sigma, omega, predicted, normal, slopes[0])
 
 
 def _shared_prior(layout, start):
     """First value, mean and precision of the shared unknowns."""
     mean = np.zeros(layout.n_shared)
     precision = np.zeros((layout.n_shared, layout.n_shared))
-    precision[:N_BANDS, :N_BANDS] = np.eye(N_BANDS) / _MEAN_SPREAD ** 2
+    spread = np.repeat([_MEAN_SPREAD, _MEAN_CONTRAST], N_BANDS)
+    precision[:N_SURFACE, :N_SURFACE] = np.diag(spread ** -2.0)
     for effect, first, (part, count, _, size) in zip(layout.effects, start, layout.shared, strict=True):
         if size:
             mean[part] = np.tile(first, count)
@@ -199,18 +214,18 @@ def _first_gains(layout, offset, mean, local):
     for r, chains in enumerate(layout.chains):
         for n, chain in enumerate(chains):
             found = error[(layout.data.room == r) & (layout.data.chain == chain)]
-            local[r][N_BANDS + n] = np.nanmedian(found) if np.isfinite(found).any() else 0.0
+            local[r][N_SURFACE + n] = np.nanmedian(found) if np.isfinite(found).any() else 0.0
 
 
 def _continue(layout, like, mean, local):
     """Take over what a fit of fewer effects found."""
     before = Layout(layout.data, like.effects)
-    mean[:N_BANDS] = like.mean[:N_BANDS]
+    mean[:N_SURFACE] = like.mean[:N_SURFACE]
     for k, effect in enumerate(layout.effects):
         if effect in like.effects:
             mean[layout.shared[k][0]] = like.mean[before.shared[like.effects.index(effect)][0]]
     for r in range(len(local)):
-        n = N_BANDS + len(layout.chains[r])
+        n = N_SURFACE + len(layout.chains[r])
         local[r][:n] = like.local[r][:n]
         for k, effect in enumerate(layout.effects):
             if effect in like.effects:
@@ -223,7 +238,8 @@ def _covariances(layout, shape, own_scale):
     for (slices, size), chains in zip(layout.own_slices, layout.chains, strict=True):
         covariance = np.zeros((size, size))
         covariance[:N_BANDS, :N_BANDS] = absorption_covariance(*shape)
-        gains = np.arange(N_BANDS, N_BANDS + len(chains))
+        covariance[N_BANDS:N_SURFACE, N_BANDS:N_SURFACE] = absorption_covariance(*_CONTRAST)
+        gains = np.arange(N_SURFACE, N_SURFACE + len(chains))
         covariance[gains, gains] = _GAIN_SPREAD_DB ** 2
         for k, effect in enumerate(layout.effects):
             if slices[k].stop > slices[k].start:
@@ -232,23 +248,27 @@ def _covariances(layout, shape, own_scale):
     return found
 
 
-def _linearise(layout, mean, local, offset):
-    """Predicted cells and their derivatives: by absorption (n_rirs, n_cells, 8) and by each effect's vector."""
+def _linearise(layout, mean, local, offset, by_band=None):
+    """Predicted cells and their derivatives: by surfaces (n_rirs, n_cells, 16) and by each effect's vector."""
     absorption, vectors = layout.absorption(mean, local), layout.vectors(mean, local)
     gains = layout.gains(local)
-    centre = layout.predict(absorption, vectors, gains, offset)
-    by_band = np.empty((*centre.shape, N_BANDS))
-    for band in range(N_BANDS):
+    energy = reflected_energy(layout.data, layout.state(absorption, vectors))
+    centre = layout.predict(absorption, vectors, gains, offset, energy)
+    known = by_band is not None
+    by_band = by_band if known else np.empty((*centre.shape, N_SURFACE))
+    for n in range(0 if known else N_SURFACE):
         moved = absorption.copy()
-        moved[:, band] *= np.exp(_STEP)
-        by_band[:, :, band] = (layout.predict(moved, vectors, gains, offset) - centre) / _STEP
+        step = (1.0, 1.0) if n < N_BANDS else (-0.5, 0.5)
+        moved[:, :, n % N_BANDS] *= np.exp(_STEP * np.array(step))
+        by_band[:, :, n] = (layout.predict(moved, vectors, gains, offset) - centre) / _STEP
     by_effect = []
     for k, effect in enumerate(layout.effects):
         found = np.empty((*centre.shape, len(effect.SPREAD)))
         for p, spread in enumerate(effect.SPREAD):
             moved = [one.copy() for one in vectors]
             moved[k][:, p] += _STEP * spread
-            found[:, :, p] = (layout.predict(absorption, moved, gains, offset) - centre) / (_STEP * spread)
+            same = None if effect.REFLECTIONS else energy
+            found[:, :, p] = (layout.predict(absorption, moved, gains, offset, same) - centre) / (_STEP * spread)
         by_effect.append(found)
     return centre, (by_band, by_effect)
 
@@ -259,9 +279,9 @@ def _derivatives(layout, r, index, slopes):
     slices, size = layout.own_slices[r]
     own = np.zeros((len(index), N_CELLS, size))
     shared = np.zeros((len(index), N_CELLS, layout.n_shared))
-    own[:, :, :N_BANDS] = shared[:, :, :N_BANDS] = by_band[index]
+    own[:, :, :N_SURFACE] = shared[:, :, :N_SURFACE] = by_band[index]
     for i, n in enumerate(index):
-        own[i, :, N_BANDS + layout.chains[r].index(layout.data.chain[n])] = HAS_GAIN
+        own[i, :, N_SURFACE + layout.chains[r].index(layout.data.chain[n])] = HAS_GAIN
     for k, effect in enumerate(layout.effects):
         part, _, unit, n = layout.shared[k]
         if effect.SCOPE == "room":
@@ -411,4 +431,85 @@ def _log_density(found, r, precision, step):
                  - 0.5 * (np.linalg.slogdet(posterior)[1] - np.linalg.slogdet(prior)[1]) - log_scale)
 
 
-__all__ = ["Fit", "Layout", "LeftOut", "fit", "leave_rooms_out", "replace", "scatter"]
+
+def calibrate(data, found, left_out, index, offset, *, chosen=None):
+    """What some RIRs of each room say of the room, the shared unknowns being as fitted to the other rooms.
+
+    Parameters
+    ----------
+    data : roomeq.loop.data.Data
+    found : Fit
+    left_out : list of LeftOut
+    index : list of ndarray
+        For each room, the RIRs that may be looked at.
+    offset : ndarray, shape (n_rirs, n_cells)
+    chosen : ndarray of bool, shape (n_cells,), optional
+        The cells that may be looked at; all by default.
+
+    Returns
+    -------
+    absorption : ndarray, shape (n_rooms, 2, 8)
+        ``-ln(1 - alpha)`` of walls, and of floor and ceiling.
+    vectors : list of list of ndarray
+        For each room, the vectors of each effect's units.
+    gains : ndarray, shape (n_rirs,)
+    """
+    layout = Layout(data, found.effects)
+    predicted, slopes = _linearise(layout, found.mean, found.local, offset, found.by_surface)
+    residual = data.cells - predicted
+    valid = data.valid & np.isfinite(residual)
+    if chosen is not None:
+        valid = valid & chosen
+    absorption, vectors, gains = np.empty((len(found.local), 2, N_BANDS)), [], np.empty(len(data.rows))
+    for r, (u, one) in enumerate(zip(found.local, left_out, strict=True)):
+        uu, ug, _, ue, *_ = _normal(layout, r, residual, valid, slopes, found.sigma, found.omega, index[r])
+        inverse = np.linalg.inv(found.covariance[r])
+        own = u + np.linalg.solve(uu + inverse, ue - ug @ (one.mean - found.mean) - inverse @ u)
+        local = [own if s == r else other for s, other in enumerate(found.local)]
+        absorption[r] = layout.absorption(one.mean, local)[r]
+        vectors.append(layout.vectors(one.mean, local))
+        mine = data.room == r
+        gains[mine] = layout.gains(local)[mine]
+    return absorption, vectors, gains
+
+
+def solve_rooms(layout, like, mean, offset, index, chosen=None, iterations=_ITERATIONS):
+    """What is unknown of each room of new data, given what all rooms share.
+
+    Parameters
+    ----------
+    layout : Layout
+        Of the new data.
+    like : Fit
+        Gives the spread over rooms and the scatter of cells.
+    mean : ndarray, shape (n_shared,)
+    offset : ndarray, shape (n_rirs, n_cells)
+    index : list of ndarray
+        For each room, the RIRs that may be looked at.
+    chosen : ndarray of bool, shape (n_cells,), optional
+        The cells that may be looked at.
+    iterations : int
+
+    Returns
+    -------
+    list of ndarray
+        As `Fit.local`.
+    """
+    data = layout.data
+    own_scale = [1.0] * len(layout.effects)
+    covariances = _covariances(layout, (0.3, 0.2, 0.1), own_scale)
+    for covariance in covariances:
+        covariance[:N_SURFACE, :N_SURFACE] = like.covariance[0][:N_SURFACE, :N_SURFACE]
+    local = [np.zeros(size) for _, size in layout.own_slices]
+    _first_gains(layout, offset, mean, local)
+    for _ in range(iterations):
+        predicted, slopes = _linearise(layout, mean, local, offset)
+        residual = data.cells - predicted
+        valid = data.valid & np.isfinite(residual)
+        if chosen is not None:
+            valid = valid & chosen
+        for r, covariance in enumerate(covariances):
+            uu, _, _, ue, *_ = _normal(layout, r, residual, valid, slopes, like.sigma, like.omega, index[r])
+            inverse = np.linalg.inv(covariance)
+            local[r] = local[r] + np.linalg.solve(uu + inverse, ue - inverse @ local[r])
+    return local

@@ -11,7 +11,7 @@ import numpy as np
 from roomeq.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.loop.cells import BAND_HZ, DIRECT_THIRDS_HZ, EARLY_S, JND, LATE_S, N_CELLS, QUIET_DB, THIRDS_HZ, slots
-from roomeq.loop.tables import FRAME_EDGES_S
+from roomeq.loop.tables import FRAME_EDGES_S, LEVEL_SHARES
 from roomeq.sim.jit import compiled
 
 N_BANDS = len(EXACT_BANDS_HZ)
@@ -39,8 +39,8 @@ class State:
 
     Attributes
     ----------
-    absorption : ndarray, shape (n_rirs, 8)
-        ``-ln(1 - alpha)`` of the room's surfaces.
+    absorption : ndarray, shape (n_rirs, 2, 8)
+        ``-ln(1 - alpha)`` of the room's walls, and of its floor and ceiling.
     air_per_m : ndarray, shape (n_rirs, 8)
         Energy attenuation of the air [1/m].
     speed_m_s : ndarray, shape (n_rirs,)
@@ -52,8 +52,8 @@ class State:
         The same in third octaves, times `direct_gain`.
     extra : ndarray, shape (n_rirs, N_FRAMES, 8)
         Energy that arrives besides.
-    room_energy : ndarray, shape (n_rirs, 8)
-        Energy of all reflections as they were at first.
+    room_energy : ndarray, shape (n_rirs, 8), or None
+        Energy of all reflections, without what was added; None until somebody asks.
     response_db : ndarray, shape (n_rirs, 23)
         Of the recording chain at `RESPONSE_HZ`.
     floor_db : ndarray, shape (n_rirs, 8)
@@ -69,7 +69,7 @@ class State:
     direct_gain: np.ndarray
     direct_thirds: np.ndarray
     extra: np.ndarray
-    room_energy: np.ndarray
+    room_energy: np.ndarray | None
     response_db: np.ndarray
     floor_db: np.ndarray
     shift: np.ndarray
@@ -85,6 +85,8 @@ class State:
         """Add an exponential decay that holds a share of the energy of all reflections; air shortens it."""
         rate = rate_per_s + self.speed_m_s[rows][:, None] * self.air_per_m[rows]  # (rirs, 8)
         left = np.exp(-FRAME_EDGES_S[:, None] * rate[:, None, :])
+        if self.room_energy is None:
+            self.room_energy = reflected_energy(data, self).sum(axis=1)
         self.extra[rows] += share * self.room_energy[rows][:, None, :] * (left[:, :-1] - left[:, 1:])
 
 
@@ -94,37 +96,51 @@ def base_state(data, absorption):
     Parameters
     ----------
     data : roomeq.loop.data.Data
-    absorption : ndarray, shape (n_rooms, 8)
-        ``-ln(1 - alpha)``.
+    absorption : ndarray, shape (n_rooms, 2, 8)
+        ``-ln(1 - alpha)`` of walls, and of floor and ceiling.
     """
     n = len(data.rows)
     state = State(absorption=absorption[data.room], air_per_m=data.air_per_m.copy(), speed_m_s=data.speed_m_s.copy(),
                   ray_gain=None, direct_gain=np.ones((n, N_BANDS)), direct_thirds=np.ones((n, len(THIRDS_HZ))),
-                  extra=np.zeros((n, len(_FRAME_MID_S), N_BANDS)), room_energy=np.zeros((n, N_BANDS)),
+                  extra=np.zeros((n, len(_FRAME_MID_S), N_BANDS)), room_energy=None,
                   response_db=np.zeros((n, len(RESPONSE_HZ))),
                   floor_db=np.full((n, N_BANDS), QUIET_DB), shift=np.zeros((n, N_CELLS)))
-    state.room_energy = reflected_energy(data, state).sum(axis=1)
     return state
 
 
 def reflected_energy(data, state):
     """Energy of all but the direct sound, shape (n_rirs, N_FRAMES, 8)."""
-    kept = np.exp(-np.arange(data.counts.shape[2])[:, None] * state.absorption[:, None, :])  # (rirs, n, 8)
-    if state.ray_gain is None:
-        energy = np.matmul(data.counts, kept)
-    else:
-        energy = np.empty((len(kept), data.counts.shape[1], N_BANDS))
-        for i, table in enumerate(data.tables):
-            gains = state.ray_gain[i] if table.counts.shape[2] > 1 else state.ray_gain[i][:1]
-            by_n = np.einsum("fna,ab->fnb", table.counts, gains, optimize=True)
-            energy[i] = np.einsum("fnb,nb->fb", by_n, kept[i, :table.counts.shape[1]])
+    share = LEVEL_SHARES[:, None]
+    per_hit = state.absorption[:, :1] * (1.0 - share) + state.absorption[:, 1:] * share  # (rirs, 6, 8)
+    depth = max(table.counts.shape[1] for table in data.tables)
+    kept = np.exp(-np.arange(depth)[:, None, None] * per_hit[:, None])
+    energy = np.zeros((len(kept), len(_FRAME_MID_S), N_BANDS))
+    for i, table in enumerate(data.tables):
+        if state.ray_gain is None or table.angular is None:
+            _sum_counts(table.entries, table.weights, kept[i].reshape(-1, N_BANDS), energy[i])
+        else:
+            n = table.counts.shape[1]
+            by_n = np.matmul(table.counts.transpose(1, 0, 2), kept[i, :n]).transpose(1, 0, 2)  # (frames, n, 8)
+            energy[i] = (by_n * (table.angular @ state.ray_gain[i])).sum(axis=1)
     length_m = data.distance_m[:, None] + _FRAME_MID_S * data.speed_m_s[:, None]
     return energy * np.exp(-length_m[:, :, None] * state.air_per_m[:, None, :]) + state.extra
 
 
-def predict(data, state):
-    """Expected cells, shape (n_rirs, n_cells), in JND; gains of the recordings left out."""
-    energy = reflected_energy(data, state)
+def predict(data, state, energy=None):
+    """Expected cells in JND, gains of the recordings left out.
+
+    Parameters
+    ----------
+    data : roomeq.loop.data.Data
+    state : State
+    energy : ndarray, optional
+        `reflected_energy` of the state, where it is known.
+
+    Returns
+    -------
+    ndarray, shape (n_rirs, n_cells)
+    """
+    energy = reflected_energy(data, state) if energy is None else energy
     visible = np.array([table.visible for table in data.tables], dtype=float)
     direct = (visible / (4.0 * np.pi * data.distance_m) ** 2)[:, None] * state.direct_gain * np.exp(
         -data.distance_m[:, None] * state.air_per_m)
@@ -162,6 +178,15 @@ def _db(power):
 
 def _sum_db(one_db, other_db):
     return _db(10.0 ** (one_db / 10.0) + 10.0 ** (other_db / 10.0))
+
+
+@compiled
+def _sum_counts(entries, weights, kept, energy):
+    """Add up what arrives: `entries` are frame and row of `kept`."""
+    for k in range(len(weights)):
+        frame, row = entries[k, 0], entries[k, 1]
+        for band in range(8):
+            energy[frame, band] += weights[k] * kept[row, band]
 
 
 @compiled

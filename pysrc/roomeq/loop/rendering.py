@@ -9,6 +9,7 @@ from roomeq.constants import FS_HZ
 from roomeq.effects.base import Rendering
 from roomeq.effects.model import extend_scene, path_gain
 from roomeq.loop.cells import measure_cells
+from roomeq.loop.tables import level_slots
 from roomeq.rng import rng_for
 from roomeq.sim.response import render_responses
 from roomeq.sim.scene import eyring_time_s, with_absorption
@@ -31,31 +32,34 @@ class Raw:
     direct_gain: np.ndarray
 
 
-def render_rows(data, absorption, effects, *, seed, nj=1):
+def render_rows(data, absorption, effects, *, seed, nj=1, rows=None):
     """Render each row of the data.
 
     Parameters
     ----------
     data : roomeq.loop.data.Data
-    absorption : ndarray, shape (n_rirs, 8)
-        ``-ln(1 - alpha)`` of the surfaces.
+    absorption : ndarray, shape (n_rirs, 2, 8)
+        ``-ln(1 - alpha)`` of walls, and of floor and ceiling.
     effects : list of list of Effect
         Of each row.
     seed : int
     nj : int
+    rows : ndarray of int, optional
+        Only these RIRs.
 
     Returns
     -------
     list of Raw
     """
+    rows = range(len(data.rows)) if rows is None else rows
     return Parallel(n_jobs=nj, prefer="threads")(
-        delayed(_render_one)(data, n, 1.0 - np.exp(-absorption[n]), effects[n], seed) for n in range(len(data.rows)))
+        delayed(_render_one)(data, n, 1.0 - np.exp(-absorption[n]), effects[n], seed) for n in rows)
 
 
 def _render_one(data, n, alpha, effects, seed):
     row, place, traced = data.rows[n], data.places[n], data.traced[n]
     scene = extend_scene(effects, traced.scene)
-    surfaces = np.tile(alpha, (len(scene.room.slots), 1))
+    surfaces = alpha[level_slots(scene.room).astype(int)]
     gain = path_gain(effects, row.get("source_dir"))
     (response,) = render_responses(replace(traced, scene=scene), [place.mic_pos_m],
                                    [rng_for(seed, "loop tail", row["id"])], absorption=surfaces, path_gain=gain)
@@ -78,11 +82,12 @@ def finished(data, n, raw, effects, seed):
     return rir
 
 
-def rendered_cells(data, raws, effects, *, seed, nj=1):
-    """Cells of all rows as rendered, shape (n_rirs, n_cells); NaN where there is nothing to measure."""
-    def one(n):
-        rir = finished(data, n, raws[n], effects[n], seed)
-        expected = data.distance_m[n] / raws[n].scene.air.speed_m_s * FS_HZ
+def rendered_cells(data, raws, effects, *, seed, nj=1, rows=None):
+    """Cells of rows as rendered, shape (n_rows, n_cells); NaN where there is nothing to measure."""
+    def one(n, raw):
+        rir = finished(data, n, raw, effects[n], seed)
+        expected = data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ
         return measure_cells(rir, expected).values
 
-    return np.array(Parallel(n_jobs=nj, prefer="threads")(delayed(one)(n) for n in range(len(data.rows))))
+    return np.array(Parallel(n_jobs=nj, prefer="threads")(
+        delayed(one)(n, raw) for n, raw in zip(range(len(data.rows)) if rows is None else rows, raws, strict=True)))

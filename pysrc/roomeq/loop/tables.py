@@ -1,8 +1,8 @@
-"""What rays bring from each source to each microphone, counted by time, number of reflections and departure angle.
+"""What rays bring from each source to each microphone, counted by time, by what they met and by where they set out.
 
 One trace of a room answers every question of the loop: energies for other absorption, air or directivity are sums over
-these tables (`roomeq.loop.predict`). Surfaces of a room are taken as one material here: what is unknown of a measured
-room is how much it absorbs, per band, and how much it scatters.
+these tables (`roomeq.loop.predict`). The surfaces of a room count as two materials, one of floor and ceiling and one of
+all others: with carpets below and tiles above, horizontal sound outlives the rest, which no single material tells.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,10 @@ FRAME_EDGES_S = np.concatenate([
 N_FRAMES = len(FRAME_EDGES_S) - 1
 ANGLES = np.linspace(0.0, np.pi, 9)
 """Nodes of the angle between a ray's departure and where the source faces."""
+LEVEL_SHARES = np.linspace(0.0, 1.0, 6)
+"""Nodes of the share of a path's reflections that floor and ceiling have."""
 _TICK_S = 1.25e-3
+_LEVEL = 0.7  # cosine of the slope up to which a surface counts as floor or ceiling
 
 
 @dataclass(frozen=True)
@@ -28,8 +31,13 @@ class Table:
 
     Attributes
     ----------
-    counts : ndarray, shape (N_FRAMES, n_reflections, n_angles)
-        Squared pressure of all but the direct sound, before absorption and air, relative to ``1 / (4 pi r)^2``.
+    counts : ndarray, shape (N_FRAMES, n_reflections, 6)
+        Squared pressure of all but the direct sound, before absorption and air, relative to ``1 / (4 pi r)^2``, at
+        `LEVEL_SHARES`.
+    entries, weights : ndarray, shape (n, 2) and (n,)
+        The same where it is not 0: frame and ``6 n_reflections + node``, and the amount.
+    angular : ndarray, shape (N_FRAMES, n_reflections, 9), or None
+        Share of it that set out at `ANGLES`; None where nobody knows where the source faces.
     distance_m : float
     visible : bool
         Whether the direct sound arrives.
@@ -38,6 +46,9 @@ class Table:
     """
 
     counts: np.ndarray
+    entries: np.ndarray
+    weights: np.ndarray
+    angular: np.ndarray | None
     distance_m: float
     visible: bool
     direct_angle: float
@@ -67,16 +78,21 @@ def collect(traced, mics_m, facings):
         np.tile(source_pos_m, (len(mics_m), 1)), mics_m)
     frame_of_tick = np.searchsorted(FRAME_EDGES_S, (np.arange(int(FRAME_EDGES_S[-1] / _TICK_S)) + 0.5) * _TICK_S) - 1
     radii_m, volumes_m3 = spheres(room, mics_m)
+    level = level_slots(room)[paths.face_slot]
     made = []
     for m, (mic_m, facing) in enumerate(zip(mics_m, facings, strict=True)):
         distance_m = float(np.linalg.norm(mic_m - source_pos_m))
         angle = _angles(paths.directions, facing)
-        counts = np.zeros((N_FRAMES, int(paths.counts.max()) + 1, 1 if facing is None else len(ANGLES)))
-        _count(source_pos_m, paths.hits, paths.codes, paths.counts, paths.normals, float(paths.scattering[0]), mic_m,
+        counts = np.zeros((N_FRAMES, int(paths.counts.max()) + 1, len(LEVEL_SHARES)))
+        angular = np.zeros((*counts.shape[:2], 0 if facing is None else len(ANGLES)))
+        _count(source_pos_m, paths.hits, paths.codes, paths.counts, paths.normals, level, float(paths.scattering[0]), mic_m,
                visible[m] if len(visible) else np.zeros((0, 0), dtype=np.bool_), radii_m[m],
                1.0 / volumes_m3[m], distance_m, 1.0 / (speed_m_s * _TICK_S), frame_of_tick,
-               angle / (np.pi / (len(ANGLES) - 1)), paths.late_m, paths.stride, counts)
-        made.append(Table(counts / (4.0 * np.pi * len(paths.hits)), distance_m, bool(sees[m]),
+               angle / (np.pi / (len(ANGLES) - 1)), paths.late_m, paths.stride, counts, angular)
+        counts /= 4.0 * np.pi * len(paths.hits)
+        flat = counts.reshape(N_FRAMES, -1)
+        angular /= np.maximum(angular.sum(axis=2, keepdims=True), 1e-300)
+        made.append(Table(counts, np.argwhere(flat), flat[flat != 0.0], None if facing is None else angular, distance_m, bool(sees[m]),
                           float(_angles((mic_m - source_pos_m)[None] / distance_m, facing)[0])))
     return made
 
@@ -86,24 +102,32 @@ def _angles(directions, facing):
     return np.zeros(len(directions)) if facing is None else np.arccos(np.clip(directions @ facing, -1.0, 1.0))
 
 
+def level_slots(room):
+    """Whether each slot of a room is floor, ceiling or the like, by area, ndarray of bool."""
+    walls = room.walls
+    normals, face_slot = (room.normals, room.face_slot) if walls is None else (walls.normals, walls.face_slot)
+    area = np.ones(len(normals)) if walls is not None else room.face_area_m2
+    flat = area * (np.abs(normals[:, 2]) > _LEVEL)
+    return np.array([flat[face_slot == slot].sum() > 0.5 * area[face_slot == slot].sum()
+                     for slot in range(len(room.slots))])
+
+
 @compiled
 def _put(counts, frame, n, node, weight):
-    if counts.shape[2] == 1:
-        counts[frame, n, 0] += weight
-    else:
-        low = min(int(node), counts.shape[2] - 2)
-        counts[frame, n, low] += weight * (low + 1.0 - node)
-        counts[frame, n, low + 1] += weight * (node - low)
+    low = min(int(node), counts.shape[2] - 2)
+    counts[frame, n, low] += weight * (low + 1.0 - node)
+    counts[frame, n, low + 1] += weight * (node - low)
 
 
 @compiled
-def _count(source, hits, codes, n_hits, normals, scattering, mic, visible, radius_m, per_volume, distance_m,
-           ticks_per_m, frame_of_tick, node, late_m, stride, counts):
+def _count(source, hits, codes, n_hits, normals, level, scattering, mic, visible, radius_m, per_volume, distance_m,
+           ticks_per_m, frame_of_tick, node, late_m, stride, counts, angular):
     """Add all rays to `counts`; paths count as in `roomeq.sim.gather`, the direct sound apart."""
-    all_visible, n_ticks = len(visible) == 0, len(frame_of_tick)
+    all_visible, n_ticks, turned = len(visible) == 0, len(frame_of_tick), angular.shape[2] > 0
+    n_shares = counts.shape[2] - 1.0
     for ray in range(len(n_hits)):
         px, py, pz, path = source[0], source[1], source[2], 0.0
-        weight, late, was_diffuse = 1.0, stride == 1, True
+        weight, late, was_diffuse, n_level = 1.0, stride == 1, True, 0
         for n in range(n_hits[ray]):
             hx, hy, hz, new_path = hits[ray, n, 0], hits[ray, n, 1], hits[ray, n, 2], hits[ray, n, 3]
             if not was_diffuse:
@@ -117,13 +141,17 @@ def _count(source, hits, codes, n_hits, normals, scattering, mic, visible, radiu
                     start, stop = max(0.0, along - half), min(length, along + half)
                     tick = int((path + 0.5 * (start + stop) - distance_m) * ticks_per_m)
                     if stop > start and tick < n_ticks:
-                        _put(counts, frame_of_tick[max(tick, 0)], n, node[ray], weight * (stop - start) * per_volume)
+                        amount = weight * (stop - start) * per_volume
+                        _put(counts, frame_of_tick[max(tick, 0)], n, n_shares * n_level / n, amount)
+                        if turned:
+                            _put(angular, frame_of_tick[max(tick, 0)], n, node[ray], amount)
             px, py, pz, path = hx, hy, hz, new_path
             if not late and path > late_m:
                 if ray % stride != 0:
                     break
                 late, weight = True, weight * stride
             face = codes[ray, n] >> 1
+            n_level += 1 if level[face] else 0
             if scattering > 0.0:
                 vx, vy, vz = mic[0] - hx, mic[1] - hy, mic[2] - hz
                 d2 = vx * vx + vy * vy + vz * vz
@@ -131,6 +159,8 @@ def _count(source, hits, codes, n_hits, normals, scattering, mic, visible, radiu
                 cosine = (vx * normals[face, 0] + vy * normals[face, 1] + vz * normals[face, 2]) / d
                 tick = int((path + d - distance_m) * ticks_per_m)
                 if cosine > 0.0 and tick < n_ticks and (all_visible or visible[ray, n]):
-                    _put(counts, frame_of_tick[max(tick, 0)], n + 1, node[ray],
-                         weight * scattering * cosine / (np.pi * d2))
+                    amount = weight * scattering * cosine / (np.pi * d2)
+                    _put(counts, frame_of_tick[max(tick, 0)], n + 1, n_shares * n_level / (n + 1), amount)
+                    if turned:
+                        _put(angular, frame_of_tick[max(tick, 0)], n + 1, node[ray], amount)
             was_diffuse = (codes[ray, n] & 1) == 1

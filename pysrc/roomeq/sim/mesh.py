@@ -80,8 +80,12 @@ class MeshRoom:
         return Walls(normals, offsets, np.array(slot), high - low)
 
     @property
+    def face_area_m2(self):
+        return self._known["area"]
+
+    @property
     def slot_area_m2(self):
-        return np.bincount(self.face_slot, self._known["area"], minlength=len(self.slots))
+        return np.bincount(self.face_slot, self.face_area_m2, minlength=len(self.slots))
 
     @property
     def bounds_m(self):

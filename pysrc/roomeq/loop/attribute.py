@@ -1,0 +1,128 @@
+"""Which effect is it: each candidate is fitted with the model and judged by rooms that took no part."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from roomeq.effects.catalogue import CATALOGUE
+from roomeq.effects.room_eq import RoomEq
+from roomeq.loop.fit import Fit, Layout, fit, leave_rooms_out
+from roomeq.loop.session import in_order
+
+MIN_ROOMS = 3
+LEVEL = 0.05
+MIN_SIZE_JND = 0.5  # what an effect must change on average in what it touches: half of what can be heard
+TOUCHED_JND = 0.25
+_PROBE = 2  # iterations after which starts are compared
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect that the model lacks, and what it would be worth.
+
+    Attributes
+    ----------
+    effect : type
+    fit : Fit
+        Of the model with it.
+    gain : ndarray, shape (n_rooms,)
+        By how much it raises the logarithm of the density given to each left-out room.
+    size_jnd : float
+        Mean change of the cells that it touches.
+    """
+
+    effect: type
+    fit: Fit
+    gain: np.ndarray
+    size_jnd: float
+
+    @property
+    def total(self):
+        return float(self.gain.sum())
+
+    @property
+    def interval(self):
+        """Interval of 95 % of the mean gain over rooms."""
+        half = stats.t.ppf(0.975, len(self.gain) - 1) * self.gain.std(ddof=1) / np.sqrt(len(self.gain))
+        return float(self.gain.mean() - half), float(self.gain.mean() + half)
+
+    @property
+    def p(self):
+        """One-sided p value of a gain over rooms (paired t test)."""
+        return one_sided_p(self.gain)
+
+    def helps(self, n_candidates):
+        """Whether rooms that took no part are predicted better, for so many candidates tried."""
+        return (self.p < LEVEL and self.total > np.log(n_candidates / LEVEL) and self.size_jnd >= MIN_SIZE_JND
+                and np.mean(self.gain > 0.0) >= 0.7)
+
+
+def one_sided_p(difference):
+    """p value of a mean above zero (t test); 1 for a single value or no scatter and no gain."""
+    if len(difference) < 2 or not np.any(difference):
+        return 1.0
+    spread = difference.std(ddof=1) / np.sqrt(len(difference))
+    return float(stats.t.sf(difference.mean() / max(spread, 1e-12), len(difference) - 1))
+
+
+def rank(session):
+    """All effects that the model lacks, the most helpful first.
+
+    Returns
+    -------
+    list of Candidate
+    """
+    data = session.data
+    before = leave_rooms_out(data, fit(data, session.offset, session.effects, like=session.fit))
+    found = [_candidate(session, effect, before) for effect in CATALOGUE.values()
+             if effect not in session.effects and effect.applies(data)]
+    return sorted(found, key=lambda one: -one.total)
+
+
+def _candidate(session, effect, before):
+    data, effects = session.data, in_order([*session.effects, effect])
+    tried = []
+    for start in effect.STARTS if len(effect.STARTS) > 1 else ():
+        starts = [start if one is effect else one.STARTS[0] for one in effects]
+        found = fit(data, session.offset, effects, start=starts, like=session.fit, iterations=_PROBE)
+        tried.append((sum(one.log_density for one in leave_rooms_out(data, found)), found))
+    like = max(tried, key=lambda one: one[0])[1] if tried else session.fit
+    found = fit(data, session.offset, effects, like=like)
+    after = leave_rooms_out(data, found)
+    gain = np.array([b.log_density - a.log_density for a, b in zip(before, after, strict=True)])
+    return Candidate(effect, found, gain, size_of(session, effect, found))
+
+
+def size_of(session, effect, found):
+    """Mean change of the cells that an effect touches [JND]."""
+    data, layout = session.data, Layout(session.data, found.effects)
+    without = Layout(data, [one for one in found.effects if one is not effect])
+    absorption, vectors = layout.absorption(found.mean, found.local), layout.vectors(found.mean, found.local)
+    silent = np.zeros(len(data.rows))
+    change = layout.predict(absorption, vectors, silent, 0.0) - without.predict(
+        absorption, [one for one, kind in zip(vectors, found.effects, strict=True) if kind is not effect], silent, 0.0)
+    change = np.abs(np.where(data.valid, change, 0.0))
+    return float(change[change > TOUCHED_JND].mean()) if np.any(change > TOUCHED_JND) else 0.0
+
+
+def choose(ranking):
+    """The winner among candidates that help, and those that cannot be told from it.
+
+    Parameters
+    ----------
+    ranking : list of Candidate
+
+    Returns
+    -------
+    winner : Candidate or None
+    rivals : list of Candidate
+        Not significantly worse than the winner on the left-out rooms.
+    """
+    helping = [one for one in ranking if one.helps(len(ranking))]
+    if not helping:
+        return None, []
+    close = [one for one in helping if one is helping[0] or one_sided_p(helping[0].gain - one.gain) > LEVEL]
+    # an equaliser explains nothing: whatever has a cause goes first
+    close.sort(key=lambda one: (one.effect is RoomEq, -one.total))
+    return close[0], [one for one in close[1:] if one.effect is not RoomEq]

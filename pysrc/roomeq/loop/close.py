@@ -1,0 +1,156 @@
+"""Close the loop: find what the model lacks, add it, simulate again, and say what it was worth on unseen rooms."""
+
+import logging
+import time
+from pathlib import Path
+
+import numpy as np
+
+from roomeq.build import Build
+from roomeq.effects.catalogue import CATALOGUE
+from roomeq.effects.model import MODEL_FILE, Extension, Model, write_model
+from roomeq.files import write_json
+from roomeq.loop.attribute import MIN_ROOMS, choose, one_sided_p, rank
+from roomeq.loop.data import load_data
+from roomeq.loop.heldout import Errors, heldout_errors
+from roomeq.loop.judge import judge_errors
+from roomeq.loop.ledger import LEDGER_FILE, iteration_entry, summary_of, values_of
+from roomeq.loop.session import begin
+from roomeq.loop.unexplained import find_unexplained
+
+logger = logging.getLogger(__name__)
+
+SCATTERING = 0.3  # of all surfaces; nobody declares it, and the error depends little on it
+LEVEL = 0.05
+
+
+def close_loop(rir_dirs, out, *, judge=(), max_effects=4, seed=0, nj=1):
+    """Find the effects that a simulation of measured RIRs lacks, and extend the model by them.
+
+    Parameters
+    ----------
+    rir_dirs : sequence of Path
+        RIR directories with geometry (`roomeq.rirs`), together of at least three rooms or conditions.
+    out : Path
+        Directory to make: `ledger.json`, `model.json`, `residuals.npz`.
+    judge : sequence of Path
+        RIR directories that are only scored: no fit sees them.
+    max_effects : int
+        At most so many effects are added.
+    seed : int
+    nj : int
+        Threads; results do not depend on it.
+
+    Returns
+    -------
+    dict or None
+        The ledger; None if it was there already.
+
+    Raises
+    ------
+    ValueError
+        Too few rooms, or a directory breaks its contract.
+    """
+    directories, judge = [Path(one) for one in rir_dirs], [Path(one) for one in judge]
+    if not 0 <= max_effects <= len(CATALOGUE):
+        raise ValueError(f"max_effects={max_effects} must lie in [0, {len(CATALOGUE)}]")
+    build = Build(Path(out), step="close-loop", options=dict(max_effects=max_effects, seed=seed),
+                  inputs=[*directories, *judge])
+    if build.done:
+        return None
+    data = load_data(directories, scattering=SCATTERING, seed=seed)
+    if len(data.room_names) < MIN_ROOMS:
+        raise ValueError(f"{directories[0]}: RIRs of {len(data.room_names)} rooms, and the loop leaves rooms out: give "
+                         f"at least {MIN_ROOMS} rooms or conditions (room_id)")
+    ledger = {}
+    if build.run({"loop": None}, lambda _, __: {}):
+        build.finish(lambda directory, _: ledger.update(_run(data, directory, judge, max_effects, seed, nj)))
+    return ledger
+
+
+def _run(data, work, judge, max_effects, seed, nj):
+    """The loop itself; writes its files below `work` and returns the ledger."""
+    start = time.monotonic()
+    session = begin(data, seed=seed, nj=nj)
+    errors = first_errors = heldout_errors(session)
+    first = session
+    logger.info("base model: held-out error %.2f JND on unseen positions, %.2f in unseen rooms",
+                errors.mean("positions"), errors.mean("rooms"))
+    iterations = []
+    while True:
+        ranking = rank(session)
+        found = _accepted(session, errors, ranking) if len(iterations) < max_effects else None
+        if found is None:
+            break
+        winner, rivals, session_after, errors_after = found
+        entry = iteration_entry(winner, rivals, ranking, session_after, errors, errors_after)
+        iterations.append(entry)
+        logger.info("loop: %s: held-out error %.2f -> %.2f JND [%.2f, %.2f]", _called(winner, rivals),
+                    entry["heldout_error_before"], entry["heldout_error_after"], *entry["heldout_error_ci"])
+        session, errors = session_after, errors_after
+    left = find_unexplained(session)
+    for unexplained in left[:1]:
+        logger.info("loop: unexplained: %s", summary_of(unexplained))
+    ledger = dict(
+        rirs=len(data.rows), rooms=len(data.room_names), baseline=_error_entry(first_errors), iterations=iterations,
+        ranking=[_ranked(one) for one in ranking], unexplained=left[0].as_dict() if left else None,
+        unexplained_all=[one.as_dict() for one in left], final=_error_entry(errors))
+    if judge:
+        ledger["judge"] = _judged(judge, first, session, seed, nj)
+    logger.info("%d RIRs in %.0f s", len(data.rows), time.monotonic() - start)
+    write_json(work / LEDGER_FILE, ledger)
+    write_model(work / MODEL_FILE, model_of(session))
+    np.savez_compressed(work / "residuals.npz", before=first.residual, after=session.residual)
+    return ledger
+
+
+def _accepted(session, errors, ranking):
+    """The most helpful candidate that also lowers the error when everything is simulated again with it."""
+    pool = list(ranking)
+    while True:
+        winner, rivals = choose(pool)
+        if winner is None:
+            return None
+        after = begin(session.data, like=winner.fit, offset=session.offset, seed=session.seed, nj=session.nj)
+        errors_after = heldout_errors(after)
+        if _lower(errors, errors_after):
+            return winner, rivals, after, errors_after
+        logger.info("loop: %s fits, but simulated again it does not lower the error; left out", winner.effect.NAME)
+        pool = [one for one in pool if one is not winner]
+
+
+def _lower(before: Errors, after: Errors):
+    """Whether the error of unseen positions or of unseen rooms is lower, and neither is higher."""
+    change = {way: before.of_rooms(way) - after.of_rooms(way) for way in before.cells}
+    lower = [one_sided_p(one) < LEVEL for one in change.values()]
+    higher = [one_sided_p(-one) < LEVEL for one in change.values()]
+    return any(lower) and not any(higher)
+
+
+def _called(winner, rivals):
+    return " or ".join([winner.effect.NAME, *(one.effect.NAME for one in rivals)])
+
+
+def _error_entry(errors):
+    return {way: dict(error=errors.mean(way), ci=errors.interval(way), by_metric=errors.by_metric(way),
+                      by_band=errors.by_band(way)) for way in errors.cells}
+
+
+def _ranked(candidate):
+    return dict(effect=candidate.effect.NAME, gain=candidate.total, ci=list(candidate.interval), p=candidate.p,
+                size_jnd=candidate.size_jnd)
+
+
+def _judged(judge, first, last, seed, nj):
+    """Errors on directories that took no part, before and after."""
+    data = load_data(judge, scattering=SCATTERING, seed=seed)
+    before, after = (judge_errors(data, session, seed=seed, nj=nj) for session in (first, last))
+    logger.info("judge: held-out error %.2f -> %.2f JND on unseen positions, %.2f -> %.2f in unseen rooms",
+                *(errors.mean(way) for way in ("positions", "rooms") for errors in (before, after)))
+    return dict(rirs=len(data.rows), rooms=len(data.room_names), before=_error_entry(before),
+                after=_error_entry(after))
+
+
+def model_of(session):
+    """The model of a session, for the simulator."""
+    return Model(tuple(Extension(*one) for one in values_of(session)))

@@ -1,0 +1,113 @@
+"""The error of a model on what took no part in its fit: simulated again, measured again, in JND.
+
+Every room is left out once: what all rooms share is fitted to the others. Then the room is met in two ways:
+
+positions
+    half of its RIRs calibrate its absorption and gains, the other half is scored, and the other way round
+rooms
+    only its reverberation time at 1 kHz and the gains are known from the one half; the rest must come from what other
+    rooms have taught
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from roomeq.constants import BAND_1KHZ
+from roomeq.loop.cells import HAS_GAIN, LARGEST, METRIC
+from roomeq.loop.fit import calibrate, leave_rooms_out
+from roomeq.loop.predict import BAND_OF_CELL
+from roomeq.loop.rendering import render_rows, rendered_cells
+from roomeq.loop.session import effects_of_rows
+
+KNOWN = {"positions": None,
+         "rooms": (np.isin(METRIC, ["t20", "t30"]) & (BAND_OF_CELL == BAND_1KHZ)) | (METRIC == "direct")}
+"""Cells that calibration may look at, for each way of meeting a room; None for all."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of left-out RIRs.
+
+    Attributes
+    ----------
+    cells : dict
+        {"positions" or "rooms": ndarray, shape (n_rirs, n_cells)}: absolute errors [JND], NaN where nothing was
+        measured.
+    room : ndarray of int, shape (n_rirs,)
+    """
+
+    cells: dict
+    room: np.ndarray
+
+    def of_rooms(self, way):
+        """Mean error of each room, shape (n_rooms,)."""
+        return np.array([np.nanmean(self.cells[way][self.room == r]) for r in np.unique(self.room)])
+
+    def mean(self, way):
+        return float(self.of_rooms(way).mean())
+
+    def interval(self, way):
+        """Interval of 95 % of the mean over rooms (t)."""
+        rooms = self.of_rooms(way)
+        half = stats.t.ppf(0.975, max(len(rooms) - 1, 1)) * rooms.std(ddof=1) / np.sqrt(len(rooms))
+        return [float(rooms.mean() - half), float(rooms.mean() + half)]
+
+    def by_metric(self, way):
+        """Mean error per metric [JND]."""
+        return {metric: float(np.nanmean(self.cells[way][:, METRIC == metric])) for metric in dict.fromkeys(METRIC)
+                if np.isfinite(self.cells[way][:, METRIC == metric]).any()}
+
+    def by_band(self, way):
+        """Mean error per octave band, None where nothing was measured [JND]."""
+        found = [self.cells[way][:, BAND_OF_CELL == band] for band in range(8)]
+        return [float(np.nanmean(one)) if np.isfinite(one).any() else None for one in found]
+
+
+def halves(data):
+    """Two halves of each room's RIRs, the chains dealt out evenly: two lists of index arrays."""
+    first, second = [], []
+    for r in range(len(data.room_names)):
+        turn, parts = 0, ([], [])
+        for chain in np.unique(data.chain[data.room == r]):
+            for n in np.flatnonzero((data.room == r) & (data.chain == chain)):
+                parts[turn % 2].append(n)
+                turn += 1
+            turn += np.sum((data.room == r) & (data.chain == chain)) % 2 == 0  # even chains begin in turn
+        first.append(np.array(parts[0], dtype=int))
+        second.append(np.array(parts[1], dtype=int))
+    return first, second
+
+
+def heldout_errors(session):
+    """Score a session's model; see the module.
+
+    Returns
+    -------
+    Errors
+    """
+    data = session.data
+    left_out = leave_rooms_out(data, session.fit)
+    first, second = halves(data)
+    result = {}
+    for way, chosen in KNOWN.items():
+        cells = np.full(data.cells.shape, np.nan)
+        for known, scored in ((first, second), (second, first)):
+            rows = np.concatenate(scored)
+            if len(rows):
+                cells[rows] = _scored(session, left_out, known, chosen, rows)
+        result[way] = cells
+    return Errors(result, data.room)
+
+
+def _scored(session, left_out, known, chosen, rows):
+    data = session.data
+    absorption, vectors, gains = calibrate(data, session.fit, left_out, known, session.offset, chosen=chosen)
+    by_room = [effects_of_rows(data, session.effects, one) for one in vectors]
+    by_row = [by_room[data.room[n]][n] for n in range(len(data.rows))]
+    raws = render_rows(data, absorption[data.room], by_row, seed=session.seed, nj=session.nj, rows=rows)
+    rendered = rendered_cells(data, raws, by_row, seed=session.seed, nj=session.nj, rows=rows)
+    error = np.abs(data.cells[rows] - rendered - np.outer(gains[rows], HAS_GAIN))
+    error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
+    return np.where(data.valid[rows], error, np.nan)

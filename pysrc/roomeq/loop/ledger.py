@@ -1,0 +1,70 @@
+"""What the loop found, as it is written down."""
+
+from dataclasses import asdict
+
+import numpy as np
+
+from roomeq.loop.attribute import one_sided_p
+from roomeq.loop.fit import leave_rooms_out
+
+LEDGER_FILE = "ledger.json"
+
+
+def values_of(session):
+    """Parameters of each effect: list of (effect, {unit: effect}, typical vector, spread of the vector)."""
+    layout, data = session.layout, session.data
+    vectors = layout.vectors(session.fit.mean, session.fit.local)
+    result = []
+    for effect, one in zip(session.effects, vectors, strict=True):
+        names = data.units(effect.SCOPE)[0]
+        spread = one.std(axis=0, ddof=1) if len(one) > 1 else np.zeros(one.shape[1])
+        result.append((effect, {name: effect.from_vector(vector) for name, vector in zip(names, one, strict=True)},
+                       one.mean(axis=0), spread))
+    return result
+
+
+def _parameter_intervals(session, effect):
+    """Parameters with intervals of 95 %: a jackknife over rooms of what all share, the rooms' own spread else."""
+    layout, data = session.layout, session.data
+    k = session.effects.index(effect)
+    names = data.units(effect.SCOPE)[0]
+    best = layout.vectors(session.fit.mean, session.fit.local)[k]
+    if effect.SCOPE == "room":
+        low = high = None
+    else:
+        left = np.array([layout.vectors(one.mean, session.fit.local)[k]
+                         for one in leave_rooms_out(data, session.fit)])
+        half = 1.96 * np.sqrt((len(left) - 1) / len(left) * np.sum((left - left.mean(axis=0)) ** 2, axis=0))
+        low, high = best - half, best + half
+    return {name: {"best": asdict(effect.from_vector(best[u]))} | ({} if low is None else {
+        "low": asdict(effect.from_vector(low[u])), "high": asdict(effect.from_vector(high[u]))})
+        for u, name in enumerate(names)}
+
+
+def iteration_entry(winner, rivals, ranking, session, before, after):
+    """One accepted effect."""
+    way = "positions" if one_sided_p(before.of_rooms("positions") - after.of_rooms("positions")) <= one_sided_p(
+        before.of_rooms("rooms") - after.of_rooms("rooms")) else "rooms"
+    change = before.of_rooms(way) - after.of_rooms(way)
+    entry = dict(
+        effect=winner.effect.NAME, scope=winner.effect.SCOPE, size_jnd=winner.size_jnd,
+        parameters=_parameter_intervals(session, winner.effect), scored_on=f"unseen {way}",
+        heldout_error_before=before.mean(way), heldout_error_after=after.mean(way),
+        heldout_error_ci=after.interval(way), p=one_sided_p(change),
+        by_metric={"before": before.by_metric(way), "after": after.by_metric(way)},
+        by_band={"before": before.by_band(way), "after": after.by_band(way)},
+        ranking=[dict(effect=one.effect.NAME, gain=one.total, ci=list(one.interval), p=one.p, size_jnd=one.size_jnd)
+                 for one in ranking])
+    if rivals:
+        entry["cannot_tell"] = [winner.effect.NAME, *(one.effect.NAME for one in rivals)]
+        entry["would_tell"] = sorted({one.effect.TELLS for one in (winner, *rivals)})
+    return entry
+
+
+def summary_of(unexplained):
+    """A residual in a person's words."""
+    bands = ", ".join(f"{band_hz:g}" for band_hz in unexplained.bands_hz)
+    where = f" at {bands} Hz" if bands else ""
+    varies = {"nothing": "the same in all rooms", "room": "in some rooms only"}.get(
+        unexplained.varies_with, f"different between one {unexplained.varies_with} and the others")
+    return (f"{unexplained.metric}{where} ({unexplained.time_region}) is {unexplained.size_jnd:+.1f} JND off, {varies}")

@@ -1,0 +1,137 @@
+"""One state of the loop: the data, a model, what it renders, and its fit."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roomeq.effects.catalogue import CATALOGUE
+from roomeq.loop.cells import HAS_GAIN, METRIC, N_CELLS
+from roomeq.loop.fit import Fit, Layout, fit
+from roomeq.loop.rendering import render_rows, rendered_cells
+
+_ORDER = list(CATALOGUE.values())
+
+
+@dataclass(frozen=True)
+class Session:
+    """A fitted model.
+
+    Attributes
+    ----------
+    data : roomeq.loop.data.Data
+    effects : tuple of types
+        Of the model, in the catalogue's order.
+    offset : ndarray, shape (n_rirs, n_cells)
+        What measuring adds to expected cells.
+    fit : Fit
+    by_row : list of list of Effect
+        The effects of each RIR with their parameters.
+    rendered : ndarray, shape (n_rirs, n_cells)
+        Cells as rendered, gains of the recordings included.
+    seed, nj : int
+    """
+
+    data: object
+    effects: tuple
+    offset: np.ndarray
+    fit: Fit
+    by_row: list
+    rendered: np.ndarray
+    seed: int
+    nj: int
+
+    @property
+    def layout(self):
+        return Layout(self.data, self.effects)
+
+    @property
+    def residual(self):
+        """Measured less expected cells; NaN where one of the two is missing."""
+        return np.where(self.data.valid, self.data.cells - self.fit.predicted, np.nan)
+
+
+def in_order(effects):
+    """Types of effects in the catalogue's order."""
+    return tuple(sorted(effects, key=_ORDER.index))
+
+
+def effects_of_rows(data, effects, vectors):
+    """The effects of each RIR, from the vectors of their units."""
+    units = [[effect.from_vector(vector) for vector in one] for effect, one in zip(effects, vectors, strict=True)]
+    numbers = [data.units(effect.SCOPE)[1] for effect in effects]
+    return [[units[k][numbers[k][n]] for k in range(len(effects))] for n in range(len(data.rows))]
+
+
+def begin(data, *, like=None, offset=None, seed, nj):
+    """Fit a model, render it, and fit it again to what rendering showed.
+
+    Parameters
+    ----------
+    data : roomeq.loop.data.Data
+    like : Fit, optional
+        A first fit of the model, the base model's if not given.
+    offset : ndarray, shape (n_rirs, n_cells), optional
+        With which it was made.
+    seed, nj : int
+
+    Returns
+    -------
+    Session
+    """
+    if like is None:
+        offset = np.zeros((len(data.rows), N_CELLS))
+        like = fit(data, offset, ())
+    layout = Layout(data, like.effects)
+    absorption, vectors = layout.absorption(like.mean, like.local), layout.vectors(like.mean, like.local)
+    by_row = effects_of_rows(data, like.effects, vectors)
+    raws = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj)
+    rendered = rendered_cells(data, raws, by_row, seed=seed, nj=nj)
+    for effect in _ORDER:
+        if effect.RENDERED:
+            data.shifts[effect.NAME] = _shift(data, raws, by_row, rendered, effect, seed, nj)
+    gains = np.outer(layout.gains(like.local), HAS_GAIN)
+    expected = layout.predict(absorption, vectors, np.zeros(len(data.rows)), 0.0)
+    new = _offset(data, rendered - expected, data.cells - gains - expected)
+    found = fit(data, new, like.effects, like=fit(data, new, like.effects, like=replace(like, by_surface=None)))
+    vectors = layout.vectors(found.mean, found.local)
+    return Session(data, like.effects, new, found, effects_of_rows(data, like.effects, vectors), rendered + gains,
+                   seed, nj)
+
+
+def _shift(data, raws, by_row, rendered, effect, seed, nj):
+    """What an effect changes in the cells of the model's RIRs."""
+    has = any(isinstance(one, effect) for effects in by_row for one in effects)
+    if has:
+        other = [[one for one in effects if not isinstance(one, effect)] for effects in by_row]
+    else:
+        new = effect.from_vector(np.zeros(len(effect.SPREAD)))
+        other = [sorted([*effects, new], key=lambda one: _ORDER.index(type(one))) for effects in by_row]
+    shift = rendered_cells(data, raws, other, seed=seed, nj=nj) - rendered
+    return np.where(np.isfinite(shift), -shift if has else shift, 0.0)
+
+
+def _offset(data, difference, error):
+    """Offset of each RIR: the mean over RIRs, and as much of its own as helps to predict what was measured.
+
+    Early reflections are the same whenever they are rendered, noise-like tails are not: how much of an RIR's own
+    offset means something is a regression on what was measured, one coefficient a metric.
+
+    Parameters
+    ----------
+    difference : ndarray, shape (n_rirs, n_cells)
+        Rendered less expected cells.
+    error : ndarray, shape (n_rirs, n_cells)
+        Measured less expected cells.
+    """
+    seen = np.isfinite(difference)
+    mean = np.sum(np.where(seen, difference, 0.0), axis=0) / np.maximum(seen.sum(axis=0), 1)
+    own = np.where(seen, difference - mean, 0.0)
+    valid = data.valid & np.isfinite(error)
+    centred = np.where(valid, error, 0.0)
+    centred = np.where(valid, error - centred.sum(axis=0) / np.maximum(valid.sum(axis=0), 1), 0.0)
+    share = np.zeros(N_CELLS)
+    for metric in np.unique(METRIC):
+        at = METRIC == metric
+        power = np.sum(np.where(valid, own, 0.0)[:, at] ** 2)
+        share[at] = np.clip(np.sum(own[:, at] * centred[:, at]) / max(power, 1e-9), 0.0, 1.0)
+    return mean + share * own

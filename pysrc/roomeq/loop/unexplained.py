@@ -1,0 +1,104 @@
+"""What is left when no effect of the catalogue helps any more: where it sits, never what it is called."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from scipy import stats
+
+from roomeq.constants import BANDS_HZ
+from roomeq.loop.cells import METRIC, REGION
+from roomeq.loop.predict import BAND_OF_CELL
+
+MIN_SIZE_JND = 1.0
+MIN_ROOM_SIZE_JND = 3.0  # rooms differ in more than absorption: what one has alone must be plain
+LEVEL = 0.05
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """A residual that stays.
+
+    Attributes
+    ----------
+    metric, time_region : str
+        As in `roomeq.loop.cells`.
+    bands_hz : list of floats
+        Octave bands in which it is found; empty for the whole band.
+    varies_with : str
+        ``"nothing"`` where it is the same in all rooms, else ``"room"``, ``"source"`` or ``"mic"``.
+    size_jnd : float
+        Mean residual, measured less simulated; of the rooms where it is found if it varies with the room.
+    p : float
+        That chance leaves so much in one of all cells that were looked at.
+    """
+
+    metric: str
+    time_region: str
+    bands_hz: list
+    varies_with: str
+    size_jnd: float
+    p: float
+
+    def as_dict(self):
+        return asdict(self)
+
+
+def find_unexplained(session):
+    """The residuals of a model that are no chance, the largest first.
+
+    Returns
+    -------
+    list of Unexplained
+    """
+    data, residual = session.data, session.residual
+    blocks = [(metric, band) for metric in dict.fromkeys(METRIC) for band in range(-1, len(BANDS_HZ))
+              if np.any((METRIC == metric) & (BAND_OF_CELL == band))]
+    found = []
+    for metric, band in blocks:
+        cells = residual[:, (METRIC == metric) & (BAND_OF_CELL == band)]
+        seen = np.isfinite(cells).any(axis=1)
+        values = np.array([np.nanmean(one) for one in cells[seen]])
+        tests = _tests(values, data, seen)
+        found += [(metric, band, varies, size, min(1.0, p * len(blocks))) for varies, size, p in tests]
+    kept = [one for one in found if one[4] < LEVEL and abs(one[3]) >= (
+        MIN_ROOM_SIZE_JND if one[2] == "room" else MIN_SIZE_JND)]
+    return _merged(kept)
+
+
+def _tests(values, data, seen):
+    """What the values of one block vary with: list of (varies_with, size, p)."""
+    rooms = data.room[seen]
+    names = np.unique(rooms)
+    count = np.array([np.sum(rooms == r) for r in names])
+    if len(names) < 3 or len(values) < 6:
+        return []
+    means = np.array([values[rooms == r].mean() for r in names])
+    scatter = np.sqrt(sum(np.sum((values[rooms == r] - m) ** 2) for r, m in zip(names, means, strict=True))
+                      / max(len(values) - len(names), 1)) + 0.1
+    tests = [("nothing", means.mean(), float(stats.ttest_1samp(means, 0.0).pvalue))]
+    for scope in ("source", "mic"):
+        units, number = data.units(scope)
+        number = number[seen]
+        for u in range(len(units) if len(units) > 1 else 0):
+            apart = [values[(rooms == r) & (number == u)].mean() - values[(rooms == r) & (number != u)].mean()
+                     for r in names if np.any((rooms == r) & (number == u)) and np.any((rooms == r) & (number != u))]
+            if len(apart) > 2:
+                tests.append((scope, float(np.mean(apart)), float(stats.ttest_1samp(apart, 0.0).pvalue)))
+    # rooms that stand out from the others by more than their RIRs scatter
+    usual = np.median(np.abs(means - np.median(means))) * 1.4826 + 0.1
+    out = (means - np.median(means)) / np.hypot(usual, scatter / np.sqrt(count))
+    worst = int(np.argmax(np.abs(out)))
+    p = float(2.0 * stats.t.sf(abs(out[worst]), max(len(names) - 2, 1)) * len(names))
+    tests.append(("room", float(means[worst]), p))
+    return tests
+
+
+def _merged(found):
+    """Join neighbouring bands of one metric that vary with the same thing in the same direction."""
+    groups = {}
+    for metric, band, varies, size, p in found:
+        groups.setdefault((metric, varies, np.sign(size)), []).append((band, size, p))
+    merged = [Unexplained(metric, REGION[metric], [BANDS_HZ[band] for band, *_ in sorted(members) if band >= 0], varies,
+                          float(np.mean([size for _, size, _ in members])), float(min(p for *_, p in members)))
+              for (metric, varies, _), members in groups.items()]
+    return sorted(merged, key=lambda one: -abs(one.size_jnd))
