@@ -85,15 +85,16 @@ def collect(traced, mics_m, facings):
         angle = _angles(paths.directions, facing)
         counts = np.zeros((N_FRAMES, int(paths.counts.max()) + 1, len(LEVEL_SHARES)))
         angular = np.zeros((*counts.shape[:2], 0 if facing is None else len(ANGLES)))
-        _count(source_pos_m, paths.hits, paths.codes, paths.counts, paths.normals, level, float(paths.scattering[0]), mic_m,
-               visible[m] if len(visible) else np.zeros((0, 0), dtype=np.bool_), radii_m[m],
+        _count(source_pos_m, paths.hits, paths.codes, paths.counts, paths.normals, level, float(paths.scattering[0]),
+               mic_m, visible[m] if len(visible) else np.zeros((0, 0), dtype=np.bool_), radii_m[m],
                1.0 / volumes_m3[m], distance_m, 1.0 / (speed_m_s * _TICK_S), frame_of_tick,
                angle / (np.pi / (len(ANGLES) - 1)), paths.late_m, paths.stride, counts, angular)
         counts /= 4.0 * np.pi * len(paths.hits)
         flat = counts.reshape(N_FRAMES, -1)
         angular /= np.maximum(angular.sum(axis=2, keepdims=True), 1e-300)
-        made.append(Table(counts, np.argwhere(flat), flat[flat != 0.0], None if facing is None else angular, distance_m, bool(sees[m]),
-                          float(_angles((mic_m - source_pos_m)[None] / distance_m, facing)[0])))
+        direct_angle = float(_angles((mic_m - source_pos_m)[None] / distance_m, facing)[0])
+        made.append(Table(counts, np.argwhere(flat), flat[flat != 0.0], None if facing is None else angular,
+                          distance_m, bool(sees[m]), direct_angle))
     return made
 
 
