@@ -80,6 +80,8 @@ def measure(given, work):
         utterances=len(read_data_dir(speech).utterances), speech_s=round(total_s, 1), copies=given.copies,
         left_out=absent, times_real_time={name: summary(values) for name, values in rates.items()},
         ratio={name: round(ours / statistics.median(rates[name]), 2) for name in peers},
+        flac_mib_per_hour=round(sum(path.stat().st_size for path in work.glob("roomeq_and*/audio/*/*.flac")) / 2**20
+                                / (given.rounds * given.copies * total_s / 3600), 1),
         difference_db=compare(speech, rirs, work), peak_memory_mib=memory(speech, rirs, noises, work))
 
 
