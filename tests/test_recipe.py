@@ -43,6 +43,7 @@ def test_killed_and_started_again_gives_the_same_bytes(undisturbed, corpora, pro
     for _ in range(4):
         process = start(project_dir, where, corpora / "corpora", 2)
         time.sleep(moments.uniform(2, 15))
+        assert process.poll() is None, "it ended before it was killed"
         kill(process)
     finish(start(project_dir, where, corpora / "corpora", 2))
     assert hashes(where) == undisturbed[1]

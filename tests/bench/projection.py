@@ -51,8 +51,8 @@ def main():
 def measure(given, out):
     """Run the steps; return what each did, in which unit, and CPU seconds, peak memory [MiB] and bytes written."""
     data, exp, corpora = out / "data", out / "exp", out / "corpora"
-    where = ["--nj", "1", "--match-rooms", "false", "--data", str(data), "--exp", str(exp),
-             "--corpora", str(corpora)]
+    where = ["--nj", "1", "--match-rooms", "false", "--data", str(data), "--exp", str(exp), "--corpora", str(corpora),
+             "--standin-utterances", str(given.utterances), "--standin-positions", str(given.positions)]
     run(["local/make_standins.sh", "--utterances", str(given.utterances), "--positions", str(given.positions),
          str(corpora)])
     steps = dict(
