@@ -59,7 +59,7 @@ at_stage() { [ "$stage" -le "$1" ] && [ "$stop_stage" -ge "$1" ] && log "stage $
 [ $((taps % 2)) = 1 ] || die "--taps '$taps' must be odd"
 number='[-+]?[0-9]*\.?[0-9]+'
 for name in snr point_snr; do # the tools check the rest: this spares the stages before them
-  [[ ${!name} =~ ^(none|((uniform|normal)\ +${number}[\ ,]+|(list\ +)?(${number}[\ ,]+)*)$number)$ ]] ||
+  [[ ${!name} =~ ^(none|$number|((uniform|normal)\ +${number}[\ ,]+|list\ +(${number}[\ ,]+)*)$number)$ ]] ||
     die "--${name/_/-} '${!name}' must be 'uniform LOW HIGH', 'normal MEAN SD', 'list A,B,...', a number or none"
 done
 [ "$stop_stage" -le 7 ] || die "--stop-stage $stop_stage: stages 8-10, the hand-over to Kaldi, are not there yet"
