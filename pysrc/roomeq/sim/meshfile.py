@@ -69,6 +69,8 @@ def _read_obj(path):
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
         key, *words = line.split("#")[0].split() or [""]
         if key == "v":
+            if len(words) < 3:
+                raise ValueError(f"vertex {len(vertices) + 1} has {len(words)} coordinates where three are needed")
             vertices.append([float(word) for word in words[:3]])
         elif key == "usemtl":
             material = " ".join(words) or UNNAMED
