@@ -13,7 +13,6 @@ not in it.
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -94,11 +93,20 @@ def stage(number, where):
 
 def run(command):
     """Run a step; return CPU seconds and peak memory [MiB] of it and all that it started."""
-    child = subprocess.Popen(command, cwd=PROJECT, stdout=sys.stderr)
-    _, status, usage = os.wait4(child.pid, 0)
-    if status:
+    done = subprocess.run([sys.executable, "-c", _CHILD, *command], cwd=PROJECT, stdout=subprocess.PIPE, text=True)
+    if done.returncode:
         sys.exit(f"{' '.join(command)} failed")
-    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
+    return tuple(map(float, done.stdout.split()))
+
+
+# a process begins with the peak of the one that started it, so that must be a small one
+_CHILD = """
+import resource, subprocess, sys
+status = subprocess.call(sys.argv[1:], stdout=2)
+usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+print(usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
+sys.exit(status)
+"""
 
 
 def size(folder):
