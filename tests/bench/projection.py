@@ -126,7 +126,7 @@ def tables(measured):
         total_h += paper_h
         total_gb += step["written"] / step["done"] * PAPER[step["unit"]] / 1e9
         cells = (f"{paper_h * scale:.2g}" if paper_h * scale < 100 else f"{paper_h * scale:.0f}" for scale in SCALES)
-        lines.append(f"| `{name}` | {each_s:.2g} s a {units[step['unit']]} | {step['peak_mib']:.0f} MiB | "
+        lines.append(f"| `{name}` | {each_s:.2g} s per {units[step['unit']]} | {step['peak_mib']:.0f} MiB | "
                      + " | ".join(cells) + " |")
     lines.append("| **core-hours** | | | " + " | ".join(f"{total_h * scale:.3g}" for scale in SCALES) + " |")
     lines.append("| **disk [GB]** | | | " + " | ".join(f"{total_gb * scale:.3g}" for scale in SCALES) + " |")
