@@ -50,4 +50,7 @@ class Occlusion(Effect):
 
     def on_rir(self, rir, rendering):
         left = np.sqrt(self.energy_gain(EXACT_BANDS_HZ, rendering.scene.air.speed_m_s))
-        return rir - rendering.pulse(rendering.distance_m, (1.0 - left) * rendering.direct_gain, len(rir))
+        if not np.any(rendering.direct_gain):
+            return rir
+        around = rendering.pulse(rendering.distance_m, left * rendering.direct_gain, len(rir))
+        return rir - rendering.direct(len(rir)) + around

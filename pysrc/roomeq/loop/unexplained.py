@@ -51,7 +51,7 @@ def find_unexplained(session):
     list of Unexplained
     """
     data, residual = session.data, session.residual
-    blocks = [(metric, band) for metric in dict.fromkeys(METRIC) for band in range(-1, len(BANDS_HZ))
+    blocks = [(metric, band) for metric in dict.fromkeys(METRIC.tolist()) for band in range(-1, len(BANDS_HZ))
               if np.any((METRIC == metric) & (BAND_OF_CELL == band))]
     found = []
     for metric, band in blocks:
