@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 from scipy.special import fresnel
 
-from worlds.draws import generator
+from worlds.draws import C0, generator
 from worlds.paths import Field, condensed, rays
 from worlds.render import FREQUENCY_HZ, Extra
 
@@ -88,8 +88,10 @@ def occlusion(parameters, scale):
 def past_screen(before_m, behind_m, x, y, across, half, frequency_hz):
     """Transfer function of what passes by a rectangular screen, relative to the free path.
 
-    Kirchhoff's approximation by Babinet: one less the field through an opening of the screen's shape, a product of
-    Fresnel integrals (Born & Wolf, Principles of Optics, 8.7) whose arguments come from the exact detours.
+    One less the field through an opening of the screen's shape, a product of Fresnel integrals (Babinet's principle
+    and Kirchhoff's approximation; Born & Wolf, Principles of Optics, 8.7) whose arguments come from the exact detours.
+    Kirchhoff's edges know no pressure on the screen: each is as much louder as Sommerfeld's hard half-plane says for
+    large arguments.
 
     Parameters
     ----------
@@ -105,13 +107,15 @@ def past_screen(before_m, behind_m, x, y, across, half, frequency_hz):
     """
     opening = 1.0
     for at, size, seen in zip((x, y), half, across, strict=True):
-        ends = []
-        for edge in (-size - at, size - at):
+        part = 1.0
+        for edge in (size + at, size - at):
             off = edge * seen
             detour = np.hypot(before_m, off) + np.hypot(behind_m, off) - before_m - behind_m
-            sine, cosine = fresnel(np.sign(off) * np.sqrt(4.0 * detour * frequency_hz / 343.0))
-            ends.append(cosine - 1j * sine)
-        opening = opening * (ends[1] - ends[0]) / (1.0 - 1j)
+            sine, cosine = fresnel(np.sqrt(4.0 * detour * frequency_hz / C0))
+            angles = np.arctan2(before_m, off), np.arctan2(behind_m, off)
+            louder = 1.0 + np.cos((angles[0] + angles[1]) / 2.0) / np.cos((angles[0] - angles[1]) / 2.0)
+            part = part - louder * (0.5 - (cosine - 1j * sine) / (1.0 - 1j))
+        opening = opening * part
     return 1.0 - opening
 
 

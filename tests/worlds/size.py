@@ -11,7 +11,7 @@ FRAME_S = 5e-3
 NOISE_SAMPLES = 1600  # at the end of the response
 DIRECT_S = 2.5e-3
 DIRECT_FROM = 3  # first octave (500 Hz) that the direct sound can be told in
-AHEAD_S = (20e-3, 1.5e-3)  # part ahead of the direct sound
+AHEAD_S = (20e-3, 2.5e-3)  # part ahead of the direct sound, and of a sinc's tail
 JND = dict(eq=1.0, edt=0.05, t20=0.05, t30=0.05, c50=1.1, drr=2.0, direct=1.0, arrival=1e-4, floor=1.0, ahead=1.0)
 """EQ, C50, DRR and levels in dB, decay times relative, arrival in seconds."""
 
@@ -22,7 +22,8 @@ def cells(rir, field):
     Returns
     -------
     dict
-        Per name of `JND` an array over octaves (one value for `drr` and `arrival`), NaN where it can't be told.
+        Per name of `JND` an array over octaves (one value for `drr` and `arrival`), NaN where it can't be told; and
+        `total`, the level of the whole response [dB].
     """
     expected = field.images.length_m[0] / C0 * FS_HZ
     measured = all_metrics(rir, FS_HZ, expected)
@@ -32,12 +33,13 @@ def cells(rir, field):
     knees = np.minimum(start + np.array(measured["band_knee_s"]) * FS_HZ, len(rir))
     inside = np.arange(len(rir)) < knees[:, None]
     signal = np.sum(power * inside, axis=1) - noise * inside.sum(axis=1)
-    total = signal.sum()
     direct = _between(power, start - DIRECT_S * FS_HZ, start + DIRECT_S * FS_HZ)
-    ahead = _between(power, start - AHEAD_S[0] * FS_HZ, start - AHEAD_S[1] * FS_HZ)
-    ahead[:DIRECT_FROM] = direct[:DIRECT_FROM] = np.nan  # where an octave filter rings as long itself
+    direct[:DIRECT_FROM] = np.nan  # where an octave filter rings as long itself
+    # cut out before it is filtered, so that filters bring no direct sound into it
+    first, last = (max(0, round(start - s * FS_HZ)) for s in AHEAD_S)
+    ahead = np.sum(octave_bands(np.pad(rir[first:last], 512), FS_HZ) ** 2, axis=1)
     result = dict(eq=_db(signal) - _db(signal[4]), direct=_db(direct), arrival=np.array([start / FS_HZ]),
-                  floor=_db(noise * FRAME_S * FS_HZ / total), ahead=_db(ahead / total),
+                  floor=_db(noise * FRAME_S * FS_HZ), ahead=_db(ahead), total=_db(signal.sum()),
                   drr=_numbers([measured["drr_db"]]))
     for name in ("edt", "t20", "t30"):
         result[name] = np.where(measured[f"{name}_valid"], _numbers(measured[f"{name}_s"]), np.nan)
@@ -57,7 +59,8 @@ def changes(clean, changed):
     for name, unit in JND.items():
         a, b = np.array([one[name] for one in clean]), np.array([one[name] for one in changed])
         if name in ("floor", "ahead"):
-            a, b = np.maximum(a, FLOOR_DB), np.maximum(b, FLOOR_DB)
+            lowest = FLOOR_DB + np.array([one["total"] for one in clean])[:, None]
+            a, b = np.maximum(a, lowest), np.maximum(b, lowest)
         if name in ("edt", "t20", "t30"):
             b = b / a
             a = np.ones_like(b)
