@@ -1,9 +1,10 @@
 """Effects of the room and of the air in it."""
 
 import numpy as np
+from scipy.signal import sosfilt
 
-from worlds.draws import C0, DECLARED_C, DECLARED_PCT, FS_HZ, N_SAMPLES, OCTAVES_HZ, generator, speed_of_sound
-from worlds.render import FREQUENCY_HZ, N_FFT, Extra
+from worlds.draws import C0, DECLARED_C, DECLARED_PCT, FS_HZ, OCTAVES_HZ, generator, speed_of_sound
+from worlds.render import FREQUENCY_HZ, Extra
 from worlds.trace import BIN_M, N_BINS
 
 AIRS = ((10.0, 20.0), (30.0, 80.0))  # degrees C, % relative humidity
@@ -132,12 +133,12 @@ def draw_ringing(seed, rooms):
 
 def ringing(parameters, scale):
     """A resonator that the field in the room excites and that sounds on."""
-    t = np.arange(N_SAMPLES) / FS_HZ
-
     def response(field, rir):
         thing = parameters[field.room.room_id]
-        tone = np.exp(-6.908 * t / thing["time_s"]) * np.sin(2.0 * np.pi * thing["frequency_hz"] * t)
-        tone *= scale * thing["level"] * 13.8 / (thing["time_s"] * FS_HZ)  # as loud as the field at its frequency
-        spectrum = np.fft.rfft(rir, 2 * N_FFT) * np.fft.rfft(tone, 2 * N_FFT)
-        return rir + np.fft.irfft(spectrum, 2 * N_FFT)[:N_SAMPLES]
+        turn = 2.0 * np.pi * thing["frequency_hz"] / FS_HZ
+        keep = np.exp(-6.908 / (thing["time_s"] * FS_HZ))
+        # as loud as the field at its frequency
+        gain = scale * thing["level"] * 13.8 / (thing["time_s"] * FS_HZ)
+        section = [0.0, gain * keep * np.sin(turn), 0.0, 1.0, -2.0 * keep * np.cos(turn), keep ** 2]
+        return rir + sosfilt([section], rir)
     return Extra(response=response)

@@ -40,7 +40,7 @@ class Extra:
     pulses : callable
         field -> list of (length [m], departure, gain, shape (N_FFT // 2 + 1,)).
     wave : callable
-        field -> (low-frequency transfer function, its share of the pressure), both shape (N_FFT // 2 + 1,).
+        field -> (low-frequency transfer function, its filter, that of the late field), each shape (N_FFT // 2 + 1,).
     response : callable
         (field, rir) -> rir.
     noise : callable
@@ -108,10 +108,10 @@ def render(field, extras=()):
     image_spectrum = _images(field, extras, speed)
     late_spectrum = _late(field, extras, speed)
     for wave in hooks(extras, "wave"):
-        transfer, share = wave(field)
+        transfer, low, late = wave(field)
         # early pulses agree with the wave field in phase, the late field doesn't: pressures add up, or powers
-        image_spectrum = image_spectrum * (1.0 - share) + share * transfer
-        late_spectrum = late_spectrum * np.sqrt(1.0 - share ** 2)
+        image_spectrum = image_spectrum * (1.0 - low) + low * transfer
+        late_spectrum = late_spectrum * late
     rir = np.fft.irfft(image_spectrum + late_spectrum, N_FFT)[:N_SAMPLES]
     temperature, humidity = (hooks(extras, "air") or [(DECLARED_C, DECLARED_PCT)])[-1]
     rir = through_air(rir, temperature, humidity, speed)

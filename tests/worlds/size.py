@@ -26,7 +26,10 @@ def cells(rir, field):
         `total`, the level of the whole response [dB].
     """
     expected = field.images.length_m[0] / C0 * FS_HZ
-    measured = all_metrics(rir, FS_HZ, expected)
+    try:
+        measured, heard = all_metrics(rir, FS_HZ, expected), True
+    except ValueError:  # drowned behind an obstacle
+        measured, heard = all_metrics(rir, FS_HZ, expected, 1), False
     power = octave_bands(rir, FS_HZ) ** 2
     start = measured["direct_sample"]
     noise = power[:, -NOISE_SAMPLES:].mean(axis=1)
@@ -38,7 +41,8 @@ def cells(rir, field):
     # cut out before it is filtered, so that filters bring no direct sound into it
     first, last = (max(0, round(start - s * FS_HZ)) for s in AHEAD_S)
     ahead = np.sum(octave_bands(np.pad(rir[first:last], 512), FS_HZ) ** 2, axis=1)
-    result = dict(eq=_db(signal) - _db(signal[4]), direct=_db(direct), arrival=np.array([start / FS_HZ]),
+    result = dict(eq=_db(signal) - _db(signal[4]), direct=_db(direct),
+                  arrival=np.array([start / FS_HZ if heard else np.nan]),
                   floor=_db(noise * FRAME_S * FS_HZ), ahead=_db(ahead), total=_db(signal.sum()),
                   drr=_numbers([measured["drr_db"]]))
     for name in ("edt", "t20", "t30"):

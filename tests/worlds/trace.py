@@ -9,36 +9,54 @@ BIN_M = C0 * 1e-3  # path length of one bin: 1 ms at the declared temperature
 N_BINS = round(LENGTH_S * 1000)
 N_ANGLES = 12  # classes of the cosine between departure and facing
 RADIUS_M = 0.3  # of the sphere that catches rays
-N_RAYS = 12000
+N_RAYS = 24000
 COHERENT_ORDER = 4  # specular paths up to here are image sources
-QUIET = 1e-8
+QUIET = 1e-7  # of a ray's energy: where it ends
+SCREEN_SCATTERING, SCREEN_ABSORPTION = 0.3, 0.05
+
+
+@numba.njit(cache=True, inline="always")
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @numba.njit(cache=True)
-def _lambert(normal_axis, inward):
-    """Direction of diffuse reflection off a wall."""
-    u, v = np.random.random(), np.random.random()
-    out = np.empty(3)
-    radius, angle = np.sqrt(u), 2.0 * np.pi * v
-    out[normal_axis] = inward * np.sqrt(1.0 - u)
-    out[(normal_axis + 1) % 3] = radius * np.cos(angle)
-    out[(normal_axis + 2) % 3] = radius * np.sin(angle)
-    return out
+def _turn_lambert(way, normal_axis, inward):
+    """Turn a direction to a diffuse one off a plane across an axis."""
+    u, angle = np.random.random(), 2.0 * np.pi * np.random.random()
+    radius = np.sqrt(u)
+    way[normal_axis] = inward * np.sqrt(1.0 - u)
+    way[(normal_axis + 1) % 3] = radius * np.cos(angle)
+    way[(normal_axis + 2) % 3] = radius * np.sin(angle)
 
 
 @numba.njit(cache=True)
 def _to_screen(at, way, centre, axes, half):
     """Distance along a ray to a rectangle; infinite if it passes by."""
-    across = np.dot(way, axes[2])
+    across = _dot(way, axes[2])
     if abs(across) < 1e-9:
         return np.inf
-    t = np.dot(centre - at, axes[2]) / across
+    t = (_dot(centre, axes[2]) - _dot(at, axes[2])) / across
     if t < 1e-6:
         return np.inf
-    point = at + t * way - centre
-    if abs(np.dot(point, axes[0])) > half[0] or abs(np.dot(point, axes[1])) > half[1]:
-        return np.inf
+    for k in range(2):
+        if abs(_dot(at, axes[k]) + t * _dot(way, axes[k]) - _dot(centre, axes[k])) > half[k]:
+            return np.inf
     return t
+
+
+@numba.njit(cache=True)
+def _off_screen(way, axes):
+    """Turn a direction as a hard screen does that is a little rough."""
+    out = _dot(way, axes[2])
+    if np.random.random() < SCREEN_SCATTERING:
+        local = np.empty(3)
+        _turn_lambert(local, 2, -1.0 if out > 0.0 else 1.0)
+        for k in range(3):
+            way[k] = local[0] * axes[0, k] + local[1] * axes[1, k] + local[2] * axes[2, k]
+    else:
+        for k in range(3):
+            way[k] -= 2.0 * out * axes[2, k]
 
 
 @numba.njit(cache=True)
@@ -72,14 +90,14 @@ def trace(dims, source, mics, facings, absorption, scattering, centre, axes, hal
     keep = 1.0 - absorption
     class_of = np.empty(n_mics, dtype=np.int64)
     weight = np.empty(N_BANDS)
+    way, at = np.empty(3), np.empty(3)
     for _ in range(n_rays):
         z, turn = 2.0 * np.random.random() - 1.0, 2.0 * np.pi * np.random.random()
         flat = np.sqrt(1.0 - z * z)
-        way = np.array([flat * np.cos(turn), flat * np.sin(turn), z])
+        way[0], way[1], way[2] = flat * np.cos(turn), flat * np.sin(turn), z
         for m in range(n_mics):
-            cosine = np.dot(way, facings[m])
-            class_of[m] = min(N_ANGLES - 1, int((cosine + 1.0) / 2.0 * N_ANGLES))
-        at = source.copy()
+            class_of[m] = max(0, min(N_ANGLES - 1, int((_dot(way, facings[m]) + 1.0) / 2.0 * N_ANGLES)))
+        at[:] = source
         weight[:] = scale
         gone, order, specular = 0.0, 0, True
         while gone < longest and weight.max() > QUIET * scale:
@@ -99,9 +117,9 @@ def trace(dims, source, mics, facings, absorption, scattering, centre, axes, hal
                     reach, wall = t, -1
             if not (specular and order <= COHERENT_ORDER):
                 for m in range(n_mics):
-                    off = mics[m] - at
-                    near = np.dot(off, way)
-                    squared = RADIUS_M ** 2 - (np.dot(off, off) - near * near)
+                    x, y, up = mics[m, 0] - at[0], mics[m, 1] - at[1], mics[m, 2] - at[2]
+                    near = x * way[0] + y * way[1] + up * way[2]
+                    squared = RADIUS_M ** 2 - (x * x + y * y + up * up - near * near)
                     if squared > 0.0:
                         span = np.sqrt(squared)
                         enter, leave = max(near - span, 0.0), min(near + span, reach)
@@ -111,15 +129,11 @@ def trace(dims, source, mics, facings, absorption, scattering, centre, axes, hal
                                 for b in range(N_BANDS):
                                     energy[m, class_of[m], b, k] += weight[b] * (leave - enter)
             gone += reach
-            at = at + reach * way
-            if wall < 0:  # a hard screen, a little rough
-                side = -1.0 if np.dot(way, axes[2]) > 0.0 else 1.0
-                if np.random.random() < 0.3:
-                    local = _lambert(2, side)
-                    way = local[0] * axes[0] + local[1] * axes[1] + local[2] * axes[2]
-                else:
-                    way = way - 2.0 * np.dot(way, axes[2]) * axes[2]
-                weight *= 0.95
+            for axis in range(3):
+                at[axis] += reach * way[axis]
+            if wall < 0:
+                _off_screen(way, axes)
+                weight *= 1.0 - SCREEN_ABSORPTION
                 specular = False
                 continue
             axis = wall // 2
@@ -128,7 +142,7 @@ def trace(dims, source, mics, facings, absorption, scattering, centre, axes, hal
                 weight[b] *= keep[wall, b]
             order += 1
             if np.random.random() < scattering[wall]:
-                way = _lambert(axis, 1.0 if wall % 2 == 0 else -1.0)
+                _turn_lambert(way, axis, 1.0 if wall % 2 == 0 else -1.0)
                 specular = False
             else:
                 way[axis] = -way[axis]

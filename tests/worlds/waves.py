@@ -8,15 +8,16 @@ import numba
 import numpy as np
 from scipy.optimize import brentq
 
-from worlds.draws import C0, LENGTH_S
+from worlds.draws import C0, FS_HZ, LENGTH_S
 from worlds.render import FREQUENCY_HZ, N_FFT, Extra
 from worlds.rooms import N_SOURCES
 
-HIGHEST_HZ = 320.0
-POINTS = 9.0  # per wavelength there
+HIGHEST_HZ = 300.0
+POINTS = 8.0  # per wavelength there
 LOWEST_HZ = 22.0  # below it no loudspeaker has anything to say
 WIDTH_OCTAVES = 0.5  # of the crossover to the rays
 N_LOW_BANDS = 3  # octaves whose walls count here: 62.5, 125, 250 Hz
+PERIOD_S = N_FFT / FS_HZ
 N_LOW = int(np.searchsorted(FREQUENCY_HZ, HIGHEST_HZ * 1.2))
 
 
@@ -104,7 +105,8 @@ def responses(dims, source, mics, impedances, length_s=LENGTH_S):
     """
     shape = np.maximum(np.ceil(dims * POINTS * HIGHEST_HZ / C0).astype(int), 4)
     spacing = dims / shape
-    step_s = 0.999 / (C0 * np.sqrt(np.sum(spacing ** -2)))
+    longest_s = 0.999 / (C0 * np.sqrt(np.sum(spacing ** -2)))
+    step_s = PERIOD_S / np.ceil(PERIOD_S / longest_s)  # so that a transform has the frequencies of the rendering
     courant = C0 * step_s / spacing
     loss = 0.5 * courant[:, None] / np.reshape(impedances, (3, 2))
     now, before = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
@@ -137,8 +139,8 @@ def _transfers(room_id, room, cache):
         pressure, step_s = responses(room.dims_m, room.sources_m[s], room.mics_m, impedances)
         time_s = np.arange(pressure.shape[1]) * step_s
         fade = np.clip((time_s[-1] - time_s) / 0.1, 0.0, 1.0)
-        kernel = np.exp(-2j * np.pi * np.outer(time_s, FREQUENCY_HZ[:N_LOW]))
-        result.append(sum(hat * ((pressure * fade * np.exp(-rate * time_s)) @ kernel)
+        n = round(PERIOD_S / step_s)
+        result.append(sum(hat * np.fft.rfft(pressure * fade * np.exp(-rate * time_s), n)[:, :N_LOW]
                           for hat, rate in zip(hats, rates, strict=True)))
     result = np.array(result)
     if path:
@@ -147,6 +149,14 @@ def _transfers(room_id, room, cache):
         np.save(partial, result)
         partial.replace(path)
     return result
+
+
+def causal(magnitude):
+    """Minimum-phase transfer function of a magnitude (Oppenheim & Schafer, by the cepstrum): no sound comes early."""
+    cepstrum = np.fft.irfft(np.log(np.maximum(magnitude, 1e-3)))
+    cepstrum[1:len(cepstrum) // 2] *= 2.0
+    cepstrum[len(cepstrum) // 2 + 1:] = 0.0
+    return np.exp(np.fft.rfft(cepstrum))
 
 
 def draw_modes(seed, rooms):
@@ -159,9 +169,10 @@ def modes(parameters, scale):
     octave = np.log2(np.maximum(FREQUENCY_HZ, 1.0))
     ramps = [np.clip((octave - np.log2(hz)) / WIDTH_OCTAVES + 0.5, 0.0, 1.0) for hz in (LOWEST_HZ, scale)]
     share = np.sin(0.5 * np.pi * ramps[0]) ** 2 * np.cos(0.5 * np.pi * ramps[1]) ** 2
+    low, late = causal(share), causal(np.sqrt(1.0 - share ** 2))
 
     def wave(field):
         transfer = np.zeros(N_FFT // 2 + 1, dtype=complex)
         transfer[:N_LOW] = _transfers(field.room.room_id, field.room, field.cache)[field.rir.source, field.rir.mic]
-        return transfer, share
+        return transfer, low, late
     return Extra(wave=wave)
