@@ -74,14 +74,14 @@ def image_sources(room, source, mic):
     return Images(length[order], departure[order], np.exp(hits @ nepers).T[:, order])
 
 
-def rays(room, screen=NO_SCREEN, n_rays=N_RAYS):
+def rays(room, screen=NO_SCREEN):
     """Energy at each pair of a room, shape (2, 4, N_ANGLES, 8, N_BINS)."""
     result = []
     for s in range(N_SOURCES):
         facings = np.array([rir.facing for rir in room.rirs if rir.source == s])
         seed = int(generator(room.seed, "rays", room.room_id, s).integers(2 ** 31))
         result.append(trace(room.dims_m, room.sources_m[s], room.mics_m, facings, room.absorption, room.scattering,
-                            *screen, n_rays, seed))
+                            *screen, N_RAYS, seed))
     return np.array(result)
 
 

@@ -134,7 +134,9 @@ def _images(field, extras, speed):
     free = np.array([k not in special for k in range(len(at))])
     spectrum = _spectrum(at[free], pressure[:, free])
     for k, transfer in special.items():
-        spectrum = spectrum + transfer * _spectrum(at[k:k + 1], pressure[:, k:k + 1])
+        pulse = np.zeros((1, N_SAMPLES))
+        _add_pulses(pulse, at[k:k + 1], np.ones((1, 1)))
+        spectrum = spectrum + transfer * np.fft.rfft(pulse[0], N_FFT) * (pressure[:, k] @ band_gains(N_FFT))
     for pulses in hooks(extras, "pulses"):
         for length, departure, gain in pulses(field):
             one = np.full((len(pressure), 1), 1.0 / (4.0 * np.pi * length))

@@ -11,7 +11,7 @@ from worlds.render import FREQUENCY_HZ, Extra
 
 HALF_M = (1.0, 0.8)  # half width and half height at scale 1
 AWAY_M = 0.2  # nobody stands nearer to the screen's plane
-N_TRIES = 400
+N_TRIES = 300
 _COARSE_HZ = np.linspace(0.0, FREQUENCY_HZ[-1], 1025)
 
 
@@ -121,27 +121,29 @@ def past_screen(before_m, behind_m, x, y, across, half, frequency_hz):
 
 def _met(dims, source, way, length, screen):
     """Where a specular path of a shoebox goes through the screen: (way so far, x, y, share seen) each time."""
-    at, way, gone = source.copy(), way.copy(), 0.0
+    at, way, dims, gone = source.tolist(), way.tolist(), dims.tolist(), 0.0
     while gone < length - 1e-9:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            reach = np.where(way > 0, (dims - at) / way, np.where(way < 0, -at / way, np.inf))
-        axis = int(np.argmin(reach))
-        step = min(reach[axis], length - gone)
+        reach, axis = min(((dims[k] - at[k] if way[k] > 0.0 else -at[k]) / way[k] if way[k] else np.inf, k)
+                          for k in range(3))
+        step = min(reach, length - gone)
         t, x, y = _crossing(at, way, screen)
         if t < step and 0.0 < gone + t < length:
             yield gone + t, x, y, tuple(np.sqrt(1.0 - (screen[1][:2] @ way) ** 2))
-        at, gone = at + step * way, gone + step
+        at = [at[k] + step * way[k] for k in range(3)]
+        gone += step
         way[axis] = -way[axis]
 
 
 def _crossing(at, way, screen):
-    """Distance along a ray to the screen (infinite if it passes by) and the place on it."""
-    centre, axes, half = screen
-    facing = way @ axes[2]
-    t = (centre - at) @ axes[2] / facing if abs(facing) > 1e-9 else np.inf
+    """Distance along a ray to the screen (infinite if it passes by) and the place on it; lists, for speed."""
+    (cx, cy, cz), axes, half = screen
+    ax, ay = axes[0][0], axes[0][1]  # the normal is (ay, -ax, 0)
+    facing = way[0] * ay - way[1] * ax
+    t = ((cx - at[0]) * ay - (cy - at[1]) * ax) / facing if abs(facing) > 1e-9 else np.inf
     if not 1e-6 < t < np.inf:
         return np.inf, 0.0, 0.0
-    x, y = axes[:2] @ (at + t * way - centre)
+    x = (at[0] + t * way[0] - cx) * ax + (at[1] + t * way[1] - cy) * ay
+    y = at[2] + t * way[2] - cz
     return (t, x, y) if abs(x) <= half[0] and abs(y) <= half[1] else (np.inf, x, y)
 
 

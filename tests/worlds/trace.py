@@ -15,15 +15,25 @@ QUIET = 1e-7  # of a ray's energy: where it ends
 SCREEN_SCATTERING, SCREEN_ABSORPTION = 0.3, 0.05
 
 
+@numba.njit(cache=True)
+def _uniform(state):
+    """Next number in [0, 1) of a ray's own stream (splitmix64), so that what other rays met doesn't change it."""
+    state[0] += np.uint64(0x9E3779B97F4A7C15)
+    z = state[0]
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return float((z ^ (z >> np.uint64(31))) >> np.uint64(11)) / 9007199254740992.0
+
+
 @numba.njit(cache=True, inline="always")
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @numba.njit(cache=True)
-def _turn_lambert(way, normal_axis, inward):
+def _turn_lambert(way, normal_axis, inward, state):
     """Turn a direction to a diffuse one off a plane across an axis."""
-    u, angle = np.random.random(), 2.0 * np.pi * np.random.random()
+    u, angle = _uniform(state), 2.0 * np.pi * _uniform(state)
     radius = np.sqrt(u)
     way[normal_axis] = inward * np.sqrt(1.0 - u)
     way[(normal_axis + 1) % 3] = radius * np.cos(angle)
@@ -46,12 +56,12 @@ def _to_screen(at, way, centre, axes, half):
 
 
 @numba.njit(cache=True)
-def _off_screen(way, axes):
+def _off_screen(way, axes, state):
     """Turn a direction as a hard screen does that is a little rough."""
     out = _dot(way, axes[2])
-    if np.random.random() < SCREEN_SCATTERING:
+    if _uniform(state) < SCREEN_SCATTERING:
         local = np.empty(3)
-        _turn_lambert(local, 2, -1.0 if out > 0.0 else 1.0)
+        _turn_lambert(local, 2, -1.0 if out > 0.0 else 1.0, state)
         for k in range(3):
             way[k] = local[0] * axes[0, k] + local[1] * axes[1, k] + local[2] * axes[2, k]
     else:
@@ -81,7 +91,7 @@ def trace(dims, source, mics, facings, absorption, scattering, centre, axes, hal
     energy : ndarray, shape (n_mics, N_ANGLES, 8, N_BINS)
         Squared pressure per bin of path length, where 1/(4 pi r)² is that of the direct sound.
     """
-    np.random.seed(seed)
+    state = np.zeros(1, dtype=np.uint64)
     n_mics = len(mics)
     energy = np.zeros((n_mics, N_ANGLES, N_BANDS, N_BINS), dtype=np.float32)
     screened = half[0] * half[1] > 0.0
@@ -91,8 +101,9 @@ def trace(dims, source, mics, facings, absorption, scattering, centre, axes, hal
     class_of = np.empty(n_mics, dtype=np.int64)
     weight = np.empty(N_BANDS)
     way, at = np.empty(3), np.empty(3)
-    for _ in range(n_rays):
-        z, turn = 2.0 * np.random.random() - 1.0, 2.0 * np.pi * np.random.random()
+    for ray in range(n_rays):
+        state[0] = np.uint64(seed) * np.uint64(2 ** 32) + np.uint64(ray) * np.uint64(2 ** 16)
+        z, turn = 2.0 * _uniform(state) - 1.0, 2.0 * np.pi * _uniform(state)
         flat = np.sqrt(1.0 - z * z)
         way[0], way[1], way[2] = flat * np.cos(turn), flat * np.sin(turn), z
         for m in range(n_mics):
@@ -132,7 +143,7 @@ def trace(dims, source, mics, facings, absorption, scattering, centre, axes, hal
             for axis in range(3):
                 at[axis] += reach * way[axis]
             if wall < 0:
-                _off_screen(way, axes)
+                _off_screen(way, axes, state)
                 weight *= 1.0 - SCREEN_ABSORPTION
                 specular = False
                 continue
@@ -141,8 +152,8 @@ def trace(dims, source, mics, facings, absorption, scattering, centre, axes, hal
             for b in range(N_BANDS):
                 weight[b] *= keep[wall, b]
             order += 1
-            if np.random.random() < scattering[wall]:
-                _turn_lambert(way, axis, 1.0 if wall % 2 == 0 else -1.0)
+            if _uniform(state) < scattering[wall]:
+                _turn_lambert(way, axis, 1.0 if wall % 2 == 0 else -1.0, state)
                 specular = False
             else:
                 way[axis] = -way[axis]
