@@ -43,8 +43,8 @@ def rooms(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def pairs(rooms):
-    """Half of their pairs: all combinations of loudspeaker and microphone."""
-    return [field for room in rooms for field in room[::2]]
+    """Some of their pairs, with both loudspeakers and both microphones."""
+    return [field for room in rooms for field in room[::3]]
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def test_an_effect_changes_what_it_should_and_nothing_else(name, rooms, pairs, c
     assert np.nanmean(np.abs(faint[TOUCHED[name]])) < np.nanmean(np.abs(clear[TOUCHED[name]]))
 
 
-@pytest.mark.parametrize("kind", ["clean", "source_response", "air_absorption+noise_floor"])
+@pytest.mark.parametrize("kind", ["clean", "source_response+noise_floor"])
 def test_a_world_keeps_the_contract(kind, tmp_path):
     truth = make_world(kind, 1.0, SEED, tmp_path, n_fit=2, n_judge=1, cache=tmp_path / "traced")
     assert validate_rirs(tmp_path / "fit") == 16
