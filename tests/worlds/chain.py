@@ -103,7 +103,11 @@ def drift(parameters, scale):
     low = parameters["from_hz"]
     f = np.maximum(FREQUENCY_HZ, low)
     slope = parameters["sign"] * scale / np.log(8000.0 / low)
-    turn = np.exp(-2j * np.pi * slope * (f * np.log(f / low) - f + low))
+    phase = 2.0 * np.pi * slope * (f * np.log(f / low) - f + low)
+    # a real response ends with phase 0 or pi at half the sample rate: else a long sinc would ring ahead
+    ends = np.pi * np.round(phase[-1] / np.pi) - phase[-1]
+    phase += ends * np.sin(0.5 * np.pi * np.clip(f / 1000.0 - 7.0, 0.0, 1.0)) ** 2
+    turn = np.exp(-1j * phase)
     return Extra(response=lambda field, rir: _through(rir, turn))
 
 
