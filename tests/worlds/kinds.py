@@ -43,7 +43,7 @@ KINDS = {
     "source_response": Kind(chain.draw_loudspeakers, chain.filtered_by("source_id"), (0.2, 20.0)),
     "mic_response": Kind(chain.draw_microphones, chain.filtered_by("mic_id"), (0.2, 20.0)),
     "source_directivity": Kind(fields.draw_directivity, fields.directivity, (0.02, 6.0)),
-    "occlusion": Kind(screen.draw_screens, screen.occlusion, (0.04, 1.6), probe_rooms=3),
+    "occlusion": Kind(screen.draw_screens, screen.occlusion, (0.25, 1.6), probe_rooms=3),
     "coupled_volume": Kind(fields.draw_coupled, fields.coupled, (0.02, 8.0)),
     "room_modes": Kind(waves.draw_modes, waves.modes, (45.0, 250.0)),
     "near_reflector": Kind(fields.draw_desk, fields.desk, (0.02, 1.0)),
