@@ -93,7 +93,7 @@ def fields_of(room, cache=None):
     room : Room
     cache : Path, optional
     """
-    path = cache and Path(cache) / f"{room.room_id}-{_version()}.npz"
+    path = cache and Path(cache) / f"{room.room_id}-{version()}.npz"
     if path and path.is_file():
         with np.load(path) as kept:
             energy, share = kept["energy"], kept["share"].astype(np.float64)
@@ -123,10 +123,10 @@ def world_fields(seed, n_rooms, cache=None):
     return [fields_of(draw_room(seed, number), cache) for number in range(n_rooms)]
 
 
-def _version():
-    """Changes with the code that the cached numbers come from."""
+def version(*more):
+    """Changes with the code that cached numbers come from: of rays, and the modules named."""
     here = Path(__file__).parent
-    code = b"".join((here / name).read_bytes() for name in ("draws.py", "rooms.py", "trace.py", "paths.py"))
+    code = b"".join((here / name).read_bytes() for name in ("draws.py", "rooms.py", "trace.py", "paths.py", *more))
     return hashlib.sha256(code).hexdigest()[:12]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from worlds.draws import C0, FS_HZ, LENGTH_S
+from worlds.paths import version
 from worlds.render import FREQUENCY_HZ, N_FFT, Extra
 from worlds.rooms import N_SOURCES
 
@@ -123,7 +124,7 @@ def responses(dims, source, mics, impedances, length_s=LENGTH_S):
 @lru_cache(maxsize=64)
 def _transfers(room_id, room, cache):
     """Low-frequency transfer functions of a room's pairs, shape (2, 4, N_LOW)."""
-    path = cache and Path(cache) / f"{room_id}-waves.npy"
+    path = cache and Path(cache) / f"{room_id}-waves-{version('waves.py')}.npy"
     if path and path.is_file():
         return np.load(path)
     # one run with the least absorption of each wall, then every octave damped by what it lacks
