@@ -80,7 +80,7 @@ class Effect:
     ----------------
     NAME : str
     SCOPE : str
-        What has parameters of its own: ``"all"``, ``"source"``, ``"mic"`` or ``"room"``.
+        What has parameters of its own: ``"all"``, ``"source"``, ``"mic"``, ``"room"`` or ``"rir"``.
     STARTS : tuple of tuples
         Vectors from which a fit starts.
     SPREAD : tuple

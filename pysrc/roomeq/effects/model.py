@@ -16,7 +16,7 @@ from roomeq.files import read_json, write_json
 from roomeq.rng import rng_for
 
 MODEL_FILE = "model.json"
-_KEY = {"source": "source_id", "mic": "mic_id", "room": "room_id"}
+_KEY = {"source": "source_id", "mic": "mic_id", "room": "room_id", "rir": "id"}
 
 
 @dataclass(frozen=True)

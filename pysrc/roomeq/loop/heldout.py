@@ -16,7 +16,7 @@ from scipy import stats
 
 from roomeq.constants import BAND_1KHZ
 from roomeq.loop.cells import HAS_GAIN, LARGEST, METRIC
-from roomeq.loop.fit import calibrate, leave_rooms_out
+from roomeq.loop.fit import PEEKED, calibrate, leave_rooms_out
 from roomeq.loop.predict import BAND_OF_CELL
 from roomeq.loop.rendering import render_rows, rendered_cells
 from roomeq.loop.session import effects_of_rows
@@ -116,4 +116,4 @@ def _scored(session, left_out, known, chosen, rows):
     rendered = rendered_cells(data, raws, by_row, seed=session.seed, nj=session.nj, rows=rows)
     error = np.abs(data.cells[rows] - rendered - np.outer(gains[rows], HAS_GAIN))
     error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
-    return np.where(data.valid[rows], error, np.nan)
+    return np.where(data.valid[rows] & ~PEEKED, error, np.nan)
