@@ -15,9 +15,9 @@ from functools import partial
 import numpy as np
 
 from roomeq.sim.gather import FRAME_S, spheres, visibility
-from roomeq.sim.jit import N_CHUNKS, compiled, for_chunks, mix, uniform
+from roomeq.sim.jit import N_CHUNKS, compiled, for_chunks, mix
 
-_PER_CHUNK = 2
+_PER_CHUNK = 2  # as `_replace` has it
 N_KEPT = _PER_CHUNK * N_CHUNKS  # per frame
 MAX_ABSORPTION = 0.999  # of the reference: a path that it left nothing of could stand for no other
 _LOG_NOTHING = -200.0  # what a surface keeps that absorbs all: its exponential is 0 in single precision
@@ -142,61 +142,75 @@ def _keep_column(paths, scene, mics_m, reference, seeds, sphere, ism_order, n_fr
     if visible is None:
         visible = visibility(paths, scene.room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
     radius_m, volume_m3 = sphere
-    shape = (N_CHUNKS, n_mics, n_frames, _PER_CHUNK)
-    sums = np.zeros((*shape[:3], 2 + _PER_CHUNK), dtype=np.float32)
-    counts = np.zeros((*shape, n_slots), dtype=np.uint8 if paths.counts.max() < 256 else np.uint16)
-    ray = np.zeros(shape, dtype=np.uint32)
+    count_type = np.dtype(np.uint8 if paths.counts.max() < 256 else np.uint16)
+    per_word = 8 // count_type.itemsize
+    shape = (N_CHUNKS, n_mics, n_frames)
+    sums = np.zeros((*shape, 2 + _PER_CHUNK), dtype=np.float32)
+    kept = np.zeros((*shape, _PER_CHUNK, 1 - (-n_slots // per_word)), dtype=np.uint64)
     reflection = np.ascontiguousarray((1.0 - reference).T, dtype=np.float32)
-    given = (single(paths.source_pos_m), paths.hits, paths.codes, paths.counts, single(paths.normals),
+    given = (single(paths.source_pos_m), paths.hits, paths.codes, paths.first, paths.counts, single(paths.normals),
              paths.face_slot, reflection, single(paths.scattering), single(mics_m.T, order="C"), visible,
              single(radius_m ** 2), single(1.0 / volume_m3), ism_order, np.float32(1.0 / (speed_m_s * FRAME_S)),
-             np.float32(paths.late_m), paths.stride, seeds)
-    for_chunks(n_rays, lambda chunk, low, high: _keep(*given, low, high, sums[chunk], counts[chunk], ray[chunk]))
-    kept = counts @ np.log1p(-reference)[None, :, None, :, None]
-    weight = sums[..., :1] * np.exp(-kept[..., 0]) / (4.0 * np.pi * n_rays * _PER_CHUNK)
-    weight, counts, ray = (np.moveaxis(values, 0, 2).reshape(n_mics, n_frames, N_KEPT, *values.shape[4:])
-                           for values in (weight.astype(np.float32), counts, ray))
-    return list(zip(weight, counts, ray, strict=True))
+             np.float32(paths.late_m), paths.stride, seeds, per_word)
+    for_chunks(n_rays, lambda chunk, low, high: _keep(*given, low, high, sums[chunk], kept[chunk]))
+    # strata side by side: (n_mics, n_frames, N_KEPT, ...)
+    sums, kept = (values.transpose(1, 2, 0, *range(3, values.ndim)) for values in (sums, kept))
+    words = np.ascontiguousarray(kept[..., 1:]).reshape(n_mics, n_frames, N_KEPT, -1)
+    counts = words.view(count_type)[..., :n_slots]
+    logs = np.matmul(counts.reshape(n_mics, n_frames * N_KEPT, n_slots), np.log1p(-reference)[:, :, None],
+                     dtype=np.float32).reshape(n_mics, n_frames, N_CHUNKS, _PER_CHUNK)
+    weight = sums[..., :1] * np.exp(-logs) / np.float32(4.0 * np.pi * n_rays * _PER_CHUNK)
+    ray = kept[..., 0].reshape(n_mics, n_frames, N_KEPT).astype(np.uint32)
+    return list(zip(weight.reshape(ray.shape), counts, ray, strict=True))
 
 
 @compiled
-def _replace(sums, m, frame, counts, rays, stream, counter, met, ray):
+def _replace(sums, kept, m, frame, stream, counter, met, ray):
     """Let a path that has just been added to the sum of a frame take the places that it wins.
 
     A place is lost to a new path with probability ``energy / sum so far``; the sum at which that happens next is drawn
-    at once: it exceeds the present one by a factor of more than x with probability 1 / x.
+    at once: it exceeds the present one by a factor of more than x with probability 1 / x. Both halves of one random
+    number serve, one for each place.
     """
-    for place in range(counts.shape[2]):
-        if sums[m, frame, 0] >= sums[m, frame, 2 + place]:
-            sums[m, frame, 2 + place] = sums[m, frame, 0] / (1.0 - uniform(stream, counter + place))
-            rays[m, frame, place] = ray
-            for slot in range(len(met)):
-                counts[m, frame, place, slot] = met[slot]
-    sums[m, frame, 1] = sums[m, frame, 2:].min()
+    total, word = sums[m, frame, 0], mix(stream + np.uint64(counter) * np.uint64(0x9E3779B97F4A7C15))
+    for place in range(2):
+        if total >= sums[m, frame, 2 + place]:
+            share = np.float32((word & np.uint64(0xFFFFFF)) + np.uint64(1)) * np.float32(2.0 ** -24)
+            sums[m, frame, 2 + place] = total / share
+            kept[m, frame, place, 0] = ray
+            for n in range(len(met)):
+                kept[m, frame, place, 1 + n] = met[n]
+        word >>= np.uint64(32)
+    sums[m, frame, 1] = min(sums[m, frame, 2], sums[m, frame, 3])
 
 
 @compiled
-def _keep(source, hits, codes, face_counts, normals, face_slot, reflection, scattering, mics, visible, radius2,
-          per_volume, ism_order, frames_per_m, late_m, stride, seeds, low, high, sums, counts, rays):
+def _keep(source, hits, codes, first, face_counts, normals, face_slot, reflection, scattering, mics, visible, radius2,
+          per_volume, ism_order, frames_per_m, late_m, stride, seeds, per_word, low, high, sums, kept):
     """Sample rays `low` to `high`; the walk along them is that of `roomeq.sim.gather`.
 
     `sums`, shape (n_mics, n_frames, 2 + _PER_CHUNK): energy so far, the least sum at which a place changes hands, and
-    that sum of each place.
+    that sum of each place. `kept`, shape (n_mics, n_frames, _PER_CHUNK, 1 + n_words): ray, and hits per slot packed
+    `per_word` to a word.
     """
     n_mics, n_frames, _ = sums.shape
+    bits, one_hit = np.uint64(64 // per_word), np.uint64(1)
     all_visible = len(visible) == 0
     zero, one = np.float32(0.0), np.float32(1.0)
     mx, my, mz = mics[0], mics[1], mics[2]
     along, weight, frame = np.empty(n_mics, np.float32), np.empty(n_mics, np.float32), np.empty(n_mics, np.float32)
-    share, met = np.empty(n_mics, np.float32), np.zeros(counts.shape[3], counts.dtype)
+    most = np.array([row.max() for row in reflection])
+    share, met = np.empty(n_mics, np.float32), np.zeros(kept.shape[3] - 1, np.uint64)
     for ray in range(low, high):
         share[:] = one
-        met[:] = 0
+        largest = one
+        met[:] = np.uint64(0)
         px, py, pz, path = source[0], source[1], source[2], zero
         specular, late = True, stride == 1
         was_diffuse = True
         for n in range(face_counts[ray]):
-            hx, hy, hz, new_path = hits[ray, n, 0], hits[ray, n, 1], hits[ray, n, 2], hits[ray, n, 3]
+            at = first[ray] + n
+            hx, hy, hz, new_path = hits[at, 0], hits[at, 1], hits[at, 2], hits[at, 3]
             if not was_diffuse and (n > ism_order or not specular):
                 length = new_path - path
                 scale = one / max(length, np.float32(1e-9))
@@ -212,18 +226,17 @@ def _keep(source, hits, codes, face_counts, normals, face_slot, reflection, scat
                         middle = (path + np.float32(0.5) * (start + stop)) * frames_per_m
                         if stop > start and middle < n_frames:
                             k = np.uint32(middle)
-                            sums[m, k, 0] += (stop - start) * per_volume[m] * share[m]
-                            if sums[m, k, 0] >= sums[m, k, 1]:
-                                _replace(sums, m, k, counts, rays, mix(seeds[m] + np.uint64(ray)), 2 * (2 * n + 1),
-                                         met, ray)
+                            total = sums[m, k, 0] + (stop - start) * per_volume[m] * share[m]
+                            sums[m, k, 0] = total
+                            if total >= sums[m, k, 1]:
+                                _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 2, met, ray)
             px, py, pz, path = hx, hy, hz, new_path
-            face = codes[ray, n] >> 1
+            face = codes[at] >> 1
             slot = face_slot[face]
-            met[slot] += 1
-            largest = zero
+            met[slot // per_word] += one_hit << (bits * np.uint64(slot % per_word))
             for m in range(n_mics):
                 share[m] *= reflection[slot, m]
-                largest = max(largest, share[m])
+            largest *= most[slot]
             if largest < _GIVEN_UP:
                 break
             if not late and path > late_m:
@@ -239,15 +252,15 @@ def _keep(source, hits, codes, face_counts, normals, face_slot, reflection, scat
                     vx, vy, vz = mx[m] - hx, my[m] - hy, mz[m] - hz
                     d2 = vx * vx + vy * vy + vz * vz
                     d = np.sqrt(d2)
-                    weight[m] = share[m] * s * (vx * nx + vy * ny + vz * nz) / (np.float32(np.pi) * d2 * d)
+                    weight[m] = s * (vx * nx + vy * ny + vz * nz) / (np.float32(np.pi) * d2 * d)
                     frame[m] = (path + d) * frames_per_m
                 for m in range(n_mics):
-                    if weight[m] > zero and frame[m] < n_frames and (all_visible or visible[m, ray, n]):
+                    if weight[m] > zero and frame[m] < n_frames and (all_visible or visible[m, at]):
                         k = np.uint32(frame[m])
-                        sums[m, k, 0] += weight[m]
-                        if sums[m, k, 0] >= sums[m, k, 1]:
-                            _replace(sums, m, k, counts, rays, mix(seeds[m] + np.uint64(ray)), 2 * (2 * n + 2), met,
-                                     ray)
-            was_diffuse = (codes[ray, n] & 1) == 1
+                        total = sums[m, k, 0] + weight[m] * share[m]
+                        sums[m, k, 0] = total
+                        if total >= sums[m, k, 1]:
+                            _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 1, met, ray)
+            was_diffuse = (codes[at] & 1) == 1
             if was_diffuse:
                 specular = False

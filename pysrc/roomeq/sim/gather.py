@@ -53,17 +53,18 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n
     scattering = single(paths.scattering[paths.face_slot])
     if visible is None:
         visible = visibility(paths, room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
-    n_rays = len(paths.hits) if n_rays is None else min(n_rays, len(paths.hits))
+    n_rays = len(paths.counts) if n_rays is None else min(n_rays, len(paths.counts))
     radius_m, volume_m3 = spheres(room, mics_m)
     ray_gain = np.zeros((0, 8), dtype=np.float32) if ray_gain is None else single(ray_gain)
     result = np.empty((len(mics_m), n_frames, absorption.shape[1]))
     for first in range(0, len(mics_m), _BATCH):
         batch = slice(first, first + _BATCH)
         parts = np.zeros((N_CHUNKS, len(mics_m[batch]), n_frames, absorption.shape[1]), dtype=np.float32)
-        given = (single(paths.source_pos_m), paths.hits, paths.codes, paths.counts, single(paths.normals), reflection,
-                 scattering, single(mics_m[batch].T, order="C"), visible[batch], single(radius_m[batch] ** 2),
-                 single(1.0 / volume_m3[batch]), ism_order, np.float32(1.0 / (speed_m_s * FRAME_S)),
-                 np.float32(paths.late_m), paths.stride, ray_gain)
+        given = (single(paths.source_pos_m), paths.hits, paths.codes, paths.first, paths.counts,
+                 single(paths.normals), reflection, scattering, single(mics_m[batch].T, order="C"), visible[batch],
+                 single(radius_m[batch] ** 2), single(1.0 / volume_m3[batch]), ism_order,
+                 np.float32(1.0 / (speed_m_s * FRAME_S)), np.float32(paths.late_m), paths.stride,
+                 ray_gain)
         for_chunks(n_rays, lambda chunk, low, high: _gather(*given, low, high, parts[chunk]))  # noqa: B023
         result[batch] = parts.sum(axis=0, dtype=np.float64)
     return result / (4.0 * np.pi * n_rays)
@@ -81,22 +82,20 @@ def visibility(paths, room, mics_m, *, n_frames, speed_m_s):
 
     Returns
     -------
-    ndarray of bool, shape (n_mics, n_rays, capacity)
-        Of shape (0, 0, 0) in a convex room, where all is seen. Only reflections that `gather` asks for are right.
+    ndarray of bool, shape (n_mics, n_stored)
+        Of shape (0, 0) in a convex room, where all is seen. Only reflections that `gather` asks for are right.
     """
     if room.convex:
-        return np.zeros((0, 0, 0), dtype=np.bool_)
+        return np.zeros((0, 0), dtype=np.bool_)
     mics_m = np.atleast_2d(mics_m)
-    wanted = np.arange(paths.hits.shape[1]) < paths.counts[:, None]
-    wanted &= paths.hits[:, :, 3] < n_frames * FRAME_S * speed_m_s
-    late = paths.hits[:, :, 3] > paths.late_m
-    late[::paths.stride] = False
-    wanted &= ~late
-    ray, n = np.nonzero(wanted)
-    start = paths.hits[ray, n, :3] + NUDGE_M * paths.normals[paths.codes[ray, n] >> 1]
-    visible = np.zeros((len(mics_m), *wanted.shape), dtype=np.bool_)
+    path_m = paths.hits[:, 3]
+    late = path_m > paths.late_m
+    late &= np.repeat(np.arange(len(paths.counts)) % paths.stride != 0, paths.counts)
+    wanted = np.flatnonzero((path_m < n_frames * FRAME_S * speed_m_s) & ~late)
+    start = paths.hits[wanted, :3] + NUDGE_M * paths.normals[paths.codes[wanted] >> 1]
+    visible = np.zeros((len(mics_m), len(path_m)), dtype=np.bool_)
     for m, mic in enumerate(mics_m):
-        visible[m, ray, n] = room.sees(start, mic)
+        visible[m, wanted] = room.sees(start, mic)
     return visible
 
 
@@ -113,8 +112,8 @@ def _add(row, weight, g0, g1, g2, g3, g4, g5, g6, g7):
 
 
 @compiled
-def _gather(source, hits, codes, counts, normals, reflection, scattering, mics, visible, radius2, per_volume, ism_order,
-            frames_per_m, late_m, stride, ray_gain, low, high, echo):
+def _gather(source, hits, codes, first, counts, normals, reflection, scattering, mics, visible, radius2, per_volume,
+            ism_order, frames_per_m, late_m, stride, ray_gain, low, high, echo):
     """Add rays `low` to `high` to `echo`, shape (n_mics, n_frames, 8).
 
     All in single precision. First what a reflection means to every microphone, which is vectorised over them, then
@@ -134,7 +133,8 @@ def _gather(source, hits, codes, counts, normals, reflection, scattering, mics, 
         specular, late = True, stride == 1
         was_diffuse = True
         for n in range(counts[ray]):
-            hx, hy, hz, new_path = hits[ray, n, 0], hits[ray, n, 1], hits[ray, n, 2], hits[ray, n, 3]
+            at = first[ray] + n
+            hx, hy, hz, new_path = hits[at, 0], hits[at, 1], hits[at, 2], hits[at, 3]
             if not was_diffuse and (n > ism_order or not specular):
                 length = new_path - path
                 scale = one / max(length, np.float32(1e-9))
@@ -152,7 +152,7 @@ def _gather(source, hits, codes, counts, normals, reflection, scattering, mics, 
                             _add(echo[m, np.uint32(middle)], (stop - start) * per_volume[m],
                                  g0, g1, g2, g3, g4, g5, g6, g7)
             px, py, pz, path = hx, hy, hz, new_path
-            face = codes[ray, n] >> 1
+            face = codes[at] >> 1
             rho = reflection[face]
             g0, g1, g2, g3 = g0 * rho[0], g1 * rho[1], g2 * rho[2], g3 * rho[3]
             g4, g5, g6, g7 = g4 * rho[4], g5 * rho[5], g6 * rho[6], g7 * rho[7]
@@ -173,8 +173,8 @@ def _gather(source, hits, codes, counts, normals, reflection, scattering, mics, 
                     weight[m] = s * (vx * nx + vy * ny + vz * nz) / (np.float32(np.pi) * d2 * d)
                     frame[m] = (path + d) * frames_per_m
                 for m in range(n_mics):
-                    if weight[m] > zero and frame[m] < n_frames and (all_visible or visible[m, ray, n]):
+                    if weight[m] > zero and frame[m] < n_frames and (all_visible or visible[m, at]):
                         _add(echo[m, np.uint32(frame[m])], weight[m], g0, g1, g2, g3, g4, g5, g6, g7)
-            was_diffuse = (codes[ray, n] & 1) == 1
+            was_diffuse = (codes[at] & 1) == 1
             if was_diffuse:
                 specular = False

@@ -49,10 +49,12 @@ class Paths:
     source_pos_m : ndarray, shape (3,)
     directions : ndarray, shape (n_rays, 3)
         Unit vectors in which the rays leave the source.
-    hits : ndarray of float32, shape (n_rays, capacity, 4)
-        Position of each reflection and the length of the path up to there [m].
-    codes : ndarray of unsigned int, shape (n_rays, capacity)
+    hits : ndarray of float32, shape (n_stored, 4)
+        Position of each reflection and the length of the path up to there [m], one ray after the other.
+    codes : ndarray of unsigned int, shape (n_stored,)
         ``2 * face + went_on_diffusely`` per reflection.
+    first : ndarray of int, shape (n_rays,)
+        Index of each ray's first reflection. Between two rays may lie places that nothing is stored in.
     normals : ndarray, shape (n_faces, 3)
         Of the faces, into the air.
     face_slot : ndarray of int, shape (n_faces,)
@@ -72,6 +74,7 @@ class Paths:
     directions: np.ndarray
     hits: np.ndarray
     codes: np.ndarray
+    first: np.ndarray
     normals: np.ndarray
     face_slot: np.ndarray
     counts: np.ndarray
@@ -126,9 +129,9 @@ def trace(room, source_pos_m, scattering, *, num_rays, max_length_m, speed_m_s, 
     walls = room.walls
     follow = _follow_in_mesh if walls is None else _follow_in_convex
     normals, face_slot = (room.normals, room.face_slot) if walls is None else (walls.normals, walls.face_slot)
-    hits, codes, counts, n_leaked = follow(room, source_pos_m, directions, scattering[face_slot], late_m, stride,
-                                           max_length_m, seed)
-    return Paths(source_pos_m, directions, hits, codes, normals, face_slot, counts, scattering, late_m, stride,
+    hits, codes, first, counts, n_leaked = follow(room, source_pos_m, directions, scattering[face_slot], late_m,
+                                                  stride, max_length_m, seed)
+    return Paths(source_pos_m, directions, hits, codes, first, normals, face_slot, counts, scattering, late_m, stride,
                  max_length_m, n_leaked)
 
 
@@ -137,47 +140,51 @@ def dense_after_s(volume_m3, speed_m_s, rate_hz):
     return float(np.sqrt(rate_hz * volume_m3 / (4.0 * np.pi * speed_m_s ** 3)))
 
 
-def _storage(n_rays, capacity, n_faces):
-    codes = np.empty((n_rays, capacity), dtype=np.uint8 if n_faces < 128 else np.uint32)
-    return np.empty((n_rays, capacity, 4), dtype=np.float32), codes
+def _code_type(n_faces):
+    return np.uint8 if n_faces < 128 else np.uint32
 
 
 def _follow_in_convex(room, source, directions, scattering, late_m, stride, max_length_m, seed):
     """Trace a room that is bounded by a few planes: no search, only the nearest plane ahead."""
     walls, n_rays = room.walls, len(directions)
+    end_m = np.where(np.arange(n_rays) % stride == 0, max_length_m, min(late_m, max_length_m))
     # the most that a specular ray can meet in a box, and some
-    capacity = int(1.2 * max_length_m * np.sqrt(np.sum(1.0 / walls.size_m ** 2))) + 40
-    hits, codes = _storage(n_rays, capacity, len(walls.normals))
-    counts = np.empty(n_rays, dtype=np.int32)
-    for_chunks(n_rays, lambda chunk, first, last: _trace_convex(
-        walls.normals, walls.offsets, source, directions, scattering, late_m, stride, max_length_m, seed, first,
-        last, hits, codes, counts))
-    return hits, codes, counts, 0
+    capacity = (1.2 * end_m * np.sqrt(np.sum(1.0 / walls.size_m ** 2))).astype(np.int64) + 40
+    start = np.concatenate([[0], np.cumsum(capacity)])
+    hits, codes = np.empty((start[-1], 4), np.float32), np.empty(start[-1], _code_type(len(walls.normals)))
+    first, counts = np.empty(n_rays, dtype=np.int64), np.empty(n_rays, dtype=np.int32)
+    # each chunk fills its share of the store from the front: pages that no ray needs are never touched
+    for_chunks(n_rays, lambda chunk, low, high: _trace_convex(
+        walls.normals, walls.offsets, source, directions, scattering, end_m, seed, low, high, capacity, start[low],
+        hits, codes, first, counts))
+    return hits, codes, first, counts, 0
 
 
 def _follow_in_mesh(room, source, directions, scattering, late_m, stride, max_length_m, seed):
     """Trace any closed mesh: all rays together, one reflection after the other."""
     n_rays = len(directions)
-    mean_m = 4.0 * room.volume_m3 / room.slot_area_m2.sum()
-    hits, codes = _storage(n_rays, int(1.5 * max_length_m / mean_m) + 40, len(room.normals))
     counts = np.zeros(n_rays, dtype=np.int32)
     position, before = np.tile(source, (n_rays, 1)), np.tile(source, (n_rays, 1))
     way, length = directions.copy(), np.zeros(n_rays)
-    active, n_leaked, n = np.arange(n_rays), 0, 0
+    end_m = np.where(np.arange(n_rays) % stride == 0, max_length_m, min(late_m, max_length_m))
+    active, n_leaked, steps = np.arange(n_rays), 0, []
     while len(active):
-        if n == hits.shape[1]:
-            hits, codes = (np.concatenate([array, np.empty_like(array[:, :n // 2 + 1])], axis=1)
-                           for array in (hits, codes))
-        face, distance = _next_hits(room, position, way, before, active, seed, n)
+        face, distance = _next_hits(room, position, way, before, active, seed, len(steps))
         lost = face < 0
         n_leaked += int(lost.sum())
         active, face, distance = active[~lost], face[~lost], distance[~lost]
-        _advance(room.normals, active, face, distance, scattering, seed, n, position, before, way, length, hits,
-                 codes, counts)
-        end_m = np.where(active % stride == 0, max_length_m, min(late_m, max_length_m))
-        active = active[length[active] <= end_m]
-        n += 1
-    return hits, codes, counts, n_leaked
+        hits, codes = np.empty((len(active), 4), np.float32), np.empty(len(active), _code_type(len(room.normals)))
+        _advance(room.normals, active, face, distance, scattering, seed, len(steps), position, before, way, length,
+                 hits, codes)
+        counts[active] += 1
+        steps.append((active, hits, codes))
+        active = active[length[active] <= end_m[active]]
+    first = np.concatenate([[0], np.cumsum(counts[:-1], dtype=np.int64)])
+    hits = np.empty((counts.sum(), 4), np.float32)
+    codes = np.empty(len(hits), _code_type(len(room.normals)))
+    for n, (rays, step_hits, step_codes) in enumerate(steps):
+        hits[first[rays] + n], codes[first[rays] + n] = step_hits, step_codes
+    return hits, codes, first, counts, n_leaked
 
 
 def _next_hits(room, position, way, before, active, seed, n):
@@ -218,20 +225,20 @@ def reflect(normals, face, scattering, stream, n, way):
 
 
 @compiled
-def _trace_convex(normals, offsets, source, directions, scattering, late_m, stride, max_length_m, seed, first, last,
-                  hits, codes, counts):
-    """Trace rays `first` to `last` between planes; the air is where ``normal . x > offset`` for all of them."""
-    capacity, n_faces = hits.shape[1], len(normals)
+def _trace_convex(normals, offsets, source, directions, scattering, end_m, seed, low, high, capacity, stored, hits,
+                  codes, first, counts):
+    """Trace rays `low` to `high` between planes; the air is where ``normal . x > offset`` for all of them."""
+    n_faces = len(normals)
     height, approach, way = np.empty(n_faces), np.empty(n_faces), np.empty(3)
-    for ray in range(first, last):
+    for ray in range(low, high):
         stream = mix(seed + np.uint64(ray))
-        end_m = max_length_m if ray % stride == 0 else min(late_m, max_length_m)
+        first[ray] = stored
         x, y, z = source[0], source[1], source[2]
         way[0], way[1], way[2] = directions[ray, 0], directions[ray, 1], directions[ray, 2]
         for face in range(n_faces):
             height[face] = normals[face, 0] * x + normals[face, 1] * y + normals[face, 2] * z - offsets[face]
         length, n = 0.0, 0
-        while n < capacity and length <= end_m:
+        while n < capacity[ray] and length <= end_m[ray]:
             ahead, ahead_height, ahead_approach = -1, 1e30, 1.0
             for face in range(n_faces):
                 toward = -(normals[face, 0] * way[0] + normals[face, 1] * way[1] + normals[face, 2] * way[2])
@@ -248,26 +255,25 @@ def _trace_convex(normals, offsets, source, directions, scattering, late_m, stri
             height[ahead] = 0.0
             length += distance
             diffuse = reflect(normals, ahead, scattering[ahead], stream, n, way)
-            hits[ray, n, 0], hits[ray, n, 1], hits[ray, n, 2], hits[ray, n, 3] = x, y, z, length
-            codes[ray, n] = 2 * ahead + (1 if diffuse else 0)
+            hits[stored, 0], hits[stored, 1], hits[stored, 2], hits[stored, 3] = x, y, z, length
+            codes[stored] = 2 * ahead + (1 if diffuse else 0)
+            stored += 1
             n += 1
         counts[ray] = n
 
 
 @compiled
-def _advance(normals, active, faces, distances, scattering, seed, n, position, before, way, length, hits, codes,
-             counts):
+def _advance(normals, active, faces, distances, scattering, seed, n, position, before, way, length, hits, codes):
     """Move the active rays to their hits, store reflection `n` and turn them; they start a nudge off the surface."""
     for i in range(len(active)):
         ray, face, distance = active[i], faces[i], distances[i]
         for axis in range(3):
             before[ray, axis] = position[ray, axis]
             position[ray, axis] += distance * way[ray, axis]
-            hits[ray, n, axis] = position[ray, axis]
+            hits[i, axis] = position[ray, axis]
         length[ray] += distance
-        hits[ray, n, 3] = length[ray]
+        hits[i, 3] = length[ray]
         diffuse = reflect(normals, face, scattering[face], mix(seed + np.uint64(ray)), n, way[ray])
-        codes[ray, n] = 2 * face + (1 if diffuse else 0)
-        counts[ray] = n + 1
+        codes[i] = 2 * face + (1 if diffuse else 0)
         for axis in range(3):
             position[ray, axis] += 1e-4 * normals[face, axis]
