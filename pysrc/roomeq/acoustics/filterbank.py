@@ -10,7 +10,7 @@ MIN_CROSSOVER_OCTAVES = 1.0 / 3.0
 MIN_CROSSOVER_HZ = 62.0  # a narrower crossover would spread a pulse over more than some 20 ms
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=32)
 def octave_filterbank(n_fft, fs_hz):
     """Amplitude responses of the eight complementary octave bands.
 

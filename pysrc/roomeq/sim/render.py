@@ -22,6 +22,7 @@ MIN_LENGTH_S = 0.5
 MAX_LENGTH_S = 3.0
 DECAY_DB = 60.0
 _OVERSAMPLING = 256
+_FFT_GRID = 4096
 _GUARD_S = 0.06  # the filters of the low bands spread a pulse over this time
 
 
@@ -70,21 +71,23 @@ def response_length_s(energy, early_s=0.0):
     return float(np.clip(max(last * FRAME_S, early_s), MIN_LENGTH_S, MAX_LENGTH_S))
 
 
-def render(distance_m, gains, echogram, noise, *, speed_m_s, n_samples):
+def render(distance_m, gains, echogram, noise, *, speed_m_s, n_samples, bands=slice(None)):
     """Put a response together.
 
     Parameters
     ----------
     distance_m : ndarray, shape (n_paths,)
         Lengths of the specular paths.
-    gains : ndarray, shape (n_paths, 8)
+    gains : ndarray, shape (n_paths, n_bands)
         Their pressure per band.
-    echogram : ndarray, shape (n_frames, 8)
+    echogram : ndarray, shape (n_frames, n_bands)
         Squared pressure per frame of everything else, air absorption included.
     noise : ndarray, shape (>= n_samples,)
         From `tail_noise`.
     speed_m_s : float
     n_samples : int
+    bands : sequence of int, optional
+        Which of the eight octaves the bands are.
 
     Returns
     -------
@@ -92,13 +95,14 @@ def render(distance_m, gains, echogram, noise, *, speed_m_s, n_samples):
         Sample 0 is the emission.
     """
     guard = int(_GUARD_S * FS_HZ)
-    n_fft = next_fast_len(n_samples + 2 * guard, real=True)
-    bands = np.zeros((echogram.shape[1], n_fft))
+    # a few sizes for all lengths: their filters are kept
+    n_fft = next_fast_len(-(-(n_samples + 2 * guard) // _FFT_GRID) * _FFT_GRID, real=True)
+    signals = np.zeros((echogram.shape[1], n_fft))
     first = distance_m.min() / speed_m_s * FS_HZ if len(distance_m) else 0.0
-    _shape_noise(bands[:, guard:guard + n_samples], noise, _padded(echogram, n_samples), int(np.ceil(first)),
+    _shape_noise(signals[:, guard:guard + n_samples], noise, _padded(echogram, n_samples), int(np.ceil(first)),
                  FRAME_S * FS_HZ)
-    _add_pulses(bands, guard + distance_m / speed_m_s * FS_HZ, np.ascontiguousarray(gains), _sinc_table())
-    spectrum = np.einsum("bf,bf->f", rfft(bands, n_fft), octave_filterbank(n_fft, FS_HZ))
+    _add_pulses(signals, guard + distance_m / speed_m_s * FS_HZ, np.ascontiguousarray(gains), _sinc_table())
+    spectrum = np.einsum("bf,bf->f", rfft(signals, n_fft), octave_filterbank(n_fft, FS_HZ)[bands])
     return irfft(spectrum, n_fft)[guard:guard + n_samples]
 
 

@@ -1,0 +1,184 @@
+"""Rendering some microphones of a traced source, again and again while absorption is searched for."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from roomeq.constants import FS_HZ
+from roomeq.sim.diffraction import Diffracted, diffract
+from roomeq.sim.early import Images, specular_paths
+from roomeq.sim.echoes import Echoes, echogram, keep_echoes
+from roomeq.sim.gather import FRAME_S, gather, visibility
+from roomeq.sim.jit import on_threads
+from roomeq.sim.render import render, response_length_s, tail_noise
+from roomeq.sim.scene import check_positions
+from roomeq.sim.target import t30_s
+from roomeq.sim.trace import dense_after_s
+
+_SMOOTH_FRAMES = 7  # of 1 ms
+ALL_BANDS = tuple(range(8))
+
+
+@dataclass(frozen=True)
+class Response:
+    """One impulse response and what is known about it.
+
+    Attributes
+    ----------
+    rir : ndarray, shape (n_samples,)
+        At `FS_HZ`, sample 0 is the emission; a direct sound at distance r has the level ``1 / (4 pi r)``.
+    direct_sample : float
+        ``fs r / c``.
+    direct_visible : bool
+        Whether the source is seen from the microphone.
+    diffracted : bool
+        Whether sound that came around edges is part of it.
+    t30_s : float or None
+        T30 at 1 kHz of `rir`.
+    absorption : ndarray, shape (n_slots, 8)
+        As used: scaled to the target if there was one.
+    leaked_share : float
+        Rays that slipped through the surface.
+    """
+
+    rir: np.ndarray
+    direct_sample: float
+    direct_visible: bool
+    diffracted: bool
+    t30_s: float | None
+    absorption: np.ndarray
+    leaked_share: float
+
+
+@dataclass(frozen=True)
+class Job:
+    """What stays the same while absorption changes.
+
+    Attributes
+    ----------
+    traced : TracedSource
+    mics_m : ndarray, shape (n_mics, 3)
+    images : list of Images
+    diffracted : list of Diffracted or None
+    noises : list of ndarray
+        Of the tails.
+    echoes : list of Echoes or None
+        Sampled paths; without them all stored paths are gathered for each absorption.
+    visible : list of ndarray
+        From `visibility`, for each trace.
+    length_s : float
+    ism_order : int
+    path_gain : callable or None
+        Directivity of the source; see `render_responses`.
+    """
+
+    traced: object
+    mics_m: np.ndarray
+    images: list[Images]
+    diffracted: list[Diffracted | None]
+    noises: list[np.ndarray]
+    echoes: list[Echoes] | None
+    visible: list[np.ndarray]
+    length_s: float
+    ism_order: int
+    path_gain: Callable | None
+
+    @property
+    def n_frames(self):
+        return int(np.ceil(self.length_s / FRAME_S))
+
+    def image_gains(self, images, absorption):
+        """Pressure of image sources, as they leave the source."""
+        scene = self.traced.scene
+        gains = images.gains(absorption, scene.scattering, scene.air.attenuation_per_m)
+        return gains if self.path_gain is None else gains * np.sqrt(self.path_gain(images.departure))
+
+    def sampled(self, reference, rngs):
+        """Sample the paths of each microphone for absorption around a reference, shape (n_slots,)."""
+        return keep_echoes(self.traced, self.mics_m, np.tile(reference, (len(self.mics_m), 1)), rngs,
+                           ism_order=self.ism_order, n_frames=self.n_frames, visible=self.visible)
+
+
+def make_job(traced, mics_m, rngs, *, length_s, ism_order, diffraction, path_gain, echoes=None):
+    """Find what does not depend on absorption; the arguments are those of `render_responses`."""
+    mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
+    for mic_m in mics_m:
+        check_positions(traced.scene.room, traced.source_pos_m, mic_m)
+    length_s = traced.max_length_s if length_s is None else min(length_s, traced.max_length_s)
+    room, speed_m_s = traced.scene.room, traced.scene.air.speed_m_s
+    images = [specular_paths(room, traced.source_pos_m, mic_m, ism_order) for mic_m in mics_m]
+    n_samples = int(np.ceil(length_s * FS_HZ)) + 1
+    diffracted = on_threads(
+        lambda mic_m, found: diffract(room, traced.source_pos_m, mic_m, speed_m_s=speed_m_s, n_samples=n_samples,
+                                      direct_visible=found.has_direct) if diffraction else None,
+        list(zip(mics_m, images, strict=True)))
+    noises = [tail_noise(n_samples, room.volume_m3, speed_m_s, rng) for rng in rngs]
+    n_frames = int(np.ceil(length_s / FRAME_S))
+    visible = [] if echoes is not None else [visibility(paths, room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
+                                             for paths in traced.paths]
+    return Job(traced, mics_m, images, diffracted, noises, echoes, visible, length_s, ism_order, path_gain)
+
+
+def echograms(job, absorption, *, bands=ALL_BANDS):
+    """Energy of all but the image sources, with air absorption, shape (n_mics, n_frames, 8); other bands are 0."""
+    scene, paths = job.traced.scene, job.traced.paths
+    ray_gain = None if job.path_gain is None else job.path_gain(paths[0].directions)  # the same in all traces
+    result = np.zeros((len(job.mics_m), job.n_frames, len(job.traced.path_of_band)))
+    if job.echoes is not None:
+        for energy, echoes in zip(result, job.echoes, strict=True):
+            found = echogram(echoes, absorption, bands=bands, ray_gain=ray_gain)[:job.n_frames]
+            energy[:len(found)] = found
+    else:
+        for group in sorted({job.traced.path_of_band[band] for band in bands}):
+            members = [band for band in bands if job.traced.path_of_band[band] == group]
+            energy = gather(paths[group], scene.room, absorption, job.mics_m, ism_order=job.ism_order,
+                            n_frames=job.n_frames, speed_m_s=scene.air.speed_m_s, visible=job.visible[group],
+                            ray_gain=ray_gain)
+            result[:, :, members] = energy[:, :, members]
+    result = _smooth_late(result, dense_after_s(scene.room.volume_m3, scene.air.speed_m_s, FS_HZ))
+    length_m = (np.arange(job.n_frames) + 0.5) * FRAME_S * scene.air.speed_m_s
+    return result * np.exp(-length_m[:, None] * scene.air.attenuation_per_m)
+
+
+def _smooth_late(energy, late_s):
+    """Average the frames after a time over `_SMOOTH_FRAMES`; an exponential decay stays what it is to 0.1 dB."""
+    half = _SMOOTH_FRAMES // 2
+    first = int(late_s / FRAME_S) + 2 * half
+    if first + 2 * half < energy.shape[1]:
+        total = np.cumsum(energy[:, first - half - 1:], axis=1)
+        mean = (total[:, _SMOOTH_FRAMES:] - total[:, :-_SMOOTH_FRAMES]) / _SMOOTH_FRAMES
+        energy[:, first:first + mean.shape[1]] = mean
+    return energy
+
+
+def add_images(energy, job, absorption):
+    """Add the energy of image sources to echograms, in place."""
+    speed_m_s = job.traced.scene.air.speed_m_s
+    for echogram_of_mic, found in zip(energy, job.images, strict=True):
+        frame = (found.distance_m / speed_m_s / FRAME_S).astype(int)
+        gains = job.image_gains(found, absorption)
+        inside = frame < len(echogram_of_mic)
+        np.add.at(echogram_of_mic, frame[inside], gains[inside] ** 2)
+
+
+def render_job(job, absorption, *, bands=ALL_BANDS):
+    """Render every microphone: list of Response; of a few neighbouring bands, only their share of the response."""
+    energy = echograms(job, absorption, bands=bands)
+    whole = energy.copy()
+    add_images(whole, job, absorption)
+    return on_threads(partial(_render_one, job, absorption, list(bands)),
+                      list(zip(job.mics_m, energy, whole, job.images, job.diffracted, job.noises, strict=True)))
+
+
+def _render_one(job, absorption, bands, mic_m, energy, whole, images, diffracted, noise):
+    traced, air = job.traced, job.traced.scene.air
+    direct_sample = float(np.linalg.norm(mic_m - traced.source_pos_m) / air.speed_m_s * FS_HZ)
+    length_s = min(response_length_s(whole[:, bands], direct_sample / FS_HZ + 0.1), job.length_s)
+    rir = render(images.distance_m, job.image_gains(images, absorption)[:, bands], energy[:, bands], noise,
+                 speed_m_s=air.speed_m_s, n_samples=round(length_s * FS_HZ), bands=bands)
+    if diffracted is not None:
+        rir = rir + diffracted.response(absorption, traced.scene.scattering, air, len(rir))
+    return Response(rir, direct_sample, images.has_direct, diffracted is not None, t30_s(rir, direct_sample),
+                    absorption, traced.leaked_share)
