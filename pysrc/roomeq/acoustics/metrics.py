@@ -13,6 +13,7 @@ EDT, T20, T30 and C50 (ISO 3382-1:2009, ISO 3382-2:2008), direct-to-reverberant 
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -26,6 +27,7 @@ MARGIN_DB = 10.0  # ISO 3382-2, 7.2: the noise lies at least this far below the 
 DIRECT_S = 2.5e-3  # what arrives this soon after the direct sound counts as direct (DRR)
 EARLY_S = 0.05  # early sound of C50
 DECAYS_DB = {"edt": (0.0, -10.0), "t20": (-5.0, -25.0), "t30": (-5.0, -35.0)}
+_FFT_GRID = 4096  # a few sizes for responses of all lengths: their filters are kept
 _TINY = 1e-300  # keeps logarithms of digital silence finite
 
 
@@ -70,6 +72,12 @@ class Decay:
     knee: Knee
 
 
+def _fft_size(n_samples, fs_hz):
+    """Length of transform in which no octave filter reaches around a response."""
+    return next_fast_len(-(-(n_samples + round(0.1 * fs_hz)) // _FFT_GRID) * _FFT_GRID, real=True)
+
+
+@lru_cache(maxsize=128)
 def octave_gains(n_fft, fs_hz, band_hz):
     """Amplitude response of a zero-phase octave filter.
 
@@ -87,9 +95,12 @@ def octave_gains(n_fft, fs_hz, band_hz):
     Returns
     -------
     gains : ndarray, shape (n_fft // 2 + 1,)
+        Read-only.
     """
     ratio = np.maximum(np.fft.rfftfreq(n_fft, 1.0 / fs_hz), 1e-3) / band_hz
-    return 1.0 / np.sqrt(1.0 + (np.sqrt(2.0) * (ratio - 1.0 / ratio)) ** (2 * FILTER_ORDER))
+    gains = 1.0 / np.sqrt(1.0 + (np.sqrt(2.0) * (ratio - 1.0 / ratio)) ** (2 * FILTER_ORDER))
+    gains.flags.writeable = False
+    return gains
 
 
 def octave_bands(rir, fs_hz, bands_hz=EXACT_BANDS_HZ):
@@ -106,7 +117,7 @@ def octave_bands(rir, fs_hz, bands_hz=EXACT_BANDS_HZ):
     -------
     bands : ndarray, shape (n_bands, n_samples)
     """
-    n_fft = next_fast_len(len(rir) + round(0.1 * fs_hz), real=True)
+    n_fft = _fft_size(len(rir), fs_hz)
     gains = np.array([octave_gains(n_fft, fs_hz, band_hz) for band_hz in bands_hz])
     return irfft(rfft(rir, n_fft) * gains, n_fft, axis=-1)[:, :len(rir)]
 
@@ -164,7 +175,9 @@ def _late_decay(power, noise, n_block, span_db):
     if stop - start < 2:
         return None
     centre = (np.arange(start, stop) + 0.5) * n_block
-    slope_db, offset_db = np.polyfit(centre, level_db[start:stop], 1)
+    middle, level_db = centre.mean(), level_db[start:stop]
+    slope_db = np.dot(centre - middle, level_db) / np.dot(centre - middle, centre - middle)
+    offset_db = level_db.mean() - slope_db * middle
     return (slope_db, offset_db) if slope_db < 0.0 else None
 
 
@@ -315,13 +328,29 @@ def all_metrics(rir, fs_hz, direct_sample=None, polarity=None):
     result = dict(direct_sample=float(direct_sample), direct_polarity=int(polarity),
                   drr_db=_drr_db(rir, fs_hz, direct_sample, whole.knee), knee_s=whole.knee.sample / fs_hz,
                   noise_floor_db=whole.noise_floor_db)
-    rows = [_band_metrics(rir, band, fs_hz, band_hz, direct_sample)
+    spectra = _Spectra(rir, _fft_size(len(rir), fs_hz))
+    rows = [_band_metrics(spectra, band, fs_hz, band_hz, direct_sample)
             for band, band_hz in zip(octave_bands(rir, fs_hz), EXACT_BANDS_HZ, strict=True)]
     result.update({key: [row[key] for row in rows] for key in rows[0]})
     return result
 
 
-def _band_metrics(rir, band, fs_hz, band_hz, direct_sample):
+class _Spectra:
+    """Energy spectra of parts of a response, each computed once for all bands."""
+
+    def __init__(self, rir, n_fft):
+        self.rir, self.n_fft, self._known = rir, n_fft, {}
+
+    def energy(self, first, last, fs_hz, band_hz):
+        """Energy of samples `first` to `last` in an octave."""
+        if (first, last) not in self._known:
+            power = np.abs(rfft(self.rir[first:last], self.n_fft)) ** 2
+            power[1:(self.n_fft + 1) // 2] *= 2.0  # both signs of frequency
+            self._known[first, last] = power
+        return float(np.dot(octave_gains(self.n_fft, fs_hz, band_hz) ** 2, self._known[first, last])) / self.n_fft
+
+
+def _band_metrics(spectra, band, fs_hz, band_hz, direct_sample):
     """Metrics of one octave, each with its validity."""
     curve = energy_decay(band, fs_hz, direct_sample)
     row = {}
@@ -330,7 +359,7 @@ def _band_metrics(rir, band, fs_hz, band_hz, direct_sample):
         row[f"{decay}_s"] = time_s
         row[f"{decay}_valid"] = bool(time_s is not None and curve.range_db >= MARGIN_DB - bottom_db
                                      and band_hz * np.sqrt(0.5) * time_s > MIN_BT)
-    row["c50_db"] = _c50_db(rir, fs_hz, band_hz, direct_sample, curve.knee)
+    row["c50_db"] = _c50_db(spectra, fs_hz, band_hz, direct_sample, curve.knee)
     # the late part lies C50 below the whole, the noise must lie below the late part
     row["c50_valid"] = bool(row["c50_db"] is not None
                             and curve.range_db >= MARGIN_DB + max(MARGIN_DB, row["c50_db"]))
@@ -340,17 +369,13 @@ def _band_metrics(rir, band, fs_hz, band_hz, direct_sample):
     return row
 
 
-def _c50_db(rir, fs_hz, band_hz, direct_sample, knee):
+def _c50_db(spectra, fs_hz, band_hz, direct_sample, knee):
     """Early-to-late ratio of one octave: gated before filtering, so that the filter smears nothing across."""
     gate = round(direct_sample + EARLY_S * fs_hz)
     end = round(direct_sample) + knee.sample
     if end <= gate:
         return None
-    n_fft = next_fast_len(len(rir), real=True)
-    power = octave_gains(n_fft, fs_hz, band_hz) ** 2
-    power[1:(n_fft + 1) // 2] *= 2.0  # both signs of frequency
-    early, late = (float(np.sum(power * np.abs(rfft(part, n_fft)) ** 2)) / n_fft
-                   for part in (rir[:gate], rir[gate:end]))
+    early, late = (spectra.energy(*part, fs_hz, band_hz) for part in ((0, gate), (gate, end)))
     late += knee.rest_energy - (end - gate) * knee.noise_power
     early -= gate * knee.noise_power
     return float(_db(early) - _db(late)) if early > 0.0 and late > 0.0 else None

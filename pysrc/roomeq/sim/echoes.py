@@ -159,7 +159,8 @@ def _keep_column(paths, scene, mics_m, reference, seeds, sphere, ism_order, n_fr
     counts = words.view(count_type)[..., :n_slots]
     logs = np.matmul(counts.reshape(n_mics, n_frames * N_KEPT, n_slots), np.log1p(-reference)[:, :, None],
                      dtype=np.float32).reshape(n_mics, n_frames, N_CHUNKS, _PER_CHUNK)
-    weight = sums[..., :1] * np.exp(-logs) / np.float32(4.0 * np.pi * n_rays * _PER_CHUNK)
+    with np.errstate(divide="ignore"):
+        weight = np.exp(np.log(sums[..., :1] / np.float32(4.0 * np.pi * n_rays * _PER_CHUNK)) - logs)
     ray = kept[..., 0].reshape(n_mics, n_frames, N_KEPT).astype(np.uint32)
     return list(zip(weight.reshape(ray.shape), counts, ray, strict=True))
 

@@ -89,11 +89,11 @@ class Job:
     def n_frames(self):
         return int(np.ceil(self.length_s / FRAME_S))
 
-    def image_gains(self, images, absorption):
-        """Pressure of image sources, as they leave the source."""
+    def image_gains(self, images, absorption, bands):
+        """Pressure of image sources with the directivity of the source, shape (n_paths, n_bands)."""
         scene = self.traced.scene
-        gains = images.gains(absorption, scene.scattering, scene.air.attenuation_per_m)
-        return gains if self.path_gain is None else gains * np.sqrt(self.path_gain(images.departure))
+        gains = images.gains(absorption[:, bands], scene.scattering[:, bands], scene.air.attenuation_per_m[bands])
+        return gains if self.path_gain is None else gains * np.sqrt(self.path_gain(images.departure)[:, bands])
 
     def sampled(self, reference, rngs):
         """Sample the paths of each microphone for absorption around a reference, shape (n_slots,)."""
@@ -121,25 +121,25 @@ def make_job(traced, mics_m, rngs, *, length_s, ism_order, diffraction, path_gai
     return Job(traced, mics_m, images, diffracted, noises, echoes, visible, length_s, ism_order, path_gain)
 
 
-def echograms(job, absorption, *, bands=ALL_BANDS):
-    """Energy of all but the image sources, with air absorption, shape (n_mics, n_frames, 8); other bands are 0."""
-    scene, paths = job.traced.scene, job.traced.paths
+def echograms(job, absorption, bands):
+    """Energy of all but the image sources, with air absorption, shape (n_mics, n_frames, n_bands)."""
+    scene, paths, bands = job.traced.scene, job.traced.paths, list(bands)
     ray_gain = None if job.path_gain is None else job.path_gain(paths[0].directions)  # the same in all traces
-    result = np.zeros((len(job.mics_m), job.n_frames, len(job.traced.path_of_band)))
+    result = np.zeros((len(job.mics_m), job.n_frames, len(bands)))
     if job.echoes is not None:
         for energy, echoes in zip(result, job.echoes, strict=True):
-            found = echogram(echoes, absorption, bands=bands, ray_gain=ray_gain)[:job.n_frames]
+            found = echogram(echoes, absorption, bands=bands, ray_gain=ray_gain)[:job.n_frames, bands]
             energy[:len(found)] = found
     else:
-        for group in sorted({job.traced.path_of_band[band] for band in bands}):
-            members = [band for band in bands if job.traced.path_of_band[band] == group]
+        group_of_band = np.array(job.traced.path_of_band)[bands]
+        for group in np.unique(group_of_band):
             energy = gather(paths[group], scene.room, absorption, job.mics_m, ism_order=job.ism_order,
                             n_frames=job.n_frames, speed_m_s=scene.air.speed_m_s, visible=job.visible[group],
-                            ray_gain=ray_gain)
-            result[:, :, members] = energy[:, :, members]
+                            ray_gain=ray_gain)[:, :, bands]
+            result[:, :, group_of_band == group] = energy[:, :, group_of_band == group]
     result = _smooth_late(result, dense_after_s(scene.room.volume_m3, scene.air.speed_m_s, FS_HZ))
     length_m = (np.arange(job.n_frames) + 0.5) * FRAME_S * scene.air.speed_m_s
-    return result * np.exp(-length_m[:, None] * scene.air.attenuation_per_m)
+    return result * np.exp(-length_m[:, None] * scene.air.attenuation_per_m[bands])
 
 
 def _smooth_late(energy, late_s):
@@ -153,30 +153,30 @@ def _smooth_late(energy, late_s):
     return energy
 
 
-def add_images(energy, job, absorption):
-    """Add the energy of image sources to echograms, in place."""
-    speed_m_s = job.traced.scene.air.speed_m_s
-    for echogram_of_mic, found in zip(energy, job.images, strict=True):
-        frame = (found.distance_m / speed_m_s / FRAME_S).astype(int)
-        gains = job.image_gains(found, absorption)
-        inside = frame < len(echogram_of_mic)
-        np.add.at(echogram_of_mic, frame[inside], gains[inside] ** 2)
+def with_images(job, energy, absorption, bands):
+    """Echograms with the energy of the image sources added."""
+    speed_m_s, result = job.traced.scene.air.speed_m_s, energy.copy()
+    for one, images in zip(result, job.images, strict=True):
+        frame = (images.distance_m / speed_m_s / FRAME_S).astype(int)
+        inside = frame < len(one)
+        np.add.at(one, frame[inside], job.image_gains(images, absorption, bands)[inside] ** 2)
+    return result
 
 
-def render_job(job, absorption, *, bands=ALL_BANDS):
+def render_job(job, absorption, bands=ALL_BANDS):
     """Render every microphone: list of Response; of a few neighbouring bands, only their share of the response."""
-    energy = echograms(job, absorption, bands=bands)
-    whole = energy.copy()
-    add_images(whole, job, absorption)
-    return on_threads(partial(_render_one, job, absorption, list(bands)),
+    bands = list(bands)
+    energy = echograms(job, absorption, bands)
+    whole = with_images(job, energy, absorption, bands)
+    return on_threads(partial(_render_one, job, absorption, bands),
                       list(zip(job.mics_m, energy, whole, job.images, job.diffracted, job.noises, strict=True)))
 
 
 def _render_one(job, absorption, bands, mic_m, energy, whole, images, diffracted, noise):
     traced, air = job.traced, job.traced.scene.air
     direct_sample = float(np.linalg.norm(mic_m - traced.source_pos_m) / air.speed_m_s * FS_HZ)
-    length_s = min(response_length_s(whole[:, bands], direct_sample / FS_HZ + 0.1), job.length_s)
-    rir = render(images.distance_m, job.image_gains(images, absorption)[:, bands], energy[:, bands], noise,
+    length_s = min(response_length_s(whole, direct_sample / FS_HZ + 0.1), job.length_s)
+    rir = render(images.distance_m, job.image_gains(images, absorption, bands), energy, noise,
                  speed_m_s=air.speed_m_s, n_samples=round(length_s * FS_HZ), bands=bands)
     if diffracted is not None:
         rir = rir + diffracted.response(absorption, traced.scene.scattering, air, len(rir))

@@ -6,12 +6,13 @@
 """
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
 from roomeq.constants import BAND_1KHZ
 from roomeq.rng import rng_for
-from roomeq.sim.job import Response, add_images, echograms, make_job, render_job
+from roomeq.sim.job import Response, echograms, make_job, render_job, with_images
 from roomeq.sim.render import MAX_LENGTH_S, MIN_LENGTH_S
 from roomeq.sim.scene import Scene, check_positions, eyring_time_s, with_absorption
 from roomeq.sim.target import (
@@ -162,21 +163,22 @@ def render_to_target(traced, mics_m, rngs, target_s, *, absorption=None, **how):
 
     def pilot(exponent):
         absorption = scaled_absorption(base, exponent)
-        energy = echograms(search, absorption, bands=[BAND_1KHZ])
-        add_images(energy, search, absorption)
-        return t30_of_echogram(energy[:, :, BAND_1KHZ].mean(axis=0))
+        energy = with_images(search, echograms(search, absorption, [BAND_1KHZ]), absorption, [BAND_1KHZ])
+        return t30_of_echogram(energy[:, :, 0].mean(axis=0))
 
+    @cache
     def measure(exponent):
-        return _mean_t30_s(render_job(search, scaled_absorption(base, exponent), bands=_AROUND_1KHZ))
+        return _mean_t30_s(render_job(search, scaled_absorption(base, exponent), _AROUND_1KHZ))
 
     exponent, _ = solve_exponent(pilot, target_s, guess)
-    aim_s = target_s
+    aim_s, responses = target_s, []
     for _ in range(_MAX_FULL):
         exponent, time_s = solve_exponent(measure, aim_s, exponent)
         if time_s is not None and abs(time_s / aim_s - 1.0) <= TOLERANCE:
             responses = render_job(job, scaled_absorption(base, exponent))
+        if responses:
             time_s = _mean_t30_s(responses)
-        if time_s is None or abs(time_s / target_s - 1.0) <= _CLOSE:
+        if not responses or time_s is None or abs(time_s / target_s - 1.0) <= _CLOSE:
             break
         aim_s *= target_s / time_s  # other octaves and paths that the sample left out tell
     if time_s is None or abs(time_s / target_s - 1.0) > TOLERANCE:

@@ -2,7 +2,7 @@
 
 import json
 import logging
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,23 +13,28 @@ from roomeq.build import Build
 from roomeq.constants import FS_HZ
 from roomeq.rirs import read_rirs, validate_rirs, write_rirs
 from roomeq.rng import rng_for
-from roomeq.sim.geometry import find_place, noise_positions
+from roomeq.sim.echoes import keep_echoes, middle
+from roomeq.sim.gather import FRAME_S
+from roomeq.sim.geometry import Place, find_place, noise_positions
 from roomeq.sim.materials import DEFAULT_TABLE, draw_materials, draw_scattering, given_surfaces, read_materials
 from roomeq.sim.published import published_file
 from roomeq.sim.response import (
     ISM_ORDER,
     NUM_RAYS,
     ORDER,
+    Response,
+    eyring_exponent,
     needed_length_s,
     render_responses,
     render_to_target,
     trace_source,
 )
 from roomeq.sim.scene import MIN_DISTANCE_M, Air, Material, Scene
+from roomeq.sim.target import scaled_absorption
 
 logger = logging.getLogger(__name__)
 
-ROWS_PER_ITEM = 16  # responses of one source that are made together: one trace, little lost when killed
+ROWS_PER_ITEM = 32  # responses of one source that are made together: one trace, little lost when killed
 MATERIAL_DRAWS = 4  # for one target
 TARGET_DRAWS = 8
 NOISE_CANDIDATES = 4
@@ -162,10 +167,38 @@ def _simulate_group(work, group, table, options):
     traces = _Traces(room, scattering, air, first_row["room_id"], options)
     drawn = [_draw_row(row, room, scattering, air, table, given, options) for row, _ in group]
     traces.length_s = max(length_s for *_, length_s in drawn)
+    echoes = traces.echoes(first_place.source_pos_m, traces.length_s, [row["id"] for row, _ in group],
+                           [place.mic_pos_m for _, place in group],
+                           [_at_target(scene, target_s) for _, scene, target_s, _ in drawn])
+    made = [_simulate_row(row, place, traces, table, given, *what, one, options)
+            for (row, place), what, one in zip(group, drawn, echoes, strict=True)]
+    noises = _noise_responses(group, made, traces, options)
     records = []
-    for (row, place), (rng, scene, target_s, length_s) in zip(group, drawn, strict=True):
-        records += _simulate_row(work, row, place, traces, table, given, rng, scene, target_s, length_s, options)
+    for (row, _), one, others in zip(group, made, noises, strict=True):
+        records.append(_write(work, row, one, one.response, one.target_s, seed))
+        for n, (source, noise) in enumerate(others, start=1):
+            source_id = f"noise-{source[0]}-{source[1]}-{source[2]}"
+            noise_row = row | dict(id=f"{row['id']}-noise{n}", source_id=source_id, source_dir=None)
+            moved = replace(one, place=replace(one.place, source_pos_m=tuple(source)))
+            records.append(_write(work, noise_row, moved, noise, None, seed, noise_for=row["id"]))
     return records
+
+
+@dataclass(frozen=True)
+class _Made:
+    """One response, what it was made of and for."""
+
+    place: Place
+    scene: Scene
+    response: Response
+    target_s: float | None
+    length_s: float
+
+
+def _at_target(scene, target_s):
+    """Absorption of a scene about as it will be when it meets its target."""
+    return scene.absorption if target_s is None else scaled_absorption(
+        scene.absorption, eyring_exponent(scene, target_s))
 
 
 class _Traces:
@@ -188,6 +221,13 @@ class _Traces:
                                             max_length_s=length_s, rng=rng)
         return self._known[key]
 
+    def echoes(self, source_pos_m, length_s, ids, mics_m, absorptions):
+        """Sampled paths from a source to the microphones of some RIRs, each for about its own absorption."""
+        traced = self.of(source_pos_m, length_s)
+        rngs = [rng_for(self.options["seed"], "echoes", row_id) for row_id in ids]
+        return keep_echoes(traced, mics_m, middle(np.array(absorptions)), rngs, ism_order=self.options["ism_order"],
+                           n_frames=int(np.ceil(traced.max_length_s / FRAME_S)))
+
 
 def _draw_row(row, room, scattering, air, table, given, options):
     """Draw what a row is to sound like: (rng for more materials, scene, target or None, length)."""
@@ -200,14 +240,15 @@ def _draw_row(row, room, scattering, air, table, given, options):
     return rng, scene, target_s, needed_length_s(scene, target_s, options["order"])
 
 
-def _simulate_row(work, row, place, traces, table, given, rng, scene, target_s, length_s, options):
-    """Render one row and its noise RIRs; write them; return their rows."""
-    seed, mic = options["seed"], place.mic_pos_m
-    how = dict(length_s=length_s, ism_order=options["ism_order"], diffraction=options["diffraction"])
+def _simulate_row(row, place, traces, table, given, rng, scene, target_s, length_s, echoes, options):
+    """Render one row, with other materials or another target where it cannot be met."""
+    how = dict(ism_order=options["ism_order"], diffraction=options["diffraction"])
     for draw in range(1, MATERIAL_DRAWS * TARGET_DRAWS + 1):
         try:
-            (response,) = _rendered(traces.of(place.source_pos_m, how["length_s"]), mic,
-                                    rng_for(seed, "tail", row["id"]), target_s, absorption=scene.absorption, **how)
+            sampled = length_s <= traces.length_s  # else the rays are followed further, for this row alone
+            response = _rendered(traces.of(place.source_pos_m, length_s), place.mic_pos_m,
+                                 rng_for(options["seed"], "tail", row["id"]), target_s, absorption=scene.absorption,
+                                 length_s=length_s, echoes=[echoes] if sampled else None, **how)
             break
         except ValueError as error:
             if draw == MATERIAL_DRAWS * (1 if row.get("materials") else TARGET_DRAWS):
@@ -216,25 +257,37 @@ def _simulate_row(work, row, place, traces, table, given, rng, scene, target_s, 
                 logger.info("%s: %s; drawing another target", row["id"], error)
                 target_s = float(rng.uniform(*options["t60_range_s"]))
             scene = draw_materials(table, place.room, traces.scattering, traces.air, target_s, rng, given)
-            how["length_s"] = needed_length_s(scene, target_s, options["order"])
+            length_s = needed_length_s(scene, target_s, options["order"])
     if draw > MATERIAL_DRAWS:
         place = replace(place, drawn=(*place.drawn, "target_t60_s again"))
-    made = [_write(work, row, place, scene, response, target_s, seed)]
-    for n, source in enumerate(_noise_sources(place, row, seed, options["noise_rirs"]), start=1):
-        noise_id = f"{row['id']}-noise{n}"
-        (noise,) = render_responses(traces.of(source, how["length_s"]), [mic], [rng_for(seed, "tail", noise_id)],
-                                    absorption=response.absorption, **how)
-        source_id = f"noise-{source[0]}-{source[1]}-{source[2]}"
-        noise_row = row | dict(id=noise_id, source_id=source_id, source_dir=None)
-        noise_place = replace(place, source_pos_m=tuple(source))
-        made.append(_write(work, noise_row, noise_place, scene, noise, None, seed, noise_for=row["id"]))
-    return made
+    return _Made(place, scene, response, target_s, length_s)
+
+
+def _noise_responses(group, made, traces, options):
+    """Render the noise sources of all rows, source by source: for each row a list of (position, Response)."""
+    wanted = [_noise_sources(one.place, row, options["seed"], options["noise_rirs"])
+              for (row, _), one in zip(group, made, strict=True)]
+    rendered = {}
+    for source in sorted({tuple(source) for sources in wanted for source in sources}):
+        places = [(n, k) for n, sources in enumerate(wanted) for k, one in enumerate(sources) if tuple(one) == source]
+        ids = [f"{group[n][0]['id']}-noise{k + 1}" for n, k in places]
+        length_s = max(made[n].length_s for n, _ in places)
+        echoes = traces.echoes(source, length_s, ids, [made[n].place.mic_pos_m for n, _ in places],
+                               [made[n].response.absorption for n, _ in places])
+        for (n, k), noise_id, one in zip(places, ids, echoes, strict=True):
+            (rendered[n, k],) = render_responses(
+                traces.of(source, length_s), [made[n].place.mic_pos_m], [rng_for(options["seed"], "tail", noise_id)],
+                absorption=made[n].response.absorption, length_s=made[n].length_s, echoes=[one],
+                ism_order=options["ism_order"], diffraction=options["diffraction"])
+    return [[(source, rendered[n, k]) for k, source in enumerate(sources)] for n, sources in enumerate(wanted)]
 
 
 def _rendered(traced, mic, rng, target_s, **how):
     if target_s is None:
-        return render_responses(traced, [mic], [rng], **how)
-    return render_to_target(traced, [mic], [rng], target_s, **how)
+        (response,) = render_responses(traced, [mic], [rng], **how)
+    else:
+        (response,) = render_to_target(traced, [mic], [rng], target_s, **how)
+    return response
 
 
 def _noise_sources(place, row, seed, count):
@@ -247,8 +300,9 @@ def _noise_sources(place, row, seed, count):
     return (clear if len(clear) >= count else by_distance)[:count]
 
 
-def _write(work, row, place, scene, response, target_s, seed, noise_for=None):
+def _write(work, row, one, response, target_s, seed, noise_for=None):
     """Write one response below `work` and return its row."""
+    place, scene = one.place, one.scene
     name = f"wav/{row['id']}.wav"
     write_wav(work / name, response.rir)
     slots = zip(scene.room.slots, scene.materials, response.absorption, strict=True)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from roomeq.acoustics.metrics import reverberation_time
-from roomeq.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
+from roomeq.acoustics.metrics import decay_time, energy_decay, octave_bands, reverberation_time
+from roomeq.constants import BAND_1KHZ, BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
 from roomeq.sim.gather import FRAME_S
 
 TOLERANCE = 0.05
@@ -36,12 +36,10 @@ def decays_straight(rir, direct_sample):
     Where the direct sound or a few reflections hold most of the energy, T30 jumps from one value to another as
     absorption grows, and may meet a target that nobody would hear.
     """
-    try:
-        t20_s, t30_s = (reverberation_time(rir, FS_HZ, BANDS_HZ[BAND_1KHZ], decay, direct_sample=direct_sample)
-                        for decay in ("t20", "t30"))
-    except ValueError:
-        return False
-    return abs(t20_s / t30_s - 1.0) < STRAIGHT
+    (band,) = octave_bands(rir, FS_HZ, [EXACT_BANDS_HZ[BAND_1KHZ]])
+    curve = energy_decay(band, FS_HZ, direct_sample).edc_db
+    t20_s, t30_s = (decay_time(curve, FS_HZ, decay) for decay in ("t20", "t30"))
+    return t20_s is not None and t30_s is not None and abs(t20_s / t30_s - 1.0) < STRAIGHT
 
 
 def solve_exponent(measure, target_s, guess=1.0):
