@@ -24,7 +24,7 @@ from itertools import starmap
 from pathlib import Path
 
 from roomeq.digests import code_digest, digest, files_below
-from roomeq.files import hash_file, read_json, to_json, write_json
+from roomeq.files import hash_file, read_json, to_json, write_json, write_text
 from roomeq.progress import progress
 from roomeq.stamps import DONE_FILE, check_output
 
@@ -217,7 +217,7 @@ def _make_one(folder: str, lock: Path, record_path: Path, make: Callable, name: 
     with locked(lock, fcntl.LOCK_SH):
         # another run may have made the item, or put the whole directory in place: nothing must come after that
         if record_path.parent.is_dir() and not record_path.is_file():
-            write_json(record_path, make(name, item))
+            write_text(record_path, to_json(make(name, item)))
 
 
 def share(names: list[str], part: str | None) -> list[str]:

@@ -58,8 +58,10 @@ def keep_echoes(traced, mics_m, reference, rngs, *, ism_order, n_frames, visible
         Absorption for which the sample is best, of each microphone; see `middle`.
     rngs : sequence of numpy.random.Generator
         One per microphone; the sample of one does not depend on the others.
-    ism_order, n_frames : int
+    ism_order : int
         As for `gather`.
+    n_frames : int or sequence of int
+        Frames of 1 ms from the emission on, of all or of each microphone.
     visible : list of ndarray, optional
         From `visibility`, one for each column.
 
@@ -72,15 +74,18 @@ def keep_echoes(traced, mics_m, reference, rngs, *, ism_order, n_frames, visible
     seeds = np.array([rng.integers(2 ** 63) for rng in rngs], dtype=np.uint64)
     reference = np.minimum(reference, MAX_ABSORPTION)
     sphere = spheres(traced.scene.room, mics_m)
-    result = []
+    n_frames = np.broadcast_to(n_frames, len(mics_m))
+    by_frames = np.argsort(-n_frames, kind="stable")  # towards the end of a ray, only the first few still listen
+    result = [None] * len(mics_m)
     for first in range(0, len(mics_m), _BATCH):
-        batch = slice(first, first + _BATCH)
+        batch = by_frames[first:first + _BATCH]
         columns = [_keep_column(paths, traced.scene, mics_m[batch], reference[batch], seeds[batch],
-                                [values[batch] for values in sphere], ism_order, n_frames,
-                                None if visible is None else visible[n][batch])
+                                [values[batch] for values in sphere], ism_order, n_frames[batch],
+                                None if visible is None or not len(visible[n]) else visible[n][batch])
                    for n, paths in enumerate(traced.paths)]
-        result += [Echoes(*(np.stack(parts) for parts in zip(*one, strict=True)), traced.path_of_band)
-                   for one in zip(*columns, strict=True)]
+        for m, one in zip(batch, zip(*columns, strict=True), strict=True):
+            result[m] = Echoes(*(np.stack(parts)[:, :n_frames[m]] for parts in zip(*one, strict=True)),
+                               traced.path_of_band)
     return result
 
 
@@ -134,10 +139,11 @@ def echogram(echoes, absorption, *, bands=None, ray_gain=None):
     return result
 
 
-def _keep_column(paths, scene, mics_m, reference, seeds, sphere, ism_order, n_frames, visible):
-    """Sample one trace: (weight, counts, ray) for each microphone."""
+def _keep_column(paths, scene, mics_m, reference, seeds, sphere, ism_order, limits, visible):
+    """Sample one trace: (weight, counts, ray) for each microphone; those with the most frames come first."""
     single = partial(np.asarray, dtype=np.float32)
     n_mics, n_slots, n_rays = len(mics_m), reference.shape[1], len(paths.counts)
+    n_frames = int(limits[0])
     speed_m_s = scene.air.speed_m_s
     if visible is None:
         visible = visibility(paths, scene.room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
@@ -151,7 +157,7 @@ def _keep_column(paths, scene, mics_m, reference, seeds, sphere, ism_order, n_fr
     given = (single(paths.source_pos_m), paths.hits, paths.codes, paths.first, paths.counts, single(paths.normals),
              paths.face_slot, reflection, single(paths.scattering), single(mics_m.T, order="C"), visible,
              single(radius_m ** 2), single(1.0 / volume_m3), ism_order, np.float32(1.0 / (speed_m_s * FRAME_S)),
-             np.float32(paths.late_m), paths.stride, seeds, per_word)
+             np.float32(paths.late_m), paths.stride, seeds, limits, per_word)
     for_chunks(n_rays, lambda chunk, low, high: _keep(*given, low, high, sums[chunk], kept[chunk]))
     # strata side by side: (n_mics, n_frames, N_KEPT, ...)
     sums, kept = (values.transpose(1, 2, 0, *range(3, values.ndim)) for values in (sums, kept))
@@ -187,14 +193,15 @@ def _replace(sums, kept, m, frame, stream, counter, met, ray):
 
 @compiled
 def _keep(source, hits, codes, first, face_counts, normals, face_slot, reflection, scattering, mics, visible, radius2,
-          per_volume, ism_order, frames_per_m, late_m, stride, seeds, per_word, low, high, sums, kept):
+          per_volume, ism_order, frames_per_m, late_m, stride, seeds, limits, per_word, low, high, sums,
+          kept):
     """Sample rays `low` to `high`; the walk along them is that of `roomeq.sim.gather`.
 
     `sums`, shape (n_mics, n_frames, 2 + _PER_CHUNK): energy so far, the least sum at which a place changes hands, and
     that sum of each place. `kept`, shape (n_mics, n_frames, _PER_CHUNK, 1 + n_words): ray, and hits per slot packed
     `per_word` to a word.
     """
-    n_mics, n_frames, _ = sums.shape
+    n_mics = len(sums)
     bits, one_hit = np.uint64(64 // per_word), np.uint64(1)
     all_visible = len(visible) == 0
     zero, one = np.float32(0.0), np.float32(1.0)
@@ -207,7 +214,7 @@ def _keep(source, hits, codes, first, face_counts, normals, face_slot, reflectio
         largest = one
         met[:] = np.uint64(0)
         px, py, pz, path = source[0], source[1], source[2], zero
-        specular, late = True, stride == 1
+        specular, late, n_active = True, stride == 1, n_mics
         was_diffuse = True
         for n in range(face_counts[ray]):
             at = first[ray] + n
@@ -216,16 +223,16 @@ def _keep(source, hits, codes, first, face_counts, normals, face_slot, reflectio
                 length = new_path - path
                 scale = one / max(length, np.float32(1e-9))
                 ux, uy, uz = (hx - px) * scale, (hy - py) * scale, (hz - pz) * scale
-                for m in range(n_mics):
+                for m in range(n_active):
                     vx, vy, vz = mx[m] - px, my[m] - py, mz[m] - pz
                     along[m] = ux * vx + uy * vy + uz * vz
                     weight[m] = radius2[m] - (vx * vx + vy * vy + vz * vz - along[m] * along[m])
-                for m in range(n_mics):
+                for m in range(n_active):
                     if weight[m] > zero:
                         half = np.sqrt(weight[m])
                         start, stop = max(zero, along[m] - half), min(length, along[m] + half)
                         middle = (path + np.float32(0.5) * (start + stop)) * frames_per_m
-                        if stop > start and middle < n_frames:
+                        if stop > start and middle < limits[m]:
                             k = np.uint32(middle)
                             total = sums[m, k, 0] + (stop - start) * per_volume[m] * share[m]
                             sums[m, k, 0] = total
@@ -235,28 +242,30 @@ def _keep(source, hits, codes, first, face_counts, normals, face_slot, reflectio
             face = codes[at] >> 1
             slot = face_slot[face]
             met[slot // per_word] += one_hit << (bits * np.uint64(slot % per_word))
-            for m in range(n_mics):
-                share[m] *= reflection[slot, m]
+            while n_active > 0 and path * frames_per_m >= limits[n_active - 1]:
+                n_active -= 1
             largest *= most[slot]
-            if largest < _GIVEN_UP:
+            if largest < _GIVEN_UP or n_active == 0:
                 break
+            for m in range(n_active):
+                share[m] *= reflection[slot, m]
             if not late and path > late_m:
                 if ray % stride != 0:
                     break
                 late = True
-                for m in range(n_mics):
+                for m in range(n_active):
                     share[m] *= np.float32(stride)
             s = scattering[slot]
             if s > zero:
                 nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
-                for m in range(n_mics):
+                for m in range(n_active):
                     vx, vy, vz = mx[m] - hx, my[m] - hy, mz[m] - hz
                     d2 = vx * vx + vy * vy + vz * vz
                     d = np.sqrt(d2)
                     weight[m] = s * (vx * nx + vy * ny + vz * nz) / (np.float32(np.pi) * d2 * d)
                     frame[m] = (path + d) * frames_per_m
-                for m in range(n_mics):
-                    if weight[m] > zero and frame[m] < n_frames and (all_visible or visible[m, at]):
+                for m in range(n_active):
+                    if weight[m] > zero and frame[m] < limits[m] and (all_visible or visible[m, at]):
                         k = np.uint32(frame[m])
                         total = sums[m, k, 0] + weight[m] * share[m]
                         sums[m, k, 0] = total

@@ -24,7 +24,7 @@ import numpy as np
 
 from roomeq.sim.published import PACKAGE, extend_bands, published_file, read_published
 from roomeq.sim.response import eyring_exponent
-from roomeq.sim.scene import WALLS, Air, Material, Scene, eyring_time_s, with_absorption
+from roomeq.sim.scene import WALLS, Air, Material, Scene, eyring_time_s
 from roomeq.sim.target import scaled_absorption
 
 logger = logging.getLogger(__name__)
@@ -299,7 +299,7 @@ def draw_materials(table, room, scattering, air, target_s, rng, given=None):
 def _misfit(scene, target_s):
     """How much stranger than real rooms a scene would be at its target; 0 for a plausible one."""
     exponent = eyring_exponent(scene, target_s)
-    longest_s = eyring_time_s(with_absorption(scene, scaled_absorption(scene.absorption, exponent))).max()
+    longest_s = eyring_time_s(scene, scaled_absorption(scene.absorption, exponent)).max()
     excess = np.array([abs(np.log(exponent)) / np.log(_PLAUSIBLE_EXPONENT),
                        np.log(longest_s / target_s) / np.log(_PLAUSIBLE_RATIO)])
     return float(np.maximum(excess - 1.0, 0.0).sum())

@@ -12,9 +12,9 @@ import numpy as np
 
 from roomeq.constants import BAND_1KHZ
 from roomeq.rng import rng_for
-from roomeq.sim.job import Response, echograms, make_job, render_job, with_images
+from roomeq.sim.job import echograms, make_job, render_job, with_images
 from roomeq.sim.render import MAX_LENGTH_S, MIN_LENGTH_S
-from roomeq.sim.scene import Scene, check_positions, eyring_time_s, with_absorption
+from roomeq.sim.scene import Scene, check_positions, eyring_time_s
 from roomeq.sim.target import (
     STRAIGHT,
     TOLERANCE,
@@ -25,14 +25,12 @@ from roomeq.sim.target import (
 )
 from roomeq.sim.trace import Paths, trace
 
-__all__ = ["Response", "TracedSource", "render_responses", "render_to_target", "simulate_rir", "trace_source"]
-
 NUM_RAYS = 20000
 ISM_ORDER = 6
 ORDER = 200
 _HOW = dict(length_s=None, ism_order=ISM_ORDER, diffraction=True, path_gain=None, echoes=None)
 _AROUND_1KHZ = (BAND_1KHZ - 1, BAND_1KHZ, BAND_1KHZ + 1)  # what the octave filter at 1 kHz sees
-_CLOSE = 0.02  # of the target: good enough not to render all octaves again
+_CLOSE = 0.025  # of the target: good enough not to render all octaves again
 _MAX_FULL = 3
 
 
@@ -260,7 +258,11 @@ def needed_length_s(scene, target_s=None, order=ORDER):
     """
     area_m2 = scene.room.slot_area_m2.sum()
     depth_s = order * 4.0 * scene.room.volume_m3 / (area_m2 * scene.air.speed_m_s)
-    if target_s is not None:
-        scene = with_absorption(scene, scaled_absorption(scene.absorption, eyring_exponent(scene, target_s)))
-    decay_s = 1.3 * eyring_time_s(scene).max() + 0.1
+    exponent = 1.0 if target_s is None else eyring_exponent(scene, target_s)
+    decay_s = decay_length_s(scene, scaled_absorption(scene.absorption, exponent))
     return float(np.clip(max(decay_s, depth_s), MIN_LENGTH_S, MAX_LENGTH_S))
+
+
+def decay_length_s(scene, absorption):
+    """Time in which every band decays by 60 dB with some absorption, by Eyring and with something to spare [s]."""
+    return float(np.clip(1.3 * eyring_time_s(scene, absorption).max() + 0.1, MIN_LENGTH_S, MAX_LENGTH_S))

@@ -223,14 +223,17 @@ def check_positions(room, source_pos_m, mic_pos_m):
                          f"{MIN_DISTANCE_M:g} m: correct the positions")
 
 
-def sabine_area_m2(scene):
-    """Sum of ``-ln(1 - alpha_mean) S + 4 m V`` per band: the absorption area in Eyring's formula, shape (8,)."""
+def sabine_area_m2(scene, absorption=None):
+    """Sum of ``-ln(1 - alpha_mean) S + 4 m V`` per band: the absorption area in Eyring's formula, shape (8,).
+
+    `absorption`, shape (n_slots, 8), stands for that of the scene if given.
+    """
     area_m2 = scene.room.slot_area_m2
-    mean = np.minimum(area_m2 @ scene.absorption / area_m2.sum(), 1.0 - 1e-6)
+    mean = np.minimum(area_m2 @ (scene.absorption if absorption is None else absorption) / area_m2.sum(), 1.0 - 1e-6)
     return -np.log(1.0 - mean) * area_m2.sum() + 4.0 * scene.air.attenuation_per_m * scene.room.volume_m3
 
 
-def eyring_time_s(scene):
-    """Reverberation time per band by Eyring: ``24 ln(10) V / (c A)``, shape (8,) [s]."""
-    area_m2 = np.maximum(sabine_area_m2(scene), 1e-9)
+def eyring_time_s(scene, absorption=None):
+    """Reverberation time per band by Eyring: ``24 ln(10) V / (c A)``, shape (8,) [s]; see `sabine_area_m2`."""
+    area_m2 = np.maximum(sabine_area_m2(scene, absorption), 1e-9)
     return 24.0 * np.log(10.0) * scene.room.volume_m3 / (scene.air.speed_m_s * area_m2)

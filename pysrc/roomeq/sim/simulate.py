@@ -16,13 +16,14 @@ from roomeq.rng import rng_for
 from roomeq.sim.echoes import keep_echoes, middle
 from roomeq.sim.gather import FRAME_S
 from roomeq.sim.geometry import Place, find_place, noise_positions
+from roomeq.sim.job import Response
 from roomeq.sim.materials import DEFAULT_TABLE, draw_materials, draw_scattering, given_surfaces, read_materials
 from roomeq.sim.published import published_file
 from roomeq.sim.response import (
     ISM_ORDER,
     NUM_RAYS,
     ORDER,
-    Response,
+    decay_length_s,
     eyring_exponent,
     needed_length_s,
     render_responses,
@@ -224,9 +225,10 @@ class _Traces:
     def echoes(self, source_pos_m, length_s, ids, mics_m, absorptions):
         """Sampled paths from a source to the microphones of some RIRs, each for about its own absorption."""
         traced = self.of(source_pos_m, length_s)
+        lengths_s = [decay_length_s(traced.scene, absorption) for absorption in absorptions]
         rngs = [rng_for(self.options["seed"], "echoes", row_id) for row_id in ids]
         return keep_echoes(traced, mics_m, middle(np.array(absorptions)), rngs, ism_order=self.options["ism_order"],
-                           n_frames=int(np.ceil(traced.max_length_s / FRAME_S)))
+                           n_frames=[int(np.ceil(min(one_s, traced.max_length_s) / FRAME_S)) for one_s in lengths_s])
 
 
 def _draw_row(row, room, scattering, air, table, given, options):

@@ -8,7 +8,7 @@ from roomeq.sim.gather import FRAME_S
 
 TOLERANCE = 0.05
 STRAIGHT = 0.3  # how much T20 and T30 may differ
-_AIM = 0.01
+_AIM = 0.015
 _MAX_RENDERINGS = 8
 _EXPONENT_RANGE = (1e-3, 1e3)
 
