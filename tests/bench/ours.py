@@ -12,6 +12,8 @@ from roomeq.constants import FS_HZ
 from roomeq.rng import rng_for
 from roomeq.sim.diffraction import Edges, Grid, deposit, diffract, find_edges
 from roomeq.sim.early import specular_paths
+from roomeq.sim.echoes import echogram as sampled_echogram
+from roomeq.sim.echoes import keep_echoes, middle
 from roomeq.sim.gather import FRAME_S, gather
 from roomeq.sim.materials import draw_materials, draw_scattering, read_materials
 from roomeq.sim.mesh import make_room
@@ -193,26 +195,35 @@ def traced(scene, source_pos_m, *, seed, n_rays=N_RAYS, duration_s=1.5):
 
 
 def stages(scene, source_pos_m, mics_m, *, repeats):
-    """Median seconds of the stages: ``trace``, ``gather``, ``new materials``, ``target``."""
-    length_s = needed_length_s(scene)
-    spent = {}
+    """Median seconds of the stages of some microphones.
+
+    ``trace``; ``sample`` (once per microphone: a share of the paths that reach it); then, for each new set of
+    materials, ``new materials`` (echograms of all bands from the samples), ``rendering`` from there to the responses, or
+    ``gather`` (echograms from all paths); and ``target``: responses that meet a T30, from the samples.
+    """
+    length_s, air = needed_length_s(scene), scene.air
+    n_frames, spent = int(length_s / FRAME_S), {}
     for n in range(repeats + 1):
-        marks = [time.perf_counter()]
-        paths = traced(scene, source_pos_m, seed=n, duration_s=length_s)
-        marks.append(time.perf_counter())
-        for one in paths.paths:
-            gather(one, scene.room, scene.absorption, mics_m, ism_order=ISM_ORDER,
-                   n_frames=int(length_s / FRAME_S), speed_m_s=scene.air.speed_m_s)
-        marks.append(time.perf_counter())
         rngs = [rng_for(n, "tail", str(k)) for k in range(len(mics_m))]
-        render_responses(paths, mics_m, rngs, absorption=scene.absorption)
-        again = time.perf_counter()
-        render_responses(paths, mics_m, rngs, absorption=0.9 * scene.absorption)
-        marks += [again, time.perf_counter()]
-        render_to_target(paths, mics_m, rngs, 0.8)
+        marks = [time.perf_counter()]
+        source = traced(scene, source_pos_m, seed=n, duration_s=length_s)
         marks.append(time.perf_counter())
-        for key, seconds in (("trace", marks[1] - marks[0]), ("gather", marks[2] - marks[1]),
-                             ("new materials", marks[4] - marks[3]), ("target", marks[5] - marks[4])):
+        for one in source.paths:
+            gather(one, scene.room, scene.absorption, mics_m, ism_order=ISM_ORDER, n_frames=n_frames,
+                   speed_m_s=air.speed_m_s)
+        marks.append(time.perf_counter())
+        echoes = keep_echoes(source, mics_m, np.tile(middle(scene.absorption), (len(mics_m), 1)), rngs,
+                             ism_order=ISM_ORDER, n_frames=n_frames)
+        marks.append(time.perf_counter())
+        for one in echoes:
+            sampled_echogram(one, 0.9 * scene.absorption)
+        marks.append(time.perf_counter())
+        render_responses(source, mics_m, rngs, absorption=0.9 * scene.absorption, echoes=echoes)
+        marks.append(time.perf_counter())
+        render_to_target(source, mics_m, rngs, 0.8, echoes=echoes)
+        marks.append(time.perf_counter())
+        for key, seconds in zip(("trace", "gather", "sample", "new materials", "rendering", "target"), np.diff(marks),
+                                strict=True):
             spent.setdefault(key, []).append(seconds)
     return {key: float(np.median(values[1:])) for key, values in spent.items()}
 
