@@ -198,7 +198,7 @@ def stages(scene, source_pos_m, mics_m, *, repeats):
     """Median seconds of the stages of some microphones.
 
     ``trace``; ``sample`` (once per microphone: a share of the paths that reach it); then, for each new set of
-    materials, ``new materials`` (echograms of all bands from the samples), ``rendering`` from there to the responses, or
+    materials, ``new materials`` (echograms of all bands from the samples), ``rendering`` (echograms and responses), or
     ``gather`` (echograms from all paths); and ``target``: responses that meet a T30, from the samples.
     """
     length_s, air = needed_length_s(scene), scene.air

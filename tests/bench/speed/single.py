@@ -109,8 +109,8 @@ def run_stages(quick):
                                     share, high=5.0, unit="%"))
     return Section("stages", "Where the time goes, medians",
                    ["room", "microphones", *(f"{key}, ms" for key in STAGES), "new materials / trace, %"], rows, checks,
-                   ["gather: echograms from all stored paths, for one set of materials; sample: what is done once instead "
-                    "where materials are to change; new materials: echograms of all 8 bands from the sample",
+                   ["gather: echograms from all stored paths, for one set of materials; sample: what is done once "
+                    "instead where materials are to change; new materials: echograms of all 8 bands from the sample",
                     "rendering: from new materials to responses, echograms included; target: responses that meet a "
                     "T30, from the sample"])
 
