@@ -147,6 +147,18 @@ def test_report_is_made_again_only_when_needed(made, caplog):
     assert path.stat().st_mtime_ns == before and "up to date" in caplog.text
 
 
+def test_benches_are_linked_where_they_were_run(made):
+    data, exp, _ = made
+    without = Run(data, exp)
+    assert "tests/bench/speed/run.py" in render_page(without) and "../bench" not in render_page(without)
+    (exp / "bench").mkdir()
+    try:
+        (exp / "bench" / "speed.json").write_text("{}")
+        assert re.findall(r'href="(\.\./[^"]+)"', render_page(Run(data, exp))) == ["../bench/speed.json"]
+    finally:
+        shutil.rmtree(exp / "bench")
+
+
 def test_missing_parts_are_named_with_their_stage(made, tmp_path):
     data, exp, _ = made
     (tmp_path / "data").mkdir()

@@ -66,7 +66,7 @@ def make_report(data_dir: Path, exp_dir: Path, out: Path) -> Path:
     run = Run(data_dir, exp_dir)
     if not run.names:
         raise ValueError(f"{data_dir}: no directory of a run in it: run stages 0 to 6 first, or check the path")
-    build = Build(out, step="report", options=dict(parts=run.names, versions=versions()),
+    build = Build(out, step="report", options=dict(parts=run.names, benches=run.benches, versions=versions()),
                   inputs=[run.path(name) for name in run.names])
     if not build.done and build.run({}, lambda name, item: None):
         build.finish(lambda directory, _: write_text(directory / PAGE_FILE, render_page(run)))

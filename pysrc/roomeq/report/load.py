@@ -98,6 +98,12 @@ class Run:
                   *(f"{x}.{kind}.rvb" for kind in ("real", "sim", "sim.EQ") for x in SETS)]
         return [name for name in wanted if self.has(name)]
 
+    @cached_property
+    def benches(self) -> list[str]:
+        """Results of the benches that lie in `exp_dir`, relative to it."""
+        return [f"bench/{name}{kind}" for name in ("fidelity", "speed") for kind in (".json", ".png")
+                if (self.exp_dir / "bench" / f"{name}{kind}").is_file()]
+
 
 def read_pairs(path: Path) -> dict[str, str]:
     """Return a Kaldi table (key, space, the rest of the line); {} where there is no such file."""

@@ -62,7 +62,12 @@ def what_ran(run: Run) -> Html:
                          join(options, Html(" ")) or "–"])
     if not rows:
         raise Missing("any directory that roomeq made", "./run.sh")
+    links = join([tag("a", tag("code", f"exp/{name}"), href=f"../{name}") for name in run.benches], ", ")
+    benches = [tag("code", f"python tests/bench/{name}/run.py --out exp/bench")
+               for name in ("fidelity", "speed")]
     return join([
+        paragraph("How right and how fast the simulator is, on the machine at hand: ", join(benches, " and "), ". ",
+                  join(["Results beside this page: ", links, "."]) if links else "They were not run here."),
         paragraph("Every directory of the run with the step and the options that it was made with. ",
                   "The same options, seed and inputs give the same bytes, whatever the number of jobs."),
         make_table("table-run", "Steps and their options", ["Directory", "Step", "Seed", "Options"], rows,
