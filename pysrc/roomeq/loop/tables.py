@@ -85,11 +85,12 @@ def collect(traced, mics_m, facings):
         angle = _angles(paths.directions, facing)
         counts = np.zeros((N_FRAMES, int(paths.counts.max()) + 1, len(LEVEL_SHARES)))
         angular = np.zeros((*counts.shape[:2], 0 if facing is None else len(ANGLES)))
-        _count(source_pos_m, paths.hits, paths.codes, paths.counts, paths.normals, level, float(paths.scattering[0]), mic_m,
-               visible[m] if len(visible) else np.zeros((0, 0), dtype=np.bool_), radii_m[m],
+        _count(source_pos_m, paths.hits, paths.codes, paths.first, paths.counts, paths.normals, level,
+               float(paths.scattering[0]), mic_m,
+               visible[m] if len(visible) else np.zeros(0, dtype=np.bool_), radii_m[m],
                1.0 / volumes_m3[m], distance_m, 1.0 / (speed_m_s * _TICK_S), frame_of_tick,
                angle / (np.pi / (len(ANGLES) - 1)), paths.late_m, paths.stride, counts, angular)
-        counts /= 4.0 * np.pi * len(paths.hits)
+        counts /= 4.0 * np.pi * len(paths.counts)
         flat = counts.reshape(N_FRAMES, -1)
         angular /= np.maximum(angular.sum(axis=2, keepdims=True), 1e-300)
         made.append(Table(counts, np.argwhere(flat), flat[flat != 0.0], None if facing is None else angular, distance_m, bool(sees[m]),
@@ -120,8 +121,8 @@ def _put(counts, frame, n, node, weight):
 
 
 @compiled
-def _count(source, hits, codes, n_hits, normals, level, scattering, mic, visible, radius_m, per_volume, distance_m,
-           ticks_per_m, frame_of_tick, node, late_m, stride, counts, angular):
+def _count(source, hits, codes, first, n_hits, normals, level, scattering, mic, visible, radius_m, per_volume,
+           distance_m, ticks_per_m, frame_of_tick, node, late_m, stride, counts, angular):
     """Add all rays to `counts`; paths count as in `roomeq.sim.gather`, the direct sound apart."""
     all_visible, n_ticks, turned = len(visible) == 0, len(frame_of_tick), angular.shape[2] > 0
     n_shares = counts.shape[2] - 1.0
@@ -129,7 +130,8 @@ def _count(source, hits, codes, n_hits, normals, level, scattering, mic, visible
         px, py, pz, path = source[0], source[1], source[2], 0.0
         weight, late, was_diffuse, n_level = 1.0, stride == 1, True, 0
         for n in range(n_hits[ray]):
-            hx, hy, hz, new_path = hits[ray, n, 0], hits[ray, n, 1], hits[ray, n, 2], hits[ray, n, 3]
+            at = first[ray] + n
+            hx, hy, hz, new_path = hits[at, 0], hits[at, 1], hits[at, 2], hits[at, 3]
             if not was_diffuse:
                 length = max(new_path - path, 1e-9)
                 ux, uy, uz = (hx - px) / length, (hy - py) / length, (hz - pz) / length
@@ -150,7 +152,7 @@ def _count(source, hits, codes, n_hits, normals, level, scattering, mic, visible
                 if ray % stride != 0:
                     break
                 late, weight = True, weight * stride
-            face = codes[ray, n] >> 1
+            face = codes[at] >> 1
             n_level += 1 if level[face] else 0
             if scattering > 0.0:
                 vx, vy, vz = mic[0] - hx, mic[1] - hy, mic[2] - hz
@@ -158,9 +160,9 @@ def _count(source, hits, codes, n_hits, normals, level, scattering, mic, visible
                 d = np.sqrt(d2)
                 cosine = (vx * normals[face, 0] + vy * normals[face, 1] + vz * normals[face, 2]) / d
                 tick = int((path + d - distance_m) * ticks_per_m)
-                if cosine > 0.0 and tick < n_ticks and (all_visible or visible[ray, n]):
+                if cosine > 0.0 and tick < n_ticks and (all_visible or visible[at]):
                     amount = weight * scattering * cosine / (np.pi * d2)
                     _put(counts, frame_of_tick[max(tick, 0)], n + 1, n_shares * n_level / (n + 1), amount)
                     if turned:
                         _put(angular, frame_of_tick[max(tick, 0)], n + 1, node[ray], amount)
-            was_diffuse = (codes[ray, n] & 1) == 1
+            was_diffuse = (codes[at] & 1) == 1
