@@ -152,7 +152,7 @@ def _rir_verbs(verbs) -> None:
      .argument("--split-by", choices=("rir", "room"), default="rir", help="room: no room is in two sets")
      .argument("--sizes", type=integers, default=(773, 194, 242), help="proportions, where there are fewer RIRs")
      .seed())
-    (Verb(verbs, "simulate", "sim.simulate", "Simulate one RIR per measured one, with T60 drawn at random.",
+    (Verb(verbs, "simulate", "simulate", "Simulate one RIR per measured one, with T60 drawn at random.",
           "data/rirs.real.train data/rirs.sim.train")
      .argument("measured_dir", help="RIR directory that rooms, sources and microphones come from")
      .argument("out", help="RIR directory to make")
