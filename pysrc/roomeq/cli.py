@@ -163,6 +163,7 @@ def _rir_verbs(verbs) -> None:
      .argument("--ism-order", type=integer, default=6, help="specular reflections by exact image sources")
      .argument("--noise-rirs", type=integer, default=1, help="RIRs of noise sources, per RIR")
      .argument("--materials", help="TOML file of materials, instead of conf/materials.toml")
+     .argument("--model", help="model.json of roomeq close-loop: effects that the simulator lacks otherwise")
      .argument("--diffraction", action=argparse.BooleanOptionalAction, default=True,
                help="let sound come around the edges of meshes")
      .seed().jobs())
