@@ -247,7 +247,6 @@ class _Traces:
         return keep_echoes(traced, mics_m, middle(np.array(absorptions)), rngs, ism_order=self.options["ism_order"],
                            n_frames=[int(np.ceil(min(one_s, traced.max_length_s) / FRAME_S)) for one_s in lengths_s])
 
-
     def drawn(self, table, target_s, rng, given):
         """The room with materials drawn."""
         return extend_scene(self.effects, draw_materials(table, self.room, self.scattering, self.air, target_s, rng,
