@@ -167,9 +167,9 @@ def _rir_verbs(verbs) -> None:
      .argument("--diffraction", action=argparse.BooleanOptionalAction, default=True,
                help="let sound come around the edges of meshes")
      .seed().jobs())
-    (Verb(verbs, "validate", "validate", "Say whether an RIR or data directory keeps its contract.",
-          "data/rirs.sim.train data/train.sim.rvb")
-     .argument("directories", nargs="+", help="RIR directories or Kaldi data directories"))
+    (Verb(verbs, "validate", "validate", "Say whether directories keep their contracts.",
+          "data/rirs.sim.train exp/loop data/train.sim.rvb")
+     .argument("directories", nargs="+", help="RIR directories, Kaldi data directories, or what close-loop made"))
 
 
 def _eq_verbs(verbs) -> None:
