@@ -59,6 +59,12 @@ at_stage() { [ "$stage" -le "$1" ] && [ "$stop_stage" -ge "$1" ] && log "stage $
 [[ $split_sizes =~ ^[0-9]+,[0-9]+,[0-9]+$ ]] || die "--split-sizes '$split_sizes' must be three counts, as 773,194,242"
 [[ $t60_range =~ ^[0-9.]+,[0-9.]+$ ]] || die "--t60-range '$t60_range' must be two times, as 0.2,2.0"
 [[ $layout =~ ^(recording|utterance)$ ]] || die "--layout '$layout' must be recording or utterance"
+[ $((taps % 2)) = 1 ] || die "--taps '$taps' must be odd"
+number='[-+]?[0-9]*\.?[0-9]+'
+for name in snr point_snr; do # the tools check the rest: this spares the stages before them
+  [[ ${!name} =~ ^(none|$number|((uniform|normal)\ +${number}[\ ,]+|list\ +(${number}[\ ,]+)*)$number)$ ]] ||
+    die "--${name/_/-} '${!name}' must be 'uniform LOW HIGH', 'normal MEAN SD', 'list A,B,...', a number or none"
+done
 [ "$stop_stage" -le 7 ] || die "--stop-stage $stop_stage: stages 8-10, the hand-over to Kaldi, are not there yet"
 local/install.sh
 

@@ -1,9 +1,12 @@
 """The benches still run, and what they measure with is right."""
 
+import json
+
 import numpy as np
 import pytest
+import soundfile
 
-from bench import kit, ours, rooms
+from bench import augment_peers, cpu_types, kit, ours, projection, rooms
 from bench.fidelity import air, analytic, decay, early, estimate, lshape, pulses, tail, targets
 from bench.fidelity.reference import trace_energy
 from bench.speed import curves, dataset, timing
@@ -119,3 +122,33 @@ def test_sections_are_written_printed_and_resumed(tmp_path, capsys, monkeypatch)
     assert (tmp_path / "demo.png").stat().st_size > 1000
     again = kit.run_sections("demo", {"some": None}, chosen, {})
     assert again["some"].rows == [[1.25], [None]]
+
+
+def test_kaldis_convolution_errs_at_0_hz_and_at_half_the_rate_only():
+    x, h = np.random.default_rng(0).standard_normal((2, 3000))[:, :2000]
+    h = np.convolve(h, [1.0, 0.0, -1.0])  # nothing at either
+    assert augment_peers.convolve_as_kaldi(x, h) == pytest.approx(np.convolve(x, h), abs=1e-9)
+    h[0] += 1.0
+    error = augment_peers.convolve_as_kaldi(x, h) - np.convolve(x, h)
+    assert np.abs(error).max() > 0.001
+    assert error[2:3000] == pytest.approx(error[:2998])  # an offset and an alternating sequence
+
+
+def test_a_projection_is_rates_times_units():
+    step = dict(unit="hours", done=2.0, cpu_s=7200.0, peak_mib=100.0, written=4e9)
+    *_, hours, disk = projection.tables(dict(augment=step)).splitlines()
+    assert hours.startswith("| **core-hours**") and f"| {projection.HOURS:.3g} |" in hours
+    assert f"| {2 * projection.HOURS:.3g} |" in disk
+
+
+def test_differences_between_runs_are_found_and_told(tmp_path):
+    for name, level, value in (("a", 0.5, 1.0), ("b", 0.50002, 1.001)):
+        kit_dir = tmp_path / name / "data/rirs.sim.train"
+        kit_dir.mkdir(parents=True)
+        soundfile.write(kit_dir / "x.wav", np.full(100, level), 16000, subtype="FLOAT")
+        (kit_dir / "rirs.jsonl").write_text(json.dumps(dict(id="x", t30_s=[value])) + "\n")
+        (kit_dir / "rir_list").write_text(f"{tmp_path / name}/x.wav\n")
+    found = cpu_types.compare(tmp_path / "a", tmp_path / "b")["simulated"]
+    assert (found["files"], found["different"], found["audio_lsb"], found["words"]) == (3, 2, 1, 0)
+    assert found["audio_db"] == pytest.approx(20 * np.log10(0.00002 / 0.5), abs=0.2)
+    assert found["numbers"] == [pytest.approx(0.001, rel=0.01), ".t30_s", 1.0, 1.001]

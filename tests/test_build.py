@@ -70,6 +70,15 @@ def test_a_lost_or_shortened_file_is_noticed(tmp_path):
     assert (tmp_path / "a" / "n2.txt").read_text() == "4"
 
 
+def test_a_file_of_the_same_length_is_noticed_unless_it_holds_the_same(tmp_path):
+    make_squares(tmp_path / "a")
+    (tmp_path / "a" / "n2.txt").write_text("4")
+    assert make_squares(tmp_path / "a") == "up to date"
+    (tmp_path / "a" / "n2.txt").write_text("5")
+    assert make_squares(tmp_path / "a") == "made"
+    assert (tmp_path / "a" / "n2.txt").read_text() == "4"
+
+
 def test_a_changed_input_is_noticed(tmp_path):
     make_squares(tmp_path / "in")
     make_squares(tmp_path / "out", inputs=[tmp_path / "in"])

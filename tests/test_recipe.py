@@ -1,6 +1,7 @@
 """The whole recipe at its smallest size: the same bytes over jobs and interruptions."""
 
 import random
+import signal
 import time
 
 import pytest
@@ -39,11 +40,13 @@ def test_two_jobs_and_a_second_run_give_the_same_bytes(undisturbed, corpora, pro
 
 def test_killed_and_started_again_gives_the_same_bytes(undisturbed, corpora, project_dir):
     where = corpora / "run-c"
-    moments = random.Random(0)
+    moments, killed = random.Random(0), []
     for _ in range(4):
         process = start(project_dir, where, corpora / "corpora", 2)
         time.sleep(moments.uniform(2, 15))
         kill(process)
+        killed.append(process.returncode == -signal.SIGKILL)
+    assert any(killed), "each ended before it was killed"
     finish(start(project_dir, where, corpora / "corpora", 2))
     assert hashes(where) == undisturbed[1]
 

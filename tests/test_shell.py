@@ -5,6 +5,8 @@ import subprocess
 
 import pytest
 
+from roomeq.draws import parse_distribution
+
 SCRIPT = """#!/usr/bin/env bash
 # Say what the options are.
 # Usage: say.sh [options] <word>
@@ -94,6 +96,33 @@ def test_local_jobs_run_and_the_failing_one_is_named(recipe):
     assert done.returncode == 1
     assert "job 2 failed" in done.stderr and "job 1" not in done.stderr
     assert [(recipe / f"log/x.{n}.log").read_text() for n in (1, 2, 3)] == ["1\n", "2\n", "3\n"]
+
+
+@pytest.mark.parametrize("runner", ["local.sh", "slurm.sh"])
+def test_a_log_that_cannot_be_written_is_named_and_nothing_starts(recipe, runner):
+    (recipe / "log").write_text("not a folder")
+    (recipe / "sbatch").symlink_to("/bin/true")
+    done = subprocess.run([f"utils/{runner}", "JOB=1:2", "log/x.JOB.log", "touch", "evil"], cwd=recipe, text=True,
+                          capture_output=True, env={"PATH": f"{recipe}:{os.environ['PATH']}"}, timeout=60, check=False)
+    assert done.returncode == 1 and not (recipe / "evil").exists()
+    assert done.stderr == f"{runner}: log log/x.1.log cannot be written: is the disk full or read-only?\n"
+
+
+@pytest.mark.parametrize("option, value, message", [
+    ("--snr", "loud", "must be 'uniform LOW HIGH'"), ("--snr", "20,15", "must be 'uniform LOW HIGH'"),
+    ("--point-snr", "$(touch evil)", "must be 'uniform LOW HIGH'"), ("--taps", "512", "must be odd"),
+    ("--layout", "files", "must be recording or utterance"), ("--t60-range", "0.5", "must be two times")])
+def test_the_recipe_refuses_values_before_any_work(project_dir, option, value, message):
+    done = call(project_dir, "./run.sh", option, value)
+    assert done.returncode == 1 and done.stdout == ""
+    assert done.stderr.startswith(f"run.sh: {option} '{value}' {message}") and done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("value", ["none", "7", "-2.5", "normal 15 5", "uniform 5, 25", "list 20,15,10"])
+def test_the_recipe_takes_what_the_tools_take(project_dir, value):
+    parse_distribution(value, "snr")
+    done = call(project_dir, "./run.sh", "--snr", value, "--stop-stage", "99")
+    assert done.stderr.startswith("run.sh: --stop-stage 99: ")
 
 
 def test_scripts_refuse_another_directory(tmp_path, project_dir):

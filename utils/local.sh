@@ -21,7 +21,10 @@ pids=()
 trap 'kill "${pids[@]}" 2>/dev/null || true' EXIT
 for ((job = first; job <= last; job++)); do
   joblog=${log//JOB/$job}
-  mkdir -p "$(dirname "$joblog")"
+  if ! { mkdir -p "$(dirname "$joblog")" && : >"$joblog"; } 2>/dev/null; then
+    printf '%s: log %s cannot be written: is the disk full or read-only?\n' "${0##*/}" "$joblog" >&2
+    exit 1
+  fi
   "${@//JOB/$job}" </dev/null >"$joblog" 2>&1 &
   pids+=($!)
 done

@@ -50,8 +50,9 @@ command -v sbatch >/dev/null || die "no sbatch here: is this a host that jobs ar
 
 # where jobs say how they ended: beside the logs, which all nodes see
 for ((job = first; job <= last; job++)); do
-  mkdir -p "$(dirname "${log//JOB/$job}")"
-  : >"${log//JOB/$job}"
+  joblog=${log//JOB/$job}
+  { mkdir -p "$(dirname "$joblog")" && : >"$joblog"; } 2>/dev/null ||
+    die "log $joblog cannot be written: is the disk full or read-only?"
 done
 ended=$(realpath -- "$(mktemp -d -- "$(dirname "${log//JOB/$first}")/.slurm.XXXXXX")")
 name=roomeq${ended##*/.slurm}

@@ -26,7 +26,7 @@ from pathlib import Path
 from roomeq.digests import code_digest, digest, files_below
 from roomeq.files import hash_file, read_json, to_json, write_json, write_text
 from roomeq.progress import progress
-from roomeq.stamps import DONE_FILE, check_output
+from roomeq.stamps import DONE_FILE, as_sealed, check_output
 
 logger = logging.getLogger(__name__)
 
@@ -239,7 +239,8 @@ def share(names: list[str], part: str | None) -> list[str]:
 def _is_done(directory: Path, key: str) -> bool:
     try:
         stamp = json.loads((directory / DONE_FILE).read_text())
+        sealed_ns = (directory / DONE_FILE).stat().st_ctime_ns
         return stamp["key"] == key and all(
-            (directory / name).stat().st_size == size for name, (size, _) in stamp["files"].items())
+            as_sealed(directory / name, size, content, sealed_ns) for name, (size, content) in stamp["files"].items())
     except (OSError, ValueError, KeyError, TypeError):
         return False

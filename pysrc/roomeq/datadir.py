@@ -20,6 +20,8 @@ from roomeq.words import symbol_in, unprintable_in
 
 logger = logging.getLogger(__name__)
 
+MAX_DURATION_ERROR_S = 0.1
+"""Durations that Kaldi takes from numbers of frames are that far off [s]."""
 _PER_UTTERANCE = ("utt2dur", "utt2num_frames", "utt2uniq", "utt2lang", "utt2warp", "utt2rir", "utt2snr",
                   "feats.scp", "vad.scp")
 _PER_SPEAKER = ("spk2gender", "spk2warp", "cmvn.scp")
@@ -347,13 +349,23 @@ def _check_audio(data: DataDir, pipes: bool) -> None:
         try:
             lengths[recording] = frames, rate = n_samples(entry, pipes=pipes)
             if entry.kind == "file":  # a cut FLAC file shows only at its end
-                read_audio(Path(entry.text), fs_hz=rate, start=frames - 1, channel=0)
+                read_audio(Path(entry.text), fs_hz=rate, start=frames - 1)
         except ValueError as error:
             raise ValueError(f"{data.path / 'wav.scp'}:{number}: {error}") from None
     if len(lengths) < len(data.recordings):
         logger.info("%s: %d recordings are commands, not run and not checked", data.path,
                     len(data.recordings) - len(lengths))
+    recording_s = {recording: frames / rate for recording, (frames, rate) in lengths.items()}
+    utterance_s = {}
     for number, utterance in enumerate(data.utterances.values(), start=1):
-        if data.segmented and utterance.recording in lengths:
-            where = f"{data.path / 'segments'}:{number}: recording {utterance.recording}"
-            segment_samples(where, *lengths[utterance.recording], utterance.start_s, utterance.end_s)
+        if utterance.recording not in lengths:
+            continue
+        frames, rate = lengths[utterance.recording]
+        where = f"{data.path / 'segments'}:{number}: recording {utterance.recording}"
+        start, stop = segment_samples(where, frames, rate, utterance.start_s, utterance.end_s)
+        utterance_s[utterance.id] = (stop - start) / rate
+    for name, known_s, ids in (("utt2dur", utterance_s, data.utterances), ("reco2dur", recording_s, data.recordings)):
+        for number, (key, value) in enumerate(_optional(data.path, name, ids).items(), start=1):
+            if key in known_s and abs(known_s[key] - float(value)) > MAX_DURATION_ERROR_S:
+                raise ValueError(f"{data.path / name}:{number}: {value} s of {key!r} where its audio lasts "
+                                 f"{known_s[key]:.3f} s: make the file again, or put the right audio there")

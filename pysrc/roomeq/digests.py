@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 
 from roomeq.files import hash_file
-from roomeq.stamps import DONE_FILE, read_stamp
+from roomeq.stamps import DONE_FILE, as_sealed, read_stamp
 
 _NUMERICS = ("embreex", "numba", "numpy", "pyfar", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
 
@@ -41,8 +41,7 @@ def digest(path: Path) -> str:
         name, stat = str(file.relative_to(path)), file.stat()
         if name not in stamped and stamped:
             continue  # what others (Kaldi) put beside our files is not our input
-        # by the inode's time: a file put back from elsewhere keeps its own time of change
-        if name in stamped and stat.st_size == stamped[name][0] and stat.st_ctime_ns <= sealed_ns:
+        if name in stamped and as_sealed(file, *stamped[name], sealed_ns):
             mark = stamped[name][1]
         elif stamped:
             mark = hash_file(file)

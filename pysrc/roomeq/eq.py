@@ -27,34 +27,6 @@ MIN_SPREAD_DB = 4.0  # a single bin of one RIR scatters that much within a room 
 _DECIMALS = 4
 
 
-def analyse_eq(rir, fs_hz, direct_sample):
-    """Measure the sub-band EQ of one RIR.
-
-    Parameters
-    ----------
-    rir : ndarray, shape (n_samples,)
-    fs_hz : float
-        Must be 16 kHz: the eight points are FFT bins at that rate.
-    direct_sample : float
-        Where the direct sound arrives [samples].
-
-    Returns
-    -------
-    eq_db : ndarray, shape (8,)
-        Levels at 62.5, 125, ... 8000 Hz relative to 1 kHz; see `roomeq.acoustics.spectrum.analyse`.
-    valid : ndarray of bool, shape (8,)
-
-    Raises
-    ------
-    ValueError
-        Another rate, or fewer than 512 samples follow the direct sound.
-    """
-    if fs_hz != FS_HZ:
-        raise ValueError(f"fs_hz={fs_hz:g} must be {FS_HZ}: resample the RIR")
-    eq = analyse(rir, direct_sample)
-    return eq.eq_db, eq.valid
-
-
 def fit_eq(real_dir, sim_dirs, out, *, n_components=7, covariance="full", weight_rooms=False, seed, part=None,
            nj=1):
     """Measure the EQ of measured and simulated RIRs and fit a Gaussian mixture to the measured ones.

@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from roomeq.files import read_json
+from roomeq.files import hash_file, read_json
 
 DONE_FILE = ".done"
 _HELD = {"step": str, "key": str, "files": dict}
@@ -26,6 +26,21 @@ def read_stamp(directory: Path) -> dict:
                             for entry in stamp["files"].values()):
         raise ValueError(f"{path}: is no stamp of roomeq ({', '.join(_HELD)}): remove {directory} and make it again")
     return stamp
+
+
+def as_sealed(path: Path, size: int, content: str, sealed_ns: int) -> bool:
+    """Tell whether a file is what its directory's stamp says; it is read only if it has changed since then.
+
+    Parameters
+    ----------
+    size, content
+        The stamp's entry.
+    sealed_ns : int
+        When the stamp was written: its `st_ctime_ns`.
+    """
+    stat = path.stat()
+    # by the inode's time: a file put back from elsewhere keeps its own time of change
+    return stat.st_size == size and (stat.st_ctime_ns <= sealed_ns or hash_file(path) == content)
 
 
 def check_output(out: Path, step: str, inputs: list[Path]) -> None:

@@ -7,6 +7,10 @@ from roomeq.files import hash_file
 from roomeq.rirs import NOISES_FILE, ROWS_FILE, validate_noises, validate_rirs
 from roomeq.stamps import read_stamp
 
+CONTRACTS = ((ROWS_FILE, validate_rirs, "RIRs"), ("wav.scp", validate_data_dir, "utterances"),
+             (NOISES_FILE, validate_noises, "noises"))
+"""By the file that tells a directory's kind: what checks it whole and counts what is in it, and what that is."""
+
 
 def validate(directories: list[Path]) -> None:
     """Check directories of RIRs, of noises, of the loop and of Kaldi data whole; print one line for each.
@@ -21,12 +25,10 @@ def validate(directories: list[Path]) -> None:
         The first thing that is wrong.
     """
     for directory in map(Path, directories):
-        if (directory / ROWS_FILE).is_file():
-            print(f"{directory}: {validate_rirs(directory)} RIRs, all well")
-        elif (directory / "wav.scp").is_file():
-            print(f"{directory}: {validate_data_dir(directory)} utterances, all well")
-        elif (directory / NOISES_FILE).is_file():
-            print(f"{directory}: {validate_noises(directory)} noises, all well")
+        for name, check, counted in CONTRACTS:
+            if (directory / name).is_file():
+                print(f"{directory}: {check(directory)} {counted}, all well")
+                break
         else:
             _validate_loop(directory)
         check_stamp(directory)

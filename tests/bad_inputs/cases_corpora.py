@@ -25,6 +25,12 @@ def sofa(name: str, message: str, **values) -> Case:
 
 
 CASES = [
+    Case("rirs of a LibriSpeech tree", "read-measured librispeech out", "librispeech: holds speech "
+         "(dev-clean/2/20/2-20.trans.txt), but RIRs are wanted here: give it as the speech"),
+    Case("rirs of a table of transcripts", "read-measured transcripts out", "transcripts/manifest.csv: column "
+         "'transcript' says that this is speech, but RIRs are wanted here: give it as the speech"),
+    Case("rirs of a data directory", "read-measured speech out", "speech: is a Kaldi data directory with speech "
+         "(wav.scp), but RIRs are wanted here: give it as the speech"),
     Case("csv empty", TABLE, "table/manifest.csv: columns (none) must hold 'file': call the paths so",
          (write("table/manifest.csv", ""),)),
     Case("csv of bytes", TABLE, "table/manifest.csv: not a CSV file in UTF-8 (...): export it again",

@@ -39,6 +39,10 @@ CASES = [
          b"\x80\x04\x95cos\nsystem\n(S'touch evil'\ntR."),
     mesh("vertices only", "RIR m1: mesh/room.obj: holds no triangles: export it again",
          "v 0 0 0\nv 1 0 0\nv 0 1 0\n"),
+    mesh("vertex in a plane", "RIR m1: mesh/room.obj: cannot be read as a mesh (vertex 2 has 2 coordinates where three "
+         "are needed): export it again", BOX.replace("v 5 0 0", "v 5 0")),
+    mesh("vertex far away", "RIR m1: mesh/room.obj: cannot be read as a mesh (vertex 2 at [5e+30, 0.0, 0.0] must lie "
+         "within 10000 m of the origin): export it again", BOX.replace("v 5 0 0", "v 5e30 0 0")),
     mesh("vertex a text", "RIR m1: mesh/room.obj: cannot be read as a mesh (...): export it again",
          "v a b c\n" + BOX),
     mesh("flat",

@@ -1,4 +1,4 @@
-"""`roomeq validate` finds every one of 30 seeded corruptions of an RIR directory, and of a data directory."""
+"""`roomeq validate` finds every one of 30 seeded corruptions of a directory of each kind, with a stamp and without."""
 
 import json
 import shutil
@@ -6,21 +6,25 @@ import shutil
 import numpy as np
 import pytest
 from running import call
-from wrong import audio, remove, reorder
+from wrong import audio, patch, remove, reorder
 
 from roomeq.rng import rng_for
 
+MADE = {  # a directory of each kind that `validate` knows, by the command that makes it
+    "rirs": ["compensate", "measured", "eq"],
+    "rirs that refer to audio": ["characterise", "measured"],
+    "speech": ["augment", "speech", "rirs"],
+}
 
-@pytest.fixture(scope="module", params=["rirs", "rirs that refer to audio", "speech"])
+
+@pytest.fixture(scope="module", params=list(MADE))
 def made(request, worlds, tmp_path_factory):
     """A directory that a verb made, right as it is."""
     root = tmp_path_factory.mktemp("made")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(worlds)
         out = root / "made"
-        argv = {"rirs": ["compensate", "measured", "eq", out], "speech": ["augment", "speech", "rirs", out],
-                "rirs that refer to audio": ["characterise", "measured", out]}[request.param]
-        assert call(list(map(str, argv)))[0] == 0
+        assert call([*MADE[request.param], str(out)])[0] == 0
     assert call(["validate", str(out)]) == (0, "")
     return out
 
@@ -162,3 +166,79 @@ def test_a_broken_contract_is_found_without_a_stamp(seed, worlds, tmp_path, monk
     BREAKS[seed % len(BREAKS)](rng_for(seed, "break", "rirs"), tmp_path)
     status, said = call(["validate", "rirs"])
     assert status == 1 and said.startswith("roomeq: rirs") and said.count("\n") == 1 and "internal error" not in said
+
+
+def in_table(names, change):
+    """Edit the lines of one of some tables of a data directory."""
+    def edit(rng, root):
+        name = names[rng.integers(len(names))]
+        reorder(f"segmented/{name}", lambda lines: change(rng, lines))(root)
+    return edit
+
+
+def less(rng, lines):
+    n = rng.integers(len(lines))
+    return [*lines[:n], *lines[n + 1:]]
+
+
+def again(rng, lines):
+    n = rng.integers(len(lines))
+    return [*lines[:n + 1], *lines[n:]]
+
+
+def of_a_stranger(rng, lines):
+    return [*lines[:-1], "zz" + lines[-1]]
+
+
+def without_a_value(rng, lines):
+    n = rng.integers(len(lines))
+    return [line.split()[0] if n == k else line for k, line in enumerate(lines)]
+
+
+def with_other_numbers(rng, lines):
+    n = rng.integers(len(lines))
+    key, *words = lines[n].split()
+    return [*lines[:n], " ".join([key, *words[:-1], str(float(words[-1]) + rng.uniform(0.1, 99))]), *lines[n + 1:]]
+
+
+def backwards(rng, lines):
+    return lines[::-1]
+
+
+def of_other_bytes(rng, root):
+    name = rng.choice(["text", "utt2spk", "segments"])
+    patch(f"segmented/{name}", int(rng.integers(8)), b"\xff")(root)
+
+
+def without_a_table(rng, root):
+    remove(f"segmented/{rng.choice(['utt2spk', 'spk2utt'])}")(root)
+
+
+def cut_flac(rng, root):
+    path = root / "segmented/r.flac"
+    path.write_bytes(path.read_bytes()[:int(rng.uniform(0, 0.95) * path.stat().st_size)])
+
+
+def on_flac(samples, **how):
+    return lambda rng, root: audio("segmented/r.flac", samples, **how)(root)
+
+
+DATA_BREAKS = (
+    in_table(["text", "utt2spk", "segments", "utt2dur", "wav.scp", "spk2utt"], less),
+    in_table(["text", "utt2spk", "segments", "utt2dur", "wav.scp", "spk2utt"], again),
+    in_table(["text", "utt2spk", "segments", "utt2dur"], backwards),
+    in_table(["text", "utt2spk", "segments", "utt2dur", "reco2dur", "spk2utt"], of_a_stranger),
+    in_table(["utt2spk", "segments", "utt2dur", "reco2dur", "wav.scp", "spk2utt"], without_a_value),
+    in_table(["segments", "utt2dur", "reco2dur"], with_other_numbers), of_other_bytes, without_a_table, cut_flac,
+    lambda rng, root: remove("segmented/r.flac")(root), on_flac(40000), on_flac(np.ones((48000, 2))))
+
+
+@pytest.mark.parametrize("seed", range(36))
+def test_a_broken_data_directory_is_found_without_a_stamp(seed, worlds, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(worlds / "segmented", tmp_path / "segmented")
+    assert call(["validate", "segmented"]) == (0, "")
+    DATA_BREAKS[seed % len(DATA_BREAKS)](rng_for(seed, "break", "data"), tmp_path)
+    status, said = call(["validate", "segmented"])
+    assert status == 1 and said.startswith("roomeq: segmented") and said.count("\n") == 1
+    assert "internal error" not in said

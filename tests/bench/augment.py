@@ -4,8 +4,8 @@
 Usage: tests/bench/augment.py [--speech ../shared/data/speech] [--measured ../shared/data/measured]
                               [--noise ../shared/data/noise] [--min-s 10] [--copies 10] [--rounds 3]
 
-Where KALDI_ROOT is set, `flac -d | wav-reverberate | flac` does the same work (reverberation and one ambient noise)
-on the same utterances, in turns with ours, and the audio of both is compared without noise.
+Kaldi's wav-reverberate, lhotse and audiomentations, as far as they are here, do the same work (reverberation and one
+ambient noise) on the same utterances, in turns with ours, and the audio is compared without noise.
 Prints one JSON object. CPU seconds of the process and its children count, so a busy machine disturbs less.
 """
 
@@ -18,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +26,9 @@ import soundfile
 from scipy.signal import fftconvolve
 
 PROJECT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(PROJECT / "pysrc"))
+sys.path[:0] = [str(PROJECT / "pysrc"), str(PROJECT / "tests")]
 
+from bench.augment_peers import Task, convolve_as_kaldi, present  # noqa: E402
 from roomeq.augment import augment  # noqa: E402
 from roomeq.corpora import read_measured, read_noises  # noqa: E402
 from roomeq.datadir import read_data_dir, read_utterance  # noqa: E402
@@ -36,6 +38,8 @@ from roomeq.rirs import read_noises as noise_rows  # noqa: E402
 from roomeq.wavscp import flac_entry  # noqa: E402
 
 FS = 16000
+LONGEST_S = 36  # of an utterance
+LIBRISPEECH_UTTERANCES = 132553  # train-clean-100 and 360
 
 
 def main():
@@ -57,24 +61,28 @@ def measure(given, work):
     total_s = make_speech_dir(given.speech, speech, given.min_s)
     read_measured(given.measured, rirs)
     read_noises(given.noise, noises)
-    result = dict(utterances=len(read_data_dir(speech).utterances), speech_s=round(total_s, 1), copies=given.copies)
-    ours, point, kaldi = [], [], []
+    rates, tasks, peers, absent = defaultdict(list), [], {}, []
     for n in range(given.rounds):
-        for name, prob, rates in (("ambient", 0.0, ours), ("point", 0.5, point)):
+        for name, prob in (("roomeq", 0.0), ("roomeq_and_point_noise_for_half", 0.5)):
             before = cpu_s()
             augment(speech, rirs, work / f"{name}{n}", seed=n, noises=[noises], copies=given.copies,
                     point_noise_prob=prob)
-            rates.append(given.copies * total_s / (cpu_s() - before))
-        if kaldi_binary():
-            kaldi.append(total_s / reverberate_with_kaldi(speech, rirs, noises, work / f"ambient{n}", given.copies))
-    result.update(times_real_time=dict(reverberation_and_ambient_noise=summary(ours),
-                                       and_point_noise_for_half=summary(point)))
-    if kaldi:
-        result["times_real_time"]["wav_reverberate_and_ambient_noise"] = summary(kaldi)
-        result["ratio_to_wav_reverberate"] = round(statistics.median(ours) / statistics.median(kaldi), 2)
-        result["difference_to_float64_db"] = compare_with_kaldi(speech, rirs, work)
-    result["peak_memory_mib"] = memory(speech, rirs, noises, work)
-    return result
+            rates[name].append(given.copies * total_s / (cpu_s() - before))
+        if not tasks:
+            tasks = tasks_of(speech, rirs, noises, work / f"roomeq{n}", work / "others")
+            peers, absent = present(tasks)
+            for peer in peers.values():
+                peer.make(tasks[0])  # what they import and compile late is not their speed
+        for name, peer in peers.items():
+            rates[name].append(rate_of(peer, tasks))
+    ours = statistics.median(rates["roomeq"])
+    return dict(
+        utterances=len(read_data_dir(speech).utterances), speech_s=round(total_s, 1), copies=given.copies,
+        left_out=absent, times_real_time={name: summary(values) for name, values in rates.items()},
+        ratio={name: round(ours / statistics.median(rates[name]), 2) for name in peers},
+        flac_mib_per_hour=round(sum(path.stat().st_size for path in work.glob("roomeq_and*/audio/*/*.flac")) / 2**20
+                                / (given.rounds * given.copies * total_s / 3600), 1),
+        difference_db=compare(speech, rirs, work), peak_memory_mib=memory(speech, rirs, noises, work))
 
 
 def summary(rates):
@@ -99,53 +107,43 @@ def make_speech_dir(source, out, min_s):
     return total / FS
 
 
-def kaldi_binary():
-    path = Path(os.environ.get("KALDI_ROOT", "/nonexistent")) / "src/featbin/wav-reverberate"
-    return path if path.is_file() else None
-
-
 def pcm_wav(path, samples):
     """Write a 16-bit WAV at full scale: `wav-reverberate` reads nothing else."""
     if not path.exists():
+        path.parent.mkdir(exist_ok=True)
         soundfile.write(path, 0.9 * samples / np.abs(samples).max(), FS, subtype="PCM_16")
     return path
 
 
-def reverberate_with_kaldi(speech, rirs, noises, ours, copies):
-    """Do what the first copy of our directory did, with Kaldi; return CPU seconds."""
+def tasks_of(speech, rirs, noises, made, out):
+    """Return as tasks for others what the first copies of a directory of ours are made of."""
     responses = {row["id"]: row for row in read_rirs(rirs)}
     sounds = {row["id"]: row for row in noise_rows(noises)}
-    data, out = read_data_dir(speech), ours.with_suffix(".kaldi")
-    out.mkdir()
-    rows = [row for row in map(json.loads, open(ours / "augment.jsonl"))
-            if copies == 1 or row["id"].endswith("-rvb1")]
-    for row in rows:
-        pcm_wav(out / f"{row['rir']}.wav", load_rir(rirs, responses[row["rir"]]))
-        noise = row["noises"][0]["id"]
-        pcm_wav(out / f"{noise}.wav", soundfile.read(noises / sounds[noise]["wav"])[0])
+    data, tasks = read_data_dir(speech), []
+    for row in map(json.loads, open(made / "augment.jsonl")):
+        if row["id"] in data.utterances or row["id"].endswith("-rvb1"):
+            (noise,) = row["noises"]
+            sound = np.resize(soundfile.read(noises / sounds[noise["id"]]["wav"])[0], LONGEST_S * FS)
+            tasks.append(Task(Path(data.recordings[row["clean"]].text),
+                              pcm_wav(out / f"{row['rir']}.wav", load_rir(rirs, responses[row["rir"]])),
+                              out / f"{row['clean']}.flac", row["n_samples"],
+                              pcm_wav(out / f"noise.{noise['id']}.wav", sound), noise["snr_db"]))
+    return tasks
+
+
+def rate_of(peer, tasks):
+    """Return how many times faster than real time somebody else does the tasks."""
     before = cpu_s()
-    for row in rows:
-        noise = row["noises"][0]
-        run_kaldi(data.recordings[row["clean"]].text, out / f"{row['rir']}.wav", out / f"{row['clean']}.flac",
-                  f"--duration={row['n_samples'] / FS:.7f}", f"--additive-signals={out / noise['id']}.wav",
-                  f"--snrs={noise['snr_db']}", "--start-times=0")
-    return cpu_s() - before
+    for task in tasks:
+        peer.make(task)
+    return sum(task.n_samples for task in tasks) / FS / (cpu_s() - before)
 
 
-def run_kaldi(source, rir, out, *options):
-    with subprocess.Popen(["flac", "-c", "-d", "-s", source], stdout=subprocess.PIPE) as decode:
-        with subprocess.Popen([kaldi_binary(), "--shift-output=true", f"--impulse-response={rir}", *options, "-", "-"],
-                              stdin=decode.stdout, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as reverberate:
-            if Path(out).suffix == ".flac":
-                subprocess.run(["flac", "-s", "-f", "-o", out, "-"], stdin=reverberate.stdout, check=True)
-            else:
-                Path(out).write_bytes(reverberate.stdout.read())
+def compare(speech, rirs, work):
+    """Return how far each is from a convolution in float64, and ours from each [dB], aligned and at equal levels.
 
-
-def compare_with_kaldi(speech, rirs, work):
-    """Return how far ours and Kaldi's are from a convolution in float64, and from each other [dB], at equal levels.
-
-    Kaldi advances by the largest peak, so RIRs are taken whose direct sound that is, at the 16 bits it reads.
+    Others advance by the largest sample, or not at all, so RIRs are taken whose direct sound that is, at the 16 bits
+    that Kaldi reads. Results that clip are left out.
     """
     some, rows = work / "rirs.some", []
     for row in read_rirs(rirs):
@@ -157,33 +155,60 @@ def compare_with_kaldi(speech, rirs, work):
     write_rirs(some, rows)
     augment(speech, some, work / "plain", snr_db="none", point_noise_prob=0)
     clean, result = read_data_dir(speech), read_data_dir(work / "plain")
-    by_id, found = {row["id"]: row for row in rows}, dict(ours=[], wav_reverberate=[], between=[])
-    for row in map(json.loads, open(work / "plain/augment.jsonl")):
-        h = load_rir(some, by_id[row["rir"]])
-        run_kaldi(clean.recordings[row["clean"]].text, some / by_id[row["rir"]]["wav"], work / "kaldi.wav")
-        kaldi = soundfile.read(work / "kaldi.wav")[0][:row["n_samples"]]
-        if np.abs(h).argmax() != row["shift"] or np.abs(kaldi).max() > 0.999:
-            continue  # aligned elsewhere, or clipped by Kaldi
-        dry = soundfile.read(clean.recordings[row["clean"]].text)[0]
-        exact = fftconvolve(dry, h)[row["shift"]:row["shift"] + len(kaldi)]
-        ours = read_utterance(result, result.utterances[row["id"]]).astype(float)[:len(kaldi)]
-        for name, signal, reference in (("ours", ours, exact), ("wav_reverberate", kaldi, exact),
-                                        ("between", ours, kaldi)):
-            scaled = signal * np.dot(signal, reference) / np.dot(signal, signal)
-            found[name].append(10 * np.log10(np.mean((scaled - reference) ** 2) / np.mean(reference**2)))
-    return {name: dict(median=round(statistics.median(values), 1), worst=round(max(values), 1))
-            for name, values in found.items()}
+    by_id, found = {row["id"]: row for row in rows}, {}
+    drawn = [row for row in map(json.loads, open(work / "plain/augment.jsonl"))
+             if np.abs(load_rir(some, by_id[row["rir"]])).argmax() == row["shift"]]
+    tasks = [Task(Path(clean.recordings[row["clean"]].text), some / by_id[row["rir"]]["wav"],
+                  work / f"plain.{row['id']}.flac", row["n_samples"]) for row in drawn]
+    peers, _ = present(tasks)
+    for row, task in zip(drawn, tasks, strict=True):
+        dry, h = soundfile.read(task.clean)[0], load_rir(some, by_id[row["rir"]])
+        exact = fftconvolve(dry, h)[row["shift"]:row["shift"] + task.n_samples]
+        ours = read_utterance(result, result.utterances[row["id"]]).astype(float)
+        found.setdefault("ours_to_float64", []).append(difference_db(ours, exact))
+        for name, peer in peers.items():
+            peer.make(task)
+            theirs = soundfile.read(task.out)[0][row["shift"] if name == "audiomentations" else 0:task.n_samples]
+            if np.abs(theirs).max() < 0.999:
+                found.setdefault(f"{name}_to_float64", []).append(difference_db(theirs, exact))
+                found.setdefault(f"ours_to_{name}", []).append(difference_db(ours, theirs))
+                if name == "wav_reverberate":
+                    faulty = convolve_as_kaldi(dry, h)[row["shift"]:row["shift"] + task.n_samples]
+                    found.setdefault(f"{name}_to_its_faulty_product", []).append(difference_db(theirs, faulty))
+    return {name: dict(utterances=len(values), median=round(statistics.median(values), 1), worst=round(max(values), 1))
+            for name, values in sorted(found.items())}
+
+
+def difference_db(signal, reference):
+    """Return the power of the difference relative to the reference, after the best gain, over what both have [dB]."""
+    length = min(len(signal), len(reference))
+    signal, reference = signal[:length], reference[:length]
+    scaled = signal * np.dot(signal, reference) / np.dot(signal, signal)
+    return 10 * np.log10(np.mean((scaled - reference) ** 2) / np.mean(reference**2))
 
 
 def memory(speech, rirs, noises, work):
-    """Return the peak memory of runs of 1 and 16 copies, each in a process of its own [MiB]."""
-    code = ("import sys, resource; from roomeq.augment import augment; "
-            "augment(sys.argv[1], sys.argv[2], sys.argv[4], noises=[sys.argv[3]], copies=int(sys.argv[5])); "
-            "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)")
-    return {f"copies_{copies}": int(subprocess.run(
-        [sys.executable, "-c", code, speech, rirs, noises, work / f"memory{copies}", str(copies)], check=True,
+    """Return the peak memory of runs in processes of their own [MiB]: of more and more copies of a few utterances, and
+    of one job of many, which knows of as many utterances as LibriSpeech has, once and ten times."""
+    many = work / "many"
+    data = read_data_dir(speech)
+    known = [(flac_entry(data.recordings[key].text), soundfile.info(data.recordings[key].text).frames)
+             for key in data.utterances]
+    pieces = {f"{n // 25:04d}-{n:06d}": known[n % len(known)] for n in range(LIBRISPEECH_UTTERANCES)}
+    write_data_dir(many, pieces, (OutUtterance(key, key[:4], key, 0, frames, text="X")
+                                  for key, (_, frames) in pieces.items()), segmented=False)
+    runs = {f"{copies * len(known)}_utterances": (speech, copies, "1/1") for copies in (10, 40, 160)}
+    runs |= {f"one_of_{jobs}_jobs_of_{copies * len(pieces)}_utterances": (many, copies, f"1/{jobs}")
+             for copies, jobs in ((1, 1000), (10, 10_000))}
+    # not ru_maxrss, which a child has from its parent
+    code = ("import sys; from roomeq.augment import augment; "
+            "augment(sys.argv[1], sys.argv[2], sys.argv[4], noises=[sys.argv[3]], copies=int(sys.argv[5]), "
+            "part=sys.argv[6]); status = dict(line.split(':') for line in open('/proc/self/status')); "
+            "print(int(status['VmHWM'].split()[0]) // 1024)")
+    return {name: int(subprocess.run(
+        [sys.executable, "-c", code, source, rirs, noises, work / f"memory.{name}", str(copies), part], check=True,
         capture_output=True, text=True, env=os.environ | dict(PYTHONPATH=str(PROJECT / "pysrc"))).stdout)
-        for copies in (1, 16)}
+        for name, (source, copies, part) in runs.items()}
 
 
 if __name__ == "__main__":

@@ -5,10 +5,12 @@ import re
 import signal
 import subprocess
 import time
+from pathlib import Path
 
 import pytest
 from cluster import cluster, why_not
 
+from datadirs import speech_dir
 from rirmaker import coloured_rir, row, write_rir_dir
 
 HOSTILE = ["uniform 5 25", "$(touch evil)", "`touch evil`", "'; touch evil; '", 'a"b', "a\nb", "-x", "*", "é", "\\n",
@@ -181,21 +183,68 @@ def test_wrong_options_are_refused_in_one_line(slurm, project_dir, tmp_path, opt
     assert re.search(message, line), line
 
 
-def test_a_step_gives_the_same_bytes_as_local_processes(slurm, project_dir, tmp_path):
-    measured = write_rir_dir(tmp_path / "measured", [(row(f"r{n}"), coloured_rir(n)) for n in range(4)])
-    made = {}
-    for name, cmd in (("local", "utils/local.sh"), ("cluster", "utils/slurm.sh --mem 1G --time 10")):
-        where = tmp_path / name
-        done = subprocess.run(
-            ["steps/characterise_rirs.sh", "--nj", "2", str(measured), str(where / "real")],
-            cwd=project_dir, env=slurm | {"cmd": cmd}, capture_output=True, text=True, timeout=300, check=False)
-        assert done.returncode == 0, done.stderr
-        made[name] = {str(path.relative_to(where)): path.read_bytes().replace(str(where).encode(), b"")
-                      for path in sorted(where.rglob("*"))
-                      if path.is_file() and "log" not in path.parts and path.name != ".done"}
-    assert "real/rirs.jsonl" in made["local"]
-    assert made["local"] == made["cluster"]
-    assert "Slurm job" in (tmp_path / "cluster/log/characterise.2.log").read_text()
+STEPS = (
+    "characterise_rirs.sh --nj 2 measured {out}/real",
+    "simulate_rirs.sh --nj 2 --num-rays 200 --order 20 --t60-range 0.3,0.4 {out}/real {out}/sim",
+    "fit_eq.sh --nj 2 --num-components 2 {out}/real {out}/sim {out}/eq",
+    "compensate_rirs.sh --nj 2 {out}/sim {out}/eq {out}/sim.EQ",
+    "augment_data.sh --nj 2 --snr none speech {out}/sim.EQ {out}/rvb",
+)
+
+
+def run_steps(project_dir, env, where, name, cmd):
+    """Run all steps that have jobs with a runner; return the bytes of what they made, by path."""
+    out = where / name
+    for step in STEPS:
+        step, *words = step.replace("measured", f"{where}/measured").replace(" speech", f" {where}/speech").split()
+        done = subprocess.run([f"steps/{step}", *(word.format(out=out) for word in words)], cwd=project_dir,
+                              env=dict(env) | {"cmd": cmd}, capture_output=True, text=True, timeout=300, check=False)
+        assert done.returncode == 0, f"{step}: {done.stderr}"
+    return {str(path.relative_to(out)): path.read_bytes().replace(str(out).encode(), b"")
+            for path in sorted(out.rglob("*"))
+            if path.is_file() and not {"log", "q"} & set(path.parts)  # q is where stock runners keep theirs
+            and path.name != ".done" and path.suffix != ".lock"}
+
+
+@pytest.fixture(scope="module")
+def by_local_processes(project_dir, tmp_path_factory):
+    """What the steps make with the runner that is the default, and where their inputs lie."""
+    where = tmp_path_factory.mktemp("steps")
+    write_rir_dir(where / "measured", [
+        (row(f"r{n}", source_pos_m=[1.0, 2.0, 1.5], mic_pos_m=[3.0 + n / 4, 2.5, 1.2]), coloured_rir(n))
+        for n in range(4)])
+    speech_dir(where / "speech")
+    return where, run_steps(project_dir, os.environ, where, "local", "utils/local.sh")
+
+
+def test_steps_on_the_cluster_give_the_same_bytes(slurm, project_dir, by_local_processes):
+    where, expected = by_local_processes
+    assert {"real/rirs.jsonl", "eq/gmm.json", "sim.EQ/rirs.jsonl", "rvb/wav.scp"} <= expected.keys()
+    assert run_steps(project_dir, slurm, where, "cluster", "utils/slurm.sh --mem 500M --time 10") == expected
+    assert len(list((where / "cluster").rglob("*.2.log"))) == len(STEPS)
+    for log in (where / "cluster").rglob("*.2.log"):
+        assert "Slurm job" in log.read_text()
+
+
+def test_stock_run_pl_gives_the_same_bytes(project_dir, by_local_processes):
+    where, expected = by_local_processes
+    assert run_steps(project_dir, os.environ, where, "run_pl", str(stock("run.pl"))) == expected
+
+
+def test_stock_slurm_pl_gives_the_same_bytes(slurm, project_dir, by_local_processes, tmp_path):
+    where, expected = by_local_processes
+    config = tmp_path / "slurm.conf"
+    config.write_text("command sbatch --export=ALL\noption mem=* --mem $0\n")
+    cmd = f"{stock('slurm.pl')} --config {config} --mem 500M"
+    assert run_steps(project_dir, slurm, where, "slurm_pl", cmd) == expected
+
+
+def stock(name):
+    """Kaldi's own runner, unless it isn't here."""
+    path = Path(os.environ.get("KALDI_ROOT", "/nonexistent")) / "egs/wsj/s5/utils/parallel" / name
+    if not path.is_file():
+        pytest.skip("needs Kaldi's scripts: set KALDI_ROOT")
+    return path
 
 
 def test_a_job_out_of_time_is_named(overdue):

@@ -21,9 +21,12 @@ def list_folder(source: Path) -> Corpus:
     Raises
     ------
     ValueError
-        There is no audio in it.
+        There is no audio in it, or there are transcripts beside it.
     """
     files, root = _audio_of(source)
+    if transcripts := min(root.rglob("*.trans.txt"), default=None):
+        raise ValueError(f"{source}: holds speech ({transcripts.relative_to(root)}), but RIRs are wanted here: give it "
+                         "as the speech")
     corpus = Corpus(name=root.name, kind="folder")
     for path in files:
         corpus.rirs.append(Recording(path, id_of_path(path, root), rir_row(

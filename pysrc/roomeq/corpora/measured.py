@@ -118,6 +118,9 @@ def detect_kind(source: Path) -> str:
         return by_suffix.get(source.suffix.lower(), "folder")
     if (source / ROWS_FILE).is_file():
         raise ValueError(f"{source}: is an RIR directory already ({ROWS_FILE}): use it as it is")
+    if (source / "wav.scp").is_file():
+        raise ValueError(f"{source}: is a Kaldi data directory with speech (wav.scp), but RIRs are wanted here: "
+                         "give it as the speech")
     if find_rooms(source):
         return "reverbdb"
     if find_real(source):

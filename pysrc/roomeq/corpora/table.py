@@ -98,9 +98,13 @@ def list_table(path: Path) -> Corpus:
     Raises
     ------
     ValueError
-        See `read_table`; also a cell that is not what its column says. The message names file and line.
+        See `read_table`; also a cell that is not what its column says (the message names file and line), or a
+        column with transcripts.
     """
     columns, rows = read_table(path)
+    if "transcript" in columns:
+        raise ValueError(f"{path}: column 'transcript' says that this is speech, but RIRs are wanted here: give it as "
+                         "the speech")
     corpus = Corpus(name=path.parent.name, kind="table")
     if ignored := sorted(set(columns) - _KNOWN):
         logger.info("%s: columns not used: %s", path, ", ".join(ignored))

@@ -77,8 +77,8 @@ class Effect:
         Standard deviations of the vector over the things that exist.
     TELLS : str
         Which measurement would tell it from others.
-    RENDERED : bool
-        Whether `act` needs to know what `on_rir` does to the data's RIRs (`Data.shift_of`).
+    NODES : tuple of tuples
+        Vectors for which `act` needs to know what `on_rir` does to the data's RIRs (`Data.shift_of`).
     REFLECTIONS : bool
         Whether `act` changes the energy of reflections; if not, a fit need not sum it again.
     """
@@ -88,7 +88,7 @@ class Effect:
     STARTS = ((),)
     SPREAD = ()
     TELLS = ""
-    RENDERED = False
+    NODES = ()
     REFLECTIONS = True
 
     @classmethod

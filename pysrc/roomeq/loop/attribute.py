@@ -1,12 +1,13 @@
 """Which effect is it: each candidate is fitted with the model and judged by rooms that took no part."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.room_eq import RoomEq
+from roomeq.loop.cells import METRIC
 from roomeq.loop.fit import Fit, Layout, fit, leave_rooms_out
 from roomeq.loop.session import in_order
 
@@ -82,20 +83,38 @@ def rank(session):
 
 def _candidate(session, effect, before):
     data, effects = session.data, in_order([*session.effects, effect])
-    tried = []
-    for start in effect.STARTS if len(effect.STARTS) > 1 else ():
-        starts = [start if one is effect else one.STARTS[0] for one in effects]
-        found = fit(data, session.offset, effects, start=starts, like=session.fit, iterations=_PROBE)
-        tried.append((sum(one.log_density for one in leave_rooms_out(data, found)), found))
-    like = max(tried, key=lambda one: one[0])[1] if tried else session.fit
+    like = session.fit
+    if len(effect.STARTS) > 1:
+        tried = []
+        for start in effect.STARTS:
+            starts = [start if one is effect else one.STARTS[0] for one in effects]
+            found = fit(data, session.offset, effects, start=starts, like=session.fit, iterations=_PROBE)
+            tried.append((found, np.array([one.log_density for one in leave_rooms_out(data, found)])))
+        like = _best_starts(data, effects, effect, tried)
     found = fit(data, session.offset, effects, like=like)
     after = leave_rooms_out(data, found)
     gain = np.array([b.log_density - a.log_density for a, b in zip(before, after, strict=True)])
     return Candidate(effect, found, gain, size_of(session, effect, found))
 
 
+def _best_starts(data, effects, effect, tried):
+    """The fit from the best start; of an effect of rooms, each room's own best."""
+    best = max(tried, key=lambda one: one[1].sum())[0]
+    if effect.SCOPE != "room":
+        return best
+    layout, k = Layout(data, effects), effects.index(effect)
+    of_room = np.argmax([densities for _, densities in tried], axis=0)
+    chosen = np.array([layout.vectors(tried[start][0].mean, tried[start][0].local)[k][r]
+                       for r, start in enumerate(of_room)])
+    mean, local = best.mean.copy(), [one.copy() for one in best.local]
+    mean[layout.shared[k][0]] = chosen.mean(axis=0)
+    for r, vector in enumerate(chosen):
+        local[r][layout.own_slices[r][0][k]] = vector - chosen.mean(axis=0)
+    return replace(best, mean=mean, local=local)
+
+
 def size_of(session, effect, found):
-    """Mean change of the cells that an effect touches [JND]."""
+    """Mean change of the cells that an effect touches, of the metric that it changes most [JND]."""
     data, layout = session.data, Layout(session.data, found.effects)
     without = Layout(data, [one for one in found.effects if one is not effect])
     absorption, vectors = layout.absorption(found.mean, found.local), layout.vectors(found.mean, found.local)
@@ -103,7 +122,8 @@ def size_of(session, effect, found):
     change = layout.predict(absorption, vectors, silent, 0.0) - without.predict(
         absorption, [one for one, kind in zip(vectors, found.effects, strict=True) if kind is not effect], silent, 0.0)
     change = np.abs(np.where(data.valid, change, 0.0))
-    return float(change[change > TOUCHED_JND].mean()) if np.any(change > TOUCHED_JND) else 0.0
+    by_metric = [change[:, METRIC == metric] for metric in np.unique(METRIC)]
+    return float(max(one[one > TOUCHED_JND].mean() if np.any(one > TOUCHED_JND) else 0.0 for one in by_metric))
 
 
 def choose(ranking):

@@ -62,7 +62,7 @@ class Data:
     angles = ANGLES
 
     def shift_of(self, effect):
-        """What an effect that has no say on tables changes in the cells, as rendered, shape (n_rirs, n_cells)."""
+        """What an effect that has no say on tables changes in the cells, shape (n_nodes, n_rirs, n_cells)."""
         return self.shifts[effect.NAME]
 
     def units(self, scope):

@@ -3,7 +3,8 @@
 Conventions
 -----------
 What is unknown of a room: its absorption per band ``x = ln(-ln(1 - alpha))``, by how much floor and ceiling absorb more
-than the walls, one gain per chain of source and microphone, and the vectors of effects whose scope is the room. These are Gaussian about a mean that all rooms share,
+than the walls, one gain per chain of source and microphone, and the vectors of effects whose scope is the room. These
+are Gaussian about a mean that all rooms share,
 with a spread that is estimated from them (empirical Bayes): so absorption cannot swallow what all rooms have in
 common, unless rooms differ so much that nothing is common. What is unknown of all: those means, and the vectors of the
 other effects.

@@ -27,8 +27,8 @@ def judge_errors(data, session, *, seed, nj):
     mean = _shared(layout, session)
     offset = np.tile(session.offset.mean(axis=0), (len(data.rows), 1))
     for effect in session.effects:
-        if effect.RENDERED:
-            data.shifts[effect.NAME] = np.zeros(data.cells.shape)  # has no parameters: rendering will tell
+        if effect.NODES:
+            data.shifts[effect.NAME] = np.zeros((len(effect.NODES), *data.cells.shape))  # rendering tells
     first, second = halves(data)
     result = {}
     for way, chosen in KNOWN.items():

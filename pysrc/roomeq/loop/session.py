@@ -87,8 +87,8 @@ def begin(data, *, like=None, offset=None, seed, nj):
     raws = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj)
     rendered = rendered_cells(data, raws, by_row, seed=seed, nj=nj)
     for effect in _ORDER:
-        if effect.RENDERED:
-            data.shifts[effect.NAME] = _shift(data, raws, by_row, rendered, effect, seed, nj)
+        if effect.NODES:
+            data.shifts[effect.NAME] = _shifts(data, raws, by_row, rendered, effect, seed, nj)
     gains = np.outer(layout.gains(like.local), HAS_GAIN)
     expected = layout.predict(absorption, vectors, np.zeros(len(data.rows)), 0.0)
     new = _offset(data, rendered - expected, data.cells - gains - expected)
@@ -98,16 +98,16 @@ def begin(data, *, like=None, offset=None, seed, nj):
                    seed, nj)
 
 
-def _shift(data, raws, by_row, rendered, effect, seed, nj):
-    """What an effect changes in the cells of the model's RIRs."""
-    has = any(isinstance(one, effect) for effects in by_row for one in effects)
-    if has:
-        other = [[one for one in effects if not isinstance(one, effect)] for effects in by_row]
-    else:
-        new = effect.from_vector(np.zeros(len(effect.SPREAD)))
-        other = [sorted([*effects, new], key=lambda one: _ORDER.index(type(one))) for effects in by_row]
-    shift = rendered_cells(data, raws, other, seed=seed, nj=nj) - rendered
-    return np.where(np.isfinite(shift), -shift if has else shift, 0.0)
+def _shifts(data, raws, by_row, rendered, effect, seed, nj):
+    """What an effect makes of the cells of the model's RIRs at each of its nodes, shape (n_nodes, n_rirs, n_cells)."""
+    without = [[one for one in effects if not isinstance(one, effect)] for effects in by_row]
+    plain = rendered if without == by_row else rendered_cells(data, raws, without, seed=seed, nj=nj)
+    found = []
+    for node in effect.NODES:
+        new = effect.from_vector(np.array(node))
+        extended = [sorted([*effects, new], key=lambda one: _ORDER.index(type(one))) for effects in without]
+        found.append(rendered_cells(data, raws, extended, seed=seed, nj=nj) - plain)
+    return np.where(np.isfinite(found), found, 0.0)
 
 
 def _offset(data, difference, error):

@@ -93,8 +93,9 @@ def collect(traced, mics_m, facings):
         counts /= 4.0 * np.pi * len(paths.counts)
         flat = counts.reshape(N_FRAMES, -1)
         angular /= np.maximum(angular.sum(axis=2, keepdims=True), 1e-300)
-        made.append(Table(counts, np.argwhere(flat), flat[flat != 0.0], None if facing is None else angular, distance_m, bool(sees[m]),
-                          float(_angles((mic_m - source_pos_m)[None] / distance_m, facing)[0])))
+        direct_angle = float(_angles((mic_m - source_pos_m)[None] / distance_m, facing)[0])
+        made.append(Table(counts, np.argwhere(flat), flat[flat != 0.0], None if facing is None else angular,
+                          distance_m, bool(sees[m]), direct_angle))
     return made
 
 

@@ -1,6 +1,5 @@
 """Reading a run's results for the report: what is not there raises `Missing`, what is broken `ValueError`."""
 
-import os
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -128,11 +127,6 @@ def read_numbers(path: Path) -> dict[str, float]:
         except ValueError:
             raise ValueError(f"{path}: {key}: {value!r} must be a number: make the directory again") from None
     return numbers
-
-
-def plain_name(path: Path) -> str:
-    """Return a path's last part: pages are given away, and where they were made is nobody's business."""
-    return os.path.basename(os.path.normpath(path))
 
 
 def corpus_readme(run: Run, name: str) -> str:

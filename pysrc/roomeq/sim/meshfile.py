@@ -6,6 +6,8 @@ import numpy as np
 
 FORMATS = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
 UNNAMED = "surface"
+MAX_FROM_ORIGIN_M = 1e4
+"""Rays are traced in single precision, which at this distance tells millimetres apart."""
 
 
 def read_triangles(path):
@@ -40,8 +42,9 @@ def read_triangles(path):
         raise ValueError(f"{path}: cannot be read as a mesh ({error}): export it again") from None
     if not len(triangles):
         raise ValueError(f"{path}: holds no triangles: export it again")
-    if not np.all(np.isfinite(triangles)):
-        raise ValueError(f"{path}: a vertex is not finite: export it again")
+    if not np.all(np.abs(triangles) <= MAX_FROM_ORIGIN_M):
+        raise ValueError(f"{path}: every vertex must lie within {MAX_FROM_ORIGIN_M:g} m of the origin: export it in "
+                         "metres")
     return triangles, names
 
 
@@ -69,7 +72,12 @@ def _read_obj(path):
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
         key, *words = line.split("#")[0].split() or [""]
         if key == "v":
+            if len(words) < 3:
+                raise ValueError(f"vertex {len(vertices) + 1} has {len(words)} coordinates where three are needed")
             vertices.append([float(word) for word in words[:3]])
+            if not all(abs(value) <= MAX_FROM_ORIGIN_M for value in vertices[-1]):
+                raise ValueError(f"vertex {len(vertices)} at {vertices[-1]} must lie within "
+                                 f"{MAX_FROM_ORIGIN_M:g} m of the origin")
         elif key == "usemtl":
             material = " ".join(words) or UNNAMED
         elif key == "f":
