@@ -275,6 +275,15 @@ def loudspeaker(freqs_hz, model):
     return response
 
 
+def not_before(arrival_s):
+    """Return the weight that lets nothing come ahead of the direct sound, shape (N_FFT,).
+
+    The windows over frequency have no phase and ring to both sides; sound does not.
+    """
+    ahead_ms = 1000 * (arrival_s - np.arange(N_FFT) / FS_HZ)
+    return np.where(np.arange(N_FFT) > N_FFT // 2, 0, 0.5 + 0.5 * np.cos(np.pi * (ahead_ms - 1).clip(0, 1)))
+
+
 def impulse_responses(room, source_m, mics_m, facing, direct_samples, rngs, model=0):
     """Return the noiseless responses from one loudspeaker position to all microphones.
 
@@ -301,7 +310,9 @@ def impulse_responses(room, source_m, mics_m, facing, direct_samples, rngs, mode
     for k, (mic_m, rng) in enumerate(zip(mics_m, rngs, strict=True)):
         early, tail = early_and_tail(room, source_m, mic_m, facing, rng)
         spectrum = low * modal[k] + (1 - low) * early + np.sqrt(1 - low**2) * tail
-        shift_s = direct_samples[k] / FS_HZ - np.linalg.norm(mic_m - source_m) / room.c_m_s
+        arrival_s = np.linalg.norm(mic_m - source_m) / room.c_m_s
+        spectrum = np.fft.rfft(np.fft.irfft(spectrum) * not_before(arrival_s))
+        shift_s = direct_samples[k] / FS_HZ - arrival_s
         spectrum = spectrum * loudspeaker(FREQS_HZ, model) * np.exp(-2j * np.pi * FREQS_HZ * shift_s)
         out[k] = np.fft.irfft(spectrum)[:N_OUT]
     return out

@@ -372,6 +372,12 @@ def test_loudspeaker_is_audible_in_every_room(room, positions):
     assert level_db(1300, 0.3) - level_db(7500, 0.2) > 2  # roll-off
 
 
+def test_nothing_comes_ahead_of_the_direct_sound(room, positions):
+    for response in render(room, *positions):
+        smooth = np.convolve(response, np.hanning(18) / 8.5, "same")  # what rings at half the rate comes from shifting
+        assert np.abs(smooth[:712 - 48]).max() < 1e-3 * np.abs(smooth).max()
+
+
 def test_loudspeakers_differ_by_their_responses_alone(room, positions):
     one, other = (np.fft.rfft(render(room, *positions, model), 32768)[:, 200:15000] for model in (0, 1))
     frequency_hz = acoustics.FREQS_HZ[200:15000]
