@@ -1,7 +1,6 @@
 """Reading what the loop wrote, and checking it: `ledger.json`, `model.json`, `residuals.npz`."""
 
 import math
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, read_model
 from roomeq.files import read_json
 from roomeq.loop.cells import LARGEST, METRIC, N_CELLS, REGION
+from roomeq.loop.examples import EXAMPLES_FILE, read_arrays, read_examples
 from roomeq.loop.ledger import LEDGER_FILE
 
 RESIDUALS_FILE = "residuals.npz"
@@ -40,6 +40,7 @@ def validate_loop(directory):
             raise ValueError(f"{directory / LEDGER_FILE}: parameters of {entry['effect']} must be of "
                              f"{', '.join(units)}, as in {MODEL_FILE}: close the loop again")
     read_residuals(directory / RESIDUALS_FILE, ledger["rirs"])
+    read_examples(directory / EXAMPLES_FILE)
     return len(found)
 
 
@@ -51,14 +52,7 @@ def read_residuals(path, n_rirs):
     ValueError
         The file is none of ours, or of other RIRs.
     """
-    try:
-        with np.load(path, allow_pickle=False) as found:
-            arrays = {key: found[key] for key in ("before", "after")}
-    except (KeyError, ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
-        if isinstance(error, FileNotFoundError):
-            raise
-        raise ValueError(f"{path}: cannot be read as residuals ({type(error).__name__}): close the loop again"
-                         ) from None
+    arrays = read_arrays(path, ("before", "after"))
     for key, values in arrays.items():
         if values.shape != (n_rirs, N_CELLS) or values.dtype.kind != "f" or np.any(np.isinf(values)):
             raise ValueError(f"{path}: {key!r} must hold {n_rirs} x {N_CELLS} finite numbers or gaps, as {LEDGER_FILE} "

@@ -51,12 +51,38 @@ def write_examples(path, directories, first, last):
 
 
 def read_examples(path):
-    """Read them; None where there are none."""
-    if not Path(path).is_file():
-        return None
-    with np.load(path, allow_pickle=False) as found:
-        return Examples([str(one) for one in found["ids"]], [str(one) for one in found["rooms"]], found["decay_db"],
-                        found["spectrum_db"])
+    """Read them.
+
+    Raises
+    ------
+    ValueError
+        The file is none of ours.
+    """
+    found = read_arrays(path, ("ids", "rooms", "decay_db", "spectrum_db"))
+    made = Examples([str(one) for one in found["ids"]], [str(one) for one in found["rooms"]], found["decay_db"],
+                    found["spectrum_db"])
+    size = len(made.ids), len(KINDS)
+    if (made.decay_db.shape, made.spectrum_db.shape, len(made.rooms)) != (
+            (*size, len(DECAY_BANDS), round(LENGTH_S / STEP_S)), (*size, len(THIRDS_HZ)), size[0]):
+        raise ValueError(f"{path}: arrays do not fit each other: close the loop again")
+    return made
+
+
+def read_arrays(path, names):
+    """Read arrays of a file that `numpy.savez_compressed` wrote: {name: ndarray}.
+
+    Raises
+    ------
+    ValueError
+        It is no such file, or lacks one of them.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as found:
+            return {name: found[name] for name in names}
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # zipfile, zlib and numpy raise a dozen kinds on broken bytes
+        raise ValueError(f"{path}: cannot be read ({type(error).__name__}): close the loop again") from None
 
 
 def make_examples(directories, first, last):
