@@ -40,6 +40,9 @@ weight_rooms=false        # let rooms count equally in the mixture
 match_rooms=true          # draw each RIR's EQ from its room's share of the mixture; false: from all of it
 taps=511                  # of the compensation filters
 
+# stage 5: the closed loop
+max_effects=4             # that it adds at most
+
 # stage 6: augmentation
 snr="uniform 5 25"        # of the ambient noise [dB]
 point_snr="uniform 5 25"  # of point noises [dB]
@@ -101,8 +104,23 @@ if at_stage 4 "compensate the simulated RIRs"; then
   done
 fi
 
+enough_rooms() { # else it says so
+  require "$data/rirs.real.train/rirs.jsonl" steps/split_rirs.sh
+  local/enough_rooms.py "$data/rirs.real.train"
+}
+if at_stage 5 "close the loop: find what the simulation lacks, and simulate with it" && enough_rooms; then
+  steps/close_loop.sh --nj "$nj" --max-effects "$max_effects" --seed "$seed" \
+    "$data/rirs.real.train" "$data/rirs.real.dev" "$exp/loop"
+  for x in train dev; do
+    steps/simulate_rirs.sh --nj "$nj" --t60-range "$t60_range" --num-rays "$num_rays" --order "$order" \
+      --model "$exp/loop/model.json" --seed "$seed" "$data/rirs.real.$x" "$data/rirs.sim.loop.$x"
+  done
+fi
+
 if at_stage 6 "far-field speech"; then
-  for rirs in real.train sim.train sim.EQ.train real.dev sim.dev sim.EQ.dev real.test; do
+  kinds=(real sim sim.EQ)
+  if enough_rooms >/dev/null; then kinds+=(sim.loop); fi
+  for rirs in "${kinds[@]/%/.train}" "${kinds[@]/%/.dev}" real.test; do
     x=${rirs##*.}
     steps/augment_data.sh --nj "$nj" --snr "$snr" --point-snr "$point_snr" --layout "$layout" --seed "$seed" \
       --noises "$data/rirs.real.$x" "$data/$x.clean" "$data/rirs.$rirs" "$data/$x.${rirs%.*}.rvb"

@@ -24,7 +24,7 @@ from roomeq.audio import write_wav
 from roomeq.build import Build
 from roomeq.files import write_text
 from roomeq.rng import rng_for
-from standin_acoustics import FS_HZ, N_OUT, OCTAVES_HZ, Room, impulse_responses
+from standin_acoustics import FS_HZ, LOUDSPEAKERS, N_OUT, OCTAVES_HZ, Room, impulse_responses
 
 # name, type, subtype, depth x width x height [m], T60 at 1 kHz [s], walls, floor, ceiling, furniture [percent]
 ROOMS = (
@@ -45,9 +45,9 @@ SWEEP = "IR_sweep_15s_45Hzto22kHz_FS16kHz"
 README = """Generated, not measured: a stand-in for a corpus of measured room impulse responses.
 
 Made by local/make_standin_rirs.py: damped modes of rigid shoeboxes below 250-350 Hz, image sources and a decaying
-noise tail above, one loudspeaker response, microphone noise. Rooms, positions and meta files are made up as well.
-Laid out as BUT ReverbDB is (doi 10.1109/JSTSP.2019.2917582), so that the same reader reads both; nothing of that
-corpus is in here.
+noise tail above, two loudspeakers taken in turn that beam and have responses of their own, microphone noise. Rooms,
+positions and meta files are made up as well. Laid out as BUT ReverbDB is (doi 10.1109/JSTSP.2019.2917582), so that
+the same reader reads both; nothing of that corpus is in here.
 """
 
 
@@ -69,6 +69,11 @@ class Session:
     room: int
     speaker: int
     kind: str = "S"
+
+    @property
+    def model(self):
+        """Which of the `LOUDSPEAKERS` stands there: every second position has the same in all rooms."""
+        return (self.speaker - 1) % len(LOUDSPEAKERS)
 
     @property
     def folder(self):
@@ -196,7 +201,8 @@ def make_session(corpus, out_dir, folder, session):
     rngs = [rng_for(corpus.seed, "standin-tail", f"{name} {session.speaker} {k}") for k in range(len(mics))]
     direct_samples = np.array([712 + rng.uniform(-1, 1) for rng in rngs])
     with threadpool_limits(1):  # sums must not depend on how many threads shared them
-        responses = GAIN * impulse_responses(room, speaker_m, mics, facing, direct_samples, rngs)
+        responses = GAIN * impulse_responses(room, speaker_m, mics, facing, direct_samples, rngs,
+                                             session.model)
     floor_db = rng_for(corpus.seed, "standin-floor", name).uniform(-65, -55)
 
     write_text(out_dir / folder / "spk_meta.txt", meta("SPEAKER", speaker_rows(speaker_m)))

@@ -21,6 +21,9 @@ OCTAVES_HZ = 62.5 * 2.0 ** np.arange(8)
 AIR_DB_PER_M = np.array([0.123, 0.445, 1.32, 2.73, 4.66, 9.86, 29.4, 104]) / 1000
 OFF_AXIS_DB = np.array([0, 0, 0.5, 1, 2, 3.5, 5, 7])  # loss of the loudspeaker towards its back, per octave
 MAX_ORDER = 3
+LOUDSPEAKERS = ((80, ((170, 3.5, 1.6), (2700, 4, 2)), 9000),
+                (115, ((360, -5, 1.2), (1400, 4, 1.8), (5200, 4, 2)), 6500))
+"""Two of them: high-pass [Hz], resonances (centre [Hz], gain [dB], quality), low-pass [Hz]."""
 
 
 @dataclass(frozen=True)
@@ -247,15 +250,16 @@ def early_and_tail(room, source_m, mic_m, facing, rng):
     return np.sum(np.fft.rfft(early) * OCTAVE_WEIGHTS, 0), spectrum
 
 
-def loudspeaker(freqs_hz):
-    """Return the frequency response of the corpus's one loudspeaker.
+def loudspeaker(freqs_hz, model):
+    """Return the frequency response of one of the corpus's `LOUDSPEAKERS` on its axis.
 
-    Second order high-pass at 80 Hz, resonances of +3.5 dB at 170 Hz and +4 dB at 2.7 kHz, first order low-pass at
-    9 kHz, all as analogue filters.
+    Second order high-pass, resonances and first order low-pass, all as analogue filters.
 
     Parameters
     ----------
     freqs_hz : ndarray
+    model : int
+        Which of them.
 
     Returns
     -------
@@ -263,14 +267,24 @@ def loudspeaker(freqs_hz):
         Of about 1 in the middle.
     """
     s = 1j * np.asarray(freqs_hz, float)
-    response = s**2 / (s**2 + s * 80 / 0.75 + 80**2) / (1 + s / 9000)
-    for centre_hz, gain_db, q in ((170, 3.5, 1.6), (2700, 4, 2)):
+    high_pass_hz, resonances, low_pass_hz = LOUDSPEAKERS[model]
+    response = s**2 / (s**2 + s * high_pass_hz / 0.75 + high_pass_hz**2) / (1 + s / low_pass_hz)
+    for centre_hz, gain_db, q in resonances:
         width = s * centre_hz / q
         response = response * (s**2 + 10 ** (gain_db / 20) * width + centre_hz**2) / (s**2 + width + centre_hz**2)
     return response
 
 
-def impulse_responses(room, source_m, mics_m, facing, direct_samples, rngs):
+def not_before(arrival_s):
+    """Return the weight that lets nothing come ahead of the direct sound, shape (N_FFT,).
+
+    The windows over frequency have no phase and ring to both sides; sound does not.
+    """
+    ahead_ms = 1000 * (arrival_s - np.arange(N_FFT) / FS_HZ)
+    return np.where(np.arange(N_FFT) > N_FFT // 2, 0, 0.5 + 0.5 * np.cos(np.pi * (ahead_ms - 1).clip(0, 1)))
+
+
+def impulse_responses(room, source_m, mics_m, facing, direct_samples, rngs, model=0):
     """Return the noiseless responses from one loudspeaker position to all microphones.
 
     Parameters
@@ -282,6 +296,8 @@ def impulse_responses(room, source_m, mics_m, facing, direct_samples, rngs):
         Where the direct sound is put, in samples.
     rngs : list of numpy.random.Generator
         One per microphone.
+    model : int
+        Of the loudspeaker.
 
     Returns
     -------
@@ -294,7 +310,9 @@ def impulse_responses(room, source_m, mics_m, facing, direct_samples, rngs):
     for k, (mic_m, rng) in enumerate(zip(mics_m, rngs, strict=True)):
         early, tail = early_and_tail(room, source_m, mic_m, facing, rng)
         spectrum = low * modal[k] + (1 - low) * early + np.sqrt(1 - low**2) * tail
-        shift_s = direct_samples[k] / FS_HZ - np.linalg.norm(mic_m - source_m) / room.c_m_s
-        spectrum = spectrum * loudspeaker(FREQS_HZ) * np.exp(-2j * np.pi * FREQS_HZ * shift_s)
+        arrival_s = np.linalg.norm(mic_m - source_m) / room.c_m_s
+        spectrum = np.fft.rfft(np.fft.irfft(spectrum) * not_before(arrival_s))
+        shift_s = direct_samples[k] / FS_HZ - arrival_s
+        spectrum = spectrum * loudspeaker(FREQS_HZ, model) * np.exp(-2j * np.pi * FREQS_HZ * shift_s)
         out[k] = np.fft.irfft(spectrum)[:N_OUT]
     return out

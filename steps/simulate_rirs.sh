@@ -7,10 +7,13 @@ nj=2               # jobs
 t60_range=0.2,2.0  # reverberation times are uniform in it [s]
 num_rays=20000     # rays a source
 order=200          # reflections a ray
+model=             # effects that rays lack, from steps/close_loop.sh: exp/loop/model.json
 seed=0   # of every random draw
 . ./path.sh
 . utils/parse_options.sh
 [ $# -eq 2 ] || usage
 require "$1/rirs.jsonl" steps/split_rirs.sh
+more=()
+[ -z "$model" ] || { require "$model" steps/close_loop.sh && more=(--model "$model"); }
 utils/run_parts.sh "$nj" "$(dirname "$2")/log/$(basename "$2")" simulate --t60-range "$t60_range" \
-  --num-rays "$num_rays" --order "$order" --seed "$seed" "$1" "$2"
+  --num-rays "$num_rays" --order "$order" "${more[@]}" --seed "$seed" "$1" "$2"

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from loop_run import make_loop
 from roomeq.audio import write_flac, write_wav
 from roomeq.augment import augment
 from roomeq.compensate import compensate
@@ -29,12 +30,14 @@ def make_run(root):
     split_rirs(data / "rirs.real", data / "rirs.real", sizes=(26, 8, 10), seed=0)
     for x in ("train", "dev"):
         make_simulated(read_rirs(data / f"rirs.real.{x}"), data / f"rirs.sim.{x}")
+        make_simulated(read_rirs(data / f"rirs.real.{x}"), data / f"rirs.sim.loop.{x}")
+    make_loop(exp / "loop")
     fit_eq(data / "rirs.real.train", [data / "rirs.sim.train"], exp / "eq", n_components=3, seed=0)
     for x in ("train", "dev"):
         compensate(data / f"rirs.sim.{x}", exp / "eq", data / f"rirs.sim.EQ.{x}", seed=0)
     for x in ("train", "dev", "test"):
         make_clean(data / f"{x}.clean", x)
-        for kind in ("real", "sim", "sim.EQ"):
+        for kind in ("real", "sim", "sim.EQ", "sim.loop"):
             if (data / f"rirs.{kind}.{x}").is_dir():
                 augment(data / f"{x}.clean", data / f"rirs.{kind}.{x}", data / f"{x}.{kind}.rvb", seed=0)
     return data, exp

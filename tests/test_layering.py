@@ -12,12 +12,13 @@ LAYERS = [
     {"corpora"},
     {"sim"},
     {"effects"},
+    {"simulate"},
     {"passport", "split", "mixture"},
     {"eq", "distance"},
     {"compensate"},
-    {"datadir", "wavscp", "datawrite", "draws", "sounds", "layout", "mix", "augment", "validate"},
+    {"datadir", "wavscp", "datawrite", "draws", "sounds", "layout", "mix", "augment"},
     {"loop"},
-    {"report"},
+    {"report", "validate"},
     {"cli", "__main__"},
 ]
 PACKAGE = Path(__file__).resolve().parents[1] / "pysrc" / "roomeq"

@@ -14,19 +14,25 @@ import pytest
 import webdriver
 from report_run import HOSTILE, RIRS_PER_ROOM, ROOMS, make_run
 from roomeq.files import read_jsonl, write_json
+from roomeq.loop.cells import N_CELLS, slots
 from roomeq.report import figures, make_report
 from roomeq.report.build_page import SECTIONS, render_page
 from roomeq.report.load import Run
 from roomeq.report.page import Html, escape, number, table, tag
 from roomeq.report.section_eq import verdict
+from roomeq.report.section_loop import REGIONS, residual_sizes
 
 FIGURES = ("figure-1-left", "figure-1-right", "figure-2-measured", "figure-2-resampled", "figure-2-simulated",
            "figure-2-compensated", "figure-3-simulated", "figure-3-compensated", "figure-3-measured",
            "figure-distance-points", "figure-accuracy-points", "figure-t60-histogram", "figure-t60-met",
-           "figure-snr-train", "figure-snr-dev", "figure-snr-test")
+           "figure-snr-train", "figure-snr-dev", "figure-snr-test", "figure-loop-map-before", "figure-loop-map-after",
+           "figure-loop-ranking-1", "figure-loop-ranking-2", "figure-loop-ranking-3", "figure-loop-metrics",
+           "figure-loop-bands", "figure-loop-source_response",
+           *(f"figure-loop-spectrum-{n}" for n in "12"),
+           *(f"figure-loop-decay-{n}-{hz}" for n in "12" for hz in (125, 1000)))
 TABLES = ("table-datasets", "table-distance", "table-accuracy", "table-rooms", "table-passports", "table-screening",
-          "table-run")
-CLIPS = ("audio-clean", "audio-sim", "audio-sim-EQ", "audio-real")
+          "table-run", "table-loop", "table-loop-errors")
+CLIPS = ("audio-clean", "audio-sim", "audio-sim-EQ", "audio-sim-loop", "audio-real")
 
 
 @pytest.fixture(scope="module")
@@ -127,6 +133,33 @@ def test_counts_are_those_of_the_run(made, page):
     assert re.findall(r"<td[^>]*>(.*?)</td>", line)[1:3] == ["4", str(rows["sim"])]
     assert f"{RIRS_PER_ROOM * len(ROOMS)} measured RIRs of {len(ROOMS)} rooms" in page.text
     assert re.search(r"binaural</th><td[^>]*>not in the EQ fit</td><td[^>]*>4</td>", body)
+
+
+def test_the_loop_is_told_in_words(page):
+    assert "source_response or mic_response: Magnitude response of each loudspeaker" in page.text
+    assert "the data cannot tell which of them. It would take the same room recorded with another" in page.text
+    assert "Held-out error 3.40 \u2192 1.90 JND (95 % interval 1.60 to 2.20)" in page.text
+    assert "ahead at 125 Hz (ahead) is +3.5 JND off, the same in all rooms" in page.text
+    assert "What this does not show" in page.text and "3.4 \u2192 1.5" in page.text
+    assert "detour_m 0.144 (0.144 to 0.144)" in page.text and "56 %" in page.text
+
+
+def test_a_page_without_a_loop_has_no_chapter_on_it(made, tmp_path):
+    for name in ("measured", "rirs.real", "rirs.real.train"):
+        shutil.copytree(made[0] / name, tmp_path / "data" / name)
+    text = render_page(Run(tmp_path / "data", tmp_path / "exp"))
+    assert "What the simulation lacked" not in text and "#loop" not in text and "sim.loop" not in text
+
+
+def test_residual_maps_have_the_mean_size_of_every_region_and_band():
+    residual = np.full((2, N_CELLS), np.nan)
+    residual[0, slots("t30")] = 3.0
+    residual[1, slots("late")] = -1.0
+    residual[1, slots("drr")] = 2.0
+    found = residual_sizes(residual)
+    late, direct = REGIONS.index("late"), REGIONS.index("direct")
+    np.testing.assert_array_equal(found[late, :8], 2.0)
+    assert found[direct, 8] == 2.0 and np.isfinite(found).sum() == 9
 
 
 def test_same_run_gives_same_bytes(made):

@@ -14,7 +14,7 @@ from roomeq.sim.mesh import load_mesh
 from roomeq.sim.meshfile import read_triangles
 from roomeq.sim.response import simulate_rir
 from roomeq.sim.scene import Shoebox
-from roomeq.sim.simulate import simulate
+from roomeq.simulate import simulate
 from test_sim_mesh import box_plan, prism_obj
 
 PUBLISHED = {"center_freqs": [125, 250, 500, 1000, 2000, 4000, 8000],

@@ -21,6 +21,8 @@ sys.path.insert(0, str(LOCAL))
 import make_standin_rirs  # noqa: E402
 import make_standin_speech  # noqa: E402
 import standin_acoustics as acoustics  # noqa: E402
+from roomeq.corpora import read_measured  # noqa: E402
+from roomeq.rirs import read_rirs  # noqa: E402
 
 SMALL = {"speech": ["--utterances", "32"],
          "rirs": ["--rooms", "3", "--mics", "2", "--speakers", "1", "--silence-s", "1"]}
@@ -325,10 +327,10 @@ def decay_time_s(response, centre_hz):
     return -60 / np.polyfit(chosen / 16000, level_db[chosen], 1)[0]
 
 
-def render(room, source_m, mics_m):
+def render(room, source_m, mics_m, model=0):
     rngs = [np.random.default_rng(k) for k in range(len(mics_m))]
     return acoustics.impulse_responses(room, source_m, mics_m, np.array([1.0, 0, 0]),
-                                       np.full(len(mics_m), 712.0), rngs)
+                                       np.full(len(mics_m), 712.0), rngs, model)
 
 
 @pytest.mark.parametrize("octave", [1, 2, 3, 4, 5, 6])
@@ -368,6 +370,34 @@ def test_loudspeaker_is_audible_in_every_room(room, positions):
     assert level_db(170, 0.4) - level_db(40, 0.4) > 8  # high-pass at 80 Hz and resonance at 170 Hz
     assert level_db(2700, 0.3) - level_db(1300, 0.3) > 1.5  # resonance at 2.7 kHz
     assert level_db(1300, 0.3) - level_db(7500, 0.2) > 2  # roll-off
+
+
+def test_nothing_comes_ahead_of_the_direct_sound(room, positions):
+    for response in render(room, *positions):
+        smooth = np.convolve(response, np.hanning(18) / 8.5, "same")  # what rings at half the rate comes from shifting
+        assert np.abs(smooth[:712 - 48]).max() < 1e-3 * np.abs(smooth).max()
+
+
+def test_loudspeakers_differ_by_their_responses_alone(room, positions):
+    one, other = (np.fft.rfft(render(room, *positions, model), 32768)[:, 200:15000] for model in (0, 1))
+    frequency_hz = acoustics.FREQS_HZ[200:15000]
+    gain_db = 20 * np.log10(np.abs(acoustics.loudspeaker(frequency_hz, 1) / acoustics.loudspeaker(frequency_hz, 0)))
+    found_db = 20 * np.log10(np.median(np.abs(other / one), axis=0))
+    assert np.ptp(gain_db) > 8
+    assert np.percentile(np.abs(found_db - gain_db), 95) < 0.5  # cut off at 1 s
+    speakers = {session.speaker: session.model for session in make_standin_rirs.sessions(
+        make_standin_rirs.Corpus(9, 6, 6, 10, 0)).values()}
+    assert speakers == {1: 0, 2: 1, 3: 0, 4: 1, 5: 0, 6: 1}
+
+
+def test_the_loop_is_told_where_everything_stands_but_nothing_of_what_it_is_to_find(rirs):
+    read_measured(rirs, rirs.parent / "measured")
+    rows = read_rirs(rirs.parent / "measured")
+    assert all(None not in (*row["room_dims_m"], *row["source_pos_m"], *row["mic_pos_m"]) for row in rows)
+    assert not any(row.get("source_dir") for row in rows) and {row["source_id"] for row in rows} == {"SpkID01"}
+    imports = {line for path in (LOCAL / "standin_acoustics.py", LOCAL / "make_standin_rirs.py")
+               for line in path.read_text().splitlines() if "roomeq" in line and "import" in line}
+    assert all(line.split()[1] in ("roomeq.audio", "roomeq.build", "roomeq.files", "roomeq.rng") for line in imports)
 
 
 def test_loudspeaker_beams(room):

@@ -152,7 +152,7 @@ def _rir_verbs(verbs) -> None:
      .argument("--split-by", choices=("rir", "room"), default="rir", help="room: no room is in two sets")
      .argument("--sizes", type=integers, default=(773, 194, 242), help="proportions, where there are fewer RIRs")
      .seed())
-    (Verb(verbs, "simulate", "sim.simulate", "Simulate one RIR per measured one, with T60 drawn at random.",
+    (Verb(verbs, "simulate", "simulate", "Simulate one RIR per measured one, with T60 drawn at random.",
           "data/rirs.real.train data/rirs.sim.train")
      .argument("measured_dir", help="RIR directory that rooms, sources and microphones come from")
      .argument("out", help="RIR directory to make")
@@ -163,12 +163,13 @@ def _rir_verbs(verbs) -> None:
      .argument("--ism-order", type=integer, default=6, help="specular reflections by exact image sources")
      .argument("--noise-rirs", type=integer, default=1, help="RIRs of noise sources, per RIR")
      .argument("--materials", help="TOML file of materials, instead of conf/materials.toml")
+     .argument("--model", help="model.json of roomeq close-loop: effects that the simulator lacks otherwise")
      .argument("--diffraction", action=argparse.BooleanOptionalAction, default=True,
                help="let sound come around the edges of meshes")
      .seed().jobs())
-    (Verb(verbs, "validate", "validate", "Say whether an RIR or data directory keeps its contract.",
-          "data/rirs.sim.train data/train.sim.rvb")
-     .argument("directories", nargs="+", help="RIR directories or Kaldi data directories"))
+    (Verb(verbs, "validate", "validate", "Say whether directories keep their contracts.",
+          "data/rirs.sim.train exp/loop data/train.sim.rvb")
+     .argument("directories", nargs="+", help="RIR directories, Kaldi data directories, or what close-loop made"))
 
 
 def _eq_verbs(verbs) -> None:
@@ -223,7 +224,7 @@ def _speech_verbs(verbs) -> None:
     (Verb(verbs, "report", "report", "Make one self-contained HTML page of a run.", "data exp exp/report",
           function="make_report")
      .argument("data_dir", help="where stages 0-6 wrote")
-     .argument("exp_dir", help="where stage 3 wrote eq")
+     .argument("exp_dir", help="where stages 3 and 5 wrote eq and loop")
      .argument("out", help="directory to make; it gets index.html"))
 
 

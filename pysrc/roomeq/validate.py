@@ -13,7 +13,7 @@ CONTRACTS = ((ROWS_FILE, validate_rirs, "RIRs"), ("wav.scp", validate_data_dir, 
 
 
 def validate(directories: list[Path]) -> None:
-    """Check RIR directories, directories of noises and Kaldi data directories whole; print one line for each.
+    """Check directories of RIRs, of noises, of the loop and of Kaldi data whole; print one line for each.
 
     Parameters
     ----------
@@ -30,9 +30,17 @@ def validate(directories: list[Path]) -> None:
                 print(f"{directory}: {check(directory)} {counted}, all well")
                 break
         else:
-            raise ValueError(f"{directory}: neither an RIR directory ({ROWS_FILE}), nor one of noises ({NOISES_FILE}), "
-                             "nor a data directory (wav.scp): check the path")
+            _validate_loop(directory)
         check_stamp(directory)
+
+
+def _validate_loop(directory: Path) -> None:
+    from roomeq.loop.check import LEDGER_FILE, validate_loop  # takes a second that nothing else needs
+
+    if not (directory / LEDGER_FILE).is_file():
+        raise ValueError(f"{directory}: neither an RIR directory ({ROWS_FILE}), nor one of noises ({NOISES_FILE}), nor "
+                         f"a data directory (wav.scp), nor one of the loop ({LEDGER_FILE}): check the path")
+    print(f"{directory}: {validate_loop(directory)} effects found, all well")
 
 
 def check_stamp(directory: Path) -> None:

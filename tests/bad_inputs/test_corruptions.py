@@ -8,12 +8,14 @@ import pytest
 from running import call
 from wrong import audio, patch, remove, reorder
 
+from loop_run import make_loop
 from roomeq.rng import rng_for
 
 MADE = {  # a directory of each kind that `validate` knows, by the command that makes it
     "rirs": ["compensate", "measured", "eq"],
     "rirs that refer to audio": ["characterise", "measured"],
     "speech": ["augment", "speech", "rirs"],
+    "loop": [],
 }
 
 
@@ -24,7 +26,10 @@ def made(request, worlds, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(worlds)
         out = root / "made"
-        assert call([*MADE[request.param], str(out)])[0] == 0
+        if request.param == "loop":
+            make_loop(out)
+        else:
+            assert call([*MADE[request.param], str(out)])[0] == 0
     assert call(["validate", str(out)]) == (0, "")
     return out
 
@@ -242,3 +247,84 @@ def test_a_broken_data_directory_is_found_without_a_stamp(seed, worlds, tmp_path
     status, said = call(["validate", "segmented"])
     assert status == 1 and said.startswith("roomeq: segmented") and said.count("\n") == 1
     assert "internal error" not in said
+
+
+def ledger(change):
+    """Edit the parsed ledger."""
+    def edit(rng, root):
+        path = root / "loop/ledger.json"
+        content = json.loads(path.read_text())
+        change(rng, content)
+        path.write_text(json.dumps(content))
+    return edit
+
+
+def without_a_part(rng, content):
+    place = [content, content["baseline"]["rooms"], content["iterations"][0], content["iterations"][0]["ranking"][1],
+             content["unexplained_all"][0], content["judge"]["after"]][rng.integers(6)]
+    place.pop(rng.choice([key for key in place if key not in ("judge", "cannot_tell", "would_tell")]))
+
+
+def with_a_wrong_error(rng, content):
+    entry = content[rng.choice(["baseline", "final"])][rng.choice(["positions", "rooms"])]
+    entry[rng.choice(["error", "ci", "by_metric", "by_band"])] = [None, "3", -1.0, 99.0, {"gnomes": 1.0}][
+        rng.integers(5)]
+
+
+def of_another_effect(rng, content):
+    content["iterations"][rng.integers(2)]["effect"] = rng.choice(["gnomes", "noise_floor"])
+
+
+def in_another_order(rng, content):
+    content["iterations"].reverse()
+
+
+def of_other_rirs(rng, content):
+    content["rirs"] += int(rng.integers(1, 9))
+
+
+def of_other_units(rng, content):
+    content["iterations"][rng.integers(2)]["parameters"]["nowhere"] = {"best": {}}
+
+
+def elsewhere(rng, content):
+    where = content["unexplained_all"][0]
+    where[rng.choice(["metric", "time_region", "varies_with", "bands_hz"])] = "gnomes"
+
+
+def told_twice(rng, content):
+    content["iterations"].append(content["iterations"][0])
+
+
+def cut_residuals(rng, root):
+    path = root / "loop" / rng.choice(["residuals.npz", "examples.npz"])
+    path.write_bytes(path.read_bytes()[:int(rng.uniform(0, 0.95) * path.stat().st_size)])
+
+
+def lost_file(rng, root):
+    remove(f"loop/{rng.choice(['model.json', 'residuals.npz'])}")(root)
+
+
+def other_model(rng, root):
+    path = root / "loop/model.json"
+    content = json.loads(path.read_text())
+    if rng.random() < 0.5:
+        content["effects"].pop()
+    else:
+        content["effects"][0]["of"]["hall"] = {"detour_m": None}
+    path.write_text(json.dumps(content))
+
+
+LOOP_BREAKS = (*map(ledger, (without_a_part, with_a_wrong_error, of_another_effect, in_another_order, of_other_rirs,
+                             of_other_units, elsewhere, told_twice)), cut_residuals, lost_file, other_model)
+
+
+@pytest.mark.parametrize("seed", range(44))
+def test_a_broken_ledger_is_found_without_a_stamp(seed, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    make_loop(tmp_path / "loop")
+    (tmp_path / "loop/.done").unlink()
+    assert call(["validate", "loop"]) == (0, "")
+    LOOP_BREAKS[seed % len(LOOP_BREAKS)](rng_for(seed, "break", "loop"), tmp_path)
+    status, said = call(["validate", "loop"])
+    assert status == 1 and said.startswith("roomeq: loop") and said.count("\n") == 1 and "internal error" not in said

@@ -11,9 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
+from roomeq.effects.base import Rendering
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.files import read_json, write_json
 from roomeq.rng import rng_for
+from roomeq.sim.scene import eyring_time_s
 
 MODEL_FILE = "model.json"
 _KEY = {"source": "source_id", "mic": "mic_id", "room": "room_id", "rir": "id"}
@@ -100,6 +102,52 @@ def path_gain(effects, facing):
     return lambda directions: np.prod([effect.on_paths(directions @ facing) for effect in turned], axis=0)
 
 
+def names_of(effects, gain):
+    """Names of the effects that act; those on paths do not where `path_gain` is None."""
+    return [effect.NAME for effect in effects if gain is not None or effect.on_paths(np.ones(1)) is None]
+
+
+def direct_gain(scene, source_pos_m, mic_pos_m, gain=None):
+    """Pressure of the direct sound of a free path, ``1 / (4 pi r)`` less air, shape (8,).
+
+    Parameters
+    ----------
+    scene : roomeq.sim.scene.Scene
+    source_pos_m, mic_pos_m : array_like, shape (3,)
+    gain : callable, optional
+        From `path_gain`.
+    """
+    path_m = np.subtract(mic_pos_m, source_pos_m)
+    distance_m = np.linalg.norm(path_m)
+    pressure = np.exp(-0.5 * distance_m * np.asarray(scene.air.attenuation_per_m)) / (4.0 * np.pi * distance_m)
+    return pressure if gain is None else pressure * np.sqrt(gain((path_m / distance_m)[None])[0])
+
+
+def behind_rendering(effects, rir, scene, source_pos_m, mic_pos_m, direct, rng):
+    """A rendered RIR with the effects that act on it as a whole.
+
+    Parameters
+    ----------
+    effects : list of Effect
+    rir : ndarray, shape (n_samples,)
+    scene : roomeq.sim.scene.Scene
+        With the absorption that was rendered.
+    source_pos_m, mic_pos_m : tuple of 3 floats
+    direct : ndarray, shape (8,)
+        Pressure of the direct sound; 0 where it is obstructed.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    ndarray
+        Effects that ring on make it longer.
+    """
+    rendering = Rendering(scene, source_pos_m, mic_pos_m, direct, eyring_time_s(scene), rng)
+    for effect in effects:
+        rir = effect.on_rir(rir, rendering)
+    return rir
+
+
 def write_model(path, model):
     """Write a model file."""
     write_json(path, dict(effects=[dict(
@@ -159,5 +207,3 @@ def _parameters(what, effect, given):
 
 def _is_number(value):
     return isinstance(value, (int, float)) and not isinstance(value, bool) and np.isfinite(value)
-
-

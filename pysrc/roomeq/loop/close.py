@@ -12,6 +12,7 @@ from roomeq.effects.model import MODEL_FILE, Extension, Model, write_model
 from roomeq.files import write_json
 from roomeq.loop.attribute import MIN_ROOMS, choose, one_sided_p, rank
 from roomeq.loop.data import load_data
+from roomeq.loop.examples import EXAMPLES_FILE, write_examples
 from roomeq.loop.heldout import Errors, heldout_errors
 from roomeq.loop.judge import judge_errors
 from roomeq.loop.ledger import LEDGER_FILE, iteration_entry, summary_of, values_of
@@ -65,11 +66,12 @@ def close_loop(rir_dirs, out, *, judge=(), max_effects=4, seed=0, nj=1):
                          f"at least {MIN_ROOMS} rooms or conditions (room_id)")
     ledger = {}
     if build.run({"loop": None}, lambda _, __: {}):
-        build.finish(lambda directory, _: ledger.update(_run(data, directory, judge, max_effects, seed, nj)))
+        build.finish(lambda directory, _: ledger.update(_run(data, directories, directory, judge, max_effects, seed,
+                                                               nj)))
     return ledger
 
 
-def _run(data, work, judge, max_effects, seed, nj):
+def _run(data, directories, work, judge, max_effects, seed, nj):
     """The loop itself; writes its files below `work` and returns the ledger."""
     start = time.monotonic()
     session = begin(data, seed=seed, nj=nj)
@@ -102,6 +104,7 @@ def _run(data, work, judge, max_effects, seed, nj):
     write_json(work / LEDGER_FILE, ledger)
     write_model(work / MODEL_FILE, model_of(session))
     np.savez_compressed(work / "residuals.npz", before=first.residual, after=session.residual)
+    write_examples(work / EXAMPLES_FILE, directories, first, session)
     return ledger
 
 

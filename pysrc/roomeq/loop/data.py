@@ -1,6 +1,7 @@
 """Measured RIRs as the loop sees them: their cells, who recorded them where, and what rays bring there."""
 
 import logging
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -34,7 +35,7 @@ class Data:
     cells, valid : ndarray, shape (n_rirs, n_cells)
         What was measured, and which of it can be believed (`roomeq.loop.cells`).
     room, chain : ndarray of int, shape (n_rirs,)
-        Number of the room, and of the combination of room, source and microphone.
+        Number of the room, and of the combination of room, source and microphone that has a gain (`_chains`).
     room_names : list of str
     traced : list of TracedSource
         Of each RIR; shared by the RIRs of one source.
@@ -168,7 +169,8 @@ def _measure(directory, row, place):
 def _traced(found, cells, scattering, seed):
     rows, places = [one[3] for one in found], [one[4] for one in found]
     room_names = sorted({row["room_id"] for row in rows})
-    chains = sorted({(row["room_id"], row["source_id"], row["mic_id"]) for row in rows})
+    by_chain = _chains(rows)
+    chains = sorted(set(by_chain))
     by_source = {}
     for n, (row, place) in enumerate(zip(rows, places, strict=True)):
         by_source.setdefault((row["room_id"], place.source_pos_m), []).append(n)
@@ -187,11 +189,21 @@ def _traced(found, cells, scattering, seed):
     return Data(rows=rows, places=places, cells=np.array([one.values for one in cells]),
                 valid=np.array([one.valid for one in cells]),
                 room=np.array([room_names.index(row["room_id"]) for row in rows]),
-                chain=np.array([chains.index((row["room_id"], row["source_id"], row["mic_id"])) for row in rows]),
+                chain=np.array([chains.index(chain) for chain in by_chain]),
                 room_names=room_names, traced=traced, tables=tables,
                 air_per_m=np.array([air.attenuation_per_m for air in airs]),
                 speed_m_s=np.array([air.speed_m_s for air in airs]),
                 distance_m=np.array([table.distance_m for table in tables]), shifts={})
+
+
+def _chains(rows):
+    """What shares a gain: room, source and microphone; the room where that is a single RIR.
+
+    Some corpora number places instead of devices. A gain of each RIR's own would be unknown whenever it is left out.
+    """
+    full = [(row["room_id"], row["source_id"], row["mic_id"]) for row in rows]
+    count = Counter(full)
+    return [chain if count[chain] > 1 else (chain[0], "", "") for chain in full]
 
 
 def _facing(row):

@@ -6,13 +6,12 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from roomeq.constants import FS_HZ
-from roomeq.effects.base import Rendering
-from roomeq.effects.model import extend_scene, path_gain
+from roomeq.effects.model import behind_rendering, direct_gain, extend_scene, path_gain
 from roomeq.loop.cells import measure_cells
 from roomeq.loop.tables import level_slots
 from roomeq.rng import rng_for
 from roomeq.sim.response import render_responses
-from roomeq.sim.scene import eyring_time_s, with_absorption
+from roomeq.sim.scene import with_absorption
 
 
 @dataclass(frozen=True)
@@ -63,23 +62,15 @@ def _render_one(data, n, alpha, effects, seed):
     gain = path_gain(effects, row.get("source_dir"))
     (response,) = render_responses(replace(traced, scene=scene), [place.mic_pos_m],
                                    [rng_for(seed, "loop tail", row["id"])], absorption=surfaces, path_gain=gain)
-    distance_m = data.distance_m[n]
-    direct = np.exp(-0.5 * distance_m * np.asarray(scene.air.attenuation_per_m)) / (4.0 * np.pi * distance_m)
-    if gain is not None:
-        toward = np.subtract(place.mic_pos_m, place.source_pos_m) / distance_m
-        direct = direct * np.sqrt(gain(toward[None])[0])
+    direct = direct_gain(scene, place.source_pos_m, place.mic_pos_m, gain)
     return Raw(response.rir, with_absorption(scene, surfaces), direct * response.direct_visible)
 
 
 def finished(data, n, raw, effects, seed):
     """The RIR of one row with all its effects."""
     place = data.places[n]
-    rendering = Rendering(raw.scene, place.source_pos_m, place.mic_pos_m, raw.direct_gain, eyring_time_s(raw.scene),
-                          rng_for(seed, "loop effects", data.rows[n]["id"]))
-    rir = raw.rir
-    for effect in effects:
-        rir = effect.on_rir(rir, rendering)
-    return rir
+    return behind_rendering(effects, raw.rir, raw.scene, place.source_pos_m, place.mic_pos_m, raw.direct_gain,
+                            rng_for(seed, "loop effects", data.rows[n]["id"]))
 
 
 def rendered_cells(data, raws, effects, *, seed, nj=1, rows=None):

@@ -13,10 +13,18 @@ from roomeq.rirs import ROWS_FILE, load_rir, read_rirs
 from roomeq.wavscp import parse_entry
 
 STAGES = (("rirs.real", 1, "characterise and split-rirs"), ("rirs.sim.EQ", 4, "compensate"),
+          ("rirs.sim.loop", 5, "simulate --model"), ("loop", 5, "close-loop"),
           ("rirs.sim", 2, "simulate"), ("eq", 3, "fit-eq"), ("measured", 0, "read-measured"))
 """Beginning of a directory's name, the stage that makes it and its verb."""
 
+IN_EXP = ("eq", "loop")
+"""Directories that lie in `exp_dir`."""
+
 SETS = ("train", "dev", "test")
+
+
+ALL_KINDS = ("real", "sim", "sim.EQ", "sim.loop")
+"""Of RIRs and of data made with them, as directories are named."""
 
 
 def maker(name: str) -> str:
@@ -49,7 +57,7 @@ class Run:
 
     def path(self, name: str) -> Path:
         """Return the path of a directory, which may not exist."""
-        return (self.exp_dir if name == "eq" else self.data_dir) / name
+        return (self.exp_dir if name in IN_EXP else self.data_dir) / name
 
     def has(self, name: str) -> bool:
         """Tell whether a directory is there."""
@@ -65,7 +73,7 @@ class Run:
         """
         path = self.path(name) / file if file else self.path(name)
         if not path.exists():
-            folder = "exp" if name == "eq" else "data"
+            folder = "exp" if name in IN_EXP else "data"
             raise Missing("/".join(part for part in (folder, name, file) if part), maker(name))
         return path
 
@@ -93,8 +101,8 @@ class Run:
     def names(self) -> list[str]:
         """Names of the directories that are there and the report reads."""
         wanted = ["measured", *(f"{x}.clean" for x in SETS), "rirs.real",
-                  *(f"rirs.{kind}.{x}" for kind in ("real", "sim", "sim.EQ") for x in SETS), "eq",
-                  *(f"{x}.{kind}.rvb" for kind in ("real", "sim", "sim.EQ") for x in SETS)]
+                  *(f"rirs.{kind}.{x}" for kind in ALL_KINDS for x in SETS), *IN_EXP,
+                  *(f"{x}.{kind}.rvb" for kind in ALL_KINDS for x in SETS)]
         return [name for name in wanted if self.has(name)]
 
     @cached_property

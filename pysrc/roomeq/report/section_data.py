@@ -9,15 +9,16 @@ from roomeq.constants import BAND_1KHZ, BANDS_HZ
 from roomeq.files import read_json
 from roomeq.passport import SCREENING_FILE
 from roomeq.report.kinds import reverberation_times
-from roomeq.report.load import SETS, Run, corpus_readme, read_numbers, read_pairs
+from roomeq.report.load import IN_EXP, SETS, Run, corpus_readme, read_numbers, read_pairs
 from roomeq.report.page import Html, Missing, hertz, join, number, paragraph, tag
 from roomeq.report.page import table as make_table
 
-KINDS = ("real", "sim", "sim.EQ")
 BOOKKEEPING = ("seed", "ways", "listed")
 """Options in stamps that say nothing to a reader, or have a column of their own."""
 PLANNED = ("train.real", "dev.real", "test.real", "train.sim", "dev.sim", "train.sim.EQ", "dev.sim.EQ")
 """The paper's Table 1, without ``.rvb``."""
+BESIDES = ("train.sim.loop", "dev.sim.loop")
+"""Shown below it, where they are there."""
 
 
 def duration(hours: float) -> str:
@@ -57,7 +58,7 @@ def what_ran(run: Run) -> Html:
         if stamp:
             options = [tag("code", f"{key} = {shown(value)}") for key, value in stamp["options"].items()
                        if key not in BOOKKEEPING and value not in (None, "", [])]
-            folder = "exp" if name == "eq" else "data"
+            folder = "exp" if name in IN_EXP else "data"
             rows.append([tag("code", f"{folder}/{name}"), stamp["step"], shown(stamp["options"].get("seed", "–")),
                          join(options, Html(" ")) or "–"])
     if not rows:
@@ -87,7 +88,7 @@ def shown(value) -> str:
 def datasets(run: Run) -> Html:
     """Return the paper's Table 1 with this run's numbers."""
     rows, missing = [], []
-    for name in PLANNED:
+    for name in [*PLANNED, *(name for name in BESIDES if run.has(f"{name}.rvb"))]:
         directory = f"{name}.rvb"
         if not run.has(directory):
             missing.append(directory)
@@ -103,7 +104,9 @@ def datasets(run: Run) -> Html:
         raise Missing("any data/*.rvb", "stage 6 (roomeq augment)")
     parts = [
         paragraph("Clean speech made far-field with measured RIRs (", tag("code", "real"), "), simulated ones (",
-                  tag("code", "sim"), ") and simulated ones with corrected EQ (", tag("code", "sim.EQ"), "). ",
+                  tag("code", "sim"), ") and simulated ones with corrected EQ (", tag("code", "sim.EQ"), ")",
+                  join([" or with the effects that the closed loop found (", tag("code", "sim.loop"), ")"])
+                  if any(run.has(f"{name}.rvb") for name in BESIDES) else "", ". ",
                   "Each data set lasts as long as its clean source, to the sample."),
         make_table("table-datasets", "Paper's Table 1, with the counts of this run",
                    ["Augmented dataset", "Hours", "Utterances", "RIRs", "of them used", "Source"], rows, (0, 5))]
@@ -222,7 +225,7 @@ def amounts(run: Run) -> list[tuple[str, str]]:
     simulated = [len(run.rirs(f"rirs.sim.{x}")) for x in SETS if run.has(f"rirs.sim.{x}")]
     if simulated:
         cards.append(("simulated RIRs", f"{sum(simulated):,}"))
-    sizes = [size(run, f"{name}.rvb") for name in PLANNED if run.has(f"{name}.rvb")]
+    sizes = [size(run, f"{name}.rvb") for name in (*PLANNED, *BESIDES) if run.has(f"{name}.rvb")]
     if sizes:
         cards.append((f"far-field speech in {len(sizes)} data sets", duration(sum(hours for hours, _ in sizes))))
     return cards

@@ -8,17 +8,18 @@ import soundfile
 from roomeq.constants import FS_HZ
 from roomeq.datadir import DataDir, read_data_dir, read_utterance
 from roomeq.report import figures
-from roomeq.report.load import SETS, Run, read_numbers, read_pairs
+from roomeq.report.load import ALL_KINDS, SETS, Run, read_numbers, read_pairs
 from roomeq.report.page import Html, Missing, data_uri, figure, join, paragraph, tag
-from roomeq.report.section_data import KINDS, standins
+from roomeq.report.section_data import standins
 
 CLIP_S = 4.0
 CLIPS = (("clean", "Clean", "the utterance as it was spoken into a close microphone"),
          ("sim", "Simulated", "far-field with a simulated RIR"),
          ("sim.EQ", "Simulated + EQ", "the same simulated RIR after compensation"),
+         ("sim.loop", "Simulated + loop", "the same place, simulated with the effects that the closed loop found"),
          ("real", "Measured", "far-field with a measured RIR"))
-COLOURS = {"clean": "clean", "sim": "simulated", "sim.EQ": "compensated", "real": "measured"}
-NAMES = {"real": "measured", "sim": "simulated", "sim.EQ": "simulated + EQ"}
+COLOURS = {"clean": "clean", "sim": "simulated", "sim.EQ": "compensated", "sim.loop": "drawn", "real": "measured"}
+NAMES = {"real": "measured", "sim": "simulated", "sim.EQ": "simulated + EQ", "sim.loop": "simulated + loop"}
 
 
 def noise(run: Run) -> Html:
@@ -34,7 +35,7 @@ def noise(run: Run) -> Html:
             panels.append(figures.panel(f"figure-snr-{x}", draw,
                                         f"SNR of the {x} sets: {values.min():.0f} to {values.max():.0f} dB",
                                         figures.SMALL_IN))
-    if not panels and any(run.has(f"{x}.{kind}.rvb") for x in SETS for kind in KINDS):
+    if not panels and any(run.has(f"{x}.{kind}.rvb") for x in SETS for kind in ALL_KINDS):
         return paragraph("No noise was given, and none was added.")
     if not panels:
         raise Missing("utt2snr of any data/*.rvb", "stage 6 (roomeq augment)")
@@ -48,7 +49,7 @@ def noise(run: Run) -> Html:
 def snr_groups(run: Run, split: str) -> list[tuple[str, str, np.ndarray]]:
     """Return name, colour and finite SNRs of a split's sets; sets with the same SNRs are one group."""
     kinds: dict[tuple, list[str]] = {}
-    for kind in KINDS:
+    for kind in ALL_KINDS:
         snrs = read_numbers(run.path(f"{split}.{kind}.rvb") / "utt2snr")
         finite = tuple(snr for snr in snrs.values() if np.isfinite(snr))
         if finite:
@@ -59,17 +60,18 @@ def snr_groups(run: Run, split: str) -> list[tuple[str, str, np.ndarray]]:
 
 def listen(run: Run) -> Html:
     """Return the same utterance clean and far-field, to be played."""
+    clips = [clip for clip in CLIPS if clip[0] != "sim.loop" or run.has("loop")]
     for x in ("test", "dev", "train"):
-        directories = {kind: f"{x}.clean" if kind == "clean" else f"{x}.{kind}.rvb" for kind, *_ in CLIPS}
+        directories = {kind: f"{x}.clean" if kind == "clean" else f"{x}.{kind}.rvb" for kind, *_ in clips}
         there = {kind: name for kind, name in directories.items() if run.has(name)}
-        if len(there) == len(CLIPS) or (x == "train" and "clean" in there and len(there) > 1):
+        if len(there) == len(clips) or (x == "train" and "clean" in there and len(there) > 1):
             break
     else:
         raise Missing("data/train.clean with its data/train.*.rvb", "stage 6 (roomeq augment)")
     data = {kind: read_data_dir(run.path(name)) for kind, name in there.items()}
     chosen = choose(data["clean"], [originals(one) for kind, one in data.items() if kind != "clean"])
     items = []
-    for kind, title, what in CLIPS:
+    for kind, title, what in clips:
         if kind in data:
             utterance = chosen if kind == "clean" else originals(data[kind])[chosen]
             items.append(clip(kind, title, what, data[kind], utterance))

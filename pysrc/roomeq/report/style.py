@@ -62,7 +62,7 @@ tbody th{{font-weight:500;padding-left:0}} thead th:first-child{{padding-left:0}
 tbody tr:hover{{background:var(--wash)}}
 .key{{display:inline-block;width:.75em;height:.75em;border-radius:.2em;margin-right:.45em;vertical-align:-.05em}}
 .measured{{background:var(--measured)}} .simulated{{background:var(--simulated)}}
-.compensated{{background:var(--compensated)}} .clean{{background:var(--extra)}}
+.compensated{{background:var(--compensated)}} .drawn{{background:var(--drawn)}} .clean{{background:var(--extra)}}
 .clips{{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,24rem),1fr));gap:.8rem;padding:0;
  max-width:none;list-style:none}}
 .clips li{{background:var(--wash);border-radius:.6rem;padding:.7rem .9rem;margin:0}}

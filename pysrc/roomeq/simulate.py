@@ -11,6 +11,7 @@ from roomeq.acoustics.passport import measure
 from roomeq.audio import write_wav
 from roomeq.build import Build
 from roomeq.constants import FS_HZ
+from roomeq.effects.model import Model, behind_rendering, direct_gain, extend_scene, names_of, path_gain, read_model
 from roomeq.rirs import read_rirs, validate_rirs, write_rirs
 from roomeq.rng import rng_for
 from roomeq.sim.echoes import keep_echoes, middle
@@ -30,7 +31,7 @@ from roomeq.sim.response import (
     render_to_target,
     trace_source,
 )
-from roomeq.sim.scene import MIN_DISTANCE_M, Air, Material, Scene
+from roomeq.sim.scene import MIN_DISTANCE_M, Air, Material, Scene, with_absorption
 from roomeq.sim.target import scaled_absorption
 
 logger = logging.getLogger(__name__)
@@ -43,11 +44,15 @@ _KEPT = ("room_id", "source_id", "mic_id", "source_dir", "mic_dir", "room_type",
 
 
 def simulate(measured_dir, out, *, t60_range_s=(0.2, 2.0), num_rays=NUM_RAYS, ism_order=ISM_ORDER, order=ORDER,
-             noise_rirs=1, materials=None, diffraction=True, seed=0, part=None, nj=1):
+             noise_rirs=1, materials=None, model=None, diffraction=True, seed=0, part=None, nj=1):
     """Simulate one RIR per measured one, from its room, source and microphone.
 
     Materials are drawn per RIR and scaled until T30 at 1 kHz of the rendered RIR meets a target drawn uniformly;
     RIRs of noise sources elsewhere in the room share microphone and materials.
+
+    A model's effects act on all RIRs, those of its loudspeakers not on noise sources. `t30_s` of a row is what meets
+    the target: that of the rendering, before effects that act behind it (filters, a second decay, noise). The
+    passport is that of the RIR as written, with all of them.
 
     Parameters
     ----------
@@ -69,6 +74,8 @@ def simulate(measured_dir, out, *, t60_range_s=(0.2, 2.0), num_rays=NUM_RAYS, is
         RIRs from noise sources for each RIR.
     materials : Path, optional
         Table of materials; default ``conf/materials.toml``.
+    model : Path, optional
+        Effects that the simulator lacks otherwise, as `roomeq close-loop` found them (`roomeq.effects.model`).
     diffraction : bool
         Whether sound comes around the edges of meshes.
     seed : int
@@ -80,24 +87,26 @@ def simulate(measured_dir, out, *, t60_range_s=(0.2, 2.0), num_rays=NUM_RAYS, is
     Raises
     ------
     ValueError
-        An option is out of range, a position lies outside its room, or a target cannot be met.
+        An option is out of range, a position lies outside its room, the model is none, or a target cannot be met.
     """
     _check_options(t60_range_s, num_rays, ism_order, order, noise_rirs)
     measured_dir = Path(measured_dir)
     table = read_materials(materials)
+    effects = Model() if model is None else read_model(model)
     rows = read_rirs(measured_dir)
     groups = _group(rows, measured_dir, seed)
     low_s, high_s = (float(value) for value in t60_range_s)
     options = dict(t60_range_s=[low_s, high_s], num_rays=num_rays, ism_order=ism_order, order=order,
                    noise_rirs=noise_rirs, diffraction=bool(diffraction), seed=seed)
     meshes = sorted({measured_dir / row["mesh"] for row in rows if row.get("mesh")})
+    models = [Path(model)] if model else []
     build = Build(out, step="simulate", options=options,
-                  inputs=[measured_dir, Path(materials or DEFAULT_TABLE), *meshes, *_published(rows)])
+                  inputs=[measured_dir, Path(materials or DEFAULT_TABLE), *meshes, *_published(rows), *models])
     if build.done:
         return
 
     def one(_, group):
-        return _simulate_group(build.work, group, table, options)
+        return _simulate_group(build.work, group, table, effects, options)
 
     def assemble(directory, records):
         write_rirs(directory, [row for record in records for row in record], final_directory=build.out)
@@ -156,33 +165,40 @@ def _air(row):
     return Air(**known)
 
 
-def _simulate_group(work, group, table, options):
+def _simulate_group(work, group, table, model, options):
     """Simulate the rows of one source; return their records."""
     first_row, first_place = group[0]
     room, air, seed = first_place.room, _air(first_row), options["seed"]
+    effects = [model.for_row(row, seed) for row, _ in group]
     try:
         given = given_surfaces(table, room, first_row.get("materials"))
     except ValueError as error:
         raise ValueError(f"RIR {first_row['id']}: {error}") from None
     scattering = draw_scattering(table, room, rng_for(seed, "scattering", first_row["room_id"]), given)
-    traces = _Traces(room, scattering, air, first_row["room_id"], options)
-    drawn = [_draw_row(row, room, scattering, air, table, given, options) for row, _ in group]
+    traces = _Traces(room, scattering, air, _of_room(effects[0]), first_row["room_id"], options)
+    drawn = [_draw_row(row, traces, table, given, options) for row, _ in group]
     traces.length_s = max(length_s for *_, length_s in drawn)
     echoes = traces.echoes(first_place.source_pos_m, traces.length_s, [row["id"] for row, _ in group],
                            [place.mic_pos_m for _, place in group],
                            [_at_target(scene, target_s) for _, scene, target_s, _ in drawn])
-    made = [_simulate_row(row, place, traces, table, given, *what, one, options)
-            for (row, place), what, one in zip(group, drawn, echoes, strict=True)]
+    made = [_simulate_row(row, place, traces, table, given, *what, one, known, options)
+            for (row, place), what, one, known in zip(group, drawn, echoes, effects, strict=True)]
     noises = _noise_responses(group, made, traces, options)
     records = []
-    for (row, _), one, others in zip(group, made, noises, strict=True):
-        records.append(_write(work, row, one, one.response, one.target_s, seed))
+    for (row, _), one, known, others in zip(group, made, effects, noises, strict=True):
+        records.append(_write(work, row, one, known, air, seed))
         for n, (source, noise) in enumerate(others, start=1):
             source_id = f"noise-{source[0]}-{source[1]}-{source[2]}"
             noise_row = row | dict(id=f"{row['id']}-noise{n}", source_id=source_id, source_dir=None)
-            moved = replace(one, place=replace(one.place, source_pos_m=tuple(source)))
-            records.append(_write(work, noise_row, moved, noise, None, seed, noise_for=row["id"]))
+            moved = replace(one, place=replace(one.place, source_pos_m=tuple(source)), response=noise, target_s=None)
+            heard = [effect for effect in known if effect.SCOPE != "source"]
+            records.append(_write(work, noise_row, moved, heard, air, seed, noise_for=row["id"]))
     return records
+
+
+def _of_room(effects):
+    """The effects that all RIRs of a room share."""
+    return [effect for effect in effects if effect.SCOPE in ("all", "room")]
 
 
 @dataclass(frozen=True)
@@ -205,8 +221,8 @@ def _at_target(scene, target_s):
 class _Traces:
     """Traced sources of one room, each made when first asked for."""
 
-    def __init__(self, room, scattering, air, room_id, options):
-        self.room, self.scattering, self.air, self.room_id = room, scattering, air, room_id
+    def __init__(self, room, scattering, air, effects, room_id, options):
+        self.room, self.scattering, self.air, self.effects, self.room_id = room, scattering, air, effects, room_id
         self.options, self.length_s = options, 0.0
         self._known = {}
 
@@ -215,8 +231,9 @@ class _Traces:
         length_s = max(length_s, self.length_s)
         key = (*source_pos_m, length_s)
         if key not in self._known:
-            scene = Scene(self.room, [Material(slot, 0.0, tuple(row)) for slot, row in
-                                      zip(self.room.slots, self.scattering, strict=True)], self.air)
+            scene = extend_scene(self.effects, Scene(self.room, [
+                Material(slot, 0.0, tuple(row)) for slot, row in zip(self.room.slots, self.scattering, strict=True)],
+                self.air))
             rng = rng_for(self.options["seed"], "trace", repr((self.room_id, tuple(source_pos_m))))
             self._known[key] = trace_source(scene, source_pos_m, num_rays=self.options["num_rays"],
                                             max_length_s=length_s, rng=rng)
@@ -230,21 +247,27 @@ class _Traces:
         return keep_echoes(traced, mics_m, middle(np.array(absorptions)), rngs, ism_order=self.options["ism_order"],
                            n_frames=[int(np.ceil(min(one_s, traced.max_length_s) / FRAME_S)) for one_s in lengths_s])
 
+    def drawn(self, table, target_s, rng, given):
+        """The room with materials drawn."""
+        return extend_scene(self.effects, draw_materials(table, self.room, self.scattering, self.air, target_s, rng,
+                                                         given))
 
-def _draw_row(row, room, scattering, air, table, given, options):
+
+def _draw_row(row, traces, table, given, options):
     """Draw what a row is to sound like: (rng for more materials, scene, target or None, length)."""
     seed = options["seed"]
     target_s = float(rng_for(seed, "t60", row["id"]).uniform(*options["t60_range_s"]))
     rng = rng_for(seed, "materials", row["id"])
-    scene = draw_materials(table, room, scattering, air, target_s, rng, given)
+    scene = traces.drawn(table, target_s, rng, given)
     if row.get("materials"):  # a row that says what it is made of may say how it sounds: null, as it is
         target_s = row.get("target_t60_s", target_s)
     return rng, scene, target_s, needed_length_s(scene, target_s, options["order"])
 
 
-def _simulate_row(row, place, traces, table, given, rng, scene, target_s, length_s, echoes, options):
+def _simulate_row(row, place, traces, table, given, rng, scene, target_s, length_s, echoes, effects, options):
     """Render one row, with other materials or another target where it cannot be met."""
-    how = dict(ism_order=options["ism_order"], diffraction=options["diffraction"])
+    how = dict(ism_order=options["ism_order"], diffraction=options["diffraction"],
+               path_gain=path_gain(effects, row.get("source_dir")))
     for draw in range(1, MATERIAL_DRAWS * TARGET_DRAWS + 1):
         try:
             sampled = length_s <= traces.length_s  # else the rays are followed further, for this row alone
@@ -258,7 +281,7 @@ def _simulate_row(row, place, traces, table, given, rng, scene, target_s, length
             if draw % MATERIAL_DRAWS == 0:  # this room, at this distance, cannot sound like that
                 logger.info("%s: %s; drawing another target", row["id"], error)
                 target_s = float(rng.uniform(*options["t60_range_s"]))
-            scene = draw_materials(table, place.room, traces.scattering, traces.air, target_s, rng, given)
+            scene = traces.drawn(table, target_s, rng, given)
             length_s = needed_length_s(scene, target_s, options["order"])
     if draw > MATERIAL_DRAWS:
         place = replace(place, drawn=(*place.drawn, "target_t60_s again"))
@@ -302,11 +325,15 @@ def _noise_sources(place, row, seed, count):
     return (clear if len(clear) >= count else by_distance)[:count]
 
 
-def _write(work, row, one, response, target_s, seed, noise_for=None):
-    """Write one response below `work` and return its row."""
-    place, scene = one.place, one.scene
+def _write(work, row, one, effects, air, seed, noise_for=None):
+    """Write one response with its effects below `work` and return its row; `air` is as declared."""
+    place, scene, response = one.place, one.scene, one.response
     name = f"wav/{row['id']}.wav"
-    write_wav(work / name, response.rir)
+    gain = path_gain(effects, row.get("source_dir"))
+    direct = direct_gain(scene, place.source_pos_m, place.mic_pos_m, gain) * response.direct_visible
+    rir = behind_rendering(effects, response.rir, with_absorption(scene, response.absorption), place.source_pos_m,
+                           place.mic_pos_m, direct, rng_for(seed, "effects", row["id"]))
+    write_wav(work / name, rir)
     slots = zip(scene.room.slots, scene.materials, response.absorption, strict=True)
     made = {key: row.get(key) for key in _KEPT if key in row}
     if row.get("mesh"):
@@ -314,14 +341,14 @@ def _write(work, row, one, response, target_s, seed, noise_for=None):
     else:
         made["room_dims_m"] = list(place.room.dims_m)
     return made | dict(
-        id=row["id"], wav=name, fs_hz=FS_HZ, n_samples=len(response.rir),
+        id=row["id"], wav=name, fs_hz=FS_HZ, n_samples=len(rir),
         source_pos_m=list(place.source_pos_m), mic_pos_m=list(place.mic_pos_m), drawn=list(place.drawn),
-        temperature_c=scene.air.temperature_c, humidity_pct=scene.air.humidity_pct, seed=seed,
-        model=["diffraction"] if response.diffracted else [],
-        target_t60_s=target_s, t30_s=response.t30_s, leaked_share=response.leaked_share,
+        temperature_c=air.temperature_c, humidity_pct=air.humidity_pct, seed=seed,
+        model=["diffraction"] * response.diffracted + names_of(effects, gain),
+        target_t60_s=one.target_s, t30_s=response.t30_s, leaked_share=response.leaked_share,
         direct_sample=response.direct_sample, direct_polarity=1, direct_visible=response.direct_visible,
         noise_for=noise_for, measured_id=noise_for or row["id"],
-        passport=measure(response.rir, direct=(response.direct_sample, 1)),
+        passport=measure(rir, direct=(response.direct_sample, 1)),
         materials={slot: dict(material=material.name, absorption=[round(float(a), 6) for a in absorption],
                               scattering=list(material.scattering))
                    for slot, material, absorption in slots})

@@ -1,0 +1,47 @@
+#!/usr/bin/env python3
+"""Tell whether the closed loop can be closed on measured RIRs: it leaves rooms out, and needs to know where they were.
+
+Usage: enough_rooms.py RIR_DIR
+e.g.:  python local/enough_rooms.py data/rirs.real.train
+
+Exit status 0 if there are enough rooms with geometry; 1 and one line if not.
+"""
+
+import sys
+
+from roomeq.loop.attribute import MIN_ROOMS
+from roomeq.rirs import read_rirs
+
+
+def rooms_with_geometry(rows):
+    """Return the rooms of which at least one RIR says where source and microphone were."""
+    return {row["room_id"] for row in rows if not row.get("noise_for") and has_geometry(row)}
+
+
+def has_geometry(row):
+    """Tell whether no coordinate of a row is unknown or known to be wrong."""
+    if row.get("unreliable_geometry") or row.get("geometry_problem"):
+        return False
+    known = [row.get("source_pos_m"), row.get("mic_pos_m")] + ([] if row.get("mesh") else [row.get("room_dims_m")])
+    return all(place is not None and None not in place for place in known)
+
+
+def main(argv):
+    """Return the exit status."""
+    if len(argv) != 1 or argv[0].startswith("-"):
+        print(__doc__)
+        return 0 if argv[:1] in (["--help"], ["-h"]) else 1
+    try:
+        rooms = rooms_with_geometry(read_rirs(argv[0]))
+    except (ValueError, OSError) as error:
+        print(f"enough_rooms.py: {error}", file=sys.stderr)
+        return 1
+    if len(rooms) < MIN_ROOMS:
+        print(f"{argv[0]}: {len(rooms)} rooms with geometry; the closed loop leaves rooms out and needs {MIN_ROOMS}: "
+              "left out")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

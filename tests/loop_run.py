@@ -1,0 +1,81 @@
+"""A small made-up loop for tests of what reads its directory: the real writers, on numbers instead of rooms."""
+
+import numpy as np
+
+from roomeq.build import Build
+from roomeq.constants import BANDS_HZ
+from roomeq.effects.catalogue import CATALOGUE
+from roomeq.effects.model import MODEL_FILE, Extension, Model, write_model
+from roomeq.effects.response import RESPONSE_HZ
+from roomeq.files import write_json
+from roomeq.loop.cells import METRIC, N_CELLS, REGION, THIRDS_HZ
+from roomeq.loop.check import RESIDUALS_FILE
+from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, LENGTH_S, STEP_S
+from roomeq.loop.ledger import LEDGER_FILE
+from roomeq.rng import rng_for
+
+N_RIRS, ROOMS = 24, ("hall", "office", "<b>attic")
+VECTORS = dict(source_response=5.0 * np.sin(np.arange(len(RESPONSE_HZ)) / 3.0), occlusion=np.array([1.2]))
+
+
+def errors(mean):
+    """Errors as an entry of the ledger."""
+    entry = dict(error=mean, ci=[mean - 0.3, mean + 0.3], by_metric={metric: mean for metric in dict.fromkeys(METRIC)},
+                 by_band=[None, *[mean] * (len(BANDS_HZ) - 1)])
+    return {way: dict(entry) for way in ("positions", "rooms")}
+
+
+def ranked(winner, gain):
+    """A ranking with one that helps."""
+    return [dict(effect=name, gain=value, ci=[value / 3 - 2.0, value / 3 + 2.0], p=0.001 if name == winner else 0.6,
+                 size_jnd=2.0) for name, value in ((winner, gain), ("noise_floor", 1.0), ("coupled_volume", -4.0))]
+
+
+def extension(name, units):
+    """An effect with the same parameters for some units."""
+    effect = CATALOGUE[name]
+    return Extension(effect, {unit: effect.from_vector(VECTORS[name]) for unit in units}, VECTORS[name],
+                     np.zeros(len(VECTORS[name])))
+
+
+def iteration(one, before, after, **more):
+    """An accepted effect."""
+    rooms = one.effect.SCOPE == "room"
+    best = {unit: {"best": vars(effect)} | ({} if rooms else {"low": vars(effect), "high": vars(effect)})
+            for unit, effect in one.of.items()}
+    whole = {"before": errors(before)["positions"], "after": errors(after)["positions"]}
+    return dict(effect=one.effect.NAME, scope=one.effect.SCOPE, size_jnd=2.5, parameters=best,
+                scored_on="unseen positions", heldout_error_before=before, heldout_error_after=after,
+                heldout_error_ci=[after - 0.3, after + 0.3], p=1e-4, ranking=ranked(one.effect.NAME, 90.0),
+                by_metric={when: entry["by_metric"] for when, entry in whole.items()},
+                by_band={when: entry["by_band"] for when, entry in whole.items()}) | more
+
+
+def make_loop(out):
+    """Make a directory as `roomeq close-loop` does."""
+    found = [extension("source_response", ("spk1", "<i>spk2")), extension("occlusion", ROOMS)]
+    left = dict(metric="ahead", time_region=REGION["ahead"], bands_hz=[125.0], varies_with="nothing", size_jnd=3.5,
+                p=0.01)
+    ledger = dict(
+        rirs=N_RIRS, rooms=len(ROOMS), baseline=errors(3.4), final=errors(1.5), ranking=ranked("room_eq", 0.5),
+        iterations=[iteration(found[0], 3.4, 1.9, cannot_tell=["source_response", "mic_response"],
+                              would_tell=["the same room recorded with another loudspeaker"]),
+                    iteration(found[1], 1.9, 1.5)],
+        unexplained=left, unexplained_all=[left], judge=dict(rirs=8, rooms=2, before=errors(3.6), after=errors(1.8)))
+    rng = rng_for(0, "made-up residuals", "")
+    before = 3.0 + rng.standard_normal((N_RIRS, N_CELLS))
+    before[rng.random(before.shape) < 0.2] = np.nan
+    n_times = round(LENGTH_S / STEP_S)
+    decay_db = np.tile(-60.0 * np.arange(n_times) * STEP_S / 0.6, (2, len(KINDS), len(DECAY_BANDS), 1))
+    build = Build(out, step="close-loop", options=dict(max_effects=4, seed=0), inputs=[])
+
+    def assemble(directory, _):
+        write_json(directory / LEDGER_FILE, ledger)
+        write_model(directory / MODEL_FILE, Model(tuple(found[::-1])))
+        np.savez_compressed(directory / RESIDUALS_FILE, before=before, after=0.5 * before)
+        np.savez_compressed(directory / EXAMPLES_FILE, ids=np.array(["r1", "r<2>"]), rooms=np.array(ROOMS[1:]),
+                            decay_db=decay_db, spectrum_db=rng.standard_normal((2, len(KINDS), len(THIRDS_HZ))))
+
+    build.run({}, lambda name, item: None)
+    build.finish(assemble)
+    return out

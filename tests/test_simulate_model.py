@@ -1,0 +1,148 @@
+"""`roomeq simulate --model`: each effect acts on the RIRs that it is about, as its physics says, and on no others."""
+
+import json
+
+import numpy as np
+import pytest
+
+from roomeq.acoustics.air import speed_of_sound_m_s
+from roomeq.constants import BAND_1KHZ, FS_HZ
+from roomeq.effects.catalogue import CATALOGUE
+from roomeq.effects.model import Extension, Model, read_model, write_model
+from roomeq.effects.response import RESPONSE_HZ
+from roomeq.files import write_jsonl
+from roomeq.rirs import load_rir, read_rirs, validate_rirs
+from roomeq.simulate import simulate
+
+SOURCE_ONLY = {name for name, effect in CATALOGUE.items() if effect.SCOPE == "source"}
+VECTORS = dict(air_absorption=(1.0, np.log(20.0)), sound_speed=(3.5,), source_directivity=np.log([0.15, 0.5]),
+               occlusion=(1.5,), near_reflector=(np.log(0.5), 0.8), coupled_volume=(-1.0, np.log(2.0)), room_modes=(),
+               source_response=np.linspace(-12.0, 6.0, 23), mic_response=np.linspace(6.0, -12.0, 23),
+               room_eq=np.linspace(-6.0, 6.0, 23), noise_floor=(3.0,) * 8)
+OPTIONS = dict(num_rays=500, t60_range_s=(0.3, 0.6), seed=5)
+
+
+def row(row_id, **known):
+    return dict(id=row_id, wav=f"{row_id}.wav", room_id="office", source_id="spk1", mic_id=row_id, fs_hz=FS_HZ,
+                n_samples=FS_HZ, room_dims_m=[6.0, 4.2, 3.0], source_pos_m=[1.0, 2.0, 1.5],
+                mic_pos_m=[4.0, 3.0, 1.2], source_dir=[1.0, 0.3, 0.0]) | known
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("measured")
+    write_jsonl(directory / "rirs.jsonl", [
+        row("a"), row("b", source_id="spk2", mic_pos_m=[4.5, 1.0, 1.2], source_dir=None)])
+    return directory
+
+
+@pytest.fixture(scope="module")
+def plain(measured, tmp_path_factory):
+    return simulated(measured, tmp_path_factory.mktemp("plain") / "out", None)
+
+
+def simulated(measured, out, model, **more):
+    simulate(measured, out, model=model, **(OPTIONS | more))
+    validate_rirs(out)
+    return {one["id"]: (one, load_rir(out, one)) for one in read_rirs(out)}
+
+
+def extension(name, vector=None, units=()):
+    effect = CATALOGUE[name]
+    vector = np.array(VECTORS[name] if vector is None else vector, dtype=float)
+    return Extension(effect, {unit: effect.from_vector(vector) for unit in units}, vector, np.zeros(len(vector)))
+
+
+def model_file(path, *extensions):
+    write_model(path, Model(extensions))
+    return path
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_every_effect_of_the_catalogue_changes_what_it_is_about(name, measured, plain, tmp_path):
+    made = simulated(measured, tmp_path / "out", model_file(tmp_path / "model.json", extension(name)))
+    for row_id, (one, rir) in made.items():
+        acts = not (name in SOURCE_ONLY and one["noise_for"]) and not (name == "source_directivity" and row_id == "b")
+        assert one["model"] == [name] * acts
+        before = plain[row_id][1]
+        same = len(rir) == len(before) and np.array_equal(rir, before)
+        # a directivity changes which absorption meets the target, and noise sources play between the same walls
+        assert same != acts or (name == "source_directivity" and one["noise_for"]), f"{name} on {row_id}"
+        assert np.all(np.isfinite(rir)) and one["temperature_c"] == plain[row_id][0]["temperature_c"]
+
+
+def test_targets_are_met_before_filters_and_passports_are_of_what_is_written(measured, plain, tmp_path):
+    path = model_file(tmp_path / "model.json", extension("coupled_volume", (-0.5, np.log(3.0))),
+                      extension("source_response"))
+    one, rir = simulated(measured, tmp_path / "out", path)["a"]
+    assert one["model"] == ["coupled_volume", "source_response"] and one["n_samples"] == len(rir)
+    assert one["target_t60_s"] == plain["a"][0]["target_t60_s"]
+    assert one["t30_s"] == pytest.approx(one["target_t60_s"], rel=0.05)
+    assert one["passport"]["t30_s"][BAND_1KHZ] > 1.5 * one["t30_s"]
+    # the filter shows in the measured EQ; the second decay, 5 dB below the reflections, hides no more than that
+    drawn = np.interp(np.log([125.0, 4000.0]), np.log(RESPONSE_HZ), VECTORS["source_response"])
+    change = np.subtract(one["passport"]["eq_db"], plain["a"][0]["passport"]["eq_db"])
+    assert change[6] - change[1] == pytest.approx(drawn[1] - drawn[0], abs=5.0)
+
+
+def test_sound_speed_moves_the_direct_sound(measured, tmp_path):
+    made = simulated(measured, tmp_path / "out", model_file(tmp_path / "model.json", extension("sound_speed")))
+    for one, _ in made.values():
+        distance_m = np.linalg.norm(np.subtract(one["source_pos_m"], one["mic_pos_m"]))
+        assert one["direct_sample"] == pytest.approx(FS_HZ * distance_m / speed_of_sound_m_s(35.0))
+
+
+def test_a_loudspeaker_that_was_measured_has_its_own_response_and_others_draw_one(measured, plain, tmp_path):
+    known = extension("source_response", units=["spk1"])
+    path = model_file(tmp_path / "model.json", Extension(
+        known.effect, known.of, np.zeros(len(RESPONSE_HZ)), np.full(len(RESPONSE_HZ), 6.0)))
+    made = simulated(measured, tmp_path / "out", path)
+    level_db = {}
+    for name in "ab":
+        for kind, rir in (("before", plain[name][1]), ("after", made[name][1])):
+            power = np.abs(np.fft.rfft(rir[:4096], 4096)) ** 2
+            level_db[name, kind] = 10 * np.log10([power[round(0.9 * hz * 4096 / FS_HZ):round(1.1 * hz * 4096 / FS_HZ)]
+                                                  .sum() for hz in (500.0, 2000.0)])
+    found = {name: level_db[name, "after"] - level_db[name, "before"] for name in "ab"}
+    expected = np.interp(np.log([500.0, 2000.0]), np.log(RESPONSE_HZ), VECTORS["source_response"])
+    np.testing.assert_allclose(found["a"], expected, atol=1.0)
+    drawn = read_model(path).for_row(dict(source_id="spk2"), OPTIONS["seed"])[0].gains_db
+    np.testing.assert_allclose(found["b"], np.interp(np.log([500.0, 2000.0]), np.log(RESPONSE_HZ), drawn), atol=2.5)
+    assert np.array_equal(made["a-noise1"][1], plain["a-noise1"][1])
+
+
+def test_a_model_gives_the_same_bytes_over_parts_and_an_empty_one_those_without(measured, plain, tmp_path):
+    path = model_file(tmp_path / "model.json", *(extension(name) for name in ("source_directivity", "room_modes",
+                                                                               "mic_response", "noise_floor")))
+    whole = simulated(measured, tmp_path / "whole", path)
+    for part in ("2/2", "1/2", None):
+        simulate(measured, tmp_path / "parts", model=path, part=part, nj=2, **OPTIONS)
+    for file in (tmp_path / "whole").rglob("*.wav"):
+        assert file.read_bytes() == (tmp_path / "parts" / file.relative_to(tmp_path / "whole")).read_bytes()
+    assert {name: one for name, (one, _) in whole.items()} == {one["id"]: one for one in read_rirs(tmp_path / "parts")}
+    empty = simulated(measured, tmp_path / "empty", model_file(tmp_path / "empty.json"))
+    for name, (one, rir) in empty.items():
+        assert one == plain[name][0] and np.array_equal(rir, plain[name][1])
+
+
+def test_another_model_makes_the_directory_again(measured, tmp_path):
+    path = model_file(tmp_path / "model.json", extension("mic_response"))
+    before = simulated(measured, tmp_path / "out", path)
+    content = json.loads(path.read_text())
+    content["effects"][0]["typical"] = [0.0] * 23
+    path.write_text(json.dumps(content))
+    after = simulated(measured, tmp_path / "out", path)
+    assert not np.array_equal(before["a"][1], after["a"][1])
+
+
+@pytest.mark.parametrize("text, message", [
+    ("[]", r"model.json: must hold an object with a list of 'effects'"),
+    ('{"effects": [{"effect": "gnomes"}]}', r"effects\[0\]: effect='gnomes' must be one of air_absorption, "),
+    ('{"effects": [{"effect": "occlusion", "of": {"office": {"detour_m": "far"}}}]}',
+     r"effects\[0\]: of\['office'\]: detour_m='far' must be a number"),
+])
+def test_a_broken_model_is_refused_by_name(text, message, measured, tmp_path):
+    (tmp_path / "model.json").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        simulate(measured, tmp_path / "out", model=tmp_path / "model.json")
+    assert not (tmp_path / "out").exists()
