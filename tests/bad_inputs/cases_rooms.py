@@ -2,7 +2,7 @@
 
 import re
 
-from worlds import BOX
+from right import BOX
 from wrong import Case, row, write
 
 MESH = "simulate --num-rays 100 mesh out"

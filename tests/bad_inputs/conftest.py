@@ -4,7 +4,7 @@ import os
 import warnings
 
 import pytest
-from worlds import WORLDS
+from right import WORLDS
 
 
 @pytest.fixture(scope="session")

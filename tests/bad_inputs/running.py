@@ -7,7 +7,7 @@ import shutil
 import traceback
 from pathlib import Path
 
-from worlds import WORLDS, put_earlier
+from right import WORLDS, put_earlier
 from wrong import Case
 
 from roomeq.cli import main

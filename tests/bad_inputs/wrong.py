@@ -1,6 +1,6 @@
 """What the tables of bad inputs are written in: a case, and small ways of breaking a file.
 
-A case names directories of `worlds` in its command line; they are copied, broken by its edits, and the command is
+A case names directories of `right` in its command line; they are copied, broken by its edits, and the command is
 run there. Paths are relative to that copy.
 """
 

@@ -176,7 +176,7 @@ def _late_decay(power, noise, n_block, span_db):
         return None
     centre = (np.arange(start, stop) + 0.5) * n_block
     middle, level_db = centre.mean(), level_db[start:stop]
-    slope_db = np.dot(centre - middle, level_db) / np.dot(centre - middle, centre - middle)
+    slope_db = _dot(centre - middle, level_db) / _dot(centre - middle, centre - middle)
     offset_db = level_db.mean() - slope_db * middle
     return (slope_db, offset_db) if slope_db < 0.0 else None
 
@@ -195,6 +195,11 @@ def _line_energy(line, start, stop=None):
     rate = -slope_db * np.log(10.0) / 10.0
     energy = 10.0 ** ((offset_db + slope_db * start) / 10.0) / rate
     return energy if stop is None else energy * -np.expm1(-rate * (stop - start))
+
+
+def _dot(first, second):
+    """Inner product without BLAS, whose threads wait for each other longer than so little work takes."""
+    return float(np.einsum("i,i->", first, second))
 
 
 def _db(power):
@@ -256,7 +261,7 @@ def decay_time(edc_db, fs_hz, decay):
         return None
     level = edc_db[first:last + 1]
     time = np.arange(len(level)) - (len(level) - 1) / 2.0
-    slope_db = np.dot(time, level) / np.dot(time, time)
+    slope_db = _dot(time, level) / _dot(time, time)
     return float(-60.0 / slope_db / fs_hz) if slope_db < 0.0 else None
 
 
@@ -347,7 +352,7 @@ class _Spectra:
             power = np.abs(rfft(self.rir[first:last], self.n_fft)) ** 2
             power[1:(self.n_fft + 1) // 2] *= 2.0  # both signs of frequency
             self._known[first, last] = power
-        return float(np.dot(octave_gains(self.n_fft, fs_hz, band_hz) ** 2, self._known[first, last])) / self.n_fft
+        return _dot(octave_gains(self.n_fft, fs_hz, band_hz) ** 2, self._known[first, last]) / self.n_fft
 
 
 def _band_metrics(spectra, band, fs_hz, band_hz, direct_sample):

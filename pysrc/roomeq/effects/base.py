@@ -17,8 +17,9 @@ turns into a vector of numbers of about unit spread (`vector`, `from_vector`) th
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import oaconvolve
 
-from roomeq.constants import FS_HZ
+from roomeq.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.sim.render import render
 
 
@@ -56,8 +57,17 @@ class Rendering:
     def distance_m(self):
         return float(np.linalg.norm(np.subtract(self.mic_pos_m, self.source_pos_m)))
 
+    def direct(self, n_samples):
+        """The direct sound as the simulator rendered it."""
+        return self._rendered(self.distance_m, self.direct_gain, n_samples)
+
     def pulse(self, length_m, gains, n_samples):
-        """A single path: its length and its pressure per band, shape (8,)."""
+        """A single path of some length and pressure per band, shape (8,); minimum phase: nothing precedes it."""
+        pulse = self._rendered(length_m, np.ones(len(gains)), n_samples)
+        taps = minimum_phase(EXACT_BANDS_HZ, 20.0 * np.log10(np.maximum(gains, 1e-9)))
+        return oaconvolve(pulse, taps)[:n_samples]
+
+    def _rendered(self, length_m, gains, n_samples):
         silence = np.zeros((1, len(gains)))
         return render(np.array([length_m]), np.asarray(gains, dtype=float)[None], silence, np.zeros(n_samples),
                       speed_m_s=self.scene.air.speed_m_s, n_samples=n_samples)
@@ -70,7 +80,7 @@ class Effect:
     ----------------
     NAME : str
     SCOPE : str
-        What has parameters of its own: ``"all"``, ``"source"``, ``"mic"`` or ``"room"``.
+        What has parameters of its own: ``"all"``, ``"source"``, ``"mic"``, ``"room"`` or ``"rir"``.
     STARTS : tuple of tuples
         Vectors from which a fit starts.
     SPREAD : tuple

@@ -18,7 +18,7 @@ from roomeq.rng import rng_for
 from roomeq.sim.scene import eyring_time_s
 
 MODEL_FILE = "model.json"
-_KEY = {"source": "source_id", "mic": "mic_id", "room": "room_id"}
+_KEY = {"source": "source_id", "mic": "mic_id", "room": "room_id", "rir": "id"}
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from roomeq.constants import EXACT_BANDS_HZ
 from roomeq.effects.base import Effect
 from roomeq.effects.response import RESPONSE_HZ
 
@@ -62,7 +63,6 @@ class NearReflector(Effect):
 
     def on_rir(self, rir, rendering):
         length_m = float(self.lengths_m(rendering.source_pos_m, rendering.mic_pos_m)[0])
-        bands_hz = np.array([63.1, 125.9, 251.2, 501.2, 1000.0, 1995.3, 3981.1, 7943.3])
-        share = np.sqrt(1.0 / (1.0 + (_EDGE_HZ / bands_hz) ** 4))
+        share = np.sqrt(1.0 / (1.0 + (_EDGE_HZ / np.array(EXACT_BANDS_HZ)) ** 4))
         gains = self.reflection * rendering.distance_m / length_m * share * rendering.direct_gain
         return rir + rendering.pulse(length_m, gains, len(rir))

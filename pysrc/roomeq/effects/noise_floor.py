@@ -20,7 +20,7 @@ class NoiseFloor(Effect):
     Attributes
     ----------
     levels_db : tuple of 8 floats
-        Energy of 100 ms of noise relative to the response, per octave; -55 and less is as good as none.
+        Energy of 100 ms of noise relative to the response, per octave; below -55 it disturbs nothing.
     """
 
     levels_db: tuple
@@ -37,15 +37,16 @@ class NoiseFloor(Effect):
 
     @classmethod
     def from_vector(cls, vector):
-        return cls(tuple(float(value) for value in _QUIET_DB + 10.0 * np.clip(vector, 0.0, 5.0)))
+        return cls(tuple(float(value) for value in _QUIET_DB + 10.0 * np.clip(vector, -3.0, 5.0)))
 
     def act(self, state, data, rows):
-        state.floor_db[rows] = np.maximum(state.floor_db[rows], self.levels_db)
+        # a soft maximum: a fit must feel a level that is too low
+        state.floor_db[rows] = 10.0 * np.log10(10.0 ** (state.floor_db[rows] / 10.0)
+                                               + 10.0 ** (np.array(self.levels_db) / 10.0))
 
     def on_rir(self, rir, rendering):
         total = np.sum(octave_bands(rir, FS_HZ) ** 2, axis=1)
         density = 10.0 ** (np.array(self.levels_db) / 10.0) * total / (0.1 * FS_HZ)
-        density[np.array(self.levels_db) <= _QUIET_DB] = 0.0
         width = np.minimum(np.array(EXACT_BANDS_HZ) * np.sqrt(2.0), 0.5 * FS_HZ) - np.array(EXACT_BANDS_HZ) / np.sqrt(2)
         per_frame = density / (width / (0.5 * FS_HZ)) * FRAME_S * FS_HZ
         n_frames = int(np.ceil(len(rir) / FS_HZ / FRAME_S)) + 1

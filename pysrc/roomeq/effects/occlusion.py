@@ -11,34 +11,35 @@ import numpy as np
 from roomeq.constants import EXACT_BANDS_HZ
 from roomeq.effects.base import Effect
 
+_DETOURS_M = (5e-5, 0.6)
 _MOST_DB = 24.0  # what scatters around a screen leaves
 
 
 @dataclass(frozen=True)
 class Occlusion(Effect):
-    """Obstructed direct sound in a room.
+    """Obstructed direct sound of one RIR.
 
     Attributes
     ----------
     detour_m : float
-        How much longer the way around the edge is; 0 for a free view.
+        How much longer the way around the edge is; a tenth of a millimetre or less for a free view.
     """
 
     detour_m: float
 
     REFLECTIONS = False
     NAME = "occlusion"
-    SCOPE = "room"
-    STARTS = ((0.5,),)  # square root of decimetres
-    SPREAD = (1.0,)
+    SCOPE = "rir"
+    STARTS = ((-5.0,),)  # logarithm of metres: from as good as nothing to a pillar
+    SPREAD = (2.5,)
     TELLS = "a recording with the obstacle taken away"
 
     def vector(self):
-        return np.array([np.sqrt(10.0 * self.detour_m)])
+        return np.log([self.detour_m])
 
     @classmethod
     def from_vector(cls, vector):
-        return cls(0.1 * float(np.clip(vector[0], 0.0, 4.0)) ** 2)
+        return cls(float(np.exp(np.clip(vector[0], *np.log(_DETOURS_M)))))
 
     def energy_gain(self, frequencies_hz, speed_m_s):
         """Energy of the direct sound that is left."""
@@ -47,7 +48,11 @@ class Occlusion(Effect):
 
     def act(self, state, data, rows):
         state.direct_gain[rows] *= self.energy_gain(EXACT_BANDS_HZ, data.speed_m_s[rows][:, None])
+        state.delay_s[rows] += self.detour_m / data.speed_m_s[rows]
 
     def on_rir(self, rir, rendering):
         left = np.sqrt(self.energy_gain(EXACT_BANDS_HZ, rendering.scene.air.speed_m_s))
-        return rir - rendering.pulse(rendering.distance_m, (1.0 - left) * rendering.direct_gain, len(rir))
+        if not np.any(rendering.direct_gain):
+            return rir
+        around = rendering.pulse(rendering.distance_m + self.detour_m, left * rendering.direct_gain, len(rir))
+        return rir - rendering.direct(len(rir)) + around

@@ -92,8 +92,7 @@ def measure_cells(rir, expected_sample=None, *, timed=True):
         There is no direct sound.
     """
     rir = np.asarray(rir, dtype=np.float64)
-    search = {} if expected_sample is None else dict(expected_sample=expected_sample, search_s=2e-3)
-    direct, polarity = find_direct(rir, FS_HZ, **search)
+    direct, polarity, timed = _direct(rir, expected_sample, timed)
     found = all_metrics(rir, FS_HZ, direct, polarity)
     values, valid = np.full(N_CELLS, np.nan), np.zeros(N_CELLS, dtype=bool)
     for metric in ("edt", "t20", "t30"):
@@ -110,6 +109,17 @@ def measure_cells(rir, expected_sample=None, *, timed=True):
     for metric, level_db in _noise_levels(rir, direct, noise).items():
         _put(values, valid, metric, np.maximum(level_db, QUIET_DB), np.isfinite(level_db))
     return Cells(values, valid & np.isfinite(values), direct)
+
+
+def _direct(rir, expected_sample, timed):
+    """Direct sound, its polarity, and whether its arrival counts: not where an obstacle drowned it."""
+    if expected_sample is None:
+        return *find_direct(rir, FS_HZ), timed
+    try:
+        return *find_direct(rir, FS_HZ, expected_sample, search_s=2e-3), timed
+    except ValueError:
+        find_direct(rir, FS_HZ)  # there must be some sound
+        return float(expected_sample), 1, False
 
 
 def _put(values, valid, metric, amounts, believed):

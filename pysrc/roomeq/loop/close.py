@@ -23,6 +23,7 @@ logger = logging.getLogger(__name__)
 
 SCATTERING = 0.3  # of all surfaces; nobody declares it, and the error depends little on it
 LEVEL = 0.05
+SHARE = 0.5  # of the best candidate's gain
 
 
 def close_loop(rir_dirs, out, *, judge=(), max_effects=4, seed=0, nj=1):
@@ -119,7 +120,8 @@ def _accepted(session, errors, ranking):
         if _lower(errors, errors_after):
             return winner, rivals, after, errors_after
         logger.info("loop: %s fits, but simulated again it does not lower the error; left out", winner.effect.NAME)
-        pool = [one for one in pool if one is not winner]
+        # what explains much less is not the cause of what the failed one explains
+        pool = [one for one in pool if one is not winner and one.total > SHARE * winner.total]
 
 
 def _lower(before: Errors, after: Errors):

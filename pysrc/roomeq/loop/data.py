@@ -70,6 +70,8 @@ class Data:
         """Names of what a parameter of a scope belongs to, and its number for each RIR."""
         if scope == "all":
             return ["all"], np.zeros(len(self.rows), dtype=int)
+        if scope == "rir":
+            return [row["id"] for row in self.rows], np.arange(len(self.rows))
         key = {"source": "source_id", "mic": "mic_id", "room": "room_id"}[scope]
         names = sorted({row[key] for row in self.rows})
         return names, np.array([names.index(row[key]) for row in self.rows])

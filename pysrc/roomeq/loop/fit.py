@@ -29,8 +29,11 @@ _SIGMA = (0.7, 12.0)
 _OMEGA = (0.2, 12.0)
 _START_X = np.log(0.2)
 _MEAN_SPREAD = 1.5  # of the mean absorption, natural logarithm
+OWN = ("room", "rir")  # scopes whose vectors belong to one room alone
 _CONTRAST = (0.4, 0.2, 0.1)  # spread of ln(absorption of floor and ceiling / of walls) over rooms, as `_SHAPES`
 _MEAN_CONTRAST = 0.3
+PEEKED = (METRIC == "direct") & (np.arange(N_CELLS) % 2 == 0)
+"""Cells of scored RIRs that tell whether their direct sound is obstructed, and are not scored."""
 N_SURFACE = 2 * N_BANDS  # unknowns of the surfaces
 _SHAPES = tuple((level, bend, rough) for level in (0.15, 0.3, 0.6) for bend in (0.03, 0.1, 0.2, 0.4)
                 for rough in (0.03, 0.1, 0.2))
@@ -86,16 +89,16 @@ class Layout:
         for effect in self.effects:
             names, unit = data.units(effect.SCOPE)
             size = len(effect.SPREAD)
-            own = effect.SCOPE == "room"
-            count = 1 if own else len(names)
+            count = 1 if effect.SCOPE in OWN else len(names)
             self.shared.append((slice(start, start + count * size), count, unit, size))
             start += count * size
         self.n_shared = start
         self.own_slices = []
-        for chains in self.chains:
+        self.members = [np.flatnonzero(data.room == r) for r in range(len(data.room_names))]
+        for chains, members in zip(self.chains, self.members, strict=True):
             at, slices = N_SURFACE + len(chains), []
             for effect in self.effects:
-                size = len(effect.SPREAD) if effect.SCOPE == "room" else 0
+                size = len(effect.SPREAD) * {"room": 1, "rir": len(members)}.get(effect.SCOPE, 0)
                 slices.append(slice(at, at + size))
                 at += size
             self.own_slices.append((slices, at))
@@ -108,6 +111,11 @@ class Layout:
             if effect.SCOPE == "room":
                 found.append(np.array([mean[part] + local[r][self.own_slices[r][0][k]]
                                        for r in range(len(local))]).reshape(len(local), size))
+            elif effect.SCOPE == "rir":
+                vectors = np.empty((len(self.data.rows), size))
+                for r, members in enumerate(self.members):
+                    vectors[members] = mean[part] + local[r][self.own_slices[r][0][k]].reshape(len(members), size)
+                found.append(vectors)
             else:
                 found.append(mean[part].reshape(count, size))
         return found
@@ -244,7 +252,9 @@ def _covariances(layout, shape, own_scale):
         covariance[gains, gains] = _GAIN_SPREAD_DB ** 2
         for k, effect in enumerate(layout.effects):
             if slices[k].stop > slices[k].start:
-                covariance[slices[k], slices[k]] = own_scale[k] ** 2 * effect.prior_covariance()
+                one = effect.prior_covariance()
+                count = (slices[k].stop - slices[k].start) // len(one)
+                covariance[slices[k], slices[k]] = own_scale[k] ** 2 * np.kron(np.eye(count), one)
         found.append(covariance)
     return found
 
@@ -287,6 +297,11 @@ def _derivatives(layout, r, index, slopes):
         part, _, unit, n = layout.shared[k]
         if effect.SCOPE == "room":
             own[:, :, slices[k]] = shared[:, :, part] = by_effect[k][index]
+        elif effect.SCOPE == "rir":
+            shared[:, :, part] = by_effect[k][index]
+            for i, rir in enumerate(index):
+                at = slices[k].start + n * int(np.searchsorted(layout.members[r], rir))
+                own[i, :, at:at + n] = by_effect[k][rir]
         else:
             for i, rir in enumerate(index):
                 at = part.start + unit[rir] * n
@@ -303,8 +318,8 @@ def _whiten(columns, valid, sigma, omega):
     return np.where(valid[:, :, None], columns - part[:, None] * mean, 0.0) / sigma[:, None]
 
 
-def _normal(layout, r, residual, valid, slopes, sigma, omega, index=None):
-    index = np.flatnonzero(layout.data.room == r) if index is None else index
+def _normal(layout, r, residual, valid, slopes, sigma, omega):
+    index = layout.members[r]
     own, shared = _derivatives(layout, r, index, slopes)
     error, ok = residual[index], valid[index]
     spread = np.sqrt(sigma ** 2 + omega ** 2)
@@ -372,12 +387,12 @@ def _best_shape(local, spreads):
 def _own_scale(layout, k, local, spreads):
     """Spread of a room's effect over rooms, as a factor of the effect's own `SPREAD`."""
     effect = layout.effects[k]
-    if effect.SCOPE != "room" or not effect.SPREAD:
+    if effect.SCOPE not in OWN or not effect.SPREAD:
         return 1.0
-    inverse = np.linalg.inv(effect.prior_covariance())
-    found = [np.trace(inverse @ (np.outer(u[part], u[part]) + spread[part, part]))
+    variance = np.diag(effect.prior_covariance())
+    found = [(u[part] ** 2 + np.diag(spread)[part]).reshape(-1, len(variance)) / variance
              for u, spread, part in zip(local, spreads, [slices[k] for slices, _ in layout.own_slices], strict=True)]
-    return float(np.clip(np.sqrt(np.mean(found) / len(effect.SPREAD)), 0.15, 1.5))
+    return float(np.clip(np.sqrt(np.mean(np.concatenate(found))), 0.15, 1.5))
 
 
 @dataclass(frozen=True)
@@ -463,7 +478,10 @@ def calibrate(data, found, left_out, index, offset, *, chosen=None):
         valid = valid & chosen
     absorption, vectors, gains = np.empty((len(found.local), 2, N_BANDS)), [], np.empty(len(data.rows))
     for r, (u, one) in enumerate(zip(found.local, left_out, strict=True)):
-        uu, ug, _, ue, *_ = _normal(layout, r, residual, valid, slopes, found.sigma, found.omega, index[r])
+        looked_at = valid.copy()
+        unknown = np.setdiff1d(layout.members[r], index[r])
+        looked_at[unknown] &= PEEKED  # at as much of the others as tells what is theirs alone
+        uu, ug, _, ue, *_ = _normal(layout, r, residual, looked_at, slopes, found.sigma, found.omega)
         inverse = np.linalg.inv(found.covariance[r])
         own = u + np.linalg.solve(uu + inverse, ue - ug @ (one.mean - found.mean) - inverse @ u)
         local = [own if s == r else other for s, other in enumerate(found.local)]
@@ -510,7 +528,9 @@ def solve_rooms(layout, like, mean, offset, index, chosen=None, iterations=_ITER
         if chosen is not None:
             valid = valid & chosen
         for r, covariance in enumerate(covariances):
-            uu, _, _, ue, *_ = _normal(layout, r, residual, valid, slopes, like.sigma, like.omega, index[r])
+            looked_at = valid.copy()
+            looked_at[np.setdiff1d(layout.members[r], index[r])] &= PEEKED
+            uu, _, _, ue, *_ = _normal(layout, r, residual, looked_at, slopes, like.sigma, like.omega)
             inverse = np.linalg.inv(covariance)
             local[r] = local[r] + np.linalg.solve(uu + inverse, ue - inverse @ local[r])
     return local

@@ -16,11 +16,12 @@ from scipy import stats
 
 from roomeq.constants import BAND_1KHZ
 from roomeq.loop.cells import HAS_GAIN, LARGEST, METRIC
-from roomeq.loop.fit import calibrate, leave_rooms_out
+from roomeq.loop.fit import PEEKED, calibrate, leave_rooms_out
 from roomeq.loop.predict import BAND_OF_CELL
 from roomeq.loop.rendering import render_rows, rendered_cells
 from roomeq.loop.session import effects_of_rows
 
+_METRICS = tuple(dict.fromkeys(METRIC.tolist()))
 KNOWN = {"positions": None,
          "rooms": (np.isin(METRIC, ["t20", "t30"]) & (BAND_OF_CELL == BAND_1KHZ)) | (METRIC == "direct")}
 """Cells that calibration may look at, for each way of meeting a room; None for all."""
@@ -42,8 +43,13 @@ class Errors:
     room: np.ndarray
 
     def of_rooms(self, way):
-        """Mean error of each room, shape (n_rooms,)."""
-        return np.array([np.nanmean(self.cells[way][self.room == r]) for r in np.unique(self.room)])
+        """Mean error of each room, every metric with the same weight, shape (n_rooms,)."""
+        found = []
+        for r in np.unique(self.room):
+            cells = self.cells[way][self.room == r]
+            metrics = [cells[:, METRIC == metric] for metric in _METRICS]
+            found.append(np.mean([np.nanmean(one) for one in metrics if np.isfinite(one).any()]))
+        return np.array(found)
 
     def mean(self, way):
         return float(self.of_rooms(way).mean())
@@ -56,7 +62,7 @@ class Errors:
 
     def by_metric(self, way):
         """Mean error per metric [JND]."""
-        return {metric: float(np.nanmean(self.cells[way][:, METRIC == metric])) for metric in dict.fromkeys(METRIC)
+        return {metric: float(np.nanmean(self.cells[way][:, METRIC == metric])) for metric in _METRICS
                 if np.isfinite(self.cells[way][:, METRIC == metric]).any()}
 
     def by_band(self, way):
@@ -110,4 +116,4 @@ def _scored(session, left_out, known, chosen, rows):
     rendered = rendered_cells(data, raws, by_row, seed=session.seed, nj=session.nj, rows=rows)
     error = np.abs(data.cells[rows] - rendered - np.outer(gains[rows], HAS_GAIN))
     error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
-    return np.where(data.valid[rows], error, np.nan)
+    return np.where(data.valid[rows] & ~PEEKED, error, np.nan)

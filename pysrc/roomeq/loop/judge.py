@@ -3,7 +3,7 @@
 import numpy as np
 
 from roomeq.loop.cells import HAS_GAIN, LARGEST
-from roomeq.loop.fit import N_SURFACE, Layout, solve_rooms
+from roomeq.loop.fit import N_SURFACE, OWN, PEEKED, Layout, solve_rooms
 from roomeq.loop.heldout import KNOWN, Errors, halves
 from roomeq.loop.rendering import render_rows, rendered_cells
 from roomeq.loop.session import effects_of_rows
@@ -44,7 +44,7 @@ def judge_errors(data, session, *, seed, nj):
             rendered = rendered_cells(data, raws, by_row, seed=seed, nj=nj, rows=rows)
             error = np.abs(data.cells[rows] - rendered - np.outer(layout.gains(local)[rows], HAS_GAIN))
             error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
-            cells[rows] = np.where(data.valid[rows], error, np.nan)
+            cells[rows] = np.where(data.valid[rows] & ~PEEKED, error, np.nan)
         result[way] = cells
     return Errors(result, data.room)
 
@@ -57,7 +57,7 @@ def _shared(layout, session):
     for k, effect in enumerate(layout.effects):
         part, _, _, size = layout.shared[k]
         known = session.fit.mean[before.shared[k][0]].reshape(before.shared[k][1], size)
-        if effect.SCOPE == "room":
+        if effect.SCOPE in OWN:
             mean[part] = known[0]
             continue
         names = session.data.units(effect.SCOPE)[0]

@@ -5,7 +5,7 @@ from dataclasses import asdict
 import numpy as np
 
 from roomeq.loop.attribute import one_sided_p
-from roomeq.loop.fit import leave_rooms_out
+from roomeq.loop.fit import OWN, leave_rooms_out
 
 LEDGER_FILE = "ledger.json"
 
@@ -29,7 +29,7 @@ def _parameter_intervals(session, effect):
     k = session.effects.index(effect)
     names = data.units(effect.SCOPE)[0]
     best = layout.vectors(session.fit.mean, session.fit.local)[k]
-    if effect.SCOPE == "room":
+    if effect.SCOPE in OWN:
         low = high = None
     else:
         left = np.array([layout.vectors(one.mean, session.fit.local)[k]

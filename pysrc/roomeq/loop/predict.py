@@ -58,6 +58,8 @@ class State:
         Of the recording chain at `RESPONSE_HZ`.
     floor_db : ndarray, shape (n_rirs, 8)
         Noise behind the response, relative to it.
+    delay_s : ndarray, shape (n_rirs,)
+        By which the direct sound comes late.
     shift : ndarray, shape (n_rirs, n_cells)
         Added to the cells [JND].
     """
@@ -72,6 +74,7 @@ class State:
     room_energy: np.ndarray | None
     response_db: np.ndarray
     floor_db: np.ndarray
+    delay_s: np.ndarray
     shift: np.ndarray
 
     def turn(self, rows, gains, direct):
@@ -104,7 +107,7 @@ def base_state(data, absorption):
                   ray_gain=None, direct_gain=np.ones((n, N_BANDS)), direct_thirds=np.ones((n, len(THIRDS_HZ))),
                   extra=np.zeros((n, len(_FRAME_MID_S), N_BANDS)), room_energy=None,
                   response_db=np.zeros((n, len(RESPONSE_HZ))),
-                  floor_db=np.full((n, N_BANDS), QUIET_DB), shift=np.zeros((n, N_CELLS)))
+                  floor_db=np.full((n, N_BANDS), QUIET_DB), delay_s=np.zeros(n), shift=np.zeros((n, N_CELLS)))
     return state
 
 
@@ -166,7 +169,7 @@ def predict(data, state, energy=None):
     ratio = np.log(data.speed_m_s / state.speed_m_s)[:, None]
     for k, metric in enumerate(("edt", "t20", "t30")):
         cells[:, slots(metric)] = (np.log(times[:, k]) + ratio) / JND[metric]
-    cells[:, slots("arrival")] = (data.distance_m / state.speed_m_s / JND["arrival"])[:, None]
+    cells[:, slots("arrival")] = ((data.distance_m / state.speed_m_s + state.delay_s) / JND["arrival"])[:, None]
     cells[:, slots("floor")] = state.floor_db
     cells[:, slots("ahead")] = QUIET_DB
     return cells + state.shift

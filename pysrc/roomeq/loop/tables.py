@@ -86,9 +86,8 @@ def collect(traced, mics_m, facings):
         counts = np.zeros((N_FRAMES, int(paths.counts.max()) + 1, len(LEVEL_SHARES)))
         angular = np.zeros((*counts.shape[:2], 0 if facing is None else len(ANGLES)))
         _count(source_pos_m, paths.hits, paths.codes, paths.first, paths.counts, paths.normals, level,
-               float(paths.scattering[0]), mic_m,
-               visible[m] if len(visible) else np.zeros(0, dtype=np.bool_), radii_m[m],
-               1.0 / volumes_m3[m], distance_m, 1.0 / (speed_m_s * _TICK_S), frame_of_tick,
+               float(paths.scattering[0]), mic_m, visible[m] if len(visible) else np.zeros(0, dtype=np.bool_),
+               radii_m[m], 1.0 / volumes_m3[m], distance_m, 1.0 / (speed_m_s * _TICK_S), frame_of_tick,
                angle / (np.pi / (len(ANGLES) - 1)), paths.late_m, paths.stride, counts, angular)
         counts /= 4.0 * np.pi * len(paths.counts)
         flat = counts.reshape(N_FRAMES, -1)

@@ -10,7 +10,7 @@ from roomeq.loop.cells import METRIC, REGION
 from roomeq.loop.predict import BAND_OF_CELL
 
 MIN_SIZE_JND = 1.0
-MIN_ROOM_SIZE_JND = 3.0  # rooms differ in more than absorption: what one has alone must be plain
+MIN_ROOM_SIZE_JND = 2.0  # rooms differ in more than absorption: what one has alone must be plain
 LEVEL = 0.05
 
 
@@ -51,7 +51,7 @@ def find_unexplained(session):
     list of Unexplained
     """
     data, residual = session.data, session.residual
-    blocks = [(metric, band) for metric in dict.fromkeys(METRIC) for band in range(-1, len(BANDS_HZ))
+    blocks = [(metric, band) for metric in dict.fromkeys(METRIC.tolist()) for band in range(-1, len(BANDS_HZ))
               if np.any((METRIC == metric) & (BAND_OF_CELL == band))]
     found = []
     for metric, band in blocks:
@@ -60,6 +60,12 @@ def find_unexplained(session):
         values = np.array([np.nanmean(one) for one in cells[seen]])
         tests = _tests(values, data, seen)
         found += [(metric, band, varies, size, min(1.0, p * len(blocks))) for varies, size, p in tests]
+    metrics = list(dict.fromkeys(METRIC.tolist()))
+    for metric in metrics:
+        single = _of_single_rooms(metric, residual, data)
+        if single:
+            bands, size, p = single
+            found += [(metric, band, "room", size, min(1.0, p * len(metrics))) for band in bands]
     kept = [one for one in found if one[4] < LEVEL and abs(one[3]) >= (
         MIN_ROOM_SIZE_JND if one[2] == "room" else MIN_SIZE_JND)]
     return _merged(kept)
@@ -69,12 +75,9 @@ def _tests(values, data, seen):
     """What the values of one block vary with: list of (varies_with, size, p)."""
     rooms = data.room[seen]
     names = np.unique(rooms)
-    count = np.array([np.sum(rooms == r) for r in names])
     if len(names) < 3 or len(values) < 6:
         return []
     means = np.array([values[rooms == r].mean() for r in names])
-    scatter = np.sqrt(sum(np.sum((values[rooms == r] - m) ** 2) for r, m in zip(names, means, strict=True))
-                      / max(len(values) - len(names), 1)) + 0.1
     tests = [("nothing", means.mean(), float(stats.ttest_1samp(means, 0.0).pvalue))]
     for scope in ("source", "mic"):
         units, number = data.units(scope)
@@ -84,13 +87,31 @@ def _tests(values, data, seen):
                      for r in names if np.any((rooms == r) & (number == u)) and np.any((rooms == r) & (number != u))]
             if len(apart) > 2:
                 tests.append((scope, float(np.mean(apart)), float(stats.ttest_1samp(apart, 0.0).pvalue)))
-    # rooms that stand out from the others by more than their RIRs scatter
-    usual = np.median(np.abs(means - np.median(means))) * 1.4826 + 0.1
-    out = (means - np.median(means)) / np.hypot(usual, scatter / np.sqrt(count))
-    worst = int(np.argmax(np.abs(out)))
-    p = float(2.0 * stats.t.sf(abs(out[worst]), max(len(names) - 2, 1)) * len(names))
-    tests.append(("room", float(means[worst]), p))
     return tests
+
+
+def _of_single_rooms(metric, residual, data):
+    """Whether rooms have one band each that stands out in one direction: (bands, size, p), or None.
+
+    Chance is as far out above as below. So the largest residual of each room's bands is set against its smallest.
+    """
+    bands = sorted(set(BAND_OF_CELL[METRIC == metric]))
+    names = np.unique(data.room)
+    if len(bands) < 4 or len(names) < 3:
+        return None
+    means = np.full((len(names), len(bands)), np.nan)
+    for i, r in enumerate(names):
+        for k, band in enumerate(bands):
+            cells = residual[data.room == r][:, (METRIC == metric) & (BAND_OF_CELL == band)]
+            means[i, k] = np.nanmean(cells) if np.isfinite(cells).any() else 0.0
+    scale = np.median(np.abs(means), axis=0) + 0.1  # low bands scatter more
+    standing = means / scale
+    high, low = standing.max(axis=1), standing.min(axis=1)
+    sign = 1.0 if np.mean(high + low) > 0.0 else -1.0
+    p = float(stats.ttest_1samp(high + low, 0.0).pvalue)
+    at = np.argmax(sign * standing, axis=1)
+    size = float(np.mean(means[np.arange(len(names)), at]))
+    return sorted({bands[k] for k in at}), size, p
 
 
 def _merged(found):

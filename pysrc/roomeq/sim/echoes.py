@@ -121,20 +121,17 @@ def echogram(echoes, absorption, *, bands=None, ray_gain=None):
         Squared pressure per frame, without air absorption.
     """
     bands = np.arange(len(echoes.column_of_band)) if bands is None else np.asarray(bands)
-    n_frames, n_kept = echoes.weight.shape[1:]
     column_of_band = np.asarray(echoes.column_of_band)[bands]
     with np.errstate(divide="ignore"):
         log_kept = np.maximum(np.log1p(-np.asarray(absorption)[:, bands]), _LOG_NOTHING).astype(np.float32)
-    result = np.zeros((n_frames, len(echoes.column_of_band)))
+    result = np.zeros((echoes.weight.shape[1], len(echoes.column_of_band)))
     for column in np.unique(column_of_band):
         members = np.flatnonzero(column_of_band == column)
-        counts = echoes.counts[column].reshape(n_frames * n_kept, -1).astype(np.float32)
-        share = counts @ log_kept[:, members]
+        share = echoes.counts[column].astype(np.float32) @ log_kept[:, members]  # small ones, too small for threads
         np.exp(share, out=share)
         if ray_gain is not None:
-            share *= ray_gain[echoes.ray[column].ravel()][:, bands[members]]
-        # one row of weights times a matrix, per frame
-        energy = echoes.weight[column][:, None, :] @ share.reshape(n_frames, n_kept, -1)
+            share *= ray_gain[echoes.ray[column]][:, :, bands[members]]
+        energy = echoes.weight[column][:, None, :] @ share
         result[:, bands[members]] = energy[:, 0]
     return result
 

@@ -20,8 +20,8 @@ NUDGE_M = 1e-4  # shadow rays start this far off the surface
 _BATCH = 32  # receivers that are served in one pass over the rays
 
 
-def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n_rays=None,
-           visible=None, ray_gain=None):
+def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, visible=None,
+           ray_gain=None):
     """Collect echograms.
 
     Parameters
@@ -35,8 +35,6 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n
     n_frames : int
         Frames of 1 ms from the emission on.
     speed_m_s : float
-    n_rays : int, optional
-        Use the first so many rays only.
     visible : ndarray, optional
         From `visibility`, which is asked if need be.
     ray_gain : ndarray, shape (n_rays, 8), optional
@@ -53,7 +51,7 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, n
     scattering = single(paths.scattering[paths.face_slot])
     if visible is None:
         visible = visibility(paths, room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
-    n_rays = len(paths.counts) if n_rays is None else min(n_rays, len(paths.counts))
+    n_rays = len(paths.counts)
     radius_m, volume_m3 = spheres(room, mics_m)
     ray_gain = np.zeros((0, 8), dtype=np.float32) if ray_gain is None else single(ray_gain)
     result = np.empty((len(mics_m), n_frames, absorption.shape[1]))

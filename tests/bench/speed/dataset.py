@@ -20,6 +20,7 @@ ROOMS_M = {  # the public room sizes of BUT ReverbDB, the stairwell included
     "D105": (17.2, 22.791, 6.9), "C236": (6.963, 4.115, 3.564)}
 N_MICS = 31
 JOBS = 2
+ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")  # as path.sh has it
 
 
 def rows(count, seed=6):
@@ -56,7 +57,7 @@ def simulate_rows(count):
         (measured / "rirs.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows(count)))
         child = subprocess.Popen([sys.executable, "-c", _CHILD, str(measured), str(out), str(JOBS)], text=True,
                                  stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                                 env=os.environ | {"NUMBA_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)})
+                                 env=os.environ | ONE_THREAD | {"PYTHONPATH": os.pathsep.join(sys.path)})
         peak_kib = 0
         while child.poll() is None:
             peak_kib = max([peak_kib, *map(_peak_kib, _family(child.pid))])

@@ -1,0 +1,96 @@
+#!/usr/bin/env python
+"""Does the loop find what it was not told of: undeclared worlds, their true effects against those that it names.
+
+Every world is made, closed and forgotten; what came of it is a line of results.jsonl in the output folder. Stopped and
+started again, the bench goes on with the worlds that are missing. Prints the confusion matrix and the rates with their
+Wilson intervals, and writes loop.json.
+
+e.g.: python tests/bench/loop/run.py --out exp/bench/loop                      # all: hours
+      python tests/bench/loop/run.py --out exp/bench/loop --seeds 1 --strengths 2 --kinds clean,source_response
+      python tests/bench/loop/run.py --out exp/bench/loop --minutes 30         # as much as fits, then the table
+"""
+
+import argparse
+import json
+import os
+import shutil
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+os.environ.setdefault("NUMBA_NUM_THREADS", str(min(2, len(os.sched_getaffinity(0)))))
+sys.path[:1] = [str(Path(__file__).resolve().parents[n] / name) for n, name in ((3, "pysrc"), (2, ""))]
+
+from bench import kit  # noqa: E402
+from bench.loop.table import rates, show  # noqa: E402
+from roomeq.loop.close import close_loop  # noqa: E402
+from worlds import KINDS, make_world  # noqa: E402
+
+OUTSIDE = ("clock_drift", "harmonic_distortion", "ringing_object")
+PAIRS = ("source_response+air_absorption", "source_response+room_modes", "mic_response+near_reflector",
+         "coupled_volume+source_directivity", "noise_floor+source_response", "sound_speed+mic_response")
+CLEAN_SEEDS = 60
+
+
+def worlds(kinds, strengths, seeds):
+    """What to make, in an order in which early results already say something: (kind, strength, seed)."""
+    single = [kind for kind in KINDS if kind not in OUTSIDE]
+    for n in range(max(CLEAN_SEEDS, seeds)):
+        seed = n + 1
+        some = [("clean", 0)] if n < CLEAN_SEEDS else []
+        if n < seeds:
+            some += [(kind, strength) for strength in sorted(strengths, key=lambda s: s != 2) for kind in single]
+            some += [(kind, 2) for kind in (*OUTSIDE, *PAIRS)]
+        for kind, strength in some:
+            if not kinds or kind in kinds:
+                yield kind, strength, seed
+
+
+def one_world(kind, strength, seed, cache):
+    """Make a world, close the loop, and return what came of it."""
+    with tempfile.TemporaryDirectory() as directory:
+        truth = make_world(kind, strength, seed, directory, cache=cache)
+        start, cpu = time.perf_counter(), time.process_time()
+        ledger = close_loop([Path(directory, "fit")], Path(directory, "loop"), seed=seed,
+                            judge=[Path(directory, "judge")], nj=2)
+        seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
+    return dict(kind=kind, strength=strength, seed=seed, achieved_jnd=truth["achieved_jnd"],
+                found=[one["effect"] for one in ledger["iterations"]],
+                cannot_tell=[one.get("cannot_tell", []) for one in ledger["iterations"]],
+                before=ledger["baseline"]["positions"]["error"], after=ledger["final"]["positions"]["error"],
+                judge_before=ledger["judge"]["before"]["positions"]["error"],
+                judge_after=ledger["judge"]["after"]["positions"]["error"],
+                unexplained=ledger["unexplained_all"][:3], ranking=(ledger["iterations"] or [ledger])[0]["ranking"][:3],
+                seconds=seconds, cpu_seconds=cpu)
+
+
+def main():
+    """Run what is missing, then show all."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True, help="folder of the results, kept over calls")
+    parser.add_argument("--kinds", type=lambda text: text.split(","), help="only these worlds")
+    parser.add_argument("--strengths", type=lambda text: [int(one) for one in text.split(",")], default=[1, 2, 4])
+    parser.add_argument("--seeds", type=int, default=5, help=f"of each effect; clean worlds have {CLEAN_SEEDS}")
+    parser.add_argument("--minutes", type=float, default=1e9, help="begin no world after so many")
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    results = args.out / "results.jsonl"
+    done = [json.loads(line) for line in results.read_text().splitlines()] if results.is_file() else []
+    known = {(one["kind"], one["strength"], one["seed"]) for one in done}
+    start, cache = time.monotonic(), args.out / "cache"
+    for world in worlds(args.kinds, args.strengths, args.seeds):
+        if world in known or time.monotonic() - start > 60.0 * args.minutes:
+            continue
+        done.append(one_world(*world, cache))
+        with results.open("a") as file:
+            file.write(json.dumps(kit.plain(done[-1])) + "\n")
+        print(f"{world[0]} {world[1]} JND, seed {world[2]}: found {', '.join(done[-1]['found']) or 'nothing'} "
+              f"({done[-1]['seconds']:.0f} s)", flush=True)
+    shutil.rmtree(cache, ignore_errors=True)
+    show(done)
+    (args.out / "loop.json").write_text(json.dumps(kit.plain(rates(done)), indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
