@@ -1,12 +1,15 @@
 """The whole recipe at its smallest size: the same bytes over jobs and interruptions."""
 
 import random
+import re
 import signal
 import time
 
 import pytest
 
 from recipe_run import finish, hashes, kill, start
+from roomeq.rirs import read_rirs, rir_path
+from roomeq.validate import validate
 
 
 @pytest.fixture(scope="module")
@@ -24,9 +27,36 @@ def undisturbed(corpora, project_dir):
 def test_ends_with_data_directories_and_a_report(undisturbed, corpora):
     output, files = undisturbed
     assert "report: " in output.splitlines()[-1] and "data directory: " in output.splitlines()[-2]
-    for name in ("train.real", "train.sim", "train.sim.EQ", "dev.real", "dev.sim", "dev.sim.EQ", "test.real"):
+    for name in ("train.real", "train.sim", "train.sim.EQ", "train.sim.loop", "dev.real", "dev.sim", "dev.sim.EQ",
+                 "dev.sim.loop", "test.real"):
         assert f"data/{name}.rvb/wav.scp" in files and f"data/{name}.rvb/segments" in files
     assert "exp/report/index.html" in files
+
+
+def test_the_loop_finds_the_loudspeakers_and_simulates_with_them(undisturbed, corpora):
+    output, files = undisturbed
+    found = re.findall(r"^loop: (\S+): held-out error ([\d.]+) -> ([\d.]+) JND \[[\d.]+, [\d.]+\]$", output, re.M)
+    assert [name for name, *_ in found] == ["source_response"] and float(found[0][2]) < float(found[0][1])
+    assert re.search(r"^judge: held-out error [\d.]+ -> [\d.]+ JND on unseen positions", output, re.M)
+    where = corpora / "run-a"
+    validate([where / "exp/loop", where / "data/rirs.sim.loop.train", where / "data/train.sim.loop.rvb"])
+    for row in read_rirs(where / "data/rirs.sim.loop.train"):
+        assert row["model"] == ([] if row["noise_for"] else ["source_response"])
+    assert "What the simulation lacked" in (where / "exp/report/index.html").read_text()
+
+
+def test_without_rooms_that_are_known_the_recipe_says_so_and_goes_on(undisturbed, corpora, project_dir):
+    where = corpora / "run-e"
+    measured = corpora / "run-a/data/rirs.real"
+    (where / "measured").mkdir(parents=True)
+    lines = ["file,id,room"] + [f"{rir_path(measured, row).resolve()},{row['id']},{row['room_id']}"
+                                for row in read_rirs(measured)]
+    (where / "measured/manifest.csv").write_text("\n".join(lines) + "\n")
+    output = finish(start(project_dir, where, corpora / "corpora", 2, "--measured", str(where / "measured"),
+                          "--noises", str(corpora / "corpora/speech/point_noises")))
+    assert "rirs.real.train: 0 rooms with geometry; the closed loop leaves rooms out and needs 3: left out" in output
+    assert (where / "data/train.sim.EQ.rvb/wav.scp").is_file() and not (where / "data/rirs.sim.loop.train").exists()
+    assert "What the simulation lacked" not in (where / "exp/report/index.html").read_text()
 
 
 def test_two_jobs_and_a_second_run_give_the_same_bytes(undisturbed, corpora, project_dir):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from recipe_run import kill, start
 
-STAGES = (0, 1, 2, 3, 4, 6, 7)
+STAGES = (0, 1, 2, 3, 4, 5, 6, 7)
 PARTS = ("run.sh", "path.sh", "cmd.sh", "pyproject.toml", "requirements.txt", "conf", "local", "steps", "utils",
          "pysrc")
 

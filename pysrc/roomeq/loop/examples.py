@@ -12,7 +12,7 @@ import numpy as np
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.metrics import energy_decay, octave_bands
 from roomeq.constants import EXACT_BANDS_HZ, FS_HZ
-from roomeq.loop.cells import THIRDS_HZ, slots
+from roomeq.loop.cells import THIRDS_HZ, measure_cells, slots
 from roomeq.loop.rendering import finished, render_rows
 from roomeq.rirs import load_rir, read_rirs
 
@@ -110,9 +110,10 @@ def make_examples(directories, first, last):
         cells = np.where(data.valid[n], data.cells[n], np.nan)[slots("spectrum")]
         spectrum_db[k, 0] = cells
         for kind, session in enumerate((first, last), start=1):
-            rir, scene = _rendered(session, n)
-            decay_db[k, kind] = _decays(rir, data.distance_m[n] / scene.air.speed_m_s * FS_HZ)
-            spectrum_db[k, kind] = np.where(np.isfinite(cells), session.rendered[n][slots("spectrum")], np.nan)
+            rir, direct, gain_db = _rendered(session, n)
+            decay_db[k, kind] = _decays(rir, direct)
+            levels_db = measure_cells(rir, direct).values[slots("spectrum")] + gain_db
+            spectrum_db[k, kind] = np.where(np.isfinite(cells), levels_db, np.nan)
     return Examples([data.rows[n]["id"] for n in chosen], [data.rows[n]["room_id"] for n in chosen], decay_db,
                     spectrum_db)
 
@@ -136,11 +137,12 @@ def _recorded(directories, ids):
 
 
 def _rendered(session, n):
-    """The RIR of a row as a session's model renders it, and its scene."""
+    """The RIR of a row as a session's model renders it, its direct sound, and the gain of its recording [dB]."""
     data = session.data
     absorption = session.layout.absorption(session.fit.mean, session.fit.local)
     (raw,) = render_rows(data, absorption[data.room], session.by_row, seed=session.seed, rows=[n])
-    return finished(data, n, raw, session.by_row[n], session.seed), raw.scene
+    rir = finished(data, n, raw, session.by_row[n], session.seed)
+    return rir, data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ, session.layout.gains(session.fit.local)[n]
 
 
 def _decays(rir, direct):

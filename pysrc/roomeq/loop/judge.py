@@ -35,6 +35,8 @@ def judge_errors(data, session, *, seed, nj):
         cells = np.full(data.cells.shape, np.nan)
         for known, scored in ((first, second), (second, first)):
             rows = np.concatenate(scored)
+            if not len(rows):  # every room has a single RIR
+                continue
             local = solve_rooms(layout, session.fit, mean, offset, known, chosen)
             absorption, vectors = layout.absorption(mean, local), layout.vectors(mean, local)
             by_row = effects_of_rows(data, session.effects, vectors)

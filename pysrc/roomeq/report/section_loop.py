@@ -219,20 +219,19 @@ def responses(ledger: dict) -> Html:
 
 def examples_figure(found: Examples) -> Html:
     """Return decay curves and spectra of a few RIRs, measured and simulated."""
-    panels = []
+    made = []
     time_s = np.arange(found.decay_db.shape[-1]) * STEP_S
-    for n, (ident, room) in enumerate(zip(found.ids, found.rooms, strict=True)):
-        spectra = found.spectrum_db[n] - np.nanmean(found.spectrum_db[n][0])
-        limits = figures.common_limits(spectra)
-        panels.append(example_panel(f"spectrum-{n + 1}", f"{room}: spectrum", np.array(THIRDS_HZ), spectra,
-                                    "Level (dB)", ident, frequency=True, limits=limits))
-        panels += [example_panel(f"decay-{n + 1}-{BANDS_HZ[band]:g}", f"{room}: {BANDS_HZ[band]:g} Hz", time_s,
-                                 found.decay_db[n, :, k], "Energy to come (dB)", ident, limits=(-50.0, 2.0))
+    for n, (ident, room) in enumerate(zip(found.ids, found.rooms, strict=True), start=1):
+        spectra = found.spectrum_db[n - 1] - np.nanmean(found.spectrum_db[n - 1][0])
+        panels = [example_panel(f"spectrum-{n}", "Spectrum", np.array(THIRDS_HZ), spectra, "Level (dB)", ident,
+                                frequency=True, limits=figures.common_limits(spectra))]
+        panels += [example_panel(f"decay-{n}-{BANDS_HZ[band]:g}", f"Decay at {BANDS_HZ[band]:g} Hz", time_s,
+                                 found.decay_db[n - 1, :, k], "Energy to come (dB)", ident, limits=(-50.0, 2.0))
                    for k, band in enumerate(DECAY_BANDS)]
-    return figure("figure-loop-examples", panels, join([
-        "Measured and simulated RIRs: of a small, a middling and a large room the one at the median distance (",
-        join([tag("code", ident) for ident in found.ids], ", "), "). The simulations stand at the places of the "
-        "measured RIRs, with the surfaces that calibration found."]))
+        made.append(figure(f"figure-loop-example-{n}", panels, join([
+            tag("code", ident), " of room ", tag("code", room), ": measured, and simulated at its place with the "
+            "surfaces that calibration found."])))
+    return join([paragraph("Of a small, a middling and a large room, the RIR at the median distance:"), *made])
 
 
 def example_panel(ident: str, title: str, x: np.ndarray, values: np.ndarray, label: str, rir: str, **how) -> Html:
