@@ -55,9 +55,11 @@ class Errors:
         return float(self.of_rooms(way).mean())
 
     def interval(self, way):
-        """Interval of 95 % of the mean over rooms (t)."""
+        """Interval of 95 % of the mean over rooms (t); None where there is but one."""
         rooms = self.of_rooms(way)
-        half = stats.t.ppf(0.975, max(len(rooms) - 1, 1)) * rooms.std(ddof=1) / np.sqrt(len(rooms))
+        if len(rooms) < 2:
+            return None
+        half = stats.t.ppf(0.975, len(rooms) - 1) * rooms.std(ddof=1) / np.sqrt(len(rooms))
         return [float(rooms.mean() - half), float(rooms.mean() + half)]
 
     def by_metric(self, way):
