@@ -191,7 +191,7 @@ def _simulate_group(work, group, table, model, options):
             source_id = f"noise-{source[0]}-{source[1]}-{source[2]}"
             noise_row = row | dict(id=f"{row['id']}-noise{n}", source_id=source_id, source_dir=None)
             moved = replace(one, place=replace(one.place, source_pos_m=tuple(source)), response=noise, target_s=None)
-            heard = [effect for effect in known if effect.SCOPE != "source"]
+            heard = [effect for effect in known if effect.SCOPE not in ("source", "rir")]
             records.append(_write(work, noise_row, moved, heard, air, seed, noise_for=row["id"]))
     return records
 

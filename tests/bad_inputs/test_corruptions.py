@@ -311,7 +311,7 @@ def other_model(rng, root):
     if rng.random() < 0.5:
         content["effects"].pop()
     else:
-        content["effects"][0]["of"]["hall"] = {"detour_m": None}
+        content["effects"][0]["of"]["hall"] = {"depth_m": None}
     path.write_text(json.dumps(content))
 
 

@@ -12,6 +12,7 @@ from roomeq.loop.predict import BAND_OF_CELL
 MIN_SIZE_JND = 1.0
 MIN_ROOM_SIZE_JND = 2.0  # rooms differ in more than absorption: what one has alone must be plain
 LEVEL = 0.05
+_CLIP = 8.0
 
 
 @dataclass(frozen=True)
@@ -91,27 +92,23 @@ def _tests(values, data, seen):
 
 
 def _of_single_rooms(metric, residual, data):
-    """Whether rooms have one band each that stands out in one direction: (bands, size, p), or None.
+    """Whether rooms have one cell each that stands out in one direction: (bands, size, p), or None.
 
-    Chance is as far out above as below. So the largest residual of each room's bands is set against its smallest.
+    Chance is as far out above as below. So the largest residual of each room's cells is set against its smallest.
     """
-    bands = sorted(set(BAND_OF_CELL[METRIC == metric]))
-    names = np.unique(data.room)
-    if len(bands) < 4 or len(names) < 3:
+    cells, names = residual[:, METRIC == metric], np.unique(data.room)
+    if cells.shape[1] < 4 or len(names) < 3:
         return None
-    means = np.full((len(names), len(bands)), np.nan)
-    for i, r in enumerate(names):
-        for k, band in enumerate(bands):
-            cells = residual[data.room == r][:, (METRIC == metric) & (BAND_OF_CELL == band)]
-            means[i, k] = np.nanmean(cells) if np.isfinite(cells).any() else 0.0
-    scale = np.median(np.abs(means), axis=0) + 0.1  # low bands scatter more
-    standing = means / scale
+    seen = [np.isfinite(cells[data.room == r]) for r in names]
+    means = np.array([np.where(ok.any(axis=0), np.where(ok, cells[data.room == r], 0.0).sum(axis=0)
+                               / np.maximum(ok.sum(axis=0), 1), 0.0) for r, ok in zip(names, seen, strict=True)])
+    # low bands scatter more; one room alone shall not decide
+    standing = np.clip(means / (np.median(np.abs(means), axis=0) + 0.2), -_CLIP, _CLIP)
     high, low = standing.max(axis=1), standing.min(axis=1)
     sign = 1.0 if np.mean(high + low) > 0.0 else -1.0
-    p = float(stats.ttest_1samp(high + low, 0.0).pvalue)
     at = np.argmax(sign * standing, axis=1)
     size = float(np.mean(means[np.arange(len(names)), at]))
-    return sorted({bands[k] for k in at}), size, p
+    return sorted(set(BAND_OF_CELL[METRIC == metric][at])), size, float(stats.ttest_1samp(high + low, 0.0).pvalue)
 
 
 def _merged(found):

@@ -1,0 +1,196 @@
+"""The closed loop on small undeclared worlds: nothing where there is nothing, the effect where there is one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roomeq.cli import main
+from roomeq.constants import BAND_1KHZ, FS_HZ
+from roomeq.effects.catalogue import CATALOGUE
+from roomeq.effects.model import read_model
+from roomeq.effects.response import RESPONSE_HZ
+from roomeq.effects.source_response import SourceResponse
+from roomeq.files import read_json
+from roomeq.loop.attribute import choose, rank
+from roomeq.loop.cells import HAS_GAIN, JND, METRIC, measure_cells, slots
+from roomeq.loop.close import SCATTERING, close_loop
+from roomeq.loop.data import load_data
+from roomeq.loop.fit import fit, leave_rooms_out
+from roomeq.loop.heldout import halves
+from roomeq.loop.session import begin
+from roomeq.rirs import load_rir, read_rirs, relocated, write_rirs
+from roomeq.validate import validate
+from worlds import make_world
+
+ROOMS = 5
+SEED = 3
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """Make worlds of five rooms; those of one seed share their rooms."""
+    cache = tmp_path_factory.mktemp("cache")
+    made = {}
+
+    def make(kind, strength=4):
+        if kind not in made:
+            made[kind] = tmp_path_factory.mktemp("world") / "world"
+            make_world(kind, strength, SEED, made[kind], n_fit=ROOMS, n_judge=1, cache=cache)
+        return made[kind]
+    return make
+
+
+@pytest.fixture(scope="module")
+def closed(world, tmp_path_factory):
+    """Close the loop on a world: its ledger."""
+    found = {}
+
+    def close(kind):
+        if kind not in found:
+            out = tmp_path_factory.mktemp("loop") / "loop"
+            close_loop([world(kind) / "fit"], out, judge=[world(kind) / "judge"], nj=2)
+            found[kind] = out
+        return found[kind], read_json(found[kind] / "ledger.json")
+    return close
+
+
+@pytest.fixture(scope="module")
+def session(world):
+    """The base model, fitted to a clean world."""
+    return begin(load_data([world("clean") / "fit"], scattering=SCATTERING, seed=0), seed=0, nj=2)
+
+
+def test_cells_are_in_just_noticeable_differences(world):
+    directory = world("clean") / "fit"
+    rir = load_rir(directory, read_rirs(directory)[0])
+    plain, louder = measure_cells(rir), measure_cells(10.0 ** 0.15 * rir)
+    change = np.where(plain.valid, louder.values - plain.values, np.nan)
+    np.testing.assert_allclose(change[HAS_GAIN & plain.valid], 3.0, atol=1e-6)
+    assert np.nanmax(np.abs(change[~HAS_GAIN & (METRIC != "floor") & (METRIC != "ahead")])) < 1e-6
+    time_s = np.arange(len(rir)) / FS_HZ
+    band = slots("t20").start + BAND_1KHZ
+    slower = rir * 10.0 ** (3.0 * time_s * (1.0 - 1.0 / 1.05) / np.exp(plain.values[band] * JND["t20"]))
+    assert measure_cells(slower).values[band] - plain.values[band] == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_world_against_itself_has_no_error_and_nothing_is_found(session):
+    """What a model predicts, taken for the measurement: the fit is exact, and no effect helps."""
+    itself = replace(session.data, cells=session.fit.predicted)
+    again = fit(itself, session.offset, (), like=session.fit)
+    error = np.where(itself.valid, np.abs(itself.cells - again.predicted), 0.0)
+    assert error.max() < 0.05
+    winner, _ = choose(rank(replace(session, data=itself, fit=again)))
+    assert winner is None
+
+
+def test_rooms_left_out_are_predicted_by_the_others(session):
+    left_out = leave_rooms_out(session.data, session.fit)
+    assert len(left_out) == ROOMS
+    for one in left_out:
+        assert np.isfinite(one.log_density)
+        assert 0.0 < np.abs(one.mean - session.fit.mean).max() < 1.0
+
+
+def test_halves_are_disjoint_and_hold_every_chain(session):
+    first, second = halves(session.data)
+    for r, (a, b) in enumerate(zip(first, second, strict=True)):
+        assert not set(a) & set(b) and set(a) | set(b) == set(np.flatnonzero(session.data.room == r))
+        assert set(session.data.chain[a]) == set(session.data.chain[b])
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_every_effect_speaks_for_itself(name, session):
+    """Vector and parameters are the same thing, and what an effect does to tables it changes in some cell."""
+    effect = CATALOGUE[name]
+    for start in effect.STARTS:
+        one = effect.from_vector(np.array(start, dtype=float))
+        np.testing.assert_allclose(one.vector(), start, atol=1e-9)
+    assert np.linalg.eigvalsh(effect.prior_covariance()).min() > 0.0
+    layout = session.layout
+    absorption = layout.absorption(session.fit.mean, session.fit.local)
+    state, changed = (layout.state(absorption, []) for _ in range(2))
+    moved = effect.from_vector(np.array(effect.STARTS[0]) + 0.5 * np.array(effect.SPREAD))
+    moved.act(changed, session.data, np.arange(len(session.data.rows)))
+    same = all(np.array_equal(getattr(state, key), getattr(changed, key)) for key in vars(state)
+               if isinstance(getattr(state, key), np.ndarray)) and changed.ray_gain is None
+    assert not same and effect.TELLS
+
+
+def test_a_clean_world_is_left_alone(closed):
+    _, ledger = closed("clean")
+    assert ledger["iterations"] == []
+    assert ledger["final"] == ledger["baseline"]
+
+
+@pytest.mark.parametrize("kind", ["source_response", "source_directivity", "noise_floor", "sound_speed"])
+def test_an_effect_that_nobody_declared_is_found(kind, closed):
+    out, ledger = closed(kind)
+    first = ledger["iterations"][0]
+    assert first["effect"] == kind == first["ranking"][0]["effect"]
+    assert first["heldout_error_after"] < first["heldout_error_before"] and first["p"] < 0.05
+    assert ledger["judge"]["after"]["positions"]["error"] < ledger["judge"]["before"]["positions"]["error"]
+    assert kind in read_model(out / "model.json").names
+    validate([out])
+
+
+def test_the_response_that_is_found_is_that_of_the_world(closed, world):
+    """Its shape, that is: what is the same at all frequencies is a gain, and nobody knows that."""
+    out, _ = closed("source_response")
+    (extension,) = [one for one in read_model(out / "model.json").extensions if one.effect is SourceResponse]
+    clean, changed = ({row["id"]: (row, load_rir(world(kind) / "fit", row)) for row in read_rirs(world(kind) / "fit")}
+                      for kind in ("clean", "source_response"))
+    for source_id, found in extension.of.items():
+        true_db = np.mean([measure_cells(changed[name][1]).values[slots("spectrum")]
+                           - measure_cells(rir).values[slots("spectrum")]
+                           for name, (row, rir) in clean.items() if row["source_id"] == source_id], axis=0)
+        shape = np.array(found.gains_db)[:len(true_db)]
+        upper = np.array(RESPONSE_HZ)[:len(true_db)] > 200.0
+        error_db = (shape - true_db)[upper] - np.mean((shape - true_db)[upper])
+        assert np.sqrt(np.mean(error_db ** 2)) < 1.0
+
+
+def test_what_no_effect_explains_is_said_and_not_named(closed):
+    _, ledger = closed("harmonic_distortion")
+    assert ledger["iterations"] == []
+    assert ledger["unexplained"]["time_region"] == "ahead" and ledger["unexplained"]["size_jnd"] > 2.0
+
+
+def test_one_loudspeaker_and_one_microphone_cannot_be_told_apart(world, tmp_path):
+    directory = tmp_path / "one"
+    rows = read_rirs(world("source_response") / "fit")
+    directory.mkdir()
+    write_rirs(directory, [row | dict(mic_id="the-mic") for row in relocated(
+        [row for row in rows if row["source_id"] == "spk1"], world("source_response") / "fit", directory)])
+    close_loop([directory], tmp_path / "loop", nj=2)
+    first = read_json(tmp_path / "loop" / "ledger.json")["iterations"][0]
+    assert {"source_response", "mic_response"} <= set(first["cannot_tell"]) and first["would_tell"]
+
+
+def test_results_do_not_depend_on_jobs(world, tmp_path):
+    for nj in (1, 2):
+        close_loop([world("noise_floor") / "fit"], tmp_path / str(nj), nj=nj)
+    for name in ("ledger.json", "model.json"):
+        assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
+
+
+@pytest.mark.parametrize("argv, message", [
+    (["{two}", "--out", "out"], "RIRs of 2 rooms"),
+    (["{two}", "--out", "out", "--max-effects", "-1"], "max_effects=-1 must lie in"),
+    (["{two}", "{two}", "--out", "out"], "give each RIR once"),
+    (["absent", "--out", "out"], "absent"),
+])
+def test_bad_input_is_one_line(argv, message, world, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    source = world("clean") / "fit"
+    rows = read_rirs(source)
+    rooms = sorted({row["room_id"] for row in rows})[:2]
+    rows = [row for row in rows if row["room_id"] in rooms]
+    two = tmp_path / "two"
+    two.mkdir()
+    write_rirs(two, relocated(rows, source, two))
+    assert main(["close-loop", *(word.replace("{two}", str(two)) for word in argv)]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 and message in lines[0] and not (tmp_path / "out").exists()
+
+
