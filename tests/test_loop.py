@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rirmaker import coloured_rir
 from roomeq.cli import main
-from roomeq.constants import BAND_1KHZ, FS_HZ
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import read_model
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.effects.source_response import SourceResponse
 from roomeq.files import read_json
 from roomeq.loop.attribute import choose, rank
-from roomeq.loop.cells import HAS_GAIN, JND, METRIC, measure_cells, slots
+from roomeq.loop.cells import HAS_GAIN, METRIC, measure_cells, slots
 from roomeq.loop.close import SCATTERING, close_loop
 from roomeq.loop.data import load_data
 from roomeq.loop.fit import fit, leave_rooms_out
@@ -68,18 +68,17 @@ def test_cells_are_in_just_noticeable_differences(world):
     change = np.where(plain.valid, louder.values - plain.values, np.nan)
     np.testing.assert_allclose(change[HAS_GAIN & plain.valid], 3.0, atol=1e-6)
     assert np.nanmax(np.abs(change[~HAS_GAIN & (METRIC != "floor") & (METRIC != "ahead")])) < 1e-6
-    time_s = np.arange(len(rir)) / FS_HZ
-    band = slots("t20").start + BAND_1KHZ
-    slower = rir * 10.0 ** (3.0 * time_s * (1.0 - 1.0 / 1.05) / np.exp(plain.values[band] * JND["t20"]))
-    assert measure_cells(slower).values[band] - plain.values[band] == pytest.approx(1.0, abs=0.1)
+    short, long = (np.mean([measure_cells(coloured_rir(seed, time_s=time_s, length_s=1.2)).values[slots("t20")][3:]
+                            for seed in range(4)]) for time_s in (0.4, 0.42))
+    assert long - short == pytest.approx(1.0, abs=0.2)
 
 
 def test_a_world_against_itself_has_no_error_and_nothing_is_found(session):
-    """What a model predicts, taken for the measurement: the fit is exact, and no effect helps."""
+    """What a model predicts, taken for the measurement: no error but for the pull of priors, and no effect helps."""
     itself = replace(session.data, cells=session.fit.predicted)
     again = fit(itself, session.offset, (), like=session.fit)
-    error = np.where(itself.valid, np.abs(itself.cells - again.predicted), 0.0)
-    assert error.max() < 0.05
+    error = np.abs(itself.cells - again.predicted)[itself.valid]
+    assert error.mean() < 0.02 and error.max() < 0.5
     winner, _ = choose(rank(replace(session, data=itself, fit=again)))
     assert winner is None
 

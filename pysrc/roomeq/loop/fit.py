@@ -358,7 +358,7 @@ def scatter(data, residual, valid):
     total = np.array([np.nansum(one, axis=0) for one in rooms])
     square = np.array([np.nansum(one ** 2, axis=0) for one in rooms])
     mean = total / np.maximum(count, 1)
-    within = np.sum(square - count * mean ** 2, axis=0)
+    within = np.maximum(np.sum(square - count * mean ** 2, axis=0), 0.0)  # rounding may take equal cells below 0
     freedom = np.sum(np.maximum(count - 1, 0), axis=0)
     between = np.sum(count * mean ** 2, axis=0) - np.sum(count > 0, axis=0) * within / np.maximum(freedom, 1)
     sigma2, omega2 = np.empty(N_CELLS), np.empty(N_CELLS)
