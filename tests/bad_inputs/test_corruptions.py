@@ -267,7 +267,7 @@ def without_a_part(rng, content):
 
 def with_a_wrong_error(rng, content):
     entry = content[rng.choice(["baseline", "final"])][rng.choice(["positions", "rooms"])]
-    entry[rng.choice(["error", "ci", "by_metric", "by_band"])] = [None, "3", -1.0, 99.0, {"gnomes": 1.0}][
+    entry[rng.choice(["error", "ci", "by_metric", "by_band"])] = [[], "3", -1.0, 99.0, {"gnomes": 1.0}][
         rng.integers(5)]
 
 
