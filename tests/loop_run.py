@@ -15,7 +15,8 @@ from roomeq.loop.ledger import LEDGER_FILE
 from roomeq.rng import rng_for
 
 N_RIRS, ROOMS = 24, ("hall", "office", "<b>attic")
-VECTORS = dict(source_response=5.0 * np.sin(np.arange(len(RESPONSE_HZ)) / 3.0), occlusion=np.array([1.2]))
+VECTORS = dict(source_response=5.0 * np.sin(np.arange(len(RESPONSE_HZ)) / 3.0),
+               near_reflector=np.array([np.log(0.7), 0.6]))
 
 
 def errors(mean):
@@ -53,7 +54,7 @@ def iteration(one, before, after, **more):
 
 def make_loop(out):
     """Make a directory as `roomeq close-loop` does."""
-    found = [extension("source_response", ("spk1", "<i>spk2")), extension("occlusion", ROOMS)]
+    found = [extension("source_response", ("spk1", "<i>spk2")), extension("near_reflector", ROOMS)]
     left = dict(metric="ahead", time_region=REGION["ahead"], bands_hz=[125.0], varies_with="nothing", size_jnd=3.5,
                 p=0.01)
     ledger = dict(
@@ -61,7 +62,10 @@ def make_loop(out):
         iterations=[iteration(found[0], 3.4, 1.9, cannot_tell=["source_response", "mic_response"],
                               would_tell=["the same room recorded with another loudspeaker"]),
                     iteration(found[1], 1.9, 1.5)],
-        unexplained=left, unexplained_all=[left], judge=dict(rirs=8, rooms=2, before=errors(3.6), after=errors(1.8)))
+        unexplained=left, unexplained_all=[left], judge=dict(rirs=8, rooms=1, before=errors(3.6), after=errors(1.8)))
+    for when in ("before", "after"):
+        for entry in ledger["judge"][when].values():
+            entry["ci"] = None  # as of a single room
     rng = rng_for(0, "made-up residuals", "")
     before = 3.0 + rng.standard_normal((N_RIRS, N_CELLS))
     before[rng.random(before.shape) < 0.2] = np.nan

@@ -141,7 +141,7 @@ def test_the_loop_is_told_in_words(page):
     assert "Held-out error 3.40 \u2192 1.90 JND (95 % interval 1.60 to 2.20)" in page.text
     assert "ahead at 125 Hz (ahead) is +3.5 JND off, the same in all rooms" in page.text
     assert "What this does not show" in page.text and "3.4 \u2192 1.5" in page.text
-    assert "detour_m 0.144 (0.144 to 0.144)" in page.text and "56 %" in page.text
+    assert "depth_m 0.7 (0.7 to 0.7); reflection 0.6 (0.6 to 0.6)" in page.text and "56 %" in page.text
 
 
 def test_a_page_without_a_loop_has_no_chapter_on_it(made, tmp_path):

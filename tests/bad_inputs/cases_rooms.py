@@ -1,5 +1,6 @@
 """Broken rooms: meshes and tables of materials."""
 
+import json
 import re
 
 from right import BOX
@@ -59,6 +60,16 @@ CASES = [
          "RIR m1: mesh/room.blend: a mesh must be one of .obj, .ply, .glb, .gltf, .stl, .off: export it as such",
          b""),
     materials("materials empty", "own.toml: no material with use 'wall': add one", ""),
+    Case("model absent", "simulate --model absent.json measured out",
+         "absent.json: No such file or directory: check the path"),
+    Case("model a directory", "simulate --model rirs measured out", "rirs: Is a directory: check the path"),
+    Case("model no JSON", "simulate --model m.json measured out", "m.json: ...", (write("m.json", "{"),)),
+    Case("model of an unknown effect", "simulate --model m.json measured out",
+         "m.json: effects[0]: effect='gnomes' must be one of ...",
+         (write("m.json", '{"effects": [{"effect": "gnomes"}]}'),)),
+    Case("model of text for numbers", "simulate --model m.json measured out",
+         "m.json: effects[0]: typical=['far'] must be 1 numbers: correct them", (write("m.json", json.dumps(
+             dict(effects=[dict(effect="sound_speed", of={}, typical=["far"])]))),)),
     Case("materials absent", "simulate --materials absent.toml measured out",
          "absent.toml: cannot be read as a table of materials (...): see conf/materials.toml for the form"),
     materials("materials no toml",

@@ -267,7 +267,7 @@ def without_a_part(rng, content):
 
 def with_a_wrong_error(rng, content):
     entry = content[rng.choice(["baseline", "final"])][rng.choice(["positions", "rooms"])]
-    entry[rng.choice(["error", "ci", "by_metric", "by_band"])] = [None, "3", -1.0, 99.0, {"gnomes": 1.0}][
+    entry[rng.choice(["error", "ci", "by_metric", "by_band"])] = [[], "3", -1.0, 99.0, {"gnomes": 1.0}][
         rng.integers(5)]
 
 
@@ -311,7 +311,7 @@ def other_model(rng, root):
     if rng.random() < 0.5:
         content["effects"].pop()
     else:
-        content["effects"][0]["of"]["hall"] = {"detour_m": None}
+        content["effects"][0]["of"]["hall"] = {"depth_m": None}
     path.write_text(json.dumps(content))
 
 

@@ -129,7 +129,8 @@ def _errors(value, what):
     for way in WAYS:
         _keys(value[way], f"{what}.{way}", ("error", "ci", "by_metric", "by_band"))
         _number(value[way]["error"], f"{what}.{way}.error", 0.0, LARGEST)
-        _interval(value[way]["ci"], f"{what}.{way}.ci", value[way]["error"])
+        if value[way]["ci"] is not None:  # of a single room
+            _interval(value[way]["ci"], f"{what}.{way}.ci", value[way]["error"])
         _split((value[way]["by_metric"], value[way]["by_band"]), f"{what}.{way}")
 
 

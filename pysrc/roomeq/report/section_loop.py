@@ -90,8 +90,7 @@ def findings(ledger: dict) -> Html:
 def errors_table(ledger: dict) -> Html:
     """Return the held-out errors before and after, those of the judge included."""
     def row(name: str, n_rirs: int, n_rooms: int, before: dict, after: dict) -> list:
-        return [name, n_rirs, n_rooms, *(tag("span", f"{one['error']:.2f} ({one['ci'][0]:.2f}\u2013{one['ci'][1]:.2f})",
-                                             class_="nw") for one in (before, after)),
+        return [name, n_rirs, n_rooms, with_interval(before), with_interval(after),
                 f"{100 * (1 - after['error'] / max(before['error'], 1e-9)):.0f} %".replace("-", "\u2212")]
 
     rows = [row(f"Unseen {way}", ledger["rirs"], ledger["rooms"], ledger["baseline"][way], ledger["final"][way])
@@ -104,6 +103,12 @@ def errors_table(ledger: dict) -> Html:
         "RIRs calibrate its surfaces, the others are scored. Unseen rooms: only the reverberation time at 1 kHz and "
         "the gains are known of the room, the rest comes from other rooms",
         ["Scored on", "RIRs", "Rooms", "Before", "After", "Less by"], rows)
+
+
+def with_interval(entry: dict) -> Html:
+    """Return an error with its interval, which a single room has not."""
+    around = "" if entry["ci"] is None else f" ({entry['ci'][0]:.2f}\u2013{entry['ci'][1]:.2f})"
+    return tag("span", f"{entry['error']:.2f}{around}", class_="nw")
 
 
 def effects_table(ledger: dict) -> Html:
