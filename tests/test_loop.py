@@ -16,8 +16,9 @@ from roomeq.loop.attribute import choose, rank
 from roomeq.loop.cells import HAS_GAIN, METRIC, measure_cells, slots
 from roomeq.loop.close import SCATTERING, close_loop
 from roomeq.loop.data import load_data
-from roomeq.loop.fit import fit, leave_rooms_out
+from roomeq.loop.fit import fit
 from roomeq.loop.heldout import halves
+from roomeq.loop.leftout import leave_rooms_out
 from roomeq.loop.session import begin
 from roomeq.rirs import load_rir, read_rirs, relocated, write_rirs
 from roomeq.validate import validate

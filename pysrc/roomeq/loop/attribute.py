@@ -8,7 +8,9 @@ from scipy import stats
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.room_eq import RoomEq
 from roomeq.loop.cells import METRIC
-from roomeq.loop.fit import Fit, Layout, fit, leave_rooms_out
+from roomeq.loop.fit import Fit, fit
+from roomeq.loop.layout import Layout
+from roomeq.loop.leftout import leave_rooms_out
 from roomeq.loop.session import in_order
 
 MIN_ROOMS = 3

@@ -16,7 +16,7 @@ from scipy import stats
 
 from roomeq.constants import BAND_1KHZ
 from roomeq.loop.cells import HAS_GAIN, LARGEST, METRIC
-from roomeq.loop.fit import PEEKED, calibrate, leave_rooms_out
+from roomeq.loop.leftout import PEEKED, calibrate, leave_rooms_out
 from roomeq.loop.predict import BAND_OF_CELL
 from roomeq.loop.rendering import render_rows, rendered_cells
 from roomeq.loop.session import effects_of_rows

@@ -3,8 +3,9 @@
 import numpy as np
 
 from roomeq.loop.cells import HAS_GAIN, LARGEST
-from roomeq.loop.fit import N_SURFACE, OWN, PEEKED, Layout, solve_rooms
 from roomeq.loop.heldout import KNOWN, Errors, halves
+from roomeq.loop.layout import N_SURFACE, OWN, Layout
+from roomeq.loop.leftout import PEEKED, solve_rooms
 from roomeq.loop.rendering import render_rows, rendered_cells
 from roomeq.loop.session import effects_of_rows
 

@@ -5,7 +5,8 @@ from dataclasses import asdict
 import numpy as np
 
 from roomeq.loop.attribute import one_sided_p
-from roomeq.loop.fit import OWN, leave_rooms_out
+from roomeq.loop.layout import OWN
+from roomeq.loop.leftout import leave_rooms_out
 
 LEDGER_FILE = "ledger.json"
 

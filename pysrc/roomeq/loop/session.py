@@ -6,7 +6,8 @@ import numpy as np
 
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.loop.cells import HAS_GAIN, METRIC, N_CELLS
-from roomeq.loop.fit import Fit, Layout, fit
+from roomeq.loop.fit import Fit, fit
+from roomeq.loop.layout import Layout
 from roomeq.loop.rendering import render_rows, rendered_cells
 
 _ORDER = list(CATALOGUE.values())

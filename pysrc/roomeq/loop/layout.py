@@ -1,0 +1,78 @@
+"""Where each unknown of a model stands, and what cells follow from them."""
+
+import numpy as np
+
+from roomeq.loop.cells import HAS_GAIN
+from roomeq.loop.predict import N_BANDS, base_state, predict
+
+OWN = ("room", "rir")  # scopes whose vectors belong to one room alone
+N_SURFACE = 2 * N_BANDS
+"""Unknowns of the surfaces: absorption per band, and the contrast of floor and ceiling to the walls."""
+
+
+class Layout:
+    """Where each unknown stands."""
+
+    def __init__(self, data, effects):
+        self.data, self.effects = data, tuple(effects)
+        self.chains = [sorted(set(data.chain[data.room == r])) for r in range(len(data.room_names))]
+        self.shared, start = [], N_SURFACE
+        for effect in self.effects:
+            names, unit = data.units(effect.SCOPE)
+            size = len(effect.SPREAD)
+            count = 1 if effect.SCOPE in OWN else len(names)
+            self.shared.append((slice(start, start + count * size), count, unit, size))
+            start += count * size
+        self.n_shared = start
+        self.own_slices = []
+        self.members = [np.flatnonzero(data.room == r) for r in range(len(data.room_names))]
+        for chains, members in zip(self.chains, self.members, strict=True):
+            at, slices = N_SURFACE + len(chains), []
+            for effect in self.effects:
+                size = len(effect.SPREAD) * {"room": 1, "rir": len(members)}.get(effect.SCOPE, 0)
+                slices.append(slice(at, at + size))
+                at += size
+            self.own_slices.append((slices, at))
+
+    def vectors(self, mean, local):
+        """Vector of each effect for each unit: list of arrays, shape (n_units, n)."""
+        found = []
+        for k, effect in enumerate(self.effects):
+            part, count, _, size = self.shared[k]
+            if effect.SCOPE == "room":
+                found.append(np.array([mean[part] + local[r][self.own_slices[r][0][k]]
+                                       for r in range(len(local))]).reshape(len(local), size))
+            elif effect.SCOPE == "rir":
+                vectors = np.empty((len(self.data.rows), size))
+                for r, members in enumerate(self.members):
+                    vectors[members] = mean[part] + local[r][self.own_slices[r][0][k]].reshape(len(members), size)
+                found.append(vectors)
+            else:
+                found.append(mean[part].reshape(count, size))
+        return found
+
+    def absorption(self, mean, local):
+        """``-ln(1 - alpha)`` of walls, and of floor and ceiling, shape (n_rooms, 2, 8)."""
+        unknown = np.array([mean[:N_SURFACE] + one[:N_SURFACE] for one in local])
+        middle, contrast = unknown[:, :N_BANDS], unknown[:, N_BANDS:]
+        return np.exp(np.stack([middle - 0.5 * contrast, middle + 0.5 * contrast], axis=1))
+
+    def gains(self, local):
+        """Gain of each RIR [dB], shape (n_rirs,)."""
+        return np.array([local[r][N_SURFACE + self.chains[r].index(chain)]
+                         for r, chain in zip(self.data.room, self.data.chain, strict=True)])
+
+    def state(self, absorption, vectors):
+        """What is assumed of each RIR."""
+        state = base_state(self.data, absorption)
+        for k, effect in enumerate(self.effects):
+            unit = self.shared[k][2]
+            for u, vector in enumerate(vectors[k]):
+                rows = np.flatnonzero(unit == u)
+                if len(rows):
+                    effect.from_vector(vector).act(state, self.data, rows)
+        return state
+
+    def predict(self, absorption, vectors, gains, offset, energy=None):
+        """Cells, shape (n_rirs, n_cells); `energy` as for `roomeq.loop.predict.predict`."""
+        return predict(self.data, self.state(absorption, vectors), energy) + offset + np.outer(gains, HAS_GAIN)
