@@ -110,7 +110,7 @@ def _run(data, directories, work, judge, max_effects, seed, nj):
 
 def _accepted(session, errors, ranking):
     """The most helpful candidate that also lowers the error when everything is simulated again with it."""
-    pool = list(ranking)
+    pool, shifts = list(ranking), dict(session.data.shifts)
     while True:
         winner, rivals = choose(pool)
         if winner is None:
@@ -120,6 +120,7 @@ def _accepted(session, errors, ranking):
         if _lower(errors, errors_after):
             return winner, rivals, after, errors_after
         logger.info("loop: %s fits, but simulated again it does not lower the error; left out", winner.effect.NAME)
+        session.data.shifts.update(shifts)  # those of the rejected model speak of its own RIRs
         # what explains much less is not the cause of what the failed one explains
         pool = [one for one in pool if one is not winner and one.total > SHARE * winner.total]
 

@@ -27,8 +27,6 @@ class Session:
     fit : Fit
     by_row : list of list of Effect
         The effects of each RIR with their parameters.
-    rendered : ndarray, shape (n_rirs, n_cells)
-        Cells as rendered, gains of the recordings included.
     seed, nj : int
     """
 
@@ -37,7 +35,6 @@ class Session:
     offset: np.ndarray
     fit: Fit
     by_row: list
-    rendered: np.ndarray
     seed: int
     nj: int
 
@@ -95,8 +92,7 @@ def begin(data, *, like=None, offset=None, seed, nj):
     new = _offset(data, rendered - expected, data.cells - gains - expected)
     found = fit(data, new, like.effects, like=fit(data, new, like.effects, like=replace(like, by_surface=None)))
     vectors = layout.vectors(found.mean, found.local)
-    return Session(data, like.effects, new, found, effects_of_rows(data, like.effects, vectors), rendered + gains,
-                   seed, nj)
+    return Session(data, like.effects, new, found, effects_of_rows(data, like.effects, vectors), seed, nj)
 
 
 def _shifts(data, raws, by_row, rendered, effect, seed, nj):
