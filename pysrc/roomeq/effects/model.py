@@ -60,11 +60,6 @@ class Model:
 
     extensions: tuple = ()
 
-    def with_extension(self, extension):
-        """The model with one effect more, in the catalogue's order."""
-        order = list(CATALOGUE)
-        return Model(tuple(sorted([*self.extensions, extension], key=lambda one: order.index(one.effect.NAME))))
-
     @property
     def names(self):
         return [extension.effect.NAME for extension in self.extensions]

@@ -15,7 +15,7 @@ from roomeq.loop.data import load_data
 from roomeq.loop.examples import EXAMPLES_FILE, write_examples
 from roomeq.loop.heldout import Errors, heldout_errors
 from roomeq.loop.judge import judge_errors
-from roomeq.loop.ledger import LEDGER_FILE, iteration_entry, summary_of, values_of
+from roomeq.loop.ledger import LEDGER_FILE, iteration_entry, ranked, summary_of, values_of
 from roomeq.loop.session import begin
 from roomeq.loop.unexplained import find_unexplained
 
@@ -96,7 +96,7 @@ def _run(data, directories, work, judge, max_effects, seed, nj):
         logger.info("loop: unexplained: %s", summary_of(unexplained))
     ledger = dict(
         rirs=len(data.rows), rooms=len(data.room_names), baseline=_error_entry(first_errors), iterations=iterations,
-        ranking=[_ranked(one) for one in ranking], unexplained=left[0].as_dict() if left else None,
+        ranking=[ranked(one) for one in ranking], unexplained=left[0].as_dict() if left else None,
         unexplained_all=[one.as_dict() for one in left], final=_error_entry(errors))
     if judge:
         ledger["judge"] = _judged(judge, first, session, seed, nj)
@@ -140,11 +140,6 @@ def _called(winner, rivals):
 def _error_entry(errors):
     return {way: dict(error=errors.mean(way), ci=errors.interval(way), by_metric=errors.by_metric(way),
                       by_band=errors.by_band(way)) for way in errors.cells}
-
-
-def _ranked(candidate):
-    return dict(effect=candidate.effect.NAME, gain=candidate.total, ci=list(candidate.interval), p=candidate.p,
-                size_jnd=candidate.size_jnd)
 
 
 def _judged(judge, first, last, seed, nj):

@@ -217,13 +217,3 @@ def _longest_s(cells):
     """Longest decay time that was measured on an RIR [s]."""
     times = [np.exp(cells.values[slots(metric)][cells.valid[slots(metric)]] * JND[metric]) for metric in ("t20", "t30")]
     return max([LENGTHS_S[0], *np.concatenate(times)])
-
-
-def subset(data, chosen):
-    """The same with some of the RIRs only, numbering of rooms and chains kept."""
-    index = np.flatnonzero(chosen) if np.asarray(chosen).dtype == bool else np.asarray(chosen)
-    lists = {key: [getattr(data, key)[n] for n in index] for key in ("rows", "places", "traced", "tables")}
-    arrays = {key: getattr(data, key)[index] for key in ("cells", "valid", "room", "chain", "air_per_m",
-                                                         "speed_m_s", "distance_m")}
-    return replace(data, **lists, **arrays)
-

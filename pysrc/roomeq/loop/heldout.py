@@ -95,27 +95,44 @@ def heldout_errors(session):
     -------
     Errors
     """
-    data = session.data
-    left_out = leave_rooms_out(data, session.fit)
+    data, left_out = session.data, leave_rooms_out(session.data, session.fit)
+
+    def calibrated(known, chosen):
+        absorption, vectors, gains = calibrate(data, session.fit, left_out, known, session.offset, chosen=chosen)
+        by_room = [effects_of_rows(data, session.effects, one) for one in vectors]
+        return absorption, [by_room[r][n] for n, r in enumerate(data.room)], gains
+
+    return scored_errors(data, calibrated, seed=session.seed, nj=session.nj)
+
+
+def scored_errors(data, calibrated, *, seed, nj):
+    """Simulate each half of the RIRs as the other half calibrates its rooms, and compare it with what was measured.
+
+    Parameters
+    ----------
+    data : roomeq.loop.data.Data
+    calibrated : callable
+        Takes the RIRs of each room that may be looked at, and which of their cells; gives the absorption of rooms,
+        the effects of each RIR and their gains.
+    seed, nj : int
+
+    Returns
+    -------
+    Errors
+    """
     first, second = halves(data)
     result = {}
     for way, chosen in KNOWN.items():
         cells = np.full(data.cells.shape, np.nan)
         for known, scored in ((first, second), (second, first)):
             rows = np.concatenate(scored)
-            if len(rows):
-                cells[rows] = _scored(session, left_out, known, chosen, rows)
+            if not len(rows):  # every room has a single RIR
+                continue
+            absorption, by_row, gains = calibrated(known, chosen)
+            raws = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj, rows=rows)
+            rendered = rendered_cells(data, raws, by_row, seed=seed, nj=nj, rows=rows)
+            error = np.abs(data.cells[rows] - rendered - np.outer(gains[rows], HAS_GAIN))
+            error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
+            cells[rows] = np.where(data.valid[rows] & ~PEEKED, error, np.nan)
         result[way] = cells
     return Errors(result, data.room)
-
-
-def _scored(session, left_out, known, chosen, rows):
-    data = session.data
-    absorption, vectors, gains = calibrate(data, session.fit, left_out, known, session.offset, chosen=chosen)
-    by_room = [effects_of_rows(data, session.effects, one) for one in vectors]
-    by_row = [by_room[data.room[n]][n] for n in range(len(data.rows))]
-    raws = render_rows(data, absorption[data.room], by_row, seed=session.seed, nj=session.nj, rows=rows)
-    rendered = rendered_cells(data, raws, by_row, seed=session.seed, nj=session.nj, rows=rows)
-    error = np.abs(data.cells[rows] - rendered - np.outer(gains[rows], HAS_GAIN))
-    error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
-    return np.where(data.valid[rows] & ~PEEKED, error, np.nan)

@@ -2,11 +2,9 @@
 
 import numpy as np
 
-from roomeq.loop.cells import HAS_GAIN, LARGEST
-from roomeq.loop.heldout import KNOWN, Errors, halves
+from roomeq.loop.heldout import scored_errors
 from roomeq.loop.layout import N_SURFACE, OWN, Layout
-from roomeq.loop.leftout import PEEKED, solve_rooms
-from roomeq.loop.rendering import render_rows, rendered_cells
+from roomeq.loop.leftout import solve_rooms
 from roomeq.loop.session import effects_of_rows
 
 
@@ -30,24 +28,13 @@ def judge_errors(data, session, *, seed, nj):
     for effect in session.effects:
         if effect.NODES:
             data.shifts[effect.NAME] = np.zeros((len(effect.NODES), *data.cells.shape))  # rendering tells
-    first, second = halves(data)
-    result = {}
-    for way, chosen in KNOWN.items():
-        cells = np.full(data.cells.shape, np.nan)
-        for known, scored in ((first, second), (second, first)):
-            rows = np.concatenate(scored)
-            if not len(rows):  # every room has a single RIR
-                continue
-            local = solve_rooms(layout, session.fit, mean, offset, known, chosen)
-            absorption, vectors = layout.absorption(mean, local), layout.vectors(mean, local)
-            by_row = effects_of_rows(data, session.effects, vectors)
-            raws = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj, rows=rows)
-            rendered = rendered_cells(data, raws, by_row, seed=seed, nj=nj, rows=rows)
-            error = np.abs(data.cells[rows] - rendered - np.outer(layout.gains(local)[rows], HAS_GAIN))
-            error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
-            cells[rows] = np.where(data.valid[rows] & ~PEEKED, error, np.nan)
-        result[way] = cells
-    return Errors(result, data.room)
+
+    def calibrated(known, chosen):
+        local = solve_rooms(layout, session.fit, mean, offset, known, chosen)
+        vectors = layout.vectors(mean, local)
+        return layout.absorption(mean, local), effects_of_rows(data, session.effects, vectors), layout.gains(local)
+
+    return scored_errors(data, calibrated, seed=seed, nj=nj)
 
 
 def _shared(layout, session):

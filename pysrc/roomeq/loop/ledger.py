@@ -42,6 +42,12 @@ def _parameter_intervals(session, effect):
         for u, name in enumerate(names)}
 
 
+def ranked(candidate):
+    """One candidate of a ranking."""
+    return dict(effect=candidate.effect.NAME, gain=candidate.total, ci=list(candidate.interval), p=candidate.p,
+                size_jnd=candidate.size_jnd)
+
+
 def iteration_entry(winner, rivals, ranking, session, before, after):
     """One accepted effect."""
     way = "positions" if one_sided_p(before.of_rooms("positions") - after.of_rooms("positions")) <= one_sided_p(
@@ -54,8 +60,7 @@ def iteration_entry(winner, rivals, ranking, session, before, after):
         heldout_error_ci=after.interval(way), p=one_sided_p(change),
         by_metric={"before": before.by_metric(way), "after": after.by_metric(way)},
         by_band={"before": before.by_band(way), "after": after.by_band(way)},
-        ranking=[dict(effect=one.effect.NAME, gain=one.total, ci=list(one.interval), p=one.p, size_jnd=one.size_jnd)
-                 for one in ranking])
+        ranking=[ranked(one) for one in ranking])
     if rivals:
         entry["cannot_tell"] = [winner.effect.NAME, *(one.effect.NAME for one in rivals)]
         entry["would_tell"] = sorted({one.effect.TELLS for one in (winner, *rivals)})

@@ -70,6 +70,12 @@ def _log_density(found, r, precision, step):
                  - 0.5 * (np.linalg.slogdet(posterior)[1] - np.linalg.slogdet(prior)[1]) - log_scale)
 
 
+def _looked_at(layout, r, valid, known):
+    """Cells that a room's calibration may look at: of RIRs to be scored only what tells what is theirs alone."""
+    looked_at = valid.copy()
+    looked_at[np.setdiff1d(layout.members[r], known)] &= PEEKED
+    return looked_at
+
 
 def calibrate(data, found, left_out, index, offset, *, chosen=None):
     """What some RIRs of each room say of the room, the shared unknowns being as fitted to the other rooms.
@@ -101,9 +107,7 @@ def calibrate(data, found, left_out, index, offset, *, chosen=None):
         valid = valid & chosen
     absorption, vectors, gains = np.empty((len(found.local), 2, N_BANDS)), [], np.empty(len(data.rows))
     for r, (u, one) in enumerate(zip(found.local, left_out, strict=True)):
-        looked_at = valid.copy()
-        unknown = np.setdiff1d(layout.members[r], index[r])
-        looked_at[unknown] &= PEEKED  # at as much of the others as tells what is theirs alone
+        looked_at = _looked_at(layout, r, valid, index[r])
         uu, ug, _, ue, *_ = normal_equations(layout, r, residual, looked_at, slopes, found.sigma, found.omega)
         inverse = np.linalg.inv(found.covariance[r])
         own = u + np.linalg.solve(uu + inverse, ue - ug @ (one.mean - found.mean) - inverse @ u)
@@ -151,8 +155,7 @@ def solve_rooms(layout, like, mean, offset, index, chosen=None, iterations=ITERA
         if chosen is not None:
             valid = valid & chosen
         for r, covariance in enumerate(spreads):
-            looked_at = valid.copy()
-            looked_at[np.setdiff1d(layout.members[r], index[r])] &= PEEKED
+            looked_at = _looked_at(layout, r, valid, index[r])
             uu, _, _, ue, *_ = normal_equations(layout, r, residual, looked_at, slopes, like.sigma, like.omega)
             inverse = np.linalg.inv(covariance)
             local[r] = local[r] + np.linalg.solve(uu + inverse, ue - inverse @ local[r])
