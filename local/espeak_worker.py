@@ -1,8 +1,9 @@
-"""Speak lines of text with eSpeak NG, in a process of its own.
+"""Speak lines of text with eSpeak NG, or say how words are pronounced, in a process of its own.
 
-eSpeak NG is under the GPL, so it's loaded here only and never by the toolkit. Used by make_standin_speech.py:
-every line of standard input is a JSON object {voice, rate_wpm, pitch, pitch_range, seed, text}; for each, standard
-output gets an 8-byte little-endian byte count and that many bytes of 16-bit mono samples at `FS_HZ`.
+eSpeak NG is under the GPL, so it's loaded here only and never by the toolkit. Used by espeak_client.py: every line of
+standard input is a JSON object {voice, rate_wpm, pitch, pitch_range, seed, text} or {voice, words}; for each, standard
+output gets an 8-byte little-endian byte count and that many bytes: 16-bit mono samples at `FS_HZ`, or one line of
+phonemes a word.
 """
 
 import ctypes
@@ -14,6 +15,7 @@ import sys
 FS_HZ = 22050
 _AUDIO_SYNCHRONOUS, _DONT_EXIT, _UTF8 = 2, 0x8000, 1
 _RATE, _PITCH, _RANGE = 1, 3, 4
+_SEPARATED = ord("_") << 8  # phonemes by their own names, with _ between
 _CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.POINTER(ctypes.c_short), ctypes.c_int, ctypes.c_void_p)
 
 
@@ -33,6 +35,8 @@ def load():
     if fs_hz != FS_HZ:
         raise RuntimeError(f"eSpeak NG's rate is {fs_hz} Hz and must be {FS_HZ} Hz: reinstall espeakng-loader")
     library.espeak_ng_SetRandSeed.argtypes = [ctypes.c_long]
+    library.espeak_TextToPhonemes.argtypes = [ctypes.POINTER(ctypes.c_char_p), ctypes.c_int, ctypes.c_int]
+    library.espeak_TextToPhonemes.restype = ctypes.c_char_p
     return library
 
 
@@ -77,6 +81,25 @@ def speak(library, voice, rate_wpm, pitch, pitch_range, seed, text):
     return b"".join(chunks)
 
 
+def phonemes(library, voice, words):
+    """Return a line for each word: its phonemes when it's said by itself, joined by ``_``, as bytes.
+
+    Raises
+    ------
+    RuntimeError
+        If there is no such voice.
+    """
+    if library.espeak_SetVoiceByName(voice.encode()):
+        raise RuntimeError(f"eSpeak NG has no voice {voice!r}: reinstall espeakng-loader")
+    lines = []
+    for word in words:
+        rest, clauses = ctypes.c_char_p(word.encode()), []
+        while rest.value:  # eSpeak NG answers clause by clause and moves on in the text
+            clauses.append(library.espeak_TextToPhonemes(ctypes.byref(rest), _UTF8, _SEPARATED))
+        lines.append(b"_".join(clauses) + b"\n")
+    return b"".join(lines)
+
+
 def main():
     """Answer requests until standard input ends."""
     library = load()
@@ -84,8 +107,9 @@ def main():
         # eSpeak NG keeps state (filters, pitch) from one call to the next: each utterance gets a fresh copy.
         child = os.fork()
         if not child:
-            samples = speak(library, **json.loads(line))
-            sys.stdout.buffer.write(struct.pack("<q", len(samples)) + samples)
+            request = json.loads(line)
+            answer = (phonemes if "words" in request else speak)(library, **request)
+            sys.stdout.buffer.write(struct.pack("<q", len(answer)) + answer)
             sys.stdout.buffer.flush()
             os._exit(0)
         if os.waitpid(child, 0)[1]:

@@ -9,9 +9,6 @@ OUT_DIR/point_noises/*.flac with noises.csv. Nobody spoke any of it.
 """
 
 import argparse
-import json
-import struct
-import subprocess
 import sys
 from dataclasses import dataclass
 from functools import partial
@@ -20,8 +17,10 @@ from pathlib import Path
 import numpy as np
 import soxr
 
+import espeak_client
 import espeak_worker
 import standin_noises
+from espeak_client import Espeak
 from roomeq.audio import write_flac
 from roomeq.build import Build
 from roomeq.constants import FS_HZ
@@ -115,42 +114,15 @@ def chapters(n_utterances):
     return found
 
 
-class Espeak:
-    """eSpeak NG in a process of its own; a context manager.
-
-    Raises
-    ------
-    OSError
-        On leaving, if it ended by itself; what it says is on standard error.
-    """
-
-    def __enter__(self):
-        self._process = subprocess.Popen([sys.executable, espeak_worker.__file__], stdin=subprocess.PIPE,
-                                         stdout=subprocess.PIPE)
-        return self
-
-    def __exit__(self, *_):
-        self._process.stdin.close()
-        self._process.stdout.close()
-        self._process.wait()
-
-    def speak(self, voice, words, rng):
-        """Return one utterance at `FS_HZ` without the silence around it, peak 1; `rng` varies rate and pitch."""
-        request = dict(voice=voice.name, rate_wpm=round(voice.rate_wpm * rng.uniform(0.93, 1.07)),
-                       pitch=voice.pitch + int(rng.integers(-4, 5)), pitch_range=voice.pitch_range,
-                       seed=int(rng.integers(1, 2**31)), text=" ".join(words))
-        try:
-            self._process.stdin.write(json.dumps(request).encode() + b"\n")
-            self._process.stdin.flush()
-            n_bytes, = struct.unpack("<q", self._process.stdout.read(8))
-            samples = np.frombuffer(self._process.stdout.read(n_bytes), "<i2") / 2**15
-        except (OSError, struct.error):
-            raise OSError(f"eSpeak NG ended at {request}: see the message above, is espeakng-loader "
-                          "installed (pip install espeakng-loader)?") from None
-        speech = soxr.resample(samples, espeak_worker.FS_HZ, FS_HZ, quality="VHQ")
-        loud = np.flatnonzero(np.abs(speech) > 0.003 * np.abs(speech).max())
-        speech = speech[loud[0]:loud[-1] + 1]
-        return speech / np.abs(speech).max()
+def say(espeak, voice, words, rng):
+    """Return one utterance at `FS_HZ` without the silence around it, peak 1; `rng` varies rate and pitch."""
+    heard = espeak.speak(voice=voice.name, rate_wpm=round(voice.rate_wpm * rng.uniform(0.93, 1.07)),
+                         pitch=voice.pitch + int(rng.integers(-4, 5)), pitch_range=voice.pitch_range,
+                         seed=int(rng.integers(1, 2**31)), text=" ".join(words))
+    speech = soxr.resample(np.frombuffer(heard, "<i2") / 2**15, espeak_client.FS_HZ, FS_HZ, quality="VHQ")
+    loud = np.flatnonzero(np.abs(speech) > 0.003 * np.abs(speech).max())
+    speech = speech[loud[0]:loud[-1] + 1]
+    return speech / np.abs(speech).max()
 
 
 def recorded(speech, rng):
@@ -188,7 +160,7 @@ def make_chapter(seed, out_dir, chapter):
             utterance = f"{chapter.speaker}-{chapter.chapter}-{number:04d}"
             rng = rng_for(seed, "standin-utterance", utterance)
             words = draw_words(rng)
-            samples = recorded(espeak.speak(chapter.voice, words, rng), rng)
+            samples = recorded(say(espeak, chapter.voice, words, rng), rng)
             write_flac(out_dir / chapter.folder / f"{utterance}.flac", samples)
             lines.append(f"{utterance} {' '.join(words).upper()}\n")
             n_samples += len(samples)
@@ -206,7 +178,7 @@ def make_noise(seed, out_dir, name):
             talkers = [[] for _ in BABBLERS]
             for spoken, voice in zip(talkers, BABBLERS, strict=True):
                 while sum(map(len, spoken)) < n_samples:
-                    spoken.append(espeak.speak(voice, draw_words(rng, CHATTER), rng))
+                    spoken.append(say(espeak, voice, draw_words(rng, CHATTER), rng))
         noise = standin_noises.levelled(standin_noises.babble(rng, talkers, n_samples))
     else:
         noise = standin_noises.point_noise(kind, rng, n_samples)
@@ -252,7 +224,8 @@ def make_standin_speech(out_dir, n_utterances, seed, nj=1):
     OSError
         eSpeak NG doesn't run, or `out_dir` can't be written.
     """
-    sources = [Path(__file__), Path(espeak_worker.__file__), Path(standin_noises.__file__)]
+    modules = sys.modules[__name__], espeak_client, espeak_worker, standin_noises
+    sources = [Path(module.__file__) for module in modules]
     build = Build(out_dir, step="standin-speech", options=dict(utterances=n_utterances, seed=seed), inputs=sources)
     items = {**chapters(n_utterances), **dict.fromkeys(NOISES)}
 

@@ -174,14 +174,15 @@ def test_speech_has_levels_and_no_digital_silence(speech):
 def test_an_utterance_does_not_depend_on_what_was_spoken_before():
     voice = make_standin_speech.VOICES["test-clean"][1]  # a breathy one, which draws random numbers
     with make_standin_speech.Espeak() as espeak:
-        first, again = (espeak.speak(voice, ["open", "door"], np.random.default_rng(1)) for _ in range(2))
+        first, again = (make_standin_speech.say(espeak, voice, ["open", "door"], np.random.default_rng(1))
+                        for _ in range(2))
     np.testing.assert_array_equal(first, again)
 
 
 def test_a_voice_that_does_not_exist_is_one_line():
     voice = make_standin_speech.Voice("M", "xx", "m1", 160, 50, 50)
     with make_standin_speech.Espeak() as espeak, pytest.raises(OSError, match="eSpeak NG ended at .*xx"):
-        espeak.speak(voice, ["open"], np.random.default_rng(0))
+        make_standin_speech.say(espeak, voice, ["open"], np.random.default_rng(0))
 
 
 def test_point_noises_are_listed(speech):
