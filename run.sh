@@ -48,6 +48,17 @@ snr="uniform 5 25"        # of the ambient noise [dB]
 point_snr="uniform 5 25"  # of point noises [dB]
 layout=recording          # one FLAC a recording, with segments; or: utterance
 
+# stages 8-10: Kaldi, at KALDI_ROOT or around this directory
+dry_run=false             # print the Kaldi commands only
+lm_text=                  # text for the language models; none: the stand-ins' own, or LibriSpeech's released models
+align_on=clean            # alignments of the clean speech for all sets, or of each set itself (self), as in the paper
+gmm_passes="mono 300, deltas all 300 3000, lda_mllt all 400 6000, sat all 400 6000"   # kind utterances leaves Gaussians
+num_leaves=400            # of the network's tree
+speed_perturb=false       # train on three speeds
+ivectors=false            # beside the network's features
+use_gpu=false             # true: train on GPUs
+chain_opts="--layers 7 --dim 192 --bottleneck 32 --epochs 6 --jobs-initial 2 --jobs-final 2 --lrate-initial 0.002 --lrate-final 0.0002 --chunk-width 140,100 --frames-per-iter 300000"   # of train_chain.sh
+
 [ -f path.sh ] || { echo "run.sh: call it from the directory that holds run.sh, not from $PWD" >&2 && exit 1; }
 . ./path.sh
 . utils/parse_options.sh
@@ -65,7 +76,8 @@ for name in snr point_snr; do # the tools check the rest: this spares the stages
   [[ ${!name} =~ ^(none|$number|((uniform|normal)\ +${number}[\ ,]+|list\ +(${number}[\ ,]+)*)$number)$ ]] ||
     die "--${name/_/-} '${!name}' must be 'uniform LOW HIGH', 'normal MEAN SD', 'list A,B,...', a number or none"
 done
-[ "$stop_stage" -le 7 ] || die "--stop-stage $stop_stage: stages 8-10, the hand-over to Kaldi, are not there yet"
+[[ $align_on =~ ^(clean|self)$ ]] || die "--align-on '$align_on' must be clean or self"
+[ "$dry_run" = false ] || [ "$stage" -ge 8 ] || die "--dry-run prints what Kaldi is asked to do: add --stage 8"
 local/install.sh
 
 if at_stage 0 "speech and measured RIRs"; then
@@ -130,6 +142,58 @@ fi
 if at_stage 7 "report"; then
   steps/make_report.sh "$data" "$exp" "$exp/report"
 fi
+
+kaldi=(--nj "$nj" --dry-run "$dry_run")
+tests=(dev.real.rvb test.real.rvb)
+sets=(train.clean train.real.rvb train.sim.rvb train.sim.EQ.rvb)
+if [ "$dry_run" = true ] || enough_rooms >/dev/null; then sets+=(train.sim.loop.rvb); fi
+own() { if [ "$align_on" = self ]; then echo "$1"; else echo train.clean; fi; } # whose alignments a set uses
+if [ "$align_on" = self ]; then aligned=("${sets[@]}"); else aligned=(train.clean); fi
+
+if at_stage 8 "Kaldi: language, features, GMM"; then
+  [ -n "$lm_text" ] || lm_text=$([ -n "$librispeech" ] || [ -n "$speech" ] || echo "$corpora/speech/LibriSpeech-LM/lm.txt")
+  local/kaldi/make_workspace.sh "${kaldi[@]}" "$exp/kaldi" "${sets[@]/#/$data/}" "${tests[@]/#/$data/}"
+  local/kaldi/make_lang.sh "${kaldi[@]}" "$exp/kaldi" ${lm_text:+"$lm_text" "$data/train.clean/text"}
+  for x in "${aligned[@]}"; do
+    local/kaldi/make_features.sh "${kaldi[@]}" "$exp/kaldi" "$x"
+    lang=data/lang_nosp
+    [ "$x" = train.clean ] || lang=data/lang
+    local/kaldi/train_gmm.sh "${kaldi[@]}" --passes "$gmm_passes" "$exp/kaldi" "$x" "$lang"
+    [ "$x" != train.clean ] || local/kaldi/finish_lang.sh "${kaldi[@]}" "$exp/kaldi" "$x"
+  done
+fi
+
+if at_stage 9 "Kaldi: TDNN with LF-MMI"; then
+  for x in "${aligned[@]}"; do
+    [ "$speed_perturb" = false ] ||
+      local/kaldi/make_features.sh "${kaldi[@]}" --speed-perturb true "$exp/kaldi" "$x"
+    local/kaldi/align_chain.sh "${kaldi[@]}" --num-leaves "$num_leaves" --speed-perturb "$speed_perturb" "$exp/kaldi" "$x"
+  done
+  for x in "${tests[@]}"; do
+    local/kaldi/make_features.sh "${kaldi[@]}" --hires true "$exp/kaldi" "$x"
+  done
+  for x in "${sets[@]}"; do
+    local/kaldi/make_features.sh "${kaldi[@]}" --hires true --train true --speed-perturb "$speed_perturb" "$exp/kaldi" "$x"
+    [ "$ivectors" = false ] || local/kaldi/train_ivectors.sh "${kaldi[@]}" "$exp/kaldi" "$x" "${tests[@]}"
+    # options and their values: split on purpose
+    # shellcheck disable=SC2086
+    local/kaldi/train_chain.sh "${kaldi[@]}" --use-gpu "$use_gpu" --ivectors "$ivectors" --seed "$seed" $chain_opts \
+      "$exp/kaldi" "$x" "$(own "$x")"
+  done
+fi
+
+if at_stage 10 "Kaldi: recognise; word error rates"; then
+  for x in "${sets[@]}"; do
+    for test in "${tests[@]}"; do
+      local/kaldi/decode.sh "${kaldi[@]}" --ivectors "$ivectors" "$exp/kaldi" "$x" "$(own "$x")" "$test"
+    done
+  done
+  if [ "$dry_run" = false ]; then
+    roomeq wer --rirs "$data/rirs.real" "$exp/kaldi" "$exp/wer"
+    steps/make_report.sh "$data" "$exp" "$exp/report"
+  fi
+fi
+[ "$dry_run" = false ] || exit 0
 
 for made in "$data"/*.rvb; do
   [ ! -d "$made" ] || log "data directory: $(realpath "$made")"

@@ -67,6 +67,10 @@ while [ $# -gt 0 ]; do
     --*=*) set_option "$(cut -d= -f1 <<<"${1#--}")" "${1#*=}" "" && shift ;;
     --) shift && break ;;
     --*)
+      flag=${1#--} && flag=${flag//-/_}
+      if [[ $flag =~ ^[a-z][a-z0-9_]*$ && ${!flag:-} == false && ${2:---} == --* ]]; then # a switch by itself
+        set_option "${1#--}" true "" && shift && continue
+      fi
       [ $# -gt 1 ] || die "$1 needs a value; see --help"
       set_option "${1#--}" "$2" ""
       shift 2
@@ -74,4 +78,4 @@ while [ $# -gt 0 ]; do
     *) break ;;
   esac
 done
-unset options_given options_known
+unset options_given options_known flag

@@ -1,0 +1,42 @@
+# shellcheck shell=bash disable=SC2154,SC2034 # variables come from and go to the scripts that source it
+# What the scripts of the hand-over share; source it after parse_options.sh.
+# They set `nj`, `dry_run` and `workspace`, a directory in which stock Kaldi's own steps/ and utils/ are linked.
+
+# who runs Kaldi's jobs: run.pl, or queue.pl or slurm.pl with their options
+runner=${kaldi_cmd:-run.pl --max-jobs-run $nj}
+
+# once NAME COMMAND...: run a command in the workspace, once; log in <workspace>/log/NAME.log. It runs again when its
+# words (but for --nj, --cmd and --stage), its `inputs` or those of a command before it in the same script have changed.
+# With --dry-run it is printed.
+once() {
+  local name=$1 started=$SECONDS word before='' words=()
+  shift
+  for word; do
+    [[ $before =~ ^--(nj|cmd|stage)$ ]] || words+=("$word")
+    before=$word
+  done
+  if [ "$dry_run" = true ]; then
+    printf '%q ' "$@" && echo
+    return
+  fi
+  key=$(printf '%s\0' "${key:-}" "$name" "${words[@]}" | sha256sum | cut -c1-16)
+  local mark=$workspace/done/$name log=$workspace/log/$name.log
+  [ "$(cat "$mark" 2>/dev/null)" != "$key" ] || return 0
+  rm -f "$mark"
+  mkdir -p "$(dirname "$log")" "$(dirname "$mark")"
+  printf '%s kaldi: %s\n' "$(date +%H:%M:%S)" "$name"
+  (cd "$workspace" && . ./path.sh && "$@") >"$log" 2>&1 </dev/null ||
+    die "$name failed after $((SECONDS - started)) s: $(grep -v '^ *$' "$log" | tail -n 1) (log: $log)"
+  echo "$key" >"$mark.new" && mv "$mark.new" "$mark"
+}
+
+# inputs FILE...: what the commands after it depend on besides their words.
+inputs() {
+  [ "$dry_run" = false ] || return 0
+  local file
+  for file; do require "$file" "the stage before"; done
+  key=$(cat -- "$@" | sha256sum | cut -c1-16)
+}
+
+# after NAME...: what the commands after it depend on, as names of `once` in other scripts.
+after() { inputs "${@/#/$workspace/done/}"; }

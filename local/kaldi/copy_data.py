@@ -1,0 +1,66 @@
+#!/usr/bin/env python3
+"""Copy a data directory, without its audio, to where Kaldi may write beside it.
+
+Usage: copy_data.py DATA_DIR COPY
+e.g.:  python local/kaldi/copy_data.py data/train.sim.rvb exp/kaldi/data/train.sim.rvb
+
+Paths become absolute. What Kaldi made there stays unless the source changed; `source` says which state it has.
+"""
+
+import argparse
+import hashlib
+import shutil
+import sys
+from pathlib import Path
+
+from roomeq.datadir import read_data_dir
+from roomeq.files import write_text
+from roomeq.wavscp import flac_entry
+
+COPIED = ("segments", "text", "utt2spk", "spk2utt", "spk2gender", "utt2dur", "reco2dur", "utt2rir")
+
+
+def copy_data(source, copy):
+    """Copy the files of `source` unless `copy` has them already.
+
+    Raises
+    ------
+    ValueError
+        `source` is no sound data directory, or has recordings that are no FLAC or WAV files.
+    """
+    files = [file for name in ("wav.scp", *COPIED, ".done") if (file := source / name).is_file()]
+    state = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest() + "\n"
+    if (copy / "source").is_file() and (copy / "source").read_text() == state:
+        return
+    recordings = read_data_dir(source).recordings
+    shutil.rmtree(copy, ignore_errors=True)
+    copy.mkdir(parents=True)
+    for name in COPIED:
+        if (source / name).is_file():
+            shutil.copyfile(source / name, copy / name)
+    lines = []
+    for recording, entry in recordings.items():
+        if entry.kind != "file" or not entry.text.endswith((".flac", ".wav")):
+            raise ValueError(f"{source}/wav.scp: recording {recording} must be a FLAC or WAV file, not {entry.text!r}")
+        path = Path(entry.text).absolute()
+        lines.append(f"{recording} {flac_entry(path) if path.suffix == '.flac' else path}\n")
+    write_text(copy / "wav.scp", "".join(lines))
+    write_text(copy / "source", state)
+
+
+def main(argv=None):
+    """Parse the command line and copy; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("source", type=Path, metavar="DATA_DIR")
+    parser.add_argument("copy", type=Path, metavar="COPY")
+    args = parser.parse_args(argv)
+    try:
+        copy_data(args.source, args.copy)
+    except (ValueError, OSError) as error:
+        print(f"copy_data.py: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,48 @@
+#!/usr/bin/env bash
+# Recognise one set with one system: four language models, and online; counts the errors.
+# Usage: local/kaldi/decode.sh [options] <workspace> <set> <set-of-alignments> <test-set>
+# e.g.:  local/kaldi/decode.sh exp/kaldi train.sim.rvb train.clean test.real.rvb
+# Results are <workspace>/<set>/decode_<test-set>_{tgsmall,tgmed,tglarge,fglarge,online}/scoring_kaldi.
+set -euo pipefail
+nj=2            # jobs
+ivectors=true   # beside the features
+dry_run=false   # print the commands
+. ./path.sh
+. utils/parse_options.sh
+. local/kaldi/common.sh
+[ $# -eq 4 ] || usage
+workspace=$1 set=$2 ali=$3 test=$4
+graph=$ali/tree/graph out=$set/decode_$test data=data/$test.hires small=data/lang_test_tgsmall
+weights=(--acwt 1.0 --post-decode-acwt 10.0) ivectors_made=() with_ivectors=() extractor=()
+if [ "$ivectors" = true ]; then
+  ivectors_made=("$set/ivectors/$test")
+  with_ivectors=(--online-ivector-dir "$set/ivectors/$test")
+  extractor=("$set/ivectors/extractor")
+fi
+
+# Errors at all weights of language model and insertions, and Kaldi's own interval of the best.
+score() { # COLUMN
+  once "$out/$1.score" steps/scoring/score_kaldi_wer.sh --cmd "$runner" "$data" "$graph" "${out}_$1"
+  # shellcheck disable=SC2016 # expanded in there
+  once "$out/$1.bootci" bash -c 'cd "$1/scoring_kaldi" && compute-wer-bootci --mode=present ark:test_filt.txt \
+    "ark:penalty_$(cat wer_details/wip)/$(cat wer_details/lmwt).txt" >../bootci' bootci "${out}_$1"
+}
+
+after "$set/nnet/train" "$ali/chain/graph" "$test/features/$test.hires.fix" "${ivectors_made[@]}"
+once "$out/tgsmall" steps/nnet3/decode.sh "${weights[@]}" --skip-scoring true --nj "$nj" --cmd "$runner" \
+  "${with_ivectors[@]}" "$graph" "$data" "${out}_tgsmall"
+score tgsmall
+once "$out/tgmed" steps/lmrescore.sh --skip-scoring true --cmd "$runner" --self-loop-scale 1.0 \
+  $small data/lang_test_tgmed "$data" "${out}"_{tgsmall,tgmed}
+score tgmed
+for model in tglarge fglarge; do
+  once "$out/$model" steps/lmrescore_const_arpa.sh --skip-scoring true --cmd "$runner" \
+    $small data/lang_test_$model "$data" "${out}_tgsmall" "${out}_$model"
+  score $model
+done
+once "$set/online" steps/online/nnet3/prepare_online_decoding.sh --mfcc-config conf/mfcc_hires.conf "$ali/lang_chain" \
+  "${extractor[@]}" "$set" "$set/online"
+once "$out/online" steps/online/nnet3/decode.sh "${weights[@]}" --skip-scoring true --nj "$nj" --cmd "$runner" \
+  "$graph" "$data" "$set/online/decode_$test"
+once "$out/link" ln -sfn "online/decode_$test" "${out}_online"
+score online

@@ -1,0 +1,30 @@
+#!/usr/bin/env bash
+# Make the features of one set: MFCCs for the GMM, or the high-resolution ones of the network.
+# Usage: local/kaldi/make_features.sh [options] <workspace> <set>
+# e.g.:  local/kaldi/make_features.sh --hires true --train true exp/kaldi train.sim.rvb
+# Makes data/<set>, data/<set>.sp or, with --hires, data/<set>.hires; what is already there costs nothing.
+set -euo pipefail
+nj=2                  # jobs
+hires=false           # features of the network
+train=false           # vary the level, as Kaldi's recipes do for training sets
+speed_perturb=false   # three speeds
+dry_run=false         # print the commands
+. ./path.sh
+. utils/parse_options.sh
+. local/kaldi/common.sh
+[ $# -eq 2 ] || usage
+workspace=$1 set=$2 made=$2 config=conf/mfcc.conf
+
+inputs "$workspace/data/$set/source"
+if [ "$speed_perturb" = true ]; then
+  once "$set/features/speed" utils/data/perturb_data_dir_speed_3way.sh "data/$set" "data/$set.sp"
+  made=$set.sp
+fi
+if [ "$hires" = true ]; then
+  once "$set/features/copy" utils/copy_data_dir.sh "data/$made" "data/$set.hires"
+  made=$set.hires config=conf/mfcc_hires.conf
+  [ "$train" = false ] || once "$set/features/volume" utils/data/perturb_data_dir_volume.sh "data/$made"
+fi
+once "$set/features/$made" steps/make_mfcc.sh --nj "$nj" --cmd "$runner" --mfcc-config $config "data/$made"
+once "$set/features/$made.cmvn" steps/compute_cmvn_stats.sh "data/$made"
+once "$set/features/$made.fix" utils/fix_data_dir.sh "data/$made"

@@ -1,0 +1,40 @@
+#!/usr/bin/env bash
+# Make the lexicon and four language models, or fetch LibriSpeech's, and the first lang directory.
+# Usage: local/kaldi/make_lang.sh [options] <workspace> <text>...
+# e.g.:  local/kaldi/make_lang.sh exp/kaldi corpora/speech/LibriSpeech-LM/lm.txt data/train.clean/text
+# Each <text> is lines of words, or a Kaldi `text` file (named text). None: LibriSpeech's own models are downloaded.
+set -euo pipefail
+nj=2                    # jobs
+prune=1e-5,1e-4         # thresholds of tgmed and tgsmall, relative entropy
+lm_url=www.openslr.org/resources/11   # of LibriSpeech's models
+dry_run=false           # print the commands
+. ./path.sh
+. utils/parse_options.sh
+. local/kaldi/common.sh
+[ $# -ge 1 ] || usage
+workspace=$1
+shift
+lm=data/local/lm dict=data/local/dict_nosp
+
+if [ $# = 0 ]; then
+  once lang/download local/download_lm.sh "$lm_url" $lm
+  once lang/dict local/prepare_dict.sh --stage 3 --nj "$nj" $lm $lm $dict
+else
+  inputs "$@"
+  if [ "$dry_run" = false ]; then
+    mkdir -p "$workspace/$lm"
+    for text; do
+      if [ "${text##*/}" = text ]; then cut -d' ' -f2- "$text"; else cat "$text"; fi
+    done >"$workspace/$lm/text"
+  fi
+  once lang/dict python "$PWD/local/make_dict.py" --no-ids $lm/text $dict
+  for model in tglarge:3 fglarge:4; do
+    once lang/${model%:*} utils/lang/make_kn_lm.py -ngram-order ${model#*:} -text $lm/text -lm "$lm/lm_${model%:*}.arpa"
+  done
+  for model in "tgmed:${prune%,*}" "tgsmall:${prune#*,}"; do
+    once "lang/${model%:*}" utils/lang/ngram_entropy_pruning.py -threshold "${model#*:}" -lm $lm/lm_tglarge.arpa \
+      -write-lm "$lm/lm_${model%:*}.arpa"
+  done
+  once lang/gzip gzip -kf $lm/lm_{tgsmall,tgmed,tglarge,fglarge}.arpa
+fi
+once lang/nosp utils/prepare_lang.sh $dict "<UNK>" data/local/lang_tmp_nosp data/lang_nosp

@@ -1,0 +1,54 @@
+#!/usr/bin/env bash
+# Make a directory in which stock Kaldi scripts can work: theirs linked, ours copied; checks what they need first.
+# Usage: local/kaldi/make_workspace.sh [--dry-run] [--nj 2] <workspace> <data-dir>...
+# e.g.:  KALDI_ROOT=/opt/kaldi local/kaldi/make_workspace.sh exp/kaldi data/train.clean data/test.real.rvb
+set -euo pipefail
+nj=2            # jobs at a time, where they run as local processes
+dry_run=false   # print what would be done
+. ./path.sh
+. ./cmd.sh
+. utils/parse_options.sh
+. local/kaldi/common.sh
+[ $# -ge 2 ] || usage
+workspace=$1
+shift
+
+root=${KALDI_ROOT:-}
+if [ -z "$root" ] && [[ $PWD == */egs/librispeech/* ]]; then root=${PWD%/egs/librispeech/*}; fi
+if [ "$dry_run" = true ]; then
+  root=${root:-KALDI_ROOT}
+  echo "ln -s $root/egs/wsj/s5/{steps,utils} $root/egs/librispeech/s5/{local,conf} $workspace/"
+  for data; do echo "local/kaldi/copy_data.py $data $workspace/data/${data##*/}"; done
+  exit
+fi
+[ -n "$root" ] || die "where is Kaldi? Set KALDI_ROOT, or put this directory into Kaldi's egs/librispeech"
+for folder in egs/wsj/s5/steps egs/wsj/s5/utils egs/librispeech/s5/local egs/librispeech/s5/conf src; do
+  [ -d "$root/$folder" ] || die "KALDI_ROOT '$root' has no $folder: is it Kaldi's top directory?"
+done
+root=$(realpath "$root")
+
+mkdir -p "$workspace/data"
+for link in wsj/s5/steps wsj/s5/utils librispeech/s5/local librispeech/s5/conf; do
+  ln -sfn "$root/egs/$link" "$workspace/${link##*/}"
+done
+{
+  printf 'export KALDI_ROOT=%q ROOMEQ_DIR=%q LC_ALL=C PYTHONUNBUFFERED=1 OPENBLAS_NUM_THREADS=1\n' "$root" "$PWD"
+  cat <<'EOF'
+PATH=$PWD/utils:$PWD:$KALDI_ROOT/tools/openfst/bin:$PATH
+for folder in "$KALDI_ROOT"/src/*bin; do PATH=$folder:$PATH; done
+export PATH=$ROOMEQ_DIR/.venv/bin:$PATH # first: Kaldi's tools may hold links to another Python
+EOF
+} >"$workspace/path.sh"
+printf 'export train_cmd=%q decode_cmd=%q\n' "$runner" "$runner" >"$workspace/cmd.sh"
+
+missing=()
+for tool in flac sox perl python3 gzip fstcompile compute-mfcc-feats gmm-est-fmllr nnet3-chain-train \
+  nnet3-latgen-faster lattice-lmrescore-const-arpa online2-wav-nnet3-latgen-faster arpa2fst compute-wer-bootci; do
+  (cd "$workspace" && . ./path.sh && command -v "$tool" >/dev/null) || missing+=("$tool")
+done
+[ ${#missing[@]} = 0 ] || die "not found: ${missing[*]}: install them, or compile Kaldi in $root/src"
+
+for data; do
+  require "$data/wav.scp" "stages 0-6"
+  local/kaldi/copy_data.py "$data" "$workspace/data/${data##*/}"
+done

@@ -1,0 +1,84 @@
+#!/usr/bin/env bash
+# Train a TDNN-F with LF-MMI on one set.
+# Usage: local/kaldi/train_chain.sh [options] <workspace> <set> <set-of-alignments>
+# e.g.:  local/kaldi/train_chain.sh --use-gpu false --layers 7 --dim 192 exp/kaldi train.sim.rvb train.clean
+# The model is <workspace>/<set>/final.mdl. A run that was stopped goes on at the last iteration it finished.
+set -euo pipefail
+nj=2                      # jobs that make the examples
+use_gpu=true              # false: on processors
+ivectors=true             # beside the features
+layers=16                 # TDNN-F layers
+dim=1536                  # of a layer
+bottleneck=160            # of a layer
+epochs=4                  # over the data
+jobs_initial=3            # networks trained at a time, at first
+jobs_final=16             # and in the end
+lrate_initial=0.00015     # learning rate
+lrate_final=0.000015      # learning rate
+chunk_width=150,110,100   # of an example [frames]
+minibatch=64              # examples a minibatch
+frames_per_iter=2500000   # of a job
+seed=0                    # of the network's first weights and of the order of the examples
+dry_run=false             # print the commands
+. ./path.sh
+. utils/parse_options.sh
+. local/kaldi/common.sh
+[ $# -eq 3 ] || usage
+workspace=$1 set=$2 ali=$3 ivectors_made=()
+[ "$ivectors" = false ] || ivectors_made=("$set/ivectors/train")
+
+# Print the network: LibriSpeech's TDNN-F (splicing -1..1, strides 1, 1, 1, 0, then 3), in the size asked for.
+xconfig() { # TARGETS
+  local layer stride affine="l2-regularize=0.008 dropout-proportion=0.0 dropout-per-dim=true"
+  local prefinal="input=prefinal-l l2-regularize=0.008 big-dim=$dim small-dim=$((dim / 6))"
+  [ "$ivectors" = false ] || echo "input dim=100 name=ivector"
+  echo "input dim=40 name=input"
+  echo "fixed-affine-layer name=lda affine-transform-file=$set/configs/lda.mat" \
+    "input=Append(-1,0,1$([ "$ivectors" = false ] || echo ",ReplaceIndex(ivector, t, 0)"))"
+  echo "relu-batchnorm-dropout-layer name=tdnn1 $affine dropout-per-dim-continuous=true dim=$dim"
+  for ((layer = 2; layer <= layers + 1; layer++)); do
+    stride=$((layer < 5 ? 1 : layer == 5 ? 0 : 3))
+    echo "tdnnf-layer name=tdnnf$layer l2-regularize=0.008 dropout-proportion=0.0 bypass-scale=0.75 dim=$dim" \
+      "bottleneck-dim=$bottleneck time-stride=$stride"
+  done
+  echo "linear-component name=prefinal-l dim=$((dim / 6)) l2-regularize=0.008 orthonormal-constraint=-1.0"
+  echo "prefinal-layer name=prefinal-chain $prefinal"
+  echo "output-layer name=output include-log-softmax=false dim=$1 l2-regularize=0.002"
+  echo "prefinal-layer name=prefinal-xent $prefinal"
+  echo "output-layer name=output-xent dim=$1 learning-rate-factor=5.0 l2-regularize=0.002" # 0.5 / xent-regularize
+}
+
+after "$set/features/$set.hires.fix" "$ali/chain/tree" "${ivectors_made[@]}"
+if [ "$dry_run" = false ]; then
+  mkdir -p "$workspace/$set/configs"
+  targets=$(cd "$workspace" && . ./path.sh && tree-info "$ali/tree/tree" | awk '/num-pdfs/ {print $2}')
+  xconfig "$targets" >"$workspace/$set/configs/network.xconfig"
+  inputs "$workspace/$set/configs/network.xconfig" <(echo "$key")
+fi
+once "$set/nnet/configs" steps/nnet3/xconfig_to_configs.py --xconfig-file "$set/configs/network.xconfig" \
+  --config-dir "$set/configs"
+
+train=(steps/nnet3/chain/train.py --cmd "$runner" --use-gpu "$([ "$use_gpu" = true ] && echo wait || echo no)"
+  --feat.cmvn-opts "--norm-means=false --norm-vars=false"
+  --chain.xent-regularize 0.1 --chain.leaky-hmm-coefficient 0.1 --chain.l2-regularize 0.0
+  --chain.apply-deriv-weights false --chain.lm-opts="--num-extra-lm-states=2000"
+  --egs.opts "--frames-overlap-per-eg 0 --constrained false --nj $nj" --egs.chunk-width "$chunk_width"
+  --trainer.dropout-schedule "0,0@0.20,0.5@0.50,0" --trainer.add-option="--optimization.memory-compression-level=2"
+  --trainer.srand "$seed" --trainer.num-chunk-per-minibatch "$minibatch" --trainer.frames-per-iter "$frames_per_iter"
+  --trainer.num-epochs "$epochs" --trainer.max-param-change 2.0
+  --trainer.optimization.num-jobs-initial "$jobs_initial" --trainer.optimization.num-jobs-final "$jobs_final"
+  --trainer.optimization.initial-effective-lrate "$lrate_initial"
+  --trainer.optimization.final-effective-lrate "$lrate_final"
+  --cleanup.remove-egs true --feat-dir "data/$set.hires" --tree-dir "$ali/tree" --lat-dir "$ali/lats" --dir "$set")
+[ "$ivectors" = false ] || train+=(--feat.online-ivector-dir "$set/ivectors/$set")
+stage=-10
+if [ "$dry_run" = false ]; then
+  begun=$workspace/$set/begun state=$(printf '%s\0' "$key" "${train[@]}" | sha256sum)
+  if [ "$(cat "$begun" 2>/dev/null)" = "$state" ]; then # the last model may be half written: from the one before
+    last=$(find "$workspace/$set" -maxdepth 1 -name '[0-9]*.mdl' -printf '%f\n' | sort -n | tail -n 1)
+    stage=$((${last%.mdl} > 1 ? ${last%.mdl} - 1 : -10))
+  else
+    rm -rf "$workspace/$set"/{egs,*.mdl} && echo "$state" >"$begun"
+  fi
+fi
+once "$set/nnet/train" "${train[@]}" --stage "$stage"
