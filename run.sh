@@ -24,8 +24,9 @@ noises=        # folder of noise recordings, beside those of the measured corpus
 train_sets=train-clean-100   # of a LibriSpeech tree, comma-separated
 dev_sets=dev-clean          # likewise
 test_sets=test-clean        # likewise
-standin_utterances=1200   # size of the stand-ins
-standin_positions=6       # microphones and loudspeakers a room
+standin_utterances=900,150,150   # for train, dev, test
+standin_rooms=9                  # 1 to 80
+standin_positions=6              # microphones and loudspeakers a room
 
 # stage 1: measured RIRs
 split_by=rir              # rir, as in the paper, or room: the stricter question
@@ -84,7 +85,8 @@ if at_stage 0 "speech and measured RIRs"; then
   if [ -z "$librispeech$speech" ] || [ -z "$reverbdb$measured" ]; then
     [ -n "$librispeech$speech" ] || log "no --speech or --librispeech given: generated stand-in speech is used"
     [ -n "$reverbdb$measured" ] || log "no --measured or --reverbdb given: generated stand-in RIRs are used"
-    local/make_standins.sh --nj "$nj" --utterances "$standin_utterances" --positions "$standin_positions" "$corpora"
+    local/make_standins.sh --nj "$nj" --utterances "$standin_utterances" --rooms "$standin_rooms" \
+      --positions "$standin_positions" "$corpora"
   fi
   steps/prepare_speech.sh --train-sets "$train_sets" --dev-sets "$dev_sets" --test-sets "$test_sets" \
     "${librispeech:-${speech:-$corpora/speech}}" "$data"

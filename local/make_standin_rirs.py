@@ -27,7 +27,7 @@ from roomeq.rng import rng_for
 from standin_acoustics import FS_HZ, LOUDSPEAKERS, N_OUT, OCTAVES_HZ, Room, impulse_responses
 
 # name, type, subtype, depth x width x height [m], T60 at 1 kHz [s], walls, floor, ceiling, furniture [percent]
-ROOMS = (
+TABLE = (
     ("Standin_Office_A101", "office", "small", (6.1, 5.4, 3.05), 0.50, "plaster", "carpet", "tiles", 30),
     ("Standin_Meeting_B210", "meeting room", "medium", (7.8, 5.2, 3.1), 0.38, "wood", "carpet", "tiles", 25),
     ("Standin_Stairs_S3", "stairs", "uncommon", (6.2, 2.7, 12.9), 1.30, "concrete", "stone", "concrete", 0),
@@ -38,6 +38,19 @@ ROOMS = (
     ("Standin_Conference_K1", "conference", "large", (16.8, 9.7, 3.4), 0.80, "plaster", "carpet", "tiles", 20),
     ("Standin_Studio_T9", "studio", "treated", (7.1, 5.9, 3.2), 0.27, "foam", "carpet", "foam", 15),
 )
+# rooms beyond the table: type, subtype, least and largest depth, width, height [m], range of T60 at 1 kHz [s]
+KINDS = (
+    ("office", "small", (4.2, 3.6, 2.7), (6.8, 5.6, 3.3), (0.35, 0.75)),
+    ("meeting room", "medium", (5.8, 4.4, 2.7), (9.5, 6.6, 3.4), (0.30, 0.70)),
+    ("class room", "medium", (7.6, 6.2, 2.9), (11.0, 8.4, 3.7), (0.45, 1.00)),
+    ("laboratory", "medium", (6.0, 5.0, 2.9), (10.5, 8.0, 4.0), (0.40, 0.90)),
+    ("lecture room", "large", (11.0, 8.5, 3.4), (18.0, 14.0, 5.6), (0.60, 1.20)),
+    ("conference", "large", (10.0, 7.0, 2.9), (17.0, 10.5, 3.8), (0.40, 0.95)),
+    ("studio", "treated", (4.6, 3.8, 2.6), (7.6, 6.0, 3.3), (0.25, 0.40)),
+)
+MATERIALS = {"walls": ("plaster", "wood", "concrete", "gypsum"), "floor": ("carpet", "linoleum", "wood", "stone"),
+             "ceiling": ("tiles", "plaster", "concrete")}
+MAX_ROOMS = 80
 REPEATED, OUTSIDE, RETRANSMITTED, NO_FURNITURE, OTHER_NAME = 0, 1, 1, 2, 1  # rooms with a trap
 SILENT_MICS = 3  # microphones of a room's first session that also recorded its background noise
 GAIN = 0.5 * 4 * np.pi * 0.9  # the nearest position peaks at about half of full scale
@@ -67,6 +80,7 @@ class Session:
     """One loudspeaker position in a room; `speaker` counts from 1, `kind` is S (sweeps) or T (retransmission)."""
 
     room: int
+    room_name: str
     speaker: int
     kind: str = "S"
 
@@ -78,25 +92,43 @@ class Session:
     @property
     def folder(self):
         """Its path in the corpus."""
-        days = 70 * self.room + self.speaker - 1 + (35 if self.kind == "T" else 0)
+        days = 70 * (self.room % len(TABLE)) + self.speaker - 1 + (35 if self.kind == "T" else 0)
         date = datetime.date(2019, 5, 3) + datetime.timedelta(days)
-        return f"{ROOMS[self.room][0]}/MicID01/SpkID{self.speaker:02d}_{date:%Y%m%d}_{self.kind}"
+        return f"{self.room_name}/MicID01/SpkID{self.speaker:02d}_{date:%Y%m%d}_{self.kind}"
+
+
+def described(corpus, index):
+    """Return a room as the table has it; those beyond it are drawn, small and absorbing ones with shorter decays."""
+    if index < len(TABLE):
+        return TABLE[index]
+    rng = rng_for(corpus.seed, "standin-description", str(index))
+    kind, subtype, least_m, largest_m, (shortest_s, longest_s) = KINDS[index % len(KINDS)]
+    size = rng.uniform(0, 1, 3)
+    dims_m = tuple((np.array(least_m) + size * np.subtract(largest_m, least_m)).round(2).tolist())
+    live = 0.5 * size.mean() + 0.5 * rng.uniform()  # larger rooms tend to ring for longer
+    t60_s = round(shortest_s + live * (longest_s - shortest_s), 2)
+    walls, floor, ceiling = (str(rng.choice(names)) for names in MATERIALS.values())
+    if subtype == "treated":
+        walls, floor, ceiling = "foam", "carpet", "foam"
+    name = f"Standin_{kind.split()[0].capitalize()}_R{index:03d}"
+    return name, kind, subtype, dims_m, t60_s, walls, floor, ceiling, int(rng.integers(2, 10)) * 5
 
 
 def sessions(corpus):
     """Return all sessions of the corpus, by folder."""
-    found = [Session(room, speaker + 1) for room in range(corpus.rooms) for speaker in range(corpus.speakers)]
+    names = [described(corpus, room)[0] for room in range(corpus.rooms)]
+    found = [Session(room, name, speaker + 1) for room, name in enumerate(names) for speaker in range(corpus.speakers)]
     if corpus.rooms > RETRANSMITTED:
-        found.append(Session(RETRANSMITTED, 1, "T"))
+        found.append(Session(RETRANSMITTED, names[RETRANSMITTED], 1, "T"))
     return {session.folder: session for session in found}
 
 
 def draw_room(corpus, index):
-    """Return the acoustics of a room of the table.
+    """Return the acoustics of a room.
 
     Decay times grow by 30-80 % towards 62.5 Hz and fall by 5-25 % towards 8 kHz, air not counted.
     """
-    name, *_, dims_m, t60_s = ROOMS[index][:5]
+    name, *_, dims_m, t60_s = described(corpus, index)[:5]
     rng = rng_for(corpus.seed, "standin-room", name)
     octaves_below = np.log2(1000 / OCTAVES_HZ)
     shape = np.where(octaves_below > 0, 1 + rng.uniform(0.3, 0.8) * np.abs(octaves_below / 4) ** 1.5,
@@ -111,8 +143,9 @@ def draw_room(corpus, index):
 
 def draw_positions(corpus, index):
     """Return the positions in a room: speakers, the unit vectors they face, microphones, each (n, 3) [m]."""
-    rng = rng_for(corpus.seed, "standin-positions", ROOMS[index][0])
-    dims_m = np.array(ROOMS[index][3])
+    name, _, _, dims_m, *_ = described(corpus, index)
+    rng = rng_for(corpus.seed, "standin-positions", name)
+    dims_m = np.array(dims_m)
     top_m = dims_m[2] - 0.4 if dims_m[2] > 8 else 1.8  # loudspeakers in the stairwell stand on all its floors
     speakers = rng.uniform([0.5, 0.5, 0.9], [*dims_m[:2] - 0.5, top_m], (corpus.speakers, 3)).round(3)
     turned = rng.normal(0, np.radians(40), corpus.speakers)
@@ -161,13 +194,13 @@ def meta(title, rows):
 
 def room_meta(corpus, index):
     """Return the meta file of a room."""
-    name, kind, subtype, dims_m, _, walls, floor, ceiling, furniture = ROOMS[index]
+    name, kind, subtype, dims_m, _, walls, floor, ceiling, furniture = described(corpus, index)
     room = draw_room(corpus, index)
     rows = [("EnvName", name), ("EnvType", kind), ("EnvSubType", subtype),
             ("EnvDescription", "generated, not measured")]
     rows += zip(("EnvDepth", "EnvWidth", "EnvHeight"), dims_m, strict=True)
     rows += [("EnvVolume", round(room.volume_m3, 1)), ("EnvMatWall", walls), ("EnvMatFloor", floor),
-             ("EnvMatCeiling", ceiling), ("EnvTemp", room.temperature_c), ("EnvBCKNoiseLevel", 30 + index)]
+             ("EnvMatCeiling", ceiling), ("EnvTemp", room.temperature_c), ("EnvBCKNoiseLevel", 30 + index % len(TABLE))]
     if index != NO_FURNITURE:
         rows.append(("EnvFurniture", furniture))
     return meta("ENVIRONMENT", rows)
@@ -193,7 +226,7 @@ def mic_meta(number, speaker_m, mic_m, t60_s):
 
 def make_session(corpus, out_dir, folder, session):
     """Write one session; return its number of RIRs."""
-    index, name = session.room, ROOMS[session.room][0]
+    index, name = session.room, session.room_name
     room = draw_room(corpus, index)
     speakers, facings, mics = draw_positions(corpus, index)
     speaker_m, facing = speakers[session.speaker - 1], facings[session.speaker - 1]
@@ -252,7 +285,7 @@ def make_standin_rirs(out_dir, corpus, nj=1):
     def assemble(directory, counts):
         for index in range(corpus.rooms):
             file = "env_full_meta.txt" if index == OTHER_NAME else "env_meta.txt"
-            write_text(directory / ROOMS[index][0] / file, room_meta(corpus, index))
+            write_text(directory / described(corpus, index)[0] / file, room_meta(corpus, index))
         write_text(directory / "README", README)
         print(f"{out_dir}: {sum(counts)} generated RIRs of {corpus.rooms} rooms")
 
@@ -264,14 +297,14 @@ def main(argv=None):
     """Parse the command line and make the corpus; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out_dir", type=Path, metavar="OUT_DIR")
-    parser.add_argument("--rooms", type=int, default=9, help=f"rooms, 1 to {len(ROOMS)}; default 9")
+    parser.add_argument("--rooms", type=int, default=9, help=f"rooms, 1 to {MAX_ROOMS}; default 9")
     parser.add_argument("--mics", type=int, default=6, help="microphones a room, 1 to 31; default 6")
     parser.add_argument("--speakers", type=int, default=6, help="loudspeaker positions a room, 1 to 20; default 6")
     parser.add_argument("--silence-s", type=int, default=10, help="length of noise files [s], 1 to 60; default 10")
     parser.add_argument("--seed", type=int, default=0, help="of all random draws; default 0")
     parser.add_argument("--nj", type=int, default=1, help="processes, at least 1; default 1")
     args = vars(parser.parse_args(argv))
-    for key, highest in (("rooms", len(ROOMS)), ("mics", 31), ("speakers", 20), ("silence_s", 60), ("nj", 1000)):
+    for key, highest in (("rooms", MAX_ROOMS), ("mics", 31), ("speakers", 20), ("silence_s", 60), ("nj", 1000)):
         if not 1 <= args[key] <= highest:
             parser.error(f"--{key.replace('_', '-')} {args[key]} must lie in 1 to {highest}")
     out_dir, nj = args.pop("out_dir"), args.pop("nj")

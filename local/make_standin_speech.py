@@ -1,14 +1,16 @@
 #!/usr/bin/env python3
 """Generate a stand-in for LibriSpeech with eSpeak NG: few words, many voices, transcripts; and point noises.
 
-Usage: make_standin_speech.py [--utterances 1200] [--seed 0] [--nj 2] OUT_DIR
+Usage: make_standin_speech.py [--utterances 900,150,150] [--seed 0] [--nj 2] OUT_DIR
 e.g.:  python local/make_standin_speech.py --nj 2 corpora/standin_speech
 
-Writes OUT_DIR/LibriSpeech/{train-clean-100,dev-clean,test-clean} as the real corpus has them, and
+Writes OUT_DIR/LibriSpeech/{train-clean-100,dev-clean,test-clean} as the real corpus has them, each with voices of its
+own; OUT_DIR/LibriSpeech-LM/lm.txt, further sentences of the same language for language models; and
 OUT_DIR/point_noises/*.flac with noises.csv. Nobody spoke any of it.
 """
 
 import argparse
+import re
 import sys
 from dataclasses import dataclass
 from functools import partial
@@ -20,12 +22,14 @@ import soxr
 import espeak_client
 import espeak_worker
 import standin_noises
+import standin_text
 from espeak_client import Espeak
 from roomeq.audio import write_flac
 from roomeq.build import Build
 from roomeq.constants import FS_HZ
 from roomeq.files import write_text
 from roomeq.rng import rng_for
+from standin_text import draw_sentence
 
 
 @dataclass(frozen=True)
@@ -58,27 +62,27 @@ VOICES = {
     ),
     "dev-clean": (
         Voice("M", "en-us", "m6", 168, 52, 50), Voice("F", "en-us", "f4", 168, 48, 55),
-        Voice("M", "en", "m7", 162, 44, 50), Voice("F", "en-029", "belinda", 170, 45, 50),
+        Voice("M", "en", "m7", 162, 44, 50), Voice("F", "en", "shelby", 155, 50, 50),
     ),
     "test-clean": (
-        Voice("M", "en-us", "m8", 162, 55, 50), Voice("F", "en-us", "f5", 168, 46, 50),
-        Voice("M", "en-029", "victor", 168, 50, 55), Voice("F", "en", "steph", 160, 52, 45),
+        Voice("M", "en-us", "m5", 162, 55, 50), Voice("F", "en-us", "f5", 168, 46, 50),
+        Voice("M", "en-029", "victor", 168, 50, 55), Voice("F", "en-029", "belinda", 170, 45, 50),
+        Voice("M", "en", "pablo", 165, 48, 50), Voice("F", "en", "Andrea", 125, 40, 50),
+        Voice("M", "en-gb-scotland", "rob", 160, 52, 45), Voice("F", "en-gb-scotland", "grandma", 155, 50, 50),
     ),
 }
-BABBLERS = (Voice("M", "en-us", "travis", 180, 50, 50), Voice("F", "en-us", "Andrea", 175, 40, 50),
-            Voice("M", "en", "sandro", 170, 55, 50), Voice("F", "en", "shelby", 180, 50, 50),
-            Voice("M", "en-029", "miguel", 175, 45, 50), Voice("F", "en-gb-scotland", "grandma", 170, 50, 50))
-VOCABULARY = """zero one two three four five six seven eight nine yes no up down left right on off stop go open
-shut turn play call find show wait lamp door window kitchen garden music table water coffee morning evening
-summer winter river mountain street house school doctor teacher paper letter market train bridge flower yellow
-orange purple silver""".split()
+BABBLERS = (Voice("M", "en-us", "travis", 180, 50, 50), Voice("F", "en-us", "steph", 175, 52, 50),
+            Voice("M", "en", "sandro", 170, 55, 50), Voice("F", "en", "Nguyen", 180, 50, 50),
+            Voice("M", "en-029", "miguel", 175, 45, 50), Voice("M", "en-us", "m8", 170, 50, 50))
+LM_SENTENCES = 20_000
 CHATTER = """because perhaps nobody ever told them about it however people would rather have been somewhere else
 than listen again although every other friend remembered another story which sounded quite different""".split()
 NOISES = tuple(f"{kind}{n}" for kind in ("hum", "fan", "clatter", "babble") for n in (1, 2, 3))
 README = """Generated, not recorded: a stand-in for LibriSpeech.
 
-Made by local/make_standin_speech.py. The speech comes from the synthesiser eSpeak NG, the words are drawn at
-random; the point noises are made of sines, noise and the same synthesiser. Nothing of LibriSpeech is in here.
+Made by local/make_standin_speech.py. The speech comes from the synthesiser eSpeak NG, the words are drawn from
+a made-up language; the point noises are made of sines, noise and the same synthesiser. Nothing in here is of
+LibriSpeech.
 """
 
 
@@ -98,12 +102,16 @@ class Chapter:
         return f"LibriSpeech/{self.subset}/{self.speaker}/{self.chapter}"
 
 
-def chapters(n_utterances):
-    """Return all chapters by folder: an eighth of the utterances to dev and test each, two chapters a voice."""
-    eighth = n_utterances // 8
+def chapters(utterances):
+    """Return all chapters by folder, two a voice.
+
+    Parameters
+    ----------
+    utterances : sequence of int
+        How many in each of the sets of `VOICES`.
+    """
     found, speaker = {}, 100
-    for subset, voices in VOICES.items():
-        total = n_utterances - 2 * eighth if subset.startswith("train") else eighth
+    for (subset, voices), total in zip(VOICES.items(), utterances, strict=True):
         for k, voice in enumerate(voices):
             speaker += 1
             mine = total * (k + 1) // len(voices) - total * k // len(voices)
@@ -144,12 +152,9 @@ def recorded(speech, rng):
     return padded + 10 ** (-65 / 20) * floor / floor.std()
 
 
-def draw_words(rng, vocabulary=VOCABULARY):
-    """Return 3 to 8 words, none of them twice in a row."""
-    words, count = [], rng.integers(3, 9)
-    while len(words) < count:
-        words += [word for word in [str(rng.choice(vocabulary))] if word not in words[-1:]]
-    return words
+def draw_chatter(rng):
+    """Return 3 to 8 words that are in no transcript."""
+    return [str(word) for word in rng.choice(CHATTER, rng.integers(3, 9))]
 
 
 def make_chapter(seed, out_dir, chapter):
@@ -159,7 +164,7 @@ def make_chapter(seed, out_dir, chapter):
         for number in range(chapter.n_utterances):
             utterance = f"{chapter.speaker}-{chapter.chapter}-{number:04d}"
             rng = rng_for(seed, "standin-utterance", utterance)
-            words = draw_words(rng)
+            words = draw_sentence(seed, rng)
             samples = recorded(say(espeak, chapter.voice, words, rng), rng)
             write_flac(out_dir / chapter.folder / f"{utterance}.flac", samples)
             lines.append(f"{utterance} {' '.join(words).upper()}\n")
@@ -178,7 +183,7 @@ def make_noise(seed, out_dir, name):
             talkers = [[] for _ in BABBLERS]
             for spoken, voice in zip(talkers, BABBLERS, strict=True):
                 while sum(map(len, spoken)) < n_samples:
-                    spoken.append(say(espeak, voice, draw_words(rng, CHATTER), rng))
+                    spoken.append(say(espeak, voice, draw_chatter(rng), rng))
         noise = standin_noises.levelled(standin_noises.babble(rng, talkers, n_samples))
     else:
         noise = standin_noises.point_noise(kind, rng, n_samples)
@@ -205,14 +210,20 @@ def speakers_txt(minutes):
     return "".join(lines)
 
 
-def make_standin_speech(out_dir, n_utterances, seed, nj=1):
+def lm_text(seed):
+    """Return the text for language models: a sentence a line, in capitals as the transcripts are."""
+    rngs = (rng_for(seed, "standin-lm", str(n)) for n in range(LM_SENTENCES))
+    return "".join(f"{' '.join(draw_sentence(seed, rng)).upper()}\n" for rng in rngs)
+
+
+def make_standin_speech(out_dir, utterances, seed, nj=1):
     """Make the corpus.
 
     Parameters
     ----------
     out_dir : Path
-    n_utterances : int
-        At least 32, so that every voice speaks.
+    utterances : sequence of int
+        In training, development and test set.
     seed : int
     nj : int
         Processes; the result does not depend on it.
@@ -224,10 +235,10 @@ def make_standin_speech(out_dir, n_utterances, seed, nj=1):
     OSError
         eSpeak NG doesn't run, or `out_dir` can't be written.
     """
-    modules = sys.modules[__name__], espeak_client, espeak_worker, standin_noises
+    modules = sys.modules[__name__], espeak_client, espeak_worker, standin_noises, standin_text
     sources = [Path(module.__file__) for module in modules]
-    build = Build(out_dir, step="standin-speech", options=dict(utterances=n_utterances, seed=seed), inputs=sources)
-    items = {**chapters(n_utterances), **dict.fromkeys(NOISES)}
+    build = Build(out_dir, step="standin-speech", options=dict(utterances=utterances, seed=seed), inputs=sources)
+    items = {**chapters(utterances), **dict.fromkeys(NOISES)}
 
     def assemble(directory, counts):
         minutes = {}
@@ -238,23 +249,34 @@ def make_standin_speech(out_dir, n_utterances, seed, nj=1):
         write_text(directory / "LibriSpeech/SPEAKERS.TXT", speakers_txt(minutes))
         rows = "".join(f"{name}.flac,point\n" for name in NOISES)
         write_text(directory / "point_noises/noises.csv", "file,kind\n" + rows)
+        write_text(directory / "LibriSpeech-LM/lm.txt", lm_text(seed))
         write_text(directory / "README", README)
-        print(f"{out_dir}: {n_utterances} generated utterances, {sum(minutes.values()):.1f} minutes")
+        print(f"{out_dir}: {sum(utterances)} generated utterances, {sum(minutes.values()):.1f} minutes")
 
     if not build.done and build.run(items, partial(make_item, seed, build.work), nj=nj):
         build.finish(assemble)
+
+
+def counts(text):
+    """Parse ``"900,150,150"``: utterances of each set, at least one for each of its voices."""
+    least = [len(voices) for voices in VOICES.values()]
+    if re.fullmatch(r"\d{1,6},\d{1,6},\d{1,6}", text):
+        parsed = tuple(int(count) for count in text.split(","))
+        if all(count >= voices for count, voices in zip(parsed, least, strict=True)):
+            return parsed
+    raise argparse.ArgumentTypeError(f"{text} must be three counts of at least {','.join(map(str, least))}, such as "
+                                     "900,150,150: every voice has to speak")
 
 
 def main(argv=None):
     """Parse the command line and make the corpus; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out_dir", type=Path, metavar="OUT_DIR")
-    parser.add_argument("--utterances", type=int, default=1200, help="how many, at least 32; default 1200")
+    parser.add_argument("--utterances", type=counts, default=(900, 150, 150), metavar="TRAIN,DEV,TEST",
+                        help="how many; default 900,150,150")
     parser.add_argument("--seed", type=int, default=0, help="of all random draws; default 0")
     parser.add_argument("--nj", type=int, default=1, help="processes, at least 1; default 1")
     args = parser.parse_args(argv)
-    if args.utterances < 32:
-        parser.error(f"--utterances {args.utterances} must be at least 32: every voice has to speak")
     if args.nj < 1:
         parser.error(f"--nj {args.nj} must be at least 1")
     try:

@@ -1,16 +1,17 @@
 #!/usr/bin/env bash
-# Generate the embedded stand-ins: spoken commands by eSpeak NG, and "measured" RIRs by a wave-acoustics generator.
+# Generate the embedded stand-ins: sentences spoken by eSpeak NG, and "measured" RIRs by a wave-acoustics generator.
 # They are not real recordings. Written in the layouts of LibriSpeech and BUT ReverbDB.
-# Usage: local/make_standins.sh [--nj 2] [--utterances 1200] [--positions 6] <corpora-dir>
+# Usage: local/make_standins.sh [--nj 2] [--utterances 900,150,150] [--rooms 9] [--positions 6] <corpora-dir>
 # e.g.:  local/make_standins.sh corpora
 set -euo pipefail
-nj=2              # jobs
-utterances=1200   # in all sets together
-positions=6       # microphones, and loudspeakers, in each room
-seed=0   # of every random draw
+nj=2                     # jobs
+utterances=900,150,150   # for train, dev, test
+rooms=9                  # 1 to 80
+positions=6              # microphones, and loudspeakers, in each room
+seed=0                   # of every random draw
 . ./path.sh
 . utils/parse_options.sh
 [ $# -eq 1 ] || usage
 python local/make_standin_speech.py --nj "$nj" --utterances "$utterances" --seed "$seed" "$1/speech"
-python local/make_standin_rirs.py --nj "$nj" --mics "$positions" --speakers "$positions" --seed "$seed" \
-  "$1/reverbdb"
+python local/make_standin_rirs.py --nj "$nj" --rooms "$rooms" --mics "$positions" --speakers "$positions" \
+  --seed "$seed" "$1/reverbdb"

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,10 +21,11 @@ sys.path.insert(0, str(LOCAL))
 import make_standin_rirs  # noqa: E402
 import make_standin_speech  # noqa: E402
 import standin_acoustics as acoustics  # noqa: E402
+import standin_text  # noqa: E402
 from roomeq.corpora import read_measured  # noqa: E402
 from roomeq.rirs import read_rirs  # noqa: E402
 
-SMALL = {"speech": ["--utterances", "32"],
+SMALL = {"speech": ["--utterances", "16,4,8"],
          "rirs": ["--rooms", "3", "--mics", "2", "--speakers", "1", "--silence-s", "1"]}
 CORPUS = make_standin_rirs.Corpus(rooms=3, mics=2, speakers=1, silence_s=1, seed=0)  # what these options ask for
 
@@ -81,7 +82,7 @@ def test_bytes_depend_neither_on_jobs_nor_on_an_interruption(kind, tmp_path, req
 def test_another_seed_gives_other_audio(speech, rirs, tmp_path):
     session = next(iter(make_standin_rirs.sessions(CORPUS).values()))
     make_standin_rirs.make_session(replace(CORPUS, seed=1), tmp_path, session.folder, session)
-    chapter = next(iter(make_standin_speech.chapters(32).values()))
+    chapter = next(iter(make_standin_speech.chapters((16, 4, 8)).values()))
     make_standin_speech.make_chapter(1, tmp_path, chapter)
     make_standin_speech.make_noise(1, tmp_path, "hum1")
     ours, theirs = contents(tmp_path), contents(speech) | contents(rirs)
@@ -103,12 +104,13 @@ def test_leaves_what_is_not_its_own(kind, tmp_path):
     assert contents(tmp_path) == {"notes": b"mine"}
 
 
-@pytest.mark.parametrize(("kind", "options"), [("speech", ["--utterances", "31"]), ("speech", ["--nj", "0"]),
-                                               ("rirs", ["--rooms", "10"]), ("rirs", ["--silence-s", "0"])])
+@pytest.mark.parametrize(("kind", "options"), [
+    ("speech", ["--utterances", "16,4,7"]), ("speech", ["--utterances", "99"]), ("speech", ["--nj", "0"]),
+    ("rirs", ["--rooms", "81"]), ("rirs", ["--silence-s", "0"])])
 def test_refuses_options_out_of_range(kind, options, tmp_path):
     done = subprocess.run(command(kind, tmp_path / "b", *options), capture_output=True, text=True)
     assert done.returncode == 2
-    assert f"{options[0]} {options[1]} must" in done.stderr
+    assert re.search(f"{options[0]}:? {options[1]} must", done.stderr)
 
 
 @pytest.mark.parametrize("kind", SMALL)
@@ -126,9 +128,9 @@ def test_speech_is_a_librispeech_tree(speech):
         assert path.parts[-3:-1] == (speaker, chapter) and re.fullmatch(r"\d{4}", number)
         info = soundfile.info(path)
         assert (info.samplerate, info.channels, info.subtype) == (16000, 1, "PCM_16")
-        assert 1 <= info.duration <= 4
+        assert 1 <= info.duration <= 7
     audio = {path.stem for path in (speech / "LibriSpeech").rglob("*.flac")}
-    assert len(audio) == 32
+    assert len(audio) == 28
     assert {name for name, _ in transcripts(speech)} == audio
 
 
@@ -137,28 +139,62 @@ def test_speakers_are_listed_and_belong_to_one_set(speech):
     rows = [[field.strip() for field in line.split("|")] for line in lines if not line.startswith(";")]
     assert {row[0]: row[2] for row in rows} == {path.name: path.parent.name
                                                 for path in (speech / "LibriSpeech").glob("*/*") if path.is_dir()}
-    assert Counter(row[2] for row in rows) == {"train-clean-100": 16, "dev-clean": 4, "test-clean": 4}
-    assert Counter(row[1] for row in rows) == {"M": 12, "F": 12}
-    assert len({row[4].split("+")[1] for row in rows}) == 24
+    assert Counter(row[2] for row in rows) == {"train-clean-100": 16, "dev-clean": 4, "test-clean": 8}
+    assert Counter(row[1] for row in rows) == {"M": 14, "F": 14}
+    assert len({row[4].split("+")[1] for row in rows}) == 28
     assert all(float(row[3]) > 0 for row in rows)
 
 
-def test_default_size_is_that_of_the_issue():
+def test_each_set_has_as_many_utterances_as_asked_for():
     counts = Counter()
-    for chapter in make_standin_speech.chapters(1200).values():
+    for chapter in make_standin_speech.chapters((900, 150, 1200)).values():
         counts[chapter.subset] += chapter.n_utterances
-    assert counts == {"train-clean-100": 900, "dev-clean": 150, "test-clean": 150}
+    assert counts == {"train-clean-100": 900, "dev-clean": 150, "test-clean": 1200}
 
 
-def test_words_come_from_a_small_vocabulary(speech):
-    vocabulary = {word.upper() for word in make_standin_speech.VOCABULARY}
-    assert 50 <= len(vocabulary) <= 70
-    for _, text in transcripts(speech):
-        assert set(text.split()) <= vocabulary and 3 <= len(text.split()) <= 8
-    rng = np.random.default_rng(0)
-    drawn = [make_standin_speech.draw_words(rng) for _ in range(1000)]
-    assert {word.upper() for words in drawn for word in words} == vocabulary
-    assert Counter(map(len, drawn)).keys() == set(range(3, 9))
+def test_sentences_are_of_the_vocabulary(speech):
+    vocabulary = {word.upper() for word in standin_text.VOCABULARY}
+    assert 150 <= len(vocabulary) <= 200
+    heard = [text for _, text in transcripts(speech)]
+    read = (speech / "LibriSpeech-LM/lm.txt").read_text().splitlines()
+    assert len(read) == 20_000 and set(" ".join(read).split()) == vocabulary
+    for sentences in (heard, read):
+        assert all(set(text.split()) <= vocabulary and 3 <= len(text.split()) <= 10 for text in sentences)
+    assert Counter(len(text.split()) for text in read).keys() == set(range(3, 11))
+    assert read[:len(heard)] != heard
+
+
+def test_no_two_words_sound_alike_in_any_voice():
+    with make_standin_speech.Espeak() as espeak:
+        for language in {voice.language for voices in make_standin_speech.VOICES.values() for voice in voices}:
+            spoken = espeak.phonemes(language, standin_text.VOCABULARY)
+            assert len(set(spoken)) == len(standin_text.VOCABULARY), language
+
+
+def perplexity(order, sentences, held_out):
+    """Of words given those before them, by n-grams with Witten and Bell's smoothing."""
+    following = defaultdict(Counter)
+    for words in sentences:
+        padded = ["<s>"] * (order - 1) + words
+        for n in range(order - 1, len(padded)):
+            for length in range(order):
+                following[tuple(padded[n - length:n])][padded[n]] += 1
+
+    def probability(word, context):
+        shorter = probability(word, context[1:]) if context else 1 / len(standin_text.VOCABULARY)
+        seen = following.get(context, {})
+        return (seen.get(word, 0) + len(seen) * shorter) / (sum(seen.values()) + len(seen)) if seen else shorter
+
+    bits = [-np.log2(probability(word, tuple((["<s>"] * (order - 1) + words[:n])[n:])))
+            for words in held_out for n, word in enumerate(words)]
+    return 2 ** np.mean(bits)
+
+
+def test_longer_memory_knows_more_of_the_language():
+    sentences = [line.lower().split() for line in make_standin_speech.lm_text(0).splitlines()]
+    held_out = [standin_text.draw_sentence(0, np.random.default_rng(n)) for n in range(300)]
+    found = [perplexity(order, sentences, held_out) for order in (1, 2, 3)]
+    assert found[0] > 1.8 * found[1] and found[1] > 1.2 * found[2] and 20 < found[2] < 60
 
 
 def test_speech_has_levels_and_no_digital_silence(speech):
@@ -412,16 +448,31 @@ def test_loudspeaker_beams(room):
 
 
 def test_rooms_are_as_documented():
-    corpus = make_standin_rirs.Corpus(9, 6, 6, 10, 0)
-    for index, (name, _, _, dims_m, *_) in enumerate(make_standin_rirs.ROOMS):
+    corpus = make_standin_rirs.Corpus(80, 6, 6, 10, 0)
+    names = set()
+    for index in range(corpus.rooms):
+        name, kind, _, dims_m, t60_s, *_ = make_standin_rirs.described(corpus, index)
+        names.add(name)
         room = make_standin_rirs.draw_room(corpus, index)
-        assert 95 < room.volume_m3 < 2000, name
+        assert 35 < room.volume_m3 < 2000, name
         assert 0.22 < room.total_t60_s[4] < 1.4
+        assert kind == "stairs" or 0.25 <= t60_s <= 1.2
         assert room.total_t60_s[0] > room.total_t60_s[4] > room.total_t60_s[7]
         assert np.average(room.wall_share, weights=room.wall_areas_m2) == pytest.approx(1)
+        assert room.wall_absorption[:, 4].max() < 0.95
         speakers, facing, mics = make_standin_rirs.draw_positions(corpus, index)
         for positions_m in (speakers, mics):
             assert np.all(positions_m > 0.25) and np.all(positions_m < np.array(dims_m) - 0.25)
         assert np.linalg.norm(speakers[:, None] - mics, axis=2).min() > 0.9
         np.testing.assert_allclose(np.linalg.norm(facing, axis=1), 1)
-    assert len(make_standin_rirs.sessions(corpus)) == 9 * 6 + 1
+    assert len(names) == 80 and len(make_standin_rirs.sessions(corpus)) == 80 * 6 + 1
+
+
+def test_rooms_beyond_the_table_are_drawn_each_by_itself():
+    few, many, other = (make_standin_rirs.Corpus(rooms, 3, 3, 10, seed) for rooms, seed in ((10, 0), (80, 0), (80, 1)))
+    assert make_standin_rirs.described(few, 9) == make_standin_rirs.described(many, 9)
+    assert make_standin_rirs.described(other, 9) != make_standin_rirs.described(many, 9)
+    drawn = [make_standin_rirs.described(many, index) for index in range(9, 80)]
+    assert {kind for _, kind, *_ in drawn} == {kind for kind, *_ in make_standin_rirs.KINDS}
+    decays_s = [t60_s for _, _, _, _, t60_s, *_ in drawn]
+    assert min(decays_s) < 0.35 and max(decays_s) > 0.95

@@ -35,7 +35,7 @@ SCALES = (1, 10, 100)
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--augment", type=Path, help="what tests/bench/augment.py printed")
-    parser.add_argument("--utterances", type=int, default=300, help="size of the stand-in speech")
+    parser.add_argument("--utterances", default="226,37,37", help="of the stand-in speech, for train, dev and test")
     parser.add_argument("--positions", type=int, default=3, help="of the stand-in RIRs, a room")
     parser.add_argument("--rirs", type=int, default=90, help="to simulate, over nine rooms")
     parser.add_argument("--out", type=Path, required=True, help="where everything goes")
@@ -51,8 +51,8 @@ def measure(given, out):
     """Run the steps; return what each did, in which unit, and CPU seconds, peak memory [MiB] and bytes written."""
     data, exp, corpora = out / "data", out / "exp", out / "corpora"
     where = ["--nj", "1", "--match-rooms", "false", "--data", str(data), "--exp", str(exp), "--corpora", str(corpora),
-             "--standin-utterances", str(given.utterances), "--standin-positions", str(given.positions)]
-    run(["local/make_standins.sh", "--utterances", str(given.utterances), "--positions", str(given.positions),
+             "--standin-utterances", given.utterances, "--standin-positions", str(given.positions)]
+    run(["local/make_standins.sh", "--utterances", given.utterances, "--positions", str(given.positions),
          str(corpora)])
     steps = dict(
         prepare_speech=run(["steps/prepare_speech.sh", str(corpora / "speech"), str(data)]),
@@ -68,7 +68,8 @@ def measure(given, out):
               for name in ("real", "real.train", "sim.train", "sim.dev", "sim.EQ.train", "sim.EQ.dev")}
     simulated = len([row for row in read_jsonl(out / "rirs.sim/rirs.jsonl") if not row.get("noise_for")])
     hours = sum(read_json(path)["hours"] for path in data.glob("*.rvb/summary.json"))
-    done = dict(prepare_speech=("utterances", given.utterances), read_measured=("measured", counts["real"]),
+    done = dict(prepare_speech=("utterances", sum(map(int, given.utterances.split(",")))),
+                read_measured=("measured", counts["real"]),
                 characterise_split=("measured", counts["real"]), simulate=("simulated", simulated),
                 fit_eq=("analysed", counts["real.train"] + counts["sim.train"]),
                 compensate=("simulated", counts["sim.EQ.train"] + counts["sim.EQ.dev"]), augment=("hours", hours),
