@@ -9,7 +9,9 @@ Seeds and rooms are crossed: ``z = seed + room + residual``. A bootstrap resampl
 replacement (McCullagh, Bernoulli 2000; Owen, Ann. Appl. Stat. 2007). Where the residual is the largest part it counts
 it three times, and few seeds make it too narrow. Its replicates are therefore stretched about the estimate: to the
 standard error of the variance components (two-way analysis of variance, method of moments, none below zero), and to
-the tails of Student's t with Satterthwaite's degrees of freedom.
+the tails of Student's t with Satterthwaite's degrees of freedom. On simulated rooms and seeds 92-98 % of these
+intervals hold the truth with three seeds or more, where those of the bootstrap alone do in 81-100 %; with two seeds
+90 % do, and with ten very skewed rooms 90 % (`tests/test_wer.py` repeats a part of this).
 """
 
 import math
@@ -193,16 +195,17 @@ def detectable(difference: Statistic) -> dict | None:
     dict or None
         `difference` [%]; `standard_errors`, so many of them; `seed, room, residual`: standard deviations [%] of a
         cell, `seed` None where it is not known; `for_half`: seeds or rooms needed where the other stays (None where
-        no number is enough), and `factor`, by which both would have to grow. None with a single room.
+        no number is enough), and `factor`, by which both would have to grow. None with a single room, or where nothing
+        varies.
     """
-    if difference.z.shape[1] < 2:
+    if difference.z.shape[1] < 2 or not difference.deviations.any():
         return None
     found = components(difference.z)
     errors = float(t.ppf((1 + LEVEL) / 2, found.df) + t.ppf(POWER, found.df))
     quarter = found.variance / 4
-    main = found.variance_with(found.n_seeds, found.n_rooms) - found.residual / (found.n_seeds * found.n_rooms)
     shared = found.residual / (found.n_seeds * found.n_rooms)
-    factor = (main + math.sqrt(main ** 2 + 4 * quarter * shared)) / (2 * quarter) if quarter else 1.0
+    main = found.variance - shared
+    factor = (main + math.sqrt(main ** 2 + 4 * quarter * shared)) / (2 * quarter)
     seeds = None if found.seed is None else _needed(quarter, found.room / found.n_rooms,
                                                     found.seed + found.residual / found.n_rooms)
     rooms = _needed(quarter, (found.seed or 0.0) / found.n_seeds, found.room + found.residual / found.n_seeds)

@@ -149,8 +149,8 @@ def choose_weights(decode: Path, reference: dict) -> Weights:
 def count_errors(reference: list[tuple[str, ...]], hypotheses: list[tuple[str, ...]]) -> np.ndarray:
     """Return substitutions, deletions and insertions, shape (n_utterances, 3).
 
-    Their sum is the least that turns the reference into the hypothesis, which is what Kaldi counts; where several
-    alignments need as few, Kaldi's may have two substitutions where this has a deletion and an insertion, or the reverse.
+    Their sum is the least that turns the reference into the hypothesis, which is what Kaldi counts. Where several
+    alignments need as few, two substitutions of Kaldi's may be a deletion and an insertion here, or the reverse.
     """
     counts = np.zeros((len(reference), 3), dtype=np.int64)
     kinds = dict(replace=0, delete=1, insert=2)

@@ -44,8 +44,8 @@ def caption(found: dict) -> list[str]:
              "dev is each row's own kind, as in the paper: " + ", ".join(own) + (f"; else {DEV}." if DEV in
              found["dev_of"].values() else ".") if own else f"dev is {DEV} for every row."]
     lines.append("Intervals are of 95 %, from a bootstrap over rooms and seeds, crossed." if found["seeds"] > 1 else
-                 "Intervals are of 95 %, from a bootstrap over rooms. With one seed the spread over seeds is not known: "
-                 "they hold for these trained models, not for others trained alike.")
+                 "Intervals are of 95 %, from a bootstrap over rooms. With one seed the spread over seeds is not "
+                 "known: they hold for these trained models, not for others trained alike.")
     return lines
 
 
