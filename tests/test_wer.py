@@ -37,7 +37,8 @@ def example(tmp_path_factory):
 
 @pytest.mark.parametrize(("spoken", "heard", "counts"), [
     ("a b c", "a b c", (0, 0, 0)), ("a b c", "a x c", (1, 0, 0)), ("a b c", "a c", (0, 1, 0)),
-    ("a b c", "a b b c", (0, 0, 1)), ("a b c", "", (0, 3, 0)), ("a", "x y z", (1, 0, 2)), ("a b c d", "b c x", (1, 1, 0))])
+    ("a b c", "a b b c", (0, 0, 1)), ("a b c", "", (0, 3, 0)), ("a", "x y z", (1, 0, 2)),
+    ("a b c d", "b c x", (1, 1, 0))])
 def test_errors_are_counted_by_kind(spoken, heard, counts):
     found = count_errors([tuple(spoken.split())], [tuple(heard.split())])
     np.testing.assert_array_equal(found, [counts])
@@ -91,7 +92,8 @@ def test_of_equal_weights_the_smallest_is_taken(tmp_path):
 def test_dev_is_of_the_rows_own_kind_where_that_was_decoded(tmp_path):
     put_rirs(tmp_path / "rirs", (*ROOMS, *DEV_ROOMS))
     sets = {name: utterances_of(name, DEV_ROOMS) for name in ("dev.sim.rvb", "dev.clean", "dev.real.rvb")}
-    for row, dev in (("train.clean", "dev.clean"), ("train.sim.rvb", "dev.sim.rvb"), ("train.real.rvb", "dev.real.rvb")):
+    for dev in sets:
+        row = dev.replace("dev", "train")
         put_workspace(tmp_path / "ws", {row: lambda name, *_: 2 if name.startswith("dev") else 4}, sets={
             dev: sets[dev], "test.real.rvb": utterances_of("test", ROOMS)})
     (tmp_path / "ws/data/dev.clean/utt2rir").unlink()
