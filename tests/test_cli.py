@@ -44,6 +44,7 @@ def test_help_and_version(capsys):
     ["fit-eq", "absent", "absent", "out"],
     ["compensate", "absent", "absent", "out", "--seed", "1"],
     ["augment", "absent", "absent", "out"],
+    ["wer", "--rirs", "absent", "absent", "out"],
     ["report", "absent", "absent", "out"],
     ["prepare-speech", "absent", "out"],
     ["read-measured", "absent", "out"],

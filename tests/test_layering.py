@@ -17,6 +17,7 @@ LAYERS = [
     {"eq", "distance"},
     {"compensate"},
     {"datadir", "wavscp", "datawrite", "draws", "sounds", "layout", "mix", "augment"},
+    {"wer"},
     {"loop"},
     {"report", "validate"},
     {"cli", "__main__"},

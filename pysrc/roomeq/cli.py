@@ -221,6 +221,11 @@ def _speech_verbs(verbs) -> None:
      .argument("--pipes", action="store_true", help="run the commands that wav.scp holds; without it only those "
                                                     "known to decode a file are understood, and read directly")
      .seed().jobs())
+    (Verb(verbs, "wer", "wer.measure", "Measure word error rates of Kaldi workspaces, with intervals; print the table.",
+          "--rirs data/rirs.real exp/kaldi exp/kaldi.seed1 exp/wer")
+     .argument("workspaces", nargs="+", help="Kaldi workspaces with decoded rows, one a seed")
+     .argument("out", help="directory to make: wer.json")
+     .argument("--rirs", required=True, help="RIR directory that says which rooms the sets' RIRs are of"))
     (Verb(verbs, "report", "report", "Make one self-contained HTML page of a run.", "data exp exp/report",
           function="make_report")
      .argument("data_dir", help="where stages 0-6 wrote")

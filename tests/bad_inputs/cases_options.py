@@ -7,7 +7,7 @@ CASES = [
     Case("unknown verb", "simulte measured out",
          "argument VERB: invalid choice: 'simulte' (choose from 'prepare-speech', 'read-measured', "
          "'read-noises', 'characterise', 'split-rirs', 'simulate', 'validate', 'fit-eq', 'compensate', "
-         "'close-loop', 'augment', 'report'): see roomeq --help"),
+         "'close-loop', 'augment', 'wer', 'report'): see roomeq --help"),
     Case("loop without output", "close-loop measured",
          "roomeq close-loop: the following arguments are required: --out: see roomeq close-loop --help"),
     Case("unknown option", "simulate --rays 3 measured out",

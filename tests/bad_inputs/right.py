@@ -18,6 +18,7 @@ from roomeq.datawrite import OutUtterance, write_data_dir
 from roomeq.files import write_json, write_jsonl, write_text
 from roomeq.mixture import FREE
 from roomeq.wavscp import flac_entry
+from wer_run import put_example
 
 BOX = """v 0 0 0
 v 5 0 0
@@ -91,9 +92,14 @@ def _made(path: Path) -> None:
     build.finish(lambda directory, _: write_jsonl(directory / "measured.jsonl", [dict(id="a")]))
 
 
+def _decoded(path: Path) -> None:
+    """Two Kaldi workspaces whose systems were scored, and the RIRs of their sets."""
+    put_example(path, seeds=2)
+
+
 WORLDS = dict(rirs=rir_dir, measured=_measured, mesh=_mesh, eq=_eq, speech=speech_dir, segmented=_segmented,
               noises=_noises, transcripts=_transcripts, librispeech=_librispeech, made=_made, reverbdb=make_reverbdb,
-              table=make_table, folder=make_folder, slr28=make_slr28, sofa=make_sofa)
+              table=make_table, folder=make_folder, slr28=make_slr28, sofa=make_sofa, decoded=_decoded)
 
 
 def put_earlier(path: Path, step: str) -> None:

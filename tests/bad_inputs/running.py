@@ -13,7 +13,8 @@ from wrong import Case
 from roomeq.cli import main
 from roomeq.limits import LIMITS
 
-STEPS = ("read-measured", "read-noises", "characterise", "simulate", "fit-eq", "compensate", "augment", "report")
+STEPS = ("read-measured", "read-noises", "characterise", "simulate", "fit-eq", "compensate", "augment", "wer",
+         "report")
 OUTPUTS = {"prepare-speech": [("out/train.clean", "prepare-speech")], "split-rirs": [("out.train", "split")]}
 
 

@@ -8,11 +8,12 @@ import cases_datadirs
 import cases_options
 import cases_rooms
 import cases_rows
+import cases_wer
 import pytest
 from running import call, set_up, snapshot
 
 TABLES = dict(audio=cases_audio, rows=cases_rows, datadirs=cases_datadirs, corpora=cases_corpora,
-              rooms=cases_rooms, options=cases_options)
+              rooms=cases_rooms, options=cases_options, wer=cases_wer)
 CASES = [pytest.param(case, id=f"{table}-{case.name}".replace(" ", "_")) for table, module in TABLES.items()
          for case in module.CASES]
 

@@ -1,0 +1,109 @@
+"""The paper's Table 2 as plain text, and a line for each comparison."""
+
+from roomeq.wer.workspace import BASE, DEV, ORACLE
+
+_NOTES = {"train.clean": "baseline", ORACLE: "oracle"}
+
+
+def table_text(found: dict) -> str:
+    """Return what `roomeq wer` prints of its `wer.json`."""
+    lines = [*_rates(found), "", *caption(found), ""]
+    for column in found["columns"]:
+        lines += [f"{column}:", *(f"  {line}" for row in found["rows"] for line in _row_lines(found, row, column)), ""]
+    return "\n".join(lines)
+
+
+def label(row: str) -> str:
+    """Return a row's name with what it stands for."""
+    return f"{row} ({_NOTES[row]})" if row in _NOTES else row
+
+
+def _rates(found: dict) -> list[str]:
+    columns, results = found["columns"], found["results"]
+    width = max(map(len, (label(row) for row in found["rows"])))
+    cell = max(8, *(len(column) + 1 for column in columns))
+    half = cell * len(columns)
+    lines = [" " * width + "  " + "dev WER [%]".center(half) + "  " + "test WER [%]".center(half),
+             "Training data".ljust(width) + "  " + "  ".join(["".join(one.rjust(cell) for one in columns)] * 2)]
+    for row in found["rows"]:
+        halves = ("".join(f"{results[row][column][kind]['wer']:{cell}.2f}" for column in columns)
+                  for kind in ("dev", "test"))
+        lines.append(label(row).ljust(width) + "  " + "  ".join(halves))
+    return lines
+
+
+def caption(found: dict) -> list[str]:
+    """Return what a reader of the table must know."""
+    rooms = found["sets"][found["test"]]["rooms"]
+    own = sorted({name for name in found["dev_of"].values() if name != DEV})
+    counts = found["sets"][found["test"]]
+    lines = [f"{counts['utterances']} test utterances ({counts['words']} words) in {rooms} rooms, "
+             f"{found['seeds']} seed{'s' * (found['seeds'] > 1)}.",
+             "LM weight and word insertion penalty were chosen on dev for each row, column and seed, and applied to "
+             "test: dev rates are the best of them, test rates are not.",
+             "dev is each row's own kind, as in the paper: " + ", ".join(own) + (f"; else {DEV}." if DEV in
+             found["dev_of"].values() else ".") if own else f"dev is {DEV} for every row."]
+    lines.append("Intervals are of 95 %, from a bootstrap over rooms and seeds, crossed." if found["seeds"] > 1 else
+                 "Intervals are of 95 %, from a bootstrap over rooms. With one seed the spread over seeds is not "
+                 "known: they hold for these trained models, not for others trained alike.")
+    return lines
+
+
+def _row_lines(found: dict, row: str, column: str) -> list[str]:
+    one = found["results"][row][column]
+    lines = [f"{row}: " + ", ".join(f"{kind} {_rate(one[kind])}" for kind in ("test", "dev"))
+             + f", test less dev {_points(one['dev_test_gap'])}"]
+    if "change" in one:
+        lines.append(f"  against {BASE}: {change_text(one['change'])}")
+    if "closed" in one:
+        lines.append(f"  {closed_text(one['closed'])}")
+    if one.get("change", {}).get("detectable"):
+        lines.append(f"  {detectable_text(one['change']['detectable'], found['seeds'])}")
+    return lines
+
+
+def _rate(one: dict) -> str:
+    over = one["interval_over_utterances"]
+    text = f"{one['wer']:.2f}{bracket(one['interval'])} (over utterances{bracket(over)}"
+    for kaldi in filter(None, one["bootci"]):
+        text += f"; compute-wer-bootci {kaldi['wer']:.2f}{bracket(kaldi['interval'])}"
+    return text + ")"
+
+
+def bracket(interval: list[float] | None, digits: int = 2) -> str:
+    """Return an interval in brackets after a blank; nothing where there is none."""
+    return "" if interval is None else f" [{interval[0]:.{digits}f}, {interval[1]:.{digits}f}]"
+
+
+def _points(one: dict) -> str:
+    return f"{one['points']:+.2f}{bracket(one['interval'])}" + ("" if one["p"] is None else f", p {_p(one['p'])}")
+
+
+def _p(p: float) -> str:
+    return f"{p:.2g}" if p >= 0.001 else "< 0.001"
+
+
+def change_text(one: dict) -> str:
+    """Return a change in points and relative to the base, in words."""
+    relative = "" if one["relative"] is None else (f"; relative {one['relative']:+.1f} %"
+                                                   f"{bracket(one['relative_interval'], 1)}")
+    return f"{_points(one)}{relative}"
+
+
+def closed_text(one: dict) -> str:
+    """Return the share of the gap that is closed, or why there is none, in words."""
+    gap = f"gap {BASE} - {ORACLE} {_points(one['gap'])}"
+    if one["share"] is None:
+        return (f"{gap}: the gap itself is not certain, no share of it is given; gained {_points(one['gained'])}")
+    low, high = (100 * end for end in one["interval"])
+    return f"closes {100 * one['share']:.0f} % [{low:.0f}, {high:.0f}] of the {gap}"
+
+
+def detectable_text(one: dict, seeds: int) -> str:
+    """Return what difference can be detected, and what half of it would take, in words."""
+    half = one["for_half"]
+    ways = [f"{half[kind]} {kind}" for kind in ("seeds", "rooms") if half[kind] is not None]
+    ways.append(f"{half['factor']:.1f} times as many of both" if seeds > 1 else "")
+    known = "" if seeds > 1 else ", for these models: the spread over seeds is not known"
+    return (f"detectable with 80 % power at 5 %: {one['difference']:.2f} points ({one['standard_errors']:.1f} standard "
+            f"errors{known}); half of it with " + " or ".join(filter(None, ways)))

@@ -1,0 +1,90 @@
+"""Made-up Kaldi workspaces for tests of what reads them: errors as many as asked for, where they are asked for."""
+
+import json
+
+from roomeq.files import write_text
+
+WORDS = "one two three four five six seven eight nine ten".split()
+LMWTS, PENALTIES = (7, 8), ("0.0", "0.5")
+BEST = (8, "0.5")
+"""LM weight and penalty that `put_decode` makes best."""
+
+
+def sentence(n):
+    """Ten words, the first of which says which sentence it is."""
+    return [f"w{n}", *WORDS[1:]]
+
+
+def spoilt(words, errors):
+    """A hypothesis with so many substitutions."""
+    return ["WRONG"] * errors + words[errors:]
+
+
+def put_texts(path, texts):
+    write_text(path, "".join(" ".join([ident, *words]).rstrip() + "\n" for ident, words in texts.items()))
+
+
+def put_decode(decode, reference, hypotheses, spoil_best=0):
+    """A decode directory: `hypotheses` at the best weights, one word more wrong in the first utterance at others.
+
+    Parameters
+    ----------
+    spoil_best : int
+        Wrong words that are added to the first utterance at the best weights.
+    """
+    put_texts(decode / "scoring_kaldi/test_filt.txt", reference)
+    first = next(iter(reference))
+    for lmwt in LMWTS:
+        for penalty in PENALTIES:
+            more = spoil_best if (lmwt, penalty) == BEST else 1
+            texts = hypotheses | {first: [*hypotheses[first], *["MORE"] * more]}
+            put_texts(decode / f"scoring_kaldi/penalty_{penalty}/{lmwt}.txt", texts)
+
+
+def put_rirs(directory, rooms, rirs_a_room=2):
+    """An RIR directory without audio: ``room-0``, ``room-1`` ... of each room."""
+    rows = [dict(id=f"{room}-{n}", wav=f"{room}-{n}.wav", room_id=room, source_id="s", mic_id="m", fs_hz=16000,
+                 n_samples=800) for room in rooms for n in range(rirs_a_room)]
+    write_text(directory / "rirs.jsonl", "".join(json.dumps(row) + "\n" for row in sorted(rows, key=lambda r: r["id"])))
+
+
+def utterances_of(name, rooms, each=2):
+    """Utterances of a set with their RIRs: `each` in every room."""
+    return {f"{name}-{room}-{n}": f"{room}-{n % 2}" for room in rooms for n in range(each)}
+
+
+def put_workspace(workspace, errors, *, sets, columns=("tgsmall",)):
+    """A workspace whose systems make given errors.
+
+    Parameters
+    ----------
+    errors : dict of callable
+        By row: ``errors(name, column, utterance, rir) -> int`` in [0, 10], substitutions in ten words.
+    sets : dict of dict of str
+        By name of the set: RIR by utterance.
+    """
+    for name, rirs in sets.items():
+        put_texts(workspace / "data" / name / "utt2rir", {ident: [rir] for ident, rir in rirs.items()})
+        reference = {ident: sentence(n) for n, ident in enumerate(rirs)}
+        for row, made in errors.items():
+            for column in columns:
+                found = {ident: spoilt(words, made(name, column, ident, rirs[ident]))
+                         for ident, words in reference.items()}
+                put_decode(workspace / row / f"decode_{name}_{column}", reference, found)
+
+
+ROOMS = ("attic", "cellar", "hall", "kitchen")
+DEV_ROOMS = ("bath", "office")
+ERRORS = {"train.clean": 8, "train.real.rvb": 1, "train.sim.rvb": 5, "train.sim.EQ.rvb": 3}
+"""In ten words, of each system; see `put_example`."""
+
+
+def put_example(root, seeds=1, columns=("tgsmall",), errors=ERRORS):
+    """``root/rirs`` and ``root/kaldi0`` ...: every system makes its errors, the loudest room one more."""
+    put_rirs(root / "rirs", (*ROOMS, *DEV_ROOMS))
+    sets = {"dev.real.rvb": utterances_of("dev", DEV_ROOMS), "test.real.rvb": utterances_of("test", ROOMS)}
+    for seed in range(seeds):
+        put_workspace(root / f"kaldi{seed}", {
+            row: lambda name, column, ident, rir, n=n: n + (rir.startswith("hall") and n < 8)
+            for row, n in errors.items()}, sets=sets, columns=columns)
+    return [root / f"kaldi{seed}" for seed in range(seeds)]
