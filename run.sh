@@ -51,7 +51,7 @@ layout=recording          # one FLAC a recording, with segments; or: utterance
 
 # stages 8-10: Kaldi, at KALDI_ROOT or around this directory
 dry_run=false             # print the Kaldi commands only
-lm_text=                  # text for the language models; none: the stand-ins' own, or LibriSpeech's released models
+lm_text=                  # for the language models, beside the transcripts; LibriSpeech and stand-ins have their own
 align_on=clean            # alignments of the clean speech for all sets, or of each set itself (self), as in the paper
 gmm_passes="mono 300, deltas all 300 3000, lda_mllt all 400 6000, sat all 400 6000"   # kind utterances leaves Gaussians
 num_leaves=400            # of the network's tree
@@ -153,9 +153,16 @@ own() { if [ "$align_on" = self ]; then echo "$1"; else echo train.clean; fi; } 
 if [ "$align_on" = self ]; then aligned=("${sets[@]}"); else aligned=(train.clean); fi
 
 if at_stage 8 "Kaldi: language, features, GMM"; then
-  [ -n "$lm_text" ] || lm_text=$([ -n "$librispeech" ] || [ -n "$speech" ] || echo "$corpora/speech/LibriSpeech-LM/lm.txt")
+  texts=("$data/train.clean/text")
+  if [ -n "$lm_text" ]; then
+    texts+=("$lm_text")
+  elif [ -n "$librispeech" ]; then
+    texts=()
+  elif [ -z "$speech" ]; then
+    texts+=("$corpora/speech/LibriSpeech-LM/lm.txt")
+  fi
   local/kaldi/make_workspace.sh "${kaldi[@]}" "$exp/kaldi" "${sets[@]/#/$data/}" "${tests[@]/#/$data/}"
-  local/kaldi/make_lang.sh "${kaldi[@]}" "$exp/kaldi" ${lm_text:+"$lm_text" "$data/train.clean/text"}
+  local/kaldi/make_lang.sh "${kaldi[@]}" "$exp/kaldi" "${texts[@]}"
   for x in "${aligned[@]}"; do
     local/kaldi/make_features.sh "${kaldi[@]}" "$exp/kaldi" "$x"
     lang=data/lang_nosp
