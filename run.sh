@@ -58,7 +58,7 @@ num_leaves=400            # of the network's tree
 speed_perturb=false       # train on three speeds
 ivectors=false            # beside the network's features
 use_gpu=false             # true: train on GPUs
-chain_opts="--layers 7 --dim 192 --bottleneck 32 --epochs 6 --jobs-initial 2 --jobs-final 2 --lrate-initial 0.002 --lrate-final 0.0002 --chunk-width 140,100 --frames-per-iter 300000"   # of train_chain.sh
+chain_opts="--layers 7 --dim 192 --bottleneck 32 --epochs 6 --jobs-initial 2 --jobs-final 2 --lrate-initial 0.002 --lrate-final 0.0002 --chunk-width 140,100 --minibatch 32,16,8 --frames-per-iter 150000"   # of train_chain.sh
 
 [ -f path.sh ] || { echo "run.sh: call it from the directory that holds run.sh, not from $PWD" >&2 && exit 1; }
 . ./path.sh
@@ -145,12 +145,15 @@ if at_stage 7 "report"; then
   steps/make_report.sh "$data" "$exp" "$exp/report"
 fi
 
-kaldi=(--nj "$nj" --dry-run "$dry_run")
-tests=(dev.real.rvb test.real.rvb)
-sets=(train.clean train.real.rvb train.sim.rvb train.sim.EQ.rvb)
-if [ "$dry_run" = true ] || enough_rooms >/dev/null; then sets+=(train.sim.loop.rvb); fi
-own() { if [ "$align_on" = self ]; then echo "$1"; else echo train.clean; fi; } # whose alignments a set uses
-if [ "$align_on" = self ]; then aligned=("${sets[@]}"); else aligned=(train.clean); fi
+if [ "$stop_stage" -ge 8 ]; then
+  kaldi=(--nj "$nj" --dry-run "$dry_run")
+  tests=(dev.real.rvb test.real.rvb)
+  sets=(train.clean train.real.rvb train.sim.rvb train.sim.EQ.rvb)
+  if [ "$dry_run" = true ] || enough_rooms >/dev/null; then sets+=(train.sim.loop.rvb); fi
+  aligned=("${sets[@]}")
+  [ "$align_on" = self ] || aligned=(train.clean)
+  own() { if [ "$align_on" = self ]; then echo "$1"; else echo train.clean; fi; } # whose alignments a set uses
+fi
 
 if at_stage 8 "Kaldi: language, features, GMM"; then
   texts=("$data/train.clean/text")

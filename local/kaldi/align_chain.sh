@@ -14,15 +14,15 @@ dry_run=false         # print the commands
 workspace=$1 set=$2 data=$2 gmm=$2/gmm/final
 [ "$speed_perturb" = false ] || data=$set.sp
 
-after "$set/gmm" "$set/features/$data.fix" lang/const_arpa_fglarge
+after "$set/gmm/final" "$set/features/$data.fix" lang/const_arpa_fglarge
 # the words of bash -c are expanded in there
 # shellcheck disable=SC2016
-once "$set/chain/lang" bash -c 'rm -rf "$1" && cp -r data/lang "$1" && steps/nnet3/chain/gen_topo.py \
-  "$(cat "$1/phones/nonsilence.csl")" "$(cat "$1/phones/silence.csl")" >"$1/topo"' topo "$set/lang_chain"
-once "$set/chain/ali" steps/align_fmllr.sh --nj "$nj" --cmd "$runner" "data/$data" data/lang "$gmm" "$set/ali"
-once "$set/chain/lats" steps/align_fmllr_lats.sh --nj "$nj" --cmd "$runner" "data/$data" data/lang "$gmm" "$set/lats"
-once "$set/chain/tree" steps/nnet3/chain/build_tree.sh --frame-subsampling-factor 3 \
+once "$set/align/lang" bash -c 'rm -rf "$1" && mkdir -p "${1%/*}" && cp -r data/lang "$1" && steps/nnet3/chain/gen_topo.py \
+  "$(cat "$1/phones/nonsilence.csl")" "$(cat "$1/phones/silence.csl")" >"$1/topo"' topo "$set/align/lang"
+once "$set/align/ali" steps/align_fmllr.sh --nj "$nj" --cmd "$runner" "data/$data" data/lang "$gmm" "$set/align/ali"
+once "$set/align/lats" steps/align_fmllr_lats.sh --nj "$nj" --cmd "$runner" "data/$data" data/lang "$gmm" "$set/align/lats"
+once "$set/align/tree" steps/nnet3/chain/build_tree.sh --frame-subsampling-factor 3 \
   --context-opts "--context-width=2 --central-position=1" --cmd "$runner" \
-  "$num_leaves" "data/$data" "$set/lang_chain" "$set/ali" "$set/tree"
-once "$set/chain/graph" utils/mkgraph.sh --self-loop-scale 1.0 --remove-oov data/lang_test_tgsmall "$set/tree" \
-  "$set/tree/graph"
+  "$num_leaves" "data/$data" "$set/align/lang" "$set/align/ali" "$set/align/tree"
+once "$set/align/graph" utils/mkgraph.sh --self-loop-scale 1.0 --remove-oov data/lang_test_tgsmall "$set/align/tree" \
+  "$set/align/tree/graph"

@@ -12,7 +12,7 @@ once() {
   local name=$1 started=$SECONDS word before='' words=()
   shift
   for word; do
-    [[ $before =~ ^--(nj|cmd|stage)$ ]] || words+=("$word")
+    [[ $before =~ ^--((egs\.)?nj|cmd|stage)$ ]] || words+=("$word")
     before=$word
   done
   if [ "$dry_run" = true ]; then

@@ -32,7 +32,7 @@ def copy_data(source, copy):
     state = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest() + "\n"
     if (copy / "source").is_file() and (copy / "source").read_text() == state:
         return
-    recordings = read_data_dir(source).recordings
+    recordings = read_data_dir(source, pipes=True).recordings
     shutil.rmtree(copy, ignore_errors=True)
     copy.mkdir(parents=True)
     for name in COPIED:

@@ -12,7 +12,7 @@ dry_run=false   # print the commands
 . local/kaldi/common.sh
 [ $# -eq 4 ] || usage
 workspace=$1 set=$2 ali=$3 test=$4
-graph=$ali/tree/graph out=$set/decode_$test data=data/$test.hires small=data/lang_test_tgsmall
+graph=$ali/align/tree/graph out=$set/decode_$test data=data/$test.hires small=data/lang_test_tgsmall
 weights=(--acwt 1.0 --post-decode-acwt 10.0) ivectors_made=() with_ivectors=() extractor=()
 if [ "$ivectors" = true ]; then
   ivectors_made=("$set/ivectors/$test")
@@ -28,7 +28,7 @@ score() { # COLUMN
     "ark:penalty_$(cat wer_details/wip)/$(cat wer_details/lmwt).txt" >../bootci' bootci "${out}_$1"
 }
 
-after "$set/nnet/train" "$ali/chain/graph" "$test/features/$test.hires.fix" "${ivectors_made[@]}"
+after "$set/nnet/train" "$ali/align/graph" "$test/features/$test.hires.fix" "${ivectors_made[@]}"
 once "$out/tgsmall" steps/nnet3/decode.sh "${weights[@]}" --skip-scoring true --nj "$nj" --cmd "$runner" \
   "${with_ivectors[@]}" "$graph" "$data" "${out}_tgsmall"
 score tgsmall
@@ -40,7 +40,7 @@ for model in tglarge fglarge; do
     $small data/lang_test_$model "$data" "${out}_tgsmall" "${out}_$model"
   score $model
 done
-once "$set/online" steps/online/nnet3/prepare_online_decoding.sh --mfcc-config conf/mfcc_hires.conf "$ali/lang_chain" \
+once "$set/online" steps/online/nnet3/prepare_online_decoding.sh --mfcc-config conf/mfcc_hires.conf "$ali/align/lang" \
   "${extractor[@]}" "$set" "$set/online"
 once "$out/online" steps/online/nnet3/decode.sh "${weights[@]}" --skip-scoring true --nj "$nj" --cmd "$runner" \
   "$graph" "$data" "$set/online/decode_$test"

@@ -13,7 +13,7 @@ dry_run=false   # print the commands
 workspace=$1 gmm=$2/gmm/final
 lm=data/local/lm dict=data/local/dict
 
-after lang/nosp "$2/gmm"
+after lang/nosp "$2/gmm/final"
 once lang/prons steps/get_prons.sh "data/$2" data/lang_nosp "$gmm"
 once lang/pronprobs utils/dict_dir_add_pronprobs.sh --max-normalize true ${dict}_nosp \
   "$gmm"/{pron_counts_nowb,sil_counts_nowb,pron_bigram_counts_nowb}.txt $dict

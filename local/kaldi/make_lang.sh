@@ -29,10 +29,10 @@ else
   fi
   once lang/dict python "$PWD/local/make_dict.py" --no-ids $lm/text $dict
   for model in tglarge:3 fglarge:4; do
-    once lang/${model%:*} utils/lang/make_kn_lm.py -ngram-order ${model#*:} -text $lm/text -lm "$lm/lm_${model%:*}.arpa"
+    once lang/${model%:*} python utils/lang/make_kn_lm.py -ngram-order ${model#*:} -text $lm/text -lm "$lm/lm_${model%:*}.arpa"
   done
   for model in "tgmed:${prune%,*}" "tgsmall:${prune#*,}"; do
-    once "lang/${model%:*}" utils/lang/ngram_entropy_pruning.py -threshold "${model#*:}" -lm $lm/lm_tglarge.arpa \
+    once "lang/${model%:*}" python utils/lang/ngram_entropy_pruning.py -threshold "${model#*:}" -lm $lm/lm_tglarge.arpa \
       -write-lm "$lm/lm_${model%:*}.arpa"
   done
   once lang/gzip gzip -kf $lm/lm_{tgsmall,tgmed,tglarge,fglarge}.arpa

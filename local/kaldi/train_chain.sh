@@ -16,7 +16,7 @@ jobs_final=16             # and in the end
 lrate_initial=0.00015     # learning rate
 lrate_final=0.000015      # learning rate
 chunk_width=150,110,100   # of an example [frames]
-minibatch=64              # examples a minibatch
+minibatch=64,32           # examples a minibatch, and what the rest is cut into
 frames_per_iter=2500000   # of a job
 seed=0                    # of the network's first weights and of the order of the examples
 dry_run=false             # print the commands
@@ -48,10 +48,13 @@ xconfig() { # TARGETS
   echo "output-layer name=output-xent dim=$1 learning-rate-factor=5.0 l2-regularize=0.002" # 0.5 / xent-regularize
 }
 
-after "$set/features/$set.hires.fix" "$ali/chain/tree" "${ivectors_made[@]}"
+after "$set/features/$set.hires.fix" "$ali/align/tree" "${ivectors_made[@]}"
+held_out=300 # utterances that watch the training, as in the stock recipe
 if [ "$dry_run" = false ]; then
+  utterances=$(wc -l <"$workspace/data/$set.hires/text")
+  [ "$utterances" -ge 3000 ] || held_out=$((utterances / 10 + 1))
   mkdir -p "$workspace/$set/configs"
-  targets=$(cd "$workspace" && . ./path.sh && tree-info "$ali/tree/tree" | awk '/num-pdfs/ {print $2}')
+  targets=$(cd "$workspace" && . ./path.sh && tree-info "$ali/align/tree/tree" 2>/dev/null | awk '/num-pdfs/ {print $2}')
   xconfig "$targets" >"$workspace/$set/configs/network.xconfig"
   inputs "$workspace/$set/configs/network.xconfig" <(echo "$key")
 fi
@@ -62,21 +65,22 @@ train=(steps/nnet3/chain/train.py --cmd "$runner" --use-gpu "$([ "$use_gpu" = tr
   --feat.cmvn-opts "--norm-means=false --norm-vars=false"
   --chain.xent-regularize 0.1 --chain.leaky-hmm-coefficient 0.1 --chain.l2-regularize 0.0
   --chain.apply-deriv-weights false --chain.lm-opts="--num-extra-lm-states=2000"
-  --egs.opts "--frames-overlap-per-eg 0 --constrained false --nj $nj" --egs.chunk-width "$chunk_width"
+  --egs.opts "--frames-overlap-per-eg 0 --constrained false --num-utts-subset $held_out" --egs.nj "$nj" --egs.chunk-width "$chunk_width"
   --trainer.dropout-schedule "0,0@0.20,0.5@0.50,0" --trainer.add-option="--optimization.memory-compression-level=2"
   --trainer.srand "$seed" --trainer.num-chunk-per-minibatch "$minibatch" --trainer.frames-per-iter "$frames_per_iter"
   --trainer.num-epochs "$epochs" --trainer.max-param-change 2.0
   --trainer.optimization.num-jobs-initial "$jobs_initial" --trainer.optimization.num-jobs-final "$jobs_final"
   --trainer.optimization.initial-effective-lrate "$lrate_initial"
   --trainer.optimization.final-effective-lrate "$lrate_final"
-  --cleanup.remove-egs true --feat-dir "data/$set.hires" --tree-dir "$ali/tree" --lat-dir "$ali/lats" --dir "$set")
+  --cleanup.remove-egs true --feat-dir "data/$set.hires" --tree-dir "$ali/align/tree" --lat-dir "$ali/align/lats" --dir "$set")
 [ "$ivectors" = false ] || train+=(--feat.online-ivector-dir "$set/ivectors/$set")
 stage=-10
 if [ "$dry_run" = false ]; then
   begun=$workspace/$set/begun state=$(printf '%s\0' "$key" "${train[@]}" | sha256sum)
   if [ "$(cat "$begun" 2>/dev/null)" = "$state" ]; then # the last model may be half written: from the one before
     last=$(find "$workspace/$set" -maxdepth 1 -name '[0-9]*.mdl' -printf '%f\n' | sort -n | tail -n 1)
-    stage=$((${last%.mdl} > 1 ? ${last%.mdl} - 1 : -10))
+    last=${last%.mdl}
+    [ "${last:-0}" -lt 2 ] || stage=$((last - 1))
   else
     rm -rf "$workspace/$set"/{egs,*.mdl} && echo "$state" >"$begun"
   fi

@@ -42,4 +42,4 @@ for pass in "${list[@]}"; do
     once "$set/gmm/$number.$kind" "${train[@]}" --cmd "$runner" "$leaves" "$gaussians" "$data" "$lang" "$dir.ali" "$dir"
   before=$dir
 done
-once "$set/gmm" ln -sfn "${before##*/}" "$set/gmm/final"
+once "$set/gmm/final" ln -sfn "${before##*/}" "$set/gmm/final"

@@ -1,0 +1,228 @@
+"""The hand-over to Kaldi: what is asked of it, in which order, and what is asked again after a change."""
+
+import os
+import re
+import subprocess
+
+import pytest
+
+import recipe_run
+from datadirs import speech_dir
+
+ONCE = """#!/usr/bin/env bash
+# Count.
+# Usage: count.sh [options] <workspace> <word>
+set -euo pipefail
+nj=2            # jobs
+dry_run=false   # print
+input=          # file
+. utils/parse_options.sh
+. local/kaldi/common.sh
+workspace=$1
+[ -z "$input" ] || inputs "$input"
+once first sh -c 'echo "$3" >>count' count --nj "$nj" "$2"
+once second sh -c 'echo "$1" >>count; [ "$1" != bad ] || { echo "it went wrong"; exit 3; }' count "$2"
+"""
+
+
+def run(where, *args, **environment):
+    """Call a command; `environment` is added to a bare one, without KALDI_ROOT."""
+    return subprocess.run(args, cwd=where, capture_output=True, text=True, timeout=1200,
+                          env={"PATH": os.environ["PATH"]} | environment)
+
+
+def dry(project_dir, tmp_path, *options):
+    """Return the commands that a dry run of stages 8-10 prints."""
+    done = run(project_dir, "./run.sh", "--data", f"{tmp_path}/data", "--exp", f"{tmp_path}/exp", "--stop-stage", "10",
+               "--dry-run", *options)
+    assert done.returncode == 0, done.stderr
+    assert not list(tmp_path.iterdir())
+    return done.stdout.splitlines()
+
+
+def position(lines, *patterns):
+    """Return where the first line stands that has all patterns."""
+    return next(k for k, line in enumerate(lines) if all(re.search(pattern, line) for pattern in patterns))
+
+
+def test_dry_run_needs_neither_kaldi_nor_data(project_dir, tmp_path):
+    lines = dry(project_dir, tmp_path, "--stage", "8")
+    order = [position(lines, "copy_data", "train.sim.loop.rvb"), position(lines, "make_kn_lm", "-ngram-order 4"),
+             position(lines, "train_mono"), position(lines, "train_sat"), position(lines, "get_prons"),
+             position(lines, "build_const_arpa_lm", "fglarge"), position(lines, "align_fmllr_lats"),
+             position(lines, "chain/train.py", "--dir train.sim.EQ.rvb"),
+             position(lines, "nnet3/decode", "train.real.rvb/decode_dev.real.rvb_tgsmall"),
+             position(lines, "online/nnet3/decode", "train.sim.loop.rvb/online/decode_test.real.rvb")]
+    assert order == sorted(order)
+    trained = [line for line in lines if "chain/train.py" in line]
+    assert len(trained) == 5
+    assert all("--use-gpu no" in line and "--tree-dir train.clean/align/tree" in line for line in trained)
+    assert not any("ivectors" in line for line in lines)
+    decoded = [line for line in lines if re.match(r"steps/(nnet3/decode|lmrescore|online/nnet3/decode)", line)]
+    assert len(decoded) == 5 * 2 * 5  # sets, test sets, language models and online
+
+
+def test_one_stage_at_a_time(project_dir, tmp_path):
+    assert not any("train.py" in line for line in dry(project_dir, tmp_path, "--stage", "10"))
+    assert not any("mono" in line for line in dry(project_dir, tmp_path, "--stage", "9"))
+
+
+def test_the_papers_experiment_is_the_stock_recipe(project_dir, tmp_path):
+    lines = dry(project_dir, tmp_path, "--stage", "8", "--config", "conf/librispeech.conf", "--librispeech", "LS")
+    position(lines, "download_lm.sh")
+    position(lines, "prepare_dict.sh")
+    for name in ("train.clean", "train.real.rvb", "train.sim.rvb"):
+        position(lines, "train_sat.sh", "5000 100000", f"data/{name} ")
+        position(lines, "perturb_data_dir_speed_3way", f"data/{name} ")
+        position(lines, "build_tree", "7000", f"{name}/align/tree")
+        position(lines, "extract_ivectors_online", f"{name}/ivectors/test.real.rvb")
+        position(lines, "chain/train.py", "--use-gpu wait", f"--tree-dir {name}/align/tree",
+                 f"--feat.online-ivector-dir {name}/ivectors/{name}", "--trainer.num-epochs 4")
+        position(lines, "prepare_online_decoding", f"{name}/ivectors/extractor")
+
+
+@pytest.mark.parametrize("options, words", [
+    (["--dry-run"], ["--dry-run", "add --stage 8"]),
+    (["--stage", "8", "--dry-run", "--stop-stage", "10", "--align-on", "them"], ["--align-on 'them'", "clean or self"]),
+    (["--stage", "8", "--dry-run", "--stop-stage", "10", "--gmm-passes", "quad 3"], ["'quad'", "mono, deltas"]),
+])
+def test_refused_in_one_line(project_dir, options, words):
+    done = run(project_dir, "./run.sh", *options)
+    assert done.returncode == 1
+    last = done.stderr.splitlines()[-1]
+    assert all(word in last for word in words)
+
+
+@pytest.fixture
+def recipe(tmp_path, project_dir):
+    """A directory with our utils and local and one small script."""
+    for name in ("utils", "local", "cmd.sh"):
+        (tmp_path / name).symlink_to(project_dir / name)
+    (tmp_path / "count.sh").write_text(ONCE)
+    (tmp_path / "count.sh").chmod(0o755)
+    (tmp_path / "ws").mkdir()
+    (tmp_path / "ws/path.sh").write_text("")
+    return tmp_path
+
+
+def counted(recipe, *args, fails=False):
+    """Call the small script; return what it has counted so far and what it said on stderr."""
+    done = run(recipe, "./count.sh", *args)
+    assert done.returncode == (1 if fails else 0), done.stderr
+    return (recipe / "ws/count").read_text().split(), done.stderr
+
+
+def test_once_means_once_until_words_or_inputs_change(recipe):
+    assert counted(recipe, "ws", "a")[0] == ["a", "a"]
+    assert counted(recipe, "ws", "a")[0] == ["a", "a"]
+    assert counted(recipe, "--nj", "5", "ws", "a")[0] == ["a", "a"]
+    assert counted(recipe, "ws", "b")[0] == ["a", "a", "b", "b"]
+    (recipe / "in").write_text("1")
+    assert len(counted(recipe, "--input", "in", "ws", "b")[0]) == 6
+    (recipe / "in").write_text("2")
+    assert len(counted(recipe, "--input", "in", "ws", "b")[0]) == 8
+
+
+def test_a_failed_command_is_named_and_repeated_alone(recipe):
+    _, said = counted(recipe, "ws", "bad", fails=True)
+    assert "second failed" in said and "it went wrong" in said and "ws/log/second.log" in said
+    assert counted(recipe, "ws", "bad", fails=True)[0] == ["bad"] * 3
+
+
+def test_a_missing_input_is_named(recipe):
+    done = run(recipe, "./count.sh", "--input", "gone", "ws", "a")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "gone is missing" in done.stderr
+
+
+@pytest.fixture
+def copy_data(project_dir):
+    """Call the tool that copies a data directory."""
+    return lambda *args: run(project_dir, str(project_dir / ".venv/bin/python"), "local/kaldi/copy_data.py",
+                             *map(str, args), PYTHONPATH=str(project_dir / "pysrc"), LC_ALL="C")
+
+
+def test_copies_name_audio_by_absolute_paths(copy_data, tmp_path, project_dir):
+    source = speech_dir(tmp_path / "a dir")
+    relative = os.path.relpath(source, project_dir)
+    done = copy_data(relative, tmp_path / "copy")
+    assert done.returncode == 0, done.stderr
+    for line in (tmp_path / "copy/wav.scp").read_text().splitlines():
+        assert f"'{tmp_path}/a dir/" in line
+    assert (tmp_path / "copy/text").read_bytes() == (source / "text").read_bytes()
+
+
+def test_copies_keep_what_kaldi_made_until_the_source_changes(copy_data, tmp_path):
+    source = speech_dir(tmp_path / "source")
+    copy_data(source, tmp_path / "copy")
+    (tmp_path / "copy/feats.scp").write_text("x")
+    copy_data(source, tmp_path / "copy")
+    assert (tmp_path / "copy/feats.scp").exists()
+    (source / ".done").write_text("another state")
+    copy_data(source, tmp_path / "copy")
+    assert not (tmp_path / "copy/feats.scp").exists()
+
+
+def test_copies_refuse_pipes(copy_data, tmp_path):
+    source = speech_dir(tmp_path / "source")
+    (source / "wav.scp").write_text("".join(
+        f"{line.split()[0]} sox in.wav -t wav - |\n" for line in (source / "wav.scp").read_text().splitlines()))
+    done = copy_data(source, tmp_path / "copy")
+    assert done.returncode == 1
+    assert "must be a FLAC or WAV file" in done.stderr
+    assert not (tmp_path / "copy").exists()
+
+
+def fake_kaldi(root):
+    """Make the folders of a Kaldi checkout in which nothing was compiled."""
+    for folder in ("egs/wsj/s5/steps", "egs/wsj/s5/utils", "egs/librispeech/s5/local", "egs/librispeech/s5/conf",
+                   "src/featbin"):
+        (root / folder).mkdir(parents=True)
+    return root
+
+
+def test_without_kaldi_it_says_what_to_set(recipe, project_dir):
+    (recipe / "path.sh").write_text("")
+    done = run(recipe, "local/kaldi/make_workspace.sh", "ws", "data")
+    assert done.returncode == 1
+    assert done.stderr == ("make_workspace.sh: where is Kaldi? Set KALDI_ROOT, or put this directory into Kaldi's "
+                           "egs/librispeech\n")
+
+
+def test_a_wrong_root_is_named(recipe, tmp_path):
+    (recipe / "path.sh").write_text("")
+    done = run(recipe, "local/kaldi/make_workspace.sh", "ws", "data", KALDI_ROOT=str(tmp_path))
+    assert done.returncode == 1
+    assert f"KALDI_ROOT '{tmp_path}' has no egs/wsj/s5/steps" in done.stderr
+
+
+def test_inside_egs_librispeech_kaldi_is_around_us(tmp_path, project_dir):
+    kaldi = fake_kaldi(tmp_path / "kal di")
+    inside = kaldi / "egs/librispeech/rooms"
+    inside.symlink_to(project_dir)  # a link does as well as a copy
+    done = run(inside, "bash", "-c", 'cd "$0" && local/kaldi/make_workspace.sh "$1" data', str(inside),
+               str(tmp_path / "ws"))
+    assert done.returncode == 1
+    assert "not found:" in done.stderr and "compute-mfcc-feats" in done.stderr
+    assert f"{kaldi}/src" in done.stderr
+    assert (tmp_path / "ws/steps").resolve() == kaldi / "egs/wsj/s5/steps"
+
+
+@pytest.mark.skipif("KALDI_ROOT" not in os.environ, reason="needs KALDI_ROOT: Kaldi, compiled")
+def test_kaldi_itself_trains_and_recognises(tmp_path, project_dir):
+    """Stages 8-10 at a size that recognises nothing: every stock command runs, and the table comes out."""
+    recipe_run.finish(recipe_run.start(project_dir, tmp_path, tmp_path / "corpora", 2, "--stop-stage", "6"))
+    small = ["--gmm-passes", "mono all, deltas all 50 300, sat all 50 300", "--num-leaves", "50", "--chain-opts",
+             "--layers 2 --dim 48 --bottleneck 8 --epochs 1 --jobs-initial 1 --jobs-final 1 --chunk-width 60,40 --minibatch 8,4,2,1"]
+
+    def stages(first, last):
+        return recipe_run.finish(recipe_run.start(project_dir, tmp_path, tmp_path / "corpora", 2, *small, "--stage",
+                                                  str(first), "--stop-stage", str(last)))
+
+    stages(8, 10)
+    for name in ("train.clean", "train.sim.rvb", "test.real.rvb"):
+        checked = run(tmp_path / "exp/kaldi", "bash", "-c", '. ./path.sh && utils/validate_data_dir.sh "$0"',
+                      f"data/{name}.hires")
+        assert checked.returncode == 0, checked.stderr
+    assert (tmp_path / "exp/wer/wer.json").exists()
+    assert " kaldi: " not in stages(8, 9)
