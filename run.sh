@@ -33,7 +33,7 @@ split_by=rir              # rir, as in the paper, or room: the stricter question
 split_sizes=773,194,242   # RIRs for train, dev, test; scaled down where there are fewer
 
 # stages 2-4: simulation, equalisation, compensation
-t60_range=0.2,2.0         # of the simulated RIRs [s]
+t60_range=0.2,2.0         # of the simulated RIRs [s]; measured: that of the measured rooms
 num_rays=20000            # rays a source
 order=200                 # reflections
 num_components=7          # of the Gaussian mixture
@@ -69,7 +69,8 @@ at_stage() { [ "$stage" -le "$1" ] && [ "$stop_stage" -ge "$1" ] && log "stage $
 
 [[ $split_by =~ ^(rir|room)$ ]] || die "--split-by '$split_by' must be rir or room"
 [[ $split_sizes =~ ^[0-9]+,[0-9]+,[0-9]+$ ]] || die "--split-sizes '$split_sizes' must be three counts, as 773,194,242"
-[[ $t60_range =~ ^[0-9.]+,[0-9.]+$ ]] || die "--t60-range '$t60_range' must be two times, as 0.2,2.0"
+[[ $t60_range =~ ^([0-9.]+,[0-9.]+|measured)$ ]] ||
+  die "--t60-range '$t60_range' must be two times, as 0.2,2.0, or measured"
 [[ $layout =~ ^(recording|utterance)$ ]] || die "--layout '$layout' must be recording or utterance"
 [ $((taps % 2)) = 1 ] || die "--taps '$taps' must be odd"
 number='[-+]?[0-9]*\.?[0-9]+'

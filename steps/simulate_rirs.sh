@@ -4,7 +4,7 @@
 # e.g.:  steps/simulate_rirs.sh --nj 4 data/rirs.real.train data/rirs.sim.train
 set -euo pipefail
 nj=2               # jobs
-t60_range=0.2,2.0  # reverberation times are uniform in it [s]
+t60_range=0.2,2.0  # reverberation times are uniform in it [s]; measured: in that of the measured rooms
 num_rays=20000     # rays a source
 order=200          # reflections a ray
 model=             # effects that rays lack, from steps/close_loop.sh: exp/loop/model.json

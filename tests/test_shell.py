@@ -111,7 +111,8 @@ def test_a_log_that_cannot_be_written_is_named_and_nothing_starts(recipe, runner
 @pytest.mark.parametrize("option, value, message", [
     ("--snr", "loud", "must be 'uniform LOW HIGH'"), ("--snr", "20,15", "must be 'uniform LOW HIGH'"),
     ("--point-snr", "$(touch evil)", "must be 'uniform LOW HIGH'"), ("--taps", "512", "must be odd"),
-    ("--layout", "files", "must be recording or utterance"), ("--t60-range", "0.5", "must be two times")])
+    ("--layout", "files", "must be recording or utterance"), ("--t60-range", "0.5", "must be two times"),
+    ("--t60-range", "match", "must be two times")])
 def test_the_recipe_refuses_values_before_any_work(project_dir, option, value, message):
     done = call(project_dir, "./run.sh", option, value)
     assert done.returncode == 1 and done.stdout == ""

@@ -136,6 +136,29 @@ def test_impossible_options_are_refused(measured, tmp_path, options, message):
         simulate(measured, tmp_path / "sim", **options)
 
 
+def passport(t20_s, valid=True):
+    bands = [1.4] * 4 + [t20_s] + [0.2] * 3
+    return dict(passport=dict(t20_s=bands, t20_valid=[True] * 4 + [valid] + [True] * 3))
+
+
+def test_targets_can_be_those_of_the_measured_rooms(tmp_path, caplog):
+    caplog.set_level("INFO")
+    dull = [measured_row(f"a{n}", mic_pos_m=[4.0, 1.0 + n / 2, 1.2], **passport(t20_s, valid)) for n, (t20_s, valid) in
+            enumerate([(0.40, True), (0.44, True), (1.9, True), (None, False), (3.0, False)])]
+    live = [measured_row(f"b{n}", room_id="hall", mic_pos_m=[4.0, 1.0 + n / 2, 1.2], **passport(0.6)) for n in range(5)]
+    (tmp_path / "in").mkdir()
+    write_jsonl(tmp_path / "in/rirs.jsonl", dull + live)
+    rows = run(tmp_path / "in", tmp_path / "sim", t60_range_s="measured", noise_rirs=0)
+    assert "T60 of 0.44 to 0.60 s at 1 kHz" in caplog.text
+    targets_s = [row["target_t60_s"] for row in rows.values()]
+    assert 0.44 <= min(targets_s) < max(targets_s) <= 0.60 and len(set(targets_s)) == 10
+
+
+def test_targets_of_rooms_that_nobody_measured_are_refused(measured, tmp_path):
+    with pytest.raises(ValueError, match="measured: t60_range=measured: no RIR has a valid T20 .* characterise"):
+        simulate(measured, tmp_path / "sim", t60_range_s="measured")
+
+
 def test_the_table_of_materials_is_whole_and_can_be_ones_own(tmp_path):
     table = read_materials()
     assert all(table.names(use) for use in ("wall", "floor", "ceiling"))

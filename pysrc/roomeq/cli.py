@@ -37,6 +37,11 @@ def numbers(text: str) -> tuple[float, ...]:
                    "numbers with commas between, such as 0.2,2.0")
 
 
+def t60_range(text: str) -> tuple[float, ...] | str:
+    """Parse ``"0.2,2.0"`` or ``"measured"``."""
+    return text if text == "measured" else numbers(text)
+
+
 def integers(text: str) -> tuple[int, ...]:
     """Parse ``"773,194,242"``."""
     return _parsed(lambda text: tuple(int(word) for word in text.split(",")), text,
@@ -156,8 +161,8 @@ def _rir_verbs(verbs) -> None:
           "data/rirs.real.train data/rirs.sim.train")
      .argument("measured_dir", help="RIR directory that rooms, sources and microphones come from")
      .argument("out", help="RIR directory to make")
-     .argument("--t60-range-s", "--t60-range", type=numbers, default=(0.2, 2.0), metavar="MIN,MAX",
-               help="reverberation times are uniform in it [s]")
+     .argument("--t60-range-s", "--t60-range", type=t60_range, default=(0.2, 2.0), metavar="MIN,MAX",
+               help="reverberation times are uniform in it [s]; measured: range of the measured rooms")
      .argument("--num-rays", type=integer, default=20000, help="rays a source")
      .argument("--order", type=integer, default=200, help="reflections a ray, at least")
      .argument("--ism-order", type=integer, default=6, help="specular reflections by exact image sources")

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from roomeq.audio import audio_info, read_audio
-from roomeq.constants import FS_HZ
+from roomeq.constants import BANDS_HZ, FS_HZ
 from roomeq.files import read_jsonl, write_jsonl, write_text
 from roomeq.rows import noise_problem, row_problem
 
@@ -117,6 +117,29 @@ def load_rir(directory: Path, row: dict) -> np.ndarray:
     if not np.any(rir):
         raise ValueError(f"{path}: RIR {row['id']} is silent (all samples 0): leave it out or record it again")
     return rir
+
+
+def decay_range_s(rows: list[dict]) -> tuple[float, float]:
+    """Return the shortest and longest decay time of the rooms of some RIRs [s]: of each, the median T20 at 1 kHz.
+
+    T20, which ambient noise spoils less often than T30, and a median, so that no single RIR decides.
+
+    Raises
+    ------
+    ValueError
+        No passport says it of any room.
+    """
+    band, of_room = BANDS_HZ.index(1000), {}
+    for row in rows:
+        passport = row.get("passport") or {}
+        t20_s, valid = ((passport.get(key) or [None] * len(BANDS_HZ))[band] for key in ("t20_s", "t20_valid"))
+        if valid and t20_s is not None:
+            of_room.setdefault(row["room_id"], []).append(t20_s)
+    if not of_room:
+        raise ValueError("no RIR has a valid T20 at 1 kHz in its passport: run roomeq characterise first, or give two "
+                         "times [s]")
+    medians_s = [float(np.median(times_s)) for times_s in of_room.values()]
+    return min(medians_s), max(medians_s)
 
 
 def read_noises(directory: Path) -> list[dict]:

@@ -96,6 +96,8 @@ _PASSPORT = {
     "eq_db": (_is_list(_is_number, _BANDS), f"{_BANDS} numbers"),
     "eq_valid": (_is_list(_is_bool, _BANDS), f"{_BANDS} times true or false"),
     "eq_edge_db": (lambda value: value is None or _is_number(value), "a number or null"),
+    "t20_s": (_is_list(lambda x: x is None or _is_amount(x), _BANDS), f"{_BANDS} times, not negative (or null)"),
+    "t20_valid": (_is_list(_is_bool, _BANDS), f"{_BANDS} times true or false"),
 }
 """What steps read of a passport; the keys that begin with `eq_` come together."""
 

@@ -12,7 +12,7 @@ from roomeq.audio import write_wav
 from roomeq.build import Build
 from roomeq.constants import FS_HZ
 from roomeq.effects.model import Model, behind_rendering, direct_gain, extend_scene, names_of, path_gain, read_model
-from roomeq.rirs import read_rirs, validate_rirs, write_rirs
+from roomeq.rirs import decay_range_s, read_rirs, validate_rirs, write_rirs
 from roomeq.rng import rng_for
 from roomeq.sim.echoes import keep_echoes, middle
 from roomeq.sim.gather import FRAME_S
@@ -62,8 +62,8 @@ def simulate(measured_dir, out, *, t60_range_s=(0.2, 2.0), num_rays=NUM_RAYS, is
         takes) are used instead of drawn ones; with its `target_t60_s` null as well they are not scaled.
     out : Path
         RIR directory to make.
-    t60_range_s : tuple of 2 floats
-        Range of the targets [s].
+    t60_range_s : tuple of 2 floats or "measured"
+        Range of the targets [s]; "measured": that of the measured rooms (`roomeq.rirs.decay_range_s`).
     num_rays : int
         Rays per source and distinct scattering column.
     ism_order : int
@@ -89,8 +89,10 @@ def simulate(measured_dir, out, *, t60_range_s=(0.2, 2.0), num_rays=NUM_RAYS, is
     ValueError
         An option is out of range, a position lies outside its room, the model is none, or a target cannot be met.
     """
-    _check_options(t60_range_s, num_rays, ism_order, order, noise_rirs)
     measured_dir = Path(measured_dir)
+    if t60_range_s == "measured":
+        t60_range_s = _measured_range_s(measured_dir)
+    _check_options(t60_range_s, num_rays, ism_order, order, noise_rirs)
     table = read_materials(materials)
     effects = Model() if model is None else read_model(model)
     rows = read_rirs(measured_dir)
@@ -117,6 +119,15 @@ def simulate(measured_dir, out, *, t60_range_s=(0.2, 2.0), num_rays=NUM_RAYS, is
         main = [row for row in read_rirs(out) if not row["noise_for"]]
         logger.info("%s: %d RIRs, T30 of %.2f to %.2f s at 1 kHz, and those of their noise sources", out, len(main),
                     *(edge(row["t30_s"] or 0.0 for row in main) for edge in (min, max)))
+
+
+def _measured_range_s(measured_dir):
+    try:
+        low_s, high_s = decay_range_s(read_rirs(measured_dir))
+    except ValueError as error:
+        raise ValueError(f"{measured_dir}: t60_range=measured: {error}") from None
+    logger.info("%s: T60 of %.2f to %.2f s at 1 kHz, room by room", measured_dir, low_s, high_s)
+    return low_s, high_s
 
 
 def _published(rows):
