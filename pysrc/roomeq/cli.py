@@ -229,7 +229,7 @@ def _speech_verbs(verbs) -> None:
     (Verb(verbs, "report", "report", "Make one self-contained HTML page of a run.", "data exp exp/report",
           function="make_report")
      .argument("data_dir", help="where stages 0-6 wrote")
-     .argument("exp_dir", help="where stages 3 and 5 wrote eq and loop")
+     .argument("exp_dir", help="where stages 3, 5 and 10 wrote eq, loop and wer")
      .argument("out", help="directory to make; it gets index.html"))
 
 

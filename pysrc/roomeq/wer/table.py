@@ -1,8 +1,8 @@
 """The paper's Table 2 as plain text, and a line for each comparison."""
 
-from roomeq.wer.workspace import BASE, DEV, ORACLE
+from roomeq.wer.workspace import BASE, CLEAN, DEV, ORACLE
 
-_NOTES = {"train.clean": "baseline", ORACLE: "oracle"}
+_NOTES = {CLEAN: "baseline", ORACLE: "oracle"}
 
 
 def table_text(found: dict) -> str:

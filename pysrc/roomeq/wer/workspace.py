@@ -21,7 +21,7 @@ ROWS = ("train.clean", "train.real.rvb", "train.sim.rvb", "train.sim.EQ.rvb", "t
 COLUMNS = ("fglarge", "tglarge", "tgmed", "tgsmall", "online")
 """Of the paper's Table 2, in its order; others come behind them."""
 TEST, DEV = "test.real.rvb", "dev.real.rvb"
-BASE, ORACLE = "train.sim.rvb", "train.real.rvb"
+BASE, ORACLE, CLEAN = "train.sim.rvb", "train.real.rvb", "train.clean"
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,11 @@ class Decoded:
                 found += [scoring_dir(decode) for decode in decodes]
                 found += [path for decode in decodes if (path := decode / BOOTCI_FILE).is_file()]
         return found
+
+
+def compared(rows: list[str]) -> list[str]:
+    """Return the rows that may close a part of the gap between `BASE` and `ORACLE`."""
+    return [row for row in rows if row not in (BASE, ORACLE, CLEAN)]
 
 
 def find_decoded(workspaces: list[Path]) -> Decoded:
