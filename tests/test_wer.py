@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from roomeq.files import write_json
 from roomeq.rng import rng_for
+from roomeq.validate import validate
+from roomeq.wer.check import read_wer, validate_wer
 from roomeq.wer.intervals import (
     Components,
     Resampling,
@@ -144,8 +147,35 @@ def test_kaldis_own_bootstrap_is_quoted(tmp_path, capsys):
         "Set1: %WER 52.51 95% Conf Interval [ 49.40, 55.62 ]\n")
     one = measured(tmp_path, [workspace])["results"]["train.sim.rvb"]["tgsmall"]["test"]
     assert one["bootci"] == [dict(wer=52.51, interval=[49.40, 55.62])]
-    assert "compute-wer-bootci 52.51 [49.40, 55.62]" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "Kaldi's 52.51 [49.40, 55.62]" in said and "what compute-wer-bootci printed" in said
     assert read_bootci(tmp_path) is None
+
+
+def test_what_was_written_is_checked_whole(example, tmp_path, capsys):
+    write_json(tmp_path / "wer.json", example)
+    assert validate_wer(tmp_path) == 8
+    validate([tmp_path])
+    assert "8 systems, all well" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("where", "value", "message"), [
+    (("rows",), [], "rows must be names"), (("rows",), ["train.other"], "KeyError: 'train.other'"),
+    (("seeds",), 0, "seeds=0 must be a number of 1 or more"),
+    (("results", "train.sim.rvb", "online", "test", "wer"), "low", "train.sim.rvb online test='low' must be a number"),
+    (("results", "train.sim.rvb", "online", "test", "interval"), [90.0, 99.0], r"interval=\[90.0, 99.0\] must lie"),
+    (("results", "train.sim.EQ.rvb", "online", "change", "points"), None, "train.sim.EQ.rvb online change=None must"),
+    (("results", "train.sim.EQ.rvb", "online", "closed", "interval"), None, "online share must have an interval"),
+    (("results", "train.sim.EQ.rvb", "online", "dev_test_gap", "p"), -1, "dev_test_gap p=-1 must be"),
+    (("rooms",), [dict(room="hall", wer={})], "KeyError: 'fglarge'"), (("sets",), {}, "KeyError: 'test.real.rvb'")])
+def test_what_was_changed_by_hand_is_refused_in_one_line(example, tmp_path, where, value, message):
+    found = one = json.loads(json.dumps(example))
+    for key in where[:-1]:
+        one = one[key]
+    one[where[-1]] = value
+    write_json(tmp_path / "wer.json", found)
+    with pytest.raises(ValueError, match=f"wer.json: .*{message}.*: measure again$"):
+        read_wer(tmp_path / "wer.json")
 
 
 # ---- intervals

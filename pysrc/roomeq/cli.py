@@ -169,7 +169,7 @@ def _rir_verbs(verbs) -> None:
      .seed().jobs())
     (Verb(verbs, "validate", "validate", "Say whether directories keep their contracts.",
           "data/rirs.sim.train exp/loop data/train.sim.rvb")
-     .argument("directories", nargs="+", help="RIR directories, Kaldi data directories, or what close-loop made"))
+     .argument("directories", nargs="+", help="RIR or Kaldi data directories, or what close-loop or wer made"))
 
 
 def _eq_verbs(verbs) -> None:

@@ -99,7 +99,7 @@ def between(value: float | None, interval: list[float] | None, decimals: int) ->
 
 def chance(p: float | None) -> str:
     """Return a probability as text."""
-    return "\u2013" if p is None else "< 0.001" if p < 0.001 else f"{p:.2g}"
+    return "\u2013" if p is None else "<\N{NO-BREAK SPACE}0.001" if p < 0.001 else f"{p:.2g}"
 
 
 def closed(one: dict) -> Html:

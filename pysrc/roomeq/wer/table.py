@@ -7,7 +7,12 @@ _NOTES = {CLEAN: "baseline", ORACLE: "oracle"}
 
 def table_text(found: dict) -> str:
     """Return what `roomeq wer` prints of its `wer.json`."""
-    lines = [*_rates(found), "", *caption(found), ""]
+    lines = [*_rates(found), "", *caption(found)]
+    if any(any(one[kind]["bootci"]) for row in found["results"].values() for one in row.values()
+           for kind in ("dev", "test")):
+        lines.append("Kaldi's: what compute-wer-bootci printed for each seed, at the weights that its own scoring took "
+                     "for the best of that set.")
+    lines.append("")
     for column in found["columns"]:
         lines += [f"{column}:", *(f"  {line}" for row in found["rows"] for line in _row_lines(found, row, column)), ""]
     return "\n".join(lines)
@@ -66,7 +71,7 @@ def _rate(one: dict) -> str:
     over = one["interval_over_utterances"]
     text = f"{one['wer']:.2f}{bracket(one['interval'])} (over utterances{bracket(over)}"
     for kaldi in filter(None, one["bootci"]):
-        text += f"; compute-wer-bootci {kaldi['wer']:.2f}{bracket(kaldi['interval'])}"
+        text += f"; Kaldi's {kaldi['wer']:.2f}{bracket(kaldi['interval'])}"
     return text + ")"
 
 
