@@ -92,19 +92,22 @@ def test_of_equal_weights_the_smallest_is_taken(tmp_path):
     assert choose_weights(tmp_path, read_reference(tmp_path)) == Weights("0.0", 7)
 
 
-def test_dev_is_of_the_rows_own_kind_where_that_was_decoded(tmp_path):
+def test_dev_is_of_the_rows_own_kind_where_that_was_decoded(tmp_path, capsys):
     put_rirs(tmp_path / "rirs", (*ROOMS, *DEV_ROOMS))
     sets = {name: utterances_of(name, DEV_ROOMS) for name in ("dev.sim.rvb", "dev.clean", "dev.real.rvb")}
     for dev in sets:
         row = dev.replace("dev", "train")
         put_workspace(tmp_path / "ws", {row: lambda name, *_: 2 if name.startswith("dev") else 4}, sets={
             dev: sets[dev], "test.real.rvb": utterances_of("test", ROOMS)})
-    (tmp_path / "ws/data/dev.clean/utt2rir").unlink()
+    clean = tmp_path / "ws/data/dev.clean"
+    (clean / "utt2rir").rename(clean / "utt2spk")  # clean speech has speakers and no rooms
     found = measured(tmp_path, [tmp_path / "ws"])
     assert found["dev_of"] == {"train.clean": "dev.clean", "train.sim.rvb": "dev.sim.rvb",
                                "train.real.rvb": "dev.real.rvb"}
     assert found["results"]["train.sim.rvb"]["tgsmall"]["dev_test_gap"]["points"] == pytest.approx(20)
     assert found["sets"]["dev.clean"]["rooms"] is None and found["sets"]["dev.sim.rvb"]["rooms"] == 2
+    assert ("dev is of each row's own kind, as in the paper: dev.clean, dev.sim.rvb; else dev.real.rvb."
+            in capsys.readouterr().out)
 
 
 def test_the_table_says_what_it_is(tmp_path, capsys):

@@ -39,18 +39,20 @@ def _rates(found: dict) -> list[str]:
 
 def caption(found: dict) -> list[str]:
     """Return what a reader of the table must know."""
-    rooms = found["sets"][found["test"]]["rooms"]
+    test, seeds = found["sets"][found["test"]], found["seeds"]
     own = sorted({name for name in found["dev_of"].values() if name != DEV})
-    counts = found["sets"][found["test"]]
-    lines = [f"{counts['utterances']} test utterances ({counts['words']} words) in {rooms} rooms, "
-             f"{found['seeds']} seed{'s' * (found['seeds'] > 1)}.",
+    mixed = f"; else {DEV}" if own and DEV in found["dev_of"].values() else ""
+    over = "rooms and seeds, crossed" if seeds > 1 else "rooms"
+    lines = [f"{test['utterances']} test utterances ({test['words']} words) in {test['rooms']} rooms, "
+             f"{seeds} seed{'s' * (seeds > 1)}.",
              "LM weight and word insertion penalty were chosen on dev for each row, column and seed, and applied to "
              "test: dev rates are the best of them, test rates are not.",
-             "dev is each row's own kind, as in the paper: " + ", ".join(own) + (f"; else {DEV}." if DEV in
-             found["dev_of"].values() else ".") if own else f"dev is {DEV} for every row."]
-    lines.append("Intervals are of 95 %, from a bootstrap over rooms and seeds, crossed." if found["seeds"] > 1 else
-                 "Intervals are of 95 %, from a bootstrap over rooms. With one seed the spread over seeds is not "
-                 "known: they hold for these trained models, not for others trained alike.")
+             f"dev is of each row's own kind, as in the paper: {', '.join(own)}{mixed}." if own else
+             f"dev is {DEV} for every row.",
+             f"Intervals are of 95 %, from a bootstrap over {over}; speakers and sentences stay as they are."]
+    if seeds == 1:
+        lines.append("With one seed the spread over seeds is not known: intervals hold for these trained models, not "
+                     "for others trained alike.")
     return lines
 
 
