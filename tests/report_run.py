@@ -14,6 +14,8 @@ from roomeq.rirs import read_rirs, write_noises, write_rirs
 from roomeq.rng import rng_for
 from roomeq.split import split_rirs
 from roomeq.wavscp import flac_entry
+from roomeq.wer.measure import wer
+from wer_run import put_example
 
 ROOMS = {"office": (0.4, (8, 6, 2, 1, 0, -2, -4, -9)), "hall": (0.9, (4, 9, 5, 2, 0, -1, -3, -6)),
          "kitchen": (0.6, (-3, 4, 3, 0, 0, -1, -5, -12)), "studio": (0.3, (9, 3, -1, 1, 0, 0, -2, -7))}
@@ -32,6 +34,7 @@ def make_run(root):
         make_simulated(read_rirs(data / f"rirs.real.{x}"), data / f"rirs.sim.{x}")
         make_simulated(read_rirs(data / f"rirs.real.{x}"), data / f"rirs.sim.loop.{x}")
     make_loop(exp / "loop")
+    wer(put_example(root / "decoded", seeds=2, columns=("fglarge", "online")), exp / "wer", rirs=root / "decoded/rirs")
     fit_eq(data / "rirs.real.train", [data / "rirs.sim.train"], exp / "eq", n_components=3, seed=0)
     for x in ("train", "dev"):
         compensate(data / f"rirs.sim.{x}", exp / "eq", data / f"rirs.sim.EQ.{x}", seed=0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from bench import augment_peers, cpu_types, kit, ours, projection, rooms
+from bench import augment_peers, cpu_types, kit, ours, projection, rooms, wer_intervals
 from bench.fidelity import air, analytic, decay, early, estimate, lshape, pulses, tail, targets
 from bench.fidelity.reference import trace_energy
 from bench.speed import curves, dataset, timing
@@ -152,3 +152,13 @@ def test_differences_between_runs_are_found_and_told(tmp_path):
     assert (found["files"], found["different"], found["audio_lsb"], found["words"]) == (3, 2, 1, 0)
     assert found["audio_db"] == pytest.approx(20 * np.log10(0.00002 / 0.5), abs=0.2)
     assert found["numbers"] == [pytest.approx(0.001, rel=0.01), ".t30_s", 1.0, 1.001]
+
+
+def test_interval_bench_measures_what_it_says():
+    world = wer_intervals.World(1, 10, 0, 0, 0)
+    errors, words = wer_intervals.draw(world, np.random.default_rng(0))
+    assert words.sum() == 2000 and errors.sum() == pytest.approx(400, abs=90)
+    found = wer_intervals.measure(world, 20)
+    assert all(0.6 < share <= 1.0 for share in found["held"].values())
+    # of words that are all alike: 1.96 sqrt(p (1 - p) / n) on either side
+    assert found["width"]["utterances"] == pytest.approx(2 * 196 * np.sqrt(0.2 * 0.8 / 2000), rel=0.08)

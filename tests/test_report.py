@@ -1,6 +1,7 @@
 """The report: nothing escapes, nothing comes from outside, nothing is missing, and it looks right in a browser."""
 
 import base64
+import json
 import os
 import re
 import shutil
@@ -15,23 +16,26 @@ import webdriver
 from report_run import HOSTILE, RIRS_PER_ROOM, ROOMS, make_run
 from roomeq.files import read_jsonl, write_json
 from roomeq.loop.cells import N_CELLS, slots
-from roomeq.report import figures, make_report
+from roomeq.report import figures, make_report, section_wer
 from roomeq.report.build_page import SECTIONS, render_page
 from roomeq.report.load import Run
 from roomeq.report.page import Html, escape, number, table, tag
 from roomeq.report.section_eq import verdict
 from roomeq.report.section_loop import REGIONS, residual_sizes
+from roomeq.wer.measure import wer
+from wer_run import put_example
 
 FIGURES = ("figure-1-left", "figure-1-right", "figure-2-measured", "figure-2-resampled", "figure-2-simulated",
            "figure-2-compensated", "figure-3-simulated", "figure-3-compensated", "figure-3-measured",
            "figure-distance-points", "figure-accuracy-points", "figure-t60-histogram", "figure-t60-met",
            "figure-snr-train", "figure-snr-dev", "figure-snr-test", "figure-loop-map-before", "figure-loop-map-after",
            "figure-loop-ranking-1", "figure-loop-ranking-2", "figure-loop-ranking-3", "figure-loop-metrics",
-           "figure-loop-bands", "figure-loop-source_response",
+           "figure-loop-bands", "figure-loop-source_response", "figure-wer-rates-panel",
+           "figure-wer-rooms-train.sim.EQ.rvb",
            *(f"figure-loop-spectrum-{n}" for n in "12"),
            *(f"figure-loop-decay-{n}-{hz}" for n in "12" for hz in (125, 1000)))
 TABLES = ("table-datasets", "table-distance", "table-accuracy", "table-rooms", "table-passports", "table-screening",
-          "table-run", "table-loop", "table-loop-errors")
+          "table-run", "table-loop", "table-loop-errors", "table-wer", "table-wer-changes")
 CLIPS = ("audio-clean", "audio-sim", "audio-sim-EQ", "audio-sim-loop", "audio-real")
 
 
@@ -149,6 +153,33 @@ def test_a_page_without_a_loop_has_no_chapter_on_it(made, tmp_path):
         shutil.copytree(made[0] / name, tmp_path / "data" / name)
     text = render_page(Run(tmp_path / "data", tmp_path / "exp"))
     assert "What the simulation lacked" not in text and "#loop" not in text and "sim.loop" not in text
+    assert "Word error rates" not in text and "No recogniser was trained" in text
+
+
+def test_word_error_rates_are_told_in_words(page):
+    assert "With one seed" not in page.text and "16 test utterances (160 words) in 4 rooms, 2 seeds" in page.text
+    assert "50 % (50 to 50)" in page.text and "\u221220.00 (\u221220.00 to \u221220.00)" in page.text
+    assert "52.5 \u2192 32.5" in page.text and "train.clean is in the table only" in page.text
+    assert "No recogniser was trained" not in page.text
+
+
+@pytest.mark.parametrize(("errors", "shown", "not_shown"), [
+    ({"train.clean": 8}, ["train.clean (baseline)"], ["Change against", "in the table only", "What it can detect"]),
+    ({"train.sim.rvb": 5, "train.real.rvb": 5, "train.sim.EQ.rvb": 4}, ["gap not certain"], ["What it can detect"]),
+    ({"train.sim.rvb": 5, "train.sim.EQ.rvb": 4}, ["Change against"], ["gap not certain"])])
+def test_word_error_rates_of_some_rows(tmp_path, errors, shown, not_shown):
+    wer(put_example(tmp_path, errors=errors), tmp_path / "exp/wer", rirs=tmp_path / "rirs")
+    text = section_wer.word_error_rates(Run(tmp_path / "data", tmp_path / "exp"))
+    assert "With one seed the spread over seeds is not known" in text
+    assert all(one in text for one in shown) and not any(one in text for one in not_shown)
+
+
+def test_what_can_be_detected_is_said(tmp_path):
+    workspaces = put_example(tmp_path, seeds=2, errors={"train.sim.rvb": 8, "train.sim.EQ.rvb": 4})
+    path = wer(workspaces, tmp_path / "exp/wer", rirs=tmp_path / "rirs")
+    found = json.loads(path.read_text())["results"]["train.sim.EQ.rvb"]["tgsmall"]["change"]
+    text = section_wer.word_error_rates(Run(tmp_path / "data", tmp_path / "exp"))
+    assert f"{found['detectable']['difference']:.2f} points (tgsmall)" in text and "16 rooms" in text
 
 
 def test_residual_maps_have_the_mean_size_of_every_region_and_band():

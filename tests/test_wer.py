@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from roomeq.files import write_json
 from roomeq.rng import rng_for
+from roomeq.validate import validate
+from roomeq.wer import intervals
+from roomeq.wer.check import read_wer, validate_wer
 from roomeq.wer.intervals import (
     Components,
     Resampling,
@@ -89,19 +93,22 @@ def test_of_equal_weights_the_smallest_is_taken(tmp_path):
     assert choose_weights(tmp_path, read_reference(tmp_path)) == Weights("0.0", 7)
 
 
-def test_dev_is_of_the_rows_own_kind_where_that_was_decoded(tmp_path):
+def test_dev_is_of_the_rows_own_kind_where_that_was_decoded(tmp_path, capsys):
     put_rirs(tmp_path / "rirs", (*ROOMS, *DEV_ROOMS))
     sets = {name: utterances_of(name, DEV_ROOMS) for name in ("dev.sim.rvb", "dev.clean", "dev.real.rvb")}
     for dev in sets:
         row = dev.replace("dev", "train")
         put_workspace(tmp_path / "ws", {row: lambda name, *_: 2 if name.startswith("dev") else 4}, sets={
             dev: sets[dev], "test.real.rvb": utterances_of("test", ROOMS)})
-    (tmp_path / "ws/data/dev.clean/utt2rir").unlink()
+    clean = tmp_path / "ws/data/dev.clean"
+    (clean / "utt2rir").rename(clean / "utt2spk")  # clean speech has speakers and no rooms
     found = measured(tmp_path, [tmp_path / "ws"])
     assert found["dev_of"] == {"train.clean": "dev.clean", "train.sim.rvb": "dev.sim.rvb",
                                "train.real.rvb": "dev.real.rvb"}
     assert found["results"]["train.sim.rvb"]["tgsmall"]["dev_test_gap"]["points"] == pytest.approx(20)
     assert found["sets"]["dev.clean"]["rooms"] is None and found["sets"]["dev.sim.rvb"]["rooms"] == 2
+    assert ("dev is of each row's own kind, as in the paper: dev.clean, dev.sim.rvb; else dev.real.rvb."
+            in capsys.readouterr().out)
 
 
 def test_the_table_says_what_it_is(tmp_path, capsys):
@@ -144,8 +151,35 @@ def test_kaldis_own_bootstrap_is_quoted(tmp_path, capsys):
         "Set1: %WER 52.51 95% Conf Interval [ 49.40, 55.62 ]\n")
     one = measured(tmp_path, [workspace])["results"]["train.sim.rvb"]["tgsmall"]["test"]
     assert one["bootci"] == [dict(wer=52.51, interval=[49.40, 55.62])]
-    assert "compute-wer-bootci 52.51 [49.40, 55.62]" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "Kaldi's 52.51 [49.40, 55.62]" in said and "what compute-wer-bootci printed" in said
     assert read_bootci(tmp_path) is None
+
+
+def test_what_was_written_is_checked_whole(example, tmp_path, capsys):
+    write_json(tmp_path / "wer.json", example)
+    assert validate_wer(tmp_path) == 8
+    validate([tmp_path])
+    assert "8 systems, all well" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("where", "value", "message"), [
+    (("rows",), [], "rows must be names"), (("rows",), ["train.other"], "KeyError: 'train.other'"),
+    (("seeds",), 0, "seeds=0 must be a number of 1 or more"),
+    (("results", "train.sim.rvb", "online", "test", "wer"), "low", "train.sim.rvb online test='low' must be a number"),
+    (("results", "train.sim.rvb", "online", "test", "interval"), [90.0, 99.0], r"interval=\[90.0, 99.0\] must lie"),
+    (("results", "train.sim.EQ.rvb", "online", "change", "points"), None, "train.sim.EQ.rvb online change=None must"),
+    (("results", "train.sim.EQ.rvb", "online", "closed", "interval"), None, "online share must have an interval"),
+    (("results", "train.sim.EQ.rvb", "online", "dev_test_gap", "p"), -1, "dev_test_gap p=-1 must be"),
+    (("rooms",), [dict(room="hall", wer={})], "KeyError: 'fglarge'"), (("sets",), {}, "KeyError: 'test.real.rvb'")])
+def test_what_was_changed_by_hand_is_refused_in_one_line(example, tmp_path, where, value, message):
+    found = one = json.loads(json.dumps(example))
+    for key in where[:-1]:
+        one = one[key]
+    one[where[-1]] = value
+    write_json(tmp_path / "wer.json", found)
+    with pytest.raises(ValueError, match=f"wer.json: .*{message}.*: measure again$"):
+        read_wer(tmp_path / "wer.json")
 
 
 # ---- intervals
@@ -167,9 +201,11 @@ def rate(percent, draws, words=200):
 
 @pytest.fixture(scope="module")
 def draws():
-    """Resampling by shape, each made once."""
+    """Resampling by shape, each made once, with a fifth of the replicates."""
     kept = {}
-    return lambda *shape: kept.setdefault(shape, Resampling(*shape, "test"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(intervals, "REPLICATES", 2000)
+        yield lambda *shape: kept.get(shape) or kept.setdefault(shape, Resampling(*shape, "test"))
 
 
 def test_components_of_a_table_that_is_known():
@@ -242,14 +278,14 @@ def test_a_ratio_is_in_the_interval_if_its_contrast_may_be_zero(draws):
 
 
 def test_shares_of_the_gap_hold_the_truth_as_often_as_they_say(draws):
-    shape, held, unknown = (5, 40), 0, 0
-    for n in range(TIMES):
+    shape, held, unknown, times = (5, 40), 0, 0, TIMES // 2
+    for n in range(times):
         base, row, oracle = (rate(mean + table(f"{mean} {n}", 0.3, 4, 1, shape), draws(*shape))
-                             for mean in (20, 17, 16))
+                             for mean in (20, 17.75, 17))
         found = ratio_interval(base.less(row), base.less(oracle))
         unknown += found is None
         held += found is not None and found[0] <= 0.75 <= found[1]
-    assert held + unknown >= binom.ppf(0.001, TIMES, 0.93) and 0 < unknown < TIMES / 3
+    assert held + unknown >= binom.ppf(0.001, times, 0.93) and 0 < unknown < times / 3
 
 
 def test_no_share_of_a_gap_that_is_not_certain(tmp_path, capsys):

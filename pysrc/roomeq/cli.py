@@ -174,7 +174,7 @@ def _rir_verbs(verbs) -> None:
      .seed().jobs())
     (Verb(verbs, "validate", "validate", "Say whether directories keep their contracts.",
           "data/rirs.sim.train exp/loop data/train.sim.rvb")
-     .argument("directories", nargs="+", help="RIR directories, Kaldi data directories, or what close-loop made"))
+     .argument("directories", nargs="+", help="RIR or Kaldi data directories, or what close-loop or wer made"))
 
 
 def _eq_verbs(verbs) -> None:
@@ -234,7 +234,7 @@ def _speech_verbs(verbs) -> None:
     (Verb(verbs, "report", "report", "Make one self-contained HTML page of a run.", "data exp exp/report",
           function="make_report")
      .argument("data_dir", help="where stages 0-6 wrote")
-     .argument("exp_dir", help="where stages 3 and 5 wrote eq and loop")
+     .argument("exp_dir", help="where stages 3, 5 and 10 wrote eq, loop and wer")
      .argument("out", help="directory to make; it gets index.html"))
 
 

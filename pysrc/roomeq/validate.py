@@ -6,14 +6,15 @@ from roomeq.datadir import validate_data_dir
 from roomeq.files import hash_file
 from roomeq.rirs import NOISES_FILE, ROWS_FILE, validate_noises, validate_rirs
 from roomeq.stamps import read_stamp
+from roomeq.wer.check import WER_FILE, validate_wer
 
 CONTRACTS = ((ROWS_FILE, validate_rirs, "RIRs"), ("wav.scp", validate_data_dir, "utterances"),
-             (NOISES_FILE, validate_noises, "noises"))
+             (NOISES_FILE, validate_noises, "noises"), (WER_FILE, validate_wer, "systems"))
 """By the file that tells a directory's kind: what checks it whole and counts what is in it, and what that is."""
 
 
 def validate(directories: list[Path]) -> None:
-    """Check directories of RIRs, of noises, of the loop and of Kaldi data whole; print one line for each.
+    """Check directories of RIRs, noises, the loop, Kaldi data and word error rates whole; print one line for each.
 
     Parameters
     ----------
@@ -39,7 +40,8 @@ def _validate_loop(directory: Path) -> None:
 
     if not (directory / LEDGER_FILE).is_file():
         raise ValueError(f"{directory}: neither an RIR directory ({ROWS_FILE}), nor one of noises ({NOISES_FILE}), nor "
-                         f"a data directory (wav.scp), nor one of the loop ({LEDGER_FILE}): check the path")
+                         f"a data directory (wav.scp), nor one of the loop ({LEDGER_FILE}) or of word error rates "
+                         f"({WER_FILE}): check the path")
     print(f"{directory}: {validate_loop(directory)} effects found, all well")
 
 

@@ -133,7 +133,7 @@ CASES = [
          (cut("speech/wav/b-1-0001.flac", 0.9),)),
     Case("validate nothing", "validate folder",
          "folder: neither an RIR directory (rirs.jsonl), nor one of noises (noises.jsonl), nor a data "
-         "directory (wav.scp), nor one of the loop (ledger.json): check the path"),
+         "directory (wav.scp), nor one of the loop (ledger.json) or of word error rates (wer.json): check the path"),
     Case("validate absent text", "validate speech",
          "speech/text: no such file: Kaldi's scripts need it: write it", (remove("speech/text"),)),
     Case("validate the second", "validate segmented speech",

@@ -10,7 +10,7 @@ from roomeq import __version__
 from roomeq.build import Build
 from roomeq.constants import FS_HZ
 from roomeq.files import write_text
-from roomeq.report import section_data, section_eq, section_loop, section_rirs, section_speech
+from roomeq.report import section_data, section_eq, section_loop, section_rirs, section_speech, section_wer
 from roomeq.report.load import Run
 from roomeq.report.page import Html, Missing, document, join, notice, section, tag
 
@@ -30,6 +30,7 @@ SECTIONS: tuple[tuple[str, str, Callable[[Run], Html]], ...] = (
     ("accuracy", "Accuracy of the compensation", section_eq.accuracy),
     ("reverberation", "Reverberation times", section_rirs.reverberation),
     ("loop", "What the simulation lacked", section_loop.closed_loop),
+    ("wer", "Word error rates", section_wer.word_error_rates),
     ("measured", "The measured RIRs", section_data.measured),
     ("noise", "Noise", section_speech.noise),
     ("limits", "What this run does not show", section_speech.limits),
@@ -48,7 +49,7 @@ def make_report(data_dir: Path, exp_dir: Path, out: Path) -> Path:
     data_dir : Path
         Where stages 0-6 wrote, e.g. ``data``.
     exp_dir : Path
-        Where stages 3 and 5 wrote `eq` and `loop`, e.g. ``exp``.
+        Where stages 3, 5 and 10 wrote `eq`, `loop` and `wer`, e.g. ``exp``.
     out : Path
         Directory to make; it gets `index.html`.
 
@@ -77,8 +78,8 @@ def make_report(data_dir: Path, exp_dir: Path, out: Path) -> Path:
 
 def render_page(run: Run) -> str:
     """Return the page of a run."""
-    # corpora without geometry have no loop, and their page no chapter on it
-    shown = [one for one in SECTIONS if one[0] != "loop" or run.has("loop")]
+    # corpora without geometry have no loop, runs without Kaldi no word error rates, and their pages no chapter on it
+    shown = [one for one in SECTIONS if one[0] not in ("loop", "wer") or run.has(one[0])]
     made = [section(ident, title, body(run, make)) for ident, title, make in shown]
     return document(TITLE, header(run), [(ident, title) for ident, title, _ in shown], made)
 
@@ -116,7 +117,8 @@ def header(run: Run) -> Html:
 def facts(run: Run) -> Html:
     """Return the run's main numbers as a list of cards."""
     cards = []
-    for make in (section_data.amounts, section_eq.main_numbers, section_loop.main_numbers):
+    for make in (section_data.amounts, section_eq.main_numbers, section_loop.main_numbers,
+                 section_wer.main_numbers):
         try:
             cards += make(run)
         except Missing:

@@ -13,11 +13,11 @@ from roomeq.rirs import ROWS_FILE, load_rir, read_rirs
 from roomeq.wavscp import parse_entry
 
 STAGES = (("rirs.real", 1, "characterise and split-rirs"), ("rirs.sim.EQ", 4, "compensate"),
-          ("rirs.sim.loop", 5, "simulate --model"), ("loop", 5, "close-loop"),
+          ("rirs.sim.loop", 5, "simulate --model"), ("loop", 5, "close-loop"), ("wer", 10, "wer"),
           ("rirs.sim", 2, "simulate"), ("eq", 3, "fit-eq"), ("measured", 0, "read-measured"))
 """Beginning of a directory's name, the stage that makes it and its verb."""
 
-IN_EXP = ("eq", "loop")
+IN_EXP = ("eq", "loop", "wer")
 """Directories that lie in `exp_dir`."""
 
 SETS = ("train", "dev", "test")

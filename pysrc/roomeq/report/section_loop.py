@@ -52,7 +52,7 @@ def closed_loop(run: Run) -> Html:
     parts += [residual_maps(run, ledger), rankings(ledger), splits(ledger), responses(ledger)]
     if (run.path("loop") / EXAMPLES_FILE).is_file():
         parts.append(examples_figure(read_examples(run.path("loop") / EXAMPLES_FILE)))
-    return join([*parts, unexplained(ledger), cautions(ledger)])
+    return join([*parts, unexplained(ledger), cautions(ledger, run.has("wer"))])
 
 
 def main_numbers(run: Run) -> list[tuple[str, str]]:
@@ -258,7 +258,7 @@ def unexplained(ledger: dict) -> Html:
         tag("ul", *(tag("li", summary_of(Unexplained(**one)), ".") for one in ledger["unexplained_all"]))])
 
 
-def cautions(ledger: dict) -> Html:
+def cautions(ledger: dict, trained: bool) -> Html:
     """Return what the loop does not show."""
     points = [
         "An effect that is not found may be there: below half a JND, or where the rooms are too few, it cannot be told "
@@ -267,8 +267,9 @@ def cautions(ledger: dict) -> Html:
         "in the catalogue would bear the same name.",
         f"Rooms are left out of {ledger['rooms']}, all measured by the same people with the same devices. How far "
         "the model holds for others, these data cannot say.",
-        "Parameters were fitted to these loudspeakers and microphones. Others get parameters drawn from their spread.",
-        "No recogniser was trained on what the extended model simulates."]
+        "Parameters were fitted to these loudspeakers and microphones. Others get parameters drawn from their spread."]
+    if not trained:
+        points.append("No recogniser was trained on what the extended model simulates.")
     if "judge" in ledger:
         points.insert(3, "The RIRs that took no part may come from rooms that did, unless the split was by room.")
     return join([paragraph(tag("strong", "What this does not show.")), tag("ul", *(tag("li", one) for one in points))])

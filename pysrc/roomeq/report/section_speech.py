@@ -152,7 +152,8 @@ def limits(run: Run) -> Html:
         "Eight points describe the spectrum. Between them, and over time, a compensated RIR remains a simulated "
         "one: no single room modes, no directivity, no diffraction in empty boxes.",
         "Simulated RIRs are not paired with measured ones: materials are drawn at random, so a low error of "
-        "distributions does not mean a low error for a given room.",
-        "No recogniser was trained: whether these data lead to fewer word errors is for stages 8 to 10, with "
-        "Kaldi."]
+        "distributions does not mean a low error for a given room."]
+    if not run.has("wer"):
+        points.append("No recogniser was trained: whether these data lead to fewer word errors is for stages 8 to 10, "
+                      "with Kaldi.")
     return tag("ul", *(tag("li", point) for point in points))

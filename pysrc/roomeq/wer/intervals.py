@@ -9,9 +9,8 @@ Seeds and rooms are crossed: ``z = seed + room + residual``. A bootstrap resampl
 replacement (McCullagh, Bernoulli 2000; Owen, Ann. Appl. Stat. 2007). Where the residual is the largest part it counts
 it three times, and few seeds make it too narrow. Its replicates are therefore stretched about the estimate: to the
 standard error of the variance components (two-way analysis of variance, method of moments, none below zero), and to
-the tails of Student's t with Satterthwaite's degrees of freedom. On simulated rooms and seeds 92-98 % of these
-intervals hold the truth with three seeds or more, where those of the bootstrap alone do in 81-100 %; with two seeds
-90 % do, and with ten very skewed rooms 90 % (`tests/test_wer.py` repeats a part of this).
+the tails of Student's t with Satterthwaite's degrees of freedom. `tests/bench/wer_intervals.py` measures how often
+these intervals hold the truth.
 """
 
 import math

@@ -8,6 +8,7 @@ import numpy as np
 from roomeq.build import Build
 from roomeq.files import read_json, write_json
 from roomeq.rirs import ROWS_FILE, read_rirs
+from roomeq.wer.check import WER_FILE
 from roomeq.wer.intervals import (
     Resampling,
     Statistic,
@@ -23,6 +24,7 @@ from roomeq.wer.workspace import (
     Decoded,
     Scores,
     choose_all,
+    compared,
     find_decoded,
     read_all_bootci,
     read_scores,
@@ -30,9 +32,6 @@ from roomeq.wer.workspace import (
 
 logger = logging.getLogger(__name__)
 
-WER_FILE = "wer.json"
-_NOT_COMPARED = (BASE, ORACLE, "train.clean")
-"""Rows that close no gap: its two ends, and the one without rooms."""
 
 
 def wer(workspaces: list[Path], out: Path, *, rirs: Path) -> Path:
@@ -134,7 +133,7 @@ def _result(decoded: Decoded, rates: _Rates, row: str, column: str, weights: lis
     result["dev_test_gap"] = _difference(both[0].less(both[1]))
     if BASE in decoded.rows and row != BASE:
         result["change"] = _change(rates.of(row, column, TEST), rates.of(BASE, column, TEST))
-        if ORACLE in decoded.rows and row not in _NOT_COMPARED:
+        if ORACLE in decoded.rows and row in compared(decoded.rows):
             result["closed"] = _closed(*(rates.of(one, column, TEST) for one in (row, BASE, ORACLE)))
     return result
 
@@ -142,10 +141,11 @@ def _result(decoded: Decoded, rates: _Rates, row: str, column: str, weights: lis
 def _rate(decoded: Decoded, rates: _Rates, row: str, column: str, name: str) -> dict:
     """Return a word error rate with its counts and intervals."""
     scores, found = rates.scores[name], rates.of(row, column, name)
+    interval = found.interval()
     counts = scores.counts[row, column]
     substitutions, deletions, insertions = (int(sum(one[:, k].sum() for one in counts)) for k in range(3))
-    return dict(set=name, wer=found.value, interval=found.interval(), substitutions=substitutions,
-                deletions=deletions, insertions=insertions,
+    return dict(set=name, wer=found.value, interval=interval and [max(0.0, end) for end in interval],
+                substitutions=substitutions, deletions=deletions, insertions=insertions,
                 by_seed=[float(100 * one.sum() / words.sum())
                          for one, words in zip(counts, scores.words, strict=True)],
                 interval_over_utterances=rates.utterances(row, column, name),

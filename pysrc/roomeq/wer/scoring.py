@@ -21,7 +21,7 @@ _BOOTCI = re.compile(r"Set1: %WER ([\d.]+) 95% Conf Interval \[ (-?[\d.]+), (-?[
 _RUN_DECODING = "run stages 8 to 10 again"
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(frozen=True)
 class Weights:
     """What the decoding of a set leaves open: word insertion penalty and language model weight."""
 

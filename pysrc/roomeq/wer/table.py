@@ -1,13 +1,18 @@
 """The paper's Table 2 as plain text, and a line for each comparison."""
 
-from roomeq.wer.workspace import BASE, DEV, ORACLE
+from roomeq.wer.workspace import BASE, CLEAN, DEV, ORACLE
 
-_NOTES = {"train.clean": "baseline", ORACLE: "oracle"}
+_NOTES = {CLEAN: "baseline", ORACLE: "oracle"}
 
 
 def table_text(found: dict) -> str:
     """Return what `roomeq wer` prints of its `wer.json`."""
-    lines = [*_rates(found), "", *caption(found), ""]
+    lines = [*_rates(found), "", *caption(found)]
+    if any(any(one[kind]["bootci"]) for row in found["results"].values() for one in row.values()
+           for kind in ("dev", "test")):
+        lines.append("Kaldi's: what compute-wer-bootci printed for each seed, at the weights that its own scoring took "
+                     "for the best of that set.")
+    lines.append("")
     for column in found["columns"]:
         lines += [f"{column}:", *(f"  {line}" for row in found["rows"] for line in _row_lines(found, row, column)), ""]
     return "\n".join(lines)
@@ -34,18 +39,20 @@ def _rates(found: dict) -> list[str]:
 
 def caption(found: dict) -> list[str]:
     """Return what a reader of the table must know."""
-    rooms = found["sets"][found["test"]]["rooms"]
+    test, seeds = found["sets"][found["test"]], found["seeds"]
     own = sorted({name for name in found["dev_of"].values() if name != DEV})
-    counts = found["sets"][found["test"]]
-    lines = [f"{counts['utterances']} test utterances ({counts['words']} words) in {rooms} rooms, "
-             f"{found['seeds']} seed{'s' * (found['seeds'] > 1)}.",
+    mixed = f"; else {DEV}" if own and DEV in found["dev_of"].values() else ""
+    over = "rooms and seeds, crossed" if seeds > 1 else "rooms"
+    lines = [f"{test['utterances']} test utterances ({test['words']} words) in {test['rooms']} rooms, "
+             f"{seeds} seed{'s' * (seeds > 1)}.",
              "LM weight and word insertion penalty were chosen on dev for each row, column and seed, and applied to "
              "test: dev rates are the best of them, test rates are not.",
-             "dev is each row's own kind, as in the paper: " + ", ".join(own) + (f"; else {DEV}." if DEV in
-             found["dev_of"].values() else ".") if own else f"dev is {DEV} for every row."]
-    lines.append("Intervals are of 95 %, from a bootstrap over rooms and seeds, crossed." if found["seeds"] > 1 else
-                 "Intervals are of 95 %, from a bootstrap over rooms. With one seed the spread over seeds is not "
-                 "known: they hold for these trained models, not for others trained alike.")
+             f"dev is of each row's own kind, as in the paper: {', '.join(own)}{mixed}." if own else
+             f"dev is {DEV} for every row.",
+             f"Intervals are of 95 %, from a bootstrap over {over}; speakers and sentences stay as they are."]
+    if seeds == 1:
+        lines.append("With one seed the spread over seeds is not known: intervals hold for these trained models, not "
+                     "for others trained alike.")
     return lines
 
 
@@ -66,7 +73,7 @@ def _rate(one: dict) -> str:
     over = one["interval_over_utterances"]
     text = f"{one['wer']:.2f}{bracket(one['interval'])} (over utterances{bracket(over)}"
     for kaldi in filter(None, one["bootci"]):
-        text += f"; compute-wer-bootci {kaldi['wer']:.2f}{bracket(kaldi['interval'])}"
+        text += f"; Kaldi's {kaldi['wer']:.2f}{bracket(kaldi['interval'])}"
     return text + ")"
 
 

@@ -21,7 +21,7 @@ ROWS = ("train.clean", "train.real.rvb", "train.sim.rvb", "train.sim.EQ.rvb", "t
 COLUMNS = ("fglarge", "tglarge", "tgmed", "tgsmall", "online")
 """Of the paper's Table 2, in its order; others come behind them."""
 TEST, DEV = "test.real.rvb", "dev.real.rvb"
-BASE, ORACLE = "train.sim.rvb", "train.real.rvb"
+BASE, ORACLE, CLEAN = "train.sim.rvb", "train.real.rvb", "train.clean"
 
 
 @dataclass(frozen=True)
@@ -59,13 +59,19 @@ class Decoded:
         found = []
         for seed, workspace in enumerate(self.workspaces):
             sets = sorted({name for row in self.rows for name in self.sets_of(row)})
-            found += [path for name in sets if (path := workspace / "data" / name / "utt2rir").is_file()]
+            found += [path for name in sets for table in ("utt2rir", "utt2spk")
+                      if (path := workspace / "data" / name / table).is_file()]
             for row in self.rows:
                 decodes = [self.decode(seed, row, name, column) for name in self.sets_of(row)
                            for column in self.columns]
                 found += [scoring_dir(decode) for decode in decodes]
                 found += [path for decode in decodes if (path := decode / BOOTCI_FILE).is_file()]
         return found
+
+
+def compared(rows: list[str]) -> list[str]:
+    """Return the rows that may close a part of the gap between `BASE` and `ORACLE`."""
+    return [row for row in rows if row not in (BASE, ORACLE, CLEAN)]
 
 
 def find_decoded(workspaces: list[Path]) -> Decoded:
@@ -126,7 +132,7 @@ class Scores:
     rooms : list of ndarray, each of shape (n_utterances,)
         Index into `room_names`.
     room_names : list of str
-        A set without RIRs has utterances for rooms.
+        Clean speech has speakers for rooms.
     has_rooms : bool
     """
 
@@ -164,19 +170,18 @@ def read_scores(decoded: Decoded, name: str, weights: dict, room_of: dict[str, s
         References differ between rows or columns, an utterance has no hypothesis or RIR, or its RIR is unknown.
     """
     systems = [(row, column) for row in decoded.rows_of(name) for column in decoded.columns]
-    counts, words, labels, has_rooms = {system: [] for system in systems}, [], [], True
+    counts, words, labels = {system: [] for system in systems}, [], []
     for seed, workspace in enumerate(decoded.workspaces):
         reference = same_reference(decoded, seed, name)
         for system in systems:
             path = weights[system][seed].path(decoded.decode(seed, system[0], name, system[1]))
             counts[system].append(count_errors(list(reference.values()), read_hypotheses(path, reference)))
         words.append(np.array([len(spoken) for spoken in reference.values()]))
-        found = _rooms(workspace / "data" / name / "utt2rir", name, reference, room_of)
-        has_rooms = has_rooms and found is not None
-        labels.append(list(reference) if found is None else found)
+        labels.append(_rooms(workspace / "data" / name, name, reference, room_of))
     names = sorted(set().union(*labels))
     index = {label: n for n, label in enumerate(names)}
-    return Scores(counts, words, [np.array([index[label] for label in one]) for one in labels], names, has_rooms)
+    rooms = [np.array([index[label] for label in one]) for one in labels]
+    return Scores(counts, words, rooms, names, has_rooms=not _is_clean(name))
 
 
 def same_reference(decoded: Decoded, seed: int, name: str) -> dict[str, tuple[str, ...]]:
@@ -195,21 +200,26 @@ def same_reference(decoded: Decoded, seed: int, name: str) -> dict[str, tuple[st
     return first[0]
 
 
-def _rooms(path: Path, name: str, reference: dict, room_of: dict[str, str]) -> list[str] | None:
-    """Rooms of a set's utterances; None for clean speech, which has none."""
-    if name.endswith(".clean"):
-        return None
-    table = read_texts(path)
-    rooms = []
+def _rooms(data: Path, name: str, reference: dict, room_of: dict[str, str]) -> list[str]:
+    """Return the room of each utterance; clean speech has none: its speaker."""
+    path = data / ("utt2spk" if _is_clean(name) else "utt2rir")
+    table, labels = read_texts(path), []
     for utterance in reference:
-        rir = " ".join(table.get(utterance, ()))
-        if not rir:
-            raise ValueError(f"{path}: no RIR of utterance {utterance!r}: make the data directory again")
-        if rir not in room_of:
-            raise ValueError(f"{path}: RIR {rir!r} of utterance {utterance!r} is not among those of --rirs: give the "
-                             "RIR directory that the set was made with")
-        rooms.append(room_of[rir])
-    return rooms
+        label = " ".join(table.get(utterance, ()))
+        if not label:
+            raise ValueError(f"{path}: no {'speaker' if _is_clean(name) else 'RIR'} of utterance {utterance!r}: make "
+                             "the data directory again")
+        if not _is_clean(name):
+            if label not in room_of:
+                raise ValueError(f"{path}: RIR {label!r} of utterance {utterance!r} is not among those of --rirs: give "
+                                 "the RIR directory that the set was made with")
+            label = room_of[label]
+        labels.append(label)
+    return labels
+
+
+def _is_clean(name: str) -> bool:
+    return name.endswith(".clean")
 
 
 def choose_all(decoded: Decoded) -> dict[tuple[str, str], list[Weights]]:

@@ -1,0 +1,99 @@
+#!/usr/bin/env python3
+"""How often intervals of word error rates hold the truth, where seeds and rooms have effects of known size.
+
+Usage: tests/bench/wer_intervals.py [--times 1000] --out DIR
+e.g.:  tests/bench/wer_intervals.py --out exp/wer_intervals
+
+A recogniser makes 20 % errors; seeds, rooms and each room at each seed add deviations of their own [points], and words
+are drawn from that. Rooms have 200 words, or as many as a skewed distribution gives. Beside the intervals of
+`roomeq wer`: the percentiles of the bootstrap over rooms and seeds as they are, and the bootstrap over utterances of
+Kaldi's `compute-wer-bootci` (utterances of ten words). Prints a table and writes wer_intervals.json.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+PROJECT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(PROJECT / "pysrc"))
+
+from roomeq.files import write_json  # noqa: E402
+from roomeq.rng import rng_for  # noqa: E402
+from roomeq.wer.intervals import Resampling, Statistic  # noqa: E402
+
+TRUTH = 20.0  # per cent
+WORDS, UTTERANCE = 200, 10  # in a room, in an utterance
+
+
+class World(NamedTuple):
+    """Standard deviations [points]; `skewed`: exponential effects of rooms, sizes of rooms that vary by 60 %."""
+
+    n_seeds: int
+    n_rooms: int
+    seed: float
+    room: float
+    residual: float
+    skewed: bool = False
+
+
+WORLDS = [World(1, 10, 0, 4, 0), World(1, 40, 0, 4, 0), World(2, 40, 1, 4, 2), World(2, 40, 2, 0, 0),
+          World(3, 40, 1, 4, 2), World(3, 40, 2, 0, 0), World(5, 10, 1, 4, 2), World(5, 40, 1, 4, 2),
+          World(5, 40, 2, 0, 0), World(5, 40, 0, 0, 0), World(5, 40, 1, 6, 2, True), World(5, 10, 1, 6, 2, True)]
+
+
+def draw(world: World, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return errors and words of every seed and room."""
+    shape = world.n_seeds, world.n_rooms
+    room, words = rng.standard_normal(world.n_rooms), np.full(shape, WORDS)
+    if world.skewed:
+        room = rng.exponential(size=world.n_rooms) - 1
+        words[:] = np.maximum(UTTERANCE, rng.gamma(1 / 0.36, 0.36 * WORDS, size=world.n_rooms))
+    rate = (TRUTH + world.seed * rng.standard_normal((world.n_seeds, 1)) + world.room * room
+            + world.residual * rng.standard_normal(shape))
+    return rng.binomial(words, np.clip(rate / 100, 0.0, 1.0)), words
+
+
+def intervals(errors: np.ndarray, words: np.ndarray, resampling: Resampling) -> dict[str, tuple[float, float]]:
+    """Return the interval of each method."""
+    found = Statistic.of(errors, words, resampling)
+    bootstrap = found.value + np.quantile(found.deviations, (0.025, 0.975))
+    share = errors / words  # what resampling utterances comes to, without drawing: within a room, and between rooms
+    variance = (words * (share * (1 - share) + UTTERANCE * (share - found.value / 100) ** 2)).sum()
+    half = 196 * np.sqrt(variance) / words.sum()
+    return dict(ours=tuple(found.interval()), bootstrap=tuple(bootstrap),
+                utterances=(found.value - half, found.value + half))
+
+
+def measure(world: World, times: int) -> dict:
+    """Return the share of intervals that hold the truth, and their mean width [points], by method."""
+    resampling, held, width = Resampling(world.n_seeds, world.n_rooms, "bench"), {}, {}
+    for n in range(times):
+        made = draw(world, rng_for(n, "bench", str(tuple(world))))
+        for method, (low, high) in intervals(*made, resampling).items():
+            held[method] = held.get(method, 0) + bool(low <= TRUTH <= high)
+            width[method] = width.get(method, 0.0) + (high - low)
+    return world._asdict() | dict(held={method: count / times for method, count in held.items()},
+                                  width={method: float(total / times) for method, total in width.items()})
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--times", type=int, default=1000, help="tables drawn of each world")
+    parser.add_argument("--out", required=True, type=Path)
+    given = parser.parse_args()
+    found = [measure(world, given.times) for world in WORLDS]
+    print("methods: ours, bootstrap over rooms and seeds, bootstrap over utterances")
+    print("seeds rooms | seed room residual        | held [%]          | width [points]")
+    for one in found:
+        print(f"{one['n_seeds']:5d} {one['n_rooms']:5d} | {one['seed']:4g} {one['room']:4g} {one['residual']:8g} "
+              f"{'skewed' if one['skewed'] else '      '} | "
+              + " ".join(f"{100 * value:5.1f}" for value in one["held"].values()) + " | "
+              + " ".join(f"{value:6.2f}" for value in one["width"].values()))
+    write_json(given.out / "wer_intervals.json", dict(times=given.times, worlds=found))
+
+
+if __name__ == "__main__":
+    main()
