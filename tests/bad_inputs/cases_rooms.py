@@ -1,13 +1,16 @@
 """Broken rooms: meshes and tables of materials."""
 
+import base64
 import json
 import re
+import struct
 
 from right import BOX
 from wrong import Case, row, write
 
 MESH = "simulate --num-rays 100 mesh out"
 MATERIALS = "simulate --num-rays 100 --materials own.toml measured out"
+TOO_LARGE = "bytes must be at most 64000000 (64 MB): use fewer triangles, or raise the bound with roomeq --max-mesh-mb"
 FELT = "[materials.felt]\nabsorption = {}\n"
 
 
@@ -19,10 +22,30 @@ def materials(name: str, message: str, content: str | bytes) -> Case:
     return Case(name, MATERIALS, message, (write("own.toml", content),))
 
 
-def garbage(kind: str, message: str, content: bytes) -> Case:
+def garbage(kind: str, message: str, content: bytes, how: str = "garbage") -> Case:
     """A case whose mesh file is of another kind."""
-    return Case(f"mesh {kind}", MESH, message, (write(f"mesh/room.{kind}", content),
+    return Case(f"mesh {kind} {how}", MESH, message, (write(f"mesh/room.{kind}", content),
                                                 row("mesh/rirs.jsonl", 1, mesh=f"room.{kind}")))
+
+
+def glb(header: dict) -> bytes:
+    """The least that is a GLB file."""
+    text = json.dumps(header).encode()
+    return struct.pack("<4sIIII", b"glTF", 2, 20 + len(text), len(text), 0x4E4F534A) + text
+
+
+def many_times(n_nodes: int, n_faces: int) -> dict:
+    """The header of a glTF file with one mesh, at many places."""
+    corners, faces = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0), struct.pack("<3H", 0, 1, 2) * n_faces
+    places = [dict(buffer=0, byteOffset=0, byteLength=len(corners)),
+              dict(buffer=0, byteOffset=len(corners), byteLength=len(faces))]
+    return dict(
+        asset=dict(version="2.0"), scene=0, scenes=[dict(nodes=list(range(n_nodes)))], nodes=[dict(mesh=0)] * n_nodes,
+        meshes=[dict(primitives=[dict(attributes=dict(POSITION=0), indices=1)])],
+        accessors=[dict(bufferView=0, count=3, componentType=5126, type="VEC3"),
+                   dict(bufferView=1, count=3 * n_faces, componentType=5123, type="SCALAR")],
+        bufferViews=places, buffers=[dict(byteLength=len(corners + faces), uri="data:application/octet-stream;base64,"
+                                          + base64.b64encode(corners + faces).decode())])
 
 
 CASES = [
@@ -49,8 +72,23 @@ CASES = [
     mesh("flat",
          "RIR m1: mesh/room.obj: the mesh leaks: 1 edges don't join exactly two faces, the first near [2.5, "
          "2.0, 0.0] m: close the holes", BOX.replace(" 3\nv", " 0\nv").replace("v 0 4 3", "v 0 4 0")),
+    mesh("face of many corners",
+         "RIR m1: mesh/room.obj: cannot be read as a mesh (a face of 501 corners; at most 500 are cut into "
+         "triangles): export it again", BOX + "f" + " 1" * 501 + "\n"),
+    Case("mesh beyond the bound", f"--max-mesh-mb 0.0001 {MESH}",
+         "RIR m1: mesh/room.obj: 142 bytes must be at most 100 (0.0001 MB): use fewer triangles, or raise the bound "
+         "with roomeq --max-mesh-mb"),
+    Case("mesh beyond the bound beside it", MESH, f"RIR m1: mesh/room.gltf: 64000001 {TOO_LARGE}",
+         (write("mesh/room.gltf", json.dumps(dict(buffers=[dict(uri="zeros.bin", byteLength=1)]))),
+          write("mesh/zeros.bin", bytes(64_000_001)), row("mesh/rirs.jsonl", 1, mesh="room.gltf"))),
     garbage("glb", "RIR m1: mesh/room.glb: holds no triangles: export it again",
          b"glTF\x02\0\0\0\xff\xff\xff\xff\xff\xff\xff\xffJSON{}"),
+    garbage("glb", f"RIR m1: mesh/room.glb: 12000000000 {TOO_LARGE}",
+            glb(dict(accessors=[dict(count=10**9, componentType=5126, type="VEC3")])), "without bytes"),
+    garbage("gltf", "RIR m1: mesh/room.gltf: cannot be read as a mesh ('VEC9'): export it again",
+            json.dumps(dict(accessors=[dict(count=1, componentType=5126, type="VEC9")])).encode(), "of no type"),
+    garbage("gltf", f"RIR m1: mesh/room.gltf: 72000000 {TOO_LARGE}",
+            json.dumps(many_times(100, 10_000)).encode(), "of one mesh many times"),
     garbage("stl", "RIR m1: mesh/room.stl: holds no triangles: export it again", b"\xff" * 200),
     garbage("ply", "RIR m1: mesh/room.ply: cannot be read as a mesh (...): export it again",
          b"ply\nformat binary_little_endian 1.0\nelement vertex 999999999999\nproperty float x\nend_header\n"),
