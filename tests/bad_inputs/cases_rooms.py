@@ -22,6 +22,12 @@ def materials(name: str, message: str, content: str | bytes) -> Case:
     return Case(name, MATERIALS, message, (write("own.toml", content),))
 
 
+def model(name: str, effect: str, message: str, **changed) -> Case:
+    """A case whose model has one effect."""
+    return Case(f"model {name}", "simulate --model m.json measured out", f"m.json: effects[0]: {message}",
+                (write("m.json", json.dumps(dict(effects=[dict(effect=effect, of={}) | changed]))),))
+
+
 def garbage(kind: str, message: str, content: bytes, how: str = "garbage") -> Case:
     """A case whose mesh file is of another kind."""
     return Case(f"mesh {kind} {how}", MESH, message, (write(f"mesh/room.{kind}", content),
@@ -108,6 +114,23 @@ CASES = [
     Case("model of text for numbers", "simulate --model m.json measured out",
          "m.json: effects[0]: typical=['far'] must be 1 numbers: correct them", (write("m.json", json.dumps(
              dict(effects=[dict(effect="sound_speed", of={}, typical=["far"])]))),)),
+    model("typical of 1000", "sound_speed", "typical=[1000] must lie in [-100, 100]: correct them", typical=[1000]),
+    model("spread negative", "sound_speed", "spread=[-1] must lie in [0, 100]: correct them", spread=[-1]),
+    model("without units", "sound_speed", "of=None must map each all to its parameters: add them", of=None),
+    model("of other parameters", "sound_speed", "of['all'] must hold temperature_c: correct the names",
+          of=dict(all=dict(warmth=3))),
+    model("colder than cold", "sound_speed", "of['all']: temperature_c=-400 must lie in [-20, 60]: correct it",
+          of=dict(all=dict(temperature_c=-400))),
+    model("of modes without end", "room_modes", "of['all']: up_to_hz=1000000000.0 must lie in [40, 300]: correct it",
+          of=dict(all=dict(up_to_hz=1e9))),
+    model("of a desk above", "near_reflector", "of['hall0']: depth_m=-0.5 must lie in [0.05, 2]: correct it",
+          of=dict(hall0=dict(depth_m=-0.5, reflection=0.5))),
+    model("of a decay of no time", "coupled_volume", "of['hall0']: time_s=0 must lie in [0.2, 6]: correct it",
+          of=dict(hall0=dict(level_db=-10, time_s=0))),
+    model("of 1000 dB", "room_eq", "of['all']: gains_db=[...1000...] must lie in [-60, 60]: correct it",
+          of=dict(all=dict(gains_db=[0] * 22 + [1000]))),
+    model("of three octaves", "noise_floor", "of['hall0']: levels_db=[-50, -50, -50] must be 8 numbers: correct it",
+          of=dict(hall0=dict(levels_db=[-50] * 3))),
     Case("materials absent", "simulate --materials absent.toml measured out",
          "absent.toml: cannot be read as a table of materials (...): see conf/materials.toml for the form"),
     materials("materials no toml",
