@@ -1,9 +1,15 @@
 """Output directories are whole or absent, whatever happens while they are made."""
 
+import os
+import shutil
+import subprocess
+import sys
+
 import pytest
 
+from roomeq import build
 from roomeq.build import DONE_FILE, Build, share
-from roomeq.digests import digest
+from roomeq.digests import code_digest, digest
 from roomeq.files import write_json, write_text
 
 
@@ -85,6 +91,23 @@ def test_a_changed_input_is_noticed(tmp_path):
     assert make_squares(tmp_path / "out", inputs=[tmp_path / "in"]) == "up to date"
     (tmp_path / "in" / "n1.txt").write_text("7")
     assert make_squares(tmp_path / "out", inputs=[tmp_path / "in"]) == "made"
+
+
+def test_other_code_is_noticed(tmp_path, project_dir, monkeypatch):
+    package = shutil.copytree(project_dir / "pysrc/roomeq", tmp_path / "pysrc/roomeq")
+    code = "from roomeq.digests import code_digest; print(code_digest(), end='')"
+
+    def of_the_copy():
+        return subprocess.run([sys.executable, "-c", code], env=os.environ | dict(PYTHONPATH=str(tmp_path / "pysrc")),
+                              stdout=subprocess.PIPE, text=True, check=True).stdout
+
+    assert of_the_copy() == code_digest()
+    assert make_squares(tmp_path / "a") == "made"
+    (package / "effects/base.py").write_text((package / "effects/base.py").read_text().replace("1e-9", "1e-8"))
+    other = of_the_copy()
+    assert other != code_digest()
+    monkeypatch.setattr(build, "code_digest", lambda: other)
+    assert make_squares(tmp_path / "a") == "made"
 
 
 def test_same_content_made_again_is_the_same_input(tmp_path):

@@ -101,8 +101,7 @@ class Build:
         """
         self._names = list(items)
         mine = share(self._names, part)
-        if not 1 <= nj <= MAX_JOBS:
-            raise ValueError(f"nj={nj} must lie in [1, {MAX_JOBS}]: give the number of processes")
+        check_jobs(nj)
         with self._lock(fcntl.LOCK_SH):
             if _is_done(self.out, self.key) or _is_done(self.work, self.key):
                 return part is None
@@ -194,6 +193,12 @@ class Build:
         """Jobs that work on items share the lock; putting the directory in place needs it alone."""
         self.out.parent.mkdir(parents=True, exist_ok=True)
         return locked(self._lock_path, how)
+
+
+def check_jobs(nj: int) -> None:
+    """Raise a `ValueError` for a number of processes or threads that is none."""
+    if not 1 <= nj <= MAX_JOBS:
+        raise ValueError(f"nj={nj} must lie in [1, {MAX_JOBS}]: give the number of processes")
 
 
 @contextlib.contextmanager

@@ -1,6 +1,6 @@
 """Options out of range, and places that a result may not go to."""
 
-from wrong import Case, write
+from wrong import Case, remove, row, write
 
 CASES = [
     Case("no verb", "--max-mesh-mb 9", "the following arguments are required: VERB: see roomeq --help"),
@@ -10,6 +10,21 @@ CASES = [
          "'close-loop', 'augment', 'wer', 'report'): see roomeq --help"),
     Case("loop without output", "close-loop measured",
          "roomeq close-loop: the following arguments are required: --out: see roomeq close-loop --help"),
+    Case("loop of 99 effects", "close-loop --max-effects 99 measured --out out", "max_effects=99 must lie in [0, 11]"),
+    Case("loop of no threads", "close-loop --nj 0 measured --out out",
+         "nj=0 must lie in [1, 1024]: give the number of processes"),
+    Case("loop of two rooms", "close-loop measured --out out",
+         "measured: RIRs of 2 rooms, and the loop leaves rooms out: give at least 3 rooms or conditions (room_id)"),
+    Case("loop of rirs given twice", "close-loop measured measured --out out",
+         "RIR r0 is in both measured and measured: give each RIR once"),
+    Case("loop into its input", "close-loop measured --out measured",
+         "measured: input measured lies in it and would be lost: choose another output", (
+        write("measured/.done", '{"step": "close-loop", "key": "x", "files": {}}'),)),
+    Case("judge absent", "close-loop --judge absent measured --out out",
+         "absent: no such file or directory: check the path, or run the step that makes it"),
+    Case("judge without audio", "close-loop --judge rirs measured --out out",
+         "rirs/wav/room0-0.wav: no such audio file: check the path",
+         (remove("rirs/wav/room0-0.wav"), *(row("measured/rirs.jsonl", n, room_id=f"room{n}") for n in (1, 2, 3)))),
     Case("unknown option", "simulate --rays 3 measured out",
          "unrecognized arguments: --rays out: see roomeq --help"),
     Case("too few", "simulate measured",

@@ -1,13 +1,16 @@
 """Broken rooms: meshes and tables of materials."""
 
+import base64
 import json
 import re
+import struct
 
 from right import BOX
 from wrong import Case, row, write
 
 MESH = "simulate --num-rays 100 mesh out"
 MATERIALS = "simulate --num-rays 100 --materials own.toml measured out"
+TOO_LARGE = "bytes must be at most 64000000 (64 MB): use fewer triangles, or raise the bound with roomeq --max-mesh-mb"
 FELT = "[materials.felt]\nabsorption = {}\n"
 
 
@@ -19,10 +22,36 @@ def materials(name: str, message: str, content: str | bytes) -> Case:
     return Case(name, MATERIALS, message, (write("own.toml", content),))
 
 
-def garbage(kind: str, message: str, content: bytes) -> Case:
+def model(name: str, effect: str, message: str, **changed) -> Case:
+    """A case whose model has one effect."""
+    return Case(f"model {name}", "simulate --model m.json measured out", f"m.json: effects[0]: {message}",
+                (write("m.json", json.dumps(dict(effects=[dict(effect=effect, of={}) | changed]))),))
+
+
+def garbage(kind: str, message: str, content: bytes, how: str = "garbage") -> Case:
     """A case whose mesh file is of another kind."""
-    return Case(f"mesh {kind}", MESH, message, (write(f"mesh/room.{kind}", content),
+    return Case(f"mesh {kind} {how}", MESH, message, (write(f"mesh/room.{kind}", content),
                                                 row("mesh/rirs.jsonl", 1, mesh=f"room.{kind}")))
+
+
+def glb(header: dict) -> bytes:
+    """The least that is a GLB file."""
+    text = json.dumps(header).encode()
+    return struct.pack("<4sIIII", b"glTF", 2, 20 + len(text), len(text), 0x4E4F534A) + text
+
+
+def many_times(n_nodes: int, n_faces: int) -> dict:
+    """The header of a glTF file with one mesh, at many places."""
+    corners, faces = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0), struct.pack("<3H", 0, 1, 2) * n_faces
+    places = [dict(buffer=0, byteOffset=0, byteLength=len(corners)),
+              dict(buffer=0, byteOffset=len(corners), byteLength=len(faces))]
+    return dict(
+        asset=dict(version="2.0"), scene=0, scenes=[dict(nodes=list(range(n_nodes)))], nodes=[dict(mesh=0)] * n_nodes,
+        meshes=[dict(primitives=[dict(attributes=dict(POSITION=0), indices=1)])],
+        accessors=[dict(bufferView=0, count=3, componentType=5126, type="VEC3"),
+                   dict(bufferView=1, count=3 * n_faces, componentType=5123, type="SCALAR")],
+        bufferViews=places, buffers=[dict(byteLength=len(corners + faces), uri="data:application/octet-stream;base64,"
+                                          + base64.b64encode(corners + faces).decode())])
 
 
 CASES = [
@@ -49,8 +78,23 @@ CASES = [
     mesh("flat",
          "RIR m1: mesh/room.obj: the mesh leaks: 1 edges don't join exactly two faces, the first near [2.5, "
          "2.0, 0.0] m: close the holes", BOX.replace(" 3\nv", " 0\nv").replace("v 0 4 3", "v 0 4 0")),
+    mesh("face of many corners",
+         "RIR m1: mesh/room.obj: cannot be read as a mesh (a face of 501 corners; at most 500 are cut into "
+         "triangles): export it again", BOX + "f" + " 1" * 501 + "\n"),
+    Case("mesh beyond the bound", f"--max-mesh-mb 0.0001 {MESH}",
+         "RIR m1: mesh/room.obj: 142 bytes must be at most 100 (0.0001 MB): use fewer triangles, or raise the bound "
+         "with roomeq --max-mesh-mb"),
+    Case("mesh beyond the bound beside it", MESH, f"RIR m1: mesh/room.gltf: 64000001 {TOO_LARGE}",
+         (write("mesh/room.gltf", json.dumps(dict(buffers=[dict(uri="zeros.bin", byteLength=1)]))),
+          write("mesh/zeros.bin", bytes(64_000_001)), row("mesh/rirs.jsonl", 1, mesh="room.gltf"))),
     garbage("glb", "RIR m1: mesh/room.glb: holds no triangles: export it again",
          b"glTF\x02\0\0\0\xff\xff\xff\xff\xff\xff\xff\xffJSON{}"),
+    garbage("glb", f"RIR m1: mesh/room.glb: 12000000000 {TOO_LARGE}",
+            glb(dict(accessors=[dict(count=10**9, componentType=5126, type="VEC3")])), "without bytes"),
+    garbage("gltf", "RIR m1: mesh/room.gltf: cannot be read as a mesh ('VEC9'): export it again",
+            json.dumps(dict(accessors=[dict(count=1, componentType=5126, type="VEC9")])).encode(), "of no type"),
+    garbage("gltf", f"RIR m1: mesh/room.gltf: 72000000 {TOO_LARGE}",
+            json.dumps(many_times(100, 10_000)).encode(), "of one mesh many times"),
     garbage("stl", "RIR m1: mesh/room.stl: holds no triangles: export it again", b"\xff" * 200),
     garbage("ply", "RIR m1: mesh/room.ply: cannot be read as a mesh (...): export it again",
          b"ply\nformat binary_little_endian 1.0\nelement vertex 999999999999\nproperty float x\nend_header\n"),
@@ -70,6 +114,23 @@ CASES = [
     Case("model of text for numbers", "simulate --model m.json measured out",
          "m.json: effects[0]: typical=['far'] must be 1 numbers: correct them", (write("m.json", json.dumps(
              dict(effects=[dict(effect="sound_speed", of={}, typical=["far"])]))),)),
+    model("typical of 1000", "sound_speed", "typical=[1000] must lie in [-100, 100]: correct them", typical=[1000]),
+    model("spread negative", "sound_speed", "spread=[-1] must lie in [0, 100]: correct them", spread=[-1]),
+    model("without units", "sound_speed", "of=None must map each all to its parameters: add them", of=None),
+    model("of other parameters", "sound_speed", "of['all'] must hold temperature_c: correct the names",
+          of=dict(all=dict(warmth=3))),
+    model("colder than cold", "sound_speed", "of['all']: temperature_c=-400 must lie in [-20, 60]: correct it",
+          of=dict(all=dict(temperature_c=-400))),
+    model("of modes without end", "room_modes", "of['all']: up_to_hz=1000000000.0 must lie in [40, 300]: correct it",
+          of=dict(all=dict(up_to_hz=1e9))),
+    model("of a desk above", "near_reflector", "of['hall0']: depth_m=-0.5 must lie in [0.05, 2]: correct it",
+          of=dict(hall0=dict(depth_m=-0.5, reflection=0.5))),
+    model("of a decay of no time", "coupled_volume", "of['hall0']: time_s=0 must lie in [0.2, 6]: correct it",
+          of=dict(hall0=dict(level_db=-10, time_s=0))),
+    model("of 1000 dB", "room_eq", "of['all']: gains_db=[...1000...] must lie in [-60, 60]: correct it",
+          of=dict(all=dict(gains_db=[0] * 22 + [1000]))),
+    model("of three octaves", "noise_floor", "of['hall0']: levels_db=[-50, -50, -50] must be 8 numbers: correct it",
+          of=dict(hall0=dict(levels_db=[-50] * 3))),
     Case("materials absent", "simulate --materials absent.toml measured out",
          "absent.toml: cannot be read as a table of materials (...): see conf/materials.toml for the form"),
     materials("materials no toml",

@@ -3,6 +3,7 @@
 import argparse
 import json
 import string
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from running import call
 from wrong import HOSTILE
 
+from loop_run import make_loop
 from roomeq import cli
 from roomeq.build import share
 from roomeq.corpora.record import parse_number, parse_vector
@@ -20,7 +22,10 @@ from roomeq.corpora.table import list_noise_table, list_table
 from roomeq.corpora.transcripts import list_transcripts
 from roomeq.datadir import read_data_dir
 from roomeq.draws import parse_distribution
+from roomeq.effects.catalogue import CATALOGUE
+from roomeq.effects.model import read_model
 from roomeq.files import read_json, read_jsonl
+from roomeq.loop.check import read_ledger
 from roomeq.mixture import read_gmm, sample_eq
 from roomeq.rirs import read_noises, read_rirs
 from roomeq.rows import MAX_ID, is_id, make_id, row_problem
@@ -170,11 +175,50 @@ def test_numbers_are_parsed_or_refused(text):
     assert shown.isprintable() and len(shown) < 2000
 
 
-VERBS = ("validate", "simulate", "characterise", "split-rirs", "fit-eq", "compensate", "augment", "report",
-         "prepare-speech", "read-measured", "read-noises")
+@quick
+@given(st.sampled_from(sorted(CATALOGUE)), st.data())
+def test_a_model_is_refused_or_gives_every_row_its_effects(tmp_path, name, data):
+    effect = CATALOGUE[name]
+    of = {field.name: data.draw(st.one_of(JSON, st.lists(NUMBER, min_size=8, max_size=8), st.floats(0.01, 60.0)))
+          for field in fields(effect)}
+    changed = data.draw(st.dictionaries(st.sampled_from(["effect", "of", "typical", "spread"]), JSON))
+    (tmp_path / "m.json").write_text(dump(dict(effects=[dict(effect=name, of=dict(r=of)) | changed])))
+    if (model := one_line_or_result(read_model, tmp_path / "m.json")) is not None:
+        for unit in ("r", "other"):
+            (one,) = model.for_row(dict(id=unit, room_id=unit, source_id=unit, mic_id=unit), 0)
+            assert np.isfinite(one.vector()).all()
+
+
+@settings(quick, max_examples=300)
+@given(st.integers(0, 10**6), JSON)
+def test_a_ledger_is_right_or_refused_in_one_line(loop, tmp_path, place, value):
+    """Any value at any place of a ledger."""
+    ledger = json.loads((loop / "ledger.json").read_text())
+    places = list(everywhere(ledger))
+    holder, key = places[place % len(places)]
+    holder[key] = value
+    (tmp_path / "ledger.json").write_text(dump(ledger))
+    one_line_or_result(read_ledger, tmp_path / "ledger.json")
+
+
+@pytest.fixture(scope="module")
+def loop(tmp_path_factory):
+    return make_loop(tmp_path_factory.mktemp("made") / "loop")
+
+
+def everywhere(value):
+    """Yield each place of nested lists and objects, as what holds it and its key."""
+    for key in list(value) if isinstance(value, dict) else range(len(value)):
+        yield value, key
+        if isinstance(value[key], dict | list):
+            yield from everywhere(value[key])
+
+
+VERBS = ("validate", "simulate", "characterise", "split-rirs", "fit-eq", "compensate", "close-loop", "augment",
+         "report", "prepare-speech", "read-measured", "read-noises")
 OPTIONS = ("--seed", "--nj", "--part", "--num-rays", "--order", "--t60-range", "--sizes", "--taps", "--passes",
            "--copies", "--snr", "--layout", "--limit", "--kind", "--skip-bad", "--num-components",
-           "--max-mesh-mb", "--")
+           "--max-mesh-mb", "--model", "--out", "--judge", "--max-effects", "--")
 
 
 @quick

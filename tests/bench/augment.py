@@ -6,7 +6,8 @@ Usage: tests/bench/augment.py [--speech ../shared/data/speech] [--measured ../sh
 
 Kaldi's wav-reverberate, lhotse and audiomentations, as far as they are here, do the same work (reverberation and one
 ambient noise) on the same utterances, in turns with ours, and the audio is compared without noise.
-Prints one JSON object. CPU seconds of the process and its children count, so a busy machine disturbs less.
+Prints one JSON object. CPU seconds of the process and its children count, so a busy machine disturbs less. Exit
+status 1 where audio that should be the same differs by more than -60 dB.
 """
 
 import argparse
@@ -39,6 +40,8 @@ from roomeq.wavscp import flac_entry  # noqa: E402
 
 FS = 16000
 LONGEST_S = 36  # of an utterance
+MOST_DB = -60.0  # of difference, where both did the same
+SAME = ("ours_to_float64", "ours_to_lhotse", "ours_to_audiomentations", "wav_reverberate_to_its_faulty_product")
 LIBRISPEECH_UTTERANCES = 132553  # train-clean-100 and 360
 
 
@@ -53,7 +56,12 @@ def main():
     parser.add_argument("--rounds", type=int, default=3)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        print(json.dumps(measure(given, Path(folder)), indent=1))
+        result = measure(given, Path(folder))
+    print(json.dumps(result, indent=1))
+    differ = [name for name, found in result["difference_db"].items() if name in SAME and found["worst"] > MOST_DB]
+    if differ:
+        print(f"more than {MOST_DB:g} dB apart: {', '.join(differ)}", file=sys.stderr)
+    return 1 if differ else 0
 
 
 def measure(given, work):
@@ -213,5 +221,6 @@ def memory(speech, rirs, noises, work):
 
 if __name__ == "__main__":
     started = time.monotonic()
-    main()
+    status = main()
     print(f"{time.monotonic() - started:.0f} s", file=sys.stderr)
+    sys.exit(status)

@@ -7,8 +7,8 @@ e.g.:  tests/bench/augment.py >augment.json && tests/bench/projection.py --augme
 Runs every step of the recipe as one job, with the paper's options, on stand-ins (simulation: on the rooms of BUT
 ReverbDB), and divides CPU seconds by what was done: starting Python is in them, so a small run tells rates that are too
 low rather than too high. With the JSON of augment.py the rate, memory and disk of augmentation are those of its
-LibriSpeech recordings. Prints two tables and writes projection.json: redo it when a rate changes. Stages 5 and 8-10 are
-not in it.
+LibriSpeech recordings. Prints two tables and writes projection.json: redo it when a rate changes. Stages 8-10 are not
+in it.
 """
 
 import argparse
@@ -27,8 +27,9 @@ from roomeq.files import read_json, read_jsonl, write_json, write_jsonl  # noqa:
 # sim.EQ, sim.loop), as many development sets, one test set
 HOURS, UTTERANCES = 4 * (464.2 + 5.4) + 5.4, 132_553 + 2_703 + 2_620
 MEASURED, SIMULATED = 773 + 194 + 242, 773 + 194
-PAPER = dict(utterances=UTTERANCES, measured=MEASURED, simulated=SIMULATED, analysed=2 * 773, hours=HOURS,
-             reported=MEASURED + 2 * SIMULATED)
+# simulated with the loop's model and without
+PAPER = dict(utterances=UTTERANCES, measured=MEASURED, rendered=2 * SIMULATED, simulated=SIMULATED, analysed=2 * 773,
+             looped=SIMULATED, hours=HOURS, reported=MEASURED + 3 * SIMULATED)
 SCALES = (1, 10, 100)
 
 
@@ -63,18 +64,22 @@ def measure(given, out):
     write_jsonl(out / "rooms/rirs.jsonl", rows(given.rirs))
     steps["simulate"] = run(["steps/simulate_rirs.sh", "--nj", "1", str(out / "rooms"), str(out / "rirs.sim")])
     stage(2, where)
-    steps |= dict(fit_eq=stage(3, where), compensate=stage(4, where), augment=stage(6, where), report=stage(7, where))
-    counts = {name: len(read_jsonl(data / f"rirs.{name}/rirs.jsonl"))
-              for name in ("real", "real.train", "sim.train", "sim.dev", "sim.EQ.train", "sim.EQ.dev")}
+    steps |= dict(fit_eq=stage(3, where), compensate=stage(4, where), close_loop=run(
+        ["steps/close_loop.sh", "--nj", "1", *(str(data / f"rirs.real.{x}") for x in ("train", "dev")),
+         str(exp / "loop")]))
+    stage(5, where)
+    steps |= dict(augment=stage(6, where), report=stage(7, where))
+    counts = {path.name.removeprefix("rirs."): len(read_jsonl(path / "rirs.jsonl")) for path in data.glob("rirs.*")}
     simulated = len([row for row in read_jsonl(out / "rirs.sim/rirs.jsonl") if not row.get("noise_for")])
     hours = sum(read_json(path)["hours"] for path in data.glob("*.rvb/summary.json"))
     done = dict(prepare_speech=("utterances", sum(map(int, given.utterances.split(",")))),
                 read_measured=("measured", counts["real"]),
-                characterise_split=("measured", counts["real"]), simulate=("simulated", simulated),
+                characterise_split=("measured", counts["real"]), simulate=("rendered", simulated),
                 fit_eq=("analysed", counts["real.train"] + counts["sim.train"]),
-                compensate=("simulated", counts["sim.EQ.train"] + counts["sim.EQ.dev"]), augment=("hours", hours),
-                report=("reported", counts["real"] + counts["sim.train"] + counts["sim.dev"]
-                        + counts["sim.EQ.train"] + counts["sim.EQ.dev"]))
+                compensate=("simulated", counts["sim.EQ.train"] + counts["sim.EQ.dev"]),
+                close_loop=("looped", counts["real.train"] + counts["real.dev"]), augment=("hours", hours),
+                report=("reported", counts["real"] + sum(counts[f"{kind}.{x}"] for kind in ("sim", "sim.EQ", "sim.loop")
+                                                         for x in ("train", "dev"))))
     written = dict(simulate=size(out / "rirs.sim"), compensate=sum(size(path) for path in data.glob("rirs.sim.EQ.*")),
                    augment=sum(size(path) for path in data.glob("*.rvb")))
     return {name: dict(unit=unit, done=count, cpu_s=steps[name][0], peak_mib=steps[name][1],
@@ -116,8 +121,9 @@ def size(folder):
 
 def tables(measured):
     """Return the projection as Markdown: what was measured, and core-hours, disk and memory for each scale."""
-    units = dict(utterances="utterance", measured="measured RIR", simulated="simulated RIR and its noise RIR",
-                 analysed="RIR", hours="hour of far-field speech", reported="RIR")
+    units = dict(utterances="utterance", measured="measured RIR", rendered="simulated RIR and its noise RIR",
+                 simulated="simulated RIR and its noise RIR", analysed="RIR", looped="measured RIR",
+                 hours="hour of far-field speech", reported="RIR")
     lines = ["| step | measured on one core | peak of a job | " + " | ".join(f"{n}×" for n in SCALES) + " |",
              "|---" * (3 + len(SCALES)) + "|"]
     total_h, total_gb = 0.0, 0.0

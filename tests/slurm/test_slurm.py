@@ -1,5 +1,6 @@
 """Jobs on a real Slurm cluster of one machine: the convention, what goes wrong, and a recipe step's bytes."""
 
+import json
 import os
 import re
 import signal
@@ -188,6 +189,9 @@ STEPS = (
     "simulate_rirs.sh --nj 2 --num-rays 200 --order 20 --t60-range 0.3,0.4 {out}/real {out}/sim",
     "fit_eq.sh --nj 2 --num-components 2 {out}/real {out}/sim {out}/eq",
     "compensate_rirs.sh --nj 2 {out}/sim {out}/eq {out}/sim.EQ",
+    "close_loop.sh --nj 2 --max-effects 1 {out}/real {out}/real {out}/loop",
+    "simulate_rirs.sh --nj 2 --num-rays 200 --order 20 --t60-range 0.3,0.4 --model {out}/loop/model.json {out}/real "
+    "{out}/sim.loop",
     "augment_data.sh --nj 2 --snr none speech {out}/sim.EQ {out}/rvb",
 )
 
@@ -211,18 +215,21 @@ def by_local_processes(project_dir, tmp_path_factory):
     """What the steps make with the runner that is the default, and where their inputs lie."""
     where = tmp_path_factory.mktemp("steps")
     write_rir_dir(where / "measured", [
-        (row(f"r{n}", source_pos_m=[1.0, 2.0, 1.5], mic_pos_m=[3.0 + n / 4, 2.5, 1.2]), coloured_rir(n))
-        for n in range(4)])
+        (row(f"r{n}", f"hall{n // 2}", source_pos_m=[1.0, 2.0, 1.5], mic_pos_m=[3.0 + n / 4, 2.5, 1.2]),
+         coloured_rir(n, eq_db=(0, 0, 0, 0, 0, 0, -20, 0))) for n in range(6)])  # the loop has something to find
     speech_dir(where / "speech")
     return where, run_steps(project_dir, os.environ, where, "local", "utils/local.sh")
 
 
 def test_steps_on_the_cluster_give_the_same_bytes(slurm, project_dir, by_local_processes):
     where, expected = by_local_processes
-    assert {"real/rirs.jsonl", "eq/gmm.json", "sim.EQ/rirs.jsonl", "rvb/wav.scp"} <= expected.keys()
+    assert {"real/rirs.jsonl", "eq/gmm.json", "sim.EQ/rirs.jsonl", "loop/model.json", "sim.loop/rirs.jsonl",
+            "rvb/wav.scp"} <= expected.keys()
+    assert json.loads(expected["loop/model.json"])["effects"], "nothing was found: the loop did not simulate again"
     assert run_steps(project_dir, slurm, where, "cluster", "utils/slurm.sh --mem 500M --time 10") == expected
-    assert len(list((where / "cluster").rglob("*.2.log"))) == len(STEPS)
-    for log in (where / "cluster").rglob("*.2.log"):
+    logs = [*(where / "cluster").rglob("*.2.log"), *(where / "cluster").rglob("close-loop.log")]
+    assert len(logs) == len(STEPS)
+    for log in logs:
         assert "Slurm job" in log.read_text()
 
 
@@ -234,9 +241,27 @@ def test_stock_run_pl_gives_the_same_bytes(project_dir, by_local_processes):
 def test_stock_slurm_pl_gives_the_same_bytes(slurm, project_dir, by_local_processes, tmp_path):
     where, expected = by_local_processes
     config = tmp_path / "slurm.conf"
-    config.write_text("command sbatch --export=ALL\noption mem=* --mem $0\n")
+    config.write_text("command sbatch --export=ALL\noption mem=* --mem $0\noption num_threads=* --cpus-per-task $0\n")
     cmd = f"{stock('slurm.pl')} --config {config} --mem 500M"
     assert run_steps(project_dir, slurm, where, "slurm_pl", cmd) == expected
+
+
+QSUB = """#!/bin/bash
+# as much of Grid Engine's qsub as queue.pl asks for: the tasks run at once, one after the other
+tasks=1:1
+while [ $# -gt 1 ]; do [ "$1" != -t ] || tasks=$2; shift; done
+echo "Your job-array 7.$tasks:1 has been submitted"
+for n in $(seq "${tasks%:*}" "${tasks#*:}"); do SGE_TASK_ID=$n JOB_ID=7 bash "$1"; done
+"""
+
+
+def test_stock_queue_pl_gives_the_same_bytes(project_dir, by_local_processes, tmp_path):
+    where, expected = by_local_processes
+    queue = stock("queue.pl")
+    (tmp_path / "qsub").write_text(QSUB)
+    (tmp_path / "qsub").chmod(0o755)
+    env = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    assert run_steps(project_dir, env, where, "queue_pl", f"{queue} --mem 2G") == expected
 
 
 def stock(name):

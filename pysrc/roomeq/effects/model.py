@@ -18,6 +18,9 @@ from roomeq.rng import rng_for
 from roomeq.sim.scene import eyring_time_s
 
 MODEL_FILE = "model.json"
+LARGEST = 100.0
+"""Component of a vector: spreads are about 1, or some dB."""
+_ROUNDING = 1e-9
 _KEY = {"source": "source_id", "mic": "mic_id", "room": "room_id", "rir": "id"}
 
 
@@ -168,7 +171,7 @@ def read_model(path):
 
 def _extension(path, n, one):
     what = f"{path}: effects[{n}]"
-    if not isinstance(one, dict) or one.get("effect") not in CATALOGUE:
+    if not isinstance(one, dict) or one.get("effect") not in list(CATALOGUE):  # a list is in no dict
         name = one.get("effect") if isinstance(one, dict) else one
         raise ValueError(f"{what}: effect={name!r} must be one of {', '.join(sorted(CATALOGUE))}: correct the name")
     effect = CATALOGUE[one["effect"]]
@@ -176,10 +179,12 @@ def _extension(path, n, one):
     if not isinstance(one.get("of"), dict):
         raise ValueError(f"{what}: of={one.get('of')!r} must map each {effect.SCOPE} to its parameters: add them")
     vectors = {}
-    for key in ("typical", "spread"):
+    for key, lowest in (("typical", -LARGEST), ("spread", 0.0)):
         vectors[key] = one.get(key, [0.0] * size)
         if not (isinstance(vectors[key], list) and len(vectors[key]) == size and all(map(_is_number, vectors[key]))):
             raise ValueError(f"{what}: {key}={vectors[key]!r} must be {size} numbers: correct them")
+        if not all(lowest <= value <= LARGEST for value in vectors[key]):
+            raise ValueError(f"{what}: {key}={vectors[key]!r} must lie in [{lowest:g}, {LARGEST:g}]: correct them")
     units = {unit: _parameters(f"{what}: of[{unit!r}]", effect, given) for unit, given in one["of"].items()}
     return Extension(effect, units, np.array(vectors["typical"], float), np.array(vectors["spread"], float))
 
@@ -188,15 +193,18 @@ def _parameters(what, effect, given):
     names = [field.name for field in fields(effect)]
     if not isinstance(given, dict) or sorted(given) != sorted(names):
         raise ValueError(f"{what} must hold {', '.join(names) or 'nothing'}: correct the names")
-    wanted = {field.name: getattr(effect.from_vector(np.zeros(len(effect.SPREAD))), field.name)
-              for field in fields(effect)}
+    # what a vector can say is what there is: a fit never ends elsewhere
+    lowest, highest = (effect.from_vector(np.full(len(effect.SPREAD), sign * LARGEST)) for sign in (-1, 1))
     for name, value in given.items():
-        sequence = isinstance(wanted[name], tuple)
-        fits = (isinstance(value, list) and len(value) == len(wanted[name]) and all(map(_is_number, value))
-                if sequence else _is_number(value))
-        if not fits:
-            rule = f"{len(wanted[name])} numbers" if sequence else "a number"
+        low, high = np.atleast_1d(getattr(lowest, name)), np.atleast_1d(getattr(highest, name))
+        sequence = isinstance(getattr(lowest, name), tuple)
+        values = value if sequence and isinstance(value, list) else [value]
+        if sequence != isinstance(value, list) or len(values) != len(low) or not all(map(_is_number, values)):
+            rule = f"{len(low)} numbers" if sequence else "a number"
             raise ValueError(f"{what}: {name}={value!r} must be {rule}: correct it")
+        if not all(a - _ROUNDING * abs(a) <= one <= b + _ROUNDING * abs(b)
+                   for a, one, b in zip(low, values, high, strict=True)):
+            raise ValueError(f"{what}: {name}={value!r} must lie in [{low.min():g}, {high.max():g}]: correct it")
     return effect(**{name: tuple(value) if isinstance(value, list) else value for name, value in given.items()})
 
 

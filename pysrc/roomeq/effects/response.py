@@ -10,6 +10,7 @@ from roomeq.effects.base import Effect, minimum_phase
 RESPONSE_HZ = tuple(1000.0 * 10.0 ** (0.1 * k) for k in range(-13, 10))
 """Third octaves from 50 Hz to 8 kHz."""
 _SPREAD_DB = 6.0
+_MOST_DB = 60.0
 _ROUGH_DB = 1.5
 _WIDTH = 2.0  # third octaves over which a response stays alike
 
@@ -21,7 +22,7 @@ class Response(Effect):
     Attributes
     ----------
     gains_db : tuple of 23 floats
-        At `RESPONSE_HZ`.
+        At `RESPONSE_HZ`, within 60 dB.
     """
 
     gains_db: tuple
@@ -40,7 +41,7 @@ class Response(Effect):
 
     @classmethod
     def from_vector(cls, vector):
-        return cls(tuple(float(value) for value in vector))
+        return cls(tuple(float(value) for value in np.clip(vector, -_MOST_DB, _MOST_DB)))
 
     def act(self, state, data, rows):
         state.response_db[rows] += np.array(self.gains_db)

@@ -175,7 +175,7 @@ def _iteration(value, what):
 
 def _unexplained(value, what):
     _keys(value, what, ("metric", "time_region", "bands_hz", "varies_with", "size_jnd", "p"))
-    _require(value["metric"] in REGION, f"{what}.metric={value['metric']!r:.60}", "be a metric")
+    _require(value["metric"] in list(REGION), f"{what}.metric={value['metric']!r:.60}", "be a metric")
     region = REGION[value["metric"]]
     _require(value["time_region"] == region, f"{what}.time_region={value['time_region']!r:.60}", f"be {region!r}")
     _require(isinstance(value["bands_hz"], list) and all(one in BANDS_HZ for one in value["bands_hz"]),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.build import Build
+from roomeq.build import Build, check_jobs
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, write_model
 from roomeq.files import write_json
@@ -56,6 +56,7 @@ def close_loop(rir_dirs, out, *, judge=(), max_effects=4, seed=0, nj=1):
     directories, judge = [Path(one) for one in rir_dirs], [Path(one) for one in judge]
     if not 0 <= max_effects <= len(CATALOGUE):
         raise ValueError(f"max_effects={max_effects} must lie in [0, {len(CATALOGUE)}]")
+    check_jobs(nj)
     build = Build(Path(out), step="close-loop", options=dict(max_effects=max_effects, seed=seed),
                   inputs=[*directories, *judge])
     if build.done:
@@ -64,14 +65,16 @@ def close_loop(rir_dirs, out, *, judge=(), max_effects=4, seed=0, nj=1):
     if len(data.room_names) < MIN_ROOMS:
         raise ValueError(f"{directories[0]}: RIRs of {len(data.room_names)} rooms, and the loop leaves rooms out: give "
                          f"at least {MIN_ROOMS} rooms or conditions (room_id)")
+    # before the loop: what is wrong there must not be said after hours
+    judge_data = load_data(judge, scattering=SCATTERING, seed=seed) if judge else None
     ledger = {}
     if build.run({"loop": None}, lambda _, __: {}):
-        build.finish(lambda directory, _: ledger.update(_run(data, directories, directory, judge, max_effects, seed,
-                                                               nj)))
+        build.finish(lambda directory, _: ledger.update(_run(data, directories, directory, judge_data, max_effects,
+                                                               seed, nj)))
     return ledger
 
 
-def _run(data, directories, work, judge, max_effects, seed, nj):
+def _run(data, directories, work, judge_data, max_effects, seed, nj):
     """The loop itself; writes its files below `work` and returns the ledger."""
     start = time.monotonic()
     session = begin(data, seed=seed, nj=nj)
@@ -98,8 +101,8 @@ def _run(data, directories, work, judge, max_effects, seed, nj):
         rirs=len(data.rows), rooms=len(data.room_names), baseline=_error_entry(first_errors), iterations=iterations,
         ranking=[ranked(one) for one in ranking], unexplained=left[0].as_dict() if left else None,
         unexplained_all=[one.as_dict() for one in left], final=_error_entry(errors))
-    if judge:
-        ledger["judge"] = _judged(judge, first, session, seed, nj)
+    if judge_data:
+        ledger["judge"] = _judged(judge_data, first, session, seed, nj)
     logger.info("%d RIRs in %.0f s", len(data.rows), time.monotonic() - start)
     write_json(work / LEDGER_FILE, ledger)
     write_model(work / MODEL_FILE, model_of(session))
@@ -142,9 +145,8 @@ def _error_entry(errors):
                       by_band=errors.by_band(way)) for way in errors.cells}
 
 
-def _judged(judge, first, last, seed, nj):
+def _judged(data, first, last, seed, nj):
     """Errors on directories that took no part, before and after."""
-    data = load_data(judge, scattering=SCATTERING, seed=seed)
     before, after = (judge_errors(data, session, seed=seed, nj=nj) for session in (first, last))
     logger.info("judge: held-out error %.2f -> %.2f JND on unseen positions, %.2f -> %.2f in unseen rooms",
                 *(errors.mean(way) for way in ("positions", "rooms") for errors in (before, after)))

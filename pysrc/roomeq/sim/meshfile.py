@@ -1,13 +1,23 @@
 """Reading room meshes: triangles, and the name of the material of each."""
 
+import json
 from pathlib import Path
 
 import numpy as np
+
+from roomeq.limits import MESH_MB
 
 FORMATS = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
 UNNAMED = "surface"
 MAX_FROM_ORIGIN_M = 1e4
 """Rays are traced in single precision, which at this distance tells millimetres apart."""
+MAX_CORNERS = 500
+"""Of one face: where its edges cross, cutting takes the cube of them."""
+
+_TRIANGLE_BYTES = 72
+# of the arrays of glTF (specification 2.0, 3.6.2.2): bytes of a component, components of an element
+_COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
+_COMPONENTS = dict(SCALAR=1, VEC2=2, VEC3=3, VEC4=4, MAT2=4, MAT3=9, MAT4=16)
 
 
 def read_triangles(path):
@@ -29,15 +39,18 @@ def read_triangles(path):
     Raises
     ------
     ValueError
-        The file is missing, of another format, broken or holds no triangles.
+        The file is missing, of another format, too large (`roomeq.limits`), broken or holds no triangles.
     """
     path = Path(path)
     if not path.is_file():
         raise ValueError(f"{path}: no such mesh file: check the path")
     if path.suffix.lower() not in FORMATS:
         raise ValueError(f"{path}: a mesh must be one of {', '.join(FORMATS)}: export it as such")
+    _check_size(path, path.stat().st_size)
     try:
         triangles, names = _read_obj(path) if path.suffix.lower() == ".obj" else _read_other(path)
+    except _TooLarge:
+        raise
     except (ValueError, IndexError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"{path}: cannot be read as a mesh ({error}): export it again") from None
     if not len(triangles):
@@ -48,10 +61,39 @@ def read_triangles(path):
     return triangles, names
 
 
+class _TooLarge(ValueError):
+    """The bound is no fault of the file's form: `read_triangles` passes it on as it is."""
+
+
+def _check_size(path, n_bytes):
+    bound = round(1e6 * MESH_MB.value())
+    if n_bytes > bound:
+        raise _TooLarge(f"{path}: {n_bytes} bytes must be at most {bound} ({MESH_MB.value():g} MB): use fewer "
+                        f"triangles, or raise the bound with roomeq --{MESH_MB.option}")
+
+
+def _gltf_bytes(path):
+    """Return what a glTF file asks for: files beside it, and arrays, which may have no bytes in any file."""
+    data = path.read_bytes()
+    if data[:4] == b"glTF":
+        data = data[20:20 + int.from_bytes(data[12:16], "little")]
+    header = json.loads(data)
+    files = [path.parent / one["uri"] for one in header.get("buffers", [])
+             if not one.get("uri", "data:").startswith("data:")]
+    return sum(file.stat().st_size for file in files if file.is_file()) + sum(
+        one["count"] * _COMPONENT_BYTES[one["componentType"]] * _COMPONENTS[one["type"]]
+        for one in header.get("accessors", []))
+
+
 def _read_other(path):
     import trimesh
 
+    if path.suffix.lower() in (".glb", ".gltf"):
+        _check_size(path, _gltf_bytes(path))
     scene = trimesh.load(path, force="scene", process=False)
+    # nodes may hold one mesh again and again
+    _check_size(path, _TRIANGLE_BYTES * sum(len(getattr(scene.geometry[scene.graph[node][1]], "faces", ()))
+                                            for node in scene.graph.nodes_geometry))
     triangles, names = [np.empty((0, 3, 3))], []
     for node in sorted(scene.graph.nodes_geometry):
         transform, geometry = scene.graph[node]
@@ -82,6 +124,8 @@ def _read_obj(path):
             material = " ".join(words) or UNNAMED
         elif key == "f":
             index = [int(word.split("/")[0]) for word in words]
+            if len(index) > MAX_CORNERS:
+                raise ValueError(f"a face of {len(index)} corners; at most {MAX_CORNERS} are cut into triangles")
             if 0 in index:
                 raise ValueError("a face refers to vertex 0; OBJ counts from 1")
             corners = np.array([vertices[n - 1 if n > 0 else n] for n in index])
@@ -121,5 +165,6 @@ def _is_ear(corners, ear, rest, normal):
     a, b, c = corners[list(ear)]
     if np.dot(np.cross(b - a, c - b), normal) <= 0.0:
         return False
-    return not any(all(np.dot(np.cross(q - p, corners[n] - p), normal) > 0.0 for p, q in ((a, b), (b, c), (c, a)))
-                   for n in rest if n not in ear)
+    others = corners[[n for n in rest if n not in ear]]
+    inside = [(np.cross(q - p, others - p) * normal).sum(axis=1) > 0.0 for p, q in ((a, b), (b, c), (c, a))]
+    return not np.logical_and.reduce(inside).any()

@@ -28,7 +28,16 @@ _WORDS = (  # what random bytes would not hit upon
     "\\\\ud800", "null", "true", "$(touch evil)", "../", "\\x00", "\\xff", "\\xe2\\x80\\xa8", "flac -c -d -s ",
     " |", "--rir-id 1 ", "--room-id ", "uniform ", "normal ", "list ", "none", "usemtl ", "f 1 2 3 4", "v 1e300 ",
     "[scattering]", "use = [", "%%", "$EnvSpk1Depth", "99999999999999999999", "?", "source_dir", "mic_pos_m",
-    "tof_removed", "documented_t60_s", "#0", "<s>")
+    "tof_removed", "documented_t60_s", "#0", "<s>", '"effect": "room_modes"', '"up_to_hz": ', '"gains_db": [',
+    '"levels_db": [', '"cannot_tell": ["', '"judge": {')
+_MODEL = (b'{"effects": [{"effect": "near_reflector", "of": {"r": {"depth_m": 0.7, "reflection": 0.6}}, '
+          b'"typical": [-0.4, 0.6], "spread": [0.1, 0.1]}, {"effect": "sound_speed", "of": {}}]}')
+_ERRORS = (b'{"positions": {"error": 1.5, "ci": [1, 2], "by_metric": {"t30": 1.5}, "by_band": '
+           b'[null, 1, 1, 1, 1, 1, 1, 1]}, "rooms": {"error": 1.5, "ci": null, "by_metric": {}, "by_band": '
+           b'[1, 1, 1, 1, 1, 1, 1, 1]}}')
+_LEDGER = (b'{"rirs": 8, "rooms": 4, "baseline": ' + _ERRORS + b', "iterations": [], "ranking": [{"effect": "room_eq", '
+           b'"gain": 1, "ci": [0, 2], "p": 0.5, "size_jnd": 1}], "unexplained": null, "unexplained_all": [], "final": '
+           + _ERRORS + b"}")
 _LIST = b"--rir-id 1 --room-id r 'RIRS_NOISES/a_rir_b.wav'\n"
 
 
@@ -169,6 +178,23 @@ def stamp(data: bytes, work: Path) -> None:
     check_stamp(work)
 
 
+def model(data: bytes, work: Path) -> None:
+    import numpy as np
+
+    from roomeq.effects.model import read_model
+
+    (work / "model.json").write_bytes(data)
+    for one in read_model(work / "model.json").for_row(dict(id="a", room_id="r", source_id="s", mic_id="m"), 0):
+        assert np.isfinite(one.vector()).all()
+
+
+def ledger(data: bytes, work: Path) -> None:
+    from roomeq.loop.check import read_ledger
+
+    (work / "ledger.json").write_bytes(data)
+    read_ledger(work / "ledger.json")
+
+
 def refused(read, argument) -> None:
     """Call one of several readers; a refusal is no reason to leave out the next."""
     try:
@@ -192,6 +218,8 @@ TARGETS = {
     "mesh": (mesh, [_MESH, _MESH.replace(b"f 1 3 2", b"f 1/1/1 -2 2//3")]),
     "options": (options, [b"uniform 5 25\n", b"simulate\n--num-rays\n3\na\nb", b"2/5\n",
                           b"--max-mesh-mb\n1\nvalidate\nx"]),
+    "model": (model, [_MODEL]),
+    "ledger": (ledger, [_LEDGER, _LEDGER.replace(b'"iterations": []', b'"iterations": [{"effect": "room_eq"}]')]),
     "stamp": (stamp, [b'{"step": "a", "key": "b", "files": {"x": [1, "y"]}, "options": {}}']),
 }
 
