@@ -78,6 +78,7 @@ for name in snr point_snr; do # the tools check the rest: this spares the stages
   [[ ${!name} =~ ^(none|$number|((uniform|normal)\ +${number}[\ ,]+|list\ +(${number}[\ ,]+)*)$number)$ ]] ||
     die "--${name/_/-} '${!name}' must be 'uniform LOW HIGH', 'normal MEAN SD', 'list A,B,...', a number or none"
 done
+[ "$stop_stage" -le 10 ] || die "--stop-stage $stop_stage: the last stage is 10"
 [[ $align_on =~ ^(clean|self)$ ]] || die "--align-on '$align_on' must be clean or self"
 [ "$dry_run" = false ] || [ "$stage" -ge 8 ] || die "--dry-run prints what Kaldi is asked to do: add --stage 8"
 local/install.sh
@@ -119,6 +120,7 @@ if at_stage 4 "compensate the simulated RIRs"; then
   done
 fi
 
+alignments() { if [ "$align_on" = self ]; then echo "train.$1"; else echo train.clean; fi; } # that a set is trained on
 enough_rooms() { # else it says so
   require "$data/rirs.real.train/rirs.jsonl" steps/split_rirs.sh
   local/enough_rooms.py "$data/rirs.real.train"
@@ -148,12 +150,10 @@ fi
 
 if [ "$stop_stage" -ge 8 ]; then
   kaldi=(--nj "$nj" --dry-run "$dry_run")
-  tests=(dev.real.rvb test.real.rvb)
-  sets=(train.clean train.real.rvb train.sim.rvb train.sim.EQ.rvb)
-  if [ "$dry_run" = true ] || enough_rooms >/dev/null; then sets+=(train.sim.loop.rvb); fi
-  aligned=("${sets[@]}")
-  [ "$align_on" = self ] || aligned=(train.clean)
-  own() { if [ "$align_on" = self ]; then echo "$1"; else echo train.clean; fi; } # whose alignments a set uses
+  sets=(clean real.rvb sim.rvb sim.EQ.rvb) # each developed on its own kind, as in the paper; one test for all
+  if [ "$dry_run" = true ] || enough_rooms >/dev/null; then sets+=(sim.loop.rvb); fi
+  aligned=(train.clean)
+  [ "$align_on" = clean ] || aligned=("${sets[@]/#/train.}")
 fi
 
 if at_stage 8 "Kaldi: language, features, GMM"; then
@@ -165,7 +165,8 @@ if at_stage 8 "Kaldi: language, features, GMM"; then
   elif [ -z "$speech" ]; then
     texts+=("$corpora/speech/LibriSpeech-LM/lm.txt")
   fi
-  local/kaldi/make_workspace.sh "${kaldi[@]}" "$exp/kaldi" "${sets[@]/#/$data/}" "${tests[@]/#/$data/}"
+  local/kaldi/make_workspace.sh "${kaldi[@]}" "$exp/kaldi" "$data/test.real.rvb" \
+    "${sets[@]/#/$data/train.}" "${sets[@]/#/$data/dev.}"
   local/kaldi/make_lang.sh "${kaldi[@]}" "$exp/kaldi" "${texts[@]}"
   for x in "${aligned[@]}"; do
     local/kaldi/make_features.sh "${kaldi[@]}" "$exp/kaldi" "$x"
@@ -182,23 +183,25 @@ if at_stage 9 "Kaldi: TDNN with LF-MMI"; then
       local/kaldi/make_features.sh "${kaldi[@]}" --speed-perturb true "$exp/kaldi" "$x"
     local/kaldi/align_chain.sh "${kaldi[@]}" --num-leaves "$num_leaves" --speed-perturb "$speed_perturb" "$exp/kaldi" "$x"
   done
-  for x in "${tests[@]}"; do
+  for x in test.real.rvb "${sets[@]/#/dev.}"; do
     local/kaldi/make_features.sh "${kaldi[@]}" --hires true "$exp/kaldi" "$x"
   done
   for x in "${sets[@]}"; do
-    local/kaldi/make_features.sh "${kaldi[@]}" --hires true --train true --speed-perturb "$speed_perturb" "$exp/kaldi" "$x"
-    [ "$ivectors" = false ] || local/kaldi/train_ivectors.sh "${kaldi[@]}" "$exp/kaldi" "$x" "${tests[@]}"
+    local/kaldi/make_features.sh "${kaldi[@]}" --hires true --train true --speed-perturb "$speed_perturb" \
+      "$exp/kaldi" "train.$x"
+    [ "$ivectors" = false ] ||
+      local/kaldi/train_ivectors.sh "${kaldi[@]}" "$exp/kaldi" "train.$x" "dev.$x" test.real.rvb
     # options and their values: split on purpose
     # shellcheck disable=SC2086
     local/kaldi/train_chain.sh "${kaldi[@]}" --use-gpu "$use_gpu" --ivectors "$ivectors" --seed "$seed" $chain_opts \
-      "$exp/kaldi" "$x" "$(own "$x")"
+      "$exp/kaldi" "train.$x" "$(alignments "$x")"
   done
 fi
 
 if at_stage 10 "Kaldi: recognise; word error rates"; then
   for x in "${sets[@]}"; do
-    for test in "${tests[@]}"; do
-      local/kaldi/decode.sh "${kaldi[@]}" --ivectors "$ivectors" "$exp/kaldi" "$x" "$(own "$x")" "$test"
+    for y in "dev.$x" test.real.rvb; do
+      local/kaldi/decode.sh "${kaldi[@]}" --ivectors "$ivectors" "$exp/kaldi" "train.$x" "$(alignments "$x")" "$y"
     done
   done
   if [ "$dry_run" = false ]; then

@@ -51,7 +51,7 @@ def test_dry_run_needs_neither_kaldi_nor_data(project_dir, tmp_path):
              position(lines, "train_mono"), position(lines, "train_sat"), position(lines, "get_prons"),
              position(lines, "build_const_arpa_lm", "fglarge"), position(lines, "align_fmllr_lats"),
              position(lines, "chain/train.py", "--dir train.sim.EQ.rvb"),
-             position(lines, "nnet3/decode", "train.real.rvb/decode_dev.real.rvb_tgsmall"),
+             position(lines, "nnet3/decode", "train.sim.rvb/decode_dev.sim.rvb_tgsmall"),
              position(lines, "online/nnet3/decode", "train.sim.loop.rvb/online/decode_test.real.rvb")]
     assert order == sorted(order)
     trained = [line for line in lines if "chain/train.py" in line]

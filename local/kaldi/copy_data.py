@@ -33,17 +33,17 @@ def copy_data(source, copy):
     if (copy / "source").is_file() and (copy / "source").read_text() == state:
         return
     recordings = read_data_dir(source, pipes=True).recordings
-    shutil.rmtree(copy, ignore_errors=True)
-    copy.mkdir(parents=True)
-    for name in COPIED:
-        if (source / name).is_file():
-            shutil.copyfile(source / name, copy / name)
     lines = []
     for recording, entry in recordings.items():
         if entry.kind != "file" or not entry.text.endswith((".flac", ".wav")):
             raise ValueError(f"{source}/wav.scp: recording {recording} must be a FLAC or WAV file, not {entry.text!r}")
         path = Path(entry.text).absolute()
         lines.append(f"{recording} {flac_entry(path) if path.suffix == '.flac' else path}\n")
+    shutil.rmtree(copy, ignore_errors=True)
+    copy.mkdir(parents=True)
+    for name in COPIED:
+        if (source / name).is_file():
+            shutil.copyfile(source / name, copy / name)
     write_text(copy / "wav.scp", "".join(lines))
     write_text(copy / "source", state)
 
