@@ -2,13 +2,14 @@
 # From measured room impulse responses and clean speech to far-field training data: simulate, compensate, augment.
 # Usage: ./run.sh [--stage 0] [--stop-stage 7] [--nj 2] [--config conf/mini.conf] [options below]
 # e.g.:  ./run.sh                                        # embedded stand-in corpora, needs nothing
+#        KALDI_ROOT=/opt/kaldi ./run.sh --stage 8        # then train and test recognisers on what it made
 #        ./run.sh --measured RIRS --speech SPEECH        # your own recordings
 #        ./run.sh --config conf/librispeech.conf --librispeech DIR --reverbdb DIR    # the paper's experiment
 # Options are the variables at the top of this file, with - for _. Stages that are up to date cost nothing.
 set -euo pipefail
 
 stage=0        # first stage to run
-stop_stage=7   # last stage to run
+stop_stage=    # last stage to run; none: 7, or 10 with --stage 8 or more
 nj=$(nproc)    # jobs; results do not depend on it
 seed=0         # of every random draw; results depend on nothing else
 data=data      # where data directories go
@@ -78,7 +79,8 @@ for name in snr point_snr; do # the tools check the rest: this spares the stages
   [[ ${!name} =~ ^(none|$number|((uniform|normal)\ +${number}[\ ,]+|list\ +(${number}[\ ,]+)*)$number)$ ]] ||
     die "--${name/_/-} '${!name}' must be 'uniform LOW HIGH', 'normal MEAN SD', 'list A,B,...', a number or none"
 done
-[ "$stop_stage" -le 10 ] || die "--stop-stage $stop_stage: the last stage is 10"
+[ -n "$stop_stage" ] || stop_stage=$((stage < 8 ? 7 : 10))
+[[ $stop_stage =~ ^([0-9]|10)$ ]] || die "--stop-stage '$stop_stage' must be a whole number up to 10"
 [[ $align_on =~ ^(clean|self)$ ]] || die "--align-on '$align_on' must be clean or self"
 [ "$dry_run" = false ] || [ "$stage" -ge 8 ] || die "--dry-run prints what Kaldi is asked to do: add --stage 8"
 local/install.sh

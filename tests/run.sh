@@ -8,5 +8,5 @@ cd "$(dirname "$0")/.."
 local/install.sh requirements.txt tests/requirements.txt
 [ "${1:-}" != --install-only ] || exit 0
 ruff check pysrc local tests
-shellcheck -x run.sh path.sh cmd.sh utils/*.sh steps/*.sh local/*.sh tests/*.sh .ci/run
+shellcheck -x run.sh path.sh cmd.sh utils/*.sh steps/*.sh local/*.sh local/kaldi/*.sh tests/*.sh tests/bench/*.sh .ci/run
 python -m pytest -q "$@"

@@ -33,8 +33,7 @@ def run(where, *args, **environment):
 
 def dry(project_dir, tmp_path, *options):
     """Return the commands that a dry run of stages 8-10 prints."""
-    done = run(project_dir, "./run.sh", "--data", f"{tmp_path}/data", "--exp", f"{tmp_path}/exp", "--stop-stage", "10",
-               "--dry-run", *options)
+    done = run(project_dir, "./run.sh", "--data", f"{tmp_path}/data", "--exp", f"{tmp_path}/exp", "--dry-run", *options)
     assert done.returncode == 0, done.stderr
     assert not list(tmp_path.iterdir())
     return done.stdout.splitlines()
@@ -213,7 +212,8 @@ def test_kaldi_itself_trains_and_recognises(tmp_path, project_dir):
     """Stages 8-10 at a size that recognises nothing: every stock command runs, and the table comes out."""
     recipe_run.finish(recipe_run.start(project_dir, tmp_path, tmp_path / "corpora", 2, "--stop-stage", "6"))
     small = ["--gmm-passes", "mono all, deltas all 50 300, sat all 50 300", "--num-leaves", "50", "--chain-opts",
-             "--layers 2 --dim 48 --bottleneck 8 --epochs 1 --jobs-initial 1 --jobs-final 1 --chunk-width 60,40 --minibatch 8,4,2,1"]
+             "--layers 2 --dim 48 --bottleneck 8 --epochs 1 --jobs-initial 1 --jobs-final 1 --chunk-width 60,40 "
+             "--minibatch 8,4,2,1"]
 
     def stages(first, last):
         return recipe_run.finish(recipe_run.start(project_dir, tmp_path, tmp_path / "corpora", 2, *small, "--stage",

@@ -123,7 +123,7 @@ def test_the_recipe_refuses_values_before_any_work(project_dir, option, value, m
 def test_the_recipe_takes_what_the_tools_take(project_dir, value):
     parse_distribution(value, "snr")
     done = call(project_dir, "./run.sh", "--snr", value, "--stop-stage", "99")
-    assert done.stderr.startswith("run.sh: --stop-stage 99: ")
+    assert done.stderr.startswith("run.sh: --stop-stage '99' ")
 
 
 def test_scripts_refuse_another_directory(tmp_path, project_dir):
