@@ -56,6 +56,7 @@ lm_text=                  # for the language models, beside the transcripts; Lib
 align_on=clean            # alignments of the clean speech for all sets, or of each set itself (self), as in the paper
 gmm_passes="mono 300, deltas all 300 3000, lda_mllt all 400 6000, sat all 400 6000"   # kind utterances leaves Gaussians
 num_leaves=400            # of the network's tree
+stock_rvb=false           # another set: speech that Kaldi's own reverberate_data_dir.py made with our simulated RIRs
 speed_perturb=false       # train on three speeds
 ivectors=false            # beside the network's features
 use_gpu=false             # true: train on GPUs
@@ -154,6 +155,8 @@ if [ "$stop_stage" -ge 8 ]; then
   kaldi=(--nj "$nj" --dry-run "$dry_run")
   sets=(clean real.rvb sim.rvb sim.EQ.rvb) # each developed on its own kind, as in the paper; one test for all
   if [ "$dry_run" = true ] || enough_rooms >/dev/null; then sets+=(sim.loop.rvb); fi
+  made=("$data/test.real.rvb" "${sets[@]/#/$data/train.}" "${sets[@]/#/$data/dev.}")
+  [ "$stock_rvb" = false ] || sets+=(sim.stock.rvb)
   aligned=(train.clean)
   [ "$align_on" = clean ] || aligned=("${sets[@]/#/train.}")
 fi
@@ -167,8 +170,11 @@ if at_stage 8 "Kaldi: language, features, GMM"; then
   elif [ -z "$speech" ]; then
     texts+=("$corpora/speech/LibriSpeech-LM/lm.txt")
   fi
-  local/kaldi/make_workspace.sh "${kaldi[@]}" "$exp/kaldi" "$data/test.real.rvb" \
-    "${sets[@]/#/$data/train.}" "${sets[@]/#/$data/dev.}"
+  local/kaldi/make_workspace.sh "${kaldi[@]}" "$exp/kaldi" "${made[@]}"
+  [ "$stock_rvb" = false ] || for x in train dev; do
+    local/kaldi/reverberate.sh "${kaldi[@]}" --seed "$seed" "$exp/kaldi" "$data/rirs.sim.$x" "$data/rirs.real.$x" \
+      "$x.clean" "$x.sim.stock.rvb"
+  done
   local/kaldi/make_lang.sh "${kaldi[@]}" "$exp/kaldi" "${texts[@]}"
   for x in "${aligned[@]}"; do
     local/kaldi/make_features.sh "${kaldi[@]}" "$exp/kaldi" "$x"
@@ -213,7 +219,7 @@ if at_stage 10 "Kaldi: recognise; word error rates"; then
 fi
 [ "$dry_run" = false ] || exit 0
 
-for made in "$data"/*.rvb; do
-  [ ! -d "$made" ] || log "data directory: $(realpath "$made")"
+for x in "$data"/*.rvb; do
+  [ ! -d "$x" ] || log "data directory: $(realpath "$x")"
 done
 [ ! -f "$exp/report/index.html" ] || log "report: $(realpath "$exp")/report/index.html"

@@ -61,6 +61,14 @@ def test_dry_run_needs_neither_kaldi_nor_data(project_dir, tmp_path):
     assert len(decoded) == 5 * 2 * 5  # sets, test sets, language models and online
 
 
+def test_stock_augmentation_makes_another_row(project_dir, tmp_path):
+    lines = dry(project_dir, tmp_path, "--stage", "8", "--stock-rvb")
+    made = position(lines, "reverberate_data_dir.py", "data/train.clean data/train.sim.stock.rvb")
+    assert made < position(lines, "chain/train.py", "--dir train.sim.stock.rvb")
+    position(lines, "nnet3/decode", "train.sim.stock.rvb/decode_dev.sim.stock.rvb_tgsmall")
+    assert not any("stock.rvb" in line for line in dry(project_dir, tmp_path, "--stage", "8"))
+
+
 def test_one_stage_at_a_time(project_dir, tmp_path):
     assert not any("train.py" in line for line in dry(project_dir, tmp_path, "--stage", "10"))
     assert not any("mono" in line for line in dry(project_dir, tmp_path, "--stage", "9"))

@@ -1,0 +1,47 @@
+#!/usr/bin/env python3
+"""Write what Kaldi's reverberate_data_dir.py reads, with absolute paths: rir_list and noise_list.
+
+Usage: stock_lists.py RIR_DIR NOISE_DIR OUT_DIR
+e.g.:  python local/kaldi/stock_lists.py data/rirs.sim.train data/rirs.real.train exp/kaldi/stock
+
+Ambient noises become isotropic noise of their room, point noises foreground noise anywhere.
+"""
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+
+from roomeq.files import write_text
+from roomeq.rirs import read_noises, read_rirs, relocated, write_rirs
+
+
+def noise_line(directory, row):
+    """Return the line of one noise."""
+    kind = (f"isotropic --bg-fg-type background --room-linkage {row['room_id']}" if row["kind"] == "ambient" else
+            "point-source --bg-fg-type foreground")
+    pipe = f"sox -D {shlex.quote(str(directory / row['wav']))} -r 16000 -c 1 -b 16 -e signed-integer -t wav - |"
+    return f"--noise-id {row['id']} --noise-type {kind} {shlex.quote(pipe)}\n"
+
+
+def main(argv=None):
+    """Parse the command line and write the lists; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name in ("rir_dir", "noise_dir", "out_dir"):
+        parser.add_argument(name, type=Path, metavar=name.upper())
+    args = parser.parse_args(argv)
+    try:
+        rirs, noises, out = args.rir_dir.absolute(), args.noise_dir.absolute(), args.out_dir.absolute()
+        out.mkdir(parents=True, exist_ok=True)
+        write_rirs(out, relocated(read_rirs(rirs), rirs, out))
+        rooms = {row["room_id"] for row in read_rirs(rirs)}
+        write_text(out / "noise_list", "".join(noise_line(noises, row) for row in read_noises(noises)
+                                               if row["kind"] != "ambient" or row["room_id"] in rooms))
+    except (ValueError, OSError) as error:
+        print(f"stock_lists.py: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
