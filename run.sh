@@ -61,6 +61,7 @@ speed_perturb=false       # train on three speeds
 ivectors=false            # beside the network's features
 use_gpu=false             # true: train on GPUs
 chain_opts="--layers 7 --dim 192 --bottleneck 32 --epochs 6 --jobs-initial 2 --jobs-final 2 --lrate-initial 0.002 --lrate-final 0.0002 --chunk-width 140,100 --minibatch 32,16,8 --frames-per-iter 150000"   # of train_chain.sh
+decode_opts="--beam 11 --max-active 2000"   # of decode.sh
 
 [ -f path.sh ] || { echo "run.sh: call it from the directory that holds run.sh, not from $PWD" >&2 && exit 1; }
 . ./path.sh
@@ -209,7 +210,9 @@ fi
 if at_stage 10 "Kaldi: recognise; word error rates"; then
   for x in "${sets[@]}"; do
     for y in "dev.$x" test.real.rvb; do
-      local/kaldi/decode.sh "${kaldi[@]}" --ivectors "$ivectors" "$exp/kaldi" "train.$x" "$(alignments "$x")" "$y"
+      # shellcheck disable=SC2086 # as above
+      local/kaldi/decode.sh "${kaldi[@]}" --ivectors "$ivectors" $decode_opts "$exp/kaldi" "train.$x" \
+        "$(alignments "$x")" "$y"
     done
   done
   if [ "$dry_run" = false ]; then

@@ -46,7 +46,7 @@ def position(lines, *patterns):
 
 def test_dry_run_needs_neither_kaldi_nor_data(project_dir, tmp_path):
     lines = dry(project_dir, tmp_path, "--stage", "8")
-    order = [position(lines, "copy_data", "train.sim.loop.rvb"), position(lines, "make_kn_lm", "-ngram-order 4"),
+    order = [position(lines, "copy_data", "train.sim.loop.rvb"), position(lines, "make_lms.py"),
              position(lines, "train_mono"), position(lines, "train_sat"), position(lines, "get_prons"),
              position(lines, "build_const_arpa_lm", "fglarge"), position(lines, "align_fmllr_lats"),
              position(lines, "chain/train.py", "--dir train.sim.EQ.rvb"),

@@ -6,6 +6,8 @@
 set -euo pipefail
 nj=2            # jobs
 ivectors=true   # beside the features
+beam=15         # of the search
+max_active=7000   # states of it at a time
 dry_run=false   # print the commands
 . ./path.sh
 . utils/parse_options.sh
@@ -13,7 +15,8 @@ dry_run=false   # print the commands
 [ $# -eq 4 ] || usage
 workspace=$1 set=$2 ali=$3 test=$4
 graph=$ali/align/tree/graph out=$set/decode_$test data=data/$test.hires small=data/lang_test_tgsmall
-weights=(--acwt 1.0 --post-decode-acwt 10.0) ivectors_made=() with_ivectors=() extractor=()
+search=(--acwt 1.0 --post-decode-acwt 10.0 --beam "$beam" --max-active "$max_active")
+ivectors_made=() with_ivectors=() extractor=()
 if [ "$ivectors" = true ]; then
   ivectors_made=("$set/ivectors/$test")
   with_ivectors=(--online-ivector-dir "$set/ivectors/$test")
@@ -29,7 +32,7 @@ score() { # COLUMN
 }
 
 after "$set/nnet/train" "$ali/align/graph" "$test/features/$test.hires.fix" "${ivectors_made[@]}"
-once "$out/tgsmall" steps/nnet3/decode.sh "${weights[@]}" --skip-scoring true --nj "$nj" --cmd "$runner" \
+once "$out/tgsmall" steps/nnet3/decode.sh "${search[@]}" --skip-scoring true --nj "$nj" --cmd "$runner" \
   "${with_ivectors[@]}" "$graph" "$data" "${out}_tgsmall"
 score tgsmall
 once "$out/tgmed" steps/lmrescore.sh --skip-scoring true --cmd "$runner" --self-loop-scale 1.0 \
@@ -42,7 +45,7 @@ for model in tglarge fglarge; do
 done
 once "$set/online" steps/online/nnet3/prepare_online_decoding.sh --mfcc-config conf/mfcc_hires.conf "$ali/align/lang" \
   "${extractor[@]}" "$set" "$set/online"
-once "$out/online" steps/online/nnet3/decode.sh "${weights[@]}" --skip-scoring true --nj "$nj" --cmd "$runner" \
+once "$out/online" steps/online/nnet3/decode.sh "${search[@]}" --skip-scoring true --nj "$nj" --cmd "$runner" \
   "$graph" "$data" "$set/online/decode_$test"
 once "$out/link" ln -sfn "online/decode_$test" "${out}_online"
 score online

@@ -5,7 +5,6 @@
 # Each <text> is lines of words, or a Kaldi `text` file (named text). None: LibriSpeech's own models are downloaded.
 set -euo pipefail
 nj=2                    # jobs
-prune=1e-5,1e-4         # thresholds of tgmed and tgsmall, relative entropy
 lm_url=www.openslr.org/resources/11   # of LibriSpeech's models
 dry_run=false           # print the commands
 . ./path.sh
@@ -28,13 +27,6 @@ else
     done >"$workspace/$lm/text"
   fi
   once lang/dict python "$PWD/local/make_dict.py" --no-ids $lm/text $dict
-  for model in tglarge:3 fglarge:4; do
-    once lang/${model%:*} python utils/lang/make_kn_lm.py -ngram-order ${model#*:} -text $lm/text -lm "$lm/lm_${model%:*}.arpa"
-  done
-  for model in "tgmed:${prune%,*}" "tgsmall:${prune#*,}"; do
-    once "lang/${model%:*}" python utils/lang/ngram_entropy_pruning.py -threshold "${model#*:}" -lm $lm/lm_tglarge.arpa \
-      -write-lm "$lm/lm_${model%:*}.arpa"
-  done
-  once lang/gzip gzip -kf $lm/lm_{tgsmall,tgmed,tglarge,fglarge}.arpa
 fi
 once lang/nosp utils/prepare_lang.sh $dict "<UNK>" data/local/lang_tmp_nosp data/lang_nosp
+[ $# = 0 ] || once lang/lms python "$PWD/local/kaldi/make_lms.py" $lm/text $lm
