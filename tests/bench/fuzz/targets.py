@@ -38,6 +38,11 @@ _ERRORS = (b'{"positions": {"error": 1.5, "ci": [1, 2], "by_metric": {"t30": 1.5
 _LEDGER = (b'{"rirs": 8, "rooms": 4, "baseline": ' + _ERRORS + b', "iterations": [], "ranking": [{"effect": "room_eq", '
            b'"gain": 1, "ci": [0, 2], "p": 0.5, "size_jnd": 1}], "unexplained": null, "unexplained_all": [], "final": '
            + _ERRORS + b"}")
+_WER = (b"a-1 one two\na-2 three\n", b"a-1 one\na-2\n", b"Set1: %WER 12.50 95% Conf Interval [ 10.1, 14.9 ]\n",
+        b'{"rows": ["train.sim.rvb"], "columns": ["tg"], "seeds": 1, "test": "t", "sets": {"t": {"utterances": 2, '
+        b'"words": 3, "rooms": 1}}, "dev_of": {"train.sim.rvb": "d"}, "rooms": [{"room": "r", "wer": {"tg": '
+        b'{"train.sim.rvb": 5}}}], "results": {"train.sim.rvb": {"tg": {"dev": {"wer": 1, "interval": [0, 2]}, "test": '
+        b'{"wer": 5, "interval": null}, "dev_test_gap": {"points": 4, "interval": null, "p": null}}}}}')
 _LIST = b"--rir-id 1 --room-id r 'RIRS_NOISES/a_rir_b.wav'\n"
 
 
@@ -195,6 +200,20 @@ def ledger(data: bytes, work: Path) -> None:
     read_ledger(work / "ledger.json")
 
 
+def wer(data: bytes, work: Path) -> None:
+    from roomeq.wer.check import read_wer
+    from roomeq.wer.scoring import read_bootci, read_hypotheses, read_reference
+
+    (work / "scoring_kaldi").mkdir(exist_ok=True)
+    names = ("scoring_kaldi/test_filt.txt", "scoring_kaldi/7.txt", "bootci", "wer.json")
+    contents = [*data.split(SEPARATOR), *[b""] * len(names)]
+    for name, content in zip(names, contents, strict=False):
+        (work / name).write_bytes(content)
+    refused(read_bootci, work)
+    refused(read_wer, work / "wer.json")
+    read_hypotheses(work / "scoring_kaldi/7.txt", read_reference(work))
+
+
 def refused(read, argument) -> None:
     """Call one of several readers; a refusal is no reason to leave out the next."""
     try:
@@ -220,6 +239,7 @@ TARGETS = {
                           b"--max-mesh-mb\n1\nvalidate\nx"]),
     "model": (model, [_MODEL]),
     "ledger": (ledger, [_LEDGER, _LEDGER.replace(b'"iterations": []', b'"iterations": [{"effect": "room_eq"}]')]),
+    "wer": (wer, [SEPARATOR.join(_WER)]),
     "stamp": (stamp, [b'{"step": "a", "key": "b", "files": {"x": [1, "y"]}, "options": {}}']),
 }
 
