@@ -220,11 +220,13 @@ def _keep(source, hits, codes, first, face_counts, normals, face_slot, reflectio
                 length = new_path - path
                 scale = one / max(length, np.float32(1e-9))
                 ux, uy, uz = (hx - px) * scale, (hy - py) * scale, (hz - pz) * scale
+                near = np.int32(0)
                 for m in range(n_active):
                     vx, vy, vz = mx[m] - px, my[m] - py, mz[m] - pz
                     along[m] = ux * vx + uy * vy + uz * vz
                     weight[m] = radius2[m] - (vx * vx + vy * vy + vz * vz - along[m] * along[m])
-                for m in range(n_active):
+                    near += np.int32(weight[m] > zero)
+                for m in range(n_active if near else 0):
                     if weight[m] > zero:
                         half = np.sqrt(weight[m])
                         start, stop = max(zero, along[m] - half), min(length, along[m] + half)
@@ -252,7 +254,10 @@ def _keep(source, hits, codes, first, face_counts, normals, face_slot, reflectio
                 late = True
                 for m in range(n_active):
                     share[m] *= np.float32(stride)
+            was_diffuse = (codes[at] & 1) == 1
             s = scattering[slot]
+            if path > late_m:
+                s = one if was_diffuse else zero
             if s > zero:
                 nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
                 for m in range(n_active):
@@ -268,6 +273,5 @@ def _keep(source, hits, codes, first, face_counts, normals, face_slot, reflectio
                         sums[m, k, 0] = total
                         if total >= sums[m, k, 1]:
                             _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 1, met, ray)
-            was_diffuse = (codes[at] & 1) == 1
             if was_diffuse:
                 specular = False
