@@ -15,6 +15,7 @@ from roomeq.sim.early import specular_paths
 from roomeq.sim.echoes import echogram as sampled_echogram
 from roomeq.sim.echoes import keep_echoes, middle
 from roomeq.sim.gather import FRAME_S, gather
+from roomeq.sim.jit import on_threads
 from roomeq.sim.materials import draw_materials, draw_scattering, read_materials
 from roomeq.sim.mesh import make_room
 from roomeq.sim.response import (
@@ -215,8 +216,7 @@ def stages(scene, source_pos_m, mics_m, *, repeats):
         echoes = keep_echoes(source, mics_m, np.tile(middle(scene.absorption), (len(mics_m), 1)), rngs,
                              ism_order=ISM_ORDER, n_frames=n_frames)
         marks.append(time.perf_counter())
-        for one in echoes:
-            sampled_echogram(one, 0.9 * scene.absorption)
+        on_threads(lambda one: sampled_echogram(one, 0.9 * scene.absorption), [(one,) for one in echoes])  # noqa: B023
         marks.append(time.perf_counter())
         render_responses(source, mics_m, rngs, absorption=0.9 * scene.absorption, echoes=echoes)
         marks.append(time.perf_counter())
