@@ -153,11 +153,12 @@ def echogram(echoes, absorption, *, bands=None, ray_gain=None):
 
 
 def _tallied(paths, n_slots):
-    """How often each slot was met up to each stored reflection, shape (n_stored, n_slots)."""
-    met = np.empty((len(paths.hits), n_slots), _count_type([paths]))
+    """How often each slot was met up to each stored reflection, packed into words, shape (n_stored, n_words)."""
+    bits = 8 * np.dtype(_count_type([paths])).itemsize
+    met = np.empty((len(paths.hits), -(-n_slots * bits // 64)), np.uint64)
     for_chunks(len(paths.counts), lambda chunk, low, high: _tally(
-        paths.codes, paths.face_slot, paths.first, paths.counts, met, low, high))
-    return met
+        paths.codes, paths.face_slot, paths.first, paths.counts, bits, met, low, high))
+    return met, bits
 
 
 def _keep_column(paths, met, scene, mics_m, reference, seeds, sphere, ism_order, limits, visible, results):
@@ -177,32 +178,37 @@ def _keep_column(paths, met, scene, mics_m, reference, seeds, sphere, ism_order,
     for_chunks(n_rays, lambda chunk, low, high: _keep(*given, low, high, sums[chunk], kept[chunk]))
     power = (1.0 - reference[:, :, None]) ** np.arange(1.0 + paths.counts.max())
     scale = 1.0 / (4.0 * np.pi * n_rays * _PER_CHUNK)
-    on_threads(lambda m, one: _unpack(sums[:, m], kept[:, m], met, power[m], scale, *one), list(enumerate(results)))
+    on_threads(lambda m, one: _unpack(sums[:, m], kept[:, m], *met, power[m], scale, *one), list(enumerate(results)))
 
 
 @compiled
-def _tally(codes, face_slot, first, counts, met, low, high):
-    """Count hits per slot along rays `low` to `high`."""
-    n_slots = met.shape[1]
+def _tally(codes, face_slot, first, counts, bits, met, low, high):
+    """Count hits per slot along rays `low` to `high`, in `bits` bits each."""
+    per_word, one = 64 // bits, np.uint64(1)
+    so_far = np.empty(met.shape[1], np.uint64)
     for ray in range(low, high):
+        so_far[:] = np.uint64(0)
         for at in range(first[ray], first[ray] + counts[ray]):
-            for slot in range(n_slots):
-                met[at, slot] = met[at - 1, slot] if at > first[ray] else 0
-            met[at, face_slot[codes[at] >> 1]] += 1
+            slot = face_slot[codes[at] >> 1]
+            so_far[slot // per_word] += one << np.uint64(bits * (slot % per_word))
+            for word in range(len(so_far)):
+                met[at, word] = so_far[word]
 
 
 @compiled
-def _unpack(sums, kept, met, power, scale, weight, counts, last):
+def _unpack(sums, kept, met, bits, power, scale, weight, counts, last):
     """Put the strata of one microphone side by side; take out of the weights what was absorbed at the reference."""
-    n_frames, n_slots = len(weight), met.shape[1]
+    n_frames, n_slots = len(weight), len(power)
+    per_word, mask = 64 // bits, (np.uint64(1) << np.uint64(bits)) - np.uint64(1)
     for frame in range(n_frames):
         for place in range(weight.shape[1]):
             chunk, n = place // kept.shape[2], place % kept.shape[2]
             at, share = kept[chunk, frame, n], 1.0
             last[frame, place] = at
             for slot in range(n_slots):
-                counts[frame, place, slot] = met[at, slot]
-                share *= power[slot, met[at, slot]]
+                hits = (met[at, slot // per_word] >> np.uint64(bits * (slot % per_word))) & mask
+                counts[frame, place, slot] = hits
+                share *= power[slot, hits]
             total = sums[chunk, frame, 0]
             weight[frame, place] = scale * total / share if total > 0.0 else 0.0
 
