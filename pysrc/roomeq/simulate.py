@@ -281,10 +281,12 @@ def _simulate_row(row, place, traces, table, given, rng, scene, target_s, length
                path_gain=path_gain(effects, row.get("source_dir")))
     for draw in range(1, MATERIAL_DRAWS * TARGET_DRAWS + 1):
         try:
-            sampled = length_s <= traces.length_s  # else the rays are followed further, for this row alone
+            if length_s > traces.length_s:  # the rays are followed further, for this row alone
+                (echoes,) = traces.echoes(place.source_pos_m, length_s, [row["id"]], [place.mic_pos_m],
+                                          [_at_target(scene, target_s)])
             response = _rendered(traces.of(place.source_pos_m, length_s), place.mic_pos_m,
                                  rng_for(options["seed"], "tail", row["id"]), target_s, absorption=scene.absorption,
-                                 length_s=length_s, echoes=[echoes] if sampled else None, **how)
+                                 length_s=length_s, echoes=[echoes], **how)
             break
         except ValueError as error:
             if draw == MATERIAL_DRAWS * (1 if row.get("materials") else TARGET_DRAWS):

@@ -15,6 +15,7 @@ from roomeq.sim.early import specular_paths
 from roomeq.sim.echoes import echogram as sampled_echogram
 from roomeq.sim.echoes import keep_echoes, middle
 from roomeq.sim.gather import FRAME_S, gather
+from roomeq.sim.jit import on_threads
 from roomeq.sim.materials import draw_materials, draw_scattering, read_materials
 from roomeq.sim.mesh import make_room
 from roomeq.sim.response import (
@@ -104,20 +105,23 @@ def filterbank_ripple_db(n_fft=32768):
     return float(np.max(np.abs(20.0 * np.log10(np.sum(octave_filterbank(n_fft, FS_HZ), axis=0)))))
 
 
-def echogram(scene, source_pos_m, mics_m, *, duration_s, seed, n_rays=N_RAYS, ism_order=ISM_ORDER):
-    """Energy per frame of `FRAME_S`, image sources included and air left out, shape (n_mics, n_frames).
+def echograms(scenes, source_pos_m, mics_m, *, duration_s, seed, n_rays=N_RAYS, ism_order=ISM_ORDER):
+    """Energy per frame of `FRAME_S`, image sources included and air left out, shape (n_scenes, n_mics, n_frames).
 
-    Materials must be the same in all bands.
+    The scenes differ in absorption alone, so one trace serves all; materials must be the same in all bands.
     """
-    (path,) = traced(scene, source_pos_m, seed=seed, n_rays=n_rays, duration_s=duration_s).paths
-    energy = gather(path, scene.room, scene.absorption, mics_m, ism_order=ism_order,
-                    n_frames=round(duration_s / FRAME_S), speed_m_s=scene.air.speed_m_s)[:, :, 4]
-    for echo, mic in zip(energy, mics_m, strict=True):
-        images = specular_paths(scene.room, source_pos_m, mic, ism_order)
-        gains = images.gains(scene.absorption, scene.scattering, scene.air.attenuation_per_m)[:, 4]
-        frame = (images.distance_m / scene.air.speed_m_s / FRAME_S).astype(int)
-        np.add.at(echo, frame[frame < len(echo)], gains[frame < len(echo)] ** 2)
-    return energy
+    (path,) = traced(scenes[0], source_pos_m, seed=seed, n_rays=n_rays, duration_s=duration_s).paths
+    energies = np.array([gather(path, scene.room, scene.absorption, mics_m, ism_order=ism_order,
+                                n_frames=round(duration_s / FRAME_S), speed_m_s=scene.air.speed_m_s)[:, :, 4]
+                         for scene in scenes])
+    for m, mic in enumerate(mics_m):
+        images = specular_paths(scenes[0].room, source_pos_m, mic, ism_order)
+        frame = (images.distance_m / scenes[0].air.speed_m_s / FRAME_S).astype(int)
+        inside = frame < energies.shape[2]
+        for energy, scene in zip(energies, scenes, strict=True):
+            gains = images.gains(scene.absorption, scene.scattering, scene.air.attenuation_per_m)[:, 4]
+            np.add.at(energy[m], frame[inside], gains[inside] ** 2)
+    return energies
 
 
 def mesh_scene(triangles, names, absorption, scattering, air=None):
@@ -215,8 +219,7 @@ def stages(scene, source_pos_m, mics_m, *, repeats):
         echoes = keep_echoes(source, mics_m, np.tile(middle(scene.absorption), (len(mics_m), 1)), rngs,
                              ism_order=ISM_ORDER, n_frames=n_frames)
         marks.append(time.perf_counter())
-        for one in echoes:
-            sampled_echogram(one, 0.9 * scene.absorption)
+        on_threads(lambda one: sampled_echogram(one, 0.9 * scene.absorption), [(one,) for one in echoes])  # noqa: B023
         marks.append(time.perf_counter())
         render_responses(source, mics_m, rngs, absorption=0.9 * scene.absorption, echoes=echoes)
         marks.append(time.perf_counter())

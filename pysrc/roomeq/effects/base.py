@@ -17,7 +17,7 @@ turns into a vector of numbers of about unit spread (`vector`, `from_vector`) th
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import oaconvolve
+import scipy  # its submodules are slow to import and load themselves when first used
 
 from roomeq.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.sim.render import render
@@ -65,7 +65,7 @@ class Rendering:
         """A single path of some length and pressure per band, shape (8,); minimum phase: nothing precedes it."""
         pulse = self._rendered(length_m, np.ones(len(gains)), n_samples)
         taps = minimum_phase(EXACT_BANDS_HZ, 20.0 * np.log10(np.maximum(gains, 1e-9)))
-        return oaconvolve(pulse, taps)[:n_samples]
+        return scipy.signal.oaconvolve(pulse, taps)[:n_samples]
 
     def _rendered(self, length_m, gains, n_samples):
         silence = np.zeros((1, len(gains)))

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import oaconvolve
+import scipy  # its submodules are slow to import and load themselves when first used
 
 from roomeq.effects.base import Effect, minimum_phase
 
@@ -47,4 +47,4 @@ class Response(Effect):
         state.response_db[rows] += np.array(self.gains_db)
 
     def on_rir(self, rir, rendering):
-        return oaconvolve(rir, minimum_phase(RESPONSE_HZ, self.gains_db))[:len(rir)]
+        return scipy.signal.oaconvolve(rir, minimum_phase(RESPONSE_HZ, self.gains_db))[:len(rir)]

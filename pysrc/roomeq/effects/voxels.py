@@ -4,9 +4,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array, diags_array
-from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import LinearOperator, eigsh
+import scipy  # its submodules are slow to import and load themselves when first used
 
 PER_WAVELENGTH = 7.0  # voxels at the highest frequency
 MAX_VOXELS = 200_000
@@ -151,8 +149,8 @@ def _grid(room, low, size_m, shape):
         second.append(there[open_])
         weight.append(np.full(open_.sum(), size_m[axis] ** -2))
     first, second, weight = np.concatenate(first), np.concatenate(second), np.concatenate(weight)
-    joined = csr_array(coo_array((weight, (first, second)), shape=(len(flat), len(flat))))
-    _, label = connected_components(joined, directed=False)
+    joined = scipy.sparse.csr_array(scipy.sparse.coo_array((weight, (first, second)), shape=(len(flat), len(flat))))
+    _, label = scipy.sparse.csgraph.connected_components(joined, directed=False)
     size = np.bincount(label[inside])
     if not inside.any() or size.max() < MIN_JOINED * inside.sum():
         raise ValueError(f"voxels of {np.round(size_m, 3).tolist()} m close openings of the room: its largest part "
@@ -163,9 +161,9 @@ def _grid(room, low, size_m, shape):
     between = kept[first]
     first, second, weight = number[first[between]], number[second[between]], weight[between]
     n = kept.sum()
-    half = coo_array((weight, (first, second)), shape=(n, n)).tocsr()
+    half = scipy.sparse.coo_array((weight, (first, second)), shape=(n, n)).tocsr()
     whole = half + half.T
-    return number.reshape(shape), (diags_array(np.asarray(whole.sum(axis=1)).ravel()) - whole).tocsr()
+    return number.reshape(shape), (scipy.sparse.diags_array(np.asarray(whole.sum(axis=1)).ravel()) - whole).tocsr()
 
 
 def _lowest(laplacian, room, k_max):
@@ -182,7 +180,7 @@ def _lowest(laplacian, room, k_max):
     while True:
         wanted = min(wanted, n - 2)
         middle, half = 0.5 * (highest + cut ** 2), 0.5 * (highest - cut ** 2)
-        scaled = ((laplacian - middle * diags_array(np.ones(n))) / half).tocsr().astype(np.float32)
+        scaled = ((laplacian - middle * scipy.sparse.diags_array(np.ones(n))) / half).tocsr().astype(np.float32)
 
         def filtered(vector, scaled=scaled):
             before, now = vector, scaled @ vector
@@ -190,9 +188,9 @@ def _lowest(laplacian, room, k_max):
                 before, now = now, 2.0 * (scaled @ now) - before
             return now
 
-        operator = LinearOperator((n, n), matvec=filtered, dtype=np.float32)
-        _, vectors = eigsh(operator, k=wanted, which="LA", tol=_TOLERANCE, v0=start,
-                           ncv=min(n - 1, int(1.3 * wanted) + 20))
+        operator = scipy.sparse.linalg.LinearOperator((n, n), matvec=filtered, dtype=np.float32)
+        _, vectors = scipy.sparse.linalg.eigsh(operator, k=wanted, which="LA", tol=_TOLERANCE, v0=start,
+                                               ncv=min(n - 1, int(1.3 * wanted) + 20))
         vectors = vectors.astype(np.float64)
         squared = np.einsum("ij,ij->j", vectors, laplacian @ vectors)
         order = np.argsort(squared, kind="stable")

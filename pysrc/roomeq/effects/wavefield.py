@@ -15,9 +15,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy  # its submodules are slow to import and load themselves when first used
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
-from scipy.optimize import brentq
-from scipy.signal import butter, sosfilt
 from scipy.special import sici
 
 from roomeq.constants import EXACT_BANDS_HZ
@@ -180,7 +179,8 @@ def modal_response(modes, source_pos_m, mic_pos_m, damping, n_samples, fs_hz):
     rir += scale * -np.expm1(-rate * np.arange(n_samples) / fs_hz) / rate
     missing = 1.0 - 2.0 / np.pi * sici(2.0 * np.pi * modes.f_max_hz / modes.speed_m_s * distance_m)[0]
     rir[0] += missing / (4.0 * np.pi * distance_m)
-    return sosfilt(butter(2, HIGHPASS_HZ, "highpass", fs=fs_hz, output="sos"), rir)
+    highpass = scipy.signal.butter(2, HIGHPASS_HZ, "highpass", fs=fs_hz, output="sos")
+    return scipy.signal.sosfilt(highpass, rir)
 
 
 def crossover_hz(room, t60_s, speed_m_s):
@@ -203,7 +203,7 @@ def crossover_hz(room, t60_s, speed_m_s):
     def too_many(frequency_hz):
         return mode_count(room, 2.0 * np.pi * MARGIN * frequency_hz / speed_m_s) - most
 
-    limits_hz = [brentq(surplus, 1e-3, MAX_CROSSOVER_HZ) for surplus in (above_schroeder, too_many)
+    limits_hz = [scipy.optimize.brentq(surplus, 1e-3, MAX_CROSSOVER_HZ) for surplus in (above_schroeder, too_many)
                  if surplus(MAX_CROSSOVER_HZ) > 0.0]
     return float(min(limits_hz, default=MAX_CROSSOVER_HZ))
 

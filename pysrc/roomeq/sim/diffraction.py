@@ -20,10 +20,8 @@ import logging
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its submodules are slow to import and load themselves when first used
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.signal import upfirdn
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from roomeq.acoustics.filterbank import octave_filterbank
 from roomeq.constants import FS_HZ
@@ -176,8 +174,9 @@ def _find_edges(room):
         return None
     plane = room._known["plane"]
     flat = plane[face[first]] == plane[face[second]]
-    _, whole = connected_components(coo_array((np.ones(flat.sum()), (face[first][flat], face[second][flat])),
-                                              shape=(len(index), len(index))), directed=False)
+    joined = scipy.sparse.coo_array((np.ones(flat.sum()), (face[first][flat], face[second][flat])),
+                                    shape=(len(index), len(index)))
+    _, whole = scipy.sparse.csgraph.connected_components(joined, directed=False)
     faces = np.stack([face[first], face[second]], axis=1)[chosen]
     return _merged(start[first[chosen]], end[first[chosen]], along[first[chosen]], across[chosen],
                    normal[chosen], wedge[chosen], room.face_slot[faces], whole[faces])
@@ -299,7 +298,7 @@ class Grid:
         used = np.flatnonzero(self.fine.any(axis=0))
         if not len(used):
             return None
-        signals = upfirdn(_lowpass(), self.fine[:, :used[-1] + 1], down=_OVERSAMPLING, axis=1)
+        signals = scipy.signal.upfirdn(_lowpass(), self.fine[:, :used[-1] + 1], down=_OVERSAMPLING, axis=1)
         return Diffracted(self.first_sample - _SINC_HALF, signals)
 
 

@@ -15,12 +15,12 @@ from functools import partial
 import numpy as np
 
 from roomeq.sim.gather import FRAME_S, spheres, visibility
-from roomeq.sim.jit import N_CHUNKS, compiled, for_chunks, mix
+from roomeq.sim.jit import N_CHUNKS, compiled, for_chunks, mix, on_threads
 
 _PER_CHUNK = 2  # as `_replace` has it
 N_KEPT = _PER_CHUNK * N_CHUNKS  # per frame
 MAX_ABSORPTION = 0.999  # of the reference: a path that it left nothing of could stand for no other
-_LOG_NOTHING = -200.0  # what a surface keeps that absorbs all: its exponential is 0 in single precision
+_NO_GAIN = np.zeros((0, 0, 0), np.float32)
 _GIVEN_UP = np.float32(1e-25)  # share of a ray's energy at the reference
 _BATCH = 32  # microphones that are served in one pass over the rays
 
@@ -36,15 +36,22 @@ class Echoes:
         ``1 / (4 pi r)^2``; 0 where there is none. A column is one trace.
     counts : ndarray of unsigned int, shape (n_columns, n_frames, N_KEPT, n_slots)
         How often each was reflected by each slot.
-    ray : ndarray of uint32, shape (n_columns, n_frames, N_KEPT)
-        Index of the ray that it came with: it left the source in that of `Paths.directions`.
+    last : ndarray of uint32, shape (n_columns, n_frames, N_KEPT)
+        Index of its last reflection among those that are stored of the column's `Paths`.
+    first : tuple of ndarray
+        `Paths.first` of each column.
     column_of_band : tuple of 8 ints
     """
 
     weight: np.ndarray
     counts: np.ndarray
-    ray: np.ndarray
+    last: np.ndarray
+    first: tuple
     column_of_band: tuple
+
+    def ray(self, column):
+        """Index of the ray that each came with: it left the source in that of `Paths.directions`."""
+        return np.searchsorted(self.first[column], self.last[column], side="right") - 1
 
 
 def keep_echoes(traced, mics_m, reference, rngs, *, ism_order, n_frames, visible=None):
@@ -76,17 +83,29 @@ def keep_echoes(traced, mics_m, reference, rngs, *, ism_order, n_frames, visible
     sphere = spheres(traced.scene.room, mics_m)
     n_frames = np.broadcast_to(n_frames, len(mics_m))
     by_frames = np.argsort(-n_frames, kind="stable")  # towards the end of a ray, only the first few still listen
-    result = [None] * len(mics_m)
-    for first in range(0, len(mics_m), _BATCH):
-        batch = by_frames[first:first + _BATCH]
-        columns = [_keep_column(paths, traced.scene, mics_m[batch], reference[batch], seeds[batch],
-                                [values[batch] for values in sphere], ism_order, n_frames[batch],
-                                None if visible is None or not len(visible[n]) else visible[n][batch])
-                   for n, paths in enumerate(traced.paths)]
-        for m, one in zip(batch, zip(*columns, strict=True), strict=True):
-            result[m] = Echoes(*(np.stack(parts)[:, :n_frames[m]] for parts in zip(*one, strict=True)),
-                               traced.path_of_band)
+    first = tuple(paths.first for paths in traced.paths)
+    result = [Echoes(*_room_for(traced.paths, count, reference.shape[1]), first, traced.path_of_band)
+              for count in n_frames]
+    for column, paths in enumerate(traced.paths):
+        met = _tallied(paths, reference.shape[1])
+        for start in range(0, len(mics_m), _BATCH):
+            batch = by_frames[start:start + _BATCH]
+            _keep_column(paths, met, traced.scene, mics_m[batch], reference[batch], seeds[batch],
+                         [values[batch] for values in sphere], ism_order, n_frames[batch],
+                         None if visible is None or not len(visible[column]) else visible[column][batch],
+                         [(result[m].weight[column], result[m].counts[column], result[m].last[column])
+                          for m in batch])
     return result
+
+
+def _room_for(columns, n_frames, n_slots):
+    """Arrays of the paths of one microphone, not filled yet: weight, counts, last."""
+    shape = (len(columns), n_frames, N_KEPT)
+    return np.empty(shape, np.float32), np.empty((*shape, n_slots), _count_type(columns)), np.empty(shape, np.uint32)
+
+
+def _count_type(columns):
+    return np.uint8 if max(paths.counts.max() for paths in columns) < 256 else np.uint16
 
 
 def middle(absorption):
@@ -121,55 +140,110 @@ def echogram(echoes, absorption, *, bands=None, ray_gain=None):
         Squared pressure per frame, without air absorption.
     """
     bands = np.arange(len(echoes.column_of_band)) if bands is None else np.asarray(bands)
-    column_of_band = np.asarray(echoes.column_of_band)[bands]
-    with np.errstate(divide="ignore"):
-        log_kept = np.maximum(np.log1p(-np.asarray(absorption)[:, bands]), _LOG_NOTHING).astype(np.float32)
-    result = np.zeros((echoes.weight.shape[1], len(echoes.column_of_band)))
-    for column in np.unique(column_of_band):
-        members = np.flatnonzero(column_of_band == column)
-        share = echoes.counts[column].astype(np.float32) @ log_kept[:, members]  # small ones, too small for threads
-        np.exp(share, out=share)
-        if ray_gain is not None:
-            share *= ray_gain[echoes.ray[column]][:, :, bands[members]]
-        energy = echoes.weight[column][:, None, :] @ share
-        result[:, bands[members]] = energy[:, 0]
+    column_of_band = np.asarray(echoes.column_of_band)
+    kept = np.asarray(1.0 - absorption, dtype=np.float32)
+    result = np.zeros((echoes.weight.shape[1], len(column_of_band)))
+    for column in np.unique(column_of_band[bands]):
+        gain = _NO_GAIN if ray_gain is None else np.asarray(ray_gain, np.float32)[echoes.ray(column)]
+        energy = np.empty(result.shape, np.float32)
+        _absorb(echoes.weight[column], echoes.counts[column], int(echoes.counts[column].max()), kept, gain, energy)
+        members = bands[column_of_band[bands] == column]
+        result[:, members] = energy[:, members]
     return result
 
 
-def _keep_column(paths, scene, mics_m, reference, seeds, sphere, ism_order, limits, visible):
-    """Sample one trace: (weight, counts, ray) for each microphone; those with the most frames come first."""
+def _tallied(paths, n_slots):
+    """How often each slot was met up to each stored reflection, packed into words, shape (n_stored, n_words)."""
+    bits = 8 * np.dtype(_count_type([paths])).itemsize
+    met = np.empty((len(paths.hits), -(-n_slots * bits // 64)), np.uint64)
+    for_chunks(len(paths.counts), lambda chunk, low, high: _tally(
+        paths.codes, paths.face_slot, paths.first, paths.counts, bits, met, low, high))
+    return met, bits
+
+
+def _keep_column(paths, met, scene, mics_m, reference, seeds, sphere, ism_order, limits, visible, results):
+    """Sample one trace into the (weight, counts, last) of each microphone; those with the most frames come first."""
     single = partial(np.asarray, dtype=np.float32)
-    n_mics, n_slots, n_rays = len(mics_m), reference.shape[1], len(paths.counts)
-    n_frames = int(limits[0])
-    speed_m_s = scene.air.speed_m_s
+    n_rays, n_frames, speed_m_s = len(paths.counts), int(limits[0]), scene.air.speed_m_s
     if visible is None:
         visible = visibility(paths, scene.room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
     radius_m, volume_m3 = sphere
-    count_type = np.dtype(np.uint8 if paths.counts.max() < 256 else np.uint16)
-    per_word = 8 // count_type.itemsize
-    shape = (N_CHUNKS, n_mics, n_frames)
+    shape = (N_CHUNKS, len(mics_m), n_frames)
     sums = np.zeros((*shape, 2 + _PER_CHUNK), dtype=np.float32)
-    kept = np.zeros((*shape, _PER_CHUNK, 1 - (-n_slots // per_word)), dtype=np.uint64)
-    reflection = np.ascontiguousarray((1.0 - reference).T, dtype=np.float32)
+    kept = np.zeros((*shape, _PER_CHUNK), dtype=np.uint32)
     given = (single(paths.source_pos_m), paths.hits, paths.codes, paths.first, paths.counts, single(paths.normals),
-             paths.face_slot, reflection, single(paths.scattering), single(mics_m.T, order="C"), visible,
-             single(radius_m ** 2), single(1.0 / volume_m3), ism_order, np.float32(1.0 / (speed_m_s * FRAME_S)),
-             np.float32(paths.late_m), paths.stride, seeds, limits, per_word)
+             paths.face_slot, np.ascontiguousarray((1.0 - reference).T, dtype=np.float32), single(paths.scattering),
+             single(mics_m.T, order="C"), visible, single(radius_m ** 2), single(1.0 / volume_m3), ism_order,
+             np.float32(1.0 / (speed_m_s * FRAME_S)), np.float32(paths.late_m), paths.stride, seeds, limits)
     for_chunks(n_rays, lambda chunk, low, high: _keep(*given, low, high, sums[chunk], kept[chunk]))
-    # strata side by side: (n_mics, n_frames, N_KEPT, ...)
-    sums, kept = (values.transpose(1, 2, 0, *range(3, values.ndim)) for values in (sums, kept))
-    words = np.ascontiguousarray(kept[..., 1:]).reshape(n_mics, n_frames, N_KEPT, -1)
-    counts = words.view(count_type)[..., :n_slots]
-    logs = np.matmul(counts.reshape(n_mics, n_frames * N_KEPT, n_slots), np.log1p(-reference)[:, :, None],
-                     dtype=np.float32).reshape(n_mics, n_frames, N_CHUNKS, _PER_CHUNK)
-    with np.errstate(divide="ignore"):
-        weight = np.exp(np.log(sums[..., :1] / np.float32(4.0 * np.pi * n_rays * _PER_CHUNK)) - logs)
-    ray = kept[..., 0].reshape(n_mics, n_frames, N_KEPT).astype(np.uint32)
-    return list(zip(weight.reshape(ray.shape), counts, ray, strict=True))
+    power = (1.0 - reference[:, :, None]) ** np.arange(1.0 + paths.counts.max())
+    scale = 1.0 / (4.0 * np.pi * n_rays * _PER_CHUNK)
+    on_threads(lambda m, one: _unpack(sums[:, m], kept[:, m], *met, power[m], scale, *one), list(enumerate(results)))
 
 
 @compiled
-def _replace(sums, kept, m, frame, stream, counter, met, ray):
+def _tally(codes, face_slot, first, counts, bits, met, low, high):
+    """Count hits per slot along rays `low` to `high`, in `bits` bits each."""
+    per_word, one = 64 // bits, np.uint64(1)
+    so_far = np.empty(met.shape[1], np.uint64)
+    for ray in range(low, high):
+        so_far[:] = np.uint64(0)
+        for at in range(first[ray], first[ray] + counts[ray]):
+            slot = face_slot[codes[at] >> 1]
+            so_far[slot // per_word] += one << np.uint64(bits * (slot % per_word))
+            for word in range(len(so_far)):
+                met[at, word] = so_far[word]
+
+
+@compiled
+def _unpack(sums, kept, met, bits, power, scale, weight, counts, last):
+    """Put the strata of one microphone side by side; take out of the weights what was absorbed at the reference."""
+    n_frames, n_slots = len(weight), len(power)
+    per_word, mask = 64 // bits, (np.uint64(1) << np.uint64(bits)) - np.uint64(1)
+    for frame in range(n_frames):
+        for place in range(weight.shape[1]):
+            chunk, n = place // kept.shape[2], place % kept.shape[2]
+            at, share = kept[chunk, frame, n], 1.0
+            last[frame, place] = at
+            for slot in range(n_slots):
+                hits = (met[at, slot // per_word] >> np.uint64(bits * (slot % per_word))) & mask
+                counts[frame, place, slot] = hits
+                share *= power[slot, hits]
+            total = sums[chunk, frame, 0]
+            weight[frame, place] = scale * total / share if total > 0.0 else 0.0
+
+
+@compiled
+def _absorb(weight, counts, most, kept, gain, energy):
+    """Sum the paths of each frame, shape (n_frames, 8), less what each slot took of them.
+
+    The eight bands are eight variables, so that they are multiplied at once; powers come from a table.
+    """
+    n_frames, n_places, n_slots = counts.shape
+    power = np.ones((n_slots, most + 1, 8), np.float32)
+    for slot in range(n_slots):
+        for n in range(most):
+            for band in range(8):
+                power[slot, n + 1, band] = power[slot, n, band] * kept[slot, band]
+    for frame in range(n_frames):
+        e0 = e1 = e2 = e3 = e4 = e5 = e6 = e7 = np.float32(0.0)
+        for place in range(n_places):
+            g0 = g1 = g2 = g3 = g4 = g5 = g6 = g7 = weight[frame, place]
+            for slot in range(n_slots):
+                rho = power[slot, counts[frame, place, slot]]
+                g0, g1, g2, g3 = g0 * rho[0], g1 * rho[1], g2 * rho[2], g3 * rho[3]
+                g4, g5, g6, g7 = g4 * rho[4], g5 * rho[5], g6 * rho[6], g7 * rho[7]
+            if len(gain):
+                rho = gain[frame, place]
+                g0, g1, g2, g3 = g0 * rho[0], g1 * rho[1], g2 * rho[2], g3 * rho[3]
+                g4, g5, g6, g7 = g4 * rho[4], g5 * rho[5], g6 * rho[6], g7 * rho[7]
+            e0, e1, e2, e3, e4, e5, e6, e7 = e0 + g0, e1 + g1, e2 + g2, e3 + g3, e4 + g4, e5 + g5, e6 + g6, e7 + g7
+        out = energy[frame]
+        out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7] = e0, e1, e2, e3, e4, e5, e6, e7
+
+
+@compiled
+def _replace(sums, kept, m, frame, stream, counter, at):
     """Let a path that has just been added to the sum of a frame take the places that it wins.
 
     A place is lost to a new path with probability ``energy / sum so far``; the sum at which that happens next is drawn
@@ -181,35 +255,29 @@ def _replace(sums, kept, m, frame, stream, counter, met, ray):
         if total >= sums[m, frame, 2 + place]:
             share = np.float32((word & np.uint64(0xFFFFFF)) + np.uint64(1)) * np.float32(2.0 ** -24)
             sums[m, frame, 2 + place] = total / share
-            kept[m, frame, place, 0] = ray
-            for n in range(len(met)):
-                kept[m, frame, place, 1 + n] = met[n]
+            kept[m, frame, place] = at
         word >>= np.uint64(32)
     sums[m, frame, 1] = min(sums[m, frame, 2], sums[m, frame, 3])
 
 
 @compiled
 def _keep(source, hits, codes, first, face_counts, normals, face_slot, reflection, scattering, mics, visible, radius2,
-          per_volume, ism_order, frames_per_m, late_m, stride, seeds, limits, per_word, low, high, sums,
-          kept):
+          per_volume, ism_order, frames_per_m, late_m, stride, seeds, limits, low, high, sums, kept):
     """Sample rays `low` to `high`; the walk along them is that of `roomeq.sim.gather`.
 
     `sums`, shape (n_mics, n_frames, 2 + _PER_CHUNK): energy so far, the least sum at which a place changes hands, and
-    that sum of each place. `kept`, shape (n_mics, n_frames, _PER_CHUNK, 1 + n_words): ray, and hits per slot packed
-    `per_word` to a word.
+    that sum of each place. `kept`, shape (n_mics, n_frames, _PER_CHUNK): the last reflection of the path.
     """
     n_mics = len(sums)
-    bits, one_hit = np.uint64(64 // per_word), np.uint64(1)
     all_visible = len(visible) == 0
     zero, one = np.float32(0.0), np.float32(1.0)
     mx, my, mz = mics[0], mics[1], mics[2]
     along, weight, frame = np.empty(n_mics, np.float32), np.empty(n_mics, np.float32), np.empty(n_mics, np.float32)
     most = np.array([row.max() for row in reflection])
-    share, met = np.empty(n_mics, np.float32), np.zeros(kept.shape[3] - 1, np.uint64)
+    share = np.empty(n_mics, np.float32)
     for ray in range(low, high):
         share[:] = one
         largest = one
-        met[:] = np.uint64(0)
         px, py, pz, path = source[0], source[1], source[2], zero
         specular, late, n_active = True, stride == 1, n_mics
         was_diffuse = True
@@ -220,11 +288,13 @@ def _keep(source, hits, codes, first, face_counts, normals, face_slot, reflectio
                 length = new_path - path
                 scale = one / max(length, np.float32(1e-9))
                 ux, uy, uz = (hx - px) * scale, (hy - py) * scale, (hz - pz) * scale
+                near = np.int32(0)
                 for m in range(n_active):
                     vx, vy, vz = mx[m] - px, my[m] - py, mz[m] - pz
                     along[m] = ux * vx + uy * vy + uz * vz
                     weight[m] = radius2[m] - (vx * vx + vy * vy + vz * vz - along[m] * along[m])
-                for m in range(n_active):
+                    near += np.int32(weight[m] > zero)
+                for m in range(n_active if near else 0):
                     if weight[m] > zero:
                         half = np.sqrt(weight[m])
                         start, stop = max(zero, along[m] - half), min(length, along[m] + half)
@@ -234,11 +304,10 @@ def _keep(source, hits, codes, first, face_counts, normals, face_slot, reflectio
                             total = sums[m, k, 0] + (stop - start) * per_volume[m] * share[m]
                             sums[m, k, 0] = total
                             if total >= sums[m, k, 1]:
-                                _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 2, met, ray)
+                                _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 2, at - 1)
             px, py, pz, path = hx, hy, hz, new_path
             face = codes[at] >> 1
             slot = face_slot[face]
-            met[slot // per_word] += one_hit << (bits * np.uint64(slot % per_word))
             while n_active > 0 and path * frames_per_m >= limits[n_active - 1]:
                 n_active -= 1
             largest *= most[slot]
@@ -252,7 +321,10 @@ def _keep(source, hits, codes, first, face_counts, normals, face_slot, reflectio
                 late = True
                 for m in range(n_active):
                     share[m] *= np.float32(stride)
+            was_diffuse = (codes[at] & 1) == 1
             s = scattering[slot]
+            if path > late_m:
+                s = one if was_diffuse else zero
             if s > zero:
                 nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
                 for m in range(n_active):
@@ -267,7 +339,6 @@ def _keep(source, hits, codes, first, face_counts, normals, face_slot, reflectio
                         total = sums[m, k, 0] + weight[m] * share[m]
                         sums[m, k, 0] = total
                         if total >= sums[m, k, 1]:
-                            _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 1, met, ray)
-            was_diffuse = (codes[at] & 1) == 1
+                            _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 1, at)
             if was_diffuse:
                 specular = False

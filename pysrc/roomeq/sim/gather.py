@@ -5,6 +5,9 @@ whose last reflection is diffuse are counted at every reflection by its expected
 estimation): a Lambert reflector of scattering s sends ``s (1 - alpha) cos(theta) / (pi d^2)`` to the receiver,
 whichever way the ray itself went on. All others end in a specular reflection and are counted by the length of
 their last segment inside a sphere around the receiver: energy density is ``power * length / volume``.
+
+Once reflections are denser than samples (`roomeq.sim.trace`), only those at which the ray did go on diffusely count,
+1 / s times as loud: the same on average, and there are enough of them.
 """
 
 from functools import partial
@@ -88,7 +91,7 @@ def visibility(paths, room, mics_m, *, n_frames, speed_m_s):
     mics_m = np.atleast_2d(mics_m)
     path_m = paths.hits[:, 3]
     late = path_m > paths.late_m
-    late &= np.repeat(np.arange(len(paths.counts)) % paths.stride != 0, paths.counts)
+    late &= np.repeat(np.arange(len(paths.counts)) % paths.stride != 0, paths.counts) | (paths.codes & 1 == 0)
     wanted = np.flatnonzero((path_m < n_frames * FRAME_S * speed_m_s) & ~late)
     start = paths.hits[wanted, :3] + NUDGE_M * paths.normals[paths.codes[wanted] >> 1]
     visible = np.zeros((len(mics_m), len(path_m)), dtype=np.bool_)
@@ -161,7 +164,10 @@ def _gather(source, hits, codes, first, counts, normals, reflection, scattering,
                     break
                 late, k = True, np.float32(stride)
                 g0, g1, g2, g3, g4, g5, g6, g7 = g0 * k, g1 * k, g2 * k, g3 * k, g4 * k, g5 * k, g6 * k, g7 * k
+            was_diffuse = (codes[at] & 1) == 1
             s = scattering[face]
+            if path > late_m:
+                s = one if was_diffuse else zero
             if s > zero:
                 nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
                 for m in range(n_mics):
@@ -173,6 +179,5 @@ def _gather(source, hits, codes, first, counts, normals, reflection, scattering,
                 for m in range(n_mics):
                     if weight[m] > zero and frame[m] < n_frames and (all_visible or visible[m, at]):
                         _add(echo[m, np.uint32(frame[m])], weight[m], g0, g1, g2, g3, g4, g5, g6, g7)
-            was_diffuse = (codes[at] & 1) == 1
             if was_diffuse:
                 specular = False

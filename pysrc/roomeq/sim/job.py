@@ -127,9 +127,10 @@ def echograms(job, absorption, bands):
     ray_gain = None if job.path_gain is None else job.path_gain(paths[0].directions)  # the same in all traces
     result = np.zeros((len(job.mics_m), job.n_frames, len(bands)))
     if job.echoes is not None:
-        for energy, echoes in zip(result, job.echoes, strict=True):
-            found = echogram(echoes, absorption, bands=bands, ray_gain=ray_gain)[:job.n_frames, bands]
-            energy[:len(found)] = found
+        found = on_threads(lambda one: echogram(one, absorption, bands=bands, ray_gain=ray_gain)[:job.n_frames, bands],
+                           [(one,) for one in job.echoes])
+        for energy, one in zip(result, found, strict=True):
+            energy[:len(one)] = one
     else:
         group_of_band = np.array(job.traced.path_of_band)[bands]
         for group in np.unique(group_of_band):

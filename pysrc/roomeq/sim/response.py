@@ -140,7 +140,8 @@ def render_responses(traced, mics_m, rngs, *, absorption=None, length_s=None, is
 def render_to_target(traced, mics_m, rngs, target_s, *, absorption=None, **how):
     """Render responses whose mean T30 at 1 kHz is the target, by scaling the absorption of all surfaces.
 
-    The search renders the octave at 1 kHz and its neighbours from a sample of the paths, then all octaves once.
+    Echograms of a sample of the paths say how T30 changes with absorption, one rendering of the octave at 1 kHz and its
+    neighbours what the noise of the tail adds to that; all octaves are then rendered, in most cases once.
 
     Parameters are those of `render_responses`, and
 
@@ -169,16 +170,20 @@ def render_to_target(traced, mics_m, rngs, target_s, *, absorption=None, **how):
         return _mean_t30_s(render_job(search, scaled_absorption(base, exponent), _AROUND_1KHZ))
 
     exponent, _ = solve_exponent(pilot, target_s, guess)
-    aim_s, responses = target_s, []
+    time_s = measure(exponent)
+    if time_s is not None:  # one rendering says what its noise does to T30, the echogram says what more absorption does
+        exponent, _ = solve_exponent(pilot, target_s ** 2 / time_s, exponent)
+    responses = render_job(job, scaled_absorption(base, exponent))
+    time_s, aim_s = _mean_t30_s(responses), target_s
     for _ in range(_MAX_FULL):
-        exponent, time_s = solve_exponent(measure, aim_s, exponent)
-        if time_s is not None and abs(time_s / aim_s - 1.0) <= TOLERANCE:
-            responses = render_job(job, scaled_absorption(base, exponent))
-        if responses:
-            time_s = _mean_t30_s(responses)
-        if not responses or time_s is None or abs(time_s / target_s - 1.0) <= _CLOSE:
+        if time_s is not None and abs(time_s / target_s - 1.0) <= _CLOSE:
             break
-        aim_s *= target_s / time_s  # other octaves and paths that the sample left out tell
+        exponent, found_s = solve_exponent(measure, aim_s, exponent)
+        if found_s is None or abs(found_s / aim_s - 1.0) > TOLERANCE:
+            break
+        responses = render_job(job, scaled_absorption(base, exponent))
+        time_s = _mean_t30_s(responses)
+        aim_s *= target_s / (time_s or target_s)  # other octaves and paths that the sample left out tell
     if time_s is None or abs(time_s / target_s - 1.0) > TOLERANCE:
         found = "cannot be measured" if time_s is None else f"comes to {time_s:.3g} s"
         raise ValueError(f"target_t60_s={target_s:.3g} is out of reach: T30 at 1 kHz {found} with these materials, "

@@ -19,16 +19,16 @@ def run(quick):
     n_mics = 12 if quick else 60
     sources, mics = lattice(n_mics)
     for scattering in SCATTERINGS[::3] if quick else SCATTERINGS:
-        kept = received(0.0, scattering, sources, mics)
+        kept, *absorbed = received((0.0, 0.3, CEILING), scattering, sources, mics)
         early, late = (float(np.mean(kept[first:last])) for first, last in ((50, 100), (300, 400)))
         lossless_pct.append(100.0 * (late - 1.0))
         ratios = []
-        for absorption in (0.3, CEILING):
+        for absorption, energy in zip((0.3, CEILING), absorbed, strict=True):
             left = [trace_energy(ROOM_M, absorption, scattering, duration_s=0.25, source_pos_m=source, mics_m=mics,
                                  radius_m=SPHERE_M, n_rays=20_000 if quick else 60_000, seed=n + 1).density_per_m3
                     for n, source in enumerate(sources)]
             expected = np.mean(left, axis=(0, 1)) * np.prod(ROOM_M)
-            found = received(absorption, scattering, sources, mics)[:len(expected)]
+            found = energy[:len(expected)]
             ratios.append(100.0 * (found[20:250].sum() / expected[20:250].sum() - 1.0))
         absorbing_pct += ratios
         rows.append([scattering, 100.0 * (early - 1.0), lossless_pct[-1], *ratios])
@@ -54,17 +54,17 @@ def lattice(n_mics):
     return points[:N_SOURCES], points[N_SOURCES:]
 
 
-def received(absorption, scattering, sources, mics):
+def received(absorptions, scattering, sources, mics):
     """Energy per 1 ms frame over that of an even spread of the emitted energy, mean over all pairs.
 
     Returns
     -------
-    share : ndarray, shape (n_frames,)
+    shares : ndarray, shape (n_absorptions, n_frames)
     """
-    scene = ours.box_scene(ROOM_M, absorption, scattering)
-    echoes = [ours.echogram(scene, source, mics, duration_s=0.5, seed=n) for n, source in enumerate(sources)]
+    scenes = [ours.box_scene(ROOM_M, absorption, scattering) for absorption in absorptions]
+    echoes = [ours.echograms(scenes, source, mics, duration_s=0.5, seed=n) for n, source in enumerate(sources)]
     even = SPEED_M_S / (4.0 * np.pi * np.prod(ROOM_M)) * ours.FRAME_S
-    return np.mean(echoes, axis=(0, 1)) / even
+    return np.mean(echoes, axis=(0, 2)) / even
 
 
 def _leaks(quick):

@@ -10,6 +10,7 @@ from bench.kit import Check, Section
 
 DISTANCES_M = (0.3, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0, 30.0)
 LOWEST_HZ = 177.0  # below, image sources of one sign add up coherently, as they do in a real room
+REPEATS = 4  # simulations of each source: Gaussian tails alone make the mean of 12 responses uncertain by 0.08 dB
 LATE_FREE_PATHS = 4.0  # mean free paths after the emission, from where the field is taken as diffuse
 
 
@@ -26,27 +27,32 @@ def run(quick):
         level_db, shift = fit_pulses(one.rir, np.array([expected]), np.array([gain]))
         direct_db.append(level_db[0])
         shifts.append(abs(shift[0]))
-        rows.append([f"direct at {distance_m:g} m", 20.0 * np.log10(gain), level_db[0], shift[0]])
+        rows.append([f"direct at {distance_m:g} m", 20.0 * np.log10(gain), level_db[0], shift[0], None])
     late_db = []
     rooms = [(size, a, s) for size in SIZES_M for a in (0.1, 0.3) for s in (0.1, 0.5)]
     for size, absorption, scattering in rooms[:2] if quick else rooms:
-        diffuse, here, measured = late_energy(size, absorption, scattering)
+        diffuse, here, repeats = late_energy(size, absorption, scattering)
+        measured = repeats.mean()
         late_db.append(10.0 * np.log10(measured / here))
         name = "x".join(f"{length:g}" for length in size)
         rows.append([f"late, {name}, alpha {absorption:g}, scattering {scattering:g}",
-                     10.0 * np.log10(here), late_db[-1], 10.0 * np.log10(measured / diffuse)])
+                     10.0 * np.log10(here), late_db[-1], 10.0 * np.log10(measured / diffuse),
+                     4.34 * repeats.std(ddof=1) / measured / np.sqrt(REPEATS)])
     checks = [Check("direct sound, worst level", float(np.max(np.abs(direct_db))), high=0.1, unit="dB"),
               Check("direct sound, worst arrival", float(np.max(shifts)), high=0.1, unit="samples"),
               Check("late energy, worst room", float(np.max(np.abs(late_db))), high=0.2, unit="dB")]
     return Section("level", "Level of the direct sound and of the late field",
-                   ["what", "expected, dB", "deviation, dB", "arrival, samples / diffuse, dB"], rows, checks,
-                   [f"late: after {LATE_FREE_PATHS:g} mean free paths, 12 microphones, {LOWEST_HZ:g} Hz up, against "
-                    "the reference's energy in spheres around them; diffuse: against its energy in the whole room "
-                    "spread evenly, c / (4 pi V) times the energy left (there is more in the middle of a room)"])
+                   ["what", "expected, dB", "deviation, dB", "arrival, samples / diffuse, dB", "+- dB"], rows, checks,
+                   [f"late: after {LATE_FREE_PATHS:g} mean free paths, 12 microphones, {REPEATS} simulations each (+-: "
+                    f"standard error), {LOWEST_HZ:g} Hz up, against the reference's energy in spheres around them; "
+                    "diffuse: against its energy in the whole room spread evenly, c / (4 pi V) times the energy left "
+                    "(there is more in the middle of a room)"])
 
 
 def late_energy(dims_m, absorption, scattering):
-    """Squared pressure after the first reflections: of a diffuse field, expected at the microphones, measured.
+    """Squared pressure after the first reflections: of a diffuse field, expected at the microphones, simulated.
+
+    The last is an array of shape (REPEATS,).
 
     A source whose direct sound is 1 / (4 pi r) emits the energy that fills the room with the squared pressure
     ``c / (4 pi) w(t)``, w being the density of what is left of it; in a diffuse field ``w = E(t) / V``
@@ -60,13 +66,14 @@ def late_energy(dims_m, absorption, scattering):
     diffuse, here, measured = [], [], []
     for n, (source, around) in enumerate(zip(sources, mics, strict=True)):
         decay = trace_energy(dims_m, absorption, scattering, duration_s=duration_s, source_pos_m=source,
-                             mics_m=around, radius_m=SPHERE_M, n_rays=100_000, seed=n + 1)
+                             mics_m=around, radius_m=SPHERE_M, n_rays=200_000, seed=n + 1)
         late = decay.time_s >= start_s - 1e-6
         scale = SPEED_M_S / (4.0 * np.pi) * decay.time_s[1]
         diffuse.append(scale / volume_m3 * decay.energy.mean(axis=0)[late].sum())
         here.append(scale * decay.density_per_m3[:, late].sum(axis=1).mean())
-        measured += [_power(one, start_s) for one in ours.simulate(scene, source, around, seed=n)]
-    return tuple(float(np.mean(values)) for values in (diffuse, here, measured))
+        measured.append([[_power(one, start_s) for one in ours.simulate(scene, source, around, seed=n + 100 * repeat)]
+                         for repeat in range(REPEATS)])
+    return float(np.mean(diffuse)), float(np.mean(here)), np.mean(measured, axis=(0, 2))
 
 
 def _power(one, start_s):
