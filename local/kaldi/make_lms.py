@@ -9,8 +9,8 @@ less often. The vocabulary is that of the text: for small closed tasks.
 
 References
 ----------
-S. F. Chen, J. Goodman, An empirical study of smoothing techniques for language modeling, 1998: (20)-(24), one discount an
-order, n1 / (n1 + 2 n2).
+S. F. Chen, J. Goodman, An empirical study of smoothing techniques for language modeling, 1998: (20)-(24), one discount
+an order, n1 / (n1 + 2 n2).
 """
 
 import argparse
@@ -39,8 +39,10 @@ def ngram_counts(sentences, order):
 
 
 def continuations(counts):
-    """Return Kneser-Ney's counts: below the highest order, how many words an n-gram follows (but for the first words of a
-    sentence, which follow none)."""
+    """Return Kneser-Ney's counts: below the highest order, how many words an n-gram follows.
+
+    What starts a sentence follows none and keeps its count.
+    """
     found = [Counter(ngram[1:] for ngram in longer) for longer in counts[1:]]
     for kept, seen in zip(found, counts, strict=False):
         kept.update({ngram: count for ngram, count in seen.items() if ngram[0] == START})
@@ -87,8 +89,10 @@ def backoffs(listed):
 
 
 def listed_ngrams(sentences, order, min_bigrams, min_longer):
-    """Return the n-grams that a model lists, with their probabilities: those seen often enough, and their beginnings and
-    ends, without which none can be reached."""
+    """Return the n-grams that a model lists, with their probabilities, a dict for each n.
+
+    Those are the ones seen often enough, and their beginnings and ends, without which none can be reached.
+    """
     counts = ngram_counts(sentences, order)
     listed, needed = [], set()
     for n, found in reversed(list(enumerate(probabilities(counts)))):
