@@ -58,6 +58,7 @@ read_config() { # FILE
 options_known=" $(sed -n '/parse_options\.sh/q;s/^\([a-z][a-z0-9_]*\)=.*/\1/p' "$0" | tr '\n' ' ')"
 options_given=("$@")
 for ((i = 0; i < $#; i++)); do # the file first, so that the command line wins over it
+  [ "${options_given[i]}" != -- ] || break
   [ "${options_given[i]}" != --config ] || read_config "${options_given[i + 1]:-}"
 done
 while [ $# -gt 0 ]; do

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Word error rates over several seeds: rooms, speech and their split stay, all that is drawn later is drawn again.
-# Usage: KALDI_ROOT=DIR tests/bench/wer.sh [--seeds "0 1 2 3 4"] <out-dir> [options of run.sh]
-# e.g.:  KALDI_ROOT=/opt/kaldi tests/bench/wer.sh exp/bench_wer --config conf/mini.conf
+# Usage: KALDI_ROOT=DIR tests/bench/wer.sh [--seeds "0 1 2 3 4"] <out-dir> [-- options of run.sh]
+# e.g.:  KALDI_ROOT=/opt/kaldi tests/bench/wer.sh exp/bench_wer -- --config conf/mini.conf
 # May be stopped at any time; the same call goes on. The table of all seeds that are done is <out-dir>/wer.
 set -euo pipefail
 seeds="0 1 2 3 4"   # as many runs
@@ -11,6 +11,7 @@ seeds="0 1 2 3 4"   # as many runs
 [[ $seeds =~ ^[0-9]+(\ [0-9]+)*$ ]] || die "--seeds '$seeds' must be whole numbers with blanks between"
 out=$(realpath -m "$1")
 shift
+[ "${1:-}" != -- ] || shift
 ./run.sh "$@" --data "$out/data" --exp "$out/exp" --corpora "$out/corpora" --stop-stage 1
 done=()
 for seed in $seeds; do
