@@ -209,11 +209,11 @@ fi
 
 if at_stage 10 "Kaldi: recognise; word error rates"; then
   for x in "${sets[@]}"; do
-    for y in "dev.$x" test.real.rvb; do
-      # shellcheck disable=SC2086 # as above
-      local/kaldi/decode.sh "${kaldi[@]}" --ivectors "$ivectors" $decode_opts "$exp/kaldi" "train.$x" \
-        "$(alignments "$x")" "$y"
-    done
+    decode=(local/kaldi/decode.sh "${kaldi[@]}" --ivectors "$ivectors")
+    # shellcheck disable=SC2206 # as above
+    decode+=($decode_opts)
+    "${decode[@]}" "$exp/kaldi" "train.$x" "$(alignments "$x")" "dev.$x"
+    "${decode[@]}" --tuned-on "dev.$x" "$exp/kaldi" "train.$x" "$(alignments "$x")" test.real.rvb
   done
   if [ "$dry_run" = false ]; then
     roomeq wer --rirs "$data/rirs.real" "$exp/kaldi" "$exp/wer"

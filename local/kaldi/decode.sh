@@ -1,13 +1,14 @@
 #!/usr/bin/env bash
 # Recognise one set with one system: four language models, and online; counts the errors.
 # Usage: local/kaldi/decode.sh [options] <workspace> <set> <set-of-alignments> <test-set>
-# e.g.:  local/kaldi/decode.sh exp/kaldi train.sim.rvb train.clean test.real.rvb
+# e.g.:  local/kaldi/decode.sh --tuned-on dev.sim.rvb exp/kaldi train.sim.rvb train.clean test.real.rvb
 # Results are <workspace>/<set>/decode_<test-set>_{tgsmall,tgmed,tglarge,fglarge,online}/scoring_kaldi.
 set -euo pipefail
 nj=2            # jobs
 ivectors=true   # beside the features
 beam=15         # of the search
 max_active=7000   # states of it at a time
+tuned_on=       # set whose best weights are used; none: all weights are tried
 dry_run=false   # print the commands
 . ./path.sh
 . utils/parse_options.sh
@@ -23,9 +24,16 @@ if [ "$ivectors" = true ]; then
   extractor=("$set/ivectors/extractor")
 fi
 
-# Errors at all weights of language model and insertions, and Kaldi's own interval of the best.
+# Count the errors: at all weights of language model and insertions, or at those that were best on `tuned_on`; and what
+# Kaldi's own bootstrap says of the best.
 score() { # COLUMN
-  once "$out/$1.score" steps/scoring/score_kaldi_wer.sh --cmd "$runner" "$data" "$graph" "${out}_$1"
+  local penalty=0.0,0.5,1.0 lowest=7 highest=17
+  if [ -n "$tuned_on" ] && [ "$dry_run" = false ]; then
+    read -r penalty lowest < <(local/kaldi/chosen_weights.py "$workspace/$set/decode_${tuned_on}_$1")
+    highest=$lowest
+  fi
+  once "$out/$1.score" steps/scoring/score_kaldi_wer.sh --cmd "$runner" --word-ins-penalty "$penalty" \
+    --min-lmwt "$lowest" --max-lmwt "$highest" "$data" "$graph" "${out}_$1"
   # shellcheck disable=SC2016 # expanded in there
   once "$out/$1.bootci" bash -c 'cd "$1/scoring_kaldi" && compute-wer-bootci --mode=present ark:test_filt.txt \
     "ark:penalty_$(cat wer_details/wip)/$(cat wer_details/lmwt).txt" >../bootci' bootci "${out}_$1"
