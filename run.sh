@@ -10,7 +10,7 @@ set -euo pipefail
 
 stage=0        # first stage to run
 stop_stage=    # last stage to run; none: 7, or 10 with --stage 8 or more
-nj=$(nproc)    # jobs; results do not depend on it
+nj=$(env -u OMP_NUM_THREADS nproc)   # jobs; results do not depend on it
 seed=0         # of every random draw; results depend on nothing else
 data=data      # where data directories go
 exp=exp        # where models, logs and the report go
