@@ -13,12 +13,11 @@ dry_run=false   # print the commands
 workspace=$1 gmm=$2/gmm/final
 lm=data/local/lm dict=data/local/dict
 
-after lang/nosp "$2/gmm/final"
+after lang/nosp lang/lms "$2/gmm/final"
 once lang/prons steps/get_prons.sh "data/$2" data/lang_nosp "$gmm"
 once lang/pronprobs utils/dict_dir_add_pronprobs.sh --max-normalize true ${dict}_nosp \
   "$gmm"/{pron_counts_nowb,sil_counts_nowb,pron_bigram_counts_nowb}.txt $dict
 once lang/lang utils/prepare_lang.sh $dict "<UNK>" data/local/lang_tmp data/lang
-[ "$dry_run" = true ] || [ ! -f "$workspace/done/lang/lms" ] || inputs "$workspace/done/lang/lms" <(echo "$key")
 once lang/format local/format_lms.sh --src-dir data/lang $lm
 for model in tglarge fglarge; do
   once lang/const_arpa_$model utils/build_const_arpa_lm.sh $lm/lm_$model.arpa.gz data/lang data/lang_test_$model

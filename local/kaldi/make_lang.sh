@@ -16,7 +16,7 @@ shift
 lm=data/local/lm dict=data/local/dict_nosp
 
 if [ $# = 0 ]; then
-  once lang/download local/download_lm.sh "$lm_url" $lm
+  once lang/lms local/download_lm.sh "$lm_url" $lm
   once lang/dict local/prepare_dict.sh --stage 3 --nj "$nj" $lm $lm $dict
 else
   inputs "$@"
