@@ -3,10 +3,9 @@
 # Usage: local/kaldi/train_ivectors.sh [options] <workspace> <set> <test-set>...
 # e.g.:  local/kaldi/train_ivectors.sh --nj 30 exp/kaldi train.sim.rvb dev.real.rvb test.real.rvb
 set -euo pipefail
-nj=2              # jobs
-ubm_share=100     # one utterance in so many trains the UBM
-ivector_share=5   # one in so many the extractor
-dry_run=false     # print the commands
+nj=2                  # jobs
+min_utterances=2000   # at least so many train the UBM and the extractor; of large sets a hundredth and a fifth
+dry_run=false         # print the commands
 . ./path.sh
 . utils/parse_options.sh
 . local/kaldi/common.sh
@@ -17,8 +16,9 @@ data=data/$set.hires dir=$set/ivectors
 
 after "$set/features/$set.hires.fix"
 if [ "$dry_run" = true ]; then n=132553; else n=$(wc -l <"$workspace/$data/text"); fi # LibriSpeech's, to show
-once "$set/ivectors/ubm_data" utils/subset_data_dir.sh "$data" $((n / ubm_share + 1)) "$data.ubm"
-once "$set/ivectors/data" utils/subset_data_dir.sh "$data" $((n / ivector_share + 1)) "$data.ivectors"
+part() { echo $((n < min_utterances ? n : n / $1 < min_utterances ? min_utterances : n / $1)); }
+once "$set/ivectors/ubm_data" utils/subset_data_dir.sh "$data" "$(part 100)" "$data.ubm"
+once "$set/ivectors/data" utils/subset_data_dir.sh "$data" "$(part 5)" "$data.ivectors"
 once "$set/ivectors/pca" steps/online/nnet2/get_pca_transform.sh --cmd "$runner" \
   --splice-opts "--left-context=3 --right-context=3" --max-utts 10000 --subsample 2 "$data.ubm" "$dir/pca"
 once "$set/ivectors/ubm" steps/online/nnet2/train_diag_ubm.sh --cmd "$runner" --nj "$nj" --num-frames 700000 \
