@@ -83,6 +83,28 @@ def rank(session):
     return sorted(found, key=lambda one: -one.total)
 
 
+def beside(session, failed, ranking):
+    """Judge candidates again beside one that is not the cause: what only explains the same helps no more.
+
+    Parameters
+    ----------
+    session : Session
+    failed : Candidate
+        Its effect and its fit become part of the model.
+    ranking : list of Candidate
+
+    Returns
+    -------
+    Session
+        With the failed effect in its model.
+    list of Candidate
+        One for each of the ranking, in its order.
+    """
+    with_it = replace(session, effects=failed.fit.effects, fit=failed.fit)
+    before = leave_rooms_out(session.data, failed.fit)
+    return with_it, [_candidate(with_it, one.effect, before) for one in ranking]
+
+
 def _candidate(session, effect, before):
     data, effects = session.data, in_order([*session.effects, effect])
     like = session.fit

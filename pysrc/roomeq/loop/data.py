@@ -34,6 +34,8 @@ class Data:
     places : list of roomeq.sim.geometry.Place
     cells, valid : ndarray, shape (n_rirs, n_cells)
         What was measured, and which of it can be believed (`roomeq.loop.cells`).
+    white : ndarray, shape (n_rirs, 8)
+        White noise of the recordings (`roomeq.loop.cells.Cells`).
     room, chain : ndarray of int, shape (n_rirs,)
         Number of the room, and of the combination of room, source and microphone that has a gain (`_chains`).
     room_names : list of str
@@ -50,6 +52,7 @@ class Data:
     places: list
     cells: np.ndarray
     valid: np.ndarray
+    white: np.ndarray
     room: np.ndarray
     chain: np.ndarray
     room_names: list
@@ -187,7 +190,7 @@ def _traced(found, cells, scattering, seed):
             traced[n], tables[n] = one, table
     airs = [air_of(row) for row in rows]
     return Data(rows=rows, places=places, cells=np.array([one.values for one in cells]),
-                valid=np.array([one.valid for one in cells]),
+                valid=np.array([one.valid for one in cells]), white=np.array([one.white for one in cells]),
                 room=np.array([room_names.index(row["room_id"]) for row in rows]),
                 chain=np.array([chains.index(chain) for chain in by_chain]),
                 room_names=room_names, traced=traced, tables=tables,
