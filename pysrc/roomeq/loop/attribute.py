@@ -78,8 +78,9 @@ def rank(session):
     """
     data = session.data
     before = leave_rooms_out(data, fit(data, session.offset, session.effects, like=session.fit))
+    known = {*session.effects, *data.given_kinds}
     found = [_candidate(session, effect, before) for effect in CATALOGUE.values()
-             if effect not in session.effects and effect.applies(data)]
+             if effect not in known and effect.applies(data)]
     return sorted(found, key=lambda one: -one.total)
 
 

@@ -104,7 +104,7 @@ class State:
 
 
 def base_state(data, absorption):
-    """State of the base model: declared air, nothing else.
+    """State of the base model: declared air, and what effects it was given.
 
     Parameters
     ----------
@@ -118,6 +118,8 @@ def base_state(data, absorption):
                   extra=np.zeros((n, len(_FRAME_MID_S), N_BANDS)), room_energy=None,
                   response_db=np.zeros((n, len(RESPONSE_HZ))),
                   floor=np.zeros((n, N_BANDS)), delay_s=np.zeros(n), shift=np.zeros((n, N_CELLS)))
+    for effect, rows in data.given_to:
+        effect.act(state, data, rows)
     return state
 
 
