@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Tell whether the closed loop can be closed on measured RIRs: it leaves rooms out, and needs to know where they were.
+"""Tell whether the closed loop can be closed on measured RIRs: it leaves rooms out and scores them by halves.
 
 Usage: enough_rooms.py RIR_DIR
 e.g.:  python local/enough_rooms.py data/rirs.real.train
@@ -8,14 +8,16 @@ Exit status 0 if there are enough rooms with geometry; 1 and one line if not.
 """
 
 import sys
+from collections import Counter
 
 from roomeq.loop.attribute import MIN_ROOMS
 from roomeq.rirs import read_rirs
 
 
 def rooms_with_geometry(rows):
-    """Return the rooms of which at least one RIR says where source and microphone were."""
-    return {row["room_id"] for row in rows if not row.get("noise_for") and has_geometry(row)}
+    """Return the rooms of which at least two RIRs say where source and microphone were."""
+    count = Counter(row["room_id"] for row in rows if not row.get("noise_for") and has_geometry(row))
+    return {room for room, n in count.items() if n > 1}
 
 
 def has_geometry(row):
@@ -37,8 +39,8 @@ def main(argv):
         print(f"enough_rooms.py: {error}", file=sys.stderr)
         return 1
     if len(rooms) < MIN_ROOMS:
-        print(f"{argv[0]}: {len(rooms)} rooms with geometry; the closed loop leaves rooms out and needs {MIN_ROOMS}: "
-              "left out")
+        print(f"{argv[0]}: {len(rooms)} rooms with geometry and two RIRs; the closed loop leaves rooms out and needs "
+              f"{MIN_ROOMS}: left out")
         return 1
     return 0
 

@@ -58,7 +58,8 @@ def make_loop(out):
     left = dict(metric="ahead", time_region=REGION["ahead"], bands_hz=[125.0], varies_with="nothing", size_jnd=3.5,
                 p=0.01)
     ledger = dict(
-        rirs=N_RIRS, rooms=len(ROOMS), baseline=errors(3.4), final=errors(1.5), ranking=ranked("room_eq", 0.5),
+        rirs=N_RIRS, rooms=len(ROOMS), given=[], baseline=errors(3.4), final=errors(1.5),
+        ranking=ranked("room_eq", 0.5),
         iterations=[iteration(found[0], 3.4, 1.9, cannot_tell=["source_response", "mic_response"],
                               would_tell=["the same room recorded with another loudspeaker"]),
                     iteration(found[1], 1.9, 1.5)],

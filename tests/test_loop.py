@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from rirmaker import coloured_rir
+from roomeq.acoustics.metrics import octave_bands
 from roomeq.cli import main
+from roomeq.constants import FS_HZ
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import read_model
 from roomeq.effects.response import RESPONSE_HZ
@@ -17,7 +19,8 @@ from roomeq.loop.cells import HAS_GAIN, METRIC, measure_cells, slots
 from roomeq.loop.close import SCATTERING, close_loop
 from roomeq.loop.data import load_data
 from roomeq.loop.fit import fit
-from roomeq.loop.heldout import halves
+from roomeq.loop.heldout import halves, heldout_errors
+from roomeq.loop.layout import N_SURFACE, Layout
 from roomeq.loop.leftout import leave_rooms_out
 from roomeq.loop.session import begin
 from roomeq.rirs import load_rir, read_rirs, relocated, write_rirs
@@ -74,6 +77,34 @@ def test_cells_are_in_just_noticeable_differences(world):
     assert long - short == pytest.approx(1.0, abs=0.2)
 
 
+def test_noise_counts_by_how_much_it_raises_what_any_recording_has():
+    """White noise of any level is nothing; a rise of the lowest octave is there in dB, and goes to 0 smoothly."""
+    rng = np.random.default_rng(0)
+    rir = coloured_rir(1, time_s=0.4, length_s=1.2)
+    white = 1e-3 * rng.standard_normal(len(rir))
+    low = octave_bands(1e-3 * rng.standard_normal(len(rir)), FS_HZ)[0]
+
+    def floor(noise, **more):
+        found = measure_cells(rir + noise, **more)
+        return found.values[slots("floor")], found.valid[slots("floor")], found.white
+    for level in (0.1, 1.0, 4.0):
+        values, valid, _ = floor(level * white)
+        assert valid.all() and np.abs(values[3:]).max() < 1.5 and np.abs(values).max() < 4.0
+    rises = [floor(white + gain * low)[0][0] for gain in (0.0, 0.7, 1.5, 3.0)]
+    assert np.all(np.diff(rises) > 0.5) and rises[1] < 5.0 and rises[3] == pytest.approx(9.5, abs=2.0)
+    # a rendering has no white noise: it is thought of as having the recording's
+    known = floor(white)[2]
+    assert floor(3.0 * low, white=known)[0][0] == pytest.approx(rises[3], abs=2.0)
+    assert floor(10.0 * low, white=known)[0][0] == pytest.approx(20.0, abs=2.0)
+    assert np.abs(floor(0.0 * low, white=known)[0]).max() < 1e-3
+
+
+def test_a_response_that_ends_before_its_noise_tells_of_it_only_where_its_end_is_quiet():
+    long, short = (coloured_rir(1, time_s=time_s, length_s=0.6) for time_s in (1.5, 0.3))
+    assert not measure_cells(long).valid[slots("floor")][2:].any()  # no decay can be followed in the narrowest octaves
+    assert measure_cells(short).valid[slots("floor")].all() and not measure_cells(short).values[slots("floor")].any()
+
+
 def test_a_world_against_itself_has_no_error_and_nothing_is_found(session):
     """What a model predicts, taken for the measurement: no error but for the pull of priors, and no effect helps."""
     itself = replace(session.data, cells=session.fit.predicted)
@@ -97,6 +128,47 @@ def test_halves_are_disjoint_and_hold_every_chain(session):
     for r, (a, b) in enumerate(zip(first, second, strict=True)):
         assert not set(a) & set(b) and set(a) | set(b) == set(np.flatnonzero(session.data.room == r))
         assert set(session.data.chain[a]) == set(session.data.chain[b])
+
+
+def test_gains_of_chains_that_occur_once_are_sums(session):
+    """Chains of several RIRs have their own gain; of others, room, source and microphone have one."""
+    data = session.data
+    assert all((kinds == 0).all() and (parts.sum(axis=1) == 1).all()
+               for parts, kinds in zip(session.layout.gain_of, session.layout.gain_kind, strict=True))
+    members = np.flatnonzero(data.room == 0)[:4]
+    changed = list(data.rows)
+    for k, n in enumerate(members):
+        changed[n] = changed[n] | dict(source_id=f"s{k // 2}", mic_id=f"m{k % 2}")
+    chain = data.chain.copy()
+    chain[members] = data.chain.max() + 1 + np.arange(4)
+    layout = Layout(replace(data, rows=changed, chain=chain), ())
+    parts, kinds = layout.gain_of[0], layout.gain_kind[0]
+    assert sorted(kinds[parts[:4].any(axis=0)]) == [0, 1, 1, 2, 2]
+    gains_db = np.array([10.0, 1.0, -1.0, 0.5, -0.5])
+    local = [np.zeros(size) for _, size in layout.own_slices]
+    local[0][N_SURFACE + np.flatnonzero(parts[:4].any(axis=0))] = gains_db
+    np.testing.assert_allclose(layout.gains(local)[members], [11.5, 10.5, 9.5, 8.5])
+    first, second = halves(layout.data)
+    assert {len(set(half[0]) & set(members)) for half in (first, second)} == {2}
+    for half in (first, second):
+        here = [changed[n] for n in half[0] if n in members]
+        assert {row["source_id"] for row in here} == {"s0", "s1"} and {row["mic_id"] for row in here} == {"m0", "m1"}
+
+
+def test_a_room_with_a_single_rir_is_fitted_and_not_scored(world, tmp_path):
+    source = world("clean") / "fit"
+    rows = read_rirs(source)
+    rooms = sorted({row["room_id"] for row in rows})[:3]
+    rows = [row for room, n in zip(rooms, (4, 4, 1), strict=True)
+            for row in [row for row in rows if row["room_id"] == room][:n]]
+    (tmp_path / "few").mkdir()
+    write_rirs(tmp_path / "few", relocated(rows, source, tmp_path / "few"))
+    session = begin(load_data([tmp_path / "few"], scattering=SCATTERING, seed=0), seed=0, nj=2)
+    assert session.data.n_scored == 2 and len(session.fit.local) == 3
+    errors = heldout_errors(session)
+    for way in errors.cells:
+        scored = np.isfinite(errors.cells[way]).any(axis=1)
+        assert (scored == (session.data.room < 2)).all() and len(errors.of_rooms(way)) == 2
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
@@ -132,6 +204,18 @@ def test_an_effect_that_nobody_declared_is_found(kind, closed):
     assert ledger["judge"]["after"]["positions"]["error"] < ledger["judge"]["before"]["positions"]["error"]
     assert kind in read_model(out / "model.json").names
     validate([out])
+
+
+def test_a_loop_begins_with_a_given_model(closed, world, tmp_path):
+    """Its effect is part of the base model, as it is there, and no candidate again."""
+    out, before = closed("noise_floor")
+    ledger = close_loop([world("noise_floor") / "fit"], tmp_path / "loop", model=out / "model.json", nj=2)
+    assert ledger["given"] == read_model(out / "model.json").names
+    assert not {one["effect"] for one in ledger["ranking"]} & set(ledger["given"])
+    was, became = (before[when]["positions"]["error"] for when in ("baseline", "final"))
+    assert ledger["baseline"]["positions"]["error"] < 0.5 * (was + became)
+    assert ledger["iterations"] or (tmp_path / "loop/model.json").read_bytes() == (out / "model.json").read_bytes()
+    validate([tmp_path / "loop"])
 
 
 def test_the_response_that_is_found_is_that_of_the_world(closed, world):

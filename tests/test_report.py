@@ -148,6 +148,12 @@ def test_the_loop_is_told_in_words(page):
     assert "depth_m 0.7 (0.7 to 0.7); reflection 0.6 (0.6 to 0.6)" in page.text and "56 %" in page.text
 
 
+def test_distances_have_a_row_of_the_loop_where_there_is_one(made):
+    table_of_distances = made[2].read_text().partition('id="table-distance"')[2].partition("</table>")[0]
+    assert re.findall(r'class="key (\w+)', table_of_distances) == ["simulated", "compensated", "drawn", "measured"]
+    assert "simulated + loop" in table_of_distances
+
+
 def test_a_page_without_a_loop_has_no_chapter_on_it(made, tmp_path):
     for name in ("measured", "rirs.real", "rirs.real.train"):
         shutil.copytree(made[0] / name, tmp_path / "data" / name)

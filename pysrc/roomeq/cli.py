@@ -202,6 +202,7 @@ def _eq_verbs(verbs) -> None:
      .argument("rir_dirs", nargs="+", help="measured RIRs with geometry, of three rooms or more")
      .argument("--out", required=True, help="directory to make: ledger.json, model.json")
      .argument("--judge", action="append", default=[], metavar="DIR", help="RIRs that are only scored")
+     .argument("--model", help="model.json to begin with: its effects are in the base model, and no candidates")
      .argument("--max-effects", type=integer, default=4, help="at most so many are added")
      .seed()
      .argument("--nj", type=integer, default=1, help="threads; results do not depend on it"))

@@ -1,5 +1,7 @@
 """Options out of range, and places that a result may not go to."""
 
+import json
+
 from wrong import Case, remove, row, write
 
 CASES = [
@@ -14,7 +16,13 @@ CASES = [
     Case("loop of no threads", "close-loop --nj 0 measured --out out",
          "nj=0 must lie in [1, 1024]: give the number of processes"),
     Case("loop of two rooms", "close-loop measured --out out",
-         "measured: RIRs of 2 rooms, and the loop leaves rooms out: give at least 3 rooms or conditions (room_id)"),
+         "measured: RIRs of 2 rooms, ... of them with two or more, and the loop leaves rooms out and scores them by "
+         "halves: give at least 3 rooms or conditions (room_id) with two RIRs"),
+    Case("loop of an absent model", "close-loop --model absent.json measured --out out",
+         "absent.json: No such file or directory: check the path"),
+    Case("loop of a model with an effect twice", "close-loop --model m.json measured --out out",
+         "m.json: effects[1]: effect='sound_speed' is there already: leave one out",
+         (write("m.json", json.dumps(dict(effects=2 * [dict(effect="sound_speed", of={})]))),)),
     Case("loop of rirs given twice", "close-loop measured measured --out out",
          "RIR r0 is in both measured and measured: give each RIR once"),
     Case("loop into its input", "close-loop measured --out measured",

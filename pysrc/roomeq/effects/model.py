@@ -166,7 +166,12 @@ def read_model(path):
     content = read_json(path)
     if not isinstance(content, dict) or not isinstance(content.get("effects"), list):
         raise ValueError(f"{path}: must hold an object with a list of 'effects': make it with roomeq close-loop")
-    return Model(tuple(_extension(path, n, one) for n, one in enumerate(content["effects"])))
+    extensions = tuple(_extension(path, n, one) for n, one in enumerate(content["effects"]))
+    names = [one.effect.NAME for one in extensions]
+    for n, name in enumerate(names):
+        if name in names[:n]:
+            raise ValueError(f"{path}: effects[{n}]: effect={name!r} is there already: leave one out")
+    return Model(extensions)
 
 
 def _extension(path, n, one):

@@ -40,9 +40,7 @@ class NoiseFloor(Effect):
         return cls(tuple(float(value) for value in _QUIET_DB + 10.0 * np.clip(vector, -3.0, 5.0)))
 
     def act(self, state, data, rows):
-        # a soft maximum: a fit must feel a level that is too low
-        state.floor_db[rows] = 10.0 * np.log10(10.0 ** (state.floor_db[rows] / 10.0)
-                                               + 10.0 ** (np.array(self.levels_db) / 10.0))
+        state.floor[rows] += 10.0 ** (np.array(self.levels_db) / 10.0)
 
     def on_rir(self, rir, rendering):
         total = np.sum(octave_bands(rir, FS_HZ) ** 2, axis=1)

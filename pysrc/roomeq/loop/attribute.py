@@ -78,9 +78,32 @@ def rank(session):
     """
     data = session.data
     before = leave_rooms_out(data, fit(data, session.offset, session.effects, like=session.fit))
+    known = {*session.effects, *data.given_kinds}
     found = [_candidate(session, effect, before) for effect in CATALOGUE.values()
-             if effect not in session.effects and effect.applies(data)]
+             if effect not in known and effect.applies(data)]
     return sorted(found, key=lambda one: -one.total)
+
+
+def beside(session, failed, ranking):
+    """Judge candidates again beside one that is not the cause: what only explains the same helps no more.
+
+    Parameters
+    ----------
+    session : Session
+    failed : Candidate
+        Its effect and its fit become part of the model.
+    ranking : list of Candidate
+
+    Returns
+    -------
+    Session
+        With the failed effect in its model.
+    list of Candidate
+        One for each of the ranking, in its order.
+    """
+    with_it = replace(session, effects=failed.fit.effects, fit=failed.fit)
+    before = leave_rooms_out(session.data, failed.fit)
+    return with_it, [_candidate(with_it, one.effect, before) for one in ranking]
 
 
 def _candidate(session, effect, before):

@@ -6,7 +6,7 @@ All cells are in just noticeable differences (JND), so that a difference of cell
 logarithms of decay times per 5 %, C50 per 1.1 dB, DRR per 2 dB (ISO 3382-1:2009, table A.1; Bradley et al.,
 J. Acoust. Soc. Am. 105 (1999) 3446; Larsen et al., J. Acoust. Soc. Am. 124 (2008) 450). Two cells have no such
 threshold and a unit of their own: the arrival of the direct sound, per 0.1 ms (3.4 cm, about what positions are known
-to), and noise, per dB above 55 dB below the response of its band, where it begins to disturb a decay.
+to), and noise, per dB by which it raises what any recording has: white noise, and what is too quiet to disturb a decay.
 
 Levels are those of the recording: one unknown gain per chain stands in all of them (`HAS_GAIN`).
 """
@@ -28,6 +28,8 @@ THIRDS_HZ = tuple(1000.0 * 10.0 ** (0.1 * k) for k in range(-13, 9))
 DIRECT_THIRDS_HZ = THIRDS_HZ[11:]  # from 630 Hz: lower ones are not resolved within `DIRECT_S`
 MIN_SNR_DB = 10.0
 QUIET_DB = -55.0
+"""Energy of 100 ms of noise relative to the response of its band, below which it disturbs no decay."""
+QUIET = 10.0 ** (QUIET_DB / 10.0)
 JND = dict(direct=1.0, early=1.0, late=1.0, spectrum=1.0, edt=np.log(1.05), t20=np.log(1.05), t30=np.log(1.05),
            c50=1.1, drr=2.0, arrival=1e-4, ahead=1.0, floor=1.0)
 REGION = dict(direct="direct", early="early", late="late", spectrum="whole", edt="early", t20="late", t30="late",
@@ -42,6 +44,9 @@ BAND_HZ = np.array([band_hz for bands in _BANDS_OF.values() for band_hz in bands
 N_CELLS = len(METRIC)
 HAS_GAIN = np.isin(METRIC, ["direct", "early", "late", "spectrum"])
 """Whether the gain of the recording stands in a cell, shape (n_cells,)."""
+OCTAVE_WIDTH_HZ = (np.minimum(np.array(EXACT_BANDS_HZ) * np.sqrt(2.0), 0.5 * FS_HZ)
+                   - np.array(EXACT_BANDS_HZ) / np.sqrt(2.0))
+"""Of what the octaves hold below half the sample rate [Hz], shape (8,)."""
 LARGEST = 20.0
 """Error of a cell that a model cannot produce [JND]."""
 
@@ -63,14 +68,17 @@ class Cells:
     valid : ndarray of bool, shape (n_cells,)
         Whether a cell can be believed: decay range, bandwidth and distance to the noise suffice.
     direct_sample : float
+    white : ndarray, shape (8,)
+        White noise of the recording: energy of 100 ms relative to the response, per octave.
     """
 
     values: np.ndarray
     valid: np.ndarray
     direct_sample: float
+    white: np.ndarray
 
 
-def measure_cells(rir, expected_sample=None, *, timed=True):
+def measure_cells(rir, expected_sample=None, *, timed=True, white=None):
     """Measure all cells of an RIR.
 
     Parameters
@@ -81,6 +89,8 @@ def measure_cells(rir, expected_sample=None, *, timed=True):
         Where geometry puts the direct sound, if sample 0 is the emission.
     timed : bool
         Whether the arrival of the direct sound means something: not where the time of flight was removed.
+    white : ndarray, shape (8,), optional
+        White noise to be thought of as there: that of the recording that a rendered RIR is compared with.
 
     Returns
     -------
@@ -106,9 +116,10 @@ def measure_cells(rir, expected_sample=None, *, timed=True):
     noise = _noise_density(rir, found)
     for metric, (level_db, snr_db) in _levels(rir, direct, found, noise).items():
         _put(values, valid, metric, level_db, snr_db > MIN_SNR_DB)
-    for metric, level_db in _noise_levels(rir, direct, noise).items():
-        _put(values, valid, metric, np.maximum(level_db, QUIET_DB), np.isfinite(level_db))
-    return Cells(values, valid & np.isfinite(values), direct)
+    levels, white = _noise_levels(rir, direct, noise, white)
+    for metric, (level_db, believed) in levels.items():
+        _put(values, valid, metric, level_db, believed)
+    return Cells(values, valid & np.isfinite(values), direct, white)
 
 
 def _direct(rir, expected_sample, timed):
@@ -166,7 +177,10 @@ def _gains(kind, n_fft):
 
 
 def _noise_density(rir, found):
-    """Noise energy per sample in octaves and third octaves; 0 where the response ends before its noise."""
+    """Noise energy per sample in octaves and third octaves; 0 where the response ends before its noise.
+
+    `end` is what there is at the end, of `n_samples`, noise or not.
+    """
     last = int(np.flatnonzero(rir)[-1]) + 1
     start = max(int(0.9 * last), min(last, int(max(found["band_knee_s"]) * FS_HZ + found["direct_sample"])))
     start = min(start, last - int(0.05 * FS_HZ)) if last > int(0.2 * FS_HZ) else int(0.9 * last)
@@ -174,8 +188,9 @@ def _noise_density(rir, found):
     part = rir[start:last]
     n_fft = next_fast_len(max(len(part), 2048), real=True)
     power = _power(part, n_fft) / max(len(part), 1)
-    octaves = np.where(seen, _gains("octave", n_fft) @ power, 0.0)
-    return dict(octave=octaves, third=np.where(seen[_octave_of_third()], _gains("third", n_fft) @ power, 0.0))
+    end = _gains("octave", n_fft) @ power
+    return dict(octave=np.where(seen, end, 0.0), end=end, n_samples=len(part),
+                third=np.where(seen[_octave_of_third()], _gains("third", n_fft) @ power, 0.0))
 
 
 def _octave_of_third():
@@ -202,25 +217,49 @@ def _levels(rir, direct, found, noise):
     return result
 
 
-def _noise_levels(rir, direct, noise):
-    """Noise behind the response and sound ahead of it, per octave and 100 ms, relative to the band's energy [dB].
+def _noise_levels(rir, direct, noise, white):
+    """By how much noise behind the response and sound ahead of it raise what any recording has, per octave [dB].
 
-    White noise of the level that all bands have at least is what any recording has, and left out.
+    Any recording has white noise, of a level of its own, and what is quiet disturbs nothing: both stand below every
+    ratio, so that it goes to 0 smoothly where there is no more.
+
+    Returns
+    -------
+    levels : dict
+        {metric: (level, whether it can be believed)}.
+    white : ndarray, shape (8,)
     """
-    stop = round(direct) - round(3e-3 * FS_HZ)
     n_fft = next_fast_len(len(rir), real=True)
-    total = np.maximum(_gains("octave", n_fft) @ _power(rir, n_fft), 1e-30)
-    width_hz = np.array(EXACT_BANDS_HZ) / np.sqrt(2.0)
-    width_hz[-1] = 0.5 * FS_HZ - EXACT_BANDS_HZ[-1] / np.sqrt(2.0)
-    white = np.min(noise["octave"] / width_hz) * width_hz
-    floor = np.maximum(noise["octave"] - 2.0 * white, 0.0)
-    result = {"floor": 10.0 * np.log10(np.maximum(0.1 * FS_HZ * floor, 1e-30) / total)}
-    ahead = np.full(len(BANDS_HZ), np.nan)
-    if stop > round(4e-3 * FS_HZ):
-        part = _segment(rir, 16, stop, 16)
+    per_energy = 0.1 * FS_HZ / np.maximum(_gains("octave", n_fft) @ _power(rir, n_fft), 1e-30)
+    end, seen = noise["end"] * per_energy, noise["octave"] > 0.0
+    if white is None:
+        besides, white = 0.0, _white(noise) * per_energy
+        behind = np.where(seen, end, white) + QUIET
+    else:  # a rendering goes on until it is over
+        besides, behind = white, end + white + QUIET
+    # a response that ends before its noise tells of it only where even its end is quiet
+    believed = seen | (_db(end / QUIET + 1.0) < JND["floor"])
+    result = {"floor": (_db(behind / (white + QUIET)), believed)}
+    n_ahead = round(direct) - round(3e-3 * FS_HZ) - 16
+    ahead, resolved = np.full(len(BANDS_HZ), np.nan), OCTAVE_WIDTH_HZ * n_ahead > FS_HZ
+    if n_ahead > 48:
+        part = _segment(rir, 16, 16 + n_ahead, 16)
         n_fft = next_fast_len(max(2048, len(part)), real=True)
-        energy = _gains("octave", n_fft) @ _power(part, n_fft)
-        energy = np.maximum(energy / len(part) - 2.0 * np.maximum(noise["octave"], white), 0.0)
-        ahead = 10.0 * np.log10(np.maximum(0.1 * FS_HZ * energy, 1e-30) / total)
-    result["ahead"] = ahead
-    return result
+        ahead = _db((_gains("octave", n_fft) @ _power(part, n_fft) / len(part) * per_energy + besides + QUIET) / behind)
+    result["ahead"] = ahead, resolved & believed
+    return result, white
+
+
+def _white(noise):
+    """Level of the white noise that all octaves have at least, energy per sample in each.
+
+    Energy over a time T in a bandwidth B is known to a share of 1 / sqrt(B T): the least of all octaves would be that
+    of the narrowest by chance.
+    """
+    share = 1.0 / np.sqrt(OCTAVE_WIDTH_HZ * noise["n_samples"] / FS_HZ)
+    most = noise["octave"] / OCTAVE_WIDTH_HZ * (1.0 + 2.0 * share)
+    return OCTAVE_WIDTH_HZ * (most[most > 0.0].min() if np.any(most > 0.0) else 0.0)
+
+
+def _db(power):
+    return 10.0 * np.log10(np.maximum(power, 1e-30))

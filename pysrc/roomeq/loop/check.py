@@ -29,7 +29,7 @@ def validate_loop(directory):
     """
     directory = Path(directory)
     ledger, model = read_ledger(directory / LEDGER_FILE), read_model(directory / MODEL_FILE)
-    found = sorted(entry["effect"] for entry in ledger["iterations"])
+    found = sorted([*ledger["given"], *(entry["effect"] for entry in ledger["iterations"])])
     if found != sorted(model.names):
         raise ValueError(f"{directory / MODEL_FILE}: effects {', '.join(sorted(model.names)) or 'none'} are not those "
                          f"of {LEDGER_FILE} ({', '.join(found) or 'none'}): close the loop again")
@@ -41,7 +41,7 @@ def validate_loop(directory):
                              f"{', '.join(units)}, as in {MODEL_FILE}: close the loop again")
     read_residuals(directory / RESIDUALS_FILE, ledger["rirs"])
     read_examples(directory / EXAMPLES_FILE)
-    return len(found)
+    return len(ledger["iterations"])
 
 
 def read_residuals(path, n_rirs):
@@ -187,8 +187,8 @@ def _unexplained(value, what):
 
 
 def _check_ledger(ledger):
-    _keys(ledger, "it", ("rirs", "rooms", "baseline", "iterations", "ranking", "unexplained", "unexplained_all",
-                         "final"))
+    _keys(ledger, "it", ("rirs", "rooms", "given", "baseline", "iterations", "ranking", "unexplained",
+                         "unexplained_all", "final"))
     for key in ("rirs", "rooms"):
         _require(isinstance(ledger[key], int) and not isinstance(ledger[key], bool) and ledger[key] > 0,
                  f"{key}={ledger[key]!r:.60}", "be a positive whole number")
@@ -200,8 +200,9 @@ def _check_ledger(ledger):
     _require(ledger["unexplained"] == (ledger["unexplained_all"] or [None])[0], "unexplained",
              "be the first of unexplained_all")
     iterations = ledger["iterations"]
-    names = [one["effect"] for one in iterations]
-    _require(len(set(names)) == len(names), "iterations", "name each effect once")
+    _list(ledger["given"], "given", _effect)
+    names = [*ledger["given"], *(one["effect"] for one in iterations)]
+    _require(len(set(names)) == len(names), "given and iterations", "name each effect once")
     if not iterations:
         _require(ledger["final"] == ledger["baseline"], "final", "be the baseline where nothing was found")
     else:

@@ -8,9 +8,9 @@ import numpy as np
 
 from roomeq.build import Build, check_jobs
 from roomeq.effects.catalogue import CATALOGUE
-from roomeq.effects.model import MODEL_FILE, Extension, Model, write_model
+from roomeq.effects.model import MODEL_FILE, Extension, Model, read_model, write_model
 from roomeq.files import write_json
-from roomeq.loop.attribute import MIN_ROOMS, choose, one_sided_p, rank
+from roomeq.loop.attribute import MIN_ROOMS, beside, choose, one_sided_p, rank
 from roomeq.loop.data import load_data
 from roomeq.loop.examples import EXAMPLES_FILE, write_examples
 from roomeq.loop.heldout import Errors, heldout_errors
@@ -23,10 +23,9 @@ logger = logging.getLogger(__name__)
 
 SCATTERING = 0.3  # of all surfaces; nobody declares it, and the error depends little on it
 LEVEL = 0.05
-SHARE = 0.5  # of the best candidate's gain
 
 
-def close_loop(rir_dirs, out, *, judge=(), max_effects=4, seed=0, nj=1):
+def close_loop(rir_dirs, out, *, judge=(), model=None, max_effects=4, seed=0, nj=1):
     """Find the effects that a simulation of measured RIRs lacks, and extend the model by them.
 
     Parameters
@@ -37,6 +36,9 @@ def close_loop(rir_dirs, out, *, judge=(), max_effects=4, seed=0, nj=1):
         Directory to make: `ledger.json`, `model.json`, `residuals.npz`.
     judge : sequence of Path
         RIR directories that are only scored: no fit sees them.
+    model : Path, optional
+        Model to begin with (`roomeq.effects.model`): its effects are part of the base model, as they are there, and no
+        candidates. What is found is added to them.
     max_effects : int
         At most so many effects are added.
     seed : int
@@ -51,30 +53,35 @@ def close_loop(rir_dirs, out, *, judge=(), max_effects=4, seed=0, nj=1):
     Raises
     ------
     ValueError
-        Too few rooms, or a directory breaks its contract.
+        Too few rooms, or a directory or the model breaks its contract.
     """
     directories, judge = [Path(one) for one in rir_dirs], [Path(one) for one in judge]
     if not 0 <= max_effects <= len(CATALOGUE):
         raise ValueError(f"max_effects={max_effects} must lie in [0, {len(CATALOGUE)}]")
     check_jobs(nj)
+    given = Model() if model is None else read_model(model)
     build = Build(Path(out), step="close-loop", options=dict(max_effects=max_effects, seed=seed),
-                  inputs=[*directories, *judge])
+                  inputs=[*directories, *judge, *([Path(model)] if model else [])])
     if build.done:
         return None
-    data = load_data(directories, scattering=SCATTERING, seed=seed)
-    if len(data.room_names) < MIN_ROOMS:
-        raise ValueError(f"{directories[0]}: RIRs of {len(data.room_names)} rooms, and the loop leaves rooms out: give "
-                         f"at least {MIN_ROOMS} rooms or conditions (room_id)")
+    data = load_data(directories, scattering=SCATTERING, seed=seed, model=given)
     # before the loop: what is wrong there must not be said after hours
-    judge_data = load_data(judge, scattering=SCATTERING, seed=seed) if judge else None
+    judge_data = load_data(judge, scattering=SCATTERING, seed=seed, model=given) if judge else None
+    if data.n_scored < MIN_ROOMS:
+        raise ValueError(f"{directories[0]}: RIRs of {len(data.room_names)} rooms, {data.n_scored} of them with two or "
+                         f"more, and the loop leaves rooms out and scores them by halves: give at least {MIN_ROOMS} "
+                         "rooms or conditions (room_id) with two RIRs")
+    if judge_data and not judge_data.n_scored:
+        logger.warning("%s: no room has two RIRs, one to calibrate it and one to score: not judged", judge[0])
+        judge_data = None
     ledger = {}
     if build.run({"loop": None}, lambda _, __: {}):
-        build.finish(lambda directory, _: ledger.update(_run(data, directories, directory, judge_data, max_effects,
-                                                               seed, nj)))
+        build.finish(lambda directory, _: ledger.update(_run(data, directories, directory, judge_data, given,
+                                                               max_effects, seed, nj)))
     return ledger
 
 
-def _run(data, directories, work, judge_data, max_effects, seed, nj):
+def _run(data, directories, work, judge_data, given, max_effects, seed, nj):
     """The loop itself; writes its files below `work` and returns the ledger."""
     start = time.monotonic()
     session = begin(data, seed=seed, nj=nj)
@@ -98,14 +105,15 @@ def _run(data, directories, work, judge_data, max_effects, seed, nj):
     for unexplained in left[:1]:
         logger.info("loop: unexplained: %s", summary_of(unexplained))
     ledger = dict(
-        rirs=len(data.rows), rooms=len(data.room_names), baseline=_error_entry(first_errors), iterations=iterations,
+        rirs=len(data.rows), rooms=len(data.room_names), given=given.names,
+        baseline=_error_entry(first_errors), iterations=iterations,
         ranking=[ranked(one) for one in ranking], unexplained=left[0].as_dict() if left else None,
         unexplained_all=[one.as_dict() for one in left], final=_error_entry(errors))
     if judge_data:
         ledger["judge"] = _judged(judge_data, first, session, seed, nj)
     logger.info("%d RIRs in %.0f s", len(data.rows), time.monotonic() - start)
     write_json(work / LEDGER_FILE, ledger)
-    write_model(work / MODEL_FILE, model_of(session))
+    write_model(work / MODEL_FILE, model_of(session, given))
     np.savez_compressed(work / "residuals.npz", before=first.residual, after=session.residual)
     write_examples(work / EXAMPLES_FILE, directories, first, session)
     return ledger
@@ -113,9 +121,10 @@ def _run(data, directories, work, judge_data, max_effects, seed, nj):
 
 def _accepted(session, errors, ranking):
     """The most helpful candidate that also lowers the error when everything is simulated again with it."""
-    pool, shifts = list(ranking), dict(session.data.shifts)
+    shifts, base = dict(session.data.shifts), session
+    pool = [(one, one) for one in ranking]  # each, and as judged beside those that failed
     while True:
-        winner, rivals = choose(pool)
+        winner, rivals = choose([one for one, _ in pool])
         if winner is None:
             return None
         after = begin(session.data, like=winner.fit, offset=session.offset, seed=session.seed, nj=session.nj)
@@ -124,8 +133,11 @@ def _accepted(session, errors, ranking):
             return winner, rivals, after, errors_after
         logger.info("loop: %s fits, but simulated again it does not lower the error; left out", winner.effect.NAME)
         session.data.shifts.update(shifts)  # those of the rejected model speak of its own RIRs
-        # what explains much less is not the cause of what the failed one explains
-        pool = [one for one in pool if one is not winner and one.total > SHARE * winner.total]
+        # what the failed one explains is not the next best's: others must explain something else
+        (failed,) = [again for one, again in pool if one is winner]
+        rest = [one for one, _ in pool if one is not winner and one.helps(len(ranking))]
+        base, judged = beside(base, failed, rest)
+        pool = [(one, again) for one, again in zip(rest, judged, strict=True) if again.helps(len(ranking))]
 
 
 def _lower(before: Errors, after: Errors):
@@ -154,6 +166,7 @@ def _judged(data, first, last, seed, nj):
                 after=_error_entry(after))
 
 
-def model_of(session):
-    """The model of a session, for the simulator."""
-    return Model(tuple(Extension(*one) for one in values_of(session)))
+def model_of(session, given):
+    """What a session found and what it was given, for the simulator."""
+    found = [*given.extensions, *(Extension(*one) for one in values_of(session))]
+    return Model(tuple(sorted(found, key=lambda one: list(CATALOGUE).index(one.effect.NAME))))

@@ -1,13 +1,14 @@
 """Measured RIRs as the loop sees them: their cells, who recorded them where, and what rays bring there."""
 
 import logging
-from collections import Counter
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from roomeq.constants import FS_HZ
+from roomeq.effects.model import Model
 from roomeq.loop.cells import JND, measure_cells, slots
 from roomeq.loop.tables import ANGLES, collect
 from roomeq.rirs import load_rir, read_rirs
@@ -34,8 +35,10 @@ class Data:
     places : list of roomeq.sim.geometry.Place
     cells, valid : ndarray, shape (n_rirs, n_cells)
         What was measured, and which of it can be believed (`roomeq.loop.cells`).
+    white : ndarray, shape (n_rirs, 8)
+        White noise of the recordings (`roomeq.loop.cells.Cells`).
     room, chain : ndarray of int, shape (n_rirs,)
-        Number of the room, and of the combination of room, source and microphone that has a gain (`_chains`).
+        Number of the room, and of the combination of room, source and microphone.
     room_names : list of str
     traced : list of TracedSource
         Of each RIR; shared by the RIRs of one source.
@@ -44,12 +47,15 @@ class Data:
         The declared air, and distances between source and microphone.
     shifts : dict
         See `shift_of`.
+    given : list of list of roomeq.effects.base.Effect
+        Effects of each RIR that the base model has, with their parameters.
     """
 
     rows: list
     places: list
     cells: np.ndarray
     valid: np.ndarray
+    white: np.ndarray
     room: np.ndarray
     chain: np.ndarray
     room_names: list
@@ -59,8 +65,28 @@ class Data:
     speed_m_s: np.ndarray
     distance_m: np.ndarray
     shifts: dict
+    given: list
 
     angles = ANGLES
+
+    @cached_property
+    def given_to(self):
+        """Each effect of the base model and its RIRs: list of (effect, ndarray of int)."""
+        found = {}
+        for n, effects in enumerate(self.given):
+            for effect in effects:
+                found.setdefault(effect, []).append(n)
+        return [(effect, np.array(rows)) for effect, rows in found.items()]
+
+    @property
+    def given_kinds(self):
+        """Types of the effects that the base model has."""
+        return {type(effect) for effect, _ in self.given_to}
+
+    @property
+    def n_scored(self):
+        """Number of rooms with two RIRs or more: of fewer, none is left to score."""
+        return int(np.sum(np.bincount(self.room) > 1))
 
     def shift_of(self, effect):
         """What an effect that has no say on tables changes in the cells, shape (n_nodes, n_rirs, n_cells)."""
@@ -77,7 +103,7 @@ class Data:
         return names, np.array([names.index(row[key]) for row in self.rows])
 
 
-def load_data(directories, *, scattering, seed, measured=None):
+def load_data(directories, *, scattering, seed, model=None, measured=None):
     """Read RIR directories, measure their RIRs and trace their rooms.
 
     Parameters
@@ -87,6 +113,8 @@ def load_data(directories, *, scattering, seed, measured=None):
     scattering : float
         Scattering coefficient of all surfaces.
     seed : int
+    model : roomeq.effects.model.Model, optional
+        Effects that the base model has.
     measured : dict, optional
         Cells by (directory, id), where they were measured before; filled in.
 
@@ -115,7 +143,7 @@ def load_data(directories, *, scattering, seed, measured=None):
         if (str(directory), rir_id) not in measured:
             measured[str(directory), rir_id] = _measure(directory, row, place)
     cells = [measured[str(directory), rir_id] for _, rir_id, directory, *_ in found]
-    return _traced(found, cells, scattering, seed)
+    return _traced(found, cells, scattering, seed, Model() if model is None else model)
 
 
 def _snapped(found):
@@ -166,10 +194,10 @@ def _measure(directory, row, place):
         raise ValueError(f"{Path(directory) / row['wav']}: {error}") from None
 
 
-def _traced(found, cells, scattering, seed):
+def _traced(found, cells, scattering, seed, model):
     rows, places = [one[3] for one in found], [one[4] for one in found]
     room_names = sorted({row["room_id"] for row in rows})
-    by_chain = _chains(rows)
+    by_chain = [(row["room_id"], row["source_id"], row["mic_id"]) for row in rows]
     chains = sorted(set(by_chain))
     by_source = {}
     for n, (row, place) in enumerate(zip(rows, places, strict=True)):
@@ -187,23 +215,14 @@ def _traced(found, cells, scattering, seed):
             traced[n], tables[n] = one, table
     airs = [air_of(row) for row in rows]
     return Data(rows=rows, places=places, cells=np.array([one.values for one in cells]),
-                valid=np.array([one.valid for one in cells]),
+                valid=np.array([one.valid for one in cells]), white=np.array([one.white for one in cells]),
                 room=np.array([room_names.index(row["room_id"]) for row in rows]),
                 chain=np.array([chains.index(chain) for chain in by_chain]),
                 room_names=room_names, traced=traced, tables=tables,
                 air_per_m=np.array([air.attenuation_per_m for air in airs]),
                 speed_m_s=np.array([air.speed_m_s for air in airs]),
-                distance_m=np.array([table.distance_m for table in tables]), shifts={})
-
-
-def _chains(rows):
-    """What shares a gain: room, source and microphone; the room where that is a single RIR.
-
-    Some corpora number places instead of devices. A gain of each RIR's own would be unknown whenever it is left out.
-    """
-    full = [(row["room_id"], row["source_id"], row["mic_id"]) for row in rows]
-    count = Counter(full)
-    return [chain if count[chain] > 1 else (chain[0], "", "") for chain in full]
+                distance_m=np.array([table.distance_m for table in tables]), shifts={},
+                given=[model.for_row(row, seed) for row in rows])
 
 
 def _facing(row):

@@ -3,10 +3,10 @@
 Conventions
 -----------
 What is unknown of a room: its absorption per band ``x = ln(-ln(1 - alpha))``, by how much floor and ceiling absorb more
-than the walls, one gain per chain of source and microphone, and the vectors of effects whose scope is the room. These
-are Gaussian about a mean that all rooms share, with a spread that is estimated from them (empirical Bayes): so
-absorption cannot swallow what all rooms have in common, unless rooms differ so much that nothing is common. What is
-unknown of all: those means, and the vectors of the other effects.
+than the walls, gains (`roomeq.loop.layout`), and the vectors of effects whose scope is the room. These are Gaussian
+about a mean that all rooms share, with a spread that is estimated from them (empirical Bayes): so absorption cannot
+swallow what all rooms have in common, unless rooms differ so much that nothing is common. What is unknown of all: those
+means, and the vectors of the other effects.
 
 Cells scatter by `sigma` from RIR to RIR and by `omega` from room to room; both are estimated from what a model leaves.
 """
@@ -22,7 +22,8 @@ from roomeq.loop.predict import N_BANDS
 
 ITERATIONS = 5
 START_X = np.log(0.2)
-_GAIN_SPREAD_DB = 30.0
+_WHOLE_GAIN_DB = 30.0  # spread of the gain of a chain or a room
+_GAIN_DB = (0.3, _WHOLE_GAIN_DB)  # of what a source or a microphone has besides
 _MEAN_SPREAD = 1.5  # of the mean absorption, natural logarithm
 _CONTRAST = (0.4, 0.2, 0.1)  # spread of ln(absorption of floor and ceiling / of walls) over rooms, as `_SHAPES`
 _MEAN_CONTRAST = 0.3
@@ -47,7 +48,7 @@ class Fit:
     mean : ndarray, shape (n_shared,)
         Mean absorption, then for each effect the vectors of its units, or of a room on average.
     local : list of ndarray
-        Per room: deviation of the absorption, gains of its chains, deviations of its effects.
+        Per room: deviation of the absorption, gains, deviations of its effects.
     covariance : list of ndarray
         Of `local`, before the room's own RIRs are seen.
     sigma, omega : ndarray, shape (n_cells,)
@@ -57,6 +58,8 @@ class Fit:
         other and with the residual; and its density's constant.
     by_surface : ndarray, shape (n_rirs, n_cells, 16)
         Derivatives of the cells by the unknowns of the surfaces.
+    gain_db : tuple of float
+        Spread of each kind of gain (`roomeq.loop.layout.GAINS`).
     """
 
     effects: tuple
@@ -68,6 +71,7 @@ class Fit:
     predicted: np.ndarray
     normal: list
     by_surface: np.ndarray
+    gain_db: tuple
 
 
 def fit(data, offset, effects, start=None, like=None, iterations=ITERATIONS):
@@ -94,6 +98,7 @@ def fit(data, offset, effects, start=None, like=None, iterations=ITERATIONS):
     mean, prior_mean, prior = shared_prior(layout, start)
     local = [np.zeros(size) for _, size in layout.own_slices]
     shape, own_scale = (0.3, 0.2, 0.1), [1.0] * len(layout.effects)
+    gain_db = (_WHOLE_GAIN_DB, 3.0, 3.0) if like is None else like.gain_db
     sigma, omega = np.full(N_CELLS, 2.0), np.full(N_CELLS, 1.0)
     if like is None:
         mean[:N_BANDS] = prior_mean[:N_BANDS] = START_X
@@ -103,7 +108,7 @@ def fit(data, offset, effects, start=None, like=None, iterations=ITERATIONS):
         sigma, omega = like.sigma.copy(), like.omega.copy()
     known = None if like is None else like.by_surface
     for iteration in range(iterations):
-        covariance = covariances(layout, shape, own_scale)
+        covariance = covariances(layout, shape, own_scale, gain_db)
         predicted, slopes = linearise(layout, mean, local, offset, known)
         residual = data.cells - predicted
         valid = data.valid & np.isfinite(residual)
@@ -114,13 +119,14 @@ def fit(data, offset, effects, start=None, like=None, iterations=ITERATIONS):
         mean, local, spreads = _solve(normal, covariance, mean, local, prior_mean, prior)
         shape = _best_shape(local, spreads)
         own_scale = [_own_scale(layout, k, local, spreads) for k in range(len(layout.effects))]
-    covariance = covariances(layout, shape, own_scale)
+        gain_db = (_WHOLE_GAIN_DB, *(_gain_db(layout, kind, local, spreads) for kind in (1, 2)))
+    covariance = covariances(layout, shape, own_scale, gain_db)
     predicted, slopes = linearise(layout, mean, local, offset, known)
     residual = data.cells - predicted
     valid = data.valid & np.isfinite(residual)
     sigma, omega = scatter(data, residual, valid)
     normal = [normal_equations(layout, r, residual, valid, slopes, sigma, omega) for r in range(len(local))]
-    return Fit(layout.effects, mean, local, covariance, sigma, omega, predicted, normal, slopes[0])
+    return Fit(layout.effects, mean, local, covariance, sigma, omega, predicted, normal, slopes[0], gain_db)
 
 
 def shared_prior(layout, start):
@@ -143,9 +149,9 @@ def first_gains(layout, offset, mean, local):
     predicted = layout.predict(layout.absorption(mean, local), layout.vectors(mean, local),
                                np.zeros(len(layout.data.rows)), offset)
     error = np.where(layout.data.valid & HAS_GAIN, layout.data.cells - predicted, np.nan)
-    for r, chains in enumerate(layout.chains):
-        for n, chain in enumerate(chains):
-            found = error[(layout.data.room == r) & (layout.data.chain == chain)]
+    for r, (members, parts) in enumerate(zip(layout.members, layout.gain_of, strict=True)):
+        for n in np.flatnonzero(layout.gain_kind[r] == 0):
+            found = error[members[parts[:, n] > 0.0]]
             local[r][N_SURFACE + n] = np.nanmedian(found) if np.isfinite(found).any() else 0.0
 
 
@@ -157,7 +163,7 @@ def _continue(layout, like, mean, local):
         if effect in like.effects:
             mean[layout.shared[k][0]] = like.mean[before.shared[like.effects.index(effect)][0]]
     for r in range(len(local)):
-        n = N_SURFACE + len(layout.chains[r])
+        n = N_SURFACE + len(layout.gain_kind[r])
         local[r][:n] = like.local[r][:n]
         for k, effect in enumerate(layout.effects):
             if effect in like.effects:
@@ -165,14 +171,14 @@ def _continue(layout, like, mean, local):
                     before.own_slices[r][0][like.effects.index(effect)]]
 
 
-def covariances(layout, shape, own_scale):
+def covariances(layout, shape, own_scale, gain_db):
     found = []
-    for (slices, size), chains in zip(layout.own_slices, layout.chains, strict=True):
+    for (slices, size), kinds in zip(layout.own_slices, layout.gain_kind, strict=True):
         covariance = np.zeros((size, size))
         covariance[:N_BANDS, :N_BANDS] = absorption_covariance(*shape)
         covariance[N_BANDS:N_SURFACE, N_BANDS:N_SURFACE] = absorption_covariance(*_CONTRAST)
-        gains = np.arange(N_SURFACE, N_SURFACE + len(chains))
-        covariance[gains, gains] = _GAIN_SPREAD_DB ** 2
+        gains = np.arange(N_SURFACE, N_SURFACE + len(kinds))
+        covariance[gains, gains] = np.square(gain_db)[kinds]
         for k, effect in enumerate(layout.effects):
             if slices[k].stop > slices[k].start:
                 one = effect.prior_covariance()
@@ -219,3 +225,11 @@ def _own_scale(layout, k, local, spreads):
     found = [(u[part] ** 2 + np.diag(spread)[part]).reshape(-1, len(variance)) / variance
              for u, spread, part in zip(local, spreads, [slices[k] for slices, _ in layout.own_slices], strict=True)]
     return float(np.clip(np.sqrt(np.mean(np.concatenate(found))), 0.15, 1.5))
+
+
+def _gain_db(layout, kind, local, spreads):
+    """Spread of the gains of sources, or of microphones, within rooms [dB]; the widest where there are none."""
+    found = [np.square(u[at]) + np.diag(spread)[at] for u, spread, at in zip(
+        local, spreads, [N_SURFACE + np.flatnonzero(kinds == kind) for kinds in layout.gain_kind], strict=True)]
+    found = np.concatenate(found)
+    return float(np.clip(np.sqrt(found.mean()), *_GAIN_DB)) if len(found) else _GAIN_DB[1]

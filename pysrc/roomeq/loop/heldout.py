@@ -3,7 +3,8 @@
 Every room is left out once: what all rooms share is fitted to the others. Then the room is met in two ways:
 
 positions
-    half of its RIRs calibrate its absorption and gains, the other half is scored, and the other way round
+    half of its RIRs calibrate its absorption and gains, the other half is scored, and the other way round (of a room
+    with a single RIR, nothing is)
 rooms
     only its reverberation time at 1 kHz and the gains are known from the one half; the rest must come from what other
     rooms have taught
@@ -43,9 +44,9 @@ class Errors:
     room: np.ndarray
 
     def of_rooms(self, way):
-        """Mean error of each room, every metric with the same weight, shape (n_rooms,)."""
+        """Mean error of each room that has one, every metric with the same weight, shape (n_rooms,)."""
         found = []
-        for r in np.unique(self.room):
+        for r in np.unique(self.room[np.isfinite(self.cells[way]).any(axis=1)]):
             cells = self.cells[way][self.room == r]
             metrics = [cells[:, METRIC == metric] for metric in _METRICS]
             found.append(np.mean([np.nanmean(one) for one in metrics if np.isfinite(one).any()]))
@@ -74,17 +75,23 @@ class Errors:
 
 
 def halves(data):
-    """Two halves of each room's RIRs, the chains dealt out evenly: two lists of index arrays."""
+    """Two halves of each room's RIRs: two lists of index arrays.
+
+    Each RIR goes where fewer are of its chain, then where fewer are of its source and its microphone. Of a room with a
+    single RIR the second half is empty.
+    """
+    (_, source), (_, mic) = data.units("source"), data.units("mic")
     first, second = [], []
     for r in range(len(data.room_names)):
-        turn, parts = 0, ([], [])
-        for chain in np.unique(data.chain[data.room == r]):
-            for n in np.flatnonzero((data.room == r) & (data.chain == chain)):
-                parts[turn % 2].append(n)
-                turn += 1
-            turn += np.sum((data.room == r) & (data.chain == chain)) % 2 == 0  # even chains begin in turn
-        first.append(np.array(parts[0], dtype=int))
-        second.append(np.array(parts[1], dtype=int))
+        members, parts = np.flatnonzero(data.room == r), ([], [])
+        begun = list(np.unique(data.chain[members]))
+        for n in members[np.argsort(data.chain[members], kind="stable")]:
+            load = [(np.sum(data.chain[part] == data.chain[n]), np.sum(source[part] == source[n]) + np.sum(
+                mic[part] == mic[n]), len(part)) for part in (np.array(one, dtype=int) for one in parts)]
+            fewer = begun.index(data.chain[n]) % 2 if load[0] == load[1] else int(load[1] < load[0])
+            parts[fewer].append(n)
+        first.append(np.array(sorted(parts[0]), dtype=int))
+        second.append(np.array(sorted(parts[1]), dtype=int))
     return first, second
 
 
@@ -125,9 +132,9 @@ def scored_errors(data, calibrated, *, seed, nj):
     for way, chosen in KNOWN.items():
         cells = np.full(data.cells.shape, np.nan)
         for known, scored in ((first, second), (second, first)):
-            rows = np.concatenate(scored)
-            if not len(rows):  # every room has a single RIR
-                continue
+            # a room with a single RIR has nothing to calibrate it, and no error
+            rows = np.concatenate([of_room if len(others) else others for others, of_room in zip(known, scored,
+                                                                                                strict=True)])
             absorption, by_row, gains = calibrated(known, chosen)
             raws = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj, rows=rows)
             rendered = rendered_cells(data, raws, by_row, seed=seed, nj=nj, rows=rows)

@@ -5,7 +5,7 @@ import numpy as np
 from roomeq.loop.heldout import scored_errors
 from roomeq.loop.layout import N_SURFACE, OWN, Layout
 from roomeq.loop.leftout import solve_rooms
-from roomeq.loop.session import effects_of_rows
+from roomeq.loop.session import effects_of_rows, forget_shifts
 
 
 def judge_errors(data, session, *, seed, nj):
@@ -25,9 +25,7 @@ def judge_errors(data, session, *, seed, nj):
     layout = Layout(data, session.effects)
     mean = _shared(layout, session)
     offset = np.tile(session.offset.mean(axis=0), (len(data.rows), 1))
-    for effect in session.effects:
-        if effect.NODES:
-            data.shifts[effect.NAME] = np.zeros((len(effect.NODES), *data.cells.shape))  # rendering tells
+    forget_shifts(data, {*session.effects, *data.given_kinds})
 
     def calibrated(known, chosen):
         local = solve_rooms(layout, session.fit, mean, offset, known, chosen)

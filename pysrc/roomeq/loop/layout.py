@@ -1,4 +1,11 @@
-"""Where each unknown of a model stands, and what cells follow from them."""
+"""Where each unknown of a model stands, and what cells follow from them.
+
+Conventions
+-----------
+A chain of room, source and microphone that several RIRs share has a gain of its own. Where it occurs once - some
+corpora number places instead of devices - an RIR that is left out would know nothing of it: its gain is a sum of one
+of the room, one of the source there and one of the microphone there.
+"""
 
 import numpy as np
 
@@ -10,12 +17,15 @@ N_SURFACE = 2 * N_BANDS
 """Unknowns of the surfaces: absorption per band, and the contrast of floor and ceiling to the walls."""
 
 
+GAINS = ("whole", "source", "mic")
+"""Kinds of gains: of a chain or a room, and by how much a source and a microphone differ from it."""
+
+
 class Layout:
     """Where each unknown stands."""
 
     def __init__(self, data, effects):
         self.data, self.effects = data, tuple(effects)
-        self.chains = [sorted(set(data.chain[data.room == r])) for r in range(len(data.room_names))]
         self.shared, start = [], N_SURFACE
         for effect in self.effects:
             names, unit = data.units(effect.SCOPE)
@@ -26,8 +36,9 @@ class Layout:
         self.n_shared = start
         self.own_slices = []
         self.members = [np.flatnonzero(data.room == r) for r in range(len(data.room_names))]
-        for chains, members in zip(self.chains, self.members, strict=True):
-            at, slices = N_SURFACE + len(chains), []
+        self.gain_of, self.gain_kind = zip(*[_gains(data, members) for members in self.members], strict=True)
+        for kinds, members in zip(self.gain_kind, self.members, strict=True):
+            at, slices = N_SURFACE + len(kinds), []
             for effect in self.effects:
                 size = len(effect.SPREAD) * {"room": 1, "rir": len(members)}.get(effect.SCOPE, 0)
                 slices.append(slice(at, at + size))
@@ -59,8 +70,10 @@ class Layout:
 
     def gains(self, local):
         """Gain of each RIR [dB], shape (n_rirs,)."""
-        return np.array([local[r][N_SURFACE + self.chains[r].index(chain)]
-                         for r, chain in zip(self.data.room, self.data.chain, strict=True)])
+        found = np.empty(len(self.data.rows))
+        for members, parts, one in zip(self.members, self.gain_of, local, strict=True):
+            found[members] = parts @ one[N_SURFACE:N_SURFACE + parts.shape[1]]
+        return found
 
     def state(self, absorption, vectors):
         """What is assumed of each RIR."""
@@ -76,3 +89,17 @@ class Layout:
     def predict(self, absorption, vectors, gains, offset, energy=None):
         """Cells, shape (n_rirs, n_cells); `energy` as for `roomeq.loop.predict.predict`."""
         return predict(self.data, self.state(absorption, vectors), energy) + offset + np.outer(gains, HAS_GAIN)
+
+
+def _gains(data, members):
+    """Gains of a room: which stand in each RIR, shape (n_rirs, n_gains) of 0 and 1, and the kind of each."""
+    chain = data.chain[members]
+    columns = [(chain == one, 0) for one in np.unique(chain) if np.sum(chain == one) > 1]
+    alone = np.array([np.sum(chain == one) == 1 for one in chain])
+    if alone.any():
+        columns.append((alone, 0))
+    for kind in (1, 2):
+        names = np.array([data.rows[n][f"{GAINS[kind]}_id"] for n in members])
+        several = sorted(set(names[alone]))
+        columns += [(alone & (names == name), kind) for name in several if len(several) > 1]
+    return np.array([one for one, _ in columns], dtype=float).T, np.array([kind for _, kind in columns])

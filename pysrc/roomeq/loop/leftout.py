@@ -143,7 +143,7 @@ def solve_rooms(layout, like, mean, offset, index, chosen=None, iterations=ITERA
     """
     data = layout.data
     own_scale = [1.0] * len(layout.effects)
-    spreads = covariances(layout, (0.3, 0.2, 0.1), own_scale)
+    spreads = covariances(layout, (0.3, 0.2, 0.1), own_scale, like.gain_db)
     for covariance in spreads:
         covariance[:N_SURFACE, :N_SURFACE] = like.covariance[0][:N_SURFACE, :N_SURFACE]
     local = [np.zeros(size) for _, size in layout.own_slices]

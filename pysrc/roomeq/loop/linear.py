@@ -37,15 +37,15 @@ def linearise(layout, mean, local, offset, by_band=None):
     return centre, (by_band, by_effect)
 
 
-def _derivatives(layout, r, index, slopes):
-    """Derivatives of some RIRs of a room by its own and by the shared unknowns."""
-    by_band, by_effect = slopes
+def _derivatives(layout, r, slopes):
+    """Derivatives of a room's RIRs by its own and by the shared unknowns."""
+    index, (by_band, by_effect) = layout.members[r], slopes
     slices, size = layout.own_slices[r]
     own = np.zeros((len(index), N_CELLS, size))
     shared = np.zeros((len(index), N_CELLS, layout.n_shared))
     own[:, :, :N_SURFACE] = shared[:, :, :N_SURFACE] = by_band[index]
-    for i, n in enumerate(index):
-        own[i, :, N_SURFACE + layout.chains[r].index(layout.data.chain[n])] = HAS_GAIN
+    parts = layout.gain_of[r]
+    own[:, :, N_SURFACE:N_SURFACE + parts.shape[1]] = HAS_GAIN[:, None] * parts[:, None, :]
     for k, effect in enumerate(layout.effects):
         part, _, unit, n = layout.shared[k]
         if effect.SCOPE == "room":
@@ -73,7 +73,7 @@ def _whiten(columns, valid, sigma, omega):
 
 def normal_equations(layout, r, residual, valid, slopes, sigma, omega):
     index = layout.members[r]
-    own, shared = _derivatives(layout, r, index, slopes)
+    own, shared = _derivatives(layout, r, slopes)
     error, ok = residual[index], valid[index]
     spread = np.sqrt(sigma ** 2 + omega ** 2)
     weight = np.sqrt(np.minimum(1.0, _HUBER * spread / np.maximum(np.abs(np.where(ok, error, 0.0)), 1e-9)))

@@ -8,9 +8,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomeq.constants import EXACT_BANDS_HZ, FS_HZ
+from roomeq.constants import EXACT_BANDS_HZ
 from roomeq.effects.response import RESPONSE_HZ
-from roomeq.loop.cells import BAND_HZ, DIRECT_THIRDS_HZ, EARLY_S, JND, LATE_S, N_CELLS, QUIET_DB, THIRDS_HZ, slots
+from roomeq.loop.cells import (
+    BAND_HZ,
+    DIRECT_THIRDS_HZ,
+    EARLY_S,
+    JND,
+    LATE_S,
+    N_CELLS,
+    OCTAVE_WIDTH_HZ,
+    QUIET,
+    THIRDS_HZ,
+    slots,
+)
 from roomeq.loop.tables import FRAME_EDGES_S, LEVEL_SHARES
 from roomeq.sim.jit import compiled
 
@@ -18,7 +29,6 @@ N_BANDS = len(EXACT_BANDS_HZ)
 _N_DIRECT = len(DIRECT_THIRDS_HZ)
 _FRAME_MID_S = 0.5 * (FRAME_EDGES_S[1:] + FRAME_EDGES_S[:-1])
 _GATE, _EARLY, _LATE = (int(np.searchsorted(FRAME_EDGES_S, seconds - 1e-6)) for seconds in (2.5e-3, EARLY_S, LATE_S))
-_WIDTH_HZ = np.minimum(np.array(EXACT_BANDS_HZ) * np.sqrt(2.0), 0.5 * FS_HZ) - np.array(EXACT_BANDS_HZ) / np.sqrt(2.0)
 
 
 def _octaves_to(frequencies_hz):
@@ -56,8 +66,8 @@ class State:
         Energy of all reflections, without what was added; None until somebody asks.
     response_db : ndarray, shape (n_rirs, 23)
         Of the recording chain at `RESPONSE_HZ`.
-    floor_db : ndarray, shape (n_rirs, 8)
-        Noise behind the response, relative to it.
+    floor : ndarray, shape (n_rirs, 8)
+        Energy of 100 ms of noise relative to the response, white noise of the recording left out.
     delay_s : ndarray, shape (n_rirs,)
         By which the direct sound comes late.
     shift : ndarray, shape (n_rirs, n_cells)
@@ -73,7 +83,7 @@ class State:
     extra: np.ndarray
     room_energy: np.ndarray | None
     response_db: np.ndarray
-    floor_db: np.ndarray
+    floor: np.ndarray
     delay_s: np.ndarray
     shift: np.ndarray
 
@@ -94,7 +104,7 @@ class State:
 
 
 def base_state(data, absorption):
-    """State of the base model: declared air, nothing else.
+    """State of the base model: declared air, and what effects it was given.
 
     Parameters
     ----------
@@ -107,7 +117,9 @@ def base_state(data, absorption):
                   ray_gain=None, direct_gain=np.ones((n, N_BANDS)), direct_thirds=np.ones((n, len(THIRDS_HZ))),
                   extra=np.zeros((n, len(_FRAME_MID_S), N_BANDS)), room_energy=None,
                   response_db=np.zeros((n, len(RESPONSE_HZ))),
-                  floor_db=np.full((n, N_BANDS), QUIET_DB), delay_s=np.zeros(n), shift=np.zeros((n, N_CELLS)))
+                  floor=np.zeros((n, N_BANDS)), delay_s=np.zeros(n), shift=np.zeros((n, N_CELLS)))
+    for effect, rows in data.given_to:
+        effect.act(state, data, rows)
     return state
 
 
@@ -160,7 +172,7 @@ def predict(data, state, energy=None):
     cells[:, slots("spectrum")] = _sum_db(thirds_direct, _db(whole) @ TO_THIRDS.T) + thirds_db
     early = direct + energy[:, :_EARLY].sum(axis=1)
     cells[:, slots("c50")] = (_db(early) - _db(late)) / JND["c50"]
-    weight = _WIDTH_HZ * 10.0 ** (octaves_db / 10.0)
+    weight = OCTAVE_WIDTH_HZ * 10.0 ** (octaves_db / 10.0)
     near = ((direct + energy[:, 0]) * weight).sum(axis=1)
     far = ((whole - energy[:, 0]) * weight).sum(axis=1)
     cells[:, slots("drr")] = ((_db(near) - _db(far)) / JND["drr"])[:, None]
@@ -170,8 +182,7 @@ def predict(data, state, energy=None):
     for k, metric in enumerate(("edt", "t20", "t30")):
         cells[:, slots(metric)] = (np.log(times[:, k]) + ratio) / JND[metric]
     cells[:, slots("arrival")] = ((data.distance_m / state.speed_m_s + state.delay_s) / JND["arrival"])[:, None]
-    cells[:, slots("floor")] = state.floor_db
-    cells[:, slots("ahead")] = QUIET_DB
+    cells[:, slots("floor")] = _db(1.0 + state.floor / (data.white + QUIET))
     return cells + state.shift
 
 

@@ -78,7 +78,7 @@ def rendered_cells(data, raws, effects, *, seed, nj=1, rows=None):
     def one(n, raw):
         rir = finished(data, n, raw, effects[n], seed)
         expected = data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ
-        return measure_cells(rir, expected).values
+        return measure_cells(rir, expected, white=data.white[n]).values
 
     return np.array(Parallel(n_jobs=nj, prefer="threads")(
         delayed(one)(n, raw) for n, raw in zip(range(len(data.rows)) if rows is None else rows, raws, strict=True)))

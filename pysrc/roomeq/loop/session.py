@@ -21,7 +21,7 @@ class Session:
     ----------
     data : roomeq.loop.data.Data
     effects : tuple of types
-        Of the model, in the catalogue's order.
+        Of the model, in the catalogue's order, less those that the base model was given.
     offset : ndarray, shape (n_rirs, n_cells)
         What measuring adds to expected cells.
     fit : Fit
@@ -54,10 +54,15 @@ def in_order(effects):
 
 
 def effects_of_rows(data, effects, vectors):
-    """The effects of each RIR, from the vectors of their units."""
+    """The effects of each RIR, from the vectors of their units, and those that the base model was given."""
     units = [[effect.from_vector(vector) for vector in one] for effect, one in zip(effects, vectors, strict=True)]
     numbers = [data.units(effect.SCOPE)[1] for effect in effects]
-    return [[units[k][numbers[k][n]] for k in range(len(effects))] for n in range(len(data.rows))]
+    return [_sorted([*data.given[n], *(units[k][numbers[k][n]] for k in range(len(effects)))])
+            for n in range(len(data.rows))]
+
+
+def _sorted(effects):
+    return sorted(effects, key=lambda one: _ORDER.index(type(one)))
 
 
 def begin(data, *, like=None, offset=None, seed, nj):
@@ -77,6 +82,7 @@ def begin(data, *, like=None, offset=None, seed, nj):
     Session
     """
     if like is None:
+        forget_shifts(data, data.given_kinds)
         offset = np.zeros((len(data.rows), N_CELLS))
         like = fit(data, offset, ())
     layout = Layout(data, like.effects)
@@ -95,6 +101,13 @@ def begin(data, *, like=None, offset=None, seed, nj):
     return Session(data, like.effects, new, found, effects_of_rows(data, like.effects, vectors), seed, nj)
 
 
+def forget_shifts(data, effects):
+    """Let what effects change by rendering alone be unknown, and so in the offset."""
+    for effect in effects:
+        if effect.NODES:
+            data.shifts[effect.NAME] = np.zeros((len(effect.NODES), *data.cells.shape))
+
+
 def _shifts(data, raws, by_row, rendered, effect, seed, nj):
     """What an effect makes of the cells of the model's RIRs at each of its nodes, shape (n_nodes, n_rirs, n_cells)."""
     without = [[one for one in effects if not isinstance(one, effect)] for effects in by_row]
@@ -102,7 +115,7 @@ def _shifts(data, raws, by_row, rendered, effect, seed, nj):
     found = []
     for node in effect.NODES:
         new = effect.from_vector(np.array(node))
-        extended = [sorted([*effects, new], key=lambda one: _ORDER.index(type(one))) for effects in without]
+        extended = [_sorted([*effects, new]) for effects in without]
         found.append(rendered_cells(data, raws, extended, seed=seed, nj=nj) - plain)
     return np.where(np.isfinite(found), found, 0.0)
 

@@ -9,15 +9,18 @@ from roomeq.mixture import with_reference
 from roomeq.report.load import Run
 from roomeq.report.page import Html, Missing, join, tag
 
-KINDS = {"measured": "measured", "simulated": "simulated", "compensated": "simulated + EQ"}
-DIRECTORIES = {"measured": "rirs.real.train", "simulated": "rirs.sim.train", "compensated": "rirs.sim.EQ.train"}
+KINDS = {"measured": "measured", "simulated": "simulated", "compensated": "simulated + EQ",
+         "looped": "simulated + loop"}
+DIRECTORIES = {"measured": "rirs.real.train", "simulated": "rirs.sim.train", "compensated": "rirs.sim.EQ.train",
+               "looped": "rirs.sim.loop.train"}
+COLOURS = {kind: "drawn" if kind == "looped" else kind for kind in KINDS}
 HELD_OUT = "rirs.real.test"
 """Measured RIRs that nothing was fitted to."""
 
 
 def key(kind: str) -> Html:
     """Return a colour mark and the name of a kind of RIR."""
-    return join([tag("span", class_=f"key {kind}"), KINDS[kind]])
+    return join([tag("span", class_=f"key {COLOURS[kind]}"), KINDS[kind]])
 
 
 def unscreened(run: Run, name: str) -> list[dict]:

@@ -6,12 +6,22 @@ import numpy as np
 
 from roomeq.compensate import MAX_MEDIAN_DB, MAX_P95_DB, SUMMARY_FILE
 from roomeq.constants import BAND_1KHZ, BANDS_HZ
-from roomeq.distance import gap_closed
+from roomeq.distance import eq_distance, gap_closed
 from roomeq.eq import MEASURED_FILE, RESAMPLED_FILE, read_eq_rows
 from roomeq.files import read_json
 from roomeq.mixture import FREE, with_reference
 from roomeq.report import figures
-from roomeq.report.kinds import DIRECTORIES, HELD_OUT, KINDS, described, eq_vectors, key, simulated_rows, unscreened
+from roomeq.report.kinds import (
+    COLOURS,
+    DIRECTORIES,
+    HELD_OUT,
+    KINDS,
+    described,
+    eq_vectors,
+    key,
+    simulated_rows,
+    unscreened,
+)
 from roomeq.report.load import Run
 from roomeq.report.page import Html, Missing, figure, hertz, join, number, paragraph, percent, tag
 from roomeq.report.page import table as make_table
@@ -101,14 +111,13 @@ def misses(missed: dict[str, dict], n_rirs: int) -> Html:
 
 def distances(run: Run) -> Html:
     """Return the distances between EQ distributions, and how much of the gap compensation closes."""
-    kinds = ("simulated", "compensated", "measured")
     found = gap(run)
-    results = dict(zip(kinds, (found["sim"], found["comp"], found["floor"]), strict=True))
+    results = {"simulated": found["sim"], "compensated": found["comp"], **looped(run), "measured": found["floor"]}
     labels = {"measured": join([key("measured"), ", training set (the floor)"])}
     rows = [[labels.get(kind, key(kind)), with_interval(one["wasserstein_db"], one["interval_db"]),
              with_interval(one["energy_db"], one["energy_interval_db"]), *(number(band) for band in one["bands_db"])]
             for kind, one in results.items()]
-    groups = [(KINDS[kind], kind, *(2 * [with_reference(one["bands_db"])])) for kind, one in results.items()]
+    groups = [(KINDS[kind], COLOURS[kind], *(2 * [with_reference(one["bands_db"])])) for kind, one in results.items()]
     for *_, value, _ in groups:
         value[BAND_1KHZ] = np.nan
     draw = figures.per_point(groups, "1-Wasserstein distance (dB)", {})
@@ -131,15 +140,27 @@ def distances(run: Run) -> Html:
 def gap(run: Run) -> dict:
     """Return the distances of simulated, compensated and training RIRs to held-out ones; computed once."""
     if "gap" not in run.kept:
-        names = [*DIRECTORIES.values(), HELD_OUT]
-        eqs = {name: eq_vectors(run, name)[:, list(FREE)] for name in names}
-        rooms = {name: [row["room_id"] for row in unscreened(run, name)] for name in names}
-        order = [DIRECTORIES["simulated"], DIRECTORIES["compensated"], DIRECTORIES["measured"], HELD_OUT]
+        names = [DIRECTORIES["simulated"], DIRECTORIES["compensated"], DIRECTORIES["measured"], HELD_OUT]
         keys = ("rooms_sim", "rooms_comp", "rooms_train", "rooms_heldout")
+        sets = [eqs_and_rooms(run, name) for name in names]
         run.kept["gap"] = gap_closed(
-            *(eqs[name] for name in order), **dict(zip(keys, (rooms[name] for name in order), strict=True)),
+            *(eqs for eqs, _ in sets), **{key: rooms for key, (_, rooms) in zip(keys, sets, strict=True)},
             rng=rng_for(0, "report", "EQ distance"), n_bootstrap=N_BOOTSTRAP)
     return run.kept["gap"]
+
+
+def looped(run: Run) -> dict:
+    """Return the distance of the RIRs of the closed loop, by their kind; nothing where there are none."""
+    if not run.has(DIRECTORIES["looped"]):
+        return {}
+    (eqs, rooms), (heldout, heldout_rooms) = (eqs_and_rooms(run, name) for name in (DIRECTORIES["looped"], HELD_OUT))
+    return {"looped": eq_distance(eqs, heldout, rooms, heldout_rooms, rng_for(0, "report", "EQ distance of the loop"),
+                                  n_bootstrap=N_BOOTSTRAP)}
+
+
+def eqs_and_rooms(run: Run, name: str) -> tuple[np.ndarray, list[str]]:
+    """Return the EQs of a directory at the free points, shape (n_rirs, 7), and the rooms of its RIRs."""
+    return eq_vectors(run, name)[:, list(FREE)], [row["room_id"] for row in unscreened(run, name)]
 
 
 def main_numbers(run: Run) -> list[tuple[str, str]]:

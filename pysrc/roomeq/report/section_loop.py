@@ -46,7 +46,7 @@ def closed_loop(run: Run) -> Html:
         "catalogue was then tried as the cause of what is left, and judged by rooms that its fit had not seen. The "
         "best was switched on, everything was simulated again, and it stayed if the error on rooms left out fell. "
         "Errors are in just noticeable differences (JND): 1 dB of level, 5 % of a decay time, 1.1 dB of C50, 2 dB of "
-        "DRR."), findings(ledger), errors_table(ledger)]
+        "DRR."), already(ledger), findings(ledger), errors_table(ledger)]
     if ledger["iterations"]:
         parts.append(effects_table(ledger))
     parts += [residual_maps(run, ledger), rankings(ledger), splits(ledger), responses(ledger)]
@@ -73,6 +73,11 @@ def names_of(entry: dict) -> str:
 def about(effect: str) -> str:
     """Return what an effect is, as its own file says it."""
     return sys.modules[CATALOGUE[effect].__module__].__doc__.splitlines()[0].rstrip(".:").split(" (`")[0]
+
+
+def already(ledger: dict) -> Html:
+    """Say which effects the loop began with."""
+    return paragraph("The model had from the beginning: ", ", ".join(ledger["given"]), ".") if ledger["given"] else ""
 
 
 def findings(ledger: dict) -> Html:
