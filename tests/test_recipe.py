@@ -54,8 +54,7 @@ def test_without_rooms_that_are_known_the_recipe_says_so_and_goes_on(undisturbed
     (where / "measured/manifest.csv").write_text("\n".join(lines) + "\n")
     output = finish(start(project_dir, where, corpora / "corpora", 2, "--measured", str(where / "measured"),
                           "--noises", str(corpora / "corpora/speech/point_noises")))
-    assert ("rirs.real.train: 0 rooms with geometry and two RIRs; the closed loop leaves rooms out and needs 3: left out"
-            in output)
+    assert "rirs.real.train: 0 rooms with geometry and two RIRs; the closed loop leaves rooms out" in output
     assert (where / "data/train.sim.EQ.rvb/wav.scp").is_file() and not (where / "data/rirs.sim.loop.train").exists()
     assert "What the simulation lacked" not in (where / "exp/report/index.html").read_text()
 
