@@ -2,7 +2,7 @@
 # From measured room impulse responses and clean speech to far-field training data: simulate, compensate, augment.
 # Usage: ./run.sh [--stage 0] [--stop-stage 7] [--nj 2] [--config conf/mini.conf] [options below]
 # e.g.:  ./run.sh                                        # embedded stand-in corpora, needs nothing
-#        KALDI_ROOT=/opt/kaldi ./run.sh --stage 8        # then train and test recognisers on what it made
+#        KALDI_ROOT=~/kaldi ./run.sh --stage 8        # then train and test recognisers on what it made
 #        ./run.sh --measured RIRS --speech SPEECH        # your own recordings
 #        ./run.sh --config conf/librispeech.conf --librispeech DIR --reverbdb DIR    # the paper's experiment
 # Options are the variables at the top of this file, with - for _. Stages that are up to date cost nothing.

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Make a directory in which stock Kaldi scripts can work: theirs linked, ours copied; checks what they need first.
 # Usage: local/kaldi/make_workspace.sh [--dry-run] [--nj 2] <workspace> <data-dir>...
-# e.g.:  KALDI_ROOT=/opt/kaldi local/kaldi/make_workspace.sh exp/kaldi data/train.clean data/test.real.rvb
+# e.g.:  KALDI_ROOT=~/kaldi local/kaldi/make_workspace.sh exp/kaldi data/train.clean data/test.real.rvb
 set -euo pipefail
 nj=2            # jobs at a time, where they run as local processes
 dry_run=false   # print what would be done

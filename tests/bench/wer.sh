@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Word error rates over several seeds: rooms, speech and their split stay, all that is drawn later is drawn again.
 # Usage: KALDI_ROOT=DIR tests/bench/wer.sh [--seeds "0 1 2 3 4"] <out-dir> [-- options of run.sh]
-# e.g.:  KALDI_ROOT=/opt/kaldi tests/bench/wer.sh exp/bench_wer -- --config conf/mini.conf
+# e.g.:  KALDI_ROOT=~/kaldi tests/bench/wer.sh exp/bench_wer -- --config conf/mini.conf
 # May be stopped at any time; the same call goes on. The table of all seeds that are done is <out-dir>/wer.
 set -euo pipefail
 seeds="0 1 2 3 4"   # as many runs
