@@ -102,7 +102,8 @@ def test_noise_counts_by_how_much_it_raises_what_any_recording_has():
 def test_a_response_that_ends_before_its_noise_tells_of_it_only_where_its_end_is_quiet():
     long, short = (coloured_rir(1, time_s=time_s, length_s=0.6) for time_s in (1.5, 0.3))
     assert not measure_cells(long).valid[slots("floor")][2:].any()  # no decay can be followed in the narrowest octaves
-    assert measure_cells(short).valid[slots("floor")].all() and not measure_cells(short).values[slots("floor")].any()
+    found = measure_cells(short)
+    assert found.valid[slots("floor")].all() and np.abs(found.values[slots("floor")]).max() < 1e-3
 
 
 def test_a_world_against_itself_has_no_error_and_nothing_is_found(session):

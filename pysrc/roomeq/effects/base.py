@@ -44,6 +44,8 @@ class Rendering:
     t60_s : ndarray, shape (8,)
         Decay time of the scene.
     rng : numpy.random.Generator
+    white : ndarray, shape (8,)
+        White noise of the recording that it is compared with: energy of 100 ms relative to the response; 0 if none is.
     """
 
     scene: object
@@ -52,6 +54,7 @@ class Rendering:
     direct_gain: np.ndarray
     t60_s: np.ndarray
     rng: np.random.Generator
+    white: np.ndarray
 
     @property
     def distance_m(self):

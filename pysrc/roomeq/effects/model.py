@@ -121,7 +121,7 @@ def direct_gain(scene, source_pos_m, mic_pos_m, gain=None):
     return pressure if gain is None else pressure * np.sqrt(gain((path_m / distance_m)[None])[0])
 
 
-def behind_rendering(effects, rir, scene, source_pos_m, mic_pos_m, direct, rng):
+def behind_rendering(effects, rir, scene, source_pos_m, mic_pos_m, direct, rng, white=(0.0,) * 8):
     """A rendered RIR with the effects that act on it as a whole.
 
     Parameters
@@ -134,13 +134,15 @@ def behind_rendering(effects, rir, scene, source_pos_m, mic_pos_m, direct, rng):
     direct : ndarray, shape (8,)
         Pressure of the direct sound; 0 where it is obstructed.
     rng : numpy.random.Generator
+    white : array_like, shape (8,)
+        White noise of the recording that it is compared with (`Rendering`).
 
     Returns
     -------
     ndarray
         Effects that ring on make it longer.
     """
-    rendering = Rendering(scene, source_pos_m, mic_pos_m, direct, eyring_time_s(scene), rng)
+    rendering = Rendering(scene, source_pos_m, mic_pos_m, direct, eyring_time_s(scene), rng, np.asarray(white))
     for effect in effects:
         rir = effect.on_rir(rir, rendering)
     return rir

@@ -70,7 +70,7 @@ def finished(data, n, raw, effects, seed):
     """The RIR of one row with all its effects."""
     place = data.places[n]
     return behind_rendering(effects, raw.rir, raw.scene, place.source_pos_m, place.mic_pos_m, raw.direct_gain,
-                            rng_for(seed, "loop effects", data.rows[n]["id"]))
+                            rng_for(seed, "loop effects", data.rows[n]["id"]), data.white[n])
 
 
 def rendered_cells(data, raws, effects, *, seed, nj=1, rows=None):
