@@ -114,11 +114,6 @@ class Effect:
         """Whether the rows state what the effect needs to know."""
         return True
 
-    @classmethod
-    def first(cls, data):
-        """Vectors of the units as they can be read off the recordings, shape (n_units, n); None where `STARTS` do."""
-        return None
-
     def vector(self):
         raise NotImplementedError
 

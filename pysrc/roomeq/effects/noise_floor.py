@@ -15,7 +15,6 @@ from roomeq.sim.gather import FRAME_S
 from roomeq.sim.render import render
 
 _QUIET_DB = -55.0  # below it, noise disturbs nothing: roomeq.loop.cells
-_LOWEST_DB = _QUIET_DB - 5.0  # where a fit begins if there is none
 
 
 @dataclass(frozen=True)
@@ -37,14 +36,6 @@ class NoiseFloor(Effect):
     STARTS = ((1.0,) * 8,)  # tens of dB above -55
     SPREAD = (1.0,) * 8
     TELLS = "a recording of the silence before the sweep"
-
-    @classmethod
-    def first(cls, data):
-        # no slope leads up from a level that white noise hides
-        _, room = data.units("room")
-        noise = np.ma.masked_invalid(data.noise)
-        found = np.array([np.ma.median(noise[room == r], axis=0).filled(0.0) for r in range(room.max() + 1)])
-        return np.log10(np.maximum(found, 10.0 ** (_LOWEST_DB / 10.0))) - _QUIET_DB / 10.0
 
     def vector(self):
         return (np.array(self.levels_db) - _QUIET_DB) / 10.0

@@ -108,10 +108,8 @@ def beside(session, failed, ranking):
 
 def _candidate(session, effect, before):
     data, effects = session.data, in_order([*session.effects, effect])
-    like, first = session.fit, effect.first(data)
-    if first is not None:
-        like = _with_vectors(data, fit(data, session.offset, effects, like=session.fit, iterations=0), effect, first)
-    elif len(effect.STARTS) > 1:
+    like = session.fit
+    if len(effect.STARTS) > 1:
         tried = []
         for start in effect.STARTS:
             starts = [start if one is effect else one.STARTS[0] for one in effects]
@@ -131,18 +129,13 @@ def _best_starts(data, effects, effect, tried):
         return best
     layout, k = Layout(data, effects), effects.index(effect)
     of_room = np.argmax([densities for _, densities in tried], axis=0)
-    return _with_vectors(data, best, effect, np.array([
-        layout.vectors(tried[start][0].mean, tried[start][0].local)[k][r] for r, start in enumerate(of_room)]))
-
-
-def _with_vectors(data, found, effect, vectors):
-    """A fit with other vectors of an effect of rooms, to begin from."""
-    layout, k = Layout(data, found.effects), found.effects.index(effect)
-    mean, local = found.mean.copy(), [one.copy() for one in found.local]
-    mean[layout.shared[k][0]] = vectors.mean(axis=0)
-    for r, vector in enumerate(vectors):
-        local[r][layout.own_slices[r][0][k]] = vector - vectors.mean(axis=0)
-    return replace(found, mean=mean, local=local)
+    chosen = np.array([layout.vectors(tried[start][0].mean, tried[start][0].local)[k][r]
+                       for r, start in enumerate(of_room)])
+    mean, local = best.mean.copy(), [one.copy() for one in best.local]
+    mean[layout.shared[k][0]] = chosen.mean(axis=0)
+    for r, vector in enumerate(chosen):
+        local[r][layout.own_slices[r][0][k]] = vector - chosen.mean(axis=0)
+    return replace(best, mean=mean, local=local)
 
 
 def size_of(session, effect, found):

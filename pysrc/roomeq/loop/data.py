@@ -9,7 +9,7 @@ import numpy as np
 
 from roomeq.constants import FS_HZ
 from roomeq.effects.model import Model
-from roomeq.loop.cells import JND, QUIET, measure_cells, slots
+from roomeq.loop.cells import JND, measure_cells, slots
 from roomeq.loop.tables import ANGLES, collect
 from roomeq.rirs import load_rir, read_rirs
 from roomeq.rng import rng_for
@@ -82,13 +82,6 @@ class Data:
     def given_kinds(self):
         """Types of the effects that the base model has."""
         return {type(effect) for effect, _ in self.given_to}
-
-    @property
-    def noise(self):
-        """Noise besides white noise as measured, like that; NaN where it cannot be told, shape (n_rirs, 8)."""
-        at = slots("floor")
-        rise = 10.0 ** (self.cells[:, at] / 10.0) - 1.0
-        return np.where(self.valid[:, at], np.maximum(rise, 0.0) * (self.white + QUIET), np.nan)
 
     @property
     def n_scored(self):
