@@ -23,4 +23,4 @@ threads=()
 # shellcheck disable=SC2086
 $cmd "${threads[@]}" "$log" roomeq close-loop --nj "$nj" --max-effects "$max_effects" --seed "$seed" \
   --judge "$2" --out "$3" "$1"
-grep -E '^(base model|loop|judge): |: up to date$' "$log"
+grep -E '^(base model|loop|judge): |: (up to date|not judged)$' "$log"
