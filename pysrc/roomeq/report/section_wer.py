@@ -22,7 +22,7 @@ def word_error_rates(run: Run) -> Html:
     """Return the chapter."""
     found = wer_of(run)
     parts = [paragraph("Recognisers (Kaldi, TDNN, LF-MMI) that differ in nothing but their training data were tested "
-                       "on speech in rooms that were measured. ", " ".join(caption(found))),
+                       "on the same far-field speech. ", " ".join(caption(found))),
              rates_table(found), rates_figure(found)]
     if any("change" in one for row in found["results"].values() for one in row.values()):
         parts += [changes_table(found), rooms_figure(found), can_detect(found)]
