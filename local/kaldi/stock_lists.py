@@ -33,8 +33,9 @@ def main(argv=None):
     try:
         rirs, noises, out = args.rir_dir.absolute(), args.noise_dir.absolute(), args.out_dir.absolute()
         out.mkdir(parents=True, exist_ok=True)
-        write_rirs(out, relocated(read_rirs(rirs), rirs, out))
-        rooms = {row["room_id"] for row in read_rirs(rirs)}
+        rows = read_rirs(rirs)
+        write_rirs(out, relocated(rows, rirs, out))
+        rooms = {row["room_id"] for row in rows}
         write_text(out / "noise_list", "".join(noise_line(noises, row) for row in read_noises(noises)
                                                if row["kind"] != "ambient" or row["room_id"] in rooms))
     except (ValueError, OSError) as error:

@@ -36,12 +36,13 @@ def eq_vectors(run: Run, name: str) -> np.ndarray:
     Missing
         All of them were screened out.
     """
-    if ("eq", name) not in run.kept:
+    def load():
         found = [with_reference(usable_eq(eq_row(run.path(name), row))) for row in unscreened(run, name)]
         if not found:
             raise Missing(f"any RIR in data/{name} that the screening leaves", "a larger measured corpus")
-        run.kept["eq", name] = np.array(found)
-    return run.kept["eq", name]
+        return np.array(found)
+
+    return run.once(("eq", name), load)
 
 
 def direct_sample(run: Run, name: str, row: dict) -> float:

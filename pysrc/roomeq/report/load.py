@@ -1,5 +1,6 @@
 """Reading a run's results for the report: what is not there raises `Missing`, what is broken `ValueError`."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -46,14 +47,18 @@ class Run:
     ----------
     data_dir, exp_dir : Path
         Where stages 0-6 wrote data directories and models.
-    kept : dict
-        Results that several sections need.
     """
 
     data_dir: Path
     exp_dir: Path
-    kept: dict = field(default_factory=dict, repr=False, compare=False)
+    _kept: dict = field(default_factory=dict, repr=False, compare=False)
     _rows: dict = field(default_factory=dict, repr=False, compare=False)
+
+    def once(self, key, make: Callable):
+        """Return what `make()` returned when it was first asked for under this key: what several sections need."""
+        if key not in self._kept:
+            self._kept[key] = make()
+        return self._kept[key]
 
     def path(self, name: str) -> Path:
         """Return the path of a directory, which may not exist."""

@@ -139,14 +139,15 @@ def distances(run: Run) -> Html:
 
 def gap(run: Run) -> dict:
     """Return the distances of simulated, compensated and training RIRs to held-out ones; computed once."""
-    if "gap" not in run.kept:
+    def compute():
         names = [DIRECTORIES["simulated"], DIRECTORIES["compensated"], DIRECTORIES["measured"], HELD_OUT]
         keys = ("rooms_sim", "rooms_comp", "rooms_train", "rooms_heldout")
         sets = [eqs_and_rooms(run, name) for name in names]
-        run.kept["gap"] = gap_closed(
+        return gap_closed(
             *(eqs for eqs, _ in sets), **{key: rooms for key, (_, rooms) in zip(keys, sets, strict=True)},
             rng=rng_for(0, "report", "EQ distance"), n_bootstrap=N_BOOTSTRAP)
-    return run.kept["gap"]
+
+    return run.once("gap", compute)
 
 
 def looped(run: Run) -> dict:

@@ -32,9 +32,7 @@ LABELS = dict(zip(KINDS, ("measured", "simulated, before", "simulated, after"), 
 
 def ledger_of(run: Run) -> dict:
     """Return the run's ledger, read once."""
-    if "ledger" not in run.kept:
-        run.kept["ledger"] = read_ledger(run.need("loop", LEDGER_FILE))
-    return run.kept["ledger"]
+    return run.once("ledger", lambda: read_ledger(run.need("loop", LEDGER_FILE)))
 
 
 def closed_loop(run: Run) -> Html:

@@ -13,9 +13,7 @@ from roomeq.wer.workspace import BASE, CLEAN, ORACLE, compared
 
 def wer_of(run: Run) -> dict:
     """Return the run's word error rates, read once."""
-    if "wer" not in run.kept:
-        run.kept["wer"] = read_wer(run.need("wer", WER_FILE))
-    return run.kept["wer"]
+    return run.once("wer", lambda: read_wer(run.need("wer", WER_FILE)))
 
 
 def word_error_rates(run: Run) -> Html:
