@@ -61,7 +61,7 @@ speed_perturb=false       # train on three speeds
 ivectors=false            # beside the network's features
 use_gpu=false             # true: train on GPUs
 chain_opts="--layers 7 --dim 192 --bottleneck 32 --epochs 6 --jobs-initial 2 --jobs-final 2 --lrate-initial 0.002 --lrate-final 0.0002 --chunk-width 140,100 --minibatch 32,16,8 --frames-per-iter 150000"   # of train_chain.sh
-decode_opts="--beam 11 --max-active 2000"   # of decode.sh
+decode_opts="--beam 11 --max-active 2000 --lattice-beam 6"   # of decode.sh
 
 [ -f path.sh ] || { echo "run.sh: call it from the directory that holds run.sh, not from $PWD" >&2 && exit 1; }
 . ./path.sh

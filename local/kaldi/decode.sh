@@ -8,6 +8,7 @@ nj=2            # jobs
 ivectors=true   # beside the features
 beam=15         # of the search
 max_active=7000   # states of it at a time
+lattice_beam=8    # of what it keeps for the larger models
 tuned_on=       # set whose best weights are used; none: all weights are tried
 dry_run=false   # print the commands
 . ./path.sh
@@ -16,7 +17,7 @@ dry_run=false   # print the commands
 [ $# -eq 4 ] || usage
 workspace=$1 set=$2 ali=$3 test=$4
 graph=$ali/align/tree/graph out=$set/decode_$test data=data/$test.hires small=data/lang_test_tgsmall
-search=(--acwt 1.0 --post-decode-acwt 10.0 --beam "$beam" --max-active "$max_active")
+search=(--acwt 1.0 --post-decode-acwt 10.0 --beam "$beam" --max-active "$max_active" --lattice-beam "$lattice_beam")
 ivectors_made=() with_ivectors=() extractor=()
 if [ "$ivectors" = true ]; then
   ivectors_made=("$set/ivectors/$test")
