@@ -136,6 +136,21 @@ def test_a_failed_command_is_named_and_repeated_alone(recipe):
     assert counted(recipe, "ws", "bad", fails=True)[0] == ["bad"] * 3
 
 
+def test_a_workspace_in_which_a_killed_run_left_a_command_is_refused(recipe):
+    counted(recipe, "ws", "a")
+    left = subprocess.Popen(["sh", "-c", "exec 9>ws/.lock; flock 9; echo held; exec sleep 60"], cwd=recipe,
+                            stdout=subprocess.PIPE)
+    try:
+        left.stdout.readline()
+        said = counted(recipe, "ws", "b", fails=True)[1]
+        assert said.count("\n") == 1 and "is at work in ws" in said
+        assert counted(recipe, "ws", "a")[0] == ["a", "a"]  # nothing to do
+    finally:
+        left.kill()
+        left.wait()
+    assert counted(recipe, "ws", "b")[0] == ["a", "a", "b", "b"]
+
+
 def test_a_missing_input_is_named(recipe):
     done = run(recipe, "./count.sh", "--input", "gone", "ws", "a")
     assert (done.returncode, done.stdout) == (1, "")
