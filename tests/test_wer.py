@@ -64,6 +64,24 @@ def test_rates_are_those_of_the_errors_that_were_made(example):
     assert rooms == pytest.approx(dict(attic=50, cellar=50, hall=60, kitchen=50))
 
 
+def test_rates_of_strata(example):
+    found = {(one["what"], one["low"], one["high"]): (one["words"], round(one["wer"]["online"]["train.sim.rvb"], 3))
+             for one in example["strata"]}
+    assert found == {("SNR [dB]", None, 10.0): (80, 52.5), ("SNR [dB]", 10.0, 15.0): (80, 52.5),
+                     ("T20 at 1 kHz [s]", 0.8, None): (40, 60.0),  # of the hall; the others' is not valid
+                     ("DRR [dB]", 0.0, 5.0): (160, 52.5)}
+
+
+def test_an_snr_that_is_no_number_is_named(tmp_path):
+    workspaces = put_example(tmp_path)
+    path = workspaces[0] / "data/test.real.rvb/utt2snr"
+    path.write_text(path.read_text().replace(" 5\n", " loud\n", 1))
+    with pytest.raises(ValueError, match="utt2snr: SNR 'loud' of 'test-attic-0' must be a number"):
+        measured(tmp_path, workspaces)
+    path.unlink()
+    assert {one["what"] for one in measured(tmp_path, workspaces)["strata"]} == {"T20 at 1 kHz [s]", "DRR [dB]"}
+
+
 def test_change_and_share_of_the_gap(example):
     one = example["results"]["train.sim.EQ.rvb"]["fglarge"]
     assert one["change"]["points"] == pytest.approx(-20) and one["change"]["p"] < 0.001
@@ -171,7 +189,9 @@ def test_what_was_written_is_checked_whole(example, tmp_path, capsys):
     (("results", "train.sim.EQ.rvb", "online", "change", "points"), None, "train.sim.EQ.rvb online change=None must"),
     (("results", "train.sim.EQ.rvb", "online", "closed", "interval"), None, "online share must have an interval"),
     (("results", "train.sim.EQ.rvb", "online", "dev_test_gap", "p"), -1, "dev_test_gap p=-1 must be"),
-    (("rooms",), [dict(room="hall", wer={})], "KeyError: 'fglarge'"), (("sets",), {}, "KeyError: 'test.real.rvb'")])
+    (("rooms",), [dict(room="hall", wer={})], "KeyError: 'fglarge'"),
+    (("strata", 0, "words"), 0, "SNR .dB. from None to 10.0=0 must be a number of 1"),
+    (("sets",), {}, "KeyError: 'test.real.rvb'")])
 def test_what_was_changed_by_hand_is_refused_in_one_line(example, tmp_path, where, value, message):
     found = one = json.loads(json.dumps(example))
     for key in where[:-1]:

@@ -1,6 +1,7 @@
 """Made-up Kaldi workspaces for tests of what reads them: errors as many as asked for, where they are asked for."""
 
 import json
+from itertools import cycle
 
 from roomeq.files import write_text
 
@@ -42,9 +43,10 @@ def put_decode(decode, reference, hypotheses, spoil_best=0):
 
 
 def put_rirs(directory, rooms, rirs_a_room=2):
-    """An RIR directory without audio: ``room-0``, ``room-1`` ... of each room."""
+    """An RIR directory without audio: ``room-0``, ``room-1`` ... of each room; only halls have a T20."""
     rows = [dict(id=f"{room}-{n}", wav=f"{room}-{n}.wav", room_id=room, source_id="s", mic_id="m", fs_hz=16000,
-                 n_samples=800) for room in rooms for n in range(rirs_a_room)]
+                 n_samples=800, passport=dict(t20_s=[1.0] * 8, t20_valid=[room == "hall"] * 8, drr_db=2.0 * n))
+            for room in rooms for n in range(rirs_a_room)]
     write_text(directory / "rirs.jsonl", "".join(json.dumps(row) + "\n" for row in sorted(rows, key=lambda r: r["id"])))
 
 
@@ -65,6 +67,8 @@ def put_workspace(workspace, errors, *, sets, columns=("tgsmall",)):
     """
     for name, rirs in sets.items():
         put_texts(workspace / "data" / name / "utt2rir", {ident: [rir] for ident, rir in rirs.items()})
+        snrs = zip(rirs, cycle(("5", "12")))
+        put_texts(workspace / "data" / name / "utt2snr", {ident: [snr] for ident, snr in snrs})
         reference = {ident: sentence(n) for n, ident in enumerate(rirs)}
         for row, made in errors.items():
             for column in columns:

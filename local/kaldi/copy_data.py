@@ -17,7 +17,7 @@ from roomeq.datadir import read_data_dir
 from roomeq.files import write_text
 from roomeq.wavscp import flac_entry
 
-COPIED = ("segments", "text", "utt2spk", "spk2utt", "spk2gender", "utt2dur", "reco2dur", "utt2rir")
+COPIED = ("segments", "text", "utt2spk", "spk2utt", "spk2gender", "utt2dur", "reco2dur", "utt2rir", "utt2snr")
 
 
 def copy_data(source, copy):

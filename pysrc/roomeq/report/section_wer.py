@@ -7,7 +7,7 @@ from roomeq.report.load import Run
 from roomeq.report.page import Html, figure, join, number, paragraph, tag
 from roomeq.report.page import table as make_table
 from roomeq.wer.check import WER_FILE, read_wer
-from roomeq.wer.table import caption, label
+from roomeq.wer.table import caption, label, stratum_label
 from roomeq.wer.workspace import BASE, CLEAN, ORACLE, compared
 
 
@@ -24,6 +24,8 @@ def word_error_rates(run: Run) -> Html:
              rates_table(found), rates_figure(found)]
     if any("change" in one for row in found["results"].values() for one in row.values()):
         parts += [changes_table(found), rooms_figure(found), can_detect(found)]
+    if found["strata"]:
+        parts.append(strata_table(found))
     return join(parts)
 
 
@@ -129,6 +131,16 @@ def rooms_figure(found: dict) -> Html:
     return figure("figure-wer-rooms", panels, f"Difference of word error rates ({column}) in each test room, over all "
                   "seeds; below zero is better. Rooms weigh as many words as they have; with few, most of the spread "
                   "of dots is chance.")
+
+
+def strata_table(found: dict) -> Html:
+    """Return the rates of parts of the test set."""
+    column = main_column(found)
+    rows = [[stratum_label(one), str(one["words"]), *(number(one["wer"][column][row]) for row in found["rows"])]
+            for one in found["strata"]]
+    return make_table("table-wer-strata", f"Word error rates in per cent ({column}) of parts of the test set, whose "
+                      "edges were fixed beforehand. Parts are small: differences within them are chance for the most "
+                      "part", ["Part", "Words", *map(label, found["rows"])], rows)
 
 
 def can_detect(found: dict) -> Html:

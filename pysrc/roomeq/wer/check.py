@@ -77,6 +77,12 @@ def _check(found: dict) -> None:
         for column in found["columns"]:
             for row in found["rows"]:
                 _number(one["wer"][column][row], f"{row} {column} in room {one['room']!r:.60}", 0.0)
+    for one in found["strata"]:
+        what = f"{one['what']} from {one['low']} to {one['high']}"
+        _number(one["words"], what, 1)
+        for column in found["columns"]:
+            for row in found["rows"]:
+                _number(one["wer"][column][row], f"{row} {column} at {what}", 0.0)
 
 
 def _check_system(one: dict, what: str) -> None:

@@ -16,6 +16,7 @@ from roomeq.wer.intervals import (
     ratio_interval,
     utterance_intervals,
 )
+from roomeq.wer.strata import by_stratum
 from roomeq.wer.table import table_text
 from roomeq.wer.workspace import (
     BASE,
@@ -62,19 +63,20 @@ def wer(workspaces: list[Path], out: Path, *, rirs: Path) -> Path:
         RIR is not known.
     """
     workspaces, out = [Path(one) for one in workspaces], Path(out)
-    room_of = {row["id"]: row["room_id"] for row in read_rirs(Path(rirs))}
+    rows = {row["id"]: row for row in read_rirs(Path(rirs))}
     decoded = find_decoded(workspaces)
     build = Build(out, step="wer", options=dict(rows=decoded.rows, columns=decoded.columns, dev_of=decoded.dev_of,
                                                 seeds=len(workspaces)),
                   inputs=[Path(rirs) / ROWS_FILE, *decoded.inputs()])
     if not build.done and build.run({}, lambda name, item: None):
-        build.finish(lambda directory, _: write_json(directory / WER_FILE, measured(decoded, room_of)))
+        build.finish(lambda directory, _: write_json(directory / WER_FILE, measured(decoded, rows)))
     print(table_text(read_json(out / WER_FILE)), end="")
     return out / WER_FILE
 
 
-def measured(decoded: Decoded, room_of: dict[str, str]) -> dict:
-    """Return everything that `wer.json` holds; rates and their differences in per cent."""
+def measured(decoded: Decoded, rirs: dict[str, dict]) -> dict:
+    """Return everything that `wer.json` holds, from workspaces and RIRs by id; rates and differences in per cent."""
+    room_of = {name: row["room_id"] for name, row in rirs.items()}
     weights = choose_all(decoded)
     names = sorted({name for row in decoded.rows for name in decoded.sets_of(row)})
     scores = {name: read_scores(decoded, name, weights, room_of) for name in names}
@@ -83,7 +85,7 @@ def measured(decoded: Decoded, room_of: dict[str, str]) -> dict:
                for row in decoded.rows}
     return dict(seeds=len(decoded.workspaces), rows=decoded.rows, columns=decoded.columns, test=TEST,
                 dev_of=decoded.dev_of, sets={name: _described(one) for name, one in scores.items()}, results=results,
-                rooms=_by_room(decoded, scores[TEST]))
+                rooms=_by_room(decoded, scores[TEST]), strata=by_stratum(decoded, scores[TEST], rirs))
 
 
 class _Rates:

@@ -15,7 +15,30 @@ def table_text(found: dict) -> str:
     lines.append("")
     for column in found["columns"]:
         lines += [f"{column}:", *(f"  {line}" for row in found["rows"] for line in _row_lines(found, row, column)), ""]
+    lines += strata_lines(found)
     return "\n".join(lines)
+
+
+def strata_lines(found: dict) -> list[str]:
+    """Return the word error rates of parts of the test set, of the first column."""
+    if not found["strata"]:
+        return []
+    column = found["columns"][0]
+    width = max(len(stratum_label(one)) for one in found["strata"])
+    lines = [f"Parts of the test set, {column}; they are small: differences within them are chance for the most part.",
+             "".ljust(width) + "   words" + "".join(f"  {row}" for row in found["rows"])]
+    for one in found["strata"]:
+        lines.append(stratum_label(one).ljust(width) + f"{one['words']:8d}" + "".join(
+            f"  {one['wer'][column][row]:{len(row)}.2f}" for row in found["rows"]))
+    return [*lines, ""]
+
+
+def stratum_label(one: dict) -> str:
+    """Return what a part of the test set has in common."""
+    name, unit = one["what"].removesuffix("]").split(" [")
+    low, high = one["low"], one["high"]
+    span = f"below {high:g}" if low is None else f"{low:g} and more" if high is None else f"{low:g} to {high:g}"
+    return f"{name} {span} {unit}"
 
 
 def label(row: str) -> str:

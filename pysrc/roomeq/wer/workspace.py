@@ -59,7 +59,7 @@ class Decoded:
         found = []
         for seed, workspace in enumerate(self.workspaces):
             sets = sorted({name for row in self.rows for name in self.sets_of(row)})
-            found += [path for name in sets for table in ("utt2rir", "utt2spk")
+            found += [path for name in sets for table in ("utt2rir", "utt2snr", "utt2spk")
                       if (path := workspace / "data" / name / table).is_file()]
             for row in self.rows:
                 decodes = [self.decode(seed, row, name, column) for name in self.sets_of(row)
