@@ -19,7 +19,7 @@ if [ $# = 0 ]; then
   once lang/lms local/download_lm.sh "$lm_url" $lm
   once lang/dict local/prepare_dict.sh --stage 3 --nj "$nj" $lm $lm $dict
 else
-  inputs "$@"
+  inputs local/make_dict.py local/espeak_worker.py local/kaldi/make_lms.py "$@"
   if [ "$dry_run" = false ]; then
     mkdir -p "$workspace/$lm"
     for text; do
