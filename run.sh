@@ -56,6 +56,7 @@ lm_text=                  # for the language models, beside the transcripts; Lib
 align_on=clean            # alignments of the clean speech for all sets, or of each set itself (self), as in the paper
 gmm_passes="mono 300, deltas all 300 3000, lda_mllt all 400 6000, sat all 400 6000"   # kind utterances leaves Gaussians
 num_leaves=400            # of the network's tree
+rows=                     # of the table, e.g. "sim.rvb sim.loop.rvb"; none: all
 stock_rvb=false           # another set: speech that Kaldi's own reverberate_data_dir.py made with our simulated RIRs
 speed_perturb=false       # train on three speeds
 ivectors=false            # beside the network's features
@@ -158,8 +159,14 @@ if [ "$stop_stage" -ge 8 ]; then
   if [ "$dry_run" = true ] || enough_rooms >/dev/null; then sets+=(sim.loop.rvb); fi
   made=("$data/test.real.rvb" "${sets[@]/#/$data/train.}" "${sets[@]/#/$data/dev.}")
   [ "$stock_rvb" = false ] || sets+=(sim.stock.rvb)
+  for x in $rows; do
+    [[ " ${sets[*]} " == *" $x "* ]] || die "--rows: '$x' must be one of: ${sets[*]}"
+  done
+  [ -z "$rows" ] || read -ra sets <<<"$rows"
   aligned=(train.clean)
-  [ "$align_on" = clean ] || aligned=("${sets[@]/#/train.}")
+  [ "$align_on" = clean ] || for x in "${sets[@]}"; do
+    [ "$x" = clean ] || aligned+=("train.$x")
+  done
 fi
 
 if at_stage 8 "Kaldi: language, features, GMM"; then

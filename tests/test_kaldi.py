@@ -69,6 +69,13 @@ def test_stock_augmentation_makes_another_row(project_dir, tmp_path):
     assert not any("stock.rvb" in line for line in dry(project_dir, tmp_path, "--stage", "8"))
 
 
+def test_some_rows(project_dir, tmp_path):
+    lines = dry(project_dir, tmp_path, "--stage", "8", "--rows", "real.rvb sim.loop.rvb")
+    trained = [line for line in lines if "chain/train.py" in line]
+    assert [re.search("--dir (\\S+)", line)[1] for line in trained] == ["train.real.rvb", "train.sim.loop.rvb"]
+    position(lines, "train_sat", "data/train.clean ")
+
+
 def test_one_stage_at_a_time(project_dir, tmp_path):
     assert not any("train.py" in line for line in dry(project_dir, tmp_path, "--stage", "10"))
     assert not any("mono" in line for line in dry(project_dir, tmp_path, "--stage", "9"))
@@ -91,6 +98,7 @@ def test_the_papers_experiment_is_the_stock_recipe(project_dir, tmp_path):
 @pytest.mark.parametrize("options, words", [
     (["--dry-run"], ["--dry-run", "add --stage 8"]),
     (["--stage", "8", "--dry-run", "--stop-stage", "10", "--align-on", "them"], ["--align-on 'them'", "clean or self"]),
+    (["--stage", "8", "--dry-run", "--rows", "sim.rvb sim.rvd"], ["--rows: 'sim.rvd'", "clean real.rvb sim.rvb"]),
     (["--stage", "8", "--dry-run", "--stop-stage", "10", "--gmm-passes", "quad 3"], ["'quad'", "mono, deltas"]),
 ])
 def test_refused_in_one_line(project_dir, options, words):

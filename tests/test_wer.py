@@ -82,6 +82,13 @@ def test_an_snr_that_is_no_number_is_named(tmp_path):
     assert {one["what"] for one in measured(tmp_path, workspaces)["strata"]} == {"T20 at 1 kHz [s]", "DRR [dB]"}
 
 
+def test_clean_may_be_missing_in_some_workspaces(tmp_path, caplog):
+    workspaces = put_example(tmp_path, seeds=2)
+    shutil.rmtree(workspaces[1] / "train.clean")
+    assert measured(tmp_path, workspaces)["rows"] == ["train.real.rvb", "train.sim.rvb", "train.sim.EQ.rvb"]
+    assert "train.clean was not decoded in all workspaces: left out" in caplog.text
+
+
 def test_change_and_share_of_the_gap(example):
     one = example["results"]["train.sim.EQ.rvb"]["fglarge"]
     assert one["change"]["points"] == pytest.approx(-20) and one["change"]["p"] < 0.001

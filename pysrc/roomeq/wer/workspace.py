@@ -1,5 +1,6 @@
 """The decode directories of Kaldi workspaces, one workspace a seed: what was decoded, and its errors by room."""
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from roomeq.wer.scoring import (
     read_texts,
     scoring_dir,
 )
+
+logger = logging.getLogger(__name__)
 
 ROWS = ("train.clean", "train.real.rvb", "train.sim.rvb", "train.sim.EQ.rvb", "train.sim.loop.rvb")
 COLUMNS = ("fglarge", "tglarge", "tgmed", "tgsmall", "online")
@@ -77,6 +80,8 @@ def compared(rows: list[str]) -> list[str]:
 def find_decoded(workspaces: list[Path]) -> Decoded:
     """Find rows and columns, which must be those of the first workspace in all of them.
 
+    Only clean training data, with which nothing is compared, may be missing: it is left out where it is not in all.
+
     Raises
     ------
     ValueError
@@ -93,6 +98,9 @@ def find_decoded(workspaces: list[Path]) -> Decoded:
                         for path in (first / row).glob(f"decode_{TEST}_*")}, COLUMNS)
     if not columns:
         raise ValueError(f"{first}: no train.*/decode_{TEST}_* in it: run stages 8 to 10, or check the path")
+    if CLEAN in rows and not all((workspace / CLEAN).is_dir() for workspace in workspaces):
+        logger.warning("%s was not decoded in all workspaces: left out", CLEAN)
+        rows.remove(CLEAN)
     decoded = Decoded(workspaces, rows, columns, {row: _dev_set(first, row) for row in rows})
     for seed in range(len(workspaces)):
         for row in rows:
