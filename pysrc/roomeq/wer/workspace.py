@@ -98,7 +98,7 @@ def find_decoded(workspaces: list[Path]) -> Decoded:
                         for path in (first / row).glob(f"decode_{TEST}_*")}, COLUMNS)
     if not columns:
         raise ValueError(f"{first}: no train.*/decode_{TEST}_* in it: run stages 8 to 10, or check the path")
-    if CLEAN in rows and not all((workspace / CLEAN).is_dir() for workspace in workspaces):
+    if CLEAN in rows and not all(any((workspace / CLEAN).glob("decode_*")) for workspace in workspaces):
         logger.warning("%s was not decoded in all workspaces: left out", CLEAN)
         rows.remove(CLEAN)
     decoded = Decoded(workspaces, rows, columns, {row: _dev_set(first, row) for row in rows})
