@@ -38,7 +38,7 @@ t60_range=0.2,2.0         # of the simulated RIRs [s]; measured: that of the mea
 num_rays=20000            # rays a source
 order=200                 # reflections
 num_components=7          # of the Gaussian mixture
-weight_rooms=false        # let rooms count equally in the mixture
+weight_rooms=false        # let rooms count equally in the mixture, and be drawn equally often for far-field speech
 match_rooms=true          # draw each RIR's EQ from its room's share of the mixture; false: from all of it
 taps=511                  # of the compensation filters
 
@@ -144,8 +144,9 @@ if at_stage 6 "far-field speech"; then
   if enough_rooms >/dev/null; then kinds+=(sim.loop); fi
   for rirs in "${kinds[@]/%/.train}" "${kinds[@]/%/.dev}" real.test; do
     x=${rirs##*.}
-    steps/augment_data.sh --nj "$nj" --snr "$snr" --point-snr "$point_snr" --layout "$layout" --seed "$seed" \
-      --noises "$data/rirs.real.$x" "$data/$x.clean" "$data/rirs.$rirs" "$data/$x.${rirs%.*}.rvb"
+    steps/augment_data.sh --nj "$nj" --snr "$snr" --point-snr "$point_snr" --weight-rooms "$weight_rooms" \
+      --layout "$layout" --seed "$seed" --noises "$data/rirs.real.$x" \
+      "$data/$x.clean" "$data/rirs.$rirs" "$data/$x.${rirs%.*}.rvb"
   done
 fi
 

@@ -7,6 +7,7 @@ nj=2                       # jobs
 noises=                    # directory whose noises.jsonl to take noises from, besides those of <rir-dir>
 snr="uniform 5 25"         # of the ambient noise [dB]; also "normal 15 5", "list 20,15", none
 point_snr="uniform 5 25"   # of point noises [dB]
+weight_rooms=false         # draw the room first, then an RIR in it; false: every RIR is equally likely
 layout=recording           # one FLAC a recording, with segments; or: utterance
 seed=0   # of every random draw
 . ./path.sh
@@ -14,5 +15,7 @@ seed=0   # of every random draw
 [ $# -eq 3 ] || usage
 require "$1/wav.scp" steps/prepare_speech.sh
 require "$2/rirs.jsonl" "the step that makes $2"
+flags=()
+[ "$weight_rooms" = false ] || flags=(--weight-rooms)
 utils/run_parts.sh "$nj" "$(dirname "$3")/log/$(basename "$3")" augment ${noises:+--noises "$noises"} \
-  --snr "$snr" --point-snr "$point_snr" --layout "$layout" --seed "$seed" "$1" "$2" "$3"
+  --snr "$snr" --point-snr "$point_snr" --layout "$layout" --seed "$seed" "${flags[@]}" "$1" "$2" "$3"
