@@ -5,6 +5,11 @@
   # shellcheck disable=SC2317 # reached where it is run instead of sourced
   return 1 2>/dev/null || exit 1
 }
+if [ -n "${BASH_VERSION:-}" ] && [ $((BASH_VERSINFO[0] * 100 + BASH_VERSINFO[1])) -lt 404 ]; then
+  echo "path.sh: bash $BASH_VERSION is too old: 4.4 or newer is needed" >&2
+  # shellcheck disable=SC2317 # as above
+  return 1 2>/dev/null || exit 1
+fi
 ROOMEQ_DIR=$PWD
 export ROOMEQ_DIR
 export PATH="$ROOMEQ_DIR/.venv/bin:$PATH"
