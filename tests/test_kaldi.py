@@ -144,19 +144,20 @@ def test_a_failed_command_is_named_and_repeated_alone(recipe):
     assert counted(recipe, "ws", "bad", fails=True)[0] == ["bad"] * 3
 
 
-def test_a_workspace_in_which_a_killed_run_left_a_command_is_refused(recipe):
-    counted(recipe, "ws", "a")
-    left = subprocess.Popen(["sh", "-c", "exec 9>ws/.lock; flock 9; echo held; exec sleep 60"], cwd=recipe,
-                            stdout=subprocess.PIPE)
-    try:
-        left.stdout.readline()
-        said = counted(recipe, "ws", "b", fails=True)[1]
-        assert said.count("\n") == 1 and "is at work in ws" in said
-        assert counted(recipe, "ws", "a")[0] == ["a", "a"]  # nothing to do
-    finally:
-        left.kill()
-        left.wait()
-    assert counted(recipe, "ws", "b")[0] == ["a", "a", "b", "b"]
+def test_what_a_killed_run_left_is_waited_for(recipe):
+    command = "exec 9>ws/.lock; flock 9; echo held; sleep 12; echo a >>ws/count"
+    left = subprocess.Popen(["sh", "-c", command], cwd=recipe, stdout=subprocess.PIPE)
+    left.stdout.readline()
+    done = run(recipe, "./count.sh", "ws", "b")
+    assert left.wait() == 0 and done.returncode == 0
+    assert "kaldi: waiting for what another run does in ws, or has left there" in done.stdout
+    assert (recipe / "ws/count").read_text().split() == ["a", "b", "b"]
+
+
+def test_two_runs_at_once_do_each_command_once(recipe):
+    both = [subprocess.Popen(["./count.sh", "ws", "a"], cwd=recipe) for _ in range(2)]
+    assert [one.wait() for one in both] == [0, 0]
+    assert (recipe / "ws/count").read_text().split() == ["a", "a"]
 
 
 def test_a_missing_input_is_named(recipe):

@@ -7,7 +7,7 @@ runner=${kaldi_cmd:-run.pl --max-jobs-run $nj}
 
 # once NAME COMMAND...: run a command in the workspace, once; log in <workspace>/log/NAME.log. It runs again when its
 # words (but for --nj, --cmd and --stage), its `inputs` or those of a command before it in the same script have changed.
-# With --dry-run it is printed. Two runs at once in one workspace are refused.
+# With --dry-run it is printed. Of two runs at once in one workspace, one waits.
 once() {
   local name=$1 started=$SECONDS word before='' words=()
   shift
@@ -22,8 +22,12 @@ once() {
   key=$(printf '%s\0' "${key:-}" "$name" "${words[@]}" | sha256sum | cut -c1-16)
   local mark=$workspace/done/$name log=$workspace/log/$name.log
   [ "$(cat "$mark" 2>/dev/null)" != "$key" ] || return 0
-  exec 9>"$workspace/.lock" # held by what the command leaves running, too
-  flock -n 9 || die "another run, or a command that it left, is at work in $workspace: wait for it or end it first"
+  exec 9>"$workspace/.lock" # commands inherit it: one that a killed run left is waited for, too
+  flock -w 10 9 || {
+    printf '%s kaldi: waiting for what another run does in %s, or has left there\n' "$(date +%H:%M:%S)" "$workspace"
+    flock 9
+  }
+  [ "$(cat "$mark" 2>/dev/null)" != "$key" ] || return 0 # the other run has done it
   rm -f "$mark"
   mkdir -p "$(dirname "$log")" "$(dirname "$mark")"
   printf '%s kaldi: %s\n' "$(date +%H:%M:%S)" "$name"
