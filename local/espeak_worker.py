@@ -120,6 +120,8 @@ def main():
 if __name__ == "__main__":
     try:
         sys.exit(main())
+    except BrokenPipeError:  # who asked has gone, and has said why
+        os._exit(1)
     except (ImportError, OSError, RuntimeError) as error:
         print(f"espeak_worker.py: {error}", file=sys.stderr)
         os._exit(1)
