@@ -245,7 +245,7 @@ def test_kaldi_itself_trains_and_recognises(tmp_path, project_dir):
     recipe_run.finish(recipe_run.start(project_dir, tmp_path, tmp_path / "corpora", 2, "--stop-stage", "6"))
     small = ["--gmm-passes", "mono all, deltas all 50 300, sat all 50 300", "--num-leaves", "50", "--chain-opts",
              "--layers 2 --dim 48 --bottleneck 8 --epochs 1 --jobs-initial 1 --jobs-final 1 --chunk-width 60,40 "
-             "--minibatch 8,4,2,1", "--decode-opts", "--beam 6 --max-active 100"]
+             "--minibatch 8,4,2,1", "--decode-opts", "--beam 6 --max-active 300"]
 
     def stages(first, last):
         return recipe_run.finish(recipe_run.start(project_dir, tmp_path, tmp_path / "corpora", 2, *small, "--stage",

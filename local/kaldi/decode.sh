@@ -15,6 +15,7 @@ dry_run=false   # print the commands
 . utils/parse_options.sh
 . local/kaldi/common.sh
 [ $# -eq 4 ] || usage
+[ "$max_active" -ge 200 ] || die "--max-active $max_active must be at least 200, which is the least that Kaldi keeps"
 workspace=$1 set=$2 ali=$3 test=$4
 graph=$ali/align/tree/graph out=$set/decode_$test data=data/$test.hires small=data/lang_test_tgsmall
 search=(--acwt 1.0 --post-decode-acwt 10.0 --beam "$beam" --max-active "$max_active" --lattice-beam "$lattice_beam")
