@@ -37,8 +37,9 @@ def stratum_label(one: dict) -> str:
     """Return what a part of the test set has in common."""
     name, unit = one["what"].removesuffix("]").split(" [")
     low, high = one["low"], one["high"]
-    span = f"below {high:g}" if low is None else f"{low:g} and more" if high is None else f"{low:g} to {high:g}"
-    return f"{name} {span} {unit}"
+    if low is None:
+        return f"{name} below {high:g} {unit}"
+    return f"{name} {low:g} {unit} and more" if high is None else f"{name} {low:g} to {high:g} {unit}"
 
 
 def label(row: str) -> str:
