@@ -98,8 +98,11 @@ _PASSPORT = {
     "eq_edge_db": (lambda value: value is None or _is_number(value), "a number or null"),
     "t20_s": (_is_list(lambda x: x is None or _is_amount(x), _BANDS), f"{_BANDS} times, not negative (or null)"),
     "t20_valid": (_is_list(_is_bool, _BANDS), f"{_BANDS} times true or false"),
+    "drr_db": (lambda value: value is None or _is_number(value), "a number or null"),
 }
-"""What steps read of a passport; the keys that begin with `eq_` come together."""
+"""What steps read of a passport."""
+_TOGETHER = {"eq_": "eq_db", "t20_": "t20_valid"}
+"""Keys that begin alike come together: all are required where this one is there."""
 
 _NOISE = {"id": (is_id, _ID_RULE), "wav": _AUDIO["wav"], "kind": (_KINDS.__contains__, " or ".join(map(repr, _KINDS)))}
 _NOISE_OPTIONAL = {"room_id": (is_id, _ID_RULE), "fs_hz": _AUDIO["fs_hz"],
@@ -112,7 +115,8 @@ def row_problem(row: dict) -> str | None:
     passport = row.get("passport")
     if problem or not passport:
         return problem
-    required = {key: rule for key, rule in _PASSPORT.items() if "eq_db" in passport and key.startswith("eq_")}
+    begins = tuple(begin for begin, key in _TOGETHER.items() if key in passport)
+    required = {key: rule for key, rule in _PASSPORT.items() if key.startswith(begins)}
     problem = _problem(passport, required, _PASSPORT)
     return problem and f"passport: {problem}"
 
