@@ -139,8 +139,8 @@ def strata_table(found: dict) -> Html:
     rows = [[stratum_label(one), str(one["words"]), *(number(one["wer"][column][row]) for row in found["rows"])]
             for one in found["strata"]]
     return make_table("table-wer-strata", f"Word error rates in per cent ({column}) of parts of the test set, whose "
-                      "edges were fixed beforehand. Parts are small: differences within them are chance for the most "
-                      "part", ["Part", "Words", *map(label, found["rows"])], rows)
+                      "edges are the same for every set. Parts are small: differences within them are chance for the "
+                      "most part", ["Part", "Words", *map(label, found["rows"])], rows)
 
 
 def can_detect(found: dict) -> Html:

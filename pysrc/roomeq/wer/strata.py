@@ -9,7 +9,7 @@ from roomeq.wer.scoring import read_reference, read_texts
 from roomeq.wer.workspace import TEST, Decoded, Scores
 
 EDGES = {"SNR [dB]": (10.0, 15.0, 20.0), "T20 at 1 kHz [s]": (0.3, 0.5, 0.8), "DRR [dB]": (-5.0, 0.0, 5.0)}
-"""Where parts end. Fixed before any test set was looked at, so nobody chose them by what they show."""
+"""Where parts end: the same for every test set, whatever it shows."""
 
 
 def by_stratum(decoded: Decoded, scores: Scores, rirs: dict[str, dict]) -> list[dict]:
@@ -28,24 +28,19 @@ def by_stratum(decoded: Decoded, scores: Scores, rirs: dict[str, dict]) -> list[
         `what, low, high` (an edge, or None where there is none), `words` and, where there are any, `wer` by column and
         row [%]. Utterances of which a property is not known are in none of its strata.
     """
+    words = np.concatenate(scores.words)
+    errors = {system: np.concatenate(counts).sum(axis=1) for system, counts in scores.counts.items()}
     found = []
     for what, values in _properties(decoded, rirs).items():
         known = ~np.isnan(values)
         place = np.digitize(values, EDGES[what])
-        words = np.concatenate(scores.words)
-        if not known.any():
-            continue
         for n, (low, high) in enumerate(zip((None, *EDGES[what]), (*EDGES[what], None), strict=True)):
             here = known & (place == n)
             if here.any():
                 found.append(dict(what=what, low=low, high=high, words=int(words[here].sum()), wer={
-                    column: {row: _rate(scores.counts[row, column], words, here) for row in decoded.rows}
-                    for column in decoded.columns}))
+                    column: {row: float(100 * errors[row, column][here].sum() / words[here].sum())
+                             for row in decoded.rows} for column in decoded.columns}))
     return found
-
-
-def _rate(counts: list[np.ndarray], words: np.ndarray, here: np.ndarray) -> float:
-    return float(100 * np.concatenate(counts)[here].sum() / words[here].sum())
 
 
 def _properties(decoded: Decoded, rirs: dict[str, dict]) -> dict[str, np.ndarray]:
@@ -57,7 +52,8 @@ def _properties(decoded: Decoded, rirs: dict[str, dict]) -> dict[str, np.ndarray
         snr_of = _snr_db(data / "utt2snr")
         for utterance in read_reference(decoded.decode(seed, decoded.rows[0], TEST, decoded.columns[0])):
             passport = rirs[rir_of[utterance][0]].get("passport") or {}
-            t20_s = passport["t20_s"][BAND_1KHZ] if passport and passport["t20_valid"][BAND_1KHZ] else None
+            valid = passport.get("t20_valid", [False] * (BAND_1KHZ + 1))[BAND_1KHZ]
+            t20_s = passport["t20_s"][BAND_1KHZ] if valid else None
             for what, value in zip(EDGES, (snr_of.get(utterance), t20_s, passport.get("drr_db")), strict=True):
                 found[what].append(np.nan if value is None else value)
     return {what: np.array(values) for what, values in found.items()}
