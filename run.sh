@@ -31,6 +31,7 @@ standin_positions=6              # microphones and loudspeakers a room
 
 # stage 1: measured RIRs
 split_by=rir              # rir, as in the paper, or room: the stricter question
+same_rooms=               # patterns, as 'house_*,lab_*': rooms that one of them matches count as one, if split by room
 split_sizes=773,194,242   # RIRs for train, dev, test; scaled down where there are fewer
 
 # stages 2-4: simulation, equalisation, compensation
@@ -103,7 +104,8 @@ fi
 
 if at_stage 1 "measure them, leave out repeats and uncommon spaces, split"; then
   steps/characterise_rirs.sh --nj "$nj" "$data/measured" "$data/rirs.real"
-  steps/split_rirs.sh --split-by "$split_by" --sizes "$split_sizes" --seed "$seed" "$data/rirs.real"
+  steps/split_rirs.sh --split-by "$split_by" --same-rooms "$same_rooms" --sizes "$split_sizes" --seed "$seed" \
+    "$data/rirs.real"
 fi
 
 if at_stage 2 "simulate one RIR per measured one"; then

@@ -59,6 +59,15 @@ def test_by_room_no_room_is_in_two(tmp_path, seed):
     assert sizes_of(ids)[0] == max(sizes_of(ids)) and min(sizes_of(ids)) > 0
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_rooms_of_one_pattern_stay_together(tmp_path, seed):
+    rooms = {"lab_open": 3, "lab_shut": 3, "house_hall": 2, "house_den": 2, "c": 4, "d": 6, "house": 2}
+    ids, _ = split(tmp_path, make(tmp_path / "in", rooms), split_by="room", same_rooms=("lab_*", "house_*"), seed=seed)
+    for name in ("lab_", "house_"):
+        assert sum(any(one.startswith(name) for one in ids[part]) for part in SPLITS) == 1
+    assert sum(sizes_of(ids)) == sum(rooms.values())
+
+
 def test_takes_of_one_position_stay_together(tmp_path):
     items = [(row(f"p{n}-{take}", source_pos_m=[1.0, 1.0, 0.1 * n], mic_pos_m=[2.0, 2.0, 1.0]), RIR)
              for n in range(12) for take in range(2)]
@@ -110,6 +119,9 @@ def test_the_table_of_rooms_is_printed(tmp_path, caplog):
 @pytest.mark.parametrize("rooms, options, message", [
     ({"a": 2}, {}, "leave .* empty when split by rir"),
     ({"a": 5, "b": 5}, dict(split_by="room"), "empty when split by room"),
+    ({"a1": 5, "a2": 5, "b": 2}, dict(split_by="room", same_rooms=("a*",)), "12 RIRs of 2 rooms leave"),
+    ({"a": 5, "b": 5, "c": 2}, dict(split_by="room", same_rooms=("x*",)), "'x\\*' matches no room .* a, b, c"),
+    ({"a": 5, "b": 5, "c": 2}, dict(same_rooms=("a*",)), "split by 'room'"),
     ({"a": 5}, dict(split_by="file"), "split_by='file' must be"),
     ({"a": 5}, dict(sizes=(3, 0, 1)), "must be three positive"),
 ])

@@ -155,6 +155,8 @@ def _rir_verbs(verbs) -> None:
      .argument("rir_dir", help="RIR directory with passports")
      .argument("out_prefix", help="makes OUT_PREFIX.train, OUT_PREFIX.dev and OUT_PREFIX.test")
      .argument("--split-by", choices=("rir", "room"), default="rir", help="room: no room is in two sets")
+     .argument("--same-rooms", type=names, default=(), metavar="PATTERN,...",
+               help="rooms that one pattern matches count as one, e.g. 'house_*'; only by room")
      .argument("--sizes", type=integers, default=(773, 194, 242), help="proportions, where there are fewer RIRs")
      .seed())
     (Verb(verbs, "simulate", "simulate", "Simulate one RIR per measured one, with T60 drawn at random.",

@@ -4,6 +4,7 @@ import hashlib
 import logging
 import re
 from collections import Counter, defaultdict
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ SPLITS = ("train", "dev", "test")
 N_SHUFFLES = 200  # orders of the rooms that are tried for the best proportion
 
 
-def split_rirs(rir_dir, out_prefix, *, split_by="rir", sizes=(773, 194, 242), seed):
+def split_rirs(rir_dir, out_prefix, *, split_by="rir", same_rooms=(), sizes=(773, 194, 242), seed):
     """Split an RIR directory into ``<out_prefix>.train``, ``.dev`` and ``.test``.
 
     Repeats of one source and microphone position stay together. Where more RIRs are given than `sizes` ask
@@ -32,6 +33,9 @@ def split_rirs(rir_dir, out_prefix, *, split_by="rir", sizes=(773, 194, 242), se
         e.g. ``data/rirs.real``.
     split_by : str
         ``"rir"`` (the paper: rooms are in all three) or ``"room"`` (no room is in two).
+    same_rooms : sequence of str
+        Patterns (``*``, ``?``, ``[ ]``): the rooms that one matches count as one room, such as the states of a
+        laboratory or the rooms of a house that open into each other. Where two match, the first.
     sizes : tuple of int
         RIRs for training, development and test.
     seed : int
@@ -52,20 +56,35 @@ def split_rirs(rir_dir, out_prefix, *, split_by="rir", sizes=(773, 194, 242), se
     if len(sizes) != 3 or min(sizes) < 1:
         raise ValueError(f"sizes={tuple(sizes)} must be three positive numbers: training, development, test")
     rows = read_rirs(rir_dir)
-    split_of = _by_room(rows, sizes, seed) if split_by == "room" else _by_rir(rows, sizes, seed)
+    place_of = _places(rir_dir, rows, split_by, same_rooms)
+    split_of = _by_room(rows, place_of, sizes, seed) if split_by == "room" else _by_rir(rows, sizes, seed)
     counts = Counter(split_of.values())
     for split in SPLITS:
         if not counts[split]:
-            raise ValueError(f"{rir_dir}: {len(rows)} RIRs of {len({row['room_id'] for row in rows})} rooms leave "
-                             f"{split} empty when split by {split_by}: give more RIRs, or split by 'rir'")
+            raise ValueError(f"{rir_dir}: {len(rows)} RIRs of {len(set(place_of.values()))} rooms leave {split} empty "
+                             f"when split by {split_by}: give more RIRs, or split by 'rir'")
     noises = _split_noises(read_noises(rir_dir), rows, split_of, sizes, seed, split_by)
     # all places are looked at before anything goes to one of them
     builds = {split: Build(Path(f"{out_prefix}.{split}"), step="split", inputs=[rir_dir], refers=True, options=dict(
-        split=split, split_by=split_by, sizes=list(sizes), seed=seed)) for split in SPLITS}
+        split=split, split_by=split_by, same_rooms=list(same_rooms), sizes=list(sizes), seed=seed)) for split in SPLITS}
     for split, build in builds.items():
         _write(build, rir_dir, [row for row in rows if split_of.get(row["id"]) == split], noises[split])
     _log_table(rows, split_of, noises)
     return {split: counts[split] for split in SPLITS}
+
+
+def _places(rir_dir, rows, split_by, same_rooms):
+    """What each room counts as: its own name, or the pattern that it shares with others."""
+    if same_rooms and split_by != "room":
+        raise ValueError(f"same_rooms={','.join(same_rooms)} keeps rooms whole that split_by={split_by!r} parts: "
+                         "split by 'room'")
+    rooms = sorted({row["room_id"] for row in rows})
+    place_of = {room: next((one for one in same_rooms if fnmatchcase(room, one)), room) for room in rooms}
+    for pattern in same_rooms:
+        if pattern not in place_of.values():
+            raise ValueError(f"{rir_dir}: same_rooms: {pattern!r} matches no room that is not matched before: they are "
+                             f"{', '.join(rooms)}")
+    return place_of
 
 
 def _hashed(seed, name):
@@ -114,11 +133,11 @@ def _by_rir(rows, sizes, seed):
     return split_of
 
 
-def _by_room(rows, sizes, seed):
-    """Split of each id, rooms kept whole: of many random orders the one that comes closest to the proportion."""
+def _by_room(rows, place_of, sizes, seed):
+    """Split of each id, places kept whole: of many random orders the one that comes closest to the proportion."""
     rooms = defaultdict(list)
     for row in rows:
-        rooms[row["room_id"]].append(row["id"])
+        rooms[place_of[row["room_id"]]].append(row["id"])
     shares = np.array(_shares(sizes, len(rows)), dtype=float)
     best, best_error = {}, np.inf
     for attempt in range(N_SHUFFLES):
