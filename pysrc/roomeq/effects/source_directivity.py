@@ -28,7 +28,7 @@ class SourceDirectivity(Effect):
 
     NAME = "source_directivity"
     SCOPE = "source"
-    STARTS = ((np.log(0.08), np.log(0.5)), (np.log(0.2), np.log(0.5)))
+    STARTS = tuple((np.log(radius_m), np.log(0.5)) for radius_m in (0.08, 0.03, 0.2))
     SPREAD = (0.7, 0.5)
     TELLS = "the loudspeaker turned, at the same place"
 

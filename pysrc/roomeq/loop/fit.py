@@ -12,15 +12,17 @@ Cells scatter by `sigma` from RIR to RIR and by `omega` from room to room; both 
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from roomeq.loop.cells import HAS_GAIN, N_CELLS
 from roomeq.loop.layout import N_SURFACE, OWN, Layout
-from roomeq.loop.linear import linearise, normal_equations, scatter
+from roomeq.loop.linear import linearise, misfit, normal_equations, scatter
 from roomeq.loop.predict import N_BANDS
 
 ITERATIONS = 5
+_SHARES = (1.0, 0.5, 0.2, 0.05)  # of a step of Gauss and Newton that are tried
 START_X = np.log(0.2)
 _WHOLE_GAIN_DB = 30.0  # spread of the gain of a chain or a room
 _GAIN_DB = (0.3, _WHOLE_GAIN_DB)  # of what a source or a microphone has besides
@@ -116,7 +118,9 @@ def fit(data, offset, effects, start=None, like=None, iterations=ITERATIONS):
             sigma, omega = scatter(data, residual, valid)
         normal = [normal_equations(layout, r, residual, valid, slopes, sigma, omega)
                   for r in range(len(local))]
-        mean, local, spreads = _solve(normal, covariance, mean, local, prior_mean, prior)
+        new_mean, new_local, spreads = _solve(normal, covariance, mean, local, prior_mean, prior)
+        cost = partial(_cost, layout, offset, sigma, omega, covariance, prior_mean, prior)
+        mean, local = _step(cost, (mean, local), (new_mean, new_local))
         shape = _best_shape(local, spreads)
         own_scale = [_own_scale(layout, k, local, spreads) for k in range(len(layout.effects))]
         gain_db = (_WHOLE_GAIN_DB, *(_gain_db(layout, kind, local, spreads) for kind in (1, 2)))
@@ -201,6 +205,29 @@ def _solve(normal, covariance, mean, local, prior_mean, prior):
     step = np.linalg.solve(total, right)
     new = [u + room @ (b - ug @ step) for u, (room, ug, b) in zip(local, kept, strict=True)]
     return mean + step, new, [room for room, _, _ in kept]
+
+
+def _step(cost, old, new):
+    """As much of a step as lowers the cost: a whole one where cells are nearly linear, else a half, and so on."""
+    limit = cost(*old)
+    for share in _SHARES:
+        mean = old[0] + share * (new[0] - old[0])
+        local = [a + share * (b - a) for a, b in zip(old[1], new[1], strict=True)]
+        if cost(mean, local) < limit:
+            return mean, local
+    return old
+
+
+def _cost(layout, offset, sigma, omega, covariance, prior_mean, prior, mean, local):
+    """Twice the negative logarithm of the posterior density, but for a constant (Huber's loss for outliers)."""
+    data = layout.data
+    predicted = layout.predict(layout.absorption(mean, local), layout.vectors(mean, local), layout.gains(local), offset)
+    residual = data.cells - predicted
+    valid = data.valid & np.isfinite(residual)
+    total = (mean - prior_mean) @ prior @ (mean - prior_mean)
+    for members, one, cov in zip(layout.members, local, covariance, strict=True):
+        total += one @ np.linalg.solve(cov, one) + misfit(residual[members], valid[members], sigma, omega)
+    return total
 
 
 def _best_shape(local, spreads):

@@ -71,6 +71,14 @@ def _whiten(columns, valid, sigma, omega):
     return np.where(valid[:, :, None], columns - part[:, None] * mean, 0.0) / sigma[:, None]
 
 
+def misfit(residual, valid, sigma, omega):
+    """Sum of the squares of a room's whitened residual, shape (n_rirs, n_cells); large ones count linearly (Huber)."""
+    limit = _HUBER * np.sqrt(sigma ** 2 + omega ** 2)
+    size = np.abs(np.where(valid, residual, 0.0))
+    root = np.where(size < limit, size, np.sqrt(limit * np.maximum(2.0 * size - limit, 0.0)))
+    return float(np.sum(_whiten((np.sign(residual) * root)[:, :, None], valid, sigma, omega) ** 2))
+
+
 def normal_equations(layout, r, residual, valid, slopes, sigma, omega):
     index = layout.members[r]
     own, shared = _derivatives(layout, r, slopes)
