@@ -46,10 +46,12 @@ def leave_rooms_out(data, found):
         parts.append((gg - ug.T @ room @ ug, ge - ug.T @ room @ (ue - inverse @ u)))
     total = prior + sum(part for part, _ in parts)
     right = prior @ (prior_mean - found.mean) + sum(part for _, part in parts)
+    # nothing is left to do where the fit came to its end; at a limit of an effect there is, and it had been tried
+    rejected = np.linalg.solve(total, right)
     result = []
     for r, (own, own_right) in enumerate(parts):
         precision = total - own
-        step = np.linalg.solve(precision, right - own_right)
+        step = np.linalg.solve(precision, right - own_right) - rejected
         result.append(LeftOut(found.mean + step, _log_density(found, r, precision, step)))
     return result
 

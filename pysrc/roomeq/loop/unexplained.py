@@ -7,12 +7,14 @@ from scipy import stats
 
 from roomeq.constants import BANDS_HZ
 from roomeq.loop.cells import METRIC, REGION
+from roomeq.loop.linear import scatter
 from roomeq.loop.predict import BAND_OF_CELL
 
 MIN_SIZE_JND = 1.0
 MIN_ROOM_SIZE_JND = 2.0  # rooms differ in more than absorption: what one has alone must be plain
 LEVEL = 0.05
 _CLIP = 8.0
+_FREEDOM = 8  # degrees of it that other cells lend to the scatter of one
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,7 @@ def find_unexplained(session):
         if single:
             bands, size, p = single
             found += [(metric, band, "room", size, min(1.0, p * len(metrics))) for band in bands]
+    found += _of_one_room(residual, data)
     kept = [one for one in found if one[4] < LEVEL and abs(one[3]) >= (
         MIN_ROOM_SIZE_JND if one[2] == "room" else MIN_SIZE_JND)]
     return _merged(kept)
@@ -109,6 +112,24 @@ def _of_single_rooms(metric, residual, data):
     at = np.argmax(sign * standing, axis=1)
     size = float(np.mean(means[np.arange(len(names)), at]))
     return sorted(set(BAND_OF_CELL[METRIC == metric][at])), size, float(stats.ttest_1samp(high + low, 0.0).pvalue)
+
+
+def _of_one_room(residual, data):
+    """Cells of one room that lie far outside what the others make likely: list of (metric, band, "room", size, p)."""
+    names = np.unique(data.room)
+    if len(names) < 4:
+        return []
+    valid, found = np.isfinite(residual), []
+    for r in names:
+        mine = data.room == r
+        sigma, omega = scatter(data, residual, valid & ~mine[:, None])
+        count = valid[mine].sum(axis=0)
+        mean = np.where(valid[mine], residual[mine], 0.0).sum(axis=0) / np.maximum(count, 1)
+        ratio = np.where(count > 1, mean / np.sqrt(omega ** 2 + sigma ** 2 / np.maximum(count, 1)), 0.0)
+        p = 2.0 * stats.t.sf(np.abs(ratio), len(names) - 2 + _FREEDOM) * len(names) * residual.shape[1]
+        found += [(str(METRIC[n]), int(BAND_OF_CELL[n]), "room", float(mean[n]), float(p[n]))
+                  for n in np.flatnonzero(p < LEVEL)]
+    return found
 
 
 def _merged(found):

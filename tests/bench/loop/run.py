@@ -19,11 +19,14 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
+
 os.environ.setdefault("NUMBA_NUM_THREADS", str(min(2, len(os.sched_getaffinity(0)))))
 sys.path[:1] = [str(Path(__file__).resolve().parents[n] / name) for n, name in ((3, "pysrc"), (2, ""))]
 
 from bench import kit  # noqa: E402
 from bench.loop.table import rates, show  # noqa: E402
+from roomeq.constants import BANDS_HZ  # noqa: E402
 from roomeq.loop.close import close_loop  # noqa: E402
 from worlds import KINDS, make_world  # noqa: E402
 
@@ -56,7 +59,7 @@ def one_world(kind, strength, seed, cache):
         ledger = close_loop([Path(directory, "fit")], Path(directory, "loop"), seed=seed,
                             judge=[Path(directory, "judge")], nj=2)
         seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
-    return dict(kind=kind, strength=strength, seed=seed, achieved_jnd=truth["achieved_jnd"],
+    return dict(kind=kind, strength=strength, seed=seed, achieved_jnd=truth["achieved_jnd"], rings_hz=_rings_hz(truth),
                 found=[one["effect"] for one in ledger["iterations"]],
                 cannot_tell=[one.get("cannot_tell", []) for one in ledger["iterations"]],
                 before=ledger["baseline"]["positions"]["error"], after=ledger["final"]["positions"]["error"],
@@ -64,6 +67,12 @@ def one_world(kind, strength, seed, cache):
                 judge_after=ledger["judge"]["after"]["positions"]["error"],
                 unexplained=ledger["unexplained_all"][:3], ranking=(ledger["iterations"] or [ledger])[0]["ranking"][:3],
                 seconds=seconds, cpu_seconds=cpu)
+
+
+def _rings_hz(truth):
+    """Octaves in which objects of the world ring."""
+    objects = truth["effects"].get("ringing_object", dict(parameters={}))["parameters"].values()
+    return sorted({min(BANDS_HZ, key=lambda band_hz: abs(np.log(band_hz / one["frequency_hz"]))) for one in objects})
 
 
 def main():
