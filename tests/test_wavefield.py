@@ -254,3 +254,11 @@ def test_modes_have_the_level_of_a_diffuse_field(box_modes):
     diffuse = C / (8.0 * np.pi * BOX.volume_m3 * damping)
     at_walls = 1.0 + BOX.slot_area_m2.sum() * C / (8.0 * BOX.volume_m3 * edges_hz.mean(axis=1))
     np.testing.assert_allclose(10.0 * np.log10(energy / (diffuse * at_walls)), 0.0, atol=1.0)
+
+
+def test_nothing_is_changed_before_the_direct_sound():
+    high, low = np.zeros((2, FS_HZ))
+    high[800], low[1000] = 1.0, 1.0
+    crossed = cross_over(low, high, FS_HZ, 60.0, 800 / FS_HZ)
+    np.testing.assert_array_equal(crossed[:800], 0.0)
+    assert np.abs(crossed[801:]).max() > 3e-3

@@ -50,4 +50,4 @@ class RoomModes(Effect):
         found = modes(room, MARGIN * frequency_hz, speed_m_s)
         low = modal_response(found, rendering.source_pos_m, rendering.mic_pos_m,
                              damping_per_s(found.frequencies_hz, rendering.t60_s), len(rir), FS_HZ)
-        return cross_over(low, rir, FS_HZ, frequency_hz)
+        return cross_over(low, rir, FS_HZ, frequency_hz, rendering.distance_m / speed_m_s)

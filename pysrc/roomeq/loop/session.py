@@ -90,12 +90,14 @@ def begin(data, *, like=None, offset=None, seed, nj):
     by_row = effects_of_rows(data, like.effects, vectors)
     raws = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj)
     rendered = rendered_cells(data, raws, by_row, seed=seed, nj=nj)
+    gains = np.outer(layout.gains(like.local), HAS_GAIN)
+    chance = _chance(data, raws, by_row, rendered, (layout, absorption, vectors, gains), seed, nj)
     for effect in _ORDER:
         if effect.NODES:
-            data.shifts[effect.NAME] = _shifts(data, raws, by_row, rendered, effect, seed, nj)
-    gains = np.outer(layout.gains(like.local), HAS_GAIN)
+            data.shifts[effect.NAME] = _shifts(data, raws, by_row, rendered, chance, effect, seed, nj)
     expected = layout.predict(absorption, vectors, np.zeros(len(data.rows)), 0.0)
-    new = _offset(data, rendered - expected, data.cells - gains - expected)
+    mean, own, share = _offset(data, rendered - expected, data.cells - gains - expected)
+    new = mean + share * own
     found = fit(data, new, like.effects, like=fit(data, new, like.effects, like=replace(like, by_surface=None)))
     vectors = layout.vectors(found.mean, found.local)
     return Session(data, like.effects, new, found, effects_of_rows(data, like.effects, vectors), seed, nj)
@@ -108,20 +110,39 @@ def forget_shifts(data, effects):
             data.shifts[effect.NAME] = np.zeros((len(effect.NODES), *data.cells.shape))
 
 
-def _shifts(data, raws, by_row, rendered, effect, seed, nj):
-    """What an effect makes of the cells of the model's RIRs at each of its nodes, shape (n_nodes, n_rirs, n_cells)."""
+def _chance(data, raws, by_row, rendered, fitted, seed, nj):
+    """What chance made of the cells of rays alone: rendered less expected, less what of that is no chance."""
+    layout, absorption, vectors, gains = fitted
+    rays = [[one for one in effects if not one.NODES] for effects in by_row]
+    cells = rendered if rays == by_row else rendered_cells(data, raws, rays, seed=seed, nj=nj)
+    kept = [(effect, one) for effect, one in zip(layout.effects, vectors, strict=True) if not effect.NODES]
+    expected = Layout(data, [effect for effect, _ in kept]).predict(
+        absorption, [one for _, one in kept], np.zeros(len(data.rows)), 0.0)
+    _, own, share = _offset(data, cells - expected, data.cells - gains - expected)
+    return (1.0 - share) * own
+
+
+def _shifts(data, raws, by_row, rendered, chance, effect, seed, nj):
+    """What an effect makes of the cells of the model's RIRs at each of its nodes, shape (n_nodes, n_rirs, n_cells).
+
+    What takes the place of rays, such as a wave field, takes that of their chance too: as much of it goes as is not
+    found again with the effect.
+    """
     without = [[one for one in effects if not isinstance(one, effect)] for effects in by_row]
     plain = rendered if without == by_row else rendered_cells(data, raws, without, seed=seed, nj=nj)
-    found = []
+    power, found = np.maximum(np.sum(chance ** 2, axis=0), 1e-9), []
     for node in effect.NODES:
         new = effect.from_vector(np.array(node))
         extended = [_sorted([*effects, new]) for effects in without]
-        found.append(rendered_cells(data, raws, extended, seed=seed, nj=nj) - plain)
-    return np.where(np.isfinite(found), found, 0.0)
+        change = rendered_cells(data, raws, extended, seed=seed, nj=nj) - plain
+        change = np.where(np.isfinite(change), change, 0.0)
+        gone = np.clip(-np.sum((change - change.mean(axis=0)) * chance, axis=0) / power, 0.0, 1.0)
+        found.append(change + gone * chance)
+    return np.array(found)
 
 
 def _offset(data, difference, error):
-    """Offset of each RIR: the mean over RIRs, and as much of its own as helps to predict what was measured.
+    """What measuring adds to expected cells: the mean over RIRs, each RIR's own, and how much of that helps.
 
     Early reflections are the same whenever they are rendered, noise-like tails are not: how much of an RIR's own
     offset means something is a regression on what was measured, one coefficient a metric.
@@ -132,6 +153,10 @@ def _offset(data, difference, error):
         Rendered less expected cells.
     error : ndarray, shape (n_rirs, n_cells)
         Measured less expected cells.
+
+    Returns
+    -------
+    mean, own, share : ndarray, shape (n_cells,), (n_rirs, n_cells), (n_cells,)
     """
     seen = np.isfinite(difference)
     mean = np.sum(np.where(seen, difference, 0.0), axis=0) / np.maximum(seen.sum(axis=0), 1)
@@ -144,4 +169,4 @@ def _offset(data, difference, error):
         at = METRIC == metric
         power = np.sum(np.where(valid, own, 0.0)[:, at] ** 2)
         share[at] = np.clip(np.sum(own[:, at] * centred[:, at]) / max(power, 1e-9), 0.0, 1.0)
-    return mean + share * own
+    return mean, own, share
