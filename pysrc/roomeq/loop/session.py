@@ -111,11 +111,12 @@ def forget_shifts(data, effects):
 
 
 def _chance(data, raws, by_row, rendered, fitted, seed, nj):
-    """What chance made of the cells of rays alone: rendered less expected, less what of that is no chance."""
+    """What chance made of the cells without such effects: rendered less expected, less what of that is no chance."""
     layout, absorption, vectors, gains = fitted
-    rays = [[one for one in effects if not one.NODES] for effects in by_row]
+    with_nodes = tuple(effect for effect in layout.effects if effect.NODES)
+    rays = [[one for one in effects if not isinstance(one, with_nodes)] for effects in by_row]
     cells = rendered if rays == by_row else rendered_cells(data, raws, rays, seed=seed, nj=nj)
-    kept = [(effect, one) for effect, one in zip(layout.effects, vectors, strict=True) if not effect.NODES]
+    kept = [(effect, one) for effect, one in zip(layout.effects, vectors, strict=True) if effect not in with_nodes]
     expected = Layout(data, [effect for effect, _ in kept]).predict(
         absorption, [one for _, one in kept], np.zeros(len(data.rows)), 0.0)
     _, own, share = _offset(data, cells - expected, data.cells - gains - expected)
