@@ -112,7 +112,7 @@ def test_a_world_against_itself_has_no_error_and_nothing_is_found(session):
     again = fit(itself, session.offset, (), like=session.fit)
     error = np.abs(itself.cells - again.predicted)[itself.valid]
     assert error.mean() < 0.02 and error.max() < 0.5
-    winner, _ = choose(rank(replace(session, data=itself, fit=again)))
+    winner, _ = choose(rank(replace(session, data=itself, fit=again)), len(CATALOGUE))
     assert winner is None
 
 

@@ -90,28 +90,6 @@ def rank(session):
     return sorted(found, key=lambda one: -one.total)
 
 
-def beside(session, failed, ranking):
-    """Judge candidates again beside one that is not the cause: what only explains the same helps no more.
-
-    Parameters
-    ----------
-    session : Session
-    failed : Candidate
-        Its effect and its fit become part of the model.
-    ranking : list of Candidate
-
-    Returns
-    -------
-    Session
-        With the failed effect in its model.
-    list of Candidate
-        One for each of the ranking, in its order.
-    """
-    with_it = replace(session, effects=failed.fit.effects, fit=failed.fit)
-    before = leave_rooms_out(session.data, failed.fit)
-    return with_it, [_candidate(with_it, one.effect, before) for one in ranking]
-
-
 def _candidate(session, effect, before):
     data, effects = session.data, in_order([*session.effects, effect])
     like = session.fit
@@ -157,12 +135,15 @@ def size_of(session, effect, found):
     return float(max(one[one > TOUCHED_JND].mean() if np.any(one > TOUCHED_JND) else 0.0 for one in by_metric))
 
 
-def choose(ranking):
+def choose(ranking, n_candidates):
     """The winner among candidates that help, and those that cannot be told from it.
 
     Parameters
     ----------
     ranking : list of Candidate
+        In their order.
+    n_candidates : int
+        How many were tried, with those that are out.
 
     Returns
     -------
@@ -170,7 +151,7 @@ def choose(ranking):
     rivals : list of Candidate
         Not significantly worse than the winner on the left-out rooms.
     """
-    helping = [one for one in ranking if one.helps(len(ranking))]
+    helping = [one for one in ranking if one.helps(n_candidates)]
     if not helping:
         return None, []
     close = [one for one in helping if one is helping[0] or one_sided_p(helping[0].gain - one.gain) > LEVEL]

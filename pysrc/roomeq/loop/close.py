@@ -10,7 +10,7 @@ from roomeq.build import Build, check_jobs
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, read_model, write_model
 from roomeq.files import write_json
-from roomeq.loop.attribute import MIN_ROOMS, beside, choose, one_sided_p, rank
+from roomeq.loop.attribute import MIN_ROOMS, choose, one_sided_p, rank
 from roomeq.loop.data import load_data
 from roomeq.loop.examples import EXAMPLES_FILE, write_examples
 from roomeq.loop.heldout import Errors, heldout_errors
@@ -121,10 +121,9 @@ def _run(data, directories, work, judge_data, given, max_effects, seed, nj):
 
 def _accepted(session, errors, ranking):
     """The most helpful candidate that also lowers the error when everything is simulated again with it."""
-    shifts, base = dict(session.data.shifts), session
-    pool = [(one, one) for one in ranking]  # each, and as judged beside those that failed
+    shifts, pool = dict(session.data.shifts), ranking
     while True:
-        winner, rivals = choose([one for one, _ in pool])
+        winner, rivals = choose(pool, len(ranking))
         if winner is None:
             return None
         after = begin(session.data, like=winner.fit, offset=session.offset, seed=session.seed, nj=session.nj)
@@ -133,11 +132,7 @@ def _accepted(session, errors, ranking):
             return winner, rivals, after, errors_after
         logger.info("loop: %s fits, but simulated again it does not lower the error; left out", winner.effect.NAME)
         session.data.shifts.update(shifts)  # those of the rejected model speak of its own RIRs
-        # what the failed one explains is not the next best's: others must explain something else
-        (failed,) = [again for one, again in pool if one is winner]
-        rest = [one for one, _ in pool if one is not winner and one.helps(len(ranking))]
-        base, judged = beside(base, failed, rest)
-        pool = [(one, again) for one, again in zip(rest, judged, strict=True) if again.helps(len(ranking))]
+        pool = [one for one in pool if one is not winner]
 
 
 def _lower(before: Errors, after: Errors):
