@@ -7,7 +7,7 @@
 # Each JOB in LOG and in the arguments becomes the job's number. Arguments reach the command as they are: no shell
 # reads them again. Jobs see this directory and environment, so both must be there on all nodes. A job that is
 # requeued starts its command again, which is to go on where it was. Every job that fails, dies or runs out of
-# time is named, with its Slurm state and the last line of its log. Killed itself, it cancels its jobs.
+# time is named, with its Slurm state and Slurm's reason or the last line of its log. Killed itself, it cancels its jobs.
 set -euo pipefail
 usage() { sed -n '2,/^set -/{/^# /s/^# //p}' "$0"; }
 die() {
@@ -102,7 +102,11 @@ while true; do
 done
 waiting=
 
-last_words() { { tail -n 1 -- "$1" 2>/dev/null || true; } | grep . || echo "it left no word: is the disk full?"; }
+last_words() { # LOG STATE: Slurm's own reason if it ended the job, else the last line
+  local at_end='{last = $0} /^# Slurm job /{why = ""} /^slurmstepd: error: /{why = $0} END {print why == "" ? last : why}'
+  [[ $2 != FAILED* ]] || at_end='{last = $0} END {print last}'
+  { awk "$at_end" <"$1" || true; } 2>/dev/null | grep . || echo "it left no word: is the disk full?"
+}
 
 state_of() { # JOB: Slurm's word on it; sacct may be absent, and scontrol forgets after some minutes
   { scontrol --oneliner show job "${id}_$1" | sed -n 's/.*JobState=\([A-Z_]*\) Reason=\([^ ]*\).*/\1 (\2)/p' ||
@@ -122,8 +126,10 @@ for ((job = first; job <= last; job++)); do
   done
   status=$(cat "$ended/$job" 2>/dev/null) || status=none
   if [ "$status" != 0 ]; then
+    state=${state:-$(state_of "$job")}
+    [[ $state != TIMEOUT* ]] || status=none # what the shell noted in its last moment is Slurm's doing
     printf '%s: job %d failed, exit status %s, Slurm says %s: %s (log: %s)\n' "${0##*/}" "$job" "$status" \
-      "${state:-$(state_of "$job")}" "$(last_words "${log//JOB/$job}")" "${log//JOB/$job}" >&2
+      "$state" "$(last_words "${log//JOB/$job}" "$state")" "${log//JOB/$job}" >&2
     failed=1
   fi
 done
