@@ -120,7 +120,7 @@ def fit(data, offset, effects, start=None, like=None, iterations=ITERATIONS):
                   for r in range(len(local))]
         new_mean, new_local, spreads = _solve(normal, covariance, mean, local, prior_mean, prior)
         cost = partial(_cost, layout, offset, sigma, omega, covariance, prior_mean, prior)
-        mean, local = _step(cost, (mean, local), (new_mean, new_local))
+        mean, local = _step(cost, predicted, (mean, local), (new_mean, new_local))
         shape = _best_shape(local, spreads)
         own_scale = [_own_scale(layout, k, local, spreads) for k in range(len(layout.effects))]
         gain_db = (_WHOLE_GAIN_DB, *(_gain_db(layout, kind, local, spreads) for kind in (1, 2)))
@@ -207,9 +207,9 @@ def _solve(normal, covariance, mean, local, prior_mean, prior):
     return mean + step, new, [room for room, _, _ in kept]
 
 
-def _step(cost, old, new):
+def _step(cost, predicted, old, new):
     """As much of a step as lowers the cost: a whole one where cells are nearly linear, else a half, and so on."""
-    limit = cost(*old)
+    limit = cost(*old, predicted)
     for share in _SHARES:
         mean = old[0] + share * (new[0] - old[0])
         local = [a + share * (b - a) for a, b in zip(old[1], new[1], strict=True)]
@@ -218,10 +218,12 @@ def _step(cost, old, new):
     return old
 
 
-def _cost(layout, offset, sigma, omega, covariance, prior_mean, prior, mean, local):
+def _cost(layout, offset, sigma, omega, covariance, prior_mean, prior, mean, local, predicted=None):
     """Twice the negative logarithm of the posterior density, but for a constant (Huber's loss for outliers)."""
     data = layout.data
-    predicted = layout.predict(layout.absorption(mean, local), layout.vectors(mean, local), layout.gains(local), offset)
+    if predicted is None:
+        predicted = layout.predict(layout.absorption(mean, local), layout.vectors(mean, local), layout.gains(local),
+                                   offset)
     residual = data.cells - predicted
     valid = data.valid & np.isfinite(residual)
     total = (mean - prior_mean) @ prior @ (mean - prior_mean)

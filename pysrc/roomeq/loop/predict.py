@@ -12,6 +12,7 @@ from roomeq.constants import EXACT_BANDS_HZ
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.loop.cells import (
     BAND_HZ,
+    DIRECT_S,
     DIRECT_THIRDS_HZ,
     EARLY_S,
     JND,
@@ -28,7 +29,6 @@ from roomeq.sim.jit import compiled
 N_BANDS = len(EXACT_BANDS_HZ)
 _N_DIRECT = len(DIRECT_THIRDS_HZ)
 _FRAME_MID_S = 0.5 * (FRAME_EDGES_S[1:] + FRAME_EDGES_S[:-1])
-_GATE, _EARLY, _LATE = (int(np.searchsorted(FRAME_EDGES_S, seconds - 1e-6)) for seconds in (2.5e-3, EARLY_S, LATE_S))
 
 
 def _octaves_to(frequencies_hz):
@@ -37,6 +37,7 @@ def _octaves_to(frequencies_hz):
     return np.maximum(0.0, 1.0 - np.abs(position[:, None] - np.arange(N_BANDS)))
 
 
+_ALIKE = np.empty((0, 0))  # in place of angles and their gains
 TO_THIRDS = _octaves_to(THIRDS_HZ)
 _RESPONSE_TO_OCTAVES = np.array([np.abs(np.log2(np.array(RESPONSE_HZ) / band_hz)) < 0.4 for band_hz in EXACT_BANDS_HZ])
 RESPONSE_TO_OCTAVES = _RESPONSE_TO_OCTAVES / _RESPONSE_TO_OCTAVES.sum(axis=1, keepdims=True)
@@ -96,7 +97,8 @@ class State:
 
     def add_decay(self, data, rows, share, rate_per_s):
         """Add an exponential decay that holds a share of the energy of all reflections; air shortens it."""
-        rate = rate_per_s + self.speed_m_s[rows][:, None] * self.air_per_m[rows]  # (rirs, 8)
+        # frames are lengths, told in seconds at the declared speed
+        rate = (rate_per_s / self.speed_m_s[rows][:, None] + self.air_per_m[rows]) * data.speed_m_s[rows][:, None]
         left = np.exp(-FRAME_EDGES_S[:, None] * rate[:, None, :])
         if self.room_energy is None:
             self.room_energy = reflected_energy(data, self).sum(axis=1)
@@ -126,17 +128,12 @@ def base_state(data, absorption):
 def reflected_energy(data, state):
     """Energy of all but the direct sound, shape (n_rirs, N_FRAMES, 8)."""
     share = LEVEL_SHARES[:, None]
-    per_hit = state.absorption[:, :1] * (1.0 - share) + state.absorption[:, 1:] * share  # (rirs, 6, 8)
-    depth = max(table.counts.shape[1] for table in data.tables)
-    kept = np.exp(-np.arange(depth)[:, None, None] * per_hit[:, None])
+    kept = np.exp(-state.absorption[:, :1] * (1.0 - share) - state.absorption[:, 1:] * share)  # of a hit, (rirs, 6, 8)
     energy = np.zeros((len(kept), len(_FRAME_MID_S), N_BANDS))
     for i, table in enumerate(data.tables):
-        if state.ray_gain is None or table.angular is None:
-            _sum_counts(table.entries, table.weights, kept[i].reshape(-1, N_BANDS), energy[i])
-        else:
-            n = table.counts.shape[1]
-            by_n = np.matmul(table.counts.transpose(1, 0, 2), kept[i, :n]).transpose(1, 0, 2)  # (frames, n, 8)
-            energy[i] = (by_n * (table.angular @ state.ray_gain[i])).sum(axis=1)
+        turned = state.ray_gain is not None and table.angular is not None
+        _add_up(table.entries, table.counts, table.angular if turned else _ALIKE,
+                state.ray_gain[i] if turned else _ALIKE, kept[i], energy[i])
     length_m = data.distance_m[:, None] + _FRAME_MID_S * data.speed_m_s[:, None]
     return energy * np.exp(-length_m[:, :, None] * state.air_per_m[:, None, :]) + state.extra
 
@@ -161,29 +158,35 @@ def predict(data, state, energy=None):
         -data.distance_m[:, None] * state.air_per_m)
     thirds_direct = _db(np.maximum(direct, 1e-30)) @ TO_THIRDS.T + _db(state.direct_thirds)
     cells = np.zeros((len(energy), N_CELLS))
-    late = energy[:, _EARLY:].sum(axis=1)
+    near, early, late = (_until(seconds * state.speed_m_s / data.speed_m_s, energy)
+                         for seconds in (DIRECT_S, EARLY_S, LATE_S))
     whole = energy.sum(axis=1)
     octaves_db = state.response_db @ RESPONSE_TO_OCTAVES.T
     thirds_db = state.response_db[:, :len(THIRDS_HZ)]
-    first = _db(energy[:, 0]) @ TO_THIRDS.T
+    first = _db(near) @ TO_THIRDS.T
     cells[:, slots("direct")] = (_sum_db(thirds_direct, first) + thirds_db)[:, -_N_DIRECT:]
-    cells[:, slots("early")] = _db(energy[:, _GATE:_EARLY].sum(axis=1)) + octaves_db
-    cells[:, slots("late")] = _db(energy[:, _EARLY:_LATE].sum(axis=1)) + octaves_db
+    cells[:, slots("early")] = _db(early - near) + octaves_db
+    cells[:, slots("late")] = _db(late - early) + octaves_db
     cells[:, slots("spectrum")] = _sum_db(thirds_direct, _db(whole) @ TO_THIRDS.T) + thirds_db
-    early = direct + energy[:, :_EARLY].sum(axis=1)
-    cells[:, slots("c50")] = (_db(early) - _db(late)) / JND["c50"]
+    cells[:, slots("c50")] = (_db(direct + early) - _db(whole - early)) / JND["c50"]
     weight = OCTAVE_WIDTH_HZ * 10.0 ** (octaves_db / 10.0)
-    near = ((direct + energy[:, 0]) * weight).sum(axis=1)
-    far = ((whole - energy[:, 0]) * weight).sum(axis=1)
-    cells[:, slots("drr")] = ((_db(near) - _db(far)) / JND["drr"])[:, None]
+    ratio_db = _db(((direct + near) * weight).sum(axis=1)) - _db(((whole - near) * weight).sum(axis=1))
+    cells[:, slots("drr")] = (ratio_db / JND["drr"])[:, None]
     times = np.empty((len(energy), 3, N_BANDS))
     _decay_times(direct + energy[:, 0], energy, FRAME_EDGES_S, times)
-    ratio = np.log(data.speed_m_s / state.speed_m_s)[:, None]
+    shorter = np.log(data.speed_m_s / state.speed_m_s)[:, None]
     for k, metric in enumerate(("edt", "t20", "t30")):
-        cells[:, slots(metric)] = (np.log(times[:, k]) + ratio) / JND[metric]
+        cells[:, slots(metric)] = (np.log(times[:, k]) + shorter) / JND[metric]
     cells[:, slots("arrival")] = ((data.distance_m / state.speed_m_s + state.delay_s) / JND["arrival"])[:, None]
     cells[:, slots("floor")] = _db(1.0 + state.floor / (data.white + QUIET))
     return cells + state.shift
+
+
+def _until(seconds, energy):
+    """Energy that arrives until then, seconds of shape (n_rirs,) at the declared speed, shape (n_rirs, 8)."""
+    place = np.interp(seconds, FRAME_EDGES_S, np.arange(len(FRAME_EDGES_S)))
+    share = np.clip(place[:, None] - np.arange(energy.shape[1]), 0.0, 1.0)  # of each frame
+    return np.einsum("rf,rfb->rb", share, energy)
 
 
 def _db(power):
@@ -195,12 +198,29 @@ def _sum_db(one_db, other_db):
 
 
 @compiled
-def _sum_counts(entries, weights, kept, energy):
-    """Add up what arrives: `entries` are frame and row of `kept`."""
-    for k in range(len(weights)):
-        frame, row = entries[k, 0], entries[k, 1]
+def _add_up(entries, counts, angular, ray_gain, kept, energy):
+    """Add up what arrives, after `kept` of it is left by each reflection and with the gain of its departure."""
+    n_angles, n_shares = angular.shape[1], kept.shape[0]
+    left = np.ones((entries[:, 1].max() + 1 if len(entries) else 1, n_shares, 8))
+    for n in range(1, len(left)):
+        for node in range(n_shares):
+            for band in range(8):
+                left[n, node, band] = left[n - 1, node, band] * kept[node, band]
+    amount, gain = np.empty(8), np.ones(8)
+    for k in range(len(entries)):
+        frame, n = entries[k, 0], entries[k, 1]
+        amount[:] = 0.0
+        for node in range(n_shares):
+            if counts[k, node] > 0.0:
+                for band in range(8):
+                    amount[band] += counts[k, node] * left[n, node, band]
+        if n_angles > 0:
+            gain[:] = 0.0
+        for angle in range(n_angles):
+            for band in range(8):
+                gain[band] += angular[k, angle] * ray_gain[angle, band]
         for band in range(8):
-            energy[frame, band] += weights[k] * kept[row, band]
+            energy[frame, band] += amount[band] * gain[band]
 
 
 @compiled

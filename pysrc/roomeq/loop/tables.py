@@ -31,12 +31,12 @@ class Table:
 
     Attributes
     ----------
-    counts : ndarray, shape (N_FRAMES, n_reflections, 6)
-        Squared pressure of all but the direct sound, before absorption and air, relative to ``1 / (4 pi r)^2``, at
-        `LEVEL_SHARES`.
-    entries, weights : ndarray, shape (n, 2) and (n,)
-        The same where it is not 0: frame and ``6 n_reflections + node``, and the amount.
-    angular : ndarray, shape (N_FRAMES, n_reflections, 9), or None
+    entries : ndarray of int, shape (n, 2)
+        Where something arrives: frame, and number of reflections.
+    counts : ndarray, shape (n, 6)
+        What arrives there: squared pressure of all but the direct sound, before absorption and air, relative to
+        ``1 / (4 pi r)^2``, at `LEVEL_SHARES`.
+    angular : ndarray, shape (n, 9), or None
         Share of it that set out at `ANGLES`; None where nobody knows where the source faces.
     distance_m : float
     visible : bool
@@ -45,9 +45,8 @@ class Table:
         Between the direct sound's departure and where the source faces [rad]; 0 where that is unknown.
     """
 
-    counts: np.ndarray
     entries: np.ndarray
-    weights: np.ndarray
+    counts: np.ndarray
     angular: np.ndarray | None
     distance_m: float
     visible: bool
@@ -89,11 +88,11 @@ def collect(traced, mics_m, facings):
                float(paths.scattering[0]), mic_m, visible[m] if len(visible) else np.zeros(0, dtype=np.bool_),
                radii_m[m], 1.0 / volumes_m3[m], distance_m, 1.0 / (speed_m_s * _TICK_S), frame_of_tick,
                angle / (np.pi / (len(ANGLES) - 1)), paths.late_m, paths.stride, counts, angular)
-        counts /= 4.0 * np.pi * len(paths.counts)
-        flat = counts.reshape(N_FRAMES, -1)
-        angular /= np.maximum(angular.sum(axis=2, keepdims=True), 1e-300)
+        entries = np.argwhere(counts.any(axis=2))
+        counts, angular = (one[entries[:, 0], entries[:, 1]] for one in (counts, angular))
+        angular /= np.maximum(angular.sum(axis=1, keepdims=True), 1e-300)
         direct_angle = float(_angles((mic_m - source_pos_m)[None] / distance_m, facing)[0])
-        made.append(Table(counts, np.argwhere(flat), flat[flat != 0.0], None if facing is None else angular,
+        made.append(Table(entries, counts / (4.0 * np.pi * len(paths.counts)), None if facing is None else angular,
                           distance_m, bool(sees[m]), direct_angle))
     return made
 
