@@ -15,7 +15,7 @@ from roomeq.loop.unexplained import find_unexplained
 
 @pytest.mark.parametrize("to, expected", [(1.0, 1.0), (3.0, 1.5), (9.0, 1.8), (-1.0, 0.0)])
 def test_a_step_goes_as_far_as_it_helps(to, expected):
-    mean, local = _step(lambda mean, local: (mean[0] - 1.1) ** 2, (np.zeros(1), [np.zeros(2)]),
+    mean, local = _step(lambda mean, local: (mean[0] - 1.1) ** 2, 1.1 ** 2, (np.zeros(1), [np.zeros(2)]),
                         (np.array([to]), [np.array([to, 2.0 * to])]))
     assert mean[0] == pytest.approx(expected)
     np.testing.assert_allclose(local[0], [expected, 2.0 * expected])

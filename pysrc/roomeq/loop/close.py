@@ -138,7 +138,7 @@ def _accepted(session, errors, ranking):
 def _lower(before: Errors, after: Errors):
     """Whether the error of unseen positions or of unseen rooms is lower, and neither is higher."""
     change = {way: before.of_rooms(way) - after.of_rooms(way) for way in before.cells}
-    lower = [one_sided_p(one) < LEVEL for one in change.values()]
+    lower = [one_sided_p(one) < LEVEL / len(change) for one in change.values()]
     higher = [one_sided_p(-one) < LEVEL for one in change.values()]
     return any(lower) and not any(higher)
 

@@ -120,7 +120,7 @@ def fit(data, offset, effects, start=None, like=None, iterations=ITERATIONS):
                   for r in range(len(local))]
         new_mean, new_local, spreads = _solve(normal, covariance, mean, local, prior_mean, prior)
         cost = partial(_cost, layout, offset, sigma, omega, covariance, prior_mean, prior)
-        mean, local = _step(cost, predicted, (mean, local), (new_mean, new_local))
+        mean, local = _step(cost, cost(mean, local, predicted), (mean, local), (new_mean, new_local))
         shape = _best_shape(local, spreads)
         own_scale = [_own_scale(layout, k, local, spreads) for k in range(len(layout.effects))]
         gain_db = (_WHOLE_GAIN_DB, *(_gain_db(layout, kind, local, spreads) for kind in (1, 2)))
@@ -207,9 +207,8 @@ def _solve(normal, covariance, mean, local, prior_mean, prior):
     return mean + step, new, [room for room, _, _ in kept]
 
 
-def _step(cost, predicted, old, new):
-    """As much of a step as lowers the cost: a whole one where cells are nearly linear, else a half, and so on."""
-    limit = cost(*old, predicted)
+def _step(cost, limit, old, new):
+    """As much of a step as brings the cost below a limit: a whole one where cells are nearly linear, else a half."""
     for share in _SHARES:
         mean = old[0] + share * (new[0] - old[0])
         local = [a + share * (b - a) for a, b in zip(old[1], new[1], strict=True)]

@@ -91,10 +91,10 @@ def begin(data, *, like=None, offset=None, seed, nj):
     raws = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj)
     rendered = rendered_cells(data, raws, by_row, seed=seed, nj=nj)
     gains = np.outer(layout.gains(like.local), HAS_GAIN)
-    chance = _chance(data, raws, by_row, rendered, (layout, absorption, vectors, gains), seed, nj)
+    by_rays = _of_rays(data, raws, by_row, rendered, (layout, absorption, vectors, gains), seed, nj)
     for effect in _ORDER:
         if effect.NODES:
-            data.shifts[effect.NAME] = _shifts(data, raws, by_row, rendered, chance, effect, seed, nj)
+            data.shifts[effect.NAME] = _shifts(data, raws, by_row, rendered, by_rays, effect, seed, nj)
     expected = layout.predict(absorption, vectors, np.zeros(len(data.rows)), 0.0)
     mean, own, share = _offset(data, rendered - expected, data.cells - gains - expected)
     new = mean + share * own
@@ -110,8 +110,11 @@ def forget_shifts(data, effects):
             data.shifts[effect.NAME] = np.zeros((len(effect.NODES), *data.cells.shape))
 
 
-def _chance(data, raws, by_row, rendered, fitted, seed, nj):
-    """What chance made of the cells without such effects: rendered less expected, less what of that is no chance."""
+def _of_rays(data, raws, by_row, rendered, fitted, seed, nj):
+    """Without effects that rendering alone shows: what chance made of the cells, and what measured cells have more.
+
+    Chance is what was rendered less what was expected, less what of that is none.
+    """
     layout, absorption, vectors, gains = fitted
     with_nodes = tuple(effect for effect in layout.effects if effect.NODES)
     rays = [[one for one in effects if not isinstance(one, with_nodes)] for effects in by_row]
@@ -119,16 +122,19 @@ def _chance(data, raws, by_row, rendered, fitted, seed, nj):
     kept = [(effect, one) for effect, one in zip(layout.effects, vectors, strict=True) if effect not in with_nodes]
     expected = Layout(data, [effect for effect, _ in kept]).predict(
         absorption, [one for _, one in kept], np.zeros(len(data.rows)), 0.0)
-    _, own, share = _offset(data, cells - expected, data.cells - gains - expected)
-    return (1.0 - share) * own
+    error = data.cells - gains - expected
+    _, own, share = _offset(data, cells - expected, error)
+    return (1.0 - share) * own, error
 
 
-def _shifts(data, raws, by_row, rendered, chance, effect, seed, nj):
+def _shifts(data, raws, by_row, rendered, by_rays, effect, seed, nj):
     """What an effect makes of the cells of the model's RIRs at each of its nodes, shape (n_nodes, n_rirs, n_cells).
 
     What takes the place of rays, such as a wave field, takes that of their chance too: as much of it goes as is not
-    found again with the effect.
+    found again with the effect. Of what it does to one RIR and not to others, as much is kept as helps (`_offset`): a
+    level at a mode is known, how two of them beat is not, when positions are known to centimetres.
     """
+    chance, error = by_rays
     without = [[one for one in effects if not isinstance(one, effect)] for effects in by_row]
     plain = rendered if without == by_row else rendered_cells(data, raws, without, seed=seed, nj=nj)
     power, found = np.maximum(np.sum(chance ** 2, axis=0), 1e-9), []
@@ -138,7 +144,8 @@ def _shifts(data, raws, by_row, rendered, chance, effect, seed, nj):
         change = rendered_cells(data, raws, extended, seed=seed, nj=nj) - plain
         change = np.where(np.isfinite(change), change, 0.0)
         gone = np.clip(-np.sum((change - change.mean(axis=0)) * chance, axis=0) / power, 0.0, 1.0)
-        found.append(change + gone * chance)
+        mean, own, share = _offset(data, change + gone * chance, error)
+        found.append(mean + share * own)
     return np.array(found)
 
 
@@ -146,7 +153,7 @@ def _offset(data, difference, error):
     """What measuring adds to expected cells: the mean over RIRs, each RIR's own, and how much of that helps.
 
     Early reflections are the same whenever they are rendered, noise-like tails are not: how much of an RIR's own
-    offset means something is a regression on what was measured, one coefficient a metric.
+    offset means something is a regression on what was measured in the other rooms, one coefficient a metric.
 
     Parameters
     ----------
@@ -157,7 +164,7 @@ def _offset(data, difference, error):
 
     Returns
     -------
-    mean, own, share : ndarray, shape (n_cells,), (n_rirs, n_cells), (n_cells,)
+    mean, own, share : ndarray, shape (n_cells,), (n_rirs, n_cells), (n_rirs, n_cells)
     """
     seen = np.isfinite(difference)
     mean = np.sum(np.where(seen, difference, 0.0), axis=0) / np.maximum(seen.sum(axis=0), 1)
@@ -165,9 +172,10 @@ def _offset(data, difference, error):
     valid = data.valid & np.isfinite(error)
     centred = np.where(valid, error, 0.0)
     centred = np.where(valid, error - centred.sum(axis=0) / np.maximum(valid.sum(axis=0), 1), 0.0)
-    share = np.zeros(N_CELLS)
+    share = np.zeros(own.shape)
     for metric in np.unique(METRIC):
         at = METRIC == metric
-        power = np.sum(np.where(valid, own, 0.0)[:, at] ** 2)
-        share[at] = np.clip(np.sum(own[:, at] * centred[:, at]) / max(power, 1e-9), 0.0, 1.0)
+        power, both = (np.bincount(data.room, np.sum(np.where(valid, own * one, 0.0)[:, at], axis=1))
+                       for one in (own, centred))
+        share[:, at] = np.clip((both.sum() - both) / np.maximum(power.sum() - power, 1e-9), 0.0, 1.0)[data.room, None]
     return mean, own, share
