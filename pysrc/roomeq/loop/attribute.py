@@ -11,7 +11,8 @@ from roomeq.loop.cells import METRIC
 from roomeq.loop.fit import Fit, fit
 from roomeq.loop.layout import Layout
 from roomeq.loop.leftout import leave_rooms_out
-from roomeq.loop.session import in_order
+from roomeq.loop.session import look_ahead
+from roomeq.loop.shown import in_order
 
 MIN_ROOMS = 3
 LEVEL = 0.05
@@ -85,9 +86,9 @@ def rank(session):
     data = session.data
     before = leave_rooms_out(data, fit(data, session.offset, session.effects, like=session.fit))
     known = {*session.effects, *data.given_kinds}
-    found = [_candidate(session, effect, before) for effect in CATALOGUE.values()
-             if effect not in known and effect.applies(data)]
-    return sorted(found, key=lambda one: -one.total)
+    candidates = [effect for effect in CATALOGUE.values() if effect not in known and effect.applies(data)]
+    look_ahead(session, candidates)
+    return sorted([_candidate(session, effect, before) for effect in candidates], key=lambda one: -one.total)
 
 
 def _candidate(session, effect, before):

@@ -120,7 +120,11 @@ def _run(data, directories, work, judge_data, given, max_effects, seed, nj):
 
 
 def _accepted(session, errors, ranking):
-    """The most helpful candidate that also lowers the error when everything is simulated again with it."""
+    """The most helpful candidate that also lowers the error when everything is simulated again with it.
+
+    What fits significantly worse than another takes its place only if that one raised the error: else the cause may
+    still be the better one, and the data cannot prove it.
+    """
     shifts, pool = dict(session.data.shifts), ranking
     while True:
         winner, rivals = choose(pool, len(ranking))
@@ -128,19 +132,21 @@ def _accepted(session, errors, ranking):
             return None
         after = begin(session.data, like=winner.fit, offset=session.offset, seed=session.seed, nj=session.nj)
         errors_after = heldout_errors(after)
-        if _lower(errors, errors_after):
+        lower, higher = _compared(errors, errors_after)
+        if lower and not higher:
             return winner, rivals, after, errors_after
-        logger.info("loop: %s fits, but simulated again it does not lower the error; left out", winner.effect.NAME)
+        logger.info("loop: %s fits, but simulated again it %s the error; left out", winner.effect.NAME,
+                    "raises" if higher else "does not lower")
         session.data.shifts.update(shifts)  # those of the rejected model speak of its own RIRs
-        pool = [one for one in pool if one is not winner]
+        pool = [one for one in pool if one is not winner
+                and (higher or one_sided_p(winner.gain - one.gain) > LEVEL)]
 
 
-def _lower(before: Errors, after: Errors):
-    """Whether the error of unseen positions or of unseen rooms is lower, and neither is higher."""
-    change = {way: before.of_rooms(way) - after.of_rooms(way) for way in before.cells}
-    lower = [one_sided_p(one) < LEVEL / len(change) for one in change.values()]
-    higher = [one_sided_p(-one) < LEVEL for one in change.values()]
-    return any(lower) and not any(higher)
+def _compared(before: Errors, after: Errors):
+    """Whether the error of unseen positions or of unseen rooms is lower, and whether one of them is higher."""
+    change = [before.of_rooms(way) - after.of_rooms(way) for way in before.cells]
+    return (any(one_sided_p(one) < LEVEL / len(change) for one in change),
+            any(one_sided_p(-one) < LEVEL for one in change))
 
 
 def _called(winner, rivals):

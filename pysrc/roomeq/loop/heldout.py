@@ -20,7 +20,7 @@ from roomeq.loop.cells import HAS_GAIN, LARGEST, METRIC
 from roomeq.loop.leftout import PEEKED, calibrate, leave_rooms_out
 from roomeq.loop.predict import BAND_OF_CELL
 from roomeq.loop.rendering import render_rows, rendered_cells
-from roomeq.loop.session import effects_of_rows
+from roomeq.loop.shown import effects_of_rows
 
 _METRICS = tuple(dict.fromkeys(METRIC.tolist()))
 KNOWN = {"positions": None,

@@ -5,7 +5,7 @@ import numpy as np
 from roomeq.loop.heldout import scored_errors
 from roomeq.loop.layout import N_SURFACE, OWN, Layout
 from roomeq.loop.leftout import solve_rooms
-from roomeq.loop.session import effects_of_rows, forget_shifts
+from roomeq.loop.shown import effects_of_rows, forget_shifts
 
 
 def judge_errors(data, session, *, seed, nj):

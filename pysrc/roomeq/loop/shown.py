@@ -1,0 +1,167 @@
+"""What rendering a model shows and its tables cannot tell: what measuring adds, and what effects do to waves."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roomeq.effects.catalogue import CATALOGUE
+from roomeq.loop.cells import HAS_GAIN, METRIC
+from roomeq.loop.fit import Fit
+from roomeq.loop.layout import Layout
+from roomeq.loop.rendering import render_rows, rendered_cells
+
+_ORDER = list(CATALOGUE.values())
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A rendered model.
+
+    Attributes
+    ----------
+    data : roomeq.loop.data.Data
+    fit : Fit
+        Whose unknowns were rendered.
+    by_row : list of list of Effect
+        The effects of each RIR.
+    raws : list of roomeq.loop.rendering.Raw
+    cells : ndarray, shape (n_rirs, n_cells)
+    seed, nj : int
+    """
+
+    data: object
+    fit: Fit
+    by_row: list
+    raws: list
+    cells: np.ndarray
+    seed: int
+    nj: int
+
+    def cells_with(self, by_row):
+        """Cells with other effects behind the rendering."""
+        return self.cells if by_row == self.by_row else rendered_cells(self.data, self.raws, by_row, seed=self.seed,
+                                                                       nj=self.nj)
+
+    def tables_without(self, effects=()):
+        """Cells that tables expect of the model without some effects: of what is rendered, and of what is measured."""
+        layout, one = Layout(self.data, self.fit.effects), self.fit
+        absorption, vectors = layout.absorption(one.mean, one.local), layout.vectors(one.mean, one.local)
+        kept = [(effect, vector) for effect, vector in zip(layout.effects, vectors, strict=True)
+                if effect not in effects]
+        expected = Layout(self.data, [effect for effect, _ in kept]).predict(
+            absorption, [vector for _, vector in kept], np.zeros(len(self.data.rows)), 0.0)
+        return expected, expected + np.outer(layout.gains(one.local), HAS_GAIN)
+
+
+def show(data, fitted, *, seed, nj):
+    """Render a fitted model."""
+    layout = Layout(data, fitted.effects)
+    absorption, vectors = layout.absorption(fitted.mean, fitted.local), layout.vectors(fitted.mean, fitted.local)
+    by_row = effects_of_rows(data, fitted.effects, vectors)
+    raws = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj)
+    return Shown(data, fitted, by_row, raws, rendered_cells(data, raws, by_row, seed=seed, nj=nj), seed, nj)
+
+
+def in_order(effects):
+    """Types of effects in the catalogue's order."""
+    return tuple(sorted(effects, key=_ORDER.index))
+
+
+def effects_of_rows(data, effects, vectors):
+    """The effects of each RIR, from the vectors of their units, and those that the base model was given."""
+    units = [[effect.from_vector(vector) for vector in one] for effect, one in zip(effects, vectors, strict=True)]
+    numbers = [data.units(effect.SCOPE)[1] for effect in effects]
+    return [_sorted([*data.given[n], *(units[k][numbers[k][n]] for k in range(len(effects)))])
+            for n in range(len(data.rows))]
+
+
+def _sorted(effects):
+    return sorted(effects, key=lambda one: _ORDER.index(type(one)))
+
+
+def offset_of(shown):
+    """What measuring adds to expected cells, shape (n_rirs, n_cells): all of its mean, of each RIR's own what helps."""
+    expected, measured = shown.tables_without()
+    mean, own, share = _parts(shown.data, shown.cells - expected, shown.data.cells - measured)
+    return mean + share * own
+
+
+def forget_shifts(data, effects):
+    """Let what effects change by rendering alone be unknown, and so in the offset."""
+    for effect in effects:
+        if effect.NODES:
+            data.shifts[effect.NAME] = np.zeros((len(effect.NODES), *data.cells.shape))
+
+
+def find_shifts(shown, effects):
+    """Find what effects change by rendering alone, at each of their nodes (`roomeq.loop.data.Data.shift_of`)."""
+    effects = [effect for effect in effects if effect.NODES]
+    if effects:
+        by_rays = _by_rays(shown)
+        shown.data.shifts.update({effect.NAME: _shifts(shown, by_rays, effect) for effect in effects})
+
+
+def _by_rays(shown):
+    """Without effects that rendering alone shows: what chance made of the cells, and what measured cells have more.
+
+    Chance is what was rendered less what was expected, less what of that is none.
+    """
+    waves = tuple(effect for effect in shown.fit.effects if effect.NODES)
+    cells = shown.cells_with([[one for one in effects if not isinstance(one, waves)] for effects in shown.by_row])
+    expected, measured = shown.tables_without(waves)
+    error = shown.data.cells - measured
+    _, own, share = _parts(shown.data, cells - expected, error)
+    return (1.0 - share) * own, error
+
+
+def _shifts(shown, by_rays, effect):
+    """What an effect makes of the cells of the model's RIRs at each of its nodes, shape (n_nodes, n_rirs, n_cells).
+
+    What takes the place of rays, such as a wave field, takes that of their chance too: as much of it goes as is not
+    found again with the effect. Of what it does to one RIR and not to others, as much is kept as helps (`_parts`): a
+    level at a mode is known, how two of them beat is not, when positions are known to centimetres.
+    """
+    chance, error = by_rays
+    without = [[one for one in effects if not isinstance(one, effect)] for effects in shown.by_row]
+    plain = shown.cells_with(without)
+    power, found = np.maximum(np.sum(chance ** 2, axis=0), 1e-9), []
+    for node in effect.NODES:
+        new = effect.from_vector(np.array(node))
+        change = shown.cells_with([_sorted([*effects, new]) for effects in without]) - plain
+        change = np.where(np.isfinite(change), change, 0.0)
+        gone = np.clip(-np.sum((change - change.mean(axis=0)) * chance, axis=0) / power, 0.0, 1.0)
+        mean, own, share = _parts(shown.data, change + gone * chance, error)
+        found.append(mean + share * own)
+    return np.array(found)
+
+
+def _parts(data, difference, error):
+    """What is added to expected cells: the mean over RIRs, each RIR's own, and how much of that helps.
+
+    Early reflections are the same whenever they are rendered, noise-like tails are not: how much of what is
+    an RIR's own means something is a regression on what was measured in the other rooms, one coefficient a metric.
+
+    Parameters
+    ----------
+    difference : ndarray, shape (n_rirs, n_cells)
+        What is added, such as rendered less expected cells.
+    error : ndarray, shape (n_rirs, n_cells)
+        Measured less expected cells.
+
+    Returns
+    -------
+    mean, own, share : ndarray, shape (n_cells,), (n_rirs, n_cells), (n_rirs, n_cells)
+    """
+    seen = np.isfinite(difference)
+    mean = np.sum(np.where(seen, difference, 0.0), axis=0) / np.maximum(seen.sum(axis=0), 1)
+    own = np.where(seen, difference - mean, 0.0)
+    valid = data.valid & np.isfinite(error)
+    centred = np.where(valid, error, 0.0)
+    centred = np.where(valid, error - centred.sum(axis=0) / np.maximum(valid.sum(axis=0), 1), 0.0)
+    share = np.zeros(own.shape)
+    for metric in np.unique(METRIC):
+        at = METRIC == metric
+        power, both = (np.bincount(data.room, np.sum(np.where(valid, own * one, 0.0)[:, at], axis=1))
+                       for one in (own, centred))
+        share[:, at] = np.clip((both.sum() - both) / np.maximum(power.sum() - power, 1e-9), 0.0, 1.0)[data.room, None]
+    return mean, own, share
