@@ -28,7 +28,7 @@ def _rate(name, hits, asked):
 
 
 def _first_right(one):
-    """Whether the first effect is the true one, or the ledger cannot tell it from the true one."""
+    """Whether the effect that was found first is the true one."""
     return bool(one["found"]) and one["found"][0] == one["kind"]
 
 
