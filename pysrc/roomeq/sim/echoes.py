@@ -142,7 +142,7 @@ def echogram(echoes, absorption, *, bands=None, ray_gain=None):
     bands = np.arange(len(echoes.column_of_band)) if bands is None else np.asarray(bands)
     column_of_band = np.asarray(echoes.column_of_band)
     kept = np.asarray(1.0 - absorption, dtype=np.float32)
-    result = np.zeros((echoes.weight.shape[1], len(column_of_band)))
+    result = np.zeros((echoes.weight.shape[1], len(column_of_band)), dtype=np.float32)
     for column in np.unique(column_of_band[bands]):
         gain = _NO_GAIN if ray_gain is None else np.asarray(ray_gain, np.float32)[echoes.ray(column)]
         energy = np.empty(result.shape, np.float32)
