@@ -103,9 +103,16 @@ done
 waiting=
 
 last_words() { # LOG STATE: Slurm's own reason if it ended the job, else the last line
-  local at_end='{last = $0} /^# Slurm job /{why = ""} /^slurmstepd: error: /{why = $0} END {print why == "" ? last : why}'
-  [[ $2 != FAILED* ]] || at_end='{last = $0} END {print last}'
-  { awk "$at_end" <"$1" || true; } 2>/dev/null | grep . || echo "it left no word: is the disk full?"
+  local line last='' why=''
+  while IFS= read -r line || [ -n "$line" ]; do
+    last=$line
+    case $line in
+      '# Slurm job '*) why= ;; # it was requeued: what ended it before is past
+      'slurmstepd: error: '*) why=$line ;;
+    esac
+  done 2>/dev/null <"$1" || true
+  [[ $2 == FAILED* ]] || last=${why:-$last}
+  printf '%s\n' "${last:-it left no word: is the disk full?}"
 }
 
 state_of() { # JOB: Slurm's word on it; sacct may be absent, and scontrol forgets after some minutes
