@@ -1,4 +1,4 @@
-"""How the loop decides: steps of a fit, whether an effect helps, and what one room alone leaves unexplained."""
+"""How the loop decides: what cells a model expects, steps of a fit, whether an effect helps, what takes its place."""
 
 from types import SimpleNamespace
 
@@ -6,10 +6,15 @@ import numpy as np
 import pytest
 
 from roomeq.constants import BANDS_HZ
+from roomeq.effects.noise_floor import NoiseFloor
 from roomeq.effects.sound_speed import SoundSpeed
+from roomeq.loop import close
 from roomeq.loop.attribute import Candidate
-from roomeq.loop.cells import N_CELLS, slots
+from roomeq.loop.cells import JND, LATE_S, N_CELLS, slots
 from roomeq.loop.fit import _step
+from roomeq.loop.heldout import Errors
+from roomeq.loop.predict import base_state, predict
+from roomeq.loop.tables import FRAME_EDGES_S, Table
 from roomeq.loop.unexplained import find_unexplained
 
 
@@ -43,3 +48,45 @@ def test_a_residual_of_one_room_is_unexplained_if_the_others_make_it_unlikely(ex
         assert (found[0].metric, found[0].varies_with, found[0].bands_hz) == ("t30", "room", [BANDS_HZ[3]])
         assert found[0].size_jnd == pytest.approx(extra_jnd, abs=1.0)
     assert len(found) == (extra_jnd > 0.0)
+
+
+@pytest.mark.parametrize("faster", [1.0, 1.03, 0.9])
+def test_cells_follow_the_speed_of_sound(faster):
+    rate = 14.0  # of the decay at the declared speed [1/s]
+    arriving = np.exp(-rate * FRAME_EDGES_S[:-1]) - np.exp(-rate * FRAME_EDGES_S[1:])
+    counts = np.zeros((len(arriving), 6))
+    counts[:, 0] = arriving
+    entries = np.stack([np.arange(len(arriving)), np.zeros(len(arriving), int)], axis=1)
+    data = SimpleNamespace(
+        rows=[{}], room=np.zeros(1, int), given_to=[], tables=[Table(entries, counts, None, 1.0, False, 0.0)],
+        distance_m=np.ones(1), speed_m_s=np.array([343.0]), air_per_m=np.zeros((1, 8)), white=np.full((1, 8), 1e-9))
+    state = base_state(data, np.full((1, 2, 8), 0.1))
+    state.speed_m_s = faster * data.speed_m_s
+    (cells,) = predict(data, state)
+    left = np.exp(-rate * faster * np.array([0.05, LATE_S]))
+    np.testing.assert_allclose(cells[slots("c50")], 10.0 * np.log10(1.0 / left[0] - 1.0) / JND["c50"], atol=0.05)
+    np.testing.assert_allclose(cells[slots("late")], 10.0 * np.log10(left[0] - left[1]), atol=0.05)
+    np.testing.assert_allclose(cells[slots("t30")], np.log(6.0 * np.log(10.0) / rate / faster) / JND["t30"], atol=0.2)
+
+
+@pytest.mark.parametrize("change, behind, found", [
+    (0.3, 8.0, "sound_speed"),
+    (-0.3, 8.0, "noise_floor"),  # refuted: what fits worse is next
+    (0.0, 8.0, None),  # not proven: no lesser explanation stands in for it
+    (0.0, 0.0, "noise_floor")])  # as good an explanation may
+def test_what_fits_worse_takes_no_place_of_what_is_not_proven(monkeypatch, change, behind, found):
+    gain = 20.0 + np.arange(8)
+    ranking = [Candidate(SoundSpeed, SoundSpeed, gain, 2.0),
+               Candidate(NoiseFloor, NoiseFloor, gain - behind + np.tile([1.0, -1.0], 4), 2.0)]
+    lower = {SoundSpeed: change, NoiseFloor: 0.3}
+
+    def errors(model):
+        by_room = np.tile([0.02, -0.02], 4)[:, None] * (model is not None)
+        cells = 2.0 - lower.get(model, 0.0) + by_room + np.zeros((8, N_CELLS))
+        return Errors({"positions": cells, "rooms": cells}, np.arange(8))
+
+    monkeypatch.setattr(close, "begin", lambda data, like, **_: like)
+    monkeypatch.setattr(close, "heldout_errors", errors)
+    session = SimpleNamespace(data=SimpleNamespace(shifts={}), offset=None, seed=0, nj=1)
+    accepted = close._accepted(session, errors(None), ranking)
+    assert (accepted and accepted[0].effect.NAME) == found
