@@ -88,6 +88,11 @@ class Data:
         """Number of rooms with two RIRs or more: of fewer, none is left to score."""
         return int(np.sum(np.bincount(self.room) > 1))
 
+    def residual(self, predicted):
+        """Measured less predicted cells, and which of them count, shape (n_rirs, n_cells) each."""
+        residual = self.cells - predicted
+        return residual, self.valid & np.isfinite(residual)
+
     def shift_of(self, effect):
         """What an effect that has no say on tables changes in the cells, shape (n_nodes, n_rirs, n_cells)."""
         return self.shifts[effect.NAME]

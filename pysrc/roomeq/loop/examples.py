@@ -143,8 +143,9 @@ def _rendered(session, n):
     """The RIR of a row as a session's model renders it, its direct sound, and the gain of its recording [dB]."""
     data = session.data
     absorption = session.layout.absorption(session.fit.mean, session.fit.local)
-    (raw,) = render_rows(data, absorption[data.room], session.by_row, seed=session.seed, rows=[n])
-    rir = finished(data, n, raw, session.by_row[n], session.seed)
+    by_row = session.by_row
+    (raw,) = render_rows(data, absorption[data.room], by_row, seed=session.seed, rows=[n])
+    rir = finished(data, n, raw, by_row[n], session.seed)
     return rir, data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ, session.layout.gains(session.fit.local)[n]
 
 

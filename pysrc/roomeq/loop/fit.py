@@ -112,8 +112,7 @@ def fit(data, offset, effects, start=None, like=None, iterations=ITERATIONS):
     for iteration in range(iterations):
         covariance = covariances(layout, shape, own_scale, gain_db)
         predicted, slopes = linearise(layout, mean, local, offset, known)
-        residual = data.cells - predicted
-        valid = data.valid & np.isfinite(residual)
+        residual, valid = data.residual(predicted)
         if iteration:
             sigma, omega = scatter(data, residual, valid)
         normal = [normal_equations(layout, r, residual, valid, slopes, sigma, omega)
@@ -126,8 +125,7 @@ def fit(data, offset, effects, start=None, like=None, iterations=ITERATIONS):
         gain_db = (_WHOLE_GAIN_DB, *(_gain_db(layout, kind, local, spreads) for kind in (1, 2)))
     covariance = covariances(layout, shape, own_scale, gain_db)
     predicted, slopes = linearise(layout, mean, local, offset, known)
-    residual = data.cells - predicted
-    valid = data.valid & np.isfinite(residual)
+    residual, valid = data.residual(predicted)
     sigma, omega = scatter(data, residual, valid)
     normal = [normal_equations(layout, r, residual, valid, slopes, sigma, omega) for r in range(len(local))]
     return Fit(layout.effects, mean, local, covariance, sigma, omega, predicted, normal, slopes[0], gain_db)
@@ -223,8 +221,7 @@ def _cost(layout, offset, sigma, omega, covariance, prior_mean, prior, mean, loc
     if predicted is None:
         predicted = layout.predict(layout.absorption(mean, local), layout.vectors(mean, local), layout.gains(local),
                                    offset)
-    residual = data.cells - predicted
-    valid = data.valid & np.isfinite(residual)
+    residual, valid = data.residual(predicted)
     total = (mean - prior_mean) @ prior @ (mean - prior_mean)
     for members, one, cov in zip(layout.members, local, covariance, strict=True):
         total += one @ np.linalg.solve(cov, one) + misfit(residual[members], valid[members], sigma, omega)

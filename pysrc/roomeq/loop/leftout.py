@@ -103,8 +103,7 @@ def calibrate(data, found, left_out, index, offset, *, chosen=None):
     """
     layout = Layout(data, found.effects)
     predicted, slopes = linearise(layout, found.mean, found.local, offset, found.by_surface)
-    residual = data.cells - predicted
-    valid = data.valid & np.isfinite(residual)
+    residual, valid = data.residual(predicted)
     if chosen is not None:
         valid = valid & chosen
     absorption, vectors, gains = np.empty((len(found.local), 2, N_BANDS)), [], np.empty(len(data.rows))
@@ -152,8 +151,7 @@ def solve_rooms(layout, like, mean, offset, index, chosen=None, iterations=ITERA
     first_gains(layout, offset, mean, local)
     for _ in range(iterations):
         predicted, slopes = linearise(layout, mean, local, offset)
-        residual = data.cells - predicted
-        valid = data.valid & np.isfinite(residual)
+        residual, valid = data.residual(predicted)
         if chosen is not None:
             valid = valid & chosen
         for r, covariance in enumerate(spreads):
