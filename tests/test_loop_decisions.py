@@ -11,8 +11,8 @@ from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.loop import close
 from roomeq.loop.attribute import Candidate
 from roomeq.loop.cells import JND, LATE_S, N_CELLS, slots
-from roomeq.loop.fit import _step
-from roomeq.loop.heldout import Errors
+from roomeq.loop.fit import _solve, _step
+from roomeq.loop.heldout import Errors, p_lower
 from roomeq.loop.predict import base_state, predict
 from roomeq.loop.tables import FRAME_EDGES_S, Table
 from roomeq.loop.unexplained import find_unexplained
@@ -24,6 +24,15 @@ def test_a_step_goes_as_far_as_it_helps(to, expected):
                         (np.array([to]), [np.array([to, 2.0 * to])]))
     assert mean[0] == pytest.approx(expected)
     np.testing.assert_allclose(local[0], [expected, 2.0 * expected])
+
+
+def test_a_damped_step_leaves_what_cells_hardly_tell_of():
+    told = np.diag([1e4, 0.5])
+    room = (told, np.zeros((2, 0)), np.zeros((0, 0)), told @ [0.3, 3.0], np.zeros(0), 1.0, 0.0)
+    steps = [_solve([room], [np.eye(2)], np.zeros(0), [np.zeros(2)], np.zeros(0), np.zeros((0, 0)), damping)[1][0]
+             for damping in (0.0, 30.0)]
+    np.testing.assert_allclose(steps[0], [0.3, 1.0], rtol=1e-3)
+    np.testing.assert_allclose(steps[1], [0.3, 1.5 / 31.5], rtol=1e-2)
 
 
 @pytest.mark.parametrize("gain, size_jnd, helps", [
@@ -69,6 +78,23 @@ def test_cells_follow_the_speed_of_sound(faster):
     np.testing.assert_allclose(cells[slots("t30")], np.log(6.0 * np.log(10.0) / rate / faster) / JND["t30"], atol=0.2)
 
 
+ROOMS_AND_HALVES = np.repeat(np.arange(8), 2), np.tile([0, 1], 8)
+
+
+@pytest.mark.parametrize("way, of_halves, lower", [
+    ("positions", [[0.30, 0.28], [0.12, 0.11]] + [[0.02, 0.0], [0.0, 0.01]] * 3, True),  # strong in some rooms
+    ("rooms", [[0.30, 0.28], [0.12, 0.11]] + [[0.02, 0.0], [0.0, 0.01]] * 3, False),  # of the next nobody knows
+    ("rooms", [[0.10, 0.12]] * 4 + [[0.08, 0.07]] * 4, True),
+    ("positions", [[0.30, -0.28], [0.12, -0.11]] + [[0.02, 0.0], [0.0, 0.01]] * 3, False),  # by chance
+    ("positions", [[0.30, 0.0]] + [[0.01, -0.01]] * 7, False),  # a single half decides nothing
+    ("positions", [[0.0, 0.0]] * 8, False)])
+def test_what_lowers_the_error_on_unseen_positions_and_in_unseen_rooms(way, of_halves, lower):
+    before = np.full((16, N_CELLS), 2.0)
+    after = before - np.ravel(of_halves)[:, None]
+    p = p_lower(Errors({way: before}, *ROOMS_AND_HALVES), Errors({way: after}, *ROOMS_AND_HALVES), way)
+    assert (p < 0.025) == lower
+
+
 @pytest.mark.parametrize("change, behind, found", [
     (0.3, 8.0, "sound_speed"),
     (-0.3, 8.0, "noise_floor"),  # refuted: what fits worse is next
@@ -81,9 +107,9 @@ def test_what_fits_worse_takes_no_place_of_what_is_not_proven(monkeypatch, chang
     lower = {SoundSpeed: change, NoiseFloor: 0.3}
 
     def errors(model):
-        by_room = np.tile([0.02, -0.02], 4)[:, None] * (model is not None)
-        cells = 2.0 - lower.get(model, 0.0) + by_room + np.zeros((8, N_CELLS))
-        return Errors({"positions": cells, "rooms": cells}, np.arange(8))
+        by_room = np.repeat(np.tile([0.02, -0.02], 4), 2)[:, None] * (model is not None)
+        cells = 2.0 - lower.get(model, 0.0) + by_room + np.zeros((16, N_CELLS))
+        return Errors({"positions": cells, "rooms": cells}, *ROOMS_AND_HALVES)
 
     monkeypatch.setattr(close, "begin", lambda data, like, **_: like)
     monkeypatch.setattr(close, "heldout_errors", errors)

@@ -13,7 +13,7 @@ from roomeq.files import write_json
 from roomeq.loop.attribute import MIN_ROOMS, choose, one_sided_p, rank
 from roomeq.loop.data import load_data
 from roomeq.loop.examples import EXAMPLES_FILE, write_examples
-from roomeq.loop.heldout import Errors, heldout_errors
+from roomeq.loop.heldout import Errors, heldout_errors, p_lower
 from roomeq.loop.judge import judge_errors
 from roomeq.loop.ledger import LEDGER_FILE, iteration_entry, ranked, summary_of, values_of
 from roomeq.loop.session import begin
@@ -144,9 +144,8 @@ def _accepted(session, errors, ranking):
 
 def _compared(before: Errors, after: Errors):
     """Whether the error of unseen positions or of unseen rooms is lower, and whether one of them is higher."""
-    change = [before.of_rooms(way) - after.of_rooms(way) for way in before.cells]
-    return (any(one_sided_p(one) < LEVEL / len(change) for one in change),
-            any(one_sided_p(-one) < LEVEL for one in change))
+    return (any(p_lower(before, after, way) < LEVEL / len(before.cells) for way in before.cells),
+            any(p_lower(after, before, way) < LEVEL for way in before.cells))
 
 
 def _called(winner, rivals):

@@ -16,6 +16,7 @@ import numpy as np
 from scipy import stats
 
 from roomeq.constants import BAND_1KHZ
+from roomeq.loop.attribute import one_sided_p
 from roomeq.loop.cells import HAS_GAIN, LARGEST, METRIC
 from roomeq.loop.leftout import PEEKED, calibrate, leave_rooms_out
 from roomeq.loop.predict import BAND_OF_CELL
@@ -26,6 +27,7 @@ _METRICS = tuple(dict.fromkeys(METRIC.tolist()))
 KNOWN = {"positions": None,
          "rooms": (np.isin(METRIC, ["t20", "t30"]) & (BAND_OF_CELL == BAND_1KHZ)) | (METRIC == "direct")}
 """Cells that calibration may look at, for each way of meeting a room; None for all."""
+_SIGNS = 2 ** 16  # of the halves of eight rooms all, of more a part
 
 
 @dataclass(frozen=True)
@@ -37,20 +39,25 @@ class Errors:
     cells : dict
         {"positions" or "rooms": ndarray, shape (n_rirs, n_cells)}: absolute errors [JND], NaN where nothing was
         measured.
-    room : ndarray of int, shape (n_rirs,)
+    room, half : ndarray of int, shape (n_rirs,)
+        Number of the room, and of its half.
     """
 
     cells: dict
     room: np.ndarray
+    half: np.ndarray
 
     def of_rooms(self, way):
         """Mean error of each room that has one, every metric with the same weight, shape (n_rooms,)."""
-        found = []
-        for r in np.unique(self.room[np.isfinite(self.cells[way]).any(axis=1)]):
-            cells = self.cells[way][self.room == r]
-            metrics = [cells[:, METRIC == metric] for metric in _METRICS]
-            found.append(np.mean([np.nanmean(one) for one in metrics if np.isfinite(one).any()]))
-        return np.array(found)
+        return np.array([_mean_of_metrics(self.cells[way][self.room == r]) for r in self._scored(way)])
+
+    def of_halves(self, way):
+        """The same for each half of each room, shape (n_rooms, 2)."""
+        return np.array([[_mean_of_metrics(self.cells[way][(self.room == r) & (self.half == half)])
+                          for half in (0, 1)] for r in self._scored(way)])
+
+    def _scored(self, way):
+        return np.unique(self.room[np.isfinite(self.cells[way]).any(axis=1)])
 
     def mean(self, way):
         return float(self.of_rooms(way).mean())
@@ -72,6 +79,27 @@ class Errors:
         """Mean error per octave band, None where nothing was measured [JND]."""
         found = [self.cells[way][:, BAND_OF_CELL == band] for band in range(8)]
         return [float(np.nanmean(one)) if np.isfinite(one).any() else None for one in found]
+
+
+def _mean_of_metrics(cells):
+    metrics = [cells[:, METRIC == metric] for metric in _METRICS]
+    means = [np.nanmean(one) for one in metrics if np.isfinite(one).any()]
+    return np.mean(means) if means else np.nan
+
+
+def p_lower(before, after, way):
+    """p value of the second error being lower than the first on what a way leaves out, one-sided, paired.
+
+    Unseen positions: the halves of rooms, each calibrated by the other, change their signs (Fisher's randomisation
+    test). An effect that is strong in some rooms and weak in others is no chance, and a t test over rooms would take
+    it for some. Unseen rooms: a t test over them, for a few rooms have too few signs to change.
+    """
+    if way == "rooms":
+        return one_sided_p(before.of_rooms(way) - after.of_rooms(way))
+    change = (before.of_halves(way) - after.of_halves(way)).ravel()
+    return float(stats.permutation_test((change[np.isfinite(change)],), np.mean, permutation_type="samples",
+                                        alternative="greater", n_resamples=_SIGNS, batch=_SIGNS // 16,
+                                        vectorized=True, rng=np.random.default_rng(0)).pvalue)
 
 
 def halves(data):
@@ -128,7 +156,8 @@ def scored_errors(data, calibrated, *, seed, nj):
     Errors
     """
     first, second = halves(data)
-    result = {}
+    result, half = {}, np.zeros(len(data.rows), dtype=int)
+    half[np.concatenate(second)] = 1
     for way, chosen in KNOWN.items():
         cells = np.full(data.cells.shape, np.nan)
         for known, scored in ((first, second), (second, first)):
@@ -142,4 +171,4 @@ def scored_errors(data, calibrated, *, seed, nj):
             error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
             cells[rows] = np.where(data.valid[rows] & ~PEEKED, error, np.nan)
         result[way] = cells
-    return Errors(result, data.room)
+    return Errors(result, data.room, half)

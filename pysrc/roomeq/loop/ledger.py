@@ -4,7 +4,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from roomeq.loop.attribute import one_sided_p
+from roomeq.loop.heldout import p_lower
 from roomeq.loop.layout import OWN
 from roomeq.loop.leftout import leave_rooms_out
 
@@ -50,14 +50,12 @@ def ranked(candidate):
 
 def iteration_entry(winner, rivals, ranking, session, before, after):
     """One accepted effect."""
-    way = "positions" if one_sided_p(before.of_rooms("positions") - after.of_rooms("positions")) <= one_sided_p(
-        before.of_rooms("rooms") - after.of_rooms("rooms")) else "rooms"
-    change = before.of_rooms(way) - after.of_rooms(way)
+    p, way = min((p_lower(before, after, way), way) for way in before.cells)
     entry = dict(
         effect=winner.effect.NAME, scope=winner.effect.SCOPE, size_jnd=winner.size_jnd,
         parameters=_parameter_intervals(session, winner.effect), scored_on=f"unseen {way}",
         heldout_error_before=before.mean(way), heldout_error_after=after.mean(way),
-        heldout_error_ci=after.interval(way), p=one_sided_p(change),
+        heldout_error_ci=after.interval(way), p=p,
         by_metric={"before": before.by_metric(way), "after": after.by_metric(way)},
         by_band={"before": before.by_band(way), "after": after.by_band(way)},
         ranking=[ranked(one) for one in ranking])
