@@ -22,7 +22,10 @@ from roomeq.loop.linear import linearise, misfit, normal_equations, scatter
 from roomeq.loop.predict import N_BANDS
 
 ITERATIONS = 5
-_SHARES = (1.0, 0.5, 0.2, 0.05)  # of a step of Gauss and Newton that are tried
+_SHARES = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried
+_DAMPING = 30.0
+"""Of a step that does not help, in units of the prior's precision (Levenberg, Quart. Appl. Math. 2 (1944) 164): what
+cells hardly tell of, such as a parameter at its limit, moves little then, and holds nothing else up."""
 START_X = np.log(0.2)
 _WHOLE_GAIN_DB = 30.0  # spread of the gain of a chain or a room
 _GAIN_DB = (0.3, _WHOLE_GAIN_DB)  # of what a source or a microphone has besides
@@ -117,9 +120,13 @@ def fit(data, offset, effects, start=None, like=None, iterations=ITERATIONS):
             sigma, omega = scatter(data, residual, valid)
         normal = [normal_equations(layout, r, residual, valid, slopes, sigma, omega)
                   for r in range(len(local))]
-        new_mean, new_local, spreads = _solve(normal, covariance, mean, local, prior_mean, prior)
         cost = partial(_cost, layout, offset, sigma, omega, covariance, prior_mean, prior)
-        mean, local = _step(cost, cost(mean, local, predicted), (mean, local), (new_mean, new_local))
+        limit, old = cost(mean, local, predicted), (mean, local)
+        *new, spreads = _solve(normal, covariance, mean, local, prior_mean, prior)
+        mean, local = _step(cost, limit, old, new, shares=_SHARES[:1])
+        if mean is old[0]:
+            *new, _ = _solve(normal, covariance, mean, local, prior_mean, prior, damping=_DAMPING)
+            mean, local = _step(cost, limit, old, new)
         shape = _best_shape(local, spreads)
         own_scale = [_own_scale(layout, k, local, spreads) for k in range(len(layout.effects))]
         gain_db = (_WHOLE_GAIN_DB, *(_gain_db(layout, kind, local, spreads) for kind in (1, 2)))
@@ -190,13 +197,13 @@ def covariances(layout, shape, own_scale, gain_db):
     return found
 
 
-def _solve(normal, covariance, mean, local, prior_mean, prior):
+def _solve(normal, covariance, mean, local, prior_mean, prior, damping=0.0):
     """One step of Gauss and Newton; returns new unknowns and the posterior covariance of each room's own."""
-    total, right = prior.copy(), prior @ (prior_mean - mean)
+    total, right = (1.0 + damping) * prior, prior @ (prior_mean - mean)
     kept = []
     for (uu, ug, gg, ue, ge, *_), cov, u in zip(normal, covariance, local, strict=True):
         inverse = np.linalg.inv(cov)
-        room = np.linalg.inv(uu + inverse)
+        room = np.linalg.inv(uu + (1.0 + damping) * inverse)
         total += gg - ug.T @ room @ ug
         right += ge - ug.T @ room @ (ue - inverse @ u)
         kept.append((room, ug, ue - inverse @ u))
@@ -205,9 +212,9 @@ def _solve(normal, covariance, mean, local, prior_mean, prior):
     return mean + step, new, [room for room, _, _ in kept]
 
 
-def _step(cost, limit, old, new):
+def _step(cost, limit, old, new, shares=_SHARES):
     """As much of a step as brings the cost below a limit: a whole one where cells are nearly linear, else a half."""
-    for share in _SHARES:
+    for share in shares:
         mean = old[0] + share * (new[0] - old[0])
         local = [a + share * (b - a) for a, b in zip(old[1], new[1], strict=True)]
         if cost(mean, local) < limit:
