@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rirmaker import coloured_rir
+from rirmaker import DIRECT, coloured_rir
 from roomeq.acoustics.metrics import octave_bands
 from roomeq.cli import main
 from roomeq.constants import FS_HZ
@@ -104,6 +104,24 @@ def test_a_response_that_ends_before_its_noise_tells_of_it_only_where_its_end_is
     assert not measure_cells(long).valid[slots("floor")][2:].any()  # no decay can be followed in the narrowest octaves
     found = measure_cells(short)
     assert found.valid[slots("floor")].all() and np.abs(found.values[slots("floor")]).max() < 1e-3
+
+
+def test_what_is_believed_ahead_of_a_recordings_direct_sound_can_be_said_of_an_earlier_one():
+    rir = coloured_rir(1, time_s=0.3, length_s=0.6)
+    recording, rendering = (measure_cells(rir[DIRECT - sample:]) for sample in (113, 93))
+    believed = recording.valid[slots("ahead")]
+    assert believed.any() and not rendering.valid[slots("ahead")].any()
+    assert np.isfinite(rendering.values[slots("ahead")][believed]).all()
+
+
+@pytest.mark.parametrize("late_samples, arrives", [(3, True), (28, False)])
+def test_what_comes_too_late_for_the_direct_sound_is_another_path(late_samples, arrives):
+    expected, rir = DIRECT, coloured_rir(1, time_s=0.3, length_s=0.6)
+    rir[:expected + late_samples] = 0.0
+    rir[expected + late_samples] = 1.0
+    found = measure_cells(rir, expected)
+    assert found.valid[slots("arrival")].all() == arrives
+    assert found.direct_sample == pytest.approx(expected + late_samples * arrives, abs=0.5)
 
 
 def test_a_world_against_itself_has_no_error_and_nothing_is_found(session):

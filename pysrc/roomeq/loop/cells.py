@@ -26,6 +26,8 @@ LATE_S = 0.2  # end of the late level: longer, and noise would be part of it
 THIRDS_HZ = tuple(1000.0 * 10.0 ** (0.1 * k) for k in range(-13, 9))
 """Exact mid-bands of third octaves, 50 Hz to 6.3 kHz."""
 DIRECT_THIRDS_HZ = THIRDS_HZ[11:]  # from 630 Hz: lower ones are not resolved within `DIRECT_S`
+NEAR_S, NEAR_SHARE = 4e-4, 0.05
+"""By how much the direct sound may miss its geometry: positions (14 cm), and a speed of sound that is 5 % off."""
 MIN_SNR_DB = 10.0
 QUIET_DB = -55.0
 """Energy of 100 ms of noise relative to the response of its band, below which it disturbs no decay."""
@@ -123,14 +125,20 @@ def measure_cells(rir, expected_sample=None, *, timed=True, white=None):
 
 
 def _direct(rir, expected_sample, timed):
-    """Direct sound, its polarity, and whether its arrival counts: not where an obstacle drowned it."""
+    """Direct sound, its polarity, and whether its arrival counts: not where an obstacle drowned it.
+
+    What comes later than positions and the air explain is another path; geometry says then where the direct sound is.
+    """
     if expected_sample is None:
         return *find_direct(rir, FS_HZ), timed
+    most = NEAR_S * FS_HZ + NEAR_SHARE * expected_sample
     try:
-        return *find_direct(rir, FS_HZ, expected_sample, search_s=2e-3), timed
+        sample, polarity = find_direct(rir, FS_HZ, expected_sample, search_s=most / FS_HZ)
+        if abs(sample - expected_sample) < most - 1.0:
+            return sample, polarity, timed
     except ValueError:
         find_direct(rir, FS_HZ)  # there must be some sound
-        return float(expected_sample), 1, False
+    return float(expected_sample), 1, False
 
 
 def _put(values, valid, metric, amounts, believed):
@@ -241,8 +249,9 @@ def _noise_levels(rir, direct, noise, white):
     believed = seen | (_db(end / QUIET + 1.0) < JND["floor"])
     result = {"floor": (_db(behind / (white + QUIET)), believed)}
     n_ahead = round(direct) - round(3e-3 * FS_HZ) - 16
-    ahead, resolved = np.full(len(BANDS_HZ), np.nan), OCTAVE_WIDTH_HZ * n_ahead > FS_HZ
-    if n_ahead > 48:
+    ahead, resolved = np.full(len(BANDS_HZ), np.nan), (OCTAVE_WIDTH_HZ * n_ahead > FS_HZ) & (n_ahead > 48)
+    # a rendering's direct sound may come earlier than the recording's: what is believed of one, the other must have
+    if n_ahead > 8:
         part = _segment(rir, 16, 16 + n_ahead, 16)
         n_fft = next_fast_len(max(2048, len(part)), real=True)
         ahead = _db((_gains("octave", n_fft) @ _power(part, n_fft) / len(part) * per_energy + besides + QUIET) / behind)
