@@ -16,6 +16,7 @@ from roomeq.sim.render import MAX_LENGTH_S, render, tail_noise
 
 _LEVELS_DB = (-60.0, 0.0)
 _TIMES_S = (0.2, 6.0)
+_OVER_DB = 75.0  # below the response; see `roomeq.loop.cells.QUIET_DB`
 _DECAY = 6.0 * np.log(10.0)  # of energy over the decay time
 
 
@@ -69,8 +70,8 @@ class CoupledVolume(Effect):
         return rir + render(np.zeros(0), np.zeros((0, 8)), energy, noise, speed_m_s=air.speed_m_s, n_samples=len(rir))
 
     def _n_samples(self, start_s):
-        """Length that holds it until it lies 60 dB below the response."""
-        return round(min(start_s + (60.0 + self.level_db) / 60.0 * self.time_s, MAX_LENGTH_S) * FS_HZ)
+        """Length that holds it until it is over: cut off earlier, its end would be taken for noise."""
+        return round(min(start_s + (_OVER_DB + self.level_db) / 60.0 * self.time_s, MAX_LENGTH_S) * FS_HZ)
 
 
 def _band_shares():
