@@ -2,15 +2,16 @@
 """Does the loop find what it was not told of: undeclared worlds, their true effects against those that it names.
 
 Every world is made, closed and forgotten; what came of it is a line of results.jsonl in the output folder. Stopped and
-started again, the bench goes on with the worlds that are missing. Prints the confusion matrix and the rates with their
-Wilson intervals, and writes loop.json.
+started again, the bench goes on with the worlds that are missing; results of other code (`CODE`) do not count. Prints
+the confusion matrix and the rates with their Wilson intervals, and writes loop.json.
 
-e.g.: python tests/bench/loop/run.py --out exp/bench/loop                      # all: hours
+e.g.: python tests/bench/loop/run.py --out tests/bench/loop/results            # all: hours; goes on from what is there
       python tests/bench/loop/run.py --out exp/bench/loop --seeds 1 --strengths 2 --kinds clean,source_response
       python tests/bench/loop/run.py --out exp/bench/loop --minutes 30         # as much as fits, then the table
 """
 
 import argparse
+import hashlib
 import json
 import os
 import shutil
@@ -33,6 +34,8 @@ from worlds import KINDS, make_world  # noqa: E402
 OUTSIDE = ("clock_drift", "harmonic_distortion", "ringing_object")
 PAIRS = ("source_response+air_absorption", "source_response+room_modes", "mic_response+near_reflector",
          "coupled_volume+source_directivity", "noise_floor+source_response", "sound_speed+mic_response")
+CODE = [*(f"pysrc/roomeq/{part}" for part in ("acoustics", "effects", "loop", "sim")), "tests/worlds"]
+"""What makes the results: they count for the same bytes of it."""
 CLEAN_SEEDS = 60
 FIRST_SEED = 101  # those below were looked at while the loop was made
 
@@ -49,6 +52,14 @@ def worlds(kinds, strengths, seeds):
         for kind, strength in some:
             if not kinds or kind in kinds:
                 yield kind, strength, seed
+
+
+def digest_of_code():
+    """Twelve hexadecimal digits of all Python files of `CODE`."""
+    root, digest = Path(__file__).resolve().parents[3], hashlib.sha256()
+    for path in sorted(path for part in CODE for path in (root / part).rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:12]
 
 
 def one_world(kind, strength, seed, cache):
@@ -87,12 +98,17 @@ def main():
     args.out.mkdir(parents=True, exist_ok=True)
     results = args.out / "results.jsonl"
     done = [json.loads(line) for line in results.read_text().splitlines()] if results.is_file() else []
+    code = digest_of_code()
+    others = sum(one["code"] != code for one in done)
+    if others:
+        print(f"{results}: {others} of {len(done)} results are of other code and do not count")
+    done = [one for one in done if one["code"] == code]
     known = {(one["kind"], one["strength"], one["seed"]) for one in done}
     start, cache = time.monotonic(), args.out / "cache"
     for world in worlds(args.kinds, args.strengths, args.seeds):
         if world in known or time.monotonic() - start > 60.0 * args.minutes:
             continue
-        done.append(one_world(*world, cache))
+        done.append(one_world(*world, cache) | dict(code=code))
         with results.open("a") as file:
             file.write(json.dumps(kit.plain(done[-1])) + "\n")
         print(f"{world[0]} {world[1]} JND, seed {world[2]}: found {', '.join(done[-1]['found']) or 'nothing'} "
