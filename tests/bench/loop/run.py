@@ -99,10 +99,10 @@ def main():
     results = args.out / "results.jsonl"
     done = [json.loads(line) for line in results.read_text().splitlines()] if results.is_file() else []
     code = digest_of_code()
-    others = sum(one["code"] != code for one in done)
+    others = sum(one.get("code") != code for one in done)
     if others:
         print(f"{results}: {others} of {len(done)} results are of other code and do not count")
-    done = [one for one in done if one["code"] == code]
+    done = [one for one in done if one.get("code") == code]
     known = {(one["kind"], one["strength"], one["seed"]) for one in done}
     start, cache = time.monotonic(), args.out / "cache"
     for world in worlds(args.kinds, args.strengths, args.seeds):
