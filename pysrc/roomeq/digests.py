@@ -102,6 +102,14 @@ def code_digest() -> str:
     for name in _NUMERICS:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             total.update(f"{name} {importlib.metadata.version(name)}".encode())
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
-        total.update(path.read_bytes())
+    total.update(source_digest(Path(__file__).parent).encode())
+    return total.hexdigest()
+
+
+def source_digest(*paths: Path) -> str:
+    """Return a hash of Python files, and of those below folders."""
+    total = hashlib.sha256()
+    for path in paths:
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+            total.update(file.read_bytes())
     return total.hexdigest()

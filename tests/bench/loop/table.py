@@ -38,13 +38,19 @@ def _located(one):
                and (not one["rings_hz"] or set(left["bands_hz"]) & set(one["rings_hz"])) for left in one["unexplained"])
 
 
+def _distinct(done):
+    """Each world once: where physics allows no more, another strength asked for is the same world again."""
+    return list({(one["kind"], one["seed"], tuple(sorted(one["achieved_jnd"].items()))): one for one in done}.values())
+
+
 def rates(done):
-    """All rates that are asked for.
+    """All rates that are asked for, each world counted once.
 
     Returns
     -------
     list of dict
     """
+    done = _distinct(done)
     single = [one for one in done if one["kind"] not in OUTSIDE_WHERE and "+" not in one["kind"]
               and one["kind"] != "clean"]
     strong = [one for one in single if max(one["achieved_jnd"].values()) >= 1.8]
