@@ -144,7 +144,9 @@ def test_the_loop_is_told_in_words(page):
     assert "source_response or mic_response: Magnitude response of each loudspeaker" in page.text
     assert "the data cannot tell which of them. It would take the same room recorded with another" in page.text
     assert "Held-out error 3.40 \u2192 1.90 JND (95 % interval 1.60 to 2.20)" in page.text
-    assert "ahead at 125 Hz (ahead) is +3.5 JND off, the same in all rooms" in page.text
+    assert ("Sound ahead of the direct sound at 125 Hz is 3.5 dB louder than simulated, in all rooms alike (+3.5 JND)."
+            in page.text)
+    assert "A surface 0.70 m (0.70 to 0.70) below source and microphone reflects 60 %" in page.text
     assert "What this does not show" in page.text and "3.4 \u2192 1.5" in page.text
     assert "depth_m 0.7 (0.7 to 0.7); reflection 0.6 (0.6 to 0.6)" in page.text and "56 %" in page.text
 

@@ -192,11 +192,18 @@ def _extension(path, n, one):
             raise ValueError(f"{what}: {key}={vectors[key]!r} must be {size} numbers: correct them")
         if not all(lowest <= value <= LARGEST for value in vectors[key]):
             raise ValueError(f"{what}: {key}={vectors[key]!r} must lie in [{lowest:g}, {LARGEST:g}]: correct them")
-    units = {unit: _parameters(f"{what}: of[{unit!r}]", effect, given) for unit, given in one["of"].items()}
+    units = {unit: read_parameters(f"{what}: of[{unit!r}]", effect, given) for unit, given in one["of"].items()}
     return Extension(effect, units, np.array(vectors["typical"], float), np.array(vectors["spread"], float))
 
 
-def _parameters(what, effect, given):
+def read_parameters(what, effect, given):
+    """Make an effect of its parameters as a file gives them; `what` is what a message calls them.
+
+    Raises
+    ------
+    ValueError
+        They are not those of the effect, or out of range.
+    """
     names = [field.name for field in fields(effect)]
     if not isinstance(given, dict) or sorted(given) != sorted(names):
         raise ValueError(f"{what} must hold {', '.join(names) or 'nothing'}: correct the names")

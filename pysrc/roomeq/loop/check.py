@@ -7,7 +7,7 @@ import numpy as np
 
 from roomeq.constants import BANDS_HZ
 from roomeq.effects.catalogue import CATALOGUE
-from roomeq.effects.model import MODEL_FILE, read_model
+from roomeq.effects.model import MODEL_FILE, read_model, read_parameters
 from roomeq.files import read_json
 from roomeq.loop.cells import LARGEST, METRIC, N_CELLS, REGION
 from roomeq.loop.examples import EXAMPLES_FILE, read_arrays, read_examples
@@ -160,9 +160,7 @@ def _iteration(value, what):
     _interval(value["heldout_error_ci"], f"{what}.heldout_error_ci", value["heldout_error_after"])
     _number(value["p"], f"{what}.p", 0.0, 1.0)
     _number(value["size_jnd"], f"{what}.size_jnd", 0.0)
-    _require(isinstance(value["parameters"], dict) and all(
-        isinstance(one, dict) and isinstance(one.get("best"), dict) for one in value["parameters"].values()),
-        f"{what}.parameters", "give the best of each unit")
+    _parameters(value["parameters"], CATALOGUE[value["effect"]], f"{what}.parameters")
     for key in ("by_metric", "by_band"):
         _keys(value[key], f"{what}.{key}", ("before", "after"))
     for when in ("before", "after"):
@@ -171,6 +169,16 @@ def _iteration(value, what):
     _list(value.get("cannot_tell", []), f"{what}.cannot_tell", _effect)
     _require(value.get("cannot_tell", [value["effect"]])[:1] == [value["effect"]], f"{what}.cannot_tell",
              "begin with its effect")
+
+
+def _parameters(value, effect, what):
+    _require(isinstance(value, dict) and value and all(isinstance(one, dict) for one in value.values()), what,
+             "give the best of each unit")
+    for unit, one in value.items():
+        try:
+            read_parameters(f"{what}[{unit!r}].best", effect, one.get("best"))
+        except ValueError as error:
+            raise _Wrong(str(error).rpartition(": ")[0]) from None
 
 
 def _unexplained(value, what):

@@ -13,11 +13,12 @@ from roomeq.files import write_json
 from roomeq.loop.attribute import MIN_ROOMS, choose, one_sided_p, rank
 from roomeq.loop.data import load_data
 from roomeq.loop.examples import EXAMPLES_FILE, write_examples
-from roomeq.loop.heldout import Errors, heldout_errors, p_lower
+from roomeq.loop.heldout import heldout_errors, p_lower
 from roomeq.loop.judge import judge_errors
-from roomeq.loop.ledger import LEDGER_FILE, iteration_entry, ranked, summary_of, values_of
+from roomeq.loop.ledger import LEDGER_FILE, iteration_entry, ranked, values_of
 from roomeq.loop.session import begin
 from roomeq.loop.unexplained import find_unexplained
+from roomeq.loop.words import names_of, of_residual
 
 logger = logging.getLogger(__name__)
 
@@ -95,15 +96,13 @@ def _run(data, directories, work, judge_data, given, max_effects, seed, nj):
         found = _accepted(session, errors, ranking) if len(iterations) < max_effects else None
         if found is None:
             break
-        winner, rivals, session_after, errors_after = found
-        entry = iteration_entry(winner, rivals, ranking, session_after, errors, errors_after)
+        entry, session, errors = found
         iterations.append(entry)
-        logger.info("loop: %s: held-out error %.2f -> %.2f JND [%.2f, %.2f]", _called(winner, rivals),
+        logger.info("loop: %s: held-out error %.2f -> %.2f JND [%.2f, %.2f]", names_of(entry),
                     entry["heldout_error_before"], entry["heldout_error_after"], *entry["heldout_error_ci"])
-        session, errors = session_after, errors_after
     left = find_unexplained(session)
     for unexplained in left[:1]:
-        logger.info("loop: unexplained: %s", summary_of(unexplained))
+        logger.info("loop: unexplained: %s", of_residual(unexplained))
     ledger = dict(
         rirs=len(data.rows), rooms=len(data.room_names), given=given.names,
         baseline=_error_entry(first_errors), iterations=iterations,
@@ -120,7 +119,9 @@ def _run(data, directories, work, judge_data, given, max_effects, seed, nj):
 
 
 def _accepted(session, errors, ranking):
-    """The most helpful candidate that also lowers the error when everything is simulated again with it.
+    """The most helpful candidate that also lowers the error when everything is simulated again with it, or None.
+
+    The error is to be lower on unseen positions or in unseen rooms, and higher on neither.
 
     What fits significantly worse than another takes its place only if that one raised the error: else the cause may
     still be the better one, and the data cannot prove it.
@@ -132,24 +133,15 @@ def _accepted(session, errors, ranking):
             return None
         after = begin(session.data, like=winner.fit, offset=session.offset, seed=session.seed, nj=session.nj)
         errors_after = heldout_errors(after)
-        lower, higher = _compared(errors, errors_after)
-        if lower and not higher:
-            return winner, rivals, after, errors_after
+        p = {way: p_lower(errors, errors_after, way) for way in errors.cells}
+        higher = any(p_lower(errors_after, errors, way) < LEVEL for way in errors.cells)
+        if min(p.values()) < LEVEL / len(p) and not higher:
+            return iteration_entry(winner, rivals, ranking, after, errors, errors_after, p), after, errors_after
         logger.info("loop: %s fits, but simulated again it %s the error; left out", winner.effect.NAME,
                     "raises" if higher else "does not lower")
         session.data.shifts.update(shifts)  # those of the rejected model speak of its own RIRs
         pool = [one for one in pool if one is not winner
                 and (higher or one_sided_p(winner.gain - one.gain) > LEVEL)]
-
-
-def _compared(before: Errors, after: Errors):
-    """Whether the error of unseen positions or of unseen rooms is lower, and whether one of them is higher."""
-    return (any(p_lower(before, after, way) < LEVEL / len(before.cells) for way in before.cells),
-            any(p_lower(after, before, way) < LEVEL for way in before.cells))
-
-
-def _called(winner, rivals):
-    return " or ".join([winner.effect.NAME, *(one.effect.NAME for one in rivals)])
 
 
 def _error_entry(errors):

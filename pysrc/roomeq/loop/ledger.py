@@ -4,7 +4,6 @@ from dataclasses import asdict
 
 import numpy as np
 
-from roomeq.loop.heldout import p_lower
 from roomeq.loop.layout import OWN
 from roomeq.loop.leftout import leave_rooms_out
 
@@ -48,14 +47,14 @@ def ranked(candidate):
                 size_jnd=candidate.size_jnd)
 
 
-def iteration_entry(winner, rivals, ranking, session, before, after):
-    """One accepted effect."""
-    p, way = min((p_lower(before, after, way), way) for way in before.cells)
+def iteration_entry(winner, rivals, ranking, session, before, after, p):
+    """One accepted effect; `p` is that of the error being lower, by way (`roomeq.loop.heldout.p_lower`)."""
+    way = min(p, key=lambda one: (p[one], one))
     entry = dict(
         effect=winner.effect.NAME, scope=winner.effect.SCOPE, size_jnd=winner.size_jnd,
         parameters=_parameter_intervals(session, winner.effect), scored_on=f"unseen {way}",
         heldout_error_before=before.mean(way), heldout_error_after=after.mean(way),
-        heldout_error_ci=after.interval(way), p=p,
+        heldout_error_ci=after.interval(way), p=p[way],
         by_metric={"before": before.by_metric(way), "after": after.by_metric(way)},
         by_band={"before": before.by_band(way), "after": after.by_band(way)},
         ranking=[ranked(one) for one in ranking])
@@ -63,12 +62,3 @@ def iteration_entry(winner, rivals, ranking, session, before, after):
         entry["cannot_tell"] = [winner.effect.NAME, *(one.effect.NAME for one in rivals)]
         entry["would_tell"] = sorted({one.effect.TELLS for one in (winner, *rivals)})
     return entry
-
-
-def summary_of(unexplained):
-    """A residual in a person's words."""
-    bands = ", ".join(f"{band_hz:g}" for band_hz in unexplained.bands_hz)
-    where = f" at {bands} Hz" if bands else ""
-    varies = {"nothing": "the same in all rooms", "room": "in some rooms only"}.get(
-        unexplained.varies_with, f"different between one {unexplained.varies_with} and the others")
-    return (f"{unexplained.metric}{where} ({unexplained.time_region}) is {unexplained.size_jnd:+.1f} JND off, {varies}")

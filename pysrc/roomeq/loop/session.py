@@ -44,7 +44,8 @@ class Session:
     @property
     def residual(self):
         """Measured less expected cells; NaN where one of the two is missing."""
-        return np.where(self.data.valid, self.data.cells - self.fit.predicted, np.nan)
+        residual, counts = self.data.residual(self.fit.predicted)
+        return np.where(counts, residual, np.nan)
 
 
 def begin(data, *, like=None, offset=None, seed, nj):

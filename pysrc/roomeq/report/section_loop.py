@@ -1,5 +1,6 @@
 """The chapter about the closed loop: what the simulation lacked, what adding it was worth, what stays unexplained."""
 
+import re
 import sys
 
 import numpy as np
@@ -10,9 +11,10 @@ from roomeq.effects.response import RESPONSE_HZ, Response
 from roomeq.loop.cells import METRIC, REGION, THIRDS_HZ
 from roomeq.loop.check import RESIDUALS_FILE, WAYS, read_ledger, read_residuals
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, STEP_S, Examples, read_examples
-from roomeq.loop.ledger import LEDGER_FILE, summary_of
+from roomeq.loop.ledger import LEDGER_FILE
 from roomeq.loop.predict import BAND_OF_CELL
 from roomeq.loop.unexplained import Unexplained
+from roomeq.loop.words import names_of, of_effect, of_residual
 from roomeq.report import figures, figures_loop
 from roomeq.report.load import Run
 from roomeq.report.page import Html, figure, hertz, join, number, paragraph, tag
@@ -63,14 +65,14 @@ def main_numbers(run: Run) -> list[tuple[str, str]]:
              f"{before:.1f} \u2192 {after:.1f}")]
 
 
-def names_of(entry: dict) -> str:
-    """Return an accepted effect's name, or names where it cannot be told from others."""
-    return " or ".join(entry.get("cannot_tell", [entry["effect"]]))
-
-
 def about(effect: str) -> str:
     """Return what an effect is, as its own file says it."""
     return sys.modules[CATALOGUE[effect].__module__].__doc__.splitlines()[0].rstrip(".:").split(" (`")[0]
+
+
+def sentence(words: str) -> str:
+    """Return words as a sentence, with real minus signs."""
+    return re.sub(r"(?<!\w)-(?=\d)", "\u2212", f"{words[:1].upper()}{words[1:]}.")
 
 
 def already(ledger: dict) -> Html:
@@ -83,7 +85,8 @@ def findings(ledger: dict) -> Html:
     if not ledger["iterations"]:
         return paragraph(tag("strong", "No effect helps on rooms left out; nothing was added."))
     return tag("ul", *(tag(
-        "li", tag("strong", names_of(entry)), f": {about(entry['effect'])}. Held-out error "
+        "li", tag("strong", names_of(entry)), f": {about(entry['effect'])}. "
+        f"{sentence(of_effect(entry['effect'], entry['parameters']))} Held-out error "
         f"{entry['heldout_error_before']:.2f} \u2192 {entry['heldout_error_after']:.2f} JND (95 % interval "
         f"{entry['heldout_error_ci'][0]:.2f} to {entry['heldout_error_ci'][1]:.2f})",
         join(["; the data cannot tell which of them. It would take ", " or ".join(entry["would_tell"])])
@@ -121,7 +124,8 @@ def effects_table(ledger: dict) -> Html:
              entry["scored_on"], f"{entry['p']:.1g}"] for entry in ledger["iterations"]]
     return make_table(
         "table-loop", "What the loop added, in its order. Size: mean change of the values that the effect touches; p: "
-        "that the error falls by so much by chance (paired over rooms)",
+        "that the error falls by so much by chance (paired: at unseen positions halves of rooms change sign, in "
+        "unseen rooms a t test)",
         ["Effect", "Of each", "Parameters", "Size (JND)", "Held-out error (JND)", "Scored on", "p"], rows, (0, 1, 2, 5))
 
 
@@ -258,7 +262,7 @@ def unexplained(ledger: dict) -> Html:
     return join([
         paragraph(tag("strong", "What stays unexplained."), " No effect of the catalogue accounts for it; it is named "
                   "by where it sits, not by a cause:"),
-        tag("ul", *(tag("li", summary_of(Unexplained(**one)), ".") for one in ledger["unexplained_all"]))])
+        tag("ul", *(tag("li", sentence(of_residual(Unexplained(**one)))) for one in ledger["unexplained_all"]))])
 
 
 def cautions(ledger: dict, trained: bool) -> Html:
