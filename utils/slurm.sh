@@ -108,7 +108,7 @@ last_words() { # LOG STATE: Slurm's own reason if it ended the job, else the las
     last=$line
     case $line in
       '# Slurm job '*) why= ;; # it was requeued: what ended it before is past
-      'slurmstepd: error: '*) why=$line ;;
+      'slurmstepd'*': error: '*) why=$line ;; # it may name its node
     esac
   done 2>/dev/null <"$1" || true
   [[ $2 == FAILED* ]] || last=${why:-$last}

@@ -73,7 +73,7 @@ def overdue(slurm, project_dir, tmp_path_factory):
     """Two jobs of which the first runs out of time: Slurm looks only twice a minute, so they begin before all tests."""
     where = tmp_path_factory.mktemp("overdue")
     jobs = on_slurm(project_dir, slurm, where, ["--time", "1", "JOB=1:2"],
-                    "echo working on JOB; [ JOB = 2 ] || exec sleep 600")
+                    "echo working on JOB; [ JOB = 2 ] || { trap 'echo ended' TERM; sleep 600 & wait; }")
     array = job_id(slurm, where)
     said(slurm, "scontrol", "update", f"JobId={array}_1", "EndTime=now+1")
     return jobs
