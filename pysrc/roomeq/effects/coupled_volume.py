@@ -54,7 +54,7 @@ class CoupledVolume(Effect):
         return _DECAY / self.time_s + air.speed_m_s * np.asarray(air.attenuation_per_m)
 
     def act(self, state, data, rows):
-        state.add_decay(data, rows, 10.0 ** (self.level_db / 10.0), _DECAY / self.time_s)
+        state.decays.append((rows, 10.0 ** (self.level_db / 10.0), _DECAY / self.time_s))
 
     def on_rir(self, rir, rendering):
         air = rendering.scene.air

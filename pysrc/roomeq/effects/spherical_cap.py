@@ -119,10 +119,15 @@ def cap_series(radius_m, cap_rad, frequencies_hz):
     depth = 0.5 * (1.0 - np.cos(cap_rad)) * (1.0 - node)  # of points of the cap below its middle, in radii
     velocity = (np.exp(-1j * np.outer(ka, depth)) * weight) @ eval_legendre(n, 1.0 - depth[:, None])
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        slope = (spherical_jn(n, ka[:, None], derivative=True)
-                 + 1j * spherical_yn(n, ka[:, None], derivative=True))
+        slope = _derivative(spherical_jn(n, ka[:, None]), ka) + 1j * _derivative(spherical_yn(n, ka[:, None]), ka)
         radiated = np.where(np.isfinite(slope), 1.0 / slope, 0.0)  # high orders at low ka: they don't get away
     return (2 * n + 1) * velocity * (-1j) ** n * radiated
+
+
+def _derivative(bessel, x):
+    """Derivatives of spherical Bessel functions of orders 0 and up, shape (n, n_orders) (DLMF 10.51.2)."""
+    n = np.arange(1, bessel.shape[1])
+    return np.column_stack([-bessel[:, 1], bessel[:, :-1] - (n + 1) * bessel[:, 1:] / x[:, None]])
 
 
 @lru_cache(maxsize=8)

@@ -237,12 +237,14 @@ def _cost(layout, offset, sigma, omega, covariance, prior_mean, prior, mean, loc
 
 def _best_shape(local, spreads):
     """Spread of the absorption over rooms that makes what was found most likely."""
+    found, spread = np.array([u[:N_BANDS] for u in local]), np.array([one[:N_BANDS, :N_BANDS] for one in spreads])
     best, best_value = None, -np.inf
     for shape in _SHAPES:
-        covariance, value = absorption_covariance(*shape), 0.0
-        for u, spread in zip(local, spreads, strict=True):
-            total = covariance + spread[:N_BANDS, :N_BANDS]
-            value -= 0.5 * (np.linalg.slogdet(total)[1] + u[:N_BANDS] @ np.linalg.solve(total, u[:N_BANDS]))
+        total = absorption_covariance(*shape) + spread
+        solved = np.linalg.solve(total, found[:, :, None])[:, :, 0]
+        value = 0.0
+        for u, log_size, one in zip(found, np.linalg.slogdet(total)[1], solved, strict=True):
+            value -= 0.5 * (log_size + u @ one)
         if value > best_value:
             best, best_value = shape, value
     return best

@@ -86,9 +86,9 @@ class Layout:
                     effect.from_vector(vector).act(state, self.data, rows)
         return state
 
-    def predict(self, absorption, vectors, gains, offset, energy=None):
-        """Cells, shape (n_rirs, n_cells); `energy` as for `roomeq.loop.predict.predict`."""
-        return predict(self.data, self.state(absorption, vectors), energy) + offset + np.outer(gains, HAS_GAIN)
+    def predict(self, absorption, vectors, gains, offset, reflected=None):
+        """Cells, shape (n_rirs, n_cells); `reflected` as for `roomeq.loop.predict.predict`."""
+        return predict(self.data, self.state(absorption, vectors), reflected) + offset + np.outer(gains, HAS_GAIN)
 
 
 def _gains(data, members):

@@ -4,7 +4,7 @@ import numpy as np
 
 from roomeq.loop.cells import HAS_GAIN, METRIC, N_CELLS
 from roomeq.loop.layout import N_SURFACE
-from roomeq.loop.predict import N_BANDS, reflected_energy
+from roomeq.loop.predict import N_BANDS, Reflected
 
 _STEP = 0.03  # of numerical derivatives, in units of a vector's spread
 _HUBER = 3.0
@@ -16,8 +16,8 @@ def linearise(layout, mean, local, offset, by_band=None):
     """Predicted cells and their derivatives: by surfaces (n_rirs, n_cells, 16) and by each effect's vector."""
     absorption, vectors = layout.absorption(mean, local), layout.vectors(mean, local)
     gains = layout.gains(local)
-    energy = reflected_energy(layout.data, layout.state(absorption, vectors))
-    centre = layout.predict(absorption, vectors, gains, offset, energy)
+    reflected = Reflected(layout.data, layout.state(absorption, vectors))
+    centre = layout.predict(absorption, vectors, gains, offset, reflected)
     known = by_band is not None
     by_band = by_band if known else np.empty((*centre.shape, N_SURFACE))
     for n in range(0 if known else N_SURFACE):
@@ -31,7 +31,7 @@ def linearise(layout, mean, local, offset, by_band=None):
         for p, spread in enumerate(effect.SPREAD):
             moved = [one.copy() for one in vectors]
             moved[k][:, p] += _STEP * spread
-            same = None if effect.REFLECTIONS else energy
+            same = None if effect.REFLECTIONS else reflected
             found[:, :, p] = (layout.predict(absorption, moved, gains, offset, same) - centre) / (_STEP * spread)
         by_effect.append(found)
     return centre, (by_band, by_effect)

@@ -61,10 +61,8 @@ class State:
         Energy gain of the direct sound.
     direct_thirds : ndarray, shape (n_rirs, 22)
         The same in third octaves, times `direct_gain`.
-    extra : ndarray, shape (n_rirs, N_FRAMES, 8)
-        Energy that arrives besides.
-    room_energy : ndarray, shape (n_rirs, 8), or None
-        Energy of all reflections, without what was added; None until somebody asks.
+    decays : list of (ndarray of int, float, float)
+        RIRs with energy that arrives besides: its share of that of all reflections, and how fast it decays [1/s].
     response_db : ndarray, shape (n_rirs, 23)
         Of the recording chain at `RESPONSE_HZ`.
     floor : ndarray, shape (n_rirs, 8)
@@ -81,8 +79,7 @@ class State:
     ray_gain: np.ndarray | None
     direct_gain: np.ndarray
     direct_thirds: np.ndarray
-    extra: np.ndarray
-    room_energy: np.ndarray | None
+    decays: list
     response_db: np.ndarray
     floor: np.ndarray
     delay_s: np.ndarray
@@ -94,15 +91,6 @@ class State:
             self.ray_gain = np.ones((len(self.direct_gain), *gains.shape))
         self.ray_gain[rows] *= gains
         self.direct_gain[rows] *= direct
-
-    def add_decay(self, data, rows, share, rate_per_s):
-        """Add an exponential decay that holds a share of the energy of all reflections; air shortens it."""
-        # frames are lengths, told in seconds at the declared speed
-        rate = (rate_per_s / self.speed_m_s[rows][:, None] + self.air_per_m[rows]) * data.speed_m_s[rows][:, None]
-        left = np.exp(-FRAME_EDGES_S[:, None] * rate[:, None, :])
-        if self.room_energy is None:
-            self.room_energy = reflected_energy(data, self).sum(axis=1)
-        self.extra[rows] += share * self.room_energy[rows][:, None, :] * (left[:, :-1] - left[:, 1:])
 
 
 def base_state(data, absorption):
@@ -117,8 +105,7 @@ def base_state(data, absorption):
     n = len(data.rows)
     state = State(absorption=absorption[data.room], air_per_m=data.air_per_m.copy(), speed_m_s=data.speed_m_s.copy(),
                   ray_gain=None, direct_gain=np.ones((n, N_BANDS)), direct_thirds=np.ones((n, len(THIRDS_HZ))),
-                  extra=np.zeros((n, len(_FRAME_MID_S), N_BANDS)), room_energy=None,
-                  response_db=np.zeros((n, len(RESPONSE_HZ))),
+                  decays=[], response_db=np.zeros((n, len(RESPONSE_HZ))),
                   floor=np.zeros((n, N_BANDS)), delay_s=np.zeros(n), shift=np.zeros((n, N_CELLS)))
     for effect, rows in data.given_to:
         effect.act(state, data, rows)
@@ -135,32 +122,61 @@ def reflected_energy(data, state):
         _add_up(table.entries, table.counts, table.angular if turned else _ALIKE,
                 state.ray_gain[i] if turned else _ALIKE, kept[i], energy[i])
     length_m = data.distance_m[:, None] + _FRAME_MID_S * data.speed_m_s[:, None]
-    return energy * np.exp(-length_m[:, :, None] * state.air_per_m[:, None, :]) + state.extra
+    energy *= np.exp(-length_m[:, :, None] * state.air_per_m[:, None, :])
+    whole = energy.sum(axis=1)
+    for rows, share, rate_per_s in state.decays:
+        # frames are lengths, told in seconds at the declared speed; air shortens the decay
+        rate = (rate_per_s / state.speed_m_s[rows][:, None] + state.air_per_m[rows]) * data.speed_m_s[rows][:, None]
+        left = np.exp(-FRAME_EDGES_S[:, None] * rate[:, None, :])
+        energy[rows] += share * whole[rows][:, None, :] * (left[:, :-1] - left[:, 1:])
+    return energy
 
 
-def predict(data, state, energy=None):
+class Reflected:
+    """What cells take of the energy of all but the direct sound: the same for states that differ in other things.
+
+    Attributes
+    ----------
+    near, early, late, whole : ndarray, shape (n_rirs, 8)
+        Energy until the gates of the levels, and all.
+    """
+
+    def __init__(self, data, state):
+        self._energy = reflected_energy(data, state)
+        self.near, self.early, self.late = (_until(seconds * state.speed_m_s / data.speed_m_s, self._energy)
+                                            for seconds in (DIRECT_S, EARLY_S, LATE_S))
+        self.whole = self._energy.sum(axis=1)
+        self._direct, self._times = None, np.empty((len(self.whole), 3, N_BANDS))
+
+    def decay_times_s(self, direct):
+        """EDT, T20 and T30 behind a direct sound of shape (n_rirs, 8), shape (n_rirs, 3, 8)."""
+        if self._direct is None or not np.array_equal(direct, self._direct):
+            self._direct = direct
+            _decay_times(direct + self._energy[:, 0], self._energy, FRAME_EDGES_S, self._times)
+        return self._times
+
+
+def predict(data, state, reflected=None):
     """Expected cells in JND, gains of the recordings left out.
 
     Parameters
     ----------
     data : roomeq.loop.data.Data
     state : State
-    energy : ndarray, optional
-        `reflected_energy` of the state, where it is known.
+    reflected : Reflected, optional
+        Of the state, where it is known.
 
     Returns
     -------
     ndarray, shape (n_rirs, n_cells)
     """
-    energy = reflected_energy(data, state) if energy is None else energy
+    reflected = Reflected(data, state) if reflected is None else reflected
+    near, early, late, whole = reflected.near, reflected.early, reflected.late, reflected.whole
     visible = np.array([table.visible for table in data.tables], dtype=float)
     direct = (visible / (4.0 * np.pi * data.distance_m) ** 2)[:, None] * state.direct_gain * np.exp(
         -data.distance_m[:, None] * state.air_per_m)
     thirds_direct = _db(np.maximum(direct, 1e-30)) @ TO_THIRDS.T + _db(state.direct_thirds)
-    cells = np.zeros((len(energy), N_CELLS))
-    near, early, late = (_until(seconds * state.speed_m_s / data.speed_m_s, energy)
-                         for seconds in (DIRECT_S, EARLY_S, LATE_S))
-    whole = energy.sum(axis=1)
+    cells = np.zeros((len(direct), N_CELLS))
     octaves_db = state.response_db @ RESPONSE_TO_OCTAVES.T
     thirds_db = state.response_db[:, :len(THIRDS_HZ)]
     first = _db(near) @ TO_THIRDS.T
@@ -172,8 +188,7 @@ def predict(data, state, energy=None):
     weight = OCTAVE_WIDTH_HZ * 10.0 ** (octaves_db / 10.0)
     ratio_db = _db(((direct + near) * weight).sum(axis=1)) - _db(((whole - near) * weight).sum(axis=1))
     cells[:, slots("drr")] = (ratio_db / JND["drr"])[:, None]
-    times = np.empty((len(energy), 3, N_BANDS))
-    _decay_times(direct + energy[:, 0], energy, FRAME_EDGES_S, times)
+    times = reflected.decay_times_s(direct)
     shorter = np.log(data.speed_m_s / state.speed_m_s)[:, None]
     for k, metric in enumerate(("edt", "t20", "t30")):
         cells[:, slots(metric)] = (np.log(times[:, k]) + shorter) / JND[metric]
@@ -206,28 +221,38 @@ def _add_up(entries, counts, angular, ray_gain, kept, energy):
         for node in range(n_shares):
             for band in range(8):
                 left[n, node, band] = left[n - 1, node, band] * kept[node, band]
-    amount, gain = np.empty(8), np.ones(8)
+    zero, one = (0.0,) * 8, (1.0,) * 8
     for k in range(len(entries)):
-        frame, n = entries[k, 0], entries[k, 1]
-        amount[:] = 0.0
+        amount, gain = zero, one if n_angles == 0 else zero
         for node in range(n_shares):
             if counts[k, node] > 0.0:
-                for band in range(8):
-                    amount[band] += counts[k, node] * left[n, node, band]
-        if n_angles > 0:
-            gain[:] = 0.0
+                amount = _plus(amount, counts[k, node], left[entries[k, 1], node])
         for angle in range(n_angles):
-            for band in range(8):
-                gain[band] += angular[k, angle] * ray_gain[angle, band]
-        for band in range(8):
-            energy[frame, band] += amount[band] * gain[band]
+            gain = _plus(gain, angular[k, angle], ray_gain[angle])
+        row = energy[entries[k, 0]]
+        row[0] += amount[0] * gain[0]
+        row[1] += amount[1] * gain[1]
+        row[2] += amount[2] * gain[2]
+        row[3] += amount[3] * gain[3]
+        row[4] += amount[4] * gain[4]
+        row[5] += amount[5] * gain[5]
+        row[6] += amount[6] * gain[6]
+        row[7] += amount[7] * gain[7]
+
+
+@compiled
+def _plus(total, weight, row):
+    """Eight bands with a weighted row added: eight variables, which stay in registers."""
+    return (total[0] + weight * row[0], total[1] + weight * row[1], total[2] + weight * row[2],
+            total[3] + weight * row[3], total[4] + weight * row[4], total[5] + weight * row[5],
+            total[6] + weight * row[6], total[7] + weight * row[7])
 
 
 @compiled
 def _decay_times(direct, energy, edges_s, times_s):
     """EDT, T20 and T30 from energies per frame, shape (n_rirs, 3, 8)."""
     n_rirs, n_frames, n_bands = energy.shape
-    curve = np.empty(n_frames + 1)
+    curve, log_curve = np.empty(n_frames + 1), np.empty(n_frames + 1)
     for i in range(n_rirs):
         for band in range(n_bands):
             total = 0.0
@@ -236,13 +261,15 @@ def _decay_times(direct, energy, edges_s, times_s):
                 total += energy[i, frame, band]
                 curve[frame] = total
             curve[0] = total + direct[i, band]
+            for frame in range(n_frames + 1):
+                log_curve[frame] = np.log10(max(curve[frame], 1e-30))
             for k in range(3):
                 top, bottom = (0.0, -10.0) if k == 0 else ((-5.0, -25.0) if k == 1 else (-5.0, -35.0))
-                times_s[i, k, band] = _slope(curve, edges_s, 10.0 ** (0.1 * top), 10.0 ** (0.1 * bottom))
+                times_s[i, k, band] = _slope(curve, log_curve, edges_s, 10.0 ** (0.1 * top), 10.0 ** (0.1 * bottom))
 
 
 @compiled
-def _slope(curve, edges_s, top, bottom):
+def _slope(curve, log_curve, edges_s, top, bottom):
     """Regression over the part of a decay curve between two fractions of its start, 24 points [s per 60 dB]."""
     first, last = _crossing(curve, edges_s, top), _crossing(curve, edges_s, bottom)
     n = 24
@@ -252,8 +279,7 @@ def _slope(curve, edges_s, top, bottom):
         while frame + 2 < len(curve) and edges_s[frame + 1] < time:
             frame += 1
         part = (time - edges_s[frame]) / (edges_s[frame + 1] - edges_s[frame])
-        level = 10.0 * (np.log10(max(curve[frame], 1e-30)) * (1.0 - part)
-                        + np.log10(max(curve[frame + 1], 1e-30)) * part)
+        level = 10.0 * (log_curve[frame] * (1.0 - part) + log_curve[frame + 1] * part)
         centred = time - 0.5 * (first + last)
         sum_ty += centred * level
         sum_tt += centred * centred
