@@ -3,9 +3,9 @@
 # Usage: steps/close_loop.sh [options] <measured-rir-dir> <judge-rir-dir> <loop-dir>
 # e.g.:  steps/close_loop.sh --nj 4 data/rirs.real.train data/rirs.real.dev exp/loop
 # Makes ledger.json, what was found, and model.json for `steps/simulate_rirs.sh --model`. The second directory is
-# only scored. It is one job of $nj threads.
+# only scored. It is one job of $nj processes.
 set -euo pipefail
-nj=2            # threads; results do not depend on it
+nj=2            # processes; results do not depend on it
 max_effects=4   # at most so many are added
 seed=0          # of every random draw
 . ./path.sh
@@ -17,10 +17,10 @@ require "$1/rirs.jsonl" steps/split_rirs.sh
 require "$2/rirs.jsonl" steps/split_rirs.sh
 log=$(dirname "$3")/log/close-loop.log
 check_words "$log" "$@"
-threads=()
-[[ $cmd == utils/local.sh* ]] || threads=(--num-threads "$nj")
+cores=()
+[[ $cmd == utils/local.sh* ]] || cores=(--num-threads "$nj")
 # $cmd may hold options ("queue.pl --mem 2G"): split on purpose
 # shellcheck disable=SC2086
-$cmd "${threads[@]}" "$log" roomeq close-loop --nj "$nj" --max-effects "$max_effects" --seed "$seed" \
+$cmd "${cores[@]}" "$log" roomeq close-loop --nj "$nj" --max-effects "$max_effects" --seed "$seed" \
   --judge "$2" --out "$3" "$1"
 grep -E '^(base model|loop|judge): |: (up to date|not judged)$' "$log"

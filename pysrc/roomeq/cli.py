@@ -207,7 +207,7 @@ def _eq_verbs(verbs) -> None:
      .argument("--model", help="model.json to begin with: its effects are in the base model, and no candidates")
      .argument("--max-effects", type=integer, default=4, help="at most so many are added")
      .seed()
-     .argument("--nj", type=integer, default=1, help="threads; results do not depend on it"))
+     .argument("--nj", type=integer, default=1, help="processes; results do not depend on it"))
 
 
 def _speech_verbs(verbs) -> None:

@@ -13,6 +13,7 @@ from roomeq.loop.layout import Layout
 from roomeq.loop.leftout import leave_rooms_out
 from roomeq.loop.session import look_ahead
 from roomeq.loop.shown import in_order
+from roomeq.loop.workers import share_out
 
 MIN_ROOMS = 3
 LEVEL = 0.05
@@ -88,7 +89,9 @@ def rank(session):
     known = {*session.effects, *data.given_kinds}
     candidates = [effect for effect in CATALOGUE.values() if effect not in known and effect.applies(data)]
     look_ahead(session, candidates)
-    return sorted([_candidate(session, effect, before) for effect in candidates], key=lambda one: -one.total)
+    found = share_out(lambda effect: _candidate(session, effect, before), candidates, session.nj,
+                      first_here=False)
+    return sorted(found, key=lambda one: -one.total)
 
 
 def _candidate(session, effect, before):

@@ -44,7 +44,7 @@ def close_loop(rir_dirs, out, *, judge=(), model=None, max_effects=4, seed=0, nj
         At most so many effects are added.
     seed : int
     nj : int
-        Threads; results do not depend on it.
+        Processes; results do not depend on it.
 
     Returns
     -------
@@ -65,9 +65,9 @@ def close_loop(rir_dirs, out, *, judge=(), model=None, max_effects=4, seed=0, nj
                   inputs=[*directories, *judge, *([Path(model)] if model else [])])
     if build.done:
         return None
-    data = load_data(directories, scattering=SCATTERING, seed=seed, model=given)
+    data = load_data(directories, scattering=SCATTERING, seed=seed, model=given, nj=nj)
     # before the loop: what is wrong there must not be said after hours
-    judge_data = load_data(judge, scattering=SCATTERING, seed=seed, model=given) if judge else None
+    judge_data = load_data(judge, scattering=SCATTERING, seed=seed, model=given, nj=nj) if judge else None
     if data.n_scored < MIN_ROOMS:
         raise ValueError(f"{directories[0]}: RIRs of {len(data.room_names)} rooms, {data.n_scored} of them with two or "
                          f"more, and the loop leaves rooms out and scores them by halves: give at least {MIN_ROOMS} "

@@ -6,11 +6,13 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from joblib import Parallel, delayed
 
 from roomeq.constants import FS_HZ
 from roomeq.effects.model import Model
 from roomeq.loop.cells import JND, measure_cells, slots
 from roomeq.loop.tables import ANGLES, collect
+from roomeq.loop.workers import share_out
 from roomeq.rirs import load_rir, read_rirs
 from roomeq.rng import rng_for
 from roomeq.sim.geometry import find_place
@@ -108,7 +110,7 @@ class Data:
         return names, np.array([names.index(row[key]) for row in self.rows])
 
 
-def load_data(directories, *, scattering, seed, model=None, measured=None):
+def load_data(directories, *, scattering, seed, model=None, nj=1):
     """Read RIR directories, measure their RIRs and trace their rooms.
 
     Parameters
@@ -120,8 +122,7 @@ def load_data(directories, *, scattering, seed, model=None, measured=None):
     seed : int
     model : roomeq.effects.model.Model, optional
         Effects that the base model has.
-    measured : dict, optional
-        Cells by (directory, id), where they were measured before; filled in.
+    nj : int
 
     Returns
     -------
@@ -143,12 +144,8 @@ def load_data(directories, *, scattering, seed, model=None, measured=None):
     found.sort(key=lambda one: one[:2])
     found = _snapped(found)
     _require_unique(found)
-    measured = {} if measured is None else measured
-    for _, rir_id, directory, row, place in found:
-        if (str(directory), rir_id) not in measured:
-            measured[str(directory), rir_id] = _measure(directory, row, place)
-    cells = [measured[str(directory), rir_id] for _, rir_id, directory, *_ in found]
-    return _traced(found, cells, scattering, seed, Model() if model is None else model)
+    cells = share_out(lambda one: _measure(*one[2:]), found, nj)
+    return _traced(found, cells, scattering, seed, Model() if model is None else model, nj)
 
 
 def _snapped(found):
@@ -199,7 +196,7 @@ def _measure(directory, row, place):
         raise ValueError(f"{Path(directory) / row['wav']}: {error}") from None
 
 
-def _traced(found, cells, scattering, seed, model):
+def _traced(found, cells, scattering, seed, model, nj):
     rows, places = [one[3] for one in found], [one[4] for one in found]
     room_names = sorted({row["room_id"] for row in rows})
     by_chain = [(row["room_id"], row["source_id"], row["mic_id"]) for row in rows]
@@ -207,16 +204,21 @@ def _traced(found, cells, scattering, seed, model):
     by_source = {}
     for n, (row, place) in enumerate(zip(rows, places, strict=True)):
         by_source.setdefault((row["room_id"], place.source_pos_m), []).append(n)
-    traced, tables = [None] * len(rows), [None] * len(rows)
-    for (room_id, source_pos_m), members in by_source.items():
+
+    def trace(room_id, source_pos_m, members):
         place = places[members[0]]
         material = Material("surface", 0.0, float(scattering))
         scene = Scene(place.room, [material] * len(place.room.slots), air_of(rows[members[0]]))
         length_s = float(np.clip(1.2 * max(_longest_s(cells[n]) for n in members) + 0.1, *LENGTHS_S))
         one = trace_source(scene, source_pos_m, num_rays=NUM_RAYS, max_length_s=length_s,
                            rng=rng_for(seed, "loop trace", repr((room_id, source_pos_m))))
-        made = collect(one, [places[n].mic_pos_m for n in members], [_facing(rows[n]) for n in members])
-        for n, table in zip(members, made, strict=True):
+        return one, collect(one, [places[n].mic_pos_m for n in members], [_facing(rows[n]) for n in members])
+
+    traced, tables = [None] * len(rows), [None] * len(rows)
+    # threads: paths are large, and their kernels let go of the interpreter
+    made = Parallel(n_jobs=nj, prefer="threads")(delayed(trace)(*at, members) for at, members in by_source.items())
+    for members, (one, of_members) in zip(by_source.values(), made, strict=True):
+        for n, table in zip(members, of_members, strict=True):
             traced[n], tables[n] = one, table
     airs = [air_of(row) for row in rows]
     return Data(rows=rows, places=places, cells=np.array([one.values for one in cells]),

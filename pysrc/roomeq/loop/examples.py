@@ -144,7 +144,7 @@ def _rendered(session, n):
     data = session.data
     absorption = session.layout.absorption(session.fit.mean, session.fit.local)
     by_row = session.by_row
-    (raw,) = render_rows(data, absorption[data.room], by_row, seed=session.seed, rows=[n])
+    (raw,), _ = render_rows(data, absorption[data.room], by_row, seed=session.seed, rows=[n])
     rir = finished(data, n, raw, by_row[n], session.seed)
     return rir, data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ, session.layout.gains(session.fit.local)[n]
 

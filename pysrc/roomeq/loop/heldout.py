@@ -20,7 +20,7 @@ from roomeq.loop.attribute import one_sided_p
 from roomeq.loop.cells import HAS_GAIN, LARGEST, METRIC
 from roomeq.loop.leftout import PEEKED, calibrate, leave_rooms_out
 from roomeq.loop.predict import BAND_OF_CELL
-from roomeq.loop.rendering import render_rows, rendered_cells
+from roomeq.loop.rendering import render_rows
 from roomeq.loop.shown import effects_of_rows
 
 _METRICS = tuple(dict.fromkeys(METRIC.tolist()))
@@ -165,8 +165,7 @@ def scored_errors(data, calibrated, *, seed, nj):
             rows = np.concatenate([of_room if len(others) else others for others, of_room in zip(known, scored,
                                                                                                 strict=True)])
             absorption, by_row, gains = calibrated(known, chosen)
-            raws = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj, rows=rows)
-            rendered = rendered_cells(data, raws, by_row, seed=seed, nj=nj, rows=rows)
+            _, rendered = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj, rows=rows)
             error = np.abs(data.cells[rows] - rendered - np.outer(gains[rows], HAS_GAIN))
             error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
             cells[rows] = np.where(data.valid[rows] & ~PEEKED, error, np.nan)

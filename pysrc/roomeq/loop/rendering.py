@@ -3,12 +3,12 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from roomeq.constants import FS_HZ
 from roomeq.effects.model import behind_rendering, direct_gain, extend_scene, path_gain
-from roomeq.loop.cells import measure_cells
+from roomeq.loop.cells import N_CELLS, measure_cells
 from roomeq.loop.tables import level_slots
+from roomeq.loop.workers import share_out
 from roomeq.rng import rng_for
 from roomeq.sim.response import render_responses
 from roomeq.sim.scene import with_absorption
@@ -32,7 +32,7 @@ class Raw:
 
 
 def render_rows(data, absorption, effects, *, seed, nj=1, rows=None):
-    """Render each row of the data.
+    """Render rows of the data and measure what comes of it.
 
     Parameters
     ----------
@@ -48,37 +48,62 @@ def render_rows(data, absorption, effects, *, seed, nj=1, rows=None):
 
     Returns
     -------
-    list of Raw
+    raws : list of Raw
+    cells : ndarray, shape (n_rows, n_cells)
+        NaN where there is nothing to measure.
     """
     rows = range(len(data.rows)) if rows is None else rows
-    return Parallel(n_jobs=nj, prefer="threads")(
-        delayed(_render_one)(data, n, 1.0 - np.exp(-absorption[n]), effects[n], seed) for n in rows)
+    scenes = {n: _scene(data.traced[n].scene, 1.0 - np.exp(-absorption[n]), effects[n]) for n in rows}
+
+    def one(n):
+        rir, direct = _render_one(data, n, scenes[n], effects[n], seed)
+        return rir, direct, _cells(data, n, Raw(rir, scenes[n], direct), effects[n], seed)
+
+    rendered = share_out(one, rows, nj)  # a scene may be large, and need not travel
+    return ([Raw(rir, scenes[n], direct) for n, (rir, direct, _) in zip(rows, rendered, strict=True)],
+            np.array([cells for *_, cells in rendered]))
 
 
-def _render_one(data, n, alpha, effects, seed):
-    row, place, traced = data.rows[n], data.places[n], data.traced[n]
-    scene = extend_scene(effects, traced.scene)
-    surfaces = alpha[level_slots(scene.room).astype(int)]
+def cells_behind(data, raws, variants, *, seed, nj=1):
+    """Cells of all rows with other effects behind the rendering.
+
+    Parameters
+    ----------
+    data : roomeq.loop.data.Data
+    raws : list of Raw
+    variants : list of list of list of Effect
+        In each, the effects of each row.
+    seed, nj : int
+
+    Returns
+    -------
+    ndarray, shape (n_variants, n_rirs, n_cells)
+    """
+    jobs = [(n, effects[n]) for effects in variants for n in range(len(data.rows))]
+    cells = share_out(lambda job: _cells(data, job[0], raws[job[0]], job[1], seed), jobs, nj)
+    return np.reshape(cells, (len(variants), len(data.rows), N_CELLS))
+
+
+def _scene(scene, alpha, effects):
+    return with_absorption(extend_scene(effects, scene), alpha[level_slots(scene.room).astype(int)])
+
+
+def _render_one(data, n, scene, effects, seed):
+    """An RIR and the pressure of its direct sound, as in `Raw`."""
+    row, place = data.rows[n], data.places[n]
     gain = path_gain(effects, row.get("source_dir"))
-    (response,) = render_responses(replace(traced, scene=scene), [place.mic_pos_m],
-                                   [rng_for(seed, "loop tail", row["id"])], absorption=surfaces, path_gain=gain)
-    direct = direct_gain(scene, place.source_pos_m, place.mic_pos_m, gain)
-    return Raw(response.rir, with_absorption(scene, surfaces), direct * response.direct_visible)
+    (response,) = render_responses(replace(data.traced[n], scene=scene), [place.mic_pos_m],
+                                   [rng_for(seed, "loop tail", row["id"])], path_gain=gain)
+    return response.rir, direct_gain(scene, place.source_pos_m, place.mic_pos_m, gain) * response.direct_visible
 
 
 def finished(data, n, raw, effects, seed):
-    """The RIR of one row with all its effects."""
+    """The RIR of a row with all its effects."""
     place = data.places[n]
     return behind_rendering(effects, raw.rir, raw.scene, place.source_pos_m, place.mic_pos_m, raw.direct_gain,
                             rng_for(seed, "loop effects", data.rows[n]["id"]), data.white[n])
 
 
-def rendered_cells(data, raws, effects, *, seed, nj=1, rows=None):
-    """Cells of rows as rendered, shape (n_rows, n_cells); NaN where there is nothing to measure."""
-    def one(n, raw):
-        rir = finished(data, n, raw, effects[n], seed)
-        expected = data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ
-        return measure_cells(rir, expected, white=data.white[n]).values
-
-    return np.array(Parallel(n_jobs=nj, prefer="threads")(
-        delayed(one)(n, raw) for n, raw in zip(range(len(data.rows)) if rows is None else rows, raws, strict=True)))
+def _cells(data, n, raw, effects, seed):
+    expected = data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ
+    return measure_cells(finished(data, n, raw, effects, seed), expected, white=data.white[n]).values

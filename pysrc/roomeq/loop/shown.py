@@ -8,7 +8,7 @@ from roomeq.effects.catalogue import CATALOGUE
 from roomeq.loop.cells import HAS_GAIN, METRIC
 from roomeq.loop.fit import Fit
 from roomeq.loop.layout import Layout
-from roomeq.loop.rendering import render_rows, rendered_cells
+from roomeq.loop.rendering import cells_behind, render_rows
 
 _ORDER = list(CATALOGUE.values())
 
@@ -39,8 +39,11 @@ class Shown:
 
     def cells_with(self, by_row):
         """Cells with other effects behind the rendering."""
-        return self.cells if by_row == self.by_row else rendered_cells(self.data, self.raws, by_row, seed=self.seed,
-                                                                       nj=self.nj)
+        return self.cells if by_row == self.by_row else self.cells_of([by_row])[0]
+
+    def cells_of(self, variants):
+        """The same of several variants, shape (n_variants, n_rirs, n_cells)."""
+        return cells_behind(self.data, self.raws, variants, seed=self.seed, nj=self.nj)
 
     def tables_without(self, effects=()):
         """Cells that tables expect of the model without some effects: of what is rendered, and of what is measured."""
@@ -58,8 +61,7 @@ def show(data, fitted, *, seed, nj):
     layout = Layout(data, fitted.effects)
     absorption, vectors = layout.absorption(fitted.mean, fitted.local), layout.vectors(fitted.mean, fitted.local)
     by_row = effects_of_rows(data, fitted.effects, vectors)
-    raws = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj)
-    return Shown(data, fitted, by_row, raws, rendered_cells(data, raws, by_row, seed=seed, nj=nj), seed, nj)
+    return Shown(data, fitted, by_row, *render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj), seed, nj)
 
 
 def in_order(effects):
@@ -124,10 +126,10 @@ def _shifts(shown, by_rays, effect):
     chance, error = by_rays
     without = [[one for one in effects if not isinstance(one, effect)] for effects in shown.by_row]
     plain = shown.cells_with(without)
+    new = [effect.from_vector(np.array(node)) for node in effect.NODES]
     power, found = np.maximum(np.sum(chance ** 2, axis=0), 1e-9), []
-    for node in effect.NODES:
-        new = effect.from_vector(np.array(node))
-        change = shown.cells_with([_sorted([*effects, new]) for effects in without]) - plain
+    for cells in shown.cells_of([[_sorted([*effects, one]) for effects in without] for one in new]):
+        change = cells - plain
         change = np.where(np.isfinite(change), change, 0.0)
         gone = np.clip(-np.sum((change - change.mean(axis=0)) * chance, axis=0) / power, 0.0, 1.0)
         mean, own, share = _parts(shown.data, change + gone * chance, error)

@@ -1,0 +1,65 @@
+"""Work shared out to processes: the same for any number of them, and none outlives its parent."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from roomeq.loop.workers import share_out
+
+
+@pytest.mark.parametrize("first_here", [True, False])
+@pytest.mark.parametrize("nj", [1, 2, 5])
+@pytest.mark.parametrize("count", [0, 1, 2, 7])
+def test_results_come_in_their_order(nj, count, first_here):
+    lock = threading.Lock()  # cannot be pickled, and need not be
+    items = ((n, lock) for n in range(count))
+    assert share_out(lambda item: item[0] ** 2, items, nj, first_here=first_here) == [n ** 2 for n in range(count)]
+
+
+@pytest.mark.parametrize("first_here", [True, False])
+def test_processes_share_the_work(first_here):
+    def busy(_):
+        time.sleep(0.2)
+        return os.getpid()
+
+    ids = share_out(busy, range(5), 2, first_here=first_here)
+    assert (ids[0] == os.getpid()) == first_here
+    assert len(set(ids) - {os.getpid()}) == 2
+
+
+def test_errors_keep_their_type_and_text():
+    def fail(item):
+        raise ValueError(f"room {item}: no RIRs")
+
+    with pytest.raises(ValueError, match="room 3: no RIRs"):
+        share_out(fail, [3, 4], 2, first_here=False)
+
+
+def test_workers_end_with_a_parent_that_is_killed(tmp_path):
+    script = ("import os, sys, time\nfrom roomeq.loop.workers import share_out\n"
+              "def work(n):\n    open(os.path.join(sys.argv[1], str(os.getpid())), 'w').close()\n    time.sleep(600)\n"
+              "share_out(work, range(4), 3, first_here=False)\n")
+    parent = subprocess.Popen([sys.executable, "-c", script, str(tmp_path)])
+    workers = _until(lambda: [int(name) for name in os.listdir(tmp_path)], lambda found: len(found) == 3)
+    parent.send_signal(signal.SIGKILL)
+    parent.wait()
+    assert _until(lambda: [pid for pid in workers if os.path.exists(f"/proc/{pid}/cmdline") and _lives(pid)],
+                  lambda left: not left) == []
+
+
+def _lives(pid):
+    with open(f"/proc/{pid}/stat") as file:
+        return file.read().rpartition(")")[2].split()[0] != "Z"
+
+
+def _until(ask, wanted):
+    for _ in range(300):
+        if wanted(found := ask()):
+            break
+        time.sleep(0.1)
+    return found
