@@ -18,10 +18,9 @@ from roomeq.effects.wavefield import (
     damping_per_s,
     modal_response,
     modes,
-    wall_damping_per_s,
 )
 from roomeq.sim.mesh import make_room
-from roomeq.sim.scene import Air, Material, Scene, Shoebox, eyring_time_s
+from roomeq.sim.scene import Air, Shoebox
 
 C = Air().speed_m_s
 DIMS_M = (5.2, 4.1, 2.7)
@@ -129,18 +128,6 @@ def test_damping_follows_the_bands():
     found = damping_per_s([10.0, 63.0957, 125.8925, 90.0], t60_s)
     np.testing.assert_allclose(found[:3], 3.0 * np.log(10.0) / np.array([1.0, 1.0, 0.8]), rtol=1e-4)
     assert found[1] < found[3] < found[2]
-
-
-def test_walls_damp_oblique_modes_as_eyring_and_axial_ones_less(box_modes):
-    scene = Scene(BOX, [Material("wall", 0.02, 0.1)] * 6, Air(20.0, 50.0))
-    found = wall_damping_per_s(box_modes, scene.absorption)
-    eyring = 3.0 * np.log(10.0) / eyring_time_s(scene)[0]  # with air, which adds little at 63 Hz
-    oblique = np.all(box_modes.shapes.index > 0, axis=1)
-    np.testing.assert_allclose(found[oblique], eyring, rtol=0.01)
-    along_x = np.all((box_modes.shapes.index > 0) == [True, False, False], axis=1)
-    ends, walls = BOX.slot_area_m2[:2].sum(), BOX.slot_area_m2.sum()
-    np.testing.assert_allclose(found[along_x] / found[oblique][0], 0.5 * (1.0 + ends / walls), rtol=1e-9)
-    assert np.all(found <= found[oblique][0] * (1.0 + 1e-12))
 
 
 def test_voxels_of_a_box_have_its_frequencies(mesh_modes):

@@ -124,27 +124,6 @@ def damping_per_s(frequencies_hz, t60_s):
     return np.interp(np.log(frequencies_hz), np.log(EXACT_BANDS_HZ), 3.0 * np.log(10.0) / np.asarray(t60_s))
 
 
-def wall_damping_per_s(modes, absorption):
-    """Damping of the modes of a shoebox by its walls (Kuttruff, eq. 3.30 ff.) [1/s].
-
-    ``c / (8 V) sum_i e_i A_i``, where the area A of a wall is ``-ln(1 - alpha) S`` and e is 1/2 for walls that the mode
-    runs along, else 1: oblique modes decay as Eyring has it, axial ones more slowly.
-
-    Parameters
-    ----------
-    modes : Modes
-        Of a shoebox.
-    absorption : array_like, shape (6, 8)
-        Per wall and octave band.
-    """
-    dims_m = modes.shapes.dims_m
-    area_m2 = np.repeat(modes.volume_m3 / dims_m, 2)[:, None] * -np.log1p(-np.minimum(absorption, 1.0 - 1e-6))
-    pairs_m2 = area_m2.reshape(3, 2, -1).sum(axis=1)
-    at_mode_m2 = np.stack([np.interp(np.log(modes.frequencies_hz), np.log(EXACT_BANDS_HZ), row) for row in pairs_m2])
-    share = np.where(modes.shapes.index > 0, 1.0, 0.5)
-    return modes.speed_m_s / (8.0 * modes.volume_m3) * np.sum(share * at_mode_m2.T, axis=1)
-
-
 def modal_response(modes, source_pos_m, mic_pos_m, damping, n_samples, fs_hz):
     """Impulse response below the highest frequency of the modes.
 
@@ -153,7 +132,7 @@ def modal_response(modes, source_pos_m, mic_pos_m, damping, n_samples, fs_hz):
     modes : Modes
     source_pos_m, mic_pos_m : array_like, shape (3,)
     damping : float or array_like, shape (n_modes,)
-        See `damping_per_s` and `wall_damping_per_s` [1/s].
+        See `damping_per_s` [1/s].
     n_samples : int
     fs_hz : float
 

@@ -18,6 +18,7 @@ _METRICS = {"direct": ("the direct sound", _LOUDER), "early": ("sound of the fir
 _VARIES = {"nothing": "in all rooms alike", "room": "in some rooms", "source": "from one source set against the others",
            "mic": "at one microphone set against the others"}
 _SHOWS_DB = -45.0  # a second decay that begins lower is out of reach of T30
+_BEHIND_M = 0.01  # a shorter detour may be none: positions are known to centimetres
 
 
 def names_of(entry):
@@ -61,7 +62,7 @@ def of_effect(effect, parameters):
     """
     best = {unit: one["best"] for unit, one in parameters.items()}
     return _EFFECTS[effect](best, {name: np.array([one[name] for one in best.values()])
-                                   for name in next(iter(best.values()), {})})
+                                   for name in next(iter(best.values()))})
 
 
 def _over(values, form, unit):
@@ -100,7 +101,7 @@ def _noise_floor(best, values):
 
 
 def _occlusion(best, values):
-    behind = values["detour_m"] > 0.01
+    behind = values["detour_m"] > _BEHIND_M
     detours = f", a detour of {_over(100.0 * values['detour_m'][behind], '.0f', 'cm')}" if behind.any() else ""
     return f"in {behind.sum()} of {len(best)} recordings the direct sound comes around an obstacle{detours}"
 
