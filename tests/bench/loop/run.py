@@ -19,10 +19,12 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
+for variable in ("OMP", "OPENBLAS", "MKL", "NUMBA"):  # as in path.sh: the loop has processes
+    os.environ.setdefault(f"{variable}_NUM_THREADS", "1")
+ROOT = Path(__file__).resolve().parents[3]
+sys.path[:1] = [str(ROOT / name) for name in ("pysrc", "tests")]
 
-os.environ.setdefault("NUMBA_NUM_THREADS", str(min(2, len(os.sched_getaffinity(0)))))
-sys.path[:1] = [str(Path(__file__).resolve().parents[n] / name) for n, name in ((3, "pysrc"), (2, ""))]
+import numpy as np  # noqa: E402
 
 from bench import kit  # noqa: E402
 from bench.loop.table import rates, show  # noqa: E402
@@ -34,7 +36,6 @@ from worlds import KINDS, make_world  # noqa: E402
 OUTSIDE = ("clock_drift", "harmonic_distortion", "ringing_object")
 PAIRS = ("source_response+air_absorption", "source_response+room_modes", "mic_response+near_reflector",
          "coupled_volume+source_directivity", "noise_floor+source_response", "sound_speed+mic_response")
-ROOT = Path(__file__).resolve().parents[3]
 CODE = [*(ROOT / "pysrc/roomeq" / part for part in ("acoustics", "effects", "loop", "sim", "constants.py", "rirs.py",
                                                    "rng.py")), ROOT / "tests/worlds"]
 """What makes the results: they count for the same bytes of it."""
@@ -66,10 +67,10 @@ def one_world(kind, strength, seed, cache, done):
         for one in done:
             if (one["kind"], one["seed"], one["achieved_jnd"]) == (kind, seed, truth["achieved_jnd"]):
                 return one | dict(strength=strength)
-        start, cpu = time.perf_counter(), time.process_time()
+        start, cpu = time.perf_counter(), sum(os.times()[:4])
         ledger = close_loop([Path(directory, "fit")], Path(directory, "loop"), seed=seed,
                             judge=[Path(directory, "judge")], nj=2)
-        seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
+        seconds, cpu = time.perf_counter() - start, sum(os.times()[:4]) - cpu
     return dict(kind=kind, strength=strength, seed=seed, achieved_jnd=truth["achieved_jnd"], rings_hz=_rings_hz(truth),
                 found=[one["effect"] for one in ledger["iterations"]],
                 cannot_tell=[one.get("cannot_tell", []) for one in ledger["iterations"]],

@@ -70,7 +70,7 @@ def rates(done):
         _rate("both of two effects", [set(one["found"]) >= set(one["kind"].split("+")) for one in pairs], ">= 80 %"),
         _rate("outside the catalogue: unexplained, in its region and band", map(_located, outside), ">= 90 %"),
         _rate("outside the catalogue: misnamed", [bool(one["found"]) for one in outside], "<= 5 %"),
-        _rate("a world within 60 s of wall time", [one["seconds"] <= 60.0 for one in done], "all")]
+        _rate("a world within 60 s of wall time", [one["seconds"] <= 60.0 for one in done if one["seconds"]], "all")]
 
 
 def show(done):
@@ -80,11 +80,12 @@ def show(done):
     for kind, strength in kinds:
         these = [one for one in done if (one["kind"], one["strength"]) == (kind, strength)]
         first = [(one["found"] or ["nothing"])[0] for one in these]
+        seconds = [one["seconds"] for one in these if one["seconds"]]
         named = ", ".join(f"{first.count(name)} {name}" for name in sorted(set(first), key=lambda n: -first.count(n)))
         rows.append([kind, strength, len(these), named, float(np.mean([one["before"] for one in these])),
                      float(np.mean([one["after"] for one in these])),
-                     float(np.mean([one["judge_after"] for one in these])), float(np.median([one["seconds"] for one in
-                                                                                            these]))])
+                     float(np.mean([one["judge_after"] for one in these])),
+                     float(np.median(seconds)) if seconds else None])
     print("\n" + table(["world", "JND", "worlds", "first found", "error before", "after", "judge after", "s"], rows))
     print()
     for one in rates(done):
