@@ -40,14 +40,18 @@ def test_errors_keep_their_type_and_text():
         share_out(fail, [3, 4], 2, first_here=False)
 
 
-def test_workers_end_with_a_parent_that_is_killed(tmp_path):
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_workers_end_with_their_parent(how, tmp_path):
+    """A terminal interrupts all of them; what kills the parent alone tells them nothing."""
     script = ("import os, sys, time\nfrom roomeq.loop.workers import share_out\n"
               "def work(n):\n    open(os.path.join(sys.argv[1], str(os.getpid())), 'w').close()\n    time.sleep(600)\n"
               "share_out(work, range(4), 3, first_here=False)\n")
-    parent = subprocess.Popen([sys.executable, "-c", script, str(tmp_path)])
+    parent = subprocess.Popen([sys.executable, "-c", script, str(tmp_path)], start_new_session=True,
+                              stderr=subprocess.PIPE, text=True)
     workers = _until(lambda: [int(name) for name in os.listdir(tmp_path)], lambda found: len(found) == 3)
-    parent.send_signal(signal.SIGKILL)
-    parent.wait()
+    os.kill(-parent.pid if how == signal.SIGINT else parent.pid, how)
+    _, error = parent.communicate(timeout=30)
+    assert parent.returncode == -how and error.count("Traceback") == (how == signal.SIGINT)
     assert _until(lambda: [pid for pid in workers if os.path.exists(f"/proc/{pid}/cmdline") and _lives(pid)],
                   lambda left: not left) == []
 

@@ -41,7 +41,8 @@ def share_out(work, items, nj, *, first_here=True):
 def _begin(*share):
     global _share
     _share = share
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it too, and ends its workers
+    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as of a job in the background
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # ends it at once and without a word; the parent has one to say
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
