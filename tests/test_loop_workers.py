@@ -43,7 +43,9 @@ def test_errors_keep_their_type_and_text():
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_workers_end_with_their_parent(how, tmp_path):
     """A terminal interrupts all of them; what kills the parent alone tells them nothing."""
-    script = ("import os, sys, time\nfrom roomeq.loop.workers import share_out\n"
+    # whoever runs the tests in the background has them ignore interrupts
+    script = ("import os, signal, sys, time\nfrom roomeq.loop.workers import share_out\n"
+              "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
               "def work(n):\n    open(os.path.join(sys.argv[1], str(os.getpid())), 'w').close()\n    time.sleep(600)\n"
               "share_out(work, range(4), 3, first_here=False)\n")
     parent = subprocess.Popen([sys.executable, "-c", script, str(tmp_path)], start_new_session=True,
