@@ -54,13 +54,16 @@ def test_workers_end_with_their_parent(how, tmp_path):
     os.kill(-parent.pid if how == signal.SIGINT else parent.pid, how)
     _, error = parent.communicate(timeout=30)
     assert parent.returncode == -how and error.count("Traceback") == (how == signal.SIGINT)
-    assert _until(lambda: [pid for pid in workers if os.path.exists(f"/proc/{pid}/cmdline") and _lives(pid)],
+    assert _until(lambda: [pid for pid in workers if _lives(pid)],
                   lambda left: not left) == []
 
 
 def _lives(pid):
-    with open(f"/proc/{pid}/stat") as file:
-        return file.read().rpartition(")")[2].split()[0] != "Z"
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rpartition(")")[2].split()[0] != "Z"
+    except OSError:  # gone, perhaps while it was read
+        return False
 
 
 def _until(ask, wanted):
