@@ -157,8 +157,9 @@ def test_noise_rir_without_its_rir_is_refused(dirs, tmp_path):
         compensate(tmp_path / "orphan", dirs[1], tmp_path / "out", seed=0)
 
 
-def test_rir_shorter_than_the_analysis_is_named(dirs, tmp_path):
-    write_rir_dir(tmp_path / "short", [(row("a"), coloured_rir(0)[:DIRECT + 300])])
-    with pytest.raises(ValueError, match="a.wav: .*EQ analysis needs 512"):
-        compensate(tmp_path / "short", dirs[1], tmp_path / "out", seed=0)
+def test_rir_without_direct_sound_is_named(dirs, tmp_path):
+    cut = coloured_rir(0)[:DIRECT + 300]
+    write_rir_dir(tmp_path / "cut", [(row("a", direct_sample=900.0, direct_polarity=1), cut)])
+    with pytest.raises(ValueError, match="a.wav: direct_sample=900 must lie before"):
+        compensate(tmp_path / "cut", dirs[1], tmp_path / "out", seed=0)
     assert not (tmp_path / "out").exists()

@@ -103,13 +103,9 @@ def test_positions_are_believed_only_inside_the_room(more, ok):
     assert geometry_ok(row("a", **more)) is ok
 
 
-@pytest.mark.parametrize("rir, message", [
-    (0.1 * np.random.default_rng(0).standard_normal(8000), "no direct sound"),
-    (coloured_rir(0)[:DIRECT + 200], "EQ analysis needs 512"),
-], ids=["noise", "short"])
-def test_what_cannot_be_measured_stops_naming_the_file_or_is_dropped(tmp_path, rir, message):
-    items = [(row("a"), coloured_rir(0)), (row("bad"), rir)]
-    with pytest.raises(ValueError, match=f"bad.wav: .*{message}"):
+def test_what_cannot_be_measured_stops_naming_the_file_or_is_dropped(tmp_path):
+    items = [(row("a"), coloured_rir(0)), (row("bad"), 0.1 * np.random.default_rng(0).standard_normal(8000))]
+    with pytest.raises(ValueError, match="bad.wav: .*no direct sound"):
         run(tmp_path, items)
     assert not (tmp_path / "out").exists()
     rows, report = run(tmp_path, items, skip_bad=True)

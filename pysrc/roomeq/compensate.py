@@ -67,7 +67,7 @@ def compensate(sim_dir, eq_dir, out, *, taps=511, passes=3, match_rooms=True, se
     Raises
     ------
     ValueError
-        An option is wrong, or an RIR is shorter than the analysis.
+        An option is wrong, or an RIR has no direct sound.
     """
     if not 3 <= taps <= MAX_TAPS or taps % 2 == 0:
         raise ValueError(f"taps={taps} must be odd and lie in [3, {MAX_TAPS}]: a linear-phase filter delays by half "
@@ -125,7 +125,7 @@ def compensate_rir(rir, direct_sample, target_db, *, taps=511, passes=3):
     Raises
     ------
     ValueError
-        Fewer than 512 samples follow the direct sound.
+        The direct sound lies behind the end of the response.
     """
     target_db = np.asarray(target_db, dtype=np.float64)
     wanted_db = analyse(rir, direct_sample).level_db[BAND_1KHZ] + target_db

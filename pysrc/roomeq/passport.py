@@ -40,7 +40,7 @@ def characterise(rir_dir, out, *, skip_bad=False, part=None, nj=1):
         RIR directory to make: the same audio (not copied), its rows with `passport` (see `measure`),
         `screen` (why the EQ fit leaves this RIR out, or null) and `geometry_ok`; and `screening.json`.
     skip_bad : bool
-        Drop recordings that cannot be measured at all (no direct sound, shorter than 32 ms) instead of
+        Drop recordings that cannot be measured at all (no direct sound) instead of
         stopping at the first.
     part : str, optional
         ``"2/5"``: do one share of the work only.

@@ -29,7 +29,7 @@ def measure(rir, *, direct=None):
     Raises
     ------
     ValueError
-        There is no direct sound, or fewer than 512 samples follow it.
+        There is no direct sound, or it lies behind the end of the response.
     """
     sample, polarity = find_direct(rir, FS_HZ) if direct is None else direct
     eq = analyse(rir, sample)

@@ -1,9 +1,14 @@
 """The sub-band EQ of an impulse response: its level at eight frequencies, relative to 1 kHz.
 
-Tang, Meng, Manocha, "Low-frequency compensated synthetic impulse responses", section 3.1. What the paper
-leaves open is fixed here: the mean power of Hann-windowed frames of 512 samples, hop 256, from 2 ms before the
-direct sound down to the noise floor. At 16 kHz the bins are 31.25 Hz apart and the eight points are bins 2, 4,
-8, ... 256.
+Tang, Meng, Manocha, "Low-frequency compensated synthetic impulse responses", section 3.1: "the Fourier transform with a
+window size of 512" of the whole response. Here that is the power spectrum of the response from 16 ms before the direct
+sound to the noise floor, summed over Hann-windowed frames of 512 samples, hop 128, with zeros before the first sample
+and after the last. Squared Hann windows a quarter of a frame apart add up to a constant (Harris, Proc. IEEE 66 (1978)
+51), so every sample has the same weight wherever the frames begin, and the result is the periodogram of the whole
+response smoothed by the squared transform of the Hann window. With a hop of 256 samples the weight of the direct sound
+would vary by 3 dB with its position in the frame.
+
+At 16 kHz the bins are 31.25 Hz apart and the eight points are bins 2, 4, 8, ... 256.
 """
 
 from dataclasses import dataclass
@@ -14,14 +19,16 @@ from roomeq.acoustics.metrics import find_knee
 from roomeq.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 
 N_FRAME = 512
-N_HOP = 256
-LEAD_S = 2e-3
+N_HOP = 128
+N_LEAD = 256  # samples before the direct sound that belong to the response: its onset is known to a few samples only
 POINT_BINS = tuple(round(f * N_FRAME / FS_HZ) for f in BANDS_HZ)
 MIN_SNR_DB = 10.0  # at a point: less noise than that adds at most 0.4 dB
+MIN_NOISE = 2 * N_FRAME  # samples after the noise intersection from which the noise spectrum is estimated
 PASS_HZ = (6500.0, 7250.0)  # anti-alias filters still pass here ...
 ROLL_OFF_HZ = 7900.0  # ... and no longer from here up
 ROLL_OFF_DB = 20.0  # 100 dB per octave between the two: steeper than any loudspeaker, and than chance in a few bins
 _WINDOW = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N_FRAME) / N_FRAME)
+_WEIGHT = np.sum(_WINDOW ** 2) / N_HOP  # that each sample has in the sum over frames
 
 
 @dataclass(frozen=True)
@@ -31,7 +38,7 @@ class EqAnalysis:
     Attributes
     ----------
     level_db : ndarray, shape (8,)
-        Mean frame power, relative to a frame power of 1.
+        Energy, relative to that of a unit impulse.
     eq_db : ndarray, shape (8,)
         The same relative to 1 kHz.
     valid : ndarray of bool, shape (8,)
@@ -49,40 +56,45 @@ class EqAnalysis:
     edge_db: float | None
 
 
-def frame_power(rir, start, stop):
-    """Mean power spectrum of the frames that lie in a part of a response.
+def energy_spectrum(part):
+    """Energy spectrum of a part of a response, each sample weighted alike; see this module's docstring.
 
     Parameters
     ----------
-    rir : ndarray, shape (n_samples,)
-    start, stop : int
-        Part [samples]; only whole frames count.
+    part : ndarray, shape (n_samples,)
+        Of any length.
 
     Returns
     -------
-    power : ndarray, shape (257,)
+    energy : ndarray, shape (257,)
+        At multiples of 31.25 Hz; a unit impulse gives 1 everywhere. The mean over all 512 bins of the two-sided
+        spectrum is the energy of the part (Parseval).
+    """
+    n_frames = -(-(len(part) + N_FRAME - N_HOP) // N_HOP)
+    padded = np.zeros((n_frames - 1) * N_HOP + N_FRAME)
+    padded[N_FRAME - N_HOP:][:len(part)] = part
+    frames = np.lib.stride_tricks.sliding_window_view(padded, N_FRAME)[::N_HOP]
+    return np.sum(np.abs(np.fft.rfft(frames * _WINDOW, axis=1)) ** 2, axis=0) / _WEIGHT
+
+
+def eq_part(rir, direct_sample):
+    """Part of a response that its EQ is measured on, (start, stop) [samples].
+
+    From 16 ms before the direct sound to the noise intersection point, or to the last sample that is not zero; at least
+    a frame where the response has one.
 
     Raises
     ------
     ValueError
-        The part is shorter than a frame.
+        The direct sound lies behind the end of the response.
     """
-    if stop - start < N_FRAME:
-        raise ValueError(f"impulse response has {stop - start} samples from the direct sound on: EQ analysis "
-                         f"needs {N_FRAME} (32 ms): record longer or drop it")
-    frames = np.lib.stride_tricks.sliding_window_view(rir[start:stop], N_FRAME)[::N_HOP]
-    return np.mean(np.abs(np.fft.rfft(frames * _WINDOW, axis=1)) ** 2, axis=0)
-
-
-def eq_part(rir, direct_sample):
-    """Part of a response that its EQ is measured on: (start, stop) [samples], at least a frame if there is one."""
-    start = max(0, round(direct_sample - LEAD_S * FS_HZ))
     direct = max(0, round(direct_sample))
     occupied = np.flatnonzero(rir)
     last = int(occupied[-1]) + 1 if len(occupied) else 0
     if last <= direct:
         raise ValueError(f"direct_sample={direct_sample:g} must lie before the response's end, {last}: "
                          "find it again")
+    start = max(0, direct - N_LEAD)
     stop = direct + find_knee(np.square(rir[direct:last], dtype=np.float64), FS_HZ).sample
     return start, min(max(stop, start + N_FRAME), len(rir))
 
@@ -103,15 +115,15 @@ def analyse(rir, direct_sample):
     Raises
     ------
     ValueError
-        Fewer than 512 samples follow the direct sound.
+        The direct sound lies behind the end of the response.
     """
     rir = np.asarray(rir, dtype=np.float64)
     start, stop = eq_part(rir, direct_sample)
-    power = frame_power(rir, start, stop)
+    power = energy_spectrum(rir[start:stop])
     points = list(POINT_BINS)
     snr_db = np.full(len(points), np.inf)
-    if len(rir) - stop >= 2 * N_FRAME:
-        noise = frame_power(rir, stop, len(rir))
+    if len(rir) - stop >= MIN_NOISE:
+        noise = energy_spectrum(rir[stop:]) * (stop - start) / (len(rir) - stop)
         if noise.max() > 0.0:
             snr_db = _db(power[points]) - _db(noise[points])
     valid = (snr_db >= MIN_SNR_DB) & (power[points] > 0.0) & (snr_db[BAND_1KHZ] >= MIN_SNR_DB)

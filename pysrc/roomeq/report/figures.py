@@ -147,11 +147,11 @@ def spectrogram(title: str, rir: np.ndarray, duration_s: float) -> Draw:
     Parameters
     ----------
     rir : ndarray, shape (n_samples,)
-        Starts at the direct sound.
+        Starts half a frame (256 samples) before the direct sound, which is the centre of the first frame.
     """
     n_fft, hop = 512, 64
     wanted = round(duration_s * FS_HZ)
-    padded = np.concatenate([np.zeros(n_fft // 2), rir[:wanted], np.zeros(max(0, wanted - len(rir)) + n_fft)])
+    padded = np.concatenate([rir, np.zeros(max(0, wanted + n_fft - len(rir)))])
     frames = np.lib.stride_tricks.sliding_window_view(padded, n_fft)[::hop][:wanted // hop]
     power = np.abs(np.fft.rfft(frames * np.hanning(n_fft), axis=1).T[1:]) ** 2
     level_db = 10 * np.log10(np.maximum(power, 1e-30) / max(power.max(), 1e-30))

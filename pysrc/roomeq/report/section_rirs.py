@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from roomeq.acoustics.spectrum import LEAD_S, POINT_BINS, eq_part, frame_power
-from roomeq.constants import BAND_1KHZ, FS_HZ
+from roomeq.acoustics.spectrum import N_LEAD, POINT_BINS, energy_spectrum, eq_part
+from roomeq.constants import BAND_1KHZ
 from roomeq.report import figures
 from roomeq.report.kinds import (
     DIRECTORIES,
@@ -22,8 +22,9 @@ SPECTROGRAM_S = 0.6
 
 
 def response_db(rir: np.ndarray, direct: float) -> np.ndarray:
-    """Return the mean frame power of an RIR as EQ is measured, shape (257,) [dB relative to 1 kHz]."""
-    power = frame_power(rir, *eq_part(rir, direct))
+    """Return the energy spectrum of an RIR as EQ is measured, shape (257,) [dB relative to 1 kHz]."""
+    start, stop = eq_part(rir, direct)
+    power = energy_spectrum(rir[start:stop])
     level_db = 10 * np.log10(np.maximum(power, 1e-30))
     return level_db - level_db[POINT_BINS[BAND_1KHZ]]
 
@@ -78,10 +79,11 @@ def spectrograms(run: Run) -> Html:
         if kind in chosen:
             rir = run.rir(DIRECTORIES[kind], chosen[kind])
             direct = direct_sample(run, DIRECTORIES[kind], chosen[kind])
-            start = max(0, round(direct - LEAD_S * FS_HZ))
+            start = round(direct) - N_LEAD
+            part = np.concatenate([np.zeros(max(0, -start)), rir[max(0, start):]])
             title = KINDS[kind][0].upper() + KINDS[kind][1:]
             panels.append(figures.panel(
-                f"figure-3-{kind}", figures.spectrogram(title, rir[start:], SPECTROGRAM_S),
+                f"figure-3-{kind}", figures.spectrogram(title, part, SPECTROGRAM_S),
                 f"Spectrogram of the {KINDS[kind]} RIR {chosen[kind]['id']}, {SPECTROGRAM_S} s from the direct "
                 "sound", figures.SMALL_IN))
     if len(panels) == 1:
