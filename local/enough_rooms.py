@@ -11,7 +11,7 @@ import sys
 from collections import Counter
 
 from roomeq.loop.attribute import MIN_ROOMS
-from roomeq.rirs import read_rirs
+from roomeq.records.rir_dir import read_rirs
 
 
 def rooms_with_geometry(rows):

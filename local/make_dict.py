@@ -16,8 +16,8 @@ from pathlib import Path
 
 import espeak_client
 import espeak_worker
-from roomeq.build import Build
-from roomeq.files import read_text, write_text
+from roomeq.core.build import Build
+from roomeq.core.files import read_text, write_text
 
 VOICE = "en-us"
 SILENCES = {"!SIL": "SIL", "<UNK>": "SPN"}

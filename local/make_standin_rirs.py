@@ -20,10 +20,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 import standin_acoustics
-from roomeq.audio import write_wav
-from roomeq.build import Build
-from roomeq.files import write_text
-from roomeq.rng import rng_for
+from roomeq.core.audio import write_wav
+from roomeq.core.build import Build
+from roomeq.core.files import write_text
+from roomeq.core.rng import rng_for
 from standin_acoustics import FS_HZ, LOUDSPEAKERS, N_OUT, OCTAVES_HZ, Room, impulse_responses
 
 # name, type, subtype, depth x width x height [m], T60 at 1 kHz [s], walls, floor, ceiling, furniture [percent]

@@ -24,11 +24,11 @@ import espeak_worker
 import standin_noises
 import standin_text
 from espeak_client import Espeak
-from roomeq.audio import write_flac
-from roomeq.build import Build
-from roomeq.constants import FS_HZ
-from roomeq.files import write_text
-from roomeq.rng import rng_for
+from roomeq.core.audio import write_flac
+from roomeq.core.build import Build
+from roomeq.core.constants import FS_HZ
+from roomeq.core.files import write_text
+from roomeq.core.rng import rng_for
 from standin_text import draw_sentence
 
 

@@ -21,11 +21,11 @@ import soundfile
 import soxr
 
 from make_standin_speech import recorded
-from roomeq.audio import write_flac
-from roomeq.build import Build
-from roomeq.constants import FS_HZ
-from roomeq.files import write_text
-from roomeq.rng import rng_for
+from roomeq.core.audio import write_flac
+from roomeq.core.build import Build
+from roomeq.core.constants import FS_HZ
+from roomeq.core.files import write_text
+from roomeq.core.rng import rng_for
 
 NAME = re.compile(r"(\d)_([A-Za-z0-9]+)_(\d{1,4})\.(wav|flac)")
 WORDS = "ZERO ONE TWO THREE FOUR FIVE SIX SEVEN EIGHT NINE".split()

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from roomeq.rng import rng_for
+from roomeq.core.rng import rng_for
 
 VOCABULARY = """zero one two three four five six seven eight nine ten yes no up down left right on off stop go open shut
 turn play call find show wait run sing walk take make bring give send lamp door window kitchen garden table chair bed

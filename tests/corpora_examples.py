@@ -3,7 +3,7 @@
 import numpy as np
 import soundfile
 
-from roomeq.rng import rng_for
+from roomeq.core.rng import rng_for
 
 FS_HZ = 16000
 SWEEP = "IR_sweep_15s_45Hzto22kHz_FS16kHz"

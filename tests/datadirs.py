@@ -3,10 +3,10 @@
 import numpy as np
 import soundfile
 
-from roomeq.audio import write_flac, write_wav
-from roomeq.datawrite import OutUtterance, write_data_dir
-from roomeq.rirs import write_noises, write_rirs
-from roomeq.wavscp import flac_entry
+from roomeq.core.audio import write_flac, write_wav
+from roomeq.kaldi.wavscp import flac_entry
+from roomeq.kaldi.write import OutUtterance, write_data_dir
+from roomeq.records.rir_dir import write_noises, write_rirs
 
 FS = 16000
 LENGTHS = {"a-1-0001": 12345, "a-1-0002": 9001, "a-2-0001": 16000, "b-1-0001": 20011, "b-1-0002": 8000}

@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from roomeq.build import Build
-from roomeq.constants import BANDS_HZ
+from roomeq.core.build import Build
+from roomeq.core.constants import BANDS_HZ
+from roomeq.core.files import write_json
+from roomeq.core.rng import rng_for
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, write_model
 from roomeq.effects.response import RESPONSE_HZ
-from roomeq.files import write_json
 from roomeq.loop.cells import METRIC, N_CELLS, REGION, THIRDS_HZ
 from roomeq.loop.check import RESIDUALS_FILE
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, LENGTH_S, STEP_S
 from roomeq.loop.ledger import LEDGER_FILE
-from roomeq.rng import rng_for
 
 N_RIRS, ROOMS = 24, ("hall", "office", "<b>attic")
 VECTORS = dict(source_response=5.0 * np.sin(np.arange(len(RESPONSE_HZ)) / 3.0),

@@ -3,17 +3,17 @@
 import numpy as np
 
 from loop_run import make_loop
-from roomeq.audio import write_flac, write_wav
-from roomeq.augment import augment
-from roomeq.compensate import compensate
-from roomeq.constants import BANDS_HZ, FS_HZ
-from roomeq.datawrite import OutUtterance, write_data_dir
-from roomeq.eq import fit_eq
-from roomeq.passport import characterise
-from roomeq.rirs import read_rirs, write_noises, write_rirs
-from roomeq.rng import rng_for
-from roomeq.split import split_rirs
-from roomeq.wavscp import flac_entry
+from roomeq.augment.augment import augment
+from roomeq.core.audio import write_flac, write_wav
+from roomeq.core.constants import BANDS_HZ, FS_HZ
+from roomeq.core.rng import rng_for
+from roomeq.corpora.characterise import characterise
+from roomeq.corpora.split import split_rirs
+from roomeq.eq.compensate import compensate
+from roomeq.eq.fit import fit_eq
+from roomeq.kaldi.wavscp import flac_entry
+from roomeq.kaldi.write import OutUtterance, write_data_dir
+from roomeq.records.rir_dir import read_rirs, write_noises, write_rirs
 from roomeq.wer.measure import wer
 from wer_run import put_example
 

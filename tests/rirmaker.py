@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from roomeq.audio import write_wav
-from roomeq.constants import EXACT_BANDS_HZ, FS_HZ
-from roomeq.rirs import write_noises, write_rirs
+from roomeq.core.audio import write_wav
+from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
+from roomeq.records.rir_dir import write_noises, write_rirs
 
 DIRECT = 320
 

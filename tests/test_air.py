@@ -5,7 +5,7 @@ import pytest
 
 from roomeq.acoustics.air import air_absorption_db_m, band_attenuation_per_m, speed_of_sound_m_s
 from roomeq.acoustics.filterbank import octave_filterbank
-from roomeq.constants import EXACT_BANDS_HZ, FS_HZ
+from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 
 # ISO 9613-2:1996, table 2 (computed by ISO 9613-1 at the exact mid-band frequencies 63 Hz to 8 kHz) [dB/km]
 TABLE_DB_KM = {

@@ -13,11 +13,11 @@ import soundfile
 from joblib.externals.loky import get_reusable_executor
 
 from datadirs import FS, LENGTHS, audio_of, burst, decay, rir_dir, rir_row, speech_dir
-from roomeq.audio import write_flac, write_wav
-from roomeq.augment import augment
-from roomeq.datadir import read_data_dir, validate_data_dir
-from roomeq.draws import parse_distribution
-from roomeq.rirs import load_rir, read_rirs, write_noises, write_rirs
+from roomeq.augment.augment import augment
+from roomeq.augment.draw import parse_distribution
+from roomeq.core.audio import write_flac, write_wav
+from roomeq.kaldi.datadir import read_data_dir, validate_data_dir
+from roomeq.records.rir_dir import load_rir, read_rirs, write_noises, write_rirs
 
 SAMPLE = 2.0**-15
 
@@ -225,7 +225,7 @@ def test_segments_archives_and_flac_in_give_the_same_audio(tmp_path, inputs):
 
 
 def test_long_chapters_are_cut(tmp_path, inputs, monkeypatch):
-    monkeypatch.setattr("roomeq.layout.MAX_RECORDING_S", 1.5)
+    monkeypatch.setattr("roomeq.augment.pack.MAX_RECORDING_S", 1.5)
     clean, rirs = inputs
     augment(clean, rirs, tmp_path / "out", copies=2)
     assert validate_data_dir(tmp_path / "out") == 10

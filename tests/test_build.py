@@ -7,10 +7,10 @@ import sys
 
 import pytest
 
-from roomeq import build
-from roomeq.build import DONE_FILE, Build, share
-from roomeq.digests import code_digest, digest
-from roomeq.files import write_json, write_text
+from roomeq.core import build
+from roomeq.core.build import DONE_FILE, Build, share
+from roomeq.core.digests import code_digest, digest
+from roomeq.core.files import write_json, write_text
 
 
 def make_squares(out, inputs=(), numbers=(1, 2, 3), part=None, fail_on=None, **options):
@@ -95,7 +95,7 @@ def test_a_changed_input_is_noticed(tmp_path):
 
 def test_other_code_is_noticed(tmp_path, project_dir, monkeypatch):
     package = shutil.copytree(project_dir / "pysrc/roomeq", tmp_path / "pysrc/roomeq")
-    code = "from roomeq.digests import code_digest; print(code_digest(), end='')"
+    code = "from roomeq.core.digests import code_digest; print(code_digest(), end='')"
 
     def of_the_copy():
         return subprocess.run([sys.executable, "-c", code], env=os.environ | dict(PYTHONPATH=str(tmp_path / "pysrc")),

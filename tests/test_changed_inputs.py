@@ -9,11 +9,11 @@ import soundfile
 
 from datadirs import rir_dir, speech_dir
 from rirmaker import coloured_rir
-from roomeq.audio import write_flac, write_wav
-from roomeq.augment import augment
+from roomeq.augment.augment import augment
+from roomeq.core.audio import write_flac, write_wav
 from roomeq.corpora import prepare_speech, read_measured
-from roomeq.passport import characterise
-from roomeq.split import split_rirs
+from roomeq.corpora.characterise import characterise
+from roomeq.corpora.split import split_rirs
 
 
 def change(path):

@@ -6,14 +6,14 @@ from scipy.signal import freqz
 
 from rirmaker import DIRECT, coloured_rir, row, write_rir_dir
 from roomeq.acoustics.direct import find_direct
-from roomeq.acoustics.metrics import reverberation_time
-from roomeq.acoustics.spectrum import analyse
-from roomeq.audio import read_audio
-from roomeq.compensate import apply_filter, compensate, compensate_rir, design_filter, summarise
-from roomeq.constants import BANDS_HZ, FS_HZ
-from roomeq.files import read_json, write_json
-from roomeq.mixture import fit_gmm
-from roomeq.rirs import load_rir, read_rirs, rir_path, validate_rirs
+from roomeq.acoustics.iso3382 import reverberation_time
+from roomeq.acoustics.subband_eq import analyse
+from roomeq.core.audio import read_audio
+from roomeq.core.constants import BANDS_HZ, FS_HZ
+from roomeq.core.files import read_json, write_json
+from roomeq.eq.compensate import apply_filter, compensate, compensate_rir, design_filter, summarise
+from roomeq.eq.gmm import fit_gmm
+from roomeq.records.rir_dir import load_rir, read_rirs, rir_path, validate_rirs
 
 TARGET_DB = np.array([8.0, 5.0, 4.0, 2.0, 0.0, -3.0, -5.0, -13.0])
 FREE_TARGETS = np.random.default_rng(0).normal(np.delete(TARGET_DB, 4), 3.0, (40, 7))

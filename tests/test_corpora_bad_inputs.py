@@ -7,7 +7,7 @@ import pytest
 
 from corpora_examples import make_folder, make_table, put, put_text, rir
 from roomeq.corpora import read_measured, read_noises
-from roomeq.rirs import read_rirs
+from roomeq.records.rir_dir import read_rirs
 
 
 def put_empty(path):

@@ -5,12 +5,12 @@ import json
 import pytest
 
 from corpora_examples import MEASURED, make_folder, make_table, put, rir
-from roomeq.audio import read_audio
+from roomeq.core.audio import read_audio
 from roomeq.corpora import read_measured
 from roomeq.corpora.measured import detect_kind
 from roomeq.corpora.record import rir_row
-from roomeq.rirs import load_rir, read_noises, read_rirs, validate_rirs
-from roomeq.rows import is_id
+from roomeq.records.rir_dir import load_rir, read_noises, read_rirs, validate_rirs
+from roomeq.records.schema import is_id
 
 N_RIRS = dict(reverbdb=2, table=2, folder=4, slr28=13, sofa=5)
 

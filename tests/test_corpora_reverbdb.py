@@ -12,7 +12,7 @@ from corpora_examples import (
 )
 from roomeq.corpora import read_measured
 from roomeq.corpora.reverbdb import list_reverbdb, read_meta
-from roomeq.rirs import read_noises, read_rirs
+from roomeq.records.rir_dir import read_noises, read_rirs
 
 
 def rows_of(root):

@@ -7,7 +7,7 @@ from corpora_examples import put, put_sofa, put_text, rir
 from roomeq.corpora import read_measured
 from roomeq.corpora.record import Recording
 from roomeq.corpora.sofa_file import list_sofa, sofa_signals
-from roomeq.rirs import load_rir, read_rirs
+from roomeq.records.rir_dir import load_rir, read_rirs
 
 
 def signals(path):

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from roomeq.build import Build
-from roomeq.files import write_json, write_text
+from roomeq.core.build import Build
+from roomeq.core.files import write_json, write_text
 
 WATCHED = ("open", "os.rename", "os.mkdir", "os.remove", "os.rmdir", "fcntl.flock")
 

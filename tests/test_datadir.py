@@ -14,10 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from datadirs import FS, LENGTHS, burst, speech_dir
-from roomeq.audio import write_flac, write_wav
-from roomeq.datadir import read_data_dir, read_utterance, validate_data_dir
-from roomeq.datawrite import OutUtterance, format_seconds, write_data_dir
-from roomeq.wavscp import Entry, flac_entry, parse_entry, read_entry
+from roomeq.core.audio import write_flac, write_wav
+from roomeq.kaldi.datadir import read_data_dir, read_utterance, validate_data_dir
+from roomeq.kaldi.wavscp import Entry, flac_entry, parse_entry, read_entry
+from roomeq.kaldi.write import OutUtterance, format_seconds, write_data_dir
 
 
 def edit(path, change):
@@ -163,7 +163,7 @@ def test_pipes_that_fail(command, message):
 def test_ids_are_never_run_and_leave_no_folder(tmp_path, monkeypatch, name):
     """An id is text: here it is the speaker, the utterance and the name of the file."""
     from datadirs import rir_dir
-    from roomeq.augment import augment
+    from roomeq.augment.augment import augment
 
     monkeypatch.chdir(tmp_path)
     name = name.replace(" ", "\u00b7")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from roomeq.acoustics.direct import find_direct
-from roomeq.audio import read_audio
-from roomeq.constants import FS_HZ
+from roomeq.core.audio import read_audio
+from roomeq.core.constants import FS_HZ
 
 
 def arrival(sample, n_samples=4000):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from roomeq.distance import eq_distance, gap_closed
+from roomeq.eq.distance import eq_distance, gap_closed
 
 
 def rng():

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from rirmaker import DIRECT, coloured_rir, row, write_rir_dir
-from roomeq.acoustics.spectrum import N_FRAME, N_LEAD, POINT_BINS, analyse, energy_spectrum
-from roomeq.constants import BANDS_HZ, FS_HZ
-from roomeq.eq import fill_missing, fit_eq, screen_outliers, usable_eq
-from roomeq.files import read_json, read_jsonl, write_json
-from roomeq.mixture import FREE, draw_target, fit_gmm, read_gmm, room_weights, sample_eq, with_reference
-from roomeq.rng import rng_for
+from roomeq.acoustics.subband_eq import N_FRAME, N_LEAD, POINT_BINS, analyse, energy_spectrum
+from roomeq.core.constants import BANDS_HZ, FS_HZ
+from roomeq.core.files import read_json, read_jsonl, write_json
+from roomeq.core.rng import rng_for
+from roomeq.eq.fit import fill_missing, fit_eq, screen_outliers, usable_eq
+from roomeq.eq.gmm import FREE, draw_target, fit_gmm, read_gmm, room_weights, sample_eq, with_reference
 
 SHAPE_DB = np.array([6.0, 4.0, 3.0, -2.0, 0.0, -3.0, -6.0, -9.0])
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from rirmaker import DIRECT, coloured_rir
-from roomeq.acoustics.metrics import octave_bands
+from roomeq.acoustics.iso3382 import octave_bands
 from roomeq.cli import main
-from roomeq.constants import FS_HZ
+from roomeq.core.constants import FS_HZ
+from roomeq.core.files import read_json
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import read_model
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.effects.source_response import SourceResponse
-from roomeq.files import read_json
 from roomeq.loop.attribute import choose, rank
 from roomeq.loop.cells import HAS_GAIN, METRIC, measure_cells, slots
 from roomeq.loop.close import SCATTERING, close_loop
@@ -24,7 +24,7 @@ from roomeq.loop.layout import N_SURFACE, Layout
 from roomeq.loop.leftout import leave_rooms_out
 from roomeq.loop.predict import predict
 from roomeq.loop.session import begin, look_ahead
-from roomeq.rirs import load_rir, read_rirs, relocated, write_rirs
+from roomeq.records.rir_dir import load_rir, read_rirs, relocated, write_rirs
 from roomeq.validate import validate
 from worlds import make_world
 

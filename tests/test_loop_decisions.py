@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from roomeq.constants import BANDS_HZ
+from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.noise_floor import NoiseFloor
 from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.loop import close

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from roomeq.acoustics.metrics import (
+from roomeq.acoustics.iso3382 import (
     all_metrics,
     decay_time,
     energy_decay,
@@ -12,7 +12,7 @@ from roomeq.acoustics.metrics import (
     octave_gains,
     reverberation_time,
 )
-from roomeq.constants import EXACT_BANDS_HZ, FS_HZ
+from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 
 DIRECT = 320
 

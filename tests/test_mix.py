@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from datadirs import burst, decay
-from roomeq.mix import PEAK_LIMIT, convolve, direct_shift, loop, mean_power, mix
+from roomeq.augment.mix import PEAK_LIMIT, convolve, direct_shift, loop, mean_power, mix
 
 SAMPLE = np.float32(2**-16)
 

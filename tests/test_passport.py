@@ -5,11 +5,11 @@ import pytest
 from scipy.signal import firwin
 
 from rirmaker import DIRECT, coloured_rir, row, write_rir_dir
-from roomeq.acoustics.passport import measure
-from roomeq.audio import read_audio
-from roomeq.files import read_json, read_jsonl
-from roomeq.passport import characterise, geometry_ok
-from roomeq.rirs import read_noises, read_rirs, rir_path, validate_rirs
+from roomeq.acoustics.parameters import measure
+from roomeq.core.audio import read_audio
+from roomeq.core.files import read_json, read_jsonl
+from roomeq.corpora.characterise import characterise, geometry_ok
+from roomeq.records.rir_dir import read_noises, read_rirs, rir_path, validate_rirs
 
 PLACES = dict(source_pos_m=[1.0, 1.0, 1.0], mic_pos_m=[4.0, 3.0, 1.5])
 

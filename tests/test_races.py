@@ -9,9 +9,9 @@ import time
 import numpy as np
 import pytest
 
-from roomeq.audio import write_flac, write_wav
-from roomeq.build import Build
-from roomeq.files import read_json, write_json, write_jsonl
+from roomeq.core.audio import write_flac, write_wav
+from roomeq.core.build import Build
+from roomeq.core.files import read_json, write_json, write_jsonl
 
 PROCESSES = multiprocessing.get_context("fork")
 

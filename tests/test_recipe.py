@@ -8,7 +8,7 @@ import time
 import pytest
 
 from recipe_run import finish, hashes, kill, start
-from roomeq.rirs import read_rirs, rir_path
+from roomeq.records.rir_dir import read_rirs, rir_path
 from roomeq.validate import validate
 
 

@@ -14,7 +14,7 @@ import pytest
 
 import webdriver
 from report_run import HOSTILE, RIRS_PER_ROOM, ROOMS, make_run
-from roomeq.files import read_jsonl, write_json
+from roomeq.core.files import read_jsonl, write_json
 from roomeq.loop.cells import N_CELLS, slots
 from roomeq.report import figures, make_report, section_wer
 from roomeq.report.build_page import SECTIONS, render_page

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roomeq.audio import write_wav
-from roomeq.rirs import load_rir, read_rirs, validate_rirs, write_rirs
+from roomeq.core.audio import write_wav
+from roomeq.records.rir_dir import load_rir, read_rirs, validate_rirs, write_rirs
 
 RIR = np.r_[np.zeros(20), 0.03, -0.02, 0.001 * np.ones(600)]
 

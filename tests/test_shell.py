@@ -5,7 +5,7 @@ import subprocess
 
 import pytest
 
-from roomeq.draws import parse_distribution
+from roomeq.augment.draw import parse_distribution
 
 SCRIPT = """#!/usr/bin/env bash
 # Say what the options are.

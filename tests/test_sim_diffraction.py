@@ -5,7 +5,7 @@ import pytest
 
 from bench.fidelity import halfplane
 from bench.fidelity.halfplane import at
-from roomeq.constants import FS_HZ
+from roomeq.core.constants import FS_HZ
 from roomeq.sim.diffraction import Edges, Grid, deposit, diffract, find_edges
 from roomeq.sim.mesh import load_mesh, make_room
 from roomeq.sim.response import simulate_rir

@@ -7,11 +7,11 @@ import sys
 import numpy as np
 import pytest
 
-from roomeq.rng import rng_for
+from roomeq.core.rng import rng_for
 from roomeq.sim.early import specular_paths
-from roomeq.sim.echoes import N_KEPT, echogram, keep_echoes, middle
 from roomeq.sim.gather import gather
 from roomeq.sim.mesh import make_room
+from roomeq.sim.path_sample import N_KEPT, echogram, keep_echoes, middle
 from roomeq.sim.response import trace_source
 from roomeq.sim.scene import Air, Material, Scene, Shoebox
 from roomeq.sim.target import scaled_absorption

@@ -5,16 +5,16 @@ import json
 import numpy as np
 import pytest
 
-from roomeq.constants import FS_HZ
-from roomeq.files import write_jsonl
-from roomeq.rirs import read_rirs
+from roomeq.core.constants import FS_HZ
+from roomeq.core.files import write_jsonl
+from roomeq.records.rir_dir import read_rirs
 from roomeq.sim import published
 from roomeq.sim.materials import draw_scattering, find_surface, given_surfaces, named_scene, read_materials
 from roomeq.sim.mesh import load_mesh
 from roomeq.sim.meshfile import read_triangles
 from roomeq.sim.response import simulate_rir
 from roomeq.sim.scene import Shoebox
-from roomeq.simulate import simulate
+from roomeq.simulate_rirs import simulate
 from test_sim_mesh import box_plan, prism_obj
 
 PUBLISHED = {"center_freqs": [125, 250, 500, 1000, 2000, 4000, 8000],

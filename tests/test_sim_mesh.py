@@ -6,8 +6,8 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 
-from roomeq.acoustics.metrics import reverberation_time
-from roomeq.constants import FS_HZ
+from roomeq.acoustics.iso3382 import reverberation_time
+from roomeq.core.constants import FS_HZ
 from roomeq.sim.early import specular_paths
 from roomeq.sim.gather import gather
 from roomeq.sim.mesh import load_mesh, make_room

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from roomeq.acoustics.direct import find_direct
-from roomeq.acoustics.metrics import reverberation_time
-from roomeq.constants import BAND_1KHZ, FS_HZ
+from roomeq.acoustics.iso3382 import reverberation_time
+from roomeq.core.constants import BAND_1KHZ, FS_HZ
 from roomeq.sim.early import specular_paths
 from roomeq.sim.gather import FRAME_S, gather
 from roomeq.sim.render import render, tail_noise

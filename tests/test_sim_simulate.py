@@ -9,13 +9,13 @@ import sys
 import numpy as np
 import pytest
 
-from roomeq.acoustics.metrics import reverberation_time
-from roomeq.constants import FS_HZ
-from roomeq.files import write_jsonl
-from roomeq.rirs import load_rir, read_rirs, validate_rirs
-from roomeq.rng import rng_for
+from roomeq.acoustics.iso3382 import reverberation_time
+from roomeq.core.constants import FS_HZ
+from roomeq.core.files import write_jsonl
+from roomeq.core.rng import rng_for
+from roomeq.records.rir_dir import load_rir, read_rirs, validate_rirs
 from roomeq.sim.materials import read_materials
-from roomeq.simulate import simulate
+from roomeq.simulate_rirs import simulate
 
 BOX_M = [6.0, 4.2, 3.0]
 
@@ -87,7 +87,7 @@ def test_the_result_depends_on_the_seed_and_on_nothing_else(measured, tmp_path):
     for part in ("2/2", "1/2", None):
         simulate(measured, tmp_path / "parts", num_rays=1000, t60_range_s=(0.3, 0.8), seed=5, part=part)
     assert hashes(tmp_path / "parts") == hashes(tmp_path / "one")
-    script = ("import sys; from roomeq.simulate import simulate\n"
+    script = ("import sys; from roomeq.simulate_rirs import simulate\n"
               "simulate(sys.argv[1], sys.argv[2], num_rays=1000, t60_range_s=(0.3, 0.8), seed=5)")
     for threads in ("1", "2"):
         environment = os.environ | dict(NUMBA_NUM_THREADS=threads, PYTHONPATH=os.pathsep.join(sys.path))

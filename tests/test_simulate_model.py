@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from roomeq.acoustics.air import speed_of_sound_m_s
-from roomeq.constants import BAND_1KHZ, FS_HZ
+from roomeq.core.constants import BAND_1KHZ, FS_HZ
+from roomeq.core.files import write_jsonl
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import Extension, Model, read_model, write_model
 from roomeq.effects.response import RESPONSE_HZ
-from roomeq.files import write_jsonl
-from roomeq.rirs import load_rir, read_rirs, validate_rirs
-from roomeq.simulate import simulate
+from roomeq.records.rir_dir import load_rir, read_rirs, validate_rirs
+from roomeq.simulate_rirs import simulate
 
 SOURCE_ONLY = {name for name, effect in CATALOGUE.items() if effect.SCOPE in ("source", "rir")}
 VECTORS = dict(air_absorption=(1.0, np.log(20.0)), sound_speed=(3.5,), source_directivity=np.log([0.15, 0.5]),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from roomeq.constants import EXACT_BANDS_HZ
+from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.effects.spherical_cap import MAX_RADIUS_M, SPEED_M_S, cap_gain, cap_series, cap_spectrum
 
 NODE, WEIGHT = np.polynomial.legendre.leggauss(600)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rirmaker import row, write_rir_dir
-from roomeq.rirs import read_noises, read_rirs, validate_rirs
-from roomeq.split import SPLITS, split_rirs
+from roomeq.corpora.split import SPLITS, split_rirs
+from roomeq.records.rir_dir import read_noises, read_rirs, validate_rirs
 
 RIR = np.eye(1, 600, 10).ravel() + 1e-3
 

@@ -23,7 +23,7 @@ import make_standin_speech  # noqa: E402
 import standin_acoustics as acoustics  # noqa: E402
 import standin_text  # noqa: E402
 from roomeq.corpora import read_measured  # noqa: E402
-from roomeq.rirs import read_rirs  # noqa: E402
+from roomeq.records.rir_dir import read_rirs  # noqa: E402
 
 SMALL = {"speech": ["--utterances", "16,4,8"],
          "rirs": ["--rooms", "3", "--mics", "2", "--speakers", "1", "--silence-s", "1"]}
@@ -434,7 +434,8 @@ def test_the_loop_is_told_where_everything_stands_but_nothing_of_what_it_is_to_f
     assert not any(row.get("source_dir") for row in rows) and {row["source_id"] for row in rows} == {"SpkID01"}
     imports = {line for path in (LOCAL / "standin_acoustics.py", LOCAL / "make_standin_rirs.py")
                for line in path.read_text().splitlines() if "roomeq" in line and "import" in line}
-    assert all(line.split()[1] in ("roomeq.audio", "roomeq.build", "roomeq.files", "roomeq.rng") for line in imports)
+    assert all(line.split()[1] in ("roomeq.core.audio", "roomeq.core.build", "roomeq.core.files",
+                                      "roomeq.core.rng") for line in imports)
 
 
 def test_loudspeaker_beams(room):

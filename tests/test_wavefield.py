@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 from bench.rooms import FURNISHED_M, L_HEIGHT_M, box_triangles, furnished_triangles, l_triangles
-from roomeq.constants import FS_HZ
+from roomeq.core.constants import FS_HZ
 from roomeq.effects.voxels import mode_count, voxel_modes
 from roomeq.effects.wavefield import (
     HIGHPASS_HZ,

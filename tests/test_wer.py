@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from roomeq.files import write_json
-from roomeq.rng import rng_for
+from roomeq.core.files import write_json
+from roomeq.core.rng import rng_for
 from roomeq.validate import validate
 from roomeq.wer import intervals
 from roomeq.wer.check import read_wer, validate_wer

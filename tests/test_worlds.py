@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from roomeq.acoustics.direct import find_direct
-from roomeq.rirs import read_rirs, validate_rirs
+from roomeq.records.rir_dir import read_rirs, validate_rirs
 from worlds import KINDS, make_world
 from worlds.air import absorption_db_per_m, through_air
 from worlds.bands import band_gains

@@ -3,7 +3,7 @@
 import json
 from itertools import cycle
 
-from roomeq.files import write_text
+from roomeq.core.files import write_text
 
 WORDS = "one two three four five six seven eight nine ten".split()
 LMWTS, PENALTIES = (7, 8), ("0.0", "0.5")

@@ -13,9 +13,9 @@ import shutil
 import sys
 from pathlib import Path
 
-from roomeq.datadir import read_data_dir
-from roomeq.files import write_text
-from roomeq.wavscp import flac_entry
+from roomeq.core.files import write_text
+from roomeq.kaldi.datadir import read_data_dir
+from roomeq.kaldi.wavscp import flac_entry
 
 COPIED = ("segments", "text", "utt2spk", "spk2utt", "spk2gender", "utt2dur", "reco2dur", "utt2rir", "utt2snr")
 

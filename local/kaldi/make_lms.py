@@ -20,7 +20,7 @@ import sys
 from collections import Counter, defaultdict
 from pathlib import Path
 
-from roomeq.files import read_text
+from roomeq.core.files import read_text
 
 START, END = "<s>", "</s>"
 MODELS = {"fglarge": (4, 1, 1), "tglarge": (3, 1, 1), "tgmed": (3, 1, 2), "tgsmall": (3, 3, 10)}

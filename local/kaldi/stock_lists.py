@@ -12,8 +12,8 @@ import shlex
 import sys
 from pathlib import Path
 
-from roomeq.files import write_text
-from roomeq.rirs import read_noises, read_rirs, relocated, write_rirs
+from roomeq.core.files import write_text
+from roomeq.records.rir_dir import read_noises, read_rirs, relocated, write_rirs
 
 
 def noise_line(directory, row):

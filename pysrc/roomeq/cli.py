@@ -10,7 +10,7 @@ import traceback
 from concurrent.futures import BrokenExecutor
 
 from roomeq import __version__
-from roomeq.limits import LIMITS
+from roomeq.core.limits import LIMITS
 
 _REMEDIES = {errno.ENAMETOOLONG: "shorten the name"}
 _REMEDIES.update(dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "free some space, or choose another output"))
@@ -144,13 +144,14 @@ def _corpus_verbs(verbs) -> None:
 
 
 def _rir_verbs(verbs) -> None:
-    (Verb(verbs, "characterise", "passport", "Measure every RIR; drop repeats; say what is unfit for the EQ fit.",
+    (Verb(verbs, "characterise", "corpora.characterise",
+          "Measure every RIR; drop repeats; say what is unfit for the EQ fit.",
           "data/measured data/rirs.real")
      .argument("rir_dir", help="RIR directory")
      .argument("out", help="RIR directory to make: the same audio, rows with passports")
      .argument("--skip-bad", action="store_true", help="leave out and report RIRs that cannot be measured")
      .jobs())
-    (Verb(verbs, "split-rirs", "split", "Split RIRs into disjoint training, development and test sets.",
+    (Verb(verbs, "split-rirs", "corpora.split", "Split RIRs into disjoint training, development and test sets.",
           "--split-by room data/rirs.real data/rirs.real")
      .argument("rir_dir", help="RIR directory with passports")
      .argument("out_prefix", help="makes OUT_PREFIX.train, OUT_PREFIX.dev and OUT_PREFIX.test")
@@ -159,7 +160,7 @@ def _rir_verbs(verbs) -> None:
                help="rooms that one pattern matches count as one, e.g. 'house_*'; only by room")
      .argument("--sizes", type=integers, default=(773, 194, 242), help="proportions, where there are fewer RIRs")
      .seed())
-    (Verb(verbs, "simulate", "simulate", "Simulate one RIR per measured one, with T60 drawn at random.",
+    (Verb(verbs, "simulate", "simulate_rirs", "Simulate one RIR per measured one, with T60 drawn at random.",
           "data/rirs.real.train data/rirs.sim.train")
      .argument("measured_dir", help="RIR directory that rooms, sources and microphones come from")
      .argument("out", help="RIR directory to make")
@@ -180,7 +181,7 @@ def _rir_verbs(verbs) -> None:
 
 
 def _eq_verbs(verbs) -> None:
-    (Verb(verbs, "fit-eq", "eq", "Fit a Gaussian mixture to the sub-band EQs of measured RIRs.",
+    (Verb(verbs, "fit-eq", "eq.fit", "Fit a Gaussian mixture to the sub-band EQs of measured RIRs.",
           "data/rirs.real.train data/rirs.sim.train exp/eq")
      .argument("real_dir", help="measured RIRs, training set")
      .argument("sim_dirs", nargs="*", help="simulated RIRs, for the comparison")
@@ -189,7 +190,7 @@ def _eq_verbs(verbs) -> None:
      .argument("--covariance", choices=("full", "tied", "diag", "spherical"), default="full", help="of a component")
      .argument("--weight-rooms", action="store_true", help="let rooms count equally")
      .seed().jobs())
-    (Verb(verbs, "compensate", "compensate", "Give every simulated RIR an EQ drawn from the measured distribution.",
+    (Verb(verbs, "compensate", "eq.compensate", "Give every simulated RIR an EQ drawn from the measured distribution.",
           "data/rirs.sim.train exp/eq data/rirs.sim.EQ.train")
      .argument("sim_dir", help="simulated RIRs")
      .argument("eq_dir", help="what fit-eq made")
@@ -211,7 +212,8 @@ def _eq_verbs(verbs) -> None:
 
 
 def _speech_verbs(verbs) -> None:
-    (Verb(verbs, "augment", "augment", "Make far-field speech: x * h + point noises * their RIRs + ambient noise.",
+    (Verb(verbs, "augment", "augment.augment",
+          "Make far-field speech: x * h + point noises * their RIRs + ambient noise.",
           "--snr 'uniform 5 25' data/train.clean data/rirs.sim.train data/train.sim.rvb")
      .argument("data_dir", help="Kaldi data directory of clean speech")
      .argument("rir_dir", help="RIR directory")

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from roomeq.datadir import validate_data_dir
-from roomeq.files import hash_file
-from roomeq.rirs import NOISES_FILE, ROWS_FILE, validate_noises, validate_rirs
-from roomeq.stamps import read_stamp
+from roomeq.core.files import hash_file
+from roomeq.core.stamps import read_stamp
+from roomeq.kaldi.datadir import validate_data_dir
+from roomeq.records.rir_dir import NOISES_FILE, ROWS_FILE, validate_noises, validate_rirs
 from roomeq.wer.check import WER_FILE, validate_wer
 
 CONTRACTS = ((ROWS_FILE, validate_rirs, "RIRs"), ("wav.scp", validate_data_dir, "utterances"),

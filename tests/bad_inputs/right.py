@@ -11,13 +11,13 @@ import numpy as np
 from corpora_examples import make_folder, make_reverbdb, make_slr28, make_sofa, make_table, put, put_librispeech
 from datadirs import FS, burst, rir_dir, speech_dir
 from rirmaker import coloured_rir, row, write_rir_dir
-from roomeq.audio import write_flac
-from roomeq.build import DONE_FILE, Build
-from roomeq.constants import BANDS_HZ
-from roomeq.datawrite import OutUtterance, write_data_dir
-from roomeq.files import write_json, write_jsonl, write_text
-from roomeq.mixture import FREE
-from roomeq.wavscp import flac_entry
+from roomeq.core.audio import write_flac
+from roomeq.core.build import DONE_FILE, Build
+from roomeq.core.constants import BANDS_HZ
+from roomeq.core.files import write_json, write_jsonl, write_text
+from roomeq.eq.gmm import FREE
+from roomeq.kaldi.wavscp import flac_entry
+from roomeq.kaldi.write import OutUtterance, write_data_dir
 from wer_run import put_example
 
 BOX = """v 0 0 0

@@ -11,7 +11,7 @@ from right import WORLDS, put_earlier
 from wrong import Case
 
 from roomeq.cli import main
-from roomeq.limits import LIMITS
+from roomeq.core.limits import LIMITS
 
 STEPS = ("read-measured", "read-noises", "characterise", "simulate", "fit-eq", "compensate", "augment", "wer",
          "report")

@@ -9,7 +9,7 @@ from running import call
 from wrong import audio, patch, remove, reorder
 
 from loop_run import make_loop
-from roomeq.rng import rng_for
+from roomeq.core.rng import rng_for
 
 MADE = {  # a directory of each kind that `validate` knows, by the command that makes it
     "rirs": ["compensate", "measured", "eq"],

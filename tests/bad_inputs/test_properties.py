@@ -15,22 +15,22 @@ from wrong import HOSTILE
 
 from loop_run import make_loop
 from roomeq import cli
-from roomeq.build import share
+from roomeq.augment.draw import parse_distribution
+from roomeq.core.build import share
+from roomeq.core.files import read_json, read_jsonl
+from roomeq.core.stamps import read_stamp
 from roomeq.corpora.record import parse_number, parse_vector
 from roomeq.corpora.reverbdb import list_reverbdb, read_meta
 from roomeq.corpora.table import list_noise_table, list_table
 from roomeq.corpora.transcripts import list_transcripts
-from roomeq.datadir import read_data_dir
-from roomeq.draws import parse_distribution
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import read_model
-from roomeq.files import read_json, read_jsonl
+from roomeq.eq.gmm import read_gmm, sample_eq
+from roomeq.kaldi.datadir import read_data_dir
+from roomeq.kaldi.wavscp import parse_entry
 from roomeq.loop.check import read_ledger
-from roomeq.mixture import read_gmm, sample_eq
-from roomeq.rirs import read_noises, read_rirs
-from roomeq.rows import MAX_ID, is_id, make_id, row_problem
-from roomeq.stamps import read_stamp
-from roomeq.wavscp import parse_entry
+from roomeq.records.rir_dir import read_noises, read_rirs
+from roomeq.records.schema import MAX_ID, is_id, make_id, row_problem
 
 quick = settings(max_examples=60, deadline=None, derandomize=True,
                  suppress_health_check=[HealthCheck.function_scoped_fixture])

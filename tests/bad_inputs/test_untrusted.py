@@ -15,12 +15,12 @@ from running import call, snapshot
 from wrong import HOSTILE
 
 from datadirs import FS, burst, rir_dir
-from roomeq.augment import augment
-from roomeq.datadir import read_data_dir, validate_data_dir
-from roomeq.datawrite import OutUtterance, write_data_dir
-from roomeq.rirs import read_noises, read_rirs, rir_path, validate_rirs
-from roomeq.rows import is_id
-from roomeq.wavscp import flac_entry
+from roomeq.augment.augment import augment
+from roomeq.kaldi.datadir import read_data_dir, validate_data_dir
+from roomeq.kaldi.wavscp import flac_entry
+from roomeq.kaldi.write import OutUtterance, write_data_dir
+from roomeq.records.rir_dir import read_noises, read_rirs, rir_path, validate_rirs
+from roomeq.records.schema import is_id
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pysrc" / "roomeq"
 NAMES = ["two words", "it's", '"quoted"', "$(touch evil)", "`touch evil`", "a;touch evil", "-rf", "--help", "a..", "*",

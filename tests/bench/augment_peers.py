@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from roomeq.layout import FLAC_LEVEL
+from roomeq.augment.pack import FLAC_LEVEL
 
 FS = 16000
 

@@ -23,7 +23,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(PROJECT / "pysrc"), str(PROJECT / "tests")]
 
 from recipe_run import OPTIONS  # noqa: E402
-from roomeq.files import write_json  # noqa: E402
+from roomeq.core.files import write_json  # noqa: E402
 
 VARIANTS = dict(
     again={},

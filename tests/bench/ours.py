@@ -8,16 +8,16 @@ import numpy as np
 from bench.rooms import FURNISHED_M, box_triangles, furnished_triangles, l_triangles
 from roomeq.acoustics.air import air_absorption_db_m
 from roomeq.acoustics.filterbank import octave_filterbank
-from roomeq.constants import FS_HZ
-from roomeq.rng import rng_for
+from roomeq.core.constants import FS_HZ
+from roomeq.core.jit import on_threads
+from roomeq.core.rng import rng_for
 from roomeq.sim.diffraction import Edges, Grid, deposit, diffract, find_edges
 from roomeq.sim.early import specular_paths
-from roomeq.sim.echoes import echogram as sampled_echogram
-from roomeq.sim.echoes import keep_echoes, middle
 from roomeq.sim.gather import FRAME_S, gather
-from roomeq.sim.jit import on_threads
 from roomeq.sim.materials import draw_materials, draw_scattering, read_materials
 from roomeq.sim.mesh import make_room
+from roomeq.sim.path_sample import echogram as sampled_echogram
+from roomeq.sim.path_sample import keep_echoes, middle
 from roomeq.sim.response import (
     ISM_ORDER,
     needed_length_s,

@@ -21,7 +21,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(PROJECT / "pysrc"), str(PROJECT / "tests")]
 
 from bench.speed.dataset import rows  # noqa: E402
-from roomeq.files import read_json, read_jsonl, write_json, write_jsonl  # noqa: E402
+from roomeq.core.files import read_json, read_jsonl, write_json, write_jsonl  # noqa: E402
 
 # train-clean-100 and -360, dev-clean, test-clean: hours and utterances as released; four training sets (real, sim,
 # sim.EQ, sim.loop), as many development sets, one test set

@@ -20,8 +20,8 @@ import numpy as np
 PROJECT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(PROJECT / "pysrc"))
 
-from roomeq.files import write_json  # noqa: E402
-from roomeq.rng import rng_for  # noqa: E402
+from roomeq.core.files import write_json  # noqa: E402
+from roomeq.core.rng import rng_for  # noqa: E402
 from roomeq.wer.intervals import Resampling, Statistic  # noqa: E402
 
 TRUTH = 20.0  # per cent

@@ -15,7 +15,7 @@ from pathlib import Path
 from stages import STAGES, Run, freeze, is_refusal, leftovers
 
 from recipe_run import hashes
-from roomeq.files import read_json, write_json, write_text
+from roomeq.core.files import read_json, write_json, write_text
 
 PROJECT = Path(__file__).resolve().parents[2]
 COLUMNS = ("case", "what", "stage hit", "then", "restarted", "ok")

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.audio import write_wav
-from roomeq.files import write_json
-from roomeq.rirs import write_rirs
+from roomeq.core.audio import write_wav
+from roomeq.core.files import write_json
+from roomeq.records.rir_dir import write_rirs
 from worlds.draws import DECLARED_C, DECLARED_PCT, FS_HZ, N_SAMPLES, generator
 from worlds.kinds import KINDS
 from worlds.paths import world_fields

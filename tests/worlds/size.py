@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from roomeq.acoustics.metrics import all_metrics, octave_bands
+from roomeq.acoustics.iso3382 import all_metrics, octave_bands
 from worlds.draws import C0, FS_HZ
 
 TOUCHED_JND = 0.25  # a smaller change doesn't count as one

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from roomeq.constants import EXACT_BANDS_HZ
+from roomeq.core.constants import EXACT_BANDS_HZ
 
 PRESSURE_KPA = 101.325
 TEMPERATURE_RANGE_C = (-20.0, 50.0)  # of the tables in ISO 9613-1

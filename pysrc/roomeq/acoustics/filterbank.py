@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from roomeq.constants import EXACT_BANDS_HZ
+from roomeq.core.constants import EXACT_BANDS_HZ
 
 MIN_CROSSOVER_OCTAVES = 1.0 / 3.0
 MIN_CROSSOVER_HZ = 62.0  # a narrower crossover would spread a pulse over more than some 20 ms

@@ -4,8 +4,8 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from roomeq.files import read_text
-from roomeq.words import words_problem
+from roomeq.core.files import read_text
+from roomeq.records.transcripts import words_problem
 
 BY_UTTERANCE = ("segments", "text", "utt2spk", "utt2dur", "utt2lang")
 BY_RECORDING = ("wav.scp", "reco2dur")

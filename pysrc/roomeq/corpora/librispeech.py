@@ -6,8 +6,8 @@ As in the stock recipe, Kaldi's speaker is reader and chapter (``1272-128104``).
 from collections.abc import Iterable
 from pathlib import Path
 
+from roomeq.core.files import read_text
 from roomeq.corpora.utterance import Utterance
-from roomeq.files import read_text
 
 SPEAKERS_FILE = "SPEAKERS.TXT"
 

@@ -9,18 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.audio import audio_info, read_audio, write_wav
-from roomeq.build import Build
-from roomeq.constants import FS_HZ
+from roomeq.core.audio import audio_info, read_audio, write_wav
+from roomeq.core.build import Build
+from roomeq.core.constants import FS_HZ
+from roomeq.core.digests import audio_digest
+from roomeq.core.files import write_json
 from roomeq.corpora.folder import list_folder, list_noise_folder
 from roomeq.corpora.record import UNKNOWN, Corpus, Recording, audio_files, is_generated
 from roomeq.corpora.reverbdb import find_rooms, list_reverbdb
 from roomeq.corpora.slr28 import find_real, list_slr28
 from roomeq.corpora.sofa_file import list_sofa, sofa_signals
 from roomeq.corpora.table import MANIFEST, list_noise_table, list_table
-from roomeq.digests import audio_digest
-from roomeq.files import write_json
-from roomeq.rirs import ROWS_FILE, write_noises, write_rirs
+from roomeq.records.rir_dir import ROWS_FILE, write_noises, write_rirs
 
 logger = logging.getLogger(__name__)
 

@@ -6,8 +6,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from roomeq.build import DONE_FILE
-from roomeq.rows import LARGEST, make_id
+from roomeq.core.build import DONE_FILE
+from roomeq.records.schema import LARGEST, make_id
 
 AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".aiff", ".aif", ".au", ".caf", ".w64", ".mp3")
 UNKNOWN = "unknown"
@@ -187,7 +187,7 @@ def audio_files(directory: Path) -> list[Path]:
 
 
 def is_generated(source: Path) -> bool:
-    """Tell whether a corpus was made by a `roomeq.build.Build`, which stamps it with hashes of what is in it."""
+    """Tell whether a corpus was made by a `roomeq.core.build.Build`, which stamps it with hashes of what is in it."""
     return (source / DONE_FILE).is_file()
 
 

@@ -18,7 +18,7 @@ from roomeq.corpora.record import (
     parse_number,
     rir_row,
 )
-from roomeq.rows import make_id
+from roomeq.records.schema import make_id
 
 logger = logging.getLogger(__name__)
 

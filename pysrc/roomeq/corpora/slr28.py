@@ -10,10 +10,10 @@ import re
 import shlex
 from pathlib import Path
 
+from roomeq.core.files import read_text
 from roomeq.corpora.folder import noises_of
 from roomeq.corpora.record import Corpus, Recording, audio_files, is_uncommon_name, rir_row
-from roomeq.files import read_text
-from roomeq.rows import make_id
+from roomeq.records.schema import make_id
 
 REAL, POINT = "real_rirs_isotropic_noises", "pointsource_noises"
 _AIR = re.compile(r"air_type\d+_air_(?P<what>binaural|phone(?:_bt)?)_(?P<room>[a-z0-9_]*?[a-z]\d?)"

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.audio import MAX_RATE_HZ
+from roomeq.core.audio import MAX_RATE_HZ
+from roomeq.core.limits import AUDIO_HOURS, max_audio_samples
 from roomeq.corpora.record import Corpus, Recording, is_binaural_name, rir_row
-from roomeq.limits import AUDIO_HOURS, max_audio_samples
-from roomeq.rows import LARGEST, make_id
+from roomeq.records.schema import LARGEST, make_id
 
 _FREE_FIELD = ("HRIR", "HRTF", "Directivity", "Headphone")
 _BINAURAL = ("MultiSpeakerBRIR", "SingleRoomDRIR")

@@ -10,18 +10,18 @@ from hashlib import sha256
 from itertools import combinations
 from pathlib import Path
 
-from roomeq.audio import audio_info, read_audio, write_flac
-from roomeq.build import Build
-from roomeq.constants import FS_HZ
+from roomeq.core.audio import audio_info, read_audio, write_flac
+from roomeq.core.build import Build
+from roomeq.core.constants import FS_HZ
+from roomeq.core.digests import audio_digest
+from roomeq.core.files import write_text
 from roomeq.corpora.kaldi_dir import KaldiDir, find_kaldi_dirs, read_kaldi_dir
 from roomeq.corpora.librispeech import find_sets, list_librispeech
 from roomeq.corpora.record import is_generated
 from roomeq.corpora.table import MANIFEST
 from roomeq.corpora.transcripts import list_transcripts
 from roomeq.corpora.utterance import ROLES, Utterance, split_voices
-from roomeq.digests import audio_digest
-from roomeq.files import write_text
-from roomeq.words import words_problem
+from roomeq.records.transcripts import words_problem
 
 logger = logging.getLogger(__name__)
 

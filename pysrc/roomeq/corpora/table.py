@@ -40,7 +40,7 @@ from roomeq.corpora.record import (
     rir_row,
 )
 from roomeq.corpora.reverbdb import is_uncommon, is_unreliable
-from roomeq.rows import make_id
+from roomeq.records.schema import make_id
 
 logger = logging.getLogger(__name__)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from roomeq.corpora.table import read_table, resolve_file
 from roomeq.corpora.utterance import Utterance
-from roomeq.rows import make_id
+from roomeq.records.schema import make_id
 
 _TEXT_COLUMNS = ("transcript", "text", "sentence")
 _GENDERS = {"m": "m", "male": "m", "f": "f", "female": "f"}

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy  # its submodules are slow to import and load themselves when first used
 
-from roomeq.constants import EXACT_BANDS_HZ, FS_HZ
+from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.sim.render import render
 
 

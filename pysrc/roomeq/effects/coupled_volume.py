@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomeq.acoustics.metrics import octave_bands
-from roomeq.constants import FS_HZ
+from roomeq.acoustics.iso3382 import octave_bands
+from roomeq.core.constants import FS_HZ
 from roomeq.effects.base import Effect
 from roomeq.sim.gather import FRAME_S
 from roomeq.sim.render import MAX_LENGTH_S, render, tail_noise

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from roomeq.core.files import read_json, write_json
+from roomeq.core.rng import rng_for
 from roomeq.effects.base import Rendering
 from roomeq.effects.catalogue import CATALOGUE
-from roomeq.files import read_json, write_json
-from roomeq.rng import rng_for
 from roomeq.sim.scene import eyring_time_s
 
 MODEL_FILE = "model.json"

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomeq.constants import EXACT_BANDS_HZ
+from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.effects.base import Effect
 from roomeq.effects.response import RESPONSE_HZ
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomeq.constants import EXACT_BANDS_HZ
+from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.effects.base import Effect
 
 _DETOURS_M = (5e-5, 0.6)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomeq.constants import FS_HZ
+from roomeq.core.constants import FS_HZ
 from roomeq.effects.base import Effect
 from roomeq.effects.wavefield import MARGIN, cross_over, crossover_hz, damping_per_s, modal_response, modes
 

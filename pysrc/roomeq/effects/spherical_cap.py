@@ -21,8 +21,8 @@ import numpy as np
 from scipy.special import eval_legendre, spherical_jn, spherical_yn
 
 from roomeq.acoustics.air import speed_of_sound_m_s
-from roomeq.constants import EXACT_BANDS_HZ
-from roomeq.sim.jit import compiled
+from roomeq.core.constants import EXACT_BANDS_HZ
+from roomeq.core.jit import compiled
 
 MAX_RADIUS_M = 0.5
 SPEED_M_S = speed_of_sound_m_s(20.0)  # 10 degrees more or less are 2 % of a radius

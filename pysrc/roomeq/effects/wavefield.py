@@ -19,7 +19,7 @@ import scipy  # its submodules are slow to import and load themselves when first
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.special import sici
 
-from roomeq.constants import EXACT_BANDS_HZ
+from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.effects.voxels import mode_count, voxel_modes
 from roomeq.sim.scene import Shoebox
 

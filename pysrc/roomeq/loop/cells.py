@@ -17,8 +17,8 @@ import numpy as np
 from scipy.fft import next_fast_len, rfft
 
 from roomeq.acoustics.direct import find_direct
-from roomeq.acoustics.metrics import EARLY_S, all_metrics, octave_gains
-from roomeq.constants import BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
+from roomeq.acoustics.iso3382 import EARLY_S, all_metrics, octave_gains
+from roomeq.core.constants import BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
 
 DIRECT_S = 2.5e-3
 LEAD_S = 1.5e-3

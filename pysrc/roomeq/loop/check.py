@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.constants import BANDS_HZ
+from roomeq.core.constants import BANDS_HZ
+from roomeq.core.files import read_json
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, read_model, read_parameters
-from roomeq.files import read_json
 from roomeq.loop.cells import LARGEST, METRIC, N_CELLS, REGION
 from roomeq.loop.examples import EXAMPLES_FILE, read_arrays, read_examples
 from roomeq.loop.ledger import LEDGER_FILE

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.build import Build, check_jobs
+from roomeq.core.build import Build, check_jobs
+from roomeq.core.files import write_json
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, read_model, write_model
-from roomeq.files import write_json
 from roomeq.loop.attribute import MIN_ROOMS, choose, one_sided_p, rank
 from roomeq.loop.data import load_data
 from roomeq.loop.examples import EXAMPLES_FILE, write_examples
@@ -32,7 +32,7 @@ def close_loop(rir_dirs, out, *, judge=(), model=None, max_effects=4, seed=0, nj
     Parameters
     ----------
     rir_dirs : sequence of Path
-        RIR directories with geometry (`roomeq.rirs`), together of at least three rooms or conditions.
+        RIR directories with geometry (`roomeq.records.rir_dir`), together of at least three rooms or conditions.
     out : Path
         Directory to make: `ledger.json`, `model.json`, `residuals.npz`.
     judge : sequence of Path

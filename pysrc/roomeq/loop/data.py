@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 from joblib import Parallel, delayed
 
-from roomeq.constants import FS_HZ
+from roomeq.core.constants import FS_HZ
+from roomeq.core.rng import rng_for
 from roomeq.effects.model import Model
 from roomeq.loop.cells import JND, measure_cells, slots
 from roomeq.loop.tables import ANGLES, collect
 from roomeq.loop.workers import share_out
-from roomeq.rirs import load_rir, read_rirs
-from roomeq.rng import rng_for
+from roomeq.records.rir_dir import load_rir, read_rirs
 from roomeq.sim.geometry import find_place
 from roomeq.sim.response import trace_source
 from roomeq.sim.scene import Air, Material, Scene
@@ -116,7 +116,7 @@ def load_data(directories, *, scattering, seed, model=None, nj=1):
     Parameters
     ----------
     directories : sequence of Path
-        RIR directories (`roomeq.rirs`). Coordinates that nobody measured are drawn.
+        RIR directories (`roomeq.records.rir_dir`). Coordinates that nobody measured are drawn.
     scattering : float
         Scattering coefficient of all surfaces.
     seed : int

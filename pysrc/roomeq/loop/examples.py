@@ -13,11 +13,11 @@ import numpy as np
 from numpy.lib.format import read_array
 
 from roomeq.acoustics.direct import find_direct
-from roomeq.acoustics.metrics import energy_decay, octave_bands
-from roomeq.constants import EXACT_BANDS_HZ, FS_HZ
+from roomeq.acoustics.iso3382 import energy_decay, octave_bands
+from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.loop.cells import THIRDS_HZ, measure_cells, slots
 from roomeq.loop.rendering import finished, render_rows
-from roomeq.rirs import load_rir, read_rirs
+from roomeq.records.rir_dir import load_rir, read_rirs
 
 EXAMPLES_FILE = "examples.npz"
 KINDS = ("measured", "before", "after")

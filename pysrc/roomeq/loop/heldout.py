@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from roomeq.constants import BAND_1KHZ
+from roomeq.core.constants import BAND_1KHZ
 from roomeq.loop.attribute import one_sided_p
 from roomeq.loop.cells import HAS_GAIN, LARGEST, METRIC
 from roomeq.loop.leftout import PEEKED, calibrate, leave_rooms_out

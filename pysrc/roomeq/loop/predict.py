@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomeq.constants import EXACT_BANDS_HZ
+from roomeq.core.constants import EXACT_BANDS_HZ
+from roomeq.core.jit import compiled
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.loop.cells import (
     BAND_HZ,
@@ -24,7 +25,6 @@ from roomeq.loop.cells import (
     slots,
 )
 from roomeq.loop.tables import FRAME_EDGES_S, LEVEL_SHARES
-from roomeq.sim.jit import compiled
 
 N_BANDS = len(EXACT_BANDS_HZ)
 _N_DIRECT = len(DIRECT_THIRDS_HZ)

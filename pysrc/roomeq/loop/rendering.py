@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roomeq.constants import FS_HZ
+from roomeq.core.constants import FS_HZ
+from roomeq.core.rng import rng_for
 from roomeq.effects.model import behind_rendering, direct_gain, extend_scene, path_gain
 from roomeq.loop.cells import N_CELLS, measure_cells
 from roomeq.loop.tables import level_slots
 from roomeq.loop.workers import share_out
-from roomeq.rng import rng_for
 from roomeq.sim.response import render_responses
 from roomeq.sim.scene import with_absorption
 

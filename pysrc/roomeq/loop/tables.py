@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from roomeq.core.jit import compiled
 from roomeq.sim.gather import FRAME_S, spheres, visibility
-from roomeq.sim.jit import compiled
 
 FRAME_EDGES_S = np.concatenate([
     [0.0, 2.5e-3, 5e-3, 7.5e-3], np.arange(0.01, 0.05, 0.005), np.arange(0.05, 0.3, 0.01),

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from scipy import stats
 
-from roomeq.constants import BANDS_HZ
+from roomeq.core.constants import BANDS_HZ
 from roomeq.loop.cells import METRIC, REGION
 from roomeq.loop.linear import scatter
 from roomeq.loop.predict import BAND_OF_CELL

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from roomeq.constants import BANDS_HZ
+from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.loop.cells import JND
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from roomeq import __version__
-from roomeq.build import Build
-from roomeq.constants import FS_HZ
-from roomeq.files import write_text
+from roomeq.core.build import Build
+from roomeq.core.constants import FS_HZ
+from roomeq.core.files import write_text
 from roomeq.report import section_data, section_eq, section_loop, section_rirs, section_speech, section_wer
 from roomeq.report.load import Run
 from roomeq.report.page import Html, Missing, document, join, notice, section, tag

@@ -15,7 +15,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter
 
-from roomeq.constants import BANDS_HZ, FS_HZ
+from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.report.page import Html, picture
 from roomeq.report.style import COLOURS, LIGHT
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 from roomeq.acoustics.direct import find_direct
-from roomeq.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
-from roomeq.eq import eq_row, usable_eq
-from roomeq.mixture import with_reference
+from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
+from roomeq.eq.fit import eq_row, usable_eq
+from roomeq.eq.gmm import with_reference
 from roomeq.report.load import Run
 from roomeq.report.page import Html, Missing, join, tag
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.build import DONE_FILE
-from roomeq.files import read_json
+from roomeq.core.build import DONE_FILE
+from roomeq.core.files import read_json
+from roomeq.kaldi.wavscp import parse_entry
+from roomeq.records.rir_dir import ROWS_FILE, load_rir, read_rirs
 from roomeq.report.page import Missing
-from roomeq.rirs import ROWS_FILE, load_rir, read_rirs
-from roomeq.wavscp import parse_entry
 
 STAGES = (("rirs.real", 1, "characterise and split-rirs"), ("rirs.sim.EQ", 4, "compensate"),
           ("rirs.sim.loop", 5, "simulate --model"), ("loop", 5, "close-loop"), ("wer", 10, "wer"),

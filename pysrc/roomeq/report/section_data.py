@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.constants import BAND_1KHZ, BANDS_HZ
-from roomeq.files import read_json
-from roomeq.passport import SCREENING_FILE
+from roomeq.core.constants import BAND_1KHZ, BANDS_HZ
+from roomeq.core.files import read_json
+from roomeq.corpora.characterise import SCREENING_FILE
 from roomeq.report.kinds import reverberation_times
 from roomeq.report.load import IN_EXP, SETS, Run, corpus_readme, read_numbers, read_pairs
 from roomeq.report.page import Html, Missing, hertz, join, number, paragraph, tag

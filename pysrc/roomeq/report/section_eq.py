@@ -4,12 +4,13 @@ from collections import Counter
 
 import numpy as np
 
-from roomeq.compensate import MAX_MEDIAN_DB, MAX_P95_DB, SUMMARY_FILE
-from roomeq.constants import BAND_1KHZ, BANDS_HZ
-from roomeq.distance import eq_distance, gap_closed
-from roomeq.eq import MEASURED_FILE, RESAMPLED_FILE, read_eq_rows
-from roomeq.files import read_json
-from roomeq.mixture import FREE, with_reference
+from roomeq.core.constants import BAND_1KHZ, BANDS_HZ
+from roomeq.core.files import read_json
+from roomeq.core.rng import rng_for
+from roomeq.eq.compensate import MAX_MEDIAN_DB, MAX_P95_DB, SUMMARY_FILE
+from roomeq.eq.distance import eq_distance, gap_closed
+from roomeq.eq.fit import MEASURED_FILE, RESAMPLED_FILE, read_eq_rows
+from roomeq.eq.gmm import FREE, with_reference
 from roomeq.report import figures
 from roomeq.report.kinds import (
     COLOURS,
@@ -25,7 +26,6 @@ from roomeq.report.kinds import (
 from roomeq.report.load import Run
 from roomeq.report.page import Html, Missing, figure, hertz, join, number, paragraph, percent, tag
 from roomeq.report.page import table as make_table
-from roomeq.rng import rng_for
 
 N_BOOTSTRAP = 200
 

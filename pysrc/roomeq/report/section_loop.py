@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 
-from roomeq.constants import BANDS_HZ
+from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.response import RESPONSE_HZ, Response
 from roomeq.loop.cells import METRIC, REGION, THIRDS_HZ

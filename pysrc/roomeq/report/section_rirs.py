@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from roomeq.acoustics.spectrum import N_LEAD, POINT_BINS, energy_spectrum, eq_part
-from roomeq.constants import BAND_1KHZ
+from roomeq.acoustics.subband_eq import N_LEAD, POINT_BINS, energy_spectrum, eq_part
+from roomeq.core.constants import BAND_1KHZ
 from roomeq.report import figures
 from roomeq.report.kinds import (
     DIRECTORIES,

@@ -5,8 +5,8 @@ import io
 import numpy as np
 import soundfile
 
-from roomeq.constants import FS_HZ
-from roomeq.datadir import DataDir, read_data_dir, read_utterance
+from roomeq.core.constants import FS_HZ
+from roomeq.kaldi.datadir import DataDir, read_data_dir, read_utterance
 from roomeq.report import figures
 from roomeq.report.load import ALL_KINDS, SETS, Run, read_numbers, read_pairs
 from roomeq.report.page import Html, Missing, data_uri, figure, join, paragraph, tag

@@ -24,9 +24,9 @@ import scipy  # its submodules are slow to import and load themselves when first
 from scipy.fft import irfft, next_fast_len, rfft
 
 from roomeq.acoustics.filterbank import octave_filterbank
-from roomeq.constants import FS_HZ
+from roomeq.core.constants import FS_HZ
+from roomeq.core.jit import compiled
 from roomeq.sim.double_diffraction import deposit_over_faces, over_faces
-from roomeq.sim.jit import compiled
 
 logger = logging.getLogger(__name__)
 

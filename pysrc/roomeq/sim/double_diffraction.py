@@ -14,8 +14,8 @@ import logging
 
 import numpy as np
 
-from roomeq.constants import FS_HZ
-from roomeq.sim.jit import compiled
+from roomeq.core.constants import FS_HZ
+from roomeq.core.jit import compiled
 
 logger = logging.getLogger(__name__)
 

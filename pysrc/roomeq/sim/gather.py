@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from roomeq.sim.jit import N_CHUNKS, compiled, for_chunks
+from roomeq.core.jit import N_CHUNKS, compiled, for_chunks
 
 FRAME_S = 1e-3
 _SPHERE_RADII = (0.35, 1.0)  # of the receiver [m]: as large as the room lets the late field be called uniform

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.rng import rng_for
+from roomeq.core.rng import rng_for
 from roomeq.sim.mesh import load_mesh
 from roomeq.sim.scene import MIN_WALL_DISTANCE_M, Shoebox
 

@@ -2,7 +2,7 @@
 
 An impulse response of a furnished room with its materials by name:
 
-    from roomeq.audio import write_wav
+    from roomeq.core.audio import write_wav
     from roomeq.sim.materials import named_scene
     from roomeq.sim.mesh import load_mesh
     from roomeq.sim.response import simulate_rir

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.limits import MESH_MB
+from roomeq.core.limits import MESH_MB
 
 FORMATS = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
 UNNAMED = "surface"
@@ -39,7 +39,7 @@ def read_triangles(path):
     Raises
     ------
     ValueError
-        The file is missing, of another format, too large (`roomeq.limits`), broken or holds no triangles.
+        The file is missing, of another format, too large (`roomeq.core.limits`), broken or holds no triangles.
     """
     path = Path(path)
     if not path.is_file():

@@ -8,7 +8,7 @@ from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from roomeq.constants import BANDS_HZ
+from roomeq.core.constants import BANDS_HZ
 
 PACKAGE = "pyroomacoustics"
 _FIRST_BAND = {8: 0, 7: 1, 6: 1, 5: 1}  # tables of fewer bands begin at 125 Hz

@@ -10,9 +10,9 @@ from functools import cache
 
 import numpy as np
 
-from roomeq.constants import BAND_1KHZ
-from roomeq.rng import rng_for
-from roomeq.sim.job import echograms, make_job, render_job, with_images
+from roomeq.core.constants import BAND_1KHZ
+from roomeq.core.rng import rng_for
+from roomeq.sim.context import echograms, make_job, render_job, with_images
 from roomeq.sim.render import MAX_LENGTH_S, MIN_LENGTH_S
 from roomeq.sim.scene import Scene, check_positions, eyring_time_s
 from roomeq.sim.target import (

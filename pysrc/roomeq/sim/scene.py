@@ -10,7 +10,7 @@ from functools import cache, cached_property
 import numpy as np
 
 from roomeq.acoustics.air import band_attenuation_per_m, speed_of_sound_m_s
-from roomeq.constants import BANDS_HZ
+from roomeq.core.constants import BANDS_HZ
 from roomeq.sim.trace import Walls
 
 N_BANDS = len(BANDS_HZ)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from roomeq.acoustics.metrics import decay_time, energy_decay, octave_bands, reverberation_time
-from roomeq.constants import BAND_1KHZ, BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
+from roomeq.acoustics.iso3382 import decay_time, energy_decay, octave_bands, reverberation_time
+from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
 from roomeq.sim.gather import FRAME_S
 
 TOLERANCE = 0.05

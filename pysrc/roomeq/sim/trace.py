@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomeq.constants import FS_HZ
-from roomeq.sim.jit import compiled, for_chunks, mix, uniform
+from roomeq.core.constants import FS_HZ
+from roomeq.core.jit import compiled, for_chunks, mix, uniform
 
 RETRIES = 6
 LATE_RAYS = 5000  # at least so many rays are followed to the end, if there are so many

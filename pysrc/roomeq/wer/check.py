@@ -3,7 +3,7 @@
 import math
 from pathlib import Path
 
-from roomeq.files import read_json
+from roomeq.core.files import read_json
 
 WER_FILE = "wer.json"
 

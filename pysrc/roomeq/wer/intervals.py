@@ -20,7 +20,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import norm, t
 
-from roomeq.rng import rng_for
+from roomeq.core.rng import rng_for
 
 REPLICATES = 10_000
 LEVEL = 0.95

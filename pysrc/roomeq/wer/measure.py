@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.build import Build
-from roomeq.files import read_json, write_json
-from roomeq.rirs import ROWS_FILE, read_rirs
+from roomeq.core.build import Build
+from roomeq.core.files import read_json, write_json
+from roomeq.records.rir_dir import ROWS_FILE, read_rirs
 from roomeq.wer.check import WER_FILE
 from roomeq.wer.intervals import (
     Resampling,

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from rapidfuzz.distance import Levenshtein
 
-from roomeq.files import read_text
+from roomeq.core.files import read_text
 
 REFERENCE_FILE = "test_filt.txt"
 BOOTCI_FILE = "bootci"

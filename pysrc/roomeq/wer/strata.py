@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.constants import BAND_1KHZ
+from roomeq.core.constants import BAND_1KHZ
 from roomeq.wer.scoring import read_reference, read_texts
 from roomeq.wer.workspace import TEST, Decoded, Scores
 

@@ -47,7 +47,7 @@ _LIST = b"--rir-id 1 --room-id r 'RIRS_NOISES/a_rir_b.wav'\n"
 
 
 def rows(data: bytes, work: Path) -> None:
-    from roomeq.rirs import read_noises, read_rirs
+    from roomeq.records.rir_dir import read_noises, read_rirs
 
     for name, read in (("rirs.jsonl", read_rirs), ("noises.jsonl", read_noises)):
         (work / name).write_bytes(data)
@@ -57,7 +57,7 @@ def rows(data: bytes, work: Path) -> None:
 def mixture(data: bytes, work: Path) -> None:
     import numpy as np
 
-    from roomeq.mixture import read_gmm, sample_eq
+    from roomeq.eq.gmm import read_gmm, sample_eq
 
     (work / "gmm.json").write_bytes(data)
     sample_eq(read_gmm(work), 2, np.random.default_rng(0))
@@ -66,7 +66,7 @@ def mixture(data: bytes, work: Path) -> None:
 def csv(data: bytes, work: Path) -> None:
     from roomeq.corpora.table import list_noise_table, list_table
     from roomeq.corpora.transcripts import list_transcripts
-    from roomeq.rows import row_problem
+    from roomeq.records.schema import row_problem
 
     (work / "manifest.csv").write_bytes(data)
     for read in (list_noise_table, list_transcripts):
@@ -78,7 +78,7 @@ def csv(data: bytes, work: Path) -> None:
 
 def meta(data: bytes, work: Path) -> None:
     from roomeq.corpora.reverbdb import list_reverbdb
-    from roomeq.rows import row_problem
+    from roomeq.records.schema import row_problem
 
     mic = work / "room" / "MicID01" / "SpkID01_20190503_S" / "01"
     if not mic.is_dir():
@@ -92,7 +92,7 @@ def meta(data: bytes, work: Path) -> None:
 
 def data_dir(data: bytes, work: Path) -> None:
     from roomeq.corpora.kaldi_dir import read_kaldi_dir
-    from roomeq.datadir import validate_data_dir
+    from roomeq.kaldi.datadir import validate_data_dir
 
     names = ("utt2spk", "wav.scp", "text", "spk2utt", "spk2gender", "utt2dur", "segments")
     for name, content in zip(names, data.split(SEPARATOR), strict=False):
@@ -104,7 +104,7 @@ def data_dir(data: bytes, work: Path) -> None:
 
 
 def wav_scp(data: bytes, work: Path) -> None:
-    from roomeq.wavscp import flac_entry, parse_entry
+    from roomeq.kaldi.wavscp import flac_entry, parse_entry
 
     text = data.decode(errors="surrogateescape")
     refused(parse_entry, text)
@@ -153,8 +153,8 @@ def mesh(data: bytes, work: Path) -> None:
 
 def options(data: bytes, work: Path) -> None:
     from roomeq import cli
-    from roomeq.build import share
-    from roomeq.draws import parse_distribution
+    from roomeq.augment.draw import parse_distribution
+    from roomeq.core.build import share
 
     words = data.decode(errors="surrogateescape").split("\n")
     for parse in (lambda text: parse_distribution(text, "snr_db"), lambda text: share(["a", "b"], text)):
@@ -175,7 +175,7 @@ def _command_line():
 
 
 def stamp(data: bytes, work: Path) -> None:
-    from roomeq.stamps import read_stamp
+    from roomeq.core.stamps import read_stamp
     from roomeq.validate import check_stamp
 
     (work / ".done").write_bytes(data)

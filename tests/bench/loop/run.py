@@ -28,16 +28,16 @@ import numpy as np  # noqa: E402
 
 from bench import kit  # noqa: E402
 from bench.loop.table import rates, show  # noqa: E402
-from roomeq.constants import BANDS_HZ  # noqa: E402
-from roomeq.digests import source_digest  # noqa: E402
+from roomeq.core.constants import BANDS_HZ  # noqa: E402
+from roomeq.core.digests import source_digest  # noqa: E402
 from roomeq.loop.close import close_loop  # noqa: E402
 from worlds import KINDS, make_world  # noqa: E402
 
 OUTSIDE = ("clock_drift", "harmonic_distortion", "ringing_object")
 PAIRS = ("source_response+air_absorption", "source_response+room_modes", "mic_response+near_reflector",
          "coupled_volume+source_directivity", "noise_floor+source_response", "sound_speed+mic_response")
-CODE = [*(ROOT / "pysrc/roomeq" / part for part in ("acoustics", "effects", "loop", "sim", "constants.py", "rirs.py",
-                                                   "rng.py")), ROOT / "tests/worlds"]
+CODE = [*(ROOT / "pysrc/roomeq" / part for part in ("acoustics", "core", "effects", "loop", "records", "sim")),
+        ROOT / "tests/worlds"]
 """What makes the results: they count for the same bytes of it."""
 CLEAN_SEEDS = 60
 FIRST_SEED = 101  # those below were looked at while the loop was made

@@ -75,7 +75,7 @@ def simulate_rows(count):
 
 _CHILD = """
 import sys, time
-from roomeq.simulate import simulate
+from roomeq.simulate_rirs import simulate
 start = time.perf_counter()
 simulate(sys.argv[1], sys.argv[2], noise_rirs=0, nj=int(sys.argv[3]))
 print(time.perf_counter() - start)

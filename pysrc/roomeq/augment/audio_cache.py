@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.audio import read_audio
-from roomeq.constants import FS_HZ
-from roomeq.draws import Noise, NoiseDraw, Pool, excerpt_start
-from roomeq.mix import convolve, direct_shift, loop
-from roomeq.rirs import load_rir
+from roomeq.augment.draw import Noise, NoiseDraw, Pool, excerpt_start
+from roomeq.augment.mix import convolve, direct_shift, loop
+from roomeq.core.audio import read_audio
+from roomeq.core.constants import FS_HZ
+from roomeq.records.rir_dir import load_rir
 
 CACHE_BYTES = 128 << 20
 

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 from scipy.stats import wasserstein_distance
 
-from roomeq.mixture import room_weights
+from roomeq.eq.gmm import room_weights
 
 N_BOOTSTRAP = 500
 

@@ -6,12 +6,12 @@ from functools import partial
 
 import numpy as np
 
-from roomeq.constants import FS_HZ
+from roomeq.core.constants import FS_HZ
+from roomeq.core.jit import on_threads
 from roomeq.sim.diffraction import Diffracted, diffract
 from roomeq.sim.early import Images, specular_paths
-from roomeq.sim.echoes import Echoes, echogram, keep_echoes
 from roomeq.sim.gather import FRAME_S, gather, visibility
-from roomeq.sim.jit import on_threads
+from roomeq.sim.path_sample import Echoes, echogram, keep_echoes
 from roomeq.sim.render import render, response_length_s, tail_noise
 from roomeq.sim.scene import check_positions
 from roomeq.sim.target import t30_s

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from roomeq.audio import audio_info, read_audio
-from roomeq.constants import FS_HZ
-from roomeq.limits import AUDIO_HOURS, max_audio_samples
+from roomeq.core.audio import audio_info, read_audio
+from roomeq.core.constants import FS_HZ
+from roomeq.core.limits import AUDIO_HOURS, max_audio_samples
 
 MAX_OVERSHOOT_S = 0.01
 """A segment may end this much after its recording (times rounded to 10 ms); it is cut there, as Kaldi does."""

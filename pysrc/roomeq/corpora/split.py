@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.build import Build
-from roomeq.passport import position_key
-from roomeq.rirs import read_noises, read_rirs, relocated, write_noises, write_rirs
+from roomeq.core.build import Build
+from roomeq.corpora.characterise import position_key
+from roomeq.records.rir_dir import read_noises, read_rirs, relocated, write_noises, write_rirs
 
 logger = logging.getLogger(__name__)
 
@@ -28,7 +28,7 @@ def split_rirs(rir_dir, out_prefix, *, split_by="rir", same_rooms=(), sizes=(773
     Parameters
     ----------
     rir_dir : Path
-        RIR directory, as a rule what `roomeq.passport.characterise` made.
+        RIR directory, as a rule what `roomeq.corpora.characterise.characterise` made.
     out_prefix : str or Path
         e.g. ``data/rirs.real``.
     split_by : str

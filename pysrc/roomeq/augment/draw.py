@@ -12,9 +12,9 @@ from functools import cached_property
 from pathlib import Path
 from statistics import NormalDist
 
-from roomeq.audio import audio_info
-from roomeq.rirs import NOISES_FILE, read_noises, read_rirs
-from roomeq.rng import rng_for
+from roomeq.core.audio import audio_info
+from roomeq.core.rng import rng_for
+from roomeq.records.rir_dir import NOISES_FILE, read_noises, read_rirs
 
 _MAX_SNR_DB = 200.0
 
@@ -201,7 +201,7 @@ def _noises(directories: list[Path]) -> list[Noise]:
 
 @dataclass(frozen=True)
 class Rules:
-    """How to draw; see `roomeq.augment.augment` for the options."""
+    """How to draw; see `roomeq.augment.augment.augment` for the options."""
 
     seed: int
     weight_rooms: bool

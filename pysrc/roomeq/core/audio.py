@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from roomeq.constants import FS_HZ
-from roomeq.files import replacing
-from roomeq.limits import AUDIO_HOURS, max_audio_samples
+from roomeq.core.constants import FS_HZ
+from roomeq.core.files import replacing
+from roomeq.core.limits import AUDIO_HOURS, max_audio_samples
 
 logger = logging.getLogger(__name__)
 
@@ -27,7 +27,7 @@ def audio_info(path: Path) -> soundfile.SoundFile:
     Raises
     ------
     ValueError
-        The file is missing, empty, truncated, too long (`roomeq.limits`) or no audio.
+        The file is missing, empty, truncated, too long (`roomeq.core.limits`) or no audio.
     """
     with _opened(path) as file:
         return file

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomeq.acoustics.metrics import find_knee
-from roomeq.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
+from roomeq.acoustics.iso3382 import find_knee
+from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 
 N_FRAME = 512
 N_HOP = 128

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from roomeq.constants import FS_HZ
+from roomeq.core.constants import FS_HZ
 
 GRID_SAMPLES = FS_HZ // 100
 """Segments start on this grid: 10 ms, Kaldi's frame shift."""

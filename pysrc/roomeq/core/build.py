@@ -23,10 +23,10 @@ from collections.abc import Callable, Iterator
 from itertools import starmap
 from pathlib import Path
 
-from roomeq.digests import code_digest, digest, files_below
-from roomeq.files import hash_file, read_json, to_json, write_json, write_text
-from roomeq.progress import progress
-from roomeq.stamps import DONE_FILE, as_sealed, check_output
+from roomeq.core.digests import code_digest, digest, files_below
+from roomeq.core.files import hash_file, read_json, to_json, write_json, write_text
+from roomeq.core.progress import progress
+from roomeq.core.stamps import DONE_FILE, as_sealed, check_output
 
 logger = logging.getLogger(__name__)
 

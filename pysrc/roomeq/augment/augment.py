@@ -1,7 +1,7 @@
 """Far-field data directories from clean ones: reverberate, add noise, keep every utterance's duration.
 
-One utterance is `roomeq.mix`, what is drawn for it is `roomeq.draws`; here is the way through a whole data
-directory: utterances are planned into recordings, each recording is one item of a `Build`.
+One utterance is `roomeq.augment.mix`, what is drawn for it is `roomeq.augment.draw`; here is the way through a
+whole data directory: utterances are planned into recordings, each recording is one item of a `Build`.
 """
 
 import logging
@@ -16,18 +16,18 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.build import Build
-from roomeq.constants import FS_HZ
+from roomeq.augment.audio_cache import Sounds
+from roomeq.augment.draw import Pool, Rules, parse_distribution, read_pool
+from roomeq.augment.mix import Mixture, convolve, mix
+from roomeq.augment.pack import Planned, file_name, plan_recordings, write_recording
+from roomeq.core.build import Build
+from roomeq.core.constants import FS_HZ
+from roomeq.core.digests import audio_digest
+from roomeq.core.files import read_json, read_jsonl, to_json, write_json, write_jsonl
 from roomeq.corpora.record import is_generated
-from roomeq.datadir import DataDir, read_data_dir
-from roomeq.datawrite import GRID_SAMPLES, OutUtterance, write_data_dir
-from roomeq.digests import audio_digest
-from roomeq.draws import Pool, Rules, parse_distribution, read_pool
-from roomeq.files import read_json, read_jsonl, to_json, write_json, write_jsonl
-from roomeq.layout import Planned, file_name, plan_recordings, write_recording
-from roomeq.mix import Mixture, convolve, mix
-from roomeq.sounds import Sounds
-from roomeq.wavscp import flac_entry, read_entry
+from roomeq.kaldi.datadir import DataDir, read_data_dir
+from roomeq.kaldi.wavscp import flac_entry, read_entry
+from roomeq.kaldi.write import GRID_SAMPLES, OutUtterance, write_data_dir
 
 logger = logging.getLogger(__name__)
 

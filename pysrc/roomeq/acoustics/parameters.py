@@ -3,9 +3,9 @@
 import math
 
 from roomeq.acoustics.direct import find_direct
-from roomeq.acoustics.metrics import all_metrics
-from roomeq.acoustics.spectrum import analyse
-from roomeq.constants import FS_HZ
+from roomeq.acoustics.iso3382 import all_metrics
+from roomeq.acoustics.subband_eq import analyse
+from roomeq.core.constants import FS_HZ
 
 _DECIMALS = 4
 
@@ -22,7 +22,7 @@ def measure(rir, *, direct=None):
     Returns
     -------
     dict
-        JSON-able. `roomeq.acoustics.metrics.all_metrics` plus `eq_db` (8 points, relative to 1 kHz),
+        JSON-able. `roomeq.acoustics.iso3382.all_metrics` plus `eq_db` (8 points, relative to 1 kHz),
         `eq_valid`, `eq_snr_db` (null: no noise seen) and `eq_edge_db` (level below an anti-alias roll-off that
         takes the 8 kHz point, or null).
 

@@ -12,14 +12,14 @@ import numpy as np
 from scipy.signal import fftconvolve, firwin2
 
 from roomeq.acoustics.direct import find_direct
-from roomeq.acoustics.passport import measure
-from roomeq.acoustics.spectrum import analyse
-from roomeq.audio import write_wav
-from roomeq.build import Build
-from roomeq.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
-from roomeq.files import write_json
-from roomeq.mixture import FREE, draw_target, read_gmm, with_reference
-from roomeq.rirs import load_rir, read_noises, read_rirs, relocated, rir_path, write_noises, write_rirs
+from roomeq.acoustics.parameters import measure
+from roomeq.acoustics.subband_eq import analyse
+from roomeq.core.audio import write_wav
+from roomeq.core.build import Build
+from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
+from roomeq.core.files import write_json
+from roomeq.eq.gmm import FREE, draw_target, read_gmm, with_reference
+from roomeq.records.rir_dir import load_rir, read_noises, read_rirs, relocated, rir_path, write_noises, write_rirs
 
 logger = logging.getLogger(__name__)
 
@@ -41,7 +41,7 @@ def compensate(sim_dir, eq_dir, out, *, taps=511, passes=3, match_rooms=True, se
     sim_dir : Path
         Simulated RIRs.
     eq_dir : Path
-        What `roomeq.eq.fit_eq` made, or its `gmm.json`.
+        What `roomeq.eq.fit.fit_eq` made, or its `gmm.json`.
     out : Path
         RIR directory to make. Rows hold `eq_target_db`, `eq_achieved_db`, `eq_error_db` and `eq_gain_db` (what
         the filter was designed for), 8 points each; `compensation.json` sums up.

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
-from roomeq.files import hash_file
-from roomeq.stamps import DONE_FILE, as_sealed, read_stamp
+from roomeq.core.files import hash_file
+from roomeq.core.stamps import DONE_FILE, as_sealed, read_stamp
 
 _NUMERICS = ("embreex", "numba", "numpy", "pyfar", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
 
@@ -102,7 +102,7 @@ def code_digest() -> str:
     for name in _NUMERICS:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             total.update(f"{name} {importlib.metadata.version(name)}".encode())
-    total.update(source_digest(Path(__file__).parent).encode())
+    total.update(source_digest(Path(__file__).parents[1]).encode())
     return total.hexdigest()
 
 

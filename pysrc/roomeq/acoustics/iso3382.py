@@ -19,7 +19,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from roomeq.acoustics.direct import find_direct
-from roomeq.constants import EXACT_BANDS_HZ
+from roomeq.core.constants import EXACT_BANDS_HZ
 
 FILTER_ORDER = 4  # of the Butterworth prototype; IEC 61260-1 class 1 needs 3, neighbouring bands ask for more
 MIN_BT = 16.0  # ISO 3382-2, 7.3: bandwidth times decay time, below which the filter's own decay shows

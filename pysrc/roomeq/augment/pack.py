@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 import soundfile
 
-from roomeq.constants import FS_HZ
-from roomeq.datadir import DataDir, Utterance
-from roomeq.files import write_bytes
-from roomeq.rows import is_id, make_id
-from roomeq.wavscp import Entry, n_samples
+from roomeq.core.constants import FS_HZ
+from roomeq.core.files import write_bytes
+from roomeq.kaldi.datadir import DataDir, Utterance
+from roomeq.kaldi.wavscp import Entry, n_samples
+from roomeq.records.schema import is_id, make_id
 
 MAX_RECORDING_S = 900.0
 UNKNOWN_S = 15.0  # planning length of an utterance that only decoding a whole archive or pipe would tell

@@ -7,7 +7,7 @@ as environment variables. Results do not depend on them.
 import os
 from dataclasses import dataclass
 
-from roomeq.constants import FS_HZ
+from roomeq.core.constants import FS_HZ
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from roomeq.acoustics.direct import find_direct
-from roomeq.acoustics.spectrum import analyse
-from roomeq.build import Build
-from roomeq.constants import BANDS_HZ, FS_HZ
-from roomeq.files import read_json, read_jsonl, write_json, write_jsonl
-from roomeq.mixture import COVARIANCES, FREE, GMM_FILE, JND_DB, draw_target, fit_gmm, room_weights, with_reference
-from roomeq.rirs import load_rir, read_rirs, rir_path
-from roomeq.rng import rng_for
+from roomeq.acoustics.subband_eq import analyse
+from roomeq.core.build import Build
+from roomeq.core.constants import BANDS_HZ, FS_HZ
+from roomeq.core.files import read_json, read_jsonl, write_json, write_jsonl
+from roomeq.core.rng import rng_for
+from roomeq.eq.gmm import COVARIANCES, FREE, GMM_FILE, JND_DB, draw_target, fit_gmm, room_weights, with_reference
+from roomeq.records.rir_dir import load_rir, read_rirs, rir_path
 
 logger = logging.getLogger(__name__)
 
@@ -31,7 +31,7 @@ def fit_eq(real_dir, sim_dirs, out, *, n_components=7, covariance="full", weight
            nj=1):
     """Measure the EQ of measured and simulated RIRs and fit a Gaussian mixture to the measured ones.
 
-    Screened RIRs (`roomeq.passport`) are left out, and so are outliers: any point further than 4 robust
+    Screened RIRs (`roomeq.corpora.characterise`) are left out, and so are outliers: any point further than 4 robust
     standard deviations from the median, rooms counting equally. Points that could not be measured are drawn from
     the Gaussian of the others given those that could; a roll-off at 8 kHz is replaced by the level just below it.
 
@@ -117,7 +117,7 @@ def eq_row(directory, row):
     Returns
     -------
     dict
-        `id`, `room_id`, `eq_db`, `valid` (8 each), `edge_db` and `screen`; see `roomeq.passport.measure`.
+        `id`, `room_id`, `eq_db`, `valid` (8 each), `edge_db` and `screen`; see `roomeq.corpora.characterise.measure`.
     """
     passport = row.get("passport") or {}
     if "eq_db" in passport:

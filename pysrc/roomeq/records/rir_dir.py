@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.audio import audio_info, read_audio
-from roomeq.constants import BANDS_HZ, FS_HZ
-from roomeq.files import read_jsonl, write_jsonl, write_text
-from roomeq.rows import noise_problem, row_problem
+from roomeq.core.audio import audio_info, read_audio
+from roomeq.core.constants import BANDS_HZ, FS_HZ
+from roomeq.core.files import read_jsonl, write_jsonl, write_text
+from roomeq.records.schema import noise_problem, row_problem
 
 ROWS_FILE = "rirs.jsonl"
 NOISES_FILE = "noises.jsonl"
@@ -108,7 +108,7 @@ def load_rir(directory: Path, row: dict) -> np.ndarray:
     Raises
     ------
     ValueError
-        See `roomeq.audio.read_audio`; also when the RIR is silent or its length is not the row's.
+        See `roomeq.core.audio.read_audio`; also when the RIR is silent or its length is not the row's.
     """
     path = rir_path(directory, row)
     rir = read_audio(path, resample=False)

@@ -7,18 +7,18 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.acoustics.passport import measure
-from roomeq.audio import write_wav
-from roomeq.build import Build
-from roomeq.constants import FS_HZ
+from roomeq.acoustics.parameters import measure
+from roomeq.core.audio import write_wav
+from roomeq.core.build import Build
+from roomeq.core.constants import FS_HZ
+from roomeq.core.rng import rng_for
 from roomeq.effects.model import Model, behind_rendering, direct_gain, extend_scene, names_of, path_gain, read_model
-from roomeq.rirs import decay_range_s, read_rirs, validate_rirs, write_rirs
-from roomeq.rng import rng_for
-from roomeq.sim.echoes import keep_echoes, middle
+from roomeq.records.rir_dir import decay_range_s, read_rirs, validate_rirs, write_rirs
+from roomeq.sim.context import Response
 from roomeq.sim.gather import FRAME_S
 from roomeq.sim.geometry import Place, find_place, noise_positions
-from roomeq.sim.job import Response
 from roomeq.sim.materials import DEFAULT_TABLE, draw_materials, draw_scattering, given_surfaces, read_materials
+from roomeq.sim.path_sample import keep_echoes, middle
 from roomeq.sim.published import published_file
 from roomeq.sim.response import (
     ISM_ORDER,
@@ -57,13 +57,13 @@ def simulate(measured_dir, out, *, t60_range_s=(0.2, 2.0), num_rays=NUM_RAYS, is
     Parameters
     ----------
     measured_dir : Path
-        RIR directory (`roomeq.rirs`). What its rows don't know of the geometry is drawn. A row's `materials`
+        RIR directory (`roomeq.records.rir_dir`). What its rows don't know of the geometry is drawn. A row's `materials`
         (material of the mesh, wall of the shoebox or ``"default"``, each to what `roomeq.sim.materials.find_surface`
         takes) are used instead of drawn ones; with its `target_t60_s` null as well they are not scaled.
     out : Path
         RIR directory to make.
     t60_range_s : tuple of 2 floats or "measured"
-        Range of the targets [s]; "measured": that of the measured rooms (`roomeq.rirs.decay_range_s`).
+        Range of the targets [s]; "measured": that of the measured rooms (`roomeq.records.rir_dir.decay_range_s`).
     num_rays : int
         Rays per source and distinct scattering column.
     ism_order : int

@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from roomeq.files import hash_file, read_json
+from roomeq.core.files import hash_file, read_json
 
 DONE_FILE = ".done"
 _HELD = {"step": str, "key": str, "files": dict}

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.constants import BAND_1KHZ, BANDS_HZ
-from roomeq.files import read_json
-from roomeq.rng import rng_for
+from roomeq.core.constants import BAND_1KHZ, BANDS_HZ
+from roomeq.core.files import read_json
+from roomeq.core.rng import rng_for
 
 FREE = tuple(k for k in range(len(BANDS_HZ)) if k != BAND_1KHZ)
 """Indices of the seven points that are free; 1 kHz is the reference."""
@@ -37,7 +37,7 @@ def fit_gmm(vectors_db, rooms, *, n_components=7, covariance="full", weight_room
     rooms : sequence of str
         Room of each vector.
     n_components, covariance, weight_rooms, seed
-        See `roomeq.eq.fit_eq`.
+        See `roomeq.eq.fit.fit_eq`.
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Kaldi data directories in: reading any recipe's, and checking them as strictly as Kaldi does.
 
 All files are tables: an id, a blank, the rest of the line; sorted by id in byte order (``LC_ALL=C``), each id
-once. Writing lies in `roomeq.datawrite`, one line of `wav.scp` in `roomeq.wavscp`.
+once. Writing lies in `roomeq.kaldi.write`, one line of `wav.scp` in `roomeq.kaldi.wavscp`.
 """
 
 import logging
@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roomeq.audio import read_audio
-from roomeq.files import read_text
-from roomeq.wavscp import Entry, n_samples, parse_entry, read_entry, segment_samples
-from roomeq.words import symbol_in, unprintable_in
+from roomeq.core.audio import read_audio
+from roomeq.core.files import read_text
+from roomeq.kaldi.wavscp import Entry, n_samples, parse_entry, read_entry, segment_samples
+from roomeq.records.transcripts import symbol_in, unprintable_in
 
 logger = logging.getLogger(__name__)
 
@@ -124,7 +124,7 @@ def read_utterance(data: DataDir, utterance: Utterance, *, pipes: bool = False) 
     Raises
     ------
     ValueError
-        See `roomeq.wavscp.read_entry`; the message names the utterance.
+        See `roomeq.kaldi.wavscp.read_entry`; the message names the utterance.
     """
     try:
         return read_entry(data.recordings[utterance.recording], utterance.start_s, utterance.end_s, pipes=pipes)

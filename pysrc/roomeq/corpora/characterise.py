@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.acoustics.metrics import DECAYS_DB, MARGIN_DB
-from roomeq.acoustics.passport import measure
-from roomeq.acoustics.spectrum import MIN_SNR_DB
-from roomeq.build import Build
-from roomeq.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
-from roomeq.files import write_json
-from roomeq.rirs import load_rir, read_noises, read_rirs, relocated, rir_path, write_noises, write_rirs
+from roomeq.acoustics.iso3382 import DECAYS_DB, MARGIN_DB
+from roomeq.acoustics.parameters import measure
+from roomeq.acoustics.subband_eq import MIN_SNR_DB
+from roomeq.core.build import Build
+from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
+from roomeq.core.files import write_json
+from roomeq.records.rir_dir import load_rir, read_noises, read_rirs, relocated, rir_path, write_noises, write_rirs
 
 logger = logging.getLogger(__name__)
 
@@ -35,7 +35,7 @@ def characterise(rir_dir, out, *, skip_bad=False, part=None, nj=1):
     Parameters
     ----------
     rir_dir : Path
-        RIR directory (`roomeq.rirs`), e.g. ``data/measured``.
+        RIR directory (`roomeq.records.rir_dir`), e.g. ``data/measured``.
     out : Path
         RIR directory to make: the same audio (not copied), its rows with `passport` (see `measure`),
         `screen` (why the EQ fit leaves this RIR out, or null) and `geometry_ok`; and `screening.json`.

@@ -4,7 +4,7 @@ import hashlib
 import re
 from collections.abc import Callable
 
-from roomeq.constants import BANDS_HZ
+from roomeq.core.constants import BANDS_HZ
 
 MAX_ID = 200
 """Longest id: files are named by ids, with something behind them."""

@@ -14,8 +14,8 @@ from functools import partial
 
 import numpy as np
 
+from roomeq.core.jit import N_CHUNKS, compiled, for_chunks, mix, on_threads
 from roomeq.sim.gather import FRAME_S, spheres, visibility
-from roomeq.sim.jit import N_CHUNKS, compiled, for_chunks, mix, on_threads
 
 _PER_CHUNK = 2  # as `_replace` has it
 N_KEPT = _PER_CHUNK * N_CHUNKS  # per frame

@@ -18,7 +18,7 @@ import numpy as np
 from scipy import fft
 
 from roomeq.acoustics.direct import find_direct
-from roomeq.constants import FS_HZ
+from roomeq.core.constants import FS_HZ
 
 PEAK_LIMIT = 0.99
 FADE_SAMPLES = FS_HZ // 20

@@ -1,0 +1,1 @@
+"""Far-field speech: what is drawn, mixed and packed."""

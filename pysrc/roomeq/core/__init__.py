@@ -1,0 +1,1 @@
+"""Files, the build cache, digests, random numbers, audio and progress: no acoustics."""

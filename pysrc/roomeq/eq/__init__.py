@@ -1,0 +1,1 @@
+"""Sub-band EQ: its distribution, the compensation filters, distances."""
