@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # From measured room impulse responses and clean speech to far-field training data: simulate, compensate, augment.
 # Usage: ./run.sh [--stage 0] [--stop-stage 7] [--nj 2] [--config conf/mini.conf] [options below]
-# e.g.:  ./run.sh                                        # embedded stand-in corpora, needs nothing
+# e.g.:  ./run.sh                                        # a synthetic corpus, needs nothing
 #        KALDI_ROOT=~/kaldi ./run.sh --stage 8        # then train and test recognisers on what it made
 #        ./run.sh --measured RIRS --speech SPEECH        # your own recordings
 #        ./run.sh --config conf/librispeech.conf --librispeech DIR --reverbdb DIR    # the paper's experiment
@@ -14,9 +14,9 @@ nj=$(env -u OMP_NUM_THREADS nproc)   # jobs; results do not depend on it
 seed=0         # of every random draw; results depend on nothing else
 data=data      # where data directories go
 exp=exp        # where models, logs and the report go
-corpora=corpora   # where generated stand-ins go
+corpora=corpora   # where the synthetic corpus goes
 
-# stage 0: corpora; without any, stand-ins are generated
+# stage 0: corpora; without any, a synthetic corpus is made
 librispeech=   # LibriSpeech as released
 reverbdb=      # BUT ReverbDB as released
 speech=        # or: any LibriSpeech-like tree, Kaldi data directory or folder with manifest.csv
@@ -25,9 +25,9 @@ noises=        # folder of noise recordings, beside those of the measured corpus
 train_sets=train-clean-100   # of a LibriSpeech tree, comma-separated
 dev_sets=dev-clean          # likewise
 test_sets=test-clean        # likewise
-standin_utterances=900,150,150   # for train, dev, test
-standin_rooms=9                  # 1 to 80
-standin_positions=6              # microphones and loudspeakers a room
+synthetic_utterances=900,150,150   # for train, dev, test
+synthetic_rooms=9                  # 1 to 80
+synthetic_positions=6              # microphones and loudspeakers a room
 
 # stage 1: measured RIRs
 split_by=rir              # rir, as in the paper, or room: the stricter question
@@ -49,11 +49,11 @@ max_effects=4             # that it adds at most
 # stage 6: augmentation
 snr="uniform 5 25"        # of the ambient noise [dB]
 point_snr="uniform 5 25"  # of point noises [dB]
-layout=recording          # one FLAC a recording, with segments; or: utterance
+packing=recording          # one FLAC a recording, with segments; or: utterance
 
 # stages 8-10: Kaldi, at KALDI_ROOT or around this directory
 dry_run=false             # print the Kaldi commands only
-lm_text=                  # for the language models, beside the transcripts; LibriSpeech and stand-ins have their own
+lm_text=                  # for the language models, beside the transcripts; LibriSpeech and the synthetic corpus have their own
 align_on=clean            # alignments of the clean speech for all sets, or of each set itself (self), as in the paper
 gmm_passes="mono 300, deltas all 300 3000, lda_mllt all 400 6000, sat all 400 6000"   # kind utterances leaves Gaussians
 num_leaves=400            # of the network's tree
@@ -76,7 +76,7 @@ at_stage() { [ "$stage" -le "$1" ] && [ "$stop_stage" -ge "$1" ] && log "stage $
 [[ $split_sizes =~ ^[0-9]+,[0-9]+,[0-9]+$ ]] || die "--split-sizes '$split_sizes' must be three counts, as 773,194,242"
 [[ $t60_range =~ ^([0-9.]+,[0-9.]+|measured)$ ]] ||
   die "--t60-range '$t60_range' must be two times, as 0.2,2.0, or measured"
-[[ $layout =~ ^(recording|utterance)$ ]] || die "--layout '$layout' must be recording or utterance"
+[[ $packing =~ ^(recording|utterance)$ ]] || die "--packing '$packing' must be recording or utterance"
 [ $((taps % 2)) = 1 ] || die "--taps '$taps' must be odd"
 number='[-+]?[0-9]*\.?[0-9]+'
 for name in snr point_snr; do # the tools check the rest: this spares the stages before them
@@ -91,10 +91,10 @@ local/install.sh
 
 if at_stage 0 "speech and measured RIRs"; then
   if [ -z "$librispeech$speech" ] || [ -z "$reverbdb$measured" ]; then
-    [ -n "$librispeech$speech" ] || log "no --speech or --librispeech given: generated stand-in speech is used"
-    [ -n "$reverbdb$measured" ] || log "no --measured or --reverbdb given: generated stand-in RIRs are used"
-    local/make_standins.sh --nj "$nj" --utterances "$standin_utterances" --rooms "$standin_rooms" \
-      --positions "$standin_positions" "$corpora"
+    [ -n "$librispeech$speech" ] || log "no --speech or --librispeech given: synthetic speech is used"
+    [ -n "$reverbdb$measured" ] || log "no --measured or --reverbdb given: synthetic RIRs are used"
+    local/make_synthetic_corpus.sh --nj "$nj" --utterances "$synthetic_utterances" --rooms "$synthetic_rooms" \
+      --positions "$synthetic_positions" "$corpora"
   fi
   steps/prepare_speech.sh --train-sets "$train_sets" --dev-sets "$dev_sets" --test-sets "$test_sets" \
     "${librispeech:-${speech:-$corpora/speech}}" "$data"
@@ -147,7 +147,7 @@ if at_stage 6 "far-field speech"; then
   for rirs in "${kinds[@]/%/.train}" "${kinds[@]/%/.dev}" real.test; do
     x=${rirs##*.}
     steps/augment_data.sh --nj "$nj" --snr "$snr" --point-snr "$point_snr" --weight-rooms "$weight_rooms" \
-      --layout "$layout" --seed "$seed" --noises "$data/rirs.real.$x" \
+      --packing "$packing" --seed "$seed" --noises "$data/rirs.real.$x" \
       "$data/$x.clean" "$data/rirs.$rirs" "$data/$x.${rirs%.*}.rvb"
   done
 fi

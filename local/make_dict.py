@@ -5,7 +5,7 @@ Usage: make_dict.py [--no-ids] TEXT DICT_DIR
 e.g.:  python local/make_dict.py data/train.clean/text exp/kaldi/dict
 
 TEXT is a Kaldi `text` file or, with --no-ids, lines of words only. Writes what stock utils/prepare_lang.sh takes, with
-<UNK> for words that are not in it. For stand-ins and small tasks: LibriSpeech has a lexicon of its own.
+<UNK> for words that are not in it. For the synthetic corpus and small tasks: LibriSpeech has a lexicon of its own.
 """
 
 import argparse

@@ -20,7 +20,7 @@ import numpy as np
 import soundfile
 import soxr
 
-from make_standin_speech import recorded
+from make_synthetic_speech import recorded
 from roomeq.core.audio import write_flac
 from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ

@@ -8,7 +8,7 @@ noises=                    # directory whose noises.jsonl to take noises from, b
 snr="uniform 5 25"         # of the ambient noise [dB]; also "normal 15 5", "list 20,15", none
 point_snr="uniform 5 25"   # of point noises [dB]
 weight_rooms=false         # draw the room first, then an RIR in it; false: every RIR is equally likely
-layout=recording           # one FLAC a recording, with segments; or: utterance
+packing=recording           # one FLAC a recording, with segments; or: utterance
 seed=0   # of every random draw
 . ./path.sh
 . utils/parse_options.sh
@@ -18,4 +18,4 @@ require "$2/rirs.jsonl" "the step that makes $2"
 flags=()
 [ "$weight_rooms" = false ] || flags=(--weight-rooms)
 utils/run_parts.sh "$nj" "$(dirname "$3")/log/$(basename "$3")" augment ${noises:+--noises "$noises"} \
-  --snr "$snr" --point-snr "$point_snr" --layout "$layout" --seed "$seed" "${flags[@]}" "$1" "$2" "$3"
+  --snr "$snr" --point-snr "$point_snr" --packing "$packing" --seed "$seed" "${flags[@]}" "$1" "$2" "$3"

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Find the effects that the simulation of measured RIRs lacks, and what adding them is worth on rooms left out.
-# Usage: steps/close_loop.sh [options] <measured-rir-dir> <judge-rir-dir> <loop-dir>
+# Usage: steps/close_loop.sh [options] <measured-rir-dir> <test-rir-dir> <loop-dir>
 # e.g.:  steps/close_loop.sh --nj 4 data/rirs.real.train data/rirs.real.dev exp/loop
 # Makes ledger.json, what was found, and model.json for `steps/simulate_rirs.sh --model`. The second directory is
 # only scored. It is one job of $nj processes.
@@ -22,5 +22,5 @@ cores=()
 # $cmd may hold options ("queue.pl --mem 2G"): split on purpose
 # shellcheck disable=SC2086
 $cmd "${cores[@]}" "$log" roomeq close-loop --nj "$nj" --max-effects "$max_effects" --seed "$seed" \
-  --judge "$2" --out "$3" "$1"
-grep -E '^(base model|loop|judge): |: (up to date|not judged)$' "$log"
+  --test "$2" --out "$3" "$1"
+grep -E '^(base model|loop|test set): |: (up to date|not tested)$' "$log"

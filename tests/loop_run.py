@@ -63,9 +63,9 @@ def make_loop(out):
         iterations=[iteration(found[0], 3.4, 1.9, cannot_tell=["source_response", "mic_response"],
                               would_tell=["the same room recorded with another loudspeaker"]),
                     iteration(found[1], 1.9, 1.5)],
-        unexplained=left, unexplained_all=[left], judge=dict(rirs=8, rooms=1, before=errors(3.6), after=errors(1.8)))
+        unexplained=left, unexplained_all=[left], test=dict(rirs=8, rooms=1, before=errors(3.6), after=errors(1.8)))
     for when in ("before", "after"):
-        for entry in ledger["judge"][when].values():
+        for entry in ledger["test"][when].values():
             entry["ci"] = None  # as of a single room
     rng = rng_for(0, "made-up residuals", "")
     before = 3.0 + rng.standard_normal((N_RIRS, N_CELLS))

@@ -97,8 +97,8 @@ def test_tables_and_summary(tmp_path, inputs):
     assert sum(summary["snr_histogram"].values()) == 5
 
 
-@pytest.mark.parametrize("layout", ["recording", "utterance"])
-def test_bytes_do_not_depend_on_jobs_parts_or_repetition(tmp_path, inputs, monkeypatch, layout):
+@pytest.mark.parametrize("packing", ["recording", "utterance"])
+def test_bytes_do_not_depend_on_jobs_parts_or_repetition(tmp_path, inputs, monkeypatch, packing):
     made = {}
 
     def run(place, *calls):
@@ -107,7 +107,7 @@ def test_bytes_do_not_depend_on_jobs_parts_or_repetition(tmp_path, inputs, monke
         monkeypatch.chdir(tmp_path / place)
         get_reusable_executor().shutdown()  # joblib's workers stay in the folder they were started in
         for call in calls:
-            summary = augment("../clean", "../rirs", "out", **dict(layout=layout, copies=2, seed=5) | call)
+            summary = augment("../clean", "../rirs", "out", **dict(packing=packing, copies=2, seed=5) | call)
             assert (summary is None) == ("part" in call)
         made[place] = bytes_of(Path("out"))
 
@@ -117,7 +117,7 @@ def test_bytes_do_not_depend_on_jobs_parts_or_repetition(tmp_path, inputs, monke
     run("seed", dict(seed=6))
     assert made["one"] == made["two"] == made["parts"] != made["seed"]
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "seed").rglob("*")}
-    augment("../clean", "../rirs", "out", layout=layout, copies=2, seed=6)
+    augment("../clean", "../rirs", "out", packing=packing, copies=2, seed=6)
     assert before == {path: path.stat().st_mtime_ns for path in (tmp_path / "seed").rglob("*")}
 
 
@@ -216,7 +216,7 @@ def test_segments_archives_and_flac_in_give_the_same_audio(tmp_path, inputs):
     (tmp_path / "long/wav.scp").write_text(f"long flac -c -d -s {tmp_path}/long.flac |\n")
     results = {}
     for source in (clean, tmp_path / "ark", tmp_path / "long"):
-        augment(source, rirs, tmp_path / f"out.{source.name}", layout="utterance")
+        augment(source, rirs, tmp_path / f"out.{source.name}", packing="utterance")
         result = read_data_dir(tmp_path / f"out.{source.name}")
         results[source.name] = {key: audio_of(result, key) for key in audio}
     for key, x in results["clean"].items():
@@ -264,7 +264,7 @@ def test_distributions_that_are_none(text):
 
 @pytest.mark.parametrize("options, message", [
     (dict(copies=0), "copies=0 must be at least 1"), (dict(point_noise_prob=1.5), r"point_noise_prob=1.5 must lie in"),
-    (dict(max_point_noises=-1), "max_point_noises=-1"), (dict(layout="chapter"), "layout='chapter' must be"),
+    (dict(max_point_noises=-1), "max_point_noises=-1"), (dict(packing="chapter"), "packing='chapter' must be"),
     (dict(snr_db="loud"), "snr_db='loud' must be"), (dict(part="0/2"), "part='0/2' must be JOB/JOBS")])
 def test_options_out_of_range(tmp_path, inputs, options, message):
     with pytest.raises(ValueError, match=message):

@@ -89,7 +89,7 @@ def test_directory_tells_target_and_achieved_for_every_rir(dirs, tmp_path):
     assert analyse(rir, DIRECT).eq_db == pytest.approx(one["eq_achieved_db"], abs=1e-3)
     assert np.subtract(one["eq_achieved_db"], one["eq_target_db"]) == pytest.approx(one["eq_error_db"], abs=1e-3)
     assert one["model"] == ["rays", "room_eq"]
-    assert (one["direct_sample"], one["passport"]["direct_sample"]) == (DIRECT, DIRECT)
+    assert (one["direct_sample"], one["acoustic_parameters"]["direct_sample"]) == (DIRECT, DIRECT)
     assert summary == read_json(tmp_path / "out" / "compensation.json")
     assert summary["held"] and summary["n_rirs"] == 6
 

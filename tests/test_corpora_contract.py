@@ -99,10 +99,10 @@ def test_noises_are_added(tmp_path):
 
 def test_a_stand_in_corpus_is_read_with_its_traps(project_dir, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(project_dir / "local"))
-    import make_standin_rirs
+    import make_synthetic_rirs
 
-    corpus = make_standin_rirs.Corpus(rooms=3, mics=2, speakers=2, silence_s=1, seed=0)
-    make_standin_rirs.make_standin_rirs(tmp_path / "standin", corpus)
+    corpus = make_synthetic_rirs.Corpus(rooms=3, mics=2, speakers=2, silence_s=1, seed=0)
+    make_synthetic_rirs.make_synthetic_rirs(tmp_path / "standin", corpus)
     out = read_measured(tmp_path / "standin", tmp_path / "out")
     rows = read_rirs(out)
     assert validate_rirs(out) == len(rows) == 16

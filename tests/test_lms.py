@@ -15,7 +15,7 @@ sys.path[:0] = [str(LOCAL), str(LOCAL / "kaldi")]
 
 import make_lms  # noqa: E402
 
-import standin_text  # noqa: E402
+import synthetic_text  # noqa: E402
 
 
 def run(*args):
@@ -25,7 +25,7 @@ def run(*args):
 
 def sentences(seed, count):
     rng = np.random.default_rng(seed)
-    return [standin_text.draw_sentence(0, rng) for _ in range(count)]
+    return [synthetic_text.draw_sentence(0, rng) for _ in range(count)]
 
 
 class Model:

@@ -26,7 +26,7 @@ from roomeq.loop.predict import predict
 from roomeq.loop.session import begin, look_ahead
 from roomeq.records.rir_dir import load_rir, read_rirs, relocated, write_rirs
 from roomeq.validate import validate
-from worlds import make_world
+from testbed import make_world
 
 ROOMS = 5
 SEED = 3
@@ -54,7 +54,7 @@ def closed(world, tmp_path_factory):
     def close(kind):
         if kind not in found:
             out = tmp_path_factory.mktemp("loop") / "loop"
-            close_loop([world(kind) / "fit"], out, judge=[world(kind) / "judge"], nj=2)
+            close_loop([world(kind) / "fit"], out, test=[world(kind) / "test"], nj=2)
             found[kind] = out
         return found[kind], read_json(found[kind] / "ledger.json")
     return close
@@ -220,7 +220,7 @@ def test_an_effect_that_nobody_declared_is_found(kind, closed):
     first = ledger["iterations"][0]
     assert first["effect"] == kind == first["ranking"][0]["effect"]
     assert first["heldout_error_after"] < first["heldout_error_before"] and first["p"] < 0.05
-    assert ledger["judge"]["after"]["positions"]["error"] < ledger["judge"]["before"]["positions"]["error"]
+    assert ledger["test"]["after"]["positions"]["error"] < ledger["test"]["before"]["positions"]["error"]
     assert kind in read_model(out / "model.json").names
     validate([out])
 
@@ -272,7 +272,7 @@ def test_one_loudspeaker_and_one_microphone_cannot_be_told_apart(world, tmp_path
 
 def test_results_do_not_depend_on_jobs(world, closed, tmp_path):
     out, _ = closed("noise_floor")
-    close_loop([world("noise_floor") / "fit"], tmp_path / "loop", judge=[world("noise_floor") / "judge"], nj=1)
+    close_loop([world("noise_floor") / "fit"], tmp_path / "loop", test=[world("noise_floor") / "test"], nj=1)
     for name in ("ledger.json", "model.json"):
         assert (tmp_path / "loop" / name).read_bytes() == (out / name).read_bytes()
 

@@ -7,7 +7,7 @@ from roomeq.acoustics.iso3382 import (
     all_metrics,
     decay_time,
     energy_decay,
-    find_knee,
+    find_noise_intersection,
     octave_bands,
     octave_gains,
     reverberation_time,
@@ -64,19 +64,19 @@ def test_knee_lies_where_decay_meets_noise(snr_db):
     time_s = 0.6
     knees, levels_db = [], []
     for seed in range(5):
-        knee = find_knee(room(time_s, seed, snr_db=snr_db)[DIRECT:] ** 2, FS_HZ)
-        knees.append(knee.sample / FS_HZ)
-        levels_db.append(10 * np.log10(knee.noise_power))
+        intersection = find_noise_intersection(room(time_s, seed, snr_db=snr_db)[DIRECT:] ** 2, FS_HZ)
+        knees.append(intersection.sample / FS_HZ)
+        levels_db.append(10 * np.log10(intersection.noise_power))
     assert np.mean(knees) == pytest.approx(time_s * snr_db / 60.0, rel=0.05)
     assert np.mean(levels_db) == pytest.approx(-snr_db, abs=0.3)
 
 
 def test_response_that_ends_above_its_noise_has_no_floor():
-    knee = find_knee(room(1.5, length_s=0.7)[DIRECT:] ** 2, FS_HZ)
-    assert (knee.sample, knee.noise_power) == (round(0.7 * FS_HZ), 0.0)
+    intersection = find_noise_intersection(room(1.5, length_s=0.7)[DIRECT:] ** 2, FS_HZ)
+    assert (intersection.sample, intersection.noise_power) == (round(0.7 * FS_HZ), 0.0)
     # what the truncated decay would still have brought: 1/(2 rate) of the power at its end
     expected = 10.0 ** (-6.0 * 0.7 / 1.5) * 1.5 * FS_HZ / (6.0 * np.log(10.0))
-    assert 10 * np.log10(knee.rest_energy / expected) == pytest.approx(0.0, abs=1.0)
+    assert 10 * np.log10(intersection.rest_energy / expected) == pytest.approx(0.0, abs=1.0)
 
 
 def test_validity_follows_the_decay_range():

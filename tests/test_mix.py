@@ -52,12 +52,12 @@ def test_reverberated_speech_starts_with_the_clean_speech(polarity, reflection):
     assert lags[np.argmax(correlation)] == 0
 
 
-def test_known_geometry_comes_before_the_passport_and_the_onset():
+def test_known_geometry_comes_before_the_acoustic_parameters_and_the_onset():
     h = decay(np.random.default_rng(5), direct=333)
-    passport = dict(passport=dict(direct_sample=330.6))
-    assert direct_shift(dict(id="h", direct_sample=331.7) | passport, h) == 332
-    assert direct_shift(dict(id="h") | passport, h) == 331
-    assert direct_shift(dict(id="h", direct_sample=None, passport=None), h) == 333
+    parameters = dict(acoustic_parameters=dict(direct_sample=330.6))
+    assert direct_shift(dict(id="h", direct_sample=331.7) | parameters, h) == 332
+    assert direct_shift(dict(id="h") | parameters, h) == 331
+    assert direct_shift(dict(id="h", direct_sample=None, acoustic_parameters=None), h) == 333
 
 
 @pytest.mark.parametrize("row, h, message", [

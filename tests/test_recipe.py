@@ -37,7 +37,7 @@ def test_the_loop_finds_the_loudspeakers_and_simulates_with_them(undisturbed, co
     output, files = undisturbed
     found = re.findall(r"^loop: (\S+): held-out error ([\d.]+) -> ([\d.]+) JND \[[\d.]+, [\d.]+\]$", output, re.M)
     assert [name for name, *_ in found] == ["source_response"] and float(found[0][2]) < float(found[0][1])
-    assert "no room has two RIRs, one to calibrate it and one to score: not judged" in output  # five RIRs of dev
+    assert "no room has two RIRs, one to calibrate it and one to score: not tested" in output  # five RIRs of dev
     where = corpora / "run-a"
     validate([where / "exp/loop", where / "data/rirs.sim.loop.train", where / "data/train.sim.loop.rvb"])
     for row in read_rirs(where / "data/rirs.sim.loop.train"):

@@ -34,7 +34,7 @@ FIGURES = ("figure-1-left", "figure-1-right", "figure-2-measured", "figure-2-res
            "figure-wer-rooms-train.sim.EQ.rvb",
            *(f"figure-loop-spectrum-{n}" for n in "12"),
            *(f"figure-loop-decay-{n}-{hz}" for n in "12" for hz in (125, 1000)))
-TABLES = ("table-datasets", "table-distance", "table-accuracy", "table-rooms", "table-passports", "table-screening",
+TABLES = ("table-datasets", "table-distance", "table-accuracy", "table-rooms", "table-acoustic-parameters", "table-screening",
           "table-run", "table-loop", "table-loop-errors", "table-wer", "table-wer-changes",
           "table-wer-strata")
 CLIPS = ("audio-clean", "audio-sim", "audio-sim-EQ", "audio-sim-loop", "audio-real")

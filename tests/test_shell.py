@@ -86,7 +86,7 @@ def test_help_prints_header_and_options(recipe):
 
 
 def test_every_script_has_help(project_dir):
-    for script in [*project_dir.glob("steps/*.sh"), project_dir / "run.sh", project_dir / "local/make_standins.sh"]:
+    for script in [*project_dir.glob("steps/*.sh"), project_dir / "run.sh", project_dir / "local/make_synthetic_corpus.sh"]:
         done = call(project_dir, str(script), "--help")
         assert done.returncode == 0 and "Usage:" in done.stdout and "e.g.:" in done.stdout, script
 
@@ -111,7 +111,7 @@ def test_a_log_that_cannot_be_written_is_named_and_nothing_starts(recipe, runner
 @pytest.mark.parametrize("option, value, message", [
     ("--snr", "loud", "must be 'uniform LOW HIGH'"), ("--snr", "20,15", "must be 'uniform LOW HIGH'"),
     ("--point-snr", "$(touch evil)", "must be 'uniform LOW HIGH'"), ("--taps", "512", "must be odd"),
-    ("--layout", "files", "must be recording or utterance"), ("--t60-range", "0.5", "must be two times"),
+    ("--packing", "files", "must be recording or utterance"), ("--t60-range", "0.5", "must be two times"),
     ("--t60-range", "match", "must be two times")])
 def test_the_recipe_refuses_values_before_any_work(project_dir, option, value, message):
     done = call(project_dir, "./run.sh", option, value)

@@ -135,7 +135,7 @@ def test_convex_rooms_have_none(tmp_path):
     for room in (Shoebox((6.0, 4.0, 3.0)), load_mesh(path)):
         assert find_edges(room) is None
         assert diffract(room, (1, 1, 1), (4, 3, 1), speed_m_s=C, n_samples=800, direct_visible=True) is None
-        scene = Scene(room, [Material("all", 0.2, 0.1)] * len(room.slots))
+        scene = Scene(room, [Material("all", 0.2, 0.1)] * len(room.surfaces))
         with_, without = (simulate_rir(scene, (1, 1, 1), (4, 3, 1), num_rays=500, diffraction=which)[0]
                           for which in (True, False))
         np.testing.assert_array_equal(with_.rir, without.rir)
@@ -147,7 +147,7 @@ def test_pieces_of_a_line_are_one_edge(room_with_box):
     a, b, c = room_with_box.triangles.transpose(1, 0, 2)
     ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
     fine = np.concatenate([np.stack(three, axis=1) for three in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
-    names = list(np.array(room_with_box.slots)[np.tile(room_with_box.face_slot, 4)])
+    names = list(np.array(room_with_box.surfaces)[np.tile(room_with_box.face_surface, 4)])
     edges = find_edges(make_room(fine, names))
     assert len(edges) == 12
     np.testing.assert_allclose(np.sort(edges.length_m), [1.0] * 8 + [1.5] * 4)
@@ -164,7 +164,7 @@ def test_a_shadow_in_a_room_begins_smoothly(room_with_box):
     """Move a microphone out of the shadow of the cupboard: the early sound has no jump, without diffraction it has."""
     source = (1.0, 2.0, 1.0)  # rays past (3.5, 2.5) and (2.5, 2.5): the near edge is the silhouette
     edge_y = 2.5 + (2.5 - 2.0) / (2.5 - 1.0) * 2.5  # y of the boundary at x = 5
-    scene = Scene(room_with_box, [Material("black", 1.0, 0.0)] * len(room_with_box.slots))
+    scene = Scene(room_with_box, [Material("black", 1.0, 0.0)] * len(room_with_box.surfaces))
     levels = {}
     for diffraction in (True, False):
         mics = [(5.0, edge_y + shift, 1.0) for shift in (-0.002, 0.002)]
@@ -180,17 +180,17 @@ def test_a_shadow_in_a_room_begins_smoothly(room_with_box):
 def test_absorbing_faces_leave_the_shadow_and_lose_the_reflection(room_with_box):
     how = dict(speed_m_s=C, n_samples=1600, direct_visible=True)
     found = diffract(room_with_box, (1.0, 2.3, 1.0), (3.0, 3.5, 1.0), **how)
-    wood = 1 + room_with_box.slots.index("wood")
+    wood = 1 + room_with_box.surfaces.index("wood")
     rows = [n for n, row in enumerate(found.signals) if np.any(row)]
-    assert rows[0] == 0 and wood in rows and 1 + room_with_box.slots.index("wall") not in rows
-    absorption = np.full((len(room_with_box.slots), 8), 1.0)
+    assert rows[0] == 0 and wood in rows and 1 + room_with_box.surfaces.index("wall") not in rows
+    absorption = np.full((len(room_with_box.surfaces), 8), 1.0)
     rir = found.response(absorption, np.zeros_like(absorption), Air(), 1600)
     black = found.first_sample + np.argmax(np.abs(found.signals[0]))
     assert rir[black] == pytest.approx(found.signals[0][black - found.first_sample], rel=0.1)
 
 
 def test_the_switch_reaches_the_response(room_with_box):
-    scene = Scene(room_with_box, [Material("all", 0.3, 0.1)] * len(room_with_box.slots))
+    scene = Scene(room_with_box, [Material("all", 0.3, 0.1)] * len(room_with_box.surfaces))
     source, mic = (1.0, 2.0, 1.0), (5.0, 2.6, 1.2)
     on, off = (simulate_rir(scene, source, mic, num_rays=500, diffraction=which)[0] for which in (True, False))
     assert on.diffracted and not off.diffracted and not on.direct_visible

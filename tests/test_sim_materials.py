@@ -109,7 +109,7 @@ def test_ones_own_table_may_have_fewer_bands_and_scattering(tmp_path, caplog):
 def test_slots_get_what_is_given(published_table):
     table, room = read_materials(), Shoebox((5.0, 4.0, 3.0))
     given = given_surfaces(table, room, {"floor": "carpet_thin", "default": "oak_panel"})
-    assert [given[slot].name for slot in room.slots] == ["oak_panel"] * 4 + ["carpet_thin", "oak_panel"]
+    assert [given[surface].name for surface in room.surfaces] == ["oak_panel"] * 4 + ["carpet_thin", "oak_panel"]
     assert given_surfaces(table, room, None) == {}
     rough = given_surfaces(table, room, {"north": {"absorption": "oak_panel", "scattering": 0.7}})
     drawn, kept = (draw_scattering(table, room, np.random.default_rng(0), which) for which in ({}, rough))
@@ -127,7 +127,7 @@ def test_the_example_of_the_docstring(tmp_path, published_table):
     path = tmp_path / "office.obj"
     path.write_text(prism_obj(box_plan(5.0, 4.0), 3.0, "brick wall").replace("usemtl floor", "usemtl oak"))
     room = load_mesh(path)
-    assert room.slots == ("brick wall", "ceiling", "oak")
+    assert room.surfaces == ("brick wall", "ceiling", "oak")
     scene = named_scene(room, {"oak": {"absorption": "oak_panel", "scattering": "rough"}, "default": "brick_plastered"})
     assert [one.name for one in scene.materials] == ["brick_plastered", "brick_plastered", "oak_panel"]
     (response,) = simulate_rir(scene, (1.0, 2.0, 1.2), (4.0, 3.0, 1.2), num_rays=500, seed=0)

@@ -53,9 +53,9 @@ def box(write_obj):
 
 
 def test_a_box_is_read_with_its_materials(box):
-    assert box.slots == ("ceiling", "floor", "wall") and box.convex
+    assert box.surfaces == ("ceiling", "floor", "wall") and box.convex
     assert box.volume_m3 == pytest.approx(72.0)
-    np.testing.assert_allclose(box.slot_area_m2, [24.0, 24.0, 60.0])
+    np.testing.assert_allclose(box.surface_area_m2, [24.0, 24.0, 60.0])
 
 
 @pytest.mark.parametrize("suffix", ["ply", "stl", "glb", "off"])
@@ -64,7 +64,7 @@ def test_other_formats_give_the_same_room(box, tmp_path, suffix):
     mesh = trimesh.Trimesh(box.triangles.reshape(-1, 3), np.arange(36).reshape(-1, 3), process=False)
     mesh.export(tmp_path / f"box.{suffix}")
     room = load_mesh(tmp_path / f"box.{suffix}")
-    assert room.slots == ("surface",) and room.volume_m3 == pytest.approx(72.0, rel=1e-5)
+    assert room.surfaces == ("surface",) and room.volume_m3 == pytest.approx(72.0, rel=1e-5)
 
 
 def test_specular_paths_of_a_mesh_box_are_those_of_the_lattice(box):
@@ -73,9 +73,9 @@ def test_specular_paths_of_a_mesh_box_are_those_of_the_lattice(box):
     found = box.specular_paths(source, mic, 4)
     assert found.has_direct
     np.testing.assert_allclose(found.distance_m, lattice.distance_m, atol=1e-6)
-    walls = lattice.slot_counts[:, :4].sum(axis=1)
-    expected = np.column_stack([lattice.slot_counts[:, 5], lattice.slot_counts[:, 4], walls])
-    assert sorted(map(tuple, found.slot_counts)) == sorted(map(tuple, expected))
+    walls = lattice.surface_counts[:, :4].sum(axis=1)
+    expected = np.column_stack([lattice.surface_counts[:, 5], lattice.surface_counts[:, 4], walls])
+    assert sorted(map(tuple, found.surface_counts)) == sorted(map(tuple, expected))
 
 
 @pytest.mark.parametrize("searched", [False, True], ids=["planes", "embree"])
@@ -85,11 +85,11 @@ def test_a_mesh_box_sounds_like_the_shoebox(box, searched):
     mics = np.array([(4.2, 2.9, 1.7), (2.0, 3.0, 1.0), (5.7, 3.7, 0.4)])
     levels = []
     for one in (Shoebox(DIMS_M), room):
-        paths = trace(one, (1.0, 1.3, 1.2), np.full(len(one.slots), 0.4), num_rays=6000, max_length_m=0.4 * C,
+        paths = trace(one, (1.0, 1.3, 1.2), np.full(len(one.surfaces), 0.4), num_rays=6000, max_length_m=0.4 * C,
                       speed_m_s=C,
                       rng=np.random.default_rng(0))
         assert paths.n_leaked == 0
-        energy = gather(paths, one, np.full((len(one.slots), 8), 0.15), mics, ism_order=3, n_frames=350, speed_m_s=C)
+        energy = gather(paths, one, np.full((len(one.surfaces), 8), 0.15), mics, ism_order=3, n_frames=350, speed_m_s=C)
         levels.append(10.0 * np.log10(energy[:, :, 0].reshape(3, 7, 50).sum(axis=2)))
     np.testing.assert_allclose(levels[1], levels[0], atol=1.0)
     assert abs(np.mean(levels[1] - levels[0])) < 0.15
@@ -98,7 +98,7 @@ def test_a_mesh_box_sounds_like_the_shoebox(box, searched):
 def test_decay_of_a_mesh_is_that_of_its_shoebox(box):
     times_s = []
     for room in (Shoebox(DIMS_M), box):
-        scene = Scene(room, [Material("all", 0.2, 0.3)] * len(room.slots))
+        scene = Scene(room, [Material("all", 0.2, 0.3)] * len(room.surfaces))
         mics = np.random.default_rng(0).uniform(0.2, 0.8, (10, 3)) * DIMS_M
         times_s.append(np.mean([reverberation_time(one.rir, FS_HZ, 1000.0, "t20", direct_sample=one.direct_sample)
                                 for one in simulate_rir(scene, (1.0, 1.3, 1.2), mics, num_rays=5000)]))
@@ -154,7 +154,7 @@ def test_a_hidden_corner_has_only_the_paths_found_by_hand(write_obj):
     for mic in places:
         expected = plan_paths_by_hand(L_PLAN, source, mic, 2)
         found = room.specular_paths((*source, 1.5), (*mic, 1.5), 2)
-        level = found.slot_counts[:, [room.slots.index("floor"), room.slots.index("ceiling")]].sum(axis=1) == 0
+        level = found.surface_counts[:, [room.surfaces.index("floor"), room.surfaces.index("ceiling")]].sum(axis=1) == 0
         np.testing.assert_allclose(found.distance_m[level], expected, atol=1e-6)
         distance_m = np.hypot(*np.subtract(mic, source))
         assert found.has_direct == (len(expected) > 0 and expected[0] == pytest.approx(distance_m))
@@ -183,12 +183,12 @@ def test_energy_is_conserved_in_a_room_with_a_table(write_obj):
     assert room.volume_m3 == pytest.approx(72.0 - 1.2)
     with pytest.raises(ValueError, match="outside the air"):
         room.require_inside("mic_pos_m", (3.0, 2.0, 0.7))
-    paths = trace(room, (1.0, 1.0, 1.5), np.full(len(room.slots), 0.5), num_rays=5000, max_length_m=0.3 * C,
+    paths = trace(room, (1.0, 1.0, 1.5), np.full(len(room.surfaces), 0.5), num_rays=5000, max_length_m=0.3 * C,
                       speed_m_s=C,
                   rng=np.random.default_rng(0))
     assert paths.n_leaked == 0
     mics = np.array([(5.0, 3.0, 1.2), (1.0, 3.2, 2.0), (4.8, 0.8, 0.7), (3.0, 2.0, 1.8)])
-    energy = gather(paths, room, np.zeros((len(room.slots), 8)), mics, ism_order=0, n_frames=280, speed_m_s=C)
+    energy = gather(paths, room, np.zeros((len(room.surfaces), 8)), mics, ism_order=0, n_frames=280, speed_m_s=C)
     uniform = C * 1e-3 / room.volume_m3 / (4.0 * np.pi)
     assert energy[:, 150:, 0].mean() / uniform == pytest.approx(1.0, abs=0.03)
 

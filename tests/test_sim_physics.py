@@ -184,7 +184,7 @@ def test_late_energy_is_that_of_the_diffuse_field():
             hz = np.fft.rfftfreq(2 * len(one.rir), 1.0 / FS_HZ)
             late.append(np.mean(spectrum[(hz > 150.0) & (hz < 1000.0)]))  # the air takes next to nothing
     # 4 (1 - a) / (a S) of the power, over 4 pi for p^2 (Kuttruff, eq. 5.44, without the direct sound)
-    expected = 4.0 * 0.9 / (0.1 * scene.room.slot_area_m2.sum()) / (4.0 * np.pi)
+    expected = 4.0 * 0.9 / (0.1 * scene.room.surface_area_m2.sum()) / (4.0 * np.pi)
     assert 10.0 * np.log10(np.mean(late) / expected) == pytest.approx(0.0, abs=0.5)
 
 

@@ -67,7 +67,7 @@ def test_every_measured_rir_gets_one_with_its_target_and_noise(measured, tmp_pat
         assert row["measured_id"] == name and row["noise_for"] is None and row["model"] == []
         assert noise["noise_for"] == name and noise["materials"] == row["materials"]
         assert noise["mic_pos_m"] == row["mic_pos_m"] and noise["source_pos_m"] != row["source_pos_m"]
-        assert all(0.0 <= a <= 1.0 for slot in row["materials"].values() for a in slot["absorption"])
+        assert all(0.0 <= a <= 1.0 for surface in row["materials"].values() for a in surface["absorption"])
     assert rows["a1"]["drawn"] == [] and rows["a2"]["drawn"] == ["mic_pos_m.2"]
     assert rows["a2"]["mic_pos_m"][:2] == [4.5, 1.0] and 0.8 <= rows["a2"]["mic_pos_m"][2] <= 1.8
     assert rows["a1-noise1"]["source_pos_m"] == rows["a2-noise1"]["source_pos_m"]
@@ -136,16 +136,16 @@ def test_impossible_options_are_refused(measured, tmp_path, options, message):
         simulate(measured, tmp_path / "sim", **options)
 
 
-def passport(t20_s, valid=True):
+def parameters(t20_s, valid=True):
     bands = [1.4] * 4 + [t20_s] + [0.2] * 3
-    return dict(passport=dict(t20_s=bands, t20_valid=[True] * 4 + [valid] + [True] * 3))
+    return dict(acoustic_parameters=dict(t20_s=bands, t20_valid=[True] * 4 + [valid] + [True] * 3))
 
 
 def test_targets_can_be_those_of_the_measured_rooms(tmp_path, caplog):
     caplog.set_level("INFO")
-    dull = [measured_row(f"a{n}", mic_pos_m=[4.0, 1.0 + n / 2, 1.2], **passport(t20_s, valid)) for n, (t20_s, valid) in
+    dull = [measured_row(f"a{n}", mic_pos_m=[4.0, 1.0 + n / 2, 1.2], **parameters(t20_s, valid)) for n, (t20_s, valid) in
             enumerate([(0.40, True), (0.44, True), (1.9, True), (None, False), (3.0, False)])]
-    live = [measured_row(f"b{n}", room_id="hall", mic_pos_m=[4.0, 1.0 + n / 2, 1.2], **passport(0.6)) for n in range(5)]
+    live = [measured_row(f"b{n}", room_id="hall", mic_pos_m=[4.0, 1.0 + n / 2, 1.2], **parameters(0.6)) for n in range(5)]
     (tmp_path / "in").mkdir()
     write_jsonl(tmp_path / "in/rirs.jsonl", dull + live)
     rows = run(tmp_path / "in", tmp_path / "sim", t60_range_s="measured", noise_rirs=0)
@@ -200,7 +200,7 @@ def test_a_target_out_of_reach_is_drawn_again_and_that_is_said(tmp_path, caplog)
     assert row["t30_s"] == pytest.approx(row["target_t60_s"], rel=0.05)
 
 
-def test_rows_carry_passports_and_only_main_rirs_a_target(measured, tmp_path):
+def test_rows_carry_acoustic_parameters_and_only_main_rirs_a_target(measured, tmp_path):
     for row in run(measured, tmp_path / "out").values():
-        assert row["passport"]["direct_sample"] == pytest.approx(row["direct_sample"], abs=1e-3)
+        assert row["acoustic_parameters"]["direct_sample"] == pytest.approx(row["direct_sample"], abs=1e-3)
         assert (row["target_t60_s"] is None) == bool(row["noise_for"])

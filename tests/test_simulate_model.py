@@ -71,17 +71,17 @@ def test_every_effect_of_the_catalogue_changes_what_it_is_about(name, measured, 
         assert np.all(np.isfinite(rir)) and one["temperature_c"] == plain[row_id][0]["temperature_c"]
 
 
-def test_targets_are_met_before_filters_and_passports_are_of_what_is_written(measured, plain, tmp_path):
+def test_targets_are_met_before_filters_and_acoustic_parameters_are_of_what_is_written(measured, plain, tmp_path):
     path = model_file(tmp_path / "model.json", extension("coupled_volume", (-0.5, np.log(3.0))),
                       extension("source_response"))
     one, rir = simulated(measured, tmp_path / "out", path)["a"]
     assert one["model"] == ["coupled_volume", "source_response"] and one["n_samples"] == len(rir)
     assert one["target_t60_s"] == plain["a"][0]["target_t60_s"]
     assert one["t30_s"] == pytest.approx(one["target_t60_s"], rel=0.05)
-    assert one["passport"]["t30_s"][BAND_1KHZ] > 1.5 * one["t30_s"]
+    assert one["acoustic_parameters"]["t30_s"][BAND_1KHZ] > 1.5 * one["t30_s"]
     # the filter shows in the measured EQ; the second decay, 5 dB below the reflections, hides no more than that
     drawn = np.interp(np.log([125.0, 4000.0]), np.log(RESPONSE_HZ), VECTORS["source_response"])
-    change = np.subtract(one["passport"]["eq_db"], plain["a"][0]["passport"]["eq_db"])
+    change = np.subtract(one["acoustic_parameters"]["eq_db"], plain["a"][0]["acoustic_parameters"]["eq_db"])
     assert change[6] - change[1] == pytest.approx(drawn[1] - drawn[0], abs=5.0)
 
 

@@ -45,7 +45,7 @@ def put_decode(decode, reference, hypotheses, spoil_best=0):
 def put_rirs(directory, rooms, rirs_a_room=2):
     """An RIR directory without audio: ``room-0``, ``room-1`` ... of each room; only halls have a T20."""
     rows = [dict(id=f"{room}-{n}", wav=f"{room}-{n}.wav", room_id=room, source_id="s", mic_id="m", fs_hz=16000,
-                 n_samples=800, passport=dict(t20_s=[1.0] * 8, t20_valid=[room == "hall"] * 8, drr_db=2.0 * n))
+                 n_samples=800, acoustic_parameters=dict(t20_s=[1.0] * 8, t20_valid=[room == "hall"] * 8, drr_db=2.0 * n))
             for room in rooms for n in range(rirs_a_room)]
     write_text(directory / "rirs.jsonl", "".join(json.dumps(row) + "\n" for row in sorted(rows, key=lambda r: r["id"])))
 

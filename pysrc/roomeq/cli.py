@@ -148,12 +148,12 @@ def _rir_verbs(verbs) -> None:
           "Measure every RIR; drop repeats; say what is unfit for the EQ fit.",
           "data/measured data/rirs.real")
      .argument("rir_dir", help="RIR directory")
-     .argument("out", help="RIR directory to make: the same audio, rows with passports")
+     .argument("out", help="RIR directory to make: the same audio, rows with acoustic parameters")
      .argument("--skip-bad", action="store_true", help="leave out and report RIRs that cannot be measured")
      .jobs())
     (Verb(verbs, "split-rirs", "corpora.split", "Split RIRs into disjoint training, development and test sets.",
           "--split-by room data/rirs.real data/rirs.real")
-     .argument("rir_dir", help="RIR directory with passports")
+     .argument("rir_dir", help="RIR directory with acoustic parameters")
      .argument("out_prefix", help="makes OUT_PREFIX.train, OUT_PREFIX.dev and OUT_PREFIX.test")
      .argument("--split-by", choices=("rir", "room"), default="rir", help="room: no room is in two sets")
      .argument("--same-rooms", type=names, default=(), metavar="PATTERN,...",
@@ -201,10 +201,10 @@ def _eq_verbs(verbs) -> None:
                help="choose the mixture's components as the measured RIRs of the same room do")
      .seed().jobs())
     (Verb(verbs, "close-loop", "loop.close", "Find out which effects the simulation of measured RIRs lacks; add them.",
-          "data/rirs.real.train --judge data/rirs.real.dev --out exp/loop")
+          "data/rirs.real.train --test data/rirs.real.dev --out exp/loop")
      .argument("rir_dirs", nargs="+", help="measured RIRs with geometry, of three rooms or more")
      .argument("--out", required=True, help="directory to make: ledger.json, model.json")
-     .argument("--judge", action="append", default=[], metavar="DIR", help="RIRs that are only scored")
+     .argument("--test", action="append", default=[], metavar="DIR", help="RIRs that are only scored")
      .argument("--model", help="model.json to begin with: its effects are in the base model, and no candidates")
      .argument("--max-effects", type=integer, default=4, help="at most so many are added")
      .seed()
@@ -226,7 +226,7 @@ def _speech_verbs(verbs) -> None:
      .argument("--max-point-noises", type=integer, default=1, help="point noises an utterance may have")
      .argument("--noises", action="append", default=[], metavar="DIR", help="another directory with noises.jsonl")
      .argument("--weight-rooms", action="store_true", help="draw the room first, then one of its RIRs")
-     .argument("--layout", choices=("recording", "utterance"), default="recording",
+     .argument("--packing", choices=("recording", "utterance"), default="recording",
                help="what a FLAC file holds: a whole recording, with segments, or one utterance")
      .argument("--pipes", action="store_true", help="run the commands that wav.scp holds; without it only those "
                                                     "known to decode a file are understood, and read directly")

@@ -52,7 +52,7 @@ def simulate(measured_dir, out, *, t60_range_s=(0.2, 2.0), num_rays=NUM_RAYS, is
 
     A model's effects act on all RIRs, those of its loudspeakers not on noise sources. `t30_s` of a row is what meets
     the target: that of the rendering, before effects that act behind it (filters, a second decay, noise). The
-    passport is that of the RIR as written, with all of them.
+    parameters is that of the RIR as written, with all of them.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ class _Traces:
         key = (*source_pos_m, length_s)
         if key not in self._known:
             scene = extend_scene(self.effects, Scene(self.room, [
-                Material(slot, 0.0, tuple(row)) for slot, row in zip(self.room.slots, self.scattering, strict=True)],
+                Material(surface, 0.0, tuple(row)) for surface, row in zip(self.room.surfaces, self.scattering, strict=True)],
                 self.air))
             rng = rng_for(self.options["seed"], "trace", repr((self.room_id, tuple(source_pos_m))))
             self._known[key] = trace_source(scene, source_pos_m, num_rays=self.options["num_rays"],
@@ -347,7 +347,7 @@ def _write(work, row, one, effects, air, seed, noise_for=None):
     rir = behind_rendering(effects, response.rir, with_absorption(scene, response.absorption), place.source_pos_m,
                            place.mic_pos_m, direct, rng_for(seed, "effects", row["id"]))
     write_wav(work / name, rir)
-    slots = zip(scene.room.slots, scene.materials, response.absorption, strict=True)
+    surfaces = zip(scene.room.surfaces, scene.materials, response.absorption, strict=True)
     made = {key: row.get(key) for key in _KEPT if key in row}
     if row.get("mesh"):
         made["mesh"] = row["mesh"]
@@ -361,7 +361,7 @@ def _write(work, row, one, effects, air, seed, noise_for=None):
         target_t60_s=one.target_s, t30_s=response.t30_s, leaked_share=response.leaked_share,
         direct_sample=response.direct_sample, direct_polarity=1, direct_visible=response.direct_visible,
         noise_for=noise_for, measured_id=noise_for or row["id"],
-        passport=measure(rir, direct=(response.direct_sample, 1)),
-        materials={slot: dict(material=material.name, absorption=[round(float(a), 6) for a in absorption],
+        acoustic_parameters=measure(rir, direct=(response.direct_sample, 1)),
+        materials={surface: dict(material=material.name, absorption=[round(float(a), 6) for a in absorption],
                               scattering=list(material.scattering))
-                   for slot, material, absorption in slots})
+                   for surface, material, absorption in surfaces})

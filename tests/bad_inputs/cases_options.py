@@ -28,9 +28,9 @@ CASES = [
     Case("loop into its input", "close-loop measured --out measured",
          "measured: input measured lies in it and would be lost: choose another output", (
         write("measured/.done", '{"step": "close-loop", "key": "x", "files": {}}'),)),
-    Case("judge absent", "close-loop --judge absent measured --out out",
+    Case("test set absent", "close-loop --test absent measured --out out",
          "absent: no such file or directory: check the path, or run the step that makes it"),
-    Case("judge without audio", "close-loop --judge rirs measured --out out",
+    Case("test set without audio", "close-loop --test rirs measured --out out",
          "rirs/wav/room0-0.wav: no such audio file: check the path",
          (remove("rirs/wav/room0-0.wav"), *(row("measured/rirs.jsonl", n, room_id=f"room{n}") for n in (1, 2, 3)))),
     Case("unknown option", "simulate --rays 3 measured out",

@@ -156,24 +156,24 @@ CASES = [
     rows("source direction of two", SIMULATE,
          "measured/rirs.jsonl:2: source_dir=[1, 0] must be three numbers (each may be null): correct the line "
          "or make the file again", source_dir=[1, 0]),
-    rows("passport a number", FIT,
-         "measured/rirs.jsonl:2: passport=5 must be an object: correct the line or make the file again", passport=5),
-    rows("passport a list", FIT,
-         "measured/rirs.jsonl:2: passport=['eq_db'] must be an object: correct the line or make the file again",
-         passport=["eq_db"]),
-    rows("passport of seven points", FIT,
-         "measured/rirs.jsonl:2: passport: eq_db=[0, 0, 0, 0, 0, 0, 0] must be 8 numbers: correct the line or "
-         "make the file again", passport=dict(eq_db=[0] * 7, eq_valid=[True] * 7, eq_edge_db=None)),
-    rows("passport without edge", FIT,
-         "measured/rirs.jsonl:2: passport: key 'eq_edge_db' is missing: correct the line or make the file again",
-         passport=dict(eq_db=[0] * 8, eq_valid=[True] * 8)),
-    rows("passport of texts", FIT,
-         "measured/rirs.jsonl:2: passport: eq_db=['0', '0', '0', '0', '0', '0', '0', '0'] must be 8 numbers: "
+    rows("acoustic parameters a number", FIT,
+         "measured/rirs.jsonl:2: acoustic_parameters=5 must be an object: correct the line or make the file again", acoustic_parameters=5),
+    rows("acoustic parameters a list", FIT,
+         "measured/rirs.jsonl:2: acoustic_parameters=['eq_db'] must be an object: correct the line or make the file again",
+         acoustic_parameters=["eq_db"]),
+    rows("acoustic parameters of seven points", FIT,
+         "measured/rirs.jsonl:2: acoustic_parameters: eq_db=[0, 0, 0, 0, 0, 0, 0] must be 8 numbers: correct the line or "
+         "make the file again", acoustic_parameters=dict(eq_db=[0] * 7, eq_valid=[True] * 7, eq_edge_db=None)),
+    rows("acoustic parameters without edge", FIT,
+         "measured/rirs.jsonl:2: acoustic_parameters: key 'eq_edge_db' is missing: correct the line or make the file again",
+         acoustic_parameters=dict(eq_db=[0] * 8, eq_valid=[True] * 8)),
+    rows("acoustic parameters of texts", FIT,
+         "measured/rirs.jsonl:2: acoustic_parameters: eq_db=['0', '0', '0', '0', '0', '0', '0', '0'] must be 8 numbers: "
          "correct the line or make the file again",
-         passport=dict(eq_db=["0"] * 8, eq_valid=[True] * 8, eq_edge_db=None)),
-    rows("passport null", "split-rirs measured out",
-         "measured/rirs.jsonl:2: passport: eq_db=None must be 8 numbers: correct the line or make the file "
-         "again", passport=dict(eq_db=None)),
+         acoustic_parameters=dict(eq_db=["0"] * 8, eq_valid=[True] * 8, eq_edge_db=None)),
+    rows("acoustic parameters null", "split-rirs measured out",
+         "measured/rirs.jsonl:2: acoustic_parameters: eq_db=None must be 8 numbers: correct the line or make the file "
+         "again", acoustic_parameters=dict(eq_db=None)),
     rows("direct sound a text", FIT,
          "measured/rirs.jsonl:2: direct_sample='early' must be a number of samples, not negative: correct the "
          "line or make the file again", direct_sample="early"),

@@ -261,8 +261,8 @@ def ledger(change):
 
 def without_a_part(rng, content):
     place = [content, content["baseline"]["rooms"], content["iterations"][0], content["iterations"][0]["ranking"][1],
-             content["unexplained_all"][0], content["judge"]["after"]][rng.integers(6)]
-    place.pop(rng.choice([key for key in place if key not in ("judge", "cannot_tell", "would_tell")]))
+             content["unexplained_all"][0], content["test"]["after"]][rng.integers(6)]
+    place.pop(rng.choice([key for key in place if key not in ("test", "cannot_tell", "would_tell")]))
 
 
 def with_a_wrong_error(rng, content):

@@ -40,7 +40,7 @@ JSON = st.recursive(st.one_of(st.none(), st.booleans(), NUMBER, TEXT), lambda in
     st.lists(inner, max_size=8), st.dictionaries(TEXT, inner, max_size=4)), max_leaves=12)
 CELL = st.one_of(TEXT, st.sampled_from(["", "?", "1", "1 2 3", "nan", "-1", "1,5", "a.wav", "../a.wav", "/", "."]))
 ROW = dict(id="a", wav="a.wav", room_id="r", source_id="s", mic_id="m", fs_hz=16000, n_samples=99)
-KEYS = [*ROW, "room_dims_m", "source_pos_m", "mic_pos_m", "mesh", "passport", "direct_sample", "direct_polarity",
+KEYS = [*ROW, "room_dims_m", "source_pos_m", "mic_pos_m", "mesh", "acoustic_parameters", "direct_sample", "direct_polarity",
         "model", "noise_for", "repeat_of", "binaural", "excitation", "screen", "distance_m",
         "temperature_c", "humidity_pct"]
 
@@ -217,8 +217,8 @@ def everywhere(value):
 VERBS = ("validate", "simulate", "characterise", "split-rirs", "fit-eq", "compensate", "close-loop", "augment",
          "report", "prepare-speech", "read-measured", "read-noises")
 OPTIONS = ("--seed", "--nj", "--part", "--num-rays", "--order", "--t60-range", "--sizes", "--taps", "--passes",
-           "--copies", "--snr", "--layout", "--limit", "--kind", "--skip-bad", "--num-components",
-           "--max-mesh-mb", "--model", "--out", "--judge", "--max-effects", "--")
+           "--copies", "--snr", "--packing", "--limit", "--kind", "--skip-bad", "--num-components",
+           "--max-mesh-mb", "--model", "--out", "--test", "--max-effects", "--")
 
 
 @quick

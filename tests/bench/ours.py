@@ -127,7 +127,7 @@ def echograms(scenes, source_pos_m, mics_m, *, duration_s, seed, n_rays=N_RAYS, 
 def mesh_scene(triangles, names, absorption, scattering, air=None):
     """A mesh whose materials all have one absorption and scattering."""
     room = make_room(triangles, names)
-    materials = [Material(slot, absorption, scattering) for slot in room.slots]
+    materials = [Material(surface, absorption, scattering) for surface in room.surfaces]
     return Scene(room, materials, StillAir() if air is None else air)
 
 

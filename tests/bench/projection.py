@@ -52,8 +52,8 @@ def measure(given, out):
     """Run the steps; return what each did, in which unit, and CPU seconds, peak memory [MiB] and bytes written."""
     data, exp, corpora = out / "data", out / "exp", out / "corpora"
     where = ["--nj", "1", "--match-rooms", "false", "--data", str(data), "--exp", str(exp), "--corpora", str(corpora),
-             "--standin-utterances", given.utterances, "--standin-positions", str(given.positions)]
-    run(["local/make_standins.sh", "--utterances", given.utterances, "--positions", str(given.positions),
+             "--synthetic-utterances", given.utterances, "--synthetic-positions", str(given.positions)]
+    run(["local/make_synthetic_corpus.sh", "--utterances", given.utterances, "--positions", str(given.positions),
          str(corpora)])
     steps = dict(
         prepare_speech=run(["steps/prepare_speech.sh", str(corpora / "speech"), str(data)]),

@@ -4,12 +4,12 @@ Conventions
 -----------
 Times are seconds, levels dB. Octave filters have zero phase: nothing is delayed, and what a filter spreads
 ahead of the direct sound is counted as having arrived with it. Decay curves are integrated backward, less the
-noise, from the knee where decay meets noise (Lundeby et al., Acustica 81 (1995) 344), and hold the exponential
+noise, from the intersection where decay meets noise (Lundeby et al., Acustica 81 (1995) 344), and hold the exponential
 rest beyond it (Guski & Vorländer, Acta Acustica 100 (2014) 320, methods D and E).
 
 Metrics
 -------
-EDT, T20, T30 and C50 (ISO 3382-1:2009, ISO 3382-2:2008), direct-to-reverberant ratio, noise floor and knee.
+EDT, T20, T30 and C50 (ISO 3382-1:2009, ISO 3382-2:2008), direct-to-reverberant ratio, noise floor and intersection.
 """
 
 from dataclasses import dataclass
@@ -32,17 +32,17 @@ _TINY = 1e-300  # keeps logarithms of digital silence finite
 
 
 @dataclass(frozen=True)
-class Knee:
+class NoiseIntersection:
     """Where a decay meets its noise floor, and the regression line of the late decay.
 
     Attributes
     ----------
     sample : int
-        Samples from the start to the knee; the length of the response where its end still decays.
+        Samples from the start to the intersection; the length of the response where its end still decays.
     noise_power : float
         Mean square of the noise; 0 where no floor is seen.
     rest_energy : float
-        Sum of the squared response that the late decay would still bring beyond the knee.
+        Sum of the squared response that the late decay would still bring beyond the intersection.
     """
 
     sample: int
@@ -57,19 +57,19 @@ class Decay:
     Attributes
     ----------
     edc_db : ndarray, shape (n,)
-        Decay curve from the direct sound to the knee; 0 dB is everything that arrived.
+        Decay curve from the direct sound to the intersection; 0 dB is everything that arrived.
     range_db : float
-        How far the curve falls before the knee; infinite for a decay to digital silence.
+        How far the curve falls before the intersection; infinite for a decay to digital silence.
     noise_floor_db : float or None
         Noise relative to the strongest 5 ms; None where no floor is seen.
-    knee : Knee
+    intersection : NoiseIntersection
         Counted from the direct sound.
     """
 
     edc_db: np.ndarray
     range_db: float
     noise_floor_db: float | None
-    knee: Knee
+    intersection: NoiseIntersection
 
 
 def _fft_size(n_samples, fs_hz):
@@ -122,7 +122,7 @@ def octave_bands(rir, fs_hz, bands_hz=EXACT_BANDS_HZ):
     return irfft(rfft(rir, n_fft) * gains, n_fft, axis=-1)[:, :len(rir)]
 
 
-def find_knee(power, fs_hz):
+def find_noise_intersection(power, fs_hz):
     """Find where a decay meets the noise floor, by Lundeby's iteration.
 
     The noise is what the end of the response holds beyond the extrapolated decay. Where that is less than the
@@ -136,29 +136,29 @@ def find_knee(power, fs_hz):
 
     Returns
     -------
-    Knee
+    NoiseIntersection
     """
     n_samples = len(power)
     noise = tail = float(np.mean(power[int(0.9 * n_samples):]))
-    n_block, span_db, knee = max(1, round(0.01 * fs_hz)), np.inf, n_samples
+    n_block, span_db, intersection = max(1, round(0.01 * fs_hz)), np.inf, n_samples
     if noise <= _TINY:
-        return Knee(n_samples, 0.0, 0.0)
+        return NoiseIntersection(n_samples, 0.0, 0.0)
     for _ in range(8):
         line = _late_decay(power, noise, n_block, span_db)
         if line is None:
             return _drowned(power, tail, n_block)
         slope_db, offset_db = line
-        previous, knee = knee, int(np.clip((_db(noise) - offset_db) / slope_db, 1, n_samples))
-        start = int(min(knee - MARGIN_DB / slope_db, 0.9 * n_samples))
+        previous, intersection = intersection, int(np.clip((_db(noise) - offset_db) / slope_db, 1, n_samples))
+        start = int(min(intersection - MARGIN_DB / slope_db, 0.9 * n_samples))
         tail = float(np.mean(power[start:]))
         noise = tail - _line_energy(line, start, n_samples) / (n_samples - start)
         if noise < 0.5 * tail:
-            return Knee(n_samples, 0.0, _line_energy(line, n_samples))
+            return NoiseIntersection(n_samples, 0.0, _line_energy(line, n_samples))
         n_block = int(np.clip(-MARGIN_DB / slope_db / 4, 0.002 * fs_hz, 0.05 * fs_hz))
         span_db = 20.0
-        if abs(knee - previous) < 0.002 * fs_hz:
+        if abs(intersection - previous) < 0.002 * fs_hz:
             break
-    return Knee(knee, noise, _line_energy(line, knee))
+    return NoiseIntersection(intersection, noise, _line_energy(line, intersection))
 
 
 def _late_decay(power, noise, n_block, span_db):
@@ -182,11 +182,11 @@ def _late_decay(power, noise, n_block, span_db):
 
 
 def _drowned(power, noise, n_block):
-    """Knee of a response in which no decay can be followed: where it first comes down to the noise."""
+    """NoiseIntersection of a response in which no decay can be followed: where it first comes down to the noise."""
     n_blocks = len(power) // n_block
     level = np.mean(power[:n_blocks * n_block].reshape(n_blocks, n_block), axis=1) if n_blocks else power[:1]
     below = np.flatnonzero(level < 2.0 * noise)
-    return Knee(max(1, int(below[0]) * n_block) if len(below) else len(power), noise, 0.0)
+    return NoiseIntersection(max(1, int(below[0]) * n_block) if len(below) else len(power), noise, 0.0)
 
 
 def _line_energy(line, start, stop=None):
@@ -223,19 +223,19 @@ def energy_decay(band, fs_hz, direct_sample):
     start = max(0, round(direct_sample))
     power = band ** 2
     after = power[start:]
-    knee = find_knee(after, fs_hz)
-    net = after[:knee.sample] - knee.noise_power
-    energy = np.cumsum(net[::-1])[::-1] + knee.rest_energy
+    intersection = find_noise_intersection(after, fs_hz)
+    net = after[:intersection.sample] - intersection.noise_power
+    energy = np.cumsum(net[::-1])[::-1] + intersection.rest_energy
     total = energy[0] + power[:start].sum()
     energy[0] = total
     edc_db = _db(energy / max(total, _TINY))
-    range_db = float(_db(total) - _db(knee.rest_energy)) if knee.rest_energy > 0.0 else np.inf
-    if knee.noise_power > 0.0 and knee.rest_energy == 0.0:
+    range_db = float(_db(total) - _db(intersection.rest_energy)) if intersection.rest_energy > 0.0 else np.inf
+    if intersection.noise_power > 0.0 and intersection.rest_energy == 0.0:
         range_db = 0.0
     n_block = max(1, round(0.005 * fs_hz))
     strongest = np.convolve(after[:20 * n_block], np.full(n_block, 1.0 / n_block), "same").max()
-    floor_db = float(_db(knee.noise_power) - _db(strongest)) if knee.noise_power > 0.0 else None
-    return Decay(edc_db, range_db, floor_db, knee)
+    floor_db = float(_db(intersection.noise_power) - _db(strongest)) if intersection.noise_power > 0.0 else None
+    return Decay(edc_db, range_db, floor_db, intersection)
 
 
 def decay_time(edc_db, fs_hz, decay):
@@ -302,7 +302,7 @@ def reverberation_time(rir, fs_hz, band_hz=1000.0, decay="t30", *, direct_sample
 
 
 def all_metrics(rir, fs_hz, direct_sample=None, polarity=None):
-    """Measure everything that a passport says about decay and level ratios.
+    """Measure everything that the acoustic parameters says about decay and level ratios.
 
     Parameters
     ----------
@@ -315,9 +315,9 @@ def all_metrics(rir, fs_hz, direct_sample=None, polarity=None):
     Returns
     -------
     dict
-        JSON-able: `direct_sample`, `direct_polarity`, `drr_db`, `knee_s` and `noise_floor_db` of the whole
+        JSON-able: `direct_sample`, `direct_polarity`, `drr_db`, `noise_intersection_s` and `noise_floor_db` of the whole
         band, and lists of 8 (octaves 62.5 Hz to 8 kHz): `edt_s, t20_s, t30_s, c50_db` with `*_valid`,
-        `band_knee_s`, `band_noise_floor_db`, `decay_range_db`. What cannot be computed is None and not valid.
+        `band_noise_intersection_s`, `band_noise_floor_db`, `decay_range_db`. What cannot be computed is None and not valid.
 
     Raises
     ------
@@ -331,7 +331,7 @@ def all_metrics(rir, fs_hz, direct_sample=None, polarity=None):
     rir = rir[:last]
     whole = energy_decay(rir, fs_hz, direct_sample)
     result = dict(direct_sample=float(direct_sample), direct_polarity=int(polarity),
-                  drr_db=_drr_db(rir, fs_hz, direct_sample, whole.knee), knee_s=whole.knee.sample / fs_hz,
+                  drr_db=_drr_db(rir, fs_hz, direct_sample, whole.intersection), noise_intersection_s=whole.intersection.sample / fs_hz,
                   noise_floor_db=whole.noise_floor_db)
     spectra = _Spectra(rir, _fft_size(len(rir), fs_hz))
     rows = [_band_metrics(spectra, band, fs_hz, band_hz, direct_sample)
@@ -364,33 +364,33 @@ def _band_metrics(spectra, band, fs_hz, band_hz, direct_sample):
         row[f"{decay}_s"] = time_s
         row[f"{decay}_valid"] = bool(time_s is not None and curve.range_db >= MARGIN_DB - bottom_db
                                      and band_hz * np.sqrt(0.5) * time_s > MIN_BT)
-    row["c50_db"] = _c50_db(spectra, fs_hz, band_hz, direct_sample, curve.knee)
+    row["c50_db"] = _c50_db(spectra, fs_hz, band_hz, direct_sample, curve.intersection)
     # the late part lies C50 below the whole, the noise must lie below the late part
     row["c50_valid"] = bool(row["c50_db"] is not None
                             and curve.range_db >= MARGIN_DB + max(MARGIN_DB, row["c50_db"]))
-    row["band_knee_s"] = curve.knee.sample / fs_hz
+    row["band_noise_intersection_s"] = curve.intersection.sample / fs_hz
     row["band_noise_floor_db"] = curve.noise_floor_db
     row["decay_range_db"] = float(min(curve.range_db, 200.0))
     return row
 
 
-def _c50_db(spectra, fs_hz, band_hz, direct_sample, knee):
+def _c50_db(spectra, fs_hz, band_hz, direct_sample, intersection):
     """Early-to-late ratio of one octave: gated before filtering, so that the filter smears nothing across."""
     gate = round(direct_sample + EARLY_S * fs_hz)
-    end = round(direct_sample) + knee.sample
+    end = round(direct_sample) + intersection.sample
     if end <= gate:
         return None
     early, late = (spectra.energy(*part, fs_hz, band_hz) for part in ((0, gate), (gate, end)))
-    late += knee.rest_energy - (end - gate) * knee.noise_power
-    early -= gate * knee.noise_power
+    late += intersection.rest_energy - (end - gate) * intersection.noise_power
+    early -= gate * intersection.noise_power
     return float(_db(early) - _db(late)) if early > 0.0 and late > 0.0 else None
 
 
-def _drr_db(rir, fs_hz, direct_sample, knee):
+def _drr_db(rir, fs_hz, direct_sample, intersection):
     """Direct-to-reverberant ratio of the whole band, None where one of the two is nothing."""
     gate = round(direct_sample + DIRECT_S * fs_hz)
     first = max(0, round(direct_sample - DIRECT_S * fs_hz))
-    end = round(direct_sample) + knee.sample
-    direct = np.sum(rir[first:gate] ** 2) - (gate - first) * knee.noise_power
-    reverberant = np.sum(rir[gate:end] ** 2) - max(0, end - gate) * knee.noise_power + knee.rest_energy
+    end = round(direct_sample) + intersection.sample
+    direct = np.sum(rir[first:gate] ** 2) - (gate - first) * intersection.noise_power
+    reverberant = np.sum(rir[gate:end] ** 2) - max(0, end - gate) * intersection.noise_power + intersection.rest_energy
     return float(_db(direct) - _db(reverberant)) if direct > 0.0 and reverberant > 0.0 else None

@@ -1,4 +1,4 @@
-"""The passport of an RIR: everything that is measured on it, as its row in `rirs.jsonl` holds it."""
+"""The acoustic parameters of an RIR: everything that is measured on it, as its row in `rirs.jsonl` holds it."""
 
 import math
 
@@ -11,7 +11,7 @@ _DECIMALS = 4
 
 
 def measure(rir, *, direct=None):
-    """Make the passport of one RIR at 16 kHz.
+    """Measure the acoustic parameters of one RIR at 16 kHz.
 
     Parameters
     ----------
@@ -33,10 +33,10 @@ def measure(rir, *, direct=None):
     """
     sample, polarity = find_direct(rir, FS_HZ) if direct is None else direct
     eq = analyse(rir, sample)
-    passport = all_metrics(rir, FS_HZ, sample, polarity)
-    passport.update(eq_db=eq.eq_db.tolist(), eq_valid=eq.valid.tolist(), eq_edge_db=eq.edge_db,
+    parameters = all_metrics(rir, FS_HZ, sample, polarity)
+    parameters.update(eq_db=eq.eq_db.tolist(), eq_valid=eq.valid.tolist(), eq_edge_db=eq.edge_db,
                     eq_snr_db=[value if math.isfinite(value) else None for value in eq.snr_db.tolist()])
-    return {key: _rounded(value) for key, value in passport.items()}
+    return {key: _rounded(value) for key, value in parameters.items()}
 
 
 def _rounded(value):

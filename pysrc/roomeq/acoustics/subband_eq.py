@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomeq.acoustics.iso3382 import find_knee
+from roomeq.acoustics.iso3382 import find_noise_intersection
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 
 N_FRAME = 512
@@ -95,7 +95,7 @@ def eq_part(rir, direct_sample):
         raise ValueError(f"direct_sample={direct_sample:g} must lie before the response's end, {last}: "
                          "find it again")
     start = max(0, direct - N_LEAD)
-    stop = direct + find_knee(np.square(rir[direct:last], dtype=np.float64), FS_HZ).sample
+    stop = direct + find_noise_intersection(np.square(rir[direct:last], dtype=np.float64), FS_HZ).sample
     return start, min(max(stop, start + N_FRAME), len(rir))
 
 

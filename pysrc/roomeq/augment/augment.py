@@ -51,7 +51,7 @@ class Job:
     max_point_noises: int
     weight_rooms: bool
     noises: tuple[str, ...]
-    layout: str
+    packing: str
     seed: int
     pipes: bool
 
@@ -59,7 +59,7 @@ class Job:
 def augment(data_dir: Path, rir_dir: Path, out: Path, *, seed: int = 0, copies: int = 1,
             snr_db: str = "uniform 5 25", point_snr_db: str = "uniform 5 25", point_noise_prob: float = 0.5,
             max_point_noises: int = 1, noises: list[Path] = (), weight_rooms: bool = False,
-            layout: str = "recording", pipes: bool = False, part: str | None = None, nj: int = 1) -> dict | None:
+            packing: str = "recording", pipes: bool = False, part: str | None = None, nj: int = 1) -> dict | None:
     """Make a far-field data directory out of a clean one: x_r = x*h_s + sum n_i*h_i + d (Tang et al., eq. 1).
 
     The result is advanced by the RIR's direct sound, so it starts with the clean speech and has its duration to
@@ -90,7 +90,7 @@ def augment(data_dir: Path, rir_dir: Path, out: Path, *, seed: int = 0, copies: 
         they are, one of the RIR's own room where there is any; ``point`` ones are convolved with an RIR.
     weight_rooms : bool
         Choose the room first, then an RIR in it; by default every RIR is equally likely.
-    layout : str
+    packing : str
         ``"recording"``: one FLAC per chapter (or per speaker, at most 15 minutes) with `segments`;
         ``"utterance"``: one FLAC per utterance.
     pipes : bool
@@ -111,7 +111,7 @@ def augment(data_dir: Path, rir_dir: Path, out: Path, *, seed: int = 0, copies: 
         An option, the data directory, an RIR or a noise is wrong; see the modules named above.
     """
     job = Job(str(data_dir), str(rir_dir), "", copies, snr_db, point_snr_db, point_noise_prob, max_point_noises,
-              weight_rooms, tuple(map(str, noises)), layout, seed, pipes)
+              weight_rooms, tuple(map(str, noises)), packing, seed, pipes)
     _check(job)
     flac_entry(str(out))  # refuses what wav.scp cannot name before hours of work
     options = {name: value for name, value in vars(job).items()
@@ -143,8 +143,8 @@ def _check(job: Job) -> None:
         raise ValueError(f"point_noise_prob={job.point_noise_prob} must lie in [0, 1]")
     if not 0 <= job.max_point_noises <= MAX_POINT_NOISES:
         raise ValueError(f"max_point_noises={job.max_point_noises} must lie in [0, {MAX_POINT_NOISES}]")
-    if job.layout not in ("recording", "utterance"):
-        raise ValueError(f"layout={job.layout!r} must be 'recording' or 'utterance'")
+    if job.packing not in ("recording", "utterance"):
+        raise ValueError(f"packing={job.packing!r} must be 'recording' or 'utterance'")
     parse_distribution(job.snr_db, "snr_db")
     parse_distribution(job.point_snr_db, "point_snr_db")
 
@@ -181,7 +181,7 @@ def _make_recording(job: Job, name: str, utterances: list[Planned]) -> dict:
         mixture, row = augment_utterance(session, planned)
         pcm = np.rint(mixture.samples * 32768).astype(np.int16)
         row.update(recording=name, start=position)
-        if job.layout == "utterance":
+        if job.packing == "utterance":
             row.update(recording=planned.id, start=0)
             files.append(write_recording(work, row["speaker"], planned.id, [pcm]))
         else:
@@ -241,7 +241,7 @@ def _assemble(job: Job, data: DataDir, out: Path, directory: Path, records: list
                         data.utt2uniq.get(row["clean"], row["clean"]))
 
         write_data_dir(directory, recordings, utterances(), spk2gender=data.spk2gender,
-                       segmented=job.layout == "recording")
+                       segmented=job.packing == "recording")
     write_json(directory / SUMMARY_FILE, summary.as_dict(_session(job).pool, len(recordings)))
     read_data_dir(directory)
 

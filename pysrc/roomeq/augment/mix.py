@@ -50,7 +50,7 @@ class Mixture:
 def direct_shift(row: dict, rir: np.ndarray) -> int:
     """Return the delay of an RIR's direct sound in whole samples.
 
-    The row's own `direct_sample` (from a simulation's known geometry) comes first, then its passport's, then the
+    The row's own `direct_sample` (from a simulation's known geometry) comes first, then its acoustic parameters', then the
     onset found in the signal, whatever its polarity.
 
     Raises
@@ -60,7 +60,7 @@ def direct_shift(row: dict, rir: np.ndarray) -> int:
     """
     stated = row.get("direct_sample")
     if stated is None:
-        stated = (row.get("passport") or {}).get("direct_sample")
+        stated = (row.get("acoustic_parameters") or {}).get("direct_sample")
     try:
         shift = round(find_direct(rir, FS_HZ)[0] if stated is None else stated)
     except ValueError as error:

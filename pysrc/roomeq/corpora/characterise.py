@@ -1,4 +1,4 @@
-"""Passports of measured RIRs: everything that can be measured on one, and whether it may be used for what.
+"""Acoustic parameters of measured RIRs: everything that can be measured on one, and whether it may be used for what.
 
 An RIR is *dropped* when it adds nothing or cannot be right (a repeat, an uncommon space): it is not in the
 output, only in `screening.json`. It is *screened* when it is a fine recording whose spectrum says more about
@@ -37,7 +37,7 @@ def characterise(rir_dir, out, *, skip_bad=False, part=None, nj=1):
     rir_dir : Path
         RIR directory (`roomeq.records.rir_dir`), e.g. ``data/measured``.
     out : Path
-        RIR directory to make: the same audio (not copied), its rows with `passport` (see `measure`),
+        RIR directory to make: the same audio (not copied), its rows with `acoustic_parameters` (see `measure`),
         `screen` (why the EQ fit leaves this RIR out, or null) and `geometry_ok`; and `screening.json`.
     skip_bad : bool
         Drop recordings that cannot be measured at all (no direct sound) instead of
@@ -85,21 +85,21 @@ def characterise(rir_dir, out, *, skip_bad=False, part=None, nj=1):
 
 
 def _characterise_one(rir_dir, row, skip_bad):
-    """Record of one RIR: its passport, its screening, and a hash of what it sounds like."""
+    """Record of one RIR: its acoustic parameters, its screening, and a hash of what it sounds like."""
     rir = load_rir(rir_dir, row)
     try:
-        passport = measure(rir)
+        parameters = measure(rir)
     except ValueError as error:
         if skip_bad:
             return dict(broken=str(error))
         raise ValueError(f"{rir_path(rir_dir, row)}: {error}") from None
     # the same take at another gain is no other
     scaled = np.round(rir / np.max(np.abs(rir)) * 2 ** 15).astype("<i4")
-    return dict(passport=passport, screen=screen_reason(row, passport), geometry_ok=geometry_ok(row),
+    return dict(acoustic_parameters=parameters, screen=screen_reason(row, parameters), geometry_ok=geometry_ok(row),
                 sound=hashlib.sha256(scaled.tobytes()).hexdigest())
 
 
-def screen_reason(row, passport):
+def screen_reason(row, parameters):
     """Why an RIR may not shape the EQ distribution, by what is known of this one recording; or None.
 
     The first words, up to the colon, are the kind of reason that summaries count.
@@ -108,12 +108,12 @@ def screen_reason(row, passport):
         return "binaural: the dummy head's ears are part of the spectrum"
     if row.get("excitation") == "clap":
         return "hand clap: its spectrum is part of the response"
-    if not passport["t20_valid"][BAND_1KHZ]:
+    if not parameters["t20_valid"][BAND_1KHZ]:
         needed_db = MARGIN_DB - DECAYS_DB["t20"][1]
-        return (f"too noisy: {passport['decay_range_db'][BAND_1KHZ]:.1f} dB of decay at 1 kHz, "
+        return (f"too noisy: {parameters['decay_range_db'][BAND_1KHZ]:.1f} dB of decay at 1 kHz, "
                 f"T20 needs {needed_db:.0f}")
-    rolled_off = passport["eq_edge_db"] is not None
-    dead = [f"{hz:g}" for k, (hz, valid) in enumerate(zip(BANDS_HZ, passport["eq_valid"], strict=True))
+    rolled_off = parameters["eq_edge_db"] is not None
+    dead = [f"{hz:g}" for k, (hz, valid) in enumerate(zip(BANDS_HZ, parameters["eq_valid"], strict=True))
             if not valid and not (rolled_off and k == len(BANDS_HZ) - 1)]
     if len(dead) > MAX_DEAD_POINTS:
         return f"dead bands: less than {MIN_SNR_DB:g} dB above the noise at {', '.join(dead)} Hz"
@@ -142,7 +142,7 @@ def position_key(row):
 
 
 def _drop(rir_dir, rows, records):
-    """Split rows into those that stay (with passports) and {id: reason} of those that go."""
+    """Split rows into those that stay (with acoustic parameters) and {id: reason} of those that go."""
     kept, dropped, first_of = [], {}, {}
     ids = {row["id"] for row in rows}
     # a reader names as repeat_of the take to keep: that one comes first
@@ -156,7 +156,7 @@ def _drop(rir_dir, rows, records):
         elif row.get("repeat_of") in ids and row["repeat_of"] not in dropped:
             dropped[row["id"]] = f"repeat: same positions as {row['repeat_of']}"
         else:
-            row = row | {key: record[key] for key in ("passport", "screen", "geometry_ok")}
+            row = row | {key: record[key] for key in ("acoustic_parameters", "screen", "geometry_ok")}
             sound, place = record["sound"], position_key(row)
             if sound in first_of:
                 dropped[row["id"]] = f"repeat: same audio as {first_of[sound]['id']}"
@@ -178,7 +178,7 @@ def same_take(rir_dir, row, other):
     n, reach = round(SAME_TAKE_S * FS_HZ), round(5e-4 * FS_HZ)
     parts = []
     for one, margin in ((row, 0), (other, reach)):
-        start = max(0, round(one["passport"]["direct_sample"]))
+        start = max(0, round(one["acoustic_parameters"]["direct_sample"]))
         rir = np.pad(load_rir(rir_dir, one), (margin, n + margin))
         parts.append(rir[start:start + n + 2 * margin])
     windows = np.lib.stride_tricks.sliding_window_view(parts[1], n)
@@ -190,7 +190,7 @@ def _summary(rows, kept, dropped):
     screened = {row["id"]: row["screen"] for row in kept if row["screen"]}
     return dict(n_given=len(rows), n_kept=len(kept), n_for_eq=len(kept) - len(screened),
                 n_geometry_not_ok=sum(not row["geometry_ok"] for row in kept),
-                n_roll_off_at_8khz=sum(row["passport"]["eq_edge_db"] is not None for row in kept),
+                n_roll_off_at_8khz=sum(row["acoustic_parameters"]["eq_edge_db"] is not None for row in kept),
                 dropped_counts=_counts(dropped), dropped=dropped,
                 screened_counts=_counts(screened), screened=screened)
 

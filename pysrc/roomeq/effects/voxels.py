@@ -26,7 +26,7 @@ def mode_count(room, k_max):
     k_max : float
         [1/m]
     """
-    return room.volume_m3 * k_max ** 3 / (6.0 * np.pi ** 2) + room.slot_area_m2.sum() * k_max ** 2 / (16.0 * np.pi)
+    return room.volume_m3 * k_max ** 3 / (6.0 * np.pi ** 2) + room.surface_area_m2.sum() * k_max ** 2 / (16.0 * np.pi)
 
 
 def voxel_modes(room, k_max, per_wavelength=PER_WAVELENGTH):

@@ -187,12 +187,12 @@ def _compensate_group(sim_dir, rows, target_db, work, taps, passes):
                                                                         passes=passes)
             else:
                 compensated, achieved_db = apply_filter(rir, fir), None
-            passport = measure(compensated, direct=(sample, polarity))
+            parameters = measure(compensated, direct=(sample, polarity))
         except ValueError as error:
             raise ValueError(f"{rir_path(sim_dir, row)}: {error}") from None
         row = row | dict(wav=f"wav/{row['id']}.wav", model=[*(row.get("model") or []), "room_eq"],
-                         direct_sample=sample, direct_polarity=polarity, passport=passport,
-                         t30_s=passport["t30_s"][BAND_1KHZ])
+                         direct_sample=sample, direct_polarity=polarity, acoustic_parameters=parameters,
+                         t30_s=parameters["t30_s"][BAND_1KHZ])
         if achieved_db is not None:
             row.update(eq_target_db=_rounded(target_db), eq_achieved_db=_rounded(achieved_db),
                        eq_error_db=_rounded(achieved_db - target_db), eq_gain_db=_rounded(gain_db))

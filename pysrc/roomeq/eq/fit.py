@@ -38,7 +38,7 @@ def fit_eq(real_dir, sim_dirs, out, *, n_components=7, covariance="full", weight
     Parameters
     ----------
     real_dir : Path
-        Measured RIRs of the *training* set, with passports or without.
+        Measured RIRs of the *training* set, with acoustic parameters or without.
     sim_dirs : sequence of Path
         Simulated RIRs, for the comparison; may be empty.
     out : Path
@@ -112,16 +112,16 @@ def fit_eq(real_dir, sim_dirs, out, *, n_components=7, covariance="full", weight
 
 
 def eq_row(directory, row):
-    """EQ record of one row: from its passport if it has one, else measured.
+    """EQ record of one row: from its acoustic parameters if it has them, else measured.
 
     Returns
     -------
     dict
         `id`, `room_id`, `eq_db`, `valid` (8 each), `edge_db` and `screen`; see `roomeq.corpora.characterise.measure`.
     """
-    passport = row.get("passport") or {}
-    if "eq_db" in passport:
-        eq_db, valid, edge_db = passport["eq_db"], passport["eq_valid"], passport["eq_edge_db"]
+    parameters = row.get("acoustic_parameters") or {}
+    if "eq_db" in parameters:
+        eq_db, valid, edge_db = parameters["eq_db"], parameters["eq_valid"], parameters["eq_edge_db"]
     else:
         rir = load_rir(directory, row)
         try:

@@ -190,7 +190,7 @@ def _noise_density(rir, found):
     `end` is what there is at the end, of `n_samples`, noise or not.
     """
     last = int(np.flatnonzero(rir)[-1]) + 1
-    start = max(int(0.9 * last), min(last, int(max(found["band_knee_s"]) * FS_HZ + found["direct_sample"])))
+    start = max(int(0.9 * last), min(last, int(max(found["band_noise_intersection_s"]) * FS_HZ + found["direct_sample"])))
     start = min(start, last - int(0.05 * FS_HZ)) if last > int(0.2 * FS_HZ) else int(0.9 * last)
     seen = np.array([one is not None for one in found["band_noise_floor_db"]])
     part = rir[start:last]
@@ -209,7 +209,7 @@ def _levels(rir, direct, found, noise):
     """Level and distance to the noise of the level cells [dB]: {metric: (level, snr)}."""
     at = round(direct)
     gate, early, late = (at + round(seconds * FS_HZ) for seconds in (DIRECT_S, EARLY_S, LATE_S))
-    end = max(late, at + round(found["knee_s"] * FS_HZ))
+    end = max(late, at + round(found["noise_intersection_s"] * FS_HZ))
     parts = {"direct": (at - round(LEAD_S * FS_HZ), gate, 8, "third"), "early": (gate, early, 16, "octave"),
              "late": (early, late, 40, "octave"), "spectrum": (at - round(LEAD_S * FS_HZ), end, 40, "third")}
     result = {}

@@ -219,7 +219,7 @@ def _check_ledger(ledger):
             way = one["scored_on"].removeprefix("unseen ")
             _require(whole[way]["error"] == one[key], f"{what}.{way}.error={whole[way]['error']:g}",
                      f"be the {key} of its iteration, {one[key]:g}")
-    if "judge" in ledger:
-        _keys(ledger["judge"], "judge", ("rirs", "rooms", "before", "after"))
+    if "test" in ledger:
+        _keys(ledger["test"], "test", ("rirs", "rooms", "before", "after"))
         for key in ("before", "after"):
-            _errors(ledger["judge"][key], f"judge.{key}")
+            _errors(ledger["test"][key], f"test.{key}")

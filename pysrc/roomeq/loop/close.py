@@ -14,9 +14,9 @@ from roomeq.loop.attribute import MIN_ROOMS, choose, one_sided_p, rank
 from roomeq.loop.data import load_data
 from roomeq.loop.examples import EXAMPLES_FILE, write_examples
 from roomeq.loop.heldout import heldout_errors, p_lower
-from roomeq.loop.judge import judge_errors
 from roomeq.loop.ledger import LEDGER_FILE, iteration_entry, ranked, values_of
 from roomeq.loop.session import begin
+from roomeq.loop.test_set import score_test_set
 from roomeq.loop.unexplained import find_unexplained
 from roomeq.loop.words import names_of, of_residual
 
@@ -26,7 +26,7 @@ SCATTERING = 0.3  # of all surfaces; nobody declares it, and the error depends l
 LEVEL = 0.05
 
 
-def close_loop(rir_dirs, out, *, judge=(), model=None, max_effects=4, seed=0, nj=1):
+def close_loop(rir_dirs, out, *, test=(), model=None, max_effects=4, seed=0, nj=1):
     """Find the effects that a simulation of measured RIRs lacks, and extend the model by them.
 
     Parameters
@@ -35,7 +35,7 @@ def close_loop(rir_dirs, out, *, judge=(), model=None, max_effects=4, seed=0, nj
         RIR directories with geometry (`roomeq.records.rir_dir`), together of at least three rooms or conditions.
     out : Path
         Directory to make: `ledger.json`, `model.json`, `residuals.npz`.
-    judge : sequence of Path
+    test : sequence of Path
         RIR directories that are only scored: no fit sees them.
     model : Path, optional
         Model to begin with (`roomeq.effects.model`): its effects are part of the base model, as they are there, and no
@@ -56,33 +56,33 @@ def close_loop(rir_dirs, out, *, judge=(), model=None, max_effects=4, seed=0, nj
     ValueError
         Too few rooms, or a directory or the model breaks its contract.
     """
-    directories, judge = [Path(one) for one in rir_dirs], [Path(one) for one in judge]
+    directories, test = [Path(one) for one in rir_dirs], [Path(one) for one in test]
     if not 0 <= max_effects <= len(CATALOGUE):
         raise ValueError(f"max_effects={max_effects} must lie in [0, {len(CATALOGUE)}]")
     check_jobs(nj)
     given = Model() if model is None else read_model(model)
     build = Build(Path(out), step="close-loop", options=dict(max_effects=max_effects, seed=seed),
-                  inputs=[*directories, *judge, *([Path(model)] if model else [])])
+                  inputs=[*directories, *test, *([Path(model)] if model else [])])
     if build.done:
         return None
     data = load_data(directories, scattering=SCATTERING, seed=seed, model=given, nj=nj)
     # before the loop: what is wrong there must not be said after hours
-    judge_data = load_data(judge, scattering=SCATTERING, seed=seed, model=given, nj=nj) if judge else None
+    test_data = load_data(test, scattering=SCATTERING, seed=seed, model=given, nj=nj) if test else None
     if data.n_scored < MIN_ROOMS:
         raise ValueError(f"{directories[0]}: RIRs of {len(data.room_names)} rooms, {data.n_scored} of them with two or "
                          f"more, and the loop leaves rooms out and scores them by halves: give at least {MIN_ROOMS} "
                          "rooms or conditions (room_id) with two RIRs")
-    if judge_data and not judge_data.n_scored:
-        logger.warning("%s: no room has two RIRs, one to calibrate it and one to score: not judged", judge[0])
-        judge_data = None
+    if test_data and not test_data.n_scored:
+        logger.warning("%s: no room has two RIRs, one to calibrate it and one to score: not tested", test[0])
+        test_data = None
     ledger = {}
     if build.run({"loop": None}, lambda _, __: {}):
-        build.finish(lambda directory, _: ledger.update(_run(data, directories, directory, judge_data, given,
+        build.finish(lambda directory, _: ledger.update(_run(data, directories, directory, test_data, given,
                                                                max_effects, seed, nj)))
     return ledger
 
 
-def _run(data, directories, work, judge_data, given, max_effects, seed, nj):
+def _run(data, directories, work, test_data, given, max_effects, seed, nj):
     """The loop itself; writes its files below `work` and returns the ledger."""
     start = time.monotonic()
     session = begin(data, seed=seed, nj=nj)
@@ -108,8 +108,8 @@ def _run(data, directories, work, judge_data, given, max_effects, seed, nj):
         baseline=_error_entry(first_errors), iterations=iterations,
         ranking=[ranked(one) for one in ranking], unexplained=left[0].as_dict() if left else None,
         unexplained_all=[one.as_dict() for one in left], final=_error_entry(errors))
-    if judge_data:
-        ledger["judge"] = _judged(judge_data, first, session, seed, nj)
+    if test_data:
+        ledger["test"] = _test_errors(test_data, first, session, seed, nj)
     logger.info("%d RIRs in %.0f s", len(data.rows), time.monotonic() - start)
     write_json(work / LEDGER_FILE, ledger)
     write_model(work / MODEL_FILE, model_of(session, given))
@@ -149,10 +149,10 @@ def _error_entry(errors):
                       by_band=errors.by_band(way)) for way in errors.cells}
 
 
-def _judged(data, first, last, seed, nj):
+def _test_errors(data, first, last, seed, nj):
     """Errors on directories that took no part, before and after."""
-    before, after = (judge_errors(data, session, seed=seed, nj=nj) for session in (first, last))
-    logger.info("judge: held-out error %.2f -> %.2f JND on unseen positions, %.2f -> %.2f in unseen rooms",
+    before, after = (score_test_set(data, session, seed=seed, nj=nj) for session in (first, last))
+    logger.info("test set: held-out error %.2f -> %.2f JND on unseen positions, %.2f -> %.2f in unseen rooms",
                 *(errors.mean(way) for way in ("positions", "rooms") for errors in (before, after)))
     return dict(rirs=len(data.rows), rooms=len(data.room_names), before=_error_entry(before),
                 after=_error_entry(after))

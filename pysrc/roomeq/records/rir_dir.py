@@ -6,8 +6,8 @@ required
     `id`, `wav` (relative to the directory), `room_id`, `source_id`, `mic_id`, `fs_hz`, `n_samples`
 geometry, `null` where nobody measured it (each coordinate on its own)
     `room_dims_m` [x, y, z] or `mesh` (a file), `source_pos_m`, `mic_pos_m`, `source_dir`, `mic_dir`
-passport
-    `passport`: what `roomeq characterise` measured; `screen`: why the RIR is left out of the EQ fit, or null
+parameters
+    `acoustic_parameters`: what `roomeq characterise` measured; `screen`: why the RIR is left out of the EQ fit, or null
 """
 
 import os
@@ -127,16 +127,16 @@ def decay_range_s(rows: list[dict]) -> tuple[float, float]:
     Raises
     ------
     ValueError
-        No passport says it of any room.
+        No room has a valid T20.
     """
     band, of_room = BANDS_HZ.index(1000), {}
     for row in rows:
-        passport = row.get("passport") or {}
-        t20_s, valid = ((passport.get(key) or [None] * len(BANDS_HZ))[band] for key in ("t20_s", "t20_valid"))
+        parameters = row.get("acoustic_parameters") or {}
+        t20_s, valid = ((parameters.get(key) or [None] * len(BANDS_HZ))[band] for key in ("t20_s", "t20_valid"))
         if valid and t20_s is not None:
             of_room.setdefault(row["room_id"], []).append(t20_s)
     if not of_room:
-        raise ValueError("no RIR has a valid T20 at 1 kHz in its passport: run roomeq characterise first, or give two "
+        raise ValueError("no RIR has a valid T20 at 1 kHz among its acoustic parameters: run roomeq characterise first, or give two "
                          "times [s]")
     medians_s = [float(np.median(times_s)) for times_s in of_room.values()]
     return min(medians_s), max(medians_s)

@@ -87,11 +87,11 @@ _OPTIONAL = {
     **dict.fromkeys(("noise_for", "repeat_of", "measured_id"), (is_id, "the id of an RIR")),
     "mesh": (_is_file_name, "a file name"),
     "model": (_is_a(list), "a list of effects"),
-    **dict.fromkeys(("materials", "passport"), (_is_a(dict), "an object")),
+    **dict.fromkeys(("materials", "acoustic_parameters"), (_is_a(dict), "an object")),
 }
 """What the keys of a row hold, null apart: a test and its name."""
 
-_PASSPORT = {
+_ACOUSTIC_PARAMETERS = {
     "direct_sample": _DIRECT,
     "eq_db": (_is_list(_is_number, _BANDS), f"{_BANDS} numbers"),
     "eq_valid": (_is_list(_is_bool, _BANDS), f"{_BANDS} times true or false"),
@@ -100,7 +100,7 @@ _PASSPORT = {
     "t20_valid": (_is_list(_is_bool, _BANDS), f"{_BANDS} times true or false"),
     "drr_db": (lambda value: value is None or _is_number(value), "a number or null"),
 }
-"""What steps read of a passport."""
+"""What steps read of the acoustic parameters."""
 _TOGETHER = {"eq_": "eq_db", "t20_": "t20_valid"}
 """Keys that begin alike come together: all are required where this one is there."""
 
@@ -112,13 +112,13 @@ _NOISE_OPTIONAL = {"room_id": (is_id, _ID_RULE), "fs_hz": _AUDIO["fs_hz"],
 def row_problem(row: dict) -> str | None:
     """Return what is wrong with one row of `rirs.jsonl`, or None."""
     problem = _problem(row, _REQUIRED, _OPTIONAL)
-    passport = row.get("passport")
-    if problem or not passport:
+    parameters = row.get("acoustic_parameters")
+    if problem or not parameters:
         return problem
-    begins = tuple(begin for begin, key in _TOGETHER.items() if key in passport)
-    required = {key: rule for key, rule in _PASSPORT.items() if key.startswith(begins)}
-    problem = _problem(passport, required, _PASSPORT)
-    return problem and f"passport: {problem}"
+    begins = tuple(begin for begin, key in _TOGETHER.items() if key in parameters)
+    required = {key: rule for key, rule in _ACOUSTIC_PARAMETERS.items() if key.startswith(begins)}
+    problem = _problem(parameters, required, _ACOUSTIC_PARAMETERS)
+    return problem and f"acoustic_parameters: {problem}"
 
 
 def noise_problem(row: dict) -> str | None:

@@ -110,7 +110,7 @@ def header(run: Run) -> Html:
                "simulated RIRs were given the sub-band EQ that measured ones have. This page shows what went in, "
                "what came out and how near it comes.", class_="lead")
     used = ", ".join(f"{name} {version}" for name, version in versions().items())
-    return join([lead, section_data.standin_warning(run), facts(run),
+    return join([lead, section_data.synthetic_corpus_warning(run), facts(run),
                  tag("p", tag("small", f"All audio at {FS_HZ // 1000} kHz. Made with {used}."))])
 
 

@@ -47,7 +47,7 @@ def eq_vectors(run: Run, name: str) -> np.ndarray:
 
 def direct_sample(run: Run, name: str, row: dict) -> float:
     """Return where the direct sound of an RIR is [samples]."""
-    known = (row.get("passport") or row).get("direct_sample")
+    known = (row.get("acoustic_parameters") or row).get("direct_sample")
     return find_direct(run.rir(name, row), FS_HZ)[0] if known is None else known
 
 
@@ -62,8 +62,8 @@ def described(name: str, eq_db: np.ndarray) -> str:
     return f"{name}: " + ", ".join(f"{db:.0f} dB at {hz:g} Hz" for hz, db in zip(BANDS_HZ, eq_db, strict=True))
 
 
-def reverberation_times(passports: list[dict]) -> list[float]:
-    """Return T30 at 1 kHz of the passports that have it validly, else T20; nothing for those without both [s]."""
+def reverberation_times(parameters: list[dict]) -> list[float]:
+    """Return T30 at 1 kHz where it is valid, else T20; nothing for those without both [s]."""
     found = (next((p[f"{name}_s"][BAND_1KHZ] for name in ("t30", "t20") if p[f"{name}_valid"][BAND_1KHZ]), None)
-             for p in passports)
+             for p in parameters)
     return [value for value in found if value is not None]

@@ -28,7 +28,7 @@ def duration(hours: float) -> str:
     return f"{60 * hours:.0f} min" if hours >= 0.1 else f"{3600 * hours:.0f} s"
 
 
-def standins(run: Run) -> list[str]:
+def synthetic_corpora(run: Run) -> list[str]:
     """Name the corpora of a run that say of themselves that they are generated."""
     found = []
     if corpus_readme(run, "measured").startswith("Generated"):
@@ -38,13 +38,13 @@ def standins(run: Run) -> list[str]:
     return found
 
 
-def standin_warning(run: Run) -> Html:
+def synthetic_corpus_warning(run: Run) -> Html:
     """Return the box that says which corpora are not real, or nothing."""
-    found = standins(run)
+    found = synthetic_corpora(run)
     if not found:
         return Html("")
     return tag("p", tag("strong", "Not real: "), f"the {' and the '.join(found)} of this run are generated "
-                                                 "stand-ins. ",
+                                                 "synthetic corpora. ",
                "They show that everything works from end to end; no number below says anything about rooms or "
                "recognisers. Give recordings of your own with ", tag("code", "--measured"), " and ",
                tag("code", "--speech"), ".", class_="warning")
@@ -133,16 +133,16 @@ def source(run: Run, split: str) -> Html:
     found = [name for name in names if corpus and any(Path(corpus, top, name).is_dir() for top in (".", "LibriSpeech"))]
     text = shown(found) if found else Path(corpus).name if corpus else f"data/{split}.clean"
     generated = corpus_readme(run, f"{split}.clean").startswith("Generated")
-    return join([text, " (generated stand-in)" if generated else ""])
+    return join([text, " (synthetic)" if generated else ""])
 
 
 def measured(run: Run) -> Html:
-    """Return what the measured corpus holds: rooms and splits, passports, what was left out and why."""
+    """Return what the measured corpus holds: rooms and splits, acoustic parameters, what was left out and why."""
     rows = run.rirs("rirs.real")
     return join([
         paragraph(f"{len(rows)} measured RIRs of {len({row['room_id'] for row in rows})} rooms were kept. ",
-                  "Each gets a passport: what can be measured on it, and whether the recording allows it."),
-        rooms_table(run, rows), passport_table(rows), screening(run)])
+                  "Each is measured: what can be measured on it, and whether the recording allows it."),
+        rooms_table(run, rows), parameters_table(rows), screening(run)])
 
 
 def rooms_table(run: Run, rows: list[dict]) -> Html:
@@ -159,29 +159,29 @@ def rooms_table(run: Run, rows: list[dict]) -> Html:
                       ["Room", "Corpus", *columns, "all"], body, (0, 1))
 
 
-def passport_table(rows: list[dict]) -> Html:
-    """Return the median passport of each room."""
+def parameters_table(rows: list[dict]) -> Html:
+    """Return the median acoustic parameters of each room."""
     by_room = defaultdict(list)
     for row in rows:
-        if row.get("passport"):
+        if row.get("acoustic_parameters"):
             by_room[row["room_id"]].append(row)
     if not by_room:
-        raise Missing("the passports of data/rirs.real", "stage 1 (roomeq characterise)")
+        raise Missing("the acoustic parameters of data/rirs.real", "stage 1 (roomeq characterise)")
     body = []
     for room, members in sorted(by_room.items()):
-        passports = [row["passport"] for row in members]
-        eq_db = np.array([np.where(p["eq_valid"], p["eq_db"], np.nan) for p in passports], dtype=float)
+        parameters = [row["acoustic_parameters"] for row in members]
+        eq_db = np.array([np.where(p["eq_valid"], p["eq_db"], np.nan) for p in parameters], dtype=float)
         spread = np.array([np.nanstd(column) for column in eq_db.T if np.isfinite(column).any()])
         body.append([
-            tag("code", room), len(members), middle(reverberation_times(passports), 2),
-            middle([p["c50_db"][BAND_1KHZ] for p in passports if p["c50_valid"][BAND_1KHZ]], 1),
-            middle([p["drr_db"] for p in passports if p["drr_db"] is not None], 1),
+            tag("code", room), len(members), middle(reverberation_times(parameters), 2),
+            middle([p["c50_db"][BAND_1KHZ] for p in parameters if p["c50_valid"][BAND_1KHZ]], 1),
+            middle([p["drr_db"] for p in parameters if p["drr_db"] is not None], 1),
             number(np.sqrt(np.mean(spread ** 2)) if len(members) > 1 and len(spread) else None),
             *(middle(column[np.isfinite(column)], 1) for column in eq_db[:, [0, 1, 6]].T)])
     points = [f"EQ at {hertz(BANDS_HZ[n])} (dB)" for n in (0, 1, 6)]
     head = ["Room", "RIRs", f"T60, {hertz(1000)} (s)", f"C50, {hertz(1000)} (dB)", "DRR (dB)", "EQ spread (dB)"]
     return make_table(
-        "table-passports", "Passports: the median of each room, over those of its RIRs that allow the measurement. "
+        "table-acoustic-parameters", "Acoustic parameters: the median of each room, over those of its RIRs that allow the measurement. "
         "T60: reverberation time, by T30 where noise leaves enough decay, else by T20; C50: early (50 ms) to late "
         "energy; DRR: direct sound to everything else; EQ spread: standard deviation within the room, mean over "
         "the points", [*head, *points], body)

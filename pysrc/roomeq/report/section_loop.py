@@ -101,9 +101,9 @@ def errors_table(ledger: dict) -> Html:
 
     rows = [row(f"Unseen {way}", ledger["rirs"], ledger["rooms"], ledger["baseline"][way], ledger["final"][way])
             for way in WAYS]
-    if judge := ledger.get("judge"):
-        rows += [row(f"RIRs that took no part, as unseen {way}", judge["rirs"], judge["rooms"], judge["before"][way],
-                     judge["after"][way]) for way in WAYS]
+    if test := ledger.get("test"):
+        rows += [row(f"RIRs that took no part, as unseen {way}", test["rirs"], test["rooms"], test["before"][way],
+                     test["after"][way]) for way in WAYS]
     return make_table(
         "table-loop-errors", "Mean error in JND with 95 % intervals over rooms. Unseen positions: half of the room's "
         "RIRs calibrate its surfaces, the others are scored. Unseen rooms: only the reverberation time at 1 kHz and "
@@ -277,6 +277,6 @@ def cautions(ledger: dict, trained: bool) -> Html:
         "Parameters were fitted to these loudspeakers and microphones. Others get parameters drawn from their spread."]
     if not trained:
         points.append("No recogniser was trained on what the extended model simulates.")
-    if "judge" in ledger:
+    if "test" in ledger:
         points.insert(3, "The RIRs that took no part may come from rooms that did, unless the split was by room.")
     return join([paragraph(tag("strong", "What this does not show.")), tag("ul", *(tag("li", one) for one in points))])

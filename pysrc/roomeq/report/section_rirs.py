@@ -128,7 +128,7 @@ def reverberation(run: Run) -> Html:
 def measured_times(run: Run) -> np.ndarray:
     """Return the reverberation times of the measured training RIRs [s]."""
     rows = unscreened(run, DIRECTORIES["measured"]) if run.has(DIRECTORIES["measured"]) else []
-    return np.array(reverberation_times([row["passport"] for row in rows if row.get("passport")]))
+    return np.array(reverberation_times([row["acoustic_parameters"] for row in rows if row.get("acoustic_parameters")]))
 
 
 def leaks(rows: list[dict]) -> Html:

@@ -10,7 +10,7 @@ from roomeq.kaldi.datadir import DataDir, read_data_dir, read_utterance
 from roomeq.report import figures
 from roomeq.report.load import ALL_KINDS, SETS, Run, read_numbers, read_pairs
 from roomeq.report.page import Html, Missing, data_uri, figure, join, paragraph, tag
-from roomeq.report.section_data import standins
+from roomeq.report.section_data import synthetic_corpora
 
 CLIP_S = 4.0
 CLIPS = (("clean", "Clean", "the utterance as it was spoken into a close microphone"),
@@ -129,7 +129,7 @@ def clip(kind: str, title: str, what: str, data: DataDir, ident: str) -> Html:
 def limits(run: Run) -> Html:
     """Return what cannot be concluded from this run."""
     points = []
-    if standins(run):
+    if synthetic_corpora(run):
         points.append("The corpora are generated (see the top). Distances and accuracies show that the steps work "
                       "together; they say nothing about real rooms, and nothing about word error rates.")
     if run.has("rirs.real"):

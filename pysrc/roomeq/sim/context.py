@@ -37,7 +37,7 @@ class Response:
         Whether sound that came around edges is part of it.
     t30_s : float or None
         T30 at 1 kHz of `rir`.
-    absorption : ndarray, shape (n_slots, 8)
+    absorption : ndarray, shape (n_surfaces, 8)
         As used: scaled to the target if there was one.
     leaked_share : float
         Rays that slipped through the surface.
@@ -96,7 +96,7 @@ class Job:
         return gains if self.path_gain is None else gains * np.sqrt(self.path_gain(images.departure)[:, bands])
 
     def sampled(self, reference, rngs):
-        """Sample the paths of each microphone for absorption around a reference, shape (n_slots,)."""
+        """Sample the paths of each microphone for absorption around a reference, shape (n_surfaces,)."""
         return keep_echoes(self.traced, self.mics_m, np.tile(reference, (len(self.mics_m), 1)), rngs,
                            ism_order=self.ism_order, n_frames=self.n_frames, visible=self.visible)
 

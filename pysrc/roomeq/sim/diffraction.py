@@ -58,7 +58,7 @@ class Edges:
         Of the first face, into the air: where angles are a right one.
     wedge_rad : ndarray, shape (n_edges,)
         Open angle, on the side of the air, in (pi, 2 pi].
-    slots : ndarray of int, shape (n_edges, 2)
+    surfaces : ndarray of int, shape (n_edges, 2)
         Materials of the first face and the other.
     faces : ndarray of int, shape (n_edges, 2)
         Numbers of these faces: triangles that go on in one plane are one face.
@@ -72,7 +72,7 @@ class Edges:
     across: np.ndarray
     normal: np.ndarray
     wedge_rad: np.ndarray
-    slots: np.ndarray
+    surfaces: np.ndarray
     faces: np.ndarray
     n_left_out: int = 0
 
@@ -95,8 +95,8 @@ class Diffracted:
     ----------
     first_sample : int
         Time of the first sample of `signals`.
-    signals : ndarray, shape (1 + n_slots, n)
-        What continues the direct sound, and what continues the reflection at faces of each slot.
+    signals : ndarray, shape (1 + n_surfaces, n)
+        What continues the direct sound, and what continues the reflection at faces of each surface.
     """
 
     first_sample: int
@@ -107,7 +107,7 @@ class Diffracted:
 
         Parameters
         ----------
-        absorption, scattering : ndarray, shape (n_slots, 8)
+        absorption, scattering : ndarray, shape (n_surfaces, 8)
         air : Air
         n_samples : int
 
@@ -179,13 +179,13 @@ def _find_edges(room):
     _, whole = scipy.sparse.csgraph.connected_components(joined, directed=False)
     faces = np.stack([face[first], face[second]], axis=1)[chosen]
     return _merged(start[first[chosen]], end[first[chosen]], along[first[chosen]], across[chosen],
-                   normal[chosen], wedge[chosen], room.face_slot[faces], whole[faces])
+                   normal[chosen], wedge[chosen], room.face_surface[faces], whole[faces])
 
 
-def _merged(start, end, along, across, normal, wedge, slots, faces):
+def _merged(start, end, along, across, normal, wedge, surfaces, faces):
     """Join edges that go on in one line between the same faces."""
     swap = faces[:, 0] > faces[:, 1]
-    key = np.where(swap[:, None], np.hstack([faces[:, ::-1], slots[:, ::-1]]), np.hstack([faces, slots]))
+    key = np.where(swap[:, None], np.hstack([faces[:, ::-1], surfaces[:, ::-1]]), np.hstack([faces, surfaces]))
     _, group = np.unique(key, axis=0, return_inverse=True)
     kept = []
     for n in range(group.max() + 1):
@@ -208,7 +208,7 @@ def _merged(start, end, along, across, normal, wedge, slots, faces):
     lead = np.array([one[0] for one in kept[:MAX_EDGES]])
     low, high = np.array([one[1:] for one in kept[:MAX_EDGES]]).T
     return Edges(start[lead] + low[:, None] * along[lead], along[lead], high - low, across[lead], normal[lead],
-                 wedge[lead], slots[lead], faces[lead], max(0, len(kept) - MAX_EDGES))
+                 wedge[lead], surfaces[lead], faces[lead], max(0, len(kept) - MAX_EDGES))
 
 
 def _unit(vectors):
@@ -270,7 +270,7 @@ def diffract(room, source_pos_m, mic_pos_m, *, speed_m_s, n_samples, direct_visi
     closes = np.append(opens[1:], True)[:len(both)]
     size_m = np.linalg.norm(np.subtract(*room.bounds_m))
     distance_m = np.linalg.norm(np.subtract(source_pos_m, mic_pos_m))
-    grid = Grid.between(distance_m, 3.0 * size_m, len(room.slots), speed_m_s, n_samples)
+    grid = Grid.between(distance_m, 3.0 * size_m, len(room.surfaces), speed_m_s, n_samples)
     deposit(grid, edges, edge[both[opens]], low[both[opens]], high[both[closes]], source_pos_m, mic_pos_m,
             direct_visible=direct_visible)
     deposit_over_faces(grid.fine, grid.first_sample, ways, edges, coarse, source_pos_m, mic_pos_m,
@@ -287,11 +287,11 @@ class Grid:
     speed_m_s: float
 
     @classmethod
-    def between(cls, distance_m, longest_m, n_slots, speed_m_s, n_samples):
+    def between(cls, distance_m, longest_m, n_surfaces, speed_m_s, n_samples):
         """A grid for ways of `distance_m` to `longest_m`, of which `n_samples` samples are wanted."""
         first = int(np.floor(distance_m / speed_m_s * FS_HZ)) - 1
         last = min(int(np.ceil(longest_m / speed_m_s * FS_HZ)) + 1, n_samples)
-        return cls(np.zeros((1 + n_slots, max(0, last - first) * _OVERSAMPLING + 1)), first, speed_m_s)
+        return cls(np.zeros((1 + n_surfaces, max(0, last - first) * _OVERSAMPLING + 1)), first, speed_m_s)
 
     def sampled(self):
         """Sample what was gathered, as far as there is something."""
@@ -320,7 +320,7 @@ def deposit(grid, edges, edge, low_m, high_m, source_pos_m, mic_pos_m, *, direct
     on = (source[1] <= wedge) & (mic[1] <= wedge) & (source[0] > 1e-6) & (mic[0] > 1e-6)
     source, mic = source[:, on], mic[:, on]
     bounds = np.stack([_eta(low_m[on], source, mic), _eta(high_m[on], source, mic)])
-    _deposit(grid.fine, float(grid.first_sample), bounds, source, mic, wedge[on], edges.slots[edge[on]],
+    _deposit(grid.fine, float(grid.first_sample), bounds, source, mic, wedge[on], edges.surfaces[edge[on]],
              FS_HZ / grid.speed_m_s, direct_visible)
 
 
@@ -336,13 +336,13 @@ def _lowpass():
 
 
 @compiled
-def _deposit(fine, first, bounds, source, mic, wedge, slots, to_samples, direct_visible):
+def _deposit(fine, first, bounds, source, mic, wedge, surfaces, to_samples, direct_visible):
     """Add all stretches to a fine grid of time: one branch on either side of the shortest way."""
     sine, cosine, rows = np.empty(4), np.empty(4), np.zeros(4, dtype=np.int64)
     for n in range(len(wedge)):
         nu = np.pi / wedge[n]
         less, more = source[1, n] - mic[1, n], source[1, n] + mic[1, n]
-        rows[2], rows[3] = 1 + slots[n, 0], 1 + slots[n, 1]
+        rows[2], rows[3] = 1 + surfaces[n, 0], 1 + surfaces[n, 1]
         for k, angle in enumerate((less, -less, -more, more)):
             half = 0.5 * nu * (np.pi + angle)
             sine[k], cosine[k] = np.sin(half), np.cos(half)

@@ -78,7 +78,7 @@ def deposit_over_faces(fine, first_sample, ways, edges, pieces, source_pos_m, mi
     """Add the ways over faces to a fine grid of time, in place; half of each as the common face reflects."""
     edge, low, high, _ = pieces
     geometry = np.stack([edges.start_m, edges.along, edges.across, edges.normal], axis=1)
-    _deposit(fine, float(first_sample), ways, edge, low, high, geometry, edges.wedge_rad, edges.slots,
+    _deposit(fine, float(first_sample), ways, edge, low, high, geometry, edges.wedge_rad, edges.surfaces,
              np.asarray(source_pos_m, dtype=float), np.asarray(mic_pos_m, dtype=float), FS_HZ / speed_m_s,
              float(oversampling))
 
@@ -131,7 +131,7 @@ def _count(low, high, far, near, other_half_m, to_samples):
 
 
 @compiled
-def _deposit(fine, first, ways, edge, low, high, geometry, wedge, slots, source, mic, to_samples, oversampling):
+def _deposit(fine, first, ways, edge, low, high, geometry, wedge, surfaces, source, mic, to_samples, oversampling):
     place_1, place_2 = np.empty(3), np.empty(3)
     direct_m = np.sqrt(np.sum((source - mic) ** 2))
     for n in range(len(ways)):
@@ -162,7 +162,7 @@ def _deposit(fine, first, ways, edge, low, high, geometry, wedge, slots, source,
                 place = (length_m * to_samples - first) * oversampling
                 index = int(place)
                 if index + 1 < fine.shape[1]:
-                    for row in (0, 1 + slots[one, side]):
+                    for row in (0, 1 + surfaces[one, side]):
                         fine[row, index] += 0.5 * weight * (1.0 - place + index)
                         fine[row, index + 1] += 0.5 * weight * (place - index)
 

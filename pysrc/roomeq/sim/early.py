@@ -18,31 +18,31 @@ class Images:
     ----------
     distance_m : ndarray, shape (n_paths,)
         Length of each path.
-    slot_counts : ndarray of int, shape (n_paths, n_slots)
-        How often it is reflected by each slot.
+    surface_counts : ndarray of int, shape (n_paths, n_surfaces)
+        How often it is reflected by each surface.
     departure : ndarray, shape (n_paths, 3)
         Unit vector in which it leaves the source.
     """
 
     distance_m: np.ndarray
-    slot_counts: np.ndarray
+    surface_counts: np.ndarray
     departure: np.ndarray
 
     @property
     def has_direct(self):
         """Whether the source is seen from the receiver."""
-        return bool(len(self.distance_m)) and not self.slot_counts[0].any()
+        return bool(len(self.distance_m)) and not self.surface_counts[0].any()
 
     def gains(self, absorption, scattering, attenuation_per_m):
         """Pressure per band relative to 1 m from a source of unit strength over 4 pi, shape (n_paths, 8).
 
         Parameters
         ----------
-        absorption, scattering : ndarray, shape (n_slots, 8)
+        absorption, scattering : ndarray, shape (n_surfaces, 8)
         attenuation_per_m : ndarray, shape (8,)
         """
         log_kept = np.log(np.maximum((1.0 - absorption) * (1.0 - scattering), 1e-200))
-        exponent = self.slot_counts @ log_kept - self.distance_m[:, None] * attenuation_per_m
+        exponent = self.surface_counts @ log_kept - self.distance_m[:, None] * attenuation_per_m
         return np.exp(0.5 * exponent) / (4.0 * np.pi * self.distance_m[:, None])
 
 
@@ -61,7 +61,7 @@ def specular_paths(room, source_pos_m, mic_pos_m, order):
     """
     if hasattr(room, "specular_paths"):
         return room.specular_paths(source_pos_m, mic_pos_m, order)
-    lattice, slot_counts = _lattice(order)
+    lattice, surface_counts = _lattice(order)
     dims_m = np.array(room.dims_m)
     source = np.asarray(source_pos_m, dtype=np.float64)
     images = lattice * dims_m + np.where(lattice % 2 == 0, source, dims_m - source)
@@ -70,7 +70,7 @@ def specular_paths(room, source_pos_m, mic_pos_m, order):
     # what leaves an image leaves the source mirrored along each axis with an odd number of reflections
     departure = np.where(lattice % 2 == 0, way, -way) / distance_m[:, None]
     by_length = np.argsort(distance_m, kind="stable")
-    return Images(distance_m[by_length], slot_counts[by_length], departure[by_length])
+    return Images(distance_m[by_length], surface_counts[by_length], departure[by_length])
 
 
 @lru_cache(maxsize=8)

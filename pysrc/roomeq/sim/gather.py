@@ -31,7 +31,7 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, v
     ----------
     paths : Paths
     room : Shoebox or MeshRoom
-    absorption : ndarray, shape (n_slots, 8)
+    absorption : ndarray, shape (n_surfaces, 8)
     mics_m : ndarray, shape (n_mics, 3)
     ism_order : int
         Purely specular paths with at most this many reflections are left out.
@@ -50,8 +50,8 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, v
     """
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
     single = partial(np.asarray, dtype=np.float32)
-    reflection = single((1.0 - absorption)[paths.face_slot])
-    scattering = single(paths.scattering[paths.face_slot])
+    reflection = single((1.0 - absorption)[paths.face_surface])
+    scattering = single(paths.scattering[paths.face_surface])
     if visible is None:
         visible = visibility(paths, room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
     n_rays = len(paths.counts)

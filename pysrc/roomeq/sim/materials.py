@@ -31,7 +31,7 @@ logger = logging.getLogger(__name__)
 
 DEFAULT_TABLE = Path(__file__).with_name("materials.toml")  # conf/materials.toml links to it
 USES = ("wall", "floor", "ceiling")
-ANY_SLOT = "default"  # as a slot: all that are not named
+ANY_SURFACE = "default"  # as a surface: all that are not named
 DEFAULT_SCATTERING = "ordinary"
 _SAME_WALLS = 0.4  # probability that a wall is of the same material as the first
 _PLAUSIBLE_EXPONENT = 2.5  # absorption is scaled by no more, where a few draws allow it
@@ -67,7 +67,7 @@ class MaterialTable:
 
 @dataclass(frozen=True)
 class Surface:
-    """What is given for one slot of a room.
+    """What is given for one surface of a room.
 
     Attributes
     ----------
@@ -191,34 +191,34 @@ def find_surface(table, given):
 
 
 def given_surfaces(table, room, materials):
-    """Find the materials that are given for the slots of a room.
+    """Find the materials that are given for the surfaces of a room.
 
     Parameters
     ----------
     table : MaterialTable
     room : Shoebox or MeshRoom
     materials : dict or None
-        Slot, or ``"default"`` for all others, to what `find_surface` takes. A slot that is itself named like a
+        Surface, or ``"default"`` for all others, to what `find_surface` takes. A surface that is itself named like a
         material of the table is that.
 
     Returns
     -------
     dict of str to Surface
-        Slots for which nothing is given are not in it.
+        Surfaces for which nothing is given are not in it.
 
     Raises
     ------
     ValueError
-        A material is unknown, or the room has no such slot.
+        A material is unknown, or the room has no such surface.
     """
     materials = dict(materials or {})
-    rest = materials.pop(ANY_SLOT, None)
-    for slot in materials:
-        if slot not in room.slots:
-            raise ValueError(f"materials: {slot!r} must be one of the room's ({', '.join(room.slots)}) or "
-                             f"{ANY_SLOT!r}: correct the name")
-    given = {slot: materials.get(slot, slot if slot in table.absorption else rest) for slot in room.slots}
-    return {slot: find_surface(table, one) for slot, one in given.items() if one is not None}
+    rest = materials.pop(ANY_SURFACE, None)
+    for surface in materials:
+        if surface not in room.surfaces:
+            raise ValueError(f"materials: {surface!r} must be one of the room's ({', '.join(room.surfaces)}) or "
+                             f"{ANY_SURFACE!r}: correct the name")
+    given = {surface: materials.get(surface, surface if surface in table.absorption else rest) for surface in room.surfaces}
+    return {surface: find_surface(table, one) for surface, one in given.items() if one is not None}
 
 
 def named_scene(room, materials, *, table=None, air=None):
@@ -241,24 +241,24 @@ def named_scene(room, materials, *, table=None, air=None):
     Raises
     ------
     ValueError
-        A slot has no material, or a material is unknown.
+        A surface has no material, or a material is unknown.
     """
     table = read_materials() if table is None else table
     given = given_surfaces(table, room, materials)
-    missing = [slot for slot in room.slots if slot not in given]
+    missing = [surface for surface in room.surfaces if surface not in given]
     if missing:
         raise ValueError(f"materials: nothing is given for {', '.join(missing)}: name a material for each, or one "
-                         f"for {ANY_SLOT!r}")
+                         f"for {ANY_SURFACE!r}")
     ordinary = table.scattering.get(DEFAULT_SCATTERING, next(iter(table.scattering.values())))
     return Scene(room, [Material(one.name, one.absorption, ordinary if one.scattering is None else one.scattering)
-                        for one in (given[slot] for slot in room.slots)], air or Air())
+                        for one in (given[surface] for surface in room.surfaces)], air or Air())
 
 
 def draw_scattering(table, room, rng, given=()):
-    """Draw how rough each slot of a room is, shape (n_slots, 8); what `given` (slot to Surface) states is kept."""
+    """Draw how rough each surface of a room is, shape (n_surfaces, 8); what `given` (surface to Surface) states is kept."""
     classes = sorted(table.scattering)
-    drawn = [table.scattering[classes[rng.integers(len(classes))]] for _ in room.slots]
-    own = [given[slot].scattering if slot in given else None for slot in room.slots]
+    drawn = [table.scattering[classes[rng.integers(len(classes))]] for _ in room.surfaces]
+    own = [given[surface].scattering if surface in given else None for surface in room.surfaces]
     return np.array([known or row for known, row in zip(own, drawn, strict=True)])
 
 
@@ -269,13 +269,13 @@ def draw_materials(table, room, scattering, air, target_s, rng, given=None):
     ----------
     table : MaterialTable
     room : Shoebox or MeshRoom
-    scattering : ndarray, shape (n_slots, 8)
+    scattering : ndarray, shape (n_surfaces, 8)
     air : Air
     target_s : float
         Reverberation time at 1 kHz that will be asked for [s].
     rng : numpy.random.Generator
     given : dict of str to Surface, optional
-        Slots that are not drawn; by default those that are named like a material.
+        Surfaces that are not drawn; by default those that are named like a material.
 
     Returns
     -------
@@ -284,14 +284,14 @@ def draw_materials(table, room, scattering, air, target_s, rng, given=None):
     given = given_surfaces(table, room, None) if given is None else given
     best, best_misfit = None, np.inf
     for _ in range(_DRAWS):
-        drawn = [given.get(slot) or Surface(name, table.absorption[name], None)
-                 for slot, name in zip(room.slots, _draw_names(table, room, rng), strict=True)]
+        drawn = [given.get(surface) or Surface(name, table.absorption[name], None)
+                 for surface, name in zip(room.surfaces, _draw_names(table, room, rng), strict=True)]
         scene = Scene(room, [Material(one.name, one.absorption, tuple(row))
                              for one, row in zip(drawn, scattering, strict=True)], air)
         misfit = _misfit(scene, target_s)
         if misfit < best_misfit:
             best, best_misfit = scene, misfit
-        if misfit == 0.0 or len(given) == len(room.slots):
+        if misfit == 0.0 or len(given) == len(room.surfaces):
             break
     return best
 
@@ -306,15 +306,15 @@ def _misfit(scene, target_s):
 
 
 def _draw_names(table, room, rng):
-    """A material for each slot: floor and ceiling get theirs, all others walls."""
+    """A material for each surface: floor and ceiling get theirs, all others walls."""
     walls = table.names("wall")
     first = walls[rng.integers(len(walls))]
     names = []
-    for slot in room.slots:
-        use = slot if slot in USES else "wall"
+    for surface in room.surfaces:
+        use = surface if surface in USES else "wall"
         candidates = table.names(use)
         drawn = candidates[rng.integers(len(candidates))]
-        if slot in WALLS[:4] and rng.random() < _SAME_WALLS:
+        if surface in WALLS[:4] and rng.random() < _SAME_WALLS:
             drawn = first
         names.append(drawn)
     return names

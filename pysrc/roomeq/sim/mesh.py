@@ -1,6 +1,6 @@
 """Rooms as triangle meshes: checks, ray queries through embree, and purely specular paths.
 
-A room mesh is closed: a shell whose faces turn outward, and bodies standing in it. Slots are the names of its
+A room mesh is closed: a shell whose faces turn outward, and bodies standing in it. Surfaces are the names of its
 materials. Triangles in one plane act as one mirror.
 """
 
@@ -30,17 +30,17 @@ class MeshRoom:
     ----------
     triangles : ndarray, shape (n_faces, 3, 3)
         Corners [m]; normals point out of the air.
-    slots : tuple of str
+    surfaces : tuple of str
         Names of the materials.
-    face_slot : ndarray of int, shape (n_faces,)
+    face_surface : ndarray of int, shape (n_faces,)
     volume_m3 : float
         Of the air.
     convex : bool
     """
 
     triangles: np.ndarray
-    slots: tuple
-    face_slot: np.ndarray
+    surfaces: tuple
+    face_surface: np.ndarray
     volume_m3: float
     convex: bool
     _known: dict = field(default_factory=dict, repr=False)
@@ -71,21 +71,21 @@ class MeshRoom:
     def walls(self):
         """The planes of a convex room of few, or None: then rays are traced by embree."""
         plane, mirrors = self._known["plane"], self._known["mirrors"]
-        several = [len(np.unique(self.face_slot[plane == n])) > 1 for n in range(len(mirrors))] if self.convex else []
+        several = [len(np.unique(self.face_surface[plane == n])) > 1 for n in range(len(mirrors))] if self.convex else []
         if not self.convex or len(mirrors) > _MAX_WALLS or any(several):
             return None
-        slot = [self.face_slot[plane == n][0] for n in range(len(mirrors))]
+        surface = [self.face_surface[plane == n][0] for n in range(len(mirrors))]
         low, high = self.bounds_m
         normals, offsets = np.ascontiguousarray(mirrors[:, :3]), np.ascontiguousarray(mirrors[:, 3])
-        return Walls(normals, offsets, np.array(slot), high - low)
+        return Walls(normals, offsets, np.array(surface), high - low)
 
     @property
     def face_area_m2(self):
         return self._known["area"]
 
     @property
-    def slot_area_m2(self):
-        return np.bincount(self.face_slot, self.face_area_m2, minlength=len(self.slots))
+    def surface_area_m2(self):
+        return np.bincount(self.face_surface, self.face_area_m2, minlength=len(self.surfaces))
 
     @property
     def bounds_m(self):
@@ -220,9 +220,9 @@ def make_room(triangles, names, name="mesh"):
                          "all normals point out of the room")
     flip, volume_m3 = _orient(mesh, name)
     faces = np.where(flip[:, None], faces[:, ::-1], faces)
-    slots, face_slot = np.unique(names, return_inverse=True)
+    surfaces, face_surface = np.unique(names, return_inverse=True)
     convex = bool(not flip.any() and mesh.body_count == 1 and _is_convex(mesh))
-    return MeshRoom(mesh.vertices[faces], tuple(str(slot) for slot in slots), face_slot, volume_m3, convex)
+    return MeshRoom(mesh.vertices[faces], tuple(str(surface) for surface in surfaces), face_surface, volume_m3, convex)
 
 
 def _orient(mesh, name):
@@ -282,7 +282,7 @@ def _checked_paths(room, sequences, source, mic):
         images = _images(mirrors, sequence, source)
         alive = np.arange(len(sequence))
         target = np.tile(mic, (len(sequence), 1))
-        slot_counts = np.zeros((len(sequence), len(room.slots)), dtype=np.int64)
+        surface_counts = np.zeros((len(sequence), len(room.surfaces)), dtype=np.int64)
         for k in range(sequence.shape[1] - 1, -1, -1):
             way = images[k + 1][alive] - target
             length = np.linalg.norm(way, axis=1)
@@ -290,16 +290,16 @@ def _checked_paths(room, sequences, source, mic):
             seen = (face >= 0) & (room._known["plane"][face] == sequence[alive, k]) & (distance < length)
             alive, face = alive[seen], face[seen]
             target = target[seen] + (distance / length)[seen, None] * way[seen] + NUDGE_M * room.normals[face]
-            slot_counts[alive, room.face_slot[face]] += 1
+            surface_counts[alive, room.face_surface[face]] += 1
         if len(alive):
             alive = alive[room.sees(target, source)]
         way = mic - images[-1][alive]
         distances.append(np.linalg.norm(way, axis=1))
-        counts.append(slot_counts[alive])
+        counts.append(surface_counts[alive])
         departures.append(_unmirrored(mirrors, sequence[alive], way / distances[-1][:, None]))
-    distance_m, slot_counts, departure = (np.concatenate(parts) for parts in (distances, counts, departures))
+    distance_m, surface_counts, departure = (np.concatenate(parts) for parts in (distances, counts, departures))
     by_length = np.argsort(distance_m, kind="stable")
-    return Images(distance_m[by_length], slot_counts[by_length], departure[by_length])
+    return Images(distance_m[by_length], surface_counts[by_length], departure[by_length])
 
 
 def _unmirrored(mirrors, sequence, direction):

@@ -34,8 +34,8 @@ class Echoes:
     weight : ndarray of float32, shape (n_columns, n_frames, N_KEPT)
         Squared pressure that each stands for before anything was absorbed, relative to a direct sound of
         ``1 / (4 pi r)^2``; 0 where there is none. A column is one trace.
-    counts : ndarray of unsigned int, shape (n_columns, n_frames, N_KEPT, n_slots)
-        How often each was reflected by each slot.
+    counts : ndarray of unsigned int, shape (n_columns, n_frames, N_KEPT, n_surfaces)
+        How often each was reflected by each surface.
     last : ndarray of uint32, shape (n_columns, n_frames, N_KEPT)
         Index of its last reflection among those that are stored of the column's `Paths`.
     first : tuple of ndarray
@@ -61,7 +61,7 @@ def keep_echoes(traced, mics_m, reference, rngs, *, ism_order, n_frames, visible
     ----------
     traced : TracedSource
     mics_m : ndarray, shape (n_mics, 3)
-    reference : ndarray, shape (n_mics, n_slots)
+    reference : ndarray, shape (n_mics, n_surfaces)
         Absorption for which the sample is best, of each microphone; see `middle`.
     rngs : sequence of numpy.random.Generator
         One per microphone; the sample of one does not depend on the others.
@@ -98,10 +98,10 @@ def keep_echoes(traced, mics_m, reference, rngs, *, ism_order, n_frames, visible
     return result
 
 
-def _room_for(columns, n_frames, n_slots):
+def _room_for(columns, n_frames, n_surfaces):
     """Arrays of the paths of one microphone, not filled yet: weight, counts, last."""
     shape = (len(columns), n_frames, N_KEPT)
-    return np.empty(shape, np.float32), np.empty((*shape, n_slots), _count_type(columns)), np.empty(shape, np.uint32)
+    return np.empty(shape, np.float32), np.empty((*shape, n_surfaces), _count_type(columns)), np.empty(shape, np.uint32)
 
 
 def _count_type(columns):
@@ -109,15 +109,15 @@ def _count_type(columns):
 
 
 def middle(absorption):
-    """Reference for all bands together: what is kept at each slot is their geometric mean.
+    """Reference for all bands together: what is kept at each surface is their geometric mean.
 
     Parameters
     ----------
-    absorption : ndarray, shape (..., n_slots, 8)
+    absorption : ndarray, shape (..., n_surfaces, 8)
 
     Returns
     -------
-    ndarray, shape (..., n_slots)
+    ndarray, shape (..., n_surfaces)
     """
     return 1.0 - np.exp(np.log1p(-np.minimum(absorption, MAX_ABSORPTION)).mean(axis=-1))
 
@@ -128,7 +128,7 @@ def echogram(echoes, absorption, *, bands=None, ray_gain=None):
     Parameters
     ----------
     echoes : Echoes
-    absorption : ndarray, shape (n_slots, 8)
+    absorption : ndarray, shape (n_surfaces, 8)
     bands : sequence of int, optional
         Leave the others 0.
     ray_gain : ndarray, shape (n_rays, 8), optional
@@ -152,12 +152,12 @@ def echogram(echoes, absorption, *, bands=None, ray_gain=None):
     return result
 
 
-def _tallied(paths, n_slots):
-    """How often each slot was met up to each stored reflection, packed into words, shape (n_stored, n_words)."""
+def _tallied(paths, n_surfaces):
+    """How often each surface was met up to each stored reflection, packed into words, shape (n_stored, n_words)."""
     bits = 8 * np.dtype(_count_type([paths])).itemsize
-    met = np.empty((len(paths.hits), -(-n_slots * bits // 64)), np.uint64)
+    met = np.empty((len(paths.hits), -(-n_surfaces * bits // 64)), np.uint64)
     for_chunks(len(paths.counts), lambda chunk, low, high: _tally(
-        paths.codes, paths.face_slot, paths.first, paths.counts, bits, met, low, high))
+        paths.codes, paths.face_surface, paths.first, paths.counts, bits, met, low, high))
     return met, bits
 
 
@@ -172,7 +172,7 @@ def _keep_column(paths, met, scene, mics_m, reference, seeds, sphere, ism_order,
     sums = np.zeros((*shape, 2 + _PER_CHUNK), dtype=np.float32)
     kept = np.zeros((*shape, _PER_CHUNK), dtype=np.uint32)
     given = (single(paths.source_pos_m), paths.hits, paths.codes, paths.first, paths.counts, single(paths.normals),
-             paths.face_slot, np.ascontiguousarray((1.0 - reference).T, dtype=np.float32), single(paths.scattering),
+             paths.face_surface, np.ascontiguousarray((1.0 - reference).T, dtype=np.float32), single(paths.scattering),
              single(mics_m.T, order="C"), visible, single(radius_m ** 2), single(1.0 / volume_m3), ism_order,
              np.float32(1.0 / (speed_m_s * FRAME_S)), np.float32(paths.late_m), paths.stride, seeds, limits)
     for_chunks(n_rays, lambda chunk, low, high: _keep(*given, low, high, sums[chunk], kept[chunk]))
@@ -182,15 +182,15 @@ def _keep_column(paths, met, scene, mics_m, reference, seeds, sphere, ism_order,
 
 
 @compiled
-def _tally(codes, face_slot, first, counts, bits, met, low, high):
-    """Count hits per slot along rays `low` to `high`, in `bits` bits each."""
+def _tally(codes, face_surface, first, counts, bits, met, low, high):
+    """Count hits per surface along rays `low` to `high`, in `bits` bits each."""
     per_word, one = 64 // bits, np.uint64(1)
     so_far = np.empty(met.shape[1], np.uint64)
     for ray in range(low, high):
         so_far[:] = np.uint64(0)
         for at in range(first[ray], first[ray] + counts[ray]):
-            slot = face_slot[codes[at] >> 1]
-            so_far[slot // per_word] += one << np.uint64(bits * (slot % per_word))
+            surface = face_surface[codes[at] >> 1]
+            so_far[surface // per_word] += one << np.uint64(bits * (surface % per_word))
             for word in range(len(so_far)):
                 met[at, word] = so_far[word]
 
@@ -198,39 +198,39 @@ def _tally(codes, face_slot, first, counts, bits, met, low, high):
 @compiled
 def _unpack(sums, kept, met, bits, power, scale, weight, counts, last):
     """Put the strata of one microphone side by side; take out of the weights what was absorbed at the reference."""
-    n_frames, n_slots = len(weight), len(power)
+    n_frames, n_surfaces = len(weight), len(power)
     per_word, mask = 64 // bits, (np.uint64(1) << np.uint64(bits)) - np.uint64(1)
     for frame in range(n_frames):
         for place in range(weight.shape[1]):
             chunk, n = place // kept.shape[2], place % kept.shape[2]
             at, share = kept[chunk, frame, n], 1.0
             last[frame, place] = at
-            for slot in range(n_slots):
-                hits = (met[at, slot // per_word] >> np.uint64(bits * (slot % per_word))) & mask
-                counts[frame, place, slot] = hits
-                share *= power[slot, hits]
+            for surface in range(n_surfaces):
+                hits = (met[at, surface // per_word] >> np.uint64(bits * (surface % per_word))) & mask
+                counts[frame, place, surface] = hits
+                share *= power[surface, hits]
             total = sums[chunk, frame, 0]
             weight[frame, place] = scale * total / share if total > 0.0 else 0.0
 
 
 @compiled
 def _absorb(weight, counts, most, kept, gain, energy):
-    """Sum the paths of each frame, shape (n_frames, 8), less what each slot took of them.
+    """Sum the paths of each frame, shape (n_frames, 8), less what each surface took of them.
 
     The eight bands are eight variables, so that they are multiplied at once; powers come from a table.
     """
-    n_frames, n_places, n_slots = counts.shape
-    power = np.ones((n_slots, most + 1, 8), np.float32)
-    for slot in range(n_slots):
+    n_frames, n_places, n_surfaces = counts.shape
+    power = np.ones((n_surfaces, most + 1, 8), np.float32)
+    for surface in range(n_surfaces):
         for n in range(most):
             for band in range(8):
-                power[slot, n + 1, band] = power[slot, n, band] * kept[slot, band]
+                power[surface, n + 1, band] = power[surface, n, band] * kept[surface, band]
     for frame in range(n_frames):
         e0 = e1 = e2 = e3 = e4 = e5 = e6 = e7 = np.float32(0.0)
         for place in range(n_places):
             g0 = g1 = g2 = g3 = g4 = g5 = g6 = g7 = weight[frame, place]
-            for slot in range(n_slots):
-                rho = power[slot, counts[frame, place, slot]]
+            for surface in range(n_surfaces):
+                rho = power[surface, counts[frame, place, surface]]
                 g0, g1, g2, g3 = g0 * rho[0], g1 * rho[1], g2 * rho[2], g3 * rho[3]
                 g4, g5, g6, g7 = g4 * rho[4], g5 * rho[5], g6 * rho[6], g7 * rho[7]
             if len(gain):
@@ -261,7 +261,7 @@ def _replace(sums, kept, m, frame, stream, counter, at):
 
 
 @compiled
-def _keep(source, hits, codes, first, face_counts, normals, face_slot, reflection, scattering, mics, visible, radius2,
+def _keep(source, hits, codes, first, face_counts, normals, face_surface, reflection, scattering, mics, visible, radius2,
           per_volume, ism_order, frames_per_m, late_m, stride, seeds, limits, low, high, sums, kept):
     """Sample rays `low` to `high`; the walk along them is that of `roomeq.sim.gather`.
 
@@ -307,14 +307,14 @@ def _keep(source, hits, codes, first, face_counts, normals, face_slot, reflectio
                                 _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 2, at - 1)
             px, py, pz, path = hx, hy, hz, new_path
             face = codes[at] >> 1
-            slot = face_slot[face]
+            surface = face_surface[face]
             while n_active > 0 and path * frames_per_m >= limits[n_active - 1]:
                 n_active -= 1
-            largest *= most[slot]
+            largest *= most[surface]
             if largest < _GIVEN_UP or n_active == 0:
                 break
             for m in range(n_active):
-                share[m] *= reflection[slot, m]
+                share[m] *= reflection[surface, m]
             if not late and path > late_m:
                 if ray % stride != 0:
                     break
@@ -322,7 +322,7 @@ def _keep(source, hits, codes, first, face_counts, normals, face_slot, reflectio
                 for m in range(n_active):
                     share[m] *= np.float32(stride)
             was_diffuse = (codes[at] & 1) == 1
-            s = scattering[slot]
+            s = scattering[surface]
             if path > late_m:
                 s = one if was_diffuse else zero
             if s > zero:

@@ -109,7 +109,7 @@ def render_responses(traced, mics_m, rngs, *, absorption=None, length_s=None, is
     mics_m : array_like, shape (n_mics, 3)
     rngs : sequence of numpy.random.Generator
         One per microphone, for the noise of its tail.
-    absorption : ndarray, shape (n_slots, 8), optional
+    absorption : ndarray, shape (n_surfaces, 8), optional
         Instead of that of the traced scene.
     length_s : float, optional
         Longest response [s]; by default as long as the rays were followed.
@@ -245,12 +245,12 @@ def simulate_rir(scene, source_pos_m, mics_m, *, num_rays=NUM_RAYS, ism_order=IS
 def eyring_exponent(scene, target_s, absorption=None):
     """Exponent with which Eyring's formula meets a target at 1 kHz; a first guess.
 
-    `absorption`, shape (n_slots, 8), stands for that of the scene if given.
+    `absorption`, shape (n_surfaces, 8), stands for that of the scene if given.
     """
     absorption = scene.absorption if absorption is None else absorption
     air_area_m2 = 4.0 * scene.air.attenuation_per_m[BAND_1KHZ] * scene.room.volume_m3
     wanted_m2 = 24.0 * np.log(10.0) * scene.room.volume_m3 / (scene.air.speed_m_s * target_s) - air_area_m2
-    area_m2 = scene.room.slot_area_m2
+    area_m2 = scene.room.surface_area_m2
     now_m2 = -np.log(1.0 - min(0.99, area_m2 @ absorption[:, BAND_1KHZ] / area_m2.sum())) * area_m2.sum()
     return float(np.clip(wanted_m2 / max(now_m2, 1e-6), 1e-2, 1e2))
 
@@ -261,7 +261,7 @@ def needed_length_s(scene, target_s=None, order=ORDER):
     Until every band has decayed by 60 dB, by Eyring and with something to spare, and for `order` mean free
     paths ``4 V / S``; never beyond `MAX_LENGTH_S`.
     """
-    area_m2 = scene.room.slot_area_m2.sum()
+    area_m2 = scene.room.surface_area_m2.sum()
     depth_s = order * 4.0 * scene.room.volume_m3 / (area_m2 * scene.air.speed_m_s)
     exponent = 1.0 if target_s is None else eyring_exponent(scene, target_s)
     decay_s = decay_length_s(scene, scaled_absorption(scene.absorption, exponent))

@@ -1,6 +1,6 @@
 """What is simulated: materials, rooms, air, and where source and microphone stand.
 
-Conventions: metres, seconds, degrees Celsius. A room has *slots*, named parts of its surface that hold one
+Conventions: metres, seconds, degrees Celsius. A room has *surfaces*, named parts of its surface that hold one
 material each: the six walls of a shoebox, the materials of a mesh.
 """
 
@@ -15,7 +15,7 @@ from roomeq.sim.trace import Walls
 
 N_BANDS = len(BANDS_HZ)
 WALLS = ("west", "east", "south", "north", "floor", "ceiling")
-"""Slots of a shoebox: x = 0, x = length, y = 0, y = width, z = 0, z = height."""
+"""Surfaces of a shoebox: x = 0, x = length, y = 0, y = width, z = 0, z = height."""
 
 MIN_WALL_DISTANCE_M = 0.01
 MIN_DISTANCE_M = 0.05
@@ -110,7 +110,7 @@ class Shoebox:
 
     dims_m: tuple
     convex = True
-    slots = WALLS
+    surfaces = WALLS
 
     def __post_init__(self):
         dims_m = tuple(float(value) for value in self.dims_m)
@@ -124,7 +124,7 @@ class Shoebox:
         return float(np.prod(self.dims_m))
 
     @property
-    def slot_area_m2(self):
+    def surface_area_m2(self):
         length, width, height = self.dims_m
         return np.repeat([width * height, length * height, length * width], 2)
 
@@ -168,13 +168,13 @@ class Scene:
     ----------
     room : Shoebox or MeshRoom
     materials : tuple of Material
-        One per slot of the room.
+        One per surface of the room.
     air : Air
 
     Raises
     ------
     ValueError
-        The number of materials is not the number of slots.
+        The number of materials is not the number of surfaces.
     """
 
     room: object
@@ -183,23 +183,23 @@ class Scene:
 
     def __post_init__(self):
         object.__setattr__(self, "materials", tuple(self.materials))
-        if len(self.materials) != len(self.room.slots):
+        if len(self.materials) != len(self.room.surfaces):
             raise ValueError(f"{len(self.materials)} materials must be one for each of the room's "
-                             f"{len(self.room.slots)} slots ({', '.join(self.room.slots)}): give that many")
+                             f"{len(self.room.surfaces)} surfaces ({', '.join(self.room.surfaces)}): give that many")
 
     @property
     def absorption(self):
-        """ndarray, shape (n_slots, 8)."""
+        """ndarray, shape (n_surfaces, 8)."""
         return np.array([material.absorption for material in self.materials])
 
     @property
     def scattering(self):
-        """ndarray, shape (n_slots, 8)."""
+        """ndarray, shape (n_surfaces, 8)."""
         return np.array([material.scattering for material in self.materials])
 
 
 def with_absorption(scene, absorption):
-    """Return the scene with other absorption coefficients, shape (n_slots, 8)."""
+    """Return the scene with other absorption coefficients, shape (n_surfaces, 8)."""
     materials = [replace(material, absorption=tuple(row))
                  for material, row in zip(scene.materials, absorption, strict=True)]
     return replace(scene, materials=materials)
@@ -226,9 +226,9 @@ def check_positions(room, source_pos_m, mic_pos_m):
 def sabine_area_m2(scene, absorption=None):
     """Sum of ``-ln(1 - alpha_mean) S + 4 m V`` per band: the absorption area in Eyring's formula, shape (8,).
 
-    `absorption`, shape (n_slots, 8), stands for that of the scene if given.
+    `absorption`, shape (n_surfaces, 8), stands for that of the scene if given.
     """
-    area_m2 = scene.room.slot_area_m2
+    area_m2 = scene.room.surface_area_m2
     mean = np.minimum(area_m2 @ (scene.absorption if absorption is None else absorption) / area_m2.sum(), 1.0 - 1e-6)
     return -np.log(1.0 - mean) * area_m2.sum() + 4.0 * scene.air.attenuation_per_m * scene.room.volume_m3
 

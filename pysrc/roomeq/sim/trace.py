@@ -29,14 +29,14 @@ class Walls:
     ----------
     normals : ndarray, shape (n_walls, 3)
     offsets : ndarray, shape (n_walls,)
-    face_slot : ndarray of int, shape (n_walls,)
+    face_surface : ndarray of int, shape (n_walls,)
     size_m : ndarray, shape (3,)
         Of the box around the room.
     """
 
     normals: np.ndarray
     offsets: np.ndarray
-    face_slot: np.ndarray
+    face_surface: np.ndarray
     size_m: np.ndarray
 
 
@@ -57,11 +57,11 @@ class Paths:
         Index of each ray's first reflection. Between two rays may lie places that nothing is stored in.
     normals : ndarray, shape (n_faces, 3)
         Of the faces, into the air.
-    face_slot : ndarray of int, shape (n_faces,)
+    face_surface : ndarray of int, shape (n_faces,)
     counts : ndarray of int32, shape (n_rays,)
         Reflections stored per ray.
-    scattering : ndarray, shape (n_slots,)
-        Scattering coefficient of each slot that the rays were traced with.
+    scattering : ndarray, shape (n_surfaces,)
+        Scattering coefficient of each surface that the rays were traced with.
     late_m, stride : float, int
         Beyond this length one ray in `stride` goes on and stands for the others.
     max_length_m : float
@@ -76,7 +76,7 @@ class Paths:
     codes: np.ndarray
     first: np.ndarray
     normals: np.ndarray
-    face_slot: np.ndarray
+    face_surface: np.ndarray
     counts: np.ndarray
     scattering: np.ndarray
     late_m: float
@@ -107,8 +107,8 @@ def trace(room, source_pos_m, scattering, *, num_rays, max_length_m, speed_m_s, 
     ----------
     room : Shoebox or MeshRoom
     source_pos_m : array_like, shape (3,)
-    scattering : array_like, shape (n_slots,)
-        Scattering coefficient of each slot.
+    scattering : array_like, shape (n_surfaces,)
+        Scattering coefficient of each surface.
     num_rays : int
     max_length_m : float
         How far to follow a ray [m].
@@ -128,10 +128,10 @@ def trace(room, source_pos_m, scattering, *, num_rays, max_length_m, speed_m_s, 
     stride = int(np.clip(num_rays // LATE_RAYS, 1, MAX_STRIDE))
     walls = room.walls
     follow = _follow_in_mesh if walls is None else _follow_in_convex
-    normals, face_slot = (room.normals, room.face_slot) if walls is None else (walls.normals, walls.face_slot)
-    hits, codes, first, counts, n_leaked = follow(room, source_pos_m, directions, scattering[face_slot], late_m,
+    normals, face_surface = (room.normals, room.face_surface) if walls is None else (walls.normals, walls.face_surface)
+    hits, codes, first, counts, n_leaked = follow(room, source_pos_m, directions, scattering[face_surface], late_m,
                                                   stride, max_length_m, seed)
-    return Paths(source_pos_m, directions, hits, codes, first, normals, face_slot, counts, scattering, late_m, stride,
+    return Paths(source_pos_m, directions, hits, codes, first, normals, face_surface, counts, scattering, late_m, stride,
                  max_length_m, n_leaked)
 
 

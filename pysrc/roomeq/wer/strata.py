@@ -51,10 +51,10 @@ def _properties(decoded: Decoded, rirs: dict[str, dict]) -> dict[str, np.ndarray
         rir_of = read_texts(data / "utt2rir")
         snr_of = _snr_db(data / "utt2snr")
         for utterance in read_reference(decoded.decode(seed, decoded.rows[0], TEST, decoded.columns[0])):
-            passport = rirs[rir_of[utterance][0]].get("passport") or {}
-            valid = passport.get("t20_valid", [False] * (BAND_1KHZ + 1))[BAND_1KHZ]
-            t20_s = passport["t20_s"][BAND_1KHZ] if valid else None
-            for what, value in zip(EDGES, (snr_of.get(utterance), t20_s, passport.get("drr_db")), strict=True):
+            parameters = rirs[rir_of[utterance][0]].get("acoustic_parameters") or {}
+            valid = parameters.get("t20_valid", [False] * (BAND_1KHZ + 1))[BAND_1KHZ]
+            t20_s = parameters["t20_s"][BAND_1KHZ] if valid else None
+            for what, value in zip(EDGES, (snr_of.get(utterance), t20_s, parameters.get("drr_db")), strict=True):
                 found[what].append(np.nan if value is None else value)
     return {what: np.array(values) for what, values in found.items()}
 

@@ -23,13 +23,13 @@ _DIR = (b"a-1 a\na-2 a\n", b"a-1 x.wav\na-2 flac -c -d -s y.flac |\n", b"a-1 HI\
         b"a-1 1.5\na-2 2.5\n", b"")
 _TOML = b'[materials.felt]\nuse = ["wall", "floor", "ceiling"]\nabsorption = [0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1]\n'
 _WORDS = (  # what random bytes would not hit upon
-    '"passport": {"eq_db": [', '"eq_valid": [true', '"eq_edge_db": null', '"direct_sample": ', '"room_dims_m": [',
+    '"acoustic_parameters": {"eq_db": [', '"eq_valid": [true', '"eq_edge_db": null', '"direct_sample": ', '"room_dims_m": [',
     '"mesh": "', '"noise_for": "', '"weights_of_room": {', '"points_hz": [', "1e999", "NaN", "-1", "1e-320",
     "\\\\ud800", "null", "true", "$(touch evil)", "../", "\\x00", "\\xff", "\\xe2\\x80\\xa8", "flac -c -d -s ",
     " |", "--rir-id 1 ", "--room-id ", "uniform ", "normal ", "list ", "none", "usemtl ", "f 1 2 3 4", "v 1e300 ",
     "[scattering]", "use = [", "%%", "$EnvSpk1Depth", "99999999999999999999", "?", "source_dir", "mic_pos_m",
     "tof_removed", "documented_t60_s", "#0", "<s>", '"effect": "room_modes"', '"up_to_hz": ', '"gains_db": [',
-    '"levels_db": [', '"cannot_tell": ["', '"judge": {')
+    '"levels_db": [', '"cannot_tell": ["', '"test": {')
 _MODEL = (b'{"effects": [{"effect": "near_reflector", "of": {"r": {"depth_m": 0.7, "reflection": 0.6}}, '
           b'"typical": [-0.4, 0.6], "spread": [0.1, 0.1]}, {"effect": "sound_speed", "of": {}}]}')
 _ERRORS = (b'{"positions": {"error": 1.5, "ci": [1, 2], "by_metric": {"t30": 1.5}, "by_band": '
@@ -223,7 +223,7 @@ def refused(read, argument) -> None:
 
 
 TARGETS = {
-    "rows": (rows, [_ROW + _NOISE, _NOISE, _ROW.replace(b'"n_samples"', b'"passport": {"eq_db": [0]}, "n_samples"')]),
+    "rows": (rows, [_ROW + _NOISE, _NOISE, _ROW.replace(b'"n_samples"', b'"acoustic_parameters": {"eq_db": [0]}, "n_samples"')]),
     "mixture": (mixture, [b'{"weights": [1.0], "means_db": [[0,0,0,0,0,0,0]], "covariances_db2": [[[1]]]}', b"[]"]),
     "csv": (csv, [_CSV, b"file;room\na.wav;b\n", b'file\n"a\nb.wav"\n']),
     "meta": (meta, [_META]),

@@ -31,13 +31,13 @@ from bench.loop.table import rates, show  # noqa: E402
 from roomeq.core.constants import BANDS_HZ  # noqa: E402
 from roomeq.core.digests import source_digest  # noqa: E402
 from roomeq.loop.close import close_loop  # noqa: E402
-from worlds import KINDS, make_world  # noqa: E402
+from testbed import KINDS, make_world  # noqa: E402
 
 OUTSIDE = ("clock_drift", "harmonic_distortion", "ringing_object")
 PAIRS = ("source_response+air_absorption", "source_response+room_modes", "mic_response+near_reflector",
          "coupled_volume+source_directivity", "noise_floor+source_response", "sound_speed+mic_response")
 CODE = [*(ROOT / "pysrc/roomeq" / part for part in ("acoustics", "core", "effects", "loop", "records", "sim")),
-        ROOT / "tests/worlds"]
+        ROOT / "tests/testbed"]
 """What makes the results: they count for the same bytes of it."""
 CLEAN_SEEDS = 60
 FIRST_SEED = 101  # those below were looked at while the loop was made
@@ -69,14 +69,14 @@ def one_world(kind, strength, seed, cache, done):
                 return one | dict(strength=strength)
         start, cpu = time.perf_counter(), sum(os.times()[:4])
         ledger = close_loop([Path(directory, "fit")], Path(directory, "loop"), seed=seed,
-                            judge=[Path(directory, "judge")], nj=2)
+                            test=[Path(directory, "test")], nj=2)
         seconds, cpu = time.perf_counter() - start, sum(os.times()[:4]) - cpu
     return dict(kind=kind, strength=strength, seed=seed, achieved_jnd=truth["achieved_jnd"], rings_hz=_rings_hz(truth),
                 found=[one["effect"] for one in ledger["iterations"]],
                 cannot_tell=[one.get("cannot_tell", []) for one in ledger["iterations"]],
                 before=ledger["baseline"]["positions"]["error"], after=ledger["final"]["positions"]["error"],
-                judge_before=ledger["judge"]["before"]["positions"]["error"],
-                judge_after=ledger["judge"]["after"]["positions"]["error"],
+                test_before=ledger["test"]["before"]["positions"]["error"],
+                test_after=ledger["test"]["after"]["positions"]["error"],
                 unexplained=ledger["unexplained_all"][:3], ranking=(ledger["iterations"] or [ledger])[0]["ranking"][:3],
                 seconds=seconds, cpu_seconds=cpu)
 

@@ -84,9 +84,9 @@ def show(done):
         named = ", ".join(f"{first.count(name)} {name}" for name in sorted(set(first), key=lambda n: -first.count(n)))
         rows.append([kind, strength, len(these), named, float(np.mean([one["before"] for one in these])),
                      float(np.mean([one["after"] for one in these])),
-                     float(np.mean([one["judge_after"] for one in these])),
+                     float(np.mean([one["test_after"] for one in these])),
                      float(np.median(seconds)) if seconds else None])
-    print("\n" + table(["world", "JND", "worlds", "first found", "error before", "after", "judge after", "s"], rows))
+    print("\n" + table(["world", "JND", "worlds", "first found", "error before", "after", "test after", "s"], rows))
     print()
     for one in rates(done):
         rate = "-" if one["rate"] is None else f"{100 * one['rate']:.0f} %"

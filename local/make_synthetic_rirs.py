@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Generate a stand-in for a measured RIR corpus, in the layout of BUT ReverbDB as released.
+"""Generate a synthetic corpus of measured-like RIRs, in the layout of BUT ReverbDB as released.
 
-Usage: make_standin_rirs.py [--rooms 9] [--mics 6] [--speakers 6] [--silence-s 10] [--seed 0] [--nj 2] OUT_DIR
-e.g.:  python local/make_standin_rirs.py --nj 2 corpora/standin_rirs
+Usage: make_synthetic_rirs.py [--rooms 9] [--mics 6] [--speakers 6] [--silence-s 10] [--seed 0] [--nj 2] OUT_DIR
+e.g.:  python local/make_synthetic_rirs.py --nj 2 corpora/synthetic_rirs
 
 Nothing in it is measured. It holds, in small number, what makes readers of the released corpus stumble: two takes
 of a position, a retransmission session (_T) that repeats one, a room without furniture in its meta file and one
@@ -19,12 +19,12 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-import standin_acoustics
+import synthetic_acoustics
 from roomeq.core.audio import write_wav
 from roomeq.core.build import Build
 from roomeq.core.files import write_text
 from roomeq.core.rng import rng_for
-from standin_acoustics import FS_HZ, LOUDSPEAKERS, N_OUT, OCTAVES_HZ, Room, impulse_responses
+from synthetic_acoustics import FS_HZ, LOUDSPEAKERS, N_OUT, OCTAVES_HZ, Room, impulse_responses
 
 # name, type, subtype, depth x width x height [m], T60 at 1 kHz [s], walls, floor, ceiling, furniture [percent]
 TABLE = (
@@ -55,9 +55,9 @@ REPEATED, OUTSIDE, RETRANSMITTED, NO_FURNITURE, OTHER_NAME = 0, 1, 1, 2, 1  # ro
 SILENT_MICS = 3  # microphones of a room's first session that also recorded its background noise
 GAIN = 0.5 * 4 * np.pi * 0.9  # the nearest position peaks at about half of full scale
 SWEEP = "IR_sweep_15s_45Hzto22kHz_FS16kHz"
-README = """Generated, not measured: a stand-in for a corpus of measured room impulse responses.
+README = """Generated, not measured: a synthetic corpus of room impulse responses.
 
-Made by local/make_standin_rirs.py: damped modes of rigid shoeboxes below 250-350 Hz, image sources and a decaying
+Made by local/make_synthetic_rirs.py: damped modes of rigid shoeboxes below 250-350 Hz, image sources and a decaying
 noise tail above, two loudspeakers taken in turn that beam and have responses of their own, microphone noise. Rooms,
 positions and meta files are made up as well. Laid out as BUT ReverbDB is (doi 10.1109/JSTSP.2019.2917582), so that
 the same reader reads both; nothing of that corpus is in here.
@@ -264,7 +264,7 @@ def make_session(corpus, out_dir, folder, session):
     return written
 
 
-def make_standin_rirs(out_dir, corpus, nj=1):
+def make_synthetic_rirs(out_dir, corpus, nj=1):
     """Make the corpus.
 
     Parameters
@@ -280,7 +280,7 @@ def make_standin_rirs(out_dir, corpus, nj=1):
         `out_dir` holds something else.
     """
     build = Build(out_dir, step="standin-rirs", options=vars(corpus),
-                  inputs=[Path(__file__), Path(standin_acoustics.__file__)])
+                  inputs=[Path(__file__), Path(synthetic_acoustics.__file__)])
 
     def assemble(directory, counts):
         for index in range(corpus.rooms):
@@ -309,9 +309,9 @@ def main(argv=None):
             parser.error(f"--{key.replace('_', '-')} {args[key]} must lie in 1 to {highest}")
     out_dir, nj = args.pop("out_dir"), args.pop("nj")
     try:
-        make_standin_rirs(out_dir, Corpus(**args), nj)
+        make_synthetic_rirs(out_dir, Corpus(**args), nj)
     except (ValueError, OSError) as error:
-        print(f"make_standin_rirs.py: {error}", file=sys.stderr)
+        print(f"make_synthetic_rirs.py: {error}", file=sys.stderr)
         return 1
     return 0
 

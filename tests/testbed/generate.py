@@ -7,11 +7,11 @@ import numpy as np
 from roomeq.core.audio import write_wav
 from roomeq.core.files import write_json
 from roomeq.records.rir_dir import write_rirs
-from worlds.draws import DECLARED_C, DECLARED_PCT, FS_HZ, N_SAMPLES, generator
-from worlds.kinds import KINDS
-from worlds.paths import world_fields
-from worlds.render import render
-from worlds.size import cells, changes, mean_size, summary
+from testbed.draws import DECLARED_C, DECLARED_PCT, FS_HZ, N_SAMPLES, generator
+from testbed.kinds import KINDS
+from testbed.paths import world_fields
+from testbed.render import render
+from testbed.size import cells, changes, mean_size, summary
 
 N_FIT, N_JUDGE = 8, 2  # rooms
 N_PROBES = 24  # RIRs that the scale is sought on
@@ -22,7 +22,7 @@ CLOSE = 0.08  # on all RIRs
 def make_world(kind, strength_jnd, seed, out_dir, *, n_fit=N_FIT, n_judge=N_JUDGE, cache=None):
     """Make measured-like RIR directories with an effect that their rows don't tell.
 
-    Writes `fit/` and `judge/` (RIR directories; rooms of one are not in the other) and `truth.json`. The same
+    Writes `fit/` and `test/` (RIR directories; rooms of one are not in the other) and `truth.json`. The same
     seed has the same rooms, positions and noises for every kind and strength.
 
     Parameters
@@ -49,7 +49,7 @@ def make_world(kind, strength_jnd, seed, out_dir, *, n_fit=N_FIT, n_judge=N_JUDG
             raise ValueError(f"kind={name!r} must be clean or one of {', '.join(KINDS)}, or some of them joined by +")
     rooms = world_fields(seed, n_fit + n_judge, cache)
     fit = [field for room in rooms[:n_fit] for field in room]
-    judge = [field for room in rooms[n_fit:] for field in room]
+    test = [field for room in rooms[n_fit:] for field in room]
     clean = [cells(render(field), field) for field in fit] if names else []
     extras, effects = [], {}
     for name in names:
@@ -63,7 +63,7 @@ def make_world(kind, strength_jnd, seed, out_dir, *, n_fit=N_FIT, n_judge=N_JUDG
                  achieved_jnd={name: effects[name]["achieved_jnd"] for name in names},
                  rooms=[_room(room[0].room) for room in rooms])
     _write(Path(out_dir) / "fit", fit, extras)
-    _write(Path(out_dir) / "judge", judge, extras)
+    _write(Path(out_dir) / "test", test, extras)
     write_json(Path(out_dir) / "truth.json", truth)
     return truth
 
@@ -75,7 +75,7 @@ def scaled(kind, drawn, strength_jnd, fit, clean):
     -------
     scale : float
     found : dict
-        Changes of all responses at that scale, see `worlds.size.changes`.
+        Changes of all responses at that scale, see `testbed.size.changes`.
     """
     def sizes_at(scale, chosen):
         extra = [kind.extra(drawn, scale)]

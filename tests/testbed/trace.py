@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 
-from worlds.draws import C0, LENGTH_S, N_BANDS
+from testbed.draws import C0, LENGTH_S, N_BANDS
 
 BIN_M = C0 * 1e-3  # path length of one bin: 1 ms at the declared temperature
 N_BINS = round(LENGTH_S * 1000)

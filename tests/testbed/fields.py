@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.signal import sosfilt
 
-from worlds.draws import C0, DECLARED_C, DECLARED_PCT, FS_HZ, OCTAVES_HZ, generator, speed_of_sound
-from worlds.render import FREQUENCY_HZ, Extra
-from worlds.trace import BIN_M, N_BINS
+from testbed.draws import C0, DECLARED_C, DECLARED_PCT, FS_HZ, OCTAVES_HZ, generator, speed_of_sound
+from testbed.render import FREQUENCY_HZ, Extra
+from testbed.trace import BIN_M, N_BINS
 
 AIRS = ((10.0, 20.0), (30.0, 80.0))  # degrees C, % relative humidity
 HOTTEST_C = 35.0

@@ -1,4 +1,4 @@
-"""What the speech stand-in says: sentences of a made-up language of English words.
+"""What the synthetic speech corpus says: sentences of a made-up language of English words.
 
 The next word is drawn from a mixture of preferences, given the last three words, two, one, and none: so a bigram model
 knows more than a unigram model, a trigram model more than that, and a 4-gram model a little more again.

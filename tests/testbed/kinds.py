@@ -10,8 +10,8 @@ physics allows; strength grows with it.
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from worlds import chain, fields, screen, waves
-from worlds.size import JND
+from testbed import chain, fields, screen, waves
+from testbed.size import JND
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from worlds.draws import N_BANDS, generator
-from worlds.rooms import N_SOURCES, Room, draw_room
-from worlds.trace import BIN_M, COHERENT_ORDER, N_ANGLES, N_BINS, N_RAYS, NO_SCREEN, trace
+from testbed.draws import N_BANDS, generator
+from testbed.rooms import N_SOURCES, Room, draw_room
+from testbed.trace import BIN_M, COHERENT_ORDER, N_ANGLES, N_BINS, N_RAYS, NO_SCREEN, trace
 
 COARSE = 8  # bins over which shares of the departure angles are kept
 

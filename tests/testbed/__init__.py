@@ -2,10 +2,10 @@
 
 Nothing here comes from roomeq's simulator, its effects or its loop: rooms, image sources, ray tracer, air, filters
 and wave solver are another set of code, so that the loop cannot recognise itself. `make_world` is all there is to call;
-`python -m worlds KIND --strength 2 --seed 1 --out DIR` does the same (with `tests` on the path).
+`python -m testbed KIND --strength 2 --seed 1 --out DIR` does the same (with `tests` on the path).
 """
 
-from worlds.generate import make_world
-from worlds.kinds import KINDS
+from testbed.generate import make_world
+from testbed.kinds import KINDS
 
 __all__ = ["KINDS", "make_world"]

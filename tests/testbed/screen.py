@@ -5,9 +5,9 @@ from functools import cache
 import numpy as np
 from scipy.special import fresnel
 
-from worlds.draws import C0, generator
-from worlds.paths import Field, condensed, rays
-from worlds.render import FREQUENCY_HZ, Extra
+from testbed.draws import C0, generator
+from testbed.paths import Field, condensed, rays
+from testbed.render import FREQUENCY_HZ, Extra
 
 HALF_M = (1.0, 0.8)  # half width and half height at scale 1
 AWAY_M = 0.2  # nobody stands nearer to the screen's plane

@@ -9,15 +9,15 @@ import pytest
 
 from roomeq.acoustics.direct import find_direct
 from roomeq.records.rir_dir import read_rirs, validate_rirs
-from worlds import KINDS, make_world
-from worlds.air import absorption_db_per_m, through_air
-from worlds.bands import band_gains
-from worlds.draws import C0, FS_HZ, N_SAMPLES, speed_of_sound
-from worlds.paths import image_sources, world_fields
-from worlds.render import FREQUENCY_HZ, render
-from worlds.screen import past_screen
-from worlds.size import cells, changes, mean_size
-from worlds.waves import impedance_of, random_incidence, responses
+from testbed import KINDS, make_world
+from testbed.air import absorption_db_per_m, through_air
+from testbed.bands import band_gains
+from testbed.draws import C0, FS_HZ, N_SAMPLES, speed_of_sound
+from testbed.paths import image_sources, world_fields
+from testbed.render import FREQUENCY_HZ, render
+from testbed.screen import past_screen
+from testbed.size import cells, changes, mean_size
+from testbed.waves import impedance_of, random_incidence, responses
 
 SEED = 3
 FORBIDDEN = ("roomeq.sim", "roomeq.effects", "roomeq.loop")
@@ -53,7 +53,7 @@ def clean(pairs):
 
 
 def test_nothing_here_comes_from_what_it_judges():
-    for path in (Path(__file__).parent / "worlds").glob("*.py"):
+    for path in (Path(__file__).parent / "testbed").glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             names = [alias.name for alias in node.names] if isinstance(node, (ast.Import, ast.ImportFrom)) else []
             if isinstance(node, ast.ImportFrom):
@@ -87,9 +87,9 @@ def test_an_effect_changes_what_it_should_and_nothing_else(name, rooms, pairs, c
 def test_a_world_keeps_the_contract(kind, tmp_path):
     truth = make_world(kind, 1.0, SEED, tmp_path, n_fit=2, n_judge=1, cache=tmp_path / "traced")
     assert validate_rirs(tmp_path / "fit") == 16
-    assert validate_rirs(tmp_path / "judge") == 8
-    fit, judge = (read_rirs(tmp_path / part) for part in ("fit", "judge"))
-    assert not {row["room_id"] for row in fit} & {row["room_id"] for row in judge}
+    assert validate_rirs(tmp_path / "test") == 8
+    fit, test = (read_rirs(tmp_path / part) for part in ("fit", "test"))
+    assert not {row["room_id"] for row in fit} & {row["room_id"] for row in test}
     for room in {row["room_id"] for row in fit}:
         assert len({(row["source_id"], row["mic_id"]) for row in fit if row["room_id"] == room}) == 4
     for name, achieved in truth["achieved_jnd"].items():

@@ -1,4 +1,4 @@
-"""Point noises of the speech stand-in: hum, fan, clatter, made of sines, filtered noise and damped resonances."""
+"""Point noises of the synthetic speech corpus: hum, fan, clatter, made of sines, filtered noise and damped resonances."""
 
 import numpy as np
 

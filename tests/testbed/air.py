@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from worlds.draws import C0, FS_HZ
+from testbed.draws import C0, FS_HZ
 
 FRAME = 256  # samples: over half of it the air takes less than 0.3 dB at 8 kHz
 

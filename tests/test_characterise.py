@@ -1,4 +1,4 @@
-"""Passports: what is measured, what is dropped, what is kept from the EQ fit, and why."""
+"""Acoustic parameters: what is measured, what is dropped, what is kept from the EQ fit, and why."""
 
 import numpy as np
 import pytest
@@ -22,14 +22,14 @@ def run(tmp_path, items, **options):
     return {one["id"]: one for one in read_rirs(tmp_path / "out")}, read_json(tmp_path / "out" / "screening.json")
 
 
-def test_passport_has_everything_and_only_json(tmp_path):
+def test_parameters_have_everything_and_only_json(tmp_path):
     rows, report = run(tmp_path, [(row("a"), coloured_rir(0, snr_db=60.0))])
-    passport = rows["a"]["passport"]
-    assert passport["direct_sample"] == pytest.approx(DIRECT, abs=0.5)
+    parameters = rows["a"]["acoustic_parameters"]
+    assert parameters["direct_sample"] == pytest.approx(DIRECT, abs=0.5)
     for key in ("edt_s", "t20_s", "t30_s", "c50_db", "eq_db"):
-        assert len(passport[key]) == len(passport[key.rsplit("_", 1)[0] + "_valid"]) == 8, key
-    assert passport["eq_db"][4] == 0.0
-    assert passport["t30_s"][5] == pytest.approx(0.4, rel=0.05)
+        assert len(parameters[key]) == len(parameters[key.rsplit("_", 1)[0] + "_valid"]) == 8, key
+    assert parameters["eq_db"][4] == 0.0
+    assert parameters["t30_s"][5] == pytest.approx(0.4, rel=0.05)
     assert rows["a"]["screen"] is None and rows["a"]["geometry_ok"]
     assert report["n_given"] == report["n_kept"] == report["n_for_eq"] == 1
 
@@ -60,16 +60,16 @@ def test_screened_recordings_stay_but_not_for_the_eq(tmp_path, more, rir, reason
 def test_roll_off_at_8_khz_costs_that_point_only(tmp_path):
     filtered = np.convolve(coloured_rir(0, length_s=0.8), firwin(401, 7500, fs=16000, window=("kaiser", 10)))
     rows, report = run(tmp_path, [(row("a"), filtered)])
-    passport = rows["a"]["passport"]
+    parameters = rows["a"]["acoustic_parameters"]
     assert rows["a"]["screen"] is None
-    assert passport["eq_valid"] == [True] * 7 + [False]
-    assert passport["eq_db"][7] < -40.0 and abs(passport["eq_edge_db"]) < 4.0
+    assert parameters["eq_valid"] == [True] * 7 + [False]
+    assert parameters["eq_db"][7] < -40.0 and abs(parameters["eq_edge_db"]) < 4.0
     assert report["n_roll_off_at_8khz"] == 1
 
 
 def test_a_tweeter_that_falls_by_24_db_an_octave_is_no_roll_off():
-    passport = measure(coloured_rir(0, eq_db=(0, 0, 0, 0, 0, 0, -2, -26)))
-    assert passport["eq_edge_db"] is None and passport["eq_valid"][7]
+    parameters = measure(coloured_rir(0, eq_db=(0, 0, 0, 0, 0, 0, -2, -26)))
+    assert parameters["eq_edge_db"] is None and parameters["eq_valid"][7]
 
 
 def test_repeats_and_uncommon_spaces_are_dropped(tmp_path):

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Generate a stand-in for LibriSpeech with eSpeak NG: few words, many voices, transcripts; and point noises.
+"""Generate a synthetic corpus in the form of LibriSpeech with eSpeak NG: few words, many voices, transcripts; and point noises.
 
-Usage: make_standin_speech.py [--utterances 900,150,150] [--seed 0] [--nj 2] OUT_DIR
-e.g.:  python local/make_standin_speech.py --nj 2 corpora/standin_speech
+Usage: make_synthetic_speech.py [--utterances 900,150,150] [--seed 0] [--nj 2] OUT_DIR
+e.g.:  python local/make_synthetic_speech.py --nj 2 corpora/synthetic_speech
 
 Writes OUT_DIR/LibriSpeech/{train-clean-100,dev-clean,test-clean} as the real corpus has them, each with voices of its
 own; OUT_DIR/LibriSpeech-LM/lm.txt, further sentences of the same language for language models; and
@@ -21,15 +21,15 @@ import soxr
 
 import espeak_client
 import espeak_worker
-import standin_noises
-import standin_text
+import synthetic_noises
+import synthetic_text
 from espeak_client import Espeak
 from roomeq.core.audio import write_flac
 from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
 from roomeq.core.files import write_text
 from roomeq.core.rng import rng_for
-from standin_text import draw_sentence
+from synthetic_text import draw_sentence
 
 
 @dataclass(frozen=True)
@@ -78,9 +78,9 @@ LM_SENTENCES = 20_000
 CHATTER = """because perhaps nobody ever told them about it however people would rather have been somewhere else
 than listen again although every other friend remembered another story which sounded quite different""".split()
 NOISES = tuple(f"{kind}{n}" for kind in ("hum", "fan", "clatter", "babble") for n in (1, 2, 3))
-README = """Generated, not recorded: a stand-in for LibriSpeech.
+README = """Generated, not recorded: a synthetic corpus in the form of LibriSpeech.
 
-Made by local/make_standin_speech.py. The speech comes from the synthesiser eSpeak NG, the words are drawn from
+Made by local/make_synthetic_speech.py. The speech comes from the synthesiser eSpeak NG, the words are drawn from
 a made-up language; the point noises are made of sines, noise and the same synthesiser. Nothing in here is of
 LibriSpeech.
 """
@@ -184,9 +184,9 @@ def make_noise(seed, out_dir, name):
             for spoken, voice in zip(talkers, BABBLERS, strict=True):
                 while sum(map(len, spoken)) < n_samples:
                     spoken.append(say(espeak, voice, draw_chatter(rng), rng))
-        noise = standin_noises.levelled(standin_noises.babble(rng, talkers, n_samples))
+        noise = synthetic_noises.levelled(synthetic_noises.babble(rng, talkers, n_samples))
     else:
-        noise = standin_noises.point_noise(kind, rng, n_samples)
+        noise = synthetic_noises.point_noise(kind, rng, n_samples)
     write_flac(out_dir / "point_noises" / f"{name}.flac", noise)
     return n_samples
 
@@ -216,7 +216,7 @@ def lm_text(seed):
     return "".join(f"{' '.join(draw_sentence(seed, rng)).upper()}\n" for rng in rngs)
 
 
-def make_standin_speech(out_dir, utterances, seed, nj=1):
+def make_synthetic_speech(out_dir, utterances, seed, nj=1):
     """Make the corpus.
 
     Parameters
@@ -235,7 +235,7 @@ def make_standin_speech(out_dir, utterances, seed, nj=1):
     OSError
         eSpeak NG doesn't run, or `out_dir` can't be written.
     """
-    modules = sys.modules[__name__], espeak_client, espeak_worker, standin_noises, standin_text
+    modules = sys.modules[__name__], espeak_client, espeak_worker, synthetic_noises, synthetic_text
     sources = [Path(module.__file__) for module in modules]
     build = Build(out_dir, step="standin-speech", options=dict(utterances=utterances, seed=seed), inputs=sources)
     items = {**chapters(utterances), **dict.fromkeys(NOISES)}
@@ -280,9 +280,9 @@ def main(argv=None):
     if args.nj < 1:
         parser.error(f"--nj {args.nj} must be at least 1")
     try:
-        make_standin_speech(args.out_dir, args.utterances, args.seed, args.nj)
+        make_synthetic_speech(args.out_dir, args.utterances, args.seed, args.nj)
     except (ValueError, OSError) as error:
-        print(f"make_standin_speech.py: {error}", file=sys.stderr)
+        print(f"make_synthetic_speech.py: {error}", file=sys.stderr)
         return 1
     return 0
 

@@ -1,4 +1,4 @@
-"""Physics of the stand-in for a measured RIR corpus: a rigid-wall modal field below, images and a tail above.
+"""Physics of the synthetic RIR corpus: a rigid-wall modal field below, images and a tail above.
 
 Everything is a spectrum of `N_FFT` samples at 16 kHz with time zero at the emission, for a source that makes
 p = 1/(4 pi r) at r metres in the free field, so that the parts fit each other without being fitted.

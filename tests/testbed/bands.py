@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from worlds.draws import FS_HZ, N_BANDS, OCTAVES_HZ
+from testbed.draws import FS_HZ, N_BANDS, OCTAVES_HZ
 
 WIDTH_OCTAVES = 0.5  # of the raised-cosine crossover between neighbours
 

@@ -18,20 +18,20 @@ from scipy.signal import butter, sosfiltfilt
 LOCAL = Path(__file__).parents[1] / "local"
 sys.path.insert(0, str(LOCAL))
 
-import make_standin_rirs  # noqa: E402
-import make_standin_speech  # noqa: E402
-import standin_acoustics as acoustics  # noqa: E402
-import standin_text  # noqa: E402
+import make_synthetic_rirs  # noqa: E402
+import make_synthetic_speech  # noqa: E402
+import synthetic_acoustics as acoustics  # noqa: E402
+import synthetic_text  # noqa: E402
 from roomeq.corpora import read_measured  # noqa: E402
 from roomeq.records.rir_dir import read_rirs  # noqa: E402
 
 SMALL = {"speech": ["--utterances", "16,4,8"],
          "rirs": ["--rooms", "3", "--mics", "2", "--speakers", "1", "--silence-s", "1"]}
-CORPUS = make_standin_rirs.Corpus(rooms=3, mics=2, speakers=1, silence_s=1, seed=0)  # what these options ask for
+CORPUS = make_synthetic_rirs.Corpus(rooms=3, mics=2, speakers=1, silence_s=1, seed=0)  # what these options ask for
 
 
 def command(kind, out_dir, *options):
-    return [sys.executable, str(LOCAL / f"make_standin_{kind}.py"), *SMALL[kind], *options, str(out_dir)]
+    return [sys.executable, str(LOCAL / f"make_synthetic_{kind}.py"), *SMALL[kind], *options, str(out_dir)]
 
 
 def make(kind, out_dir, *options):
@@ -80,11 +80,11 @@ def test_bytes_depend_neither_on_jobs_nor_on_an_interruption(kind, tmp_path, req
 
 
 def test_another_seed_gives_other_audio(speech, rirs, tmp_path):
-    session = next(iter(make_standin_rirs.sessions(CORPUS).values()))
-    make_standin_rirs.make_session(replace(CORPUS, seed=1), tmp_path, session.folder, session)
-    chapter = next(iter(make_standin_speech.chapters((16, 4, 8)).values()))
-    make_standin_speech.make_chapter(1, tmp_path, chapter)
-    make_standin_speech.make_noise(1, tmp_path, "hum1")
+    session = next(iter(make_synthetic_rirs.sessions(CORPUS).values()))
+    make_synthetic_rirs.make_session(replace(CORPUS, seed=1), tmp_path, session.folder, session)
+    chapter = next(iter(make_synthetic_speech.chapters((16, 4, 8)).values()))
+    make_synthetic_speech.make_chapter(1, tmp_path, chapter)
+    make_synthetic_speech.make_noise(1, tmp_path, "hum1")
     ours, theirs = contents(tmp_path), contents(speech) | contents(rirs)
     audio = [name for name in ours if name.endswith((".wav", ".flac"))]
     assert len(audio) >= 6 and all(ours[name] != theirs[name] for name in audio)
@@ -100,7 +100,7 @@ def test_leaves_what_is_not_its_own(kind, tmp_path):
     (tmp_path / "notes").write_text("mine")
     done = subprocess.run(command(kind, tmp_path), capture_output=True, text=True)
     assert done.returncode == 1
-    assert re.fullmatch(rf"make_standin_{kind}\.py: .*not made by.*\n", done.stderr)
+    assert re.fullmatch(rf"make_synthetic_{kind}\.py: .*not made by.*\n", done.stderr)
     assert contents(tmp_path) == {"notes": b"mine"}
 
 
@@ -116,7 +116,7 @@ def test_refuses_options_out_of_range(kind, options, tmp_path):
 @pytest.mark.parametrize("kind", SMALL)
 def test_help_has_an_example(kind):
     done = subprocess.run(command(kind, "x", "--help"), check=True, capture_output=True, text=True)
-    assert f"e.g.:  python local/make_standin_{kind}.py" in done.stdout
+    assert f"e.g.:  python local/make_synthetic_{kind}.py" in done.stdout
 
 
 # Speech
@@ -147,13 +147,13 @@ def test_speakers_are_listed_and_belong_to_one_set(speech):
 
 def test_each_set_has_as_many_utterances_as_asked_for():
     counts = Counter()
-    for chapter in make_standin_speech.chapters((900, 150, 1200)).values():
+    for chapter in make_synthetic_speech.chapters((900, 150, 1200)).values():
         counts[chapter.subset] += chapter.n_utterances
     assert counts == {"train-clean-100": 900, "dev-clean": 150, "test-clean": 1200}
 
 
 def test_sentences_are_of_the_vocabulary(speech):
-    vocabulary = {word.upper() for word in standin_text.VOCABULARY}
+    vocabulary = {word.upper() for word in synthetic_text.VOCABULARY}
     assert 150 <= len(vocabulary) <= 200
     heard = [text for _, text in transcripts(speech)]
     read = (speech / "LibriSpeech-LM/lm.txt").read_text().splitlines()
@@ -165,10 +165,10 @@ def test_sentences_are_of_the_vocabulary(speech):
 
 
 def test_no_two_words_sound_alike_in_any_voice():
-    with make_standin_speech.Espeak() as espeak:
-        for language in {voice.language for voices in make_standin_speech.VOICES.values() for voice in voices}:
-            spoken = espeak.phonemes(language, standin_text.VOCABULARY)
-            assert len(set(spoken)) == len(standin_text.VOCABULARY), language
+    with make_synthetic_speech.Espeak() as espeak:
+        for language in {voice.language for voices in make_synthetic_speech.VOICES.values() for voice in voices}:
+            spoken = espeak.phonemes(language, synthetic_text.VOCABULARY)
+            assert len(set(spoken)) == len(synthetic_text.VOCABULARY), language
 
 
 def perplexity(order, sentences, held_out):
@@ -181,7 +181,7 @@ def perplexity(order, sentences, held_out):
                 following[tuple(padded[n - length:n])][padded[n]] += 1
 
     def probability(word, context):
-        shorter = probability(word, context[1:]) if context else 1 / len(standin_text.VOCABULARY)
+        shorter = probability(word, context[1:]) if context else 1 / len(synthetic_text.VOCABULARY)
         seen = following.get(context, {})
         return (seen.get(word, 0) + len(seen) * shorter) / (sum(seen.values()) + len(seen)) if seen else shorter
 
@@ -191,8 +191,8 @@ def perplexity(order, sentences, held_out):
 
 
 def test_longer_memory_knows_more_of_the_language():
-    sentences = [line.lower().split() for line in make_standin_speech.lm_text(0).splitlines()]
-    held_out = [standin_text.draw_sentence(0, np.random.default_rng(n)) for n in range(300)]
+    sentences = [line.lower().split() for line in make_synthetic_speech.lm_text(0).splitlines()]
+    held_out = [synthetic_text.draw_sentence(0, np.random.default_rng(n)) for n in range(300)]
     found = [perplexity(order, sentences, held_out) for order in (1, 2, 3)]
     assert found[0] > 1.8 * found[1] and found[1] > 1.2 * found[2] and 20 < found[2] < 60
 
@@ -208,17 +208,17 @@ def test_speech_has_levels_and_no_digital_silence(speech):
 
 
 def test_an_utterance_does_not_depend_on_what_was_spoken_before():
-    voice = make_standin_speech.VOICES["test-clean"][1]  # a breathy one, which draws random numbers
-    with make_standin_speech.Espeak() as espeak:
-        first, again = (make_standin_speech.say(espeak, voice, ["open", "door"], np.random.default_rng(1))
+    voice = make_synthetic_speech.VOICES["test-clean"][1]  # a breathy one, which draws random numbers
+    with make_synthetic_speech.Espeak() as espeak:
+        first, again = (make_synthetic_speech.say(espeak, voice, ["open", "door"], np.random.default_rng(1))
                         for _ in range(2))
     np.testing.assert_array_equal(first, again)
 
 
 def test_a_voice_that_does_not_exist_is_one_line():
-    voice = make_standin_speech.Voice("M", "xx", "m1", 160, 50, 50)
-    with make_standin_speech.Espeak() as espeak, pytest.raises(OSError, match="eSpeak NG ended at .*xx"):
-        make_standin_speech.say(espeak, voice, ["open"], np.random.default_rng(0))
+    voice = make_synthetic_speech.Voice("M", "xx", "m1", 160, 50, 50)
+    with make_synthetic_speech.Espeak() as espeak, pytest.raises(OSError, match="eSpeak NG ended at .*xx"):
+        make_synthetic_speech.say(espeak, voice, ["open"], np.random.default_rng(0))
 
 
 def test_point_noises_are_listed(speech):
@@ -422,8 +422,8 @@ def test_loudspeakers_differ_by_their_responses_alone(room, positions):
     found_db = 20 * np.log10(np.median(np.abs(other / one), axis=0))
     assert np.ptp(gain_db) > 8
     assert np.percentile(np.abs(found_db - gain_db), 95) < 0.5  # cut off at 1 s
-    speakers = {session.speaker: session.model for session in make_standin_rirs.sessions(
-        make_standin_rirs.Corpus(9, 6, 6, 10, 0)).values()}
+    speakers = {session.speaker: session.model for session in make_synthetic_rirs.sessions(
+        make_synthetic_rirs.Corpus(9, 6, 6, 10, 0)).values()}
     assert speakers == {1: 0, 2: 1, 3: 0, 4: 1, 5: 0, 6: 1}
 
 
@@ -432,7 +432,7 @@ def test_the_loop_is_told_where_everything_stands_but_nothing_of_what_it_is_to_f
     rows = read_rirs(rirs.parent / "measured")
     assert all(None not in (*row["room_dims_m"], *row["source_pos_m"], *row["mic_pos_m"]) for row in rows)
     assert not any(row.get("source_dir") for row in rows) and {row["source_id"] for row in rows} == {"SpkID01"}
-    imports = {line for path in (LOCAL / "standin_acoustics.py", LOCAL / "make_standin_rirs.py")
+    imports = {line for path in (LOCAL / "synthetic_acoustics.py", LOCAL / "make_synthetic_rirs.py")
                for line in path.read_text().splitlines() if "roomeq" in line and "import" in line}
     assert all(line.split()[1] in ("roomeq.core.audio", "roomeq.core.build", "roomeq.core.files",
                                       "roomeq.core.rng") for line in imports)
@@ -449,31 +449,31 @@ def test_loudspeaker_beams(room):
 
 
 def test_rooms_are_as_documented():
-    corpus = make_standin_rirs.Corpus(80, 6, 6, 10, 0)
+    corpus = make_synthetic_rirs.Corpus(80, 6, 6, 10, 0)
     names = set()
     for index in range(corpus.rooms):
-        name, kind, _, dims_m, t60_s, *_ = make_standin_rirs.described(corpus, index)
+        name, kind, _, dims_m, t60_s, *_ = make_synthetic_rirs.described(corpus, index)
         names.add(name)
-        room = make_standin_rirs.draw_room(corpus, index)
+        room = make_synthetic_rirs.draw_room(corpus, index)
         assert 35 < room.volume_m3 < 2000, name
         assert 0.22 < room.total_t60_s[4] < 1.4
         assert kind == "stairs" or 0.25 <= t60_s <= 1.2
         assert room.total_t60_s[0] > room.total_t60_s[4] > room.total_t60_s[7]
         assert np.average(room.wall_share, weights=room.wall_areas_m2) == pytest.approx(1)
         assert room.wall_absorption[:, 4].max() < 0.95
-        speakers, facing, mics = make_standin_rirs.draw_positions(corpus, index)
+        speakers, facing, mics = make_synthetic_rirs.draw_positions(corpus, index)
         for positions_m in (speakers, mics):
             assert np.all(positions_m > 0.25) and np.all(positions_m < np.array(dims_m) - 0.25)
         assert np.linalg.norm(speakers[:, None] - mics, axis=2).min() > 0.9
         np.testing.assert_allclose(np.linalg.norm(facing, axis=1), 1)
-    assert len(names) == 80 and len(make_standin_rirs.sessions(corpus)) == 80 * 6 + 1
+    assert len(names) == 80 and len(make_synthetic_rirs.sessions(corpus)) == 80 * 6 + 1
 
 
 def test_rooms_beyond_the_table_are_drawn_each_by_itself():
-    few, many, other = (make_standin_rirs.Corpus(rooms, 3, 3, 10, seed) for rooms, seed in ((10, 0), (80, 0), (80, 1)))
-    assert make_standin_rirs.described(few, 9) == make_standin_rirs.described(many, 9)
-    assert make_standin_rirs.described(other, 9) != make_standin_rirs.described(many, 9)
-    drawn = [make_standin_rirs.described(many, index) for index in range(9, 80)]
-    assert {kind for _, kind, *_ in drawn} == {kind for kind, *_ in make_standin_rirs.KINDS}
+    few, many, other = (make_synthetic_rirs.Corpus(rooms, 3, 3, 10, seed) for rooms, seed in ((10, 0), (80, 0), (80, 1)))
+    assert make_synthetic_rirs.described(few, 9) == make_synthetic_rirs.described(many, 9)
+    assert make_synthetic_rirs.described(other, 9) != make_synthetic_rirs.described(many, 9)
+    drawn = [make_synthetic_rirs.described(many, index) for index in range(9, 80)]
+    assert {kind for _, kind, *_ in drawn} == {kind for kind, *_ in make_synthetic_rirs.KINDS}
     decays_s = [t60_s for _, _, _, _, t60_s, *_ in drawn]
     assert min(decays_s) < 0.35 and max(decays_s) > 0.95

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from worlds.air import through_air
-from worlds.bands import band_gains
-from worlds.draws import C0, DECLARED_C, DECLARED_PCT, FS_HZ, N_SAMPLES, generator
-from worlds.paths import COARSE, smoothed
-from worlds.trace import BIN_M, N_ANGLES
+from testbed.air import through_air
+from testbed.bands import band_gains
+from testbed.draws import C0, DECLARED_C, DECLARED_PCT, FS_HZ, N_SAMPLES, generator
+from testbed.paths import COARSE, smoothed
+from testbed.trace import BIN_M, N_ANGLES
 
 N_FFT = 32768
 HALF_TAPS = 32

@@ -3,7 +3,7 @@
 import numpy as np
 
 from roomeq.acoustics.iso3382 import all_metrics, octave_bands
-from worlds.draws import C0, FS_HZ
+from testbed.draws import C0, FS_HZ
 
 TOUCHED_JND = 0.25  # a smaller change doesn't count as one
 FLOOR_DB = -55.0  # an octave's noise below it, in 5 ms and relative to the whole response, is nobody's concern
@@ -33,7 +33,7 @@ def cells(rir, field):
     power = octave_bands(rir, FS_HZ) ** 2
     start = measured["direct_sample"]
     noise = power[:, -NOISE_SAMPLES:].mean(axis=1)
-    knees = np.minimum(start + np.array(measured["band_knee_s"]) * FS_HZ, len(rir))
+    knees = np.minimum(start + np.array(measured["band_noise_intersection_s"]) * FS_HZ, len(rir))
     inside = np.arange(len(rir)) < knees[:, None]
     signal = np.sum(power * inside, axis=1) - noise * inside.sum(axis=1)
     direct = _between(power, start - DIRECT_S * FS_HZ, start + DIRECT_S * FS_HZ)

@@ -1,24 +1,24 @@
-"""Make one world: python -m worlds source_response --strength 2 --seed 1 --out exp/world."""
+"""Make one world: python -m testbed source_response --strength 2 --seed 1 --out exp/world."""
 
 import argparse
 import json
 from pathlib import Path
 
-from worlds import KINDS, make_world
+from testbed import KINDS, make_world
 
 
 def main():
-    parser = argparse.ArgumentParser(prog="worlds", description=__doc__)
+    parser = argparse.ArgumentParser(prog="testbed", description=__doc__)
     parser.add_argument("kind", help=f"clean, {', '.join(KINDS)}, or some of them joined by +")
     parser.add_argument("--strength", type=float, default=2.0, help="mean change of the cells touched [JND]")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, required=True, help="folder for fit/, judge/ and truth.json")
+    parser.add_argument("--out", type=Path, required=True, help="folder for fit/, test/ and truth.json")
     parser.add_argument("--cache", type=Path, help="folder that keeps traced rooms for other worlds of the seed")
     args = parser.parse_args()
     try:
         truth = make_world(args.kind, args.strength, args.seed, args.out, cache=args.cache)
     except ValueError as error:
-        raise SystemExit(f"worlds: {error}") from None
+        raise SystemExit(f"testbed: {error}") from None
     print(json.dumps(dict(kind=args.kind, achieved_jnd=truth["achieved_jnd"])))
 
 

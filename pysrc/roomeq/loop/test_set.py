@@ -8,7 +8,7 @@ from roomeq.loop.leftout import solve_rooms
 from roomeq.loop.shown import effects_of_rows, forget_shifts
 
 
-def judge_errors(data, session, *, seed, nj):
+def score_test_set(data, session, *, seed, nj):
     """Score a session's model on other data.
 
     Parameters

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worlds.draws import N_BANDS, generator
+from testbed.draws import N_BANDS, generator
 
 N_SOURCES, N_MICS = 2, 4
 POSITION_SD_M = 0.02  # of each declared coordinate

@@ -8,10 +8,10 @@ import numba
 import numpy as np
 from scipy.optimize import brentq
 
-from worlds.draws import C0, FS_HZ, LENGTH_S
-from worlds.paths import version
-from worlds.render import FREQUENCY_HZ, N_FFT, Extra
-from worlds.rooms import N_SOURCES
+from testbed.draws import C0, FS_HZ, LENGTH_S
+from testbed.paths import version
+from testbed.render import FREQUENCY_HZ, N_FFT, Extra
+from testbed.rooms import N_SOURCES
 
 HIGHEST_HZ = 300.0
 POINTS = 8.0  # per wavelength there
