@@ -5,7 +5,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . ./path.sh
-local/install.sh requirements.txt tests/requirements.txt
+local/install.sh requirements.txt tests/requirements.txt docs/requirements.txt
 [ "${1:-}" != --install-only ] || exit 0
 ruff check pysrc local tests
 shellcheck -x run.sh path.sh cmd.sh utils/*.sh steps/*.sh local/*.sh local/kaldi/*.sh tests/*.sh tests/bench/*.sh .ci/run

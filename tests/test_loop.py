@@ -15,7 +15,7 @@ from roomeq.effects.model import read_model
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.effects.source_response import SourceResponse
 from roomeq.loop.attribute import choose, rank
-from roomeq.loop.cells import HAS_GAIN, METRIC, measure_cells, slots
+from roomeq.loop.cells import HAS_GAIN, METRIC, feature_slice, measure_cells
 from roomeq.loop.close import SCATTERING, close_loop
 from roomeq.loop.data import load_data
 from roomeq.loop.fit import fit
@@ -73,7 +73,7 @@ def test_cells_are_in_just_noticeable_differences(world):
     change = np.where(plain.valid, louder.values - plain.values, np.nan)
     np.testing.assert_allclose(change[HAS_GAIN & plain.valid], 3.0, atol=1e-6)
     assert np.nanmax(np.abs(change[~HAS_GAIN & (METRIC != "floor") & (METRIC != "ahead")])) < 1e-6
-    short, long = (np.mean([measure_cells(coloured_rir(seed, time_s=time_s, length_s=1.2)).values[slots("t20")][3:]
+    short, long = (np.mean([measure_cells(coloured_rir(seed, time_s=time_s, length_s=1.2)).values[feature_slice("t20")][3:]
                             for seed in range(4)]) for time_s in (0.4, 0.42))
     assert long - short == pytest.approx(1.0, abs=0.2)
 
@@ -87,7 +87,7 @@ def test_noise_counts_by_how_much_it_raises_what_any_recording_has():
 
     def floor(noise, **more):
         found = measure_cells(rir + noise, **more)
-        return found.values[slots("floor")], found.valid[slots("floor")], found.white
+        return found.values[feature_slice("floor")], found.valid[feature_slice("floor")], found.white
     for level in (0.1, 1.0, 4.0):
         values, valid, _ = floor(level * white)
         assert valid.all() and np.abs(values[3:]).max() < 1.5 and np.abs(values).max() < 4.0
@@ -102,17 +102,17 @@ def test_noise_counts_by_how_much_it_raises_what_any_recording_has():
 
 def test_a_response_that_ends_before_its_noise_tells_of_it_only_where_its_end_is_quiet():
     long, short = (coloured_rir(1, time_s=time_s, length_s=0.6) for time_s in (1.5, 0.3))
-    assert not measure_cells(long).valid[slots("floor")][2:].any()  # no decay can be followed in the narrowest octaves
+    assert not measure_cells(long).valid[feature_slice("floor")][2:].any()  # no decay can be followed in the narrowest octaves
     found = measure_cells(short)
-    assert found.valid[slots("floor")].all() and np.abs(found.values[slots("floor")]).max() < 1e-3
+    assert found.valid[feature_slice("floor")].all() and np.abs(found.values[feature_slice("floor")]).max() < 1e-3
 
 
 def test_what_is_believed_ahead_of_a_recordings_direct_sound_can_be_said_of_an_earlier_one():
     rir = coloured_rir(1, time_s=0.3, length_s=0.6)
     recording, rendering = (measure_cells(rir[DIRECT - sample:]) for sample in (113, 93))
-    believed = recording.valid[slots("ahead")]
-    assert believed.any() and not rendering.valid[slots("ahead")].any()
-    assert np.isfinite(rendering.values[slots("ahead")][believed]).all()
+    believed = recording.valid[feature_slice("ahead")]
+    assert believed.any() and not rendering.valid[feature_slice("ahead")].any()
+    assert np.isfinite(rendering.values[feature_slice("ahead")][believed]).all()
 
 
 @pytest.mark.parametrize("late_samples, arrives", [(3, True), (28, False)])
@@ -121,7 +121,7 @@ def test_what_comes_too_late_for_the_direct_sound_is_another_path(late_samples, 
     rir[:expected + late_samples] = 0.0
     rir[expected + late_samples] = 1.0
     found = measure_cells(rir, expected)
-    assert found.valid[slots("arrival")].all() == arrives
+    assert found.valid[feature_slice("arrival")].all() == arrives
     assert found.direct_sample == pytest.approx(expected + late_samples * arrives, abs=0.5)
 
 
@@ -244,8 +244,8 @@ def test_the_response_that_is_found_is_that_of_the_world(closed, world):
     clean, changed = ({row["id"]: (row, load_rir(world(kind) / "fit", row)) for row in read_rirs(world(kind) / "fit")}
                       for kind in ("clean", "source_response"))
     for source_id, found in extension.of.items():
-        true_db = np.mean([measure_cells(changed[name][1]).values[slots("spectrum")]
-                           - measure_cells(rir).values[slots("spectrum")]
+        true_db = np.mean([measure_cells(changed[name][1]).values[feature_slice("spectrum")]
+                           - measure_cells(rir).values[feature_slice("spectrum")]
                            for name, (row, rir) in clean.items() if row["source_id"] == source_id], axis=0)
         shape = np.array(found.gains_db)[:len(true_db)]
         upper = np.array(RESPONSE_HZ)[:len(true_db)] > 200.0

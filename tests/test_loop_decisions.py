@@ -10,7 +10,7 @@ from roomeq.effects.noise_floor import NoiseFloor
 from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.loop import close
 from roomeq.loop.attribute import Candidate
-from roomeq.loop.cells import JND, LATE_S, N_CELLS, slots
+from roomeq.loop.cells import JND, LATE_S, N_CELLS, feature_slice
 from roomeq.loop.fit import _solve, _step
 from roomeq.loop.heldout import Errors, p_lower
 from roomeq.loop.predict import base_state, predict
@@ -50,7 +50,7 @@ def test_a_residual_of_one_room_is_unexplained_if_the_others_make_it_unlikely(ex
     rng = np.random.default_rng(1)
     room = np.repeat(np.arange(8), 8)
     residual = rng.normal(0.0, 0.7, (64, N_CELLS)) + rng.normal(0.0, 0.3, (8, N_CELLS))[room]
-    residual[room == 5, slots("t30").start + 3] += extra_jnd
+    residual[room == 5, feature_slice("t30").start + 3] += extra_jnd
     data = SimpleNamespace(room=room, room_names=list("abcdefgh"), units=lambda scope: (["one"], np.zeros(64, int)))
     found = find_unexplained(SimpleNamespace(data=data, residual=residual))
     if extra_jnd:
@@ -73,9 +73,9 @@ def test_cells_follow_the_speed_of_sound(faster):
     state.speed_m_s = faster * data.speed_m_s
     (cells,) = predict(data, state)
     left = np.exp(-rate * faster * np.array([0.05, LATE_S]))
-    np.testing.assert_allclose(cells[slots("c50")], 10.0 * np.log10(1.0 / left[0] - 1.0) / JND["c50"], atol=0.05)
-    np.testing.assert_allclose(cells[slots("late")], 10.0 * np.log10(left[0] - left[1]), atol=0.05)
-    np.testing.assert_allclose(cells[slots("t30")], np.log(6.0 * np.log(10.0) / rate / faster) / JND["t30"], atol=0.2)
+    np.testing.assert_allclose(cells[feature_slice("c50")], 10.0 * np.log10(1.0 / left[0] - 1.0) / JND["c50"], atol=0.05)
+    np.testing.assert_allclose(cells[feature_slice("late")], 10.0 * np.log10(left[0] - left[1]), atol=0.05)
+    np.testing.assert_allclose(cells[feature_slice("t30")], np.log(6.0 * np.log(10.0) / rate / faster) / JND["t30"], atol=0.2)
 
 
 ROOMS_AND_HALVES = np.repeat(np.arange(8), 2), np.tile([0, 1], 8)

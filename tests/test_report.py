@@ -15,7 +15,7 @@ import pytest
 import webdriver
 from report_run import HOSTILE, RIRS_PER_ROOM, ROOMS, make_run
 from roomeq.core.files import read_jsonl, write_json
-from roomeq.loop.cells import N_CELLS, slots
+from roomeq.loop.cells import N_CELLS, feature_slice
 from roomeq.report import figures, make_report, section_wer
 from roomeq.report.build_page import SECTIONS, render_page
 from roomeq.report.load import Run
@@ -193,9 +193,9 @@ def test_what_can_be_detected_is_said(tmp_path):
 
 def test_residual_maps_have_the_mean_size_of_every_region_and_band():
     residual = np.full((2, N_CELLS), np.nan)
-    residual[0, slots("t30")] = 3.0
-    residual[1, slots("late")] = -1.0
-    residual[1, slots("drr")] = 2.0
+    residual[0, feature_slice("t30")] = 3.0
+    residual[1, feature_slice("late")] = -1.0
+    residual[1, feature_slice("drr")] = 2.0
     found = residual_sizes(residual)
     late, direct = REGIONS.index("late"), REGIONS.index("direct")
     np.testing.assert_array_equal(found[late, :8], 2.0)

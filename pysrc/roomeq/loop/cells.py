@@ -53,7 +53,7 @@ LARGEST = 20.0
 """Error of a cell that a model cannot produce [JND]."""
 
 
-def slots(metric):
+def feature_slice(metric):
     """Slice of a metric's cells."""
     found = np.flatnonzero(METRIC == metric)
     return slice(int(found[0]), int(found[-1]) + 1)
@@ -142,8 +142,8 @@ def _direct(rir, expected_sample, timed):
 
 
 def _put(values, valid, metric, amounts, believed):
-    values[slots(metric)] = amounts / JND[metric]
-    valid[slots(metric)] = believed
+    values[feature_slice(metric)] = amounts / JND[metric]
+    valid[feature_slice(metric)] = believed
 
 
 def _segment(rir, start, stop, fade):

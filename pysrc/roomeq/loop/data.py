@@ -11,7 +11,7 @@ from joblib import Parallel, delayed
 from roomeq.core.constants import FS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.effects.model import Model
-from roomeq.loop.cells import JND, measure_cells, slots
+from roomeq.loop.cells import JND, feature_slice, measure_cells
 from roomeq.loop.tables import ANGLES, collect
 from roomeq.loop.workers import share_out
 from roomeq.records.rir_dir import load_rir, read_rirs
@@ -208,7 +208,7 @@ def _traced(found, cells, scattering, seed, model, nj):
     def trace(room_id, source_pos_m, members):
         place = places[members[0]]
         material = Material("surface", 0.0, float(scattering))
-        scene = Scene(place.room, [material] * len(place.room.slots), air_of(rows[members[0]]))
+        scene = Scene(place.room, [material] * len(place.room.surfaces), air_of(rows[members[0]]))
         length_s = float(np.clip(1.2 * max(_longest_s(cells[n]) for n in members) + 0.1, *LENGTHS_S))
         one = trace_source(scene, source_pos_m, num_rays=NUM_RAYS, max_length_s=length_s,
                            rng=rng_for(seed, "loop trace", repr((room_id, source_pos_m))))
@@ -241,5 +241,5 @@ def _facing(row):
 
 def _longest_s(cells):
     """Longest decay time that was measured on an RIR [s]."""
-    times = [np.exp(cells.values[slots(metric)][cells.valid[slots(metric)]] * JND[metric]) for metric in ("t20", "t30")]
+    times = [np.exp(cells.values[feature_slice(metric)][cells.valid[feature_slice(metric)]] * JND[metric]) for metric in ("t20", "t30")]
     return max([LENGTHS_S[0], *np.concatenate(times)])

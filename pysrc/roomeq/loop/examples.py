@@ -15,7 +15,7 @@ from numpy.lib.format import read_array
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.iso3382 import energy_decay, octave_bands
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
-from roomeq.loop.cells import THIRDS_HZ, measure_cells, slots
+from roomeq.loop.cells import THIRDS_HZ, feature_slice, measure_cells
 from roomeq.loop.rendering import finished, render_rows
 from roomeq.records.rir_dir import load_rir, read_rirs
 
@@ -110,12 +110,12 @@ def make_examples(directories, first, last):
         measured = recorded[data.rows[n]["id"]]
         direct, _ = find_direct(measured, FS_HZ)
         decay_db[k, 0] = _decays(measured, direct)
-        cells = np.where(data.valid[n], data.cells[n], np.nan)[slots("spectrum")]
+        cells = np.where(data.valid[n], data.cells[n], np.nan)[feature_slice("spectrum")]
         spectrum_db[k, 0] = cells
         for kind, session in enumerate((first, last), start=1):
             rir, direct, gain_db = _rendered(session, n)
             decay_db[k, kind] = _decays(rir, direct)
-            levels_db = measure_cells(rir, direct).values[slots("spectrum")] + gain_db
+            levels_db = measure_cells(rir, direct).values[feature_slice("spectrum")] + gain_db
             spectrum_db[k, kind] = np.where(np.isfinite(cells), levels_db, np.nan)
     return Examples([data.rows[n]["id"] for n in chosen], [data.rows[n]["room_id"] for n in chosen], decay_db,
                     spectrum_db)

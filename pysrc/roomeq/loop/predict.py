@@ -22,7 +22,7 @@ from roomeq.loop.cells import (
     OCTAVE_WIDTH_HZ,
     QUIET,
     THIRDS_HZ,
-    slots,
+    feature_slice,
 )
 from roomeq.loop.tables import FRAME_EDGES_S, LEVEL_SHARES
 
@@ -180,20 +180,20 @@ def predict(data, state, reflected=None):
     octaves_db = state.response_db @ RESPONSE_TO_OCTAVES.T
     thirds_db = state.response_db[:, :len(THIRDS_HZ)]
     first = _db(near) @ TO_THIRDS.T
-    cells[:, slots("direct")] = (_sum_db(thirds_direct, first) + thirds_db)[:, -_N_DIRECT:]
-    cells[:, slots("early")] = _db(early - near) + octaves_db
-    cells[:, slots("late")] = _db(late - early) + octaves_db
-    cells[:, slots("spectrum")] = _sum_db(thirds_direct, _db(whole) @ TO_THIRDS.T) + thirds_db
-    cells[:, slots("c50")] = (_db(direct + early) - _db(whole - early)) / JND["c50"]
+    cells[:, feature_slice("direct")] = (_sum_db(thirds_direct, first) + thirds_db)[:, -_N_DIRECT:]
+    cells[:, feature_slice("early")] = _db(early - near) + octaves_db
+    cells[:, feature_slice("late")] = _db(late - early) + octaves_db
+    cells[:, feature_slice("spectrum")] = _sum_db(thirds_direct, _db(whole) @ TO_THIRDS.T) + thirds_db
+    cells[:, feature_slice("c50")] = (_db(direct + early) - _db(whole - early)) / JND["c50"]
     weight = OCTAVE_WIDTH_HZ * 10.0 ** (octaves_db / 10.0)
     ratio_db = _db(((direct + near) * weight).sum(axis=1)) - _db(((whole - near) * weight).sum(axis=1))
-    cells[:, slots("drr")] = (ratio_db / JND["drr"])[:, None]
+    cells[:, feature_slice("drr")] = (ratio_db / JND["drr"])[:, None]
     times = reflected.decay_times_s(direct)
     shorter = np.log(data.speed_m_s / state.speed_m_s)[:, None]
     for k, metric in enumerate(("edt", "t20", "t30")):
-        cells[:, slots(metric)] = (np.log(times[:, k]) + shorter) / JND[metric]
-    cells[:, slots("arrival")] = ((data.distance_m / state.speed_m_s + state.delay_s) / JND["arrival"])[:, None]
-    cells[:, slots("floor")] = _db(1.0 + state.floor / (data.white + QUIET))
+        cells[:, feature_slice(metric)] = (np.log(times[:, k]) + shorter) / JND[metric]
+    cells[:, feature_slice("arrival")] = ((data.distance_m / state.speed_m_s + state.delay_s) / JND["arrival"])[:, None]
+    cells[:, feature_slice("floor")] = _db(1.0 + state.floor / (data.white + QUIET))
     return cells + state.shift
 
 

@@ -8,7 +8,7 @@ from roomeq.core.constants import FS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.effects.model import behind_rendering, direct_gain, extend_scene, path_gain
 from roomeq.loop.cells import N_CELLS, measure_cells
-from roomeq.loop.tables import level_slots
+from roomeq.loop.tables import level_surfaces
 from roomeq.loop.workers import share_out
 from roomeq.sim.response import render_responses
 from roomeq.sim.scene import with_absorption
@@ -85,7 +85,7 @@ def cells_behind(data, raws, variants, *, seed, nj=1):
 
 
 def _scene(scene, alpha, effects):
-    return with_absorption(extend_scene(effects, scene), alpha[level_slots(scene.room).astype(int)])
+    return with_absorption(extend_scene(effects, scene), alpha[level_surfaces(scene.room).astype(int)])
 
 
 def _render_one(data, n, scene, effects, seed):

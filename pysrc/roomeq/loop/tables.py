@@ -77,7 +77,7 @@ def collect(traced, mics_m, facings):
         np.tile(source_pos_m, (len(mics_m), 1)), mics_m)
     frame_of_tick = np.searchsorted(FRAME_EDGES_S, (np.arange(int(FRAME_EDGES_S[-1] / _TICK_S)) + 0.5) * _TICK_S) - 1
     radii_m, volumes_m3 = spheres(room, mics_m)
-    level = level_slots(room)[paths.face_slot]
+    level = level_surfaces(room)[paths.face_surface]
     made = []
     for m, (mic_m, facing) in enumerate(zip(mics_m, facings, strict=True)):
         distance_m = float(np.linalg.norm(mic_m - source_pos_m))
@@ -102,14 +102,14 @@ def _angles(directions, facing):
     return np.zeros(len(directions)) if facing is None else np.arccos(np.clip(directions @ facing, -1.0, 1.0))
 
 
-def level_slots(room):
-    """Whether each slot of a room is floor, ceiling or the like, by area, ndarray of bool."""
+def level_surfaces(room):
+    """Whether each surface of a room is floor, ceiling or the like, by area, ndarray of bool."""
     walls = room.walls
-    normals, face_slot = (room.normals, room.face_slot) if walls is None else (walls.normals, walls.face_slot)
+    normals, face_surface = (room.normals, room.face_surface) if walls is None else (walls.normals, walls.face_surface)
     area = np.ones(len(normals)) if walls is not None else room.face_area_m2
     flat = area * (np.abs(normals[:, 2]) > _LEVEL)
-    return np.array([flat[face_slot == slot].sum() > 0.5 * area[face_slot == slot].sum()
-                     for slot in range(len(room.slots))])
+    return np.array([flat[face_surface == surface].sum() > 0.5 * area[face_surface == surface].sum()
+                     for surface in range(len(room.surfaces))])
 
 
 @compiled
