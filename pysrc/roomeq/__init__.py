@@ -1,3 +1,49 @@
-"""roomeq: simulated room impulse responses that learn from measured ones, and Kaldi data made with them."""
+"""Simulated room impulse responses that learn from measured ones, and Kaldi data made with them.
 
-__version__ = "0.1.0"
+The names below are the public interface. They are imported when they are first used, so ``import roomeq`` is fast.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.2.0"
+
+if TYPE_CHECKING:
+    from roomeq.acoustics.parameters import measure as analyse
+    from roomeq.augment.augment import augment
+    from roomeq.corpora.characterise import characterise
+    from roomeq.eq.compensate import compensate, compensate_rir
+    from roomeq.eq.fit import fit_eq
+    from roomeq.loop.close import close_loop
+    from roomeq.records.rir_dir import load_rir, read_rirs
+    from roomeq.sim.mesh import MeshRoom, load_mesh
+    from roomeq.sim.response import simulate_rir
+    from roomeq.sim.scene import Air, Material, Scene, Shoebox
+    from roomeq.simulate_rirs import simulate
+
+_HOME = {
+    "Air": "sim.scene", "Material": "sim.scene", "MeshRoom": "sim.mesh", "Scene": "sim.scene", "Shoebox": "sim.scene",
+    "analyse": "acoustics.parameters:measure", "augment": "augment.augment", "characterise": "corpora.characterise",
+    "close_loop": "loop.close", "compensate": "eq.compensate", "compensate_rir": "eq.compensate", "fit_eq": "eq.fit",
+    "load_mesh": "sim.mesh", "load_rir": "records.rir_dir", "read_rirs": "records.rir_dir",
+    "simulate": "simulate_rirs", "simulate_rir": "sim.response",
+}
+"""Module of each public name, and its name there if it is another."""
+
+__all__ = [  # noqa: RUF022 - in the order of the data's way
+    "Air", "Material", "Shoebox", "MeshRoom", "load_mesh", "Scene", "simulate_rir", "analyse", "read_rirs", "load_rir",
+    "characterise", "simulate", "fit_eq", "compensate", "compensate_rir", "close_loop", "augment",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'roomeq' has no attribute {name!r}: it has {', '.join(__all__)}")
+    module, _, function = _HOME[name].partition(":")
+    value = getattr(import_module(f"roomeq.{module}"), function or name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

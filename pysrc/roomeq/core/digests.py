@@ -13,7 +13,7 @@ from pathlib import Path
 from roomeq.core.files import hash_file
 from roomeq.core.stamps import DONE_FILE, as_sealed, read_stamp
 
-_NUMERICS = ("embreex", "numba", "numpy", "pyfar", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
+_NUMERICS = ("embreex", "numba", "numpy", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
 
 
 def digest(path: Path) -> str:
