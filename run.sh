@@ -39,7 +39,7 @@ t60_range=0.2,2.0         # of the simulated RIRs [s]; measured: that of the mea
 num_rays=20000            # rays a source
 order=200                 # reflections
 num_components=7          # of the Gaussian mixture
-weight_rooms=false        # let rooms count equally in the mixture, and be drawn equally often for far-field speech
+weight_rooms=false        # let rooms count equally in the mixture
 match_rooms=true          # draw each RIR's EQ from its room's share of the mixture; false: from all of it
 taps=511                  # of the compensation filters
 
@@ -49,6 +49,7 @@ max_effects=4             # that it adds at most
 # stage 6: augmentation
 snr="uniform 5 25"        # of the ambient noise [dB]
 point_snr="uniform 5 25"  # of point noises [dB]
+draw_rooms_equally=false  # draw the room first, then one of its RIRs
 packing=recording          # one FLAC a recording, with segments; or: utterance
 
 # stages 8-10: Kaldi, at KALDI_ROOT or around this directory
@@ -146,8 +147,8 @@ if at_stage 6 "far-field speech"; then
   if enough_rooms >/dev/null; then kinds+=(sim.loop); fi
   for rirs in "${kinds[@]/%/.train}" "${kinds[@]/%/.dev}" real.test; do
     x=${rirs##*.}
-    steps/augment_data.sh --nj "$nj" --snr "$snr" --point-snr "$point_snr" --weight-rooms "$weight_rooms" \
-      --packing "$packing" --seed "$seed" --noises "$data/rirs.real.$x" \
+    steps/augment_data.sh --nj "$nj" --snr "$snr" --point-snr "$point_snr" --packing "$packing" \
+      --draw-rooms-equally "$draw_rooms_equally" --seed "$seed" --noises "$data/rirs.real.$x" \
       "$data/$x.clean" "$data/rirs.$rirs" "$data/$x.${rirs%.*}.rvb"
   done
 fi

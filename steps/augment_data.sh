@@ -7,8 +7,8 @@ nj=2                       # jobs
 noises=                    # directory whose noises.jsonl to take noises from, besides those of <rir-dir>
 snr="uniform 5 25"         # of the ambient noise [dB]; also "normal 15 5", "list 20,15", none
 point_snr="uniform 5 25"   # of point noises [dB]
-weight_rooms=false         # draw the room first, then an RIR in it; false: every RIR is equally likely
-packing=recording           # one FLAC a recording, with segments; or: utterance
+draw_rooms_equally=false   # draw the room first, then an RIR in it; false: every RIR is equally likely
+packing=recording          # one FLAC a recording, with segments; or: utterance
 seed=0   # of every random draw
 . ./path.sh
 . utils/parse_options.sh
@@ -16,6 +16,6 @@ seed=0   # of every random draw
 require "$1/wav.scp" steps/prepare_speech.sh
 require "$2/rirs.jsonl" "the step that makes $2"
 flags=()
-[ "$weight_rooms" = false ] || flags=(--weight-rooms)
+[ "$draw_rooms_equally" = false ] || flags=(--draw-rooms-equally)
 utils/run_parts.sh "$nj" "$(dirname "$3")/log/$(basename "$3")" augment ${noises:+--noises "$noises"} \
   --snr "$snr" --point-snr "$point_snr" --packing "$packing" --seed "$seed" "${flags[@]}" "$1" "$2" "$3"

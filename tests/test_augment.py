@@ -176,7 +176,7 @@ def test_rooms_may_count_equally(tmp_path):
         write_wav(rirs / row["wav"], h)
     write_rirs(rirs, rows)
     for weight, share in ((False, 0.1), (True, 0.5)):
-        augment(clean, rirs, tmp_path / f"out{weight}", weight_rooms=weight)
+        augment(clean, rirs, tmp_path / f"out{weight}", draw_rooms_equally=weight)
         rooms = [row["room"] for row in rows_of(tmp_path / f"out{weight}").values()]
         assert rooms.count("small") / 300 == pytest.approx(share, abs=0.08)
 

@@ -48,11 +48,16 @@ def test_target_is_met_as_measured_again(time_s):
 
 
 def test_correcting_the_design_beats_a_single_pass_at_low_frequencies():
-    def error_db(passes):
-        achieved_db = [compensate_rir(coloured_rir(seed), DIRECT, TARGET_DB, passes=passes)[1] for seed in range(10)]
+    def error_db(achieved_db):
         return np.mean(np.abs(achieved_db - TARGET_DB)[:, :2])
 
-    assert error_db(3) < 0.5 * error_db(1)
+    def single_pass(rir):
+        fir = design_filter(TARGET_DB - analyse(rir, DIRECT).eq_db, 511)
+        return analyse(apply_filter(rir, fir), DIRECT).eq_db
+
+    rirs = [coloured_rir(seed) for seed in range(10)]
+    corrected_db = [compensate_rir(rir, DIRECT, TARGET_DB)[1] for rir in rirs]
+    assert error_db(corrected_db) < 0.5 * error_db([single_pass(rir) for rir in rirs])
 
 
 def test_level_at_1_khz_decay_and_direct_sound_stay():
@@ -144,11 +149,9 @@ def test_summary_names_what_the_bins_could_not_hold():
     assert not summarise([bad])["held"]
 
 
-@pytest.mark.parametrize("options, message", [
-    (dict(taps=512), "taps=512 must be odd"), (dict(passes=0), "passes=0 must be")])
-def test_wrong_options_are_refused(dirs, tmp_path, options, message):
-    with pytest.raises(ValueError, match=message):
-        compensate(*dirs, tmp_path / "out", seed=0, **options)
+def test_even_number_of_taps_is_refused(dirs, tmp_path):
+    with pytest.raises(ValueError, match="taps=512 must be odd"):
+        compensate(*dirs, tmp_path / "out", seed=0, taps=512)
 
 
 def test_noise_rir_without_its_rir_is_refused(dirs, tmp_path):

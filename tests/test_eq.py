@@ -198,13 +198,6 @@ def test_samples_have_the_mixture_s_moments(two_clusters):
     assert np.cov(first.T) == pytest.approx(np.array(gmm["covariances_db2"][0]), abs=0.6)
 
 
-@pytest.mark.parametrize("covariance", ["tied", "diag", "spherical"])
-def test_other_covariances_are_kept_as_full_ones(two_clusters, covariance):
-    gmm = fit_gmm(two_clusters[0], two_clusters[1], n_components=2, covariance=covariance, seed=0)
-    assert np.shape(gmm["covariances_db2"]) == (2, 7, 7)
-    assert sample_eq(gmm, 5, np.random.default_rng(0)).shape == (5, 7)
-
-
 def test_weighting_rooms_makes_them_count_equally(two_clusters):
     gmm = fit_gmm(two_clusters[0], two_clusters[1], n_components=2, weight_rooms=True, seed=0)
     assert gmm["weights"] == pytest.approx([0.5, 0.5], abs=0.01)
@@ -272,11 +265,9 @@ def test_fewer_rirs_than_components_is_an_error_and_leaves_nothing(rir_dirs, tmp
     assert not (tmp_path / "eq").exists()
 
 
-@pytest.mark.parametrize("options, message", [
-    (dict(n_components=0), "n_components=0 must be"), (dict(covariance="round"), "covariance='round' must be one of")])
-def test_wrong_options_are_refused(rir_dirs, tmp_path, options, message):
-    with pytest.raises(ValueError, match=message):
-        fit_eq(rir_dirs[0], [], tmp_path / "eq", seed=0, **options)
+def test_zero_components_are_refused(rir_dirs, tmp_path):
+    with pytest.raises(ValueError, match="n_components=0 must be"):
+        fit_eq(rir_dirs[0], [], tmp_path / "eq", n_components=0, seed=0)
 
 
 @pytest.mark.parametrize("gmm, message", [

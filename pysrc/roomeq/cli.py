@@ -187,7 +187,6 @@ def _eq_verbs(verbs) -> None:
      .argument("sim_dirs", nargs="*", help="simulated RIRs, for the comparison")
      .argument("out", help="directory to make: gmm.json, EQs of all RIRs, screening.json")
      .argument("--num-components", dest="n_components", type=integer, default=7, help="of the mixture")
-     .argument("--covariance", choices=("full", "tied", "diag", "spherical"), default="full", help="of a component")
      .argument("--weight-rooms", action="store_true", help="let rooms count equally")
      .seed().jobs())
     (Verb(verbs, "compensate", "eq.compensate", "Give every simulated RIR an EQ drawn from the measured distribution.",
@@ -196,7 +195,6 @@ def _eq_verbs(verbs) -> None:
      .argument("eq_dir", help="what fit-eq made")
      .argument("out", help="RIR directory to make")
      .argument("--taps", type=integer, default=511, help="of the filters, odd")
-     .argument("--passes", type=integer, default=3, help="designs, each corrected by what the last one left")
      .argument("--match-rooms", action=argparse.BooleanOptionalAction, default=True,
                help="choose the mixture's components as the measured RIRs of the same room do")
      .seed().jobs())
@@ -225,7 +223,7 @@ def _speech_verbs(verbs) -> None:
      .argument("--point-noise-prob", type=number, default=0.5, help="probability of each point noise")
      .argument("--max-point-noises", type=integer, default=1, help="point noises an utterance may have")
      .argument("--noises", action="append", default=[], metavar="DIR", help="another directory with noises.jsonl")
-     .argument("--weight-rooms", action="store_true", help="draw the room first, then one of its RIRs")
+     .argument("--draw-rooms-equally", action="store_true", help="draw the room first, then one of its RIRs")
      .argument("--packing", choices=("recording", "utterance"), default="recording",
                help="what a FLAC file holds: a whole recording, with segments, or one utterance")
      .argument("--pipes", action="store_true", help="run the commands that wav.scp holds; without it only those "

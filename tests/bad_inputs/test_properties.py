@@ -216,7 +216,8 @@ def everywhere(value):
 
 VERBS = ("validate", "simulate", "characterise", "split-rirs", "fit-eq", "compensate", "close-loop", "augment",
          "report", "prepare-speech", "read-measured", "read-noises")
-OPTIONS = ("--seed", "--nj", "--part", "--num-rays", "--order", "--t60-range", "--sizes", "--taps", "--passes",
+OPTIONS = ("--seed", "--nj", "--part", "--num-rays", "--order", "--t60-range", "--sizes", "--taps",
+           "--draw-rooms-equally",
            "--copies", "--snr", "--packing", "--limit", "--kind", "--skip-bad", "--num-components",
            "--max-mesh-mb", "--model", "--out", "--test", "--max-effects", "--")
 

@@ -49,7 +49,7 @@ class Job:
     point_snr_db: str
     point_noise_prob: float
     max_point_noises: int
-    weight_rooms: bool
+    draw_rooms_equally: bool
     noises: tuple[str, ...]
     packing: str
     seed: int
@@ -58,7 +58,7 @@ class Job:
 
 def augment(data_dir: Path, rir_dir: Path, out: Path, *, seed: int = 0, copies: int = 1,
             snr_db: str = "uniform 5 25", point_snr_db: str = "uniform 5 25", point_noise_prob: float = 0.5,
-            max_point_noises: int = 1, noises: list[Path] = (), weight_rooms: bool = False,
+            max_point_noises: int = 1, noises: list[Path] = (), draw_rooms_equally: bool = False,
             packing: str = "recording", pipes: bool = False, part: str | None = None, nj: int = 1) -> dict | None:
     """Make a far-field data directory out of a clean one: x_r = x*h_s + sum n_i*h_i + d (Tang et al., eq. 1).
 
@@ -88,7 +88,7 @@ def augment(data_dir: Path, rir_dir: Path, out: Path, *, seed: int = 0, copies: 
     noises : list of Path
         Further directories with `noises.jsonl` (`roomeq read-noises` makes them): ``ambient`` ones are added as
         they are, one of the RIR's own room where there is any; ``point`` ones are convolved with an RIR.
-    weight_rooms : bool
+    draw_rooms_equally : bool
         Choose the room first, then an RIR in it; by default every RIR is equally likely.
     packing : str
         ``"recording"``: one FLAC per chapter (or per speaker, at most 15 minutes) with `segments`;
@@ -111,7 +111,7 @@ def augment(data_dir: Path, rir_dir: Path, out: Path, *, seed: int = 0, copies: 
         An option, the data directory, an RIR or a noise is wrong; see the modules named above.
     """
     job = Job(str(data_dir), str(rir_dir), "", copies, snr_db, point_snr_db, point_noise_prob, max_point_noises,
-              weight_rooms, tuple(map(str, noises)), packing, seed, pipes)
+              draw_rooms_equally, tuple(map(str, noises)), packing, seed, pipes)
     _check(job)
     flac_entry(str(out))  # refuses what wav.scp cannot name before hours of work
     options = {name: value for name, value in vars(job).items()
@@ -155,7 +155,7 @@ class _Session:
     def __init__(self, job: Job):
         self.job = job
         self.pool = read_pool(Path(job.rir_dir), [Path(path) for path in job.noises])
-        self.rules = Rules(job.seed, job.weight_rooms, parse_distribution(job.snr_db, "snr_db"),
+        self.rules = Rules(job.seed, job.draw_rooms_equally, parse_distribution(job.snr_db, "snr_db"),
                            parse_distribution(job.point_snr_db, "point_snr_db"), job.point_noise_prob,
                            job.max_point_noises)
         self.sounds = Sounds(Path(job.rir_dir), self.pool)

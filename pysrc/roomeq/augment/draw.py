@@ -122,9 +122,9 @@ class Pool:
             by_room[noise.room_id].append(noise)
         return by_room
 
-    def draw_rir(self, u: float, weight_rooms: bool) -> str:
+    def draw_rir(self, u: float, draw_rooms_equally: bool) -> str:
         """Return an RIR id: uniform over RIRs, or over rooms first."""
-        if not weight_rooms:
+        if not draw_rooms_equally:
             return self.main[int(u * len(self.main))]
         position = u * len(self.rooms)
         room = self.rooms[int(position)]
@@ -204,7 +204,7 @@ class Rules:
     """How to draw; see `roomeq.augment.augment.augment` for the options."""
 
     seed: int
-    weight_rooms: bool
+    draw_rooms_equally: bool
     ambient_snr: Callable[[float], float] | None
     point_snr: Callable[[float], float] | None
     point_noise_prob: float
@@ -218,7 +218,7 @@ class Rules:
         """
         rng = rng_for(self.seed, "augment", utterance_id)
         rir_u, noise_u, snr_u, offset_u = rng.random(4).tolist()
-        rir_id = pool.draw_rir(rir_u, self.weight_rooms)
+        rir_id = pool.draw_rir(rir_u, self.draw_rooms_equally)
         noises = []
         if self.ambient_snr and pool.ambient:
             choices = pool.ambient_by_room.get(pool.rows[rir_id]["room_id"]) or pool.ambient

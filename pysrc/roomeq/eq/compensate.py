@@ -25,12 +25,12 @@ logger = logging.getLogger(__name__)
 
 SUMMARY_FILE = "compensation.json"
 MAX_TAPS = 4095  # as many points as the response is sampled at in the design
-MAX_PASSES = 100
+PASSES = 3  # filter designs per RIR: the first is the plain window method, each further one corrects the last
 MAX_MEDIAN_DB, MAX_P95_DB = 0.5, 1.5  # of |achieved - target| over all RIRs and points
 _DECIMALS = 4
 
 
-def compensate(sim_dir, eq_dir, out, *, taps=511, passes=3, match_rooms=True, seed, part=None, nj=1):
+def compensate(sim_dir, eq_dir, out, *, taps=511, match_rooms=True, seed, part=None, nj=1):
     """Draw an EQ target for every simulated RIR and filter the RIR until it has it.
 
     The RIRs of a simulated RIR's noise sources (`noise_for`) pass the same filter: it stands for the room and
@@ -47,8 +47,6 @@ def compensate(sim_dir, eq_dir, out, *, taps=511, passes=3, match_rooms=True, se
         the filter was designed for), 8 points each; `compensation.json` sums up.
     taps : int
         Length of the filter, odd.
-    passes : int
-        Designs per RIR: one is the plain window method, each further one corrects it by what is left.
     match_rooms : bool
         Choose among the mixture's components as the measured RIRs of the simulated RIR's room do. With one
         simulated RIR per measured one, as in the paper, all targets together are drawn from the same mixture
@@ -72,11 +70,9 @@ def compensate(sim_dir, eq_dir, out, *, taps=511, passes=3, match_rooms=True, se
     if not 3 <= taps <= MAX_TAPS or taps % 2 == 0:
         raise ValueError(f"taps={taps} must be odd and lie in [3, {MAX_TAPS}]: a linear-phase filter delays by half "
                          "of them")
-    if not 1 <= passes <= MAX_PASSES:
-        raise ValueError(f"passes={passes} must be at least 1 and at most {MAX_PASSES}")
     sim_dir, out, gmm = Path(sim_dir), Path(out), read_gmm(eq_dir)
     groups = _groups(sim_dir, read_rirs(sim_dir))
-    options = dict(taps=taps, passes=passes, match_rooms=bool(match_rooms), seed=seed)
+    options = dict(taps=taps, match_rooms=bool(match_rooms), seed=seed)
     build = Build(out, step="compensate", options=options, inputs=[sim_dir, Path(eq_dir)])
     if build.done:
         return None
@@ -85,7 +81,7 @@ def compensate(sim_dir, eq_dir, out, *, taps=511, passes=3, match_rooms=True, se
     def one(_, rows):
         room_id = rows[0]["room_id"] if match_rooms else None
         target_db = with_reference(draw_target(gmm, seed, rows[0]["id"], room_id))
-        return _compensate_group(sim_dir, rows, target_db, build.work, taps, passes)
+        return _compensate_group(sim_dir, rows, target_db, build.work, taps)
 
     def assemble(directory, records):
         rows = [row for record in records for row in record]
@@ -99,7 +95,7 @@ def compensate(sim_dir, eq_dir, out, *, taps=511, passes=3, match_rooms=True, se
     return summary or None
 
 
-def compensate_rir(rir, direct_sample, target_db, *, taps=511, passes=3):
+def compensate_rir(rir, direct_sample, target_db, *, taps=511):
     """Filter one RIR so that its measured EQ becomes a target.
 
     Parameters
@@ -109,7 +105,7 @@ def compensate_rir(rir, direct_sample, target_db, *, taps=511, passes=3):
     direct_sample : float
     target_db : array_like, shape (8,)
         0 dB at 1 kHz.
-    taps, passes
+    taps : int
         See `compensate`.
 
     Returns
@@ -130,7 +126,7 @@ def compensate_rir(rir, direct_sample, target_db, *, taps=511, passes=3):
     target_db = np.asarray(target_db, dtype=np.float64)
     wanted_db = analyse(rir, direct_sample).level_db[BAND_1KHZ] + target_db
     gain_db = wanted_db - analyse(rir, direct_sample).level_db
-    for _ in range(passes):
+    for _ in range(PASSES):
         fir = design_filter(gain_db, taps)
         compensated = apply_filter(rir, fir)
         measured = analyse(compensated, direct_sample)
@@ -175,7 +171,7 @@ def _groups(sim_dir, rows):
     return groups
 
 
-def _compensate_group(sim_dir, rows, target_db, work, taps, passes):
+def _compensate_group(sim_dir, rows, target_db, work, taps):
     """Compensate an RIR and its noise RIRs; write their audio; return their rows."""
     fir, done = None, []
     for row in rows:
@@ -183,8 +179,7 @@ def _compensate_group(sim_dir, rows, target_db, work, taps, passes):
         try:
             sample, polarity = _direct(row, rir)
             if fir is None:
-                compensated, achieved_db, gain_db, fir = compensate_rir(rir, sample, target_db, taps=taps,
-                                                                        passes=passes)
+                compensated, achieved_db, gain_db, fir = compensate_rir(rir, sample, target_db, taps=taps)
             else:
                 compensated, achieved_db = apply_filter(rir, fir), None
             parameters = measure(compensated, direct=(sample, polarity))

@@ -15,7 +15,7 @@ from roomeq.core.build import Build
 from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.core.files import read_json, read_jsonl, write_json, write_jsonl
 from roomeq.core.rng import rng_for
-from roomeq.eq.gmm import COVARIANCES, FREE, GMM_FILE, JND_DB, draw_target, fit_gmm, room_weights, with_reference
+from roomeq.eq.gmm import FREE, GMM_FILE, JND_DB, draw_target, fit_gmm, room_weights, with_reference
 from roomeq.records.rir_dir import load_rir, read_rirs, rir_path
 
 logger = logging.getLogger(__name__)
@@ -27,8 +27,7 @@ MIN_SPREAD_DB = 4.0  # a single bin of one RIR scatters that much within a room 
 _DECIMALS = 4
 
 
-def fit_eq(real_dir, sim_dirs, out, *, n_components=7, covariance="full", weight_rooms=False, seed, part=None,
-           nj=1):
+def fit_eq(real_dir, sim_dirs, out, *, n_components=7, weight_rooms=False, seed, part=None, nj=1):
     """Measure the EQ of measured and simulated RIRs and fit a Gaussian mixture to the measured ones.
 
     Screened RIRs (`roomeq.corpora.characterise`) are left out, and so are outliers: any point further than 4 robust
@@ -46,8 +45,6 @@ def fit_eq(real_dir, sim_dirs, out, *, n_components=7, covariance="full", weight
         many draws as measured RIRs went in); `screening.json`.
     n_components : int
         Components of the mixture.
-    covariance : str
-        ``"full"``, ``"tied"``, ``"diag"`` or ``"spherical"``.
     weight_rooms : bool
         Repeat rows so that rooms count equally; the paper's mixture weights each RIR alike.
     seed : int
@@ -68,13 +65,11 @@ def fit_eq(real_dir, sim_dirs, out, *, n_components=7, covariance="full", weight
     """
     if n_components < 1:
         raise ValueError(f"n_components={n_components} must be at least 1")
-    if covariance not in COVARIANCES:
-        raise ValueError(f"covariance={covariance!r} must be one of {', '.join(COVARIANCES)}")
     real_dir, sim_dirs = Path(real_dir), [Path(path) for path in sim_dirs]
     items = {f"{name}+{row['id']}": (directory, row)
              for name, directory in [("real", real_dir), *((f"sim{n}", path) for n, path in enumerate(sim_dirs))]
              for row in read_rirs(directory) if not row.get("noise_for")}
-    options = dict(n_components=n_components, covariance=covariance, weight_rooms=bool(weight_rooms), seed=seed)
+    options = dict(n_components=n_components, weight_rooms=bool(weight_rooms), seed=seed)
     build = Build(out, step="fit-eq", options=options, inputs=[real_dir, *sim_dirs])
     if build.done:
         return None
@@ -90,7 +85,7 @@ def fit_eq(real_dir, sim_dirs, out, *, n_components=7, covariance="full", weight
                              f"must be at least {n_components}, the mixture's components: give more")
         vectors = fill_missing(used, seed)
         gmm = fit_gmm(vectors, [record["room_id"] for record in used], n_components=n_components,
-                      covariance=covariance, weight_rooms=weight_rooms, seed=seed)
+                      weight_rooms=weight_rooms, seed=seed)
         for record, vector in zip(used, vectors, strict=True):
             record["fitted_db"] = _eight(vector)
         resampled = [dict(id=record["id"], room_id=record["room_id"],

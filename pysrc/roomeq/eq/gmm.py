@@ -21,14 +21,13 @@ MAX_DB = 200.0
 """No gain of a mixture comes near it."""
 
 GMM_FILE = "gmm.json"
-COVARIANCES = ("full", "tied", "diag", "spherical")
 JND_DB = 1.0
 """Just noticeable difference of EQ [dB]: no component of a mixture is narrower than that."""
 
 REPLICAS = 20  # rows per RIR when rooms are weighted by repeating rows: weights are exact to 5 %
 
 
-def fit_gmm(vectors_db, rooms, *, n_components=7, covariance="full", weight_rooms=False, seed):
+def fit_gmm(vectors_db, rooms, *, n_components=7, weight_rooms=False, seed):
     """Fit the mixture by expectation-maximisation (scikit-learn), the best of ten starts.
 
     Parameters
@@ -36,13 +35,13 @@ def fit_gmm(vectors_db, rooms, *, n_components=7, covariance="full", weight_room
     vectors_db : ndarray, shape (n, 7)
     rooms : sequence of str
         Room of each vector.
-    n_components, covariance, weight_rooms, seed
+    n_components, weight_rooms, seed
         See `roomeq.eq.fit.fit_eq`.
 
     Returns
     -------
     dict
-        The mixture, JSON-able; covariances are full whatever the fit assumed.
+        The mixture, JSON-able.
 
     Raises
     ------
@@ -62,30 +61,18 @@ def fit_gmm(vectors_db, rooms, *, n_components=7, covariance="full", weight_room
         edges = np.floor(np.concatenate([[0.0], np.cumsum(room_weights(rooms))]) * n_rows + 0.5)
         rows = np.repeat(vectors_db, np.diff(edges).astype(int), axis=0)
     state = int(rng_for(seed, "mixture", "start").integers(2 ** 31))
-    model = GaussianMixture(n_components, covariance_type=covariance, reg_covar=JND_DB ** 2, n_init=10,
+    model = GaussianMixture(n_components, covariance_type="full", reg_covar=JND_DB ** 2, n_init=10,
                             max_iter=500, random_state=state)
     with threadpool_limits(1):  # the order in which threads add up changes the last bits
         model.fit(rows)
         member = model.predict_proba(vectors_db)
-    full = _full_covariances(model.covariances_, covariance, n_components)
     order = np.argsort(-model.weights_, kind="stable")
     rooms = np.asarray(rooms)
     of_room = {str(room): member[rooms == room].mean(axis=0)[order].tolist() for room in np.unique(rooms)}
     return dict(points_hz=POINTS_HZ, reference_hz=BANDS_HZ[BAND_1KHZ], n_rirs=len(vectors_db),
-                n_rooms=len(of_room), covariance_type=covariance, weight_rooms=bool(weight_rooms), seed=seed,
+                n_rooms=len(of_room), weight_rooms=bool(weight_rooms), seed=seed,
                 weights=model.weights_[order].tolist(), means_db=model.means_[order].tolist(),
-                covariances_db2=full[order].tolist(), weights_of_room=of_room)
-
-
-def _full_covariances(covariances, kind, n_components):
-    """Covariances of any scikit-learn form as one matrix per component."""
-    size = len(FREE)
-    if kind == "full":
-        return np.asarray(covariances)
-    if kind == "tied":
-        return np.repeat(covariances[None], n_components, axis=0)
-    diagonals = np.broadcast_to(np.reshape(covariances, (n_components, -1)), (n_components, size))
-    return np.array([np.diag(diagonal) for diagonal in diagonals])
+                covariances_db2=model.covariances_[order].tolist(), weights_of_room=of_room)
 
 
 def read_gmm(path):
