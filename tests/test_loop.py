@@ -128,7 +128,7 @@ def test_what_comes_too_late_for_the_direct_sound_is_another_path(late_samples, 
 def test_a_world_against_itself_has_no_error_and_nothing_is_found(session):
     """What a model predicts, taken for the measurement: no error but for the pull of priors, and no effect helps."""
     itself = replace(session.data, cells=session.fit.predicted)
-    again = fit(itself, session.offset, (), like=session.fit)
+    again = fit(itself, session.correction, (), like=session.fit)
     error = np.abs(itself.cells - again.predicted)[itself.valid]
     assert error.mean() < 0.02 and error.max() < 0.5
     winner, _ = choose(rank(replace(session, data=itself, fit=again)), len(CATALOGUE))
@@ -204,8 +204,9 @@ def test_every_effect_speaks_for_itself(name, session):
     absorption = layout.absorption(session.fit.mean, session.fit.local)
     state, changed = (layout.state(absorption, []) for _ in range(2))
     moved = effect.from_vector(np.array(effect.STARTS[0]) + 0.5 * np.array(effect.SPREAD))
-    moved.act(changed, session.data, np.arange(len(session.data.rows)))
-    assert not np.array_equal(predict(session.data, changed), predict(session.data, state)) and effect.TELLS
+    moved.apply_to_prediction(changed, session.data, np.arange(len(session.data.rows)))
+    assert not np.array_equal(predict(session.data, changed), predict(session.data, state))
+    assert effect.DISCRIMINATING_MEASUREMENT
 
 
 def test_a_clean_world_is_left_alone(closed):

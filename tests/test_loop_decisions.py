@@ -114,6 +114,6 @@ def test_what_fits_worse_takes_no_place_of_what_is_not_proven(monkeypatch, chang
     monkeypatch.setattr(close, "begin", lambda data, like, **_: like)
     monkeypatch.setattr(close, "heldout_errors", errors)
     monkeypatch.setattr(close, "iteration_entry", lambda winner, *_: dict(effect=winner.effect.NAME))
-    session = SimpleNamespace(data=SimpleNamespace(shifts={}), offset=None, seed=0, nj=1)
+    session = SimpleNamespace(data=SimpleNamespace(rendered_changes={}), correction=None, seed=0, nj=1)
     accepted = close._accepted(session, errors(None), ranking)
     assert (accepted and accepted[0]["effect"]) == found

@@ -79,7 +79,7 @@ def test_levels_are_those_of_all_image_sources(case, distance_m, f_max_hz):
     source = inside(rng, 0.4)
     way = np.array(DIMS_M) / 2.0 - source
     mic = inside(rng) if distance_m is None else source + distance_m * way / np.linalg.norm(way)
-    walls_m2 = BOX.slot_area_m2.sum()
+    walls_m2 = BOX.surface_area_m2.sum()
     damping = -np.log(reflection) * C * walls_m2 / (4.0 * BOX.volume_m3)  # mean free path 4 V / S
     found = modal_response(modes(BOX, f_max_hz, C), source, mic, damping, int(length_s * FS_HZ), FS_HZ)
     expected = image_sum(source, mic, reflection, length_s)
@@ -239,7 +239,7 @@ def test_modes_have_the_level_of_a_diffuse_field(box_modes):
         spectrum = np.abs(np.fft.rfft(rir)) ** 2
         energy += [spectrum[int(low):int(high)].mean() / n_pairs for low, high in edges_hz]
     diffuse = C / (8.0 * np.pi * BOX.volume_m3 * damping)
-    at_walls = 1.0 + BOX.slot_area_m2.sum() * C / (8.0 * BOX.volume_m3 * edges_hz.mean(axis=1))
+    at_walls = 1.0 + BOX.surface_area_m2.sum() * C / (8.0 * BOX.volume_m3 * edges_hz.mean(axis=1))
     np.testing.assert_allclose(10.0 * np.log10(energy / (diffuse * at_walls)), 0.0, atol=1.0)
 
 

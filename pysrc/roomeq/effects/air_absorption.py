@@ -28,7 +28,7 @@ class AirAbsorption(Effect):
     SCOPE = "all"
     STARTS = ((2.0, np.log(40.0)),)  # temperature in tens of degrees, logarithm of the humidity
     SPREAD = (0.8, 0.6)
-    TELLS = "distances and rooms of very different size, or a hygrometer"
+    DISCRIMINATING_MEASUREMENT = "distances and rooms of very different size, or a hygrometer"
 
     def vector(self):
         return np.array([self.temperature_c / 10.0, np.log(self.humidity_pct)])
@@ -38,7 +38,7 @@ class AirAbsorption(Effect):
         return cls(float(np.clip(10.0 * vector[0], *_TEMPERATURES_C)),
                    float(np.exp(np.clip(vector[1], *np.log(_HUMIDITIES_PCT)))))
 
-    def act(self, state, data, rows):
+    def apply_to_prediction(self, state, data, rows):
         state.air_per_m[rows] = band_attenuation_per_m(self.temperature_c, self.humidity_pct)
 
     def on_scene(self, scene):

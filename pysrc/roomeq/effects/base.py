@@ -10,8 +10,9 @@ the place where its physics does:
 `on_rir`
     what is filtered or added behind the rendering
 
-and, for the loop, on tables of expected energy (`act`), which says the same without rendering. To be fitted, an effect
-turns into a vector of numbers of about unit spread (`vector`, `from_vector`) that `STARTS` and `SPREAD` speak of.
+and, for the loop, on tables of expected energy (`apply_to_prediction`), which says the same without rendering. To be
+fitted, an effect turns into a vector of numbers of about unit spread (`vector`, `from_vector`) that `STARTS` and
+`SPREAD` speak of.
 """
 
 from dataclasses import dataclass
@@ -88,20 +89,21 @@ class Effect:
         Vectors from which a fit starts.
     SPREAD : tuple
         Standard deviations of the vector over the things that exist.
-    TELLS : str
+    DISCRIMINATING_MEASUREMENT : str
         Which measurement would tell it from others.
-    NODES : tuple of tuples
-        Vectors for which `act` needs to know what `on_rir` does to the data's RIRs (`Data.shift_of`).
+    INTERPOLATION_GRID : tuple of tuples
+        Vectors at which `apply_to_prediction` needs the rendered change of the data's RIRs
+        (`Data.rendered_change_of`).
     REFLECTIONS : bool
-        Whether `act` changes the energy of reflections; if not, a fit need not sum it again.
+        Whether `apply_to_prediction` changes the energy of reflections; if not, a fit need not sum it again.
     """
 
     NAME = ""
     SCOPE = "all"
     STARTS = ((),)
     SPREAD = ()
-    TELLS = ""
-    NODES = ()
+    DISCRIMINATING_MEASUREMENT = ""
+    INTERPOLATION_GRID = ()
     REFLECTIONS = True
 
     @classmethod
@@ -121,7 +123,7 @@ class Effect:
     def from_vector(cls, vector):
         raise NotImplementedError
 
-    def act(self, state, data, rows):
+    def apply_to_prediction(self, state, data, rows):
         """Change what is expected of some RIRs (`roomeq.loop.predict.State`), in place."""
 
     def on_scene(self, scene):

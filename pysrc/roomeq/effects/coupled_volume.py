@@ -39,7 +39,7 @@ class CoupledVolume(Effect):
     SCOPE = "room"
     STARTS = ((-2.0, np.log(1.0)), (-1.2, np.log(1.5)), (-2.0, np.log(2.5)))  # tens of dB, logarithm of seconds
     SPREAD = (0.8, 0.5)
-    TELLS = "a recording with the opening closed"
+    DISCRIMINATING_MEASUREMENT = "a recording with the opening closed"
 
     def vector(self):
         return np.array([self.level_db / 10.0, np.log(self.time_s)])
@@ -53,7 +53,7 @@ class CoupledVolume(Effect):
         """Rate at which its energy decays, shape (8,)."""
         return _DECAY / self.time_s + air.speed_m_s * np.asarray(air.attenuation_per_m)
 
-    def act(self, state, data, rows):
+    def apply_to_prediction(self, state, data, rows):
         state.decays.append((rows, 10.0 ** (self.level_db / 10.0), _DECAY / self.time_s))
 
     def on_rir(self, rir, rendering):

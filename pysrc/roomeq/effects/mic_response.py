@@ -11,4 +11,4 @@ class MicResponse(Response):
 
     NAME = "mic_response"
     SCOPE = "mic"
-    TELLS = "the same room recorded with another microphone"
+    DISCRIMINATING_MEASUREMENT = "the same room recorded with another microphone"

@@ -32,7 +32,7 @@ class NearReflector(Effect):
     SCOPE = "room"
     STARTS = tuple((np.log(depth_m), 0.6) for depth_m in (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.9, 1.1))
     SPREAD = (0.5, 0.5)
-    TELLS = "recordings at other heights"
+    DISCRIMINATING_MEASUREMENT = "recordings at other heights"
 
     def vector(self):
         return np.array([np.log(self.depth_m), self.reflection])
@@ -48,7 +48,7 @@ class NearReflector(Effect):
         below = np.abs(mic[:, 2] - source[:, 2]) + 2.0 * self.depth_m
         return np.hypot(plan, below)
 
-    def act(self, state, data, rows):
+    def apply_to_prediction(self, state, data, rows):
         source = np.array([data.places[n].source_pos_m for n in rows])
         mic = np.array([data.places[n].mic_pos_m for n in rows])
         direct_m = data.distance_m[rows]

@@ -35,7 +35,7 @@ class NoiseFloor(Effect):
     SCOPE = "room"
     STARTS = ((1.0,) * 8,)  # tens of dB above -55
     SPREAD = (1.0,) * 8
-    TELLS = "a recording of the silence before the sweep"
+    DISCRIMINATING_MEASUREMENT = "a recording of the silence before the sweep"
 
     def vector(self):
         return (np.array(self.levels_db) - _QUIET_DB) / 10.0
@@ -44,7 +44,7 @@ class NoiseFloor(Effect):
     def from_vector(cls, vector):
         return cls(tuple(float(value) for value in _QUIET_DB + 10.0 * np.clip(vector, -3.0, 5.0)))
 
-    def act(self, state, data, rows):
+    def apply_to_prediction(self, state, data, rows):
         state.floor[rows] += self._energies(data.white[rows])
 
     def on_rir(self, rir, rendering):

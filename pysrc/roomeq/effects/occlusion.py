@@ -32,7 +32,7 @@ class Occlusion(Effect):
     SCOPE = "rir"
     STARTS = ((-5.0,),)  # logarithm of metres: from as good as nothing to a pillar
     SPREAD = (2.5,)
-    TELLS = "a recording with the obstacle taken away"
+    DISCRIMINATING_MEASUREMENT = "a recording with the obstacle taken away"
 
     def vector(self):
         return np.log([self.detour_m])
@@ -46,7 +46,7 @@ class Occlusion(Effect):
         fresnel = 2.0 * self.detour_m * np.asarray(frequencies_hz) / speed_m_s
         return np.maximum(1.0 / (1.0 + 20.0 * fresnel), 10.0 ** (-_MOST_DB / 10.0))
 
-    def act(self, state, data, rows):
+    def apply_to_prediction(self, state, data, rows):
         state.direct_gain[rows] *= self.energy_gain(EXACT_BANDS_HZ, data.speed_m_s[rows][:, None])
         state.delay_s[rows] += self.detour_m / data.speed_m_s[rows]
 

@@ -43,7 +43,7 @@ class Response(Effect):
     def from_vector(cls, vector):
         return cls(tuple(float(value) for value in np.clip(vector, -_MOST_DB, _MOST_DB)))
 
-    def act(self, state, data, rows):
+    def apply_to_prediction(self, state, data, rows):
         state.response_db[rows] += np.array(self.gains_db)
 
     def on_rir(self, rir, rendering):

@@ -15,4 +15,4 @@ class RoomEq(Response):
 
     NAME = "room_eq"
     SCOPE = "all"
-    TELLS = "a second loudspeaker and a second microphone in the same rooms"
+    DISCRIMINATING_MEASUREMENT = "a second loudspeaker and a second microphone in the same rooms"

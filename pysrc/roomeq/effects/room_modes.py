@@ -29,8 +29,9 @@ class RoomModes(Effect):
     REFLECTIONS = False
     STARTS = tuple((np.log2(hz / _REFERENCE_HZ),) for hz in (60.0, 90.0, 200.0))
     SPREAD = (1.0,)
-    NODES = tuple((np.log2(hz / _REFERENCE_HZ),) for hz in (*_RANGE_HZ[:1], 60.0, 90.0, 130.0, *_RANGE_HZ[1:]))
-    TELLS = "a source that reaches lower, or more positions"
+    INTERPOLATION_GRID = tuple((np.log2(hz / _REFERENCE_HZ),)
+                               for hz in (*_RANGE_HZ[:1], 60.0, 90.0, 130.0, *_RANGE_HZ[1:]))
+    DISCRIMINATING_MEASUREMENT = "a source that reaches lower, or more positions"
 
     def vector(self):
         return np.log2([self.up_to_hz / _REFERENCE_HZ])
@@ -39,10 +40,10 @@ class RoomModes(Effect):
     def from_vector(cls, vector):
         return cls(float(np.clip(_REFERENCE_HZ * 2.0 ** vector[0], *_RANGE_HZ)))
 
-    def act(self, state, data, rows):
-        nodes = [node[0] for node in self.NODES]
+    def apply_to_prediction(self, state, data, rows):
+        nodes = [node[0] for node in self.INTERPOLATION_GRID]
         weights = [np.interp(self.vector()[0], nodes, unit) for unit in np.eye(len(nodes))]
-        state.shift[rows] += np.tensordot(weights, data.shift_of(RoomModes)[:, rows], axes=1)
+        state.rendered_change[rows] += np.tensordot(weights, data.rendered_change_of(RoomModes)[:, rows], axes=1)
 
     def on_rir(self, rir, rendering):
         room, speed_m_s = rendering.scene.room, rendering.scene.air.speed_m_s

@@ -24,7 +24,7 @@ class SoundSpeed(Effect):
     SCOPE = "all"
     STARTS = ((2.5,),)  # tens of degrees
     SPREAD = (1.0,)
-    TELLS = "recordings whose time of flight is known, at several distances"
+    DISCRIMINATING_MEASUREMENT = "recordings whose time of flight is known, at several distances"
 
     @classmethod
     def applies(cls, data):
@@ -37,7 +37,7 @@ class SoundSpeed(Effect):
     def from_vector(cls, vector):
         return cls(float(np.clip(10.0 * vector[0], -20.0, 60.0)))
 
-    def act(self, state, data, rows):
+    def apply_to_prediction(self, state, data, rows):
         state.speed_m_s[rows] = speed_of_sound_m_s(self.temperature_c)
 
     def on_scene(self, scene):

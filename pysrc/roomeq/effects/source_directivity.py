@@ -30,7 +30,7 @@ class SourceDirectivity(Effect):
     SCOPE = "source"
     STARTS = tuple((np.log(radius_m), np.log(0.5)) for radius_m in (0.08, 0.03, 0.2))
     SPREAD = (0.7, 0.5)
-    TELLS = "the loudspeaker turned, at the same place"
+    DISCRIMINATING_MEASUREMENT = "the loudspeaker turned, at the same place"
 
     @classmethod
     def applies(cls, data):
@@ -44,11 +44,11 @@ class SourceDirectivity(Effect):
         return cls(float(np.exp(np.clip(vector[0], *np.log(_RADII_M)))),
                    float(np.exp(np.clip(vector[1], *np.log(_CAPS_RAD)))))
 
-    def act(self, state, data, rows):
+    def apply_to_prediction(self, state, data, rows):
         gains = self.on_paths(np.cos(data.angles))
         direct = self.on_paths(np.cos([data.tables[n].direct_angle for n in rows]))
         knows = np.array([data.tables[n].angular is not None for n in rows])
-        state.turn(rows[knows], gains, direct[knows])
+        state.apply_directivity(rows[knows], gains, direct[knows])
 
     def on_paths(self, cos_angle):
         return cap_gain(np.clip(cos_angle, -1.0, 1.0), self.radius_m, self.cap_rad)

@@ -11,4 +11,4 @@ class SourceResponse(Response):
 
     NAME = "source_response"
     SCOPE = "source"
-    TELLS = "the same room recorded with another loudspeaker"
+    DISCRIMINATING_MEASUREMENT = "the same room recorded with another loudspeaker"

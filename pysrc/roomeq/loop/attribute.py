@@ -11,8 +11,8 @@ from roomeq.loop.cells import METRIC
 from roomeq.loop.fit import Fit, fit
 from roomeq.loop.layout import Layout
 from roomeq.loop.leftout import leave_rooms_out
+from roomeq.loop.rendered_model import in_order
 from roomeq.loop.session import look_ahead
-from roomeq.loop.shown import in_order
 from roomeq.loop.workers import share_out
 
 MIN_ROOMS = 3
@@ -85,7 +85,7 @@ def rank(session):
     list of Candidate
     """
     data = session.data
-    before = leave_rooms_out(data, fit(data, session.offset, session.effects, like=session.fit))
+    before = leave_rooms_out(data, fit(data, session.correction, session.effects, like=session.fit))
     known = {*session.effects, *data.given_kinds}
     candidates = [effect for effect in CATALOGUE.values() if effect not in known and effect.applies(data)]
     look_ahead(session, candidates)
@@ -101,10 +101,10 @@ def _candidate(session, effect, before):
         tried = []
         for start in effect.STARTS:
             starts = [start if one is effect else one.STARTS[0] for one in effects]
-            found = fit(data, session.offset, effects, start=starts, like=session.fit, iterations=_PROBE)
+            found = fit(data, session.correction, effects, start=starts, like=session.fit, iterations=_PROBE)
             tried.append((found, np.array([one.log_density for one in leave_rooms_out(data, found)])))
         like = _best_starts(data, effects, effect, tried)
-    found = fit(data, session.offset, effects, like=like)
+    found = fit(data, session.correction, effects, like=like)
     after = leave_rooms_out(data, found)
     gain = np.array([b.log_density - a.log_density for a, b in zip(before, after, strict=True)])
     return Candidate(effect, found, gain, size_of(session, effect, found))

@@ -126,12 +126,12 @@ def _accepted(session, errors, ranking):
     What fits significantly worse than another takes its place only if that one raised the error: else the cause may
     still be the better one, and the data cannot prove it.
     """
-    shifts, pool = dict(session.data.shifts), ranking
+    rendered_changes, pool = dict(session.data.rendered_changes), ranking
     while True:
         winner, rivals = choose(pool, len(ranking))
         if winner is None:
             return None
-        after = begin(session.data, like=winner.fit, offset=session.offset, seed=session.seed, nj=session.nj)
+        after = begin(session.data, like=winner.fit, correction=session.correction, seed=session.seed, nj=session.nj)
         errors_after = heldout_errors(after)
         p = {way: p_lower(errors, errors_after, way) for way in errors.cells}
         higher = any(p_lower(errors_after, errors, way) < LEVEL for way in errors.cells)
@@ -139,7 +139,7 @@ def _accepted(session, errors, ranking):
             return iteration_entry(winner, rivals, ranking, after, errors, errors_after, p), after, errors_after
         logger.info("loop: %s fits, but simulated again it %s the error; left out", winner.effect.NAME,
                     "raises" if higher else "does not lower")
-        session.data.shifts.update(shifts)  # those of the rejected model speak of its own RIRs
+        session.data.rendered_changes.update(rendered_changes)  # those of the rejected model speak of its own RIRs
         pool = [one for one in pool if one is not winner
                 and (higher or one_sided_p(winner.gain - one.gain) > LEVEL)]
 

@@ -47,8 +47,8 @@ class Data:
     tables : list of Table
     air_per_m, speed_m_s, distance_m : ndarray, shape (n_rirs, 8), (n_rirs,), (n_rirs,)
         The declared air, and distances between source and microphone.
-    shifts : dict
-        See `shift_of`.
+    rendered_changes : dict
+        See `rendered_change_of`.
     given : list of list of roomeq.effects.base.Effect
         Effects of each RIR that the base model has, with their parameters.
     """
@@ -66,7 +66,7 @@ class Data:
     air_per_m: np.ndarray
     speed_m_s: np.ndarray
     distance_m: np.ndarray
-    shifts: dict
+    rendered_changes: dict
     given: list
 
     angles = ANGLES
@@ -95,9 +95,9 @@ class Data:
         residual = self.cells - predicted
         return residual, self.valid & np.isfinite(residual)
 
-    def shift_of(self, effect):
+    def rendered_change_of(self, effect):
         """What an effect that has no say on tables changes in the cells, shape (n_nodes, n_rirs, n_cells)."""
-        return self.shifts[effect.NAME]
+        return self.rendered_changes[effect.NAME]
 
     def units(self, scope):
         """Names of what a parameter of a scope belongs to, and its number for each RIR."""
@@ -228,7 +228,7 @@ def _traced(found, cells, scattering, seed, model, nj):
                 room_names=room_names, traced=traced, tables=tables,
                 air_per_m=np.array([air.attenuation_per_m for air in airs]),
                 speed_m_s=np.array([air.speed_m_s for air in airs]),
-                distance_m=np.array([table.distance_m for table in tables]), shifts={},
+                distance_m=np.array([table.distance_m for table in tables]), rendered_changes={},
                 given=[model.for_row(row, seed) for row in rows])
 
 

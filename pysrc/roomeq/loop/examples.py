@@ -16,7 +16,7 @@ from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.iso3382 import energy_decay, octave_bands
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.loop.cells import THIRDS_HZ, feature_slice, measure_cells
-from roomeq.loop.rendering import finished, render_rows
+from roomeq.loop.rendering import finished_rir, render_rows
 from roomeq.records.rir_dir import load_rir, read_rirs
 
 EXAMPLES_FILE = "examples.npz"
@@ -145,7 +145,7 @@ def _rendered(session, n):
     absorption = session.layout.absorption(session.fit.mean, session.fit.local)
     by_row = session.by_row
     (raw,), _ = render_rows(data, absorption[data.room], by_row, seed=session.seed, rows=[n])
-    rir = finished(data, n, raw, by_row[n], session.seed)
+    rir = finished_rir(data, n, raw, by_row[n], session.seed)
     return rir, data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ, session.layout.gains(session.fit.local)[n]
 
 

@@ -79,13 +79,13 @@ class Fit:
     gain_db: tuple
 
 
-def fit(data, offset, effects, start=None, like=None, iterations=ITERATIONS):
+def fit(data, correction, effects, start=None, like=None, iterations=ITERATIONS):
     """Fit a model.
 
     Parameters
     ----------
     data : roomeq.loop.data.Data
-    offset : ndarray, shape (n_rirs, n_cells)
+    correction : ndarray, shape (n_rirs, n_cells)
         What cells measured on rendered RIRs have over cells predicted from tables.
     effects : sequence of types
     start : sequence of array_like, optional
@@ -107,20 +107,20 @@ def fit(data, offset, effects, start=None, like=None, iterations=ITERATIONS):
     sigma, omega = np.full(N_CELLS, 2.0), np.full(N_CELLS, 1.0)
     if like is None:
         mean[:N_BANDS] = prior_mean[:N_BANDS] = START_X
-        first_gains(layout, offset, mean, local)
+        first_gains(layout, correction, mean, local)
     else:
         _continue(layout, like, mean, local)
         sigma, omega = like.sigma.copy(), like.omega.copy()
     known = None if like is None else like.by_surface
     for iteration in range(iterations):
         covariance = covariances(layout, shape, own_scale, gain_db)
-        predicted, slopes = linearise(layout, mean, local, offset, known)
+        predicted, slopes = linearise(layout, mean, local, correction, known)
         residual, valid = data.residual(predicted)
         if iteration:
             sigma, omega = scatter(data, residual, valid)
         normal = [normal_equations(layout, r, residual, valid, slopes, sigma, omega)
                   for r in range(len(local))]
-        cost = partial(_cost, layout, offset, sigma, omega, covariance, prior_mean, prior)
+        cost = partial(_cost, layout, correction, sigma, omega, covariance, prior_mean, prior)
         limit, old = cost(mean, local, predicted), (mean, local)
         *new, spreads = _solve(normal, covariance, mean, local, prior_mean, prior)
         mean, local = _step(cost, limit, old, new, shares=_SHARES[:1])
@@ -131,7 +131,7 @@ def fit(data, offset, effects, start=None, like=None, iterations=ITERATIONS):
         own_scale = [_own_scale(layout, k, local, spreads) for k in range(len(layout.effects))]
         gain_db = (_WHOLE_GAIN_DB, *(_gain_db(layout, kind, local, spreads) for kind in (1, 2)))
     covariance = covariances(layout, shape, own_scale, gain_db)
-    predicted, slopes = linearise(layout, mean, local, offset, known)
+    predicted, slopes = linearise(layout, mean, local, correction, known)
     residual, valid = data.residual(predicted)
     sigma, omega = scatter(data, residual, valid)
     normal = [normal_equations(layout, r, residual, valid, slopes, sigma, omega) for r in range(len(local))]
@@ -154,9 +154,9 @@ def shared_prior(layout, start):
     return mean, mean.copy(), precision
 
 
-def first_gains(layout, offset, mean, local):
+def first_gains(layout, correction, mean, local):
     predicted = layout.predict(layout.absorption(mean, local), layout.vectors(mean, local),
-                               np.zeros(len(layout.data.rows)), offset)
+                               np.zeros(len(layout.data.rows)), correction)
     error = np.where(layout.data.valid & HAS_GAIN, layout.data.cells - predicted, np.nan)
     for r, (members, parts) in enumerate(zip(layout.members, layout.gain_of, strict=True)):
         for n in np.flatnonzero(layout.gain_kind[r] == 0):
@@ -222,12 +222,12 @@ def _step(cost, limit, old, new, shares=_SHARES):
     return old
 
 
-def _cost(layout, offset, sigma, omega, covariance, prior_mean, prior, mean, local, predicted=None):
+def _cost(layout, correction, sigma, omega, covariance, prior_mean, prior, mean, local, predicted=None):
     """Twice the negative logarithm of the posterior density, but for a constant (Huber's loss for outliers)."""
     data = layout.data
     if predicted is None:
         predicted = layout.predict(layout.absorption(mean, local), layout.vectors(mean, local), layout.gains(local),
-                                   offset)
+                                   correction)
     residual, valid = data.residual(predicted)
     total = (mean - prior_mean) @ prior @ (mean - prior_mean)
     for members, one, cov in zip(layout.members, local, covariance, strict=True):

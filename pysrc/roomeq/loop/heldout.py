@@ -18,10 +18,10 @@ from scipy import stats
 from roomeq.core.constants import BAND_1KHZ
 from roomeq.loop.attribute import one_sided_p
 from roomeq.loop.cells import HAS_GAIN, LARGEST, METRIC
-from roomeq.loop.leftout import PEEKED, calibrate, leave_rooms_out
+from roomeq.loop.leftout import CALIBRATION_FEATURES, calibrate, leave_rooms_out
 from roomeq.loop.predict import BAND_OF_CELL
+from roomeq.loop.rendered_model import effects_of_rows
 from roomeq.loop.rendering import render_rows
-from roomeq.loop.shown import effects_of_rows
 
 _METRICS = tuple(dict.fromkeys(METRIC.tolist()))
 KNOWN = {"positions": None,
@@ -133,7 +133,7 @@ def heldout_errors(session):
     data, left_out = session.data, leave_rooms_out(session.data, session.fit)
 
     def calibrated(known, chosen):
-        absorption, vectors, gains = calibrate(data, session.fit, left_out, known, session.offset, chosen=chosen)
+        absorption, vectors, gains = calibrate(data, session.fit, left_out, known, session.correction, chosen=chosen)
         by_room = [effects_of_rows(data, session.effects, one) for one in vectors]
         return absorption, [by_room[r][n] for n, r in enumerate(data.room)], gains
 
@@ -168,6 +168,6 @@ def scored_errors(data, calibrated, *, seed, nj):
             _, rendered = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj, rows=rows)
             error = np.abs(data.cells[rows] - rendered - np.outer(gains[rows], HAS_GAIN))
             error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
-            cells[rows] = np.where(data.valid[rows] & ~PEEKED, error, np.nan)
+            cells[rows] = np.where(data.valid[rows] & ~CALIBRATION_FEATURES, error, np.nan)
         result[way] = cells
     return Errors(result, data.room, half)

@@ -83,12 +83,12 @@ class Layout:
             for u, vector in enumerate(vectors[k]):
                 rows = np.flatnonzero(unit == u)
                 if len(rows):
-                    effect.from_vector(vector).act(state, self.data, rows)
+                    effect.from_vector(vector).apply_to_prediction(state, self.data, rows)
         return state
 
-    def predict(self, absorption, vectors, gains, offset, reflected=None):
+    def predict(self, absorption, vectors, gains, correction, reflected=None):
         """Cells, shape (n_rirs, n_cells); `reflected` as for `roomeq.loop.predict.predict`."""
-        return predict(self.data, self.state(absorption, vectors), reflected) + offset + np.outer(gains, HAS_GAIN)
+        return predict(self.data, self.state(absorption, vectors), reflected) + correction + np.outer(gains, HAS_GAIN)
 
 
 def _gains(data, members):

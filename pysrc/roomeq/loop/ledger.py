@@ -60,5 +60,5 @@ def iteration_entry(winner, rivals, ranking, session, before, after, p):
         ranking=[ranked(one) for one in ranking])
     if rivals:
         entry["cannot_tell"] = [winner.effect.NAME, *(one.effect.NAME for one in rivals)]
-        entry["would_tell"] = sorted({one.effect.TELLS for one in (winner, *rivals)})
+        entry["would_tell"] = sorted({one.effect.DISCRIMINATING_MEASUREMENT for one in (winner, *rivals)})
     return entry

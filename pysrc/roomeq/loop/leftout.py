@@ -14,7 +14,7 @@ from roomeq.loop.layout import N_SURFACE, Layout
 from roomeq.loop.linear import linearise, normal_equations
 from roomeq.loop.predict import N_BANDS
 
-PEEKED = (METRIC == "direct") & (np.arange(N_CELLS) % 2 == 0)
+CALIBRATION_FEATURES = (METRIC == "direct") & (np.arange(N_CELLS) % 2 == 0)
 """Cells of scored RIRs that tell whether their direct sound is obstructed, and are not scored."""
 
 
@@ -75,11 +75,11 @@ def _log_density(found, r, precision, step):
 def _looked_at(layout, r, valid, known):
     """Cells that a room's calibration may look at: of RIRs to be scored only what tells what is theirs alone."""
     looked_at = valid.copy()
-    looked_at[np.setdiff1d(layout.members[r], known)] &= PEEKED
+    looked_at[np.setdiff1d(layout.members[r], known)] &= CALIBRATION_FEATURES
     return looked_at
 
 
-def calibrate(data, found, left_out, index, offset, *, chosen=None):
+def calibrate(data, found, left_out, index, correction, *, chosen=None):
     """What some RIRs of each room say of the room, the shared unknowns being as fitted to the other rooms.
 
     Parameters
@@ -89,7 +89,7 @@ def calibrate(data, found, left_out, index, offset, *, chosen=None):
     left_out : list of LeftOut
     index : list of ndarray
         For each room, the RIRs that may be looked at.
-    offset : ndarray, shape (n_rirs, n_cells)
+    correction : ndarray, shape (n_rirs, n_cells)
     chosen : ndarray of bool, shape (n_cells,), optional
         The cells that may be looked at; all by default.
 
@@ -102,7 +102,7 @@ def calibrate(data, found, left_out, index, offset, *, chosen=None):
     gains : ndarray, shape (n_rirs,)
     """
     layout = Layout(data, found.effects)
-    predicted, slopes = linearise(layout, found.mean, found.local, offset, found.by_surface)
+    predicted, slopes = linearise(layout, found.mean, found.local, correction, found.by_surface)
     residual, valid = data.residual(predicted)
     if chosen is not None:
         valid = valid & chosen
@@ -120,7 +120,7 @@ def calibrate(data, found, left_out, index, offset, *, chosen=None):
     return absorption, vectors, gains
 
 
-def solve_rooms(layout, like, mean, offset, index, chosen=None, iterations=ITERATIONS):
+def solve_rooms(layout, like, mean, correction, index, chosen=None, iterations=ITERATIONS):
     """What is unknown of each room of new data, given what all rooms share.
 
     Parameters
@@ -130,7 +130,7 @@ def solve_rooms(layout, like, mean, offset, index, chosen=None, iterations=ITERA
     like : Fit
         Gives the spread over rooms and the scatter of cells.
     mean : ndarray, shape (n_shared,)
-    offset : ndarray, shape (n_rirs, n_cells)
+    correction : ndarray, shape (n_rirs, n_cells)
     index : list of ndarray
         For each room, the RIRs that may be looked at.
     chosen : ndarray of bool, shape (n_cells,), optional
@@ -148,9 +148,9 @@ def solve_rooms(layout, like, mean, offset, index, chosen=None, iterations=ITERA
     for covariance in spreads:
         covariance[:N_SURFACE, :N_SURFACE] = like.covariance[0][:N_SURFACE, :N_SURFACE]
     local = [np.zeros(size) for _, size in layout.own_slices]
-    first_gains(layout, offset, mean, local)
+    first_gains(layout, correction, mean, local)
     for _ in range(iterations):
-        predicted, slopes = linearise(layout, mean, local, offset)
+        predicted, slopes = linearise(layout, mean, local, correction)
         residual, valid = data.residual(predicted)
         if chosen is not None:
             valid = valid & chosen

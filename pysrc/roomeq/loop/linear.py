@@ -12,19 +12,19 @@ _SIGMA = (0.7, 12.0)
 _OMEGA = (0.2, 12.0)
 
 
-def linearise(layout, mean, local, offset, by_band=None):
+def linearise(layout, mean, local, correction, by_band=None):
     """Predicted cells and their derivatives: by surfaces (n_rirs, n_cells, 16) and by each effect's vector."""
     absorption, vectors = layout.absorption(mean, local), layout.vectors(mean, local)
     gains = layout.gains(local)
     reflected = Reflected(layout.data, layout.state(absorption, vectors))
-    centre = layout.predict(absorption, vectors, gains, offset, reflected)
+    centre = layout.predict(absorption, vectors, gains, correction, reflected)
     known = by_band is not None
     by_band = by_band if known else np.empty((*centre.shape, N_SURFACE))
     for n in range(0 if known else N_SURFACE):
         moved = absorption.copy()
         step = (1.0, 1.0) if n < N_BANDS else (-0.5, 0.5)
         moved[:, :, n % N_BANDS] *= np.exp(_STEP * np.array(step))
-        by_band[:, :, n] = (layout.predict(moved, vectors, gains, offset) - centre) / _STEP
+        by_band[:, :, n] = (layout.predict(moved, vectors, gains, correction) - centre) / _STEP
     by_effect = []
     for k, effect in enumerate(layout.effects):
         found = np.empty((*centre.shape, len(effect.SPREAD)))
@@ -32,7 +32,7 @@ def linearise(layout, mean, local, offset, by_band=None):
             moved = [one.copy() for one in vectors]
             moved[k][:, p] += _STEP * spread
             same = None if effect.REFLECTIONS else reflected
-            found[:, :, p] = (layout.predict(absorption, moved, gains, offset, same) - centre) / (_STEP * spread)
+            found[:, :, p] = (layout.predict(absorption, moved, gains, correction, same) - centre) / (_STEP * spread)
         by_effect.append(found)
     return centre, (by_band, by_effect)
 

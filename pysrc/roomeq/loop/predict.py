@@ -69,7 +69,7 @@ class State:
         Energy of 100 ms of noise relative to the response, white noise of the recording left out.
     delay_s : ndarray, shape (n_rirs,)
         By which the direct sound comes late.
-    shift : ndarray, shape (n_rirs, n_cells)
+    rendered_change : ndarray, shape (n_rirs, n_cells)
         Added to the cells [JND].
     """
 
@@ -83,9 +83,9 @@ class State:
     response_db: np.ndarray
     floor: np.ndarray
     delay_s: np.ndarray
-    shift: np.ndarray
+    rendered_change: np.ndarray
 
-    def turn(self, rows, gains, direct):
+    def apply_directivity(self, rows, gains, direct):
         """Give sources a directivity: gains at the tables' angles, shape (n_angles, 8), and of the direct sound."""
         if self.ray_gain is None:
             self.ray_gain = np.ones((len(self.direct_gain), *gains.shape))
@@ -106,9 +106,9 @@ def base_state(data, absorption):
     state = State(absorption=absorption[data.room], air_per_m=data.air_per_m.copy(), speed_m_s=data.speed_m_s.copy(),
                   ray_gain=None, direct_gain=np.ones((n, N_BANDS)), direct_thirds=np.ones((n, len(THIRDS_HZ))),
                   decays=[], response_db=np.zeros((n, len(RESPONSE_HZ))),
-                  floor=np.zeros((n, N_BANDS)), delay_s=np.zeros(n), shift=np.zeros((n, N_CELLS)))
+                  floor=np.zeros((n, N_BANDS)), delay_s=np.zeros(n), rendered_change=np.zeros((n, N_CELLS)))
     for effect, rows in data.given_to:
-        effect.act(state, data, rows)
+        effect.apply_to_prediction(state, data, rows)
     return state
 
 
@@ -194,7 +194,7 @@ def predict(data, state, reflected=None):
         cells[:, feature_slice(metric)] = (np.log(times[:, k]) + shorter) / JND[metric]
     cells[:, feature_slice("arrival")] = ((data.distance_m / state.speed_m_s + state.delay_s) / JND["arrival"])[:, None]
     cells[:, feature_slice("floor")] = _db(1.0 + state.floor / (data.white + QUIET))
-    return cells + state.shift
+    return cells + state.rendered_change
 
 
 def _until(seconds, energy):

@@ -64,7 +64,7 @@ def render_rows(data, absorption, effects, *, seed, nj=1, rows=None):
             np.array([cells for *_, cells in rendered]))
 
 
-def cells_behind(data, raws, variants, *, seed, nj=1):
+def cells_with_effects(data, raws, variants, *, seed, nj=1):
     """Cells of all rows with other effects behind the rendering.
 
     Parameters
@@ -97,7 +97,7 @@ def _render_one(data, n, scene, effects, seed):
     return response.rir, direct_gain(scene, place.source_pos_m, place.mic_pos_m, gain) * response.direct_visible
 
 
-def finished(data, n, raw, effects, seed):
+def finished_rir(data, n, raw, effects, seed):
     """The RIR of a row with all its effects."""
     place = data.places[n]
     return behind_rendering(effects, raw.rir, raw.scene, place.source_pos_m, place.mic_pos_m, raw.direct_gain,
@@ -106,4 +106,4 @@ def finished(data, n, raw, effects, seed):
 
 def _cells(data, n, raw, effects, seed):
     expected = data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ
-    return measure_cells(finished(data, n, raw, effects, seed), expected, white=data.white[n]).values
+    return measure_cells(finished_rir(data, n, raw, effects, seed), expected, white=data.white[n]).values

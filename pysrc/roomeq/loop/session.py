@@ -7,7 +7,13 @@ import numpy as np
 from roomeq.loop.cells import N_CELLS
 from roomeq.loop.fit import Fit, fit
 from roomeq.loop.layout import Layout
-from roomeq.loop.shown import effects_of_rows, find_shifts, forget_shifts, offset_of, show
+from roomeq.loop.rendered_model import (
+    clear_rendered_changes,
+    effects_of_rows,
+    measure_rendered_changes,
+    render_model,
+    rendering_correction,
+)
 
 
 @dataclass(frozen=True)
@@ -19,7 +25,7 @@ class Session:
     data : roomeq.loop.data.Data
     effects : tuple of types
         Of the model, in the catalogue's order, less those that the base model was given.
-    offset : ndarray, shape (n_rirs, n_cells)
+    correction : ndarray, shape (n_rirs, n_cells)
         What measuring adds to expected cells.
     fit : Fit
     seed, nj : int
@@ -27,7 +33,7 @@ class Session:
 
     data: object
     effects: tuple
-    offset: np.ndarray
+    correction: np.ndarray
     fit: Fit
     seed: int
     nj: int
@@ -48,7 +54,7 @@ class Session:
         return np.where(counts, residual, np.nan)
 
 
-def begin(data, *, like=None, offset=None, seed, nj):
+def begin(data, *, like=None, correction=None, seed, nj):
     """Fit a model, render it, and fit it again to what rendering showed.
 
     Parameters
@@ -56,7 +62,7 @@ def begin(data, *, like=None, offset=None, seed, nj):
     data : roomeq.loop.data.Data
     like : Fit, optional
         A first fit of the model, the base model's if not given.
-    offset : ndarray, shape (n_rirs, n_cells), optional
+    correction : ndarray, shape (n_rirs, n_cells), optional
         With which it was made.
     seed, nj : int
 
@@ -65,17 +71,18 @@ def begin(data, *, like=None, offset=None, seed, nj):
     Session
     """
     if like is None:
-        forget_shifts(data, data.given_kinds)
-        offset = np.zeros((len(data.rows), N_CELLS))
-        like = fit(data, offset, ())
-    shown = show(data, like, seed=seed, nj=nj)
-    find_shifts(shown, like.effects)
-    offset = offset_of(shown)
-    found = fit(data, offset, like.effects, like=fit(data, offset, like.effects, like=replace(like, by_surface=None)))
-    return Session(data, like.effects, offset, found, seed, nj)
+        clear_rendered_changes(data, data.given_kinds)
+        correction = np.zeros((len(data.rows), N_CELLS))
+        like = fit(data, correction, ())
+    rendered = render_model(data, like, seed=seed, nj=nj)
+    measure_rendered_changes(rendered, like.effects)
+    correction = rendering_correction(rendered)
+    first = fit(data, correction, like.effects, like=replace(like, by_surface=None))
+    found = fit(data, correction, like.effects, like=first)
+    return Session(data, like.effects, correction, found, seed, nj)
 
 
 def look_ahead(session, candidates):
     """Find what candidates change by rendering alone."""
-    if any(effect.NODES for effect in candidates):
-        find_shifts(show(session.data, session.fit, seed=session.seed, nj=session.nj), candidates)
+    if any(effect.INTERPOLATION_GRID for effect in candidates):
+        measure_rendered_changes(render_model(session.data, session.fit, seed=session.seed, nj=session.nj), candidates)

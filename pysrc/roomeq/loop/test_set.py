@@ -5,7 +5,7 @@ import numpy as np
 from roomeq.loop.heldout import scored_errors
 from roomeq.loop.layout import N_SURFACE, OWN, Layout
 from roomeq.loop.leftout import solve_rooms
-from roomeq.loop.shown import effects_of_rows, forget_shifts
+from roomeq.loop.rendered_model import clear_rendered_changes, effects_of_rows
 
 
 def score_test_set(data, session, *, seed, nj):
@@ -24,11 +24,11 @@ def score_test_set(data, session, *, seed, nj):
     """
     layout = Layout(data, session.effects)
     mean = _shared(layout, session)
-    offset = np.tile(session.offset.mean(axis=0), (len(data.rows), 1))
-    forget_shifts(data, {*session.effects, *data.given_kinds})
+    correction = np.tile(session.correction.mean(axis=0), (len(data.rows), 1))
+    clear_rendered_changes(data, {*session.effects, *data.given_kinds})
 
     def calibrated(known, chosen):
-        local = solve_rooms(layout, session.fit, mean, offset, known, chosen)
+        local = solve_rooms(layout, session.fit, mean, correction, known, chosen)
         vectors = layout.vectors(mean, local)
         return layout.absorption(mean, local), effects_of_rows(data, session.effects, vectors), layout.gains(local)
 

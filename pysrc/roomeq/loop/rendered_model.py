@@ -8,13 +8,13 @@ from roomeq.effects.catalogue import CATALOGUE
 from roomeq.loop.cells import HAS_GAIN, METRIC
 from roomeq.loop.fit import Fit
 from roomeq.loop.layout import Layout
-from roomeq.loop.rendering import cells_behind, render_rows
+from roomeq.loop.rendering import cells_with_effects, render_rows
 
 _ORDER = list(CATALOGUE.values())
 
 
 @dataclass(frozen=True)
-class Shown:
+class RenderedModel:
     """A rendered model.
 
     Attributes
@@ -43,9 +43,9 @@ class Shown:
 
     def cells_of(self, variants):
         """The same of several variants, shape (n_variants, n_rirs, n_cells)."""
-        return cells_behind(self.data, self.raws, variants, seed=self.seed, nj=self.nj)
+        return cells_with_effects(self.data, self.raws, variants, seed=self.seed, nj=self.nj)
 
-    def tables_without(self, effects=()):
+    def predicted_without(self, effects=()):
         """Cells that tables expect of the model without some effects: of what is rendered, and of what is measured."""
         layout, one = Layout(self.data, self.fit.effects), self.fit
         absorption, vectors = layout.absorption(one.mean, one.local), layout.vectors(one.mean, one.local)
@@ -56,12 +56,13 @@ class Shown:
         return expected, expected + np.outer(layout.gains(one.local), HAS_GAIN)
 
 
-def show(data, fitted, *, seed, nj):
+def render_model(data, fitted, *, seed, nj):
     """Render a fitted model."""
     layout = Layout(data, fitted.effects)
     absorption, vectors = layout.absorption(fitted.mean, fitted.local), layout.vectors(fitted.mean, fitted.local)
     by_row = effects_of_rows(data, fitted.effects, vectors)
-    return Shown(data, fitted, by_row, *render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj), seed, nj)
+    raws, cells = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj)
+    return RenderedModel(data, fitted, by_row, raws, cells, seed, nj)
 
 
 def in_order(effects):
@@ -81,42 +82,43 @@ def _sorted(effects):
     return sorted(effects, key=lambda one: _ORDER.index(type(one)))
 
 
-def offset_of(shown):
+def rendering_correction(rendered):
     """What measuring adds to expected cells, shape (n_rirs, n_cells): all of its mean, of each RIR's own what helps."""
-    expected, measured = shown.tables_without()
-    mean, own, share = _parts(shown.data, shown.cells - expected, shown.data.cells - measured)
+    expected, measured = rendered.predicted_without()
+    mean, own, share = _parts(rendered.data, rendered.cells - expected, rendered.data.cells - measured)
     return mean + share * own
 
 
-def forget_shifts(data, effects):
-    """Let what effects change by rendering alone be unknown, and so in the offset."""
+def clear_rendered_changes(data, effects):
+    """Let what effects change by rendering alone be unknown, and so in the correction."""
     for effect in effects:
-        if effect.NODES:
-            data.shifts[effect.NAME] = np.zeros((len(effect.NODES), *data.cells.shape))
+        if effect.INTERPOLATION_GRID:
+            data.rendered_changes[effect.NAME] = np.zeros((len(effect.INTERPOLATION_GRID), *data.cells.shape))
 
 
-def find_shifts(shown, effects):
-    """Find what effects change by rendering alone, at each of their nodes (`roomeq.loop.data.Data.shift_of`)."""
-    effects = [effect for effect in effects if effect.NODES]
+def measure_rendered_changes(rendered, effects):
+    """Measure on renderings what effects change at each point of their grid (`Data.rendered_change_of`)."""
+    effects = [effect for effect in effects if effect.INTERPOLATION_GRID]
     if effects:
-        by_rays = _by_rays(shown)
-        shown.data.shifts.update({effect.NAME: _shifts(shown, by_rays, effect) for effect in effects})
+        by_rays = _by_rays(rendered)
+        for effect in effects:
+            rendered.data.rendered_changes[effect.NAME] = _rendered_changes(rendered, by_rays, effect)
 
 
-def _by_rays(shown):
+def _by_rays(rendered):
     """Without effects that rendering alone shows: what chance made of the cells, and what measured cells have more.
 
     Chance is what was rendered less what was expected, less what of that is none.
     """
-    waves = tuple(effect for effect in shown.fit.effects if effect.NODES)
-    cells = shown.cells_with([[one for one in effects if not isinstance(one, waves)] for effects in shown.by_row])
-    expected, measured = shown.tables_without(waves)
-    error = shown.data.cells - measured
-    _, own, share = _parts(shown.data, cells - expected, error)
+    waves = tuple(effect for effect in rendered.fit.effects if effect.INTERPOLATION_GRID)
+    cells = rendered.cells_with([[one for one in effects if not isinstance(one, waves)] for effects in rendered.by_row])
+    expected, measured = rendered.predicted_without(waves)
+    error = rendered.data.cells - measured
+    _, own, share = _parts(rendered.data, cells - expected, error)
     return (1.0 - share) * own, error
 
 
-def _shifts(shown, by_rays, effect):
+def _rendered_changes(rendered, by_rays, effect):
     """What an effect makes of the cells of the model's RIRs at each of its nodes, shape (n_nodes, n_rirs, n_cells).
 
     What takes the place of rays, such as a wave field, takes that of their chance too: as much of it goes as is not
@@ -124,15 +126,15 @@ def _shifts(shown, by_rays, effect):
     level at a mode is known, how two of them beat is not, when positions are known to centimetres.
     """
     chance, error = by_rays
-    without = [[one for one in effects if not isinstance(one, effect)] for effects in shown.by_row]
-    plain = shown.cells_with(without)
-    new = [effect.from_vector(np.array(node)) for node in effect.NODES]
+    without = [[one for one in effects if not isinstance(one, effect)] for effects in rendered.by_row]
+    plain = rendered.cells_with(without)
+    new = [effect.from_vector(np.array(node)) for node in effect.INTERPOLATION_GRID]
     power, found = np.maximum(np.sum(chance ** 2, axis=0), 1e-9), []
-    for cells in shown.cells_of([[_sorted([*effects, one]) for effects in without] for one in new]):
+    for cells in rendered.cells_of([[_sorted([*effects, one]) for effects in without] for one in new]):
         change = cells - plain
         change = np.where(np.isfinite(change), change, 0.0)
         gone = np.clip(-np.sum((change - change.mean(axis=0)) * chance, axis=0) / power, 0.0, 1.0)
-        mean, own, share = _parts(shown.data, change + gone * chance, error)
+        mean, own, share = _parts(rendered.data, change + gone * chance, error)
         found.append(mean + share * own)
     return np.array(found)
 
