@@ -9,9 +9,9 @@ from roomeq.core.rng import rng_for
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, write_model
 from roomeq.effects.response import RESPONSE_HZ
-from roomeq.loop.cells import METRIC, N_CELLS, REGION, THIRDS_HZ
 from roomeq.loop.check import RESIDUALS_FILE
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, LENGTH_S, STEP_S
+from roomeq.loop.features import METRIC, N_FEATURES, REGION, THIRDS_HZ
 from roomeq.loop.ledger import LEDGER_FILE
 
 N_RIRS, ROOMS = 24, ("hall", "office", "<b>attic")
@@ -68,7 +68,7 @@ def make_loop(out):
         for entry in ledger["test"][when].values():
             entry["ci"] = None  # as of a single room
     rng = rng_for(0, "made-up residuals", "")
-    before = 3.0 + rng.standard_normal((N_RIRS, N_CELLS))
+    before = 3.0 + rng.standard_normal((N_RIRS, N_FEATURES))
     before[rng.random(before.shape) < 0.2] = np.nan
     n_times = round(LENGTH_S / STEP_S)
     decay_db = np.tile(-60.0 * np.arange(n_times) * STEP_S / 0.6, (2, len(KINDS), len(DECAY_BANDS), 1))

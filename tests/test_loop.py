@@ -15,13 +15,13 @@ from roomeq.effects.model import read_model
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.effects.source_response import SourceResponse
 from roomeq.loop.attribute import choose, rank
-from roomeq.loop.cells import HAS_GAIN, METRIC, feature_slice, measure_cells
 from roomeq.loop.close import SCATTERING, close_loop
 from roomeq.loop.data import load_data
+from roomeq.loop.features import HAS_GAIN, METRIC, feature_slice, measure_features
 from roomeq.loop.fit import fit
 from roomeq.loop.heldout import halves, heldout_errors
-from roomeq.loop.layout import N_SURFACE, Layout
 from roomeq.loop.leftout import leave_rooms_out
+from roomeq.loop.packing import N_SURFACE, ParameterIndex
 from roomeq.loop.predict import predict
 from roomeq.loop.session import begin, look_ahead
 from roomeq.records.rir_dir import load_rir, read_rirs, relocated, write_rirs
@@ -66,14 +66,14 @@ def session(world):
     return begin(load_data([world("clean") / "fit"], scattering=SCATTERING, seed=0), seed=0, nj=2)
 
 
-def test_cells_are_in_just_noticeable_differences(world):
+def test_features_are_in_just_noticeable_differences(world):
     directory = world("clean") / "fit"
     rir = load_rir(directory, read_rirs(directory)[0])
-    plain, louder = measure_cells(rir), measure_cells(10.0 ** 0.15 * rir)
+    plain, louder = measure_features(rir), measure_features(10.0 ** 0.15 * rir)
     change = np.where(plain.valid, louder.values - plain.values, np.nan)
     np.testing.assert_allclose(change[HAS_GAIN & plain.valid], 3.0, atol=1e-6)
     assert np.nanmax(np.abs(change[~HAS_GAIN & (METRIC != "floor") & (METRIC != "ahead")])) < 1e-6
-    short, long = (np.mean([measure_cells(coloured_rir(seed, time_s=time_s, length_s=1.2)).values[feature_slice("t20")][3:]
+    short, long = (np.mean([measure_features(coloured_rir(seed, time_s=time_s, length_s=1.2)).values[feature_slice("t20")][3:]
                             for seed in range(4)]) for time_s in (0.4, 0.42))
     assert long - short == pytest.approx(1.0, abs=0.2)
 
@@ -86,7 +86,7 @@ def test_noise_counts_by_how_much_it_raises_what_any_recording_has():
     low = octave_bands(1e-3 * rng.standard_normal(len(rir)), FS_HZ)[0]
 
     def floor(noise, **more):
-        found = measure_cells(rir + noise, **more)
+        found = measure_features(rir + noise, **more)
         return found.values[feature_slice("floor")], found.valid[feature_slice("floor")], found.white
     for level in (0.1, 1.0, 4.0):
         values, valid, _ = floor(level * white)
@@ -102,14 +102,14 @@ def test_noise_counts_by_how_much_it_raises_what_any_recording_has():
 
 def test_a_response_that_ends_before_its_noise_tells_of_it_only_where_its_end_is_quiet():
     long, short = (coloured_rir(1, time_s=time_s, length_s=0.6) for time_s in (1.5, 0.3))
-    assert not measure_cells(long).valid[feature_slice("floor")][2:].any()  # no decay can be followed in the narrowest octaves
-    found = measure_cells(short)
+    assert not measure_features(long).valid[feature_slice("floor")][2:].any()  # no decay can be followed in the narrowest octaves
+    found = measure_features(short)
     assert found.valid[feature_slice("floor")].all() and np.abs(found.values[feature_slice("floor")]).max() < 1e-3
 
 
 def test_what_is_believed_ahead_of_a_recordings_direct_sound_can_be_said_of_an_earlier_one():
     rir = coloured_rir(1, time_s=0.3, length_s=0.6)
-    recording, rendering = (measure_cells(rir[DIRECT - sample:]) for sample in (113, 93))
+    recording, rendering = (measure_features(rir[DIRECT - sample:]) for sample in (113, 93))
     believed = recording.valid[feature_slice("ahead")]
     assert believed.any() and not rendering.valid[feature_slice("ahead")].any()
     assert np.isfinite(rendering.values[feature_slice("ahead")][believed]).all()
@@ -120,16 +120,16 @@ def test_what_comes_too_late_for_the_direct_sound_is_another_path(late_samples, 
     expected, rir = DIRECT, coloured_rir(1, time_s=0.3, length_s=0.6)
     rir[:expected + late_samples] = 0.0
     rir[expected + late_samples] = 1.0
-    found = measure_cells(rir, expected)
+    found = measure_features(rir, expected)
     assert found.valid[feature_slice("arrival")].all() == arrives
     assert found.direct_sample == pytest.approx(expected + late_samples * arrives, abs=0.5)
 
 
 def test_a_world_against_itself_has_no_error_and_nothing_is_found(session):
     """What a model predicts, taken for the measurement: no error but for the pull of priors, and no effect helps."""
-    itself = replace(session.data, cells=session.fit.predicted)
+    itself = replace(session.data, features=session.fit.predicted)
     again = fit(itself, session.correction, (), like=session.fit)
-    error = np.abs(itself.cells - again.predicted)[itself.valid]
+    error = np.abs(itself.features - again.predicted)[itself.valid]
     assert error.mean() < 0.02 and error.max() < 0.5
     winner, _ = choose(rank(replace(session, data=itself, fit=again)), len(CATALOGUE))
     assert winner is None
@@ -154,21 +154,21 @@ def test_gains_of_chains_that_occur_once_are_sums(session):
     """Chains of several RIRs have their own gain; of others, room, source and microphone have one."""
     data = session.data
     assert all((kinds == 0).all() and (parts.sum(axis=1) == 1).all()
-               for parts, kinds in zip(session.layout.gain_of, session.layout.gain_kind, strict=True))
+               for parts, kinds in zip(session.packing.gain_of, session.packing.gain_kind, strict=True))
     members = np.flatnonzero(data.room == 0)[:4]
     changed = list(data.rows)
     for k, n in enumerate(members):
         changed[n] = changed[n] | dict(source_id=f"s{k // 2}", mic_id=f"m{k % 2}")
     chain = data.chain.copy()
     chain[members] = data.chain.max() + 1 + np.arange(4)
-    layout = Layout(replace(data, rows=changed, chain=chain), ())
-    parts, kinds = layout.gain_of[0], layout.gain_kind[0]
+    packing = ParameterIndex(replace(data, rows=changed, chain=chain), ())
+    parts, kinds = packing.gain_of[0], packing.gain_kind[0]
     assert sorted(kinds[parts[:4].any(axis=0)]) == [0, 1, 1, 2, 2]
     gains_db = np.array([10.0, 1.0, -1.0, 0.5, -0.5])
-    local = [np.zeros(size) for _, size in layout.own_slices]
+    local = [np.zeros(size) for _, size in packing.own_slices]
     local[0][N_SURFACE + np.flatnonzero(parts[:4].any(axis=0))] = gains_db
-    np.testing.assert_allclose(layout.gains(local)[members], [11.5, 10.5, 9.5, 8.5])
-    first, second = halves(layout.data)
+    np.testing.assert_allclose(packing.gains(local)[members], [11.5, 10.5, 9.5, 8.5])
+    first, second = halves(packing.data)
     assert {len(set(half[0]) & set(members)) for half in (first, second)} == {2}
     for half in (first, second):
         here = [changed[n] for n in half[0] if n in members]
@@ -186,23 +186,23 @@ def test_a_room_with_a_single_rir_is_fitted_and_not_scored(world, tmp_path):
     session = begin(load_data([tmp_path / "few"], scattering=SCATTERING, seed=0), seed=0, nj=2)
     assert session.data.n_scored == 2 and len(session.fit.local) == 3
     errors = heldout_errors(session)
-    for way in errors.cells:
-        scored = np.isfinite(errors.cells[way]).any(axis=1)
+    for way in errors.features:
+        scored = np.isfinite(errors.features[way]).any(axis=1)
         assert (scored == (session.data.room < 2)).all() and len(errors.of_rooms(way)) == 2
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_every_effect_speaks_for_itself(name, session):
-    """Vector and parameters are the same thing, and what an effect does to tables it changes in some cell."""
+    """Vector and parameters are the same thing, and what an effect does to tables it changes in some feature."""
     effect = CATALOGUE[name]
     for start in effect.STARTS:
         one = effect.from_vector(np.array(start, dtype=float))
         np.testing.assert_allclose(one.vector(), start, atol=1e-9)
     assert np.linalg.eigvalsh(effect.prior_covariance()).min() > 0.0
     look_ahead(session, [effect])
-    layout = session.layout
-    absorption = layout.absorption(session.fit.mean, session.fit.local)
-    state, changed = (layout.state(absorption, []) for _ in range(2))
+    packing = session.packing
+    absorption = packing.absorption(session.fit.mean, session.fit.local)
+    state, changed = (packing.state(absorption, []) for _ in range(2))
     moved = effect.from_vector(np.array(effect.STARTS[0]) + 0.5 * np.array(effect.SPREAD))
     moved.apply_to_prediction(changed, session.data, np.arange(len(session.data.rows)))
     assert not np.array_equal(predict(session.data, changed), predict(session.data, state))
@@ -245,8 +245,8 @@ def test_the_response_that_is_found_is_that_of_the_world(closed, world):
     clean, changed = ({row["id"]: (row, load_rir(world(kind) / "fit", row)) for row in read_rirs(world(kind) / "fit")}
                       for kind in ("clean", "source_response"))
     for source_id, found in extension.of.items():
-        true_db = np.mean([measure_cells(changed[name][1]).values[feature_slice("spectrum")]
-                           - measure_cells(rir).values[feature_slice("spectrum")]
+        true_db = np.mean([measure_features(changed[name][1]).values[feature_slice("spectrum")]
+                           - measure_features(rir).values[feature_slice("spectrum")]
                            for name, (row, rir) in clean.items() if row["source_id"] == source_id], axis=0)
         shape = np.array(found.gains_db)[:len(true_db)]
         upper = np.array(RESPONSE_HZ)[:len(true_db)] > 200.0

@@ -1,4 +1,4 @@
-"""How the loop decides: what cells a model expects, steps of a fit, whether an effect helps, what takes its place."""
+"""How the loop decides: what features a model expects, steps of a fit, whether an effect helps, what takes its place."""
 
 from types import SimpleNamespace
 
@@ -10,7 +10,7 @@ from roomeq.effects.noise_floor import NoiseFloor
 from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.loop import close
 from roomeq.loop.attribute import Candidate
-from roomeq.loop.cells import JND, LATE_S, N_CELLS, feature_slice
+from roomeq.loop.features import JND, LATE_S, N_FEATURES, feature_slice
 from roomeq.loop.fit import _solve, _step
 from roomeq.loop.heldout import Errors, p_lower
 from roomeq.loop.predict import base_state, predict
@@ -26,7 +26,7 @@ def test_a_step_goes_as_far_as_it_helps(to, expected):
     np.testing.assert_allclose(local[0], [expected, 2.0 * expected])
 
 
-def test_a_damped_step_leaves_what_cells_hardly_tell_of():
+def test_a_damped_step_leaves_what_features_hardly_tell_of():
     told = np.diag([1e4, 0.5])
     room = (told, np.zeros((2, 0)), np.zeros((0, 0)), told @ [0.3, 3.0], np.zeros(0), 1.0, 0.0)
     steps = [_solve([room], [np.eye(2)], np.zeros(0), [np.zeros(2)], np.zeros(0), np.zeros((0, 0)), damping)[1][0]
@@ -49,7 +49,7 @@ def test_an_effect_helps_by_what_all_rooms_gain_without_the_best(gain, size_jnd,
 def test_a_residual_of_one_room_is_unexplained_if_the_others_make_it_unlikely(extra_jnd):
     rng = np.random.default_rng(1)
     room = np.repeat(np.arange(8), 8)
-    residual = rng.normal(0.0, 0.7, (64, N_CELLS)) + rng.normal(0.0, 0.3, (8, N_CELLS))[room]
+    residual = rng.normal(0.0, 0.7, (64, N_FEATURES)) + rng.normal(0.0, 0.3, (8, N_FEATURES))[room]
     residual[room == 5, feature_slice("t30").start + 3] += extra_jnd
     data = SimpleNamespace(room=room, room_names=list("abcdefgh"), units=lambda scope: (["one"], np.zeros(64, int)))
     found = find_unexplained(SimpleNamespace(data=data, residual=residual))
@@ -60,7 +60,7 @@ def test_a_residual_of_one_room_is_unexplained_if_the_others_make_it_unlikely(ex
 
 
 @pytest.mark.parametrize("faster", [1.0, 1.03, 0.9])
-def test_cells_follow_the_speed_of_sound(faster):
+def test_features_follow_the_speed_of_sound(faster):
     rate = 14.0  # of the decay at the declared speed [1/s]
     arriving = np.exp(-rate * FRAME_EDGES_S[:-1]) - np.exp(-rate * FRAME_EDGES_S[1:])
     counts = np.zeros((len(arriving), 6))
@@ -71,11 +71,11 @@ def test_cells_follow_the_speed_of_sound(faster):
         distance_m=np.ones(1), speed_m_s=np.array([343.0]), air_per_m=np.zeros((1, 8)), white=np.full((1, 8), 1e-9))
     state = base_state(data, np.full((1, 2, 8), 0.1))
     state.speed_m_s = faster * data.speed_m_s
-    (cells,) = predict(data, state)
+    (features,) = predict(data, state)
     left = np.exp(-rate * faster * np.array([0.05, LATE_S]))
-    np.testing.assert_allclose(cells[feature_slice("c50")], 10.0 * np.log10(1.0 / left[0] - 1.0) / JND["c50"], atol=0.05)
-    np.testing.assert_allclose(cells[feature_slice("late")], 10.0 * np.log10(left[0] - left[1]), atol=0.05)
-    np.testing.assert_allclose(cells[feature_slice("t30")], np.log(6.0 * np.log(10.0) / rate / faster) / JND["t30"], atol=0.2)
+    np.testing.assert_allclose(features[feature_slice("c50")], 10.0 * np.log10(1.0 / left[0] - 1.0) / JND["c50"], atol=0.05)
+    np.testing.assert_allclose(features[feature_slice("late")], 10.0 * np.log10(left[0] - left[1]), atol=0.05)
+    np.testing.assert_allclose(features[feature_slice("t30")], np.log(6.0 * np.log(10.0) / rate / faster) / JND["t30"], atol=0.2)
 
 
 ROOMS_AND_HALVES = np.repeat(np.arange(8), 2), np.tile([0, 1], 8)
@@ -89,7 +89,7 @@ ROOMS_AND_HALVES = np.repeat(np.arange(8), 2), np.tile([0, 1], 8)
     ("positions", [[0.30, 0.0]] + [[0.01, -0.01]] * 7, False),  # a single half decides nothing
     ("positions", [[0.0, 0.0]] * 8, False)])
 def test_what_lowers_the_error_on_unseen_positions_and_in_unseen_rooms(way, of_halves, lower):
-    before = np.full((16, N_CELLS), 2.0)
+    before = np.full((16, N_FEATURES), 2.0)
     after = before - np.ravel(of_halves)[:, None]
     p = p_lower(Errors({way: before}, *ROOMS_AND_HALVES), Errors({way: after}, *ROOMS_AND_HALVES), way)
     assert (p < 0.025) == lower
@@ -108,8 +108,8 @@ def test_what_fits_worse_takes_no_place_of_what_is_not_proven(monkeypatch, chang
 
     def errors(model):
         by_room = np.repeat(np.tile([0.02, -0.02], 4), 2)[:, None] * (model is not None)
-        cells = 2.0 - lower.get(model, 0.0) + by_room + np.zeros((16, N_CELLS))
-        return Errors({"positions": cells, "rooms": cells}, *ROOMS_AND_HALVES)
+        features = 2.0 - lower.get(model, 0.0) + by_room + np.zeros((16, N_FEATURES))
+        return Errors({"positions": features, "rooms": features}, *ROOMS_AND_HALVES)
 
     monkeypatch.setattr(close, "begin", lambda data, like, **_: like)
     monkeypatch.setattr(close, "heldout_errors", errors)

@@ -7,7 +7,7 @@ import pytest
 
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.response import RESPONSE_HZ
-from roomeq.loop.cells import REGION
+from roomeq.loop.features import REGION
 from roomeq.loop.unexplained import Unexplained
 from roomeq.loop.words import of_effect, of_residual
 

@@ -15,7 +15,7 @@ import pytest
 import webdriver
 from report_run import HOSTILE, RIRS_PER_ROOM, ROOMS, make_run
 from roomeq.core.files import read_jsonl, write_json
-from roomeq.loop.cells import N_CELLS, feature_slice
+from roomeq.loop.features import N_FEATURES, feature_slice
 from roomeq.report import figures, make_report, section_wer
 from roomeq.report.build_page import SECTIONS, render_page
 from roomeq.report.load import Run
@@ -90,7 +90,7 @@ def test_escape_leaves_html_and_replaces_what_utf8_cannot_hold():
     assert escape("a\udcff") == "a?"
 
 
-def test_table_cells_are_escaped_and_aligned():
+def test_table_features_are_escaped_and_aligned():
     made = table("t", "<caption>", ["a", "<b>"], [["<i>", 2]])
     assert "&lt;i&gt;" in made and "&lt;b&gt;" in made and '<td class="n">2</td>' in made
 
@@ -192,7 +192,7 @@ def test_what_can_be_detected_is_said(tmp_path):
 
 
 def test_residual_maps_have_the_mean_size_of_every_region_and_band():
-    residual = np.full((2, N_CELLS), np.nan)
+    residual = np.full((2, N_FEATURES), np.nan)
     residual[0, feature_slice("t30")] = 3.0
     residual[1, feature_slice("late")] = -1.0
     residual[1, feature_slice("drr")] = 2.0

@@ -16,7 +16,7 @@ from roomeq.sim.render import MAX_LENGTH_S, render, tail_noise
 
 _LEVELS_DB = (-60.0, 0.0)
 _TIMES_S = (0.2, 6.0)
-_OVER_DB = 75.0  # below the response; see `roomeq.loop.cells.QUIET_DB`
+_OVER_DB = 75.0  # below the response; see `roomeq.loop.features.QUIET_DB`
 _DECAY = 6.0 * np.log(10.0)  # of energy over the decay time
 
 

@@ -14,7 +14,7 @@ from roomeq.effects.base import Effect
 from roomeq.sim.gather import FRAME_S
 from roomeq.sim.render import render
 
-_QUIET_DB = -55.0  # below it, noise disturbs nothing: roomeq.loop.cells
+_QUIET_DB = -55.0  # below it, noise disturbs nothing: roomeq.loop.features
 
 
 @dataclass(frozen=True)

@@ -5,15 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
+from roomeq.core.workers import share_out
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.room_eq import RoomEq
-from roomeq.loop.cells import METRIC
+from roomeq.loop.features import METRIC
 from roomeq.loop.fit import Fit, fit
-from roomeq.loop.layout import Layout
 from roomeq.loop.leftout import leave_rooms_out
+from roomeq.loop.packing import ParameterIndex
 from roomeq.loop.rendered_model import in_order
 from roomeq.loop.session import look_ahead
-from roomeq.loop.workers import share_out
 
 MIN_ROOMS = 3
 LEVEL = 0.05
@@ -34,7 +34,7 @@ class Candidate:
     gain : ndarray, shape (n_rooms,)
         By how much it raises the logarithm of the density given to each left-out room.
     size_jnd : float
-        Mean change of the cells that it touches.
+        Mean change of the features that it touches.
     """
 
     effect: type
@@ -115,24 +115,24 @@ def _best_starts(data, effects, effect, tried):
     best = max(tried, key=lambda one: one[1].sum())[0]
     if effect.SCOPE != "room":
         return best
-    layout, k = Layout(data, effects), effects.index(effect)
+    packing, k = ParameterIndex(data, effects), effects.index(effect)
     of_room = np.argmax([densities for _, densities in tried], axis=0)
-    chosen = np.array([layout.vectors(tried[start][0].mean, tried[start][0].local)[k][r]
+    chosen = np.array([packing.vectors(tried[start][0].mean, tried[start][0].local)[k][r]
                        for r, start in enumerate(of_room)])
     mean, local = best.mean.copy(), [one.copy() for one in best.local]
-    mean[layout.shared[k][0]] = chosen.mean(axis=0)
+    mean[packing.shared[k][0]] = chosen.mean(axis=0)
     for r, vector in enumerate(chosen):
-        local[r][layout.own_slices[r][0][k]] = vector - chosen.mean(axis=0)
+        local[r][packing.own_slices[r][0][k]] = vector - chosen.mean(axis=0)
     return replace(best, mean=mean, local=local)
 
 
 def size_of(session, effect, found):
-    """Mean change of the cells that an effect touches, of the metric that it changes most [JND]."""
-    data, layout = session.data, Layout(session.data, found.effects)
-    without = Layout(data, [one for one in found.effects if one is not effect])
-    absorption, vectors = layout.absorption(found.mean, found.local), layout.vectors(found.mean, found.local)
+    """Mean change of the features that an effect touches, of the metric that it changes most [JND]."""
+    data, packing = session.data, ParameterIndex(session.data, found.effects)
+    without = ParameterIndex(data, [one for one in found.effects if one is not effect])
+    absorption, vectors = packing.absorption(found.mean, found.local), packing.vectors(found.mean, found.local)
     silent = np.zeros(len(data.rows))
-    change = layout.predict(absorption, vectors, silent, 0.0) - without.predict(
+    change = packing.predict(absorption, vectors, silent, 0.0) - without.predict(
         absorption, [one for one, kind in zip(vectors, found.effects, strict=True) if kind is not effect], silent, 0.0)
     change = np.abs(np.where(data.valid, change, 0.0))
     by_metric = [change[:, METRIC == metric] for metric in np.unique(METRIC)]

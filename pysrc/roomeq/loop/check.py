@@ -9,8 +9,8 @@ from roomeq.core.constants import BANDS_HZ
 from roomeq.core.files import read_json
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, read_model, read_parameters
-from roomeq.loop.cells import LARGEST, METRIC, N_CELLS, REGION
 from roomeq.loop.examples import EXAMPLES_FILE, read_arrays, read_examples
+from roomeq.loop.features import LARGEST, METRIC, N_FEATURES, REGION
 from roomeq.loop.ledger import LEDGER_FILE
 
 RESIDUALS_FILE = "residuals.npz"
@@ -45,7 +45,7 @@ def validate_loop(directory):
 
 
 def read_residuals(path, n_rirs):
-    """Read measured less expected cells before and after: {"before", "after": ndarray, shape (n_rirs, n_cells)}.
+    """Read measured less expected features before and after: {"before", "after": ndarray, shape (n_rirs, n_features)}.
 
     Raises
     ------
@@ -54,8 +54,8 @@ def read_residuals(path, n_rirs):
     """
     arrays = read_arrays(path, ("before", "after"))
     for key, values in arrays.items():
-        if values.shape != (n_rirs, N_CELLS) or values.dtype.kind != "f" or np.any(np.isinf(values)):
-            raise ValueError(f"{path}: {key!r} must hold {n_rirs} x {N_CELLS} finite numbers or gaps, as {LEDGER_FILE} "
+        if values.shape != (n_rirs, N_FEATURES) or values.dtype.kind != "f" or np.any(np.isinf(values)):
+            raise ValueError(f"{path}: {key!r} must hold {n_rirs} x {N_FEATURES} finite numbers or gaps, as {LEDGER_FILE} "
                              "says: close the loop again")
     return arrays
 

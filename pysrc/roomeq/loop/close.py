@@ -133,8 +133,8 @@ def _accepted(session, errors, ranking):
             return None
         after = begin(session.data, like=winner.fit, correction=session.correction, seed=session.seed, nj=session.nj)
         errors_after = heldout_errors(after)
-        p = {way: p_lower(errors, errors_after, way) for way in errors.cells}
-        higher = any(p_lower(errors_after, errors, way) < LEVEL for way in errors.cells)
+        p = {way: p_lower(errors, errors_after, way) for way in errors.features}
+        higher = any(p_lower(errors_after, errors, way) < LEVEL for way in errors.features)
         if min(p.values()) < LEVEL / len(p) and not higher:
             return iteration_entry(winner, rivals, ranking, after, errors, errors_after, p), after, errors_after
         logger.info("loop: %s fits, but simulated again it %s the error; left out", winner.effect.NAME,
@@ -146,7 +146,7 @@ def _accepted(session, errors, ranking):
 
 def _error_entry(errors):
     return {way: dict(error=errors.mean(way), ci=errors.interval(way), by_metric=errors.by_metric(way),
-                      by_band=errors.by_band(way)) for way in errors.cells}
+                      by_band=errors.by_band(way)) for way in errors.features}
 
 
 def _test_errors(data, first, last, seed, nj):

@@ -1,4 +1,4 @@
-"""Measured RIRs as the loop sees them: their cells, who recorded them where, and what rays bring there."""
+"""Measured RIRs as the loop sees them: their features, who recorded them where, and what rays bring there."""
 
 import logging
 from dataclasses import dataclass, replace
@@ -10,10 +10,10 @@ from joblib import Parallel, delayed
 
 from roomeq.core.constants import FS_HZ
 from roomeq.core.rng import rng_for
+from roomeq.core.workers import share_out
 from roomeq.effects.model import Model
-from roomeq.loop.cells import JND, feature_slice, measure_cells
+from roomeq.loop.features import JND, feature_slice, measure_features
 from roomeq.loop.tables import ANGLES, collect
-from roomeq.loop.workers import share_out
 from roomeq.records.rir_dir import load_rir, read_rirs
 from roomeq.sim.geometry import find_place
 from roomeq.sim.response import trace_source
@@ -35,10 +35,10 @@ class Data:
     rows : list of dict
         Rows of the RIR directories, sorted by room and id.
     places : list of roomeq.sim.geometry.Place
-    cells, valid : ndarray, shape (n_rirs, n_cells)
-        What was measured, and which of it can be believed (`roomeq.loop.cells`).
+    features, valid : ndarray, shape (n_rirs, n_features)
+        What was measured, and which of it can be believed (`roomeq.loop.features`).
     white : ndarray, shape (n_rirs, 8)
-        White noise of the recordings (`roomeq.loop.cells.Cells`).
+        White noise of the recordings (`roomeq.loop.features.Features`).
     room, chain : ndarray of int, shape (n_rirs,)
         Number of the room, and of the combination of room, source and microphone.
     room_names : list of str
@@ -55,7 +55,7 @@ class Data:
 
     rows: list
     places: list
-    cells: np.ndarray
+    features: np.ndarray
     valid: np.ndarray
     white: np.ndarray
     room: np.ndarray
@@ -91,12 +91,12 @@ class Data:
         return int(np.sum(np.bincount(self.room) > 1))
 
     def residual(self, predicted):
-        """Measured less predicted cells, and which of them count, shape (n_rirs, n_cells) each."""
-        residual = self.cells - predicted
+        """Measured less predicted features, and which of them count, shape (n_rirs, n_features) each."""
+        residual = self.features - predicted
         return residual, self.valid & np.isfinite(residual)
 
     def rendered_change_of(self, effect):
-        """What an effect that has no say on tables changes in the cells, shape (n_nodes, n_rirs, n_cells)."""
+        """What an effect that has no say on tables changes in the features, shape (n_nodes, n_rirs, n_features)."""
         return self.rendered_changes[effect.NAME]
 
     def units(self, scope):
@@ -144,8 +144,8 @@ def load_data(directories, *, scattering, seed, model=None, nj=1):
     found.sort(key=lambda one: one[:2])
     found = _snapped(found)
     _require_unique(found)
-    cells = share_out(lambda one: _measure(*one[2:]), found, nj)
-    return _traced(found, cells, scattering, seed, Model() if model is None else model, nj)
+    features = share_out(lambda one: _measure(*one[2:]), found, nj)
+    return _traced(found, features, scattering, seed, Model() if model is None else model, nj)
 
 
 def _snapped(found):
@@ -191,12 +191,12 @@ def _measure(directory, row, place):
     expected = float(np.linalg.norm(np.subtract(place.mic_pos_m, place.source_pos_m))) / air_of(
         row).speed_m_s * FS_HZ if timed else None
     try:
-        return measure_cells(rir, expected, timed=timed)
+        return measure_features(rir, expected, timed=timed)
     except ValueError as error:
         raise ValueError(f"{Path(directory) / row['wav']}: {error}") from None
 
 
-def _traced(found, cells, scattering, seed, model, nj):
+def _traced(found, features, scattering, seed, model, nj):
     rows, places = [one[3] for one in found], [one[4] for one in found]
     room_names = sorted({row["room_id"] for row in rows})
     by_chain = [(row["room_id"], row["source_id"], row["mic_id"]) for row in rows]
@@ -209,7 +209,7 @@ def _traced(found, cells, scattering, seed, model, nj):
         place = places[members[0]]
         material = Material("surface", 0.0, float(scattering))
         scene = Scene(place.room, [material] * len(place.room.surfaces), air_of(rows[members[0]]))
-        length_s = float(np.clip(1.2 * max(_longest_s(cells[n]) for n in members) + 0.1, *LENGTHS_S))
+        length_s = float(np.clip(1.2 * max(_longest_s(features[n]) for n in members) + 0.1, *LENGTHS_S))
         one = trace_source(scene, source_pos_m, num_rays=NUM_RAYS, max_length_s=length_s,
                            rng=rng_for(seed, "loop trace", repr((room_id, source_pos_m))))
         return one, collect(one, [places[n].mic_pos_m for n in members], [_facing(rows[n]) for n in members])
@@ -221,8 +221,8 @@ def _traced(found, cells, scattering, seed, model, nj):
         for n, table in zip(members, of_members, strict=True):
             traced[n], tables[n] = one, table
     airs = [air_of(row) for row in rows]
-    return Data(rows=rows, places=places, cells=np.array([one.values for one in cells]),
-                valid=np.array([one.valid for one in cells]), white=np.array([one.white for one in cells]),
+    return Data(rows=rows, places=places, features=np.array([one.values for one in features]),
+                valid=np.array([one.valid for one in features]), white=np.array([one.white for one in features]),
                 room=np.array([room_names.index(row["room_id"]) for row in rows]),
                 chain=np.array([chains.index(chain) for chain in by_chain]),
                 room_names=room_names, traced=traced, tables=tables,
@@ -239,7 +239,7 @@ def _facing(row):
     return np.array(facing, dtype=float) / np.linalg.norm(facing)
 
 
-def _longest_s(cells):
+def _longest_s(features):
     """Longest decay time that was measured on an RIR [s]."""
-    times = [np.exp(cells.values[feature_slice(metric)][cells.valid[feature_slice(metric)]] * JND[metric]) for metric in ("t20", "t30")]
+    times = [np.exp(features.values[feature_slice(metric)][features.valid[feature_slice(metric)]] * JND[metric]) for metric in ("t20", "t30")]
     return max([LENGTHS_S[0], *np.concatenate(times)])

@@ -15,7 +15,7 @@ from numpy.lib.format import read_array
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.iso3382 import energy_decay, octave_bands
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
-from roomeq.loop.cells import THIRDS_HZ, feature_slice, measure_cells
+from roomeq.loop.features import THIRDS_HZ, feature_slice, measure_features
 from roomeq.loop.rendering import finished_rir, render_rows
 from roomeq.records.rir_dir import load_rir, read_rirs
 
@@ -37,7 +37,7 @@ class Examples:
     decay_db : ndarray, shape (n_examples, 3 kinds, 2 bands, n_times)
         Backward-integrated energy every `STEP_S` after the direct sound; NaN where noise hides it.
     spectrum_db : ndarray, shape (n_examples, 3 kinds, 22)
-        Level in third octaves (`roomeq.loop.cells.THIRDS_HZ`); NaN where it was not measured.
+        Level in third octaves (`roomeq.loop.features.THIRDS_HZ`); NaN where it was not measured.
     """
 
     ids: list
@@ -110,13 +110,13 @@ def make_examples(directories, first, last):
         measured = recorded[data.rows[n]["id"]]
         direct, _ = find_direct(measured, FS_HZ)
         decay_db[k, 0] = _decays(measured, direct)
-        cells = np.where(data.valid[n], data.cells[n], np.nan)[feature_slice("spectrum")]
-        spectrum_db[k, 0] = cells
+        features = np.where(data.valid[n], data.features[n], np.nan)[feature_slice("spectrum")]
+        spectrum_db[k, 0] = features
         for kind, session in enumerate((first, last), start=1):
             rir, direct, gain_db = _rendered(session, n)
             decay_db[k, kind] = _decays(rir, direct)
-            levels_db = measure_cells(rir, direct).values[feature_slice("spectrum")] + gain_db
-            spectrum_db[k, kind] = np.where(np.isfinite(cells), levels_db, np.nan)
+            levels_db = measure_features(rir, direct).values[feature_slice("spectrum")] + gain_db
+            spectrum_db[k, kind] = np.where(np.isfinite(features), levels_db, np.nan)
     return Examples([data.rows[n]["id"] for n in chosen], [data.rows[n]["room_id"] for n in chosen], decay_db,
                     spectrum_db)
 
@@ -142,11 +142,11 @@ def _recorded(directories, ids):
 def _rendered(session, n):
     """The RIR of a row as a session's model renders it, its direct sound, and the gain of its recording [dB]."""
     data = session.data
-    absorption = session.layout.absorption(session.fit.mean, session.fit.local)
+    absorption = session.packing.absorption(session.fit.mean, session.fit.local)
     by_row = session.by_row
     (raw,), _ = render_rows(data, absorption[data.room], by_row, seed=session.seed, rows=[n])
     rir = finished_rir(data, n, raw, by_row[n], session.seed)
-    return rir, data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ, session.layout.gains(session.fit.local)[n]
+    return rir, data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ, session.packing.gains(session.fit.local)[n]
 
 
 def _decays(rir, direct):

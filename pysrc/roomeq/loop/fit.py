@@ -3,12 +3,12 @@
 Conventions
 -----------
 What is unknown of a room: its absorption per band ``x = ln(-ln(1 - alpha))``, by how much floor and ceiling absorb more
-than the walls, gains (`roomeq.loop.layout`), and the vectors of effects whose scope is the room. These are Gaussian
+than the walls, gains (`roomeq.loop.packing`), and the vectors of effects whose scope is the room. These are Gaussian
 about a mean that all rooms share, with a spread that is estimated from them (empirical Bayes): so absorption cannot
 swallow what all rooms have in common, unless rooms differ so much that nothing is common. What is unknown of all: those
 means, and the vectors of the other effects.
 
-Cells scatter by `sigma` from RIR to RIR and by `omega` from room to room; both are estimated from what a model leaves.
+Features scatter by `sigma` from RIR to RIR and by `omega` from room to room; both are estimated from what a model leaves.
 """
 
 from dataclasses import dataclass
@@ -16,16 +16,16 @@ from functools import partial
 
 import numpy as np
 
-from roomeq.loop.cells import HAS_GAIN, N_CELLS
-from roomeq.loop.layout import N_SURFACE, OWN, Layout
+from roomeq.loop.features import HAS_GAIN, N_FEATURES
 from roomeq.loop.linear import linearise, misfit, normal_equations, scatter
+from roomeq.loop.packing import N_SURFACE, OWN, ParameterIndex
 from roomeq.loop.predict import N_BANDS
 
 ITERATIONS = 5
 _SHARES = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried
 _DAMPING = 30.0
 """Of a step that does not help, in units of the prior's precision (Levenberg, Quart. Appl. Math. 2 (1944) 164): what
-cells hardly tell of, such as a parameter at its limit, moves little then, and holds nothing else up."""
+features hardly tell of, such as a parameter at its limit, moves little then, and holds nothing else up."""
 START_X = np.log(0.2)
 _WHOLE_GAIN_DB = 30.0  # spread of the gain of a chain or a room
 _GAIN_DB = (0.3, _WHOLE_GAIN_DB)  # of what a source or a microphone has besides
@@ -56,15 +56,15 @@ class Fit:
         Per room: deviation of the absorption, gains, deviations of its effects.
     covariance : list of ndarray
         Of `local`, before the room's own RIRs are seen.
-    sigma, omega : ndarray, shape (n_cells,)
-    predicted : ndarray, shape (n_rirs, n_cells)
+    sigma, omega : ndarray, shape (n_features,)
+    predicted : ndarray, shape (n_rirs, n_features)
     normal : list of (ndarray, ndarray, ndarray, ndarray, ndarray, float)
         Per room, whitened: products of the derivatives by local and by shared unknowns with themselves, with each
         other and with the residual; and its density's constant.
-    by_surface : ndarray, shape (n_rirs, n_cells, 16)
-        Derivatives of the cells by the unknowns of the surfaces.
+    by_surface : ndarray, shape (n_rirs, n_features, 16)
+        Derivatives of the features by the unknowns of the surfaces.
     gain_db : tuple of float
-        Spread of each kind of gain (`roomeq.loop.layout.GAINS`).
+        Spread of each kind of gain (`roomeq.loop.packing.GAINS`).
     """
 
     effects: tuple
@@ -85,8 +85,8 @@ def fit(data, correction, effects, start=None, like=None, iterations=ITERATIONS)
     Parameters
     ----------
     data : roomeq.loop.data.Data
-    correction : ndarray, shape (n_rirs, n_cells)
-        What cells measured on rendered RIRs have over cells predicted from tables.
+    correction : ndarray, shape (n_rirs, n_features)
+        What features measured on rendered RIRs have over features predicted from tables.
     effects : sequence of types
     start : sequence of array_like, optional
         First vector of each effect; its own first `STARTS` if not given.
@@ -98,29 +98,29 @@ def fit(data, correction, effects, start=None, like=None, iterations=ITERATIONS)
     -------
     Fit
     """
-    layout = Layout(data, effects)
-    start = [effect.STARTS[0] for effect in layout.effects] if start is None else start
-    mean, prior_mean, prior = shared_prior(layout, start)
-    local = [np.zeros(size) for _, size in layout.own_slices]
-    shape, own_scale = (0.3, 0.2, 0.1), [1.0] * len(layout.effects)
+    packing = ParameterIndex(data, effects)
+    start = [effect.STARTS[0] for effect in packing.effects] if start is None else start
+    mean, prior_mean, prior = shared_prior(packing, start)
+    local = [np.zeros(size) for _, size in packing.own_slices]
+    shape, own_scale = (0.3, 0.2, 0.1), [1.0] * len(packing.effects)
     gain_db = (_WHOLE_GAIN_DB, 3.0, 3.0) if like is None else like.gain_db
-    sigma, omega = np.full(N_CELLS, 2.0), np.full(N_CELLS, 1.0)
+    sigma, omega = np.full(N_FEATURES, 2.0), np.full(N_FEATURES, 1.0)
     if like is None:
         mean[:N_BANDS] = prior_mean[:N_BANDS] = START_X
-        first_gains(layout, correction, mean, local)
+        first_gains(packing, correction, mean, local)
     else:
-        _continue(layout, like, mean, local)
+        _continue(packing, like, mean, local)
         sigma, omega = like.sigma.copy(), like.omega.copy()
     known = None if like is None else like.by_surface
     for iteration in range(iterations):
-        covariance = covariances(layout, shape, own_scale, gain_db)
-        predicted, slopes = linearise(layout, mean, local, correction, known)
+        covariance = covariances(packing, shape, own_scale, gain_db)
+        predicted, slopes = linearise(packing, mean, local, correction, known)
         residual, valid = data.residual(predicted)
         if iteration:
             sigma, omega = scatter(data, residual, valid)
-        normal = [normal_equations(layout, r, residual, valid, slopes, sigma, omega)
+        normal = [normal_equations(packing, r, residual, valid, slopes, sigma, omega)
                   for r in range(len(local))]
-        cost = partial(_cost, layout, correction, sigma, omega, covariance, prior_mean, prior)
+        cost = partial(_cost, packing, correction, sigma, omega, covariance, prior_mean, prior)
         limit, old = cost(mean, local, predicted), (mean, local)
         *new, spreads = _solve(normal, covariance, mean, local, prior_mean, prior)
         mean, local = _step(cost, limit, old, new, shares=_SHARES[:1])
@@ -128,23 +128,23 @@ def fit(data, correction, effects, start=None, like=None, iterations=ITERATIONS)
             *new, _ = _solve(normal, covariance, mean, local, prior_mean, prior, damping=_DAMPING)
             mean, local = _step(cost, limit, old, new)
         shape = _best_shape(local, spreads)
-        own_scale = [_own_scale(layout, k, local, spreads) for k in range(len(layout.effects))]
-        gain_db = (_WHOLE_GAIN_DB, *(_gain_db(layout, kind, local, spreads) for kind in (1, 2)))
-    covariance = covariances(layout, shape, own_scale, gain_db)
-    predicted, slopes = linearise(layout, mean, local, correction, known)
+        own_scale = [_own_scale(packing, k, local, spreads) for k in range(len(packing.effects))]
+        gain_db = (_WHOLE_GAIN_DB, *(_gain_db(packing, kind, local, spreads) for kind in (1, 2)))
+    covariance = covariances(packing, shape, own_scale, gain_db)
+    predicted, slopes = linearise(packing, mean, local, correction, known)
     residual, valid = data.residual(predicted)
     sigma, omega = scatter(data, residual, valid)
-    normal = [normal_equations(layout, r, residual, valid, slopes, sigma, omega) for r in range(len(local))]
-    return Fit(layout.effects, mean, local, covariance, sigma, omega, predicted, normal, slopes[0], gain_db)
+    normal = [normal_equations(packing, r, residual, valid, slopes, sigma, omega) for r in range(len(local))]
+    return Fit(packing.effects, mean, local, covariance, sigma, omega, predicted, normal, slopes[0], gain_db)
 
 
-def shared_prior(layout, start):
+def shared_prior(packing, start):
     """First value, mean and precision of the shared unknowns."""
-    mean = np.zeros(layout.n_shared)
-    precision = np.zeros((layout.n_shared, layout.n_shared))
+    mean = np.zeros(packing.n_shared)
+    precision = np.zeros((packing.n_shared, packing.n_shared))
     spread = np.repeat([_MEAN_SPREAD, _MEAN_CONTRAST], N_BANDS)
     precision[:N_SURFACE, :N_SURFACE] = np.diag(spread ** -2.0)
-    for effect, first, (part, count, _, size) in zip(layout.effects, start, layout.shared, strict=True):
+    for effect, first, (part, count, _, size) in zip(packing.effects, start, packing.shared, strict=True):
         if size:
             mean[part] = np.tile(first, count)
             inverse = np.linalg.inv(effect.prior_covariance())
@@ -154,41 +154,41 @@ def shared_prior(layout, start):
     return mean, mean.copy(), precision
 
 
-def first_gains(layout, correction, mean, local):
-    predicted = layout.predict(layout.absorption(mean, local), layout.vectors(mean, local),
-                               np.zeros(len(layout.data.rows)), correction)
-    error = np.where(layout.data.valid & HAS_GAIN, layout.data.cells - predicted, np.nan)
-    for r, (members, parts) in enumerate(zip(layout.members, layout.gain_of, strict=True)):
-        for n in np.flatnonzero(layout.gain_kind[r] == 0):
+def first_gains(packing, correction, mean, local):
+    predicted = packing.predict(packing.absorption(mean, local), packing.vectors(mean, local),
+                               np.zeros(len(packing.data.rows)), correction)
+    error = np.where(packing.data.valid & HAS_GAIN, packing.data.features - predicted, np.nan)
+    for r, (members, parts) in enumerate(zip(packing.members, packing.gain_of, strict=True)):
+        for n in np.flatnonzero(packing.gain_kind[r] == 0):
             found = error[members[parts[:, n] > 0.0]]
             local[r][N_SURFACE + n] = np.nanmedian(found) if np.isfinite(found).any() else 0.0
 
 
-def _continue(layout, like, mean, local):
+def _continue(packing, like, mean, local):
     """Take over what a fit of fewer effects found."""
-    before = Layout(layout.data, like.effects)
+    before = ParameterIndex(packing.data, like.effects)
     mean[:N_SURFACE] = like.mean[:N_SURFACE]
-    for k, effect in enumerate(layout.effects):
+    for k, effect in enumerate(packing.effects):
         if effect in like.effects:
-            mean[layout.shared[k][0]] = like.mean[before.shared[like.effects.index(effect)][0]]
+            mean[packing.shared[k][0]] = like.mean[before.shared[like.effects.index(effect)][0]]
     for r in range(len(local)):
-        n = N_SURFACE + len(layout.gain_kind[r])
+        n = N_SURFACE + len(packing.gain_kind[r])
         local[r][:n] = like.local[r][:n]
-        for k, effect in enumerate(layout.effects):
+        for k, effect in enumerate(packing.effects):
             if effect in like.effects:
-                local[r][layout.own_slices[r][0][k]] = like.local[r][
+                local[r][packing.own_slices[r][0][k]] = like.local[r][
                     before.own_slices[r][0][like.effects.index(effect)]]
 
 
-def covariances(layout, shape, own_scale, gain_db):
+def covariances(packing, shape, own_scale, gain_db):
     found = []
-    for (slices, size), kinds in zip(layout.own_slices, layout.gain_kind, strict=True):
+    for (slices, size), kinds in zip(packing.own_slices, packing.gain_kind, strict=True):
         covariance = np.zeros((size, size))
         covariance[:N_BANDS, :N_BANDS] = absorption_covariance(*shape)
         covariance[N_BANDS:N_SURFACE, N_BANDS:N_SURFACE] = absorption_covariance(*_CONTRAST)
         gains = np.arange(N_SURFACE, N_SURFACE + len(kinds))
         covariance[gains, gains] = np.square(gain_db)[kinds]
-        for k, effect in enumerate(layout.effects):
+        for k, effect in enumerate(packing.effects):
             if slices[k].stop > slices[k].start:
                 one = effect.prior_covariance()
                 count = (slices[k].stop - slices[k].start) // len(one)
@@ -213,7 +213,7 @@ def _solve(normal, covariance, mean, local, prior_mean, prior, damping=0.0):
 
 
 def _step(cost, limit, old, new, shares=_SHARES):
-    """As much of a step as brings the cost below a limit: a whole one where cells are nearly linear, else a half."""
+    """As much of a step as brings the cost below a limit: a whole one where features are nearly linear, else a half."""
     for share in shares:
         mean = old[0] + share * (new[0] - old[0])
         local = [a + share * (b - a) for a, b in zip(old[1], new[1], strict=True)]
@@ -222,15 +222,15 @@ def _step(cost, limit, old, new, shares=_SHARES):
     return old
 
 
-def _cost(layout, correction, sigma, omega, covariance, prior_mean, prior, mean, local, predicted=None):
+def _cost(packing, correction, sigma, omega, covariance, prior_mean, prior, mean, local, predicted=None):
     """Twice the negative logarithm of the posterior density, but for a constant (Huber's loss for outliers)."""
-    data = layout.data
+    data = packing.data
     if predicted is None:
-        predicted = layout.predict(layout.absorption(mean, local), layout.vectors(mean, local), layout.gains(local),
+        predicted = packing.predict(packing.absorption(mean, local), packing.vectors(mean, local), packing.gains(local),
                                    correction)
     residual, valid = data.residual(predicted)
     total = (mean - prior_mean) @ prior @ (mean - prior_mean)
-    for members, one, cov in zip(layout.members, local, covariance, strict=True):
+    for members, one, cov in zip(packing.members, local, covariance, strict=True):
         total += one @ np.linalg.solve(cov, one) + misfit(residual[members], valid[members], sigma, omega)
     return total
 
@@ -250,20 +250,20 @@ def _best_shape(local, spreads):
     return best
 
 
-def _own_scale(layout, k, local, spreads):
+def _own_scale(packing, k, local, spreads):
     """Spread of a room's effect over rooms, as a factor of the effect's own `SPREAD`."""
-    effect = layout.effects[k]
+    effect = packing.effects[k]
     if effect.SCOPE not in OWN or not effect.SPREAD:
         return 1.0
     variance = np.diag(effect.prior_covariance())
     found = [(u[part] ** 2 + np.diag(spread)[part]).reshape(-1, len(variance)) / variance
-             for u, spread, part in zip(local, spreads, [slices[k] for slices, _ in layout.own_slices], strict=True)]
+             for u, spread, part in zip(local, spreads, [slices[k] for slices, _ in packing.own_slices], strict=True)]
     return float(np.clip(np.sqrt(np.mean(np.concatenate(found))), 0.15, 1.5))
 
 
-def _gain_db(layout, kind, local, spreads):
+def _gain_db(packing, kind, local, spreads):
     """Spread of the gains of sources, or of microphones, within rooms [dB]; the widest where there are none."""
     found = [np.square(u[at]) + np.diag(spread)[at] for u, spread, at in zip(
-        local, spreads, [N_SURFACE + np.flatnonzero(kinds == kind) for kinds in layout.gain_kind], strict=True)]
+        local, spreads, [N_SURFACE + np.flatnonzero(kinds == kind) for kinds in packing.gain_kind], strict=True)]
     found = np.concatenate(found)
     return float(np.clip(np.sqrt(found.mean()), *_GAIN_DB)) if len(found) else _GAIN_DB[1]

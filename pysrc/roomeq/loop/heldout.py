@@ -17,16 +17,16 @@ from scipy import stats
 
 from roomeq.core.constants import BAND_1KHZ
 from roomeq.loop.attribute import one_sided_p
-from roomeq.loop.cells import HAS_GAIN, LARGEST, METRIC
+from roomeq.loop.features import HAS_GAIN, LARGEST, METRIC
 from roomeq.loop.leftout import CALIBRATION_FEATURES, calibrate, leave_rooms_out
-from roomeq.loop.predict import BAND_OF_CELL
+from roomeq.loop.predict import BAND_OF_FEATURE
 from roomeq.loop.rendered_model import effects_of_rows
 from roomeq.loop.rendering import render_rows
 
 _METRICS = tuple(dict.fromkeys(METRIC.tolist()))
 KNOWN = {"positions": None,
-         "rooms": (np.isin(METRIC, ["t20", "t30"]) & (BAND_OF_CELL == BAND_1KHZ)) | (METRIC == "direct")}
-"""Cells that calibration may look at, for each way of meeting a room; None for all."""
+         "rooms": (np.isin(METRIC, ["t20", "t30"]) & (BAND_OF_FEATURE == BAND_1KHZ)) | (METRIC == "direct")}
+"""Features that calibration may look at, for each way of meeting a room; None for all."""
 _SIGNS = 2 ** 16  # of the halves of eight rooms all, of more a part
 
 
@@ -36,28 +36,28 @@ class Errors:
 
     Attributes
     ----------
-    cells : dict
-        {"positions" or "rooms": ndarray, shape (n_rirs, n_cells)}: absolute errors [JND], NaN where nothing was
+    features : dict
+        {"positions" or "rooms": ndarray, shape (n_rirs, n_features)}: absolute errors [JND], NaN where nothing was
         measured.
     room, half : ndarray of int, shape (n_rirs,)
         Number of the room, and of its half.
     """
 
-    cells: dict
+    features: dict
     room: np.ndarray
     half: np.ndarray
 
     def of_rooms(self, way):
         """Mean error of each room that has one, every metric with the same weight, shape (n_rooms,)."""
-        return np.array([_mean_of_metrics(self.cells[way][self.room == r]) for r in self._scored(way)])
+        return np.array([_mean_of_metrics(self.features[way][self.room == r]) for r in self._scored(way)])
 
     def of_halves(self, way):
         """The same for each half of each room, shape (n_rooms, 2)."""
-        return np.array([[_mean_of_metrics(self.cells[way][(self.room == r) & (self.half == half)])
+        return np.array([[_mean_of_metrics(self.features[way][(self.room == r) & (self.half == half)])
                           for half in (0, 1)] for r in self._scored(way)])
 
     def _scored(self, way):
-        return np.unique(self.room[np.isfinite(self.cells[way]).any(axis=1)])
+        return np.unique(self.room[np.isfinite(self.features[way]).any(axis=1)])
 
     def mean(self, way):
         return float(self.of_rooms(way).mean())
@@ -72,17 +72,17 @@ class Errors:
 
     def by_metric(self, way):
         """Mean error per metric [JND]."""
-        return {metric: float(np.nanmean(self.cells[way][:, METRIC == metric])) for metric in _METRICS
-                if np.isfinite(self.cells[way][:, METRIC == metric]).any()}
+        return {metric: float(np.nanmean(self.features[way][:, METRIC == metric])) for metric in _METRICS
+                if np.isfinite(self.features[way][:, METRIC == metric]).any()}
 
     def by_band(self, way):
         """Mean error per octave band, None where nothing was measured [JND]."""
-        found = [self.cells[way][:, BAND_OF_CELL == band] for band in range(8)]
+        found = [self.features[way][:, BAND_OF_FEATURE == band] for band in range(8)]
         return [float(np.nanmean(one)) if np.isfinite(one).any() else None for one in found]
 
 
-def _mean_of_metrics(cells):
-    metrics = [cells[:, METRIC == metric] for metric in _METRICS]
+def _mean_of_metrics(features):
+    metrics = [features[:, METRIC == metric] for metric in _METRICS]
     means = [np.nanmean(one) for one in metrics if np.isfinite(one).any()]
     return np.mean(means) if means else np.nan
 
@@ -147,7 +147,7 @@ def scored_errors(data, calibrated, *, seed, nj):
     ----------
     data : roomeq.loop.data.Data
     calibrated : callable
-        Takes the RIRs of each room that may be looked at, and which of their cells; gives the absorption of rooms,
+        Takes the RIRs of each room that may be looked at, and which of their features; gives the absorption of rooms,
         the effects of each RIR and their gains.
     seed, nj : int
 
@@ -159,15 +159,15 @@ def scored_errors(data, calibrated, *, seed, nj):
     result, half = {}, np.zeros(len(data.rows), dtype=int)
     half[np.concatenate(second)] = 1
     for way, chosen in KNOWN.items():
-        cells = np.full(data.cells.shape, np.nan)
+        features = np.full(data.features.shape, np.nan)
         for known, scored in ((first, second), (second, first)):
             # a room with a single RIR has nothing to calibrate it, and no error
             rows = np.concatenate([of_room if len(others) else others for others, of_room in zip(known, scored,
                                                                                                 strict=True)])
             absorption, by_row, gains = calibrated(known, chosen)
             _, rendered = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj, rows=rows)
-            error = np.abs(data.cells[rows] - rendered - np.outer(gains[rows], HAS_GAIN))
+            error = np.abs(data.features[rows] - rendered - np.outer(gains[rows], HAS_GAIN))
             error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
-            cells[rows] = np.where(data.valid[rows] & ~CALIBRATION_FEATURES, error, np.nan)
-        result[way] = cells
+            features[rows] = np.where(data.valid[rows] & ~CALIBRATION_FEATURES, error, np.nan)
+        result[way] = features
     return Errors(result, data.room, half)

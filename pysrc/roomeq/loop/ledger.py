@@ -4,16 +4,16 @@ from dataclasses import asdict
 
 import numpy as np
 
-from roomeq.loop.layout import OWN
 from roomeq.loop.leftout import leave_rooms_out
+from roomeq.loop.packing import OWN
 
 LEDGER_FILE = "ledger.json"
 
 
 def values_of(session):
     """Parameters of each effect: list of (effect, {unit: effect}, typical vector, spread of the vector)."""
-    layout, data = session.layout, session.data
-    vectors = layout.vectors(session.fit.mean, session.fit.local)
+    packing, data = session.packing, session.data
+    vectors = packing.vectors(session.fit.mean, session.fit.local)
     result = []
     for effect, one in zip(session.effects, vectors, strict=True):
         names = data.units(effect.SCOPE)[0]
@@ -25,14 +25,14 @@ def values_of(session):
 
 def _parameter_intervals(session, effect):
     """Parameters with intervals of 95 %: a jackknife over rooms of what all share, the rooms' own spread else."""
-    layout, data = session.layout, session.data
+    packing, data = session.packing, session.data
     k = session.effects.index(effect)
     names = data.units(effect.SCOPE)[0]
-    best = layout.vectors(session.fit.mean, session.fit.local)[k]
+    best = packing.vectors(session.fit.mean, session.fit.local)[k]
     if effect.SCOPE in OWN:
         low = high = None
     else:
-        left = np.array([layout.vectors(one.mean, session.fit.local)[k]
+        left = np.array([packing.vectors(one.mean, session.fit.local)[k]
                          for one in leave_rooms_out(data, session.fit)])
         half = 1.96 * np.sqrt((len(left) - 1) / len(left) * np.sum((left - left.mean(axis=0)) ** 2, axis=0))
         low, high = best - half, best + half

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomeq.loop.cells import METRIC, N_CELLS
+from roomeq.loop.features import METRIC, N_FEATURES
 from roomeq.loop.fit import ITERATIONS, START_X, covariances, first_gains, shared_prior
-from roomeq.loop.layout import N_SURFACE, Layout
 from roomeq.loop.linear import linearise, normal_equations
+from roomeq.loop.packing import N_SURFACE, ParameterIndex
 from roomeq.loop.predict import N_BANDS
 
-CALIBRATION_FEATURES = (METRIC == "direct") & (np.arange(N_CELLS) % 2 == 0)
-"""Cells of scored RIRs that tell whether their direct sound is obstructed, and are not scored."""
+CALIBRATION_FEATURES = (METRIC == "direct") & (np.arange(N_FEATURES) % 2 == 0)
+"""Features of scored RIRs that tell whether their direct sound is obstructed, and are not scored."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ class LeftOut:
 
 def leave_rooms_out(data, found):
     """Fit each model to all rooms but one and judge it by that one; a LeftOut per room."""
-    layout = Layout(data, found.effects)
-    _, prior_mean, prior = shared_prior(layout, [effect.STARTS[0] for effect in layout.effects])
+    packing = ParameterIndex(data, found.effects)
+    _, prior_mean, prior = shared_prior(packing, [effect.STARTS[0] for effect in packing.effects])
     prior_mean[:N_BANDS] = START_X
     parts = []
     for (uu, ug, gg, ue, ge, *_), cov, u in zip(found.normal, found.covariance, found.local, strict=True):
@@ -72,10 +72,10 @@ def _log_density(found, r, precision, step):
                  - 0.5 * (np.linalg.slogdet(posterior)[1] - np.linalg.slogdet(prior)[1]) - log_scale)
 
 
-def _looked_at(layout, r, valid, known):
-    """Cells that a room's calibration may look at: of RIRs to be scored only what tells what is theirs alone."""
+def _looked_at(packing, r, valid, known):
+    """Features that a room's calibration may look at: of RIRs to be scored only what tells what is theirs alone."""
     looked_at = valid.copy()
-    looked_at[np.setdiff1d(layout.members[r], known)] &= CALIBRATION_FEATURES
+    looked_at[np.setdiff1d(packing.members[r], known)] &= CALIBRATION_FEATURES
     return looked_at
 
 
@@ -89,9 +89,9 @@ def calibrate(data, found, left_out, index, correction, *, chosen=None):
     left_out : list of LeftOut
     index : list of ndarray
         For each room, the RIRs that may be looked at.
-    correction : ndarray, shape (n_rirs, n_cells)
-    chosen : ndarray of bool, shape (n_cells,), optional
-        The cells that may be looked at; all by default.
+    correction : ndarray, shape (n_rirs, n_features)
+    chosen : ndarray of bool, shape (n_features,), optional
+        The features that may be looked at; all by default.
 
     Returns
     -------
@@ -101,40 +101,40 @@ def calibrate(data, found, left_out, index, correction, *, chosen=None):
         For each room, the vectors of each effect's units.
     gains : ndarray, shape (n_rirs,)
     """
-    layout = Layout(data, found.effects)
-    predicted, slopes = linearise(layout, found.mean, found.local, correction, found.by_surface)
+    packing = ParameterIndex(data, found.effects)
+    predicted, slopes = linearise(packing, found.mean, found.local, correction, found.by_surface)
     residual, valid = data.residual(predicted)
     if chosen is not None:
         valid = valid & chosen
     absorption, vectors, gains = np.empty((len(found.local), 2, N_BANDS)), [], np.empty(len(data.rows))
     for r, (u, one) in enumerate(zip(found.local, left_out, strict=True)):
-        looked_at = _looked_at(layout, r, valid, index[r])
-        uu, ug, _, ue, *_ = normal_equations(layout, r, residual, looked_at, slopes, found.sigma, found.omega)
+        looked_at = _looked_at(packing, r, valid, index[r])
+        uu, ug, _, ue, *_ = normal_equations(packing, r, residual, looked_at, slopes, found.sigma, found.omega)
         inverse = np.linalg.inv(found.covariance[r])
         own = u + np.linalg.solve(uu + inverse, ue - ug @ (one.mean - found.mean) - inverse @ u)
         local = [own if s == r else other for s, other in enumerate(found.local)]
-        absorption[r] = layout.absorption(one.mean, local)[r]
-        vectors.append(layout.vectors(one.mean, local))
+        absorption[r] = packing.absorption(one.mean, local)[r]
+        vectors.append(packing.vectors(one.mean, local))
         mine = data.room == r
-        gains[mine] = layout.gains(local)[mine]
+        gains[mine] = packing.gains(local)[mine]
     return absorption, vectors, gains
 
 
-def solve_rooms(layout, like, mean, correction, index, chosen=None, iterations=ITERATIONS):
+def solve_rooms(packing, like, mean, correction, index, chosen=None, iterations=ITERATIONS):
     """What is unknown of each room of new data, given what all rooms share.
 
     Parameters
     ----------
-    layout : Layout
+    packing : ParameterIndex
         Of the new data.
     like : Fit
-        Gives the spread over rooms and the scatter of cells.
+        Gives the spread over rooms and the scatter of features.
     mean : ndarray, shape (n_shared,)
-    correction : ndarray, shape (n_rirs, n_cells)
+    correction : ndarray, shape (n_rirs, n_features)
     index : list of ndarray
         For each room, the RIRs that may be looked at.
-    chosen : ndarray of bool, shape (n_cells,), optional
-        The cells that may be looked at.
+    chosen : ndarray of bool, shape (n_features,), optional
+        The features that may be looked at.
     iterations : int
 
     Returns
@@ -142,21 +142,21 @@ def solve_rooms(layout, like, mean, correction, index, chosen=None, iterations=I
     list of ndarray
         As `Fit.local`.
     """
-    data = layout.data
-    own_scale = [1.0] * len(layout.effects)
-    spreads = covariances(layout, (0.3, 0.2, 0.1), own_scale, like.gain_db)
+    data = packing.data
+    own_scale = [1.0] * len(packing.effects)
+    spreads = covariances(packing, (0.3, 0.2, 0.1), own_scale, like.gain_db)
     for covariance in spreads:
         covariance[:N_SURFACE, :N_SURFACE] = like.covariance[0][:N_SURFACE, :N_SURFACE]
-    local = [np.zeros(size) for _, size in layout.own_slices]
-    first_gains(layout, correction, mean, local)
+    local = [np.zeros(size) for _, size in packing.own_slices]
+    first_gains(packing, correction, mean, local)
     for _ in range(iterations):
-        predicted, slopes = linearise(layout, mean, local, correction)
+        predicted, slopes = linearise(packing, mean, local, correction)
         residual, valid = data.residual(predicted)
         if chosen is not None:
             valid = valid & chosen
         for r, covariance in enumerate(spreads):
-            looked_at = _looked_at(layout, r, valid, index[r])
-            uu, _, _, ue, *_ = normal_equations(layout, r, residual, looked_at, slopes, like.sigma, like.omega)
+            looked_at = _looked_at(packing, r, valid, index[r])
+            uu, _, _, ue, *_ = normal_equations(packing, r, residual, looked_at, slopes, like.sigma, like.omega)
             inverse = np.linalg.inv(covariance)
             local[r] = local[r] + np.linalg.solve(uu + inverse, ue - inverse @ local[r])
     return local

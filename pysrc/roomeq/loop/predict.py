@@ -1,7 +1,7 @@
-"""Expected cells of every RIR from tables of energy: what a parameter changes, without rendering.
+"""Expected features of every RIR from tables of energy: what a parameter changes, without rendering.
 
 A `State` says what is assumed: absorption and air, and what effects changed. Only differences between two states are
-used, added to cells measured on rendered RIRs: what windows and filters do to a cell is then in both.
+used, added to features measured on rendered RIRs: what windows and filters do to a feature is then in both.
 """
 
 from dataclasses import dataclass
@@ -11,14 +11,14 @@ import numpy as np
 from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.core.jit import compiled
 from roomeq.effects.response import RESPONSE_HZ
-from roomeq.loop.cells import (
+from roomeq.loop.features import (
     BAND_HZ,
     DIRECT_S,
     DIRECT_THIRDS_HZ,
     EARLY_S,
     JND,
     LATE_S,
-    N_CELLS,
+    N_FEATURES,
     OCTAVE_WIDTH_HZ,
     QUIET,
     THIRDS_HZ,
@@ -69,8 +69,8 @@ class State:
         Energy of 100 ms of noise relative to the response, white noise of the recording left out.
     delay_s : ndarray, shape (n_rirs,)
         By which the direct sound comes late.
-    rendered_change : ndarray, shape (n_rirs, n_cells)
-        Added to the cells [JND].
+    rendered_change : ndarray, shape (n_rirs, n_features)
+        Added to the features [JND].
     """
 
     absorption: np.ndarray
@@ -106,7 +106,7 @@ def base_state(data, absorption):
     state = State(absorption=absorption[data.room], air_per_m=data.air_per_m.copy(), speed_m_s=data.speed_m_s.copy(),
                   ray_gain=None, direct_gain=np.ones((n, N_BANDS)), direct_thirds=np.ones((n, len(THIRDS_HZ))),
                   decays=[], response_db=np.zeros((n, len(RESPONSE_HZ))),
-                  floor=np.zeros((n, N_BANDS)), delay_s=np.zeros(n), rendered_change=np.zeros((n, N_CELLS)))
+                  floor=np.zeros((n, N_BANDS)), delay_s=np.zeros(n), rendered_change=np.zeros((n, N_FEATURES)))
     for effect, rows in data.given_to:
         effect.apply_to_prediction(state, data, rows)
     return state
@@ -133,7 +133,7 @@ def reflected_energy(data, state):
 
 
 class Reflected:
-    """What cells take of the energy of all but the direct sound: the same for states that differ in other things.
+    """What features take of the energy of all but the direct sound: the same for states that differ in other things.
 
     Attributes
     ----------
@@ -157,7 +157,7 @@ class Reflected:
 
 
 def predict(data, state, reflected=None):
-    """Expected cells in JND, gains of the recordings left out.
+    """Expected features in JND, gains of the recordings left out.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def predict(data, state, reflected=None):
 
     Returns
     -------
-    ndarray, shape (n_rirs, n_cells)
+    ndarray, shape (n_rirs, n_features)
     """
     reflected = Reflected(data, state) if reflected is None else reflected
     near, early, late, whole = reflected.near, reflected.early, reflected.late, reflected.whole
@@ -176,25 +176,25 @@ def predict(data, state, reflected=None):
     direct = (visible / (4.0 * np.pi * data.distance_m) ** 2)[:, None] * state.direct_gain * np.exp(
         -data.distance_m[:, None] * state.air_per_m)
     thirds_direct = _db(np.maximum(direct, 1e-30)) @ TO_THIRDS.T + _db(state.direct_thirds)
-    cells = np.zeros((len(direct), N_CELLS))
+    features = np.zeros((len(direct), N_FEATURES))
     octaves_db = state.response_db @ RESPONSE_TO_OCTAVES.T
     thirds_db = state.response_db[:, :len(THIRDS_HZ)]
     first = _db(near) @ TO_THIRDS.T
-    cells[:, feature_slice("direct")] = (_sum_db(thirds_direct, first) + thirds_db)[:, -_N_DIRECT:]
-    cells[:, feature_slice("early")] = _db(early - near) + octaves_db
-    cells[:, feature_slice("late")] = _db(late - early) + octaves_db
-    cells[:, feature_slice("spectrum")] = _sum_db(thirds_direct, _db(whole) @ TO_THIRDS.T) + thirds_db
-    cells[:, feature_slice("c50")] = (_db(direct + early) - _db(whole - early)) / JND["c50"]
+    features[:, feature_slice("direct")] = (_sum_db(thirds_direct, first) + thirds_db)[:, -_N_DIRECT:]
+    features[:, feature_slice("early")] = _db(early - near) + octaves_db
+    features[:, feature_slice("late")] = _db(late - early) + octaves_db
+    features[:, feature_slice("spectrum")] = _sum_db(thirds_direct, _db(whole) @ TO_THIRDS.T) + thirds_db
+    features[:, feature_slice("c50")] = (_db(direct + early) - _db(whole - early)) / JND["c50"]
     weight = OCTAVE_WIDTH_HZ * 10.0 ** (octaves_db / 10.0)
     ratio_db = _db(((direct + near) * weight).sum(axis=1)) - _db(((whole - near) * weight).sum(axis=1))
-    cells[:, feature_slice("drr")] = (ratio_db / JND["drr"])[:, None]
+    features[:, feature_slice("drr")] = (ratio_db / JND["drr"])[:, None]
     times = reflected.decay_times_s(direct)
     shorter = np.log(data.speed_m_s / state.speed_m_s)[:, None]
     for k, metric in enumerate(("edt", "t20", "t30")):
-        cells[:, feature_slice(metric)] = (np.log(times[:, k]) + shorter) / JND[metric]
-    cells[:, feature_slice("arrival")] = ((data.distance_m / state.speed_m_s + state.delay_s) / JND["arrival"])[:, None]
-    cells[:, feature_slice("floor")] = _db(1.0 + state.floor / (data.white + QUIET))
-    return cells + state.rendered_change
+        features[:, feature_slice(metric)] = (np.log(times[:, k]) + shorter) / JND[metric]
+    features[:, feature_slice("arrival")] = ((data.distance_m / state.speed_m_s + state.delay_s) / JND["arrival"])[:, None]
+    features[:, feature_slice("floor")] = _db(1.0 + state.floor / (data.white + QUIET))
+    return features + state.rendered_change
 
 
 def _until(seconds, energy):
@@ -298,6 +298,6 @@ def _crossing(curve, edges_s, fraction):
     return edges_s[len(curve) - 1]
 
 
-BAND_OF_CELL = np.where(BAND_HZ > 0, np.argmin(np.abs(np.log(np.maximum(BAND_HZ, 1.0)[:, None]
+BAND_OF_FEATURE = np.where(BAND_HZ > 0, np.argmin(np.abs(np.log(np.maximum(BAND_HZ, 1.0)[:, None]
                                                                / np.array(EXACT_BANDS_HZ))), axis=1), -1)
-"""Octave band of each cell, -1 for the whole band, shape (n_cells,)."""
+"""Octave band of each feature, -1 for the whole band, shape (n_features,)."""

@@ -1,4 +1,4 @@
-"""RIRs of a model for every row of the data, and their cells: measured in the same way as the recordings' own."""
+"""RIRs of a model for every row of the data, and their features: measured in the same way as the recordings' own."""
 
 from dataclasses import dataclass, replace
 
@@ -6,10 +6,10 @@ import numpy as np
 
 from roomeq.core.constants import FS_HZ
 from roomeq.core.rng import rng_for
+from roomeq.core.workers import share_out
 from roomeq.effects.model import behind_rendering, direct_gain, extend_scene, path_gain
-from roomeq.loop.cells import N_CELLS, measure_cells
+from roomeq.loop.features import N_FEATURES, measure_features
 from roomeq.loop.tables import level_surfaces
-from roomeq.loop.workers import share_out
 from roomeq.sim.response import render_responses
 from roomeq.sim.scene import with_absorption
 
@@ -49,7 +49,7 @@ def render_rows(data, absorption, effects, *, seed, nj=1, rows=None):
     Returns
     -------
     raws : list of Raw
-    cells : ndarray, shape (n_rows, n_cells)
+    features : ndarray, shape (n_rows, n_features)
         NaN where there is nothing to measure.
     """
     rows = range(len(data.rows)) if rows is None else rows
@@ -57,15 +57,15 @@ def render_rows(data, absorption, effects, *, seed, nj=1, rows=None):
 
     def one(n):
         rir, direct = _render_one(data, n, scenes[n], effects[n], seed)
-        return rir, direct, _cells(data, n, Raw(rir, scenes[n], direct), effects[n], seed)
+        return rir, direct, _features(data, n, Raw(rir, scenes[n], direct), effects[n], seed)
 
     rendered = share_out(one, rows, nj)  # a scene may be large, and need not travel
     return ([Raw(rir, scenes[n], direct) for n, (rir, direct, _) in zip(rows, rendered, strict=True)],
-            np.array([cells for *_, cells in rendered]))
+            np.array([features for *_, features in rendered]))
 
 
-def cells_with_effects(data, raws, variants, *, seed, nj=1):
-    """Cells of all rows with other effects behind the rendering.
+def features_with_effects(data, raws, variants, *, seed, nj=1):
+    """Features of all rows with other effects behind the rendering.
 
     Parameters
     ----------
@@ -77,11 +77,11 @@ def cells_with_effects(data, raws, variants, *, seed, nj=1):
 
     Returns
     -------
-    ndarray, shape (n_variants, n_rirs, n_cells)
+    ndarray, shape (n_variants, n_rirs, n_features)
     """
     jobs = [(n, effects[n]) for effects in variants for n in range(len(data.rows))]
-    cells = share_out(lambda job: _cells(data, job[0], raws[job[0]], job[1], seed), jobs, nj)
-    return np.reshape(cells, (len(variants), len(data.rows), N_CELLS))
+    features = share_out(lambda job: _features(data, job[0], raws[job[0]], job[1], seed), jobs, nj)
+    return np.reshape(features, (len(variants), len(data.rows), N_FEATURES))
 
 
 def _scene(scene, alpha, effects):
@@ -104,6 +104,6 @@ def finished_rir(data, n, raw, effects, seed):
                             rng_for(seed, "loop effects", data.rows[n]["id"]), data.white[n])
 
 
-def _cells(data, n, raw, effects, seed):
+def _features(data, n, raw, effects, seed):
     expected = data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ
-    return measure_cells(finished_rir(data, n, raw, effects, seed), expected, white=data.white[n]).values
+    return measure_features(finished_rir(data, n, raw, effects, seed), expected, white=data.white[n]).values

@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roomeq.loop.cells import N_CELLS
+from roomeq.loop.features import N_FEATURES
 from roomeq.loop.fit import Fit, fit
-from roomeq.loop.layout import Layout
+from roomeq.loop.packing import ParameterIndex
 from roomeq.loop.rendered_model import (
     clear_rendered_changes,
     effects_of_rows,
@@ -25,8 +25,8 @@ class Session:
     data : roomeq.loop.data.Data
     effects : tuple of types
         Of the model, in the catalogue's order, less those that the base model was given.
-    correction : ndarray, shape (n_rirs, n_cells)
-        What measuring adds to expected cells.
+    correction : ndarray, shape (n_rirs, n_features)
+        What measuring adds to expected features.
     fit : Fit
     seed, nj : int
     """
@@ -39,17 +39,17 @@ class Session:
     nj: int
 
     @property
-    def layout(self):
-        return Layout(self.data, self.effects)
+    def packing(self):
+        return ParameterIndex(self.data, self.effects)
 
     @property
     def by_row(self):
         """The effects of each RIR with their parameters, list of list of Effect."""
-        return effects_of_rows(self.data, self.effects, self.layout.vectors(self.fit.mean, self.fit.local))
+        return effects_of_rows(self.data, self.effects, self.packing.vectors(self.fit.mean, self.fit.local))
 
     @property
     def residual(self):
-        """Measured less expected cells; NaN where one of the two is missing."""
+        """Measured less expected features; NaN where one of the two is missing."""
         residual, counts = self.data.residual(self.fit.predicted)
         return np.where(counts, residual, np.nan)
 
@@ -62,7 +62,7 @@ def begin(data, *, like=None, correction=None, seed, nj):
     data : roomeq.loop.data.Data
     like : Fit, optional
         A first fit of the model, the base model's if not given.
-    correction : ndarray, shape (n_rirs, n_cells), optional
+    correction : ndarray, shape (n_rirs, n_features), optional
         With which it was made.
     seed, nj : int
 
@@ -72,7 +72,7 @@ def begin(data, *, like=None, correction=None, seed, nj):
     """
     if like is None:
         clear_rendered_changes(data, data.given_kinds)
-        correction = np.zeros((len(data.rows), N_CELLS))
+        correction = np.zeros((len(data.rows), N_FEATURES))
         like = fit(data, correction, ())
     rendered = render_model(data, like, seed=seed, nj=nj)
     measure_rendered_changes(rendered, like.effects)

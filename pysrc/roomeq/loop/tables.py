@@ -15,7 +15,7 @@ from roomeq.sim.gather import FRAME_S, spheres, visibility
 FRAME_EDGES_S = np.concatenate([
     [0.0, 2.5e-3, 5e-3, 7.5e-3], np.arange(0.01, 0.05, 0.005), np.arange(0.05, 0.3, 0.01),
     0.3 * 1.06 ** np.arange(48)])
-"""Edges of the frames after the direct sound [s]; fine where cells have their gates."""
+"""Edges of the frames after the direct sound [s]; fine where features have their gates."""
 N_FRAMES = len(FRAME_EDGES_S) - 1
 ANGLES = np.linspace(0.0, np.pi, 9)
 """Nodes of the angle between a ray's departure and where the source faces."""

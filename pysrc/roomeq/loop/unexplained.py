@@ -6,15 +6,15 @@ import numpy as np
 from scipy import stats
 
 from roomeq.core.constants import BANDS_HZ
-from roomeq.loop.cells import METRIC, REGION
+from roomeq.loop.features import METRIC, REGION
 from roomeq.loop.linear import scatter
-from roomeq.loop.predict import BAND_OF_CELL
+from roomeq.loop.predict import BAND_OF_FEATURE
 
 MIN_SIZE_JND = 1.0
 MIN_ROOM_SIZE_JND = 2.0  # rooms differ in more than absorption: what one has alone must be plain
 LEVEL = 0.05
 _CLIP = 8.0
-_FREEDOM = 8  # degrees of it that other cells lend to the scatter of one
+_FREEDOM = 8  # degrees of it that other features lend to the scatter of one
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Unexplained:
     Attributes
     ----------
     metric, time_region : str
-        As in `roomeq.loop.cells`.
+        As in `roomeq.loop.features`.
     bands_hz : list of floats
         Octave bands in which it is found; empty for the whole band.
     varies_with : str
@@ -32,7 +32,7 @@ class Unexplained:
     size_jnd : float
         Mean residual, measured less simulated; of the rooms where it is found if it varies with the room.
     p : float
-        That chance leaves so much in one of all cells that were looked at.
+        That chance leaves so much in one of all features that were looked at.
     """
 
     metric: str
@@ -55,12 +55,12 @@ def find_unexplained(session):
     """
     data, residual = session.data, session.residual
     blocks = [(metric, band) for metric in dict.fromkeys(METRIC.tolist()) for band in range(-1, len(BANDS_HZ))
-              if np.any((METRIC == metric) & (BAND_OF_CELL == band))]
+              if np.any((METRIC == metric) & (BAND_OF_FEATURE == band))]
     found = []
     for metric, band in blocks:
-        cells = residual[:, (METRIC == metric) & (BAND_OF_CELL == band)]
-        seen = np.isfinite(cells).any(axis=1)
-        values = np.array([np.nanmean(one) for one in cells[seen]])
+        features = residual[:, (METRIC == metric) & (BAND_OF_FEATURE == band)]
+        seen = np.isfinite(features).any(axis=1)
+        values = np.array([np.nanmean(one) for one in features[seen]])
         tests = _tests(values, data, seen)
         found += [(metric, band, varies, size, min(1.0, p * len(blocks))) for varies, size, p in tests]
     metrics = list(dict.fromkeys(METRIC.tolist()))
@@ -95,15 +95,15 @@ def _tests(values, data, seen):
 
 
 def _of_single_rooms(metric, residual, data):
-    """Whether rooms have one cell each that stands out in one direction: (bands, size, p), or None.
+    """Whether rooms have one feature each that stands out in one direction: (bands, size, p), or None.
 
-    Chance is as far out above as below. So the largest residual of each room's cells is set against its smallest.
+    Chance is as far out above as below. So the largest residual of each room's features is set against its smallest.
     """
-    cells, names = residual[:, METRIC == metric], np.unique(data.room)
-    if cells.shape[1] < 4 or len(names) < 3:
+    features, names = residual[:, METRIC == metric], np.unique(data.room)
+    if features.shape[1] < 4 or len(names) < 3:
         return None
-    seen = [np.isfinite(cells[data.room == r]) for r in names]
-    means = np.array([np.where(ok.any(axis=0), np.where(ok, cells[data.room == r], 0.0).sum(axis=0)
+    seen = [np.isfinite(features[data.room == r]) for r in names]
+    means = np.array([np.where(ok.any(axis=0), np.where(ok, features[data.room == r], 0.0).sum(axis=0)
                                / np.maximum(ok.sum(axis=0), 1), 0.0) for r, ok in zip(names, seen, strict=True)])
     # low bands scatter more; one room alone shall not decide
     standing = np.clip(means / (np.median(np.abs(means), axis=0) + 0.2), -_CLIP, _CLIP)
@@ -111,11 +111,11 @@ def _of_single_rooms(metric, residual, data):
     sign = 1.0 if np.mean(high + low) > 0.0 else -1.0
     at = np.argmax(sign * standing, axis=1)
     size = float(np.mean(means[np.arange(len(names)), at]))
-    return sorted(set(BAND_OF_CELL[METRIC == metric][at])), size, float(stats.ttest_1samp(high + low, 0.0).pvalue)
+    return sorted(set(BAND_OF_FEATURE[METRIC == metric][at])), size, float(stats.ttest_1samp(high + low, 0.0).pvalue)
 
 
 def _of_one_room(residual, data):
-    """Cells of one room that lie far outside what the others make likely: list of (metric, band, "room", size, p)."""
+    """Features of one room that lie far outside what the others make likely: list of (metric, band, "room", size, p)."""
     names = np.unique(data.room)
     if len(names) < 4:
         return []
@@ -127,7 +127,7 @@ def _of_one_room(residual, data):
         mean = np.where(valid[mine], residual[mine], 0.0).sum(axis=0) / np.maximum(count, 1)
         ratio = np.where(count > 1, mean / np.sqrt(omega ** 2 + sigma ** 2 / np.maximum(count, 1)), 0.0)
         p = 2.0 * stats.t.sf(np.abs(ratio), len(names) - 2 + _FREEDOM) * len(names) * residual.shape[1]
-        found += [(str(METRIC[n]), int(BAND_OF_CELL[n]), "room", float(mean[n]), float(p[n]))
+        found += [(str(METRIC[n]), int(BAND_OF_FEATURE[n]), "room", float(mean[n]), float(p[n]))
                   for n in np.flatnonzero(p < LEVEL)]
     return found
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.response import RESPONSE_HZ
-from roomeq.loop.cells import JND
+from roomeq.loop.features import JND
 
 _LOUDER, _HIGHER, _LONGER, _LATER = ("louder", "quieter"), ("higher", "lower"), ("longer", "shorter"), ("later",
                                                                                                      "earlier")

@@ -8,11 +8,11 @@ import numpy as np
 from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.response import RESPONSE_HZ, Response
-from roomeq.loop.cells import METRIC, REGION, THIRDS_HZ
+from roomeq.loop.features import METRIC, REGION, THIRDS_HZ
 from roomeq.loop.check import RESIDUALS_FILE, WAYS, read_ledger, read_residuals
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, STEP_S, Examples, read_examples
 from roomeq.loop.ledger import LEDGER_FILE
-from roomeq.loop.predict import BAND_OF_CELL
+from roomeq.loop.predict import BAND_OF_FEATURE
 from roomeq.loop.unexplained import Unexplained
 from roomeq.loop.words import names_of, of_effect, of_residual
 from roomeq.report import figures, figures_loop
@@ -156,9 +156,9 @@ def residual_sizes(residual: np.ndarray) -> np.ndarray:
     result = np.full((len(REGIONS), len(BANDS_HZ) + 1), np.nan)
     for r, name in enumerate(REGIONS):
         for column, band in enumerate([*range(len(BANDS_HZ)), -1]):
-            cells = residual[:, (region == name) & (BAND_OF_CELL == band)]
-            if np.isfinite(cells).any():
-                result[r, column] = np.nanmean(np.abs(cells))
+            features = residual[:, (region == name) & (BAND_OF_FEATURE == band)]
+            if np.isfinite(features).any():
+                result[r, column] = np.nanmean(np.abs(features))
     return result
 
 

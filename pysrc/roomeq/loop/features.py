@@ -1,10 +1,10 @@
-"""One RIR as a vector of cells: every metric, band and time region that measured and simulated RIRs are compared in.
+"""One RIR as a vector of features: every metric, band and time region that measured and simulated RIRs are compared in.
 
 Conventions
 -----------
-All cells are in just noticeable differences (JND), so that a difference of cells is an error: levels per 1 dB,
+All features are in just noticeable differences (JND), so that a difference of features is an error: levels per 1 dB,
 logarithms of decay times per 5 %, C50 per 1.1 dB, DRR per 2 dB (ISO 3382-1:2009, table A.1; Bradley et al.,
-J. Acoust. Soc. Am. 105 (1999) 3446; Larsen et al., J. Acoust. Soc. Am. 124 (2008) 450). Two cells have no such
+J. Acoust. Soc. Am. 105 (1999) 3446; Larsen et al., J. Acoust. Soc. Am. 124 (2008) 450). Two features have no such
 threshold and a unit of their own: the arrival of the direct sound, per 0.1 ms (3.4 cm, about what positions are known
 to), and noise, per dB by which it raises what any recording has: white noise, and what is too quiet to disturb a decay.
 
@@ -40,35 +40,35 @@ _BANDS_OF = dict(direct=DIRECT_THIRDS_HZ, early=EXACT_BANDS_HZ, late=EXACT_BANDS
                  edt=EXACT_BANDS_HZ, t20=EXACT_BANDS_HZ, t30=EXACT_BANDS_HZ, c50=EXACT_BANDS_HZ, drr=(0.0,),
                  arrival=(0.0,), ahead=EXACT_BANDS_HZ, floor=EXACT_BANDS_HZ)
 METRIC = np.array([metric for metric, bands in _BANDS_OF.items() for _ in bands])
-"""Metric of each cell, shape (n_cells,)."""
+"""Metric of each feature, shape (n_features,)."""
 BAND_HZ = np.array([band_hz for bands in _BANDS_OF.values() for band_hz in bands])
-"""Mid-band frequency of each cell [Hz], 0 for the whole band, shape (n_cells,)."""
-N_CELLS = len(METRIC)
+"""Mid-band frequency of each feature [Hz], 0 for the whole band, shape (n_features,)."""
+N_FEATURES = len(METRIC)
 HAS_GAIN = np.isin(METRIC, ["direct", "early", "late", "spectrum"])
-"""Whether the gain of the recording stands in a cell, shape (n_cells,)."""
+"""Whether the gain of the recording stands in a feature, shape (n_features,)."""
 OCTAVE_WIDTH_HZ = (np.minimum(np.array(EXACT_BANDS_HZ) * np.sqrt(2.0), 0.5 * FS_HZ)
                    - np.array(EXACT_BANDS_HZ) / np.sqrt(2.0))
 """Of what the octaves hold below half the sample rate [Hz], shape (8,)."""
 LARGEST = 20.0
-"""Error of a cell that a model cannot produce [JND]."""
+"""Error of a feature that a model cannot produce [JND]."""
 
 
 def feature_slice(metric):
-    """Slice of a metric's cells."""
+    """Slice of a metric's features."""
     found = np.flatnonzero(METRIC == metric)
     return slice(int(found[0]), int(found[-1]) + 1)
 
 
 @dataclass(frozen=True)
-class Cells:
+class Features:
     """What was measured on one RIR.
 
     Attributes
     ----------
-    values : ndarray, shape (n_cells,)
+    values : ndarray, shape (n_features,)
         In JND; NaN where there is nothing to measure.
-    valid : ndarray of bool, shape (n_cells,)
-        Whether a cell can be believed: decay range, bandwidth and distance to the noise suffice.
+    valid : ndarray of bool, shape (n_features,)
+        Whether a feature can be believed: decay range, bandwidth and distance to the noise suffice.
     direct_sample : float
     white : ndarray, shape (8,)
         White noise of the recording: energy of 100 ms relative to the response, per octave.
@@ -80,8 +80,8 @@ class Cells:
     white: np.ndarray
 
 
-def measure_cells(rir, expected_sample=None, *, timed=True, white=None):
-    """Measure all cells of an RIR.
+def measure_features(rir, expected_sample=None, *, timed=True, white=None):
+    """Measure all features of an RIR.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def measure_cells(rir, expected_sample=None, *, timed=True, white=None):
 
     Returns
     -------
-    Cells
+    Features
 
     Raises
     ------
@@ -106,7 +106,7 @@ def measure_cells(rir, expected_sample=None, *, timed=True, white=None):
     rir = np.asarray(rir, dtype=np.float64)
     direct, polarity, timed = _direct(rir, expected_sample, timed)
     found = all_metrics(rir, FS_HZ, direct, polarity)
-    values, valid = np.full(N_CELLS, np.nan), np.zeros(N_CELLS, dtype=bool)
+    values, valid = np.full(N_FEATURES, np.nan), np.zeros(N_FEATURES, dtype=bool)
     for metric in ("edt", "t20", "t30"):
         times_s = np.array([np.nan if time_s is None else time_s for time_s in found[f"{metric}_s"]])
         _put(values, valid, metric, np.log(times_s), np.array(found[f"{metric}_valid"]))
@@ -121,7 +121,7 @@ def measure_cells(rir, expected_sample=None, *, timed=True, white=None):
     levels, white = _noise_levels(rir, direct, noise, white)
     for metric, (level_db, believed) in levels.items():
         _put(values, valid, metric, level_db, believed)
-    return Cells(values, valid & np.isfinite(values), direct, white)
+    return Features(values, valid & np.isfinite(values), direct, white)
 
 
 def _direct(rir, expected_sample, timed):
@@ -206,7 +206,7 @@ def _octave_of_third():
 
 
 def _levels(rir, direct, found, noise):
-    """Level and distance to the noise of the level cells [dB]: {metric: (level, snr)}."""
+    """Level and distance to the noise of the level features [dB]: {metric: (level, snr)}."""
     at = round(direct)
     gate, early, late = (at + round(seconds * FS_HZ) for seconds in (DIRECT_S, EARLY_S, LATE_S))
     end = max(late, at + round(found["noise_intersection_s"] * FS_HZ))

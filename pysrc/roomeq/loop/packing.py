@@ -1,4 +1,4 @@
-"""Where each unknown of a model stands, and what cells follow from them.
+"""Where each unknown of a model stands, and what features follow from them.
 
 Conventions
 -----------
@@ -9,7 +9,7 @@ of the room, one of the source there and one of the microphone there.
 
 import numpy as np
 
-from roomeq.loop.cells import HAS_GAIN
+from roomeq.loop.features import HAS_GAIN
 from roomeq.loop.predict import N_BANDS, base_state, predict
 
 OWN = ("room", "rir")  # scopes whose vectors belong to one room alone
@@ -21,7 +21,7 @@ GAINS = ("whole", "source", "mic")
 """Kinds of gains: of a chain or a room, and by how much a source and a microphone differ from it."""
 
 
-class Layout:
+class ParameterIndex:
     """Where each unknown stands."""
 
     def __init__(self, data, effects):
@@ -87,7 +87,7 @@ class Layout:
         return state
 
     def predict(self, absorption, vectors, gains, correction, reflected=None):
-        """Cells, shape (n_rirs, n_cells); `reflected` as for `roomeq.loop.predict.predict`."""
+        """Features, shape (n_rirs, n_features); `reflected` as for `roomeq.loop.predict.predict`."""
         return predict(self.data, self.state(absorption, vectors), reflected) + correction + np.outer(gains, HAS_GAIN)
 
 

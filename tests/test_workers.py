@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from roomeq.loop.workers import share_out
+from roomeq.core.workers import share_out
 
 
 @pytest.mark.parametrize("first_here", [True, False])
@@ -44,7 +44,7 @@ def test_errors_keep_their_type_and_text():
 def test_workers_end_with_their_parent(how, tmp_path):
     """A terminal interrupts all of them; what kills the parent alone tells them nothing."""
     # whoever runs the tests in the background has them ignore interrupts
-    script = ("import os, signal, sys, time\nfrom roomeq.loop.workers import share_out\n"
+    script = ("import os, signal, sys, time\nfrom roomeq.core.workers import share_out\n"
               "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
               "def work(n):\n    open(os.path.join(sys.argv[1], str(os.getpid())), 'w').close()\n    time.sleep(600)\n"
               "share_out(work, range(4), 3, first_here=False)\n")
