@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from roomeq.core.rng import rng_for
-from roomeq.sim.early import specular_paths
-from roomeq.sim.gather import gather
+from roomeq.sim.echogram import compute_echograms
+from roomeq.sim.images import specular_paths
 from roomeq.sim.mesh import make_room
-from roomeq.sim.path_sample import N_KEPT, echogram, keep_echoes, middle
+from roomeq.sim.path_sample import PATHS_PER_FRAME, reference_absorption, sample_paths
 from roomeq.sim.response import trace_source
 from roomeq.sim.scene import Air, Material, Scene, Shoebox
 from roomeq.sim.target import scaled_absorption
@@ -31,10 +31,10 @@ def traced(scene, seed=0, num_rays=8000):
 
 
 def exact(one, absorption, n=0):
-    """All bands by `gather`, each from the trace that serves it, shape (n_frames, 8)."""
+    """All bands by `compute_echograms`, each from the trace that serves it, shape (n_frames, 8)."""
     result = np.empty((N_FRAMES, 8))
     for band, column in enumerate(one.path_of_band):
-        energy = gather(one.paths[column], one.scene.room, absorption, MICS[n:n + 1], ism_order=ISM_ORDER,
+        energy = compute_echograms(one.paths[column], one.scene.room, absorption, MICS[n:n + 1], ism_order=ISM_ORDER,
                         n_frames=N_FRAMES, speed_m_s=C)
         result[:, band] = energy[0, :, band]
     return result
@@ -42,7 +42,7 @@ def exact(one, absorption, n=0):
 
 def kept(one, reference, mics=MICS, names="ab"):
     rngs = [rng_for(0, "echoes", name) for name in names[:len(mics)]]
-    return keep_echoes(one, mics, np.broadcast_to(reference, (len(mics), 6)), rngs, ism_order=ISM_ORDER,
+    return sample_paths(one, mics, np.broadcast_to(reference, (len(mics), 6)), rngs, ism_order=ISM_ORDER,
                        n_frames=N_FRAMES)
 
 
@@ -59,22 +59,22 @@ def smooth_db(energy, ours):
 def test_the_echogram_at_the_reference_is_the_exact_one(scattering):
     absorption = np.linspace(0.03, 0.2, 6)
     one = traced(box_scene(absorption[:, None], scattering))
-    for n, echoes in enumerate(kept(one, absorption)):
+    for n, sample in enumerate(kept(one, absorption)):
         everything = exact(one, one.scene.absorption, n)
         assert everything[-1].min() > 0.0
-        np.testing.assert_allclose(echogram(echoes, one.scene.absorption), everything, rtol=1e-4)
-        only = echogram(echoes, one.scene.absorption, bands=[4])
+        np.testing.assert_allclose(sample.echogram(one.scene.absorption), everything, rtol=1e-4)
+        only = sample.echogram(one.scene.absorption, bands=[4])
         np.testing.assert_allclose(only[:, 4], everything[:, 4], rtol=1e-4)
         assert not only[:, :4].any()
 
 
 @pytest.mark.parametrize("exponent", [0.3, 0.6, 1.7, 3.0])
 def test_other_absorption_gives_an_unbiased_echogram_with_little_noise(exponent):
-    """Noise of the mean over 7 ms against `gather`: below 0.6 dB from 0.3 to 3 times the reference's absorption."""
+    """Noise of the mean over 7 ms against `compute_echograms`: below 0.6 dB from 0.3 to 3 times the reference's absorption."""
     one = traced(box_scene(0.12, 0.3))
-    (echoes,) = kept(one, np.full(6, 0.12), MICS[:1])
+    (sample,) = kept(one, np.full(6, 0.12), MICS[:1])
     other = scaled_absorption(one.scene.absorption, exponent)
-    error_db = smooth_db(exact(one, other)[:, 4], echogram(echoes, other)[:, 4])
+    error_db = smooth_db(exact(one, other)[:, 4], sample.echogram(other)[:, 4])
     assert np.std(error_db) < (0.35 if 0.5 < exponent < 2.0 else 0.6)
     assert abs(np.mean(error_db)) < 0.1
 
@@ -84,8 +84,8 @@ def test_slots_and_bands_that_differ_are_told_apart():
     noise_db, offset_db = [], []
     for seed in range(3):
         one = traced(box_scene(absorption, 0.3), seed)
-        (echoes,) = kept(one, middle(one.scene.absorption), MICS[:1])
-        everything, found = exact(one, one.scene.absorption), echogram(echoes, one.scene.absorption)
+        (sample,) = kept(one, reference_absorption(one.scene.absorption), MICS[:1])
+        everything, found = exact(one, one.scene.absorption), sample.echogram(one.scene.absorption)
         error_db = [smooth_db(everything[:, band], found[:, band]) for band in range(8)]
         noise_db.append([np.std(band_db) for band_db in error_db])
         offset_db.append([np.mean(band_db) for band_db in error_db])
@@ -95,16 +95,16 @@ def test_slots_and_bands_that_differ_are_told_apart():
 
 def test_surfaces_that_absorb_all_silence_what_met_them():
     one = traced(box_scene(0.2, 0.3), num_rays=1000)
-    (echoes,) = kept(one, np.full(6, 0.2), MICS[:1])
-    assert not echogram(echoes, np.ones((6, 8))).any() and echogram(echoes, np.zeros((6, 8))).all(axis=1)[100:].all()
+    (sample,) = kept(one, np.full(6, 0.2), MICS[:1])
+    assert not sample.echogram(np.ones((6, 8))).any() and sample.echogram(np.zeros((6, 8))).all(axis=1)[100:].all()
 
 
 def test_gains_of_rays_act_on_what_came_with_them():
     one = traced(box_scene(0.2, 0.6), num_rays=4000)
-    (echoes,) = kept(one, np.full(6, 0.2), MICS[:1])
+    (sample,) = kept(one, np.full(6, 0.2), MICS[:1])
     up = (one.paths[0].directions[:, 2] > 0.0).astype(float)[:, None] * np.ones(8)
-    parts = [echogram(echoes, one.scene.absorption, ray_gain=gain) for gain in (up, 1.0 - up)]
-    np.testing.assert_allclose(parts[0] + parts[1], echogram(echoes, one.scene.absorption), rtol=1e-5)
+    parts = [sample.echogram(one.scene.absorption, ray_gain=gain) for gain in (up, 1.0 - up)]
+    np.testing.assert_allclose(parts[0] + parts[1], sample.echogram(one.scene.absorption), rtol=1e-5)
     late = parts[0][100:, 4].sum() / (parts[0] + parts[1])[100:, 4].sum()
     assert late == pytest.approx(0.5, abs=0.05)
 
@@ -114,7 +114,7 @@ def test_a_sample_does_not_depend_on_the_other_microphones():
     both, alone = kept(one, np.full(6, 0.2)), kept(one, np.full(6, 0.2), MICS[1:], "b")
     for name in ("weight", "counts", "last"):
         np.testing.assert_array_equal(getattr(both[1], name), getattr(alone[0], name))
-    assert both[0].weight.shape == (1, N_FRAMES, N_KEPT)
+    assert both[0].weight.shape == (1, N_FRAMES, PATHS_PER_FRAME)
 
 
 def test_the_number_of_threads_changes_no_byte():

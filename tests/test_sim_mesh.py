@@ -8,8 +8,8 @@ import pytest
 
 from roomeq.acoustics.iso3382 import reverberation_time
 from roomeq.core.constants import FS_HZ
-from roomeq.sim.early import specular_paths
-from roomeq.sim.gather import gather
+from roomeq.sim.echogram import compute_echograms
+from roomeq.sim.images import specular_paths
 from roomeq.sim.mesh import load_mesh, make_room
 from roomeq.sim.meshfile import triangulate
 from roomeq.sim.response import simulate_rir
@@ -89,7 +89,7 @@ def test_a_mesh_box_sounds_like_the_shoebox(box, searched):
                       speed_m_s=C,
                       rng=np.random.default_rng(0))
         assert paths.n_leaked == 0
-        energy = gather(paths, one, np.full((len(one.surfaces), 8), 0.15), mics, ism_order=3, n_frames=350, speed_m_s=C)
+        energy = compute_echograms(paths, one, np.full((len(one.surfaces), 8), 0.15), mics, ism_order=3, n_frames=350, speed_m_s=C)
         levels.append(10.0 * np.log10(energy[:, :, 0].reshape(3, 7, 50).sum(axis=2)))
     np.testing.assert_allclose(levels[1], levels[0], atol=1.0)
     assert abs(np.mean(levels[1] - levels[0])) < 0.15
@@ -188,7 +188,7 @@ def test_energy_is_conserved_in_a_room_with_a_table(write_obj):
                   rng=np.random.default_rng(0))
     assert paths.n_leaked == 0
     mics = np.array([(5.0, 3.0, 1.2), (1.0, 3.2, 2.0), (4.8, 0.8, 0.7), (3.0, 2.0, 1.8)])
-    energy = gather(paths, room, np.zeros((len(room.surfaces), 8)), mics, ism_order=0, n_frames=280, speed_m_s=C)
+    energy = compute_echograms(paths, room, np.zeros((len(room.surfaces), 8)), mics, ism_order=0, n_frames=280, speed_m_s=C)
     uniform = C * 1e-3 / room.volume_m3 / (4.0 * np.pi)
     assert energy[:, 150:, 0].mean() / uniform == pytest.approx(1.0, abs=0.03)
 

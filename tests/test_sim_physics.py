@@ -8,8 +8,8 @@ import pytest
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.iso3382 import reverberation_time
 from roomeq.core.constants import BAND_1KHZ, FS_HZ
-from roomeq.sim.early import specular_paths
-from roomeq.sim.gather import FRAME_S, gather
+from roomeq.sim.echogram import FRAME_S, compute_echograms
+from roomeq.sim.images import specular_paths
 from roomeq.sim.render import render, tail_noise
 from roomeq.sim.response import render_responses, simulate_rir, trace_source
 from roomeq.sim.scene import Air, Material, Scene, Shoebox, eyring_time_s
@@ -92,7 +92,7 @@ def test_energy_is_conserved_without_absorption(scattering, ism_order):
         source, *mics = places(room, 9, seed)
         paths = trace(room, source, np.full(6, scattering), num_rays=10000, max_length_m=0.3 * C, speed_m_s=C,
                       rng=np.random.default_rng(seed))
-        energy = gather(paths, room, np.zeros((6, 8)), mics, ism_order=ism_order, n_frames=250, speed_m_s=C)[..., 0]
+        energy = compute_echograms(paths, room, np.zeros((6, 8)), mics, ism_order=ism_order, n_frames=250, speed_m_s=C)[..., 0]
         for echogram, mic in zip(energy, mics, strict=True):
             images = specular_paths(room, source, mic, ism_order)
             gains = images.gains(np.zeros((6, 8)), np.full((6, 8), scattering), np.zeros(8))[:, 0]

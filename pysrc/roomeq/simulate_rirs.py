@@ -15,10 +15,10 @@ from roomeq.core.rng import rng_for
 from roomeq.effects.model import Model, behind_rendering, direct_gain, extend_scene, names_of, path_gain, read_model
 from roomeq.records.rir_dir import decay_range_s, read_rirs, validate_rirs, write_rirs
 from roomeq.sim.context import Response
-from roomeq.sim.gather import FRAME_S
+from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.geometry import Place, find_place, noise_positions
 from roomeq.sim.materials import DEFAULT_TABLE, draw_materials, draw_scattering, given_surfaces, read_materials
-from roomeq.sim.path_sample import keep_echoes, middle
+from roomeq.sim.path_sample import reference_absorption, sample_paths
 from roomeq.sim.published import published_file
 from roomeq.sim.response import (
     ISM_ORDER,
@@ -189,11 +189,11 @@ def _simulate_group(work, group, table, model, options):
     traces = _Traces(room, scattering, air, _of_room(effects[0]), first_row["room_id"], options)
     drawn = [_draw_row(row, traces, table, given, options) for row, _ in group]
     traces.length_s = max(length_s for *_, length_s in drawn)
-    echoes = traces.echoes(first_place.source_pos_m, traces.length_s, [row["id"] for row, _ in group],
-                           [place.mic_pos_m for _, place in group],
-                           [_at_target(scene, target_s) for _, scene, target_s, _ in drawn])
+    path_samples = traces.path_samples(first_place.source_pos_m, traces.length_s, [row["id"] for row, _ in group],
+                                       [place.mic_pos_m for _, place in group],
+                                       [_at_target(scene, target_s) for _, scene, target_s, _ in drawn])
     made = [_simulate_row(row, place, traces, table, given, *what, one, known, options)
-            for (row, place), what, one, known in zip(group, drawn, echoes, effects, strict=True)]
+            for (row, place), what, one, known in zip(group, drawn, path_samples, effects, strict=True)]
     noises = _noise_responses(group, made, traces, options)
     records = []
     for (row, _), one, known, others in zip(group, made, effects, noises, strict=True):
@@ -250,13 +250,14 @@ class _Traces:
                                             max_length_s=length_s, rng=rng)
         return self._known[key]
 
-    def echoes(self, source_pos_m, length_s, ids, mics_m, absorptions):
+    def path_samples(self, source_pos_m, length_s, ids, mics_m, absorptions):
         """Sampled paths from a source to the microphones of some RIRs, each for about its own absorption."""
         traced = self.of(source_pos_m, length_s)
         lengths_s = [decay_length_s(traced.scene, absorption) for absorption in absorptions]
         rngs = [rng_for(self.options["seed"], "echoes", row_id) for row_id in ids]
-        return keep_echoes(traced, mics_m, middle(np.array(absorptions)), rngs, ism_order=self.options["ism_order"],
-                           n_frames=[int(np.ceil(min(one_s, traced.max_length_s) / FRAME_S)) for one_s in lengths_s])
+        n_frames = [int(np.ceil(min(length_s, traced.max_length_s) / FRAME_S)) for length_s in lengths_s]
+        return sample_paths(traced, mics_m, reference_absorption(np.array(absorptions)), rngs,
+                            ism_order=self.options["ism_order"], n_frames=n_frames)
 
     def drawn(self, table, target_s, rng, given):
         """The room with materials drawn."""
@@ -275,18 +276,18 @@ def _draw_row(row, traces, table, given, options):
     return rng, scene, target_s, needed_length_s(scene, target_s, options["order"])
 
 
-def _simulate_row(row, place, traces, table, given, rng, scene, target_s, length_s, echoes, effects, options):
+def _simulate_row(row, place, traces, table, given, rng, scene, target_s, length_s, path_sample, effects, options):
     """Render one row, with other materials or another target where it cannot be met."""
     how = dict(ism_order=options["ism_order"], diffraction=options["diffraction"],
                path_gain=path_gain(effects, row.get("source_dir")))
     for draw in range(1, MATERIAL_DRAWS * TARGET_DRAWS + 1):
         try:
             if length_s > traces.length_s:  # the rays are followed further, for this row alone
-                (echoes,) = traces.echoes(place.source_pos_m, length_s, [row["id"]], [place.mic_pos_m],
-                                          [_at_target(scene, target_s)])
+                (path_sample,) = traces.path_samples(place.source_pos_m, length_s, [row["id"]], [place.mic_pos_m],
+                                                     [_at_target(scene, target_s)])
             response = _rendered(traces.of(place.source_pos_m, length_s), place.mic_pos_m,
                                  rng_for(options["seed"], "tail", row["id"]), target_s, absorption=scene.absorption,
-                                 length_s=length_s, echoes=[echoes], **how)
+                                 length_s=length_s, path_samples=[path_sample], **how)
             break
         except ValueError as error:
             if draw == MATERIAL_DRAWS * (1 if row.get("materials") else TARGET_DRAWS):
@@ -310,12 +311,12 @@ def _noise_responses(group, made, traces, options):
         places = [(n, k) for n, sources in enumerate(wanted) for k, one in enumerate(sources) if tuple(one) == source]
         ids = [f"{group[n][0]['id']}-noise{k + 1}" for n, k in places]
         length_s = max(made[n].length_s for n, _ in places)
-        echoes = traces.echoes(source, length_s, ids, [made[n].place.mic_pos_m for n, _ in places],
-                               [made[n].response.absorption for n, _ in places])
-        for (n, k), noise_id, one in zip(places, ids, echoes, strict=True):
+        path_samples = traces.path_samples(source, length_s, ids, [made[n].place.mic_pos_m for n, _ in places],
+                                           [made[n].response.absorption for n, _ in places])
+        for (n, k), noise_id, path_sample in zip(places, ids, path_samples, strict=True):
             (rendered[n, k],) = render_responses(
                 traces.of(source, length_s), [made[n].place.mic_pos_m], [rng_for(options["seed"], "tail", noise_id)],
-                absorption=made[n].response.absorption, length_s=made[n].length_s, echoes=[one],
+                absorption=made[n].response.absorption, length_s=made[n].length_s, path_samples=[path_sample],
                 ism_order=options["ism_order"], diffraction=options["diffraction"])
     return [[(source, rendered[n, k]) for k, source in enumerate(sources)] for n, sources in enumerate(wanted)]
 

@@ -12,12 +12,11 @@ from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import on_threads
 from roomeq.core.rng import rng_for
 from roomeq.sim.diffraction import Edges, Grid, deposit, diffract, find_edges
-from roomeq.sim.early import specular_paths
-from roomeq.sim.gather import FRAME_S, gather
+from roomeq.sim.echogram import FRAME_S, compute_echograms
+from roomeq.sim.images import specular_paths
 from roomeq.sim.materials import draw_materials, draw_scattering, read_materials
 from roomeq.sim.mesh import make_room
-from roomeq.sim.path_sample import echogram as sampled_echogram
-from roomeq.sim.path_sample import keep_echoes, middle
+from roomeq.sim.path_sample import reference_absorption, sample_paths
 from roomeq.sim.response import (
     ISM_ORDER,
     needed_length_s,
@@ -111,7 +110,7 @@ def echograms(scenes, source_pos_m, mics_m, *, duration_s, seed, n_rays=N_RAYS, 
     The scenes differ in absorption alone, so one trace serves all; materials must be the same in all bands.
     """
     (path,) = traced(scenes[0], source_pos_m, seed=seed, n_rays=n_rays, duration_s=duration_s).paths
-    energies = np.array([gather(path, scene.room, scene.absorption, mics_m, ism_order=ism_order,
+    energies = np.array([compute_echograms(path, scene.room, scene.absorption, mics_m, ism_order=ism_order,
                                 n_frames=round(duration_s / FRAME_S), speed_m_s=scene.air.speed_m_s)[:, :, 4]
                          for scene in scenes])
     for m, mic in enumerate(mics_m):
@@ -213,17 +212,18 @@ def stages(scene, source_pos_m, mics_m, *, repeats):
         source = traced(scene, source_pos_m, seed=n, duration_s=length_s)
         marks.append(time.perf_counter())
         for one in source.paths:
-            gather(one, scene.room, scene.absorption, mics_m, ism_order=ISM_ORDER, n_frames=n_frames,
+            compute_echograms(one, scene.room, scene.absorption, mics_m, ism_order=ISM_ORDER, n_frames=n_frames,
                    speed_m_s=air.speed_m_s)
         marks.append(time.perf_counter())
-        echoes = keep_echoes(source, mics_m, np.tile(middle(scene.absorption), (len(mics_m), 1)), rngs,
-                             ism_order=ISM_ORDER, n_frames=n_frames)
+        reference = np.tile(reference_absorption(scene.absorption), (len(mics_m), 1))
+        path_samples = sample_paths(source, mics_m, reference, rngs, ism_order=ISM_ORDER, n_frames=n_frames)
         marks.append(time.perf_counter())
-        on_threads(lambda one: sampled_echogram(one, 0.9 * scene.absorption), [(one,) for one in echoes])  # noqa: B023
+        on_threads(lambda sample: sample.echogram(0.9 * scene.absorption),  # noqa: B023
+                   [(sample,) for sample in path_samples])
         marks.append(time.perf_counter())
-        render_responses(source, mics_m, rngs, absorption=0.9 * scene.absorption, echoes=echoes)
+        render_responses(source, mics_m, rngs, absorption=0.9 * scene.absorption, path_samples=path_samples)
         marks.append(time.perf_counter())
-        render_to_target(source, mics_m, rngs, 0.8, echoes=echoes)
+        render_to_target(source, mics_m, rngs, 0.8, path_samples=path_samples)
         marks.append(time.perf_counter())
         for key, seconds in zip(("trace", "gather", "sample", "new materials", "rendering", "target"), np.diff(marks),
                                 strict=True):

@@ -11,7 +11,7 @@ import numpy as np
 from roomeq.acoustics.iso3382 import octave_bands
 from roomeq.core.constants import FS_HZ
 from roomeq.effects.base import Effect
-from roomeq.sim.gather import FRAME_S
+from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.render import MAX_LENGTH_S, render, tail_noise
 
 _LEVELS_DB = (-60.0, 0.0)

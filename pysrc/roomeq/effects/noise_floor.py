@@ -11,7 +11,7 @@ import numpy as np
 from roomeq.acoustics.iso3382 import octave_bands
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.effects.base import Effect
-from roomeq.sim.gather import FRAME_S
+from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.render import render
 
 _QUIET_DB = -55.0  # below it, noise disturbs nothing: roomeq.loop.features

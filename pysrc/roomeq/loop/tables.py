@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roomeq.core.jit import compiled
-from roomeq.sim.gather import FRAME_S, spheres, visibility
+from roomeq.sim.echogram import FRAME_S, receiver_spheres, reflection_visibility
 
 FRAME_EDGES_S = np.concatenate([
     [0.0, 2.5e-3, 5e-3, 7.5e-3], np.arange(0.01, 0.05, 0.005), np.arange(0.05, 0.3, 0.01),
@@ -71,12 +71,12 @@ def collect(traced, mics_m, facings):
     (paths,) = traced.paths
     room, source_pos_m, speed_m_s = traced.scene.room, traced.source_pos_m, traced.scene.air.speed_m_s
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
-    visible = visibility(paths, room, mics_m, n_frames=int(np.ceil(traced.max_length_s / FRAME_S)),
+    visible = reflection_visibility(paths, room, mics_m, n_frames=int(np.ceil(traced.max_length_s / FRAME_S)),
                          speed_m_s=speed_m_s)
     sees = np.ones(len(mics_m), dtype=bool) if room.convex else room.sees(
         np.tile(source_pos_m, (len(mics_m), 1)), mics_m)
     frame_of_tick = np.searchsorted(FRAME_EDGES_S, (np.arange(int(FRAME_EDGES_S[-1] / _TICK_S)) + 0.5) * _TICK_S) - 1
-    radii_m, volumes_m3 = spheres(room, mics_m)
+    radii_m, volumes_m3 = receiver_spheres(room, mics_m)
     level = level_surfaces(room)[paths.face_surface]
     made = []
     for m, (mic_m, facing) in enumerate(zip(mics_m, facings, strict=True)):
@@ -122,7 +122,7 @@ def _put(counts, frame, n, node, weight):
 @compiled
 def _count(source, hits, codes, first, n_hits, normals, level, scattering, mic, visible, radius_m, per_volume,
            distance_m, ticks_per_m, frame_of_tick, node, late_m, stride, counts, angular):
-    """Add all rays to `counts`; paths count as in `roomeq.sim.gather`, the direct sound apart."""
+    """Add all rays to `counts`; paths count as in `roomeq.sim.echogram`, the direct sound apart."""
     all_visible, n_ticks, turned = len(visible) == 0, len(frame_of_tick), angular.shape[2] > 0
     n_shares = counts.shape[2] - 1.0
     for ray in range(len(n_hits)):

@@ -9,9 +9,9 @@ import numpy as np
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import on_threads
 from roomeq.sim.diffraction import Diffracted, diffract
-from roomeq.sim.early import Images, specular_paths
-from roomeq.sim.gather import FRAME_S, gather, visibility
-from roomeq.sim.path_sample import Echoes, echogram, keep_echoes
+from roomeq.sim.echogram import FRAME_S, compute_echograms, reflection_visibility
+from roomeq.sim.images import SpecularPaths, specular_paths
+from roomeq.sim.path_sample import PathSample, sample_paths
 from roomeq.sim.render import render, response_length_s, tail_noise
 from roomeq.sim.scene import check_positions
 from roomeq.sim.target import t30_s
@@ -53,21 +53,21 @@ class Response:
 
 
 @dataclass(frozen=True)
-class Job:
+class RenderContext:
     """What stays the same while absorption changes.
 
     Attributes
     ----------
     traced : TracedSource
     mics_m : ndarray, shape (n_mics, 3)
-    images : list of Images
+    images : list of SpecularPaths
     diffracted : list of Diffracted or None
     noises : list of ndarray
         Of the tails.
-    echoes : list of Echoes or None
+    path_samples : list of PathSample or None
         Sampled paths; without them all stored paths are gathered for each absorption.
     visible : list of ndarray
-        From `visibility`, for each trace.
+        From `reflection_visibility`, for each trace.
     length_s : float
     ism_order : int
     path_gain : callable or None
@@ -76,10 +76,10 @@ class Job:
 
     traced: object
     mics_m: np.ndarray
-    images: list[Images]
+    images: list[SpecularPaths]
     diffracted: list[Diffracted | None]
     noises: list[np.ndarray]
-    echoes: list[Echoes] | None
+    path_samples: list[PathSample] | None
     visible: list[np.ndarray]
     length_s: float
     ism_order: int
@@ -95,13 +95,13 @@ class Job:
         gains = images.gains(absorption[:, bands], scene.scattering[:, bands], scene.air.attenuation_per_m[bands])
         return gains if self.path_gain is None else gains * np.sqrt(self.path_gain(images.departure)[:, bands])
 
-    def sampled(self, reference, rngs):
+    def sample_paths(self, reference, rngs):
         """Sample the paths of each microphone for absorption around a reference, shape (n_surfaces,)."""
-        return keep_echoes(self.traced, self.mics_m, np.tile(reference, (len(self.mics_m), 1)), rngs,
+        return sample_paths(self.traced, self.mics_m, np.tile(reference, (len(self.mics_m), 1)), rngs,
                            ism_order=self.ism_order, n_frames=self.n_frames, visible=self.visible)
 
 
-def make_job(traced, mics_m, rngs, *, length_s, ism_order, diffraction, path_gain, echoes=None):
+def make_render_context(traced, mics_m, rngs, *, length_s, ism_order, diffraction, path_gain, path_samples=None):
     """Find what does not depend on absorption; the arguments are those of `render_responses`."""
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
     for mic_m in mics_m:
@@ -116,30 +116,30 @@ def make_job(traced, mics_m, rngs, *, length_s, ism_order, diffraction, path_gai
         list(zip(mics_m, images, strict=True)))
     noises = [tail_noise(n_samples, room.volume_m3, speed_m_s, rng) for rng in rngs]
     n_frames = int(np.ceil(length_s / FRAME_S))
-    visible = [] if echoes is not None else [visibility(paths, room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
+    visible = [] if path_samples is not None else [reflection_visibility(paths, room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
                                              for paths in traced.paths]
-    return Job(traced, mics_m, images, diffracted, noises, echoes, visible, length_s, ism_order, path_gain)
+    return RenderContext(traced, mics_m, images, diffracted, noises, path_samples, visible, length_s, ism_order, path_gain)
 
 
-def echograms(job, absorption, bands):
+def ray_echograms(context, absorption, bands):
     """Energy of all but the image sources, with air absorption, shape (n_mics, n_frames, n_bands)."""
-    scene, paths, bands = job.traced.scene, job.traced.paths, list(bands)
-    ray_gain = None if job.path_gain is None else job.path_gain(paths[0].directions)  # the same in all traces
-    result = np.zeros((len(job.mics_m), job.n_frames, len(bands)))
-    if job.echoes is not None:
-        found = on_threads(lambda one: echogram(one, absorption, bands=bands, ray_gain=ray_gain)[:job.n_frames, bands],
-                           [(one,) for one in job.echoes])
+    scene, paths, bands = context.traced.scene, context.traced.paths, list(bands)
+    ray_gain = None if context.path_gain is None else context.path_gain(paths[0].directions)  # the same in all traces
+    result = np.zeros((len(context.mics_m), context.n_frames, len(bands)))
+    if context.path_samples is not None:
+        found = on_threads(lambda sample: sample.echogram(absorption, bands=bands, ray_gain=ray_gain)[:context.n_frames, bands],
+                           [(sample,) for sample in context.path_samples])
         for energy, one in zip(result, found, strict=True):
             energy[:len(one)] = one
     else:
-        group_of_band = np.array(job.traced.path_of_band)[bands]
+        group_of_band = np.array(context.traced.path_of_band)[bands]
         for group in np.unique(group_of_band):
-            energy = gather(paths[group], scene.room, absorption, job.mics_m, ism_order=job.ism_order,
-                            n_frames=job.n_frames, speed_m_s=scene.air.speed_m_s, visible=job.visible[group],
+            energy = compute_echograms(paths[group], scene.room, absorption, context.mics_m, ism_order=context.ism_order,
+                            n_frames=context.n_frames, speed_m_s=scene.air.speed_m_s, visible=context.visible[group],
                             ray_gain=ray_gain)[:, :, bands]
             result[:, :, group_of_band == group] = energy[:, :, group_of_band == group]
     result = _smooth_late(result, dense_after_s(scene.room.volume_m3, scene.air.speed_m_s, FS_HZ))
-    length_m = (np.arange(job.n_frames) + 0.5) * FRAME_S * scene.air.speed_m_s
+    length_m = (np.arange(context.n_frames) + 0.5) * FRAME_S * scene.air.speed_m_s
     return result * np.exp(-length_m[:, None] * scene.air.attenuation_per_m[bands])
 
 
@@ -154,30 +154,30 @@ def _smooth_late(energy, late_s):
     return energy
 
 
-def with_images(job, energy, absorption, bands):
+def add_image_sources(context, energy, absorption, bands):
     """Echograms with the energy of the image sources added."""
-    speed_m_s, result = job.traced.scene.air.speed_m_s, energy.copy()
-    for one, images in zip(result, job.images, strict=True):
+    speed_m_s, result = context.traced.scene.air.speed_m_s, energy.copy()
+    for one, images in zip(result, context.images, strict=True):
         frame = (images.distance_m / speed_m_s / FRAME_S).astype(int)
         inside = frame < len(one)
-        np.add.at(one, frame[inside], job.image_gains(images, absorption, bands)[inside] ** 2)
+        np.add.at(one, frame[inside], context.image_gains(images, absorption, bands)[inside] ** 2)
     return result
 
 
-def render_job(job, absorption, bands=ALL_BANDS):
+def render_microphones(context, absorption, bands=ALL_BANDS):
     """Render every microphone: list of Response; of a few neighbouring bands, only their share of the response."""
     bands = list(bands)
-    energy = echograms(job, absorption, bands)
-    whole = with_images(job, energy, absorption, bands)
-    return on_threads(partial(_render_one, job, absorption, bands),
-                      list(zip(job.mics_m, energy, whole, job.images, job.diffracted, job.noises, strict=True)))
+    energy = ray_echograms(context, absorption, bands)
+    whole = add_image_sources(context, energy, absorption, bands)
+    return on_threads(partial(_render_one, context, absorption, bands),
+                      list(zip(context.mics_m, energy, whole, context.images, context.diffracted, context.noises, strict=True)))
 
 
-def _render_one(job, absorption, bands, mic_m, energy, whole, images, diffracted, noise):
-    traced, air = job.traced, job.traced.scene.air
+def _render_one(context, absorption, bands, mic_m, energy, whole, images, diffracted, noise):
+    traced, air = context.traced, context.traced.scene.air
     direct_sample = float(np.linalg.norm(mic_m - traced.source_pos_m) / air.speed_m_s * FS_HZ)
-    length_s = min(response_length_s(whole, direct_sample / FS_HZ + 0.1), job.length_s)
-    rir = render(images.distance_m, job.image_gains(images, absorption, bands), energy, noise,
+    length_s = min(response_length_s(whole, direct_sample / FS_HZ + 0.1), context.length_s)
+    rir = render(images.distance_m, context.image_gains(images, absorption, bands), energy, noise,
                  speed_m_s=air.speed_m_s, n_samples=round(length_s * FS_HZ), bands=bands)
     if diffracted is not None:
         rir = rir + diffracted.response(absorption, traced.scene.scattering, air, len(rir))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roomeq.sim.early import Images
+from roomeq.sim.images import SpecularPaths
 from roomeq.sim.meshfile import read_triangles
 from roomeq.sim.scene import MIN_WALL_DISTANCE_M
 from roomeq.sim.trace import Walls, sphere_directions
@@ -144,7 +144,7 @@ class MeshRoom:
         return float(np.clip(self.surroundings(center_m).min(), 0.5 * radius_m, radius_m))
 
     def specular_paths(self, source_pos_m, mic_pos_m, order):
-        """Find the purely specular paths up to an order; see `roomeq.sim.early.specular_paths`."""
+        """Find the purely specular paths up to an order; see `roomeq.sim.images.specular_paths`."""
         key = (tuple(source_pos_m), order)
         sequences = self._known.setdefault("sequences", {})
         if key not in sequences:
@@ -299,7 +299,7 @@ def _checked_paths(room, sequences, source, mic):
         departures.append(_unmirrored(mirrors, sequence[alive], way / distances[-1][:, None]))
     distance_m, surface_counts, departure = (np.concatenate(parts) for parts in (distances, counts, departures))
     by_length = np.argsort(distance_m, kind="stable")
-    return Images(distance_m[by_length], surface_counts[by_length], departure[by_length])
+    return SpecularPaths(distance_m[by_length], surface_counts[by_length], departure[by_length])
 
 
 def _unmirrored(mirrors, sequence, direction):

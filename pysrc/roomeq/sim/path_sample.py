@@ -1,7 +1,7 @@
-"""Echoes: a fair sample of the paths that reach a microphone, for materials that are not known yet.
+"""PathSample: a fair sample of the paths that reach a microphone, for materials that are not known yet.
 
-`roomeq.sim.gather` walks along all stored paths for one set of absorption coefficients. Here one walk keeps, per
-microphone and millisecond, `N_KEPT` of the paths that arrive, drawn with probabilities proportional to the energy
+`roomeq.sim.echogram` walks along all stored paths for one set of absorption coefficients. Here one walk keeps, per
+microphone and millisecond, `PATHS_PER_FRAME` of the paths that arrive, drawn with probabilities proportional to the energy
 that they bring at a reference absorption (weighted reservoir sampling with jumps, as Efraimidis and Spirakis,
 Inf. Process. Lett. 97 (2006) 181). A kept path knows what it met, so that the echogram for any other absorption is a
 small matrix product: exact at the reference, unbiased elsewhere, and the noisier the further from it.
@@ -15,10 +15,10 @@ from functools import partial
 import numpy as np
 
 from roomeq.core.jit import N_CHUNKS, compiled, for_chunks, mix, on_threads
-from roomeq.sim.gather import FRAME_S, spheres, visibility
+from roomeq.sim.echogram import FRAME_S, receiver_spheres, reflection_visibility
 
 _PER_CHUNK = 2  # as `_replace` has it
-N_KEPT = _PER_CHUNK * N_CHUNKS  # per frame
+PATHS_PER_FRAME = _PER_CHUNK * N_CHUNKS  # per frame
 MAX_ABSORPTION = 0.999  # of the reference: a path that it left nothing of could stand for no other
 _NO_GAIN = np.zeros((0, 0, 0), np.float32)
 _GIVEN_UP = np.float32(1e-25)  # share of a ray's energy at the reference
@@ -26,17 +26,17 @@ _BATCH = 32  # microphones that are served in one pass over the rays
 
 
 @dataclass(frozen=True)
-class Echoes:
+class PathSample:
     """Paths that reach one microphone, without those of the image sources.
 
     Attributes
     ----------
-    weight : ndarray of float32, shape (n_columns, n_frames, N_KEPT)
+    weight : ndarray of float32, shape (n_columns, n_frames, PATHS_PER_FRAME)
         Squared pressure that each stands for before anything was absorbed, relative to a direct sound of
         ``1 / (4 pi r)^2``; 0 where there is none. A column is one trace.
-    counts : ndarray of unsigned int, shape (n_columns, n_frames, N_KEPT, n_surfaces)
+    counts : ndarray of unsigned int, shape (n_columns, n_frames, PATHS_PER_FRAME, n_surfaces)
         How often each was reflected by each surface.
-    last : ndarray of uint32, shape (n_columns, n_frames, N_KEPT)
+    last : ndarray of uint32, shape (n_columns, n_frames, PATHS_PER_FRAME)
         Index of its last reflection among those that are stored of the column's `Paths`.
     first : tuple of ndarray
         `Paths.first` of each column.
@@ -53,8 +53,36 @@ class Echoes:
         """Index of the ray that each came with: it left the source in that of `Paths.directions`."""
         return np.searchsorted(self.first[column], self.last[column], side="right") - 1
 
+    def echogram(self, absorption, *, bands=None, ray_gain=None):
+        """Energy that reaches the microphone from all but image sources, for any absorption; compare `compute_echograms`.
 
-def keep_echoes(traced, mics_m, reference, rngs, *, ism_order, n_frames, visible=None):
+        Parameters
+        ----------
+        absorption : ndarray, shape (n_surfaces, 8)
+        bands : sequence of int, optional
+            Leave the others 0.
+        ray_gain : ndarray, shape (n_rays, 8), optional
+            Energy gain of each ray, for sources that are not omnidirectional.
+
+        Returns
+        -------
+        ndarray, shape (n_frames, 8)
+            Squared pressure per frame, without air absorption.
+        """
+        bands = np.arange(len(self.column_of_band)) if bands is None else np.asarray(bands)
+        column_of_band = np.asarray(self.column_of_band)
+        kept = np.asarray(1.0 - absorption, dtype=np.float32)
+        result = np.zeros((self.weight.shape[1], len(column_of_band)), dtype=np.float32)
+        for column in np.unique(column_of_band[bands]):
+            gain = _NO_GAIN if ray_gain is None else np.asarray(ray_gain, np.float32)[self.ray(column)]
+            energy = np.empty(result.shape, np.float32)
+            _absorb(self.weight[column], self.counts[column], int(self.counts[column].max()), kept, gain, energy)
+            members = bands[column_of_band[bands] == column]
+            result[:, members] = energy[:, members]
+        return result
+
+
+def sample_paths(traced, mics_m, reference, rngs, *, ism_order, n_frames, visible=None):
     """Sample what reaches some microphones.
 
     Parameters
@@ -62,29 +90,29 @@ def keep_echoes(traced, mics_m, reference, rngs, *, ism_order, n_frames, visible
     traced : TracedSource
     mics_m : ndarray, shape (n_mics, 3)
     reference : ndarray, shape (n_mics, n_surfaces)
-        Absorption for which the sample is best, of each microphone; see `middle`.
+        Absorption for which the sample is best, of each microphone; see `reference_absorption`.
     rngs : sequence of numpy.random.Generator
         One per microphone; the sample of one does not depend on the others.
     ism_order : int
-        As for `gather`.
+        As for `compute_echograms`.
     n_frames : int or sequence of int
         Frames of 1 ms from the emission on, of all or of each microphone.
     visible : list of ndarray, optional
-        From `visibility`, one for each column.
+        From `reflection_visibility`, one for each column.
 
     Returns
     -------
-    list of Echoes
+    list of PathSample
         One per microphone.
     """
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
     seeds = np.array([rng.integers(2 ** 63) for rng in rngs], dtype=np.uint64)
     reference = np.minimum(reference, MAX_ABSORPTION)
-    sphere = spheres(traced.scene.room, mics_m)
+    sphere = receiver_spheres(traced.scene.room, mics_m)
     n_frames = np.broadcast_to(n_frames, len(mics_m))
     by_frames = np.argsort(-n_frames, kind="stable")  # towards the end of a ray, only the first few still listen
     first = tuple(paths.first for paths in traced.paths)
-    result = [Echoes(*_room_for(traced.paths, count, reference.shape[1]), first, traced.path_of_band)
+    result = [PathSample(*_room_for(traced.paths, count, reference.shape[1]), first, traced.path_of_band)
               for count in n_frames]
     for column, paths in enumerate(traced.paths):
         met = _tallied(paths, reference.shape[1])
@@ -100,7 +128,7 @@ def keep_echoes(traced, mics_m, reference, rngs, *, ism_order, n_frames, visible
 
 def _room_for(columns, n_frames, n_surfaces):
     """Arrays of the paths of one microphone, not filled yet: weight, counts, last."""
-    shape = (len(columns), n_frames, N_KEPT)
+    shape = (len(columns), n_frames, PATHS_PER_FRAME)
     return np.empty(shape, np.float32), np.empty((*shape, n_surfaces), _count_type(columns)), np.empty(shape, np.uint32)
 
 
@@ -108,7 +136,7 @@ def _count_type(columns):
     return np.uint8 if max(paths.counts.max() for paths in columns) < 256 else np.uint16
 
 
-def middle(absorption):
+def reference_absorption(absorption):
     """Reference for all bands together: what is kept at each surface is their geometric mean.
 
     Parameters
@@ -120,36 +148,6 @@ def middle(absorption):
     ndarray, shape (..., n_surfaces)
     """
     return 1.0 - np.exp(np.log1p(-np.minimum(absorption, MAX_ABSORPTION)).mean(axis=-1))
-
-
-def echogram(echoes, absorption, *, bands=None, ray_gain=None):
-    """Energy that reaches the microphone from all but image sources, for any absorption; compare `gather`.
-
-    Parameters
-    ----------
-    echoes : Echoes
-    absorption : ndarray, shape (n_surfaces, 8)
-    bands : sequence of int, optional
-        Leave the others 0.
-    ray_gain : ndarray, shape (n_rays, 8), optional
-        Energy gain of each ray, for sources that are not omnidirectional.
-
-    Returns
-    -------
-    ndarray, shape (n_frames, 8)
-        Squared pressure per frame, without air absorption.
-    """
-    bands = np.arange(len(echoes.column_of_band)) if bands is None else np.asarray(bands)
-    column_of_band = np.asarray(echoes.column_of_band)
-    kept = np.asarray(1.0 - absorption, dtype=np.float32)
-    result = np.zeros((echoes.weight.shape[1], len(column_of_band)), dtype=np.float32)
-    for column in np.unique(column_of_band[bands]):
-        gain = _NO_GAIN if ray_gain is None else np.asarray(ray_gain, np.float32)[echoes.ray(column)]
-        energy = np.empty(result.shape, np.float32)
-        _absorb(echoes.weight[column], echoes.counts[column], int(echoes.counts[column].max()), kept, gain, energy)
-        members = bands[column_of_band[bands] == column]
-        result[:, members] = energy[:, members]
-    return result
 
 
 def _tallied(paths, n_surfaces):
@@ -166,7 +164,7 @@ def _keep_column(paths, met, scene, mics_m, reference, seeds, sphere, ism_order,
     single = partial(np.asarray, dtype=np.float32)
     n_rays, n_frames, speed_m_s = len(paths.counts), int(limits[0]), scene.air.speed_m_s
     if visible is None:
-        visible = visibility(paths, scene.room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
+        visible = reflection_visibility(paths, scene.room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
     radius_m, volume_m3 = sphere
     shape = (N_CHUNKS, len(mics_m), n_frames)
     sums = np.zeros((*shape, 2 + _PER_CHUNK), dtype=np.float32)
@@ -263,7 +261,7 @@ def _replace(sums, kept, m, frame, stream, counter, at):
 @compiled
 def _keep(source, hits, codes, first, face_counts, normals, face_surface, reflection, scattering, mics, visible, radius2,
           per_volume, ism_order, frames_per_m, late_m, stride, seeds, limits, low, high, sums, kept):
-    """Sample rays `low` to `high`; the walk along them is that of `roomeq.sim.gather`.
+    """Sample rays `low` to `high`; the walk along them is that of `roomeq.sim.echogram`.
 
     `sums`, shape (n_mics, n_frames, 2 + _PER_CHUNK): energy so far, the least sum at which a place changes hands, and
     that sum of each place. `kept`, shape (n_mics, n_frames, _PER_CHUNK): the last reflection of the path.

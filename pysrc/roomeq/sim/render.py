@@ -13,7 +13,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from roomeq.acoustics.filterbank import octave_filterbank
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled
-from roomeq.sim.gather import FRAME_S
+from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.trace import dense_after_s
 
 SINC_HALF = 32

@@ -12,7 +12,7 @@ import numpy as np
 
 from roomeq.core.constants import BAND_1KHZ
 from roomeq.core.rng import rng_for
-from roomeq.sim.context import echograms, make_job, render_job, with_images
+from roomeq.sim.context import add_image_sources, make_render_context, ray_echograms, render_microphones
 from roomeq.sim.render import MAX_LENGTH_S, MIN_LENGTH_S
 from roomeq.sim.scene import Scene, check_positions, eyring_time_s
 from roomeq.sim.target import (
@@ -28,7 +28,7 @@ from roomeq.sim.trace import Paths, trace
 NUM_RAYS = 20000
 ISM_ORDER = 6
 ORDER = 200
-_HOW = dict(length_s=None, ism_order=ISM_ORDER, diffraction=True, path_gain=None, echoes=None)
+_HOW = dict(length_s=None, ism_order=ISM_ORDER, diffraction=True, path_gain=None, path_samples=None)
 _AROUND_1KHZ = (BAND_1KHZ - 1, BAND_1KHZ, BAND_1KHZ + 1)  # what the octave filter at 1 kHz sees
 _CLOSE = 0.025  # of the target: good enough not to render all octaves again
 _MAX_FULL = 3
@@ -100,7 +100,7 @@ def trace_source(scene, source_pos_m, *, num_rays=NUM_RAYS, max_length_s=MAX_LEN
 
 
 def render_responses(traced, mics_m, rngs, *, absorption=None, length_s=None, ism_order=ISM_ORDER,
-                     diffraction=True, path_gain=None, echoes=None):
+                     diffraction=True, path_gain=None, path_samples=None):
     """Render the responses of a traced source at some microphones.
 
     Parameters
@@ -119,8 +119,8 @@ def render_responses(traced, mics_m, rngs, *, absorption=None, length_s=None, is
     path_gain : callable, optional
         Takes the directions in which paths leave the source, shape (n, 3), and gives their energy, shape (n, 8): a
         directivity. Diffracted sound has none.
-    echoes : list of Echoes, optional
-        Of the microphones, from `keep_echoes` with the same `ism_order`: renders in a fraction of the time what is
+    path_samples : list of PathSample, optional
+        Of the microphones, from `sample_paths` with the same `ism_order`: renders in a fraction of the time what is
         otherwise gathered from all stored paths.
 
     Returns
@@ -132,9 +132,9 @@ def render_responses(traced, mics_m, rngs, *, absorption=None, length_s=None, is
     ValueError
         A microphone lies outside the room or on top of the source.
     """
-    job = make_job(traced, mics_m, rngs, length_s=length_s, ism_order=ism_order, diffraction=diffraction,
-                   path_gain=path_gain, echoes=echoes)
-    return render_job(job, traced.scene.absorption if absorption is None else absorption)
+    context = make_render_context(traced, mics_m, rngs, length_s=length_s, ism_order=ism_order, diffraction=diffraction,
+                   path_gain=path_gain, path_samples=path_samples)
+    return render_microphones(context, traced.scene.absorption if absorption is None else absorption)
 
 
 def render_to_target(traced, mics_m, rngs, target_s, *, absorption=None, **how):
@@ -154,26 +154,26 @@ def render_to_target(traced, mics_m, rngs, target_s, *, absorption=None, **how):
         No scaling was found that brings T30 within 5 % of the target, with T20 about the same: the room, its air
         or the direct sound don't allow it.
     """
-    job = make_job(traced, mics_m, rngs, **(_HOW | how))
+    context = make_render_context(traced, mics_m, rngs, **(_HOW | how))
     base = traced.scene.absorption if absorption is None else absorption
     guess = eyring_exponent(traced.scene, target_s, base)
-    search = job if job.echoes is not None else replace(
-        job, echoes=job.sampled(scaled_absorption(base, guess)[:, BAND_1KHZ], rngs))
+    search = context if context.path_samples is not None else replace(
+        context, path_samples=context.sample_paths(scaled_absorption(base, guess)[:, BAND_1KHZ], rngs))
 
     def pilot(exponent):
         absorption = scaled_absorption(base, exponent)
-        energy = with_images(search, echograms(search, absorption, [BAND_1KHZ]), absorption, [BAND_1KHZ])
+        energy = add_image_sources(search, ray_echograms(search, absorption, [BAND_1KHZ]), absorption, [BAND_1KHZ])
         return t30_of_echogram(energy[:, :, 0].mean(axis=0))
 
     @cache
     def measure(exponent):
-        return _mean_t30_s(render_job(search, scaled_absorption(base, exponent), _AROUND_1KHZ))
+        return _mean_t30_s(render_microphones(search, scaled_absorption(base, exponent), _AROUND_1KHZ))
 
     exponent, _ = solve_exponent(pilot, target_s, guess)
     time_s = measure(exponent)
     if time_s is not None:  # one rendering says what its noise does to T30, the echogram says what more absorption does
         exponent, _ = solve_exponent(pilot, target_s ** 2 / time_s, exponent)
-    responses = render_job(job, scaled_absorption(base, exponent))
+    responses = render_microphones(context, scaled_absorption(base, exponent))
     time_s, aim_s = _mean_t30_s(responses), target_s
     for _ in range(_MAX_FULL):
         if time_s is not None and abs(time_s / target_s - 1.0) <= _CLOSE:
@@ -181,7 +181,7 @@ def render_to_target(traced, mics_m, rngs, target_s, *, absorption=None, **how):
         exponent, found_s = solve_exponent(measure, aim_s, exponent)
         if found_s is None or abs(found_s / aim_s - 1.0) > TOLERANCE:
             break
-        responses = render_job(job, scaled_absorption(base, exponent))
+        responses = render_microphones(context, scaled_absorption(base, exponent))
         time_s = _mean_t30_s(responses)
         aim_s *= target_s / (time_s or target_s)  # other octaves and paths that the sample left out tell
     if time_s is None or abs(time_s / target_s - 1.0) > TOLERANCE:

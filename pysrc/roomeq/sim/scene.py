@@ -223,7 +223,7 @@ def check_positions(room, source_pos_m, mic_pos_m):
                          f"{MIN_DISTANCE_M:g} m: correct the positions")
 
 
-def sabine_area_m2(scene, absorption=None):
+def eyring_absorption_area_m2(scene, absorption=None):
     """Sum of ``-ln(1 - alpha_mean) S + 4 m V`` per band: the absorption area in Eyring's formula, shape (8,).
 
     `absorption`, shape (n_surfaces, 8), stands for that of the scene if given.
@@ -234,6 +234,6 @@ def sabine_area_m2(scene, absorption=None):
 
 
 def eyring_time_s(scene, absorption=None):
-    """Reverberation time per band by Eyring: ``24 ln(10) V / (c A)``, shape (8,) [s]; see `sabine_area_m2`."""
-    area_m2 = np.maximum(sabine_area_m2(scene, absorption), 1e-9)
+    """Reverberation time per band by Eyring: ``24 ln(10) V / (c A)``, shape (8,) [s]; see `eyring_absorption_area_m2`."""
+    area_m2 = np.maximum(eyring_absorption_area_m2(scene, absorption), 1e-9)
     return 24.0 * np.log(10.0) * scene.room.volume_m3 / (scene.air.speed_m_s * area_m2)

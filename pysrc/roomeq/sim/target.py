@@ -4,7 +4,7 @@ import numpy as np
 
 from roomeq.acoustics.iso3382 import decay_time, energy_decay, octave_bands, reverberation_time
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
-from roomeq.sim.gather import FRAME_S
+from roomeq.sim.echogram import FRAME_S
 
 TOLERANCE = 0.05
 STRAIGHT = 0.3  # how much T20 and T30 may differ

@@ -11,7 +11,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Images:
+class SpecularPaths:
     """Specular paths from one source to one receiver, sorted by length.
 
     Attributes
@@ -57,7 +57,7 @@ def specular_paths(room, source_pos_m, mic_pos_m, order):
 
     Returns
     -------
-    Images
+    SpecularPaths
     """
     if hasattr(room, "specular_paths"):
         return room.specular_paths(source_pos_m, mic_pos_m, order)
@@ -70,7 +70,7 @@ def specular_paths(room, source_pos_m, mic_pos_m, order):
     # what leaves an image leaves the source mirrored along each axis with an odd number of reflections
     departure = np.where(lattice % 2 == 0, way, -way) / distance_m[:, None]
     by_length = np.argsort(distance_m, kind="stable")
-    return Images(distance_m[by_length], surface_counts[by_length], departure[by_length])
+    return SpecularPaths(distance_m[by_length], surface_counts[by_length], departure[by_length])
 
 
 @lru_cache(maxsize=8)

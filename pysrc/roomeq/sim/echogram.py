@@ -1,6 +1,6 @@
 """Echograms: how much energy the stored paths bring to receivers, per band and millisecond.
 
-Every path counts once. Purely specular paths up to the image-source order are left to `roomeq.sim.early`. Paths
+Every path counts once. Purely specular paths up to the image-source order are left to `roomeq.sim.images`. Paths
 whose last reflection is diffuse are counted at every reflection by its expected contribution (next-event
 estimation): a Lambert reflector of scattering s sends ``s (1 - alpha) cos(theta) / (pi d^2)`` to the receiver,
 whichever way the ray itself went on. All others end in a specular reflection and are counted by the length of
@@ -23,7 +23,7 @@ NUDGE_M = 1e-4  # shadow rays start this far off the surface
 _BATCH = 32  # receivers that are served in one pass over the rays
 
 
-def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, visible=None,
+def compute_echograms(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, visible=None,
            ray_gain=None):
     """Collect echograms.
 
@@ -39,7 +39,7 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, v
         Frames of 1 ms from the emission on.
     speed_m_s : float
     visible : ndarray, optional
-        From `visibility`, which is asked if need be.
+        From `reflection_visibility`, which is asked if need be.
     ray_gain : ndarray, shape (n_rays, 8), optional
         Energy with which each ray leaves the source, 1 by default.
 
@@ -53,9 +53,9 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, v
     reflection = single((1.0 - absorption)[paths.face_surface])
     scattering = single(paths.scattering[paths.face_surface])
     if visible is None:
-        visible = visibility(paths, room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
+        visible = reflection_visibility(paths, room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
     n_rays = len(paths.counts)
-    radius_m, volume_m3 = spheres(room, mics_m)
+    radius_m, volume_m3 = receiver_spheres(room, mics_m)
     ray_gain = np.zeros((0, 8), dtype=np.float32) if ray_gain is None else single(ray_gain)
     result = np.empty((len(mics_m), n_frames, absorption.shape[1]))
     for first in range(0, len(mics_m), _BATCH):
@@ -71,20 +71,20 @@ def gather(paths, room, absorption, mics_m, *, ism_order, n_frames, speed_m_s, v
     return result / (4.0 * np.pi * n_rays)
 
 
-def spheres(room, mics_m):
+def receiver_spheres(room, mics_m):
     """Radius [m] and volume inside the room [m3] of the sphere around each microphone, shape (n_mics,) each."""
     wanted_m = float(np.clip(0.11 * room.volume_m3 ** (1.0 / 3.0), *_SPHERE_RADII))
     radius_m = np.array([room.sphere_radius_m(mic, wanted_m) for mic in mics_m])
     return radius_m, np.array([room.sphere_volume_m3(*sphere) for sphere in zip(mics_m, radius_m, strict=True)])
 
 
-def visibility(paths, room, mics_m, *, n_frames, speed_m_s):
+def reflection_visibility(paths, room, mics_m, *, n_frames, speed_m_s):
     """Tell from which stored reflections microphones are seen.
 
     Returns
     -------
     ndarray of bool, shape (n_mics, n_stored)
-        Of shape (0, 0) in a convex room, where all is seen. Only reflections that `gather` asks for are right.
+        Of shape (0, 0) in a convex room, where all is seen. Only reflections that `compute_echograms` asks for are right.
     """
     if room.convex:
         return np.zeros((0, 0), dtype=np.bool_)
