@@ -3,18 +3,18 @@
 import numpy as np
 
 from loop_run import make_loop
-from roomeq.augment.augment import augment
+from roomeq.augment import augment
 from roomeq.core.audio import write_flac, write_wav
 from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.corpora.characterise import characterise
 from roomeq.corpora.split import split_rirs
-from roomeq.eq.compensate import compensate
+from roomeq.eq.compensation import compensate
 from roomeq.eq.fit import fit_eq
 from roomeq.kaldi.wavscp import flac_entry
 from roomeq.kaldi.write import OutUtterance, write_data_dir
 from roomeq.records.rir_dir import read_rirs, write_noises, write_rirs
-from roomeq.wer.measure import wer
+from roomeq.wer import measure_wer
 from wer_run import put_example
 
 ROOMS = {"office": (0.4, (8, 6, 2, 1, 0, -2, -4, -9)), "hall": (0.9, (4, 9, 5, 2, 0, -1, -3, -6)),
@@ -34,7 +34,8 @@ def make_run(root):
         make_simulated(read_rirs(data / f"rirs.real.{x}"), data / f"rirs.sim.{x}")
         make_simulated(read_rirs(data / f"rirs.real.{x}"), data / f"rirs.sim.loop.{x}")
     make_loop(exp / "loop")
-    wer(put_example(root / "decoded", seeds=2, columns=("fglarge", "online")), exp / "wer", rirs=root / "decoded/rirs")
+    workspaces = put_example(root / "decoded", seeds=2, columns=("fglarge", "online"))
+    measure_wer(workspaces, exp / "wer", rirs=root / "decoded/rirs")
     fit_eq(data / "rirs.real.train", [data / "rirs.sim.train"], exp / "eq", n_components=3, seed=0)
     for x in ("train", "dev"):
         compensate(data / f"rirs.sim.{x}", exp / "eq", data / f"rirs.sim.EQ.{x}", seed=0)

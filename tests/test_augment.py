@@ -13,7 +13,7 @@ import soundfile
 from joblib.externals.loky import get_reusable_executor
 
 from datadirs import FS, LENGTHS, audio_of, burst, decay, rir_dir, rir_row, speech_dir
-from roomeq.augment.augment import augment
+from roomeq.augment import augment
 from roomeq.augment.draw import parse_distribution
 from roomeq.core.audio import write_flac, write_wav
 from roomeq.kaldi.datadir import read_data_dir, validate_data_dir

@@ -9,7 +9,7 @@ import soundfile
 
 from datadirs import rir_dir, speech_dir
 from rirmaker import coloured_rir
-from roomeq.augment.augment import augment
+from roomeq.augment import augment
 from roomeq.core.audio import write_flac, write_wav
 from roomeq.corpora import prepare_speech, read_measured
 from roomeq.corpora.characterise import characterise

@@ -163,7 +163,7 @@ def test_pipes_that_fail(command, message):
 def test_ids_are_never_run_and_leave_no_folder(tmp_path, monkeypatch, name):
     """An id is text: here it is the speaker, the utterance and the name of the file."""
     from datadirs import rir_dir
-    from roomeq.augment.augment import augment
+    from roomeq.augment import augment
 
     monkeypatch.chdir(tmp_path)
     name = name.replace(" ", "\u00b7")

@@ -22,7 +22,7 @@ from roomeq.report.load import Run
 from roomeq.report.page import Html, escape, number, table, tag
 from roomeq.report.section_eq import verdict
 from roomeq.report.section_loop import REGIONS, residual_sizes
-from roomeq.wer.measure import wer
+from roomeq.wer import measure_wer
 from wer_run import put_example
 
 FIGURES = ("figure-1-left", "figure-1-right", "figure-2-measured", "figure-2-resampled", "figure-2-simulated",
@@ -177,7 +177,7 @@ def test_word_error_rates_are_told_in_words(page):
     ({"train.sim.rvb": 5, "train.real.rvb": 5, "train.sim.EQ.rvb": 4}, ["gap not certain"], ["What it can detect"]),
     ({"train.sim.rvb": 5, "train.sim.EQ.rvb": 4}, ["Change against"], ["gap not certain"])])
 def test_word_error_rates_of_some_rows(tmp_path, errors, shown, not_shown):
-    wer(put_example(tmp_path, errors=errors), tmp_path / "exp/wer", rirs=tmp_path / "rirs")
+    measure_wer(put_example(tmp_path, errors=errors), tmp_path / "exp/wer", rirs=tmp_path / "rirs")
     text = section_wer.word_error_rates(Run(tmp_path / "data", tmp_path / "exp"))
     assert "With one seed the spread over seeds is not known" in text
     assert all(one in text for one in shown) and not any(one in text for one in not_shown)
@@ -185,7 +185,7 @@ def test_word_error_rates_of_some_rows(tmp_path, errors, shown, not_shown):
 
 def test_what_can_be_detected_is_said(tmp_path):
     workspaces = put_example(tmp_path, seeds=2, errors={"train.sim.rvb": 8, "train.sim.EQ.rvb": 4})
-    path = wer(workspaces, tmp_path / "exp/wer", rirs=tmp_path / "rirs")
+    path = measure_wer(workspaces, tmp_path / "exp/wer", rirs=tmp_path / "rirs")
     found = json.loads(path.read_text())["results"]["train.sim.EQ.rvb"]["tgsmall"]["change"]
     text = section_wer.word_error_rates(Run(tmp_path / "data", tmp_path / "exp"))
     assert f"{found['detectable']['difference']:.2f} points (tgsmall)" in text and "16 rooms" in text

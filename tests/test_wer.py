@@ -10,9 +10,10 @@ from scipy.stats import binom
 from roomeq.core.files import write_json
 from roomeq.core.rng import rng_for
 from roomeq.validate import validate
-from roomeq.wer import intervals
+from roomeq.wer import measure_wer, statistics
 from roomeq.wer.check import read_wer, validate_wer
-from roomeq.wer.intervals import (
+from roomeq.wer.scoring import Weights, choose_weights, count_errors, read_bootci, read_reference
+from roomeq.wer.statistics import (
     Components,
     Resampling,
     Statistic,
@@ -21,15 +22,13 @@ from roomeq.wer.intervals import (
     ratio_interval,
     utterance_intervals,
 )
-from roomeq.wer.measure import wer
-from roomeq.wer.scoring import Weights, choose_weights, count_errors, read_bootci, read_reference
 from wer_run import DEV_ROOMS, ROOMS, put_decode, put_example, put_rirs, put_workspace, sentence, utterances_of
 
 TIMES = 200
 
 
 def measured(root, workspaces):
-    return json.loads(wer(workspaces, root / "wer", rirs=root / "rirs").read_text())
+    return json.loads(measure_wer(workspaces, root / "wer", rirs=root / "rirs").read_text())
 
 
 @pytest.fixture(scope="module")
@@ -139,9 +138,9 @@ def test_dev_is_of_the_rows_own_kind_where_that_was_decoded(tmp_path, capsys):
 
 def test_the_table_says_what_it_is(tmp_path, capsys):
     workspaces = put_example(tmp_path, seeds=2, columns=("fglarge", "online"))
-    wer(workspaces[:1], tmp_path / "one", rirs=tmp_path / "rirs")
+    measure_wer(workspaces[:1], tmp_path / "one", rirs=tmp_path / "rirs")
     one = capsys.readouterr().out
-    wer(workspaces, tmp_path / "two", rirs=tmp_path / "rirs")
+    measure_wer(workspaces, tmp_path / "two", rirs=tmp_path / "rirs")
     two = capsys.readouterr().out
     assert "train.sim.EQ.rvb            30.00   30.00     32.50   32.50\n" in one
     assert one.splitlines()[1].split() == ["Training", "data", "fglarge", "online", "fglarge", "online"]
@@ -152,11 +151,11 @@ def test_the_table_says_what_it_is(tmp_path, capsys):
 
 def test_same_workspaces_give_the_same_bytes(tmp_path, capsys):
     workspaces = put_example(tmp_path, seeds=2, errors={"train.sim.rvb": 5, "train.sim.EQ.rvb": 2})
-    first = wer(workspaces, tmp_path / "a", rirs=tmp_path / "rirs").read_bytes()
+    first = measure_wer(workspaces, tmp_path / "a", rirs=tmp_path / "rirs").read_bytes()
     said = capsys.readouterr().out
     shutil.rmtree(tmp_path / "a")
-    assert wer(workspaces, tmp_path / "a", rirs=tmp_path / "rirs").read_bytes() == first
-    assert wer(workspaces, tmp_path / "a", rirs=tmp_path / "rirs").read_bytes() == first
+    assert measure_wer(workspaces, tmp_path / "a", rirs=tmp_path / "rirs").read_bytes() == first
+    assert measure_wer(workspaces, tmp_path / "a", rirs=tmp_path / "rirs").read_bytes() == first
     assert capsys.readouterr().out == 2 * said
 
 
@@ -232,7 +231,7 @@ def draws():
     """Resampling by shape, each made once, with a fifth of the replicates."""
     kept = {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(intervals, "REPLICATES", 2000)
+        patch.setattr(statistics, "REPLICATES", 2000)
         yield lambda *shape: kept.get(shape) or kept.setdefault(shape, Resampling(*shape, "test"))
 
 

@@ -10,9 +10,9 @@ __version__ = "0.2.0"
 
 if TYPE_CHECKING:
     from roomeq.acoustics.parameters import measure as analyse
-    from roomeq.augment.augment import augment
+    from roomeq.augment.far_field import augment
     from roomeq.corpora.characterise import characterise
-    from roomeq.eq.compensate import compensate, compensate_rir
+    from roomeq.eq.compensation import compensate, compensate_rir
     from roomeq.eq.fit import fit_eq
     from roomeq.loop.close import close_loop
     from roomeq.records.rir_dir import load_rir, read_rirs
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 _HOME = {
     "Air": "sim.scene", "Material": "sim.scene", "MeshRoom": "sim.mesh", "Scene": "sim.scene", "Shoebox": "sim.scene",
-    "analyse": "acoustics.parameters:measure", "augment": "augment.augment", "characterise": "corpora.characterise",
-    "close_loop": "loop.close", "compensate": "eq.compensate", "compensate_rir": "eq.compensate", "fit_eq": "eq.fit",
+    "analyse": "acoustics.parameters:measure", "augment": "augment.far_field", "characterise": "corpora.characterise",
+    "close_loop": "loop.close", "compensate": "eq.compensation", "compensate_rir": "eq.compensation", "fit_eq": "eq.fit",
     "load_mesh": "sim.mesh", "load_rir": "records.rir_dir", "read_rirs": "records.rir_dir",
     "simulate": "simulate_rirs", "simulate_rir": "sim.response",
 }

@@ -181,7 +181,7 @@ def _rir_verbs(verbs) -> None:
 
 
 def _eq_verbs(verbs) -> None:
-    (Verb(verbs, "fit-eq", "eq.fit", "Fit a Gaussian mixture to the sub-band EQs of measured RIRs.",
+    (Verb(verbs, "fit-eq", "eq", "Fit a Gaussian mixture to the sub-band EQs of measured RIRs.",
           "data/rirs.real.train data/rirs.sim.train exp/eq")
      .argument("real_dir", help="measured RIRs, training set")
      .argument("sim_dirs", nargs="*", help="simulated RIRs, for the comparison")
@@ -189,7 +189,7 @@ def _eq_verbs(verbs) -> None:
      .argument("--num-components", dest="n_components", type=integer, default=7, help="of the mixture")
      .argument("--weight-rooms", action="store_true", help="let rooms count equally")
      .seed().jobs())
-    (Verb(verbs, "compensate", "eq.compensate", "Give every simulated RIR an EQ drawn from the measured distribution.",
+    (Verb(verbs, "compensate", "eq", "Give every simulated RIR an EQ drawn from the measured distribution.",
           "data/rirs.sim.train exp/eq data/rirs.sim.EQ.train")
      .argument("sim_dir", help="simulated RIRs")
      .argument("eq_dir", help="what fit-eq made")
@@ -210,7 +210,7 @@ def _eq_verbs(verbs) -> None:
 
 
 def _speech_verbs(verbs) -> None:
-    (Verb(verbs, "augment", "augment.augment",
+    (Verb(verbs, "augment", "augment",
           "Make far-field speech: x * h + point noises * their RIRs + ambient noise.",
           "--snr 'uniform 5 25' data/train.clean data/rirs.sim.train data/train.sim.rvb")
      .argument("data_dir", help="Kaldi data directory of clean speech")
@@ -229,8 +229,8 @@ def _speech_verbs(verbs) -> None:
      .argument("--pipes", action="store_true", help="run the commands that wav.scp holds; without it only those "
                                                     "known to decode a file are understood, and read directly")
      .seed().jobs())
-    (Verb(verbs, "wer", "wer.measure", "Measure word error rates of Kaldi workspaces, with intervals; print the table.",
-          "--rirs data/rirs.real exp/kaldi exp/kaldi.seed1 exp/wer")
+    (Verb(verbs, "wer", "wer", "Measure word error rates of Kaldi workspaces, with intervals; print the table.",
+          "--rirs data/rirs.real exp/kaldi exp/kaldi.seed1 exp/wer", function="measure_wer")
      .argument("workspaces", nargs="+", help="Kaldi workspaces with decoded rows, one a seed")
      .argument("out", help="directory to make: wer.json")
      .argument("--rirs", required=True, help="RIR directory that says which rooms the sets' RIRs are of"))

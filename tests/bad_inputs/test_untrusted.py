@@ -15,7 +15,7 @@ from running import call, snapshot
 from wrong import HOSTILE
 
 from datadirs import FS, burst, rir_dir
-from roomeq.augment.augment import augment
+from roomeq.augment import augment
 from roomeq.kaldi.datadir import read_data_dir, validate_data_dir
 from roomeq.kaldi.wavscp import flac_entry
 from roomeq.kaldi.write import OutUtterance, write_data_dir

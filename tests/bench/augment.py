@@ -30,7 +30,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(PROJECT / "pysrc"), str(PROJECT / "tests")]
 
 from bench.augment_peers import Task, convolve_as_kaldi, present  # noqa: E402
-from roomeq.augment.augment import augment  # noqa: E402
+from roomeq.augment import augment  # noqa: E402
 from roomeq.corpora import read_measured, read_noises  # noqa: E402
 from roomeq.kaldi.datadir import read_data_dir, read_utterance  # noqa: E402
 from roomeq.kaldi.wavscp import flac_entry  # noqa: E402
@@ -209,7 +209,7 @@ def memory(speech, rirs, noises, work):
     runs |= {f"one_of_{jobs}_jobs_of_{copies * len(pieces)}_utterances": (many, copies, f"1/{jobs}")
              for copies, jobs in ((1, 1000), (10, 10_000))}
     # not ru_maxrss, which a child has from its parent
-    code = ("import sys; from roomeq.augment.augment import augment; "
+    code = ("import sys; from roomeq.augment import augment; "
             "augment(sys.argv[1], sys.argv[2], sys.argv[4], noises=[sys.argv[3]], copies=int(sys.argv[5]), "
             "part=sys.argv[6]); status = dict(line.split(':') for line in open('/proc/self/status')); "
             "print(int(status['VmHWM'].split()[0]) // 1024)")

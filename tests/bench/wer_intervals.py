@@ -22,7 +22,7 @@ sys.path.insert(0, str(PROJECT / "pysrc"))
 
 from roomeq.core.files import write_json  # noqa: E402
 from roomeq.core.rng import rng_for  # noqa: E402
-from roomeq.wer.intervals import Resampling, Statistic  # noqa: E402
+from roomeq.wer.statistics import Resampling, Statistic  # noqa: E402
 
 TRUTH = 20.0  # per cent
 WORDS, UTTERANCE = 200, 10  # in a room, in an utterance

@@ -201,7 +201,7 @@ def _noises(directories: list[Path]) -> list[Noise]:
 
 @dataclass(frozen=True)
 class Rules:
-    """How to draw; see `roomeq.augment.augment.augment` for the options."""
+    """How to draw; see `roomeq.augment.far_field.augment` for the options."""
 
     seed: int
     draw_rooms_equally: bool

@@ -1,1 +1,7 @@
-"""Sub-band EQ: its distribution, the compensation filters, distances."""
+"""Sub-band EQ of measured and simulated RIRs: its distribution, compensation filters, distances between sets."""
+
+from roomeq.eq.compensation import compensate, compensate_rir
+from roomeq.eq.distance import eq_distance
+from roomeq.eq.fit import fit_eq
+
+__all__ = ["compensate", "compensate_rir", "eq_distance", "fit_eq"]

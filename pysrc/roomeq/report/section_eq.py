@@ -7,7 +7,7 @@ import numpy as np
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ
 from roomeq.core.files import read_json
 from roomeq.core.rng import rng_for
-from roomeq.eq.compensate import MAX_MEDIAN_DB, MAX_P95_DB, SUMMARY_FILE
+from roomeq.eq.compensation import MAX_MEDIAN_DB, MAX_P95_DB, SUMMARY_FILE
 from roomeq.eq.distance import eq_distance, gap_closed
 from roomeq.eq.fit import MEASURED_FILE, RESAMPLED_FILE, read_eq_rows
 from roomeq.eq.gmm import FREE, with_reference

@@ -8,9 +8,9 @@ import numpy as np
 from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.response import RESPONSE_HZ, Response
-from roomeq.loop.features import METRIC, REGION, THIRDS_HZ
 from roomeq.loop.check import RESIDUALS_FILE, WAYS, read_ledger, read_residuals
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, STEP_S, Examples, read_examples
+from roomeq.loop.features import METRIC, REGION, THIRDS_HZ
 from roomeq.loop.ledger import LEDGER_FILE
 from roomeq.loop.predict import BAND_OF_FEATURE
 from roomeq.loop.unexplained import Unexplained

@@ -1,1 +1,5 @@
-"""Word error rates: what Kaldi's scoring left behind, the paper's table of it, and what it can show."""
+"""Word error rates: read Kaldi's scoring, count errors, estimate confidence intervals, print the table."""
+
+from roomeq.wer.measure import measure_wer
+
+__all__ = ["measure_wer"]

@@ -9,7 +9,7 @@ from roomeq.core.build import Build
 from roomeq.core.files import read_json, write_json
 from roomeq.records.rir_dir import ROWS_FILE, read_rirs
 from roomeq.wer.check import WER_FILE
-from roomeq.wer.intervals import (
+from roomeq.wer.statistics import (
     Resampling,
     Statistic,
     detectable,
@@ -35,7 +35,7 @@ logger = logging.getLogger(__name__)
 
 
 
-def wer(workspaces: list[Path], out: Path, *, rirs: Path) -> Path:
+def measure_wer(workspaces: list[Path], out: Path, *, rirs: Path) -> Path:
     """Measure the word error rates of Kaldi workspaces, with intervals; write `wer.json` and print the table.
 
     Language model weight and word insertion penalty are chosen on the development set, for each row, column and
