@@ -188,6 +188,18 @@ def test_mesh_rows_are_simulated_with_materials_by_name(tmp_path):
     assert json.loads((tmp_path / "sim" / "rirs.jsonl").read_text().splitlines()[0])["leaked_share"] == 0.0
 
 
+def test_mesh_rooms_give_the_same_bytes_with_two_processes(tmp_path):
+    from test_sim_mesh import L_PLAN, prism_obj
+    (tmp_path / "measured").mkdir()
+    (tmp_path / "measured" / "room.obj").write_text(prism_obj(L_PLAN, 3.0, "brick_bare"))
+    write_jsonl(tmp_path / "measured" / "rirs.jsonl", [
+        measured_row(f"m{n}", mesh="room.obj", room_dims_m=None, source_id=f"s{n}", source_pos_m=[5.0, 1.0 + n / 4, 1.5],
+                     mic_pos_m=[1.0, 5.0, 1.5]) for n in range(2)])
+    for nj in (1, 2):
+        run(tmp_path / "measured", tmp_path / f"nj{nj}", num_rays=500, nj=nj)
+    assert hashes(tmp_path / "nj1") == hashes(tmp_path / "nj2")
+
+
 def test_a_target_out_of_reach_is_drawn_again_and_that_is_said(tmp_path, caplog):
     caplog.set_level("INFO")
     far = measured_row("far", room_dims_m=[28.0, 11.0, 3.3], source_pos_m=[1.0, 1.0, 1.5], mic_pos_m=[27.0, 10.0, 1.5])

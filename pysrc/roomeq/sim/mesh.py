@@ -57,6 +57,10 @@ class MeshRoom:
             normals=normals, offset=offset, area=0.5 * area, plane=np.ravel(plane),
             mirrors=np.column_stack([normals, offset])[first], embree=_embree(self.triangles))
 
+    def __reduce__(self):
+        """Pickle the geometry alone: an embree scene cannot be pickled, and is built again."""
+        return MeshRoom, (self.triangles, self.surfaces, self.face_surface, self.volume_m3, self.convex)
+
     @property
     def normals(self):
         """Unit normals into the air, shape (n_faces, 3)."""
