@@ -1,6 +1,7 @@
-"""The RIR directory's own files."""
+"""Files of an RIR directory: `rirs.jsonl` and `rir_list`."""
 
 import argparse
+import json
 import os
 import shlex
 import shutil
@@ -27,7 +28,7 @@ def write_two(directory):
 
 
 def stock_rir_list(directory):
-    """Parse a list as Kaldi's reverberate_data_dir.py does: words as of a shell, one of them the RIR."""
+    """Parse `rir_list` as Kaldi's reverberate_data_dir.py does: shell words, one of them the RIR."""
     parser = argparse.ArgumentParser()
     for option in ("--rir-id", "--room-id"):
         parser.add_argument(option, required=True)
@@ -36,17 +37,17 @@ def stock_rir_list(directory):
 
 
 @pytest.mark.parametrize("folder", ["plain", "with blanks and 'quotes'"])
-def test_stock_scripts_can_read_the_list(tmp_path, folder):
+def test_stock_scripts_parse_rir_list(tmp_path, folder):
     write_two(tmp_path / folder)
-    listed = stock_rir_list(tmp_path / folder)
-    assert [one.rir_id for one in listed] == ["a", "b"]
-    for one in listed:
-        words = shlex.split(one.rir_rspecifier)
+    entries = stock_rir_list(tmp_path / folder)
+    assert [entry.rir_id for entry in entries] == ["a", "b"]
+    for entry in entries:
+        words = shlex.split(entry.rir_rspecifier)
         assert words[0] == "sox" and words[-1] == "|" and Path(words[2]).is_file()
 
 
 @pytest.mark.skipif(not shutil.which("sox"), reason="needs sox, as stock Kaldi does")
-def test_the_pipe_gives_16_bit_audio_at_full_scale(tmp_path):
+def test_rir_list_pipe_yields_16_bit_full_scale_audio(tmp_path):
     write_two(tmp_path)
     command = stock_rir_list(tmp_path)[0].rir_rspecifier.rstrip(" |")
     wav = subprocess.run(shlex.split(command), capture_output=True, check=True, env=dict(os.environ)).stdout
@@ -55,8 +56,37 @@ def test_the_pipe_gives_16_bit_audio_at_full_scale(tmp_path):
     np.testing.assert_allclose(samples / samples[20] * RIR[20], RIR, atol=2e-6)
 
 
-def test_what_is_written_is_read(tmp_path):
+def test_written_rows_and_audio_are_read_back(tmp_path):
     rows = write_two(tmp_path)
     assert validate_rirs(tmp_path) == 2
     assert [row["id"] for row in read_rirs(tmp_path)] == ["a", "b"]
     np.testing.assert_allclose(load_rir(tmp_path, rows[0]), RIR, atol=1e-9)
+
+
+def without_keys(directory, *keys):
+    """Rewrite `rirs.jsonl` as a person may write it: without some keys."""
+    lines = (directory / "rirs.jsonl").read_text().splitlines()
+    rows = [{key: value for key, value in json.loads(line).items() if key not in keys} for line in lines]
+    (directory / "rirs.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+
+
+def test_rate_and_length_are_read_from_the_audio(tmp_path):
+    write_two(tmp_path)
+    complete = read_rirs(tmp_path)
+    without_keys(tmp_path, "fs_hz", "n_samples")
+    assert read_rirs(tmp_path) == complete
+    assert validate_rirs(tmp_path) == 2
+
+
+def test_missing_audio_of_a_short_row_names_line_and_file(tmp_path):
+    write_two(tmp_path)
+    without_keys(tmp_path, "n_samples")
+    (tmp_path / "wav" / "b.wav").unlink()
+    with pytest.raises(ValueError, match=r"rirs\.jsonl:2: .*wav/b\.wav: no such audio file: check the path"):
+        read_rirs(tmp_path)
+
+
+def test_numpy_numbers_are_written_as_plain_ones(tmp_path):
+    rows = write_two(tmp_path)
+    write_rirs(tmp_path, [row | dict(distance_m=np.float64(2.5)) for row in rows])
+    assert [row["distance_m"] for row in read_rirs(tmp_path)] == [2.5, 2.5]

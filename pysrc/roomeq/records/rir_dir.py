@@ -1,70 +1,83 @@
-"""The RIR directory: audio plus `rirs.jsonl`, one JSON object a line, sorted by id.
+"""The RIR directory: audio, `rirs.jsonl` and `noises.jsonl` with one JSON object per line, sorted by id.
 
-Every step that makes or takes RIRs speaks this format. Keys of a row:
+Every step that writes or reads RIRs uses this format. `roomeq.records.schema` declares the keys of a row:
 
 required
-    `id`, `wav` (relative to the directory), `room_id`, `source_id`, `mic_id`, `fs_hz`, `n_samples`
+    `id`, `wav` (relative to the directory), `room_id`, `source_id`, `mic_id`; `fs_hz` and `n_samples` are read from the
+    audio file where a hand-written row lacks them
 geometry, `null` where nobody measured it (each coordinate on its own)
     `room_dims_m` [x, y, z] or `mesh` (a file), `source_pos_m`, `mic_pos_m`, `source_dir`, `mic_dir`
 parameters
-    `acoustic_parameters`: what `roomeq characterise` measured; `screen`: why the RIR is left out of the EQ fit, or null
+    `acoustic_parameters`: what `roomeq characterise` measured; `screen`: why the EQ fit leaves the RIR out, or null
 """
 
+import json
 import os
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import audio_info, read_audio
 from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.core.files import read_jsonl, write_jsonl, write_text
-from roomeq.records.schema import noise_problem, row_problem
+from roomeq.records.schema import NoiseRow, RirRow, noise_problem, row_problem
 
 ROWS_FILE = "rirs.jsonl"
 NOISES_FILE = "noises.jsonl"
 
 
-def read_rirs(directory: Path) -> list[dict]:
-    """Read and check the rows of an RIR directory.
+def read_rirs(directory: Path) -> list[RirRow]:
+    """Read and check the rows of an RIR directory; each has `fs_hz` and `n_samples`.
 
     Raises
     ------
     ValueError
-        The directory or its `rirs.jsonl` is missing or empty, or a row breaks the contract; the message names
-        the first line that does.
+        The directory or its `rirs.jsonl` is missing or empty, or a row breaks the contract; the message names the
+        first line that does.
     """
     path = Path(directory) / ROWS_FILE
-    rows = _checked(path, row_problem)
+    rows = cast(list[RirRow], _read_checked(path, row_problem))
     if not rows:
         raise ValueError(f"{path}: no RIRs in it: run the step that makes it again")
+    for number, row in enumerate(rows, start=1):
+        if "fs_hz" not in row or "n_samples" not in row:
+            try:
+                header = audio_info(rir_path(directory, row))
+            except ValueError as error:
+                raise ValueError(f"{path}:{number}: fs_hz and n_samples cannot be read: {error}") from None
+            row.setdefault("fs_hz", header.samplerate)
+            row.setdefault("n_samples", header.frames)
     return rows
 
 
-def _checked(path: Path, problem_of: Callable) -> list[dict]:
-    """Read rows; each must be right, and its id sort after the one before."""
-    rows, previous = read_jsonl(path), ""
+def _read_checked(path: Path, problem_of: Callable[[dict], str | None]) -> list[dict]:
+    """Read rows, each without a problem and with an id that sorts after the one before."""
+    rows, previous_id = read_jsonl(path), ""
     for number, row in enumerate(rows, start=1):
         problem = problem_of(row)
-        if not problem and row["id"] <= previous:
-            problem = f"id {row['id']!r} must sort after {previous!r} (duplicate or unsorted)"
+        if not problem and row["id"] <= previous_id:
+            problem = f"id {row['id']!r} must sort after {previous_id!r} (duplicate or unsorted)"
         if problem:
             raise ValueError(f"{path}:{number}: {problem}: correct the line or make the file again")
-        previous = row["id"]
+        previous_id = row["id"]
     return rows
 
 
-def write_rirs(directory: Path, rows: list[dict], final_directory: Path | None = None) -> None:
+def write_rirs(directory: Path, rows: Iterable[Mapping[str, Any]], final_directory: Path | None = None) -> None:
     """Write `rirs.jsonl`, sorted by id, and Kaldi's `rir_list` beside it.
 
     Parameters
     ----------
     directory : Path
         Where the files go.
-    rows : list of dict
+    rows : iterable of mappings
+        See `roomeq.records.schema.RirRow`.
     final_directory : Path, optional
-        Path of the directory as `rir_list` shall name it, where it is still being built elsewhere.
+        Path of the directory that `rir_list` refers to, where the directory is renamed once it is complete.
 
     Raises
     ------
@@ -72,37 +85,42 @@ def write_rirs(directory: Path, rows: list[dict], final_directory: Path | None =
         A row breaks the contract or two rows share an id.
     """
     directory = Path(directory)
-    rows = sorted(rows, key=lambda row: row.get("id", ""))
-    for n, row in enumerate(rows):
-        problem = row_problem(row)
-        if not problem and n and row["id"] == rows[n - 1]["id"]:
+    sorted_rows = sorted(map(dict, rows), key=lambda row: row.get("id", ""))
+    previous_id = None
+    for row in sorted_rows:
+        problem = row_problem(json.loads(json.dumps(row)))  # as it will be read: NumPy's numbers are plain ones then
+        if not problem and row["id"] == previous_id:
             problem = f"id {row['id']!r} stands twice: ids must be unique"
         if problem:
             raise ValueError(f"{directory / ROWS_FILE}: {problem}")
-    write_jsonl(directory / ROWS_FILE, rows)
+        previous_id = row["id"]
+    write_jsonl(directory / ROWS_FILE, sorted_rows)
     base = Path(final_directory or directory)
     write_text(directory / "rir_list", "".join(
         f"--rir-id {row['id']} --room-id {row['room_id']} {shlex.quote(_as_16_bit(base / row['wav']))}\n"
-        for row in rows if not row.get("noise_for")))
+        for row in sorted_rows if not row.get("noise_for")))
 
 
 def _as_16_bit(path: Path) -> str:
-    """Return the pipe through which Kaldi reads an RIR: `wav-reverberate` takes 16-bit PCM only, and its output does
-    not depend on the RIR's level, so sox brings it to full scale."""
+    """Return the pipe through which Kaldi reads an RIR.
+
+    `wav-reverberate` takes 16-bit PCM only, and its output does not depend on the RIR's level: sox scales the RIR to
+    full scale.
+    """
     return f"sox -D {shlex.quote(os.path.normpath(path))} -b 16 -e signed-integer -t wav - gain -n -1 |"
 
 
-def rir_path(directory: Path, row: dict) -> Path:
+def rir_path(directory: Path, row: Mapping[str, Any]) -> Path:
     """Return the path of a row's audio."""
     return Path(directory) / row["wav"]
 
 
-def relocated(rows: list[dict], directory: Path, out: Path) -> list[dict]:
-    """Return rows of RIRs or noises as another directory must write them, so that they name the same audio."""
-    return [row | dict(wav=os.path.relpath(rir_path(directory, row), out)) for row in rows]
+def relocated(rows: Iterable[Mapping[str, Any]], directory: Path, out: Path) -> list[dict[str, Any]]:
+    """Return rows of RIRs or noises of `directory` with `wav` relative to `out`, so that they name the same audio."""
+    return [{**row, "wav": os.path.relpath(rir_path(directory, row), out)} for row in rows]
 
 
-def load_rir(directory: Path, row: dict) -> np.ndarray:
+def load_rir(directory: Path, row: Mapping[str, Any]) -> FloatArray:
     """Read the RIR of a row, shape (n_samples,), at `FS_HZ`.
 
     Raises
@@ -119,31 +137,38 @@ def load_rir(directory: Path, row: dict) -> np.ndarray:
     return rir
 
 
-def decay_range_s(rows: list[dict]) -> tuple[float, float]:
-    """Return the shortest and longest decay time of the rooms of some RIRs [s]: of each, the median T20 at 1 kHz.
+class DecayRange(NamedTuple):
+    """Shortest and longest decay time of several rooms [s]."""
 
-    T20, which ambient noise spoils less often than T30, and a median, so that no single RIR decides.
+    shortest_s: float
+    longest_s: float
+
+
+def decay_range_s(rows: Sequence[RirRow]) -> DecayRange:
+    """Return the range of the rooms' decay times, each the median T20 at 1 kHz of the room's RIRs.
+
+    T20 is less often invalid through noise than T30, and a median does not follow a single RIR.
 
     Raises
     ------
     ValueError
         No room has a valid T20.
     """
-    band, of_room = BANDS_HZ.index(1000), {}
+    band = BANDS_HZ.index(1000)
+    times_of_room: dict[str, list[float]] = {}
     for row in rows:
         parameters = row.get("acoustic_parameters") or {}
-        t20_s, valid = ((parameters.get(key) or [None] * len(BANDS_HZ))[band] for key in ("t20_s", "t20_valid"))
-        if valid and t20_s is not None:
-            of_room.setdefault(row["room_id"], []).append(t20_s)
-    if not of_room:
-        raise ValueError("no RIR has a valid T20 at 1 kHz among its acoustic parameters: run roomeq characterise first, or give two "
-                         "times [s]")
-    medians_s = [float(np.median(times_s)) for times_s in of_room.values()]
-    return min(medians_s), max(medians_s)
+        if "t20_valid" in parameters and parameters["t20_valid"][band] and parameters["t20_s"][band] is not None:
+            times_of_room.setdefault(row["room_id"], []).append(parameters["t20_s"][band])
+    if not times_of_room:
+        raise ValueError("no RIR has a valid T20 at 1 kHz among its acoustic parameters: run roomeq characterise "
+                         "first, or give two times [s]")
+    medians_s = [float(np.median(times_s)) for times_s in times_of_room.values()]
+    return DecayRange(min(medians_s), max(medians_s))
 
 
-def read_noises(directory: Path) -> list[dict]:
-    """Read and check `noises.jsonl` of an RIR directory (`id, wav, room_id, kind, duration_s, fs_hz`), or return [].
+def read_noises(directory: Path) -> list[NoiseRow]:
+    """Read and check the rows of `noises.jsonl`; a directory without the file has none.
 
     Raises
     ------
@@ -151,16 +176,16 @@ def read_noises(directory: Path) -> list[dict]:
         A row breaks the contract; the message names the first line that does.
     """
     path = Path(directory) / NOISES_FILE
-    return _checked(path, noise_problem) if path.is_file() else []
+    return cast(list[NoiseRow], _read_checked(path, noise_problem)) if path.is_file() else []
 
 
-def write_noises(directory: Path, rows: list[dict]) -> None:
+def write_noises(directory: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     """Write `noises.jsonl`, sorted by id."""
     write_jsonl(Path(directory) / NOISES_FILE, sorted(rows, key=lambda row: row["id"]))
 
 
 def validate_rirs(directory: Path) -> int:
-    """Check an RIR directory whole, audio included, and return the number of RIRs.
+    """Check every row, audio file and noise of an RIR directory, and return the number of RIRs.
 
     Raises
     ------
@@ -186,7 +211,7 @@ def validate_rirs(directory: Path) -> int:
 
 
 def validate_noises(directory: Path) -> int:
-    """Check the noises of a directory whole, audio included, and return their number.
+    """Check every noise row and audio file of a directory, and return the number of noises.
 
     Raises
     ------

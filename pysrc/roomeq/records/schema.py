@@ -1,34 +1,162 @@
-"""Rules of one row of `rirs.jsonl` or `noises.jsonl`: what ids, names and numbers may be."""
+"""The one schema of the rows of `rirs.jsonl` and `noises.jsonl`: their keys, and the values that each key takes.
+
+A row is declared once, as a `TypedDict`. The type of a key carries its limits and, as `description`, the rule in words:
+`row_problem` and `noise_problem` check rows against the declaration and quote the rule in their messages. Keys that a
+declaration does not name are allowed and kept.
+"""
 
 import hashlib
 import re
-from collections.abc import Callable
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, NotRequired, TypedDict, get_args, get_type_hints, is_typeddict
+
+import msgspec
+from msgspec import Meta
 
 from roomeq.core.constants import BANDS_HZ
 
 MAX_ID = 200
-"""Longest id: files are named by ids, with something behind them."""
+"""Longest id [characters]: files are named after ids, with a suffix."""
 
 LARGEST = 1e9
-"""No length, time or level of a room comes near it."""
+"""Largest absolute value of a number: no length, time or level of a room comes near it."""
 
-_SUFFIX = 50  # room for what is put behind an id: a channel, "-noise1"
+_SUFFIX = 50  # room for what follows an id: a channel, "-noise1"
 _HASH = 12
-_ID = re.compile(r"[A-Za-z0-9_+][A-Za-z0-9._+-]*")
-_ID_RULE = f"1 to {MAX_ID} letters, digits or ._+-, no dash or dot first, no path"
-_KINDS = ("ambient", "point")
+_ID_PATTERN = rf"^[A-Za-z0-9_+][A-Za-z0-9._+-]{{0,{MAX_ID - 1}}}\Z"
+_ID = re.compile(_ID_PATTERN)
+_N_BANDS = len(BANDS_HZ)
+
+Id = Annotated[str, Meta(pattern=_ID_PATTERN, description=(
+    f"1 to {MAX_ID} letters, digits or ._+-, no dash or dot first, no path"))]
+RirId = Annotated[str, Meta(pattern=_ID_PATTERN, description="the id of an RIR")]
+# JSON's \ud800 decodes to a lone surrogate, which no file system takes
+FileName = Annotated[str, Meta(pattern="^[^\0\r\n\ud800-\udfff]+\\Z", description="a file name")]
+Text = Annotated[str, Meta(description="a text")]
+Flag = Annotated[bool, Meta(description="true or false")]
+Count = Annotated[int, Meta(gt=0, le=int(LARGEST), description="a positive whole number")]
+Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST, description="a number")]
+Amount = Annotated[float, Meta(ge=0, le=LARGEST, description="a number, not negative")]
+DirectSample = Annotated[float, Meta(gt=-1, le=LARGEST, description="a number of samples, not negative")]
+Polarity = Annotated[Literal[1, -1], Meta(description="1 or -1")]
+Vector = Annotated[list[Number | None], Meta(min_length=3, max_length=3, description=(
+    "three numbers (each may be null)"))]
+Numbers = Annotated[list[Number], Meta(description="a list of numbers")]
+BandLevels = Annotated[list[Number], Meta(min_length=_N_BANDS, max_length=_N_BANDS, description=f"{_N_BANDS} numbers")]
+BandFlags = Annotated[list[bool], Meta(min_length=_N_BANDS, max_length=_N_BANDS, description=(
+    f"{_N_BANDS} times true or false"))]
+BandTimes = Annotated[list[Amount | None], Meta(min_length=_N_BANDS, max_length=_N_BANDS, description=(
+    f"{_N_BANDS} times, not negative (or null)"))]
+BandValues = Annotated[list[Number | None], Meta(min_length=_N_BANDS, max_length=_N_BANDS, description=(
+    f"{_N_BANDS} numbers (or null)"))]
+NumberOrNull = Annotated[Number | None, Meta(description="a number or null")]
 
 
-def is_id(text: str) -> bool:
+class AcousticParameters(TypedDict, total=False):
+    """What `roomeq.acoustics.parameters.measure` returns. Lists hold one value per octave band, 62.5 Hz to 8 kHz."""
+
+    direct_sample: DirectSample | None
+    direct_polarity: Polarity | None
+    drr_db: NumberOrNull
+    noise_intersection_s: NumberOrNull
+    noise_floor_db: NumberOrNull
+    edt_s: BandTimes | None
+    edt_valid: BandFlags | None
+    t20_s: BandTimes
+    t20_valid: BandFlags
+    t30_s: BandTimes | None
+    t30_valid: BandFlags | None
+    c50_db: BandValues | None
+    c50_valid: BandFlags | None
+    decay_range_db: BandValues | None
+    band_noise_intersection_s: BandValues | None
+    band_noise_floor_db: BandValues | None
+    eq_db: BandLevels
+    eq_valid: BandFlags
+    eq_edge_db: NumberOrNull
+    eq_snr_db: BandValues | None
+
+
+_COMPLETE = {"eq_db": ("eq_db", "eq_valid", "eq_edge_db"), "t20_valid": ("t20_s", "t20_valid")}
+"""Acoustic parameters that are only used together: where the first is given, none of the others may be missing."""
+
+
+class RirRow(TypedDict):
+    """A line of `rirs.jsonl`: one RIR. Every optional key may be null."""
+
+    id: Id
+    wav: FileName
+    room_id: Id
+    source_id: Id
+    mic_id: Id
+    fs_hz: NotRequired[Count]
+    n_samples: NotRequired[Count]
+    # geometry; a coordinate that nobody measured is null
+    room_dims_m: NotRequired[Vector | None]
+    mesh: NotRequired[FileName | None]
+    source_pos_m: NotRequired[Vector | None]
+    mic_pos_m: NotRequired[Vector | None]
+    source_dir: NotRequired[Vector | None]
+    mic_dir: NotRequired[Vector | None]
+    distance_m: NotRequired[Amount | None]
+    unreliable_geometry: NotRequired[Flag | None]
+    geometry_problem: NotRequired[Text | None]
+    geometry_ok: NotRequired[Flag | None]
+    drawn: NotRequired[Annotated[list[str], Meta(description="a list of texts")] | None]
+    # the measurement
+    corpus: NotRequired[Text | None]
+    room_type: NotRequired[Text | None]
+    excitation: NotRequired[Text | None]
+    session: NotRequired[Text | None]
+    temperature_c: NotRequired[Number | None]
+    humidity_pct: NotRequired[Number | None]
+    documented_t60_s: NotRequired[Amount | None]
+    binaural: NotRequired[Flag | None]
+    uncommon: NotRequired[Flag | None]
+    tof_removed: NotRequired[Flag | None]
+    repeat_of: NotRequired[RirId | None]
+    # what the toolkit measured
+    acoustic_parameters: NotRequired[Annotated[AcousticParameters, Meta(description="an object")] | None]
+    screen: NotRequired[Text | None]
+    # what the simulation was told and what it did
+    materials: NotRequired[Annotated[dict[str, Any], Meta(description="an object")] | None]
+    target_t60_s: NotRequired[Amount | None]
+    t30_s: NotRequired[Amount | None]
+    model: NotRequired[Annotated[list[Any], Meta(description="a list of effects")] | None]
+    seed: NotRequired[Annotated[int, Meta(description="a whole number")] | None]
+    leaked_share: NotRequired[Number | None]
+    direct_sample: NotRequired[DirectSample | None]
+    direct_polarity: NotRequired[Polarity | None]
+    direct_visible: NotRequired[Flag | None]
+    noise_for: NotRequired[RirId | None]
+    measured_id: NotRequired[RirId | None]
+    # the compensation of the EQ
+    eq_target_db: NotRequired[Numbers | None]
+    eq_achieved_db: NotRequired[Numbers | None]
+    eq_error_db: NotRequired[Numbers | None]
+    eq_gain_db: NotRequired[Numbers | None]
+
+
+class NoiseRow(TypedDict):
+    """A line of `noises.jsonl`: one noise recording. Every optional key may be null."""
+
+    id: Id
+    wav: FileName
+    kind: Annotated[Literal["ambient", "point"], Meta(description="'ambient' or 'point'")]
+    room_id: NotRequired[Id | None]
+    fs_hz: NotRequired[Count | None]
+    duration_s: NotRequired[Amount | None]
+
+
+def is_id(text: object) -> bool:
     """Tell whether a text may be an id: letters, digits and ``._+-``, no path, no leading dash or dot."""
-    return isinstance(text, str) and len(text) <= MAX_ID and _ID.fullmatch(text) is not None
+    return isinstance(text, str) and _ID.match(text) is not None
 
 
 def make_id(text: str) -> str:
     """Return the text with everything that an id may not hold turned into ``-``.
 
-    A hash stands at the end where little would be left to tell two texts apart: of a long one, and of one in
-    another script.
+    A hash is appended where the result would not tell two texts apart: to a long one, and to one in another script.
     """
     cleaned = re.sub(r"[^A-Za-z0-9._+-]+", "-", text).lstrip(".-") or "x"
     if len(cleaned) <= MAX_ID - _SUFFIX and text.isascii():
@@ -37,107 +165,73 @@ def make_id(text: str) -> str:
     return f"{cleaned[:MAX_ID - _SUFFIX - _HASH - 1].rstrip('-')}-{digest}"
 
 
-def _is_number(value) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= LARGEST
-
-
-def _is_amount(value) -> bool:
-    return _is_number(value) and value >= 0
-
-
-def _is_count(value) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 < value <= LARGEST
-
-
-def _is_file_name(value) -> bool:
-    # a lone surrogate comes from JSON's \ud800 and is no text that a file system takes
-    return isinstance(value, str) and value != "" and not re.search("[\0\r\n\ud800-\udfff]", value)
-
-
-def _is_bool(value) -> bool:
-    return isinstance(value, bool)
-
-
-def _is_list(fits: Callable, length: int) -> Callable:
-    return lambda value: isinstance(value, list) and len(value) == length and all(map(fits, value))
-
-
-def _is_a(kind: type) -> Callable:
-    return lambda value: isinstance(value, kind)
-
-
-_BANDS = len(BANDS_HZ)
-_AUDIO = {"wav": (_is_file_name, "a file name"), "fs_hz": (_is_count, "a positive whole number")}
-_DIRECT = (lambda value: _is_number(value) and value > -1, "a number of samples, not negative")
-_REQUIRED = {
-    **dict.fromkeys(("id", "room_id", "source_id", "mic_id"), (is_id, _ID_RULE)),
-    **_AUDIO, "n_samples": (_is_count, "a positive whole number"),
-}
-_OPTIONAL = {
-    **dict.fromkeys(("room_dims_m", "source_pos_m", "mic_pos_m", "source_dir", "mic_dir"),
-                    (_is_list(lambda x: x is None or _is_number(x), 3), "three numbers (each may be null)")),
-    **dict.fromkeys(("distance_m", "documented_t60_s", "target_t60_s", "t30_s"),
-                    (_is_amount, "a number, not negative")),
-    **dict.fromkeys(("temperature_c", "humidity_pct"), (_is_number, "a number")),
-    "direct_sample": _DIRECT,
-    "direct_polarity": (lambda value: _is_number(value) and abs(value) == 1, "1 or -1"),
-    **dict.fromkeys(("binaural", "unreliable_geometry", "uncommon", "tof_removed"), (_is_bool, "true or false")),
-    **dict.fromkeys(("corpus", "room_type", "excitation", "session", "geometry_problem", "screen"),
-                    (_is_a(str), "a text")),
-    **dict.fromkeys(("noise_for", "repeat_of", "measured_id"), (is_id, "the id of an RIR")),
-    "mesh": (_is_file_name, "a file name"),
-    "model": (_is_a(list), "a list of effects"),
-    **dict.fromkeys(("materials", "acoustic_parameters"), (_is_a(dict), "an object")),
-}
-"""What the keys of a row hold, null apart: a test and its name."""
-
-_ACOUSTIC_PARAMETERS = {
-    "direct_sample": _DIRECT,
-    "eq_db": (_is_list(_is_number, _BANDS), f"{_BANDS} numbers"),
-    "eq_valid": (_is_list(_is_bool, _BANDS), f"{_BANDS} times true or false"),
-    "eq_edge_db": (lambda value: value is None or _is_number(value), "a number or null"),
-    "t20_s": (_is_list(lambda x: x is None or _is_amount(x), _BANDS), f"{_BANDS} times, not negative (or null)"),
-    "t20_valid": (_is_list(_is_bool, _BANDS), f"{_BANDS} times true or false"),
-    "drr_db": (lambda value: value is None or _is_number(value), "a number or null"),
-}
-"""What steps read of the acoustic parameters."""
-_TOGETHER = {"eq_": "eq_db", "t20_": "t20_valid"}
-"""Keys that begin alike come together: all are required where this one is there."""
-
-_NOISE = {"id": (is_id, _ID_RULE), "wav": _AUDIO["wav"], "kind": (_KINDS.__contains__, " or ".join(map(repr, _KINDS)))}
-_NOISE_OPTIONAL = {"room_id": (is_id, _ID_RULE), "fs_hz": _AUDIO["fs_hz"],
-                   "duration_s": (_is_amount, "a number, not negative")}
-
-
-def row_problem(row: dict) -> str | None:
-    """Return what is wrong with one row of `rirs.jsonl`, or None."""
-    problem = _problem(row, _REQUIRED, _OPTIONAL)
-    parameters = row.get("acoustic_parameters")
-    if problem or not parameters:
+def row_problem(row: Mapping[str, Any]) -> str | None:
+    """Return what is wrong with a row of `rirs.jsonl` (key, value and rule), or None."""
+    if problem := _problem(row, RirRow):
         return problem
-    begins = tuple(begin for begin, key in _TOGETHER.items() if key in parameters)
-    required = {key: rule for key, rule in _ACOUSTIC_PARAMETERS.items() if key.startswith(begins)}
-    problem = _problem(parameters, required, _ACOUSTIC_PARAMETERS)
-    return problem and f"acoustic_parameters: {problem}"
-
-
-def noise_problem(row: dict) -> str | None:
-    """Return what is wrong with one row of `noises.jsonl`, or None."""
-    return _problem(row, _NOISE, _NOISE_OPTIONAL)
-
-
-def _problem(row: dict, required: dict, optional: dict) -> str | None:
-    for key, (fits, rule) in required.items():
-        if key not in row:
-            return f"key {key!r} is missing"
-        if not fits(row[key]):
-            return f"{key}={_brief(row[key])} must be {rule}"
-    for key, (fits, rule) in optional.items():
-        if row.get(key) is not None and not fits(row[key]):
-            return f"{key}={_brief(row[key])} must be {rule}"
+    parameters = row.get("acoustic_parameters") or {}
+    for first, keys in _COMPLETE.items():
+        for key in keys if first in parameters else ():
+            if key not in parameters:
+                return f"acoustic_parameters: key {key!r} is missing"
     return None
 
 
-def _brief(value) -> str:
+def noise_problem(row: Mapping[str, Any]) -> str | None:
+    """Return what is wrong with a row of `noises.jsonl` (key, value and rule), or None."""
+    return _problem(row, NoiseRow)
+
+
+def _problem(row: Mapping[str, Any], schema: type) -> str | None:
+    try:
+        try:
+            msgspec.convert(row, schema)
+        except UnicodeEncodeError:  # msgspec looks for keys and numbers in UTF-8, where surrogates have no place
+            msgspec.convert(_without_surrogates(row), schema)
+    except msgspec.ValidationError as error:
+        return _explain(str(error), row, schema)
+    return None
+
+
+def _without_surrogates(value: Any) -> Any:
+    """Return a value with surrogates turned into null characters, which file names and ids may not hold either."""
+    if isinstance(value, str):
+        return re.sub("[\ud800-\udfff]", "\0", value)
+    if isinstance(value, dict):
+        return {_without_surrogates(key): _without_surrogates(entry) for key, entry in value.items()}
+    return [_without_surrogates(entry) for entry in value] if isinstance(value, list) else value
+
+
+def _explain(message: str, row: Mapping[str, Any], schema: type) -> str:
+    """Return an error of msgspec, such as "Expected `int`, got `str` - at `$.fs_hz`", as key, value and rule."""
+    missing = re.match("Object missing required field `([^`]*)`", message)
+    place = re.search(r" - at `\$([^`]*)`$", message)
+    keys = re.findall(r"\.(\w+)", place[1].partition("[")[0]) if place else []
+    objects, value, declared = [], row, schema
+    for key in keys:
+        value, declared = value[key], get_type_hints(_typed_dict(declared), include_extras=True)[key]
+        objects.append(key)
+    if missing:
+        return "".join(f"{key}: " for key in objects) + f"key {missing[1]!r} is missing"
+    path = "".join(f"{key}: " for key in objects[:-1])
+    return f"{path}{objects[-1]}={_brief(value)} must be {_rule(declared)}"
+
+
+def _rule(declared: Any) -> str | None:
+    """Return the outermost description of a declared type."""
+    for metadata in getattr(declared, "__metadata__", ()):
+        if metadata.description:
+            return metadata.description
+    return next(filter(None, map(_rule, get_args(declared))), None)
+
+
+def _typed_dict(declared: Any) -> Any:
+    """Return the `TypedDict` in a declared type."""
+    if is_typeddict(declared):
+        return declared
+    return next(filter(None, map(_typed_dict, get_args(declared))), None)
+
+
+def _brief(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:60]}..."
