@@ -6,7 +6,7 @@ in sorted lists. So RIR directories with the same ids (simulated, and the same c
 
 import math
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -15,6 +15,7 @@ from statistics import NormalDist
 from roomeq.core.audio import audio_info
 from roomeq.core.rng import rng_for
 from roomeq.records.rir_dir import NOISES_FILE, read_noises, read_rirs
+from roomeq.records.schema import RirRow
 
 _MAX_SNR_DB = 200.0
 
@@ -101,7 +102,7 @@ class Pool:
         Sorted by id.
     """
 
-    rows: dict[str, dict]
+    rows: Mapping[str, RirRow]
     main: list[str]
     noise_rirs: dict[str, list[str]]
     ambient: list[Noise] = field(default_factory=list)
@@ -157,7 +158,7 @@ def read_pool(rir_dir: Path, noise_dirs: list[Path]) -> Pool:
                 [noise for noise in noises if noise.kind == "point"])
 
 
-def _noise_rirs(rows: dict[str, dict], main: list[str]) -> dict[str, list[str]]:
+def _noise_rirs(rows: Mapping[str, RirRow], main: list[str]) -> dict[str, list[str]]:
     """Return for each main RIR those of its room with another source: simulated for it, else measured."""
     made_for, in_room = defaultdict(list), defaultdict(list)
     for key, row in rows.items():
@@ -177,7 +178,7 @@ def _noise_rirs(rows: dict[str, dict], main: list[str]) -> dict[str, list[str]]:
     return found
 
 
-def _other_source(row: dict, other: dict) -> bool:
+def _other_source(row: RirRow, other: RirRow) -> bool:
     """Tell whether two RIRs of a room have different source positions (ids, where no position is known)."""
     here, there = row.get("source_pos_m"), other.get("source_pos_m")
     return here != there if here and there else row["source_id"] != other["source_id"]

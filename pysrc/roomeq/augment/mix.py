@@ -19,6 +19,7 @@ from scipy import fft
 
 from roomeq.acoustics.direct import find_direct
 from roomeq.core.constants import FS_HZ
+from roomeq.records.schema import RirRow
 
 PEAK_LIMIT = 0.99
 FADE_SAMPLES = FS_HZ // 20
@@ -47,7 +48,7 @@ class Mixture:
     peak_gain_db: float
 
 
-def direct_shift(row: dict, rir: np.ndarray) -> int:
+def direct_shift(row: RirRow, rir: np.ndarray) -> int:
     """Return the delay of an RIR's direct sound in whole samples.
 
     The row's own `direct_sample` (from a simulation's known geometry) comes first, then its acoustic parameters', then the

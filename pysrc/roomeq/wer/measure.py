@@ -8,6 +8,7 @@ import numpy as np
 from roomeq.core.build import Build
 from roomeq.core.files import read_json, write_json
 from roomeq.records.rir_dir import ROWS_FILE, read_rirs
+from roomeq.records.schema import RirRow
 from roomeq.wer.check import WER_FILE
 from roomeq.wer.statistics import (
     Resampling,
@@ -74,7 +75,7 @@ def measure_wer(workspaces: list[Path], out: Path, *, rirs: Path) -> Path:
     return out / WER_FILE
 
 
-def measured(decoded: Decoded, rirs: dict[str, dict]) -> dict:
+def measured(decoded: Decoded, rirs: dict[str, RirRow]) -> dict:
     """Return everything that `wer.json` holds, from workspaces and RIRs by id; rates and differences in per cent."""
     room_of = {name: row["room_id"] for name, row in rirs.items()}
     weights = choose_all(decoded)

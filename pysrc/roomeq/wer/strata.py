@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from roomeq.core.constants import BAND_1KHZ
+from roomeq.records.schema import RirRow
 from roomeq.wer.scoring import read_reference, read_texts
 from roomeq.wer.workspace import TEST, Decoded, Scores
 
@@ -12,7 +13,7 @@ EDGES = {"SNR [dB]": (10.0, 15.0, 20.0), "T20 at 1 kHz [s]": (0.3, 0.5, 0.8), "D
 """Where parts end: the same for every test set, whatever it shows."""
 
 
-def by_stratum(decoded: Decoded, scores: Scores, rirs: dict[str, dict]) -> list[dict]:
+def by_stratum(decoded: Decoded, scores: Scores, rirs: dict[str, RirRow]) -> list[dict]:
     """Return the test set's word error rates by stratum, over all seeds.
 
     Parameters
@@ -43,7 +44,7 @@ def by_stratum(decoded: Decoded, scores: Scores, rirs: dict[str, dict]) -> list[
     return found
 
 
-def _properties(decoded: Decoded, rirs: dict[str, dict]) -> dict[str, np.ndarray]:
+def _properties(decoded: Decoded, rirs: dict[str, RirRow]) -> dict[str, np.ndarray]:
     """Return each property of all utterances, of seed after seed; NaN where it is not known."""
     found = {what: [] for what in EDGES}
     for seed, workspace in enumerate(decoded.workspaces):
