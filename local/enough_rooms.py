@@ -11,21 +11,15 @@ import sys
 from collections import Counter
 
 from roomeq.loop.attribute import MIN_ROOMS
+from roomeq.records.geometry import geometry_usability
 from roomeq.records.rir_dir import read_rirs
 
 
 def rooms_with_geometry(rows):
     """Return the rooms of which at least two RIRs say where source and microphone were."""
-    count = Counter(row["room_id"] for row in rows if not row.get("noise_for") and has_geometry(row))
+    count = Counter(row["room_id"] for row in rows
+                    if not row.get("noise_for") and geometry_usability(row, needs="loop").usable)
     return {room for room, n in count.items() if n > 1}
-
-
-def has_geometry(row):
-    """Tell whether no coordinate of a row is unknown or known to be wrong."""
-    if row.get("unreliable_geometry") or row.get("geometry_problem"):
-        return False
-    known = [row.get("source_pos_m"), row.get("mic_pos_m")] + ([] if row.get("mesh") else [row.get("room_dims_m")])
-    return all(place is not None and None not in place for place in known)
 
 
 def main(argv):

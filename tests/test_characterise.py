@@ -8,7 +8,7 @@ from rirmaker import DIRECT, coloured_rir, row, write_rir_dir
 from roomeq.acoustics.parameters import measure
 from roomeq.core.audio import read_audio
 from roomeq.core.files import read_json, read_jsonl
-from roomeq.corpora.characterise import characterise, geometry_ok
+from roomeq.corpora.characterise import characterise
 from roomeq.records.rir_dir import read_noises, read_rirs, rir_path, validate_rirs
 
 PLACES = dict(source_pos_m=[1.0, 1.0, 1.0], mic_pos_m=[4.0, 3.0, 1.5])
@@ -94,13 +94,6 @@ def test_channels_of_one_array_are_no_repeats(tmp_path):
 def test_a_repeat_stays_where_its_first_take_was_dropped(tmp_path):
     rows, _ = run(tmp_path, [(row("a", uncommon=True), coloured_rir(0)), (row("b", repeat_of="a"), coloured_rir(1))])
     assert sorted(rows) == ["b"]
-
-
-@pytest.mark.parametrize("more, ok", [
-    ({}, True), (PLACES, True), (dict(unreliable_geometry=True), False), (dict(mic_pos_m=[1.0, None, 3.5]), False),
-    (dict(source_pos_m=[-0.1, 1.0, 1.0]), False), (dict(room_dims_m=None, mic_pos_m=[99.0, 1.0, 1.0]), True)])
-def test_positions_are_believed_only_inside_the_room(more, ok):
-    assert geometry_ok(row("a", **more)) is ok
 
 
 def test_what_cannot_be_measured_stops_naming_the_file_or_is_dropped(tmp_path):

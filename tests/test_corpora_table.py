@@ -5,8 +5,9 @@ import logging
 import pytest
 
 from corpora_examples import make_table, put, put_text
-from roomeq.corpora.record import geometry_problem, noise_kind_of, parse_number, parse_vector, rir_row
+from roomeq.corpora.record import noise_kind_of, parse_number, parse_vector, rir_row
 from roomeq.corpora.table import list_noise_table, list_table
+from roomeq.records.geometry import find_contradiction
 
 
 def one(tmp_path, header, cells, file="a.wav"):
@@ -88,12 +89,12 @@ def test_noise_kinds_by_words():
 
 def test_geometry_that_cannot_be():
     good = dict(room_dims_m=[5, 4, 3], source_pos_m=[1, 1, None], mic_pos_m=[3, 1, 1], distance_m=2.0)
-    assert geometry_problem(rir_row(**good)) is None
-    assert "outside" in geometry_problem(rir_row(**good | dict(mic_pos_m=[5.1, 1, 1])))
-    assert "must be positive" in geometry_problem(rir_row(**good | dict(room_dims_m=[0, 4, 3])))
-    assert geometry_problem(rir_row(**good | dict(source_pos_m=[1, 1, 1]))) is None
-    assert "2.9" in geometry_problem(rir_row(**good | dict(source_pos_m=[1, 1, 1], distance_m=2.9)))
-    assert "on top" in geometry_problem(rir_row(**good | dict(source_pos_m=[3, 1, 1.005])))
+    assert find_contradiction(rir_row(**good)) is None
+    assert "outside" in find_contradiction(rir_row(**good | dict(mic_pos_m=[5.1, 1, 1])))
+    assert "must be positive" in find_contradiction(rir_row(**good | dict(room_dims_m=[0, 4, 3])))
+    assert find_contradiction(rir_row(**good | dict(source_pos_m=[1, 1, 1]))) is None
+    assert "2.9" in find_contradiction(rir_row(**good | dict(source_pos_m=[1, 1, 1], distance_m=2.9)))
+    assert "on top" in find_contradiction(rir_row(**good | dict(source_pos_m=[3, 1, 1.005])))
 
 
 HEADER = "file,rir_id,binaural,distance_m,mic_pos_m,kind\n"

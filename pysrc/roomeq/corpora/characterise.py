@@ -18,6 +18,7 @@ from roomeq.acoustics.subband_eq import MIN_SNR_DB
 from roomeq.core.build import Build
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 from roomeq.core.files import write_json
+from roomeq.records.geometry import geometry_usability, position_key
 from roomeq.records.rir_dir import load_rir, read_noises, read_rirs, relocated, rir_path, write_noises, write_rirs
 
 logger = logging.getLogger(__name__)
@@ -95,8 +96,8 @@ def _characterise_one(rir_dir, row, skip_bad):
         raise ValueError(f"{rir_path(rir_dir, row)}: {error}") from None
     # the same take at another gain is no other
     scaled = np.round(rir / np.max(np.abs(rir)) * 2 ** 15).astype("<i4")
-    return dict(acoustic_parameters=parameters, screen=screen_reason(row, parameters), geometry_ok=geometry_ok(row),
-                sound=hashlib.sha256(scaled.tobytes()).hexdigest())
+    return dict(acoustic_parameters=parameters, screen=screen_reason(row, parameters),
+                geometry_ok=geometry_usability(row, needs="consistency").usable, sound=hashlib.sha256(scaled.tobytes()).hexdigest())
 
 
 def screen_reason(row, parameters):
@@ -118,27 +119,6 @@ def screen_reason(row, parameters):
     if len(dead) > MAX_DEAD_POINTS:
         return f"dead bands: less than {MIN_SNR_DB:g} dB above the noise at {', '.join(dead)} Hz"
     return None
-
-
-def geometry_ok(row):
-    """Tell whether the positions of a row can be believed; unknown ones are not wrong."""
-    if row.get("unreliable_geometry") or row.get("geometry_problem"):
-        return False
-    dims_m = row.get("room_dims_m") or [None] * 3
-    for position_m in (row.get("source_pos_m"), row.get("mic_pos_m")):
-        for at_m, size_m in zip(position_m or [None] * 3, dims_m, strict=True):
-            if at_m is not None and size_m is not None and not 0.0 <= at_m <= size_m:
-                return False
-    return True
-
-
-def position_key(row):
-    """What two recordings of one source and microphone position have in common, or None where that is unknown."""
-    places = (row.get("source_pos_m"), row.get("mic_pos_m"))
-    if row.get("unreliable_geometry") or any(place is None or None in place for place in places):
-        return None
-    directions = (row.get("source_dir"), row.get("mic_dir"))
-    return repr((row["room_id"], row["source_id"], row["mic_id"], places, directions))
 
 
 def _drop(rir_dir, rows, records):

@@ -1,22 +1,17 @@
 """What every reader of measured RIRs delivers, and the parsing that they share."""
 
-import math
 import re
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from roomeq.core.build import DONE_FILE
+from roomeq.records.geometry import find_contradiction
 from roomeq.records.schema import LARGEST, make_id
 
 AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".aiff", ".aif", ".au", ".caf", ".w64", ".mp3")
 UNKNOWN = "unknown"
 """Id of a room, source or microphone that nobody named (the contract has no null there)."""
-
-SAME_PLACE_M = 0.01
-"""Closer than this, source and microphone are said to be in one place [m]."""
-DISTANCE_SLACK_M, DISTANCE_SLACK = 0.15, 0.05
-"""A stated distance may differ from that of the positions by so much [m, and part of it]: tape measures."""
 
 _UNKNOWN_CELLS = {"", "?", "-", "na", "n/a", "nan", "none", "null", "unknown"}
 _AMBIENT_WORDS = {"ambient", "ambience", "background", "isotropic", "silence", "roomtone"}
@@ -71,38 +66,10 @@ def rir_row(**known) -> dict:
     row.update(known)
     for key in ("room_id", "source_id", "mic_id"):
         row[key] = make_id(str(row[key])) if row[key] is not None else UNKNOWN
-    problem = geometry_problem(row)
+    problem = find_contradiction(row)
     if problem:
         row.update(geometry_problem=problem, unreliable_geometry=True)
     return row
-
-
-def geometry_problem(row: dict) -> str | None:
-    """Return what cannot be right about the positions of a row, or None; unknown coordinates are no problem."""
-    dims_m = row["room_dims_m"] or [None] * 3
-    for axis, size_m in enumerate(dims_m):
-        if size_m is not None and size_m <= 0:
-            return f"room_dims_m[{axis}]={size_m:g} must be positive"
-    for key in ("source_pos_m", "mic_pos_m"):
-        for axis, (at_m, size_m) in enumerate(zip(row[key] or [None] * 3, dims_m, strict=True)):
-            if at_m is not None and size_m is not None and not 0 <= at_m <= size_m:
-                return f"{key}[{axis}]={at_m:g} lies outside the room (0 to {size_m:g} m)"
-    distance_m = distance_between(row["source_pos_m"], row["mic_pos_m"])
-    if distance_m is None:
-        return None
-    if distance_m < SAME_PLACE_M:
-        return f"source and microphone are {distance_m:.3g} m apart: on top of each other"
-    stated_m = row["distance_m"]
-    if stated_m is not None and abs(stated_m - distance_m) > max(DISTANCE_SLACK_M, DISTANCE_SLACK * distance_m):
-        return f"distance_m={stated_m:g} but the positions are {distance_m:.3g} m apart"
-    return None
-
-
-def distance_between(a_m: list | None, b_m: list | None) -> float | None:
-    """Return the distance of two points [m], or None where a coordinate is unknown."""
-    if a_m is None or b_m is None or None in (*a_m, *b_m):
-        return None
-    return math.dist(a_m, b_m)
 
 
 def parse_number(text: str | None) -> float | None:

@@ -18,6 +18,7 @@ from roomeq.corpora.record import (
     parse_number,
     rir_row,
 )
+from roomeq.records.geometry import is_known
 from roomeq.records.schema import make_id
 
 logger = logging.getLogger(__name__)
@@ -162,7 +163,7 @@ def _mark_repeats(recordings: list[Recording]) -> list[Recording]:
     for recording in recordings:
         row = recording.row
         places = (row["source_pos_m"], row["mic_pos_m"])
-        known = not any(place is None or None in place for place in places)
+        known = all(map(is_known, places))
         # without positions only files in one folder are surely of the same places
         key = repr((row["mic_id"], places)) if known else str(recording.path.parent)
         if (earlier := first.setdefault(key, recording.id)) != recording.id:

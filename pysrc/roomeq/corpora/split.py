@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from roomeq.core.build import Build
-from roomeq.corpora.characterise import position_key
+from roomeq.records.geometry import position_key
 from roomeq.records.rir_dir import read_noises, read_rirs, relocated, write_noises, write_rirs
 
 logger = logging.getLogger(__name__)

@@ -158,8 +158,10 @@ def decay_range_s(rows: Sequence[RirRow]) -> DecayRange:
     times_of_room: dict[str, list[float]] = {}
     for row in rows:
         parameters = row.get("acoustic_parameters") or {}
-        if "t20_valid" in parameters and parameters["t20_valid"][band] and parameters["t20_s"][band] is not None:
-            times_of_room.setdefault(row["room_id"], []).append(parameters["t20_s"][band])
+        if "t20_valid" in parameters and parameters["t20_valid"][band]:
+            t20_s = parameters["t20_s"][band]
+            if t20_s is not None:
+                times_of_room.setdefault(row["room_id"], []).append(t20_s)
     if not times_of_room:
         raise ValueError("no RIR has a valid T20 at 1 kHz among its acoustic parameters: run roomeq characterise "
                          "first, or give two times [s]")
@@ -181,7 +183,7 @@ def read_noises(directory: Path) -> list[NoiseRow]:
 
 def write_noises(directory: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     """Write `noises.jsonl`, sorted by id."""
-    write_jsonl(Path(directory) / NOISES_FILE, sorted(rows, key=lambda row: row["id"]))
+    write_jsonl(Path(directory) / NOISES_FILE, sorted(map(dict, rows), key=lambda row: row["id"]))
 
 
 def validate_rirs(directory: Path) -> int:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from roomeq.core.rng import rng_for
+from roomeq.records.geometry import geometry_usability
 from roomeq.sim.mesh import load_mesh
 from roomeq.sim.scene import MIN_WALL_DISTANCE_M, Shoebox
 
@@ -79,7 +80,7 @@ def find_place(row, rows_of_room, directory, seed):
 
 def _believed(row, key):
     """Position of a row; unknown where the row says that its geometry is unreliable."""
-    if row.get("unreliable_geometry") or row.get("geometry_problem") or row.get(key) is None:
+    if row.get(key) is None or not geometry_usability(row, needs="simulation").usable:
         return [None] * 3
     return list(row[key])
 
@@ -118,7 +119,7 @@ def _plausible_dims_m(rng):
 def _positions(row, room, source, mic, seed):
     """Complete both positions; a stated distance is kept where a position is free to keep it."""
     known = repr([row["room_id"], row["source_id"], source])
-    distance_m = None if row.get("geometry_problem") else row.get("distance_m")
+    distance_m = row.get("distance_m") if geometry_usability(row, needs="stated distance").usable else None
     mic_rng = rng_for(seed, "mic_pos_m", row["id"])
     free = None in mic or None in source
     for attempt in range(20):

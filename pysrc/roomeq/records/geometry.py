@@ -1,0 +1,123 @@
+"""The one rule that says for what the geometry of an RIR row may be used, and why not.
+
+A coordinate is *unknown* where it is null or absent. A row is *marked* where its reader or its author said that the
+positions cannot be relied on: `unreliable_geometry` is true, or `geometry_problem` says what contradicts what.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+SAME_POINT_M = 0.01
+"""A source and a microphone closer than this are in one place, which cannot be [m]."""
+DISTANCE_SLACK_M, DISTANCE_SLACK = 0.15, 0.05
+"""Tolerance of a stated distance, taken by tape measure: the larger of these [m, share of the distance]."""
+
+Need = Literal["consistency", "simulation", "stated distance", "same position", "loop"]
+Coordinates = Sequence[float | None] | None
+
+
+class _Requirement(NamedTuple):
+    """What one use of the geometry requires."""
+
+    unmarked_by: tuple[str, ...]
+    known: tuple[str, ...] = ()
+    inside: bool = False
+
+
+_MARKS = ("unreliable_geometry", "geometry_problem")
+_REQUIREMENTS: dict[Need, _Requirement] = {
+    "consistency": _Requirement(_MARKS, inside=True),
+    "simulation": _Requirement(_MARKS),
+    "stated distance": _Requirement(("geometry_problem",)),
+    "same position": _Requirement(("unreliable_geometry",), known=("source_pos_m", "mic_pos_m")),
+    "loop": _Requirement(_MARKS, known=("source_pos_m", "mic_pos_m", "room_dims_m")),
+}
+
+
+class Usability(NamedTuple):
+    """Whether the geometry of a row may be used, and if not, why."""
+
+    usable: bool
+    reason: str | None = None
+
+
+def geometry_usability(row: Mapping[str, Any], needs: Need) -> Usability:
+    """Tell whether the geometry of a row may be used for a purpose.
+
+    Parameters
+    ----------
+    row : mapping
+        Row of an RIR directory (`roomeq.records.schema.RirRow`).
+    needs : str
+        ``"consistency"``
+            The coordinates that are known may be right: the row is unmarked, and no position lies outside the room.
+        ``"simulation"``
+            The simulator may take the positions that are known: the row is unmarked. What is unknown it draws.
+        ``"stated distance"``
+            The simulator may keep the stated distance of source and microphone: nothing contradicts the geometry.
+        ``"same position"``
+            Two recordings may be recognised as of one position: the row is not marked unreliable, and all coordinates
+            of source and microphone are known.
+        ``"loop"``
+            The closed loop counts the RIR as one with geometry: the row is unmarked, and all coordinates of source,
+            microphone and room (or a mesh instead of the room's dimensions) are known.
+    """
+    requirement = _REQUIREMENTS[needs]
+    for mark in requirement.unmarked_by:
+        if row.get(mark):
+            return Usability(False, row[mark] if mark == "geometry_problem" else "the positions are marked unreliable")
+    for key in requirement.known:
+        if not (key == "room_dims_m" and row.get("mesh")) and not is_known(row.get(key)):
+            return Usability(False, f"{key}={row.get(key)} has unknown coordinates")
+    if requirement.inside and (problem := _outside(row)):
+        return Usability(False, problem)
+    return Usability(True)
+
+
+def position_key(row: Mapping[str, Any]) -> str | None:
+    """Return what all recordings of one source and microphone position share, or None where that is unknown."""
+    if not geometry_usability(row, needs="same position").usable:
+        return None
+    positions, directions = (row["source_pos_m"], row["mic_pos_m"]), (row.get("source_dir"), row.get("mic_dir"))
+    return repr((row["room_id"], row["source_id"], row["mic_id"], positions, directions))
+
+
+def is_known(coordinates: Coordinates) -> bool:
+    """Tell whether all three coordinates of a point or of a room's dimensions are known."""
+    return coordinates is not None and None not in coordinates
+
+
+def distance_between(a_m: Coordinates, b_m: Coordinates) -> float | None:
+    """Return the distance of two points [m], or None where a coordinate is unknown."""
+    if a_m is None or b_m is None or None in (*a_m, *b_m):
+        return None
+    return math.dist(a_m, b_m)  # type: ignore[arg-type]
+
+
+def find_contradiction(row: Mapping[str, Any]) -> str | None:
+    """Return what cannot be right about the geometry that a corpus states, or None; unknown coordinates are allowed."""
+    for axis, size_m in enumerate(row["room_dims_m"] or ()):
+        if size_m is not None and size_m <= 0:
+            return f"room_dims_m[{axis}]={size_m:g} must be positive"
+    if problem := _outside(row):
+        return problem
+    distance_m = distance_between(row["source_pos_m"], row["mic_pos_m"])
+    if distance_m is None:
+        return None
+    if distance_m < SAME_POINT_M:
+        return f"source and microphone are {distance_m:.3g} m apart: on top of each other"
+    stated_m = row["distance_m"]
+    if stated_m is not None and abs(stated_m - distance_m) > max(DISTANCE_SLACK_M, DISTANCE_SLACK * distance_m):
+        return f"distance_m={stated_m:g} but the positions are {distance_m:.3g} m apart"
+    return None
+
+
+def _outside(row: Mapping[str, Any]) -> str | None:
+    """Return the first coordinate that lies outside the room, as far as both are known."""
+    for key in ("source_pos_m", "mic_pos_m"):
+        coordinates = zip(row.get(key) or [None] * 3, row.get("room_dims_m") or [None] * 3, strict=True)
+        for axis, (at_m, size_m) in enumerate(coordinates):
+            if at_m is not None and size_m is not None and not 0 <= at_m <= size_m:
+                return f"{key}[{axis}]={at_m:g} lies outside the room (0 to {size_m:g} m)"
+    return None
