@@ -1,23 +1,30 @@
 """Every verb is a documented function with the same options; a user's mistake is one line."""
 
-import argparse
-import importlib
 import inspect
+import shlex
+import subprocess
+import sys
 
+import click
 import pytest
 
-from roomeq.cli import build_parser, main
+from roomeq import __version__
+from roomeq.cli import cli, main
 
-VERBS = next(action for action in build_parser()._actions
-             if isinstance(action, argparse._SubParsersAction)).choices
+VERBS = cli.commands
+
+
+def defaults_of(verb):
+    """Return what a verb passes to its function by parameter, when only the required words are given."""
+    words = ["x" for param in verb.params if isinstance(param, click.Argument)]
+    for param in verb.params:
+        words += [param.opts[0], "x"] if param.required and isinstance(param, click.Option) else []
+    return verb.make_context(verb.name, words).params
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_verbs_are_functions(verb):
-    parser = VERBS[verb]
-    function = getattr(importlib.import_module(f"roomeq.{parser.get_default('module')}"),
-                       parser.get_default("function"))
-    options = {action.dest: action.default for action in parser._actions if action.dest != "help"}
+def test_verb_and_function_have_the_same_options(verb):
+    function, options = VERBS[verb].load(), defaults_of(VERBS[verb])
     parameters = inspect.signature(function).parameters
     assert set(options) == set(parameters)
     for name, parameter in parameters.items():
@@ -25,15 +32,45 @@ def test_verbs_are_functions(verb):
             assert options[name] == parameter.default, f"{verb}: default of {name}"
     for section in ("Parameters", "Raises"):
         assert section in function.__doc__, f"{verb}: docstring lacks {section}"
-    assert "example:" in parser.format_help()
 
 
-def test_help_and_version(capsys):
-    for flag in ("--help", "--version"):
-        with pytest.raises(SystemExit) as stop:
-            main([flag])
-        assert stop.value.code == 0
-    assert "simulate" in capsys.readouterr().out
+@pytest.mark.parametrize("verb", VERBS)
+def test_verb_help_shows_every_option_and_an_example(verb, capsys):
+    assert main([verb, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert f"Example:\n    roomeq {verb} " in text
+    for param in VERBS[verb].params:
+        assert param.help and (param.human_readable_name if isinstance(param, click.Argument) else param.opts[0]) in text
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_example_of_the_help_parses(verb):
+    words = next(line for line in VERBS[verb].epilog.splitlines() if "roomeq" in line).split("roomeq", 1)[1]
+    VERBS[verb].make_context(verb, shlex.split(words)[1:])
+
+
+def test_help_lists_the_verbs_in_pipeline_order(capsys):
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert text.index("read-measured") < text.index("simulate") < text.index("augment") < text.index("report")
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"{__version__}\n"
+
+
+def test_help_imports_no_numerics():
+    code = "import sys; from roomeq.cli import main; main(['simulate', '--help']); sys.exit('numpy' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0 and "Usage: roomeq simulate" in done.stdout
+
+
+def test_package_runs_as_a_module():
+    done = subprocess.run([sys.executable, "-m", "roomeq", "validate"], capture_output=True, text=True, timeout=60,
+                          check=False)
+    assert done.returncode == 1
+    assert done.stderr == "roomeq: Missing argument 'DIRECTORIES...': see roomeq validate --help\n"
 
 
 @pytest.mark.parametrize("argv", [
@@ -50,7 +87,7 @@ def test_help_and_version(capsys):
     ["read-measured", "absent", "out"],
     ["read-noises", "absent", "out"],
 ])
-def test_an_absent_input_is_one_line(argv, tmp_path, monkeypatch, capsys):
+def test_absent_input_is_one_line(argv, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(argv) == 1
     lines = capsys.readouterr().err.splitlines()

@@ -185,7 +185,7 @@ def test_what_was_written_is_checked_whole(example, tmp_path, capsys):
     write_json(tmp_path / "wer.json", example)
     assert validate_wer(tmp_path) == 8
     validate([tmp_path])
-    assert "8 systems, all well" in capsys.readouterr().out
+    assert "8 systems, OK" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("where", "value", "message"), [

@@ -1,275 +1,309 @@
-"""The command line: ``roomeq VERB``. Each verb is one documented function with the same options."""
+"""The command line: ``roomeq VERB``. Each verb calls one documented function that has the same options."""
 
-import argparse
 import errno
 import importlib
 import logging
 import os
 import sys
 import traceback
+from collections.abc import Callable
 from concurrent.futures import BrokenExecutor
+from pathlib import Path
+from typing import Any
+
+import click
 
 from roomeq import __version__
 from roomeq.core.limits import LIMITS
 
-_REMEDIES = {errno.ENAMETOOLONG: "shorten the name"}
-_REMEDIES.update(dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "free some space, or choose another output"))
-_REMEDIES.update(dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), "check the permissions"))
-_REMEDIES.update(dict.fromkeys((errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ELOOP),
-                               "check the path"))
 MAX_MESSAGE = 1500
-"""Longest message; of a longer one, begin and end are printed."""
+"""Longest message printed; of a longer one, only beginning and end are printed."""
+
+_REMEDIES = {errno.ENAMETOOLONG: "shorten the name"} | dict.fromkeys(
+    (errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "free some space, or choose another output") | dict.fromkeys(
+    (errno.EACCES, errno.EPERM, errno.EROFS), "check the permissions") | dict.fromkeys(
+    (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ELOOP), "check the path")
 
 
-def integer(text: str) -> int:
-    """Parse ``"7"``."""
-    return _parsed(int, text, "a whole number")
+class AnyPath(click.Path):
+    """A path that the verb itself checks; the shell completes file names."""
+
+    def convert(self, value: str | os.PathLike[str], param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        return Path(value)
 
 
-def number(text: str) -> float:
-    """Parse ``"0.5"``."""
-    return _parsed(float, text, "a number")
+class CommaSeparated(click.ParamType):
+    """A tuple of values, such as ``773,194,242``; or one of some keywords, which stays a text."""
+
+    name = "list"
+
+    def __init__(self, item: Callable[[str], Any], rule: str, keywords: tuple[str, ...] = ()):
+        self.item, self.rule, self.keywords = item, rule, keywords
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value in self.keywords:
+            return value
+        try:
+            return tuple(self.item(word) for word in value.split(",") if word)
+        except ValueError:
+            self.fail(f"{value!r} must be {self.rule}", param, ctx)
 
 
-def numbers(text: str) -> tuple[float, ...]:
-    """Parse ``"0.2,2.0"``."""
-    return _parsed(lambda text: tuple(float(word) for word in text.split(",")), text,
-                   "numbers with commas between, such as 0.2,2.0")
-
-
-def t60_range(text: str) -> tuple[float, ...] | str:
-    """Parse ``"0.2,2.0"`` or ``"measured"``."""
-    return text if text == "measured" else numbers(text)
-
-
-def integers(text: str) -> tuple[int, ...]:
-    """Parse ``"773,194,242"``."""
-    return _parsed(lambda text: tuple(int(word) for word in text.split(",")), text,
-                   "whole numbers with commas between, such as 773,194,242")
-
-
-def _parsed(parse, text: str, rule: str):
-    try:
-        return parse(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} must be {rule}") from None
-
-
-def names(text: str) -> tuple[str, ...]:
-    """Parse ``"train-clean-100,train-clean-360"``."""
-    return tuple(word for word in text.split(",") if word)
-
-
-class Parser(argparse.ArgumentParser):
-    """A parser that says on one line what is wrong."""
-
-    def error(self, message: str):
-        self.exit(1, f"{printable(f'{self.prog}: {message}: see {self.prog} --help')}\n")
-
-
-class Verb:
-    """One verb under definition: `argument` adds to its parser.
+class Verb(click.Command):
+    """A subcommand that calls one function; the function's module is imported only then.
 
     Parameters
     ----------
-    verbs
-        What ``add_subparsers`` returned.
-    name : str
-        The verb; the function it calls has ``_`` for ``-`` unless `function` says otherwise.
-    module : str
-        Module of the package that holds the function.
-    summary, example : str
+    function : str
+        Module and name, such as ``"eq:fit_eq"``.
+    example : str
+        Arguments of an example, for the help.
     """
 
-    def __init__(self, verbs, name: str, module: str, summary: str, example: str, function: str | None = None):
-        self.parser = verbs.add_parser(
-            name, help=summary, description=summary, epilog=f"example:\n  roomeq {name} {example}",
-            formatter_class=argparse.RawDescriptionHelpFormatter)
-        self.parser.set_defaults(module=module, function=function or name.replace("-", "_"))
+    def __init__(self, name: str, *, function: str, example: str, **attributes: Any):
+        super().__init__(name, epilog=f"\b\nExample:\n  roomeq {name} {example}", **attributes)
+        self.function = function
 
-    def argument(self, *flags, **how) -> "Verb":
-        if how.get("default") not in (None, False) and "help" in how:
-            how["help"] += " (default: %(default)s)"
-        self.parser.add_argument(*flags, **how)
-        return self
+    def load(self) -> Callable[..., Any]:
+        """Import and return the function."""
+        module, name = self.function.split(":")
+        return getattr(importlib.import_module(f"roomeq.{module}"), name)
 
-    def seed(self) -> "Verb":
-        return self.argument("--seed", type=integer, default=0, help="of every random draw")
+    def invoke(self, ctx: click.Context) -> int:
+        """Call the function and return the exit status; an error becomes one line."""
+        try:
+            self.load()(**ctx.params)
+        except (ValueError, OSError) as error:
+            return failed(one_line(error))
+        except (MemoryError, BrokenExecutor) as error:
+            return failed(f"not enough memory, or a worker was killed ({type(error).__name__}): use a smaller --nj and "
+                          "start it again to go on")
+        except KeyboardInterrupt:
+            return failed("interrupted; start it again to go on", status=130)
+        except Exception as error:  # a defect of roomeq: print no traceback either, but say where it is
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            return failed(f"internal error, please report it: {type(error).__name__}: {error} ({place.name}, "
+                          f"{os.path.basename(place.filename)}:{place.lineno})")
+        return 0
 
-    def jobs(self) -> "Verb":
-        self.argument("--part", metavar="JOB/JOBS", help="do one share only; a later call without it finishes")
-        return self.argument("--nj", type=integer, default=1, help="processes; results do not depend on it")
+
+class PipelineGroup(click.Group):
+    """A group that lists its commands in the order of their definition, which is that of the pipeline."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.commands)
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Define all verbs, in the order of the data's way."""
-    parser = Parser(prog="roomeq", description=__doc__.splitlines()[0])
-    parser.add_argument("--version", action="version", version=__version__)
+@click.group(cls=PipelineGroup, no_args_is_help=False, subcommand_metavar="VERB [ARGS]...",
+             context_settings=dict(help_option_names=["-h", "--help"], show_default=True, max_content_width=120),
+             epilog='Shell completion: eval "$(_ROOMEQ_COMPLETE=bash_source roomeq)", or zsh_source, or fish_source.',
+             params=[click.Option([f"--{limit.option}"], type=float, metavar="N",
+                                  help=f"{limit.what[0].upper()}{limit.what[1:]}; default: {limit.default:g}, or "
+                                       f"{limit.variable} of the environment.") for limit in LIMITS])
+@click.version_option(__version__, message="%(version)s")
+def cli(**limits: float | None) -> None:
+    """Simulate room impulse responses (RIRs) that match measured ones, and make far-field speech with them."""
     for limit in LIMITS:
-        parser.add_argument(f"--{limit.option}", type=number, metavar="N",
-                            help=f"{limit.what} (default: {limit.default:g}, or the environment's {limit.variable})")
-    verbs = parser.add_subparsers(metavar="VERB", required=True)
-    _corpus_verbs(verbs)
-    _rir_verbs(verbs)
-    _eq_verbs(verbs)
-    _speech_verbs(verbs)
-    return parser
+        value = limits[limit.option.replace("-", "_")]
+        if value is not None:  # in the environment, where worker processes find it too
+            os.environ[limit.variable] = str(value)
 
 
-def _corpus_verbs(verbs) -> None:
-    (Verb(verbs, "prepare-speech", "corpora", "Make Kaldi data directories of clean speech from a corpus.",
-          "--train-sets train-clean-100,train-clean-360 /corpora/LibriSpeech data")
-     .argument("source", help="LibriSpeech tree, Kaldi data directory, or folder with manifest.csv")
-     .argument("out", help="where train.clean, dev.clean and test.clean go")
-     .argument("--train-sets", type=names, default=("train-clean-100",), help="sets of a LibriSpeech tree")
-     .argument("--dev-sets", type=names, default=("dev-clean",), help="likewise")
-     .argument("--test-sets", type=names, default=("test-clean",), help="likewise")
-     .argument("--limit", type=integer, help="at most so many utterances a set")
-     .argument("--nj", type=integer, default=1, help="processes; results do not depend on it"))
-    (Verb(verbs, "read-measured", "corpora", "Read measured RIRs into an RIR directory.",
-          "/corpora/BUT_ReverbDB data/measured")
-     .argument("source", help="BUT ReverbDB, OpenSLR 28, SOFA, a CSV, or a folder of audio files")
-     .argument("out", help="RIR directory to make")
-     .argument("--kind", choices=("reverbdb", "slr28", "table", "sofa", "folder"),
-               help="what the source is, where it is not found out by itself")
-     .argument("--noises", help="folder or CSV of noise recordings, beside those of the corpus")
-     .argument("--skip-bad", action="store_true", help="leave out and report what cannot be used")
-     .argument("--nj", type=integer, default=1, help="processes; results do not depend on it"))
-    (Verb(verbs, "read-noises", "corpora", "Read noise recordings into a directory with noises.jsonl.",
-          "/corpora/noises data/noises")
-     .argument("source", help="folder of audio files, with or without manifest.csv, or the CSV")
-     .argument("out", help="directory to make")
-     .argument("--skip-bad", action="store_true", help="leave out and report what cannot be used")
-     .argument("--nj", type=integer, default=1, help="processes; results do not depend on it"))
+def verb(function: str, example: str) -> Callable[[Callable[[], None]], click.Command]:
+    """Make a `Verb` of a function that has only a name and a docstring."""
+    return cli.command(cls=Verb, function=function, example=example)
 
 
-def _rir_verbs(verbs) -> None:
-    (Verb(verbs, "characterise", "corpora.characterise",
-          "Measure every RIR; drop repeats; say what is unfit for the EQ fit.",
-          "data/measured data/rirs.real")
-     .argument("rir_dir", help="RIR directory")
-     .argument("out", help="RIR directory to make: the same audio, rows with acoustic parameters")
-     .argument("--skip-bad", action="store_true", help="leave out and report RIRs that cannot be measured")
-     .jobs())
-    (Verb(verbs, "split-rirs", "corpora.split", "Split RIRs into disjoint training, development and test sets.",
-          "--split-by room data/rirs.real data/rirs.real")
-     .argument("rir_dir", help="RIR directory with acoustic parameters")
-     .argument("out_prefix", help="makes OUT_PREFIX.train, OUT_PREFIX.dev and OUT_PREFIX.test")
-     .argument("--split-by", choices=("rir", "room"), default="rir", help="room: no room is in two sets")
-     .argument("--same-rooms", type=names, default=(), metavar="PATTERN,...",
-               help="rooms that one pattern matches count as one, e.g. 'house_*'; only by room")
-     .argument("--sizes", type=integers, default=(773, 194, 242), help="proportions, where there are fewer RIRs")
-     .seed())
-    (Verb(verbs, "simulate", "simulate_rirs", "Simulate one RIR per measured one, with T60 drawn at random.",
-          "data/rirs.real.train data/rirs.sim.train")
-     .argument("measured_dir", help="RIR directory that rooms, sources and microphones come from")
-     .argument("out", help="RIR directory to make")
-     .argument("--t60-range-s", "--t60-range", type=t60_range, default=(0.2, 2.0), metavar="MIN,MAX",
-               help="reverberation times are uniform in it [s]; measured: range of the measured rooms")
-     .argument("--num-rays", type=integer, default=20000, help="rays a source")
-     .argument("--order", type=integer, default=200, help="reflections a ray, at least")
-     .argument("--ism-order", type=integer, default=6, help="specular reflections by exact image sources")
-     .argument("--noise-rirs", type=integer, default=1, help="RIRs of noise sources, per RIR")
-     .argument("--materials", help="TOML file of materials, instead of conf/materials.toml")
-     .argument("--model", help="model.json of roomeq close-loop: effects that the simulator lacks otherwise")
-     .argument("--diffraction", action=argparse.BooleanOptionalAction, default=True,
-               help="let sound come around the edges of meshes")
-     .seed().jobs())
-    (Verb(verbs, "validate", "validate", "Say whether directories keep their contracts.",
-          "data/rirs.sim.train exp/loop data/train.sim.rvb")
-     .argument("directories", nargs="+", help="RIR or Kaldi data directories, or what close-loop or wer made"))
+def argument(name: str, help: str, **attributes: Any) -> Callable[..., Any]:
+    """Add a positional argument, which is a path."""
+    return click.argument(name, type=AnyPath(), help=help, **attributes)
 
 
-def _eq_verbs(verbs) -> None:
-    (Verb(verbs, "fit-eq", "eq", "Fit a Gaussian mixture to the sub-band EQs of measured RIRs.",
-          "data/rirs.real.train data/rirs.sim.train exp/eq")
-     .argument("real_dir", help="measured RIRs, training set")
-     .argument("sim_dirs", nargs="*", help="simulated RIRs, for the comparison")
-     .argument("out", help="directory to make: gmm.json, EQs of all RIRs, screening.json")
-     .argument("--num-components", dest="n_components", type=integer, default=7, help="of the mixture")
-     .argument("--weight-rooms", action="store_true", help="let rooms count equally")
-     .seed().jobs())
-    (Verb(verbs, "compensate", "eq", "Give every simulated RIR an EQ drawn from the measured distribution.",
-          "data/rirs.sim.train exp/eq data/rirs.sim.EQ.train")
-     .argument("sim_dir", help="simulated RIRs")
-     .argument("eq_dir", help="what fit-eq made")
-     .argument("out", help="RIR directory to make")
-     .argument("--taps", type=integer, default=511, help="of the filters, odd")
-     .argument("--match-rooms", action=argparse.BooleanOptionalAction, default=True,
-               help="choose the mixture's components as the measured RIRs of the same room do")
-     .seed().jobs())
-    (Verb(verbs, "close-loop", "loop.close", "Find out which effects the simulation of measured RIRs lacks; add them.",
-          "data/rirs.real.train --test data/rirs.real.dev --out exp/loop")
-     .argument("rir_dirs", nargs="+", help="measured RIRs with geometry, of three rooms or more")
-     .argument("--out", required=True, help="directory to make: ledger.json, model.json")
-     .argument("--test", action="append", default=[], metavar="DIR", help="RIRs that are only scored")
-     .argument("--model", help="model.json to begin with: its effects are in the base model, and no candidates")
-     .argument("--max-effects", type=integer, default=4, help="at most so many are added")
-     .seed()
-     .argument("--nj", type=integer, default=1, help="processes; results do not depend on it"))
+NAMES = CommaSeparated(str, "names with commas between")
+seed = click.option("--seed", default=0, help="Seed of every random draw.")
+nj = click.option("--nj", default=1, help="Number of processes; results do not depend on it.")
+part = click.option("--part", metavar="JOB/JOBS", help="Do one share only; a later call without this option finishes.")
+skip_bad = click.option("--skip-bad", is_flag=True, help="Leave out and report what cannot be used.")
 
 
-def _speech_verbs(verbs) -> None:
-    (Verb(verbs, "augment", "augment",
-          "Make far-field speech: x * h + point noises * their RIRs + ambient noise.",
-          "--snr 'uniform 5 25' data/train.clean data/rirs.sim.train data/train.sim.rvb")
-     .argument("data_dir", help="Kaldi data directory of clean speech")
-     .argument("rir_dir", help="RIR directory")
-     .argument("out", help="data directory to make")
-     .argument("--copies", type=integer, default=1, help="far-field versions of each utterance")
-     .argument("--snr", dest="snr_db", default="uniform 5 25", metavar="DIST",
-               help="SNR of the ambient noise [dB]: 'uniform 5 25', 'normal 15 5', 'list 20,15,10' or none")
-     .argument("--point-snr", dest="point_snr_db", default="uniform 5 25", metavar="DIST", help="of point noises")
-     .argument("--point-noise-prob", type=number, default=0.5, help="probability of each point noise")
-     .argument("--max-point-noises", type=integer, default=1, help="point noises an utterance may have")
-     .argument("--noises", action="append", default=[], metavar="DIR", help="another directory with noises.jsonl")
-     .argument("--draw-rooms-equally", action="store_true", help="draw the room first, then one of its RIRs")
-     .argument("--packing", choices=("recording", "utterance"), default="recording",
-               help="what a FLAC file holds: a whole recording, with segments, or one utterance")
-     .argument("--pipes", action="store_true", help="run the commands that wav.scp holds; without it only those "
-                                                    "known to decode a file are understood, and read directly")
-     .seed().jobs())
-    (Verb(verbs, "wer", "wer", "Measure word error rates of Kaldi workspaces, with intervals; print the table.",
-          "--rirs data/rirs.real exp/kaldi exp/kaldi.seed1 exp/wer", function="measure_wer")
-     .argument("workspaces", nargs="+", help="Kaldi workspaces with decoded rows, one a seed")
-     .argument("out", help="directory to make: wer.json")
-     .argument("--rirs", required=True, help="RIR directory that says which rooms the sets' RIRs are of"))
-    (Verb(verbs, "report", "report", "Make one self-contained HTML page of a run.", "data exp exp/report",
-          function="make_report")
-     .argument("data_dir", help="where stages 0-6 wrote")
-     .argument("exp_dir", help="where stages 3, 5 and 10 wrote eq, loop and wer")
-     .argument("out", help="directory to make; it gets index.html"))
+@verb("corpora:prepare_speech", "--train-sets train-clean-100,train-clean-360 /corpora/LibriSpeech data")
+@argument("source", "LibriSpeech tree, Kaldi data directory, or folder with manifest.csv.")
+@argument("out", "Directory in which to make train.clean, dev.clean and test.clean.")
+@click.option("--train-sets", type=NAMES, default="train-clean-100", help="Sets of a LibriSpeech tree.")
+@click.option("--dev-sets", type=NAMES, default="dev-clean", help="Sets of a LibriSpeech tree.")
+@click.option("--test-sets", type=NAMES, default="test-clean", help="Sets of a LibriSpeech tree.")
+@click.option("--limit", type=int, help="Largest number of utterances in each set.")
+@nj
+def prepare_speech() -> None:
+    """Make Kaldi data directories of clean speech from a corpus."""
+
+
+@verb("corpora:read_measured", "/corpora/BUT_ReverbDB data/measured")
+@argument("source", "BUT ReverbDB, OpenSLR 28, SOFA, a CSV, or a folder of audio files.")
+@argument("out", "RIR directory to make.")
+@click.option("--kind", type=click.Choice(["reverbdb", "slr28", "table", "sofa", "folder"]),
+              help="Kind of the source, where it is not recognised.")
+@click.option("--noises", type=AnyPath(), help="Folder or CSV of noise recordings to add to those of the corpus.")
+@skip_bad
+@nj
+def read_measured() -> None:
+    """Read measured RIRs into an RIR directory."""
+
+
+@verb("corpora:read_noises", "/corpora/noises data/noises")
+@argument("source", "Folder of audio files, with or without manifest.csv, or the CSV.")
+@argument("out", "Directory to make.")
+@skip_bad
+@nj
+def read_noises() -> None:
+    """Read noise recordings into a directory with noises.jsonl."""
+
+
+@verb("corpora.characterise:characterise", "data/measured data/rirs.real")
+@argument("rir_dir", "RIR directory.")
+@argument("out", "RIR directory to make: the same audio, with acoustic parameters in the rows.")
+@skip_bad
+@part
+@nj
+def characterise() -> None:
+    """Measure acoustic parameters of RIRs. Repeats are dropped; RIRs unfit for the EQ fit are marked."""
+
+
+@verb("corpora.split:split_rirs", "--split-by room data/rirs.real data/rirs.real")
+@argument("rir_dir", "RIR directory with acoustic parameters.")
+@argument("out_prefix", "Prefix of the directories to make: OUT_PREFIX.train, OUT_PREFIX.dev and OUT_PREFIX.test.")
+@click.option("--split-by", type=click.Choice(["rir", "room"]), default="rir",
+              help="Unit that is never in two sets.")
+@click.option("--same-rooms", type=NAMES, default="", metavar="PATTERN,...",
+              help="Rooms that one pattern matches count as one room, e.g. 'house_*'; only with --split-by room.")
+@click.option("--sizes", type=CommaSeparated(int, "whole numbers with commas between, such as 773,194,242"),
+              default="773,194,242", help="RIRs per set; taken as proportions where there are fewer RIRs.")
+@seed
+def split_rirs() -> None:
+    """Split RIRs into training, development and test sets."""
+
+
+@verb("simulate_rirs:simulate", "data/rirs.real.train data/rirs.sim.train")
+@argument("measured_dir", "RIR directory from which rooms, sources and microphones are taken.")
+@argument("out", "RIR directory to make.")
+@click.option("--t60-range", "t60_range_s", default="0.2,2.0", metavar="MIN,MAX",
+              type=CommaSeparated(float, "numbers with commas between, such as 0.2,2.0, or measured", ("measured",)),
+              help="Reverberation times are uniform in this range [s]; measured: range of the measured rooms.")
+@click.option("--num-rays", default=20000, help="Rays per source.")
+@click.option("--order", default=200, help="Reflections of each ray, at least.")
+@click.option("--ism-order", default=6, help="Order up to which specular reflections are exact image sources.")
+@click.option("--noise-rirs", default=1, help="RIRs of noise sources per RIR.")
+@click.option("--materials", type=AnyPath(), help="TOML file of materials, instead of conf/materials.toml.")
+@click.option("--model", type=AnyPath(), help="model.json of roomeq close-loop: effects to add to the simulation.")
+@click.option("--diffraction/--no-diffraction", default=True, help="Whether sound bends around the edges of meshes.")
+@seed
+@part
+@nj
+def simulate() -> None:
+    """Simulate one RIR per measured one. Its T60 is drawn at random."""
+
+
+@verb("validate:validate", "data/rirs.sim.train exp/loop data/train.sim.rvb")
+@argument("directories", "RIR or Kaldi data directories, or outputs of close-loop or wer.", nargs=-1, required=True)
+def validate() -> None:
+    """Check that directories keep their contracts."""
+
+
+@verb("eq:fit_eq", "data/rirs.real.train data/rirs.sim.train exp/eq")
+@argument("real_dir", "Measured RIRs of the training set.")
+@argument("sim_dirs", "Simulated RIRs, for comparison.", nargs=-1)
+@argument("out", "Directory to make: gmm.json, EQs of all RIRs, screening.json.")
+@click.option("--num-components", "n_components", default=7, help="Components of the mixture.")
+@click.option("--weight-rooms", is_flag=True, help="Give every room the same weight in the mixture.")
+@seed
+@part
+@nj
+def fit_eq() -> None:
+    """Fit a Gaussian mixture to EQs of measured RIRs."""
+
+
+@verb("eq:compensate", "data/rirs.sim.train exp/eq data/rirs.sim.EQ.train")
+@argument("sim_dir", "Simulated RIRs.")
+@argument("eq_dir", "Output of fit-eq.")
+@argument("out", "RIR directory to make.")
+@click.option("--taps", default=511, help="Length of the filters, odd.")
+@click.option("--match-rooms/--no-match-rooms", default=True,
+              help="Draw each EQ with the component weights of the measured RIRs of the same room.")
+@seed
+@part
+@nj
+def compensate() -> None:
+    """Give simulated RIRs EQs drawn from the fitted mixture."""
+
+
+@verb("loop.close:close_loop", "data/rirs.real.train --test data/rirs.real.dev --out exp/loop")
+@argument("rir_dirs", "Measured RIRs with geometry, of three rooms or more.", nargs=-1, required=True)
+@click.option("--out", type=AnyPath(), required=True, help="Directory to make: ledger.json, model.json.")
+@click.option("--test", type=AnyPath(), multiple=True, metavar="DIR", help="RIRs that are only scored; repeatable.")
+@click.option("--model", type=AnyPath(),
+              help="model.json to begin with: its effects belong to the base model and are not candidates.")
+@click.option("--max-effects", default=4, help="Largest number of effects to add.")
+@seed
+@nj
+def close_loop() -> None:
+    """Find the effects that the simulation lacks, and add them."""
+
+
+@verb("augment:augment", "--snr 'uniform 5 25' data/train.clean data/rirs.sim.train data/train.sim.rvb")
+@argument("data_dir", "Kaldi data directory of clean speech.")
+@argument("rir_dir", "RIR directory.")
+@argument("out", "Data directory to make.")
+@click.option("--copies", default=1, help="Far-field versions of each utterance.")
+@click.option("--snr", "snr_db", default="uniform 5 25", metavar="DIST",
+              help="SNR of the ambient noise [dB]: 'uniform 5 25', 'normal 15 5', 'list 20,15,10' or none.")
+@click.option("--point-snr", "point_snr_db", default="uniform 5 25", metavar="DIST",
+              help="SNR of each point noise [dB], likewise.")
+@click.option("--point-noise-prob", default=0.5, help="Probability of each point noise.")
+@click.option("--max-point-noises", default=1, help="Largest number of point noises in an utterance.")
+@click.option("--noises", type=AnyPath(), multiple=True, metavar="DIR",
+              help="Further directory with noises.jsonl; repeatable.")
+@click.option("--draw-rooms-equally", is_flag=True, help="Draw the room first, then one of its RIRs.")
+@click.option("--packing", type=click.Choice(["recording", "utterance"]), default="recording",
+              help="Content of a FLAC file: a whole recording, with segments, or one utterance.")
+@click.option("--pipes", is_flag=True, help="Run any command in wav.scp. Without this option, commands known to "
+              "decode a file are replaced by reading the file, and others are refused.")
+@seed
+@part
+@nj
+def augment() -> None:
+    """Make far-field speech from clean speech, RIRs and noises."""
+
+
+@verb("wer:measure_wer", "--rirs data/rirs.real exp/kaldi exp/kaldi.seed1 exp/wer")
+@argument("workspaces", "Kaldi workspaces with decoded systems, one per seed.", nargs=-1, required=True)
+@argument("out", "Directory to make: wer.json.")
+@click.option("--rirs", type=AnyPath(), required=True, help="RIR directory that names the room of each RIR.")
+def wer() -> None:
+    """Measure word error rates of Kaldi workspaces. Prints a table with confidence intervals."""
+
+
+@verb("report:make_report", "data exp exp/report")
+@argument("data_dir", "Where stages 0 to 6 wrote.")
+@argument("exp_dir", "Where stages 3, 5 and 10 wrote eq, loop and wer.")
+@argument("out", "Directory to make; it gets index.html.")
+def report() -> None:
+    """Make one self-contained HTML page of a run."""
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one verb; what a user got wrong becomes one line and exit status 1."""
-    given = vars(build_parser().parse_args(argv))
-    for limit in LIMITS:
-        value = given.pop(limit.option.replace("-", "_"))
-        if value is not None:  # in the environment, where worker processes find it too
-            os.environ[limit.variable] = str(value)
-    module, function = given.pop("module"), given.pop("function")
+    """Run one verb and return the exit status; a mistake of the user is one line and status 1."""
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(message)s")
     try:
-        getattr(importlib.import_module(f"roomeq.{module}"), function)(**given)
-    except (ValueError, OSError) as error:
-        return _failed(one_line(error))
-    except (MemoryError, BrokenExecutor) as error:
-        return _failed(f"not enough memory, or a worker was killed ({type(error).__name__}): use a smaller --nj and "
-                       "start it again to go on")
-    except KeyboardInterrupt:
-        _failed("interrupted; start it again to go on")
-        return 130
-    except Exception as error:  # a defect of ours: no traceback either, but where it is
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        return _failed(f"internal error, please report it: {type(error).__name__}: {error} ({where.name}, "
-                       f"{os.path.basename(where.filename)}:{where.lineno})")
-    return 0
+        return cli.main(argv, prog_name="roomeq", standalone_mode=False) or 0
+    except click.UsageError as error:
+        command = error.ctx.command_path if error.ctx else "roomeq"
+        return failed(f"{error.format_message().rstrip('.')}: see {command} --help")
 
 
-def _failed(message: str) -> int:
+def failed(message: str, status: int = 1) -> int:
+    """Print one line and return the exit status."""
     print(f"roomeq: {printable(message)}", file=sys.stderr)
-    return 1
+    return status
 
 
 def one_line(error: Exception) -> str:
@@ -281,10 +315,6 @@ def one_line(error: Exception) -> str:
 
 
 def printable(text: str) -> str:
-    """Return a text on one line without what would act on a terminal; only begin and end of a very long one."""
+    """Return a text on one line, without control characters; of a very long one, only beginning and end."""
     text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(text.split()))
     return text if len(text) <= MAX_MESSAGE else f"{text[:MAX_MESSAGE // 2]} [...] {text[-MAX_MESSAGE // 2:]}"
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,5 +1,6 @@
-"""Say whether directories keep their contracts."""
+"""Check that directories keep their contracts."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from roomeq.core.files import hash_file
@@ -10,25 +11,26 @@ from roomeq.wer.check import WER_FILE, validate_wer
 
 CONTRACTS = ((ROWS_FILE, validate_rirs, "RIRs"), ("wav.scp", validate_data_dir, "utterances"),
              (NOISES_FILE, validate_noises, "noises"), (WER_FILE, validate_wer, "systems"))
-"""By the file that tells a directory's kind: what checks it whole and counts what is in it, and what that is."""
+"""The file that tells a directory's kind, the function that checks the directory and counts its items, their name."""
 
 
-def validate(directories: list[Path]) -> None:
-    """Check directories of RIRs, noises, the loop, Kaldi data and word error rates whole; print one line for each.
+def validate(directories: Iterable[Path]) -> None:
+    """Check directories of RIRs, noises, Kaldi data, the loop and word error rates; print one line for each.
 
     Parameters
     ----------
-    directories : list of Path
+    directories
+        Any mixture of kinds; the kind of each is recognised by its files.
 
     Raises
     ------
     ValueError
-        The first thing that is wrong.
+        A directory breaks its contract, or is of no known kind. The first problem is named.
     """
     for directory in map(Path, directories):
-        for name, check, counted in CONTRACTS:
+        for name, check, items in CONTRACTS:
             if (directory / name).is_file():
-                print(f"{directory}: {check(directory)} {counted}, all well")
+                print(f"{directory}: {check(directory)} {items}, OK")
                 break
         else:
             _validate_loop(directory)
@@ -36,17 +38,17 @@ def validate(directories: list[Path]) -> None:
 
 
 def _validate_loop(directory: Path) -> None:
-    from roomeq.loop.check import LEDGER_FILE, validate_loop  # takes a second that nothing else needs
+    from roomeq.loop.check import LEDGER_FILE, validate_loop  # its import takes a second
 
     if not (directory / LEDGER_FILE).is_file():
         raise ValueError(f"{directory}: neither an RIR directory ({ROWS_FILE}), nor one of noises ({NOISES_FILE}), nor "
                          f"a data directory (wav.scp), nor one of the loop ({LEDGER_FILE}) or of word error rates "
                          f"({WER_FILE}): check the path")
-    print(f"{directory}: {validate_loop(directory)} effects found, all well")
+    print(f"{directory}: {validate_loop(directory)} effects, OK")
 
 
 def check_stamp(directory: Path) -> None:
-    """Compare every file of a directory that roomeq made with the hash it had then.
+    """Check that the files of a directory still have the hashes recorded when it was made.
 
     Raises
     ------

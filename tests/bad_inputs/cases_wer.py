@@ -20,9 +20,9 @@ def without(name: str):
 
 CASES = [
     Case("no rirs", "wer decoded/kaldi0 out",
-         "roomeq wer: the following arguments are required: --rirs: see roomeq wer --help"),
+         "Missing option '--rirs': see roomeq wer --help"),
     Case("no workspace", "wer --rirs decoded/rirs out",
-         "roomeq wer: the following arguments are required: out: see roomeq wer --help"),
+         "Missing argument 'WORKSPACES...': see roomeq wer --help"),
     Case("workspace absent", "wer --rirs decoded/rirs nowhere out",
          "nowhere: no such Kaldi workspace: check the path, or run stages 8 to 10"),
     Case("workspace without decoding", "wer --rirs decoded/rirs decoded/rirs out",

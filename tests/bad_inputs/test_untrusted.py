@@ -67,10 +67,10 @@ def test_speech_of_hostile_ids(tmp_path, monkeypatch):
         utterances.append(OutUtterance(key, key, key, 0, 4000, text=f"{HOSTILE} {key}"))
     write_data_dir(Path("clean"), recordings, utterances, segmented=False)
     rir_dir(tmp_path / "rirs")
-    for layout in ("recording", "utterance"):
-        augment(Path("clean"), Path("rirs"), Path(f"out.{layout}"), layout=layout)
-        assert validate_data_dir(Path(f"out.{layout}")) == len(ids)
-        assert list(read_data_dir(Path(f"out.{layout}")).utterances) == ids
+    for packing in ("recording", "utterance"):
+        augment(Path("clean"), Path("rirs"), Path(f"out.{packing}"), packing=packing)
+        assert validate_data_dir(Path(f"out.{packing}")) == len(ids)
+        assert list(read_data_dir(Path(f"out.{packing}")).utterances) == ids
     assert files_outside(tmp_path, "clean", "rirs", "out.recording", "out.utterance") == set()
 
 
@@ -105,7 +105,7 @@ def test_nothing_is_evaluated_or_unpickled(module):
 
 def test_terminal_sequences_and_line_breaks_are_escaped(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name in ("\x1b]0;owned\x07", "a\nroomeq: all well", "\u202eabc", "a\r", "\ud800"):
+    for name in ("\x1b]0;owned\x07", "a\nroomeq: OK", "\u202eabc", "a\r", "\ud800"):
         status, said = call(["validate", name])
         assert status == 1 and said.count("\n") == 1 and said[:-1].isprintable() and said.startswith("roomeq: ")
 

@@ -6,7 +6,6 @@ may be opened for writing and no command may be started.
 
 import os
 import sys
-from functools import cache
 from pathlib import Path
 
 SEPARATOR = b"\n%%\n"
@@ -152,6 +151,8 @@ def mesh(data: bytes, work: Path) -> None:
 
 
 def options(data: bytes, work: Path) -> None:
+    import click
+
     from roomeq import cli
     from roomeq.augment.draw import parse_distribution
     from roomeq.core.build import share
@@ -161,17 +162,11 @@ def options(data: bytes, work: Path) -> None:
         refused(parse, words[0])
     shown = cli.printable(words[0])
     assert shown.isprintable() and len(shown) < 2 * cli.MAX_MESSAGE
-    try:
-        _command_line().parse_args(words)
-    except SystemExit as stop:
-        assert stop.code in (0, 1)
-
-
-@cache
-def _command_line():
-    from roomeq.cli import build_parser
-
-    return build_parser()
+    for command in (cli.cli, *cli.cli.commands.values()):
+        try:
+            command.make_context(command.name, list(words))
+        except (click.UsageError, click.exceptions.Exit):
+            pass
 
 
 def stamp(data: bytes, work: Path) -> None:
