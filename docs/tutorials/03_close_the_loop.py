@@ -39,9 +39,9 @@ for k, dims_m in enumerate([(5.2, 4.1, 2.8), (7.5, 5.0, 3.0), (6.1, 6.4, 2.6), (
         mics = [rng.uniform(0.8, np.array(dims_m) - 0.8) for _ in range(4)]
         for n, response in enumerate(roomeq.simulate_rir(scene, source, mics, seed=k)):
             rir = np.convolve(response.rir, fir)
-            rir += 3e-4 * np.abs(rir).max() * rng.standard_normal(len(rir))
+            rir += 3e-6 * rng.standard_normal(len(rir))
             name = f"room{k}_{source_id}_{n}"
-            soundfile.write(work / "measured" / f"{name}.wav", 0.5 * rir / np.abs(rir).max(), 16000, subtype="FLOAT")
+            soundfile.write(work / "measured" / f"{name}.wav", rir, 16000, subtype="FLOAT")
             rows.append(dict(id=name, wav=f"{name}.wav", room_id=f"room{k}", room_dims_m=list(dims_m), fs_hz=16000,
                              n_samples=len(rir), source_id=source_id, mic_id="m1", source_pos_m=source.tolist(),
                              mic_pos_m=mics[n].tolist()))

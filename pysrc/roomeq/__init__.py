@@ -30,7 +30,7 @@ _HOME = {
 }
 """Module of each public name, and its name there if it is another."""
 
-__all__ = [  # noqa: RUF022 - in the order of the data's way
+__all__ = [
     "Air", "Material", "Shoebox", "MeshRoom", "load_mesh", "Scene", "simulate_rir", "analyse", "read_rirs", "load_rir",
     "characterise", "simulate", "fit_eq", "compensate", "compensate_rir", "close_loop", "augment",
 ]

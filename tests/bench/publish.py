@@ -1,0 +1,139 @@
+#!/usr/bin/env python3
+"""Turn what a bench wrote into a file of docs/results, from which the manual makes a page.
+
+Usage: tests/bench/publish.py [--commit HASH] [--date YYYY-MM-DD] PAGE FILE
+e.g.:  tests/bench/publish.py simulator exp/bench/fidelity.json
+       tests/bench/publish.py loop tests/bench/loop/results/results.jsonl
+PAGE is one of simulator, speed, compensation, loop, augmentation, wer, faults. The commit is that of the working tree,
+unless the results are of an earlier one.
+"""
+
+import argparse
+import datetime
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+PROJECT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(PROJECT / name) for name in ("pysrc", "tests")]
+
+from bench import kit  # noqa: E402
+from bench.loop.table import rates  # noqa: E402
+
+Table = dict[str, Any]
+
+
+def sections(result: dict[str, Any]) -> list[Table]:
+    """Return the tables and the checks of a bench that `kit.run_sections` wrote."""
+    tables: list[Table] = []
+    checks = []
+    for section in result["sections"].values():
+        if section["rows"]:
+            tables.append(dict(title=section["title"], columns=section["columns"], rows=section["rows"],
+                               notes=section["notes"]))
+        for check in section["checks"]:
+            low, high = check["low"], check["high"]
+            limits = [f"≥ {low:g}" if low is not None else "", f"≤ {high:g}" if high is not None else ""]
+            checks.append([check["what"], check["value"], check["unit"], " and ".join(filter(None, limits)) or None,
+                           check["held"]])
+    return [dict(title="Checks", columns=["quantity", "value", "unit", "limit", "held"], rows=checks), *tables]
+
+
+def loop(rows: list[dict[str, Any]]) -> list[Table]:
+    """Return the rates of the loop over its generated rooms, with Wilson intervals."""
+    return [dict(title="Rates", columns=["rate", "sets of rooms", "95 % interval", "goal"],
+                 rows=[[rate["what"], f"{rate['hits']} of {rate['worlds']}",
+                        f"{max(0.0, 100 * rate['low']):.0f} to {100 * rate['high']:.0f} %", rate["asked"]]
+                       for rate in rates(rows)])]
+
+
+def augmentation(result: dict[str, Any]) -> list[Table]:
+    """Return rates and differences of the augmentation bench."""
+    return [dict(title="Rate on one core, times real time", columns=["tool", "median", "best"],
+                 rows=[[name, rate["median"], rate["best"]] for name, rate in result["times_real_time"].items()]),
+            dict(title="Difference of the audio [dB]", columns=["pair", "utterances", "median", "worst"],
+                 rows=[[name, *(difference[key] for key in ("utterances", "median", "worst"))]
+                       for name, difference in result["difference_db"].items()]),
+            dict(title="Peak memory [MiB]", columns=["run", "MiB"], rows=list(map(list, result["peak_memory_mib"].items())))]
+
+
+def word_errors(result: dict[str, Any]) -> list[Table]:
+    """Return the table of word error rates, and the differences between training sets."""
+    columns = result["columns"]
+
+    def rate(system: dict[str, Any]) -> str:
+        low, high = system["interval"] or (None, None)
+        return f"{system['wer']:.1f}" + (f" [{low:.1f}, {high:.1f}]" if low is not None else "")
+
+    return [dict(title=f"Test error [%], 95 % intervals, {result['seeds']} seeds", columns=["trained on", *columns],
+                 rows=[[row, *(rate(result["results"][row][column]) for column in columns)] for row in result["rows"]])]
+
+
+def faults(rows: list[dict[str, Any]]) -> list[Table]:
+    """Return what was done to the recipe, and how many cases ended as they must."""
+    kinds = sorted({row["case"].split()[0].rstrip("0123456789-") for row in rows})
+    counts = [[kind, sum(row["ok"] for row in these), len(these)] for kind in kinds
+              if (these := [row for row in rows if row["case"].startswith(kind)])]
+    return [dict(title="Cases", columns=["fault", "handled", "tried"], rows=counts)]
+
+
+SUMMARY = {
+    "simulator": "Accuracy of the simulator against exact solutions and an independent Monte Carlo simulation, with "
+                 "pyroomacoustics beside it.",
+    "speed": "Time of the simulator beside pyroomacoustics, in one run on one machine.",
+    "compensation": "Distance of the EQ of simulated RIRs to that of measured RIRs that took no part, before and after "
+                    "compensation. Rooms count equally.",
+    "loop": "What the closed loop finds in generated rooms whose extra effect it is not told of. The rooms are made by "
+            "code that shares nothing with the effects or the simulator.",
+    "augmentation": "Speed and exactness of augmentation, from FLAC to FLAC on one core.",
+    "wer": "Word error rates of recognisers trained on the data, with intervals over rooms and seeds.",
+    "faults": "The recipe killed at random moments, run twice at once, on a full disk and on a read-only one. After "
+              "each fault it is started again and must end with the bytes of an undisturbed run.",
+}
+READERS: dict[str, Callable[[Any], list[Table]]] = {
+    "simulator": sections, "speed": sections, "compensation": lambda result: result["tables"], "loop": loop,
+    "augmentation": augmentation, "wer": word_errors, "faults": faults,
+}
+COMMAND = {
+    "simulator": "tests/bench/fidelity/run.py", "speed": "tests/bench/speed/run.py",
+    "compensation": "./run.sh --measured RIRS --stop-stage 4 && tests/bench/compensation.py data",
+    "loop": "tests/bench/loop/run.py", "augmentation": "tests/bench/augment.py",
+    "wer": "tests/bench/wer.sh", "faults": "tests/faults/run.sh",
+}
+
+
+def read(path: Path) -> Any:
+    """Read a JSON file, the lines of a JSON-lines file, or all JSON files of a directory."""
+    if path.is_dir():
+        return [json.loads(file.read_text()) for file in sorted(path.glob("*.json"))]
+    if path.suffix == ".jsonl":
+        return [json.loads(line) for line in path.read_text().splitlines()]
+    return json.loads(path.read_text())
+
+
+def main() -> None:
+    """Write docs/results/PAGE.json."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("page", choices=sorted(READERS))
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--commit", help="that the results are of; without it that of the working tree")
+    parser.add_argument("--date", default=datetime.date.today().isoformat())
+    parser.add_argument("--note", default="", help="a sentence to put behind the summary")
+    given = parser.parse_args()
+    commit = given.commit or subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=PROJECT, check=True, text=True,
+                                            capture_output=True).stdout.strip()
+    result = read(given.file)
+    machine = result.get("machine", kit.machine()) if isinstance(result, dict) else kit.machine()
+    machine = {key: value for key, value in machine.items() if key in ("cpu", "cores", "python")}
+    content = dict(summary=f"{SUMMARY[given.page]} {given.note}".strip(), command=COMMAND[given.page], commit=commit,
+                   date=given.date, machine=machine, tables=READERS[given.page](result))
+    out = PROJECT / "docs/results" / f"{given.page}.json"
+    out.write_text(json.dumps(kit.plain(content), indent=1, ensure_ascii=False) + "\n")
+    print(f"{out.relative_to(PROJECT)} written")
+
+
+if __name__ == "__main__":
+    main()
