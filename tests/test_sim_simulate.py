@@ -149,7 +149,7 @@ def test_targets_can_be_those_of_the_measured_rooms(tmp_path, caplog):
     (tmp_path / "in").mkdir()
     write_jsonl(tmp_path / "in/rirs.jsonl", dull + live)
     rows = run(tmp_path / "in", tmp_path / "sim", t60_range_s="measured", noise_rirs=0)
-    assert "T60 of 0.44 to 0.60 s at 1 kHz" in caplog.text
+    assert "T60 of the rooms lies between 0.44 and 0.60 s at 1 kHz" in caplog.text
     targets_s = [row["target_t60_s"] for row in rows.values()]
     assert 0.44 <= min(targets_s) < max(targets_s) <= 0.60 and len(set(targets_s)) == 10
 

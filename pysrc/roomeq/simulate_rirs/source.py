@@ -1,0 +1,278 @@
+"""Render the responses of one source: draw materials, trace once, meet the targets, render the noise sources."""
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from roomeq.core.arrays import FloatArray
+from roomeq.core.rng import rng_for
+from roomeq.effects.base import Effect
+from roomeq.effects.model import Model, extend_scene, path_gain
+from roomeq.sim.context import Response
+from roomeq.sim.echogram import FRAME_S
+from roomeq.sim.geometry import Place, noise_positions
+from roomeq.sim.materials import MaterialTable, Surface, draw_materials, draw_scattering, given_surfaces
+from roomeq.sim.path_sample import PathSample, reference_absorption, sample_paths
+from roomeq.sim.response import (
+    TracedSource,
+    decay_length_s,
+    eyring_exponent,
+    needed_length_s,
+    render_responses,
+    render_to_target,
+    trace_source,
+)
+from roomeq.sim.scene import MIN_DISTANCE_M, Air, Material, Scene
+from roomeq.sim.target import scaled_absorption
+
+logger = logging.getLogger(__name__)
+
+MATERIAL_DRAWS = 4  # per target
+TARGET_DRAWS = 8
+NOISE_CANDIDATES = 4
+_NOISE_DISTANCE_M = 0.3  # preferred distance of a noise source from the microphone and from the source
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """Options of `roomeq.simulate_rirs.simulate` that rendering depends on."""
+
+    t60_range_s: tuple[float, float]
+    num_rays: int
+    ism_order: int
+    order: int
+    noise_rirs: int
+    diffraction: bool
+    seed: int
+
+
+class Member(NamedTuple):
+    """A row to simulate, and its geometry."""
+
+    row: dict
+    place: Place
+
+
+@dataclass(frozen=True)
+class RenderedRir:
+    """One rendered response and what it was rendered from.
+
+    Attributes
+    ----------
+    row : dict
+        The measured row; of a noise source, a copy with ids of its own.
+    scene : Scene
+        Before the absorption was scaled to the target.
+    effects : list of Effect
+        Effects that act on this response.
+    target_s : float or None
+        T30 at 1 kHz that was asked for; None if the materials are not scaled.
+    length_s : float
+        How far the rays had to be followed.
+    noise_for : str or None
+        Id of the RIR whose noise source this is.
+    """
+
+    row: dict
+    place: Place
+    scene: Scene
+    response: Response
+    effects: list[Effect]
+    target_s: float | None
+    length_s: float
+    noise_for: str | None = None
+
+
+@dataclass(frozen=True)
+class SceneDraw:
+    """Drawn materials of a room, and the decay time to scale them to."""
+
+    scene: Scene
+    target_s: float | None
+    length_s: float
+    """How far to follow the rays."""
+    target_number: int
+    """How many targets were given up before."""
+
+    @property
+    def expected_absorption(self) -> FloatArray:
+        """Absorption that is expected to meet the target, by Eyring's formula, shape (n_surfaces, 8)."""
+        absorption = self.scene.absorption
+        if self.target_s is None:
+            return absorption
+        return scaled_absorption(absorption, eyring_exponent(self.scene, self.target_s))
+
+
+def render_source(members: list[Member], air: Air, table: MaterialTable, model: Model,
+                  options: RenderOptions) -> list[RenderedRir]:
+    """Render rows that share room, source position, air and stated materials.
+
+    Returns
+    -------
+    list of RenderedRir
+        For each row its response, followed by those of its noise sources.
+
+    Raises
+    ------
+    ValueError
+        A material is unknown, or a target cannot be met; the message names the RIR.
+    """
+    effects = [model.for_row(member.row, options.seed) for member in members]
+    room = _TracedRoom(members[0], air, table, effects[0], options)
+    later_draws = [room.draw_scenes(member.row) for member in members]
+    first_draws = [next(draws) for draws in later_draws]
+    room.min_length_s = max(draw.length_s for draw in first_draws)
+    path_samples = room.sample_paths(
+        members[0].place.source_pos_m, room.min_length_s, [member.row["id"] for member in members],
+        [member.place.mic_pos_m for member in members], [draw.expected_absorption for draw in first_draws])
+    rendered = [_render_row(room, member, chain([first], later), path_sample, of_row)
+                for member, first, later, path_sample, of_row
+                in zip(members, first_draws, later_draws, path_samples, effects, strict=True)]
+    return [rir for group in zip(rendered, _render_noises(room, rendered), strict=True)
+            for rir in (group[0], *group[1])]
+
+
+class _TracedRoom:
+    """A room with its scattering, and the traces of its sources, each made when it is first needed.
+
+    Attributes
+    ----------
+    min_length_s : float
+        All sources are followed for at least so long, so that their traces serve all rows.
+    """
+
+    def __init__(self, member: Member, air: Air, table: MaterialTable, effects: list[Effect],
+                 options: RenderOptions) -> None:
+        self.room, self.room_id = member.place.room, member.row["room_id"]
+        self.air, self.table, self.options = air, table, options
+        self.effects = [effect for effect in effects if effect.SCOPE in ("all", "room")]
+        self.stated: dict[str, Surface] = self._stated_surfaces(member.row)
+        self.scattering = draw_scattering(table, self.room, rng_for(options.seed, "scattering", self.room_id),
+                                          self.stated)
+        self.min_length_s = 0.0
+        self._traces: dict[tuple[float, ...], TracedSource] = {}
+
+    def _stated_surfaces(self, row: dict) -> dict[str, Surface]:
+        try:
+            return given_surfaces(self.table, self.room, row.get("materials"))
+        except ValueError as error:
+            raise ValueError(f"RIR {row['id']}: {error}") from None
+
+    def draw_scenes(self, row: dict) -> Iterator[SceneDraw]:
+        """Yield materials and targets to try for a row: several draws of materials for each of several targets.
+
+        A row that states its materials may also state its target (None: do not scale), and gets no other.
+        """
+        target_s = float(rng_for(self.options.seed, "t60", row["id"]).uniform(*self.options.t60_range_s))
+        rng = rng_for(self.options.seed, "materials", row["id"])
+        for n in range(MATERIAL_DRAWS * (1 if row.get("materials") else TARGET_DRAWS)):
+            if n and n % MATERIAL_DRAWS == 0:
+                target_s = float(rng.uniform(*self.options.t60_range_s))
+            scene = extend_scene(self.effects, draw_materials(self.table, self.room, self.scattering, self.air,
+                                                              target_s, rng, self.stated))
+            if n == 0 and row.get("materials"):
+                target_s = row.get("target_t60_s", target_s)
+            yield SceneDraw(scene, target_s, needed_length_s(scene, target_s, self.options.order),
+                            n // MATERIAL_DRAWS)
+
+    def trace(self, source_pos_m: tuple[float, ...], length_s: float) -> TracedSource:
+        """Return the trace of a source, followed for at least `length_s`."""
+        length_s = max(length_s, self.min_length_s)
+        key = (*source_pos_m, length_s)
+        if key not in self._traces:
+            reflecting = [Material(surface, 0.0, tuple(scattering))
+                          for surface, scattering in zip(self.room.surfaces, self.scattering, strict=True)]
+            scene = extend_scene(self.effects, Scene(self.room, reflecting, self.air))
+            rng = rng_for(self.options.seed, "trace", repr((self.room_id, tuple(source_pos_m))))
+            self._traces[key] = trace_source(scene, source_pos_m, num_rays=self.options.num_rays,
+                                             max_length_s=length_s, rng=rng)
+        return self._traces[key]
+
+    def sample_paths(self, source_pos_m: tuple[float, ...], length_s: float, rir_ids: list[str],
+                     mics_m: list[tuple[float, ...]], absorptions: list[FloatArray]) -> list[PathSample]:
+        """Sample the paths from a source to the microphones of some RIRs, each for about its own absorption."""
+        traced = self.trace(source_pos_m, length_s)
+        decays_s = [min(decay_length_s(traced.scene, absorption), traced.max_length_s) for absorption in absorptions]
+        rngs = [rng_for(self.options.seed, "echoes", rir_id) for rir_id in rir_ids]
+        return sample_paths(traced, mics_m, reference_absorption(np.array(absorptions)), rngs,
+                            ism_order=self.options.ism_order,
+                            n_frames=[int(np.ceil(decay_s / FRAME_S)) for decay_s in decays_s])
+
+    def render(self, place: Place, rir_id: str, target_s: float | None, **how: Any) -> Response:
+        """Render one response, scaled to a target or as it is."""
+        how |= dict(ism_order=self.options.ism_order, diffraction=self.options.diffraction)
+        traced = self.trace(place.source_pos_m, how["length_s"])
+        rngs = [rng_for(self.options.seed, "tail", rir_id)]
+        if target_s is None:
+            (response,) = render_responses(traced, [place.mic_pos_m], rngs, **how)
+        else:
+            (response,) = render_to_target(traced, [place.mic_pos_m], rngs, target_s, **how)
+        return response
+
+
+def _render_row(room: _TracedRoom, member: Member, draws: Iterator[SceneDraw], path_sample: PathSample,
+                effects: list[Effect]) -> RenderedRir:
+    """Render one row with the first draw of materials and target that can be met."""
+    row, place = member
+    problem, target_number = None, 0
+    for draw in draws:
+        if draw.target_number > target_number:  # this room, at this distance, cannot sound like that
+            target_number = draw.target_number
+            logger.info("%s: %s; drawing another target", row["id"], problem)
+        try:
+            if draw.length_s > room.min_length_s:  # the rays are followed further, for this row alone
+                (path_sample,) = room.sample_paths(place.source_pos_m, draw.length_s, [row["id"]], [place.mic_pos_m],
+                                                   [draw.expected_absorption])
+            response = room.render(place, row["id"], draw.target_s, absorption=draw.scene.absorption,
+                                   length_s=draw.length_s, path_samples=[path_sample],
+                                   path_gain=path_gain(effects, row.get("source_dir")))
+        except ValueError as error:
+            problem = error
+            continue
+        if target_number:
+            place = replace(place, drawn=(*place.drawn, "target_t60_s again"))
+        return RenderedRir(row, place, draw.scene, response, effects, draw.target_s, draw.length_s)
+    raise ValueError(f"RIR {row['id']}: {problem}")
+
+
+def _render_noises(room: _TracedRoom, rendered: list[RenderedRir]) -> list[list[RenderedRir]]:
+    """Render the noise sources of all rows, source by source; return for each row those of its noises."""
+    noises = [[_noise_rir(rir, n, source_pos_m) for n, source_pos_m in enumerate(_noise_sources(rir, room), start=1)]
+              for rir in rendered]
+    responses = {}
+    for source_pos_m in sorted({noise.place.source_pos_m for of_row in noises for noise in of_row}):
+        of_source = [noise for of_row in noises for noise in of_row if noise.place.source_pos_m == source_pos_m]
+        path_samples = room.sample_paths(
+            source_pos_m, max(noise.length_s for noise in of_source), [noise.row["id"] for noise in of_source],
+            [noise.place.mic_pos_m for noise in of_source], [noise.response.absorption for noise in of_source])
+        for noise, path_sample in zip(of_source, path_samples, strict=True):
+            responses[noise.row["id"]] = room.render(
+                noise.place, noise.row["id"], None, absorption=noise.response.absorption, length_s=noise.length_s,
+                path_samples=[path_sample])
+    return [[replace(noise, response=responses[noise.row["id"]]) for noise in of_row] for of_row in noises]
+
+
+def _noise_rir(rir: RenderedRir, number: int, source_pos_m: tuple[float, ...]) -> RenderedRir:
+    """Return an RIR moved to one of its noise sources; its response is still to be rendered."""
+    row = rir.row | dict(id=f"{rir.row['id']}-noise{number}", source_dir=None,
+                         source_id=f"noise-{source_pos_m[0]}-{source_pos_m[1]}-{source_pos_m[2]}")
+    return replace(rir, row=row, place=replace(rir.place, source_pos_m=source_pos_m), target_s=None,
+                   effects=[effect for effect in rir.effects if effect.SCOPE not in ("source", "rir")],
+                   noise_for=rir.row["id"])
+
+
+def _noise_sources(rir: RenderedRir, room: _TracedRoom) -> list[tuple[float, ...]]:
+    """Return the first few of the room's noise positions that keep clear of the microphone and the source."""
+    place, options = rir.place, room.options
+    candidates = noise_positions(place.room, rir.row["room_id"], options.seed, 2 * NOISE_CANDIDATES)
+    clearance_m = [min(np.linalg.norm(np.subtract(position, place.mic_pos_m)),
+                       np.linalg.norm(np.subtract(position, place.source_pos_m))) for position in candidates]
+    clear = [position for position, distance_m in zip(candidates, clearance_m, strict=True)
+             if distance_m >= _NOISE_DISTANCE_M]
+    if len(clear) < options.noise_rirs:
+        clear = [candidates[n] for n in np.argsort(clearance_m)[::-1] if clearance_m[n] >= MIN_DISTANCE_M]
+    return [tuple(position) for position in clear[:options.noise_rirs]]
