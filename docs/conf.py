@@ -9,9 +9,8 @@ sys.path[:0] = [str(HERE.parent / "pysrc"), str(HERE)]
 for library in ("OMP", "OPENBLAS", "MKL", "NUMBA"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
-from results_tables import write_pages  # noqa: E402
-
 import roomeq  # noqa: E402
+from results_tables import write_pages  # noqa: E402
 
 write_pages(HERE / "results")
 

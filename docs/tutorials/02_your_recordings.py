@@ -26,7 +26,7 @@ import soundfile
 import roomeq
 from roomeq.corpora import read_measured
 
-logging.basicConfig(level=logging.WARNING)
+logging.getLogger("roomeq").setLevel(logging.WARNING)
 work = Path(tempfile.mkdtemp())
 rng = np.random.default_rng(0)
 (work / "recordings").mkdir()

@@ -25,7 +25,7 @@ import soundfile
 import roomeq
 from roomeq.effects.response import RESPONSE_HZ
 
-logging.basicConfig(level=logging.WARNING)
+logging.getLogger("roomeq").setLevel(logging.WARNING)
 work = Path(tempfile.mkdtemp())
 (work / "measured").mkdir()
 rng = np.random.default_rng(3)

@@ -74,8 +74,8 @@ def main():
              columns=["EQ measured by", "bands", "simulated", "compensated", "measured training set",
                       "gap closed [95 % interval]", "by the energy distance"],
              notes=[f"{len(rirs['real.test'])} held-out and {len(rirs['real.train'])} training RIRs of "
-                    f"{len(set(rooms['real.train'] + rooms['real.test']))} rooms, split by RIR. The gap lies between the "
-                    "simulated RIRs and the measured training set, which is as near as a model of it can come."]),
+                    f"{len(set(rooms['real.train'] + rooms['real.test']))} rooms, split by RIR. The gap lies between "
+                    "the simulated RIRs and the measured training set, which is as near as a model of it can come."]),
         dict(title="Largest change of the EQ by an onset error of up to 10 samples [dB]", columns=["RIRs", "median",
              "95th percentile", "worst"], rows=[[len(changes), *map(float, np.percentile(changes, (50, 95, 100)))]])])
     for table in result["tables"]:

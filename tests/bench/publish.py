@@ -57,7 +57,8 @@ def augmentation(result: dict[str, Any]) -> list[Table]:
             dict(title="Difference of the audio [dB]", columns=["pair", "utterances", "median", "worst"],
                  rows=[[name, *(difference[key] for key in ("utterances", "median", "worst"))]
                        for name, difference in result["difference_db"].items()]),
-            dict(title="Peak memory [MiB]", columns=["run", "MiB"], rows=list(map(list, result["peak_memory_mib"].items())))]
+            dict(title="Peak memory [MiB]", columns=["run", "MiB"],
+                 rows=[list(item) for item in result["peak_memory_mib"].items()])]
 
 
 def word_errors(result: dict[str, Any]) -> list[Table]:
