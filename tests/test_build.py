@@ -10,7 +10,7 @@ import pytest
 from roomeq.core import build
 from roomeq.core.build import DONE_FILE, Build, share
 from roomeq.core.digests import code_digest, digest
-from roomeq.core.files import write_json, write_text
+from roomeq.core.files import read_json, write_json, write_text
 
 
 def make_squares(out, inputs=(), numbers=(1, 2, 3), part=None, fail_on=None, **options):
@@ -115,6 +115,28 @@ def test_same_content_made_again_is_the_same_input(tmp_path):
     first = digest(tmp_path / "in")
     make_squares(tmp_path / "in", v=2)
     assert digest(tmp_path / "in") == first
+
+
+def as_of_format(directory, version):
+    """Make the stamp of a directory that of another version of the formats; version 1 wrote none."""
+    stamp = read_json(directory / DONE_FILE) | dict(format=version)
+    write_json(directory / DONE_FILE, {key: value for key, value in stamp.items() if (key, value) != ("format", 1)})
+
+
+@pytest.mark.parametrize("version, age", [(1, "an older"), (3, "a newer")])
+def test_input_of_another_format_is_refused(version, age, tmp_path):
+    make_squares(tmp_path / "in")
+    as_of_format(tmp_path / "in", version)
+    with pytest.raises(ValueError, match=rf"in: was written by {age} roomeq \(format {version}, not 2\): run roomeq "
+                                         "square again"):
+        make_squares(tmp_path / "out", inputs=[tmp_path / "in"])
+
+
+def test_output_of_an_older_format_is_made_anew(tmp_path):
+    make_squares(tmp_path / "a", power=2)
+    as_of_format(tmp_path / "a", 1)
+    assert make_squares(tmp_path / "a", power=3) == "made"
+    assert make_squares(tmp_path / "b", inputs=[tmp_path / "a"]) == "made"
 
 
 def test_a_directory_of_somebody_else_is_refused(tmp_path):

@@ -28,6 +28,7 @@ def validate(directories: Iterable[Path]) -> None:
         A directory breaks its contract, or is of no known kind. The first problem is named.
     """
     for directory in map(Path, directories):
+        read_stamp(directory)  # refuses the formats of another version, which the checks would call broken
         for name, check, items in CONTRACTS:
             if (directory / name).is_file():
                 print(f"{directory}: {check(directory)} {items}, OK")
@@ -55,7 +56,8 @@ def check_stamp(directory: Path) -> None:
     ValueError
         A file is missing or has changed.
     """
-    for name, (_, digest) in read_stamp(directory).get("files", {}).items():
+    stamp = read_stamp(directory)
+    for name, (_, digest) in stamp.files.items() if stamp else ():
         path = directory / name
         if not path.is_file():
             raise ValueError(f"{path}: missing since it was made: make {directory} again")

@@ -25,7 +25,7 @@ CASES = [
          "RIR r0 is in both measured and measured: give each RIR once"),
     Case("loop into its input", "close-loop measured --out measured",
          "measured: input measured lies in it and would be lost: choose another output", (
-        write("measured/.done", '{"step": "close-loop", "key": "x", "files": {}}'),)),
+        write("measured/.done", '{"format": 2, "step": "close-loop", "key": "x", "files": {}}'),)),
     Case("test set absent", "close-loop --test absent measured --out out",
          "absent: no such file or directory: check the path, or run the step that makes it"),
     Case("test set without audio", "close-loop --test rirs measured --out out",
@@ -119,7 +119,7 @@ CASES = [
          "folder: exists and was not made by roomeq (no .done in it): choose another output, or move it away"),
     Case("output is the input", "characterise measured measured",
          "measured: input measured lies in it and would be lost: choose another output", (
-        write("measured/.done", '{"step": "characterise", "key": "x", "files": {}}'),)),
+        write("measured/.done", '{"format": 2, "step": "characterise", "key": "x", "files": {}}'),)),
     Case("output made by another step", "characterise measured made",
          "made: was made by another step (fit-eq, not characterise): choose another output, or remove it"),
     Case("output holds the input", "characterise made/inner made",

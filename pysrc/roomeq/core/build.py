@@ -1,12 +1,18 @@
-"""Output directories that are made whole or not at all, by any number of jobs, and made only when needed.
+"""Output directories that are complete or absent, made by any number of jobs, and only when something changed.
 
-A step describes its work as named items. `Build` gives each item to exactly one job, keeps a record of every
-item that is finished, and renames the directory into place when all are. A killed run goes on where it stopped.
-Whether a directory is up to date is decided by a key: a hash of the step, its options, its inputs and the code.
+A step describes its work as named items. `Build` gives each item to exactly one job, keeps a record of every finished
+item, and renames the directory into place once all items are finished. A killed run resumes with the next item. A
+directory is up to date if the key in its stamp is right: a hash of the step, its options, its inputs and the code.
 
     build = Build(out, step="compensate", options=dict(taps=511), inputs=[sim_dir])
     if not build.done and build.run(rows_by_id, compensate_one, part=part, nj=nj):
         build.finish(lambda directory, records: write_rirs(directory, records))
+
+Why not Make, Snakemake, DVC or `joblib.Memory`: the unit is an item (an RIR, a speaker) and the result is a directory
+that other programs read. Jobs of one step run on different machines that share nothing but a file system without a
+server, under Kaldi's own `run.pl`, `queue.pl` or `slurm.pl`; each may be killed at any moment, and the bytes in the end
+must be those of an undisturbed run. Those tools decide per file by modification time, need one controlling process, or
+cache return values and leave half a directory behind; and Kaldi users have none of them installed.
 """
 
 import contextlib
@@ -19,14 +25,15 @@ import logging
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from itertools import starmap
 from pathlib import Path
+from typing import Any
 
 from roomeq.core.digests import code_digest, digest, files_below
 from roomeq.core.files import hash_file, read_json, to_json, write_json, write_text
 from roomeq.core.progress import progress
-from roomeq.core.stamps import DONE_FILE, as_sealed, check_output
+from roomeq.core.stamps import DONE_FILE, FORMAT, check_output, is_as_stamped
 
 logger = logging.getLogger(__name__)
 
@@ -40,97 +47,101 @@ class Build:
     Parameters
     ----------
     out : Path
-        The directory to make. If it exists it must be one that a `Build` made.
+        The directory to make. If it exists, `step` must have made it.
     step : str
         Name of the step, e.g. ``"simulate"``.
     options : dict
-        Everything that changes the result, JSON-able. Not: paths, number of jobs.
+        Everything that changes the result, JSON-able: neither paths nor the number of jobs.
     inputs : list of Path
         Files and directories that the result depends on.
     refers : bool
-        The output names audio that lies elsewhere: those who take it as input depend on how it was made, not only
-        on the files in it.
+        The output names audio elsewhere. A later step that takes it as input then depends on its key and not only on
+        its files.
 
     Attributes
     ----------
     out : Path
     work : Path
-        Where files are written until the directory is whole.
-    done : bool
-        The directory is there, whole, and of the same options, inputs and code.
+        Directory that files are written to; `finish` renames it to `out`.
+    key : str
+        Hash of step, options, inputs and code.
 
     Raises
     ------
     ValueError
-        `out` holds something else, or an input is missing.
+        `out` holds something else, or an input is missing or has the formats of another version of roomeq.
     """
 
-    def __init__(self, out: Path, *, step: str, options: dict, inputs: list[Path], refers: bool = False):
+    def __init__(self, out: Path, *, step: str, options: dict[str, Any], inputs: list[Path],
+                 refers: bool = False) -> None:
         self.out = Path(os.path.normpath(out))
         self.step, self.options, self.refers, self._inputs = step, options, refers, inputs
-        self._check_ours()
+        self._check_output()
         described = dict(step=step, options=options, inputs=[digest(path) for path in inputs], code=code_digest())
         self.key = hashlib.sha256(to_json(described).encode(errors="surrogateescape")).hexdigest()
         self.work = self.out.with_name(f".{self.out.name}.part-{self.key[:16]}")
-        self._retired = self.out.with_name(f".{self.out.name}.old")
+        self._replaced = self.out.with_name(f".{self.out.name}.old")
         self._names: list[str] = []
 
     @property
     def done(self) -> bool:
-        if _is_done(self.out, self.key):
-            logger.info("%s: up to date", self.out)
-            if self._retired.exists():  # whoever put the directory in place was killed before the end
-                with contextlib.suppress(OSError), self._lock(fcntl.LOCK_EX):
-                    self._clear_retired()
-            return True
-        return False
+        """Whether the directory exists, is complete, and was made with the same options, inputs and code."""
+        if not _is_done(self.out, self.key):
+            return False
+        logger.info("%s: up to date", self.out)
+        if self._replaced.exists():  # the run that put the directory in place was killed before it had cleared up
+            with contextlib.suppress(OSError), self._lock(fcntl.LOCK_EX):
+                self._remove_replaced()
+        return True
 
-    def run(self, items: dict, make: Callable, *, part: str | None = None, nj: int = 1) -> bool:
-        """Do the items that are still to do; return True when all are done and `finish` may be called.
+    def run(self, items: Mapping[str, Any], make: Callable[[str, Any], Any], *, part: str | None = None,
+            nj: int = 1) -> bool:
+        """Make the items that are not made yet; return True if all are made, so that `finish` may be called.
 
         Parameters
         ----------
-        items : dict
-            What to do, by name (an id).
+        items : mapping
+            Items by name (an id).
         make : callable
             ``make(name, item) -> record``: writes the item's files below `work` and returns a JSON-able record.
         part : str, optional
-            ``"2/5"``: do only the second of five shares, and leave finishing to a later call without `part`.
+            ``"2/5"``: make only the second of five shares, and leave `finish` to a later call without `part`.
         nj : int
-            Processes to use.
+            Number of processes.
         """
         self._names = list(items)
-        mine = share(self._names, part)
+        names = share(self._names, part)
         check_jobs(nj)
         with self._lock(fcntl.LOCK_SH):
             if _is_done(self.out, self.key) or _is_done(self.work, self.key):
                 return part is None
             (self.work / _RECORDS).mkdir(parents=True, exist_ok=True)
-        todo = [name for name in mine if not self._record_path(name).is_file()]
-        if 0 < len(todo) < len(mine):
-            logger.info("%s: %d of %d items were done before", self.out, len(mine) - len(todo), len(mine))
-        for _ in progress(self._each(todo, items, make, nj), len(todo), f"{self.step} {self.out.name}"):
+        todo = [name for name in names if not self._record_path(name).is_file()]
+        if 0 < len(todo) < len(names):
+            logger.info("%s: %d of %d items were done before", self.out, len(names) - len(todo), len(names))
+        for _ in progress(self._make_items(todo, items, make, nj), len(todo), f"{self.step} {self.out.name}"):
             pass
         return part is None
 
-    def _each(self, todo: list[str], items: dict, make: Callable, nj: int) -> Iterator:
+    def _make_items(self, todo: list[str], items: Mapping[str, Any], make: Callable[[str, Any], Any],
+                    nj: int) -> Iterator[None]:
         calls = ((os.getcwd(), self._lock_path, self._record_path(name), make, name, items[name]) for name in todo)
         if nj == 1 or len(todo) < 2:
-            yield from starmap(_make_one, calls)
+            yield from starmap(_make_item, calls)
             return
         from joblib import Parallel, delayed
 
-        yield from Parallel(n_jobs=nj, return_as="generator_unordered")(delayed(_make_one)(*call) for call in calls)
+        yield from Parallel(n_jobs=nj, return_as="generator_unordered")(delayed(_make_item)(*call) for call in calls)
 
-    def finish(self, assemble: Callable) -> bool:
-        """Call ``assemble(directory, records)``, which writes the files of the whole; put the directory in place.
+    def finish(self, assemble: Callable[[Path, list[Any]], object]) -> bool:
+        """Call ``assemble(directory, records)`` to write and check the common files; put the directory in place.
 
-        `records` are the items' records in the order of the items. `assemble` also validates.
+        `records` are the items' records in the order of the items.
 
         Returns
         -------
         assembled : bool
-            False where it was not called, since another run, or a killed one, had come as far as that.
+            False if `assemble` was not called because another run, or one that was killed, had already done so.
 
         Raises
         ------
@@ -143,24 +154,24 @@ class Build:
                 return False
             if not _is_done(self.work, self.key):
                 assemble(self.work, self._read_records())
-                self._seal()
+                self._write_stamp()
                 assembled = True
             shutil.rmtree(self.work / _RECORDS, ignore_errors=True)
-            self._check_ours()
+            self._check_output()
             for stale in self.out.parent.glob(f".{glob.escape(self.out.name)}.part-{'[0-9a-f]' * 16}"):
                 if stale != self.work:
                     shutil.rmtree(stale, ignore_errors=True)
-            self._clear_retired()
+            self._remove_replaced()
             if self.out.exists():
-                self.out.rename(self._retired)
+                self.out.rename(self._replaced)
             self.work.rename(self.out)
-            self._clear_retired()
+            self._remove_replaced()
         return assembled
 
-    def _clear_retired(self) -> None:
-        shutil.rmtree(self._retired, ignore_errors=True)
+    def _remove_replaced(self) -> None:
+        shutil.rmtree(self._replaced, ignore_errors=True)
 
-    def _read_records(self) -> list:
+    def _read_records(self) -> list[Any]:
         self.work.mkdir(parents=True, exist_ok=True)
         try:
             return [read_json(self._record_path(name)) for name in self._names]
@@ -168,13 +179,12 @@ class Build:
             raise ValueError(f"{self.out}: another run, with other options or inputs, made it meanwhile: let one "
                              "run at a time work on a directory, and start this one again") from None
 
-    def _seal(self) -> None:
+    def _write_stamp(self) -> None:
         for leftover in self.work.rglob(".*.tmp"):  # of a job that was killed while it wrote
             leftover.unlink(missing_ok=True)
-        files = {}
-        for path in files_below(self.work):
-            files[str(path.relative_to(self.work))] = [path.stat().st_size, hash_file(path)]
-        write_json(self.work / DONE_FILE, dict(step=self.step, options=self.options, key=self.key,
+        files = {str(path.relative_to(self.work)): (path.stat().st_size, hash_file(path))
+                 for path in files_below(self.work)}
+        write_json(self.work / DONE_FILE, dict(format=FORMAT, step=self.step, options=self.options, key=self.key,
                                                refers=self.refers, files=files))
 
     def _record_path(self, name: str) -> Path:
@@ -182,34 +192,34 @@ class Build:
         safe = name if plain else hashlib.sha256(name.encode()).hexdigest()
         return self.work / _RECORDS / f"{safe}.json"
 
-    def _check_ours(self) -> None:
+    def _check_output(self) -> None:
         check_output(self.out, self.step, self._inputs)
 
     @property
     def _lock_path(self) -> Path:
         return self.out.with_name(f".{self.out.name}.lock")
 
-    def _lock(self, how: int):
-        """Jobs that work on items share the lock; putting the directory in place needs it alone."""
+    def _lock(self, kind: int) -> contextlib.AbstractContextManager[None]:
+        """Return the directory's lock: jobs that make items share it, putting the directory in place excludes them."""
         self.out.parent.mkdir(parents=True, exist_ok=True)
-        return locked(self._lock_path, how)
+        return locked(self._lock_path, kind)
 
 
 def check_jobs(nj: int) -> None:
-    """Raise a `ValueError` for a number of processes or threads that is none."""
+    """Raise a `ValueError` where a number of processes or threads is out of range."""
     if not 1 <= nj <= MAX_JOBS:
         raise ValueError(f"nj={nj} must lie in [1, {MAX_JOBS}]: give the number of processes")
 
 
 @contextlib.contextmanager
-def locked(path: Path, how: int) -> Iterator[None]:
-    """Hold the lock of a file, ``fcntl.LOCK_SH`` or ``LOCK_EX``; whoever has it goes first."""
+def locked(path: Path, kind: int) -> Iterator[None]:
+    """Hold the lock of a file, ``fcntl.LOCK_SH`` or ``LOCK_EX``; wait for a process that holds it."""
     with open(path, "a+") as stream:  # NFS gives shared locks to readers only, exclusive ones to writers
         try:
-            fcntl.flock(stream, how | fcntl.LOCK_NB)
+            fcntl.flock(stream, kind | fcntl.LOCK_NB)
         except BlockingIOError:
             logger.info("%s: waiting for another run that works on it", path.with_name(path.name[1:-len(".lock")]))
-            fcntl.flock(stream, how)
+            fcntl.flock(stream, kind)
         except OSError as error:
             if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
                 raise
@@ -217,10 +227,11 @@ def locked(path: Path, how: int) -> Iterator[None]:
         yield
 
 
-def _make_one(folder: str, lock: Path, record_path: Path, make: Callable, name: str, item) -> None:
-    os.chdir(folder)  # workers live longer than one call, and paths may be relative
+def _make_item(folder: str, lock: Path, record_path: Path, make: Callable[[str, Any], Any], name: str,
+               item: Any) -> None:
+    os.chdir(folder)  # a worker process outlives one call, and paths may be relative
     with locked(lock, fcntl.LOCK_SH):
-        # another run may have made the item, or put the whole directory in place: nothing must come after that
+        # another run may have made the item, or put the directory in place, which must not be written to
         if record_path.parent.is_dir() and not record_path.is_file():
             write_text(record_path, to_json(make(name, item)))
 
@@ -235,17 +246,17 @@ def share(names: list[str], part: str | None) -> list[str]:
     """
     if part is None:
         return names
-    found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", part)
-    if not found or not 1 <= int(found[1]) <= int(found[2]):
+    match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", part)
+    if not match or not 1 <= int(match[1]) <= int(match[2]):
         raise ValueError(f"part={part!r} must be JOB/JOBS with 1 <= JOB <= JOBS, such as 2/5")
-    return names[int(found[1]) - 1::int(found[2])]
+    return names[int(match[1]) - 1::int(match[2])]
 
 
 def _is_done(directory: Path, key: str) -> bool:
     try:
         stamp = json.loads((directory / DONE_FILE).read_text())
-        sealed_ns = (directory / DONE_FILE).stat().st_ctime_ns
-        return stamp["key"] == key and all(
-            as_sealed(directory / name, size, content, sealed_ns) for name, (size, content) in stamp["files"].items())
+        stamped_ns = (directory / DONE_FILE).stat().st_ctime_ns
+        return stamp["key"] == key and all(is_as_stamped(directory / name, size, content_hash, stamped_ns)
+                                           for name, (size, content_hash) in stamp["files"].items())
     except (OSError, ValueError, KeyError, TypeError):
         return False

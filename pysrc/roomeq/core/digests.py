@@ -1,4 +1,4 @@
-"""What an output depends on, as hashes: files, directories, audio that lies elsewhere, and the code itself."""
+"""Hashes of everything that an output depends on: files, directories, audio that they refer to, and the code."""
 
 import contextlib
 import hashlib
@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 
 from roomeq.core.files import hash_file
-from roomeq.core.stamps import DONE_FILE, as_sealed, read_stamp
+from roomeq.core.stamps import DONE_FILE, is_as_stamped, read_stamp
 
 _NUMERICS = ("embreex", "numba", "numpy", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
 
@@ -19,14 +19,14 @@ _NUMERICS = ("embreex", "numba", "numpy", "scikit-learn", "scipy", "soundfile", 
 def digest(path: Path) -> str:
     """Return a hash of a file's content or of a directory's.
 
-    Files of a directory that a `Build` made count by the content hash in its stamp (unless changed since), and
-    with its key where they refer to audio elsewhere; files of any other directory (a corpus of many gigabytes)
-    count by name, size and time of change.
+    A directory that a `Build` made is hashed by the content hashes in its stamp (a file that has changed since is read
+    again), and by the stamp's key where it refers to audio elsewhere. Any other directory (a corpus of many gigabytes)
+    is hashed by name, size and modification time of its files.
 
     Raises
     ------
     ValueError
-        There is no such path.
+        There is no such path, or the directory has the formats of another version of roomeq.
     """
     path = Path(path)
     if path.is_file():
@@ -34,29 +34,29 @@ def digest(path: Path) -> str:
     if not path.is_dir():
         raise ValueError(f"{path}: no such file or directory: check the path, or run the step that makes it")
     stamp = read_stamp(path)
-    sealed_ns = (path / DONE_FILE).stat().st_ctime_ns if stamp else 0
-    stamped = stamp.get("files", {})
-    total = hashlib.sha256(stamp["key"].encode() if stamp.get("refers") else b"")
+    stamped_ns = (path / DONE_FILE).stat().st_ctime_ns if stamp else 0
+    stamped = stamp.files if stamp else {}
+    total = hashlib.sha256(stamp.key.encode() if stamp and stamp.refers else b"")
     for file in files_below(path):
         name, stat = str(file.relative_to(path)), file.stat()
         if name not in stamped and stamped:
-            continue  # what others (Kaldi) put beside our files is not our input
-        if name in stamped and as_sealed(file, *stamped[name], sealed_ns):
-            mark = stamped[name][1]
+            continue  # a file that others (Kaldi) put beside ours is not an input
+        if name in stamped and is_as_stamped(file, *stamped[name], stamped_ns):
+            state = stamped[name][1]
         elif stamped:
-            mark = hash_file(file)
+            state = hash_file(file)
         else:
-            mark = f"{stat.st_size} {stat.st_mtime_ns}"
-        total.update(f"{name}\0{mark}\n".encode(errors="surrogateescape"))
-    for file in [] if stamped else _named_audio(path):
+            state = f"{stat.st_size} {stat.st_mtime_ns}"
+        total.update(f"{name}\0{state}\n".encode(errors="surrogateescape"))
+    for file in [] if stamped else _audio_in_tables(path):
         total.update(f"{file} {_size_and_time(file)}\n".encode(errors="surrogateescape"))
     return total.hexdigest()
 
 
 def audio_digest(paths: Iterable[Path]) -> str:
-    """Return a hash of files by name, size and time of change: what an output made of a list of files depends on.
+    """Return a hash of files by name, size and modification time, for an output that is made of a list of files.
 
-    Absent files count as such: whoever reads them says so.
+    A file that is absent is hashed as absent: reading it raises the error.
     """
     total = hashlib.sha256()
     for path in paths:
@@ -72,8 +72,8 @@ def _size_and_time(path: Path) -> tuple[int, int] | None:
     return stat.st_size, stat.st_mtime_ns
 
 
-def _named_audio(directory: Path) -> Iterator[Path]:
-    """Yield the audio that tables of an RIR directory name; lines that are wrong are the reader's business."""
+def _audio_in_tables(directory: Path) -> Iterator[Path]:
+    """Yield the audio files that the tables of an RIR directory name; the reader reports lines that are wrong."""
     for name in ("rirs.jsonl", "noises.jsonl"):
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
             for line in (directory / name).read_text(encoding="utf-8").splitlines():
@@ -81,23 +81,23 @@ def _named_audio(directory: Path) -> Iterator[Path]:
 
 
 def files_below(directory: Path) -> list[Path]:
-    """Return all files below a directory, hidden ones left out, in a fixed order; each folder once, links or not."""
-    found, seen = [], set()
+    """Return all files below a directory except hidden ones, in a fixed order; a linked folder is entered once."""
+    files, entered = [], set()
     for folder, folders, names in os.walk(directory, followlinks=True):
-        place = os.path.realpath(folder)
-        if place in seen:  # links to links, or to a folder above: there would be no end
+        real = os.path.realpath(folder)
+        if real in entered:  # a link to a folder above would never end
             folders.clear()
             continue
-        seen.add(place)
+        entered.add(real)
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         paths = (Path(folder) / name for name in sorted(names) if not name.startswith("."))
-        found += [path for path in paths if path.is_file()]
-    return found
+        files += [path for path in paths if path.is_file()]
+    return files
 
 
 @cache
 def code_digest() -> str:
-    """Return a hash of the package's source and of what computes for it: other code's results are not up to date."""
+    """Return a hash of the package's source and of the versions of Python and of the numerical libraries."""
     total = hashlib.sha256(f"Python {platform.python_version_tuple()[:2]}".encode())
     for name in _NUMERICS:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
@@ -107,7 +107,7 @@ def code_digest() -> str:
 
 
 def source_digest(*paths: Path) -> str:
-    """Return a hash of Python files, and of those below folders."""
+    """Return a hash of Python files, given one by one or as folders."""
     total = hashlib.sha256()
     for path in paths:
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:

@@ -1,56 +1,107 @@
-"""The stamp of a directory that roomeq made, and whether a result may go to a place."""
+"""The stamp of a directory that a step made: which step, from what, and which files with which content.
+
+The stamp (`.done`) is the last file that `roomeq.core.build.Build` writes, so that a directory with a stamp is complete.
+It carries the version of the formats in the directory: a reader refuses a directory of another version, and the step
+that made the directory makes it anew.
+"""
 
 import os
 from pathlib import Path
+from typing import Any
+
+import msgspec
 
 from roomeq.core.files import hash_file, read_json
 
 DONE_FILE = ".done"
-_HELD = {"step": str, "key": str, "files": dict}
+
+FORMAT = 2
+"""Version of the files that this roomeq reads and writes. 1 had no `format` in its stamp."""
+
+_COMMANDS = {"split": "roomeq split-rirs", "dict": "local/make_dict.py", "digits": "local/prepare_digits.py",
+             "standin-rirs": "local/make_synthetic_rirs.py", "standin-speech": "local/make_synthetic_speech.py"}
+"""Commands of steps that are not called ``roomeq STEP``."""
 
 
-def read_stamp(directory: Path) -> dict:
-    """Return what a directory's stamp says: `step, options, key`, and `files` {name: [size, hash]}; or {}.
+class Stamp(msgspec.Struct, frozen=True):
+    """What a stamp says.
+
+    Attributes
+    ----------
+    step : str
+        Step that made the directory, e.g. ``"simulate"``.
+    key : str
+        Hash of the step, its options, inputs and code.
+    files : dict
+        Size and hash of every file by name.
+    format : int
+        Version of the formats of these files.
+    options : dict
+        Options of the step.
+    refers : bool
+        The directory names audio elsewhere.
+    """
+
+    step: str
+    key: str
+    files: dict[str, tuple[int, str]]
+    format: int = 1
+    options: dict[str, Any] = {}
+    refers: bool = False
+
+
+def read_stamp(directory: Path) -> Stamp | None:
+    """Return the stamp of a directory, or None where it has none; for readers of the directory.
 
     Raises
     ------
     ValueError
-        The stamp is not one of ours.
+        The file is not a stamp, or the directory has the formats of another version of roomeq.
     """
-    path = Path(directory) / DONE_FILE
-    if not path.is_file():
-        return {}
-    stamp = read_json(path)
-    whole = isinstance(stamp, dict) and all(isinstance(stamp.get(key), kind) for key, kind in _HELD.items())
-    if not whole or not all(isinstance(entry, list) and list(map(type, entry)) == [int, str]
-                            for entry in stamp["files"].values()):
-        raise ValueError(f"{path}: is no stamp of roomeq ({', '.join(_HELD)}): remove {directory} and make it again")
+    stamp = _read_any_format(directory)
+    if stamp and stamp.format != FORMAT:
+        age = "an older" if stamp.format < FORMAT else "a newer"
+        raise ValueError(f"{directory}: was written by {age} roomeq (format {stamp.format}, not {FORMAT}): run "
+                         f"{_COMMANDS.get(stamp.step, f'roomeq {stamp.step}')} again")
     return stamp
 
 
-def as_sealed(path: Path, size: int, content: str, sealed_ns: int) -> bool:
-    """Tell whether a file is what its directory's stamp says; it is read only if it has changed since then.
+def _read_any_format(directory: Path) -> Stamp | None:
+    path = Path(directory) / DONE_FILE
+    if not path.is_file():
+        return None
+    content = read_json(path)
+    try:
+        return msgspec.convert(content, Stamp)
+    except (msgspec.ValidationError, UnicodeEncodeError):
+        raise ValueError(f"{path}: is no stamp of roomeq (step, key, files): remove {directory} and make it "
+                         "again") from None
+
+
+def is_as_stamped(path: Path, size: int, content_hash: str, stamped_ns: int) -> bool:
+    """Tell whether a file is as its directory's stamp says; it is only read if it has changed since then.
 
     Parameters
     ----------
-    size, content
-        The stamp's entry.
-    sealed_ns : int
+    path : Path
+    size, content_hash
+        The file's entry in the stamp.
+    stamped_ns : int
         When the stamp was written: its `st_ctime_ns`.
     """
     stat = path.stat()
-    # by the inode's time: a file put back from elsewhere keeps its own time of change
-    return stat.st_size == size and (stat.st_ctime_ns <= sealed_ns or hash_file(path) == content)
+    # the inode's time: a file that is moved here keeps its own modification time
+    return stat.st_size == size and (stat.st_ctime_ns <= stamped_ns or hash_file(path) == content_hash)
 
 
 def check_output(out: Path, step: str, inputs: list[Path]) -> None:
-    """Refuse an output that could not be made, or that would replace what is none of this step's making.
+    """Refuse an output that cannot be made, or that would replace something that this step did not make.
 
     Raises
     ------
     ValueError
-        `out` is no name of a directory, a link, a file, a directory of somebody else or of another step, or one
-        that an input lies in.
+        `out` cannot name a directory, is a link or a file, was made by somebody else or by another step, or an input
+        lies in it.
     """
     if not out.name or out.name == ".." or any(c in str(out) for c in "\n\r\0"):
         raise ValueError(f"output {str(out)!r} must name a directory to make, without line breaks: choose another")
@@ -62,12 +113,12 @@ def check_output(out: Path, step: str, inputs: list[Path]) -> None:
             raise ValueError(f"{out}: input {path} lies in it and would be lost: choose another output")
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
-    made_by = read_stamp(out).get("step") if out.is_dir() else None
-    if made_by is None:
+    stamp = _read_any_format(out) if out.is_dir() else None
+    if stamp is None:
         raise ValueError(f"{out}: exists and was not made by roomeq (no {DONE_FILE} in it): "
                          "choose another output, or move it away")
-    if made_by != step:
-        raise ValueError(f"{out}: was made by another step ({made_by}, not {step}): choose another output, or "
+    if stamp.step != step:
+        raise ValueError(f"{out}: was made by another step ({stamp.step}, not {step}): choose another output, or "
                          "remove it")
 
 

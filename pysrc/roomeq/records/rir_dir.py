@@ -24,6 +24,7 @@ from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import audio_info, read_audio
 from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.core.files import read_jsonl, write_jsonl, write_text
+from roomeq.core.stamps import read_stamp
 from roomeq.records.schema import NoiseRow, RirRow, noise_problem, row_problem
 
 ROWS_FILE = "rirs.jsonl"
@@ -36,10 +37,11 @@ def read_rirs(directory: Path) -> list[RirRow]:
     Raises
     ------
     ValueError
-        The directory or its `rirs.jsonl` is missing or empty, or a row breaks the contract; the message names the
-        first line that does.
+        The directory or its `rirs.jsonl` is missing or empty, another version of roomeq wrote it, or a row breaks the
+        contract; the message names the first line that does.
     """
     path = Path(directory) / ROWS_FILE
+    read_stamp(directory)
     rows = cast(list[RirRow], _read_checked(path, row_problem))
     if not rows:
         raise ValueError(f"{path}: no RIRs in it: run the step that makes it again")
@@ -175,9 +177,11 @@ def read_noises(directory: Path) -> list[NoiseRow]:
     Raises
     ------
     ValueError
-        A row breaks the contract; the message names the first line that does.
+        Another version of roomeq wrote the directory, or a row breaks the contract; the message names the first line
+        that does.
     """
     path = Path(directory) / NOISES_FILE
+    read_stamp(directory)
     return cast(list[NoiseRow], _read_checked(path, noise_problem)) if path.is_file() else []
 
 
