@@ -1,7 +1,7 @@
 # shellcheck shell=bash
 # Turn --some-option VALUE into the variable some_option, which the script must have set before it sources this file.
-# Also: --config FILE (lines `some_option=value`), --help, `usage` and `require`. Values are only ever assigned,
-# never evaluated. Sourced, so that it leaves the remaining arguments in "$@".
+# It also reads --config FILE (lines `some_option=value`), answers --help, and defines the functions below.
+# Values are assigned and never evaluated. Sourced: the remaining arguments stay in "$@".
 
 # Print the caller's header comment and its options; to stderr and with exit 1 when something was wrong.
 usage() {
@@ -26,6 +26,22 @@ die() {
 # require FILE STEP: stop unless FILE, which STEP makes, is there.
 require() {
   [ -e "$1" ] || die "$1 is missing: run $2 first"
+}
+
+# check_option NAME PATTERN RULE: stop unless the value of an option matches a regular expression as a whole.
+check_option() {
+  [[ ${!1} =~ ^($2)$ ]] || die "--${1//_/-} '${!1}' must be $3"
+}
+
+# Print a line with the time of day.
+log() {
+  printf '%s %s: %s\n' "$(date +%H:%M:%S)" "${0##*/}" "$*"
+}
+
+# at_stage NUMBER TITLE: tell whether a stage is to run, and announce it.
+at_stage() {
+  # shellcheck disable=SC2154 # options of the caller
+  [ "$stage" -le "$1" ] && [ "$stop_stage" -ge "$1" ] && log "stage $1: $2"
 }
 
 set_option() { # NAME VALUE WHERE

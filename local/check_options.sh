@@ -1,0 +1,17 @@
+# shellcheck shell=bash disable=SC2154 # the options of run.sh
+# Check the options of run.sh before any work. The tools check them too, but some only after hours. Sourced by run.sh.
+number='[-+]?[0-9]*\.?[0-9]+'
+distribution="none|$number|(uniform|normal) +${number}[ ,]+$number|list +(${number}[ ,]+)*$number"
+distribution_rule="'uniform LOW HIGH', 'normal MEAN SD', 'list A,B,...', a number or none"
+
+check_option stop_stage '[0-9]|10' "a whole number up to 10"
+check_option split_by 'rir|room' "rir or room"
+check_option split_sizes '[0-9]+,[0-9]+,[0-9]+' "three counts, as 773,194,242"
+check_option t60_range '[0-9.]+,[0-9.]+|measured' "two times, as 0.2,2.0, or measured"
+check_option taps '[0-9]*[13579]' "odd"
+check_option snr "$distribution" "$distribution_rule"
+check_option point_snr "$distribution" "$distribution_rule"
+check_option packing 'recording|utterance' "recording or utterance"
+check_option align_on 'clean|self' "clean or self"
+[ "$dry_run" = false ] || [ "$stage" -ge 8 ] || die "--dry-run prints the Kaldi commands: add --stage 8"
+unset number distribution distribution_rule

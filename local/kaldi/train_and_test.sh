@@ -1,0 +1,93 @@
+#!/usr/bin/env bash
+# Train a recogniser on each kind of speech and test it on real far-field speech: stages 8 to 10 of run.sh.
+# Usage: local/kaldi/train_and_test.sh [options] <data-dir> <exp-dir>
+# e.g.:  KALDI_ROOT=~/kaldi local/kaldi/train_and_test.sh --rows "clean sim.EQ.rvb" data exp
+# Makes <exp-dir>/kaldi, the workspace, <exp-dir>/wer and <exp-dir>/report.
+set -euo pipefail
+stage=8               # first stage to run
+stop_stage=10         # last stage to run
+nj=2                  # jobs
+seed=0                # of every random draw
+dry_run=false         # print the commands
+librispeech=          # if it is given, LibriSpeech's own language models are used, unless --lm-text is given
+lm_text=              # for the language models, with the transcripts of the clean speech
+align_on=clean        # alignments of the clean speech for all systems; self: of each one's own speech
+gmm_passes="mono 300, deltas all 300 3000, lda_mllt all 400 6000, sat all 400 6000"   # of train_gmm.sh
+num_leaves=400        # of the network's tree
+rows=                 # kinds of speech, e.g. "clean sim.rvb"; none: all
+stock_rvb=false       # add a kind: Kaldi's own reverberate_data_dir.py with our simulated RIRs
+speed_perturb=false   # train on three speeds
+ivectors=false        # add i-vectors to the network's features
+use_gpu=false         # train on GPUs
+chain_opts="--config conf/chain_small.conf"                  # of train_chain.sh
+decode_opts="--beam 11 --max-active 2000 --lattice-beam 6"   # of decode.sh
+. ./path.sh
+. utils/parse_options.sh
+[ $# -eq 2 ] || usage
+data=$1 exp=$2 workspace=$2/kaldi
+common=(--nj "$nj" --dry-run "$dry_run")
+read -ra chain_opts <<<"$chain_opts"
+read -ra decode_opts <<<"$decode_opts"
+
+kinds=(clean real.rvb sim.rvb sim.EQ.rvb) # each has a dev set of its own kind, as in the paper; the test set is common
+if [ "$dry_run" = true ] || local/enough_rooms.py "$data/rirs.real.train" >/dev/null; then kinds+=(sim.loop.rvb); fi
+copied=("$data/test.real.rvb" "${kinds[@]/#/$data/train.}" "${kinds[@]/#/$data/dev.}")
+[ "$stock_rvb" = false ] || kinds+=(sim.stock.rvb)
+for x in $rows; do
+  [[ " ${kinds[*]} " == *" $x "* ]] || die "--rows: '$x' must be one of: ${kinds[*]}"
+done
+[ -z "$rows" ] || read -ra kinds <<<"$rows"
+aligned=(train.clean) # sets that a GMM is trained on
+[ "$align_on" = clean ] || for x in "${kinds[@]}"; do
+  [ "$x" = clean ] || aligned+=("train.$x")
+done
+alignments_of() { if [ "$align_on" = self ]; then echo "train.$1"; else echo train.clean; fi; }
+
+if at_stage 8 "Kaldi: language, features, GMM"; then
+  texts=("$data/train.clean/text" ${lm_text:+"$lm_text"})
+  [ -z "$librispeech" ] || [ -n "$lm_text" ] || texts=()
+  local/kaldi/make_workspace.sh "${common[@]}" "$workspace" "${copied[@]}"
+  [ "$stock_rvb" = false ] || for x in train dev; do
+    local/kaldi/reverberate.sh "${common[@]}" --seed "$seed" "$workspace" "$data/rirs.sim.$x" "$data/rirs.real.$x" \
+      "$x.clean" "$x.sim.stock.rvb"
+  done
+  local/kaldi/make_lang.sh "${common[@]}" "$workspace" "${texts[@]}"
+  for x in "${aligned[@]}"; do
+    local/kaldi/make_features.sh "${common[@]}" "$workspace" "$x"
+    lang=data/lang
+    [ "$x" != train.clean ] || lang=data/lang_nosp
+    local/kaldi/train_gmm.sh "${common[@]}" --passes "$gmm_passes" "$workspace" "$x" "$lang"
+    [ "$x" != train.clean ] || local/kaldi/finish_lang.sh "${common[@]}" "$workspace" "$x"
+  done
+fi
+
+if at_stage 9 "Kaldi: TDNN with LF-MMI"; then
+  for x in "${aligned[@]}"; do
+    [ "$speed_perturb" = false ] ||
+      local/kaldi/make_features.sh "${common[@]}" --speed-perturb true "$workspace" "$x"
+    local/kaldi/align_chain.sh "${common[@]}" --num-leaves "$num_leaves" --speed-perturb "$speed_perturb" "$workspace" "$x"
+  done
+  for x in test.real.rvb "${kinds[@]/#/dev.}"; do
+    local/kaldi/make_features.sh "${common[@]}" --hires true "$workspace" "$x"
+  done
+  for x in "${kinds[@]}"; do
+    local/kaldi/make_features.sh "${common[@]}" --hires true --train true --speed-perturb "$speed_perturb" \
+      "$workspace" "train.$x"
+    [ "$ivectors" = false ] ||
+      local/kaldi/train_ivectors.sh "${common[@]}" "$workspace" "train.$x" "dev.$x" test.real.rvb
+    local/kaldi/train_chain.sh "${common[@]}" --use-gpu "$use_gpu" --ivectors "$ivectors" --seed "$seed" \
+      "${chain_opts[@]}" "$workspace" "train.$x" "$(alignments_of "$x")"
+  done
+fi
+
+if at_stage 10 "Kaldi: decode; word error rates"; then
+  decode=(local/kaldi/decode.sh "${common[@]}" --ivectors "$ivectors" "${decode_opts[@]}")
+  for x in "${kinds[@]}"; do
+    "${decode[@]}" "$workspace" "train.$x" "$(alignments_of "$x")" "dev.$x"
+    "${decode[@]}" --tuned-on "dev.$x" "$workspace" "train.$x" "$(alignments_of "$x")" test.real.rvb
+  done
+  if [ "$dry_run" = false ]; then
+    roomeq wer --rirs "$data/rirs.real" "$workspace" "$exp/wer"
+    steps/make_report.sh "$data" "$exp" "$exp/report"
+  fi
+fi
