@@ -1,147 +1,202 @@
-"""What an effect is: physics that the simulator lacks until a model switches it on.
+"""The interface of an effect: physics that the simulator lacks until a model switches it on.
 
-An effect is a frozen dataclass of the parameters of one unit (a loudspeaker, a microphone, a room, or all). It acts at
-the place where its physics does:
+Conventions
+-----------
+An effect is a frozen dataclass that holds the parameters of one unit (a loudspeaker, a microphone, a room, an RIR, or
+all recordings). Its physics - gain, delay and added energy over band, angle, time and distance - is stated once, by
+methods of its own or by `changed_air` and `on_paths`. The hooks of the renderer and the prediction of the loop both
+call these methods:
 
 `on_scene`
-    geometry and air, before paths are looked at
+    changes geometry or air before paths are traced
 `on_paths`
-    energy of the paths by their angle of departure
+    energy gain of paths over their angle of departure
 `on_rir`
-    what is filtered or added behind the rendering
+    filters the rendered RIR or adds to it
+`apply_to_prediction`
+    changes the predicted energies of the loop (`roomeq.effects.prediction`), without rendering
 
-and, for the loop, on tables of expected energy (`apply_to_prediction`), which says the same without rendering. To be
-fitted, an effect turns into a vector of numbers of about unit spread (`vector`, `from_vector`) that `STARTS` and
-`SPREAD` speak of.
+For a fit, an effect is a vector of numbers with a spread of about one (`vector`, `from_vector`); `STARTS` and `SPREAD`
+refer to this vector. `tests/test_effects_contract.py` checks that the predicted change equals the rendered change.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self, cast
 
 import numpy as np
 import scipy  # its submodules are slow to import and load themselves when first used
+from numpy.typing import ArrayLike
 
+from roomeq.acoustics.iso3382 import octave_bands
+from roomeq.core.arrays import Array, FloatArray, IntArray
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
+from roomeq.effects.prediction import PredictedRirs, PredictionState
 from roomeq.sim.render import render
+from roomeq.sim.scene import Air, Scene
 
 
 @dataclass(frozen=True)
 class ModelAir:
-    """Air whose speed of sound and absorption are given apart; see `roomeq.sim.scene.Air`."""
+    """Air whose speed of sound and absorption are independent of each other; see `roomeq.sim.scene.Air`.
 
-    speed_m_s: float
-    attenuation_per_m: np.ndarray
+    Attributes
+    ----------
+    speed_m_s : float or ndarray, shape (n,)
+    attenuation_per_m : ndarray, shape (8,) or (n, 8)
+        Energy attenuation per octave band [1/m].
+    """
+
+    speed_m_s: float | FloatArray
+    attenuation_per_m: FloatArray
 
 
 @dataclass(frozen=True)
 class Rendering:
-    """What an effect may know of the RIR that it changes.
+    """The context of a rendered RIR that `on_rir` may use.
 
     Attributes
     ----------
     scene : roomeq.sim.scene.Scene
     source_pos_m, mic_pos_m : tuple of 3 floats
     direct_gain : ndarray, shape (8,)
-        Pressure of the direct sound, ``1 / (4 pi r)`` less air; 0 where it is obstructed.
+        Pressure of the direct sound, ``1 / (4 pi r)`` with air absorption; 0 where it is obstructed.
     t60_s : ndarray, shape (8,)
         Decay time of the scene.
     rng : numpy.random.Generator
     white : ndarray, shape (8,)
-        White noise of the recording that it is compared with: energy of 100 ms relative to the response; 0 if none is.
+        White noise of the recording that the RIR is compared with: energy of 100 ms relative to the response; 0 if
+        there is none.
     """
 
-    scene: object
-    source_pos_m: tuple
-    mic_pos_m: tuple
-    direct_gain: np.ndarray
-    t60_s: np.ndarray
+    scene: Scene
+    source_pos_m: tuple[float, float, float]
+    mic_pos_m: tuple[float, float, float]
+    direct_gain: FloatArray
+    t60_s: FloatArray
     rng: np.random.Generator
-    white: np.ndarray
+    white: FloatArray
 
     @property
-    def distance_m(self):
+    def distance_m(self) -> float:
         return float(np.linalg.norm(np.subtract(self.mic_pos_m, self.source_pos_m)))
 
-    def direct(self, n_samples):
-        """The direct sound as the simulator rendered it."""
+    def direct(self, n_samples: int) -> FloatArray:
+        """Return the direct sound as the simulator rendered it."""
         return self._rendered(self.distance_m, self.direct_gain, n_samples)
 
-    def pulse(self, length_m, gains, n_samples):
-        """A single path of some length and pressure per band, shape (8,); minimum phase: nothing precedes it."""
+    def pulse(self, length_m: float, gains: FloatArray, n_samples: int) -> FloatArray:
+        """Render a single path with a pressure gain per band, shape (8,), in minimum phase: nothing precedes it."""
         pulse = self._rendered(length_m, np.ones(len(gains)), n_samples)
         taps = minimum_phase(EXACT_BANDS_HZ, 20.0 * np.log10(np.maximum(gains, 1e-9)))
         return scipy.signal.oaconvolve(pulse, taps)[:n_samples]
 
-    def _rendered(self, length_m, gains, n_samples):
+    def _rendered(self, length_m: float, gains: ArrayLike, n_samples: int) -> FloatArray:
+        gains = np.asarray(gains, dtype=float)
         silence = np.zeros((1, len(gains)))
-        return render(np.array([length_m]), np.asarray(gains, dtype=float)[None], silence, np.zeros(n_samples),
+        return render(np.array([length_m]), gains[None], silence, np.zeros(n_samples),
                       speed_m_s=self.scene.air.speed_m_s, n_samples=n_samples)
 
 
 class Effect:
-    """Base of all effects: changes nothing.
+    """Base class of all effects; changes nothing.
 
     Class attributes
     ----------------
     NAME : str
     SCOPE : str
-        What has parameters of its own: ``"all"``, ``"source"``, ``"mic"``, ``"room"`` or ``"rir"``.
+        The unit that has parameters of its own: ``"all"``, ``"source"``, ``"mic"``, ``"room"`` or ``"rir"``.
     STARTS : tuple of tuples
         Vectors from which a fit starts.
     SPREAD : tuple
-        Standard deviations of the vector over the things that exist.
+        Standard deviations of the vector over real units.
     DISCRIMINATING_MEASUREMENT : str
-        Which measurement would tell it from others.
+        A measurement that would distinguish the effect from others.
     INTERPOLATION_GRID : tuple of tuples
         Vectors at which `apply_to_prediction` needs the rendered change of the data's RIRs
-        (`Data.rendered_change_of`).
+        (`PredictedRirs.rendered_change_of`); empty where the prediction follows from the parameters.
     REFLECTIONS : bool
-        Whether `apply_to_prediction` changes the energy of reflections; if not, a fit need not sum it again.
+        Whether `apply_to_prediction` changes the energy of reflections; if not, a fit reuses the sum over them.
     """
 
-    NAME = ""
-    SCOPE = "all"
-    STARTS = ((),)
-    SPREAD = ()
-    DISCRIMINATING_MEASUREMENT = ""
-    INTERPOLATION_GRID = ()
-    REFLECTIONS = True
+    NAME: ClassVar[str] = ""
+    SCOPE: ClassVar[str] = "all"
+    STARTS: ClassVar[tuple[tuple[float, ...], ...]] = ((),)
+    SPREAD: ClassVar[tuple[float, ...]] = ()
+    DISCRIMINATING_MEASUREMENT: ClassVar[str] = ""
+    INTERPOLATION_GRID: ClassVar[tuple[tuple[float, ...], ...]] = ()
+    REFLECTIONS: ClassVar[bool] = True
 
     @classmethod
-    def prior_covariance(cls):
-        """Covariance of the vector before anything was measured, shape (n, n)."""
+    def prior_covariance(cls) -> FloatArray:
+        """Return the prior covariance of the vector, shape (n, n)."""
         return np.diag(np.square(np.asarray(cls.SPREAD, dtype=float)))
 
     @classmethod
-    def applies(cls, data):
-        """Whether the rows state what the effect needs to know."""
+    def applies(cls, data: PredictedRirs) -> bool:
+        """Tell whether the rows state what the effect needs to know."""
         return True
 
-    def vector(self):
+    def vector(self) -> FloatArray:
+        """Return the parameters as a vector, shape (n,)."""
         raise NotImplementedError
 
     @classmethod
-    def from_vector(cls, vector):
+    def from_vector(cls, vector: ArrayLike) -> Self:
+        """Return the effect with the parameters of a vector, shape (n,), limited to their ranges."""
         raise NotImplementedError
 
-    def apply_to_prediction(self, state, data, rows):
-        """Change what is expected of some RIRs (`roomeq.loop.predict.State`), in place."""
+    def changed_air(self, air: Air | ModelAir) -> Air | ModelAir:
+        """Return the air with the effect; the same object where the effect leaves air alone."""
+        return air
 
-    def on_scene(self, scene):
-        return scene
+    def apply_to_prediction(self, state: PredictionState, data: PredictedRirs, rows: IntArray) -> None:
+        """Change the predicted energies of some RIRs, in place.
 
-    def on_paths(self, cos_angle):
-        """Energy gain of paths over the cosine of their angle of departure, shape (..., 8), or None for 1."""
+        Parameters
+        ----------
+        state : PredictionState
+        data : PredictedRirs
+        rows : ndarray of int
+            The RIRs of the effect's unit.
+        """
+        before = ModelAir(state.speed_m_s[rows], state.air_per_m[rows])
+        air = self.changed_air(before)
+        if air is not before:
+            state.speed_m_s[rows], state.air_per_m[rows] = air.speed_m_s, air.attenuation_per_m
+
+    def on_scene(self, scene: Scene) -> Scene:
+        """Return the scene with the effect."""
+        air = self.changed_air(scene.air)
+        return scene if air is scene.air else replace(scene, air=cast(Air, air))  # all that is read of an Air
+
+    def on_paths(self, cos_angle: FloatArray) -> FloatArray | None:
+        """Return the energy gain of paths over the cosine of their angle of departure, shape (..., 8), or None for 1.
+
+        The angle is that between a path's departure and the direction that the source faces.
+        """
         return None
 
-    def on_rir(self, rir, rendering):
+    def on_rir(self, rir: FloatArray, rendering: Rendering) -> FloatArray:
+        """Return the rendered RIR, shape (n_samples,), with the effect; it may become longer."""
         return rir
 
 
-def minimum_phase(frequencies_hz, gains_db, n_taps=2048):
-    """Causal filter of a magnitude, interpolated in dB over log frequency; minimum phase by the cepstrum.
+def minimum_phase(frequencies_hz: Sequence[float], gains_db: Sequence[float] | FloatArray,
+                  n_taps: int = 2048) -> FloatArray:
+    """Design a causal minimum-phase filter from a magnitude response, interpolated in dB over log frequency.
 
-    Oppenheim and Schafer, Discrete-Time Signal Processing, 3rd ed., sec. 13.3. Loudspeakers and microphones are close
-    to minimum phase.
+    The phase follows from the real cepstrum (Oppenheim and Schafer, Discrete-Time Signal Processing, 3rd ed.,
+    sec. 13.3). Loudspeakers and microphones are close to minimum phase.
+
+    Parameters
+    ----------
+    frequencies_hz : sequence of float
+        Ascending.
+    gains_db : sequence of float
+        Gain at each frequency; constant beyond the ends.
+    n_taps : int
+        Length of the transform.
 
     Returns
     -------
@@ -153,3 +208,8 @@ def minimum_phase(frequencies_hz, gains_db, n_taps=2048):
     cepstrum[1:n_taps // 2] *= 2.0
     cepstrum[n_taps // 2 + 1:] = 0.0
     return np.fft.irfft(np.exp(np.fft.rfft(cepstrum)), n_taps)[:n_taps // 2]
+
+
+def octave_energies(rir: Array) -> FloatArray:
+    """Return the energy of a response in each octave band, shape (8,)."""
+    return np.sum(octave_bands(rir, FS_HZ) ** 2, axis=1)

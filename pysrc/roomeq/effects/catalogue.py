@@ -1,6 +1,7 @@
 """All effects by name."""
 
 from roomeq.effects.air_absorption import AirAbsorption
+from roomeq.effects.base import Effect
 from roomeq.effects.coupled_volume import CoupledVolume
 from roomeq.effects.mic_response import MicResponse
 from roomeq.effects.near_reflector import NearReflector
@@ -12,7 +13,9 @@ from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.effects.source_response import SourceResponse
 
-CATALOGUE = {effect.NAME: effect for effect in (
+_EFFECTS: tuple[type[Effect], ...] = (
     AirAbsorption, SoundSpeed, SourceDirectivity, Occlusion, NearReflector, CoupledVolume, RoomModes, SourceResponse,
-    MicResponse, RoomEq, NoiseFloor)}
-"""In the order in which sound meets them, which is the order in which a model applies them."""
+    MicResponse, RoomEq, NoiseFloor)
+
+CATALOGUE: dict[str, type[Effect]] = {effect.NAME: effect for effect in _EFFECTS}
+"""In the order in which sound passes them, which is the order in which a model applies them."""

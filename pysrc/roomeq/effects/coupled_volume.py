@@ -1,35 +1,39 @@
-"""A second volume behind an opening: its slower decay shows once the room's own has died away.
+"""A second volume behind an opening: its slower decay becomes audible after the room's own has died away.
 
 Cremer and Mueller, Principles and Applications of Room Acoustics, vol. 1, sec. II.3: the energy of two coupled rooms
-decays as a sum of two exponentials.
+decays as a sum of two exponentials. The second one arrives as ``E r exp(-r t) dt``, where the ratio of E to the
+energy of all reflections is `energy_ratio` and r is `rate_per_s`.
 """
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from roomeq.acoustics.iso3382 import octave_bands
+from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import FS_HZ
-from roomeq.effects.base import Effect
+from roomeq.effects.base import Effect, Rendering, octave_energies
+from roomeq.effects.prediction import PredictedRirs, PredictionState
 from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.render import MAX_LENGTH_S, render, tail_noise
 
 _LEVELS_DB = (-60.0, 0.0)
 _TIMES_S = (0.2, 6.0)
-_OVER_DB = 75.0  # below the response; see `roomeq.loop.features.QUIET_DB`
+_RANGE_DB = 75.0  # the rendered decay ends this far below the response; see `roomeq.effects.noise_floor.QUIET_DB`
 _DECAY = 6.0 * np.log(10.0)  # of energy over the decay time
 
 
 @dataclass(frozen=True)
 class CoupledVolume(Effect):
-    """The second slope in a room.
+    """The second slope of the decay in a room.
 
     Attributes
     ----------
     level_db : float
         Energy of the second decay relative to that of all reflections.
     time_s : float
-        Its decay time at low frequencies; air shortens it at high ones.
+        Its decay time at low frequencies; air absorption shortens it at high ones.
     """
 
     level_db: float
@@ -41,41 +45,51 @@ class CoupledVolume(Effect):
     SPREAD = (0.8, 0.5)
     DISCRIMINATING_MEASUREMENT = "a recording with the opening closed"
 
-    def vector(self):
+    def vector(self) -> FloatArray:
         return np.array([self.level_db / 10.0, np.log(self.time_s)])
 
     @classmethod
-    def from_vector(cls, vector):
+    def from_vector(cls, vector: ArrayLike) -> Self:
+        vector = np.asarray(vector)
         return cls(float(np.clip(10.0 * vector[0], *_LEVELS_DB)),
                    float(np.exp(np.clip(vector[1], *np.log(_TIMES_S)))))
 
-    def rate_per_s(self, air):
-        """Rate at which its energy decays, shape (8,)."""
-        return _DECAY / self.time_s + air.speed_m_s * np.asarray(air.attenuation_per_m)
+    @property
+    def energy_ratio(self) -> float:
+        """Energy of the second decay relative to that of all reflections."""
+        return 10.0 ** (self.level_db / 10.0)
 
-    def apply_to_prediction(self, state, data, rows):
-        state.decays.append((rows, 10.0 ** (self.level_db / 10.0), _DECAY / self.time_s))
+    def rate_per_s(self, speed_m_s: float, attenuation_per_m: ArrayLike) -> FloatArray:
+        """Return the rate at which its energy decays in air, shape (8,) [1/s]."""
+        return _DECAY / self.time_s + speed_m_s * np.asarray(attenuation_per_m)
 
-    def on_rir(self, rir, rendering):
+    def rate_per_m(self, speed_m_s: ArrayLike, attenuation_per_m: ArrayLike) -> FloatArray:
+        """Return the same rate over the length of paths instead of time, for speeds of shape (n, 1) [1/m]."""
+        return _DECAY / self.time_s / np.asarray(speed_m_s) + attenuation_per_m
+
+    def apply_to_prediction(self, state: PredictionState, data: PredictedRirs, rows: IntArray) -> None:
+        state.decays.append((self, rows))
+
+    def on_rir(self, rir: FloatArray, rendering: Rendering) -> FloatArray:
         air = rendering.scene.air
         start_s = rendering.distance_m / air.speed_m_s
-        total = np.sum(octave_bands(rir, FS_HZ) ** 2, axis=1) - rendering.direct_gain ** 2 * _band_shares()
+        reflected = octave_energies(rir) - rendering.direct_gain ** 2 * _pulse_energies()
         rir = np.pad(rir, (0, max(0, self._n_samples(start_s) - len(rir))))
         time_s = (np.arange(int(np.ceil(len(rir) / FS_HZ / FRAME_S))) + 0.5) * FRAME_S - start_s
-        rate = self.rate_per_s(air)
+        rate = self.rate_per_s(air.speed_m_s, air.attenuation_per_m)
         shape = np.where(time_s[:, None] > 0.0, np.exp(-np.maximum(time_s, 0.0)[:, None] * rate), 0.0)
-        # an echogram speaks of pulses of the whole band, octaves hold a share of those
-        energy = 10.0 ** (self.level_db / 10.0) * np.maximum(total, 0.0) / _band_shares() * rate * FRAME_S * shape
+        # an echogram holds energies of pulses of the whole band, of which each octave filter passes a part
+        energy = self.energy_ratio * np.maximum(reflected, 0.0) / _pulse_energies() * rate * FRAME_S * shape
         noise = tail_noise(len(rir), rendering.scene.room.volume_m3, air.speed_m_s, rendering.rng)
         return rir + render(np.zeros(0), np.zeros((0, 8)), energy, noise, speed_m_s=air.speed_m_s, n_samples=len(rir))
 
-    def _n_samples(self, start_s):
-        """Length that holds it until it is over: cut off earlier, its end would be taken for noise."""
-        return round(min(start_s + (_OVER_DB + self.level_db) / 60.0 * self.time_s, MAX_LENGTH_S) * FS_HZ)
+    def _n_samples(self, start_s: float) -> int:
+        """Length at which the decay is complete; if it were cut off earlier, its end would be taken for noise."""
+        return round(min(start_s + (_RANGE_DB + self.level_db) / 60.0 * self.time_s, MAX_LENGTH_S) * FS_HZ)
 
 
-def _band_shares():
-    """Share of a pulse's energy that each octave filter lets through, shape (8,)."""
+def _pulse_energies() -> FloatArray:
+    """Energy of a unit pulse that each octave filter passes, shape (8,)."""
     pulse = np.zeros(4096)
     pulse[2048] = 1.0
-    return np.sum(octave_bands(pulse, FS_HZ) ** 2, axis=1)
+    return octave_energies(pulse)

@@ -1,4 +1,4 @@
-"""Magnitude response of each microphone: presence peaks, proximity, roll-offs."""
+"""Magnitude response of each microphone: presence peak, proximity effect, roll-offs."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from roomeq.effects.response import Response
 
 @dataclass(frozen=True)
 class MicResponse(Response):
-    """Of one `mic_id`."""
+    """Response of one `mic_id`."""
 
     NAME = "mic_response"
     SCOPE = "mic"

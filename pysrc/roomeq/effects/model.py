@@ -2,26 +2,33 @@
 
     {"effects": [{"effect": "source_response", "of": {"spk1": {"gains_db": [...]}}, "typical": {...}, ...}]}
 
-`of` holds the parameters of each unit (loudspeaker, microphone, room or all) that was measured. Others get parameters
-drawn from the spread of those.
+`of` holds the parameters of each unit (loudspeaker, microphone, room or all) that was measured. Other units get
+parameters drawn from the spread of those.
 """
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from roomeq.core.arrays import FloatArray
 from roomeq.core.files import read_json, write_json
 from roomeq.core.rng import rng_for
-from roomeq.effects.base import Rendering
+from roomeq.effects.base import Effect, Rendering
 from roomeq.effects.catalogue import CATALOGUE
-from roomeq.sim.scene import eyring_time_s
+from roomeq.effects.source_directivity import unit_facing
+from roomeq.sim.scene import Scene, eyring_time_s
 
 MODEL_FILE = "model.json"
-LARGEST = 100.0
-"""Component of a vector: spreads are about 1, or some dB."""
+MAX_COMPONENT = 100.0
+"""Largest component of a vector: spreads are about 1, or some dB."""
 _ROUNDING = 1e-9
 _KEY = {"source": "source_id", "mic": "mic_id", "room": "room_id", "rir": "id"}
+
+PathGain = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -38,13 +45,13 @@ class Extension:
         Mean and standard deviation of the vectors of units that were not measured.
     """
 
-    effect: type
-    of: dict
-    typical: np.ndarray
-    spread: np.ndarray
+    effect: type[Effect]
+    of: Mapping[str, Effect]
+    typical: FloatArray
+    spread: FloatArray
 
-    def for_row(self, row, seed):
-        """The effect with the parameters of a row's unit; drawn where that was not measured."""
+    def for_row(self, row: Mapping[str, Any], seed: int) -> Effect:
+        """Return the effect with the parameters of a row's unit, drawn where that was not measured."""
         unit = "all" if self.effect.SCOPE == "all" else row[_KEY[self.effect.SCOPE]]
         if unit in self.of:
             return self.of[unit]
@@ -61,52 +68,60 @@ class Model:
     extensions : tuple of Extension
     """
 
-    extensions: tuple = ()
+    extensions: tuple[Extension, ...] = ()
 
     @property
-    def names(self):
+    def names(self) -> list[str]:
         return [extension.effect.NAME for extension in self.extensions]
 
-    def for_row(self, row, seed):
-        """Effects of a row, as a list."""
+    def for_row(self, row: Mapping[str, Any], seed: int) -> list[Effect]:
+        """Return the effects of a row."""
         return [extension.for_row(row, seed) for extension in self.extensions]
 
 
-def extend_scene(effects, scene):
-    """The scene as effects change it."""
+def extend_scene(effects: Sequence[Effect], scene: Scene) -> Scene:
+    """Return the scene with the effects that act on it."""
     for effect in effects:
         scene = effect.on_scene(scene)
     return scene
 
 
-def path_gain(effects, facing):
-    """Energy gain of paths by the direction in which they leave the source.
+def path_gain(effects: Sequence[Effect], source_dir: Sequence[float | None] | None) -> PathGain | None:
+    """Return the energy gain of paths as a function of the direction in which they leave the source.
 
     Parameters
     ----------
-    effects : list of Effect
-    facing : array_like, shape (3,), or None
-        Where the source faces.
+    effects : sequence of Effect
+    source_dir : sequence of 3 numbers, or None
+        Direction that the source faces, as in a row.
 
     Returns
     -------
     callable or None
-        Takes unit vectors, shape (n, 3), and gives gains, shape (n, 8); None where all are 1.
+        Takes unit vectors, shape (n, 3), and returns gains, shape (n, 8); None where all are 1.
     """
-    turned = [effect for effect in effects if effect.on_paths(np.ones(1)) is not None]
-    if not turned or facing is None or None in facing:
+    directive, facing = [effect for effect in effects if _is_directive(effect)], unit_facing(source_dir)
+    if not directive or facing is None:
         return None
-    facing = np.asarray(facing, dtype=float) / np.linalg.norm(facing)
-    return lambda directions: np.prod([effect.on_paths(directions @ facing) for effect in turned], axis=0)
+
+    def gain(directions: FloatArray) -> FloatArray:
+        return np.prod([effect.on_paths(directions @ facing) for effect in directive], axis=0)  # type: ignore[arg-type]
+
+    return gain
 
 
-def names_of(effects, gain):
-    """Names of the effects that act; those on paths do not where `path_gain` is None."""
-    return [effect.NAME for effect in effects if gain is not None or effect.on_paths(np.ones(1)) is None]
+def _is_directive(effect: Effect) -> bool:
+    return effect.on_paths(np.ones(1)) is not None
 
 
-def direct_gain(scene, source_pos_m, mic_pos_m, gain=None):
-    """Pressure of the direct sound of a free path, ``1 / (4 pi r)`` less air, shape (8,).
+def names_of(effects: Sequence[Effect], gain: PathGain | None) -> list[str]:
+    """Return the names of the effects that act; those on paths do not where `path_gain` returned None."""
+    return [effect.NAME for effect in effects if gain is not None or not _is_directive(effect)]
+
+
+def direct_gain(scene: Scene, source_pos_m: ArrayLike, mic_pos_m: ArrayLike,
+                gain: PathGain | None = None) -> FloatArray:
+    """Return the pressure of the direct sound on a free path: ``1 / (4 pi r)`` with air absorption, shape (8,).
 
     Parameters
     ----------
@@ -121,12 +136,14 @@ def direct_gain(scene, source_pos_m, mic_pos_m, gain=None):
     return pressure if gain is None else pressure * np.sqrt(gain((path_m / distance_m)[None])[0])
 
 
-def behind_rendering(effects, rir, scene, source_pos_m, mic_pos_m, direct, rng, white=(0.0,) * 8):
-    """A rendered RIR with the effects that act on it as a whole.
+def apply_to_rir(effects: Sequence[Effect], rir: FloatArray, scene: Scene, source_pos_m: tuple[float, float, float],
+                 mic_pos_m: tuple[float, float, float], direct: FloatArray, rng: np.random.Generator,
+                 white: ArrayLike = (0.0,) * 8) -> FloatArray:
+    """Return a rendered RIR with the effects that act on it as a whole.
 
     Parameters
     ----------
-    effects : list of Effect
+    effects : sequence of Effect
     rir : ndarray, shape (n_samples,)
     scene : roomeq.sim.scene.Scene
         With the absorption that was rendered.
@@ -135,12 +152,12 @@ def behind_rendering(effects, rir, scene, source_pos_m, mic_pos_m, direct, rng, 
         Pressure of the direct sound; 0 where it is obstructed.
     rng : numpy.random.Generator
     white : array_like, shape (8,)
-        White noise of the recording that it is compared with (`Rendering`).
+        White noise of the recording that the RIR is compared with (`Rendering`).
 
     Returns
     -------
     ndarray
-        Effects that ring on make it longer.
+        Longer than `rir` where an effect prolongs the decay.
     """
     rendering = Rendering(scene, source_pos_m, mic_pos_m, direct, eyring_time_s(scene), rng, np.asarray(white))
     for effect in effects:
@@ -148,79 +165,82 @@ def behind_rendering(effects, rir, scene, source_pos_m, mic_pos_m, direct, rng, 
     return rir
 
 
-def write_model(path, model):
+def write_model(path: Path, model: Model) -> None:
     """Write a model file."""
     write_json(path, dict(effects=[dict(
-        effect=one.effect.NAME, of={unit: asdict(effect) for unit, effect in sorted(one.of.items())},
-        typical=[float(value) for value in one.typical], spread=[float(value) for value in one.spread])
-        for one in model.extensions]))
+        effect=extension.effect.NAME,
+        of={unit: asdict(effect) for unit, effect in sorted(extension.of.items())},  # type: ignore[call-overload]
+        typical=[float(value) for value in extension.typical], spread=[float(value) for value in extension.spread])
+        for extension in model.extensions]))
 
 
-def read_model(path):
+def read_model(path: str | Path) -> Model:
     """Read a model file.
 
     Raises
     ------
     ValueError
-        It is not one, or names an effect or a parameter that does not exist; the message names the file.
+        The file is not a model, or names an effect or a parameter that does not exist; the message names the file.
     """
     path = Path(path)
     content = read_json(path)
     if not isinstance(content, dict) or not isinstance(content.get("effects"), list):
         raise ValueError(f"{path}: must hold an object with a list of 'effects': make it with roomeq close-loop")
-    extensions = tuple(_extension(path, n, one) for n, one in enumerate(content["effects"]))
-    names = [one.effect.NAME for one in extensions]
+    extensions = tuple(_read_extension(f"{path}: effects[{n}]", entry) for n, entry in enumerate(content["effects"]))
+    names = [extension.effect.NAME for extension in extensions]
     for n, name in enumerate(names):
         if name in names[:n]:
             raise ValueError(f"{path}: effects[{n}]: effect={name!r} is there already: leave one out")
     return Model(extensions)
 
 
-def _extension(path, n, one):
-    what = f"{path}: effects[{n}]"
-    if not isinstance(one, dict) or one.get("effect") not in list(CATALOGUE):  # a list is in no dict
-        name = one.get("effect") if isinstance(one, dict) else one
-        raise ValueError(f"{what}: effect={name!r} must be one of {', '.join(sorted(CATALOGUE))}: correct the name")
-    effect = CATALOGUE[one["effect"]]
+def _read_extension(place: str, entry: Any) -> Extension:
+    """Check and convert an entry of a model file; messages begin with its place."""
+    if not isinstance(entry, dict) or entry.get("effect") not in list(CATALOGUE):  # a list is in no dict
+        name = entry.get("effect") if isinstance(entry, dict) else entry
+        raise ValueError(f"{place}: effect={name!r} must be one of {', '.join(sorted(CATALOGUE))}: correct the name")
+    effect = CATALOGUE[entry["effect"]]
     size = len(effect.SPREAD)
-    if not isinstance(one.get("of"), dict):
-        raise ValueError(f"{what}: of={one.get('of')!r} must map each {effect.SCOPE} to its parameters: add them")
+    if not isinstance(entry.get("of"), dict):
+        raise ValueError(f"{place}: of={entry.get('of')!r} must map each {effect.SCOPE} to its parameters: add them")
     vectors = {}
-    for key, lowest in (("typical", -LARGEST), ("spread", 0.0)):
-        vectors[key] = one.get(key, [0.0] * size)
-        if not (isinstance(vectors[key], list) and len(vectors[key]) == size and all(map(_is_number, vectors[key]))):
-            raise ValueError(f"{what}: {key}={vectors[key]!r} must be {size} numbers: correct them")
-        if not all(lowest <= value <= LARGEST for value in vectors[key]):
-            raise ValueError(f"{what}: {key}={vectors[key]!r} must lie in [{lowest:g}, {LARGEST:g}]: correct them")
-    units = {unit: read_parameters(f"{what}: of[{unit!r}]", effect, given) for unit, given in one["of"].items()}
-    return Extension(effect, units, np.array(vectors["typical"], float), np.array(vectors["spread"], float))
+    for key, lowest in (("typical", -MAX_COMPONENT), ("spread", 0.0)):
+        vector = entry.get(key, [0.0] * size)
+        if not (isinstance(vector, list) and len(vector) == size and all(map(_is_number, vector))):
+            raise ValueError(f"{place}: {key}={vector!r} must be {size} numbers: correct them")
+        if not all(lowest <= value <= MAX_COMPONENT for value in vector):
+            raise ValueError(f"{place}: {key}={vector!r} must lie in [{lowest:g}, {MAX_COMPONENT:g}]: correct them")
+        vectors[key] = np.array(vector, float)
+    units = {unit: read_parameters(f"{place}: of[{unit!r}]", effect, parameters)
+             for unit, parameters in entry["of"].items()}
+    return Extension(effect, units, **vectors)
 
 
-def read_parameters(what, effect, given):
-    """Make an effect of its parameters as a file gives them; `what` is what a message calls them.
+def read_parameters(label: str, effect: type[Effect], parameters: Any) -> Effect:
+    """Construct an effect from its parameters as a file holds them; messages begin with the label.
 
     Raises
     ------
     ValueError
         They are not those of the effect, or out of range.
     """
-    names = [field.name for field in fields(effect)]
-    if not isinstance(given, dict) or sorted(given) != sorted(names):
-        raise ValueError(f"{what} must hold {', '.join(names) or 'nothing'}: correct the names")
-    # what a vector can say is what there is: a fit never ends elsewhere
-    lowest, highest = (effect.from_vector(np.full(len(effect.SPREAD), sign * LARGEST)) for sign in (-1, 1))
-    for name, value in given.items():
+    names = [field.name for field in fields(effect)]  # type: ignore[arg-type]
+    if not isinstance(parameters, dict) or sorted(parameters) != sorted(names):
+        raise ValueError(f"{label} must hold {', '.join(names) or 'nothing'}: correct the names")
+    # the limits of `from_vector` are those of the parameters: a fit never ends beyond them
+    lowest, highest = (effect.from_vector(np.full(len(effect.SPREAD), sign * MAX_COMPONENT)) for sign in (-1, 1))
+    for name, value in parameters.items():
         low, high = np.atleast_1d(getattr(lowest, name)), np.atleast_1d(getattr(highest, name))
-        sequence = isinstance(getattr(lowest, name), tuple)
-        values = value if sequence and isinstance(value, list) else [value]
-        if sequence != isinstance(value, list) or len(values) != len(low) or not all(map(_is_number, values)):
-            rule = f"{len(low)} numbers" if sequence else "a number"
-            raise ValueError(f"{what}: {name}={value!r} must be {rule}: correct it")
-        if not all(a - _ROUNDING * abs(a) <= one <= b + _ROUNDING * abs(b)
-                   for a, one, b in zip(low, values, high, strict=True)):
-            raise ValueError(f"{what}: {name}={value!r} must lie in [{low.min():g}, {high.max():g}]: correct it")
-    return effect(**{name: tuple(value) if isinstance(value, list) else value for name, value in given.items()})
+        is_sequence = isinstance(getattr(lowest, name), tuple)
+        values = value if is_sequence and isinstance(value, list) else [value]
+        if is_sequence != isinstance(value, list) or len(values) != len(low) or not all(map(_is_number, values)):
+            rule = f"{len(low)} numbers" if is_sequence else "a number"
+            raise ValueError(f"{label}: {name}={value!r} must be {rule}: correct it")
+        if not all(a - _ROUNDING * abs(a) <= number <= b + _ROUNDING * abs(b)
+                   for a, number, b in zip(low, values, high, strict=True)):
+            raise ValueError(f"{label}: {name}={value!r} must lie in [{low.min():g}, {high.max():g}]: correct it")
+    return effect(**{name: tuple(value) if isinstance(value, list) else value for name, value in parameters.items()})
 
 
-def _is_number(value):
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and np.isfinite(value)
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and bool(np.isfinite(value))

@@ -1,15 +1,19 @@
-"""A desk below source and microphone: one early reflection that interferes with the direct sound."""
+"""A surface close below source and microphone, such as a desk: its reflection interferes with the direct sound."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import EXACT_BANDS_HZ
-from roomeq.effects.base import Effect
+from roomeq.effects.base import Effect, Rendering
+from roomeq.effects.prediction import PredictedRirs, PredictionState
 from roomeq.effects.response import RESPONSE_HZ
 
 _POINTS = 9  # frequencies over which a third octave is averaged
-_EDGE_HZ = 250.0  # below, a desk is small against the wavelength
+_EDGE_HZ = 250.0  # below, the surface is small against the wavelength
 
 
 @dataclass(frozen=True)
@@ -19,7 +23,7 @@ class NearReflector(Effect):
     Attributes
     ----------
     depth_m : float
-        How far below.
+        Vertical distance below the lower one.
     reflection : float
         Pressure reflection coefficient, in [0, 1].
     """
@@ -34,35 +38,44 @@ class NearReflector(Effect):
     SPREAD = (0.5, 0.5)
     DISCRIMINATING_MEASUREMENT = "recordings at other heights"
 
-    def vector(self):
+    def vector(self) -> FloatArray:
         return np.array([np.log(self.depth_m), self.reflection])
 
     @classmethod
-    def from_vector(cls, vector):
+    def from_vector(cls, vector: ArrayLike) -> Self:
+        vector = np.asarray(vector)
         return cls(float(np.exp(np.clip(vector[0], np.log(0.05), np.log(2.0)))), float(np.clip(vector[1], 0.0, 1.0)))
 
-    def lengths_m(self, source_pos_m, mic_pos_m):
-        """Lengths of the reflected path, shape (n,)."""
+    def lengths_m(self, source_pos_m: ArrayLike, mic_pos_m: ArrayLike) -> FloatArray:
+        """Return the lengths of the reflected paths between positions of shape (n, 3), shape (n,)."""
         source, mic = np.atleast_2d(source_pos_m), np.atleast_2d(mic_pos_m)
         plan = np.linalg.norm((mic - source)[:, :2], axis=1)
         below = np.abs(mic[:, 2] - source[:, 2]) + 2.0 * self.depth_m
         return np.hypot(plan, below)
 
-    def apply_to_prediction(self, state, data, rows):
-        source = np.array([data.places[n].source_pos_m for n in rows])
-        mic = np.array([data.places[n].mic_pos_m for n in rows])
+    def pressure_gain(self, frequencies_hz: ArrayLike, direct_m: float | FloatArray,
+                      length_m: float | FloatArray) -> FloatArray:
+        """Return the pressure of the reflection relative to the direct sound.
+
+        Parameters
+        ----------
+        frequencies_hz, direct_m, length_m : array_like
+            Frequencies, and lengths of the direct and the reflected path; shapes that broadcast.
+        """
+        size = 1.0 / (1.0 + (_EDGE_HZ / np.asarray(frequencies_hz)) ** 4)
+        return self.reflection * direct_m / length_m * np.sqrt(size)
+
+    def apply_to_prediction(self, state: PredictionState, data: PredictedRirs, rows: IntArray) -> None:
         direct_m = data.distance_m[rows]
-        length_m = self.lengths_m(source, mic)
+        length_m = self.lengths_m(np.array([data.places[n].source_pos_m for n in rows]),
+                                  np.array([data.places[n].mic_pos_m for n in rows]))
         delay_s = (length_m - direct_m) / data.speed_m_s[rows]
-        amplitude = self.reflection * direct_m / length_m
         frequency = np.array(RESPONSE_HZ[:-1])[:, None] * 10.0 ** np.linspace(-0.05, 0.05, _POINTS)
-        share = 1.0 / (1.0 + (_EDGE_HZ / frequency) ** 4)
-        pressure = 1.0 + (amplitude[:, None, None] * np.sqrt(share)
+        pressure = 1.0 + (self.pressure_gain(frequency, direct_m[:, None, None], length_m[:, None, None])
                           * np.exp(-2j * np.pi * frequency * delay_s[:, None, None]))
         state.direct_thirds[rows] *= np.mean(np.abs(pressure) ** 2, axis=2)
 
-    def on_rir(self, rir, rendering):
+    def on_rir(self, rir: FloatArray, rendering: Rendering) -> FloatArray:
         length_m = float(self.lengths_m(rendering.source_pos_m, rendering.mic_pos_m)[0])
-        share = np.sqrt(1.0 / (1.0 + (_EDGE_HZ / np.array(EXACT_BANDS_HZ)) ** 4))
-        gains = self.reflection * rendering.distance_m / length_m * share * rendering.direct_gain
+        gains = self.pressure_gain(EXACT_BANDS_HZ, rendering.distance_m, length_m) * rendering.direct_gain
         return rir + rendering.pulse(length_m, gains, len(rir))

@@ -1,23 +1,27 @@
-"""Frequency responses that a recording chain puts on everything it records, and their shared parts."""
+"""Magnitude responses that a recording chain applies to everything it records, and what they share."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import scipy  # its submodules are slow to import and load themselves when first used
+from numpy.typing import ArrayLike
 
-from roomeq.effects.base import Effect, minimum_phase
+from roomeq.core.arrays import FloatArray, IntArray
+from roomeq.effects.base import Effect, Rendering, minimum_phase
+from roomeq.effects.prediction import PredictedRirs, PredictionState
 
 RESPONSE_HZ = tuple(1000.0 * 10.0 ** (0.1 * k) for k in range(-13, 10))
 """Third octaves from 50 Hz to 8 kHz."""
 _SPREAD_DB = 6.0
-_MOST_DB = 60.0
-_ROUGH_DB = 1.5
-_WIDTH = 2.0  # third octaves over which a response stays alike
+_MAX_DB = 60.0
+_ROUGHNESS_DB = 1.5  # independent part of the spread
+_CORRELATION_THIRDS = 2.0  # third octaves over which a response stays similar
 
 
 @dataclass(frozen=True)
 class Response(Effect):
-    """A magnitude response, minimum phase.
+    """A magnitude response of minimum phase.
 
     Attributes
     ----------
@@ -25,26 +29,27 @@ class Response(Effect):
         At `RESPONSE_HZ`, within 60 dB.
     """
 
-    gains_db: tuple
+    gains_db: tuple[float, ...]
 
     REFLECTIONS = False
     STARTS = ((0.0,) * len(RESPONSE_HZ),)
     SPREAD = (_SPREAD_DB,) * len(RESPONSE_HZ)
 
     @classmethod
-    def prior_covariance(cls):
+    def prior_covariance(cls) -> FloatArray:
         lag = np.subtract.outer(np.arange(len(RESPONSE_HZ)), np.arange(len(RESPONSE_HZ)))
-        return _SPREAD_DB ** 2 * np.exp(-0.5 * (lag / _WIDTH) ** 2) + _ROUGH_DB ** 2 * np.eye(len(RESPONSE_HZ))
+        smooth = _SPREAD_DB ** 2 * np.exp(-0.5 * (lag / _CORRELATION_THIRDS) ** 2)
+        return smooth + _ROUGHNESS_DB ** 2 * np.eye(len(RESPONSE_HZ))
 
-    def vector(self):
+    def vector(self) -> FloatArray:
         return np.array(self.gains_db)
 
     @classmethod
-    def from_vector(cls, vector):
-        return cls(tuple(float(value) for value in np.clip(vector, -_MOST_DB, _MOST_DB)))
+    def from_vector(cls, vector: ArrayLike) -> Self:
+        return cls(tuple(float(value) for value in np.clip(vector, -_MAX_DB, _MAX_DB)))
 
-    def apply_to_prediction(self, state, data, rows):
+    def apply_to_prediction(self, state: PredictionState, data: PredictedRirs, rows: IntArray) -> None:
         state.response_db[rows] += np.array(self.gains_db)
 
-    def on_rir(self, rir, rendering):
+    def on_rir(self, rir: FloatArray, rendering: Rendering) -> FloatArray:
         return scipy.signal.oaconvolve(rir, minimum_phase(RESPONSE_HZ, self.gains_db))[:len(rir)]

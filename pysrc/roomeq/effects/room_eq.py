@@ -1,7 +1,7 @@
-"""What all recordings have in common and no physical effect explains: an equaliser.
+"""An equaliser for what all recordings have in common and no physical effect explains.
 
-The paper's compensation (Tang, Meng, Manocha, section 3) draws it from a distribution over RIRs; here it is that
-distribution's mean, and competes with effects that know where it comes from.
+The paper's compensation (Tang, Meng, Manocha, section 3) draws an equaliser from a distribution over RIRs. This effect
+is the mean of that distribution. It competes with effects that have a physical cause.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from roomeq.effects.response import Response
 
 @dataclass(frozen=True)
 class RoomEq(Response):
-    """Of all recordings alike."""
+    """Response of all recordings."""
 
     NAME = "room_eq"
     SCOPE = "all"

@@ -1,21 +1,26 @@
-"""Another speed of sound than declared: the air was warmer or colder, and everything arrives earlier or later."""
+"""A speed of sound other than declared: the air was warmer or colder, so that all sound arrives earlier or later."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from roomeq.acoustics.air import speed_of_sound_m_s
+from roomeq.core.arrays import FloatArray
 from roomeq.effects.base import Effect, ModelAir
+from roomeq.effects.prediction import PredictedRirs
+from roomeq.sim.scene import Air
 
 
 @dataclass(frozen=True)
 class SoundSpeed(Effect):
-    """Speed of sound, absorption of the air left as declared.
+    """Speed of sound; the absorption of the air stays as declared.
 
     Attributes
     ----------
     temperature_c : float
-        Of air in which sound is as fast.
+        Temperature of air with this speed of sound.
     """
 
     temperature_c: float
@@ -27,19 +32,15 @@ class SoundSpeed(Effect):
     DISCRIMINATING_MEASUREMENT = "recordings whose time of flight is known, at several distances"
 
     @classmethod
-    def applies(cls, data):
+    def applies(cls, data: PredictedRirs) -> bool:
         return any(row.get("tof_removed") is False for row in data.rows)
 
-    def vector(self):
+    def vector(self) -> FloatArray:
         return np.array([self.temperature_c / 10.0])
 
     @classmethod
-    def from_vector(cls, vector):
-        return cls(float(np.clip(10.0 * vector[0], -20.0, 60.0)))
+    def from_vector(cls, vector: ArrayLike) -> Self:
+        return cls(float(np.clip(10.0 * np.asarray(vector)[0], -20.0, 60.0)))
 
-    def apply_to_prediction(self, state, data, rows):
-        state.speed_m_s[rows] = speed_of_sound_m_s(self.temperature_c)
-
-    def on_scene(self, scene):
-        return replace(scene, air=ModelAir(speed_of_sound_m_s(self.temperature_c),
-                                           np.asarray(scene.air.attenuation_per_m)))
+    def changed_air(self, air: Air | ModelAir) -> ModelAir:
+        return ModelAir(speed_of_sound_m_s(self.temperature_c), np.asarray(air.attenuation_per_m))

@@ -1,4 +1,4 @@
-"""Magnitude response of each loudspeaker: resonances and roll-offs on everything that it plays."""
+"""Magnitude response of each loudspeaker: resonances and roll-offs in everything that it plays."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from roomeq.effects.response import Response
 
 @dataclass(frozen=True)
 class SourceResponse(Response):
-    """Of one `source_id`; on its axis, where it has a directivity."""
+    """Response of one `source_id`; that on its axis, where it has a directivity."""
 
     NAME = "source_response"
     SCOPE = "source"

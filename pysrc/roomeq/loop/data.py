@@ -12,6 +12,7 @@ from roomeq.core.constants import FS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.core.workers import share_out
 from roomeq.effects.model import Model
+from roomeq.effects.source_directivity import unit_facing
 from roomeq.loop.features import JND, feature_slice, measure_features
 from roomeq.loop.tables import ANGLES, collect
 from roomeq.records.rir_dir import load_rir, read_rirs
@@ -212,7 +213,8 @@ def _traced(found, features, scattering, seed, model, nj):
         length_s = float(np.clip(1.2 * max(_longest_s(features[n]) for n in members) + 0.1, *LENGTHS_S))
         one = trace_source(scene, source_pos_m, num_rays=NUM_RAYS, max_length_s=length_s,
                            rng=rng_for(seed, "loop trace", repr((room_id, source_pos_m))))
-        return one, collect(one, [places[n].mic_pos_m for n in members], [_facing(rows[n]) for n in members])
+        facings = [unit_facing(rows[n].get("source_dir")) for n in members]
+        return one, collect(one, [places[n].mic_pos_m for n in members], facings)
 
     traced, tables = [None] * len(rows), [None] * len(rows)
     # threads: paths are large, and their kernels let go of the interpreter
@@ -230,13 +232,6 @@ def _traced(found, features, scattering, seed, model, nj):
                 speed_m_s=np.array([air.speed_m_s for air in airs]),
                 distance_m=np.array([table.distance_m for table in tables]), rendered_changes={},
                 given=[model.for_row(row, seed) for row in rows])
-
-
-def _facing(row):
-    facing = row.get("source_dir")
-    if facing is None or None in facing or not np.any(facing):
-        return None
-    return np.array(facing, dtype=float) / np.linalg.norm(facing)
 
 
 def _longest_s(features):

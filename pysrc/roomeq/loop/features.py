@@ -19,6 +19,7 @@ from scipy.fft import next_fast_len, rfft
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.iso3382 import EARLY_S, all_metrics, octave_gains
 from roomeq.core.constants import BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
+from roomeq.effects.noise_floor import NOISE_S, OCTAVE_WIDTH_HZ, QUIET_DB
 
 DIRECT_S = 2.5e-3
 LEAD_S = 1.5e-3
@@ -29,8 +30,6 @@ DIRECT_THIRDS_HZ = THIRDS_HZ[11:]  # from 630 Hz: lower ones are not resolved wi
 NEAR_S, NEAR_SHARE = 4e-4, 0.05
 """By how much the direct sound may miss its geometry: positions (14 cm), and a speed of sound that is 5 % off."""
 MIN_SNR_DB = 10.0
-QUIET_DB = -55.0
-"""Energy of 100 ms of noise relative to the response of its band, below which it disturbs no decay."""
 QUIET = 10.0 ** (QUIET_DB / 10.0)
 JND = dict(direct=1.0, early=1.0, late=1.0, spectrum=1.0, edt=np.log(1.05), t20=np.log(1.05), t30=np.log(1.05),
            c50=1.1, drr=2.0, arrival=1e-4, ahead=1.0, floor=1.0)
@@ -46,9 +45,6 @@ BAND_HZ = np.array([band_hz for bands in _BANDS_OF.values() for band_hz in bands
 N_FEATURES = len(METRIC)
 HAS_GAIN = np.isin(METRIC, ["direct", "early", "late", "spectrum"])
 """Whether the gain of the recording stands in a feature, shape (n_features,)."""
-OCTAVE_WIDTH_HZ = (np.minimum(np.array(EXACT_BANDS_HZ) * np.sqrt(2.0), 0.5 * FS_HZ)
-                   - np.array(EXACT_BANDS_HZ) / np.sqrt(2.0))
-"""Of what the octaves hold below half the sample rate [Hz], shape (8,)."""
 LARGEST = 20.0
 """Error of a feature that a model cannot produce [JND]."""
 
@@ -238,7 +234,7 @@ def _noise_levels(rir, direct, noise, white):
     white : ndarray, shape (8,)
     """
     n_fft = next_fast_len(len(rir), real=True)
-    per_energy = 0.1 * FS_HZ / np.maximum(_gains("octave", n_fft) @ _power(rir, n_fft), 1e-30)
+    per_energy = NOISE_S * FS_HZ / np.maximum(_gains("octave", n_fft) @ _power(rir, n_fft), 1e-30)
     end, seen = noise["end"] * per_energy, noise["octave"] > 0.0
     if white is None:
         besides, white = 0.0, _white(noise) * per_energy

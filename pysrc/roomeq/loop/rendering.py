@@ -7,7 +7,7 @@ import numpy as np
 from roomeq.core.constants import FS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.core.workers import share_out
-from roomeq.effects.model import behind_rendering, direct_gain, extend_scene, path_gain
+from roomeq.effects.model import apply_to_rir, direct_gain, extend_scene, path_gain
 from roomeq.loop.features import N_FEATURES, measure_features
 from roomeq.loop.tables import level_surfaces
 from roomeq.sim.response import render_responses
@@ -100,7 +100,7 @@ def _render_one(data, n, scene, effects, seed):
 def finished_rir(data, n, raw, effects, seed):
     """The RIR of a row with all its effects."""
     place = data.places[n]
-    return behind_rendering(effects, raw.rir, raw.scene, place.source_pos_m, place.mic_pos_m, raw.direct_gain,
+    return apply_to_rir(effects, raw.rir, raw.scene, place.source_pos_m, place.mic_pos_m, raw.direct_gain,
                             rng_for(seed, "loop effects", data.rows[n]["id"]), data.white[n])
 
 

@@ -15,7 +15,7 @@ from roomeq.core.audio import write_wav
 from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
 from roomeq.core.rng import rng_for
-from roomeq.effects.model import Model, behind_rendering, direct_gain, names_of, path_gain, read_model
+from roomeq.effects.model import Model, apply_to_rir, direct_gain, names_of, path_gain, read_model
 from roomeq.records.rir_dir import decay_range_s, read_rirs, validate_rirs, write_rirs
 from roomeq.sim.geometry import find_place
 from roomeq.sim.materials import DEFAULT_TABLE, read_materials
@@ -172,8 +172,8 @@ def _write_rir(work: Path, rendered: RenderedRir, air: Air, seed: int) -> dict:
     row, place, scene, response = rendered.row, rendered.place, rendered.scene, rendered.response
     gain = path_gain(rendered.effects, row.get("source_dir"))
     direct = direct_gain(scene, place.source_pos_m, place.mic_pos_m, gain) * response.direct_visible
-    rir = behind_rendering(rendered.effects, response.rir, with_absorption(scene, response.absorption),
-                           place.source_pos_m, place.mic_pos_m, direct, rng_for(seed, "effects", row["id"]))
+    rir = apply_to_rir(rendered.effects, response.rir, with_absorption(scene, response.absorption),
+                       place.source_pos_m, place.mic_pos_m, direct, rng_for(seed, "effects", row["id"]))
     wav = f"wav/{row['id']}.wav"
     write_wav(work / wav, rir)
     room = dict(mesh=row["mesh"]) if row.get("mesh") else dict(room_dims_m=list(place.room.dims_m))
