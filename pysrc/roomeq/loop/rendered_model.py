@@ -1,14 +1,24 @@
-"""What rendering a model shows and its tables cannot tell: what measuring adds, and what effects do to waves."""
+"""A rendered model, and what its renderings add to the prediction from tables.
 
+Renderings tell two things that tables of ray contributions cannot: the bias and the interference that windows, filters
+and early reflections bring into the features (`rendering_correction`), and the change of the features by effects that
+act on waves (`measure_rendered_changes`).
+"""
+
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from roomeq.core.arrays import FloatArray
+from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
+from roomeq.loop.data import Data
 from roomeq.loop.features import HAS_GAIN, METRIC
 from roomeq.loop.fit import Fit
 from roomeq.loop.packing import ParameterIndex
-from roomeq.loop.rendering import features_with_effects, render_rows
+from roomeq.loop.rendering import RawRir, features_with_effects, render_rows
 
 _ORDER = list(CATALOGUE.values())
 
@@ -21,140 +31,180 @@ class RenderedModel:
     ----------
     data : roomeq.loop.data.Data
     fit : Fit
-        Whose unknowns were rendered.
+        The fit that was rendered.
     by_row : list of list of Effect
         The effects of each RIR.
-    raws : list of roomeq.loop.rendering.Raw
+    raw_rirs : list of roomeq.loop.rendering.RawRir
     features : ndarray, shape (n_rirs, n_features)
     seed, nj : int
     """
 
-    data: object
+    data: Data
     fit: Fit
-    by_row: list
-    raws: list
-    features: np.ndarray
+    by_row: list[list[Effect]]
+    raw_rirs: list[RawRir]
+    features: FloatArray
     seed: int
     nj: int
 
-    def features_with(self, by_row):
-        """Features with other effects behind the rendering."""
+    def features_with(self, by_row: list[list[Effect]]) -> FloatArray:
+        """Measure the features with other effects on the rendered RIRs, shape (n_rirs, n_features)."""
         return self.features if by_row == self.by_row else self.features_of([by_row])[0]
 
-    def features_of(self, variants):
-        """The same of several variants, shape (n_variants, n_rirs, n_features)."""
-        return features_with_effects(self.data, self.raws, variants, seed=self.seed, nj=self.nj)
+    def features_of(self, variants: Sequence[list[list[Effect]]]) -> FloatArray:
+        """Measure the same of several variants, shape (n_variants, n_rirs, n_features)."""
+        return features_with_effects(self.data, self.raw_rirs, variants, seed=self.seed, nj=self.nj)
 
-    def predicted_without(self, effects=()):
-        """Features that tables expect of the model without some effects: of what is rendered, and of what is measured."""
-        packing, one = ParameterIndex(self.data, self.fit.effects), self.fit
-        absorption, vectors = packing.absorption(one.mean, one.local), packing.vectors(one.mean, one.local)
+    def predicted_without(self, effects: Sequence[type[Effect]] = ()) -> "Prediction":
+        """Predict the features from tables, without some of the model's effects."""
+        packing, fitted = ParameterIndex(self.data, self.fit.effects), self.fit
+        absorption = packing.absorption(fitted.mean, fitted.local)
+        vectors = packing.vectors(fitted.mean, fitted.local)
         kept = [(effect, vector) for effect, vector in zip(packing.effects, vectors, strict=True)
                 if effect not in effects]
-        expected = ParameterIndex(self.data, [effect for effect, _ in kept]).predict(
+        rendered = ParameterIndex(self.data, [effect for effect, _ in kept]).predict(
             absorption, [vector for _, vector in kept], np.zeros(len(self.data.rows)), 0.0)
-        return expected, expected + np.outer(packing.gains(one.local), HAS_GAIN)
+        return Prediction(rendered, rendered + np.outer(packing.gains(fitted.local), HAS_GAIN))
 
 
-def render_model(data, fitted, *, seed, nj):
+class Prediction(NamedTuple):
+    """Predicted features, shape (n_rirs, n_features) each."""
+
+    rendered: FloatArray
+    """Of the rendered RIRs."""
+    recorded: FloatArray
+    """Of the recordings, which have gains."""
+
+
+class _Difference(NamedTuple):
+    """Parts of a difference between features."""
+
+    mean: FloatArray
+    """Over RIRs, shape (n_features,)."""
+    own: FloatArray
+    """Each RIR's deviation from the mean, shape (n_rirs, n_features)."""
+    share: FloatArray
+    """How much of the deviation helps to predict the recordings, in [0, 1], shape (n_rirs, n_features)."""
+
+    @property
+    def helpful(self) -> FloatArray:
+        """The mean and the helpful share of the deviations, shape (n_rirs, n_features)."""
+        return self.mean + self.share * self.own
+
+
+class _RayField(NamedTuple):
+    """The model's features without effects that act on waves, shape (n_rirs, n_features) each."""
+
+    monte_carlo_noise: FloatArray
+    """The part of the rendered features that is due to random rays and tails."""
+    error: FloatArray
+    """Measured less predicted features."""
+
+
+def render_model(data: Data, fitted: Fit, *, seed: int, nj: int) -> RenderedModel:
     """Render a fitted model."""
     packing = ParameterIndex(data, fitted.effects)
     absorption, vectors = packing.absorption(fitted.mean, fitted.local), packing.vectors(fitted.mean, fitted.local)
     by_row = effects_of_rows(data, fitted.effects, vectors)
-    raws, features = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj)
-    return RenderedModel(data, fitted, by_row, raws, features, seed, nj)
+    raw_rirs, features = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj)
+    return RenderedModel(data, fitted, by_row, raw_rirs, features, seed, nj)
 
 
-def in_order(effects):
-    """Types of effects in the catalogue's order."""
+def in_order(effects: Iterable[type[Effect]]) -> tuple[type[Effect], ...]:
+    """Return types of effects in the catalogue's order."""
     return tuple(sorted(effects, key=_ORDER.index))
 
 
-def effects_of_rows(data, effects, vectors):
-    """The effects of each RIR, from the vectors of their units, and those that the base model was given."""
-    units = [[effect.from_vector(vector) for vector in one] for effect, one in zip(effects, vectors, strict=True)]
+def effects_of_rows(data: Data, effects: Sequence[type[Effect]], vectors: Sequence[FloatArray]) -> list[list[Effect]]:
+    """Return the effects of each RIR: those with the vectors of their units, and those of the base model.
+
+    Parameters
+    ----------
+    data : roomeq.loop.data.Data
+    effects : sequence of types
+    vectors : sequence of ndarray, shape (n_units, n)
+        For each effect, the vectors of its units.
+    """
+    units = [[effect.from_vector(vector) for vector in of_effect]
+             for effect, of_effect in zip(effects, vectors, strict=True)]
     numbers = [data.units(effect.SCOPE)[1] for effect in effects]
     return [_sorted([*data.given[n], *(units[k][numbers[k][n]] for k in range(len(effects)))])
             for n in range(len(data.rows))]
 
 
-def _sorted(effects):
-    return sorted(effects, key=lambda one: _ORDER.index(type(one)))
+def _sorted(effects: Iterable[Effect]) -> list[Effect]:
+    return sorted(effects, key=lambda effect: _ORDER.index(type(effect)))
 
 
-def rendering_correction(rendered):
-    """What measuring adds to expected features, shape (n_rirs, n_features): all of its mean, of each RIR's own what helps."""
-    expected, measured = rendered.predicted_without()
-    mean, own, share = _parts(rendered.data, rendered.features - expected, rendered.data.features - measured)
-    return mean + share * own
+def rendering_correction(rendered: RenderedModel) -> FloatArray:
+    """Return what is added to features predicted from tables, shape (n_rirs, n_features).
+
+    It is the mean difference of rendered and predicted features, and of each RIR's own difference as much as helps.
+    """
+    predicted = rendered.predicted_without()
+    return _split(rendered.data, rendered.features - predicted.rendered,
+                  rendered.data.features - predicted.recorded).helpful
 
 
-def clear_rendered_changes(data, effects):
-    """Let what effects change by rendering alone be unknown, and so in the correction."""
+def clear_rendered_changes(data: Data, effects: Iterable[type[Effect]]) -> None:
+    """Set the rendered changes of effects to zero; the rendering correction then includes them."""
     for effect in effects:
         if effect.INTERPOLATION_GRID:
             data.rendered_changes[effect.NAME] = np.zeros((len(effect.INTERPOLATION_GRID), *data.features.shape))
 
 
-def measure_rendered_changes(rendered, effects):
+def measure_rendered_changes(rendered: RenderedModel, effects: Iterable[type[Effect]]) -> None:
     """Measure on renderings what effects change at each point of their grid (`Data.rendered_change_of`)."""
     effects = [effect for effect in effects if effect.INTERPOLATION_GRID]
     if effects:
-        by_rays = _by_rays(rendered)
+        ray_field = _ray_field(rendered)
         for effect in effects:
-            rendered.data.rendered_changes[effect.NAME] = _rendered_changes(rendered, by_rays, effect)
+            rendered.data.rendered_changes[effect.NAME] = _rendered_changes(rendered, ray_field, effect)
 
 
-def _by_rays(rendered):
-    """Without effects that rendering alone shows: what chance made of the features, and what measured features have more.
+def _ray_field(rendered: RenderedModel) -> _RayField:
+    """Compare rendering, prediction and recordings without the effects that act on waves."""
+    on_waves = tuple(effect for effect in rendered.fit.effects if effect.INTERPOLATION_GRID)
+    features = rendered.features_with([[effect for effect in effects if not isinstance(effect, on_waves)]
+                                       for effects in rendered.by_row])
+    predicted = rendered.predicted_without(on_waves)
+    error = rendered.data.features - predicted.recorded
+    difference = _split(rendered.data, features - predicted.rendered, error)
+    return _RayField((1.0 - difference.share) * difference.own, error)
 
-    Chance is what was rendered less what was expected, less what of that is none.
+
+def _rendered_changes(rendered: RenderedModel, ray_field: _RayField, effect: type[Effect]) -> FloatArray:
+    """Measure the change of the features by an effect at each point of its grid, (n_points, n_rirs, n_features).
+
+    A wave field that replaces rays also replaces their Monte Carlo noise: the part of the noise that does not recur
+    with the effect is taken back. Of the changes that differ between RIRs, the helpful share is kept (`_split`): the
+    level at a mode is predictable, the beating of two modes is not where positions are known to centimetres.
     """
-    waves = tuple(effect for effect in rendered.fit.effects if effect.INTERPOLATION_GRID)
-    features = rendered.features_with([[one for one in effects if not isinstance(one, waves)] for effects in rendered.by_row])
-    expected, measured = rendered.predicted_without(waves)
-    error = rendered.data.features - measured
-    _, own, share = _parts(rendered.data, features - expected, error)
-    return (1.0 - share) * own, error
-
-
-def _rendered_changes(rendered, by_rays, effect):
-    """What an effect makes of the features of the model's RIRs at each of its nodes, shape (n_nodes, n_rirs, n_features).
-
-    What takes the place of rays, such as a wave field, takes that of their chance too: as much of it goes as is not
-    found again with the effect. Of what it does to one RIR and not to others, as much is kept as helps (`_parts`): a
-    level at a mode is known, how two of them beat is not, when positions are known to centimetres.
-    """
-    chance, error = by_rays
-    without = [[one for one in effects if not isinstance(one, effect)] for effects in rendered.by_row]
+    noise, error = ray_field
+    without = [[existing for existing in effects if not isinstance(existing, effect)] for effects in rendered.by_row]
     plain = rendered.features_with(without)
-    new = [effect.from_vector(np.array(node)) for node in effect.INTERPOLATION_GRID]
-    power, found = np.maximum(np.sum(chance ** 2, axis=0), 1e-9), []
-    for features in rendered.features_of([[_sorted([*effects, one]) for effects in without] for one in new]):
+    grid = [effect.from_vector(np.array(point)) for point in effect.INTERPOLATION_GRID]
+    noise_power, changes = np.maximum(np.sum(noise ** 2, axis=0), 1e-9), []
+    for features in rendered.features_of([[_sorted([*effects, new]) for effects in without] for new in grid]):
         change = features - plain
         change = np.where(np.isfinite(change), change, 0.0)
-        gone = np.clip(-np.sum((change - change.mean(axis=0)) * chance, axis=0) / power, 0.0, 1.0)
-        mean, own, share = _parts(rendered.data, change + gone * chance, error)
-        found.append(mean + share * own)
-    return np.array(found)
+        removed = np.clip(-np.sum((change - change.mean(axis=0)) * noise, axis=0) / noise_power, 0.0, 1.0)
+        changes.append(_split(rendered.data, change + removed * noise, error).helpful)
+    return np.array(changes)
 
 
-def _parts(data, difference, error):
-    """What is added to expected features: the mean over RIRs, each RIR's own, and how much of that helps.
+def _split(data: Data, difference: FloatArray, error: FloatArray) -> _Difference:
+    """Split a difference into its mean over RIRs and the deviation of each RIR, of which a share helps.
 
-    Early reflections are the same whenever they are rendered, noise-like tails are not: how much of what is
-    an RIR's own means something is a regression on what was measured in the other rooms, one coefficient a metric.
+    Early reflections are the same in every rendering, noise-like tails are not. The helpful share is a regression of
+    the error of the prediction on the deviations in the other rooms, one coefficient per metric.
 
     Parameters
     ----------
     difference : ndarray, shape (n_rirs, n_features)
-        What is added, such as rendered less expected features.
+        For example rendered less predicted features.
     error : ndarray, shape (n_rirs, n_features)
-        Measured less expected features.
-
-    Returns
-    -------
-    mean, own, share : ndarray, shape (n_features,), (n_rirs, n_features), (n_rirs, n_features)
+        Measured less predicted features.
     """
     seen = np.isfinite(difference)
     mean = np.sum(np.where(seen, difference, 0.0), axis=0) / np.maximum(seen.sum(axis=0), 1)
@@ -165,7 +215,8 @@ def _parts(data, difference, error):
     share = np.zeros(own.shape)
     for metric in np.unique(METRIC):
         at = METRIC == metric
-        power, both = (np.bincount(data.room, np.sum(np.where(valid, own * one, 0.0)[:, at], axis=1))
-                       for one in (own, centred))
-        share[:, at] = np.clip((both.sum() - both) / np.maximum(power.sum() - power, 1e-9), 0.0, 1.0)[data.room, None]
-    return mean, own, share
+        power, product = (np.bincount(data.room, np.sum(np.where(valid, own * factor, 0.0)[:, at], axis=1))
+                          for factor in (own, centred))
+        share[:, at] = np.clip((product.sum() - product) / np.maximum(power.sum() - power, 1e-9),
+                               0.0, 1.0)[data.room, None]
+    return _Difference(mean, own, share)
