@@ -1,4 +1,4 @@
-"""Reading and writing audio, with every check that bad recordings have taught us.
+"""Reading and writing audio files, with checks for truncated, empty, silent and hostile ones.
 
 Conventions: mono, float in [-1, 1), `FS_HZ` unless a caller says otherwise.
 """
@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
+from roomeq.core.arrays import Array
 from roomeq.core.constants import FS_HZ
 from roomeq.core.files import replacing
 from roomeq.core.limits import AUDIO_HOURS, max_audio_samples
@@ -18,23 +19,23 @@ from roomeq.core.limits import AUDIO_HOURS, max_audio_samples
 logger = logging.getLogger(__name__)
 
 MAX_RATE_HZ = 768000
-"""Highest sample rate that is taken for one [Hz]."""
+"""Highest sample rate that a header may state [Hz]."""
 
 
 def audio_info(path: Path) -> soundfile.SoundFile:
-    """Return header facts (`samplerate`, `frames`, `channels`) of an audio file: the file, closed.
+    """Return a closed audio file, whose attributes `samplerate`, `frames` and `channels` tell its header.
 
     Raises
     ------
     ValueError
-        The file is missing, empty, truncated, too long (`roomeq.core.limits`) or no audio.
+        The file is missing, empty, truncated, too long (`roomeq.core.limits`) or not audio.
     """
     with _opened(path) as file:
         return file
 
 
 def _opened(path: Path) -> soundfile.SoundFile:
-    """Open an audio file after checking that it can be what it says."""
+    """Open an audio file and check that its header is plausible."""
     path = Path(path)
     if not path.is_file():
         raise ValueError(f"{path}: no such audio file: check the path")
@@ -58,7 +59,7 @@ def _opened(path: Path) -> soundfile.SoundFile:
 
 
 def read_audio(path: Path, *, fs_hz: int = FS_HZ, start: int = 0, stop: int | None = None,
-               channel: int | None = None, resample: bool = True, dtype: str = "float64") -> np.ndarray:
+               channel: int | None = None, resample: bool = True, dtype: str = "float64") -> Array:
     """Read one channel of an audio file at a given sample rate.
 
     Parameters
@@ -66,13 +67,13 @@ def read_audio(path: Path, *, fs_hz: int = FS_HZ, start: int = 0, stop: int | No
     path : Path
         WAV, FLAC or whatever else libsndfile reads.
     fs_hz : int
-        Rate of the result [Hz]; a higher native rate is resampled (soxr, said in the log).
+        Sample rate of the result [Hz]. A file with a higher rate is resampled with soxr, which the log mentions.
     start, stop : int
-        Range of samples, at the file's own rate.
+        Range of samples at the file's own rate.
     channel : int, optional
-        Which channel; by default the file must be mono.
+        Channel, counted from 0; by default the file must be mono.
     resample : bool
-        False refuses another sample rate.
+        If false, a file with another sample rate is refused.
     dtype : str
         ``"float64"`` or ``"float32"``.
 
@@ -83,8 +84,8 @@ def read_audio(path: Path, *, fs_hz: int = FS_HZ, start: int = 0, stop: int | No
     Raises
     ------
     ValueError
-        The file is missing, empty, truncated, of another rate (too low, or `resample` is false), not mono,
-        or holds NaN or infinity.
+        The file is missing, empty, truncated or not mono, its rate is too low (or another one, if `resample` is
+        false), or it holds NaN or infinity.
     """
     with _opened(path) as file:
         if channel is None and file.channels != 1:
@@ -117,23 +118,23 @@ def read_audio(path: Path, *, fs_hz: int = FS_HZ, start: int = 0, stop: int | No
     return samples
 
 
-def write_wav(path: Path, samples: np.ndarray, fs_hz: int = FS_HZ) -> None:
-    """Write a 32-bit float WAV file atomically: exact levels, no clipping. For RIRs."""
+def write_wav(path: Path, samples: Array, fs_hz: int = FS_HZ) -> None:
+    """Write an RIR as a 32-bit float WAV file, atomically: levels are exact and nothing clips."""
     _write(Path(path), samples, fs_hz, "WAV", "FLOAT")
 
 
-def write_flac(path: Path, samples: np.ndarray, fs_hz: int = FS_HZ, subtype: str = "PCM_16") -> None:
-    """Write a FLAC file atomically. For speech and noise.
+def write_flac(path: Path, samples: Array, fs_hz: int = FS_HZ, subtype: str = "PCM_16") -> None:
+    """Write speech or noise as a FLAC file, atomically.
 
     Parameters
     ----------
     samples : ndarray, shape (n_samples,)
-        Within [-1, 1): anything else would clip and is refused.
+        In [-1, 1]; larger values would clip and are refused.
 
     Raises
     ------
     ValueError
-        A sample is not finite or out of range.
+        A sample is not finite or is out of range.
     """
     peak = np.abs(samples).max(initial=0.0)
     if not peak <= 1.0:
@@ -141,11 +142,11 @@ def write_flac(path: Path, samples: np.ndarray, fs_hz: int = FS_HZ, subtype: str
     _write(Path(path), samples, fs_hz, "FLAC", subtype)
 
 
-def _write(path: Path, samples: np.ndarray, fs_hz: int, fmt: str, subtype: str) -> None:
-    # libsndfile stamps float WAVs with the time of writing (PEAK chunk): same samples, other bytes
-    if fmt == "WAV":
+def _write(path: Path, samples: Array, fs_hz: int, fmt: str, subtype: str) -> None:
+    data: bytes | memoryview
+    if fmt == "WAV":  # not by libsndfile, whose PEAK chunk holds the time of writing: equal samples, other bytes
         data = _float_wav(np.asarray(samples, dtype="<f4"), fs_hz)
-    else:  # in memory first: on a full disk libsndfile leaves a shorter FLAC file and says nothing
+    else:  # in memory first: on a full disk libsndfile leaves a shorter FLAC file without an error
         buffer = io.BytesIO()
         soundfile.write(buffer, samples, fs_hz, format=fmt, subtype=subtype)
         data = buffer.getbuffer()
@@ -153,7 +154,7 @@ def _write(path: Path, samples: np.ndarray, fs_hz: int, fmt: str, subtype: str) 
         temporary.write_bytes(data)
 
 
-def _float_wav(samples: np.ndarray, fs_hz: int) -> bytes:
+def _float_wav(samples: Array, fs_hz: int) -> bytes:
     """Return a mono IEEE-float WAV file (RIFF: fmt, fact and data chunks)."""
     data = samples.tobytes()
     fmt = struct.pack("<4sIHHIIHHH", b"fmt ", 18, 3, 1, fs_hz, 4 * fs_hz, 4, 32, 0)
@@ -163,13 +164,13 @@ def _float_wav(samples: np.ndarray, fs_hz: int) -> bytes:
 
 
 def _check_riff_length(path: Path) -> None:
-    """Refuse a WAV file that is shorter than its header says; libsndfile would read what is there."""
+    """Refuse a WAV file that is shorter than its header says; libsndfile would read the part that is left."""
     with open(path, "rb") as stream:
         head = stream.read(8)
     if head[:4] != b"RIFF" or len(head) < 8:
         return
-    promised = int.from_bytes(head[4:], "little") + 8
-    streamed = promised - 8 in (0, 0x7FFFFFFF, 0xFFFFFFFF) or promised > 0xFFFFFFF0
-    # an odd last chunk may lack its padding byte, which is no loss
-    if not streamed and path.stat().st_size < promised - 1:
-        raise ValueError(f"{path}: truncated: {path.stat().st_size} bytes of {promised}: copy it again")
+    stated = int.from_bytes(head[4:], "little") + 8
+    streamed = stated - 8 in (0, 0x7FFFFFFF, 0xFFFFFFFF) or stated > 0xFFFFFFF0
+    # the last chunk may lack its padding byte
+    if not streamed and path.stat().st_size < stated - 1:
+        raise ValueError(f"{path}: truncated: {path.stat().st_size} bytes of {stated}: copy it again")

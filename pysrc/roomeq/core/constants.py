@@ -1,4 +1,4 @@
-"""Numbers that every module shares, each in one place."""
+"""Numbers that every package uses: the sample rate, and the octave bands that all values per band refer to."""
 
 FS_HZ = 16000
 """Sample rate of all speech, RIRs and noises inside the toolkit [Hz] (the paper's; LibriSpeech's)."""

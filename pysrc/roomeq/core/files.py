@@ -1,16 +1,17 @@
-"""Files that are whole or absent: atomic writing, JSON lines, hashes."""
+"""Files that are complete or absent: atomic writing, JSON, JSON lines, hashes."""
 
 import contextlib
 import hashlib
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file under a temporary name and rename it, so that nobody ever sees half of it."""
+    """Write a file under a temporary name and rename it, so that no reader sees half of it."""
     with replacing(path) as temporary, open(temporary, "wb") as stream:
         stream.write(data)
         stream.flush()
@@ -19,12 +20,12 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary name to write to; it becomes `path` when the block ends, and is removed when it fails.
+    """Yield a temporary path to write to; it is renamed to `path` when the block ends, and removed when it fails.
 
     Raises
     ------
     OSError
-        The disk is full, say; the error names `path`.
+        The file cannot be written, for instance because the disk is full; the error names `path`.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -47,7 +48,7 @@ def write_text(path: Path, text: str) -> None:
     Raises
     ------
     ValueError
-        The text is not Unicode: a file name in another encoding, as a rule.
+        The text cannot be encoded, as a rule because it holds a file name in another encoding.
     """
     try:
         data = text.encode()
@@ -74,17 +75,17 @@ def read_text(path: Path) -> str:
                          "convert the file") from None
 
 
-def to_json(value, indent: int | None = None) -> str:
-    """Serialise to JSON with sorted keys; NaN and infinity are refused (they are not JSON)."""
+def to_json(value: Any, indent: int | None = None) -> str:
+    """Serialise to JSON with sorted keys; NaN and infinity, which are not JSON, are refused."""
     return json.dumps(value, sort_keys=True, ensure_ascii=False, allow_nan=False, indent=indent)
 
 
-def write_json(path: Path, value) -> None:
-    """Write one JSON document a person can read."""
+def write_json(path: Path, value: Any) -> None:
+    """Write one JSON document, indented for people."""
     write_text(path, to_json(value, indent=1) + "\n")
 
 
-def read_json(path: Path):
+def read_json(path: Path) -> Any:
     """Read one JSON document.
 
     Raises
@@ -99,13 +100,13 @@ def read_json(path: Path):
         raise ValueError(f"{path}: not a JSON file ({error}): make it again") from None
 
 
-def write_jsonl(path: Path, rows: Iterable[dict]) -> None:
-    """Write one JSON object a line."""
-    write_text(path, "".join(to_json(row) + "\n" for row in rows))
+def write_jsonl(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write one JSON object per line."""
+    write_text(path, "".join(to_json(dict(row)) + "\n" for row in rows))
 
 
-def read_jsonl(path: Path) -> list[dict]:
-    """Read one JSON object a line.
+def read_jsonl(path: Path) -> list[dict[str, Any]]:
+    """Read one JSON object per line.
 
     Raises
     ------
@@ -119,7 +120,7 @@ def read_jsonl(path: Path) -> list[dict]:
         return [_json_object(line, f"{path}:{number}") for number, line in enumerate(stream, start=1)]
 
 
-def _json_object(line: bytes, where: str) -> dict:
+def _json_object(line: bytes, where: str) -> dict[str, Any]:
     try:
         value = _from_json(line.decode())
     except (ValueError, RecursionError) as error:
@@ -130,8 +131,8 @@ def _json_object(line: bytes, where: str) -> dict:
     return value
 
 
-def _from_json(text: str):
-    """Parse JSON; NaN and infinity, which are none, are refused here rather than when they are written."""
+def _from_json(text: str) -> Any:
+    """Parse JSON; NaN and infinity, which are not JSON, are refused."""
     return json.loads(text, parse_constant=_finite, parse_float=_finite)
 
 

@@ -1,7 +1,7 @@
-"""Bounds on what is read into memory, so that a broken or hostile header cannot ask for all of it.
+"""Upper bounds on what is read into memory, so that a broken or hostile header cannot make roomeq fill it.
 
-They are options of `roomeq` (``roomeq --max-audio-hours 24 VERB ...``) and reach worker processes, and whole recipes,
-as environment variables. Results do not depend on them.
+They are options of `roomeq` (``roomeq --max-audio-hours 24 VERB ...``) and reach worker processes and recipes as
+environment variables. Results do not depend on them.
 """
 
 import os
@@ -12,7 +12,7 @@ from roomeq.core.constants import FS_HZ
 
 @dataclass(frozen=True)
 class Limit:
-    """A bound, the option and the environment variable that change it."""
+    """An upper bound: the option that sets it, its default, and what it limits."""
 
     option: str
     default: float
@@ -20,15 +20,16 @@ class Limit:
 
     @property
     def variable(self) -> str:
+        """The environment variable that sets the bound."""
         return "ROOMEQ_" + self.option.upper().replace("-", "_")
 
     def value(self) -> float:
-        """Return the bound that holds now.
+        """Return the bound as the environment sets it, or the default.
 
         Raises
         ------
         ValueError
-            The environment variable is no positive number.
+            The environment variable is not a positive number.
         """
         text = os.environ.get(self.variable, "")
         try:
@@ -46,5 +47,5 @@ LIMITS = (AUDIO_HOURS, MESH_MB)
 
 
 def max_audio_samples() -> int:
-    """Return how many samples, in all channels together, a recording may have."""
+    """Return the largest number of samples of a recording, all channels together."""
     return round(AUDIO_HOURS.value() * 3600 * FS_HZ)

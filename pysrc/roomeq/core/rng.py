@@ -1,12 +1,12 @@
-"""Random numbers that depend on what they are for, never on when they are drawn."""
+"""Random numbers that depend on their purpose and item, never on when they are drawn."""
 
 import hashlib
 
 import numpy as np
 
 
-def rng_for(seed: int, what: str, item_id: str) -> np.random.Generator:
-    """Return the generator of one purpose and one item.
+def rng_for(seed: int, purpose: str, item_id: str) -> np.random.Generator:
+    """Return the random generator of one purpose and one item.
 
     The result does not depend on the order of calls or on the number of jobs.
 
@@ -14,10 +14,10 @@ def rng_for(seed: int, what: str, item_id: str) -> np.random.Generator:
     ----------
     seed : int
         The user's seed.
-    what : str
-        Purpose, e.g. ``"materials"``.
+    purpose : str
+        E.g. ``"materials"``.
     item_id : str
-        Id of the thing that is drawn for, e.g. an RIR id.
+        Id of the item that the numbers are drawn for, e.g. an RIR id.
     """
-    digest = hashlib.sha256(repr((int(seed), what, item_id)).encode()).digest()
+    digest = hashlib.sha256(repr((int(seed), purpose, item_id)).encode()).digest()
     return np.random.Generator(np.random.PCG64(int.from_bytes(digest[:16], "little")))

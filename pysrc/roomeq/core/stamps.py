@@ -1,8 +1,8 @@
 """The stamp of a directory that a step made: which step, from what, and which files with which content.
 
-The stamp (`.done`) is the last file that `roomeq.core.build.Build` writes, so that a directory with a stamp is complete.
-It carries the version of the formats in the directory: a reader refuses a directory of another version, and the step
-that made the directory makes it anew.
+The stamp (`.done`) is the last file that `roomeq.core.build.Build` writes: a directory with a stamp is complete. It
+carries the version of the formats in the directory: a reader refuses a directory of another version, and the step that
+made the directory makes it anew.
 """
 
 import os

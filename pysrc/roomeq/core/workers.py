@@ -1,26 +1,32 @@
-"""Work shared out to processes that see all that their parent has: only what they return travels."""
+"""Forked worker processes: they inherit the memory of their parent, so that only their results are pickled."""
 
 import multiprocessing
 import os
 import signal
 import threading
+from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import connection
+from typing import Any, TypeVar
 
-_share = None  # a worker's work and items
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_task: tuple[Callable[[Any], Any], list[Any]] | None = None  # in a worker: its work and all items
 
 
-def share_out(work, items, nj, *, first_here=True):
-    """Return ``[work(item) for item in items]``, done by up to `nj` forked processes.
+def share_out(work: Callable[[Item], Result], items: Iterable[Item], nj: int, *,
+              first_here: bool = True) -> list[Result]:
+    """Return ``[work(item) for item in items]``, computed by up to `nj` forked processes.
 
     Parameters
     ----------
     work : callable
-        It and the items may be of any size and kind; what it returns is pickled.
+        It and the items may be of any size and need not be picklable; its results are pickled.
     items : iterable
     nj : int
     first_here : bool
-        Do the first item before there are processes: they all have then what it compiled and computed for all.
+        Work on the first item before forking, so that all processes inherit what it compiled and cached.
 
     Raises
     ------
@@ -29,29 +35,32 @@ def share_out(work, items, nj, *, first_here=True):
     """
     items = list(items)
     n_here = len(items) if nj == 1 else int(first_here)
-    done, items = [work(item) for item in items[:n_here]], items[n_here:]
+    results, items = [work(item) for item in items[:n_here]], items[n_here:]
     nj = min(nj, len(items))
     if not nj:
-        return done
-    with ProcessPoolExecutor(nj, multiprocessing.get_context("fork"), initializer=_begin,
+        return results
+    with ProcessPoolExecutor(nj, multiprocessing.get_context("fork"), initializer=_start_worker,
                              initargs=(work, items)) as pool:
-        return [*done, *pool.map(_call, range(len(items)))]
+        return [*results, *pool.map(_work_on, range(len(items)))]
 
 
-def _begin(*share):
-    global _share
-    _share = share
-    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as of a job in the background
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # ends it at once and without a word; the parent has one to say
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+def _start_worker(work: Callable[[Any], Any], items: list[Any]) -> None:
+    global _task
+    _task = work, items
+    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # which a job in the background ignores
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # ends the worker without a message; the parent prints one
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
 
 
-def _end_with_parent():
-    """A killed parent cannot tell its workers, which would wait for work forever."""
-    connection.wait([multiprocessing.parent_process().sentinel])
+def _exit_with_parent() -> None:
+    """Exit when the parent does: a parent that is killed cannot tell its workers, which would wait for ever."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    connection.wait([parent.sentinel])
     os._exit(1)
 
 
-def _call(number):
-    work, items = _share
+def _work_on(number: int) -> Any:
+    assert _task is not None
+    work, items = _task
     return work(items[number])
