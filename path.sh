@@ -15,5 +15,5 @@ export ROOMEQ_DIR
 export PATH="$ROOMEQ_DIR/.venv/bin:$PATH"
 export PYTHONPATH="$ROOMEQ_DIR/pysrc${PYTHONPATH:+:$PYTHONPATH}"
 export LC_ALL=C PYTHONUTF8=1
-# work is split into jobs: threads below them would only fight over the cores
+# work is split into jobs, and each job uses one thread
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 NUMBA_NUM_THREADS=1

@@ -54,8 +54,8 @@ packing=recording         # one FLAC per recording, with segments; or: utterance
 
 # stages 8-10: Kaldi, at KALDI_ROOT or around this directory
 dry_run=false             # print the Kaldi commands only
-lm_text=                  # for the language models, with the transcripts; LibriSpeech and the synthetic corpus have their own
-align_on=clean            # alignments of the clean speech for all systems; self: of each one's own speech, as in the paper
+lm_text=                  # for the language models, with the transcripts; LibriSpeech and the synthetic corpus have one
+align_on=clean            # alignments of the clean speech for all sets; self: of each set, as in the paper
 gmm_passes="mono 300, deltas all 300 3000, lda_mllt all 400 6000, sat all 400 6000"   # of train_gmm.sh
 num_leaves=400            # of the network's tree
 rows=                     # of the table, e.g. "sim.rvb sim.loop.rvb"; none: all
@@ -93,7 +93,8 @@ if at_stage 1 "characterise and split the measured RIRs"; then
     "$data/rirs.real"
 fi
 
-simulate=(steps/simulate_rirs.sh --nj "$nj" --t60-range "$t60_range" --num-rays "$num_rays" --order "$order" --seed "$seed")
+simulate=(steps/simulate_rirs.sh --nj "$nj" --t60-range "$t60_range" --num-rays "$num_rays" --order "$order"
+  --seed "$seed")
 if at_stage 2 "simulate one RIR per measured one"; then
   for x in train dev; do
     "${simulate[@]}" "$data/rirs.real.$x" "$data/rirs.sim.$x"

@@ -7,16 +7,16 @@ set -euo pipefail
 [ $# -gt 0 ] || set -- requirements.txt
 python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
   { echo "install.sh: $(python3 --version) is too old: Python 3.11 or newer is needed" >&2 && exit 1; }
-[ "$(uname -s)" = Linux ] || echo "install.sh: only tried on Linux; going on" >&2
+[ "$(uname -s)" = Linux ] || echo "install.sh: tested on Linux only; continuing" >&2
 
 mark=.venv/.installed-$(cat pyproject.toml "$@" | sha256sum | cut -c1-16)
 [ ! -f "$mark" ] || exit 0
 mkdir -p .venv
-exec 9>.venv/.lock # two runs that start at once would install over each other
+exec 9>.venv/.lock # two runs may start at once
 flock 9
 [ ! -f "$mark" ] || exit 0
 echo "install.sh: installing Python packages into .venv (a minute, once)"
-if ! .venv/bin/python -m pip --version >/dev/null 2>&1; then # absent, or left half made by a killed run
+if ! .venv/bin/python -m pip --version >/dev/null 2>&1; then # absent, or incomplete after a killed run
   python3 -m venv .venv || {
     rm -rf .venv
     echo "install.sh: python3 -m venv failed: on Debian and Ubuntu 'apt install python3-venv' provides it" >&2

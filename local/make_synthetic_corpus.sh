@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
 # Generate the synthetic corpus: sentences spoken by eSpeak NG, and "measured" RIRs by a wave-acoustics generator.
-# They are not real recordings. Written in the layouts of LibriSpeech and BUT ReverbDB.
+# Nothing in it is recorded. The layouts are those of LibriSpeech and BUT ReverbDB.
 # Usage: local/make_synthetic_corpus.sh [--nj 2] [--utterances 900,150,150] [--rooms 9] [--positions 6] <corpora-dir>
 # e.g.:  local/make_synthetic_corpus.sh corpora
 set -euo pipefail
 nj=2                     # jobs
 utterances=900,150,150   # for train, dev, test
 rooms=9                  # 1 to 80
-positions=6              # microphones, and loudspeakers, in each room
+positions=6              # microphones and loudspeakers per room
 seed=0                   # of every random draw
 . ./path.sh
 . utils/parse_options.sh

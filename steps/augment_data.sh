@@ -4,12 +4,12 @@
 # e.g.:  steps/augment_data.sh --nj 4 data/train.clean data/rirs.sim.train data/train.sim.rvb
 set -euo pipefail
 nj=2                       # jobs
-noises=                    # directory whose noises.jsonl to take noises from, besides those of <rir-dir>
+noises=                    # directory with noises.jsonl, in addition to that of <rir-dir>
 snr="uniform 5 25"         # of the ambient noise [dB]; also "normal 15 5", "list 20,15", none
 point_snr="uniform 5 25"   # of point noises [dB]
-draw_rooms_equally=false   # draw the room first, then an RIR in it; false: every RIR is equally likely
-packing=recording          # one FLAC a recording, with segments; or: utterance
-seed=0   # of every random draw
+draw_rooms_equally=false   # draw the room first, then one of its RIRs; false: every RIR is equally likely
+packing=recording          # one FLAC per recording, with segments; or: utterance
+seed=0                     # of every random draw
 . ./path.sh
 . utils/parse_options.sh
 [ $# -eq 3 ] || usage

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Measure every RIR (T60, C50, DRR, EQ ...) and say which are repeats, uncommon or unfit.
+# Measure every RIR (T60, C50, DRR, EQ ...), and mark repeats, uncommon rooms and RIRs unfit for the EQ fit.
 # Usage: steps/characterise_rirs.sh [--nj 2] <rir-dir> <rir-dir-out>
 # e.g.:  steps/characterise_rirs.sh data/measured data/rirs.real
 set -euo pipefail

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Find the effects that the simulation of measured RIRs lacks, and what adding them is worth on rooms left out.
+# Find the effects that the simulation of measured RIRs lacks, and measure what they improve in held-out rooms.
 # Usage: steps/close_loop.sh [options] <measured-rir-dir> <test-rir-dir> <loop-dir>
 # e.g.:  steps/close_loop.sh --nj 4 data/rirs.real.train data/rirs.real.dev exp/loop
-# Makes ledger.json, what was found, and model.json for `steps/simulate_rirs.sh --model`. The second directory is
-# only scored. It is one job of $nj processes.
+# Makes ledger.json, the record of all decisions, and model.json for `steps/simulate_rirs.sh --model`. The second
+# directory is only scored. The step is one job of $nj processes.
 set -euo pipefail
 nj=2            # processes; results do not depend on it
-max_effects=4   # at most so many are added
+max_effects=4   # largest number of effects to add
 seed=0          # of every random draw
 . ./path.sh
 . ./cmd.sh

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# Give every simulated RIR a sub-band EQ drawn from the measured distribution.
+# Filter every simulated RIR so that its sub-band EQ is one drawn from the fitted mixture.
 # Usage: steps/compensate_rirs.sh [options] <simulated-rir-dir> <eq-dir> <rir-dir>
 # e.g.:  steps/compensate_rirs.sh --nj 4 data/rirs.sim.train exp/eq data/rirs.sim.EQ.train
 set -euo pipefail
 nj=2               # jobs
-taps=511           # of the filters
-match_rooms=true   # choose the mixture's components as the measured RIRs of the same room do
+taps=511           # length of the filters, odd
+match_rooms=true   # draw each EQ with the component weights of the measured RIRs of its room
 seed=0             # of every random draw
 . ./path.sh
 . utils/parse_options.sh

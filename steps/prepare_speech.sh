@@ -3,7 +3,7 @@
 # Usage: steps/prepare_speech.sh [options] <corpus> <data-dir>
 # e.g.:  steps/prepare_speech.sh --train-sets train-clean-100,train-clean-360 /corpora/LibriSpeech data
 set -euo pipefail
-train_sets=train-clean-100   # names of sets, for a LibriSpeech tree
+train_sets=train-clean-100   # sets of a LibriSpeech tree, comma-separated
 dev_sets=dev-clean
 test_sets=test-clean
 . ./path.sh

@@ -3,7 +3,7 @@
 # Usage: steps/read_measured.sh [--noises DIR] <corpus> <rir-dir>
 # e.g.:  steps/read_measured.sh /corpora/BUT_ReverbDB data/measured
 set -euo pipefail
-noises=   # folder of noise recordings, beside those of the corpus
+noises=   # folder of noise recordings to add to those of the corpus
 . ./path.sh
 . utils/parse_options.sh
 [ $# -eq 2 ] || usage

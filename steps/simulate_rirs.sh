@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
-# Simulate one RIR per measured one, from its room, source and microphone, with materials drawn at random.
+# Simulate one RIR per measured one, from its room, source and microphone, with random materials.
 # Usage: steps/simulate_rirs.sh [options] <measured-rir-dir> <rir-dir>
 # e.g.:  steps/simulate_rirs.sh --nj 4 data/rirs.real.train data/rirs.sim.train
 set -euo pipefail
 nj=2               # jobs
-t60_range=0.2,2.0  # reverberation times are uniform in it [s]; measured: in that of the measured rooms
-num_rays=20000     # rays a source
-order=200          # reflections a ray
-model=             # effects that rays lack, from steps/close_loop.sh: exp/loop/model.json
-seed=0   # of every random draw
+t60_range=0.2,2.0  # range of reverberation times [s]; measured: that of the measured rooms
+num_rays=20000     # rays per source
+order=200          # reflections per ray
+model=             # effects to add, from steps/close_loop.sh: exp/loop/model.json
+seed=0             # of every random draw
 . ./path.sh
 . utils/parse_options.sh
 [ $# -eq 2 ] || usage

@@ -3,10 +3,10 @@
 # Usage: steps/split_rirs.sh [--split-by rir|room] [--same-rooms 'house_*,lab_*'] [--sizes 773,194,242] <rir-dir>
 # e.g.:  steps/split_rirs.sh --split-by room data/rirs.real
 set -euo pipefail
-split_by=rir          # or room: no room is in two sets
-same_rooms=           # patterns: rooms that one of them matches count as one; only by room
-sizes=773,194,242     # proportions, where there are fewer RIRs
-seed=0   # of every random draw
+split_by=rir          # rir or room; room: no room is in two sets
+same_rooms=           # patterns: rooms that match one pattern count as one room; only with --split-by room
+sizes=773,194,242     # RIRs per set; proportions where there are fewer
+seed=0                # of every random draw
 . ./path.sh
 . utils/parse_options.sh
 [ $# -eq 1 ] || usage

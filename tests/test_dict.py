@@ -32,7 +32,7 @@ def dictionary(tmp_path_factory):
     return where / "dict"
 
 
-def test_lexicon_says_each_word_once(dictionary):
+def test_lexicon_holds_each_word_once(dictionary):
     entries = [line.split(" ", 1) for line in lines(dictionary / "lexicon.txt")]
     assert entries[:2] == [["!SIL", "SIL"], ["<UNK>", "SPN"]]
     assert dict(entries[2:]) == {
@@ -41,7 +41,7 @@ def test_lexicon_says_each_word_once(dictionary):
     assert [word for word, _ in entries[2:]] == sorted(word for word, _ in entries[2:])
 
 
-def test_phones_are_those_of_the_lexicon_and_silence_is_apart(dictionary):
+def test_phone_lists_match_the_lexicon(dictionary):
     spoken = {phone for line in lines(dictionary / "lexicon.txt") for phone in line.split()[1:]}
     silences, others = (lines(dictionary / f"{name}_phones.txt") for name in ("silence", "nonsilence"))
     assert silences == ["SIL", "SPN"] and lines(dictionary / "optional_silence.txt") == ["SIL"]
@@ -49,12 +49,12 @@ def test_phones_are_those_of_the_lexicon_and_silence_is_apart(dictionary):
     assert (dictionary / "extra_questions.txt").read_text() == ""
 
 
-def test_phones_of_american_english_are_as_many_as_kaldi_can_use():
+def test_phone_set_has_a_usable_size():
     phones = {phone for phones in make_dict.PHONES.values() for phone in phones.split()}
     assert 20 <= len(phones) <= 50 and all(re.fullmatch("[A-Z]+", phone) for phone in phones)
 
 
-def test_same_bytes_whatever_the_order_and_with_or_without_ids(dictionary, tmp_path):
+def test_dictionary_does_not_depend_on_word_order_or_ids(dictionary, tmp_path):
     shuffled = [" ".join(line.split()[:0:-1]) for line in TEXT.splitlines()]
     (tmp_path / "lm.txt").write_text("\n".join(shuffled) + "\n")
     assert run("--no-ids", tmp_path / "lm.txt", tmp_path / "dict").returncode == 0
@@ -62,7 +62,7 @@ def test_same_bytes_whatever_the_order_and_with_or_without_ids(dictionary, tmp_p
             == {path.name: path.read_bytes() for path in dictionary.glob("*.txt")})
 
 
-def test_stress_and_variants_of_one_sound_are_dropped():
+def test_stress_and_allophones_are_dropped():
     assert make_dict.pronunciation("water", "w_'O:_t#_3") == ["W", "AO", "DX", "ER"]
     assert make_dict.pronunciation("starry", "s_t_'A@_r_i") == ["S", "T", "AA", "R", "IY"]
     assert make_dict.pronunciation("button", "b_'V_?_n-") == ["B", "AH", "T", "AX", "N"]
@@ -71,7 +71,7 @@ def test_stress_and_variants_of_one_sound_are_dropped():
 @pytest.mark.parametrize(("text", "message"), [
     ("a-1 GOOD\na-2 <BAD>\n", r"text:2: '<BAD>' must be a word"), ("a-1\n", "text: holds no words"),
     ("a-1 GOOD ...\n", r"text:1: '...' must be a word")])
-def test_what_is_no_word_is_named(text, message, tmp_path):
+def test_words_with_other_characters_are_refused(text, message, tmp_path):
     (tmp_path / "text").write_text(text)
     done = run(tmp_path / "text", tmp_path / "dict")
     assert done.returncode == 1 and re.fullmatch(rf"make_dict\.py: .*{message}.*\n", done.stderr)
@@ -79,12 +79,12 @@ def test_what_is_no_word_is_named(text, message, tmp_path):
 
 
 @pytest.mark.parametrize("phonemes", ["'y:_b_3", "", "_'"])
-def test_a_word_of_other_sounds_or_of_none_is_named(phonemes):
+def test_word_with_foreign_or_no_phonemes_is_refused(phonemes):
     with pytest.raises(ValueError, match="word 'über' has pronunciation .* must be of the sounds"):
         make_dict.pronunciation("über", phonemes)
 
 
-def test_leaves_what_is_not_its_own(tmp_path):
+def test_foreign_output_directory_is_left_alone(tmp_path):
     (tmp_path / "text").write_text(TEXT)
     (tmp_path / "dict").mkdir()
     (tmp_path / "dict/notes").write_text("mine")

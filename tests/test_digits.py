@@ -49,7 +49,7 @@ def rows(corpus):
         return list(csv.DictReader(stream))
 
 
-def test_each_set_has_every_digit_as_often_as_asked_for(corpus):
+def test_each_set_has_every_digit_as_often_as_passes(corpus):
     words = {role: Counter() for role in ("train", "dev", "test")}
     for row in rows(corpus):
         words[row["set"]].update((row["speaker"], word) for word in row["transcript"].split())
@@ -57,7 +57,7 @@ def test_each_set_has_every_digit_as_often_as_asked_for(corpus):
         assert words[role] == {(speaker, word): times for speaker in ("ann", "bob") for word in ("ZERO", "ONE")}
 
 
-def test_strings_are_audio_of_16_khz_without_digital_silence(corpus):
+def test_strings_are_16_khz_audio_with_a_noise_floor(corpus):
     for row in rows(corpus):
         samples, fs_hz = soundfile.read(corpus / row["file"])
         n_words = len(row["transcript"].split())
@@ -74,14 +74,14 @@ def test_no_recording_is_in_two_sets(digits):
     assert indices == {"train": {20, 49}, "dev": {15, 17}, "test": {0, 3, 14}}
 
 
-def test_same_bytes_over_jobs(digits, corpus, tmp_path):
+def test_two_jobs_give_the_same_bytes(digits, corpus, tmp_path):
     assert run("--passes", "2,1,3", "--nj", "2", digits, tmp_path / "again").returncode == 0
     for path in corpus.rglob("*"):
         if path.is_file() and path.name != ".done":
             assert path.read_bytes() == (tmp_path / "again" / path.relative_to(corpus)).read_bytes()
 
 
-def test_mistakes_are_one_line(tmp_path, digits):
+def test_wrong_inputs_are_one_line(tmp_path, digits):
     (tmp_path / "empty").mkdir()
     done = run(tmp_path / "empty", tmp_path / "out")
     assert done.returncode == 1 and "holds no recordings DIGIT_SPEAKER_INDEX" in done.stderr

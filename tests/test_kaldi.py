@@ -61,7 +61,7 @@ def test_dry_run_needs_neither_kaldi_nor_data(project_dir, tmp_path):
     assert len(decoded) == 5 * 2 * 5  # sets, test sets, language models and online
 
 
-def test_stock_augmentation_makes_another_row(project_dir, tmp_path):
+def test_stock_augmentation_adds_a_row(project_dir, tmp_path):
     lines = dry(project_dir, tmp_path, "--stage", "8", "--stock-rvb")
     made = position(lines, "reverberate_data_dir.py", "data/train.clean data/train.sim.stock.rvb")
     assert made < position(lines, "chain/train.py", "--dir train.sim.stock.rvb")
@@ -69,19 +69,19 @@ def test_stock_augmentation_makes_another_row(project_dir, tmp_path):
     assert not any("stock.rvb" in line for line in dry(project_dir, tmp_path, "--stage", "8"))
 
 
-def test_some_rows(project_dir, tmp_path):
+def test_rows_selects_the_systems_to_train(project_dir, tmp_path):
     lines = dry(project_dir, tmp_path, "--stage", "8", "--rows", "real.rvb sim.loop.rvb")
     trained = [line for line in lines if "chain/train.py" in line]
     assert [re.search("--dir (\\S+)", line)[1] for line in trained] == ["train.real.rvb", "train.sim.loop.rvb"]
     position(lines, "train_sat", "data/train.clean ")
 
 
-def test_one_stage_at_a_time(project_dir, tmp_path):
+def test_a_later_stage_does_not_repeat_earlier_ones(project_dir, tmp_path):
     assert not any("train.py" in line for line in dry(project_dir, tmp_path, "--stage", "10"))
     assert not any("mono" in line for line in dry(project_dir, tmp_path, "--stage", "9"))
 
 
-def test_the_papers_experiment_is_the_stock_recipe(project_dir, tmp_path):
+def test_librispeech_config_runs_the_stock_recipe(project_dir, tmp_path):
     lines = dry(project_dir, tmp_path, "--stage", "8", "--config", "conf/librispeech.conf", "--librispeech", "LS")
     position(lines, "download_lm.sh")
     position(lines, "prepare_dict.sh")
@@ -101,7 +101,7 @@ def test_the_papers_experiment_is_the_stock_recipe(project_dir, tmp_path):
     (["--stage", "8", "--dry-run", "--rows", "sim.rvb sim.rvd"], ["--rows: 'sim.rvd'", "clean real.rvb sim.rvb"]),
     (["--stage", "8", "--dry-run", "--stop-stage", "10", "--gmm-passes", "quad 3"], ["'quad'", "mono, deltas"]),
 ])
-def test_refused_in_one_line(project_dir, options, words):
+def test_wrong_kaldi_options_are_refused_in_one_line(project_dir, options, words):
     done = run(project_dir, "./run.sh", *options)
     assert done.returncode == 1
     last = done.stderr.splitlines()[-1]
@@ -127,7 +127,7 @@ def counted(recipe, *args, fails=False):
     return (recipe / "ws/count").read_text().split(), done.stderr
 
 
-def test_once_means_once_until_words_or_inputs_change(recipe):
+def test_once_repeats_only_after_a_change(recipe):
     assert counted(recipe, "ws", "a")[0] == ["a", "a"]
     assert counted(recipe, "ws", "a")[0] == ["a", "a"]
     assert counted(recipe, "--nj", "5", "ws", "a")[0] == ["a", "a"]
@@ -138,29 +138,29 @@ def test_once_means_once_until_words_or_inputs_change(recipe):
     assert len(counted(recipe, "--input", "in", "ws", "b")[0]) == 8
 
 
-def test_a_failed_command_is_named_and_repeated_alone(recipe):
+def test_failed_command_is_named_and_alone_repeated(recipe):
     _, said = counted(recipe, "ws", "bad", fails=True)
     assert "second failed" in said and "it went wrong" in said and "ws/log/second.log" in said
     assert counted(recipe, "ws", "bad", fails=True)[0] == ["bad"] * 3
 
 
-def test_what_a_killed_run_left_is_waited_for(recipe):
+def test_commands_left_by_a_killed_run_are_waited_for(recipe):
     command = "exec 9>ws/.lock; flock 9; echo held; sleep 12; echo a >>ws/count"
     left = subprocess.Popen(["sh", "-c", command], cwd=recipe, stdout=subprocess.PIPE)
     left.stdout.readline()
     done = run(recipe, "./count.sh", "ws", "b")
     assert left.wait() == 0 and done.returncode == 0
-    assert "kaldi: waiting for what another run does in ws, or has left there" in done.stdout
+    assert "kaldi: waiting for a command of another run in ws" in done.stdout
     assert (recipe / "ws/count").read_text().split() == ["a", "b", "b"]
 
 
-def test_two_runs_at_once_do_each_command_once(recipe):
+def test_two_simultaneous_runs_do_each_command_once(recipe):
     both = [subprocess.Popen(["./count.sh", "ws", "a"], cwd=recipe) for _ in range(2)]
     assert [one.wait() for one in both] == [0, 0]
     assert (recipe / "ws/count").read_text().split() == ["a", "a"]
 
 
-def test_a_missing_input_is_named(recipe):
+def test_missing_input_is_named(recipe):
     done = run(recipe, "./count.sh", "--input", "gone", "ws", "a")
     assert (done.returncode, done.stdout) == (1, "")
     assert "gone is missing" in done.stderr
@@ -173,7 +173,7 @@ def copy_data(project_dir):
                              *map(str, args), PYTHONPATH=str(project_dir / "pysrc"), LC_ALL="C")
 
 
-def test_copies_name_audio_by_absolute_paths(copy_data, tmp_path, project_dir):
+def test_copied_directory_names_audio_by_absolute_paths(copy_data, tmp_path, project_dir):
     source = speech_dir(tmp_path / "a dir")
     relative = os.path.relpath(source, project_dir)
     done = copy_data(relative, tmp_path / "copy")
@@ -183,7 +183,7 @@ def test_copies_name_audio_by_absolute_paths(copy_data, tmp_path, project_dir):
     assert (tmp_path / "copy/text").read_bytes() == (source / "text").read_bytes()
 
 
-def test_copies_keep_what_kaldi_made_until_the_source_changes(copy_data, tmp_path):
+def test_copy_keeps_features_until_the_source_changes(copy_data, tmp_path):
     source = speech_dir(tmp_path / "source")
     copy_data(source, tmp_path / "copy")
     (tmp_path / "copy/feats.scp").write_text("x")
@@ -194,7 +194,7 @@ def test_copies_keep_what_kaldi_made_until_the_source_changes(copy_data, tmp_pat
     assert not (tmp_path / "copy/feats.scp").exists()
 
 
-def test_copies_refuse_pipes(copy_data, tmp_path):
+def test_copy_refuses_pipes(copy_data, tmp_path):
     source = speech_dir(tmp_path / "source")
     (source / "wav.scp").write_text("".join(
         f"{line.split()[0]} sox in.wav -t wav - |\n" for line in (source / "wav.scp").read_text().splitlines()))
@@ -212,22 +212,22 @@ def fake_kaldi(root):
     return root
 
 
-def test_without_kaldi_it_says_what_to_set(recipe, project_dir):
+def test_missing_kaldi_root_is_named(recipe, project_dir):
     (recipe / "path.sh").write_text("")
     done = run(recipe, "local/kaldi/make_workspace.sh", "ws", "data")
     assert done.returncode == 1
-    assert done.stderr == ("make_workspace.sh: where is Kaldi? Set KALDI_ROOT, or put this directory into Kaldi's "
-                           "egs/librispeech\n")
+    assert done.stderr == ("make_workspace.sh: KALDI_ROOT is not set: set it to Kaldi's top directory, or put this "
+                           "directory into Kaldi's egs/librispeech\n")
 
 
-def test_a_wrong_root_is_named(recipe, tmp_path):
+def test_wrong_kaldi_root_is_named(recipe, tmp_path):
     (recipe / "path.sh").write_text("")
     done = run(recipe, "local/kaldi/make_workspace.sh", "ws", "data", KALDI_ROOT=str(tmp_path))
     assert done.returncode == 1
     assert f"KALDI_ROOT '{tmp_path}' has no egs/wsj/s5/steps" in done.stderr
 
 
-def test_inside_egs_librispeech_kaldi_is_around_us(tmp_path, project_dir):
+def test_kaldi_root_is_found_from_egs_librispeech(tmp_path, project_dir):
     kaldi = fake_kaldi(tmp_path / "kal di")
     inside = kaldi / "egs/librispeech/rooms"
     inside.symlink_to(project_dir)  # a link does as well as a copy
@@ -240,7 +240,7 @@ def test_inside_egs_librispeech_kaldi_is_around_us(tmp_path, project_dir):
 
 
 @pytest.mark.skipif("KALDI_ROOT" not in os.environ, reason="needs KALDI_ROOT: Kaldi, compiled")
-def test_kaldi_itself_trains_and_recognises(tmp_path, project_dir):
+def test_stock_kaldi_trains_and_decodes(tmp_path, project_dir):
     """Stages 8-10 at a size that recognises nothing: every stock command runs, and the table comes out."""
     recipe_run.finish(recipe_run.start(project_dir, tmp_path, tmp_path / "corpora", 2, "--stop-stage", "6"))
     small = ["--gmm-passes", "mono all, deltas all 50 300, sat all 50 300", "--num-leaves", "50", "--chain-opts",

@@ -64,7 +64,7 @@ def models(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", make_lms.MODELS)
-def test_probabilities_sum_to_one_after_any_words(models, name):
+def test_probabilities_sum_to_one_after_any_history(models, name):
     model = models[name]
     rng = np.random.default_rng(0)
     listed = [ngram for ngram in model.log10 if len(ngram) < model.order and ngram[-1] != "</s>"]
@@ -73,7 +73,7 @@ def test_probabilities_sum_to_one_after_any_words(models, name):
         assert sum(model.probability(history, word) for word in model.vocabulary) == pytest.approx(1, abs=1e-4)
 
 
-def test_models_are_as_large_and_as_good_as_their_names_say(models):
+def test_larger_models_have_lower_perplexity(models):
     names = ["tgsmall", "tgmed", "tglarge", "fglarge"]
     assert [models[name].order for name in names] == [3, 3, 3, 4]
     sizes = [len(models[name].log10) for name in names]
@@ -84,7 +84,7 @@ def test_models_are_as_large_and_as_good_as_their_names_say(models):
     assert fourgrams < 1.01 * large
 
 
-def test_after_a_word_that_every_word_has_followed_nothing_is_left_to_give(tmp_path):
+def test_history_followed_by_every_word_cannot_back_off(tmp_path):
     """Nothing divided by nothing: the weight of a history that cannot back off."""
     words = [f"w{n}" for n in range(6)]
     (tmp_path / "text").write_text("".join(f"{a} {b} {a}\n" for a in words for b in words))
@@ -95,13 +95,13 @@ def test_after_a_word_that_every_word_has_followed_nothing_is_left_to_give(tmp_p
         assert sum(model.probability(["w0"], word) for word in model.vocabulary) == pytest.approx(1, abs=1e-4)
 
 
-def test_every_listed_history_is_itself_listed(models):
+def test_history_of_every_ngram_is_listed(models):
     for model in models.values():
         for ngram in model.log10:
             assert len(ngram) == 1 or ngram[:-1] in model.log10
 
 
-def test_same_text_same_bytes(tmp_path):
+def test_same_text_gives_the_same_bytes(tmp_path):
     (tmp_path / "text").write_text("".join(" ".join(words) + "\n" for words in sentences(3, 50)))
     for out in ("a", "b"):
         run(tmp_path / "text", tmp_path / out)
@@ -112,7 +112,7 @@ def test_same_text_same_bytes(tmp_path):
 
 @pytest.mark.parametrize("text, words", [
     (None, "No such file"), ("\n\n", "at least two"), ("ONE LINE\n", "at least two")])
-def test_bad_texts_are_refused(tmp_path, text, words):
+def test_empty_or_absent_text_is_refused(tmp_path, text, words):
     if text is not None:
         (tmp_path / "text").write_text(text)
     done = run(tmp_path / "text", tmp_path / "out")

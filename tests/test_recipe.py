@@ -24,7 +24,7 @@ def undisturbed(corpora, project_dir):
     return finish(start(project_dir, where, corpora / "corpora", 1)), hashes(where)
 
 
-def test_ends_with_data_directories_and_a_report(undisturbed, corpora):
+def test_run_ends_with_data_directories_and_report(undisturbed, corpora):
     output, files = undisturbed
     assert "report: " in output.splitlines()[-1] and "data directory: " in output.splitlines()[-2]
     for name in ("train.real", "train.sim", "train.sim.EQ", "train.sim.loop", "dev.real", "dev.sim", "dev.sim.EQ",
@@ -33,7 +33,7 @@ def test_ends_with_data_directories_and_a_report(undisturbed, corpora):
     assert "exp/report/index.html" in files
 
 
-def test_the_loop_finds_the_loudspeakers_and_simulates_with_them(undisturbed, corpora):
+def test_loop_finds_the_loudspeaker_responses(undisturbed, corpora):
     output, files = undisturbed
     found = re.findall(r"^loop: (\S+): held-out error ([\d.]+) -> ([\d.]+) JND \[[\d.]+, [\d.]+\]$", output, re.M)
     assert [name for name, *_ in found] == ["source_response"] and float(found[0][2]) < float(found[0][1])
@@ -45,7 +45,7 @@ def test_the_loop_finds_the_loudspeakers_and_simulates_with_them(undisturbed, co
     assert "What the simulation lacked" in (where / "exp/report/index.html").read_text()
 
 
-def test_without_rooms_that_are_known_the_recipe_says_so_and_goes_on(undisturbed, corpora, project_dir):
+def test_loop_is_skipped_without_room_geometry(undisturbed, corpora, project_dir):
     where = corpora / "run-e"
     measured = corpora / "run-a/data/rirs.real"
     (where / "measured").mkdir(parents=True)
@@ -68,7 +68,7 @@ def test_two_jobs_and_a_second_run_give_the_same_bytes(undisturbed, corpora, pro
     assert hashes(where) == undisturbed[1]
 
 
-def test_killed_and_started_again_gives_the_same_bytes(undisturbed, corpora, project_dir):
+def test_killed_and_restarted_run_gives_the_same_bytes(undisturbed, corpora, project_dir):
     where = corpora / "run-c"
     moments, killed = random.Random(0), []
     for _ in range(4):
@@ -81,7 +81,7 @@ def test_killed_and_started_again_gives_the_same_bytes(undisturbed, corpora, pro
     assert hashes(where) == undisturbed[1]
 
 
-def test_stages_without_what_they_need_say_which_to_run(corpora, project_dir):
+def test_stage_without_its_input_names_the_step_to_run(corpora, project_dir):
     process = start(project_dir, corpora / "run-d", corpora / "corpora", 1, "--stage", "4")
     output, _ = process.communicate(timeout=120)
     assert process.returncode != 0

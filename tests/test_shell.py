@@ -1,4 +1,4 @@
-"""Options of shell scripts are assigned and never evaluated; jobs run, and a failing one is named."""
+"""Options of shell scripts are assigned and never evaluated; the local runner names a failing job."""
 
 import os
 import subprocess
@@ -42,7 +42,7 @@ def test_options_take_values_with_and_without_equals_sign(recipe):
 
 @pytest.mark.parametrize(
     "value", ["$(touch evil)", "`touch evil`", "'; touch evil; '", "a\nb", "-x", "*", "../x", "é"])
-def test_values_are_never_evaluated(recipe, value):
+def test_option_values_are_never_evaluated(recipe, value):
     (recipe / "size.conf").write_text(f"some_name={value.splitlines()[0]}\n")
     done = call(recipe, "./say.sh", "--some-name", value, "say.sh")
     assert (done.returncode, done.stdout) == (0, f"2|{value}|false|say.sh|")
@@ -66,14 +66,14 @@ def test_command_line_wins_over_config(recipe):
     (["absent"], "absent is missing: run steps/before.sh first"),
     ([], "Usage:"),
 ])
-def test_mistakes_are_named(recipe, args, message):
+def test_wrong_options_are_named(recipe, args, message):
     done = call(recipe, "./say.sh", *args)
     assert done.returncode != 0
     assert message in done.stderr and done.stdout == ""
 
 
 @pytest.mark.parametrize("line, message", [("nope=1", "unknown option 'nope'"), ("nj 3", "must be name=value")])
-def test_mistakes_in_a_config_are_named_with_their_line(recipe, line, message):
+def test_wrong_config_lines_are_named_with_their_number(recipe, line, message):
     (recipe / "size.conf").write_text(f"nj=3\n{line}\n")
     done = call(recipe, "./say.sh", "--config", "size.conf", "say.sh")
     assert done.returncode != 0 and "size.conf:2: " in done.stderr and message in done.stderr
@@ -86,12 +86,14 @@ def test_help_prints_header_and_options(recipe):
 
 
 def test_every_script_has_help(project_dir):
-    for script in [*project_dir.glob("steps/*.sh"), project_dir / "run.sh", project_dir / "local/make_synthetic_corpus.sh"]:
+    scripts = [project_dir / "run.sh", project_dir / "local/make_synthetic_corpus.sh", *project_dir.glob("steps/*.sh"),
+               *(path for path in project_dir.glob("local/kaldi/*.sh") if path.name != "common.sh")]
+    for script in scripts:
         done = call(project_dir, str(script), "--help")
         assert done.returncode == 0 and "Usage:" in done.stdout and "e.g.:" in done.stdout, script
 
 
-def test_local_jobs_run_and_the_failing_one_is_named(recipe):
+def test_local_runner_names_the_failing_job(recipe):
     done = call(recipe, "utils/local.sh", "JOB=1:3", "log/x.JOB.log", "bash", "-c", "echo $0; [ $0 != 2 ]", "JOB")
     assert done.returncode == 1
     assert "job 2 failed" in done.stderr and "job 1" not in done.stderr
@@ -99,7 +101,7 @@ def test_local_jobs_run_and_the_failing_one_is_named(recipe):
 
 
 @pytest.mark.parametrize("runner", ["local.sh", "slurm.sh"])
-def test_a_log_that_cannot_be_written_is_named_and_nothing_starts(recipe, runner):
+def test_unwritable_log_is_named_and_nothing_starts(recipe, runner):
     (recipe / "log").write_text("not a folder")
     (recipe / "sbatch").symlink_to("/bin/true")
     done = subprocess.run([f"utils/{runner}", "JOB=1:2", "log/x.JOB.log", "touch", "evil"], cwd=recipe, text=True,
@@ -113,19 +115,19 @@ def test_a_log_that_cannot_be_written_is_named_and_nothing_starts(recipe, runner
     ("--point-snr", "$(touch evil)", "must be 'uniform LOW HIGH'"), ("--taps", "512", "must be odd"),
     ("--packing", "files", "must be recording or utterance"), ("--t60-range", "0.5", "must be two times"),
     ("--t60-range", "match", "must be two times")])
-def test_the_recipe_refuses_values_before_any_work(project_dir, option, value, message):
+def test_recipe_refuses_values_before_any_work(project_dir, option, value, message):
     done = call(project_dir, "./run.sh", option, value)
     assert done.returncode == 1 and done.stdout == ""
     assert done.stderr.startswith(f"run.sh: {option} '{value}' {message}") and done.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize("value", ["none", "7", "-2.5", "normal 15 5", "uniform 5, 25", "list 20,15,10"])
-def test_the_recipe_takes_what_the_tools_take(project_dir, value):
+def test_recipe_accepts_the_same_snr_as_the_tools(project_dir, value):
     parse_distribution(value, "snr")
     done = call(project_dir, "./run.sh", "--snr", value, "--stop-stage", "99")
     assert done.stderr.startswith("run.sh: --stop-stage '99' ")
 
 
-def test_scripts_refuse_another_directory(tmp_path, project_dir):
+def test_recipe_refuses_another_current_directory(tmp_path, project_dir):
     done = call(tmp_path, str(project_dir / "run.sh"))
     assert done.returncode != 0 and "directory that holds run.sh" in done.stderr

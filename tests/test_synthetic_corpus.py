@@ -66,7 +66,7 @@ def transcripts(folder):
 
 
 @pytest.mark.parametrize("kind", SMALL)
-def test_bytes_depend_neither_on_jobs_nor_on_an_interruption(kind, tmp_path, request):
+def test_killed_run_with_two_jobs_gives_the_same_bytes(kind, tmp_path, request):
     killed = subprocess.Popen(command(kind, tmp_path / "b", "--nj", "2"), start_new_session=True,
                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     while killed.poll() is None and not list(tmp_path.glob(".b.part-*/.items/*.json")):
@@ -91,12 +91,12 @@ def test_another_seed_gives_other_audio(speech, rirs, tmp_path):
 
 
 @pytest.mark.parametrize("kind", SMALL)
-def test_says_that_it_is_generated(kind, request):
+def test_readme_says_that_the_corpus_is_generated(kind, request):
     assert "Generated, not" in (request.getfixturevalue(kind) / "README").read_text()
 
 
 @pytest.mark.parametrize("kind", SMALL)
-def test_leaves_what_is_not_its_own(kind, tmp_path):
+def test_foreign_output_directory_is_left_alone(kind, tmp_path):
     (tmp_path / "notes").write_text("mine")
     done = subprocess.run(command(kind, tmp_path), capture_output=True, text=True)
     assert done.returncode == 1
@@ -107,7 +107,7 @@ def test_leaves_what_is_not_its_own(kind, tmp_path):
 @pytest.mark.parametrize(("kind", "options"), [
     ("speech", ["--utterances", "16,4,7"]), ("speech", ["--utterances", "99"]), ("speech", ["--nj", "0"]),
     ("rirs", ["--rooms", "81"]), ("rirs", ["--silence-s", "0"])])
-def test_refuses_options_out_of_range(kind, options, tmp_path):
+def test_options_out_of_range_are_refused(kind, options, tmp_path):
     done = subprocess.run(command(kind, tmp_path / "b", *options), capture_output=True, text=True)
     assert done.returncode == 2
     assert re.search(f"{options[0]}:? {options[1]} must", done.stderr)
@@ -122,7 +122,7 @@ def test_help_has_an_example(kind):
 # Speech
 
 
-def test_speech_is_a_librispeech_tree(speech):
+def test_speech_has_the_librispeech_layout(speech):
     for path in (speech / "LibriSpeech").rglob("*.flac"):
         speaker, chapter, number = path.stem.split("-")
         assert path.parts[-3:-1] == (speaker, chapter) and re.fullmatch(r"\d{4}", number)
@@ -145,14 +145,14 @@ def test_speakers_are_listed_and_belong_to_one_set(speech):
     assert all(float(row[3]) > 0 for row in rows)
 
 
-def test_each_set_has_as_many_utterances_as_asked_for():
+def test_each_set_has_the_requested_utterances():
     counts = Counter()
     for chapter in make_synthetic_speech.chapters((900, 150, 1200)).values():
         counts[chapter.subset] += chapter.n_utterances
     assert counts == {"train-clean-100": 900, "dev-clean": 150, "test-clean": 1200}
 
 
-def test_sentences_are_of_the_vocabulary(speech):
+def test_sentences_hold_vocabulary_words_only(speech):
     vocabulary = {word.upper() for word in synthetic_text.VOCABULARY}
     assert 150 <= len(vocabulary) <= 200
     heard = [text for _, text in transcripts(speech)]
@@ -164,7 +164,7 @@ def test_sentences_are_of_the_vocabulary(speech):
     assert read[:len(heard)] != heard
 
 
-def test_no_two_words_sound_alike_in_any_voice():
+def test_no_two_words_are_homophones_in_any_language():
     with make_synthetic_speech.Espeak() as espeak:
         for language in {voice.language for voices in make_synthetic_speech.VOICES.values() for voice in voices}:
             spoken = espeak.phonemes(language, synthetic_text.VOCABULARY)
@@ -190,7 +190,7 @@ def perplexity(order, sentences, held_out):
     return 2 ** np.mean(bits)
 
 
-def test_longer_memory_knows_more_of_the_language():
+def test_perplexity_falls_with_ngram_order():
     sentences = [line.lower().split() for line in make_synthetic_speech.lm_text(0).splitlines()]
     held_out = [synthetic_text.draw_sentence(0, np.random.default_rng(n)) for n in range(300)]
     found = [perplexity(order, sentences, held_out) for order in (1, 2, 3)]
@@ -207,7 +207,7 @@ def test_speech_has_levels_and_no_digital_silence(speech):
     assert np.std(peaks_db) > 1
 
 
-def test_an_utterance_does_not_depend_on_what_was_spoken_before():
+def test_utterance_does_not_depend_on_earlier_ones():
     voice = make_synthetic_speech.VOICES["test-clean"][1]  # a breathy one, which draws random numbers
     with make_synthetic_speech.Espeak() as espeak:
         first, again = (make_synthetic_speech.say(espeak, voice, ["open", "door"], np.random.default_rng(1))
@@ -215,7 +215,7 @@ def test_an_utterance_does_not_depend_on_what_was_spoken_before():
     np.testing.assert_array_equal(first, again)
 
 
-def test_a_voice_that_does_not_exist_is_one_line():
+def test_unknown_voice_raises_one_line():
     voice = make_synthetic_speech.Voice("M", "xx", "m1", 160, 50, 50)
     with make_synthetic_speech.Espeak() as espeak, pytest.raises(OSError, match="eSpeak NG ended at .*xx"):
         make_synthetic_speech.say(espeak, voice, ["open"], np.random.default_rng(0))
@@ -239,7 +239,7 @@ def read_meta(path):
     return dict(line[1:].split("\t") for line in path.read_text().splitlines() if "\t" in line)
 
 
-def test_rirs_lie_as_in_the_released_corpus(rirs):
+def test_rirs_have_the_reverbdb_layout(rirs):
     files = [str(path.relative_to(rirs)) for path in rirs.rglob("*.wav")]
     pattern = re.compile(r"Standin_\w+/MicID01/SpkID\d\d_20\d{6}_[ST]/\d\d/"
                          r"(RIR/IR_sweep_15s_45Hzto22kHz_FS16kHz\.v0[01]\.wav|silence/silence\.v0[01]\.wav|english/.*)")
@@ -262,7 +262,7 @@ def test_mic_meta_describes_the_position(rirs):
         assert float(values[f"EnvMic{number}RelDistance"]) == pytest.approx(np.linalg.norm(apart), abs=0.006)
 
 
-def test_readers_traps_are_there(rirs):
+def test_corpus_holds_the_irregularities_of_reverbdb(rirs):
     rooms = {path.parent.name: read_meta(path) for path in rirs.glob("*/env*_meta.txt")}
     assert sum("EnvFurniture" not in values for values in rooms.values()) == 1
     assert any(values["EnvType"] == "stairs" for values in rooms.values())
@@ -274,21 +274,21 @@ def test_readers_traps_are_there(rirs):
     assert {path.parts[-2] for path in outside} == {"02"} and len(outside) == 2
 
 
-def test_silence_is_never_silent_and_differs(rirs):
+def test_silence_recordings_hold_uncorrelated_noise(rirs):
     noises = [soundfile.read(path)[0] for path in rirs.rglob("silence/*.wav")]
     assert len(noises) == 3 * 2 + 1
     assert all(-62 < 20 * np.log10(noise.std()) < -38 for noise in noises)
     assert np.abs(np.corrcoef(noises) - np.eye(7)).max() < 0.5
 
 
-def test_direct_sound_and_noise_floor_lie_where_the_corpus_has_them(rirs):
+def test_direct_sound_and_noise_floor_match_reverbdb(rirs):
     for path in rirs.rglob("RIR/*.wav"):
         samples, _ = soundfile.read(path)
         assert 709 < np.abs(samples[600:725]).argmax() + 600 < 716
         assert -70 < 20 * np.log10(samples[:300].std() / np.abs(samples).max()) < -50
 
 
-def test_retakes_differ_in_noise_only(rirs):
+def test_second_takes_differ_in_noise_only(rirs):
     for second in rirs.rglob("RIR/*.v01.wav"):
         first, _ = soundfile.read(second.with_name(second.name.replace("v01", "v00")))
         difference = soundfile.read(second)[0] - first
@@ -388,7 +388,7 @@ def test_diffuse_level_is_that_of_the_absorption_area(room, positions):
     assert 10 * np.log10(np.mean(late) / expected) == pytest.approx(-0.5, abs=1)
 
 
-def test_both_halves_have_one_level_at_the_crossover(room, positions):
+def test_modal_and_ray_parts_match_at_the_crossover(room, positions):
     source_m, mics_m = positions
     band = np.abs(np.log2(acoustics.FREQS_HZ.clip(1) / room.crossover_hz)) < 0.4
     modal = acoustics.modal_spectra(room, source_m, mics_m, room.crossover_hz * np.sqrt(2))
@@ -409,13 +409,13 @@ def test_loudspeaker_is_audible_in_every_room(room, positions):
     assert level_db(1300, 0.3) - level_db(7500, 0.2) > 2  # roll-off
 
 
-def test_nothing_comes_ahead_of_the_direct_sound(room, positions):
+def test_nothing_precedes_the_direct_sound(room, positions):
     for response in render(room, *positions):
         smooth = np.convolve(response, np.hanning(18) / 8.5, "same")  # what rings at half the rate comes from shifting
         assert np.abs(smooth[:712 - 48]).max() < 1e-3 * np.abs(smooth).max()
 
 
-def test_loudspeakers_differ_by_their_responses_alone(room, positions):
+def test_loudspeakers_differ_in_response_only(room, positions):
     one, other = (np.fft.rfft(render(room, *positions, model), 32768)[:, 200:15000] for model in (0, 1))
     frequency_hz = acoustics.FREQS_HZ[200:15000]
     gain_db = 20 * np.log10(np.abs(acoustics.loudspeaker(frequency_hz, 1) / acoustics.loudspeaker(frequency_hz, 0)))
@@ -427,7 +427,7 @@ def test_loudspeakers_differ_by_their_responses_alone(room, positions):
     assert speakers == {1: 0, 2: 1, 3: 0, 4: 1, 5: 0, 6: 1}
 
 
-def test_the_loop_is_told_where_everything_stands_but_nothing_of_what_it_is_to_find(rirs):
+def test_corpus_states_geometry_but_no_hidden_effects(rirs):
     read_measured(rirs, rirs.parent / "measured")
     rows = read_rirs(rirs.parent / "measured")
     assert all(None not in (*row["room_dims_m"], *row["source_pos_m"], *row["mic_pos_m"]) for row in rows)
@@ -438,7 +438,7 @@ def test_the_loop_is_told_where_everything_stands_but_nothing_of_what_it_is_to_f
                                       "roomeq.core.rng") for line in imports)
 
 
-def test_loudspeaker_beams(room):
+def test_loudspeaker_is_directional(room):
     mic_m, source_m = np.array([5.0, 2, 1.5]), np.array([2.0, 2, 1.5])
     towards, away = (reach(room, source_m, mic_m, (side, 0, 0)) for side in (1.0, -1.0))
     direct = [np.fft.rfft(np.fft.irfft(early)[:170], 4096) for early, _ in (towards, away)]  # before reflections
@@ -448,7 +448,7 @@ def test_loudspeaker_beams(room):
     np.testing.assert_array_equal(towards[1], away[1])
 
 
-def test_rooms_are_as_documented():
+def test_rooms_are_plausible_and_positions_inside():
     corpus = make_synthetic_rirs.Corpus(80, 6, 6, 10, 0)
     names = set()
     for index in range(corpus.rooms):
@@ -469,7 +469,7 @@ def test_rooms_are_as_documented():
     assert len(names) == 80 and len(make_synthetic_rirs.sessions(corpus)) == 80 * 6 + 1
 
 
-def test_rooms_beyond_the_table_are_drawn_each_by_itself():
+def test_drawn_rooms_do_not_depend_on_their_number():
     few, many, other = (make_synthetic_rirs.Corpus(rooms, 3, 3, 10, seed) for rooms, seed in ((10, 0), (80, 0), (80, 1)))
     assert make_synthetic_rirs.described(few, 9) == make_synthetic_rirs.described(many, 9)
     assert make_synthetic_rirs.described(other, 9) != make_synthetic_rirs.described(many, 9)

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Run jobs as local processes, all at once: the calling convention of Kaldi's run.pl.
+# Run jobs as local processes, all at once. The calling convention is that of Kaldi's run.pl.
 # Usage: utils/local.sh [JOB=1:N] LOG COMMAND [ARGUMENT...]
 # e.g.:  utils/local.sh JOB=1:4 exp/log/count.JOB.log wc -l data/part.JOB
-# Each JOB in LOG and in the arguments becomes the job's number. The first that fails is named.
+# Each JOB in LOG and in the arguments is replaced by the job's number. Every job that fails is named.
 set -euo pipefail
 if [ $# -lt 2 ] || [ "$1" = --help ]; then
   sed -n '2,/^[^#]/{/^#/!q;s/^# \{0,1\}//;p}' "$0"
@@ -16,7 +16,7 @@ if [[ $1 =~ ^JOB=([0-9]+):([0-9]+)$ ]]; then
 fi
 log=$1
 shift
-last_words() { { tail -n 1 -- "$1" 2>/dev/null || true; } | grep . || echo "it left no word: is the disk full?"; }
+last_line() { { tail -n 1 -- "$1" 2>/dev/null || true; } | grep . || echo "the log is empty: is the disk full?"; }
 pids=()
 trap 'kill "${pids[@]}" 2>/dev/null || true' EXIT
 for ((job = first; job <= last; job++)); do
@@ -32,7 +32,7 @@ failed=0
 for ((job = first; job <= last; job++)); do
   if ! wait "${pids[job - first]}"; then
     joblog=${log//JOB/$job}
-    printf '%s: job %d failed: %s (log: %s)\n' "${0##*/}" "$job" "$(last_words "$joblog")" "$joblog" >&2
+    printf '%s: job %d failed: %s (log: %s)\n' "${0##*/}" "$job" "$(last_line "$joblog")" "$joblog" >&2
     failed=1
   fi
 done

@@ -11,7 +11,7 @@ usage() {
     sed -n '/^set -/,/parse_options\.sh/s/^\([a-z][a-z0-9_]*\)=\([^#]*\)\(#.*\)\{0,1\}$/\1|\2|\3/p' "$0" |
       while IFS='|' read -r name default comment; do
         read -r default <<<"$default" # trims
-        printf '  %-30s %s\n' "--${name//_/-} $default" "${comment#\# }"
+        printf '  %-30s  %s\n' "--${name//_/-} $default" "${comment#\# }"
       done
   } >&"$((${1:-1} + 1))"
   exit "${1:-1}"

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Run a roomeq verb in parts through $cmd, then once more to put its output in place.
+# Run a roomeq verb in parts through $cmd, then once more to assemble the output.
 # Usage: utils/run_parts.sh NJ LOG_DIR VERB [ARGUMENT...]
 # e.g.:  utils/run_parts.sh 4 exp/log compensate data/rirs.sim.train exp/eq data/rirs.sim.EQ.train
-# Parts that are done already cost nothing, so a killed run goes on where it stopped.
+# Finished parts are skipped, so a killed run continues where it stopped.
 set -euo pipefail
 . ./path.sh
 . ./cmd.sh

@@ -1,13 +1,14 @@
 #!/usr/bin/env bash
-# Run jobs on a Slurm cluster, as one job array: the calling convention of Kaldi's run.pl and slurm.pl.
+# Run jobs on a Slurm cluster, as one job array. The calling convention is that of Kaldi's run.pl and slurm.pl.
 # Usage: utils/slurm.sh [--mem 4G] [--time 2:00:00] [--max-jobs-run 50] [--SBATCH-OPTION VALUE ...] [JOB=1:N]
 #          LOG COMMAND [ARGUMENT...]
 # e.g.:  export cmd="utils/slurm.sh --mem 4G --time 2:00:00 --partition cpu"
 #        utils/slurm.sh --mem 1G JOB=1:4 exp/log/count.JOB.log wc -l data/part.JOB
-# Each JOB in LOG and in the arguments becomes the job's number. Arguments reach the command as they are: no shell
-# reads them again. Jobs see this directory and environment, so both must be there on all nodes. A job that is
-# requeued starts its command again, which is to go on where it was. Every job that fails, dies or runs out of
-# time is named, with its Slurm state and Slurm's reason or the last line of its log. Killed itself, it cancels its jobs.
+# Each JOB in LOG and in the arguments is replaced by the job's number. Arguments are passed on unchanged: no shell
+# parses them again. Jobs run in this directory with this environment, so both must exist on all nodes. A job that is
+# requeued starts its command again; the command is expected to continue its work. Every job that fails, dies or runs
+# out of time is named, with its Slurm state and Slurm's reason or the last line of its log. When this script is
+# killed, it cancels its jobs.
 set -euo pipefail
 usage() { sed -n '2,/^set -/{/^# /s/^# //p}' "$0"; }
 die() {
@@ -21,7 +22,7 @@ while [ $# -gt 0 ]; do
   case $1 in
     --help) usage && exit ;;
     --array* | --wait* | --parsable* | --output* | --error* | --open-mode* | --export* | --chdir* | --wrap*)
-      die "$1 is for slurm.sh itself to set" ;;
+      die "$1 is set by slurm.sh itself: leave it out" ;;
     --max-jobs-run | --num-threads | --[a-z]*)
       name=${1%%=*}
       if [[ $1 == *=* ]]; then value=${1#*=} && shift; else
@@ -46,9 +47,9 @@ done
 log=$1
 shift
 [ "$first" -le "$last" ] || die "JOB=$first:$last: the first must not be above the last"
-command -v sbatch >/dev/null || die "no sbatch here: is this a host that jobs are submitted from? (utils/local.sh needs none)"
+command -v sbatch >/dev/null || die "no sbatch on this host: submit from another one, or use utils/local.sh"
 
-# where jobs say how they ended: beside the logs, which all nodes see
+# jobs write their exit status here, next to the logs, where all nodes can write
 for ((job = first; job <= last; job++)); do
   joblog=${log//JOB/$job}
   { mkdir -p "$(dirname "$joblog")" && : >"$joblog"; } 2>/dev/null ||
@@ -61,7 +62,7 @@ trap '[ -z "$waiting" ] || scancel --quiet --name="$name" --user="$(id -un)" || 
 trap 'exit 130' INT
 trap 'exit 143' TERM
 
-script() { # the job: bash itself quotes every word of it
+script() { # print the job script; bash quotes every word
   printf '#!/bin/bash\nlog=%q ended=%q command=(' "$log" "$ended"
   printf '%q ' "$@"
   cat <<'EOF'
@@ -78,44 +79,44 @@ exit "$status"
 EOF
 }
 
-# what Slurm itself says of a job (out of time, out of memory) goes to its log too; % is its sign for patterns
+# Slurm's own messages (out of time, out of memory) go to the log too; % must be escaped for Slurm's patterns
 slurm_log=${log//%/%%}
 [[ $slurm_log != *\\* ]] || slurm_log=/dev/null
 script "$@" >"$ended/script"
 waiting=yes
 sbatch --wait --parsable "${options[@]}" --job-name="$name" --array="$first-$last$at_once" --chdir="$PWD" \
   --export=ALL --open-mode=append --output="${slurm_log//JOB/%a}" "$ended/script" \
-  >"$ended/id" 2>"$ended/said" </dev/null &
-wait $! || true # its status is the highest of all jobs: each is looked at below
+  >"$ended/id" 2>"$ended/error" </dev/null &
+wait $! || true # the status is the highest of all jobs; each job is checked below
 id=$(cut -d';' -f1 "$ended/id")
-[ -n "$id" ] || { waiting= && die "sbatch refused: $(tail -n 1 "$ended/said")"; }
+[ -n "$id" ] || { waiting= && die "sbatch refused: $(tail -n 1 "$ended/error")"; }
 
-# sbatch may have lost the controller, and a requeued job is not at its end
-said=
+# sbatch may have lost contact with the controller, and a requeued job has not ended
+warned=
 while true; do
   if jobs=$(squeue --noheader --jobs="$id" 2>&1); then [ -n "$jobs" ] || break; else
-    [[ $jobs != *"Invalid job id"* ]] || break # so long at its end that Slurm has forgotten it
-    [ -n "$said" ] || printf '%s: Slurm does not answer, asking on: %s\n' "${0##*/}" "$(tail -n 1 <<<"$jobs")" >&2
-    said=yes
+    [[ $jobs != *"Invalid job id"* ]] || break # it ended so long ago that Slurm has no record of it
+    [ -n "$warned" ] || printf '%s: Slurm does not answer, trying again: %s\n' "${0##*/}" "$(tail -n 1 <<<"$jobs")" >&2
+    warned=yes
   fi
   sleep 3
 done
 waiting=
 
-last_words() { # LOG STATE: Slurm's own reason if it ended the job, else the last line
-  local line last='' why=''
+last_line() { # LOG STATE: print Slurm's reason if Slurm ended the job, else the last line of the log
+  local line last='' reason=''
   while IFS= read -r line || [ -n "$line" ]; do
     last=$line
     case $line in
-      '# Slurm job '*) why= ;; # it was requeued: what ended it before is past
-      'slurmstepd'*': error: '*) why=$line ;; # it may name its node
+      '# Slurm job '*) reason= ;; # requeued: the earlier reason no longer counts
+      'slurmstepd'*': error: '*) reason=$line ;;
     esac
   done 2>/dev/null <"$1" || true
-  [[ $2 == FAILED* ]] || last=${why:-$last}
-  printf '%s\n' "${last:-it left no word: is the disk full?}"
+  [[ $2 == FAILED* ]] || last=${reason:-$last}
+  printf '%s\n' "${last:-the log is empty: is the disk full?}"
 }
 
-state_of() { # JOB: Slurm's word on it; sacct may be absent, and scontrol forgets after some minutes
+state_of() { # JOB: print its Slurm state; sacct may be absent, and scontrol forgets jobs after some minutes
   { scontrol --oneliner show job "${id}_$1" | sed -n 's/.*JobState=\([A-Z_]*\) Reason=\([^ ]*\).*/\1 (\2)/p' ||
     true; } 2>/dev/null | grep . ||
     { sacct --noheader --parsable2 --allocations --jobs="${id}_$1" --format=State 2>/dev/null || true; } | grep . ||
@@ -125,7 +126,7 @@ state_of() { # JOB: Slurm's word on it; sacct may be absent, and scontrol forget
 failed=0
 for ((job = first; job <= last; job++)); do
   state=
-  for ((tries = 0; tries < 20; tries++)); do # another node's file takes a moment to show
+  for ((tries = 0; tries < 20; tries++)); do # a file written on another node may appear with a delay
     [ ! -s "$ended/$job" ] || break
     state=$(state_of "$job")
     [[ $state == COMPLETED* || $state == *unknown ]] || break
@@ -134,9 +135,9 @@ for ((job = first; job <= last; job++)); do
   status=$(cat "$ended/$job" 2>/dev/null) || status=none
   if [ "$status" != 0 ]; then
     state=${state:-$(state_of "$job")}
-    [[ $state != TIMEOUT* ]] || status=none # what the shell noted in its last moment is Slurm's doing
+    [[ $state != TIMEOUT* ]] || status=none # Slurm killed the shell, which may still have written a status
     printf '%s: job %d failed, exit status %s, Slurm says %s: %s (log: %s)\n' "${0##*/}" "$job" "$status" \
-      "$state" "$(last_words "${log//JOB/$job}" "$state")" "${log//JOB/$job}" >&2
+      "$state" "$(last_line "${log//JOB/$job}" "$state")" "${log//JOB/$job}" >&2
     failed=1
   fi
 done

@@ -1,13 +1,13 @@
 # shellcheck shell=bash disable=SC2154,SC2034 # variables come from and go to the scripts that source it
-# What the scripts of the hand-over share; source it after parse_options.sh.
-# They set `nj`, `dry_run` and `workspace`, a directory in which stock Kaldi's own steps/ and utils/ are linked.
+# Functions shared by the scripts of this folder. Source it after parse_options.sh. The scripts set `nj`, `dry_run` and
+# `workspace`, a directory with links to the steps/ and utils/ of stock Kaldi.
 
-# who runs Kaldi's jobs: run.pl, or queue.pl or slurm.pl with their options
+# the command that runs Kaldi's jobs: run.pl, or queue.pl or slurm.pl with their options
 runner=${kaldi_cmd:-run.pl --max-jobs-run $nj}
 
-# once NAME COMMAND...: run a command in the workspace, once; log in <workspace>/log/NAME.log. It runs again when its
-# words (but for --nj, --cmd and --stage), its `inputs` or those of a command before it in the same script have changed.
-# With --dry-run it is printed. Of two runs at once in one workspace, one waits.
+# once NAME COMMAND...: run a command in the workspace unless it has run before; log to <workspace>/log/NAME.log. It
+# runs again when its words (except --nj, --cmd and --stage), its `inputs`, or the words of an earlier command of the
+# same script have changed. With --dry-run it is printed. If two runs share a workspace, one waits for the other.
 once() {
   local name=$1 started=$SECONDS word before='' words=()
   shift
@@ -22,9 +22,9 @@ once() {
   key=$(printf '%s\0' "${key:-}" "$name" "${words[@]}" | sha256sum | cut -c1-16)
   local mark=$workspace/done/$name log=$workspace/log/$name.log
   [ "$(cat "$mark" 2>/dev/null)" != "$key" ] || return 0
-  exec 9>"$workspace/.lock" # commands inherit it: one that a killed run left is waited for, too
+  exec 9>"$workspace/.lock" # commands inherit the lock, so those that outlive a killed run are waited for, too
   flock -w 10 9 || {
-    printf '%s kaldi: waiting for what another run does in %s, or has left there\n' "$(date +%H:%M:%S)" "$workspace"
+    printf '%s kaldi: waiting for a command of another run in %s\n' "$(date +%H:%M:%S)" "$workspace"
     flock 9
   }
   [ "$(cat "$mark" 2>/dev/null)" != "$key" ] || return 0 # the other run has done it
@@ -36,7 +36,7 @@ once() {
   echo "$key" >"$mark.new" && mv "$mark.new" "$mark"
 }
 
-# inputs FILE...: what the commands after it depend on besides their words.
+# inputs FILE...: declare files that the following commands depend on.
 inputs() {
   [ "$dry_run" = false ] || return 0
   local file
@@ -44,5 +44,5 @@ inputs() {
   key=$(cat -- "$@" | sha256sum | cut -c1-16)
 }
 
-# after NAME...: what the commands after it depend on, as names of `once` in other scripts.
+# after NAME...: declare that the following commands depend on commands of other scripts, by their `once` names.
 after() { inputs "${@/#/$workspace/done/}"; }

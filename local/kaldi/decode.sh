@@ -1,21 +1,21 @@
 #!/usr/bin/env bash
-# Recognise one set with one system: four language models, and online; counts the errors.
+# Decode one set with one system, with four language models and online, and score it.
 # Usage: local/kaldi/decode.sh [options] <workspace> <set> <set-of-alignments> <test-set>
 # e.g.:  local/kaldi/decode.sh --tuned-on dev.sim.rvb exp/kaldi train.sim.rvb train.clean test.real.rvb
 # Results are <workspace>/<set>/decode_<test-set>_{tgsmall,tgmed,tglarge,fglarge,online}/scoring_kaldi.
 set -euo pipefail
 nj=2            # jobs
-ivectors=true   # beside the features
-beam=15         # of the search
-max_active=7000   # states of it at a time
-lattice_beam=8    # of what it keeps for the larger models
-tuned_on=       # set whose best weights are used; none: all weights are tried
+ivectors=true   # add i-vectors to the features
+beam=15         # beam of the search
+max_active=7000   # largest number of active states
+lattice_beam=8    # beam of the lattices that the larger models rescore
+tuned_on=       # development set whose best weights are used; none: try all weights
 dry_run=false   # print the commands
 . ./path.sh
 . utils/parse_options.sh
 . local/kaldi/common.sh
 [ $# -eq 4 ] || usage
-[ "$max_active" -ge 200 ] || die "--max-active $max_active must be at least 200, which is the least that Kaldi keeps"
+[ "$max_active" -ge 200 ] || die "--max-active $max_active must be at least 200, the minimum of Kaldi"
 workspace=$1 set=$2 ali=$3 test=$4
 graph=$ali/align/tree/graph out=$set/decode_$test data=data/$test.hires small=data/lang_test_tgsmall
 search=(--acwt 1.0 --post-decode-acwt 10.0 --beam "$beam" --max-active "$max_active" --lattice-beam "$lattice_beam")
@@ -26,8 +26,8 @@ if [ "$ivectors" = true ]; then
   extractor=("$set/ivectors/extractor")
 fi
 
-# Count the errors: at all weights of language model and insertions, or at those that were best on `tuned_on`; and what
-# Kaldi's own bootstrap says of the best.
+# Score with all language model weights and insertion penalties, or with those that were best on `tuned_on`; then
+# bootstrap the best result.
 score() { # COLUMN
   local penalty=0.0,0.5,1.0 lowest=7 highest=17
   if [ -n "$tuned_on" ] && [ "$dry_run" = false ]; then
@@ -36,7 +36,7 @@ score() { # COLUMN
   fi
   once "$out/$1.score" steps/scoring/score_kaldi_wer.sh --cmd "$runner" --word-ins-penalty "$penalty" \
     --min-lmwt "$lowest" --max-lmwt "$highest" "$data" "$graph" "${out}_$1"
-  # shellcheck disable=SC2016 # expanded in there
+  # shellcheck disable=SC2016 # the inner bash expands the variables
   once "$out/$1.bootci" bash -c 'cd "$1/scoring_kaldi" && compute-wer-bootci --mode=present ark:test_filt.txt \
     "ark:penalty_$(cat wer_details/wip)/$(cat wer_details/lmwt).txt" >../bootci' bootci "${out}_$1"
 }

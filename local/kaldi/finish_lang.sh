@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Make the lang directory that all systems share: pronunciation and silence probabilities of a GMM system, four models.
+# Make the lang directory that all systems share: pronunciation and silence probabilities of a GMM, and four LMs.
 # Usage: local/kaldi/finish_lang.sh [--nj 2] [--dry-run] <workspace> <set>
 # e.g.:  local/kaldi/finish_lang.sh exp/kaldi train.clean
-# Clean speech knows best where words end; the systems of the table differ in audio only, so they share its words.
+# All systems share the probabilities of clean speech, where word boundaries are clearest, so they differ in audio only.
 set -euo pipefail
 nj=2            # jobs
 dry_run=false   # print the commands

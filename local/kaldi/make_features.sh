@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
-# Make the features of one set: MFCCs for the GMM, or the high-resolution ones of the network.
+# Make the features of one set: MFCCs for the GMM, or high-resolution MFCCs for the network.
 # Usage: local/kaldi/make_features.sh [options] <workspace> <set>
 # e.g.:  local/kaldi/make_features.sh --hires true --train true exp/kaldi train.sim.rvb
-# Makes data/<set>, data/<set>.sp or, with --hires, data/<set>.hires; what is already there costs nothing.
+# Makes data/<set>, data/<set>.sp or, with --hires, data/<set>.hires; existing features are kept.
 set -euo pipefail
 nj=2                  # jobs
-hires=false           # features of the network
+hires=false           # high-resolution features
 train=false           # vary the level, as Kaldi's recipes do for training sets
-speed_perturb=false   # three speeds
+speed_perturb=false   # perturb the speed: 0.9, 1.0 and 1.1
 dry_run=false         # print the commands
 . ./path.sh
 . utils/parse_options.sh

@@ -2,7 +2,7 @@
 # Make the lexicon and four language models, or fetch LibriSpeech's, and the first lang directory.
 # Usage: local/kaldi/make_lang.sh [options] <workspace> <text>...
 # e.g.:  local/kaldi/make_lang.sh exp/kaldi corpora/speech/LibriSpeech-LM/lm.txt data/train.clean/text
-# Each <text> is lines of words, or a Kaldi `text` file (named text). None: LibriSpeech's own models are downloaded.
+# Each <text> holds lines of words, or is a Kaldi file named `text`. Without any, LibriSpeech's models are downloaded.
 set -euo pipefail
 nj=2                    # jobs
 lm_url=www.openslr.org/resources/11   # of LibriSpeech's models

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Make a directory in which stock Kaldi scripts can work: theirs linked, ours copied; checks what they need first.
+# Make a workspace for stock Kaldi scripts: link Kaldi's folders, check Kaldi's tools, copy data directories.
 # Usage: local/kaldi/make_workspace.sh [--dry-run] [--nj 2] <workspace> <data-dir>...
 # e.g.:  KALDI_ROOT=~/kaldi local/kaldi/make_workspace.sh exp/kaldi data/train.clean data/test.real.rvb
 set -euo pipefail
-nj=2            # jobs at a time, where they run as local processes
-dry_run=false   # print what would be done
+nj=2            # jobs at a time, for local processes
+dry_run=false   # print the commands
 . ./path.sh
 . ./cmd.sh
 . utils/parse_options.sh
@@ -21,7 +21,8 @@ if [ "$dry_run" = true ]; then
   for data; do echo "local/kaldi/copy_data.py $data $workspace/data/${data##*/}"; done
   exit
 fi
-[ -n "$root" ] || die "where is Kaldi? Set KALDI_ROOT, or put this directory into Kaldi's egs/librispeech"
+[ -n "$root" ] ||
+  die "KALDI_ROOT is not set: set it to Kaldi's top directory, or put this directory into Kaldi's egs/librispeech"
 for folder in egs/wsj/s5/steps egs/wsj/s5/utils egs/librispeech/s5/local egs/librispeech/s5/conf src; do
   [ -d "$root/$folder" ] || die "KALDI_ROOT '$root' has no $folder: is it Kaldi's top directory?"
 done
@@ -36,7 +37,7 @@ done
   cat <<'EOF'
 PATH=$PWD/utils:$PWD:$KALDI_ROOT/tools/openfst/bin:$PATH
 for folder in "$KALDI_ROOT"/src/*bin; do PATH=$folder:$PATH; done
-export PATH=$ROOMEQ_DIR/.venv/bin:$PATH # first: Kaldi's tools may hold links to another Python
+export PATH=$ROOMEQ_DIR/.venv/bin:$PATH # first: Kaldi's tools may link to another Python
 EOF
 } >"$workspace/path.sh"
 printf 'export train_cmd=%q decode_cmd=%q\n' "$runner" "$runner" >"$workspace/cmd.sh"

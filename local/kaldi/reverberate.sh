@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Make far-field speech with Kaldi's own reverberate_data_dir.py, from our RIRs and noises, to compare with ours.
+# Make far-field speech with Kaldi's own reverberate_data_dir.py, from our RIRs and noises, for comparison.
 # Usage: local/kaldi/reverberate.sh [options] <workspace> <rir-dir> <noise-dir> <clean-set> <set>
 # e.g.:  local/kaldi/reverberate.sh exp/kaldi data/rirs.sim.train data/rirs.real.train train.clean train.sim.stock.rvb
-# Some versions of that script import a module that Python 3.12 no longer has: they end there with ImportError.
+# Some versions of Kaldi's script import a module that Python 3.12 has removed, and end with ImportError.
 set -euo pipefail
 nj=2                    # jobs
-snrs=25:20:15:10:5      # that the noises take in turn [dB]
-seed=0                  # of its draws
+snrs=25:20:15:10:5      # SNRs that the noises take in turn [dB]
+seed=0                  # of every random draw
 dry_run=false           # print the commands
 . ./path.sh
 . utils/parse_options.sh

@@ -11,7 +11,7 @@ seed=0                # of every random draw
 dry_run=false         # print the commands
 librispeech=          # if it is given, LibriSpeech's own language models are used, unless --lm-text is given
 lm_text=              # for the language models, with the transcripts of the clean speech
-align_on=clean        # alignments of the clean speech for all systems; self: of each one's own speech
+align_on=clean        # alignments of the clean speech for all sets; self: of each set
 gmm_passes="mono 300, deltas all 300 3000, lda_mllt all 400 6000, sat all 400 6000"   # of train_gmm.sh
 num_leaves=400        # of the network's tree
 rows=                 # kinds of speech, e.g. "clean sim.rvb"; none: all
@@ -65,7 +65,8 @@ if at_stage 9 "Kaldi: TDNN with LF-MMI"; then
   for x in "${aligned[@]}"; do
     [ "$speed_perturb" = false ] ||
       local/kaldi/make_features.sh "${common[@]}" --speed-perturb true "$workspace" "$x"
-    local/kaldi/align_chain.sh "${common[@]}" --num-leaves "$num_leaves" --speed-perturb "$speed_perturb" "$workspace" "$x"
+    local/kaldi/align_chain.sh "${common[@]}" --num-leaves "$num_leaves" --speed-perturb "$speed_perturb" \
+      "$workspace" "$x"
   done
   for x in test.real.rvb "${kinds[@]/#/dev.}"; do
     local/kaldi/make_features.sh "${common[@]}" --hires true "$workspace" "$x"

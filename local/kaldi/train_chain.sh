@@ -2,23 +2,23 @@
 # Train a TDNN-F with LF-MMI on one set.
 # Usage: local/kaldi/train_chain.sh [options] <workspace> <set> <set-of-alignments>
 # e.g.:  local/kaldi/train_chain.sh --use-gpu false --layers 7 --dim 192 exp/kaldi train.sim.rvb train.clean
-# The model is <workspace>/<set>/final.mdl. A run that was stopped goes on at the last iteration it finished.
+# The model is <workspace>/<set>/final.mdl. A run that was stopped continues at the last finished iteration.
 set -euo pipefail
 nj=2                      # jobs that make the examples
-use_gpu=true              # false: on processors
-ivectors=true             # beside the features
+use_gpu=true              # train on GPUs; false: on processors
+ivectors=true             # add i-vectors to the features
 layers=16                 # TDNN-F layers
 dim=1536                  # of a layer
 bottleneck=160            # of a layer
 epochs=4                  # over the data
-jobs_initial=3            # networks trained at a time, at first
-jobs_final=16             # and in the end
-lrate_initial=0.00015     # learning rate
-lrate_final=0.000015      # learning rate
-chunk_width=150,110,100   # of an example [frames]
-minibatch=64,32           # examples a minibatch, and what the rest is cut into
-frames_per_iter=2500000   # of a job
-seed=0                    # of the network's first weights and of the order of the examples
+jobs_initial=3            # networks trained in parallel, at the start
+jobs_final=16             # and at the end
+lrate_initial=0.00015     # initial learning rate
+lrate_final=0.000015      # final learning rate
+chunk_width=150,110,100   # frames of an example
+minibatch=64,32           # examples per minibatch; smaller sizes for the remainder
+frames_per_iter=2500000   # frames per job and iteration
+seed=0                    # of the initial weights and of the order of examples
 dry_run=false             # print the commands
 . ./path.sh
 . utils/parse_options.sh
@@ -27,7 +27,7 @@ dry_run=false             # print the commands
 workspace=$1 set=$2 ali=$3 ivectors_made=()
 [ "$ivectors" = false ] || ivectors_made=("$set/ivectors/train")
 
-# Print the network: LibriSpeech's TDNN-F (splicing -1..1, strides 1, 1, 1, 0, then 3), in the size asked for.
+# Print the network: LibriSpeech's TDNN-F (splicing -1..1, strides 1, 1, 1, 0, then 3) of the chosen size.
 xconfig() { # TARGETS
   local layer stride affine="l2-regularize=0.008 dropout-proportion=0.0 dropout-per-dim=true"
   local prefinal="input=prefinal-l l2-regularize=0.008 big-dim=$dim small-dim=$((dim / 6))"
@@ -49,12 +49,13 @@ xconfig() { # TARGETS
 }
 
 after "$set/features/$set.hires.fix" "$ali/align/tree" "${ivectors_made[@]}"
-held_out=300 # utterances that watch the training, as in the stock recipe
+held_out=300 # utterances for validation, as in the stock recipe
 if [ "$dry_run" = false ]; then
   utterances=$(wc -l <"$workspace/data/$set.hires/text")
   [ "$utterances" -ge 3000 ] || held_out=$((utterances / 10 + 1))
   mkdir -p "$workspace/$set/configs"
-  targets=$(cd "$workspace" && . ./path.sh && tree-info "$ali/align/tree/tree" 2>/dev/null | awk '/num-pdfs/ {print $2}')
+  targets=$(cd "$workspace" && . ./path.sh &&
+    tree-info "$ali/align/tree/tree" 2>/dev/null | awk '/num-pdfs/ {print $2}')
   xconfig "$targets" >"$workspace/$set/configs/network.xconfig"
   inputs "$workspace/$set/configs/network.xconfig" <(echo "$key")
 fi
@@ -65,19 +66,21 @@ train=(steps/nnet3/chain/train.py --cmd "$runner" --use-gpu "$([ "$use_gpu" = tr
   --feat.cmvn-opts "--norm-means=false --norm-vars=false"
   --chain.xent-regularize 0.1 --chain.leaky-hmm-coefficient 0.1 --chain.l2-regularize 0.0
   --chain.apply-deriv-weights false --chain.lm-opts="--num-extra-lm-states=2000"
-  --egs.opts "--frames-overlap-per-eg 0 --constrained false --num-utts-subset $held_out" --egs.nj "$nj" --egs.chunk-width "$chunk_width"
+  --egs.opts "--frames-overlap-per-eg 0 --constrained false --num-utts-subset $held_out" --egs.nj "$nj"
+  --egs.chunk-width "$chunk_width"
   --trainer.dropout-schedule "0,0@0.20,0.5@0.50,0" --trainer.add-option="--optimization.memory-compression-level=2"
   --trainer.srand "$seed" --trainer.num-chunk-per-minibatch "$minibatch" --trainer.frames-per-iter "$frames_per_iter"
   --trainer.num-epochs "$epochs" --trainer.max-param-change 2.0
   --trainer.optimization.num-jobs-initial "$jobs_initial" --trainer.optimization.num-jobs-final "$jobs_final"
   --trainer.optimization.initial-effective-lrate "$lrate_initial"
   --trainer.optimization.final-effective-lrate "$lrate_final"
-  --cleanup.remove-egs true --feat-dir "data/$set.hires" --tree-dir "$ali/align/tree" --lat-dir "$ali/align/lats" --dir "$set")
+  --cleanup.remove-egs true --feat-dir "data/$set.hires" --tree-dir "$ali/align/tree" --lat-dir "$ali/align/lats"
+  --dir "$set")
 [ "$ivectors" = false ] || train+=(--feat.online-ivector-dir "$set/ivectors/$set")
 stage=-10
 if [ "$dry_run" = false ]; then
   begun=$workspace/$set/begun state=$(printf '%s\0' "$key" "${train[@]}" | sha256sum)
-  if [ "$(cat "$begun" 2>/dev/null)" = "$state" ]; then # the last model may be half written: from the one before
+  if [ "$(cat "$begun" 2>/dev/null)" = "$state" ]; then # the last model may be incomplete: start from the one before
     last=$(find "$workspace/$set" -maxdepth 1 -name '[0-9]*.mdl' -printf '%f\n' | sort -n | tail -n 1)
     last=${last%.mdl}
     [ "${last:-0}" -lt 2 ] || stage=$((last - 1))

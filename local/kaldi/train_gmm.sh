@@ -22,7 +22,8 @@ for pass in "${list[@]}"; do
   read -r kind utterances leaves gaussians <<<"$pass"
   number=$((number + 1))
   dir=$set/gmm/$number.$kind data=data/$set
-  if [ "$utterances" != all ] && { [ "$dry_run" = true ] || [ "$utterances" -lt "$(wc -l <"$workspace/$data/text")" ]; }; then
+  if [ "$utterances" != all ] &&
+    { [ "$dry_run" = true ] || [ "$utterances" -lt "$(wc -l <"$workspace/$data/text")" ]; }; then
     shortest=() && [ "$kind" != mono ] || shortest=(--shortest)
     once "$set/gmm/$number.subset" utils/subset_data_dir.sh "${shortest[@]}" "$data" "$utterances" "$data.$utterances"
     data=$data.$utterances
@@ -32,7 +33,9 @@ for pass in "${list[@]}"; do
     once "$set/gmm/$number.align" "steps/$align.sh" --nj "$nj" --cmd "$runner" "$data" "$lang" "$before" "$dir.ali"
   fi
   case $kind in
-    mono) once "$set/gmm/$number.mono" steps/train_mono.sh "${silence[@]}" --nj "$nj" --cmd "$runner" "$data" "$lang" "$dir" ;;
+    mono)
+      once "$set/gmm/$number.mono" steps/train_mono.sh "${silence[@]}" --nj "$nj" --cmd "$runner" "$data" "$lang" "$dir"
+      ;;
     deltas) train=(steps/train_deltas.sh "${silence[@]}") ;;
     lda_mllt) train=(steps/train_lda_mllt.sh --splice-opts "--left-context=3 --right-context=3") ;;
     sat) train=(steps/train_sat.sh) ;;

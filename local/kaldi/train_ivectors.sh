@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Train an i-vector extractor on one set, and extract the i-vectors of that set and of those it will be tested on.
+# Train an i-vector extractor on one set, and extract the i-vectors of that set and of test sets.
 # Usage: local/kaldi/train_ivectors.sh [options] <workspace> <set> <test-set>...
 # e.g.:  local/kaldi/train_ivectors.sh --nj 30 exp/kaldi train.sim.rvb dev.real.rvb test.real.rvb
 set -euo pipefail
 nj=2                  # jobs
-min_utterances=2000   # at least so many train the UBM and the extractor; of large sets a hundredth and a fifth
+min_utterances=2000   # for UBM and extractor, at least; of large sets a hundredth and a fifth
 dry_run=false         # print the commands
 . ./path.sh
 . utils/parse_options.sh
@@ -15,7 +15,7 @@ shift 2
 data=data/$set.hires dir=$set/ivectors
 
 after "$set/features/$set.hires.fix"
-if [ "$dry_run" = true ]; then n=132553; else n=$(wc -l <"$workspace/$data/text"); fi # LibriSpeech's, to show
+if [ "$dry_run" = true ]; then n=132553; else n=$(wc -l <"$workspace/$data/text"); fi # that of LibriSpeech-460
 part() { echo $((n < min_utterances ? n : n / $1 < min_utterances ? min_utterances : n / $1)); }
 once "$set/ivectors/ubm_data" utils/subset_data_dir.sh "$data" "$(part 100)" "$data.ubm"
 once "$set/ivectors/data" utils/subset_data_dir.sh "$data" "$(part 5)" "$data.ivectors"

@@ -19,7 +19,7 @@ CASES = [pytest.param(case, id=f"{table}-{case.name}".replace(" ", "_")) for tab
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_one_line_and_nothing_lost(case, worlds, tmp_path, monkeypatch, strict):
+def test_bad_input_is_one_line_and_loses_nothing(case, worlds, tmp_path, monkeypatch, strict):
     set_up(case, worlds, tmp_path)
     monkeypatch.chdir(tmp_path)
     before = snapshot(tmp_path)
@@ -31,6 +31,6 @@ def test_one_line_and_nothing_lost(case, worlds, tmp_path, monkeypatch, strict):
     assert snapshot(tmp_path) == before
 
 
-def test_names_are_unique():
+def test_case_names_are_unique():
     names = [param.id for param in CASES]
     assert len(names) == len(set(names)) >= 80

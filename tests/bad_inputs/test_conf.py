@@ -18,7 +18,7 @@ from test_shell import recipe  # noqa: F401 (a fixture)
     (b"$(touch evil)=4\n", "size.conf:1: unknown option '$(touch evil)'"),
     (b"nj[$(touch evil)]=4\n", "size.conf:1: unknown option"),
     (b"fast=maybe\n", "--fast 'maybe' must be true or false")])
-def test_what_is_no_configuration(recipe, content, message):  # noqa: F811
+def test_malformed_config_is_named_with_its_line(recipe, content, message):  # noqa: F811
     if content is None:
         (recipe / "size.conf").mkdir()
     else:
@@ -33,7 +33,7 @@ def test_what_is_no_configuration(recipe, content, message):  # noqa: F811
     (BrokenProcessPool("x"), "a worker was killed (BrokenProcessPool): use a smaller --nj and start it again to go on"),
     (KeyboardInterrupt(), "interrupted; start it again to go on"),
     (RuntimeError("odd\nlines"), "internal error, please report it: RuntimeError: odd lines (fail, test_conf.py:")])
-def test_what_is_nobodys_input(error, message, monkeypatch):
+def test_internal_failures_are_one_line(error, message, monkeypatch):
     def fail(directories):
         raise error
 

@@ -173,7 +173,7 @@ def test_a_killed_runner_takes_its_jobs_along(slurm, project_dir, tmp_path):
 @pytest.mark.parametrize("options, message", [
     (["--partition", "nosuch"], "sbatch refused: .*partition"),
     (["--mem", "100000G"], "sbatch refused: .*[Mm]emory|sbatch refused: .*node configuration"),
-    (["--array=1-5"], "--array=1-5 is for slurm.sh itself to set"),
+    (["--array=1-5"], "--array=1-5 is set by slurm.sh itself"),
     (["JOB=1:x"], "JOB=1:x must be JOB=FIRST:LAST"),
     (["JOB=3:2"], "JOB=3:2: the first must not be above the last"),
 ])
