@@ -1,14 +1,16 @@
-"""Acoustic parameters of measured RIRs: everything that can be measured on one, and whether it may be used for what.
+"""Characterise measured RIRs: measure each one, drop those that are useless, mark those that the EQ fit must leave out.
 
-An RIR is *dropped* when it adds nothing or cannot be right (a repeat, an uncommon space): it is not in the
-output, only in `screening.json`. It is *screened* when it is a fine recording whose spectrum says more about
-something else than the room (a dummy head, a hand clap, noise): it stays, and the EQ fit leaves it out.
+An RIR is *dropped* if it adds nothing (a repeat) or is of an uncommon space: it is only in `screening.json`. It is
+*screened* if the recording is fine but its spectrum is not that of the room alone (a dummy head, a hand clap, noise):
+it stays, and the EQ fit leaves it out.
 """
 
 import hashlib
 import logging
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,29 +22,32 @@ from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 from roomeq.core.files import write_json
 from roomeq.records.geometry import geometry_usability, position_key
 from roomeq.records.rir_dir import load_rir, read_noises, read_rirs, relocated, rir_path, write_noises, write_rirs
+from roomeq.records.schema import RirRow
 
 logger = logging.getLogger(__name__)
 
 SCREENING_FILE = "screening.json"
-MAX_DEAD_POINTS = 1  # one lost EQ point can be filled in from the others, two are a dead band
+MAX_DEAD_POINTS = 1
+"""EQ points that may be invalid: one can be estimated from the others, two are a dead band."""
 SAME_TAKE_S = 0.05
 SAME_TAKE_CORRELATION = 0.8
-_DECIMALS = 4
+"""Two RIRs of one position are takes of one measurement if their first 50 ms correlate better than this."""
 
 
-def characterise(rir_dir, out, *, skip_bad=False, part=None, nj=1):
-    """Measure every RIR of a directory; drop repeats and uncommon spaces; say what the EQ fit must leave out.
+def characterise(rir_dir: Path, out: Path, *, skip_bad: bool = False, part: str | None = None,
+                 nj: int = 1) -> dict[str, Any] | None:
+    """Measure every RIR of a directory, drop repeats and uncommon spaces, and screen RIRs for the EQ fit.
 
     Parameters
     ----------
     rir_dir : Path
         RIR directory (`roomeq.records.rir_dir`), e.g. ``data/measured``.
     out : Path
-        RIR directory to make: the same audio (not copied), its rows with `acoustic_parameters` (see `measure`),
-        `screen` (why the EQ fit leaves this RIR out, or null) and `geometry_ok`; and `screening.json`.
+        RIR directory to make. It refers to the same audio; its rows also have `acoustic_parameters` (see
+        `roomeq.acoustics.parameters.measure`), `screen` (why the EQ fit leaves the RIR out, or null) and `geometry_ok`.
+        Beside them lies `screening.json`.
     skip_bad : bool
-        Drop recordings that cannot be measured at all (no direct sound) instead of
-        stopping at the first.
+        Drop recordings that cannot be measured (they have no direct sound) instead of stopping at the first.
     part : str, optional
         ``"2/5"``: do one share of the work only.
     nj : int
@@ -50,8 +55,8 @@ def characterise(rir_dir, out, *, skip_bad=False, part=None, nj=1):
 
     Returns
     -------
-    dict or None
-        What `screening.json` says; None if only a part was done.
+    summary : dict or None
+        Content of `screening.json`; None if `out` was up to date or only a part was done.
 
     Raises
     ------
@@ -60,17 +65,16 @@ def characterise(rir_dir, out, *, skip_bad=False, part=None, nj=1):
     """
     rir_dir, out = Path(rir_dir), Path(out)
     rows = read_rirs(rir_dir)
-    build = Build(out, step="characterise", options=dict(skip_bad=bool(skip_bad)), inputs=[rir_dir],
-                  refers=True)
+    build = Build(out, step="characterise", options=dict(skip_bad=bool(skip_bad)), inputs=[rir_dir], refers=True)
     if build.done:
         return None
 
-    def one(_, row):
-        return _characterise_one(rir_dir, row, skip_bad)
+    def make(_: str, row: RirRow) -> dict[str, Any]:
+        return _characterise_rir(rir_dir, row, skip_bad)
 
-    summary = {}
+    summary: dict[str, Any] = {}
 
-    def assemble(directory, records):
+    def assemble(directory: Path, records: list[dict[str, Any]]) -> None:
         kept, dropped = _drop(rir_dir, rows, records)
         if not kept:
             raise ValueError(f"{rir_dir}: all {len(rows)} RIRs are dropped ({_counts_text(dropped)}): "
@@ -80,13 +84,13 @@ def characterise(rir_dir, out, *, skip_bad=False, part=None, nj=1):
         summary.update(_summary(rows, kept, dropped))
         write_json(directory / SCREENING_FILE, summary)
 
-    if build.run({row["id"]: row for row in rows}, one, part=part, nj=nj) and build.finish(assemble):
+    if build.run({row["id"]: row for row in rows}, make, part=part, nj=nj) and build.finish(assemble):
         _log(summary)
     return summary or None
 
 
-def _characterise_one(rir_dir, row, skip_bad):
-    """Record of one RIR: its acoustic parameters, its screening, and a hash of what it sounds like."""
+def _characterise_rir(rir_dir: Path, row: RirRow, skip_bad: bool) -> dict[str, Any]:
+    """Return the new keys of a row and a hash of its samples, or ``{"broken": reason}``."""
     rir = load_rir(rir_dir, row)
     try:
         parameters = measure(rir)
@@ -94,16 +98,17 @@ def _characterise_one(rir_dir, row, skip_bad):
         if skip_bad:
             return dict(broken=str(error))
         raise ValueError(f"{rir_path(rir_dir, row)}: {error}") from None
-    # the same take at another gain is no other
+    # scaled, so that the same samples at another gain have the same hash
     scaled = np.round(rir / np.max(np.abs(rir)) * 2 ** 15).astype("<i4")
     return dict(acoustic_parameters=parameters, screen=screen_reason(row, parameters),
-                geometry_ok=geometry_usability(row, needs="consistency").usable, sound=hashlib.sha256(scaled.tobytes()).hexdigest())
+                geometry_ok=geometry_usability(row, needs="consistency").usable,
+                sound=hashlib.sha256(scaled.tobytes()).hexdigest())
 
 
-def screen_reason(row, parameters):
-    """Why an RIR may not shape the EQ distribution, by what is known of this one recording; or None.
+def screen_reason(row: Mapping[str, Any], parameters: Mapping[str, Any]) -> str | None:
+    """Return why an RIR may not shape the EQ distribution, by what is known of this recording alone; or None.
 
-    The first words, up to the colon, are the kind of reason that summaries count.
+    The words before the colon are the kind of reason, by which summaries count.
     """
     if row.get("binaural"):
         return "binaural: the dummy head's ears are part of the spectrum"
@@ -121,11 +126,19 @@ def screen_reason(row, parameters):
     return None
 
 
-def _drop(rir_dir, rows, records):
-    """Split rows into those that stay (with acoustic parameters) and {id: reason} of those that go."""
-    kept, dropped, first_of = [], {}, {}
+class _Drop(NamedTuple):
+    """Rows that stay, with their acoustic parameters, and the reasons of the others by id."""
+
+    kept: list[dict[str, Any]]
+    dropped: dict[str, str]
+
+
+def _drop(rir_dir: Path, rows: Sequence[RirRow], records: Sequence[dict[str, Any]]) -> _Drop:
+    kept: list[dict[str, Any]] = []
+    dropped: dict[str, str] = {}
+    first_with: dict[str, dict[str, Any]] = {}  # by hash of the samples and by position
     ids = {row["id"] for row in rows}
-    # a reader names as repeat_of the take to keep: that one comes first
+    # where a reader sets repeat_of, it names the take to keep: that take comes first
     order = sorted(range(len(rows)), key=lambda n: (rows[n].get("repeat_of") is not None, rows[n]["id"]))
     for n in order:
         row, record = rows[n], records[n]
@@ -136,37 +149,38 @@ def _drop(rir_dir, rows, records):
         elif row.get("repeat_of") in ids and row["repeat_of"] not in dropped:
             dropped[row["id"]] = f"repeat: same positions as {row['repeat_of']}"
         else:
-            row = row | {key: record[key] for key in ("acoustic_parameters", "screen", "geometry_ok")}
-            sound, place = record["sound"], position_key(row)
-            if sound in first_of:
-                dropped[row["id"]] = f"repeat: same audio as {first_of[sound]['id']}"
-            elif place in first_of and same_take(rir_dir, first_of[place], row):
-                dropped[row["id"]] = f"repeat: same positions as {first_of[place]['id']}"
+            measured = {**row, **{key: record[key] for key in ("acoustic_parameters", "screen", "geometry_ok")}}
+            sound, position = record["sound"], position_key(row)
+            if sound in first_with:
+                dropped[row["id"]] = f"repeat: same audio as {first_with[sound]['id']}"
+            elif position in first_with and same_take(rir_dir, first_with[position], measured):
+                dropped[row["id"]] = f"repeat: same positions as {first_with[position]['id']}"
             else:
-                first_of.setdefault(sound, row)
-                if place is not None:
-                    first_of.setdefault(place, row)
-                kept.append(row)
-    return kept, dropped
+                first_with.setdefault(sound, measured)
+                if position is not None:
+                    first_with.setdefault(position, measured)
+                kept.append(measured)
+    return _Drop(kept, dropped)
 
 
-def same_take(rir_dir, row, other):
-    """Tell whether two RIRs of one stated position are alike: channels of an array or of a dummy head are not.
+def same_take(rir_dir: Path, first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
+    """Tell whether two RIRs of one stated position are takes of one measurement, not channels of one recording.
 
-    Correlated over the 50 ms after their direct sounds, at the best shift of up to 0.5 ms.
+    The first 50 ms after their direct sounds are correlated, at the best shift of up to 0.5 ms: the channels of an
+    array or of a dummy head do not correlate well.
     """
     n, reach = round(SAME_TAKE_S * FS_HZ), round(5e-4 * FS_HZ)
     parts = []
-    for one, margin in ((row, 0), (other, reach)):
-        start = max(0, round(one["acoustic_parameters"]["direct_sample"]))
-        rir = np.pad(load_rir(rir_dir, one), (margin, n + margin))
+    for row, margin in ((first, 0), (second, reach)):
+        start = max(0, round(row["acoustic_parameters"]["direct_sample"]))
+        rir = np.pad(load_rir(rir_dir, row), (margin, n + margin))
         parts.append(rir[start:start + n + 2 * margin])
     windows = np.lib.stride_tricks.sliding_window_view(parts[1], n)
     size = np.linalg.norm(parts[0]) * np.linalg.norm(windows, axis=1)
     return bool(np.max(np.abs(windows @ parts[0]) / np.maximum(size, 1e-300)) > SAME_TAKE_CORRELATION)
 
 
-def _summary(rows, kept, dropped):
+def _summary(rows: Sequence[RirRow], kept: Sequence[dict[str, Any]], dropped: dict[str, str]) -> dict[str, Any]:
     screened = {row["id"]: row["screen"] for row in kept if row["screen"]}
     return dict(n_given=len(rows), n_kept=len(kept), n_for_eq=len(kept) - len(screened),
                 n_geometry_not_ok=sum(not row["geometry_ok"] for row in kept),
@@ -175,18 +189,18 @@ def _summary(rows, kept, dropped):
                 screened_counts=_counts(screened), screened=screened)
 
 
-def _counts(reasons):
+def _counts(reasons: dict[str, str]) -> dict[str, int]:
     return dict(sorted(Counter(reason.split(":")[0] for reason in reasons.values()).items()))
 
 
-def _counts_text(reasons):
+def _counts_text(reasons: dict[str, str]) -> str:
     return ", ".join(f"{count} {kind}" for kind, count in _counts(reasons).items()) or "none"
 
 
-def _log(summary):
+def _log(summary: dict[str, Any]) -> None:
     if summary:
-        logger.info("%d RIRs given, %d kept; dropped: %s", summary["n_given"], summary["n_kept"],
+        logger.info("%d RIRs read, %d kept; dropped: %s", summary["n_given"], summary["n_kept"],
                     _counts_text(summary["dropped"]))
-        logger.info("%d of them may shape the EQ distribution; screened: %s; 8 kHz behind an anti-alias filter: "
-                    "%d; positions not to be believed: %d", summary["n_for_eq"], _counts_text(summary["screened"]),
-                    summary["n_roll_off_at_8khz"], summary["n_geometry_not_ok"])
+        logger.info("%d of them shape the EQ distribution; screened: %s; %d lose their 8 kHz point to an anti-alias "
+                    "filter; %d have positions that cannot be right", summary["n_for_eq"],
+                    _counts_text(summary["screened"]), summary["n_roll_off_at_8khz"], summary["n_geometry_not_ok"])

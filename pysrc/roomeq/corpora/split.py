@@ -1,48 +1,56 @@
-"""Splitting measured RIRs into training, development and test sets that share nothing."""
+"""Split measured RIRs into training, development and test sets that share no measurement, or no room."""
 
 import hashlib
 import logging
 import re
 from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from roomeq.core.build import Build
 from roomeq.records.geometry import position_key
 from roomeq.records.rir_dir import read_noises, read_rirs, relocated, write_noises, write_rirs
+from roomeq.records.schema import NoiseRow, RirRow
 
 logger = logging.getLogger(__name__)
 
 SPLITS = ("train", "dev", "test")
-N_SHUFFLES = 200  # orders of the rooms that are tried for the best proportion
+N_SHUFFLES = 200
+"""Random orders of the rooms, of which the one that fits the proportion best is taken."""
+
+Dealt = dict[str, list[NoiseRow]]
+"""Noises by split."""
 
 
-def split_rirs(rir_dir, out_prefix, *, split_by="rir", same_rooms=(), sizes=(773, 194, 242), seed):
+def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", same_rooms: Sequence[str] = (),
+               sizes: Sequence[int] = (773, 194, 242), seed: int) -> dict[str, int]:
     """Split an RIR directory into ``<out_prefix>.train``, ``.dev`` and ``.test``.
 
-    Repeats of one source and microphone position stay together. Where more RIRs are given than `sizes` ask
-    for, the rest is left over; where there are fewer, the proportion is kept. Noises are split alike.
+    Repeats of one source and microphone position stay together. RIRs beyond the sum of `sizes` are left over; if there
+    are fewer, the proportion is kept. Noises are split in the same proportion.
 
     Parameters
     ----------
     rir_dir : Path
-        RIR directory, as a rule what `roomeq.corpora.characterise.characterise` made.
+        RIR directory, usually made by `roomeq.corpora.characterise.characterise`.
     out_prefix : str or Path
         e.g. ``data/rirs.real``.
     split_by : str
-        ``"rir"`` (the paper: rooms are in all three) or ``"room"`` (no room is in two).
+        ``"rir"`` (as in the paper: a room may be in all three sets) or ``"room"`` (each room is in one set).
     same_rooms : sequence of str
-        Patterns (``*``, ``?``, ``[ ]``): the rooms that one matches count as one room, such as the states of a
-        laboratory or the rooms of a house that open into each other. Where two match, the first.
-    sizes : tuple of int
-        RIRs for training, development and test.
+        Patterns (``*``, ``?``, ``[ ]``): all rooms that a pattern matches count as one room, for instance the states
+        of a laboratory, or the rooms of a house that open into each other. The first pattern that matches counts.
+    sizes : sequence of int
+        Number of RIRs for training, development and test.
     seed : int
 
     Returns
     -------
-    dict
+    counts : dict
         Number of RIRs per split.
 
     Raises
@@ -56,15 +64,15 @@ def split_rirs(rir_dir, out_prefix, *, split_by="rir", same_rooms=(), sizes=(773
     if len(sizes) != 3 or min(sizes) < 1:
         raise ValueError(f"sizes={tuple(sizes)} must be three positive numbers: training, development, test")
     rows = read_rirs(rir_dir)
-    place_of = _places(rir_dir, rows, split_by, same_rooms)
-    split_of = _by_room(rows, place_of, sizes, seed) if split_by == "room" else _by_rir(rows, sizes, seed)
+    group_of = _room_groups(rir_dir, rows, split_by, same_rooms)
+    split_of = _by_room(rows, group_of, sizes, seed) if split_by == "room" else _by_rir(rows, sizes, seed)
     counts = Counter(split_of.values())
     for split in SPLITS:
         if not counts[split]:
-            raise ValueError(f"{rir_dir}: {len(rows)} RIRs of {len(set(place_of.values()))} rooms leave {split} empty "
+            raise ValueError(f"{rir_dir}: {len(rows)} RIRs of {len(set(group_of.values()))} rooms leave {split} empty "
                              f"when split by {split_by}: give more RIRs, or split by 'rir'")
     noises = _split_noises(read_noises(rir_dir), rows, split_of, sizes, seed, split_by)
-    # all places are looked at before anything goes to one of them
+    # every output is checked before one of them is written
     builds = {split: Build(Path(f"{out_prefix}.{split}"), step="split", inputs=[rir_dir], refers=True, options=dict(
         split=split, split_by=split_by, same_rooms=list(same_rooms), sizes=list(sizes), seed=seed)) for split in SPLITS}
     for split, build in builds.items():
@@ -73,27 +81,27 @@ def split_rirs(rir_dir, out_prefix, *, split_by="rir", same_rooms=(), sizes=(773
     return {split: counts[split] for split in SPLITS}
 
 
-def _places(rir_dir, rows, split_by, same_rooms):
-    """What each room counts as: its own name, or the pattern that it shares with others."""
+def _room_groups(rir_dir: Path, rows: Sequence[RirRow], split_by: str, same_rooms: Sequence[str]) -> dict[str, str]:
+    """Return the group of each room: the pattern that it shares with other rooms, or its own id."""
     if same_rooms and split_by != "room":
-        raise ValueError(f"same_rooms={','.join(same_rooms)} keeps rooms whole that split_by={split_by!r} parts: "
-                         "split by 'room'")
+        raise ValueError(f"same_rooms={','.join(same_rooms)} keeps rooms together that split_by={split_by!r} "
+                         "splits: split by 'room'")
     rooms = sorted({row["room_id"] for row in rows})
-    place_of = {room: next((one for one in same_rooms if fnmatchcase(room, one)), room) for room in rooms}
+    group_of = {room: next((pattern for pattern in same_rooms if fnmatchcase(room, pattern)), room) for room in rooms}
     for pattern in same_rooms:
-        if pattern not in place_of.values():
+        if pattern not in group_of.values():
             raise ValueError(f"{rir_dir}: same_rooms: {pattern!r} matches no room that is not matched before: they are "
                              f"{', '.join(rooms)}")
-    return place_of
+    return group_of
 
 
-def _hashed(seed, name):
-    """Stable place of a name in a random order."""
+def _random_rank(seed: int, name: str) -> str:
+    """Return a key that sorts names in a random order, each independently of the others."""
     return hashlib.sha256(repr((int(seed), "split", name)).encode()).hexdigest()
 
 
-def _shares(sizes, n):
-    """How many of n things each split gets: the sizes where n suffices, else their proportion, none empty."""
+def _shares(sizes: Sequence[int], n: int) -> list[int]:
+    """Return how many of n RIRs each split gets: the sizes if n suffices, else their proportion, at least 1 each."""
     if n >= sum(sizes):
         return list(sizes)
     exact = [n * size / sum(sizes) for size in sizes]
@@ -106,24 +114,23 @@ def _shares(sizes, n):
     return shares
 
 
-def _measurement(row):
-    """What recordings of one measurement have in common: positions, or where those are unknown the file but for its
-    channel."""
-    place = position_key(row)
-    if place is None:
-        stem = re.sub(r"[._-](ch\d+|[LR])$", "", Path(row["wav"]).stem)
-        place = (row["room_id"], row["source_id"], row.get("source_pos_m"), row.get("mic_pos_m"), stem)
-    return repr(place)
+def _measurement_key(row: RirRow) -> str:
+    """Return what the recordings of one measurement share: positions or, if unknown, the file name without channel."""
+    position = position_key(row)
+    if position is not None:
+        return repr(position)
+    stem = re.sub(r"[._-](ch\d+|[LR])$", "", Path(row["wav"]).stem)
+    return repr((row["room_id"], row["source_id"], row.get("source_pos_m"), row.get("mic_pos_m"), stem))
 
 
-def _by_rir(rows, sizes, seed):
-    """Split of each id; groups of one measurement go to the first set that has room for all of them."""
-    groups = defaultdict(list)
+def _by_rir(rows: Sequence[RirRow], sizes: Sequence[int], seed: int) -> dict[str, str]:
+    """Return the split of each id; the RIRs of one measurement go to the first split with space for all of them."""
+    groups: dict[str, list[str]] = defaultdict(list)
     for row in rows:
-        groups[_measurement(row)].append(row["id"])
+        groups[_measurement_key(row)].append(row["id"])
     free = dict(zip(SPLITS, _shares(sizes, len(rows)), strict=True))
-    split_of = {}
-    for ids in sorted(groups.values(), key=lambda ids: _hashed(seed, ids[0])):
+    split_of: dict[str, str] = {}
+    for ids in sorted(groups.values(), key=lambda ids: _random_rank(seed, ids[0])):
         split = next((name for name in SPLITS if free[name] >= len(ids)), None)
         if split is None and len(rows) <= sum(sizes):
             split = max(SPLITS, key=lambda name: free[name])
@@ -133,18 +140,20 @@ def _by_rir(rows, sizes, seed):
     return split_of
 
 
-def _by_room(rows, place_of, sizes, seed):
-    """Split of each id, places kept whole: of many random orders the one that comes closest to the proportion."""
-    rooms = defaultdict(list)
+def _by_room(rows: Sequence[RirRow], group_of: Mapping[str, str], sizes: Sequence[int], seed: int) -> dict[str, str]:
+    """Return the split of each id, groups of rooms kept together: the best of many random orders."""
+    rooms: dict[str, list[str]] = defaultdict(list)
     for row in rows:
-        rooms[place_of[row["room_id"]]].append(row["id"])
+        rooms[group_of[row["room_id"]]].append(row["id"])
     shares = np.array(_shares(sizes, len(rows)), dtype=float)
-    best, best_error = {}, np.inf
+    best: dict[str, str] = {}
+    best_error = np.inf
     for attempt in range(N_SHUFFLES):
-        order = sorted(rooms, key=lambda room: _hashed(seed, f"{attempt} {room}"))
-        filled, split_of = np.zeros(3), {}
+        order = sorted(rooms, key=lambda room: _random_rank(seed, f"{attempt} {room}"))
+        filled = np.zeros(3)
+        split_of: dict[str, str] = {}
         for n, room in enumerate(order):
-            # the first three rooms make sure that no set is empty
+            # one of the first three rooms each, so that no split is empty
             k = n if n < len(SPLITS) else int(np.argmax((shares - filled) / shares))
             filled[k] += len(rooms[room])
             split_of.update(dict.fromkeys(rooms[room], SPLITS[k]))
@@ -154,40 +163,43 @@ def _by_room(rows, place_of, sizes, seed):
     return best
 
 
-def _split_noises(noises, rows, split_of, sizes, seed, split_by):
-    """Noises of each split, each kind by itself, so that no set lacks what another has."""
-    dealt = {split: [] for split in SPLITS}
+def _split_noises(noises: Sequence[NoiseRow], rows: Sequence[RirRow], split_of: Mapping[str, str],
+                  sizes: Sequence[int], seed: int, split_by: str) -> Dealt:
+    """Return the noises of each split; each kind is dealt out by itself, so that every split gets some of it."""
+    dealt: Dealt = {split: [] for split in SPLITS}
     for kind in sorted({noise["kind"] for noise in noises}):
-        alike = [noise for noise in noises if noise["kind"] == kind]
-        for split, share in _deal(alike, kind, rows, split_of, sizes, seed, split_by).items():
+        of_kind = [noise for noise in noises if noise["kind"] == kind]
+        for split, share in _deal(of_kind, kind, rows, split_of, sizes, seed, split_by).items():
             dealt[split] += share
     return dealt
 
 
-def _deal(noises, kind, rows, split_of, sizes, seed, split_by):
-    """Noises of one kind: a room's go where its RIRs go; where all sets hold the room, they are dealt out."""
-    dealt = {split: [] for split in SPLITS}
-    home = defaultdict(set)
+def _deal(noises: Sequence[NoiseRow], kind: str, rows: Sequence[RirRow], split_of: Mapping[str, str],
+          sizes: Sequence[int], seed: int, split_by: str) -> Dealt:
+    """Deal out noises of one kind: to the split of their room's RIRs, in proportion among several such splits."""
+    dealt: Dealt = {split: [] for split in SPLITS}
+    splits_of_room: dict[str | None, set[str]] = defaultdict(set)
     for row in rows:
         if row["id"] in split_of:
-            home[row["room_id"]].add(split_of[row["id"]])
-    free_to_go = []
-    for noise in sorted(noises, key=lambda noise: (str(noise.get("room_id")), _hashed(seed, noise["id"]))):
-        where = home.get(noise.get("room_id"), set())
-        if split_by == "room" and len(where) == 1:
-            dealt[next(iter(where))].append(noise)
+            splits_of_room[row["room_id"]].add(split_of[row["id"]])
+    undecided: list[tuple[NoiseRow, set[str]]] = []
+    for noise in sorted(noises, key=lambda noise: (str(noise.get("room_id")), _random_rank(seed, noise["id"]))):
+        splits = splits_of_room.get(noise.get("room_id"), set())
+        if split_by == "room" and len(splits) == 1:
+            dealt[next(iter(splits))].append(noise)
         else:
-            free_to_go.append((noise, where or set(SPLITS)))
+            undecided.append((noise, splits or set(SPLITS)))
     wanted = np.array(sizes, dtype=float) / sum(sizes) * len(noises)
-    for noise, where in free_to_go:
-        lack = {split: wanted[k] - len(dealt[split]) for k, split in enumerate(SPLITS) if split in where}
-        # relative to what it shall have, so that small sets are not served last
-        dealt[max(lack, key=lambda split: lack[split] / wanted[SPLITS.index(split)])].append(noise)
-    return _none_without(dealt, kind, split_by)
+    for noise, splits in undecided:
+        # in relation to the wanted number, so that small splits are not served last
+        missing = {split: (wanted[k] - len(dealt[split])) / wanted[k] for k, split in enumerate(SPLITS)
+                   if split in splits}
+        dealt[max(missing, key=missing.__getitem__)].append(noise)
+    return _fill_empty(dealt, kind, split_by)
 
 
-def _none_without(dealt, kind, split_by):
-    """Give every split noises: move one from the set that has most; only where none is to spare, share."""
+def _fill_empty(dealt: Dealt, kind: str, split_by: str) -> Dealt:
+    """Give every split noises: move one from the split with most, or share that split's if it has none to spare."""
     for split in SPLITS:
         richest = max(SPLITS, key=lambda name: len(dealt[name]))
         if dealt[split]:
@@ -195,13 +207,13 @@ def _none_without(dealt, kind, split_by):
         if len(dealt[richest]) > 1 and split_by == "rir":
             dealt[split].append(dealt[richest].pop())
         else:
-            logger.warning("%s has no noises of its own (%s) and shares those of %s: give more", split, kind, richest)
+            logger.warning("%s has no %s noises of its own and shares those of %s: add noises", split, kind, richest)
             dealt[split] = list(dealt[richest])
     return dealt
 
 
-def _write(build, rir_dir, rows, noises):
-    def assemble(directory, _):
+def _write(build: Build, rir_dir: Path, rows: Sequence[RirRow], noises: Sequence[NoiseRow]) -> None:
+    def assemble(directory: Path, _: list[Any]) -> None:
         write_rirs(directory, relocated(rows, rir_dir, build.out), final_directory=build.out)
         write_noises(directory, relocated(noises, rir_dir, build.out))
 
@@ -209,8 +221,8 @@ def _write(build, rir_dir, rows, noises):
         build.finish(assemble)
 
 
-def _log_table(rows, split_of, noises):
-    """Print how many RIRs of each room went where."""
+def _log_table(rows: Sequence[RirRow], split_of: Mapping[str, str], noises: Dealt) -> None:
+    """Log how many RIRs of each room went to each split."""
     count = Counter((row["room_id"], split_of.get(row["id"], "left over")) for row in rows)
     columns = [*SPLITS, *(["left over"] if any(split == "left over" for _, split in count) else [])]
     rooms = sorted({row["room_id"] for row in rows})
