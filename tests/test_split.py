@@ -1,4 +1,4 @@
-"""Splits are disjoint, whole, of the sizes asked for, and the same for the same seed."""
+"""Splits are disjoint and complete, have the sizes asked for, and depend on the seed only."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ RIR = np.eye(1, 600, 10).ravel() + 1e-3
 
 
 def make(directory, rooms, noises=()):
-    """An RIR directory of {room: number of RIRs}."""
+    """Write an RIR directory of {room: number of RIRs}."""
     return write_rir_dir(directory, [(row(f"{room}-{n}", room), RIR) for room, count in rooms.items()
                                      for n in range(count)], noises)
 
@@ -21,7 +21,7 @@ def split(tmp_path, rir_dir, name="out", **options):
     split_rirs(rir_dir, tmp_path / name, **{"seed": 0} | options)
     for part in SPLITS:
         validate_rirs(tmp_path / f"{name}.{part}")
-    return tuple({part: [one["id"] for one in read(tmp_path / f"{name}.{part}")] for part in SPLITS}
+    return tuple({part: [row["id"] for row in read(tmp_path / f"{name}.{part}")] for part in SPLITS}
                  for read in (read_rirs, read_noises))
 
 
@@ -37,13 +37,13 @@ def test_sizes_are_exact_or_in_proportion(tmp_path, count, sizes, expected):
     assert sizes_of(ids) == expected
 
 
-def test_splits_are_disjoint_and_whole(tmp_path):
+def test_splits_are_disjoint_and_complete(tmp_path):
     ids, _ = split(tmp_path, make(tmp_path / "in", {"a": 9, "b": 8, "c": 5}))
     everything = sorted(sum(ids.values(), []))
-    assert everything == sorted(one["id"] for one in read_rirs(tmp_path / "in"))
+    assert everything == sorted(row["id"] for row in read_rirs(tmp_path / "in"))
 
 
-def test_the_seed_decides_and_nothing_else(tmp_path):
+def test_split_depends_on_the_seed_only(tmp_path):
     rir_dir = make(tmp_path / "in", {"a": 20})
     first, _ = split(tmp_path, rir_dir, "first")
     assert split(tmp_path, rir_dir, "again")[0] == first
@@ -51,10 +51,10 @@ def test_the_seed_decides_and_nothing_else(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_by_room_no_room_is_in_two(tmp_path, seed):
+def test_split_by_room_keeps_rooms_in_one_split(tmp_path, seed):
     rooms = {"a": 10, "b": 3, "c": 4, "d": 6, "e": 2}
     ids, _ = split(tmp_path, make(tmp_path / "in", rooms), split_by="room", seed=seed)
-    homes = {part: {one.split("-")[0] for one in ids[part]} for part in SPLITS}
+    homes = {part: {rir_id.split("-")[0] for rir_id in ids[part]} for part in SPLITS}
     assert sum(len(home) for home in homes.values()) == len(rooms)
     assert sizes_of(ids)[0] == max(sizes_of(ids)) and min(sizes_of(ids)) > 0
 
@@ -64,7 +64,7 @@ def test_rooms_of_one_pattern_stay_together(tmp_path, seed):
     rooms = {"lab_open": 3, "lab_shut": 3, "house_hall": 2, "house_den": 2, "c": 4, "d": 6, "house": 2}
     ids, _ = split(tmp_path, make(tmp_path / "in", rooms), split_by="room", same_rooms=("lab_*", "house_*"), seed=seed)
     for name in ("lab_", "house_"):
-        assert sum(any(one.startswith(name) for one in ids[part]) for part in SPLITS) == 1
+        assert sum(any(rir_id.startswith(name) for rir_id in ids[part]) for part in SPLITS) == 1
     assert sum(sizes_of(ids)) == sum(rooms.values())
 
 
@@ -74,7 +74,7 @@ def test_takes_of_one_position_stay_together(tmp_path):
     ids, _ = split(tmp_path, write_rir_dir(tmp_path / "in", items))
     assert sum(sizes_of(ids)) == 24
     for part in SPLITS:
-        assert all(one[:-1] + str(1 - int(one[-1])) in ids[part] for one in ids[part])
+        assert all(rir_id[:-1] + str(1 - int(rir_id[-1])) in ids[part] for rir_id in ids[part])
 
 
 def test_channels_of_one_measurement_stay_together(tmp_path):
@@ -82,13 +82,13 @@ def test_channels_of_one_measurement_stay_together(tmp_path):
     ids, _ = split(tmp_path, write_rir_dir(tmp_path / "in", items))
     assert sum(sizes_of(ids)) == 24
     for part in SPLITS:
-        assert all(one[:-1] + str(1 - int(one[-1])) in ids[part] for one in ids[part])
+        assert all(rir_id[:-1] + str(1 - int(rir_id[-1])) in ids[part] for rir_id in ids[part])
 
 
 def test_every_split_gets_noises_of_each_kind(tmp_path):
     noises = [dict(id=f"{kind}{n}", room_id=None, kind=kind) for kind in ("ambient", "point") for n in range(3)]
     _, dealt = split(tmp_path, make(tmp_path / "in", {"a": 9}, noises))
-    assert all({one[:-1] for one in dealt[part]} == {"ambient", "point"} for part in SPLITS)
+    assert all({noise_id[:-1] for noise_id in dealt[part]} == {"ambient", "point"} for part in SPLITS)
 
 
 @pytest.mark.parametrize("split_by", ["rir", "room"])
@@ -100,17 +100,17 @@ def test_every_split_gets_noises_of_its_own(tmp_path, split_by):
     assert min(sizes_of(dealt)) > 0
     if split_by == "room":
         for part in SPLITS:
-            homes = {one.split("-")[0] for one in ids[part]}
-            assert {one[2:] for one in dealt[part]} <= homes | {"None"}
+            homes = {rir_id.split("-")[0] for rir_id in ids[part]}
+            assert {noise_id[2:] for noise_id in dealt[part]} <= homes | {"None"}
 
 
-def test_a_single_noise_is_shared_and_that_is_said(tmp_path, caplog):
+def test_single_noise_is_shared_with_a_warning(tmp_path, caplog):
     _, dealt = split(tmp_path, make(tmp_path / "in", {"a": 9}, [dict(id="n", room_id="a")]))
     assert all(dealt[part] == ["n"] for part in SPLITS)
-    assert "no noises of its own" in caplog.text
+    assert "no ambient noises of its own" in caplog.text
 
 
-def test_the_table_of_rooms_is_printed(tmp_path, caplog):
+def test_rirs_per_room_are_logged(tmp_path, caplog):
     caplog.set_level("INFO")
     split(tmp_path, make(tmp_path / "in", {"a": 9, "kitchen": 5}))
     assert "kitchen" in caplog.text and "train" in caplog.text
@@ -125,7 +125,7 @@ def test_the_table_of_rooms_is_printed(tmp_path, caplog):
     ({"a": 5}, dict(split_by="file"), "split_by='file' must be"),
     ({"a": 5}, dict(sizes=(3, 0, 1)), "must be three positive"),
 ])
-def test_what_cannot_be_split_is_refused(tmp_path, rooms, options, message):
+def test_impossible_split_is_refused(tmp_path, rooms, options, message):
     with pytest.raises(ValueError, match=message):
         split(tmp_path, make(tmp_path / "in", rooms), **options)
     assert not list(tmp_path.glob("out.*"))
