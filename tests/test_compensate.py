@@ -1,4 +1,4 @@
-"""Compensated RIRs have the EQ that was asked for, measured again, and nothing else changes."""
+"""Compensated RIRs: the EQ measured again meets the target; level, decay and direct sound do not change."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ TARGET_DB = np.array([8.0, 5.0, 4.0, 2.0, 0.0, -3.0, -5.0, -13.0])
 FREE_TARGETS = np.random.default_rng(0).normal(np.delete(TARGET_DB, 4), 3.0, (40, 7))
 
 
-def test_filter_has_its_gains_and_no_delay():
+def test_filter_meets_its_gains_and_is_linear_phase():
     gain_db = np.array([6.0, 6.0, 3.0, 0.0, 0.0, -3.0, -6.0, -6.0])
     fir = design_filter(gain_db, 511)
     assert np.allclose(fir, fir[::-1]), "linear phase"
@@ -29,25 +29,25 @@ def test_filter_has_its_gains_and_no_delay():
     assert 20 * np.log10(np.abs(freqz(fir, worN=[1414.0], fs=FS_HZ)[1][0])) == pytest.approx(between, abs=0.2)
 
 
-def test_flat_filter_changes_nothing():
+def test_flat_filter_returns_the_response():
     rir = coloured_rir(0)
     assert apply_filter(rir, design_filter(np.zeros(8), 511)) == pytest.approx(rir, abs=1e-9)
 
 
 @pytest.mark.parametrize("time_s", [0.2, 0.6, 2.0])
-def test_target_is_met_as_measured_again(time_s):
+def test_measured_eq_of_compensated_rirs_meets_the_target(time_s):
     errors = []
     for seed in range(12):
         target_db = np.insert(FREE_TARGETS[seed], 4, 0.0)
         rir = coloured_rir(seed, time_s=time_s, length_s=1.5 * time_s + 0.1)
-        compensated, achieved_db, _, _ = compensate_rir(rir, DIRECT, target_db)
-        assert analyse(compensated, DIRECT).eq_db == pytest.approx(achieved_db)
-        errors.append(np.delete(np.abs(achieved_db - target_db), 4))
+        result = compensate_rir(rir, DIRECT, target_db)
+        assert analyse(result.samples, DIRECT).eq_db == pytest.approx(result.achieved_db)
+        errors.append(np.delete(np.abs(result.achieved_db - target_db), 4))
     assert np.median(errors) < 0.5
     assert np.percentile(errors, 95) < 1.5
 
 
-def test_correcting_the_design_beats_a_single_pass_at_low_frequencies():
+def test_corrected_design_beats_a_single_pass_at_low_bands():
     def error_db(achieved_db):
         return np.mean(np.abs(achieved_db - TARGET_DB)[:, :2])
 
@@ -56,20 +56,20 @@ def test_correcting_the_design_beats_a_single_pass_at_low_frequencies():
         return analyse(apply_filter(rir, fir), DIRECT).eq_db
 
     rirs = [coloured_rir(seed) for seed in range(10)]
-    corrected_db = [compensate_rir(rir, DIRECT, TARGET_DB)[1] for rir in rirs]
+    corrected_db = [compensate_rir(rir, DIRECT, TARGET_DB).achieved_db for rir in rirs]
     assert error_db(corrected_db) < 0.5 * error_db([single_pass(rir) for rir in rirs])
 
 
-def test_level_at_1_khz_decay_and_direct_sound_stay():
+def test_compensation_keeps_level_decay_and_direct_sound():
     for polarity in (1, -1):
         rir = polarity * coloured_rir(3, time_s=0.5, length_s=0.9, direct=8.0)
-        compensated, *_ = compensate_rir(rir, DIRECT, TARGET_DB)
+        compensated = compensate_rir(rir, DIRECT, TARGET_DB).samples
         assert len(compensated) == len(rir)
         assert analyse(compensated, DIRECT).level_db[4] == pytest.approx(analyse(rir, DIRECT).level_db[4], abs=0.1)
         assert reverberation_time(compensated, FS_HZ, direct_sample=DIRECT) == pytest.approx(
             reverberation_time(rir, FS_HZ, direct_sample=DIRECT), rel=0.05)
-        found, sign = find_direct(compensated, FS_HZ, expected_sample=DIRECT)
-        assert (round(found), sign) == (DIRECT, polarity)
+        sample, sign = find_direct(compensated, FS_HZ, expected_sample=DIRECT)
+        assert (round(sample), sign) == (DIRECT, polarity)
 
 
 @pytest.fixture
@@ -84,30 +84,35 @@ def dirs(tmp_path):
     return write_rir_dir(tmp_path / "sim", [*items, noise], [dict(id="hum", room_id=None)]), tmp_path / "eq"
 
 
-def test_directory_tells_target_and_achieved_for_every_rir(dirs, tmp_path):
+def test_rows_state_target_and_achieved_eq(dirs, tmp_path):
     summary = compensate(*dirs, tmp_path / "out", seed=0)
     assert validate_rirs(tmp_path / "out") == 7
-    rows = {one["id"]: one for one in read_rirs(tmp_path / "out")}
-    assert len({tuple(one["eq_target_db"]) for one in rows.values() if "eq_target_db" in one}) == 6
-    one = rows["sim3"]
-    rir = load_rir(tmp_path / "out", one)
-    assert analyse(rir, DIRECT).eq_db == pytest.approx(one["eq_achieved_db"], abs=1e-3)
-    assert np.subtract(one["eq_achieved_db"], one["eq_target_db"]) == pytest.approx(one["eq_error_db"], abs=1e-3)
-    assert one["model"] == ["rays", "room_eq"]
-    assert (one["direct_sample"], one["acoustic_parameters"]["direct_sample"]) == (DIRECT, DIRECT)
+    rows = rows_by_id(tmp_path / "out")
+    assert len({tuple(row["eq_target_db"]) for row in rows.values() if "eq_target_db" in row}) == 6
+    sim3 = rows["sim3"]
+    rir = load_rir(tmp_path / "out", sim3)
+    assert analyse(rir, DIRECT).eq_db == pytest.approx(sim3["eq_achieved_db"], abs=1e-3)
+    assert np.subtract(sim3["eq_achieved_db"], sim3["eq_target_db"]) == pytest.approx(sim3["eq_error_db"], abs=1e-3)
+    assert sim3["model"] == ["rays", "room_eq"]
+    assert (sim3["direct_sample"], sim3["acoustic_parameters"]["direct_sample"]) == (DIRECT, DIRECT)
     assert summary == read_json(tmp_path / "out" / "compensation.json")
     assert summary["held"] and summary["n_rirs"] == 6
 
 
+def rows_by_id(rir_dir):
+    return {row["id"]: row for row in read_rirs(rir_dir)}
+
+
 def smooth_spectra_db(rir_dir):
     """Level of each RIR of a directory in steps of 49 Hz from 98 Hz up, by id."""
-    spectra = {one["id"]: np.abs(np.fft.rfft(read_audio(rir_path(rir_dir, one)), 32768)) for one in read_rirs(rir_dir)}
-    return {name: 20 * np.log10(one[200:16000].reshape(-1, 100).mean(axis=1)) for name, one in spectra.items()}
+    spectra = {row["id"]: np.abs(np.fft.rfft(read_audio(rir_path(rir_dir, row)), 32768)) for row in read_rirs(rir_dir)}
+    return {rir_id: 20 * np.log10(spectrum[200:16000].reshape(-1, 100).mean(axis=1))
+            for rir_id, spectrum in spectra.items()}
 
 
-def test_noise_rir_passes_the_filter_of_its_rir(dirs, tmp_path):
+def test_noise_rir_passes_through_the_filter_of_its_rir(dirs, tmp_path):
     compensate(*dirs, tmp_path / "out", seed=0)
-    rows = {one["id"]: one for one in read_rirs(tmp_path / "out")}
+    rows = rows_by_id(tmp_path / "out")
     before, after = (smooth_spectra_db(directory) for directory in (dirs[0], tmp_path / "out"))
     gain_db = {name: after[name] - before[name] for name in before}
     assert gain_db["sim0-noise"] == pytest.approx(gain_db["sim0"], abs=0.7)
@@ -121,26 +126,26 @@ def test_parts_jobs_and_order_give_the_same_bytes(dirs, tmp_path):
     for part in ("2/2", "1/2"):
         assert compensate(*dirs, tmp_path / "parts", seed=0, part=part) is None
     compensate(*dirs, tmp_path / "parts", seed=0)
-    for other in ("two", "parts"):
+    for repeated in ("two", "parts"):
         for path in sorted((tmp_path / "one").rglob("*.*")):
             name = path.relative_to(tmp_path / "one")
             if path.is_file() and str(name) not in ("rir_list", ".done"):
-                assert (tmp_path / other / name).read_bytes() == path.read_bytes(), name
+                assert (tmp_path / repeated / name).read_bytes() == path.read_bytes(), name
 
 
-def test_targets_follow_the_room_only_when_asked_to(dirs, tmp_path):
+def test_targets_follow_the_room_only_with_match_rooms(dirs, tmp_path):
     gmm = read_json(dirs[1] / "gmm.json")
     gmm["weights_of_room"]["room0"] = [0.0, 1.0]
     write_json(dirs[1] / "gmm.json", gmm)
-    found = {}
+    targets = {}
     for match_rooms in (True, False):
         compensate(*dirs, tmp_path / str(match_rooms), match_rooms=match_rooms, seed=0)
-        found[match_rooms] = {one["id"]: one.get("eq_target_db") for one in read_rirs(tmp_path / str(match_rooms))}
-    assert found[True]["sim1"] == found[False]["sim1"], "room1 was not measured"
-    assert any(found[True][name] != found[False][name] for name in ("sim0", "sim2", "sim4"))
+        targets[match_rooms] = {row["id"]: row.get("eq_target_db") for row in read_rirs(tmp_path / str(match_rooms))}
+    assert targets[True]["sim1"] == targets[False]["sim1"], "room1 was not measured"
+    assert any(targets[True][name] != targets[False][name] for name in ("sim0", "sim2", "sim4"))
 
 
-def test_summary_names_what_the_bins_could_not_hold():
+def test_summary_names_rirs_that_missed_their_target():
     good = dict(id="good", eq_error_db=[0.1] * 8, eq_gain_db=[0.0] * 8)
     bad = dict(id="bad", eq_error_db=[2.5] + [0.1] * 7, eq_gain_db=[30.0, 2.0] + [0.0] * 6)
     summary = summarise([good] * 9 + [bad])

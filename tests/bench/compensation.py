@@ -20,7 +20,7 @@ from bench import kit  # noqa: E402
 from roomeq.acoustics.subband_eq import analyse, eq_part  # noqa: E402
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ  # noqa: E402
 from roomeq.core.files import write_json  # noqa: E402
-from roomeq.eq.distance import gap_closed  # noqa: E402
+from roomeq.eq.distance import EqSet, gap_closed  # noqa: E402
 from roomeq.records.rir_dir import load_rir, read_rirs  # noqa: E402
 
 SETS = ("sim.train", "sim.EQ.train", "real.train", "real.test")
@@ -59,9 +59,7 @@ def main():
     for measure, label in ((eq_points_db, "EQ points"), (octave_levels_db, "octave energy")):
         eq_db = {name: np.array([measure(*pair) for pair in pairs])[:, FREE] for name, pairs in rirs.items()}
         for bands, range_hz in ((slice(None), "62.5 Hz to 8 kHz"), (TO_4KHZ, "62.5 Hz to 4 kHz")):
-            gap = gap_closed(*(eq_db[name][:, bands] for name in SETS), rooms_sim=rooms[SETS[0]],
-                             rooms_comp=rooms[SETS[1]], rooms_train=rooms[SETS[2]], rooms_heldout=rooms[SETS[3]],
-                             rng=np.random.default_rng(0))
+            gap = gap_closed(*(EqSet(eq_db[name][:, bands], rooms[name]) for name in SETS), np.random.default_rng(0))
             low, high = gap["closed_interval"]
             distances.append([label, range_hz, *(gap[key]["wasserstein_db"] for key in ("sim", "comp", "floor")),
                               f"{100 * gap['closed']:.0f} % [{100 * low:.0f}, {100 * high:.0f}]",

@@ -1,12 +1,12 @@
-"""Giving simulated RIRs an EQ drawn from the distribution of measured ones.
+"""Compensation filters: give each simulated RIR an EQ drawn from the distribution of measured ones.
 
-Tang, Meng, Manocha, section 3.3. The filter is linear-phase and its delay is taken out again, so that the direct
-sound stays where it was. What counts is the EQ of the compensated RIR, measured again.
+Tang, Meng, Manocha, section 3.3. The filter is linear-phase, and its delay is removed again, so that the direct sound
+stays at its sample. The design is corrected by the EQ of the compensated RIR, measured again.
 """
 
 import logging
-from collections import defaultdict
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.signal import fftconvolve, firwin2
@@ -14,235 +14,232 @@ from scipy.signal import fftconvolve, firwin2
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.parameters import measure
 from roomeq.acoustics.subband_eq import analyse
+from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import write_wav
 from roomeq.core.build import Build
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 from roomeq.core.files import write_json
 from roomeq.eq.gmm import FREE, draw_target, read_gmm, with_reference
 from roomeq.records.rir_dir import load_rir, read_noises, read_rirs, relocated, rir_path, write_noises, write_rirs
+from roomeq.records.schema import RirRow
 
 logger = logging.getLogger(__name__)
 
 SUMMARY_FILE = "compensation.json"
 MAX_TAPS = 4095  # as many points as the response is sampled at in the design
 PASSES = 3  # filter designs per RIR: the first is the plain window method, each further one corrects the last
-MAX_MEDIAN_DB, MAX_P95_DB = 0.5, 1.5  # of |achieved - target| over all RIRs and points
+MAX_MEDIAN_DB, MAX_P95_DB = 0.5, 1.5  # goals for |achieved - target| over all RIRs and points
+_MAX_LOGGED = 5
 _DECIMALS = 4
 
 
-def compensate(sim_dir, eq_dir, out, *, taps=511, match_rooms=True, seed, part=None, nj=1):
-    """Draw an EQ target for every simulated RIR and filter the RIR until it has it.
+class CompensatedRir(NamedTuple):
+    """What `compensate_rir` returns."""
 
-    The RIRs of a simulated RIR's noise sources (`noise_for`) pass the same filter: it stands for the room and
-    the microphone, which they share.
+    samples: FloatArray
+    """Shape (n_samples,). The level at 1 kHz and the sample of the direct sound are those of the input."""
+    achieved_db: FloatArray
+    """EQ measured on `samples`, shape (8,)."""
+    gain_db: FloatArray
+    """Gains that the last filter was designed for, shape (8,)."""
+    fir: FloatArray
+    """The last filter, shape (taps,)."""
+
+
+def compensate(sim_dir: Path | str, eq_dir: Path | str, out: Path | str, *, taps: int = 511, match_rooms: bool = True,
+               seed: int, part: str | None = None, nj: int = 1) -> dict | None:
+    """Draw an EQ target for every simulated RIR and filter the RIR so that it meets the target.
+
+    The RIRs of the noise sources of a simulated RIR (`noise_for`) pass through the same filter. It represents the
+    room and the microphone, which they share.
 
     Parameters
     ----------
-    sim_dir : Path
+    sim_dir
         Simulated RIRs.
-    eq_dir : Path
-        What `roomeq.eq.fit.fit_eq` made, or its `gmm.json`.
-    out : Path
-        RIR directory to make. Rows hold `eq_target_db`, `eq_achieved_db`, `eq_error_db` and `eq_gain_db` (what
-        the filter was designed for), 8 points each; `compensation.json` sums up.
-    taps : int
+    eq_dir
+        Output of `roomeq.eq.fit_eq`, or its `gmm.json`.
+    out
+        RIR directory to make. Rows hold `eq_target_db`, `eq_achieved_db`, `eq_error_db` and `eq_gain_db` (the gains
+        the filter was designed for), 8 points each. `compensation.json` holds `summarise` of the rows.
+    taps
         Length of the filter, odd.
-    match_rooms : bool
-        Choose among the mixture's components as the measured RIRs of the simulated RIR's room do. With one
-        simulated RIR per measured one, as in the paper, all targets together are drawn from the same mixture
-        either way; this also gives each room the share of it that is its own. False: each room draws from all.
-    seed : int
-    part : str, optional
-        ``"2/5"``: do one share of the work only.
-    nj : int
+    match_rooms
+        Weight the components of the mixture as in the measured RIRs of the simulated RIR's room. False: draw all
+        targets from the whole mixture. With one simulated RIR per measured one, as in the paper, the targets of all
+        rooms together have the same distribution either way.
+    part
+        ``"2/5"``: do the second of five shares only.
+    nj
         Number of processes.
 
     Returns
     -------
     dict or None
-        What `compensation.json` says; None if it was there already or only a part was done.
+        Content of `compensation.json`; None if the result was up to date or only a part was done.
 
     Raises
     ------
     ValueError
-        An option is wrong, or an RIR has no direct sound.
+        An option is out of range, or an RIR has no direct sound.
     """
     if not 3 <= taps <= MAX_TAPS or taps % 2 == 0:
         raise ValueError(f"taps={taps} must be odd and lie in [3, {MAX_TAPS}]: a linear-phase filter delays by half "
                          "of them")
     sim_dir, out, gmm = Path(sim_dir), Path(out), read_gmm(eq_dir)
-    groups = _groups(sim_dir, read_rirs(sim_dir))
+    groups = _group_by_filter(sim_dir, read_rirs(sim_dir))
     options = dict(taps=taps, match_rooms=bool(match_rooms), seed=seed)
     build = Build(out, step="compensate", options=options, inputs=[sim_dir, Path(eq_dir)])
     if build.done:
         return None
-    summary = {}
+    summary: dict[str, Any] = {}
 
-    def one(_, rows):
+    def compensate_group(_: str, rows: list[RirRow]) -> list[dict]:
         room_id = rows[0]["room_id"] if match_rooms else None
         target_db = with_reference(draw_target(gmm, seed, rows[0]["id"], room_id))
         return _compensate_group(sim_dir, rows, target_db, build.work, taps)
 
-    def assemble(directory, records):
+    def assemble(directory: Path, records: list[list[dict]]) -> None:
         rows = [row for record in records for row in record]
         write_rirs(directory, rows, final_directory=out)
         write_noises(directory, relocated(read_noises(sim_dir), sim_dir, out))
         summary.update(summarise([row for row in rows if not row.get("noise_for")]))
         write_json(directory / SUMMARY_FILE, summary)
 
-    if build.run(groups, one, part=part, nj=nj) and build.finish(assemble):
-        _log(out, summary)
+    if build.run(groups, compensate_group, part=part, nj=nj) and build.finish(assemble):
+        _log_summary(out, summary)
     return summary or None
 
 
-def compensate_rir(rir, direct_sample, target_db, *, taps=511):
+def compensate_rir(rir: FloatArray, direct_sample: float, target_db: FloatArray, *, taps: int = 511) -> CompensatedRir:
     """Filter one RIR so that its measured EQ becomes a target.
 
     Parameters
     ----------
     rir : ndarray, shape (n_samples,)
         At 16 kHz.
-    direct_sample : float
+    direct_sample
+        Sample of the direct sound.
     target_db : array_like, shape (8,)
         0 dB at 1 kHz.
-    taps : int
-        See `compensate`.
-
-    Returns
-    -------
-    compensated : ndarray, shape (n_samples,)
-        Of the same level at 1 kHz, its direct sound at the same sample.
-    achieved_db : ndarray, shape (8,)
-        Measured on `compensated`.
-    gain_db : ndarray, shape (8,)
-        What the filter was designed for.
-    fir : ndarray, shape (taps,)
+    taps
+        Length of the filter, odd.
 
     Raises
     ------
     ValueError
         The direct sound lies behind the end of the response.
     """
-    target_db = np.asarray(target_db, dtype=np.float64)
-    wanted_db = analyse(rir, direct_sample).level_db[BAND_1KHZ] + target_db
-    gain_db = wanted_db - analyse(rir, direct_sample).level_db
+    level_db = analyse(rir, direct_sample).level_db
+    wanted_db = level_db[BAND_1KHZ] + np.asarray(target_db, dtype=np.float64)
+    next_gain_db = wanted_db - level_db
     for _ in range(PASSES):
+        gain_db = next_gain_db
         fir = design_filter(gain_db, taps)
         compensated = apply_filter(rir, fir)
-        measured = analyse(compensated, direct_sample)
-        designed_db, gain_db = gain_db, gain_db + wanted_db - measured.level_db
-    return compensated, measured.eq_db, designed_db, fir
+        achieved = analyse(compensated, direct_sample)
+        next_gain_db = gain_db + wanted_db - achieved.level_db
+    return CompensatedRir(compensated, achieved.eq_db, gain_db, fir)
 
 
-def design_filter(gain_db, taps):
-    """Linear-phase FIR filter by the window method (Hamming).
+def design_filter(gain_db: FloatArray, taps: int) -> FloatArray:
+    """Design a linear-phase FIR filter by the window method (Hamming), shape (taps,).
 
     Parameters
     ----------
     gain_db : array_like, shape (8,)
-        At 62.5, 125, ... 8000 Hz; in between interpolated in dB over log frequency, flat below 62.5 Hz.
-    taps : int
-
-    Returns
-    -------
-    fir : ndarray, shape (taps,)
+        At 62.5, 125, ... 8000 Hz; interpolated in dB over log frequency, constant below 62.5 Hz.
     """
-    f = np.linspace(0.0, FS_HZ / 2, 4097)
-    gain = 10.0 ** (np.interp(np.log(np.maximum(f, 1.0)), np.log(BANDS_HZ), gain_db) / 20.0)
-    return firwin2(taps, f, gain, nfreqs=len(f), fs=FS_HZ)
+    f_hz = np.linspace(0.0, FS_HZ / 2, MAX_TAPS + 2)
+    gain = 10.0 ** (np.interp(np.log(np.maximum(f_hz, 1.0)), np.log(BANDS_HZ), gain_db) / 20.0)
+    return firwin2(taps, f_hz, gain, nfreqs=len(f_hz), fs=FS_HZ)
 
 
-def apply_filter(rir, fir):
-    """Filter a response and take out the filter's delay; the length stays."""
+def apply_filter(rir: FloatArray, fir: FloatArray) -> FloatArray:
+    """Filter a response and remove the delay of the filter; the length stays."""
     delay = (len(fir) - 1) // 2
     return fftconvolve(rir, fir)[delay:delay + len(rir)]
 
 
-def _groups(sim_dir, rows):
-    """Rows that share a filter, by the id of the RIR they belong to, which comes first."""
+def _group_by_filter(sim_dir: Path, rows: list[RirRow]) -> dict[str, list[RirRow]]:
+    """Return each RIR followed by the RIRs of its noise sources, by its id."""
     groups = {row["id"]: [row] for row in rows if not row.get("noise_for")}
     for row in rows:
-        main = row.get("noise_for")
-        if main and main not in groups:
-            raise ValueError(f"{sim_dir}: noise_for={main!r} of RIR {row['id']} is no RIR of this directory: "
+        main_id = row.get("noise_for")
+        if main_id and main_id not in groups:
+            raise ValueError(f"{sim_dir}: noise_for={main_id!r} of RIR {row['id']} is no RIR of this directory: "
                              "simulate it again")
-        if main:
-            groups[main].append(row)
+        if main_id:
+            groups[main_id].append(row)
     return groups
 
 
-def _compensate_group(sim_dir, rows, target_db, work, taps):
-    """Compensate an RIR and its noise RIRs; write their audio; return their rows."""
-    fir, done = None, []
+def _compensate_group(sim_dir: Path, rows: list[RirRow], target_db: FloatArray, work: Path, taps: int) -> list[dict]:
+    """Compensate an RIR, filter its noise RIRs alike, write their audio, return their rows."""
+    fir, compensated_rows = None, []
     for row in rows:
         rir = load_rir(sim_dir, row)
+        eq_keys: dict[str, list[float]] = {}
         try:
-            sample, polarity = _direct(row, rir)
+            sample, polarity = _direct_sound(row, rir)
             if fir is None:
-                compensated, achieved_db, gain_db, fir = compensate_rir(rir, sample, target_db, taps=taps)
+                samples, achieved_db, gain_db, fir = compensate_rir(rir, sample, target_db, taps=taps)
+                eq_keys = dict(eq_target_db=_rounded(target_db), eq_achieved_db=_rounded(achieved_db),
+                               eq_error_db=_rounded(achieved_db - target_db), eq_gain_db=_rounded(gain_db))
             else:
-                compensated, achieved_db = apply_filter(rir, fir), None
-            parameters = measure(compensated, direct=(sample, polarity))
+                samples = apply_filter(rir, fir)
+            parameters = measure(samples, direct=(sample, polarity))
         except ValueError as error:
             raise ValueError(f"{rir_path(sim_dir, row)}: {error}") from None
-        row = row | dict(wav=f"wav/{row['id']}.wav", model=[*(row.get("model") or []), "room_eq"],
-                         direct_sample=sample, direct_polarity=polarity, acoustic_parameters=parameters,
-                         t30_s=parameters["t30_s"][BAND_1KHZ])
-        if achieved_db is not None:
-            row.update(eq_target_db=_rounded(target_db), eq_achieved_db=_rounded(achieved_db),
-                       eq_error_db=_rounded(achieved_db - target_db), eq_gain_db=_rounded(gain_db))
-        write_wav(work / row["wav"], compensated)
-        done.append(row)
-    return done
+        wav = f"wav/{row['id']}.wav"
+        write_wav(work / wav, samples)
+        compensated_rows.append(dict(row) | dict(
+            wav=wav, model=[*(row.get("model") or []), "room_eq"], direct_sample=sample, direct_polarity=polarity,
+            acoustic_parameters=parameters, t30_s=parameters["t30_s"][BAND_1KHZ]) | eq_keys)
+    return compensated_rows
 
 
-def _direct(row, rir):
-    """Sample and polarity of the direct sound: the simulator's word, else found."""
-    if row.get("direct_sample") is not None and row.get("direct_polarity") is not None:
-        return row["direct_sample"], row["direct_polarity"]
-    return find_direct(rir, FS_HZ)
+def _direct_sound(row: RirRow, rir: FloatArray) -> tuple[float, int]:
+    """Return sample and polarity of the direct sound: those of the row if it has them, else measured."""
+    sample, polarity = row.get("direct_sample"), row.get("direct_polarity")
+    return find_direct(rir, FS_HZ) if sample is None or polarity is None else (sample, polarity)
 
 
-def _rounded(values):
+def _rounded(values: FloatArray) -> list[float]:
     return [round(float(value), _DECIMALS) for value in values]
 
 
-def summarise(rows):
-    """Sum up how closely targets were met.
-
-    Parameters
-    ----------
-    rows : list of dict
-        Compensated rows.
+def summarise(rows: list[dict]) -> dict:
+    """Summarise how closely compensated rows meet their targets.
 
     Returns
     -------
     dict
         `median_db` and `p95_db` of |achieved - target| over RIRs and the seven free points, the same per point
-        (`points_hz`), `held` (0.5 dB and 1.5 dB) and `missed`: RIRs with a point off by more than 1.5 dB, each
-        with frequency, error, and the steepest step of its filter [dB per octave], which is why: one 31.25 Hz bin
-        at 62.5 Hz cannot hold more than some 20 dB against its neighbours.
+        (`points_hz`), `held` (whether both goals are met), and `missed`: RIRs with a point off by more than
+        `MAX_P95_DB`, each with the frequency, the error, and the steepest step of its filter [dB per octave]. Steep
+        filters are the cause: one 31.25 Hz bin at 62.5 Hz cannot stand out by more than some 20 dB from its
+        neighbours.
     """
-    errors = np.abs([[row["eq_error_db"][k] for k in FREE] for row in rows])
-    missed = defaultdict(dict)
-    for row, error in zip(rows, errors, strict=True):
-        if error.max() > MAX_P95_DB:
-            worst = int(np.argmax(error))
-            missed[row["id"]] = dict(hz=BANDS_HZ[FREE[worst]], error_db=row["eq_error_db"][FREE[worst]],
+    errors_db = np.abs([[row["eq_error_db"][k] for k in FREE] for row in rows])
+    missed = {}
+    for row, error_db in zip(rows, errors_db, strict=True):
+        if error_db.max() > MAX_P95_DB:
+            worst = FREE[int(np.argmax(error_db))]
+            missed[row["id"]] = dict(hz=BANDS_HZ[worst], error_db=row["eq_error_db"][worst],
                                      steepest_db=round(float(np.abs(np.diff(row["eq_gain_db"])).max()), 1))
-    median_db, p95_db = float(np.median(errors)), float(np.percentile(errors, 95))
+    median_db, p95_db = float(np.median(errors_db)), float(np.percentile(errors_db, 95))
     return dict(n_rirs=len(rows), median_db=round(median_db, 3), p95_db=round(p95_db, 3),
-                points_hz=[BANDS_HZ[k] for k in FREE], point_median_db=np.median(errors, axis=0).round(3).tolist(),
-                point_p95_db=np.percentile(errors, 95, axis=0).round(3).tolist(),
-                held=bool(median_db <= MAX_MEDIAN_DB and p95_db <= MAX_P95_DB), missed=dict(missed))
+                points_hz=[BANDS_HZ[k] for k in FREE],
+                point_median_db=np.median(errors_db, axis=0).round(3).tolist(),
+                point_p95_db=np.percentile(errors_db, 95, axis=0).round(3).tolist(),
+                held=bool(median_db <= MAX_MEDIAN_DB and p95_db <= MAX_P95_DB), missed=missed)
 
 
-def _log(out, summary):
-    if not summary:
-        return
-    logger.info("%s: |achieved - target| %.2f dB (median), %.2f dB (95th percentile) at the seven points; %s",
-                out, summary["median_db"], summary["p95_db"],
-                f"{'within' if summary['held'] else 'not within'} the goal of {MAX_MEDIAN_DB} and {MAX_P95_DB} dB")
-    for rir_id, why in list(summary["missed"].items())[:5]:
-        logger.info("%s: off by %+.1f dB at %g Hz: 31 Hz bins do not follow steps of %.0f dB per octave", rir_id,
-                    why["error_db"], why["hz"], why["steepest_db"])
+def _log_summary(out: Path, summary: dict) -> None:
+    logger.info("%s: |achieved - target| %.2f dB (median), %.2f dB (95th percentile) at the seven points; %s the goal "
+                "of %g and %g dB", out, summary["median_db"], summary["p95_db"],
+                "within" if summary["held"] else "not within", MAX_MEDIAN_DB, MAX_P95_DB)
+    for rir_id, miss in list(summary["missed"].items())[:_MAX_LOGGED]:
+        logger.info("%s: off by %+.1f dB at %g Hz: 31 Hz bins cannot follow steps of %.0f dB per octave", rir_id,
+                    miss["error_db"], miss["hz"], miss["steepest_db"])

@@ -1,22 +1,26 @@
-"""The EQs of measured and simulated RIRs, and the distribution of the measured ones.
+"""Measure the EQs of measured and simulated RIRs, and fit a Gaussian mixture to the measured ones.
 
 Tang, Meng, Manocha, sections 3.1 and 3.2.
 """
 
 import logging
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NotRequired, TypedDict
 
 import numpy as np
 
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.subband_eq import analyse
+from roomeq.core.arrays import BoolArray, FloatArray
 from roomeq.core.build import Build
 from roomeq.core.constants import BANDS_HZ, FS_HZ
-from roomeq.core.files import read_json, read_jsonl, write_json, write_jsonl
+from roomeq.core.files import read_json, write_json, write_jsonl
 from roomeq.core.rng import rng_for
-from roomeq.eq.gmm import FREE, GMM_FILE, JND_DB, draw_target, fit_gmm, room_weights, with_reference
+from roomeq.eq.gmm import FREE, GMM_FILE, JND_DB, Gmm, draw_target, fit_gmm, read_gmm, room_weights, with_reference
 from roomeq.records.rir_dir import load_rir, read_rirs, rir_path
+from roomeq.records.schema import RirRow
 
 logger = logging.getLogger(__name__)
 
@@ -24,95 +28,109 @@ SCREENING_FILE = "screening.json"
 MEASURED_FILE, SIMULATED_FILE, RESAMPLED_FILE = "measured.jsonl", "simulated.jsonl", "resampled.jsonl"
 OUTLIER_Z = 4.0  # robust standard deviations from the median of the rooms
 MIN_SPREAD_DB = 4.0  # a single bin of one RIR scatters that much within a room (Schroeder's 5.6 dB, averaged)
+_EM_STEPS = 50
 _DECIMALS = 4
 
 
-def fit_eq(real_dir, sim_dirs, out, *, n_components=7, weight_rooms=False, seed, part=None, nj=1):
+class EqRecord(TypedDict):
+    """The EQ of one RIR, as `measured.jsonl` and `simulated.jsonl` hold it; lists have the eight points."""
+
+    id: str
+    room_id: str
+    corpus: str | None
+    eq_db: list[float]
+    valid: list[bool]
+    edge_db: float | None
+    """Level just below a roll-off at 8 kHz; None if there is no roll-off."""
+    screen: str | None
+    """Why the RIR is left out of the fit, or None."""
+    fitted_db: NotRequired[list[float]]
+    """EQ that the mixture was fitted to, with missing points filled in."""
+
+
+def fit_eq(real_dir: Path | str, sim_dirs: Sequence[Path | str], out: Path | str, *, n_components: int = 7,
+           weight_rooms: bool = False, seed: int, part: str | None = None, nj: int = 1) -> Gmm | None:
     """Measure the EQ of measured and simulated RIRs and fit a Gaussian mixture to the measured ones.
 
-    Screened RIRs (`roomeq.corpora.characterise`) are left out, and so are outliers: any point further than 4 robust
-    standard deviations from the median, rooms counting equally. Points that could not be measured are drawn from
-    the Gaussian of the others given those that could; a roll-off at 8 kHz is replaced by the level just below it.
+    Screened RIRs (`roomeq.corpora.characterise`) are left out of the fit, and so are outliers: RIRs with a point more
+    than 4 robust standard deviations from the median over rooms. Points that could not be measured are drawn from a
+    Gaussian given the points that could. Where a response rolls off at 8 kHz, the level just below the roll-off is
+    used.
 
     Parameters
     ----------
-    real_dir : Path
+    real_dir
         Measured RIRs of the *training* set, with acoustic parameters or without.
-    sim_dirs : sequence of Path
-        Simulated RIRs, for the comparison; may be empty.
-    out : Path
-        Directory to make: `gmm.json`; `measured.jsonl`, `simulated.jsonl` (EQ vectors) and `resampled.jsonl` (as
-        many draws as measured RIRs went in); `screening.json`.
-    n_components : int
+    sim_dirs
+        Simulated RIRs for comparison; may be empty.
+    out
+        Directory to make: `gmm.json`; `measured.jsonl` and `simulated.jsonl` (EQs); `resampled.jsonl` (one draw from
+        the mixture per measured RIR that was fitted); `screening.json`.
+    n_components
         Components of the mixture.
-    weight_rooms : bool
-        Repeat rows so that rooms count equally; the paper's mixture weights each RIR alike.
-    seed : int
-    part : str, optional
-        ``"2/5"``: do one share of the analysis only.
-    nj : int
+    weight_rooms
+        Let rooms weigh the same. By default each RIR weighs the same, as in the paper.
+    part
+        ``"2/5"``: analyse the second of five shares only.
+    nj
         Number of processes.
 
     Returns
     -------
-    dict or None
-        The mixture; None if it was there already or only a part was done.
+    Gmm or None
+        None if the result was up to date or only a part was analysed.
 
     Raises
     ------
     ValueError
-        Fewer measured RIRs than components, or an option is wrong.
+        There are fewer measured RIRs than components, or an option is out of range.
     """
     if n_components < 1:
         raise ValueError(f"n_components={n_components} must be at least 1")
-    real_dir, sim_dirs = Path(real_dir), [Path(path) for path in sim_dirs]
-    items = {f"{name}+{row['id']}": (directory, row)
-             for name, directory in [("real", real_dir), *((f"sim{n}", path) for n, path in enumerate(sim_dirs))]
+    directories = {"real": Path(real_dir)} | {f"sim{n}": Path(path) for n, path in enumerate(sim_dirs)}
+    items = {f"{name}+{row['id']}": (directory, row) for name, directory in directories.items()
              for row in read_rirs(directory) if not row.get("noise_for")}
     options = dict(n_components=n_components, weight_rooms=bool(weight_rooms), seed=seed)
-    build = Build(out, step="fit-eq", options=options, inputs=[real_dir, *sim_dirs])
+    build = Build(Path(out), step="fit-eq", options=options, inputs=list(directories.values()))
     if build.done:
         return None
-    fitted = {}
 
-    def assemble(directory, records):
+    def assemble(directory: Path, records: list[EqRecord]) -> None:
         measured, simulated = ([record for name, record in zip(items, records, strict=True)
-                                if name.startswith("real+") == is_real] for is_real in (True, False))
+                                if name.startswith("real+") == is_measured] for is_measured in (True, False))
         screen_outliers(measured)
         used = [record for record in measured if not record["screen"]]
         if len(used) < n_components:
-            raise ValueError(f"{real_dir}: {len(used)} measured RIRs are left after screening of {len(measured)}: "
-                             f"must be at least {n_components}, the mixture's components: give more")
-        vectors = fill_missing(used, seed)
-        gmm = fit_gmm(vectors, [record["room_id"] for record in used], n_components=n_components,
+            raise ValueError(f"{directories['real']}: {len(used)} measured RIRs are left after screening of "
+                             f"{len(measured)}: must be at least {n_components}, the mixture's components: give more")
+        vectors_db = fill_missing(used, seed)
+        gmm = fit_gmm(vectors_db, [record["room_id"] for record in used], n_components=n_components,
                       weight_rooms=weight_rooms, seed=seed)
-        for record, vector in zip(used, vectors, strict=True):
-            record["fitted_db"] = _eight(vector)
+        for record, vector_db in zip(used, vectors_db, strict=True):
+            record["fitted_db"] = _eight_points(vector_db)
         resampled = [dict(id=record["id"], room_id=record["room_id"],
-                          eq_db=_eight(draw_target(gmm, seed, record["id"], what="resample"))) for record in used]
+                          eq_db=_eight_points(draw_target(gmm, seed, record["id"], purpose="resample")))
+                     for record in used]
         write_json(directory / GMM_FILE, gmm)
-        for name, rows in ((MEASURED_FILE, measured), (SIMULATED_FILE, simulated), (RESAMPLED_FILE, resampled)):
-            write_jsonl(directory / name, rows)
+        write_jsonl(directory / MEASURED_FILE, measured)
+        write_jsonl(directory / SIMULATED_FILE, simulated)
+        write_jsonl(directory / RESAMPLED_FILE, resampled)
         write_json(directory / SCREENING_FILE, _screening(measured))
-        fitted.update(gmm)
 
-    if build.run(items, lambda _, item: eq_row(*item), part=part, nj=nj):
-        build.finish(assemble)
-        screening = read_json(Path(out) / SCREENING_FILE)
-        left_out = Counter(why.split(":")[0] for why in screening["screened"].values())
-        logger.info("%s: %d of %d measured RIRs shape the mixture; left out (see %s): %s", out, screening["n_used"],
-                    screening["n_given"], SCREENING_FILE,
-                    ", ".join(f"{count} {kind}" for kind, count in sorted(left_out.items())) or "none")
-    return fitted or None
+    if not build.run(items, lambda _, item: eq_row(*item), part=part, nj=nj):
+        return None
+    assembled = build.finish(assemble)
+    _log_screening(build.out)
+    return read_gmm(build.out) if assembled else None
 
 
-def eq_row(directory, row):
-    """EQ record of one row: from its acoustic parameters if it has them, else measured.
+def eq_row(directory: Path, row: RirRow) -> EqRecord:
+    """Return the EQ of one row: from its acoustic parameters if it has them, else measured.
 
-    Returns
-    -------
-    dict
-        `id`, `room_id`, `eq_db`, `valid` (8 each), `edge_db` and `screen`; see `roomeq.corpora.characterise.measure`.
+    Raises
+    ------
+    ValueError
+        The EQ cannot be measured; the message names the file.
     """
     parameters = row.get("acoustic_parameters") or {}
     if "eq_db" in parameters:
@@ -125,21 +143,14 @@ def eq_row(directory, row):
         except ValueError as error:
             raise ValueError(f"{rir_path(directory, row)}: {error}") from None
         eq_db, valid, edge_db = eq.eq_db.round(_DECIMALS).tolist(), eq.valid.tolist(), eq.edge_db
-    return dict(id=row["id"], room_id=row["room_id"], corpus=row.get("corpus"), eq_db=eq_db, valid=valid,
-                edge_db=edge_db, screen=row.get("screen"))
+    return EqRecord(id=row["id"], room_id=row["room_id"], corpus=row.get("corpus"), eq_db=eq_db, valid=valid,
+                    edge_db=edge_db, screen=row.get("screen"))
 
 
-def usable_eq(record):
-    """Seven-vector of an EQ record with NaN where it was not measured; below a roll-off, the level at its edge.
+def usable_eq(record: EqRecord) -> FloatArray:
+    """Return the EQ at the seven free points, shape (7,).
 
-    Parameters
-    ----------
-    record : dict
-        See `eq_row`.
-
-    Returns
-    -------
-    vector_db : ndarray, shape (7,)
+    A point that was not measured is NaN; above a roll-off stands the level at its edge.
     """
     values = np.where(record["valid"], record["eq_db"], np.nan)
     if record["edge_db"] is not None:
@@ -147,55 +158,48 @@ def usable_eq(record):
     return values[list(FREE)]
 
 
-def screen_outliers(records):
-    """Mark records that lie far from all rooms: sets `screen` of those that had none.
+def screen_outliers(records: list[EqRecord]) -> None:
+    """Set `screen` of the records that lie far from all rooms and had none.
 
-    The distance is counted per point in robust standard deviations (1.4826 times the median absolute deviation,
-    at least 4 dB) from the median. Both medians weight rooms equally, since one room is often most of the files.
+    The distance from the median is counted per point in robust standard deviations: 1.4826 times the median absolute
+    deviation, at least `MIN_SPREAD_DB`. In both medians rooms weigh the same, since one room often has most of the
+    files.
     """
     used = [record for record in records if not record["screen"]]
     if not used:
         return
     vectors = np.array([usable_eq(record) for record in used])
     weights = room_weights([record["room_id"] for record in used])
-    for n, record in enumerate(used):
-        if np.isnan(vectors[n]).sum() > 1:
+    for record, vector in zip(used, vectors, strict=True):
+        if np.isnan(vector).sum() > 1:
             record["screen"] = "dead bands: more than one EQ point could not be measured"
     for point, k in enumerate(FREE):
         known = ~np.isnan(vectors[:, point])
         if not known.any():
             continue
         centre_db = weighted_median(vectors[known, point], weights[known])
-        away_db = np.abs(vectors[:, point] - centre_db)
-        spread_db = max(MIN_SPREAD_DB, 1.4826 * weighted_median(away_db[known], weights[known]))
-        for n in np.flatnonzero(known & (away_db > OUTLIER_Z * spread_db)):
-            used[n]["screen"] = used[n]["screen"] or (
-                f"outlier: {vectors[n, point]:.1f} dB at {BANDS_HZ[k]:g} Hz where rooms have {centre_db:.1f} dB, "
-                f"{away_db[n] / spread_db:.1f} robust standard deviations away")
+        deviation_db = np.abs(vectors[:, point] - centre_db)
+        spread_db = max(MIN_SPREAD_DB, 1.4826 * weighted_median(deviation_db[known], weights[known]))
+        for outlier in np.flatnonzero(known & (deviation_db > OUTLIER_Z * spread_db)):
+            record = used[outlier]
+            record["screen"] = record["screen"] or (
+                f"outlier: {vectors[outlier, point]:.1f} dB at {BANDS_HZ[k]:g} Hz where rooms have {centre_db:.1f} "
+                f"dB, {deviation_db[outlier] / spread_db:.1f} robust standard deviations away")
 
 
-def weighted_median(values, weights):
-    """Smallest value that at least half of the weight doesn't exceed."""
+def weighted_median(values: FloatArray, weights: FloatArray) -> float:
+    """Return the smallest value up to which lies at least half of the weight."""
     order = np.argsort(values, kind="stable")
-    below = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(below, 0.5 * below[-1] - 1e-12)])
+    cumulative = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(cumulative, 0.5 * cumulative[-1] - 1e-12)])
 
 
-def fill_missing(records, seed):
-    """Seven-vectors of records with what could not be measured drawn from what could.
+def fill_missing(records: list[EqRecord], seed: int) -> FloatArray:
+    """Return the EQs of records at the free points, shape (n, 7), with missing points drawn given the others.
 
     Mean and covariance come from expectation-maximisation over the incomplete vectors (Little & Rubin, Statistical
-    Analysis with Missing Data, 11.2.2). A missing point is *drawn* from the Gaussian given the known points
-    of its RIR, not set to the conditional mean, which would narrow the mixture.
-
-    Parameters
-    ----------
-    records : list of dict
-    seed : int
-
-    Returns
-    -------
-    vectors_db : ndarray, shape (n, 7)
+    Analysis with Missing Data, 11.2.2). A missing point is *drawn* from the Gaussian given the known points of its
+    RIR. The conditional mean would make the mixture too narrow.
 
     Raises
     ------
@@ -210,42 +214,48 @@ def fill_missing(records, seed):
         k = FREE[int(np.argmax(missing.all(axis=0)))]
         raise ValueError(f"none of {len(records)} measured RIRs has a valid EQ at {BANDS_HZ[k]:g} Hz: "
                          "give recordings that reach it")
+    incomplete = np.flatnonzero(missing.any(axis=1))
     mean = np.nanmean(vectors, axis=0)
     covariance = np.diag(np.nanvar(vectors, axis=0)) + JND_DB ** 2 * np.eye(len(FREE))
-    for _ in range(50):
-        filled, extra = vectors.copy(), np.zeros_like(covariance)
-        for n in np.flatnonzero(missing.any(axis=1)):
-            filled[n, missing[n]], rest = _conditional(vectors[n], missing[n], mean, covariance)
-            extra[np.ix_(missing[n], missing[n])] += rest
+    for _ in range(_EM_STEPS):
+        filled, unexplained = vectors.copy(), np.zeros_like(covariance)
+        for n in incomplete:
+            filled[n, missing[n]], conditional = _condition(vectors[n], missing[n], mean, covariance)
+            unexplained[np.ix_(missing[n], missing[n])] += conditional
         mean = filled.mean(axis=0)
-        covariance = (np.cov(filled.T, bias=True) + extra / len(filled)) + JND_DB ** 2 * np.eye(len(FREE))
-    for n in np.flatnonzero(missing.any(axis=1)):
-        expected, rest = _conditional(vectors[n], missing[n], mean, covariance)
+        covariance = (np.cov(filled.T, bias=True) + unexplained / len(filled)) + JND_DB ** 2 * np.eye(len(FREE))
+    for n in incomplete:
+        expected, conditional = _condition(vectors[n], missing[n], mean, covariance)
         rng = rng_for(seed, "missing EQ points", records[n]["id"])
-        vectors[n, missing[n]] = expected + np.linalg.cholesky(rest) @ rng.standard_normal(len(expected))
+        vectors[n, missing[n]] = expected + np.linalg.cholesky(conditional) @ rng.standard_normal(len(expected))
     return vectors
 
 
-def _conditional(vector, missing, mean, covariance):
-    """Mean and covariance of the missing points given the others."""
+def _condition(vector: FloatArray, missing: BoolArray, mean: FloatArray,
+               covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean and covariance of the missing points given the others."""
     known = ~missing
     gain = np.linalg.solve(covariance[np.ix_(known, known)], covariance[np.ix_(known, missing)]).T
-    rest = covariance[np.ix_(missing, missing)] - gain @ covariance[np.ix_(known, missing)]
-    return mean[missing] + gain @ (vector[known] - mean[known]), rest
+    conditional = covariance[np.ix_(missing, missing)] - gain @ covariance[np.ix_(known, missing)]
+    return mean[missing] + gain @ (vector[known] - mean[known]), conditional
 
 
-def read_eq_rows(path):
-    """Read the records of `measured.jsonl`, `simulated.jsonl` or `resampled.jsonl`."""
-    return read_jsonl(path)
-
-
-def _eight(vector_db):
+def _eight_points(vector_db: FloatArray) -> list[float]:
     return [round(float(value), _DECIMALS) for value in with_reference(vector_db)]
 
 
-def _screening(measured):
+def _screening(measured: list[EqRecord]) -> dict:
+    """Return what `screening.json` holds."""
     screened = {record["id"]: record["screen"] for record in measured if record["screen"]}
     used = [record for record in measured if not record["screen"]]
     return dict(n_given=len(measured), n_used=len(used), screened=screened,
                 n_roll_off_at_8khz=sum(record["edge_db"] is not None for record in used),
                 n_points_filled_in=int(sum(np.isnan(usable_eq(record)).sum() for record in used)))
+
+
+def _log_screening(out: Path) -> None:
+    screening = read_json(out / SCREENING_FILE)
+    reasons = Counter(reason.split(":")[0] for reason in screening["screened"].values())
+    logger.info("%s: the mixture is fitted to %d of %d measured RIRs; left out (see %s): %s", out,
+                screening["n_used"], screening["n_given"], SCREENING_FILE,
+                ", ".join(f"{count} {reason}" for reason, count in sorted(reasons.items())) or "none")

@@ -5,11 +5,11 @@ from collections import Counter
 import numpy as np
 
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ
-from roomeq.core.files import read_json
+from roomeq.core.files import read_json, read_jsonl
 from roomeq.core.rng import rng_for
 from roomeq.eq.compensation import MAX_MEDIAN_DB, MAX_P95_DB, SUMMARY_FILE
-from roomeq.eq.distance import eq_distance, gap_closed
-from roomeq.eq.fit import MEASURED_FILE, RESAMPLED_FILE, read_eq_rows
+from roomeq.eq.distance import EqSet, eq_distance, gap_closed
+from roomeq.eq.fit import MEASURED_FILE, RESAMPLED_FILE
 from roomeq.eq.gmm import FREE, with_reference
 from roomeq.report import figures
 from roomeq.report.kinds import (
@@ -33,10 +33,10 @@ N_BOOTSTRAP = 200
 def eq_distributions(run: Run) -> Html:
     """Return figure 2 of the paper: target and re-sampled EQ distributions, and simulated before and after."""
     fitted = run.need("eq", MEASURED_FILE)
-    target = np.array([row["fitted_db"] for row in read_eq_rows(fitted) if not row["screen"]], dtype=np.float64)
+    target = np.array([row["fitted_db"] for row in read_jsonl(fitted) if not row["screen"]], dtype=np.float64)
     sets = [("measured", "Target: measured", "measured", target)]
     if (run.path("eq") / RESAMPLED_FILE).is_file():
-        resampled = np.array([row["eq_db"] for row in read_eq_rows(run.path("eq") / RESAMPLED_FILE)])
+        resampled = np.array([row["eq_db"] for row in read_jsonl(run.path("eq") / RESAMPLED_FILE)])
         sets.append(("resampled", "Re-sampled", "drawn", resampled))
     for kind, title in (("simulated", "Simulated, before"), ("compensated", "Simulated, after EQ")):
         if run.has(DIRECTORIES[kind]):
@@ -141,11 +141,8 @@ def gap(run: Run) -> dict:
     """Return the distances of simulated, compensated and training RIRs to held-out ones; computed once."""
     def compute():
         names = [DIRECTORIES["simulated"], DIRECTORIES["compensated"], DIRECTORIES["measured"], HELD_OUT]
-        keys = ("rooms_sim", "rooms_comp", "rooms_train", "rooms_heldout")
-        sets = [eqs_and_rooms(run, name) for name in names]
-        return gap_closed(
-            *(eqs for eqs, _ in sets), **{key: rooms for key, (_, rooms) in zip(keys, sets, strict=True)},
-            rng=rng_for(0, "report", "EQ distance"), n_bootstrap=N_BOOTSTRAP)
+        return gap_closed(*(eq_set(run, name) for name in names), rng_for(0, "report", "EQ distance"),
+                          n_bootstrap=N_BOOTSTRAP)
 
     return run.once("gap", compute)
 
@@ -154,14 +151,13 @@ def looped(run: Run) -> dict:
     """Return the distance of the RIRs of the closed loop, by their kind; nothing where there are none."""
     if not run.has(DIRECTORIES["looped"]):
         return {}
-    (eqs, rooms), (heldout, heldout_rooms) = (eqs_and_rooms(run, name) for name in (DIRECTORIES["looped"], HELD_OUT))
-    return {"looped": eq_distance(eqs, heldout, rooms, heldout_rooms, rng_for(0, "report", "EQ distance of the loop"),
-                                  n_bootstrap=N_BOOTSTRAP)}
+    return {"looped": eq_distance(eq_set(run, DIRECTORIES["looped"]), eq_set(run, HELD_OUT),
+                                  rng_for(0, "report", "EQ distance of the loop"), n_bootstrap=N_BOOTSTRAP)}
 
 
-def eqs_and_rooms(run: Run, name: str) -> tuple[np.ndarray, list[str]]:
-    """Return the EQs of a directory at the free points, shape (n_rirs, 7), and the rooms of its RIRs."""
-    return eq_vectors(run, name)[:, list(FREE)], [row["room_id"] for row in unscreened(run, name)]
+def eq_set(run: Run, name: str) -> EqSet:
+    """Return the EQs of a directory at the free points, with the rooms of its RIRs."""
+    return EqSet(eq_vectors(run, name)[:, list(FREE)], [row["room_id"] for row in unscreened(run, name)])
 
 
 def main_numbers(run: Run) -> list[tuple[str, str]]:
