@@ -10,7 +10,7 @@ Exit status 0 if there are enough rooms with geometry; 1 and one line if not.
 import sys
 from collections import Counter
 
-from roomeq.loop.attribute import MIN_ROOMS
+from roomeq.loop.selection import MIN_ROOMS
 from roomeq.records.geometry import geometry_usability
 from roomeq.records.rir_dir import read_rirs
 

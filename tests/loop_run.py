@@ -1,4 +1,4 @@
-"""A small made-up loop for tests of what reads its directory: the real writers, on numbers instead of rooms."""
+"""A small synthetic loop directory for tests of its readers: written by the real writers, with invented numbers."""
 
 import numpy as np
 
@@ -9,10 +9,10 @@ from roomeq.core.rng import rng_for
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, write_model
 from roomeq.effects.response import RESPONSE_HZ
-from roomeq.loop.check import RESIDUALS_FILE
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, LENGTH_S, STEP_S
 from roomeq.loop.features import METRIC, N_FEATURES, REGION, THIRDS_HZ
-from roomeq.loop.ledger import LEDGER_FILE
+from roomeq.loop.ledger import LEDGER_FILE, LEDGER_FORMAT, RESIDUALS_FILE
+from roomeq.loop.selection import SPLITS
 
 N_RIRS, ROOMS = 24, ("hall", "office", "<b>attic")
 VECTORS = dict(source_response=5.0 * np.sin(np.arange(len(RESPONSE_HZ)) / 3.0),
@@ -20,53 +20,54 @@ VECTORS = dict(source_response=5.0 * np.sin(np.arange(len(RESPONSE_HZ)) / 3.0),
 
 
 def errors(mean):
-    """Errors as an entry of the ledger."""
+    """Return an entry of held-out errors."""
     entry = dict(error=mean, ci=[mean - 0.3, mean + 0.3], by_metric={metric: mean for metric in dict.fromkeys(METRIC)},
                  by_band=[None, *[mean] * (len(BANDS_HZ) - 1)])
-    return {way: dict(entry) for way in ("positions", "rooms")}
+    return {split: dict(entry) for split in SPLITS}
 
 
-def ranked(winner, gain):
-    """A ranking with one that helps."""
+def ranking(winner, gain):
+    """Return a ranking whose winner helps."""
     return [dict(effect=name, gain=value, ci=[value / 3 - 2.0, value / 3 + 2.0], p=0.001 if name == winner else 0.6,
                  size_jnd=2.0) for name, value in ((winner, gain), ("noise_floor", 1.0), ("coupled_volume", -4.0))]
 
 
 def extension(name, units):
-    """An effect with the same parameters for some units."""
+    """Return an effect with the same parameters for some units."""
     effect = CATALOGUE[name]
     return Extension(effect, {unit: effect.from_vector(VECTORS[name]) for unit in units}, VECTORS[name],
                      np.zeros(len(VECTORS[name])))
 
 
-def iteration(one, before, after, **more):
-    """An accepted effect."""
-    rooms = one.effect.SCOPE == "room"
+def iteration(added, before, after, **more):
+    """Return the entry of an accepted effect."""
+    rooms = added.effect.SCOPE == "room"
     best = {unit: {"best": vars(effect)} | ({} if rooms else {"low": vars(effect), "high": vars(effect)})
-            for unit, effect in one.of.items()}
-    whole = {"before": errors(before)["positions"], "after": errors(after)["positions"]}
-    return dict(effect=one.effect.NAME, scope=one.effect.SCOPE, size_jnd=2.5, parameters=best,
-                scored_on="unseen positions", heldout_error_before=before, heldout_error_after=after,
-                heldout_error_ci=[after - 0.3, after + 0.3], p=1e-4, ranking=ranked(one.effect.NAME, 90.0),
+            for unit, effect in added.of.items()}
+    whole = {"before": errors(before)[SPLITS[0]], "after": errors(after)[SPLITS[0]]}
+    return dict(effect=added.effect.NAME, scope=added.effect.SCOPE, size_jnd=2.5, parameters=best,
+                scored_on=SPLITS[0], heldout_error_before=before, heldout_error_after=after,
+                heldout_error_ci=[after - 0.3, after + 0.3], p=1e-4, ranking=ranking(added.effect.NAME, 90.0),
                 by_metric={when: entry["by_metric"] for when, entry in whole.items()},
                 by_band={when: entry["by_band"] for when, entry in whole.items()}) | more
 
 
 def make_loop(out):
-    """Make a directory as `roomeq close-loop` does."""
-    found = [extension("source_response", ("spk1", "<i>spk2")), extension("near_reflector", ROOMS)]
-    left = dict(metric="ahead", time_region=REGION["ahead"], bands_hz=[125.0], varies_with="nothing", size_jnd=3.5,
-                p=0.01)
+    """Make a loop directory as `roomeq close-loop` does."""
+    added = [extension("source_response", ("spk1", "<i>spk2")), extension("near_reflector", ROOMS)]
+    unexplained = dict(metric="ahead", time_region=REGION["ahead"], bands_hz=[125.0], varies_with="nothing",
+                       size_jnd=3.5, p=0.01)
     ledger = dict(
-        rirs=N_RIRS, rooms=len(ROOMS), given=[], baseline=errors(3.4), final=errors(1.5),
-        ranking=ranked("room_eq", 0.5),
-        iterations=[iteration(found[0], 3.4, 1.9, cannot_tell=["source_response", "mic_response"],
+        format=LEDGER_FORMAT, rirs=N_RIRS, rooms=len(ROOMS), given=[], baseline=errors(3.4), final=errors(1.5),
+        ranking=ranking("room_eq", 0.5),
+        iterations=[iteration(added[0], 3.4, 1.9, cannot_tell=["source_response", "mic_response"],
                               would_tell=["the same room recorded with another loudspeaker"]),
-                    iteration(found[1], 1.9, 1.5)],
-        unexplained=left, unexplained_all=[left], test=dict(rirs=8, rooms=1, before=errors(3.6), after=errors(1.8)))
+                    iteration(added[1], 1.9, 1.5)],
+        unexplained=unexplained, unexplained_all=[unexplained],
+        test=dict(rirs=8, rooms=1, before=errors(3.6), after=errors(1.8)))
     for when in ("before", "after"):
         for entry in ledger["test"][when].values():
-            entry["ci"] = None  # as of a single room
+            entry["ci"] = None  # a test set of a single room
     rng = rng_for(0, "made-up residuals", "")
     before = 3.0 + rng.standard_normal((N_RIRS, N_FEATURES))
     before[rng.random(before.shape) < 0.2] = np.nan
@@ -76,7 +77,7 @@ def make_loop(out):
 
     def assemble(directory, _):
         write_json(directory / LEDGER_FILE, ledger)
-        write_model(directory / MODEL_FILE, Model(tuple(found[::-1])))
+        write_model(directory / MODEL_FILE, Model(tuple(added[::-1])))
         np.savez_compressed(directory / RESIDUALS_FILE, before=before, after=0.5 * before)
         np.savez_compressed(directory / EXAMPLES_FILE, ids=np.array(["r1", "r<2>"]), rooms=np.array(ROOMS[1:]),
                             decay_db=decay_db, spectrum_db=rng.standard_normal((2, len(KINDS), len(THIRDS_HZ))))

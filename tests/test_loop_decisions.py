@@ -1,4 +1,4 @@
-"""How the loop decides: what features a model expects, steps of a fit, whether an effect helps, what takes its place."""
+"""Decisions of the loop: predicted features, steps of a fit, tests of an effect, and what replaces a rejected one."""
 
 from types import SimpleNamespace
 
@@ -9,59 +9,61 @@ from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.noise_floor import NoiseFloor
 from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.loop import close
-from roomeq.loop.attribute import Candidate
 from roomeq.loop.features import JND, LATE_S, N_FEATURES, feature_slice
-from roomeq.loop.fit import _solve, _step
-from roomeq.loop.heldout import Errors, p_lower
+from roomeq.loop.fit import SharedPrior, _solve, _step
+from roomeq.loop.likelihood import NormalEquations
 from roomeq.loop.predict import base_state, predict
+from roomeq.loop.selection import SPLITS, Candidate, HeldOutErrors, p_lower
 from roomeq.loop.tables import FRAME_EDGES_S, Table
 from roomeq.loop.unexplained import find_unexplained
 
 
 @pytest.mark.parametrize("to, expected", [(1.0, 1.0), (3.0, 1.5), (9.0, 1.8), (-1.0, 0.0)])
-def test_a_step_goes_as_far_as_it_helps(to, expected):
+def test_step_is_shortened_until_it_lowers_the_cost(to, expected):
     mean, local = _step(lambda mean, local: (mean[0] - 1.1) ** 2, 1.1 ** 2, (np.zeros(1), [np.zeros(2)]),
                         (np.array([to]), [np.array([to, 2.0 * to])]))
     assert mean[0] == pytest.approx(expected)
     np.testing.assert_allclose(local[0], [expected, 2.0 * expected])
 
 
-def test_a_damped_step_leaves_what_features_hardly_tell_of():
-    told = np.diag([1e4, 0.5])
-    room = (told, np.zeros((2, 0)), np.zeros((0, 0)), told @ [0.3, 3.0], np.zeros(0), 1.0, 0.0)
-    steps = [_solve([room], [np.eye(2)], np.zeros(0), [np.zeros(2)], np.zeros(0), np.zeros((0, 0)), damping)[1][0]
-             for damping in (0.0, 30.0)]
+def test_damping_freezes_poorly_determined_parameters():
+    information = np.diag([1e4, 0.5])
+    room = NormalEquations(information, np.zeros((2, 0)), np.zeros((0, 0)), information @ [0.3, 3.0], np.zeros(0), 1.0,
+                           0.0)
+    prior = SharedPrior(np.zeros(0), np.zeros((0, 0)))
+    steps = [_solve([room], [np.eye(2)], np.zeros(0), [np.zeros(2)], prior, damping)[1][0] for damping in (0.0, 30.0)]
     np.testing.assert_allclose(steps[0], [0.3, 1.0], rtol=1e-3)
     np.testing.assert_allclose(steps[1], [0.3, 1.5 / 31.5], rtol=1e-2)
 
 
 @pytest.mark.parametrize("gain, size_jnd, helps", [
-    ([1.1, 3.4, 7.7, -0.7, 1.4, -0.4, 7.1, -0.2], 1.5, True),  # some rooms tell little
-    ([0.7, 0.1, -0.1, 0.1, -0.5, 0.1, 12.0, 0.3], 1.5, False),  # one room alone
-    ([0.5, 0.6, 0.4, 0.5, 0.6, 0.5, 0.4, 0.6], 1.5, False),  # all a little, together too little for 11 candidates
-    ([5.0] * 8, 0.4, False),  # nobody would hear it
+    ([1.1, 3.4, 7.7, -0.7, 1.4, -0.4, 7.1, -0.2], 1.5, True),  # some rooms gain little
+    ([0.7, 0.1, -0.1, 0.1, -0.5, 0.1, 12.0, 0.3], 1.5, False),  # one room alone gains
+    ([0.5, 0.6, 0.4, 0.5, 0.6, 0.5, 0.4, 0.6], 1.5, False),  # a little in all rooms: too little for 11 candidates
+    ([5.0] * 8, 0.4, False),  # inaudible
     ([-1.0] * 8, 1.5, False)])
-def test_an_effect_helps_by_what_all_rooms_gain_without_the_best(gain, size_jnd, helps):
+def test_effect_helps_if_all_rooms_but_the_best_gain(gain, size_jnd, helps):
     assert Candidate(SoundSpeed, None, np.array(gain), size_jnd).helps(11) == helps
 
 
 @pytest.mark.parametrize("extra_jnd", [0.0, 6.0])
-def test_a_residual_of_one_room_is_unexplained_if_the_others_make_it_unlikely(extra_jnd):
+def test_residual_of_one_room_is_unexplained_if_it_is_an_outlier(extra_jnd):
     rng = np.random.default_rng(1)
     room = np.repeat(np.arange(8), 8)
     residual = rng.normal(0.0, 0.7, (64, N_FEATURES)) + rng.normal(0.0, 0.3, (8, N_FEATURES))[room]
     residual[room == 5, feature_slice("t30").start + 3] += extra_jnd
     data = SimpleNamespace(room=room, room_names=list("abcdefgh"), units=lambda scope: (["one"], np.zeros(64, int)))
-    found = find_unexplained(SimpleNamespace(data=data, residual=residual))
+    unexplained = find_unexplained(SimpleNamespace(data=data, residual=residual))
     if extra_jnd:
-        assert (found[0].metric, found[0].varies_with, found[0].bands_hz) == ("t30", "room", [BANDS_HZ[3]])
-        assert found[0].size_jnd == pytest.approx(extra_jnd, abs=1.0)
-    assert len(found) == (extra_jnd > 0.0)
+        first = unexplained[0]
+        assert (first.metric, first.varies_with, first.bands_hz) == ("t30", "room", [BANDS_HZ[3]])
+        assert first.size_jnd == pytest.approx(extra_jnd, abs=1.0)
+    assert len(unexplained) == (extra_jnd > 0.0)
 
 
 @pytest.mark.parametrize("faster", [1.0, 1.03, 0.9])
-def test_features_follow_the_speed_of_sound(faster):
-    rate = 14.0  # of the decay at the declared speed [1/s]
+def test_predicted_features_follow_the_speed_of_sound(faster):
+    rate = 14.0  # decay rate at the declared speed [1/s]
     arriving = np.exp(-rate * FRAME_EDGES_S[:-1]) - np.exp(-rate * FRAME_EDGES_S[1:])
     counts = np.zeros((len(arriving), 6))
     counts[:, 0] = arriving
@@ -73,34 +75,38 @@ def test_features_follow_the_speed_of_sound(faster):
     state.speed_m_s = faster * data.speed_m_s
     (features,) = predict(data, state)
     left = np.exp(-rate * faster * np.array([0.05, LATE_S]))
-    np.testing.assert_allclose(features[feature_slice("c50")], 10.0 * np.log10(1.0 / left[0] - 1.0) / JND["c50"], atol=0.05)
+    c50_db = 10.0 * np.log10(1.0 / left[0] - 1.0)
+    np.testing.assert_allclose(features[feature_slice("c50")], c50_db / JND["c50"], atol=0.05)
     np.testing.assert_allclose(features[feature_slice("late")], 10.0 * np.log10(left[0] - left[1]), atol=0.05)
-    np.testing.assert_allclose(features[feature_slice("t30")], np.log(6.0 * np.log(10.0) / rate / faster) / JND["t30"], atol=0.2)
+    log_t30 = np.log(6.0 * np.log(10.0) / rate / faster)
+    np.testing.assert_allclose(features[feature_slice("t30")], log_t30 / JND["t30"], atol=0.2)
 
 
 ROOMS_AND_HALVES = np.repeat(np.arange(8), 2), np.tile([0, 1], 8)
+STRONG_IN_TWO_ROOMS = [[0.30, 0.28], [0.12, 0.11]] + [[0.02, 0.0], [0.0, 0.01]] * 3
 
 
-@pytest.mark.parametrize("way, of_halves, lower", [
-    ("positions", [[0.30, 0.28], [0.12, 0.11]] + [[0.02, 0.0], [0.0, 0.01]] * 3, True),  # strong in some rooms
-    ("rooms", [[0.30, 0.28], [0.12, 0.11]] + [[0.02, 0.0], [0.0, 0.01]] * 3, False),  # of the next nobody knows
-    ("rooms", [[0.10, 0.12]] * 4 + [[0.08, 0.07]] * 4, True),
-    ("positions", [[0.30, -0.28], [0.12, -0.11]] + [[0.02, 0.0], [0.0, 0.01]] * 3, False),  # by chance
-    ("positions", [[0.30, 0.0]] + [[0.01, -0.01]] * 7, False),  # a single half decides nothing
-    ("positions", [[0.0, 0.0]] * 8, False)])
-def test_what_lowers_the_error_on_unseen_positions_and_in_unseen_rooms(way, of_halves, lower):
+@pytest.mark.parametrize("split, of_halves, lower", [
+    ("leave_positions_out", STRONG_IN_TWO_ROOMS, True),
+    ("leave_room_out", STRONG_IN_TWO_ROOMS, False),  # no evidence about the next room
+    ("leave_room_out", [[0.10, 0.12]] * 4 + [[0.08, 0.07]] * 4, True),
+    ("leave_positions_out", [[0.30, -0.28], [0.12, -0.11]] + [[0.02, 0.0], [0.0, 0.01]] * 3, False),  # by chance
+    ("leave_positions_out", [[0.30, 0.0]] + [[0.01, -0.01]] * 7, False),  # a single half must not decide
+    ("leave_positions_out", [[0.0, 0.0]] * 8, False)])
+def test_p_of_a_lower_error_depends_on_the_split(split, of_halves, lower):
     before = np.full((16, N_FEATURES), 2.0)
     after = before - np.ravel(of_halves)[:, None]
-    p = p_lower(Errors({way: before}, *ROOMS_AND_HALVES), Errors({way: after}, *ROOMS_AND_HALVES), way)
+    errors_before, errors_after = (HeldOutErrors({split: errors}, *ROOMS_AND_HALVES) for errors in (before, after))
+    p = p_lower(errors_before, errors_after, split)
     assert (p < 0.025) == lower
 
 
-@pytest.mark.parametrize("change, behind, found", [
+@pytest.mark.parametrize("change, behind, added", [
     (0.3, 8.0, "sound_speed"),
-    (-0.3, 8.0, "noise_floor"),  # refuted: what fits worse is next
-    (0.0, 8.0, None),  # not proven: no lesser explanation stands in for it
-    (0.0, 0.0, "noise_floor")])  # as good an explanation may
-def test_what_fits_worse_takes_no_place_of_what_is_not_proven(monkeypatch, change, behind, found):
+    (-0.3, 8.0, "noise_floor"),  # refuted: the next best is tried
+    (0.0, 8.0, None),  # not proven: no worse-fitting candidate replaces it
+    (0.0, 0.0, "noise_floor")])  # an equally good one does
+def test_worse_fit_replaces_only_a_refuted_candidate(monkeypatch, change, behind, added):
     gain = 20.0 + np.arange(8)
     ranking = [Candidate(SoundSpeed, SoundSpeed, gain, 2.0),
                Candidate(NoiseFloor, NoiseFloor, gain - behind + np.tile([1.0, -1.0], 4), 2.0)]
@@ -109,11 +115,10 @@ def test_what_fits_worse_takes_no_place_of_what_is_not_proven(monkeypatch, chang
     def errors(model):
         by_room = np.repeat(np.tile([0.02, -0.02], 4), 2)[:, None] * (model is not None)
         features = 2.0 - lower.get(model, 0.0) + by_room + np.zeros((16, N_FEATURES))
-        return Errors({"positions": features, "rooms": features}, *ROOMS_AND_HALVES)
+        return HeldOutErrors(dict.fromkeys(SPLITS, features), *ROOMS_AND_HALVES)
 
-    monkeypatch.setattr(close, "begin", lambda data, like, **_: like)
+    monkeypatch.setattr(close, "refit_rendered", lambda data, fitted, **_: fitted)
     monkeypatch.setattr(close, "heldout_errors", errors)
     monkeypatch.setattr(close, "iteration_entry", lambda winner, *_: dict(effect=winner.effect.NAME))
-    session = SimpleNamespace(data=SimpleNamespace(rendered_changes={}), correction=None, seed=0, nj=1)
-    accepted = close._accepted(session, errors(None), ranking)
-    assert (accepted and accepted[0]["effect"]) == found
+    accepted = close._accept(SimpleNamespace(data=None, seed=0, nj=1), errors(None), ranking)
+    assert (accepted and accepted.entry["effect"]) == added

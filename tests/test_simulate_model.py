@@ -137,8 +137,9 @@ def test_another_model_makes_the_directory_again(measured, tmp_path):
 
 @pytest.mark.parametrize("text, message", [
     ("[]", r"model.json: must hold an object with a list of 'effects'"),
-    ('{"effects": [{"effect": "gnomes"}]}', r"effects\[0\]: effect='gnomes' must be one of air_absorption, "),
-    ('{"effects": [{"effect": "occlusion", "of": {"office": {"detour_m": "far"}}}]}',
+    ('{"effects": []}', r"model.json: format=None must be 2: run roomeq close-loop again"),
+    ('{"format": 2, "effects": [{"effect": "gnomes"}]}', r"effects\[0\]: effect='gnomes' must be one of air_absorption, "),
+    ('{"format": 2, "effects": [{"effect": "occlusion", "of": {"office": {"detour_m": "far"}}}]}',
      r"effects\[0\]: of\['office'\]: detour_m='far' must be a number"),
 ])
 def test_a_broken_model_is_refused_by_name(text, message, measured, tmp_path):

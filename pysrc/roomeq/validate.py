@@ -39,7 +39,7 @@ def validate(directories: Iterable[Path]) -> None:
 
 
 def _validate_loop(directory: Path) -> None:
-    from roomeq.loop.check import LEDGER_FILE, validate_loop  # its import takes a second
+    from roomeq.loop.ledger import LEDGER_FILE, validate_loop  # its import takes a second
 
     if not (directory / LEDGER_FILE).is_file():
         raise ValueError(f"{directory}: neither an RIR directory ({ROWS_FILE}), nor one of noises ({NOISES_FILE}), nor "

@@ -25,7 +25,7 @@ def materials(name: str, message: str, content: str | bytes) -> Case:
 def model(name: str, effect: str, message: str, **changed) -> Case:
     """A case whose model has one effect."""
     return Case(f"model {name}", "simulate --model m.json measured out", f"m.json: effects[0]: {message}",
-                (write("m.json", json.dumps(dict(effects=[dict(effect=effect, of={}) | changed]))),))
+                (write("m.json", json.dumps(dict(format=2, effects=[dict(effect=effect, of={}) | changed]))),))
 
 
 def garbage(kind: str, message: str, content: bytes, how: str = "garbage") -> Case:
@@ -110,10 +110,10 @@ CASES = [
     Case("model no JSON", "simulate --model m.json measured out", "m.json: ...", (write("m.json", "{"),)),
     Case("model of an unknown effect", "simulate --model m.json measured out",
          "m.json: effects[0]: effect='gnomes' must be one of ...",
-         (write("m.json", '{"effects": [{"effect": "gnomes"}]}'),)),
+         (write("m.json", '{"format": 2, "effects": [{"effect": "gnomes"}]}'),)),
     Case("model of text for numbers", "simulate --model m.json measured out",
          "m.json: effects[0]: typical=['far'] must be 1 numbers: correct them", (write("m.json", json.dumps(
-             dict(effects=[dict(effect="sound_speed", of={}, typical=["far"])]))),)),
+             dict(format=2, effects=[dict(effect="sound_speed", of={}, typical=["far"])]))),)),
     model("typical of 1000", "sound_speed", "typical=[1000] must lie in [-100, 100]: correct them", typical=[1000]),
     model("spread negative", "sound_speed", "spread=[-1] must lie in [0, 100]: correct them", spread=[-1]),
     model("without units", "sound_speed", "of=None must map each all to its parameters: add them", of=None),

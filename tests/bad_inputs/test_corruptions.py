@@ -260,13 +260,13 @@ def ledger(change):
 
 
 def without_a_part(rng, content):
-    place = [content, content["baseline"]["rooms"], content["iterations"][0], content["iterations"][0]["ranking"][1],
+    place = [content, content["baseline"]["leave_room_out"], content["iterations"][0], content["iterations"][0]["ranking"][1],
              content["unexplained_all"][0], content["test"]["after"]][rng.integers(6)]
     place.pop(rng.choice([key for key in place if key not in ("test", "cannot_tell", "would_tell")]))
 
 
 def with_a_wrong_error(rng, content):
-    entry = content[rng.choice(["baseline", "final"])][rng.choice(["positions", "rooms"])]
+    entry = content[rng.choice(["baseline", "final"])][rng.choice(["leave_positions_out", "leave_room_out"])]
     entry[rng.choice(["error", "ci", "by_metric", "by_band"])] = [[], "3", -1.0, 99.0, {"gnomes": 1.0}][
         rng.integers(5)]
 

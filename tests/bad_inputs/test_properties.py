@@ -28,7 +28,7 @@ from roomeq.effects.model import read_model
 from roomeq.eq.gmm import read_gmm, sample_eq
 from roomeq.kaldi.datadir import read_data_dir
 from roomeq.kaldi.wavscp import parse_entry
-from roomeq.loop.check import read_ledger
+from roomeq.loop.ledger import read_ledger
 from roomeq.records.rir_dir import read_noises, read_rirs
 from roomeq.records.schema import MAX_ID, is_id, make_id, row_problem
 
@@ -182,7 +182,7 @@ def test_a_model_is_refused_or_gives_every_row_its_effects(tmp_path, name, data)
     of = {field.name: data.draw(st.one_of(JSON, st.lists(NUMBER, min_size=8, max_size=8), st.floats(0.01, 60.0)))
           for field in fields(effect)}
     changed = data.draw(st.dictionaries(st.sampled_from(["effect", "of", "typical", "spread"]), JSON))
-    (tmp_path / "m.json").write_text(dump(dict(effects=[dict(effect=name, of=dict(r=of)) | changed])))
+    (tmp_path / "m.json").write_text(dump(dict(format=2, effects=[dict(effect=name, of=dict(r=of)) | changed])))
     if (model := one_line_or_result(read_model, tmp_path / "m.json")) is not None:
         for unit in ("r", "other"):
             (one,) = model.for_row(dict(id=unit, room_id=unit, source_id=unit, mic_id=unit), 0)

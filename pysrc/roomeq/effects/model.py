@@ -1,6 +1,7 @@
 """A model: the simulator plus a list of effects, in a file that a person can read and edit.
 
-    {"effects": [{"effect": "source_response", "of": {"spk1": {"gains_db": [...]}}, "typical": {...}, ...}]}
+    {"format": 2,
+     "effects": [{"effect": "source_response", "of": {"spk1": {"gains_db": [...]}}, "typical": [...], "spread": [...]}]}
 
 `of` holds the parameters of each unit (loudspeaker, microphone, room or all) that was measured. Other units get
 parameters drawn from the spread of those.
@@ -23,6 +24,7 @@ from roomeq.effects.source_directivity import unit_facing
 from roomeq.sim.scene import Scene, eyring_time_s
 
 MODEL_FILE = "model.json"
+MODEL_FORMAT = 2
 MAX_COMPONENT = 100.0
 """Largest component of a vector: spreads are about 1, or some dB."""
 _ROUNDING = 1e-9
@@ -167,7 +169,7 @@ def apply_to_rir(effects: Sequence[Effect], rir: FloatArray, scene: Scene, sourc
 
 def write_model(path: Path, model: Model) -> None:
     """Write a model file."""
-    write_json(path, dict(effects=[dict(
+    write_json(path, dict(format=MODEL_FORMAT, effects=[dict(
         effect=extension.effect.NAME,
         of={unit: asdict(effect) for unit, effect in sorted(extension.of.items())},  # type: ignore[call-overload]
         typical=[float(value) for value in extension.typical], spread=[float(value) for value in extension.spread])
@@ -186,6 +188,9 @@ def read_model(path: str | Path) -> Model:
     content = read_json(path)
     if not isinstance(content, dict) or not isinstance(content.get("effects"), list):
         raise ValueError(f"{path}: must hold an object with a list of 'effects': make it with roomeq close-loop")
+    if content.get("format") != MODEL_FORMAT:
+        raise ValueError(f"{path}: format={content.get('format')!r:.60} must be {MODEL_FORMAT}: run roomeq close-loop "
+                         "again")
     extensions = tuple(_read_extension(f"{path}: effects[{n}]", entry) for n, entry in enumerate(content["effects"]))
     names = [extension.effect.NAME for extension in extensions]
     for n, name in enumerate(names):

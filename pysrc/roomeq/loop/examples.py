@@ -1,11 +1,11 @@
-"""A few RIRs as measured and as simulated before and after, to look at: their decay and their spectrum.
+"""Decays and spectra of a few RIRs as measured and as simulated before and after the loop, for figures of the report.
 
-A figure says what errors in JND do not: where a decay bends, how wide a resonance is. Nothing is fitted to what is
-written here, and nothing reads it but the report.
+Figures show what errors in JND do not: where a decay bends, how wide a resonance is. No fit uses the examples.
 """
 
 import io
 import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,9 +14,12 @@ from numpy.lib.format import read_array
 
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.iso3382 import energy_decay, octave_bands
+from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
+from roomeq.loop.data import Data
 from roomeq.loop.features import THIRDS_HZ, feature_slice, measure_features
 from roomeq.loop.rendering import finished_rir, render_rows
+from roomeq.loop.session import Session
 from roomeq.records.rir_dir import load_rir, read_rirs
 
 EXAMPLES_FILE = "examples.npz"
@@ -29,7 +32,7 @@ LENGTH_S = 1.5
 
 @dataclass(frozen=True)
 class Examples:
-    """What is written.
+    """Decays and spectra of some RIRs.
 
     Attributes
     ----------
@@ -40,66 +43,63 @@ class Examples:
         Level in third octaves (`roomeq.loop.features.THIRDS_HZ`); NaN where it was not measured.
     """
 
-    ids: list
-    rooms: list
-    decay_db: np.ndarray
-    spectrum_db: np.ndarray
+    ids: list[str]
+    rooms: list[str]
+    decay_db: FloatArray
+    spectrum_db: FloatArray
 
 
-def write_examples(path, directories, first, last):
-    """Write the examples of a loop: sessions of the model it began with and the one it ended with."""
-    made = make_examples(directories, first, last)
-    np.savez_compressed(path, ids=np.array(made.ids, dtype=str), rooms=np.array(made.rooms, dtype=str),
-                        decay_db=made.decay_db, spectrum_db=made.spectrum_db)
+def write_examples(path: Path, directories: Sequence[Path], first: Session, last: Session) -> None:
+    """Write the examples of a loop; see `make_examples`."""
+    examples = make_examples(directories, first, last)
+    np.savez_compressed(path, ids=np.array(examples.ids, dtype=str), rooms=np.array(examples.rooms, dtype=str),
+                        decay_db=examples.decay_db, spectrum_db=examples.spectrum_db)
 
 
-def read_examples(path):
-    """Read them.
+def read_examples(path: Path) -> Examples:
+    """Read the examples of a loop.
 
     Raises
     ------
     ValueError
-        The file is none of ours.
+        The file is invalid.
     """
-    found = read_arrays(path, ("ids", "rooms", "decay_db", "spectrum_db"))
-    made = Examples([str(one) for one in found["ids"]], [str(one) for one in found["rooms"]], found["decay_db"],
-                    found["spectrum_db"])
-    size = len(made.ids), len(KINDS)
-    if (made.decay_db.shape, made.spectrum_db.shape, len(made.rooms)) != (
+    arrays = read_arrays(path, ("ids", "rooms", "decay_db", "spectrum_db"))
+    examples = Examples([str(name) for name in arrays["ids"]], [str(name) for name in arrays["rooms"]],
+                        arrays["decay_db"], arrays["spectrum_db"])
+    size = len(examples.ids), len(KINDS)
+    if (examples.decay_db.shape, examples.spectrum_db.shape, len(examples.rooms)) != (
             (*size, len(DECAY_BANDS), round(LENGTH_S / STEP_S)), (*size, len(THIRDS_HZ)), size[0]):
-        raise ValueError(f"{path}: arrays do not fit each other: close the loop again")
-    return made
+        raise ValueError(f"{path}: arrays do not fit each other: run roomeq close-loop again")
+    return examples
 
 
-def read_arrays(path, names):
-    """Read arrays of a file that `numpy.savez_compressed` wrote: {name: ndarray}.
+def read_arrays(path: Path, names: Sequence[str]) -> dict[str, Array]:
+    """Read named arrays of a file that `numpy.savez_compressed` wrote.
 
     Raises
     ------
     ValueError
-        It is no such file, or lacks one of them.
+        The file cannot be read, or lacks an array.
     """
     try:
-        with zipfile.ZipFile(path) as found:  # an array of objects is refused
-            return {name: read_array(io.BytesIO(found.read(f"{name}.npy"))) for name in names}
+        with zipfile.ZipFile(path) as archive:  # an array of objects is refused
+            return {name: read_array(io.BytesIO(archive.read(f"{name}.npy"))) for name in names}
     except FileNotFoundError:
         raise
     except Exception as error:  # zipfile, zlib and numpy raise a dozen kinds on broken bytes
-        raise ValueError(f"{path}: cannot be read ({type(error).__name__}): close the loop again") from None
+        raise ValueError(f"{path}: cannot be read ({type(error).__name__}): run roomeq close-loop again") from None
 
 
-def make_examples(directories, first, last):
-    """Render the examples.
+def make_examples(directories: Sequence[Path], first: Session, last: Session) -> Examples:
+    """Render a few RIRs with the base model and with the final model.
 
     Parameters
     ----------
     directories : sequence of Path
         RIR directories that hold the sessions' RIRs.
-    first, last : roomeq.loop.session.Session
-
-    Returns
-    -------
-    Examples
+    first, last : Session
+        Of the base model and of the final model.
     """
     data = first.data
     chosen = _chosen(data)
@@ -110,19 +110,19 @@ def make_examples(directories, first, last):
         measured = recorded[data.rows[n]["id"]]
         direct, _ = find_direct(measured, FS_HZ)
         decay_db[k, 0] = _decays(measured, direct)
-        features = np.where(data.valid[n], data.features[n], np.nan)[feature_slice("spectrum")]
-        spectrum_db[k, 0] = features
+        measured_db = np.where(data.valid[n], data.features[n], np.nan)[feature_slice("spectrum")]
+        spectrum_db[k, 0] = measured_db
         for kind, session in enumerate((first, last), start=1):
             rir, direct, gain_db = _rendered(session, n)
             decay_db[k, kind] = _decays(rir, direct)
             levels_db = measure_features(rir, direct).values[feature_slice("spectrum")] + gain_db
-            spectrum_db[k, kind] = np.where(np.isfinite(features), levels_db, np.nan)
+            spectrum_db[k, kind] = np.where(np.isfinite(measured_db), levels_db, np.nan)
     return Examples([data.rows[n]["id"] for n in chosen], [data.rows[n]["room_id"] for n in chosen], decay_db,
                     spectrum_db)
 
 
-def _chosen(data):
-    """Of rooms from the smallest to the largest, one RIR each: that of the median distance."""
+def _chosen(data: Data) -> list[int]:
+    """Choose rooms from the smallest to the largest, and of each the RIR of the median distance."""
     rooms = np.unique(data.room)
     volume_m3 = [data.places[int(np.flatnonzero(data.room == r)[0])].room.volume_m3 for r in rooms]
     ordered = rooms[np.argsort(volume_m3, kind="stable")]
@@ -134,23 +134,24 @@ def _chosen(data):
     return chosen
 
 
-def _recorded(directories, ids):
+def _recorded(directories: Sequence[Path], ids: set[str]) -> dict[str, FloatArray]:
+    """Read the RIRs of some ids."""
     return {row["id"]: load_rir(directory, row) for directory in map(Path, directories)
             for row in read_rirs(directory) if row["id"] in ids}
 
 
-def _rendered(session, n):
-    """The RIR of a row as a session's model renders it, its direct sound, and the gain of its recording [dB]."""
-    data = session.data
-    absorption = session.packing.absorption(session.fit.mean, session.fit.local)
+def _rendered(session: Session, n: int) -> tuple[FloatArray, float, float]:
+    """Render RIR `n` with a session's model; return it, its direct sample, and the gain of its recording [dB]."""
+    data, index = session.data, session.index
+    absorption = index.absorption(session.fit.mean, session.fit.local)
     by_row = session.by_row
     (raw,), _ = render_rows(data, absorption[data.room], by_row, seed=session.seed, rows=[n])
     rir = finished_rir(data, n, raw, by_row[n], session.seed)
-    return rir, data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ, session.packing.gains(session.fit.local)[n]
+    return rir, data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ, index.gains(session.fit.local)[n]
 
 
-def _decays(rir, direct):
-    """Decay of some octaves, shape (2, n_times) [dB]."""
+def _decays(rir: FloatArray, direct: float) -> FloatArray:
+    """Return the decay curves of `DECAY_BANDS`, shape (2, n_times) [dB]."""
     bands = octave_bands(rir, FS_HZ, [EXACT_BANDS_HZ[band] for band in DECAY_BANDS])
     result = np.full((len(bands), round(LENGTH_S / STEP_S)), np.nan)
     for line, band in zip(result, bands, strict=True):

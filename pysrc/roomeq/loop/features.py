@@ -1,34 +1,37 @@
-"""One RIR as a vector of features: every metric, band and time region that measured and simulated RIRs are compared in.
+"""Features of an RIR: all metrics, by band and time region, in which measured and simulated RIRs are compared.
 
 Conventions
 -----------
-All features are in just noticeable differences (JND), so that a difference of features is an error: levels per 1 dB,
-logarithms of decay times per 5 %, C50 per 1.1 dB, DRR per 2 dB (ISO 3382-1:2009, table A.1; Bradley et al.,
-J. Acoust. Soc. Am. 105 (1999) 3446; Larsen et al., J. Acoust. Soc. Am. 124 (2008) 450). Two features have no such
-threshold and a unit of their own: the arrival of the direct sound, per 0.1 ms (3.4 cm, about what positions are known
-to), and noise, per dB by which it raises what any recording has: white noise, and what is too quiet to disturb a decay.
+All features are in just noticeable differences (JND), so that a difference of features is an error: levels in units of
+1 dB, logarithms of decay times of 5 %, C50 of 1.1 dB, DRR of 2 dB (ISO 3382-1:2009, table A.1; Bradley et al.,
+J. Acoust. Soc. Am. 105 (1999) 3446; Larsen et al., J. Acoust. Soc. Am. 124 (2008) 450). Two metrics have no such
+threshold and a unit of their own: the arrival of the direct sound is in units of 0.1 ms (3.4 cm, about the accuracy of
+positions), and noise is scored in dB relative to white noise plus a -55 dB floor.
 
-Levels are those of the recording: one unknown gain per chain stands in all of them (`HAS_GAIN`).
+Levels are those of the recording: all of them contain an unknown gain of the recording chain (`HAS_GAIN`).
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len, rfft
 
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.iso3382 import EARLY_S, all_metrics, octave_gains
+from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
 from roomeq.core.constants import BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
 from roomeq.effects.noise_floor import NOISE_S, OCTAVE_WIDTH_HZ, QUIET_DB
 
 DIRECT_S = 2.5e-3
 LEAD_S = 1.5e-3
-LATE_S = 0.2  # end of the late level: longer, and noise would be part of it
+LATE_S = 0.2  # end of the late level, ahead of the noise of most recordings
 THIRDS_HZ = tuple(1000.0 * 10.0 ** (0.1 * k) for k in range(-13, 9))
 """Exact mid-bands of third octaves, 50 Hz to 6.3 kHz."""
 DIRECT_THIRDS_HZ = THIRDS_HZ[11:]  # from 630 Hz: lower ones are not resolved within `DIRECT_S`
 NEAR_S, NEAR_SHARE = 4e-4, 0.05
-"""By how much the direct sound may miss its geometry: positions (14 cm), and a speed of sound that is 5 % off."""
+"""Tolerance of the arrival of the direct sound: positions (14 cm) plus a speed of sound that is wrong by 5 %."""
 MIN_SNR_DB = 10.0
 QUIET = 10.0 ** (QUIET_DB / 10.0)
 JND = dict(direct=1.0, early=1.0, late=1.0, spectrum=1.0, edt=np.log(1.05), t20=np.log(1.05), t30=np.log(1.05),
@@ -44,39 +47,59 @@ BAND_HZ = np.array([band_hz for bands in _BANDS_OF.values() for band_hz in bands
 """Mid-band frequency of each feature [Hz], 0 for the whole band, shape (n_features,)."""
 N_FEATURES = len(METRIC)
 HAS_GAIN = np.isin(METRIC, ["direct", "early", "late", "spectrum"])
-"""Whether the gain of the recording stands in a feature, shape (n_features,)."""
+"""Whether a feature contains the gain of the recording, shape (n_features,)."""
 LARGEST = 20.0
 """Error of a feature that a model cannot produce [JND]."""
 
 
-def feature_slice(metric):
-    """Slice of a metric's features."""
-    found = np.flatnonzero(METRIC == metric)
-    return slice(int(found[0]), int(found[-1]) + 1)
+def feature_slice(metric: str) -> slice:
+    """Return the slice of a metric's features."""
+    at = np.flatnonzero(METRIC == metric)
+    return slice(int(at[0]), int(at[-1]) + 1)
 
 
 @dataclass(frozen=True)
 class Features:
-    """What was measured on one RIR.
+    """Features of one RIR.
 
     Attributes
     ----------
     values : ndarray, shape (n_features,)
-        In JND; NaN where there is nothing to measure.
+        [JND]; NaN where nothing can be measured.
     valid : ndarray of bool, shape (n_features,)
-        Whether a feature can be believed: decay range, bandwidth and distance to the noise suffice.
+        Whether decay range, bandwidth and distance to the noise suffice.
     direct_sample : float
     white : ndarray, shape (8,)
         White noise of the recording: energy of 100 ms relative to the response, per octave.
     """
 
-    values: np.ndarray
-    valid: np.ndarray
+    values: FloatArray
+    valid: BoolArray
     direct_sample: float
-    white: np.ndarray
+    white: FloatArray
 
 
-def measure_features(rir, expected_sample=None, *, timed=True, white=None):
+class _Noise(NamedTuple):
+    """Energy per sample at the end of a response.
+
+    Attributes
+    ----------
+    octave, third : ndarray, shape (8,), (22,)
+        Of noise, 0 where the response ends before its noise.
+    end : ndarray, shape (8,)
+        In octaves, of noise or not.
+    n_samples : int
+        Length of the part that was measured.
+    """
+
+    octave: FloatArray
+    third: FloatArray
+    end: FloatArray
+    n_samples: int
+
+
+def measure_features(rir: Array, expected_sample: float | None = None, *, timed: bool = True,
+                     white: FloatArray | None = None) -> Features:
     """Measure all features of an RIR.
 
     Parameters
@@ -84,15 +107,11 @@ def measure_features(rir, expected_sample=None, *, timed=True, white=None):
     rir : ndarray, shape (n_samples,)
         At `FS_HZ`.
     expected_sample : float, optional
-        Where geometry puts the direct sound, if sample 0 is the emission.
+        Direct sample according to geometry, if sample 0 is the emission.
     timed : bool
-        Whether the arrival of the direct sound means something: not where the time of flight was removed.
+        Whether the arrival of the direct sound is known: not if the time of flight was removed.
     white : ndarray, shape (8,), optional
-        White noise to be thought of as there: that of the recording that a rendered RIR is compared with.
-
-    Returns
-    -------
-    Features
+        White noise to assume in a rendered RIR: that of the recording that it is compared with.
 
     Raises
     ------
@@ -101,29 +120,29 @@ def measure_features(rir, expected_sample=None, *, timed=True, white=None):
     """
     rir = np.asarray(rir, dtype=np.float64)
     direct, polarity, timed = _direct(rir, expected_sample, timed)
-    found = all_metrics(rir, FS_HZ, direct, polarity)
+    metrics = all_metrics(rir, FS_HZ, direct, polarity)
     values, valid = np.full(N_FEATURES, np.nan), np.zeros(N_FEATURES, dtype=bool)
     for metric in ("edt", "t20", "t30"):
-        times_s = np.array([np.nan if time_s is None else time_s for time_s in found[f"{metric}_s"]])
-        _put(values, valid, metric, np.log(times_s), np.array(found[f"{metric}_valid"]))
-    _put(values, valid, "c50", np.array([np.nan if one is None else one for one in found["c50_db"]]),
-         np.array(found["c50_valid"]))
-    drr_db = found["drr_db"]
+        times_s = np.array([np.nan if time_s is None else time_s for time_s in metrics[f"{metric}_s"]])
+        _put(values, valid, metric, np.log(times_s), np.array(metrics[f"{metric}_valid"]))
+    _put(values, valid, "c50", np.array([np.nan if c50_db is None else c50_db for c50_db in metrics["c50_db"]]),
+         np.array(metrics["c50_valid"]))
+    drr_db = metrics["drr_db"]
     _put(values, valid, "drr", np.array([np.nan if drr_db is None else drr_db]), np.array([drr_db is not None]))
     _put(values, valid, "arrival", np.array([direct / FS_HZ]), np.array([timed]))
-    noise = _noise_density(rir, found)
-    for metric, (level_db, snr_db) in _levels(rir, direct, found, noise).items():
+    noise = _noise_density(rir, metrics)
+    for metric, (level_db, snr_db) in _levels(rir, direct, metrics, noise).items():
         _put(values, valid, metric, level_db, snr_db > MIN_SNR_DB)
     levels, white = _noise_levels(rir, direct, noise, white)
-    for metric, (level_db, believed) in levels.items():
-        _put(values, valid, metric, level_db, believed)
+    for metric, (level_db, is_valid) in levels.items():
+        _put(values, valid, metric, level_db, is_valid)
     return Features(values, valid & np.isfinite(values), direct, white)
 
 
-def _direct(rir, expected_sample, timed):
-    """Direct sound, its polarity, and whether its arrival counts: not where an obstacle drowned it.
+def _direct(rir: FloatArray, expected_sample: float | None, timed: bool) -> tuple[float, int, bool]:
+    """Return the direct sample, its polarity, and whether its arrival is known: not if an obstacle hides the sound.
 
-    What comes later than positions and the air explain is another path; geometry says then where the direct sound is.
+    A first sound later than the tolerances of geometry allow is another path; the direct sample is then the expected.
     """
     if expected_sample is None:
         return *find_direct(rir, FS_HZ), timed
@@ -133,79 +152,69 @@ def _direct(rir, expected_sample, timed):
         if abs(sample - expected_sample) < most - 1.0:
             return sample, polarity, timed
     except ValueError:
-        find_direct(rir, FS_HZ)  # there must be some sound
+        find_direct(rir, FS_HZ)  # raises if there is no sound at all
     return float(expected_sample), 1, False
 
 
-def _put(values, valid, metric, amounts, believed):
+def _put(values: FloatArray, valid: BoolArray, metric: str, amounts: FloatArray, is_valid: BoolArray) -> None:
     values[feature_slice(metric)] = amounts / JND[metric]
-    valid[feature_slice(metric)] = believed
+    valid[feature_slice(metric)] = is_valid
 
 
-def _segment(rir, start, stop, fade):
-    """A part of a response with half-cosine edges that lie outside it, as long as they fit."""
+def _segment(rir: FloatArray, start: int, stop: int, fade: int) -> FloatArray:
+    """Return a part of a response with half-cosine edges around it, cut at the ends of the response."""
     low, high = max(0, start - fade), min(len(rir), stop + fade)
     position = np.arange(low, high)
     window = np.clip(np.minimum(position - start, stop - 1 - position) / max(fade, 1) + 1.0, 0.0, 1.0)
     return rir[low:high] * np.sin(0.5 * np.pi * window) ** 2
 
 
-def _power(part, n_fft):
-    """Energy per bin, both signs of frequency, shape (n_fft // 2 + 1,)."""
+def _power(part: FloatArray, n_fft: int) -> FloatArray:
+    """Return the energy per bin, both signs of frequency, shape (n_fft // 2 + 1,)."""
     power = np.abs(rfft(part, n_fft)) ** 2 / n_fft
     power[1:(n_fft + 1) // 2] *= 2.0
     return power
 
 
-def third_gains(n_fft):
-    """Power response of third-octave filters, Butterworth of order 4, shape (22, n_fft // 2 + 1)."""
+def third_gains(n_fft: int) -> FloatArray:
+    """Return the power response of third-octave filters, Butterworth of order 4, shape (22, n_fft // 2 + 1)."""
     ratio = np.maximum(np.fft.rfftfreq(n_fft, 1.0 / FS_HZ), 1e-3) / np.array(THIRDS_HZ)[:, None]
     quality = 1.0 / (10.0 ** 0.05 - 10.0 ** -0.05)
     return 1.0 / (1.0 + (quality * (ratio - 1.0 / ratio)) ** 8)
 
 
-def _octave_power_gains(n_fft):
+@lru_cache(maxsize=32)
+def _gains(kind: str, n_fft: int) -> FloatArray:
+    """Return the power response of the filters of a kind, "octave" or "third", shape (n_bands, n_fft // 2 + 1)."""
+    if kind == "third":
+        return third_gains(n_fft)
     return np.array([octave_gains(n_fft, FS_HZ, band_hz) ** 2 for band_hz in EXACT_BANDS_HZ])
 
 
-_known = {}
-
-
-def _gains(kind, n_fft):
-    """Filters of a length that was asked for before are not made again."""
-    if (kind, n_fft) not in _known:
-        if len(_known) > 32:
-            _known.clear()
-        _known[kind, n_fft] = {"third": third_gains, "octave": _octave_power_gains}[kind](n_fft)
-    return _known[kind, n_fft]
-
-
-def _noise_density(rir, found):
-    """Noise energy per sample in octaves and third octaves; 0 where the response ends before its noise.
-
-    `end` is what there is at the end, of `n_samples`, noise or not.
-    """
+def _noise_density(rir: FloatArray, metrics: dict) -> _Noise:
+    """Return the energy per sample at the end of a response, where only noise is left as a rule."""
     last = int(np.flatnonzero(rir)[-1]) + 1
-    start = max(int(0.9 * last), min(last, int(max(found["band_noise_intersection_s"]) * FS_HZ + found["direct_sample"])))
+    intersection = int(max(metrics["band_noise_intersection_s"]) * FS_HZ + metrics["direct_sample"])
+    start = max(int(0.9 * last), min(last, intersection))
     start = min(start, last - int(0.05 * FS_HZ)) if last > int(0.2 * FS_HZ) else int(0.9 * last)
-    seen = np.array([one is not None for one in found["band_noise_floor_db"]])
+    seen = np.array([floor_db is not None for floor_db in metrics["band_noise_floor_db"]])
     part = rir[start:last]
     n_fft = next_fast_len(max(len(part), 2048), real=True)
     power = _power(part, n_fft) / max(len(part), 1)
     end = _gains("octave", n_fft) @ power
-    return dict(octave=np.where(seen, end, 0.0), end=end, n_samples=len(part),
-                third=np.where(seen[_octave_of_third()], _gains("third", n_fft) @ power, 0.0))
+    return _Noise(octave=np.where(seen, end, 0.0), end=end, n_samples=len(part),
+                  third=np.where(seen[_octave_of_third()], _gains("third", n_fft) @ power, 0.0))
 
 
-def _octave_of_third():
+def _octave_of_third() -> IntArray:
     return np.argmin(np.abs(np.log(np.array(THIRDS_HZ)[:, None] / np.array(EXACT_BANDS_HZ))), axis=1)
 
 
-def _levels(rir, direct, found, noise):
-    """Level and distance to the noise of the level features [dB]: {metric: (level, snr)}."""
+def _levels(rir: FloatArray, direct: float, metrics: dict, noise: _Noise) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Return the level and the signal-to-noise ratio of the level metrics [dB]: {metric: (level, snr)}."""
     at = round(direct)
     gate, early, late = (at + round(seconds * FS_HZ) for seconds in (DIRECT_S, EARLY_S, LATE_S))
-    end = max(late, at + round(found["noise_intersection_s"] * FS_HZ))
+    end = max(late, at + round(metrics["noise_intersection_s"] * FS_HZ))
     parts = {"direct": (at - round(LEAD_S * FS_HZ), gate, 8, "third"), "early": (gate, early, 16, "octave"),
              "late": (early, late, 40, "octave"), "spectrum": (at - round(LEAD_S * FS_HZ), end, 40, "third")}
     result = {}
@@ -213,58 +222,59 @@ def _levels(rir, direct, found, noise):
         part = _segment(rir, max(0, start), min(stop, len(rir)), fade)
         n_fft = 1024 if metric == "direct" else next_fast_len(max(2048, len(part)), real=True)
         energy = _gains(kind, n_fft) @ _power(part, n_fft)
-        disturbed = noise[kind] * len(part)
+        of_noise = (noise.third if kind == "third" else noise.octave) * len(part)
         if metric == "direct":
-            energy, disturbed = energy[-len(DIRECT_THIRDS_HZ):], disturbed[-len(DIRECT_THIRDS_HZ):]
-        level_db = 10.0 * np.log10(np.maximum(energy - disturbed, 1e-30))
-        result[metric] = level_db, level_db - 10.0 * np.log10(np.maximum(disturbed, 1e-30))
+            energy, of_noise = energy[-len(DIRECT_THIRDS_HZ):], of_noise[-len(DIRECT_THIRDS_HZ):]
+        level_db = 10.0 * np.log10(np.maximum(energy - of_noise, 1e-30))
+        result[metric] = level_db, level_db - 10.0 * np.log10(np.maximum(of_noise, 1e-30))
     return result
 
 
-def _noise_levels(rir, direct, noise, white):
-    """By how much noise behind the response and sound ahead of it raise what any recording has, per octave [dB].
+def _noise_levels(rir: FloatArray, direct: float, noise: _Noise, white: FloatArray | None
+                  ) -> tuple[dict[str, tuple[FloatArray, BoolArray]], FloatArray]:
+    """Return the noise behind the response and the sound ahead of it, per octave [dB].
 
-    Any recording has white noise, of a level of its own, and what is quiet disturbs nothing: both stand below every
-    ratio, so that it goes to 0 smoothly where there is no more.
+    Noise is scored relative to white noise of the recording's own level plus a floor (`QUIET`), so that its level goes
+    to 0 smoothly where there is no other noise.
 
     Returns
     -------
     levels : dict
-        {metric: (level, whether it can be believed)}.
+        {metric: (level, whether it is valid)}.
     white : ndarray, shape (8,)
     """
     n_fft = next_fast_len(len(rir), real=True)
     per_energy = NOISE_S * FS_HZ / np.maximum(_gains("octave", n_fft) @ _power(rir, n_fft), 1e-30)
-    end, seen = noise["end"] * per_energy, noise["octave"] > 0.0
+    end, seen = noise.end * per_energy, noise.octave > 0.0
     if white is None:
-        besides, white = 0.0, _white(noise) * per_energy
+        added, white = np.zeros(len(BANDS_HZ)), _white(noise) * per_energy
         behind = np.where(seen, end, white) + QUIET
-    else:  # a rendering goes on until it is over
-        besides, behind = white, end + white + QUIET
-    # a response that ends before its noise tells of it only where even its end is quiet
-    believed = seen | (_db(end / QUIET + 1.0) < JND["floor"])
-    result = {"floor": (_db(behind / (white + QUIET)), believed)}
+    else:  # a rendering has no noise of its own, and ends when its decay is over
+        added, behind = white, end + white + QUIET
+    # without visible noise, the level is known only if even the end of the response is quiet
+    known = seen | (_db(end / QUIET + 1.0) < JND["floor"])
+    levels = {"floor": (_db(behind / (white + QUIET)), known)}
     n_ahead = round(direct) - round(3e-3 * FS_HZ) - 16
     ahead, resolved = np.full(len(BANDS_HZ), np.nan), (OCTAVE_WIDTH_HZ * n_ahead > FS_HZ) & (n_ahead > 48)
-    # a rendering's direct sound may come earlier than the recording's: what is believed of one, the other must have
+    # finite wherever there are samples: the direct sound of a rendering may be earlier than that of the recording
     if n_ahead > 8:
         part = _segment(rir, 16, 16 + n_ahead, 16)
         n_fft = next_fast_len(max(2048, len(part)), real=True)
-        ahead = _db((_gains("octave", n_fft) @ _power(part, n_fft) / len(part) * per_energy + besides + QUIET) / behind)
-    result["ahead"] = ahead, resolved & believed
-    return result, white
+        ahead = _db((_gains("octave", n_fft) @ _power(part, n_fft) / len(part) * per_energy + added + QUIET) / behind)
+    levels["ahead"] = ahead, resolved & known
+    return levels, white
 
 
-def _white(noise):
-    """Level of the white noise that all octaves have at least, energy per sample in each.
+def _white(noise: _Noise) -> FloatArray:
+    """Return the energy per sample in each octave of the largest white noise that no octave contradicts, shape (8,).
 
-    Energy over a time T in a bandwidth B is known to a share of 1 / sqrt(B T): the least of all octaves would be that
-    of the narrowest by chance.
+    The relative uncertainty of the energy over a time T in a bandwidth B is 1 / sqrt(B T). Each octave allows two of
+    them, as otherwise the narrowest octave would be the lowest by chance.
     """
-    share = 1.0 / np.sqrt(OCTAVE_WIDTH_HZ * noise["n_samples"] / FS_HZ)
-    most = noise["octave"] / OCTAVE_WIDTH_HZ * (1.0 + 2.0 * share)
+    share = 1.0 / np.sqrt(OCTAVE_WIDTH_HZ * noise.n_samples / FS_HZ)
+    most = noise.octave / OCTAVE_WIDTH_HZ * (1.0 + 2.0 * share)
     return OCTAVE_WIDTH_HZ * (most[most > 0.0].min() if np.any(most > 0.0) else 0.0)
 
 
-def _db(power):
+def _db(power: FloatArray) -> FloatArray:
     return 10.0 * np.log10(np.maximum(power, 1e-30))

@@ -1,46 +1,53 @@
-"""Fit what is unknown of all rooms together.
+"""Fit the parameters of all rooms together (empirical Bayes, Gauss-Newton).
 
 Conventions
 -----------
-What is unknown of a room: its absorption per band ``x = ln(-ln(1 - alpha))``, by how much floor and ceiling absorb more
-than the walls, gains (`roomeq.loop.packing`), and the vectors of effects whose scope is the room. These are Gaussian
-about a mean that all rooms share, with a spread that is estimated from them (empirical Bayes): so absorption cannot
-swallow what all rooms have in common, unless rooms differ so much that nothing is common. What is unknown of all: those
-means, and the vectors of the other effects.
+Room-level parameters (`roomeq.loop.packing`: absorption per octave, the contrast of floor and ceiling, gains, the
+vectors of effects whose scope is the room or the RIR) share a Gaussian prior whose mean and covariance are estimated
+from all rooms. The common mean keeps absorption from explaining variance that all rooms share. Shared parameters are
+those means and the vectors of all other effects.
 
-Features scatter by `sigma` from RIR to RIR and by `omega` from room to room; both are estimated from what a model leaves.
+Features scatter by `sigma` from RIR to RIR and by `omega` from room to room; both are estimated from the residual.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from roomeq.core.arrays import FloatArray
+from roomeq.effects.base import Effect
+from roomeq.loop.data import Data
 from roomeq.loop.features import HAS_GAIN, N_FEATURES
-from roomeq.loop.linear import linearise, misfit, normal_equations, scatter
-from roomeq.loop.packing import N_SURFACE, OWN, ParameterIndex
+from roomeq.loop.likelihood import NormalEquations, misfit, normal_equations, scatter
+from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, ParameterIndex
 from roomeq.loop.predict import N_BANDS
 
 ITERATIONS = 5
-_SHARES = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried
+START_X = float(np.log(0.2))
+"""Initial absorption ``x`` of all bands."""
+_STEP_FRACTIONS = (1.0, 0.5, 0.2, 0.05)  # of a step, tried in this order
 _DAMPING = 30.0
-"""Of a step that does not help, in units of the prior's precision (Levenberg, Quart. Appl. Math. 2 (1944) 164): what
-features hardly tell of, such as a parameter at its limit, moves little then, and holds nothing else up."""
-START_X = np.log(0.2)
-_WHOLE_GAIN_DB = 30.0  # spread of the gain of a chain or a room
-_GAIN_DB = (0.3, _WHOLE_GAIN_DB)  # of what a source or a microphone has besides
+"""Damping of a step that does not lower the cost, in units of the prior's precision (Levenberg, Quart. Appl. Math. 2
+(1944) 164). It freezes poorly determined parameters, such as one at its limit, so that the others can go on."""
+_CHAIN_GAIN_DB = 30.0  # spread of the gain of a chain or a room
+_GAIN_DB = (0.3, _CHAIN_GAIN_DB)  # limits of the spread of the gains of sources and of microphones
 _MEAN_SPREAD = 1.5  # of the mean absorption, natural logarithm
 _CONTRAST = (0.4, 0.2, 0.1)  # spread of ln(absorption of floor and ceiling / of walls) over rooms, as `_SHAPES`
 _MEAN_CONTRAST = 0.3
 _SHAPES = tuple((level, bend, rough) for level in (0.15, 0.3, 0.6) for bend in (0.03, 0.1, 0.2, 0.4)
                 for rough in (0.03, 0.1, 0.2))
-_CORRELATED = 1.5  # bands over which absorption bends
+_FIRST_SHAPE = (0.3, 0.2, 0.1)
+_CORRELATED = 1.5  # correlation length of absorption [bands]
 
 
-def absorption_covariance(level, bend, rough):
-    """Covariance of `x` over rooms: a common factor, smooth bends over bands, and roughness, shape (8, 8)."""
-    lag = np.subtract.outer(np.arange(N_BANDS), np.arange(N_BANDS))
-    return level ** 2 + bend ** 2 * np.exp(-0.5 * (lag / _CORRELATED) ** 2) + rough ** 2 * np.eye(N_BANDS)
+class SharedPrior(NamedTuple):
+    """Gaussian prior of the shared parameters: mean, shape (n_shared,), and precision, shape (n_shared, n_shared)."""
+
+    mean: FloatArray
+    precision: FloatArray
 
 
 @dataclass(frozen=True)
@@ -51,219 +58,245 @@ class Fit:
     ----------
     effects : tuple of types
     mean : ndarray, shape (n_shared,)
-        Mean absorption, then for each effect the vectors of its units, or of a room on average.
+        Shared parameters.
     local : list of ndarray
-        Per room: deviation of the absorption, gains, deviations of its effects.
+        Own parameters of each room.
     covariance : list of ndarray
-        Of `local`, before the room's own RIRs are seen.
+        Prior covariance of `local`.
     sigma, omega : ndarray, shape (n_features,)
+        Scatter within and between rooms [JND].
     predicted : ndarray, shape (n_rirs, n_features)
-    normal : list of (ndarray, ndarray, ndarray, ndarray, ndarray, float)
-        Per room, whitened: products of the derivatives by local and by shared unknowns with themselves, with each
-        other and with the residual; and its density's constant.
-    by_surface : ndarray, shape (n_rirs, n_features, 16)
-        Derivatives of the features by the unknowns of the surfaces.
+    normal : list of NormalEquations
+        Of each room, at the fitted parameters.
+    by_surface : ndarray, shape (n_rirs, n_features, N_SURFACE), or None
+        Derivatives of the features by the surface parameters; None if they are to be computed again.
     gain_db : tuple of float
-        Spread of each kind of gain (`roomeq.loop.packing.GAINS`).
+        Spread of each kind of gain (`roomeq.loop.packing.GAIN_KINDS`).
     """
 
-    effects: tuple
-    mean: np.ndarray
-    local: list
-    covariance: list
-    sigma: np.ndarray
-    omega: np.ndarray
-    predicted: np.ndarray
-    normal: list
-    by_surface: np.ndarray
-    gain_db: tuple
+    effects: tuple[type[Effect], ...]
+    mean: FloatArray
+    local: list[FloatArray]
+    covariance: list[FloatArray]
+    sigma: FloatArray
+    omega: FloatArray
+    predicted: FloatArray
+    normal: list[NormalEquations]
+    by_surface: FloatArray | None
+    gain_db: tuple[float, float, float]
 
 
-def fit(data, correction, effects, start=None, like=None, iterations=ITERATIONS):
+def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
+        start: Sequence[Any] | None = None, initial: Fit | None = None, iterations: int = ITERATIONS) -> Fit:
     """Fit a model.
 
     Parameters
     ----------
-    data : roomeq.loop.data.Data
+    data : Data
     correction : ndarray, shape (n_rirs, n_features)
-        What features measured on rendered RIRs have over features predicted from tables.
+        Rendering correction: features measured on rendered RIRs minus features predicted from tables.
     effects : sequence of types
     start : sequence of array_like, optional
-        First vector of each effect; its own first `STARTS` if not given.
-    like : Fit, optional
-        Fit of the same or fewer effects to begin from; its derivatives by the surfaces are used again.
+        Initial vector of each effect; by default the first of its `STARTS`.
+    initial : Fit, optional
+        Fit of the same or fewer effects to start from; its derivatives by the surface parameters are used again.
     iterations : int
-
-    Returns
-    -------
-    Fit
     """
-    packing = ParameterIndex(data, effects)
-    start = [effect.STARTS[0] for effect in packing.effects] if start is None else start
-    mean, prior_mean, prior = shared_prior(packing, start)
-    local = [np.zeros(size) for _, size in packing.own_slices]
-    shape, own_scale = (0.3, 0.2, 0.1), [1.0] * len(packing.effects)
-    gain_db = (_WHOLE_GAIN_DB, 3.0, 3.0) if like is None else like.gain_db
-    sigma, omega = np.full(N_FEATURES, 2.0), np.full(N_FEATURES, 1.0)
-    if like is None:
-        mean[:N_BANDS] = prior_mean[:N_BANDS] = START_X
-        first_gains(packing, correction, mean, local)
+    index = ParameterIndex(data, effects)
+    start = [effect.STARTS[0] for effect in index.effects] if start is None else start
+    # a continued fit centres the prior of the mean absorption at x = 0 (alpha = 0.63), 1.1 of its spreads higher
+    prior = shared_prior(index, start, START_X if initial is None else 0.0)
+    mean, local = prior.mean.copy(), [np.zeros(part.size) for part in index.local]
+    shape, own_scale = _FIRST_SHAPE, [1.0] * len(index.effects)
+    if initial is None:
+        gain_db, by_surface = (_CHAIN_GAIN_DB, 3.0, 3.0), None
+        sigma, omega = np.full(N_FEATURES, 2.0), np.full(N_FEATURES, 1.0)
+        estimate_gains(index, correction, mean, local)
     else:
-        _continue(packing, like, mean, local)
-        sigma, omega = like.sigma.copy(), like.omega.copy()
-    known = None if like is None else like.by_surface
+        gain_db, by_surface = initial.gain_db, initial.by_surface
+        sigma, omega = initial.sigma.copy(), initial.omega.copy()
+        _continue(index, initial, mean, local)
     for iteration in range(iterations):
-        covariance = covariances(packing, shape, own_scale, gain_db)
-        predicted, slopes = linearise(packing, mean, local, correction, known)
+        covariance = covariances(index, shape, own_scale, gain_db)
+        predicted, derivatives = index.linearize(mean, local, correction, by_surface)
         residual, valid = data.residual(predicted)
         if iteration:
             sigma, omega = scatter(data, residual, valid)
-        normal = [normal_equations(packing, r, residual, valid, slopes, sigma, omega)
-                  for r in range(len(local))]
-        cost = partial(_cost, packing, correction, sigma, omega, covariance, prior_mean, prior)
+        normal = [normal_equations(index, r, residual, valid, derivatives, sigma, omega) for r in range(len(local))]
+        cost = partial(_cost, index, correction, sigma, omega, covariance, prior)
         limit, old = cost(mean, local, predicted), (mean, local)
-        *new, spreads = _solve(normal, covariance, mean, local, prior_mean, prior)
-        mean, local = _step(cost, limit, old, new, shares=_SHARES[:1])
+        *new, posterior = _solve(normal, covariance, mean, local, prior)
+        mean, local = _step(cost, limit, old, new, fractions=_STEP_FRACTIONS[:1])
         if mean is old[0]:
-            *new, _ = _solve(normal, covariance, mean, local, prior_mean, prior, damping=_DAMPING)
+            *new, _ = _solve(normal, covariance, mean, local, prior, damping=_DAMPING)
             mean, local = _step(cost, limit, old, new)
-        shape = _best_shape(local, spreads)
-        own_scale = [_own_scale(packing, k, local, spreads) for k in range(len(packing.effects))]
-        gain_db = (_WHOLE_GAIN_DB, *(_gain_db(packing, kind, local, spreads) for kind in (1, 2)))
-    covariance = covariances(packing, shape, own_scale, gain_db)
-    predicted, slopes = linearise(packing, mean, local, correction, known)
+        shape = _best_shape(local, posterior)
+        own_scale = [_own_scale(index, k, local, posterior) for k in range(len(index.effects))]
+        gain_db = (_CHAIN_GAIN_DB, _gain_spread_db(index, 1, local, posterior),
+                   _gain_spread_db(index, 2, local, posterior))
+    covariance = covariances(index, shape, own_scale, gain_db)
+    predicted, derivatives = index.linearize(mean, local, correction, by_surface)
     residual, valid = data.residual(predicted)
     sigma, omega = scatter(data, residual, valid)
-    normal = [normal_equations(packing, r, residual, valid, slopes, sigma, omega) for r in range(len(local))]
-    return Fit(packing.effects, mean, local, covariance, sigma, omega, predicted, normal, slopes[0], gain_db)
+    normal = [normal_equations(index, r, residual, valid, derivatives, sigma, omega) for r in range(len(local))]
+    return Fit(index.effects, mean, local, covariance, sigma, omega, predicted, normal, derivatives.by_surface, gain_db)
 
 
-def shared_prior(packing, start):
-    """First value, mean and precision of the shared unknowns."""
-    mean = np.zeros(packing.n_shared)
-    precision = np.zeros((packing.n_shared, packing.n_shared))
+def shared_prior(index: ParameterIndex, start: Sequence[Any], x: float) -> SharedPrior:
+    """Return the prior of the shared parameters: its mean is an absorption `x` in all bands, and `start`."""
+    mean = np.zeros(index.n_shared)
+    mean[:N_BANDS] = x
+    precision = np.zeros((index.n_shared, index.n_shared))
     spread = np.repeat([_MEAN_SPREAD, _MEAN_CONTRAST], N_BANDS)
     precision[:N_SURFACE, :N_SURFACE] = np.diag(spread ** -2.0)
-    for effect, first, (part, count, _, size) in zip(packing.effects, start, packing.shared, strict=True):
+    for effect, first, (part, n_vectors, _, size) in zip(index.effects, start, index.shared, strict=True):
         if size:
-            mean[part] = np.tile(first, count)
+            mean[part] = np.tile(first, n_vectors)
             inverse = np.linalg.inv(effect.prior_covariance())
-            for u in range(count):
+            for u in range(n_vectors):
                 at = slice(part.start + u * size, part.start + (u + 1) * size)
                 precision[at, at] = inverse
-    return mean, mean.copy(), precision
+    return SharedPrior(mean, precision)
 
 
-def first_gains(packing, correction, mean, local):
-    predicted = packing.predict(packing.absorption(mean, local), packing.vectors(mean, local),
-                               np.zeros(len(packing.data.rows)), correction)
-    error = np.where(packing.data.valid & HAS_GAIN, packing.data.features - predicted, np.nan)
-    for r, (members, parts) in enumerate(zip(packing.members, packing.gain_of, strict=True)):
-        for n in np.flatnonzero(packing.gain_kind[r] == 0):
-            found = error[members[parts[:, n] > 0.0]]
-            local[r][N_SURFACE + n] = np.nanmedian(found) if np.isfinite(found).any() else 0.0
+def estimate_gains(index: ParameterIndex, correction: FloatArray, mean: FloatArray, local: list[FloatArray]) -> None:
+    """Set the gains of chains and rooms in `local` to the median residual of the features that contain them."""
+    predicted = index.predict(index.absorption(mean, local), index.vectors(mean, local),
+                              np.zeros(len(index.data.rows)), correction)
+    residual = np.where(index.data.valid & HAS_GAIN, index.data.features - predicted, np.nan)
+    for r, (members, design) in enumerate(zip(index.members, index.gain_design, strict=True)):
+        for n in np.flatnonzero(index.gain_kind[r] == 0):
+            of_gain = residual[members[design[:, n] > 0.0]]
+            local[r][N_SURFACE + n] = np.nanmedian(of_gain) if np.isfinite(of_gain).any() else 0.0
 
 
-def _continue(packing, like, mean, local):
-    """Take over what a fit of fewer effects found."""
-    before = ParameterIndex(packing.data, like.effects)
-    mean[:N_SURFACE] = like.mean[:N_SURFACE]
-    for k, effect in enumerate(packing.effects):
-        if effect in like.effects:
-            mean[packing.shared[k][0]] = like.mean[before.shared[like.effects.index(effect)][0]]
+def _continue(index: ParameterIndex, initial: Fit, mean: FloatArray, local: list[FloatArray]) -> None:
+    """Copy the parameters of a fit of the same or fewer effects into `mean` and `local`."""
+    before = ParameterIndex(index.data, initial.effects)
+    mean[:N_SURFACE] = initial.mean[:N_SURFACE]
+    for k, effect in enumerate(index.effects):
+        if effect in initial.effects:
+            mean[index.shared[k].part] = initial.mean[before.shared[initial.effects.index(effect)].part]
     for r in range(len(local)):
-        n = N_SURFACE + len(packing.gain_kind[r])
-        local[r][:n] = like.local[r][:n]
-        for k, effect in enumerate(packing.effects):
-            if effect in like.effects:
-                local[r][packing.own_slices[r][0][k]] = like.local[r][
-                    before.own_slices[r][0][like.effects.index(effect)]]
+        n = N_SURFACE + len(index.gain_kind[r])
+        local[r][:n] = initial.local[r][:n]
+        for k, effect in enumerate(index.effects):
+            if effect in initial.effects:
+                local[r][index.local[r].slices[k]] = initial.local[r][
+                    before.local[r].slices[initial.effects.index(effect)]]
 
 
-def covariances(packing, shape, own_scale, gain_db):
-    found = []
-    for (slices, size), kinds in zip(packing.own_slices, packing.gain_kind, strict=True):
+def absorption_covariance(level: float, bend: float, rough: float) -> FloatArray:
+    """Return the covariance of `x` over rooms, shape (8, 8): common level, smooth bends over bands, and roughness."""
+    lag = np.subtract.outer(np.arange(N_BANDS), np.arange(N_BANDS))
+    return level ** 2 + bend ** 2 * np.exp(-0.5 * (lag / _CORRELATED) ** 2) + rough ** 2 * np.eye(N_BANDS)
+
+
+def covariances(index: ParameterIndex, shape: tuple[float, float, float], own_scale: list[float],
+                gain_db: tuple[float, float, float]) -> list[FloatArray]:
+    """Return the prior covariance of each room's own parameters.
+
+    Parameters
+    ----------
+    index : ParameterIndex
+    shape : tuple of 3 floats
+        Arguments of `absorption_covariance`.
+    own_scale : list of float
+        Of each effect: factor of its `SPREAD` over rooms.
+    gain_db : tuple of 3 floats
+        Spread of each kind of gain.
+    """
+    made = []
+    for (slices, size), kinds in zip(index.local, index.gain_kind, strict=True):
         covariance = np.zeros((size, size))
         covariance[:N_BANDS, :N_BANDS] = absorption_covariance(*shape)
         covariance[N_BANDS:N_SURFACE, N_BANDS:N_SURFACE] = absorption_covariance(*_CONTRAST)
         gains = np.arange(N_SURFACE, N_SURFACE + len(kinds))
         covariance[gains, gains] = np.square(gain_db)[kinds]
-        for k, effect in enumerate(packing.effects):
+        for k, effect in enumerate(index.effects):
             if slices[k].stop > slices[k].start:
-                one = effect.prior_covariance()
-                count = (slices[k].stop - slices[k].start) // len(one)
-                covariance[slices[k], slices[k]] = own_scale[k] ** 2 * np.kron(np.eye(count), one)
-        found.append(covariance)
-    return found
+                of_vector = effect.prior_covariance()
+                count = (slices[k].stop - slices[k].start) // len(of_vector)
+                covariance[slices[k], slices[k]] = own_scale[k] ** 2 * np.kron(np.eye(count), of_vector)
+        made.append(covariance)
+    return made
 
 
-def _solve(normal, covariance, mean, local, prior_mean, prior, damping=0.0):
-    """One step of Gauss and Newton; returns new unknowns and the posterior covariance of each room's own."""
-    total, right = (1.0 + damping) * prior, prior @ (prior_mean - mean)
-    kept = []
-    for (uu, ug, gg, ue, ge, *_), cov, u in zip(normal, covariance, local, strict=True):
-        inverse = np.linalg.inv(cov)
-        room = np.linalg.inv(uu + (1.0 + damping) * inverse)
-        total += gg - ug.T @ room @ ug
-        right += ge - ug.T @ room @ (ue - inverse @ u)
-        kept.append((room, ug, ue - inverse @ u))
+def _solve(normal: list[NormalEquations], covariance: list[FloatArray], mean: FloatArray, local: list[FloatArray],
+           prior: SharedPrior, damping: float = 0.0) -> tuple[FloatArray, list[FloatArray], list[FloatArray]]:
+    """Take one Gauss-Newton step; return new shared and own parameters and the own ones' posterior covariances."""
+    total, right = (1.0 + damping) * prior.precision, prior.precision @ (prior.mean - mean)
+    rooms = []
+    for room, room_covariance, own in zip(normal, covariance, local, strict=True):
+        inverse = np.linalg.inv(room_covariance)
+        posterior = np.linalg.inv(room.own_own + (1.0 + damping) * inverse)
+        own_right = room.own_residual - inverse @ own
+        total += room.shared_shared - room.own_shared.T @ posterior @ room.own_shared
+        right += room.shared_residual - room.own_shared.T @ posterior @ own_right
+        rooms.append((posterior, room.own_shared, own_right))
     step = np.linalg.solve(total, right)
-    new = [u + room @ (b - ug @ step) for u, (room, ug, b) in zip(local, kept, strict=True)]
-    return mean + step, new, [room for room, _, _ in kept]
+    new = [own + posterior @ (own_right - own_shared @ step)
+           for own, (posterior, own_shared, own_right) in zip(local, rooms, strict=True)]
+    return mean + step, new, [posterior for posterior, _, _ in rooms]
 
 
-def _step(cost, limit, old, new, shares=_SHARES):
-    """As much of a step as brings the cost below a limit: a whole one where features are nearly linear, else a half."""
-    for share in shares:
-        mean = old[0] + share * (new[0] - old[0])
-        local = [a + share * (b - a) for a, b in zip(old[1], new[1], strict=True)]
+def _step(cost: Callable, limit: float, old: Sequence[Any], new: Sequence[Any],
+          fractions: Sequence[float] = _STEP_FRACTIONS) -> tuple[FloatArray, list[FloatArray]]:
+    """Return parameters moved by the first fraction of a step that lowers the cost below `limit`, or `old`."""
+    for fraction in fractions:
+        mean = old[0] + fraction * (new[0] - old[0])
+        local = [a + fraction * (b - a) for a, b in zip(old[1], new[1], strict=True)]
         if cost(mean, local) < limit:
             return mean, local
-    return old
+    return old[0], old[1]
 
 
-def _cost(packing, correction, sigma, omega, covariance, prior_mean, prior, mean, local, predicted=None):
-    """Twice the negative logarithm of the posterior density, but for a constant (Huber's loss for outliers)."""
-    data = packing.data
+def _cost(index: ParameterIndex, correction: FloatArray, sigma: FloatArray, omega: FloatArray,
+          covariance: list[FloatArray], prior: SharedPrior, mean: FloatArray, local: list[FloatArray],
+          predicted: FloatArray | None = None) -> float:
+    """Return twice the negative log posterior density up to a constant, with Huber's loss for outliers."""
     if predicted is None:
-        predicted = packing.predict(packing.absorption(mean, local), packing.vectors(mean, local), packing.gains(local),
-                                   correction)
-    residual, valid = data.residual(predicted)
-    total = (mean - prior_mean) @ prior @ (mean - prior_mean)
-    for members, one, cov in zip(packing.members, local, covariance, strict=True):
-        total += one @ np.linalg.solve(cov, one) + misfit(residual[members], valid[members], sigma, omega)
-    return total
+        predicted = index.predict(index.absorption(mean, local), index.vectors(mean, local), index.gains(local),
+                                  correction)
+    residual, valid = index.data.residual(predicted)
+    total = (mean - prior.mean) @ prior.precision @ (mean - prior.mean)
+    for members, own, room_covariance in zip(index.members, local, covariance, strict=True):
+        total += own @ np.linalg.solve(room_covariance, own) + misfit(residual[members], valid[members], sigma, omega)
+    return float(total)
 
 
-def _best_shape(local, spreads):
-    """Spread of the absorption over rooms that makes what was found most likely."""
-    found, spread = np.array([u[:N_BANDS] for u in local]), np.array([one[:N_BANDS, :N_BANDS] for one in spreads])
-    best, best_value = None, -np.inf
+def _best_shape(local: list[FloatArray], posterior: list[FloatArray]) -> tuple[float, float, float]:
+    """Return the arguments of `absorption_covariance` of the highest likelihood."""
+    absorption = np.array([own[:N_BANDS] for own in local])
+    spread = np.array([covariance[:N_BANDS, :N_BANDS] for covariance in posterior])
+    best, best_value = _SHAPES[0], -np.inf
     for shape in _SHAPES:
         total = absorption_covariance(*shape) + spread
-        solved = np.linalg.solve(total, found[:, :, None])[:, :, 0]
+        solved = np.linalg.solve(total, absorption[:, :, None])[:, :, 0]
         value = 0.0
-        for u, log_size, one in zip(found, np.linalg.slogdet(total)[1], solved, strict=True):
-            value -= 0.5 * (log_size + u @ one)
+        for own, log_size, own_solved in zip(absorption, np.linalg.slogdet(total)[1], solved, strict=True):
+            value -= 0.5 * (log_size + own @ own_solved)
         if value > best_value:
             best, best_value = shape, value
     return best
 
 
-def _own_scale(packing, k, local, spreads):
-    """Spread of a room's effect over rooms, as a factor of the effect's own `SPREAD`."""
-    effect = packing.effects[k]
-    if effect.SCOPE not in OWN or not effect.SPREAD:
+def _own_scale(index: ParameterIndex, k: int, local: list[FloatArray], posterior: list[FloatArray]) -> float:
+    """Return the spread of an effect over rooms as a factor of its `SPREAD`."""
+    effect = index.effects[k]
+    if effect.SCOPE not in OWN_SCOPES or not effect.SPREAD:
         return 1.0
     variance = np.diag(effect.prior_covariance())
-    found = [(u[part] ** 2 + np.diag(spread)[part]).reshape(-1, len(variance)) / variance
-             for u, spread, part in zip(local, spreads, [slices[k] for slices, _ in packing.own_slices], strict=True)]
-    return float(np.clip(np.sqrt(np.mean(np.concatenate(found))), 0.15, 1.5))
+    squares = [(own[slices[k]] ** 2 + np.diag(covariance)[slices[k]]).reshape(-1, len(variance)) / variance
+               for own, covariance, (slices, _) in zip(local, posterior, index.local, strict=True)]
+    return float(np.clip(np.sqrt(np.mean(np.concatenate(squares))), 0.15, 1.5))
 
 
-def _gain_db(packing, kind, local, spreads):
-    """Spread of the gains of sources, or of microphones, within rooms [dB]; the widest where there are none."""
-    found = [np.square(u[at]) + np.diag(spread)[at] for u, spread, at in zip(
-        local, spreads, [N_SURFACE + np.flatnonzero(kinds == kind) for kinds in packing.gain_kind], strict=True)]
-    found = np.concatenate(found)
-    return float(np.clip(np.sqrt(found.mean()), *_GAIN_DB)) if len(found) else _GAIN_DB[1]
+def _gain_spread_db(index: ParameterIndex, kind: int, local: list[FloatArray], posterior: list[FloatArray]) -> float:
+    """Return the spread within rooms of the gains of sources or of microphones [dB]; the limit if there are none."""
+    squares = []
+    for own, covariance, kinds in zip(local, posterior, index.gain_kind, strict=True):
+        at = N_SURFACE + np.flatnonzero(kinds == kind)
+        squares.append(np.square(own[at]) + np.diag(covariance)[at])
+    of_all = np.concatenate(squares)
+    return float(np.clip(np.sqrt(of_all.mean()), *_GAIN_DB)) if len(of_all) else _GAIN_DB[1]

@@ -1,105 +1,246 @@
-"""Where each unknown of a model stands, and what features follow from them.
+"""Parameters of a model of all rooms: their positions in vectors, the features predicted from them, and derivatives.
 
 Conventions
 -----------
-A chain of room, source and microphone that several RIRs share has a gain of its own. Where it occurs once - some
-corpora number places instead of devices - an RIR that is left out would know nothing of it: its gain is a sum of one
-of the room, one of the source there and one of the microphone there.
+`mean` holds the shared parameters: the mean over rooms of the surface parameters, then for each effect the vectors of
+its units, or the mean vector of effects whose scope is the room or the RIR. ``local[r]`` holds the own parameters of
+room r: the deviations of its surface parameters, its gains, and the deviations of the effects whose scope is the room
+or the RIR.
+
+Surface parameters of a room are its absorption per band, ``x = ln(-ln(1 - alpha))``, and the contrast of floor and
+ceiling to the walls.
+
+A chain of room, source and microphone that several RIRs share has its own gain. A chain of one RIR, as in corpora that
+number positions instead of devices, would leave the gain of a held-out RIR undetermined: its gain is the sum of a gain
+of the room, one of the source in that room and one of the microphone in that room.
 """
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from roomeq.loop.features import HAS_GAIN
-from roomeq.loop.predict import N_BANDS, base_state, predict
+from roomeq.core.arrays import BoolArray, FloatArray, IntArray
+from roomeq.effects.base import Effect
+from roomeq.effects.prediction import PredictionState
+from roomeq.loop.data import Data
+from roomeq.loop.features import HAS_GAIN, N_FEATURES
+from roomeq.loop.predict import N_BANDS, Reflected, base_state, predict
 
-OWN = ("room", "rir")  # scopes whose vectors belong to one room alone
+OWN_SCOPES = ("room", "rir")
+"""Scopes of effects whose vectors belong to one room alone."""
 N_SURFACE = 2 * N_BANDS
-"""Unknowns of the surfaces: absorption per band, and the contrast of floor and ceiling to the walls."""
+"""Number of surface parameters of a room."""
+GAIN_KINDS = ("chain", "source", "mic")
+"""Kinds of gains: of a chain or a room, and the deviations of a source and of a microphone from it."""
+_STEP = 0.03  # of numerical derivatives, in units of a vector's spread
 
 
-GAINS = ("whole", "source", "mic")
-"""Kinds of gains: of a chain or a room, and by how much a source and a microphone differ from it."""
+class SharedPart(NamedTuple):
+    """Position of an effect's vectors among the shared parameters.
+
+    Attributes
+    ----------
+    part : slice
+    n_vectors : int
+        One for each unit, or one in all for the scopes of `OWN_SCOPES`.
+    unit : ndarray of int, shape (n_rirs,)
+        Number of the unit of each RIR.
+    size : int
+        Length of a vector.
+    """
+
+    part: slice
+    n_vectors: int
+    unit: IntArray
+    size: int
+
+
+class LocalPart(NamedTuple):
+    """Positions in a room's own parameters: the slice of each effect, and the number of parameters."""
+
+    slices: list[slice]
+    size: int
+
+
+class Derivatives(NamedTuple):
+    """Derivatives of all features.
+
+    Attributes
+    ----------
+    by_surface : ndarray, shape (n_rirs, n_features, N_SURFACE)
+    by_effect : list of ndarray, shape (n_rirs, n_features, n)
+        By the vector of each effect.
+    """
+
+    by_surface: FloatArray
+    by_effect: list[FloatArray]
 
 
 class ParameterIndex:
-    """Where each unknown stands."""
+    """Positions of all parameters of a model, and the features that follow from them.
 
-    def __init__(self, data, effects):
+    Attributes
+    ----------
+    data : Data
+    effects : tuple of types
+    shared : list of SharedPart
+        Of each effect.
+    n_shared : int
+    local : list of LocalPart
+        Of each room.
+    members : list of ndarray of int
+        RIRs of each room.
+    gain_design : list of ndarray, shape (n_rirs_of_room, n_gains)
+        Of each room: 1 where a gain applies to an RIR, else 0.
+    gain_kind : list of ndarray of int, shape (n_gains,)
+        Of each room: index in `GAIN_KINDS`.
+    """
+
+    def __init__(self, data: Data, effects: Sequence[type[Effect]]) -> None:
         self.data, self.effects = data, tuple(effects)
-        self.shared, start = [], N_SURFACE
+        self.shared: list[SharedPart] = []
+        start = N_SURFACE
         for effect in self.effects:
             names, unit = data.units(effect.SCOPE)
             size = len(effect.SPREAD)
-            count = 1 if effect.SCOPE in OWN else len(names)
-            self.shared.append((slice(start, start + count * size), count, unit, size))
-            start += count * size
+            n_vectors = 1 if effect.SCOPE in OWN_SCOPES else len(names)
+            self.shared.append(SharedPart(slice(start, start + n_vectors * size), n_vectors, unit, size))
+            start += n_vectors * size
         self.n_shared = start
-        self.own_slices = []
         self.members = [np.flatnonzero(data.room == r) for r in range(len(data.room_names))]
-        self.gain_of, self.gain_kind = zip(*[_gains(data, members) for members in self.members], strict=True)
+        self.gain_design, self.gain_kind = zip(*[_gains(data, members) for members in self.members], strict=True)
+        self.local: list[LocalPart] = []
         for kinds, members in zip(self.gain_kind, self.members, strict=True):
             at, slices = N_SURFACE + len(kinds), []
             for effect in self.effects:
                 size = len(effect.SPREAD) * {"room": 1, "rir": len(members)}.get(effect.SCOPE, 0)
                 slices.append(slice(at, at + size))
                 at += size
-            self.own_slices.append((slices, at))
+            self.local.append(LocalPart(slices, at))
 
-    def vectors(self, mean, local):
-        """Vector of each effect for each unit: list of arrays, shape (n_units, n)."""
-        found = []
+    def vectors(self, mean: FloatArray, local: list[FloatArray]) -> list[FloatArray]:
+        """Return the vectors of each effect's units: list of arrays, shape (n_units, n)."""
+        vectors = []
         for k, effect in enumerate(self.effects):
-            part, count, _, size = self.shared[k]
+            part, n_vectors, _, size = self.shared[k]
             if effect.SCOPE == "room":
-                found.append(np.array([mean[part] + local[r][self.own_slices[r][0][k]]
-                                       for r in range(len(local))]).reshape(len(local), size))
+                vectors.append(np.array([mean[part] + local[r][self.local[r].slices[k]]
+                                         for r in range(len(local))]).reshape(len(local), size))
             elif effect.SCOPE == "rir":
-                vectors = np.empty((len(self.data.rows), size))
+                of_rirs = np.empty((len(self.data.rows), size))
                 for r, members in enumerate(self.members):
-                    vectors[members] = mean[part] + local[r][self.own_slices[r][0][k]].reshape(len(members), size)
-                found.append(vectors)
+                    of_rirs[members] = mean[part] + local[r][self.local[r].slices[k]].reshape(len(members), size)
+                vectors.append(of_rirs)
             else:
-                found.append(mean[part].reshape(count, size))
-        return found
+                vectors.append(mean[part].reshape(n_vectors, size))
+        return vectors
 
-    def absorption(self, mean, local):
-        """``-ln(1 - alpha)`` of walls, and of floor and ceiling, shape (n_rooms, 2, 8)."""
-        unknown = np.array([mean[:N_SURFACE] + one[:N_SURFACE] for one in local])
-        middle, contrast = unknown[:, :N_BANDS], unknown[:, N_BANDS:]
-        return np.exp(np.stack([middle - 0.5 * contrast, middle + 0.5 * contrast], axis=1))
+    def absorption(self, mean: FloatArray, local: list[FloatArray]) -> FloatArray:
+        """Return ``-ln(1 - alpha)`` of the walls, and of floor and ceiling, shape (n_rooms, 2, 8)."""
+        surface = np.array([mean[:N_SURFACE] + own[:N_SURFACE] for own in local])
+        average, contrast = surface[:, :N_BANDS], surface[:, N_BANDS:]
+        return np.exp(np.stack([average - 0.5 * contrast, average + 0.5 * contrast], axis=1))
 
-    def gains(self, local):
-        """Gain of each RIR [dB], shape (n_rirs,)."""
-        found = np.empty(len(self.data.rows))
-        for members, parts, one in zip(self.members, self.gain_of, local, strict=True):
-            found[members] = parts @ one[N_SURFACE:N_SURFACE + parts.shape[1]]
-        return found
+    def gains(self, local: list[FloatArray]) -> FloatArray:
+        """Return the gain of each RIR [dB], shape (n_rirs,)."""
+        gains = np.empty(len(self.data.rows))
+        for members, design, own in zip(self.members, self.gain_design, local, strict=True):
+            gains[members] = design @ own[N_SURFACE:N_SURFACE + design.shape[1]]
+        return gains
 
-    def state(self, absorption, vectors):
-        """What is assumed of each RIR."""
+    def state(self, absorption: FloatArray, vectors: list[FloatArray]) -> PredictionState:
+        """Return the state of each RIR: the base model's, changed by the effects."""
         state = base_state(self.data, absorption)
         for k, effect in enumerate(self.effects):
-            unit = self.shared[k][2]
+            unit = self.shared[k].unit
             for u, vector in enumerate(vectors[k]):
                 rows = np.flatnonzero(unit == u)
                 if len(rows):
                     effect.from_vector(vector).apply_to_prediction(state, self.data, rows)
         return state
 
-    def predict(self, absorption, vectors, gains, correction, reflected=None):
-        """Features, shape (n_rirs, n_features); `reflected` as for `roomeq.loop.predict.predict`."""
+    def predict(self, absorption: FloatArray, vectors: list[FloatArray], gains: FloatArray,
+                correction: FloatArray | float, reflected: Reflected | None = None) -> FloatArray:
+        """Return predicted features, shape (n_rirs, n_features); `reflected` as for `roomeq.loop.predict.predict`."""
         return predict(self.data, self.state(absorption, vectors), reflected) + correction + np.outer(gains, HAS_GAIN)
 
+    def linearize(self, mean: FloatArray, local: list[FloatArray], correction: FloatArray,
+                  by_surface: FloatArray | None = None) -> tuple[FloatArray, Derivatives]:
+        """Return predicted features, shape (n_rirs, n_features), and their derivatives.
 
-def _gains(data, members):
-    """Gains of a room: which stand in each RIR, shape (n_rirs, n_gains) of 0 and 1, and the kind of each."""
+        Parameters
+        ----------
+        mean, local
+            Where to linearize.
+        correction : ndarray, shape (n_rirs, n_features)
+            Rendering correction.
+        by_surface : ndarray, optional
+            Derivatives by the surface parameters, if they are known.
+        """
+        absorption, vectors = self.absorption(mean, local), self.vectors(mean, local)
+        gains = self.gains(local)
+        reflected = Reflected(self.data, self.state(absorption, vectors))
+        centre = self.predict(absorption, vectors, gains, correction, reflected)
+        if by_surface is None:
+            by_surface = np.empty((*centre.shape, N_SURFACE))
+            for n in range(N_SURFACE):
+                moved = absorption.copy()
+                step = (1.0, 1.0) if n < N_BANDS else (-0.5, 0.5)
+                moved[:, :, n % N_BANDS] *= np.exp(_STEP * np.array(step))
+                by_surface[:, :, n] = (self.predict(moved, vectors, gains, correction) - centre) / _STEP
+        by_effect = []
+        for k, effect in enumerate(self.effects):
+            slopes = np.empty((*centre.shape, len(effect.SPREAD)))
+            spreads: tuple[float, ...] = effect.SPREAD
+            for p, spread in enumerate(spreads):
+                moved_vectors = [vector.copy() for vector in vectors]
+                moved_vectors[k][:, p] += _STEP * spread
+                same = None if effect.REFLECTIONS else reflected
+                slopes[:, :, p] = (self.predict(absorption, moved_vectors, gains, correction, same)
+                                   - centre) / (_STEP * spread)
+            by_effect.append(slopes)
+        return centre, Derivatives(by_surface, by_effect)
+
+    def room_derivatives(self, r: int, derivatives: Derivatives) -> tuple[FloatArray, FloatArray]:
+        """Return derivatives of a room's RIRs by its own and by the shared parameters.
+
+        Both have the shape (n_rirs_of_room, n_features, n_parameters).
+        """
+        members, (by_surface, by_effect) = self.members[r], derivatives
+        slices, size = self.local[r]
+        own = np.zeros((len(members), N_FEATURES, size))
+        shared = np.zeros((len(members), N_FEATURES, self.n_shared))
+        own[:, :, :N_SURFACE] = shared[:, :, :N_SURFACE] = by_surface[members]
+        design = self.gain_design[r]
+        own[:, :, N_SURFACE:N_SURFACE + design.shape[1]] = HAS_GAIN[:, None] * design[:, None, :]
+        for k, effect in enumerate(self.effects):
+            part, _, unit, n = self.shared[k]
+            if effect.SCOPE == "room":
+                own[:, :, slices[k]] = shared[:, :, part] = by_effect[k][members]
+            elif effect.SCOPE == "rir":
+                shared[:, :, part] = by_effect[k][members]
+                for i, rir in enumerate(members):
+                    at = slices[k].start + n * i
+                    own[i, :, at:at + n] = by_effect[k][rir]
+            else:
+                for i, rir in enumerate(members):
+                    at = part.start + unit[rir] * n
+                    shared[i, :, at:at + n] = by_effect[k][rir]
+        return own, shared
+
+
+def _gains(data: Data, members: IntArray) -> tuple[FloatArray, IntArray]:
+    """Return the gain design of a room and the kind of each gain (see `ParameterIndex`)."""
     chain = data.chain[members]
-    columns = [(chain == one, 0) for one in np.unique(chain) if np.sum(chain == one) > 1]
-    alone = np.array([np.sum(chain == one) == 1 for one in chain])
+    columns: list[tuple[BoolArray, int]] = [(chain == number, 0) for number in np.unique(chain)
+                                            if np.sum(chain == number) > 1]
+    alone = np.array([np.sum(chain == number) == 1 for number in chain])
     if alone.any():
         columns.append((alone, 0))
     for kind in (1, 2):
-        names = np.array([data.rows[n][f"{GAINS[kind]}_id"] for n in members])
+        names: Any = np.array([data.rows[n][f"{GAIN_KINDS[kind]}_id"] for n in members])
         several = sorted(set(names[alone]))
         columns += [(alone & (names == name), kind) for name in several if len(several) > 1]
-    return np.array([one for one, _ in columns], dtype=float).T, np.array([kind for _, kind in columns])
+    return (np.array([applies for applies, _ in columns], dtype=float).T,
+            np.array([kind for _, kind in columns]))

@@ -6,7 +6,7 @@ act on waves (`measure_rendered_changes`).
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -146,20 +146,21 @@ def rendering_correction(rendered: RenderedModel) -> FloatArray:
                   rendered.data.features - predicted.recorded).helpful
 
 
-def clear_rendered_changes(data: Data, effects: Iterable[type[Effect]]) -> None:
-    """Set the rendered changes of effects to zero; the rendering correction then includes them."""
-    for effect in effects:
-        if effect.INTERPOLATION_GRID:
-            data.rendered_changes[effect.NAME] = np.zeros((len(effect.INTERPOLATION_GRID), *data.features.shape))
+def clear_rendered_changes(data: Data, effects: Iterable[type[Effect]]) -> Data:
+    """Return data whose rendered changes of some effects are 0; the rendering correction then includes them."""
+    zeros = {effect.NAME: np.zeros((len(effect.INTERPOLATION_GRID), *data.features.shape))
+             for effect in effects if effect.INTERPOLATION_GRID}
+    return replace(data, rendered_changes={**data.rendered_changes, **zeros})
 
 
-def measure_rendered_changes(rendered: RenderedModel, effects: Iterable[type[Effect]]) -> None:
-    """Measure on renderings what effects change at each point of their grid (`Data.rendered_change_of`)."""
+def measure_rendered_changes(rendered: RenderedModel, effects: Iterable[type[Effect]]) -> Data:
+    """Return data with the changes that effects make to rendered features, at each point of their grid."""
     effects = [effect for effect in effects if effect.INTERPOLATION_GRID]
-    if effects:
-        ray_field = _ray_field(rendered)
-        for effect in effects:
-            rendered.data.rendered_changes[effect.NAME] = _rendered_changes(rendered, ray_field, effect)
+    if not effects:
+        return rendered.data
+    ray_field = _ray_field(rendered)
+    changes = {effect.NAME: _rendered_changes(rendered, ray_field, effect) for effect in effects}
+    return replace(rendered.data, rendered_changes={**rendered.data.rendered_changes, **changes})
 
 
 def _ray_field(rendered: RenderedModel) -> _RayField:

@@ -1,9 +1,12 @@
-"""One state of the loop: the data, a model, what it renders, and its fit."""
+"""A fitted model together with its data and its rendering correction."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from roomeq.core.arrays import FloatArray
+from roomeq.effects.base import Effect
+from roomeq.loop.data import Data
 from roomeq.loop.features import N_FEATURES
 from roomeq.loop.fit import Fit, fit
 from roomeq.loop.packing import ParameterIndex
@@ -22,67 +25,57 @@ class Session:
 
     Attributes
     ----------
-    data : roomeq.loop.data.Data
+    data : Data
     effects : tuple of types
-        Of the model, in the catalogue's order, less those that the base model was given.
+        Effects that the loop has added, in the catalogue's order; those of the base model are in `Data.given`.
     correction : ndarray, shape (n_rirs, n_features)
-        What measuring adds to expected features.
+        Features measured on rendered RIRs minus features predicted from tables.
     fit : Fit
     seed, nj : int
     """
 
-    data: object
-    effects: tuple
-    correction: np.ndarray
+    data: Data
+    effects: tuple[type[Effect], ...]
+    correction: FloatArray
     fit: Fit
     seed: int
     nj: int
 
     @property
-    def packing(self):
+    def index(self) -> ParameterIndex:
         return ParameterIndex(self.data, self.effects)
 
     @property
-    def by_row(self):
-        """The effects of each RIR with their parameters, list of list of Effect."""
-        return effects_of_rows(self.data, self.effects, self.packing.vectors(self.fit.mean, self.fit.local))
+    def by_row(self) -> list[list[Effect]]:
+        """The effects of each RIR with their parameters."""
+        return effects_of_rows(self.data, self.effects, self.index.vectors(self.fit.mean, self.fit.local))
 
     @property
-    def residual(self):
-        """Measured less expected features; NaN where one of the two is missing."""
-        residual, counts = self.data.residual(self.fit.predicted)
-        return np.where(counts, residual, np.nan)
+    def residual(self) -> FloatArray:
+        """Measured minus predicted features, shape (n_rirs, n_features); NaN where one of the two is missing."""
+        residual, valid = self.data.residual(self.fit.predicted)
+        return np.where(valid, residual, np.nan)
 
 
-def begin(data, *, like=None, correction=None, seed, nj):
-    """Fit a model, render it, and fit it again to what rendering showed.
-
-    Parameters
-    ----------
-    data : roomeq.loop.data.Data
-    like : Fit, optional
-        A first fit of the model, the base model's if not given.
-    correction : ndarray, shape (n_rirs, n_features), optional
-        With which it was made.
-    seed, nj : int
-
-    Returns
-    -------
-    Session
-    """
-    if like is None:
-        clear_rendered_changes(data, data.given_kinds)
-        correction = np.zeros((len(data.rows), N_FEATURES))
-        like = fit(data, correction, ())
-    rendered = render_model(data, like, seed=seed, nj=nj)
-    measure_rendered_changes(rendered, like.effects)
-    correction = rendering_correction(rendered)
-    first = fit(data, correction, like.effects, like=replace(like, by_surface=None))
-    found = fit(data, correction, like.effects, like=first)
-    return Session(data, like.effects, correction, found, seed, nj)
+def fit_base_model(data: Data, *, seed: int, nj: int) -> Session:
+    """Fit the base model, render it, and fit it again with the rendering correction."""
+    data = clear_rendered_changes(data, data.given_kinds)
+    correction = np.zeros((len(data.rows), N_FEATURES))
+    return refit_rendered(data, fit(data, correction, ()), seed=seed, nj=nj)
 
 
-def look_ahead(session, candidates):
-    """Find what candidates change by rendering alone."""
-    if any(effect.INTERPOLATION_GRID for effect in candidates):
-        measure_rendered_changes(render_model(session.data, session.fit, seed=session.seed, nj=session.nj), candidates)
+def refit_rendered(data: Data, fitted: Fit, *, seed: int, nj: int) -> Session:
+    """Render a fitted model, and fit it again with the rendering correction."""
+    rendered = render_model(data, fitted, seed=seed, nj=nj)
+    data = measure_rendered_changes(rendered, fitted.effects)
+    correction = rendering_correction(replace(rendered, data=data))
+    first = fit(data, correction, fitted.effects, initial=replace(fitted, by_surface=None))
+    return Session(data, fitted.effects, correction, fit(data, correction, fitted.effects, initial=first), seed, nj)
+
+
+def with_rendered_changes(session: Session, candidates: list[type[Effect]]) -> Session:
+    """Return a session whose data know what candidates change when they are rendered."""
+    if not any(effect.INTERPOLATION_GRID for effect in candidates):
+        return session
+    rendered = render_model(session.data, session.fit, seed=session.seed, nj=session.nj)
+    return replace(session, data=measure_rendered_changes(rendered, candidates))

@@ -1,91 +1,97 @@
-"""What is left when no effect of the catalogue helps any more: where it sits, never what it is called."""
+"""Significant residuals that no effect of the catalogue explains: their metric, bands, and what they vary with."""
 
 from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
+from roomeq.core.arrays import BoolArray, FloatArray
 from roomeq.core.constants import BANDS_HZ
+from roomeq.loop.data import Data
 from roomeq.loop.features import METRIC, REGION
-from roomeq.loop.linear import scatter
+from roomeq.loop.likelihood import scatter
 from roomeq.loop.predict import BAND_OF_FEATURE
+from roomeq.loop.session import Session
 
 MIN_SIZE_JND = 1.0
-MIN_ROOM_SIZE_JND = 2.0  # rooms differ in more than absorption: what one has alone must be plain
+MIN_ROOM_SIZE_JND = 2.0  # of a residual that varies with the room, since rooms differ in more than absorption
 LEVEL = 0.05
 _CLIP = 8.0
-_FREEDOM = 8  # degrees of it that other features lend to the scatter of one
+_FREEDOM = 8  # degrees of freedom that the shrinkage over a metric adds to the scatter of a feature
 
 
 @dataclass(frozen=True)
 class Unexplained:
-    """A residual that stays.
+    """An unexplained residual.
 
     Attributes
     ----------
     metric, time_region : str
         As in `roomeq.loop.features`.
     bands_hz : list of floats
-        Octave bands in which it is found; empty for the whole band.
+        Octave bands in which it is significant; empty for the whole band.
     varies_with : str
-        ``"nothing"`` where it is the same in all rooms, else ``"room"``, ``"source"`` or ``"mic"``.
+        ``"nothing"`` if it is the same in all rooms, else ``"room"``, ``"source"`` or ``"mic"``.
     size_jnd : float
-        Mean residual, measured less simulated; of the rooms where it is found if it varies with the room.
+        Mean of measured minus simulated features; over the rooms where it is significant if it varies with the room.
     p : float
-        That chance leaves so much in one of all features that were looked at.
+        Corrected for the number of tests.
     """
 
     metric: str
     time_region: str
-    bands_hz: list
+    bands_hz: list[float]
     varies_with: str
     size_jnd: float
     p: float
 
-    def as_dict(self):
+    def as_dict(self) -> dict:
         return asdict(self)
 
 
-def find_unexplained(session):
-    """The residuals of a model that are no chance, the largest first.
+class _Test(NamedTuple):
+    """A tested residual: `band` is -1 for the whole band, `p` is corrected for the number of tests."""
 
-    Returns
-    -------
-    list of Unexplained
-    """
+    metric: str
+    band: int
+    varies_with: str
+    size_jnd: float
+    p: float
+
+
+def find_unexplained(session: Session) -> list[Unexplained]:
+    """Return the significant residuals of a model, the largest first."""
     data, residual = session.data, session.residual
     blocks = [(metric, band) for metric in dict.fromkeys(METRIC.tolist()) for band in range(-1, len(BANDS_HZ))
               if np.any((METRIC == metric) & (BAND_OF_FEATURE == band))]
-    found = []
+    tests: list[_Test] = []
     for metric, band in blocks:
-        features = residual[:, (METRIC == metric) & (BAND_OF_FEATURE == band)]
-        seen = np.isfinite(features).any(axis=1)
-        values = np.array([np.nanmean(one) for one in features[seen]])
-        tests = _tests(values, data, seen)
-        found += [(metric, band, varies, size, min(1.0, p * len(blocks))) for varies, size, p in tests]
+        block = residual[:, (METRIC == metric) & (BAND_OF_FEATURE == band)]
+        measured = np.asarray(np.isfinite(block).any(axis=1))
+        values = np.array([np.nanmean(of_rir) for of_rir in block[measured]])
+        tests += [_Test(metric, band, varies_with, size_jnd, min(1.0, p * len(blocks)))
+                  for varies_with, size_jnd, p in _block_tests(values, data, measured)]
     metrics = list(dict.fromkeys(METRIC.tolist()))
     for metric in metrics:
-        single = _of_single_rooms(metric, residual, data)
-        if single:
-            bands, size, p = single
-            found += [(metric, band, "room", size, min(1.0, p * len(metrics))) for band in bands]
-    found += _of_one_room(residual, data)
-    kept = [one for one in found if one[4] < LEVEL and abs(one[3]) >= (
-        MIN_ROOM_SIZE_JND if one[2] == "room" else MIN_SIZE_JND)]
-    return _merged(kept)
+        bands, size_jnd, p = _outlying_band_test(metric, residual, data)
+        tests += [_Test(metric, band, "room", size_jnd, min(1.0, p * len(metrics))) for band in bands]
+    tests += _outlying_rooms(residual, data)
+    return _merged([test for test in tests if test.p < LEVEL and abs(test.size_jnd) >= (
+        MIN_ROOM_SIZE_JND if test.varies_with == "room" else MIN_SIZE_JND)])
 
 
-def _tests(values, data, seen):
-    """What the values of one block vary with: list of (varies_with, size, p)."""
-    rooms = data.room[seen]
+def _block_tests(values: FloatArray, data: Data, measured: BoolArray) -> list[tuple[str, float, float]]:
+    """Test the residuals of one metric and band: list of (varies_with, size in JND, uncorrected p)."""
+    rooms = data.room[measured]
     names = np.unique(rooms)
     if len(names) < 3 or len(values) < 6:
         return []
     means = np.array([values[rooms == r].mean() for r in names])
-    tests = [("nothing", means.mean(), float(stats.ttest_1samp(means, 0.0).pvalue))]
+    tests = [("nothing", float(means.mean()), float(stats.ttest_1samp(means, 0.0).pvalue))]
     for scope in ("source", "mic"):
         units, number = data.units(scope)
-        number = number[seen]
+        number = number[measured]
         for u in range(len(units) if len(units) > 1 else 0):
             apart = [values[(rooms == r) & (number == u)].mean() - values[(rooms == r) & (number != u)].mean()
                      for r in names if np.any((rooms == r) & (number == u)) and np.any((rooms == r) & (number != u))]
@@ -94,18 +100,18 @@ def _tests(values, data, seen):
     return tests
 
 
-def _of_single_rooms(metric, residual, data):
-    """Whether rooms have one feature each that stands out in one direction: (bands, size, p), or None.
+def _outlying_band_test(metric: str, residual: FloatArray, data: Data) -> tuple[list[int], float, float]:
+    """Test whether each room has an outlying band, all in the same direction: (bands, size in JND, uncorrected p).
 
-    Chance is as far out above as below. So the largest residual of each room's features is set against its smallest.
+    Scatter is symmetric, so that the largest residual of each room's features is compared with its smallest.
     """
-    features, names = residual[:, METRIC == metric], np.unique(data.room)
-    if features.shape[1] < 4 or len(names) < 3:
-        return None
-    seen = [np.isfinite(features[data.room == r]) for r in names]
-    means = np.array([np.where(ok.any(axis=0), np.where(ok, features[data.room == r], 0.0).sum(axis=0)
-                               / np.maximum(ok.sum(axis=0), 1), 0.0) for r, ok in zip(names, seen, strict=True)])
-    # low bands scatter more; one room alone shall not decide
+    of_metric, names = residual[:, METRIC == metric], np.unique(data.room)
+    if of_metric.shape[1] < 4 or len(names) < 3:
+        return [], 0.0, 1.0
+    measured = [np.isfinite(of_metric[data.room == r]) for r in names]
+    means = np.array([np.where(ok.any(axis=0), np.where(ok, of_metric[data.room == r], 0.0).sum(axis=0)
+                               / np.maximum(ok.sum(axis=0), 1), 0.0) for r, ok in zip(names, measured, strict=True)])
+    # low bands scatter more, and a single room must not decide
     standing = np.clip(means / (np.median(np.abs(means), axis=0) + 0.2), -_CLIP, _CLIP)
     high, low = standing.max(axis=1), standing.min(axis=1)
     sign = 1.0 if np.mean(high + low) > 0.0 else -1.0
@@ -114,30 +120,31 @@ def _of_single_rooms(metric, residual, data):
     return sorted(set(BAND_OF_FEATURE[METRIC == metric][at])), size, float(stats.ttest_1samp(high + low, 0.0).pvalue)
 
 
-def _of_one_room(residual, data):
-    """Features of one room that lie far outside what the others make likely: list of (metric, band, "room", size, p)."""
+def _outlying_rooms(residual: FloatArray, data: Data) -> list[_Test]:
+    """Test each room against the scatter of the others, feature by feature; return the significant ones."""
     names = np.unique(data.room)
     if len(names) < 4:
         return []
-    valid, found = np.isfinite(residual), []
+    valid, tests = np.isfinite(residual), []
     for r in names:
-        mine = data.room == r
-        sigma, omega = scatter(data, residual, valid & ~mine[:, None])
-        count = valid[mine].sum(axis=0)
-        mean = np.where(valid[mine], residual[mine], 0.0).sum(axis=0) / np.maximum(count, 1)
+        members = data.room == r
+        sigma, omega = scatter(data, residual, valid & ~members[:, None])
+        count = valid[members].sum(axis=0)
+        mean = np.where(valid[members], residual[members], 0.0).sum(axis=0) / np.maximum(count, 1)
         ratio = np.where(count > 1, mean / np.sqrt(omega ** 2 + sigma ** 2 / np.maximum(count, 1)), 0.0)
         p = 2.0 * stats.t.sf(np.abs(ratio), len(names) - 2 + _FREEDOM) * len(names) * residual.shape[1]
-        found += [(str(METRIC[n]), int(BAND_OF_FEATURE[n]), "room", float(mean[n]), float(p[n]))
+        tests += [_Test(str(METRIC[n]), int(BAND_OF_FEATURE[n]), "room", float(mean[n]), float(p[n]))
                   for n in np.flatnonzero(p < LEVEL)]
-    return found
+    return tests
 
 
-def _merged(found):
-    """Join neighbouring bands of one metric that vary with the same thing in the same direction."""
-    groups = {}
-    for metric, band, varies, size, p in found:
-        groups.setdefault((metric, varies, np.sign(size)), []).append((band, size, p))
-    merged = [Unexplained(metric, REGION[metric], [BANDS_HZ[band] for band, *_ in sorted(members) if band >= 0], varies,
-                          float(np.mean([size for _, size, _ in members])), float(min(p for *_, p in members)))
-              for (metric, varies, _), members in groups.items()]
-    return sorted(merged, key=lambda one: -abs(one.size_jnd))
+def _merged(tests: list[_Test]) -> list[Unexplained]:
+    """Merge the bands of a metric whose residuals vary with the same thing in the same direction."""
+    groups: dict[tuple, list[_Test]] = {}
+    for test in tests:
+        groups.setdefault((test.metric, test.varies_with, np.sign(test.size_jnd)), []).append(test)
+    merged = [Unexplained(metric, REGION[metric], [BANDS_HZ[band] for band in sorted(test.band for test in members)
+                                                   if band >= 0], varies_with,
+                          float(np.mean([test.size_jnd for test in members])), float(min(test.p for test in members)))
+              for (metric, varies_with, _), members in groups.items()]
+    return sorted(merged, key=lambda residual: -abs(residual.size_jnd))

@@ -8,13 +8,13 @@ import numpy as np
 from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.response import RESPONSE_HZ, Response
-from roomeq.loop.check import RESIDUALS_FILE, WAYS, read_ledger, read_residuals
+from roomeq.loop.descriptions import describe_effect, describe_residual, effect_names
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, STEP_S, Examples, read_examples
 from roomeq.loop.features import METRIC, REGION, THIRDS_HZ
-from roomeq.loop.ledger import LEDGER_FILE
+from roomeq.loop.ledger import LEDGER_FILE, RESIDUALS_FILE, read_ledger, read_residuals
 from roomeq.loop.predict import BAND_OF_FEATURE
+from roomeq.loop.selection import SPLITS
 from roomeq.loop.unexplained import Unexplained
-from roomeq.loop.words import names_of, of_effect, of_residual
 from roomeq.report import figures, figures_loop
 from roomeq.report.load import Run
 from roomeq.report.page import Html, figure, hertz, join, number, paragraph, tag
@@ -28,6 +28,7 @@ NAMES = {"direct": "level, direct sound", "early": "level, up to 50 ms", "late":
          "arrival": "arrival", "ahead": "sound ahead of it", "floor": "noise"}
 """Of metrics, for people."""
 
+SPLIT_NAMES = {split: split.replace("_", "-") for split in SPLITS}
 COLOURS = dict(zip(KINDS, ("measured", "simulated", "compensated"), strict=True))
 LABELS = dict(zip(KINDS, ("measured", "simulated, before", "simulated, after"), strict=True))
 
@@ -60,7 +61,7 @@ def main_numbers(run: Run) -> list[tuple[str, str]]:
     if not run.has("loop"):
         return []
     ledger = ledger_of(run)
-    before, after = (ledger[when]["positions"]["error"] for when in ("baseline", "final"))
+    before, after = (ledger[when]["leave_positions_out"]["error"] for when in ("baseline", "final"))
     return [(f"JND off at places left out, before and after the loop added {len(ledger['iterations'])} effects",
              f"{before:.1f} \u2192 {after:.1f}")]
 
@@ -85,8 +86,8 @@ def findings(ledger: dict) -> Html:
     if not ledger["iterations"]:
         return paragraph(tag("strong", "No effect helps on rooms left out; nothing was added."))
     return tag("ul", *(tag(
-        "li", tag("strong", names_of(entry)), f": {about(entry['effect'])}. "
-        f"{sentence(of_effect(entry['effect'], entry['parameters']))} Held-out error "
+        "li", tag("strong", effect_names(entry)), f": {about(entry['effect'])}. "
+        f"{sentence(describe_effect(entry['effect'], entry['parameters']))} Held-out error "
         f"{entry['heldout_error_before']:.2f} \u2192 {entry['heldout_error_after']:.2f} JND (95 % interval "
         f"{entry['heldout_error_ci'][0]:.2f} to {entry['heldout_error_ci'][1]:.2f})",
         join(["; the data cannot tell which of them. It would take ", " or ".join(entry["would_tell"])])
@@ -99,14 +100,14 @@ def errors_table(ledger: dict) -> Html:
         return [name, n_rirs, n_rooms, with_interval(before), with_interval(after),
                 f"{100 * (1 - after['error'] / max(before['error'], 1e-9)):.0f} %".replace("-", "\u2212")]
 
-    rows = [row(f"Unseen {way}", ledger["rirs"], ledger["rooms"], ledger["baseline"][way], ledger["final"][way])
-            for way in WAYS]
+    rows = [row(SPLIT_NAMES[split].capitalize(), ledger["rirs"], ledger["rooms"], ledger["baseline"][split],
+                ledger["final"][split]) for split in SPLITS]
     if test := ledger.get("test"):
-        rows += [row(f"RIRs that took no part, as unseen {way}", test["rirs"], test["rooms"], test["before"][way],
-                     test["after"][way]) for way in WAYS]
+        rows += [row(f"Test set, {SPLIT_NAMES[split]}", test["rirs"], test["rooms"], test["before"][split],
+                     test["after"][split]) for split in SPLITS]
     return make_table(
-        "table-loop-errors", "Mean error in JND with 95 % intervals over rooms. Unseen positions: half of the room's "
-        "RIRs calibrate its surfaces, the others are scored. Unseen rooms: only the reverberation time at 1 kHz and "
+        "table-loop-errors", "Mean error in JND with 95 % intervals over rooms. Leave-positions-out: half of the room's "
+        "RIRs calibrate its surfaces, the others are scored. Leave-room-out: only the reverberation time at 1 kHz and "
         "the gains are known of the room, the rest comes from other rooms",
         ["Scored on", "RIRs", "Rooms", "Before", "After", "Less by"], rows)
 
@@ -119,13 +120,13 @@ def with_interval(entry: dict) -> Html:
 
 def effects_table(ledger: dict) -> Html:
     """Return what was added, with parameters in short."""
-    rows = [[names_of(entry), entry["scope"], in_short(entry["parameters"]), number(entry["size_jnd"]),
+    rows = [[effect_names(entry), entry["scope"], in_short(entry["parameters"]), number(entry["size_jnd"]),
              f"{entry['heldout_error_before']:.2f} \u2192 {entry['heldout_error_after']:.2f}",
-             entry["scored_on"], f"{entry['p']:.1g}"] for entry in ledger["iterations"]]
+             SPLIT_NAMES[entry["scored_on"]], f"{entry['p']:.1g}"] for entry in ledger["iterations"]]
     return make_table(
         "table-loop", "What the loop added, in its order. Size: mean change of the values that the effect touches; p: "
-        "that the error falls by so much by chance (paired: at unseen positions halves of rooms change sign, in "
-        "unseen rooms a t test)",
+        "that the error falls by so much by chance (paired; leave-positions-out: randomisation of the signs of halves "
+        "of rooms, leave-room-out: t test over rooms)",
         ["Effect", "Of each", "Parameters", "Size (JND)", "Held-out error (JND)", "Scored on", "p"], rows, (0, 1, 2, 5))
 
 
@@ -197,7 +198,7 @@ def rankings(ledger: dict) -> Html:
 
 def splits(ledger: dict) -> Html:
     """Return the errors by metric and by band."""
-    before, after = (ledger[when]["positions"] for when in ("baseline", "final"))
+    before, after = (ledger[when]["leave_positions_out"] for when in ("baseline", "final"))
     metrics = list(before["by_metric"])
     by_metric = [[entry["by_metric"].get(metric, np.nan) for metric in metrics] for entry in (before, after)]
     by_band = [[np.nan if one is None else one for one in entry["by_band"]] for entry in (before, after)]
@@ -209,7 +210,7 @@ def splits(ledger: dict) -> Html:
     return figure("figure-loop-split", [
         panel("figure-loop-metrics", [NAMES[metric] for metric in metrics], by_metric),
         panel("figure-loop-bands", [hertz(band_hz) for band_hz in BANDS_HZ], by_band)],
-        "Held-out error at unseen positions, by what was measured and by octave band.")
+        "Held-out error (leave-positions-out) by metric and by octave band.")
 
 
 def responses(ledger: dict) -> Html:
@@ -262,7 +263,7 @@ def unexplained(ledger: dict) -> Html:
     return join([
         paragraph(tag("strong", "What stays unexplained."), " No effect of the catalogue accounts for it; it is named "
                   "by where it sits, not by a cause:"),
-        tag("ul", *(tag("li", sentence(of_residual(Unexplained(**one)))) for one in ledger["unexplained_all"]))])
+        tag("ul", *(tag("li", sentence(describe_residual(Unexplained(**one)))) for one in ledger["unexplained_all"]))])
 
 
 def cautions(ledger: dict, trained: bool) -> Html:

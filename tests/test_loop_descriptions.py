@@ -1,4 +1,4 @@
-"""What the loop says in words: of residuals that stay, and of effects found."""
+"""Descriptions of residuals and of effects, as the log and the report print them."""
 
 from dataclasses import asdict
 
@@ -7,12 +7,12 @@ import pytest
 
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.response import RESPONSE_HZ
+from roomeq.loop.descriptions import describe_effect, describe_residual
 from roomeq.loop.features import REGION
 from roomeq.loop.unexplained import Unexplained
-from roomeq.loop.words import of_effect, of_residual
 
 
-@pytest.mark.parametrize("metric, bands_hz, varies, size_jnd, said", [
+@pytest.mark.parametrize("metric, bands_hz, varies_with, size_jnd, description", [
     ("t30", [500.0, 62.5, 125.0], "room", 2.0,
      "the decay time (T30) at 62.5 to 125, 500 Hz is 10 % longer than simulated, in some rooms (+2.0 JND)"),
     ("edt", [1000.0], "nothing", -2.0,
@@ -23,34 +23,36 @@ from roomeq.loop.words import of_effect, of_residual
      "the direct sound is 0.3 ms earlier than simulated, at one microphone set against the others (-3.0 JND)"),
     ("floor", [125.0, 250.0, 500.0], "nothing", 4.6,
      "noise behind the response at 125 to 500 Hz is 4.6 dB louder than simulated, in all rooms alike (+4.6 JND)")])
-def test_a_residual_is_told_in_its_own_unit(metric, bands_hz, varies, size_jnd, said):
-    assert of_residual(Unexplained(metric, REGION[metric], bands_hz, varies, size_jnd, 0.01)) == said
+def test_residual_is_described_in_the_unit_of_its_metric(metric, bands_hz, varies_with, size_jnd, description):
+    unexplained = Unexplained(metric, REGION[metric], bands_hz, varies_with, size_jnd, 0.01)
+    assert describe_residual(unexplained) == description
 
 
 def parameters(*effects):
-    return {f"u{n}": {"best": asdict(one)} for n, one in enumerate(effects, start=1)}
+    return {f"u{n}": {"best": asdict(effect)} for n, effect in enumerate(effects, start=1)}
 
 
 @pytest.mark.parametrize("name", list(CATALOGUE))
-def test_every_effect_has_words_at_its_starts(name):
+def test_every_effect_is_described_at_its_starts(name):
     effect = CATALOGUE[name]
     for n_units in (1, 3):
-        said = of_effect(name, parameters(*[effect.from_vector(np.array(start)) for start in effect.STARTS * n_units]))
-        assert said and not {"nan", "None", "["} & set(said.split()) and "\n" not in said
+        text = describe_effect(name, parameters(*[effect.from_vector(np.array(start))
+                                                  for start in effect.STARTS * n_units]))
+        assert text and not {"nan", "None", "["} & set(text.split()) and "\n" not in text
 
 
-def test_what_is_said_of_effects():
-    def said(name, *vectors):
-        return of_effect(name, parameters(*(CATALOGUE[name].from_vector(np.array(one)) for one in vectors)))
+def test_effects_are_described_by_their_parameters():
+    def description(name, *vectors):
+        return describe_effect(name, parameters(*(CATALOGUE[name].from_vector(np.array(vector)) for vector in vectors)))
 
     flat, bass_light = np.zeros(len(RESPONSE_HZ)), np.zeros(len(RESPONSE_HZ))
     bass_light[0], bass_light[14] = -9.7, 6.2
-    assert said("source_response", flat, bass_light) == (
+    assert description("source_response", flat, bass_light) == (
         "the response of u2, the furthest from flat, goes from -9.7 dB at 50 Hz to +6.2 dB at 1300 Hz")
-    assert said("coupled_volume", [-1.5, np.log(2.0)], [-6.0, 0.0], [-2.0, np.log(3.0)]) == (
+    assert description("coupled_volume", [-1.5, np.log(2.0)], [-6.0, 0.0], [-2.0, np.log(3.0)]) == (
         "in 2 of 3 rooms a slower decay of 2.5 s (2.0 to 3.0) goes on behind the room's own, its energy 18 dB (15 to "
         "20) below that of all reflections: a volume coupled through an opening decays so")
-    assert said("occlusion", [np.log(0.2)], [-9.0]) == (
+    assert description("occlusion", [np.log(0.2)], [-9.0]) == (
         "in 1 of 2 recordings the direct sound comes around an obstacle, a detour of 20 cm")
-    assert said("near_reflector", [np.log(0.7), 0.5]) == (
+    assert description("near_reflector", [np.log(0.7), 0.5]) == (
         "a surface 0.70 m below source and microphone reflects 50 % of the pressure")

@@ -1,78 +1,74 @@
-"""What the loop found, and what it left, in a person's words."""
+"""Sentences that describe what the loop added and what it left unexplained, for the log and the report."""
+
+from collections.abc import Callable
 
 import numpy as np
 
+from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.loop.features import JND
+from roomeq.loop.unexplained import Unexplained
 
-_LOUDER, _HIGHER, _LONGER, _LATER = ("louder", "quieter"), ("higher", "lower"), ("longer", "shorter"), ("later",
-                                                                                                     "earlier")
+_Best = dict[str, dict]  # best parameters of each unit
+_Values = dict[str, Array]  # values of each parameter over units
+
+_LOUDER, _HIGHER = ("louder", "quieter"), ("higher", "lower")
+_LONGER, _LATER = ("longer", "shorter"), ("later", "earlier")
 _METRICS = {"direct": ("the direct sound", _LOUDER), "early": ("sound of the first 50 ms", _LOUDER),
             "late": ("sound from 50 to 200 ms", _LOUDER), "spectrum": ("the whole response", _LOUDER),
             "edt": ("the early decay time (EDT)", _LONGER), "t20": ("the decay time (T20)", _LONGER),
             "t30": ("the decay time (T30)", _LONGER), "c50": ("clarity (C50)", _HIGHER),
             "drr": ("the direct sound against the rest (DRR)", _HIGHER), "arrival": ("the direct sound", _LATER),
             "ahead": ("sound ahead of the direct sound", _LOUDER), "floor": ("noise behind the response", _LOUDER)}
-"""What a metric is called, and the words for more and less of it."""
+"""Name of each metric, and the words for more and less of it."""
 _VARIES = {"nothing": "in all rooms alike", "room": "in some rooms", "source": "from one source set against the others",
            "mic": "at one microphone set against the others"}
-_SHOWS_DB = -45.0  # a second decay that begins lower is out of reach of T30
-_BEHIND_M = 0.01  # a shorter detour may be none: positions are known to centimetres
+_VISIBLE_DB = -45.0  # a second decay of a lower level does not reach the range of T30
+_MIN_DETOUR_M = 0.01  # positions are known to centimetres, so that a shorter detour may be none
 
 
-def names_of(entry):
-    """An accepted effect's name, or names where it cannot be told from others."""
+def effect_names(entry: dict) -> str:
+    """Return the name of an accepted effect, or the names of all effects that cannot be distinguished from it."""
     return " or ".join(entry.get("cannot_tell", [entry["effect"]]))
 
 
-def of_residual(unexplained):
-    """What is off, by how much, where in frequency, and what it goes with (`roomeq.loop.unexplained`)."""
-    what, words = _METRICS[unexplained.metric]
+def describe_residual(unexplained: Unexplained) -> str:
+    """Describe an unexplained residual: metric, bands, size in its own unit, and what it varies with."""
+    name, words = _METRICS[unexplained.metric]
     size = abs(unexplained.size_jnd) * JND[unexplained.metric]
     sign = 1.0 if unexplained.size_jnd > 0.0 else -1.0
     amount = {_LONGER: f"{100.0 * abs(np.expm1(sign * size)):.0f} %", _LATER: f"{1e3 * size:.1f} ms"}.get(
         words, f"{size:.1f} dB")
-    return (f"{what}{_bands(unexplained.bands_hz)} is {amount} {words[sign < 0.0]} than simulated, "
+    return (f"{name}{_bands(unexplained.bands_hz)} is {amount} {words[sign < 0.0]} than simulated, "
             f"{_VARIES[unexplained.varies_with]} ({unexplained.size_jnd:+.1f} JND)")
 
 
-def _bands(bands_hz):
-    """Octaves, neighbours as a range."""
+def _bands(bands_hz: list[float]) -> str:
+    """Return octaves as text, neighbours as a range."""
     numbers = sorted(BANDS_HZ.index(band_hz) for band_hz in bands_hz)
     if not numbers:
         return ""
     runs = np.split(np.array(numbers), np.flatnonzero(np.diff(numbers) > 1) + 1)
-    said = [f"{BANDS_HZ[run[0]]:g}" + (f" to {BANDS_HZ[run[-1]]:g}" if len(run) > 1 else "") for run in runs]
-    return f" at {', '.join(said)} Hz"
+    ranges = [f"{BANDS_HZ[run[0]]:g}" + (f" to {BANDS_HZ[run[-1]]:g}" if len(run) > 1 else "") for run in runs]
+    return f" at {', '.join(ranges)} Hz"
 
 
-def of_effect(effect, parameters):
-    """What the parameters of an accepted effect mean.
-
-    Parameters
-    ----------
-    effect : str
-    parameters : dict
-        Of each unit, as in the ledger.
-
-    Returns
-    -------
-    str
-    """
-    best = {unit: one["best"] for unit, one in parameters.items()}
-    return _EFFECTS[effect](best, {name: np.array([one[name] for one in best.values()])
+def describe_effect(effect: str, parameters: dict) -> str:
+    """Describe the parameters of an accepted effect, by unit as in the ledger."""
+    best = {unit: entry["best"] for unit, entry in parameters.items()}
+    return _EFFECTS[effect](best, {name: np.array([of_unit[name] for of_unit in best.values()])
                                    for name in next(iter(best.values()))})
 
 
-def _over(values, form, unit):
-    """One value, or the median of several and their range."""
+def _over(values: FloatArray, form: str, unit: str) -> str:
+    """Return a single value as text, or the median of several and their range."""
     if len(values) == 1:
         return f"{values[0]:{form}} {unit}"
     return f"{np.median(values):{form}} {unit} ({np.min(values):{form}} to {np.max(values):{form}})"
 
 
-def _response(best, values):
+def _response(best: _Best, values: _Values) -> str:
     gains_db = values["gains_db"]
     widest = int(np.argmax(np.ptp(gains_db, axis=1)))
     low, high = int(np.argmin(gains_db[widest])), int(np.argmax(gains_db[widest]))
@@ -81,32 +77,32 @@ def _response(best, values):
             f"{gains_db[widest, high]:+.1f} dB at {_round(RESPONSE_HZ[high])} Hz")
 
 
-def _round(value):
-    """Two digits that count."""
+def _round(value: float) -> str:
+    """Return a value with two significant digits."""
     return f"{float(f'{value:.2g}'):g}"
 
 
-def _coupled_volume(best, values):
-    shows = values["level_db"] > _SHOWS_DB
-    if not shows.any():
+def _coupled_volume(best: _Best, values: _Values) -> str:
+    visible = values["level_db"] > _VISIBLE_DB
+    if not visible.any():
         return "in no room does it reach the part of the decay that is measured"
-    return (f"in {shows.sum()} of {len(best)} rooms a slower decay of {_over(values['time_s'][shows], '.1f', 's')} "
-            f"goes on behind the room's own, its energy {_over(-values['level_db'][shows], '.0f', 'dB')} below that "
+    return (f"in {visible.sum()} of {len(best)} rooms a slower decay of {_over(values['time_s'][visible], '.1f', 's')} "
+            f"goes on behind the room's own, its energy {_over(-values['level_db'][visible], '.0f', 'dB')} below that "
             "of all reflections: a volume coupled through an opening decays so")
 
 
-def _noise_floor(best, values):
+def _noise_floor(best: _Best, values: _Values) -> str:
     levels_db = np.median(values["levels_db"], axis=0)
     return f"noise stands out most at {BANDS_HZ[int(np.argmax(levels_db))]:g} Hz"
 
 
-def _occlusion(best, values):
-    behind = values["detour_m"] > _BEHIND_M
-    detours = f", a detour of {_over(100.0 * values['detour_m'][behind], '.0f', 'cm')}" if behind.any() else ""
-    return f"in {behind.sum()} of {len(best)} recordings the direct sound comes around an obstacle{detours}"
+def _occlusion(best: _Best, values: _Values) -> str:
+    obstructed = values["detour_m"] > _MIN_DETOUR_M
+    detours = f", a detour of {_over(100.0 * values['detour_m'][obstructed], '.0f', 'cm')}" if obstructed.any() else ""
+    return f"in {obstructed.sum()} of {len(best)} recordings the direct sound comes around an obstacle{detours}"
 
 
-_EFFECTS = {
+_EFFECTS: dict[str, Callable[[_Best, _Values], str]] = {
     "air_absorption": lambda best, values: (
         f"the air absorbs like that of {values['temperature_c'][0]:.0f} \N{DEGREE SIGN}C and "
         f"{values['humidity_pct'][0]:.0f} % humidity"),

@@ -1,0 +1,103 @@
+"""Likelihood of residuals: features scatter within and between rooms, and outliers count linearly (Huber's loss)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
+from roomeq.loop.data import Data
+from roomeq.loop.features import METRIC, N_FEATURES
+from roomeq.loop.packing import Derivatives, ParameterIndex
+
+_HUBER = 3.0  # standard deviations from which on a residual counts linearly
+_SIGMA = (0.7, 12.0)  # limits of the scatter within rooms [JND]
+_OMEGA = (0.2, 12.0)  # limits of the scatter between rooms [JND]
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """A room's least squares problem about a point, whitened: products summed over its RIRs and features.
+
+    Attributes
+    ----------
+    own_own : ndarray, shape (n_own, n_own)
+        Derivatives by the room's own parameters with themselves.
+    own_shared : ndarray, shape (n_own, n_shared)
+        With the derivatives by the shared parameters.
+    shared_shared : ndarray, shape (n_shared, n_shared)
+    own_residual : ndarray, shape (n_own,)
+        Derivatives by the room's own parameters with the residual.
+    shared_residual : ndarray, shape (n_shared,)
+    residual_residual : float
+        Sum of the squares of the residual.
+    log_scale : float
+        Logarithm of the density's scale.
+    """
+
+    own_own: FloatArray
+    own_shared: FloatArray
+    shared_shared: FloatArray
+    own_residual: FloatArray
+    shared_residual: FloatArray
+    residual_residual: float
+    log_scale: float
+
+
+def normal_equations(index: ParameterIndex, r: int, residual: FloatArray, valid: BoolArray, derivatives: Derivatives,
+                     sigma: FloatArray, omega: FloatArray) -> NormalEquations:
+    """Return the normal equations of room `r`; large residuals are down-weighted (Huber)."""
+    members = index.members[r]
+    own, shared = index.room_derivatives(r, derivatives)
+    error, ok = residual[members], valid[members]
+    spread = np.sqrt(sigma ** 2 + omega ** 2)
+    weight = np.sqrt(np.minimum(1.0, _HUBER * spread / np.maximum(np.abs(np.where(ok, error, 0.0)), 1e-9)))
+    stacked = np.concatenate([own, shared, np.where(ok, error, 0.0)[:, :, None]], axis=2) * weight[:, :, None]
+    white = _whiten(stacked, ok, sigma, omega).reshape(-1, stacked.shape[2])
+    product = white.T @ white
+    n = own.shape[2]
+    count = ok.sum(axis=0)
+    log_scale = np.sum(np.maximum(count - 1, 0) * np.log(sigma)
+                       + np.where(count > 0, 0.5 * np.log(sigma ** 2 + count * omega ** 2), 0.0))
+    return NormalEquations(product[:n, :n], product[:n, n:-1], product[n:-1, n:-1], product[:n, -1],
+                           product[n:-1, -1], product[-1, -1], log_scale)
+
+
+def misfit(residual: FloatArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray) -> float:
+    """Return the sum of squares of a room's whitened residual; large residuals count linearly (Huber)."""
+    limit = _HUBER * np.sqrt(sigma ** 2 + omega ** 2)
+    size = np.abs(np.where(valid, residual, 0.0))
+    root = np.where(size < limit, size, np.sqrt(limit * np.maximum(2.0 * size - limit, 0.0)))
+    return float(np.sum(_whiten((np.sign(residual) * root)[:, :, None], valid, sigma, omega) ** 2))
+
+
+def _whiten(columns: FloatArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray) -> FloatArray:
+    """Scale a room's features to independence and unit scatter, shape (n_rirs, n_features, n); invalid ones to 0."""
+    count = valid.sum(axis=0)
+    columns = np.where(valid[:, :, None], columns, 0.0)
+    mean = columns.sum(axis=0) / np.maximum(count, 1)[:, None]
+    part = 1.0 - sigma / np.sqrt(sigma ** 2 + count * omega ** 2)
+    return np.where(valid[:, :, None], columns - part[:, None] * mean, 0.0) / sigma[:, None]
+
+
+def scatter(data: Data, residual: FloatArray, valid: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return the scatter of features within and between rooms [JND], shape (n_features,) each.
+
+    Both are shrunk to the mean over the features of their metric.
+    """
+    clipped = np.where(valid, np.clip(residual, -15.0, 15.0), np.nan)
+    rooms = [clipped[data.room == r] for r in range(len(data.room_names)) if np.any(data.room == r)]
+    count: IntArray = np.array([np.isfinite(room).sum(axis=0) for room in rooms])
+    total = np.array([np.nansum(room, axis=0) for room in rooms])
+    square = np.array([np.nansum(room ** 2, axis=0) for room in rooms])
+    mean = total / np.maximum(count, 1)
+    within = np.maximum(np.sum(square - count * mean ** 2, axis=0), 0.0)  # rounding of equal values may be negative
+    freedom = np.sum(np.maximum(count - 1, 0), axis=0)
+    between = np.sum(count * mean ** 2, axis=0) - np.sum(count > 0, axis=0) * within / np.maximum(freedom, 1)
+    sigma2, omega2 = np.empty(N_FEATURES), np.empty(N_FEATURES)
+    for metric in np.unique(METRIC):
+        at: Array = METRIC == metric
+        typical = within[at].sum() / max(freedom[at].sum(), 1.0)
+        sigma2[at] = (within[at] + 8.0 * typical) / (freedom[at] + 8.0)
+        usual = max(between[at].sum(), 0.0) / max(count[:, at].sum(), 1.0)
+        omega2[at] = (np.maximum(between[at], 0.0) + 16.0 * usual) / (count[:, at].sum(axis=0) + 16.0)
+    return np.clip(np.sqrt(sigma2), *_SIGMA), np.clip(np.sqrt(omega2), *_OMEGA)

@@ -1,0 +1,339 @@
+"""Decide which effect a model lacks: held-out densities rank the candidates, held-out rendering errors accept them.
+
+Each room is held out once: the shared parameters are fitted to the others (`roomeq.loop.splitters.leave_rooms_out`).
+Candidates are ranked by the probability density that they give to held-out rooms. A model is scored by its held-out
+error: RIRs are rendered with it, measured, and compared with the recordings, in JND, on two splits:
+
+leave_positions_out
+    One half of the room's RIRs calibrates its absorption and gains, the other half is scored, and vice versa. A room
+    with a single RIR is not scored.
+leave_room_out
+    The one half gives only the reverberation time at 1 kHz and the gains; all else comes from the other rooms.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from roomeq.core.arrays import BoolArray, FloatArray, IntArray
+from roomeq.core.constants import BAND_1KHZ
+from roomeq.core.workers import share_out
+from roomeq.effects.base import Effect
+from roomeq.effects.catalogue import CATALOGUE
+from roomeq.effects.room_eq import RoomEq
+from roomeq.loop.data import Data
+from roomeq.loop.features import HAS_GAIN, LARGEST, METRIC
+from roomeq.loop.fit import Fit, fit
+from roomeq.loop.packing import ParameterIndex
+from roomeq.loop.predict import BAND_OF_FEATURE
+from roomeq.loop.rendered_model import clear_rendered_changes, effects_of_rows, in_order
+from roomeq.loop.rendering import render_rows
+from roomeq.loop.session import Session, with_rendered_changes
+from roomeq.loop.splitters import (
+    CALIBRATION_FEATURES,
+    HeldOutRoom,
+    calibrate,
+    leave_rooms_out,
+    solve_rooms,
+    split_positions,
+    transfer_shared,
+)
+
+MIN_ROOMS = 3
+LEVEL = 0.05
+MIN_SIZE_JND = 0.5
+"""Smallest mean change of the features that an effect touches: half of what can be heard."""
+TOUCHED_JND = 0.25
+SPLITS = ("leave_positions_out", "leave_room_out")
+_USABLE: dict[str, BoolArray | None] = {
+    "leave_positions_out": None,
+    "leave_room_out": (np.isin(METRIC, ["t20", "t30"]) & (BAND_OF_FEATURE == BAND_1KHZ)) | (METRIC == "direct")}
+"""Features that calibration may use on each split; None for all."""
+_METRICS = tuple(dict.fromkeys(METRIC.tolist()))
+_SIGN_CHANGES = 2 ** 16  # all those of the halves of eight rooms; of more rooms, a sample
+_PROBE_ITERATIONS = 2  # after which the fits from different starts are compared
+
+
+@dataclass(frozen=True)
+class HeldOutErrors:
+    """Errors of held-out RIRs.
+
+    Attributes
+    ----------
+    by_split : dict of ndarray, shape (n_rirs, n_features)
+        Absolute errors on each of `SPLITS` [JND], NaN where nothing was measured.
+    room, half : ndarray of int, shape (n_rirs,)
+        Number of the room, and of its half (`split_positions`).
+    """
+
+    by_split: dict[str, FloatArray]
+    room: IntArray
+    half: IntArray
+
+    def of_rooms(self, split: str) -> FloatArray:
+        """Mean error of each scored room, every metric with the same weight, shape (n_scored_rooms,)."""
+        return np.array([_mean_over_metrics(self.by_split[split][self.room == r]) for r in self._scored(split)])
+
+    def of_halves(self, split: str) -> FloatArray:
+        """Mean error of each half of each scored room, shape (n_scored_rooms, 2)."""
+        return np.array([[_mean_over_metrics(self.by_split[split][(self.room == r) & (self.half == half)])
+                          for half in (0, 1)] for r in self._scored(split)])
+
+    def _scored(self, split: str) -> IntArray:
+        return np.unique(self.room[np.isfinite(self.by_split[split]).any(axis=1)])
+
+    def mean(self, split: str) -> float:
+        return float(self.of_rooms(split).mean())
+
+    def interval(self, split: str) -> list[float] | None:
+        """Confidence interval of 95 % of the mean over rooms (t); None for a single room."""
+        rooms = self.of_rooms(split)
+        if len(rooms) < 2:
+            return None
+        half = stats.t.ppf(0.975, len(rooms) - 1) * rooms.std(ddof=1) / np.sqrt(len(rooms))
+        return [float(rooms.mean() - half), float(rooms.mean() + half)]
+
+    def by_metric(self, split: str) -> dict[str, float]:
+        """Mean error of each metric [JND]."""
+        return {metric: float(np.nanmean(self.by_split[split][:, METRIC == metric])) for metric in _METRICS
+                if np.isfinite(self.by_split[split][:, METRIC == metric]).any()}
+
+    def by_band(self, split: str) -> list[float | None]:
+        """Mean error of each octave band, None where nothing was measured [JND]."""
+        bands = [self.by_split[split][:, BAND_OF_FEATURE == band] for band in range(8)]
+        return [float(np.nanmean(errors)) if np.isfinite(errors).any() else None for errors in bands]
+
+
+def _mean_over_metrics(errors: FloatArray) -> float:
+    metrics = [errors[:, METRIC == metric] for metric in _METRICS]
+    means = [np.nanmean(of_metric) for of_metric in metrics if np.isfinite(of_metric).any()]
+    return float(np.mean(means)) if means else np.nan
+
+
+def one_sided_p(differences: FloatArray) -> float:
+    """Return the p value of a mean above zero (t test); 1 for a single difference, or if all are 0."""
+    if len(differences) < 2 or not np.any(differences):
+        return 1.0
+    spread = differences.std(ddof=1) / np.sqrt(len(differences))
+    return float(stats.t.sf(differences.mean() / max(spread, 1e-12), len(differences) - 1))
+
+
+def p_lower(before: HeldOutErrors, after: HeldOutErrors, split: str) -> float:
+    """Return the one-sided p value of the second error being lower than the first, paired.
+
+    Leave-positions-out: Fisher's randomisation test, which changes the signs of the halves of rooms, each calibrated
+    by the other. An effect may be strong in some rooms and weak in others; a t test over rooms would count that as
+    scatter. Leave-room-out: a t test over rooms, since a few rooms have too few signs to change.
+    """
+    if split == "leave_room_out":
+        return one_sided_p(before.of_rooms(split) - after.of_rooms(split))
+    change = (before.of_halves(split) - after.of_halves(split)).ravel()
+    return float(stats.permutation_test((change[np.isfinite(change)],), np.mean, permutation_type="samples",
+                                        alternative="greater", n_resamples=_SIGN_CHANGES, batch=_SIGN_CHANGES // 16,
+                                        vectorized=True, rng=np.random.default_rng(0)).pvalue)
+
+
+def heldout_errors(session: Session) -> HeldOutErrors:
+    """Return the held-out errors of a session's model on its own data."""
+    data, held_out = session.data, leave_rooms_out(session.data, session.fit)
+
+    def calibrated(known: list[IntArray], usable: BoolArray | None) -> tuple[FloatArray, list, FloatArray]:
+        absorption, vectors, gains = calibrate(session, held_out, known, usable)
+        by_room = [effects_of_rows(data, session.effects, of_room) for of_room in vectors]
+        return absorption, [by_room[r][n] for n, r in enumerate(data.room)], gains
+
+    return _rendered_errors(data, calibrated, seed=session.seed, nj=session.nj)
+
+
+def score_test_set(data: Data, session: Session, *, seed: int, nj: int) -> HeldOutErrors:
+    """Return the errors of a session's model on rooms that took no part in any fit.
+
+    The shared parameters come from the session, each room's own parameters from half of its RIRs.
+
+    Parameters
+    ----------
+    data : Data
+        Rooms, and possibly loudspeakers and microphones, that the session has not seen.
+    session : Session
+    seed, nj : int
+    """
+    data = clear_rendered_changes(data, {*session.effects, *data.given_kinds})
+    index = ParameterIndex(data, session.effects)
+    mean = transfer_shared(session, index)
+    correction = np.tile(session.correction.mean(axis=0), (len(data.rows), 1))
+
+    def calibrated(known: list[IntArray], usable: BoolArray | None) -> tuple[FloatArray, list, FloatArray]:
+        local = solve_rooms(index, session.fit, mean, correction, known, usable)
+        vectors = index.vectors(mean, local)
+        return index.absorption(mean, local), effects_of_rows(data, session.effects, vectors), index.gains(local)
+
+    return _rendered_errors(data, calibrated, seed=seed, nj=nj)
+
+
+def _rendered_errors(data: Data, calibrated: Callable, *, seed: int, nj: int) -> HeldOutErrors:
+    """Render each half of the RIRs as the other half calibrates its rooms, and compare it with the recordings.
+
+    Parameters
+    ----------
+    data : Data
+    calibrated : callable
+        Takes the RIRs of each room that may be used and their features that may be used (see `_USABLE`); returns
+        the absorption of rooms, the effects of each RIR and the gains of RIRs.
+    seed, nj : int
+    """
+    first, second = split_positions(data)
+    by_split, half = {}, np.zeros(len(data.rows), dtype=int)
+    half[np.concatenate(second)] = 1
+    for split, usable in _USABLE.items():
+        errors = np.full(data.features.shape, np.nan)
+        for known, scored in ((first, second), (second, first)):
+            # a room with a single RIR has nothing that calibrates it, and is not scored
+            rows = np.concatenate([to_score if len(calibrating) else calibrating
+                                   for calibrating, to_score in zip(known, scored, strict=True)])
+            absorption, by_row, gains = calibrated(known, usable)
+            _, rendered = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj, rows=rows)
+            error = np.abs(data.features[rows] - rendered - np.outer(gains[rows], HAS_GAIN))
+            error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
+            errors[rows] = np.where(data.valid[rows] & ~CALIBRATION_FEATURES, error, np.nan)
+        by_split[split] = errors
+    return HeldOutErrors(by_split, data.room, half)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect that the model lacks.
+
+    Attributes
+    ----------
+    effect : type
+    fit : Fit
+        Of the model with the effect.
+    gain : ndarray, shape (n_rooms,)
+        Increase of the log density of each held-out room.
+    size_jnd : float
+        Effect size: mean change of the features that it touches.
+    """
+
+    effect: type[Effect]
+    fit: Fit
+    gain: FloatArray
+    size_jnd: float
+
+    @property
+    def total(self) -> float:
+        return float(self.gain.sum())
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Confidence interval of 95 % of the mean gain over rooms."""
+        half = stats.t.ppf(0.975, len(self.gain) - 1) * self.gain.std(ddof=1) / np.sqrt(len(self.gain))
+        return float(self.gain.mean() - half), float(self.gain.mean() + half)
+
+    @property
+    def p(self) -> float:
+        """One-sided p value of a gain over rooms (paired t test)."""
+        return one_sided_p(self.gain)
+
+    def helps(self, n_candidates: int) -> bool:
+        """Tell whether held-out rooms are predicted better, corrected for the number of candidates.
+
+        Without an effect, the density of all rooms together grows by a factor of x with a probability of at most 1 / x
+        (Markov's inequality). The room that gains most is not counted, so that no single room, which may be faulty,
+        decides. Rooms may gain little: rooms where all distances are short say little about the speed of sound.
+        """
+        without_best = self.total - max(self.gain.max(), 0.0)
+        return bool(without_best > np.log(n_candidates / LEVEL) and self.size_jnd >= MIN_SIZE_JND
+                    and np.mean(self.gain > 0.0) >= 0.5)
+
+
+class Ranking(NamedTuple):
+    """Candidates by their total gain, the largest first, and the session with the rendered changes of all of them."""
+
+    session: Session
+    candidates: list[Candidate]
+
+
+class Choice(NamedTuple):
+    """The best candidate, or None if none helps, and those that the data cannot distinguish from it."""
+
+    winner: Candidate | None
+    rivals: list[Candidate]
+
+
+def rank(session: Session) -> Ranking:
+    """Fit each effect that the model lacks, and rank them by the densities of held-out rooms."""
+    data = session.data
+    before = leave_rooms_out(data, fit(data, session.correction, session.effects, initial=session.fit))
+    known = {*session.effects, *data.given_kinds}
+    lacking: list[type[Effect]] = [effect for effect in CATALOGUE.values()
+                                   if effect not in known and effect.applies(data)]
+    session = with_rendered_changes(session, lacking)
+    candidates = share_out(lambda effect: _candidate(session, effect, before), lacking, session.nj,
+                           first_here=False)
+    return Ranking(session, sorted(candidates, key=lambda candidate: -candidate.total))
+
+
+def _candidate(session: Session, effect: type[Effect], before: list[HeldOutRoom]) -> Candidate:
+    data, effects = session.data, in_order([*session.effects, effect])
+    initial = session.fit
+    if len(effect.STARTS) > 1:
+        probes = []
+        for start in effect.STARTS:
+            starts = [start if kind is effect else kind.STARTS[0] for kind in effects]
+            probe = fit(data, session.correction, effects, start=starts, initial=session.fit,
+                        iterations=_PROBE_ITERATIONS)
+            probes.append((probe, np.array([room.log_density for room in leave_rooms_out(data, probe)])))
+        initial = _best_start(ParameterIndex(data, effects), effect, probes)
+    fitted = fit(data, session.correction, effects, initial=initial)
+    after = leave_rooms_out(data, fitted)
+    gain = np.array([b.log_density - a.log_density for a, b in zip(before, after, strict=True)])
+    return Candidate(effect, fitted, gain, effect_size_jnd(data, effect, fitted))
+
+
+def _best_start(index: ParameterIndex, effect: type[Effect], probes: list[tuple[Fit, FloatArray]]) -> Fit:
+    """Return the best of fits from different starts; for an effect of rooms, combine each room's own best.
+
+    Each probe is a fit and the log density of each held-out room.
+    """
+    best = max(probes, key=lambda probe: probe[1].sum())[0]
+    if effect.SCOPE != "room":
+        return best
+    k = index.effects.index(effect)
+    best_of_room = np.argmax([densities for _, densities in probes], axis=0)
+    chosen = np.array([index.vectors(probes[start][0].mean, probes[start][0].local)[k][r]
+                       for r, start in enumerate(best_of_room)])
+    mean, local = best.mean.copy(), [own.copy() for own in best.local]
+    mean[index.shared[k].part] = chosen.mean(axis=0)
+    for r, vector in enumerate(chosen):
+        local[r][index.local[r].slices[k]] = vector - chosen.mean(axis=0)
+    return replace(best, mean=mean, local=local)
+
+
+def effect_size_jnd(data: Data, effect: type[Effect], fitted: Fit) -> float:
+    """Return the mean change of the features that an effect touches, for the metric that it changes most [JND]."""
+    index = ParameterIndex(data, fitted.effects)
+    without = ParameterIndex(data, [kind for kind in fitted.effects if kind is not effect])
+    absorption, vectors = index.absorption(fitted.mean, fitted.local), index.vectors(fitted.mean, fitted.local)
+    no_gains = np.zeros(len(data.rows))
+    change = index.predict(absorption, vectors, no_gains, 0.0) - without.predict(
+        absorption, [vector for vector, kind in zip(vectors, fitted.effects, strict=True) if kind is not effect],
+        no_gains, 0.0)
+    change = np.abs(np.where(data.valid, change, 0.0))
+    by_metric = [change[:, METRIC == metric] for metric in np.unique(METRIC)]
+    return float(max(of_metric[of_metric > TOUCHED_JND].mean() if np.any(of_metric > TOUCHED_JND) else 0.0
+                     for of_metric in by_metric))
+
+
+def choose(ranking: Sequence[Candidate], n_candidates: int) -> Choice:
+    """Choose among candidates in their ranked order; `n_candidates` counts those already rejected as well."""
+    helping = [candidate for candidate in ranking if candidate.helps(n_candidates)]
+    if not helping:
+        return Choice(None, [])
+    close = [candidate for candidate in helping
+             if candidate is helping[0] or one_sided_p(helping[0].gain - candidate.gain) > LEVEL]
+    # an equaliser names no cause: every effect that names one comes first
+    close.sort(key=lambda candidate: (candidate.effect is RoomEq, -candidate.total))
+    return Choice(close[0], [candidate for candidate in close[1:] if candidate.effect is not RoomEq])
