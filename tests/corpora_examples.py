@@ -1,4 +1,4 @@
-"""Tiny corpora of every kind, made where a test wants them; nothing in them is measured."""
+"""Tiny synthetic corpora of every kind, written where a test needs them."""
 
 import numpy as np
 import soundfile

@@ -1,4 +1,4 @@
-"""Output directories are whole or absent, whatever happens while they are made."""
+"""Output directories are complete or absent, and remade only when something changed."""
 
 import os
 import shutil
@@ -18,13 +18,13 @@ def make_squares(out, inputs=(), numbers=(1, 2, 3), part=None, fail_on=None, **o
     if build.done:
         return "up to date"
 
-    def one(name, number):
+    def make(name, number):
         if number == fail_on:
             raise RuntimeError("killed")
         write_text(build.work / f"{name}.txt", str(number**2))
         return number**2
 
-    if build.run({f"n{n}": n for n in numbers}, one, part=part):
+    if build.run({f"n{n}": n for n in numbers}, make, part=part):
         build.finish(lambda directory, records: write_json(directory / "all.json", records))
     return "made"
 
@@ -33,7 +33,7 @@ def contents(directory):
     return {p.name: p.read_bytes() for p in sorted(directory.iterdir()) if p.name != DONE_FILE}
 
 
-def test_made_once_and_remade_when_an_option_changes(tmp_path):
+def test_changed_option_remakes_the_directory(tmp_path):
     assert make_squares(tmp_path / "a", power=2) == "made"
     assert make_squares(tmp_path / "a", power=2) == "up to date"
     assert make_squares(tmp_path / "a", power=3) == "made"
@@ -48,7 +48,7 @@ def test_parts_give_the_same_bytes_as_one_run(tmp_path):
     assert contents(tmp_path / "whole") == contents(tmp_path / "parts")
 
 
-def test_a_killed_run_leaves_earlier_results_and_goes_on(tmp_path):
+def test_killed_run_keeps_the_earlier_result_and_resumes(tmp_path):
     out = tmp_path / "a"
     make_squares(out, version=1)
     before = contents(out)
@@ -60,7 +60,7 @@ def test_a_killed_run_leaves_earlier_results_and_goes_on(tmp_path):
     assert [p.name for p in tmp_path.iterdir() if "part" in p.name] == []
 
 
-def test_half_written_files_of_a_killed_job_are_swept_away(tmp_path):
+def test_temporary_files_of_a_killed_job_are_removed(tmp_path):
     with pytest.raises(RuntimeError):
         make_squares(tmp_path / "a", fail_on=2)
     (work,) = tmp_path.glob(".a.part-*")
@@ -69,14 +69,14 @@ def test_half_written_files_of_a_killed_job_are_swept_away(tmp_path):
     assert [path.name for path in (tmp_path / "a").iterdir() if path.name.endswith(".tmp")] == []
 
 
-def test_a_lost_or_shortened_file_is_noticed(tmp_path):
+def test_missing_file_remakes_the_directory(tmp_path):
     make_squares(tmp_path / "a")
     (tmp_path / "a" / "n2.txt").unlink()
     assert make_squares(tmp_path / "a") == "made"
     assert (tmp_path / "a" / "n2.txt").read_text() == "4"
 
 
-def test_a_file_of_the_same_length_is_noticed_unless_it_holds_the_same(tmp_path):
+def test_changed_content_remakes_the_directory(tmp_path):
     make_squares(tmp_path / "a")
     (tmp_path / "a" / "n2.txt").write_text("4")
     assert make_squares(tmp_path / "a") == "up to date"
@@ -85,7 +85,7 @@ def test_a_file_of_the_same_length_is_noticed_unless_it_holds_the_same(tmp_path)
     assert (tmp_path / "a" / "n2.txt").read_text() == "4"
 
 
-def test_a_changed_input_is_noticed(tmp_path):
+def test_changed_input_remakes_the_output(tmp_path):
     make_squares(tmp_path / "in")
     make_squares(tmp_path / "out", inputs=[tmp_path / "in"])
     assert make_squares(tmp_path / "out", inputs=[tmp_path / "in"]) == "up to date"
@@ -93,24 +93,24 @@ def test_a_changed_input_is_noticed(tmp_path):
     assert make_squares(tmp_path / "out", inputs=[tmp_path / "in"]) == "made"
 
 
-def test_other_code_is_noticed(tmp_path, project_dir, monkeypatch):
+def test_changed_code_remakes_the_directory(tmp_path, project_dir, monkeypatch):
     package = shutil.copytree(project_dir / "pysrc/roomeq", tmp_path / "pysrc/roomeq")
     code = "from roomeq.core.digests import code_digest; print(code_digest(), end='')"
 
-    def of_the_copy():
+    def digest_of_copy():
         return subprocess.run([sys.executable, "-c", code], env=os.environ | dict(PYTHONPATH=str(tmp_path / "pysrc")),
                               stdout=subprocess.PIPE, text=True, check=True).stdout
 
-    assert of_the_copy() == code_digest()
+    assert digest_of_copy() == code_digest()
     assert make_squares(tmp_path / "a") == "made"
     (package / "effects/base.py").write_text((package / "effects/base.py").read_text().replace("1e-9", "1e-8"))
-    other = of_the_copy()
-    assert other != code_digest()
-    monkeypatch.setattr(build, "code_digest", lambda: other)
+    changed = digest_of_copy()
+    assert changed != code_digest()
+    monkeypatch.setattr(build, "code_digest", lambda: changed)
     assert make_squares(tmp_path / "a") == "made"
 
 
-def test_same_content_made_again_is_the_same_input(tmp_path):
+def test_input_remade_with_equal_content_has_equal_digest(tmp_path):
     make_squares(tmp_path / "in", v=1)
     first = digest(tmp_path / "in")
     make_squares(tmp_path / "in", v=2)
@@ -118,7 +118,7 @@ def test_same_content_made_again_is_the_same_input(tmp_path):
 
 
 def as_of_format(directory, version):
-    """Make the stamp of a directory that of another version of the formats; version 1 wrote none."""
+    """Give the stamp of a directory another version of the formats; version 1 had no key for it."""
     stamp = read_json(directory / DONE_FILE) | dict(format=version)
     write_json(directory / DONE_FILE, {key: value for key, value in stamp.items() if (key, value) != ("format", 1)})
 
@@ -139,7 +139,7 @@ def test_output_of_an_older_format_is_made_anew(tmp_path):
     assert make_squares(tmp_path / "b", inputs=[tmp_path / "a"]) == "made"
 
 
-def test_a_directory_of_somebody_else_is_refused(tmp_path):
+def test_directory_without_a_stamp_is_not_replaced(tmp_path):
     (tmp_path / "thesis.txt").write_text("ten years")
     with pytest.raises(ValueError, match="was not made by roomeq"):
         make_squares(tmp_path)
@@ -147,6 +147,6 @@ def test_a_directory_of_somebody_else_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("part", ["0/2", "3/2", "x", "1"])
-def test_bad_parts(part):
+def test_malformed_part_is_refused(part):
     with pytest.raises(ValueError, match="JOB/JOBS"):
         share(["a"], part)

@@ -1,4 +1,4 @@
-"""Results are made again when audio changes that their inputs name but do not hold: no stamp outlives it."""
+"""Results are made again when audio changes that their inputs refer to but do not hold."""
 
 import logging
 import shutil
@@ -17,7 +17,7 @@ from roomeq.corpora.split import split_rirs
 
 
 def change(path):
-    """Make what follows a recording's loudest sample quieter: of the same length, so no table of the corpus changes."""
+    """Attenuate a recording after its loudest sample; its length stays, so that no table of the corpus changes."""
     samples, fs_hz = soundfile.read(path)
     samples[abs(samples).argmax() + 1:] *= 0.7
     (write_flac if path.suffix == ".flac" else write_wav)(path, samples, fs_hz)
@@ -33,7 +33,7 @@ def corpora(tmp_path):
 
 
 def run(root):
-    """From corpora to far-field speech."""
+    """Run all steps from corpora to far-field speech; return its audio."""
     read_measured(root / "corpus", root / "measured", noises=root / "noises")
     characterise(root / "measured", root / "real")
     split_rirs(root / "real", root / "real", sizes=(3, 2, 1), seed=0)
@@ -44,18 +44,18 @@ def run(root):
     return {path.relative_to(root): path.read_bytes() for path in sorted((root / "rvb").rglob("*.flac"))}
 
 
-@pytest.mark.parametrize("what", ["corpus/rir*.wav", "noises/*.flac", "speech/wav/*.flac"])
-def test_changed_recordings_reach_the_end(what, corpora, tmp_path):
+@pytest.mark.parametrize("pattern", ["corpus/rir*.wav", "noises/*.flac", "speech/wav/*.flac"])
+def test_changed_recordings_change_augmented_speech(pattern, corpora, tmp_path):
     before = run(tmp_path)
     assert before and run(tmp_path) == before
-    for path in tmp_path.glob(what):
+    for path in tmp_path.glob(pattern):
         change(path)
     after = run(tmp_path)
     assert after.keys() == before.keys()
     assert after != before
 
 
-def test_unchanged_recordings_make_nothing_again(corpora, tmp_path, caplog):
+def test_unchanged_recordings_remake_nothing(corpora, tmp_path, caplog):
     run(tmp_path)
     with caplog.at_level(logging.INFO):
         caplog.clear()
@@ -63,8 +63,8 @@ def test_unchanged_recordings_make_nothing_again(corpora, tmp_path, caplog):
     assert sum("up to date" in record.getMessage() for record in caplog.records) == 9
 
 
-@pytest.mark.parametrize("what", ["clean/wav/*.flac", "elsewhere/*.wav"])
-def test_directories_of_others_are_looked_through(what, tmp_path):
+@pytest.mark.parametrize("pattern", ["clean/wav/*.flac", "elsewhere/*.wav"])
+def test_audio_named_by_unstamped_directories_is_checked(pattern, tmp_path):
     clean, rirs = speech_dir(tmp_path / "clean"), rir_dir(tmp_path / "rirs")
     (tmp_path / "elsewhere").mkdir()
     for path in (rirs / "wav").glob("room*.wav"):
@@ -75,6 +75,6 @@ def test_directories_of_others_are_looked_through(what, tmp_path):
     for _ in range(2):
         augment(clean, rirs, tmp_path / "rvb")
         made.append([path.read_bytes() for path in sorted((tmp_path / "rvb").rglob("*.flac"))])
-        for path in tmp_path.glob(what):
+        for path in tmp_path.glob(pattern):
             change(path)
     assert made[0] != made[1]

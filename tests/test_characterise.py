@@ -1,4 +1,4 @@
-"""Acoustic parameters: what is measured, what is dropped, what is kept from the EQ fit, and why."""
+"""Characterising RIRs: which are measured, dropped and screened, and why."""
 
 import numpy as np
 import pytest
@@ -15,14 +15,14 @@ PLACES = dict(source_pos_m=[1.0, 1.0, 1.0], mic_pos_m=[4.0, 3.0, 1.5])
 
 
 def run(tmp_path, items, **options):
-    """Characterise RIRs; return the rows that stay, by id, and the screening report."""
+    """Characterise RIRs; return the kept rows by id and the screening report."""
     write_rir_dir(tmp_path / "in", items)
     characterise(tmp_path / "in", tmp_path / "out", **options)
     validate_rirs(tmp_path / "out")
-    return {one["id"]: one for one in read_rirs(tmp_path / "out")}, read_json(tmp_path / "out" / "screening.json")
+    return {row["id"]: row for row in read_rirs(tmp_path / "out")}, read_json(tmp_path / "out" / "screening.json")
 
 
-def test_parameters_have_everything_and_only_json(tmp_path):
+def test_acoustic_parameters_are_complete_json(tmp_path):
     rows, report = run(tmp_path, [(row("a"), coloured_rir(0, snr_db=60.0))])
     parameters = rows["a"]["acoustic_parameters"]
     assert parameters["direct_sample"] == pytest.approx(DIRECT, abs=0.5)
@@ -34,7 +34,7 @@ def test_parameters_have_everything_and_only_json(tmp_path):
     assert report["n_given"] == report["n_kept"] == report["n_for_eq"] == 1
 
 
-def test_audio_is_referred_to_and_noises_too(tmp_path):
+def test_output_refers_to_audio_and_noises_of_the_input(tmp_path):
     write_rir_dir(tmp_path / "in", [(row("a"), coloured_rir(0))], [dict(id="n", room_id="hall")])
     characterise(tmp_path / "in", tmp_path / "deep" / "out")
     out = tmp_path / "deep" / "out"
@@ -49,7 +49,7 @@ def test_audio_is_referred_to_and_noises_too(tmp_path):
     ({}, coloured_rir(1, snr_db=28.0), "too noisy"),
     ({}, coloured_rir(1, eq_db=(-60, -50, -40, 0, 0, 0, 0, 0), snr_db=45.0), "dead bands"),
 ], ids=["binaural", "clap", "noisy", "dead"])
-def test_screened_recordings_stay_but_not_for_the_eq(tmp_path, more, rir, reason):
+def test_screened_rirs_are_kept_but_not_counted_for_eq(tmp_path, more, rir, reason):
     rows, report = run(tmp_path, [(row("a"), coloured_rir(0)), (row("b", **more), rir)])
     assert rows["a"]["screen"] is None
     assert rows["b"]["screen"].startswith(f"{reason}: ")
@@ -57,7 +57,7 @@ def test_screened_recordings_stay_but_not_for_the_eq(tmp_path, more, rir, reason
     assert (report["n_kept"], report["n_for_eq"]) == (2, 1)
 
 
-def test_roll_off_at_8_khz_costs_that_point_only(tmp_path):
+def test_anti_alias_roll_off_invalidates_8_khz_only(tmp_path):
     filtered = np.convolve(coloured_rir(0, length_s=0.8), firwin(401, 7500, fs=16000, window=("kaiser", 10)))
     rows, report = run(tmp_path, [(row("a"), filtered)])
     parameters = rows["a"]["acoustic_parameters"]
@@ -67,7 +67,7 @@ def test_roll_off_at_8_khz_costs_that_point_only(tmp_path):
     assert report["n_roll_off_at_8khz"] == 1
 
 
-def test_a_tweeter_that_falls_by_24_db_an_octave_is_no_roll_off():
+def test_slope_of_24_db_per_octave_is_no_roll_off():
     parameters = measure(coloured_rir(0, eq_db=(0, 0, 0, 0, 0, 0, -2, -26)))
     assert parameters["eq_edge_db"] is None and parameters["eq_valid"][7]
 
@@ -86,17 +86,17 @@ def test_repeats_and_uncommon_spaces_are_dropped(tmp_path):
     assert report["dropped"]["d"] == "repeat: same positions as e"
 
 
-def test_channels_of_one_array_are_no_repeats(tmp_path):
+def test_array_channels_of_one_position_are_kept(tmp_path):
     rows, _ = run(tmp_path, [(row("ch0", **PLACES), coloured_rir(0)), (row("ch1", **PLACES), coloured_rir(1))])
     assert sorted(rows) == ["ch0", "ch1"]
 
 
-def test_a_repeat_stays_where_its_first_take_was_dropped(tmp_path):
+def test_repeat_is_kept_if_its_first_take_is_dropped(tmp_path):
     rows, _ = run(tmp_path, [(row("a", uncommon=True), coloured_rir(0)), (row("b", repeat_of="a"), coloured_rir(1))])
     assert sorted(rows) == ["b"]
 
 
-def test_what_cannot_be_measured_stops_naming_the_file_or_is_dropped(tmp_path):
+def test_unmeasurable_rir_is_an_error_or_skipped(tmp_path):
     items = [(row("a"), coloured_rir(0)), (row("bad"), 0.1 * np.random.default_rng(0).standard_normal(8000))]
     with pytest.raises(ValueError, match="bad.wav: .*no direct sound"):
         run(tmp_path, items)
@@ -105,7 +105,7 @@ def test_what_cannot_be_measured_stops_naming_the_file_or_is_dropped(tmp_path):
     assert sorted(rows) == ["a"] and report["dropped_counts"] == {"broken": 1}
 
 
-def test_nothing_left_is_an_error(tmp_path):
+def test_dropping_every_rir_is_an_error(tmp_path):
     with pytest.raises(ValueError, match="all 1 RIRs are dropped .1 uncommon space."):
         run(tmp_path, [(row("a", uncommon=True), coloured_rir(0))])
 

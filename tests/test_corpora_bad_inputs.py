@@ -49,7 +49,7 @@ def bad(request, tmp_path):
     return tmp_path / "corpus", message
 
 
-def test_bad_audio_stops_and_can_be_left_out(bad, tmp_path):
+def test_bad_audio_is_an_error_or_skipped(bad, tmp_path):
     source, message = bad
     with pytest.raises(ValueError, match=message) as caught:
         read_measured(source, tmp_path / "out")
@@ -60,7 +60,7 @@ def test_bad_audio_stops_and_can_be_left_out(bad, tmp_path):
     assert len(json.loads((out / "corpus.json").read_text())["skipped"]) == 1
 
 
-def test_bad_audio_leaves_an_earlier_result_untouched(tmp_path):
+def test_bad_audio_keeps_the_earlier_result(tmp_path):
     source = make_folder(tmp_path / "corpus")
     before = (read_measured(source, tmp_path / "out") / "rirs.jsonl").read_bytes()
     put_empty(source / "hall" / "bad.wav")
@@ -72,7 +72,7 @@ def test_bad_audio_leaves_an_earlier_result_untouched(tmp_path):
 @pytest.mark.parametrize("make, message", [
     (put_empty, "is empty"), (put_cut_wav, "truncated"), (put_cut_flac, "broken audio"),
     (lambda path: put(path, fs_hz=8000), "sample rate 8000 Hz")])
-def test_bad_noises(tmp_path, make, message):
+def test_bad_noise_is_an_error_or_skipped(tmp_path, make, message):
     put(tmp_path / "noise" / "good.wav")
     make(tmp_path / "noise" / "bad.wav")
     with pytest.raises(ValueError, match=rf"bad\.(wav|flac): .*{message}"):
@@ -88,14 +88,14 @@ def test_duplicate_ids_name_both_files(tmp_path):
         read_measured(source, tmp_path / "out")
 
 
-def test_a_listed_file_that_is_not_there(tmp_path):
+def test_listed_file_that_is_missing_is_an_error(tmp_path):
     source = make_table(tmp_path / "corpus")
     (source / "rirs" / "lab" / "one.flac").unlink()
     with pytest.raises(ValueError, match=r"one\.flac: no such audio file"):
         read_measured(source, tmp_path / "out")
 
 
-def test_nothing_to_read(tmp_path):
+def test_source_without_usable_rirs_is_an_error(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match="empty: no audio files below it: check the path"):
         read_measured(tmp_path / "empty", tmp_path / "out")
@@ -110,7 +110,7 @@ def test_nothing_to_read(tmp_path):
         read_measured(tmp_path / "bad", tmp_path / "out", skip_bad=True)
 
 
-def test_an_output_that_holds_something_else(tmp_path):
+def test_output_with_other_files_is_not_replaced(tmp_path):
     put_text(tmp_path / "out" / "thesis.txt", "mine")
     with pytest.raises(ValueError, match="exists and was not made by roomeq"):
         read_measured(make_folder(tmp_path / "corpus"), tmp_path / "out")

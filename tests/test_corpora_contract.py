@@ -1,4 +1,4 @@
-"""What holds for every kind of measured corpus."""
+"""Rules that every kind of measured corpus obeys."""
 
 import json
 
@@ -36,7 +36,7 @@ def test_every_kind_is_recognised_and_keeps_the_contract(corpus, tmp_path):
     assert json.loads((out / "corpus.json").read_text())["rirs"] == N_RIRS[kind]
 
 
-def test_reading_twice_or_by_two_jobs_gives_the_same_bytes(corpus, tmp_path):
+def test_two_jobs_give_the_same_bytes(corpus, tmp_path):
     kind, source = corpus
     outs = [read_measured(source, tmp_path / f"out{n}", nj=n) for n in (1, 2)]
     names = [{path.relative_to(out): path.read_bytes() for path in sorted(out.rglob("*"))
@@ -44,7 +44,7 @@ def test_reading_twice_or_by_two_jobs_gives_the_same_bytes(corpus, tmp_path):
     assert names[0] == names[1] and len(names[0]) >= 3
 
 
-def test_up_to_date_is_not_made_again_but_a_changed_corpus_is(tmp_path):
+def test_output_is_remade_only_for_a_changed_corpus(tmp_path):
     source = make_folder(tmp_path / "rooms")
     out = read_measured(source, tmp_path / "out")
     made = (out / "rirs.jsonl").stat().st_mtime_ns
@@ -55,7 +55,7 @@ def test_up_to_date_is_not_made_again_but_a_changed_corpus_is(tmp_path):
         read_measured(out, tmp_path / "again")
 
 
-def test_a_list_is_out_of_date_when_its_audio_changes(tmp_path):
+def test_changed_audio_of_a_table_remakes_the_output(tmp_path):
     table = make_table(tmp_path / "home" / "corpus") / "manifest.csv"
     out = read_measured(table, tmp_path / "out")
     made = (out / "rirs.jsonl").stat().st_mtime_ns
@@ -65,7 +65,7 @@ def test_a_list_is_out_of_date_when_its_audio_changes(tmp_path):
     assert read_rirs(read_measured(table, out))[0]["n_samples"] == 900
 
 
-def test_files_that_fit_are_referenced_and_others_are_converted(tmp_path):
+def test_16_khz_mono_is_referenced_other_audio_converted(tmp_path):
     out = read_measured(make_folder(tmp_path / "rooms"), tmp_path / "out")
     rows = {row["id"]: row for row in read_rirs(out)}
     assert rows["kitchen-near"]["wav"] == "../rooms/kitchen/near.wav"
@@ -79,7 +79,7 @@ def test_files_that_fit_are_referenced_and_others_are_converted(tmp_path):
     assert (load_rir(out, channels[0]) == read_audio(tmp_path / "rooms/kitchen/far stereo.wav", channel=0)).all()
 
 
-def test_relative_ways_hold_through_links(tmp_path):
+def test_relative_paths_hold_through_links(tmp_path):
     source = make_table(tmp_path / "disk" / "deep" / "corpus")
     (tmp_path / "far" / "away").mkdir(parents=True)
     (tmp_path / "link").symlink_to(tmp_path / "far" / "away")
@@ -97,7 +97,7 @@ def test_noises_are_added(tmp_path):
     assert noises["dishes-44k"]["duration_s"] == pytest.approx(0.1)
 
 
-def test_a_stand_in_corpus_is_read_with_its_traps(project_dir, tmp_path, monkeypatch):
+def test_synthetic_corpus_is_read_with_its_defects(project_dir, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(project_dir / "local"))
     import make_synthetic_rirs
 

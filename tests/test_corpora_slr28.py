@@ -19,7 +19,7 @@ def test_rirs_and_noises(tmp_path):
 
 
 @pytest.mark.parametrize("below", [".", "RIRS_NOISES", "RIRS_NOISES/real_rirs_isotropic_noises"])
-def test_without_lists_names_tell(tmp_path, below):
+def test_file_names_replace_missing_lists(tmp_path, below):
     real = make_slr28(tmp_path) / "RIRS_NOISES" / "real_rirs_isotropic_noises"
     with_lists = list_slr28(tmp_path / below)
     (real / "rir_list").unlink()
@@ -35,21 +35,21 @@ def test_without_lists_names_tell(tmp_path, below):
     ("air_type1_air_binaural_stairway_1_1_90", "AIR_stairway"),
     ("RWCP_type2_rir_cirline_ofc_imp130", "RWCP_cirline_ofc"), ("RWCP_type4_rir_p50r", "RWCP_type4"),
     ("RWCP_type5_noise_cirline_ofc_ambient1", "RWCP_cirline_ofc"), ("other", None)])
-def test_rooms_by_name(stem, room):
+def test_room_is_recognised_by_file_name(stem, room):
     assert room_of(stem) == room
 
 
 @pytest.mark.parametrize("line, message", [
     ("--rir-id 1 --room-id sox x.wav -t wav - |", "must be options with a value each, then one file: replace"),
     ("--rir-id 'x.wav", "No closing quotation")])
-def test_bad_lists(tmp_path, line, message):
+def test_malformed_list_is_refused(tmp_path, line, message):
     real = make_slr28(tmp_path) / "RIRS_NOISES" / "real_rirs_isotropic_noises"
     put_text(real / "rir_list", line)
     with pytest.raises(ValueError, match=rf"rir_list:1: .*{message}"):
         list_slr28(tmp_path)
 
 
-def test_without_the_real_part(tmp_path):
+def test_missing_real_part_is_an_error(tmp_path):
     put(tmp_path / "RIRS_NOISES" / "simulated_rirs" / "a.wav")
     with pytest.raises(ValueError, match="no folder real_rirs_isotropic_noises in it: unpack RIRS_NOISES whole"):
         list_slr28(tmp_path)

@@ -25,14 +25,14 @@ def test_measurements_and_receivers_become_rows(tmp_path):
     assert rows[0]["temperature_c"] == 22.0 and rows[0]["binaural"] is False
 
 
-def test_samples_are_those_of_the_file_at_16_khz(tmp_path):
+def test_samples_are_resampled_to_16_khz(tmp_path):
     out = read_measured(put_sofa(tmp_path / "a.sofa", fs_hz=16000), tmp_path / "out")
     assert load_rir(out, read_rirs(out)[0]) == pytest.approx(rir("0-0", 2400), abs=1e-7)
     out = read_measured(put_sofa(tmp_path / "b.sofa", fs_hz=48000), tmp_path / "out48")
     assert read_rirs(out)[0]["n_samples"] == 800
 
 
-def test_positions_count_from_the_lowest_corner(tmp_path):
+def test_positions_are_relative_to_the_lowest_corner(tmp_path):
     path = put_sofa(tmp_path / "a.sofa", RoomCornerA=[[2, 3, 0]], RoomCornerB=[[-3, -1, 3]],
                     SourcePosition=[[-2, 0, 1]], ListenerPosition=[[0, 1, 1]])
     row = signals(path)[0][0]
@@ -52,13 +52,13 @@ def test_spherical_source_positions(tmp_path):
     assert signals(path)[0][0]["source_pos_m"] == pytest.approx([0, np.sqrt(3), 1], abs=1e-4)
 
 
-def test_without_corners_only_the_distance_is_known(tmp_path):
+def test_without_corners_only_the_distance_is_kept(tmp_path):
     row = signals(put_sofa(tmp_path / "a.sofa", convention="GeneralFIR"))[0][0]
     assert row["room_dims_m"] is None and row["source_pos_m"] is None and row["room_id"] == "a"
     assert row["distance_m"] == pytest.approx(np.sqrt(4 + 1 + 0.09), abs=1e-4)
 
 
-def test_corners_and_positions_that_nobody_filled_in_are_unknown(tmp_path):
+def test_default_corners_and_positions_are_unknown(tmp_path):
     path = put_sofa(tmp_path / "a.sofa", RoomCornerB=[[1, 2, 3]], SourcePosition=[[0, 0, 1]],
                     ListenerPosition=[[0, 0, 0]])
     row = signals(path)[0][0]
@@ -66,17 +66,17 @@ def test_corners_and_positions_that_nobody_filled_in_are_unknown(tmp_path):
     assert row["temperature_c"] is None
 
 
-def test_delay_is_put_before_the_response(tmp_path):
+def test_delay_precedes_the_response(tmp_path):
     _, samples, _ = signals(put_sofa(tmp_path / "a.sofa", Data_Delay=np.array([[7.0]])))[0]
     assert len(samples) == 2407 and not samples[:7].any() and samples[47] == 0.5
 
 
-def test_a_dummy_head_is_binaural(tmp_path):
+def test_dummy_head_is_binaural(tmp_path):
     path = put_sofa(tmp_path / "a.sofa", n_receivers=2, GLOBAL_ListenerShortName="KU100")
     assert all(row["binaural"] for row, _, _ in signals(path))
 
 
-def test_a_low_rate_is_refused(tmp_path):
+def test_rate_below_16_khz_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"a\.sofa: sample rate 8000 Hz must be 16000 Hz or more"):
         read_measured(put_sofa(tmp_path / "a.sofa", fs_hz=8000), tmp_path / "out")
 

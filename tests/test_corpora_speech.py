@@ -40,7 +40,7 @@ def rows_of_voices(counts):
 
 
 @pytest.mark.parametrize("below", [".", "LibriSpeech"])
-def test_librispeech_as_the_stock_recipe_prepares_it(tmp_path, below):
+def test_librispeech_matches_the_stock_recipe(tmp_path, below):
     source = tmp_path / "corpus"
     put_librispeech(source / below, SETS)
     train, dev, test = prepare_speech(source, tmp_path / "data", **ROLES)
@@ -65,19 +65,19 @@ def test_stock_kaldi_accepts_the_directories(tmp_path):
                        env=dict(os.environ, LC_ALL="C", PATH=f"{stock / 'utils'}:{os.environ['PATH']}"))
 
 
-def test_names_with_bars_and_comments_in_the_list_of_speakers(tmp_path):
+def test_speakers_txt_with_bars_and_comments_is_read(tmp_path):
     path = put_text(tmp_path / "SPEAKERS.TXT", "; ID | SEX\n60   | M | train-clean-100  | 20.18 | |CBW|Simon\n\n")
     assert read_genders(path) == {"60": "m"}
 
 
-def test_without_every_gender_the_file_is_left_out(tmp_path):
+def test_spk2gender_needs_every_gender(tmp_path):
     put_librispeech(tmp_path / "corpus", SETS)
     put_text(tmp_path / "corpus" / "SPEAKERS.TXT", "19 | F | train-clean-100 | 1 | x\n")
     train, _, _ = prepare_speech(tmp_path / "corpus", tmp_path / "data", **ROLES)
     assert not (train / "spk2gender").exists() and (train / "utt2spk").exists()
 
 
-def test_one_set_alone_is_split_by_voice(tmp_path):
+def test_single_set_is_split_by_voice(tmp_path):
     readers = {str(reader): {"1": 2, "2": 1} for reader in range(10, 20)}
     put_librispeech(tmp_path / "corpus", {"dev-clean": readers})
     dirs = prepare_speech(tmp_path / "corpus" / "dev-clean", tmp_path / "data")
@@ -97,7 +97,7 @@ def test_manifest_is_split_by_voice(tmp_path):
     assert not (dirs[0] / "spk2gender").exists()
 
 
-def test_split_of_voices():
+def test_voices_are_split_in_proportion():
     roles = split_voices({"big": 100, "small": 1, "tiny": 1})
     assert roles["big"] == "train" and {roles["small"], roles["tiny"]} == {"dev", "test"}
     assert split_voices(dict.fromkeys("cab", 5)) == split_voices(dict.fromkeys("abc", 5))
@@ -114,8 +114,8 @@ def test_manifest_with_sets_and_genders(tmp_path):
     assert lines(train / "spk2gender") == ["a m"] and lines(dev / "utt2spk") == ["b-b b"]
 
 
-def test_utterances_sort_as_their_speakers_do(tmp_path):
-    # '+' and '-' sort around each other: left in a speaker's name, Kaldi would refuse the order
+def test_utterances_sort_like_their_speakers(tmp_path):
+    # '+' sorts before the '-' that joins speaker and utterance: either of them in a speaker's name breaks Kaldi's order
     rows = ["1.flac,x,a,HI", "2.flac,x,a+b,HI", "3.flac,a-z,a-b,HI", "4.flac,d-1,d,HI", "5.flac,e-1,e,HI"]
     put_manifest(tmp_path / "speech", rows)
     dirs = prepare_speech(tmp_path / "speech", tmp_path / "data")
@@ -148,7 +148,7 @@ def test_entries_work_in_a_shell(tmp_path):
     assert wav.startswith(b"RIFF") and len(wav) > 3200
 
 
-def test_limit_keeps_what_a_smaller_one_chose(tmp_path):
+def test_larger_limit_keeps_the_smaller_choice(tmp_path):
     put_manifest(tmp_path / "speech", rows_of_voices({"a": 9, "b": 9, "c": 3, "d": 3}))
     few, more = ({line for path in prepare_speech(tmp_path / "speech", tmp_path / f"data{limit}", limit=limit)
                   for line in lines(path / "text")} for limit in (2, 4))
@@ -157,7 +157,7 @@ def test_limit_keeps_what_a_smaller_one_chose(tmp_path):
         prepare_speech(tmp_path / "speech", tmp_path / "data", limit=0)
 
 
-def test_what_has_not_changed_is_not_made_again(tmp_path):
+def test_unchanged_speech_is_not_remade(tmp_path):
     root = put_librispeech(tmp_path / "corpus", SETS)
 
     def made():
@@ -174,8 +174,8 @@ def test_what_has_not_changed_is_not_made_again(tmp_path):
 
 def test_jobs_do_not_change_the_bytes(tmp_path):
     put_librispeech(tmp_path / "corpus", SETS)
-    one, two = (prepare_speech(tmp_path / "corpus", tmp_path / f"data{nj}", nj=nj, **ROLES) for nj in (1, 2))
-    for a, b in zip(one, two, strict=True):
+    one_job, two_jobs = (prepare_speech(tmp_path / "corpus", tmp_path / f"data{nj}", nj=nj, **ROLES) for nj in (1, 2))
+    for a, b in zip(one_job, two_jobs, strict=True):
         assert {path.name: path.read_bytes() for path in a.glob("[!.]*")} == {
             path.name: path.read_bytes() for path in b.glob("[!.]*")}
 
@@ -192,7 +192,7 @@ def put_kaldi_dir(path, speakers, segments=False):
 
 
 @pytest.mark.parametrize("segments", [False, True])
-def test_a_kaldi_directory_is_passed_on_by_voice(tmp_path, segments):
+def test_kaldi_directory_is_split_by_voice(tmp_path, segments):
     speakers = ["14-208", "14-212", "20-1", "25-1", "31-1"]
     put_kaldi_dir(tmp_path / "kaldi", speakers, segments)
     dirs = prepare_speech(tmp_path / "kaldi", tmp_path / "data")
@@ -222,7 +222,7 @@ def test_shared_recordings(shared_data, tmp_path):
             assert float(table(path / "utt2dur")[utt]) == pytest.approx(info.frames / 16000, abs=1e-9)
 
 
-def test_transcripts_and_audio_that_do_not_fit(tmp_path):
+def test_mismatch_of_transcripts_and_audio_is_refused(tmp_path):
     root = put_librispeech(tmp_path / "corpus", SETS)
     chapter = root / "dev-clean" / "1272" / "128104"
     trans = chapter / "1272-128104.trans.txt"
@@ -255,7 +255,7 @@ def test_transcripts_and_audio_that_do_not_fit(tmp_path):
         prepare()
 
 
-def test_sets_that_are_not_there_or_shared(tmp_path):
+def test_missing_or_shared_sets_are_refused(tmp_path):
     root = put_librispeech(tmp_path / "corpus", SETS)
     with pytest.raises(ValueError, match=r"train set 'train-clean-999' is not in it \(it has dev-.*--train-"):
         prepare_speech(root, tmp_path / "data", **ROLES | dict(train_sets=("train-clean-999",)))
@@ -269,7 +269,7 @@ def test_sets_that_are_not_there_or_shared(tmp_path):
     ("a/0.flac,a-0,a,", r"manifest\.csv:2: transcript='' of a/0\.flac must say what is spoken: correct the row"),
     ("a/9.flac,a-0,a,HI", r"manifest\.csv:3: utterance a-0 stands in .*manifest\.csv:2 too: ids must be unique"),
     ("a/9.flac,a-9,a,HI", r"9\.flac: no such audio file: check the path \(named by .*manifest\.csv:2\)")])
-def test_bad_manifests(tmp_path, row, message):
+def test_bad_manifest_row_is_refused(tmp_path, row, message):
     source = put_manifest(tmp_path / "speech", rows_of_voices({"a": 9, "b": 2, "c": 2}))
     head, *rest = lines(source / "manifest.csv")
     put_text(source / "manifest.csv", "\n".join([head, row, *rest]) + "\n")
@@ -277,7 +277,7 @@ def test_bad_manifests(tmp_path, row, message):
         prepare_speech(source, tmp_path / "data")
 
 
-def test_bad_sources(tmp_path):
+def test_source_without_speech_is_refused(tmp_path):
     with pytest.raises(ValueError, match="absent: no such file or directory: check the path of the speech corpus"):
         prepare_speech(tmp_path / "absent", tmp_path / "data")
     put(tmp_path / "only audio" / "a.wav", np.ones(100))
@@ -296,7 +296,7 @@ def test_bad_sources(tmp_path):
     ("utt2spk", "a-0 a\na-0 a\n", "utt2spk:2: a-0 stands twice"),
     ("utt2spk", "a-0\n", "utt2spk:1: 'a-0' has nothing behind it"),
     ("utt2spk", "a-0 z\na-1 y\nb-0 x\nb-1 w\nc-0 c\nc-1 c\n", "sorts apart from its speaker: utterance ids must")])
-def test_bad_kaldi_directories(tmp_path, name, text, message):
+def test_bad_kaldi_directory_is_refused(tmp_path, name, text, message):
     put_kaldi_dir(tmp_path / "kaldi", ["a", "b", "c"])
     put_text(tmp_path / "kaldi" / name, text)
     with pytest.raises(ValueError, match=message):

@@ -15,12 +15,12 @@ MIC = "reverbdb/VUT_FIT_Q301/MicID01/SpkID01_20190503_S/01"
 
 
 def cell(name: str, message: str, column: str, value: str) -> Case:
-    """A case whose CSV has one column more, with one value."""
+    """Return a case whose CSV has a further column with one value."""
     return Case(name, TABLE, message, (write("table/manifest.csv", f"file,{column}\nrirs/lab/one.flac,{value}\n"),))
 
 
 def sofa(name: str, message: str, **values) -> Case:
-    """A case whose SOFA file holds other values."""
+    """Return a case whose SOFA file holds changed values."""
     return Case(name, SOFA, message, (lambda root: put_sofa(root / "sofa" / "room_a.sofa", **values),))
 
 

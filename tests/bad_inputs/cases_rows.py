@@ -1,4 +1,4 @@
-"""Broken rows: `rirs.jsonl`, `noises.jsonl`, `gmm.json` and the stamps of our own directories."""
+"""Broken rows of `rirs.jsonl` and `noises.jsonl`, broken `gmm.json`, and broken stamps."""
 
 from wrong import Case, keys, line, remove, reorder, row, write
 
@@ -12,7 +12,7 @@ AUGMENT = "augment speech rirs out"
 
 
 def rows(name: str, command: str, message: str, **changed) -> Case:
-    """A case whose second row has other values."""
+    """Return a case whose second row has changed values."""
     return Case(name, command, message, (row(RIRS, 2, **changed),))
 
 
@@ -157,23 +157,26 @@ CASES = [
          "measured/rirs.jsonl:2: source_dir=[1, 0] must be three numbers (each may be null): correct the line "
          "or make the file again", source_dir=[1, 0]),
     rows("acoustic parameters a number", FIT,
-         "measured/rirs.jsonl:2: acoustic_parameters=5 must be an object: correct the line or make the file again", acoustic_parameters=5),
+         "measured/rirs.jsonl:2: acoustic_parameters=5 must be an object: correct the line or make the file "
+         "again", acoustic_parameters=5),
     rows("acoustic parameters a list", FIT,
-         "measured/rirs.jsonl:2: acoustic_parameters=['eq_db'] must be an object: correct the line or make the file again",
+         "measured/rirs.jsonl:2: acoustic_parameters=['eq_db'] must be an object: correct the line or make "
+         "the file again",
          acoustic_parameters=["eq_db"]),
     rows("acoustic parameters of seven points", FIT,
-         "measured/rirs.jsonl:2: acoustic_parameters: eq_db=[0, 0, 0, 0, 0, 0, 0] must be 8 numbers: correct the line or "
-         "make the file again", acoustic_parameters=dict(eq_db=[0] * 7, eq_valid=[True] * 7, eq_edge_db=None)),
+         "measured/rirs.jsonl:2: acoustic_parameters: eq_db=[0, 0, 0, 0, 0, 0, 0] must be 8 numbers: correct the "
+         "line or make the file again", acoustic_parameters=dict(eq_db=[0] * 7, eq_valid=[True] * 7, eq_edge_db=None)),
     rows("acoustic parameters without edge", FIT,
-         "measured/rirs.jsonl:2: acoustic_parameters: key 'eq_edge_db' is missing: correct the line or make the file again",
+         "measured/rirs.jsonl:2: acoustic_parameters: key 'eq_edge_db' is missing: correct the line or make "
+         "the file again",
          acoustic_parameters=dict(eq_db=[0] * 8, eq_valid=[True] * 8)),
     rows("acoustic parameters of texts", FIT,
-         "measured/rirs.jsonl:2: acoustic_parameters: eq_db=['0', '0', '0', '0', '0', '0', '0', '0'] must be 8 numbers: "
-         "correct the line or make the file again",
+         "measured/rirs.jsonl:2: acoustic_parameters: eq_db=['0', '0', '0', '0', '0', '0', '0', '0'] must be 8 "
+         "numbers: correct the line or make the file again",
          acoustic_parameters=dict(eq_db=["0"] * 8, eq_valid=[True] * 8, eq_edge_db=None)),
     rows("acoustic parameters null", "split-rirs measured out",
-         "measured/rirs.jsonl:2: acoustic_parameters: eq_db=None must be 8 numbers: correct the line or make the file "
-         "again", acoustic_parameters=dict(eq_db=None)),
+         "measured/rirs.jsonl:2: acoustic_parameters: eq_db=None must be 8 numbers: correct the line or make the "
+         "file again", acoustic_parameters=dict(eq_db=None)),
     rows("direct sound a text", FIT,
          "measured/rirs.jsonl:2: direct_sample='early' must be a number of samples, not negative: correct the "
          "line or make the file again", direct_sample="early"),
