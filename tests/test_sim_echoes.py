@@ -33,7 +33,7 @@ def traced(scene, seed=0, num_rays=8000):
 def exact(one, absorption, n=0):
     """All bands by `compute_echograms`, each from the trace that serves it, shape (n_frames, 8)."""
     result = np.empty((N_FRAMES, 8))
-    for band, column in enumerate(one.path_of_band):
+    for band, column in enumerate(one.trace_of_band):
         energy = compute_echograms(one.paths[column], one.scene.room, absorption, MICS[n:n + 1], ism_order=ISM_ORDER,
                         n_frames=N_FRAMES, speed_m_s=C)
         result[:, band] = energy[0, :, band]
@@ -112,7 +112,7 @@ def test_gains_of_rays_act_on_what_came_with_them():
 def test_a_sample_does_not_depend_on_the_other_microphones():
     one = traced(box_scene(0.2, 0.3), num_rays=1000)
     both, alone = kept(one, np.full(6, 0.2)), kept(one, np.full(6, 0.2), MICS[1:], "b")
-    for name in ("weight", "counts", "last"):
+    for name in ("weight", "reflection_counts", "last_reflection"):
         np.testing.assert_array_equal(getattr(both[1], name), getattr(alone[0], name))
     assert both[0].weight.shape == (1, N_FRAMES, PATHS_PER_FRAME)
 
@@ -120,7 +120,7 @@ def test_a_sample_does_not_depend_on_the_other_microphones():
 def test_the_number_of_threads_changes_no_byte():
     program = ("import hashlib, sys; sys.path.insert(0, sys.argv[1]); import test_sim_echoes as t; "
                "one = t.kept(t.traced(t.box_scene(0.2, 0.3), num_rays=1000), 0.2)[1]; "
-               "print(hashlib.sha256(one.weight.tobytes() + one.counts.tobytes() + one.last.tobytes()).hexdigest())")
+               "print(hashlib.sha256(one.weight.tobytes() + one.reflection_counts.tobytes() + one.last_reflection.tobytes()).hexdigest())")
     printed = {subprocess.run([sys.executable, "-c", program, os.path.dirname(__file__)], text=True, check=True,
                               capture_output=True, env=os.environ | {"NUMBA_NUM_THREADS": threads}).stdout
                for threads in ("1", "2", "3")}

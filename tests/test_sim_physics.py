@@ -223,8 +223,8 @@ def test_scattering_that_differs_over_bands_is_traced_per_column():
     mixed = Scene(Shoebox((6, 4, 3)), [Material("mixed", 0.2, column)] * 6)
     traced = trace_source(mixed, (1, 1, 1), num_rays=500, max_length_s=0.5, rng=np.random.default_rng(0))
     assert len(traced.paths) == 2
-    assert len(set(traced.path_of_band[:4])) == len(set(traced.path_of_band[4:])) == 1
-    assert traced.paths[traced.path_of_band[7]].scattering[0] == 0.6
+    assert len(set(traced.trace_of_band[:4])) == len(set(traced.trace_of_band[4:])) == 1
+    assert traced.paths[traced.trace_of_band[7]].scattering[0] == 0.6
 
 
 def test_scaling_keeps_absorption_within_bounds_and_order():

@@ -30,6 +30,11 @@ def compiled(function: Function) -> Function:
         return cast(Function, njit(nogil=True, error_model="numpy")(function))
 
 
+def inlined(function: Function) -> Function:
+    """Compile a function that kernels call in their innermost loops: its code becomes part of theirs."""
+    return cast(Function, njit(forceinline=True, nogil=True, error_model="numpy")(function))
+
+
 def n_threads() -> int:
     """Return the number of threads: `NUMBA_NUM_THREADS` if set (jobs set it to 1), else one per usable core."""
     setting = os.environ.get("NUMBA_NUM_THREADS", "")

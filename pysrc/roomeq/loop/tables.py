@@ -1,4 +1,4 @@
-"""What rays bring from each source to each microphone, counted by time, by what they met and by where they set out.
+"""Ray contributions from each source to each microphone by time, by surfaces met, and by direction at the source.
 
 One trace of a room answers every question of the loop: energies for other absorption, air or directivity are sums over
 these tables (`roomeq.loop.predict`). The surfaces of a room count as two materials, one of floor and ceiling and one of
@@ -10,7 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from roomeq.core.jit import compiled
-from roomeq.sim.echogram import FRAME_S, receiver_spheres, reflection_visibility
+from roomeq.sim.echogram import FRAME_S
+from roomeq.sim.paths import (
+    Rules,
+    at_source,
+    chord,
+    follow,
+    receiver_spheres,
+    reflection_visibility,
+    segment_counts,
+)
 
 FRAME_EDGES_S = np.concatenate([
     [0.0, 2.5e-3, 5e-3, 7.5e-3], np.arange(0.01, 0.05, 0.005), np.arange(0.05, 0.3, 0.01),
@@ -71,8 +80,8 @@ def collect(traced, mics_m, facings):
     (paths,) = traced.paths
     room, source_pos_m, speed_m_s = traced.scene.room, traced.source_pos_m, traced.scene.air.speed_m_s
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
-    visible = reflection_visibility(paths, room, mics_m, n_frames=int(np.ceil(traced.max_length_s / FRAME_S)),
-                         speed_m_s=speed_m_s)
+    n_frames = int(np.ceil(traced.max_length_s / FRAME_S))
+    visible = reflection_visibility(paths, room, mics_m, max_path_m=n_frames * FRAME_S * speed_m_s)
     sees = np.ones(len(mics_m), dtype=bool) if room.convex else room.sees(
         np.tile(source_pos_m, (len(mics_m), 1)), mics_m)
     frame_of_tick = np.searchsorted(FRAME_EDGES_S, (np.arange(int(FRAME_EDGES_S[-1] / _TICK_S)) + 0.5) * _TICK_S) - 1
@@ -84,10 +93,10 @@ def collect(traced, mics_m, facings):
         angle = _angles(paths.directions, facing)
         counts = np.zeros((N_FRAMES, int(paths.counts.max()) + 1, len(LEVEL_SHARES)))
         angular = np.zeros((*counts.shape[:2], 0 if facing is None else len(ANGLES)))
-        _count(source_pos_m, paths.hits, paths.codes, paths.first, paths.counts, paths.normals, level,
+        _count(Rules(-1, paths.late_m, paths.stride), paths.hits, paths.codes, paths.first, paths.counts, paths.normals, level,
                float(paths.scattering[0]), mic_m, visible[m] if len(visible) else np.zeros(0, dtype=np.bool_),
                radii_m[m], 1.0 / volumes_m3[m], distance_m, 1.0 / (speed_m_s * _TICK_S), frame_of_tick,
-               angle / (np.pi / (len(ANGLES) - 1)), paths.late_m, paths.stride, counts, angular)
+               angle / (np.pi / (len(ANGLES) - 1)), counts, angular)
         entries = np.argwhere(counts.any(axis=2))
         counts, angular = (one[entries[:, 0], entries[:, 1]] for one in (counts, angular))
         angular /= np.maximum(angular.sum(axis=1, keepdims=True), 1e-300)
@@ -120,48 +129,52 @@ def _put(counts, frame, n, node, weight):
 
 
 @compiled
-def _count(source, hits, codes, first, n_hits, normals, level, scattering, mic, visible, radius_m, per_volume,
-           distance_m, ticks_per_m, frame_of_tick, node, late_m, stride, counts, angular):
-    """Add all rays to `counts`; paths count as in `roomeq.sim.echogram`, the direct sound apart."""
+def _count(rules, hits, codes, first, n_hits, normals, level, scattering, mic, visible, radius_m, per_volume, distance_m,
+           ticks_per_m, frame_of_tick, node, counts, angular):
+    """Add the contributions of all rays to `counts` and `angular`, by the rules of `roomeq.sim.paths`.
+
+    In double precision, and with one exception: late reflections contribute by next-event estimation whether or not
+    the ray continues diffusely.
+    """
     all_visible, n_ticks, turned = len(visible) == 0, len(frame_of_tick), angular.shape[2] > 0
     n_shares = counts.shape[2] - 1.0
     for ray in range(len(n_hits)):
-        px, py, pz, path = source[0], source[1], source[2], 0.0
-        weight, late, was_diffuse, n_level = 1.0, stride == 1, True, 0
+        weight, n_level = 1.0, 0
+        step, hit = at_source(), (0.0, 0.0, 0.0, 0.0)
         for n in range(n_hits[ray]):
             at = first[ray] + n
-            hx, hy, hz, new_path = hits[at, 0], hits[at, 1], hits[at, 2], hits[at, 3]
-            if not was_diffuse:
+            (px, py, pz, path), hit = hit, (np.float64(hits[at, 0]), np.float64(hits[at, 1]), np.float64(hits[at, 2]),
+                                            np.float64(hits[at, 3]))
+            hx, hy, hz, new_path = hit
+            if segment_counts(step, rules, n):
                 length = max(new_path - path, 1e-9)
                 ux, uy, uz = (hx - px) / length, (hy - py) / length, (hz - pz) / length
                 vx, vy, vz = mic[0] - px, mic[1] - py, mic[2] - pz
                 along = ux * vx + uy * vy + uz * vz
                 inside = radius_m * radius_m - (vx * vx + vy * vy + vz * vz - along * along)
                 if inside > 0.0:
-                    half = np.sqrt(inside)
-                    start, stop = max(0.0, along - half), min(length, along + half)
-                    tick = int((path + 0.5 * (start + stop) - distance_m) * ticks_per_m)
-                    if stop > start and tick < n_ticks:
-                        amount = weight * (stop - start) * per_volume
+                    enter, leave = chord(along, inside, length)
+                    tick = int((path + 0.5 * (enter + leave) - distance_m) * ticks_per_m)
+                    if leave > enter and tick < n_ticks:
+                        amount = weight * (leave - enter) * per_volume
                         _put(counts, frame_of_tick[max(tick, 0)], n, n_shares * n_level / n, amount)
                         if turned:
                             _put(angular, frame_of_tick[max(tick, 0)], n, node[ray], amount)
-            px, py, pz, path = hx, hy, hz, new_path
-            if not late and path > late_m:
-                if ray % stride != 0:
-                    break
-                late, weight = True, weight * stride
             face = codes[at] >> 1
+            step = follow(step, rules, ray, codes[at], new_path, scattering)
+            if step.ends:
+                break
+            if step.becomes_late:
+                weight *= rules.stride
             n_level += 1 if level[face] else 0
             if scattering > 0.0:
                 vx, vy, vz = mic[0] - hx, mic[1] - hy, mic[2] - hz
                 d2 = vx * vx + vy * vy + vz * vz
                 d = np.sqrt(d2)
                 cosine = (vx * normals[face, 0] + vy * normals[face, 1] + vz * normals[face, 2]) / d
-                tick = int((path + d - distance_m) * ticks_per_m)
+                tick = int((new_path + d - distance_m) * ticks_per_m)
                 if cosine > 0.0 and tick < n_ticks and (all_visible or visible[at]):
                     amount = weight * scattering * cosine / (np.pi * d2)
                     _put(counts, frame_of_tick[max(tick, 0)], n + 1, n_shares * n_level / (n + 1), amount)
                     if turned:
                         _put(angular, frame_of_tick[max(tick, 0)], n + 1, node[ray], amount)
-            was_diffuse = (codes[at] & 1) == 1

@@ -9,9 +9,10 @@ import numpy as np
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import on_threads
 from roomeq.sim.diffraction import Diffracted, diffract
-from roomeq.sim.echogram import FRAME_S, compute_echograms, reflection_visibility
+from roomeq.sim.echogram import FRAME_S, compute_echograms
 from roomeq.sim.images import SpecularPaths, specular_paths
 from roomeq.sim.path_sample import PathSample, sample_paths
+from roomeq.sim.paths import reflection_visibility
 from roomeq.sim.render import render, response_length_s, tail_noise
 from roomeq.sim.scene import check_positions
 from roomeq.sim.target import t30_s
@@ -116,7 +117,7 @@ def make_render_context(traced, mics_m, rngs, *, length_s, ism_order, diffractio
         list(zip(mics_m, images, strict=True)))
     noises = [tail_noise(n_samples, room.volume_m3, speed_m_s, rng) for rng in rngs]
     n_frames = int(np.ceil(length_s / FRAME_S))
-    visible = [] if path_samples is not None else [reflection_visibility(paths, room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
+    visible = [] if path_samples is not None else [reflection_visibility(paths, room, mics_m, max_path_m=n_frames * FRAME_S * speed_m_s)
                                              for paths in traced.paths]
     return RenderContext(traced, mics_m, images, diffracted, noises, path_samples, visible, length_s, ism_order, path_gain)
 
@@ -132,7 +133,7 @@ def ray_echograms(context, absorption, bands):
         for energy, one in zip(result, found, strict=True):
             energy[:len(one)] = one
     else:
-        group_of_band = np.array(context.traced.path_of_band)[bands]
+        group_of_band = np.array(context.traced.trace_of_band)[bands]
         for group in np.unique(group_of_band):
             energy = compute_echograms(paths[group], scene.room, absorption, context.mics_m, ism_order=context.ism_order,
                             n_frames=context.n_frames, speed_m_s=scene.air.speed_m_s, visible=context.visible[group],

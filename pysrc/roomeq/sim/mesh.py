@@ -12,8 +12,9 @@ import numpy as np
 
 from roomeq.sim.images import SpecularPaths
 from roomeq.sim.meshfile import read_triangles
+from roomeq.sim.room import Walls
 from roomeq.sim.scene import MIN_WALL_DISTANCE_M
-from roomeq.sim.trace import Walls, sphere_directions
+from roomeq.sim.trace import sphere_directions
 
 NUDGE_M = 1e-4  # a ray starts this far off its surface: embree computes in single precision
 _MAX_WALLS = 24  # of a convex room that needs no search

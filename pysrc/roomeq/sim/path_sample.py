@@ -1,104 +1,134 @@
-"""PathSample: a fair sample of the paths that reach a microphone, for materials that are not known yet.
+"""Samples of the paths that reach a microphone, for materials that are not known yet.
 
-`roomeq.sim.echogram` walks along all stored paths for one set of absorption coefficients. Here one walk keeps, per
-microphone and millisecond, `PATHS_PER_FRAME` of the paths that arrive, drawn with probabilities proportional to the energy
-that they bring at a reference absorption (weighted reservoir sampling with jumps, as Efraimidis and Spirakis,
-Inf. Process. Lett. 97 (2006) 181). A kept path knows what it met, so that the echogram for any other absorption is a
-small matrix product: exact at the reference, unbiased elsewhere, and the noisier the further from it.
+`roomeq.sim.echogram` follows all stored paths for one set of absorption coefficients. Here one pass over them keeps,
+per microphone and millisecond, `PATHS_PER_FRAME` of the paths that arrive, drawn with probabilities proportional to
+their energy at a reference absorption (weighted reservoir sampling with jumps, Efraimidis and Spirakis, Inf. Process.
+Lett. 97 (2006) 181). Each kept path stores how often each surface reflected it, so that the echogram for any other
+absorption is a small matrix product: exact at the reference and unbiased elsewhere, with a Monte Carlo noise that grows
+with the difference from the reference.
 
-Every chunk of rays keeps its own share of the paths: strata, which no thread sees but one.
+Every chunk of rays keeps its own share of the paths: the chunks are strata, and no two threads write to the same one.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
 from roomeq.core.jit import N_CHUNKS, compiled, for_chunks, mix, on_threads
-from roomeq.sim.echogram import FRAME_S, receiver_spheres, reflection_visibility
+from roomeq.sim.echogram import FRAME_S, MICS_PER_PASS
+from roomeq.sim.paths import (
+    Rules,
+    Spheres,
+    at_source,
+    chord,
+    cross_spheres,
+    follow,
+    receiver_spheres,
+    reflection_visibility,
+    scatter,
+    segment_counts,
+)
+from roomeq.sim.scene import Scene
+from roomeq.sim.trace import Paths
 
-_PER_CHUNK = 2  # as `_replace` has it
-PATHS_PER_FRAME = _PER_CHUNK * N_CHUNKS  # per frame
-MAX_ABSORPTION = 0.999  # of the reference: a path that it left nothing of could stand for no other
+if TYPE_CHECKING:
+    from roomeq.sim.response import TracedSource
+
+_PER_CHUNK = 2  # `_replace` relies on this number
+PATHS_PER_FRAME = _PER_CHUNK * N_CHUNKS
+MAX_ABSORPTION = 0.999
+"""Of the reference: a path without any energy there could not represent others elsewhere."""
 _NO_GAIN = np.zeros((0, 0, 0), np.float32)
-_GIVEN_UP = np.float32(1e-25)  # share of a ray's energy at the reference
-_BATCH = 32  # microphones that are served in one pass over the rays
+_NEGLIGIBLE = np.float32(1e-25)  # share of a ray's energy at the reference below which it is given up
 
 
 @dataclass(frozen=True)
 class PathSample:
-    """Paths that reach one microphone, without those of the image sources.
+    """Sample of the paths that reach one microphone, without those of the image sources.
 
     Attributes
     ----------
-    weight : ndarray of float32, shape (n_columns, n_frames, PATHS_PER_FRAME)
-        Squared pressure that each stands for before anything was absorbed, relative to a direct sound of
-        ``1 / (4 pi r)^2``; 0 where there is none. A column is one trace.
-    counts : ndarray of unsigned int, shape (n_columns, n_frames, PATHS_PER_FRAME, n_surfaces)
-        How often each was reflected by each surface.
-    last : ndarray of uint32, shape (n_columns, n_frames, PATHS_PER_FRAME)
-        Index of its last reflection among those that are stored of the column's `Paths`.
-    first : tuple of ndarray
-        `Paths.first` of each column.
-    column_of_band : tuple of 8 ints
+    weight
+        Squared pressure that each path represents before any absorption, relative to a direct sound of
+        ``1 / (4 pi r)^2``; 0 where there is none. Shape (n_traces, n_frames, PATHS_PER_FRAME), float32.
+    reflection_counts
+        How often each surface reflected it, shape (n_traces, n_frames, PATHS_PER_FRAME, n_surfaces), unsigned.
+    last_reflection
+        Index of its last reflection among those that the trace's `Paths` stores, shape (n_traces, n_frames,
+        PATHS_PER_FRAME), uint32.
+    first_reflection
+        `Paths.first` of each trace.
+    trace_of_band
+        Which trace serves each of the eight bands.
     """
 
-    weight: np.ndarray
-    counts: np.ndarray
-    last: np.ndarray
-    first: tuple
-    column_of_band: tuple
+    weight: Array
+    reflection_counts: Array
+    last_reflection: Array
+    first_reflection: tuple[IntArray, ...]
+    trace_of_band: tuple[int, ...]
 
-    def ray(self, column):
-        """Index of the ray that each came with: it left the source in that of `Paths.directions`."""
-        return np.searchsorted(self.first[column], self.last[column], side="right") - 1
+    def ray(self, trace: int) -> IntArray:
+        """Return the index of each path's ray among `Paths.directions` of a trace."""
+        return np.searchsorted(self.first_reflection[trace], self.last_reflection[trace], side="right") - 1
 
-    def echogram(self, absorption, *, bands=None, ray_gain=None):
-        """Energy that reaches the microphone from all but image sources, for any absorption; compare `compute_echograms`.
+    def echogram(self, absorption: FloatArray, *, bands: ArrayLike | None = None,
+                 ray_gain: Array | None = None) -> Array:
+        """Estimate what `roomeq.sim.echogram.compute_echograms` would return, for any absorption.
 
         Parameters
         ----------
-        absorption : ndarray, shape (n_surfaces, 8)
-        bands : sequence of int, optional
-            Leave the others 0.
-        ray_gain : ndarray, shape (n_rays, 8), optional
-            Energy gain of each ray, for sources that are not omnidirectional.
+        absorption
+            Shape (n_surfaces, 8).
+        bands
+            Indices of the bands to compute; the others are 0. All by default.
+        ray_gain
+            Energy gain of each ray at the source, shape (n_rays, 8); 1 by default.
 
         Returns
         -------
-        ndarray, shape (n_frames, 8)
+        ndarray of float32, shape (n_frames, 8)
             Squared pressure per frame, without air absorption.
         """
-        bands = np.arange(len(self.column_of_band)) if bands is None else np.asarray(bands)
-        column_of_band = np.asarray(self.column_of_band)
-        kept = np.asarray(1.0 - absorption, dtype=np.float32)
-        result = np.zeros((self.weight.shape[1], len(column_of_band)), dtype=np.float32)
-        for column in np.unique(column_of_band[bands]):
-            gain = _NO_GAIN if ray_gain is None else np.asarray(ray_gain, np.float32)[self.ray(column)]
-            energy = np.empty(result.shape, np.float32)
-            _absorb(self.weight[column], self.counts[column], int(self.counts[column].max()), kept, gain, energy)
-            members = bands[column_of_band[bands] == column]
-            result[:, members] = energy[:, members]
+        trace_of_band = np.asarray(self.trace_of_band)
+        bands = np.arange(len(trace_of_band)) if bands is None else np.asarray(bands)
+        reflected = np.asarray(1.0 - absorption, dtype=np.float32)
+        result = np.zeros((self.weight.shape[1], len(trace_of_band)), dtype=np.float32)
+        for trace in np.unique(trace_of_band[bands]):
+            gain = _NO_GAIN if ray_gain is None else np.asarray(ray_gain, np.float32)[self.ray(trace)]
+            counts, energy = self.reflection_counts[trace], np.empty(result.shape, np.float32)
+            _absorb(self.weight[trace], counts, int(counts.max()), reflected, gain, energy)
+            served = bands[trace_of_band[bands] == trace]
+            result[:, served] = energy[:, served]
         return result
 
 
-def sample_paths(traced, mics_m, reference, rngs, *, ism_order, n_frames, visible=None):
-    """Sample what reaches some microphones.
+def sample_paths(traced: "TracedSource", mics_m: Array, reference: FloatArray, rngs: Sequence[np.random.Generator], *,
+                 ism_order: int, n_frames: int | Sequence[int],
+                 visible: Sequence[BoolArray] | None = None) -> list[PathSample]:
+    """Sample the paths that reach some microphones.
 
     Parameters
     ----------
-    traced : TracedSource
-    mics_m : ndarray, shape (n_mics, 3)
-    reference : ndarray, shape (n_mics, n_surfaces)
-        Absorption for which the sample is best, of each microphone; see `reference_absorption`.
-    rngs : sequence of numpy.random.Generator
+    traced
+    mics_m
+        Shape (n_mics, 3).
+    reference
+        Absorption at which each microphone's sample is exact, shape (n_mics, n_surfaces); see
+        `reference_absorption`.
+    rngs
         One per microphone; the sample of one does not depend on the others.
-    ism_order : int
-        As for `compute_echograms`.
-    n_frames : int or sequence of int
+    ism_order
+        Purely specular paths with at most this many reflections are left out.
+    n_frames
         Frames of 1 ms from the emission on, of all or of each microphone.
-    visible : list of ndarray, optional
-        From `reflection_visibility`, one for each column.
+    visible
+        From `reflection_visibility`, for each trace; computed where it is not given.
 
     Returns
     -------
@@ -108,40 +138,31 @@ def sample_paths(traced, mics_m, reference, rngs, *, ism_order, n_frames, visibl
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
     seeds = np.array([rng.integers(2 ** 63) for rng in rngs], dtype=np.uint64)
     reference = np.minimum(reference, MAX_ABSORPTION)
-    sphere = receiver_spheres(traced.scene.room, mics_m)
-    n_frames = np.broadcast_to(n_frames, len(mics_m))
-    by_frames = np.argsort(-n_frames, kind="stable")  # towards the end of a ray, only the first few still listen
+    spheres = receiver_spheres(traced.scene.room, mics_m)
+    frames_of_mic = np.broadcast_to(n_frames, len(mics_m))
+    by_frames = np.argsort(-frames_of_mic, kind="stable")  # so that those that still listen are always the first ones
     first = tuple(paths.first for paths in traced.paths)
-    result = [PathSample(*_room_for(traced.paths, count, reference.shape[1]), first, traced.path_of_band)
-              for count in n_frames]
-    for column, paths in enumerate(traced.paths):
-        met = _tallied(paths, reference.shape[1])
-        for start in range(0, len(mics_m), _BATCH):
-            batch = by_frames[start:start + _BATCH]
-            _keep_column(paths, met, traced.scene, mics_m[batch], reference[batch], seeds[batch],
-                         [values[batch] for values in sphere], ism_order, n_frames[batch],
-                         None if visible is None or not len(visible[column]) else visible[column][batch],
-                         [(result[m].weight[column], result[m].counts[column], result[m].last[column])
-                          for m in batch])
+    result = [_empty_sample(traced.paths, count, reference.shape[1], first, traced.trace_of_band)
+              for count in frames_of_mic]
+    for trace, paths in enumerate(traced.paths):
+        tallies = _tally_reflections(paths, reference.shape[1])
+        for start in range(0, len(mics_m), MICS_PER_PASS):
+            batch = by_frames[start:start + MICS_PER_PASS]
+            _sample_trace(paths, tallies, traced.scene, mics_m[batch], reference[batch], seeds[batch],
+                          Spheres(spheres.radius_m[batch], spheres.volume_m3[batch]), ism_order, frames_of_mic[batch],
+                          None if visible is None or not len(visible[trace]) else visible[trace][batch],
+                          [(result[m].weight[trace], result[m].reflection_counts[trace],
+                            result[m].last_reflection[trace]) for m in batch])
     return result
 
 
-def _room_for(columns, n_frames, n_surfaces):
-    """Arrays of the paths of one microphone, not filled yet: weight, counts, last."""
-    shape = (len(columns), n_frames, PATHS_PER_FRAME)
-    return np.empty(shape, np.float32), np.empty((*shape, n_surfaces), _count_type(columns)), np.empty(shape, np.uint32)
-
-
-def _count_type(columns):
-    return np.uint8 if max(paths.counts.max() for paths in columns) < 256 else np.uint16
-
-
-def reference_absorption(absorption):
-    """Reference for all bands together: what is kept at each surface is their geometric mean.
+def reference_absorption(absorption: FloatArray) -> FloatArray:
+    """Return one reference for all bands: the share that each surface reflects is their geometric mean.
 
     Parameters
     ----------
-    absorption : ndarray, shape (..., n_surfaces, 8)
+    absorption
+        Shape (..., n_surfaces, 8).
 
     Returns
     -------
@@ -150,52 +171,73 @@ def reference_absorption(absorption):
     return 1.0 - np.exp(np.log1p(-np.minimum(absorption, MAX_ABSORPTION)).mean(axis=-1))
 
 
-def _tallied(paths, n_surfaces):
-    """How often each surface was met up to each stored reflection, packed into words, shape (n_stored, n_words)."""
+def _empty_sample(traces: Sequence[Paths], n_frames: int, n_surfaces: int, first: tuple[IntArray, ...],
+                  trace_of_band: tuple[int, ...]) -> PathSample:
+    """Allocate the sample of one microphone; nothing is filled in yet."""
+    shape = (len(traces), n_frames, PATHS_PER_FRAME)
+    return PathSample(np.empty(shape, np.float32), np.empty((*shape, n_surfaces), _count_type(traces)),
+                      np.empty(shape, np.uint32), first, trace_of_band)
+
+
+def _count_type(traces: Sequence[Paths]) -> type:
+    return np.uint8 if max(paths.counts.max() for paths in traces) < 256 else np.uint16
+
+
+class _Tallies(NamedTuple):
+    """How often each surface was met up to each stored reflection: words of `bits` bits a surface."""
+
+    words: Array  # of uint64, shape (n_stored, n_words)
+    bits: int
+
+
+def _tally_reflections(paths: Paths, n_surfaces: int) -> _Tallies:
     bits = 8 * np.dtype(_count_type([paths])).itemsize
-    met = np.empty((len(paths.hits), -(-n_surfaces * bits // 64)), np.uint64)
+    words = np.empty((len(paths.hits), -(-n_surfaces * bits // 64)), np.uint64)
     for_chunks(len(paths.counts), lambda chunk, low, high: _tally(
-        paths.codes, paths.face_surface, paths.first, paths.counts, bits, met, low, high))
-    return met, bits
+        paths.codes, paths.face_surface, paths.first, paths.counts, bits, words, low, high))
+    return _Tallies(words, bits)
 
 
-def _keep_column(paths, met, scene, mics_m, reference, seeds, sphere, ism_order, limits, visible, results):
+def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatArray, reference: FloatArray,
+                  seeds: Array, spheres: Spheres, ism_order: int, limits: IntArray, visible: BoolArray | None,
+                  results: list[tuple[Array, Array, Array]]) -> None:
     """Sample one trace into the (weight, counts, last) of each microphone; those with the most frames come first."""
     single = partial(np.asarray, dtype=np.float32)
     n_rays, n_frames, speed_m_s = len(paths.counts), int(limits[0]), scene.air.speed_m_s
     if visible is None:
-        visible = reflection_visibility(paths, scene.room, mics_m, n_frames=n_frames, speed_m_s=speed_m_s)
-    radius_m, volume_m3 = sphere
+        visible = reflection_visibility(paths, scene.room, mics_m, max_path_m=n_frames * FRAME_S * speed_m_s)
     shape = (N_CHUNKS, len(mics_m), n_frames)
     sums = np.zeros((*shape, 2 + _PER_CHUNK), dtype=np.float32)
     kept = np.zeros((*shape, _PER_CHUNK), dtype=np.uint32)
-    given = (single(paths.source_pos_m), paths.hits, paths.codes, paths.first, paths.counts, single(paths.normals),
-             paths.face_surface, np.ascontiguousarray((1.0 - reference).T, dtype=np.float32), single(paths.scattering),
-             single(mics_m.T, order="C"), visible, single(radius_m ** 2), single(1.0 / volume_m3), ism_order,
-             np.float32(1.0 / (speed_m_s * FRAME_S)), np.float32(paths.late_m), paths.stride, seeds, limits)
-    for_chunks(n_rays, lambda chunk, low, high: _keep(*given, low, high, sums[chunk], kept[chunk]))
+    constant = (Rules(ism_order, np.float32(paths.late_m), paths.stride), paths.hits, paths.codes, paths.first,
+                paths.counts, single(paths.normals), paths.face_surface,
+                np.ascontiguousarray((1.0 - reference).T, dtype=np.float32), single(paths.scattering),
+                single(mics_m.T, order="C"), visible, single(spheres.radius_m ** 2), single(1.0 / spheres.volume_m3),
+                np.float32(1.0 / (speed_m_s * FRAME_S)), seeds, limits)
+    for_chunks(n_rays, lambda chunk, low, high: _sample(*constant, low, high, sums[chunk], kept[chunk]))
     power = (1.0 - reference[:, :, None]) ** np.arange(1.0 + paths.counts.max())
     scale = 1.0 / (4.0 * np.pi * n_rays * _PER_CHUNK)
-    on_threads(lambda m, one: _unpack(sums[:, m], kept[:, m], *met, power[m], scale, *one), list(enumerate(results)))
+    on_threads(lambda m, arrays: _unpack(sums[:, m], kept[:, m], *tallies, power[m], scale, *arrays),
+               list(enumerate(results)))
 
 
 @compiled
-def _tally(codes, face_surface, first, counts, bits, met, low, high):
+def _tally(codes, face_surface, first, counts, bits, words, low, high):
     """Count hits per surface along rays `low` to `high`, in `bits` bits each."""
     per_word, one = 64 // bits, np.uint64(1)
-    so_far = np.empty(met.shape[1], np.uint64)
+    so_far = np.empty(words.shape[1], np.uint64)
     for ray in range(low, high):
         so_far[:] = np.uint64(0)
         for at in range(first[ray], first[ray] + counts[ray]):
             surface = face_surface[codes[at] >> 1]
             so_far[surface // per_word] += one << np.uint64(bits * (surface % per_word))
             for word in range(len(so_far)):
-                met[at, word] = so_far[word]
+                words[at, word] = so_far[word]
 
 
 @compiled
-def _unpack(sums, kept, met, bits, power, scale, weight, counts, last):
-    """Put the strata of one microphone side by side; take out of the weights what was absorbed at the reference."""
+def _unpack(sums, kept, words, bits, power, scale, weight, counts, last):
+    """Join the strata of one microphone and divide the weights by the share that is reflected at the reference."""
     n_frames, n_surfaces = len(weight), len(power)
     per_word, mask = 64 // bits, (np.uint64(1) << np.uint64(bits)) - np.uint64(1)
     for frame in range(n_frames):
@@ -204,7 +246,7 @@ def _unpack(sums, kept, met, bits, power, scale, weight, counts, last):
             at, share = kept[chunk, frame, n], 1.0
             last[frame, place] = at
             for surface in range(n_surfaces):
-                hits = (met[at, surface // per_word] >> np.uint64(bits * (surface % per_word))) & mask
+                hits = (words[at, surface // per_word] >> np.uint64(bits * (surface % per_word))) & mask
                 counts[frame, place, surface] = hits
                 share *= power[surface, hits]
             total = sums[chunk, frame, 0]
@@ -212,8 +254,8 @@ def _unpack(sums, kept, met, bits, power, scale, weight, counts, last):
 
 
 @compiled
-def _absorb(weight, counts, most, kept, gain, energy):
-    """Sum the paths of each frame, shape (n_frames, 8), less what each surface took of them.
+def _absorb(weight, counts, most, reflected, gain, energy):
+    """Sum the paths of each frame, attenuated by each surface that they met, into `energy`, shape (n_frames, 8).
 
     The eight bands are eight variables, so that they are multiplied at once; powers come from a table.
     """
@@ -222,7 +264,7 @@ def _absorb(weight, counts, most, kept, gain, energy):
     for surface in range(n_surfaces):
         for n in range(most):
             for band in range(8):
-                power[surface, n + 1, band] = power[surface, n, band] * kept[surface, band]
+                power[surface, n + 1, band] = power[surface, n, band] * reflected[surface, band]
     for frame in range(n_frames):
         e0 = e1 = e2 = e3 = e4 = e5 = e6 = e7 = np.float32(0.0)
         for place in range(n_places):
@@ -242,11 +284,11 @@ def _absorb(weight, counts, most, kept, gain, energy):
 
 @compiled
 def _replace(sums, kept, m, frame, stream, counter, at):
-    """Let a path that has just been added to the sum of a frame take the places that it wins.
+    """Put a path that has just been added to the sum of a frame into the places of the reservoir that it wins.
 
-    A place is lost to a new path with probability ``energy / sum so far``; the sum at which that happens next is drawn
-    at once: it exceeds the present one by a factor of more than x with probability 1 / x. Both halves of one random
-    number serve, one for each place.
+    A new path replaces the one in a place with probability ``energy / sum so far``. The sum at which that happens next
+    is drawn in advance: it exceeds the present one by a factor of more than x with probability 1 / x. Each half of one
+    random number serves one place.
     """
     total, word = sums[m, frame, 0], mix(stream + np.uint64(counter) * np.uint64(0x9E3779B97F4A7C15))
     for place in range(2):
@@ -259,78 +301,59 @@ def _replace(sums, kept, m, frame, stream, counter, at):
 
 
 @compiled
-def _keep(source, hits, codes, first, face_counts, normals, face_surface, reflection, scattering, mics, visible, radius2,
-          per_volume, ism_order, frames_per_m, late_m, stride, seeds, limits, low, high, sums, kept):
-    """Sample rays `low` to `high`; the walk along them is that of `roomeq.sim.echogram`.
+def _sample(rules, hits, codes, first, face_counts, normals, face_surface, reflection, scattering, mics, visible, radius2,
+            per_volume, frames_per_m, seeds, limits, low, high, sums, kept):
+    """Sample the paths of rays `low` to `high`.
 
-    `sums`, shape (n_mics, n_frames, 2 + _PER_CHUNK): energy so far, the least sum at which a place changes hands, and
-    that sum of each place. `kept`, shape (n_mics, n_frames, _PER_CHUNK): the last reflection of the path.
+    Parameters
+    ----------
+    sums : ndarray of float32, shape (n_mics, n_frames, 2 + _PER_CHUNK)
+        Energy so far, the least sum at which a place of the reservoir is taken, and that sum for each place.
+    kept : ndarray of uint32, shape (n_mics, n_frames, _PER_CHUNK)
+        Last reflection of the path in each place.
     """
     n_mics = len(sums)
     all_visible = len(visible) == 0
     zero, one = np.float32(0.0), np.float32(1.0)
-    mx, my, mz = mics[0], mics[1], mics[2]
     along, weight, frame = np.empty(n_mics, np.float32), np.empty(n_mics, np.float32), np.empty(n_mics, np.float32)
     most = np.array([row.max() for row in reflection])
     share = np.empty(n_mics, np.float32)
     for ray in range(low, high):
         share[:] = one
-        largest = one
-        px, py, pz, path = source[0], source[1], source[2], zero
-        specular, late, n_active = True, stride == 1, n_mics
-        was_diffuse = True
+        largest, n_active = one, n_mics
+        step, hit = at_source(), (zero, zero, zero, zero)
         for n in range(face_counts[ray]):
             at = first[ray] + n
-            hx, hy, hz, new_path = hits[at, 0], hits[at, 1], hits[at, 2], hits[at, 3]
-            if not was_diffuse and (n > ism_order or not specular):
-                length = new_path - path
-                scale = one / max(length, np.float32(1e-9))
-                ux, uy, uz = (hx - px) * scale, (hy - py) * scale, (hz - pz) * scale
-                near = np.int32(0)
+            previous, hit = hit, (hits[at, 0], hits[at, 1], hits[at, 2], hits[at, 3])
+            if segment_counts(step, rules, n):
+                length = cross_spheres(previous, hit, mics, radius2, n_active, along, weight)
                 for m in range(n_active):
-                    vx, vy, vz = mx[m] - px, my[m] - py, mz[m] - pz
-                    along[m] = ux * vx + uy * vy + uz * vz
-                    weight[m] = radius2[m] - (vx * vx + vy * vy + vz * vz - along[m] * along[m])
-                    near += np.int32(weight[m] > zero)
-                for m in range(n_active if near else 0):
                     if weight[m] > zero:
-                        half = np.sqrt(weight[m])
-                        start, stop = max(zero, along[m] - half), min(length, along[m] + half)
-                        middle = (path + np.float32(0.5) * (start + stop)) * frames_per_m
-                        if stop > start and middle < limits[m]:
+                        enter, leave = chord(along[m], weight[m], length)
+                        middle = (previous[3] + np.float32(0.5) * (enter + leave)) * frames_per_m
+                        if leave > enter and middle < limits[m]:
                             k = np.uint32(middle)
-                            total = sums[m, k, 0] + (stop - start) * per_volume[m] * share[m]
+                            total = sums[m, k, 0] + (leave - enter) * per_volume[m] * share[m]
                             sums[m, k, 0] = total
                             if total >= sums[m, k, 1]:
                                 _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 2, at - 1)
-            px, py, pz, path = hx, hy, hz, new_path
             face = codes[at] >> 1
             surface = face_surface[face]
-            while n_active > 0 and path * frames_per_m >= limits[n_active - 1]:
+            while n_active > 0 and hit[3] * frames_per_m >= limits[n_active - 1]:
                 n_active -= 1
             largest *= most[surface]
-            if largest < _GIVEN_UP or n_active == 0:
+            if largest < _NEGLIGIBLE or n_active == 0:
+                break
+            step = follow(step, rules, ray, codes[at], hit[3], scattering[surface])
+            if step.ends:
                 break
             for m in range(n_active):
                 share[m] *= reflection[surface, m]
-            if not late and path > late_m:
-                if ray % stride != 0:
-                    break
-                late = True
+            if step.becomes_late:
                 for m in range(n_active):
-                    share[m] *= np.float32(stride)
-            was_diffuse = (codes[at] & 1) == 1
-            s = scattering[surface]
-            if path > late_m:
-                s = one if was_diffuse else zero
-            if s > zero:
-                nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
-                for m in range(n_active):
-                    vx, vy, vz = mx[m] - hx, my[m] - hy, mz[m] - hz
-                    d2 = vx * vx + vy * vy + vz * vz
-                    d = np.sqrt(d2)
-                    weight[m] = s * (vx * nx + vy * ny + vz * nz) / (np.float32(np.pi) * d2 * d)
-                    frame[m] = (path + d) * frames_per_m
+                    share[m] *= np.float32(rules.stride)
+            if step.scattered > zero:
+                scatter(hit, normals, face, step.scattered, mics, frames_per_m, n_active, weight, frame)
                 for m in range(n_active):
                     if weight[m] > zero and frame[m] < limits[m] and (all_visible or visible[m, at]):
                         k = np.uint32(frame[m])
@@ -338,5 +361,3 @@ def _keep(source, hits, codes, first, face_counts, normals, face_surface, reflec
                         sums[m, k, 0] = total
                         if total >= sums[m, k, 1]:
                             _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 1, at)
-            if was_diffuse:
-                specular = False

@@ -45,13 +45,13 @@ class TracedSource:
     source_pos_m : ndarray, shape (3,)
     paths : tuple of Paths
         One for each distinct column of scattering coefficients.
-    path_of_band : tuple of 8 ints
+    trace_of_band : tuple of 8 ints
     """
 
     scene: Scene
     source_pos_m: np.ndarray
     paths: tuple[Paths, ...]
-    path_of_band: tuple[int, ...]
+    trace_of_band: tuple[int, ...]
 
     @property
     def leaked_share(self):
@@ -89,14 +89,14 @@ def trace_source(scene, source_pos_m, *, num_rays=NUM_RAYS, max_length_s=MAX_LEN
     if num_rays < 1:
         raise ValueError(f"num_rays={num_rays} must be at least 1: ask for some rays")
     scene.room.require_inside("source_pos_m", source_pos_m)
-    columns, path_of_band = np.unique(scene.scattering, axis=1, return_inverse=True)
+    columns, trace_of_band = np.unique(scene.scattering, axis=1, return_inverse=True)
     seed = int(rng.integers(2 ** 63))
     max_length_m = max_length_s * scene.air.speed_m_s
     # the same random numbers for all columns: bands then differ by their scattering alone
     paths = tuple(trace(scene.room, source_pos_m, column, num_rays=num_rays, max_length_m=max_length_m,
                         speed_m_s=scene.air.speed_m_s, rng=np.random.default_rng(seed)) for column in columns.T)
     return TracedSource(scene, np.asarray(source_pos_m, dtype=np.float64), paths,
-                        tuple(int(n) for n in np.ravel(path_of_band)))
+                        tuple(int(n) for n in np.ravel(trace_of_band)))
 
 
 def render_responses(traced, mics_m, rngs, *, absorption=None, length_s=None, ism_order=ISM_ORDER,

@@ -11,7 +11,7 @@ import numpy as np
 
 from roomeq.acoustics.air import band_attenuation_per_m, speed_of_sound_m_s
 from roomeq.core.constants import BANDS_HZ
-from roomeq.sim.trace import Walls
+from roomeq.sim.room import Walls
 
 N_BANDS = len(BANDS_HZ)
 WALLS = ("west", "east", "south", "north", "floor", "ceiling")

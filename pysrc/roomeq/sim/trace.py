@@ -22,25 +22,6 @@ GOLDEN_RATIO = 0.5 * (1.0 + np.sqrt(5.0))
 
 
 @dataclass(frozen=True)
-class Walls:
-    """The planes around a convex room: the air is where ``normal . x > offset`` for all of them.
-
-    Attributes
-    ----------
-    normals : ndarray, shape (n_walls, 3)
-    offsets : ndarray, shape (n_walls,)
-    face_surface : ndarray of int, shape (n_walls,)
-    size_m : ndarray, shape (3,)
-        Of the box around the room.
-    """
-
-    normals: np.ndarray
-    offsets: np.ndarray
-    face_surface: np.ndarray
-    size_m: np.ndarray
-
-
-@dataclass(frozen=True)
 class Paths:
     """What the rays of one source met.
 

@@ -1,0 +1,242 @@
+"""The walk along a traced ray: which of its segments and reflections contribute to a receiver, and how much.
+
+Every path counts once. There are two kinds of contribution:
+
+- A path whose last reflection is diffuse counts at every reflection by its expected value (next-event estimation): a
+  Lambert reflector of scattering s sends ``s (1 - alpha) cos(theta) / (pi d^2)`` to a receiver at distance d,
+  whichever way the ray itself continues.
+- A path whose last reflection is specular counts by the length of its last segment inside a sphere around the
+  receiver: energy density is ``power * length / volume``. Purely specular paths up to the image-source order are left
+  to `roomeq.sim.images`.
+
+Once reflections are denser than samples (`roomeq.sim.trace.dense_after_s`), one ray in a few continues and is weighted
+accordingly, and next-event estimation uses only the reflections at which the ray did continue diffusely, weighted by
+1 / s: the expected value is the same, and there are enough of them.
+
+These rules stand in `segment_counts` and `follow`. Three kernels walk along rays by them and accumulate what
+contributes: echograms (`roomeq.sim.echogram`), path samples (`roomeq.sim.path_sample`) and the loop's tables
+(`roomeq.loop.tables`). Each kernel owns its loop over rays, because numba caches a kernel by the file that it stands
+in: a loop shared by all of them would be taken from the cache although the code that it calls back had changed.
+"""
+
+from typing import TYPE_CHECKING, NamedTuple, cast
+
+import numpy as np
+
+from roomeq.core.arrays import Array, BoolArray, FloatArray
+from roomeq.core.jit import inlined
+from roomeq.sim.room import Room
+from roomeq.sim.trace import Paths
+
+if TYPE_CHECKING:
+    from roomeq.sim.mesh import MeshRoom
+
+SPHERE_RADII_M = (0.35, 1.0)  # of receivers: as large as the room lets the late field be uniform inside
+SHADOW_RAY_OFFSET_M = 1e-4  # shadow rays start this far off the surface
+
+
+class Rules(NamedTuple):
+    """Which contributions count.
+
+    Attributes
+    ----------
+    ism_order
+        Purely specular paths with at most this many reflections don't count; -1 counts all of them.
+    late_m
+        Path length [m] beyond which reflections are dense.
+    stride
+        One ray in `stride` continues beyond `late_m`.
+    """
+
+    ism_order: int
+    late_m: float
+    stride: int
+
+
+class Step(NamedTuple):
+    """State of the walk after a reflection.
+
+    Attributes
+    ----------
+    ends
+        Whether the ray ends here, because another one continues in its place.
+    becomes_late
+        Whether the ray represents `Rules.stride` rays from here on.
+    scattered
+        Share of the reflected energy that contributes by next-event estimation.
+    diffuse
+        Whether the ray continues diffusely.
+    purely_specular
+        Whether all reflections so far are specular.
+    late
+        Whether the path is longer than `Rules.late_m`.
+    """
+
+    ends: bool
+    becomes_late: bool
+    scattered: float
+    diffuse: bool
+    purely_specular: bool
+    late: bool
+
+
+class Spheres(NamedTuple):
+    """The receiver spheres around microphones: radius [m] and the volume inside the room [m3], shape (n_mics,) each."""
+
+    radius_m: FloatArray
+    volume_m3: FloatArray
+
+
+def receiver_spheres(room: Room, mics_m: FloatArray) -> Spheres:
+    """Return the receiver spheres around microphones, shape (n_mics, 3)."""
+    wanted_m = float(np.clip(0.11 * room.volume_m3 ** (1.0 / 3.0), *SPHERE_RADII_M))
+    radius_m = np.array([room.sphere_radius_m(mic_m, wanted_m) for mic_m in mics_m])
+    volume_m3 = np.array([room.sphere_volume_m3(*sphere) for sphere in zip(mics_m, radius_m, strict=True)])
+    return Spheres(radius_m, volume_m3)
+
+
+def reflection_visibility(paths: Paths, room: Room, mics_m: Array, *, max_path_m: float) -> BoolArray:
+    """Tell from which stored reflections microphones are seen.
+
+    Parameters
+    ----------
+    paths
+    room
+    mics_m
+        Shape (n_mics, 3).
+    max_path_m
+        Length of path beyond which reflections are not asked for.
+
+    Returns
+    -------
+    ndarray of bool, shape (n_mics, n_stored)
+        Of shape (0, 0) in a convex room, where everything is seen. Only reflections that contribute by `follow` are
+        tested; the others are False.
+    """
+    if room.convex:
+        return np.zeros((0, 0), dtype=np.bool_)
+    mics_m = np.atleast_2d(mics_m)
+    path_m = paths.hits[:, 3]
+    late = path_m > paths.late_m
+    late &= np.repeat(np.arange(len(paths.counts)) % paths.stride != 0, paths.counts) | (paths.codes & 1 == 0)
+    tested = np.flatnonzero((path_m < max_path_m) & ~late)
+    start = paths.hits[tested, :3] + SHADOW_RAY_OFFSET_M * paths.normals[paths.codes[tested] >> 1]
+    visible = np.zeros((len(mics_m), len(path_m)), dtype=np.bool_)
+    for m, mic_m in enumerate(mics_m):
+        visible[m, tested] = cast("MeshRoom", room).sees(start, mic_m)
+    return visible
+
+
+@inlined
+def at_source():
+    """Return the state of the walk before the first reflection."""
+    return Step(False, False, np.float32(0.0), True, True, False)
+
+
+@inlined
+def segment_counts(step, rules, n):
+    """Tell whether the segment that leads to reflection `n` (from 0) contributes to the spheres that it crosses."""
+    return not step.diffuse and (n > rules.ism_order or not step.purely_specular)
+
+
+@inlined
+def follow(step, rules, ray, code, path_m, scattering):
+    """Advance the walk by a reflection.
+
+    Parameters
+    ----------
+    step : Step
+        State before the reflection.
+    rules : Rules
+    ray : int
+    code : int
+        Stored code of the reflection, see `roomeq.sim.trace.Paths`.
+    path_m : float
+        Length of the path up to the reflection.
+    scattering : float
+        Scattering coefficient of the surface.
+
+    Returns
+    -------
+    Step
+    """
+    diffuse, late = (code & 1) == 1, path_m > rules.late_m
+    scattered = np.float32(code & 1) if late else np.float32(scattering)
+    becomes_late = late and not step.late
+    ends = becomes_late and ray % rules.stride != 0
+    return Step(ends, becomes_late, scattered, diffuse, step.purely_specular and not diffuse, late)
+
+
+@inlined
+def cross_spheres(start, end, mics, radius2, n_mics, along, inside):
+    """Intersect the line through a segment with the spheres around microphones.
+
+    Parameters
+    ----------
+    start, end : tuple of 4 float32
+        Ends of the segment: x, y, z, and the length of the path up to there [m].
+    mics : ndarray of float32, shape (3, n)
+    radius2 : ndarray of float32, shape (n,)
+        Squared radii of the spheres [m2].
+    n_mics : int
+        Microphones to compute.
+    along : ndarray of float32, shape (n,)
+        Receives the place on the line that is nearest to each microphone, from the start of the segment [m].
+    inside : ndarray of float32, shape (n,)
+        Receives the square of half the chord [m2]; negative where the line misses the sphere.
+
+    Returns
+    -------
+    float32
+        Length of the segment [m].
+    """
+    px, py, pz, path = start
+    hx, hy, hz, new_path = end
+    length = new_path - path
+    scale = np.float32(1.0) / max(length, np.float32(1e-9))
+    ux, uy, uz = (hx - px) * scale, (hy - py) * scale, (hz - pz) * scale
+    mx, my, mz = mics[0], mics[1], mics[2]
+    for m in range(n_mics):
+        vx, vy, vz = mx[m] - px, my[m] - py, mz[m] - pz
+        along[m] = ux * vx + uy * vy + uz * vz
+        inside[m] = radius2[m] - (vx * vx + vy * vy + vz * vz - along[m] * along[m])
+    return length
+
+
+@inlined
+def chord(along, inside, length):
+    """Return where a segment enters and leaves a sphere, from its start [m]; see `cross_spheres`."""
+    half = np.sqrt(inside)
+    return max(np.float32(0.0), along - half), min(length, along + half)
+
+
+@inlined
+def scatter(hit, normals, face, scattered, mics, frames_per_m, n_mics, weight, frame):
+    """Compute what a reflection contributes to microphones by next-event estimation.
+
+    Parameters
+    ----------
+    hit : tuple of 4 float32
+        Place of the reflection: x, y, z, and the length of the path up to there [m].
+    normals : ndarray of float32, shape (n_faces, 3)
+    face : int
+    scattered : float32
+        See `Step`.
+    mics : ndarray of float32, shape (3, n)
+    frames_per_m : float32
+    n_mics : int
+        Microphones to compute.
+    weight : ndarray of float32, shape (n,)
+        Receives the contribution per reflected energy [1/m2]; negative behind the surface.
+    frame : ndarray of float32, shape (n,)
+        Receives the time of arrival [frames].
+    """
+    hx, hy, hz, path = hit
+    nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
+    mx, my, mz = mics[0], mics[1], mics[2]
+    for m in range(n_mics):
+        vx, vy, vz = mx[m] - hx, my[m] - hy, mz[m] - hz
+        d2 = vx * vx + vy * vy + vz * vz
+        d = np.sqrt(d2)
+        weight[m] = scattered * (vx * nx + vy * ny + vz * nz) / (np.float32(np.pi) * d2 * d)
+        frame[m] = (path + d) * frames_per_m

@@ -1,0 +1,63 @@
+"""The interface that rooms of any shape share; see `roomeq.sim.scene.Shoebox` and `roomeq.sim.mesh.MeshRoom`."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from numpy.typing import ArrayLike
+
+from roomeq.core.arrays import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Walls:
+    """The planes around a convex room: the air is where ``normal . x > offset`` for all of them.
+
+    Attributes
+    ----------
+    normals
+        Shape (n_walls, 3).
+    offsets
+        Shape (n_walls,).
+    face_surface
+        Surface of each wall, shape (n_walls,).
+    size_m
+        Of the box around the room, shape (3,).
+    """
+
+    normals: FloatArray
+    offsets: FloatArray
+    face_surface: IntArray
+    size_m: FloatArray
+
+
+class Room(Protocol):
+    """A room: its surfaces by name, and the geometry that all steps of the simulation ask for."""
+
+    @property
+    def surfaces(self) -> tuple[str, ...]:
+        """Names of the surfaces."""
+
+    @property
+    def convex(self) -> bool:
+        """Whether every point is seen from every other."""
+
+    @property
+    def volume_m3(self) -> float:
+        """Volume of the air."""
+
+    @property
+    def surface_area_m2(self) -> FloatArray:
+        """Area of each surface, shape (n_surfaces,)."""
+
+    @property
+    def walls(self) -> Walls | None:
+        """The planes of a convex room of few; None where rays are traced through a mesh."""
+
+    def require_inside(self, what: str, position_m: ArrayLike) -> None:
+        """Raise ValueError unless a position lies in the room, clear of its surfaces."""
+
+    def sphere_radius_m(self, center_m: ArrayLike, radius_m: float) -> float:
+        """Radius of a receiver sphere, at most `radius_m`."""
+
+    def sphere_volume_m3(self, center_m: ArrayLike, radius_m: float) -> float:
+        """Volume of the part of a sphere that lies in the room."""
