@@ -1,38 +1,42 @@
 """Directivity of a membrane in a rigid sphere: a loudspeaker in its cabinet, with two parameters.
 
-A cap of half-angle ``cap_rad`` on a sphere of radius ``radius_m`` moves, the rest of the sphere stands still. Far away
-(Morse and Ingard, Theoretical Acoustics, 1968, sec. 7.2; time goes as ``exp(-i omega t)``)
+A cap of half-angle ``cap_rad`` on a sphere of radius ``radius_m`` moves; the rest of the sphere is at rest. In the far
+field (Morse and Ingard, Theoretical Acoustics, 1968, sec. 7.2; time dependence ``exp(-i omega t)``)
 
     p(theta) ~ sum_n c_n P_n(cos theta),  c_n = (-i)^n U_n / h_n'(k a),  U_n = (2 n + 1) / 2 int u P_n d(cos theta).
 
-There the cap moves as one. The sound of its rim then comes late on the axis by the depth of the cap and, where that
-is a wavelength, cancels the sound of its middle: so does no flat membrane. Here the cap moves as a plane wave that
-comes through it, ``u = exp(i k a (cos theta - 1))``. That is the same where the depth is short against a wavelength,
-is never zero on the axis, and is as narrow as a piston in a baffle where that is known to hold.
+There all points of the cap move in phase. On the axis, sound from the rim then arrives late by the depth of the cap,
+and where that depth is near a wavelength it cancels the sound from the centre, which no flat membrane does. Here the
+cap moves like a plane wave that passes through it, ``u = exp(i k a (cos theta - 1))``. The two agree where the depth is
+short against a wavelength. The plane wave is never zero on the axis, and its main lobe is as narrow as that of a piston
+in a baffle where that model holds.
 
-All is relative to the axis: what a loudspeaker does on its axis is its response, another effect. The radius of the
-sphere sets from where on the cabinet casts a shadow, that of the membrane, ``radius_m sin(cap_rad)``, how narrow the
-beam becomes.
+All gains are relative to the axis: the gain on the axis is the loudspeaker's response, another effect. The radius of
+the sphere sets the frequency above which the cabinet casts a shadow, that of the membrane, ``radius_m sin(cap_rad)``,
+the width of the main lobe.
 """
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import eval_legendre, spherical_jn, spherical_yn
 
 from roomeq.acoustics.air import speed_of_sound_m_s
+from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.core.jit import compiled
 
 MAX_RADIUS_M = 0.5
-SPEED_M_S = speed_of_sound_m_s(20.0)  # 10 degrees more or less are 2 % of a radius
-_PER_BAND = 12  # frequencies
+SPEED_M_S = speed_of_sound_m_s(20.0)  # a change by 10 degrees is equivalent to one of the radius by 2 %
+_PER_BAND = 12  # frequencies over which a band is averaged
 _N_ANGLES = 2049
-_STEP = 32  # numbers of terms for which polynomials are kept
+_STEP = 32  # polynomials are cached for multiples of this number of terms
 
 
-def cap_spectrum(cos_angle, radius_m, cap_rad, frequencies_hz):
-    """Pressure relative to the axis, at single frequencies.
+def cap_spectrum(cos_angle: ArrayLike, radius_m: float, cap_rad: float, frequencies_hz: ArrayLike) -> Array:
+    """Return the pressure relative to the axis, at single frequencies.
 
     Parameters
     ----------
@@ -47,7 +51,7 @@ def cap_spectrum(cos_angle, radius_m, cap_rad, frequencies_hz):
     Returns
     -------
     pressure : ndarray of complex, shape (..., n_frequencies)
-        1 on the axis. Phases are those of numpy's FFT; the delay is that from the middle of the sphere less that
+        1 on the axis. Phases are those of numpy's FFT; the delay is that from the centre of the sphere less that
         on the axis.
 
     Raises
@@ -60,8 +64,9 @@ def cap_spectrum(cos_angle, radius_m, cap_rad, frequencies_hz):
     return (legendre @ coefficients.T / coefficients.sum(axis=1)).conj()
 
 
-def cap_gain(cos_angle, radius_m, cap_rad, bands_hz=EXACT_BANDS_HZ):
-    """Energy relative to the axis, averaged over octave bands.
+def cap_gain(cos_angle: ArrayLike, radius_m: float, cap_rad: float,
+             bands_hz: Sequence[float] = EXACT_BANDS_HZ) -> FloatArray:
+    """Return the energy relative to the axis, averaged over octave bands.
 
     Parameters
     ----------
@@ -90,8 +95,8 @@ def cap_gain(cos_angle, radius_m, cap_rad, bands_hz=EXACT_BANDS_HZ):
     return gain.reshape(*cos_angle.shape, len(bands_hz))
 
 
-def cap_series(radius_m, cap_rad, frequencies_hz):
-    """Coefficients ``c_n`` of the Legendre series of the far field.
+def cap_series(radius_m: float, cap_rad: float, frequencies_hz: ArrayLike) -> Array:
+    """Return the coefficients ``c_n`` of the Legendre series of the far field.
 
     The mean of ``|p|^2`` over all directions is ``sum_n |c_n|^2 / (2 n + 1)``, and ``p = sum_n c_n`` on the axis.
 
@@ -114,36 +119,36 @@ def cap_series(radius_m, cap_rad, frequencies_hz):
     if not 0.0 < cap_rad <= 0.5 * np.pi:
         raise ValueError(f"cap_rad={cap_rad:g} must lie in (0, pi / 2]: correct the half-angle of the cap")
     ka = 2.0 * np.pi * np.asarray(frequencies_hz, dtype=float) / SPEED_M_S * radius_m
-    n = np.arange(int(1.1 * ka.max()) + 25)  # what is left out is below 1e-9
+    n = np.arange(int(1.1 * ka.max()) + 25)  # higher terms are below 1e-9
     node, weight = _gauss_legendre(_STEP * (len(n) // _STEP + 1))
-    depth = 0.5 * (1.0 - np.cos(cap_rad)) * (1.0 - node)  # of points of the cap below its middle, in radii
+    depth = 0.5 * (1.0 - np.cos(cap_rad)) * (1.0 - node)  # of points of the cap below its centre, in radii
     velocity = (np.exp(-1j * np.outer(ka, depth)) * weight) @ eval_legendre(n, 1.0 - depth[:, None])
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         slope = _derivative(spherical_jn(n, ka[:, None]), ka) + 1j * _derivative(spherical_yn(n, ka[:, None]), ka)
-        radiated = np.where(np.isfinite(slope), 1.0 / slope, 0.0)  # high orders at low ka: they don't get away
+        radiated = np.where(np.isfinite(slope), 1.0 / slope, 0.0)  # high orders at low ka do not radiate
     return (2 * n + 1) * velocity * (-1j) ** n * radiated
 
 
-def _derivative(bessel, x):
+def _derivative(bessel: FloatArray, x: FloatArray) -> FloatArray:
     """Derivatives of spherical Bessel functions of orders 0 and up, shape (n, n_orders) (DLMF 10.51.2)."""
     n = np.arange(1, bessel.shape[1])
     return np.column_stack([-bessel[:, 1], bessel[:, :-1] - (n + 1) * bessel[:, 1:] / x[:, None]])
 
 
 @lru_cache(maxsize=8)
-def _gauss_legendre(n_nodes):
+def _gauss_legendre(n_nodes: int) -> tuple[FloatArray, FloatArray]:
     return np.polynomial.legendre.leggauss(n_nodes)
 
 
 @lru_cache(maxsize=4)
-def _polynomials(n_terms):
+def _polynomials(n_terms: int) -> FloatArray:
     """Legendre polynomials at the angles of a table, shape (n_terms, _N_ANGLES)."""
     return eval_legendre(np.arange(n_terms)[:, None], np.cos(np.linspace(0.0, np.pi, _N_ANGLES)))
 
 
 @lru_cache(maxsize=64)
-def _table(radius_m, cap_rad, bands_hz):
-    """Band averages at even angles from 0 to pi, shape (_N_ANGLES, n_bands)."""
+def _table(radius_m: float, cap_rad: float, bands_hz: tuple[float, ...]) -> FloatArray:
+    """Band averages at equally spaced angles from 0 to pi, shape (_N_ANGLES, n_bands)."""
     within = 2.0 ** ((np.arange(_PER_BAND) + 0.5) / _PER_BAND - 0.5)
     coefficients = cap_series(radius_m, cap_rad, np.outer(bands_hz, within).ravel())
     n_terms = coefficients.shape[1]
@@ -154,8 +159,8 @@ def _table(radius_m, cap_rad, bands_hz):
 
 
 @compiled
-def _look_up(cos_angle, table, gain):
-    """Interpolate between the angles of a table."""
+def _look_up(cos_angle: FloatArray, table: FloatArray, gain: FloatArray) -> None:
+    """Interpolate between the angles of a table, into `gain`."""
     last = len(table) - 1
     for n in range(len(cos_angle)):
         place = np.arccos(min(max(cos_angle[n], -1.0), 1.0)) * (last / np.pi)

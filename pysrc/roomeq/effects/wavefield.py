@@ -1,35 +1,41 @@
 """The low-frequency field of a room as a sum of its modes, crossed over to rays.
 
-Below the Schroeder frequency a room answers at its own frequencies, which rays don't know. In a room with rigid
-walls the impulse response is (Kuttruff, Room Acoustics, sec. 3.1 and 3.2; Green's function of the wave equation)
+Below the Schroeder frequency a room responds at its eigenfrequencies, which ray tracing does not model. In a room with
+rigid walls and small losses the impulse response is (Kuttruff, Room Acoustics, sec. 3.1 and 3.2; Green's function of
+the wave equation)
 
-    h(t) = c^2 / V sum_n psi_n(r) psi_n(r0) exp(-d_n t) sin(w_n t) / w_n,  mean of psi_n^2 over the room = 1,
+    h(t) = c^2 / V sum_n psi_n(r) psi_n(r0) exp(-d_n t) sin(w_n t) / w_n,  mean of psi_n^2 over the room = 1.
 
-where losses are small. It has the level of the simulator: the direct sound is ``delta(t - r / c) / (4 pi r)``.
+It has the level of the simulator: the direct sound is ``delta(t - r / c) / (4 pi r)``.
 
-Modes above those that are summed answer to low frequencies at once, all of them together by what they lack of the
-direct sound: ``(1 - 2 / pi Si(k_max r)) / (4 pi r)``, the part of ``1 / (4 pi r)`` that has wave numbers above k_max.
+To low frequencies, modes above those in the sum respond instantaneously. Together they contribute what the sum lacks
+of the direct sound: ``(1 - 2 / pi Si(k_max r)) / (4 pi r)``, the part of ``1 / (4 pi r)`` with wave numbers above
+k_max.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import scipy  # its submodules are slow to import and load themselves when first used
+from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.special import sici
 
+from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.effects.voxels import mode_count, voxel_modes
+from roomeq.sim.mesh import MeshRoom
 from roomeq.sim.scene import Shoebox
 
 MAX_CROSSOVER_HZ = 300.0
 MAX_MODES = 1000  # of a shoebox, up to `MARGIN` times the crossover
-MAX_MESH_MODES = 300  # they take seconds to find
-MARGIN = 1.5  # modes above the crossover over its frequency: what they add below must not be missed
+MAX_MESH_MODES = 300  # of a mesh, where finding them takes seconds
+MARGIN = 1.5  # highest mode over the crossover frequency: modes above the crossover contribute below it
 CROSSOVER_OCTAVES = 1.0
-HIGHPASS_HZ = 15.0  # no loudspeaker breathes: without it the pressure of a closed room stays up for ever
-_GUARD_S = 0.06
+HIGHPASS_HZ = 15.0  # without it, the static pressure of a closed room never decays
+_GUARD_S = 0.06  # the filters of the crossover ring for this time
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,21 +47,21 @@ class Modes:
     frequencies_hz : ndarray, shape (n_modes,)
         Ascending.
     f_max_hz : float
-        Up to which they are known.
+        Upper limit of the search.
     volume_m3, speed_m_s : float
     shapes : callable
-        Gives the pressure of each mode at a position, shape (3,) [m] to (n_modes,); the mean of its square over the
-        room is 1.
+        Maps a position, shape (3,) [m], to the pressure of each mode there, shape (n_modes,); the mean of its square
+        over the room is 1.
     """
 
-    frequencies_hz: np.ndarray
+    frequencies_hz: FloatArray
     f_max_hz: float
     volume_m3: float
     speed_m_s: float
-    shapes: object
+    shapes: Callable[[ArrayLike], FloatArray]
 
 
-def modes(room, f_max_hz, speed_m_s):
+def modes(room: Shoebox | MeshRoom, f_max_hz: float, speed_m_s: float) -> Modes:
     """Find the modes of a room with rigid walls up to a frequency.
 
     Parameters
@@ -73,6 +79,7 @@ def modes(room, f_max_hz, speed_m_s):
     ValueError
         A mesh needs too many voxels.
     """
+    shapes: Callable[[ArrayLike], FloatArray]
     if isinstance(room, Shoebox):
         frequencies_hz, shapes = _cosines(room.dims_m, float(f_max_hz), float(speed_m_s))
     else:
@@ -82,15 +89,15 @@ def modes(room, f_max_hz, speed_m_s):
 
 
 @lru_cache(maxsize=64)
-def _cosines(dims_m, f_max_hz, speed_m_s):
-    """Frequencies and shapes of a shoebox (Kuttruff, eq. 3.15 and 3.16)."""
-    dims_m = np.array(dims_m)
-    counts = [np.arange(int(2.0 * f_max_hz * size_m / speed_m_s) + 1) for size_m in dims_m]
+def _cosines(dims_m: tuple[float, float, float], f_max_hz: float, speed_m_s: float) -> tuple[FloatArray, "Cosines"]:
+    """Frequencies and shapes of the modes of a shoebox (Kuttruff, eq. 3.15 and 3.16)."""
+    size_m = np.array(dims_m)
+    counts = [np.arange(int(2.0 * f_max_hz * length_m / speed_m_s) + 1) for length_m in size_m]
     index = np.stack(np.meshgrid(*counts, indexing="ij"), axis=-1).reshape(-1, 3)[1:]
-    frequencies_hz = 0.5 * speed_m_s * np.linalg.norm(index / dims_m, axis=1)
+    frequencies_hz = 0.5 * speed_m_s * np.linalg.norm(index / size_m, axis=1)
     order = np.argsort(frequencies_hz, kind="stable")
     order = order[frequencies_hz[order] <= f_max_hz]
-    return frequencies_hz[order], Cosines(dims_m, index[order])
+    return frequencies_hz[order], Cosines(size_m, index[order])
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,19 +108,19 @@ class Cosines:
     ----------
     dims_m : ndarray, shape (3,)
     index : ndarray of int, shape (n_modes, 3)
-        Half-waves along x, y and z.
+        Number of half-waves along x, y and z.
     """
 
-    dims_m: np.ndarray
-    index: np.ndarray
+    dims_m: FloatArray
+    index: IntArray
 
-    def __call__(self, position_m):
+    def __call__(self, position_m: ArrayLike) -> FloatArray:
         cosines = np.cos(np.pi * self.index * (np.asarray(position_m, dtype=float) / self.dims_m))
         return np.prod(cosines * np.where(self.index > 0, np.sqrt(2.0), 1.0), axis=1)
 
 
-def damping_per_s(frequencies_hz, t60_s):
-    """Damping at frequencies from reverberation times: ``3 ln(10) / T``, between octaves over log frequency [1/s].
+def damping_per_s(frequencies_hz: ArrayLike, t60_s: ArrayLike) -> FloatArray:
+    """Return the damping at frequencies, ``3 ln(10) / T`` [1/s], interpolated between octaves over log frequency.
 
     Parameters
     ----------
@@ -124,8 +131,9 @@ def damping_per_s(frequencies_hz, t60_s):
     return np.interp(np.log(frequencies_hz), np.log(EXACT_BANDS_HZ), 3.0 * np.log(10.0) / np.asarray(t60_s))
 
 
-def modal_response(modes, source_pos_m, mic_pos_m, damping, n_samples, fs_hz):
-    """Impulse response below the highest frequency of the modes.
+def modal_response(modes: Modes, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, damping: ArrayLike, n_samples: int,
+                   fs_hz: float) -> FloatArray:
+    """Sum the modes to an impulse response.
 
     Parameters
     ----------
@@ -139,21 +147,21 @@ def modal_response(modes, source_pos_m, mic_pos_m, damping, n_samples, fs_hz):
     Returns
     -------
     rir : ndarray, shape (n_samples,)
-        Sample 0 is the emission; a Butterworth filter of second order takes what lies below `HIGHPASS_HZ`. Right up
-        to the highest mode over `MARGIN`.
+        Sample 0 is the emission. Accurate up to the frequency of the highest mode over `MARGIN`; a second-order
+        Butterworth high-pass at `HIGHPASS_HZ` removes the static pressure.
     """
     distance_m = float(np.linalg.norm(np.subtract(source_pos_m, mic_pos_m)))
     omega = 2.0 * np.pi * modes.frequencies_hz
     damping = np.broadcast_to(damping, omega.shape)
     scale = modes.speed_m_s ** 2 / (modes.volume_m3 * fs_hz)
     weight = scale * (modes.shapes(source_pos_m) * modes.shapes(mic_pos_m)) / omega
-    # exp(z (q L + r)) = exp(z q L) exp(z r): all samples by one product of matrices
+    # exp(z (q L + r)) = exp(z q L) exp(z r): one matrix product computes all samples
     length = int(np.ceil(np.sqrt(n_samples)))
     pole = (-damping + 1j * omega) / fs_hz
     coarse = weight * np.exp(length * np.outer(np.arange(length), pole))
     fine = np.exp(np.outer(pole, np.arange(length)))
     rir = (np.hstack([coarse.real, coarse.imag]) @ np.vstack([fine.imag, fine.real])).ravel()[:n_samples]
-    # pressure that is the same everywhere meets the walls as at grazing incidence: half the damping, first order
+    # the static mode meets the walls as at grazing incidence: half the damping, first order
     rate = damping[0] if len(damping) else 1.0
     rir += scale * -np.expm1(-rate * np.arange(n_samples) / fs_hz) / rate
     missing = 1.0 - 2.0 / np.pi * sici(2.0 * np.pi * modes.f_max_hz / modes.speed_m_s * distance_m)[0]
@@ -162,10 +170,11 @@ def modal_response(modes, source_pos_m, mic_pos_m, damping, n_samples, fs_hz):
     return scipy.signal.sosfilt(highpass, rir)
 
 
-def crossover_hz(room, t60_s, speed_m_s):
-    """Where rays take over: the Schroeder frequency ``2000 sqrt(T / V)``, limited.
+def crossover_hz(room: Shoebox | MeshRoom, t60_s: ArrayLike, speed_m_s: float) -> float:
+    """Return the crossover frequency to rays: the Schroeder frequency ``2000 sqrt(T / V)``, limited.
 
-    At most `MAX_CROSSOVER_HZ`, and as low as it takes for `MAX_MODES` or `MAX_MESH_MODES` up to `MARGIN` times it.
+    It is at most `MAX_CROSSOVER_HZ`, and so low that there are no more than `MAX_MODES` or `MAX_MESH_MODES` up to
+    `MARGIN` times it.
 
     Parameters
     ----------
@@ -174,26 +183,28 @@ def crossover_hz(room, t60_s, speed_m_s):
         Per octave band.
     speed_m_s : float
     """
-    def above_schroeder(frequency_hz):  # T changes with frequency
+    def above_schroeder(frequency_hz: float) -> float:  # T depends on frequency
         return frequency_hz - 2000.0 * np.sqrt(3.0 * np.log(10.0) / damping_per_s(frequency_hz, t60_s) / room.volume_m3)
 
-    most = MAX_MODES if isinstance(room, Shoebox) else MAX_MESH_MODES
+    max_modes = MAX_MODES if isinstance(room, Shoebox) else MAX_MESH_MODES
 
-    def too_many(frequency_hz):
-        return mode_count(room, 2.0 * np.pi * MARGIN * frequency_hz / speed_m_s) - most
+    def surplus_modes(frequency_hz: float) -> float:
+        return mode_count(room, 2.0 * np.pi * MARGIN * frequency_hz / speed_m_s) - max_modes
 
-    limits_hz = [scipy.optimize.brentq(surplus, 1e-3, MAX_CROSSOVER_HZ) for surplus in (above_schroeder, too_many)
+    limits_hz = [scipy.optimize.brentq(surplus, 1e-3, MAX_CROSSOVER_HZ) for surplus in (above_schroeder, surplus_modes)
                  if surplus(MAX_CROSSOVER_HZ) > 0.0]
     return float(min(limits_hz, default=MAX_CROSSOVER_HZ))
 
 
-def cross_over(low, high, fs_hz, frequency_hz, arrival_s=0.0):
-    """Put a response together from two: one below a frequency, one above.
+def cross_over(low: FloatArray, high: FloatArray, fs_hz: float, frequency_hz: float,
+               arrival_s: float = 0.0) -> FloatArray:
+    """Combine two responses: one below a frequency, the other above.
 
     Within `CROSSOVER_OCTAVES` around the frequency the gains are ``cos(a) exp(-i a)`` and ``i sin(a) exp(-i a)``,
-    where `a` goes from 0 to pi / 2. They add up to one, and so do their squares: what both responses have alike, the
-    direct sound, is left as it is, and where they don't resemble each other the energy has no notch. Filters so steep
-    ring ahead; nothing is changed before the direct sound, and little in the quarter of a period after it.
+    where `a` goes from 0 to pi / 2. The gains add up to one, and so do their squares: the direct sound, which both
+    responses share, stays as it is, and the energy has no notch where the responses are uncorrelated. Such steep
+    filters ring ahead. Therefore nothing changes before the direct sound, and little within a quarter of a period
+    after it.
 
     Parameters
     ----------
