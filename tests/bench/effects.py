@@ -12,7 +12,7 @@ import argparse
 import json
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -135,7 +135,8 @@ def measure_changes(data: Data) -> dict[str, Change]:
         # the prediction of an effect that acts on waves interpolates between renderings
         on_grid = [measure(raw_rirs, [effect.from_vector(point)]) for point in effect.INTERPOLATION_GRID]
         if on_grid:
-            data.rendered_changes[effect.NAME] = np.nan_to_num(np.array(on_grid) - plain_features)
+            change = np.nan_to_num(np.array(on_grid) - plain_features)
+            data = replace(data, rendered_changes={**data.rendered_changes, effect.NAME: change})
     changes = {}
     for name, effect in CATALOGUE.items():
         effects = [effect.from_vector(VECTORS[name])]

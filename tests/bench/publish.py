@@ -45,8 +45,8 @@ def sections(result: dict[str, Any]) -> list[Table]:
 def loop(rows: list[dict[str, Any]]) -> list[Table]:
     """Return the rates of the loop over its generated rooms, with Wilson intervals."""
     return [dict(title="Rates", columns=["rate", "sets of rooms", "95 % interval", "goal"],
-                 rows=[[rate["what"], f"{rate['hits']} of {rate['worlds']}",
-                        f"{max(0.0, 100 * rate['low']):.0f} to {100 * rate['high']:.0f} %", rate["asked"]]
+                 rows=[[rate.name, f"{rate.hits} of {rate.count}",
+                        f"{max(0.0, 100 * rate.low):.0f} to {100 * rate.high:.0f} %", rate.goal]
                        for rate in rates(rows)])]
 
 

@@ -1,94 +1,120 @@
-"""The rates of the loop's bench, with Wilson intervals."""
+"""Rates of the loop's bench, with Wilson intervals."""
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bench.kit import number, table
 
 Z = 1.96
-OUTSIDE_WHERE = {"clock_drift": ("direct", "early"), "harmonic_distortion": ("ahead",), "ringing_object": ("late",
-                                                                                                      "whole")}
-"""Time regions in which an effect outside the catalogue is at home."""
+LARGE_JND = 1.8
+"""Achieved change from which the effect of a set counts as large: nearly the 2 JND that were requested."""
+OUTSIDE_REGIONS = {"clock_drift": ("direct", "early"), "harmonic_distortion": ("ahead",),
+                   "ringing_object": ("late", "whole")}
+"""Time regions of the residual of each effect outside the catalogue."""
+
+Result = dict[str, Any]
 
 
-def wilson(hits, count):
-    """Interval of 95 % of a rate (Wilson, J. Am. Stat. Assoc. 22 (1927) 209)."""
+class Interval(NamedTuple):
+    """Confidence interval of 95 %."""
+
+    low: float
+    high: float
+
+
+class Rate(NamedTuple):
+    """A rate over sets of rooms, None where there are none, and the goal that it is held against."""
+
+    name: str
+    hits: int
+    count: int
+    rate: float | None
+    low: float
+    high: float
+    goal: str
+
+
+def wilson(hits: int, count: int) -> Interval:
+    """Return the interval of a rate (Wilson, J. Am. Stat. Assoc. 22 (1927) 209)."""
     if count == 0:
-        return 0.0, 1.0
+        return Interval(0.0, 1.0)
     rate, spread = hits / count, Z ** 2 / count
     middle = (rate + 0.5 * spread) / (1.0 + spread)
     half = Z * np.sqrt(rate * (1.0 - rate) / count + 0.25 * spread / count) / (1.0 + spread)
-    return float(middle - half), float(middle + half)
+    return Interval(max(0.0, float(middle - half)), float(middle + half))
 
 
-def _rate(name, hits, asked):
+def _rate(name: str, hits: Iterable[bool], goal: str) -> Rate:
     hits = list(hits)
-    low, high = wilson(sum(hits), len(hits))
-    return dict(what=name, hits=int(sum(hits)), worlds=len(hits), rate=float(np.mean(hits)) if hits else None,
-                low=low, high=high, asked=asked)
+    return Rate(name, int(sum(hits)), len(hits), float(np.mean(hits)) if hits else None,
+                *wilson(sum(hits), len(hits)), goal)
 
 
-def _first_right(one):
-    """Whether the effect that was found first is the true one."""
-    return bool(one["found"]) and one["found"][0] == one["kind"]
+def _first_is_true(result: Result) -> bool:
+    """Tell whether the effect that was added first is the true one."""
+    return bool(result["added"]) and result["added"][0] == result["kind"]
 
 
-def _located(one):
-    """Whether a residual was found where it is; one of the whole band, such as an arrival, has no band to be right."""
-    return any(left["time_region"] in OUTSIDE_WHERE[one["kind"]]
-               and (not one["rings_hz"] or set(left["bands_hz"]) & set(one["rings_hz"])) for left in one["unexplained"])
+def _is_located(result: Result) -> bool:
+    """Tell whether an unexplained residual lies in the true time region and, for objects that ring, the true band."""
+    return any(residual["time_region"] in OUTSIDE_REGIONS[result["kind"]]
+               and (not result["rings_hz"] or set(residual["bands_hz"]) & set(result["rings_hz"]))
+               for residual in result["unexplained"])
 
 
-def _distinct(done):
-    """Each world once: where physics allows no more, another strength asked for is the same world again."""
-    return list({(one["kind"], one["seed"], tuple(sorted(one["achieved_jnd"].items()))): one for one in done}.values())
+def _distinct(results: list[Result]) -> list[Result]:
+    """Drop repeated sets: two strengths give the same rooms where physics limits the effect."""
+    return list({(result["kind"], result["seed"], tuple(sorted(result["achieved_jnd"].items()))): result
+                 for result in results}.values())
 
 
-def rates(done):
-    """All rates that are asked for, each world counted once.
-
-    Returns
-    -------
-    list of dict
-    """
-    done = _distinct(done)
-    single = [one for one in done if one["kind"] not in OUTSIDE_WHERE and "+" not in one["kind"]
-              and one["kind"] != "clean"]
-    strong = [one for one in single if max(one["achieved_jnd"].values()) >= 1.8]
-    weak = [one for one in single if max(one["achieved_jnd"].values()) < 1.8]
-    clean = {one["seed"]: one for one in done if one["kind"] == "clean"}
-    removed = [(one["before"] - one["after"]) / (one["before"] - clean[one["seed"]]["before"]) for one in strong
-               if one["seed"] in clean and one["before"] - clean[one["seed"]]["before"] > 0.02]
-    ratio = [one["after"] / clean[one["seed"]]["before"] for one in strong if one["seed"] in clean]
-    pairs = [one for one in done if "+" in one["kind"]]
-    outside = [one for one in done if one["kind"] in OUTSIDE_WHERE]
+def rates(results: list[Result]) -> list[Rate]:
+    """Return all rates that have a goal; each set of rooms counts once."""
+    results = _distinct(results)
+    single = [result for result in results if result["kind"] not in OUTSIDE_REGIONS and "+" not in result["kind"]
+              and result["kind"] != "clean"]
+    strong = [result for result in single if max(result["achieved_jnd"].values()) >= LARGE_JND]
+    weak = [result for result in single if max(result["achieved_jnd"].values()) < LARGE_JND]
+    clean = {result["seed"]: result for result in results if result["kind"] == "clean"}
+    with_clean = [(result, clean[result["seed"]]["before"]) for result in strong if result["seed"] in clean]
+    removed = [(result["before"] - result["after"]) / (result["before"] - error_jnd) for result, error_jnd in with_clean
+               if result["before"] - error_jnd > 0.02]
+    ratio = [result["after"] / error_jnd for result, error_jnd in with_clean]
+    pairs = [result for result in results if "+" in result["kind"]]
+    outside = [result for result in results if result["kind"] in OUTSIDE_REGIONS]
     return [
-        _rate("right effect first, achieved 2 JND and more", map(_first_right, strong), ">= 95 %"),
-        _rate("right effect first, achieved less", map(_first_right, weak), ">= 75 %"),
-        _rate("false finds in clean worlds", [bool(one["found"]) for one in clean.values()], "<= 5 %"),
-        _rate("half of the added error removed", [share >= 0.5 for share in removed], "all"),
-        _rate("error after <= 1.2 x that of the same world without the effect", [one <= 1.2 for one in ratio], "all"),
-        _rate("both of two effects", [set(one["found"]) >= set(one["kind"].split("+")) for one in pairs], ">= 80 %"),
-        _rate("outside the catalogue: unexplained, in its region and band", map(_located, outside), ">= 90 %"),
-        _rate("outside the catalogue: misnamed", [bool(one["found"]) for one in outside], "<= 5 %"),
-        _rate("a world within 60 s of wall time", [one["seconds"] <= 60.0 for one in done if one["seconds"]], "all")]
+        _rate("true effect added first, achieved 1.8 JND or more", map(_first_is_true, strong), ">= 95 %"),
+        _rate("true effect added first, achieved less than 1.8 JND", map(_first_is_true, weak), ">= 75 %"),
+        _rate("effect added to clean rooms", [bool(result["added"]) for result in clean.values()], "<= 5 %"),
+        _rate("half of the effect's error removed", [share >= 0.5 for share in removed], "all"),
+        _rate("error after at most 1.2 times that of the same rooms without the effect",
+              [value <= 1.2 for value in ratio], "all"),
+        _rate("both of two effects added", [set(result["added"]) >= set(result["kind"].split("+"))
+                                            for result in pairs], ">= 80 %"),
+        _rate("effect outside the catalogue: unexplained, in its region and band", map(_is_located, outside),
+              ">= 90 %"),
+        _rate("effect outside the catalogue: another one added", [bool(result["added"]) for result in outside],
+              "<= 5 %"),
+        _rate("within 60 s of wall time", [result["seconds"] <= 60.0 for result in results if result["seconds"]],
+              "all")]
 
 
-def show(done):
-    """Print confusion matrix and rates."""
-    kinds = sorted({(one["kind"], one["strength"]) for one in done})
+def show(results: list[Result]) -> None:
+    """Print which effect was added first by kind and strength, and the rates."""
     rows = []
-    for kind, strength in kinds:
-        these = [one for one in done if (one["kind"], one["strength"]) == (kind, strength)]
-        first = [(one["found"] or ["nothing"])[0] for one in these]
-        seconds = [one["seconds"] for one in these if one["seconds"]]
-        named = ", ".join(f"{first.count(name)} {name}" for name in sorted(set(first), key=lambda n: -first.count(n)))
-        rows.append([kind, strength, len(these), named, float(np.mean([one["before"] for one in these])),
-                     float(np.mean([one["after"] for one in these])),
-                     float(np.mean([one["test_after"] for one in these])),
+    for kind, strength in sorted({(result["kind"], result["strength"]) for result in results}):
+        these = [result for result in results if (result["kind"], result["strength"]) == (kind, strength)]
+        first = [(result["added"] or ["none"])[0] for result in these]
+        seconds = [result["seconds"] for result in these if result["seconds"]]
+        counts = ", ".join(f"{first.count(name)} {name}" for name in sorted(set(first), key=lambda n: -first.count(n)))
+        rows.append([kind, strength, len(these), counts,
+                     *(float(np.mean([result[key] for result in these])) for key in ("before", "after", "test_after")),
                      float(np.median(seconds)) if seconds else None])
-    print("\n" + table(["world", "JND", "worlds", "first found", "error before", "after", "test after", "s"], rows))
+    print("\n" + table(["kind", "JND", "sets", "added first", "error before", "after", "test after", "s"], rows))
     print()
-    for one in rates(done):
-        rate = "-" if one["rate"] is None else f"{100 * one['rate']:.0f} %"
-        print(f"  {one['what']}: {one['hits']} of {one['worlds']}, {rate} "
-              f"[{number(100 * one['low'])}, {number(100 * one['high'])}] (asked {one['asked']})")
+    for rate in rates(results):
+        percent = "-" if rate.rate is None else f"{100 * rate.rate:.0f} %"
+        print(f"  {rate.name}: {rate.hits} of {rate.count}, {percent} "
+              f"[{number(100 * rate.low)}, {number(100 * rate.high)}] (goal {rate.goal})")
