@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import Array, FloatArray, IntArray
 from roomeq.sim.mesh import MeshRoom
-from roomeq.sim.scene import Shoebox
+from roomeq.sim.room import Room
 
 PER_WAVELENGTH = 7.0  # voxels at the highest frequency
 MAX_VOXELS = 200_000
@@ -37,7 +37,7 @@ class _Eigenpairs(NamedTuple):
     vectors: FloatArray
 
 
-def mode_count(room: Shoebox | MeshRoom, k_max: float) -> float:
+def mode_count(room: Room, k_max: float) -> float:
     """Return the expected number of modes up to a wave number: ``V k^3 / (6 pi^2) + S k^2 / (16 pi)``.
 
     Kuttruff, Room Acoustics, eq. 3.20, without the term of the edges.

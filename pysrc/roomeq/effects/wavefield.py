@@ -16,6 +16,7 @@ k_max.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import cast
 
 import numpy as np
 import scipy  # its submodules are slow to import and load themselves when first used
@@ -27,6 +28,7 @@ from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.effects.voxels import mode_count, voxel_modes
 from roomeq.sim.mesh import MeshRoom
+from roomeq.sim.room import Room
 from roomeq.sim.scene import Shoebox
 
 MAX_CROSSOVER_HZ = 300.0
@@ -61,7 +63,7 @@ class Modes:
     shapes: Callable[[ArrayLike], FloatArray]
 
 
-def modes(room: Shoebox | MeshRoom, f_max_hz: float, speed_m_s: float) -> Modes:
+def modes(room: Room, f_max_hz: float, speed_m_s: float) -> Modes:
     """Find the modes of a room with rigid walls up to a frequency.
 
     Parameters
@@ -83,7 +85,7 @@ def modes(room: Shoebox | MeshRoom, f_max_hz: float, speed_m_s: float) -> Modes:
     if isinstance(room, Shoebox):
         frequencies_hz, shapes = _cosines(room.dims_m, float(f_max_hz), float(speed_m_s))
     else:
-        k, shapes = voxel_modes(room, 2.0 * np.pi * f_max_hz / speed_m_s)
+        k, shapes = voxel_modes(cast(MeshRoom, room), 2.0 * np.pi * f_max_hz / speed_m_s)
         frequencies_hz = speed_m_s * k / (2.0 * np.pi)
     return Modes(frequencies_hz, float(f_max_hz), room.volume_m3, float(speed_m_s), shapes)
 
@@ -170,7 +172,7 @@ def modal_response(modes: Modes, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, 
     return scipy.signal.sosfilt(highpass, rir)
 
 
-def crossover_hz(room: Shoebox | MeshRoom, t60_s: ArrayLike, speed_m_s: float) -> float:
+def crossover_hz(room: Room, t60_s: ArrayLike, speed_m_s: float) -> float:
     """Return the crossover frequency to rays: the Schroeder frequency ``2000 sqrt(T / V)``, limited.
 
     It is at most `MAX_CROSSOVER_HZ`, and so low that there are no more than `MAX_MODES` or `MAX_MESH_MODES` up to
