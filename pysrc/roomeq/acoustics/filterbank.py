@@ -6,6 +6,8 @@ import numpy as np
 
 from roomeq.core.constants import EXACT_BANDS_HZ
 
+SPREAD_S = 0.06
+"""Time by which the filters of the low bands spread a pulse, to either side [s]."""
 MIN_CROSSOVER_OCTAVES = 1.0 / 3.0
 MIN_CROSSOVER_HZ = 62.0  # a narrower crossover would spread a pulse over more than some 20 ms
 

@@ -18,6 +18,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
+from roomeq.acoustics.decibels import TINY_POWER, power_db
 from roomeq.acoustics.direct import find_direct
 from roomeq.core.constants import EXACT_BANDS_HZ
 
@@ -28,7 +29,6 @@ DIRECT_S = 2.5e-3  # what arrives this soon after the direct sound counts as dir
 EARLY_S = 0.05  # early sound of C50
 DECAYS_DB = {"edt": (0.0, -10.0), "t20": (-5.0, -25.0), "t30": (-5.0, -35.0)}
 _FFT_GRID = 4096  # a few sizes for responses of all lengths: their filters are kept
-_TINY = 1e-300  # keeps logarithms of digital silence finite
 
 
 @dataclass(frozen=True)
@@ -141,14 +141,14 @@ def find_noise_intersection(power, fs_hz):
     n_samples = len(power)
     noise = tail = float(np.mean(power[int(0.9 * n_samples):]))
     n_block, span_db, intersection = max(1, round(0.01 * fs_hz)), np.inf, n_samples
-    if noise <= _TINY:
+    if noise <= TINY_POWER:
         return NoiseIntersection(n_samples, 0.0, 0.0)
     for _ in range(8):
         line = _late_decay(power, noise, n_block, span_db)
         if line is None:
             return _drowned(power, tail, n_block)
         slope_db, offset_db = line
-        previous, intersection = intersection, int(np.clip((_db(noise) - offset_db) / slope_db, 1, n_samples))
+        previous, intersection = intersection, int(np.clip((power_db(noise) - offset_db) / slope_db, 1, n_samples))
         start = int(min(intersection - MARGIN_DB / slope_db, 0.9 * n_samples))
         tail = float(np.mean(power[start:]))
         noise = tail - _line_energy(line, start, n_samples) / (n_samples - start)
@@ -164,13 +164,13 @@ def find_noise_intersection(power, fs_hz):
 def _late_decay(power, noise, n_block, span_db):
     """Regression line (slope [dB/sample], offset [dB]) of the decay from `span_db` above the noise margin down."""
     n_blocks = len(power) // n_block
-    level_db = _db(np.mean(power[:n_blocks * n_block].reshape(n_blocks, n_block), axis=1))
-    below = np.flatnonzero(level_db < _db(noise) + 7.0)
+    level_db = power_db(np.mean(power[:n_blocks * n_block].reshape(n_blocks, n_block), axis=1))
+    below = np.flatnonzero(level_db < power_db(noise) + 7.0)
     stop = int(below[0]) if len(below) else n_blocks
     if stop < 2:
         return None
     start = int(np.argmax(level_db[:stop]))
-    above = np.flatnonzero(level_db[:stop] > _db(noise) + 7.0 + span_db)
+    above = np.flatnonzero(level_db[:stop] > power_db(noise) + 7.0 + span_db)
     start = max(start, min(int(above[-1]) if len(above) else 0, stop - 4))
     if stop - start < 2:
         return None
@@ -202,10 +202,6 @@ def _dot(first, second):
     return float(np.einsum("i,i->", first, second))
 
 
-def _db(power):
-    return 10.0 * np.log10(np.maximum(power, _TINY))
-
-
 def energy_decay(band, fs_hz, direct_sample):
     """Backward-integrated decay of one band, compensated for noise and truncation.
 
@@ -228,13 +224,13 @@ def energy_decay(band, fs_hz, direct_sample):
     energy = np.cumsum(net[::-1])[::-1] + intersection.rest_energy
     total = energy[0] + power[:start].sum()
     energy[0] = total
-    edc_db = _db(energy / max(total, _TINY))
-    range_db = float(_db(total) - _db(intersection.rest_energy)) if intersection.rest_energy > 0.0 else np.inf
+    edc_db = power_db(energy / max(total, TINY_POWER))
+    range_db = float(power_db(total) - power_db(intersection.rest_energy)) if intersection.rest_energy > 0.0 else np.inf
     if intersection.noise_power > 0.0 and intersection.rest_energy == 0.0:
         range_db = 0.0
     n_block = max(1, round(0.005 * fs_hz))
     strongest = np.convolve(after[:20 * n_block], np.full(n_block, 1.0 / n_block), "same").max()
-    floor_db = float(_db(intersection.noise_power) - _db(strongest)) if intersection.noise_power > 0.0 else None
+    floor_db = float(power_db(intersection.noise_power) - power_db(strongest)) if intersection.noise_power > 0.0 else None
     return Decay(edc_db, range_db, floor_db, intersection)
 
 
@@ -383,7 +379,7 @@ def _c50_db(spectra, fs_hz, band_hz, direct_sample, intersection):
     early, late = (spectra.energy(*part, fs_hz, band_hz) for part in ((0, gate), (gate, end)))
     late += intersection.rest_energy - (end - gate) * intersection.noise_power
     early -= gate * intersection.noise_power
-    return float(_db(early) - _db(late)) if early > 0.0 and late > 0.0 else None
+    return float(power_db(early) - power_db(late)) if early > 0.0 and late > 0.0 else None
 
 
 def _drr_db(rir, fs_hz, direct_sample, intersection):
@@ -393,4 +389,4 @@ def _drr_db(rir, fs_hz, direct_sample, intersection):
     end = round(direct_sample) + intersection.sample
     direct = np.sum(rir[first:gate] ** 2) - (gate - first) * intersection.noise_power
     reverberant = np.sum(rir[gate:end] ** 2) - max(0, end - gate) * intersection.noise_power + intersection.rest_energy
-    return float(_db(direct) - _db(reverberant)) if direct > 0.0 and reverberant > 0.0 else None
+    return float(power_db(direct) - power_db(reverberant)) if direct > 0.0 and reverberant > 0.0 else None

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from roomeq.acoustics.decibels import power_db
 from roomeq.acoustics.iso3382 import find_noise_intersection
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 
@@ -125,9 +126,9 @@ def analyse(rir, direct_sample):
     if len(rir) - stop >= MIN_NOISE:
         noise = energy_spectrum(rir[stop:]) * (stop - start) / (len(rir) - stop)
         if noise.max() > 0.0:
-            snr_db = _db(power[points]) - _db(noise[points])
+            snr_db = power_db(power[points]) - power_db(noise[points])
     valid = (snr_db >= MIN_SNR_DB) & (power[points] > 0.0) & (snr_db[BAND_1KHZ] >= MIN_SNR_DB)
-    level_db = _db(power[points])
+    level_db = power_db(power[points])
     edge_db = _edge_db(power)
     if edge_db is not None:
         valid[-1] = False
@@ -140,8 +141,4 @@ def _edge_db(power):
     bin_hz = FS_HZ / N_FRAME
     passed = float(np.mean(power[round(PASS_HZ[0] / bin_hz):round(PASS_HZ[1] / bin_hz) + 1]))
     stopped = float(np.mean(power[round(ROLL_OFF_HZ / bin_hz):]))
-    return float(_db(passed)) if _db(passed) - _db(stopped) > ROLL_OFF_DB else None
-
-
-def _db(power):
-    return 10.0 * np.log10(np.maximum(power, 1e-300))
+    return float(power_db(passed)) if power_db(passed) - power_db(stopped) > ROLL_OFF_DB else None

@@ -12,19 +12,19 @@ Levels are those of the recording: all of them contain an unknown gain of the re
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len, rfft
 
+from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.direct import find_direct
-from roomeq.acoustics.iso3382 import EARLY_S, all_metrics, octave_gains
+from roomeq.acoustics.iso3382 import DIRECT_S, EARLY_S, all_metrics, octave_gains
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
 from roomeq.core.constants import BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
 from roomeq.effects.noise_floor import NOISE_S, OCTAVE_WIDTH_HZ, QUIET_DB
 
-DIRECT_S = 2.5e-3
 LEAD_S = 1.5e-3
 LATE_S = 0.2  # end of the late level, ahead of the noise of most recordings
 THIRDS_HZ = tuple(1000.0 * 10.0 ** (0.1 * k) for k in range(-13, 9))
@@ -50,6 +50,7 @@ HAS_GAIN = np.isin(METRIC, ["direct", "early", "late", "spectrum"])
 """Whether a feature contains the gain of the recording, shape (n_features,)."""
 LARGEST = 20.0
 """Error of a feature that a model cannot produce [JND]."""
+_db = partial(power_db, floor=FLOOR_POWER)
 
 
 def feature_slice(metric: str) -> slice:
@@ -225,8 +226,8 @@ def _levels(rir: FloatArray, direct: float, metrics: dict, noise: _Noise) -> dic
         of_noise = (noise.third if kind == "third" else noise.octave) * len(part)
         if metric == "direct":
             energy, of_noise = energy[-len(DIRECT_THIRDS_HZ):], of_noise[-len(DIRECT_THIRDS_HZ):]
-        level_db = 10.0 * np.log10(np.maximum(energy - of_noise, 1e-30))
-        result[metric] = level_db, level_db - 10.0 * np.log10(np.maximum(of_noise, 1e-30))
+        level_db = _db(energy - of_noise)
+        result[metric] = level_db, level_db - _db(of_noise)
     return result
 
 
@@ -274,7 +275,3 @@ def _white(noise: _Noise) -> FloatArray:
     share = 1.0 / np.sqrt(OCTAVE_WIDTH_HZ * noise.n_samples / FS_HZ)
     most = noise.octave / OCTAVE_WIDTH_HZ * (1.0 + 2.0 * share)
     return OCTAVE_WIDTH_HZ * (most[most > 0.0].min() if np.any(most > 0.0) else 0.0)
-
-
-def _db(power: FloatArray) -> FloatArray:
-    return 10.0 * np.log10(np.maximum(power, 1e-30))

@@ -5,8 +5,11 @@ states are used, added to features that were measured on rendered RIRs. What win
 then part of both.
 """
 
+from functools import partial
+
 import numpy as np
 
+from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.core.jit import compiled
@@ -29,6 +32,7 @@ from roomeq.loop.features import (
 from roomeq.loop.tables import FRAME_EDGES_S, LEVEL_SHARES
 
 N_BANDS = len(EXACT_BANDS_HZ)
+_db = partial(power_db, floor=FLOOR_POWER)
 _N_DIRECT = len(DIRECT_THIRDS_HZ)
 _FRAME_MID_S = 0.5 * (FRAME_EDGES_S[1:] + FRAME_EDGES_S[:-1])
 BAND_OF_FEATURE = np.where(BAND_HZ > 0, np.argmin(np.abs(np.log(np.maximum(BAND_HZ, 1.0)[:, None]
@@ -138,7 +142,7 @@ def predict(data: Data, state: PredictionState, reflected: Reflected | None = No
     visible = np.array([table.visible for table in data.tables], dtype=float)
     direct = (visible / (4.0 * np.pi * data.distance_m) ** 2)[:, None] * state.direct_gain * np.exp(
         -data.distance_m[:, None] * state.air_per_m)
-    direct_thirds_db = _db(np.maximum(direct, 1e-30)) @ TO_THIRDS.T + _db(state.direct_thirds)
+    direct_thirds_db = _db(direct) @ TO_THIRDS.T + _db(state.direct_thirds)
     near_thirds_db, whole_thirds_db = _db(near) @ TO_THIRDS.T, _db(whole) @ TO_THIRDS.T
     response_octaves_db = state.response_db @ RESPONSE_TO_OCTAVES.T
     response_thirds_db = state.response_db[:, :len(THIRDS_HZ)]
@@ -167,10 +171,6 @@ def _until(seconds: FloatArray, energy: FloatArray) -> FloatArray:
     place = np.interp(seconds, FRAME_EDGES_S, np.arange(len(FRAME_EDGES_S)))
     share = np.clip(place[:, None] - np.arange(energy.shape[1]), 0.0, 1.0)  # of each frame
     return np.einsum("rf,rfb->rb", share, energy)
-
-
-def _db(power: FloatArray) -> FloatArray:
-    return 10.0 * np.log10(np.maximum(power, 1e-30))
 
 
 def _sum_db(first_db: FloatArray, second_db: FloatArray) -> FloatArray:

@@ -23,7 +23,7 @@ import numpy as np
 import scipy  # its submodules are slow to import and load themselves when first used
 from scipy.fft import irfft, next_fast_len, rfft
 
-from roomeq.acoustics.filterbank import octave_filterbank
+from roomeq.acoustics.filterbank import SPREAD_S, octave_filterbank
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled
 from roomeq.sim.double_diffraction import deposit_over_faces, over_faces
@@ -38,7 +38,6 @@ _OFF_EDGE_M = 1e-3
 _OVERSAMPLING = 16
 _BINS_PER_SAMPLE = 8
 _SINC_HALF = 32
-_GUARD_S = 0.06  # the filters of the low bands spread a pulse over this time
 _ON_BOUNDARY = 1e-6
 
 
@@ -120,7 +119,7 @@ class Diffracted:
         time_s = (self.first_sample + np.arange(self.signals.shape[1])) / FS_HZ
         loss = np.exp(-0.5 * air.speed_m_s * np.maximum(time_s, 0.0) * air.attenuation_per_m[:, None])
         bands = loss * np.einsum("sb,sn->bn", np.vstack([np.ones(kept.shape[1]), kept]), self.signals)
-        guard = int(_GUARD_S * FS_HZ)
+        guard = int(SPREAD_S * FS_HZ)
         n_fft = next_fast_len(bands.shape[1] + 2 * guard, real=True)
         spectrum = np.einsum("bf,bf->f", rfft(np.pad(bands, ((0, 0), (guard, guard))), n_fft),
                              octave_filterbank(n_fft, FS_HZ))

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-from roomeq.acoustics.filterbank import octave_filterbank
+from roomeq.acoustics.filterbank import SPREAD_S, octave_filterbank
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled
 from roomeq.sim.echogram import FRAME_S
@@ -23,7 +23,6 @@ MAX_LENGTH_S = 3.0
 DECAY_DB = 60.0
 _OVERSAMPLING = 256
 _FFT_GRID = 4096
-_GUARD_S = 0.06  # the filters of the low bands spread a pulse over this time
 
 
 def tail_noise(n_samples, volume_m3, speed_m_s, rng):
@@ -94,7 +93,7 @@ def render(distance_m, gains, echogram, noise, *, speed_m_s, n_samples, bands=sl
     rir : ndarray, shape (n_samples,)
         Sample 0 is the emission.
     """
-    guard = int(_GUARD_S * FS_HZ)
+    guard = int(SPREAD_S * FS_HZ)
     # a few sizes for all lengths: their filters are kept
     n_fft = next_fast_len(-(-(n_samples + 2 * guard) // _FFT_GRID) * _FFT_GRID, real=True)
     signals = np.zeros((echogram.shape[1], n_fft))

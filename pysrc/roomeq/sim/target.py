@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from roomeq.acoustics.decibels import FLOOR_POWER, TINY_POWER, power_db
 from roomeq.acoustics.iso3382 import decay_time, energy_decay, octave_bands, reverberation_time
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
 from roomeq.sim.echogram import FRAME_S
@@ -102,7 +103,7 @@ def t30_of_echogram(energy):
     energy : ndarray, shape (n_frames,)
     """
     decay = np.cumsum(energy[::-1])[::-1]
-    decay_db = 10.0 * np.log10(np.maximum(decay / max(decay[0], 1e-300), 1e-30))
+    decay_db = power_db(decay / max(decay[0], TINY_POWER), FLOOR_POWER)
     chosen = np.flatnonzero((decay_db <= -5.0) & (decay_db >= -35.0))
     if decay_db[-1] > -35.0 or len(chosen) < 3:
         return None

@@ -1,0 +1,16 @@
+"""Levels in decibels."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from roomeq.core.arrays import FloatArray
+
+TINY_POWER = 1e-300
+"""Keeps the logarithm of digital silence finite."""
+FLOOR_POWER = 1e-30
+"""-300 dB: a floor for levels whose differences must stay moderate."""
+
+
+def power_db(power: ArrayLike, floor: float = TINY_POWER) -> FloatArray:
+    """Return the level of a power, ``10 log10(max(power, floor))`` [dB]."""
+    return 10.0 * np.log10(np.maximum(power, floor))
