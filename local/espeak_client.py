@@ -1,9 +1,10 @@
-"""Ask eSpeak NG for speech and for pronunciations; it runs in a process of its own, `espeak_worker`."""
+"""Client of eSpeak NG, for speech and pronunciations. eSpeak NG runs in another process, `espeak_worker`."""
 
 import json
 import struct
 import subprocess
 import sys
+from typing import Any, Self
 
 import espeak_worker
 
@@ -11,38 +12,40 @@ FS_HZ = espeak_worker.FS_HZ
 
 
 class Espeak:
-    """eSpeak NG in a process of its own; a context manager.
+    """A process of eSpeak NG; a context manager.
 
     Raises
     ------
     OSError
-        When asked, if it has ended by itself; what it said is on standard error.
+        On a request, when the process has ended. Its own message is on standard error.
     """
 
-    def __enter__(self):
+    def __enter__(self) -> Self:
         self._process = subprocess.Popen([sys.executable, espeak_worker.__file__], stdin=subprocess.PIPE,
                                          stdout=subprocess.PIPE)
+        assert self._process.stdin and self._process.stdout
+        self._stdin, self._stdout = self._process.stdin, self._process.stdout
         return self
 
-    def __exit__(self, *_):
-        self._process.stdin.close()
-        self._process.stdout.close()
+    def __exit__(self, *_: object) -> None:
+        self._stdin.close()
+        self._stdout.close()
         self._process.wait()
 
-    def speak(self, **request):
-        """Return one utterance as bytes of 16-bit samples at `FS_HZ`; the request is that of `espeak_worker.speak`."""
+    def speak(self, **request: str | int) -> bytes:
+        """Return one utterance as bytes of 16-bit samples at `FS_HZ`; for the options see `espeak_worker.speak`."""
         return self._ask(request)
 
-    def phonemes(self, voice, words):
-        """Return eSpeak NG's phonemes of each word by itself, joined by ``_``, stress marks among them."""
+    def phonemes(self, voice: str, words: list[str]) -> list[str]:
+        """Return eSpeak NG's phonemes of each word on its own, joined by ``_``, with stress marks."""
         return self._ask(dict(voice=voice, words=words)).decode().splitlines()
 
-    def _ask(self, request):
+    def _ask(self, request: dict[str, Any]) -> bytes:
         try:
-            self._process.stdin.write(json.dumps(request).encode() + b"\n")
-            self._process.stdin.flush()
-            n_bytes, = struct.unpack("<q", self._process.stdout.read(8))
-            return self._process.stdout.read(n_bytes)
+            self._stdin.write(json.dumps(request).encode() + b"\n")
+            self._stdin.flush()
+            n_bytes, = struct.unpack("<q", self._stdout.read(8))
+            return self._stdout.read(n_bytes)
         except (OSError, struct.error):
-            raise OSError(f"eSpeak NG ended at {str(request)[:500]}: see the message above, is espeakng-loader "
-                          "installed (pip install espeakng-loader)?") from None
+            raise OSError(f"eSpeak NG ended at {str(request)[:500]}: see the message above, or install it "
+                          "(pip install espeakng-loader)") from None

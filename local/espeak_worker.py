@@ -1,9 +1,9 @@
-"""Speak lines of text with eSpeak NG, or say how words are pronounced, in a process of its own.
+"""Worker process of espeak_client.py: speech and pronunciations by eSpeak NG.
 
-eSpeak NG is under the GPL, so it's loaded here only and never by the toolkit. Used by espeak_client.py: every line of
-standard input is a JSON object {voice, rate_wpm, pitch, pitch_range, seed, text} or {voice, words}; for each, standard
-output gets an 8-byte little-endian byte count and that many bytes: 16-bit mono samples at `FS_HZ`, or one line of
-phonemes a word.
+eSpeak NG is under the GPL, so it is loaded by this process only and never by the toolkit. Every line of standard input
+is a JSON object {voice, rate_wpm, pitch, pitch_range, seed, text} or {voice, words}. The answer on standard output is
+an 8-byte little-endian byte count and that many bytes: 16-bit mono samples at `FS_HZ`, or one line of phonemes per
+word.
 """
 
 import ctypes
@@ -11,21 +11,22 @@ import json
 import os
 import struct
 import sys
+from typing import Any
 
 FS_HZ = 22050
 _AUDIO_SYNCHRONOUS, _DONT_EXIT, _UTF8 = 2, 0x8000, 1
 _RATE, _PITCH, _RANGE = 1, 3, 4
-_SEPARATED = ord("_") << 8  # phonemes by their own names, with _ between
+_SEPARATED = ord("_") << 8  # phoneme names, separated by _
 _CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.POINTER(ctypes.c_short), ctypes.c_int, ctypes.c_void_p)
 
 
-def load():
-    """Return eSpeak NG, ready to speak.
+def load() -> ctypes.CDLL:
+    """Return the initialised library.
 
     Raises
     ------
     RuntimeError
-        If it doesn't start or has another sample rate.
+        The library does not start or has another sample rate.
     """
     import espeakng_loader
 
@@ -40,31 +41,31 @@ def load():
     return library
 
 
-def speak(library, voice, rate_wpm, pitch, pitch_range, seed, text):
+def speak(library: ctypes.CDLL, voice: str, rate_wpm: int, pitch: int, pitch_range: int, seed: int, text: str) -> bytes:
     """Return one utterance as bytes of 16-bit samples at `FS_HZ`.
 
     Parameters
     ----------
-    library : ctypes.CDLL
-    voice : str
+    library
+    voice
         Language and variant, such as ``"en-us+f3"``.
-    rate_wpm : int
-        Words a minute, 80-450.
-    pitch, pitch_range : int
-        0-100; 50 is the variant's own.
-    seed : int
-        Of the breath in the voice, which starts from the time of day otherwise.
-    text : str
+    rate_wpm
+        Words per minute, 80-450.
+    pitch, pitch_range
+        0-100; 50 is that of the variant.
+    seed
+        Seed of the breath noise, which eSpeak NG seeds with the time otherwise.
+    text
 
     Raises
     ------
     RuntimeError
-        If there is no such voice or nothing is heard.
+        There is no such voice, or the result is empty.
     """
-    chunks = []
+    chunks: list[bytes] = []
 
     @_CALLBACK
-    def keep(samples, count, _events):
+    def keep(samples: Any, count: int, _events: int) -> int:
         if samples and count:
             chunks.append(ctypes.string_at(samples, 2 * count))
         return 0
@@ -77,34 +78,35 @@ def speak(library, voice, rate_wpm, pitch, pitch_range, seed, text):
     data = text.encode()
     failed |= library.espeak_Synth(data, len(data) + 1, 0, 0, 0, _UTF8, None, None)
     if failed or not chunks:
-        raise RuntimeError(f"eSpeak NG doesn't speak {text!r} with voice {voice!r}: reinstall espeakng-loader")
+        raise RuntimeError(f"eSpeak NG cannot speak {text!r} with voice {voice!r}: reinstall espeakng-loader")
     return b"".join(chunks)
 
 
-def phonemes(library, voice, words):
-    """Return a line for each word: its phonemes when it's said by itself, joined by ``_``, as bytes.
+def phonemes(library: ctypes.CDLL, voice: str, words: list[str]) -> bytes:
+    """Return one line per word: the phonemes of the word on its own, joined by ``_``.
 
     Raises
     ------
     RuntimeError
-        If there is no such voice.
+        There is no such voice.
     """
     if library.espeak_SetVoiceByName(voice.encode()):
         raise RuntimeError(f"eSpeak NG has no voice {voice!r}: reinstall espeakng-loader")
     lines = []
     for word in words:
-        rest, clauses = ctypes.c_char_p(word.encode()), []
-        while rest.value:  # eSpeak NG answers clause by clause and moves on in the text
+        clauses: list[bytes] = []
+        rest = ctypes.c_char_p(word.encode())
+        while rest.value:  # each call handles one clause and advances the text
             clauses.append(library.espeak_TextToPhonemes(ctypes.byref(rest), _UTF8, _SEPARATED))
         lines.append(b"_".join(clauses) + b"\n")
     return b"".join(lines)
 
 
-def main():
-    """Answer requests until standard input ends."""
+def main() -> int:
+    """Answer requests until standard input ends; return the exit status."""
     library = load()
     for line in sys.stdin:
-        # eSpeak NG keeps state (filters, pitch) from one call to the next: each utterance gets a fresh copy.
+        # eSpeak NG keeps state (filters, pitch) between calls: each request gets a fresh process.
         child = os.fork()
         if not child:
             request = json.loads(line)
@@ -120,7 +122,7 @@ def main():
 if __name__ == "__main__":
     try:
         sys.exit(main())
-    except BrokenPipeError:  # who asked has gone, and has said why
+    except BrokenPipeError:  # the client has ended and has reported why
         os._exit(1)
     except (ImportError, OSError, RuntimeError) as error:
         print(f"espeak_worker.py: {error}", file=sys.stderr)

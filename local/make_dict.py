@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Make a Kaldi dictionary of the words of a text; eSpeak NG says how they are pronounced (General American).
+"""Make a Kaldi dictionary of the words of a text, with pronunciations of eSpeak NG (General American).
 
 Usage: make_dict.py [--no-ids] TEXT DICT_DIR
 e.g.:  python local/make_dict.py data/train.clean/text exp/kaldi/dict
 
-TEXT is a Kaldi `text` file or, with --no-ids, lines of words only. Writes what stock utils/prepare_lang.sh takes, with
-<UNK> for words that are not in it. For the synthetic corpus and small tasks: LibriSpeech has a lexicon of its own.
+TEXT is a Kaldi `text` file or, with --no-ids, lines of words only. Writes the input of stock utils/prepare_lang.sh,
+with <UNK> for unknown words. For the synthetic corpus and small tasks; LibriSpeech comes with a lexicon.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from roomeq.core.files import read_text, write_text
 VOICE = "en-us"
 SILENCES = {"!SIL": "SIL", "<UNK>": "SPN"}
 WORD = re.compile(r"'?\w[\w'.-]*")
-PHONES = {  # of eSpeak NG's American English, as ARPAbet has them
+PHONES = {  # ARPAbet symbols of eSpeak NG's American English phonemes
     "0": "AA", "3": "ER", "3:": "ER", "@": "AX", "@-": "AX", "@2": "AX", "@L": "AX L", "A:": "AA", "A@": "AA R",
     "D": "DH", "E": "EH", "I": "IH", "I#": "IH", "I2": "IH", "N": "NG", "O": "AO", "O2": "AO", "O:": "AO",
     "O@": "AO R", "OI": "OY", "S": "SH", "T": "TH", "U": "UH", "U@": "UH R", "V": "AH", "Z": "ZH", "?": "T",
@@ -33,46 +33,42 @@ PHONES = {  # of eSpeak NG's American English, as ARPAbet has them
     "u": "UW", "u:": "UW", "v": "V", "w": "W", "x": "K", "z": "Z"}
 
 
-def pronunciation(word, phonemes):
+def pronunciation(word: str, phonemes: str) -> list[str]:
     """Return the phones of a word from eSpeak NG's phonemes.
 
     Parameters
     ----------
-    word : str
-    phonemes : str
+    word
+    phonemes
         Joined by ``_``, with stress marks.
-
-    Returns
-    -------
-    list of str
 
     Raises
     ------
     ValueError
-        The word has no sound, or one that isn't American English.
+        The word has no phoneme, or one outside American English.
     """
     names = [re.sub("[',%=|;!]", "", name) for name in re.split("[_ ]+", phonemes)]
     unknown = [name for name in names if name and name not in PHONES]
     phones = " ".join(PHONES[name] for name in names if name in PHONES).split()
     if unknown or not phones:
-        raise ValueError(f"word {word!r} has pronunciation {phonemes!r}, which must be of the sounds of American "
-                         "English: spell it otherwise")
-    return [phone for phone, _ in groupby(phones)]  # "A@ r" has one R
+        raise ValueError(f"word {word!r} has pronunciation {phonemes!r}, which must consist of American English "
+                         "phonemes: change the spelling")
+    return [phone for phone, _ in groupby(phones)]  # "A@ r" holds R twice
 
 
-def read_words(path, *, ids=True):
-    """Return the words of a text, each once, in the order of their bytes.
+def read_words(path: Path, *, ids: bool = True) -> list[str]:
+    """Return the distinct words of a text, sorted.
 
     Parameters
     ----------
-    path : Path
-    ids : bool
+    path
+    ids
         Whether the first field of a line is an utterance's id, as in Kaldi's `text`.
 
     Raises
     ------
     ValueError
-        Something is no word, or there is none.
+        A word has characters other than letters, digits, dots, hyphens and apostrophes, or there are no words.
     """
     words = set()
     for number, line in enumerate(read_text(path).splitlines(), start=1):
@@ -86,33 +82,36 @@ def read_words(path, *, ids=True):
     return sorted(words)
 
 
-def make_dict(text, dict_dir, *, ids=True):
+def make_dict(text: Path, dict_dir: Path, *, ids: bool = True) -> None:
     """Make the dictionary.
 
     Parameters
     ----------
-    text, dict_dir : Path
-    ids : bool
+    text
+        File with the words.
+    dict_dir
+        Directory to make.
+    ids
         See `read_words`.
 
     Raises
     ------
     ValueError
-        See `read_words` and `pronunciation`; or `dict_dir` holds something else.
+        See `read_words` and `pronunciation`; or `dict_dir` exists and was not made by this function.
     OSError
-        eSpeak NG doesn't run, or `dict_dir` can't be written.
+        eSpeak NG does not run, or `dict_dir` cannot be written.
     """
     words = read_words(text, ids=ids)
-    sources = [Path(module.__file__) for module in (sys.modules[__name__], espeak_client, espeak_worker)]
+    sources = [Path(str(module.__file__)) for module in (sys.modules[__name__], espeak_client, espeak_worker)]
     build = Build(dict_dir, step="dict", options=dict(words=words), inputs=sources)
 
     if build.done:
         return
     with espeak_client.Espeak() as espeak:
-        spoken = espeak.phonemes(VOICE, [word.lower() for word in words])  # capitals would be spelt out
+        spoken = espeak.phonemes(VOICE, [word.lower() for word in words])  # capitals would be spelled out
     lexicon = {word: pronunciation(word, phonemes) for word, phonemes in zip(words, spoken, strict=True)}
 
-    def assemble(directory, _):
+    def assemble(directory: Path, _: list[None]) -> None:
         phones = sorted({phone for phones in lexicon.values() for phone in phones})
         lines = [f"{word} {phone}" for word, phone in SILENCES.items()]
         lines += [f"{word} {' '.join(phones)}" for word, phones in lexicon.items()]
@@ -121,11 +120,11 @@ def make_dict(text, dict_dir, *, ids=True):
             write_text(directory / f"{name}.txt", "".join(f"{row}\n" for row in rows))
         print(f"{dict_dir}: {len(words)} words, {len(phones)} phones")
 
-    build.run({}, None)
+    build.run({}, lambda name, item: None)
     build.finish(assemble)
 
 
-def main(argv=None):
+def main(argv: list[str] | None = None) -> int:
     """Parse the command line and make the dictionary; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("text", type=Path, metavar="TEXT")

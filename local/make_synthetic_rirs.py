@@ -1,20 +1,21 @@
 #!/usr/bin/env python3
-"""Generate a synthetic corpus of measured-like RIRs, in the layout of BUT ReverbDB as released.
+"""Generate a synthetic corpus of "measured" RIRs, in the layout of BUT ReverbDB as released.
 
 Usage: make_synthetic_rirs.py [--rooms 9] [--mics 6] [--speakers 6] [--silence-s 10] [--seed 0] [--nj 2] OUT_DIR
 e.g.:  python local/make_synthetic_rirs.py --nj 2 corpora/synthetic_rirs
 
-Nothing in it is measured. It holds, in small number, what makes readers of the released corpus stumble: two takes
-of a position, a retransmission session (_T) that repeats one, a room without furniture in its meta file and one
-whose meta file has its other name, a position outside its room, two silence files in a folder, a stairwell.
+Nothing in it is measured. It contains the irregularities of the released corpus: two takes of a position, a
+retransmission session (_T) at a position of another session, a meta file without furniture, a meta file with another
+name, a position outside its room, two silence files in a folder, a stairwell.
 """
 
 import argparse
 import datetime
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -24,10 +25,25 @@ from roomeq.core.audio import write_wav
 from roomeq.core.build import Build
 from roomeq.core.files import write_text
 from roomeq.core.rng import rng_for
-from synthetic_acoustics import FS_HZ, LOUDSPEAKERS, N_OUT, OCTAVES_HZ, Room, impulse_responses
+from synthetic_acoustics import FS_HZ, LOUDSPEAKERS, N_OUT, OCTAVES_HZ, FloatArray, Room, impulse_responses
 
-# name, type, subtype, depth x width x height [m], T60 at 1 kHz [s], walls, floor, ceiling, furniture [percent]
-TABLE = (
+
+class RoomDescription(NamedTuple):
+    """What the meta file of a room states, and its decay time."""
+
+    name: str
+    kind: str
+    subtype: str
+    dims_m: tuple[float, float, float]  # depth, width, height
+    t60_s: float  # at 1 kHz
+    walls: str
+    floor: str
+    ceiling: str
+    furniture_percent: int
+
+
+# Audio depends on the names of rooms ("Standin_...") and on the texts given to `rng_for` ("standin-..."): keep them.
+TABLE = tuple(map(RoomDescription._make, (
     ("Standin_Office_A101", "office", "small", (6.1, 5.4, 3.05), 0.50, "plaster", "carpet", "tiles", 30),
     ("Standin_Meeting_B210", "meeting room", "medium", (7.8, 5.2, 3.1), 0.38, "wood", "carpet", "tiles", 25),
     ("Standin_Stairs_S3", "stairs", "uncommon", (6.2, 2.7, 12.9), 1.30, "concrete", "stone", "concrete", 0),
@@ -37,8 +53,8 @@ TABLE = (
     ("Standin_Hall_D2", "lecture room", "hall", (19.5, 15.2, 6.1), 1.15, "wood", "carpet", "plaster", 45),
     ("Standin_Conference_K1", "conference", "large", (16.8, 9.7, 3.4), 0.80, "plaster", "carpet", "tiles", 20),
     ("Standin_Studio_T9", "studio", "treated", (7.1, 5.9, 3.2), 0.27, "foam", "carpet", "foam", 15),
-)
-# rooms beyond the table: type, subtype, least and largest depth, width, height [m], range of T60 at 1 kHz [s]
+)))
+# rooms beyond the table: type, subtype, smallest and largest depth, width, height [m], range of T60 at 1 kHz [s]
 KINDS = (
     ("office", "small", (4.2, 3.6, 2.7), (6.8, 5.6, 3.3), (0.35, 0.75)),
     ("meeting room", "medium", (5.8, 4.4, 2.7), (9.5, 6.6, 3.4), (0.30, 0.70)),
@@ -51,22 +67,22 @@ KINDS = (
 MATERIALS = {"walls": ("plaster", "wood", "concrete", "gypsum"), "floor": ("carpet", "linoleum", "wood", "stone"),
              "ceiling": ("tiles", "plaster", "concrete")}
 MAX_ROOMS = 80
-REPEATED, OUTSIDE, RETRANSMITTED, NO_FURNITURE, OTHER_NAME = 0, 1, 1, 2, 1  # rooms with a trap
-SILENT_MICS = 3  # microphones of a room's first session that also recorded its background noise
+REPEATED, OUTSIDE, RETRANSMITTED, NO_FURNITURE, OTHER_NAME = 0, 1, 1, 2, 1  # rooms with an irregularity
+SILENT_MICS = 3  # microphones of a room's first session that also have recordings of background noise
 GAIN = 0.5 * 4 * np.pi * 0.9  # the nearest position peaks at about half of full scale
 SWEEP = "IR_sweep_15s_45Hzto22kHz_FS16kHz"
 README = """Generated, not measured: a synthetic corpus of room impulse responses.
 
 Made by local/make_synthetic_rirs.py: damped modes of rigid shoeboxes below 250-350 Hz, image sources and a decaying
-noise tail above, two loudspeakers taken in turn that beam and have responses of their own, microphone noise. Rooms,
-positions and meta files are made up as well. Laid out as BUT ReverbDB is (doi 10.1109/JSTSP.2019.2917582), so that
-the same reader reads both; nothing of that corpus is in here.
+noise tail above, two directional loudspeakers with different frequency responses in turn, microphone noise. Rooms,
+positions and meta files are generated, too. The layout is that of BUT ReverbDB (doi 10.1109/JSTSP.2019.2917582), so
+the same reader reads both; no file of that corpus is included.
 """
 
 
 @dataclass(frozen=True)
 class Corpus:
-    """What the bytes of the corpus depend on."""
+    """Options that determine every byte of the corpus."""
 
     rooms: int
     mics: int
@@ -85,73 +101,72 @@ class Session:
     kind: str = "S"
 
     @property
-    def model(self):
-        """Which of the `LOUDSPEAKERS` stands there: every second position has the same in all rooms."""
+    def model(self) -> int:
+        """Index into `LOUDSPEAKERS`: positions alternate between the two, alike in all rooms."""
         return (self.speaker - 1) % len(LOUDSPEAKERS)
 
     @property
-    def folder(self):
-        """Its path in the corpus."""
+    def folder(self) -> str:
+        """Path in the corpus."""
         days = 70 * (self.room % len(TABLE)) + self.speaker - 1 + (35 if self.kind == "T" else 0)
         date = datetime.date(2019, 5, 3) + datetime.timedelta(days)
         return f"{self.room_name}/MicID01/SpkID{self.speaker:02d}_{date:%Y%m%d}_{self.kind}"
 
 
-def described(corpus, index):
-    """Return a room as the table has it; those beyond it are drawn, small and absorbing ones with shorter decays."""
+def describe_room(corpus: Corpus, index: int) -> RoomDescription:
+    """Return a room of the table; rooms beyond it are drawn, small ones with shorter decays on average."""
     if index < len(TABLE):
         return TABLE[index]
     rng = rng_for(corpus.seed, "standin-description", str(index))
-    kind, subtype, least_m, largest_m, (shortest_s, longest_s) = KINDS[index % len(KINDS)]
+    kind, subtype, smallest_m, largest_m, (shortest_s, longest_s) = KINDS[index % len(KINDS)]
     size = rng.uniform(0, 1, 3)
-    dims_m = tuple((np.array(least_m) + size * np.subtract(largest_m, least_m)).round(2).tolist())
-    live = 0.5 * size.mean() + 0.5 * rng.uniform()  # larger rooms tend to ring for longer
+    dims_m = tuple((np.array(smallest_m) + size * np.subtract(largest_m, smallest_m)).round(2).tolist())
+    live = 0.5 * size.mean() + 0.5 * rng.uniform()  # larger rooms tend to have longer decays
     t60_s = round(shortest_s + live * (longest_s - shortest_s), 2)
     walls, floor, ceiling = (str(rng.choice(names)) for names in MATERIALS.values())
     if subtype == "treated":
         walls, floor, ceiling = "foam", "carpet", "foam"
     name = f"Standin_{kind.split()[0].capitalize()}_R{index:03d}"
-    return name, kind, subtype, dims_m, t60_s, walls, floor, ceiling, int(rng.integers(2, 10)) * 5
+    return RoomDescription(name, kind, subtype, dims_m, t60_s, walls, floor, ceiling, int(rng.integers(2, 10)) * 5)
 
 
-def sessions(corpus):
-    """Return all sessions of the corpus, by folder."""
-    names = [described(corpus, room)[0] for room in range(corpus.rooms)]
-    found = [Session(room, name, speaker + 1) for room, name in enumerate(names) for speaker in range(corpus.speakers)]
+def sessions(corpus: Corpus) -> dict[str, Session]:
+    """Return all sessions of the corpus by folder."""
+    names = [describe_room(corpus, room).name for room in range(corpus.rooms)]
+    listed = [Session(room, name, speaker + 1) for room, name in enumerate(names) for speaker in range(corpus.speakers)]
     if corpus.rooms > RETRANSMITTED:
-        found.append(Session(RETRANSMITTED, names[RETRANSMITTED], 1, "T"))
-    return {session.folder: session for session in found}
+        listed.append(Session(RETRANSMITTED, names[RETRANSMITTED], 1, "T"))
+    return {session.folder: session for session in listed}
 
 
-def draw_room(corpus, index):
+def draw_room(corpus: Corpus, index: int) -> Room:
     """Return the acoustics of a room.
 
-    Decay times grow by 30-80 % towards 62.5 Hz and fall by 5-25 % towards 8 kHz, air not counted.
+    Decay times without air grow by 30-80 % towards 62.5 Hz and fall by 5-25 % towards 8 kHz.
     """
-    name, *_, dims_m, t60_s = described(corpus, index)[:5]
-    rng = rng_for(corpus.seed, "standin-room", name)
+    described = describe_room(corpus, index)
+    rng = rng_for(corpus.seed, "standin-room", described.name)
     octaves_below = np.log2(1000 / OCTAVES_HZ)
     shape = np.where(octaves_below > 0, 1 + rng.uniform(0.3, 0.8) * np.abs(octaves_below / 4) ** 1.5,
                      1 + rng.uniform(0.05, 0.25) * octaves_below / 3)
     shape *= rng.uniform(0.95, 1.05, 8)
     share = rng.uniform(0.5, 1.6, 6)
-    room = Room(np.array(dims_m), t60_s * rng.uniform(0.92, 1.08) * shape, share, rng.uniform(0.1, 0.3),
-                round(rng.uniform(19, 24), 1), int(rng.integers(2**31)))
-    share /= np.average(share, weights=room.wall_areas_m2)
-    return room
+    room = Room(np.array(described.dims_m), described.t60_s * rng.uniform(0.92, 1.08) * shape, share,
+                rng.uniform(0.1, 0.3), round(rng.uniform(19, 24), 1), int(rng.integers(2**31)))
+    return replace(room, wall_share=share / np.average(share, weights=room.wall_areas_m2))
 
 
-def draw_positions(corpus, index):
-    """Return the positions in a room: speakers, the unit vectors they face, microphones, each (n, 3) [m]."""
-    name, _, _, dims_m, *_ = described(corpus, index)
-    rng = rng_for(corpus.seed, "standin-positions", name)
-    dims_m = np.array(dims_m)
-    top_m = dims_m[2] - 0.4 if dims_m[2] > 8 else 1.8  # loudspeakers in the stairwell stand on all its floors
+def draw_positions(corpus: Corpus, index: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return loudspeaker positions [m], unit vectors of their axes, and microphone positions [m], each (n, 3)."""
+    described = describe_room(corpus, index)
+    rng = rng_for(corpus.seed, "standin-positions", described.name)
+    dims_m = np.array(described.dims_m)
+    top_m = dims_m[2] - 0.4 if dims_m[2] > 8 else 1.8  # loudspeakers in the stairwell stand on all floors
     speakers = rng.uniform([0.5, 0.5, 0.9], [*dims_m[:2] - 0.5, top_m], (corpus.speakers, 3)).round(3)
     turned = rng.normal(0, np.radians(40), corpus.speakers)
     towards = np.arctan2(*(dims_m / 2 - speakers).T[1::-1]) + turned
     facing = np.stack([np.cos(towards), np.sin(towards), np.zeros(corpus.speakers)], 1)
-    mics = []
+    mics: list[FloatArray] = []
     while len(mics) < corpus.mics:
         mic = rng.uniform(0.3, np.minimum(dims_m - 0.3, [np.inf, np.inf, max(top_m, 2.4)])).round(3)
         if np.linalg.norm(speakers - mic, axis=1).min() > 0.9:
@@ -159,15 +174,15 @@ def draw_positions(corpus, index):
     return speakers, facing, np.array(mics)
 
 
-def microphone_noise(rng, n_samples):
-    """Return noise of about unit power: white, rising towards low frequencies below 150 Hz."""
+def microphone_noise(rng: np.random.Generator, n_samples: int) -> FloatArray:
+    """Return noise of about unit power: white, with a rise towards low frequencies below 150 Hz."""
     spectrum = np.fft.rfft(rng.standard_normal(n_samples))
     freqs_hz = np.fft.rfftfreq(n_samples, 1 / FS_HZ)
     return np.fft.irfft(spectrum * np.sqrt(1 + 150 / np.maximum(freqs_hz, 20)), n_samples)
 
 
-def background_noise(corpus, room_name, mic_name):
-    """Return what a microphone hears in a quiet room: a falling spectrum, ventilation, hum, its own noise."""
+def background_noise(corpus: Corpus, room_name: str, mic_name: str) -> FloatArray:
+    """Return the recording of a quiet room: noise with a falling spectrum, ventilation, hum, microphone noise."""
     n_samples = corpus.silence_s * FS_HZ
     room = rng_for(corpus.seed, "standin-background", room_name)
     freqs_hz = np.fft.rfftfreq(n_samples, 1 / FS_HZ).clip(10)
@@ -186,59 +201,61 @@ def background_noise(corpus, room_name, mic_name):
     return noise + 10 ** (-78 / 20) * microphone_noise(rng, n_samples)
 
 
-def meta(title, rows):
-    """Return a meta file of the released kind: a banner, then ``$Key<TAB>value`` lines."""
+def meta_text(title: str, rows: list[tuple[str, object]]) -> str:
+    """Return a meta file in the released format: a banner, then ``$Key<TAB>value`` lines."""
     banner = "#" * 40
     return f"{banner}\n# {title}\n{banner}\n" + "".join(f"${key}\t{value}\n" for key, value in rows)
 
 
-def room_meta(corpus, index):
+def room_meta(corpus: Corpus, index: int) -> str:
     """Return the meta file of a room."""
-    name, kind, subtype, dims_m, _, walls, floor, ceiling, furniture = described(corpus, index)
-    room = draw_room(corpus, index)
-    rows = [("EnvName", name), ("EnvType", kind), ("EnvSubType", subtype),
-            ("EnvDescription", "generated, not measured")]
-    rows += zip(("EnvDepth", "EnvWidth", "EnvHeight"), dims_m, strict=True)
-    rows += [("EnvVolume", round(room.volume_m3, 1)), ("EnvMatWall", walls), ("EnvMatFloor", floor),
-             ("EnvMatCeiling", ceiling), ("EnvTemp", room.temperature_c), ("EnvBCKNoiseLevel", 30 + index % len(TABLE))]
+    described, room = describe_room(corpus, index), draw_room(corpus, index)
+    rows: list[tuple[str, object]] = [
+        ("EnvName", described.name), ("EnvType", described.kind), ("EnvSubType", described.subtype),
+        ("EnvDescription", "generated, not measured")]
+    rows += zip(("EnvDepth", "EnvWidth", "EnvHeight"), described.dims_m, strict=True)
+    rows += [("EnvVolume", round(room.volume_m3, 1)), ("EnvMatWall", described.walls),
+             ("EnvMatFloor", described.floor), ("EnvMatCeiling", described.ceiling),
+             ("EnvTemp", room.temperature_c), ("EnvBCKNoiseLevel", 30 + index % len(TABLE))]
     if index != NO_FURNITURE:
-        rows.append(("EnvFurniture", furniture))
-    return meta("ENVIRONMENT", rows)
+        rows.append(("EnvFurniture", described.furniture_percent))
+    return meta_text("ENVIRONMENT", rows)
 
 
-def speaker_rows(speaker_m):
+def speaker_rows(speaker_m: FloatArray) -> list[tuple[str, object]]:
     """Return the meta rows of a loudspeaker position."""
     return list(zip(("EnvSpk1Depth", "EnvSpk1Width", "EnvSpk1Height"), speaker_m, strict=True))
 
 
-def mic_meta(number, speaker_m, mic_m, t60_s):
-    """Return the meta file of a microphone (`number` from 1)."""
+def mic_meta(number: int, speaker_m: FloatArray, mic_m: FloatArray, t60_s: float) -> str:
+    """Return the meta file of a microphone; `number` counts from 1."""
     path = mic_m - speaker_m
     key = f"EnvMic{number}"
-    values = {"Depth": mic_m[0], "Width": mic_m[1], "Height": mic_m[2],
-              "TypeID": f"01-{number}" if number <= 2 else "02", "RelDistance": round(np.linalg.norm(path), 2),
-              "RelAzimuth": round(np.degrees(np.arctan2(path[1], path[0])), 1),
-              "RelElevation": round(np.degrees(np.arcsin(path[2] / np.linalg.norm(path))), 1)}
+    values: dict[str, object] = {
+        "Depth": mic_m[0], "Width": mic_m[1], "Height": mic_m[2],
+        "TypeID": f"01-{number}" if number <= 2 else "02", "RelDistance": round(np.linalg.norm(path), 2),
+        "RelAzimuth": round(np.degrees(np.arctan2(path[1], path[0])), 1),
+        "RelElevation": round(np.degrees(np.arcsin(path[2] / np.linalg.norm(path))), 1)}
     values |= {f"RelRT{decay}": round(t60_s, 3) for decay in (60, 30, 20)}
     rows = [*speaker_rows(speaker_m), ("EnvMicID", number), *((key + k, v) for k, v in values.items())]
-    return meta("MICROPHONE", rows)
+    return meta_text("MICROPHONE", rows)
 
 
-def make_session(corpus, out_dir, folder, session):
-    """Write one session; return its number of RIRs."""
+def make_session(corpus: Corpus, out_dir: Path, folder: str, session: Session) -> int:
+    """Write one session and return its number of RIRs."""
     index, name = session.room, session.room_name
     room = draw_room(corpus, index)
     speakers, facings, mics = draw_positions(corpus, index)
     speaker_m, facing = speakers[session.speaker - 1], facings[session.speaker - 1]
-    # The retransmission session repeats the position: same tail, other noise.
+    # The retransmission session repeats a position: same tail, different noise.
     rngs = [rng_for(corpus.seed, "standin-tail", f"{name} {session.speaker} {k}") for k in range(len(mics))]
     direct_samples = np.array([712 + rng.uniform(-1, 1) for rng in rngs])
-    with threadpool_limits(1):  # sums must not depend on how many threads shared them
+    with threadpool_limits(1):  # sums must not depend on the number of threads
         responses = GAIN * impulse_responses(room, speaker_m, mics, facing, direct_samples, rngs,
                                              session.model)
     floor_db = rng_for(corpus.seed, "standin-floor", name).uniform(-65, -55)
 
-    write_text(out_dir / folder / "spk_meta.txt", meta("SPEAKER", speaker_rows(speaker_m)))
+    write_text(out_dir / folder / "spk_meta.txt", meta_text("SPEAKER", speaker_rows(speaker_m)))
     written = 0
     for k, (mic_m, response) in enumerate(zip(mics, responses, strict=True)):
         mic_dir = out_dir / folder / f"{k + 1:02d}"
@@ -258,34 +275,35 @@ def make_session(corpus, out_dir, folder, session):
         if session.kind == "T" and k == 0:
             rng = rng_for(corpus.seed, "standin-retransmission", folder)
             n = 2 * FS_HZ
-            syllables = np.abs(np.sin(4 * np.pi * np.arange(n) / FS_HZ)) * microphone_noise(rng, n)
-            heard = np.fft.irfft(np.fft.rfft(response, 2 * n) * np.fft.rfft(syllables, 2 * n))[:n]
-            write_wav(mic_dir / "english/LibriSpeech/test-clean/1/2/1-2-0000.v00.wav", 0.1 * heard)
+            bursts = np.abs(np.sin(4 * np.pi * np.arange(n) / FS_HZ)) * microphone_noise(rng, n)
+            recorded = np.fft.irfft(np.fft.rfft(response, 2 * n) * np.fft.rfft(bursts, 2 * n))[:n]
+            write_wav(mic_dir / "english/LibriSpeech/test-clean/1/2/1-2-0000.v00.wav", 0.1 * recorded)
     return written
 
 
-def make_synthetic_rirs(out_dir, corpus, nj=1):
+def make_synthetic_rirs(out_dir: Path, corpus: Corpus, nj: int = 1) -> None:
     """Make the corpus.
 
     Parameters
     ----------
-    out_dir : Path
-    corpus : Corpus
-    nj : int
-        Processes; the result does not depend on it.
+    out_dir
+        Directory to make.
+    corpus
+    nj
+        Number of processes; the result does not depend on it.
 
     Raises
     ------
     ValueError
-        `out_dir` holds something else.
+        `out_dir` exists and was not made by this function.
     """
-    build = Build(out_dir, step="standin-rirs", options=vars(corpus),
+    build = Build(out_dir, step="synthetic-rirs", options=vars(corpus),
                   inputs=[Path(__file__), Path(synthetic_acoustics.__file__)])
 
-    def assemble(directory, counts):
+    def assemble(directory: Path, counts: list[int]) -> None:
         for index in range(corpus.rooms):
             file = "env_full_meta.txt" if index == OTHER_NAME else "env_meta.txt"
-            write_text(directory / described(corpus, index)[0] / file, room_meta(corpus, index))
+            write_text(directory / describe_room(corpus, index).name / file, room_meta(corpus, index))
         write_text(directory / "README", README)
         print(f"{out_dir}: {sum(counts)} generated RIRs of {corpus.rooms} rooms")
 
@@ -293,15 +311,15 @@ def make_synthetic_rirs(out_dir, corpus, nj=1):
         build.finish(assemble)
 
 
-def main(argv=None):
+def main(argv: list[str] | None = None) -> int:
     """Parse the command line and make the corpus; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out_dir", type=Path, metavar="OUT_DIR")
     parser.add_argument("--rooms", type=int, default=9, help=f"rooms, 1 to {MAX_ROOMS}; default 9")
-    parser.add_argument("--mics", type=int, default=6, help="microphones a room, 1 to 31; default 6")
-    parser.add_argument("--speakers", type=int, default=6, help="loudspeaker positions a room, 1 to 20; default 6")
+    parser.add_argument("--mics", type=int, default=6, help="microphones per room, 1 to 31; default 6")
+    parser.add_argument("--speakers", type=int, default=6, help="loudspeaker positions per room, 1 to 20; default 6")
     parser.add_argument("--silence-s", type=int, default=10, help="length of noise files [s], 1 to 60; default 10")
-    parser.add_argument("--seed", type=int, default=0, help="of all random draws; default 0")
+    parser.add_argument("--seed", type=int, default=0, help="seed of every random draw; default 0")
     parser.add_argument("--nj", type=int, default=1, help="processes, at least 1; default 1")
     args = vars(parser.parse_args(argv))
     for key, highest in (("rooms", MAX_ROOMS), ("mics", 31), ("speakers", 20), ("silence_s", 60), ("nj", 1000)):

@@ -1,17 +1,18 @@
 #!/usr/bin/env python3
-"""Generate a synthetic corpus in the form of LibriSpeech with eSpeak NG: few words, many voices, transcripts; and point noises.
+"""Generate a synthetic speech corpus with eSpeak NG, in the layout of LibriSpeech, and point noises.
 
 Usage: make_synthetic_speech.py [--utterances 900,150,150] [--seed 0] [--nj 2] OUT_DIR
 e.g.:  python local/make_synthetic_speech.py --nj 2 corpora/synthetic_speech
 
-Writes OUT_DIR/LibriSpeech/{train-clean-100,dev-clean,test-clean} as the real corpus has them, each with voices of its
-own; OUT_DIR/LibriSpeech-LM/lm.txt, further sentences of the same language for language models; and
-OUT_DIR/point_noises/*.flac with noises.csv. Nobody spoke any of it.
+Writes OUT_DIR/LibriSpeech/{train-clean-100,dev-clean,test-clean}, no voice in two sets; OUT_DIR/LibriSpeech-LM/lm.txt,
+further sentences of the same language for language models; and OUT_DIR/point_noises/*.flac with noises.csv. Nothing in
+it is recorded.
 """
 
 import argparse
 import re
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,6 +25,7 @@ import espeak_worker
 import synthetic_noises
 import synthetic_text
 from espeak_client import Espeak
+from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import write_flac
 from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
@@ -34,7 +36,7 @@ from synthetic_text import draw_sentence
 
 @dataclass(frozen=True)
 class Voice:
-    """An eSpeak NG voice: language, variant, words a minute, pitch and its range (50: the variant's own)."""
+    """An eSpeak NG voice: language, variant, words per minute, pitch and its range (50: that of the variant)."""
 
     sex: str
     language: str
@@ -44,8 +46,8 @@ class Voice:
     pitch_range: int
 
     @property
-    def name(self):
-        """As eSpeak NG calls it."""
+    def name(self) -> str:
+        """Name of the voice in eSpeak NG."""
         return f"{self.language}+{self.variant}"
 
 
@@ -78,11 +80,11 @@ LM_SENTENCES = 20_000
 CHATTER = """because perhaps nobody ever told them about it however people would rather have been somewhere else
 than listen again although every other friend remembered another story which sounded quite different""".split()
 NOISES = tuple(f"{kind}{n}" for kind in ("hum", "fan", "clatter", "babble") for n in (1, 2, 3))
-README = """Generated, not recorded: a synthetic corpus in the form of LibriSpeech.
+README = """Generated, not recorded: a synthetic corpus in the layout of LibriSpeech.
 
-Made by local/make_synthetic_speech.py. The speech comes from the synthesiser eSpeak NG, the words are drawn from
-a made-up language; the point noises are made of sines, noise and the same synthesiser. Nothing in here is of
-LibriSpeech.
+Made by local/make_synthetic_speech.py. The speech comes from the synthesiser eSpeak NG, the sentences are drawn from
+an artificial language, and the point noises consist of sines, noise and synthesised speech. No file of LibriSpeech is
+included.
 """
 
 
@@ -97,52 +99,52 @@ class Chapter:
     n_utterances: int
 
     @property
-    def folder(self):
-        """Its path in the corpus."""
+    def folder(self) -> str:
+        """Path in the corpus."""
         return f"LibriSpeech/{self.subset}/{self.speaker}/{self.chapter}"
 
 
-def chapters(utterances):
-    """Return all chapters by folder, two a voice.
+def chapters(utterances: Sequence[int]) -> dict[str, Chapter]:
+    """Return all chapters by folder, two per voice.
 
     Parameters
     ----------
-    utterances : sequence of int
-        How many in each of the sets of `VOICES`.
+    utterances
+        Number of utterances in each of the sets of `VOICES`.
     """
-    found, speaker = {}, 100
+    by_folder, speaker = {}, 100
     for (subset, voices), total in zip(VOICES.items(), utterances, strict=True):
         for k, voice in enumerate(voices):
             speaker += 1
-            mine = total * (k + 1) // len(voices) - total * k // len(voices)
-            for part, count in enumerate((mine - mine // 2, mine // 2)):
+            of_voice = total * (k + 1) // len(voices) - total * k // len(voices)
+            for part, count in enumerate((of_voice - of_voice // 2, of_voice // 2)):
                 if count:
                     chapter = Chapter(subset, voice, speaker, 10 * speaker + part, count)
-                    found[chapter.folder] = chapter
-    return found
+                    by_folder[chapter.folder] = chapter
+    return by_folder
 
 
-def say(espeak, voice, words, rng):
-    """Return one utterance at `FS_HZ` without the silence around it, peak 1; `rng` varies rate and pitch."""
-    heard = espeak.speak(voice=voice.name, rate_wpm=round(voice.rate_wpm * rng.uniform(0.93, 1.07)),
+def say(espeak: Espeak, voice: Voice, words: list[str], rng: np.random.Generator) -> FloatArray:
+    """Return one utterance at `FS_HZ` without the silence around it, with peak 1; `rng` varies rate and pitch."""
+    spoken = espeak.speak(voice=voice.name, rate_wpm=round(voice.rate_wpm * rng.uniform(0.93, 1.07)),
                          pitch=voice.pitch + int(rng.integers(-4, 5)), pitch_range=voice.pitch_range,
                          seed=int(rng.integers(1, 2**31)), text=" ".join(words))
-    speech = soxr.resample(np.frombuffer(heard, "<i2") / 2**15, espeak_client.FS_HZ, FS_HZ, quality="VHQ")
+    speech = soxr.resample(np.frombuffer(spoken, "<i2") / 2**15, espeak_client.FS_HZ, FS_HZ, quality="VHQ")
     loud = np.flatnonzero(np.abs(speech) > 0.003 * np.abs(speech).max())
     speech = speech[loud[0]:loud[-1] + 1]
     return speech / np.abs(speech).max()
 
 
-def recorded(speech, rng):
-    """Return speech as if recorded: 0.15-0.35 s of silence around it, a level of its own, a noise floor at -65 dB.
+def recorded(speech: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Add what a recording adds: 0.15-0.35 s of silence on each side, a random level, a noise floor at -65 dB.
 
-    Without the floor, the zeros between words would be what recognisers learn.
+    Without the noise floor, recognisers would learn the digital zeros between words.
 
     Parameters
     ----------
-    speech : ndarray, shape (n_samples,)
-        Peak 1.
-    rng : numpy.random.Generator
+    speech
+        With peak 1, shape (n_samples,).
+    rng
     """
     before, after = rng.uniform(0.15, 0.35, 2) + max(0, 0.7 - len(speech) / FS_HZ) / 2
     padded = np.pad(speech, (int(before * FS_HZ), int(after * FS_HZ))) * 10 ** (rng.uniform(-10, -3) / 20)
@@ -152,13 +154,13 @@ def recorded(speech, rng):
     return padded + 10 ** (-65 / 20) * floor / floor.std()
 
 
-def draw_chatter(rng):
-    """Return 3 to 8 words that are in no transcript."""
+def draw_chatter(rng: np.random.Generator) -> list[str]:
+    """Return 3 to 8 words that occur in no transcript."""
     return [str(word) for word in rng.choice(CHATTER, rng.integers(3, 9))]
 
 
-def make_chapter(seed, out_dir, chapter):
-    """Write the audio and the transcripts of one chapter; return its number of samples."""
+def make_chapter(seed: int, out_dir: Path, chapter: Chapter) -> int:
+    """Write audio and transcripts of one chapter; return the number of samples."""
     lines, n_samples = [], 0
     with Espeak() as espeak:
         for number in range(chapter.n_utterances):
@@ -173,14 +175,14 @@ def make_chapter(seed, out_dir, chapter):
     return n_samples
 
 
-def make_noise(seed, out_dir, name):
-    """Write one point noise; return its number of samples."""
+def make_noise(seed: int, out_dir: Path, name: str) -> int:
+    """Write one point noise; return the number of samples."""
     rng = rng_for(seed, "standin-noise", name)
     n_samples = int(rng.uniform(5, 10) * FS_HZ)
     kind = name.rstrip("123")
     if kind == "babble":
         with Espeak() as espeak:
-            talkers = [[] for _ in BABBLERS]
+            talkers: list[list[FloatArray]] = [[] for _ in BABBLERS]
             for spoken, voice in zip(talkers, BABBLERS, strict=True):
                 while sum(map(len, spoken)) < n_samples:
                     spoken.append(say(espeak, voice, draw_chatter(rng), rng))
@@ -191,57 +193,52 @@ def make_noise(seed, out_dir, name):
     return n_samples
 
 
-def make_item(seed, out_dir, name, chapter):
+def make_item(seed: int, out_dir: Path, name: str, chapter: Chapter | None) -> int:
     """Make one chapter, or one noise if `chapter` is None."""
     return make_chapter(seed, out_dir, chapter) if chapter else make_noise(seed, out_dir, name)
 
 
-def speakers_txt(minutes):
-    """Return LibriSpeech's table of speakers.
-
-    Parameters
-    ----------
-    minutes : dict
-        Minutes of speech by (subset, speaker, voice).
-    """
+def speakers_txt(minutes: dict[tuple[str, int, Voice], float]) -> str:
+    """Return a table of speakers in LibriSpeech's format, from minutes of speech by subset, speaker and voice."""
     lines = [";\n; Generated voices of eSpeak NG, see README\n;\n", ";ID  |SEX| SUBSET           |MINUTES| NAME\n"]
     lines += [f"{speaker:<5}| {voice.sex} | {subset:<17}|{total:6.2f} | eSpeak NG {voice.name}\n"
               for (subset, speaker, voice), total in minutes.items()]
     return "".join(lines)
 
 
-def lm_text(seed):
-    """Return the text for language models: a sentence a line, in capitals as the transcripts are."""
+def lm_text(seed: int) -> str:
+    """Return the text for language models: one sentence per line, in capitals like the transcripts."""
     rngs = (rng_for(seed, "standin-lm", str(n)) for n in range(LM_SENTENCES))
     return "".join(f"{' '.join(draw_sentence(seed, rng)).upper()}\n" for rng in rngs)
 
 
-def make_synthetic_speech(out_dir, utterances, seed, nj=1):
+def make_synthetic_speech(out_dir: Path, utterances: Sequence[int], seed: int, nj: int = 1) -> None:
     """Make the corpus.
 
     Parameters
     ----------
-    out_dir : Path
-    utterances : sequence of int
-        In training, development and test set.
-    seed : int
-    nj : int
-        Processes; the result does not depend on it.
+    out_dir
+        Directory to make.
+    utterances
+        Number of utterances in training, development and test set.
+    seed
+    nj
+        Number of processes; the result does not depend on it.
 
     Raises
     ------
     ValueError
-        `out_dir` holds something else.
+        `out_dir` exists and was not made by this function.
     OSError
-        eSpeak NG doesn't run, or `out_dir` can't be written.
+        eSpeak NG does not run, or `out_dir` cannot be written.
     """
     modules = sys.modules[__name__], espeak_client, espeak_worker, synthetic_noises, synthetic_text
-    sources = [Path(module.__file__) for module in modules]
-    build = Build(out_dir, step="standin-speech", options=dict(utterances=utterances, seed=seed), inputs=sources)
-    items = {**chapters(utterances), **dict.fromkeys(NOISES)}
+    sources = [Path(str(module.__file__)) for module in modules]
+    build = Build(out_dir, step="synthetic-speech", options=dict(utterances=utterances, seed=seed), inputs=sources)
+    items: dict[str, Chapter | None] = {**chapters(utterances), **dict.fromkeys(NOISES)}
 
-    def assemble(directory, counts):
-        minutes = {}
+    def assemble(directory: Path, counts: list[int]) -> None:
+        minutes: dict[tuple[str, int, Voice], float] = {}
         for chapter, n_samples in zip(items.values(), counts, strict=True):
             if chapter:
                 key = chapter.subset, chapter.speaker, chapter.voice
@@ -257,24 +254,24 @@ def make_synthetic_speech(out_dir, utterances, seed, nj=1):
         build.finish(assemble)
 
 
-def counts(text):
-    """Parse ``"900,150,150"``: utterances of each set, at least one for each of its voices."""
-    least = [len(voices) for voices in VOICES.values()]
+def utterance_counts(text: str) -> tuple[int, ...]:
+    """Parse ``"900,150,150"``: utterances of each set, at least one per voice."""
+    minimum = [len(voices) for voices in VOICES.values()]
     if re.fullmatch(r"\d{1,6},\d{1,6},\d{1,6}", text):
         parsed = tuple(int(count) for count in text.split(","))
-        if all(count >= voices for count, voices in zip(parsed, least, strict=True)):
+        if all(count >= voices for count, voices in zip(parsed, minimum, strict=True)):
             return parsed
-    raise argparse.ArgumentTypeError(f"{text} must be three counts of at least {','.join(map(str, least))}, such as "
-                                     "900,150,150: every voice has to speak")
+    raise argparse.ArgumentTypeError(f"{text} must be three counts of at least {','.join(map(str, minimum))}, such "
+                                     "as 900,150,150: every voice needs an utterance")
 
 
-def main(argv=None):
+def main(argv: list[str] | None = None) -> int:
     """Parse the command line and make the corpus; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out_dir", type=Path, metavar="OUT_DIR")
-    parser.add_argument("--utterances", type=counts, default=(900, 150, 150), metavar="TRAIN,DEV,TEST",
-                        help="how many; default 900,150,150")
-    parser.add_argument("--seed", type=int, default=0, help="of all random draws; default 0")
+    parser.add_argument("--utterances", type=utterance_counts, default=(900, 150, 150), metavar="TRAIN,DEV,TEST",
+                        help="number of utterances; default 900,150,150")
+    parser.add_argument("--seed", type=int, default=0, help="seed of every random draw; default 0")
     parser.add_argument("--nj", type=int, default=1, help="processes, at least 1; default 1")
     args = parser.parse_args(argv)
     if args.nj < 1:

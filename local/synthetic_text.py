@@ -1,12 +1,13 @@
-"""What the synthetic speech corpus says: sentences of a made-up language of English words.
+"""Sentences of the synthetic speech corpus, in an artificial language of English words.
 
-The next word is drawn from a mixture of preferences, given the last three words, two, one, and none: so a bigram model
-knows more than a unigram model, a trigram model more than that, and a 4-gram model a little more again.
+Each word is drawn from a mixture of four conditional distributions, given the last three, two, one and no words, and
+a uniform distribution. So perplexity falls with the order of an n-gram model, up to 4-grams.
 """
 
 from functools import cache
 
 import numpy as np
+import numpy.typing as npt
 
 from roomeq.core.rng import rng_for
 
@@ -18,38 +19,38 @@ foot head arm doctor teacher mother father sister brother king queen man men boy
 boat ship train car bridge street road market school church town city ball ring spoon box bag bat clock music song story
 game name yellow orange purple silver red green blue black white brown gold light bright cold warm long short small big
 old new late early happy quiet morning evening night summer winter day week""".split()
-LENGTHS = 3, 10  # words of a sentence
-SHARES = 0.25, 0.35, 0.25, 0.1, 0.05  # of preferences given three, two, one, no words; of no preference
-EXPONENTS = 2.5, 2.5, 2.0, 0.7  # of Zipf's law, for each of the preferences
+LENGTHS = 3, 10  # fewest and most words of a sentence
+SHARES = 0.25, 0.35, 0.25, 0.1, 0.05  # weights of the distributions given three, two, one, no words; of the uniform one
+EXPONENTS = 2.5, 2.5, 2.0, 0.7  # exponents of Zipf's law for the four conditional distributions
 
 
 ZIPF = [np.cumsum(np.arange(1, len(VOCABULARY) + 1.0) ** -exponent) for exponent in EXPONENTS]
 
 
 @cache
-def favourites(seed, *context):
-    """Return the places of the words in `VOCABULARY`, from the likeliest after some words to the least likely."""
+def ranking(seed: int, *context: str) -> npt.NDArray[np.uint8]:
+    """Return indices into `VOCABULARY`, from the most to the least likely word after the words of `context`."""
     order = rng_for(seed, "standin-language", " ".join(context)).permutation(len(VOCABULARY))
     return order.astype(np.uint8)
 
 
-def draw_sentence(seed, rng):
+def draw_sentence(seed: int, rng: np.random.Generator) -> list[str]:
     """Return the words of a sentence.
 
     Parameters
     ----------
-    seed : int
-        Of the language.
-    rng : numpy.random.Generator
-        Of the sentence.
+    seed
+        Seed of the language.
+    rng
+        Generator for the sentence.
     """
     words = ["<s>"] * len(ZIPF)
     n_words = int(rng.integers(LENGTHS[0], LENGTHS[1] + 1))
-    for preference, chance in rng.random((n_words, 2)):
-        which = int(np.searchsorted(np.cumsum(SHARES), preference * sum(SHARES), side="right"))
-        if which < len(ZIPF):
-            rank = np.searchsorted(ZIPF[which], chance * ZIPF[which][-1], side="right")
-            words.append(VOCABULARY[favourites(seed, *words[len(words) - len(ZIPF) + 1 + which:])[rank]])
+    for component_u, word_u in rng.random((n_words, 2)):
+        component = int(np.searchsorted(np.cumsum(SHARES), component_u * sum(SHARES), side="right"))
+        if component < len(ZIPF):
+            rank = np.searchsorted(ZIPF[component], word_u * ZIPF[component][-1], side="right")
+            words.append(VOCABULARY[ranking(seed, *words[len(words) - len(ZIPF) + 1 + component:])[rank]])
         else:
-            words.append(VOCABULARY[int(chance * len(VOCABULARY))])
+            words.append(VOCABULARY[int(word_u * len(VOCABULARY))])
     return words[len(ZIPF):]

@@ -102,15 +102,15 @@ def test_synthetic_corpus_is_read_with_its_defects(project_dir, tmp_path, monkey
     import make_synthetic_rirs
 
     corpus = make_synthetic_rirs.Corpus(rooms=3, mics=2, speakers=2, silence_s=1, seed=0)
-    make_synthetic_rirs.make_synthetic_rirs(tmp_path / "standin", corpus)
-    out = read_measured(tmp_path / "standin", tmp_path / "out")
+    make_synthetic_rirs.make_synthetic_rirs(tmp_path / "synthetic", corpus)
+    out = read_measured(tmp_path / "synthetic", tmp_path / "out")
     rows = read_rirs(out)
     assert validate_rirs(out) == len(rows) == 16
     assert sum(row["repeat_of"] is not None for row in rows) == 4  # two second takes, two of a _T session
     assert {row["room_id"] for row in rows if row["uncommon"]} == {"Standin_Stairs_S3"}
     problems = [row["geometry_problem"] for row in rows if row["unreliable_geometry"]]
     assert len(problems) == 2 and all("lies outside the room" in problem for problem in problems)
-    assert all(row["room_dims_m"] and row["temperature_c"] and row["corpus"] == "standin" for row in rows)
+    assert all(row["room_dims_m"] and row["temperature_c"] and row["corpus"] == "synthetic" for row in rows)
     assert len(read_noises(out)) == 7
 
 

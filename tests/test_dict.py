@@ -80,7 +80,7 @@ def test_words_with_other_characters_are_refused(text, message, tmp_path):
 
 @pytest.mark.parametrize("phonemes", ["'y:_b_3", "", "_'"])
 def test_word_with_foreign_or_no_phonemes_is_refused(phonemes):
-    with pytest.raises(ValueError, match="word 'über' has pronunciation .* must be of the sounds"):
+    with pytest.raises(ValueError, match="word 'über' has pronunciation .* must consist of American English phonemes"):
         make_dict.pronunciation("über", phonemes)
 
 

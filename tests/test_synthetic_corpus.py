@@ -1,4 +1,4 @@
-"""The stand-in corpora: layout, determinism, and the physics that they claim."""
+"""The synthetic corpora: layout, determinism and physics."""
 
 import os
 import re
@@ -27,7 +27,7 @@ from roomeq.records.rir_dir import read_rirs  # noqa: E402
 
 SMALL = {"speech": ["--utterances", "16,4,8"],
          "rirs": ["--rooms", "3", "--mics", "2", "--speakers", "1", "--silence-s", "1"]}
-CORPUS = make_synthetic_rirs.Corpus(rooms=3, mics=2, speakers=1, silence_s=1, seed=0)  # what these options ask for
+CORPUS = make_synthetic_rirs.Corpus(rooms=3, mics=2, speakers=1, silence_s=1, seed=0)  # the same options
 
 
 def command(kind, out_dir, *options):
@@ -39,21 +39,21 @@ def make(kind, out_dir, *options):
 
 
 def contents(folder):
-    """Return all bytes by path, but not the stamp: it names the version of the package."""
+    """Return all files by path, except the stamp, which holds the version of the package."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*")
             if path.is_file() and path.name != ".done"}
 
 
 @pytest.fixture(scope="module")
 def speech(tmp_path_factory):
-    out_dir = tmp_path_factory.mktemp("standin") / "speech"
+    out_dir = tmp_path_factory.mktemp("synthetic") / "speech"
     make("speech", out_dir)
     return out_dir
 
 
 @pytest.fixture(scope="module")
 def rirs(tmp_path_factory):
-    out_dir = tmp_path_factory.mktemp("standin") / "rirs"
+    out_dir = tmp_path_factory.mktemp("synthetic") / "rirs"
     make("rirs", out_dir)
     return out_dir
 
@@ -71,7 +71,7 @@ def test_killed_run_with_two_jobs_gives_the_same_bytes(kind, tmp_path, request):
                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     while killed.poll() is None and not list(tmp_path.glob(".b.part-*/.items/*.json")):
         time.sleep(0.01)
-    assert killed.poll() is None, "it ended before it could be killed"
+    assert killed.poll() is None, "the run ended before it was killed"
     os.killpg(killed.pid, signal.SIGKILL)
     killed.wait()
     assert not (tmp_path / "b").exists()
@@ -85,9 +85,9 @@ def test_another_seed_gives_other_audio(speech, rirs, tmp_path):
     chapter = next(iter(make_synthetic_speech.chapters((16, 4, 8)).values()))
     make_synthetic_speech.make_chapter(1, tmp_path, chapter)
     make_synthetic_speech.make_noise(1, tmp_path, "hum1")
-    ours, theirs = contents(tmp_path), contents(speech) | contents(rirs)
-    audio = [name for name in ours if name.endswith((".wav", ".flac"))]
-    assert len(audio) >= 6 and all(ours[name] != theirs[name] for name in audio)
+    seed_1, seed_0 = contents(tmp_path), contents(speech) | contents(rirs)
+    audio = [name for name in seed_1 if name.endswith((".wav", ".flac"))]
+    assert len(audio) >= 6 and all(seed_1[name] != seed_0[name] for name in audio)
 
 
 @pytest.mark.parametrize("kind", SMALL)
@@ -155,13 +155,13 @@ def test_each_set_has_the_requested_utterances():
 def test_sentences_hold_vocabulary_words_only(speech):
     vocabulary = {word.upper() for word in synthetic_text.VOCABULARY}
     assert 150 <= len(vocabulary) <= 200
-    heard = [text for _, text in transcripts(speech)]
+    spoken = [text for _, text in transcripts(speech)]
     read = (speech / "LibriSpeech-LM/lm.txt").read_text().splitlines()
     assert len(read) == 20_000 and set(" ".join(read).split()) == vocabulary
-    for sentences in (heard, read):
+    for sentences in (spoken, read):
         assert all(set(text.split()) <= vocabulary and 3 <= len(text.split()) <= 10 for text in sentences)
     assert Counter(len(text.split()) for text in read).keys() == set(range(3, 11))
-    assert read[:len(heard)] != heard
+    assert read[:len(spoken)] != spoken
 
 
 def test_no_two_words_are_homophones_in_any_language():
@@ -172,7 +172,7 @@ def test_no_two_words_are_homophones_in_any_language():
 
 
 def perplexity(order, sentences, held_out):
-    """Of words given those before them, by n-grams with Witten and Bell's smoothing."""
+    """Return the perplexity of sentences under an n-gram model with Witten-Bell smoothing."""
     following = defaultdict(Counter)
     for words in sentences:
         padded = ["<s>"] * (order - 1) + words
@@ -193,8 +193,8 @@ def perplexity(order, sentences, held_out):
 def test_perplexity_falls_with_ngram_order():
     sentences = [line.lower().split() for line in make_synthetic_speech.lm_text(0).splitlines()]
     held_out = [synthetic_text.draw_sentence(0, np.random.default_rng(n)) for n in range(300)]
-    found = [perplexity(order, sentences, held_out) for order in (1, 2, 3)]
-    assert found[0] > 1.8 * found[1] and found[1] > 1.2 * found[2] and 20 < found[2] < 60
+    unigram, bigram, trigram = (perplexity(order, sentences, held_out) for order in (1, 2, 3))
+    assert unigram > 1.8 * bigram and bigram > 1.2 * trigram and 20 < trigram < 60
 
 
 def test_speech_has_levels_and_no_digital_silence(speech):
@@ -208,7 +208,7 @@ def test_speech_has_levels_and_no_digital_silence(speech):
 
 
 def test_utterance_does_not_depend_on_earlier_ones():
-    voice = make_synthetic_speech.VOICES["test-clean"][1]  # a breathy one, which draws random numbers
+    voice = make_synthetic_speech.VOICES["test-clean"][1]  # a breathy voice, which draws random numbers
     with make_synthetic_speech.Espeak() as espeak:
         first, again = (make_synthetic_speech.say(espeak, voice, ["open", "door"], np.random.default_rng(1))
                         for _ in range(2))
@@ -383,7 +383,7 @@ def test_diffuse_level_is_that_of_the_absorption_area(room, positions):
     late = np.sum(np.fft.irfft(np.array(tails) * band)[:, 1600:] ** 2, 1)
     t60_s = room.total_t60_s[3]
     absorption_m2 = 55.26 * room.volume_m3 / (room.c_m_s * t60_s)
-    # 4/A of the source's power 1/(4 pi), what remains of it after 0.1 s; the loudspeaker's back lacks a little
+    # 4/A of the source's power 1/(4 pi), decayed for 0.1 s; the loudspeaker radiates a little less to its back
     expected = np.mean(band) / (np.pi * absorption_m2) * np.exp(-13.8 * 0.1 / t60_s)
     assert 10 * np.log10(np.mean(late) / expected) == pytest.approx(-0.5, abs=1)
 
@@ -411,17 +411,17 @@ def test_loudspeaker_is_audible_in_every_room(room, positions):
 
 def test_nothing_precedes_the_direct_sound(room, positions):
     for response in render(room, *positions):
-        smooth = np.convolve(response, np.hanning(18) / 8.5, "same")  # what rings at half the rate comes from shifting
+        smooth = np.convolve(response, np.hanning(18) / 8.5, "same")  # ringing at half the sampling rate comes from the fractional shift
         assert np.abs(smooth[:712 - 48]).max() < 1e-3 * np.abs(smooth).max()
 
 
 def test_loudspeakers_differ_in_response_only(room, positions):
-    one, other = (np.fft.rfft(render(room, *positions, model), 32768)[:, 200:15000] for model in (0, 1))
+    first, second = (np.fft.rfft(render(room, *positions, model), 32768)[:, 200:15000] for model in (0, 1))
     frequency_hz = acoustics.FREQS_HZ[200:15000]
     gain_db = 20 * np.log10(np.abs(acoustics.loudspeaker(frequency_hz, 1) / acoustics.loudspeaker(frequency_hz, 0)))
-    found_db = 20 * np.log10(np.median(np.abs(other / one), axis=0))
+    measured_db = 20 * np.log10(np.median(np.abs(second / first), axis=0))
     assert np.ptp(gain_db) > 8
-    assert np.percentile(np.abs(found_db - gain_db), 95) < 0.5  # cut off at 1 s
+    assert np.percentile(np.abs(measured_db - gain_db), 95) < 0.5  # the responses end at 1 s
     speakers = {session.speaker: session.model for session in make_synthetic_rirs.sessions(
         make_synthetic_rirs.Corpus(9, 6, 6, 10, 0)).values()}
     assert speakers == {1: 0, 2: 1, 3: 0, 4: 1, 5: 0, 6: 1}
@@ -452,7 +452,7 @@ def test_rooms_are_plausible_and_positions_inside():
     corpus = make_synthetic_rirs.Corpus(80, 6, 6, 10, 0)
     names = set()
     for index in range(corpus.rooms):
-        name, kind, _, dims_m, t60_s, *_ = make_synthetic_rirs.described(corpus, index)
+        name, kind, _, dims_m, t60_s, *_ = make_synthetic_rirs.describe_room(corpus, index)
         names.add(name)
         room = make_synthetic_rirs.draw_room(corpus, index)
         assert 35 < room.volume_m3 < 2000, name
@@ -471,9 +471,9 @@ def test_rooms_are_plausible_and_positions_inside():
 
 def test_drawn_rooms_do_not_depend_on_their_number():
     few, many, other = (make_synthetic_rirs.Corpus(rooms, 3, 3, 10, seed) for rooms, seed in ((10, 0), (80, 0), (80, 1)))
-    assert make_synthetic_rirs.described(few, 9) == make_synthetic_rirs.described(many, 9)
-    assert make_synthetic_rirs.described(other, 9) != make_synthetic_rirs.described(many, 9)
-    drawn = [make_synthetic_rirs.described(many, index) for index in range(9, 80)]
+    assert make_synthetic_rirs.describe_room(few, 9) == make_synthetic_rirs.describe_room(many, 9)
+    assert make_synthetic_rirs.describe_room(other, 9) != make_synthetic_rirs.describe_room(many, 9)
+    drawn = [make_synthetic_rirs.describe_room(many, index) for index in range(9, 80)]
     assert {kind for _, kind, *_ in drawn} == {kind for kind, *_ in make_synthetic_rirs.KINDS}
     decays_s = [t60_s for _, _, _, _, t60_s, *_ in drawn]
     assert min(decays_s) < 0.35 and max(decays_s) > 0.95

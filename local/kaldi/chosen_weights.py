@@ -11,8 +11,8 @@ from pathlib import Path
 from roomeq.wer.scoring import choose_weights, read_reference
 
 
-def main(argv):
-    """Return the exit status."""
+def main(argv: list[str]) -> int:
+    """Print the weights; return the exit status."""
     if len(argv) != 1 or argv[0].startswith("-"):
         print(__doc__)
         return 0 if argv[:1] in (["--help"], ["-h"]) else 1

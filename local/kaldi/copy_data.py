@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Copy a data directory, without its audio, to where Kaldi may write beside it.
+"""Copy a data directory without its audio into a Kaldi workspace, where Kaldi adds files.
 
 Usage: copy_data.py DATA_DIR COPY
 e.g.:  python local/kaldi/copy_data.py data/train.sim.rvb exp/kaldi/data/train.sim.rvb
 
-Paths become absolute. What Kaldi made there stays unless the source changed; `source` says which state it has.
+Paths become absolute. Files added by Kaldi stay unless the source has changed; the file `source` records its state.
 """
 
 import argparse
@@ -20,13 +20,13 @@ from roomeq.kaldi.wavscp import flac_entry
 COPIED = ("segments", "text", "utt2spk", "spk2utt", "spk2gender", "utt2dur", "reco2dur", "utt2rir", "utt2snr")
 
 
-def copy_data(source, copy):
+def copy_data(source: Path, copy: Path) -> None:
     """Copy the files of `source` unless `copy` has them already.
 
     Raises
     ------
     ValueError
-        `source` is no sound data directory, or has recordings that are no FLAC or WAV files.
+        `source` is not a valid data directory, or has recordings that are not FLAC or WAV files.
     """
     files = [file for name in ("wav.scp", *COPIED, ".done") if (file := source / name).is_file()]
     state = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest() + "\n"
@@ -38,7 +38,7 @@ def copy_data(source, copy):
         if entry.kind != "file" or not entry.text.endswith((".flac", ".wav")):
             raise ValueError(f"{source}/wav.scp: recording {recording} must be a FLAC or WAV file, not {entry.text!r}")
         path = Path(entry.text).absolute()
-        lines.append(f"{recording} {flac_entry(path) if path.suffix == '.flac' else path}\n")
+        lines.append(f"{recording} {flac_entry(str(path)) if path.suffix == '.flac' else path}\n")
     shutil.rmtree(copy, ignore_errors=True)
     copy.mkdir(parents=True)
     for name in COPIED:
@@ -48,7 +48,7 @@ def copy_data(source, copy):
     write_text(copy / "source", state)
 
 
-def main(argv=None):
+def main(argv: list[str] | None = None) -> int:
     """Parse the command line and copy; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("source", type=Path, metavar="DATA_DIR")

@@ -19,7 +19,7 @@ FORMAT = 2
 """Version of the files that this roomeq reads and writes. 1 had no `format` in its stamp."""
 
 _COMMANDS = {"split": "roomeq split-rirs", "dict": "local/make_dict.py", "digits": "local/prepare_digits.py",
-             "standin-rirs": "local/make_synthetic_rirs.py", "standin-speech": "local/make_synthetic_speech.py"}
+             "synthetic-rirs": "local/make_synthetic_rirs.py", "synthetic-speech": "local/make_synthetic_speech.py"}
 """Commands of steps that are not called ``roomeq STEP``."""
 
 
