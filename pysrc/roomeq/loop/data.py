@@ -11,7 +11,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
-from roomeq.core.constants import FS_HZ
+from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.core.workers import share_out
 from roomeq.effects.base import Effect
@@ -231,8 +231,8 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
 
     def trace(room_id: str, source_pos_m: tuple, members: list[int]) -> tuple[TracedSource, list[Table]]:
         place = places[members[0]]
-        material = Material("surface", 0.0, float(scattering))
-        scene = Scene(place.room, [material] * len(place.room.surfaces), air_of(rows[members[0]]))
+        material = Material("surface", (0.0,) * len(BANDS_HZ), (float(scattering),) * len(BANDS_HZ))
+        scene = Scene(place.room, (material,) * len(place.room.surfaces), air_of(rows[members[0]]))
         length_s = float(np.clip(1.2 * max(_longest_s(features[n]) for n in members) + 0.1, *LENGTHS_S))
         source = trace_source(scene, source_pos_m, num_rays=NUM_RAYS, max_length_s=length_s,
                               rng=rng_for(seed, "loop trace", repr((room_id, source_pos_m))))
