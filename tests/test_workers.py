@@ -1,4 +1,4 @@
-"""Work shared out to processes: the same for any number of them, and none outlives its parent."""
+"""Forked workers: results do not depend on their number, and no worker outlives its parent."""
 
 import os
 import signal
@@ -15,14 +15,14 @@ from roomeq.core.workers import share_out
 @pytest.mark.parametrize("first_here", [True, False])
 @pytest.mark.parametrize("nj", [1, 2, 5])
 @pytest.mark.parametrize("count", [0, 1, 2, 7])
-def test_results_come_in_their_order(nj, count, first_here):
-    lock = threading.Lock()  # cannot be pickled, and need not be
+def test_results_keep_the_order_of_the_items(nj, count, first_here):
+    lock = threading.Lock()  # items need not be picklable
     items = ((n, lock) for n in range(count))
     assert share_out(lambda item: item[0] ** 2, items, nj, first_here=first_here) == [n ** 2 for n in range(count)]
 
 
 @pytest.mark.parametrize("first_here", [True, False])
-def test_processes_share_the_work(first_here):
+def test_work_is_done_by_as_many_processes_as_asked(first_here):
     def busy(_):
         time.sleep(0.2)
         return os.getpid()
@@ -32,7 +32,7 @@ def test_processes_share_the_work(first_here):
     assert len(set(ids) - {os.getpid()}) == 2
 
 
-def test_errors_keep_their_type_and_text():
+def test_errors_of_workers_keep_their_type_and_text():
     def fail(item):
         raise ValueError(f"room {item}: no RIRs")
 
@@ -42,33 +42,32 @@ def test_errors_keep_their_type_and_text():
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_workers_end_with_their_parent(how, tmp_path):
-    """A terminal interrupts all of them; what kills the parent alone tells them nothing."""
-    # whoever runs the tests in the background has them ignore interrupts
+    """A terminal interrupts all processes; SIGKILL reaches only the parent."""
+    # tests that run in the background inherit that interrupts are ignored
     script = ("import os, signal, sys, time\nfrom roomeq.core.workers import share_out\n"
               "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
               "def work(n):\n    open(os.path.join(sys.argv[1], str(os.getpid())), 'w').close()\n    time.sleep(600)\n"
               "share_out(work, range(4), 3, first_here=False)\n")
     parent = subprocess.Popen([sys.executable, "-c", script, str(tmp_path)], start_new_session=True,
                               stderr=subprocess.PIPE, text=True)
-    workers = _until(lambda: [int(name) for name in os.listdir(tmp_path)], lambda found: len(found) == 3)
+    workers = _until(lambda: [int(name) for name in os.listdir(tmp_path)], lambda running: len(running) == 3)
     os.kill(-parent.pid if how == signal.SIGINT else parent.pid, how)
     _, error = parent.communicate(timeout=30)
     assert parent.returncode == -how and error.count("Traceback") == (how == signal.SIGINT)
-    assert _until(lambda: [pid for pid in workers if _lives(pid)],
-                  lambda left: not left) == []
+    assert _until(lambda: [pid for pid in workers if _is_running(pid)], lambda running: not running) == []
 
 
-def _lives(pid):
+def _is_running(pid):
     try:
         with open(f"/proc/{pid}/stat") as file:
             return file.read().rpartition(")")[2].split()[0] != "Z"
-    except OSError:  # gone, perhaps while it was read
+    except OSError:  # it has ended, possibly while the file was read
         return False
 
 
-def _until(ask, wanted):
+def _until(ask, is_done):
     for _ in range(300):
-        if wanted(found := ask()):
+        if is_done(answer := ask()):
             break
         time.sleep(0.1)
-    return found
+    return answer

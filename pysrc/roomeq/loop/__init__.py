@@ -1,1 +1,1 @@
-"""The closed loop: what the simulation lacks against measured RIRs, which effect it is, and the error with it added."""
+"""The closed loop: find the effects that the simulation of measured RIRs lacks, add them, and report the error."""

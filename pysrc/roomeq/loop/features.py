@@ -45,6 +45,9 @@ METRIC = np.array([metric for metric, bands in _BANDS_OF.items() for _ in bands]
 """Metric of each feature, shape (n_features,)."""
 BAND_HZ = np.array([band_hz for bands in _BANDS_OF.values() for band_hz in bands])
 """Mid-band frequency of each feature [Hz], 0 for the whole band, shape (n_features,)."""
+BAND_OF_FEATURE = np.where(BAND_HZ > 0, np.argmin(np.abs(np.log(np.maximum(BAND_HZ, 1.0)[:, None]
+                                                               / np.array(EXACT_BANDS_HZ))), axis=1), -1)
+"""Number of the octave band of each feature, -1 for the whole band, shape (n_features,)."""
 N_FEATURES = len(METRIC)
 HAS_GAIN = np.isin(METRIC, ["direct", "early", "late", "spectrum"])
 """Whether a feature contains the gain of the recording, shape (n_features,)."""

@@ -18,7 +18,6 @@ from roomeq.effects.prediction import PredictionState
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.loop.data import Data
 from roomeq.loop.features import (
-    BAND_HZ,
     DIRECT_S,
     DIRECT_THIRDS_HZ,
     EARLY_S,
@@ -35,9 +34,6 @@ N_BANDS = len(EXACT_BANDS_HZ)
 _db = partial(power_db, floor=FLOOR_POWER)
 _N_DIRECT = len(DIRECT_THIRDS_HZ)
 _FRAME_MID_S = 0.5 * (FRAME_EDGES_S[1:] + FRAME_EDGES_S[:-1])
-BAND_OF_FEATURE = np.where(BAND_HZ > 0, np.argmin(np.abs(np.log(np.maximum(BAND_HZ, 1.0)[:, None]
-                                                               / np.array(EXACT_BANDS_HZ))), axis=1), -1)
-"""Octave band of each feature, -1 for the whole band, shape (n_features,)."""
 
 
 def _octaves_to(frequencies_hz: tuple[float, ...]) -> FloatArray:

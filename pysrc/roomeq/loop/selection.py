@@ -25,10 +25,9 @@ from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.room_eq import RoomEq
 from roomeq.loop.data import Data
-from roomeq.loop.features import HAS_GAIN, LARGEST, METRIC
+from roomeq.loop.features import BAND_OF_FEATURE, HAS_GAIN, LARGEST, METRIC
 from roomeq.loop.fit import Fit, fit
 from roomeq.loop.packing import ParameterIndex
-from roomeq.loop.predict import BAND_OF_FEATURE
 from roomeq.loop.rendered_model import clear_rendered_changes, effects_of_rows, in_order
 from roomeq.loop.rendering import render_rows
 from roomeq.loop.session import Session, with_rendered_changes

@@ -9,9 +9,8 @@ from scipy import stats
 from roomeq.core.arrays import BoolArray, FloatArray
 from roomeq.core.constants import BANDS_HZ
 from roomeq.loop.data import Data
-from roomeq.loop.features import METRIC, REGION
+from roomeq.loop.features import BAND_OF_FEATURE, METRIC, REGION
 from roomeq.loop.likelihood import scatter
-from roomeq.loop.predict import BAND_OF_FEATURE
 from roomeq.loop.session import Session
 
 MIN_SIZE_JND = 1.0
@@ -117,7 +116,8 @@ def _outlying_band_test(metric: str, residual: FloatArray, data: Data) -> tuple[
     sign = 1.0 if np.mean(high + low) > 0.0 else -1.0
     at = np.argmax(sign * standing, axis=1)
     size = float(np.mean(means[np.arange(len(names)), at]))
-    return sorted(set(BAND_OF_FEATURE[METRIC == metric][at])), size, float(stats.ttest_1samp(high + low, 0.0).pvalue)
+    bands = sorted(set(BAND_OF_FEATURE[METRIC == metric][at].tolist()))
+    return bands, size, float(stats.ttest_1samp(high + low, 0.0).pvalue)
 
 
 def _outlying_rooms(residual: FloatArray, data: Data) -> list[_Test]:

@@ -10,9 +10,8 @@ from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.response import RESPONSE_HZ, Response
 from roomeq.loop.descriptions import describe_effect, describe_residual, effect_names
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, STEP_S, Examples, read_examples
-from roomeq.loop.features import METRIC, REGION, THIRDS_HZ
+from roomeq.loop.features import BAND_OF_FEATURE, METRIC, REGION, THIRDS_HZ
 from roomeq.loop.ledger import LEDGER_FILE, RESIDUALS_FILE, read_ledger, read_residuals
-from roomeq.loop.predict import BAND_OF_FEATURE
 from roomeq.loop.selection import SPLITS
 from roomeq.loop.unexplained import Unexplained
 from roomeq.report import figures, figures_loop
@@ -106,9 +105,9 @@ def errors_table(ledger: dict) -> Html:
         rows += [row(f"Test set, {SPLIT_NAMES[split]}", test["rirs"], test["rooms"], test["before"][split],
                      test["after"][split]) for split in SPLITS]
     return make_table(
-        "table-loop-errors", "Mean error in JND with 95 % intervals over rooms. Leave-positions-out: half of the room's "
-        "RIRs calibrate its surfaces, the others are scored. Leave-room-out: only the reverberation time at 1 kHz and "
-        "the gains are known of the room, the rest comes from other rooms",
+        "table-loop-errors", "Mean error in JND with 95 % intervals over rooms. Leave-positions-out: half of the "
+        "room's RIRs calibrate its surfaces, the others are scored. Leave-room-out: only the reverberation time at "
+        "1 kHz and the gains are known of the room, the rest comes from other rooms",
         ["Scored on", "RIRs", "Rooms", "Before", "After", "Less by"], rows)
 
 
