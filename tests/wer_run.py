@@ -1,4 +1,4 @@
-"""Made-up Kaldi workspaces for tests of what reads them: errors as many as asked for, where they are asked for."""
+"""Synthetic Kaldi workspaces with given numbers of errors, for tests of word error rates."""
 
 import json
 from itertools import cycle
@@ -8,16 +8,16 @@ from roomeq.core.files import write_text
 WORDS = "one two three four five six seven eight nine ten".split()
 LMWTS, PENALTIES = (7, 8), ("0.0", "0.5")
 BEST = (8, "0.5")
-"""LM weight and penalty that `put_decode` makes best."""
+"""LM weight and penalty with the fewest errors in `put_decode`."""
 
 
 def sentence(n):
-    """Ten words, the first of which says which sentence it is."""
+    """Return ten words; the first identifies the sentence."""
     return [f"w{n}", *WORDS[1:]]
 
 
 def spoilt(words, errors):
-    """A hypothesis with so many substitutions."""
+    """Return a hypothesis with `errors` substitutions."""
     return ["WRONG"] * errors + words[errors:]
 
 
@@ -26,37 +26,38 @@ def put_texts(path, texts):
 
 
 def put_decode(decode, reference, hypotheses, spoil_best=0):
-    """A decode directory: `hypotheses` at the best weights, one word more wrong in the first utterance at others.
+    """Write a decode directory: `hypotheses` at the best weights, with one more insertion at the others.
 
     Parameters
     ----------
     spoil_best : int
-        Wrong words that are added to the first utterance at the best weights.
+        Words inserted in the first utterance at the best weights.
     """
     put_texts(decode / "scoring_kaldi/test_filt.txt", reference)
     first = next(iter(reference))
     for lmwt in LMWTS:
         for penalty in PENALTIES:
-            more = spoil_best if (lmwt, penalty) == BEST else 1
-            texts = hypotheses | {first: [*hypotheses[first], *["MORE"] * more]}
+            n_inserted = spoil_best if (lmwt, penalty) == BEST else 1
+            texts = hypotheses | {first: [*hypotheses[first], *["MORE"] * n_inserted]}
             put_texts(decode / f"scoring_kaldi/penalty_{penalty}/{lmwt}.txt", texts)
 
 
-def put_rirs(directory, rooms, rirs_a_room=2):
-    """An RIR directory without audio: ``room-0``, ``room-1`` ... of each room; only halls have a T20."""
+def put_rirs(directory, rooms, rirs_per_room=2):
+    """Write an RIR directory without audio: ``room-0``, ``room-1`` ... of each room; only the hall has a valid T20."""
+    parameters = {room: dict(t20_s=[1.0] * 8, t20_valid=[room == "hall"] * 8) for room in rooms}
     rows = [dict(id=f"{room}-{n}", wav=f"{room}-{n}.wav", room_id=room, source_id="s", mic_id="m", fs_hz=16000,
-                 n_samples=800, acoustic_parameters=dict(t20_s=[1.0] * 8, t20_valid=[room == "hall"] * 8, drr_db=2.0 * n))
-            for room in rooms for n in range(rirs_a_room)]
+                 n_samples=800, acoustic_parameters=parameters[room] | dict(drr_db=2.0 * n))
+            for room in rooms for n in range(rirs_per_room)]
     write_text(directory / "rirs.jsonl", "".join(json.dumps(row) + "\n" for row in sorted(rows, key=lambda r: r["id"])))
 
 
-def utterances_of(name, rooms, each=2):
-    """Utterances of a set with their RIRs: `each` in every room."""
-    return {f"{name}-{room}-{n}": f"{room}-{n % 2}" for room in rooms for n in range(each)}
+def utterances_of(name, rooms, per_room=2):
+    """Return the RIR of each utterance of a set, `per_room` utterances in each room."""
+    return {f"{name}-{room}-{n}": f"{room}-{n % 2}" for room in rooms for n in range(per_room)}
 
 
 def put_workspace(workspace, errors, *, sets, columns=("tgsmall",)):
-    """A workspace whose systems make given errors.
+    """Write a workspace whose systems make given errors.
 
     Parameters
     ----------
@@ -70,21 +71,21 @@ def put_workspace(workspace, errors, *, sets, columns=("tgsmall",)):
         snrs = zip(rirs, cycle(("5", "12")))
         put_texts(workspace / "data" / name / "utt2snr", {ident: [snr] for ident, snr in snrs})
         reference = {ident: sentence(n) for n, ident in enumerate(rirs)}
-        for row, made in errors.items():
+        for row, count in errors.items():
             for column in columns:
-                found = {ident: spoilt(words, made(name, column, ident, rirs[ident]))
-                         for ident, words in reference.items()}
-                put_decode(workspace / row / f"decode_{name}_{column}", reference, found)
+                hypotheses = {ident: spoilt(words, count(name, column, ident, rirs[ident]))
+                              for ident, words in reference.items()}
+                put_decode(workspace / row / f"decode_{name}_{column}", reference, hypotheses)
 
 
 ROOMS = ("attic", "cellar", "hall", "kitchen")
 DEV_ROOMS = ("bath", "office")
 ERRORS = {"train.clean": 8, "train.real.rvb": 1, "train.sim.rvb": 5, "train.sim.EQ.rvb": 3}
-"""In ten words, of each system; see `put_example`."""
+"""Errors in ten words, by training data; see `put_example`."""
 
 
 def put_example(root, seeds=1, columns=("tgsmall",), errors=ERRORS):
-    """``root/rirs`` and ``root/kaldi0`` ...: every system makes its errors, the loudest room one more."""
+    """Write ``root/rirs`` and ``root/kaldi0`` ...: each system makes its errors, and one more in the hall."""
     put_rirs(root / "rirs", (*ROOMS, *DEV_ROOMS))
     sets = {"dev.real.rvb": utterances_of("dev", DEV_ROOMS), "test.real.rvb": utterances_of("test", ROOMS)}
     for seed in range(seeds):

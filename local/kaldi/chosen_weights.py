@@ -8,7 +8,7 @@ e.g.:  python local/kaldi/chosen_weights.py exp/kaldi/train.sim.rvb/decode_dev.s
 import sys
 from pathlib import Path
 
-from roomeq.wer.scoring import choose_weights, read_reference
+from roomeq.wer.scoring import choose_weights
 
 
 def main(argv: list[str]) -> int:
@@ -17,7 +17,7 @@ def main(argv: list[str]) -> int:
         print(__doc__)
         return 0 if argv[:1] in (["--help"], ["-h"]) else 1
     try:
-        chosen = choose_weights(Path(argv[0]), read_reference(Path(argv[0])))
+        chosen = choose_weights(Path(argv[0]))
     except (ValueError, OSError) as error:
         print(f"chosen_weights.py: {error}", file=sys.stderr)
         return 1

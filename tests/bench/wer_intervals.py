@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""How often intervals of word error rates hold the truth, where seeds and rooms have effects of known size.
+"""Measure how often intervals of word error rates contain the truth when effects of seeds and rooms are known.
 
 Usage: tests/bench/wer_intervals.py [--times 1000] --out DIR
 e.g.:  tests/bench/wer_intervals.py --out exp/wer_intervals
 
-A recogniser makes 20 % errors; seeds, rooms and each room at each seed add deviations of their own [points], and words
-are drawn from that. Rooms have 200 words, or as many as a skewed distribution gives. Beside the intervals of
-`roomeq wer`: the percentiles of the bootstrap over rooms and seeds as they are, and the bootstrap over utterances of
-Kaldi's `compute-wer-bootci` (utterances of ten words). Prints a table and writes wer_intervals.json.
+A recogniser makes 20 % errors. Seeds, rooms and each room at each seed add random deviations [points], and the errors
+are drawn with the resulting rates. Rooms have 200 words, or a random number from a skewed distribution. The intervals of
+`roomeq wer` are compared with the percentiles of the plain bootstrap over rooms and seeds, and with the bootstrap over
+utterances of Kaldi's `compute-wer-bootci` (utterances of ten words). Prints a table and writes wer_intervals.json.
 """
 
 import argparse
@@ -29,7 +29,7 @@ WORDS, UTTERANCE = 200, 10  # in a room, in an utterance
 
 
 class World(NamedTuple):
-    """Standard deviations [points]; `skewed`: exponential effects of rooms, sizes of rooms that vary by 60 %."""
+    """Standard deviations [points]. `skewed`: exponential effects of rooms; their sizes vary by 60 %."""
 
     n_seeds: int
     n_rooms: int
@@ -58,21 +58,21 @@ def draw(world: World, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray
 
 def intervals(errors: np.ndarray, words: np.ndarray, resampling: Resampling) -> dict[str, tuple[float, float]]:
     """Return the interval of each method."""
-    found = Statistic.of(errors, words, resampling)
-    bootstrap = found.value + np.quantile(found.deviations, (0.025, 0.975))
-    share = errors / words  # what resampling utterances comes to, without drawing: within a room, and between rooms
-    variance = (words * (share * (1 - share) + UTTERANCE * (share - found.value / 100) ** 2)).sum()
+    rate = Statistic.of(errors, words, resampling)
+    bootstrap = rate.value + np.quantile(rate.deviations, (0.025, 0.975))
+    share = errors / words  # of a resampling of utterances, the variance is known: within rooms and between rooms
+    variance = (words * (share * (1 - share) + UTTERANCE * (share - rate.value / 100) ** 2)).sum()
     half = 196 * np.sqrt(variance) / words.sum()
-    return dict(ours=tuple(found.interval()), bootstrap=tuple(bootstrap),
-                utterances=(found.value - half, found.value + half))
+    return dict(ours=tuple(rate.interval()), bootstrap=tuple(bootstrap),
+                utterances=(rate.value - half, rate.value + half))
 
 
 def measure(world: World, times: int) -> dict:
-    """Return the share of intervals that hold the truth, and their mean width [points], by method."""
+    """Return the share of intervals that contain the truth, and their mean width [points], by method."""
     resampling, held, width = Resampling(world.n_seeds, world.n_rooms, "bench"), {}, {}
     for n in range(times):
-        made = draw(world, rng_for(n, "bench", str(tuple(world))))
-        for method, (low, high) in intervals(*made, resampling).items():
+        errors, words = draw(world, rng_for(n, "bench", str(tuple(world))))
+        for method, (low, high) in intervals(errors, words, resampling).items():
             held[method] = held.get(method, 0) + bool(low <= TRUTH <= high)
             width[method] = width.get(method, 0.0) + (high - low)
     return world._asdict() | dict(held={method: count / times for method, count in held.items()},

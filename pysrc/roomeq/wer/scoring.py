@@ -1,7 +1,7 @@
-"""Reading what stock `steps/scoring/score_kaldi_wer.sh` left in a decode directory, and counting its errors.
+"""Read the output of Kaldi's `steps/scoring/score_kaldi_wer.sh` in a decode directory, and count errors.
 
-A workspace holds ``ROW/decode_SET_COLUMN/scoring_kaldi`` with `test_filt.txt`, the reference, and
-``penalty_P/LMWT.txt``, the hypotheses at word insertion penalty P and language model weight LMWT.
+``scoring_kaldi/test_filt.txt`` in the decode directory holds the reference, ``scoring_kaldi/penalty_P/LMWT.txt`` the
+hypotheses at word insertion penalty P and language model weight LMWT.
 """
 
 import re
@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from rapidfuzz.distance import Levenshtein
 
+from roomeq.core.arrays import IntArray
 from roomeq.core.files import read_text
 
 REFERENCE_FILE = "test_filt.txt"
@@ -20,32 +21,35 @@ _WEIGHT = re.compile(r"(\d+)\.txt", re.ASCII)
 _BOOTCI = re.compile(r"Set1: %WER ([\d.]+) 95% Conf Interval \[ (-?[\d.]+), (-?[\d.]+) \]", re.ASCII)
 _RUN_DECODING = "run stages 8 to 10 again"
 
+Texts = dict[str, tuple[str, ...]]
+"""Words by utterance."""
+
 
 @dataclass(frozen=True)
 class Weights:
-    """What the decoding of a set leaves open: word insertion penalty and language model weight."""
+    """Word insertion penalty and language model weight, which scoring chooses."""
 
     penalty: str
     """As Kaldi writes it, ``"0.5"``."""
     lmwt: int
 
     def path(self, decode: Path) -> Path:
-        """Return where a decode directory holds these hypotheses."""
+        """Return the file of a decode directory with the hypotheses at these weights."""
         return scoring_dir(decode) / f"penalty_{self.penalty}" / f"{self.lmwt}.txt"
 
 
 def scoring_dir(decode: Path) -> Path:
-    """Return where a decode directory's scoring lies."""
+    """Return the directory in which Kaldi scored a decode directory."""
     return decode / "scoring_kaldi"
 
 
-def read_texts(path: Path) -> dict[str, tuple[str, ...]]:
+def read_texts(path: Path) -> Texts:
     """Read ``utterance words...`` lines; an utterance may have no words.
 
     Raises
     ------
     ValueError
-        The file is missing, empty or cut off, or an utterance stands twice.
+        The file is missing, empty or cut off, or holds an utterance twice.
     """
     if not path.is_file():
         raise ValueError(f"{path}: no such file: {_RUN_DECODING}")
@@ -55,7 +59,7 @@ def read_texts(path: Path) -> dict[str, tuple[str, ...]]:
                          f"{_RUN_DECODING}")
     if not lines:
         raise ValueError(f"{path}: file is empty: {_RUN_DECODING}")
-    texts = {}
+    texts: Texts = {}
     for number, line in enumerate(lines, start=1):
         utterance, *words = line.split() or [""]
         if not utterance:
@@ -66,8 +70,8 @@ def read_texts(path: Path) -> dict[str, tuple[str, ...]]:
     return texts
 
 
-def read_reference(decode: Path) -> dict[str, tuple[str, ...]]:
-    """Read the reference of a decode directory, whose utterances must have words.
+def read_reference(decode: Path) -> Texts:
+    """Read the reference of a decode directory; every utterance must have words.
 
     Raises
     ------
@@ -83,74 +87,67 @@ def read_reference(decode: Path) -> dict[str, tuple[str, ...]]:
     return reference
 
 
-def read_hypotheses(path: Path, reference: dict) -> list[tuple[str, ...]]:
+def read_hypotheses(path: Path, reference: Texts) -> list[tuple[str, ...]]:
     """Read hypotheses, in the order of the reference.
 
     Raises
     ------
     ValueError
-        See `read_texts`; also when an utterance of the reference has no line, or one is not in it.
+        See `read_texts`; also when the utterances are not those of the reference.
     """
-    found = read_texts(path)
+    hypotheses = read_texts(path)
     for utterance in reference:
-        if utterance not in found:
+        if utterance not in hypotheses:
             raise ValueError(f"{path}: utterance {utterance!r} of {REFERENCE_FILE} is missing: it was not decoded, "
                              f"{_RUN_DECODING}")
-    for utterance in found:
+    for utterance in hypotheses:
         if utterance not in reference:
             raise ValueError(f"{path}: utterance {utterance!r} is not in {REFERENCE_FILE}: {_RUN_DECODING}")
-    return [found[utterance] for utterance in reference]
+    return [hypotheses[utterance] for utterance in reference]
 
 
-def weights_of(decode: Path) -> list[Weights]:
-    """Return the weights that a set was scored with, every penalty with every LM weight.
+def read_weights(decode: Path) -> list[Weights]:
+    """Return the weights that a set was scored with: every penalty with every LM weight.
 
     Raises
     ------
     ValueError
-        There are none, or some are missing.
+        No hypotheses were scored, or a file is missing.
     """
     scored = scoring_dir(decode)
-    by_penalty = {found[1]: {int(weight[1]) for one in path.iterdir() if (weight := _WEIGHT.fullmatch(one.name))}
-                  for path in sorted(scored.iterdir()) if (found := _PENALTY.fullmatch(path.name))}
-    every = sorted(set().union(*by_penalty.values()))
-    if not every:
+    lmwts_of = {penalty[1]: {int(lmwt[1]) for file in path.iterdir() if (lmwt := _WEIGHT.fullmatch(file.name))}
+                for path in sorted(scored.iterdir()) if (penalty := _PENALTY.fullmatch(path.name))}
+    lmwts = sorted(set().union(*lmwts_of.values()))
+    if not lmwts:
         raise ValueError(f"{scored}: no penalty_P/LMWT.txt in it: {_RUN_DECODING}")
-    result = [Weights(penalty, lmwt) for penalty in sorted(by_penalty, key=float) for lmwt in every]
-    for one in result:
-        if one.lmwt not in by_penalty[one.penalty]:
-            raise ValueError(f"{one.path(decode)}: no such file, but other penalties have it: {_RUN_DECODING}")
-    return result
+    grid = [Weights(penalty, lmwt) for penalty in sorted(lmwts_of, key=float) for lmwt in lmwts]
+    for weights in grid:
+        if weights.lmwt not in lmwts_of[weights.penalty]:
+            raise ValueError(f"{weights.path(decode)}: no such file, but other penalties have it: {_RUN_DECODING}")
+    return grid
 
 
-def choose_weights(decode: Path, reference: dict) -> Weights:
-    """Return the weights with the fewest errors; of equals those with the smallest penalty, then LM weight.
+def choose_weights(decode: Path) -> Weights:
+    """Return the weights with the fewest errors in the decode directory of a development set.
 
-    Parameters
-    ----------
-    decode : Path
-        Decode directory of a development set.
-    reference : dict
-        Its `read_reference`.
+    Ties go to the smallest penalty, then to the smallest LM weight.
     """
-    references, seen = list(reference.values()), {}
+    reference = read_reference(decode)
+    known: dict[tuple[tuple[str, ...], tuple[str, ...]], int] = {}  # hypotheses differ little between weights
 
-    def distance(n: int, hypothesis: tuple[str, ...]) -> int:
-        if (n, hypothesis) not in seen:  # most hypotheses are the same at most weights
-            seen[n, hypothesis] = Levenshtein.distance(references[n], hypothesis)
-        return seen[n, hypothesis]
+    def errors(weights: Weights) -> int:
+        pairs = list(zip(reference.values(), read_hypotheses(weights.path(decode), reference), strict=True))
+        known.update({pair: Levenshtein.distance(*pair) for pair in set(pairs) - known.keys()})
+        return sum(known[pair] for pair in pairs)
 
-    def errors(one: Weights) -> int:
-        return sum(distance(n, words) for n, words in enumerate(read_hypotheses(one.path(decode), reference)))
-
-    return min(weights_of(decode), key=errors)
+    return min(read_weights(decode), key=errors)
 
 
-def count_errors(reference: list[tuple[str, ...]], hypotheses: list[tuple[str, ...]]) -> np.ndarray:
+def count_errors(reference: list[tuple[str, ...]], hypotheses: list[tuple[str, ...]]) -> IntArray:
     """Return substitutions, deletions and insertions, shape (n_utterances, 3).
 
-    Their sum is the least that turns the reference into the hypothesis, which is what Kaldi counts. Where several
-    alignments need as few, two substitutions of Kaldi's may be a deletion and an insertion here, or the reverse.
+    Their sum is the smallest number of edits from the reference to the hypothesis, as in Kaldi. If several alignments
+    have that number, their kinds may differ from Kaldi's: two substitutions for a deletion and an insertion.
     """
     counts = np.zeros((len(reference), 3), dtype=np.int64)
     kinds = dict(replace=0, delete=1, insert=2)
@@ -161,7 +158,7 @@ def count_errors(reference: list[tuple[str, ...]], hypotheses: list[tuple[str, .
 
 
 def read_bootci(decode: Path) -> dict | None:
-    """Return what Kaldi's `compute-wer-bootci` printed into the decode directory, or None where nobody ran it.
+    """Return the output of Kaldi's `compute-wer-bootci` in the decode directory; None if it was not run.
 
     Returns
     -------
@@ -177,9 +174,9 @@ def read_bootci(decode: Path) -> dict | None:
     if not path.is_file():
         return None
     text = read_text(path)
-    found = _BOOTCI.search(text)
-    if not found:
+    match = _BOOTCI.search(text)
+    if not match:
         raise ValueError(f"{path}: {text[:60]!r} is not what compute-wer-bootci prints ('Set1: %WER ...'): remove "
                          "the file, or run it again")
-    wer, low, high = map(float, found.groups())
+    wer, low, high = map(float, match.groups())
     return dict(wer=wer, interval=[low, high])

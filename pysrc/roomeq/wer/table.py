@@ -1,140 +1,137 @@
-"""The paper's Table 2 as plain text, and a line for each comparison."""
+"""The paper's Table 2 as plain text, and a line for each comparison; `wer` is the content of `wer.json`."""
 
 from roomeq.wer.workspace import BASE, CLEAN, DEV, ORACLE
 
 _NOTES = {CLEAN: "baseline", ORACLE: "oracle"}
 
 
-def table_text(found: dict) -> str:
-    """Return what `roomeq wer` prints of its `wer.json`."""
-    lines = [*_rates(found), "", *caption(found)]
-    if any(any(one[kind]["bootci"]) for row in found["results"].values() for one in row.values()
-           for kind in ("dev", "test")):
-        lines.append("Kaldi's: what compute-wer-bootci printed for each seed, at the weights that its own scoring took "
-                     "for the best of that set.")
+def table_text(wer: dict) -> str:
+    """Return the text that `roomeq wer` prints."""
+    results = [result for of_row in wer["results"].values() for result in of_row.values()]
+    lines = [*_rates_lines(wer), "", *caption(wer)]
+    if any(any(result[kind]["bootci"]) for result in results for kind in ("dev", "test")):
+        lines.append("Kaldi's: output of compute-wer-bootci for each seed, which resamples utterances, at the weights "
+                     "that Kaldi's scoring chose on that set.")
     lines.append("")
-    for column in found["columns"]:
-        lines += [f"{column}:", *(f"  {line}" for row in found["rows"] for line in _row_lines(found, row, column)), ""]
-    lines += strata_lines(found)
+    for column in wer["columns"]:
+        lines += [f"{column}:", *(f"  {line}" for row in wer["rows"] for line in _row_lines(wer, row, column)), ""]
+    lines += _strata_lines(wer)
     return "\n".join(lines)
 
 
-def strata_lines(found: dict) -> list[str]:
-    """Return the word error rates of parts of the test set, of the first column."""
-    if not found["strata"]:
-        return []
-    column = found["columns"][0]
-    width = max(len(stratum_label(one)) for one in found["strata"])
-    lines = [f"Parts of the test set, {column}; they are small: differences within them are chance for the most part.",
-             "".ljust(width) + "   words" + "".join(f"  {row}" for row in found["rows"])]
-    for one in found["strata"]:
-        lines.append(stratum_label(one).ljust(width) + f"{one['words']:8d}" + "".join(
-            f"  {one['wer'][column][row]:{len(row)}.2f}" for row in found["rows"]))
-    return [*lines, ""]
-
-
-def stratum_label(one: dict) -> str:
-    """Return what a part of the test set has in common."""
-    name, unit = one["what"].removesuffix("]").split(" [")
-    low, high = one["low"], one["high"]
-    if low is None:
-        return f"{name} below {high:g} {unit}"
-    return f"{name} {low:g} {unit} and more" if high is None else f"{name} {low:g} to {high:g} {unit}"
-
-
-def label(row: str) -> str:
-    """Return a row's name with what it stands for."""
-    return f"{row} ({_NOTES[row]})" if row in _NOTES else row
-
-
-def _rates(found: dict) -> list[str]:
-    columns, results = found["columns"], found["results"]
-    width = max(map(len, (label(row) for row in found["rows"])))
+def _rates_lines(wer: dict) -> list[str]:
+    columns, results = wer["columns"], wer["results"]
+    width = max(len(label(row)) for row in wer["rows"])
     cell = max(8, *(len(column) + 1 for column in columns))
     half = cell * len(columns)
     lines = [" " * width + "  " + "dev WER [%]".center(half) + "  " + "test WER [%]".center(half),
-             "Training data".ljust(width) + "  " + "  ".join(["".join(one.rjust(cell) for one in columns)] * 2)]
-    for row in found["rows"]:
+             "Training data".ljust(width) + "  " + "  ".join(["".join(column.rjust(cell) for column in columns)] * 2)]
+    for row in wer["rows"]:
         halves = ("".join(f"{results[row][column][kind]['wer']:{cell}.2f}" for column in columns)
                   for kind in ("dev", "test"))
         lines.append(label(row).ljust(width) + "  " + "  ".join(halves))
     return lines
 
 
-def caption(found: dict) -> list[str]:
-    """Return what a reader of the table must know."""
-    test, seeds = found["sets"][found["test"]], found["seeds"]
-    own = sorted({name for name in found["dev_of"].values() if name != DEV})
-    mixed = f"; else {DEV}" if own and DEV in found["dev_of"].values() else ""
-    over = "rooms and seeds, crossed" if seeds > 1 else "rooms"
+def label(row: str) -> str:
+    """Return the name of a row with its role in the comparison."""
+    return f"{row} ({_NOTES[row]})" if row in _NOTES else row
+
+
+def caption(wer: dict) -> list[str]:
+    """Return the sentences that explain the table."""
+    test, seeds = wer["sets"][wer["test"]], wer["seeds"]
+    own = sorted(set(wer["dev_of"].values()) - {DEV})
+    other = f"; else {DEV}" if own and DEV in wer["dev_of"].values() else ""
+    resampled = "rooms and seeds, crossed" if seeds > 1 else "rooms"
     lines = [f"{test['utterances']} test utterances ({test['words']} words) in {test['rooms']} rooms, "
              f"{seeds} seed{'s' * (seeds > 1)}.",
              "LM weight and word insertion penalty were chosen on dev for each row, column and seed, and applied to "
-             "test: dev rates are the best of them, test rates are not.",
-             f"dev is of each row's own kind, as in the paper: {', '.join(own)}{mixed}." if own else
+             "test. Rates on dev are therefore the lowest of the search, rates on test are not.",
+             f"dev is of each row's own kind, as in the paper: {', '.join(own)}{other}." if own else
              f"dev is {DEV} for every row.",
-             f"Intervals are of 95 %, from a bootstrap over {over}; speakers and sentences stay as they are."]
+             f"Intervals are of 95 %, from a bootstrap over {resampled}; speakers and sentences stay the same."]
     if seeds == 1:
-        lines.append("With one seed the spread over seeds is not known: intervals hold for these trained models, not "
-                     "for others trained alike.")
+        lines.append("With one seed the spread over seeds is not known: the intervals hold for these trained models "
+                     "only.")
     return lines
 
 
-def _row_lines(found: dict, row: str, column: str) -> list[str]:
-    one = found["results"][row][column]
-    lines = [f"{row}: " + ", ".join(f"{kind} {_rate(one[kind])}" for kind in ("test", "dev"))
-             + f", test less dev {_points(one['dev_test_gap'])}"]
-    if "change" in one:
-        lines.append(f"  against {BASE}: {change_text(one['change'])}")
-    if "closed" in one:
-        lines.append(f"  {closed_text(one['closed'])}")
-    if one.get("change", {}).get("detectable"):
-        lines.append(f"  {detectable_text(one['change']['detectable'], found['seeds'])}")
+def _row_lines(wer: dict, row: str, column: str) -> list[str]:
+    result = wer["results"][row][column]
+    lines = [f"{row}: " + ", ".join(f"{kind} {_rate_text(result[kind])}" for kind in ("test", "dev"))
+             + f", test less dev {_points_text(result['dev_test_gap'])}"]
+    if "change" in result:
+        lines.append(f"  against {BASE}: {_change_text(result['change'])}")
+    if "closed" in result:
+        lines.append(f"  {_closed_text(result['closed'])}")
+    if result.get("change", {}).get("detectable"):
+        lines.append(f"  {_detectable_text(result['change']['detectable'], wer['seeds'])}")
     return lines
 
 
-def _rate(one: dict) -> str:
-    over = one["interval_over_utterances"]
-    text = f"{one['wer']:.2f}{bracket(one['interval'])} (over utterances{bracket(over)}"
-    for kaldi in filter(None, one["bootci"]):
-        text += f"; Kaldi's {kaldi['wer']:.2f}{bracket(kaldi['interval'])}"
-    return text + ")"
+def _rate_text(rate: dict) -> str:
+    kaldi = "; ".join(f"{bootci['wer']:.2f}{_brackets(bootci['interval'])}" for bootci in rate["bootci"] if bootci)
+    return f"{rate['wer']:.2f}{_brackets(rate['interval'])}" + (f" (Kaldi's {kaldi})" if kaldi else "")
 
 
-def bracket(interval: list[float] | None, digits: int = 2) -> str:
-    """Return an interval in brackets after a blank; nothing where there is none."""
+def _brackets(interval: list[float] | None, digits: int = 2) -> str:
+    """Return an interval in brackets after a space; nothing for None."""
     return "" if interval is None else f" [{interval[0]:.{digits}f}, {interval[1]:.{digits}f}]"
 
 
-def _points(one: dict) -> str:
-    return f"{one['points']:+.2f}{bracket(one['interval'])}" + ("" if one["p"] is None else f", p {_p(one['p'])}")
+def _points_text(difference: dict) -> str:
+    p = difference["p"]
+    p_text = "" if p is None else f", p {p:.2g}" if p >= 0.001 else ", p < 0.001"
+    return f"{difference['points']:+.2f}{_brackets(difference['interval'])}{p_text}"
 
 
-def _p(p: float) -> str:
-    return f"{p:.2g}" if p >= 0.001 else "< 0.001"
+def _change_text(change: dict) -> str:
+    """Return a change in points and relative to the base."""
+    if change["relative"] is None:
+        return _points_text(change)
+    return (f"{_points_text(change)}; relative {change['relative']:+.1f} %"
+            f"{_brackets(change['relative_interval'], 1)}")
 
 
-def change_text(one: dict) -> str:
-    """Return a change in points and relative to the base, in words."""
-    relative = "" if one["relative"] is None else (f"; relative {one['relative']:+.1f} %"
-                                                   f"{bracket(one['relative_interval'], 1)}")
-    return f"{_points(one)}{relative}"
+def _closed_text(closed: dict) -> str:
+    """Return the share of the gap that is closed, or why there is none."""
+    gap = f"gap {BASE} - {ORACLE} {_points_text(closed['gap'])}"
+    if closed["share"] is None:
+        return f"{gap} is not certain: no share of it is stated; gained {_points_text(closed['gained'])}"
+    low, high = (100 * end for end in closed["interval"])
+    return f"closes {100 * closed['share']:.0f} % [{low:.0f}, {high:.0f}] of the {gap}"
 
 
-def closed_text(one: dict) -> str:
-    """Return the share of the gap that is closed, or why there is none, in words."""
-    gap = f"gap {BASE} - {ORACLE} {_points(one['gap'])}"
-    if one["share"] is None:
-        return (f"{gap}: the gap itself is not certain, no share of it is given; gained {_points(one['gained'])}")
-    low, high = (100 * end for end in one["interval"])
-    return f"closes {100 * one['share']:.0f} % [{low:.0f}, {high:.0f}] of the {gap}"
-
-
-def detectable_text(one: dict, seeds: int) -> str:
-    """Return what difference can be detected, and what half of it would take, in words."""
-    half = one["for_half"]
+def _detectable_text(detectable: dict, seeds: int) -> str:
+    """Return the difference that can be detected, and how to detect half of it."""
+    half = detectable["for_half"]
     ways = [f"{half[kind]} {kind}" for kind in ("seeds", "rooms") if half[kind] is not None]
-    ways.append(f"{half['factor']:.1f} times as many of both" if seeds > 1 else "")
+    if seeds > 1:
+        ways.append(f"{half['factor']:.1f} times as many of both")
     known = "" if seeds > 1 else ", for these models: the spread over seeds is not known"
-    return (f"detectable with 80 % power at 5 %: {one['difference']:.2f} points ({one['standard_errors']:.1f} standard "
-            f"errors{known}); half of it with " + " or ".join(filter(None, ways)))
+    return (f"detectable with 80 % power at 5 %: {detectable['difference']:.2f} points "
+            f"({detectable['standard_errors']:.1f} standard errors{known}); half of it with {' or '.join(ways)}")
+
+
+def _strata_lines(wer: dict) -> list[str]:
+    """Return the word error rates of parts of the test set, in the first column."""
+    if not wer["strata"]:
+        return []
+    column = wer["columns"][0]
+    width = max(len(stratum_label(stratum)) for stratum in wer["strata"])
+    lines = [f"Parts of the test set, {column}. They are small: most differences within them are chance.",
+             "".ljust(width) + "   words" + "".join(f"  {row}" for row in wer["rows"])]
+    for stratum in wer["strata"]:
+        lines.append(stratum_label(stratum).ljust(width) + f"{stratum['words']:8d}" + "".join(
+            f"  {stratum['wer'][column][row]:{len(row)}.2f}" for row in wer["rows"]))
+    return [*lines, ""]
+
+
+def stratum_label(stratum: dict) -> str:
+    """Return the range of SNRs, decay times or DRRs that a stratum covers."""
+    name, unit = stratum["what"].removesuffix("]").split(" [")
+    low, high = stratum["low"], stratum["high"]
+    if low is None:
+        return f"{name} below {high:g} {unit}"
+    return f"{name} {low:g} {unit} and more" if high is None else f"{name} {low:g} to {high:g} {unit}"

@@ -1,43 +1,50 @@
-"""The decode directories of Kaldi workspaces, one workspace a seed: what was decoded, and its errors by room."""
+"""Decode directories of Kaldi workspaces, one workspace per seed: which systems were decoded, and their errors."""
 
-import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.wer.scoring import (
     BOOTCI_FILE,
+    REFERENCE_FILE,
+    Texts,
     Weights,
     choose_weights,
     count_errors,
-    read_bootci,
     read_hypotheses,
     read_reference,
     read_texts,
     scoring_dir,
 )
 
-logger = logging.getLogger(__name__)
-
 ROWS = ("train.clean", "train.real.rvb", "train.sim.rvb", "train.sim.EQ.rvb", "train.sim.loop.rvb")
 COLUMNS = ("fglarge", "tglarge", "tgmed", "tgsmall", "online")
-"""Of the paper's Table 2, in its order; others come behind them."""
+"""Rows (training data) and columns (language models) of the paper's Table 2, in its order; others follow."""
 TEST, DEV = "test.real.rvb", "dev.real.rvb"
 BASE, ORACLE, CLEAN = "train.sim.rvb", "train.real.rvb", "train.clean"
 
 
-@dataclass(frozen=True)
-class Decoded:
-    """What all workspaces hold.
+class System(NamedTuple):
+    """Training data and language model of a recogniser."""
 
-    Parameters
+    row: str
+    column: str
+
+
+@dataclass(frozen=True)
+class Decodings:
+    """Decode directories of all workspaces: every row and column is in every workspace.
+
+    Attributes
     ----------
     workspaces : list of Path
-        One a seed.
-    rows, columns : list of str
+        One per seed.
     dev_of : dict of str
-        Development set by row: of the row's own kind, as in the paper, where it was decoded; else `DEV`.
+        Development set by row: of the row's own kind, as in the paper, if it was decoded; else `DEV`.
     """
 
     workspaces: list[Path]
@@ -45,31 +52,35 @@ class Decoded:
     columns: list[str]
     dev_of: dict[str, str]
 
-    def decode(self, seed: int, row: str, name: str, column: str) -> Path:
-        """Return a decode directory."""
-        return self.workspaces[seed] / row / f"decode_{name}_{column}"
+    def decode_dir(self, seed: int, system: System, set_name: str) -> Path:
+        """Return the decode directory of a system and an evaluation set."""
+        return self.workspaces[seed] / system.row / f"decode_{set_name}_{system.column}"
 
     def sets_of(self, row: str) -> tuple[str, str]:
-        """Return the names of a row's development and test set."""
+        """Return the names of the development and test set of a row."""
         return self.dev_of[row], TEST
 
-    def rows_of(self, name: str) -> list[str]:
-        """Return the rows that were decoded on a set."""
-        return [row for row in self.rows if name in self.sets_of(row)]
+    @property
+    def set_names(self) -> list[str]:
+        """Names of all evaluation sets."""
+        return sorted({name for row in self.rows for name in self.sets_of(row)})
+
+    def systems(self, set_name: str | None = None) -> list[System]:
+        """Return all systems, or those that were decoded on one set."""
+        return [System(row, column) for row in self.rows if set_name is None or set_name in self.sets_of(row)
+                for column in self.columns]
+
+    def decode_dirs(self) -> list[Path]:
+        """Return all decode directories."""
+        return [self.decode_dir(seed, system, name) for seed in range(len(self.workspaces))
+                for name in self.set_names for system in self.systems(name)]
 
     def inputs(self) -> list[Path]:
-        """Return what the result depends on, the RIRs apart."""
-        found = []
-        for seed, workspace in enumerate(self.workspaces):
-            sets = sorted({name for row in self.rows for name in self.sets_of(row)})
-            found += [path for name in sets for table in ("utt2rir", "utt2snr", "utt2spk")
-                      if (path := workspace / "data" / name / table).is_file()]
-            for row in self.rows:
-                decodes = [self.decode(seed, row, name, column) for name in self.sets_of(row)
-                           for column in self.columns]
-                found += [scoring_dir(decode) for decode in decodes]
-                found += [path for decode in decodes if (path := decode / BOOTCI_FILE).is_file()]
-        return found
+        """Return the files and directories that word error rates depend on, except the RIRs."""
+        tables = [workspace / "data" / name / table for workspace in self.workspaces for name in self.set_names
+                  for table in ("utt2rir", "utt2snr", "utt2spk")]
+        optional = [*tables, *(decode / BOOTCI_FILE for decode in self.decode_dirs())]
+        return [*map(scoring_dir, self.decode_dirs()), *(path for path in optional if path.is_file())]
 
 
 def compared(rows: list[str]) -> list[str]:
@@ -77,49 +88,37 @@ def compared(rows: list[str]) -> list[str]:
     return [row for row in rows if row not in (BASE, ORACLE, CLEAN)]
 
 
-def find_decoded(workspaces: list[Path]) -> Decoded:
-    """Find rows and columns, which must be those of the first workspace in all of them.
-
-    Only clean training data, with which nothing is compared, may be missing: it is left out where it is not in all.
+def find_decodings(workspaces: list[Path]) -> Decodings:
+    """Find rows and columns, those of the first workspace.
 
     Raises
     ------
     ValueError
-        A workspace holds none, or a decode directory of a row and column is missing.
+        A workspace is missing or holds no decoding, or the decode directory of a row and column is missing.
     """
     for workspace in workspaces:
         if not workspace.is_dir():
             raise ValueError(f"{workspace}: no such Kaldi workspace: check the path, or run stages 8 to 10")
-    if len({path.resolve() for path in workspaces}) < len(workspaces):
-        raise ValueError(f"workspace {_repeated(workspaces)} is given twice: give each seed's once")
+    resolved = [path.resolve() for path in workspaces]
+    for n, workspace in enumerate(workspaces):
+        if resolved[n] in resolved[:n]:
+            raise ValueError(f"workspace {workspace} is given twice: give each seed's once")
     first = workspaces[0]
-    rows = _ordered({path.parent.name for path in first.glob("train.*/decode_*") if path.is_dir()}, ROWS)
-    columns = _ordered({path.name.removeprefix(f"decode_{TEST}_") for row in rows
-                        for path in (first / row).glob(f"decode_{TEST}_*")}, COLUMNS)
+    rows = _in_order({path.parent.name for path in first.glob("train.*/decode_*") if path.is_dir()}, ROWS)
+    columns = _in_order({path.name.removeprefix(f"decode_{TEST}_") for row in rows
+                         for path in (first / row).glob(f"decode_{TEST}_*")}, COLUMNS)
     if not columns:
         raise ValueError(f"{first}: no train.*/decode_{TEST}_* in it: run stages 8 to 10, or check the path")
-    if CLEAN in rows and not all(any((workspace / CLEAN).glob("decode_*")) for workspace in workspaces):
-        logger.warning("%s was not decoded in all workspaces: left out", CLEAN)
-        rows.remove(CLEAN)
-    decoded = Decoded(workspaces, rows, columns, {row: _dev_set(first, row) for row in rows})
-    for seed in range(len(workspaces)):
-        for row in rows:
-            for name in decoded.sets_of(row):
-                for column in columns:
-                    path = scoring_dir(decoded.decode(seed, row, name, column))
-                    if not path.is_dir():
-                        raise ValueError(f"{path}: no such directory, but other rows, columns or seeds have it: decode "
-                                         "and score it (stage 10), or leave the row or column out of all")
-    return decoded
+    decodings = Decodings(workspaces, rows, columns, {row: _dev_set(first, row) for row in rows})
+    for path in map(scoring_dir, decodings.decode_dirs()):
+        if not path.is_dir():
+            raise ValueError(f"{path}: no such directory, but other rows, columns or seeds have it: decode and score "
+                             "it (stage 10), or leave the row or column out of all")
+    return decodings
 
 
-def _repeated(paths: list[Path]) -> Path:
-    resolved = [path.resolve() for path in paths]
-    return next(path for n, path in enumerate(paths) if path.resolve() in resolved[:n])
-
-
-def _ordered(found: set[str], known: tuple[str, ...]) -> list[str]:
-    return [name for name in known if name in found] + sorted(found - set(known))
+def _in_order(names: set[str], known: tuple[str, ...]) -> list[str]:
+    return [name for name in known if name in names] + sorted(names - set(known))
 
 
 def _dev_set(workspace: Path, row: str) -> str:
@@ -129,118 +128,109 @@ def _dev_set(workspace: Path, row: str) -> str:
 
 @dataclass(frozen=True)
 class Scores:
-    """Errors of one set, all rows and columns that were decoded on it.
+    """Errors of all systems on one evaluation set; lists have one array per seed.
 
-    Parameters
+    Attributes
     ----------
     counts : dict of list of ndarray, each of shape (n_utterances, 3)
-        By (row, column): of each seed, substitutions, deletions and insertions.
+        Substitutions, deletions and insertions by system.
     words : list of ndarray, each of shape (n_utterances,)
-        Of each seed's reference.
+        Words of the reference.
     rooms : list of ndarray, each of shape (n_utterances,)
-        Index into `room_names`.
+        Indices into `room_names`.
     room_names : list of str
-        Clean speech has speakers for rooms.
+        Clean speech has no rooms; its speakers take their place.
     has_rooms : bool
+        False for clean speech.
     """
 
-    counts: dict[tuple[str, str], list[np.ndarray]]
-    words: list[np.ndarray]
-    rooms: list[np.ndarray]
+    counts: dict[System, list[IntArray]]
+    words: list[IntArray]
+    rooms: list[IntArray]
     room_names: list[str]
     has_rooms: bool
 
-    def table(self, values: list[np.ndarray], room_names: list[str]) -> np.ndarray:
-        """Return sums over the utterances of each seed and room, shape (n_seeds, n_rooms)."""
-        place = {name: n for n, name in enumerate(room_names)}
-        here = np.array([place[name] for name in self.room_names])
-        return np.array([np.bincount(here[rooms], weights=one, minlength=len(room_names))
-                         for rooms, one in zip(self.rooms, values, strict=True)])
+    def word_table(self, room_names: list[str]) -> FloatArray:
+        """Return the words of each seed and room, shape (n_seeds, n_rooms)."""
+        return self._table(self.words, room_names)
 
-    def errors(self, row: str, column: str, room_names: list[str]) -> np.ndarray:
-        """Return `table` of a system's errors."""
-        return self.table([one.sum(axis=1) for one in self.counts[row, column]], room_names)
+    def error_table(self, system: System, room_names: list[str]) -> FloatArray:
+        """Return the errors of a system for each seed and room, shape (n_seeds, n_rooms)."""
+        return self._table([counts.sum(axis=1) for counts in self.counts[system]], room_names)
+
+    def _table(self, values: Sequence[IntArray], room_names: list[str]) -> FloatArray:
+        position = {name: n for n, name in enumerate(room_names)}
+        index = np.array([position[name] for name in self.room_names])
+        return np.array([np.bincount(index[rooms], weights=of_seed, minlength=len(room_names))
+                         for rooms, of_seed in zip(self.rooms, values, strict=True)])
 
 
-def read_scores(decoded: Decoded, name: str, weights: dict, room_of: dict[str, str]) -> Scores:
-    """Count the errors of a set at the weights chosen.
+def read_scores(decodings: Decodings, set_name: str, weights: dict[System, list[Weights]],
+                room_of_rir: dict[str, str]) -> Scores:
+    """Count the errors of all systems on a set.
 
     Parameters
     ----------
-    weights : dict of list of Weights
-        By (row, column), one a seed.
-    room_of : dict of str
-        Room by RIR id.
+    weights
+        Weights to score each system with, one per seed.
 
     Raises
     ------
     ValueError
-        References differ between rows or columns, an utterance has no hypothesis or RIR, or its RIR is unknown.
+        References differ between systems, an utterance has no hypothesis or RIR, or its RIR is unknown.
     """
-    systems = [(row, column) for row in decoded.rows_of(name) for column in decoded.columns]
-    counts, words, labels = {system: [] for system in systems}, [], []
-    for seed, workspace in enumerate(decoded.workspaces):
-        reference = same_reference(decoded, seed, name)
+    systems = decodings.systems(set_name)
+    counts: dict[System, list[IntArray]] = {system: [] for system in systems}
+    words, labels = [], []
+    for seed, workspace in enumerate(decodings.workspaces):
+        reference = read_shared_reference(decodings, seed, set_name)
         for system in systems:
-            path = weights[system][seed].path(decoded.decode(seed, system[0], name, system[1]))
+            path = weights[system][seed].path(decodings.decode_dir(seed, system, set_name))
             counts[system].append(count_errors(list(reference.values()), read_hypotheses(path, reference)))
         words.append(np.array([len(spoken) for spoken in reference.values()]))
-        labels.append(_rooms(workspace / "data" / name, name, reference, room_of))
-    names = sorted(set().union(*labels))
-    index = {label: n for n, label in enumerate(names)}
-    rooms = [np.array([index[label] for label in one]) for one in labels]
-    return Scores(counts, words, rooms, names, has_rooms=not _is_clean(name))
+        labels.append(_read_rooms(workspace / "data" / set_name, reference, room_of_rir))
+    room_names = sorted(set().union(*labels))
+    index = {name: n for n, name in enumerate(room_names)}
+    rooms = [np.array([index[label] for label in of_seed]) for of_seed in labels]
+    return Scores(counts, words, rooms, room_names, has_rooms=not _is_clean(set_name))
 
 
-def same_reference(decoded: Decoded, seed: int, name: str) -> dict[str, tuple[str, ...]]:
-    """Return a set's reference, which all rows and columns must share."""
-    first = None
-    for row in decoded.rows_of(name):
-        for column in decoded.columns:
-            decode = decoded.decode(seed, row, name, column)
-            reference = read_reference(decode)
-            first = first or (reference, decode)
-            for utterance in [*first[0], *reference]:
-                if reference.get(utterance) != first[0].get(utterance):
-                    raise ValueError(f"{scoring_dir(decode)}/test_filt.txt: reference of {utterance!r} is not that of "
-                                     f"{first[1]}: rows are compared on the same speech, decode them on one data "
-                                     "directory")
-    return first[0]
+def read_shared_reference(decodings: Decodings, seed: int, set_name: str) -> Texts:
+    """Read the reference of a set, which must be the same for all systems."""
+    first_dir, *other_dirs = [decodings.decode_dir(seed, system, set_name) for system in decodings.systems(set_name)]
+    shared = read_reference(first_dir)
+    for decode in other_dirs:
+        reference = read_reference(decode)
+        for utterance in [*shared, *reference]:
+            if reference.get(utterance) != shared.get(utterance):
+                raise ValueError(f"{scoring_dir(decode)}/{REFERENCE_FILE}: reference of {utterance!r} is not that of "
+                                 f"{first_dir}: rows are compared on the same speech, decode them on one data "
+                                 "directory")
+    return shared
 
 
-def _rooms(data: Path, name: str, reference: dict, room_of: dict[str, str]) -> list[str]:
-    """Return the room of each utterance; clean speech has none: its speaker."""
-    path = data / ("utt2spk" if _is_clean(name) else "utt2rir")
+def _read_rooms(data: Path, reference: Texts, room_of_rir: dict[str, str]) -> list[str]:
+    """Return the room of each utterance of a data directory; the speaker if it is clean speech."""
+    clean = _is_clean(data.name)
+    path = data / ("utt2spk" if clean else "utt2rir")
     table, labels = read_texts(path), []
     for utterance in reference:
         label = " ".join(table.get(utterance, ()))
         if not label:
-            raise ValueError(f"{path}: no {'speaker' if _is_clean(name) else 'RIR'} of utterance {utterance!r}: make "
-                             "the data directory again")
-        if not _is_clean(name):
-            if label not in room_of:
-                raise ValueError(f"{path}: RIR {label!r} of utterance {utterance!r} is not among those of --rirs: give "
-                                 "the RIR directory that the set was made with")
-            label = room_of[label]
-        labels.append(label)
+            raise ValueError(f"{path}: no {'speaker' if clean else 'RIR'} of utterance {utterance!r}: make the data "
+                             "directory again")
+        if not clean and label not in room_of_rir:
+            raise ValueError(f"{path}: RIR {label!r} of utterance {utterance!r} is not among those of --rirs: give the "
+                             "RIR directory that the set was made with")
+        labels.append(label if clean else room_of_rir[label])
     return labels
 
 
-def _is_clean(name: str) -> bool:
-    return name.endswith(".clean")
+def _is_clean(set_name: str) -> bool:
+    return set_name.endswith(".clean")
 
 
-def choose_all(decoded: Decoded) -> dict[tuple[str, str], list[Weights]]:
-    """Return the weights of each row, column and seed, chosen on the development set."""
-    chosen = {}
-    for row in decoded.rows:
-        for column in decoded.columns:
-            chosen[row, column] = [
-                choose_weights(decode, read_reference(decode)) for seed in range(len(decoded.workspaces))
-                for decode in [decoded.decode(seed, row, decoded.dev_of[row], column)]]
-    return chosen
-
-
-def read_all_bootci(decoded: Decoded, row: str, name: str, column: str) -> list[dict | None]:
-    """Return what Kaldi's own bootstrap said of a system, by seed."""
-    return [read_bootci(decoded.decode(seed, row, name, column)) for seed in range(len(decoded.workspaces))]
+def choose_all_weights(decodings: Decodings) -> dict[System, list[Weights]]:
+    """Return the weights of each system and seed, chosen on its development set."""
+    return {system: [choose_weights(decodings.decode_dir(seed, system, decodings.dev_of[system.row]))
+                     for seed in range(len(decodings.workspaces))] for system in decodings.systems()}
