@@ -5,8 +5,8 @@ Usage: tests/bench/wer_intervals.py [--times 1000] --out DIR
 e.g.:  tests/bench/wer_intervals.py --out exp/wer_intervals
 
 A recogniser makes 20 % errors. Seeds, rooms and each room at each seed add random deviations [points], and the errors
-are drawn with the resulting rates. Rooms have 200 words, or a random number from a skewed distribution. The intervals of
-`roomeq wer` are compared with the percentiles of the plain bootstrap over rooms and seeds, and with the bootstrap over
+are drawn with the resulting rates. Rooms have 200 words, or a random number from a skewed distribution. The intervals
+of `roomeq wer` are compared with the percentiles of the plain bootstrap over rooms and seeds, and with the bootstrap over
 utterances of Kaldi's `compute-wer-bootci` (utterances of ten words). Prints a table and writes wer_intervals.json.
 """
 
