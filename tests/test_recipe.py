@@ -35,9 +35,11 @@ def test_run_ends_with_data_directories_and_report(undisturbed, corpora):
 
 def test_loop_finds_the_loudspeaker_responses(undisturbed, corpora):
     output, files = undisturbed
-    found = re.findall(r"^loop: (\S+): held-out error ([\d.]+) -> ([\d.]+) JND \[[\d.]+, [\d.]+\]$", output, re.M)
-    assert [name for name, *_ in found] == ["source_response"] and float(found[0][2]) < float(found[0][1])
-    assert "no room has two RIRs, one to calibrate it and one to score: not tested" in output  # five RIRs of dev
+    added = re.findall(r"^added (\S+): held-out error ([\d.]+) -> ([\d.]+) JND \[[\d.]+, [\d.]+\] \(\S+\)$", output,
+                       re.M)
+    assert [name for name, *_ in added] == ["source_response"] and float(added[0][2]) < float(added[0][1])
+    # dev has five RIRs
+    assert "no room has two RIRs, one to calibrate it and one to score: the test set is not scored" in output
     where = corpora / "run-a"
     validate([where / "exp/loop", where / "data/rirs.sim.loop.train", where / "data/train.sim.loop.rvb"])
     for row in read_rirs(where / "data/rirs.sim.loop.train"):

@@ -14,8 +14,8 @@ CASES = [
     Case("loop of no threads", "close-loop --nj 0 measured --out out",
          "nj=0 must lie in [1, 1024]: give the number of processes"),
     Case("loop of two rooms", "close-loop measured --out out",
-         "measured: RIRs of 2 rooms, ... of them with two or more, and the loop leaves rooms out and scores them by "
-         "halves: give at least 3 rooms or conditions (room_id) with two RIRs"),
+         "measured: RIRs of 2 rooms, ... of them with two or more RIRs, are too few to leave rooms out and to score "
+         "halves of rooms: give at least 3 rooms or conditions (room_id) with two RIRs"),
     Case("loop of an absent model", "close-loop --model absent.json measured --out out",
          "absent.json: No such file or directory: check the path"),
     Case("loop of a model with an effect twice", "close-loop --model m.json measured --out out",
