@@ -1,44 +1,78 @@
-"""The panels of the report's figures, as SVG that follows its reader's choice of a light or a dark page.
+"""Figure panels as SVG that follows the reader's choice of a light or a dark page.
 
-A panel is small enough to be read on a phone without zooming; panels that belong together lie side by side on a
-wide screen. A panel is a function ``draw(axes, colours)``; `render` makes pictures of it.
+A panel is legible on a phone without zooming; a wide screen shows the panels of a figure side by side. A function
+``draw(axes, colours)`` draws a panel, and `panel` renders it.
 """
 
 import io
 import re
+import textwrap
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter
 
+from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BANDS_HZ, FS_HZ
-from roomeq.report.page import Html, picture
-from roomeq.report.style import COLOURS, LIGHT
+from roomeq.report.formats import data_uri
+from roomeq.report.rir_sets import column_percentiles
+from roomeq.report.style import COLOUR_VARIABLES, LIGHT
 
 SIZE_IN, SMALL_IN = (4.4, 3.1), (3.5, 2.8)
+CSS_PIXELS_PER_INCH = 96
 TICK_LABELS = ("62.5", "125", "250", "500", "1k", "2k", "4k", "8k")
 MAX_CURVES = 150
-"""More curves than this in one panel are a blot: every n-th is drawn."""
+"""Largest number of curves in a panel: of more, every n-th is drawn."""
 
 MARKERS = dict(measured="o", simulated="s", compensated="^", drawn="D")
-"""Marks that tell kinds of RIRs apart where colours don't."""
+"""Markers that distinguish kinds of RIRs without colour."""
 
-Draw = Callable[[object, dict[str, str]], None]
+LEGEND_CHARACTERS_PER_INCH = 14.0
+LEGEND_KEY_IN = 0.4
 
-
-def panel(ident: str, draw: Draw, alt: str, size_in: tuple[float, float] = SIZE_IN) -> Html:
-    """Return one panel as an image of the page."""
-    return picture(ident, render(draw, size_in), alt, *(round(96 * x) for x in size_in))
+Draw = Callable[[Axes, dict[str, str]], None]
 
 
-def render(draw: Draw, size_in: tuple[float, float] = SIZE_IN) -> bytes:
-    """Return an SVG document that is light or dark as its reader's screen; the same drawing gives the same "
-      "bytes."""
-    with matplotlib.rc_context(_settings(LIGHT)):
+@dataclass(frozen=True)
+class Panel:
+    """An image of the page.
+
+    Parameters
+    ----------
+    ident : str
+        Id of the element.
+    src : str
+        The SVG as a ``data:`` URI.
+    alt : str
+        Content of the image for readers who cannot see it.
+    width, height : int
+        Size [CSS pixels], so that the page does not shift while it loads.
+    """
+
+    ident: str
+    src: str
+    alt: str
+    width: int
+    height: int
+
+
+def panel(ident: str, draw: Draw, alt: str, size_in: tuple[float, float] = SIZE_IN) -> Panel:
+    """Render one panel."""
+    width, height = (round(CSS_PIXELS_PER_INCH * length_in) for length_in in size_in)
+    return Panel(ident, data_uri("image/svg+xml", render_svg(draw, size_in)), alt, width, height)
+
+
+def render_svg(draw: Draw, size_in: tuple[float, float] = SIZE_IN) -> bytes:
+    """Render an SVG document that follows the colour scheme of the reader; equal drawings give equal bytes."""
+    settings: Any = _settings(LIGHT)  # matplotlib types each key of its settings
+    with matplotlib.rc_context(settings):
         figure = Figure(figsize=size_in, layout="constrained")
         FigureCanvasSVG(figure)
         draw(figure.add_subplot(), LIGHT)
@@ -47,10 +81,10 @@ def render(draw: Draw, size_in: tuple[float, float] = SIZE_IN) -> bytes:
     svg = re.sub(r"\n\s*", "\n", stream.getvalue().decode())  # empty lines and indents are a tenth of the file
     for name, colour in LIGHT.items():
         svg = svg.replace(f": {colour}", f": var(--{name})")
-    return svg.replace("<defs>", f"<style>{COLOURS}</style>\n<defs>", 1).encode()
+    return svg.replace("<defs>", f"<style>{COLOUR_VARIABLES}</style>\n<defs>", 1).encode()
 
 
-def _settings(colours: dict[str, str]) -> dict:
+def _settings(colours: dict[str, str]) -> dict[str, Any]:
     ink, soft, line, paper = (colours[key] for key in ("ink", "soft", "line", "paper"))
     return {
         "svg.hashsalt": "roomeq", "svg.fonttype": "path", "font.family": "DejaVu Sans", "font.size": 8.5,
@@ -64,13 +98,22 @@ def _settings(colours: dict[str, str]) -> dict:
     }
 
 
-def legend(axes) -> None:
-    """Put the legend above the axes, where it hides nothing."""
-    axes.figure.legend(loc="outside upper left", ncols=2)
+def legend(axes: Axes) -> None:
+    """Put the legend above the axes: in two columns where the labels are short enough, else in one."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure = axes.get_figure(root=True)
+    assert figure is not None  # panels have one
+    width_in = figure.get_figwidth()
+    columns = 2
+    if max(map(len, labels), default=0) > (width_in / 2 - LEGEND_KEY_IN) * LEGEND_CHARACTERS_PER_INCH:
+        columns = 1
+        limit = int((width_in - LEGEND_KEY_IN) * LEGEND_CHARACTERS_PER_INCH)
+        labels = [textwrap.fill(label, limit) for label in labels]
+    figure.legend(handles, labels, loc="outside upper left", ncols=columns)
 
 
-def log_frequency(axes, low_hz: float = 50.0, high_hz: float = 8600.0, along: str = "x") -> None:
-    """Give an axis of frequency the eight EQ points as ticks."""
+def log_frequency(axes: Axes, low_hz: float = 50.0, high_hz: float = 8600.0, along: str = "x") -> None:
+    """Make an axis logarithmic in frequency, with the eight EQ points as ticks."""
     axis = axes.xaxis if along == "x" else axes.yaxis
     (axes.set_xscale if along == "x" else axes.set_yscale)("log")
     (axes.set_xlim if along == "x" else axes.set_ylim)(low_hz, high_hz)
@@ -81,7 +124,7 @@ def log_frequency(axes, low_hz: float = 50.0, high_hz: float = 8600.0, along: st
     axis.set_label_text("Frequency (Hz)")
 
 
-def frequency_responses(curves: list[tuple[str, str, np.ndarray]], limits_db: tuple[float, float]) -> Draw:
+def frequency_responses(curves: list[tuple[str, str, FloatArray]], limits_db: tuple[float, float]) -> Draw:
     """Draw magnitude responses with the EQ sample points marked (the paper's figure 1).
 
     Parameters
@@ -89,7 +132,7 @@ def frequency_responses(curves: list[tuple[str, str, np.ndarray]], limits_db: tu
     curves : list of (label, colour name, level_db)
         `level_db` has shape (257,): bins of 31.25 Hz, relative to 1 kHz.
     """
-    def draw(axes, colours):
+    def draw(axes: Axes, colours: dict[str, str]) -> None:
         for label, colour, level_db in curves:
             frequency_hz = np.arange(len(level_db)) * FS_HZ / (2 * (len(level_db) - 1))
             points = [round(f * 2 * (len(level_db) - 1) / FS_HZ) for f in BANDS_HZ]
@@ -103,20 +146,22 @@ def frequency_responses(curves: list[tuple[str, str, np.ndarray]], limits_db: tu
     return draw
 
 
-def eq_curves(title: str, eq_db: np.ndarray, colour: str, limits_db: tuple[float, float]) -> Draw:
+def eq_curves(title: str, eq_db: FloatArray, colour: str, limits_db: tuple[float, float]) -> Draw:
     """Draw a set of EQ vectors with its median and the range of the middle 90 % (the paper's figure 2).
 
     Parameters
     ----------
     eq_db : ndarray, shape (n_rirs, 8)
-        Relative to 1 kHz [dB]; NaN where not valid.
+        Gains relative to 1 kHz [dB]; NaN where invalid.
+    limits_db : tuple of 2 floats
+        Limits of the vertical axis.
     """
-    def draw(axes, colours):
+    def draw(axes: Axes, colours: dict[str, str]) -> None:
         every = max(1, -(-len(eq_db) // MAX_CURVES))
         lines = [np.column_stack([BANDS_HZ, row])[np.isfinite(row)] for row in eq_db[::every]]
         axes.add_collection(LineCollection(lines, colors=colours[colour], linewidths=0.5,
                                            alpha=max(0.15, min(0.6, 20 / len(lines)))))
-        low, middle, high = quantiles(eq_db, (5, 50, 95))
+        low, middle, high = column_percentiles(eq_db, (5, 50, 95))
         axes.plot(BANDS_HZ, middle, "o-", color=colours["ink"], ms=4, lw=1.5, label="median")
         axes.plot(BANDS_HZ, low, "--", color=colours["ink"], lw=0.9, label="5 % and 95 %")
         axes.plot(BANDS_HZ, high, "--", color=colours["ink"], lw=0.9)
@@ -128,35 +173,31 @@ def eq_curves(title: str, eq_db: np.ndarray, colour: str, limits_db: tuple[float
     return draw
 
 
-def quantiles(values: np.ndarray, percent: tuple[float, ...]) -> list[np.ndarray]:
-    """Return percentiles of each column without its NaNs; NaN for a column that has nothing else."""
-    columns = [column[np.isfinite(column)] for column in values.T]
-    return [np.array([np.percentile(column, p) if len(column) else np.nan for column in columns]) for p in percent]
-
-
-def common_limits(*sets: np.ndarray) -> tuple[float, float]:
-    """Return dB limits that hold all but the outermost 0.5 % of several EQ sets, on multiples of 5 dB."""
+def common_limits(*sets: FloatArray) -> tuple[float, float]:
+    """Return axis limits [dB], multiples of 5 dB, that cover the 0.5th to the 99.5th percentile of several EQ sets."""
     values = np.concatenate([eq_db[np.isfinite(eq_db)].ravel() for eq_db in sets])
     low, high = np.percentile(values, (0.5, 99.5)) if len(values) else (-10.0, 10.0)
     return 5.0 * np.floor(min(low - 1, -5) / 5), 5.0 * np.ceil(max(high + 1, 5) / 5)
 
 
-def spectrogram(title: str, rir: np.ndarray, duration_s: float) -> Draw:
-    """Draw the spectrogram of an RIR, dB relative to its own maximum (the paper's figure 3).
+def spectrogram(title: str, rir: FloatArray, duration_s: float) -> Draw:
+    """Draw the spectrogram of an RIR in dB relative to its maximum (the paper's figure 3).
 
     Parameters
     ----------
     rir : ndarray, shape (n_samples,)
         Starts half a frame (256 samples) before the direct sound, which is the centre of the first frame.
+    duration_s : float
+        Extent of the time axis [s].
     """
     n_fft, hop = 512, 64
-    wanted = round(duration_s * FS_HZ)
-    padded = np.concatenate([rir, np.zeros(max(0, wanted + n_fft - len(rir)))])
-    frames = np.lib.stride_tricks.sliding_window_view(padded, n_fft)[::hop][:wanted // hop]
+    n_samples = round(duration_s * FS_HZ)
+    padded = np.concatenate([rir, np.zeros(max(0, n_samples + n_fft - len(rir)))])
+    frames = np.lib.stride_tricks.sliding_window_view(padded, n_fft)[::hop][:n_samples // hop]
     power = np.abs(np.fft.rfft(frames * np.hanning(n_fft), axis=1).T[1:]) ** 2
     level_db = 10 * np.log10(np.maximum(power, 1e-30) / max(power.max(), 1e-30))
 
-    def draw(axes, colours):
+    def draw(axes: Axes, colours: dict[str, str]) -> None:
         edges_hz = (np.arange(len(level_db) + 1) + 0.5) * FS_HZ / n_fft
         edges_s = np.arange(level_db.shape[1] + 1) * hop / FS_HZ
         mesh = axes.pcolormesh(edges_s, edges_hz, level_db, vmin=-60, vmax=0, cmap="magma", rasterized=True)
@@ -170,9 +211,9 @@ def spectrogram(title: str, rir: np.ndarray, duration_s: float) -> Draw:
     return draw
 
 
-def histogram(title: str, groups: list[tuple[str, str, np.ndarray]], edges: np.ndarray, label: str,
-              per: str = "RIRs") -> Draw:
-    """Draw histograms of several groups as outlines over each other.
+def histogram(title: str, groups: list[tuple[str, str, FloatArray]], edges: FloatArray, label: str,
+              unit: str = "RIRs") -> Draw:
+    """Draw overlaid histograms of several groups.
 
     Parameters
     ----------
@@ -180,61 +221,77 @@ def histogram(title: str, groups: list[tuple[str, str, np.ndarray]], edges: np.n
     edges : ndarray
         Edges of the bins.
     label : str
-        Of the horizontal axis, with its unit.
-    per : str
-        What is counted.
+        Label of the horizontal axis, with its unit.
+    unit : str
+        The counted items.
     """
-    def draw(axes, colours):
+    def draw(axes: Axes, colours: dict[str, str]) -> None:
         styles = iter(["-", "--", "-.", ":"])
         for n, (name, colour, values) in enumerate(groups):
             if n == 0:
-                axes.hist(values, edges, histtype="stepfilled", color=colours[colour], alpha=0.2)
-            axes.hist(values, edges, histtype="step", color=colours[colour], lw=1.6, ls=next(styles),
+                axes.hist(values, list(edges), histtype="stepfilled", color=colours[colour], alpha=0.2)
+            axes.hist(values, list(edges), histtype="step", color=colours[colour], lw=1.6, ls=next(styles),
                       label=f"{name} (n = {len(values)})")
         axes.set_xlim(edges[0], edges[-1])
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_xlabel(label)
-        axes.set_ylabel(f"Number of {per}")
+        axes.set_ylabel(f"Number of {unit}")
         if title:
             axes.set_title(title)
         legend(axes)
     return draw
 
 
-def target_and_met(target_s: np.ndarray, met_s: np.ndarray) -> Draw:
-    """Draw reverberation times met against those aimed at, with the 5 % band."""
-    def draw(axes, colours):
-        top = 1.05 * max(target_s.max(), met_s.max())
+def target_and_achieved(target_s: FloatArray, achieved_s: FloatArray) -> Draw:
+    """Draw achieved against target reverberation times [s], with the 5 % band."""
+    def draw(axes: Axes, colours: dict[str, str]) -> None:
+        top = 1.05 * max(target_s.max(), achieved_s.max())
         line = np.array([0.0, top])
         axes.fill_between(line, 0.95 * line, 1.05 * line, color=colours["extra"], alpha=0.25, lw=0, label="±5 %")
-        axes.plot(target_s, met_s, "o", color=colours["simulated"], ms=4, alpha=0.7, mew=0, label="simulated RIR",
+        axes.plot(target_s, achieved_s, "o", color=colours["simulated"], ms=4, alpha=0.7, mew=0, label="simulated RIR",
                   rasterized=len(target_s) > 300)
         axes.set_xlim(0, top)
         axes.set_ylim(0, top)
-        axes.set_xlabel("T60 drawn as target (s)")
+        axes.set_xlabel("Target T60 (s)")
         axes.set_ylabel("T30 of the rendered RIR at 1 kHz (s)")
         legend(axes)
     return draw
 
 
-def per_point(groups: list[tuple[str, str, np.ndarray, np.ndarray]], label: str, goals: dict[str, float]) -> Draw:
-    """Draw a dot with a whisker per EQ point and group.
+@dataclass(frozen=True)
+class PointSeries:
+    """Values at the EQ points, drawn as dots with whiskers.
 
     Parameters
     ----------
-    groups : list of (label, colour name, value, top), each of the two of shape (8,)
-        The dot and the upper end of its whisker; NaN leaves a point out.
-    label : str
-        Of the vertical axis, with its unit.
-    goals : dict
-        Horizontal lines by name.
+    label, colour : str
+        Legend entry and name of the colour.
+    value, top : ndarray, shape (8,)
+        The dot and the upper end of its whisker; NaN omits a point.
     """
-    def draw(axes, colours):
-        for n, (name, colour, value, top) in enumerate(groups):
+
+    label: str
+    colour: str
+    value: FloatArray
+    top: FloatArray
+
+
+def per_point(groups: list[PointSeries], label: str, limits: dict[str, float]) -> Draw:
+    """Draw a dot with a whisker for each EQ point and group.
+
+    Parameters
+    ----------
+    label : str
+        Label of the vertical axis, with its unit.
+    limits : dict
+        Horizontal lines by legend entry.
+    """
+    def draw(axes: Axes, colours: dict[str, str]) -> None:
+        for n, group in enumerate(groups):
             x = np.arange(len(BANDS_HZ)) + 0.16 * (n - (len(groups) - 1) / 2)
-            axes.vlines(x, value, top, color=colours[colour], lw=1.4, alpha=0.7)
-            axes.plot(x, value, MARKERS[colour], color=colours[colour], ms=5, label=name)
-        for style, (name, value) in zip(("--", ":"), goals.items(), strict=False):
+            axes.vlines(x, group.value, group.top, color=colours[group.colour], lw=1.4, alpha=0.7)
+            axes.plot(x, group.value, MARKERS[group.colour], color=colours[group.colour], ms=5, label=group.label)
+        for style, (name, value) in zip(("--", ":"), limits.items(), strict=False):
             axes.axhline(value, color=colours["ink"], lw=0.9, ls=style, label=name)
         axes.set_xticks(range(len(BANDS_HZ)), TICK_LABELS)
         axes.grid(False, axis="x")

@@ -1,25 +1,96 @@
-"""The panels of the report's chapter on the closed loop."""
+"""Figure panels of the section on the closed loop."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
 
+from roomeq.core.arrays import FloatArray
 from roomeq.report.figures import TICK_LABELS, Draw, legend, log_frequency
+from roomeq.report.formats import with_minus
 
-_ON_DARK, _ON_BRIGHT = "#fefefe", "#101010"  # not the page's colours: they stand on a map that has its own
-_LARGEST_JND = 5.0  # of the colour scale, at least
+# the text stands on the colours of the map, which do not follow the page's colour scheme
+_ON_DARK, _ON_BRIGHT = "#fefefe", "#101010"
+_MIN_SCALE_JND = 5.0
+_LINEAR_UP_TO = 10.0
+_LEGEND_ENTRIES = 6
 
 
-def residual_map(title: str, size_jnd: np.ndarray, regions: list[str], largest_jnd: float) -> Draw:
-    """Draw the mean size of residuals over octave bands and regions of time.
+@dataclass(frozen=True)
+class Candidate:
+    """An effect's gain in held-out rooms.
+
+    Parameters
+    ----------
+    name : str
+        Name of the effect.
+    mean, low, high : float
+        Mean gain of a room and its 95 % interval, in units of the log density.
+    """
+
+    name: str
+    mean: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class ResponseBand:
+    """A frequency response with its interval.
+
+    Parameters
+    ----------
+    name : str
+        The source, microphone or room.
+    best, low, high : ndarray, shape (n_frequencies,)
+        Gains [dB].
+    """
+
+    name: str
+    best: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Curves of a measured RIR and of its simulations.
+
+    Parameters
+    ----------
+    title, label : str
+        Title of the panel and label of the vertical axis.
+    x : ndarray
+        Frequency [Hz] or time [s].
+    lines : list of (label, colour name, values)
+        The measured curve comes first.
+    limits : tuple of 2 floats
+        Limits of the vertical axis.
+    is_spectrum : bool
+        Whether `x` is frequency.
+    """
+
+    title: str
+    x: FloatArray
+    lines: list[tuple[str, str, FloatArray]]
+    label: str
+    limits: tuple[float, float]
+    is_spectrum: bool
+
+
+def residual_map(title: str, size_jnd: FloatArray, regions: Sequence[str], largest_jnd: float) -> Draw:
+    """Draw the mean absolute residual over octave bands and time regions.
 
     Parameters
     ----------
     size_jnd : ndarray, shape (n_regions, 9)
-        The ninth column is of what has no band; NaN where nothing was measured.
+        The ninth column holds broadband features; NaN where not measured.
     largest_jnd : float
         End of the colour scale, the same in panels to be compared.
     """
-    def draw(axes, colours):
-        top = max(largest_jnd, _LARGEST_JND)
+    def draw(axes: Axes, colours: dict[str, str]) -> None:
+        top = max(largest_jnd, _MIN_SCALE_JND)
         axes.imshow(np.ma.masked_invalid(size_jnd), vmin=0, vmax=top, cmap="magma", aspect="auto")
         for (y, x), value in np.ndenumerate(size_jnd):
             if np.isfinite(value):
@@ -35,101 +106,84 @@ def residual_map(title: str, size_jnd: np.ndarray, regions: list[str], largest_j
     return draw
 
 
-def ranking(title: str, candidates: list[tuple[str, float, float, float]], chosen: str | None) -> Draw:
-    """Draw what each candidate is worth on rooms left out, with its interval.
+def ranking(title: str, candidates: list[Candidate], chosen: str | None) -> Draw:
+    """Draw the gain of each candidate in held-out rooms, with its interval.
 
     Parameters
     ----------
-    candidates : list of (name, mean, low, high)
-        Gain a room, in units of the logarithm of the density; the best first.
+    candidates : list of Candidate
+        In descending order of gain.
     chosen : str, optional
-        Name of the one that was added.
+        Name of the effect that was added.
     """
-    def draw(axes, colours):
+    def draw(axes: Axes, colours: dict[str, str]) -> None:
         y = np.arange(len(candidates))
-        _, mean, low, high = (np.array(column) for column in zip(*candidates, strict=True))
-        shades = [colours["compensated" if name == chosen else "extra"] for name, *_ in candidates]
-        axes.barh(y, mean, color=shades, height=0.62, alpha=0.75)
+        low, high = (np.array([getattr(candidate, end) for candidate in candidates]) for end in ("low", "high"))
+        shades = [colours["compensated" if candidate.name == chosen else "extra"] for candidate in candidates]
+        axes.barh(y, [candidate.mean for candidate in candidates], color=shades, height=0.62, alpha=0.75)
         axes.hlines(y, low, high, color=colours["ink"], lw=1.1)
         axes.axvline(0.0, color=colours["soft"], lw=0.8)
-        axes.set_xscale("symlog", linthresh=10.0)
-        axes.set_xlim(min(-15.0, 1.3 * low.min()), max(15.0, 1.3 * high.max()))
-        ticks = [one for one in (-1000, -100, -10, 0, 10, 100, 1000) if axes.get_xlim()[0] <= one <= axes.get_xlim()[1]]
-        axes.set_xticks(ticks, [f"{one:g}".replace("-", "\u2212") for one in ticks])
-        axes.set_yticks(y, [name for name, *_ in candidates])
+        axes.set_xscale("symlog", linthresh=_LINEAR_UP_TO)
+        left, right = min(-15.0, 1.3 * low.min()), max(15.0, 1.3 * high.max())
+        axes.set_xlim(left, right)
+        ticks = [tick for tick in (-1000, -100, -10, 0, 10, 100, 1000) if left <= tick <= right]
+        axes.set_xticks(ticks, [with_minus(f"{tick:g}") for tick in ticks])
+        axes.set_yticks(y, [candidate.name for candidate in candidates])
         axes.invert_yaxis()
         axes.grid(False, axis="y")
-        axes.set_xlabel("Gain on a room left out (log density)")
+        axes.set_xlabel("Gain in a held-out room (log density)")
         axes.set_title(title)
     return draw
 
 
 def before_and_after(names: list[str], before: list[float], after: list[float]) -> Draw:
-    """Draw errors before and after by name, the numbers at the side; NaN leaves one out."""
-    def draw(axes, colours):
+    """Draw errors before and after by name [JND]; NaN omits an error."""
+    def draw(axes: Axes, colours: dict[str, str]) -> None:
         y = np.arange(len(names))
         axes.hlines(y, before, after, color=colours["line"], lw=3)
         axes.plot(before, y, "s", color=colours["simulated"], ms=5, label="before")
         axes.plot(after, y, "^", color=colours["compensated"], ms=5.5, label="after")
         axes.set_yticks(y, names)
-        axes.invert_yaxis()
+        axes.set_ylim(len(names) - 0.5, -0.5)
         axes.set_xlim(left=0)
         axes.set_xlabel("Mean error (JND)")
         legend(axes)
     return draw
 
 
-def response_curves(title: str, frequencies_hz, units: list[tuple[str, np.ndarray, np.ndarray, np.ndarray]]) -> Draw:
-    """Draw responses with their intervals.
-
-    Parameters
-    ----------
-    units : list of (name, best, low, high)
-        Gains [dB].
-    """
-    def draw(axes, colours):
+def response_curves(title: str, frequencies_hz: Sequence[float], responses: list[ResponseBand]) -> Draw:
+    """Draw frequency responses with their intervals."""
+    def draw(axes: Axes, colours: dict[str, str]) -> None:
         names = ("measured", "simulated", "compensated", "drawn", "extra")
-        for n, (name, best, low, high) in enumerate(units):
+        for n, response in enumerate(responses):
             colour = colours[names[n % len(names)]]
             style = ("-", "--", ":")[n // len(names) % 3]
-            axes.fill_between(frequencies_hz, low, high, color=colour, alpha=0.15, lw=0)
-            axes.plot(frequencies_hz, best, style, color=colour, label=name)
+            axes.fill_between(frequencies_hz, response.low, response.high, color=colour, alpha=0.15, lw=0)
+            axes.plot(frequencies_hz, response.best, style, color=colour, label=response.name)
         axes.axhline(0.0, color=colours["soft"], lw=0.8)
         log_frequency(axes, 45.0)
         axes.set_ylabel("Gain (dB)")
         axes.set_title(title)
-        if len(units) <= 6:
+        if len(responses) <= _LEGEND_ENTRIES:
             legend(axes)
     return draw
 
 
-def curves(title: str, x: np.ndarray, lines: list[tuple[str, str, np.ndarray]], label: str, *,
-           frequency: bool = False, limits: tuple[float, float]) -> Draw:
-    """Draw curves of a measured RIR and of its simulations.
-
-    Parameters
-    ----------
-    lines : list of (label, colour name, values)
-    label : str
-        Of the vertical axis.
-    frequency : bool
-        Whether `x` is frequency [Hz]; else it is time [s].
-    limits : tuple of 2 floats
-        Of the vertical axis.
-    """
-    def draw(axes, colours):
-        for (name, colour, values), style, width in zip(lines, ("-", "--", "-"), (2.4, 1.2, 1.2), strict=True):
-            axes.plot(x, values, style, color=colours[colour], lw=width, label=name,
+def draw_curves(curves: Curves) -> Draw:
+    """Draw curves of a measured RIR and of its simulations."""
+    def draw(axes: Axes, colours: dict[str, str]) -> None:
+        for (name, colour, values), style, width in zip(curves.lines, ("-", "--", "-"), (2.4, 1.2, 1.2), strict=True):
+            axes.plot(curves.x, values, style, color=colours[colour], lw=width, label=name,
                       alpha=0.55 if colour == "measured" else 1.0)
-        if frequency:
+        if curves.is_spectrum:
             log_frequency(axes, 45.0)
         else:
             axes.set_xlabel("Time after the direct sound (s)")
-            shown = [values for *_, values in lines]
-            seen = np.flatnonzero(np.any(np.array(shown) > limits[0], axis=0))
-            axes.set_xlim(0, x[seen[-1]] if len(seen) > 1 else x[-1])
-        axes.set_ylim(limits)
-        axes.set_ylabel(label)
-        axes.set_title(title)
+            levels = np.array([values for *_, values in curves.lines])
+            visible = np.flatnonzero(np.any(levels > curves.limits[0], axis=0))
+            axes.set_xlim(0, curves.x[visible[-1]] if len(visible) > 1 else curves.x[-1])
+        axes.set_ylim(curves.limits)
+        axes.set_ylabel(curves.label)
+        axes.set_title(curves.title)
         legend(axes)
     return draw

@@ -1,71 +1,92 @@
-"""Reading a run's results for the report: what is not there raises `Missing`, what is broken `ValueError`."""
+"""Read the results of a run. Absent results raise `Missing`; malformed results raise `ValueError`."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any, TypeVar
 
-import numpy as np
-
+from roomeq.core.arrays import FloatArray
 from roomeq.core.build import DONE_FILE
 from roomeq.core.files import read_json
 from roomeq.kaldi.wavscp import parse_entry
 from roomeq.records.rir_dir import ROWS_FILE, load_rir, read_rirs
-from roomeq.report.page import Missing
+from roomeq.records.schema import RirRow
+from roomeq.report.kinds import KINDS
+
+T = TypeVar("T")
+Context = dict[str, Any]
+"""Values that a section passes to its template."""
 
 STAGES = (("rirs.real", 1, "characterise and split-rirs"), ("rirs.sim.EQ", 4, "compensate"),
           ("rirs.sim.loop", 5, "simulate --model"), ("loop", 5, "close-loop"), ("wer", 10, "wer"),
           ("rirs.sim", 2, "simulate"), ("eq", 3, "fit-eq"), ("measured", 0, "read-measured"))
-"""Beginning of a directory's name, the stage that makes it and its verb."""
+"""Prefix of a directory's name, the stage that writes it and its verb."""
 
 IN_EXP = ("eq", "loop", "wer")
-"""Directories that lie in `exp_dir`."""
+"""Directories below `exp_dir`."""
 
 SETS = ("train", "dev", "test")
 
 
-ALL_KINDS = ("real", "sim", "sim.EQ", "sim.loop")
-"""Of RIRs and of data made with them, as directories are named."""
+class Missing(Exception):  # noqa: N818 - not an error: the section states it and the page goes on
+    """A section needs a part of the run that is absent.
+
+    Parameters
+    ----------
+    part : str
+        The absent part, e.g. ``"data/rirs.sim.EQ.train"``.
+    maker : str
+        The step that writes it, e.g. ``"stage 4 (roomeq compensate)"``.
+    """
+
+    def __init__(self, part: str, maker: str) -> None:
+        super().__init__(f"{part} is missing: run {maker}")
+        self.part, self.maker = part, maker
 
 
 def maker(name: str) -> str:
-    """Say what makes a directory of a run."""
+    """Name the stage and the verb that write a directory of a run."""
     if name.endswith(".rvb"):
         stage, verb = 6, "augment"
     elif name.endswith(".clean"):
         stage, verb = 0, "prepare-speech"
     else:
-        stage, verb = next((stage, verb) for start, stage, verb in STAGES if name.startswith(start))
+        stage, verb = next((stage, verb) for prefix, stage, verb in STAGES if name.startswith(prefix))
     return f"stage {stage} (roomeq {verb})"
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Run:
     """The results of one run.
 
     Parameters
     ----------
     data_dir, exp_dir : Path
-        Where stages 0-6 wrote data directories and models.
+        Directories of the RIRs and data sets, and of the fitted models.
     """
 
     data_dir: Path
     exp_dir: Path
-    _kept: dict = field(default_factory=dict, repr=False, compare=False)
-    _rows: dict = field(default_factory=dict, repr=False, compare=False)
+    _cache: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
-    def once(self, key, make: Callable):
-        """Return what `make()` returned when it was first asked for under this key: what several sections need."""
-        if key not in self._kept:
-            self._kept[key] = make()
-        return self._kept[key]
+    def cached(self, key: Hashable, compute: Callable[[], T]) -> T:
+        """Return the result of `compute()`, which runs once for each key."""
+        if key not in self._cache:
+            self._cache[key] = compute()
+        result: T = self._cache[key]
+        return result
 
     def path(self, name: str) -> Path:
-        """Return the path of a directory, which may not exist."""
+        """Return the path of a directory, which may be absent."""
         return (self.exp_dir if name in IN_EXP else self.data_dir) / name
 
+    def label(self, name: str) -> str:
+        """Return the name of a directory as the page shows it, without the path of the run."""
+        return f"{'exp' if name in IN_EXP else 'data'}/{name}"
+
     def has(self, name: str) -> bool:
-        """Tell whether a directory is there."""
+        """Tell whether a directory exists."""
         return self.path(name).is_dir()
 
     def need(self, name: str, file: str | None = None) -> Path:
@@ -74,51 +95,48 @@ class Run:
         Raises
         ------
         Missing
-            It is not there.
+            It is absent.
         """
         path = self.path(name) / file if file else self.path(name)
         if not path.exists():
-            folder = "exp" if name in IN_EXP else "data"
-            raise Missing("/".join(part for part in (folder, name, file) if part), maker(name))
+            raise Missing("/".join(part for part in (self.label(name), file) if part), maker(name))
         return path
 
-    def all_rirs(self, name: str) -> list[dict]:
+    def all_rirs(self, name: str) -> list[RirRow]:
         """Return the rows of an RIR directory, those of noise sources included."""
-        if name not in self._rows:
-            self.need(name, ROWS_FILE)
-            self._rows[name] = read_rirs(self.path(name))
-        return self._rows[name]
+        self.need(name, ROWS_FILE)
+        return self.cached(("rirs", name), lambda: read_rirs(self.path(name)))
 
-    def rirs(self, name: str) -> list[dict]:
+    def rirs(self, name: str) -> list[RirRow]:
         """Return the rows of an RIR directory without those of noise sources."""
         return [row for row in self.all_rirs(name) if not row.get("noise_for")]
 
-    def rir(self, name: str, row: dict) -> np.ndarray:
+    def rir(self, name: str, row: RirRow) -> FloatArray:
         """Return the samples of an RIR."""
         return load_rir(self.path(name), row)
 
-    def stamp(self, name: str) -> dict:
-        """Return step and options that a directory was made with, or {} where it does not say."""
+    def stamp(self, name: str) -> dict[str, Any]:
+        """Return the step and the options that wrote a directory, or {} if it has no stamp."""
         path = self.path(name) / DONE_FILE
         return read_json(path) if path.is_file() else {}
 
     @cached_property
     def names(self) -> list[str]:
-        """Names of the directories that are there and the report reads."""
-        wanted = ["measured", *(f"{x}.clean" for x in SETS), "rirs.real",
-                  *(f"rirs.{kind}.{x}" for kind in ALL_KINDS for x in SETS), *IN_EXP,
-                  *(f"{x}.{kind}.rvb" for kind in ALL_KINDS for x in SETS)]
-        return [name for name in wanted if self.has(name)]
+        """Names of the existing directories that the report reads."""
+        candidates = ["measured", *(f"{split}.clean" for split in SETS), "rirs.real",
+                      *(f"rirs.{kind.name}.{split}" for kind in KINDS for split in SETS), *IN_EXP,
+                      *(f"{split}.{kind.name}.rvb" for kind in KINDS for split in SETS)]
+        return [name for name in candidates if self.has(name)]
 
     @cached_property
     def benches(self) -> list[str]:
-        """Results of the benches that lie in `exp_dir`, relative to it."""
-        return [f"bench/{name}{kind}" for name in ("fidelity", "speed") for kind in (".json", ".png")
-                if (self.exp_dir / "bench" / f"{name}{kind}").is_file()]
+        """Result files of the benches, relative to `exp_dir`."""
+        return [f"bench/{name}{suffix}" for name in ("fidelity", "speed") for suffix in (".json", ".png")
+                if (self.exp_dir / "bench" / f"{name}{suffix}").is_file()]
 
 
 def read_pairs(path: Path) -> dict[str, str]:
-    """Return a Kaldi table (key, space, the rest of the line); {} where there is no such file."""
+    """Return a Kaldi table (key, space, rest of the line); {} if the file is absent."""
     if not path.is_file():
         return {}
     lines = path.read_text(encoding="utf-8").splitlines()
@@ -126,7 +144,7 @@ def read_pairs(path: Path) -> dict[str, str]:
 
 
 def read_numbers(path: Path) -> dict[str, float]:
-    """`read_pairs` with numbers as values.
+    """Return a Kaldi table of numbers.
 
     Raises
     ------
@@ -142,20 +160,26 @@ def read_numbers(path: Path) -> dict[str, float]:
     return numbers
 
 
-def corpus_readme(run: Run, name: str) -> str:
-    """Return the README of the corpus that a directory's audio lies in, or an empty text.
+def is_synthetic(run: Run, name: str) -> bool:
+    """Tell whether the README of a directory's corpus states that the corpus is generated.
 
-    A generated corpus says so there. The corpus is found through the first audio file, up to six folders above it.
+    The README lies in one of the six directories above the first audio file.
     """
-    first = _first_audio(run.path(name))
-    for folder in list(first.parents)[:6] if first else []:
+    audio = _first_audio(run.path(name))
+    for folder in list(audio.parents)[:6] if audio else []:
         if (folder / "README").is_file():
-            return (folder / "README").read_text(encoding="utf-8", errors="replace")[:2000]
-    return ""
+            return (folder / "README").read_text(encoding="utf-8", errors="replace").startswith("Generated")
+    return False
+
+
+def synthetic_corpora(run: Run) -> list[str]:
+    """Name the corpora of a run that are synthetic."""
+    speech = any(is_synthetic(run, f"{split}.clean") for split in SETS)
+    return ["measured RIRs"] * is_synthetic(run, "measured") + ["speech"] * speech
 
 
 def _first_audio(directory: Path) -> Path | None:
-    """Return the resolved path of the first audio file that a directory names."""
+    """Return the resolved path of the first audio file that a directory lists."""
     if (directory / ROWS_FILE).is_file():
         return (directory / read_rirs(directory)[0]["wav"]).resolve()
     entries = read_pairs(directory / "wav.scp")

@@ -1,0 +1,31 @@
+"""Render templates. Autoescape is on: values cannot become markup, and only templates hold HTML.
+
+The page's Content-Security-Policy also forbids scripts and requests.
+"""
+
+import functools
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from roomeq.report.formats import duration, hertz, number, percent, with_interval
+from roomeq.report.style import COLOUR_VARIABLES
+
+TEMPLATES = Path(__file__).parent / "templates"
+
+
+@functools.cache
+def environment() -> Environment:
+    """Return the environment of the report's templates."""
+    created = Environment(loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined,
+                          trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True)
+    created.filters.update(duration=duration, hertz=hertz, number=number, percent=percent, with_interval=with_interval)
+    created.globals["colour_variables"] = COLOUR_VARIABLES
+    return created
+
+
+def render(template: str, **values: Any) -> Markup:
+    """Return a template of the report filled with values."""
+    return Markup(environment().get_template(f"{template}.html.j2").render(values))
