@@ -155,10 +155,10 @@ def test_differences_between_runs_are_found_and_told(tmp_path):
 
 
 def test_interval_bench_measures_what_it_says():
-    world = wer_intervals.World(1, 10, 0, 0, 0)
-    errors, words = wer_intervals.draw(world, np.random.default_rng(0))
+    scenario = wer_intervals.Scenario(1, 10, 0, 0, 0)
+    errors, words = wer_intervals.draw(scenario, np.random.default_rng(0))
     assert words.sum() == 2000 and errors.sum() == pytest.approx(400, abs=90)
-    found = wer_intervals.measure(world, 20)
+    found = wer_intervals.measure(scenario, 20)
     assert all(0.6 < share <= 1.0 for share in found["held"].values())
     # of words that are all alike: 1.96 sqrt(p (1 - p) / n) on either side
     assert found["width"]["utterances"] == pytest.approx(2 * 196 * np.sqrt(0.2 * 0.8 / 2000), rel=0.08)

@@ -6,8 +6,9 @@ e.g.:  tests/bench/wer_intervals.py --out exp/wer_intervals
 
 A recogniser makes 20 % errors. Seeds, rooms and each room at each seed add random deviations [points], and the errors
 are drawn with the resulting rates. Rooms have 200 words, or a random number from a skewed distribution. The intervals
-of `roomeq wer` are compared with the percentiles of the plain bootstrap over rooms and seeds, and with the bootstrap over
-utterances of Kaldi's `compute-wer-bootci` (utterances of ten words). Prints a table and writes wer_intervals.json.
+of `roomeq wer` are compared with the percentiles of the plain bootstrap over rooms and seeds, and with the bootstrap
+over utterances of Kaldi's `compute-wer-bootci` (utterances of ten words). Prints a table and writes
+wer_intervals.json.
 """
 
 import argparse
@@ -28,7 +29,7 @@ TRUTH = 20.0  # per cent
 WORDS, UTTERANCE = 200, 10  # in a room, in an utterance
 
 
-class World(NamedTuple):
+class Scenario(NamedTuple):
     """Standard deviations [points]. `skewed`: exponential effects of rooms; their sizes vary by 60 %."""
 
     n_seeds: int
@@ -39,20 +40,22 @@ class World(NamedTuple):
     skewed: bool = False
 
 
-WORLDS = [World(1, 10, 0, 4, 0), World(1, 40, 0, 4, 0), World(2, 40, 1, 4, 2), World(2, 40, 2, 0, 0),
-          World(3, 40, 1, 4, 2), World(3, 40, 2, 0, 0), World(5, 10, 1, 4, 2), World(5, 40, 1, 4, 2),
-          World(5, 40, 2, 0, 0), World(5, 40, 0, 0, 0), World(5, 40, 1, 6, 2, True), World(5, 10, 1, 6, 2, True)]
+SCENARIOS = [
+    Scenario(1, 10, 0, 4, 0), Scenario(1, 40, 0, 4, 0), Scenario(2, 40, 1, 4, 2), Scenario(2, 40, 2, 0, 0),
+    Scenario(3, 40, 1, 4, 2), Scenario(3, 40, 2, 0, 0), Scenario(5, 10, 1, 4, 2), Scenario(5, 40, 1, 4, 2),
+    Scenario(5, 40, 2, 0, 0), Scenario(5, 40, 0, 0, 0), Scenario(5, 40, 1, 6, 2, skewed=True),
+    Scenario(5, 10, 1, 6, 2, skewed=True)]
 
 
-def draw(world: World, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def draw(scenario: Scenario, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return errors and words of every seed and room."""
-    shape = world.n_seeds, world.n_rooms
-    room, words = rng.standard_normal(world.n_rooms), np.full(shape, WORDS)
-    if world.skewed:
-        room = rng.exponential(size=world.n_rooms) - 1
-        words[:] = np.maximum(UTTERANCE, rng.gamma(1 / 0.36, 0.36 * WORDS, size=world.n_rooms))
-    rate = (TRUTH + world.seed * rng.standard_normal((world.n_seeds, 1)) + world.room * room
-            + world.residual * rng.standard_normal(shape))
+    shape = scenario.n_seeds, scenario.n_rooms
+    room, words = rng.standard_normal(scenario.n_rooms), np.full(shape, WORDS)
+    if scenario.skewed:
+        room = rng.exponential(size=scenario.n_rooms) - 1
+        words[:] = np.maximum(UTTERANCE, rng.gamma(1 / 0.36, 0.36 * WORDS, size=scenario.n_rooms))
+    rate = (TRUTH + scenario.seed * rng.standard_normal((scenario.n_seeds, 1)) + scenario.room * room
+            + scenario.residual * rng.standard_normal(shape))
     return rng.binomial(words, np.clip(rate / 100, 0.0, 1.0)), words
 
 
@@ -67,32 +70,32 @@ def intervals(errors: np.ndarray, words: np.ndarray, resampling: Resampling) -> 
                 utterances=(rate.value - half, rate.value + half))
 
 
-def measure(world: World, times: int) -> dict:
+def measure(scenario: Scenario, times: int) -> dict:
     """Return the share of intervals that contain the truth, and their mean width [points], by method."""
-    resampling, held, width = Resampling(world.n_seeds, world.n_rooms, "bench"), {}, {}
+    resampling, held, width = Resampling(scenario.n_seeds, scenario.n_rooms, "bench"), {}, {}
     for n in range(times):
-        errors, words = draw(world, rng_for(n, "bench", str(tuple(world))))
+        errors, words = draw(scenario, rng_for(n, "bench", str(tuple(scenario))))
         for method, (low, high) in intervals(errors, words, resampling).items():
             held[method] = held.get(method, 0) + bool(low <= TRUTH <= high)
             width[method] = width.get(method, 0.0) + (high - low)
-    return world._asdict() | dict(held={method: count / times for method, count in held.items()},
-                                  width={method: float(total / times) for method, total in width.items()})
+    return scenario._asdict() | dict(held={method: count / times for method, count in held.items()},
+                                     width={method: float(total / times) for method, total in width.items()})
 
 
-def main():
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--times", type=int, default=1000, help="tables drawn of each world")
+    parser.add_argument("--times", type=int, default=1000, help="tables drawn of each scenario")
     parser.add_argument("--out", required=True, type=Path)
-    given = parser.parse_args()
-    found = [measure(world, given.times) for world in WORLDS]
+    args = parser.parse_args()
+    results = [measure(scenario, args.times) for scenario in SCENARIOS]
     print("methods: ours, bootstrap over rooms and seeds, bootstrap over utterances")
     print("seeds rooms | seed room residual        | held [%]          | width [points]")
-    for one in found:
-        print(f"{one['n_seeds']:5d} {one['n_rooms']:5d} | {one['seed']:4g} {one['room']:4g} {one['residual']:8g} "
-              f"{'skewed' if one['skewed'] else '      '} | "
-              + " ".join(f"{100 * value:5.1f}" for value in one["held"].values()) + " | "
-              + " ".join(f"{value:6.2f}" for value in one["width"].values()))
-    write_json(given.out / "wer_intervals.json", dict(times=given.times, worlds=found))
+    for result in results:
+        print(f"{result['n_seeds']:5d} {result['n_rooms']:5d} | {result['seed']:4g} {result['room']:4g} "
+              f"{result['residual']:8g} {'skewed' if result['skewed'] else '      '} | "
+              + " ".join(f"{100 * value:5.1f}" for value in result["held"].values()) + " | "
+              + " ".join(f"{value:6.2f}" for value in result["width"].values()))
+    write_json(args.out / "wer_intervals.json", dict(times=args.times, scenarios=results))
 
 
 if __name__ == "__main__":
