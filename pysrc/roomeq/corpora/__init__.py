@@ -1,6 +1,7 @@
-"""Corpora in: clean speech becomes Kaldi data directories, measured RIRs become an RIR directory.
+"""Read corpora: clean speech becomes Kaldi data directories, measured RIRs become an RIR directory.
 
-One reader a kind of corpus lists what lies there (`record.Corpus`); `measured` and `speech` write all kinds alike.
+A reader for each kind of corpus lists its recordings (`record.Corpus`); `measured` and `speech` write them all in the
+same way.
 """
 
 from roomeq.corpora.measured import read_measured, read_noises

@@ -1,4 +1,4 @@
-"""A folder of audio files with nothing beside them: rooms are the folders, everything else is unknown."""
+"""A folder of audio files without metadata: its subfolders are the rooms, everything else is unknown."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -21,7 +21,7 @@ def list_folder(source: Path) -> Corpus:
     Raises
     ------
     ValueError
-        There is no audio in it, or there are transcripts beside it.
+        There is no audio in it, or it holds transcripts.
     """
     files, root = _audio_of(source)
     if transcripts := min(root.rglob("*.trans.txt"), default=None):
@@ -36,7 +36,7 @@ def list_folder(source: Path) -> Corpus:
 
 
 def list_noise_folder(source: Path) -> list[Recording]:
-    """List the noises of a folder: `kind` by name (room tone and silence are ambient), the room is unknown.
+    """List the noises of a folder: the name tells the kind (room tone and silence are ambient), the room is unknown.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def list_noise_folder(source: Path) -> list[Recording]:
 
 def noises_of(files: Iterable[Path], root: Path, room_id: str | None = None, kind: str | None = None,
               ) -> list[Recording]:
-    """Return noises with ids made of their paths below `root`."""
+    """Return noises with ids made from their paths below `root`."""
     return [Recording(path, id_of_path(path, root),
                       dict(room_id=room_id, kind=kind or noise_kind_of(str(path.relative_to(root)))))
             for path in files]

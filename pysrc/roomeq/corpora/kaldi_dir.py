@@ -1,4 +1,4 @@
-"""A plain Kaldi data directory as a speech corpus: its lines are passed on, its audio is not touched."""
+"""A plain Kaldi data directory as a speech corpus: its lines are copied, its audio is not touched."""
 
 import re
 from dataclasses import dataclass
@@ -15,17 +15,17 @@ _REMEDY = "complete the data directory (utils/fix_data_dir.sh)"
 
 @dataclass(frozen=True)
 class KaldiDir:
-    """Files of a data directory as {file: {key: rest of the line}}."""
+    """Tables of a data directory as {file: {key: rest of the line}}."""
 
     path: Path
     files: dict[str, dict[str, str]]
 
     def voices(self) -> dict[str, str]:
-        """Return who speaks each utterance: the speaker, and of LibriSpeech's reader-chapter the reader."""
+        """Return the voice of each utterance: its speaker, or the reader of a LibriSpeech speaker reader-chapter."""
         return {utt: re.sub(r"^(\d+)-\d+$", r"\1", spk) for utt, spk in self.files["utt2spk"].items()}
 
     def subset(self, utterances: set[str]) -> dict[str, dict[str, str]]:
-        """Return the files with only the lines that these utterances need."""
+        """Return the tables with only the lines that these utterances need."""
         segments = self.files.get("segments")
         recordings = {segments[utt].split()[0] for utt in utterances} if segments else utterances
         speakers = {self.files["utt2spk"][utt] for utt in utterances}
@@ -36,19 +36,19 @@ class KaldiDir:
 
 
 def find_kaldi_dirs(source: Path) -> dict[str, Path]:
-    """Return the data directories at a path: itself, as set ``""``, or those below it by name."""
+    """Return the data directories at a path: the path itself, as set ``""``, or those below it by name."""
     if (source / "wav.scp").is_file():
         return {"": source}
     return {path.parent.name: path.parent for path in sorted(source.glob("*/wav.scp"))}
 
 
 def read_kaldi_dir(path: Path) -> KaldiDir:
-    """Read the files of a data directory that we pass on.
+    """Read those tables of a data directory that are copied.
 
     Raises
     ------
     ValueError
-        A needed file is missing or empty, a line has no value or its key stands twice, or the files do not fit.
+        A required table is missing or empty, a line has no value, a key stands twice, or the tables do not match.
     """
     files = {name: _read_lines(path / name) for name in (*BY_UTTERANCE, *BY_RECORDING, *BY_SPEAKER)
              if (path / name).is_file()}

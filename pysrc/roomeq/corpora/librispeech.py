@@ -1,6 +1,6 @@
-"""LibriSpeech as released: `SPEAKERS.TXT`, `<set>/<reader>/<chapter>/*.flac` and one `.trans.txt` a chapter.
+"""LibriSpeech as released: `SPEAKERS.TXT`, `<set>/<reader>/<chapter>/*.flac` and one `.trans.txt` per chapter.
 
-As in the stock recipe, Kaldi's speaker is reader and chapter (``1272-128104``).
+As in the stock recipe, a Kaldi speaker is a reader and chapter (``1272-128104``).
 """
 
 from collections.abc import Iterable
@@ -13,7 +13,7 @@ SPEAKERS_FILE = "SPEAKERS.TXT"
 
 
 def find_sets(source: Path) -> dict[str, Path]:
-    """Return the sets of a LibriSpeech tree by name; `source` may be the folder above the tree, or one set."""
+    """Return the sets of a LibriSpeech tree by name; `source` may also be the folder above the tree, or one set."""
     for root in (source, source / "LibriSpeech"):
         sets = {path.name: path for path in sorted(root.glob("*")) if any(path.glob("*/*/*.trans.txt"))}
         if sets:
@@ -27,7 +27,7 @@ def list_librispeech(sets: Iterable[Path]) -> list[Utterance]:
     Raises
     ------
     ValueError
-        Transcripts and audio of a chapter do not fit together, or a name does not follow LibriSpeech.
+        Transcripts and audio of a chapter do not match, or a name does not follow LibriSpeech.
     """
     utterances = []
     for path in sets:

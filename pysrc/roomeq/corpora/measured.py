@@ -1,4 +1,4 @@
-"""Write any measured corpus as an RIR directory: one way for all kinds of corpora."""
+"""Write a measured corpus of any kind as an RIR directory."""
 
 import logging
 import os
@@ -6,10 +6,12 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from roomeq.core.audio import audio_info, read_audio, write_wav
+from roomeq.core.arrays import FloatArray
 from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
 from roomeq.core.digests import audio_digest
@@ -37,25 +39,25 @@ def read_measured(source: Path, out: Path, *, kind: str | None = None, noises: P
                   skip_bad: bool = False, nj: int = 1) -> Path:
     """Make an RIR directory from a corpus of measured RIRs.
 
-    Mono files at 16 kHz are referenced where they lie; everything else (several channels, higher sample rates,
-    SOFA, paths that a shell would split) is written to `out/wav` as 32-bit float. The log counts what was found.
+    The rows refer to mono files at 16 kHz; everything else (several channels, higher sample rates, SOFA, paths that a
+    shell would split) is written to `out/wav` as 32-bit float. The log counts the RIRs, rooms and irregularities.
 
     Parameters
     ----------
     source : Path
-        BUT ReverbDB as released, RIRS_NOISES, a CSV or a folder with `manifest.csv` (columns: `corpora.table`), a
-        SOFA file or a folder of them, or any folder of audio files.
+        BUT ReverbDB as released, RIRS_NOISES, a CSV or a folder with `manifest.csv` (columns: see
+        `roomeq.corpora.table`), a SOFA file or a folder of them, or any folder of audio files.
     out : Path
         RIR directory to make: `rirs.jsonl`, `rir_list`, `noises.jsonl`, and `corpus.json` with the counts.
     kind : str, optional
-        One of `READERS`: ``reverbdb``, ``slr28``, ``table``, ``sofa``, ``folder``; found out by itself otherwise.
+        One of `READERS`: ``reverbdb``, ``slr28``, ``table``, ``sofa``, ``folder``; recognised by default.
     noises : Path, optional
-        Folder (or CSV) of noise recordings to add to those of the corpus; see `read_noises`.
+        Folder or CSV of noise recordings to add to those of the corpus; see `read_noises`.
     skip_bad : bool
-        Leave out recordings that cannot be used (broken, silent, sampled below 16 kHz), and report them, instead
-        of stopping at the first.
+        Leave out and report recordings that cannot be used (broken, silent, sampled below 16 kHz) instead of stopping
+        at the first.
     nj : int
-        Jobs.
+        Number of processes.
 
     Returns
     -------
@@ -64,7 +66,7 @@ def read_measured(source: Path, out: Path, *, kind: str | None = None, noises: P
     Raises
     ------
     ValueError
-        There is nothing to read, an id stands twice, or (without `skip_bad`) a recording cannot be used.
+        There is no recording, two recordings share an id, or (without `skip_bad`) a recording cannot be used.
     """
     source, out = _existing(source), Path(out)
     noises = _existing(noises) if noises else None
@@ -86,9 +88,9 @@ def read_noises(source: Path, out: Path, *, skip_bad: bool = False, nj: int = 1)
     Parameters
     ----------
     source : Path
-        Folder of audio files, with or without a `manifest.csv` (columns `file`, optional `id`, `room`, `kind`), or
-        the CSV. Without the column `kind`, names with *room tone*, *silence*, *ambient* or *background* are
-        ambient and all others point noises.
+        Folder of audio files, with or without a `manifest.csv` (columns `file`, optional `id`, `room`, `kind`), or the
+        CSV. Without the column `kind`, files named *room tone*, *silence*, *ambient* or *background* are ambient noises
+        and all others are point noises.
     out : Path
         Directory to make.
     skip_bad, nj
@@ -112,7 +114,7 @@ def read_noises(source: Path, out: Path, *, skip_bad: bool = False, nj: int = 1)
 
 
 def detect_kind(source: Path) -> str:
-    """Return which of `READERS` a path is for."""
+    """Return the kind of a corpus, a key of `READERS`."""
     if source.is_file():
         by_suffix = {".csv": "table", ".tsv": "table", ".sofa": "sofa"}
         return by_suffix.get(source.suffix.lower(), "folder")
@@ -136,16 +138,16 @@ def list_corpus(source: Path, kind: str | None = None) -> Corpus:
     Raises
     ------
     ValueError
-        Unknown kind, nothing there, or an id that stands twice.
+        The kind is unknown, or the corpus has no recordings of that kind.
     """
     if kind is not None and kind not in READERS:
         raise ValueError(f"kind={kind!r} must be one of {', '.join(READERS)}")
     kind = kind or detect_kind(source)
     if kind == "table" and source.is_dir():
-        found = _manifest(source)
-        if not found:
+        manifest = _manifest(source)
+        if not manifest:
             raise ValueError(f"{source}: no {MANIFEST} in it: name the CSV file itself")
-        source = found
+        source = manifest
     return READERS[kind](source)
 
 
@@ -167,50 +169,59 @@ def _existing(path: Path) -> Path:
     return path
 
 
-def _build(out: Path, step: str, listed: dict[Path, list[Recording]], **options) -> Build:
-    """Return the build of an output that depends on recordings, listed by the source that they were found in."""
-    # rows name the audio by its way from `out`: they are out of date when the corpus lies elsewhere
-    ways = [_way(source, out) for source in listed]
+def _build(out: Path, step: str, listed: dict[Path, list[Recording]], **options: Any) -> Build:
+    """Return the build of an output that depends on recordings, listed by the source that they come from."""
+    # rows refer to audio by its path relative to `out`: they are out of date when the corpus has moved
+    ways = [_relative_path(source, out) for source in listed]
     inputs, audio = [], []
     for source, recordings in listed.items():
-        if source.is_dir() and (is_generated(source) or not _manifest(source)):
+        manifest = source if source.is_file() else _manifest(source)
+        if manifest is None or (source.is_dir() and is_generated(source)):
             inputs.append(source)
-        else:  # a list may name files anywhere, and lie among things that are none of our business
-            inputs.append(source if source.is_file() else _manifest(source))
+        else:  # a table may list files anywhere, and may stand among files that do not matter
+            inputs.append(manifest)
             audio.append(audio_digest(recording.path for recording in recordings))
     return Build(out, step=step, options=dict(options, ways=ways, audio=audio), inputs=inputs, refers=True)
 
 
-def _way(path: Path, out: Path) -> str:
-    """Return the way from the directory `out` (links in the way to both resolved) to a file."""
+def _relative_path(path: Path, out: Path) -> str:
+    """Return the path of a file relative to the directory `out`, with links above both resolved."""
     path, out = Path(path), Path(os.path.normpath(out))
     return os.path.relpath(Path(os.path.realpath(path.parent)) / path.name,
                            Path(os.path.realpath(out.parent)) / out.name)
 
 
+class _Listed(NamedTuple):
+    """A recording and the table that it goes to."""
+
+    table: Literal["rirs", "noises"]
+    recording: Recording
+
+
 def _write(build: Build, corpus: Corpus, skip_bad: bool, nj: int) -> Path:
     for recordings in (corpus.rirs, corpus.noises):
         _check_ids(recordings)
-    todo = [("rirs", each) for each in corpus.rirs] + [("noises", each) for each in corpus.noises]
+    todo = [_Listed("rirs", recording) for recording in corpus.rirs]
+    todo += [_Listed("noises", recording) for recording in corpus.noises]
     items = {f"{n:06d}": todo[n:n + _CHUNK] for n in range(0, len(todo), _CHUNK)}
 
-    def make(name: str, chunk: list) -> dict:
-        record = dict(rirs=[], noises=[], skipped=[], converted=0)
-        for what, recording in chunk:
+    def make(name: str, chunk: list[_Listed]) -> dict[str, Any]:
+        record: dict[str, Any] = dict(rirs=[], noises=[], skipped=[], converted=0)
+        for table, recording in chunk:
             try:
-                for row, samples in _rows(recording, what, build.out):
+                for row, samples in _rows(recording, table, build.out):
                     if samples is not None:
-                        row["wav"] = f"wav/{row['id']}.wav" if what == "rirs" else f"wav/noise/{row['id']}.wav"
+                        row["wav"] = f"wav/{row['id']}.wav" if table == "rirs" else f"wav/noise/{row['id']}.wav"
                         write_wav(build.work / row["wav"], samples)
                         record["converted"] += 1
-                    record[what].append(row)
+                    record[table].append(row)
             except ValueError as error:
                 if not skip_bad:
                     raise ValueError(f"{error} (or leave such files out with --skip-bad)") from None
                 record["skipped"].append(str(error))
         return record
 
-    def assemble(directory: Path, records: list[dict]) -> None:
+    def assemble(directory: Path, records: list[dict[str, Any]]) -> None:
         merged = {key: [row for record in records for row in record[key]] for key in ("rirs", "noises", "skipped")}
         report = _report(corpus, merged, sum(record["converted"] for record in records))
         if not merged["rirs"] and corpus.kind != "noises":
@@ -235,42 +246,43 @@ def _check_ids(recordings: list[Recording]) -> None:
         first[recording.id] = recording.path
 
 
-def _rows(recording: Recording, what: str, out: Path) -> Iterator[tuple[dict, np.ndarray | None]]:
-    """Yield the finished rows of one file, each with samples to write, or None where the file is referenced."""
-    if recording.path.suffix == ".sofa" and what == "rirs":
+def _rows(recording: Recording, table: str, out: Path) -> Iterator[tuple[dict[str, Any], FloatArray | None]]:
+    """Yield the complete rows of a file, each with the samples to write, or None if the row refers to the file."""
+    if recording.path.suffix == ".sofa" and table == "rirs":
         for row, samples, fs_hz in sofa_signals(recording):
             samples = _at_16k(_usable(samples, f"{recording.path} ({row['id']})"), fs_hz, recording.path)
             yield row | dict(fs_hz=FS_HZ, n_samples=len(samples)), samples
         return
     info = audio_info(recording.path)
-    way = _way(recording.path, out)
-    as_it_is = info.channels == 1 and info.samplerate == FS_HZ and _SAFE_PATH.fullmatch(way)
-    if what == "noises":
-        # long, and of an array all channels alike: the first one, looked through only where it is converted
-        samples = None if as_it_is else read_audio(recording.path, channel=0)
+    relative_path = _relative_path(recording.path, out)
+    as_it_is = info.channels == 1 and info.samplerate == FS_HZ and _SAFE_PATH.fullmatch(relative_path)
+    if table == "noises":
+        # noises are long, and channels of an array are alike: the first is taken, and read only if it is converted
+        noise = None if as_it_is else read_audio(recording.path, channel=0)
         if as_it_is:
             _check_end(recording.path, info.frames)
-        n_samples = info.frames if samples is None else len(samples)
-        yield recording.row | dict(id=recording.id, wav=way, fs_hz=FS_HZ, duration_s=n_samples / FS_HZ), samples
+        n_samples = info.frames if noise is None else len(noise)
+        yield recording.row | dict(id=recording.id, wav=relative_path, fs_hz=FS_HZ,
+                                   duration_s=n_samples / FS_HZ), noise
         return
     for channel in range(info.channels):
         samples = _usable(read_audio(recording.path, channel=channel), recording.path)
-        row = dict(recording.row, id=recording.id, wav=way, fs_hz=FS_HZ, n_samples=len(samples))
+        row = dict(recording.row, id=recording.id, wav=relative_path, fs_hz=FS_HZ, n_samples=len(samples))
         if info.channels > 1:
             mic_id = "" if row["mic_id"] == UNKNOWN else f"{row['mic_id']}-"
             row.update(id=f"{recording.id}_ch{channel}", mic_id=f"{mic_id}ch{channel}")
         yield row, None if as_it_is else samples
 
 
-def _usable(samples: np.ndarray, what: Path | str) -> np.ndarray:
+def _usable(samples: FloatArray, name: Path | str) -> FloatArray:
     if not np.isfinite(samples).all():
-        raise ValueError(f"{what}: holds NaN or infinite samples: convert it again")
+        raise ValueError(f"{name}: holds NaN or infinite samples: convert it again")
     if not samples.any():
-        raise ValueError(f"{what}: RIR is silent (all samples 0): leave it out or record it again")
+        raise ValueError(f"{name}: RIR is silent (all samples 0): leave it out or record it again")
     return samples
 
 
-def _at_16k(samples: np.ndarray, fs_hz: int, path: Path) -> np.ndarray:
+def _at_16k(samples: FloatArray, fs_hz: int, path: Path) -> FloatArray:
     if fs_hz < FS_HZ:
         raise ValueError(f"{path}: sample rate {fs_hz} Hz must be {FS_HZ} Hz or more: the missing band cannot be "
                          "made up: record or convert it at that rate")
@@ -278,18 +290,19 @@ def _at_16k(samples: np.ndarray, fs_hz: int, path: Path) -> np.ndarray:
         return samples
     import soxr
 
-    return soxr.resample(samples, fs_hz, FS_HZ, quality="VHQ")
+    resampled: FloatArray = soxr.resample(samples, fs_hz, FS_HZ, quality="VHQ")
+    return resampled
 
 
 def _check_end(path: Path, n_samples: int) -> None:
-    """Read the last sample: what a FLAC header promises may not be there."""
+    """Read the last sample: the file may be shorter than its FLAC header states."""
     read_audio(path, start=n_samples - 1, stop=n_samples)
 
 
-def _report(corpus: Corpus, merged: dict, converted: int) -> dict:
-    """Count what was found, say it in the log and return it."""
+def _report(corpus: Corpus, merged: dict[str, list[Any]], converted: int) -> dict[str, Any]:
+    """Return the counts of RIRs, rooms, unknown values and irregularities, and log them."""
     rirs = merged["rirs"]
-    report = dict(
+    report: dict[str, Any] = dict(
         corpus=corpus.name, kind=corpus.kind, rirs=len(rirs), noises=len(merged["noises"]), converted=converted,
         rooms=dict(sorted(Counter(row["room_id"] for row in rirs).items())),
         unknown={key: n for key in _REPORTED_NULLS if (n := sum(row[key] is None for row in rirs))},

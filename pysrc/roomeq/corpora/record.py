@@ -1,17 +1,18 @@
-"""What every reader of measured RIRs delivers, and the parsing that they share."""
+"""What every reader of measured RIRs returns, and the parsing that readers share."""
 
 import re
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from roomeq.core.build import DONE_FILE
+from roomeq.core.stamps import DONE_FILE
 from roomeq.records.geometry import find_contradiction
 from roomeq.records.schema import LARGEST, make_id
 
 AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".aiff", ".aif", ".au", ".caf", ".w64", ".mp3")
 UNKNOWN = "unknown"
-"""Id of a room, source or microphone that nobody named (the contract has no null there)."""
+"""Id of a room, source or microphone without a name (ids must not be null)."""
 
 _UNKNOWN_CELLS = {"", "?", "-", "na", "n/a", "nan", "none", "null", "unknown"}
 _AMBIENT_WORDS = {"ambient", "ambience", "background", "isotropic", "silence", "roomtone"}
@@ -25,38 +26,39 @@ class Recording:
     ----------
     path : Path
     id : str
-        Of the RIR or noise; a file with several channels gets ``_ch0``, ``_ch1``, ... behind it.
+        Id of the RIR or noise; ``_ch0``, ``_ch1``, ... is appended for the channels of a file with several.
     row : dict
-        Keys of the RIR row that the corpus tells (see `rir_row`), or `kind` and `room_id` of a noise.
+        What the corpus states: keys of the RIR row (see `rir_row`), or `kind` and `room_id` of a noise.
     """
 
     path: Path
     id: str
-    row: dict = field(default_factory=dict)
+    row: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass
 class Corpus:
-    """A corpus as listed by its reader; `notes` counts what was odd, for the report."""
+    """A corpus as its reader lists it; `notes` counts irregularities for the report."""
 
     name: str
     kind: str
     rirs: list[Recording] = field(default_factory=list)
     noises: list[Recording] = field(default_factory=list)
-    notes: Counter = field(default_factory=Counter)
+    notes: Counter[str] = field(default_factory=Counter)
 
 
-def rir_row(**known) -> dict:
-    """Return the keys of an RIR row that describe the measurement; what is not given is null (or false).
+def rir_row(**known: Any) -> dict[str, Any]:
+    """Return the keys of an RIR row that describe the measurement; those that are not known are null (or false).
 
-    Ids are cleaned, so that they hold no path; room, source and microphone are ``"unknown"`` where not given.
+    Room, source and microphone get valid ids, ``"unknown"`` where they are not known. Geometry that contradicts itself
+    is marked (`roomeq.records.geometry.find_contradiction`).
 
     Raises
     ------
     TypeError
-        A key that no reader delivers.
+        A key is not one of a measurement.
     """
-    row = dict(
+    row: dict[str, Any] = dict(
         corpus=None, room_id=None, room_type=None, room_dims_m=None, source_pos_m=None, mic_pos_m=None,
         source_id=None, mic_id=None, source_dir=None, mic_dir=None, temperature_c=None, humidity_pct=None,
         binaural=False, excitation=None, session=None, repeat_of=None, distance_m=None, documented_t60_s=None,
@@ -73,12 +75,12 @@ def rir_row(**known) -> dict:
 
 
 def parse_number(text: str | None) -> float | None:
-    """Parse a number; a comma may be the decimal mark; unknown (``?``, empty, ``NA``) is None.
+    """Parse a number, with a point or comma as decimal mark; unknown (``?``, empty, ``NA``) is None.
 
     Raises
     ------
     ValueError
-        The text is neither, not finite or beyond all measure.
+        The text is no number, or its absolute value exceeds `roomeq.records.schema.LARGEST`.
     """
     text = (text or "").strip()
     if text.lower() in _UNKNOWN_CELLS:
@@ -92,7 +94,7 @@ def parse_number(text: str | None) -> float | None:
 
 
 def parse_amount(text: str | None) -> float | None:
-    """`parse_number` for what cannot be negative: a distance, a time."""
+    """Parse a number that cannot be negative, such as a distance or a time, as `parse_number` does."""
     value = parse_number(text)
     if value is not None and value < 0:
         raise ValueError(f"{text!r} must be 0 or more")
@@ -100,12 +102,12 @@ def parse_amount(text: str | None) -> float | None:
 
 
 def parse_vector(text: str | None) -> list[float | None] | None:
-    """Parse three coordinates ``"4.71 2.75 ?"`` (also with ``,``, ``;`` or ``x`` between); all unknown is None.
+    """Parse three coordinates ``"4.71 2.75 ?"`` (also separated by ``,``, ``;`` or ``x``); None if all are unknown.
 
     Raises
     ------
     ValueError
-        There are not three, or one is no number.
+        The text does not hold three coordinates, or one is not a number.
     """
     text = (text or "").strip().strip("[]()")
     if text.lower() in _UNKNOWN_CELLS:
@@ -118,12 +120,12 @@ def parse_vector(text: str | None) -> list[float | None] | None:
 
 
 def words_of(text: str) -> set[str]:
-    """Return the lower-case words of a name: what lies between anything that is no letter."""
+    """Return the words of a name in lower case; anything but a letter separates words."""
     return set(re.findall(r"[a-z]+", text.lower()))
 
 
 def excitation_of(name: str) -> str | None:
-    """Recognise by the words of a file's name what excited the room: ``"clap"``, ``"sweep"`` or None."""
+    """Recognise the excitation by the words of a file name: ``"clap"``, ``"sweep"`` or None."""
     words = words_of(name)
     if words & {"clap", "claps", "clapper", "handclap"}:
         return "clap"
@@ -131,33 +133,33 @@ def excitation_of(name: str) -> str | None:
 
 
 def is_binaural_name(name: str) -> bool:
-    """Tell by the words of a name whether a dummy head was listening."""
+    """Recognise a recording with a dummy head by the words of its name."""
     return bool(words_of(name) & {"brir", "brirs", "hrir", "binaural", "dummyhead"})
 
 
 def is_uncommon_name(text: str) -> bool:
-    """Tell by its words whether a space is none that one would simulate: stairs."""
+    """Recognise a space that one would not simulate (stairs) by the words of its name."""
     return bool(words_of(text) & {"stairs", "stair", "staircase", "stairway", "stairwell"})
 
 
 def noise_kind_of(name: str) -> str:
-    """Recognise by the words of a name whether a noise surrounds (``"ambient"``) or comes from a ``"point"``."""
+    """Recognise by the words of a name whether a noise is ``"ambient"`` or comes from a ``"point"``."""
     words = words_of(name)
     return "ambient" if words & _AMBIENT_WORDS or {"room", "tone"} <= words else "point"
 
 
 def audio_files(directory: Path) -> list[Path]:
-    """Return the audio files below a directory in a fixed order, hidden ones left out."""
+    """Return the audio files below a directory in a fixed order, without hidden ones."""
     return sorted(path for path in directory.rglob("*")
                   if path.suffix.lower() in AUDIO_SUFFIXES and path.is_file()
                   and not any(part.startswith(".") for part in path.relative_to(directory).parts))
 
 
 def is_generated(source: Path) -> bool:
-    """Tell whether a corpus was made by a `roomeq.core.build.Build`, which stamps it with hashes of what is in it."""
+    """Tell whether a `roomeq.core.build.Build` made a corpus and stamped it with hashes of its files."""
     return (source / DONE_FILE).is_file()
 
 
 def id_of_path(path: Path, root: Path) -> str:
-    """Return an id made of a file's path below a root, without its suffix."""
+    """Return an id made from a file's path below a root, without the suffix."""
     return make_id("-".join(path.relative_to(root).with_suffix("").parts))

@@ -1,13 +1,15 @@
 """BUT ReverbDB as released: `<Room>/MicID01/SpkIDnn_DATE_{S,T}/NN/RIR/*.wav`, meta files, background noises.
 
-Positions are absolute, in metres along depth, width and height of the room from one corner: our x, y, z. Sessions
-named `_S` were made for RIRs, `_T` retransmit speech (`english/`, not read) and hold RIRs of such places again.
+Positions are in metres from one corner along depth, width and height of the room, which are our x, y and z. Sessions
+named `_S` were made for RIRs; sessions named `_T` retransmit speech (`english/`, not read) and repeat RIRs.
 Source: I. Szoke et al., doi 10.1109/JSTSP.2019.2917582, and the release itself.
 """
 
 import logging
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from roomeq.corpora.record import (
     Corpus,
@@ -39,13 +41,13 @@ def is_unreliable(room: str) -> bool:
 
 
 def is_uncommon(room: str, room_type: str | None) -> bool:
-    """Tell whether a room is none that one would simulate: stairs, by its name or its described type."""
+    """Tell whether a room is one that one would not simulate (stairs), by its name or its described type."""
     listed = any(re.search(rf"(^|[_-]){name}$", room) for name in UNCOMMON_ROOMS)
     return listed or is_uncommon_name(room_type or "")
 
 
 def find_rooms(source: Path) -> list[Path]:
-    """Return the room folders of a ReverbDB tree; the tree may lie one folder deeper, or be one room."""
+    """Return the room folders of a ReverbDB tree, which may be one folder deeper or a single room."""
     for folders in ([source], source.glob("*"), source.glob("*/*")):
         rooms = sorted(path for path in folders if path.is_dir() and any(path.glob("MicID*/SpkID*")))
         if rooms:
@@ -54,10 +56,10 @@ def find_rooms(source: Path) -> list[Path]:
 
 
 def list_reverbdb(source: Path) -> Corpus:
-    """List RIRs and background noises of a ReverbDB tree, repeats and `_T` sessions included and marked.
+    """List the RIRs and background noises of a ReverbDB tree; repeats and `_T` sessions are included and marked.
 
-    `repeat_of` of a row is the id of the first RIR between the same two places of the room (dedicated sessions
-    come first, then by date and version).
+    `repeat_of` of a row is the id of the first RIR of the same source and microphone position (`_S` sessions come
+    first, then by date and version).
 
     Raises
     ------
@@ -69,11 +71,11 @@ def list_reverbdb(source: Path) -> Corpus:
         env = read_meta(room / "env_full_meta.txt") | read_meta(room / "env_meta.txt")
         if not env:
             corpus.notes["rooms without env_meta.txt"] += 1
-        first: list[Recording] = []
+        recordings: list[Recording] = []
         for session in sorted(room.glob("MicID*/SpkID*"), key=_session_order):
             if session.is_dir():
-                first += _list_session(session, room.resolve().name, env, corpus)
-        corpus.rirs += _mark_repeats(first)
+                recordings += _list_session(session, room.resolve().name, env, corpus)
+        corpus.rirs += _mark_repeats(recordings)
     if not corpus.rirs:
         raise ValueError(f"{source}: no RIRs (<Room>/MicID01/SpkIDnn_DATE_S/NN/RIR/*.wav): check that the release "
                          "was unpacked whole")
@@ -81,9 +83,9 @@ def list_reverbdb(source: Path) -> Corpus:
 
 
 def read_meta(path: Path) -> dict[str, str]:
-    """Read a meta file, lines ``$Key<TAB>value``, as {key without $: value}; other lines are banners.
+    """Read lines ``$Key<TAB>value`` of a meta file as {key without $: value}; {} if there is no such file.
 
-    An absent file is {}.
+    Other lines are banners.
     """
     if not path.is_file():
         return {}
@@ -95,21 +97,21 @@ def read_meta(path: Path) -> dict[str, str]:
     return meta
 
 
-def _session_order(session: Path) -> tuple:
-    found = _SESSION.fullmatch(session.name)
-    sorting = (found[3] != "S", found[2], found[1]) if found else (True, "", session.name)
+def _session_order(session: Path) -> tuple[str, bool, str, str]:
+    match = _SESSION.fullmatch(session.name)
+    sorting = (match[3] != "S", match[2], match[1]) if match else (True, "", session.name)
     return (session.parent.name, *sorting)
 
 
-def _list_session(session: Path, room_id: str, env: dict, corpus: Corpus) -> list[Recording]:
-    found = _SESSION.fullmatch(session.name)
-    source_id, kind = (found[1], found[3]) if found else (session.name, None)
+def _list_session(session: Path, room_id: str, env: dict[str, str], corpus: Corpus) -> list[Recording]:
+    match = _SESSION.fullmatch(session.name)
+    source_id, kind = (match[1], match[3]) if match else (session.name, None)
     spk = read_meta(session / "spk_meta.txt")
     listed = []
     for mic in sorted(path for path in session.iterdir() if path.is_dir() and _DIGITS.fullmatch(path.name)):
         stem = make_id(f"{room_id}-{session.parent.name}-{session.name}-{mic.name}")
         wavs = sorted((mic / "RIR").glob("*.wav"))
-        # the microphone's meta file repeats the loudspeaker's position: that of the session is the fallback
+        # the microphone's meta file repeats the loudspeaker's position; the session's file is the fallback
         meta = env | spk | read_meta(mic / "mic_meta.txt")
         if wavs:
             row = _row(meta, mic, room_id, corpus)
@@ -123,19 +125,19 @@ def _list_session(session: Path, room_id: str, env: dict, corpus: Corpus) -> lis
 
 
 def _version(wav: Path) -> str:
-    """Return ``v00`` of the usual sweep's file name, and the whole name of any other."""
-    found = re.fullmatch(r"IR_sweep_15s_45Hzto22kHz_FS16kHz\.(v\d+)", wav.stem)
-    return found[1] if found else make_id(wav.stem)
+    """Return ``v00`` from the name of a sweep as released, and the whole name of any other file."""
+    match = re.fullmatch(r"IR_sweep_15s_45Hzto22kHz_FS16kHz\.(v\d+)", wav.stem)
+    return match[1] if match else make_id(wav.stem)
 
 
-def _row(meta: dict, mic: Path, room_id: str, corpus: Corpus) -> dict:
+def _row(meta: dict[str, str], mic: Path, room_id: str, corpus: Corpus) -> dict[str, Any]:
     n = int(mic.name)
     stated = meta.get("EnvMicID", "")
     if _DIGITS.fullmatch(stated) and int(stated) != n and f"EnvMic{int(stated)}Depth" in meta:
         corpus.notes["microphone folders whose $EnvMicID is another number (its keys were used)"] += 1
         n = int(stated)
 
-    def number(key: str, parse=parse_number) -> float | None:
+    def number(key: str, parse: Callable[[str], float | None] = parse_number) -> float | None:
         try:
             value = parse(re.sub(r"(\u00b0? ?C|m|s|deg)$", "", meta.get(key, "")))
         except ValueError:
@@ -144,7 +146,7 @@ def _row(meta: dict, mic: Path, room_id: str, corpus: Corpus) -> dict:
             corpus.notes[f"${re.sub(r'Mic[0-9]+', 'Mic{n}', key)} absent or no number"] += 1
         return value
 
-    def vector(prefix: str) -> list | None:
+    def vector(prefix: str) -> list[float | None] | None:
         values = [number(prefix + axis) for axis in _AXES]
         return None if values == [None] * 3 else values
 
@@ -158,14 +160,14 @@ def _row(meta: dict, mic: Path, room_id: str, corpus: Corpus) -> dict:
 
 
 def _mark_repeats(recordings: list[Recording]) -> list[Recording]:
-    """Set `repeat_of` of all but the first RIR of each pair of places (or, unknown, of each microphone folder)."""
-    first: dict[tuple, str] = {}
+    """Set `repeat_of` of all but the first RIR of each pair of positions (or of each folder, if they are unknown)."""
+    first: dict[str, str] = {}
     for recording in recordings:
         row = recording.row
-        places = (row["source_pos_m"], row["mic_pos_m"])
-        known = all(map(is_known, places))
-        # without positions only files in one folder are surely of the same places
-        key = repr((row["mic_id"], places)) if known else str(recording.path.parent)
+        positions = (row["source_pos_m"], row["mic_pos_m"])
+        known = all(map(is_known, positions))
+        # without positions, only the files of one folder are certain to be of one position
+        key = repr((row["mic_id"], positions)) if known else str(recording.path.parent)
         if (earlier := first.setdefault(key, recording.id)) != recording.id:
             row["repeat_of"] = earlier
     return recordings

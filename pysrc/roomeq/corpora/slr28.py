@@ -1,7 +1,7 @@
 """OpenSLR 28 (`RIRS_NOISES`): its measured part `real_rirs_isotropic_noises`, and `pointsource_noises`.
 
-Lists are Kaldi's, one line of options a file: ``--rir-id 1 --room-id R FILE`` and ``--noise-id 1 --noise-type
-isotropic --room-linkage R FILE``; `FILE` is relative to the folder above `RIRS_NOISES`. Without lists, names tell:
+Lists are Kaldi's, with one line of options per file: ``--rir-id 1 --room-id R FILE`` and ``--noise-id 1 --noise-type
+isotropic --room-linkage R FILE``; `FILE` is relative to the folder above `RIRS_NOISES`. Without lists, file names tell:
 ``RWCP_type2_rir_cirline_ofc_imp050.wav``, ``RVB2014_type1_noise_largeroom1_1.wav``,
 ``air_type1_air_binaural_lecture_1_2.wav`` (room, dummy head 0/1, position). Simulated RIRs are not read.
 """
@@ -16,13 +16,13 @@ from roomeq.corpora.record import Corpus, Recording, audio_files, is_uncommon_na
 from roomeq.records.schema import make_id
 
 REAL, POINT = "real_rirs_isotropic_noises", "pointsource_noises"
-_AIR = re.compile(r"air_type\d+_air_(?P<what>binaural|phone(?:_bt)?)_(?P<room>[a-z0-9_]*?[a-z]\d?)"
+_AIR = re.compile(r"air_type\d+_air_(?P<setup>binaural|phone(?:_bt)?)_(?P<room>[a-z0-9_]*?[a-z]\d?)"
                   r"(?:_(?P<head>[01]))?_(?P<place>\d+(?:_\d+)*|hfrp|hhp).*", re.IGNORECASE)
 _OTHER = re.compile(r"(?P<db>[A-Za-z0-9]+)_(?P<type>type\d+)_(?:rir|noise)_(?:(?P<room>.+)_)?[^_]+")
 
 
 def find_real(source: Path) -> Path | None:
-    """Return the folder of the measured part, at `source` or below it; None if there is none."""
+    """Return the folder of the measured part, `source` or one below it, or None."""
     for candidate in (source, source / REAL, source / "RIRS_NOISES" / REAL):
         if candidate.name == REAL and candidate.is_dir():
             return candidate
@@ -35,7 +35,7 @@ def list_slr28(source: Path) -> Corpus:
     Raises
     ------
     ValueError
-        The measured part is not there, or a line of a list cannot be read.
+        The measured part is missing, or a line of a list is malformed.
     """
     real = find_real(source)
     if real is None:
@@ -58,22 +58,22 @@ def list_slr28(source: Path) -> Corpus:
 
 
 def room_of(stem: str) -> str | None:
-    """Return the room that a file's name tells (the lists tell rooms of RIRs and noises apart that are one)."""
-    if found := _AIR.fullmatch(stem):
-        return f"AIR_{found['room']}"
-    if found := _OTHER.fullmatch(stem):
-        # near and far places of REVERB's rooms are of one room
-        return re.sub(r"_(near|far)$", "", f"{found['db']}_{found['room'] or found['type']}")
+    """Return the room of a file by its name; the lists give one room different ids for its RIRs and its noises."""
+    if match := _AIR.fullmatch(stem):
+        return f"AIR_{match['room']}"
+    if match := _OTHER.fullmatch(stem):
+        # REVERB's near and far positions are of one room
+        return re.sub(r"_(near|far)$", "", f"{match['db']}_{match['room'] or match['type']}")
     return None
 
 
 def _is_dummy_head(stem: str) -> bool:
-    found = _AIR.fullmatch(stem)
-    return bool(found) and found["what"].lower() == "binaural" and found["head"] != "0"
+    match = _AIR.fullmatch(stem)
+    return match is not None and match["setup"].lower() == "binaural" and match["head"] != "0"
 
 
-def _listed(real: Path, list_name: str, word: str) -> list[tuple[Path, dict]]:
-    """Return files with their options: those of Kaldi's list, or, without one, of the folder by their names."""
+def _listed(real: Path, list_name: str, word: str) -> list[tuple[Path, dict[str, str]]]:
+    """Return files with their options: those of Kaldi's list, or, without a list, those whose name has the word."""
     path = real / list_name
     if not path.is_file():
         is_noise = [(file, "_noise_" in file.stem) for file in audio_files(real)]

@@ -1,17 +1,19 @@
-"""SOFA files (AES69) of measured rooms, through `sofar`: one RIR a measurement, receiver and emitter.
+"""SOFA files (AES69) of measured rooms, read with `sofar`: one RIR per measurement, receiver and emitter.
 
-Read are the data types FIR and FIR-E: `SingleRoomSRIR`, `SingleRoomMIMOSRIR`, `MultiSpeakerBRIR`, `GeneralFIR`,
-`GeneralFIR-E` and their like. Positions are kept where the file gives the room's corners, counted from its lowest
-corner; without corners their origin says nothing about the walls, so that only the distance is kept.
+The data types FIR and FIR-E are read: `SingleRoomSRIR`, `SingleRoomMIMOSRIR`, `MultiSpeakerBRIR`, `GeneralFIR`,
+`GeneralFIR-E` and similar conventions. Where the file states the room's corners, positions are relative to its lowest
+corner; without corners the distance to the walls is unknown, and only the distance of source and microphone is kept.
 """
 
 import math
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import MAX_RATE_HZ
 from roomeq.core.limits import AUDIO_HOURS, max_audio_samples
 from roomeq.corpora.record import Corpus, Recording, is_binaural_name, rir_row
@@ -27,7 +29,7 @@ _ORTHOGONAL = 1e-6
 
 
 def list_sofa(source: Path) -> Corpus:
-    """List one SOFA file, or all below a folder; what is in them is read later, file by file.
+    """List one SOFA file, or all below a folder; their content is read later, file by file.
 
     Raises
     ------
@@ -45,13 +47,14 @@ def list_sofa(source: Path) -> Corpus:
                   dict(corpus=source.stem if source.is_file() else source.name)) for path in files])
 
 
-def sofa_signals(recording: Recording) -> Iterator[tuple[dict, np.ndarray, int]]:
+def sofa_signals(recording: Recording) -> Iterator[tuple[dict[str, Any], FloatArray, int]]:
     """Yield row (with its `id`), samples and sample rate [Hz] of every RIR of a SOFA file.
 
     Raises
     ------
     ValueError
-        The file is no SOFA file, too large, holds no room's impulse responses, or its arrays do not fit each other.
+        The file is not a SOFA file, is too large, holds no impulse responses of a room, or its arrays do not fit each
+        other.
     """
     path = recording.path
     sofa = _open(path)
@@ -63,14 +66,15 @@ def sofa_signals(recording: Recording) -> Iterator[tuple[dict, np.ndarray, int]]
                          "export it again") from None
 
 
-def _signals(sofa, recording: Recording) -> Iterator[tuple[dict, np.ndarray, int]]:
+def _signals(sofa: Any, recording: Recording) -> Iterator[tuple[dict[str, Any], FloatArray, int]]:
     path = recording.path
     irs = _array(sofa, "Data_IR")
     if irs is None or irs.ndim not in (3, 4):
         raise ValueError(f"{path}: Data.IR must have the dimensions M x R x N (x E): export it as FIR")
     irs = irs if irs.ndim == 4 else irs[..., np.newaxis]
     n_measurements, n_receivers, n_samples, n_emitters = irs.shape
-    rates_hz = np.atleast_1d(_array(sofa, "Data_SamplingRate", default=np.zeros(1)))
+    rates_hz = _array(sofa, "Data_SamplingRate")
+    rates_hz = np.zeros(1) if rates_hz is None else np.atleast_1d(rates_hz)
     room = _room(sofa, path)
     binaural = _is_binaural(sofa, n_receivers)
     for m in range(n_measurements):
@@ -82,22 +86,22 @@ def _signals(sofa, recording: Recording) -> Iterator[tuple[dict, np.ndarray, int
             for e in range(n_emitters):
                 suffix = "".join((f"_m{m:0{len(str(n_measurements - 1))}d}" * (n_measurements > 1),
                                   f"_ch{r}" * (n_receivers > 1), f"_e{e}" * (n_emitters > 1)))
-                row = rir_row(**room, **_places(sofa, m, r, e, room["room_dims_m"] is not None), binaural=binaural,
+                row = rir_row(**room, **_positions(sofa, m, r, e), binaural=binaural,
                               corpus=recording.row["corpus"], source_id=f"{_named(sofa, 'Source')}{e or ''}",
                               mic_id=f"{_named(sofa, 'Listener')}{f'-ch{r}' * (n_receivers > 1)}")
                 delay = _delay_samples(sofa, m, r, e, path)
                 yield row | dict(id=recording.id + suffix), np.pad(irs[m, r, :, e], (delay, 0)), round(rate_hz)
 
 
-def _open(path: Path):
+def _open(path: Path) -> Any:
     import sofar
 
     try:
         _check_size(path)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of preliminary conventions: what matters here is checked here
+            warnings.simplefilter("ignore")  # preliminary conventions: this module checks what it needs
             sofa = sofar.read_sofa(str(path), verify=False, verbose=False)
-    except Exception as error:  # netCDF and sofar let anything through that broken bytes can raise
+    except Exception as error:  # netCDF and sofar raise errors of any type on broken bytes
         raise ValueError(f"{path}: cannot be read as SOFA ({' '.join(str(error).split())[:120]}): export it "
                          "again") from None
     convention, data_type = sofa.GLOBAL_SOFAConventions, sofa.GLOBAL_DataType
@@ -109,7 +113,7 @@ def _open(path: Path):
 
 
 def _check_size(path: Path) -> None:
-    """Refuse a file whose arrays are too large, before they are read: compressed ones tell nothing by their bytes."""
+    """Refuse a file whose arrays are too large before they are read; compressed arrays make small files."""
     from netCDF4 import Dataset
 
     with Dataset(str(path)) as file:
@@ -118,26 +122,35 @@ def _check_size(path: Path) -> None:
         raise ValueError(f"{n_values} values must be at most {max_audio_samples()}, see roomeq --{AUDIO_HOURS.option}")
 
 
-def _array(sofa, name: str, default: np.ndarray | None = None) -> np.ndarray | None:
+def _array(sofa: Any, name: str) -> FloatArray | None:
     value = getattr(sofa, name, None)
-    return default if value is None else np.asarray(value, dtype=float)
+    return None if value is None else np.asarray(value, dtype=float)
 
 
-def _room(sofa, path: Path) -> dict:
-    """Return room id, size and temperature; a room as big as the convention's own example was never filled in."""
-    a, b = (_array(sofa, f"RoomCorner{x}") for x in "AB")
-    dims_m = None
-    if a is not None and b is not None and a.size == b.size == 3:
-        a, b = a.ravel(), b.ravel()
-        if (a.tolist(), b.tolist()) != _DEFAULT_CORNERS and (np.abs(b - a) > 0).all() and (
-                np.abs([a, b]) <= LARGEST).all():
-            dims_m = np.abs(b - a).tolist()
+def _corners(sofa: Any) -> tuple[FloatArray, FloatArray] | None:
+    """Return two opposite corners of the room, shape (3,) each [m], or None where the file has no plausible ones.
+
+    The corners of the convention's example are those that nobody has replaced.
+    """
+    a, b = _array(sofa, "RoomCornerA"), _array(sofa, "RoomCornerB")
+    if a is None or b is None or not a.size == b.size == 3:
+        return None
+    a, b = a.ravel(), b.ravel()
+    plausible = (a.tolist(), b.tolist()) != _DEFAULT_CORNERS and (np.abs(b - a) > 0).all() and (
+        np.abs([a, b]) <= LARGEST).all()
+    return (a, b) if plausible else None
+
+
+def _room(sofa: Any, path: Path) -> dict[str, Any]:
+    """Return the keys of a row that describe the room."""
+    corners = _corners(sofa)
+    dims_m = None if corners is None else np.abs(corners[1] - corners[0]).tolist()
     named = str(getattr(sofa, "GLOBAL_RoomShortName", "") or "").strip()
     return dict(room_id=named or path.stem, room_dims_m=dims_m, temperature_c=_temperature_c(sofa),
                 room_type=str(getattr(sofa, "GLOBAL_RoomDescription", "") or "").strip() or None)
 
 
-def _temperature_c(sofa) -> float | None:
+def _temperature_c(sofa: Any) -> float | None:
     value = _array(sofa, "RoomTemperature")
     if value is None or value.size != 1:
         return None
@@ -146,23 +159,24 @@ def _temperature_c(sofa) -> float | None:
     return celsius if _TEMPERATURES_C[0] < celsius < _TEMPERATURES_C[1] and value.any() else None
 
 
-def _places(sofa, m: int, r: int, e: int, in_room: bool) -> dict:
-    """Return positions (counted from the room's lowest corner) and distance of one measurement."""
+def _positions(sofa: Any, m: int, r: int, e: int) -> dict[str, Any]:
+    """Return positions (relative to the room's lowest corner) or distance of one measurement."""
     centres = [_vector(sofa, f"{who}Position", 0, m) for who in ("Source", "Listener")]
-    source = _place(sofa, "Source", "Emitter", m, e)
-    mic = _place(sofa, "Listener", "Receiver", m, r)
+    source = _position(sofa, "Source", "Emitter", m, e)
+    mic = _position(sofa, "Listener", "Receiver", m, r)
     never_set = all(centre is not None and centre.tolist() == default
                     for centre, default in zip(centres, _DEFAULT_POSITIONS, strict=True))
     if never_set or source is None or mic is None:
         return {}
-    if not in_room:
+    corners = _corners(sofa)
+    if corners is None:
         return dict(distance_m=round(float(np.linalg.norm(source - mic)), 4))
-    corner = np.minimum(_array(sofa, "RoomCornerA").ravel(), _array(sofa, "RoomCornerB").ravel())
+    corner = np.minimum(*corners)
     return dict(source_pos_m=np.round(source - corner, 4).tolist(), mic_pos_m=np.round(mic - corner, 4).tolist())
 
 
-def _place(sofa, whole: str, part: str, m: int, n: int) -> np.ndarray | None:
-    """Return where the n-th part (receiver, emitter) of the whole (listener, source) stands, shape (3,) [m]."""
+def _position(sofa: Any, whole: str, part: str, m: int, n: int) -> FloatArray | None:
+    """Return the position of the n-th part (receiver, emitter) of the whole (listener, source), shape (3,) [m]."""
     centre = _vector(sofa, f"{whole}Position", 0, m)
     local = _vector(sofa, f"{part}Position", n, m)
     if centre is None or local is None or not local.any():
@@ -175,30 +189,32 @@ def _place(sofa, whole: str, part: str, m: int, n: int) -> np.ndarray | None:
     if np.linalg.norm(up) < _ORTHOGONAL:
         return centre
     up /= np.linalg.norm(up)
-    # local x is the view, z is up, and y completes a right-handed frame: to the left
-    return centre + np.column_stack([forward, np.cross(up, forward), up]) @ local
+    # local x is the view, z is up, and y, to the left, completes a right-handed frame
+    position: FloatArray = centre + np.column_stack([forward, np.cross(up, forward), up]) @ local
+    return position
 
 
-def _vector(sofa, name: str, n: int, m: int) -> np.ndarray | None:
-    """Return one cartesian vector of an array of shape (1|M, 3) or (n, 3[, 1|M]); None if absent or not finite."""
+def _vector(sofa: Any, name: str, n: int, m: int) -> FloatArray | None:
+    """Return a Cartesian vector from an array of shape (1|M, 3) or (n, 3[, 1|M]); None if absent or not finite."""
     array = _array(sofa, name)
     if array is None or array.ndim not in (2, 3) or array.shape[1] != 3:
         return None
     relative = name.startswith(("Emitter", "Receiver"))
-    row = array[min(n if relative else m, len(array) - 1)]
-    vector = row if row.ndim == 1 else row[:, min(m, row.shape[1] - 1)]
+    row: FloatArray = array[min(n if relative else m, len(array) - 1)]
+    vector: FloatArray = row if row.ndim == 1 else row[:, min(m, row.shape[1] - 1)]
     kind = str(getattr(sofa, f"{name.replace('Up', 'View')}_Type", "cartesian"))
     if not (np.abs(vector) <= LARGEST).all() or "harmonics" in kind:
         return None
     if kind.startswith("cart"):
         return vector
     azimuth, elevation = np.deg2rad(vector[:2])
-    return vector[2] * np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
-                                 np.sin(elevation)])
+    cartesian: FloatArray = vector[2] * np.array([np.cos(elevation) * np.cos(azimuth),
+                                                  np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    return cartesian
 
 
-def _delay_samples(sofa, m: int, r: int, e: int, path: Path) -> int:
-    """Return the samples that Data.Delay puts before the stored response (the nearest whole number)."""
+def _delay_samples(sofa: Any, m: int, r: int, e: int, path: Path) -> int:
+    """Return the number of samples, rounded, by which Data.Delay delays the stored response."""
     delay = _array(sofa, "Data_Delay")
     if delay is None or not delay.any():
         return 0
@@ -210,12 +226,12 @@ def _delay_samples(sofa, m: int, r: int, e: int, path: Path) -> int:
     return round(float(delay[at]))
 
 
-def _is_binaural(sofa, n_receivers: int) -> bool:
+def _is_binaural(sofa: Any, n_receivers: int) -> bool:
     described = " ".join(str(getattr(sofa, f"GLOBAL_{key}", "")) for key in
                          ("ListenerShortName", "ListenerDescription", "ReceiverShortName", "Title")).lower()
     return sofa.GLOBAL_SOFAConventions in _BINAURAL or (
         n_receivers == 2 and (any(head in described for head in _HEADS) or is_binaural_name(described)))
 
 
-def _named(sofa, who: str) -> str:
+def _named(sofa: Any, who: str) -> str:
     return str(getattr(sofa, f"GLOBAL_{who}ShortName", "") or "").strip() or "unknown"

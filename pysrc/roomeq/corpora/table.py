@@ -5,7 +5,7 @@ Columns (any order, upper or lower case, separated by comma, semicolon or tab); 
 `file`
     Relative to the CSV.
 `rir_id` or `id`, `dataset` or `corpus`, `room` or `room_id`, `room_type`, `source_id`, `mic_id`, `session`
-    Names. Without an id, the file's path makes one; without a room, the file's folder is it.
+    Names. By default, the id is made from the file's path, and the room is the file's folder.
 `room_dims_m`, `source_pos_m`, `mic_pos_m`
     Three numbers [m] from one lower corner of the room, e.g. ``4.71 2.75 ?``; ``?`` or empty is unknown.
 `source_dir`, `mic_dir`
@@ -13,20 +13,22 @@ Columns (any order, upper or lower case, separated by comma, semicolon or tab); 
 `distance_m`, `temperature_c`, `humidity_pct`, `documented_t60_s`
     Numbers, each may be unknown.
 `binaural`, `tof_removed`, `unreliable_geometry`, `uncommon`
-    0 or 1 (also true/false, yes/no): dummy-head ears; time of flight cut off; positions not to be trusted; a space
-    that should not be simulated (stairs).
+    0 or 1 (also true/false, yes/no): recorded with a dummy head; time of flight cut off; positions are unreliable; a
+    space that should not be simulated (stairs).
 `excitation`
-    ``sweep``, ``clap``, ...; without the column, the words *clap* and *sweep* in id or file name say it.
+    ``sweep``, ``clap``, ...; without the column, recognised by the words *clap* and *sweep* in id or file name.
 `kind`
     Noises only: ``ambient`` or ``point``.
 
-Other columns are ignored, which the log says.
+Other columns are ignored; the log lists them.
 """
 
 import csv
 import logging
+from collections.abc import Callable
 from itertools import zip_longest
 from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
 
 from roomeq.corpora.record import (
     Corpus,
@@ -57,8 +59,25 @@ _KNOWN = {"file", "rir_id", "excitation", *_NAMES, *_VECTORS, *_NUMBERS, *_FLAGS
 _TRUE, _FALSE = {"1", "true", "yes"}, {"0", "false", "no"}
 
 
-def read_table(path: Path) -> tuple[list[str], list[tuple[str, dict]]]:
-    """Read a CSV, returning its columns and, for each row, where it stands (``file:line``) and its cells.
+class TableRow(NamedTuple):
+    """A row of a CSV: where it stands (``file:line``) and its cells by column."""
+
+    where: str
+    cells: dict[str, str]
+
+
+class Table(NamedTuple):
+    """A CSV: its columns (aliases replaced) and rows."""
+
+    columns: list[str]
+    rows: list[TableRow]
+
+
+Value = TypeVar("Value")
+
+
+def read_table(path: Path) -> Table:
+    """Read a CSV.
 
     Raises
     ------
@@ -89,7 +108,8 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[str, dict]]]:
         if len(cells) > len(columns):
             raise ValueError(f"{where}: {len(cells)} cells under {len(columns)} columns: quote cells that hold "
                              f"{delimiter!r}")
-    return columns, [(where, dict(zip_longest(columns, map(str.strip, cells), fillvalue=""))) for where, cells in rows]
+    return Table(columns, [TableRow(where, dict(zip_longest(columns, map(str.strip, cells), fillvalue="")))
+                           for where, cells in rows])
 
 
 def list_table(path: Path) -> Corpus:
@@ -98,7 +118,7 @@ def list_table(path: Path) -> Corpus:
     Raises
     ------
     ValueError
-        See `read_table`; also a cell that is not what its column says (the message names file and line), or a
+        See `read_table`; also if a cell does not fit its column (the message names file and line), or there is a
         column with transcripts.
     """
     columns, rows = read_table(path)
@@ -118,7 +138,7 @@ def list_table(path: Path) -> Corpus:
 
 
 def list_noise_table(path: Path) -> list[Recording]:
-    """List the noises of a CSV: columns `file`, and if there are any `id`, `room`, `kind`, `description`.
+    """List the noises of a CSV with the column `file` and optional columns `id`, `room` and `kind`.
 
     Raises
     ------
@@ -137,8 +157,11 @@ def list_noise_table(path: Path) -> list[Recording]:
     return noises
 
 
-def resolve_file(path: Path, cells: dict) -> Path:
-    """Return the audio file of a row: relative to the CSV, or to the folder above if it starts with the CSV's."""
+def resolve_file(path: Path, cells: dict[str, str]) -> Path:
+    """Return the audio file of a row.
+
+    It is relative to the CSV's folder, or to the folder above if it starts with the name of the CSV's folder.
+    """
     name = cells["file"]
     if not name:
         raise ValueError("file='' must be the path of an audio file")
@@ -148,17 +171,17 @@ def resolve_file(path: Path, cells: dict) -> Path:
     return file
 
 
-def _row_id(path: Path, file: Path, cells: dict) -> str:
+def _row_id(path: Path, file: Path, cells: dict[str, str]) -> str:
     if cells.get("rir_id"):
         return make_id(cells["rir_id"])
     try:
         return id_of_path(file, path.parent)
-    except ValueError:  # outside the CSV's folder: an id never holds the way there
+    except ValueError:  # outside the CSV's folder, from which no path may go into the id
         return make_id(f"{file.parent.name}-{file.stem}")
 
 
-def _row(path: Path, file: Path, cells: dict, corpus: Corpus) -> dict:
-    known = {key: cells[key] for key in _NAMES if cells.get(key)}
+def _row(path: Path, file: Path, cells: dict[str, str], corpus: Corpus) -> dict[str, Any]:
+    known: dict[str, Any] = {key: cells[key] for key in _NAMES if cells.get(key)}
     for key in _VECTORS:
         known[key] = _parse(key, cells, parse_vector)
     for key in _NUMBERS:
@@ -183,7 +206,7 @@ def _row(path: Path, file: Path, cells: dict, corpus: Corpus) -> dict:
     return rir_row(**known)
 
 
-def _parse(key: str, cells: dict, parse):
+def _parse(key: str, cells: dict[str, str], parse: Callable[[str | None], Value]) -> Value:
     try:
         return parse(cells.get(key))
     except ValueError as error:

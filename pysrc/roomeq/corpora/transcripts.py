@@ -1,4 +1,4 @@
-"""Speech in a folder with a CSV: columns `file`, `transcript`, optional `utt_id`, `speaker`, `gender`, `set`."""
+"""Speech listed in a CSV: columns `file`, `transcript`, optional `utt_id`, `speaker`, `gender`, `set`."""
 
 import re
 from pathlib import Path
@@ -12,7 +12,7 @@ _GENDERS = {"m": "m", "male": "m", "f": "f", "female": "f"}
 
 
 def list_transcripts(path: Path) -> dict[str, list[Utterance]]:
-    """List the utterances of a CSV by set; without the column `set` all are in the set ``""``.
+    """List the utterances of a CSV by set; without the column `set`, all belong to the set ``""``.
 
     Raises
     ------
@@ -32,13 +32,13 @@ def list_transcripts(path: Path) -> dict[str, list[Utterance]]:
     return sets
 
 
-def _utterance(path: Path, cells: dict, text_column: str, where: str) -> Utterance:
+def _utterance(path: Path, cells: dict[str, str], text_column: str, where: str) -> Utterance:
     file = resolve_file(path, cells)
     text = " ".join(cells.get(text_column, "").split())
     if not text:
         raise ValueError(f"{text_column}='' of {cells['file']} must say what is spoken")
     voice = cells.get("speaker") or file.parent.name
-    # Kaldi sorts by speaker and by utterance and wants one order: no character of a speaker may sort before '-'
+    # Kaldi requires one order of speakers and of utterances: no character of a speaker may sort before '-'
     speaker = re.sub(r"[+-]", "_", make_id(voice))
     name = make_id(cells.get("utt_id") or file.stem)
     if not name.startswith(f"{speaker}-"):

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROLES = {"train": 0.70, "dev": 0.15, "test": 0.15}
-"""Roles of speech, and their parts where a corpus does not say."""
+"""Roles of speech, and their shares where a corpus has no sets."""
 
 
 @dataclass(frozen=True)
@@ -15,15 +15,15 @@ class Utterance:
     ----------
     id : str
     speaker : str
-        Kaldi's speaker: what cepstral means are taken over; the id starts with it.
+        Kaldi's speaker, over which cepstral means are computed; the id starts with it.
     voice : str
-        Who speaks: never in two of train, dev and test.
+        The person who speaks; a voice belongs to one of train, dev and test.
     gender : str or None
         ``"m"`` or ``"f"``.
     text : str
     path : Path
     where : str
-        File and line that name it, for messages.
+        File and line that list the utterance, for messages.
     """
 
     id: str
@@ -36,14 +36,15 @@ class Utterance:
 
 
 def split_voices(counts: dict[str, int]) -> dict[str, str]:
-    """Return the role of every voice, so that utterances divide as in `ROLES` as well as whole voices allow.
+    """Return the role of every voice, so that utterances are divided as in `ROLES` as closely as whole voices allow.
 
-    The largest voices choose first, each the role that misses most of its share: no draw, no order, no seed.
+    Voices with the most utterances come first; each gets the role that lacks most of its share. The result depends on
+    the counts and names only.
 
     Parameters
     ----------
     counts : dict
-        Utterances of every voice.
+        Number of utterances of every voice.
 
     Raises
     ------
@@ -57,7 +58,7 @@ def split_voices(counts: dict[str, int]) -> dict[str, str]:
     roles: dict[str, str] = {}
     for n, voice in enumerate(sorted(counts, key=lambda voice: (-counts[voice], voice))):
         empty = [role for role in ROLES if role not in roles.values()]
-        # the last voices go to roles that would stay empty
+        # the last voices go to roles that are empty
         free = empty if len(counts) - n <= len(empty) else list(ROLES)
         role = max(free, key=lambda role: missing[role])
         roles[voice] = role
