@@ -10,8 +10,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from roomeq.core.audio import audio_info, read_audio, write_wav
 from roomeq.core.arrays import FloatArray
+from roomeq.core.audio import audio_info, read_audio, write_wav
 from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
 from roomeq.core.digests import audio_digest
