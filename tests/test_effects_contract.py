@@ -21,9 +21,9 @@ _OCTAVES_OF_RESPONSES = (  # the same for loudspeaker, microphone and equaliser
     dict(early=1.2, late=0.8, edt=1.4, c50=0.65))
 WIDER = {
     "sound_speed": (
-        "All sound arrives at other samples: reflections interfere differently, and the random tail of the rendering "
-        "has another realisation. Levels and decays scatter by 4.3 dB / sqrt(bandwidth x time), and the predicted "
-        "changes, besides the arrival, are smaller than that.",
+        "All sound arrives at other samples, so that reflections interfere differently and the random tail of the "
+        "rendering is another realisation: another seed changes the features as much. Besides the arrival, the "
+        "predicted changes are smaller than this scatter.",
         dict(early=2.75, late=1.4, spectrum=3.3, edt=4.5, c50=1.8)),
     "source_directivity": (
         "Off the axis, gains fall by up to 10 dB from octave to octave. The prediction interpolates them in dB over "

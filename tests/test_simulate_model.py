@@ -1,4 +1,4 @@
-"""`roomeq simulate --model`: each effect acts on the RIRs that it is about, as its physics says, and on no others."""
+"""`roomeq simulate --model`: each effect changes the RIRs that it concerns, by its physics, and no others."""
 
 import json
 
@@ -22,7 +22,7 @@ VECTORS = dict(air_absorption=(1.0, np.log(20.0)), sound_speed=(3.5,), source_di
 OPTIONS = dict(num_rays=500, t60_range_s=(0.3, 0.6), seed=5)
 
 
-def row(row_id, **known):
+def measured_row(row_id, **known):
     return dict(id=row_id, wav=f"{row_id}.wav", room_id="office", source_id="spk1", mic_id=row_id, fs_hz=FS_HZ,
                 n_samples=FS_HZ, room_dims_m=[6.0, 4.2, 3.0], source_pos_m=[1.0, 2.0, 1.5],
                 mic_pos_m=[4.0, 3.0, 1.2], source_dir=[1.0, 0.3, 0.0]) | known
@@ -32,7 +32,7 @@ def row(row_id, **known):
 def measured(tmp_path_factory):
     directory = tmp_path_factory.mktemp("measured")
     write_jsonl(directory / "rirs.jsonl", [
-        row("a"), row("b", source_id="spk2", mic_pos_m=[4.5, 1.0, 1.2], source_dir=None)])
+        measured_row("a"), measured_row("b", source_id="spk2", mic_pos_m=[4.5, 1.0, 1.2], source_dir=None)])
     return directory
 
 
@@ -41,10 +41,10 @@ def plain(measured, tmp_path_factory):
     return simulated(measured, tmp_path_factory.mktemp("plain") / "out", None)
 
 
-def simulated(measured, out, model, **more):
-    simulate(measured, out, model=model, **(OPTIONS | more))
+def simulated(measured, out, model, **options):
+    simulate(measured, out, model=model, **(OPTIONS | options))
     validate_rirs(out)
-    return {one["id"]: (one, load_rir(out, one)) for one in read_rirs(out)}
+    return {row["id"]: (row, load_rir(out, row)) for row in read_rirs(out)}
 
 
 def extension(name, vector=None, units=()):
@@ -59,59 +59,59 @@ def model_file(path, *extensions):
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
-def test_every_effect_of_the_catalogue_changes_what_it_is_about(name, measured, plain, tmp_path):
-    made = simulated(measured, tmp_path / "out", model_file(tmp_path / "model.json", extension(name)))
-    for row_id, (one, rir) in made.items():
-        acts = not (name in SOURCE_ONLY and one["noise_for"]) and not (name == "source_directivity" and row_id == "b")
-        assert one["model"] == [name] * acts
+def test_every_effect_changes_exactly_the_rirs_it_concerns(name, measured, plain, tmp_path):
+    simulated_rirs = simulated(measured, tmp_path / "out", model_file(tmp_path / "model.json", extension(name)))
+    for row_id, (row, rir) in simulated_rirs.items():
+        acts = not (name in SOURCE_ONLY and row["noise_for"]) and not (name == "source_directivity" and row_id == "b")
+        assert row["model"] == [name] * acts
         before = plain[row_id][1]
         same = len(rir) == len(before) and np.array_equal(rir, before)
-        # a directivity changes which absorption meets the target, and noise sources play between the same walls
-        assert same != acts or (name == "source_directivity" and one["noise_for"]), f"{name} on {row_id}"
-        assert np.all(np.isfinite(rir)) and one["temperature_c"] == plain[row_id][0]["temperature_c"]
+        # a directivity changes the absorption that meets the target, and noise sources are in the same room
+        assert same != acts or (name == "source_directivity" and row["noise_for"]), f"{name} on {row_id}"
+        assert np.all(np.isfinite(rir)) and row["temperature_c"] == plain[row_id][0]["temperature_c"]
 
 
-def test_targets_are_met_before_filters_and_acoustic_parameters_are_of_what_is_written(measured, plain, tmp_path):
+def test_target_is_met_before_effects_on_the_whole_rir(measured, plain, tmp_path):
     path = model_file(tmp_path / "model.json", extension("coupled_volume", (-0.5, np.log(3.0))),
                       extension("source_response"))
-    one, rir = simulated(measured, tmp_path / "out", path)["a"]
-    assert one["model"] == ["coupled_volume", "source_response"] and one["n_samples"] == len(rir)
-    assert one["target_t60_s"] == plain["a"][0]["target_t60_s"]
-    assert one["t30_s"] == pytest.approx(one["target_t60_s"], rel=0.05)
-    assert one["acoustic_parameters"]["t30_s"][BAND_1KHZ] > 1.5 * one["t30_s"]
-    # the filter shows in the measured EQ; the second decay, 5 dB below the reflections, hides no more than that
-    drawn = np.interp(np.log([125.0, 4000.0]), np.log(RESPONSE_HZ), VECTORS["source_response"])
-    change = np.subtract(one["acoustic_parameters"]["eq_db"], plain["a"][0]["acoustic_parameters"]["eq_db"])
-    assert change[6] - change[1] == pytest.approx(drawn[1] - drawn[0], abs=5.0)
+    row, rir = simulated(measured, tmp_path / "out", path)["a"]
+    assert row["model"] == ["coupled_volume", "source_response"] and row["n_samples"] == len(rir)
+    assert row["target_t60_s"] == plain["a"][0]["target_t60_s"]
+    assert row["t30_s"] == pytest.approx(row["target_t60_s"], rel=0.05)
+    assert row["acoustic_parameters"]["t30_s"][BAND_1KHZ] > 1.5 * row["t30_s"]
+    # the measured EQ contains the filter; the second decay, 5 dB below the reflections, changes it by less than that
+    response_db = np.interp(np.log([125.0, 4000.0]), np.log(RESPONSE_HZ), VECTORS["source_response"])
+    change = np.subtract(row["acoustic_parameters"]["eq_db"], plain["a"][0]["acoustic_parameters"]["eq_db"])
+    assert change[6] - change[1] == pytest.approx(response_db[1] - response_db[0], abs=5.0)
 
 
 def test_sound_speed_moves_the_direct_sound(measured, tmp_path):
-    made = simulated(measured, tmp_path / "out", model_file(tmp_path / "model.json", extension("sound_speed")))
-    for one, _ in made.values():
-        distance_m = np.linalg.norm(np.subtract(one["source_pos_m"], one["mic_pos_m"]))
-        assert one["direct_sample"] == pytest.approx(FS_HZ * distance_m / speed_of_sound_m_s(35.0))
+    path = model_file(tmp_path / "model.json", extension("sound_speed"))
+    for row, _ in simulated(measured, tmp_path / "out", path).values():
+        distance_m = np.linalg.norm(np.subtract(row["source_pos_m"], row["mic_pos_m"]))
+        assert row["direct_sample"] == pytest.approx(FS_HZ * distance_m / speed_of_sound_m_s(35.0))
 
 
-def test_a_loudspeaker_that_was_measured_has_its_own_response_and_others_draw_one(measured, plain, tmp_path):
+def test_measured_loudspeaker_keeps_its_response_others_draw(measured, plain, tmp_path):
     known = extension("source_response", units=["spk1"])
     path = model_file(tmp_path / "model.json", Extension(
         known.effect, known.of, np.zeros(len(RESPONSE_HZ)), np.full(len(RESPONSE_HZ), 6.0)))
-    made = simulated(measured, tmp_path / "out", path)
+    simulated_rirs = simulated(measured, tmp_path / "out", path)
     level_db = {}
     for name in "ab":
-        for kind, rir in (("before", plain[name][1]), ("after", made[name][1])):
+        for kind, rir in (("before", plain[name][1]), ("after", simulated_rirs[name][1])):
             power = np.abs(np.fft.rfft(rir[:4096], 4096)) ** 2
             level_db[name, kind] = 10 * np.log10([power[round(0.9 * hz * 4096 / FS_HZ):round(1.1 * hz * 4096 / FS_HZ)]
                                                   .sum() for hz in (500.0, 2000.0)])
-    found = {name: level_db[name, "after"] - level_db[name, "before"] for name in "ab"}
+    change_db = {name: level_db[name, "after"] - level_db[name, "before"] for name in "ab"}
     expected = np.interp(np.log([500.0, 2000.0]), np.log(RESPONSE_HZ), VECTORS["source_response"])
-    np.testing.assert_allclose(found["a"], expected, atol=1.0)
+    np.testing.assert_allclose(change_db["a"], expected, atol=1.0)
     drawn = read_model(path).for_row(dict(source_id="spk2"), OPTIONS["seed"])[0].gains_db
-    np.testing.assert_allclose(found["b"], np.interp(np.log([500.0, 2000.0]), np.log(RESPONSE_HZ), drawn), atol=2.5)
-    assert np.array_equal(made["a-noise1"][1], plain["a-noise1"][1])
+    np.testing.assert_allclose(change_db["b"], np.interp(np.log([500.0, 2000.0]), np.log(RESPONSE_HZ), drawn), atol=2.5)
+    assert np.array_equal(simulated_rirs["a-noise1"][1], plain["a-noise1"][1])
 
 
-def test_a_model_gives_the_same_bytes_over_parts_and_an_empty_one_those_without(measured, plain, tmp_path):
+def test_parts_and_empty_models_reproduce_the_same_bytes(measured, plain, tmp_path):
     path = model_file(tmp_path / "model.json", *(extension(name) for name in ("source_directivity", "room_modes",
                                                                                "mic_response", "noise_floor")))
     whole = simulated(measured, tmp_path / "whole", path)
@@ -119,13 +119,13 @@ def test_a_model_gives_the_same_bytes_over_parts_and_an_empty_one_those_without(
         simulate(measured, tmp_path / "parts", model=path, part=part, nj=2, **OPTIONS)
     for file in (tmp_path / "whole").rglob("*.wav"):
         assert file.read_bytes() == (tmp_path / "parts" / file.relative_to(tmp_path / "whole")).read_bytes()
-    assert {name: one for name, (one, _) in whole.items()} == {one["id"]: one for one in read_rirs(tmp_path / "parts")}
+    assert {name: row for name, (row, _) in whole.items()} == {row["id"]: row for row in read_rirs(tmp_path / "parts")}
     empty = simulated(measured, tmp_path / "empty", model_file(tmp_path / "empty.json"))
-    for name, (one, rir) in empty.items():
-        assert one == plain[name][0] and np.array_equal(rir, plain[name][1])
+    for name, (row, rir) in empty.items():
+        assert row == plain[name][0] and np.array_equal(rir, plain[name][1])
 
 
-def test_another_model_makes_the_directory_again(measured, tmp_path):
+def test_changed_model_rebuilds_the_directory(measured, tmp_path):
     path = model_file(tmp_path / "model.json", extension("mic_response"))
     before = simulated(measured, tmp_path / "out", path)
     content = json.loads(path.read_text())
@@ -138,11 +138,12 @@ def test_another_model_makes_the_directory_again(measured, tmp_path):
 @pytest.mark.parametrize("text, message", [
     ("[]", r"model.json: must hold an object with a list of 'effects'"),
     ('{"effects": []}', r"model.json: format=None must be 2: run roomeq close-loop again"),
-    ('{"format": 2, "effects": [{"effect": "gnomes"}]}', r"effects\[0\]: effect='gnomes' must be one of air_absorption, "),
+    ('{"format": 2, "effects": [{"effect": "gnomes"}]}',
+     r"effects\[0\]: effect='gnomes' must be one of air_absorption, "),
     ('{"format": 2, "effects": [{"effect": "occlusion", "of": {"office": {"detour_m": "far"}}}]}',
      r"effects\[0\]: of\['office'\]: detour_m='far' must be a number"),
 ])
-def test_a_broken_model_is_refused_by_name(text, message, measured, tmp_path):
+def test_broken_model_error_names_the_place(text, message, measured, tmp_path):
     (tmp_path / "model.json").write_text(text)
     with pytest.raises(ValueError, match=message):
         simulate(measured, tmp_path / "out", model=tmp_path / "model.json")

@@ -1,4 +1,4 @@
-"""The field of a room's modes: against all image sources, against itself, and where rays take over."""
+"""The sum of a room's modes against image sources, closed forms and itself, and its crossover to rays."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def inside(rng, clearance_m=0.3, dims_m=DIMS_M):
 
 
 def third_octaves_db(rir, fs_hz, frequencies_hz=THIRDS_HZ):
-    """Mean energy in third octaves; the later half is faded out."""
+    """Mean energy in third octaves, with the second half of the response faded out."""
     rir = rir.copy()
     half = len(rir) // 2
     rir[-half:] *= np.cos(np.linspace(0.0, 0.5 * np.pi, half)) ** 2
@@ -46,7 +46,7 @@ def third_octaves_db(rir, fs_hz, frequencies_hz=THIRDS_HZ):
 
 
 def image_sum(source, mic, reflection, length_s):
-    """All image sources of a shoebox whose walls reflect one share of the pressure, at `FINE_HZ`."""
+    """Sum of all image sources of a shoebox with one pressure reflection coefficient, at `FINE_HZ`."""
     reach_m, axes = C * length_s, []
     for size, s, m in zip(DIMS_M, source, mic, strict=True):
         n = np.arange(-int(0.5 * reach_m / size) - 1, int(0.5 * reach_m / size) + 2)
@@ -73,48 +73,48 @@ def mesh_modes():
 
 @pytest.mark.parametrize("case, distance_m", list(enumerate([None, None, None, None, 0.2, 0.3, 0.5, 1.5])))
 @pytest.mark.parametrize("f_max_hz", [300.0, 450.0])
-def test_levels_are_those_of_all_image_sources(case, distance_m, f_max_hz):
-    """Within 1 dB in a room that is nearly rigid, near the source and far from it."""
+def test_levels_match_the_sum_of_all_image_sources(case, distance_m, f_max_hz):
+    """Levels in a nearly rigid room agree within 1 dB, near the source and far from it."""
     rng, length_s, reflection = np.random.default_rng(case), 0.35, 0.995
     source = inside(rng, 0.4)
     way = np.array(DIMS_M) / 2.0 - source
     mic = inside(rng) if distance_m is None else source + distance_m * way / np.linalg.norm(way)
     walls_m2 = BOX.surface_area_m2.sum()
     damping = -np.log(reflection) * C * walls_m2 / (4.0 * BOX.volume_m3)  # mean free path 4 V / S
-    found = modal_response(modes(BOX, f_max_hz, C), source, mic, damping, int(length_s * FS_HZ), FS_HZ)
+    response = modal_response(modes(BOX, f_max_hz, C), source, mic, damping, int(length_s * FS_HZ), FS_HZ)
     expected = image_sum(source, mic, reflection, length_s)
-    np.testing.assert_allclose(third_octaves_db(found, FS_HZ), third_octaves_db(expected, FINE_HZ), atol=1.0)
+    np.testing.assert_allclose(third_octaves_db(response, FS_HZ), third_octaves_db(expected, FINE_HZ), atol=1.0)
 
 
-def test_source_and_microphone_change_places(box_modes, mesh_modes):
+def test_response_is_reciprocal(box_modes, mesh_modes):
     rng = np.random.default_rng(0)
     source, mic = inside(rng), inside(rng)
-    for found in (box_modes, mesh_modes):
-        there = modal_response(found, source, mic, 7.0, 4000, FS_HZ)
-        np.testing.assert_array_equal(there, modal_response(found, mic, source, 7.0, 4000, FS_HZ))
+    for room_modes in (box_modes, mesh_modes):
+        there = modal_response(room_modes, source, mic, 7.0, 4000, FS_HZ)
+        np.testing.assert_array_equal(there, modal_response(room_modes, mic, source, 7.0, 4000, FS_HZ))
 
 
-def test_a_response_is_a_sum_of_damped_sines(box_modes):
+def test_response_is_a_sum_of_damped_sines(box_modes):
     source, mic, n_samples = (1.0, 1.2, 1.1), (4.0, 3.0, 1.6), 3001
     damping = np.linspace(5.0, 9.0, len(box_modes.frequencies_hz))
-    found = modal_response(box_modes, source, mic, damping, n_samples, FS_HZ)
+    response = modal_response(box_modes, source, mic, damping, n_samples, FS_HZ)
     without = modal_response(box_modes, source, mic, damping * np.where(np.arange(len(damping)) == 30, 1e9, 1.0),
                              n_samples, FS_HZ)
     time_s, omega = np.arange(n_samples) / FS_HZ, 2.0 * np.pi * box_modes.frequencies_hz[30]
     level = C ** 2 / BOX.volume_m3 / FS_HZ * box_modes.shapes(source)[30] * box_modes.shapes(mic)[30]
     sine = level * np.exp(-damping[30] * time_s) * np.sin(omega * time_s) / omega
     expected = sosfilt(butter(2, HIGHPASS_HZ, "highpass", fs=FS_HZ, output="sos"), sine)
-    np.testing.assert_allclose(found - without, expected, atol=1e-9 * np.abs(level / omega))
+    np.testing.assert_allclose(response - without, expected, atol=1e-9 * np.abs(level / omega))
 
 
-def test_a_response_has_no_constant_part(box_modes):
+def test_response_has_no_constant_part(box_modes):
     rir = modal_response(box_modes, (1.0, 1.2, 1.1), (4.0, 3.0, 1.6), 7.0, 2 * FS_HZ, FS_HZ)
     spectrum = np.abs(np.fft.rfft(rir))
     assert spectrum[0] < 1e-3 * spectrum.max()
     assert np.sum(rir[-FS_HZ // 10:] ** 2) < 1e-8 * np.sum(rir ** 2)
 
 
-def test_shapes_of_a_shoebox_are_normalised(box_modes):
+def test_shoebox_mode_shapes_are_normalised(box_modes):
     grid = [(np.arange(40) + 0.5) / 40 * size for size in DIMS_M]
     index = box_modes.shapes.index
     chosen = [0, 5, 40, len(index) - 1]
@@ -123,14 +123,14 @@ def test_shapes_of_a_shoebox_are_normalised(box_modes):
     np.testing.assert_allclose(squares, 1.0, atol=0.02)
 
 
-def test_damping_follows_the_bands():
+def test_damping_interpolates_between_bands():
     t60_s = np.array([1.0, 0.8, 0.5, 0.5, 0.5, 0.5, 0.4, 0.3])
-    found = damping_per_s([10.0, 63.0957, 125.8925, 90.0], t60_s)
-    np.testing.assert_allclose(found[:3], 3.0 * np.log(10.0) / np.array([1.0, 1.0, 0.8]), rtol=1e-4)
-    assert found[1] < found[3] < found[2]
+    damping = damping_per_s([10.0, 63.0957, 125.8925, 90.0], t60_s)
+    np.testing.assert_allclose(damping[:3], 3.0 * np.log(10.0) / np.array([1.0, 1.0, 0.8]), rtol=1e-4)
+    assert damping[1] < damping[3] < damping[2]
 
 
-def test_voxels_of_a_box_have_its_frequencies(mesh_modes):
+def test_voxels_of_a_box_have_its_eigenfrequencies(mesh_modes):
     exact = modes(BOX, 320.0, C).frequencies_hz
     n_modes = len(mesh_modes.frequencies_hz)
     assert n_modes == pytest.approx(np.sum(exact <= 300.0), abs=4)
@@ -138,7 +138,7 @@ def test_voxels_of_a_box_have_its_frequencies(mesh_modes):
 
 
 def test_voxels_of_a_box_give_its_response(mesh_modes):
-    """Levels below 200 Hz, where modes are not so close that their order matters."""
+    """Levels agree below 200 Hz, where modes are so far apart that their order is the same."""
     rng = np.random.default_rng(2)
     exact = modes(BOX, 300.0, C)
     differences = []
@@ -149,7 +149,7 @@ def test_voxels_of_a_box_give_its_response(mesh_modes):
     assert np.sqrt(np.mean(np.square(differences))) < 1.0
 
 
-def test_voxel_shapes_are_normalised_and_reach_the_walls(mesh_modes):
+def test_voxel_mode_shapes_are_normalised_up_to_the_walls(mesh_modes):
     shapes = mesh_modes.shapes
     np.testing.assert_allclose(np.mean(shapes.values ** 2, axis=0), 1.0, rtol=1e-4)
     middle = shapes.origin_m + (np.array([3, 4, 2]) + 0.5) * shapes.size_m
@@ -158,8 +158,8 @@ def test_voxel_shapes_are_normalised_and_reach_the_walls(mesh_modes):
     np.testing.assert_allclose(corner, shapes.values[shapes.number[0, 0, 0]], atol=1e-5)
 
 
-def test_an_l_converges_with_the_size_of_voxels():
-    """And it has the mode of its height."""
+def test_modes_of_an_l_shape_converge_with_voxel_size():
+    """The modes include that of the room's height."""
     room = make_room(*l_triangles())
     k = [voxel_modes(room, 2.0 * np.pi * 100.0 / C, per_wavelength)[0][:12] for per_wavelength in (6.0, 12.0, 24.0)]
     errors = [np.abs(row / k[2] - 1.0).max() for row in k[:2]]
@@ -167,49 +167,49 @@ def test_an_l_converges_with_the_size_of_voxels():
     np.testing.assert_allclose(np.abs(k[2] / (np.pi / L_HEIGHT_M) - 1.0).min(), 0.0, atol=1e-3)
 
 
-def test_a_wall_thinner_than_a_voxel_holds():
-    """A plate from wall to wall but for a gap: the lowest mode is that of a longer way, and both sides differ."""
+def test_wall_thinner_than_a_voxel_separates():
+    """Around a plate with a gap, sound takes a longer path in the lowest mode, and both sides have opposite signs."""
     dims_m, plate = (6.0, 3.0, 3.0), box_triangles((0.02, 2.0, 3.0 - 2e-3), (3.0, 1e-3, 1e-3))
     room = make_room(np.concatenate([box_triangles(dims_m), plate]), ["wall"] * 24)
-    found = modes(room, 150.0, C)
+    room_modes = modes(room, 150.0, C)
     free_hz = C / 12.0
-    assert found.frequencies_hz[0] < 0.9 * free_hz
-    left, right = (found.shapes((3.01 + side * 0.05, 1.0, 1.5))[0] for side in (-1.0, 1.0))
+    assert room_modes.frequencies_hz[0] < 0.9 * free_hz
+    left, right = (room_modes.shapes((3.01 + side * 0.05, 1.0, 1.5))[0] for side in (-1.0, 1.0))
     assert left * right < 0.0 and min(abs(left), abs(right)) > 0.3
 
 
-def test_furniture_changes_a_room_little():
+def test_furniture_shifts_eigenfrequencies_little():
     room = make_room(*furnished_triangles())
-    found = modes(room, 80.0, C).frequencies_hz
-    bare = modes(Shoebox(FURNISHED_M), 80.0, C).frequencies_hz
-    np.testing.assert_allclose(found[:5], bare[:5], rtol=0.02)
+    furnished_hz = modes(room, 80.0, C).frequencies_hz
+    bare_hz = modes(Shoebox(FURNISHED_M), 80.0, C).frequencies_hz
+    np.testing.assert_allclose(furnished_hz[:5], bare_hz[:5], rtol=0.02)
 
 
-def test_too_many_voxels_are_refused():
+def test_too_many_voxels_raise_value_error():
     with pytest.raises(ValueError, match="voxels and may have"):
         modes(make_room(box_triangles((40.0, 30.0, 10.0)), ["wall"] * 12), 300.0, C)
 
 
-def test_the_crossover_is_the_schroeder_frequency_within_its_limits():
+def test_crossover_is_the_limited_schroeder_frequency():
     big = Shoebox((12.0, 8.0, 4.0))
     assert crossover_hz(big, [1.0] * 8, C) == pytest.approx(2000.0 * np.sqrt(1.0 / 384.0), rel=1e-3)
     assert crossover_hz(Shoebox((3.0, 2.5, 2.4)), [1.0] * 8, C) == MAX_CROSSOVER_HZ
     falling = crossover_hz(big, [4.0, 2.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5], C)
     assert crossover_hz(big, [0.5] * 8, C) < falling < crossover_hz(big, [2.0] * 8, C)
     mesh = make_room(box_triangles(big.dims_m), ["wall"] * 12)
-    for room, t60_s, most in ((mesh, 4.0, MAX_MESH_MODES), (big, 9.0, MAX_MODES)):
-        found_hz = crossover_hz(room, [t60_s] * 8, C)
-        assert found_hz < 2000.0 * np.sqrt(t60_s / 384.0)
-        assert mode_count(room, 2.0 * np.pi * MARGIN * found_hz / C) == pytest.approx(most, rel=1e-3)
+    for room, t60_s, max_modes in ((mesh, 4.0, MAX_MESH_MODES), (big, 9.0, MAX_MODES)):
+        limited_hz = crossover_hz(room, [t60_s] * 8, C)
+        assert limited_hz < 2000.0 * np.sqrt(t60_s / 384.0)
+        assert mode_count(room, 2.0 * np.pi * MARGIN * limited_hz / C) == pytest.approx(max_modes, rel=1e-3)
 
 
-def test_a_response_crossed_over_with_itself_is_itself():
+def test_response_crossed_over_with_itself_is_unchanged():
     rir = np.random.default_rng(0).standard_normal(5000)
     np.testing.assert_allclose(cross_over(rir, rir, FS_HZ, 150.0), rir, atol=1e-12)
 
 
 @pytest.mark.parametrize("frequency_hz", [80.0, 200.0])
-def test_neither_notch_nor_bump_where_responses_don_t_resemble_each_other(frequency_hz):
+def test_crossover_keeps_the_energy_of_unrelated_responses(frequency_hz):
     rng = np.random.default_rng(1)
     thirds_hz = frequency_hz * 2.0 ** (np.arange(-6, 7) / 3.0)
     change_db = np.zeros(len(thirds_hz))
@@ -221,7 +221,7 @@ def test_neither_notch_nor_bump_where_responses_don_t_resemble_each_other(freque
     assert np.abs(change_db).max() < 0.5
 
 
-def test_each_side_keeps_to_its_side():
+def test_crossover_suppresses_each_response_beyond_it():
     pulse, nothing = np.zeros(FS_HZ), np.zeros(FS_HZ)
     pulse[4000] = 1.0
     for low, high, kept_hz, gone_hz in ((pulse, nothing, 70.0, 240.0), (nothing, pulse, 240.0, 70.0)):
@@ -229,8 +229,8 @@ def test_each_side_keeps_to_its_side():
         assert level_db[0] == pytest.approx(0.0, abs=0.1) and level_db[1] < -40.0
 
 
-def test_modes_have_the_level_of_a_diffuse_field(box_modes):
-    """Energy ``c / (8 pi V d)`` on average over the room, and what there is more of it at its walls (Waterhouse)."""
+def test_modes_have_the_mean_level_of_a_diffuse_field(box_modes):
+    """The mean energy is ``c / (8 pi V d)``, increased by the excess at the walls (Waterhouse)."""
     rng, damping = np.random.default_rng(3), 3.0 * np.log(10.0) / 0.6
     edges_hz = np.array([[140.0, 178.0], [178.0, 224.0], [140.0, 280.0]])
     energy, n_pairs = np.zeros(len(edges_hz)), 150
@@ -243,7 +243,7 @@ def test_modes_have_the_level_of_a_diffuse_field(box_modes):
     np.testing.assert_allclose(10.0 * np.log10(energy / (diffuse * at_walls)), 0.0, atol=1.0)
 
 
-def test_nothing_is_changed_before_the_direct_sound():
+def test_crossover_changes_nothing_before_the_direct_sound():
     high, low = np.zeros((2, FS_HZ))
     high[800], low[1000] = 1.0, 1.0
     crossed = cross_over(low, high, FS_HZ, 60.0, 800 / FS_HZ)

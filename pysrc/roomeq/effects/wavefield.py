@@ -37,7 +37,7 @@ MAX_MESH_MODES = 300  # of a mesh, where finding them takes seconds
 MARGIN = 1.5  # highest mode over the crossover frequency: modes above the crossover contribute below it
 CROSSOVER_OCTAVES = 1.0
 HIGHPASS_HZ = 15.0  # without it, the static pressure of a closed room never decays
-_GUARD_S = 0.06  # the filters of the crossover ring for this time
+_RINGING_S = 0.06  # the filters of the crossover ring for this time
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +219,7 @@ def cross_over(low: FloatArray, high: FloatArray, fs_hz: float, frequency_hz: fl
     -------
     rir : ndarray, shape (n_high,)
     """
-    n_samples, guard = len(high), int(_GUARD_S * fs_hz)
+    n_samples, guard = len(high), int(_RINGING_S * fs_hz)
     n_fft = next_fast_len(n_samples + 2 * guard, real=True)
     octaves = np.log2(np.maximum(rfftfreq(n_fft, 1.0 / fs_hz), 1e-3) / frequency_hz) / CROSSOVER_OCTAVES
     angle = 0.5 * np.pi * np.sin(0.5 * np.pi * np.clip(octaves + 0.5, 0.0, 1.0)) ** 2

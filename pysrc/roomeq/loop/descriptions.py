@@ -108,8 +108,9 @@ _EFFECTS: dict[str, Callable[[_Best, _Values], str]] = {
         f"{values['humidity_pct'][0]:.0f} % humidity"),
     "sound_speed": lambda best, values: f"sound is as fast as at {values['temperature_c'][0]:.0f} \N{DEGREE SIGN}C",
     "source_directivity": lambda best, values: (
-        f"beams like a membrane of radius {_over(100.0 * values['radius_m'] * np.sin(values['cap_rad']), '.0f', 'cm')} "
-        f"in a cabinet of radius {_over(100.0 * values['radius_m'], '.0f', 'cm')}"),
+        "radiates like a membrane of radius "
+        f"{_over(100.0 * values['radius_m'] * np.sin(values['cap_rad']), '.0f', 'cm')} in a cabinet of radius "
+        f"{_over(100.0 * values['radius_m'], '.0f', 'cm')}"),
     "room_modes": lambda best, values: (
         f"up to {values['up_to_hz'][0]:.0f} Hz rooms answer at their own frequencies"),
     "near_reflector": lambda best, values: (

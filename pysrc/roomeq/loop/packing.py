@@ -25,7 +25,7 @@ from roomeq.effects.base import Effect
 from roomeq.effects.prediction import PredictionState
 from roomeq.loop.data import Data
 from roomeq.loop.features import HAS_GAIN, N_FEATURES
-from roomeq.loop.predict import N_BANDS, Reflected, base_state, predict
+from roomeq.loop.predict import N_BANDS, ReflectedEnergy, base_state, predict
 
 OWN_SCOPES = ("room", "rir")
 """Scopes of effects whose vectors belong to one room alone."""
@@ -161,7 +161,7 @@ class ParameterIndex:
         return state
 
     def predict(self, absorption: FloatArray, vectors: list[FloatArray], gains: FloatArray,
-                correction: FloatArray | float, reflected: Reflected | None = None) -> FloatArray:
+                correction: FloatArray | float, reflected: ReflectedEnergy | None = None) -> FloatArray:
         """Return predicted features, shape (n_rirs, n_features); `reflected` as for `roomeq.loop.predict.predict`."""
         return predict(self.data, self.state(absorption, vectors), reflected) + correction + np.outer(gains, HAS_GAIN)
 
@@ -180,7 +180,7 @@ class ParameterIndex:
         """
         absorption, vectors = self.absorption(mean, local), self.vectors(mean, local)
         gains = self.gains(local)
-        reflected = Reflected(self.data, self.state(absorption, vectors))
+        reflected = ReflectedEnergy(self.data, self.state(absorption, vectors))
         centre = self.predict(absorption, vectors, gains, correction, reflected)
         if by_surface is None:
             by_surface = np.empty((*centre.shape, N_SURFACE))

@@ -93,7 +93,7 @@ def reflected_energy(data: Data, state: PredictionState) -> FloatArray:
     return energy
 
 
-class Reflected:
+class ReflectedEnergy:
     """Energy of all but the direct sound, as features need it; states that differ only in other things share it.
 
     Attributes
@@ -118,14 +118,14 @@ class Reflected:
         return self._times_s
 
 
-def predict(data: Data, state: PredictionState, reflected: Reflected | None = None) -> FloatArray:
+def predict(data: Data, state: PredictionState, reflected: ReflectedEnergy | None = None) -> FloatArray:
     """Predict the features of every RIR, without the gains of the recordings.
 
     Parameters
     ----------
     data : roomeq.loop.data.Data
     state : PredictionState
-    reflected : Reflected, optional
+    reflected : ReflectedEnergy, optional
         Of the state, where it is known.
 
     Returns
@@ -133,7 +133,7 @@ def predict(data: Data, state: PredictionState, reflected: Reflected | None = No
     ndarray, shape (n_rirs, n_features)
         In JND.
     """
-    reflected = Reflected(data, state) if reflected is None else reflected
+    reflected = ReflectedEnergy(data, state) if reflected is None else reflected
     near, early, late, whole = reflected.near, reflected.early, reflected.late, reflected.whole
     visible = np.array([table.visible for table in data.tables], dtype=float)
     direct = (visible / (4.0 * np.pi * data.distance_m) ** 2)[:, None] * state.direct_gain * np.exp(
