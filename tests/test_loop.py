@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rirmaker import DIRECT, coloured_rir
-from roomeq.acoustics.iso3382 import octave_bands
+from roomeq.acoustics.octaves import octave_bands
 from roomeq.cli import main
 from roomeq.core.constants import FS_HZ
 from roomeq.core.files import read_json

@@ -3,15 +3,9 @@
 import numpy as np
 import pytest
 
-from roomeq.acoustics.iso3382 import (
-    all_metrics,
-    decay_time,
-    energy_decay,
-    find_noise_intersection,
-    octave_bands,
-    octave_gains,
-    reverberation_time,
-)
+from roomeq.acoustics.iso3382 import all_metrics, decay_time, energy_decay, reverberation_time
+from roomeq.acoustics.noise_intersection import find_noise_intersection
+from roomeq.acoustics.octaves import octave_bands, octave_gains
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 
 DIRECT = 320

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from roomeq.acoustics.iso3382 import all_metrics, octave_bands
+from roomeq.acoustics.iso3382 import all_metrics
+from roomeq.acoustics.octaves import octave_bands
 from testbed.draws import C0, FS_HZ
 
 TOUCHED_JND = 0.25  # a smaller change doesn't count as one

@@ -3,7 +3,9 @@
 from functools import cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import EXACT_BANDS_HZ
 
 PRESSURE_KPA = 101.325
@@ -14,38 +16,41 @@ _TRIPLE_POINT_K = 273.16
 _DB_PER_NEPER = 10.0 / np.log(10.0)
 
 
-def speed_of_sound_m_s(temperature_c):
-    """Speed of sound in air [m/s]: ``343.2 sqrt(T / 293.15 K)`` (ISO 9613-1, eq. 3.1 and annex A).
+def speed_of_sound_m_s(temperature_c: float) -> float:
+    """Return the speed of sound in air [m/s], ``343.2 sqrt(T / 293.15 K)`` (ISO 9613-1, eq. 3.1 and annex A).
 
     Parameters
     ----------
-    temperature_c : float
+    temperature_c
         Temperature [degrees Celsius].
     """
     return 343.2 * float(np.sqrt((temperature_c + _KELVIN) / _REFERENCE_K))
 
 
-def air_absorption_db_m(frequencies_hz, temperature_c=20.0, humidity_pct=50.0, pressure_kpa=PRESSURE_KPA):
-    """Attenuation of pure tones in air (ISO 9613-1, eq. 3 to 5 and B.1 to B.3).
+def air_absorption_db_m(frequencies_hz: ArrayLike, temperature_c: float = 20.0, humidity_pct: float = 50.0,
+                        pressure_kpa: float = PRESSURE_KPA) -> FloatArray:
+    """Return the attenuation of pure tones in air (ISO 9613-1, eq. 3 to 5 and B.1 to B.3).
 
     Parameters
     ----------
-    frequencies_hz : array_like
-    temperature_c : float
+    frequencies_hz
+        Any shape.
+    temperature_c
         -20 to 50 degrees Celsius.
-    humidity_pct : float
+    humidity_pct
         Relative humidity, 0 to 100 %.
-    pressure_kpa : float
+    pressure_kpa
+        Atmospheric pressure, 10 to 200 kPa.
 
     Returns
     -------
-    attenuation_db_m : ndarray
-        dB per metre, of the shape of `frequencies_hz`.
+    ndarray, shape of `frequencies_hz`
+        Attenuation [dB/m].
 
     Raises
     ------
     ValueError
-        Temperature, humidity or pressure out of range.
+        Temperature, humidity or pressure is out of range.
     """
     _check_air(temperature_c, humidity_pct, pressure_kpa)
     frequency = np.asarray(frequencies_hz, dtype=np.float64)
@@ -64,13 +69,13 @@ def air_absorption_db_m(frequencies_hz, temperature_c=20.0, humidity_pct=50.0, p
 
 
 @cache
-def band_attenuation_per_m(temperature_c=20.0, humidity_pct=50.0):
-    """Energy attenuation of the eight octave bands: ``p^2 ~ exp(-m d)``, at the exact mid-band frequencies.
+def band_attenuation_per_m(temperature_c: float = 20.0, humidity_pct: float = 50.0) -> tuple[float, ...]:
+    """Return the energy attenuation of the eight octave bands, at their exact mid-band frequencies.
 
     Returns
     -------
     tuple of 8 floats
-        m [1/m].
+        The m [1/m] in ``p^2 ~ exp(-m d)`` over a distance d.
 
     Raises
     ------
@@ -81,7 +86,7 @@ def band_attenuation_per_m(temperature_c=20.0, humidity_pct=50.0):
     return tuple(float(value) for value in attenuation)
 
 
-def _check_air(temperature_c, humidity_pct, pressure_kpa):
+def _check_air(temperature_c: float, humidity_pct: float, pressure_kpa: float) -> None:
     low, high = TEMPERATURE_RANGE_C
     if not low <= temperature_c <= high:
         raise ValueError(f"temperature_c={temperature_c:g} must lie in [{low:g}, {high:g}] (ISO 9613-1): "

@@ -1,49 +1,66 @@
-"""Where the direct sound of an impulse response arrives, and with which sign.
+"""Arrival time and polarity of the direct sound of an impulse response.
 
-Everything here works on ``|h|``, so that an inverted loudspeaker or microphone changes the polarity that is
-reported and nothing else.
+Detection works on ``|h|``: an inverted loudspeaker or microphone changes the reported polarity and nothing else.
 """
 
-import numpy as np
+from typing import NamedTuple
 
-ONSET_FRACTION = 0.1  # of the peak: ISO 3382-1 starts where the level has risen to 20 dB below the maximum
+import numpy as np
+from numpy.typing import ArrayLike
+
+from roomeq.core.arrays import FloatArray
+
+ONSET_FRACTION = 0.1  # of the peak: ISO 3382-1 starts where the level comes within 20 dB of the maximum
 NOISE_FACTOR = 6.0  # stationary noise of any length here stays below 5.5 times its standard deviation
 CLIMB_S = 0.5e-3  # a larger peak this soon belongs to the same arrival (17 cm of detour)
 CLIMB_RATIO = 2.0**0.5  # ... if it is 3 dB larger: steps over the pre-ringing of band-limited responses
 SINC_HALF_SAMPLES = 16
 
 
-def find_direct(rir, fs_hz, expected_sample=None, *, search_s=1e-3):
-    """Find the direct sound: the first arrival, which need not be the strongest one.
+class DirectSound(NamedTuple):
+    """The direct sound of an impulse response.
+
+    Attributes
+    ----------
+    sample
+        Arrival [samples], with its fraction.
+    polarity
+        +1 or -1.
+    """
+
+    sample: float
+    polarity: int
+
+
+def find_direct(rir: ArrayLike, fs_hz: float, expected_sample: float | None = None, *,
+                search_s: float = 1e-3) -> DirectSound:
+    """Find the direct sound: the first arrival, which need not be the strongest.
 
     The onset is the first local maximum of ``|h|`` that reaches a tenth of the maximum (20 dB, ISO 3382-1:2009,
-    5.3.3) and stands clear of the noise floor. From there the search climbs to a peak that is at least 3 dB
-    larger and at most 0.5 ms later, and again: sinc pre-ringing is stepped over, a stronger first
-    reflection is not reached. The peak's position is refined by band-limited (sinc) interpolation.
+    5.3.3) and exceeds the noise floor. From there the search moves to a peak that is at least 3 dB larger and at
+    most 0.5 ms later, and repeats: this skips sinc pre-ringing and stops before a stronger first reflection. The
+    position of the peak is refined by band-limited (sinc) interpolation.
 
     Parameters
     ----------
-    rir : array_like, shape (n_samples,)
-        Impulse response, any scale.
-    fs_hz : float
-        Sampling rate [Hz].
-    expected_sample : float, optional
-        Where geometry puts the direct sound; only `search_s` around it is searched, and the tenth is one of
-        the maximum found there, so that an obstructed direct sound is found below its reflections.
-    search_s : float, optional
-        Half width of that search [s].
+    rir
+        Impulse response of any scale, shape (n_samples,).
+    fs_hz
+        Sample rate.
+    expected_sample
+        Arrival by geometry. Only `search_s` around it is searched, and the threshold is a tenth of the maximum in
+        that range, so that an obstructed direct sound below its reflections is found.
+    search_s
+        Half width of that range [s].
 
     Returns
     -------
-    sample : float
-        Arrival of the direct sound [samples], with a fraction.
-    polarity : int
-        +1 or -1, the sign of the direct sound.
+    DirectSound
 
     Raises
     ------
     ValueError
-        The response is empty, not mono, silent, not finite, or nothing in it stands out of its noise.
+        The response is empty, not mono, silent or not finite, or nothing in it exceeds its noise.
     """
     h = _checked(rir)
     magnitude = np.abs(h)
@@ -63,11 +80,11 @@ def find_direct(rir, fs_hz, expected_sample=None, *, search_s=1e-3):
                          f"{NOISE_FACTOR:g} times its noise, {noise / NOISE_FACTOR:.3g}: record it again")
     peak = first + _climb(window, int(reaches[0]), max(1, round(CLIMB_S * fs_hz)))
     polarity = 1 if h[peak] > 0 else -1
-    return _refine(polarity * h, peak), polarity
+    return DirectSound(_refine(polarity * h, peak), polarity)
 
 
-def _checked(rir):
-    """Return the response as float64, or say what is wrong with it."""
+def _checked(rir: ArrayLike) -> FloatArray:
+    """Return the response as float64; raise ValueError if it cannot hold a direct sound."""
     h = np.asarray(rir, dtype=np.float64)
     if h.ndim != 1:
         raise ValueError(f"impulse response has shape {h.shape}: must be mono, one axis: choose one channel")
@@ -81,10 +98,10 @@ def _checked(rir):
     return h
 
 
-def _quietest_rms(h, fs_hz):
-    """RMS of the quieter frames (20 ms, 10th percentile), which is the noise floor where there is one.
+def _quietest_rms(h: FloatArray, fs_hz: float) -> float:
+    """Return the RMS of the quieter frames (20 ms, 10th percentile): the noise floor where there is one.
 
-    Digital silence (padding before the sound, or after) tells nothing about the noise and is left out.
+    Digital silence is padding before or after the sound; it is excluded.
     """
     n_frame = max(1, round(0.02 * fs_hz))
     n_frames = len(h) // n_frame
@@ -95,8 +112,8 @@ def _quietest_rms(h, fs_hz):
     return float(np.sqrt(np.percentile(power, 10))) if len(power) >= 4 else 0.0
 
 
-def _climb(magnitude, start, reach):
-    """Climb from an onset to the peak of its arrival; see `find_direct`."""
+def _climb(magnitude: FloatArray, start: int, reach: int) -> int:
+    """Return the peak of the arrival that begins with an onset; see `find_direct`."""
     peak = _local_maximum(magnitude, start)
     while True:
         later = magnitude[peak + 1:peak + 1 + reach]
@@ -106,15 +123,15 @@ def _climb(magnitude, start, reach):
         peak = _local_maximum(magnitude, peak + 1 + int(larger[0]))
 
 
-def _local_maximum(magnitude, start):
-    """First sample from `start` on that its successor does not exceed."""
+def _local_maximum(magnitude: FloatArray, start: int) -> int:
+    """Return the first sample from `start` on that its successor does not exceed."""
     while start + 1 < len(magnitude) and magnitude[start + 1] > magnitude[start]:
         start += 1
     return start
 
 
-def _refine(h, peak):
-    """Peak position between the samples, by a Hann-windowed sinc around it and a parabola on the fine grid."""
+def _refine(h: FloatArray, peak: int) -> float:
+    """Return the position of a peak between samples, by a Hann-windowed sinc and a parabola on its fine grid."""
     offsets = np.linspace(-1.0, 1.0, 41)
     index = np.arange(peak - SINC_HALF_SAMPLES, peak + SINC_HALF_SAMPLES + 1)
     inside = (index >= 0) & (index < len(h))

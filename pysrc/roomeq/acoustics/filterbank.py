@@ -1,9 +1,10 @@
-"""Zero-phase octave filter bank whose bands add up to one: what a simulated response is put together with."""
+"""Zero-phase octave filter bank whose gains add up to one: it merges the bands of a simulated response."""
 
 from functools import lru_cache
 
 import numpy as np
 
+from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import EXACT_BANDS_HZ
 
 SPREAD_S = 0.06
@@ -13,22 +14,23 @@ MIN_CROSSOVER_HZ = 62.0  # a narrower crossover would spread a pulse over more t
 
 
 @lru_cache(maxsize=32)
-def octave_filterbank(n_fft, fs_hz):
-    """Amplitude responses of the eight complementary octave bands.
+def octave_filterbank(n_fft: int, fs_hz: float) -> FloatArray:
+    """Return the amplitude responses of the eight complementary octave bands.
 
     Neighbouring bands cross at the edge between them, where their gains are ``cos^2`` and ``sin^2`` of log
     frequency and add up to exactly one. The crossover is a third of an octave wide, at low frequencies more. The
-    lowest band takes everything below, the highest everything above.
+    lowest band holds everything below, the highest everything above.
 
     Parameters
     ----------
-    n_fft : int
+    n_fft
         Length of the transform.
-    fs_hz : float
+    fs_hz
+        Sample rate.
 
     Returns
     -------
-    gains : ndarray, shape (8, n_fft // 2 + 1)
+    ndarray, shape (8, n_fft // 2 + 1)
         Read-only.
     """
     frequency = np.maximum(np.fft.rfftfreq(n_fft, 1.0 / fs_hz), 1e-3)

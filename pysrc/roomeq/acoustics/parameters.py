@@ -1,45 +1,52 @@
-"""The acoustic parameters of an RIR: everything that is measured on it, as its row in `rirs.jsonl` holds it."""
+"""The acoustic parameters of an RIR: all that is measured on it, as its row in `rirs.jsonl` stores it.
+
+Decay times and level ratios come from `roomeq.acoustics.iso3382`, whose docstring says why they are not taken from
+pyrato, and the EQ from `roomeq.acoustics.subband_eq`.
+"""
 
 import math
+from typing import Any
 
-from roomeq.acoustics.direct import find_direct
+from roomeq.acoustics.direct import DirectSound, find_direct
 from roomeq.acoustics.iso3382 import all_metrics
 from roomeq.acoustics.subband_eq import analyse
+from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import FS_HZ
 
 _DECIMALS = 4
 
 
-def measure(rir, *, direct=None):
-    """Measure the acoustic parameters of one RIR at 16 kHz.
+def measure(rir: FloatArray, *, direct: DirectSound | tuple[float, int] | None = None) -> dict[str, Any]:
+    """Measure the acoustic parameters of an RIR at 16 kHz.
 
     Parameters
     ----------
-    rir : ndarray, shape (n_samples,)
-    direct : tuple of (float, int), optional
-        Sample and polarity of the direct sound where they are known (simulated RIRs); else they are found.
+    rir
+        Shape (n_samples,).
+    direct
+        Sample and polarity of the direct sound if they are known, as for simulated RIRs; by default they are found.
 
     Returns
     -------
     dict
-        JSON-able. `roomeq.acoustics.iso3382.all_metrics` plus `eq_db` (8 points, relative to 1 kHz),
-        `eq_valid`, `eq_snr_db` (null: no noise seen) and `eq_edge_db` (level below an anti-alias roll-off that
-        takes the 8 kHz point, or null).
+        JSON-able. `roomeq.acoustics.iso3382.all_metrics` plus `eq_db` (8 points, relative to 1 kHz), `eq_valid`,
+        `eq_snr_db` (null: no noise seen) and `eq_edge_db` (level below an anti-alias roll-off that makes the 8 kHz
+        point invalid, or null).
 
     Raises
     ------
     ValueError
-        There is no direct sound, or it lies behind the end of the response.
+        There is no direct sound, or it lies after the end of the response.
     """
     sample, polarity = find_direct(rir, FS_HZ) if direct is None else direct
     eq = analyse(rir, sample)
     parameters = all_metrics(rir, FS_HZ, sample, polarity)
     parameters.update(eq_db=eq.eq_db.tolist(), eq_valid=eq.valid.tolist(), eq_edge_db=eq.edge_db,
-                    eq_snr_db=[value if math.isfinite(value) else None for value in eq.snr_db.tolist()])
+                      eq_snr_db=[value if math.isfinite(value) else None for value in eq.snr_db.tolist()])
     return {key: _rounded(value) for key, value in parameters.items()}
 
 
-def _rounded(value):
+def _rounded(value: Any) -> Any:
     if isinstance(value, list):
         return [_rounded(item) for item in value]
     return round(value, _DECIMALS) if isinstance(value, float) else value

@@ -1,4 +1,4 @@
-"""The sub-band EQ of an impulse response: its level at eight frequencies, relative to 1 kHz.
+"""Sub-band EQ of an impulse response: its level at eight frequencies, relative to 1 kHz.
 
 Tang, Meng, Manocha, "Low-frequency compensated synthetic impulse responses", section 3.1: "the Fourier transform with a
 window size of 512" of the whole response. Here that is the power spectrum of the response from 16 ms before the direct
@@ -12,63 +12,73 @@ At 16 kHz the bins are 31.25 Hz apart and the eight points are bins 2, 4, 8, ...
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from roomeq.acoustics.decibels import power_db
-from roomeq.acoustics.iso3382 import find_noise_intersection
+from roomeq.acoustics.noise_intersection import find_noise_intersection
+from roomeq.core.arrays import BoolArray, FloatArray
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 
 N_FRAME = 512
 N_HOP = 128
-N_LEAD = 256  # samples before the direct sound that belong to the response: its onset is known to a few samples only
+N_LEAD = 256  # samples before the direct sound that are included: its onset is known to within a few samples only
 POINT_BINS = tuple(round(f * N_FRAME / FS_HZ) for f in BANDS_HZ)
-MIN_SNR_DB = 10.0  # at a point: less noise than that adds at most 0.4 dB
+MIN_SNR_DB = 10.0  # at a point: noise adds at most 0.4 dB
 MIN_NOISE = 2 * N_FRAME  # samples after the noise intersection from which the noise spectrum is estimated
-PASS_HZ = (6500.0, 7250.0)  # anti-alias filters still pass here ...
-ROLL_OFF_HZ = 7900.0  # ... and no longer from here up
-ROLL_OFF_DB = 20.0  # 100 dB per octave between the two: steeper than any loudspeaker, and than chance in a few bins
+PASS_HZ = (6500.0, 7250.0)  # pass band of anti-alias filters
+ROLL_OFF_HZ = 7900.0  # their stop band begins here
+ROLL_OFF_DB = 20.0  # 100 dB per octave between the two: steeper than loudspeakers, and than the scatter of a few bins
 _WINDOW = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N_FRAME) / N_FRAME)
-_WEIGHT = np.sum(_WINDOW ** 2) / N_HOP  # that each sample has in the sum over frames
+_WEIGHT = np.sum(_WINDOW ** 2) / N_HOP  # of each sample in the sum over frames
 
 
 @dataclass(frozen=True)
 class EqAnalysis:
-    """What `analyse` finds at the eight EQ points.
+    """The EQ of a response at the eight points, each array of shape (8,).
 
     Attributes
     ----------
-    level_db : ndarray, shape (8,)
+    level_db
         Energy, relative to that of a unit impulse.
-    eq_db : ndarray, shape (8,)
+    eq_db
         The same relative to 1 kHz.
-    valid : ndarray of bool, shape (8,)
-        The point stands 10 dB above the noise, as does 1 kHz, and (8 kHz) is no anti-alias filter's stop band.
-    snr_db : ndarray, shape (8,)
-        Signal to noise at the points; infinite where the response ends above its noise.
-    edge_db : float or None
-        EQ just below an anti-alias roll-off at 8 kHz (6.5 to 7.25 kHz); None where there is no roll-off.
+    valid
+        Whether the point and 1 kHz lie at least 10 dB above the noise, and 8 kHz is not in the stop band of an
+        anti-alias filter.
+    snr_db
+        Signal-to-noise ratio; infinite if the response ends above its noise.
+    edge_db
+        EQ just below an anti-alias roll-off at 8 kHz (6.5 to 7.25 kHz); None if there is no roll-off.
     """
 
-    level_db: np.ndarray
-    eq_db: np.ndarray
-    valid: np.ndarray
-    snr_db: np.ndarray
+    level_db: FloatArray
+    eq_db: FloatArray
+    valid: BoolArray
+    snr_db: FloatArray
     edge_db: float | None
 
 
-def energy_spectrum(part):
-    """Energy spectrum of a part of a response, each sample weighted alike; see this module's docstring.
+class EqPart(NamedTuple):
+    """Range of samples of a response that its EQ is measured on."""
+
+    start: int
+    stop: int
+
+
+def energy_spectrum(part: FloatArray) -> FloatArray:
+    """Return the energy spectrum of a part of a response with equal weight for each sample; see the module docstring.
 
     Parameters
     ----------
-    part : ndarray, shape (n_samples,)
-        Of any length.
+    part
+        Shape (n_samples,), of any length.
 
     Returns
     -------
-    energy : ndarray, shape (257,)
-        At multiples of 31.25 Hz; a unit impulse gives 1 everywhere. The mean over all 512 bins of the two-sided
+    ndarray, shape (257,)
+        Energy at multiples of 31.25 Hz; 1 everywhere for a unit impulse. The mean over all 512 bins of the two-sided
         spectrum is the energy of the part (Parseval).
     """
     n_frames = -(-(len(part) + N_FRAME - N_HOP) // N_HOP)
@@ -78,16 +88,16 @@ def energy_spectrum(part):
     return np.sum(np.abs(np.fft.rfft(frames * _WINDOW, axis=1)) ** 2, axis=0) / _WEIGHT
 
 
-def eq_part(rir, direct_sample):
-    """Part of a response that its EQ is measured on, (start, stop) [samples].
+def eq_part(rir: FloatArray, direct_sample: float) -> EqPart:
+    """Return the range of samples that the EQ of a response is measured on.
 
-    From 16 ms before the direct sound to the noise intersection point, or to the last sample that is not zero; at least
-    a frame where the response has one.
+    It extends from 16 ms before the direct sound to the noise intersection point, or to the last non-zero sample, and
+    holds at least one frame if the response does.
 
     Raises
     ------
     ValueError
-        The direct sound lies behind the end of the response.
+        The direct sound lies after the end of the response.
     """
     direct = max(0, round(direct_sample))
     occupied = np.flatnonzero(rir)
@@ -97,16 +107,17 @@ def eq_part(rir, direct_sample):
                          "find it again")
     start = max(0, direct - N_LEAD)
     stop = direct + find_noise_intersection(np.square(rir[direct:last], dtype=np.float64), FS_HZ).sample
-    return start, min(max(stop, start + N_FRAME), len(rir))
+    return EqPart(start, min(max(stop, start + N_FRAME), len(rir)))
 
 
-def analyse(rir, direct_sample):
+def analyse(rir: FloatArray, direct_sample: float) -> EqAnalysis:
     """Measure the EQ of a response at 16 kHz.
 
     Parameters
     ----------
-    rir : ndarray, shape (n_samples,)
-    direct_sample : float
+    rir
+        Shape (n_samples,).
+    direct_sample
         See `roomeq.acoustics.direct.find_direct`.
 
     Returns
@@ -116,7 +127,7 @@ def analyse(rir, direct_sample):
     Raises
     ------
     ValueError
-        The direct sound lies behind the end of the response.
+        The direct sound lies after the end of the response.
     """
     rir = np.asarray(rir, dtype=np.float64)
     start, stop = eq_part(rir, direct_sample)
@@ -136,8 +147,8 @@ def analyse(rir, direct_sample):
     return EqAnalysis(level_db, level_db - level_db[BAND_1KHZ], valid, snr_db, edge_db)
 
 
-def _edge_db(power):
-    """Level just below an anti-alias roll-off, or None where there is none."""
+def _edge_db(power: FloatArray) -> float | None:
+    """Return the level just below an anti-alias roll-off, or None if there is none."""
     bin_hz = FS_HZ / N_FRAME
     passed = float(np.mean(power[round(PASS_HZ[0] / bin_hz):round(PASS_HZ[1] / bin_hz) + 1]))
     stopped = float(np.mean(power[round(ROLL_OFF_HZ / bin_hz):]))

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from roomeq.acoustics.iso3382 import DECAYS_DB, MARGIN_DB
+from roomeq.acoustics.iso3382 import DECAYS_DB
+from roomeq.acoustics.noise_intersection import NOISE_MARGIN_DB
 from roomeq.acoustics.parameters import measure
 from roomeq.acoustics.subband_eq import MIN_SNR_DB
 from roomeq.core.build import Build
@@ -115,7 +116,7 @@ def screen_reason(row: Mapping[str, Any], parameters: Mapping[str, Any]) -> str 
     if row.get("excitation") == "clap":
         return "hand clap: its spectrum is part of the response"
     if not parameters["t20_valid"][BAND_1KHZ]:
-        needed_db = MARGIN_DB - DECAYS_DB["t20"][1]
+        needed_db = NOISE_MARGIN_DB - DECAYS_DB["t20"][1]
         return (f"too noisy: {parameters['decay_range_db'][BAND_1KHZ]:.1f} dB of decay at 1 kHz, "
                 f"T20 needs {needed_db:.0f}")
     rolled_off = parameters["eq_edge_db"] is not None

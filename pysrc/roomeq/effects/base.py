@@ -28,7 +28,7 @@ import numpy as np
 import scipy  # its submodules are slow to import and load themselves when first used
 from numpy.typing import ArrayLike
 
-from roomeq.acoustics.iso3382 import octave_bands
+from roomeq.acoustics.octaves import octave_bands
 from roomeq.core.arrays import Array, FloatArray, IntArray
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.effects.prediction import PredictedRirs, PredictionState

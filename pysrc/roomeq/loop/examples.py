@@ -13,7 +13,8 @@ import numpy as np
 from numpy.lib.format import read_array
 
 from roomeq.acoustics.direct import find_direct
-from roomeq.acoustics.iso3382 import energy_decay, octave_bands
+from roomeq.acoustics.iso3382 import energy_decay
+from roomeq.acoustics.octaves import octave_bands
 from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.loop.data import Data

@@ -20,7 +20,8 @@ from scipy.fft import next_fast_len, rfft
 
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.direct import find_direct
-from roomeq.acoustics.iso3382 import DIRECT_S, EARLY_S, all_metrics, octave_gains
+from roomeq.acoustics.iso3382 import DIRECT_S, EARLY_S, all_metrics
+from roomeq.acoustics.octaves import octave_gains
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
 from roomeq.core.constants import BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
 from roomeq.effects.noise_floor import NOISE_S, OCTAVE_WIDTH_HZ, QUIET_DB

@@ -3,7 +3,8 @@
 import numpy as np
 
 from roomeq.acoustics.decibels import FLOOR_POWER, TINY_POWER, power_db
-from roomeq.acoustics.iso3382 import decay_time, energy_decay, octave_bands, reverberation_time
+from roomeq.acoustics.iso3382 import decay_time, energy_decay, reverberation_time
+from roomeq.acoustics.octaves import octave_bands
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
 from roomeq.sim.echogram import FRAME_S
 

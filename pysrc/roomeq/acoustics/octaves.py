@@ -1,0 +1,66 @@
+"""Zero-phase octave filters, for analysis (IEC 61260-1); the bank for synthesis is `roomeq.acoustics.filterbank`."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+
+from roomeq.core.arrays import FloatArray
+from roomeq.core.constants import EXACT_BANDS_HZ
+
+FILTER_ORDER = 4  # of the Butterworth prototype; IEC 61260-1 class 1 needs 3, strong neighbouring bands ask for more
+_FFT_GRID = 4096  # few sizes of transform, so that their filters stay cached
+
+
+def octave_fft_size(n_samples: int, fs_hz: float) -> int:
+    """Return a length of transform in which no octave filter wraps around a response."""
+    return next_fast_len(-(-(n_samples + round(0.1 * fs_hz)) // _FFT_GRID) * _FFT_GRID, real=True)
+
+
+@lru_cache(maxsize=128)
+def octave_gains(n_fft: int, fs_hz: float, band_hz: float) -> FloatArray:
+    """Return the amplitude response of a zero-phase octave filter.
+
+    The magnitude is that of a Butterworth band-pass, ``1 / sqrt(1 + (Q (f/fm - fm/f))^2n)`` with Q = sqrt 2:
+    3 dB down at the band's edges ``fm 2^(-1/2)`` and ``fm 2^(1/2)``.
+
+    Parameters
+    ----------
+    n_fft
+        Length of the transform.
+    fs_hz
+        Sample rate.
+    band_hz
+        Exact mid-band frequency [Hz].
+
+    Returns
+    -------
+    ndarray, shape (n_fft // 2 + 1,)
+        Read-only.
+    """
+    ratio = np.maximum(np.fft.rfftfreq(n_fft, 1.0 / fs_hz), 1e-3) / band_hz
+    gains = 1.0 / np.sqrt(1.0 + (np.sqrt(2.0) * (ratio - 1.0 / ratio)) ** (2 * FILTER_ORDER))
+    gains.flags.writeable = False
+    return gains
+
+
+def octave_bands(rir: FloatArray, fs_hz: float, bands_hz: Sequence[float] = EXACT_BANDS_HZ) -> FloatArray:
+    """Split a response into octave bands with zero-phase filters.
+
+    Parameters
+    ----------
+    rir
+        Shape (n_samples,).
+    fs_hz
+        Sample rate.
+    bands_hz
+        Exact mid-band frequencies [Hz].
+
+    Returns
+    -------
+    ndarray, shape (n_bands, n_samples)
+    """
+    n_fft = octave_fft_size(len(rir), fs_hz)
+    gains = np.array([octave_gains(n_fft, fs_hz, band_hz) for band_hz in bands_hz])
+    return irfft(rfft(rir, n_fft) * gains, n_fft, axis=-1)[:, :len(rir)]
