@@ -40,7 +40,8 @@ def test_verb_help_shows_every_option_and_an_example(verb, capsys):
     text = capsys.readouterr().out
     assert f"Example:\n    roomeq {verb} " in text
     for param in VERBS[verb].params:
-        assert param.help and (param.human_readable_name if isinstance(param, click.Argument) else param.opts[0]) in text
+        name = param.human_readable_name if isinstance(param, click.Argument) else param.opts[0]
+        assert param.help and name in text
 
 
 @pytest.mark.parametrize("verb", VERBS)

@@ -1,4 +1,4 @@
-"""The dictionary of a text: what stock Kaldi takes, of words as eSpeak NG says them."""
+"""The dictionary of a text: the format of stock Kaldi, with pronunciations of eSpeak NG."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""Digit strings of single recordings: what they are made of, and that no recording is in two sets."""
+"""Strings of single digit recordings: their content, and that no recording is in two sets."""
 
 import csv
 import subprocess
@@ -25,7 +25,7 @@ def run(*args):
 
 @pytest.fixture(scope="module")
 def digits(tmp_path_factory):
-    """Recordings of two speakers: a tone each, whose frequency tells which recording it is."""
+    """Recordings of two speakers; each is a tone whose frequency identifies the recording."""
     where = tmp_path_factory.mktemp("digits")
     for speaker in ("ann", "bob"):
         for digit in range(2):
@@ -68,9 +68,9 @@ def test_strings_are_16_khz_audio_with_a_noise_floor(corpus):
 
 
 def test_no_recording_is_in_two_sets(digits):
-    found = prepare_digits.find_recordings(digits)
-    indices = {role: {int(path.stem.split("_")[2]) for key, chosen in found.items() if key[0] == role
-                      for _, path in chosen} for role in ("train", "dev", "test")}
+    recordings = prepare_digits.find_recordings(digits)
+    indices = {role: {int(path.stem.split("_")[2]) for key, of_speaker in recordings.items() if key[0] == role
+                      for _, path in of_speaker} for role in ("train", "dev", "test")}
     assert indices == {"train": {20, 49}, "dev": {15, 17}, "test": {0, 3, 14}}
 
 

@@ -1,4 +1,4 @@
-"""The hand-over to Kaldi: what is asked of it, in which order, and what is asked again after a change."""
+"""The Kaldi stages: the commands, their order, and which of them run again after a change."""
 
 import os
 import re
@@ -26,7 +26,7 @@ once second sh -c 'echo "$1" >>count; [ "$1" != bad ] || { echo "it went wrong";
 
 
 def run(where, *args, **environment):
-    """Call a command; `environment` is added to a bare one, without KALDI_ROOT."""
+    """Run a command in a minimal environment without KALDI_ROOT, with `environment` added."""
     return subprocess.run(args, cwd=where, capture_output=True, text=True, timeout=1200,
                           env={"PATH": os.environ["PATH"]} | environment)
 
@@ -40,7 +40,7 @@ def dry(project_dir, tmp_path, *options):
 
 
 def position(lines, *patterns):
-    """Return where the first line stands that has all patterns."""
+    """Return the index of the first line that matches all patterns."""
     return next(k for k, line in enumerate(lines) if all(re.search(pattern, line) for pattern in patterns))
 
 
@@ -110,7 +110,7 @@ def test_wrong_kaldi_options_are_refused_in_one_line(project_dir, options, words
 
 @pytest.fixture
 def recipe(tmp_path, project_dir):
-    """A directory with our utils and local and one small script."""
+    """A directory with the recipe's utils and local, and one small script."""
     for name in ("utils", "local", "cmd.sh"):
         (tmp_path / name).symlink_to(project_dir / name)
     (tmp_path / "count.sh").write_text(ONCE)
@@ -121,7 +121,7 @@ def recipe(tmp_path, project_dir):
 
 
 def counted(recipe, *args, fails=False):
-    """Call the small script; return what it has counted so far and what it said on stderr."""
+    """Run the small script; return its counts so far and its stderr."""
     done = run(recipe, "./count.sh", *args)
     assert done.returncode == (1 if fails else 0), done.stderr
     return (recipe / "ws/count").read_text().split(), done.stderr
@@ -155,8 +155,8 @@ def test_commands_left_by_a_killed_run_are_waited_for(recipe):
 
 
 def test_two_simultaneous_runs_do_each_command_once(recipe):
-    both = [subprocess.Popen(["./count.sh", "ws", "a"], cwd=recipe) for _ in range(2)]
-    assert [one.wait() for one in both] == [0, 0]
+    runs = [subprocess.Popen(["./count.sh", "ws", "a"], cwd=recipe) for _ in range(2)]
+    assert [process.wait() for process in runs] == [0, 0]
     assert (recipe / "ws/count").read_text().split() == ["a", "a"]
 
 
@@ -168,7 +168,7 @@ def test_missing_input_is_named(recipe):
 
 @pytest.fixture
 def copy_data(project_dir):
-    """Call the tool that copies a data directory."""
+    """A function that runs local/kaldi/copy_data.py."""
     return lambda *args: run(project_dir, str(project_dir / ".venv/bin/python"), "local/kaldi/copy_data.py",
                              *map(str, args), PYTHONPATH=str(project_dir / "pysrc"), LC_ALL="C")
 
@@ -205,7 +205,7 @@ def test_copy_refuses_pipes(copy_data, tmp_path):
 
 
 def fake_kaldi(root):
-    """Make the folders of a Kaldi checkout in which nothing was compiled."""
+    """Make the folders of a Kaldi checkout without compiled programs."""
     for folder in ("egs/wsj/s5/steps", "egs/wsj/s5/utils", "egs/librispeech/s5/local", "egs/librispeech/s5/conf",
                    "src/featbin"):
         (root / folder).mkdir(parents=True)
@@ -230,7 +230,7 @@ def test_wrong_kaldi_root_is_named(recipe, tmp_path):
 def test_kaldi_root_is_found_from_egs_librispeech(tmp_path, project_dir):
     kaldi = fake_kaldi(tmp_path / "kal di")
     inside = kaldi / "egs/librispeech/rooms"
-    inside.symlink_to(project_dir)  # a link does as well as a copy
+    inside.symlink_to(project_dir)
     done = run(inside, "bash", "-c", 'cd "$0" && local/kaldi/make_workspace.sh "$1" data', str(inside),
                str(tmp_path / "ws"))
     assert done.returncode == 1
@@ -241,7 +241,7 @@ def test_kaldi_root_is_found_from_egs_librispeech(tmp_path, project_dir):
 
 @pytest.mark.skipif("KALDI_ROOT" not in os.environ, reason="needs KALDI_ROOT: Kaldi, compiled")
 def test_stock_kaldi_trains_and_decodes(tmp_path, project_dir):
-    """Stages 8-10 at a size that recognises nothing: every stock command runs, and the table comes out."""
+    """Stages 8-10 at the smallest size: every stock command runs, and the table is made."""
     recipe_run.finish(recipe_run.start(project_dir, tmp_path, tmp_path / "corpora", 2, "--stop-stage", "6"))
     small = ["--gmm-passes", "mono all, deltas all 50 300, sat all 50 300", "--num-leaves", "50", "--chain-opts",
              "--layers 2 --dim 48 --bottleneck 8 --epochs 1 --jobs-initial 1 --jobs-final 1 --chunk-width 60,40 "

@@ -1,4 +1,4 @@
-"""Language models of a text: probabilities sum to one everywhere, and more of the text makes a better model."""
+"""Language models of a text: probabilities sum to one, and larger models have lower perplexity."""
 
 import gzip
 import math
@@ -29,7 +29,7 @@ def sentences(seed, count):
 
 
 class Model:
-    """An ARPA file, read as a recogniser reads it."""
+    """An ARPA file, evaluated as a recogniser does."""
 
     def __init__(self, path):
         self.log10, self.weight = {}, {}
@@ -85,7 +85,6 @@ def test_larger_models_have_lower_perplexity(models):
 
 
 def test_history_followed_by_every_word_cannot_back_off(tmp_path):
-    """Nothing divided by nothing: the weight of a history that cannot back off."""
     words = [f"w{n}" for n in range(6)]
     (tmp_path / "text").write_text("".join(f"{a} {b} {a}\n" for a in words for b in words))
     assert run(tmp_path / "text", tmp_path).returncode == 0

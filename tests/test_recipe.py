@@ -1,4 +1,4 @@
-"""The whole recipe at its smallest size: the same bytes over jobs and interruptions."""
+"""The whole recipe at its smallest size gives the same bytes with other jobs and after interruptions."""
 
 import random
 import re
@@ -19,7 +19,7 @@ def corpora(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def undisturbed(corpora, project_dir):
-    """A run with one job; what it printed, and what it made."""
+    """The output of a run with one job, and the hashes of its files."""
     where = corpora / "run-a"
     return finish(start(project_dir, where, corpora / "corpora", 1)), hashes(where)
 
@@ -78,7 +78,7 @@ def test_killed_and_restarted_run_gives_the_same_bytes(undisturbed, corpora, pro
         time.sleep(moments.uniform(2, 15))
         kill(process)
         killed.append(process.returncode == -signal.SIGKILL)
-    assert any(killed), "each ended before it was killed"
+    assert any(killed), "every run ended before it was killed"
     finish(start(project_dir, where, corpora / "corpora", 2))
     assert hashes(where) == undisturbed[1]
 

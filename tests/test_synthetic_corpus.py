@@ -411,7 +411,8 @@ def test_loudspeaker_is_audible_in_every_room(room, positions):
 
 def test_nothing_precedes_the_direct_sound(room, positions):
     for response in render(room, *positions):
-        smooth = np.convolve(response, np.hanning(18) / 8.5, "same")  # ringing at half the sampling rate comes from the fractional shift
+        # removes ringing at half the sampling rate, which comes from the fractional shift
+        smooth = np.convolve(response, np.hanning(18) / 8.5, "same")
         assert np.abs(smooth[:712 - 48]).max() < 1e-3 * np.abs(smooth).max()
 
 
@@ -470,7 +471,8 @@ def test_rooms_are_plausible_and_positions_inside():
 
 
 def test_drawn_rooms_do_not_depend_on_their_number():
-    few, many, other = (make_synthetic_rirs.Corpus(rooms, 3, 3, 10, seed) for rooms, seed in ((10, 0), (80, 0), (80, 1)))
+    few, many, other = (make_synthetic_rirs.Corpus(rooms, 3, 3, 10, seed)
+                        for rooms, seed in ((10, 0), (80, 0), (80, 1)))
     assert make_synthetic_rirs.describe_room(few, 9) == make_synthetic_rirs.describe_room(many, 9)
     assert make_synthetic_rirs.describe_room(other, 9) != make_synthetic_rirs.describe_room(many, 9)
     drawn = [make_synthetic_rirs.describe_room(many, index) for index in range(9, 80)]

@@ -3,7 +3,7 @@
 # It also reads --config FILE (lines `some_option=value`), answers --help, and defines the functions below.
 # Values are assigned and never evaluated. Sourced: the remaining arguments stay in "$@".
 
-# Print the caller's header comment and its options; to stderr and with exit 1 when something was wrong.
+# Print the caller's header comment and options: `usage 0` to stdout with exit 0, `usage` to stderr with exit 1.
 usage() {
   {
     sed -n '/^# /{s/^# //;p};/^set -/q' "$0" | grep -v '^shellcheck '
@@ -17,13 +17,13 @@ usage() {
   exit "${1:-1}"
 }
 
-# Stop with one line.
+# Print one line to stderr and stop.
 die() {
   printf '%s: %s\n' "${0##*/}" "$*" >&2
   exit 1
 }
 
-# require FILE STEP: stop unless FILE, which STEP makes, is there.
+# require FILE STEP: stop unless FILE, the output of STEP, exists.
 require() {
   [ -e "$1" ] || die "$1 is missing: run $2 first"
 }
@@ -70,10 +70,10 @@ read_config() { # FILE
   done <"$1"
 }
 
-# the options of a script are the variables it assigns at the start of a line before it sources this file
+# the options of a script are the variables that it assigns, at the start of a line, before it sources this file
 options_known=" $(sed -n '/parse_options\.sh/q;s/^\([a-z][a-z0-9_]*\)=.*/\1/p' "$0" | tr '\n' ' ')"
 options_given=("$@")
-for ((i = 0; i < $#; i++)); do # the file first, so that the command line wins over it
+for ((i = 0; i < $#; i++)); do # the config file first: the command line takes precedence
   [ "${options_given[i]}" != -- ] || break
   [ "${options_given[i]}" != --config ] || read_config "${options_given[i + 1]:-}"
 done
@@ -85,7 +85,7 @@ while [ $# -gt 0 ]; do
     --) shift && break ;;
     --*)
       flag=${1#--} && flag=${flag//-/_}
-      if [[ $flag =~ ^[a-z][a-z0-9_]*$ && ${!flag:-} == false && ${2:---} == --* ]]; then # a switch by itself
+      if [[ $flag =~ ^[a-z][a-z0-9_]*$ && ${!flag:-} == false && ${2:---} == --* ]]; then # a switch without a value
         set_option "${1#--}" true "" && shift && continue
       fi
       [ $# -gt 1 ] || die "$1 needs a value; see --help"

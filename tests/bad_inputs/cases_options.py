@@ -1,4 +1,4 @@
-"""Options out of range, and places that a result may not go to."""
+"""Options out of range, and outputs that are refused."""
 
 import json
 

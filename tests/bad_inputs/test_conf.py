@@ -1,4 +1,4 @@
-"""Configuration files that are none, beyond those of `tests/test_shell.py`; and failures that are no input's fault."""
+"""Malformed configuration files, beyond those of `tests/test_shell.py`; and failures without a wrong input."""
 
 from concurrent.futures.process import BrokenProcessPool
 
