@@ -42,6 +42,7 @@ def _octaves_to(frequencies_hz: tuple[float, ...]) -> FloatArray:
     return np.maximum(0.0, 1.0 - np.abs(position[:, None] - np.arange(N_BANDS)))
 
 
+_Octaves = tuple[float, ...]
 _OMNIDIRECTIONAL = np.empty((0, 0))  # in place of angles and their gains
 TO_THIRDS = _octaves_to(THIRDS_HZ)
 _RESPONSE_TO_OCTAVES = np.array([np.abs(np.log2(np.array(RESPONSE_HZ) / band_hz)) < 0.4 for band_hz in EXACT_BANDS_HZ])
@@ -184,7 +185,8 @@ def _add_up(entries: IntArray, counts: FloatArray, angular: FloatArray, ray_gain
         for node in range(n_shares):
             for band in range(8):
                 left[n, node, band] = left[n - 1, node, band] * kept[node, band]
-    zeros, ones = (0.0,) * 8, (1.0,) * 8
+    zeros: _Octaves = (0.0,) * 8
+    ones: _Octaves = (1.0,) * 8
     for k in range(len(entries)):
         amount, gain = zeros, ones if n_angles == 0 else zeros
         for node in range(n_shares):
@@ -204,7 +206,7 @@ def _add_up(entries: IntArray, counts: FloatArray, angular: FloatArray, ray_gain
 
 
 @compiled
-def _plus(total: tuple[float, ...], weight: float, row: FloatArray) -> tuple[float, ...]:
+def _plus(total: _Octaves, weight: float, row: FloatArray) -> _Octaves:
     """Add a weighted row to eight bands: eight variables, which stay in registers."""
     return (total[0] + weight * row[0], total[1] + weight * row[1], total[2] + weight * row[2],
             total[3] + weight * row[3], total[4] + weight * row[4], total[5] + weight * row[5],

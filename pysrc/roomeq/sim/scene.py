@@ -11,7 +11,7 @@ import numpy as np
 
 from roomeq.acoustics.air import band_attenuation_per_m, speed_of_sound_m_s
 from roomeq.core.constants import BANDS_HZ
-from roomeq.sim.room import Walls
+from roomeq.sim.room import Room, Walls
 
 N_BANDS = len(BANDS_HZ)
 WALLS = ("west", "east", "south", "north", "floor", "ceiling")
@@ -177,7 +177,7 @@ class Scene:
         The number of materials is not the number of surfaces.
     """
 
-    room: object
+    room: Room
     materials: tuple
     air: Air = Air()
 
