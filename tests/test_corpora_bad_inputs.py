@@ -84,7 +84,7 @@ def test_bad_noise_is_an_error_or_skipped(tmp_path, make, message):
 def test_duplicate_ids_name_both_files(tmp_path):
     source = make_folder(tmp_path / "corpus")
     put(source / "kitchen" / "near.flac")
-    with pytest.raises(ValueError, match=r"near\.wav: id 'kitchen-near' is that of .*near\.flac too: ids must be"):
+    with pytest.raises(ValueError, match=r"near\.wav: id 'kitchen-near' is also that of .*near\.flac: ids must be"):
         read_measured(source, tmp_path / "out")
 
 

@@ -235,7 +235,7 @@ def test_mismatch_of_transcripts_and_audio_is_refused(tmp_path):
             (text.replace("0001 SOME WORDS", "0001"), r"trans\.txt:2: utterance 1272-128104-0001 has no words"),
             (text.replace("1272-128104-0001", "9-9-1"), r"trans\.txt:2: utterance '9-9-1' must start with"),
             (text + "1272-128104-0002 X\n", r"trans\.txt:3: no audio .*1272-128104-0002\.flac"),
-            (text + text, r"trans\.txt:3: utterance 1272-128104-0000 stands twice"),
+            (text + text, r"trans\.txt:3: utterance 1272-128104-0000 occurs twice"),
             ("", r"0000\.flac: no transcript in .*trans\.txt \(2 such\)")):
         trans.write_text(changed)
         with pytest.raises(ValueError, match=message) as caught:
@@ -251,7 +251,7 @@ def test_mismatch_of_transcripts_and_audio_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"0001\.flac: sample rate 8000 Hz must be 16000 Hz: the missing band"):
         prepare()
     put(flac, rir("stereo", channels=2))
-    with pytest.raises(ValueError, match=r"0001\.flac: 2 channels where one is needed"):
+    with pytest.raises(ValueError, match=r"0001\.flac: 2 channels where one is expected"):
         prepare()
 
 
@@ -266,8 +266,9 @@ def test_missing_or_shared_sets_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("row, message", [
-    ("a/0.flac,a-0,a,", r"manifest\.csv:2: transcript='' of a/0\.flac must say what is spoken: correct the row"),
-    ("a/9.flac,a-0,a,HI", r"manifest\.csv:3: utterance a-0 stands in .*manifest\.csv:2 too: ids must be unique"),
+    ("a/0.flac,a-0,a,", r"manifest\.csv:2: transcript='' of a/0\.flac must hold the words that are spoken: "
+     "correct the row"),
+    ("a/9.flac,a-0,a,HI", r"manifest\.csv:3: utterance a-0 is also in .*manifest\.csv:2: ids must be unique"),
     ("a/9.flac,a-9,a,HI", r"9\.flac: no such audio file: check the path \(named by .*manifest\.csv:2\)")])
 def test_bad_manifest_row_is_refused(tmp_path, row, message):
     source = put_manifest(tmp_path / "speech", rows_of_voices({"a": 9, "b": 2, "c": 2}))
@@ -293,8 +294,8 @@ def test_source_without_speech_is_refused(tmp_path):
     ("text", "a-0 HI\n", "text: utterance a-1 of utt2spk is not in it"),
     ("wav.scp", "a-0 x.wav\n", r"wav\.scp: utterance a-1 of utt2spk is not in it"),
     ("segments", "a-0 r 0 1\n", r"wav\.scp: recording r of segments is not in it"),
-    ("utt2spk", "a-0 a\na-0 a\n", "utt2spk:2: a-0 stands twice"),
-    ("utt2spk", "a-0\n", "utt2spk:1: 'a-0' has nothing behind it"),
+    ("utt2spk", "a-0 a\na-0 a\n", "utt2spk:2: a-0 occurs twice"),
+    ("utt2spk", "a-0\n", "utt2spk:1: 'a-0' has no value"),
     ("utt2spk", "a-0 z\na-1 y\nb-0 x\nb-1 w\nc-0 c\nc-1 c\n", "sorts apart from its speaker: utterance ids must")])
 def test_bad_kaldi_directory_is_refused(tmp_path, name, text, message):
     put_kaldi_dir(tmp_path / "kaldi", ["a", "b", "c"])

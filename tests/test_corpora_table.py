@@ -101,10 +101,10 @@ HEADER = "file,rir_id,binaural,distance_m,mic_pos_m,kind\n"
 
 
 @pytest.mark.parametrize("text, message", [
-    ("", r"t\.csv: columns \(none\) must hold 'file'"),
-    ("name,room\na,b\n", r"t\.csv: columns name,room must hold 'file'"),
+    ("", r"t\.csv: columns \(none\) must include 'file'"),
+    ("name,room\na,b\n", r"t\.csv: columns name,room must include 'file'"),
     (HEADER, r"t\.csv: no rows below the header"),
-    ("file,path\na.wav,a.wav\n", "column 'file' stands twice"),
+    ("file,path\na.wav,a.wav\n", "column 'file' occurs twice"),
     (HEADER + "a.wav,x,0,1,1 2 3,point,more\n", r"t\.csv:2: 7 cells under 6 columns: quote cells"),
     (HEADER + ",x\n", r"t\.csv:2: file='' must be the path"),
     (HEADER + "a.wav,x,maybe\n", r"t\.csv:2: binaural='maybe': must be 0 or 1: correct the cell"),

@@ -267,7 +267,7 @@ CORRUPTIONS = {
     "text-control": ("text", lambda lines: ["a-1-0001 A\x07B", *lines[1:]], r"text:1: character '\\x07'"),
     "text-nbsp": ("text", lambda lines: ["a-1-0001 A\u00a0B", *lines[1:]], r"text:1: character '\\xa0'"),
     "text-cr": ("text", lambda lines: [f"{line}\r" for line in lines], r"text:1: line ends as on Windows"),
-    "utt2spk-duplicate": ("utt2spk", lambda lines: [lines[0], *lines], "utt2spk:2: id 'a-1-0001' stands twice"),
+    "utt2spk-duplicate": ("utt2spk", lambda lines: [lines[0], *lines], "utt2spk:2: id 'a-1-0001' occurs twice"),
     "utt2spk-unsorted": ("utt2spk", lambda lines: lines[::-1], r"utt2spk:2: id 'b-1-0001' must not come after"),
     "utt2spk-speaker-order": ("utt2spk", lambda lines: ["a-1-0001 z", *lines[1:]], "speaker 'a' must not come after"),
     "utt2spk-columns": ("utt2spk", lambda lines: ["a-1-0001 a b", *lines[1:]], "'a b' of 'a-1-0001' must be one word"),

@@ -41,12 +41,12 @@ CASES = [
     Case("another length than the row", CHARACTERISE,
          "measured/audio/r0.wav: 4000 samples where rirs.jsonl says 9920: make it again", (audio(WAV, 4000),)),
     Case("8 kHz", CHARACTERISE,
-         "measured/audio/r0.wav: sample rate 8000 Hz must be 16000 Hz: the missing band cannot be made up: "
+         "measured/audio/r0.wav: sample rate 8000 Hz must be 16000 Hz: the missing band cannot be restored: "
          "record or convert it at that rate", (audio(WAV, 9920, 8000),)),
     Case("48 kHz in an rir directory", CHARACTERISE,
          "measured/audio/r0.wav: sample rate 48000 Hz must be 16000 Hz: convert it", (audio(WAV, 9920, 48000),)),
     Case("stereo", CHARACTERISE,
-         "measured/audio/r0.wav: 2 channels where one is needed: choose one, or split the file",
+         "measured/audio/r0.wav: 2 channels where one is expected: choose one, or split the file",
          (audio(WAV, np.ones((9920, 2)) / 9),)),
     Case("nan", CHARACTERISE, "measured/audio/r0.wav: holds NaN or infinite samples: convert it again",
          (audio(WAV, NAN, subtype="FLOAT"),)),
@@ -84,11 +84,11 @@ CASES = [
          "speech: utterance b-1-0001: speech/wav/b-1-0001.flac: audio file is empty (0 bytes): copy or record "
          "it again", (write("speech/wav/b-1-0001.flac", ""),)),
     Case("speech stereo", AUGMENT,
-         "speech: utterance b-1-0001: speech/wav/b-1-0001.flac: 2 channels where one is needed: choose one, or "
+         "speech: utterance b-1-0001: speech/wav/b-1-0001.flac: 2 channels where one is expected: choose one, or "
          "split the file", (audio("speech/wav/b-1-0001.flac", np.ones((20011, 2)) / 9),)),
     Case("speech at 8 kHz", AUGMENT,
          "speech: utterance b-1-0001: speech/wav/b-1-0001.flac: sample rate 8000 Hz must be 16000 Hz: the "
-         "missing band cannot be made up: record or convert it at that rate",
+         "missing band cannot be restored: record or convert it at that rate",
          (audio("speech/wav/b-1-0001.flac", 20011, 8000),)),
     Case("speech silent", AUGMENT,
          "speech: utterance b-1-0001 with RIR room1-2, noise hum-room1, noise tap: utterance is silent (all "
@@ -100,14 +100,14 @@ CASES = [
          "rirs/wav/hum-room0.flac: noise hum-room0 is silent (all samples 0): leave it out",
          tuple(audio(f"rirs/wav/hum-room{n}.flac", np.zeros(32000)) for n in (0, 1))),
     Case("noise at 8 kHz", "augment --point-snr none speech rirs out",
-         "rirs/wav/hum-room0.flac: sample rate 8000 Hz must be 16000 Hz: the missing band cannot be made up: "
+         "rirs/wav/hum-room0.flac: sample rate 8000 Hz must be 16000 Hz: the missing band cannot be restored: "
          "record or convert it at that rate",
          tuple(audio(f"rirs/wav/hum-room{n}.flac", 32000, 8000) for n in (0, 1))),
     Case("rir silent", AUGMENT,
          "rirs/wav/room0-0.wav: RIR room0-0 is silent (all samples 0): leave it out or record it again",
          tuple(audio(f"rirs/wav/room{r}-{n}.wav", np.zeros(4000)) for r in (0, 1) for n in (0, 1, 2))),
     Case("corpus file at 8 kHz", READ,
-         "folder/kitchen/near.wav: sample rate 8000 Hz must be 16000 Hz: the missing band cannot be made up: "
+         "folder/kitchen/near.wav: sample rate 8000 Hz must be 16000 Hz: the missing band cannot be restored: "
          "record or convert it at that rate (or leave such files out with --skip-bad)",
          (audio("folder/kitchen/near.wav", 800, 8000),)),
     Case("corpus file of no audio", READ,

@@ -26,23 +26,26 @@ def sofa(name: str, message: str, **values) -> Case:
 
 CASES = [
     Case("rirs of a LibriSpeech tree", "read-measured librispeech out", "librispeech: holds speech "
-         "(dev-clean/2/20/2-20.trans.txt), but RIRs are wanted here: give it as the speech"),
+         "(dev-clean/2/20/2-20.trans.txt), but RIRs are expected here: pass it as the speech corpus"),
     Case("rirs of a table of transcripts", "read-measured transcripts out", "transcripts/manifest.csv: column "
-         "'transcript' says that this is speech, but RIRs are wanted here: give it as the speech"),
+         "'transcript' says that this is speech, but RIRs are expected here: pass it as the speech corpus"),
     Case("rirs of a data directory", "read-measured speech out", "speech: is a Kaldi data directory with speech "
-         "(wav.scp), but RIRs are wanted here: give it as the speech"),
-    Case("csv empty", TABLE, "table/manifest.csv: columns (none) must hold 'file': call the paths so",
+         "(wav.scp), but RIRs are expected here: pass it as the speech corpus"),
+    Case("csv empty", TABLE, "table/manifest.csv: columns (none) must include 'file', the "
+         "column of the paths: rename it",
          (write("table/manifest.csv", ""),)),
     Case("csv of bytes", TABLE, "table/manifest.csv: not a CSV file in UTF-8 (...): export it again",
          (write("table/manifest.csv", b"file\n\xff\xfe\n"),)),
-    Case("csv of zeros", TABLE, "table/manifest.csv: columns ... must hold 'file': call the paths so",
+    Case("csv of zeros", TABLE, "table/manifest.csv: columns ... must include 'file', the "
+         "column of the paths: rename it",
          (write("table/manifest.csv", bytes(1000)),)),
     Case("csv in utf-16", TABLE, "table/manifest.csv: not a CSV file in UTF-8 (...): export it again",
          (write("table/manifest.csv", "file\na.wav\n".encode("utf-16")),)),
-    Case("csv without file", TABLE, "table/manifest.csv: columns room,t60 must hold 'file': call the paths so",
+    Case("csv without file", TABLE, "table/manifest.csv: columns room,t60 must include 'file', the "
+         "column of the paths: rename it",
          (write("table/manifest.csv", "room,t60\na,1\n"),)),
     Case("csv column twice", TABLE,
-         "table/manifest.csv: column 'room_id' stands twice (also under another name): rename one",
+         "table/manifest.csv: column 'room_id' occurs twice (also under another name): rename one",
          (write("table/manifest.csv", "file,room,room_id\na,b,c\n"),)),
     Case("csv without rows", TABLE, "table/manifest.csv: no rows below the header: the corpus is empty",
          (write("table/manifest.csv", "file,room\n"),)),
@@ -72,11 +75,11 @@ CASES = [
     cell("csv distance negative", "table/manifest.csv:2: distance_m='-1': '-1' must be 0 or more: correct the cell",
          "distance_m", "-1"),
     Case("csv same id twice", TABLE,
-         "table/rirs/lab/two_clap.flac: id 'a' is that of table/rirs/lab/one.flac too: ids must be unique: "
+         "table/rirs/lab/two_clap.flac: id 'a' is also that of table/rirs/lab/one.flac: ids must be unique: "
          "rename one file or id", (write(
         "table/manifest.csv", "file,id\nrirs/lab/one.flac,a\nrirs/lab/two_clap.flac,a\n"),)),
     Case("csv ids alike once cleaned", TABLE,
-         "table/rirs/lab/two_clap.flac: id 'a-b' is that of table/rirs/lab/one.flac too: ids must be unique: "
+         "table/rirs/lab/two_clap.flac: id 'a-b' is also that of table/rirs/lab/one.flac: ids must be unique: "
          "rename one file or id", (write(
         "table/manifest.csv", "file,id\nrirs/lab/one.flac,a b\nrirs/lab/two_clap.flac,a/b\n"),)),
     Case("csv file evaluated", TABLE,
@@ -103,13 +106,13 @@ CASES = [
          "noises/absent.wav: no such audio file: check the path (or leave such files out with --skip-bad)",
          (line("noises/manifest.csv", 2, "absent.wav,tone,hall0,ambient"),)),
     Case("transcript empty", TRANSCRIPTS,
-         "transcripts/manifest.csv:2: transcript='' of a.wav must say what is spoken: correct the row",
+         "transcripts/manifest.csv:2: transcript='' of a.wav must hold the words that are spoken: correct the row",
          (line("transcripts/manifest.csv", 2, "a.wav,a,"),)),
     Case("transcript with a bell", TRANSCRIPTS,
          "transcripts/manifest.csv:2: transcript of a-a: character '\\x07' in it must be printable, or a plain "
          "blank: replace it", (line("transcripts/manifest.csv", 2, "a.wav,a,RING \x07"),)),
     Case("transcript with kaldi's own symbol", TRANSCRIPTS,
-         "transcripts/manifest.csv:2: transcript of a-a: '<s>' in it is a symbol of Kaldi's own: remove it",
+         "transcripts/manifest.csv:2: transcript of a-a: '<s>' is reserved by Kaldi: remove it",
          (line("transcripts/manifest.csv", 2, "a.wav,a,A <s> B"),)),
     Case("gender", TRANSCRIPTS, "transcripts/manifest.csv:2: gender='x' must be m or f: correct the row", (write(
         "transcripts/manifest.csv", "file,speaker,transcript,gender\na.wav,a,HI,x\n"),)),
@@ -117,7 +120,7 @@ CASES = [
          "transcripts: 2 speakers (a, b) cannot be split into train, dev, test: name at least 3 speakers, or "
          "give the corpus sets", (line("transcripts/manifest.csv", 4, None),)),
     Case("speech stereo", TRANSCRIPTS,
-         "...transcripts/a.wav: 2 channels where one is needed: choose one, or split the file (named by "
+         "...transcripts/a.wav: 2 channels where one is expected: choose one, or split the file (named by "
          "transcripts/manifest.csv:2)", (audio("transcripts/a.wav", np.ones((99, 2)) / 9),)),
 
     Case("sofa no sofa", SOFA,
@@ -136,7 +139,7 @@ CASES = [
          "sofa/room_a.sofa: Data.SamplingRate=0 must be a whole number of hertz, at most 768000: export it "
          "again (or leave such files out with --skip-bad)", fs_hz=0),
     sofa("sofa rate of 8 kHz",
-         "sofa/room_a.sofa: sample rate 8000 Hz must be 16000 Hz or more: the missing band cannot be made up: "
+         "sofa/room_a.sofa: sample rate 8000 Hz must be 16000 Hz or more: the missing band cannot be restored: "
          "record or convert it at that rate (or leave such files out with --skip-bad)", fs_hz=8000),
     sofa("sofa rate nan",
          "sofa/room_a.sofa: Data.SamplingRate=nan must be a whole number of hertz, at most 768000: export it "
@@ -220,7 +223,7 @@ CASES = [
          "librispeech/dev-clean/2/20/2-20.trans.txt:3: no audio librispeech/dev-clean/2/20/2-20-0009.flac: "
          "unpack the corpus again", (line(TRANS, 3, "2-20-0009 MORE"),)),
     Case("transcript twice", PREPARE,
-         "librispeech/dev-clean/2/20/2-20.trans.txt:3: utterance 2-20-0001 stands twice: ids must be unique: "
+         "librispeech/dev-clean/2/20/2-20.trans.txt:3: utterance 2-20-0001 occurs twice: ids must be unique: "
          "remove one line", (line(TRANS, 3, "2-20-0001 AGAIN"),)),
     Case("transcript of another chapter", PREPARE,
          "librispeech/dev-clean/2/20/2-20.trans.txt:2: utterance '3-30-0001' must start with 2-20-: correct "

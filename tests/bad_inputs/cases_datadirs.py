@@ -16,7 +16,7 @@ CASES = [
     Case("utt2spk empty", AUGMENT, "speech/utt2spk: file is empty: prepare the directory again",
          (write("speech/utt2spk", ""),)),
     Case("duplicate utterance", AUGMENT,
-         "speech/utt2spk:2: id 'a-1-0001' stands twice: ids must be unique: remove one",
+         "speech/utt2spk:2: id 'a-1-0001' occurs twice: ids must be unique: remove one",
          (reorder("speech/utt2spk", lambda lines: [lines[0], *lines]),)),
     Case("unsorted", AUGMENT,
          "speech/wav.scp:2: id 'b-1-0001' must not come after 'b-1-0002': sort the file with LC_ALL=C sort",
@@ -98,7 +98,7 @@ CASES = [
          "recording's 3 s: correct segments, or the audio is cut off",
          (line("segmented/segments", 2, "s-2 r 1.0 9.5"),)),
     Case("segment of no samples", SEGMENTED,
-         "segmented: utterance s-2: segmented/r.flac: samples 16000 to 16000 are not in its 48000: correct the "
+         "segmented: utterance s-2: segmented/r.flac: samples 16000 to 16000 must lie within its 48000: correct the "
          "segment", (line("segmented/segments", 2, "s-2 r 1.0 1.00001"),)),
     Case("segment backwards", SEGMENTED,
          "segmented/segments:2: segment from 2.0 to 1.0 must be 0 <= START < END in seconds (or END -1): "

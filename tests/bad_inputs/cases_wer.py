@@ -75,7 +75,7 @@ CASES = [
          (line(HYPOTHESES, 2, None),)),
     Case("hypothesis of an unknown utterance", WER,
          f"{HYPOTHESES}: utterance 'other' is not in test_filt.txt: {AGAIN}", (line(HYPOTHESES, 9, "other words"),)),
-    Case("hypothesis twice", WER, f"{HYPOTHESES}:2: utterance 'test-attic-0' stands twice: {AGAIN}",
+    Case("hypothesis twice", WER, f"{HYPOTHESES}:2: utterance 'test-attic-0' occurs twice: {AGAIN}",
          (line(HYPOTHESES, 2, "test-attic-0 words"),)),
     Case("hypothesis without utterance", WER,
          f"{HYPOTHESES}:2: line '' must start with an utterance: {AGAIN}", (line(HYPOTHESES, 2, ""),)),

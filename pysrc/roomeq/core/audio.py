@@ -89,17 +89,18 @@ def read_audio(path: Path, *, fs_hz: int = FS_HZ, start: int = 0, stop: int | No
     """
     with _opened(path) as file:
         if channel is None and file.channels != 1:
-            raise ValueError(f"{path}: {file.channels} channels where one is needed: choose one, or split the file")
+            raise ValueError(f"{path}: {file.channels} channels where one is expected: choose one, or split the file")
         if channel is not None and not 0 <= channel < file.channels:
             raise ValueError(f"{path}: channel {channel} of {file.channels}: count from 0")
         if file.samplerate < fs_hz:
             raise ValueError(f"{path}: sample rate {file.samplerate} Hz must be {fs_hz} Hz: the missing band cannot be "
-                             "made up: record or convert it at that rate")
+                             "restored: record or convert it at that rate")
         if file.samplerate != fs_hz and not resample:
             raise ValueError(f"{path}: sample rate {file.samplerate} Hz must be {fs_hz} Hz: convert it")
         stop = file.frames if stop is None else stop
         if not 0 <= start < stop <= file.frames:
-            raise ValueError(f"{path}: samples {start} to {stop} are not in its {file.frames}: correct the segment")
+            raise ValueError(f"{path}: samples {start} to {stop} must lie within its {file.frames}: correct the "
+                             "segment")
         try:
             file.seek(start)
             samples = file.read(stop - start, dtype=dtype, always_2d=True)

@@ -74,7 +74,7 @@ def _read_any_format(directory: Path) -> Stamp | None:
     try:
         return msgspec.convert(content, Stamp)
     except (msgspec.ValidationError, UnicodeEncodeError):
-        raise ValueError(f"{path}: is no stamp of roomeq (step, key, files): remove {directory} and make it "
+        raise ValueError(f"{path}: is not a stamp of roomeq (step, key, files): remove {directory} and make it "
                          "again") from None
 
 

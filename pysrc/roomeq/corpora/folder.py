@@ -25,8 +25,8 @@ def list_folder(source: Path) -> Corpus:
     """
     files, root = _audio_of(source)
     if transcripts := min(root.rglob("*.trans.txt"), default=None):
-        raise ValueError(f"{source}: holds speech ({transcripts.relative_to(root)}), but RIRs are wanted here: give it "
-                         "as the speech")
+        raise ValueError(f"{source}: holds speech ({transcripts.relative_to(root)}), but RIRs are expected here: "
+                         "pass it as the speech corpus")
     corpus = Corpus(name=root.name, kind="folder")
     for path in files:
         corpus.rirs.append(Recording(path, id_of_path(path, root), rir_row(

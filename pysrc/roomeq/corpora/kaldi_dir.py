@@ -48,7 +48,7 @@ def read_kaldi_dir(path: Path) -> KaldiDir:
     Raises
     ------
     ValueError
-        A required table is missing or empty, a line has no value, a key stands twice, or the tables do not match.
+        A required table is missing or empty, a line has no value, a key occurs twice, or the tables do not match.
     """
     files = {name: _read_lines(path / name) for name in (*BY_UTTERANCE, *BY_RECORDING, *BY_SPEAKER)
              if (path / name).is_file()}
@@ -75,8 +75,8 @@ def _read_lines(path: Path) -> dict[str, str]:
             continue
         key, *rest = line.strip().split(maxsplit=1)
         if not rest:
-            raise ValueError(f"{path}:{number}: {key!r} has nothing behind it: correct the line")
+            raise ValueError(f"{path}:{number}: {key!r} has no value: correct the line")
         if key in lines:
-            raise ValueError(f"{path}:{number}: {key} stands twice: ids must be unique: remove one line")
+            raise ValueError(f"{path}:{number}: {key} occurs twice: ids must be unique: remove one line")
         lines[key] = rest[0]
     return lines

@@ -63,7 +63,7 @@ def _list_chapter(trans: Path, genders: dict[str, str]) -> list[Utterance]:
         if not text.strip():
             raise ValueError(f"{where}: utterance {name} has no words: correct or remove the line and its audio")
         if name in seen:
-            raise ValueError(f"{where}: utterance {name} stands twice: ids must be unique: remove one line")
+            raise ValueError(f"{where}: utterance {name} occurs twice: ids must be unique: remove one line")
         if name not in audio:
             raise ValueError(f"{where}: no audio {trans.parent / name}.flac: unpack the corpus again")
         seen.add(name)

@@ -121,8 +121,8 @@ def detect_kind(source: Path) -> str:
     if (source / ROWS_FILE).is_file():
         raise ValueError(f"{source}: is an RIR directory already ({ROWS_FILE}): use it as it is")
     if (source / "wav.scp").is_file():
-        raise ValueError(f"{source}: is a Kaldi data directory with speech (wav.scp), but RIRs are wanted here: "
-                         "give it as the speech")
+        raise ValueError(f"{source}: is a Kaldi data directory with speech (wav.scp), but RIRs are expected here: "
+                         "pass it as the speech corpus")
     if find_rooms(source):
         return "reverbdb"
     if find_real(source):
@@ -241,7 +241,7 @@ def _check_ids(recordings: list[Recording]) -> None:
     first: dict[str, Path] = {}
     for recording in recordings:
         if recording.id in first:
-            raise ValueError(f"{recording.path}: id {recording.id!r} is that of {first[recording.id]} too: "
+            raise ValueError(f"{recording.path}: id {recording.id!r} is also that of {first[recording.id]}: "
                              "ids must be unique: rename one file or id")
         first[recording.id] = recording.path
 
@@ -285,7 +285,7 @@ def _usable(samples: FloatArray, name: Path | str) -> FloatArray:
 def _at_16k(samples: FloatArray, fs_hz: int, path: Path) -> FloatArray:
     if fs_hz < FS_HZ:
         raise ValueError(f"{path}: sample rate {fs_hz} Hz must be {FS_HZ} Hz or more: the missing band cannot be "
-                         "made up: record or convert it at that rate")
+                         "restored: record or convert it at that rate")
     if fs_hz == FS_HZ:
         return samples
     import soxr

@@ -143,7 +143,7 @@ def _check(utterances: list[Utterance], out: Path) -> None:
     first: dict[str, str] = {}
     for utterance in utterances:
         if utterance.id in first:
-            raise ValueError(f"{utterance.where}: utterance {utterance.id} stands in {first[utterance.id]} too: "
+            raise ValueError(f"{utterance.where}: utterance {utterance.id} is also in {first[utterance.id]}: "
                              "ids must be unique: rename one")
         if problem := words_problem(utterance.text):
             raise ValueError(f"{utterance.where}: transcript of {utterance.id}: {problem}")

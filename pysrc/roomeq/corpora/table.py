@@ -98,10 +98,11 @@ def read_table(path: Path) -> Table:
         raise ValueError(f"{path}: not a CSV file in UTF-8 ({error}): export it again") from None
     columns = [_ALIASES.get(name, name) for name in names]
     if "file" not in columns:
-        raise ValueError(f"{path}: columns {','.join(names) or '(none)'} must hold 'file': call the paths so")
+        raise ValueError(f"{path}: columns {','.join(names) or '(none)'} must include 'file', the column of the "
+                         "paths: rename it")
     if len(set(columns)) < len(columns):
         twice = next(name for name in columns if columns.count(name) > 1)
-        raise ValueError(f"{path}: column {twice!r} stands twice (also under another name): rename one")
+        raise ValueError(f"{path}: column {twice!r} occurs twice (also under another name): rename one")
     if not rows:
         raise ValueError(f"{path}: no rows below the header: the corpus is empty")
     for where, cells in rows:
@@ -123,8 +124,8 @@ def list_table(path: Path) -> Corpus:
     """
     columns, rows = read_table(path)
     if "transcript" in columns:
-        raise ValueError(f"{path}: column 'transcript' says that this is speech, but RIRs are wanted here: give it as "
-                         "the speech")
+        raise ValueError(f"{path}: column 'transcript' says that this is speech, but RIRs are expected here: pass it "
+                         "as the speech corpus")
     corpus = Corpus(name=path.parent.name, kind="table")
     if ignored := sorted(set(columns) - _KNOWN):
         logger.info("%s: columns not used: %s", path, ", ".join(ignored))

@@ -36,7 +36,7 @@ def _utterance(path: Path, cells: dict[str, str], text_column: str, where: str) 
     file = resolve_file(path, cells)
     text = " ".join(cells.get(text_column, "").split())
     if not text:
-        raise ValueError(f"{text_column}='' of {cells['file']} must say what is spoken")
+        raise ValueError(f"{text_column}='' of {cells['file']} must hold the words that are spoken")
     voice = cells.get("speaker") or file.parent.name
     # Kaldi requires one order of speakers and of utterances: no character of a speaker may sort before '-'
     speaker = re.sub(r"[+-]", "_", make_id(voice))

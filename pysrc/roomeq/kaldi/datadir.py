@@ -197,7 +197,7 @@ def _read_table(path: Path, *, empty_ok: bool = False) -> dict[str, str]:
         if "\r" in line:
             raise ValueError(f"{where}: line ends as on Windows (\\r): convert the file with dos2unix")
         if key in table:
-            raise ValueError(f"{where}: id {key!r} stands twice: ids must be unique: remove one")
+            raise ValueError(f"{where}: id {key!r} occurs twice: ids must be unique: remove one")
         if key < previous:
             raise ValueError(f"{where}: id {key!r} must not come after {previous!r}: "
                              "sort the file with LC_ALL=C sort")

@@ -163,7 +163,7 @@ def read_entry(entry: Entry, start_s: float = 0.0, end_s: float | None = None, *
         return samples
     if rate < FS_HZ:
         raise ValueError(f"{entry.text}: sample rate {rate} Hz must be {FS_HZ} Hz: "
-                         "the missing band cannot be made up: use other recordings")
+                         "the missing band cannot be restored: use other recordings")
     import soxr
 
     return soxr.resample(samples, rate, FS_HZ, quality="VHQ")
@@ -198,7 +198,7 @@ def _decoded(entry: Entry, pipes: bool) -> tuple[int, np.ndarray]:
     if samples.ndim == 2 and samples.shape[1] == 1:
         samples = samples[:, 0]
     if samples.ndim != 1:
-        raise ValueError(f"{entry.text}: {samples.shape[1]} channels where one is needed: split the file")
+        raise ValueError(f"{entry.text}: {samples.shape[1]} channels where one is expected: split the file")
     if not len(samples):
         raise ValueError(f"{entry.text}: holds 0 samples: make it again")
     if len(samples) > max_audio_samples():

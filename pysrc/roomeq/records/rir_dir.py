@@ -92,7 +92,7 @@ def write_rirs(directory: Path, rows: Iterable[Mapping[str, Any]], final_directo
     for row in sorted_rows:
         problem = row_problem(json.loads(json.dumps(row)))  # as it will be read: NumPy's numbers are plain ones then
         if not problem and row["id"] == previous_id:
-            problem = f"id {row['id']!r} stands twice: ids must be unique"
+            problem = f"id {row['id']!r} occurs twice: ids must be unique"
         if problem:
             raise ValueError(f"{directory / ROWS_FILE}: {problem}")
         previous_id = row["id"]

@@ -65,7 +65,7 @@ def read_texts(path: Path) -> Texts:
         if not utterance:
             raise ValueError(f"{path}:{number}: line {line!r} must start with an utterance: {_RUN_DECODING}")
         if utterance in texts:
-            raise ValueError(f"{path}:{number}: utterance {utterance!r} stands twice: {_RUN_DECODING}")
+            raise ValueError(f"{path}:{number}: utterance {utterance!r} occurs twice: {_RUN_DECODING}")
         texts[utterance] = tuple(words)
     return texts
 
