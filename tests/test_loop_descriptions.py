@@ -16,13 +16,13 @@ from roomeq.loop.unexplained import Unexplained
     ("t30", [500.0, 62.5, 125.0], "room", 2.0,
      "the decay time (T30) at 62.5 to 125, 500 Hz is 10 % longer than simulated, in some rooms (+2.0 JND)"),
     ("edt", [1000.0], "nothing", -2.0,
-     "the early decay time (EDT) at 1000 Hz is 9 % shorter than simulated, in all rooms alike (-2.0 JND)"),
-    ("drr", [], "source", 1.5, "the direct sound against the rest (DRR) is 3.0 dB higher than simulated, "
-                               "from one source set against the others (+1.5 JND)"),
+     "the early decay time (EDT) at 1000 Hz is 9 % shorter than simulated, equally in all rooms (-2.0 JND)"),
+    ("drr", [], "source", 1.5, "the direct-to-reverberant ratio (DRR) is 3.0 dB higher than simulated, "
+                               "for one source compared with the others (+1.5 JND)"),
     ("arrival", [], "mic", -3.0,
-     "the direct sound is 0.3 ms earlier than simulated, at one microphone set against the others (-3.0 JND)"),
+     "the direct sound is 0.3 ms earlier than simulated, for one microphone compared with the others (-3.0 JND)"),
     ("floor", [125.0, 250.0, 500.0], "nothing", 4.6,
-     "noise behind the response at 125 to 500 Hz is 4.6 dB louder than simulated, in all rooms alike (+4.6 JND)")])
+     "noise after the response at 125 to 500 Hz is 4.6 dB louder than simulated, equally in all rooms (+4.6 JND)")])
 def test_residual_is_described_in_the_unit_of_its_metric(metric, bands_hz, varies_with, size_jnd, description):
     unexplained = Unexplained(metric, REGION[metric], bands_hz, varies_with, size_jnd, 0.01)
     assert describe_residual(unexplained) == description
@@ -48,11 +48,11 @@ def test_effects_are_described_by_their_parameters():
     flat, bass_light = np.zeros(len(RESPONSE_HZ)), np.zeros(len(RESPONSE_HZ))
     bass_light[0], bass_light[14] = -9.7, 6.2
     assert description("source_response", flat, bass_light) == (
-        "the response of u2, the furthest from flat, goes from -9.7 dB at 50 Hz to +6.2 dB at 1300 Hz")
+        "the least flat response, that of u2, ranges from -9.7 dB at 50 Hz to +6.2 dB at 1300 Hz")
     assert description("coupled_volume", [-1.5, np.log(2.0)], [-6.0, 0.0], [-2.0, np.log(3.0)]) == (
-        "in 2 of 3 rooms a slower decay of 2.5 s (2.0 to 3.0) goes on behind the room's own, its energy 18 dB (15 to "
-        "20) below that of all reflections: a volume coupled through an opening decays so")
+        "2 of 3 rooms have a second decay of 2.5 s (2.0 to 3.0), 18 dB (15 to 20) below the energy of all reflections, "
+        "as of a volume that is coupled through an opening")
     assert description("occlusion", [np.log(0.2)], [-9.0]) == (
-        "in 1 of 2 recordings the direct sound comes around an obstacle, a detour of 20 cm")
+        "an obstacle delays the direct sound of 1 of 2 recordings by a detour of 20 cm")
     assert description("near_reflector", [np.log(0.7), 0.5]) == (
         "a surface 0.70 m below source and microphone reflects 50 % of the pressure")

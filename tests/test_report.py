@@ -171,7 +171,7 @@ def test_loop_section_describes_effects_and_errors(page):
     assert ("The data do not discriminate between these effects. A further measurement would: the same room recorded "
             "with another") in page.text
     assert "The held-out error falls from 3.40 to 1.90 JND (95\N{NO-BREAK SPACE}% interval 1.60 to 2.20)" in page.text
-    assert ("Sound ahead of the direct sound at 125 Hz is 3.5 dB louder than simulated, in all rooms alike (+3.5 JND)."
+    assert ("Sound before the direct sound at 125 Hz is 3.5 dB louder than simulated, equally in all rooms (+3.5 JND)."
             in page.text)
     assert "A surface 0.70 m (0.70 to 0.70) below source and microphone reflects 60 %" in page.text
     assert "Limitations of the closed loop" in page.text and "3.4 \u2192 1.5" in page.text

@@ -19,11 +19,11 @@ _METRICS = {"direct": ("the direct sound", _LOUDER), "early": ("sound of the fir
             "late": ("sound from 50 to 200 ms", _LOUDER), "spectrum": ("the whole response", _LOUDER),
             "edt": ("the early decay time (EDT)", _LONGER), "t20": ("the decay time (T20)", _LONGER),
             "t30": ("the decay time (T30)", _LONGER), "c50": ("clarity (C50)", _HIGHER),
-            "drr": ("the direct sound against the rest (DRR)", _HIGHER), "arrival": ("the direct sound", _LATER),
-            "ahead": ("sound ahead of the direct sound", _LOUDER), "floor": ("noise behind the response", _LOUDER)}
+            "drr": ("the direct-to-reverberant ratio (DRR)", _HIGHER), "arrival": ("the direct sound", _LATER),
+            "ahead": ("sound before the direct sound", _LOUDER), "floor": ("noise after the response", _LOUDER)}
 """Name of each metric, and the words for more and less of it."""
-_VARIES = {"nothing": "in all rooms alike", "room": "in some rooms", "source": "from one source set against the others",
-           "mic": "at one microphone set against the others"}
+_VARIES = {"nothing": "equally in all rooms", "room": "in some rooms",
+           "source": "for one source compared with the others", "mic": "for one microphone compared with the others"}
 _VISIBLE_DB = -45.0  # a second decay of a lower level does not reach the range of T30
 _MIN_DETOUR_M = 0.01  # positions are known to centimetres, so that a shorter detour may be none
 
@@ -72,8 +72,8 @@ def _response(best: _Best, values: _Values) -> str:
     gains_db = values["gains_db"]
     widest = int(np.argmax(np.ptp(gains_db, axis=1)))
     low, high = int(np.argmin(gains_db[widest])), int(np.argmax(gains_db[widest]))
-    of = f" of {list(best)[widest]}, the furthest from flat," if len(best) > 1 else ""
-    return (f"the response{of} goes from {gains_db[widest, low]:+.1f} dB at {_round(RESPONSE_HZ[low])} Hz to "
+    name = f"the least flat response, that of {list(best)[widest]}," if len(best) > 1 else "the response"
+    return (f"{name} ranges from {gains_db[widest, low]:+.1f} dB at {_round(RESPONSE_HZ[low])} Hz to "
             f"{gains_db[widest, high]:+.1f} dB at {_round(RESPONSE_HZ[high])} Hz")
 
 
@@ -85,34 +85,37 @@ def _round(value: float) -> str:
 def _coupled_volume(best: _Best, values: _Values) -> str:
     visible = values["level_db"] > _VISIBLE_DB
     if not visible.any():
-        return "in no room does it reach the part of the decay that is measured"
-    return (f"in {visible.sum()} of {len(best)} rooms a slower decay of {_over(values['time_s'][visible], '.1f', 's')} "
-            f"goes on behind the room's own, its energy {_over(-values['level_db'][visible], '.0f', 'dB')} below that "
-            "of all reflections: a volume coupled through an opening decays so")
+        return "the second decay lies below the measured part of the decay in all rooms"
+    time, level = _over(values["time_s"][visible], ".1f", "s"), _over(-values["level_db"][visible], ".0f", "dB")
+    return (f"{visible.sum()} of {len(best)} rooms have a second decay of {time}, {level} below the energy of all "
+            "reflections, as of a volume that is coupled through an opening")
 
 
 def _noise_floor(best: _Best, values: _Values) -> str:
     levels_db = np.median(values["levels_db"], axis=0)
-    return f"noise stands out most at {BANDS_HZ[int(np.argmax(levels_db))]:g} Hz"
+    return f"noise is strongest at {BANDS_HZ[int(np.argmax(levels_db))]:g} Hz"
 
 
 def _occlusion(best: _Best, values: _Values) -> str:
     obstructed = values["detour_m"] > _MIN_DETOUR_M
-    detours = f", a detour of {_over(100.0 * values['detour_m'][obstructed], '.0f', 'cm')}" if obstructed.any() else ""
-    return f"in {obstructed.sum()} of {len(best)} recordings the direct sound comes around an obstacle{detours}"
+    text = f"an obstacle delays the direct sound of {obstructed.sum()} of {len(best)} recordings"
+    if not obstructed.any():
+        return text
+    return f"{text} by a detour of {_over(100.0 * values['detour_m'][obstructed], '.0f', 'cm')}"
 
 
 _EFFECTS: dict[str, Callable[[_Best, _Values], str]] = {
     "air_absorption": lambda best, values: (
-        f"the air absorbs like that of {values['temperature_c'][0]:.0f} \N{DEGREE SIGN}C and "
+        f"the air absorbs like air of {values['temperature_c'][0]:.0f} \N{DEGREE SIGN}C and "
         f"{values['humidity_pct'][0]:.0f} % humidity"),
-    "sound_speed": lambda best, values: f"sound is as fast as at {values['temperature_c'][0]:.0f} \N{DEGREE SIGN}C",
+    "sound_speed": lambda best, values: (
+        f"sound travels as fast as at {values['temperature_c'][0]:.0f} \N{DEGREE SIGN}C"),
     "source_directivity": lambda best, values: (
         "radiates like a membrane of radius "
         f"{_over(100.0 * values['radius_m'] * np.sin(values['cap_rad']), '.0f', 'cm')} in a cabinet of radius "
         f"{_over(100.0 * values['radius_m'], '.0f', 'cm')}"),
     "room_modes": lambda best, values: (
-        f"up to {values['up_to_hz'][0]:.0f} Hz rooms answer at their own frequencies"),
+        f"up to {values['up_to_hz'][0]:.0f} Hz the response consists of the modes of the room"),
     "near_reflector": lambda best, values: (
         f"a surface {_over(values['depth_m'], '.2f', 'm')} below source and microphone reflects "
         f"{_over(100.0 * values['reflection'], '.0f', '%')} of the pressure"),
