@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from roomeq.acoustics.octaves import THIRDS_HZ
 from roomeq.core.build import Build
 from roomeq.core.constants import BANDS_HZ
 from roomeq.core.files import write_json
@@ -10,7 +11,7 @@ from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, write_model
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, LENGTH_S, STEP_S
-from roomeq.loop.features import METRIC, N_FEATURES, REGION, THIRDS_HZ
+from roomeq.loop.features import METRIC, N_FEATURES, REGION
 from roomeq.loop.ledger import LEDGER_FILE, LEDGER_FORMAT, RESIDUALS_FILE
 from roomeq.loop.selection import SPLITS
 

@@ -10,8 +10,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from roomeq.acoustics.octaves import OCTAVE_WIDTH_HZ
 from roomeq.core.arrays import FloatArray, IntArray
-from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
+from roomeq.core.constants import FS_HZ
 from roomeq.effects.base import Effect, Rendering, octave_energies
 from roomeq.effects.prediction import PredictedRirs, PredictionState
 from roomeq.sim.echogram import FRAME_S
@@ -21,9 +22,6 @@ NOISE_S = 0.1
 """Duration of the noise whose energy is compared with that of the response."""
 QUIET_DB = -55.0
 """Energy of `NOISE_S` of noise relative to the response of its band, below which it disturbs no decay."""
-OCTAVE_WIDTH_HZ = (np.minimum(np.array(EXACT_BANDS_HZ) * np.sqrt(2.0), 0.5 * FS_HZ)
-                   - np.array(EXACT_BANDS_HZ) / np.sqrt(2.0))
-"""Width of the octaves below half the sample rate [Hz], shape (8,)."""
 
 
 @dataclass(frozen=True)

@@ -103,7 +103,7 @@ class PredictionState:
     direct_gain : ndarray, shape (n_rirs, 8)
         Energy gain of the direct sound.
     direct_thirds : ndarray, shape (n_rirs, 22)
-        Further energy gain of the direct sound in third octaves.
+        Further energy gain of the direct sound at `roomeq.acoustics.octaves.THIRDS_HZ`.
     decays : list of (Decay, ndarray of int)
         Added decays, and the RIRs that have them.
     response_db : ndarray, shape (n_rirs, 23)

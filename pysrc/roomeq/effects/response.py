@@ -7,11 +7,12 @@ import numpy as np
 import scipy  # its submodules are slow to import and load themselves when first used
 from numpy.typing import ArrayLike
 
+from roomeq.acoustics.octaves import THIRDS_HZ
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.effects.base import Effect, Rendering, minimum_phase
 from roomeq.effects.prediction import PredictedRirs, PredictionState
 
-RESPONSE_HZ = tuple(1000.0 * 10.0 ** (0.1 * k) for k in range(-13, 10))
+RESPONSE_HZ = (*THIRDS_HZ, 1000.0 * 10.0 ** (0.1 * 9))
 """Third octaves from 50 Hz to 8 kHz."""
 _SPREAD_DB = 6.0
 _MAX_DB = 60.0

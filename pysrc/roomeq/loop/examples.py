@@ -14,11 +14,11 @@ from numpy.lib.format import read_array
 
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.iso3382 import energy_decay
-from roomeq.acoustics.octaves import octave_bands
+from roomeq.acoustics.octaves import THIRDS_HZ, octave_bands
 from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.loop.data import Data
-from roomeq.loop.features import THIRDS_HZ, feature_slice, measure_features
+from roomeq.loop.features import feature_slice, measure_features
 from roomeq.loop.rendering import finished_rir, render_rows
 from roomeq.loop.session import Session
 from roomeq.records.rir_dir import load_rir, read_rirs
@@ -41,7 +41,7 @@ class Examples:
     decay_db : ndarray, shape (n_examples, 3 kinds, 2 bands, n_times)
         Backward-integrated energy every `STEP_S` after the direct sound; NaN where noise hides it.
     spectrum_db : ndarray, shape (n_examples, 3 kinds, 22)
-        Level in third octaves (`roomeq.loop.features.THIRDS_HZ`); NaN where it was not measured.
+        Level in third octaves (`roomeq.acoustics.octaves.THIRDS_HZ`); NaN where it was not measured.
     """
 
     ids: list[str]

@@ -21,15 +21,13 @@ from scipy.fft import next_fast_len, rfft
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.iso3382 import DIRECT_S, EARLY_S, all_metrics
-from roomeq.acoustics.octaves import octave_gains
+from roomeq.acoustics.octaves import OCTAVE_WIDTH_HZ, THIRDS_HZ, octave_gains
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
 from roomeq.core.constants import BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
-from roomeq.effects.noise_floor import NOISE_S, OCTAVE_WIDTH_HZ, QUIET_DB
+from roomeq.effects.noise_floor import NOISE_S, QUIET_DB
 
 LEAD_S = 1.5e-3
 LATE_S = 0.2  # end of the late level, ahead of the noise of most recordings
-THIRDS_HZ = tuple(1000.0 * 10.0 ** (0.1 * k) for k in range(-13, 9))
-"""Exact mid-bands of third octaves, 50 Hz to 6.3 kHz."""
 DIRECT_THIRDS_HZ = THIRDS_HZ[11:]  # from 630 Hz: lower ones are not resolved within `DIRECT_S`
 NEAR_S, NEAR_SHARE = 4e-4, 0.05
 """Tolerance of the arrival of the direct sound: positions (14 cm) plus a speed of sound that is wrong by 5 %."""

@@ -10,10 +10,10 @@ from functools import partial
 import numpy as np
 
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
+from roomeq.acoustics.octaves import OCTAVE_WIDTH_HZ, THIRDS_HZ
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.core.jit import compiled
-from roomeq.effects.noise_floor import OCTAVE_WIDTH_HZ
 from roomeq.effects.prediction import PredictionState
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.loop.data import Data
@@ -25,7 +25,6 @@ from roomeq.loop.features import (
     LATE_S,
     N_FEATURES,
     QUIET,
-    THIRDS_HZ,
     feature_slice,
 )
 from roomeq.loop.tables import FRAME_EDGES_S, LEVEL_SHARES

@@ -5,13 +5,14 @@ from typing import Any
 
 import numpy as np
 
+from roomeq.acoustics.octaves import THIRDS_HZ
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.response import RESPONSE_HZ, Response
 from roomeq.loop.descriptions import describe_effect, describe_residual, effect_names
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, STEP_S, Examples, read_examples
-from roomeq.loop.features import BAND_OF_FEATURE, METRIC, REGION, THIRDS_HZ
+from roomeq.loop.features import BAND_OF_FEATURE, METRIC, REGION
 from roomeq.loop.ledger import LEDGER_FILE, RESIDUALS_FILE, read_ledger, read_residuals
 from roomeq.loop.selection import SPLITS
 from roomeq.loop.unexplained import Unexplained
