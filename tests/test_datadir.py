@@ -172,7 +172,7 @@ def test_ids_are_never_run_and_leave_no_folder(tmp_path, monkeypatch, name):
                    [OutUtterance(f"{name}-1", name, f"{name}-1", 0, 8000, text="A")], segmented=False)
     rir_dir(Path("rirs"), n_rooms=1)
     before = sorted(Path().iterdir())
-    augment("in", "rirs", "out", layout="utterance")
+    augment("in", "rirs", "out", packing="utterance")
     assert validate_data_dir("out") == 1
     assert {path.name for path in Path().iterdir()} - {path.name for path in before} == {"out", ".out.lock"}
     assert not Path("x").exists() and not (tmp_path.parent / "up").exists()

@@ -16,7 +16,7 @@ class Limit:
 
     option: str
     default: float
-    what: str
+    description: str
 
     @property
     def variable(self) -> str:
