@@ -12,6 +12,7 @@ import numpy as np
 from roomeq.core.rng import rng_for
 from roomeq.records.geometry import geometry_usability
 from roomeq.sim.mesh import load_mesh
+from roomeq.sim.room import Room
 from roomeq.sim.scene import MIN_WALL_DISTANCE_M, Shoebox
 
 VOLUME_RANGE_M3 = (30.0, 2000.0)
@@ -32,7 +33,7 @@ class Place:
         What was unknown and drawn, such as ``"mic_pos_m.2"`` or ``"room_dims_m.0"``.
     """
 
-    room: object
+    room: Room
     source_pos_m: tuple
     mic_pos_m: tuple
     drawn: tuple
