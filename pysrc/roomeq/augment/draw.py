@@ -1,7 +1,8 @@
-"""What is drawn for an utterance: SNR distributions, RIRs, noises.
+"""Draw the RIR, the noises and the SNRs of each utterance.
 
-Every utterance takes the same uniform numbers in the same order whatever it is augmented with, and picks by rank
-in sorted lists. So RIR directories with the same ids (simulated, and the same compensated) give the same draws.
+Every utterance uses the same uniform numbers in the same order whatever it is augmented with, and chooses by rank in
+sorted lists. RIR directories with the same ids (simulated ones and their compensated versions) therefore give the same
+draws.
 """
 
 import math
@@ -11,6 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from statistics import NormalDist
+from typing import NamedTuple
 
 from roomeq.core.audio import audio_info
 from roomeq.core.rng import rng_for
@@ -19,27 +21,30 @@ from roomeq.records.schema import RirRow
 
 _MAX_SNR_DB = 200.0
 
+Quantile = Callable[[float], float]
+"""Turns a uniform number in [0, 1) into an SNR [dB]."""
 
-def parse_distribution(text: str, name: str) -> Callable[[float], float] | None:
+
+def parse_distribution(text: str | float, name: str) -> Quantile | None:
     """Return the quantile function of an SNR distribution.
 
     Parameters
     ----------
-    text : str
+    text
         ``"uniform LOW HIGH"``, ``"normal MEAN SD"``, ``"list A,B,..."`` (each equally likely), one number, or
         ``"none"``; all in dB.
-    name : str
+    name
         Name of the option, for the message.
 
     Returns
     -------
-    quantile : callable or None
-        Turns a number in [0, 1) into an SNR [dB]. None for ``"none"``.
+    Quantile or None
+        None for ``"none"``.
 
     Raises
     ------
     ValueError
-        The text is none of these, or a number is out of range (at most 200 dB).
+        The text has another form, or a number is out of range (at most 200 dB).
     """
     kind, _, rest = str(text).strip().partition(" ")
     try:
@@ -60,9 +65,16 @@ def parse_distribution(text: str, name: str) -> Callable[[float], float] | None:
                          f"or 'none', in dB between -{_MAX_SNR_DB:g} and {_MAX_SNR_DB:g}") from None
 
 
+class AudioLength(NamedTuple):
+    """Number of samples, and sample rate [Hz]."""
+
+    frames: int
+    rate_hz: int
+
+
 @dataclass(frozen=True)
 class Noise:
-    """A noise recording; `room_id` is None where nobody knows the room."""
+    """A noise recording; `room_id` is None if the room is unknown, `kind` is ``"ambient"`` or ``"point"``."""
 
     id: str
     path: Path
@@ -70,15 +82,23 @@ class Noise:
     kind: str
 
     @cached_property
-    def length(self) -> tuple[int, int]:
-        """Samples and sample rate [Hz], from the header."""
+    def length(self) -> AudioLength:
+        """Length of the recording, from its header."""
         info = audio_info(self.path)
-        return info.frames, info.samplerate
+        return AudioLength(info.frames, info.samplerate)
 
 
 @dataclass(frozen=True)
 class NoiseDraw:
-    """One noise of one utterance; `rir_id` is None for ambient noise."""
+    """One noise of one utterance.
+
+    Attributes
+    ----------
+    rir_id : str or None
+        RIR to convolve the noise with; None for ambient noise.
+    offset_u : float
+        Where the excerpt starts, as a uniform number in [0, 1).
+    """
 
     noise: Noise
     rir_id: str | None
@@ -88,16 +108,16 @@ class NoiseDraw:
 
 @dataclass(frozen=True)
 class Pool:
-    """The RIRs and noises that utterances draw from.
+    """RIRs and noises to draw from.
 
     Attributes
     ----------
     rows : dict
         Rows of `rirs.jsonl` by id, noise RIRs included.
     main : list of str
-        Ids that speech may be convolved with.
+        Ids of the RIRs for speech.
     noise_rirs : dict of list of str
-        For each of them, the RIRs that a point noise in the same room may be convolved with; may be empty.
+        For each of them, the RIRs for a point noise in the same room; may be empty.
     ambient, point : list of Noise
         Sorted by id.
     """
@@ -117,14 +137,15 @@ class Pool:
         return [rooms[room] for room in sorted(rooms)]
 
     @cached_property
-    def ambient_by_room(self) -> dict[str, list[Noise]]:
+    def ambient_by_room(self) -> dict[str | None, list[Noise]]:
+        """Ambient noises by room."""
         by_room = defaultdict(list)
         for noise in self.ambient:
             by_room[noise.room_id].append(noise)
         return by_room
 
     def draw_rir(self, u: float, draw_rooms_equally: bool) -> str:
-        """Return an RIR id: uniform over RIRs, or over rooms first."""
+        """Return the id of an RIR: uniform over RIRs, or uniform over rooms and then over the RIRs of the room."""
         if not draw_rooms_equally:
             return self.main[int(u * len(self.main))]
         position = u * len(self.rooms)
@@ -133,15 +154,9 @@ class Pool:
 
 
 def read_pool(rir_dir: Path, noise_dirs: list[Path]) -> Pool:
-    """Read what may be drawn: RIRs, and the noises beside them and elsewhere.
+    """Read the RIRs of a directory, its noises, and those of further directories with `noises.jsonl`.
 
-    RIRs that the EQ fit screens out (hand claps, say) are real rooms all the same and stay in.
-
-    Parameters
-    ----------
-    rir_dir : Path
-    noise_dirs : list of Path
-        Further directories with `noises.jsonl`.
+    RIRs that the EQ fit screens out (hand claps, for example) are kept: their rooms are real.
 
     Raises
     ------
@@ -159,33 +174,39 @@ def read_pool(rir_dir: Path, noise_dirs: list[Path]) -> Pool:
 
 
 def _noise_rirs(rows: Mapping[str, RirRow], main: list[str]) -> dict[str, list[str]]:
-    """Return for each main RIR those of its room with another source: simulated for it, else measured."""
-    made_for, in_room = defaultdict(list), defaultdict(list)
-    for key, row in rows.items():
-        if row.get("noise_for"):
-            made_for[row["noise_for"]].append(key)
-    for key in main:
-        in_room[rows[key]["room_id"]].append(key)
-    found = {}
-    for key in main:
-        if made_for[key]:
-            found[key] = made_for[key]
+    """Return for each main RIR those of its noise sources: simulated for it, else others of the room.
+
+    Among the others, those with another source position come first, and of these those with the same microphone.
+    """
+    simulated, of_room = defaultdict(list), defaultdict(list)
+    for rir_id, row in rows.items():
+        if noise_for := row.get("noise_for"):
+            simulated[noise_for].append(rir_id)
+    for rir_id in main:
+        of_room[rows[rir_id]["room_id"]].append(rir_id)
+    noise_rirs = {}
+    for rir_id in main:
+        if simulated[rir_id]:
+            noise_rirs[rir_id] = simulated[rir_id]
             continue
-        row, same_room = rows[key], [other for other in in_room[rows[key]["room_id"]] if other != key]
-        elsewhere = [other for other in same_room if _other_source(row, rows[other])]
-        same_mic = [other for other in elsewhere if rows[other]["mic_id"] == row["mic_id"]]
-        found[key] = same_mic or elsewhere or same_room
-    return found
+        row = rows[rir_id]
+        same_room = [candidate for candidate in of_room[row["room_id"]] if candidate != rir_id]
+        elsewhere = [candidate for candidate in same_room if _sources_differ(row, rows[candidate])]
+        same_mic = [candidate for candidate in elsewhere if rows[candidate]["mic_id"] == row["mic_id"]]
+        noise_rirs[rir_id] = same_mic or elsewhere or same_room
+    return noise_rirs
 
 
-def _other_source(row: RirRow, other: RirRow) -> bool:
-    """Tell whether two RIRs of a room have different source positions (ids, where no position is known)."""
-    here, there = row.get("source_pos_m"), other.get("source_pos_m")
-    return here != there if here and there else row["source_id"] != other["source_id"]
+def _sources_differ(first: RirRow, second: RirRow) -> bool:
+    """Return whether two RIRs of a room have different source positions; ids decide if a position is unknown."""
+    first_pos_m, second_pos_m = first.get("source_pos_m"), second.get("source_pos_m")
+    if first_pos_m and second_pos_m:
+        return first_pos_m != second_pos_m
+    return first["source_id"] != second["source_id"]
 
 
 def _noises(directories: list[Path]) -> list[Noise]:
-    """Return all noises by id; the same recording may be listed by several directories."""
+    """Return all noises, sorted by id; several directories may list the same recording."""
     by_id: dict[str, Noise] = {}
     for n, directory in enumerate(map(Path, directories)):
         if n and not (directory / NOISES_FILE).is_file():
@@ -193,29 +214,29 @@ def _noises(directories: list[Path]) -> list[Noise]:
                              "make it with 'roomeq read-noises'")
         for row in read_noises(directory):
             noise = Noise(row["id"], directory / row["wav"], row.get("room_id"), row["kind"])
-            other = by_id.setdefault(noise.id, noise)
-            if other.path.resolve() != noise.path.resolve():
-                raise ValueError(f"{noise.path}: noise id {noise.id!r} is also that of {other.path}: "
+            known = by_id.setdefault(noise.id, noise)
+            if known.path.resolve() != noise.path.resolve():
+                raise ValueError(f"{noise.path}: noise id {noise.id!r} is also that of {known.path}: "
                                  "ids must be unique: rename one")
-    return [by_id[key] for key in sorted(by_id)]
+    return [by_id[noise_id] for noise_id in sorted(by_id)]
 
 
 @dataclass(frozen=True)
-class Rules:
-    """How to draw; see `roomeq.augment.far_field.augment` for the options."""
+class DrawRules:
+    """Options of `roomeq.augment.augment` that draws depend on."""
 
     seed: int
     draw_rooms_equally: bool
-    ambient_snr: Callable[[float], float] | None
-    point_snr: Callable[[float], float] | None
+    ambient_snr: Quantile | None
+    point_snr: Quantile | None
     point_noise_prob: float
     max_point_noises: int
 
     def draw(self, utterance_id: str, pool: Pool) -> tuple[str, list[NoiseDraw]]:
-        """Draw an utterance's RIR and its noises (ambient first).
+        """Draw the RIR of an utterance and its noises, ambient noise first.
 
-        The uniform numbers of each choice stand at fixed places, so that a choice that one pool does not offer
-        (no ambient noise, say) does not shift the others.
+        Each choice has its own uniform numbers: a choice that a pool does not offer (no ambient noise, for example)
+        does not shift the others.
         """
         rng = rng_for(self.seed, "augment", utterance_id)
         rir_u, noise_u, snr_u, offset_u = rng.random(4).tolist()
@@ -225,15 +246,15 @@ class Rules:
             choices = pool.ambient_by_room.get(pool.rows[rir_id]["room_id"]) or pool.ambient
             noises.append(NoiseDraw(choices[int(noise_u * len(choices))], None, self.ambient_snr(snr_u), offset_u))
         for _ in range(self.max_point_noises):
-            there_u, noise_u, noise_rir_u, snr_u, offset_u = rng.random(5).tolist()
+            present_u, noise_u, noise_rir_u, snr_u, offset_u = rng.random(5).tolist()
             rirs = pool.noise_rirs[rir_id]
-            if there_u < self.point_noise_prob and self.point_snr and pool.point and rirs:
+            if present_u < self.point_noise_prob and self.point_snr and pool.point and rirs:
                 noises.append(NoiseDraw(pool.point[int(noise_u * len(pool.point))],
                                         rirs[int(noise_rir_u * len(rirs))], self.point_snr(snr_u), offset_u))
         return rir_id, noises
 
 
 def excerpt_start(u: float, n_noise: int, n_samples: int) -> int:
-    """Return where an excerpt starts: uniform over all places, or over the ring where the noise must repeat."""
+    """Return where an excerpt starts: uniform over all positions, or over the whole noise if it has to repeat."""
     return math.floor(u * (n_noise - n_samples + 1 if n_noise >= n_samples else n_noise))
 

@@ -1,14 +1,13 @@
-"""Far-field speech at the level of signals: x_r = x*h_s + sum n_i*h_i + d (Tang et al., eq. 1; Ko et al. 2017).
+"""Signal processing of far-field speech: x_r = x*h_s + sum n_i*h_i + d (Tang et al., eq. 1; Ko et al. 2017).
 
 Conventions
 -----------
 - Signals are float32, mono, at `FS_HZ`.
-- The reverberated speech is advanced by the direct sound's delay, rounded to a sample, and cut to the length of
+- The reverberated speech is advanced by the delay of the direct sound, rounded to a sample, and cut to the length of
   the clean utterance: labels and alignments of the clean speech stay valid.
 - Every SNR is a ratio of mean powers over the whole utterance: reverberated speech to that one noise as it arrives
-  at the microphone. No activity detection: pauses count, as they do in Kaldi's `wav-reverberate`.
-- The mixture gets the RMS of the clean utterance; where its peak would exceed `PEAK_LIMIT` it is turned down
-  further.
+  at the microphone. There is no activity detection: pauses count, as in Kaldi's `wav-reverberate`.
+- The result has the RMS of the clean utterance. If its peak would exceed `PEAK_LIMIT`, the level is reduced further.
 """
 
 import math
@@ -18,41 +17,42 @@ import numpy as np
 from scipy import fft
 
 from roomeq.acoustics.direct import find_direct
+from roomeq.core.arrays import Array
 from roomeq.core.constants import FS_HZ
 from roomeq.records.schema import RirRow
 
 PEAK_LIMIT = 0.99
 FADE_SAMPLES = FS_HZ // 20
-"""Cross-fade where a noise that is shorter than the utterance starts again: 50 ms."""
+"""Cross-fade at the repetition of a noise that is shorter than the utterance: 50 ms."""
 _FFT_SIZES = [odd << shift for shift in range(8, 24) for odd in (4, 5, 6, 7)]
 
 
 @dataclass(frozen=True)
-class Mixture:
-    """What `mix` returns.
+class MixedUtterance:
+    """Result of `mix`.
 
     Attributes
     ----------
     samples : ndarray of float32, shape (n_samples,)
     snr_db : float or None
-        Reverberated speech to the sum of all noises [dB]; None without noise.
+        Ratio of the reverberated speech to the sum of all noises [dB]; None without noise.
     gain_db : float
         Gain applied to the reverberated speech [dB], `peak_gain_db` included.
     peak_gain_db : float
-        How far the mixture was turned down because of its peak [dB], 0 or negative.
+        By how much the level was reduced because of the peak [dB], 0 or negative.
     """
 
-    samples: np.ndarray
+    samples: Array
     snr_db: float | None
     gain_db: float
     peak_gain_db: float
 
 
-def direct_shift(row: RirRow, rir: np.ndarray) -> int:
-    """Return the delay of an RIR's direct sound in whole samples.
+def direct_shift(row: RirRow, rir: Array) -> int:
+    """Return the delay of the direct sound of an RIR in whole samples.
 
-    The row's own `direct_sample` (from a simulation's known geometry) comes first, then its acoustic parameters', then the
-    onset found in the signal, whatever its polarity.
+    The `direct_sample` of the row, which a simulation knows from its geometry, takes precedence over that of its
+    acoustic parameters, and this over the onset of the signal.
 
     Raises
     ------
@@ -72,16 +72,15 @@ def direct_shift(row: RirRow, rir: np.ndarray) -> int:
     return shift
 
 
-def convolve(x: np.ndarray, rir: np.ndarray, start: int, n_samples: int) -> np.ndarray:
+def convolve(x: Array, rir: Array, start: int, n_samples: int) -> Array:
     """Return samples `start` to ``start + n_samples`` of the linear convolution x*rir (overlap-save).
 
     Parameters
     ----------
     x : ndarray of float32, shape (n,)
     rir : ndarray of float32, shape (n_taps,)
-    start : int
-        First sample wanted, at least 0.
-    n_samples : int
+    start
+        First sample to return, at least 0.
 
     Returns
     -------
@@ -102,28 +101,31 @@ def convolve(x: np.ndarray, rir: np.ndarray, start: int, n_samples: int) -> np.n
 
 
 def _blocks(n_taps: int, n_samples: int) -> tuple[int, int]:
-    """Return length and number of the FFT blocks that cost least, by n log n.
+    """Return the length and number of FFT blocks with the lowest cost, by n log n.
 
-    The number is a multiple of four: scipy's FFT takes four rows of float32 in the time of one.
+    The number is a multiple of four: scipy's FFT transforms four rows of float32 in the time of one.
     """
     sizes = [(n_fft, 4 * -(-n_samples // (4 * (n_fft - n_taps + 1)))) for n_fft in _FFT_SIZES if n_fft >= n_taps]
     return min(sizes, key=lambda size: size[0] * size[1] * math.log2(size[0]))
 
 
-def mean_power(x: np.ndarray) -> float:
-    """Return the mean square of a signal. Not a dot product: BLAS sums differently with other thread counts."""
+def mean_power(x: Array) -> float:
+    """Return the mean square of a signal.
+
+    A dot product would depend on the number of BLAS threads in its last bits.
+    """
     return float(np.mean(np.square(x)))
 
 
-def loop(noise: np.ndarray, offset: int, n_samples: int) -> np.ndarray:
-    """Return `n_samples` of a noise that repeats without a click: its end is cross-faded into its start.
+def loop(noise: Array, offset: int, n_samples: int) -> Array:
+    """Return `n_samples` of a noise that repeats without clicks: its end is cross-faded into its start.
 
     Parameters
     ----------
     noise : ndarray, shape (n,)
-        Counts as a ring of ``n - fade`` samples; the cross-fade keeps the power of uncorrelated ends.
-    offset : int
-        Where on the ring to start.
+        It becomes a ring of ``n - fade`` samples. The cross-fade keeps the power of uncorrelated ends.
+    offset
+        First sample on the ring.
     """
     fade = min(FADE_SAMPLES, len(noise) // 4)
     ring = noise[:len(noise) - fade].copy()
@@ -133,7 +135,7 @@ def loop(noise: np.ndarray, offset: int, n_samples: int) -> np.ndarray:
     return np.resize(np.roll(ring, -(offset % len(ring))), n_samples)
 
 
-def mix(clean: np.ndarray, reverberated: np.ndarray, noises: list[tuple[np.ndarray, float]]) -> Mixture:
+def mix(clean: Array, reverberated: Array, noises: list[tuple[Array, float]]) -> MixedUtterance:
     """Add noises to reverberated speech at given SNRs and set the level.
 
     Parameters
@@ -149,12 +151,13 @@ def mix(clean: np.ndarray, reverberated: np.ndarray, noises: list[tuple[np.ndarr
     ValueError
         The clean or reverberated utterance, or a noise, is silent.
     """
+    samples: Array = reverberated
+    total_noise: Array = np.zeros(1, dtype=np.float32)
     clean_power, speech_power = mean_power(clean), mean_power(reverberated)
     if not clean_power > 0:
         raise ValueError("utterance is silent (all samples 0): leave it out of the data directory")
     if not speech_power > 0:
         raise ValueError("reverberated utterance is silent: the RIR must hold its direct sound: drop the RIR")
-    samples, total_noise = reverberated, np.float32(0)
     for noise, snr_db in noises:
         power = mean_power(noise)
         if not power > 0:
@@ -166,5 +169,5 @@ def mix(clean: np.ndarray, reverberated: np.ndarray, noises: list[tuple[np.ndarr
     peak = float(max(samples.max(), -samples.min())) * gain
     peak_gain = min(1.0, PEAK_LIMIT / peak)
     snr = 10 * np.log10(speech_power / mean_power(total_noise)) if noises else None
-    return Mixture(samples * np.float32(gain * peak_gain), None if snr is None else float(snr),
-                   float(20 * np.log10(gain * peak_gain)), float(20 * np.log10(peak_gain)))
+    return MixedUtterance(samples * np.float32(gain * peak_gain), None if snr is None else float(snr),
+                          float(20 * np.log10(gain * peak_gain)), float(20 * np.log10(peak_gain)))

@@ -1,4 +1,4 @@
-"""Which utterances lie together in which recording, and the files they are written to."""
+"""Pack utterances into recordings, and write the recordings."""
 
 import hashlib
 import io
@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import soundfile
 
+from roomeq.core.arrays import Array
 from roomeq.core.constants import FS_HZ
 from roomeq.core.files import write_bytes
 from roomeq.kaldi.datadir import DataDir, Utterance
@@ -18,56 +19,60 @@ from roomeq.kaldi.wavscp import Entry, n_samples
 from roomeq.records.schema import is_id, make_id
 
 MAX_RECORDING_S = 900.0
-UNKNOWN_S = 15.0  # planning length of an utterance that only decoding a whole archive or pipe would tell
-FLAC_LEVEL = 0.25  # libsndfile's scale 0 to 1; higher gains 2 % of size for 15 % of time
+UNKNOWN_S = 15.0  # assumed duration of an utterance whose archive or pipe would have to be decoded to measure it
+FLAC_LEVEL = 0.25  # libsndfile's scale, 0 to 1; higher levels save 2 % of size for 15 % of time
 
 
-class Planned(NamedTuple):
-    """One utterance to make: its new id, and the clean one with where its audio lies."""
+class PlannedUtterance(NamedTuple):
+    """An utterance to make: its new id, the clean utterance, and the audio of the clean recording."""
 
     id: str
     clean: Utterance
     entry: Entry
 
 
-def plan_recordings(data: DataDir, copies: int, *, pipes: bool = False) -> dict[str, list[Planned]]:
-    """Decide which utterances lie together in a recording of at most 15 minutes.
+def plan_recordings(data: DataDir, copies: int, *, pipes: bool = False) -> dict[str, list[PlannedUtterance]]:
+    """Group utterances into recordings of at most 15 minutes.
 
-    Neighbours (in the order of the new ids) of the same speaker and chapter lie together. A chapter is a recording
-    of the input where it has `segments`, else what precedes the last number of the utterance id, else the speaker.
+    Neighbours (in the order of the new ids) of the same speaker and chapter share a recording. A chapter is a
+    recording of the input if it has `segments`, else the utterance id without its last number, else the speaker.
 
     Returns
     -------
     plan : dict
-        Utterances by recording id. All recordings one after the other hold the new ids in byte order.
+        Utterances by recording id. The recordings in turn hold the new ids in byte order.
     """
-    outputs = [Planned(f"{key}-rvb{copy}" if copies > 1 else key, utterance, data.recordings[utterance.recording])
-               for key, utterance in data.utterances.items() for copy in range(1, copies + 1)]
+    outputs = [PlannedUtterance(f"{utterance_id}-rvb{copy}" if copies > 1 else utterance_id, utterance,
+                                data.recordings[utterance.recording])
+               for utterance_id, utterance in data.utterances.items() for copy in range(1, copies + 1)]
     outputs.sort(key=lambda planned: planned.id)
     if len({planned.id for planned in outputs}) < len(outputs):
         raise ValueError(f"{data.path}: ids with and without -rvb1 clash: use copies=1, or rename the utterances")
 
-    def chapter(planned: Planned) -> tuple[str, str]:
+    def chapter_and_speaker(planned: PlannedUtterance) -> tuple[str, str]:
         if data.segmented:
             return planned.clean.recording, planned.clean.speaker
-        found = re.fullmatch(r"(.+)[-_.]\d+", planned.clean.id)
-        return found[1] if found else planned.clean.speaker, planned.clean.speaker
+        match = re.fullmatch(r"(.+)[-_.]\d+", planned.clean.id)
+        return match[1] if match else planned.clean.speaker, planned.clean.speaker
 
-    taken, plan = {chapter(planned)[0] for planned in outputs}, {}
-    for (name, _), together in groupby(outputs, key=chapter):
-        for piece in _pieces(data, together, pipes):
-            number, free = 1, name
-            while free in plan or (number > 1 and free in taken):
+    chapters = {chapter_and_speaker(planned)[0] for planned in outputs}
+    plan: dict[str, list[PlannedUtterance]] = {}
+    for (chapter, _), utterances in groupby(outputs, key=chapter_and_speaker):
+        for piece in _pieces(data, utterances, pipes):
+            number, name = 1, chapter
+            while name in plan or (number > 1 and name in chapters):
                 number += 1
-                free = f"{name}-{number}"
-            plan[free] = piece
+                name = f"{chapter}-{number}"
+            plan[name] = piece
     return plan
 
 
-def _pieces(data: DataDir, together: Iterable[Planned], pipes: bool) -> Iterator[list[Planned]]:
-    """Cut a chapter into pieces of at most `MAX_RECORDING_S` (one utterance may be longer)."""
-    piece, length_s = [], 0.0
-    for planned in together:
+def _pieces(data: DataDir, utterances: Iterable[PlannedUtterance],
+            pipes: bool) -> Iterator[list[PlannedUtterance]]:
+    """Cut a chapter into pieces of at most `MAX_RECORDING_S`; a single utterance may be longer."""
+    piece: list[PlannedUtterance] = []
+    length_s = 0.0
+    for planned in utterances:
         duration_s = _duration_s(data, planned, pipes)
         if piece and length_s + duration_s > MAX_RECORDING_S:
             yield piece
@@ -77,7 +82,7 @@ def _pieces(data: DataDir, together: Iterable[Planned], pipes: bool) -> Iterator
     yield piece
 
 
-def _duration_s(data: DataDir, planned: Planned, pipes: bool) -> float:
+def _duration_s(data: DataDir, planned: PlannedUtterance, pipes: bool) -> float:
     utterance = planned.clean
     if utterance.end_s is not None:
         return utterance.end_s - utterance.start_s
@@ -92,17 +97,17 @@ def _duration_s(data: DataDir, planned: Planned, pipes: bool) -> float:
     return length / rate - utterance.start_s
 
 
-def write_recording(work: Path, speaker: str, name: str, pieces: list[np.ndarray]) -> dict:
-    """Write a recording below the work directory (encoded in memory first: a full disk must be an error)."""
+def write_recording(work: Path, speaker: str, name: str, pieces: list[Array]) -> dict:
+    """Write a recording below `work`. It is encoded in memory first, so that a full disk raises an error."""
     buffer, samples = io.BytesIO(), np.concatenate(pieces)
     soundfile.write(buffer, samples, FS_HZ, format="FLAC", subtype="PCM_16", compression_level=FLAC_LEVEL)
     file = f"audio/{file_name(speaker)}/{file_name(name)}.flac"
-    write_bytes(work / file, buffer.getbuffer())
+    write_bytes(work / file, buffer.getvalue())
     return dict(recording=name, file=file, n_samples=len(samples))
 
 
 def file_name(name: str) -> str:
-    """Return a safe file name for an id of a data directory, which may hold anything but blanks."""
+    """Return a safe file name for an id of a data directory, which may contain any character except blanks."""
     if is_id(name) and len(name) <= 100:
         return name
     return f"{make_id(name)[:80]}+{hashlib.sha256(name.encode()).hexdigest()[:12]}"
