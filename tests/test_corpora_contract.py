@@ -7,7 +7,7 @@ import pytest
 from corpora_examples import MEASURED, make_folder, make_table, put, rir
 from roomeq.core.audio import read_audio
 from roomeq.corpora import read_measured
-from roomeq.corpora.measured import detect_kind
+from roomeq.corpora.listing import detect_kind
 from roomeq.corpora.record import rir_row
 from roomeq.records.rir_dir import load_rir, read_noises, read_rirs, validate_rirs
 from roomeq.records.schema import is_id

@@ -16,18 +16,13 @@ from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
 from roomeq.core.digests import audio_digest
 from roomeq.core.files import write_json
-from roomeq.corpora.folder import list_folder, list_noise_folder
-from roomeq.corpora.record import UNKNOWN, Corpus, Recording, audio_files, is_generated
-from roomeq.corpora.reverbdb import find_rooms, list_reverbdb
-from roomeq.corpora.slr28 import find_real, list_slr28
-from roomeq.corpora.sofa_file import list_sofa, sofa_signals
-from roomeq.corpora.table import MANIFEST, list_noise_table, list_table
-from roomeq.records.rir_dir import ROWS_FILE, write_noises, write_rirs
+from roomeq.corpora.listing import find_manifest, list_corpus, list_noises, require_existing
+from roomeq.corpora.record import UNKNOWN, Corpus, Recording, is_generated
+from roomeq.corpora.sofa_file import sofa_signals
+from roomeq.records.rir_dir import write_noises, write_rirs
 
 logger = logging.getLogger(__name__)
 
-READERS = {"reverbdb": list_reverbdb, "slr28": list_slr28, "table": list_table, "sofa": list_sofa,
-           "folder": list_folder}
 REPORT_FILE = "corpus.json"
 _CHUNK = 64
 _SAFE_PATH = re.compile(r"[A-Za-z0-9_./+@,:=%~^-]+")
@@ -50,7 +45,8 @@ def read_measured(source: Path, out: Path, *, kind: str | None = None, noises: P
     out : Path
         RIR directory to make: `rirs.jsonl`, `rir_list`, `noises.jsonl`, and `corpus.json` with the counts.
     kind : str, optional
-        One of `READERS`: ``reverbdb``, ``slr28``, ``table``, ``sofa``, ``folder``; recognised by default.
+        Key of `roomeq.corpora.listing.READERS`: ``reverbdb``, ``slr28``, ``table``, ``sofa`` or ``folder``; by default
+        recognised by the files.
     noises : Path, optional
         Folder or CSV of noise recordings to add to those of the corpus; see `read_noises`.
     skip_bad : bool
@@ -68,8 +64,8 @@ def read_measured(source: Path, out: Path, *, kind: str | None = None, noises: P
     ValueError
         There is no recording, two recordings share an id, or (without `skip_bad`) a recording cannot be used.
     """
-    source, out = _existing(source), Path(out)
-    noises = _existing(noises) if noises else None
+    source, out = require_existing(source), Path(out)
+    noises = require_existing(noises) if noises else None
     corpus = list_corpus(source, kind)
     listed = {source: corpus.rirs + corpus.noises}
     if noises:
@@ -105,68 +101,12 @@ def read_noises(source: Path, out: Path, *, skip_bad: bool = False, nj: int = 1)
     ValueError
         As in `read_measured`.
     """
-    source, out = _existing(source), Path(out)
+    source, out = require_existing(source), Path(out)
     corpus = Corpus(name=source.stem, kind="noises", noises=list_noises(source))
     build = _build(out, "read-noises", {source: corpus.noises}, skip_bad=skip_bad)
     if build.done:
         return out
     return _write(build, corpus, skip_bad, nj)
-
-
-def detect_kind(source: Path) -> str:
-    """Return the kind of a corpus, a key of `READERS`."""
-    if source.is_file():
-        by_suffix = {".csv": "table", ".tsv": "table", ".sofa": "sofa"}
-        return by_suffix.get(source.suffix.lower(), "folder")
-    if (source / ROWS_FILE).is_file():
-        raise ValueError(f"{source}: is an RIR directory already ({ROWS_FILE}): use it as it is")
-    if (source / "wav.scp").is_file():
-        raise ValueError(f"{source}: is a Kaldi data directory with speech (wav.scp), but RIRs are expected here: "
-                         "pass it as the speech corpus")
-    if find_rooms(source):
-        return "reverbdb"
-    if find_real(source):
-        return "slr28"
-    if _manifest(source):
-        return "table"
-    return "sofa" if not audio_files(source) and any(source.rglob("*.sofa")) else "folder"
-
-
-def list_corpus(source: Path, kind: str | None = None) -> Corpus:
-    """List a corpus by the reader of its kind.
-
-    Raises
-    ------
-    ValueError
-        The kind is unknown, or the corpus has no recordings of that kind.
-    """
-    if kind is not None and kind not in READERS:
-        raise ValueError(f"kind={kind!r} must be one of {', '.join(READERS)}")
-    kind = kind or detect_kind(source)
-    if kind == "table" and source.is_dir():
-        manifest = _manifest(source)
-        if not manifest:
-            raise ValueError(f"{source}: no {MANIFEST} in it: name the CSV file itself")
-        source = manifest
-    return READERS[kind](source)
-
-
-def list_noises(source: Path) -> list[Recording]:
-    """List noise recordings; see `read_noises`."""
-    table = source if source.suffix.lower() in (".csv", ".tsv") else _manifest(source)
-    return list_noise_table(table) if table else list_noise_folder(source)
-
-
-def _manifest(source: Path) -> Path | None:
-    path = source / MANIFEST
-    return path if source.is_dir() and path.is_file() else None
-
-
-def _existing(path: Path) -> Path:
-    path = Path(path)
-    if not path.exists():
-        raise ValueError(f"{path}: no such file or directory: check the path of the corpus")
-    return path
 
 
 def _build(out: Path, step: str, listed: dict[Path, list[Recording]], **options: Any) -> Build:
@@ -175,7 +115,7 @@ def _build(out: Path, step: str, listed: dict[Path, list[Recording]], **options:
     ways = [_relative_path(source, out) for source in listed]
     inputs, audio = [], []
     for source, recordings in listed.items():
-        manifest = source if source.is_file() else _manifest(source)
+        manifest = source if source.is_file() else find_manifest(source)
         if manifest is None or (source.is_dir() and is_generated(source)):
             inputs.append(source)
         else:  # a table may list files anywhere, and may stand among files that do not matter
