@@ -24,6 +24,7 @@ import scipy  # its submodules are slow to import and load themselves when first
 from scipy.fft import irfft, next_fast_len, rfft
 
 from roomeq.acoustics.filterbank import SPREAD_S, octave_filterbank
+from roomeq.core.arrays import Array, Number
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled
 from roomeq.sim.double_diffraction import deposit_over_faces, over_faces
@@ -335,7 +336,8 @@ def _lowpass():
 
 
 @compiled
-def _deposit(fine, first, bounds, source, mic, wedge, surfaces, to_samples, direct_visible):
+def _deposit(fine: Array, first: Number, bounds: Array, source: Array, mic: Array, wedge: Array, surfaces: Array,
+             to_samples: Number, direct_visible: bool) -> None:
     """Add all stretches to a fine grid of time: one branch on either side of the shortest way."""
     sine, cosine, rows = np.empty(4), np.empty(4), np.zeros(4, dtype=np.int64)
     for n in range(len(wedge)):
@@ -359,7 +361,8 @@ def _deposit(fine, first, bounds, source, mic, wedge, surfaces, to_samples, dire
 
 
 @compiled
-def _branch(fine, rows, first, low, high, nu, sine, cosine, squared, product, to_samples):
+def _branch(fine: Array, rows: Array, first: Number, low: Number, high: Number, nu: Number, sine: Array, cosine: Array,
+            squared: Number, product: Number, to_samples: Number) -> None:
     """Integrate beta from eta = low to high by bins of time, short ones first: there it may be steep."""
     apex_m = np.sqrt(squared + 4.0 * product)
     here = np.sqrt(squared + 4.0 * product * np.cosh(0.5 * low) ** 2)

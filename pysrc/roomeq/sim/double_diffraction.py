@@ -14,6 +14,7 @@ import logging
 
 import numpy as np
 
+from roomeq.core.arrays import Array, Number, Numbers
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled
 
@@ -84,7 +85,7 @@ def deposit_over_faces(fine, first_sample, ways, edges, pieces, source_pos_m, mi
 
 
 @compiled
-def _cylinder(point, frame):
+def _cylinder(point: Array, frame: Number) -> Numbers:
     """Cylinder coordinates about an edge: distance, angle, place along it."""
     x, y, z = 0.0, 0.0, 0.0
     for k in range(3):
@@ -97,13 +98,13 @@ def _cylinder(point, frame):
 
 
 @compiled
-def _along(frame, z, place):
+def _along(frame: Number, z: Number, place: Array) -> None:
     for k in range(3):
         place[k] = frame[0, k] + z * frame[1, k]
 
 
 @compiled
-def _swept(z, half, far, near, wedge, face):
+def _swept(z: Number, half: Number, far: Numbers, near: Numbers, wedge: Number, face: Number) -> Number:
     """Half of nu times the integral of beta over a step of an edge, from a point `far` to one `near` in a face."""
     nu, total = np.pi / wedge, 0.0
     eta_0 = np.arcsinh((z - half - far[2]) / far[0]) + np.arcsinh((z - half - near[2]) / near[0])
@@ -119,7 +120,7 @@ def _swept(z, half, far, near, wedge, face):
 
 
 @compiled
-def _count(low, high, far, near, other_half_m, to_samples):
+def _count(low: Number, high: Number, far: Numbers, near: Numbers, other_half_m: Number, to_samples: Number) -> Number:
     """Steps of a piece, from the coordinates about its edge of a point far off and of the middle of the other piece.
 
     In each the way changes by no more than `_STEP_SAMPLES`, and none is longer than the other piece is away.
@@ -131,7 +132,9 @@ def _count(low, high, far, near, other_half_m, to_samples):
 
 
 @compiled
-def _deposit(fine, first, ways, edge, low, high, geometry, wedge, surfaces, source, mic, to_samples, oversampling):
+def _deposit(fine: Array, first: Number, ways: Array, edge: Array, low: Array, high: Array, geometry: Array,
+             wedge: Array, surfaces: Array, source: Array, mic: Array, to_samples: Number,
+             oversampling: Number) -> None:
     place_1, place_2 = np.empty(3), np.empty(3)
     direct_m = np.sqrt(np.sum((source - mic) ** 2))
     for n in range(len(ways)):
@@ -168,7 +171,8 @@ def _deposit(fine, first, ways, edge, low, high, geometry, wedge, surfaces, sour
 
 
 @compiled
-def _way(z1, half_1, z2, half_2, about_1, about_2, frame_1, frame_2, wedge_1, wedge_2, grazing, place_1, place_2):
+def _way(z1: Number, half_1: Number, z2: Number, half_2: Number, about_1: Numbers, about_2: Numbers, frame_1: Array,
+         frame_2: Array, wedge_1: Number, wedge_2: Number, grazing: Numbers, place_1: Array, place_2: Array) -> Numbers:
     """What a step of either edge contributes, and the length of its way [m]."""
     near_1, near_2 = _cylinder(place_2, frame_1), _cylinder(place_1, frame_2)
     if min(near_1[0], near_2[0]) < _TINY_M:

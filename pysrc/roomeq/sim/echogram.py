@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from roomeq.core.arrays import Array, BoolArray, FloatArray
+from roomeq.core.arrays import Array, BoolArray, FloatArray, Number
 from roomeq.core.jit import N_CHUNKS, compiled, for_chunks
 from roomeq.sim.paths import (
     Rules,
@@ -81,7 +81,8 @@ def compute_echograms(paths: Paths, room: Room, absorption: FloatArray, mics_m: 
 
 
 @compiled
-def _add(row, weight, g0, g1, g2, g3, g4, g5, g6, g7):
+def _add(row: Array, weight: Number, g0: Number, g1: Number, g2: Number, g3: Number, g4: Number, g5: Number, g6: Number,
+         g7: Number) -> None:
     row[0] += weight * g0
     row[1] += weight * g1
     row[2] += weight * g2
@@ -93,8 +94,9 @@ def _add(row, weight, g0, g1, g2, g3, g4, g5, g6, g7):
 
 
 @compiled
-def _accumulate(rules, hits, codes, first, counts, normals, reflection, scattering, mics, visible, radius2, per_volume,
-                frames_per_m, ray_gain, low, high, echo):
+def _accumulate(rules: Rules, hits: Array, codes: Array, first: Array, counts: Array, normals: Array, reflection: Array,
+                scattering: Array, mics: Array, visible: Array, radius2: Array, per_volume: Array, frames_per_m: Number,
+                ray_gain: Array, low: Number, high: Number, echo: Array) -> None:
     """Add what rays `low` to `high` contribute to `echo`, shape (n_mics, n_frames, 8), in single precision.
 
     The contribution of a reflection to every microphone comes first, in loops that are vectorised over microphones,

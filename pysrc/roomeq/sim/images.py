@@ -1,13 +1,22 @@
 """Image sources: the early specular reflections, exact in time and level.
 
-Allen and Berkley, J. Acoust. Soc. Am. 65 (1979) 943, for boxes; meshes find their plane sequences in
-`roomeq.sim.mesh`. A reflection keeps the amplitude ``sqrt((1 - alpha) (1 - s))`` per band.
+Boxes follow Allen and Berkley, J. Acoust. Soc. Am. 65 (1979) 943; for meshes, `roomeq.sim.mesh` finds the sequences of
+planes. A reflection keeps the amplitude ``sqrt((1 - alpha) (1 - s))`` per band.
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+from roomeq.core.arrays import FloatArray, IntArray
+from roomeq.sim.room import Room
+from roomeq.sim.scene import Shoebox
+
+if TYPE_CHECKING:
+    from roomeq.sim.mesh import MeshRoom
 
 
 @dataclass(frozen=True)
@@ -16,66 +25,57 @@ class SpecularPaths:
 
     Attributes
     ----------
-    distance_m : ndarray, shape (n_paths,)
-        Length of each path.
-    surface_counts : ndarray of int, shape (n_paths, n_surfaces)
-        How often it is reflected by each surface.
-    departure : ndarray, shape (n_paths, 3)
-        Unit vector in which it leaves the source.
+    distance_m
+        Length of each path, shape (n_paths,).
+    surface_counts
+        How often each surface reflects it, shape (n_paths, n_surfaces).
+    departure
+        Unit vector in which it leaves the source, shape (n_paths, 3).
     """
 
-    distance_m: np.ndarray
-    surface_counts: np.ndarray
-    departure: np.ndarray
+    distance_m: FloatArray
+    surface_counts: IntArray
+    departure: FloatArray
 
     @property
-    def has_direct(self):
+    def has_direct(self) -> bool:
         """Whether the source is seen from the receiver."""
         return bool(len(self.distance_m)) and not self.surface_counts[0].any()
 
-    def gains(self, absorption, scattering, attenuation_per_m):
-        """Pressure per band relative to 1 m from a source of unit strength over 4 pi, shape (n_paths, 8).
+    def gains(self, absorption: FloatArray, scattering: FloatArray, attenuation_per_m: FloatArray) -> FloatArray:
+        """Return the pressure of each path per band, ``1 / (4 pi r)`` without losses, shape (n_paths, n_bands).
 
         Parameters
         ----------
-        absorption, scattering : ndarray, shape (n_surfaces, 8)
-        attenuation_per_m : ndarray, shape (8,)
+        absorption, scattering
+            Shape (n_surfaces, n_bands).
+        attenuation_per_m
+            Shape (n_bands,).
         """
-        log_kept = np.log(np.maximum((1.0 - absorption) * (1.0 - scattering), 1e-200))
-        exponent = self.surface_counts @ log_kept - self.distance_m[:, None] * attenuation_per_m
+        log_reflected = np.log(np.maximum((1.0 - absorption) * (1.0 - scattering), 1e-200))
+        exponent = self.surface_counts @ log_reflected - self.distance_m[:, None] * attenuation_per_m
         return np.exp(0.5 * exponent) / (4.0 * np.pi * self.distance_m[:, None])
 
 
-def specular_paths(room, source_pos_m, mic_pos_m, order):
-    """Find the purely specular paths with at most `order` reflections, the direct sound among them.
-
-    Parameters
-    ----------
-    room : Shoebox or MeshRoom
-    source_pos_m, mic_pos_m : array_like, shape (3,)
-    order : int
-
-    Returns
-    -------
-    SpecularPaths
-    """
-    if hasattr(room, "specular_paths"):
-        return room.specular_paths(source_pos_m, mic_pos_m, order)
+def specular_paths(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, order: int) -> SpecularPaths:
+    """Find the purely specular paths with at most `order` reflections, including the direct sound."""
+    if not isinstance(room, Shoebox):
+        return cast("MeshRoom", room).specular_paths(source_pos_m, mic_pos_m, order)
     lattice, surface_counts = _lattice(order)
     dims_m = np.array(room.dims_m)
     source = np.asarray(source_pos_m, dtype=np.float64)
     images = lattice * dims_m + np.where(lattice % 2 == 0, source, dims_m - source)
     way = np.asarray(mic_pos_m, dtype=np.float64) - images
     distance_m = np.linalg.norm(way, axis=1)
-    # what leaves an image leaves the source mirrored along each axis with an odd number of reflections
+    # directions at the source are those at the image, mirrored along each axis with an odd number of reflections
     departure = np.where(lattice % 2 == 0, way, -way) / distance_m[:, None]
     by_length = np.argsort(distance_m, kind="stable")
     return SpecularPaths(distance_m[by_length], surface_counts[by_length], departure[by_length])
 
 
 @lru_cache(maxsize=8)
-def _lattice(order):
-    """Cells of the image lattice up to an order, and how often a path to each meets the six walls."""
+def _lattice(order: int) -> tuple[IntArray, IntArray]:
+    """Return the cells of the image lattice up to an order, and how often each path meets the six walls."""
     axis = np.arange(-order, order + 1)
     cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     cells = cells[np.abs(cells).sum(axis=1) <= order]

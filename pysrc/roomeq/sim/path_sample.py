@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
+from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
 from roomeq.core.jit import N_CHUNKS, compiled, for_chunks, mix, on_threads
 from roomeq.sim.echogram import FRAME_S, MICS_PER_PASS
 from roomeq.sim.paths import (
@@ -222,7 +222,8 @@ def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatAr
 
 
 @compiled
-def _tally(codes, face_surface, first, counts, bits, words, low, high):
+def _tally(codes: Array, face_surface: Array, first: Array, counts: Array, bits: Number, words: Array, low: Number,
+           high: Number) -> None:
     """Count hits per surface along rays `low` to `high`, in `bits` bits each."""
     per_word, one = 64 // bits, np.uint64(1)
     so_far = np.empty(words.shape[1], np.uint64)
@@ -236,7 +237,8 @@ def _tally(codes, face_surface, first, counts, bits, words, low, high):
 
 
 @compiled
-def _unpack(sums, kept, words, bits, power, scale, weight, counts, last):
+def _unpack(sums: Array, kept: Array, words: Array, bits: Number, power: Array, scale: Number, weight: Array,
+            counts: Array, last: Array) -> None:
     """Join the strata of one microphone and divide the weights by the share that is reflected at the reference."""
     n_frames, n_surfaces = len(weight), len(power)
     per_word, mask = 64 // bits, (np.uint64(1) << np.uint64(bits)) - np.uint64(1)
@@ -254,7 +256,7 @@ def _unpack(sums, kept, words, bits, power, scale, weight, counts, last):
 
 
 @compiled
-def _absorb(weight, counts, most, reflected, gain, energy):
+def _absorb(weight: Array, counts: Array, most: Number, reflected: Array, gain: Array, energy: Array) -> None:
     """Sum the paths of each frame, attenuated by each surface that they met, into `energy`, shape (n_frames, 8).
 
     The eight bands are eight variables, so that they are multiplied at once; powers come from a table.
@@ -283,7 +285,7 @@ def _absorb(weight, counts, most, reflected, gain, energy):
 
 
 @compiled
-def _replace(sums, kept, m, frame, stream, counter, at):
+def _replace(sums: Array, kept: Array, m: Number, frame: Number, stream: Number, counter: Number, at: Number) -> None:
     """Put a path that has just been added to the sum of a frame into the places of the reservoir that it wins.
 
     A new path replaces the one in a place with probability ``energy / sum so far``. The sum at which that happens next
@@ -301,8 +303,10 @@ def _replace(sums, kept, m, frame, stream, counter, at):
 
 
 @compiled
-def _sample(rules, hits, codes, first, face_counts, normals, face_surface, reflection, scattering, mics, visible, radius2,
-            per_volume, frames_per_m, seeds, limits, low, high, sums, kept):
+def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: Array, normals: Array,
+            face_surface: Array, reflection: Array, scattering: Array, mics: Array, visible: Array, radius2: Array,
+            per_volume: Array, frames_per_m: Number, seeds: Array, limits: Array, low: Number, high: Number,
+            sums: Array, kept: Array) -> None:
     """Sample the paths of rays `low` to `high`.
 
     Parameters

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
-from roomeq.core.arrays import Array, BoolArray, FloatArray
+from roomeq.core.arrays import Array, BoolArray, FloatArray, Number, Numbers
 from roomeq.core.jit import inlined
 from roomeq.sim.room import Room
 from roomeq.sim.trace import Paths
@@ -49,7 +49,7 @@ class Rules(NamedTuple):
     """
 
     ism_order: int
-    late_m: float
+    late_m: Number
     stride: int
 
 
@@ -74,7 +74,7 @@ class Step(NamedTuple):
 
     ends: bool
     becomes_late: bool
-    scattered: float
+    scattered: Number
     diffuse: bool
     purely_specular: bool
     late: bool
@@ -128,19 +128,19 @@ def reflection_visibility(paths: Paths, room: Room, mics_m: Array, *, max_path_m
 
 
 @inlined
-def at_source():
+def at_source() -> Step:
     """Return the state of the walk before the first reflection."""
     return Step(False, False, np.float32(0.0), True, True, False)
 
 
 @inlined
-def segment_counts(step, rules, n):
+def segment_counts(step: Step, rules: Rules, n: Number) -> bool:
     """Tell whether the segment that leads to reflection `n` (from 0) contributes to the spheres that it crosses."""
     return not step.diffuse and (n > rules.ism_order or not step.purely_specular)
 
 
 @inlined
-def follow(step, rules, ray, code, path_m, scattering):
+def follow(step: Step, rules: Rules, ray: Number, code: Number, path_m: Number, scattering: Number) -> Step:
     """Advance the walk by a reflection.
 
     Parameters
@@ -168,7 +168,8 @@ def follow(step, rules, ray, code, path_m, scattering):
 
 
 @inlined
-def cross_spheres(start, end, mics, radius2, n_mics, along, inside):
+def cross_spheres(start: Numbers, end: Numbers, mics: Array, radius2: Array, n_mics: Number, along: Array,
+                  inside: Array) -> Number:
     """Intersect the line through a segment with the spheres around microphones.
 
     Parameters
@@ -204,14 +205,15 @@ def cross_spheres(start, end, mics, radius2, n_mics, along, inside):
 
 
 @inlined
-def chord(along, inside, length):
+def chord(along: Number, inside: Number, length: Number) -> Numbers:
     """Return where a segment enters and leaves a sphere, from its start [m]; see `cross_spheres`."""
     half = np.sqrt(inside)
     return max(np.float32(0.0), along - half), min(length, along + half)
 
 
 @inlined
-def scatter(hit, normals, face, scattered, mics, frames_per_m, n_mics, weight, frame):
+def scatter(hit: Numbers, normals: Array, face: Number, scattered: Number, mics: Array, frames_per_m: Number,
+            n_mics: Number, weight: Array, frame: Array) -> None:
     """Compute what a reflection contributes to microphones by next-event estimation.
 
     Parameters

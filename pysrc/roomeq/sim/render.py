@@ -1,16 +1,18 @@
-"""From paths to sound: early pulses and a noise-like tail, put together from eight octave bands.
+"""Synthesis of a response from early pulses and a noise-like tail in eight octave bands.
 
-The tail is one random sequence for all bands, shaped per band by the echogram. Reflections in a room arrive at
-a rate of ``4 pi c^3 t^2 / V`` (Kuttruff, Room Acoustics, eq. 4.6): while that is less than one per sample the
-sequence consists of single pulses, one at a random place in each interval between arrivals; later it is Gaussian.
+The tail is one random sequence for all bands, shaped per band by the echogram. Reflections in a room arrive at a rate
+of ``4 pi c^3 t^2 / V`` (Kuttruff, Room Acoustics, eq. 4.6). While that is less than one per sample, the sequence
+consists of single pulses, one at a random time in each interval between arrivals; later it is Gaussian.
 """
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from roomeq.acoustics.filterbank import SPREAD_S, octave_filterbank
+from roomeq.core.arrays import Array, FloatArray, Number
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled
 from roomeq.sim.echogram import FRAME_S
@@ -25,18 +27,12 @@ _OVERSAMPLING = 256
 _FFT_GRID = 4096
 
 
-def tail_noise(n_samples, volume_m3, speed_m_s, rng):
-    """Random sequence of unit mean power with the echo density of a room.
-
-    Parameters
-    ----------
-    n_samples : int
-    volume_m3, speed_m_s : float
-    rng : numpy.random.Generator
+def tail_noise(n_samples: int, volume_m3: float, speed_m_s: float, rng: np.random.Generator) -> FloatArray:
+    """Draw a random sequence of unit mean power with the echo density of a room.
 
     Returns
     -------
-    noise : ndarray, shape (n_samples,)
+    ndarray, shape (n_samples,)
     """
     noise = rng.standard_normal(n_samples)
     dense_s = dense_after_s(volume_m3, speed_m_s, FS_HZ)
@@ -48,21 +44,21 @@ def tail_noise(n_samples, volume_m3, speed_m_s, rng):
     place = (edges[:-1] + width * rng.random(len(width))).astype(int)
     pulses = np.zeros(dense)
     inside = place < dense
-    # Gaussian pulses grow into Gaussian noise without a seam; pulses of one size would be flatter than noise
+    # Gaussian pulses pass into Gaussian noise continuously; pulses of equal size would have a lower kurtosis
     np.add.at(pulses, place[inside], (rng.standard_normal(len(width)) * np.sqrt(width))[inside])
     noise[:dense] = pulses
     return noise
 
 
-def response_length_s(energy, early_s=0.0):
-    """Time after which every band has decayed by `DECAY_DB`, between `MIN_LENGTH_S` and `MAX_LENGTH_S`.
+def response_length_s(energy: FloatArray, early_s: float = 0.0) -> float:
+    """Return the time after which every band has decayed by `DECAY_DB`, from `MIN_LENGTH_S` to `MAX_LENGTH_S`.
 
     Parameters
     ----------
-    energy : ndarray, shape (n_frames, 8)
-        Everything that arrives, per frame.
-    early_s : float
-        Time that must be held in any case [s].
+    energy
+        Total energy per frame, shape (n_frames, 8).
+    early_s
+        Time that the response covers in any case.
     """
     remaining = np.cumsum(energy[::-1], axis=0)[::-1]
     held = np.any(remaining > 10.0 ** (-DECAY_DB / 10.0) * np.maximum(remaining[0], 1e-300), axis=1)
@@ -70,31 +66,32 @@ def response_length_s(energy, early_s=0.0):
     return float(np.clip(max(last * FRAME_S, early_s), MIN_LENGTH_S, MAX_LENGTH_S))
 
 
-def render(distance_m, gains, echogram, noise, *, speed_m_s, n_samples, bands=slice(None)):
-    """Put a response together.
+def render(distance_m: FloatArray, gains: FloatArray, echogram: FloatArray, noise: FloatArray, *, speed_m_s: float,
+           n_samples: int, bands: Sequence[int] | slice = slice(None)) -> FloatArray:
+    """Synthesise a response.
 
     Parameters
     ----------
-    distance_m : ndarray, shape (n_paths,)
-        Lengths of the specular paths.
-    gains : ndarray, shape (n_paths, n_bands)
-        Their pressure per band.
-    echogram : ndarray, shape (n_frames, n_bands)
-        Squared pressure per frame of everything else, air absorption included.
-    noise : ndarray, shape (>= n_samples,)
-        From `tail_noise`.
-    speed_m_s : float
-    n_samples : int
-    bands : sequence of int, optional
+    distance_m
+        Lengths of the specular paths, shape (n_paths,).
+    gains
+        Their pressure per band, shape (n_paths, n_bands).
+    echogram
+        Squared pressure per frame of all other sound, air absorption included, shape (n_frames, n_bands).
+    noise
+        From `tail_noise`, at least `n_samples` long.
+    speed_m_s
+    n_samples
+    bands
         Which of the eight octaves the bands are.
 
     Returns
     -------
-    rir : ndarray, shape (n_samples,)
+    ndarray, shape (n_samples,)
         Sample 0 is the emission.
     """
     guard = int(SPREAD_S * FS_HZ)
-    # a few sizes for all lengths: their filters are kept
+    # few sizes of transform for all lengths, so that their filters stay cached
     n_fft = next_fast_len(-(-(n_samples + 2 * guard) // _FFT_GRID) * _FFT_GRID, real=True)
     signals = np.zeros((echogram.shape[1], n_fft))
     first = distance_m.min() / speed_m_s * FS_HZ if len(distance_m) else 0.0
@@ -105,15 +102,15 @@ def render(distance_m, gains, echogram, noise, *, speed_m_s, n_samples, bands=sl
     return irfft(spectrum, n_fft)[guard:guard + n_samples]
 
 
-def _padded(echogram, n_samples):
-    """Echogram of as many frames as the samples need and one more, shape (8, n)."""
+def _padded(echogram: FloatArray, n_samples: int) -> FloatArray:
+    """Return an echogram with one frame more than the samples need, shape (n_bands, n)."""
     n_frames = int(np.ceil(n_samples / (FRAME_S * FS_HZ))) + 1
     kept = echogram[:n_frames].T
     return np.ascontiguousarray(np.pad(kept, ((0, 0), (0, n_frames - kept.shape[1]))))
 
 
 @compiled
-def _shape_noise(bands, noise, energy, first, frame_samples):
+def _shape_noise(bands: Array, noise: Array, energy: Array, first: Number, frame_samples: Number) -> None:
     """Give noise the power of an echogram, linear between the middles of frames, from sample `first` on."""
     n_bands, n_samples = bands.shape
     for band in range(n_bands):
@@ -126,14 +123,14 @@ def _shape_noise(bands, noise, energy, first, frame_samples):
 
 
 @lru_cache(maxsize=1)
-def _sinc_table():
-    """Hann-windowed sinc, `_OVERSAMPLING` points per sample, from ``-SINC_HALF`` to ``SINC_HALF`` samples."""
+def _sinc_table() -> FloatArray:
+    """Return a Hann-windowed sinc, `_OVERSAMPLING` points per sample, from ``-SINC_HALF`` to ``SINC_HALF`` samples."""
     position = np.arange(-SINC_HALF * _OVERSAMPLING, SINC_HALF * _OVERSAMPLING + 1) / _OVERSAMPLING
     return np.sinc(position) * np.cos(0.5 * np.pi * position / SINC_HALF) ** 2
 
 
 @compiled
-def _add_pulses(bands, delays, gains, table):
+def _add_pulses(bands: Array, delays: Array, gains: Array, table: Array) -> None:
     """Add band-limited pulses at fractional delays [samples]; what falls outside is left out."""
     n_bands, n_samples = bands.shape
     oversampling = (len(table) - 1) // 64

@@ -1,18 +1,30 @@
-"""Impulse responses of one room: trace a source once, then render any microphone, material or target.
+"""Impulse responses of one room: trace a source once, then render any microphones, materials and target.
 
     room = Shoebox((6, 4, 3))
     scene = Scene(room, [Material("plaster", 0.1, 0.2)] * 6)
     (response,) = simulate_rir(scene, (2, 1.5, 1.5), (4, 3, 1.2), seed=0)
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BAND_1KHZ
 from roomeq.core.rng import rng_for
-from roomeq.sim.context import add_image_sources, make_render_context, ray_echograms, render_microphones
+from roomeq.sim.context import (
+    PathGain,
+    Response,
+    add_image_sources,
+    make_render_context,
+    ray_echograms,
+    render_microphones,
+)
+from roomeq.sim.path_sample import PathSample
 from roomeq.sim.render import MAX_LENGTH_S, MIN_LENGTH_S
 from roomeq.sim.scene import Scene, check_positions, eyring_time_s
 from roomeq.sim.target import (
@@ -28,54 +40,58 @@ from roomeq.sim.trace import Paths, trace
 NUM_RAYS = 20000
 ISM_ORDER = 6
 ORDER = 200
-_HOW = dict(length_s=None, ism_order=ISM_ORDER, diffraction=True, path_gain=None, path_samples=None)
+_DEFAULTS: dict[str, Any] = dict(length_s=None, ism_order=ISM_ORDER, diffraction=True, path_gain=None, path_samples=None)
 _AROUND_1KHZ = (BAND_1KHZ - 1, BAND_1KHZ, BAND_1KHZ + 1)  # what the octave filter at 1 kHz sees
-_CLOSE = 0.025  # of the target: good enough not to render all octaves again
-_MAX_FULL = 3
+_CLOSE_ENOUGH = 0.025  # relative error of the target at which all octaves are not rendered again
+_MAX_RENDERINGS = 3  # of all octaves, after the first
 
 
 @dataclass(frozen=True)
 class TracedSource:
-    """The paths of one source, and which of them serve which band.
+    """The paths of one source: a trace for each distinct column of scattering coefficients.
 
     Attributes
     ----------
-    scene : Scene
-        As traced; the absorption may be another when rendering, the scattering may not.
-    source_pos_m : ndarray, shape (3,)
-    paths : tuple of Paths
-        One for each distinct column of scattering coefficients.
-    trace_of_band : tuple of 8 ints
+    scene
+        As traced. Absorption may differ when rendering, scattering may not.
+    source_pos_m
+        Shape (3,).
+    paths
+        Of each trace.
+    trace_of_band
+        Which trace serves each of the eight bands.
     """
 
     scene: Scene
-    source_pos_m: np.ndarray
+    source_pos_m: FloatArray
     paths: tuple[Paths, ...]
     trace_of_band: tuple[int, ...]
 
     @property
-    def leaked_share(self):
+    def leaked_share(self) -> float:
         """Share of the rays that slipped through the room's surface."""
         return sum(path.n_leaked for path in self.paths) / sum(len(path.counts) for path in self.paths)
 
     @property
-    def max_length_s(self):
-        """How far the rays were followed [s]."""
+    def max_length_s(self) -> float:
+        """Time up to which the rays were followed [s]."""
         return self.paths[0].max_length_m / self.scene.air.speed_m_s
 
 
-def trace_source(scene, source_pos_m, *, num_rays=NUM_RAYS, max_length_s=MAX_LENGTH_S, rng):
-    """Trace a source: once for all microphones and all absorption coefficients.
+def trace_source(scene: Scene, source_pos_m: ArrayLike, *, num_rays: int = NUM_RAYS,
+                 max_length_s: float = MAX_LENGTH_S, rng: np.random.Generator) -> TracedSource:
+    """Trace a source once for all microphones and absorption coefficients.
 
     Parameters
     ----------
-    scene : Scene
-    source_pos_m : array_like, shape (3,)
-    num_rays : int
+    scene
+    source_pos_m
+        Shape (3,).
+    num_rays
         For each distinct column of scattering coefficients.
-    max_length_s : float
-        Longest response that will be asked for [s].
-    rng : numpy.random.Generator
+    max_length_s
+        Longest response that will be rendered.
+    rng
 
     Returns
     -------
@@ -88,7 +104,7 @@ def trace_source(scene, source_pos_m, *, num_rays=NUM_RAYS, max_length_s=MAX_LEN
     """
     if num_rays < 1:
         raise ValueError(f"num_rays={num_rays} must be at least 1: ask for some rays")
-    scene.room.require_inside("source_pos_m", source_pos_m)
+    scene.room.require_inside("source_pos_m", np.asarray(source_pos_m))
     columns, trace_of_band = np.unique(scene.scattering, axis=1, return_inverse=True)
     seed = int(rng.integers(2 ** 63))
     max_length_m = max_length_s * scene.air.speed_m_s
@@ -99,29 +115,33 @@ def trace_source(scene, source_pos_m, *, num_rays=NUM_RAYS, max_length_s=MAX_LEN
                         tuple(int(n) for n in np.ravel(trace_of_band)))
 
 
-def render_responses(traced, mics_m, rngs, *, absorption=None, length_s=None, ism_order=ISM_ORDER,
-                     diffraction=True, path_gain=None, path_samples=None):
+def render_responses(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.random.Generator], *,
+                     absorption: FloatArray | None = None, length_s: float | None = None,
+                     ism_order: int = ISM_ORDER, diffraction: bool = True, path_gain: PathGain | None = None,
+                     path_samples: list[PathSample] | None = None) -> list[Response]:
     """Render the responses of a traced source at some microphones.
 
     Parameters
     ----------
-    traced : TracedSource
-    mics_m : array_like, shape (n_mics, 3)
-    rngs : sequence of numpy.random.Generator
+    traced
+    mics_m
+        Shape (n_mics, 3).
+    rngs
         One per microphone, for the noise of its tail.
-    absorption : ndarray, shape (n_surfaces, 8), optional
-        Instead of that of the traced scene.
-    length_s : float, optional
-        Longest response [s]; by default as long as the rays were followed.
-    ism_order : int
-    diffraction : bool
-        Whether sound comes around the edges of a mesh (`roomeq.sim.diffraction`).
-    path_gain : callable, optional
-        Takes the directions in which paths leave the source, shape (n, 3), and gives their energy, shape (n, 8): a
-        directivity. Diffracted sound has none.
-    path_samples : list of PathSample, optional
-        Of the microphones, from `sample_paths` with the same `ism_order`: renders in a fraction of the time what is
-        otherwise gathered from all stored paths.
+    absorption
+        In place of that of the traced scene, shape (n_surfaces, 8).
+    length_s
+        Longest response; by default as long as the rays were followed.
+    ism_order
+        Order up to which specular reflections are exact image sources.
+    diffraction
+        Whether edges of a mesh diffract (`roomeq.sim.diffraction`).
+    path_gain
+        Directivity of the source: from the directions of paths at the source, shape (n, 3), to energy gains, shape
+        (n, 8). It does not apply to diffracted sound.
+    path_samples
+        Of the microphones, from `sample_paths` with the same `ism_order`. They replace following all stored paths and
+        take a fraction of its time.
 
     Returns
     -------
@@ -137,89 +157,19 @@ def render_responses(traced, mics_m, rngs, *, absorption=None, length_s=None, is
     return render_microphones(context, traced.scene.absorption if absorption is None else absorption)
 
 
-def render_to_target(traced, mics_m, rngs, target_s, *, absorption=None, **how):
+def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.random.Generator], target_s: float, *,
+                     absorption: FloatArray | None = None, **options: Any) -> list[Response]:
     """Render responses whose mean T30 at 1 kHz is the target, by scaling the absorption of all surfaces.
 
-    Echograms of a sample of the paths say how T30 changes with absorption, one rendering of the octave at 1 kHz and its
-    neighbours what the noise of the tail adds to that; all octaves are then rendered, in most cases once.
-
-    Parameters are those of `render_responses`, and
-
-    target_s : float
-        T30 at 1 kHz [s].
-
-    Raises
-    ------
-    ValueError
-        No scaling was found that brings T30 within 5 % of the target, with T20 about the same: the room, its air
-        or the direct sound don't allow it.
-    """
-    context = make_render_context(traced, mics_m, rngs, **(_HOW | how))
-    base = traced.scene.absorption if absorption is None else absorption
-    guess = eyring_exponent(traced.scene, target_s, base)
-    search = context if context.path_samples is not None else replace(
-        context, path_samples=context.sample_paths(scaled_absorption(base, guess)[:, BAND_1KHZ], rngs))
-
-    def pilot(exponent):
-        absorption = scaled_absorption(base, exponent)
-        energy = add_image_sources(search, ray_echograms(search, absorption, [BAND_1KHZ]), absorption, [BAND_1KHZ])
-        return t30_of_echogram(energy[:, :, 0].mean(axis=0))
-
-    @cache
-    def measure(exponent):
-        return _mean_t30_s(render_microphones(search, scaled_absorption(base, exponent), _AROUND_1KHZ))
-
-    exponent, _ = solve_exponent(pilot, target_s, guess)
-    time_s = measure(exponent)
-    if time_s is not None:  # one rendering says what its noise does to T30, the echogram says what more absorption does
-        exponent, _ = solve_exponent(pilot, target_s ** 2 / time_s, exponent)
-    responses = render_microphones(context, scaled_absorption(base, exponent))
-    time_s, aim_s = _mean_t30_s(responses), target_s
-    for _ in range(_MAX_FULL):
-        if time_s is not None and abs(time_s / target_s - 1.0) <= _CLOSE:
-            break
-        exponent, found_s = solve_exponent(measure, aim_s, exponent)
-        if found_s is None or abs(found_s / aim_s - 1.0) > TOLERANCE:
-            break
-        responses = render_microphones(context, scaled_absorption(base, exponent))
-        time_s = _mean_t30_s(responses)
-        aim_s *= target_s / (time_s or target_s)  # other octaves and paths that the sample left out tell
-    if time_s is None or abs(time_s / target_s - 1.0) > TOLERANCE:
-        found = "cannot be measured" if time_s is None else f"comes to {time_s:.3g} s"
-        raise ValueError(f"target_t60_s={target_s:.3g} is out of reach: T30 at 1 kHz {found} with these materials, "
-                         "however scaled: choose other materials or another target")
-    if not all(decays_straight(response.rir, response.direct_sample) for response in responses):
-        raise ValueError(f"target_t60_s={target_s:.3g} was met by a decay that is no straight line: T20 and T30 at "
-                         f"1 kHz differ by more than {STRAIGHT:.0%}: choose other materials or another target")
-    return responses
-
-
-def _mean_t30_s(responses):
-    times_s = [response.t30_s for response in responses]
-    return None if None in times_s else float(np.mean(times_s))
-
-
-def simulate_rir(scene, source_pos_m, mics_m, *, num_rays=NUM_RAYS, ism_order=ISM_ORDER, order=ORDER,
-                 target_t60_s=None, diffraction=True, seed=0):
-    """Simulate impulse responses from a source to one or more microphones.
+    Echograms of a path sample predict how T30 changes with absorption. One rendering of the octave at 1 kHz and its
+    neighbours measures the effect of the tail's noise. All octaves are then rendered, in most cases once.
 
     Parameters
     ----------
-    scene : Scene
-        Room, materials and air.
-    source_pos_m : array_like, shape (3,)
-    mics_m : array_like, shape (3,) or (n_mics, 3)
-    num_rays : int
-    ism_order : int
-        Order up to which specular reflections are exact image sources.
-    order : int
-        Reflections that rays are followed for on average, more where the response needs more (see
-        `needed_length_s`).
-    target_t60_s : float, optional
-        Scale the materials until T30 at 1 kHz (mean over the microphones) is this.
-    diffraction : bool
-        Whether sound comes around the edges of a mesh (`roomeq.sim.diffraction`); convex rooms have none.
-    seed : int
+    traced, mics_m, rngs, absorption, **options
+        As for `render_responses`.
+    target_s
+        T30 at 1 kHz.
 
     Returns
     -------
@@ -229,7 +179,89 @@ def simulate_rir(scene, source_pos_m, mics_m, *, num_rays=NUM_RAYS, ism_order=IS
     Raises
     ------
     ValueError
-        Positions outside the room or on top of each other; a target that cannot be met.
+        No scaling brings T30 within 5 % of the target with T20 about the same, because of the room, its air or the
+        direct sound.
+    """
+    context = make_render_context(traced, mics_m, rngs, **(_DEFAULTS | options))
+    base = traced.scene.absorption if absorption is None else absorption
+    guess = eyring_exponent(traced.scene, target_s, base)
+    search = context if context.path_samples is not None else replace(
+        context, path_samples=context.sample_paths(scaled_absorption(base, guess)[:, BAND_1KHZ], rngs))
+
+    def predict(exponent: float) -> float | None:
+        absorption = scaled_absorption(base, exponent)
+        energy = add_image_sources(search, ray_echograms(search, absorption, [BAND_1KHZ]), absorption, [BAND_1KHZ])
+        return t30_of_echogram(energy[:, :, 0].mean(axis=0))
+
+    @cache
+    def measure(exponent: float) -> float | None:
+        return _mean_t30_s(render_microphones(search, scaled_absorption(base, exponent), _AROUND_1KHZ))
+
+    exponent, _ = solve_exponent(predict, target_s, guess)
+    time_s = measure(exponent)
+    if time_s is not None:  # the ratio of measured to predicted T30 is the effect of the tail's noise
+        exponent, _ = solve_exponent(predict, target_s ** 2 / time_s, exponent)
+    responses = render_microphones(context, scaled_absorption(base, exponent))
+    time_s, aim_s = _mean_t30_s(responses), target_s
+    for _ in range(_MAX_RENDERINGS):
+        if time_s is not None and abs(time_s / target_s - 1.0) <= _CLOSE_ENOUGH:
+            break
+        exponent, measured_s = solve_exponent(measure, aim_s, exponent)
+        if measured_s is None or abs(measured_s / aim_s - 1.0) > TOLERANCE:
+            break
+        responses = render_microphones(context, scaled_absorption(base, exponent))
+        time_s = _mean_t30_s(responses)
+        aim_s *= target_s / (time_s or target_s)  # the search knows neither the other octaves nor all paths
+    if time_s is None or abs(time_s / target_s - 1.0) > TOLERANCE:
+        result = "cannot be measured" if time_s is None else f"comes to {time_s:.3g} s"
+        raise ValueError(f"target_t60_s={target_s:.3g} is out of reach: T30 at 1 kHz {result} with these materials, "
+                         "however scaled: choose other materials or another target")
+    if not all(decays_straight(response.rir, response.direct_sample) for response in responses):
+        raise ValueError(f"target_t60_s={target_s:.3g} was met by a decay that is no straight line: T20 and T30 at "
+                         f"1 kHz differ by more than {STRAIGHT:.0%}: choose other materials or another target")
+    return responses
+
+
+def _mean_t30_s(responses: Sequence[Response]) -> float | None:
+    times_s = [response.t30_s for response in responses if response.t30_s is not None]
+    return float(np.mean(times_s)) if len(times_s) == len(responses) else None
+
+
+def simulate_rir(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike, *, num_rays: int = NUM_RAYS,
+                 ism_order: int = ISM_ORDER, order: int = ORDER, target_t60_s: float | None = None,
+                 diffraction: bool = True, seed: int = 0) -> list[Response]:
+    """Simulate impulse responses from a source to one or more microphones.
+
+    Parameters
+    ----------
+    scene
+        Room, materials and air.
+    source_pos_m
+        Shape (3,).
+    mics_m
+        Shape (3,) or (n_mics, 3).
+    num_rays
+        For each distinct column of scattering coefficients.
+    ism_order
+        Order up to which specular reflections are exact image sources.
+    order
+        Reflections up to which rays are followed on average; more where the response needs more (see
+        `needed_length_s`).
+    target_t60_s
+        Scale the materials until T30 at 1 kHz (mean over the microphones) has this value.
+    diffraction
+        Whether edges of a mesh diffract (`roomeq.sim.diffraction`); convex rooms have no such edges.
+    seed
+
+    Returns
+    -------
+    list of Response
+        One per microphone.
+
+    Raises
+    ------
+    ValueError
+        A position lies outside the room, source and microphone coincide, or the target cannot be met.
     """
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
     for mic_m in mics_m:
@@ -242,10 +274,10 @@ def simulate_rir(scene, source_pos_m, mics_m, *, num_rays=NUM_RAYS, ism_order=IS
     return render_to_target(traced, mics_m, rngs, target_t60_s, ism_order=ism_order, diffraction=diffraction)
 
 
-def eyring_exponent(scene, target_s, absorption=None):
-    """Exponent with which Eyring's formula meets a target at 1 kHz; a first guess.
+def eyring_exponent(scene: Scene, target_s: float, absorption: FloatArray | None = None) -> float:
+    """Return the exponent with which Eyring's formula meets a target at 1 kHz; a first guess.
 
-    `absorption`, shape (n_surfaces, 8), stands for that of the scene if given.
+    `absorption`, shape (n_surfaces, 8), replaces that of the scene.
     """
     absorption = scene.absorption if absorption is None else absorption
     air_area_m2 = 4.0 * scene.air.attenuation_per_m[BAND_1KHZ] * scene.room.volume_m3
@@ -255,11 +287,11 @@ def eyring_exponent(scene, target_s, absorption=None):
     return float(np.clip(wanted_m2 / max(now_m2, 1e-6), 1e-2, 1e2))
 
 
-def needed_length_s(scene, target_s=None, order=ORDER):
-    """How far to follow the rays [s].
+def needed_length_s(scene: Scene, target_s: float | None = None, order: int = ORDER) -> float:
+    """Return the time up to which rays are followed [s].
 
-    Until every band has decayed by 60 dB, by Eyring and with something to spare, and for `order` mean free
-    paths ``4 V / S``; never beyond `MAX_LENGTH_S`.
+    It covers a decay by 60 dB in every band, by Eyring and with a margin, and `order` mean free paths ``4 V / S``, up
+    to `MAX_LENGTH_S`.
     """
     area_m2 = scene.room.surface_area_m2.sum()
     depth_s = order * 4.0 * scene.room.volume_m3 / (area_m2 * scene.air.speed_m_s)
@@ -268,6 +300,6 @@ def needed_length_s(scene, target_s=None, order=ORDER):
     return float(np.clip(max(decay_s, depth_s), MIN_LENGTH_S, MAX_LENGTH_S))
 
 
-def decay_length_s(scene, absorption):
-    """Time in which every band decays by 60 dB with some absorption, by Eyring and with something to spare [s]."""
+def decay_length_s(scene: Scene, absorption: FloatArray) -> float:
+    """Return the time in which every band decays by 60 dB, by Eyring and with a margin [s]."""
     return float(np.clip(1.3 * eyring_time_s(scene, absorption).max() + 0.1, MIN_LENGTH_S, MAX_LENGTH_S))

@@ -1,5 +1,6 @@
 """The interface that rooms of any shape share; see `roomeq.sim.scene.Shoebox` and `roomeq.sim.mesh.MeshRoom`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -53,7 +54,7 @@ class Room(Protocol):
     def walls(self) -> Walls | None:
         """The planes of a convex room of few; None where rays are traced through a mesh."""
 
-    def require_inside(self, what: str, position_m: ArrayLike) -> None:
+    def require_inside(self, name: str, position_m: Sequence[float] | FloatArray) -> None:
         """Raise ValueError unless a position lies in the room, clear of its surfaces."""
 
     def sphere_radius_m(self, center_m: ArrayLike, radius_m: float) -> float:

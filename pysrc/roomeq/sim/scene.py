@@ -1,15 +1,19 @@
-"""What is simulated: materials, rooms, air, and where source and microphone stand.
+"""The simulated scene: materials, rooms, air, and positions of source and microphone.
 
 Conventions: metres, seconds, degrees Celsius. A room has *surfaces*, named parts of its surface that hold one
 material each: the six walls of a shoebox, the materials of a mesh.
 """
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from roomeq.acoustics.air import band_attenuation_per_m, speed_of_sound_m_s
+from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BANDS_HZ
 from roomeq.sim.room import Room, Walls
 
@@ -24,39 +28,40 @@ MAX_DIMENSION_M = 200.0
 
 @dataclass(frozen=True)
 class Material:
-    """A surface: what it absorbs, and how much of the rest it scatters.
+    """Absorption and scattering of a surface in octave bands, 62.5 Hz to 8 kHz.
 
     Attributes
     ----------
-    name : str
-    absorption : tuple of 8 floats
-        Random-incidence absorption coefficients, octave bands 62.5 Hz to 8 kHz, in [0, 1].
-    scattering : tuple of 8 floats
-        Share of the reflected energy that leaves in other than the specular direction (ISO 17497-1), in [0, 1].
+    name
+    absorption
+        Eight random-incidence absorption coefficients in [0, 1].
+    scattering
+        Eight scattering coefficients in [0, 1]: shares of the reflected energy that do not leave in the specular
+        direction (ISO 17497-1).
 
     Raises
     ------
     ValueError
-        A coefficient lies outside [0, 1] or there are not eight; one number stands for all eight.
+        A coefficient lies outside [0, 1], or there are neither eight nor one, which applies to all bands.
     """
 
     name: str
-    absorption: tuple
-    scattering: tuple
+    absorption: tuple[float, ...]
+    scattering: tuple[float, ...]
 
-    def __post_init__(self):
-        for what in ("absorption", "scattering"):
-            object.__setattr__(self, what, self._checked(what, getattr(self, what)))
+    def __post_init__(self) -> None:
+        for kind in ("absorption", "scattering"):
+            object.__setattr__(self, kind, self._checked(kind, getattr(self, kind)))
 
-    def _checked(self, what, values):
+    def _checked(self, kind: str, values: ArrayLike) -> tuple[float, ...]:
         try:
             bands = tuple(float(value) for value in np.broadcast_to(values, N_BANDS))
         except (ValueError, TypeError):
-            raise ValueError(f"{what}={values!r} of material {self.name!r} must be {N_BANDS} numbers "
+            raise ValueError(f"{kind}={values!r} of material {self.name!r} must be {N_BANDS} numbers "
                              "(62.5 Hz to 8 kHz) or one: correct the material") from None
         for band, value in enumerate(bands):
             if not 0.0 <= value <= 1.0:
-                raise ValueError(f"{what}[{band}]={value:g} of material {self.name!r} must lie in [0, 1]: "
+                raise ValueError(f"{kind}[{band}]={value:g} of material {self.name!r} must lie in [0, 1]: "
                                  "correct the material")
         return bands
 
@@ -67,29 +72,29 @@ class Air:
 
     Attributes
     ----------
-    temperature_c : float
-    humidity_pct : float
+    temperature_c
+    humidity_pct
         Relative humidity.
     """
 
     temperature_c: float = 20.0
     humidity_pct: float = 50.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         band_attenuation_per_m(self.temperature_c, self.humidity_pct)
 
     @property
-    def speed_m_s(self):
+    def speed_m_s(self) -> float:
         return speed_of_sound_m_s(self.temperature_c)
 
     @property
-    def attenuation_per_m(self):
-        """Energy attenuation per band, ndarray of shape (8,) [1/m]."""
+    def attenuation_per_m(self) -> FloatArray:
+        """Energy attenuation per band, shape (8,)."""
         return np.array(band_attenuation_per_m(self.temperature_c, self.humidity_pct))
 
 
 @cache
-def _gauss_legendre():
+def _gauss_legendre() -> tuple[FloatArray, FloatArray]:
     return np.polynomial.legendre.leggauss(64)
 
 
@@ -99,7 +104,7 @@ class Shoebox:
 
     Attributes
     ----------
-    dims_m : tuple of 3 floats
+    dims_m
         Length, width, height (x, y, z).
 
     Raises
@@ -108,11 +113,11 @@ class Shoebox:
         A dimension is not in (0.1, 200] m.
     """
 
-    dims_m: tuple
+    dims_m: tuple[float, ...]
     convex = True
-    surfaces = WALLS
+    surfaces: ClassVar[tuple[str, ...]] = WALLS
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         dims_m = tuple(float(value) for value in self.dims_m)
         object.__setattr__(self, "dims_m", dims_m)
         if len(dims_m) != 3 or not all(0.1 <= value <= MAX_DIMENSION_M for value in dims_m):
@@ -120,33 +125,33 @@ class Shoebox:
                              "correct the room")
 
     @property
-    def volume_m3(self):
+    def volume_m3(self) -> float:
         return float(np.prod(self.dims_m))
 
     @property
-    def surface_area_m2(self):
+    def surface_area_m2(self) -> FloatArray:
         length, width, height = self.dims_m
         return np.repeat([width * height, length * height, length * width], 2)
 
     @cached_property
-    def walls(self):
+    def walls(self) -> Walls | None:
         normals = np.repeat(np.eye(3), 2, axis=0) * np.array([1.0, -1.0] * 3)[:, None]
         offsets = np.where(np.arange(6) % 2 == 0, 0.0, -np.repeat(self.dims_m, 2))
         return Walls(normals, offsets, np.arange(6), np.array(self.dims_m))
 
-    def sphere_radius_m(self, center_m, radius_m):
-        """Radius of a receiver sphere: walls only cut it."""
+    def sphere_radius_m(self, center_m: ArrayLike, radius_m: float) -> float:
+        """Radius of a receiver sphere: as wanted, since walls only cut it."""
         return radius_m
 
-    def require_inside(self, what, position_m):
+    def require_inside(self, name: str, position_m: Sequence[float] | FloatArray) -> None:
         """Raise ValueError unless a position lies in the room, clear of the walls."""
         for axis, (value, size_m) in enumerate(zip(position_m, self.dims_m, strict=True)):
             if not MIN_WALL_DISTANCE_M <= value <= size_m - MIN_WALL_DISTANCE_M:
                 raise ValueError(
-                    f"{what}[{axis}]={value:g} must lie in [{MIN_WALL_DISTANCE_M:g}, "
+                    f"{name}[{axis}]={value:g} must lie in [{MIN_WALL_DISTANCE_M:g}, "
                     f"{size_m - MIN_WALL_DISTANCE_M:g}] m of a room of {list(self.dims_m)} m: correct it")
 
-    def sphere_volume_m3(self, center_m, radius_m):
+    def sphere_volume_m3(self, center_m: ArrayLike, radius_m: float) -> float:
         """Volume of the part of a sphere that lies in the room."""
         node, weight = _gauss_legendre()
         low, high = (np.clip([-radius_m, radius_m], -np.asarray(center_m)[:, None],
@@ -166,10 +171,10 @@ class Scene:
 
     Attributes
     ----------
-    room : Shoebox or MeshRoom
-    materials : tuple of Material
+    room
+    materials
         One per surface of the room.
-    air : Air
+    air
 
     Raises
     ------
@@ -178,62 +183,56 @@ class Scene:
     """
 
     room: Room
-    materials: tuple
+    materials: Sequence[Material]
     air: Air = Air()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "materials", tuple(self.materials))
         if len(self.materials) != len(self.room.surfaces):
             raise ValueError(f"{len(self.materials)} materials must be one for each of the room's "
                              f"{len(self.room.surfaces)} surfaces ({', '.join(self.room.surfaces)}): give that many")
 
     @property
-    def absorption(self):
-        """ndarray, shape (n_surfaces, 8)."""
+    def absorption(self) -> FloatArray:
+        """Absorption coefficients, shape (n_surfaces, 8)."""
         return np.array([material.absorption for material in self.materials])
 
     @property
-    def scattering(self):
-        """ndarray, shape (n_surfaces, 8)."""
+    def scattering(self) -> FloatArray:
+        """Scattering coefficients, shape (n_surfaces, 8)."""
         return np.array([material.scattering for material in self.materials])
 
 
-def with_absorption(scene, absorption):
+def with_absorption(scene: Scene, absorption: Iterable[Iterable[float]]) -> Scene:
     """Return the scene with other absorption coefficients, shape (n_surfaces, 8)."""
     materials = [replace(material, absorption=tuple(row))
                  for material, row in zip(scene.materials, absorption, strict=True)]
     return replace(scene, materials=materials)
 
 
-def check_positions(room, source_pos_m, mic_pos_m):
-    """Raise ValueError unless source and microphone lie in the room and apart.
-
-    Parameters
-    ----------
-    room : Shoebox or MeshRoom
-    source_pos_m, mic_pos_m : array_like, shape (3,)
-    """
-    for what, position_m in (("source_pos_m", source_pos_m), ("mic_pos_m", mic_pos_m)):
+def check_positions(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike) -> None:
+    """Raise ValueError unless source and microphone, shape (3,) each, lie in the room and apart."""
+    for name, position_m in (("source_pos_m", source_pos_m), ("mic_pos_m", mic_pos_m)):
         if np.shape(position_m) != (3,) or not np.all(np.isfinite(np.asarray(position_m, dtype=float))):
-            raise ValueError(f"{what}={position_m!r} must be three finite numbers: correct the position")
-        room.require_inside(what, position_m)
+            raise ValueError(f"{name}={position_m!r} must be three finite numbers: correct the position")
+        room.require_inside(name, np.asarray(position_m))
     distance_m = float(np.linalg.norm(np.subtract(source_pos_m, mic_pos_m)))
     if distance_m < MIN_DISTANCE_M:
         raise ValueError(f"source and microphone are {distance_m:g} m apart and must be at least "
                          f"{MIN_DISTANCE_M:g} m: correct the positions")
 
 
-def eyring_absorption_area_m2(scene, absorption=None):
-    """Sum of ``-ln(1 - alpha_mean) S + 4 m V`` per band: the absorption area in Eyring's formula, shape (8,).
+def eyring_absorption_area_m2(scene: Scene, absorption: FloatArray | None = None) -> FloatArray:
+    """Return Eyring's absorption area per band, ``-ln(1 - alpha_mean) S + 4 m V`` (J. Acoust. Soc. Am. 1 (1930) 217).
 
-    `absorption`, shape (n_surfaces, 8), stands for that of the scene if given.
+    `absorption`, shape (n_surfaces, 8), replaces that of the scene.
     """
     area_m2 = scene.room.surface_area_m2
     mean = np.minimum(area_m2 @ (scene.absorption if absorption is None else absorption) / area_m2.sum(), 1.0 - 1e-6)
     return -np.log(1.0 - mean) * area_m2.sum() + 4.0 * scene.air.attenuation_per_m * scene.room.volume_m3
 
 
-def eyring_time_s(scene, absorption=None):
-    """Reverberation time per band by Eyring: ``24 ln(10) V / (c A)``, shape (8,) [s]; see `eyring_absorption_area_m2`."""
+def eyring_time_s(scene: Scene, absorption: FloatArray | None = None) -> FloatArray:
+    """Return the reverberation time per band by Eyring, ``24 ln(10) V / (c A)`` with `eyring_absorption_area_m2`."""
     area_m2 = np.maximum(eyring_absorption_area_m2(scene, absorption), 1e-9)
     return 24.0 * np.log(10.0) * scene.room.volume_m3 / (scene.air.speed_m_s * area_m2)

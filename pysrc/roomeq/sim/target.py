@@ -1,30 +1,41 @@
-"""Meet a target: scale absorption until the reverberation time of the rendered response is the one asked for."""
+"""Scaling absorption until the reverberation time of the rendered response meets a target."""
+
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from roomeq.acoustics.decibels import FLOOR_POWER, TINY_POWER, power_db
 from roomeq.acoustics.iso3382 import decay_time, energy_decay, reverberation_time
 from roomeq.acoustics.octaves import octave_bands
+from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
 from roomeq.sim.echogram import FRAME_S
 
 TOLERANCE = 0.05
-STRAIGHT = 0.3  # how much T20 and T30 may differ
+STRAIGHT = 0.3  # largest relative difference of T20 and T30
 _AIM = 0.015
-_MAX_RENDERINGS = 8
+_MAX_TRIALS = 8
 _EXPONENT_RANGE = (1e-3, 1e3)
 
 
-def scaled_absorption(absorption, exponent):
-    """Scale absorption by an exponent on what is reflected: ``1 - (1 - alpha) ** exponent``.
+class Trial(NamedTuple):
+    """An exponent, and the reverberation time [s] measured with it; None if the decay is too long to measure."""
 
-    All surfaces and bands keep their order, and absorption stays in [0, 1].
+    exponent: float
+    time_s: float | None
+
+
+def scaled_absorption(absorption: FloatArray, exponent: float) -> FloatArray:
+    """Raise the reflected share to an exponent: ``1 - (1 - alpha) ** exponent``.
+
+    The order of surfaces and bands is kept, and absorption stays in [0, 1].
     """
     return 1.0 - (1.0 - np.minimum(absorption, 0.999)) ** exponent
 
 
-def t30_s(rir, direct_sample):
-    """T30 at 1 kHz of a noiseless response, or None where it does not decay by 35 dB."""
+def t30_s(rir: FloatArray, direct_sample: float) -> float | None:
+    """Return T30 at 1 kHz of a noiseless response, or None if it does not decay by 35 dB."""
     try:
         time_s = reverberation_time(rir, FS_HZ, BANDS_HZ[BAND_1KHZ], "t30", direct_sample=direct_sample)
     except ValueError:
@@ -32,11 +43,11 @@ def t30_s(rir, direct_sample):
     return time_s if time_s > 0.0 else None
 
 
-def decays_straight(rir, direct_sample):
+def decays_straight(rir: FloatArray, direct_sample: float) -> bool:
     """Tell whether T20 and T30 at 1 kHz of a noiseless response are about the same.
 
-    Where the direct sound or a few reflections hold most of the energy, T30 jumps from one value to another as
-    absorption grows, and may meet a target that nobody would hear.
+    If the direct sound or a few reflections hold most of the energy, T30 jumps between values as absorption grows, and
+    may meet a target without an audible decay of that time.
     """
     (band,) = octave_bands(rir, FS_HZ, [EXACT_BANDS_HZ[BAND_1KHZ]])
     curve = energy_decay(band, FS_HZ, direct_sample).edc_db
@@ -44,45 +55,42 @@ def decays_straight(rir, direct_sample):
     return t20_s is not None and t30_s is not None and abs(t20_s / t30_s - 1.0) < STRAIGHT
 
 
-def solve_exponent(measure, target_s, guess=1.0):
+def solve_exponent(measure: Callable[[float], float | None], target_s: float, guess: float = 1.0) -> Trial:
     """Find the exponent with which a measured reverberation time meets the target.
 
     Parameters
     ----------
-    measure : callable
-        ``measure(exponent) -> T30 [s] or None``; falls as the exponent grows, but for some noise.
-    target_s : float
-    guess : float
+    measure
+        From an exponent to T30 [s]; except for noise, T30 falls as the exponent grows.
+    target_s
+    guess
         First exponent to try.
 
     Returns
     -------
-    exponent : float
-    time_s : float or None
-        What was measured with it: the closest found; the caller decides whether it is close enough.
+    Trial
+        The closest one; the caller decides whether it is close enough.
     """
-    tried = []
+    trials: list[Trial] = []
     exponent = guess
-    for _ in range(_MAX_RENDERINGS):
+    for _ in range(_MAX_TRIALS):
         time_s = measure(exponent)
-        tried.append((exponent, time_s))
+        trials.append(Trial(exponent, time_s))
         if time_s is not None and abs(time_s / target_s - 1.0) < _AIM:
             break
-        exponent = _next_exponent(tried, target_s)
+        exponent = _next_exponent(trials, target_s)
         if not _EXPONENT_RANGE[0] <= exponent <= _EXPONENT_RANGE[1]:
             break
-    measured = [(x, t) for x, t in tried if t is not None]
-    if not measured:
-        return guess, None
-    return min(measured, key=lambda pair: abs(np.log(pair[1] / target_s)))
+    measured = [(abs(np.log(trial.time_s / target_s)), n) for n, trial in enumerate(trials) if trial.time_s is not None]
+    return trials[min(measured)[1]] if measured else Trial(guess, None)
 
 
-def _next_exponent(tried, target_s):
-    """Secant in log-log, kept inside the bracket that is known."""
-    known = sorted((np.log(x), np.log(t / target_s)) for x, t in tried if t is not None)
-    if len(known) < len(tried) and tried[-1][1] is None:  # too long to measure: absorb more
-        return tried[-1][0] * 2.0
-    above = [point for point in known if point[1] > 0.0]  # too long
+def _next_exponent(trials: list[Trial], target_s: float) -> float:
+    """Take a secant step in log-log, kept inside the known bracket."""
+    known = sorted((np.log(x), np.log(t / target_s)) for x, t in trials if t is not None)
+    if trials[-1].time_s is None:  # too long to measure: absorb more
+        return trials[-1].exponent * 2.0
+    above = [point for point in known if point[1] > 0.0]  # longer than the target
     below = [point for point in known if point[1] <= 0.0]
     if above and below:
         low, high = max(above), min(below)
@@ -96,13 +104,8 @@ def _next_exponent(tried, target_s):
     return float(np.exp(x - 1.1 * error / slope))
 
 
-def t30_of_echogram(energy):
-    """T30 of an echogram of one band by backward integration, or None where it does not decay by 35 dB.
-
-    Parameters
-    ----------
-    energy : ndarray, shape (n_frames,)
-    """
+def t30_of_echogram(energy: FloatArray) -> float | None:
+    """Return T30 of an echogram of one band, shape (n_frames,), or None if it does not decay by 35 dB."""
     decay = np.cumsum(energy[::-1])[::-1]
     decay_db = power_db(decay / max(decay[0], TINY_POWER), FLOOR_POWER)
     chosen = np.flatnonzero((decay_db <= -5.0) & (decay_db >= -35.0))

@@ -1,76 +1,98 @@
-"""Rays: what each of them meets on its way, stored so that receivers and materials can come later.
+"""Ray tracing: the reflections of rays from a source, stored independently of receivers and absorption.
 
-A ray leaves the source with an equal share of its power. Where it meets a surface it goes on specularly or, with
-a probability equal to the scattering coefficient, diffusely (Lambert's law). No absorption is applied, so one
-trace serves all receivers and all absorption coefficients; bands with equal scattering share a trace.
+Each ray leaves the source with an equal share of its power. At a surface it continues specularly or, with a
+probability equal to the scattering coefficient, diffusely (Lambert's law). No absorption is applied, so one trace
+serves all receivers and all absorption coefficients; bands with equal scattering share a trace.
 
 Once reflections are denser than samples, far more paths arrive than a smooth decay needs: from then on one ray in a
-few goes on and stands for the others.
+few continues and represents the others.
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from roomeq.core.arrays import Array, FloatArray, IntArray, Number
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled, for_chunks, mix, uniform
+from roomeq.sim.room import Room, Walls
+
+if TYPE_CHECKING:
+    from roomeq.sim.mesh import MeshRoom
 
 RETRIES = 6
-LATE_RAYS = 5000  # at least so many rays are followed to the end, if there are so many
-MAX_STRIDE = 4  # one ray in so many
+"""Attempts to find a surface for a ray that slipped through an edge."""
+LATE_RAYS = 5000
+"""Rays that are followed to the end, at least, if there are so many."""
+MAX_STRIDE = 4
+"""Largest number of rays that one late ray represents."""
 GOLDEN_RATIO = 0.5 * (1.0 + np.sqrt(5.0))
 
 
 @dataclass(frozen=True)
 class Paths:
-    """What the rays of one source met.
+    """The reflections of the rays of one source.
 
     Attributes
     ----------
-    source_pos_m : ndarray, shape (3,)
-    directions : ndarray, shape (n_rays, 3)
-        Unit vectors in which the rays leave the source.
-    hits : ndarray of float32, shape (n_stored, 4)
-        Position of each reflection and the length of the path up to there [m], one ray after the other.
-    codes : ndarray of unsigned int, shape (n_stored,)
-        ``2 * face + went_on_diffusely`` per reflection.
-    first : ndarray of int, shape (n_rays,)
-        Index of each ray's first reflection. Between two rays may lie places that nothing is stored in.
-    normals : ndarray, shape (n_faces, 3)
-        Of the faces, into the air.
-    face_surface : ndarray of int, shape (n_faces,)
-    counts : ndarray of int32, shape (n_rays,)
-        Reflections stored per ray.
-    scattering : ndarray, shape (n_surfaces,)
-        Scattering coefficient of each surface that the rays were traced with.
-    late_m, stride : float, int
-        Beyond this length one ray in `stride` goes on and stands for the others.
-    max_length_m : float
-        Rays end with the first reflection beyond this length.
-    n_leaked : int
-        Rays that slipped through the surface.
+    source_pos_m
+        Shape (3,).
+    directions
+        Unit vectors in which the rays leave the source, shape (n_rays, 3).
+    hits
+        Position of each reflection and the length of the path up to it [m], ray by ray, shape (n_stored, 4), float32.
+    codes
+        ``2 * face + continues_diffusely`` of each reflection, shape (n_stored,), unsigned.
+    first
+        Index of each ray's first reflection, shape (n_rays,). There may be unused elements between two rays.
+    normals
+        Unit normals of the faces into the air, shape (n_faces, 3).
+    face_surface
+        Surface of each face, shape (n_faces,).
+    counts
+        Reflections stored of each ray, shape (n_rays,), int32.
+    scattering
+        Scattering coefficient of each surface, as traced, shape (n_surfaces,).
+    late_m, stride
+        Beyond this length of path, one ray in `stride` continues and represents the others.
+    max_length_m
+        Rays end with the first reflection beyond this length of path.
+    n_leaked
+        Rays that slipped through the room's surface.
     """
 
-    source_pos_m: np.ndarray
-    directions: np.ndarray
-    hits: np.ndarray
-    codes: np.ndarray
-    first: np.ndarray
-    normals: np.ndarray
-    face_surface: np.ndarray
-    counts: np.ndarray
-    scattering: np.ndarray
+    source_pos_m: FloatArray
+    directions: FloatArray
+    hits: Array
+    codes: Array
+    first: IntArray
+    normals: FloatArray
+    face_surface: IntArray
+    counts: Array
+    scattering: FloatArray
     late_m: float
     stride: int
     max_length_m: float
     n_leaked: int
 
 
-def sphere_directions(n_rays, rng):
-    """Well distributed unit vectors: a Fibonacci lattice in a random orientation, shape (n_rays, 3).
+class _Traced(NamedTuple):
+    """Stored reflections; see `Paths`."""
 
-    Each stands for the same solid angle (Swinbank and Purser, Q. J. R. Meteorol. Soc. 132 (2006) 1769). Their
-    order is random, so that the first few are a fair sample of all.
+    hits: Array
+    codes: Array
+    first: IntArray
+    counts: Array
+    n_leaked: int
+
+
+def sphere_directions(n_rays: int, rng: np.random.Generator) -> FloatArray:
+    """Return evenly distributed unit vectors, a Fibonacci lattice in a random orientation, shape (n_rays, 3).
+
+    Each represents the same solid angle (Swinbank and Purser, Q. J. R. Meteorol. Soc. 132 (2006) 1769). Their order is
+    random, so that any number of them from the start is a fair sample.
     """
     index = np.arange(n_rays) + 0.5
     z = 1.0 - 2.0 * index / n_rays
@@ -81,21 +103,23 @@ def sphere_directions(n_rays, rng):
     return rng.permutation(points @ rotation)
 
 
-def trace(room, source_pos_m, scattering, *, num_rays, max_length_m, speed_m_s, rng):
-    """Follow rays from a source.
+def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_rays: int, max_length_m: float,
+          speed_m_s: float, rng: np.random.Generator) -> Paths:
+    """Trace rays from a source.
 
     Parameters
     ----------
-    room : Shoebox or MeshRoom
-    source_pos_m : array_like, shape (3,)
-    scattering : array_like, shape (n_surfaces,)
-        Scattering coefficient of each surface.
-    num_rays : int
-    max_length_m : float
-        How far to follow a ray [m].
-    speed_m_s : float
+    room
+    source_pos_m
+        Shape (3,).
+    scattering
+        Scattering coefficient of each surface, shape (n_surfaces,).
+    num_rays
+    max_length_m
+        Length of path up to which rays are followed.
+    speed_m_s
         Speed of sound.
-    rng : numpy.random.Generator
+    rng
 
     Returns
     -------
@@ -107,48 +131,51 @@ def trace(room, source_pos_m, scattering, *, num_rays, max_length_m, speed_m_s, 
     seed = np.uint64(rng.integers(2 ** 63))
     late_m = dense_after_s(room.volume_m3, speed_m_s, FS_HZ) * speed_m_s
     stride = int(np.clip(num_rays // LATE_RAYS, 1, MAX_STRIDE))
-    walls = room.walls
-    follow = _follow_in_mesh if walls is None else _follow_in_convex
-    normals, face_surface = (room.normals, room.face_surface) if walls is None else (walls.normals, walls.face_surface)
-    hits, codes, first, counts, n_leaked = follow(room, source_pos_m, directions, scattering[face_surface], late_m,
-                                                  stride, max_length_m, seed)
-    return Paths(source_pos_m, directions, hits, codes, first, normals, face_surface, counts, scattering, late_m, stride,
-                 max_length_m, n_leaked)
+    end_m = np.where(np.arange(num_rays) % stride == 0, max_length_m, min(late_m, max_length_m))
+    faces = room.walls or cast("MeshRoom", room)
+    of_faces = scattering[faces.face_surface]
+    if room.walls is not None:
+        traced = _trace_between_walls(room.walls, source_pos_m, directions, of_faces, end_m, seed)
+    else:
+        traced = _trace_in_mesh(cast("MeshRoom", room), source_pos_m, directions, of_faces, end_m, seed)
+    return Paths(source_pos_m, directions, traced.hits, traced.codes, traced.first, faces.normals, faces.face_surface,
+                 traced.counts, scattering, late_m, stride, max_length_m, traced.n_leaked)
 
 
-def dense_after_s(volume_m3, speed_m_s, rate_hz):
-    """Time when reflections become as dense as a rate: they arrive at ``4 pi c^3 t^2 / V`` (Kuttruff, eq. 4.6)."""
+def dense_after_s(volume_m3: float, speed_m_s: float, rate_hz: float) -> float:
+    """Return when reflections, which arrive at ``4 pi c^3 t^2 / V`` (Kuttruff, eq. 4.6), reach a rate [s]."""
     return float(np.sqrt(rate_hz * volume_m3 / (4.0 * np.pi * speed_m_s ** 3)))
 
 
-def _code_type(n_faces):
+def _code_type(n_faces: int) -> type[np.uint8] | type[np.uint32]:
     return np.uint8 if n_faces < 128 else np.uint32
 
 
-def _follow_in_convex(room, source, directions, scattering, late_m, stride, max_length_m, seed):
-    """Trace a room that is bounded by a few planes: no search, only the nearest plane ahead."""
-    walls, n_rays = room.walls, len(directions)
-    end_m = np.where(np.arange(n_rays) % stride == 0, max_length_m, min(late_m, max_length_m))
-    # the most that a specular ray can meet in a box, and some
+def _trace_between_walls(walls: Walls, source: FloatArray, directions: FloatArray, scattering: FloatArray,
+                         end_m: FloatArray, seed: np.uint64) -> _Traced:
+    """Trace a room that is bounded by a few planes: the next hit is on the nearest plane ahead."""
+    n_rays = len(directions)
+    # more than a specular ray can meet in a box
     capacity = (1.2 * end_m * np.sqrt(np.sum(1.0 / walls.size_m ** 2))).astype(np.int64) + 40
     start = np.concatenate([[0], np.cumsum(capacity)])
     hits, codes = np.empty((start[-1], 4), np.float32), np.empty(start[-1], _code_type(len(walls.normals)))
     first, counts = np.empty(n_rays, dtype=np.int64), np.empty(n_rays, dtype=np.int32)
-    # each chunk fills its share of the store from the front: pages that no ray needs are never touched
+    # each chunk fills its share of the store from the front, so that unused pages are never touched
     for_chunks(n_rays, lambda chunk, low, high: _trace_convex(
         walls.normals, walls.offsets, source, directions, scattering, end_m, seed, low, high, capacity, start[low],
         hits, codes, first, counts))
-    return hits, codes, first, counts, 0
+    return _Traced(hits, codes, first, counts, 0)
 
 
-def _follow_in_mesh(room, source, directions, scattering, late_m, stride, max_length_m, seed):
-    """Trace any closed mesh: all rays together, one reflection after the other."""
+def _trace_in_mesh(room: "MeshRoom", source: FloatArray, directions: FloatArray, scattering: FloatArray,
+                   end_m: FloatArray, seed: np.uint64) -> _Traced:
+    """Trace any closed mesh: all rays together, reflection by reflection."""
     n_rays = len(directions)
     counts = np.zeros(n_rays, dtype=np.int32)
     position, before = np.tile(source, (n_rays, 1)), np.tile(source, (n_rays, 1))
     way, length = directions.copy(), np.zeros(n_rays)
-    end_m = np.where(np.arange(n_rays) % stride == 0, max_length_m, min(late_m, max_length_m))
-    active, n_leaked, steps = np.arange(n_rays), 0, []
+    active, n_leaked = np.arange(n_rays), 0
+    steps: list[tuple[IntArray, Array, Array]] = []
     while len(active):
         face, distance = _next_hits(room, position, way, before, active, seed, len(steps))
         lost = face < 0
@@ -165,14 +192,20 @@ def _follow_in_mesh(room, source, directions, scattering, late_m, stride, max_le
     codes = np.empty(len(hits), _code_type(len(room.normals)))
     for n, (rays, step_hits, step_codes) in enumerate(steps):
         hits[first[rays] + n], codes[first[rays] + n] = step_hits, step_codes
-    return hits, codes, first, counts, n_leaked
+    return _Traced(hits, codes, first, counts, n_leaked)
 
 
-def _next_hits(room, position, way, before, active, seed, n):
-    """First hits of the active rays; those that slip through an edge are shot again from a little further back."""
+def _next_hits(room: "MeshRoom", position: FloatArray, way: FloatArray, before: FloatArray, active: IntArray,
+               seed: np.uint64, n: int) -> tuple[IntArray, FloatArray]:
+    """Return faces and distances of the active rays' next hits; rays that slip through an edge are shot again.
+
+    Each attempt starts a little further back and in a slightly different direction, in place.
+    """
     face, distance = room.first_hits(position[active], way[active])
     lost = np.flatnonzero(face < 0)
-    rng = np.random.default_rng([int(seed), n]) if len(lost) else None
+    if not len(lost):
+        return face, distance
+    rng = np.random.default_rng([int(seed), n])
     for attempt in range(RETRIES):
         if not len(lost):
             break
@@ -186,10 +219,10 @@ def _next_hits(room, position, way, before, active, seed, n):
 
 
 @compiled
-def reflect(normals, face, scattering, stream, n, way):
-    """Turn `way` at reflection `n` of a ray, specularly or diffusely; tell whether diffusely.
+def reflect(normals: Array, face: Number, scattering: Number, stream: Number, n: Number, way: Array) -> bool:
+    """Turn `way` at reflection `n` of a ray, specularly or diffusely; return whether diffusely.
 
-    The diffuse direction is the normal plus a point on the unit sphere, which is Lambert's cosine distribution.
+    A diffuse direction is the normal plus a point on the unit sphere, which is Lambert's cosine distribution.
     """
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
     if uniform(stream, 3 * n) >= scattering:
@@ -206,8 +239,9 @@ def reflect(normals, face, scattering, stream, n, way):
 
 
 @compiled
-def _trace_convex(normals, offsets, source, directions, scattering, end_m, seed, low, high, capacity, stored, hits,
-                  codes, first, counts):
+def _trace_convex(normals: Array, offsets: Array, source: Array, directions: Array, scattering: Array, end_m: Array,
+                  seed: Number, low: Number, high: Number, capacity: Array, stored: Number, hits: Array, codes: Array,
+                  first: Array, counts: Array) -> None:
     """Trace rays `low` to `high` between planes; the air is where ``normal . x > offset`` for all of them."""
     n_faces = len(normals)
     height, approach, way = np.empty(n_faces), np.empty(n_faces), np.empty(3)
@@ -244,8 +278,9 @@ def _trace_convex(normals, offsets, source, directions, scattering, end_m, seed,
 
 
 @compiled
-def _advance(normals, active, faces, distances, scattering, seed, n, position, before, way, length, hits, codes):
-    """Move the active rays to their hits, store reflection `n` and turn them; they start a nudge off the surface."""
+def _advance(normals: Array, active: Array, faces: Array, distances: Array, scattering: Array, seed: Number, n: Number,
+             position: Array, before: Array, way: Array, length: Array, hits: Array, codes: Array) -> None:
+    """Move the active rays to just off their hits, store reflection `n` and turn them."""
     for i in range(len(active)):
         ray, face, distance = active[i], faces[i], distances[i]
         for axis in range(3):
