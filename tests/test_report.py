@@ -15,6 +15,7 @@ import pytest
 import webdriver
 from report_run import HOSTILE, RIRS_PER_ROOM, ROOMS, make_run
 from roomeq.core.files import read_jsonl, write_json
+from roomeq.core.stamps import FORMAT
 from roomeq.loop.features import N_FEATURES, feature_slice
 from roomeq.report import figures, make_report
 from roomeq.report.build_page import SECTIONS, render_page, render_section
@@ -101,7 +102,7 @@ def test_templates_escape_text_and_attributes(text):
 
 def test_undecodable_names_are_replaced_on_the_page(tmp_path):
     (tmp_path / "measured").mkdir()
-    stamp = dict(step="read-measured", key="", files={}, options=dict(name="a\udcff"))
+    stamp = dict(step="read-measured", key="", files={}, format=FORMAT, options=dict(name="a\udcff"))
     (tmp_path / "measured/.done").write_text(json.dumps(stamp))
     page = render_page(Run(tmp_path, tmp_path))
     assert "name = a?" in page and page.encode()
@@ -303,7 +304,7 @@ def test_malformed_table_names_file_and_key(made, tmp_path):
 
 def test_options_show_the_last_part_of_paths(made, tmp_path):
     (tmp_path / "measured").mkdir()
-    write_json(tmp_path / "measured/.done", dict(step="read-measured", key="", files={},
+    write_json(tmp_path / "measured/.done", dict(step="read-measured", key="", files={}, format=FORMAT,
                                                  options=dict(seed=3, source="/home/me/corpora/rooms", kind=None)))
     text = Page(render_page(Run(tmp_path, tmp_path))).text
     assert "source = rooms" in text and "/home" not in text and "kind" not in text

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from roomeq.core.arrays import FloatArray
-from roomeq.core.build import DONE_FILE
-from roomeq.core.files import read_json
+from roomeq.core.stamps import read_stamp
 from roomeq.kaldi.wavscp import parse_entry
 from roomeq.records.rir_dir import ROWS_FILE, load_rir, read_rirs
 from roomeq.records.schema import RirRow
@@ -115,10 +114,10 @@ class Run:
         """Return the samples of an RIR."""
         return load_rir(self.path(name), row)
 
-    def stamp(self, name: str) -> dict[str, Any]:
-        """Return the step and the options that wrote a directory, or {} if it has no stamp."""
-        path = self.path(name) / DONE_FILE
-        return read_json(path) if path.is_file() else {}
+    def options(self, name: str) -> dict[str, Any]:
+        """Return the options of the step that wrote a directory, or {} if it has no stamp."""
+        stamp = read_stamp(self.path(name))
+        return stamp.options if stamp else {}
 
     @cached_property
     def names(self) -> list[str]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from roomeq.core.arrays import FloatArray
 from roomeq.core.files import read_json
+from roomeq.core.stamps import read_stamp
 from roomeq.corpora.characterise import SCREENING_FILE
 from roomeq.records.schema import RirRow
 from roomeq.report.formats import DASH, number
@@ -67,7 +68,7 @@ def size(run: Run, name: str) -> tuple[float, int]:
 
 def source(run: Run, split: str) -> str:
     """Name the clean speech of a split."""
-    options = run.stamp(f"{split}.clean").get("options", {})
+    options = run.options(f"{split}.clean")
     corpus, sets = options.get("source"), options.get("sets")
     names = sets.get(split, ()) if isinstance(sets, dict) else ()
     # a corpus without sets of these names was split by speaker
@@ -146,7 +147,7 @@ def limitations(run: Run) -> Context:
     """Return the values that decide which conclusions this run does not support."""
     real = run.rirs("rirs.real") if run.has("rirs.real") else []
     simulated = run.rirs("rirs.sim.train") if run.has("rirs.sim.train") else []
-    split_by = run.stamp("rirs.real.train").get("options", {}).get("split_by", "rir")
+    split_by = run.options("rirs.real.train").get("split_by", "rir")
     return {"synthetic": synthetic_corpora(run), "n_measured": len(real),
             "n_rooms": len({row["room_id"] for row in real}), "split_by_rir": bool(real) and split_by == "rir",
             "n_simulated": len(simulated), "n_drawn": sum(bool(row.get("drawn")) for row in simulated),
@@ -157,10 +158,10 @@ def steps(run: Run) -> Context:
     """Return the steps of the run with their options, from the stamps of the directories."""
     rows = []
     for name in run.names:
-        if stamp := run.stamp(name):
-            options = [f"{key} = {option_text(value)}" for key, value in stamp["options"].items()
+        if stamp := read_stamp(run.path(name)):
+            options = [f"{key} = {option_text(value)}" for key, value in stamp.options.items()
                        if key not in OMITTED_OPTIONS and value not in (None, "", [])]
-            rows.append([run.label(name), stamp["step"], option_text(stamp["options"].get("seed", DASH)), options])
+            rows.append([run.label(name), stamp.step, option_text(stamp.options.get("seed", DASH)), options])
     if not rows:
         raise Missing("any directory that roomeq made", "./run.sh")
     return {"rows": rows, "benches": run.benches}
