@@ -16,7 +16,8 @@ from datadirs import FS, LENGTHS, audio_of, burst, decay, rir_dir, rir_row, spee
 from roomeq.augment import augment
 from roomeq.augment.draw import parse_distribution
 from roomeq.core.audio import write_flac, write_wav
-from roomeq.kaldi.datadir import read_data_dir, validate_data_dir
+from roomeq.kaldi import validate_data_dir
+from roomeq.kaldi.datadir import read_data_dir
 from roomeq.records.rir_dir import load_rir, read_rirs, write_noises, write_rirs
 
 SAMPLE = 2.0**-15

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from datadirs import FS, LENGTHS, burst, speech_dir
 from roomeq.core.audio import write_flac, write_wav
-from roomeq.kaldi.datadir import read_data_dir, read_utterance, validate_data_dir
+from roomeq.kaldi import validate_data_dir
+from roomeq.kaldi.datadir import read_data_dir, read_utterance
 from roomeq.kaldi.wavscp import Entry, flac_entry, parse_entry, read_entry
 from roomeq.kaldi.write import OutUtterance, format_seconds, write_data_dir
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from roomeq.core.files import hash_file
 from roomeq.core.stamps import read_stamp
-from roomeq.kaldi.datadir import validate_data_dir
+from roomeq.kaldi import validate_data_dir
 from roomeq.records.rir_dir import NOISES_FILE, ROWS_FILE, validate_noises, validate_rirs
 from roomeq.wer.check import WER_FILE, validate_wer
 

@@ -22,7 +22,7 @@ CASES = [
          "speech/wav.scp:2: id 'b-1-0001' must not come after 'b-1-0002': sort the file with LC_ALL=C sort",
          (reorder("speech/wav.scp", lambda lines: lines[::-1]),)),
     Case("inconsistent", AUGMENT,
-         "speech/utt2spk:2: 'a-1-0002' is not in text: every id must stand in both: run Kaldi's "
+         "speech/utt2spk:2: 'a-1-0002' is not in text: every id must be in both: run Kaldi's "
          "utils/fix_data_dir.sh, or prepare the directory again", (line("speech/text", 2, None),)),
     Case("text not utf-8", AUGMENT, "speech/text:1: byte 0xe9 is not UTF-8: convert the file",
          (write("speech/text", b"a-1-0001 caf\xe9\n"),)),

@@ -16,7 +16,8 @@ from wrong import HOSTILE
 
 from datadirs import FS, burst, rir_dir
 from roomeq.augment import augment
-from roomeq.kaldi.datadir import read_data_dir, validate_data_dir
+from roomeq.kaldi import validate_data_dir
+from roomeq.kaldi.datadir import read_data_dir
 from roomeq.kaldi.wavscp import flac_entry
 from roomeq.kaldi.write import OutUtterance, write_data_dir
 from roomeq.records.rir_dir import read_noises, read_rirs, rir_path, validate_rirs

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from statistics import NormalDist
-from typing import NamedTuple
 
 from roomeq.core.audio import audio_info
 from roomeq.core.rng import rng_for
+from roomeq.kaldi.wavscp import AudioLength
 from roomeq.records.rir_dir import NOISES_FILE, read_noises, read_rirs
 from roomeq.records.schema import RirRow
 
@@ -63,13 +63,6 @@ def parse_distribution(text: str | float, name: str) -> Quantile | None:
     except ValueError:
         raise ValueError(f"{name}={text!r} must be 'uniform LOW HIGH', 'normal MEAN SD', 'list A,B,...', a number "
                          f"or 'none', in dB between -{_MAX_SNR_DB:g} and {_MAX_SNR_DB:g}") from None
-
-
-class AudioLength(NamedTuple):
-    """Number of samples, and sample rate [Hz]."""
-
-    frames: int
-    rate_hz: int
 
 
 @dataclass(frozen=True)

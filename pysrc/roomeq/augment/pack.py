@@ -15,7 +15,7 @@ from roomeq.core.arrays import Array
 from roomeq.core.constants import FS_HZ
 from roomeq.core.files import write_bytes
 from roomeq.kaldi.datadir import DataDir, Utterance
-from roomeq.kaldi.wavscp import Entry, n_samples
+from roomeq.kaldi.wavscp import Entry, read_length
 from roomeq.records.schema import is_id, make_id
 
 MAX_RECORDING_S = 900.0
@@ -91,10 +91,10 @@ def _duration_s(data: DataDir, planned: PlannedUtterance, pipes: bool) -> float:
     if planned.entry.kind != "file":
         return UNKNOWN_S
     try:
-        length, rate = n_samples(planned.entry, pipes=pipes)
+        length = read_length(planned.entry, pipes=pipes)
     except ValueError as error:
         raise ValueError(f"{data.path}: utterance {utterance.id}: {error}") from None
-    return length / rate - utterance.start_s
+    return length.frames / length.rate_hz - utterance.start_s
 
 
 def write_recording(work: Path, speaker: str, name: str, pieces: list[Array]) -> dict:

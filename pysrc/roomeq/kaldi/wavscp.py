@@ -1,7 +1,7 @@
-"""One line of a Kaldi `wav.scp`: what it says, and the audio behind it.
+"""Parse an entry of a Kaldi `wav.scp`, and read its audio.
 
-Kaldi hands every entry that ends in ``|`` to a shell. Here the usual ``flac -c -d -s FILE |`` is recognised and
-the file is read directly; any other pipe runs only if the user says so. Nothing is ever unpickled.
+Kaldi passes every entry that ends in ``|`` to a shell. Here the usual ``flac -c -d -s FILE |`` is recognised and the
+file is read directly; any other command runs only if the user allows it. Nothing is ever unpickled.
 """
 
 import io
@@ -11,28 +11,37 @@ import subprocess
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import soundfile
 
+from roomeq.core.arrays import Array
 from roomeq.core.audio import audio_info, read_audio
 from roomeq.core.constants import FS_HZ
 from roomeq.core.limits import AUDIO_HOURS, max_audio_samples
 
 MAX_OVERSHOOT_S = 0.01
-"""A segment may end this much after its recording (times rounded to 10 ms); it is cut there, as Kaldi does."""
+"""A segment may end this much after its recording, since times are rounded to 10 ms; it is cut there, as in Kaldi."""
 
 _AUDIO_TAGS = (b"RIFF", b"fLaC", b"AUDIO")
 _FLAC_FLAG = re.compile(r"-[cds]+|--stdout|--decode|--silent|--totally-silent")
-# one shell word whose meaning is the text itself: no expansion, no operator, no glob
-_PIECE = r"""'([^']*)'|"([^"$`\\!]*)"|\\([^\n])|([^\s'"\\$`|&;<>()*?\[\]#~{}!]+)"""
-_WORD, _PIECE = re.compile(f"(?:{_PIECE})+"), re.compile(_PIECE)
-_BLANK = re.compile(r"[ \t]*")
+# a part of a shell word that stands for itself: no expansion, no operator, no glob
+_LITERAL_TEXT = r"""'([^']*)'|"([^"$`\\!]*)"|\\([^\n])|([^\s'"\\$`|&;<>()*?\[\]#~{}!]+)"""
+_WORD, _LITERAL = re.compile(f"(?:{_LITERAL_TEXT})+"), re.compile(_LITERAL_TEXT)
+_BLANKS = " \t"
+
+
+class AudioLength(NamedTuple):
+    """Number of samples, and sample rate [Hz]."""
+
+    frames: int
+    rate_hz: int
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """Where the audio of one recording comes from.
+    """Source of the audio of one recording.
 
     Attributes
     ----------
@@ -50,7 +59,7 @@ class Entry:
 
 
 def parse_entry(text: str) -> Entry:
-    """Parse what stands after the id in a line of `wav.scp`.
+    """Parse the entry after the id in a line of `wav.scp`.
 
     Raises
     ------
@@ -66,14 +75,15 @@ def parse_entry(text: str) -> Entry:
         raise ValueError(f"{text!r} names no audio: give a file, FILE:OFFSET or a command that ends in '|'")
     if text.endswith("]") and re.search(r":\d+\[", text):
         raise ValueError(f"{text!r} selects a range, which audio does not have: use a segments file")
-    found = re.fullmatch(r"(.+):([0-9]+)", text)
-    if found and len(found[2]) > 18:
-        raise ValueError(f"offset {found[2][:20]}... of {found[1]!r} must be that of a byte in it: correct the line")
-    return Entry("ark", found[1], int(found[2])) if found else Entry("file", text)
+    archive = re.fullmatch(r"(.+):([0-9]+)", text)
+    if archive and len(archive[2]) > 18:
+        raise ValueError(f"offset {archive[2][:20]}... of {archive[1]!r} must be that of a byte in it: correct the "
+                         "line")
+    return Entry("ark", archive[1], int(archive[2])) if archive else Entry("file", text)
 
 
-def flac_entry(path: str) -> str:
-    """Return the `wav.scp` entry that decodes a FLAC file, quoted for the shell that Kaldi gives it to.
+def flac_entry(path: Path | str) -> str:
+    """Return the `wav.scp` entry that decodes a FLAC file, quoted for the shell that Kaldi passes it to.
 
     Raises
     ------
@@ -94,15 +104,15 @@ def _flac_file(command: str) -> str | None:
     """Return the file that a plain `flac` decoding command reads, or None for any other command."""
     words, position = [], 0
     while position < len(command):
-        found = _WORD.match(command, position)
-        if not found:
+        word = _WORD.match(command, position)
+        if not word:
             return None
-        words.append("".join("".join(piece) for piece in _PIECE.findall(found[0])))
-        position = found.end()
-        blank = _BLANK.match(command, position).end()
-        if blank == position < len(command):
+        words.append("".join("".join(literal) for literal in _LITERAL.findall(word[0])))
+        position = word.end()
+        while position < len(command) and command[position] in _BLANKS:
+            position += 1
+        if position == word.end() < len(command):
             return None
-        position = blank
     if len(words) < 3 or words[0].rsplit("/", 1)[-1] != "flac":
         return None
     flags = {word for word in words[1:] if _FLAC_FLAG.fullmatch(word)}
@@ -114,8 +124,8 @@ def _flac_file(command: str) -> str | None:
     return files[0]
 
 
-def n_samples(entry: Entry, *, pipes: bool = False) -> tuple[int, int]:
-    """Return length [samples] and sample rate [Hz] of a recording; only a file's header is read.
+def read_length(entry: Entry, *, pipes: bool = False) -> AudioLength:
+    """Return the length of a recording; of a file only the header is read.
 
     Raises
     ------
@@ -124,23 +134,21 @@ def n_samples(entry: Entry, *, pipes: bool = False) -> tuple[int, int]:
     """
     if entry.kind == "file":
         info = _file_info(entry.text)
-        return info.frames, info.samplerate
-    rate, samples = _decoded(entry, pipes)
-    return len(samples), rate
+        return AudioLength(info.frames, info.samplerate)
+    decoded = _decode(entry, pipes)
+    return AudioLength(len(decoded.samples), decoded.rate_hz)
 
 
-def read_entry(entry: Entry, start_s: float = 0.0, end_s: float | None = None, *,
-               pipes: bool = False) -> np.ndarray:
+def read_entry(entry: Entry, start_s: float = 0.0, end_s: float | None = None, *, pipes: bool = False) -> Array:
     """Read a recording or a segment of it at `FS_HZ`.
 
     Times become samples as in Kaldi's `extract-segments`: ``int(t * rate + 0.5)``.
 
     Parameters
     ----------
-    entry : Entry
-    start_s, end_s : float
+    start_s, end_s
         Segment [s]; an end of None is the end of the recording.
-    pipes : bool
+    pipes
         Run commands.
 
     Returns
@@ -154,29 +162,35 @@ def read_entry(entry: Entry, start_s: float = 0.0, end_s: float | None = None, *
     """
     if entry.kind == "file" and start_s == 0.0 and end_s is None:
         return read_audio(Path(entry.text), dtype="float32")
-    frames, rate = n_samples(entry, pipes=pipes)
-    start, stop = segment_samples(entry.text, frames, rate, start_s, end_s)
+    length = read_length(entry, pipes=pipes)
+    start, stop = segment_samples(entry.text, length, start_s, end_s)
     if entry.kind == "file":
         return read_audio(Path(entry.text), start=start, stop=stop, dtype="float32")
-    samples = _decoded(entry, pipes)[1][start:stop]
-    if rate == FS_HZ:
+    samples = _decode(entry, pipes).samples[start:stop]
+    if length.rate_hz == FS_HZ:
         return samples
-    if rate < FS_HZ:
-        raise ValueError(f"{entry.text}: sample rate {rate} Hz must be {FS_HZ} Hz: "
+    if length.rate_hz < FS_HZ:
+        raise ValueError(f"{entry.text}: sample rate {length.rate_hz} Hz must be {FS_HZ} Hz: "
                          "the missing band cannot be restored: use other recordings")
     import soxr
 
-    return soxr.resample(samples, rate, FS_HZ, quality="VHQ")
+    return soxr.resample(samples, length.rate_hz, FS_HZ, quality="VHQ")
 
 
-def segment_samples(name: str, frames: int, rate: int, start_s: float, end_s: float | None) -> tuple[int, int]:
-    """Return the range of samples of a segment of a recording of `frames` samples.
+def segment_samples(name: str, length: AudioLength, start_s: float, end_s: float | None) -> tuple[int, int]:
+    """Return the first sample of a segment of a recording, and the one after its last.
+
+    Parameters
+    ----------
+    name
+        Name of the recording, for the message.
 
     Raises
     ------
     ValueError
         The segment ends more than `MAX_OVERSHOOT_S` after the recording, or starts there.
     """
+    frames, rate = length
     start = int(start_s * rate + 0.5)
     stop = frames if end_s is None else int(end_s * rate + 0.5)
     if start >= frames or stop > frames + MAX_OVERSHOOT_S * rate:
@@ -187,14 +201,19 @@ def segment_samples(name: str, frames: int, rate: int, start_s: float, end_s: fl
 
 
 @lru_cache(maxsize=256)
-def _file_info(path: str):
+def _file_info(path: str) -> Any:
     return audio_info(Path(path))
 
 
+class _Decoded(NamedTuple):
+    rate_hz: int
+    samples: Array
+
+
 @lru_cache(maxsize=1)
-def _decoded(entry: Entry, pipes: bool) -> tuple[int, np.ndarray]:
-    """Decode a whole archive entry or pipe; the last one is kept, since segments come one after another."""
-    rate, samples = _read_ark(entry) if entry.kind == "ark" else _run_pipe(entry.text, pipes)
+def _decode(entry: Entry, pipes: bool) -> _Decoded:
+    """Decode a whole archive entry or pipe; the last one is kept, since its segments follow one another."""
+    rate_hz, samples = _read_ark(entry) if entry.kind == "ark" else _run_pipe(entry.text, pipes)
     if samples.ndim == 2 and samples.shape[1] == 1:
         samples = samples[:, 0]
     if samples.ndim != 1:
@@ -207,10 +226,10 @@ def _decoded(entry: Entry, pipes: bool) -> tuple[int, np.ndarray]:
     if not np.isfinite(samples).all():
         raise ValueError(f"{entry.text}: holds NaN or infinite samples: convert it again")
     samples.flags.writeable = False
-    return rate, samples
+    return _Decoded(rate_hz, samples)
 
 
-def _read_ark(entry: Entry) -> tuple[int, np.ndarray]:
+def _read_ark(entry: Entry) -> _Decoded:
     from kaldiio.matio import read_kaldi
 
     where = f"{entry.text}:{entry.offset}"
@@ -228,21 +247,21 @@ def _read_ark(entry: Entry) -> tuple[int, np.ndarray]:
                 samples, rate = soundfile.read(io.BytesIO(stream.read()), frames=_one_too_many(), dtype="float32")
             else:
                 rate, samples = read_kaldi(stream, load_kwargs=dict(frames=_one_too_many(), dtype="float32"))
-        except Exception as error:  # kaldiio lets anything through that broken bytes can raise
+        except Exception as error:  # kaldiio catches nothing that broken bytes can raise
             raise ValueError(f"{where}: broken audio ({error or type(error).__name__}): "
                              "make the archive again") from None
     if tag.startswith(b"RIFF"):
         _check_ark_length(entry, samples)
-    return int(rate), _to_float(samples)
+    return _Decoded(int(rate), _to_float(samples))
 
 
 def _one_too_many() -> int:
-    """Return how many samples to decode at most: a few bytes of FLAC can hold hours of silence."""
+    """Return the most samples to decode: a few bytes of FLAC can hold hours of silence."""
     return max_audio_samples() + 1
 
 
 def _check_ark_length(entry: Entry, samples: np.ndarray) -> None:
-    """Refuse a WAV entry at the end of an archive that was cut off; `wave` would read what is left."""
+    """Refuse a WAV entry at the end of an archive that was cut off; `wave` would read the rest of it."""
     with open(entry.text, "rb") as stream:
         stream.seek(entry.offset + 4)
         promised = int.from_bytes(stream.read(4), "little") + 8
@@ -251,7 +270,7 @@ def _check_ark_length(entry: Entry, samples: np.ndarray) -> None:
         raise ValueError(f"{entry.text}:{entry.offset}: truncated: {left} bytes of {promised}: copy it again")
 
 
-def _to_float(samples: np.ndarray) -> np.ndarray:
+def _to_float(samples: Array) -> Array:
     """Return samples of any PCM type as float32 in [-1, 1)."""
     if samples.dtype == np.uint8:
         return (samples.astype(np.float32) - 128) / 128
@@ -259,11 +278,11 @@ def _to_float(samples: np.ndarray) -> np.ndarray:
     return (samples / scale).astype(np.float32)
 
 
-def _run_pipe(command: str, pipes: bool) -> tuple[int, np.ndarray]:
+def _run_pipe(command: str, pipes: bool) -> _Decoded:
     if not pipes:
         raise ValueError(f"{command!r} is a command, and commands run only with --pipes: allow it, or convert the "
                          "audio to files")
-    # what Kaldi does with it, and what --pipes says will be done: a shell runs the text
+    # a shell runs the text, as in Kaldi and as --pipes states
     result = subprocess.run(command, shell=True, stdin=subprocess.DEVNULL, capture_output=True)
     if result.returncode != 0:
         last = (result.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]
@@ -274,4 +293,4 @@ def _run_pipe(command: str, pipes: bool) -> tuple[int, np.ndarray]:
     except (soundfile.LibsndfileError, RuntimeError, TypeError) as error:
         raise ValueError(f"{command!r}: its {len(result.stdout)} bytes of output cannot be read as audio "
                          f"({str(error).rsplit(': ', 1)[-1]}): let it write WAV") from None
-    return rate, samples
+    return _Decoded(rate, samples)

@@ -1,22 +1,25 @@
-"""Kaldi data directories out, in the form that `validate_data_dir.sh` accepts."""
+"""Write Kaldi data directories that `validate_data_dir.sh` accepts."""
 
 import contextlib
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TextIO
 
 from roomeq.core.constants import FS_HZ
 
 GRID_SAMPLES = FS_HZ // 100
-"""Segments start on this grid: 10 ms, Kaldi's frame shift."""
+"""Grid on which segments start: 10 ms, Kaldi's frame shift."""
+
+Append = Callable[[str, str], None]
+"""Appends text to the table of a name."""
 
 
 class OutUtterance(NamedTuple):
     """One utterance to write: lines of `segments`, `utt2spk`, `text`, ...
 
-    `start` and `n_samples` are at `FS_HZ`; `text`, `rir`, `snr_db` and `uniq` may be None, for all utterances
-    alike.
+    `start` and `n_samples` are at `FS_HZ`. Each of `text`, `rir`, `snr_db` and `uniq` is None either for all
+    utterances or for none.
     """
 
     id: str
@@ -31,9 +34,9 @@ class OutUtterance(NamedTuple):
 
 
 def format_seconds(n_samples: int) -> str:
-    """Return a time in seconds with as many decimals as it takes to be exact.
+    """Return a time in seconds with as many decimals as it needs to be exact.
 
-    1/16000 s has seven decimals, so every time is. At least two are written: ``"0.00"``, ``"12.3450625"``.
+    Seven are enough, since 1/16000 s has seven. At least two are written: ``"0.00"``, ``"12.3450625"``.
     """
     unit = 10_000_000 // FS_HZ
     whole, fraction = divmod(n_samples * unit, 10_000_000)
@@ -43,21 +46,20 @@ def format_seconds(n_samples: int) -> str:
 
 def write_data_dir(directory: Path, recordings: dict[str, tuple[str, int]], utterances: Iterable[OutUtterance], *,
                    spk2gender: dict[str, str] | None = None, segmented: bool = True) -> int:
-    """Write the files of a Kaldi data directory; nothing but the recordings is held in memory.
+    """Write the files of a Kaldi data directory; only the recordings are held in memory.
 
     Writes `wav.scp reco2dur utt2spk spk2utt utt2dur`, and `segments text utt2rir utt2snr utt2uniq spk2gender`
-    where there is something to write.
+    if there are values for them.
 
     Parameters
     ----------
-    directory : Path
-    recordings : dict
+    recordings
         By recording id: the `wav.scp` entry and the length [samples at `FS_HZ`].
-    utterances : iterable of OutUtterance
-        Sorted by id and, the same way, by speaker (both in byte order).
-    spk2gender : dict, optional
-        ``"m"`` or ``"f"`` by speaker; left out unless it knows every speaker.
-    segmented : bool
+    utterances
+        Sorted by id and, in the same order, by speaker (both in byte order).
+    spk2gender
+        ``"m"`` or ``"f"`` by speaker; not written unless it holds every speaker.
+    segmented
         Whether utterances are segments; if not, each is the whole recording of the same id.
 
     Returns
@@ -69,36 +71,36 @@ def write_data_dir(directory: Path, recordings: dict[str, tuple[str, int]], utte
     ValueError
         The utterances are not sorted or there are none.
     """
-    directory, n, speakers = Path(directory), 0, []
-    with _tables(directory) as write:
+    directory, n_utterances = Path(directory), 0
+    speakers: list[str] = []
+    with _open_tables(directory) as append:
         for utterance in _checked_order(utterances):
-            n += 1
-            _write_utterance(write, utterance, segmented)
+            n_utterances += 1
+            _append_utterance(append, utterance, segmented)
             if not speakers or speakers[-1] != utterance.speaker:
-                write("spk2utt", ("\n" if speakers else "") + utterance.speaker)
+                append("spk2utt", ("\n" if speakers else "") + utterance.speaker)
                 speakers.append(utterance.speaker)
-            write("spk2utt", f" {utterance.id}")
-        if not n:
+            append("spk2utt", f" {utterance.id}")
+        if not n_utterances:
             raise ValueError(f"{directory}: no utterances to write: check the input directory")
-        write("spk2utt", "\n")
+        append("spk2utt", "\n")
         for recording, (entry, length) in sorted(recordings.items()):
-            write("wav.scp", f"{recording} {entry}\n")
-            write("reco2dur", f"{recording} {format_seconds(length)}\n")
+            append("wav.scp", f"{recording} {entry}\n")
+            append("reco2dur", f"{recording} {format_seconds(length)}\n")
         if spk2gender and all(speaker in spk2gender for speaker in speakers):
-            write("spk2gender", "".join(f"{speaker} {spk2gender[speaker]}\n" for speaker in speakers))
-    return n
+            append("spk2gender", "".join(f"{speaker} {spk2gender[speaker]}\n" for speaker in speakers))
+    return n_utterances
 
 
-def _write_utterance(write, utterance: OutUtterance, segmented: bool) -> None:
-    key = utterance.id
+def _append_utterance(append: Append, utterance: OutUtterance, segmented: bool) -> None:
     if segmented:
-        write("segments", f"{key} {utterance.recording} {format_seconds(utterance.start)} "
-                          f"{format_seconds(utterance.start + utterance.n_samples)}\n")
+        append("segments", f"{utterance.id} {utterance.recording} {format_seconds(utterance.start)} "
+                           f"{format_seconds(utterance.start + utterance.n_samples)}\n")
     for name, value in (("utt2spk", utterance.speaker), ("utt2dur", format_seconds(utterance.n_samples)),
                         ("text", utterance.text), ("utt2rir", utterance.rir),
                         ("utt2snr", utterance.snr_db), ("utt2uniq", utterance.uniq)):
         if value is not None:
-            write(name, f"{key} {value}\n")
+            append(name, f"{utterance.id} {value}\n")
 
 
 def _checked_order(utterances: Iterable[OutUtterance]) -> Iterator[OutUtterance]:
@@ -113,22 +115,22 @@ def _checked_order(utterances: Iterable[OutUtterance]) -> Iterator[OutUtterance]
 
 
 @contextlib.contextmanager
-def _tables(directory: Path) -> Iterator:
-    """Give a function that appends to a table; the files appear when all of them are whole."""
+def _open_tables(directory: Path) -> Iterator[Append]:
+    """Yield a function that appends to a table; the files appear once all of them are complete."""
     directory.mkdir(parents=True, exist_ok=True)
-    streams = {}
+    streams: dict[str, TextIO] = {}
 
     def temporary(name: str) -> Path:
         return directory / f".{name}.{os.getpid()}.tmp"
 
-    def write(name: str, text: str) -> None:
+    def append(name: str, text: str) -> None:
         if name not in streams:
             streams[name] = stack.enter_context(open(temporary(name), "w", encoding="utf-8", newline="\n"))
         streams[name].write(text)
 
     try:
         with contextlib.ExitStack() as stack:
-            yield write
+            yield append
         for name in streams:
             os.replace(temporary(name), directory / name)
     finally:

@@ -91,7 +91,7 @@ def meta(data: bytes, work: Path) -> None:
 
 def data_dir(data: bytes, work: Path) -> None:
     from roomeq.corpora.kaldi_dir import read_kaldi_dir
-    from roomeq.kaldi.datadir import validate_data_dir
+    from roomeq.kaldi import validate_data_dir
 
     names = ("utt2spk", "wav.scp", "text", "spk2utt", "spk2gender", "utt2dur", "segments")
     for name, content in zip(names, data.split(SEPARATOR), strict=False):
