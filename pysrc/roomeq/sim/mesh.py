@@ -1,22 +1,29 @@
 """Rooms as triangle meshes: checks, ray queries through embree, and purely specular paths.
 
-A room mesh is closed: a shell whose faces turn outward, and bodies standing in it. Surfaces are the names of its
+A room mesh is closed: a shell whose normals point outward, and bodies inside it. Surfaces are the names of its
 materials. Triangles in one plane act as one mirror.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.sim.images import SpecularPaths
 from roomeq.sim.meshfile import read_triangles
 from roomeq.sim.room import Walls
 from roomeq.sim.scene import MIN_WALL_DISTANCE_M
 from roomeq.sim.trace import sphere_directions
 
-NUDGE_M = 1e-4  # a ray starts this far off its surface: embree computes in single precision
+if TYPE_CHECKING:
+    import trimesh
+
+NUDGE_M = 1e-4  # rays start this far off a surface: embree computes in single precision
 _MAX_WALLS = 24  # of a convex room that needs no search
 _DISCOVERY_RAYS = 20000
 _SPHERE_RAYS = 2000
@@ -29,24 +36,26 @@ class MeshRoom:
 
     Attributes
     ----------
-    triangles : ndarray, shape (n_faces, 3, 3)
-        Corners [m]; normals point out of the air.
-    surfaces : tuple of str
+    triangles
+        Corners [m], shape (n_faces, 3, 3); normals point out of the air.
+    surfaces
         Names of the materials.
-    face_surface : ndarray of int, shape (n_faces,)
-    volume_m3 : float
+    face_surface
+        Surface of each face, shape (n_faces,).
+    volume_m3
         Of the air.
-    convex : bool
+    convex
+        Whether every point is seen from every other.
     """
 
-    triangles: np.ndarray
-    surfaces: tuple
-    face_surface: np.ndarray
+    triangles: FloatArray
+    surfaces: tuple[str, ...]
+    face_surface: IntArray
     volume_m3: float
     convex: bool
-    _known: dict = field(default_factory=dict, repr=False)
+    _known: dict[str, Any] = field(default_factory=dict, repr=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         a, b, c = self.triangles.transpose(1, 0, 2)
         cross = np.cross(b - a, c - a)
         area = np.linalg.norm(cross, axis=1)
@@ -58,26 +67,27 @@ class MeshRoom:
             normals=normals, offset=offset, area=0.5 * area, plane=np.ravel(plane),
             mirrors=np.column_stack([normals, offset])[first], embree=_embree(self.triangles))
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the geometry alone: an embree scene cannot be pickled, and is built again."""
         return MeshRoom, (self.triangles, self.surfaces, self.face_surface, self.volume_m3, self.convex)
 
     @property
-    def normals(self):
+    def normals(self) -> FloatArray:
         """Unit normals into the air, shape (n_faces, 3)."""
         return self._known["normals"]
 
     @property
-    def offsets(self):
+    def offsets(self) -> FloatArray:
         """Offset of each face's plane along its normal, shape (n_faces,)."""
         return self._known["offset"]
 
     @cached_property
-    def walls(self):
-        """The planes of a convex room of few, or None: then rays are traced by embree."""
+    def walls(self) -> Walls | None:
+        """The planes of a convex room of few; None where embree traces the rays."""
         plane, mirrors = self._known["plane"], self._known["mirrors"]
-        several = [len(np.unique(self.face_surface[plane == n])) > 1 for n in range(len(mirrors))] if self.convex else []
-        if not self.convex or len(mirrors) > _MAX_WALLS or any(several):
+        if not self.convex or len(mirrors) > _MAX_WALLS:
+            return None
+        if any(len(np.unique(self.face_surface[plane == n])) > 1 for n in range(len(mirrors))):
             return None
         surface = [self.face_surface[plane == n][0] for n in range(len(mirrors))]
         low, high = self.bounds_m
@@ -85,42 +95,42 @@ class MeshRoom:
         return Walls(normals, offsets, np.array(surface), high - low)
 
     @property
-    def face_area_m2(self):
+    def face_area_m2(self) -> FloatArray:
         return self._known["area"]
 
     @property
-    def surface_area_m2(self):
-        return np.bincount(self.face_surface, self.face_area_m2, minlength=len(self.surfaces))
+    def surface_area_m2(self) -> FloatArray:
+        return np.asarray(np.bincount(self.face_surface, self.face_area_m2, minlength=len(self.surfaces)), dtype=float)
 
     @property
-    def bounds_m(self):
+    def bounds_m(self) -> tuple[FloatArray, FloatArray]:
         corners = self.triangles.reshape(-1, 3)
         return corners.min(axis=0), corners.max(axis=0)
 
-    def first_hits(self, origins, directions):
-        """Find the first face along rays: (face, -1 for none; distance [m], exact on the face's plane)."""
-        found = self._known["embree"].run(np.ascontiguousarray(origins, dtype=np.float32),
-                                          np.ascontiguousarray(directions, dtype=np.float32), output=True)
-        face = found["primID"].astype(np.int64)
+    def first_hits(self, origins: FloatArray, directions: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Return the first face along each ray, -1 for none, and the distance [m], exact on the face's plane."""
+        hits = self._known["embree"].run(np.ascontiguousarray(origins, dtype=np.float32),
+                                         np.ascontiguousarray(directions, dtype=np.float32), output=True)
+        face = hits["primID"].astype(np.int64)
         normal, offset = self.normals[face], self.offsets[face]
         approach = np.einsum("ij,ij->i", normal, directions)
         with np.errstate(divide="ignore", invalid="ignore"):
             distance = (offset - np.einsum("ij,ij->i", normal, origins)) / approach
-        # the back of a face is seen only by a ray that slipped through
+        # only a ray that slipped through meets the back of a face
         return np.where(approach < 0.0, face, -1), np.where(face >= 0, distance, np.inf)
 
-    def sees(self, from_m, to_m):
-        """Tell which of some points are seen from others, bool array; arrays broadcast to shape (n, 3)."""
+    def sees(self, from_m: ArrayLike, to_m: ArrayLike) -> BoolArray:
+        """Tell which points are seen from which others; both broadcast to shape (n, 3)."""
         from_m, to_m = np.broadcast_arrays(np.asarray(from_m, float), np.asarray(to_m, float))
         way = to_m - from_m
         length = np.linalg.norm(way, axis=1)
         hit = self._known["embree"].run(
             np.ascontiguousarray(from_m, dtype=np.float32), (way / length[:, None]).astype(np.float32),
             dists=(length - NUDGE_M).astype(np.float32), query="OCCLUDED")
-        return hit < 0
+        return np.asarray(hit < 0)
 
-    def surroundings(self, point_m):
-        """Distance to the surface in `_SPHERE_RAYS` even directions; raises ValueError outside the air."""
+    def surroundings(self, point_m: ArrayLike) -> FloatArray | None:
+        """Return the distance to the surface in `_SPHERE_RAYS` even directions; None outside the air."""
         key = tuple(np.round(np.asarray(point_m, dtype=float), 9))
         cache = self._known.setdefault("surroundings", {})
         if key not in cache:
@@ -129,28 +139,33 @@ class MeshRoom:
             cache[key] = distance if np.mean(face >= 0) > 0.99 else None
         return cache[key]
 
-    def require_inside(self, what, position_m):
+    def _reach_m(self, point_m: ArrayLike) -> FloatArray:
+        distance = self.surroundings(point_m)
+        assert distance is not None, "positions are checked before"
+        return distance
+
+    def require_inside(self, name: str, position_m: Sequence[float] | FloatArray) -> None:
         """Raise ValueError unless a position lies in the air of the room, clear of its surfaces."""
         distance = self.surroundings(position_m)
         if distance is None or distance.min() < MIN_WALL_DISTANCE_M:
             where = "outside the air of the room" if distance is None else f"{distance.min():.3g} m from a surface"
-            raise ValueError(f"{what}={[float(value) for value in position_m]} lies {where} and must lie inside, "
+            raise ValueError(f"{name}={[float(value) for value in position_m]} lies {where} and must lie inside, "
                              f"{MIN_WALL_DISTANCE_M:g} m off: correct the position")
 
-    def sphere_volume_m3(self, center_m, radius_m):
+    def sphere_volume_m3(self, center_m: ArrayLike, radius_m: float) -> float:
         """Volume of the part of a sphere that is seen from its centre."""
-        reach = np.minimum(self.surroundings(center_m), radius_m)
+        reach = np.minimum(self._reach_m(center_m), radius_m)
         return float(4.0 / 3.0 * np.pi * np.mean(reach ** 3))
 
-    def sphere_radius_m(self, center_m, radius_m):
-        """Radius of a receiver sphere that no surface cuts in two: all of it is seen from its centre."""
+    def sphere_radius_m(self, center_m: ArrayLike, radius_m: float) -> float:
+        """Radius of a receiver sphere that is seen from its centre as a whole, as far as it is not too small."""
         if self.convex:
             return radius_m
-        return float(np.clip(self.surroundings(center_m).min(), 0.5 * radius_m, radius_m))
+        return float(np.clip(self._reach_m(center_m).min(), 0.5 * radius_m, radius_m))
 
-    def specular_paths(self, source_pos_m, mic_pos_m, order):
+    def specular_paths(self, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, order: int) -> SpecularPaths:
         """Find the purely specular paths up to an order; see `roomeq.sim.images.specular_paths`."""
-        key = (tuple(source_pos_m), order)
+        key = (tuple(np.asarray(source_pos_m)), order)
         sequences = self._known.setdefault("sequences", {})
         if key not in sequences:
             sequences[key] = _find_sequences(self, np.asarray(source_pos_m, dtype=float), order)
@@ -158,7 +173,7 @@ class MeshRoom:
                               np.asarray(mic_pos_m, dtype=float))
 
 
-def _embree(triangles):
+def _embree(triangles: FloatArray) -> Any:
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
 
@@ -168,11 +183,11 @@ def _embree(triangles):
 
 
 @lru_cache(maxsize=8)
-def _load(path, mtime_ns):
-    return make_room(*read_triangles(path), name=path)
+def _load(path: Path, mtime_ns: int) -> MeshRoom:
+    return make_room(*read_triangles(path), name=str(path))
 
 
-def load_mesh(path):
+def load_mesh(path: str | Path) -> MeshRoom:
     """Read a room from a mesh file; see `roomeq.sim.meshfile.read_triangles` for the formats.
 
     Raises
@@ -184,17 +199,17 @@ def load_mesh(path):
     return _load(path, path.stat().st_mtime_ns if path.is_file() else 0)
 
 
-def make_room(triangles, names, name="mesh"):
+def make_room(triangles: ArrayLike, names: Sequence[str], name: str = "mesh") -> MeshRoom:
     """Make a room of triangles.
 
     Parameters
     ----------
-    triangles : ndarray, shape (n_faces, 3, 3)
-        Corners [m]. The outer shell's normals point outward, away from the air.
-    names : sequence of str
+    triangles
+        Corners [m], shape (n_faces, 3, 3). The normals of the outer shell point outward, away from the air.
+    names
         Material of each face.
-    name : str
-        What error messages call it.
+    name
+        Name of the mesh in error messages.
 
     Returns
     -------
@@ -212,7 +227,7 @@ def make_room(triangles, names, name="mesh"):
                                return_inverse=True)
     faces = np.ravel(index).reshape(-1, 3)
     sound = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    faces, names = faces[sound], np.asarray(names)[sound]
+    faces, materials = faces[sound], np.asarray(names)[sound]
     mesh = trimesh.Trimesh(corners * _WELD_M, faces, process=False)
     if not mesh.is_watertight:
         edges, counts = np.unique(np.sort(mesh.edges, axis=1), axis=0, return_counts=True)
@@ -223,15 +238,22 @@ def make_room(triangles, names, name="mesh"):
     if not mesh.is_winding_consistent:
         raise ValueError(f"{name}: the mesh is inside out in parts: neighbouring faces turn opposite ways: make "
                          "all normals point out of the room")
-    flip, volume_m3 = _orient(mesh, name)
-    faces = np.where(flip[:, None], faces[:, ::-1], faces)
-    surfaces, face_surface = np.unique(names, return_inverse=True)
-    convex = bool(not flip.any() and mesh.body_count == 1 and _is_convex(mesh))
-    return MeshRoom(mesh.vertices[faces], tuple(str(surface) for surface in surfaces), face_surface, volume_m3, convex)
+    orientation = _orient(mesh, name)
+    faces = np.where(orientation.flip[:, None], faces[:, ::-1], faces)
+    surfaces, face_surface = np.unique(materials, return_inverse=True)
+    convex = bool(not orientation.flip.any() and mesh.body_count == 1 and _is_convex(mesh))
+    return MeshRoom(mesh.vertices[faces], tuple(str(surface) for surface in surfaces), face_surface,
+                    orientation.volume_m3, convex)
 
 
-def _orient(mesh, name):
-    """Tell which faces to turn so that all normals point out of the air, and the volume of the air."""
+class _Orientation(NamedTuple):
+    """Which faces to turn so that all normals point out of the air, and the volume of the air."""
+
+    flip: BoolArray
+    volume_m3: float
+
+
+def _orient(mesh: "trimesh.Trimesh", name: str) -> _Orientation:
     import trimesh
 
     flip = np.zeros(len(mesh.faces), dtype=bool)
@@ -249,20 +271,20 @@ def _orient(mesh, name):
     volume_m3 = volumes[shell] - sum(abs(volume) for n, volume in enumerate(volumes) if n != shell)
     if volume_m3 <= 0.0:
         raise ValueError(f"{name}: the bodies in the room take all of its {volumes[shell]:.3g} m3: correct them")
-    return flip, volume_m3
+    return _Orientation(flip, volume_m3)
 
 
-def _is_convex(mesh):
-    """No vertex lies in front of any face's plane."""
+def _is_convex(mesh: "trimesh.Trimesh") -> bool:
+    """Tell whether no vertex lies in front of any face's plane."""
     normals, corners = mesh.face_normals, mesh.triangles[:, 0]
     unique = np.unique(np.round(np.column_stack([normals, np.einsum("ij,ij->i", normals, corners)]), 5), axis=0)
     if len(unique) > 200:
-        return False  # planes of a finely curved room are not worth testing one by one
+        return False  # a finely curved room: its planes are too many to test
     return bool(np.all(mesh.vertices @ unique[:, :3].T <= unique[:, 3] + 1e-4))
 
 
-def _find_sequences(room, source, order):
-    """Find which mirrors rays meet in which order: a list, one array (n_sequences, k) for each order k."""
+def _find_sequences(room: MeshRoom, source: FloatArray, order: int) -> list[IntArray]:
+    """Find the sequences of mirrors that rays meet: for each order k an array of shape (n_sequences, k)."""
     plane = room._known["plane"]
     directions = sphere_directions(_DISCOVERY_RAYS, np.random.default_rng(1))
     position = np.tile(source, (len(directions), 1))
@@ -280,9 +302,12 @@ def _find_sequences(room, source, order):
     return sequences
 
 
-def _checked_paths(room, sequences, source, mic):
+def _checked_paths(room: MeshRoom, sequences: list[IntArray], source: FloatArray, mic: FloatArray) -> SpecularPaths:
     """Build the image sources of all sequences and keep those that the microphone sees."""
-    mirrors, distances, counts, departures = room._known["mirrors"], [], [], []
+    mirrors = room._known["mirrors"]
+    distances: list[FloatArray] = []
+    counts: list[IntArray] = []
+    departures: list[FloatArray] = []
     for sequence in sequences:
         images = _images(mirrors, sequence, source)
         alive = np.arange(len(sequence))
@@ -302,21 +327,22 @@ def _checked_paths(room, sequences, source, mic):
         distances.append(np.linalg.norm(way, axis=1))
         counts.append(surface_counts[alive])
         departures.append(_unmirrored(mirrors, sequence[alive], way / distances[-1][:, None]))
-    distance_m, surface_counts, departure = (np.concatenate(parts) for parts in (distances, counts, departures))
+    distance_m = np.concatenate(distances)
     by_length = np.argsort(distance_m, kind="stable")
-    return SpecularPaths(distance_m[by_length], surface_counts[by_length], departure[by_length])
+    return SpecularPaths(distance_m[by_length], np.concatenate(counts)[by_length],
+                         np.concatenate(departures)[by_length])
 
 
-def _unmirrored(mirrors, sequence, direction):
-    """Directions at the source of what leaves its images in some directions, shape (n_sequences, 3)."""
+def _unmirrored(mirrors: FloatArray, sequence: IntArray, direction: FloatArray) -> FloatArray:
+    """Return directions at the source from those at its images, shape (n_sequences, 3)."""
     for k in range(sequence.shape[1] - 1, -1, -1):
         normal = mirrors[sequence[:, k], :3]
         direction = direction - 2.0 * np.einsum("ij,ij->i", direction, normal)[:, None] * normal
     return direction
 
 
-def _images(mirrors, sequence, source):
-    """Mirror the source along each sequence: a list, one array (n_sequences, 3) after 0, 1, ... reflections."""
+def _images(mirrors: FloatArray, sequence: IntArray, source: FloatArray) -> list[FloatArray]:
+    """Mirror the source along each sequence: an array of shape (n_sequences, 3) after 0, 1, ... reflections."""
     images = [np.tile(source, (len(sequence), 1))]
     for k in range(sequence.shape[1]):
         normal, offset = mirrors[sequence[:, k], :3], mirrors[sequence[:, k], 3]

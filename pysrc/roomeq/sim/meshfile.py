@@ -1,10 +1,13 @@
-"""Reading room meshes: triangles, and the name of the material of each."""
+"""Reading room meshes: triangles and the material name of each."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from roomeq.core.arrays import FloatArray
 from roomeq.core.limits import MESH_MB
 
 FORMATS = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
@@ -12,7 +15,7 @@ UNNAMED = "surface"
 MAX_FROM_ORIGIN_M = 1e4
 """Rays are traced in single precision, which at this distance tells millimetres apart."""
 MAX_CORNERS = 500
-"""Of one face: where its edges cross, cutting takes the cube of them."""
+"""Of one face: for a face whose edges cross, triangulation takes the cube of this number of steps."""
 
 _TRIANGLE_BYTES = 72
 # of the arrays of glTF (specification 2.0, 3.6.2.2): bytes of a component, components of an element
@@ -20,21 +23,33 @@ _COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 _COMPONENTS = dict(SCALAR=1, VEC2=2, VEC3=3, VEC4=4, MAT2=4, MAT3=9, MAT4=16)
 
 
-def read_triangles(path):
+class Triangles(NamedTuple):
+    """The faces of a mesh.
+
+    Attributes
+    ----------
+    corners_m
+        Shape (n_faces, 3, 3).
+    materials
+        Name of each face's material; ``"surface"`` if the file gives none.
+    """
+
+    corners_m: FloatArray
+    materials: Sequence[str]
+
+
+def read_triangles(path: str | Path) -> Triangles:
     """Read a mesh file.
 
     Parameters
     ----------
-    path : Path
+    path
         OBJ (materials by ``usemtl``, no MTL file needed), GLB (materials by name), STL (of several solids: by the
         name of the solid), PLY or OFF; metres.
 
     Returns
     -------
-    triangles : ndarray, shape (n_faces, 3, 3)
-        Corners [m].
-    names : list of str
-        Material of each face; ``"surface"`` where the file names none.
+    Triangles
 
     Raises
     ------
@@ -58,43 +73,44 @@ def read_triangles(path):
     if not np.all(np.abs(triangles) <= MAX_FROM_ORIGIN_M):
         raise ValueError(f"{path}: every vertex must lie within {MAX_FROM_ORIGIN_M:g} m of the origin: export it in "
                          "metres")
-    return triangles, names
+    return Triangles(triangles, names)
 
 
 class _TooLarge(ValueError):
-    """The bound is no fault of the file's form: `read_triangles` passes it on as it is."""
+    """A file above the size limit. `read_triangles` passes the message on, since the format is not at fault."""
 
 
-def _check_size(path, n_bytes):
+def _check_size(path: Path, n_bytes: int) -> None:
     bound = round(1e6 * MESH_MB.value())
     if n_bytes > bound:
         raise _TooLarge(f"{path}: {n_bytes} bytes must be at most {bound} ({MESH_MB.value():g} MB): use fewer "
                         f"triangles, or raise the bound with roomeq --{MESH_MB.option}")
 
 
-def _gltf_bytes(path):
-    """Return what a glTF file asks for: files beside it, and arrays, which may have no bytes in any file."""
+def _gltf_bytes(path: Path) -> int:
+    """Return the bytes that a glTF file declares: its buffer files, and its arrays, which need no bytes in any file."""
     data = path.read_bytes()
     if data[:4] == b"glTF":
         data = data[20:20 + int.from_bytes(data[12:16], "little")]
     header = json.loads(data)
-    files = [path.parent / one["uri"] for one in header.get("buffers", [])
-             if not one.get("uri", "data:").startswith("data:")]
+    files = [path.parent / buffer["uri"] for buffer in header.get("buffers", [])
+             if not buffer.get("uri", "data:").startswith("data:")]
     return sum(file.stat().st_size for file in files if file.is_file()) + sum(
-        one["count"] * _COMPONENT_BYTES[one["componentType"]] * _COMPONENTS[one["type"]]
-        for one in header.get("accessors", []))
+        array["count"] * _COMPONENT_BYTES[array["componentType"]] * _COMPONENTS[array["type"]]
+        for array in header.get("accessors", []))
 
 
-def _read_other(path):
+def _read_other(path: Path) -> Triangles:
     import trimesh
 
     if path.suffix.lower() in (".glb", ".gltf"):
         _check_size(path, _gltf_bytes(path))
-    scene = trimesh.load(path, force="scene", process=False)
-    # nodes may hold one mesh again and again
+    scene: Any = trimesh.load(path, force="scene", process=False)
+    # several nodes may hold the same mesh
     _check_size(path, _TRIANGLE_BYTES * sum(len(getattr(scene.geometry[scene.graph[node][1]], "faces", ()))
                                             for node in scene.graph.nodes_geometry))
-    triangles, names = [np.empty((0, 3, 3))], []
+    triangles: list[FloatArray] = [np.empty((0, 3, 3))]
+    names: list[str] = []
     for node in sorted(scene.graph.nodes_geometry):
         transform, geometry = scene.graph[node]
         mesh = scene.geometry[geometry]
@@ -105,12 +121,15 @@ def _read_other(path):
             material = geometry  # of an STL file of several solids, the name of the solid
         triangles.append(trimesh.transform_points(mesh.vertices, transform)[mesh.faces])
         names += [material or UNNAMED] * len(mesh.faces)
-    return np.concatenate(triangles), names
+    return Triangles(np.concatenate(triangles), names)
 
 
-def _read_obj(path):
+def _read_obj(path: Path) -> Triangles:
     """Read vertices, faces and materials of an OBJ file; polygons are cut into triangles."""
-    vertices, triangles, names, material = [], [], [], UNNAMED
+    vertices: list[list[float]] = []
+    triangles: list[FloatArray] = []
+    names: list[str] = []
+    material = UNNAMED
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
         key, *words = line.split("#")[0].split() or [""]
         if key == "v":
@@ -132,39 +151,40 @@ def _read_obj(path):
             cut = triangulate(corners)
             triangles += [corners[list(three)] for three in cut]
             names += [material] * len(cut)
-    return np.array(triangles).reshape(-1, 3, 3), names
+    return Triangles(np.array(triangles).reshape(-1, 3, 3), names)
 
 
-def triangulate(corners):
+def triangulate(corners: FloatArray) -> list[tuple[int, ...]]:
     """Cut a planar polygon into triangles by clipping ears (Meisters, Amer. Math. Monthly 82 (1975) 648).
 
     Parameters
     ----------
-    corners : ndarray, shape (n, 3)
+    corners
+        Shape (n, 3).
 
     Returns
     -------
-    list of tuple of 3 ints
-        Indices of corners, turning as the polygon does.
+    list of tuple
+        Indices of the three corners of each triangle, in the polygon's sense of rotation.
     """
     rest = list(range(len(corners)))
     following = np.roll(corners, -1, axis=0)
     normal = np.cross(corners, following).sum(axis=0)
-    triangles = []
+    triangles: list[tuple[int, ...]] = []
     while len(rest) > 3:
         for n in range(len(rest)):
             ear = rest[n - 1], rest[n], rest[(n + 1) % len(rest)]
             if _is_ear(corners, ear, rest, normal):
                 break
-        triangles.append(ear)  # a polygon that is not simple has no ear: cut anywhere, the mesh check will see
+        triangles.append(ear)  # a polygon that is not simple has no ear: cut anywhere, the mesh check will reject it
         rest.pop(n)
     return [*triangles, tuple(rest)] if len(rest) == 3 else triangles
 
 
-def _is_ear(corners, ear, rest, normal):
+def _is_ear(corners: FloatArray, ear: tuple[int, ...], rest: list[int], normal: FloatArray) -> bool:
     a, b, c = corners[list(ear)]
     if np.dot(np.cross(b - a, c - b), normal) <= 0.0:
         return False
     others = corners[[n for n in rest if n not in ear]]
     inside = [(np.cross(q - p, others - p) * normal).sum(axis=1) > 0.0 for p, q in ((a, b), (b, c), (c, a))]
-    return not np.logical_and.reduce(inside).any()
+    return not bool(np.logical_and.reduce(inside).any())

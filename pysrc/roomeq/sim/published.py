@@ -1,9 +1,10 @@
-"""The published table of materials that pyroomacoustics brings, read where that package is installed.
+"""The published table of materials in pyroomacoustics, read where that package is installed.
 
-Most of its coefficients are of Vorlaender, Auralization (2008). Nothing of it is kept here.
+Most of its coefficients are from Vorlaender, Auralization (2008). None of it is copied into this package.
 """
 
 import json
+from collections.abc import Iterable
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,12 +15,12 @@ PACKAGE = "pyroomacoustics"
 _FIRST_BAND = {8: 0, 7: 1, 6: 1, 5: 1}  # tables of fewer bands begin at 125 Hz
 
 
-def extend_bands(values):
+def extend_bands(values: Iterable[float]) -> tuple[float, ...]:
     """Extend coefficients in octave bands from 125 Hz on to all eight: outer bands take their neighbour's value.
 
     Parameters
     ----------
-    values : sequence of float
+    values
         Eight (62.5 Hz to 8 kHz), seven (125 Hz to 8 kHz), six (to 4 kHz) or five (to 2 kHz).
 
     Returns
@@ -29,7 +30,7 @@ def extend_bands(values):
     Raises
     ------
     ValueError
-        There are fewer or more.
+        The number of coefficients is another.
     """
     values = tuple(values)
     if len(values) not in _FIRST_BAND:
@@ -40,15 +41,15 @@ def extend_bands(values):
     return (values[0],) * first + values + (values[-1],) * missing
 
 
-def published_file():
-    """Path of the published table, or None where pyroomacoustics is not installed."""
+def published_file() -> Path | None:
+    """Return the path of the published table, or None where pyroomacoustics is not installed."""
     spec = find_spec(PACKAGE)
     path = Path(spec.origin).parent / "data" / "materials.json" if spec and spec.origin else None
     return path if path and path.is_file() else None
 
 
 @lru_cache(maxsize=1)
-def read_published():
+def read_published() -> dict[str, dict[str, tuple[float, ...]]]:
     """Read the published table.
 
     Returns
@@ -59,7 +60,7 @@ def read_published():
     Raises
     ------
     ValueError
-        It is installed and cannot be understood.
+        The table is installed and cannot be read.
     """
     path = published_file()
     if path is None:
