@@ -1,4 +1,4 @@
-"""A small made-up run for the tests of the report: the real steps, on noise instead of rooms."""
+"""A small synthetic run for the tests of the report: the steps of the recipe on decaying noise."""
 
 import numpy as np
 
@@ -25,7 +25,7 @@ HUMS = ("hum1", "hum2", "hum3")
 
 
 def make_run(root):
-    """Make ``root/data`` and ``root/exp`` with everything that a report is about; return the two."""
+    """Make ``root/data`` and ``root/exp`` with all inputs of a report, and return both."""
     data, exp = root / "data", root / "exp"
     make_measured(data / "measured")
     characterise(data / "measured", data / "rirs.real")
@@ -48,18 +48,19 @@ def make_run(root):
 
 
 def decay(rng, t60_s, eq_db, length_s=0.7):
-    """Return exponentially decaying noise of a given spectrum behind a direct sound at sample 32."""
+    """Return exponentially decaying noise with the EQ `eq_db` after a direct sound at sample 32."""
     n = round(length_s * FS_HZ)
     tail = rng.standard_normal(n) * 10 ** (-3 * np.arange(n) / (t60_s * FS_HZ)) * 0.05
     tail[0] = 0.6
     frequency_hz = np.maximum(np.fft.rfftfreq(2 * n, 1 / FS_HZ), 1.0)
-    wanted_db = np.interp(np.log(frequency_hz), np.log(BANDS_HZ), eq_db)
-    tail = np.fft.irfft(np.fft.rfft(tail, 2 * n) * 10 ** (wanted_db / 20))[:n]
+    target_db = np.interp(np.log(frequency_hz), np.log(BANDS_HZ), eq_db)
+    tail = np.fft.irfft(np.fft.rfft(tail, 2 * n) * 10 ** (target_db / 20))[:n]
     rir = np.concatenate([np.zeros(32), tail[:n - 32]])
     return rir / np.abs(rir).max() * 0.5
 
 
 def make_measured(directory):
+    """Write measured RIRs of all rooms and their ambient noises; every row has a hostile corpus name."""
     rows = []
     for room, (t60_s, eq_db) in ROOMS.items():
         for n in range(RIRS_PER_ROOM):
@@ -74,33 +75,36 @@ def make_measured(directory):
     write_hums(directory, "")
 
 
-def write_hums(directory, way):
-    write_noises(directory, [dict(id=name, wav=f"{way}{name}.wav", room_id=None, kind="ambient", duration_s=5.0,
+def write_hums(directory, prefix):
+    """Write the rows of the ambient noises; `prefix` leads to their audio."""
+    write_noises(directory, [dict(id=name, wav=f"{prefix}{name}.wav", room_id=None, kind="ambient", duration_s=5.0,
                                   fs_hz=FS_HZ) for name in HUMS])
 
 
-def row_of(name, room, rir, **more):
+def row_of(name, room, rir, **optional):
+    """Return the row of an RIR without coordinates."""
     return dict(id=name, wav=f"{name}.wav", room_id=room, source_id="s", mic_id="m", fs_hz=FS_HZ, n_samples=len(rir),
-                room_dims_m=[6.0, 5.0, 3.0], source_pos_m=None, mic_pos_m=None, **more)
+                room_dims_m=[6.0, 5.0, 3.0], source_pos_m=None, mic_pos_m=None, **optional)
 
 
 def make_simulated(measured, directory):
+    """Write a simulated RIR for each measured one, with a T30 near its target."""
     rows = []
     for row in measured:
         rng = rng_for(0, "simulated", row["id"])
         target_s = rng.uniform(0.25, 1.2)
-        met_s = target_s * rng.uniform(0.97, 1.03)
-        rir = decay(rng, met_s, np.zeros(8))
+        achieved_s = target_s * rng.uniform(0.97, 1.03)
+        rir = decay(rng, achieved_s, np.zeros(8))
         write_wav(directory / f"{row['id']}.wav", rir)
-        rows.append(row_of(row["id"], row["room_id"], rir, measured_id=row["id"], target_t60_s=target_s, t30_s=met_s,
-                           direct_sample=32.0, direct_polarity=1, leaked_share=0.0, drawn=["mic_pos_m.2"],
-                           noise_for=None, seed=0))
+        rows.append(row_of(row["id"], row["room_id"], rir, measured_id=row["id"], target_t60_s=target_s,
+                           t30_s=achieved_s, direct_sample=32.0, direct_polarity=1, leaked_share=0.0,
+                           drawn=["mic_pos_m.2"], noise_for=None, seed=0))
     write_rirs(directory, rows)
     write_hums(directory, "../measured/")
 
 
 def make_clean(directory, name):
-    """Write a clean data directory of four utterances of tones in one recording."""
+    """Write a clean data directory: one recording with four utterances of modulated tones."""
     rng = rng_for(0, "speech", name)
     samples, utterances, start = [], [], 0
     for n in range(4):

@@ -44,7 +44,7 @@ def test_loop_finds_the_loudspeaker_responses(undisturbed, corpora):
     validate([where / "exp/loop", where / "data/rirs.sim.loop.train", where / "data/train.sim.loop.rvb"])
     for row in read_rirs(where / "data/rirs.sim.loop.train"):
         assert row["model"] == ([] if row["noise_for"] else ["source_response"])
-    assert "What the simulation lacked" in (where / "exp/report/index.html").read_text()
+    assert "Closed loop: effects added to the simulation" in (where / "exp/report/index.html").read_text()
 
 
 def test_loop_is_skipped_without_room_geometry(undisturbed, corpora, project_dir):
@@ -58,7 +58,7 @@ def test_loop_is_skipped_without_room_geometry(undisturbed, corpora, project_dir
                           "--noises", str(corpora / "corpora/speech/point_noises")))
     assert "rirs.real.train: 0 rooms with geometry and two RIRs; the closed loop needs 3: skipped" in output
     assert (where / "data/train.sim.EQ.rvb/wav.scp").is_file() and not (where / "data/rirs.sim.loop.train").exists()
-    assert "What the simulation lacked" not in (where / "exp/report/index.html").read_text()
+    assert "Closed loop: effects added to the simulation" not in (where / "exp/report/index.html").read_text()
 
 
 def test_two_jobs_and_a_second_run_give_the_same_bytes(undisturbed, corpora, project_dir):

@@ -1,4 +1,4 @@
-"""A headless Chromium driven over plain WebDriver (https://www.w3.org/TR/webdriver2/): Debian's packages, no client."""
+"""Control a headless Chromium over WebDriver (https://www.w3.org/TR/webdriver2/) without a client library."""
 
 import base64
 import json
@@ -18,19 +18,19 @@ START_S, ANSWER_S = 15.0, 30.0
 
 
 def installed():
-    """Tell whether there is a Chromium to drive."""
+    """Tell whether Chromium and its driver are installed."""
     return bool(shutil.which("chromium") and shutil.which("chromedriver"))
 
 
 class Browser:
-    """A browser window; a context manager.
+    """A browser window as a context manager.
 
     Parameters
     ----------
     width, height : int
-        Of the window [CSS pixels].
+        Size of the window [CSS pixels].
     dark : bool
-        The reader prefers dark pages.
+        Whether the reader prefers dark pages.
     """
 
     def __init__(self, width, height, dark=False):
@@ -53,11 +53,11 @@ class Browser:
 
     def _start(self):
         options = {"args": [*FLAGS, f"--user-data-dir={self._home}/profile"]}
-        wanted = {"browserName": "chrome", "goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL"}}
+        capabilities = {"browserName": "chrome", "goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL"}}
         deadline = time.monotonic() + START_S
         while True:
             try:
-                answer = self._ask("POST", "/session", {"capabilities": {"alwaysMatch": wanted}})
+                answer = self._ask("POST", "/session", {"capabilities": {"alwaysMatch": capabilities}})
                 break
             except (ConnectionError, urllib.error.URLError):
                 if time.monotonic() > deadline:
@@ -82,7 +82,7 @@ class Browser:
         data = None if body is None else json.dumps(body).encode()
         request = urllib.request.Request(self._server + path, data, {"Content-Type": "application/json"},
                                          method=method)
-        # a proxy of the environment would be asked for a page of this machine
+        # a proxy from the environment cannot reach this machine
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         try:
             with opener.open(request, timeout=ANSWER_S) as answer:
@@ -91,29 +91,29 @@ class Browser:
             raise AssertionError(f"{method} {path}: {error.read().decode()[:500]}") from None
 
     def open(self, url):
-        """Load a page and wait until it is there."""
+        """Load a page and wait until it is complete."""
         self._ask("POST", self._session + "/url", {"url": url})
 
     def run(self, script, *arguments):
-        """Run JavaScript in the page and return what it returns."""
+        """Run JavaScript in the page and return its result."""
         return self._ask("POST", self._session + "/execute/sync", {"script": script, "args": list(arguments)})
 
     def wait(self, script, *arguments):
-        """Run JavaScript until it returns something true, and return that; the last value after some seconds."""
+        """Run JavaScript until its result is true, for `START_S` at most, and return the last result."""
         deadline = time.monotonic() + START_S
         while not (value := self.run(script, *arguments)) and time.monotonic() < deadline:
             time.sleep(0.05)
         return value
 
     def devtools(self, command, **arguments):
-        """Send a command of the DevTools protocol."""
+        """Send a command of the DevTools protocol and return its result."""
         body = {"cmd": command, "params": arguments}
         return self._ask("POST", self._session + "/goog/cdp/execute", body)
 
     def console(self):
-        """Return the lines of the console since the last call."""
+        """Return the console messages since the last call."""
         return self._ask("POST", self._session + "/se/log", {"type": "browser"})
 
     def screenshot(self):
-        """Return the whole page as PNG bytes."""
+        """Return an image of the whole page as PNG bytes."""
         return base64.b64decode(self.devtools("Page.captureScreenshot", captureBeyondViewport=True)["data"])
