@@ -19,8 +19,9 @@ FORMAT = 2
 """Version of the files that this roomeq reads and writes. 1 had no `format` in its stamp."""
 
 _COMMANDS = {"split": "roomeq split-rirs", "dict": "local/make_dict.py", "digits": "local/prepare_digits.py",
-             "synthetic-rirs": "local/make_synthetic_rirs.py", "synthetic-speech": "local/make_synthetic_speech.py"}
-"""Commands of steps that are not called ``roomeq STEP``."""
+             "synthetic-rirs": "local/make_synthetic_rirs.py", "synthetic-speech": "local/make_synthetic_speech.py",
+             "standin-rirs": "local/make_synthetic_rirs.py", "standin-speech": "local/make_synthetic_speech.py"}
+"""Commands of steps that are not called ``roomeq STEP``; the last two steps had these names in format 1."""
 
 
 class Stamp(msgspec.Struct, frozen=True):
