@@ -1,4 +1,4 @@
-"""Whole data directories: what comes out, that it does not depend on how it was run, and what is refused."""
+"""Augmented data directories: content, independence of jobs and order, refused input."""
 
 import json
 import os
@@ -40,8 +40,8 @@ def inputs(tmp_path):
     return speech_dir(tmp_path / "clean"), rir_dir(tmp_path / "rirs")
 
 
-def test_every_utterance_is_equation_1(tmp_path, inputs):
-    """Done again in float64 from what `augment.jsonl` says was drawn."""
+def test_utterances_match_equation_1_in_float64(tmp_path, inputs):
+    """Compute the utterances again in float64 from the draws in `augment.jsonl`."""
     clean, rirs = inputs
     augment(clean, rirs, tmp_path / "out", point_noise_prob=1.0, seed=3)
     source, result = read_data_dir(clean), read_data_dir(tmp_path / "out")
@@ -74,7 +74,7 @@ def test_every_utterance_is_equation_1(tmp_path, inputs):
         assert row["noises"][1]["rir"] != row["rir"] and row["noises"][1]["rir"].startswith(row["room"])
 
 
-def test_tables_and_summary(tmp_path, inputs):
+def test_tables_and_summary_match_the_rows(tmp_path, inputs):
     clean, rirs = inputs
     out = tmp_path / "out"
     summary = augment(clean, rirs, out, snr_db="list 10,20", point_noise_prob=0)
@@ -122,7 +122,7 @@ def test_bytes_do_not_depend_on_jobs_parts_or_repetition(tmp_path, inputs, monke
     assert before == {path: path.stat().st_mtime_ns for path in (tmp_path / "seed").rglob("*")}
 
 
-def test_an_utterance_does_not_depend_on_the_others(tmp_path, inputs):
+def test_utterance_does_not_depend_on_other_utterances(tmp_path, inputs):
     clean, rirs = inputs
     augment(clean, rirs, tmp_path / "all")
     some = speech_dir(tmp_path / "some")
@@ -148,7 +148,7 @@ def test_copies_get_new_ids_and_draws(tmp_path, inputs):
     assert table(tmp_path / "out/text")["a-2-0001-rvb2"] == "WORDS OF A-2-0001"
 
 
-def test_simulated_and_compensated_rirs_are_drawn_alike(tmp_path, inputs):
+def test_directories_with_the_same_ids_give_the_same_draws(tmp_path, inputs):
     """Same ids, same ranks: rows of the paper's table differ in the RIRs' sound and in nothing else."""
     clean, _ = inputs
     sim, eq = rir_dir(tmp_path / "sim", simulated=True, seed=1), rir_dir(tmp_path / "eq", simulated=True, seed=2)
@@ -168,7 +168,7 @@ def test_simulated_and_compensated_rirs_are_drawn_alike(tmp_path, inputs):
         assert [noise["snr_db"] for noise in row["noises"]] == [noise["snr_db"] for noise in a[key]["noises"]]
 
 
-def test_rooms_may_count_equally(tmp_path):
+def test_draw_rooms_equally_draws_the_room_first(tmp_path):
     lengths = {f"s-{n:04d}": 400 for n in range(300)}
     clean, rirs = speech_dir(tmp_path / "clean", lengths), tmp_path / "rirs"
     h = decay(np.random.default_rng(0), 400)
@@ -182,14 +182,14 @@ def test_rooms_may_count_equally(tmp_path):
         assert rooms.count("small") / 300 == pytest.approx(share, abs=0.08)
 
 
-def test_without_noises_it_is_reverberation_alone(tmp_path, inputs):
+def test_snr_none_adds_no_noise(tmp_path, inputs):
     clean, rirs = inputs
     summary = augment(clean, rirs, tmp_path / "out", snr_db="none", point_snr_db="none")
     assert summary["snr_histogram"] == dict(none=5) and not summary["noises"]
     assert set(table(tmp_path / "out/utt2snr").values()) == {"inf"}
 
 
-def test_a_room_with_one_rir_has_no_point_noise(tmp_path, inputs):
+def test_room_with_one_rir_has_no_point_noise(tmp_path, inputs):
     clean, rirs = inputs[0], tmp_path / "single"
     rir_dir(rirs, n_rooms=1)
     write_rirs(rirs, read_rirs(rirs)[:1])
@@ -197,8 +197,8 @@ def test_a_room_with_one_rir_has_no_point_noise(tmp_path, inputs):
     assert all(len(row["noises"]) == 1 for row in rows_of(tmp_path / "out").values())
 
 
-def test_segments_archives_and_flac_in_give_the_same_audio(tmp_path, inputs):
-    """One speech three ways: FLAC files, a Kaldi archive, segments of one long recording."""
+def test_flac_archive_and_segments_input_give_the_same_audio(tmp_path, inputs):
+    """The same speech as FLAC files, as a Kaldi archive, and as segments of one long recording."""
     clean, rirs = inputs
     data = read_data_dir(clean)
     audio = {key: audio_of(data, key) for key in data.utterances}
@@ -225,7 +225,7 @@ def test_segments_archives_and_flac_in_give_the_same_audio(tmp_path, inputs):
         assert np.max(np.abs(x - results["long"][key])) <= 2 * SAMPLE  # written to 16 bits once more
 
 
-def test_long_chapters_are_cut(tmp_path, inputs, monkeypatch):
+def test_long_chapters_are_split_into_recordings(tmp_path, inputs, monkeypatch):
     monkeypatch.setattr("roomeq.augment.pack.MAX_RECORDING_S", 1.5)
     clean, rirs = inputs
     augment(clean, rirs, tmp_path / "out", copies=2)
@@ -235,7 +235,7 @@ def test_long_chapters_are_cut(tmp_path, inputs, monkeypatch):
     assert {"a-1", "a-1-2"} <= set(durations)
 
 
-def test_noises_may_lie_elsewhere(tmp_path, inputs):
+def test_noises_of_another_directory_are_used(tmp_path, inputs):
     clean, rirs = inputs
     more = tmp_path / "noises"
     write_flac(more / "fan.flac", burst(np.random.default_rng(0), 9000))
@@ -251,14 +251,14 @@ def test_noises_may_lie_elsewhere(tmp_path, inputs):
     ("uniform 5 25", {0.0: 5, 0.5: 15, 0.999: 24.98}), ("normal 15 5", {0.5: 15, 0.8413447: 20}),
     ("list 20,15,10", {0.0: 20, 0.34: 15, 0.99: 10}), ("list 20 15", {0.0: 20}), ("12.5", {0.3: 12.5}),
     (7, {0.9: 7}), ("uniform -5 5", {0.25: -2.5})])
-def test_distributions(text, quantiles):
+def test_distribution_has_its_quantiles(text, quantiles):
     for u, value in quantiles.items():
         assert parse_distribution(text, "snr_db")(u) == pytest.approx(value, abs=1e-3)
 
 
 @pytest.mark.parametrize("text", ["", "uniform", "uniform 5", "uniform 9 5", "normal 5 0", "list", "5 6", "gauss 1 2",
                                   "uniform a b", "nan", "uniform 5 inf", "1e9", "$(touch x)"])
-def test_distributions_that_are_none(text):
+def test_malformed_distribution_is_refused(text):
     with pytest.raises(ValueError, match="snr_db=.* must be 'uniform LOW HIGH'"):
         parse_distribution(text, "snr_db")
 
@@ -267,13 +267,13 @@ def test_distributions_that_are_none(text):
     (dict(copies=0), "copies=0 must be at least 1"), (dict(point_noise_prob=1.5), r"point_noise_prob=1.5 must lie in"),
     (dict(max_point_noises=-1), "max_point_noises=-1"), (dict(packing="chapter"), "packing='chapter' must be"),
     (dict(snr_db="loud"), "snr_db='loud' must be"), (dict(part="0/2"), "part='0/2' must be JOB/JOBS")])
-def test_options_out_of_range(tmp_path, inputs, options, message):
+def test_option_out_of_range_is_refused(tmp_path, inputs, options, message):
     with pytest.raises(ValueError, match=message):
         augment(*inputs, tmp_path / "out", **options)
     assert not (tmp_path / "out").exists()
 
 
-def test_bad_audio_is_named_and_nothing_is_lost(tmp_path, inputs):
+def test_bad_audio_is_named_and_the_old_output_kept(tmp_path, inputs):
     clean, rirs = inputs
     augment(clean, rirs, tmp_path / "out")
     before = bytes_of(tmp_path / "out")
@@ -305,7 +305,7 @@ def test_bad_rirs_and_noises_are_named(tmp_path, change, message):
         augment(clean, rirs, tmp_path / "out")
 
 
-def test_a_silent_stretch_of_a_noise_is_passed_over(tmp_path):
+def test_silent_part_of_a_noise_is_skipped(tmp_path):
     clean, rirs = speech_dir(tmp_path / "clean", {f"s-{n:02d}": 500 for n in range(20)}), rir_dir(tmp_path / "rirs", 1)
     write_flac(rirs / "wav/hum-room0.flac", np.r_[np.zeros(FS), burst(np.random.default_rng(0), FS)])
     augment(clean, rirs, tmp_path / "out")
@@ -313,7 +313,7 @@ def test_a_silent_stretch_of_a_noise_is_passed_over(tmp_path):
             if noise["kind"] == "ambient"} == {True}
 
 
-def test_a_directory_of_others_is_left_alone(tmp_path, inputs):
+def test_directory_not_made_by_roomeq_is_left_alone(tmp_path, inputs):
     (tmp_path / "out").mkdir()
     (tmp_path / "out/thesis.tex").write_text("precious")
     with pytest.raises(ValueError, match="was not made by roomeq"):

@@ -1,4 +1,4 @@
-"""Data directories: every form of `wav.scp`, `segments`, and what must be refused."""
+"""Data directories: the forms of `wav.scp` and `segments`, and refused input."""
 
 import os
 import pickle
@@ -22,7 +22,7 @@ from roomeq.kaldi.write import OutUtterance, format_seconds, write_data_dir
 
 
 def edit(path, change):
-    """Replace the lines of a file by what `change` makes of them."""
+    """Replace the lines of a file by `change(lines)`."""
     path.write_text("".join(f"{line}\n" for line in change(path.read_text().splitlines())))
 
 
@@ -51,12 +51,12 @@ def edit(path, change):
     ("sph2pipe -f wav -p a.sph |", Entry("pipe", "sph2pipe -f wav -p a.sph")),
     ("touch x; flac -c -d -s a.flac |", Entry("pipe", "touch x; flac -c -d -s a.flac")),
 ])
-def test_entries_of_wav_scp(text, entry):
+def test_entry_is_parsed_as_file_archive_or_pipe(text, entry):
     assert parse_entry(text) == entry
 
 
 @pytest.mark.parametrize("text", ["", "-", "|tee x", "a.ark:12[0:3]"])
-def test_entries_that_name_no_audio(text):
+def test_entry_that_names_no_audio_is_refused(text):
     with pytest.raises(ValueError, match="names no audio|selects a range"):
         parse_entry(text)
 
@@ -65,15 +65,15 @@ paths = st.text(st.characters(codec="utf-8", exclude_characters="\n\r\0"), min_s
 
 
 @given(paths)
-def test_quoting_comes_back(path):
+def test_flac_entry_is_parsed_back_to_its_path(path):
     entry = parse_entry(flac_entry(path))
     assert entry == Entry("file", "./" + path if path.startswith("-") else path)
 
 
 @pytest.mark.skipif(not shutil.which("flac"), reason="needs flac")
 @pytest.mark.parametrize("name", ["plain", "two words", "it's", "$(touch x)", "`touch x`", '"', "a;touch x", "-d", "|"])
-def test_the_shell_reads_what_we_read(tmp_path, monkeypatch, name):
-    """Kaldi hands the entry to a shell; the shell must see the same file name, and nothing else."""
+def test_shell_and_reader_open_the_same_file(tmp_path, monkeypatch, name):
+    """Kaldi passes the entry to a shell, which must see the same file name and run nothing else."""
     monkeypatch.chdir(tmp_path)
     write_flac(Path(f"./{name}.flac"), burst(np.random.default_rng(0), 1600))
     entry = flac_entry(f"{name}.flac")
@@ -83,7 +83,7 @@ def test_the_shell_reads_what_we_read(tmp_path, monkeypatch, name):
 
 
 @pytest.mark.parametrize("path, message", [("a\nb.flac", "line break"), ("a\udcff.flac", "UTF-8")])
-def test_paths_that_no_wav_scp_can_name(path, message):
+def test_path_that_wav_scp_cannot_hold_is_refused(path, message):
     with pytest.raises(ValueError, match=message):
         flac_entry(path)
 
@@ -129,14 +129,14 @@ def wav_bytes(tmp_path, n_samples=800, channels=1, fs_hz=FS):
     (lambda path: wav_bytes(path, channels=2), "2 channels"),
     (lambda path: wav_bytes(path, fs_hz=8000), "sample rate 8000 Hz must be 16000 Hz"),
 ], ids=["pickle", "npy", "matrix", "end", "length", "riff", "truncated", "stereo", "rate"])
-def test_archives_that_are_refused(tmp_path, monkeypatch, content, message):
+def test_broken_or_unsafe_archive_is_refused(tmp_path, monkeypatch, content, message):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError, match=message):
         read_entry(ark(tmp_path, content(tmp_path)))
     assert not Path("unpickled").exists()
 
 
-def test_other_pipes_run_only_when_allowed(tmp_path):
+def test_commands_run_only_when_allowed(tmp_path):
     speech = speech_dir(tmp_path / "clean")
     wav = tmp_path / "clean/wav/a-1-0001.flac"
     edit(speech / "wav.scp", lambda lines: [f"a-1-0001 touch {tmp_path}/ran; cat {wav} |", *lines[1:]])
@@ -153,7 +153,7 @@ def test_other_pipes_run_only_when_allowed(tmp_path):
 
 @pytest.mark.parametrize("command, message", [("echo no; exit 3", "status 3"), ("echo oh >&2; false", "oh"),
                                               ("echo text", "cannot be read as audio"), ("true", "cannot be read")])
-def test_pipes_that_fail(command, message):
+def test_failing_command_is_refused_with_its_reason(command, message):
     with pytest.raises(ValueError, match=message):
         read_entry(Entry("pipe", command), pipes=True)
     with pytest.raises(ValueError, match="only with --pipes"):
@@ -161,8 +161,8 @@ def test_pipes_that_fail(command, message):
 
 
 @pytest.mark.parametrize("name", ["$(touch x)", "`touch x`", "a;touch${IFS}x", "'\"", "-rf", "../up", "ü"])
-def test_ids_are_never_run_and_leave_no_folder(tmp_path, monkeypatch, name):
-    """An id is text: here it is the speaker, the utterance and the name of the file."""
+def test_ids_are_never_executed_or_used_as_paths(tmp_path, monkeypatch, name):
+    """Use a hostile id as speaker, utterance and file name."""
     from datadirs import rir_dir
     from roomeq.augment import augment
 
@@ -210,7 +210,7 @@ def test_other_sample_rates_are_resampled_or_refused(tmp_path):
         read_entry(Entry("file", str(tmp_path / "low.wav")))
 
 
-def test_what_is_written_is_read_back(tmp_path):
+def test_written_directory_is_read_back(tmp_path):
     speech = speech_dir(tmp_path)
     data = read_data_dir(speech)
     assert list(data.utterances) == sorted(LENGTHS)
@@ -222,7 +222,7 @@ def test_what_is_written_is_read_back(tmp_path):
 
 
 @given(st.integers(0, 10**11))
-def test_times_are_exact(n_samples):
+def test_formatted_seconds_are_exact(n_samples):
     text = format_seconds(n_samples)
     assert int(float(text) * FS + 0.5) == n_samples
     assert "." in text and len(text.partition(".")[2]) >= 2
@@ -231,7 +231,7 @@ def test_times_are_exact(n_samples):
 
 
 @given(st.lists(st.tuples(st.integers(1, 400000), st.integers(0, 5000)), min_size=1, max_size=8))
-def test_segments_round_trip(tmp_path_factory, spans):
+def test_written_segments_are_read_back_to_the_sample(tmp_path_factory, spans):
     directory, position, utterances = tmp_path_factory.mktemp("d"), 0, []
     for n, (length, gap) in enumerate(spans):
         utterances.append(OutUtterance(f"s-{n}", "s", "r", position, length))
@@ -242,7 +242,7 @@ def test_segments_round_trip(tmp_path_factory, spans):
         (u.start, u.start + u.n_samples) for u in utterances]
 
 
-def test_writing_refuses_disorder(tmp_path):
+def test_writing_unsorted_utterances_is_refused(tmp_path):
     for ids in (["b", "a"], ["a", "a"]):
         with pytest.raises(ValueError, match="must be sorted, each once"):
             write_data_dir(tmp_path, dict(r=("r.wav", 99)), [OutUtterance(key, "s", "r", 0, 9) for key in ids])
@@ -254,7 +254,7 @@ def test_writing_refuses_disorder(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-# --- corruptions: each is found by us and, where Kaldi looks, by Kaldi
+# --- corruptions: roomeq finds each of them, and Kaldi finds those that it checks for
 
 def drop_line(lines):
     return lines[:2] + lines[3:]
@@ -386,13 +386,13 @@ def kaldi_validates(tmp_path_factory):
 LAXER_KALDI = {"text-empty", "reco-dur-nan"}
 
 
-def test_kaldi_agrees_on_what_is_right(tmp_path, kaldi_validates):
+def test_kaldi_accepts_valid_directory(tmp_path, kaldi_validates):
     assert kaldi_validates(complete_dir(tmp_path / "a"))
     assert kaldi_validates(segmented_dir(tmp_path / "b"))
 
 
 @pytest.mark.parametrize("case", sorted(set(CORRUPTIONS) - LAXER_KALDI))
-def test_kaldi_agrees_on_what_is_wrong(tmp_path, kaldi_validates, case):
+def test_kaldi_refuses_corrupted_directory(tmp_path, kaldi_validates, case):
     name, change, _ = CORRUPTIONS[case]
     edit(complete_dir(tmp_path) / name, change)
     assert not kaldi_validates(tmp_path)

@@ -1,4 +1,4 @@
-"""Simulating an RIR directory: geometry known and unknown, targets, noise sources, the same bytes every time."""
+"""Simulated RIR directories: known and unknown geometry, targets, noise sources, reproducible bytes."""
 
 import hashlib
 import json
@@ -51,7 +51,7 @@ def hashes(directory):
             for path in sorted(directory.rglob("*")) if path.is_file() and path.name not in (".done", "rir_list")}
 
 
-def test_every_measured_rir_gets_one_with_its_target_and_noise(measured, tmp_path):
+def test_each_measured_rir_gives_one_at_target_and_its_noise(measured, tmp_path):
     out = tmp_path / "sim"
     rows = run(measured, out)
     assert validate_rirs(out) == 10 and set(rows) == {f"{name}{noise}" for name in ("a1", "a2", "b1", "b2", "c1")
@@ -81,8 +81,8 @@ def test_every_measured_rir_gets_one_with_its_target_and_noise(measured, tmp_pat
     assert "mic_pos_m.0" in rows["c1"]["drawn"] and rows["c1"]["room_dims_m"] == BOX_M
 
 
-def test_the_result_depends_on_the_seed_and_on_nothing_else(measured, tmp_path):
-    """Threads, parts and order of work change no byte; neither do other rows."""
+def test_bytes_depend_on_the_seed_alone(measured, tmp_path):
+    """Threads, parts, order of work and other rows change no byte."""
     run(measured, tmp_path / "one")
     for part in ("2/2", "1/2", None):
         simulate(measured, tmp_path / "parts", num_rays=1000, t60_range_s=(0.3, 0.8), seed=5, part=part)
@@ -103,7 +103,7 @@ def test_the_result_depends_on_the_seed_and_on_nothing_else(measured, tmp_path):
     assert other["a1"]["target_t60_s"] != rows["a1"]["target_t60_s"]
 
 
-def test_a_second_run_does_nothing(measured, tmp_path):
+def test_second_run_does_nothing(measured, tmp_path):
     run(measured, tmp_path / "sim")
     before = (tmp_path / "sim" / "rirs.jsonl").stat().st_mtime_ns
     run(measured, tmp_path / "sim")
@@ -116,7 +116,7 @@ def test_a_second_run_does_nothing(measured, tmp_path):
     (dict(temperature_c=90.0), r"temperature_c=90 must lie in"),
     (dict(mesh="room.obj"), r"RIR a1: .*room.obj: no such mesh file"),
 ])
-def test_wrong_geometry_is_refused_by_name(tmp_path, known, message):
+def test_wrong_geometry_is_refused_with_the_id_of_the_rir(tmp_path, known, message):
     (tmp_path / "measured").mkdir()
     write_jsonl(tmp_path / "measured" / "rirs.jsonl", [measured_row("a1", **known)])
     with pytest.raises(ValueError, match=message):
@@ -131,7 +131,7 @@ def test_wrong_geometry_is_refused_by_name(tmp_path, known, message):
     (dict(ism_order=-1), r"ism_order=-1 must lie in"),
     (dict(materials="absent.toml"), r"absent.toml: cannot be read as a table of materials"),
 ])
-def test_impossible_options_are_refused(measured, tmp_path, options, message):
+def test_options_out_of_range_are_refused(measured, tmp_path, options, message):
     with pytest.raises(ValueError, match=message):
         simulate(measured, tmp_path / "sim", **options)
 
@@ -141,11 +141,12 @@ def parameters(t20_s, valid=True):
     return dict(acoustic_parameters=dict(t20_s=bands, t20_valid=[True] * 4 + [valid] + [True] * 3))
 
 
-def test_targets_can_be_those_of_the_measured_rooms(tmp_path, caplog):
+def test_targets_lie_in_the_range_of_the_measured_rooms(tmp_path, caplog):
     caplog.set_level("INFO")
-    dull = [measured_row(f"a{n}", mic_pos_m=[4.0, 1.0 + n / 2, 1.2], **parameters(t20_s, valid)) for n, (t20_s, valid) in
-            enumerate([(0.40, True), (0.44, True), (1.9, True), (None, False), (3.0, False)])]
-    live = [measured_row(f"b{n}", room_id="hall", mic_pos_m=[4.0, 1.0 + n / 2, 1.2], **parameters(0.6)) for n in range(5)]
+    dull = [measured_row(f"a{n}", mic_pos_m=[4.0, 1.0 + n / 2, 1.2], **parameters(t20_s, valid))
+            for n, (t20_s, valid) in enumerate([(0.40, True), (0.44, True), (1.9, True), (None, False), (3.0, False)])]
+    live = [measured_row(f"b{n}", room_id="hall", mic_pos_m=[4.0, 1.0 + n / 2, 1.2], **parameters(0.6))
+            for n in range(5)]
     (tmp_path / "in").mkdir()
     write_jsonl(tmp_path / "in/rirs.jsonl", dull + live)
     rows = run(tmp_path / "in", tmp_path / "sim", t60_range_s="measured", noise_rirs=0)
@@ -154,12 +155,12 @@ def test_targets_can_be_those_of_the_measured_rooms(tmp_path, caplog):
     assert 0.44 <= min(targets_s) < max(targets_s) <= 0.60 and len(set(targets_s)) == 10
 
 
-def test_targets_of_rooms_that_nobody_measured_are_refused(measured, tmp_path):
+def test_measured_targets_without_valid_t20_are_refused(measured, tmp_path):
     with pytest.raises(ValueError, match="measured: t60_range=measured: no RIR has a valid T20 .* characterise"):
         simulate(measured, tmp_path / "sim", t60_range_s="measured")
 
 
-def test_the_table_of_materials_is_whole_and_can_be_ones_own(tmp_path):
+def test_own_table_of_materials_is_read_and_checked(tmp_path):
     table = read_materials()
     assert all(table.names(use) for use in ("wall", "floor", "ceiling"))
     columns = np.unique(np.array(list(table.scattering.values())), axis=1)
@@ -175,7 +176,7 @@ def test_the_table_of_materials_is_whole_and_can_be_ones_own(tmp_path):
         read_materials(path)
 
 
-def test_mesh_rows_are_simulated_with_materials_by_name(tmp_path):
+def test_mesh_rows_use_materials_named_in_the_mesh(tmp_path):
     from test_sim_mesh import L_PLAN, prism_obj
     (tmp_path / "measured").mkdir()
     (tmp_path / "measured" / "room.obj").write_text(prism_obj(L_PLAN, 3.0, "brick_bare"))
@@ -193,14 +194,14 @@ def test_mesh_rooms_give_the_same_bytes_with_two_processes(tmp_path):
     (tmp_path / "measured").mkdir()
     (tmp_path / "measured" / "room.obj").write_text(prism_obj(L_PLAN, 3.0, "brick_bare"))
     write_jsonl(tmp_path / "measured" / "rirs.jsonl", [
-        measured_row(f"m{n}", mesh="room.obj", room_dims_m=None, source_id=f"s{n}", source_pos_m=[5.0, 1.0 + n / 4, 1.5],
-                     mic_pos_m=[1.0, 5.0, 1.5]) for n in range(2)])
+        measured_row(f"m{n}", mesh="room.obj", room_dims_m=None, source_id=f"s{n}",
+                     source_pos_m=[5.0, 1.0 + n / 4, 1.5], mic_pos_m=[1.0, 5.0, 1.5]) for n in range(2)])
     for nj in (1, 2):
         run(tmp_path / "measured", tmp_path / f"nj{nj}", num_rays=500, nj=nj)
     assert hashes(tmp_path / "nj1") == hashes(tmp_path / "nj2")
 
 
-def test_a_target_out_of_reach_is_drawn_again_and_that_is_said(tmp_path, caplog):
+def test_target_out_of_reach_is_drawn_again_and_logged(tmp_path, caplog):
     caplog.set_level("INFO")
     far = measured_row("far", room_dims_m=[28.0, 11.0, 3.3], source_pos_m=[1.0, 1.0, 1.5], mic_pos_m=[27.0, 10.0, 1.5])
     (tmp_path / "in").mkdir()
@@ -212,7 +213,7 @@ def test_a_target_out_of_reach_is_drawn_again_and_that_is_said(tmp_path, caplog)
     assert row["t30_s"] == pytest.approx(row["target_t60_s"], rel=0.05)
 
 
-def test_rows_carry_acoustic_parameters_and_only_main_rirs_a_target(measured, tmp_path):
+def test_rows_have_parameters_and_only_main_rirs_a_target(measured, tmp_path):
     for row in run(measured, tmp_path / "out").values():
         assert row["acoustic_parameters"]["direct_sample"] == pytest.approx(row["direct_sample"], abs=1e-3)
         assert (row["target_t60_s"] is None) == bool(row["noise_for"])

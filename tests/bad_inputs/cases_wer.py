@@ -35,10 +35,12 @@ CASES = [
          (write("decoded/rirs/rirs.jsonl", ""),)),
     Case("rir without room", WER, "decoded/rirs/rirs.jsonl:1: room_id=... must be ...: correct the line or make the "
          "file again", (row("decoded/rirs/rirs.jsonl", 1, room_id=None),)),
-    Case("acoustic parameters without T20", WER, "decoded/rirs/rirs.jsonl:1: acoustic_parameters: key 't20_s' is missing: correct the line "
-         "or make the file again", (row("decoded/rirs/rirs.jsonl", 1, acoustic_parameters=dict(t20_valid=[True] * 8)),)),
-    Case("acoustic parameters with a DRR that is no number", WER, "decoded/rirs/rirs.jsonl:1: acoustic_parameters: drr_db=... must be ...: "
-         "correct the line or make the file again", (row("decoded/rirs/rirs.jsonl", 1, acoustic_parameters=dict(drr_db="far")),)),
+    Case("acoustic parameters without T20", WER,
+         "decoded/rirs/rirs.jsonl:1: acoustic_parameters: key 't20_s' is missing: correct the line or make the file "
+         "again", (row("decoded/rirs/rirs.jsonl", 1, acoustic_parameters=dict(t20_valid=[True] * 8)),)),
+    Case("acoustic parameters with a DRR that is no number", WER,
+         "decoded/rirs/rirs.jsonl:1: acoustic_parameters: drr_db=... must be ...: correct the line or make the file "
+         "again", (row("decoded/rirs/rirs.jsonl", 1, acoustic_parameters=dict(drr_db="far")),)),
     Case("column of one row missing", WER,
          f"{TEST}/scoring_kaldi: no such directory, but other rows, columns or seeds have it: decode and score it "
          "(stage 10), or leave the row or column out of all", (without(TEST),)),

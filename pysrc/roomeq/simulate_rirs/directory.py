@@ -7,8 +7,10 @@ One group, the rows that share a room, a source position, the air and the stated
 import json
 import logging
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from roomeq.acoustics.parameters import measure
 from roomeq.core.audio import write_wav
@@ -17,11 +19,12 @@ from roomeq.core.constants import FS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.effects.model import Model, apply_to_rir, direct_gain, names_of, path_gain, read_model
 from roomeq.records.rir_dir import decay_range_s, read_rirs, validate_rirs, write_rirs
+from roomeq.records.schema import RirRow
 from roomeq.sim.geometry import find_place
 from roomeq.sim.materials import DEFAULT_TABLE, read_materials
 from roomeq.sim.published import published_file
 from roomeq.sim.response import ISM_ORDER, NUM_RAYS, ORDER
-from roomeq.sim.scene import Air, with_absorption
+from roomeq.sim.scene import Air, Shoebox, with_absorption
 from roomeq.simulate_rirs.source import NOISE_CANDIDATES, Member, RenderedRir, RenderOptions, render_source
 
 logger = logging.getLogger(__name__)
@@ -88,7 +91,7 @@ def simulate(measured_dir: Path | str, out: Path | str, *, t60_range_s: tuple[fl
     effects = Model() if model is None else read_model(model)
     rows = read_rirs(measured_dir)
     groups = _group_by_source(rows, measured_dir, seed)
-    meshes = sorted({measured_dir / row["mesh"] for row in rows if row.get("mesh")})
+    meshes = sorted({measured_dir / mesh for row in rows if (mesh := row.get("mesh"))})
     models = [Path(model)] if model else []
     build = Build(Path(out), step="simulate", options=asdict(options),
                   inputs=[measured_dir, Path(materials or DEFAULT_TABLE), *meshes, *_published_table(rows), *models])
@@ -134,13 +137,13 @@ def _check_options(options: RenderOptions) -> None:
             raise ValueError(f"{name}={value} must lie in [{low}, {high}]")
 
 
-def _published_table(rows: list[dict]) -> list[Path]:
+def _published_table(rows: list[RirRow]) -> list[Path]:
     """Return the published table of materials if it is installed and a row may refer to it."""
     path = published_file() if any(row.get("materials") for row in rows) else None
     return [path] if path else []
 
 
-def _group_by_source(rows: list[dict], directory: Path, seed: int) -> dict[str, list[Member]]:
+def _group_by_source(rows: list[RirRow], directory: Path, seed: int) -> dict[str, list[Member]]:
     """Return at most `ROWS_PER_ITEM` rows of one source each, by the id of the first row."""
     rows_of_room = defaultdict(list)
     for row in rows:
@@ -162,9 +165,10 @@ def _group_by_source(rows: list[dict], directory: Path, seed: int) -> dict[str, 
             for members in groups.values() for first in range(0, len(members), ROWS_PER_ITEM)}
 
 
-def _declared_air(row: dict) -> Air:
+def _declared_air(row: RirRow) -> Air:
     """Return the air of a row: its temperature and humidity where they are known, else the defaults."""
-    return Air(**{key: row[key] for key in ("temperature_c", "humidity_pct") if row.get(key) is not None})
+    values: Mapping[str, Any] = row
+    return Air(**{key: values[key] for key in ("temperature_c", "humidity_pct") if values.get(key) is not None})
 
 
 def _write_rir(work: Path, rendered: RenderedRir, air: Air, seed: int) -> dict:
@@ -176,7 +180,8 @@ def _write_rir(work: Path, rendered: RenderedRir, air: Air, seed: int) -> dict:
                        place.source_pos_m, place.mic_pos_m, direct, rng_for(seed, "effects", row["id"]))
     wav = f"wav/{row['id']}.wav"
     write_wav(work / wav, rir)
-    room = dict(mesh=row["mesh"]) if row.get("mesh") else dict(room_dims_m=list(place.room.dims_m))
+    room: dict[str, object] = (dict(room_dims_m=list(place.room.dims_m)) if isinstance(place.room, Shoebox)
+                               else dict(mesh=row["mesh"]))
     surfaces = zip(scene.room.surfaces, scene.materials, response.absorption, strict=True)
     return {key: row.get(key) for key in _KEPT_KEYS if key in row} | room | dict(
         id=row["id"], wav=wav, fs_hz=FS_HZ, n_samples=len(rir),

@@ -9,9 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from roomeq.core.arrays import FloatArray
+from roomeq.core.constants import BANDS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.effects.base import Effect
 from roomeq.effects.model import Model, extend_scene, path_gain
+from roomeq.records.schema import RirRow
 from roomeq.sim.context import Response
 from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.geometry import Place, noise_positions
@@ -53,7 +55,7 @@ class RenderOptions:
 class Member(NamedTuple):
     """A row to simulate, and its geometry."""
 
-    row: dict
+    row: RirRow
     place: Place
 
 
@@ -63,7 +65,7 @@ class RenderedRir:
 
     Attributes
     ----------
-    row : dict
+    row : RirRow
         The measured row; of a noise source, a copy with ids of its own.
     scene : Scene
         Before the absorption was scaled to the target.
@@ -77,7 +79,7 @@ class RenderedRir:
         Id of the RIR whose noise source this is.
     """
 
-    row: dict
+    row: RirRow
     place: Place
     scene: Scene
     response: Response
@@ -156,24 +158,26 @@ class _TracedRoom:
         self.min_length_s = 0.0
         self._traces: dict[tuple[float, ...], TracedSource] = {}
 
-    def _stated_surfaces(self, row: dict) -> dict[str, Surface]:
+    def _stated_surfaces(self, row: RirRow) -> dict[str, Surface]:
         try:
             return given_surfaces(self.table, self.room, row.get("materials"))
         except ValueError as error:
             raise ValueError(f"RIR {row['id']}: {error}") from None
 
-    def draw_scenes(self, row: dict) -> Iterator[SceneDraw]:
+    def draw_scenes(self, row: RirRow) -> Iterator[SceneDraw]:
         """Yield materials and targets to try for a row: several draws of materials for each of several targets.
 
         A row that states its materials may also state its target (None: do not scale), and gets no other.
         """
-        target_s = float(rng_for(self.options.seed, "t60", row["id"]).uniform(*self.options.t60_range_s))
+        drawn_s = float(rng_for(self.options.seed, "t60", row["id"]).uniform(*self.options.t60_range_s))
+        target_s: float | None = drawn_s
         rng = rng_for(self.options.seed, "materials", row["id"])
         for n in range(MATERIAL_DRAWS * (1 if row.get("materials") else TARGET_DRAWS)):
             if n and n % MATERIAL_DRAWS == 0:
-                target_s = float(rng.uniform(*self.options.t60_range_s))
-            scene = extend_scene(self.effects, draw_materials(self.table, self.room, self.scattering, self.air,
-                                                              target_s, rng, self.stated))
+                target_s = drawn_s = float(rng.uniform(*self.options.t60_range_s))
+            scene = extend_scene(self.effects, draw_materials(
+                self.table, self.room, self.scattering, self.air, drawn_s if target_s is None else target_s, rng,
+                self.stated))
             if n == 0 and row.get("materials"):
                 target_s = row.get("target_t60_s", target_s)
             yield SceneDraw(scene, target_s, needed_length_s(scene, target_s, self.options.order),
@@ -184,7 +188,7 @@ class _TracedRoom:
         length_s = max(length_s, self.min_length_s)
         key = (*source_pos_m, length_s)
         if key not in self._traces:
-            reflecting = [Material(surface, 0.0, tuple(scattering))
+            reflecting = [Material(surface, (0.0,) * len(BANDS_HZ), tuple(scattering))
                           for surface, scattering in zip(self.room.surfaces, self.scattering, strict=True)]
             scene = extend_scene(self.effects, Scene(self.room, reflecting, self.air))
             rng = rng_for(self.options.seed, "trace", repr((self.room_id, tuple(source_pos_m))))
@@ -198,7 +202,7 @@ class _TracedRoom:
         traced = self.trace(source_pos_m, length_s)
         decays_s = [min(decay_length_s(traced.scene, absorption), traced.max_length_s) for absorption in absorptions]
         rngs = [rng_for(self.options.seed, "echoes", rir_id) for rir_id in rir_ids]
-        return sample_paths(traced, mics_m, reference_absorption(np.array(absorptions)), rngs,
+        return sample_paths(traced, np.array(mics_m), reference_absorption(np.array(absorptions)), rngs,
                             ism_order=self.options.ism_order,
                             n_frames=[int(np.ceil(decay_s / FRAME_S)) for decay_s in decays_s])
 
@@ -258,8 +262,8 @@ def _render_noises(room: _TracedRoom, rendered: list[RenderedRir]) -> list[list[
 
 def _noise_rir(rir: RenderedRir, number: int, source_pos_m: tuple[float, ...]) -> RenderedRir:
     """Return an RIR moved to one of its noise sources; its response is still to be rendered."""
-    row = rir.row | dict(id=f"{rir.row['id']}-noise{number}", source_dir=None,
-                         source_id=f"noise-{source_pos_m[0]}-{source_pos_m[1]}-{source_pos_m[2]}")
+    row: RirRow = {**rir.row, "id": f"{rir.row['id']}-noise{number}", "source_dir": None,
+                   "source_id": f"noise-{source_pos_m[0]}-{source_pos_m[1]}-{source_pos_m[2]}"}
     return replace(rir, row=row, place=replace(rir.place, source_pos_m=source_pos_m), target_s=None,
                    effects=[effect for effect in rir.effects if effect.SCOPE not in ("source", "rir")],
                    noise_for=rir.row["id"])
