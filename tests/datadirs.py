@@ -1,4 +1,4 @@
-"""Small data and RIR directories for tests: noise bursts for speech, exponential decays for rooms."""
+"""Small data and RIR directories for tests, with noise bursts as speech and exponential decays as RIRs."""
 
 import numpy as np
 import soundfile
@@ -13,14 +13,14 @@ LENGTHS = {"a-1-0001": 12345, "a-1-0002": 9001, "a-2-0001": 16000, "b-1-0001": 2
 
 
 def burst(rng, n_samples, level=0.1):
-    """Noise with pauses, which has a sharp autocorrelation and the level of speech."""
+    """Return noise with pauses: a sharp autocorrelation, and the level of speech."""
     envelope = np.repeat(rng.random(n_samples // 800 + 1) > 0.3, 800)[:n_samples]
     envelope[:400] = True
     return (level * rng.standard_normal(n_samples) * envelope).clip(-0.9, 0.9)
 
 
 def speech_dir(path, lengths=None, seed=0):
-    """Write a data directory without `segments`, one FLAC per utterance; speaker = what precedes the first dash."""
+    """Write a data directory without `segments`, one FLAC per utterance; the speaker is the id up to the first dash."""
     rng, recordings, utterances = np.random.default_rng(seed), {}, []
     for key, n_samples in (lengths or LENGTHS).items():
         write_flac(path / "wav" / f"{key}.flac", burst(rng, n_samples))
@@ -31,7 +31,7 @@ def speech_dir(path, lengths=None, seed=0):
 
 
 def decay(rng, n_samples=4000, direct=100, level=1.0):
-    """An RIR: a direct sound of 1 at a given sample, then decaying noise."""
+    """Return an RIR: a direct sound of `level` at a given sample, then decaying noise."""
     h = level * 0.05 * rng.standard_normal(n_samples) * np.exp(-np.arange(n_samples) / 800)
     h[:direct + 1] = 0
     h[direct] = level
@@ -45,7 +45,7 @@ def rir_row(key, room, h, **more):
 
 
 def rir_dir(path, n_rooms=2, simulated=False, seed=1):
-    """Write an RIR directory with three RIRs a room (other sources), ambient and point noises."""
+    """Write an RIR directory with three sources per room, ambient and point noises."""
     rng, rows, noises = np.random.default_rng(seed), [], []
     for room in (f"room{n}" for n in range(n_rooms)):
         for n in range(3):
@@ -66,7 +66,7 @@ def rir_dir(path, n_rooms=2, simulated=False, seed=1):
 
 
 def audio_of(data, utterance_id):
-    """Read an utterance through the tables alone, as float64."""
+    """Read an utterance by its entries in the tables, as float64."""
     utterance = data.utterances[utterance_id]
     samples, fs_hz = soundfile.read(data.recordings[utterance.recording].text)
     assert fs_hz == FS

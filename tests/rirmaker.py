@@ -1,4 +1,4 @@
-"""RIRs that tests need: coloured decaying noise, and directories of them."""
+"""Synthetic RIRs for tests: coloured decaying noise, and RIR directories."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ DIRECT = 320
 
 
 def coloured_rir(seed, *, time_s=0.4, length_s=0.6, eq_db=(0.0,) * 8, snr_db=None, direct=2.0):
-    """Decaying noise with a given octave spectrum; direct sound at sample `DIRECT`."""
+    """Return decaying noise with a given octave spectrum; the direct sound is at sample `DIRECT`."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(length_s * FS_HZ)) / FS_HZ
     rir = np.concatenate([np.zeros(DIRECT), rng.standard_normal(len(t)) * 10.0 ** (-3.0 * t / time_s)])
@@ -24,7 +24,7 @@ def coloured_rir(seed, *, time_s=0.4, length_s=0.6, eq_db=(0.0,) * 8, snr_db=Non
 
 
 def row(rir_id, room_id="hall", **more):
-    """The row of an RIR that says as little as the contract allows."""
+    """Return the row of an RIR with the required keys only."""
     return dict(id=rir_id, room_id=room_id, source_id="s", mic_id="m", room_dims_m=[6.0, 5.0, 3.0],
                 source_pos_m=None, mic_pos_m=None) | more
 
@@ -32,9 +32,9 @@ def row(rir_id, room_id="hall", **more):
 def write_rir_dir(directory, items, noises=()):
     """Write an RIR directory of (row, rir) pairs, and noises (rows without `wav`) of half a second."""
     rows = []
-    for one, rir in items:
-        write_wav(directory / "audio" / f"{one['id']}.wav", rir)
-        rows.append(one | dict(wav=f"audio/{one['id']}.wav", fs_hz=FS_HZ, n_samples=len(rir)))
+    for item, rir in items:
+        write_wav(directory / "audio" / f"{item['id']}.wav", rir)
+        rows.append(item | dict(wav=f"audio/{item['id']}.wav", fs_hz=FS_HZ, n_samples=len(rir)))
     write_rirs(directory, rows)
     for noise in noises:
         write_wav(directory / "audio" / f"{noise['id']}.wav", 0.01 * np.ones(FS_HZ // 2))
