@@ -167,7 +167,7 @@ def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequenc
 
 
 def _smooth_late(energy: FloatArray, late_s: float) -> FloatArray:
-    """Average the frames after a time over `_SMOOTHING_FRAMES`, which changes an exponential decay by 0.1 dB at most."""
+    """Average the frames after a time over `_SMOOTHING_FRAMES`; an exponential decay changes by at most 0.1 dB."""
     half = _SMOOTHING_FRAMES // 2
     first = int(late_s / FRAME_S) + 2 * half
     if first + 2 * half < energy.shape[1]:

@@ -1,7 +1,7 @@
-"""Diffraction at the edges of a mesh: source, edge, microphone; two edges of one face: `double_diffraction`.
+"""Diffraction at the edges of a mesh: first order here, two edges of one face in `double_diffraction`.
 
 The line integral of Svensson, Fred and Vanderkooy (J. Acoust. Soc. Am. 106 (1999) 2331, eq. 8) over a rigid wedge
-of the open angle ``theta_w``, in the coordinate ``eta`` of Biot and Tolstoy instead of the place z along the edge
+of the open angle ``theta_w``, in the coordinate ``eta`` of Biot and Tolstoy instead of the position z along the edge
 (``d eta = (1/m + 1/l) dz``, where m and l are the two legs):
 
     h(t) = -nu / (4 pi)^2  integral of  delta(t - L / c) beta(eta) / L  d eta,     nu = pi / theta_w
@@ -9,31 +9,36 @@ of the open angle ``theta_w``, in the coordinate ``eta`` of Biot and Tolstoy ins
     L^2 = r_s^2 + r_r^2 + (z_s - z_r)^2 + 2 r_s r_r cosh eta
 
 A term of beta has the integral ``2 / nu atan(cot(x / 2) tanh(nu eta / 2))``, so that each short bin of time gets
-its exact share, at shadow boundaries too, where beta grows without bounds. Of the four terms two continue the
+its exact share, even at shadow boundaries, where beta is unbounded. Of the four terms two continue the
 direct sound across its shadow boundary; the other two continue the reflection at either face and are weighted with
 the ``sqrt((1 - alpha) (1 - s))`` that the face reflects (as Luebbers, IEEE Trans. Antennas Propag. 32 (1984) 70).
 
-Left out: paths that diffract at edges of different faces or more than twice, and those that diffract and reflect.
+Not included: paths that diffract at edges of different faces or more than twice, and paths that diffract and reflect.
 """
 
 import logging
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import scipy  # its submodules are slow to import and load themselves when first used
+from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len, rfft
 
 from roomeq.acoustics.filterbank import SPREAD_S, octave_filterbank
-from roomeq.core.arrays import Array, Number
+from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled
-from roomeq.sim.double_diffraction import deposit_over_faces, over_faces
+from roomeq.sim.double_diffraction import Pieces, deposit_over_faces, over_faces
+from roomeq.sim.mesh import MeshRoom
+from roomeq.sim.room import Room
+from roomeq.sim.scene import Air
 
 logger = logging.getLogger(__name__)
 
 MAX_EDGES = 2000
-MIN_EXCESS_RAD = np.radians(10.0)  # an edge that is blunter than this is a curved surface, cut into triangles
-PIECE_M = 0.05  # visibility is looked at once in so much of an edge
+MIN_EXCESS_RAD = np.radians(10.0)  # blunter edges belong to curved surfaces, cut into triangles
+PIECE_M = 0.05  # visibility is tested once per piece of this length
 MOST_PIECES, MOST_PIECES_TWICE = 1000, 20  # of an edge, for first and second order
 _OFF_EDGE_M = 1e-3
 _OVERSAMPLING = 16
@@ -44,43 +49,45 @@ _ON_BOUNDARY = 1e-6
 
 @dataclass(frozen=True)
 class Edges:
-    """Straight edges that stand out into the air.
+    """Straight convex edges of a room's bodies and walls.
 
     Attributes
     ----------
-    start_m : ndarray, shape (n_edges, 3)
-    along : ndarray, shape (n_edges, 3)
-        Unit vectors.
-    length_m : ndarray, shape (n_edges,)
-    across : ndarray, shape (n_edges, 3)
-        Unit vectors in the first face, away from the edge: where angles are zero.
-    normal : ndarray, shape (n_edges, 3)
-        Of the first face, into the air: where angles are a right one.
-    wedge_rad : ndarray, shape (n_edges,)
-        Open angle, on the side of the air, in (pi, 2 pi].
-    surfaces : ndarray of int, shape (n_edges, 2)
-        Materials of the first face and the other.
-    faces : ndarray of int, shape (n_edges, 2)
-        Numbers of these faces: triangles that go on in one plane are one face.
-    n_left_out : int
-        Edges beyond `MAX_EDGES`, the shortest.
+    start_m
+        Shape (n_edges, 3).
+    along
+        Unit vectors, shape (n_edges, 3).
+    length_m
+        Shape (n_edges,).
+    across
+        Unit vectors in the first face, away from the edge, where the angle is zero, shape (n_edges, 3).
+    normal
+        Normals of the first face into the air, where the angle is pi / 2, shape (n_edges, 3).
+    wedge_rad
+        Open angle, on the side of the air, in (pi, 2 pi], shape (n_edges,).
+    surfaces
+        Materials of the first face and the second, shape (n_edges, 2).
+    faces
+        Numbers of these faces, shape (n_edges, 2); adjacent triangles in one plane are one face.
+    n_left_out
+        Number of edges beyond `MAX_EDGES`, the shortest.
     """
 
-    start_m: np.ndarray
-    along: np.ndarray
-    length_m: np.ndarray
-    across: np.ndarray
-    normal: np.ndarray
-    wedge_rad: np.ndarray
-    surfaces: np.ndarray
-    faces: np.ndarray
+    start_m: FloatArray
+    along: FloatArray
+    length_m: FloatArray
+    across: FloatArray
+    normal: FloatArray
+    wedge_rad: FloatArray
+    surfaces: IntArray
+    faces: IntArray
     n_left_out: int = 0
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.length_m)
 
-    def coordinates(self, point_m):
-        """Cylinder coordinates about each edge: distance [m], angle [rad], place along it [m]; shape (3, n_edges)."""
+    def coordinates(self, point_m: ArrayLike) -> FloatArray:
+        """Return cylinder coordinates about each edge, distance [m], angle [rad], position [m], shape (3, n_edges)."""
         offset = np.asarray(point_m, dtype=float) - self.start_m
         x, y, z = (np.einsum("ij,ij->i", offset, axis) for axis in (self.across, self.normal, self.along))
         angle = np.mod(np.arctan2(y, x), 2.0 * np.pi)
@@ -89,27 +96,29 @@ class Edges:
 
 @dataclass(frozen=True)
 class Diffracted:
-    """What comes to one microphone by way of edges, before materials and air weigh it.
+    """Sound diffracted to one microphone, before the losses of materials and air.
 
     Attributes
     ----------
-    first_sample : int
+    first_sample
         Time of the first sample of `signals`.
-    signals : ndarray, shape (1 + n_surfaces, n)
-        What continues the direct sound, and what continues the reflection at faces of each surface.
+    signals
+        The continuation of the direct sound, and that of the reflection at faces of each surface, shape
+        (1 + n_surfaces, n).
     """
 
     first_sample: int
-    signals: np.ndarray
+    signals: FloatArray
 
-    def response(self, absorption, scattering, air, n_samples):
-        """Weigh by materials and air and add up.
+    def response(self, absorption: FloatArray, scattering: FloatArray, air: Air, n_samples: int) -> FloatArray:
+        """Apply the losses of materials and air, and add up.
 
         Parameters
         ----------
-        absorption, scattering : ndarray, shape (n_surfaces, 8)
-        air : Air
-        n_samples : int
+        absorption, scattering
+            Shape (n_surfaces, 8).
+        air
+        n_samples
 
         Returns
         -------
@@ -132,26 +141,20 @@ class Diffracted:
         return result
 
 
-def find_edges(room):
-    """Find the edges of a room whose open angle exceeds pi; found once per room.
+def find_edges(room: Room) -> Edges | None:
+    """Return the edges of a room whose open angle exceeds pi; None if it has none, as every convex room.
 
-    Parameters
-    ----------
-    room : Shoebox or MeshRoom
-
-    Returns
-    -------
-    Edges or None
-        None where there are none, as in every convex room.
+    They are computed once per room.
     """
     if room.convex:
         return None
-    if "edges" not in room._known:
-        room._known["edges"] = _find_edges(room)
-    return room._known["edges"]
+    mesh = cast(MeshRoom, room)
+    if "edges" not in mesh._known:
+        mesh._known["edges"] = _find_edges(mesh)
+    return cast(Edges | None, mesh._known["edges"])
 
 
-def _find_edges(room):
+def _find_edges(room: MeshRoom) -> Edges | None:
     corners = room.triangles.reshape(-1, 3)
     _, index = np.unique(np.round(corners, 5), axis=0, return_inverse=True)
     index = np.ravel(index).reshape(-1, 3)
@@ -163,7 +166,7 @@ def _find_edges(room):
     start, end, opposite = (np.roll(points, -n, axis=1).reshape(-1, 3) for n in range(3))
     along = _unit(end - start)
 
-    def away(which):
+    def away(which: IntArray) -> FloatArray:
         way = opposite[which] - start[first]
         return _unit(way - np.einsum("ij,ij->i", way, along[first])[:, None] * along[first])
 
@@ -182,8 +185,9 @@ def _find_edges(room):
                    normal[chosen], wedge[chosen], room.face_surface[faces], whole[faces])
 
 
-def _merged(start, end, along, across, normal, wedge, surfaces, faces):
-    """Join edges that go on in one line between the same faces."""
+def _merged(start: FloatArray, end: FloatArray, along: FloatArray, across: FloatArray, normal: FloatArray,
+            wedge: FloatArray, surfaces: IntArray, faces: IntArray) -> Edges:
+    """Join adjacent edges on one line between the same faces."""
     swap = faces[:, 0] > faces[:, 1]
     key = np.where(swap[:, None], np.hstack([faces[:, ::-1], surfaces[:, ::-1]]), np.hstack([faces, surfaces]))
     _, group = np.unique(key, axis=0, return_inverse=True)
@@ -201,22 +205,22 @@ def _merged(start, end, along, across, normal, wedge, surfaces, faces):
                 kept.append((lead, low, high))
             low, high = a, b
         kept.append((lead, low, high))
-    kept.sort(key=lambda one: (one[1] - one[2], one[0]))
+    kept.sort(key=lambda edge: (edge[1] - edge[2], edge[0]))
     if len(kept) > MAX_EDGES:
         logger.warning("the mesh has %d edges that diffract: the %d longest do, the others, up to %.3g m, don't",
                        len(kept), MAX_EDGES, kept[MAX_EDGES][2] - kept[MAX_EDGES][1])
-    lead = np.array([one[0] for one in kept[:MAX_EDGES]])
-    low, high = np.array([one[1:] for one in kept[:MAX_EDGES]]).T
-    return Edges(start[lead] + low[:, None] * along[lead], along[lead], high - low, across[lead], normal[lead],
-                 wedge[lead], surfaces[lead], faces[lead], max(0, len(kept) - MAX_EDGES))
+    leads = np.array([edge[0] for edge in kept[:MAX_EDGES]])
+    lows, highs = np.array([edge[1:] for edge in kept[:MAX_EDGES]]).T
+    return Edges(start[leads] + lows[:, None] * along[leads], along[leads], highs - lows, across[leads], normal[leads],
+                 wedge[leads], surfaces[leads], faces[leads], max(0, len(kept) - MAX_EDGES))
 
 
-def _unit(vectors):
+def _unit(vectors: FloatArray) -> FloatArray:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def _pieces(room, edges, most):
-    """Short pieces of all edges, at most some of each: (edge, from [m], to [m], a point just off its middle)."""
+def _pieces(room: MeshRoom, edges: Edges, most: int) -> Pieces:
+    """Cut all edges into short pieces, each edge into at most `most`."""
     known = room._known.setdefault("edge_pieces", {})
     if most not in known:
         count = np.clip(np.ceil(edges.length_m / PIECE_M).astype(int), 1, most)
@@ -226,49 +230,51 @@ def _pieces(room, edges, most):
         half = 0.5 * edges.wedge_rad[:, None]
         outward = np.cos(half) * edges.across + np.sin(half) * edges.normal
         middle = edges.start_m[edge] + ((number + 0.5) * step)[:, None] * edges.along[edge]
-        known[most] = edge, number * step, (number + 1) * step, middle + _OFF_EDGE_M * outward[edge]
-    return known[most]
+        known[most] = Pieces(edge, number * step, (number + 1) * step, middle + _OFF_EDGE_M * outward[edge])
+    return cast(Pieces, known[most])
 
 
-def _seen(room, edges, most, point_m):
-    """Which pieces are seen from a point, bool array; remembered."""
+def _seen(room: MeshRoom, edges: Edges, most: int, point_m: ArrayLike) -> BoolArray:
+    """Tell which pieces are seen from a point; computed once per point."""
     known = room._known.setdefault("edges_seen", {})
-    key = (most, *(float(value) for value in point_m))
+    key = (most, *(float(value) for value in np.asarray(point_m)))
     if key not in known:
-        known[key] = room.sees(_pieces(room, edges, most)[3], np.asarray(key[1:]))
-    return known[key]
+        known[key] = room.sees(_pieces(room, edges, most).point_m, np.asarray(key[1:]))
+    return cast(BoolArray, known[key])
 
 
-def diffract(room, source_pos_m, mic_pos_m, *, speed_m_s, n_samples, direct_visible):
-    """Find what reaches a microphone by way of one edge, or of two of one face.
+def diffract(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, *, speed_m_s: float, n_samples: int,
+             direct_visible: bool) -> Diffracted | None:
+    """Compute the sound that reaches a microphone over one edge, or over two edges of one face.
 
     Parameters
     ----------
-    room : Shoebox or MeshRoom
-    source_pos_m, mic_pos_m : array_like, shape (3,)
-    speed_m_s : float
-    n_samples : int
-        What arrives later is left out.
-    direct_visible : bool
-        Whether the direct sound is counted; decides what a microphone right on its shadow boundary gets.
+    room
+    source_pos_m, mic_pos_m
+        Shape (3,).
+    speed_m_s
+    n_samples
+        Later arrivals are left out.
+    direct_visible
+        Whether the direct sound is included elsewhere; it decides the sign exactly on its shadow boundary.
 
     Returns
     -------
     Diffracted or None
-        None where there is no such way.
+        None if there is no such path.
     """
-    edges = find_edges(room)
+    edges, mesh = find_edges(room), cast(MeshRoom, room)
     if edges is None:
         return None
-    coarse, (edge, low, high, _) = (_pieces(room, edges, most) for most in (MOST_PIECES_TWICE, MOST_PIECES))
-    ways = over_faces(room, edges, coarse, *(_seen(room, edges, MOST_PIECES_TWICE, one)
-                                             for one in (source_pos_m, mic_pos_m)))
-    both = np.flatnonzero(_seen(room, edges, MOST_PIECES, source_pos_m) & _seen(room, edges, MOST_PIECES, mic_pos_m))
+    coarse, (edge, low, high, _) = (_pieces(mesh, edges, most) for most in (MOST_PIECES_TWICE, MOST_PIECES))
+    ways = over_faces(mesh, edges, coarse, _seen(mesh, edges, MOST_PIECES_TWICE, source_pos_m),
+                      _seen(mesh, edges, MOST_PIECES_TWICE, mic_pos_m))
+    both = np.flatnonzero(_seen(mesh, edges, MOST_PIECES, source_pos_m) & _seen(mesh, edges, MOST_PIECES, mic_pos_m))
     if not len(both) and not len(ways):
         return None
     opens = np.append(True, (np.diff(both) > 1) | (np.diff(edge[both]) > 0))[:len(both)]
     closes = np.append(opens[1:], True)[:len(both)]
-    size_m = np.linalg.norm(np.subtract(*room.bounds_m))
+    size_m = np.linalg.norm(np.subtract(*mesh.bounds_m))
     distance_m = np.linalg.norm(np.subtract(source_pos_m, mic_pos_m))
     grid = Grid.between(distance_m, 3.0 * size_m, len(room.surfaces), speed_m_s, n_samples)
     deposit(grid, edges, edge[both[opens]], low[both[opens]], high[both[closes]], source_pos_m, mic_pos_m,
@@ -280,21 +286,22 @@ def diffract(room, source_pos_m, mic_pos_m, *, speed_m_s, n_samples, direct_visi
 
 @dataclass(frozen=True)
 class Grid:
-    """A fine grid of time that contributions are gathered on."""
+    """A fine grid of time that contributions are added to."""
 
-    fine: np.ndarray
+    fine: FloatArray
     first_sample: int
     speed_m_s: float
 
     @classmethod
-    def between(cls, distance_m, longest_m, n_surfaces, speed_m_s, n_samples):
-        """A grid for ways of `distance_m` to `longest_m`, of which `n_samples` samples are wanted."""
+    def between(cls, distance_m: Number, longest_m: Number, n_surfaces: int, speed_m_s: float,
+                n_samples: int) -> "Grid":
+        """Return a grid for paths of `distance_m` to `longest_m`, up to sample `n_samples`."""
         first = int(np.floor(distance_m / speed_m_s * FS_HZ)) - 1
         last = min(int(np.ceil(longest_m / speed_m_s * FS_HZ)) + 1, n_samples)
         return cls(np.zeros((1 + n_surfaces, max(0, last - first) * _OVERSAMPLING + 1)), first, speed_m_s)
 
-    def sampled(self):
-        """Sample what was gathered, as far as there is something."""
+    def sampled(self) -> Diffracted | None:
+        """Resample the contributions to the sample rate; None if there are none."""
         used = np.flatnonzero(self.fine.any(axis=0))
         if not len(used):
             return None
@@ -302,18 +309,22 @@ class Grid:
         return Diffracted(self.first_sample - _SINC_HALF, signals)
 
 
-def deposit(grid, edges, edge, low_m, high_m, source_pos_m, mic_pos_m, *, direct_visible):
-    """Add the first-order diffraction at given stretches of edges to a grid.
+def deposit(grid: Grid, edges: Edges, edge: IntArray, low_m: FloatArray, high_m: FloatArray, source_pos_m: ArrayLike,
+            mic_pos_m: ArrayLike, *, direct_visible: bool) -> None:
+    """Add the first-order diffraction at some stretches of edges to a grid.
 
     Parameters
     ----------
-    grid : Grid
-    edges : Edges
-    edge : ndarray of int, shape (n_stretches,)
-    low_m, high_m : ndarray, shape (n_stretches,)
-        From where to where along its edge each stretch goes.
-    source_pos_m, mic_pos_m : array_like, shape (3,)
-    direct_visible : bool
+    grid
+    edges
+    edge
+        Index of each stretch's edge, shape (n_stretches,).
+    low_m, high_m
+        Ends of each stretch along its edge, shape (n_stretches,).
+    source_pos_m, mic_pos_m
+        Shape (3,).
+    direct_visible
+        See `diffract`.
     """
     source, mic = edges.coordinates(source_pos_m)[:, edge], edges.coordinates(mic_pos_m)[:, edge]
     wedge = edges.wedge_rad[edge]
@@ -324,13 +335,13 @@ def deposit(grid, edges, edge, low_m, high_m, source_pos_m, mic_pos_m, *, direct
              FS_HZ / grid.speed_m_s, direct_visible)
 
 
-def _eta(z, source, mic):
-    """Biot and Tolstoy's coordinate of places on edges, signed, 0 at the shortest way."""
+def _eta(z: FloatArray, source: FloatArray, mic: FloatArray) -> FloatArray:
+    """Return Biot and Tolstoy's coordinate of positions on edges, signed, 0 for the shortest path."""
     return np.arcsinh((z - source[2]) / source[0]) + np.arcsinh((z - mic[2]) / mic[0])
 
 
-def _lowpass():
-    """Sinc with a Hann window on the fine grid, as pulses of image sources have it."""
+def _lowpass() -> FloatArray:
+    """Return the Hann-windowed sinc of the image sources' pulses, on the fine grid."""
     position = np.arange(-_SINC_HALF * _OVERSAMPLING, _SINC_HALF * _OVERSAMPLING + 1) / _OVERSAMPLING
     return np.sinc(position) * np.cos(0.5 * np.pi * position / _SINC_HALF) ** 2
 
@@ -338,7 +349,7 @@ def _lowpass():
 @compiled
 def _deposit(fine: Array, first: Number, bounds: Array, source: Array, mic: Array, wedge: Array, surfaces: Array,
              to_samples: Number, direct_visible: bool) -> None:
-    """Add all stretches to a fine grid of time: one branch on either side of the shortest way."""
+    """Add all stretches to a fine grid of time: one branch on either side of the shortest path."""
     sine, cosine, rows = np.empty(4), np.empty(4), np.zeros(4, dtype=np.int64)
     for n in range(len(wedge)):
         nu = np.pi / wedge[n]
@@ -347,7 +358,7 @@ def _deposit(fine: Array, first: Number, bounds: Array, source: Array, mic: Arra
         for k, angle in enumerate((less, -less, -more, more)):
             half = 0.5 * nu * (np.pi + angle)
             sine[k], cosine[k] = np.sin(half), np.cos(half)
-            if k < 2 and abs(sine[k]) < _ON_BOUNDARY:  # there it makes up for the direct sound
+            if k < 2 and abs(sine[k]) < _ON_BOUNDARY:  # there diffraction compensates the jump of the direct sound
                 sine[k] = _ON_BOUNDARY if direct_visible else -_ON_BOUNDARY
             if sine[k] < 0.0:
                 sine[k], cosine[k] = -sine[k], -cosine[k]
@@ -363,7 +374,7 @@ def _deposit(fine: Array, first: Number, bounds: Array, source: Array, mic: Arra
 @compiled
 def _branch(fine: Array, rows: Array, first: Number, low: Number, high: Number, nu: Number, sine: Array, cosine: Array,
             squared: Number, product: Number, to_samples: Number) -> None:
-    """Integrate beta from eta = low to high by bins of time, short ones first: there it may be steep."""
+    """Integrate beta from eta = low to high by bins of time, the first ones short: beta may be steep there."""
     apex_m = np.sqrt(squared + 4.0 * product)
     here = np.sqrt(squared + 4.0 * product * np.cosh(0.5 * low) ** 2)
     end_m = np.sqrt(squared + 4.0 * product * np.cosh(0.5 * high) ** 2)

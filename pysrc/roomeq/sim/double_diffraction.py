@@ -1,6 +1,6 @@
 """Second-order diffraction over a face: source, edge, along the face, another of its edges, microphone.
 
-Behind a box no edge may be seen from both sides: what arrives has gone over two edges of one face (Svensson, Fred
+Behind a box, no edge may be visible from both sides: sound arrives over two edges of one face (Svensson, Fred
 and Vanderkooy, J. Acoust. Soc. Am. 106 (1999) 2331, sec. III, with the half for edges that share a face). With the
 coordinates of `roomeq.sim.diffraction` about either edge,
 
@@ -11,49 +11,76 @@ beta is integrated exactly.
 """
 
 import logging
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from roomeq.core.arrays import Array, Number, Numbers
+from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number, Numbers
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled
+
+if TYPE_CHECKING:
+    from roomeq.sim.diffraction import Edges
+    from roomeq.sim.mesh import MeshRoom
 
 logger = logging.getLogger(__name__)
 
 MAX_WAYS = 40_000  # pairs of pieces
-MIN_EXCESS_RAD = np.radians(40.0)  # what goes over two blunter edges is too faint
+MIN_EXCESS_RAD = np.radians(40.0)  # sound over two blunter edges is too faint
 _STEP_SAMPLES = 1.0
-_FAINT = 3e-5  # of the direct sound: so little is not worth resolving
+_FAINT = 3e-5  # of the direct sound: fainter contributions are not resolved
 _TINY_M = 1e-6
-_NEAREST_M = 0.005  # edges that are closer are integrated as if they were this far apart
+_NEAREST_M = 0.005  # closer edges are integrated as if they were this far apart
 
 
-def over_faces(room, edges, pieces, from_source, from_mic):
-    """Find the ways over two edges of one face.
+class Pieces(NamedTuple):
+    """Short pieces of edges, each array of length n_pieces.
+
+    Attributes
+    ----------
+    edge
+        Index of the edge.
+    low_m, high_m
+        Ends of the piece along the edge.
+    point_m
+        A point just off the middle, shape (n_pieces, 3).
+    """
+
+    edge: IntArray
+    low_m: FloatArray
+    high_m: FloatArray
+    point_m: FloatArray
+
+
+def over_faces(room: "MeshRoom", edges: "Edges", pieces: Pieces, from_source: BoolArray,
+               from_mic: BoolArray) -> IntArray:
+    """Find the paths over two edges of one face.
 
     Parameters
     ----------
-    room : MeshRoom
-    edges : Edges
-    pieces : tuple
-        Of all edges: edge, from [m], to [m], a point just off the middle.
-    from_source, from_mic : ndarray of bool
-        Which pieces are seen.
+    room
+    edges
+    pieces
+        Of all edges.
+    from_source, from_mic
+        Which pieces are seen from the source and the microphone.
 
     Returns
     -------
     ndarray of int, shape (n, 4)
-        A piece that the source sees, one that the microphone sees, and which face of either's edge is the common one.
+        A piece that the source sees, one that the microphone sees, and the side (0 or 1) of the common face at either
+        edge.
     """
     sharp = (edges.wedge_rad > np.pi + MIN_EXCESS_RAD)[pieces[0]]
     lit, heard = (_by_edge(pieces[0], seen & sharp) for seen in (from_source, from_mic))
-    holders = {}
+    holders: dict[int, list[tuple[int, int]]] = {}
     for edge in heard:
         for side in (0, 1):
             holders.setdefault(edges.faces[edge, side], []).append((edge, side))
-    found = [_pairs(lit[one], heard[two], side, other) for one in lit for side in (0, 1)
+    parts = [_pairs(lit[one], heard[two], side, other) for one in lit for side in (0, 1)
              for two, other in holders.get(edges.faces[one, side], ()) if two != one]
-    found = np.concatenate(found) if found else np.empty((0, 4), dtype=int)
+    found = np.concatenate(parts) if parts else np.empty((0, 4), dtype=int)
     if len(found) > MAX_WAYS:
         logger.debug("%d pairs of pieces of edges share a face: the nearest %d count", len(found), MAX_WAYS)
         apart_m = np.linalg.norm(pieces[3][found[:, 0]] - pieces[3][found[:, 1]], axis=1)
@@ -61,22 +88,23 @@ def over_faces(room, edges, pieces, from_source, from_mic):
     return found[room.sees(pieces[3][found[:, 0]], pieces[3][found[:, 1]])] if len(found) else found
 
 
-def _by_edge(edge, seen):
-    """Seen pieces of each edge that has some: {edge: indices}."""
+def _by_edge(edge: IntArray, seen: BoolArray) -> dict[int, IntArray]:
+    """Return the indices of the seen pieces of each edge that has some."""
     index = np.flatnonzero(seen)
     starts = np.flatnonzero(np.diff(edge[index], prepend=-1))
     return {int(edge[part[0]]): part for part in np.split(index, starts[1:]) if len(part)}
 
 
-def _pairs(first, second, side, other):
+def _pairs(first: IntArray, second: IntArray, side: int, other: int) -> IntArray:
     result = np.empty((len(first) * len(second), 4), dtype=np.int64)
     result[:, 0], result[:, 1] = np.repeat(first, len(second)), np.tile(second, len(first))
     result[:, 2], result[:, 3] = side, other
     return result
 
 
-def deposit_over_faces(fine, first_sample, ways, edges, pieces, source_pos_m, mic_pos_m, *, speed_m_s, oversampling):
-    """Add the ways over faces to a fine grid of time, in place; half of each as the common face reflects."""
+def deposit_over_faces(fine: FloatArray, first_sample: int, ways: IntArray, edges: "Edges", pieces: Pieces,
+                       source_pos_m: ArrayLike, mic_pos_m: ArrayLike, *, speed_m_s: float, oversampling: int) -> None:
+    """Add the paths over faces to a fine grid of time; half of each is weighted as the common face reflects."""
     edge, low, high, _ = pieces
     geometry = np.stack([edges.start_m, edges.along, edges.across, edges.normal], axis=1)
     _deposit(fine, float(first_sample), ways, edge, low, high, geometry, edges.wedge_rad, edges.surfaces,
@@ -86,7 +114,7 @@ def deposit_over_faces(fine, first_sample, ways, edges, pieces, source_pos_m, mi
 
 @compiled
 def _cylinder(point: Array, frame: Number) -> Numbers:
-    """Cylinder coordinates about an edge: distance, angle, place along it."""
+    """Return cylinder coordinates about an edge: distance, angle, position along it."""
     x, y, z = 0.0, 0.0, 0.0
     for k in range(3):
         offset = point[k] - frame[0, k]
@@ -105,7 +133,7 @@ def _along(frame: Number, z: Number, place: Array) -> None:
 
 @compiled
 def _swept(z: Number, half: Number, far: Numbers, near: Numbers, wedge: Number, face: Number) -> Number:
-    """Half of nu times the integral of beta over a step of an edge, from a point `far` to one `near` in a face."""
+    """Return half of nu times the integral of beta over a step of an edge, from point `far` to `near` in a face."""
     nu, total = np.pi / wedge, 0.0
     eta_0 = np.arcsinh((z - half - far[2]) / far[0]) + np.arcsinh((z - half - near[2]) / near[0])
     eta_1 = np.arcsinh((z + half - far[2]) / far[0]) + np.arcsinh((z + half - near[2]) / near[0])
@@ -121,9 +149,10 @@ def _swept(z: Number, half: Number, far: Numbers, near: Numbers, wedge: Number, 
 
 @compiled
 def _count(low: Number, high: Number, far: Numbers, near: Numbers, other_half_m: Number, to_samples: Number) -> Number:
-    """Steps of a piece, from the coordinates about its edge of a point far off and of the middle of the other piece.
+    """Return the number of steps of a piece.
 
-    In each the way changes by no more than `_STEP_SAMPLES`, and none is longer than the other piece is away.
+    `far` and `near` are the coordinates about its edge of the source or microphone and of the other piece's middle.
+    The path changes by at most `_STEP_SAMPLES` in a step, and no step is longer than the distance of the other piece.
     """
     change = (np.sqrt(far[0] ** 2 + (high - far[2]) ** 2) + np.sqrt(near[0] ** 2 + (high - near[2]) ** 2)
               - np.sqrt(far[0] ** 2 + (low - far[2]) ** 2) - np.sqrt(near[0] ** 2 + (low - near[2]) ** 2))
@@ -173,7 +202,7 @@ def _deposit(fine: Array, first: Number, ways: Array, edge: Array, low: Array, h
 @compiled
 def _way(z1: Number, half_1: Number, z2: Number, half_2: Number, about_1: Numbers, about_2: Numbers, frame_1: Array,
          frame_2: Array, wedge_1: Number, wedge_2: Number, grazing: Numbers, place_1: Array, place_2: Array) -> Numbers:
-    """What a step of either edge contributes, and the length of its way [m]."""
+    """Return the contribution of a step of either edge, and the length of its path [m]."""
     near_1, near_2 = _cylinder(place_2, frame_1), _cylinder(place_1, frame_2)
     if min(near_1[0], near_2[0]) < _TINY_M:
         return 0.0, 0.0

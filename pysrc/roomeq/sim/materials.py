@@ -1,4 +1,4 @@
-"""Tables of materials, finding them by name, and drawing the surfaces of a room from them.
+"""Tables of materials, look-up by name, and random materials for the surfaces of a room.
 
 An impulse response of a furnished room with its materials by name:
 
@@ -16,14 +16,18 @@ An impulse response of a furnished room with its materials by name:
 
 import logging
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from roomeq.core.arrays import FloatArray
 from roomeq.sim.published import PACKAGE, extend_bands, published_file, read_published
 from roomeq.sim.response import eyring_exponent
+from roomeq.sim.room import Room
 from roomeq.sim.scene import WALLS, Air, Material, Scene, eyring_time_s
 from roomeq.sim.target import scaled_absorption
 
@@ -38,6 +42,9 @@ _PLAUSIBLE_EXPONENT = 2.5  # absorption is scaled by no more, where a few draws 
 _PLAUSIBLE_RATIO = 2.0  # reverberation time of the most reverberant band over that at 1 kHz
 _DRAWS = 24
 
+Coefficients = Mapping[str, tuple[float, ...]]
+"""Name to eight coefficients."""
+
 
 @dataclass(frozen=True)
 class MaterialTable:
@@ -45,49 +52,50 @@ class MaterialTable:
 
     Attributes
     ----------
-    absorption : dict
-        Name to tuple of 8 floats.
-    uses : dict
-        Name to tuple of uses (`USES`).
-    scattering : dict
-        Class to tuple of 8 floats.
-    own_scattering : dict
-        Name to tuple of 8 floats, for the materials that state theirs.
+    absorption
+        Eight coefficients of each material.
+    uses
+        Uses (`USES`) of each material.
+    scattering
+        Eight coefficients of each class of scattering.
+    own_scattering
+        Eight coefficients of each material that states its scattering.
     """
 
-    absorption: dict
-    uses: dict
-    scattering: dict
-    own_scattering: dict
+    absorption: Coefficients
+    uses: Mapping[str, tuple[str, ...]]
+    scattering: Coefficients
+    own_scattering: Coefficients
 
-    def names(self, use):
-        """Names of the materials that may be drawn for a use, sorted."""
+    def names(self, use: str) -> list[str]:
+        """Return the names of the materials that may be drawn for a use, sorted."""
         return sorted(name for name, uses in self.uses.items() if use in uses)
 
 
 @dataclass(frozen=True)
 class Surface:
-    """What is given for one surface of a room.
+    """The material of one surface of a room.
 
     Attributes
     ----------
-    name : str
-    absorption : tuple of 8 floats
-    scattering : tuple of 8 floats or None
-        None: drawn, or the table's ordinary class.
+    name
+    absorption
+        Eight coefficients.
+    scattering
+        Eight coefficients; None: to be drawn, or the table's ordinary class.
     """
 
     name: str
-    absorption: tuple
-    scattering: tuple | None
+    absorption: tuple[float, ...]
+    scattering: tuple[float, ...] | None
 
 
-def read_materials(path=None):
+def read_materials(path: str | Path | None = None) -> MaterialTable:
     """Read a table of materials.
 
     Parameters
     ----------
-    path : Path, optional
+    path
         TOML as in ``conf/materials.toml``, which is the default. A material may state its `scattering`, as
         coefficients or as the name of a class. Seven, six or five coefficients are those from 125 Hz on; missing
         outer bands take the value of their neighbour, which is logged.
@@ -107,7 +115,10 @@ def read_materials(path=None):
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ValueError(f"{path}: cannot be read as a table of materials ({error}): see conf/materials.toml "
                          "for the form") from None
-    absorption, uses, own, short = {}, {}, {}, []
+    absorption: dict[str, tuple[float, ...]] = {}
+    uses: dict[str, tuple[str, ...]] = {}
+    own: dict[str, tuple[float, ...]] = {}
+    short: list[str] = []
     try:
         scattering = {name: _coefficients("scattering", name, values, short)
                       for name, values in table.get("scattering", {"default": 0.2}).items()}
@@ -117,8 +128,8 @@ def read_materials(path=None):
             if "scattering" in entry:
                 own[name] = _scattering(entry["scattering"], name, scattering, short)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        what = f"key {error} is missing" if isinstance(error, KeyError) else error
-        raise ValueError(f"{path}: {what}") from None
+        reason = f"key {error} is missing" if isinstance(error, KeyError) else error
+        raise ValueError(f"{path}: {reason}") from None
     if short:
         logger.info("%s: %s: fewer than 8 bands; 62.5 Hz takes the value at 125 Hz, high bands that of the highest",
                     path, ", ".join(sorted(set(short))))
@@ -129,43 +140,44 @@ def read_materials(path=None):
     return result
 
 
-def _coefficients(what, name, values, short=None):
-    """Eight checked coefficients; those of fewer bands are extended and noted in `short`."""
+def _coefficients(kind: str, name: str, values: Any, short: list[str] | None = None) -> tuple[float, ...]:
+    """Return eight checked coefficients; fewer are extended, and the material is noted in `short`."""
     if isinstance(values, list | tuple):
         if short is not None and len(values) < 8:
             short.append(name)
         try:
             values = extend_bands(values)
         except ValueError as error:
-            raise ValueError(f"{what} of material {name!r}: {error}") from None
-    return getattr(Material(name, **(dict(absorption=0.0, scattering=0.0) | {what: values})), what)
+            raise ValueError(f"{kind} of material {name!r}: {error}") from None
+    material = Material(name, **(dict(absorption=0.0, scattering=0.0) | {kind: values}))
+    return material.absorption if kind == "absorption" else material.scattering
 
 
-def _scattering(value, name, classes, short=None):
+def _scattering(value: Any, name: str, classes: Coefficients, short: list[str] | None = None) -> tuple[float, ...]:
     if not isinstance(value, str):
         return _coefficients("scattering", name, value, short)
     return _look_up("scattering", value, classes)
 
 
-def _look_up(what, name, table):
-    """Coefficients by name: of the table, else of the published one."""
-    published = read_published()[what]
+def _look_up(kind: str, name: str, table: Coefficients) -> tuple[float, ...]:
+    """Return coefficients by name from the table, else from the published one."""
+    published = read_published()[kind]
     if name in table or name in published:
         return table[name] if name in table else published[name]
     close = get_close_matches(name, {**table, **published}, n=4, cutoff=0.4)
     hint = f"closest: {', '.join(close)}" if close else "nothing there is called like it"
     absent = "" if published_file() else f"; {PACKAGE}, whose table would be searched too, is not installed"
-    raise ValueError(f"{what}={name!r} is in no table of materials ({hint}{absent}): correct the name")
+    raise ValueError(f"{kind}={name!r} is in no table of materials ({hint}{absent}): correct the name")
 
 
-def find_surface(table, given):
+def find_surface(table: MaterialTable, given: str | Mapping[str, Any]) -> Surface:
     """Find a material.
 
     Parameters
     ----------
-    table : MaterialTable
-    given : str or dict
-        A name, of the table or else of pyroomacoustics' published one (`roomeq.sim.published`); or
+    table
+    given
+        A name from the table or else from pyroomacoustics' published one (`roomeq.sim.published`); or
         ``{"absorption": name or coefficients, "scattering": name, coefficients or nothing}``.
 
     Returns
@@ -175,7 +187,7 @@ def find_surface(table, given):
     Raises
     ------
     ValueError
-        No table has the name (the message lists the closest), or coefficients are wrong.
+        No table has the name (the message lists the closest), or a coefficient is out of range.
     """
     if isinstance(given, str):
         given = {"material": given, "absorption": given, "scattering": table.own_scattering.get(given)}
@@ -190,21 +202,21 @@ def find_surface(table, given):
     return Surface(name, absorption, None if scattering is None else _scattering(scattering, name, table.scattering))
 
 
-def given_surfaces(table, room, materials):
-    """Find the materials that are given for the surfaces of a room.
+def given_surfaces(table: MaterialTable, room: Room, materials: Mapping[str, Any] | None) -> dict[str, Surface]:
+    """Find the materials that are stated for the surfaces of a room.
 
     Parameters
     ----------
-    table : MaterialTable
-    room : Shoebox or MeshRoom
-    materials : dict or None
-        Surface, or ``"default"`` for all others, to what `find_surface` takes. A surface that is itself named like a
-        material of the table is that.
+    table
+    room
+    materials
+        From a surface, or ``"default"`` for all others, to what `find_surface` takes. A surface with the name of a
+        material in the table is of that material.
 
     Returns
     -------
     dict of str to Surface
-        Surfaces for which nothing is given are not in it.
+        Surfaces without a stated material are not in it.
 
     Raises
     ------
@@ -217,21 +229,23 @@ def given_surfaces(table, room, materials):
         if surface not in room.surfaces:
             raise ValueError(f"materials: {surface!r} must be one of the room's ({', '.join(room.surfaces)}) or "
                              f"{ANY_SURFACE!r}: correct the name")
-    given = {surface: materials.get(surface, surface if surface in table.absorption else rest) for surface in room.surfaces}
-    return {surface: find_surface(table, one) for surface, one in given.items() if one is not None}
+    stated = {surface: materials.get(surface, surface if surface in table.absorption else rest)
+              for surface in room.surfaces}
+    return {surface: find_surface(table, material) for surface, material in stated.items() if material is not None}
 
 
-def named_scene(room, materials, *, table=None, air=None):
-    """Put a scene together from the names of its materials; the module's docstring has an example.
+def named_scene(room: Room, materials: Mapping[str, Any], *, table: MaterialTable | None = None,
+                air: Air | None = None) -> Scene:
+    """Make a scene from the names of its materials; the module docstring has an example.
 
     Parameters
     ----------
-    room : Shoebox or MeshRoom
-    materials : dict
-        As `given_surfaces` takes it.
-    table : MaterialTable, optional
+    room
+    materials
+        See `given_surfaces`.
+    table
         Default: ``conf/materials.toml``.
-    air : Air, optional
+    air
 
     Returns
     -------
@@ -250,54 +264,60 @@ def named_scene(room, materials, *, table=None, air=None):
         raise ValueError(f"materials: nothing is given for {', '.join(missing)}: name a material for each, or one "
                          f"for {ANY_SURFACE!r}")
     ordinary = table.scattering.get(DEFAULT_SCATTERING, next(iter(table.scattering.values())))
-    return Scene(room, [Material(one.name, one.absorption, ordinary if one.scattering is None else one.scattering)
-                        for one in (given[surface] for surface in room.surfaces)], air or Air())
+    return Scene(room, [Material(surface.name, surface.absorption, surface.scattering or ordinary)
+                        for surface in (given[name] for name in room.surfaces)], air or Air())
 
 
-def draw_scattering(table, room, rng, given=()):
-    """Draw how rough each surface of a room is, shape (n_surfaces, 8); what `given` (surface to Surface) states is kept."""
+def draw_scattering(table: MaterialTable, room: Room, rng: np.random.Generator,
+                    given: Mapping[str, Surface] | None = None) -> FloatArray:
+    """Draw the scattering of each surface of a room, shape (n_surfaces, 8), unless `given` states it."""
+    given = given or {}
     classes = sorted(table.scattering)
     drawn = [table.scattering[classes[rng.integers(len(classes))]] for _ in room.surfaces]
     own = [given[surface].scattering if surface in given else None for surface in room.surfaces]
     return np.array([known or row for known, row in zip(own, drawn, strict=True)])
 
 
-def draw_materials(table, room, scattering, air, target_s, rng, given=None):
-    """Draw the materials of a room, of a few draws one that needs little scaling to meet a target.
+def draw_materials(table: MaterialTable, room: Room, scattering: FloatArray, air: Air, target_s: float,
+                   rng: np.random.Generator, given: Mapping[str, Surface] | None = None) -> Scene:
+    """Draw the materials of a room: the one of a few draws that needs least scaling to meet a target.
 
     Parameters
     ----------
-    table : MaterialTable
-    room : Shoebox or MeshRoom
-    scattering : ndarray, shape (n_surfaces, 8)
-    air : Air
-    target_s : float
-        Reverberation time at 1 kHz that will be asked for [s].
-    rng : numpy.random.Generator
-    given : dict of str to Surface, optional
-        Surfaces that are not drawn; by default those that are named like a material.
+    table
+    room
+    scattering
+        Shape (n_surfaces, 8).
+    air
+    target_s
+        Reverberation time at 1 kHz that the response will be scaled to.
+    rng
+    given
+        Surfaces that are not drawn; by default those with the name of a material.
 
     Returns
     -------
     Scene
     """
     given = given_surfaces(table, room, None) if given is None else given
-    best, best_misfit = None, np.inf
+    best: Scene | None = None
+    best_misfit = np.inf
     for _ in range(_DRAWS):
         drawn = [given.get(surface) or Surface(name, table.absorption[name], None)
                  for surface, name in zip(room.surfaces, _draw_names(table, room, rng), strict=True)]
-        scene = Scene(room, [Material(one.name, one.absorption, tuple(row))
-                             for one, row in zip(drawn, scattering, strict=True)], air)
+        scene = Scene(room, [Material(surface.name, surface.absorption, tuple(row))
+                             for surface, row in zip(drawn, scattering, strict=True)], air)
         misfit = _misfit(scene, target_s)
-        if misfit < best_misfit:
+        if best is None or misfit < best_misfit:
             best, best_misfit = scene, misfit
         if misfit == 0.0 or len(given) == len(room.surfaces):
             break
+    assert best is not None
     return best
 
 
-def _misfit(scene, target_s):
-    """How much stranger than real rooms a scene would be at its target; 0 for a plausible one."""
+def _misfit(scene: Scene, target_s: float) -> float:
+    """Return how implausible a scene would be at its target; 0 for a plausible one."""
     exponent = eyring_exponent(scene, target_s)
     longest_s = eyring_time_s(scene, scaled_absorption(scene.absorption, exponent)).max()
     excess = np.array([abs(np.log(exponent)) / np.log(_PLAUSIBLE_EXPONENT),
@@ -305,8 +325,8 @@ def _misfit(scene, target_s):
     return float(np.maximum(excess - 1.0, 0.0).sum())
 
 
-def _draw_names(table, room, rng):
-    """A material for each surface: floor and ceiling get theirs, all others walls."""
+def _draw_names(table: MaterialTable, room: Room, rng: np.random.Generator) -> list[str]:
+    """Draw a material for each surface: of its use for floor and ceiling, of walls for all others."""
     walls = table.names("wall")
     first = walls[rng.integers(len(walls))]
     names = []

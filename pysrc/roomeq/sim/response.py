@@ -40,7 +40,8 @@ from roomeq.sim.trace import Paths, trace
 NUM_RAYS = 20000
 ISM_ORDER = 6
 ORDER = 200
-_DEFAULTS: dict[str, Any] = dict(length_s=None, ism_order=ISM_ORDER, diffraction=True, path_gain=None, path_samples=None)
+_DEFAULTS: dict[str, Any] = dict(length_s=None, ism_order=ISM_ORDER, diffraction=True, path_gain=None,
+                                 path_samples=None)
 _AROUND_1KHZ = (BAND_1KHZ - 1, BAND_1KHZ, BAND_1KHZ + 1)  # what the octave filter at 1 kHz sees
 _CLOSE_ENOUGH = 0.025  # relative error of the target at which all octaves are not rendered again
 _MAX_RENDERINGS = 3  # of all octaves, after the first
