@@ -19,7 +19,7 @@ TABLE_DB_KM = {
 
 
 @pytest.mark.parametrize("air", TABLE_DB_KM)
-def test_air_absorption_is_that_of_the_standard(air):
+def test_air_absorption_matches_iso_9613_table(air):
     computed = 1000.0 * air_absorption_db_m(EXACT_BANDS_HZ, *air)
     for value, listed in zip(computed, TABLE_DB_KM[air], strict=True):
         printed_to = 1.0 if listed >= 100 else 0.1
@@ -35,12 +35,12 @@ def test_air_absorption_agrees_with_pyfar():
         np.testing.assert_allclose(computed, np.ravel(expected), rtol=0.005)
 
 
-def test_band_attenuation_is_of_energy():
+def test_band_attenuation_applies_to_energy():
     per_m = np.array(band_attenuation_per_m(20.0, 50.0))
     np.testing.assert_allclose(10.0 * np.log10(np.exp(per_m)), air_absorption_db_m(EXACT_BANDS_HZ), rtol=1e-9)
 
 
-def test_speed_of_sound():
+def test_speed_of_sound_at_reference_temperatures():
     assert speed_of_sound_m_s(20.0) == pytest.approx(343.2)
     assert speed_of_sound_m_s(0.0) == pytest.approx(331.3, abs=0.1)
 
@@ -50,13 +50,13 @@ def test_speed_of_sound():
     (dict(humidity_pct=-1.0), r"humidity_pct=-1 must lie in \[0, 100\]"),
     (dict(pressure_kpa=1.0), r"pressure_kpa=1 must lie in \[10, 200\]"),
 ])
-def test_impossible_air_is_refused(given, message):
+def test_impossible_air_is_rejected(given, message):
     with pytest.raises(ValueError, match=message):
         air_absorption_db_m(1000.0, **given)
 
 
 @pytest.mark.parametrize("n_fft", [8192, 24300])
-def test_bands_of_the_filterbank_add_up_to_one(n_fft):
+def test_filterbank_gains_sum_to_one(n_fft):
     gains = octave_filterbank(n_fft, FS_HZ)
     np.testing.assert_allclose(gains.sum(axis=0), 1.0, atol=1e-12)
     frequency = np.fft.rfftfreq(n_fft, 1.0 / FS_HZ)

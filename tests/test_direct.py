@@ -17,34 +17,34 @@ def arrival(sample, n_samples=4000):
 
 @pytest.mark.parametrize("polarity", [1, -1])
 @pytest.mark.parametrize("sample", [700.0, 700.25, 700.5, 700.9])
-def test_position_between_samples(sample, polarity):
+def test_arrival_is_found_between_samples(sample, polarity):
     found, sign = find_direct(polarity * arrival(sample), FS_HZ)
     assert found == pytest.approx(sample, abs=0.05)
     assert sign == polarity
 
 
 @pytest.mark.parametrize("reflection", [2.0, -3.0, 8.0])
-def test_stronger_first_reflection_is_not_the_direct_sound(reflection):
+def test_stronger_first_reflection_is_not_direct_sound(reflection):
     rir = arrival(700.0) + reflection * arrival(725.0)
     found, sign = find_direct(rir, FS_HZ)
     assert found == pytest.approx(700.0, abs=0.3)
     assert sign == 1
 
 
-def test_noise_ahead_of_the_direct_sound_is_stepped_over():
+def test_noise_before_direct_sound_is_ignored():
     noise = np.random.default_rng(0).standard_normal(8000)
     for level in (1e-3, 1e-2, 0.1):
         found, _ = find_direct(arrival(700.0, 8000) + level * noise, FS_HZ)
         assert found == pytest.approx(700.0, abs=0.5)
 
 
-def test_scale_and_leading_silence_change_nothing():
+def test_arrival_ignores_scale_and_leading_silence():
     rir = arrival(700.4)
     assert find_direct(1e-6 * rir, FS_HZ) == pytest.approx(find_direct(rir, FS_HZ))
     assert find_direct(np.pad(rir, (50, 0)), FS_HZ)[0] == pytest.approx(find_direct(rir, FS_HZ)[0] + 50)
 
 
-def test_known_geometry_finds_an_obstructed_direct_sound():
+def test_expected_sample_finds_obstructed_direct_sound():
     rir = 0.02 * arrival(700.0) - arrival(800.0)
     assert find_direct(rir, FS_HZ)[0] == pytest.approx(800.0, abs=0.1)
     found, sign = find_direct(rir, FS_HZ, expected_sample=703.0)
@@ -59,17 +59,17 @@ def test_known_geometry_finds_an_obstructed_direct_sound():
     (np.ones((2, 100)), "must be mono"),
     (np.random.default_rng(1).standard_normal(20000), "no direct sound"),
 ], ids=["silence", "empty", "nan", "stereo", "noise"])
-def test_what_holds_no_direct_sound_is_refused(rir, message):
+def test_response_without_direct_sound_is_rejected(rir, message):
     with pytest.raises(ValueError, match=message):
         find_direct(rir, FS_HZ)
 
 
-def test_geometry_beyond_the_response_is_refused():
+def test_expected_sample_beyond_response_is_rejected():
     with pytest.raises(ValueError, match="expected_sample=9000 must lie in"):
         find_direct(arrival(700.0), FS_HZ, expected_sample=9000.0)
 
 
-def test_recordings_that_were_aligned_to_10_ms(shared_data):
+def test_recordings_aligned_to_10_ms_are_found_there(shared_data):
     measured = shared_data / "measured"
     with open(measured / "manifest.csv", newline="") as stream:
         rows = [row for row in csv.DictReader(stream) if row["source_id"] == "r3_a"][::10]

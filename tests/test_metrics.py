@@ -22,7 +22,7 @@ def room(time_s, seed=0, *, length_s=1.5, snr_db=None, direct=0.0, inverted=Fals
     return -rir if inverted else rir
 
 
-def test_octave_filters_are_3_db_down_at_their_edges_and_20_db_an_octave_away():
+def test_octave_filter_gains_at_edges_and_neighbours():
     frequencies = np.fft.rfftfreq(2 ** 16, 1.0 / FS_HZ)
     for band_hz in EXACT_BANDS_HZ[:-1]:
         level_db = np.interp(band_hz * 2.0 ** np.array([-1, -0.5, 0, 0.5, 1]), frequencies,
@@ -33,19 +33,19 @@ def test_octave_filters_are_3_db_down_at_their_edges_and_20_db_an_octave_away():
 
 
 @pytest.mark.parametrize("time_s", [0.2, 0.7, 1.5])
-def test_decay_time_of_an_ideal_line_is_exact(time_s):
+def test_decay_time_of_ideal_line_is_exact(time_s):
     edc_db = -60.0 * np.arange(FS_HZ) / FS_HZ / time_s
     for decay in ("edt", "t20", "t30"):
         assert decay_time(edc_db, FS_HZ, decay) == pytest.approx(time_s, rel=1e-9)
 
 
-def test_decay_time_is_none_where_the_curve_ends_too_early():
+def test_decay_time_is_none_for_short_decay():
     assert decay_time(np.linspace(0.0, -30.0, 1000), FS_HZ, "t30") is None
     assert decay_time(np.linspace(0.0, -30.0, 1000), FS_HZ, "t20") is not None
 
 
 @pytest.mark.parametrize("time_s", [0.3, 0.8, 2.0])
-def test_times_of_decaying_noise(time_s):
+def test_decay_times_of_decaying_noise(time_s):
     found = [all_metrics(room(time_s, seed, length_s=2.0, snr_db=70.0), FS_HZ) for seed in range(6)]
     for key, tolerance in (("edt_s", 0.08), ("t20_s", 0.03), ("t30_s", 0.02)):
         mean_s = np.mean([metrics[key][4:] for metrics in found], axis=0)
@@ -54,47 +54,47 @@ def test_times_of_decaying_noise(time_s):
 
 
 @pytest.mark.parametrize("snr_db", [30.0, 40.0, 60.0])
-def test_knee_lies_where_decay_meets_noise(snr_db):
+def test_noise_intersection_lies_where_decay_meets_noise(snr_db):
     time_s = 0.6
-    knees, levels_db = [], []
+    intersections_s, levels_db = [], []
     for seed in range(5):
         intersection = find_noise_intersection(room(time_s, seed, snr_db=snr_db)[DIRECT:] ** 2, FS_HZ)
-        knees.append(intersection.sample / FS_HZ)
+        intersections_s.append(intersection.sample / FS_HZ)
         levels_db.append(10 * np.log10(intersection.noise_power))
-    assert np.mean(knees) == pytest.approx(time_s * snr_db / 60.0, rel=0.05)
+    assert np.mean(intersections_s) == pytest.approx(time_s * snr_db / 60.0, rel=0.05)
     assert np.mean(levels_db) == pytest.approx(-snr_db, abs=0.3)
 
 
-def test_response_that_ends_above_its_noise_has_no_floor():
+def test_response_ending_above_its_noise_has_no_floor():
     intersection = find_noise_intersection(room(1.5, length_s=0.7)[DIRECT:] ** 2, FS_HZ)
     assert (intersection.sample, intersection.noise_power) == (round(0.7 * FS_HZ), 0.0)
-    # what the truncated decay would still have brought: 1/(2 rate) of the power at its end
+    # energy of the decay beyond the truncation: 1/(2 rate) of the power at its end
     expected = 10.0 ** (-6.0 * 0.7 / 1.5) * 1.5 * FS_HZ / (6.0 * np.log(10.0))
     assert 10 * np.log10(intersection.rest_energy / expected) == pytest.approx(0.0, abs=1.0)
 
 
-def test_validity_follows_the_decay_range():
+def test_validity_requires_decay_range():
     metrics = all_metrics(room(0.6, snr_db=40.0), FS_HZ)
     assert metrics["t20_valid"][4] and not metrics["t30_valid"][4]
     assert metrics["decay_range_db"][4] == pytest.approx(40.0, abs=4.0)
     assert not any(all_metrics(room(0.6, snr_db=25.0), FS_HZ)["t20_valid"])
 
 
-def test_validity_follows_bandwidth_times_time():
+def test_validity_requires_bandwidth_time_product():
     metrics = all_metrics(room(0.15, snr_db=80.0), FS_HZ)
     assert not metrics["t30_valid"][0], "44 Hz times 0.15 s is 6.6, less than 16"
     assert metrics["t30_valid"][3]
 
 
 @pytest.mark.parametrize("time_s", [0.4, 1.0])
-def test_c50_of_an_exponential_decay(time_s):
+def test_c50_of_exponential_decay(time_s):
     # E(0..t) / E(t..inf) = exp(13.8 t / T) - 1
     expected_db = 10 * np.log10(np.expm1(6.0 * np.log(10.0) * 0.05 / time_s))
     found = np.mean([all_metrics(room(time_s, seed, snr_db=60.0), FS_HZ)["c50_db"] for seed in range(8)], axis=0)
     assert found[3:] == pytest.approx(expected_db, abs=0.7)
 
 
-def test_drr_is_the_ratio_that_was_put_in_whatever_the_polarity():
+def test_drr_is_recovered_for_both_polarities():
     rir = room(0.5, snr_db=70.0, direct=30.0)
     gate = DIRECT + 40
     expected_db = 10 * np.log10(np.sum(rir[DIRECT - 40:gate] ** 2) / np.sum(rir[gate:] ** 2))
@@ -104,19 +104,19 @@ def test_drr_is_the_ratio_that_was_put_in_whatever_the_polarity():
         assert metrics["direct_polarity"] == (-1 if inverted else 1)
 
 
-def test_zeros_behind_the_response_are_no_noise_floor():
+def test_trailing_zeros_are_not_a_noise_floor():
     rir = room(0.5, snr_db=60.0)
     assert all_metrics(np.pad(rir, (0, 20000)), FS_HZ)["t30_s"] == pytest.approx(all_metrics(rir, FS_HZ)["t30_s"])
 
 
-def test_reverberation_time_is_that_of_all_metrics_and_says_when_it_cannot():
+def test_reverberation_time_matches_all_metrics_or_raises():
     rir = room(0.7, length_s=1.2)
     assert reverberation_time(rir, FS_HZ) == pytest.approx(all_metrics(rir, FS_HZ)["t30_s"][4], rel=0.01)
     with pytest.raises(ValueError, match="t30 at 1000 Hz needs a decay of 35 dB"):
         reverberation_time(room(2.0, length_s=0.2)[:DIRECT + 400], FS_HZ)
 
 
-def test_a_spike_decays_at_once():
+def test_spike_has_no_valid_t30():
     rir = np.zeros(8000)
     rir[100] = 1.0
     metrics = all_metrics(rir, FS_HZ)

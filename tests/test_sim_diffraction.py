@@ -42,7 +42,7 @@ CASES = [(30.0, 100.0, 0.0), (60.0, 300.0, 0.0), (60.0, 250.0, 0.7), (60.0, 240.
 
 
 @pytest.mark.parametrize("source_deg, mic_deg, z_m", CASES)
-def test_a_rigid_half_plane_gives_the_exact_field(source_deg, mic_deg, z_m):
+def test_rigid_half_plane_matches_exact_field(source_deg, mic_deg, z_m):
     source, mic = at(1.7, source_deg), at(2.3, mic_deg, z_m)
     exact = halfplane.exact(source, mic, FREQUENCIES_HZ, C)
     total = wedge_spectrum(wedge(360.0), source, mic, FREQUENCIES_HZ)
@@ -50,7 +50,7 @@ def test_a_rigid_half_plane_gives_the_exact_field(source_deg, mic_deg, z_m):
     np.testing.assert_allclose(20.0 * np.log10(np.abs(total / exact)), 0.0, atol=0.5)
 
 
-def test_the_field_is_continuous_across_a_shadow_boundary():
+def test_field_is_continuous_across_shadow_boundary():
     """A wedge of 270 degrees, source at 60: the direct sound ends at 240, the reflection at 120."""
     frequencies_hz = np.array([250.0, 1000.0, 4000.0])
     edges, source = wedge(270.0, 20.0), at(1.7, 60.0)
@@ -70,13 +70,13 @@ def test_the_field_is_continuous_across_a_shadow_boundary():
         np.testing.assert_allclose(20.0 * np.log10(np.abs(total)), level_db(239.999), atol=0.05)
 
 
-def test_source_and_microphone_can_change_places():
+def test_diffraction_is_reciprocal():
     edges, source, mic = wedge(300.0, 4.0), at(1.2, 40.0, -0.3), at(2.9, 260.0, 0.8)
     there = wedge_spectrum(edges, source, mic, FREQUENCIES_HZ)
     np.testing.assert_allclose(wedge_spectrum(edges, mic, source, FREQUENCIES_HZ), there, rtol=1e-9)
 
 
-def test_level_falls_with_distance_as_it_must():
+def test_level_follows_asymptotic_distance_laws():
     """Deep in the shadow of a long edge: with 1 / sqrt(r_s r_r (r_s + r_r)) (Keller); a short edge: 1 / (r_s r_r)."""
     frequency_hz, source_deg, mic_deg = [1000.0], 40.0, 320.0
 
@@ -87,7 +87,7 @@ def test_level_falls_with_distance_as_it_must():
     assert level(wedge(360.0, 0.05), 4.0) / level(wedge(360.0, 0.05), 1.0) == pytest.approx(4.0 ** -2, rel=0.01)
 
 
-def test_splitting_an_edge_changes_nothing():
+def test_splitting_an_edge_preserves_its_spectrum():
     edges, source, mic = wedge(270.0, 3.0), at(1.2, 40.0, -0.3), at(2.9, 250.0, 0.8)
     whole = diffracted(edges, np.zeros(1), np.array([3.0]), source, mic)
     cuts = np.array([0.0, 0.4, 1.5, 1.6, 3.0])
@@ -116,7 +116,7 @@ def room_with_box(tmp_path):
     return load_mesh(path)
 
 
-def test_edges_are_those_that_stand_out(room_with_box, tmp_path):
+def test_only_convex_edges_diffract(room_with_box, tmp_path):
     edges = find_edges(room_with_box)
     assert len(edges) == 12 and edges.n_left_out == 0
     np.testing.assert_allclose(np.degrees(edges.wedge_rad), 270.0)
@@ -129,7 +129,7 @@ def test_edges_are_those_that_stand_out(room_with_box, tmp_path):
     np.testing.assert_allclose(corner.start_m[0, :2], 2.0)
 
 
-def test_convex_rooms_have_none(tmp_path):
+def test_convex_rooms_have_no_diffraction(tmp_path):
     path = tmp_path / "box.obj"
     path.write_text(prism_obj(box_plan(6.0, 4.0), 3.0))
     for room in (Shoebox((6.0, 4.0, 3.0)), load_mesh(path)):
@@ -142,7 +142,7 @@ def test_convex_rooms_have_none(tmp_path):
         assert not with_.diffracted
 
 
-def test_pieces_of_a_line_are_one_edge(room_with_box):
+def test_collinear_segments_merge_into_one_edge(room_with_box):
     """Every triangle in four: the edges stay what they were."""
     a, b, c = room_with_box.triangles.transpose(1, 0, 2)
     ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
@@ -153,14 +153,14 @@ def test_pieces_of_a_line_are_one_edge(room_with_box):
     np.testing.assert_allclose(np.sort(edges.length_m), [1.0] * 8 + [1.5] * 4)
 
 
-def test_too_many_edges_are_reported(room_with_box, monkeypatch, caplog):
+def test_excess_edges_are_dropped_with_a_warning(room_with_box, monkeypatch, caplog):
     monkeypatch.setattr("roomeq.sim.diffraction.MAX_EDGES", 4)
     edges = find_edges(make_room(room_with_box.triangles, ["all"] * len(room_with_box.triangles)))
     assert len(edges) == 4 and edges.n_left_out == 8 and np.all(edges.length_m > 1.4)
     assert "12 edges that diffract: the 4 longest do" in caplog.text
 
 
-def test_a_shadow_in_a_room_begins_smoothly(room_with_box):
+def test_early_level_is_continuous_at_shadow_in_room(room_with_box):
     """Move a microphone out of the shadow of the cupboard: the early sound has no jump, without diffraction it has."""
     source = (1.0, 2.0, 1.0)  # rays past (3.5, 2.5) and (2.5, 2.5): the near edge is the silhouette
     edge_y = 2.5 + (2.5 - 2.0) / (2.5 - 1.0) * 2.5  # y of the boundary at x = 5
@@ -177,7 +177,7 @@ def test_a_shadow_in_a_room_begins_smoothly(room_with_box):
     assert levels[False].min() > 20.0
 
 
-def test_absorbing_faces_leave_the_shadow_and_lose_the_reflection(room_with_box):
+def test_absorbing_faces_keep_only_the_shadow_terms(room_with_box):
     how = dict(speed_m_s=C, n_samples=1600, direct_visible=True)
     found = diffract(room_with_box, (1.0, 2.3, 1.0), (3.0, 3.5, 1.0), **how)
     wood = 1 + room_with_box.surfaces.index("wood")
@@ -189,7 +189,7 @@ def test_absorbing_faces_leave_the_shadow_and_lose_the_reflection(room_with_box)
     assert rir[black] == pytest.approx(found.signals[0][black - found.first_sample], rel=0.1)
 
 
-def test_the_switch_reaches_the_response(room_with_box):
+def test_diffraction_switch_changes_the_response(room_with_box):
     scene = Scene(room_with_box, [Material("all", 0.3, 0.1)] * len(room_with_box.surfaces))
     source, mic = (1.0, 2.0, 1.0), (5.0, 2.6, 1.2)
     on, off = (simulate_rir(scene, source, mic, num_rays=500, diffraction=which)[0] for which in (True, False))
@@ -215,7 +215,7 @@ def shadow_spectrum(room, source, mic, until_sample=None):
     return np.exp(-2j * np.pi * np.outer(SHADOW_HZ / FS_HZ, sample)) @ (found.signals.sum(axis=0) * fade)
 
 
-def test_behind_a_box_sound_comes_over_two_edges(room_with_box):
+def test_second_order_diffraction_is_continuous_and_reciprocal(room_with_box):
     """No edge is seen from both sides. Into the plane of a face, and out of it, both orders make a continuous field."""
     source, mic = np.array([1.0, 2.0, 1.0]), np.array([5.0, 2.1, 1.2])
     edges = find_edges(room_with_box)
@@ -232,7 +232,7 @@ def test_behind_a_box_sound_comes_over_two_edges(room_with_box):
         np.testing.assert_allclose(levels[0], levels[1], atol=2.5)
 
 
-def test_a_thin_screen_is_a_half_plane(tmp_path):
+def test_thin_screen_matches_half_plane(tmp_path):
     """First and second order at a screen of 1 cm, whose other edges are far: what they leave out is below 2 dB."""
     path = tmp_path / "screen.obj"
     path.write_text(prism_obj(box_plan(20.0, 20.0), 8.0) + lifted_box_obj((0.01, 9.5, 7.0), (9.995, 0.25, 0.5), 8))

@@ -1,4 +1,4 @@
-"""Samples of the paths that reach a microphone, and the directions in which paths leave the source."""
+"""Path samples against exact echograms, and the directions in which specular paths leave the source."""
 
 import os
 import subprocess
@@ -56,7 +56,7 @@ def smooth_db(energy, ours):
 
 
 @pytest.mark.parametrize("scattering", [0.3, (0.1, 0.1, 0.1, 0.4, 0.4, 0.4, 0.4, 0.4)])
-def test_the_echogram_at_the_reference_is_the_exact_one(scattering):
+def test_sampled_echogram_is_exact_at_reference(scattering):
     absorption = np.linspace(0.03, 0.2, 6)
     one = traced(box_scene(absorption[:, None], scattering))
     for n, sample in enumerate(kept(one, absorption)):
@@ -69,8 +69,8 @@ def test_the_echogram_at_the_reference_is_the_exact_one(scattering):
 
 
 @pytest.mark.parametrize("exponent", [0.3, 0.6, 1.7, 3.0])
-def test_other_absorption_gives_an_unbiased_echogram_with_little_noise(exponent):
-    """Noise of the mean over 7 ms against `compute_echograms`: below 0.6 dB from 0.3 to 3 times the reference's absorption."""
+def test_sampled_echogram_is_unbiased_off_reference(exponent):
+    """Noise of the 7 ms mean: below 0.6 dB for 0.3 to 3 times the absorption of the reference."""
     one = traced(box_scene(0.12, 0.3))
     (sample,) = kept(one, np.full(6, 0.12), MICS[:1])
     other = scaled_absorption(one.scene.absorption, exponent)
@@ -79,7 +79,7 @@ def test_other_absorption_gives_an_unbiased_echogram_with_little_noise(exponent)
     assert abs(np.mean(error_db)) < 0.1
 
 
-def test_slots_and_bands_that_differ_are_told_apart():
+def test_sample_distinguishes_surfaces_and_bands():
     absorption = np.outer([0.02, 0.1, 0.05, 0.3, 0.15, 0.5], np.linspace(0.4, 1.2, 8))
     noise_db, offset_db = [], []
     for seed in range(3):
@@ -93,13 +93,13 @@ def test_slots_and_bands_that_differ_are_told_apart():
     assert np.max(np.abs(np.mean(offset_db, axis=0))) < 0.1
 
 
-def test_surfaces_that_absorb_all_silence_what_met_them():
+def test_fully_absorbing_surfaces_silence_their_paths():
     one = traced(box_scene(0.2, 0.3), num_rays=1000)
     (sample,) = kept(one, np.full(6, 0.2), MICS[:1])
     assert not sample.echogram(np.ones((6, 8))).any() and sample.echogram(np.zeros((6, 8))).all(axis=1)[100:].all()
 
 
-def test_gains_of_rays_act_on_what_came_with_them():
+def test_ray_gains_apply_to_their_own_paths():
     one = traced(box_scene(0.2, 0.6), num_rays=4000)
     (sample,) = kept(one, np.full(6, 0.2), MICS[:1])
     up = (one.paths[0].directions[:, 2] > 0.0).astype(float)[:, None] * np.ones(8)
@@ -109,7 +109,7 @@ def test_gains_of_rays_act_on_what_came_with_them():
     assert late == pytest.approx(0.5, abs=0.05)
 
 
-def test_a_sample_does_not_depend_on_the_other_microphones():
+def test_sample_is_independent_of_other_microphones():
     one = traced(box_scene(0.2, 0.3), num_rays=1000)
     both, alone = kept(one, np.full(6, 0.2)), kept(one, np.full(6, 0.2), MICS[1:], "b")
     for name in ("weight", "reflection_counts", "last_reflection"):
@@ -117,7 +117,7 @@ def test_a_sample_does_not_depend_on_the_other_microphones():
     assert both[0].weight.shape == (1, N_FRAMES, PATHS_PER_FRAME)
 
 
-def test_the_number_of_threads_changes_no_byte():
+def test_sample_is_identical_for_any_thread_count():
     program = ("import hashlib, sys; sys.path.insert(0, sys.argv[1]); import test_sim_echoes as t; "
                "one = t.kept(t.traced(t.box_scene(0.2, 0.3), num_rays=1000), 0.2)[1]; "
                "print(hashlib.sha256(one.weight.tobytes() + one.reflection_counts.tobytes() + one.last_reflection.tobytes()).hexdigest())")
@@ -133,7 +133,7 @@ def box_mesh():
     return make_room(corners[[face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]], ["wall"] * 12)
 
 
-def test_specular_paths_leave_the_source_in_their_departure():
+def test_specular_departures_lead_to_the_microphone():
     """Followed from the source as a ray, each passes the microphone after its length."""
     images = specular_paths(Shoebox(DIMS_M), SOURCE, MICS[0], 3)
     np.testing.assert_allclose(np.linalg.norm(images.departure, axis=1), 1.0)

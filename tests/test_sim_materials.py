@@ -50,7 +50,7 @@ def nothing_published(monkeypatch):
     ([1, 2, 3, 4, 5, 6, 7], (1, 1, 2, 3, 4, 5, 6, 7)),
     ([1, 2, 3, 4, 5, 6, 7, 8], (1, 2, 3, 4, 5, 6, 7, 8)),
 ])
-def test_missing_bands_take_their_neighbours_value(given, extended):
+def test_missing_bands_take_neighbouring_values(given, extended):
     assert published.extend_bands(given) == extended
 
 
@@ -68,18 +68,18 @@ def test_published_materials_are_found_by_name(published_table):
         find_surface(table, {"absorption": "oak_panel", "scattering": "stall"})
 
 
-def test_an_unknown_name_says_what_is_not_installed(nothing_published):
+def test_unknown_name_error_states_missing_package(nothing_published):
     with pytest.raises(ValueError, match=r"absorption='carpet_thn' .*closest: carpet_thin.*pyroomacoustics, whose"):
         find_surface(read_materials(), "carpet_thn")
 
 
-def test_a_published_table_of_another_form_is_refused(published_table):
+def test_published_table_of_other_format_is_rejected(published_table):
     published_table.write_text('{"absorption": {"Wood": {"oak": {"coeffs": [0.1, 0.2]}}}, "scattering": {}}')
     with pytest.raises(ValueError, match=r"published.json: cannot be read as pyroomacoustics' table .*2 coefficients"):
         find_surface(read_materials(), "no_such_thing")
 
 
-def test_the_installed_table_is_read():
+def test_installed_published_table_is_read():
     pytest.importorskip("pyroomacoustics")
     published.read_published.cache_clear()
     table = published.read_published()
@@ -87,7 +87,7 @@ def test_the_installed_table_is_read():
     assert all(len(bands) == 8 for what in table.values() for bands in what.values())
 
 
-def test_ones_own_table_may_have_fewer_bands_and_scattering(tmp_path, caplog):
+def test_user_table_may_have_fewer_bands_and_scattering(tmp_path, caplog):
     path = tmp_path / "own.toml"
     path.write_text("[scattering]\ncoarse = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]\n"
                     "[materials.felt]\nabsorption = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]\nscattering = 'coarse'\n"
@@ -106,7 +106,7 @@ def test_ones_own_table_may_have_fewer_bands_and_scattering(tmp_path, caplog):
         read_materials(path)
 
 
-def test_slots_get_what_is_given(published_table):
+def test_stated_materials_are_assigned_to_surfaces(published_table):
     table, room = read_materials(), Shoebox((5.0, 4.0, 3.0))
     given = given_surfaces(table, room, {"floor": "carpet_thin", "default": "oak_panel"})
     assert [given[surface].name for surface in room.surfaces] == ["oak_panel"] * 4 + ["carpet_thin", "oak_panel"]
@@ -123,7 +123,7 @@ def test_slots_get_what_is_given(published_table):
         given_surfaces(table, room, {"floor": 3})
 
 
-def test_the_example_of_the_docstring(tmp_path, published_table):
+def test_docstring_example_runs(tmp_path, published_table):
     path = tmp_path / "office.obj"
     path.write_text(prism_obj(box_plan(5.0, 4.0), 3.0, "brick wall").replace("usemtl floor", "usemtl oak"))
     room = load_mesh(path)
@@ -135,7 +135,7 @@ def test_the_example_of_the_docstring(tmp_path, published_table):
     np.testing.assert_allclose(response.absorption, scene.absorption)
 
 
-def test_the_solids_of_an_stl_file_are_its_materials(tmp_path):
+def test_stl_solids_become_materials(tmp_path):
     facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 {0}\nvertex 1 0 {0}\nvertex 0 1 {0}\nendloop\nendfacet\n"
     path = tmp_path / "two.stl"
     path.write_text("".join(f"solid {name}\n{facet.format(n)}endsolid {name}\n" for n, name in enumerate("ab")))
@@ -160,7 +160,7 @@ def measured(tmp_path):
     return directory
 
 
-def test_rows_say_what_their_rooms_are_made_of(measured, tmp_path):
+def test_row_materials_are_used_in_simulation(measured, tmp_path):
     simulate(measured, tmp_path / "sim", num_rays=1000, noise_rirs=1, t60_range_s=(0.3, 0.6))
     rows = {row["id"]: row for row in read_rirs(tmp_path / "sim")}
     kept, scaled, table = rows["kept"], rows["scaled"], read_materials()
@@ -175,7 +175,7 @@ def test_rows_say_what_their_rooms_are_made_of(measured, tmp_path):
     assert 0.3 <= rows["drawn"]["target_t60_s"] <= 0.6
 
 
-def test_an_unknown_material_of_a_row_is_refused(measured, tmp_path, nothing_published):
+def test_unknown_row_material_is_rejected(measured, tmp_path, nothing_published):
     rows = read_rirs(measured)
     write_jsonl(measured / "rirs.jsonl", [rows[1] | dict(materials={"default": "glas_window"})])
     with pytest.raises(ValueError, match=r"RIR kept: absorption='glas_window' .*closest: glass_window"):

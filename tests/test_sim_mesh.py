@@ -52,14 +52,14 @@ def box(write_obj):
     return load_mesh(write_obj(prism_obj(box_plan(*DIMS_M[:2]), DIMS_M[2])))
 
 
-def test_a_box_is_read_with_its_materials(box):
+def test_obj_box_is_read_with_its_materials(box):
     assert box.surfaces == ("ceiling", "floor", "wall") and box.convex
     assert box.volume_m3 == pytest.approx(72.0)
     np.testing.assert_allclose(box.surface_area_m2, [24.0, 24.0, 60.0])
 
 
 @pytest.mark.parametrize("suffix", ["ply", "stl", "glb", "off"])
-def test_other_formats_give_the_same_room(box, tmp_path, suffix):
+def test_all_mesh_formats_give_the_same_room(box, tmp_path, suffix):
     trimesh = pytest.importorskip("trimesh")
     mesh = trimesh.Trimesh(box.triangles.reshape(-1, 3), np.arange(36).reshape(-1, 3), process=False)
     mesh.export(tmp_path / f"box.{suffix}")
@@ -67,7 +67,7 @@ def test_other_formats_give_the_same_room(box, tmp_path, suffix):
     assert room.surfaces == ("surface",) and room.volume_m3 == pytest.approx(72.0, rel=1e-5)
 
 
-def test_specular_paths_of_a_mesh_box_are_those_of_the_lattice(box):
+def test_specular_paths_of_mesh_box_equal_image_lattice(box):
     source, mic = (1.0, 1.3, 1.2), (4.2, 2.9, 1.7)
     lattice = specular_paths(Shoebox(DIMS_M), source, mic, 4)
     found = box.specular_paths(source, mic, 4)
@@ -79,7 +79,7 @@ def test_specular_paths_of_a_mesh_box_are_those_of_the_lattice(box):
 
 
 @pytest.mark.parametrize("searched", [False, True], ids=["planes", "embree"])
-def test_a_mesh_box_sounds_like_the_shoebox(box, searched):
+def test_mesh_box_echogram_matches_shoebox(box, searched):
     room = replace(box, convex=False, _known={}) if searched else box
     assert (room.walls is None) == searched
     mics = np.array([(4.2, 2.9, 1.7), (2.0, 3.0, 1.0), (5.7, 3.7, 0.4)])
@@ -89,13 +89,14 @@ def test_a_mesh_box_sounds_like_the_shoebox(box, searched):
                       speed_m_s=C,
                       rng=np.random.default_rng(0))
         assert paths.n_leaked == 0
-        energy = compute_echograms(paths, one, np.full((len(one.surfaces), 8), 0.15), mics, ism_order=3, n_frames=350, speed_m_s=C)
+        absorption = np.full((len(one.surfaces), 8), 0.15)
+        energy = compute_echograms(paths, one, absorption, mics, ism_order=3, n_frames=350, speed_m_s=C)
         levels.append(10.0 * np.log10(energy[:, :, 0].reshape(3, 7, 50).sum(axis=2)))
     np.testing.assert_allclose(levels[1], levels[0], atol=1.0)
     assert abs(np.mean(levels[1] - levels[0])) < 0.15
 
 
-def test_decay_of_a_mesh_is_that_of_its_shoebox(box):
+def test_mesh_box_decay_time_matches_shoebox(box):
     times_s = []
     for room in (Shoebox(DIMS_M), box):
         scene = Scene(room, [Material("all", 0.2, 0.3)] * len(room.surfaces))
@@ -146,7 +147,7 @@ def plan_paths_by_hand(plan, source, mic, order):
     return sorted(found)
 
 
-def test_a_hidden_corner_has_only_the_paths_found_by_hand(write_obj):
+def test_occluded_receiver_gets_only_hand_computed_paths(write_obj):
     room = load_mesh(write_obj(prism_obj(L_PLAN, 3.0)))
     assert not room.convex and room.volume_m3 == pytest.approx(3.0 * 20.0)
     source, places = (5.0, 1.1), [(0.9, 5.2), (1.7, 3.1), (1.3, 1.2), (3.3, 0.4), (0.4, 2.6)]
@@ -168,7 +169,7 @@ def test_a_hidden_corner_has_only_the_paths_found_by_hand(write_obj):
     assert np.abs(far.rir[:silent]).max() < 1e-3 * np.abs(near.rir).max() < np.abs(far.rir[silent:]).max()
 
 
-def test_energy_is_conserved_in_a_room_with_a_table(write_obj):
+def test_energy_is_conserved_in_room_with_table(write_obj):
     shell = prism_obj(box_plan(6.0, 4.0), 3.0)
     table = prism_obj(box_plan(2.0, 1.0, 2.0, 1.5), 0.6, "wood")
     lifted = []
@@ -188,19 +189,20 @@ def test_energy_is_conserved_in_a_room_with_a_table(write_obj):
                   rng=np.random.default_rng(0))
     assert paths.n_leaked == 0
     mics = np.array([(5.0, 3.0, 1.2), (1.0, 3.2, 2.0), (4.8, 0.8, 0.7), (3.0, 2.0, 1.8)])
-    energy = compute_echograms(paths, room, np.zeros((len(room.surfaces), 8)), mics, ism_order=0, n_frames=280, speed_m_s=C)
+    rigid = np.zeros((len(room.surfaces), 8))
+    energy = compute_echograms(paths, room, rigid, mics, ism_order=0, n_frames=280, speed_m_s=C)
     uniform = C * 1e-3 / room.volume_m3 / (4.0 * np.pi)
     assert energy[:, 150:, 0].mean() / uniform == pytest.approx(1.0, abs=0.03)
 
 
-def test_polygons_are_cut_into_triangles():
+def test_polygons_are_triangulated():
     corners = np.array([(x, y, 1.0) for x, y in L_PLAN])
     cut = triangulate(corners)
     areas = [0.5 * np.cross(corners[b] - corners[a], corners[c] - corners[a])[2] for a, b, c in cut]
     assert len(cut) == 4 and min(areas) > 0.0 and sum(areas) == pytest.approx(20.0)
 
 
-def test_meshes_that_are_no_rooms_are_refused(write_obj, tmp_path, box):
+def test_invalid_room_meshes_are_rejected(write_obj, tmp_path, box):
     whole = prism_obj(box_plan(4.0, 3.0), 2.5)
     with pytest.raises(ValueError, match=r"the mesh leaks: 4 edges don't join exactly two faces.*close the holes"):
         load_mesh(write_obj(whole.rsplit("f", 1)[0], "leaks.obj"))

@@ -28,7 +28,7 @@ def places(room, count, seed):
 
 
 @pytest.mark.parametrize("distance_m", [0.7, 2.0, 3.217])
-def test_direct_sound_has_the_level_and_delay_of_distance(distance_m):
+def test_direct_sound_follows_inverse_distance_and_delay(distance_m):
     scene = uniform_scene((8.0, 5.0, 3.0), 1.0, 0.0)
     (response,) = simulate_rir(scene, (2.0, 2.0, 1.5), (2.0 + distance_m, 2.0, 1.5), num_rays=200)
     assert response.direct_sample == pytest.approx(FS_HZ * distance_m / C)
@@ -57,7 +57,7 @@ def images_by_hand(dims_m, source, mic, order):
     return np.linalg.norm(keys - mic, axis=1), np.array(list(found.values()))
 
 
-def test_image_sources_are_those_found_by_hand():
+def test_image_sources_match_brute_force():
     dims_m, source, mic = (6.0, 4.0, 3.0), (1.0, 1.3, 1.2), (4.2, 2.9, 1.7)
     distance_m, counts = images_by_hand(dims_m, source, mic, 3)
     images = specular_paths(Shoebox(dims_m), source, mic, 3)
@@ -72,7 +72,7 @@ def test_image_sources_are_those_found_by_hand():
 
 
 @pytest.mark.parametrize("delay", [100.0, 100.25, 100.5, 1234.73])
-def test_a_pulse_arrives_between_samples(delay):
+def test_pulses_arrive_at_fractional_delays(delay):
     rir = render(np.array([delay * C / FS_HZ]), np.ones((1, 8)), np.zeros((100, 8)), np.zeros(1600),
                  speed_m_s=C, n_samples=1600)
     frequency = np.fft.rfftfreq(1600)
@@ -92,7 +92,8 @@ def test_energy_is_conserved_without_absorption(scattering, ism_order):
         source, *mics = places(room, 9, seed)
         paths = trace(room, source, np.full(6, scattering), num_rays=10000, max_length_m=0.3 * C, speed_m_s=C,
                       rng=np.random.default_rng(seed))
-        energy = compute_echograms(paths, room, np.zeros((6, 8)), mics, ism_order=ism_order, n_frames=250, speed_m_s=C)[..., 0]
+        energy = compute_echograms(paths, room, np.zeros((6, 8)), mics, ism_order=ism_order, n_frames=250,
+                                   speed_m_s=C)[..., 0]
         for echogram, mic in zip(energy, mics, strict=True):
             images = specular_paths(room, source, mic, ism_order)
             gains = images.gains(np.zeros((6, 8)), np.full((6, 8), scattering), np.zeros(8))[:, 0]
@@ -146,7 +147,7 @@ def decay_time_s(energy, step_s, top_db=-5.0, bottom_db=-25.0):
 
 @pytest.mark.parametrize("scattering", [0.1, 0.5, 0.9])
 @pytest.mark.parametrize("absorption", [(0.2,) * 6, (0.1, 0.1, 0.1, 0.1, 0.1, 0.6)], ids=["even", "ceiling"])
-def test_decay_is_that_of_an_independent_monte_carlo(scattering, absorption):
+def test_decay_matches_independent_monte_carlo(scattering, absorption):
     dims_m, absorption = (6.0, 4.0, 3.0), np.array(absorption)
     time_s = np.arange(0.0, 1.2, 0.002)
     rng = np.random.default_rng(7)
@@ -163,7 +164,7 @@ def test_decay_is_that_of_an_independent_monte_carlo(scattering, absorption):
     assert np.mean(found_s) == pytest.approx(expected_s, rel=0.05)
 
 
-def test_a_diffuse_room_decays_by_kuttruff():
+def test_diffuse_room_decay_matches_kuttruff():
     scene = uniform_scene((5.0, 4.5, 4.0), 0.3, 1.0)
     source, *mics = places(scene.room, 12, 1)
     responses = simulate_rir(scene, source, np.array(mics), num_rays=6000)
@@ -173,7 +174,7 @@ def test_a_diffuse_room_decays_by_kuttruff():
     assert np.mean(times_s) == pytest.approx(expected_s, rel=0.03)
 
 
-def test_late_energy_is_that_of_the_diffuse_field():
+def test_late_energy_matches_diffuse_field_theory():
     scene = uniform_scene((5.0, 4.5, 4.0), 0.1, 1.0)
     rng, late = np.random.default_rng(2), []
     for seed in range(4):
@@ -188,7 +189,7 @@ def test_late_energy_is_that_of_the_diffuse_field():
     assert 10.0 * np.log10(np.mean(late) / expected) == pytest.approx(0.0, abs=0.5)
 
 
-def test_air_shortens_the_high_bands():
+def test_air_absorption_shortens_high_band_decay():
     dry = Scene(Shoebox((12.0, 8.0, 4.0)), [Material("all", 0.05, 0.5)] * 6, Air(20.0, 30.0))
     (response,) = simulate_rir(dry, (3, 2, 1.5), (8, 6, 1.8), num_rays=6000)
     found_s = {hz: reverberation_time(response.rir, FS_HZ, hz, "t20", direct_sample=response.direct_sample)
@@ -200,7 +201,7 @@ def test_air_shortens_the_high_bands():
     assert expected_s[7] < found_s[8000.0] < 0.8 * expected_s[6]
 
 
-def test_the_tail_is_gaussian_with_a_growing_density():
+def test_tail_noise_density_grows_to_gaussian():
     noise = tail_noise(48000, 200.0, C, np.random.default_rng(0))
     late = noise[16000:]
     assert np.mean(late ** 2) == pytest.approx(1.0, abs=0.03)
@@ -210,7 +211,7 @@ def test_the_tail_is_gaussian_with_a_growing_density():
     assert np.mean(noise[:1200] ** 2) == pytest.approx(1.0, abs=0.1)
 
 
-def test_directions_are_even_and_depend_on_the_seed():
+def test_directions_are_even_and_seeded():
     points = sphere_directions(2000, np.random.default_rng(0))
     np.testing.assert_allclose(np.linalg.norm(points, axis=1), 1.0)
     np.testing.assert_allclose(points.mean(axis=0), 0.0, atol=1e-3)
@@ -218,7 +219,7 @@ def test_directions_are_even_and_depend_on_the_seed():
     assert not np.array_equal(points, sphere_directions(2000, np.random.default_rng(1)))
 
 
-def test_scattering_that_differs_over_bands_is_traced_per_column():
+def test_each_scattering_column_is_traced_once():
     column = [0.1] * 4 + [0.6] * 4
     mixed = Scene(Shoebox((6, 4, 3)), [Material("mixed", 0.2, column)] * 6)
     traced = trace_source(mixed, (1, 1, 1), num_rays=500, max_length_s=0.5, rng=np.random.default_rng(0))
@@ -227,7 +228,7 @@ def test_scattering_that_differs_over_bands_is_traced_per_column():
     assert traced.paths[traced.trace_of_band[7]].scattering[0] == 0.6
 
 
-def test_scaling_keeps_absorption_within_bounds_and_order():
+def test_scaled_absorption_keeps_bounds_and_order():
     absorption = np.array([0.0, 0.1, 0.5, 1.0])
     for exponent in (0.01, 1.0, 7.0):
         scaled = scaled_absorption(absorption, exponent)
@@ -237,7 +238,7 @@ def test_scaling_keeps_absorption_within_bounds_and_order():
 
 @pytest.mark.parametrize("target_s, dims_m", [
     (0.25, (17.0, 12.0, 5.0)), (0.6, (4.4, 2.8, 2.6)), (1.7, (12.0, 8.0, 4.0))])
-def test_target_is_met_on_the_rendered_response(target_s, dims_m):
+def test_t30_target_is_met_on_rendered_response(target_s, dims_m):
     absorption = (0.05, 0.1, 0.1, 0.15, 0.2, 0.25, 0.3, 0.3)
     scene = Scene(Shoebox(dims_m), [Material("a", absorption, 0.3), Material("b", 0.1, 0.1)] * 3)
     source, mic = np.multiply(dims_m, (0.3, 0.3, 0.4)), np.multiply(dims_m, (0.7, 0.6, 0.5))
@@ -265,6 +266,6 @@ def test_target_is_met_on_the_rendered_response(target_s, dims_m):
     (lambda: simulate_rir(uniform_scene((4, 3, 3), 0.0, 0.2), (1, 1, 1), (2, 1, 1), target_t60_s=0.5, num_rays=500),
      r"target_t60_s=0.5 is out of reach"),
 ])
-def test_impossible_scenes_are_refused(wrong, message):
+def test_impossible_scenes_are_rejected(wrong, message):
     with pytest.raises(ValueError, match=message):
         wrong()
