@@ -120,7 +120,8 @@ def test_sample_is_independent_of_other_microphones():
 def test_sample_is_identical_for_any_thread_count():
     program = ("import hashlib, sys; sys.path.insert(0, sys.argv[1]); import test_sim_echoes as t; "
                "one = t.kept(t.traced(t.box_scene(0.2, 0.3), num_rays=1000), 0.2)[1]; "
-               "print(hashlib.sha256(one.weight.tobytes() + one.reflection_counts.tobytes() + one.last_reflection.tobytes()).hexdigest())")
+               "arrays = one.weight, one.reflection_counts, one.last_reflection; "
+               "print(hashlib.sha256(b''.join(array.tobytes() for array in arrays)).hexdigest())")
     printed = {subprocess.run([sys.executable, "-c", program, os.path.dirname(__file__)], text=True, check=True,
                               capture_output=True, env=os.environ | {"NUMBA_NUM_THREADS": threads}).stdout
                for threads in ("1", "2", "3")}
