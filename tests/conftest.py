@@ -7,6 +7,12 @@ import pytest
 PROJECT = Path(__file__).resolve().parents[1]
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark every test with its tier, the folder of `tests` that it lies in: unit, integration or nightly."""
+    for item in items:
+        item.add_marker(item.path.relative_to(PROJECT / "tests").parts[0])
+
+
 @pytest.fixture(scope="session")
 def project_dir() -> Path:
     """The directory that `run.sh` lies in."""

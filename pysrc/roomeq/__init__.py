@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 _HOME = {
     "Air": "sim.scene", "Material": "sim.scene", "MeshRoom": "sim.mesh", "Scene": "sim.scene", "Shoebox": "sim.scene",
     "analyse": "acoustics.parameters:measure", "augment": "augment.far_field", "characterise": "corpora.characterise",
-    "close_loop": "loop.close", "compensate": "eq.compensation", "compensate_rir": "eq.compensation", "fit_eq": "eq.fit",
-    "load_mesh": "sim.mesh", "load_rir": "records.rir_dir", "read_rirs": "records.rir_dir",
+    "close_loop": "loop.close", "compensate": "eq.compensation", "compensate_rir": "eq.compensation",
+    "fit_eq": "eq.fit", "load_mesh": "sim.mesh", "load_rir": "records.rir_dir", "read_rirs": "records.rir_dir",
     "simulate": "simulate_rirs", "simulate_rir": "sim.response",
 }
 """Module of each public name, and its name there if it is another."""

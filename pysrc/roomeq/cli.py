@@ -98,8 +98,9 @@ class PipelineGroup(click.Group):
              context_settings=dict(help_option_names=["-h", "--help"], show_default=True, max_content_width=120),
              epilog='Shell completion: eval "$(_ROOMEQ_COMPLETE=bash_source roomeq)", or zsh_source, or fish_source.',
              params=[click.Option([f"--{limit.option}"], type=float, metavar="N",
-                                  help=f"{limit.description[0].upper()}{limit.description[1:]}; default: {limit.default:g}, or "
-                                       f"{limit.variable} of the environment.") for limit in LIMITS])
+                                  help=f"{limit.description[0].upper()}{limit.description[1:]}; default: "
+                                       f"{limit.default:g}, or {limit.variable} of the environment.")
+                     for limit in LIMITS])
 @click.version_option(__version__, message="%(version)s")
 def cli(**limits: float | None) -> None:
     """Simulate room impulse responses (RIRs) that match measured ones, and make far-field speech with them."""

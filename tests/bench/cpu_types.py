@@ -20,9 +20,10 @@ import numpy as np
 import soundfile
 
 PROJECT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(PROJECT / "pysrc"), str(PROJECT / "tests")]
+sys.path[:0] = [str(PROJECT / name) for name in ("pysrc", "tests", "tests/data")]
 
 from recipe_run import OPTIONS  # noqa: E402
+
 from roomeq.core.files import write_json  # noqa: E402
 
 VARIANTS = dict(

@@ -5,7 +5,7 @@
 Every effect of the catalogue is switched on, at a realistic size, in three rooms with four microphones each. For each
 feature the deviation is |predicted change - rendered change| in just noticeable differences (JND). `effects.json` holds
 the median over RIRs of each band, and for each metric the largest of these medians and the worst single deviation.
-`tests/test_effects_contract.py` holds the medians to limits.
+`tests/integration/test_effects_contract.py` holds the medians to limits.
 """
 
 import argparse
@@ -18,10 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path[:0] = [str(Path(__file__).resolve().parents[1] / name) for name in ("", "data")]
+
+from rirmaker import coloured_rir  # noqa: E402
 
 from bench.kit import machine, plain, table  # noqa: E402
-from rirmaker import coloured_rir  # noqa: E402
 from roomeq.core.arrays import FloatArray  # noqa: E402
 from roomeq.core.audio import write_wav  # noqa: E402
 from roomeq.core.constants import FS_HZ  # noqa: E402

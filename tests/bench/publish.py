@@ -102,7 +102,7 @@ COMMAND = {
     "simulator": "tests/bench/fidelity/run.py", "speed": "tests/bench/speed/run.py",
     "compensation": "./run.sh --measured RIRS --stop-stage 4 && tests/bench/compensation.py data",
     "loop": "tests/bench/loop/run.py", "augmentation": "tests/bench/augment.py",
-    "wer": "tests/bench/wer.sh", "faults": "tests/faults/run.sh",
+    "wer": "tests/bench/wer.sh", "faults": "tests/nightly/faults/run.sh",
 }
 
 

@@ -17,7 +17,8 @@ call these methods:
     changes the predicted energies of the loop (`roomeq.effects.prediction`), without rendering
 
 For a fit, an effect is a vector of numbers with a spread of about one (`vector`, `from_vector`); `STARTS` and `SPREAD`
-refer to this vector. `tests/test_effects_contract.py` checks that the predicted change equals the rendered change.
+refer to this vector. `tests/integration/test_effects_contract.py` checks that the predicted change equals the rendered
+change.
 """
 
 from collections.abc import Sequence
@@ -70,8 +71,8 @@ class Rendering:
     """
 
     scene: Scene
-    source_pos_m: tuple[float, float, float]
-    mic_pos_m: tuple[float, float, float]
+    source_pos_m: Sequence[float]
+    mic_pos_m: Sequence[float]
     direct_gain: FloatArray
     t60_s: FloatArray
     rng: np.random.Generator

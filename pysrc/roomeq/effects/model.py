@@ -138,8 +138,8 @@ def direct_gain(scene: Scene, source_pos_m: ArrayLike, mic_pos_m: ArrayLike,
     return pressure if gain is None else pressure * np.sqrt(gain((path_m / distance_m)[None])[0])
 
 
-def apply_to_rir(effects: Sequence[Effect], rir: FloatArray, scene: Scene, source_pos_m: tuple[float, float, float],
-                 mic_pos_m: tuple[float, float, float], direct: FloatArray, rng: np.random.Generator,
+def apply_to_rir(effects: Sequence[Effect], rir: FloatArray, scene: Scene, source_pos_m: Sequence[float],
+                 mic_pos_m: Sequence[float], direct: FloatArray, rng: np.random.Generator,
                  white: ArrayLike = (0.0,) * 8) -> FloatArray:
     """Return a rendered RIR with the effects that act on it as a whole.
 

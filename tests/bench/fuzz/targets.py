@@ -22,7 +22,8 @@ _DIR = (b"a-1 a\na-2 a\n", b"a-1 x.wav\na-2 flac -c -d -s y.flac |\n", b"a-1 HI\
         b"a-1 1.5\na-2 2.5\n", b"")
 _TOML = b'[materials.felt]\nuse = ["wall", "floor", "ceiling"]\nabsorption = [0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1]\n'
 _WORDS = (  # what random bytes would not hit upon
-    '"acoustic_parameters": {"eq_db": [', '"eq_valid": [true', '"eq_edge_db": null', '"direct_sample": ', '"room_dims_m": [',
+    '"acoustic_parameters": {"eq_db": [', '"eq_valid": [true', '"eq_edge_db": null',
+    '"direct_sample": ', '"room_dims_m": [',
     '"mesh": "', '"noise_for": "', '"weights_of_room": {', '"points_hz": [', "1e999", "NaN", "-1", "1e-320",
     "\\\\ud800", "null", "true", "$(touch evil)", "../", "\\x00", "\\xff", "\\xe2\\x80\\xa8", "flac -c -d -s ",
     " |", "--rir-id 1 ", "--room-id ", "uniform ", "normal ", "list ", "none", "usemtl ", "f 1 2 3 4", "v 1e300 ",
@@ -34,7 +35,8 @@ _MODEL = (b'{"format": 2, "effects": [{"effect": "near_reflector", "of": {"r": {
 _ERRORS = (b'{"leave_positions_out": {"error": 1.5, "ci": [1, 2], "by_metric": {"t30": 1.5}, "by_band": '
            b'[null, 1, 1, 1, 1, 1, 1, 1]}, "leave_room_out": {"error": 1.5, "ci": null, "by_metric": {}, "by_band": '
            b'[1, 1, 1, 1, 1, 1, 1, 1]}}')
-_LEDGER = (b'{"format": 2, "given": [], "rirs": 8, "rooms": 4, "baseline": ' + _ERRORS + b', "iterations": [], "ranking": [{"effect": "room_eq", '
+_LEDGER = (b'{"format": 2, "given": [], "rirs": 8, "rooms": 4, "baseline": ' + _ERRORS
+           + b', "iterations": [], "ranking": [{"effect": "room_eq", '
            b'"gain": 1, "ci": [0, 2], "p": 0.5, "size_jnd": 1}], "unexplained": null, "unexplained_all": [], "final": '
            + _ERRORS + b"}")
 _WER = (b"a-1 one two\na-2 three\n", b"a-1 one\na-2\n", b"Set1: %WER 12.50 95% Conf Interval [ 10.1, 14.9 ]\n",
@@ -218,7 +220,8 @@ def refused(read, argument) -> None:
 
 
 TARGETS = {
-    "rows": (rows, [_ROW + _NOISE, _NOISE, _ROW.replace(b'"n_samples"', b'"acoustic_parameters": {"eq_db": [0]}, "n_samples"')]),
+    "rows": (rows, [_ROW + _NOISE, _NOISE, _ROW.replace(
+        b'"n_samples"', b'"acoustic_parameters": {"eq_db": [0]}, "n_samples"')]),
     "mixture": (mixture, [b'{"weights": [1.0], "means_db": [[0,0,0,0,0,0,0]], "covariances_db2": [[[1]]]}', b"[]"]),
     "csv": (csv, [_CSV, b"file;room\na.wav;b\n", b'file\n"a\nb.wav"\n']),
     "meta": (meta, [_META]),

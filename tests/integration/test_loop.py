@@ -1,0 +1,297 @@
+"""The closed loop on small generated rooms: it adds nothing to clean rooms, and the effect where there is one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rirmaker import DIRECT, coloured_rir
+
+from roomeq.acoustics.octaves import octave_bands
+from roomeq.cli import main
+from roomeq.core.constants import FS_HZ
+from roomeq.core.files import read_json
+from roomeq.effects.catalogue import CATALOGUE
+from roomeq.effects.model import read_model
+from roomeq.effects.response import RESPONSE_HZ
+from roomeq.effects.source_response import SourceResponse
+from roomeq.loop.close import SCATTERING, close_loop
+from roomeq.loop.data import load_data
+from roomeq.loop.features import HAS_GAIN, METRIC, feature_slice, measure_features
+from roomeq.loop.fit import fit
+from roomeq.loop.packing import N_SURFACE, ParameterIndex
+from roomeq.loop.predict import predict
+from roomeq.loop.selection import choose, heldout_errors, rank
+from roomeq.loop.session import fit_base_model, with_rendered_changes
+from roomeq.loop.splitters import leave_rooms_out, split_positions
+from roomeq.records.rir_dir import load_rir, read_rirs, relocated, write_rirs
+from roomeq.validate import validate
+from testbed import make_world
+
+ROOMS = 5
+SEED = 3
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """Make generated rooms by kind of effect; all kinds share their five rooms."""
+    cache = tmp_path_factory.mktemp("cache")
+    made = {}
+
+    def make(kind, strength=4):
+        if kind not in made:
+            made[kind] = tmp_path_factory.mktemp("world") / "world"
+            make_world(kind, strength, SEED, made[kind], n_fit=ROOMS, n_judge=1, cache=cache)
+        return made[kind]
+    return make
+
+
+@pytest.fixture(scope="module")
+def closed(world, tmp_path_factory):
+    """Close the loop on generated rooms; return its directory and ledger."""
+    made = {}
+
+    def close(kind):
+        if kind not in made:
+            out = tmp_path_factory.mktemp("loop") / "loop"
+            close_loop([world(kind) / "fit"], out, test=[world(kind) / "test"], nj=2)
+            made[kind] = out
+        return made[kind], read_json(made[kind] / "ledger.json")
+    return close
+
+
+@pytest.fixture(scope="module")
+def session(world):
+    """Fit the base model to clean rooms."""
+    return fit_base_model(load_data([world("clean") / "fit"], scattering=SCATTERING, seed=0), seed=0, nj=2)
+
+
+def test_features_are_in_just_noticeable_differences(world):
+    directory = world("clean") / "fit"
+    rir = load_rir(directory, read_rirs(directory)[0])
+    plain, louder = measure_features(rir), measure_features(10.0 ** 0.15 * rir)
+    change = np.where(plain.valid, louder.values - plain.values, np.nan)
+    np.testing.assert_allclose(change[HAS_GAIN & plain.valid], 3.0, atol=1e-6)
+    assert np.nanmax(np.abs(change[~HAS_GAIN & (METRIC != "floor") & (METRIC != "ahead")])) < 1e-6
+    rirs = ([coloured_rir(seed, time_s=time_s, length_s=1.2) for seed in range(4)] for time_s in (0.4, 0.42))
+    short, long = (np.mean([measure_features(rir).values[feature_slice("t20")][3:] for rir in of_time])
+                   for of_time in rirs)
+    assert long - short == pytest.approx(1.0, abs=0.2)
+
+
+def test_noise_is_scored_relative_to_white_noise_and_a_floor():
+    """White noise of any level scores about 0; a rise of the lowest octave scores in dB, and goes to 0 smoothly."""
+    rng = np.random.default_rng(0)
+    rir = coloured_rir(1, time_s=0.4, length_s=1.2)
+    white = 1e-3 * rng.standard_normal(len(rir))
+    low = octave_bands(1e-3 * rng.standard_normal(len(rir)), FS_HZ)[0]
+
+    def floor(noise, **more):
+        measured = measure_features(rir + noise, **more)
+        return measured.values[feature_slice("floor")], measured.valid[feature_slice("floor")], measured.white
+    for level in (0.1, 1.0, 4.0):
+        values, valid, _ = floor(level * white)
+        assert valid.all() and np.abs(values[3:]).max() < 1.5 and np.abs(values).max() < 4.0
+    rises = [floor(white + gain * low)[0][0] for gain in (0.0, 0.7, 1.5, 3.0)]
+    assert np.all(np.diff(rises) > 0.5) and rises[1] < 5.0 and rises[3] == pytest.approx(9.5, abs=2.0)
+    # a rendering has no white noise: that of the recording is assumed
+    known = floor(white)[2]
+    assert floor(3.0 * low, white=known)[0][0] == pytest.approx(rises[3], abs=2.0)
+    assert floor(10.0 * low, white=known)[0][0] == pytest.approx(20.0, abs=2.0)
+    assert np.abs(floor(0.0 * low, white=known)[0]).max() < 1e-3
+
+
+def test_noise_of_a_truncated_response_is_valid_only_if_its_end_is_quiet():
+    long, short = (coloured_rir(1, time_s=time_s, length_s=0.6) for time_s in (1.5, 0.3))
+    floor = feature_slice("floor")
+    assert not measure_features(long).valid[floor][2:].any()  # the lowest octaves are too narrow to follow a decay
+    quiet = measure_features(short)
+    assert quiet.valid[floor].all() and np.abs(quiet.values[floor]).max() < 1e-3
+
+
+def test_ahead_of_an_earlier_rendering_is_finite_where_it_is_valid():
+    rir = coloured_rir(1, time_s=0.3, length_s=0.6)
+    recording, rendering = (measure_features(rir[DIRECT - sample:]) for sample in (113, 93))
+    valid_ahead = recording.valid[feature_slice("ahead")]
+    assert valid_ahead.any() and not rendering.valid[feature_slice("ahead")].any()
+    assert np.isfinite(rendering.values[feature_slice("ahead")][valid_ahead]).all()
+
+
+@pytest.mark.parametrize("late_samples, arrives", [(3, True), (28, False)])
+def test_sound_too_late_for_the_direct_sound_is_another_path(late_samples, arrives):
+    expected, rir = DIRECT, coloured_rir(1, time_s=0.3, length_s=0.6)
+    rir[:expected + late_samples] = 0.0
+    rir[expected + late_samples] = 1.0
+    measured = measure_features(rir, expected)
+    assert measured.valid[feature_slice("arrival")].all() == arrives
+    assert measured.direct_sample == pytest.approx(expected + late_samples * arrives, abs=0.5)
+
+
+def test_own_predictions_as_measurements_leave_no_error_and_no_effect(session):
+    """Only the priors leave an error, and no effect helps."""
+    itself = replace(session.data, features=session.fit.predicted)
+    again = fit(itself, session.correction, (), initial=session.fit)
+    error = np.abs(itself.features - again.predicted)[itself.valid]
+    assert error.mean() < 0.02 and error.max() < 0.5
+    winner, _ = choose(rank(replace(session, data=itself, fit=again)).candidates, len(CATALOGUE))
+    assert winner is None
+
+
+def test_leaving_a_room_out_changes_the_shared_parameters_a_little(session):
+    held_out = leave_rooms_out(session.data, session.fit)
+    assert len(held_out) == ROOMS
+    for room in held_out:
+        assert np.isfinite(room.log_density)
+        assert 0.0 < np.abs(room.mean - session.fit.mean).max() < 1.0
+
+
+def test_halves_are_disjoint_and_hold_every_chain(session):
+    first, second = split_positions(session.data)
+    for r, (a, b) in enumerate(zip(first, second, strict=True)):
+        assert not set(a) & set(b) and set(a) | set(b) == set(np.flatnonzero(session.data.room == r))
+        assert set(session.data.chain[a]) == set(session.data.chain[b])
+
+
+def test_gains_of_chains_with_a_single_rir_are_sums(session):
+    """A chain of several RIRs has its own gain; else the gain is a sum over room, source and microphone."""
+    data = session.data
+    assert all((kinds == 0).all() and (parts.sum(axis=1) == 1).all()
+               for parts, kinds in zip(session.index.gain_design, session.index.gain_kind, strict=True))
+    members = np.flatnonzero(data.room == 0)[:4]
+    changed = list(data.rows)
+    for k, n in enumerate(members):
+        changed[n] = changed[n] | dict(source_id=f"s{k // 2}", mic_id=f"m{k % 2}")
+    chain = data.chain.copy()
+    chain[members] = data.chain.max() + 1 + np.arange(4)
+    index = ParameterIndex(replace(data, rows=changed, chain=chain), ())
+    parts, kinds = index.gain_design[0], index.gain_kind[0]
+    assert sorted(kinds[parts[:4].any(axis=0)]) == [0, 1, 1, 2, 2]
+    gains_db = np.array([10.0, 1.0, -1.0, 0.5, -0.5])
+    local = [np.zeros(size) for _, size in index.local]
+    local[0][N_SURFACE + np.flatnonzero(parts[:4].any(axis=0))] = gains_db
+    np.testing.assert_allclose(index.gains(local)[members], [11.5, 10.5, 9.5, 8.5])
+    first, second = split_positions(index.data)
+    assert {len(set(half[0]) & set(members)) for half in (first, second)} == {2}
+    for half in (first, second):
+        here = [changed[n] for n in half[0] if n in members]
+        assert {row["source_id"] for row in here} == {"s0", "s1"} and {row["mic_id"] for row in here} == {"m0", "m1"}
+
+
+def test_room_with_a_single_rir_is_fitted_and_not_scored(world, tmp_path):
+    source = world("clean") / "fit"
+    rows = read_rirs(source)
+    rooms = sorted({row["room_id"] for row in rows})[:3]
+    rows = [row for room, n in zip(rooms, (4, 4, 1), strict=True)
+            for row in [row for row in rows if row["room_id"] == room][:n]]
+    (tmp_path / "few").mkdir()
+    write_rirs(tmp_path / "few", relocated(rows, source, tmp_path / "few"))
+    session = fit_base_model(load_data([tmp_path / "few"], scattering=SCATTERING, seed=0), seed=0, nj=2)
+    assert session.data.n_scored == 2 and len(session.fit.local) == 3
+    errors = heldout_errors(session)
+    for split, of_split in errors.by_split.items():
+        scored = np.isfinite(of_split).any(axis=1)
+        assert (scored == (session.data.room < 2)).all() and len(errors.of_rooms(split)) == 2
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_every_effect_round_trips_its_vector_and_changes_a_feature(name, session):
+    effect = CATALOGUE[name]
+    for start in effect.STARTS:
+        np.testing.assert_allclose(effect.from_vector(np.array(start, dtype=float)).vector(), start, atol=1e-9)
+    assert np.linalg.eigvalsh(effect.prior_covariance()).min() > 0.0
+    session = with_rendered_changes(session, [effect])
+    index = session.index
+    absorption = index.absorption(session.fit.mean, session.fit.local)
+    state, changed = (index.state(absorption, []) for _ in range(2))
+    moved = effect.from_vector(np.array(effect.STARTS[0]) + 0.5 * np.array(effect.SPREAD))
+    moved.apply_to_prediction(changed, session.data, np.arange(len(session.data.rows)))
+    assert not np.array_equal(predict(session.data, changed), predict(session.data, state))
+    assert effect.DISCRIMINATING_MEASUREMENT
+
+
+def test_no_effect_is_added_to_clean_rooms(closed):
+    _, ledger = closed("clean")
+    assert ledger["iterations"] == []
+    assert ledger["final"] == ledger["baseline"]
+
+
+@pytest.mark.parametrize("kind", ["source_response", "noise_floor"])
+def test_undeclared_effect_is_found(kind, closed):
+    out, ledger = closed(kind)
+    first = ledger["iterations"][0]
+    assert first["effect"] == kind == first["ranking"][0]["effect"]
+    assert first["heldout_error_after"] < first["heldout_error_before"] and first["p"] < 0.05
+    test_before, test_after = (ledger["test"][when]["leave_positions_out"]["error"] for when in ("before", "after"))
+    assert test_after < test_before
+    assert kind in read_model(out / "model.json").names
+    validate([out])
+
+
+def test_effects_of_a_given_model_are_no_candidates(closed, world, tmp_path):
+    out, before = closed("noise_floor")
+    ledger = close_loop([world("noise_floor") / "fit"], tmp_path / "loop", model=out / "model.json", nj=2)
+    assert ledger["given"] == read_model(out / "model.json").names
+    assert not {candidate["effect"] for candidate in ledger["ranking"]} & set(ledger["given"])
+    initial, final = (before[when]["leave_positions_out"]["error"] for when in ("baseline", "final"))
+    assert ledger["baseline"]["leave_positions_out"]["error"] < 0.5 * (initial + final)
+    assert ledger["iterations"] or (tmp_path / "loop/model.json").read_bytes() == (out / "model.json").read_bytes()
+    validate([tmp_path / "loop"])
+
+
+def test_fitted_response_has_the_true_shape(closed, world):
+    """Only its shape: a level common to all frequencies is a gain, which is unknown."""
+    out, _ = closed("source_response")
+    (extension,) = [added for added in read_model(out / "model.json").extensions if added.effect is SourceResponse]
+    clean, changed = ({row["id"]: (row, load_rir(world(kind) / "fit", row)) for row in read_rirs(world(kind) / "fit")}
+                      for kind in ("clean", "source_response"))
+    for source_id, response in extension.of.items():
+        true_db = np.mean([measure_features(changed[name][1]).values[feature_slice("spectrum")]
+                           - measure_features(rir).values[feature_slice("spectrum")]
+                           for name, (row, rir) in clean.items() if row["source_id"] == source_id], axis=0)
+        shape = np.array(response.gains_db)[:len(true_db)]
+        upper = np.array(RESPONSE_HZ)[:len(true_db)] > 200.0
+        error_db = (shape - true_db)[upper] - np.mean((shape - true_db)[upper])
+        assert np.sqrt(np.mean(error_db ** 2)) < 1.0
+
+
+def test_effect_outside_the_catalogue_is_reported_as_unexplained(closed):
+    _, ledger = closed("harmonic_distortion")
+    assert ledger["iterations"] == []
+    assert ledger["unexplained"]["time_region"] == "ahead" and ledger["unexplained"]["size_jnd"] > 2.0
+
+
+def test_single_loudspeaker_and_microphone_cannot_be_distinguished(world, tmp_path):
+    directory = tmp_path / "one"
+    rows = read_rirs(world("source_response") / "fit")
+    directory.mkdir()
+    write_rirs(directory, [row | dict(mic_id="the-mic") for row in relocated(
+        [row for row in rows if row["source_id"] == "spk1"], world("source_response") / "fit", directory)])
+    close_loop([directory], tmp_path / "loop", nj=2)
+    first = read_json(tmp_path / "loop" / "ledger.json")["iterations"][0]
+    assert {"source_response", "mic_response"} <= set(first["cannot_tell"]) and first["would_tell"]
+
+
+def test_results_do_not_depend_on_nj(world, closed, tmp_path):
+    out, _ = closed("noise_floor")
+    close_loop([world("noise_floor") / "fit"], tmp_path / "loop", test=[world("noise_floor") / "test"], nj=1)
+    for name in ("ledger.json", "model.json"):
+        assert (tmp_path / "loop" / name).read_bytes() == (out / name).read_bytes()
+
+
+@pytest.mark.parametrize("argv, message", [
+    (["{two}", "--out", "out"], "RIRs of 2 rooms"),
+    (["{two}", "--out", "out", "--max-effects", "-1"], "max_effects=-1 must lie in"),
+    (["{two}", "{two}", "--out", "out"], "give each RIR once"),
+    (["absent", "--out", "out"], "absent"),
+])
+def test_bad_input_is_refused_in_one_line(argv, message, world, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    source = world("clean") / "fit"
+    rows = read_rirs(source)
+    rooms = sorted({row["room_id"] for row in rows})[:2]
+    rows = [row for row in rows if row["room_id"] in rooms]
+    two = tmp_path / "two"
+    two.mkdir()
+    write_rirs(two, relocated(rows, source, two))
+    assert main(["close-loop", *(word.replace("{two}", str(two)) for word in argv)]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 and message in lines[0] and not (tmp_path / "out").exists()

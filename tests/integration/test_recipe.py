@@ -1,0 +1,90 @@
+"""The whole recipe at its smallest size gives the same bytes with other jobs and after interruptions."""
+
+import random
+import re
+import signal
+import time
+
+import pytest
+from recipe_run import finish, hashes, kill, start
+
+from roomeq.records.rir_dir import read_rirs, rir_path
+from roomeq.validate import validate
+
+
+@pytest.fixture(scope="module")
+def corpora(tmp_path_factory):
+    return tmp_path_factory.mktemp("recipe")
+
+
+@pytest.fixture(scope="module")
+def undisturbed(corpora, project_dir):
+    """The output of a run with one job, and the hashes of its files."""
+    where = corpora / "run-a"
+    return finish(start(project_dir, where, corpora / "corpora", 1)), hashes(where)
+
+
+def test_run_ends_with_data_directories_and_report(undisturbed, corpora):
+    output, files = undisturbed
+    assert "report: " in output.splitlines()[-1] and "data directory: " in output.splitlines()[-2]
+    for name in ("train.real", "train.sim", "train.sim.EQ", "train.sim.loop", "dev.real", "dev.sim", "dev.sim.EQ",
+                 "dev.sim.loop", "test.real"):
+        assert f"data/{name}.rvb/wav.scp" in files and f"data/{name}.rvb/segments" in files
+    assert "exp/report/index.html" in files
+
+
+def test_loop_finds_the_loudspeaker_responses(undisturbed, corpora):
+    output, files = undisturbed
+    added = re.findall(r"^added (\S+): held-out error ([\d.]+) -> ([\d.]+) JND \[[\d.]+, [\d.]+\] \(\S+\)$", output,
+                       re.M)
+    assert [name for name, *_ in added] == ["source_response"] and float(added[0][2]) < float(added[0][1])
+    # dev has five RIRs
+    assert "no room has two RIRs, one to calibrate it and one to score: the test set is not scored" in output
+    where = corpora / "run-a"
+    validate([where / "exp/loop", where / "data/rirs.sim.loop.train", where / "data/train.sim.loop.rvb"])
+    for row in read_rirs(where / "data/rirs.sim.loop.train"):
+        assert row["model"] == ([] if row["noise_for"] else ["source_response"])
+    assert "Closed loop: effects added to the simulation" in (where / "exp/report/index.html").read_text()
+
+
+def test_loop_is_skipped_without_room_geometry(undisturbed, corpora, project_dir):
+    where = corpora / "run-e"
+    measured = corpora / "run-a/data/rirs.real"
+    (where / "measured").mkdir(parents=True)
+    lines = ["file,id,room"] + [f"{rir_path(measured, row).resolve()},{row['id']},{row['room_id']}"
+                                for row in read_rirs(measured)]
+    (where / "measured/manifest.csv").write_text("\n".join(lines) + "\n")
+    output = finish(start(project_dir, where, corpora / "corpora", 2, "--measured", str(where / "measured"),
+                          "--noises", str(corpora / "corpora/speech/point_noises")))
+    assert "rirs.real.train: 0 rooms with geometry and two RIRs; the closed loop needs 3: skipped" in output
+    assert (where / "data/train.sim.EQ.rvb/wav.scp").is_file() and not (where / "data/rirs.sim.loop.train").exists()
+    assert "Closed loop: effects added to the simulation" not in (where / "exp/report/index.html").read_text()
+
+
+def test_two_jobs_and_a_second_run_give_the_same_bytes(undisturbed, corpora, project_dir):
+    where = corpora / "run-b"
+    finish(start(project_dir, where, corpora / "corpora", 2))
+    assert hashes(where) == undisturbed[1]
+    again = finish(start(project_dir, where, corpora / "corpora", 2))
+    assert "up to date" in again
+    assert hashes(where) == undisturbed[1]
+
+
+def test_killed_and_restarted_run_gives_the_same_bytes(undisturbed, corpora, project_dir):
+    where = corpora / "run-c"
+    moments, killed = random.Random(0), []
+    for _ in range(4):
+        process = start(project_dir, where, corpora / "corpora", 2)
+        time.sleep(moments.uniform(2, 15))
+        kill(process)
+        killed.append(process.returncode == -signal.SIGKILL)
+    assert any(killed), "every run ended before it was killed"
+    finish(start(project_dir, where, corpora / "corpora", 2))
+    assert hashes(where) == undisturbed[1]
+
+
+def test_stage_without_its_input_names_the_step_to_run(corpora, project_dir):
+    process = start(project_dir, corpora / "run-d", corpora / "corpora", 1, "--stage", "4")
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode != 0
+    assert "rirs.sim.train/rirs.jsonl is missing: run steps/simulate_rirs.sh first" in output.splitlines()[-1]

@@ -1,0 +1,107 @@
+"""Options of shell scripts are assigned and never evaluated; the local runner names a failing job."""
+
+import os
+import subprocess
+
+import pytest
+from scripts import call
+
+from roomeq.augment.draw import parse_distribution
+
+
+def test_options_take_values_with_and_without_equals_sign(recipe):
+    done = call(recipe, "./say.sh", "--nj", "7", "--some-name=a b", "--fast", "true", "say.sh")
+    assert (done.returncode, done.stdout) == (0, "7|a b|true|say.sh|")
+
+
+@pytest.mark.parametrize(
+    "value", ["$(touch evil)", "`touch evil`", "'; touch evil; '", "a\nb", "-x", "*", "../x", "é"])
+def test_option_values_are_never_evaluated(recipe, value):
+    (recipe / "size.conf").write_text(f"some_name={value.splitlines()[0]}\n")
+    done = call(recipe, "./say.sh", "--some-name", value, "say.sh")
+    assert (done.returncode, done.stdout) == (0, f"2|{value}|false|say.sh|")
+    done = call(recipe, "./say.sh", "--config", "size.conf", "say.sh")
+    assert (done.returncode, done.stdout) == (0, f"2|{value.splitlines()[0]}|false|say.sh|")
+    assert not (recipe / "evil").exists()
+
+
+def test_command_line_wins_over_config(recipe):
+    (recipe / "size.conf").write_text("# sizes\nnj=3   # three\n\nsome_name=x\n")
+    assert call(recipe, "./say.sh", "--nj", "4", "--config", "size.conf", "say.sh").stdout == "4|x|false|say.sh|"
+
+
+@pytest.mark.parametrize("args, message", [
+    (["--nope", "1", "say.sh"], "unknown option 'nope'"),
+    (["--PATH", "1", "say.sh"], "unknown option 'PATH'"),
+    (["--options-given", "1", "say.sh"], "unknown option"),
+    (["--nj"], "--nj needs a value"),
+    (["--fast", "yes", "say.sh"], "must be true or false"),
+    (["--config", "absent.conf", "say.sh"], "absent.conf: no such file"),
+    (["absent"], "absent is missing: run steps/before.sh first"),
+    ([], "Usage:"),
+])
+def test_wrong_options_are_named(recipe, args, message):
+    done = call(recipe, "./say.sh", *args)
+    assert done.returncode != 0
+    assert message in done.stderr and done.stdout == ""
+
+
+@pytest.mark.parametrize("line, message", [("nope=1", "unknown option 'nope'"), ("nj 3", "must be name=value")])
+def test_wrong_config_lines_are_named_with_their_number(recipe, line, message):
+    (recipe / "size.conf").write_text(f"nj=3\n{line}\n")
+    done = call(recipe, "./say.sh", "--config", "size.conf", "say.sh")
+    assert done.returncode != 0 and "size.conf:2: " in done.stderr and message in done.stderr
+
+
+def test_help_prints_header_and_options(recipe):
+    done = call(recipe, "./say.sh", "--help")
+    assert done.returncode == 0
+    assert "Say what the options are." in done.stdout and "--some-name" in done.stdout and "jobs" in done.stdout
+
+
+def test_every_script_has_help(project_dir):
+    scripts = [project_dir / "run.sh", project_dir / "local/make_synthetic_corpus.sh", *project_dir.glob("steps/*.sh"),
+               *(path for path in project_dir.glob("local/kaldi/*.sh") if path.name != "common.sh")]
+    for script in scripts:
+        done = call(project_dir, str(script), "--help")
+        assert done.returncode == 0 and "Usage:" in done.stdout and "e.g.:" in done.stdout, script
+
+
+def test_local_runner_names_the_failing_job(recipe):
+    done = call(recipe, "utils/local.sh", "JOB=1:3", "log/x.JOB.log", "bash", "-c", "echo $0; [ $0 != 2 ]", "JOB")
+    assert done.returncode == 1
+    assert "job 2 failed" in done.stderr and "job 1" not in done.stderr
+    assert [(recipe / f"log/x.{n}.log").read_text() for n in (1, 2, 3)] == ["1\n", "2\n", "3\n"]
+
+
+@pytest.mark.parametrize("runner", ["local.sh", "slurm.sh"])
+def test_unwritable_log_is_named_and_nothing_starts(recipe, runner):
+    (recipe / "log").write_text("not a folder")
+    (recipe / "sbatch").symlink_to("/bin/true")
+    done = subprocess.run([f"utils/{runner}", "JOB=1:2", "log/x.JOB.log", "touch", "evil"], cwd=recipe, text=True,
+                          capture_output=True, env={"PATH": f"{recipe}:{os.environ['PATH']}"}, timeout=60, check=False)
+    assert done.returncode == 1 and not (recipe / "evil").exists()
+    assert done.stderr == f"{runner}: log log/x.1.log cannot be written: is the disk full or read-only?\n"
+
+
+@pytest.mark.parametrize("option, value, message", [
+    ("--snr", "loud", "must be 'uniform LOW HIGH'"), ("--snr", "20,15", "must be 'uniform LOW HIGH'"),
+    ("--point-snr", "$(touch evil)", "must be 'uniform LOW HIGH'"), ("--taps", "512", "must be odd"),
+    ("--packing", "files", "must be recording or utterance"), ("--t60-range", "0.5", "must be two times"),
+    ("--t60-range", "match", "must be two times")])
+def test_recipe_refuses_values_before_any_work(project_dir, option, value, message):
+    done = call(project_dir, "./run.sh", option, value)
+    assert done.returncode == 1 and done.stdout == ""
+    assert done.stderr.startswith(f"run.sh: {option} '{value}' {message}") and done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("value", ["none", "7", "-2.5", "normal 15 5", "uniform 5, 25", "list 20,15,10"])
+def test_recipe_accepts_the_same_snr_as_the_tools(project_dir, value):
+    parse_distribution(value, "snr")
+    done = call(project_dir, "./run.sh", "--snr", value, "--stop-stage", "99")
+    assert done.stderr.startswith("run.sh: --stop-stage '99' ")
+
+
+def test_recipe_refuses_another_current_directory(tmp_path, project_dir):
+    done = call(tmp_path, str(project_dir / "run.sh"))
+    assert done.returncode != 0 and "directory that holds run.sh" in done.stderr

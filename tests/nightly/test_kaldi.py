@@ -1,0 +1,259 @@
+"""The Kaldi stages: the commands, their order, and which of them run again after a change."""
+
+import os
+import re
+import subprocess
+
+import pytest
+import recipe_run
+from datadirs import speech_dir
+
+ONCE = """#!/usr/bin/env bash
+# Count.
+# Usage: count.sh [options] <workspace> <word>
+set -euo pipefail
+nj=2            # jobs
+dry_run=false   # print
+input=          # file
+. utils/parse_options.sh
+. local/kaldi/common.sh
+workspace=$1
+[ -z "$input" ] || inputs "$input"
+once first sh -c 'echo "$3" >>count' count --nj "$nj" "$2"
+once second sh -c 'echo "$1" >>count; [ "$1" != bad ] || { echo "it went wrong"; exit 3; }' count "$2"
+"""
+
+
+def run(where, *args, **environment):
+    """Run a command in a minimal environment without KALDI_ROOT, with `environment` added."""
+    return subprocess.run(args, cwd=where, capture_output=True, text=True, timeout=1200,
+                          env={"PATH": os.environ["PATH"]} | environment)
+
+
+def dry(project_dir, tmp_path, *options):
+    """Return the commands that a dry run of stages 8-10 prints."""
+    done = run(project_dir, "./run.sh", "--data", f"{tmp_path}/data", "--exp", f"{tmp_path}/exp", "--dry-run", *options)
+    assert done.returncode == 0, done.stderr
+    assert not list(tmp_path.iterdir())
+    return done.stdout.splitlines()
+
+
+def position(lines, *patterns):
+    """Return the index of the first line that matches all patterns."""
+    return next(k for k, line in enumerate(lines) if all(re.search(pattern, line) for pattern in patterns))
+
+
+def test_dry_run_needs_neither_kaldi_nor_data(project_dir, tmp_path):
+    lines = dry(project_dir, tmp_path, "--stage", "8")
+    order = [position(lines, "copy_data", "train.sim.loop.rvb"), position(lines, "make_lms.py"),
+             position(lines, "train_mono"), position(lines, "train_sat"), position(lines, "get_prons"),
+             position(lines, "build_const_arpa_lm", "fglarge"), position(lines, "align_fmllr_lats"),
+             position(lines, "chain/train.py", "--dir train.sim.EQ.rvb"),
+             position(lines, "nnet3/decode", "train.sim.rvb/decode_dev.sim.rvb_tgsmall"),
+             position(lines, "online/nnet3/decode", "train.sim.loop.rvb/online/decode_test.real.rvb")]
+    assert order == sorted(order)
+    trained = [line for line in lines if "chain/train.py" in line]
+    assert len(trained) == 5
+    assert all("--use-gpu no" in line and "--tree-dir train.clean/align/tree" in line for line in trained)
+    assert not any("ivectors" in line for line in lines)
+    decoded = [line for line in lines if re.match(r"steps/(nnet3/decode|lmrescore|online/nnet3/decode)", line)]
+    assert len(decoded) == 5 * 2 * 5  # sets, test sets, language models and online
+
+
+def test_stock_augmentation_adds_a_row(project_dir, tmp_path):
+    lines = dry(project_dir, tmp_path, "--stage", "8", "--stock-rvb")
+    made = position(lines, "reverberate_data_dir.py", "data/train.clean data/train.sim.stock.rvb")
+    assert made < position(lines, "chain/train.py", "--dir train.sim.stock.rvb")
+    position(lines, "nnet3/decode", "train.sim.stock.rvb/decode_dev.sim.stock.rvb_tgsmall")
+    assert not any("stock.rvb" in line for line in dry(project_dir, tmp_path, "--stage", "8"))
+
+
+def test_rows_selects_the_systems_to_train(project_dir, tmp_path):
+    lines = dry(project_dir, tmp_path, "--stage", "8", "--rows", "real.rvb sim.loop.rvb")
+    trained = [line for line in lines if "chain/train.py" in line]
+    assert [re.search("--dir (\\S+)", line)[1] for line in trained] == ["train.real.rvb", "train.sim.loop.rvb"]
+    position(lines, "train_sat", "data/train.clean ")
+
+
+def test_a_later_stage_does_not_repeat_earlier_ones(project_dir, tmp_path):
+    assert not any("train.py" in line for line in dry(project_dir, tmp_path, "--stage", "10"))
+    assert not any("mono" in line for line in dry(project_dir, tmp_path, "--stage", "9"))
+
+
+def test_librispeech_config_runs_the_stock_recipe(project_dir, tmp_path):
+    lines = dry(project_dir, tmp_path, "--stage", "8", "--config", "conf/librispeech.conf", "--librispeech", "LS")
+    position(lines, "download_lm.sh")
+    position(lines, "prepare_dict.sh")
+    for name in ("train.clean", "train.real.rvb", "train.sim.rvb"):
+        position(lines, "train_sat.sh", "5000 100000", f"data/{name} ")
+        position(lines, "perturb_data_dir_speed_3way", f"data/{name} ")
+        position(lines, "build_tree", "7000", f"{name}/align/tree")
+        position(lines, "extract_ivectors_online", f"{name}/ivectors/test.real.rvb")
+        position(lines, "chain/train.py", "--use-gpu wait", f"--tree-dir {name}/align/tree",
+                 f"--feat.online-ivector-dir {name}/ivectors/{name}", "--trainer.num-epochs 4")
+        position(lines, "prepare_online_decoding", f"{name}/ivectors/extractor")
+
+
+@pytest.mark.parametrize("options, words", [
+    (["--dry-run"], ["--dry-run", "add --stage 8"]),
+    (["--stage", "8", "--dry-run", "--stop-stage", "10", "--align-on", "them"], ["--align-on 'them'", "clean or self"]),
+    (["--stage", "8", "--dry-run", "--rows", "sim.rvb sim.rvd"], ["--rows: 'sim.rvd'", "clean real.rvb sim.rvb"]),
+    (["--stage", "8", "--dry-run", "--stop-stage", "10", "--gmm-passes", "quad 3"], ["'quad'", "mono, deltas"]),
+])
+def test_wrong_kaldi_options_are_refused_in_one_line(project_dir, options, words):
+    done = run(project_dir, "./run.sh", *options)
+    assert done.returncode == 1
+    last = done.stderr.splitlines()[-1]
+    assert all(word in last for word in words)
+
+
+@pytest.fixture
+def recipe(tmp_path, project_dir):
+    """A directory with the recipe's utils and local, and one small script."""
+    for name in ("utils", "local", "cmd.sh"):
+        (tmp_path / name).symlink_to(project_dir / name)
+    (tmp_path / "count.sh").write_text(ONCE)
+    (tmp_path / "count.sh").chmod(0o755)
+    (tmp_path / "ws").mkdir()
+    (tmp_path / "ws/path.sh").write_text("")
+    return tmp_path
+
+
+def counted(recipe, *args, fails=False):
+    """Run the small script; return its counts so far and its stderr."""
+    done = run(recipe, "./count.sh", *args)
+    assert done.returncode == (1 if fails else 0), done.stderr
+    return (recipe / "ws/count").read_text().split(), done.stderr
+
+
+def test_once_repeats_only_after_a_change(recipe):
+    assert counted(recipe, "ws", "a")[0] == ["a", "a"]
+    assert counted(recipe, "ws", "a")[0] == ["a", "a"]
+    assert counted(recipe, "--nj", "5", "ws", "a")[0] == ["a", "a"]
+    assert counted(recipe, "ws", "b")[0] == ["a", "a", "b", "b"]
+    (recipe / "in").write_text("1")
+    assert len(counted(recipe, "--input", "in", "ws", "b")[0]) == 6
+    (recipe / "in").write_text("2")
+    assert len(counted(recipe, "--input", "in", "ws", "b")[0]) == 8
+
+
+def test_failed_command_is_named_and_alone_repeated(recipe):
+    _, said = counted(recipe, "ws", "bad", fails=True)
+    assert "second failed" in said and "it went wrong" in said and "ws/log/second.log" in said
+    assert counted(recipe, "ws", "bad", fails=True)[0] == ["bad"] * 3
+
+
+def test_commands_left_by_a_killed_run_are_waited_for(recipe):
+    command = "exec 9>ws/.lock; flock 9; echo held; sleep 12; echo a >>ws/count"
+    left = subprocess.Popen(["sh", "-c", command], cwd=recipe, stdout=subprocess.PIPE)
+    left.stdout.readline()
+    done = run(recipe, "./count.sh", "ws", "b")
+    assert left.wait() == 0 and done.returncode == 0
+    assert "kaldi: waiting for a command of another run in ws" in done.stdout
+    assert (recipe / "ws/count").read_text().split() == ["a", "b", "b"]
+
+
+def test_two_simultaneous_runs_do_each_command_once(recipe):
+    runs = [subprocess.Popen(["./count.sh", "ws", "a"], cwd=recipe) for _ in range(2)]
+    assert [process.wait() for process in runs] == [0, 0]
+    assert (recipe / "ws/count").read_text().split() == ["a", "a"]
+
+
+def test_missing_input_is_named(recipe):
+    done = run(recipe, "./count.sh", "--input", "gone", "ws", "a")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "gone is missing" in done.stderr
+
+
+@pytest.fixture
+def copy_data(project_dir):
+    """A function that runs local/kaldi/copy_data.py."""
+    return lambda *args: run(project_dir, str(project_dir / ".venv/bin/python"), "local/kaldi/copy_data.py",
+                             *map(str, args), PYTHONPATH=str(project_dir / "pysrc"), LC_ALL="C")
+
+
+def test_copied_directory_names_audio_by_absolute_paths(copy_data, tmp_path, project_dir):
+    source = speech_dir(tmp_path / "a dir")
+    relative = os.path.relpath(source, project_dir)
+    done = copy_data(relative, tmp_path / "copy")
+    assert done.returncode == 0, done.stderr
+    for line in (tmp_path / "copy/wav.scp").read_text().splitlines():
+        assert f"'{tmp_path}/a dir/" in line
+    assert (tmp_path / "copy/text").read_bytes() == (source / "text").read_bytes()
+
+
+def test_copy_keeps_features_until_the_source_changes(copy_data, tmp_path):
+    source = speech_dir(tmp_path / "source")
+    copy_data(source, tmp_path / "copy")
+    (tmp_path / "copy/feats.scp").write_text("x")
+    copy_data(source, tmp_path / "copy")
+    assert (tmp_path / "copy/feats.scp").exists()
+    (source / ".done").write_text("another state")
+    copy_data(source, tmp_path / "copy")
+    assert not (tmp_path / "copy/feats.scp").exists()
+
+
+def test_copy_refuses_pipes(copy_data, tmp_path):
+    source = speech_dir(tmp_path / "source")
+    (source / "wav.scp").write_text("".join(
+        f"{line.split()[0]} sox in.wav -t wav - |\n" for line in (source / "wav.scp").read_text().splitlines()))
+    done = copy_data(source, tmp_path / "copy")
+    assert done.returncode == 1
+    assert "must be a FLAC or WAV file" in done.stderr
+    assert not (tmp_path / "copy").exists()
+
+
+def fake_kaldi(root):
+    """Make the folders of a Kaldi checkout without compiled programs."""
+    for folder in ("egs/wsj/s5/steps", "egs/wsj/s5/utils", "egs/librispeech/s5/local", "egs/librispeech/s5/conf",
+                   "src/featbin"):
+        (root / folder).mkdir(parents=True)
+    return root
+
+
+def test_missing_kaldi_root_is_named(recipe, project_dir):
+    (recipe / "path.sh").write_text("")
+    done = run(recipe, "local/kaldi/make_workspace.sh", "ws", "data")
+    assert done.returncode == 1
+    assert done.stderr == ("make_workspace.sh: KALDI_ROOT is not set: set it to Kaldi's top directory, or put this "
+                           "directory into Kaldi's egs/librispeech\n")
+
+
+def test_wrong_kaldi_root_is_named(recipe, tmp_path):
+    (recipe / "path.sh").write_text("")
+    done = run(recipe, "local/kaldi/make_workspace.sh", "ws", "data", KALDI_ROOT=str(tmp_path))
+    assert done.returncode == 1
+    assert f"KALDI_ROOT '{tmp_path}' has no egs/wsj/s5/steps" in done.stderr
+
+
+def test_kaldi_root_is_found_from_egs_librispeech(tmp_path, project_dir):
+    kaldi = fake_kaldi(tmp_path / "kal di")
+    inside = kaldi / "egs/librispeech/rooms"
+    inside.symlink_to(project_dir)
+    done = run(inside, "bash", "-c", 'cd "$0" && local/kaldi/make_workspace.sh "$1" data', str(inside),
+               str(tmp_path / "ws"))
+    assert done.returncode == 1
+    assert "not found:" in done.stderr and "compute-mfcc-feats" in done.stderr
+    assert f"{kaldi}/src" in done.stderr
+    assert (tmp_path / "ws/steps").resolve() == kaldi / "egs/wsj/s5/steps"
+
+
+@pytest.mark.skipif("KALDI_ROOT" not in os.environ, reason="needs KALDI_ROOT: Kaldi, compiled")
+def test_stock_kaldi_trains_and_decodes(tmp_path, project_dir):
+    """Stages 8-10 at the smallest size: every stock command runs, and the table is made."""
+    recipe_run.finish(recipe_run.start(project_dir, tmp_path, tmp_path / "corpora", 2, "--stop-stage", "6"))
+    small = ["--gmm-passes", "mono all, deltas all 50 300, sat all 50 300", "--num-leaves", "50", "--chain-opts",
+             "--layers 2 --dim 48 --bottleneck 8 --epochs 1 --jobs-initial 1 --jobs-final 1 --chunk-width 60,40 "
+             "--minibatch 8,4,2,1", "--decode-opts", "--beam 6 --max-active 300"]
+
+    def stages(first, last):
+        return recipe_run.finish(recipe_run.start(project_dir, tmp_path, tmp_path / "corpora", 2, *small, "--stage",
+                                                  str(first), "--stop-stage", str(last)))
+
+    stages(8, 10)
+    for name in ("train.clean", "train.sim.rvb", "test.real.rvb"):
+        checked = run(tmp_path / "exp/kaldi", "bash", "-c", '. ./path.sh && utils/validate_data_dir.sh "$0"',
+                      f"data/{name}.hires")
+        assert checked.returncode == 0, checked.stderr
+    assert (tmp_path / "exp/wer/wer.json").exists()
+    assert " kaldi: " not in stages(8, 9)

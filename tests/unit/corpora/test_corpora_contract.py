@@ -1,0 +1,131 @@
+"""Rules that every kind of measured corpus obeys."""
+
+import json
+
+import pytest
+from corpora_examples import MEASURED, make_folder, make_table, put, rir
+
+from roomeq.core.audio import read_audio
+from roomeq.corpora import read_measured
+from roomeq.corpora.listing import detect_kind
+from roomeq.corpora.record import rir_row
+from roomeq.records.rir_dir import load_rir, read_noises, read_rirs, validate_rirs
+from roomeq.records.schema import is_id
+
+N_RIRS = dict(reverbdb=2, table=2, folder=4, slr28=13, sofa=5)
+
+
+@pytest.fixture(params=MEASURED)
+def corpus(request, tmp_path):
+    return request.param, MEASURED[request.param](tmp_path / "some corpus")
+
+
+def test_every_kind_is_recognised_and_keeps_the_contract(corpus, tmp_path):
+    kind, source = corpus
+    assert detect_kind(source) == kind
+    out = read_measured(source, tmp_path / "out" / "measured")
+    assert validate_rirs(out) == N_RIRS[kind]
+    for row in read_rirs(out):
+        assert set(rir_row()) <= set(row)
+        assert all(is_id(row[key]) for key in ("id", "room_id", "source_id", "mic_id"))
+        assert isinstance(row["binaural"], bool) and isinstance(row["unreliable_geometry"], bool)
+        assert not row["wav"].startswith("/")
+        assert len(load_rir(out, row)) == row["n_samples"]
+    for noise in read_noises(out):
+        assert noise["duration_s"] > 0 and read_audio(out / noise["wav"]).any()
+    assert json.loads((out / "corpus.json").read_text())["rirs"] == N_RIRS[kind]
+
+
+def test_two_jobs_give_the_same_bytes(corpus, tmp_path):
+    kind, source = corpus
+    outs = [read_measured(source, tmp_path / f"out{n}", nj=n) for n in (1, 2)]
+    names = [{path.relative_to(out): path.read_bytes() for path in sorted(out.rglob("*"))
+              if path.is_file() and path.name not in (".done", "rir_list")} for out in outs]
+    assert names[0] == names[1] and len(names[0]) >= 3
+
+
+def test_output_is_remade_only_for_a_changed_corpus(tmp_path):
+    source = make_folder(tmp_path / "rooms")
+    out = read_measured(source, tmp_path / "out")
+    made = (out / "rirs.jsonl").stat().st_mtime_ns
+    assert (read_measured(source, out) / "rirs.jsonl").stat().st_mtime_ns == made
+    put(source / "hall" / "new.wav")
+    assert len(read_rirs(read_measured(source, out))) == 5
+    with pytest.raises(ValueError, match="out: is an RIR directory already"):
+        read_measured(out, tmp_path / "again")
+
+
+def test_changed_audio_of_a_table_remakes_the_output(tmp_path):
+    table = make_table(tmp_path / "home" / "corpus") / "manifest.csv"
+    out = read_measured(table, tmp_path / "out")
+    made = (out / "rirs.jsonl").stat().st_mtime_ns
+    put(tmp_path / "home" / "corpus" / "unlisted.wav")
+    assert (read_measured(table, out) / "rirs.jsonl").stat().st_mtime_ns == made
+    put(tmp_path / "home" / "corpus" / "rirs" / "lab" / "one.flac", rir("longer", 900))
+    assert read_rirs(read_measured(table, out))[0]["n_samples"] == 900
+
+
+def test_16_khz_mono_is_referenced_other_audio_converted(tmp_path):
+    out = read_measured(make_folder(tmp_path / "rooms"), tmp_path / "out")
+    rows = {row["id"]: row for row in read_rirs(out)}
+    assert rows["kitchen-near"]["wav"] == "../rooms/kitchen/near.wav"
+    assert rows["kitchen-near"]["room_id"] == "kitchen" and rows["kitchen-near"]["source_pos_m"] is None
+    assert rows["hall-hall_44k"]["wav"] == "wav/hall-hall_44k.wav"
+    assert rows["hall-hall_44k"]["n_samples"] == round(2000 * 16000 / 44100)
+    channels = [rows[f"kitchen-far-stereo_ch{n}"] for n in (0, 1)]
+    assert [row["mic_id"] for row in channels] == ["ch0", "ch1"]
+    assert load_rir(out, channels[1]) == pytest.approx(rir("stereo", channels=2)[:, 1], abs=1e-4)
+    # 32-bit float: the converted copy is the 16-bit file to the bit
+    assert (load_rir(out, channels[0]) == read_audio(tmp_path / "rooms/kitchen/far stereo.wav", channel=0)).all()
+
+
+def test_relative_paths_hold_through_links(tmp_path):
+    source = make_table(tmp_path / "disk" / "deep" / "corpus")
+    (tmp_path / "far" / "away").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "far" / "away")
+    (tmp_path / "linked corpus").symlink_to(source)
+    assert validate_rirs(read_measured(tmp_path / "linked corpus", tmp_path / "link" / "out")) == 2
+
+
+def test_noises_are_added(tmp_path):
+    put(tmp_path / "noise" / "room_tone_home.wav")
+    put(tmp_path / "noise" / "dishes 44k.wav", rir("noise", 4410), fs_hz=44100)
+    out = read_measured(make_table(tmp_path / "corpus"), tmp_path / "out", noises=tmp_path / "noise")
+    noises = {noise["id"]: noise for noise in read_noises(out)}
+    assert {name: noise["kind"] for name, noise in noises.items()} == {"dishes-44k": "point",
+                                                                       "room_tone_home": "ambient"}
+    assert noises["dishes-44k"]["duration_s"] == pytest.approx(0.1)
+
+
+def test_synthetic_corpus_is_read_with_its_defects(project_dir, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(project_dir / "local"))
+    import make_synthetic_rirs
+
+    corpus = make_synthetic_rirs.Corpus(rooms=3, mics=2, speakers=2, silence_s=1, seed=0)
+    make_synthetic_rirs.make_synthetic_rirs(tmp_path / "synthetic", corpus)
+    out = read_measured(tmp_path / "synthetic", tmp_path / "out")
+    rows = read_rirs(out)
+    assert validate_rirs(out) == len(rows) == 16
+    assert sum(row["repeat_of"] is not None for row in rows) == 4  # two second takes, two of a _T session
+    assert {row["room_id"] for row in rows if row["uncommon"]} == {"Standin_Stairs_S3"}
+    problems = [row["geometry_problem"] for row in rows if row["unreliable_geometry"]]
+    assert len(problems) == 2 and all("lies outside the room" in problem for problem in problems)
+    assert all(row["room_dims_m"] and row["temperature_c"] and row["corpus"] == "synthetic" for row in rows)
+    assert len(read_noises(out)) == 7
+
+
+def test_shared_recordings(shared_data, tmp_path):
+    out = read_measured(shared_data / "measured", tmp_path / "out", noises=shared_data / "noise")
+    rows = read_rirs(out)
+    assert validate_rirs(out) == 213 and len({row["room_id"] for row in rows}) == 18
+    assert sum(row["binaural"] for row in rows) == 12
+    assert sorted(row["id"].split("__")[1] for row in rows if row["excitation"] == "clap") == [
+        "brir_clap_L", "brir_clap_R", "rir_clap"]
+    unreliable = [row["room_id"] for row in rows if row["unreliable_geometry"]]
+    assert unreliable == ["BUT_Hotel_SkalskyDvur_ConferenceRoom2"]
+    heights = [row["source_pos_m"][2] for row in rows if row["corpus"] == "R3VIVAL"]
+    assert heights == [None] * 170
+    q301 = next(row for row in rows if row["room_id"] == "BUT_VUT_FIT_Q301")
+    assert q301["room_dims_m"] == [10.78, 6.94, 2.60] and q301["mic_pos_m"] == [1.75, 4.12, 1.23]
+    noises = read_noises(out)
+    assert len(noises) == 19 and sum(noise["kind"] == "point" for noise in noises) == 2

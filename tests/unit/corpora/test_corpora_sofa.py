@@ -1,0 +1,93 @@
+"""SOFA files of measured rooms."""
+
+import numpy as np
+import pytest
+from corpora_examples import put, put_sofa, put_text, rir
+
+from roomeq.corpora import read_measured
+from roomeq.corpora.record import Recording
+from roomeq.corpora.sofa_file import list_sofa, sofa_signals
+from roomeq.records.rir_dir import load_rir, read_rirs
+
+
+def signals(path):
+    return list(sofa_signals(list_sofa(path).rirs[0]))
+
+
+def test_measurements_and_receivers_become_rows(tmp_path):
+    path = put_sofa(tmp_path / "lab.sofa", 2, 2, SourcePosition=[[1, 1, 1.2], [2, 1, 1.2]],
+                    GLOBAL_RoomShortName="Lab 3", GLOBAL_SourceShortName="Genelec", RoomTemperature=295.15)
+    rows = [row for row, _, _ in signals(path)]
+    assert [row["id"] for row in rows] == ["lab_m0_ch0", "lab_m0_ch1", "lab_m1_ch0", "lab_m1_ch1"]
+    assert rows[2]["source_pos_m"] == [2, 1, 1.2] and rows[2]["mic_pos_m"] == [3, 2, 1.5]
+    assert rows[0]["room_dims_m"] == [5, 4, 3] and rows[0]["room_id"] == "Lab-3"
+    assert rows[0]["source_id"] == "Genelec" and rows[1]["mic_id"] == "unknown-ch1"
+    assert rows[0]["temperature_c"] == 22.0 and rows[0]["binaural"] is False
+
+
+def test_samples_are_resampled_to_16_khz(tmp_path):
+    out = read_measured(put_sofa(tmp_path / "a.sofa", fs_hz=16000), tmp_path / "out")
+    assert load_rir(out, read_rirs(out)[0]) == pytest.approx(rir("0-0", 2400), abs=1e-7)
+    out = read_measured(put_sofa(tmp_path / "b.sofa", fs_hz=48000), tmp_path / "out48")
+    assert read_rirs(out)[0]["n_samples"] == 800
+
+
+def test_positions_are_relative_to_the_lowest_corner(tmp_path):
+    path = put_sofa(tmp_path / "a.sofa", RoomCornerA=[[2, 3, 0]], RoomCornerB=[[-3, -1, 3]],
+                    SourcePosition=[[-2, 0, 1]], ListenerPosition=[[0, 1, 1]])
+    row = signals(path)[0][0]
+    assert row["room_dims_m"] == [5, 4, 3]
+    assert row["source_pos_m"] == [1, 1, 1] and row["mic_pos_m"] == [3, 2, 1]
+
+
+def test_receivers_turn_with_the_listener(tmp_path):
+    # a microphone 10 cm to the left of a listener that looks along +y stands 10 cm towards -x
+    path = put_sofa(tmp_path / "a.sofa", ReceiverPosition=[[90, 0, 0.1]], ListenerView=[[0, 1, 0]])
+    assert signals(path)[0][0]["mic_pos_m"] == [2.9, 2.0, 1.5]
+
+
+def test_spherical_source_positions(tmp_path):
+    path = put_sofa(tmp_path / "a.sofa", SourcePosition=[[90, 30, 2]], SourcePosition_Type="spherical",
+                    SourcePosition_Units="degree, degree, metre")
+    assert signals(path)[0][0]["source_pos_m"] == pytest.approx([0, np.sqrt(3), 1], abs=1e-4)
+
+
+def test_without_corners_only_the_distance_is_kept(tmp_path):
+    row = signals(put_sofa(tmp_path / "a.sofa", convention="GeneralFIR"))[0][0]
+    assert row["room_dims_m"] is None and row["source_pos_m"] is None and row["room_id"] == "a"
+    assert row["distance_m"] == pytest.approx(np.sqrt(4 + 1 + 0.09), abs=1e-4)
+
+
+def test_default_corners_and_positions_are_unknown(tmp_path):
+    path = put_sofa(tmp_path / "a.sofa", RoomCornerB=[[1, 2, 3]], SourcePosition=[[0, 0, 1]],
+                    ListenerPosition=[[0, 0, 0]])
+    row = signals(path)[0][0]
+    assert row["room_dims_m"] is None and row["mic_pos_m"] is None and row["distance_m"] is None
+    assert row["temperature_c"] is None
+
+
+def test_delay_precedes_the_response(tmp_path):
+    _, samples, _ = signals(put_sofa(tmp_path / "a.sofa", Data_Delay=np.array([[7.0]])))[0]
+    assert len(samples) == 2407 and not samples[:7].any() and samples[47] == 0.5
+
+
+def test_dummy_head_is_binaural(tmp_path):
+    path = put_sofa(tmp_path / "a.sofa", n_receivers=2, GLOBAL_ListenerShortName="KU100")
+    assert all(row["binaural"] for row, _, _ in signals(path))
+
+
+def test_rate_below_16_khz_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"a\.sofa: sample rate 8000 Hz must be 16000 Hz or more"):
+        read_measured(put_sofa(tmp_path / "a.sofa", fs_hz=8000), tmp_path / "out")
+
+
+def test_free_field_and_broken_files_are_refused(tmp_path):
+    path = put_sofa(tmp_path / "hrir.sofa", n_receivers=2, convention="SimpleFreeFieldHRIR",
+                    ReceiverPosition=[[0, 0.09, 0], [0, -0.09, 0]])
+    with pytest.raises(ValueError, match="SimpleFreeFieldHRIR describes a free field, no room: leave the file"):
+        signals(path)
+    for broken in (put_text(tmp_path / "a.sofa", "junk"), put(tmp_path / "b.wav").rename(tmp_path / "b.sofa")):
+        with pytest.raises(ValueError, match=rf"{broken.name}: cannot be read as SOFA .*: export it again"):
+            list(sofa_signals(Recording(broken, "x", dict(corpus="x"))))
+    with pytest.raises(ValueError, match=r"no \.sofa files below it"):
+        list_sofa(tmp_path / "empty")

@@ -1,0 +1,304 @@
+"""Clean speech becomes Kaldi data directories."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from corpora_examples import put, put_librispeech, put_text, rir
+
+from roomeq.corpora import prepare_speech
+from roomeq.corpora.librispeech import read_genders
+from roomeq.corpora.utterance import split_voices
+
+SETS = {"train-clean-100": {"19": {"198": 2, "227": 1}}, "train-clean-360": {"100": {"1": 1}},
+        "dev-clean": {"1272": {"128104": 2}}, "test-clean": {"61": {"70968": 1}}}
+ROLES = dict(train_sets=("train-clean-100", "train-clean-360"), dev_sets=("dev-clean",), test_sets=("test-clean",))
+
+
+def lines(path):
+    return path.read_text().splitlines()
+
+
+def table(path):
+    return dict(line.split(maxsplit=1) for line in lines(path))
+
+
+def put_manifest(root, rows, columns="file,utt_id,speaker,transcript"):
+    for row in rows:
+        put(root / row.split(",")[0], rir(row, 1600))
+    put_text(root / "manifest.csv", "\n".join([columns, *rows]) + "\n")
+    return root
+
+
+def rows_of_voices(counts):
+    return [f"{voice}/{n}.flac,{voice}-{n},{voice},WORDS {n}" for voice, count in counts.items()
+            for n in range(count)]
+
+
+@pytest.mark.parametrize("below", [".", "LibriSpeech"])
+def test_librispeech_matches_the_stock_recipe(tmp_path, below):
+    source = tmp_path / "corpus"
+    put_librispeech(source / below, SETS)
+    train, dev, test = prepare_speech(source, tmp_path / "data", **ROLES)
+    assert [path.name for path in (train, dev, test)] == ["train.clean", "dev.clean", "test.clean"]
+    assert lines(train / "utt2spk") == ["100-1-0000 100-1", "19-198-0000 19-198", "19-198-0001 19-198",
+                                        "19-227-0000 19-227"]
+    assert lines(train / "spk2utt") == ["100-1 100-1-0000", "19-198 19-198-0000 19-198-0001", "19-227 19-227-0000"]
+    assert lines(train / "spk2gender") == ["100-1 m", "19-198 f", "19-227 f"]
+    assert lines(train / "text")[1] == "19-198-0000 SOME WORDS"
+    assert lines(dev / "wav.scp")[1] == (
+        f"1272-128104-0001 flac -c -d -s {source / below / 'dev-clean/1272/128104/1272-128104-0001.flac'} |")
+    assert lines(dev / "utt2dur") == ["1272-128104-0000 0.1", "1272-128104-0001 0.1000625"]
+    assert lines(test / "utt2spk") == ["61-70968-0000 61-70968"]
+
+
+@pytest.mark.skipif("KALDI_ROOT" not in os.environ, reason="needs KALDI_ROOT")
+def test_stock_kaldi_accepts_the_directories(tmp_path):
+    put_librispeech(tmp_path / "corpus", SETS)
+    stock = Path(os.environ["KALDI_ROOT"]) / "egs" / "wsj" / "s5"
+    for path in prepare_speech(tmp_path / "corpus", tmp_path / "data", **ROLES):
+        subprocess.run(["utils/validate_data_dir.sh", "--no-feats", path], cwd=stock, check=True,
+                       env=dict(os.environ, LC_ALL="C", PATH=f"{stock / 'utils'}:{os.environ['PATH']}"))
+
+
+def test_speakers_txt_with_bars_and_comments_is_read(tmp_path):
+    path = put_text(tmp_path / "SPEAKERS.TXT", "; ID | SEX\n60   | M | train-clean-100  | 20.18 | |CBW|Simon\n\n")
+    assert read_genders(path) == {"60": "m"}
+
+
+def test_spk2gender_needs_every_gender(tmp_path):
+    put_librispeech(tmp_path / "corpus", SETS)
+    put_text(tmp_path / "corpus" / "SPEAKERS.TXT", "19 | F | train-clean-100 | 1 | x\n")
+    train, _, _ = prepare_speech(tmp_path / "corpus", tmp_path / "data", **ROLES)
+    assert not (train / "spk2gender").exists() and (train / "utt2spk").exists()
+
+
+def test_single_set_is_split_by_voice(tmp_path):
+    readers = {str(reader): {"1": 2, "2": 1} for reader in range(10, 20)}
+    put_librispeech(tmp_path / "corpus", {"dev-clean": readers})
+    dirs = prepare_speech(tmp_path / "corpus" / "dev-clean", tmp_path / "data")
+    readers = [{line.split("-")[0] for line in lines(path / "utt2spk")} for path in dirs]
+    assert sum(map(len, readers)) == 10 and len(set.union(*readers)) == 10
+    assert [len(each) for each in readers] == [7, 2, 1]
+
+
+def test_manifest_is_split_by_voice(tmp_path):
+    counts = {"a": 8, "b": 8, "c": 8, "d": 8, "e": 4, "f": 2, "g": 2}
+    put_manifest(tmp_path / "speech", rows_of_voices(counts))
+    dirs = prepare_speech(tmp_path / "speech", tmp_path / "data", train_sets=("train-clean-100",),
+                          dev_sets=("dev-clean",), test_sets=("test-clean",))
+    voices = [set(table(path / "utt2spk").values()) for path in dirs]
+    assert len(set.union(*voices)) == sum(map(len, voices)) == 7
+    assert len(lines(dirs[0] / "text")) == pytest.approx(0.7 * 40, abs=4)
+    assert not (dirs[0] / "spk2gender").exists()
+
+
+def test_voices_are_split_in_proportion():
+    roles = split_voices({"big": 100, "small": 1, "tiny": 1})
+    assert roles["big"] == "train" and {roles["small"], roles["tiny"]} == {"dev", "test"}
+    assert split_voices(dict.fromkeys("cab", 5)) == split_voices(dict.fromkeys("abc", 5))
+    with pytest.raises(ValueError, match=r"2 speakers \(a, b\) cannot be split into train, dev, test"):
+        split_voices({"a": 5, "b": 5})
+
+
+def test_manifest_with_sets_and_genders(tmp_path):
+    rows = [f"{name}.flac,{name},{name},HI,{gender},{part}" for name, gender, part in
+            (("a", "Male", "training"), ("b", "f", "dev"), ("c", "F", "test"))]
+    put_manifest(tmp_path / "speech", rows, "file,utt_id,speaker,transcript,gender,set")
+    manifest = tmp_path / "speech" / "manifest.csv"
+    train, dev, _ = prepare_speech(manifest, tmp_path / "data", dev_sets=("dev-clean",))
+    assert lines(train / "spk2gender") == ["a m"] and lines(dev / "utt2spk") == ["b-b b"]
+
+
+def test_utterances_sort_like_their_speakers(tmp_path):
+    # '+' sorts before the '-' that joins speaker and utterance: either of them in a speaker's name breaks Kaldi's order
+    rows = ["1.flac,x,a,HI", "2.flac,x,a+b,HI", "3.flac,a-z,a-b,HI", "4.flac,d-1,d,HI", "5.flac,e-1,e,HI"]
+    put_manifest(tmp_path / "speech", rows)
+    dirs = prepare_speech(tmp_path / "speech", tmp_path / "data")
+    merged = {utt: spk for path in dirs for utt, spk in table(path / "utt2spk").items()}
+    assert merged == {"a-x": "a", "a_b-x": "a_b", "a_b-a-z": "a_b", "d-1": "d", "e-1": "e"}
+
+
+def test_audio_that_kaldi_cannot_read_is_converted(tmp_path, caplog):
+    caplog.set_level("INFO")
+    speech = put_manifest(tmp_path / "my speech", rows_of_voices({"a": 3, "b": 1, "c": 1}))
+    put(speech / "a" / "0.flac", rir("24", 1600), subtype="PCM_24")
+    put(speech / "a" / "1.flac", rir("44", 4410), fs_hz=44100)
+    train, _, _ = prepare_speech(speech, tmp_path / "data")
+    entries, durations = table(train / "wav.scp"), table(train / "utt2dur")
+    for utt in ("a-0", "a-1"):
+        made = train / "audio" / f"{utt}.flac"
+        assert str(made) in entries[utt]
+        assert soundfile.info(made).subtype == "PCM_16" and soundfile.info(made).samplerate == 16000
+    assert entries["a-2"] == f"flac -c -d -s '{tmp_path}/my speech/a/2.flac' |"  # a shell reads it
+    assert durations == {"a-0": "0.1", "a-1": "0.1", "a-2": "0.1"}
+    assert "2 converted to 16000 Hz FLAC" in caplog.text
+
+
+@pytest.mark.skipif(not shutil.which("flac"), reason="needs flac")
+def test_entries_work_in_a_shell(tmp_path):
+    put_manifest(tmp_path / "it's $HOME (my) speech", rows_of_voices({"a": 3, "b": 1, "c": 1}))
+    train, _, _ = prepare_speech(tmp_path / "it's $HOME (my) speech", tmp_path / "data")
+    command = table(train / "wav.scp")["a-1"].removesuffix("|")
+    wav = subprocess.run(command, shell=True, capture_output=True, check=True).stdout
+    assert wav.startswith(b"RIFF") and len(wav) > 3200
+
+
+def test_larger_limit_keeps_the_smaller_choice(tmp_path):
+    put_manifest(tmp_path / "speech", rows_of_voices({"a": 9, "b": 9, "c": 3, "d": 3}))
+    few, more = ({line for path in prepare_speech(tmp_path / "speech", tmp_path / f"data{limit}", limit=limit)
+                  for line in lines(path / "text")} for limit in (2, 4))
+    assert len(few) == 6 and few < more
+    with pytest.raises(ValueError, match="limit=0 utterances must be at least 1"):
+        prepare_speech(tmp_path / "speech", tmp_path / "data", limit=0)
+
+
+def test_unchanged_speech_is_not_remade(tmp_path):
+    root = put_librispeech(tmp_path / "corpus", SETS)
+
+    def made():
+        return [(path / "text").stat().st_mtime_ns for path in prepare_speech(root, tmp_path / "data", **ROLES)]
+
+    first = made()
+    put_text(tmp_path / "corpus" / "notes.txt", "nothing that matters")
+    assert made() == first
+    put(root / "dev-clean" / "1272" / "128104" / "1272-128104-0001.flac", rir("other", 1700))
+    train, dev, test = made()
+    assert (train, test) == (first[0], first[2]) and dev != first[1]
+    assert table(tmp_path / "data" / "dev.clean" / "utt2dur")["1272-128104-0001"] == "0.10625"
+
+
+def test_jobs_do_not_change_the_bytes(tmp_path):
+    put_librispeech(tmp_path / "corpus", SETS)
+    one_job, two_jobs = (prepare_speech(tmp_path / "corpus", tmp_path / f"data{nj}", nj=nj, **ROLES) for nj in (1, 2))
+    for a, b in zip(one_job, two_jobs, strict=True):
+        assert {path.name: path.read_bytes() for path in a.glob("[!.]*")} == {
+            path.name: path.read_bytes() for path in b.glob("[!.]*")}
+
+
+def put_kaldi_dir(path, speakers, segments=False):
+    utts = {f"{spk}-{n}": spk for spk in speakers for n in range(2)}
+    put_text(path / "wav.scp", "".join(f"{key} /x/{key}.wav\n" for key in (speakers if segments else utts)))
+    put_text(path / "text", "".join(f"{utt} HI\n" for utt in utts))
+    put_text(path / "utt2spk", "".join(f"{utt} {spk}\n" for utt, spk in utts.items()))
+    if segments:
+        put_text(path / "segments", "".join(f"{utt} {spk} {n % 2} {n % 2 + 1}\n"
+                                            for n, (utt, spk) in enumerate(utts.items())))
+    return path
+
+
+@pytest.mark.parametrize("segments", [False, True])
+def test_kaldi_directory_is_split_by_voice(tmp_path, segments):
+    speakers = ["14-208", "14-212", "20-1", "25-1", "31-1"]
+    put_kaldi_dir(tmp_path / "kaldi", speakers, segments)
+    dirs = prepare_speech(tmp_path / "kaldi", tmp_path / "data")
+    parts = [table(path / "utt2spk") for path in dirs]
+    assert sorted(utt for part in parts for utt in part) == [f"{spk}-{n}" for spk in speakers for n in (0, 1)]
+    chapters = [part for part in parts if "14-208" in part.values()]
+    assert len(chapters) == 1 and "14-212" in chapters[0].values()  # one reader, one role
+    for path, part in zip(dirs, parts, strict=True):
+        assert set(table(path / "wav.scp")) == (set(part.values()) if segments else set(part))
+        assert (path / "segments").exists() == segments and not (path / "spk2gender").exists()
+
+
+def test_several_kaldi_directories_are_sets(tmp_path):
+    for name, speakers in (("train_a", ["a"]), ("train_b", ["b"]), ("dev", ["c"]), ("test", ["d"])):
+        put_kaldi_dir(tmp_path / "data" / name, speakers)
+    train, _, test = prepare_speech(tmp_path / "data", tmp_path / "out")
+    assert set(table(train / "utt2spk").values()) == {"a", "b"} and set(table(test / "utt2spk").values()) == {"d"}
+
+
+def test_shared_recordings(shared_data, tmp_path):
+    dirs = prepare_speech(shared_data / "speech", tmp_path / "data")
+    counts = [(len(lines(path / "utt2spk")), len(lines(path / "spk2utt"))) for path in dirs]
+    assert counts == [(60, 6), (15, 2), (12, 2)]
+    for path in dirs:
+        for utt, entry in table(path / "wav.scp").items():
+            info = soundfile.info(entry.split()[-2])
+            assert float(table(path / "utt2dur")[utt]) == pytest.approx(info.frames / 16000, abs=1e-9)
+
+
+def test_mismatch_of_transcripts_and_audio_is_refused(tmp_path):
+    root = put_librispeech(tmp_path / "corpus", SETS)
+    chapter = root / "dev-clean" / "1272" / "128104"
+    trans = chapter / "1272-128104.trans.txt"
+
+    def prepare():
+        return prepare_speech(root, tmp_path / "data", **ROLES)
+
+    text = trans.read_text()
+    for changed, message in (
+            (text.replace("0001 SOME WORDS", "0001"), r"trans\.txt:2: utterance 1272-128104-0001 has no words"),
+            (text.replace("1272-128104-0001", "9-9-1"), r"trans\.txt:2: utterance '9-9-1' must start with"),
+            (text + "1272-128104-0002 X\n", r"trans\.txt:3: no audio .*1272-128104-0002\.flac"),
+            (text + text, r"trans\.txt:3: utterance 1272-128104-0000 occurs twice"),
+            ("", r"0000\.flac: no transcript in .*trans\.txt \(2 such\)")):
+        trans.write_text(changed)
+        with pytest.raises(ValueError, match=message) as caught:
+            prepare()
+        assert "\n" not in str(caught.value)
+    assert not (tmp_path / "data" / "dev.clean").exists()
+    trans.write_text(text)
+    flac = chapter / "1272-128104-0001.flac"
+    flac.write_bytes(flac.read_bytes()[:-200])
+    with pytest.raises(ValueError, match=r"0001\.flac: broken audio .*\(named by .*trans\.txt:2\)"):
+        prepare()
+    put(flac, rir("8k"), fs_hz=8000)
+    with pytest.raises(ValueError, match=r"0001\.flac: sample rate 8000 Hz must be 16000 Hz: the missing band"):
+        prepare()
+    put(flac, rir("stereo", channels=2))
+    with pytest.raises(ValueError, match=r"0001\.flac: 2 channels where one is expected"):
+        prepare()
+
+
+def test_missing_or_shared_sets_are_refused(tmp_path):
+    root = put_librispeech(tmp_path / "corpus", SETS)
+    with pytest.raises(ValueError, match=r"train set 'train-clean-999' is not in it \(it has dev-.*--train-"):
+        prepare_speech(root, tmp_path / "data", **ROLES | dict(train_sets=("train-clean-999",)))
+    with pytest.raises(ValueError, match=r"test set '\(none named\)' is not in it"):
+        prepare_speech(root, tmp_path / "data", **ROLES | dict(test_sets=()))
+    with pytest.raises(ValueError, match="set 'dev-clean' is named 2 times"):
+        prepare_speech(root, tmp_path / "data", **ROLES | dict(test_sets=("dev-clean",)))
+
+
+@pytest.mark.parametrize("row, message", [
+    ("a/0.flac,a-0,a,", r"manifest\.csv:2: transcript='' of a/0\.flac must hold the words that are spoken: "
+     "correct the row"),
+    ("a/9.flac,a-0,a,HI", r"manifest\.csv:3: utterance a-0 is also in .*manifest\.csv:2: ids must be unique"),
+    ("a/9.flac,a-9,a,HI", r"9\.flac: no such audio file: check the path \(named by .*manifest\.csv:2\)")])
+def test_bad_manifest_row_is_refused(tmp_path, row, message):
+    source = put_manifest(tmp_path / "speech", rows_of_voices({"a": 9, "b": 2, "c": 2}))
+    head, *rest = lines(source / "manifest.csv")
+    put_text(source / "manifest.csv", "\n".join([head, row, *rest]) + "\n")
+    with pytest.raises(ValueError, match=message):
+        prepare_speech(source, tmp_path / "data")
+
+
+def test_source_without_speech_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="absent: no such file or directory: check the path of the speech corpus"):
+        prepare_speech(tmp_path / "absent", tmp_path / "data")
+    put(tmp_path / "only audio" / "a.wav", np.ones(100))
+    with pytest.raises(ValueError, match="only audio: no speech corpus: expected LibriSpeech"):
+        prepare_speech(tmp_path / "only audio", tmp_path / "data")
+    put_text(tmp_path / "no text" / "manifest.csv", "file,speaker\na.wav,a\n")
+    with pytest.raises(ValueError, match="columns file,speaker must hold 'transcript'"):
+        prepare_speech(tmp_path / "no text", tmp_path / "data")
+
+
+@pytest.mark.parametrize("name, text, message", [
+    ("text", "", "text: missing or empty: complete the data directory"),
+    ("text", "a-0 HI\n", "text: utterance a-1 of utt2spk is not in it"),
+    ("wav.scp", "a-0 x.wav\n", r"wav\.scp: utterance a-1 of utt2spk is not in it"),
+    ("segments", "a-0 r 0 1\n", r"wav\.scp: recording r of segments is not in it"),
+    ("utt2spk", "a-0 a\na-0 a\n", "utt2spk:2: a-0 occurs twice"),
+    ("utt2spk", "a-0\n", "utt2spk:1: 'a-0' has no value"),
+    ("utt2spk", "a-0 z\na-1 y\nb-0 x\nb-1 w\nc-0 c\nc-1 c\n", "sorts apart from its speaker: utterance ids must")])
+def test_bad_kaldi_directory_is_refused(tmp_path, name, text, message):
+    put_kaldi_dir(tmp_path / "kaldi", ["a", "b", "c"])
+    put_text(tmp_path / "kaldi" / name, text)
+    with pytest.raises(ValueError, match=message):
+        prepare_speech(tmp_path / "kaldi", tmp_path / "data")

@@ -1,0 +1,125 @@
+"""A CSV of measured RIRs."""
+
+import logging
+
+import pytest
+from corpora_examples import make_table, put, put_text
+
+from roomeq.corpora.record import noise_kind_of, parse_number, parse_vector, rir_row
+from roomeq.corpora.table import list_noise_table, list_table
+from roomeq.records.geometry import find_contradiction
+
+
+def list_row(tmp_path, header, cells, file="a.wav"):
+    put(tmp_path / file)
+    return list_table(put_text(tmp_path / "t.csv", f"file,{header}\n{file},{cells}\n")).rirs[0]
+
+
+def test_cells_of_the_example_are_parsed(tmp_path):
+    rows = {recording.id: recording.row for recording in list_table(make_table(tmp_path) / "manifest.csv").rirs}
+    first, clap = rows["lab__one"], rows["lab__two_clap"]
+    assert first["room_dims_m"] == [9.7, 5.5, 2.7] and first["source_pos_m"] == [4.71, 2.75, None]
+    assert first["distance_m"] == 1.5 and first["binaural"] is False and first["excitation"] is None
+    assert first["tof_removed"] is None and first["corpus"] == "Lab"
+    assert clap["binaural"] is True and clap["excitation"] == "clap" and clap["room_dims_m"] is None
+
+
+@pytest.mark.parametrize("text, vector", [
+    ("4.7 2.75 ?", [4.7, 2.75, None]), ("4.7,2.75,1", [4.7, 2.75, 1]), ("[1; 2; 3]", [1, 2, 3]),
+    ("9x5 x 3", [9, 5, 3]),
+    ("", None), ("?", None), ("? ? ?", None), (None, None), ("1 - 2", [1, None, 2]), ("-1 2 3", [-1, 2, 3])])
+def test_vector_cells_are_parsed(text, vector):
+    assert parse_vector(text) == vector
+
+
+def test_number_cells_are_parsed():
+    assert parse_number("2,5") == 2.5 and parse_number(" 1e-3 ") == 1e-3 and parse_number("n/a") is None
+    with pytest.raises(ValueError, match="must be finite"):
+        parse_number("inf")
+
+
+def test_separators_case_and_byte_order_mark_are_free(tmp_path):
+    put(tmp_path / "a.wav")
+    (tmp_path / "t.csv").write_text("\ufeffFile;Room;source_pos_m\r\na.wav;lab 1;1,5 2,5 1\r\n", encoding="utf-8")
+    with pytest.raises(ValueError, match="must be three numbers"):
+        list_table(tmp_path / "t.csv")  # a comma between coordinates and in them is not to be told apart
+    (tmp_path / "t.csv").write_text("\ufeffFile;Room;source_pos_m\r\na.wav;lab 1;1.5 2.5 1\r\n", encoding="utf-8")
+    row = list_table(tmp_path / "t.csv").rirs[0].row
+    assert row["room_id"] == "lab-1" and row["source_pos_m"] == [1.5, 2.5, 1]
+
+
+def test_unused_columns_are_logged(tmp_path, caplog):
+    caplog.set_level(logging.INFO)
+    list_row(tmp_path, "licence,gain", "CC0,2")
+    assert "columns not used: gain, licence" in caplog.text
+
+
+def test_excitation_column_overrides_the_file_name(tmp_path):
+    assert list_row(tmp_path, "excitation", "mls", "clap.wav").row["excitation"] == "mls"
+    assert list_row(tmp_path, "excitation", "", "clap.wav").row["excitation"] is None
+    assert list_row(tmp_path, "room", "Clapham", "x_sweep2.wav").row["excitation"] == "sweep"
+
+
+def test_ids_never_hold_a_path(tmp_path):
+    put(tmp_path / "elsewhere" / "r 1.wav")
+    (tmp_path / "corpus" / "sub").mkdir(parents=True)
+    path = put_text(tmp_path / "corpus" / "t.csv", "file,rir_id\n../elsewhere/r 1.wav,\nsub/x.wav,../../etc/x\n")
+    ids = [recording.id for recording in list_table(path).rirs]
+    assert ids == ["elsewhere-r-1", "etc-x"]
+
+
+def test_paths_may_start_with_the_folder_of_the_csv(tmp_path):
+    put(tmp_path / "noise" / "room_tone.wav")
+    path = put_text(tmp_path / "noise" / "manifest.csv", "file,description\nnoise/room_tone.wav,quiet\n")
+    noise = list_noise_table(path)[0]
+    assert noise.path.is_file() and noise.id == "room_tone" and noise.row["kind"] == "ambient"
+
+
+def test_documented_t60_in_words_is_unknown(tmp_path):
+    path = put_text(tmp_path / "t.csv", 'file,documented_t60_s\na.wav,"0.5-0.75 (README)"\nb.wav,0.6\n')
+    corpus = list_table(path)
+    assert [recording.row["documented_t60_s"] for recording in corpus.rirs] == [None, 0.6]
+    assert sum(corpus.notes.values()) == 1
+
+
+def test_noise_kind_is_recognised_by_name():
+    assert noise_kind_of("room_tone_home") == noise_kind_of("a/silence.v00") == "ambient"
+    assert noise_kind_of("exercise_bike") == noise_kind_of("dial_tone") == "point"
+
+
+def test_contradicting_geometry_is_found():
+    good = dict(room_dims_m=[5, 4, 3], source_pos_m=[1, 1, None], mic_pos_m=[3, 1, 1], distance_m=2.0)
+    assert find_contradiction(rir_row(**good)) is None
+    assert "outside" in find_contradiction(rir_row(**good | dict(mic_pos_m=[5.1, 1, 1])))
+    assert "must be positive" in find_contradiction(rir_row(**good | dict(room_dims_m=[0, 4, 3])))
+    assert find_contradiction(rir_row(**good | dict(source_pos_m=[1, 1, 1]))) is None
+    assert "2.9" in find_contradiction(rir_row(**good | dict(source_pos_m=[1, 1, 1], distance_m=2.9)))
+    assert "on top" in find_contradiction(rir_row(**good | dict(source_pos_m=[3, 1, 1.005])))
+
+
+HEADER = "file,rir_id,binaural,distance_m,mic_pos_m,kind\n"
+
+
+@pytest.mark.parametrize("text, message", [
+    ("", r"t\.csv: columns \(none\) must include 'file'"),
+    ("name,room\na,b\n", r"t\.csv: columns name,room must include 'file'"),
+    (HEADER, r"t\.csv: no rows below the header"),
+    ("file,path\na.wav,a.wav\n", "column 'file' occurs twice"),
+    (HEADER + "a.wav,x,0,1,1 2 3,point,more\n", r"t\.csv:2: 7 cells under 6 columns: quote cells"),
+    (HEADER + ",x\n", r"t\.csv:2: file='' must be the path"),
+    (HEADER + "a.wav,x,maybe\n", r"t\.csv:2: binaural='maybe': must be 0 or 1: correct the cell"),
+    (HEADER + "a.wav,x,0,near\n", r"t\.csv:2: distance_m='near': must be a number or \?: correct"),
+    (HEADER + "a.wav,x,0,1,1 2\n", r"t\.csv:2: mic_pos_m='1 2': '1 2' must be three numbers"),
+    (HEADER + "a.wav,x,0,1,1 2 here\n", r"t\.csv:2: mic_pos_m='1 2 here': must be a number or \?")])
+def test_malformed_table_is_refused(tmp_path, text, message):
+    put(tmp_path / "a.wav")
+    with pytest.raises(ValueError, match=message):
+        list_table(put_text(tmp_path / "t.csv", text))
+
+
+def test_bad_noise_kind_and_bytes_are_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"t\.csv:2: kind='loud' must be 'ambient' or 'point'"):
+        list_noise_table(put_text(tmp_path / "t.csv", "file,kind\na.wav,loud\n"))
+    (tmp_path / "t.csv").write_bytes(b"file\n\xff\xfe\n")
+    with pytest.raises(ValueError, match="not a CSV file in UTF-8"):
+        list_table(tmp_path / "t.csv")

@@ -1,0 +1,131 @@
+"""Splits are disjoint and complete, have the sizes asked for, and depend on the seed only."""
+
+import numpy as np
+import pytest
+from rirmaker import row, write_rir_dir
+
+from roomeq.corpora.split import SPLITS, split_rirs
+from roomeq.records.rir_dir import read_noises, read_rirs, validate_rirs
+
+RIR = np.eye(1, 600, 10).ravel() + 1e-3
+
+
+def make(directory, rooms, noises=()):
+    """Write an RIR directory of {room: number of RIRs}."""
+    return write_rir_dir(directory, [(row(f"{room}-{n}", room), RIR) for room, count in rooms.items()
+                                     for n in range(count)], noises)
+
+
+def split(tmp_path, rir_dir, name="out", **options):
+    """Split; return the ids, and the noises' ids, of each split."""
+    split_rirs(rir_dir, tmp_path / name, **{"seed": 0} | options)
+    for part in SPLITS:
+        validate_rirs(tmp_path / f"{name}.{part}")
+    return tuple({part: [row["id"] for row in read(tmp_path / f"{name}.{part}")] for part in SPLITS}
+                 for read in (read_rirs, read_noises))
+
+
+def sizes_of(ids):
+    return [len(ids[part]) for part in SPLITS]
+
+
+@pytest.mark.parametrize("count, sizes, expected", [
+    (20, (12, 3, 5), [12, 3, 5]), (26, (12, 3, 5), [12, 3, 5]), (40, (773, 194, 242), [26, 6, 8]),
+    (3, (773, 194, 242), [1, 1, 1]), (4, (773, 194, 242), [2, 1, 1])])
+def test_sizes_are_exact_or_in_proportion(tmp_path, count, sizes, expected):
+    ids, _ = split(tmp_path, make(tmp_path / "in", {"a": count}), sizes=sizes)
+    assert sizes_of(ids) == expected
+
+
+def test_splits_are_disjoint_and_complete(tmp_path):
+    ids, _ = split(tmp_path, make(tmp_path / "in", {"a": 9, "b": 8, "c": 5}))
+    everything = sorted(sum(ids.values(), []))
+    assert everything == sorted(row["id"] for row in read_rirs(tmp_path / "in"))
+
+
+def test_split_depends_on_the_seed_only(tmp_path):
+    rir_dir = make(tmp_path / "in", {"a": 20})
+    first, _ = split(tmp_path, rir_dir, "first")
+    assert split(tmp_path, rir_dir, "again")[0] == first
+    assert split(tmp_path, rir_dir, "other", seed=1)[0] != first
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_split_by_room_keeps_rooms_in_one_split(tmp_path, seed):
+    rooms = {"a": 10, "b": 3, "c": 4, "d": 6, "e": 2}
+    ids, _ = split(tmp_path, make(tmp_path / "in", rooms), split_by="room", seed=seed)
+    homes = {part: {rir_id.split("-")[0] for rir_id in ids[part]} for part in SPLITS}
+    assert sum(len(home) for home in homes.values()) == len(rooms)
+    assert sizes_of(ids)[0] == max(sizes_of(ids)) and min(sizes_of(ids)) > 0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rooms_of_one_pattern_stay_together(tmp_path, seed):
+    rooms = {"lab_open": 3, "lab_shut": 3, "house_hall": 2, "house_den": 2, "c": 4, "d": 6, "house": 2}
+    ids, _ = split(tmp_path, make(tmp_path / "in", rooms), split_by="room", same_rooms=("lab_*", "house_*"), seed=seed)
+    for name in ("lab_", "house_"):
+        assert sum(any(rir_id.startswith(name) for rir_id in ids[part]) for part in SPLITS) == 1
+    assert sum(sizes_of(ids)) == sum(rooms.values())
+
+
+def test_takes_of_one_position_stay_together(tmp_path):
+    items = [(row(f"p{n}-{take}", source_pos_m=[1.0, 1.0, 0.1 * n], mic_pos_m=[2.0, 2.0, 1.0]), RIR)
+             for n in range(12) for take in range(2)]
+    ids, _ = split(tmp_path, write_rir_dir(tmp_path / "in", items))
+    assert sum(sizes_of(ids)) == 24
+    for part in SPLITS:
+        assert all(rir_id[:-1] + str(1 - int(rir_id[-1])) in ids[part] for rir_id in ids[part])
+
+
+def test_channels_of_one_measurement_stay_together(tmp_path):
+    items = [(row(f"p{n}_ch{take}", source_pos_m=None, mic_pos_m=None), RIR) for n in range(12) for take in range(2)]
+    ids, _ = split(tmp_path, write_rir_dir(tmp_path / "in", items))
+    assert sum(sizes_of(ids)) == 24
+    for part in SPLITS:
+        assert all(rir_id[:-1] + str(1 - int(rir_id[-1])) in ids[part] for rir_id in ids[part])
+
+
+def test_every_split_gets_noises_of_each_kind(tmp_path):
+    noises = [dict(id=f"{kind}{n}", room_id=None, kind=kind) for kind in ("ambient", "point") for n in range(3)]
+    _, dealt = split(tmp_path, make(tmp_path / "in", {"a": 9}, noises))
+    assert all({noise_id[:-1] for noise_id in dealt[part]} == {"ambient", "point"} for part in SPLITS)
+
+
+@pytest.mark.parametrize("split_by", ["rir", "room"])
+def test_every_split_gets_noises_of_its_own(tmp_path, split_by):
+    noises = [dict(id=f"n{n}{room}", room_id=room) for n in range(3) for room in ("a", "b", "c", None)]
+    rir_dir = make(tmp_path / "in", {"a": 9, "b": 4, "c": 4}, noises)
+    ids, dealt = split(tmp_path, rir_dir, split_by=split_by)
+    assert sorted(sum(dealt.values(), [])) == sorted(noise["id"] for noise in noises)
+    assert min(sizes_of(dealt)) > 0
+    if split_by == "room":
+        for part in SPLITS:
+            homes = {rir_id.split("-")[0] for rir_id in ids[part]}
+            assert {noise_id[2:] for noise_id in dealt[part]} <= homes | {"None"}
+
+
+def test_single_noise_is_shared_with_a_warning(tmp_path, caplog):
+    _, dealt = split(tmp_path, make(tmp_path / "in", {"a": 9}, [dict(id="n", room_id="a")]))
+    assert all(dealt[part] == ["n"] for part in SPLITS)
+    assert "no ambient noises of its own" in caplog.text
+
+
+def test_rirs_per_room_are_logged(tmp_path, caplog):
+    caplog.set_level("INFO")
+    split(tmp_path, make(tmp_path / "in", {"a": 9, "kitchen": 5}))
+    assert "kitchen" in caplog.text and "train" in caplog.text
+
+
+@pytest.mark.parametrize("rooms, options, message", [
+    ({"a": 2}, {}, "leave .* empty when split by rir"),
+    ({"a": 5, "b": 5}, dict(split_by="room"), "empty when split by room"),
+    ({"a1": 5, "a2": 5, "b": 2}, dict(split_by="room", same_rooms=("a*",)), "12 RIRs of 2 rooms leave"),
+    ({"a": 5, "b": 5, "c": 2}, dict(split_by="room", same_rooms=("x*",)), "'x\\*' matches no room .* a, b, c"),
+    ({"a": 5, "b": 5, "c": 2}, dict(same_rooms=("a*",)), "split by 'room'"),
+    ({"a": 5}, dict(split_by="file"), "split_by='file' must be"),
+    ({"a": 5}, dict(sizes=(3, 0, 1)), "must be three positive"),
+])
+def test_impossible_split_is_refused(tmp_path, rooms, options, message):
+    with pytest.raises(ValueError, match=message):
+        split(tmp_path, make(tmp_path / "in", rooms), **options)
+    assert not list(tmp_path.glob("out.*"))

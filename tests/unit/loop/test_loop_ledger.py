@@ -1,0 +1,50 @@
+"""Reading a ledger: a whole one is accepted, an invalid one is refused with the place of its first error."""
+
+import pytest
+from loop_run import make_loop
+
+from roomeq.core.files import read_json, write_json
+from roomeq.loop.ledger import LEDGER_FILE, read_ledger, validate_loop
+from roomeq.loop.selection import SPLITS
+
+
+@pytest.fixture(scope="module")
+def loop(tmp_path_factory):
+    """Make a valid loop directory."""
+    return make_loop(tmp_path_factory.mktemp("loop") / "loop")
+
+
+def test_valid_loop_directory_is_accepted(loop):
+    assert validate_loop(loop) == len(read_ledger(loop / LEDGER_FILE)["iterations"]) == 2
+
+
+def without(key):
+    """Remove a key."""
+    return lambda ledger: ledger.pop(key)
+
+
+def replace(value, *keys):
+    """Replace the value at a path of keys."""
+    def change(ledger):
+        for key in keys[:-1]:
+            ledger = ledger[key]
+        ledger[keys[-1]] = value
+    return change
+
+
+@pytest.mark.parametrize("change, message", [
+    (without("format"), "format=None must be 2"),  # of an older version
+    (replace(1, "format"), "format=1 must be 2"),
+    (without("given"), "ledger must hold 'given'"),
+    (replace({}, "final"), f"final must hold '{SPLITS[0]}'"),
+    (replace("positions", "iterations", 0, "scored_on"),
+     r"iterations\[0\].scored_on='positions' must be leave_positions_out or leave_room_out"),
+    (replace(2.0, "iterations", 0, "p"), r"iterations\[0\].p=2.0 must be a number in \[0, 1\]"),
+    (replace(3.3, "baseline", SPLITS[0], "error"),
+     "baseline.leave_positions_out.error=3.3 must be the heldout_error_before of its iteration, 3.4")])
+def test_invalid_ledger_is_refused_with_the_place_of_its_error(loop, tmp_path, change, message):
+    ledger = read_json(loop / LEDGER_FILE)
+    change(ledger)
+    write_json(tmp_path / LEDGER_FILE, ledger)
+    with pytest.raises(ValueError, match=f"{LEDGER_FILE}: {message}: run roomeq close-loop again"):
+        read_ledger(tmp_path / LEDGER_FILE)

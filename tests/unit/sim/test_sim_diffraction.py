@@ -1,0 +1,244 @@
+"""Edge diffraction: against the exact half-plane, across the shadow boundary, and in rooms."""
+
+import numpy as np
+import pytest
+from plans import L_PLAN, box_plan, prism_obj
+
+from bench.fidelity import halfplane
+from bench.fidelity.halfplane import at
+from roomeq.core.constants import FS_HZ
+from roomeq.sim.diffraction import Edges, Grid, deposit, diffract, find_edges
+from roomeq.sim.mesh import load_mesh, make_room
+from roomeq.sim.response import simulate_rir
+from roomeq.sim.scene import Air, Material, Scene, Shoebox
+
+C = Air().speed_m_s
+FREQUENCIES_HZ = np.array([100.0, 200.0, 400.0, 800.0, 1500.0, 3000.0, 4500.0, 6000.0])
+
+
+def wedge(open_deg, length_m=400.0):
+    """An edge along z, its first face in the half-plane y = 0, x > 0, the air from there over y > 0."""
+    x, y, z = np.eye(3)
+    return Edges(np.array([-0.5 * length_m * z]), z[None], np.array([length_m]), x[None], y[None],
+                 np.radians([open_deg]), np.zeros((1, 2), dtype=int), np.array([[0, 1]]))
+
+
+def diffracted(edges, low_m, high_m, source, mic, visible=True):
+    """Diffraction at stretches of the one edge."""
+    grid = Grid.between(np.linalg.norm(source - mic), 1.1 * edges.length_m[0] + 20.0, 1, C, 10 ** 6)
+    deposit(grid, edges, np.zeros(len(low_m), dtype=int), low_m, high_m, source, mic, direct_visible=visible)
+    return grid.sampled()
+
+
+def wedge_spectrum(edges, source, mic, frequencies_hz, rows=slice(None), visible=True):
+    """Diffraction at all of an edge, faces rigid, at some frequencies."""
+    found = diffracted(edges, np.zeros(1), edges.length_m, source, mic, visible)
+    time_s = (found.first_sample + np.arange(found.signals.shape[1])) / FS_HZ
+    return np.exp(-2j * np.pi * np.outer(frequencies_hz, time_s)) @ found.signals[rows].sum(axis=0)
+
+
+CASES = [(30.0, 100.0, 0.0), (60.0, 300.0, 0.0), (60.0, 250.0, 0.7), (60.0, 240.5, 0.7), (60.0, 239.5, 0.7),
+         (60.0, 121.0, 0.0), (60.0, 119.0, 0.4), (135.0, 345.0, 0.0), (80.0, 275.0, -1.1), (20.0, 180.0, 0.0)]
+
+
+@pytest.mark.parametrize("source_deg, mic_deg, z_m", CASES)
+def test_rigid_half_plane_matches_exact_field(source_deg, mic_deg, z_m):
+    source, mic = at(1.7, source_deg), at(2.3, mic_deg, z_m)
+    exact = halfplane.exact(source, mic, FREQUENCIES_HZ, C)
+    total = wedge_spectrum(wedge(360.0), source, mic, FREQUENCIES_HZ)
+    total += halfplane.geometric(source, mic, FREQUENCIES_HZ, C)
+    np.testing.assert_allclose(20.0 * np.log10(np.abs(total / exact)), 0.0, atol=0.5)
+
+
+def test_field_is_continuous_across_shadow_boundary():
+    """A wedge of 270 degrees, source at 60: the direct sound ends at 240, the reflection at 120."""
+    frequencies_hz = np.array([250.0, 1000.0, 4000.0])
+    edges, source = wedge(270.0, 20.0), at(1.7, 60.0)
+
+    def level_db(angle_deg, visible=True):
+        mic = at(2.3, angle_deg)
+        total = halfplane.geometric(source, mic, frequencies_hz, C)
+        return 20.0 * np.log10(np.abs(total + wedge_spectrum(edges, source, mic, frequencies_hz, visible=visible)))
+
+    for boundary_deg in (120.0, 240.0):
+        below, above = level_db(boundary_deg - 1e-3), level_db(boundary_deg + 1e-3)
+        np.testing.assert_allclose(below, above, atol=0.02)
+    right_on = at(2.3, 240.0)
+    for visible in (True, False):
+        direct = visible * np.exp(-2j * np.pi * frequencies_hz / C * 4.0) / (16.0 * np.pi)
+        total = direct + wedge_spectrum(edges, source, right_on, frequencies_hz, visible=visible)
+        np.testing.assert_allclose(20.0 * np.log10(np.abs(total)), level_db(239.999), atol=0.05)
+
+
+def test_diffraction_is_reciprocal():
+    edges, source, mic = wedge(300.0, 4.0), at(1.2, 40.0, -0.3), at(2.9, 260.0, 0.8)
+    there = wedge_spectrum(edges, source, mic, FREQUENCIES_HZ)
+    np.testing.assert_allclose(wedge_spectrum(edges, mic, source, FREQUENCIES_HZ), there, rtol=1e-9)
+
+
+def test_level_follows_asymptotic_distance_laws():
+    """Deep in the shadow of a long edge: with 1 / sqrt(r_s r_r (r_s + r_r)) (Keller); a short edge: 1 / (r_s r_r)."""
+    frequency_hz, source_deg, mic_deg = [1000.0], 40.0, 320.0
+
+    def level(edges, factor):
+        return abs(wedge_spectrum(edges, at(2.0 * factor, source_deg), at(3.0 * factor, mic_deg), frequency_hz)[0])
+
+    assert level(wedge(360.0), 4.0) / level(wedge(360.0), 1.0) == pytest.approx(4.0 ** -1.5, rel=0.01)
+    assert level(wedge(360.0, 0.05), 4.0) / level(wedge(360.0, 0.05), 1.0) == pytest.approx(4.0 ** -2, rel=0.01)
+
+
+def test_splitting_an_edge_preserves_its_spectrum():
+    edges, source, mic = wedge(270.0, 3.0), at(1.2, 40.0, -0.3), at(2.9, 250.0, 0.8)
+    whole = diffracted(edges, np.zeros(1), np.array([3.0]), source, mic)
+    cuts = np.array([0.0, 0.4, 1.5, 1.6, 3.0])
+    parts = diffracted(edges, cuts[:-1], cuts[1:], source, mic)
+    spectrum = [np.abs(np.fft.rfft(one.signals.sum(axis=0), 4096))[:1536] for one in (whole, parts)]
+    np.testing.assert_allclose(20.0 * np.log10(spectrum[1] / spectrum[0]), 0.0, atol=0.1)
+
+
+def lifted_box_obj(size_m, corner_m, first_vertex, material="wood"):
+    lines = []
+    for line in prism_obj(box_plan(size_m[0], size_m[1], *corner_m[:2]), size_m[2], material).splitlines():
+        words = line.split()
+        if words[0] == "v":
+            words[3] = str(float(words[3]) + corner_m[2])
+        elif words[0] == "f":
+            words[1:] = [str(int(word) + first_vertex) for word in words[1:]]
+        lines.append(" ".join(words))
+    return "\n".join(lines) + "\n"
+
+
+@pytest.fixture
+def room_with_box(tmp_path):
+    """6 x 4 x 3 m with a cupboard of 1 x 1 x 1.5 m in the air, from (2.5, 1.5, 0.5) on."""
+    path = tmp_path / "room.obj"
+    path.write_text(prism_obj(box_plan(6.0, 4.0), 3.0) + lifted_box_obj((1.0, 1.0, 1.5), (2.5, 1.5, 0.5), 8))
+    return load_mesh(path)
+
+
+def test_only_convex_edges_diffract(room_with_box, tmp_path):
+    edges = find_edges(room_with_box)
+    assert len(edges) == 12 and edges.n_left_out == 0
+    np.testing.assert_allclose(np.degrees(edges.wedge_rad), 270.0)
+    np.testing.assert_allclose(np.sort(edges.length_m), [1.0] * 8 + [1.5] * 4)
+    path = tmp_path / "l.obj"
+    path.write_text(prism_obj(L_PLAN, 3.0))
+    corner = find_edges(load_mesh(path))
+    assert len(corner) == 1 and corner.length_m[0] == pytest.approx(3.0)
+    np.testing.assert_allclose(np.sort([corner.start_m[0, 2], corner.start_m[0, 2] + 3.0 * corner.along[0, 2]]), [0, 3])
+    np.testing.assert_allclose(corner.start_m[0, :2], 2.0)
+
+
+def test_convex_rooms_have_no_diffraction(tmp_path):
+    path = tmp_path / "box.obj"
+    path.write_text(prism_obj(box_plan(6.0, 4.0), 3.0))
+    for room in (Shoebox((6.0, 4.0, 3.0)), load_mesh(path)):
+        assert find_edges(room) is None
+        assert diffract(room, (1, 1, 1), (4, 3, 1), speed_m_s=C, n_samples=800, direct_visible=True) is None
+        scene = Scene(room, [Material("all", 0.2, 0.1)] * len(room.surfaces))
+        with_, without = (simulate_rir(scene, (1, 1, 1), (4, 3, 1), num_rays=500, diffraction=which)[0]
+                          for which in (True, False))
+        np.testing.assert_array_equal(with_.rir, without.rir)
+        assert not with_.diffracted
+
+
+def test_collinear_segments_merge_into_one_edge(room_with_box):
+    """Every triangle in four: the edges stay what they were."""
+    a, b, c = room_with_box.triangles.transpose(1, 0, 2)
+    ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+    fine = np.concatenate([np.stack(three, axis=1) for three in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+    names = list(np.array(room_with_box.surfaces)[np.tile(room_with_box.face_surface, 4)])
+    edges = find_edges(make_room(fine, names))
+    assert len(edges) == 12
+    np.testing.assert_allclose(np.sort(edges.length_m), [1.0] * 8 + [1.5] * 4)
+
+
+def test_excess_edges_are_dropped_with_a_warning(room_with_box, monkeypatch, caplog):
+    monkeypatch.setattr("roomeq.sim.diffraction.MAX_EDGES", 4)
+    edges = find_edges(make_room(room_with_box.triangles, ["all"] * len(room_with_box.triangles)))
+    assert len(edges) == 4 and edges.n_left_out == 8 and np.all(edges.length_m > 1.4)
+    assert "12 edges that diffract: the 4 longest do" in caplog.text
+
+
+def test_early_level_is_continuous_at_shadow_in_room(room_with_box):
+    """Move a microphone out of the shadow of the cupboard: the early sound has no jump, without diffraction it has."""
+    source = (1.0, 2.0, 1.0)  # rays past (3.5, 2.5) and (2.5, 2.5): the near edge is the silhouette
+    edge_y = 2.5 + (2.5 - 2.0) / (2.5 - 1.0) * 2.5  # y of the boundary at x = 5
+    scene = Scene(room_with_box, [Material("black", 1.0, 0.0)] * len(room_with_box.surfaces))
+    levels = {}
+    for diffraction in (True, False):
+        mics = [(5.0, edge_y + shift, 1.0) for shift in (-0.002, 0.002)]
+        found = simulate_rir(scene, source, mics, num_rays=500, ism_order=0, diffraction=diffraction)
+        assert [one.direct_visible for one in found] == [False, True]
+        window = slice(int(found[0].direct_sample) - 40, int(found[0].direct_sample) + 20)
+        spectra = [np.abs(np.fft.rfft(one.rir[window], 512))[16:192] for one in found]
+        levels[diffraction] = 20.0 * np.log10(spectra[1] / np.maximum(spectra[0], 1e-12))
+    np.testing.assert_allclose(levels[True], 0.0, atol=0.5)
+    assert levels[False].min() > 20.0
+
+
+def test_absorbing_faces_keep_only_the_shadow_terms(room_with_box):
+    how = dict(speed_m_s=C, n_samples=1600, direct_visible=True)
+    found = diffract(room_with_box, (1.0, 2.3, 1.0), (3.0, 3.5, 1.0), **how)
+    wood = 1 + room_with_box.surfaces.index("wood")
+    rows = [n for n, row in enumerate(found.signals) if np.any(row)]
+    assert rows[0] == 0 and wood in rows and 1 + room_with_box.surfaces.index("wall") not in rows
+    absorption = np.full((len(room_with_box.surfaces), 8), 1.0)
+    rir = found.response(absorption, np.zeros_like(absorption), Air(), 1600)
+    black = found.first_sample + np.argmax(np.abs(found.signals[0]))
+    assert rir[black] == pytest.approx(found.signals[0][black - found.first_sample], rel=0.1)
+
+
+def test_diffraction_switch_changes_the_response(room_with_box):
+    scene = Scene(room_with_box, [Material("all", 0.3, 0.1)] * len(room_with_box.surfaces))
+    source, mic = (1.0, 2.0, 1.0), (5.0, 2.6, 1.2)
+    on, off = (simulate_rir(scene, source, mic, num_rays=500, diffraction=which)[0] for which in (True, False))
+    assert on.diffracted and not off.diffracted and not on.direct_visible
+    way_m = min(np.linalg.norm(np.subtract(place, source)) + np.linalg.norm(np.subtract(place, mic))
+                for place in ((2.5, 2.5, 1.1), (3.5, 2.5, 1.15)))
+    first = int(way_m / C * FS_HZ)
+    extra = on.rir - off.rir
+    assert np.abs(extra[:first - 60]).max() < 0.02 * np.abs(extra).max()
+    assert np.abs(extra[first - 5:first + 60]).max() == np.abs(extra).max()
+
+
+SHADOW_HZ = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0])
+
+
+def shadow_spectrum(room, source, mic, until_sample=None):
+    """Diffraction in a room with rigid surfaces, faded out before a sample."""
+    found = diffract(room, source, mic, speed_m_s=C, n_samples=4000, direct_visible=False)
+    sample = found.first_sample + np.arange(found.signals.shape[1])
+    fade = np.ones(len(sample))
+    if until_sample is not None:
+        fade = np.sin(0.5 * np.pi * np.clip((until_sample - sample) / 150.0, 0.0, 1.0)) ** 2
+    return np.exp(-2j * np.pi * np.outer(SHADOW_HZ / FS_HZ, sample)) @ (found.signals.sum(axis=0) * fade)
+
+
+def test_second_order_diffraction_is_continuous_and_reciprocal(room_with_box):
+    """No edge is seen from both sides. Into the plane of a face, and out of it, both orders make a continuous field."""
+    source, mic = np.array([1.0, 2.0, 1.0]), np.array([5.0, 2.1, 1.2])
+    edges = find_edges(room_with_box)
+    inside = [edges.coordinates(one)[1] <= edges.wedge_rad for one in (source, mic)]
+    assert not np.any(inside[0] & inside[1] & (edges.length_m > 1.4))  # of the upright edges, none
+    there = shadow_spectrum(room_with_box, source, mic)
+    assert np.all(np.abs(there) > 1e-3 / (4.0 * np.pi * 4.0))
+    np.testing.assert_allclose(np.abs(shadow_spectrum(room_with_box, mic, source)), np.abs(there), rtol=0.02)
+    for moved in ("source", "mic"):
+        levels = []
+        for y in (2.49, 2.51):
+            ends = dict(source=source, mic=mic) | {moved: np.array([1.0 if moved == "source" else 5.0, y, 1.0])}
+            levels.append(20.0 * np.log10(np.abs(shadow_spectrum(room_with_box, **ends))))
+        np.testing.assert_allclose(levels[0], levels[1], atol=2.5)
+
+
+def test_thin_screen_matches_half_plane(tmp_path):
+    """First and second order at a screen of 1 cm, whose other edges are far: what they leave out is below 2 dB."""
+    path = tmp_path / "screen.obj"
+    path.write_text(prism_obj(box_plan(20.0, 20.0), 8.0) + lifted_box_obj((0.01, 9.5, 7.0), (9.995, 0.25, 0.5), 8))
+    source, mic = np.array([8.0, 8.75, 4.0]), np.array([12.5, 8.75, 4.0])  # the edge is x = 10, y = 9.75
+    way_m = np.hypot(2.0, 1.0) + np.hypot(2.5, 1.0)
+    found = shadow_spectrum(load_mesh(path), source, mic, until_sample=int(way_m / C * FS_HZ) + 170)
+    turned = [np.array([9.75 - one[1], one[0] - 10.0, one[2] - 4.0]) for one in (source, mic)]
+    exact = halfplane.exact(*turned, SHADOW_HZ, C)
+    np.testing.assert_allclose(20.0 * np.log10(np.abs(found / exact)), 0.0, atol=2.0)

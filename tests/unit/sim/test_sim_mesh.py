@@ -1,0 +1,205 @@
+"""Meshes: the same room as a shoebox, corners that are hidden, meshes that cannot be rooms."""
+
+from dataclasses import replace
+from itertools import pairwise, product
+
+import numpy as np
+import pytest
+from plans import L_PLAN, box_plan, prism_obj
+
+from roomeq.acoustics.iso3382 import reverberation_time
+from roomeq.core.constants import FS_HZ
+from roomeq.sim.echogram import compute_echograms
+from roomeq.sim.images import specular_paths
+from roomeq.sim.mesh import load_mesh, make_room
+from roomeq.sim.meshfile import triangulate
+from roomeq.sim.response import simulate_rir
+from roomeq.sim.scene import Air, Material, Scene, Shoebox
+from roomeq.sim.trace import trace
+
+DIMS_M = (6.0, 4.0, 3.0)
+C = Air().speed_m_s
+
+
+@pytest.fixture
+def write_obj(tmp_path):
+    def write(text, name="room.obj"):
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+    return write
+
+
+@pytest.fixture
+def box(write_obj):
+    return load_mesh(write_obj(prism_obj(box_plan(*DIMS_M[:2]), DIMS_M[2])))
+
+
+def test_obj_box_is_read_with_its_materials(box):
+    assert box.surfaces == ("ceiling", "floor", "wall") and box.convex
+    assert box.volume_m3 == pytest.approx(72.0)
+    np.testing.assert_allclose(box.surface_area_m2, [24.0, 24.0, 60.0])
+
+
+@pytest.mark.parametrize("suffix", ["ply", "stl", "glb", "off"])
+def test_all_mesh_formats_give_the_same_room(box, tmp_path, suffix):
+    trimesh = pytest.importorskip("trimesh")
+    mesh = trimesh.Trimesh(box.triangles.reshape(-1, 3), np.arange(36).reshape(-1, 3), process=False)
+    mesh.export(tmp_path / f"box.{suffix}")
+    room = load_mesh(tmp_path / f"box.{suffix}")
+    assert room.surfaces == ("surface",) and room.volume_m3 == pytest.approx(72.0, rel=1e-5)
+
+
+def test_specular_paths_of_mesh_box_equal_image_lattice(box):
+    source, mic = (1.0, 1.3, 1.2), (4.2, 2.9, 1.7)
+    lattice = specular_paths(Shoebox(DIMS_M), source, mic, 4)
+    found = box.specular_paths(source, mic, 4)
+    assert found.has_direct
+    np.testing.assert_allclose(found.distance_m, lattice.distance_m, atol=1e-6)
+    walls = lattice.surface_counts[:, :4].sum(axis=1)
+    expected = np.column_stack([lattice.surface_counts[:, 5], lattice.surface_counts[:, 4], walls])
+    assert sorted(map(tuple, found.surface_counts)) == sorted(map(tuple, expected))
+
+
+@pytest.mark.parametrize("searched", [False, True], ids=["planes", "embree"])
+def test_mesh_box_echogram_matches_shoebox(box, searched):
+    room = replace(box, convex=False, _known={}) if searched else box
+    assert (room.walls is None) == searched
+    mics = np.array([(4.2, 2.9, 1.7), (2.0, 3.0, 1.0), (5.7, 3.7, 0.4)])
+    levels = []
+    for one in (Shoebox(DIMS_M), room):
+        paths = trace(one, (1.0, 1.3, 1.2), np.full(len(one.surfaces), 0.4), num_rays=6000, max_length_m=0.4 * C,
+                      speed_m_s=C,
+                      rng=np.random.default_rng(0))
+        assert paths.n_leaked == 0
+        absorption = np.full((len(one.surfaces), 8), 0.15)
+        energy = compute_echograms(paths, one, absorption, mics, ism_order=3, n_frames=350, speed_m_s=C)
+        levels.append(10.0 * np.log10(energy[:, :, 0].reshape(3, 7, 50).sum(axis=2)))
+    np.testing.assert_allclose(levels[1], levels[0], atol=1.0)
+    assert abs(np.mean(levels[1] - levels[0])) < 0.15
+
+
+def test_mesh_box_decay_time_matches_shoebox(box):
+    times_s = []
+    for room in (Shoebox(DIMS_M), box):
+        scene = Scene(room, [Material("all", 0.2, 0.3)] * len(room.surfaces))
+        mics = np.random.default_rng(0).uniform(0.2, 0.8, (10, 3)) * DIMS_M
+        times_s.append(np.mean([reverberation_time(one.rir, FS_HZ, 1000.0, "t20", direct_sample=one.direct_sample)
+                                for one in simulate_rir(scene, (1.0, 1.3, 1.2), mics, num_rays=5000)]))
+    assert times_s[1] == pytest.approx(times_s[0], rel=0.02)
+
+
+def crosses(a, b, wall):
+    """Whether a plan's line from a to b passes through a wall, its ends not counted as on the line."""
+    def side(p, q, r):
+        return (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
+    p, q = wall
+    return side(a, b, p) * side(a, b, q) < 0 and side(p, q, a) * side(p, q, b) < -1e-9
+
+
+def plan_paths_by_hand(plan, source, mic, order):
+    """Lengths of specular paths in a plan: mirror the source, walk back from the microphone, test every wall."""
+    walls = list(pairwise([*plan, plan[0]]))
+
+    def mirrored(point, wall):
+        along = np.subtract(wall[1], wall[0]) / np.linalg.norm(np.subtract(wall[1], wall[0]))
+        offset = np.subtract(point, wall[0])
+        return np.array(wall[0]) + 2.0 * np.dot(offset, along) * along - offset
+
+    found = []
+    for count in range(order + 1):
+        for sequence in product(range(len(walls)), repeat=count):
+            images = [np.array(source)]
+            for n in sequence:
+                images.append(mirrored(images[-1], walls[n]))
+            at, possible = np.array(mic), True
+            for image, n in zip(images[:0:-1], reversed(sequence), strict=True):
+                (x0, y0), (x1, y1) = walls[n]
+                axis = 0 if x0 == x1 else 1
+                share = ((x0, y0)[axis] - at[axis]) / (image[axis] - at[axis]) if image[axis] != at[axis] else -1.0
+                point = at + share * (image - at)
+                along = sorted([(y0, y1), (x0, x1)][axis])
+                possible = 1e-9 < share < 1.0 and along[0] < point[1 - axis] < along[1] and not any(
+                    crosses(at, point, wall) for m, wall in enumerate(walls) if m != n)
+                if not possible:
+                    break
+                at = point
+            if possible and not any(crosses(at, source, wall) for m, wall in enumerate(walls)
+                                    if not count or m != sequence[0]):
+                found.append(np.linalg.norm(images[-1] - mic))
+    return sorted(found)
+
+
+def test_occluded_receiver_gets_only_hand_computed_paths(write_obj):
+    room = load_mesh(write_obj(prism_obj(L_PLAN, 3.0)))
+    assert not room.convex and room.volume_m3 == pytest.approx(3.0 * 20.0)
+    source, places = (5.0, 1.1), [(0.9, 5.2), (1.7, 3.1), (1.3, 1.2), (3.3, 0.4), (0.4, 2.6)]
+    lengths = []
+    for mic in places:
+        expected = plan_paths_by_hand(L_PLAN, source, mic, 2)
+        found = room.specular_paths((*source, 1.5), (*mic, 1.5), 2)
+        level = found.surface_counts[:, [room.surfaces.index("floor"), room.surfaces.index("ceiling")]].sum(axis=1) == 0
+        np.testing.assert_allclose(found.distance_m[level], expected, atol=1e-6)
+        distance_m = np.hypot(*np.subtract(mic, source))
+        assert found.has_direct == (len(expected) > 0 and expected[0] == pytest.approx(distance_m))
+        lengths.append(len(expected))
+    assert lengths[0] == 0 and max(lengths) >= 6
+    scene = Scene(room, [Material("all", 0.2, 0.3)] * 3)
+    near, far = simulate_rir(scene, (*source, 1.5), [(*places[2], 1.5), (*places[0], 1.5)], num_rays=4000)
+    assert near.direct_visible and not far.direct_visible and near.leaked_share == 0.0
+    around_m = np.hypot(3.0, 0.9) + np.hypot(1.1, 3.2)  # past the inner corner at (2, 2)
+    silent = int(around_m / C * FS_HZ) - 200
+    assert np.abs(far.rir[:silent]).max() < 1e-3 * np.abs(near.rir).max() < np.abs(far.rir[silent:]).max()
+
+
+def test_energy_is_conserved_in_room_with_table(write_obj):
+    shell = prism_obj(box_plan(6.0, 4.0), 3.0)
+    table = prism_obj(box_plan(2.0, 1.0, 2.0, 1.5), 0.6, "wood")
+    lifted = []
+    for line in table.splitlines():
+        words = line.split()
+        if words[0] == "v":
+            words[3] = str(float(words[3]) + 0.4)
+        elif words[0] == "f":
+            words[1:] = [str(int(word) + 8) for word in words[1:]]
+        lifted.append(" ".join(words))
+    room = load_mesh(write_obj(shell + "\n".join(lifted)))
+    assert room.volume_m3 == pytest.approx(72.0 - 1.2)
+    with pytest.raises(ValueError, match="outside the air"):
+        room.require_inside("mic_pos_m", (3.0, 2.0, 0.7))
+    paths = trace(room, (1.0, 1.0, 1.5), np.full(len(room.surfaces), 0.5), num_rays=5000, max_length_m=0.3 * C,
+                      speed_m_s=C,
+                  rng=np.random.default_rng(0))
+    assert paths.n_leaked == 0
+    mics = np.array([(5.0, 3.0, 1.2), (1.0, 3.2, 2.0), (4.8, 0.8, 0.7), (3.0, 2.0, 1.8)])
+    rigid = np.zeros((len(room.surfaces), 8))
+    energy = compute_echograms(paths, room, rigid, mics, ism_order=0, n_frames=280, speed_m_s=C)
+    uniform = C * 1e-3 / room.volume_m3 / (4.0 * np.pi)
+    assert energy[:, 150:, 0].mean() / uniform == pytest.approx(1.0, abs=0.03)
+
+
+def test_polygons_are_triangulated():
+    corners = np.array([(x, y, 1.0) for x, y in L_PLAN])
+    cut = triangulate(corners)
+    areas = [0.5 * np.cross(corners[b] - corners[a], corners[c] - corners[a])[2] for a, b, c in cut]
+    assert len(cut) == 4 and min(areas) > 0.0 and sum(areas) == pytest.approx(20.0)
+
+
+def test_invalid_room_meshes_are_rejected(write_obj, tmp_path, box):
+    whole = prism_obj(box_plan(4.0, 3.0), 2.5)
+    with pytest.raises(ValueError, match=r"the mesh leaks: 4 edges don't join exactly two faces.*close the holes"):
+        load_mesh(write_obj(whole.rsplit("f", 1)[0], "leaks.obj"))
+    with pytest.raises(ValueError, match=r"the mesh is inside out \(its volume is -30 m3\)"):
+        make_room(box.triangles[:, ::-1] * [4 / 6, 3 / 4, 2.5 / 3], ["a"] * 12)
+    turned = box.triangles.copy()
+    turned[0] = turned[0, ::-1]
+    with pytest.raises(ValueError, match=r"inside out in parts"):
+        make_room(turned, ["a"] * 12)
+    with pytest.raises(ValueError, match=r"no such mesh file"):
+        load_mesh(tmp_path / "absent.obj")
+    with pytest.raises(ValueError, match=r"must be one of \.obj"):
+        load_mesh(write_obj("", "room.txt"))
+    with pytest.raises(ValueError, match=r"empty.obj: holds no triangles"):
+        load_mesh(write_obj("", "empty.obj"))
+    with pytest.raises(ValueError, match=r"cannot be read as a mesh"):
+        load_mesh(write_obj("v 0 0 0\nf 1 2 3\n", "broken.obj"))

@@ -1,0 +1,148 @@
+"""Path samples against exact echograms, and the directions in which specular paths leave the source."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from roomeq.core.rng import rng_for
+from roomeq.sim.echogram import compute_echograms
+from roomeq.sim.images import specular_paths
+from roomeq.sim.mesh import make_room
+from roomeq.sim.path_sample import PATHS_PER_FRAME, reference_absorption, sample_paths
+from roomeq.sim.response import trace_source
+from roomeq.sim.scene import Air, Material, Scene, Shoebox
+from roomeq.sim.target import scaled_absorption
+
+C = Air().speed_m_s
+DIMS_M, SOURCE, MICS = (8.0, 6.0, 3.2), (2.1, 3.3, 1.5), [(5.731, 2.217, 1.243), (4.4, 4.9, 1.9)]
+N_FRAMES, ISM_ORDER = 900, 3
+
+
+def box_scene(absorption, scattering):
+    absorption = np.broadcast_to(absorption, (6, 8))
+    return Scene(Shoebox(DIMS_M), [Material(f"wall{n}", tuple(row), scattering) for n, row in enumerate(absorption)])
+
+
+def traced(scene, seed=0, num_rays=8000):
+    return trace_source(scene, SOURCE, num_rays=num_rays, max_length_s=1.0, rng=np.random.default_rng(seed))
+
+
+def exact(one, absorption, n=0):
+    """All bands by `compute_echograms`, each from the trace that serves it, shape (n_frames, 8)."""
+    result = np.empty((N_FRAMES, 8))
+    for band, column in enumerate(one.trace_of_band):
+        energy = compute_echograms(one.paths[column], one.scene.room, absorption, MICS[n:n + 1], ism_order=ISM_ORDER,
+                        n_frames=N_FRAMES, speed_m_s=C)
+        result[:, band] = energy[0, :, band]
+    return result
+
+
+def kept(one, reference, mics=MICS, names="ab"):
+    rngs = [rng_for(0, "echoes", name) for name in names[:len(mics)]]
+    return sample_paths(one, mics, np.broadcast_to(reference, (len(mics), 6)), rngs, ism_order=ISM_ORDER,
+                       n_frames=N_FRAMES)
+
+
+def smooth_db(energy, ours):
+    """Error of the mean over seven frames [dB], down to -60 dB of the decay."""
+    window = np.ones(7) / 7.0
+    mean, found = (np.convolve(values, window, "valid") for values in (energy, ours))
+    remaining = np.cumsum(mean[::-1])[::-1]
+    held = (remaining > 1e-6 * remaining[0]) & (mean > 0.0)
+    return 10.0 * np.log10(np.maximum(found[held], 1e-30) / mean[held])
+
+
+@pytest.mark.parametrize("scattering", [0.3, (0.1, 0.1, 0.1, 0.4, 0.4, 0.4, 0.4, 0.4)])
+def test_sampled_echogram_is_exact_at_reference(scattering):
+    absorption = np.linspace(0.03, 0.2, 6)
+    one = traced(box_scene(absorption[:, None], scattering))
+    for n, sample in enumerate(kept(one, absorption)):
+        everything = exact(one, one.scene.absorption, n)
+        assert everything[-1].min() > 0.0
+        np.testing.assert_allclose(sample.echogram(one.scene.absorption), everything, rtol=1e-4)
+        only = sample.echogram(one.scene.absorption, bands=[4])
+        np.testing.assert_allclose(only[:, 4], everything[:, 4], rtol=1e-4)
+        assert not only[:, :4].any()
+
+
+@pytest.mark.parametrize("exponent", [0.3, 0.6, 1.7, 3.0])
+def test_sampled_echogram_is_unbiased_off_reference(exponent):
+    """Noise of the 7 ms mean: below 0.6 dB for 0.3 to 3 times the absorption of the reference."""
+    one = traced(box_scene(0.12, 0.3))
+    (sample,) = kept(one, np.full(6, 0.12), MICS[:1])
+    other = scaled_absorption(one.scene.absorption, exponent)
+    error_db = smooth_db(exact(one, other)[:, 4], sample.echogram(other)[:, 4])
+    assert np.std(error_db) < (0.35 if 0.5 < exponent < 2.0 else 0.6)
+    assert abs(np.mean(error_db)) < 0.1
+
+
+def test_sample_distinguishes_surfaces_and_bands():
+    absorption = np.outer([0.02, 0.1, 0.05, 0.3, 0.15, 0.5], np.linspace(0.4, 1.2, 8))
+    noise_db, offset_db = [], []
+    for seed in range(3):
+        one = traced(box_scene(absorption, 0.3), seed)
+        (sample,) = kept(one, reference_absorption(one.scene.absorption), MICS[:1])
+        everything, found = exact(one, one.scene.absorption), sample.echogram(one.scene.absorption)
+        error_db = [smooth_db(everything[:, band], found[:, band]) for band in range(8)]
+        noise_db.append([np.std(band_db) for band_db in error_db])
+        offset_db.append([np.mean(band_db) for band_db in error_db])
+    assert np.max(np.mean(noise_db, axis=0)) < 0.6
+    assert np.max(np.abs(np.mean(offset_db, axis=0))) < 0.1
+
+
+def test_fully_absorbing_surfaces_silence_their_paths():
+    one = traced(box_scene(0.2, 0.3), num_rays=1000)
+    (sample,) = kept(one, np.full(6, 0.2), MICS[:1])
+    assert not sample.echogram(np.ones((6, 8))).any() and sample.echogram(np.zeros((6, 8))).all(axis=1)[100:].all()
+
+
+def test_ray_gains_apply_to_their_own_paths():
+    one = traced(box_scene(0.2, 0.6), num_rays=4000)
+    (sample,) = kept(one, np.full(6, 0.2), MICS[:1])
+    up = (one.paths[0].directions[:, 2] > 0.0).astype(float)[:, None] * np.ones(8)
+    parts = [sample.echogram(one.scene.absorption, ray_gain=gain) for gain in (up, 1.0 - up)]
+    np.testing.assert_allclose(parts[0] + parts[1], sample.echogram(one.scene.absorption), rtol=1e-5)
+    late = parts[0][100:, 4].sum() / (parts[0] + parts[1])[100:, 4].sum()
+    assert late == pytest.approx(0.5, abs=0.05)
+
+
+def test_sample_is_independent_of_other_microphones():
+    one = traced(box_scene(0.2, 0.3), num_rays=1000)
+    both, alone = kept(one, np.full(6, 0.2)), kept(one, np.full(6, 0.2), MICS[1:], "b")
+    for name in ("weight", "reflection_counts", "last_reflection"):
+        np.testing.assert_array_equal(getattr(both[1], name), getattr(alone[0], name))
+    assert both[0].weight.shape == (1, N_FRAMES, PATHS_PER_FRAME)
+
+
+def test_sample_is_identical_for_any_thread_count():
+    program = ("import hashlib, sys; sys.path.insert(0, sys.argv[1]); import test_sim_path_sample as t; "
+               "one = t.kept(t.traced(t.box_scene(0.2, 0.3), num_rays=1000), 0.2)[1]; "
+               "arrays = one.weight, one.reflection_counts, one.last_reflection; "
+               "print(hashlib.sha256(b''.join(array.tobytes() for array in arrays)).hexdigest())")
+    printed = {subprocess.run([sys.executable, "-c", program, os.path.dirname(__file__)], text=True, check=True,
+                              capture_output=True, env=os.environ | {"NUMBA_NUM_THREADS": threads}).stdout
+               for threads in ("1", "2", "3")}
+    assert len(printed) == 1
+
+
+def box_mesh():
+    corners = np.array([[x, y, z] for x in (0, DIMS_M[0]) for y in (0, DIMS_M[1]) for z in (0, DIMS_M[2])], float)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return make_room(corners[[face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]], ["wall"] * 12)
+
+
+def test_specular_departures_lead_to_the_microphone():
+    """Followed from the source as a ray, each passes the microphone after its length."""
+    images = specular_paths(Shoebox(DIMS_M), SOURCE, MICS[0], 3)
+    np.testing.assert_allclose(np.linalg.norm(images.departure, axis=1), 1.0)
+    for distance_m, departure in zip(images.distance_m, images.departure, strict=True):
+        # a box unfolds into triangle waves along each axis
+        unfolded = np.asarray(SOURCE) + distance_m * departure
+        folded = np.abs((unfolded + DIMS_M) % (2.0 * np.array(DIMS_M)) - DIMS_M)
+        np.testing.assert_allclose(folded, MICS[0], atol=1e-9)
+    mesh = specular_paths(box_mesh(), SOURCE, MICS[0], 3)
+    np.testing.assert_allclose(mesh.distance_m, images.distance_m, atol=1e-6)
+    np.testing.assert_allclose(mesh.departure, images.departure, atol=1e-6)

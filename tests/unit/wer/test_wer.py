@@ -1,0 +1,340 @@
+"""Word error rates: counts that are known, and the coverage of confidence intervals."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+from wer_run import DEV_ROOMS, ROOMS, put_decode, put_example, put_rirs, put_workspace, sentence, utterances_of
+
+from roomeq.core.files import write_json
+from roomeq.core.rng import rng_for
+from roomeq.validate import validate
+from roomeq.wer import measure_wer, statistics
+from roomeq.wer.check import read_wer, validate_wer
+from roomeq.wer.scoring import Weights, choose_weights, count_errors, read_bootci, read_reference
+from roomeq.wer.statistics import (
+    Components,
+    Resampling,
+    Statistic,
+    detectable,
+    ratio_interval,
+    variance_components,
+)
+
+TIMES = 200
+
+
+def measured(root, workspaces):
+    return json.loads(measure_wer(workspaces, root / "wer", rirs=root / "rirs").read_text())
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory):
+    """`put_example` of two seeds and two columns, measured."""
+    root = tmp_path_factory.mktemp("example")
+    return measured(root, put_example(root, seeds=2, columns=("online", "fglarge")))
+
+
+@pytest.mark.parametrize(("spoken", "heard", "counts"), [
+    ("a b c", "a b c", (0, 0, 0)), ("a b c", "a x c", (1, 0, 0)), ("a b c", "a c", (0, 1, 0)),
+    ("a b c", "a b b c", (0, 0, 1)), ("a b c", "", (0, 3, 0)), ("a", "x y z", (1, 0, 2)),
+    ("a b c d", "b c x", (1, 1, 0))])
+def test_errors_are_counted_by_kind(spoken, heard, counts):
+    found = count_errors([tuple(spoken.split())], [tuple(heard.split())])
+    np.testing.assert_array_equal(found, [counts])
+
+
+def test_rates_match_the_errors_that_were_made(example):
+    assert example["rows"] == ["train.clean", "train.real.rvb", "train.sim.rvb", "train.sim.EQ.rvb"]
+    assert example["columns"] == ["fglarge", "online"] and example["seeds"] == 2
+    for row, per_ten in (("train.real.rvb", 1), ("train.sim.rvb", 5), ("train.sim.EQ.rvb", 3)):
+        one = example["results"][row]["online"]
+        assert one["dev"]["wer"] == pytest.approx(10 * per_ten)
+        assert one["test"]["wer"] == pytest.approx(10 * per_ten + 2.5)  # the loudest of four rooms has one more
+        assert one["test"]["substitutions"] == 2 * (8 * per_ten + 2) and one["test"]["deletions"] == 0
+        assert one["test"]["by_seed"] == pytest.approx([10 * per_ten + 2.5] * 2)
+        assert one["dev_test_gap"]["points"] == pytest.approx(2.5)
+        assert one["weights"] == [dict(lmwt=8, penalty="0.5")] * 2
+    assert example["sets"]["test.real.rvb"] == dict(rooms=4, utterances=16, words=160)
+    rooms = {one["room"]: one["wer"]["online"]["train.sim.rvb"] for one in example["rooms"]}
+    assert rooms == pytest.approx(dict(attic=50, cellar=50, hall=60, kitchen=50))
+
+
+def test_strata_have_their_words_and_rates(example):
+    found = {(one["what"], one["low"], one["high"]): (one["words"], round(one["wer"]["online"]["train.sim.rvb"], 3))
+             for one in example["strata"]}
+    assert found == {("SNR [dB]", None, 10.0): (80, 52.5), ("SNR [dB]", 10.0, 15.0): (80, 52.5),
+                     ("T20 at 1 kHz [s]", 0.8, None): (40, 60.0),  # the hall; T20 of the other rooms is not valid
+                     ("DRR [dB]", 0.0, 5.0): (160, 52.5)}
+
+
+def test_malformed_snr_is_named_and_missing_file_accepted(tmp_path):
+    workspaces = put_example(tmp_path)
+    path = workspaces[0] / "data/test.real.rvb/utt2snr"
+    path.write_text(path.read_text().replace(" 5\n", " loud\n", 1))
+    with pytest.raises(ValueError, match="utt2snr: SNR 'loud' of 'test-attic-0' must be a number"):
+        measured(tmp_path, workspaces)
+    path.unlink()
+    assert {one["what"] for one in measured(tmp_path, workspaces)["strata"]} == {"T20 at 1 kHz [s]", "DRR [dB]"}
+
+
+def test_change_and_share_of_the_gap(example):
+    one = example["results"]["train.sim.EQ.rvb"]["fglarge"]
+    assert one["change"]["points"] == pytest.approx(-20) and one["change"]["p"] < 0.001
+    assert one["change"]["relative"] == pytest.approx(100 * (32.5 / 52.5 - 1))
+    low, high = one["change"]["relative_interval"]
+    assert low < one["change"]["relative"] < high < 0
+    assert one["closed"]["share"] == pytest.approx(0.5) and one["closed"]["interval"] == pytest.approx([0.5, 0.5])
+    assert "change" not in example["results"]["train.sim.rvb"]["fglarge"]
+    assert "closed" not in example["results"]["train.real.rvb"]["fglarge"]
+
+
+def test_weights_are_chosen_on_dev_not_on_test(tmp_path):
+    workspace, = put_example(tmp_path)
+    decode = workspace / "train.sim.rvb/decode_test.real.rvb_tgsmall"
+    reference = read_reference(decode)
+    hypotheses = {ident: list(words) for ident, words in reference.items()}
+    put_decode(decode, reference, hypotheses, spoil_best=3)
+    assert choose_weights(decode) != Weights("0.5", 8)
+    found = measured(tmp_path, [workspace])["results"]["train.sim.rvb"]["tgsmall"]
+    assert found["weights"] == [dict(lmwt=8, penalty="0.5")]
+    assert (found["test"]["insertions"], found["test"]["wer"]) == (3, 100 * 3 / 80)
+
+
+def test_ties_between_weights_go_to_the_smallest(tmp_path):
+    reference = {"u": sentence(0)}
+    put_decode(tmp_path, reference, reference, spoil_best=1)
+    assert choose_weights(tmp_path) == Weights("0.0", 7)
+
+
+def test_dev_set_is_of_the_rows_kind_if_decoded(tmp_path, capsys):
+    put_rirs(tmp_path / "rirs", (*ROOMS, *DEV_ROOMS))
+    sets = {name: utterances_of(name, DEV_ROOMS) for name in ("dev.sim.rvb", "dev.clean", "dev.real.rvb")}
+    for dev in sets:
+        row = dev.replace("dev", "train")
+        put_workspace(tmp_path / "ws", {row: lambda name, *_: 2 if name.startswith("dev") else 4}, sets={
+            dev: sets[dev], "test.real.rvb": utterances_of("test", ROOMS)})
+    clean = tmp_path / "ws/data/dev.clean"
+    (clean / "utt2rir").rename(clean / "utt2spk")  # clean speech has speakers and no rooms
+    found = measured(tmp_path, [tmp_path / "ws"])
+    assert found["dev_of"] == {"train.clean": "dev.clean", "train.sim.rvb": "dev.sim.rvb",
+                               "train.real.rvb": "dev.real.rvb"}
+    assert found["results"]["train.sim.rvb"]["tgsmall"]["dev_test_gap"]["points"] == pytest.approx(20)
+    assert found["sets"]["dev.clean"]["rooms"] is None and found["sets"]["dev.sim.rvb"]["rooms"] == 2
+    assert ("dev is of each row's own kind, as in the paper: dev.clean, dev.sim.rvb; else dev.real.rvb."
+            in capsys.readouterr().out)
+
+
+def test_table_text_states_sets_seeds_and_gap(tmp_path, capsys):
+    workspaces = put_example(tmp_path, seeds=2, columns=("fglarge", "online"))
+    measure_wer(workspaces[:1], tmp_path / "one", rirs=tmp_path / "rirs")
+    one = capsys.readouterr().out
+    measure_wer(workspaces, tmp_path / "two", rirs=tmp_path / "rirs")
+    two = capsys.readouterr().out
+    assert "train.sim.EQ.rvb            30.00   30.00     32.50   32.50\n" in one
+    assert one.splitlines()[1].split() == ["Training", "data", "fglarge", "online", "fglarge", "online"]
+    assert "chosen on dev" in one and "With one seed the spread over seeds is not known" in one
+    assert "2 seeds" in two and "is not known" not in two
+    assert "closes 50 % [50, 50] of the gap train.sim.rvb - train.real.rvb +40.00" in two
+
+
+def test_measuring_again_gives_the_same_bytes(tmp_path, capsys):
+    workspaces = put_example(tmp_path, seeds=2, errors={"train.sim.rvb": 5, "train.sim.EQ.rvb": 2})
+    first = measure_wer(workspaces, tmp_path / "a", rirs=tmp_path / "rirs").read_bytes()
+    said = capsys.readouterr().out
+    shutil.rmtree(tmp_path / "a")
+    assert measure_wer(workspaces, tmp_path / "a", rirs=tmp_path / "rirs").read_bytes() == first
+    assert measure_wer(workspaces, tmp_path / "a", rirs=tmp_path / "rirs").read_bytes() == first
+    assert capsys.readouterr().out == 2 * said
+
+
+def test_changed_hypothesis_is_measured_again(tmp_path):
+    workspace, = put_example(tmp_path)
+    before = measured(tmp_path, [workspace])
+    decode = workspace / "train.sim.rvb/decode_test.real.rvb_tgsmall"
+    reference = read_reference(decode)
+    put_decode(decode, reference, {ident: list(words) for ident, words in reference.items()})
+    after = measured(tmp_path, [workspace])
+    assert before["results"]["train.sim.rvb"]["tgsmall"]["test"]["wer"] == pytest.approx(52.5)
+    assert after["results"]["train.sim.rvb"]["tgsmall"]["test"]["wer"] == 0
+
+
+def test_output_of_kaldis_bootstrap_is_quoted(tmp_path, capsys):
+    workspace, = put_example(tmp_path)
+    (workspace / "train.sim.rvb/decode_test.real.rvb_tgsmall/bootci").write_text(
+        "Set1: %WER 52.51 95% Conf Interval [ 49.40, 55.62 ]\n")
+    one = measured(tmp_path, [workspace])["results"]["train.sim.rvb"]["tgsmall"]["test"]
+    assert one["bootci"] == [dict(wer=52.51, interval=[49.40, 55.62])]
+    said = capsys.readouterr().out
+    assert "Kaldi's 52.51 [49.40, 55.62]" in said and "output of compute-wer-bootci" in said
+    assert read_bootci(tmp_path) is None
+
+
+def test_written_file_is_valid(example, tmp_path, capsys):
+    write_json(tmp_path / "wer.json", example)
+    assert validate_wer(tmp_path) == 8
+    validate([tmp_path])
+    assert "8 systems, OK" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("where", "value", "message"), [
+    (("rows",), [], "rows must be names"), (("rows",), ["train.other"], "KeyError: 'train.other'"),
+    (("seeds",), 0, "seeds=0 must be a number of 1 or more"),
+    (("results", "train.sim.rvb", "online", "test", "wer"), "low", "train.sim.rvb online test='low' must be a number"),
+    (("results", "train.sim.rvb", "online", "test", "interval"), [90.0, 99.0], r"interval=\[90.0, 99.0\] must lie"),
+    (("results", "train.sim.EQ.rvb", "online", "change", "points"), None, "train.sim.EQ.rvb online change=None must"),
+    (("results", "train.sim.EQ.rvb", "online", "closed", "interval"), None, "online share must have an interval"),
+    (("results", "train.sim.EQ.rvb", "online", "dev_test_gap", "p"), -1, "dev_test_gap p=-1 must be"),
+    (("rooms",), [dict(room="hall", wer={})], "KeyError: 'fglarge'"),
+    (("strata", 0, "words"), 0, "SNR .dB. from None to 10.0=0 must be a number of 1"),
+    (("sets",), {}, "KeyError: 'test.real.rvb'")])
+def test_edited_file_is_refused_in_one_line(example, tmp_path, where, value, message):
+    found = one = json.loads(json.dumps(example))
+    for key in where[:-1]:
+        one = one[key]
+    one[where[-1]] = value
+    write_json(tmp_path / "wer.json", found)
+    with pytest.raises(ValueError, match=f"wer.json: .*{message}.*: measure again$"):
+        read_wer(tmp_path / "wer.json")
+
+
+# ---- intervals
+
+
+def table(seed, row, room, residual, shape):
+    """Deviations of rates [%] from their mean over seeds and rooms."""
+    rng = rng_for(0, "world", str(seed))
+    n_seeds, n_rooms = shape
+    return (row * rng.standard_normal((n_seeds, 1)) + room * rng.standard_normal(n_rooms)
+            + residual * rng.standard_normal(shape))
+
+
+def rate(percent, draws, words=200):
+    """A rate from the rates [%] of its cells, all of so many words; errors need not be whole."""
+    words = np.full(percent.shape, float(words))
+    return Statistic.of(percent / 100 * words, words, draws)
+
+
+@pytest.fixture(scope="module")
+def draws():
+    """Resampling by shape, each made once, with a fifth of the replicates."""
+    kept = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(statistics, "REPLICATES", 2000)
+        yield lambda *shape: kept.get(shape) or kept.setdefault(shape, Resampling(*shape, "test"))
+
+
+def test_variance_components_of_a_known_table():
+    seeds, rooms = np.array([-1.0, 0.0, 1.0]), np.array([-3.0, 0.0, 0.0, 3.0])
+    found = variance_components(seeds[:, None] + rooms)
+    assert (found.seed, found.room, found.residual) == pytest.approx((1.0, 6.0, 0.0))
+    assert found.variance == pytest.approx(1 / 3 + 6 / 4)
+    # Satterthwaite: (sum of terms)^2 / sum of terms^2 / df
+    assert found.df == pytest.approx((1 / 3 + 1.5) ** 2 / ((1 / 3) ** 2 / 2 + 1.5 ** 2 / 3))
+    alone = variance_components(rooms[None])
+    assert alone.seed is None and alone.variance == pytest.approx(1.5) and alone.df == 3
+
+
+@pytest.mark.parametrize(("shape", "seed", "room", "residual"), [
+    ((1, 10), 0, 4, 0), ((5, 40), 1, 4, 2), ((5, 40), 2, 0, 0.5), ((3, 40), 2, 3, 1), ((5, 40), 0, 0, 3)])
+def test_intervals_cover_the_truth_at_their_level(draws, shape, seed, room, residual):
+    found = [rate(20 + table(n, seed, room, residual, shape), draws(*shape)).interval() for n in range(TIMES)]
+    held = sum(low <= 20 <= high for low, high in found)
+    assert held >= binom.ppf(0.001, TIMES, 0.93)
+    ideal = 2 * 1.96 * np.sqrt(seed ** 2 / shape[0] + room ** 2 / shape[1] + residual ** 2 / np.prod(shape))
+    assert np.mean([high - low for low, high in found]) < 1.6 * ideal
+
+
+def test_intervals_of_equal_rows_cover_zero_at_their_level(draws):
+    shape = (5, 40)
+    common = [20 + table(f"common{n}", 1, 5, 1, shape) for n in range(TIMES)]
+    pairs = [(rate(both + table(f"a{n}", 0.5, 1, 2, shape), draws(*shape)),
+              rate(both + table(f"b{n}", 0.5, 1, 2, shape), draws(*shape))) for n, both in enumerate(common)]
+    differences = [a.less(b) for a, b in pairs]
+    held = sum(low <= 0 <= high for low, high in (one.interval() for one in differences))
+    assert binom.ppf(0.001, TIMES, 0.93) <= held < TIMES
+    significant = sum(one.p() < 0.05 for one in differences)
+    assert significant <= binom.ppf(0.999, TIMES, 0.07)
+
+
+def test_row_does_not_differ_from_itself(draws):
+    one = rate(20 + table(0, 1, 5, 1, (3, 8)), draws(3, 8))
+    assert one.less(one).interval() == [0.0, 0.0] and one.less(one).p() == 1.0
+    assert detectable(one.less(one)) is None
+
+
+def test_pairing_over_rooms_and_seeds_narrows_the_interval(draws):
+    shape = (5, 40)
+    both = 20 + table("both", 2, 5, 0, shape)
+    a, b = (rate(both + table(name, 0, 0, 2, shape), draws(*shape)) for name in "ab")
+    low, high = a.less(b).interval()
+    unpaired = np.hypot(*(np.diff(one.interval())[0] for one in (a, b)))
+    assert high - low < 0.5 * unpaired
+
+
+def test_rooms_with_more_words_weigh_more(draws):
+    errors, words = np.array([[10.0, 0.0]]), np.array([[10.0, 90.0]])
+    assert Statistic.of(errors, words, draws(1, 2)).value == 10.0
+
+
+def test_single_room_has_no_interval(draws):
+    one = rate(np.array([[20.0], [22.0]]), draws(2, 1))
+    assert one.interval() is None and one.p() is None and detectable(one) is None
+    assert ratio_interval(one, one) is None
+
+
+def test_contrast_is_zero_at_the_ends_of_a_ratio_interval(draws):
+    shape = (5, 40)
+    base, row, oracle = (rate(mean + table(mean, 0.3, 2, 1, shape), draws(*shape)) for mean in (20, 17, 14))
+    gained, gap = base.less(row), base.less(oracle)
+    low, high = ratio_interval(gained, gap)
+    assert low < gained.value / gap.value < high
+    assert gained.less(gap, low).interval()[0] == pytest.approx(0, abs=1e-3)
+    assert gained.less(gap, high).interval()[1] == pytest.approx(0, abs=1e-3)
+
+
+def test_intervals_of_gap_shares_cover_the_truth(draws):
+    shape, held, unknown, times = (5, 40), 0, 0, TIMES // 2
+    for n in range(times):
+        base, row, oracle = (rate(mean + table(f"{mean} {n}", 0.3, 4, 1, shape), draws(*shape))
+                             for mean in (20, 17.75, 17))
+        found = ratio_interval(base.less(row), base.less(oracle))
+        unknown += found is None
+        held += found is not None and found[0] <= 0.75 <= found[1]
+    assert held + unknown >= binom.ppf(0.001, times, 0.93) and 0 < unknown < times / 3
+
+
+def test_uncertain_gap_has_no_share(tmp_path, capsys):
+    workspace, = put_example(tmp_path, errors={"train.real.rvb": 5, "train.sim.rvb": 5, "train.sim.EQ.rvb": 4})
+    closed = measured(tmp_path, [workspace])["results"]["train.sim.EQ.rvb"]["tgsmall"]["closed"]
+    assert closed["share"] is None and closed["interval"] is None and closed["gap"]["points"] == 0
+    assert closed["gained"]["points"] == pytest.approx(10)
+    assert "is not certain: no share of it is stated" in capsys.readouterr().out
+
+
+def test_detectable_difference_is_detected_in_80_percent(draws):
+    shape, parts = (5, 40), (0.5, 2.0, 1.5)
+    true = Components(*shape, *(one ** 2 for one in parts), df=np.inf)
+    found = detectable(rate(20 + table(0, *parts, shape), draws(*shape)))
+    size = found["standard_errors"] * np.sqrt(true.variance)
+    times = sum(rate(size + table(n, *parts, shape), draws(*shape)).p() < 0.05 for n in range(TIMES))
+    assert binom.ppf(0.001, TIMES, 0.74) <= times <= binom.ppf(0.999, TIMES, 0.88)
+
+
+def test_half_of_the_detectable_difference_needs_for_half(draws):
+    shape = (4, 20)
+    one = rate(20 + table(3, 1, 3, 2, shape), draws(*shape))
+    found, half = variance_components(one.z), detectable(one)["for_half"]
+    factor = half["factor"]
+    assert found.variance_with(4 * factor, 20 * factor) == pytest.approx(found.variance / 4)
+    for kind, n_seeds, n_rooms in (("seeds", half["seeds"], 20), ("rooms", 4, half["rooms"])):
+        if half[kind] is not None:
+            assert found.variance_with(n_seeds, n_rooms) <= found.variance / 4 * (1 + 1e-9)
+            fewer = (n_seeds - (kind == "seeds"), n_rooms - (kind == "rooms"))
+            assert found.variance_with(*fewer) > found.variance / 4
+    only_rooms = rate(20 + table(3, 0, 3, 0, shape), draws(*shape))
+    assert detectable(only_rooms)["for_half"]["seeds"] is None
+    assert detectable(only_rooms)["for_half"]["rooms"] == 80
+    assert detectable(rate(20 + table(3, 0, 3, 0, (1, 20)), draws(1, 20)))["seed"] is None
