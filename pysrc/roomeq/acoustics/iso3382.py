@@ -15,8 +15,9 @@ Why not pyrato
 --------------
 pyrato 1.1 (on pyfar) implements the same noise compensation, and tests/unit/acoustics/test_iso3382.py checks that both
 agree. It does not say whether a result is valid: for a response that ends 28 dB down it returns a T30. It raises an
-error or returns -inf for responses with digital silence at the end or 20 dB of signal to noise, which measured corpora contain. It takes
-several times as long per band, and its import takes seconds, which every job of the recipe would pay.
+error or returns -inf for responses with digital silence at the end or 20 dB of signal to noise, which measured corpora
+contain. It takes several times as long per band, and its import takes seconds, which every job of the recipe would
+pay.
 """
 
 from dataclasses import dataclass
