@@ -10,7 +10,6 @@ __version__ = "0.2.0"
 
 if TYPE_CHECKING:
     from roomeq.acoustics.parameters import measure as analyse
-    from roomeq.augment.far_field import augment
     from roomeq.corpora.characterise import characterise
     from roomeq.eq.compensation import compensate, compensate_rir
     from roomeq.eq.fit import fit_eq
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "Air": "sim.scene", "Material": "sim.scene", "MeshRoom": "sim.mesh", "Scene": "sim.scene", "Shoebox": "sim.scene",
-    "analyse": "acoustics.parameters:measure", "augment": "augment.far_field", "characterise": "corpora.characterise",
+    "analyse": "acoustics.parameters:measure", "characterise": "corpora.characterise",
     "close_loop": "loop.close", "compensate": "eq.compensation", "compensate_rir": "eq.compensation",
     "fit_eq": "eq.fit", "load_mesh": "sim.mesh", "load_rir": "records.rir_dir", "read_rirs": "records.rir_dir",
     "simulate": "simulate_rirs", "simulate_rir": "sim.response",
@@ -32,7 +31,7 @@ _HOME = {
 
 __all__ = [
     "Air", "Material", "Shoebox", "MeshRoom", "load_mesh", "Scene", "simulate_rir", "analyse", "read_rirs", "load_rir",
-    "characterise", "simulate", "fit_eq", "compensate", "compensate_rir", "close_loop", "augment",
+    "characterise", "simulate", "fit_eq", "compensate", "compensate_rir", "close_loop",
 ]
 
 

@@ -19,6 +19,10 @@ from roomeq.core.limits import LIMITS
 MAX_MESSAGE = 1500
 """Longest message printed; of a longer one, only beginning and end are printed."""
 
+_EXTRA_OF = {"embreex": "mesh", "jinja2": "report", "matplotlib": "report", "rapidfuzz": "wer", "sofar": "sofa",
+             "trimesh": "mesh"}
+"""Extra of the package that installs each optional module."""
+
 _REMEDIES = {errno.ENAMETOOLONG: "shorten the name"} | dict.fromkeys(
     (errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "free some space, or choose another output") | dict.fromkeys(
     (errno.EACCES, errno.EPERM, errno.EROFS), "check the permissions") | dict.fromkeys(
@@ -75,6 +79,11 @@ class Verb(click.Command):
             self.load()(**ctx.params)
         except (ValueError, OSError) as error:
             return failed(one_line(error))
+        except ModuleNotFoundError as error:
+            package = (error.name or "").split(".")[0]
+            extra = _EXTRA_OF.get(package)
+            return failed(f"the package {package} is not installed: "
+                          + (f"pip install 'roomeq[{extra}]'" if extra else "install roomeq again"))
         except (MemoryError, BrokenExecutor) as error:
             return failed(f"not enough memory, or a worker was killed ({type(error).__name__}): use a smaller --nj and "
                           "start it again to go on")

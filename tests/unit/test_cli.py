@@ -94,3 +94,11 @@ def test_absent_input_is_one_line(argv, tmp_path, monkeypatch, capsys):
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1 and lines[0].startswith("roomeq: ") and "absent" in lines[0]
     assert [path for path in tmp_path.iterdir() if not path.name.startswith(".")] == []
+
+
+def test_a_missing_optional_package_names_its_extra(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "rapidfuzz", None)
+    for name in [name for name in sys.modules if name.startswith("roomeq.wer")]:
+        monkeypatch.delitem(sys.modules, name)
+    assert main(["wer", "--rirs", "rirs", "workspace", "out"]) == 1
+    assert capsys.readouterr().err == "roomeq: the package rapidfuzz is not installed: pip install 'roomeq[wer]'\n"
