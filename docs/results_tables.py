@@ -9,7 +9,8 @@ from typing import Any
 
 PAGES = {
     "simulator": "Simulator: accuracy", "speed": "Simulator: speed", "compensation": "EQ compensation",
-    "loop": "Closed loop", "augmentation": "Augmentation", "wer": "Word error rates", "faults": "Faults and bad inputs",
+    "loop": "Closed loop", "effects": "Effects: predicted and rendered",
+    "augmentation": "Augmentation", "wer": "Word error rates", "faults": "Faults and bad inputs",
 }
 
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from roomeq.eq.fit import fit_eq
     from roomeq.loop.close import close_loop
     from roomeq.records.rir_dir import load_rir, read_rirs
+    from roomeq.sim.materials import named_scene
     from roomeq.sim.mesh import MeshRoom, load_mesh
     from roomeq.sim.response import simulate_rir
     from roomeq.sim.scene import Air, Material, Scene, Shoebox
@@ -22,16 +23,16 @@ if TYPE_CHECKING:
 
 _HOME = {
     "Air": "sim.scene", "Material": "sim.scene", "MeshRoom": "sim.mesh", "Scene": "sim.scene", "Shoebox": "sim.scene",
-    "analyse": "acoustics.parameters:measure", "characterise": "corpora.characterise",
-    "close_loop": "loop.close", "compensate": "eq.compensation", "compensate_rir": "eq.compensation",
-    "fit_eq": "eq.fit", "load_mesh": "sim.mesh", "load_rir": "records.rir_dir", "read_rirs": "records.rir_dir",
+    "analyse": "acoustics.parameters:measure", "characterise": "corpora.characterise", "close_loop": "loop.close",
+    "compensate": "eq.compensation", "compensate_rir": "eq.compensation", "fit_eq": "eq.fit", "load_mesh": "sim.mesh",
+    "load_rir": "records.rir_dir", "named_scene": "sim.materials", "read_rirs": "records.rir_dir",
     "simulate": "simulate_rirs", "simulate_rir": "sim.response",
 }
 """Module of each public name, and its name there if it is another."""
 
 __all__ = [
-    "Air", "Material", "Shoebox", "MeshRoom", "load_mesh", "Scene", "simulate_rir", "analyse", "read_rirs", "load_rir",
-    "characterise", "simulate", "fit_eq", "compensate", "compensate_rir", "close_loop",
+    "Air", "Material", "Shoebox", "MeshRoom", "load_mesh", "Scene", "named_scene", "simulate_rir", "analyse",
+    "read_rirs", "load_rir", "characterise", "simulate", "fit_eq", "compensate", "compensate_rir", "close_loop",
 ]
 
 

@@ -4,8 +4,8 @@
 Usage: tests/bench/publish.py [--commit HASH] [--date YYYY-MM-DD] PAGE FILE
 e.g.:  tests/bench/publish.py simulator exp/bench/fidelity.json
        tests/bench/publish.py loop tests/bench/loop/results/results.jsonl
-PAGE is one of simulator, speed, compensation, loop, augmentation, wer, faults. The commit is that of the working tree,
-unless the results are of an earlier one.
+PAGE is one of simulator, speed, compensation, loop, effects, augmentation, wer, faults. The commit is that of the
+working tree, unless the results are of an earlier one.
 """
 
 import argparse
@@ -61,6 +61,17 @@ def augmentation(result: dict[str, Any]) -> list[Table]:
                  rows=[list(item) for item in result["peak_memory_mib"].items()])]
 
 
+def effects(result: dict[str, Any]) -> list[Table]:
+    """Return how far the predicted change of each effect is from the rendered change, by metric."""
+    deviations = result["deviations"]
+    metrics = list(dict.fromkeys(metric for by_metric in deviations.values() for metric in by_metric))
+    rows = [[effect, *(f"{by_metric[metric]['median']:.2f} / {by_metric[metric]['worst']:.1f}"
+                       if metric in by_metric else None for metric in metrics)]
+            for effect, by_metric in deviations.items()]
+    return [dict(title="Deviation of the predicted from the rendered change [JND]", columns=["effect", *metrics],
+                 rows=rows, notes=["Largest median over RIRs of a band / worst single deviation."])]
+
+
 def word_errors(result: dict[str, Any]) -> list[Table]:
     """Return the table of word error rates, and the differences between training sets."""
     columns = result["columns"]
@@ -89,6 +100,8 @@ SUMMARY = {
                     "compensation. Rooms count equally.",
     "loop": "What the closed loop finds in generated rooms whose extra effect it is not told of. The rooms are made by "
             "code that shares nothing with the effects or the simulator.",
+    "effects": "Each effect of the catalogue, switched on at a realistic size in three rooms: the change of the "
+               "features that the loop predicts against the change that rendering shows.",
     "augmentation": "Speed and exactness of augmentation, from FLAC to FLAC on one core.",
     "wer": "Word error rates of recognisers trained on the data, with intervals over rooms and seeds.",
     "faults": "The recipe killed at random moments, run twice at once, on a full disk and on a read-only one. After "
@@ -96,12 +109,12 @@ SUMMARY = {
 }
 READERS: dict[str, Callable[[Any], list[Table]]] = {
     "simulator": sections, "speed": sections, "compensation": lambda result: result["tables"], "loop": loop,
-    "augmentation": augmentation, "wer": word_errors, "faults": faults,
+    "augmentation": augmentation, "effects": effects, "wer": word_errors, "faults": faults,
 }
 COMMAND = {
     "simulator": "tests/bench/fidelity/run.py", "speed": "tests/bench/speed/run.py",
     "compensation": "./run.sh --measured RIRS --stop-stage 4 && tests/bench/compensation.py data",
-    "loop": "tests/bench/loop/run.py", "augmentation": "tests/bench/augment.py",
+    "loop": "tests/bench/loop/run.py", "effects": "tests/bench/effects.py", "augmentation": "tests/bench/augment.py",
     "wer": "tests/bench/wer.sh", "faults": "tests/nightly/faults/run.sh",
 }
 
