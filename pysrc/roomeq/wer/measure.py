@@ -110,7 +110,7 @@ def _result(rates: _Rates, system: System, weights: list[Weights]) -> dict:
     result = dict(weights=[dict(lmwt=chosen.lmwt, penalty=chosen.penalty) for chosen in weights],
                   dev=_rate(rates, system, dev), test=_rate(rates, system, test))
     test_rate, dev_rate = (rates.rate(system, name, (dev, test)) for name in (test, dev))
-    result["dev_test_gap"] = _difference(test_rate.less(dev_rate))
+    result["dev_test_gap"] = _difference(test_rate.minus(dev_rate))
     if BASE in rows and system.row != BASE:
         row_rate, base_rate = (rates.rate(System(row, system.column), TEST) for row in (system.row, BASE))
         result["change"] = _change(row_rate, base_rate)
@@ -134,12 +134,12 @@ def _rate(rates: _Rates, system: System, set_name: str) -> dict:
 
 
 def _difference(difference: Statistic) -> dict:
-    return dict(points=difference.value, interval=difference.interval(), p=difference.p())
+    return dict(points=difference.value, interval=difference.interval(), p=difference.p_value())
 
 
 def _change(row: Statistic, base: Statistic) -> dict:
     """Return the difference of a row from the base, in points and relative to the base [%]."""
-    difference, ratio = row.less(base), ratio_interval(row, base)
+    difference, ratio = row.minus(base), ratio_interval(row, base)
     relative = 100 * difference.value / base.value if base.value else None
     return _difference(difference) | dict(
         relative=relative, relative_interval=ratio and [100 * (end - 1) for end in ratio],
@@ -148,7 +148,7 @@ def _change(row: Statistic, base: Statistic) -> dict:
 
 def _closed(row: Statistic, base: Statistic, oracle: Statistic) -> dict:
     """Return the share of the gap between base and oracle that a row closes; None unless the gap is certain."""
-    gained, gap = base.less(row), base.less(oracle)
+    gained, gap = base.minus(row), base.minus(oracle)
     ratio = ratio_interval(gained, gap)
     return dict(gap=_difference(gap), gained=_difference(gained), interval=ratio,
                 share=gained.value / gap.value if ratio else None)

@@ -1,16 +1,17 @@
-"""Confidence intervals of word error rates that hold for other rooms and for other seeds.
+"""Confidence intervals of word error rates that account for the choice of rooms and of seeds.
 
 Errors are counted in a table of seeds by rooms; a seed is one training with its own draws of RIRs, noises and initial
-weights. A word error rate is the sum of errors over the sum of words. To first order its error is the mean over the
-cells of the influence ``z = (errors - wer words) / mean words of a cell``. The influence of a difference of two rates
-is the difference of their influences. This pairs the rates: effects of rooms and seeds that both share cancel.
+weights. A word error rate is the sum of errors over the sum of words. To first order, its sampling error is the mean
+over the cells of the influence ``z = (errors - wer words) / mean words of a cell``. The influence of a difference of
+two rates is the difference of their influences. Comparisons are therefore paired: effects of rooms and seeds that are
+common to both rates cancel.
 
-Seeds and rooms are crossed: ``z = seed + room + residual``. A bootstrap resamples seeds and rooms, each with
-replacement (McCullagh, Bernoulli 2000; Owen, Ann. Appl. Stat. 2007). It counts a dominating residual three times, and
-with few seeds it is too narrow. Its replicates are therefore stretched about the estimate: to the standard error of the
-variance components (two-way analysis of variance, method of moments, none below zero), and to the tails of Student's t
-with Satterthwaite's degrees of freedom. `tests/bench/wer_intervals.py` measures how often these intervals contain the
-truth.
+Seeds and rooms are crossed random factors: ``z = seed + room + residual``. A bootstrap resamples seeds and rooms, each
+with replacement (McCullagh, Bernoulli 2000; Owen, Ann. Appl. Stat. 2007). Its variance contains the residual variance
+three times, and with few seeds it is too small. The deviations of the replicates from the estimate are therefore
+scaled: to the standard error from the variance components (two-way analysis of variance, method of moments, negative
+estimates set to zero), and to the quantiles of Student's t with Satterthwaite's degrees of freedom.
+`tests/bench/wer_intervals.py` measures how often these intervals contain the true value.
 """
 
 import math
@@ -30,14 +31,14 @@ POWER = 0.8
 
 @dataclass(frozen=True)
 class Components:
-    """Variance components of one cell, in the unit of z squared.
+    """Variance components of the influence of a cell, in units of z squared.
 
     Attributes
     ----------
     seed : float or None
-        None with a single seed: the spread over seeds is unknown.
+        Variance over seeds; None with a single seed, from which it cannot be estimated.
     room, residual : float
-        With a single seed the residual is part of `room`.
+        Variance over rooms, and of the residual. With a single seed, the residual is part of `room`.
     df : float
         Satterthwaite's degrees of freedom of `variance`.
     """
@@ -65,7 +66,7 @@ def influence(errors: FloatArray, words: FloatArray) -> tuple[float, FloatArray]
     Parameters
     ----------
     errors, words : ndarray, shape (n_seeds, n_rooms)
-        Cells may hold no words.
+        Cells may have 0 words.
     """
     wer = 100.0 * errors.sum() / words.sum()
     return float(wer), (100.0 * errors - wer * words) / words.mean()
@@ -86,9 +87,9 @@ def variance_components(z: FloatArray) -> Components:
     # the variance is a weighted sum of mean squares; a component that was set to zero drops out with its mean square
     terms = ((ms_seed * (seed > 0), n_seeds - 1), (ms_room * (room > 0), n_rooms - 1),
              (ms_residual * (1 - (seed > 0) - (room > 0)), df_residual))
-    spread = sum(ms ** 2 / df for ms, df in terms)
+    sum_of_squares = sum(ms ** 2 / df for ms, df in terms)
     total = seed + room + ms_residual
-    df = total ** 2 / spread if spread > 0 else float(df_residual)
+    df = total ** 2 / sum_of_squares if sum_of_squares > 0 else float(df_residual)
     return Components(n_seeds, n_rooms, seed / n_rooms, room / n_seeds, ms_residual, df)
 
 
@@ -107,7 +108,7 @@ class Resampling:
         self._rooms = rng.multinomial(n_rooms, [1 / n_rooms] * n_rooms, size=REPLICATES) / n_rooms
 
     def deviations(self, z: FloatArray) -> FloatArray:
-        """Return the deviations of the replicates from a statistic before stretching, shape (REPLICATES,)."""
+        """Return the unscaled deviations of the replicates from a statistic, shape (REPLICATES,)."""
         return np.einsum("bs,bs->b", self._seeds, self._rooms @ z.T)
 
 
@@ -133,29 +134,29 @@ class Statistic:
         value, z = influence(errors, words)
         return cls(value, z, resampling.deviations(z))
 
-    def less(self, other: "Statistic", factor: float = 1.0) -> "Statistic":
-        """Return this minus `factor` times another statistic of the same resampling."""
+    def minus(self, other: "Statistic", factor: float = 1.0) -> "Statistic":
+        """Return this statistic minus `factor` times another statistic of the same resampling."""
         return Statistic(self.value - factor * other.value, self.z - factor * other.z,
                          self.deviations - factor * other.deviations)
 
     def replicates(self) -> FloatArray:
-        """Return the stretched replicates."""
-        parts, spread = variance_components(self.z), self.deviations.std()
-        if spread == 0:
+        """Return the replicates, scaled as the module describes."""
+        components, bootstrap_error = variance_components(self.z), self.deviations.std()
+        if bootstrap_error == 0:
             return np.full(len(self.deviations), self.value)
-        tail = (1 + LEVEL) / 2
-        stretch = math.sqrt(parts.variance) / spread * t.ppf(tail, parts.df) / norm.ppf(tail)
-        return self.value + stretch * self.deviations
+        upper = (1 + LEVEL) / 2
+        scale = math.sqrt(components.variance) / bootstrap_error * t.ppf(upper, components.df) / norm.ppf(upper)
+        return self.value + scale * self.deviations
 
     def interval(self) -> list[float] | None:
         """Return the 95 % interval; None with a single room."""
-        return None if self.z.shape[1] < 2 else self._ends()
+        return None if self.z.shape[1] < 2 else self._limits()
 
-    def _ends(self) -> list[float]:
+    def _limits(self) -> list[float]:
         low, high = np.quantile(self.replicates(), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
         return [float(low), float(high)]
 
-    def p(self) -> float | None:
+    def p_value(self) -> float | None:
         """Return the two-sided p-value of the hypothesis that the value is 0; None with a single room."""
         if self.z.shape[1] < 2:
             return None
@@ -167,7 +168,7 @@ class Statistic:
 def ratio_interval(numerator: Statistic, denominator: Statistic) -> list[float] | None:
     """Return the 95 % interval of a ratio (Fieller, Q. J. R. Stat. Soc. 1940 and J. R. Stat. Soc. B 1954).
 
-    It contains each ratio r for which the interval of ``numerator - r denominator`` contains 0. None if the interval
+    It contains every ratio r for which the interval of ``numerator - r denominator`` contains 0. None if the interval
     of the denominator is not above 0: any ratio is then possible.
     """
     interval = denominator.interval()
@@ -175,48 +176,49 @@ def ratio_interval(numerator: Statistic, denominator: Statistic) -> list[float] 
         return None
     estimate = numerator.value / denominator.value
 
-    def find_end(end: int, step: float) -> float:
+    def find_limit(index: int, step: float) -> float:
         def contrast(ratio: float) -> float:
-            return numerator.less(denominator, ratio)._ends()[end]
+            return numerator.minus(denominator, ratio)._limits()[index]
 
-        if step * contrast(estimate) <= 0:  # nothing varies
+        if step * contrast(estimate) <= 0:  # the replicates do not vary
             return estimate
         while step * contrast(estimate + step) > 0:
             step *= 2
         return float(brentq(contrast, *sorted((estimate, estimate + step)), xtol=1e-6))
 
-    return [find_end(0, -1.0), find_end(1, 1.0)]
+    return [find_limit(0, -1.0), find_limit(1, 1.0)]
 
 
 def detectable(difference: Statistic) -> dict | None:
-    """Return the difference that is detected with 80 % power at the 5 % level, and how to detect half of it.
+    """Return the minimum detectable difference (80 % power, 5 % level), and the sample size that would halve it.
 
-    The difference is ``t(0.975) + t(0.8)`` standard errors, 2.8 with many rooms and seeds.
+    The minimum detectable difference is ``t(0.975) + t(0.8)`` standard errors, 2.8 with many rooms and seeds.
 
     Returns
     -------
     dict or None
         `difference` [%]; `standard_errors`: the same in standard errors, with `df` degrees of freedom; `seed`, `room`,
         `residual`: standard deviations of a cell [%], `seed` None with a single seed; `for_half`: number of `seeds`
-        or `rooms` that detects half of the difference while the other number stays (None if no number does), and
-        `factor` by which both would have to grow. None with a single room, or if nothing varies.
+        that halves the difference with the same rooms, number of `rooms` that halves it with the same seeds (None if
+        no number does), and `factor` on both numbers that halves it. None with a single room, or if the replicates do
+        not vary.
     """
     if difference.z.shape[1] < 2 or not difference.deviations.any():
         return None
-    parts = variance_components(difference.z)
-    standard_errors = float(t.ppf((1 + LEVEL) / 2, parts.df) + t.ppf(POWER, parts.df))
-    quarter = parts.variance / 4
-    shared = parts.residual / (parts.n_seeds * parts.n_rooms)
-    main = parts.variance - shared
-    factor = (main + math.sqrt(main ** 2 + 4 * quarter * shared)) / (2 * quarter)
-    seeds = None if parts.seed is None else _needed(quarter, parts.room / parts.n_rooms,
-                                                    parts.seed + parts.residual / parts.n_rooms)
-    rooms = _needed(quarter, (parts.seed or 0.0) / parts.n_seeds, parts.room + parts.residual / parts.n_seeds)
-    return dict(difference=standard_errors * math.sqrt(parts.variance), standard_errors=standard_errors, df=parts.df,
-                seed=None if parts.seed is None else math.sqrt(parts.seed), room=math.sqrt(parts.room),
-                residual=math.sqrt(parts.residual), for_half=dict(seeds=seeds, rooms=rooms, factor=factor))
+    fitted = variance_components(difference.z)
+    seed, n_seeds, n_rooms = fitted.seed, fitted.n_seeds, fitted.n_rooms
+    standard_errors = float(t.ppf((1 + LEVEL) / 2, fitted.df) + t.ppf(POWER, fitted.df))
+    target = fitted.variance / 4  # half the standard error
+    residual = fitted.residual / (n_seeds * n_rooms)
+    main = fitted.variance - residual  # part of the main effects, seeds and rooms
+    factor = (main + math.sqrt(main ** 2 + 4 * target * residual)) / (2 * target)
+    seeds = None if seed is None else _sample_size(target, fitted.room / n_rooms, seed + fitted.residual / n_rooms)
+    rooms = _sample_size(target, (seed or 0.0) / n_seeds, fitted.room + fitted.residual / n_seeds)
+    return dict(difference=standard_errors * math.sqrt(fitted.variance), standard_errors=standard_errors, df=fitted.df,
+                seed=None if seed is None else math.sqrt(seed), room=math.sqrt(fitted.room),
+                residual=math.sqrt(fitted.residual), for_half=dict(seeds=seeds, rooms=rooms, factor=factor))
 
 
-def _needed(variance: float, fixed: float, variance_of_one: float) -> int | None:
-    """Return the number of seeds or rooms that reaches a variance with a fixed part; None if no number does."""
+def _sample_size(variance: float, fixed: float, variance_of_one: float) -> int | None:
+    """Return the smallest n with ``fixed + variance_of_one / n <= variance``; None if there is none."""
     return None if fixed >= variance else math.ceil(variance_of_one / (variance - fixed) - 1e-9)

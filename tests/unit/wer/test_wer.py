@@ -252,24 +252,24 @@ def test_intervals_of_equal_rows_cover_zero_at_their_level(draws):
     common = [20 + table(f"common{n}", 1, 5, 1, shape) for n in range(TIMES)]
     pairs = [(rate(both + table(f"a{n}", 0.5, 1, 2, shape), draws(*shape)),
               rate(both + table(f"b{n}", 0.5, 1, 2, shape), draws(*shape))) for n, both in enumerate(common)]
-    differences = [a.less(b) for a, b in pairs]
+    differences = [a.minus(b) for a, b in pairs]
     held = sum(low <= 0 <= high for low, high in (one.interval() for one in differences))
     assert binom.ppf(0.001, TIMES, 0.93) <= held < TIMES
-    significant = sum(one.p() < 0.05 for one in differences)
+    significant = sum(one.p_value() < 0.05 for one in differences)
     assert significant <= binom.ppf(0.999, TIMES, 0.07)
 
 
 def test_row_does_not_differ_from_itself(draws):
     one = rate(20 + table(0, 1, 5, 1, (3, 8)), draws(3, 8))
-    assert one.less(one).interval() == [0.0, 0.0] and one.less(one).p() == 1.0
-    assert detectable(one.less(one)) is None
+    assert one.minus(one).interval() == [0.0, 0.0] and one.minus(one).p_value() == 1.0
+    assert detectable(one.minus(one)) is None
 
 
 def test_pairing_over_rooms_and_seeds_narrows_the_interval(draws):
     shape = (5, 40)
     both = 20 + table("both", 2, 5, 0, shape)
     a, b = (rate(both + table(name, 0, 0, 2, shape), draws(*shape)) for name in "ab")
-    low, high = a.less(b).interval()
+    low, high = a.minus(b).interval()
     unpaired = np.hypot(*(np.diff(one.interval())[0] for one in (a, b)))
     assert high - low < 0.5 * unpaired
 
@@ -281,18 +281,18 @@ def test_rooms_with_more_words_weigh_more(draws):
 
 def test_single_room_has_no_interval(draws):
     one = rate(np.array([[20.0], [22.0]]), draws(2, 1))
-    assert one.interval() is None and one.p() is None and detectable(one) is None
+    assert one.interval() is None and one.p_value() is None and detectable(one) is None
     assert ratio_interval(one, one) is None
 
 
 def test_contrast_is_zero_at_the_ends_of_a_ratio_interval(draws):
     shape = (5, 40)
     base, row, oracle = (rate(mean + table(mean, 0.3, 2, 1, shape), draws(*shape)) for mean in (20, 17, 14))
-    gained, gap = base.less(row), base.less(oracle)
+    gained, gap = base.minus(row), base.minus(oracle)
     low, high = ratio_interval(gained, gap)
     assert low < gained.value / gap.value < high
-    assert gained.less(gap, low).interval()[0] == pytest.approx(0, abs=1e-3)
-    assert gained.less(gap, high).interval()[1] == pytest.approx(0, abs=1e-3)
+    assert gained.minus(gap, low).interval()[0] == pytest.approx(0, abs=1e-3)
+    assert gained.minus(gap, high).interval()[1] == pytest.approx(0, abs=1e-3)
 
 
 def test_intervals_of_gap_shares_cover_the_truth(draws):
@@ -300,7 +300,7 @@ def test_intervals_of_gap_shares_cover_the_truth(draws):
     for n in range(times):
         base, row, oracle = (rate(mean + table(f"{mean} {n}", 0.3, 4, 1, shape), draws(*shape))
                              for mean in (20, 17.75, 17))
-        found = ratio_interval(base.less(row), base.less(oracle))
+        found = ratio_interval(base.minus(row), base.minus(oracle))
         unknown += found is None
         held += found is not None and found[0] <= 0.75 <= found[1]
     assert held + unknown >= binom.ppf(0.001, times, 0.93) and 0 < unknown < times / 3
@@ -319,7 +319,7 @@ def test_detectable_difference_is_detected_in_80_percent(draws):
     true = Components(*shape, *(one ** 2 for one in parts), df=np.inf)
     found = detectable(rate(20 + table(0, *parts, shape), draws(*shape)))
     size = found["standard_errors"] * np.sqrt(true.variance)
-    times = sum(rate(size + table(n, *parts, shape), draws(*shape)).p() < 0.05 for n in range(TIMES))
+    times = sum(rate(size + table(n, *parts, shape), draws(*shape)).p_value() < 0.05 for n in range(TIMES))
     assert binom.ppf(0.001, TIMES, 0.74) <= times <= binom.ppf(0.999, TIMES, 0.88)
 
 
