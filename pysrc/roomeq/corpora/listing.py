@@ -5,7 +5,7 @@ from pathlib import Path
 from roomeq.corpora.folder import list_folder, list_noise_folder
 from roomeq.corpora.record import Corpus, Recording, audio_files
 from roomeq.corpora.reverbdb import find_rooms, list_reverbdb
-from roomeq.corpora.slr28 import find_real, list_slr28
+from roomeq.corpora.slr28 import find_measured_part, list_slr28
 from roomeq.corpora.sofa_file import list_sofa
 from roomeq.corpora.table import MANIFEST, list_noise_table, list_table
 from roomeq.records.rir_dir import ROWS_FILE
@@ -33,7 +33,7 @@ def detect_kind(source: Path) -> str:
                          "pass it as the speech corpus")
     if find_rooms(source):
         return "reverbdb"
-    if find_real(source):
+    if find_measured_part(source):
         return "slr28"
     if find_manifest(source):
         return "table"

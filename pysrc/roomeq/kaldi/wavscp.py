@@ -26,7 +26,7 @@ MAX_OVERSHOOT_S = 0.01
 
 _AUDIO_TAGS = (b"RIFF", b"fLaC", b"AUDIO")
 _FLAC_FLAG = re.compile(r"-[cds]+|--stdout|--decode|--silent|--totally-silent")
-# a part of a shell word that stands for itself: no expansion, no operator, no glob
+# a part of a shell word that the shell takes literally: no expansion, no operator, no glob
 _LITERAL_TEXT = r"""'([^']*)'|"([^"$`\\!]*)"|\\([^\n])|([^\s'"\\$`|&;<>()*?\[\]#~{}!]+)"""
 _WORD, _LITERAL = re.compile(f"(?:{_LITERAL_TEXT})+"), re.compile(_LITERAL_TEXT)
 _BLANKS = " \t"
@@ -74,11 +74,11 @@ def parse_entry(text: str) -> Entry:
     if text in ("", "-") or text.startswith("|"):
         raise ValueError(f"{text!r} names no audio: give a file, FILE:OFFSET or a command that ends in '|'")
     if text.endswith("]") and re.search(r":\d+\[", text):
-        raise ValueError(f"{text!r} selects a range, which audio does not have: use a segments file")
+        raise ValueError(f"{text!r} selects a range, which is not supported for audio: use a segments file")
     archive = re.fullmatch(r"(.+):([0-9]+)", text)
     if archive and len(archive[2]) > 18:
-        raise ValueError(f"offset {archive[2][:20]}... of {archive[1]!r} must be that of a byte in it: correct the "
-                         "line")
+        raise ValueError(f"offset {archive[2][:20]}... of {archive[1]!r} must be a byte position in the file: "
+                         "correct the line")
     return Entry("ark", archive[1], int(archive[2])) if archive else Entry("file", text)
 
 
@@ -125,7 +125,7 @@ def _flac_file(command: str) -> str | None:
 
 
 def read_length(entry: Entry, *, pipes: bool = False) -> AudioLength:
-    """Return the length of a recording; of a file only the header is read.
+    """Return the length of a recording. For a file, only the header is read.
 
     Raises
     ------
@@ -142,14 +142,14 @@ def read_length(entry: Entry, *, pipes: bool = False) -> AudioLength:
 def read_entry(entry: Entry, start_s: float = 0.0, end_s: float | None = None, *, pipes: bool = False) -> Array:
     """Read a recording or a segment of it at `FS_HZ`.
 
-    Times become samples as in Kaldi's `extract-segments`: ``int(t * rate + 0.5)``.
+    Times are converted to sample indices as in Kaldi's `extract-segments`: ``int(t * rate + 0.5)``.
 
     Parameters
     ----------
     start_s, end_s
-        Segment [s]; an end of None is the end of the recording.
+        Start and end of the segment [s]; None is the end of the recording.
     pipes
-        Run commands.
+        Allow commands to run.
 
     Returns
     -------
@@ -178,17 +178,17 @@ def read_entry(entry: Entry, start_s: float = 0.0, end_s: float | None = None, *
 
 
 def segment_samples(name: str, length: AudioLength, start_s: float, end_s: float | None) -> tuple[int, int]:
-    """Return the first sample of a segment of a recording, and the one after its last.
+    """Return the start and stop sample index of a segment; the stop index is exclusive.
 
     Parameters
     ----------
     name
-        Name of the recording, for the message.
+        Name of the recording, for the error message.
 
     Raises
     ------
     ValueError
-        The segment ends more than `MAX_OVERSHOOT_S` after the recording, or starts there.
+        The segment ends more than `MAX_OVERSHOOT_S` after the end of the recording, or starts at or after that end.
     """
     frames, rate = length
     start = int(start_s * rate + 0.5)
@@ -196,7 +196,7 @@ def segment_samples(name: str, length: AudioLength, start_s: float, end_s: float
     if start >= frames or stop > frames + MAX_OVERSHOOT_S * rate:
         end_text = "its end" if end_s is None else f"{end_s:g} s"
         raise ValueError(f"{name}: segment from {start_s:g} s to {end_text} must lie within the recording's "
-                         f"{frames / rate:g} s: correct segments, or the audio is cut off")
+                         f"{frames / rate:g} s: correct the segments file, or copy the audio again if it is truncated")
     return start, min(stop, frames)
 
 
@@ -212,7 +212,7 @@ class _Decoded(NamedTuple):
 
 @lru_cache(maxsize=1)
 def _decode(entry: Entry, pipes: bool) -> _Decoded:
-    """Decode a whole archive entry or pipe; the last one is kept, since its segments follow one another."""
+    """Decode a whole archive entry or pipe. The last result is cached for the other segments of the recording."""
     rate_hz, samples = _read_ark(entry) if entry.kind == "ark" else _run_pipe(entry.text, pipes)
     if samples.ndim == 2 and samples.shape[1] == 1:
         samples = samples[:, 0]
@@ -232,42 +232,45 @@ def _decode(entry: Entry, pipes: bool) -> _Decoded:
 def _read_ark(entry: Entry) -> _Decoded:
     from kaldiio.matio import read_kaldi
 
-    where = f"{entry.text}:{entry.offset}"
+    position = f"{entry.text}:{entry.offset}"
     if not Path(entry.text).is_file():
         raise ValueError(f"{entry.text}: no such archive: check the path")
     with open(entry.text, "rb") as stream:
         stream.seek(entry.offset)
         tag = stream.read(5)
         if not tag.startswith(_AUDIO_TAGS):
-            raise ValueError(f"{where}: {tag!r} must start WAV, FLAC or kaldiio AUDIO: matrices, arrays and "
-                             "pickles are not read: write the archive again with wav-copy or kaldiio")
+            raise ValueError(f"{position}: {tag!r} must be the start of WAV, FLAC or kaldiio AUDIO: matrices, "
+                             "arrays and pickles are not supported: write the archive again with wav-copy or kaldiio")
         stream.seek(entry.offset)
         try:
             if tag.startswith(b"fLaC"):
-                samples, rate = soundfile.read(io.BytesIO(stream.read()), frames=_one_too_many(), dtype="float32")
+                samples, rate = soundfile.read(io.BytesIO(stream.read()), frames=_decoding_limit(), dtype="float32")
             else:
-                rate, samples = read_kaldi(stream, load_kwargs=dict(frames=_one_too_many(), dtype="float32"))
-        except Exception as error:  # kaldiio catches nothing that broken bytes can raise
-            raise ValueError(f"{where}: broken audio ({error or type(error).__name__}): "
+                rate, samples = read_kaldi(stream, load_kwargs=dict(frames=_decoding_limit(), dtype="float32"))
+        except Exception as error:  # broken bytes can raise any exception in kaldiio
+            raise ValueError(f"{position}: broken audio ({error or type(error).__name__}): "
                              "make the archive again") from None
     if tag.startswith(b"RIFF"):
         _check_ark_length(entry, samples)
     return _Decoded(int(rate), _to_float(samples))
 
 
-def _one_too_many() -> int:
-    """Return the most samples to decode: a few bytes of FLAC can hold hours of silence."""
+def _decoding_limit() -> int:
+    """Return the number of samples after which decoding stops, one more than allowed.
+
+    A few bytes of FLAC can decode to hours of silence.
+    """
     return max_audio_samples() + 1
 
 
 def _check_ark_length(entry: Entry, samples: np.ndarray) -> None:
-    """Refuse a WAV entry at the end of an archive that was cut off; `wave` would read the rest of it."""
+    """Raise an error if the archive ends within a WAV entry; `wave` would return the samples before the end."""
     with open(entry.text, "rb") as stream:
         stream.seek(entry.offset + 4)
-        promised = int.from_bytes(stream.read(4), "little") + 8
-        left = stream.seek(0, io.SEEK_END) - entry.offset
-    if promised < 0x7FFFFFFF and left < promised - 1:
-        raise ValueError(f"{entry.text}:{entry.offset}: truncated: {left} bytes of {promised}: copy it again")
+        stated = int.from_bytes(stream.read(4), "little") + 8
+        available = stream.seek(0, io.SEEK_END) - entry.offset
+    if stated < 0x7FFFFFFF and available < stated - 1:
+        raise ValueError(f"{entry.text}:{entry.offset}: truncated: {available} bytes of {stated}: copy it again")
 
 
 def _to_float(samples: Array) -> Array:
@@ -282,15 +285,15 @@ def _run_pipe(command: str, pipes: bool) -> _Decoded:
     if not pipes:
         raise ValueError(f"{command!r} is a command, and commands run only with --pipes: allow it, or convert the "
                          "audio to files")
-    # a shell runs the text, as in Kaldi and as --pipes states
+    # run the command in a shell, as Kaldi does and as the help of --pipes says
     result = subprocess.run(command, shell=True, stdin=subprocess.DEVNULL, capture_output=True)
     if result.returncode != 0:
-        last = (result.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]
-        raise ValueError(f"{command!r}: command failed with status {result.returncode} ({last[:200]}): "
+        last_line = (result.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]
+        raise ValueError(f"{command!r}: command failed with status {result.returncode} ({last_line[:200]}): "
                          "run it by hand")
     try:
-        samples, rate = soundfile.read(io.BytesIO(result.stdout), dtype="float32", frames=_one_too_many())
+        samples, rate = soundfile.read(io.BytesIO(result.stdout), dtype="float32", frames=_decoding_limit())
     except (soundfile.LibsndfileError, RuntimeError, TypeError) as error:
         raise ValueError(f"{command!r}: its {len(result.stdout)} bytes of output cannot be read as audio "
-                         f"({str(error).rsplit(': ', 1)[-1]}): let it write WAV") from None
+                         f"({str(error).rsplit(': ', 1)[-1]}): make it write WAV") from None
     return _Decoded(rate, samples)

@@ -174,8 +174,8 @@ CASES = [
          "slr28/RIRS_NOISES/real_rirs_isotropic_noises/rir_list:1: byte 0xff is not UTF-8: convert the file",
          (write(f"{LISTS}/rir_list", b"--rir-id \xff x.wav\n"),)),
     Case("slr28 none", SLR28,
-         "slr28/RIRS_NOISES/real_rirs_isotropic_noises: no RIRs (*_rir_*.wav, air_*.wav): unpack RIRS_NOISES "
-         "whole", (write(f"{LISTS}/rir_list", ""),)),
+         "slr28/RIRS_NOISES/real_rirs_isotropic_noises: no RIRs (*_rir_*.wav, air_*.wav): unpack all of "
+         "RIRS_NOISES", (write(f"{LISTS}/rir_list", ""),)),
     Case("reverbdb without rirs", "read-measured --kind reverbdb folder out",
          "folder: no RIRs (<Room>/MicID01/SpkIDnn_DATE_S/NN/RIR/*.wav): check that the release was unpacked "
          "whole"),

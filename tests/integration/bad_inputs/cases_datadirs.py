@@ -44,7 +44,7 @@ CASES = [
          "speech: utterance a-1-0001: 'false': command failed with status 1 (no message): run it by hand",
          (line("speech/wav.scp", 1, "a-1-0001 false |"),)),
     Case("a pipe that says nothing", "augment --pipes speech rirs out",
-         "speech: utterance a-1-0001: 'true': its 0 bytes of output cannot be read as audio (...): let it "
+         "speech: utterance a-1-0001: 'true': its 0 bytes of output cannot be read as audio (...): make it "
          "write WAV",
          (line("speech/wav.scp", 1, "a-1-0001 true |"),)),
     Case("standard input", AUGMENT,
@@ -61,30 +61,30 @@ CASES = [
     Case("archive absent", AUGMENT, "speech: utterance a-1-0001: wav.ark: no such archive: check the path",
          (line("speech/wav.scp", 1, "a-1-0001 wav.ark:12"),)),
     Case("archive of pickles", AUGMENT,
-         "speech: utterance a-1-0001: x.ark:0: b'PKL\\x80\\x04' must start WAV, FLAC or kaldiio AUDIO: "
-         "matrices, arrays and pickles are not read: write the archive again with wav-copy or kaldiio",
+         "speech: utterance a-1-0001: x.ark:0: b'PKL\\x80\\x04' must be the start of WAV, FLAC or kaldiio AUDIO: "
+         "matrices, arrays and pickles are not supported: write the archive again with wav-copy or kaldiio",
          (line("speech/wav.scp", 1, "a-1-0001 x.ark:0"),
                                              write("x.ark", b"PKL\x80\x04cos\nmkdir\n(S'evil'\ntR."))),
     Case("archive of arrays", AUGMENT,
-         "speech: utterance a-1-0001: x.ark:0: b'NPY\\x04\\x08' must start WAV, FLAC or kaldiio AUDIO: "
-         "matrices, arrays and pickles are not read: write the archive again with wav-copy or kaldiio",
+         "speech: utterance a-1-0001: x.ark:0: b'NPY\\x04\\x08' must be the start of WAV, FLAC or kaldiio AUDIO: "
+         "matrices, arrays and pickles are not supported: write the archive again with wav-copy or kaldiio",
          (line("speech/wav.scp", 1, "a-1-0001 x.ark:0"),
                                             write("x.ark", b"NPY\x04\x08\0\0\0\x93NUMPY"))),
     Case("archive offset behind the end", AUGMENT,
-         "speech: utterance a-1-0001: x.ark:99: b'' must start WAV, FLAC or kaldiio AUDIO: matrices, arrays "
-         "and pickles are not read: write the archive again with wav-copy or kaldiio",
+         "speech: utterance a-1-0001: x.ark:99: b'' must be the start of WAV, FLAC or kaldiio AUDIO: "
+         "matrices, arrays and pickles are not supported: write the archive again with wav-copy or kaldiio",
          (line("speech/wav.scp", 1, "a-1-0001 x.ark:99"),
                                                         write("x.ark", b"RIFF"))),
     Case("archive offset of 30 digits", AUGMENT,
-         "speech/wav.scp:1: offset 99999999999999999999... of 'x.ark' must be that of a byte in it: correct "
-         "the line", (line("speech/wav.scp", 1, f"a-1-0001 x.ark:{'9' * 30}"),
+         "speech/wav.scp:1: offset 99999999999999999999... of 'x.ark' must be a byte position in the file: "
+         "correct the line", (line("speech/wav.scp", 1, f"a-1-0001 x.ark:{'9' * 30}"),
                                                       write("x.ark", b"RIFF"))),
     Case("archive offset of 5000 digits", AUGMENT,
-         "speech/wav.scp:1: offset 99999999999999999999... of 'x.ark' must be that of a byte in it: correct "
-         "the line", (line("speech/wav.scp", 1, f"a-1-0001 x.ark:{'9' * 5000}"),
+         "speech/wav.scp:1: offset 99999999999999999999... of 'x.ark' must be a byte position in the file: "
+         "correct the line", (line("speech/wav.scp", 1, f"a-1-0001 x.ark:{'9' * 5000}"),
                                                         write("x.ark", b"RIFF"))),
     Case("archive range", AUGMENT,
-         "speech/wav.scp:1: 'x.ark:0[0:5]' selects a range, which audio does not have: use a segments file",
+         "speech/wav.scp:1: 'x.ark:0[0:5]' selects a range, which is not supported for audio: use a segments file",
          (line("speech/wav.scp", 1, "a-1-0001 x.ark:0[0:5]"), write("x.ark", b"RIFF"))),
     Case("archive length lies", AUGMENT,
          "speech: utterance a-1-0001: x.ark:0: broken audio (...): make the archive again",
@@ -95,7 +95,7 @@ CASES = [
          (line("speech/utt2dur", 1, "a-1-0001 1e999"),)),
     Case("segment behind the end", SEGMENTED,
          "segmented: utterance s-2: segmented/r.flac: segment from 1 s to 9.5 s must lie within the "
-         "recording's 3 s: correct segments, or the audio is cut off",
+         "recording's 3 s: correct the segments file, or copy the audio again if it is truncated",
          (line("segmented/segments", 2, "s-2 r 1.0 9.5"),)),
     Case("segment of no samples", SEGMENTED,
          "segmented: utterance s-2: segmented/r.flac: samples 16000 to 16000 must lie within its 48000: correct the "
@@ -108,7 +108,7 @@ CASES = [
          "correct the line", (line("segmented/segments", 2, "s-2 r 1e999 2.0"),)),
     Case("segment start of 1e300", SEGMENTED,
          "segmented: utterance s-2: segmented/r.flac: segment from 1e+300 s to its end must lie within the "
-         "recording's 3 s: correct segments, or the audio is cut off",
+         "recording's 3 s: correct the segments file, or copy the audio again if it is truncated",
          (line("segmented/segments", 2, "s-2 r 1e300 -1"),)),
     Case("segment of nobody's recording", SEGMENTED,
          "segmented/segments:2: recording 'q' is not in wav.scp: add it, or remove the segment",

@@ -51,7 +51,7 @@ def test_malformed_list_is_refused(tmp_path, line, message):
 
 def test_missing_real_part_is_an_error(tmp_path):
     put(tmp_path / "RIRS_NOISES" / "simulated_rirs" / "a.wav")
-    with pytest.raises(ValueError, match="no folder real_rirs_isotropic_noises in it: unpack RIRS_NOISES whole"):
+    with pytest.raises(ValueError, match="no folder real_rirs_isotropic_noises in it: unpack all of RIRS_NOISES"):
         list_slr28(tmp_path)
     (tmp_path / "RIRS_NOISES" / "real_rirs_isotropic_noises").mkdir()
     with pytest.raises(ValueError, match="no RIRs"):
