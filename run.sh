@@ -1,70 +1,70 @@
 #!/usr/bin/env bash
-# From measured room impulse responses and clean speech to far-field training data: simulate, compensate, augment.
+# Make far-field training data from measured room impulse responses and clean speech: simulate, compensate, augment.
 # Usage: ./run.sh [--stage 0] [--stop-stage 7] [--nj 2] [--config conf/mini.conf] [options below]
 # e.g.:  ./run.sh                                      # a synthetic corpus; needs no data
 #        KALDI_ROOT=~/kaldi ./run.sh --stage 8         # then train and test recognisers on the result
 #        ./run.sh --measured RIRS --speech SPEECH      # your own recordings
 #        ./run.sh --config conf/librispeech.conf --librispeech DIR --reverbdb DIR    # the paper's experiment
-# Options are the variables at the top of this file, with - for _. Stages that are up to date are skipped quickly.
+# Options are the variables at the top of this file, with - for _. Stages that are up to date are skipped.
 set -euo pipefail
 
 stage=0           # first stage to run
-stop_stage=       # last stage to run; none: 7, or 10 with --stage 8 or more
-nj=$(env -u OMP_NUM_THREADS nproc)   # jobs; results do not depend on it
-seed=0            # of every random draw
+stop_stage=       # last stage to run; default: 7, or 10 if --stage is 8 or more
+nj=$(env -u OMP_NUM_THREADS nproc)   # parallel jobs; results do not depend on it
+seed=0            # seed of all random numbers
 data=data         # where data directories go
 exp=exp           # where models, logs and the report go
 corpora=corpora   # where the synthetic corpus goes
 
-# stage 0: corpora; missing ones are replaced by a synthetic corpus
-librispeech=      # LibriSpeech as released
-reverbdb=         # BUT ReverbDB as released
-speech=           # or: any LibriSpeech-like tree, Kaldi data directory or folder with manifest.csv
-measured=         # or: measured RIRs: folder, CSV or SOFA file
-noises=           # folder of noise recordings to add to those of the measured corpus
-train_sets=train-clean-100   # of a LibriSpeech tree, comma-separated
-dev_sets=dev-clean           # of a LibriSpeech tree, comma-separated
-test_sets=test-clean         # of a LibriSpeech tree, comma-separated
-synthetic_utterances=900,150,150   # for train, dev, test
-synthetic_rooms=9            # 1 to 80
-synthetic_positions=6        # microphones and loudspeakers per room
+# stage 0: corpora; a missing corpus is replaced by a synthetic one
+librispeech=      # directory of LibriSpeech, as released
+reverbdb=         # directory of BUT ReverbDB, as released
+speech=           # instead of --librispeech: LibriSpeech-like tree, Kaldi data directory or folder with manifest.csv
+measured=         # instead of --reverbdb: folder of RIRs, CSV file, SOFA file or OpenSLR 28
+noises=           # folder of noise recordings, in addition to those of the measured corpus
+train_sets=train-clean-100   # LibriSpeech subsets for training, comma-separated
+dev_sets=dev-clean           # LibriSpeech subsets for development, comma-separated
+test_sets=test-clean         # LibriSpeech subsets for test, comma-separated
+synthetic_utterances=900,150,150   # number of utterances for train, dev, test
+synthetic_rooms=9            # number of rooms, 1 to 80
+synthetic_positions=6        # number of microphones, and of loudspeakers, per room
 
 # stage 1: measured RIRs
-split_by=rir              # rir, as in the paper; room: no room is in two sets
+split_by=rir              # rir: split RIRs at random, as in the paper; room: keep all RIRs of a room in one set
 same_rooms=               # patterns such as 'house_*,lab_*': rooms that match one pattern count as one room
-split_sizes=773,194,242   # RIRs for train, dev, test; scaled down where there are fewer
+split_sizes=773,194,242   # number of RIRs for train, dev, test; scaled down if the corpus has fewer
 
 # stages 2-4: simulation, equalisation, compensation
-t60_range=0.2,2.0         # of the simulated RIRs [s]; measured: that of the measured rooms
+t60_range=0.2,2.0         # range of T60 of the simulated RIRs [s]; measured: the range of the measured rooms
 num_rays=20000            # rays per source
-order=200                 # reflections per ray
-num_components=7          # of the Gaussian mixture
+order=200                 # least number of reflections per ray
+num_components=7          # number of Gaussians in the mixture
 weight_rooms=false        # give every room the same weight in the mixture
-match_rooms=true          # draw each EQ with the component weights of its room; false: with those of all rooms
-taps=511                  # of the compensation filters, odd
+match_rooms=true          # draw each EQ with the mixture weights of its room; false: with those of all rooms
+taps=511                  # length of the compensation filters [samples], odd
 
 # stage 5: the closed loop
 max_effects=4             # largest number of effects to add
 
 # stage 6: augmentation
-snr="uniform 5 25"        # of the ambient noise [dB]
-point_snr="uniform 5 25"  # of point noises [dB]
+snr="uniform 5 25"        # SNR of the ambient noise [dB]
+point_snr="uniform 5 25"  # SNR of point-source noises [dB]
 draw_rooms_equally=false  # draw the room first, then one of its RIRs
 packing=recording         # one FLAC per recording, with segments; or: utterance
 
-# stages 8-10: Kaldi, at KALDI_ROOT or around this directory
-dry_run=false             # print the Kaldi commands only
-lm_text=                  # for the language models, with the transcripts; LibriSpeech and the synthetic corpus have one
-align_on=clean            # alignments of the clean speech for all sets; self: of each set, as in the paper
-gmm_passes="mono 300, deltas all 300 3000, lda_mllt all 400 6000, sat all 400 6000"   # of train_gmm.sh
-num_leaves=400            # of the network's tree
-rows=                     # of the table, e.g. "sim.rvb sim.loop.rvb"; none: all
-stock_rvb=false           # add a row: Kaldi's own reverberate_data_dir.py with our simulated RIRs
-speed_perturb=false       # train on three speeds
-ivectors=false            # add i-vectors to the network's features
-use_gpu=false             # train on GPUs
-chain_opts="--config conf/chain_small.conf"           # of train_chain.sh
-decode_opts="--beam 11 --max-active 2000 --lattice-beam 6"   # of decode.sh
+# stages 8-10: Kaldi, from KALDI_ROOT or from the Kaldi tree that holds this directory
+dry_run=false             # print the Kaldi commands, do not run them
+lm_text=                  # text for the language models, besides the transcripts; default: the corpus's own, if any
+align_on=clean            # all systems use the alignments of the clean speech; self: of their own set, as in the paper
+gmm_passes="mono 300, deltas all 300 3000, lda_mllt all 400 6000, sat all 400 6000"   # --passes of train_gmm.sh
+num_leaves=400            # leaves of the TDNN's phonetic decision tree
+rows=                     # training sets to compare, e.g. "sim.rvb sim.loop.rvb"; default: all
+stock_rvb=false           # add a training set made by Kaldi's reverberate_data_dir.py with the same simulated RIRs
+speed_perturb=false       # speed-perturb the training sets by 0.9, 1.0 and 1.1
+ivectors=false            # add i-vectors to the TDNN's features
+use_gpu=false             # train the TDNN on GPUs
+chain_opts="--config conf/chain_small.conf"           # options of train_chain.sh
+decode_opts="--beam 11 --max-active 2000 --lattice-beam 6"   # options of decode.sh
 
 [ -f path.sh ] || { echo "run.sh: call it from the directory that holds run.sh, not from $PWD" >&2 && exit 1; }
 . ./path.sh
@@ -95,7 +95,7 @@ fi
 
 simulate=(steps/simulate_rirs.sh --nj "$nj" --t60-range "$t60_range" --num-rays "$num_rays" --order "$order"
   --seed "$seed")
-if at_stage 2 "simulate one RIR per measured one"; then
+if at_stage 2 "simulate one RIR per measured RIR"; then
   for x in train dev; do
     "${simulate[@]}" "$data/rirs.real.$x" "$data/rirs.sim.$x"
   done

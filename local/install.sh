@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Install the pinned Python packages into .venv, once; no root needed.
+# Install the pinned Python packages into .venv, if that has not been done; needs no root.
 # Usage: local/install.sh [requirements.txt ...]
 # e.g.:  local/install.sh requirements.txt tests/requirements.txt
 set -euo pipefail
@@ -12,10 +12,10 @@ python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
 mark=.venv/.installed-$(cat pyproject.toml "$@" | sha256sum | cut -c1-16)
 [ ! -f "$mark" ] || exit 0
 mkdir -p .venv
-exec 9>.venv/.lock # two runs may start at once
+exec 9>.venv/.lock # two runs may start at the same time
 flock 9
 [ ! -f "$mark" ] || exit 0
-echo "install.sh: installing Python packages into .venv (a minute, once)"
+echo "install.sh: installing Python packages into .venv (about a minute, first run only)"
 if ! .venv/bin/python -m pip --version >/dev/null 2>&1; then # absent, or incomplete after a killed run
   python3 -m venv .venv || {
     rm -rf .venv

@@ -319,7 +319,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--mics", type=int, default=6, help="microphones per room, 1 to 31; default 6")
     parser.add_argument("--speakers", type=int, default=6, help="loudspeaker positions per room, 1 to 20; default 6")
     parser.add_argument("--silence-s", type=int, default=10, help="length of noise files [s], 1 to 60; default 10")
-    parser.add_argument("--seed", type=int, default=0, help="seed of every random draw; default 0")
+    parser.add_argument("--seed", type=int, default=0, help="seed of all random numbers; default 0")
     parser.add_argument("--nj", type=int, default=1, help="processes, at least 1; default 1")
     args = vars(parser.parse_args(argv))
     for key, highest in (("rooms", MAX_ROOMS), ("mics", 31), ("speakers", 20), ("silence_s", 60), ("nj", 1000)):

@@ -271,7 +271,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("out_dir", type=Path, metavar="OUT_DIR")
     parser.add_argument("--utterances", type=utterance_counts, default=(900, 150, 150), metavar="TRAIN,DEV,TEST",
                         help="number of utterances; default 900,150,150")
-    parser.add_argument("--seed", type=int, default=0, help="seed of every random draw; default 0")
+    parser.add_argument("--seed", type=int, default=0, help="seed of all random numbers; default 0")
     parser.add_argument("--nj", type=int, default=1, help="processes, at least 1; default 1")
     args = parser.parse_args(argv)
     if args.nj < 1:

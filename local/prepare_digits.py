@@ -152,7 +152,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("out_dir", type=Path, metavar="OUT_DIR")
     parser.add_argument("--passes", type=three_counts, default="2,1,7", metavar="TRAIN,DEV,TEST",
                         help="strings that each recording is in; default 2,1,7")
-    parser.add_argument("--seed", type=int, default=0, help="seed of every random draw; default 0")
+    parser.add_argument("--seed", type=int, default=0, help="seed of all random numbers; default 0")
     parser.add_argument("--nj", type=int, default=1, help="number of processes; default 1")
     args = parser.parse_args(argv)
     try:

@@ -1,15 +1,16 @@
 #!/usr/bin/env bash
-# Make far-field speech: x * h + point noises * their RIRs + ambient noise, aligned with the clean speech.
+# Make far-field speech: clean speech * RIR + point-source noises * their RIRs + ambient noise (*: convolution).
+# The output is sample-aligned with the clean speech.
 # Usage: steps/augment_data.sh [options] <clean-data-dir> <rir-dir> <data-dir>
 # e.g.:  steps/augment_data.sh --nj 4 data/train.clean data/rirs.sim.train data/train.sim.rvb
 set -euo pipefail
 nj=2                       # jobs
-noises=                    # directory with noises.jsonl, in addition to that of <rir-dir>
-snr="uniform 5 25"         # of the ambient noise [dB]; also "normal 15 5", "list 20,15", none
-point_snr="uniform 5 25"   # of point noises [dB]
+noises=                    # directory with a noises.jsonl, in addition to the noises of <rir-dir>
+snr="uniform 5 25"         # SNR of the ambient noise [dB]; also "normal 15 5", "list 20,15", none
+point_snr="uniform 5 25"   # SNR of point-source noises [dB]
 draw_rooms_equally=false   # draw the room first, then one of its RIRs; false: every RIR is equally likely
 packing=recording          # one FLAC per recording, with segments; or: utterance
-seed=0                     # of every random draw
+seed=0                     # seed of all random numbers
 . ./path.sh
 . utils/parse_options.sh
 [ $# -eq 3 ] || usage

@@ -7,7 +7,7 @@
 set -euo pipefail
 nj=2            # processes; results do not depend on it
 max_effects=4   # largest number of effects to add
-seed=0          # of every random draw
+seed=0          # seed of all random numbers
 . ./path.sh
 . ./cmd.sh
 . utils/parse_options.sh

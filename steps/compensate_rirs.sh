@@ -6,7 +6,7 @@ set -euo pipefail
 nj=2               # jobs
 taps=511           # length of the filters, odd
 match_rooms=true   # draw each EQ with the component weights of the measured RIRs of its room
-seed=0             # of every random draw
+seed=0             # seed of all random numbers
 . ./path.sh
 . utils/parse_options.sh
 [ $# -eq 3 ] || usage

@@ -6,7 +6,7 @@ set -euo pipefail
 nj=2                 # jobs
 num_components=7     # of the mixture
 weight_rooms=false   # give every room the same weight
-seed=0               # of every random draw
+seed=0               # seed of all random numbers
 . ./path.sh
 . utils/parse_options.sh
 [ $# -eq 3 ] || usage

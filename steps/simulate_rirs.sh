@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
-# Simulate one RIR per measured one, from its room, source and microphone, with random materials.
+# Simulate one RIR per measured RIR, with the same room, source and microphone, and with random materials.
 # Usage: steps/simulate_rirs.sh [options] <measured-rir-dir> <rir-dir>
 # e.g.:  steps/simulate_rirs.sh --nj 4 data/rirs.real.train data/rirs.sim.train
 set -euo pipefail
 nj=2               # jobs
-t60_range=0.2,2.0  # range of reverberation times [s]; measured: that of the measured rooms
+t60_range=0.2,2.0  # range of T60 [s]; measured: the range of the measured rooms
 num_rays=20000     # rays per source
-order=200          # reflections per ray
+order=200          # least number of reflections per ray
 model=             # effects to add, from steps/close_loop.sh: exp/loop/model.json
-seed=0             # of every random draw
+seed=0             # seed of all random numbers
 . ./path.sh
 . utils/parse_options.sh
 [ $# -eq 2 ] || usage

@@ -6,7 +6,7 @@ set -euo pipefail
 split_by=rir          # rir or room; room: no room is in two sets
 same_rooms=           # patterns: rooms that match one pattern count as one room; only with --split-by room
 sizes=773,194,242     # RIRs per set; proportions where there are fewer
-seed=0                # of every random draw
+seed=0                # seed of all random numbers
 . ./path.sh
 . utils/parse_options.sh
 [ $# -eq 1 ] || usage

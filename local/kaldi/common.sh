@@ -6,14 +6,14 @@
 runner=${kaldi_cmd:-run.pl --max-jobs-run $nj}
 
 # once NAME COMMAND...: run a command in the workspace unless it has run before; log to <workspace>/log/NAME.log. It
-# runs again when its words (except --nj, --cmd and --stage), its `inputs`, or the words of an earlier command of the
-# same script have changed. With --dry-run it is printed. If two runs share a workspace, one waits for the other.
+# runs again when its arguments (except --nj, --cmd and --stage), its `inputs`, or the arguments of an earlier command
+# of the same script have changed. With --dry-run it is printed. If two runs share a workspace, one waits for the other.
 once() {
-  local name=$1 started=$SECONDS word before='' words=()
+  local name=$1 started=$SECONDS word previous='' words=()
   shift
   for word; do
-    [[ $before =~ ^--((egs\.)?nj|cmd|stage)$ ]] || words+=("$word")
-    before=$word
+    [[ $previous =~ ^--((egs\.)?nj|cmd|stage)$ ]] || words+=("$word")
+    previous=$word
   done
   if [ "$dry_run" = true ]; then
     printf '%q ' "$@" && echo

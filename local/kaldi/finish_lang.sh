@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
-# Make the lang directory that all systems share: pronunciation and silence probabilities of a GMM, and four LMs.
+# Make the lang directory of all systems: pronunciation and silence probabilities estimated with a GMM, and four LMs.
 # Usage: local/kaldi/finish_lang.sh [--nj 2] [--dry-run] <workspace> <set>
 # e.g.:  local/kaldi/finish_lang.sh exp/kaldi train.clean
-# All systems share the probabilities of clean speech, where word boundaries are clearest, so they differ in audio only.
+# All systems use the probabilities of the clean speech, whose alignments are the most accurate. The systems therefore
+# differ in their acoustic models only.
 set -euo pipefail
 nj=2            # jobs
 dry_run=false   # print the commands

@@ -6,7 +6,7 @@
 set -euo pipefail
 nj=2                    # jobs
 snrs=25:20:15:10:5      # SNRs that the noises take in turn [dB]
-seed=0                  # of every random draw
+seed=0                  # seed of all random numbers
 dry_run=false           # print the commands
 . ./path.sh
 . utils/parse_options.sh

@@ -7,20 +7,20 @@ set -euo pipefail
 stage=8               # first stage to run
 stop_stage=10         # last stage to run
 nj=2                  # jobs
-seed=0                # of every random draw
+seed=0                # seed of all random numbers
 dry_run=false         # print the commands
-librispeech=          # if it is given, LibriSpeech's own language models are used, unless --lm-text is given
-lm_text=              # for the language models, with the transcripts of the clean speech
-align_on=clean        # alignments of the clean speech for all sets; self: of each set
-gmm_passes="mono 300, deltas all 300 3000, lda_mllt all 400 6000, sat all 400 6000"   # of train_gmm.sh
-num_leaves=400        # of the network's tree
-rows=                 # kinds of speech, e.g. "clean sim.rvb"; none: all
-stock_rvb=false       # add a kind: Kaldi's own reverberate_data_dir.py with our simulated RIRs
-speed_perturb=false   # train on three speeds
-ivectors=false        # add i-vectors to the network's features
-use_gpu=false         # train on GPUs
-chain_opts="--config conf/chain_small.conf"                  # of train_chain.sh
-decode_opts="--beam 11 --max-active 2000 --lattice-beam 6"   # of decode.sh
+librispeech=          # directory of LibriSpeech: use its released language models, unless --lm-text is given
+lm_text=              # text added to the transcripts of the clean speech to train language models
+align_on=clean        # all systems use the alignments of the clean speech; self: of their own set
+gmm_passes="mono 300, deltas all 300 3000, lda_mllt all 400 6000, sat all 400 6000"   # --passes of train_gmm.sh
+num_leaves=400        # leaves of the TDNN's phonetic decision tree
+rows=                 # training sets to compare, e.g. "clean sim.rvb"; default: all
+stock_rvb=false       # add a training set made by Kaldi's reverberate_data_dir.py with the same simulated RIRs
+speed_perturb=false   # speed-perturb the training sets by 0.9, 1.0 and 1.1
+ivectors=false        # add i-vectors to the TDNN's features
+use_gpu=false         # train the TDNN on GPUs
+chain_opts="--config conf/chain_small.conf"                  # options of train_chain.sh
+decode_opts="--beam 11 --max-active 2000 --lattice-beam 6"   # options of decode.sh
 . ./path.sh
 . utils/parse_options.sh
 [ $# -eq 2 ] || usage

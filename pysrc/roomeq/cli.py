@@ -130,7 +130,7 @@ def argument(name: str, help: str, **attributes: Any) -> Callable[..., Any]:
 
 
 NAMES = CommaSeparated(str, "names with commas between")
-seed = click.option("--seed", default=0, help="Seed of every random draw.")
+seed = click.option("--seed", default=0, help="Seed of all random numbers.")
 nj = click.option("--nj", default=1, help="Number of processes; results do not depend on it.")
 part = click.option("--part", metavar="JOB/JOBS", help="Do one share only; a later call without this option finishes.")
 skip_bad = click.option("--skip-bad", is_flag=True, help="Leave out and report what cannot be used.")
@@ -210,7 +210,7 @@ def split_rirs() -> None:
 @part
 @nj
 def simulate() -> None:
-    """Simulate one RIR per measured one. Its T60 is drawn at random."""
+    """Simulate one RIR per measured RIR. Its T60 is drawn at random."""
 
 
 @verb("validate:validate", "data/rirs.sim.train exp/loop data/train.sim.rvb")

@@ -88,7 +88,7 @@ def row_of(name, room, rir, **optional):
 
 
 def make_simulated(measured, directory):
-    """Write a simulated RIR for each measured one, with a T30 near its target."""
+    """Write a simulated RIR for each measured RIR, with a T30 near its target."""
     rows = []
     for row in measured:
         rng = rng_for(0, "simulated", row["id"])

@@ -1,4 +1,4 @@
-"""Simulated RIR directories: one simulated response, and responses of noise sources, for each measured one."""
+"""Simulated RIR directories: one simulated RIR, and RIRs of noise sources, for each measured RIR."""
 
 from roomeq.simulate_rirs.directory import simulate
 

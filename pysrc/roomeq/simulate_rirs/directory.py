@@ -37,7 +37,7 @@ def simulate(measured_dir: Path | str, out: Path | str, *, t60_range_s: tuple[fl
              num_rays: int = NUM_RAYS, ism_order: int = ISM_ORDER, order: int = ORDER, noise_rirs: int = 1,
              materials: Path | str | None = None, model: Path | str | None = None, diffraction: bool = True,
              seed: int = 0, part: str | None = None, nj: int = 1) -> None:
-    """Simulate one RIR per measured one, in its room and from its source to its microphone.
+    """Simulate one RIR per measured RIR, in its room and from its source to its microphone.
 
     The materials of each RIR are drawn and then scaled until T30 at 1 kHz of the rendered RIR meets a target drawn
     uniformly from a range. RIRs of noise sources elsewhere in the room share the microphone and the materials.
