@@ -59,15 +59,15 @@ print(row["id"], row["room_dims_m"], row["mic_pos_m"])
 print("T20", row["acoustic_parameters"]["t20_s"])
 
 # %%
-# ``roomeq simulate rirs.real rirs.sim`` simulates one RIR for each measured one, at its own place. The reverberation
-# time is drawn from the range of the measured rooms.
+# ``roomeq simulate rirs.real rirs.sim`` simulates one RIR for each measured RIR, with the same room, source and
+# microphone positions. The reverberation time is drawn from the range of the measured rooms.
 
 roomeq.simulate(work / "rirs.real", work / "rirs.sim", t60_range_s="measured", num_rays=5000, noise_rirs=0, seed=0)
 
 # %%
 # ``roomeq fit-eq rirs.real rirs.sim eq`` measures the sub-band EQ of all of them and fits a Gaussian mixture to the
-# measured ones. ``roomeq compensate rirs.sim eq rirs.sim.EQ`` draws an EQ for each simulated RIR and filters the RIR
-# until it has it.
+# measured ones. ``roomeq compensate rirs.sim eq rirs.sim.EQ`` draws a target EQ for each simulated RIR and
+# filters the RIR to match it.
 
 roomeq.fit_eq(work / "rirs.real", [work / "rirs.sim"], work / "eq", n_components=2, seed=0)
 summary = roomeq.compensate(work / "rirs.sim", work / "eq", work / "rirs.sim.EQ", seed=0)

@@ -2,8 +2,8 @@
 Close the loop on your rooms
 ============================
 
-The closed loop compares measured RIRs with simulated ones, decides on rooms and positions that took no part in the fit
-which physical effect the simulation lacks, adds that effect, and repeats.
+The closed loop compares measured RIRs with simulated RIRs, decides on held-out rooms and positions which physical
+effect the simulation lacks, adds that effect, and repeats.
 
 No recordings come with the toolkit. This page generates four rooms whose loudspeakers have a colouration that nobody
 declares, and lets the loop find it. With recordings of your own, begin at the second step.
@@ -55,7 +55,7 @@ rows.sort(key=lambda row: row["id"])
 ledger = roomeq.close_loop([work / "measured"], work / "loop", max_effects=2, seed=0)
 
 # %%
-# ``ledger.json`` says what was added, with the error on positions and in rooms that took no part, in just noticeable
+# ``ledger.json`` says what was added, with the error on held-out positions and in held-out rooms, in just noticeable
 # differences (JND), before and after.
 
 for iteration in ledger["iterations"]:

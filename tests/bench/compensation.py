@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Measure how near compensation brings the EQ of simulated RIRs to measured ones that took no part.
+"""Measure how near compensation brings the EQ of simulated RIRs to that of held-out measured RIRs.
 
 Usage: tests/bench/compensation.py --out DIR DATA_DIR
 e.g.:  ./run.sh --measured RIRS --stop-stage 4 && tests/bench/compensation.py --out exp/bench data

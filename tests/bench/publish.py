@@ -96,7 +96,7 @@ SUMMARY = {
     "simulator": "Accuracy of the simulator against exact solutions and an independent Monte Carlo simulation, with "
                  "pyroomacoustics beside it.",
     "speed": "Time of the simulator beside pyroomacoustics, in one run on one machine.",
-    "compensation": "Distance of the EQ of simulated RIRs to that of measured RIRs that took no part, before and after "
+    "compensation": "Distance of the EQ of simulated RIRs to that of held-out measured RIRs, before and after "
                     "compensation. Rooms count equally.",
     "loop": "What the closed loop finds in generated rooms whose extra effect it is not told of. The rooms are made by "
             "code that shares nothing with the effects or the simulator.",

@@ -19,12 +19,12 @@ from roomeq.kaldi.wavscp import Entry, read_length
 from roomeq.records.schema import is_id, make_id
 
 MAX_RECORDING_S = 900.0
-UNKNOWN_S = 15.0  # assumed duration of an utterance whose archive or pipe would have to be decoded to measure it
+ASSUMED_DURATION_S = 15.0  # of an utterance in an archive or pipe, which would have to be decoded to measure it
 FLAC_LEVEL = 0.25  # libsndfile's scale, 0 to 1; higher levels save 2 % of size for 15 % of time
 
 
 class PlannedUtterance(NamedTuple):
-    """An utterance to make: its new id, the clean utterance, and the audio of the clean recording."""
+    """A far-field utterance to make: its id, the clean utterance, and the `wav.scp` entry of the clean recording."""
 
     id: str
     clean: Utterance
@@ -34,13 +34,13 @@ class PlannedUtterance(NamedTuple):
 def plan_recordings(data: DataDir, copies: int, *, pipes: bool = False) -> dict[str, list[PlannedUtterance]]:
     """Group utterances into recordings of at most 15 minutes.
 
-    Neighbours (in the order of the new ids) of the same speaker and chapter share a recording. A chapter is a
-    recording of the input if it has `segments`, else the utterance id without its last number, else the speaker.
+    Consecutive utterances (sorted by new id) of the same speaker and chapter share a recording. The chapter of an
+    utterance is its recording if the input has `segments`, else its id without the last number, else its speaker.
 
     Returns
     -------
     plan : dict
-        Utterances by recording id. The recordings in turn hold the new ids in byte order.
+        Utterances by recording id. Over all recordings in turn, the new ids are sorted by byte value.
     """
     outputs = [PlannedUtterance(f"{utterance_id}-rvb{copy}" if copies > 1 else utterance_id, utterance,
                                 data.recordings[utterance.recording])
@@ -58,7 +58,7 @@ def plan_recordings(data: DataDir, copies: int, *, pipes: bool = False) -> dict[
     chapters = {chapter_and_speaker(planned)[0] for planned in outputs}
     plan: dict[str, list[PlannedUtterance]] = {}
     for (chapter, _), utterances in groupby(outputs, key=chapter_and_speaker):
-        for piece in _pieces(data, utterances, pipes):
+        for piece in _split_chapter(data, utterances, pipes):
             number, name = 1, chapter
             while name in plan or (number > 1 and name in chapters):
                 number += 1
@@ -67,8 +67,8 @@ def plan_recordings(data: DataDir, copies: int, *, pipes: bool = False) -> dict[
     return plan
 
 
-def _pieces(data: DataDir, utterances: Iterable[PlannedUtterance],
-            pipes: bool) -> Iterator[list[PlannedUtterance]]:
+def _split_chapter(data: DataDir, utterances: Iterable[PlannedUtterance],
+                   pipes: bool) -> Iterator[list[PlannedUtterance]]:
     """Cut a chapter into pieces of at most `MAX_RECORDING_S`; a single utterance may be longer."""
     piece: list[PlannedUtterance] = []
     length_s = 0.0
@@ -89,7 +89,7 @@ def _duration_s(data: DataDir, planned: PlannedUtterance, pipes: bool) -> float:
     if utterance.id in data.utt2dur:
         return data.utt2dur[utterance.id]
     if planned.entry.kind != "file":
-        return UNKNOWN_S
+        return ASSUMED_DURATION_S
     try:
         length = read_length(planned.entry, pipes=pipes)
     except ValueError as error:
@@ -98,7 +98,10 @@ def _duration_s(data: DataDir, planned: PlannedUtterance, pipes: bool) -> float:
 
 
 def write_recording(work: Path, speaker: str, name: str, pieces: list[Array]) -> dict:
-    """Write a recording below `work`. It is encoded in memory first, so that a full disk raises an error."""
+    """Write a recording to a FLAC file below `work`.
+
+    It is encoded in memory first, because libsndfile may not report a full disk.
+    """
     buffer, samples = io.BytesIO(), np.concatenate(pieces)
     soundfile.write(buffer, samples, FS_HZ, format="FLAC", subtype="PCM_16", compression_level=FLAC_LEVEL)
     file = f"audio/{file_name(speaker)}/{file_name(name)}.flac"

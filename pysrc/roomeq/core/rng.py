@@ -1,4 +1,4 @@
-"""Random numbers that depend on their purpose and item, never on when they are drawn."""
+"""Random generators seeded by purpose and item, so that results do not depend on the order of the draws."""
 
 import hashlib
 
@@ -15,9 +15,9 @@ def rng_for(seed: int, purpose: str, item_id: str) -> np.random.Generator:
     seed : int
         The user's seed.
     purpose : str
-        E.g. ``"materials"``.
+        What the numbers are drawn for, e.g. ``"materials"``.
     item_id : str
-        Id of the item that the numbers are drawn for, e.g. an RIR id.
+        Id of the item that the numbers belong to, e.g. an RIR id.
     """
     digest = hashlib.sha256(repr((int(seed), purpose, item_id)).encode()).digest()
     return np.random.Generator(np.random.PCG64(int.from_bytes(digest[:16], "little")))

@@ -28,7 +28,7 @@ from roomeq.report.rir_sets import (
 
 N_BOOTSTRAP = 200
 HELD_OUT = "rirs.real.test"
-"""Measured RIRs that take no part in any fit."""
+"""Measured RIRs that no model is fitted to."""
 
 
 def eq_distributions(run: Run) -> Context:
