@@ -247,18 +247,18 @@ class _Clock:
 
 def embree_of(room):
     """The room's own embree scene."""
-    return room._known["embree"]
+    return room._cache["embree"]
 
 
 def traced_with_clock(scene, source_pos_m):
     """Trace; seconds in all, seconds in ray queries, number of queries and of reflections."""
     clock = _Clock(embree_of(scene.room))
     traced(scene, source_pos_m, seed=0)
-    scene.room._known["embree"] = clock
+    scene.room._cache["embree"] = clock
     try:
         start = time.perf_counter()
         result = traced(scene, source_pos_m, seed=1)
         seconds = time.perf_counter() - start
     finally:
-        scene.room._known["embree"] = clock.scene
+        scene.room._cache["embree"] = clock.scene
     return seconds, clock.seconds, clock.queries, int(sum(path.counts.sum() for path in result.paths))

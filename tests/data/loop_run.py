@@ -62,7 +62,7 @@ def make_loop(out):
         format=LEDGER_FORMAT, rirs=N_RIRS, rooms=len(ROOMS), given=[], baseline=errors(3.4), final=errors(1.5),
         ranking=ranking("room_eq", 0.5),
         iterations=[iteration(added[0], 3.4, 1.9, cannot_tell=["source_response", "mic_response"],
-                              would_tell=["the same room recorded with another loudspeaker"]),
+                              would_tell=["a recording of the same room with another loudspeaker"]),
                     iteration(added[1], 1.9, 1.5)],
         unexplained=unexplained, unexplained_all=[unexplained],
         test=dict(rirs=8, rooms=1, before=errors(3.6), after=errors(1.8)))

@@ -1,23 +1,24 @@
-"""Room-acoustic parameters of one impulse response per octave (ISO 3382), with their validity.
+"""Room-acoustic parameters of an impulse response in octave bands (ISO 3382), and whether each of them is valid.
 
 Conventions
 -----------
-Times are seconds, levels dB. Octave filters have zero phase and cause no delay; energy that a filter spreads ahead of
-the direct sound counts as arriving with it. Decay curves are integrated backward from the point where the decay meets
-the noise (`roomeq.acoustics.noise_intersection`), with the noise subtracted and the energy of the exponential decay
-beyond that point added (Guski and Vorländer, Acta Acustica 100 (2014) 320, methods D and E).
+Times are in seconds, levels in dB. Octave filters have zero phase and cause no delay; energy that a filter spreads to
+times before the direct sound is counted as energy of the direct sound. Decay curves are integrated backward from the
+point where the decay meets the noise (`roomeq.acoustics.noise_intersection`), with the noise subtracted and the energy
+of the exponential decay beyond that point added (Guski and Vorländer, Acta Acustica 100 (2014) 320, methods D and E).
 
 Metrics
 -------
-EDT, T20, T30 and C50 (ISO 3382-1:2009, ISO 3382-2:2008), direct-to-reverberant ratio, noise floor and intersection.
+EDT, T20, T30 and C50 (ISO 3382-1:2009, ISO 3382-2:2008); direct-to-reverberant ratio (DRR); level of the noise floor,
+and the time at which the decay meets it.
 
 Why not pyrato
 --------------
 pyrato 1.1 (on pyfar) implements the same noise compensation, and tests/unit/acoustics/test_iso3382.py checks that both
-agree. It does not say whether a result is valid: for a response that ends 28 dB down it returns a T30. It raises an
-error or returns -inf for responses with digital silence at the end or 20 dB of signal to noise, which measured corpora
-contain. It takes several times as long per band, and its import takes seconds, which every job of the recipe would
-pay.
+agree. It does not tell whether a result is valid: for a response that has decayed by only 28 dB at its end, it returns
+a T30. Measured corpora contain responses that end in digital silence or have a signal-to-noise ratio of 20 dB; for
+these it raises an error or returns -inf. It takes several times as long per band, and every job of the recipe would
+spend seconds on its import.
 """
 
 from dataclasses import dataclass
@@ -34,13 +35,14 @@ from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import EXACT_BANDS_HZ
 
 MIN_BT = 16.0
-"""Bandwidth times decay time below which the filter's own decay distorts the result (ISO 3382-2, 7.3)."""
+"""Smallest product of bandwidth and decay time for which the decay of the filter does not distort the result
+(ISO 3382-2, 7.3)."""
 DIRECT_S = 2.5e-3
-"""Energy up to this time after the direct sound counts as direct (DRR)."""
+"""Energy within this time before and after the direct sound counts as direct (DRR)."""
 EARLY_S = 0.05
-"""End of the early energy of C50."""
+"""Time after the direct sound that separates early from late energy (C50)."""
 DECAYS_DB = {"edt": (0.0, -10.0), "t20": (-5.0, -25.0), "t30": (-5.0, -35.0)}
-"""Evaluated range of each decay time, relative to the level at the start."""
+"""Evaluation range of each decay time: levels of the decay curve relative to its start."""
 
 
 @dataclass(frozen=True)
@@ -50,13 +52,15 @@ class Decay:
     Attributes
     ----------
     edc_db
-        Decay curve from the direct sound to the intersection, relative to the total energy, shape (n,).
+        Decay curve from the direct sound to the intersection with the noise, relative to the total energy, shape (n,).
     range_db
-        Decay of the curve at the intersection; infinite for a decay to digital silence.
+        Dynamic range: level of the total energy over that of the decay's energy after the intersection. Infinite for a
+        decay to digital silence; 0 if no decay can be fitted.
     noise_floor_db
-        Noise relative to the strongest 5 ms; None if no floor is seen.
+        Power of the noise relative to the mean power of the strongest 5 ms; None if the response does not reach its
+        noise floor.
     intersection
-        Counted from the direct sound.
+        Intersection of the decay with the noise, in samples after the direct sound.
     """
 
     edc_db: FloatArray
@@ -66,7 +70,7 @@ class Decay:
 
 
 def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float) -> Decay:
-    """Integrate the decay of one band backward, compensated for noise and truncation.
+    """Integrate the squared response of one band backward, with compensation for noise and truncation.
 
     Parameters
     ----------
@@ -75,7 +79,7 @@ def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float) -> Decay:
     fs_hz
         Sample rate.
     direct_sample
-        See `roomeq.acoustics.direct.find_direct`.
+        Arrival time of the direct sound in samples; see `roomeq.acoustics.direct.find_direct`.
 
     Returns
     -------
@@ -95,8 +99,8 @@ def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float) -> Decay:
         range_db = 0.0
     n_block = max(1, round(0.005 * fs_hz))
     strongest = np.convolve(after[:20 * n_block], np.full(n_block, 1.0 / n_block), "same").max()
-    seen = intersection.noise_power > 0.0
-    floor_db = float(power_db(intersection.noise_power) - power_db(strongest)) if seen else None
+    has_floor = intersection.noise_power > 0.0
+    floor_db = float(power_db(intersection.noise_power) - power_db(strongest)) if has_floor else None
     return Decay(edc_db, range_db, floor_db, intersection)
 
 
@@ -115,7 +119,7 @@ def decay_time(edc_db: FloatArray, fs_hz: float, decay: str) -> float | None:
     Returns
     -------
     float or None
-        Seconds; None if the curve does not fall that far.
+        Seconds; None if the curve does not fall to the lower end of the evaluation range.
     """
     top_db, bottom_db = DECAYS_DB[decay]
     reached = edc_db <= bottom_db
@@ -131,7 +135,7 @@ def decay_time(edc_db: FloatArray, fs_hz: float, decay: str) -> float | None:
 
 def reverberation_time(rir: FloatArray, fs_hz: float, band_hz: float = 1000.0, decay: str = "t30", *,
                        direct_sample: float | None = None) -> float:
-    """Measure the decay time of one octave band alone, which is fast enough for solving for a target.
+    """Measure the decay time in a single octave band; the search for a target T60 uses it, because it is fast.
 
     Parameters
     ----------
@@ -140,11 +144,11 @@ def reverberation_time(rir: FloatArray, fs_hz: float, band_hz: float = 1000.0, d
     fs_hz
         Sample rate.
     band_hz
-        Mid-band frequency, nominal or exact.
+        Nominal or exact mid-band frequency.
     decay
         ``"edt"``, ``"t20"`` or ``"t30"``.
     direct_sample
-        Found by `find_direct` by default.
+        Arrival time of the direct sound in samples; by default `find_direct` detects it.
 
     Returns
     -------
@@ -154,7 +158,7 @@ def reverberation_time(rir: FloatArray, fs_hz: float, band_hz: float = 1000.0, d
     Raises
     ------
     ValueError
-        The response does not decay that far.
+        The response does not decay to the lower end of the evaluation range.
     """
     rir = np.asarray(rir, dtype=np.float64)
     if direct_sample is None:
@@ -164,7 +168,7 @@ def reverberation_time(rir: FloatArray, fs_hz: float, band_hz: float = 1000.0, d
     time_s = decay_time(curve.edc_db, fs_hz, decay)
     if time_s is None:
         raise ValueError(f"{decay} at {band_hz:g} Hz needs a decay of {-DECAYS_DB[decay][1]:g} dB and "
-                         f"{len(rir)} samples hold {-curve.edc_db.min():.1f} dB: use a longer response")
+                         f"{len(rir)} samples decay by {-curve.edc_db.min():.1f} dB: use a longer response")
     return time_s
 
 
@@ -179,15 +183,16 @@ def all_metrics(rir: FloatArray, fs_hz: float, direct_sample: float | None = Non
     fs_hz
         Sample rate.
     direct_sample, polarity
-        Found by `find_direct` unless both are given.
+        Arrival time [samples] and sign of the direct sound; `find_direct` detects them unless both are given.
 
     Returns
     -------
     dict
-        JSON-able: `direct_sample`, `direct_polarity`, `drr_db`, `noise_intersection_s` and `noise_floor_db` of the
-        whole band, and lists of 8 (octaves 62.5 Hz to 8 kHz): `edt_s, t20_s, t30_s, c50_db` with `*_valid`,
-        `band_noise_intersection_s`, `band_noise_floor_db`, `decay_range_db`. A value that cannot be computed is None
-        and not valid.
+        Values that JSON can represent. Broadband: `direct_sample`, `direct_polarity`, `drr_db`, `noise_intersection_s`
+        and `noise_floor_db`. Lists of 8 values for the octaves 62.5 Hz to 8 kHz: `edt_s`, `t20_s`, `t30_s` and
+        `c50_db`; their validity `edt_valid`, `t20_valid`, `t30_valid` and `c50_valid`; `band_noise_intersection_s`,
+        `band_noise_floor_db` and `decay_range_db`. Intersections are counted from the direct sound. A value that cannot
+        be computed is None and not valid.
 
     Raises
     ------
@@ -199,11 +204,11 @@ def all_metrics(rir: FloatArray, fs_hz: float, direct_sample: float | None = Non
         direct_sample, polarity = find_direct(rir, fs_hz, direct_sample)
     last = int(np.flatnonzero(rir)[-1]) + 1  # digital silence after the response is not a noise floor
     rir = rir[:last]
-    whole = energy_decay(rir, fs_hz, direct_sample)
+    broadband = energy_decay(rir, fs_hz, direct_sample)
     result: dict[str, Any] = dict(
         direct_sample=float(direct_sample), direct_polarity=int(polarity),
-        drr_db=_drr_db(rir, fs_hz, direct_sample, whole.intersection),
-        noise_intersection_s=whole.intersection.sample / fs_hz, noise_floor_db=whole.noise_floor_db)
+        drr_db=_drr_db(rir, fs_hz, direct_sample, broadband.intersection),
+        noise_intersection_s=broadband.intersection.sample / fs_hz, noise_floor_db=broadband.noise_floor_db)
     spectra = _Spectra(rir, octave_fft_size(len(rir), fs_hz))
     rows = [_band_metrics(spectra, band, fs_hz, band_hz, direct_sample)
             for band, band_hz in zip(octave_bands(rir, fs_hz), EXACT_BANDS_HZ, strict=True)]
@@ -212,24 +217,24 @@ def all_metrics(rir: FloatArray, fs_hz: float, direct_sample: float | None = Non
 
 
 class _Spectra:
-    """Energy spectra of parts of a response, each computed once for all bands."""
+    """Energy spectra of sections of a response; each spectrum is computed once and serves all octave bands."""
 
     def __init__(self, rir: FloatArray, n_fft: int) -> None:
         self.rir, self.n_fft = rir, n_fft
         self._computed: dict[tuple[int, int], FloatArray] = {}
 
     def energy(self, first: int, last: int, fs_hz: float, band_hz: float) -> float:
-        """Return the energy of samples `first` to `last` in an octave."""
+        """Return the energy of samples `first` up to, but not including, `last` in an octave band."""
         if (first, last) not in self._computed:
             power = np.abs(rfft(self.rir[first:last], self.n_fft)) ** 2
-            power[1:(self.n_fft + 1) // 2] *= 2.0  # both signs of frequency
+            power[1:(self.n_fft + 1) // 2] *= 2.0  # energy of positive and negative frequencies
             self._computed[first, last] = power
         return dot(octave_gains(self.n_fft, fs_hz, band_hz) ** 2, self._computed[first, last]) / self.n_fft
 
 
 def _band_metrics(spectra: _Spectra, band: FloatArray, fs_hz: float, band_hz: float,
                   direct_sample: float) -> dict[str, Any]:
-    """Measure one octave, each with its validity."""
+    """Return the parameters of one octave band and the validity of each."""
     curve = energy_decay(band, fs_hz, direct_sample)
     row: dict[str, Any] = {}
     for decay, (_, bottom_db) in DECAYS_DB.items():
@@ -238,7 +243,8 @@ def _band_metrics(spectra: _Spectra, band: FloatArray, fs_hz: float, band_hz: fl
         row[f"{decay}_valid"] = bool(time_s is not None and curve.range_db >= NOISE_MARGIN_DB - bottom_db
                                      and band_hz * np.sqrt(0.5) * time_s > MIN_BT)
     row["c50_db"] = _c50_db(spectra, fs_hz, band_hz, direct_sample, curve.intersection)
-    # the late energy lies C50 below the total, and the noise must lie below the late energy
+    # C50 is early relative to late energy: if it is large, late energy is nearly C50 below the total; the noise must
+    # be below that by a margin
     row["c50_valid"] = bool(row["c50_db"] is not None
                             and curve.range_db >= NOISE_MARGIN_DB + max(NOISE_MARGIN_DB, row["c50_db"]))
     row["band_noise_intersection_s"] = curve.intersection.sample / fs_hz
@@ -249,22 +255,26 @@ def _band_metrics(spectra: _Spectra, band: FloatArray, fs_hz: float, band_hz: fl
 
 def _c50_db(spectra: _Spectra, fs_hz: float, band_hz: float, direct_sample: float,
             intersection: NoiseIntersection) -> float | None:
-    """Return the early-to-late ratio of one octave; gating before filtering keeps the filter from smearing energy."""
-    gate = round(direct_sample + EARLY_S * fs_hz)
+    """Return the early-to-late energy ratio of one octave band; None if a part has no energy.
+
+    The response is divided before it is filtered, because the filter would spread energy over the boundary.
+    """
+    boundary = round(direct_sample + EARLY_S * fs_hz)
     end = round(direct_sample) + intersection.sample
-    if end <= gate:
+    if end <= boundary:
         return None
-    early, late = (spectra.energy(*part, fs_hz, band_hz) for part in ((0, gate), (gate, end)))
-    late += intersection.rest_energy - (end - gate) * intersection.noise_power
-    early -= gate * intersection.noise_power
+    early, late = (spectra.energy(*part, fs_hz, band_hz) for part in ((0, boundary), (boundary, end)))
+    late += intersection.rest_energy - (end - boundary) * intersection.noise_power
+    early -= boundary * intersection.noise_power
     return float(power_db(early) - power_db(late)) if early > 0.0 and late > 0.0 else None
 
 
 def _drr_db(rir: FloatArray, fs_hz: float, direct_sample: float, intersection: NoiseIntersection) -> float | None:
-    """Return the direct-to-reverberant ratio of the whole band; None if either part has no energy."""
-    gate = round(direct_sample + DIRECT_S * fs_hz)
+    """Return the broadband direct-to-reverberant energy ratio; None if either part has no energy."""
+    boundary = round(direct_sample + DIRECT_S * fs_hz)
     first = max(0, round(direct_sample - DIRECT_S * fs_hz))
     end = round(direct_sample) + intersection.sample
-    direct = np.sum(rir[first:gate] ** 2) - (gate - first) * intersection.noise_power
-    reverberant = np.sum(rir[gate:end] ** 2) - max(0, end - gate) * intersection.noise_power + intersection.rest_energy
+    direct = np.sum(rir[first:boundary] ** 2) - (boundary - first) * intersection.noise_power
+    reverberant = (np.sum(rir[boundary:end] ** 2) - max(0, end - boundary) * intersection.noise_power
+                   + intersection.rest_energy)
     return float(power_db(direct) - power_db(reverberant)) if direct > 0.0 and reverberant > 0.0 else None

@@ -1,4 +1,4 @@
-"""All effects by name."""
+"""The catalogue of effects, by name."""
 
 from roomeq.effects.air_absorption import AirAbsorption
 from roomeq.effects.base import Effect
@@ -18,4 +18,4 @@ _EFFECTS: tuple[type[Effect], ...] = (
     MicResponse, RoomEq, NoiseFloor)
 
 CATALOGUE: dict[str, type[Effect]] = {effect.NAME: effect for effect in _EFFECTS}
-"""In the order in which sound passes them, which is the order in which a model applies them."""
+"""Effects by name, in the order in which a model applies them: sound field, recording chain, noise."""

@@ -20,7 +20,7 @@ from roomeq.sim.render import MAX_LENGTH_S, render, tail_noise
 
 _LEVELS_DB = (-60.0, 0.0)
 _TIMES_S = (0.2, 6.0)
-_RANGE_DB = 75.0  # the rendered decay ends this far below the response; see `roomeq.effects.noise_floor.QUIET_DB`
+_RANGE_DB = 75.0  # level below the response at which rendering ends; see `roomeq.effects.noise_floor.QUIET_DB`
 _DECAY = 6.0 * np.log(10.0)  # of energy over the decay time
 
 

@@ -1,4 +1,4 @@
-"""Magnitude response of each microphone: presence peak, proximity effect, roll-offs."""
+"""Magnitude response of each microphone, for example its presence peak, proximity effect or roll-off."""
 
 from dataclasses import dataclass
 
@@ -7,8 +7,8 @@ from roomeq.effects.response import Response
 
 @dataclass(frozen=True)
 class MicResponse(Response):
-    """Response of one `mic_id`."""
+    """Magnitude response of the microphone with one `mic_id`."""
 
     NAME = "mic_response"
     SCOPE = "mic"
-    DISCRIMINATING_MEASUREMENT = "the same room recorded with another microphone"
+    DISCRIMINATING_MEASUREMENT = "a recording of the same room with another microphone"

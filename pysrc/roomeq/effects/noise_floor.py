@@ -1,7 +1,8 @@
-"""Stationary noise of a room and its recording chain behind the response: hum, ventilation, coloured hiss.
+"""Stationary coloured noise in the recordings of a room: hum, ventilation, hiss of the recording chain.
 
-The level of noise relative to the response depends on the recording's level. White noise reveals that level: coloured
-noise rises and falls with it.
+The signal-to-noise ratio differs between recordings of the same room, for example with the playback level. White noise
+is estimated for each recording. The coloured noise of the room is assumed to have a constant ratio to it, except in
+recordings whose white noise is weaker than `QUIET_DB`.
 """
 
 from dataclasses import dataclass
@@ -19,9 +20,10 @@ from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.render import render
 
 NOISE_S = 0.1
-"""Duration of the noise whose energy is compared with that of the response."""
+"""Duration [s] of the section of noise whose energy is given relative to that of the response."""
 QUIET_DB = -55.0
-"""Energy of `NOISE_S` of noise relative to the response of its band, below which it disturbs no decay."""
+"""Noise below this level does not affect the measured decay: energy of `NOISE_S` of noise relative to the response, per
+octave band [dB]."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +33,9 @@ class NoiseFloor(Effect):
     Attributes
     ----------
     levels_db : tuple of 8 floats
-        Energy of 100 ms of noise relative to the response, per octave, in a recording without white noise. Below
-        `QUIET_DB` it disturbs no decay; in a recording whose white noise is louder than that, it is louder by as much.
+        Energy of 100 ms of noise relative to the response, per octave, in a recording without white noise. In a
+        recording with white noise it is larger by the factor 1 + w / q, where w is the energy of the white noise and q
+        the energy that corresponds to `QUIET_DB`.
     """
 
     levels_db: tuple[float, ...]
@@ -40,9 +43,9 @@ class NoiseFloor(Effect):
     REFLECTIONS = False
     NAME = "noise_floor"
     SCOPE = "room"
-    STARTS = ((1.0,) * 8,)  # tens of dB above `QUIET_DB`
+    STARTS = ((1.0,) * 8,)  # (level - `QUIET_DB`) / 10 dB
     SPREAD = (1.0,) * 8
-    DISCRIMINATING_MEASUREMENT = "a recording of the silence before the sweep"
+    DISCRIMINATING_MEASUREMENT = "a recording of the background noise before the sweep"
 
     def vector(self) -> FloatArray:
         return (np.array(self.levels_db) - QUIET_DB) / 10.0
@@ -52,7 +55,13 @@ class NoiseFloor(Effect):
         return cls(tuple(float(value) for value in QUIET_DB + 10.0 * np.clip(vector, -3.0, 5.0)))
 
     def energy_ratio(self, white: FloatArray) -> FloatArray:
-        """Return the energy of 100 ms of noise relative to the response, for white noise of shape (..., 8)."""
+        """Return the energy of 100 ms of noise relative to the response, shape (..., 8).
+
+        Parameters
+        ----------
+        white : ndarray, shape (..., 8)
+            Energy of 100 ms of the recording's white noise relative to the response.
+        """
         return 10.0 ** (np.array(self.levels_db) / 10.0) * (1.0 + white / 10.0 ** (QUIET_DB / 10.0))
 
     def apply_to_prediction(self, state: PredictionState, data: PredictedRirs, rows: IntArray) -> None:

@@ -1,8 +1,8 @@
-"""The quantities that an effect can change in the loop's prediction, and the data it may use to do so.
+"""The input quantities of the loop's prediction that an effect can change, and the data that the effect may use.
 
-The loop predicts the features of RIRs from tables of ray contributions (`roomeq.loop.predict`). Effects act on the
-assumptions of that prediction, the `PredictionState`: air, directivity, gain and delay of the direct sound, added
-energy.
+The loop predicts the features of RIRs from tables of ray contributions (`roomeq.loop.predict`). Effects change the
+inputs of that prediction, the `PredictionState`: air, directivity, gain and delay of the direct sound, added decays
+and noise, response of the recording chain.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,9 +21,10 @@ class DepartureTable(Protocol):
     Attributes
     ----------
     angular : ndarray, shape (n, n_angles), or None
-        None where it is unknown in which direction the source faces.
+        Share of each entry's energy that departs at each angle; None if the orientation of the source is unknown.
     direct_angle : float
-        Between the direct sound's departure and the direction that the source faces [rad]; 0 where that is unknown.
+        Angle between the direct sound's direction of departure and the source's axis [rad]; 0 if the orientation of the
+        source is unknown.
     """
 
     @property
@@ -34,22 +35,24 @@ class DepartureTable(Protocol):
 
 
 class PredictedRirs(Protocol):
-    """What effects may know of the RIRs whose features are predicted (`roomeq.loop.data.Data`).
+    """Data of the RIRs whose features are predicted, as far as effects may use it (`roomeq.loop.data.Data`).
 
     Attributes
     ----------
     rows : sequence of mapping
-        Rows of the RIR directories.
+        Record of each RIR in its directory (a line of `rirs.jsonl`).
     places : sequence of roomeq.sim.geometry.Place
+        Room and positions of each RIR.
     tables : sequence of DepartureTable
+        Angles of departure of each RIR.
     angles : ndarray, shape (n_angles,)
         Angles of departure at which `PredictionState.ray_gain` is given [rad].
     distance_m : ndarray, shape (n_rirs,)
-        Between source and microphone.
+        Distance between source and microphone.
     speed_m_s : ndarray, shape (n_rirs,)
-        Declared speed of sound.
+        Speed of sound at the temperature in each RIR's row.
     white : ndarray, shape (n_rirs, 8)
-        White noise of the recordings: energy of 100 ms relative to the response.
+        White noise of each recording: energy of 100 ms relative to the response, per octave.
     """
 
     @property
@@ -74,46 +77,55 @@ class PredictedRirs(Protocol):
     def white(self) -> FloatArray: ...
 
     def rendered_change_of(self, effect: Any) -> FloatArray:
-        """Return the rendered change of the features, shape (n_grid_points, n_rirs, n_features) [JND]."""
+        """Return the change of the features that an effect causes in renderings [JND].
+
+        The shape is (n_grid_points, n_rirs, n_features); the grid is `Effect.INTERPOLATION_GRID`.
+        """
         ...
 
 
-class Decay(Protocol):
-    """A decay that is added to the reflections (`roomeq.effects.coupled_volume.CoupledVolume`)."""
+class AddedDecay(Protocol):
+    """An exponential decay that is added to the reflections (`roomeq.effects.coupled_volume.CoupledVolume`)."""
 
     @property
-    def energy_ratio(self) -> float: ...
+    def energy_ratio(self) -> float:
+        """Energy of the added decay relative to that of all reflections."""
+        ...
 
-    def rate_per_m(self, speed_m_s: FloatArray, attenuation_per_m: FloatArray) -> FloatArray: ...
+    def rate_per_m(self, speed_m_s: FloatArray, attenuation_per_m: FloatArray) -> FloatArray:
+        """Return the rate at which the energy decays with the length of the path [1/m]."""
+        ...
 
 
 @dataclass
 class PredictionState:
-    """The assumptions about each RIR from which its features are predicted.
+    """The quantities of each RIR from which its features are predicted.
 
     Attributes
     ----------
     absorption : ndarray, shape (n_rirs, 2, 8)
-        ``-ln(1 - alpha)`` of the room's walls, and of its floor and ceiling.
+        Absorption exponent ``-ln(1 - alpha)`` per octave: of the walls, and of floor and ceiling.
     air_per_m : ndarray, shape (n_rirs, 8)
-        Energy attenuation of the air [1/m].
+        Energy attenuation of the air per octave [1/m].
     speed_m_s : ndarray, shape (n_rirs,)
+        Speed of sound.
     ray_gain : ndarray, shape (n_rirs, n_angles, 8), or None
-        Energy gain of rays over their angle of departure.
+        Energy gain of rays per angle of departure and octave; None for an omnidirectional source.
     direct_gain : ndarray, shape (n_rirs, 8)
-        Energy gain of the direct sound.
+        Energy gain of the direct sound per octave.
     direct_thirds : ndarray, shape (n_rirs, 22)
-        Further energy gain of the direct sound at `roomeq.acoustics.octaves.THIRDS_HZ`.
-    decays : list of (Decay, ndarray of int)
-        Added decays, and the RIRs that have them.
+        Energy gain of the direct sound per third octave (`roomeq.acoustics.octaves.THIRDS_HZ`), multiplied with
+        `direct_gain`.
+    decays : list of (AddedDecay, ndarray of int)
+        Each added decay, and the indices of the RIRs that have it.
     response_db : ndarray, shape (n_rirs, 23)
-        Response of the recording chain at `roomeq.effects.response.RESPONSE_HZ`.
+        Magnitude response of the recording chain [dB] at `roomeq.effects.response.RESPONSE_HZ`.
     floor : ndarray, shape (n_rirs, 8)
-        Energy of 100 ms of noise relative to the response, without the white noise of the recording.
+        Noise floor: energy of 100 ms of noise relative to the response per octave, without the recording's white noise.
     delay_s : ndarray, shape (n_rirs,)
-        Delay of the direct sound.
+        Delay of the direct sound by obstacles or other effects [s].
     rendered_change : ndarray, shape (n_rirs, n_features)
-        Change of the features that was measured on renderings [JND].
+        Change of the features, taken from renderings with and without an effect [JND].
     """
 
     absorption: FloatArray
@@ -122,20 +134,21 @@ class PredictionState:
     ray_gain: FloatArray | None
     direct_gain: FloatArray
     direct_thirds: FloatArray
-    decays: list[tuple[Decay, IntArray]]
+    decays: list[tuple[AddedDecay, IntArray]]
     response_db: FloatArray
     floor: FloatArray
     delay_s: FloatArray
     rendered_change: FloatArray
 
     def apply_directivity(self, rows: IntArray, gains: FloatArray, direct: FloatArray) -> None:
-        """Give sources a directivity.
+        """Apply the directivity of the source to some RIRs, in place.
 
         Parameters
         ----------
-        rows : ndarray of int
+        rows : ndarray of int, shape (n_rows,)
+            Indices of the RIRs.
         gains : ndarray, shape (n_angles, 8)
-            Energy gain of rays at the tables' angles of departure.
+            Energy gain of rays at the angles of departure `PredictedRirs.angles`.
         direct : ndarray, shape (n_rows, 8)
             Energy gain of the direct sound.
         """

@@ -1,4 +1,4 @@
-"""A speed of sound other than declared: the air was warmer or colder, so that all sound arrives earlier or later."""
+"""Speed of sound that differs from the scene's: warmer or colder air, in which all sound arrives earlier or later."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -15,19 +15,19 @@ from roomeq.sim.scene import Air
 
 @dataclass(frozen=True)
 class SoundSpeed(Effect):
-    """Speed of sound; the absorption of the air stays as declared.
+    """Speed of sound; the absorption of the air remains that of the scene.
 
     Attributes
     ----------
     temperature_c : float
-        Temperature of air with this speed of sound.
+        Temperature of air with this speed of sound [deg C].
     """
 
     temperature_c: float
 
     NAME = "sound_speed"
     SCOPE = "all"
-    STARTS = ((2.5,),)  # tens of degrees
+    STARTS = ((2.5,),)  # temperature / 10 deg C
     SPREAD = (1.0,)
     DISCRIMINATING_MEASUREMENT = "recordings whose time of flight is known, at several distances"
 

@@ -7,8 +7,8 @@ from roomeq.effects.response import Response
 
 @dataclass(frozen=True)
 class SourceResponse(Response):
-    """Response of one `source_id`; that on its axis, where it has a directivity."""
+    """Magnitude response of the source with one `source_id`; the on-axis response if the source has a directivity."""
 
     NAME = "source_response"
     SCOPE = "source"
-    DISCRIMINATING_MEASUREMENT = "the same room recorded with another loudspeaker"
+    DISCRIMINATING_MEASUREMENT = "a recording of the same room with another loudspeaker"

@@ -148,7 +148,7 @@ def heldout_errors(session: Session) -> HeldOutErrors:
 
 
 def score_test_set(data: Data, session: Session, *, seed: int, nj: int) -> HeldOutErrors:
-    """Return the errors of a session's model on rooms that took no part in any fit.
+    """Return the errors of a session's model on rooms that were held out of every fit.
 
     The shared parameters come from the session, each room's own parameters from half of its RIRs.
 

@@ -1,4 +1,7 @@
-"""Rendering the microphones of a traced source, again and again while absorption is searched for."""
+"""Rendering of the responses at the microphones of a traced source, for any absorption coefficients.
+
+What does not depend on absorption is computed once, because the search for a target T60 renders repeatedly.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,9 +28,9 @@ if TYPE_CHECKING:
     from roomeq.sim.response import TracedSource
 
 PathGain = Callable[[FloatArray], FloatArray]
-"""Directivity: from directions at the source, shape (n, 3), to energy gains, shape (n, 8)."""
+"""Directivity of a source: maps directions of departure, shape (n, 3), to energy gains per octave, shape (n, 8)."""
 ALL_BANDS = tuple(range(8))
-_SMOOTHING_FRAMES = 7
+_SMOOTHING_FRAMES = 7  # length of the moving average over the late echogram
 
 
 @dataclass(frozen=True)
@@ -37,20 +40,20 @@ class Response:
     Attributes
     ----------
     rir
-        Samples at `FS_HZ`, shape (n_samples,). Sample 0 is the emission; a direct sound at distance r has the level
-        ``1 / (4 pi r)``.
+        Sound pressure, sampled at `FS_HZ`, shape (n_samples,). The source emits a unit pulse at sample 0, so the direct
+        sound at distance r has the pressure ``1 / (4 pi r)`` before air absorption.
     direct_sample
-        Arrival of the direct sound, ``fs r / c``.
+        Arrival time of the direct sound in samples, ``fs r / c``; not rounded.
     direct_visible
-        Whether the source is seen from the microphone.
+        Whether the line from the source to the microphone is unobstructed.
     diffracted
-        Whether diffraction contributes.
+        Whether `rir` contains diffracted sound.
     t30_s
         T30 at 1 kHz of `rir`; None if it does not decay by 35 dB.
     absorption
-        As used, scaled to the target if there was one, shape (n_surfaces, 8).
+        Absorption coefficients used, after scaling to a target T60 if there was one, shape (n_surfaces, 8).
     leaked_share
-        Share of the rays that slipped through the room's surface.
+        Share of the rays that left the room through a gap between faces.
     """
 
     rir: FloatArray
@@ -64,26 +67,28 @@ class Response:
 
 @dataclass(frozen=True)
 class RenderContext:
-    """All that rendering needs and that does not depend on absorption.
+    """Inputs of rendering that do not depend on absorption.
 
     Attributes
     ----------
     traced
+        The source, with the paths of its rays.
     mics_m
-        Shape (n_mics, 3).
+        Positions, shape (n_mics, 3).
     images
-        Image sources of each microphone.
+        Specular paths to each microphone, from image sources.
     diffracted
-        Diffraction at each microphone; None if there is none.
+        Diffracted sound at each microphone; None for a microphone that no diffracted sound reaches.
     noises
-        Random sequence of the tail of each microphone.
+        Noise signal from which the late part of each microphone's response is rendered.
     path_samples
-        Of each microphone; None: all stored paths are followed for each absorption.
+        Random sample of the paths to each microphone; None to follow all stored paths in each rendering.
     visible
-        From `reflection_visibility`, for each trace; empty if there are path samples.
+        Result of `reflection_visibility` for each trace; empty if there are path samples.
     length_s
-        Longest response.
+        Largest length of a response.
     ism_order
+        Largest number of reflections of image sources.
     path_gain
         Directivity of the source; None if it is omnidirectional.
     """
@@ -101,17 +106,17 @@ class RenderContext:
 
     @property
     def n_frames(self) -> int:
-        """Frames of the longest response."""
+        """Number of echogram frames in `length_s`."""
         return int(np.ceil(self.length_s / FRAME_S))
 
     def image_gains(self, images: SpecularPaths, absorption: FloatArray, bands: list[int]) -> FloatArray:
-        """Return the pressure of image sources, directivity of the source included, shape (n_paths, n_bands)."""
+        """Return the pressure of image sources, including source directivity, shape (n_paths, n_bands)."""
         scene = self.traced.scene
         gains = images.gains(absorption[:, bands], scene.scattering[:, bands], scene.air.attenuation_per_m[bands])
         return gains if self.path_gain is None else gains * np.sqrt(self.path_gain(images.departure)[:, bands])
 
     def sample_paths(self, reference: FloatArray, rngs: Sequence[np.random.Generator]) -> list[PathSample]:
-        """Sample the paths to each microphone at a reference absorption, shape (n_surfaces,)."""
+        """Draw a sample of the paths to each microphone, for a reference absorption of shape (n_surfaces,)."""
         return sample_paths(self.traced, self.mics_m, np.tile(reference, (len(self.mics_m), 1)), rngs,
                             ism_order=self.ism_order, n_frames=self.n_frames, visible=self.visible)
 
@@ -119,7 +124,7 @@ class RenderContext:
 def make_render_context(traced: "TracedSource", mics_m: ArrayLike, rngs: Sequence[np.random.Generator], *,
                         length_s: float | None, ism_order: int, diffraction: bool, path_gain: PathGain | None,
                         path_samples: list[PathSample] | None = None) -> RenderContext:
-    """Compute what does not depend on absorption; the parameters are those of `render_responses`."""
+    """Compute the inputs of rendering that do not depend on absorption; see `render_responses` for the parameters."""
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
     for mic_m in mics_m:
         check_positions(traced.scene.room, traced.source_pos_m, mic_m)
@@ -142,9 +147,13 @@ def make_render_context(traced: "TracedSource", mics_m: ArrayLike, rngs: Sequenc
 
 
 def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequence[int]) -> FloatArray:
-    """Return the echograms of all but the image sources, with air absorption, shape (n_mics, n_frames, n_bands)."""
+    """Return the energy per frame of the traced rays, with air absorption, shape (n_mics, n_frames, n_bands).
+
+    Image sources are not included.
+    """
     scene, paths, bands = context.traced.scene, context.traced.paths, list(bands)
-    ray_gain = None if context.path_gain is None else context.path_gain(paths[0].directions)  # the same in all traces
+    # all traces have the same directions of departure
+    ray_gain = None if context.path_gain is None else context.path_gain(paths[0].directions)
     result = np.zeros((len(context.mics_m), context.n_frames, len(bands)))
     if context.path_samples is not None:
         def from_sample(sample: PathSample) -> Array:
@@ -167,7 +176,10 @@ def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequenc
 
 
 def _smooth_late(energy: FloatArray, late_s: float) -> FloatArray:
-    """Average the frames after a time over `_SMOOTHING_FRAMES`; an exponential decay changes by at most 0.1 dB."""
+    """Apply a moving average of `_SMOOTHING_FRAMES` to the frames later than `late_s`, in place.
+
+    It changes an exponential decay by at most 0.1 dB.
+    """
     half = _SMOOTHING_FRAMES // 2
     first = int(late_s / FRAME_S) + 2 * half
     if first + 2 * half < energy.shape[1]:
@@ -190,22 +202,22 @@ def add_image_sources(context: RenderContext, energy: FloatArray, absorption: Fl
 
 def render_microphones(context: RenderContext, absorption: FloatArray,
                        bands: Sequence[int] = ALL_BANDS) -> list[Response]:
-    """Render every microphone; given some neighbouring bands, only their share of the responses."""
+    """Render the response at every microphone; with adjacent octaves as `bands`, only their part of the responses."""
     bands = list(bands)
-    energy = ray_echograms(context, absorption, bands)
-    total = add_image_sources(context, energy, absorption, bands)
+    ray_energy = ray_echograms(context, absorption, bands)
+    total_energy = add_image_sources(context, ray_energy, absorption, bands)
     return on_threads(partial(_render_microphone, context, absorption, bands),
-                      list(zip(context.mics_m, energy, total, context.images, context.diffracted, context.noises,
-                               strict=True)))
+                      list(zip(context.mics_m, ray_energy, total_energy, context.images, context.diffracted,
+                               context.noises, strict=True)))
 
 
 def _render_microphone(context: RenderContext, absorption: FloatArray, bands: list[int], mic_m: FloatArray,
-                       energy: FloatArray, total: FloatArray, images: SpecularPaths, diffracted: Diffracted | None,
-                       noise: FloatArray) -> Response:
+                       ray_energy: FloatArray, total_energy: FloatArray, images: SpecularPaths,
+                       diffracted: Diffracted | None, noise: FloatArray) -> Response:
     traced, air = context.traced, context.traced.scene.air
     direct_sample = float(np.linalg.norm(mic_m - traced.source_pos_m) / air.speed_m_s * FS_HZ)
-    length_s = min(response_length_s(total, direct_sample / FS_HZ + 0.1), context.length_s)
-    rir = render(images.distance_m, context.image_gains(images, absorption, bands), energy, noise,
+    length_s = min(response_length_s(total_energy, direct_sample / FS_HZ + 0.1), context.length_s)
+    rir = render(images.distance_m, context.image_gains(images, absorption, bands), ray_energy, noise,
                  speed_m_s=air.speed_m_s, n_samples=round(length_s * FS_HZ), bands=bands)
     if diffracted is not None:
         rir = rir + diffracted.response(absorption, traced.scene.scattering, air, len(rir))

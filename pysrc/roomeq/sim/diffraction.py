@@ -29,7 +29,7 @@ from roomeq.acoustics.filterbank import SPREAD_S, octave_filterbank
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled
-from roomeq.sim.double_diffraction import Pieces, deposit_over_faces, over_faces
+from roomeq.sim.double_diffraction import Pieces, deposit_double_diffraction, find_double_paths
 from roomeq.sim.mesh import MeshRoom
 from roomeq.sim.room import Room
 from roomeq.sim.scene import Air
@@ -39,7 +39,7 @@ logger = logging.getLogger(__name__)
 MAX_EDGES = 2000
 MIN_EXCESS_RAD = np.radians(10.0)  # blunter edges belong to curved surfaces, cut into triangles
 PIECE_M = 0.05  # visibility is tested once per piece of this length
-MOST_PIECES, MOST_PIECES_TWICE = 1000, 20  # of an edge, for first and second order
+MAX_PIECES, MAX_PIECES_TWICE = 1000, 20  # largest number of pieces of an edge, for first and second order
 _OFF_EDGE_M = 1e-3
 _OVERSAMPLING = 16
 _BINS_PER_SAMPLE = 8
@@ -149,9 +149,9 @@ def find_edges(room: Room) -> Edges | None:
     if room.convex:
         return None
     mesh = cast(MeshRoom, room)
-    if "edges" not in mesh._known:
-        mesh._known["edges"] = _find_edges(mesh)
-    return cast(Edges | None, mesh._known["edges"])
+    if "edges" not in mesh._cache:
+        mesh._cache["edges"] = _find_edges(mesh)
+    return cast(Edges | None, mesh._cache["edges"])
 
 
 def _find_edges(room: MeshRoom) -> Edges | None:
@@ -175,7 +175,7 @@ def _find_edges(room: MeshRoom) -> Edges | None:
     chosen = np.flatnonzero(wedge > np.pi + MIN_EXCESS_RAD)
     if not len(chosen):
         return None
-    plane = room._known["plane"]
+    plane = room._cache["plane"]
     flat = plane[face[first]] == plane[face[second]]
     joined = scipy.sparse.coo_array((np.ones(flat.sum()), (face[first][flat], face[second][flat])),
                                     shape=(len(index), len(index)))
@@ -221,7 +221,7 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 def _pieces(room: MeshRoom, edges: Edges, most: int) -> Pieces:
     """Cut all edges into short pieces, each edge into at most `most`."""
-    known = room._known.setdefault("edge_pieces", {})
+    known = room._cache.setdefault("edge_pieces", {})
     if most not in known:
         count = np.clip(np.ceil(edges.length_m / PIECE_M).astype(int), 1, most)
         edge = np.repeat(np.arange(len(edges)), count)
@@ -236,7 +236,7 @@ def _pieces(room: MeshRoom, edges: Edges, most: int) -> Pieces:
 
 def _seen(room: MeshRoom, edges: Edges, most: int, point_m: ArrayLike) -> BoolArray:
     """Tell which pieces are seen from a point; computed once per point."""
-    known = room._known.setdefault("edges_seen", {})
+    known = room._cache.setdefault("edges_seen", {})
     key = (most, *(float(value) for value in np.asarray(point_m)))
     if key not in known:
         known[key] = room.sees(_pieces(room, edges, most).point_m, np.asarray(key[1:]))
@@ -266,11 +266,11 @@ def diffract(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, *, speed
     edges, mesh = find_edges(room), cast(MeshRoom, room)
     if edges is None:
         return None
-    coarse, (edge, low, high, _) = (_pieces(mesh, edges, most) for most in (MOST_PIECES_TWICE, MOST_PIECES))
-    ways = over_faces(mesh, edges, coarse, _seen(mesh, edges, MOST_PIECES_TWICE, source_pos_m),
-                      _seen(mesh, edges, MOST_PIECES_TWICE, mic_pos_m))
-    both = np.flatnonzero(_seen(mesh, edges, MOST_PIECES, source_pos_m) & _seen(mesh, edges, MOST_PIECES, mic_pos_m))
-    if not len(both) and not len(ways):
+    coarse, (edge, low, high, _) = (_pieces(mesh, edges, most) for most in (MAX_PIECES_TWICE, MAX_PIECES))
+    double_paths = find_double_paths(mesh, edges, coarse, _seen(mesh, edges, MAX_PIECES_TWICE, source_pos_m),
+                                     _seen(mesh, edges, MAX_PIECES_TWICE, mic_pos_m))
+    both = np.flatnonzero(_seen(mesh, edges, MAX_PIECES, source_pos_m) & _seen(mesh, edges, MAX_PIECES, mic_pos_m))
+    if not len(both) and not len(double_paths):
         return None
     opens = np.append(True, (np.diff(both) > 1) | (np.diff(edge[both]) > 0))[:len(both)]
     closes = np.append(opens[1:], True)[:len(both)]
@@ -279,8 +279,8 @@ def diffract(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, *, speed
     grid = Grid.between(distance_m, 3.0 * size_m, len(room.surfaces), speed_m_s, n_samples)
     deposit(grid, edges, edge[both[opens]], low[both[opens]], high[both[closes]], source_pos_m, mic_pos_m,
             direct_visible=direct_visible)
-    deposit_over_faces(grid.fine, grid.first_sample, ways, edges, coarse, source_pos_m, mic_pos_m,
-                       speed_m_s=speed_m_s, oversampling=_OVERSAMPLING)
+    deposit_double_diffraction(grid.fine, grid.first_sample, double_paths, edges, coarse, source_pos_m, mic_pos_m,
+                               speed_m_s=speed_m_s, oversampling=_OVERSAMPLING)
     return grid.sampled()
 
 

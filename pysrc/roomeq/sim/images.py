@@ -1,7 +1,9 @@
-"""Image sources: the early specular reflections, exact in time and level.
+"""Image sources: early specular reflections with exact path lengths.
 
-Boxes follow Allen and Berkley, J. Acoust. Soc. Am. 65 (1979) 943; for meshes, `roomeq.sim.mesh` finds the sequences of
-planes. A reflection keeps the amplitude ``sqrt((1 - alpha) (1 - s))`` per band.
+The image sources of a shoebox follow Allen and Berkley, J. Acoust. Soc. Am. 65 (1979) 943. For meshes,
+`roomeq.sim.mesh` finds the sequences of reflecting planes. Each reflection multiplies the sound pressure by
+``sqrt((1 - alpha) (1 - s))`` per octave band, independent of the angle of incidence, where alpha is the absorption and
+s the scattering coefficient.
 """
 
 from dataclasses import dataclass
@@ -28,9 +30,9 @@ class SpecularPaths:
     distance_m
         Length of each path, shape (n_paths,).
     surface_counts
-        How often each surface reflects it, shape (n_paths, n_surfaces).
+        Number of reflections of each path at each surface, shape (n_paths, n_surfaces).
     departure
-        Unit vector in which it leaves the source, shape (n_paths, 3).
+        Direction in which each path leaves the source, unit vectors, shape (n_paths, 3).
     """
 
     distance_m: FloatArray
@@ -39,18 +41,20 @@ class SpecularPaths:
 
     @property
     def has_direct(self) -> bool:
-        """Whether the source is seen from the receiver."""
+        """Whether the direct path from source to receiver is unobstructed."""
         return bool(len(self.distance_m)) and not self.surface_counts[0].any()
 
     def gains(self, absorption: FloatArray, scattering: FloatArray, attenuation_per_m: FloatArray) -> FloatArray:
-        """Return the pressure of each path per band, ``1 / (4 pi r)`` without losses, shape (n_paths, n_bands).
+        """Return the sound pressure of each path in each band, shape (n_paths, n_bands).
+
+        Without losses it is ``1 / (4 pi r)``.
 
         Parameters
         ----------
         absorption, scattering
             Shape (n_surfaces, n_bands).
         attenuation_per_m
-            Shape (n_bands,).
+            Energy attenuation of the air [1/m], shape (n_bands,).
         """
         log_reflected = np.log(np.maximum((1.0 - absorption) * (1.0 - scattering), 1e-200))
         exponent = self.surface_counts @ log_reflected - self.distance_m[:, None] * attenuation_per_m
@@ -65,17 +69,18 @@ def specular_paths(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, or
     dims_m = np.array(room.dims_m)
     source = np.asarray(source_pos_m, dtype=np.float64)
     images = lattice * dims_m + np.where(lattice % 2 == 0, source, dims_m - source)
-    way = np.asarray(mic_pos_m, dtype=np.float64) - images
-    distance_m = np.linalg.norm(way, axis=1)
-    # directions at the source are those at the image, mirrored along each axis with an odd number of reflections
-    departure = np.where(lattice % 2 == 0, way, -way) / distance_m[:, None]
+    path = np.asarray(mic_pos_m, dtype=np.float64) - images
+    distance_m = np.linalg.norm(path, axis=1)
+    # the direction of departure is that at the image source, with the sign of each axis changed if the number of
+    # reflections along the axis is odd
+    departure = np.where(lattice % 2 == 0, path, -path) / distance_m[:, None]
     by_length = np.argsort(distance_m, kind="stable")
     return SpecularPaths(distance_m[by_length], surface_counts[by_length], departure[by_length])
 
 
 @lru_cache(maxsize=8)
 def _lattice(order: int) -> tuple[IntArray, IntArray]:
-    """Return the cells of the image lattice up to an order, and how often each path meets the six walls."""
+    """Return the cells of the image lattice up to an order, and the number of reflections at each of the six walls."""
     axis = np.arange(-order, order + 1)
     cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     cells = cells[np.abs(cells).sum(axis=1) <= order]

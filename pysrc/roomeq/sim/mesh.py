@@ -1,7 +1,7 @@
-"""Rooms as triangle meshes: checks, ray queries through embree, and purely specular paths.
+"""Rooms as triangle meshes: checks, ray queries with Embree, and purely specular paths.
 
-A room mesh is closed: a shell whose normals point outward, and bodies inside it. Surfaces are the names of its
-materials. Triangles in one plane act as one mirror.
+A room mesh is closed. It consists of an outer shell, whose normals point out of the room, and bodies inside the shell.
+All triangles of the same material form one surface. Triangles in the same plane act as one mirror for image sources.
 """
 
 from collections.abc import Sequence
@@ -23,29 +23,30 @@ from roomeq.sim.trace import sphere_directions
 if TYPE_CHECKING:
     import trimesh
 
-NUDGE_M = 1e-4  # rays start this far off a surface: embree computes in single precision
-_MAX_WALLS = 24  # of a convex room that needs no search
-_DISCOVERY_RAYS = 20000
-_SPHERE_RAYS = 2000
-_WELD_M = 1e-5
+NUDGE_M = 1e-4  # distance from a surface at which rays start: Embree computes in single precision
+_MAX_WALLS = 24  # largest number of planes of a convex room that are intersected directly, without Embree
+_SEQUENCE_RAYS = 20000  # rays that search for sequences of specular reflections
+_SPHERE_RAYS = 2000  # directions in which the distance to the surfaces is sampled
+_WELD_M = 1e-5  # grid to which corners are rounded before they are merged
 
 
 @dataclass(frozen=True, eq=False)
 class MeshRoom:
-    """A room of triangles.
+    """A room that is bounded by triangles.
 
     Attributes
     ----------
     triangles
-        Corners [m], shape (n_faces, 3, 3); normals point out of the air.
+        Corners [m], shape (n_faces, 3, 3), ordered so that the right-hand rule gives normals out of the air; the
+        attribute `normals` has the opposite direction.
     surfaces
-        Names of the materials.
+        Names of the materials, one for each surface.
     face_surface
-        Surface of each face, shape (n_faces,).
+        Index of each face's surface, shape (n_faces,).
     volume_m3
-        Of the air.
+        Volume of the air.
     convex
-        Whether every point is seen from every other.
+        Whether every point of the room is visible from every other point.
     """
 
     triangles: FloatArray
@@ -53,7 +54,7 @@ class MeshRoom:
     face_surface: IntArray
     volume_m3: float
     convex: bool
-    _known: dict[str, Any] = field(default_factory=dict, repr=False)
+    _cache: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         a, b, c = self.triangles.transpose(1, 0, 2)
@@ -63,28 +64,28 @@ class MeshRoom:
         offset = np.einsum("ij,ij->i", normals, a)
         rounded = np.round(np.column_stack([normals, offset]) * [1e5, 1e5, 1e5, 1e4]).astype(np.int64)
         _, first, plane = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-        self._known.update(
+        self._cache.update(
             normals=normals, offset=offset, area=0.5 * area, plane=np.ravel(plane),
             mirrors=np.column_stack([normals, offset])[first], embree=_embree(self.triangles))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the geometry alone: an embree scene cannot be pickled, and is built again."""
+        """Pickle the geometry only: an Embree scene cannot be pickled, so unpickling builds it again."""
         return MeshRoom, (self.triangles, self.surfaces, self.face_surface, self.volume_m3, self.convex)
 
     @property
     def normals(self) -> FloatArray:
         """Unit normals into the air, shape (n_faces, 3)."""
-        return self._known["normals"]
+        return self._cache["normals"]
 
     @property
     def offsets(self) -> FloatArray:
-        """Offset of each face's plane along its normal, shape (n_faces,)."""
-        return self._known["offset"]
+        """Offset [m] of each face's plane along its normal, shape (n_faces,)."""
+        return self._cache["offset"]
 
     @cached_property
     def walls(self) -> Walls | None:
-        """The planes of a convex room of few; None where embree traces the rays."""
-        plane, mirrors = self._known["plane"], self._known["mirrors"]
+        """The planes of a convex room with at most `_MAX_WALLS` planes; None if rays have to be traced with Embree."""
+        plane, mirrors = self._cache["plane"], self._cache["mirrors"]
         if not self.convex or len(mirrors) > _MAX_WALLS:
             return None
         if any(len(np.unique(self.face_surface[plane == n])) > 1 for n in range(len(mirrors))):
@@ -96,7 +97,7 @@ class MeshRoom:
 
     @property
     def face_area_m2(self) -> FloatArray:
-        return self._known["area"]
+        return self._cache["area"]
 
     @property
     def surface_area_m2(self) -> FloatArray:
@@ -108,68 +109,74 @@ class MeshRoom:
         return corners.min(axis=0), corners.max(axis=0)
 
     def first_hits(self, origins: FloatArray, directions: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return the first face along each ray, -1 for none, and the distance [m], exact on the face's plane."""
-        hits = self._known["embree"].run(np.ascontiguousarray(origins, dtype=np.float32),
+        """Return the first face that each ray hits, -1 for none, and the distance [m] to it.
+
+        The distance is computed in double precision from the plane of the face that Embree finds.
+        """
+        hits = self._cache["embree"].run(np.ascontiguousarray(origins, dtype=np.float32),
                                          np.ascontiguousarray(directions, dtype=np.float32), output=True)
         face = hits["primID"].astype(np.int64)
         normal, offset = self.normals[face], self.offsets[face]
         approach = np.einsum("ij,ij->i", normal, directions)
         with np.errstate(divide="ignore", invalid="ignore"):
             distance = (offset - np.einsum("ij,ij->i", normal, origins)) / approach
-        # only a ray that slipped through meets the back of a face
+        # only a ray that left the room through a gap between faces hits the back of a face
         return np.where(approach < 0.0, face, -1), np.where(face >= 0, distance, np.inf)
 
     def sees(self, from_m: ArrayLike, to_m: ArrayLike) -> BoolArray:
-        """Tell which points are seen from which others; both broadcast to shape (n, 3)."""
+        """Return whether each line from one point to another is unobstructed, shape (n,).
+
+        The arguments broadcast to shape (n, 3).
+        """
         from_m, to_m = np.broadcast_arrays(np.asarray(from_m, float), np.asarray(to_m, float))
-        way = to_m - from_m
-        length = np.linalg.norm(way, axis=1)
-        hit = self._known["embree"].run(
-            np.ascontiguousarray(from_m, dtype=np.float32), (way / length[:, None]).astype(np.float32),
+        offset = to_m - from_m
+        length = np.linalg.norm(offset, axis=1)
+        hit = self._cache["embree"].run(
+            np.ascontiguousarray(from_m, dtype=np.float32), (offset / length[:, None]).astype(np.float32),
             dists=(length - NUDGE_M).astype(np.float32), query="OCCLUDED")
         return np.asarray(hit < 0)
 
     def surroundings(self, point_m: ArrayLike) -> FloatArray | None:
-        """Return the distance to the surface in `_SPHERE_RAYS` even directions; None outside the air."""
+        """Return the distance [m] to the surfaces in `_SPHERE_RAYS` evenly spread directions; None outside the air."""
         key = tuple(np.round(np.asarray(point_m, dtype=float), 9))
-        cache = self._known.setdefault("surroundings", {})
+        cache = self._cache.setdefault("surroundings", {})
         if key not in cache:
             directions = sphere_directions(_SPHERE_RAYS, np.random.default_rng(0))
             face, distance = self.first_hits(np.tile(np.asarray(key), (_SPHERE_RAYS, 1)), directions)
             cache[key] = distance if np.mean(face >= 0) > 0.99 else None
         return cache[key]
 
-    def _reach_m(self, point_m: ArrayLike) -> FloatArray:
+    def _surface_distances_m(self, point_m: ArrayLike) -> FloatArray:
         distance = self.surroundings(point_m)
-        assert distance is not None, "positions are checked before"
+        assert distance is not None, "positions are checked by require_inside"
         return distance
 
     def require_inside(self, name: str, position_m: Sequence[float] | FloatArray) -> None:
-        """Raise ValueError unless a position lies in the air of the room, clear of its surfaces."""
+        """Raise ValueError unless a position lies in the air and keeps a minimum distance from the surfaces."""
         distance = self.surroundings(position_m)
         if distance is None or distance.min() < MIN_WALL_DISTANCE_M:
             where = "outside the air of the room" if distance is None else f"{distance.min():.3g} m from a surface"
-            raise ValueError(f"{name}={[float(value) for value in position_m]} lies {where} and must lie inside, "
-                             f"{MIN_WALL_DISTANCE_M:g} m off: correct the position")
+            raise ValueError(f"{name}={[float(value) for value in position_m]} lies {where} and must lie inside, at "
+                             f"least {MIN_WALL_DISTANCE_M:g} m from every surface: correct the position")
 
     def sphere_volume_m3(self, center_m: ArrayLike, radius_m: float) -> float:
-        """Volume of the part of a sphere that is seen from its centre."""
-        reach = np.minimum(self._reach_m(center_m), radius_m)
-        return float(4.0 / 3.0 * np.pi * np.mean(reach ** 3))
+        """Volume of the part of a sphere that is visible from its centre."""
+        visible_m = np.minimum(self._surface_distances_m(center_m), radius_m)
+        return float(4.0 / 3.0 * np.pi * np.mean(visible_m ** 3))
 
     def sphere_radius_m(self, center_m: ArrayLike, radius_m: float) -> float:
-        """Radius of a receiver sphere that is seen from its centre as a whole, as far as it is not too small."""
+        """Radius of a receiver sphere that no surface cuts, but at least half of `radius_m`."""
         if self.convex:
             return radius_m
-        return float(np.clip(self._reach_m(center_m).min(), 0.5 * radius_m, radius_m))
+        return float(np.clip(self._surface_distances_m(center_m).min(), 0.5 * radius_m, radius_m))
 
     def specular_paths(self, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, order: int) -> SpecularPaths:
         """Find the purely specular paths up to an order; see `roomeq.sim.images.specular_paths`."""
         key = (tuple(np.asarray(source_pos_m)), order)
-        sequences = self._known.setdefault("sequences", {})
+        sequences = self._cache.setdefault("sequences", {})
         if key not in sequences:
             sequences[key] = _find_sequences(self, np.asarray(source_pos_m, dtype=float), order)
-        return _checked_paths(self, sequences[key], np.asarray(source_pos_m, dtype=float),
+        return _visible_paths(self, sequences[key], np.asarray(source_pos_m, dtype=float),
                               np.asarray(mic_pos_m, dtype=float))
 
 
@@ -193,14 +200,14 @@ def load_mesh(path: str | Path) -> MeshRoom:
     Raises
     ------
     ValueError
-        The file cannot be read, or the mesh leaks or is inside out.
+        The file cannot be read, or the mesh has holes or its normals point into the room.
     """
     path = Path(path)
     return _load(path, path.stat().st_mtime_ns if path.is_file() else 0)
 
 
 def make_room(triangles: ArrayLike, names: Sequence[str], name: str = "mesh") -> MeshRoom:
-    """Make a room of triangles.
+    """Make a room from triangles.
 
     Parameters
     ----------
@@ -218,7 +225,7 @@ def make_room(triangles: ArrayLike, names: Sequence[str], name: str = "mesh") ->
     Raises
     ------
     ValueError
-        The mesh is not closed, its faces turn inconsistently, or it is inside out.
+        The mesh is not closed, the corner order of neighbouring faces is inconsistent, or normals point into the room.
     """
     import trimesh
 
@@ -226,18 +233,19 @@ def make_room(triangles: ArrayLike, names: Sequence[str], name: str = "mesh") ->
     corners, index = np.unique(np.round(triangles.reshape(-1, 3) / _WELD_M).astype(np.int64), axis=0,
                                return_inverse=True)
     faces = np.ravel(index).reshape(-1, 3)
-    sound = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    faces, materials = faces[sound], np.asarray(names)[sound]
+    nondegenerate = ((faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2])
+                     & (faces[:, 2] != faces[:, 0]))
+    faces, materials = faces[nondegenerate], np.asarray(names)[nondegenerate]
     mesh = trimesh.Trimesh(corners * _WELD_M, faces, process=False)
     if not mesh.is_watertight:
         edges, counts = np.unique(np.sort(mesh.edges, axis=1), axis=0, return_counts=True)
         bad = edges[counts != 2]
         where = np.round(mesh.vertices[bad[0]].mean(axis=0), 3).tolist() if len(bad) else "?"
-        raise ValueError(f"{name}: the mesh leaks: {len(bad)} edges don't join exactly two faces, the first near "
+        raise ValueError(f"{name}: the mesh has holes: {len(bad)} edges don't join exactly two faces, the first near "
                          f"{where} m: close the holes")
     if not mesh.is_winding_consistent:
-        raise ValueError(f"{name}: the mesh is inside out in parts: neighbouring faces turn opposite ways: make "
-                         "all normals point out of the room")
+        raise ValueError(f"{name}: neighbouring faces of the mesh have opposite normals: make all normals point out of "
+                         "the room")
     orientation = _orient(mesh, name)
     faces = np.where(orientation.flip[:, None], faces[:, ::-1], faces)
     surfaces, face_surface = np.unique(materials, return_inverse=True)
@@ -247,7 +255,7 @@ def make_room(triangles: ArrayLike, names: Sequence[str], name: str = "mesh") ->
 
 
 class _Orientation(NamedTuple):
-    """Which faces to turn so that all normals point out of the air, and the volume of the air."""
+    """Faces to flip so that all normals point out of the air, shape (n_faces,), and the volume of the air."""
 
     flip: BoolArray
     volume_m3: float
@@ -264,77 +272,77 @@ def _orient(mesh: "trimesh.Trimesh", name: str) -> _Orientation:
         volumes.append(float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0))
     shell = int(np.argmax(np.abs(volumes)))
     if volumes[shell] <= 0.0:
-        raise ValueError(f"{name}: the mesh is inside out (its volume is {volumes[shell]:.3g} m3): turn its faces "
-                         "so that normals point out of the room")
+        raise ValueError(f"{name}: the normals of the mesh point into the room (its volume is {volumes[shell]:.3g} "
+                         "m3): turn its faces so that normals point out of the room")
     for n, body in enumerate(bodies):
         flip[body] = n != shell and volumes[n] > 0.0
     volume_m3 = volumes[shell] - sum(abs(volume) for n, volume in enumerate(volumes) if n != shell)
     if volume_m3 <= 0.0:
-        raise ValueError(f"{name}: the bodies in the room take all of its {volumes[shell]:.3g} m3: correct them")
+        raise ValueError(f"{name}: the bodies in the room fill all of its {volumes[shell]:.3g} m3: correct them")
     return _Orientation(flip, volume_m3)
 
 
 def _is_convex(mesh: "trimesh.Trimesh") -> bool:
-    """Tell whether no vertex lies in front of any face's plane."""
+    """Return whether all vertices lie on or behind the plane of every face, the front being where normals point."""
     normals, corners = mesh.face_normals, mesh.triangles[:, 0]
     unique = np.unique(np.round(np.column_stack([normals, np.einsum("ij,ij->i", normals, corners)]), 5), axis=0)
     if len(unique) > 200:
-        return False  # a finely curved room: its planes are too many to test
+        return False  # a curved surface in many small planes: too many to test
     return bool(np.all(mesh.vertices @ unique[:, :3].T <= unique[:, 3] + 1e-4))
 
 
 def _find_sequences(room: MeshRoom, source: FloatArray, order: int) -> list[IntArray]:
-    """Find the sequences of mirrors that rays meet: for each order k an array of shape (n_sequences, k)."""
-    plane = room._known["plane"]
-    directions = sphere_directions(_DISCOVERY_RAYS, np.random.default_rng(1))
+    """Find the sequences of planes that reflect rays: for each order k an array of plane indices (n_sequences, k)."""
+    plane = room._cache["plane"]
+    directions = sphere_directions(_SEQUENCE_RAYS, np.random.default_rng(1))
     position = np.tile(source, (len(directions), 1))
-    met = np.empty((len(directions), 0), dtype=np.int64)
+    planes_hit = np.empty((len(directions), 0), dtype=np.int64)
     sequences = [np.empty((1, 0), dtype=np.int64)]
     for _ in range(order):
         face, distance = room.first_hits(position, directions)
         hit = face >= 0
-        face, directions, met = face[hit], directions[hit], met[hit]
+        face, directions, planes_hit = face[hit], directions[hit], planes_hit[hit]
         normal = room.normals[face]
         position = position[hit] + distance[hit, None] * directions + NUDGE_M * normal
         directions = directions - 2.0 * np.einsum("ij,ij->i", directions, normal)[:, None] * normal
-        met = np.column_stack([met, plane[face]])
-        sequences.append(np.unique(met, axis=0))
+        planes_hit = np.column_stack([planes_hit, plane[face]])
+        sequences.append(np.unique(planes_hit, axis=0))
     return sequences
 
 
-def _checked_paths(room: MeshRoom, sequences: list[IntArray], source: FloatArray, mic: FloatArray) -> SpecularPaths:
-    """Build the image sources of all sequences and keep those that the microphone sees."""
-    mirrors = room._known["mirrors"]
+def _visible_paths(room: MeshRoom, sequences: list[IntArray], source: FloatArray, mic: FloatArray) -> SpecularPaths:
+    """Build the image sources of all sequences and return the paths that no surface obstructs."""
+    mirrors = room._cache["mirrors"]
     distances: list[FloatArray] = []
     counts: list[IntArray] = []
     departures: list[FloatArray] = []
     for sequence in sequences:
         images = _images(mirrors, sequence, source)
-        alive = np.arange(len(sequence))
+        valid = np.arange(len(sequence))
         target = np.tile(mic, (len(sequence), 1))
         surface_counts = np.zeros((len(sequence), len(room.surfaces)), dtype=np.int64)
         for k in range(sequence.shape[1] - 1, -1, -1):
-            way = images[k + 1][alive] - target
-            length = np.linalg.norm(way, axis=1)
-            face, distance = room.first_hits(target, way / length[:, None])
-            seen = (face >= 0) & (room._known["plane"][face] == sequence[alive, k]) & (distance < length)
-            alive, face = alive[seen], face[seen]
-            target = target[seen] + (distance / length)[seen, None] * way[seen] + NUDGE_M * room.normals[face]
-            surface_counts[alive, room.face_surface[face]] += 1
-        if len(alive):
-            alive = alive[room.sees(target, source)]
-        way = mic - images[-1][alive]
-        distances.append(np.linalg.norm(way, axis=1))
-        counts.append(surface_counts[alive])
-        departures.append(_unmirrored(mirrors, sequence[alive], way / distances[-1][:, None]))
+            offset = images[k + 1][valid] - target
+            length = np.linalg.norm(offset, axis=1)
+            face, distance = room.first_hits(target, offset / length[:, None])
+            seen = (face >= 0) & (room._cache["plane"][face] == sequence[valid, k]) & (distance < length)
+            valid, face = valid[seen], face[seen]
+            target = target[seen] + (distance / length)[seen, None] * offset[seen] + NUDGE_M * room.normals[face]
+            surface_counts[valid, room.face_surface[face]] += 1
+        if len(valid):
+            valid = valid[room.sees(target, source)]
+        offset = mic - images[-1][valid]
+        distances.append(np.linalg.norm(offset, axis=1))
+        counts.append(surface_counts[valid])
+        departures.append(_departures(mirrors, sequence[valid], offset / distances[-1][:, None]))
     distance_m = np.concatenate(distances)
     by_length = np.argsort(distance_m, kind="stable")
     return SpecularPaths(distance_m[by_length], np.concatenate(counts)[by_length],
                          np.concatenate(departures)[by_length])
 
 
-def _unmirrored(mirrors: FloatArray, sequence: IntArray, direction: FloatArray) -> FloatArray:
-    """Return directions at the source from those at its images, shape (n_sequences, 3)."""
+def _departures(mirrors: FloatArray, sequence: IntArray, direction: FloatArray) -> FloatArray:
+    """Return the directions of departure at the source for directions at its images, shape (n_sequences, 3)."""
     for k in range(sequence.shape[1] - 1, -1, -1):
         normal = mirrors[sequence[:, k], :3]
         direction = direction - 2.0 * np.einsum("ij,ij->i", direction, normal)[:, None] * normal
@@ -342,7 +350,7 @@ def _unmirrored(mirrors: FloatArray, sequence: IntArray, direction: FloatArray) 
 
 
 def _images(mirrors: FloatArray, sequence: IntArray, source: FloatArray) -> list[FloatArray]:
-    """Mirror the source along each sequence: an array of shape (n_sequences, 3) after 0, 1, ... reflections."""
+    """Return the positions of the image sources after 0, 1, ... reflections [m], each of shape (n_sequences, 3)."""
     images = [np.tile(source, (len(sequence), 1))]
     for k in range(sequence.shape[1]):
         normal, offset = mirrors[sequence[:, k], :3], mirrors[sequence[:, k], 3]

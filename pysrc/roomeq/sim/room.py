@@ -40,7 +40,7 @@ class Room(Protocol):
 
     @property
     def convex(self) -> bool:
-        """Whether every point is seen from every other."""
+        """Whether every point of the room is visible from every other point."""
 
     @property
     def volume_m3(self) -> float:
@@ -55,7 +55,7 @@ class Room(Protocol):
         """The planes of a convex room of few; None where rays are traced through a mesh."""
 
     def require_inside(self, name: str, position_m: Sequence[float] | FloatArray) -> None:
-        """Raise ValueError unless a position lies in the room, clear of its surfaces."""
+        """Raise ValueError unless a position lies in the room and keeps a minimum distance from its surfaces."""
 
     def sphere_radius_m(self, center_m: ArrayLike, radius_m: float) -> float:
         """Radius of a receiver sphere, at most `radius_m`."""

@@ -144,7 +144,7 @@ class Shoebox:
         return radius_m
 
     def require_inside(self, name: str, position_m: Sequence[float] | FloatArray) -> None:
-        """Raise ValueError unless a position lies in the room, clear of the walls."""
+        """Raise ValueError unless a position lies in the room and keeps a minimum distance from the walls."""
         for axis, (value, size_m) in enumerate(zip(position_m, self.dims_m, strict=True)):
             if not MIN_WALL_DISTANCE_M <= value <= size_m - MIN_WALL_DISTANCE_M:
                 raise ValueError(

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from roomeq.sim.mesh import MeshRoom
 
 RETRIES = 6
-"""Attempts to find a surface for a ray that slipped through an edge."""
+"""Attempts to find a surface for a ray that passed between two faces at their common edge."""
 LATE_RAYS = 5000
 """Rays that are followed to the end, at least, if there are so many."""
 MAX_STRIDE = 4
@@ -60,7 +60,7 @@ class Paths:
     max_length_m
         Rays end with the first reflection beyond this length of path.
     n_leaked
-        Rays that slipped through the room's surface.
+        Rays that left the room through a gap between faces.
     """
 
     source_pos_m: FloatArray
@@ -197,7 +197,7 @@ def _trace_in_mesh(room: "MeshRoom", source: FloatArray, directions: FloatArray,
 
 def _next_hits(room: "MeshRoom", position: FloatArray, way: FloatArray, before: FloatArray, active: IntArray,
                seed: np.uint64, n: int) -> tuple[IntArray, FloatArray]:
-    """Return faces and distances of the active rays' next hits; rays that slip through an edge are shot again.
+    """Return faces and distances of the active rays' next hits; rays that pass between two faces are shot again.
 
     Each attempt starts a little further back and in a slightly different direction, in place.
     """

@@ -55,15 +55,15 @@ def many_times(n_nodes: int, n_faces: int) -> dict:
 
 
 CASES = [
-    mesh("leaks",
-         "RIR m1: mesh/room.obj: the mesh leaks: 4 edges don't join exactly two faces, the first near [0.0, "
+    mesh("with a hole",
+         "RIR m1: mesh/room.obj: the mesh has holes: 4 edges don't join exactly two faces, the first near [0.0, "
          "0.0, 1.5] m: close the holes", BOX.removesuffix("f 4 1 5 8\n")),
-    mesh("inside out",
-         "RIR m1: mesh/room.obj: the mesh is inside out (its volume is -60 m3): turn its faces so that normals "
-         "point out of the room", re.sub(r"f (.) (.) (.) (.)", r"f \4 \3 \2 \1", BOX)),
-    mesh("inside out in parts",
-         "RIR m1: mesh/room.obj: the mesh is inside out in parts: neighbouring faces turn opposite ways: make "
-         "all normals point out of the room", BOX.replace("f 5 6 7 8", "f 8 7 6 5")),
+    mesh("normals into the room",
+         "RIR m1: mesh/room.obj: the normals of the mesh point into the room (its volume is -60 m3): turn its faces so "
+         "that normals point out of the room", re.sub(r"f (.) (.) (.) (.)", r"f \4 \3 \2 \1", BOX)),
+    mesh("some normals into the room",
+         "RIR m1: mesh/room.obj: neighbouring faces of the mesh have opposite normals: make all normals point out of "
+         "the room", BOX.replace("f 5 6 7 8", "f 8 7 6 5")),
     mesh("empty", "RIR m1: mesh/room.obj: holds no triangles: export it again", ""),
     mesh("no mesh", "RIR m1: mesh/room.obj: holds no triangles: export it again",
          b"\x80\x04\x95cos\nsystem\n(S'touch evil'\ntR."),
@@ -76,7 +76,7 @@ CASES = [
     mesh("vertex a text", "RIR m1: mesh/room.obj: cannot be read as a mesh (...): export it again",
          "v a b c\n" + BOX),
     mesh("flat",
-         "RIR m1: mesh/room.obj: the mesh leaks: 1 edges don't join exactly two faces, the first near [2.5, "
+         "RIR m1: mesh/room.obj: the mesh has holes: 1 edges don't join exactly two faces, the first near [2.5, "
          "2.0, 0.0] m: close the holes", BOX.replace(" 3\nv", " 0\nv").replace("v 0 4 3", "v 0 4 0")),
     mesh("face of many corners",
          "RIR m1: mesh/room.obj: cannot be read as a mesh (a face of 501 corners; at most 500 are cut into "

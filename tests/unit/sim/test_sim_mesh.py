@@ -63,7 +63,7 @@ def test_specular_paths_of_mesh_box_equal_image_lattice(box):
 
 @pytest.mark.parametrize("searched", [False, True], ids=["planes", "embree"])
 def test_mesh_box_echogram_matches_shoebox(box, searched):
-    room = replace(box, convex=False, _known={}) if searched else box
+    room = replace(box, convex=False, _cache={}) if searched else box
     assert (room.walls is None) == searched
     mics = np.array([(4.2, 2.9, 1.7), (2.0, 3.0, 1.0), (5.7, 3.7, 0.4)])
     levels = []
@@ -187,13 +187,13 @@ def test_polygons_are_triangulated():
 
 def test_invalid_room_meshes_are_rejected(write_obj, tmp_path, box):
     whole = prism_obj(box_plan(4.0, 3.0), 2.5)
-    with pytest.raises(ValueError, match=r"the mesh leaks: 4 edges don't join exactly two faces.*close the holes"):
-        load_mesh(write_obj(whole.rsplit("f", 1)[0], "leaks.obj"))
-    with pytest.raises(ValueError, match=r"the mesh is inside out \(its volume is -30 m3\)"):
+    with pytest.raises(ValueError, match=r"the mesh has holes: 4 edges don't join exactly two faces.*close the holes"):
+        load_mesh(write_obj(whole.rsplit("f", 1)[0], "hole.obj"))
+    with pytest.raises(ValueError, match=r"the normals of the mesh point into the room \(its volume is -30 m3\)"):
         make_room(box.triangles[:, ::-1] * [4 / 6, 3 / 4, 2.5 / 3], ["a"] * 12)
     turned = box.triangles.copy()
     turned[0] = turned[0, ::-1]
-    with pytest.raises(ValueError, match=r"inside out in parts"):
+    with pytest.raises(ValueError, match=r"neighbouring faces of the mesh have opposite normals"):
         make_room(turned, ["a"] * 12)
     with pytest.raises(ValueError, match=r"no such mesh file"):
         load_mesh(tmp_path / "absent.obj")
