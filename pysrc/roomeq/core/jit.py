@@ -4,19 +4,43 @@ A kernel works on a chunk of rays. Chunks do not depend on the number of threads
 every random number is a hash of seed, ray and purpose: results do not depend on the number of threads.
 """
 
+import contextlib
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
 from numba import config, njit, uint64
 
+from roomeq.core.digests import code_digest
+
 N_CHUNKS = 8
 config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]  # off by default; adds the eight bands of an echogram at once
 
+_PACKAGE = Path(__file__).resolve().parents[1]
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 Result = TypeVar("Result")
+
+
+@cache
+def _cache_directory() -> Path | None:
+    """Return the directory for the machine code of this version of the package, or None if none can be written.
+
+    Numba finds cached code by the kernel's own file only. A change in another module that the kernel calls would be
+    missed, so the directory is named by a digest of all sources and of the numerical libraries.
+    """
+    name = f"kernels-{code_digest()[:16]}"
+    setting = os.environ.get("NUMBA_CACHE_DIR")
+    for parent in [Path(setting)] if setting else [_PACKAGE / "__pycache__", Path.home() / ".cache" / "roomeq"]:
+        with contextlib.suppress(OSError):
+            (parent / name).mkdir(parents=True, exist_ok=True)
+            if os.access(parent / name, os.W_OK):
+                return parent / name
+    return None
 
 
 def compiled(function: Function) -> Function:
@@ -24,10 +48,35 @@ def compiled(function: Function) -> Function:
 
     Division by zero gives infinity, as in NumPy: a check for it would keep loops from being vectorised.
     """
+    directory = _cache_directory()
+    before = config.CACHE_DIR  # type: ignore[attr-defined]
+    config.CACHE_DIR = str(directory or "")  # type: ignore[attr-defined]
     try:
-        return cast(Function, njit(cache=True, nogil=True, error_model="numpy")(function))
-    except RuntimeError:  # neither the package nor the home directory can be written
-        return cast(Function, njit(nogil=True, error_model="numpy")(function))
+        kernel = njit(cache=directory is not None, nogil=True, error_model="numpy")(function)
+    finally:
+        config.CACHE_DIR = before  # type: ignore[attr-defined]
+    if directory is not None:
+        _tolerate_damage(cast(Any, kernel)._cache)
+    return cast(Function, kernel)
+
+
+def _tolerate_damage(machine_code: Any) -> None:
+    """Compile again where cached machine code cannot be read, and continue without where it cannot be written."""
+    load, save = machine_code.load_overload, machine_code.save_overload
+
+    def load_or_discard(*arguments: Any) -> Any:
+        try:
+            return load(*arguments)
+        except Exception:  # an empty or truncated file ends in any of pickle's errors
+            with contextlib.suppress(OSError):
+                machine_code.flush()
+            return None
+
+    def save_if_possible(*arguments: Any) -> None:
+        with contextlib.suppress(OSError):
+            save(*arguments)
+
+    machine_code.load_overload, machine_code.save_overload = load_or_discard, save_if_possible
 
 
 def inlined(function: Function) -> Function:

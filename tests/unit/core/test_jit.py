@@ -1,0 +1,68 @@
+"""Cached machine code is that of the present sources, and a damaged cache does no harm."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import roomeq
+
+HELPER = """from roomeq.core.jit import compiled
+FACTOR = {factor}
+@compiled
+def scale(value):
+    return FACTOR * value
+"""
+KERNEL = """from roomeq.core.jit import compiled
+from roomeq.core.probe_helper import scale
+@compiled
+def kernel(value):
+    return scale(value) + 1.0
+"""
+
+
+@pytest.fixture
+def package(tmp_path):
+    """A copy of the modules that kernels need, with a kernel that calls a helper of another module."""
+    core = tmp_path / "roomeq" / "core"
+    shutil.copytree(Path(roomeq.__file__).parent / "core", core, ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "roomeq" / "__init__.py").write_text("")
+    (core / "probe_helper.py").write_text(HELPER.format(factor=2.0))
+    (core / "probe.py").write_text(KERNEL)
+    return tmp_path
+
+
+def run_kernel(package, **environment):
+    """Return what the kernel makes of 10 in a process of its own."""
+    program = "from roomeq.core.probe import kernel; print(kernel(10.0))"
+    done = subprocess.run([sys.executable, "-c", program], cwd=package, text=True, check=True, capture_output=True,
+                          env=os.environ | {"PYTHONPATH": str(package)} | environment)
+    return float(done.stdout)
+
+
+def cached_files(package):
+    return [path for path in package.rglob("*.nb[ic]") if "probe" in path.name]
+
+
+def test_a_changed_helper_is_compiled_into_kernels_of_other_modules(package):
+    assert run_kernel(package) == 21.0
+    assert cached_files(package)
+    (package / "roomeq/core/probe_helper.py").write_text(HELPER.format(factor=3.0))
+    assert run_kernel(package) == 31.0
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5], ids=["empty", "truncated"])
+def test_damaged_machine_code_is_compiled_again(package, share):
+    run_kernel(package)
+    for path in cached_files(package):
+        path.write_bytes(path.read_bytes()[:int(share * path.stat().st_size)])
+    assert run_kernel(package) == 21.0
+    assert all(path.stat().st_size > 0 for path in cached_files(package))
+
+
+def test_a_cache_that_cannot_be_written_is_done_without(package):
+    assert run_kernel(package, NUMBA_CACHE_DIR="/proc/nothing") == 21.0
+    assert not cached_files(package)
