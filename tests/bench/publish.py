@@ -77,11 +77,21 @@ def word_errors(result: dict[str, Any]) -> list[Table]:
     columns = result["columns"]
 
     def rate(system: dict[str, Any]) -> str:
-        low, high = system["interval"] or (None, None)
-        return f"{system['wer']:.1f}" + (f" [{low:.1f}, {high:.1f}]" if low is not None else "")
+        low, high = system["test"]["interval"]
+        return f"{system['test']['wer']:.1f} [{low:.1f}, {high:.1f}]"
 
-    return [dict(title=f"Test error [%], 95 % intervals, {result['seeds']} seeds", columns=["trained on", *columns],
-                 rows=[[row, *(rate(result["results"][row][column]) for column in columns)] for row in result["rows"]])]
+    rates = [[row, *(rate(result["results"][row][column]) for column in columns)] for row in result["rows"]]
+    by_seed = [[row, column, *result["results"][row][column]["test"]["by_seed"]]
+               for row in result["rows"] for column in columns]
+    seeds = [f"seed {n}" for n in range(result["seeds"])]
+    changes = [[row, column, change["points"], "{:.1f} to {:.1f}".format(*change["interval"]), change["relative"]]
+               for row in result["rows"] for column in columns
+               if (change := result["results"][row][column].get("change"))]
+    return [dict(title="Test error [%], 95 % intervals over rooms and seeds", columns=["trained on", *columns],
+                 rows=rates),
+            dict(title="Difference to train.sim.rvb, paired over rooms and seeds",
+                 columns=["trained on", "decoding", "points", "95 % interval", "relative [%]"], rows=changes),
+            dict(title="Test error by seed [%]", columns=["trained on", "decoding", *seeds], rows=by_seed)]
 
 
 def faults(rows: list[dict[str, Any]]) -> list[Table]:
