@@ -3,7 +3,6 @@
 import errno
 import importlib
 import logging
-import math
 import os
 import sys
 import traceback
@@ -117,8 +116,6 @@ def cli(**limits: float | None) -> None:
     for limit in LIMITS:
         value = limits[limit.option.replace("-", "_")]
         if value is not None:  # in the environment, where worker processes find it too
-            if not 0.0 < value < math.inf:
-                raise click.BadParameter(f"{value} must be a positive number", param_hint=f"--{limit.option}")
             os.environ[limit.variable] = str(value)
 
 
