@@ -169,8 +169,8 @@ def test_counts_match_the_run(made, page):
 
 def test_loop_section_describes_effects_and_errors(page):
     assert "source_response or mic_response: Magnitude response of each loudspeaker" in page.text
-    assert ("The data do not discriminate between these effects. A further measurement would: the same room recorded "
-            "with another") in page.text
+    assert ("The data do not discriminate between these effects. A further measurement would: a recording of "
+            "the same room with another") in page.text
     assert "The held-out error falls from 3.40 to 1.90 JND (95\N{NO-BREAK SPACE}% interval 1.60 to 2.20)" in page.text
     assert ("Sound before the direct sound at 125 Hz is 3.5 dB louder than simulated, equally in all rooms (+3.5 JND)."
             in page.text)
