@@ -177,7 +177,7 @@ def test_own_table_of_materials_is_read_and_checked(tmp_path):
 
 
 def test_mesh_rows_use_materials_named_in_the_mesh(tmp_path):
-    from test_sim_mesh import L_PLAN, prism_obj
+    from plans import L_PLAN, prism_obj
     (tmp_path / "measured").mkdir()
     (tmp_path / "measured" / "room.obj").write_text(prism_obj(L_PLAN, 3.0, "brick_bare"))
     write_jsonl(tmp_path / "measured" / "rirs.jsonl", [
@@ -190,7 +190,7 @@ def test_mesh_rows_use_materials_named_in_the_mesh(tmp_path):
 
 
 def test_mesh_rooms_give_the_same_bytes_with_two_processes(tmp_path):
-    from test_sim_mesh import L_PLAN, prism_obj
+    from plans import L_PLAN, prism_obj
     (tmp_path / "measured").mkdir()
     (tmp_path / "measured" / "room.obj").write_text(prism_obj(L_PLAN, 3.0, "brick_bare"))
     write_jsonl(tmp_path / "measured" / "rirs.jsonl", [
