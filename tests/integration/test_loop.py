@@ -25,7 +25,7 @@ from roomeq.loop.session import fit_base_model, with_rendered_changes
 from roomeq.loop.splitters import leave_rooms_out, split_positions
 from roomeq.records.rir_dir import load_rir, read_rirs, relocated, write_rirs
 from roomeq.validate import validate
-from testbed import make_world
+from testbed import make_room_set
 
 ROOMS = 5
 SEED = 3
@@ -40,7 +40,7 @@ def world(tmp_path_factory):
     def make(kind, strength=4):
         if kind not in made:
             made[kind] = tmp_path_factory.mktemp("world") / "world"
-            make_world(kind, strength, SEED, made[kind], n_fit=ROOMS, n_judge=1, cache=cache)
+            make_room_set(kind, strength, SEED, made[kind], n_fit=ROOMS, n_judge=1, cache=cache)
         return made[kind]
     return make
 

@@ -1,4 +1,4 @@
-"""The undeclared worlds: their physics, and that each effect changes what it should."""
+"""The generated rooms: their physics, and that each effect changes what it should."""
 
 import ast
 import json
@@ -9,11 +9,11 @@ import pytest
 
 from roomeq.acoustics.direct import find_direct
 from roomeq.records.rir_dir import read_rirs, validate_rirs
-from testbed import KINDS, make_world
+from testbed import KINDS, make_room_set
 from testbed.air import absorption_db_per_m, through_air
 from testbed.bands import band_gains
 from testbed.draws import C0, FS_HZ, N_SAMPLES, speed_of_sound
-from testbed.paths import image_sources, world_fields
+from testbed.paths import image_sources, room_set_fields
 from testbed.render import FREQUENCY_HZ, render
 from testbed.screen import past_screen
 from testbed.size import cells, changes, mean_size
@@ -38,7 +38,7 @@ LEFT = dict(
 @pytest.fixture(scope="module")
 def rooms(tmp_path_factory):
     """Fields of two rooms."""
-    return world_fields(SEED, 2, tmp_path_factory.mktemp("traced"))
+    return room_set_fields(SEED, 2, tmp_path_factory.mktemp("traced"))
 
 
 @pytest.fixture(scope="module")
@@ -84,8 +84,8 @@ def test_an_effect_changes_what_it_should_and_nothing_else(name, rooms, pairs, c
 
 
 @pytest.mark.parametrize("kind", ["clean", "source_response+noise_floor"])
-def test_a_world_keeps_the_contract(kind, tmp_path):
-    truth = make_world(kind, 1.0, SEED, tmp_path, n_fit=2, n_judge=1, cache=tmp_path / "traced")
+def test_a_room_set_keeps_the_contract(kind, tmp_path):
+    truth = make_room_set(kind, 1.0, SEED, tmp_path, n_fit=2, n_judge=1, cache=tmp_path / "traced")
     assert validate_rirs(tmp_path / "fit") == 16
     assert validate_rirs(tmp_path / "test") == 8
     fit, test = (read_rirs(tmp_path / part) for part in ("fit", "test"))
@@ -98,9 +98,9 @@ def test_a_world_keeps_the_contract(kind, tmp_path):
     assert not any(name in json.dumps(fit) for name in KINDS)
 
 
-def test_the_same_world_has_the_same_bytes(tmp_path):
+def test_the_same_room_set_has_the_same_bytes(tmp_path):
     for part in "ab":
-        make_world("noise_floor", 2.0, SEED, tmp_path / part, n_fit=1, n_judge=1, cache=tmp_path / f"traced-{part}")
+        make_room_set("noise_floor", 2.0, SEED, tmp_path / part, n_fit=1, n_judge=1, cache=tmp_path / f"traced-{part}")
     files = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*.*") if path.is_file())
     assert len(files) > 16
     for file in files:
@@ -226,4 +226,4 @@ def test_size_of_nothing_is_nothing(pairs, clean):
 
 def test_an_unknown_kind_is_refused(tmp_path):
     with pytest.raises(ValueError, match="kind='ghosts' must be clean or one of air_absorption"):
-        make_world("ghosts", 1.0, 1, tmp_path)
+        make_room_set("ghosts", 1.0, 1, tmp_path)

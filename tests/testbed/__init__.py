@@ -1,11 +1,11 @@
 """Measured-like RIRs with an effect that nobody is told of, to judge the closed loop by.
 
 Nothing here comes from roomeq's simulator, its effects or its loop: rooms, image sources, ray tracer, air, filters
-and wave solver are another set of code, so that the loop cannot recognise itself. `make_world` is all there is to call;
-`python -m testbed KIND --strength 2 --seed 1 --out DIR` does the same (with `tests` on the path).
+and wave solver are another set of code, so that the loop cannot recognise itself. `make_room_set` is all there is to
+call; `python -m testbed KIND --strength 2 --seed 1 --out DIR` does the same (with `tests` on the path).
 """
 
-from testbed.generate import make_world
+from testbed.generate import make_room_set
 from testbed.kinds import KINDS
 
-__all__ = ["KINDS", "make_world"]
+__all__ = ["KINDS", "make_room_set"]

@@ -1,10 +1,10 @@
-"""Make one world: python -m testbed source_response --strength 2 --seed 1 --out exp/world."""
+"""Make one set of rooms: python -m testbed source_response --strength 2 --seed 1 --out exp/rooms."""
 
 import argparse
 import json
 from pathlib import Path
 
-from testbed import KINDS, make_world
+from testbed import KINDS, make_room_set
 
 
 def main():
@@ -13,10 +13,10 @@ def main():
     parser.add_argument("--strength", type=float, default=2.0, help="mean change of the cells touched [JND]")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True, help="folder for fit/, test/ and truth.json")
-    parser.add_argument("--cache", type=Path, help="folder that keeps traced rooms for other worlds of the seed")
+    parser.add_argument("--cache", type=Path, help="folder that keeps traced rooms for other sets of the seed")
     args = parser.parse_args()
     try:
-        truth = make_world(args.kind, args.strength, args.seed, args.out, cache=args.cache)
+        truth = make_room_set(args.kind, args.strength, args.seed, args.out, cache=args.cache)
     except ValueError as error:
         raise SystemExit(f"testbed: {error}") from None
     print(json.dumps(dict(kind=args.kind, achieved_jnd=truth["achieved_jnd"])))

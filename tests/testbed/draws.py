@@ -1,4 +1,4 @@
-"""Random numbers and constants of the worlds."""
+"""Random numbers and constants of the generated rooms."""
 
 import zlib
 

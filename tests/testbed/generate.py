@@ -1,4 +1,4 @@
-"""Making a world: scaling its effect to the strength asked for, and writing it."""
+"""Making a set of rooms: scaling its effect to the strength asked for, and writing it."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from roomeq.core.files import write_json
 from roomeq.records.rir_dir import write_rirs
 from testbed.draws import DECLARED_C, DECLARED_PCT, FS_HZ, N_SAMPLES, generator
 from testbed.kinds import KINDS
-from testbed.paths import world_fields
+from testbed.paths import room_set_fields
 from testbed.render import render
 from testbed.size import cells, changes, mean_size, summary
 
@@ -19,7 +19,7 @@ TOLERANCE = 0.03  # of the strength, on the probes
 CLOSE = 0.08  # on all RIRs
 
 
-def make_world(kind, strength_jnd, seed, out_dir, *, n_fit=N_FIT, n_judge=N_JUDGE, cache=None):
+def make_room_set(kind, strength_jnd, seed, out_dir, *, n_fit=N_FIT, n_judge=N_JUDGE, cache=None):
     """Make measured-like RIR directories with an effect that their rows don't tell.
 
     Writes `fit/` and `test/` (RIR directories; rooms of one are not in the other) and `truth.json`. The same
@@ -36,7 +36,7 @@ def make_world(kind, strength_jnd, seed, out_dir, *, n_fit=N_FIT, n_judge=N_JUDG
     n_fit, n_judge : int
         Rooms of each part, eight RIRs a room.
     cache : Path, optional
-        Folder that keeps traced rooms for other worlds of this seed.
+        Folder that keeps traced rooms for other sets of this seed.
 
     Returns
     -------
@@ -47,7 +47,7 @@ def make_world(kind, strength_jnd, seed, out_dir, *, n_fit=N_FIT, n_judge=N_JUDG
     for name in names:
         if name not in KINDS:
             raise ValueError(f"kind={name!r} must be clean or one of {', '.join(KINDS)}, or some of them joined by +")
-    rooms = world_fields(seed, n_fit + n_judge, cache)
+    rooms = room_set_fields(seed, n_fit + n_judge, cache)
     fit = [field for room in rooms[:n_fit] for field in room]
     test = [field for room in rooms[n_fit:] for field in room]
     clean = [cells(render(field), field) for field in fit] if names else []

@@ -1,4 +1,4 @@
-"""The table of effects: what is drawn for a world, and what it does at a given scale.
+"""The table of effects: what is drawn for a room set, and what it does at a given scale.
 
 Conventions
 -----------

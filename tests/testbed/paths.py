@@ -118,8 +118,8 @@ def condensed(traced):
     return energy, share
 
 
-def world_fields(seed, n_rooms, cache=None):
-    """Fields of the rooms of a world, one list per room."""
+def room_set_fields(seed, n_rooms, cache=None):
+    """Fields of the rooms of a set, one list per room."""
     return [fields_of(draw_room(seed, number), cache) for number in range(n_rooms)]
 
 

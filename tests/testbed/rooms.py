@@ -46,7 +46,7 @@ class Room:
     Attributes
     ----------
     seed : int
-        Of the world.
+        Of the room set.
     room_id : str
     dims_m : ndarray, shape (3,)
     absorption : ndarray, shape (6, 8)
@@ -83,7 +83,7 @@ class Room:
 
 
 def draw_room(seed, number):
-    """Draw room `number` of the world of a seed; kinds and strengths have no say in it."""
+    """Draw room `number` of the set of a seed; kinds and strengths have no say in it."""
     rng = generator(seed, "room", number)
     volume = np.exp(rng.uniform(np.log(40.0), np.log(250.0)))
     height = np.clip(rng.uniform(0.85, 1.15) * volume ** 0.24, 2.4, 4.2)

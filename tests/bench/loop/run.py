@@ -36,7 +36,7 @@ from bench.loop.table import Result, rates, show  # noqa: E402
 from roomeq.core.constants import BANDS_HZ  # noqa: E402
 from roomeq.core.digests import source_digest  # noqa: E402
 from roomeq.loop.close import close_loop  # noqa: E402
-from testbed import KINDS, make_world  # noqa: E402
+from testbed import KINDS, make_room_set  # noqa: E402
 
 OUTSIDE = ("clock_drift", "harmonic_distortion", "ringing_object")
 PAIRS = ("source_response+air_absorption", "source_response+room_modes", "mic_response+near_reflector",
@@ -76,7 +76,7 @@ def run_set(rooms: RoomSet, cache: Path, results: list[Result]) -> Result:
     """
     kind, strength, seed = rooms
     with tempfile.TemporaryDirectory() as directory:
-        truth = make_world(kind, strength, seed, directory, cache=cache)
+        truth = make_room_set(kind, strength, seed, directory, cache=cache)
         for result in results:
             if (result["kind"], result["seed"], result["achieved_jnd"]) == (kind, seed, truth["achieved_jnd"]):
                 return result | dict(strength=strength)
