@@ -23,4 +23,4 @@ cores=()
 # shellcheck disable=SC2086
 $cmd "${cores[@]}" "$log" roomeq close-loop --nj "$nj" --max-effects "$max_effects" --seed "$seed" \
   --test "$2" --out "$3" "$1"
-grep -E '^(base model|test set|unexplained): |^(added|rejected) |: (up to date|the test set is not scored)$' "$log"
+grep -E '^(base model|test set|unexplained): |^(added|rejected|left out) |: (up to date|the test set is not scored)$' "$log"

@@ -14,7 +14,9 @@ from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, LENGTH_S, ST
 from roomeq.loop.features import METRIC, N_FEATURES, REGION
 from roomeq.loop.ledger import LEDGER_FILE, LEDGER_FORMAT, RESIDUALS_FILE
 from roomeq.loop.selection import SPLITS
+from roomeq.records.geometry import MARKED
 
+LEFT_OUT = [dict(reason="the room's dimensions are unknown", rirs=7, rooms=2), dict(reason=MARKED, rirs=3, rooms=3)]
 N_RIRS, ROOMS = 24, ("hall", "office", "<b>attic")
 VECTORS = dict(source_response=5.0 * np.sin(np.arange(len(RESPONSE_HZ)) / 3.0),
                near_reflector=np.array([np.log(0.7), 0.6]))
@@ -59,13 +61,13 @@ def make_loop(out):
     unexplained = dict(metric="ahead", time_region=REGION["ahead"], bands_hz=[125.0], varies_with="nothing",
                        size_jnd=3.5, p=0.01)
     ledger = dict(
-        format=LEDGER_FORMAT, rirs=N_RIRS, rooms=len(ROOMS), given=[], baseline=errors(3.4), final=errors(1.5),
-        ranking=ranking("room_eq", 0.5),
+        format=LEDGER_FORMAT, rirs=N_RIRS, rooms=len(ROOMS), left_out=LEFT_OUT, given=[], baseline=errors(3.4),
+        final=errors(1.5), ranking=ranking("room_eq", 0.5),
         iterations=[iteration(added[0], 3.4, 1.9, cannot_tell=["source_response", "mic_response"],
                               would_tell=["a recording of the same room with another loudspeaker"]),
                     iteration(added[1], 1.9, 1.5)],
         unexplained=unexplained, unexplained_all=[unexplained],
-        test=dict(rirs=8, rooms=1, before=errors(3.6), after=errors(1.8)))
+        test=dict(rirs=8, rooms=1, left_out=LEFT_OUT[1:], before=errors(3.6), after=errors(1.8)))
     for when in ("before", "after"):
         for entry in ledger["test"][when].values():
             entry["ci"] = None  # a test set of a single room

@@ -178,6 +178,8 @@ def test_loop_section_describes_effects_and_errors(page):
     assert "Limitations of the closed loop" in page.text and "3.4 \u2192 1.5" in page.text
     assert "depth_m 0.7 (0.7 to 0.7); reflection 0.6 (0.6 to 0.6)" in page.text
     assert "56\N{NO-BREAK SPACE}%" in page.text
+    assert ("10 RIRs took no part (7: the room's dimensions are unknown; 3: the positions are marked unreliable). "
+            "3 RIRs of the test set took no part (3: the positions are marked unreliable)." in page.text)
 
 
 def test_distance_table_has_a_row_for_the_loop(made):

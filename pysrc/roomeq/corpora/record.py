@@ -70,7 +70,7 @@ def rir_row(**known: Any) -> dict[str, Any]:
         row[key] = make_id(str(row[key])) if row[key] is not None else UNKNOWN
     problem = find_contradiction(row)
     if problem:
-        row.update(geometry_problem=problem, unreliable_geometry=True)
+        row.update(geometry_problem=problem.detail, unreliable_geometry=True)
     return row
 
 

@@ -15,10 +15,17 @@ from roomeq.effects.model import MODEL_FILE, Extension, Model, read_model, write
 from roomeq.loop.data import Data, load_data
 from roomeq.loop.descriptions import describe_residual, effect_names
 from roomeq.loop.examples import EXAMPLES_FILE, write_examples
-from roomeq.loop.ledger import LEDGER_FILE, LEDGER_FORMAT, RESIDUALS_FILE, error_entry, iteration_entry, ranking_entry
+from roomeq.loop.ledger import (
+    LEDGER_FILE,
+    LEDGER_FORMAT,
+    RESIDUALS_FILE,
+    error_entry,
+    iteration_entry,
+    left_out_entries,
+    ranking_entry,
+)
 from roomeq.loop.selection import (
     LEVEL,
-    MIN_ROOMS,
     SPLITS,
     Candidate,
     HeldOutErrors,
@@ -31,6 +38,7 @@ from roomeq.loop.selection import (
 )
 from roomeq.loop.session import Session, fit_base_model, refit_rendered
 from roomeq.loop.unexplained import find_unexplained
+from roomeq.loop.usable import require_enough_rooms, usable_rirs
 
 logger = logging.getLogger(__name__)
 
@@ -53,7 +61,8 @@ def close_loop(rir_dirs: Sequence[Path], out: Path, *, test: Sequence[Path] = ()
     Parameters
     ----------
     rir_dirs : sequence of Path
-        RIR directories with geometry (`roomeq.records.rir_dir`), together of at least three rooms or conditions.
+        RIR directories (`roomeq.records.rir_dir`), together of at least three rooms or conditions with two usable RIRs
+        each. RIRs whose geometry cannot be used (`roomeq.records.geometry.geometry_usability`) are left out.
     out : Path
         Loop directory to create: `ledger.json`, `model.json`, `residuals.npz`, `examples.npz`.
     test : sequence of Path
@@ -75,7 +84,7 @@ def close_loop(rir_dirs: Sequence[Path], out: Path, *, test: Sequence[Path] = ()
     Raises
     ------
     ValueError
-        There are too few rooms, or a directory or the model is invalid.
+        Too few rooms have usable RIRs, or a directory or the model is invalid.
     """
     directories, test = [Path(directory) for directory in rir_dirs], [Path(directory) for directory in test]
     if not 0 <= max_effects <= len(CATALOGUE):
@@ -86,22 +95,29 @@ def close_loop(rir_dirs: Sequence[Path], out: Path, *, test: Sequence[Path] = ()
                   inputs=[*directories, *test, *([Path(model)] if model else [])])
     if build.done:
         return None
+    require_enough_rooms(directories)
     data = load_data(directories, scattering=SCATTERING, seed=seed, model=base, nj=nj)
+    for entry in data.left_out:
+        logger.info("left out %s", entry)
     # read before the loop, so that an invalid test set is reported at once and not after hours
-    test_data = load_data(test, scattering=SCATTERING, seed=seed, model=base, nj=nj) if test else None
-    if data.n_scored < MIN_ROOMS:
-        raise ValueError(f"{directories[0]}: RIRs of {len(data.room_names)} rooms, {data.n_scored} of them with two or "
-                         f"more RIRs, are too few to leave rooms out and to score halves of rooms: give at least "
-                         f"{MIN_ROOMS} rooms or conditions (room_id) with two RIRs")
-    if test_data and not test_data.n_scored:
-        logger.warning("%s: no room has two RIRs, one to calibrate it and one to score: the test set is not scored",
-                       test[0])
-        test_data = None
+    test_data = _load_test_set(test, base, seed, nj) if test else None
     ledger: dict = {}
     if build.run({"loop": None}, lambda _, __: {}):
         build.finish(lambda directory, _: ledger.update(_run(data, directories, directory, test_data, base,
                                                                max_effects, seed, nj)))
     return ledger
+
+
+def _load_test_set(directories: Sequence[Path], base: Model, seed: int, nj: int) -> Data | None:
+    """Return the data of the test set, or None where no room can be scored."""
+    usable = usable_rirs(directories)
+    for entry in usable.left_out:
+        logger.info("test set: left out %s", entry)
+    if not usable.n_scored:
+        logger.warning("%s: no room has two usable RIRs, one to calibrate it and one to score: the test set is not "
+                       "scored", directories[0])
+        return None
+    return load_data(directories, scattering=SCATTERING, seed=seed, model=base, nj=nj)
 
 
 def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None, base: Model, max_effects: int,
@@ -127,7 +143,8 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     for residual in unexplained[:1]:
         logger.info("unexplained: %s", describe_residual(residual))
     ledger = dict(
-        format=LEDGER_FORMAT, rirs=len(data.rows), rooms=len(data.room_names), given=base.names,
+        format=LEDGER_FORMAT, rirs=len(data.rows), rooms=len(data.room_names),
+        left_out=left_out_entries(data.left_out), given=base.names,
         baseline=error_entry(first_errors), iterations=iterations,
         ranking=[ranking_entry(candidate) for candidate in ranking],
         unexplained=unexplained[0].as_dict() if unexplained else None,
@@ -173,7 +190,8 @@ def _test_entry(data: Data, first: Session, last: Session, seed: int, nj: int) -
     before, after = (score_test_set(data, session, seed=seed, nj=nj) for session in (first, last))
     logger.info("test set: held-out error %.2f -> %.2f JND (leave-positions-out), %.2f -> %.2f JND (leave-room-out)",
                 *(errors.mean(split) for split in SPLITS for errors in (before, after)))
-    return dict(rirs=len(data.rows), rooms=len(data.room_names), before=error_entry(before), after=error_entry(after))
+    return dict(rirs=len(data.rows), rooms=len(data.room_names), left_out=left_out_entries(data.left_out),
+                before=error_entry(before), after=error_entry(after))
 
 
 def _model_of(session: Session, base: Model) -> Model:

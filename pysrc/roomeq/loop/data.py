@@ -19,7 +19,8 @@ from roomeq.effects.model import Model
 from roomeq.effects.source_directivity import unit_facing
 from roomeq.loop.features import JND, Features, feature_slice, measure_features
 from roomeq.loop.tables import ANGLES, Table, collect
-from roomeq.records.rir_dir import load_rir, read_rirs
+from roomeq.loop.usable import LeftOut, Located, usable_rirs
+from roomeq.records.rir_dir import load_rir
 from roomeq.records.schema import RirRow
 from roomeq.sim.geometry import Place, find_place
 from roomeq.sim.response import TracedSource, trace_source
@@ -59,6 +60,8 @@ class Data:
         See `rendered_change_of`.
     given : list of list of Effect
         Effects of each RIR that the base model has, with their parameters.
+    left_out : list of LeftOut
+        RIRs of the directories that are not in `rows`, by reason (`roomeq.loop.usable`).
     """
 
     rows: list[RirRow]
@@ -76,6 +79,7 @@ class Data:
     distance_m: FloatArray
     rendered_changes: Mapping[str, FloatArray]
     given: list[list[Effect]]
+    left_out: list[LeftOut]
 
     angles = ANGLES
 
@@ -123,10 +127,8 @@ class Data:
 
 
 class _Recording(NamedTuple):
-    """A row, its directory and its geometry; sorts by room and id."""
+    """A row, its directory and its geometry."""
 
-    room_id: str
-    rir_id: str
     directory: Path
     row: RirRow
     place: Place
@@ -134,12 +136,12 @@ class _Recording(NamedTuple):
 
 def load_data(directories: Sequence[Path], *, scattering: float, seed: int, model: Model | None = None,
               nj: int = 1) -> Data:
-    """Read RIR directories, measure their RIRs and trace their rooms.
+    """Read RIR directories, measure their usable RIRs (`roomeq.loop.usable`) and trace their rooms.
 
     Parameters
     ----------
     directories : sequence of Path
-        RIR directories (`roomeq.records.rir_dir`). Unknown coordinates are drawn.
+        RIR directories (`roomeq.records.rir_dir`).
     scattering : float
         Scattering coefficient of all surfaces.
     seed : int
@@ -150,49 +152,40 @@ def load_data(directories: Sequence[Path], *, scattering: float, seed: int, mode
     Raises
     ------
     ValueError
-        A directory is invalid, an RIR cannot be measured, or two directories share an id.
+        A directory is invalid, none of its RIRs is usable, one of these cannot be measured, or two directories share
+        an id.
     """
-    recordings: list[_Recording] = []
-    for directory in map(Path, directories):
-        rows = [row for row in read_rirs(directory) if not row.get("noise_for")]
-        by_room: dict[str, list[RirRow]] = {}
-        for row in rows:
-            by_room.setdefault(row["room_id"], []).append(row)
-        recordings += [_Recording(row["room_id"], row["id"], directory, row,
-                                  find_place(row, by_room[row["room_id"]], directory, seed)) for row in rows]
-    recordings.sort(key=lambda recording: recording[:2])
-    recordings = _merge_sources(recordings)
-    _require_unique(recordings)
+    usable = usable_rirs(directories)
+    if not usable.rirs:
+        raise ValueError(f"{directories[0]}: no RIR can be used ({'; '.join(map(str, usable.left_out))})")
+    recordings = _merge_sources([_Recording(*located, _place(located, seed)) for located in usable.rirs])
     features = share_out(_measure, recordings, nj)
-    return _trace(recordings, features, scattering, seed, Model() if model is None else model, nj)
+    data = _trace(recordings, features, scattering, seed, Model() if model is None else model, nj)
+    return replace(data, left_out=usable.left_out)
+
+
+def _place(located: Located, seed: int) -> Place:
+    """Return the geometry of a usable RIR: heights that nobody measured are drawn here, and no other coordinate is."""
+    return find_place(located.row, [located.row], located.directory, seed)
 
 
 def _merge_sources(recordings: list[_Recording]) -> list[_Recording]:
     """Move the positions of a source that are closer than `SAME_PLACE_M` to their mean: one trace serves them all."""
     groups: list[tuple[tuple[str, str], tuple, list[int]]] = []
-    for n, (room_id, _, _, row, place) in enumerate(recordings):
+    for n, (_, row, place) in enumerate(recordings):
         for source, position_m, members in groups:
-            if source == (room_id, row["source_id"]) and np.linalg.norm(
+            if source == (row["room_id"], row["source_id"]) and np.linalg.norm(
                     np.subtract(place.source_pos_m, position_m)) < SAME_PLACE_M:
                 members.append(n)
                 break
         else:
-            groups.append(((room_id, row["source_id"]), place.source_pos_m, [n]))
+            groups.append(((row["room_id"], row["source_id"]), place.source_pos_m, [n]))
     merged = list(recordings)
     for _, _, members in groups:
         mean_m = tuple(float(x) for x in np.mean([recordings[n].place.source_pos_m for n in members], axis=0))
         for n in members:
             merged[n] = recordings[n]._replace(place=replace(recordings[n].place, source_pos_m=mean_m))
     return merged
-
-
-def _require_unique(recordings: list[_Recording]) -> None:
-    first: dict[str, Path] = {}
-    for recording in recordings:
-        if recording.rir_id in first:
-            raise ValueError(f"RIR {recording.rir_id} is in both {first[recording.rir_id]} and {recording.directory}: "
-                             "give each RIR once")
-        first[recording.rir_id] = recording.directory
 
 
 def air_of(row: RirRow) -> Air:
@@ -257,7 +250,7 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
                 air_per_m=np.array([air.attenuation_per_m for air in airs]),
                 speed_m_s=np.array([air.speed_m_s for air in airs]),
                 distance_m=np.array([tables[n].distance_m for n in range(len(rows))]), rendered_changes={},
-                given=[model.for_row(row, seed) for row in rows])
+                given=[model.for_row(row, seed) for row in rows], left_out=[])
 
 
 def _longest_s(features: Features) -> float:

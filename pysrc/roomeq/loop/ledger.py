@@ -23,6 +23,7 @@ from roomeq.loop.packing import OWN_SCOPES
 from roomeq.loop.selection import SPLITS, Candidate, HeldOutErrors
 from roomeq.loop.session import Session
 from roomeq.loop.splitters import leave_rooms_out
+from roomeq.loop.usable import LeftOut
 
 LEDGER_FILE, RESIDUALS_FILE = "ledger.json", "residuals.npz"
 LEDGER_FORMAT = 2
@@ -34,6 +35,11 @@ def error_entry(errors: HeldOutErrors) -> dict:
     """Return the entry of held-out errors, by split."""
     return {split: dict(error=errors.mean(split), ci=errors.interval(split), by_metric=errors.by_metric(split),
                         by_band=errors.by_band(split)) for split in SPLITS}
+
+
+def left_out_entries(left_out: Sequence[LeftOut]) -> list[dict]:
+    """Return the entries of the RIRs that took no part, by reason."""
+    return [entry._asdict() for entry in left_out]
 
 
 def ranking_entry(candidate: Candidate) -> dict:
@@ -270,14 +276,28 @@ def _unexplained(value: Any, where: str) -> None:
     _number(value["p"], f"{where}.p", 0.0, 1.0)
 
 
+def _count(value: Any, where: str) -> None:
+    _require(isinstance(value, int) and not isinstance(value, bool) and value > 0, f"{where}={value!r:.60}",
+             "be a positive whole number")
+
+
+def _left_out(value: Any, where: str) -> None:
+    _keys(value, where, LeftOut._fields)
+    _require(isinstance(value["reason"], str) and bool(value["reason"]), f"{where}.reason={value['reason']!r:.60}",
+             "be a text")
+    for key in ("rirs", "rooms"):
+        _count(value[key], f"{where}.{key}")
+    _require(value["rooms"] <= value["rirs"], f"{where}.rooms={value['rooms']}", "not exceed the number of RIRs")
+
+
 def _check_ledger(ledger: Any) -> None:
     _require(isinstance(ledger, dict), "ledger", "be an object")
     _require(ledger.get("format") == LEDGER_FORMAT, f"format={ledger.get('format')!r:.60}", f"be {LEDGER_FORMAT}")
-    _keys(ledger, "ledger", ("rirs", "rooms", "given", "baseline", "iterations", "ranking", "unexplained",
-                         "unexplained_all", "final"))
+    _keys(ledger, "ledger", ("rirs", "rooms", "left_out", "given", "baseline", "iterations", "ranking",
+                             "unexplained", "unexplained_all", "final"))
     for key in ("rirs", "rooms"):
-        _require(isinstance(ledger[key], int) and not isinstance(ledger[key], bool) and ledger[key] > 0,
-                 f"{key}={ledger[key]!r:.60}", "be a positive whole number")
+        _count(ledger[key], key)
+    _list(ledger["left_out"], "left_out", _left_out)
     for key in ("baseline", "final"):
         _errors(ledger[key], key)
     _list(ledger["iterations"], "iterations", _iteration)
@@ -297,6 +317,7 @@ def _check_ledger(ledger: Any) -> None:
             _require(ledger[key][split]["error"] == error, f"{key}.{split}.error={ledger[key][split]['error']:g}",
                      f"be the heldout_error_{when} of its iteration, {error:g}")
     if "test" in ledger:
-        _keys(ledger["test"], "test", ("rirs", "rooms", "before", "after"))
+        _keys(ledger["test"], "test", ("rirs", "rooms", "left_out", "before", "after"))
+        _list(ledger["test"]["left_out"], "test.left_out", _left_out)
         for key in ("before", "after"):
             _errors(ledger["test"][key], f"test.{key}")

@@ -41,7 +41,6 @@ from roomeq.loop.splitters import (
     transfer_shared,
 )
 
-MIN_ROOMS = 3
 LEVEL = 0.05
 MIN_SIZE_JND = 0.5
 """Smallest mean change of the features that an effect touches: half of what can be heard."""

@@ -25,14 +25,26 @@ class _Requirement(NamedTuple):
     inside: bool = False
 
 
+BINAURAL = "binaural, where an omnidirectional microphone is needed"
+MARKED = "the positions are marked unreliable"
+CONTRADICTORY = "the positions are marked as contradictory"
+OUTSIDE = "a position lies outside the room"
+"""Fixed reasons why the closed loop cannot use an RIR; `_unknown_of` and `find_contradiction` give the others."""
+
 _MARKS = ("unreliable_geometry", "geometry_problem")
 _REQUIREMENTS: dict[Need, _Requirement] = {
     "consistency": _Requirement(_MARKS, inside=True),
     "simulation": _Requirement(_MARKS),
     "stated distance": _Requirement(("geometry_problem",)),
     "same position": _Requirement(("unreliable_geometry",), known=("source_pos_m", "mic_pos_m")),
-    "loop": _Requirement(_MARKS, known=("source_pos_m", "mic_pos_m", "room_dims_m")),
 }
+
+
+class Contradiction(NamedTuple):
+    """What cannot be right about a geometry: in a fixed phrase, and with its values."""
+
+    phrase: str
+    detail: str
 
 
 class Usability(NamedTuple):
@@ -60,19 +72,46 @@ def geometry_usability(row: Mapping[str, Any], needs: Need) -> Usability:
             Two recordings may be recognised as of one position: the row is not marked unreliable, and all coordinates
             of source and microphone are known.
         ``"loop"``
-            The closed loop counts the RIR as one with geometry: the row is unmarked, and all coordinates of source,
-            microphone and room (or a mesh instead of the room's dimensions) are known.
+            The closed loop may use the RIR: it is not binaural, the row is unmarked, nothing in it contradicts itself,
+            and the three dimensions of the room (or a mesh) and x and y of source and microphone are known. Heights of
+            source and microphone may be unknown. The reason is one of a few fixed phrases, to be counted.
     """
+    if needs == "loop":
+        reason = _refused_by_loop(row)
+        return Usability(reason is None, reason)
     requirement = _REQUIREMENTS[needs]
     for mark in requirement.unmarked_by:
         if row.get(mark):
-            return Usability(False, row[mark] if mark == "geometry_problem" else "the positions are marked unreliable")
+            return Usability(False, row[mark] if mark == "geometry_problem" else MARKED)
     for key in requirement.known:
-        if not (key == "room_dims_m" and row.get("mesh")) and not is_known(row.get(key)):
+        if not is_known(row.get(key)):
             return Usability(False, f"{key}={row.get(key)} has unknown coordinates")
     if requirement.inside and (problem := _outside(row)):
-        return Usability(False, problem)
+        return Usability(False, problem.detail)
     return Usability(True)
+
+
+def _refused_by_loop(row: Mapping[str, Any]) -> str | None:
+    """Return why the closed loop cannot use a row, or None; a contradiction says more than the mark that it left."""
+    if row.get("binaural"):
+        return BINAURAL
+    if problem := find_contradiction(row):
+        return problem.phrase
+    if row.get("unreliable_geometry"):
+        return MARKED
+    if row.get("geometry_problem"):
+        return CONTRADICTORY
+    return _unknown_of(row)
+
+
+def _unknown_of(row: Mapping[str, Any]) -> str | None:
+    """Return which of the room's dimensions and of x and y of source and microphone are unknown, or None."""
+    unknown = [] if row.get("mesh") or is_known(row.get("room_dims_m")) else ["the room's dimensions"]
+    ends = [end for key, end in (("source_pos_m", "source"), ("mic_pos_m", "microphone"))
+            if not is_known((row.get(key) or [None])[:2])]
+    if ends:
+        unknown.append(f"x and y of {' and '.join(ends)}")
+    return f"{' and '.join(unknown)} are unknown" if unknown else None
 
 
 def position_key(row: Mapping[str, Any]) -> str | None:
@@ -84,7 +123,7 @@ def position_key(row: Mapping[str, Any]) -> str | None:
 
 
 def is_known(coordinates: Coordinates) -> bool:
-    """Tell whether all three coordinates of a point or of a room's dimensions are known."""
+    """Tell whether all coordinates of a point or of a room's dimensions are known."""
     return coordinates is not None and None not in coordinates
 
 
@@ -95,29 +134,37 @@ def distance_between(a_m: Coordinates, b_m: Coordinates) -> float | None:
     return math.dist(a_m, b_m)  # type: ignore[arg-type]
 
 
-def find_contradiction(row: Mapping[str, Any]) -> str | None:
-    """Return what cannot be right about the geometry that a corpus states, or None; unknown coordinates are allowed."""
-    for axis, size_m in enumerate(row["room_dims_m"] or ()):
+def find_contradiction(row: Mapping[str, Any]) -> Contradiction | None:
+    """Return what cannot be right about the geometry of a row, or None; unknown coordinates are allowed."""
+    for axis, size_m in enumerate(row.get("room_dims_m") or ()):
         if size_m is not None and size_m <= 0:
-            return f"room_dims_m[{axis}]={size_m:g} must be positive"
-    if problem := _outside(row):
-        return problem
-    distance_m = distance_between(row["source_pos_m"], row["mic_pos_m"])
+            return Contradiction("the room has a dimension of 0 or less",
+                                 f"room_dims_m[{axis}]={size_m:g} must be positive")
+    return _outside(row) or _wrong_distance(row)
+
+
+def _wrong_distance(row: Mapping[str, Any]) -> Contradiction | None:
+    """Return a distance of source and microphone that cannot be."""
+    distance_m = distance_between(row.get("source_pos_m"), row.get("mic_pos_m"))
     if distance_m is None:
         return None
     if distance_m < SAME_POINT_M:
-        return f"source and microphone are {distance_m:.3g} m apart: on top of each other"
-    stated_m = row["distance_m"]
+        return Contradiction("source and microphone are in one place",
+                             f"source and microphone are {distance_m:.3g} m apart: on top of each other")
+    stated_m = row.get("distance_m")
     if stated_m is not None and abs(stated_m - distance_m) > max(DISTANCE_SLACK_M, DISTANCE_SLACK * distance_m):
-        return f"distance_m={stated_m:g} but the positions are {distance_m:.3g} m apart"
+        return Contradiction("the stated distance is not that of the positions",
+                             f"distance_m={stated_m:g} but the positions are {distance_m:.3g} m apart")
     return None
 
 
-def _outside(row: Mapping[str, Any]) -> str | None:
-    """Return the first coordinate that lies outside the room, as far as both are known."""
+def _outside(row: Mapping[str, Any]) -> Contradiction | None:
+    """Return the first coordinate that lies outside the room, as far as both are known and no mesh gives its walls."""
+    if row.get("mesh"):
+        return None
     for key in ("source_pos_m", "mic_pos_m"):
         coordinates = zip(row.get(key) or [None] * 3, row.get("room_dims_m") or [None] * 3, strict=True)
         for axis, (at_m, size_m) in enumerate(coordinates):
             if at_m is not None and size_m is not None and not 0 <= at_m <= size_m:
-                return f"{key}[{axis}]={at_m:g} lies outside the room (0 to {size_m:g} m)"
+                return Contradiction(OUTSIDE, f"{key}[{axis}]={at_m:g} lies outside the room (0 to {size_m:g} m)")
     return None

@@ -36,7 +36,7 @@ def closed_loop(run: Run) -> Context:
     """Return the values of the section."""
     ledger = ledger_of(run)
     examples = run.path("loop") / EXAMPLES_FILE
-    return {"ledger": ledger, "has_wer": run.has("wer"), "error_rows": error_rows(ledger),
+    return {"ledger": ledger, "left_out": left_out(ledger), "has_wer": run.has("wer"), "error_rows": error_rows(ledger),
             "effects": [added_effect(entry) for entry in ledger["iterations"]],
             "effect_rows": [effect_row(entry) for entry in ledger["iterations"]],
             "maps": residual_maps(run, ledger), "rankings": rankings(ledger), "splits": splits(ledger),
@@ -49,6 +49,14 @@ def closed_loop(run: Run) -> Context:
 def ledger_of(run: Run) -> dict[str, Any]:
     """Return the ledger of the run."""
     return run.cached("ledger", lambda: read_ledger(run.need("loop", LEDGER_FILE)))
+
+
+def left_out(ledger: dict[str, Any]) -> str:
+    """Return in a sentence each how many measured RIRs and test RIRs took no part, and why; empty where all did."""
+    sets = [("RIRs", ledger["left_out"]), ("RIRs of the test set", ledger.get("test", {}).get("left_out", []))]
+    return " ".join(f"{sum(entry['rirs'] for entry in entries)} {name} took no part ("
+                    + "; ".join(f"{entry['rirs']}: {entry['reason']}" for entry in entries) + ")."
+                    for name, entries in sets if entries)
 
 
 def facts(run: Run) -> Context:

@@ -14,8 +14,15 @@ CASES = [
     Case("loop of no threads", "close-loop --nj 0 measured --out out",
          "nj=0 must lie in [1, 1024]: give the number of processes"),
     Case("loop of two rooms", "close-loop measured --out out",
-         "measured: RIRs of 2 rooms, ... of them with two or more RIRs, are too few to leave rooms out and to score "
-         "halves of rooms: give at least 3 rooms or conditions (room_id) with two RIRs"),
+         "measured: the closed loop needs 3 rooms or conditions (room_id) with two usable RIRs each, and has 2: give "
+         "further rooms"),
+    Case("loop without geometry", "close-loop measured --out out",
+         "measured: 2 of 4 RIRs cannot be used (1: binaural, where an omnidirectional microphone is needed; 1: the "
+         "room's dimensions and x and y of source and microphone are unknown); the closed loop needs 3 rooms or "
+         "conditions (room_id) with two usable RIRs each, and has 0: measure what is unknown (heights may stay "
+         "unknown), or give further rooms",
+         (row("measured/rirs.jsonl", 0, room_dims_m=None, source_pos_m=None, mic_pos_m=None),
+          row("measured/rirs.jsonl", 1, binaural=True))),
     Case("loop of an absent model", "close-loop --model absent.json measured --out out",
          "absent.json: No such file or directory: check the path"),
     Case("loop of a model with an effect twice", "close-loop --model m.json measured --out out",

@@ -90,11 +90,11 @@ def test_noise_kind_is_recognised_by_name():
 def test_contradicting_geometry_is_found():
     good = dict(room_dims_m=[5, 4, 3], source_pos_m=[1, 1, None], mic_pos_m=[3, 1, 1], distance_m=2.0)
     assert find_contradiction(rir_row(**good)) is None
-    assert "outside" in find_contradiction(rir_row(**good | dict(mic_pos_m=[5.1, 1, 1])))
-    assert "must be positive" in find_contradiction(rir_row(**good | dict(room_dims_m=[0, 4, 3])))
+    assert "outside" in find_contradiction(rir_row(**good | dict(mic_pos_m=[5.1, 1, 1]))).detail
+    assert "must be positive" in find_contradiction(rir_row(**good | dict(room_dims_m=[0, 4, 3]))).detail
     assert find_contradiction(rir_row(**good | dict(source_pos_m=[1, 1, 1]))) is None
-    assert "2.9" in find_contradiction(rir_row(**good | dict(source_pos_m=[1, 1, 1], distance_m=2.9)))
-    assert "on top" in find_contradiction(rir_row(**good | dict(source_pos_m=[3, 1, 1.005])))
+    assert "2.9" in find_contradiction(rir_row(**good | dict(source_pos_m=[1, 1, 1], distance_m=2.9))).detail
+    assert "on top" in find_contradiction(rir_row(**good | dict(source_pos_m=[3, 1, 1.005]))).detail
 
 
 HEADER = "file,rir_id,binaural,distance_m,mic_pos_m,kind\n"

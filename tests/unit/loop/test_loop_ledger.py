@@ -36,6 +36,11 @@ def replace(value, *keys):
     (without("format"), "format=None must be 2"),  # of an older version
     (replace(1, "format"), "format=1 must be 2"),
     (without("given"), "ledger must hold 'given'"),
+    (without("left_out"), "ledger must hold 'left_out'"),
+    (replace("", "left_out", 0, "reason"), r"left_out\[0\].reason='' must be a text"),
+    (replace(0, "left_out", 0, "rirs"), r"left_out\[0\].rirs=0 must be a positive whole number"),
+    (replace(9, "left_out", 0, "rooms"), r"left_out\[0\].rooms=9 must not exceed the number of RIRs"),
+    (replace([3], "test", "left_out"), r"test.left_out\[0\] must be an object"),
     (replace({}, "final"), f"final must hold '{SPLITS[0]}'"),
     (replace("positions", "iterations", 0, "scored_on"),
      r"iterations\[0\].scored_on='positions' must be leave_positions_out or leave_room_out"),

@@ -1,0 +1,120 @@
+"""The RIRs that the closed loop can use, and how many it leaves out for which reason.
+
+`roomeq.records.geometry` has the rule. The verb `close-loop` and the recipe's stage 5 both decide here.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from roomeq.records.geometry import OUTSIDE, geometry_usability
+from roomeq.records.rir_dir import read_rirs
+from roomeq.records.schema import RirRow
+from roomeq.sim.mesh import load_mesh
+
+MIN_ROOMS = 3
+"""Fewest rooms with two usable RIRs: rooms are left out, and halves of rooms are scored."""
+
+
+class Located(NamedTuple):
+    """A row and the RIR directory that its files are relative to."""
+
+    directory: Path
+    row: RirRow
+
+
+class LeftOut(NamedTuple):
+    """How many RIRs, of how many rooms, are left out for one reason."""
+
+    reason: str
+    rirs: int
+    rooms: int
+
+    def __str__(self) -> str:
+        return f"{self.rirs} RIR{'s' * (self.rirs > 1)} of {self.rooms} room{'s' * (self.rooms > 1)}: {self.reason}"
+
+
+class UsableRirs(NamedTuple):
+    """Usable RIRs, sorted by room and id, and those that are left out, by reason, the most frequent first."""
+
+    rirs: list[Located]
+    left_out: list[LeftOut]
+
+    @property
+    def n_scored(self) -> int:
+        """Number of rooms with two usable RIRs or more: one calibrates the room, another is scored."""
+        return sum(n > 1 for n in Counter(rir.row["room_id"] for rir in self.rirs).values())
+
+
+def usable_rirs(directories: Iterable[Path]) -> UsableRirs:
+    """Return the RIRs of some directories that the closed loop can use; RIRs of simulated noise sources are ignored.
+
+    Raises
+    ------
+    ValueError
+        A directory or mesh is invalid, or two directories share an id.
+    """
+    found = [Located(directory, row) for directory in map(Path, directories) for row in read_rirs(directory)
+             if not row.get("noise_for")]
+    _require_unique(found)
+    found.sort(key=lambda rir: (rir.row["room_id"], rir.row["id"]))
+    reasons = [_refused(rir) for rir in found]
+    left_out = []
+    for reason in sorted({reason for reason in reasons if reason}):
+        rooms = [rir.row["room_id"] for rir, of_rir in zip(found, reasons, strict=True) if of_rir == reason]
+        left_out.append(LeftOut(reason, len(rooms), len(set(rooms))))
+    left_out.sort(key=lambda entry: -entry.rirs)
+    return UsableRirs([rir for rir, reason in zip(found, reasons, strict=True) if reason is None], left_out)
+
+
+def require_enough_rooms(directories: Sequence[Path]) -> None:
+    """Refuse directories with too few usable RIRs for the closed loop.
+
+    Raises
+    ------
+    ValueError
+        Fewer than `MIN_ROOMS` rooms have two usable RIRs; the message counts the RIRs by reason and says what to
+        measure. Also raised as by `usable_rirs`.
+    """
+    usable = usable_rirs(directories)
+    if usable.n_scored >= MIN_ROOMS:
+        return
+    problem = f"the closed loop needs {MIN_ROOMS} rooms or conditions (room_id) with two usable RIRs each, and has " \
+              f"{usable.n_scored}: "
+    remedy = "give further rooms"
+    if unusable := sum(entry.rirs for entry in usable.left_out):
+        reasons = "; ".join(f"{entry.rirs}: {entry.reason}" for entry in usable.left_out)
+        problem = f"{unusable} of {unusable + len(usable.rirs)} RIRs cannot be used ({reasons}); {problem}"
+        remedy = "measure what is unknown (heights may stay unknown), or give further rooms"
+    raise ValueError(f"{', '.join(map(str, directories))}: {problem}{remedy}")
+
+
+def _refused(rir: Located) -> str | None:
+    """Return why the closed loop cannot use an RIR, or None."""
+    reason = geometry_usability(rir.row, needs="loop").reason
+    return OUTSIDE if reason is None and _outside_mesh(rir) else reason
+
+
+def _outside_mesh(rir: Located) -> bool:
+    """Tell whether a position lies outside the mesh of its room; unknown heights are not judged."""
+    mesh = rir.row.get("mesh")
+    if not mesh:
+        return False
+    room = load_mesh(rir.directory / mesh)
+    try:
+        for key in ("source_pos_m", "mic_pos_m"):
+            position_m = [x for x in rir.row[key] or () if x is not None]
+            if len(position_m) == 3:
+                room.require_inside(key, position_m)
+    except ValueError:
+        return True
+    return False
+
+
+def _require_unique(rirs: Iterable[Located]) -> None:
+    first: dict[str, Path] = {}
+    for directory, row in rirs:
+        if row["id"] in first:
+            raise ValueError(f"RIR {row['id']} is in both {first[row['id']]} and {directory}: give each RIR once")
+        first[row["id"]] = directory

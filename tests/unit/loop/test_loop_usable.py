@@ -1,0 +1,104 @@
+"""Which RIRs the closed loop uses: those left out are counted by reason; too few are refused in one line."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from rirmaker import coloured_rir, row, write_rir_dir
+
+from roomeq.cli import main
+from roomeq.core.audio import write_wav
+from roomeq.core.files import write_text
+from roomeq.loop.close import SCATTERING
+from roomeq.loop.data import load_data
+from roomeq.loop.usable import LeftOut, require_enough_rooms, usable_rirs
+from roomeq.records.geometry import BINAURAL, MARKED, OUTSIDE
+from roomeq.records.rir_dir import write_rirs
+
+ENOUGH_ROOMS = Path(__file__).parents[3] / "local/enough_rooms.py"
+FLAT = dict(source_pos_m=[1.0, 1.0, None], mic_pos_m=[4.0, 3.0, None])
+KNOWN = dict(source_pos_m=[1.0, 1.0, 1.5], mic_pos_m=[4.0, 3.0, 1.2])
+BOX = "".join(f"v {x} {y} {z}\n" for z in (0, 3) for x, y in ((0, 0), (6, 0), (6, 5), (0, 5))) + (
+    "f 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n")
+
+
+def directory(where, rows):
+    """Write rows whose audio does not exist."""
+    where.mkdir(parents=True)
+    write_rirs(where, [item | dict(wav=f"{item['id']}.wav", fs_hz=16000, n_samples=16000) for item in rows])
+    return where
+
+
+def enough_rooms(where):
+    """Run the recipe's check; return its exit status and what it prints."""
+    done = subprocess.run([sys.executable, str(ENOUGH_ROOMS), str(where)], capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.fixture
+def bare(tmp_path, capsys):
+    """Make an RIR directory of ten bare WAV files in three folders."""
+    for n in range(10):
+        write_wav(tmp_path / f"bare/room{n % 3}/rir{n}.wav", coloured_rir(n, time_s=0.2 + 0.08 * n))
+    assert main(["read-measured", str(tmp_path / "bare"), str(tmp_path / "rirs")]) == 0
+    capsys.readouterr()
+    return tmp_path / "rirs"
+
+
+def test_rirs_left_out_are_counted_by_reason(tmp_path):
+    first = directory(tmp_path / "a", [row("a1", "x", **KNOWN), row("a2", "x", **FLAT), row("a3", "x", binaural=True),
+                                       row("noise", "x", noise_for="a1"), row("a4", "y", unreliable_geometry=True)])
+    second = directory(tmp_path / "b", [row("b1", "y", unreliable_geometry=True), row("b2", "z", **KNOWN),
+                                        row("b3", "z", unreliable_geometry=True)])
+    usable = usable_rirs([first, second])
+    assert [(rir.directory, rir.row["id"]) for rir in usable.rirs] == [(first, "a1"), (first, "a2"), (second, "b2")]
+    assert usable.left_out == [LeftOut(MARKED, 3, 2), LeftOut(BINAURAL, 1, 1)]
+    assert str(usable.left_out[0]) == f"3 RIRs of 2 rooms: {MARKED}" and usable.n_scored == 1
+
+
+def test_position_outside_of_a_mesh_is_left_out(tmp_path):
+    write_text(tmp_path / "room.obj", BOX)
+    mesh = dict(mesh="../room.obj", room_dims_m=None)
+    where = directory(tmp_path / "a", [row("in", **KNOWN | mesh), row("flat", **FLAT | mesh),
+                                       row("out", **KNOWN | mesh | dict(mic_pos_m=[6.5, 1.0, 1.0]))])
+    usable = usable_rirs([where])
+    assert [rir.row["id"] for rir in usable.rirs] == ["flat", "in"] and usable.left_out == [LeftOut(OUTSIDE, 1, 1)]
+
+
+def test_id_in_two_directories_is_refused(tmp_path):
+    first, second = (directory(tmp_path / name, [row("r", **KNOWN)]) for name in "ab")
+    with pytest.raises(ValueError, match=f"RIR r is in both {first} and {second}: give each RIR once"):
+        usable_rirs([first, second])
+
+
+def test_data_holds_the_usable_rirs_and_counts_the_others(tmp_path):
+    where = write_rir_dir(tmp_path / "rirs", [(row("r1", **KNOWN), coloured_rir(1)), (row("r2"), coloured_rir(2)),
+                                              (row("r3", binaural=True), coloured_rir(3))])
+    data = load_data([where], scattering=SCATTERING, seed=0)
+    assert [row["id"] for row in data.rows] == ["r1"] and data.places[0].drawn == ()
+    assert [entry.rirs for entry in data.left_out] == [1, 1]
+
+
+@pytest.mark.parametrize("n_rooms, enough", [(2, False), (3, True)])
+def test_recipe_and_verb_agree_on_rirs_with_unknown_heights(tmp_path, n_rooms, enough):
+    where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **FLAT) for n in range(2 * n_rooms)])
+    status, text = enough_rooms(where)
+    if enough:
+        require_enough_rooms([where])
+        assert (status, text) == (0, "")
+    else:
+        with pytest.raises(ValueError, match=r"needs 3 rooms or conditions .* and has 2: give") as refused:
+            require_enough_rooms([where])
+        assert (status, text) == (1, f"no closed loop: {refused.value}\n")
+
+
+def test_bare_files_are_refused_by_recipe_and_verb_in_the_same_line(bare, tmp_path, capsys):
+    status, text = enough_rooms(bare)
+    assert status == 1 and text == (
+        f"no closed loop: {bare}: 10 of 10 RIRs cannot be used (10: the room's dimensions and x and y of source and "
+        "microphone are unknown); the closed loop needs 3 rooms or conditions (room_id) with two usable RIRs each, "
+        "and has 0: measure what is unknown (heights may stay unknown), or give further rooms\n")
+    assert main(["close-loop", str(bare), "--out", str(tmp_path / "loop")]) == 1
+    assert capsys.readouterr().err == text.replace("no closed loop: ", "roomeq: ")
+    assert not (tmp_path / "loop").exists()
