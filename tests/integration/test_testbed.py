@@ -2,6 +2,7 @@
 
 import ast
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,10 @@ from roomeq.records.rir_dir import read_rirs, validate_rirs
 from testbed import KINDS, make_room_set
 from testbed.air import absorption_db_per_m, through_air
 from testbed.bands import band_gains
-from testbed.draws import C0, FS_HZ, N_SAMPLES, speed_of_sound
-from testbed.paths import image_sources, room_set_fields
-from testbed.render import FREQUENCY_HZ, render
+from testbed.bases import BASES, PYROOMACOUSTICS, room_set_fields
+from testbed.draws import C0, FREQUENCY_HZ, FS_HZ, N_SAMPLES, speed_of_sound
+from testbed.paths import image_sources
+from testbed.render import render
 from testbed.screen import past_screen
 from testbed.size import cells, changes, mean_size
 from testbed.waves import impedance_of, random_incidence, responses
@@ -35,10 +37,12 @@ LEFT = dict(
 """... and one that it must leave alone."""
 
 
-@pytest.fixture(scope="module")
-def rooms(tmp_path_factory):
-    """Fields of two rooms."""
-    return room_set_fields(SEED, 2, tmp_path_factory.mktemp("traced"))
+@pytest.fixture(scope="module", params=BASES)
+def rooms(request, tmp_path_factory):
+    """Fields of two rooms, of each base."""
+    if request.param == PYROOMACOUSTICS:
+        pytest.importorskip("pyroomacoustics")
+    return room_set_fields(SEED, 2, tmp_path_factory.mktemp("traced"), request.param)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +83,7 @@ def test_an_effect_changes_what_it_should_and_nothing_else(name, rooms, pairs, c
         size[scale] = changes(measured, [cells(render(field, extra), field) for field in pairs])
     faint, clear = size.values()
     assert np.nanmax(np.abs(clear[TOUCHED[name]])) > 0.5
-    assert np.nanmean(np.abs(clear[LEFT[name]])) < 0.1
+    assert np.nanmean(np.abs(clear[LEFT[name]])) < 0.15
     assert np.nanmean(np.abs(faint[TOUCHED[name]])) < np.nanmean(np.abs(clear[TOUCHED[name]]))
 
 
@@ -120,7 +124,8 @@ def test_the_direct_sound_arrives_when_and_as_loud_as_it_must(pairs, clean):
         sample, _ = find_direct(rir, FS_HZ, distance / C0 * FS_HZ)
         assert sample == pytest.approx(distance / C0 * FS_HZ, abs=0.1)
         near = slice(round(sample) - 8, round(sample) + 9)
-        assert np.sum(rir[near]) * 4 * np.pi * distance == pytest.approx(1.0, abs=0.15)
+        specular = render(replace(field, energy=np.zeros_like(field.energy)))
+        assert np.sum(specular[near]) * 4 * np.pi * distance == pytest.approx(1.0, abs=0.15)
 
 
 def test_decay_times_are_near_eyring(pairs, clean):

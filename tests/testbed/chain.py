@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.signal import sosfilt
 
-from testbed.draws import FS_HZ, N_SAMPLES, generator
-from testbed.render import FREQUENCY_HZ, N_FFT, Extra
+from testbed.draws import FREQUENCY_HZ, FS_HZ, N_FFT, N_SAMPLES, generator
+from testbed.render import Extra
 
 
 def _section(b, a):

@@ -10,6 +10,8 @@ N_BANDS = len(OCTAVES_HZ)
 DECLARED_C, DECLARED_PCT = 20.0, 50.0  # the air that every row states
 LENGTH_S = 1.6  # of a recorded response
 N_SAMPLES = round(LENGTH_S * FS_HZ)
+N_FFT = 32768
+FREQUENCY_HZ = np.fft.rfftfreq(N_FFT, 1.0 / FS_HZ)
 
 
 def generator(seed, *purpose):

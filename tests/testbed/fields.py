@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.signal import sosfilt
 
-from testbed.draws import C0, DECLARED_C, DECLARED_PCT, FS_HZ, OCTAVES_HZ, generator, speed_of_sound
-from testbed.render import FREQUENCY_HZ, Extra
+from testbed.draws import C0, DECLARED_C, DECLARED_PCT, FREQUENCY_HZ, FS_HZ, OCTAVES_HZ, generator, speed_of_sound
+from testbed.render import Extra
 from testbed.trace import BIN_M, N_BINS
 
 AIRS = ((10.0, 20.0), (30.0, 80.0))  # degrees C, % relative humidity

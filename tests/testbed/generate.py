@@ -7,9 +7,10 @@ import numpy as np
 from roomeq.core.audio import write_wav
 from roomeq.core.files import write_json
 from roomeq.records.rir_dir import write_rirs
+from testbed.bases import room_set_fields
 from testbed.draws import DECLARED_C, DECLARED_PCT, FS_HZ, N_SAMPLES, generator
 from testbed.kinds import KINDS
-from testbed.paths import room_set_fields
+from testbed.paths import OWN
 from testbed.render import render
 from testbed.size import cells, changes, mean_size, summary
 
@@ -19,7 +20,7 @@ TOLERANCE = 0.03  # of the strength, on the probes
 CLOSE = 0.08  # on all RIRs
 
 
-def make_room_set(kind, strength_jnd, seed, out_dir, *, n_fit=N_FIT, n_judge=N_JUDGE, cache=None):
+def make_room_set(kind, strength_jnd, seed, out_dir, *, n_fit=N_FIT, n_judge=N_JUDGE, cache=None, base=OWN):
     """Make measured-like RIR directories with an effect that their rows don't tell.
 
     Writes `fit/` and `test/` (RIR directories; rooms of one are not in the other) and `truth.json`. The same
@@ -37,6 +38,9 @@ def make_room_set(kind, strength_jnd, seed, out_dir, *, n_fit=N_FIT, n_judge=N_J
         Rooms of each part, eight RIRs a room.
     cache : Path, optional
         Folder that keeps traced rooms for other sets of this seed.
+    base : str
+        The simulator of the rooms without the effect, one of `testbed.bases.BASES`; who stands where, walls and
+        noises are the same for each.
 
     Returns
     -------
@@ -47,7 +51,7 @@ def make_room_set(kind, strength_jnd, seed, out_dir, *, n_fit=N_FIT, n_judge=N_J
     for name in names:
         if name not in KINDS:
             raise ValueError(f"kind={name!r} must be clean or one of {', '.join(KINDS)}, or some of them joined by +")
-    rooms = room_set_fields(seed, n_fit + n_judge, cache)
+    rooms = room_set_fields(seed, n_fit + n_judge, cache, base)
     fit = [field for room in rooms[:n_fit] for field in room]
     test = [field for room in rooms[n_fit:] for field in room]
     clean = [cells(render(field), field) for field in fit] if names else []
@@ -59,7 +63,7 @@ def make_room_set(kind, strength_jnd, seed, out_dir, *, n_fit=N_FIT, n_judge=N_J
         effects[name] = dict(scale=scale, parameters=drawn, cells=summary(found), mean_jnd=mean_size(found),
                              achieved_jnd=mean_size(found, KINDS[name].measured_by),
                              measured_by=list(KINDS[name].measured_by))
-    truth = dict(kind=kind, strength_jnd=float(strength_jnd), seed=int(seed), effects=effects,
+    truth = dict(kind=kind, base=base, strength_jnd=float(strength_jnd), seed=int(seed), effects=effects,
                  achieved_jnd={name: effects[name]["achieved_jnd"] for name in names},
                  rooms=[_room(room[0].room) for room in rooms])
     _write(Path(out_dir) / "fit", fit, extras)

@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from testbed.draws import N_BANDS, generator
-from testbed.rooms import N_SOURCES, Room, draw_room
+from testbed.rooms import N_SOURCES, Room
 from testbed.trace import BIN_M, COHERENT_ORDER, N_ANGLES, N_BINS, N_RAYS, NO_SCREEN, trace
 
 COARSE = 8  # bins over which shares of the departure angles are kept
+OWN = "testbed"
+"""The base that this module traces."""
 
 
 @dataclass(frozen=True)
@@ -25,11 +27,14 @@ class Images:
         Unit vectors from the source.
     gain : ndarray, shape (8, n)
         Pressure reflected by all walls on the way, per octave.
+    order : ndarray, shape (n,)
+        Reflections on the way.
     """
 
     length_m: np.ndarray
     departure: np.ndarray
     gain: np.ndarray
+    order: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,8 @@ class Field:
         Part of it that left the source at each class of angle to where it faces.
     cache : Path or None
         Folder for what takes long.
+    base : str
+        What simulated it, see `testbed.bases`.
     """
 
     room: Room
@@ -55,6 +62,7 @@ class Field:
     energy: np.ndarray
     share: np.ndarray
     cache: Path | None = None
+    base: str = OWN
 
 
 def image_sources(room, source, mic):
@@ -69,9 +77,10 @@ def image_sources(room, source, mic):
     far, near = (np.abs(grid) + 1) // 2, np.abs(grid) // 2
     hits = np.stack([np.where(grid > 0, near, far), np.where(grid > 0, far, near)], -1).reshape(-1, 6)
     nepers = 0.5 * (np.log1p(-room.absorption) + np.log1p(-room.scattering)[:, None])
-    order = np.argsort(length, kind="stable")
     departure = np.where(odd, -way, way) / length[:, None]
-    return Images(length[order], departure[order], np.exp(hits @ nepers).T[:, order])
+    nearest = np.argsort(length, kind="stable")
+    return Images(length[nearest], departure[nearest], np.exp(hits @ nepers).T[:, nearest],
+                  np.abs(grid).sum(axis=1)[nearest])
 
 
 def rays(room, screen=NO_SCREEN):
@@ -93,20 +102,24 @@ def fields_of(room, cache=None):
     room : Room
     cache : Path, optional
     """
-    path = cache and Path(cache) / f"{room.room_id}-{version()}.npz"
-    if path and path.is_file():
-        with np.load(path) as kept:
-            energy, share = kept["energy"], kept["share"].astype(np.float64)
-    else:
-        energy, share = condensed(rays(room))
-        if path:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            partial = path.with_suffix(f".{os.getpid()}.npz")
-            np.savez_compressed(partial, energy=energy, share=share.astype(np.float16))
-            partial.replace(path)
-        share = share.astype(np.float16).astype(np.float64)
+    energy, share = kept(cache and Path(cache) / f"{room.room_id}-{version()}.npz", lambda: condensed(rays(room)))
     return [Field(room, rir, image_sources(room, room.sources_m[rir.source], room.mics_m[rir.mic]),
                   energy[rir.source, rir.mic], share[rir.source, rir.mic], cache) for rir in room.rirs]
+
+
+def kept(path, trace_room):
+    """Return a room's energy and shares of the angles from a file, or trace it and write the file; None: no file."""
+    if path and path.is_file():
+        with np.load(path) as file:
+            return file["energy"], file["share"].astype(np.float64)
+    energy, share = trace_room()
+    share = share.astype(np.float16)
+    if path:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_suffix(f".{os.getpid()}.npz")
+        np.savez_compressed(partial, energy=energy, share=share)
+        partial.replace(path)
+    return energy, share.astype(np.float64)
 
 
 def condensed(traced):
@@ -116,11 +129,6 @@ def condensed(traced):
     total = coarse.sum(axis=2, keepdims=True)
     share = np.divide(coarse, total, out=np.full_like(coarse, 1.0 / N_ANGLES), where=total > 0.0)
     return energy, share
-
-
-def room_set_fields(seed, n_rooms, cache=None):
-    """Fields of the rooms of a set, one list per room."""
-    return [fields_of(draw_room(seed, number), cache) for number in range(n_rooms)]
 
 
 def version(*more):

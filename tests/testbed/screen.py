@@ -1,13 +1,15 @@
 """An obstacle between sources and microphones: a hard screen that hangs in the room."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 from scipy.special import fresnel
 
-from testbed.draws import C0, generator
-from testbed.paths import Field, condensed, rays
-from testbed.render import FREQUENCY_HZ, Extra
+from testbed.draws import C0, FREQUENCY_HZ, generator
+from testbed.paths import OWN, condensed, rays
+from testbed.render import Extra
+from testbed.trace import COHERENT_ORDER
 
 HALF_M = (1.0, 0.8)  # half width and half height at scale 1
 AWAY_M = 0.2  # nobody stands nearer to the screen's plane
@@ -58,7 +60,11 @@ def _screen(room, where, scale):
 
 
 def occlusion(parameters, scale):
-    """What the screen of each room does to specular paths that it stands in, and to rays."""
+    """What the screen of each room does to specular paths that it stands in, and to rays.
+
+    Another base than the testbed's own traces no rays past a screen: there they stay as they are, as do the specular
+    paths of more than `COHERENT_ORDER` reflections, since what a hard screen takes from one late path another gets.
+    """
     @cache
     def traced(room_id):
         return condensed(rays(rooms[room_id], _screen(rooms[room_id], parameters[room_id], scale)))
@@ -66,16 +72,19 @@ def occlusion(parameters, scale):
     rooms = {}
 
     def scene(field):
+        if field.base != OWN:
+            return field
         room = rooms.setdefault(field.room.room_id, field.room)
         energy, share = traced(room.room_id)
         pair = field.rir.source, field.rir.mic
-        return Field(room, field.rir, field.images, energy[pair], share[pair], field.cache)
+        return replace(field, energy=energy[pair], share=share[pair])
 
     def blocking(field):
         screen = _screen(field.room, parameters[field.room.room_id], scale)
         source = field.room.sources_m[field.rir.source]
         result = {}
-        for k, (length, way) in enumerate(zip(field.images.length_m, field.images.departure, strict=True)):
+        for k in np.flatnonzero(field.images.order <= COHERENT_ORDER):
+            length, way = field.images.length_m[k], field.images.departure[k]
             transfer = np.ones(len(_COARSE_HZ), dtype=complex)
             for before, x, y, across in _met(field.room.dims_m, source, way, length, screen):
                 transfer = transfer * past_screen(before, length - before, x, y, across, screen[2], _COARSE_HZ)

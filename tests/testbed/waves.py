@@ -8,9 +8,9 @@ import numba
 import numpy as np
 from scipy.optimize import brentq
 
-from testbed.draws import C0, FS_HZ, LENGTH_S
+from testbed.draws import C0, FREQUENCY_HZ, FS_HZ, LENGTH_S, N_FFT
 from testbed.paths import version
-from testbed.render import FREQUENCY_HZ, N_FFT, Extra
+from testbed.render import Extra
 from testbed.rooms import N_SOURCES
 
 HIGHEST_HZ = 300.0
