@@ -21,7 +21,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(PROJECT / name) for name in ("pysrc", "tests")]
 
 from bench import kit  # noqa: E402
-from bench.loop.table import rates  # noqa: E402
+from bench.loop.table import OWN_BASE, by_base, rates  # noqa: E402
 
 Table = dict[str, Any]
 
@@ -43,11 +43,12 @@ def sections(result: dict[str, Any]) -> list[Table]:
 
 
 def loop(rows: list[dict[str, Any]]) -> list[Table]:
-    """Return the rates of the loop over its generated rooms, with Wilson intervals."""
-    return [dict(title="Rates", columns=["rate", "sets of rooms", "95 % interval", "goal"],
+    """Return the rates of the loop over its generated rooms, with Wilson intervals, for each simulator of the rooms."""
+    return [dict(title="Rates" if base == OWN_BASE else f"Rates, rooms simulated by {base}",
+                 columns=["rate", "sets of rooms", "95 % interval", "goal"],
                  rows=[[rate.name, f"{rate.hits} of {rate.count}",
                         f"{max(0.0, 100 * rate.low):.0f} to {100 * rate.high:.0f} %", rate.goal]
-                       for rate in rates(rows)])]
+                       for rate in rates(these)]) for base, these in by_base(rows).items()]
 
 
 def augmentation(result: dict[str, Any]) -> list[Table]:
