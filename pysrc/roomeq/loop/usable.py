@@ -6,7 +6,7 @@
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from roomeq.records.geometry import OUTSIDE, geometry_usability
 from roomeq.records.rir_dir import read_rirs
@@ -97,16 +97,14 @@ def _refused(rir: Located) -> str | None:
 
 
 def _outside_mesh(rir: Located) -> bool:
-    """Tell whether a position lies outside the mesh of its room; unknown heights are not judged."""
+    """Tell whether a position, known to the rule, lies outside the mesh of its room."""
     mesh = rir.row.get("mesh")
     if not mesh:
         return False
     room = load_mesh(rir.directory / mesh)
     try:
         for key in ("source_pos_m", "mic_pos_m"):
-            position_m = [x for x in rir.row[key] or () if x is not None]
-            if len(position_m) == 3:
-                room.require_inside(key, position_m)
+            room.require_inside(key, cast(list[float], rir.row[key]))
     except ValueError:
         return True
     return False

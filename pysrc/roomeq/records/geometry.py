@@ -73,8 +73,9 @@ def geometry_usability(row: Mapping[str, Any], needs: Need) -> Usability:
             of source and microphone are known.
         ``"loop"``
             The closed loop may use the RIR: it is not binaural, the row is unmarked, nothing in it contradicts itself,
-            and the three dimensions of the room (or a mesh) and x and y of source and microphone are known. Heights of
-            source and microphone may be unknown. The reason is one of a few fixed phrases, to be counted.
+            and the three dimensions of the room and x and y of source and microphone are known. Heights of source and
+            microphone may be unknown, except where a mesh stands for the dimensions. The reason is one of a few fixed
+            phrases, to be counted.
     """
     if needs == "loop":
         reason = _refused_by_loop(row)
@@ -105,12 +106,13 @@ def _refused_by_loop(row: Mapping[str, Any]) -> str | None:
 
 
 def _unknown_of(row: Mapping[str, Any]) -> str | None:
-    """Return which of the room's dimensions and of x and y of source and microphone are unknown, or None."""
-    unknown = [] if row.get("mesh") or is_known(row.get("room_dims_m")) else ["the room's dimensions"]
+    """Return what is unknown of the room's dimensions and of the coordinates that the loop cannot estimate, or None."""
+    mesh = bool(row.get("mesh"))
+    unknown = [] if mesh or is_known(row.get("room_dims_m")) else ["the room's dimensions"]
     ends = [end for key, end in (("source_pos_m", "source"), ("mic_pos_m", "microphone"))
-            if not is_known((row.get(key) or [None])[:2])]
+            if not is_known((row.get(key) or [None])[:3 if mesh else 2])]
     if ends:
-        unknown.append(f"x and y of {' and '.join(ends)}")
+        unknown.append(f"{'x, y and z' if mesh else 'x and y'} of {' and '.join(ends)}")
     return f"{' and '.join(unknown)} are unknown" if unknown else None
 
 

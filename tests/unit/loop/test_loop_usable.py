@@ -60,10 +60,10 @@ def test_rirs_left_out_are_counted_by_reason(tmp_path):
 def test_position_outside_of_a_mesh_is_left_out(tmp_path):
     write_text(tmp_path / "room.obj", BOX)
     mesh = dict(mesh="../room.obj", room_dims_m=None)
-    where = directory(tmp_path / "a", [row("in", **KNOWN | mesh), row("flat", **FLAT | mesh),
+    where = directory(tmp_path / "a", [row("in", **KNOWN | mesh),
                                        row("out", **KNOWN | mesh | dict(mic_pos_m=[6.5, 1.0, 1.0]))])
     usable = usable_rirs([where])
-    assert [rir.row["id"] for rir in usable.rirs] == ["flat", "in"] and usable.left_out == [LeftOut(OUTSIDE, 1, 1)]
+    assert [rir.row["id"] for rir in usable.rirs] == ["in"] and usable.left_out == [LeftOut(OUTSIDE, 1, 1)]
 
 
 def test_id_in_two_directories_is_refused(tmp_path):

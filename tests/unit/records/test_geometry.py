@@ -34,6 +34,7 @@ POSITIONS = dict(source_pos_m=[1.0, 1.0, 1.0], mic_pos_m=[4.0, 3.0, 1.5])
     ("loop", POSITIONS | dict(room_dims_m=[6.0, None, 3.0]), "the room's dimensions are unknown"),
     ("loop", POSITIONS | dict(room_dims_m=None, mesh="room.obj"), None),
     ("loop", POSITIONS | dict(mesh="room.obj", mic_pos_m=[-4.0, 3.0, 1.5]), None),
+    ("loop", POSITIONS | dict(mesh="room.obj", mic_pos_m=[4.0, 3.0, None]), "x, y and z of microphone are unknown"),
     ("loop", dict(mic_pos_m=[4.0, 3.0, 1.5]), "x and y of source are unknown"),
     ("loop", POSITIONS | dict(mic_pos_m=[4.0, None, 1.5]), "x and y of microphone are unknown"),
     ("loop", {}, "x and y of source and microphone are unknown"),
