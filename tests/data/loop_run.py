@@ -29,6 +29,13 @@ def errors(mean):
     return {split: dict(entry) for split in SPLITS}
 
 
+def explained(share):
+    """Return the explained share as of the ledger."""
+    entry = dict(share=share, ci=[share - 0.2, share + 0.2], at_ceiling=["t30", "c50"],
+                 by_metric=dict.fromkeys(METRIC, share), by_band=[None, *[share] * (len(BANDS_HZ) - 1)])
+    return {split: dict(entry) for split in SPLITS}
+
+
 def ranking(winner, gain):
     """Return a ranking whose winner helps."""
     return [dict(effect=name, gain=value, ci=[value / 3 - 2.0, value / 3 + 2.0], p=0.001 if name == winner else 0.6,
@@ -62,13 +69,14 @@ def make_loop(out):
                        size_jnd=3.5, p=0.01)
     ledger = dict(
         format=LEDGER_FORMAT, rirs=N_RIRS, rooms=len(ROOMS), left_out=LEFT_OUT, given=[], baseline=errors(3.4),
-        final=errors(1.5), ranking=ranking("room_eq", 0.5),
+        final=errors(1.5), ceiling=errors(1.0), explained=explained(0.79), ranking=ranking("room_eq", 0.5),
         iterations=[iteration(added[0], 3.4, 1.9, cannot_tell=["source_response", "mic_response"],
                               would_tell=["a recording of the same room with another loudspeaker"]),
                     iteration(added[1], 1.9, 1.5)],
         unexplained=unexplained, unexplained_all=[unexplained],
-        test=dict(rirs=8, rooms=1, left_out=LEFT_OUT[1:], before=errors(3.6), after=errors(1.8)))
-    for when in ("before", "after"):
+        test=dict(rirs=8, rooms=1, left_out=LEFT_OUT[1:], before=errors(3.6), after=errors(1.8),
+                  ceiling=errors(1.1), explained=explained(0.72)))
+    for when in ("before", "after", "ceiling", "explained"):
         for entry in ledger["test"][when].values():
             entry["ci"] = None  # a test set of a single room
     rng = rng_for(0, "made-up residuals", "")

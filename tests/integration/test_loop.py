@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rirmaker import DIRECT, coloured_rir
+from scipy.special import polygamma
 
-from roomeq.acoustics.octaves import octave_bands
+from roomeq.acoustics.iso3382 import EARLY_S
+from roomeq.acoustics.octaves import OCTAVE_WIDTH_HZ, octave_bands
 from roomeq.cli import main
 from roomeq.core.constants import FS_HZ
 from roomeq.core.files import read_json
@@ -14,13 +16,14 @@ from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import read_model
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.effects.source_response import SourceResponse
+from roomeq.loop.ceiling import ceiling_errors, twin_recordings
 from roomeq.loop.close import SCATTERING, close_loop
 from roomeq.loop.data import load_data
-from roomeq.loop.features import HAS_GAIN, METRIC, feature_slice, measure_features
+from roomeq.loop.features import HAS_GAIN, JND, LATE_S, METRIC, feature_slice, measure_features
 from roomeq.loop.fit import fit
 from roomeq.loop.packing import N_SURFACE, ParameterIndex
 from roomeq.loop.predict import predict
-from roomeq.loop.selection import choose, heldout_errors, rank
+from roomeq.loop.selection import SPLITS, choose, heldout_errors, rank
 from roomeq.loop.session import fit_base_model, with_rendered_changes
 from roomeq.loop.splitters import leave_rooms_out, split_positions
 from roomeq.records.rir_dir import load_rir, read_rirs, relocated, write_rirs
@@ -136,6 +139,35 @@ def test_own_predictions_as_measurements_leave_no_error_and_no_effect(session):
     assert winner is None
 
 
+def test_error_of_clean_rooms_is_that_of_the_ceiling(session):
+    """The rooms come from another simulator, so that the ceiling has to predict what a right model reaches there."""
+    errors, ceiling = heldout_errors(session), ceiling_errors(session)
+    for split in SPLITS:
+        assert 0.75 < ceiling.mean(split) / errors.mean(split) < 1.15
+        of_metric, least = errors.by_metric(split), ceiling.by_metric(split)
+        assert max(abs(of_metric[metric] - least[metric]) for metric in of_metric) < 1.0
+    again = ceiling_errors(session)
+    assert all(np.array_equal(again.by_split[split], ceiling.by_split[split], equal_nan=True) for split in SPLITS)
+
+
+def test_twin_recordings_scatter_like_diffuse_sound(session):
+    """Scatter of T20 (ISO 3382-2:2008, sec. 7.1; ten decays for an integrated response) and of late levels."""
+    data, index, fitted = session.data, session.index, session.fit
+    absorption, gains = index.absorption(fitted.mean, fitted.local)[data.room], index.gains(fitted.local)
+    first, second = (twin_recordings(data, absorption, session.by_row, gains, seed=seed, nj=2) for seed in (1, 2))
+    difference = np.abs(first.features - second.features)
+    time_s = np.exp(first.features[:, feature_slice("t20")] * JND["t20"])
+    tau_s, gate_s = time_s / (6.0 * np.log(10.0)), LATE_S - EARLY_S
+    effective_s = 2.0 * tau_s * np.tanh(0.5 * gate_s / tau_s)  # of an exponential decay
+    scatter = dict(t20=0.88 * np.sqrt((1.0 + 1.90 / 10.0) / (OCTAVE_WIDTH_HZ * time_s)) / JND["t20"],
+                   late=10.0 / np.log(10.0) * np.sqrt(polygamma(1, OCTAVE_WIDTH_HZ * effective_s)))
+    for metric, expected in scatter.items():
+        at = feature_slice(metric)
+        valid = first.valid[:, at] & second.valid[:, at]
+        ratio = difference[:, at][valid].mean() / (2.0 / np.sqrt(np.pi) * expected[valid]).mean()
+        assert ratio == pytest.approx(1.0, abs=0.25)
+
+
 def test_leaving_a_room_out_changes_the_shared_parameters_a_little(session):
     held_out = leave_rooms_out(session.data, session.fit)
     assert len(held_out) == ROOMS
@@ -212,6 +244,7 @@ def test_no_effect_is_added_to_clean_rooms(closed):
     _, ledger = closed("clean")
     assert ledger["iterations"] == []
     assert ledger["final"] == ledger["baseline"]
+    assert all(entry["share"] in (None, 0.0) for entry in ledger["explained"].values())
 
 
 @pytest.mark.parametrize("kind", ["source_response", "noise_floor"])

@@ -12,6 +12,7 @@ from roomeq.core.build import Build, check_jobs
 from roomeq.core.files import write_json
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, read_model, write_model
+from roomeq.loop.ceiling import ceiling_errors, ceiling_of_test_set, describe_explained, explained
 from roomeq.loop.data import Data, load_data
 from roomeq.loop.descriptions import describe_residual, effect_names
 from roomeq.loop.examples import EXAMPLES_FILE, write_examples
@@ -142,13 +143,17 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     unexplained = find_unexplained(session)
     for residual in unexplained[:1]:
         logger.info("unexplained: %s", describe_residual(residual))
+    ceiling = ceiling_errors(session)
+    shares = explained(first_errors, errors, ceiling)
+    _log_explained("final model", ceiling, shares)
     ledger = dict(
         format=LEDGER_FORMAT, rirs=len(data.rows), rooms=len(data.room_names),
         left_out=left_out_entries(data.left_out), given=base.names,
         baseline=error_entry(first_errors), iterations=iterations,
         ranking=[ranking_entry(candidate) for candidate in ranking],
         unexplained=unexplained[0].as_dict() if unexplained else None,
-        unexplained_all=[residual.as_dict() for residual in unexplained], final=error_entry(errors))
+        unexplained_all=[residual.as_dict() for residual in unexplained], final=error_entry(errors),
+        ceiling=error_entry(ceiling), explained=shares)
     if test_data:
         ledger["test"] = _test_entry(test_data, first, session, seed, nj)
     logger.info("closed the loop on %d RIRs in %.0f s", len(data.rows), time.monotonic() - start)
@@ -186,12 +191,22 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]) -
 
 
 def _test_entry(data: Data, first: Session, last: Session, seed: int, nj: int) -> dict:
-    """Return the ledger's entry of the test set: errors with the base model and with the final model."""
+    """Return the ledger's entry of the test set: errors with the base and the final model, and the ceiling."""
     before, after = (score_test_set(data, session, seed=seed, nj=nj) for session in (first, last))
     logger.info("test set: held-out error %.2f -> %.2f JND (leave-positions-out), %.2f -> %.2f JND (leave-room-out)",
                 *(errors.mean(split) for split in SPLITS for errors in (before, after)))
+    ceiling = ceiling_of_test_set(data, last, seed=seed, nj=nj)
+    shares = explained(before, after, ceiling)
+    _log_explained("test set", ceiling, shares)
     return dict(rirs=len(data.rows), rooms=len(data.room_names), left_out=left_out_entries(data.left_out),
-                before=error_entry(before), after=error_entry(after))
+                before=error_entry(before), after=error_entry(after), ceiling=error_entry(ceiling), explained=shares)
+
+
+def _log_explained(name: str, ceiling: HeldOutErrors, shares: dict) -> None:
+    for split in SPLITS:
+        logger.info("%s: %s (%s, ceiling %.2f JND); no further fall possible: %s", name,
+                    describe_explained(shares[split]), split.replace("_", "-"), ceiling.mean(split),
+                    ", ".join(shares[split]["at_ceiling"]) or "none")
 
 
 def _model_of(session: Session, base: Model) -> Model:

@@ -26,7 +26,7 @@ from roomeq.loop.splitters import leave_rooms_out
 from roomeq.loop.usable import LeftOut
 
 LEDGER_FILE, RESIDUALS_FILE = "ledger.json", "residuals.npz"
-LEDGER_FORMAT = 2
+LEDGER_FORMAT = 3
 _REMEDY = "run roomeq close-loop again"
 _VARIES = ("nothing", "room", "source", "mic")
 
@@ -216,6 +216,26 @@ def _errors(value: Any, where: str) -> None:
         _breakdown(entry["by_metric"], entry["by_band"], at)
 
 
+def _explained(value: Any, where: str) -> None:
+    _keys(value, where, SPLITS)
+    for split in SPLITS:
+        entry, at = value[split], f"{where}.{split}"
+        _keys(entry, at, ("share", "ci", "by_metric", "by_band", "at_ceiling"))
+        if entry["ci"] is not None:
+            _interval(entry["ci"], f"{at}.ci", entry["share"])
+        _require(isinstance(entry["by_metric"], dict) and set(entry["by_metric"]) <= set(METRIC), f"{at}.by_metric",
+                 "name metrics")
+        _require(isinstance(entry["by_band"], list) and len(entry["by_band"]) == len(BANDS_HZ), f"{at}.by_band",
+                 f"hold {len(BANDS_HZ)} octaves")
+        for key, shares in (("share", [entry["share"]]), ("by_metric", [*entry["by_metric"].values()]),
+                            ("by_band", entry["by_band"])):
+            for share in shares:
+                if share is not None:  # nothing was left to explain
+                    _number(share, f"{at}.{key}")
+        _require(isinstance(entry["at_ceiling"], list) and set(entry["at_ceiling"]) <= set(entry["by_metric"]),
+                 f"{at}.at_ceiling", "name metrics of by_metric")
+
+
 def _effect(value: Any, where: str) -> None:
     _require(isinstance(value, str) and value in CATALOGUE, f"{where}={value!r:.60}", "be an effect of the catalogue")
 
@@ -294,12 +314,13 @@ def _check_ledger(ledger: Any) -> None:
     _require(isinstance(ledger, dict), "ledger", "be an object")
     _require(ledger.get("format") == LEDGER_FORMAT, f"format={ledger.get('format')!r:.60}", f"be {LEDGER_FORMAT}")
     _keys(ledger, "ledger", ("rirs", "rooms", "left_out", "given", "baseline", "iterations", "ranking",
-                             "unexplained", "unexplained_all", "final"))
+                             "unexplained", "unexplained_all", "final", "ceiling", "explained"))
     for key in ("rirs", "rooms"):
         _count(ledger[key], key)
     _list(ledger["left_out"], "left_out", _left_out)
-    for key in ("baseline", "final"):
+    for key in ("baseline", "final", "ceiling"):
         _errors(ledger[key], key)
+    _explained(ledger["explained"], "explained")
     _list(ledger["iterations"], "iterations", _iteration)
     _list(ledger["ranking"], "ranking", _candidate)
     _list(ledger["unexplained_all"], "unexplained_all", _unexplained)
@@ -317,7 +338,8 @@ def _check_ledger(ledger: Any) -> None:
             _require(ledger[key][split]["error"] == error, f"{key}.{split}.error={ledger[key][split]['error']:g}",
                      f"be the heldout_error_{when} of its iteration, {error:g}")
     if "test" in ledger:
-        _keys(ledger["test"], "test", ("rirs", "rooms", "left_out", "before", "after"))
+        _keys(ledger["test"], "test", ("rirs", "rooms", "left_out", "before", "after", "ceiling", "explained"))
         _list(ledger["test"]["left_out"], "test.left_out", _left_out)
-        for key in ("before", "after"):
+        for key in ("before", "after", "ceiling"):
             _errors(ledger["test"][key], f"test.{key}")
+        _explained(ledger["test"]["explained"], "test.explained")

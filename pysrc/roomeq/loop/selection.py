@@ -158,6 +158,12 @@ def score_test_set(data: Data, session: Session, *, seed: int, nj: int) -> HeldO
     session : Session
     seed, nj : int
     """
+    data, calibrated = transferred(data, session)
+    return _rendered_errors(data, calibrated, seed=seed, nj=nj)
+
+
+def transferred(data: Data, session: Session) -> tuple[Data, Callable]:
+    """Return data as a session's model predicts them, and how their rooms are calibrated (`_rendered_errors`)."""
     data = clear_rendered_changes(data, {*session.effects, *data.given_kinds})
     index = ParameterIndex(data, session.effects)
     mean = transfer_shared(session, index)
@@ -168,7 +174,7 @@ def score_test_set(data: Data, session: Session, *, seed: int, nj: int) -> HeldO
         vectors = index.vectors(mean, local)
         return index.absorption(mean, local), effects_of_rows(data, session.effects, vectors), index.gains(local)
 
-    return _rendered_errors(data, calibrated, seed=seed, nj=nj)
+    return data, calibrated
 
 
 def _rendered_errors(data: Data, calibrated: Callable, *, seed: int, nj: int) -> HeldOutErrors:

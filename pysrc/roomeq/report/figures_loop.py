@@ -136,13 +136,14 @@ def ranking(title: str, candidates: list[Candidate], chosen: str | None) -> Draw
     return draw
 
 
-def before_and_after(names: list[str], before: list[float], after: list[float]) -> Draw:
-    """Draw errors before and after by name [JND]; NaN omits an error."""
+def before_and_after(names: list[str], before: list[float], after: list[float], ceiling: list[float]) -> Draw:
+    """Draw errors before and after and their ceiling by name [JND]; NaN omits an error."""
     def draw(axes: Axes, colours: dict[str, str]) -> None:
         y = np.arange(len(names))
         axes.hlines(y, before, after, color=colours["line"], lw=3)
         axes.plot(before, y, "s", color=colours["simulated"], ms=5, label="before")
         axes.plot(after, y, "^", color=colours["compensated"], ms=5.5, label="after")
+        axes.plot(ceiling, y, "|", color=colours["ink"], ms=9, mew=1.5, label="noise ceiling")
         axes.set_yticks(y, names)
         axes.set_ylim(len(names) - 0.5, -0.5)
         axes.set_xlim(left=0)

@@ -39,7 +39,8 @@ def closed_loop(run: Run) -> Context:
     return {"ledger": ledger, "left_out": left_out(ledger), "has_wer": run.has("wer"), "error_rows": error_rows(ledger),
             "effects": [added_effect(entry) for entry in ledger["iterations"]],
             "effect_rows": [effect_row(entry) for entry in ledger["iterations"]],
-            "maps": residual_maps(run, ledger), "rankings": rankings(ledger), "splits": splits(ledger),
+            "at_ceiling": at_ceiling(ledger), "maps": residual_maps(run, ledger),
+            "rankings": rankings(ledger), "splits": splits(ledger),
             "responses": responses(ledger),
             "examples": example_figures(read_examples(examples)) if examples.is_file() else [],
             "unexplained": [sentence(describe_residual(Unexplained(**residual)))
@@ -65,7 +66,8 @@ def facts(run: Run) -> Context:
         return {}
     ledger = ledger_of(run)
     before, after = (ledger[when]["leave_positions_out"]["error"] for when in ("baseline", "final"))
-    return {"loop_before_jnd": before, "loop_after_jnd": after, "n_effects": len(ledger["iterations"])}
+    return {"loop_before_jnd": before, "loop_after_jnd": after, "n_effects": len(ledger["iterations"]),
+            "loop_explained": ledger["explained"]["leave_positions_out"]["share"]}
 
 
 def added_effect(entry: dict[str, Any]) -> Context:
@@ -84,18 +86,29 @@ def sentence(text: str) -> str:
 
 
 def error_rows(ledger: dict[str, Any]) -> list[list[Any]]:
-    """Return the held-out errors before and after, and those of the test set."""
-    def row(name: str, n_rirs: int, n_rooms: int, before: dict[str, Any], after: dict[str, Any]) -> list[Any]:
-        reduction = 1 - after["error"] / max(before["error"], 1e-9)
-        return [name, n_rirs, n_rooms, *(with_interval(part["error"], part["ci"]) for part in (before, after)),
-                percent(reduction)]
+    """Return the held-out errors before and after, their ceiling and the explained share; also of the test set."""
+    def row(name: str, split: str, entry: dict[str, Any], before: str, after: str) -> list[Any]:
+        errors = (with_interval(entry[when][split]["error"], entry[when][split]["ci"]) for when in (before, after))
+        return [name, entry["rirs"], entry["rooms"], *errors, number(entry["ceiling"][split]["error"], 2),
+                share_of(entry["explained"][split])]
 
-    rows = [row(SPLIT_LABELS[split].capitalize(), ledger["rirs"], ledger["rooms"], ledger["baseline"][split],
-                ledger["final"][split]) for split in SPLITS]
+    rows = [row(SPLIT_LABELS[split].capitalize(), split, ledger, "baseline", "final") for split in SPLITS]
     if test := ledger.get("test"):
-        rows += [row(f"Test set, {SPLIT_LABELS[split]}", test["rirs"], test["rooms"], test["before"][split],
-                     test["after"][split]) for split in SPLITS]
+        rows += [row(f"Test set, {SPLIT_LABELS[split]}", split, test, "before", "after") for split in SPLITS]
     return rows
+
+
+def share_of(explained: dict[str, Any]) -> str:
+    """Format the explained share of a split with its interval."""
+    if explained["share"] is None:
+        return "nothing left to explain"
+    limits = "" if explained["ci"] is None else f" ({' to '.join(percent(bound) for bound in explained['ci'])})"
+    return percent(explained["share"]) + limits
+
+
+def at_ceiling(ledger: dict[str, Any]) -> list[str]:
+    """Return the labels of the metrics whose error on held-out positions cannot fall further."""
+    return [METRIC_LABELS[metric] for metric in ledger["explained"][SPLITS[0]]["at_ceiling"]]
 
 
 def effect_row(entry: dict[str, Any]) -> list[str]:
@@ -177,13 +190,14 @@ def rankings(ledger: dict[str, Any]) -> list[figures.Panel]:
 
 def splits(ledger: dict[str, Any]) -> list[figures.Panel]:
     """Draw the held-out errors by metric and by band."""
-    before, after = (ledger[when]["leave_positions_out"] for when in ("baseline", "final"))
-    metrics = list(before["by_metric"])
-    by_metric = [[entry["by_metric"].get(metric, np.nan) for metric in metrics] for entry in (before, after)]
-    by_band = [[np.nan if error is None else error for error in entry["by_band"]] for entry in (before, after)]
+    entries = [ledger[when]["leave_positions_out"] for when in ("baseline", "final", "ceiling")]
+    metrics = list(entries[0]["by_metric"])
+    by_metric = [[entry["by_metric"].get(metric, np.nan) for metric in metrics] for entry in entries]
+    by_band = [[np.nan if error is None else error for error in entry["by_band"]] for entry in entries]
 
     def panel(ident: str, names: list[str], errors: list[list[float]]) -> figures.Panel:
-        alt = "; ".join(f"{name} {number(b)} to {number(a)} JND" for name, b, a in zip(names, *errors, strict=True))
+        alt = "; ".join(f"{name} {number(b)} to {number(a)} JND, ceiling {number(c)} JND"
+                        for name, b, a, c in zip(names, *errors, strict=True))
         return figures.panel(ident, figures_loop.before_and_after(names, *errors), alt)
 
     return [panel("figure-loop-metrics", [METRIC_LABELS[metric] for metric in metrics], by_metric),

@@ -33,8 +33,8 @@ def replace(value, *keys):
 
 
 @pytest.mark.parametrize("change, message", [
-    (without("format"), "format=None must be 2"),  # of an older version
-    (replace(1, "format"), "format=1 must be 2"),
+    (without("format"), "format=None must be 3"),  # of an older version
+    (replace(1, "format"), "format=1 must be 3"),
     (without("given"), "ledger must hold 'given'"),
     (without("left_out"), "ledger must hold 'left_out'"),
     (replace("", "left_out", 0, "reason"), r"left_out\[0\].reason='' must be a text"),
@@ -45,6 +45,11 @@ def replace(value, *keys):
     (replace("positions", "iterations", 0, "scored_on"),
      r"iterations\[0\].scored_on='positions' must be leave_positions_out or leave_room_out"),
     (replace(2.0, "iterations", 0, "p"), r"iterations\[0\].p=2.0 must be a number in \[0, 1\]"),
+    (without("ceiling"), "ledger must hold 'ceiling'"),
+    (replace([0.8, 0.9], "explained", SPLITS[0], "ci"),
+     r"explained.leave_positions_out.ci=\[0.8, 0.9\] must lie around 0.79"),
+    (replace(["bass"], "explained", SPLITS[0], "at_ceiling"),
+     "explained.leave_positions_out.at_ceiling must name metrics of by_metric"),
     (replace(3.3, "baseline", SPLITS[0], "error"),
      "baseline.leave_positions_out.error=3.3 must be the heldout_error_before of its iteration, 3.4")])
 def test_invalid_ledger_is_refused_with_the_place_of_its_error(loop, tmp_path, change, message):

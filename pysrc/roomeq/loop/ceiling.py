@@ -1,0 +1,155 @@
+"""The noise ceiling: the held-out error that remains if the model is right, and how much of the rest is explained.
+
+Recordings are simulated with the model itself: the same rooms, loudspeakers and microphones with their fitted
+parameters, but another random realisation of everything that no model of this kind knows - the phases of reflections
+and of the diffuse tail, the exact positions, the noise of the recording. The model is then fitted to these twins of the
+recordings and scored on them like on the recordings (parametric bootstrap; Efron and Tibshirani, An Introduction to
+the Bootstrap, 1993, sec. 6.5). What remains is interference, decays of finite bandwidth and length (Davy, Dunn and
+Dubout, Acustica 43 (1979) 12), the rendering's own noise, the uncertainty of geometry, and what half of a room or the
+other rooms cannot tell about a room.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import stats
+
+from roomeq.acoustics.octaves import OCTAVE_WIDTH_HZ
+from roomeq.core.arrays import FloatArray, IntArray
+from roomeq.core.constants import FS_HZ
+from roomeq.core.rng import rng_for
+from roomeq.core.workers import share_out
+from roomeq.effects.base import Effect, octave_energies
+from roomeq.effects.noise_floor import NOISE_S
+from roomeq.loop.data import Data, is_timed
+from roomeq.loop.features import HAS_GAIN, Features, measure_features
+from roomeq.loop.fit import fit
+from roomeq.loop.rendering import RawRir, finished_rir, render_rows
+from roomeq.loop.selection import SPLITS, HeldOutErrors, heldout_errors, score_test_set, transferred
+from roomeq.loop.session import Session
+
+POSITION_SPREAD_M = 0.02
+"""Standard deviation of each coordinate of a source and of a microphone about the stated one."""
+MIN_EXPLAINABLE_JND = 0.25
+"""Errors that exceed the ceiling by less leave nothing to explain."""
+_TRIES = 100  # to move a microphone within its room
+
+
+def ceiling_errors(session: Session) -> HeldOutErrors:
+    """Return the held-out errors that a session's model would have if the recordings followed it."""
+    data, index, fitted = session.data, session.index, session.fit
+    twins = twin_recordings(data, index.absorption(fitted.mean, fitted.local)[data.room], session.by_row,
+                            index.gains(fitted.local), seed=session.seed, nj=session.nj)
+    refitted = fit(twins, session.correction, session.effects, initial=fitted)
+    return heldout_errors(replace(session, data=twins, fit=refitted))
+
+
+def ceiling_of_test_set(data: Data, session: Session, *, seed: int, nj: int) -> HeldOutErrors:
+    """Return the errors that a session's model would have on rooms held out of every fit if they followed it."""
+    data, calibrated = transferred(data, session)
+    every: list[IntArray] = [np.flatnonzero(data.room == r) for r in range(len(data.room_names))]
+    absorption, by_row, gains = calibrated(every, None)
+    twins = twin_recordings(data, absorption[data.room], by_row, gains, seed=seed, nj=nj)
+    return score_test_set(twins, session, seed=seed, nj=nj)
+
+
+def twin_recordings(data: Data, absorption: FloatArray, effects: list[list[Effect]], gains: FloatArray, *, seed: int,
+                    nj: int) -> Data:
+    """Return data with simulated recordings in place of the measured ones.
+
+    Parameters
+    ----------
+    data : Data
+    absorption : ndarray, shape (n_rirs, 2, 8)
+        As for `roomeq.loop.rendering.render_rows`.
+    effects : list of list of Effect
+        Of each RIR.
+    gains : ndarray, shape (n_rirs,)
+        Of the recordings [dB].
+    seed, nj : int
+
+    Returns
+    -------
+    Data
+        A feature is valid if it is valid in the recording as well as in its twin.
+    """
+    moved = replace(data, places=[replace(place, mic_pos_m=_moved(data, n, seed))
+                                  for n, place in enumerate(data.places)])
+    twin_seed = int(rng_for(seed, "loop twins", "seed").integers(2 ** 31))
+    raw_rirs, _ = render_rows(moved, absorption, effects, seed=twin_seed, nj=nj)
+    measured = share_out(lambda n: _recorded(moved, n, raw_rirs[n], effects[n], twin_seed), range(len(data.rows)), nj)
+    return replace(data, features=np.array([of_rir.values for of_rir in measured]) + np.outer(gains, HAS_GAIN),
+                   valid=data.valid & np.array([of_rir.valid for of_rir in measured]),
+                   white=np.array([of_rir.white for of_rir in measured]))
+
+
+def _moved(data: Data, n: int, seed: int) -> tuple[float, ...]:
+    """Return a microphone's position with the uncertainty of both positions, since only their difference matters."""
+    place, rng = data.places[n], rng_for(seed, "loop twins", data.rows[n]["id"])
+    for _ in range(_TRIES):
+        position_m = np.add(place.mic_pos_m, np.sqrt(2.0) * POSITION_SPREAD_M * rng.standard_normal(3))
+        try:
+            place.room.require_inside("mic_pos_m", position_m)
+        except ValueError:
+            continue
+        return tuple(float(x) for x in position_m)
+    return place.mic_pos_m
+
+
+def _recorded(data: Data, n: int, raw: RawRir, effects: list[Effect], seed: int) -> Features:
+    """Measure a rendered RIR like a recording of the same length with the same white noise."""
+    row, rir = data.rows[n], finished_rir(data, n, raw, effects, seed)
+    density = data.white[n] * octave_energies(rir) / (NOISE_S * FS_HZ) / (OCTAVE_WIDTH_HZ / (0.5 * FS_HZ))
+    n_samples = max(len(rir), round(row["n_samples"] / row["fs_hz"] * FS_HZ))
+    noise = rng_for(seed, "loop twins noise", row["id"]).standard_normal(n_samples)
+    recording = np.sqrt(np.median(density)) * noise
+    recording[:len(rir)] += rir
+    expected_sample = data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ
+    return measure_features(recording, expected_sample, timed=is_timed(row))
+
+
+def explained(before: HeldOutErrors, after: HeldOutErrors, ceiling: HeldOutErrors) -> dict:
+    """Return the share of the explainable error that is explained, ``(before - after) / (before - ceiling)``.
+
+    Returns
+    -------
+    dict
+        By split: `share`, None where `before` exceeds `ceiling` by less than `MIN_EXPLAINABLE_JND`; `ci`, its interval
+        of 95 % over rooms (that of a ratio of means; Cochran, Sampling Techniques, 3rd ed., sec. 6.4), None for fewer
+        than three rooms; the shares `by_metric` and `by_band`; `at_ceiling`, the metrics whose error cannot fall
+        further.
+    """
+    entries = {}
+    for split in SPLITS:
+        known = np.isfinite(ceiling.by_split[split])
+        old, new, least = (replace(errors, by_split={split: np.where(known, errors.by_split[split], np.nan)})
+                           for errors in (before, after, ceiling))
+        fallen = old.of_rooms(split) - new.of_rooms(split)
+        explainable = old.of_rooms(split) - least.of_rooms(split)
+        share = _share(float(fallen.mean()), float(explainable.mean()))
+        interval = None
+        if share is not None and len(fallen) > 2:
+            deviation = (fallen - share * explainable).std(ddof=1) / np.sqrt(len(fallen)) / explainable.mean()
+            half = float(stats.t.ppf(0.975, len(fallen) - 1) * deviation)
+            interval = [share - half, share + half]
+        of_metric = {metric: (old.by_metric(split)[metric], new.by_metric(split)[metric], error)
+                     for metric, error in least.by_metric(split).items()}
+        bands = zip(old.by_band(split), new.by_band(split), least.by_band(split), strict=True)
+        entries[split] = dict(
+            share=share, ci=interval,
+            by_metric={metric: _share(b - a, b - c) for metric, (b, a, c) in of_metric.items()},
+            by_band=[None if b is None or a is None or c is None else _share(b - a, b - c) for b, a, c in bands],
+            at_ceiling=[metric for metric, (_, a, c) in of_metric.items() if a - c < MIN_EXPLAINABLE_JND])
+    return entries
+
+
+def _share(fallen: float, explainable: float) -> float | None:
+    return fallen / explainable if explainable >= MIN_EXPLAINABLE_JND else None
+
+
+def describe_explained(entry: dict) -> str:
+    """Return the explained share of one split as text."""
+    if entry["share"] is None:
+        return "nothing left to explain"
+    interval = f" [{100 * entry['ci'][0]:.0f}, {100 * entry['ci'][1]:.0f}]" if entry["ci"] else ""
+    return f"{100 * entry['share']:.0f} %{interval} of the explainable error"

@@ -1,0 +1,59 @@
+"""The explained share of the explainable error: its value, its interval, and where nothing is left to explain."""
+
+import numpy as np
+import pytest
+
+from roomeq.loop.ceiling import MIN_EXPLAINABLE_JND, describe_explained, explained
+from roomeq.loop.features import METRIC, N_FEATURES
+from roomeq.loop.selection import SPLITS, HeldOutErrors
+
+
+def errors(of_rooms, scored=None):
+    """Return errors of rooms of two RIRs, the same of all features."""
+    room = np.repeat(np.arange(len(of_rooms)), 2)
+    values = np.repeat(of_rooms, 2)[:, None] * np.ones(N_FEATURES)
+    values = values if scored is None else np.where(scored, values, np.nan)
+    return HeldOutErrors(dict.fromkeys(SPLITS, values), room, np.tile([0, 1], len(of_rooms)))
+
+
+def test_share_is_the_fall_relative_to_what_can_fall():
+    entry = explained(errors([4.0, 4.2, 3.8]), errors([2.0, 2.1, 1.9]), errors([1.0, 1.1, 0.9]))[SPLITS[0]]
+    assert entry["share"] == pytest.approx(2.0 / 3.0)
+    low, high = entry["ci"]
+    assert 0.55 < low < 2.0 / 3.0 < high < 0.8
+    assert set(entry["by_metric"]) == set(METRIC) and np.allclose(list(entry["by_metric"].values()), 2.0 / 3.0)
+    assert entry["at_ceiling"] == []
+    assert describe_explained(entry).startswith("67 % [")
+
+
+def test_interval_covers_the_share_of_the_population():
+    rng, hits = np.random.default_rng(0), 0
+    for _ in range(300):
+        left = 2.0 + 0.4 * rng.standard_normal(8)  # explainable error of each room
+        fallen = 0.7 * left + 0.3 * rng.standard_normal(8)
+        low, high = explained(errors(1.0 + left), errors(1.0 + left - fallen), errors(np.ones(8)))[SPLITS[0]]["ci"]
+        hits += low < 0.7 < high
+    assert hits / 300 == pytest.approx(0.95, abs=0.04)
+
+
+def test_nothing_is_left_to_explain_near_the_ceiling():
+    entry = explained(errors([1.2, 1.3, 1.1]), errors([1.2, 1.3, 1.1]), errors([1.0, 1.1, 0.9]))[SPLITS[0]]
+    assert entry["share"] is None and entry["ci"] is None
+    assert set(entry["by_metric"].values()) == {None} and set(entry["by_band"]) == {None}
+    assert entry["at_ceiling"] == list(dict.fromkeys(METRIC)) and MIN_EXPLAINABLE_JND > 0.2
+    assert describe_explained(entry) == "nothing left to explain"
+
+
+def test_two_rooms_have_a_share_without_interval():
+    entry = explained(errors([4.0, 4.0]), errors([2.0, 3.0]), errors([1.0, 1.0]))[SPLITS[0]]
+    assert entry["share"] == pytest.approx(0.5) and entry["ci"] is None
+    assert describe_explained(entry) == "50 % of the explainable error"
+
+
+def test_features_without_a_ceiling_take_no_part():
+    scored = METRIC != "ahead"
+    after = errors([2.0, 2.0, 2.0])
+    for of_split in after.by_split.values():
+        of_split[:, ~scored] = 20.0
+    entry = explained(errors([4.0, 4.0, 4.0]), after, errors([1.0, 1.0, 1.0], scored))[SPLITS[0]]
+    assert entry["share"] == pytest.approx(2.0 / 3.0) and "ahead" not in entry["by_metric"]
