@@ -177,7 +177,8 @@ def test_loop_section_describes_effects_and_errors(page):
     assert "A surface 0.70 m (0.70 to 0.70) below source and microphone reflects 60 %" in page.text
     assert "Limitations of the closed loop" in page.text and "3.4 \u2192 1.5" in page.text
     assert "depth_m 0.7 (0.7 to 0.7); reflection 0.6 (0.6 to 0.6)" in page.text
-    assert "56\N{NO-BREAK SPACE}%" in page.text
+    assert "79\N{NO-BREAK SPACE}% (59\N{NO-BREAK SPACE}% to 99\N{NO-BREAK SPACE}%)" in page.text
+    assert "cannot fall further, as it lies within a quarter of a JND of the ceiling: T30; C50." in page.text
     assert ("10 RIRs took no part (7: the room's dimensions are unknown; 3: the positions are marked unreliable). "
             "3 RIRs of the test set took no part (3: the positions are marked unreliable)." in page.text)
 
