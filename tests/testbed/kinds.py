@@ -5,6 +5,10 @@ Conventions
 Each kind has ``draw(seed, rooms)``, which returns its parameters (JSON-able; nothing in it depends on the
 strength), and ``extra(parameters, scale)``, which returns the `Extra` that does it. `scales` is the range that
 physics allows; strength grows with it.
+
+Every kind acts on every base (`testbed.bases`). On pyroomacoustics, whose rays know no screen in a shoebox, occlusion
+changes its image sources alone; the directivity of a source weights them and, by the angle at which they left it, the
+rays; another air or speed of sound is given to it.
 """
 
 from collections.abc import Callable
