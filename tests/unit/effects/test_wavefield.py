@@ -134,7 +134,18 @@ def test_voxels_of_a_box_have_its_eigenfrequencies(mesh_modes):
     exact = modes(BOX, 320.0, C).frequencies_hz
     n_modes = len(mesh_modes.frequencies_hz)
     assert n_modes == pytest.approx(np.sum(exact <= 300.0), abs=4)
-    np.testing.assert_allclose(mesh_modes.frequencies_hz, exact[:n_modes], rtol=0.01)
+    np.testing.assert_allclose(mesh_modes.frequencies_hz, exact[:n_modes], rtol=0.005)
+
+
+@pytest.mark.parametrize("angle_rad", [0.15, 0.3, 0.6])
+def test_voxels_of_an_oblique_box_have_its_eigenfrequencies(angle_rad):
+    """Walls that cut voxels are where they are: steps as large as a voxel would shift the modes by 3 to 4 %."""
+    x, y = np.array([[np.cos(angle_rad), np.sin(angle_rad)], [-np.sin(angle_rad), np.cos(angle_rad)]])
+    turned = make_room(box_triangles(DIMS_M) @ np.array([[*x, 0.0], [*y, 0.0], [0.0, 0.0, 1.0]]), ["wall"] * 12)
+    found, exact = modes(turned, 150.0, C).frequencies_hz, modes(BOX, 160.0, C).frequencies_hz
+    assert len(found) == pytest.approx(np.sum(exact <= 150.0), abs=1)
+    assert np.sqrt(np.mean((found / exact[:len(found)] - 1.0) ** 2)) < 0.01
+
 
 
 def test_voxels_of_a_box_give_its_response(mesh_modes):
@@ -163,7 +174,7 @@ def test_modes_of_an_l_shape_converge_with_voxel_size():
     room = make_room(*l_triangles())
     k = [voxel_modes(room, 2.0 * np.pi * 100.0 / C, per_wavelength)[0][:12] for per_wavelength in (6.0, 12.0, 24.0)]
     errors = [np.abs(row / k[2] - 1.0).max() for row in k[:2]]
-    assert errors[0] < 0.02 and errors[1] < 0.5 * errors[0]
+    assert errors[0] < 0.01 and errors[1] < 0.5 * errors[0]
     np.testing.assert_allclose(np.abs(k[2] / (np.pi / L_HEIGHT_M) - 1.0).min(), 0.0, atol=1e-3)
 
 
