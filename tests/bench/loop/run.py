@@ -24,8 +24,8 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import NamedTuple
 
@@ -109,17 +109,23 @@ def run_sets(missing: Iterator[RoomSet], cache: Path, results: list[Result], job
     One set at a time has two jobs of the loop, more sets one each.
     """
     nj = 2 if jobs == 1 else 1
-    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), max_tasks_per_child=1) as pool:
+    with ThreadPoolExecutor(jobs) as pool:
         running: set[Future[Result]] = set()
         while True:
             while len(running) < jobs and (rooms := next(missing, None)):
                 earlier = [result for result in results if (result["base"], result["kind"], result["seed"])
                            == (rooms.base, rooms.kind, rooms.seed)]
-                running.add(pool.submit(run_set, rooms, cache, earlier, nj))
+                running.add(pool.submit(in_own_process, run_set, rooms, cache, earlier, nj))
             if not running:
                 return
             ended, running = wait(running, return_when=FIRST_COMPLETED)
             yield from (future.result() for future in ended)
+
+
+def in_own_process(function: Callable[..., Result], *arguments: object) -> Result:
+    """Run a function in a process that ends with it: no memory is kept from set to set."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
+        return process.submit(function, *arguments).result()
 
 
 def _rings_hz(truth: dict) -> list[float]:

@@ -1,8 +1,10 @@
 """Rates of the loop's bench: which sets count as found, not told apart, misnamed."""
 
+import os
+
 import pytest
 
-from bench.loop.run import planned_sets, run_sets
+from bench.loop.run import RoomSet, in_own_process, planned_sets, run_set, run_sets
 from bench.loop.table import by_base, rates, show
 
 
@@ -73,3 +75,19 @@ def test_sets_are_planned_by_base_with_as_many_clean_ones_as_asked():
 
 def test_nothing_runs_where_nothing_is_missing(tmp_path):
     assert list(run_sets(iter(()), tmp_path, [], jobs=2)) == []
+
+
+def test_a_set_sees_earlier_results_of_its_base_kind_and_seed(tmp_path, monkeypatch):
+    monkeypatch.setattr("bench.loop.run.in_own_process", lambda function, rooms, cache, earlier, nj: dict(
+        function=function, strength=rooms.strength, earlier=len(earlier), nj=nj))
+    sets = [RoomSet("testbed", "occlusion", strength, 101) for strength in (2, 1, 4)]
+    results = [result(seed=101), result(seed=102), result("clean", seed=101, added=()),
+               result(seed=101, base="pyroomacoustics")]
+    told = list(run_sets(iter(sets), tmp_path, results, jobs=2))
+    assert sorted(one["strength"] for one in told) == [1, 2, 4]
+    assert {(one["function"], one["nj"], one["earlier"]) for one in told} == {(run_set, 1, 1)}
+    assert next(run_sets(iter(sets), tmp_path, results, jobs=1))["nj"] == 2
+
+
+def test_no_two_sets_share_a_process():
+    assert len({os.getpid(), in_own_process(os.getpid), in_own_process(os.getpid)}) == 3
