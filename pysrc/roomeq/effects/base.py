@@ -26,12 +26,11 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Self, cast
 
 import numpy as np
-import scipy  # its submodules are slow to import and load themselves when first used
 from numpy.typing import ArrayLike
 
 from roomeq.acoustics.octaves import octave_bands
 from roomeq.core.arrays import Array, FloatArray, IntArray
-from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
+from roomeq.core.constants import FS_HZ
 from roomeq.effects.prediction import PredictedRirs, PredictionState
 from roomeq.sim.render import render
 from roomeq.sim.scene import Air, Scene
@@ -84,15 +83,10 @@ class Rendering:
 
     def direct(self, n_samples: int) -> FloatArray:
         """Return the direct sound as the simulator rendered it."""
-        return self._rendered(self.distance_m, self.direct_gain, n_samples)
+        return self.pulse(self.distance_m, self.direct_gain, n_samples)
 
-    def pulse(self, length_m: float, gains: FloatArray, n_samples: int) -> FloatArray:
+    def pulse(self, length_m: float, gains: ArrayLike, n_samples: int) -> FloatArray:
         """Render a single path with a pressure gain per band, shape (8,), in minimum phase: nothing precedes it."""
-        pulse = self._rendered(length_m, np.ones(len(gains)), n_samples)
-        taps = minimum_phase(EXACT_BANDS_HZ, 20.0 * np.log10(np.maximum(gains, 1e-9)))
-        return scipy.signal.oaconvolve(pulse, taps)[:n_samples]
-
-    def _rendered(self, length_m: float, gains: ArrayLike, n_samples: int) -> FloatArray:
         gains = np.asarray(gains, dtype=float)
         silence = np.zeros((1, len(gains)))
         return render(np.array([length_m]), gains[None], silence, np.zeros(n_samples),
@@ -181,34 +175,6 @@ class Effect:
     def on_rir(self, rir: FloatArray, rendering: Rendering) -> FloatArray:
         """Return the rendered RIR, shape (n_samples,), with the effect; it may become longer."""
         return rir
-
-
-def minimum_phase(frequencies_hz: Sequence[float], gains_db: Sequence[float] | FloatArray,
-                  n_taps: int = 2048) -> FloatArray:
-    """Design a causal minimum-phase filter from a magnitude response, interpolated in dB over log frequency.
-
-    The phase follows from the real cepstrum (Oppenheim and Schafer, Discrete-Time Signal Processing, 3rd ed.,
-    sec. 13.3). Loudspeakers and microphones are close to minimum phase.
-
-    Parameters
-    ----------
-    frequencies_hz : sequence of float
-        Ascending.
-    gains_db : sequence of float
-        Gain at each frequency; constant beyond the ends.
-    n_taps : int
-        Length of the transform.
-
-    Returns
-    -------
-    taps : ndarray, shape (n_taps // 2,)
-    """
-    frequency = np.fft.rfftfreq(n_taps, 1.0 / FS_HZ)
-    log_gain = np.interp(np.log(np.maximum(frequency, 1.0)), np.log(frequencies_hz), gains_db) * np.log(10.0) / 20.0
-    cepstrum = np.fft.irfft(log_gain, n_taps)
-    cepstrum[1:n_taps // 2] *= 2.0
-    cepstrum[n_taps // 2 + 1:] = 0.0
-    return np.fft.irfft(np.exp(np.fft.rfft(cepstrum)), n_taps)[:n_taps // 2]
 
 
 def octave_energies(rir: Array) -> FloatArray:

@@ -7,9 +7,10 @@ import numpy as np
 import scipy  # its submodules are slow to import and load themselves when first used
 from numpy.typing import ArrayLike
 
+from roomeq.acoustics.minimum_phase import minimum_phase
 from roomeq.acoustics.octaves import THIRDS_HZ
 from roomeq.core.arrays import FloatArray, IntArray
-from roomeq.effects.base import Effect, Rendering, minimum_phase
+from roomeq.effects.base import Effect, Rendering
 from roomeq.effects.prediction import PredictedRirs, PredictionState
 
 RESPONSE_HZ = (*THIRDS_HZ, 1000.0 * 10.0 ** (0.1 * 9))

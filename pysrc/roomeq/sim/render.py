@@ -3,6 +3,10 @@
 The tail is one random sequence for all bands, shaped per band by the echogram. Reflections in a room arrive at a rate
 of ``4 pi c^3 t^2 / V`` (Kuttruff, Room Acoustics, eq. 4.6). While that is less than one per sample, the sequence
 consists of single pulses, one at a random time in each interval between arrivals; later it is Gaussian.
+
+The first sound is of minimum phase, as air and loudspeakers are, with gains interpolated in dB over log frequency:
+nothing precedes it. Later paths and the tail pass zero-phase octave filters, which cost the same for any number of
+paths; what rings ahead of the first sound is cut off.
 """
 
 from collections.abc import Sequence
@@ -12,8 +16,9 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from roomeq.acoustics.filterbank import SPREAD_S, octave_filterbank
-from roomeq.core.arrays import Array, FloatArray, Number
-from roomeq.core.constants import FS_HZ
+from roomeq.acoustics.minimum_phase import minimum_phase
+from roomeq.core.arrays import Array, FloatArray, IntArray, Number
+from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.core.jit import compiled
 from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.trace import dense_after_s
@@ -23,6 +28,8 @@ MIN_RATE_HZ = 2000.0  # diffuse reflections are dense from the start: at least t
 MIN_LENGTH_S = 0.5
 MAX_LENGTH_S = 3.0
 DECAY_DB = 60.0
+_LOWEST_GAIN = 1e-3  # of an octave of the first sound, relative to the strongest
+_FIRST_FFT = 1024  # length of the transform of its minimum phase: gains per octave resolve no more
 _OVERSAMPLING = 256
 _FFT_GRID = 4096
 
@@ -90,16 +97,35 @@ def render(distance_m: FloatArray, gains: FloatArray, echogram: FloatArray, nois
     ndarray, shape (n_samples,)
         Sample 0 is the emission.
     """
-    guard = int(SPREAD_S * FS_HZ)
+    guard, bank_bands = int(SPREAD_S * FS_HZ), np.arange(8)[bands]
     # few sizes of transform for all lengths, so that their filters stay cached
     n_fft = next_fast_len(-(-(n_samples + 2 * guard) // _FFT_GRID) * _FFT_GRID, real=True)
-    signals = np.zeros((echogram.shape[1], n_fft))
-    first = distance_m.min() / speed_m_s * FS_HZ if len(distance_m) else 0.0
-    _shape_noise(signals[:, guard:guard + n_samples], noise, _padded(echogram, n_samples), int(np.ceil(first)),
+    bank = octave_filterbank(n_fft, FS_HZ)[bank_bands]
+    signals, earliest = np.zeros((len(bank), n_fft)), np.zeros(n_fft)
+    delays, gains = guard + distance_m / speed_m_s * FS_HZ, np.ascontiguousarray(gains)
+    first = int(np.argmin(distance_m)) if len(distance_m) else None
+    onset = guard if first is None else int(np.ceil(delays[first]))
+    _shape_noise(signals[:, guard:guard + n_samples], noise, _padded(echogram, n_samples), onset - guard,
                  FRAME_S * FS_HZ)
-    _add_pulses(signals, guard + distance_m / speed_m_s * FS_HZ, np.ascontiguousarray(gains), _sinc_table())
-    spectrum = np.einsum("bf,bf->f", rfft(signals, n_fft), octave_filterbank(n_fft, FS_HZ)[bands])
-    return irfft(spectrum, n_fft)[guard:guard + n_samples]
+    later = np.arange(len(distance_m)) != first
+    _add_pulses(signals, delays[later], gains[later], _sinc_table())
+    if first is not None:
+        _add_first(earliest, delays[first], gains[first], bank_bands)
+    response = irfft(np.einsum("bf,bf->f", rfft(signals, n_fft), bank), n_fft)
+    response[:onset - SINC_HALF] = 0.0  # nothing precedes the first sound, though the filters of the others ring
+    response += earliest if len(bank) == 8 else irfft(rfft(earliest, n_fft) * bank.sum(axis=0), n_fft)
+    return response[guard:guard + n_samples]
+
+
+def _add_first(signal: FloatArray, delay: float, gains: FloatArray, bands: IntArray) -> None:
+    """Add the first sound in minimum phase, its gains interpolated in dB over log frequency, in place."""
+    pulse = np.zeros((1, 2 * SINC_HALF))
+    start = int(np.ceil(delay)) - SINC_HALF
+    _add_pulses(pulse, np.array([delay - start]), np.ones((1, 1)), _sinc_table())
+    gains_db = 20.0 * np.log10(np.maximum(gains, max(_LOWEST_GAIN * gains.max(), 1e-30)))
+    sound = np.convolve(pulse[0], minimum_phase(np.array(EXACT_BANDS_HZ)[bands], gains_db, _FIRST_FFT))
+    low, high = max(0, start), min(len(signal), start + len(sound))
+    signal[low:high] += sound[low - start:high - start]
 
 
 def _padded(echogram: FloatArray, n_samples: int) -> FloatArray:

@@ -7,7 +7,7 @@ import pytest
 
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.iso3382 import reverberation_time
-from roomeq.core.constants import BAND_1KHZ, FS_HZ
+from roomeq.core.constants import BAND_1KHZ, EXACT_BANDS_HZ, FS_HZ
 from roomeq.sim.echogram import FRAME_S, compute_echograms
 from roomeq.sim.images import specular_paths
 from roomeq.sim.render import render, tail_noise
@@ -38,6 +38,33 @@ def test_direct_sound_follows_inverse_distance_and_delay(distance_m):
     frequency = np.fft.rfftfreq(len(response.rir), 1.0 / FS_HZ)
     level_db = 20.0 * np.log10(spectrum * 4.0 * np.pi * distance_m)
     assert np.all(np.abs(level_db[(frequency > 50.0) & (frequency < 4000.0)]) < 0.1)
+
+
+STEEP = np.array([1.0, 1.0, 0.5, 1.0, 0.3, 0.1, 0.03, 0.01])
+
+
+def rendered_path(length_m, gains):
+    return render(np.array([length_m]), gains[None], np.zeros((1, 8)), np.zeros(8000), speed_m_s=C, n_samples=8000)
+
+
+def test_nothing_precedes_the_first_sound_where_gains_differ_between_octaves():
+    echogram = np.outer(np.exp(-np.arange(300) / 80.0), STEEP ** 2)
+    paths_m = np.array([3.4, 4.1, 6.0])
+    rir = render(paths_m, np.outer([0.1, 0.2, 0.2], STEEP), 1e-3 * echogram, np.ones(8000), speed_m_s=C, n_samples=8000)
+    first = int(paths_m[0] / C * FS_HZ)
+    assert np.all(np.abs(rir[:first - 32]) < 1e-9 * np.abs(rir).max())
+
+
+def test_first_sound_has_its_gain_in_the_middle_of_every_octave():
+    spectrum = np.abs(np.fft.rfft(rendered_path(3.4, STEEP), 16000))
+    at_centre = spectrum[np.round(np.array(EXACT_BANDS_HZ)).astype(int)]
+    assert 20.0 * np.log10(at_centre[:7] / STEEP[:7]) == pytest.approx(np.zeros(7), abs=0.5)
+
+
+def test_first_sound_with_equal_gains_is_a_band_limited_pulse():
+    rir, start = rendered_path(3.4, np.ones(8)), 3.4 / C * FS_HZ
+    n = np.arange(int(start) - 20, int(start) + 20)
+    assert rir[n] == pytest.approx(np.sinc(n - start) * np.cos(0.5 * np.pi * (n - start) / 32.0) ** 2, abs=1e-4)
 
 
 def images_by_hand(dims_m, source, mic, order):
