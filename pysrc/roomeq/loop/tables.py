@@ -33,6 +33,7 @@ FRAME_EDGES_S = np.concatenate([
     [0.0, 2.5e-3, 5e-3, 7.5e-3], np.arange(0.01, 0.05, 0.005), np.arange(0.05, 0.3, 0.01),
     0.3 * 1.06 ** np.arange(48)])
 """Edges of the frames after the direct sound [s]; fine where features have their gates."""
+FRAME_MID_S = 0.5 * (FRAME_EDGES_S[1:] + FRAME_EDGES_S[:-1])
 N_FRAMES = len(FRAME_EDGES_S) - 1
 ANGLES = np.linspace(0.0, np.pi, 9)
 """Grid of the angle between a ray's departure and the direction that the source faces [rad]."""
@@ -168,9 +169,6 @@ def _count(rules: Rules, rays: _Rays, receiver: _Receiver, angle_node: FloatArra
            angular: FloatArray) -> None:
     """Add the contributions of all rays to `counts` and `angular`, by the rules of `roomeq.sim.paths`.
 
-    In double precision, and with one exception: late reflections contribute by next-event estimation whether or not
-    the ray continues diffusely.
-
     Parameters
     ----------
     rules : Rules
@@ -214,14 +212,14 @@ def _count(rules: Rules, rays: _Rays, receiver: _Receiver, angle_node: FloatArra
             if step.becomes_late:
                 weight *= rules.stride
             n_level += 1 if rays.level[face] else 0
-            if scattering > 0.0:
+            if step.scattered > 0.0:
                 vx, vy, vz = mic[0] - hx, mic[1] - hy, mic[2] - hz
                 d2 = vx * vx + vy * vy + vz * vz
                 d = np.sqrt(d2)
                 cosine = (vx * rays.normals[face, 0] + vy * rays.normals[face, 1] + vz * rays.normals[face, 2]) / d
                 tick = int((new_path + d - distance_m) * ticks_per_m)
                 if cosine > 0.0 and tick < n_ticks and (all_visible or receiver.visible[at]):
-                    amount = weight * scattering * cosine / (np.pi * d2)
+                    amount = weight * step.scattered * cosine / (np.pi * d2)
                     _put(counts, frame_of_tick[max(tick, 0)], n + 1, n_shares * n_level / (n + 1), amount)
                     if directive:
                         _put(angular, frame_of_tick[max(tick, 0)], n + 1, angle_node[ray], amount)
