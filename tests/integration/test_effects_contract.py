@@ -29,7 +29,7 @@ WIDER = {
         "Off the axis, gains fall by up to 10 dB from octave to octave. The prediction interpolates those of "
         "reflections in dB over frequency, the renderer switches between octaves within a third of an octave. At 8 kHz "
         "the direct sound falls below the reflections, where the beginning of the decay depends on single ones.",
-        dict(early=1.0, spectrum=2.1, edt=4.8, t20=1.0, t30=1.15, c50=0.75)),
+        dict(early=1.0, late=0.6, spectrum=2.1, edt=4.8, t20=1.0, t30=1.15, c50=0.75)),
     "occlusion": (
         "The minimum-phase filter of the edge spreads the direct sound beyond its gate of 2.5 ms in the lowest third "
         "octaves.",

@@ -20,12 +20,17 @@ class DepartureTable(Protocol):
 
     Attributes
     ----------
+    visible : bool
+        Whether the direct sound arrives in the room without effects.
     angular : ndarray, shape (n, n_angles), or None
         Share of each entry's energy that departs at each angle; None if the orientation of the source is unknown.
     direct_angle : float
         Angle between the direct sound's direction of departure and the source's axis [rad]; 0 if the orientation of the
         source is unknown.
     """
+
+    @property
+    def visible(self) -> bool: ...
 
     @property
     def angular(self) -> FloatArray | None: ...
@@ -47,6 +52,8 @@ class PredictedRirs(Protocol):
         Angles of departure of each RIR.
     angles : ndarray, shape (n_angles,)
         Angles of departure at which `PredictionState.ray_gain` is given [rad].
+    frame_mid_s : ndarray, shape (n_frames,)
+        Middle of each frame of the reflected energy after the direct sound, at the declared speed of sound.
     distance_m : ndarray, shape (n_rirs,)
         Distance between source and microphone.
     speed_m_s : ndarray, shape (n_rirs,)
@@ -66,6 +73,9 @@ class PredictedRirs(Protocol):
 
     @property
     def angles(self) -> FloatArray: ...
+
+    @property
+    def frame_mid_s(self) -> FloatArray: ...
 
     @property
     def distance_m(self) -> FloatArray: ...
@@ -111,6 +121,8 @@ class PredictionState:
         Speed of sound.
     ray_gain : ndarray, shape (n_rirs, n_angles, 8), or None
         Energy gain of rays per angle of departure and octave; None for an omnidirectional source.
+    reflected_gain : ndarray, shape (n_rirs, n_frames, 8), or None
+        Energy gain of all reflections per frame and octave; None for 1.
     direct_gain : ndarray, shape (n_rirs, 8)
         Energy gain of the direct sound per octave.
     direct_thirds : ndarray, shape (n_rirs, 22)
@@ -132,6 +144,7 @@ class PredictionState:
     air_per_m: FloatArray
     speed_m_s: FloatArray
     ray_gain: FloatArray | None
+    reflected_gain: FloatArray | None
     direct_gain: FloatArray
     direct_thirds: FloatArray
     decays: list[tuple[AddedDecay, IntArray]]
@@ -156,3 +169,15 @@ class PredictionState:
             self.ray_gain = np.ones((len(self.direct_gain), *gains.shape))
         self.ray_gain[rows] *= gains
         self.direct_gain[rows] *= direct
+
+    def shade_reflections(self, rows: IntArray, gains: FloatArray) -> None:
+        """Apply an energy gain per frame and octave to the reflections of some RIRs, in place.
+
+        Parameters
+        ----------
+        rows : ndarray of int, shape (n_rows,)
+        gains : ndarray, shape (n_rows, n_frames, 8)
+        """
+        if self.reflected_gain is None:
+            self.reflected_gain = np.ones((len(self.direct_gain), *gains.shape[1:]))
+        self.reflected_gain[rows] *= gains

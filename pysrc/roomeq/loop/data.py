@@ -18,7 +18,7 @@ from roomeq.effects.base import Effect
 from roomeq.effects.model import Model
 from roomeq.effects.source_directivity import unit_facing
 from roomeq.loop.features import JND, Features, feature_slice, measure_features
-from roomeq.loop.tables import ANGLES, Table, collect
+from roomeq.loop.tables import ANGLES, FRAME_MID_S, Table, collect
 from roomeq.loop.usable import LeftOut, Located, usable_rirs
 from roomeq.records.rir_dir import load_rir
 from roomeq.records.schema import RirRow
@@ -82,6 +82,7 @@ class Data:
     left_out: list[LeftOut]
 
     angles = ANGLES
+    frame_mid_s = FRAME_MID_S
 
     @cached_property
     def given_to(self) -> list[tuple[Effect, IntArray]]:

@@ -27,12 +27,11 @@ from roomeq.loop.features import (
     QUIET,
     feature_slice,
 )
-from roomeq.loop.tables import FRAME_EDGES_S, LEVEL_SHARES
+from roomeq.loop.tables import FRAME_EDGES_S, FRAME_MID_S, LEVEL_SHARES
 
 N_BANDS = len(EXACT_BANDS_HZ)
 _db = partial(power_db, floor=FLOOR_POWER)
 _N_DIRECT = len(DIRECT_THIRDS_HZ)
-_FRAME_MID_S = 0.5 * (FRAME_EDGES_S[1:] + FRAME_EDGES_S[:-1])
 
 
 def _octaves_to(frequencies_hz: tuple[float, ...]) -> FloatArray:
@@ -61,9 +60,9 @@ def base_state(data: Data, absorption: FloatArray) -> PredictionState:
     n = len(data.rows)
     state = PredictionState(
         absorption=absorption[data.room], air_per_m=data.air_per_m.copy(), speed_m_s=data.speed_m_s.copy(),
-        ray_gain=None, direct_gain=np.ones((n, N_BANDS)), direct_thirds=np.ones((n, len(THIRDS_HZ))), decays=[],
-        response_db=np.zeros((n, len(RESPONSE_HZ))), floor=np.zeros((n, N_BANDS)), delay_s=np.zeros(n),
-        rendered_change=np.zeros((n, N_FEATURES)))
+        ray_gain=None, reflected_gain=None, direct_gain=np.ones((n, N_BANDS)),
+        direct_thirds=np.ones((n, len(THIRDS_HZ))), decays=[], response_db=np.zeros((n, len(RESPONSE_HZ))),
+        floor=np.zeros((n, N_BANDS)), delay_s=np.zeros(n), rendered_change=np.zeros((n, N_FEATURES)))
     for effect, rows in data.given_to:
         effect.apply_to_prediction(state, data, rows)
     return state
@@ -77,13 +76,13 @@ def reflected_energy(data: Data, state: PredictionState) -> FloatArray:
     share = LEVEL_SHARES[:, None]
     # share of the energy that each reflection leaves, shape (n_rirs, 6, 8)
     kept = np.exp(-state.absorption[:, :1] * (1.0 - share) - state.absorption[:, 1:] * share)
-    energy = np.zeros((len(kept), len(_FRAME_MID_S), N_BANDS))
+    energy = np.zeros((len(kept), len(FRAME_MID_S), N_BANDS))
     for i, table in enumerate(data.tables):
         angular, ray_gain = _OMNIDIRECTIONAL, _OMNIDIRECTIONAL
         if state.ray_gain is not None and table.angular is not None:
             angular, ray_gain = table.angular, state.ray_gain[i]
         _add_up(table.entries, table.counts, angular, ray_gain, kept[i], energy[i])
-    length_m = data.distance_m[:, None] + _FRAME_MID_S * data.speed_m_s[:, None]
+    length_m = data.distance_m[:, None] + FRAME_MID_S * data.speed_m_s[:, None]
     energy *= np.exp(-length_m[:, :, None] * state.air_per_m[:, None, :])
     whole = energy.sum(axis=1)
     for decay, rows in state.decays:
@@ -94,28 +93,43 @@ def reflected_energy(data: Data, state: PredictionState) -> FloatArray:
 
 
 class ReflectedEnergy:
-    """Energy of all but the direct sound, as features need it; states that differ only in other things share it.
-
-    Attributes
-    ----------
-    near, early, late, whole : ndarray, shape (n_rirs, 8)
-        Energy until the gates of the levels (`DIRECT_S`, `EARLY_S`, `LATE_S`), and all.
-    """
+    """Energy of all but the direct sound, as features need it; states that differ only in other things share it."""
 
     def __init__(self, data: Data, state: PredictionState) -> None:
         self._energy = reflected_energy(data, state)
-        self.near, self.early, self.late = (_until(seconds * state.speed_m_s / data.speed_m_s, self._energy)
-                                            for seconds in (DIRECT_S, EARLY_S, LATE_S))
-        self.whole: FloatArray = self._energy.sum(axis=1)
+        self._gates_s = [seconds * state.speed_m_s / data.speed_m_s for seconds in (DIRECT_S, EARLY_S, LATE_S)]
+        self._gain: FloatArray | None = None
+        self._levels = self._measured(self._energy)
         self._direct: FloatArray | None = None
-        self._times_s: FloatArray = np.empty((len(self.whole), 3, N_BANDS))
+        self._times_s: FloatArray = np.empty((len(self._energy), 3, N_BANDS))
 
-    def decay_times_s(self, direct: FloatArray) -> FloatArray:
+    def _measured(self, energy: FloatArray) -> tuple[FloatArray, ...]:
+        return *(_until(seconds, energy) for seconds in self._gates_s), energy.sum(axis=1)
+
+    def levels(self, gain: FloatArray | None) -> tuple[FloatArray, ...]:
+        """Return the energy until the gates `DIRECT_S`, `EARLY_S`, `LATE_S`, and all, shape (n_rirs, 8) each.
+
+        `gain` is `PredictionState.reflected_gain`.
+        """
+        if not _same(gain, self._gain):
+            self._gain, self._direct = gain, None
+            self._levels = self._measured(self._gained())
+        return self._levels
+
+    def _gained(self) -> FloatArray:
+        return self._energy if self._gain is None else self._energy * self._gain
+
+    def decay_times_s(self, direct: FloatArray, gain: FloatArray | None) -> FloatArray:
         """Return EDT, T20 and T30 after a direct sound of energy `direct`, shape (n_rirs, 8), as (n_rirs, 3, 8)."""
-        if self._direct is None or not np.array_equal(direct, self._direct):
-            self._direct = direct
-            _decay_times(direct + self._energy[:, 0], self._energy, FRAME_EDGES_S, self._times_s)
+        self.levels(gain)
+        if not _same(direct, self._direct):
+            self._direct, energy = direct, self._gained()
+            _decay_times(direct + energy[:, 0], energy, FRAME_EDGES_S, self._times_s)
         return self._times_s
+
+
+def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
+    return one is other or (one is not None and other is not None and np.array_equal(one, other))
 
 
 def predict(data: Data, state: PredictionState, reflected: ReflectedEnergy | None = None) -> FloatArray:
@@ -134,7 +148,7 @@ def predict(data: Data, state: PredictionState, reflected: ReflectedEnergy | Non
         In JND.
     """
     reflected = ReflectedEnergy(data, state) if reflected is None else reflected
-    near, early, late, whole = reflected.near, reflected.early, reflected.late, reflected.whole
+    near, early, late, whole = reflected.levels(state.reflected_gain)
     visible = np.array([table.visible for table in data.tables], dtype=float)
     direct = (visible / (4.0 * np.pi * data.distance_m) ** 2)[:, None] * state.direct_gain * np.exp(
         -data.distance_m[:, None] * state.air_per_m)
@@ -152,7 +166,7 @@ def predict(data: Data, state: PredictionState, reflected: ReflectedEnergy | Non
     weight = OCTAVE_WIDTH_HZ * 10.0 ** (response_octaves_db / 10.0)
     drr_db = _db(((direct + near) * weight).sum(axis=1)) - _db(((whole - near) * weight).sum(axis=1))
     features[:, feature_slice("drr")] = (drr_db / JND["drr"])[:, None]
-    times_s = reflected.decay_times_s(direct)
+    times_s = reflected.decay_times_s(direct, state.reflected_gain)
     log_shortening = np.log(data.speed_m_s / state.speed_m_s)[:, None]
     for k, metric in enumerate(("edt", "t20", "t30")):
         features[:, feature_slice(metric)] = (np.log(times_s[:, k]) + log_shortening) / JND[metric]
