@@ -36,8 +36,8 @@ WIDER = {
         dict(direct=0.65)),
     "near_reflector": (
         "The gate of 2.5 ms cuts the reflection off in part, or resolves too little to show its interference below 1 "
-        "kHz. The prediction leaves out that a reflection within the gate also raises DRR and C50.",
-        dict(direct=1.6, c50=0.7, drr=0.75)),
+        "kHz.",
+        dict(direct=1.6)),
     "coupled_volume": (
         "The second decay is rendered with random noise, which scatters in the narrow low octaves; its end is taken "
         "for noise where the response ends.",

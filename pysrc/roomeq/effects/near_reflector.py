@@ -69,7 +69,7 @@ class NearReflector(Effect):
         direct_m = data.distance_m[rows]
         length_m = self.lengths_m(np.array([data.places[n].source_pos_m for n in rows]),
                                   np.array([data.places[n].mic_pos_m for n in rows]))
-        delay_s = (length_m - direct_m) / data.speed_m_s[rows]
+        delay_s = (length_m - direct_m) / state.speed_m_s[rows]
         frequency = np.array(THIRDS_HZ)[:, None] * 10.0 ** np.linspace(-0.05, 0.05, _POINTS)
         pressure = 1.0 + (self.pressure_gain(frequency, direct_m[:, None, None], length_m[:, None, None])
                           * np.exp(-2j * np.pi * frequency * delay_s[:, None, None]))

@@ -46,6 +46,8 @@ TO_THIRDS = _octaves_to(THIRDS_HZ)
 _RESPONSE_TO_OCTAVES = np.array([np.abs(np.log2(np.array(RESPONSE_HZ) / band_hz)) < 0.4 for band_hz in EXACT_BANDS_HZ])
 RESPONSE_TO_OCTAVES = _RESPONSE_TO_OCTAVES / _RESPONSE_TO_OCTAVES.sum(axis=1, keepdims=True)
 """Mean of the third octaves of each octave, shape (8, 23)."""
+_THIRDS_TO_OCTAVES = _RESPONSE_TO_OCTAVES[:, :len(THIRDS_HZ)]
+_THIRDS_TO_OCTAVES = _THIRDS_TO_OCTAVES / _THIRDS_TO_OCTAVES.sum(axis=1, keepdims=True)
 
 
 def base_state(data: Data, absorption: FloatArray) -> PredictionState:
@@ -153,6 +155,7 @@ def predict(data: Data, state: PredictionState, reflected: ReflectedEnergy | Non
     direct = (visible / (4.0 * np.pi * data.distance_m) ** 2)[:, None] * state.direct_gain * np.exp(
         -data.distance_m[:, None] * state.air_per_m)
     direct_thirds_db = _db(direct) @ TO_THIRDS.T + _db(state.direct_thirds)
+    direct = direct * (state.direct_thirds @ _THIRDS_TO_OCTAVES.T)
     near_thirds_db, whole_thirds_db = _db(near) @ TO_THIRDS.T, _db(whole) @ TO_THIRDS.T
     response_octaves_db = state.response_db @ RESPONSE_TO_OCTAVES.T
     response_thirds_db = state.response_db[:, :len(THIRDS_HZ)]
