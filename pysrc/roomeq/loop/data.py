@@ -48,6 +48,8 @@ class Data:
         What was measured, and which of it is valid (`roomeq.loop.features`).
     white : ndarray, shape (n_rirs, 8)
         White noise of the recordings (`roomeq.loop.features.Features`).
+    direct_sample : ndarray, shape (n_rirs,)
+        Direct sample of each recording.
     room, chain : ndarray of int, shape (n_rirs,)
         Number of the room, and of the combination of room, source and microphone.
     room_names : list of str
@@ -69,6 +71,7 @@ class Data:
     features: FloatArray
     valid: BoolArray
     white: FloatArray
+    direct_sample: FloatArray
     room: IntArray
     chain: IntArray
     room_names: list[str]
@@ -244,6 +247,7 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
     return Data(rows=rows, places=places, features=np.array([of_rir.values for of_rir in features]),
                 valid=np.array([of_rir.valid for of_rir in features]),
                 white=np.array([of_rir.white for of_rir in features]),
+                direct_sample=np.array([of_rir.direct_sample for of_rir in features]),
                 room=np.array([room_names.index(row["room_id"]) for row in rows]),
                 chain=np.array([chains.index(chain) for chain in by_chain]),
                 room_names=room_names, traced=[traced[n] for n in range(len(rows))],

@@ -11,7 +11,7 @@ from roomeq.core.rng import rng_for
 from roomeq.core.workers import share_out
 from roomeq.effects.base import Effect
 from roomeq.effects.model import apply_to_rir, direct_gain, extend_scene, path_gain
-from roomeq.loop.data import Data
+from roomeq.loop.data import Data, is_timed
 from roomeq.loop.features import N_FEATURES, Features, measure_features
 from roomeq.loop.tables import level_surfaces
 from roomeq.sim.response import render_responses
@@ -99,9 +99,15 @@ def finished_rir(data: Data, n: int, raw: RawRir, effects: Sequence[Effect], see
 
 
 def measure_row(data: Data, n: int, raw: RawRir, effects: Sequence[Effect], seed: int) -> Features:
-    """Measure the features of row `n` as rendered with all its effects."""
+    """Measure the features of row `n` as rendered with all its effects.
+
+    A recording whose time of flight is unknown may have more samples ahead of its direct sound than the rendering; the
+    rendering then gets as many.
+    """
     expected_sample = data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ
-    return measure_features(finished_rir(data, n, raw, effects, seed), expected_sample, white=data.white[n])
+    missing = 0 if is_timed(data.rows[n]) else max(0, int(np.ceil(data.direct_sample[n] - expected_sample)))
+    rir = np.concatenate([np.zeros(missing), finished_rir(data, n, raw, effects, seed)])
+    return measure_features(rir, expected_sample + missing, white=data.white[n])
 
 
 def _scene(scene: Scene, alpha: FloatArray, effects: Sequence[Effect]) -> Scene:
