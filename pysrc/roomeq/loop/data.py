@@ -18,6 +18,7 @@ from roomeq.effects.base import Effect
 from roomeq.effects.model import Model
 from roomeq.effects.source_directivity import unit_facing
 from roomeq.loop.features import JND, Features, feature_slice, measure_features
+from roomeq.loop.measurability import comparable_levels, limit_to_excitation
 from roomeq.loop.tables import ANGLES, FRAME_MID_S, Table, collect
 from roomeq.loop.usable import LeftOut, Located, usable_rirs
 from roomeq.records.rir_dir import load_rir
@@ -50,6 +51,8 @@ class Data:
         White noise of the recordings (`roomeq.loop.features.Features`).
     direct_sample : ndarray, shape (n_rirs,)
         Direct sample of each recording.
+    comparable : ndarray of bool, shape (n_rirs,)
+        Whether the level of a recording can be compared with others (`roomeq.loop.measurability`).
     room, chain : ndarray of int, shape (n_rirs,)
         Number of the room, and of the combination of room, source and microphone.
     room_names : list of str
@@ -72,6 +75,7 @@ class Data:
     valid: BoolArray
     white: FloatArray
     direct_sample: FloatArray
+    comparable: BoolArray
     room: IntArray
     chain: IntArray
     room_names: list[str]
@@ -100,6 +104,12 @@ class Data:
     def given_kinds(self) -> set[type[Effect]]:
         """Types of the effects that the base model has."""
         return {type(effect) for effect, _ in self.given_to}
+
+    @property
+    def noise_db(self) -> FloatArray:
+        """Noise of each recording (feature "floor"), shape (n_rirs, 8), NaN where it is unknown."""
+        at = feature_slice("floor")
+        return np.where(self.valid[:, at], self.features[:, at], np.nan)
 
     @property
     def n_scored(self) -> int:
@@ -163,7 +173,7 @@ def load_data(directories: Sequence[Path], *, scattering: float, seed: int, mode
     if not usable.rirs:
         raise ValueError(f"{directories[0]}: no RIR can be used ({'; '.join(map(str, usable.left_out))})")
     recordings = _merge_sources([_Recording(*located, _place(located, seed)) for located in usable.rirs])
-    features = share_out(_measure, recordings, nj)
+    features = limit_to_excitation([recording.row for recording in recordings], share_out(_measure, recordings, nj))
     data = _trace(recordings, features, scattering, seed, Model() if model is None else model, nj)
     return replace(data, left_out=usable.left_out)
 
@@ -244,17 +254,19 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
         for n, table in zip(members, of_members, strict=True):
             traced[n], tables[n] = source, table
     airs = [air_of(row) for row in rows]
+    distance_m = np.array([tables[n].distance_m for n in range(len(rows))])
     return Data(rows=rows, places=places, features=np.array([of_rir.values for of_rir in features]),
                 valid=np.array([of_rir.valid for of_rir in features]),
                 white=np.array([of_rir.white for of_rir in features]),
                 direct_sample=np.array([of_rir.direct_sample for of_rir in features]),
+                comparable=comparable_levels(rows, features, distance_m),
                 room=np.array([room_names.index(row["room_id"]) for row in rows]),
                 chain=np.array([chains.index(chain) for chain in by_chain]),
                 room_names=room_names, traced=[traced[n] for n in range(len(rows))],
                 tables=[tables[n] for n in range(len(rows))],
                 air_per_m=np.array([air.attenuation_per_m for air in airs]),
                 speed_m_s=np.array([air.speed_m_s for air in airs]),
-                distance_m=np.array([tables[n].distance_m for n in range(len(rows))]), rendered_changes={},
+                distance_m=distance_m, rendered_changes={},
                 given=[model.for_row(row, seed) for row in rows], left_out=[])
 
 

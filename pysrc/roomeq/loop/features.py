@@ -32,6 +32,8 @@ DIRECT_THIRDS_HZ = THIRDS_HZ[11:]  # from 630 Hz: lower ones are not resolved wi
 NEAR_S, NEAR_SHARE = 4e-4, 0.05
 """Tolerance of the arrival of the direct sound: positions (14 cm) plus a speed of sound that is wrong by 5 %."""
 MIN_SNR_DB = 10.0
+CLIFF_DB = 15.0
+_LOW_HZ, _N_LOW = 20.0, 28  # sixth octaves from 20 to 450 Hz
 QUIET = 10.0 ** (QUIET_DB / 10.0)
 JND = dict(direct=1.0, early=1.0, late=1.0, spectrum=1.0, edt=np.log(1.05), t20=np.log(1.05), t30=np.log(1.05),
            c50=1.1, drr=2.0, arrival=1e-4, ahead=1.0, floor=1.0)
@@ -50,6 +52,9 @@ BAND_OF_FEATURE = np.where(BAND_HZ > 0, np.argmin(np.abs(np.log(np.maximum(BAND_
 N_FEATURES = len(METRIC)
 HAS_GAIN = np.isin(METRIC, ["direct", "early", "late", "spectrum"])
 """Whether a feature contains the gain of the recording, shape (n_features,)."""
+CALIBRATION_FEATURES = (METRIC == "direct") & (np.arange(N_FEATURES) % 2 == 0)
+"""Features of scored RIRs that calibration may use, and that are not scored: they show an obstructed direct sound, and
+where a source faces."""
 LARGEST = 20.0
 """Error of a feature that a model cannot produce [JND]."""
 _db = partial(power_db, floor=FLOOR_POWER)
@@ -74,12 +79,18 @@ class Features:
     direct_sample : float
     white : ndarray, shape (8,)
         White noise of the recording: energy of 100 ms relative to the response, per octave.
+    excited_from_hz : float
+        Lower end of the excitation's band; 0 where the response shows none.
+    peak_db : float
+        Level of the largest sample.
     """
 
     values: FloatArray
     valid: BoolArray
     direct_sample: float
     white: FloatArray
+    excited_from_hz: float
+    peak_db: float
 
 
 class _Noise(NamedTuple):
@@ -139,7 +150,34 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
     levels, white = _noise_levels(rir, direct, noise, white)
     for metric, (level_db, is_valid) in levels.items():
         _put(values, valid, metric, level_db, is_valid)
-    return Features(values, valid & np.isfinite(values), direct, white)
+    return Features(values, valid & np.isfinite(values), direct, white, excited_from_hz(rir),
+                    float(20.0 * np.log10(np.max(np.abs(rir)))))
+
+
+def excited_from_hz(rir: FloatArray) -> float:
+    """Return the frequency below which the excitation, such as a sweep from 100 Hz, had no energy; 0 if there is none.
+
+    It is the highest frequency at which the response rises by `CLIFF_DB` in a third octave, above everything below.
+    Loudspeakers fall by at most 24 dB per octave, 8 dB per third octave (vented box; Small, J. Audio Eng. Soc. 21
+    (1973) 363).
+    """
+    power = _power(rir, next_fast_len(max(len(rir), FS_HZ), real=True))
+    bin_hz = 0.5 * FS_HZ / (len(power) - 1)
+    edges = np.rint(_LOW_HZ * 2.0 ** (np.arange(-0.5, _N_LOW) / 6.0) / bin_hz).astype(int)
+    level_db = _db(np.add.reduceat(power[:edges[-1]], edges[:-1]) / np.diff(edges))
+    below_db = np.maximum.accumulate(level_db)
+    cliffs = np.flatnonzero(level_db[2:] - below_db[:-2] > CLIFF_DB)
+    return float(_LOW_HZ * 2.0 ** ((cliffs[-1] + 1) / 6.0)) if len(cliffs) else 0.0
+
+
+def excited(from_hz: float) -> BoolArray:
+    """Tell which features are measurable with an excitation from a frequency on, shape (n_features,).
+
+    Four fifths of a band, in octaves, must be excited.
+    """
+    width = np.where(np.isin(METRIC, ["direct", "spectrum"]), 1.0 / 3.0, 1.0)  # [octaves]
+    octaves = np.log2(np.maximum(BAND_HZ, 1.0) / max(from_hz, 1e-3)) + 0.5 * width
+    return (BAND_HZ == 0.0) | (octaves > 0.8 * width)
 
 
 def _direct(rir: FloatArray, expected_sample: float | None, timed: bool) -> tuple[float, int, bool]:
