@@ -105,6 +105,8 @@ class Effect:
         Vectors from which a fit starts.
     SPREAD : tuple
         Standard deviations of the vector over real units.
+    BANDS : tuple
+        Octave that each component of the vector changes, None where it changes several; empty if all do.
     DISCRIMINATING_MEASUREMENT : str
         A measurement that would distinguish the effect from others.
     INTERPOLATION_GRID : tuple of tuples
@@ -118,6 +120,7 @@ class Effect:
     SCOPE: ClassVar[str] = "all"
     STARTS: ClassVar[tuple[tuple[float, ...], ...]] = ((),)
     SPREAD: ClassVar[tuple[float, ...]] = ()
+    BANDS: ClassVar[tuple[int | None, ...]] = ()
     DISCRIMINATING_MEASUREMENT: ClassVar[str] = ""
     INTERPOLATION_GRID: ClassVar[tuple[tuple[float, ...], ...]] = ()
     REFLECTIONS: ClassVar[bool] = True
@@ -131,6 +134,14 @@ class Effect:
     def applies(cls, data: PredictedRirs) -> bool:
         """Tell whether the rows state what the effect needs to know."""
         return True
+
+    @classmethod
+    def measured_vectors(cls, data: PredictedRirs) -> FloatArray | None:
+        """Return each room's vector as far as it can be read off the recordings, shape (n_rooms, n), or None.
+
+        A fit starts there instead of at `STARTS`.
+        """
+        return None
 
     def vector(self) -> FloatArray:
         """Return the parameters as a vector, shape (n,)."""

@@ -24,6 +24,7 @@ NOISE_S = 0.1
 QUIET_DB = -55.0
 """Noise below this level does not affect the measured decay: energy of `NOISE_S` of noise relative to the response, per
 octave band [dB]."""
+_UNHEARD = -1.0  # vector of noise that adds 0.4 dB to that of `QUIET_DB`
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ class NoiseFloor(Effect):
     SCOPE = "room"
     STARTS = ((1.0,) * 8,)  # (level - `QUIET_DB`) / 10 dB
     SPREAD = (1.0,) * 8
+    BANDS = tuple(range(8))
     DISCRIMINATING_MEASUREMENT = "a recording of the background noise before the sweep"
 
     def vector(self) -> FloatArray:
@@ -53,6 +55,17 @@ class NoiseFloor(Effect):
     @classmethod
     def from_vector(cls, vector: ArrayLike) -> Self:
         return cls(tuple(float(value) for value in QUIET_DB + 10.0 * np.clip(vector, -3.0, 5.0)))
+
+    @classmethod
+    def measured_vectors(cls, data: PredictedRirs) -> FloatArray:
+        """Return the vector of each room whose noise is that at the end of its recordings; -1 where that is unknown."""
+        vectors = np.full((int(data.room.max()) + 1, len(cls.SPREAD)), _UNHEARD)
+        for r, vector in enumerate(vectors):
+            of_room = data.noise_db[data.room == r]
+            known = np.isfinite(of_room).any(axis=0)
+            level_db = np.nanmedian(of_room[:, known], axis=0)
+            vector[known] = np.log10(np.maximum(10.0 ** (level_db / 10.0) - 1.0, 10.0 ** _UNHEARD))
+        return vectors
 
     def energy_ratio(self, white: FloatArray) -> FloatArray:
         """Return the energy of 100 ms of noise relative to the response, shape (..., 8).

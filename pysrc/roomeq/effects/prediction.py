@@ -60,6 +60,10 @@ class PredictedRirs(Protocol):
         Speed of sound at the temperature in each RIR's row.
     white : ndarray, shape (n_rirs, 8)
         White noise of each recording: energy of 100 ms relative to the response, per octave.
+    room : ndarray of int, shape (n_rirs,)
+        Number of the room of each RIR.
+    noise_db : ndarray, shape (n_rirs, 8)
+        Noise of each recording relative to its white noise, which counts as -55 dB at least; NaN where unknown.
     """
 
     @property
@@ -85,6 +89,12 @@ class PredictedRirs(Protocol):
 
     @property
     def white(self) -> FloatArray: ...
+
+    @property
+    def room(self) -> IntArray: ...
+
+    @property
+    def noise_db(self) -> FloatArray: ...
 
     def rendered_change_of(self, effect: Any) -> FloatArray:
         """Return the change of the features that an effect causes in renderings [JND].

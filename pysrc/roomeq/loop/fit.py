@@ -32,7 +32,7 @@ _STEP_FRACTIONS = (1.0, 0.5, 0.2, 0.05)  # of a step, tried in this order
 _DAMPING = 30.0
 """Damping of a step that does not lower the cost, in units of the prior's precision (Levenberg, Quart. Appl. Math. 2
 (1944) 164). It freezes poorly determined parameters, such as one at its limit, so that the others can go on."""
-_CHAIN_GAIN_DB = 30.0  # spread of the gain of a chain or a room
+_CHAIN_GAIN_DB = 30.0  # spread of the gain of a chain, a room or a single RIR
 _GAIN_DB = (0.3, _CHAIN_GAIN_DB)  # limits of the spread of the gains of sources and of microphones
 _MEAN_SPREAD = 1.5  # of the mean absorption, natural logarithm
 _CONTRAST = (0.4, 0.2, 0.1)  # spread of ln(absorption of floor and ceiling / of walls) over rooms, as `_SHAPES`
@@ -83,7 +83,7 @@ class Fit:
     predicted: FloatArray
     normal: list[NormalEquations]
     by_surface: FloatArray | None
-    gain_db: tuple[float, float, float]
+    gain_db: tuple[float, float, float, float]
 
 
 def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
@@ -103,19 +103,25 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
     iterations : int
     """
     index = ParameterIndex(data, effects)
-    start = [effect.STARTS[0] for effect in index.effects] if start is None else start
+    measured = [effect.measured_vectors(data) if start is None else None for effect in index.effects]
+    start = [effect.STARTS[0] if vectors is None else vectors.mean(axis=0)
+             for effect, vectors in zip(index.effects, measured, strict=True)] if start is None else start
     # a continued fit centres the prior of the mean absorption at x = 0 (alpha = 0.63), 1.1 of its spreads higher
     prior = shared_prior(index, start, START_X if initial is None else 0.0)
     mean, local = prior.mean.copy(), [np.zeros(part.size) for part in index.local]
     shape, own_scale = _FIRST_SHAPE, [1.0] * len(index.effects)
     if initial is None:
-        gain_db, by_surface = (_CHAIN_GAIN_DB, 3.0, 3.0), None
+        gain_db, by_surface = (_CHAIN_GAIN_DB, 3.0, 3.0, _CHAIN_GAIN_DB), None
         sigma, omega = np.full(N_FEATURES, 2.0), np.full(N_FEATURES, 1.0)
         estimate_gains(index, correction, mean, local)
     else:
         gain_db, by_surface = initial.gain_db, initial.by_surface
         sigma, omega = initial.sigma.copy(), initial.omega.copy()
         _continue(index, initial, mean, local)
+    for k, vectors in enumerate(measured):
+        if vectors is not None and (initial is None or index.effects[k] not in initial.effects):
+            for own, part, vector in zip(local, index.local, vectors, strict=True):
+                own[part.slices[k]] = vector - vectors.mean(axis=0)
     for iteration in range(iterations):
         covariance = covariances(index, shape, own_scale, gain_db)
         predicted, derivatives = index.linearize(mean, local, correction, by_surface)
@@ -125,15 +131,15 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
         normal = [normal_equations(index, r, residual, valid, derivatives, sigma, omega) for r in range(len(local))]
         cost = partial(_cost, index, correction, sigma, omega, covariance, prior)
         limit, old = cost(mean, local, predicted), (mean, local)
-        *new, posterior = _solve(normal, covariance, mean, local, prior)
-        mean, local = _step(cost, limit, old, new, fractions=_STEP_FRACTIONS[:1])
+        *new, posterior = solve_step(normal, covariance, mean, local, prior)
+        mean, local = _step(cost, limit, old, new, fractions=_STEP_FRACTIONS[:2])
         if mean is old[0]:
-            *new, _ = _solve(normal, covariance, mean, local, prior, damping=_DAMPING)
+            *new, _ = solve_step(normal, covariance, mean, local, prior, damping=_DAMPING)
             mean, local = _step(cost, limit, old, new)
         shape = _best_shape(local, posterior)
         own_scale = [_own_scale(index, k, local, posterior) for k in range(len(index.effects))]
         gain_db = (_CHAIN_GAIN_DB, _gain_spread_db(index, 1, local, posterior),
-                   _gain_spread_db(index, 2, local, posterior))
+                   _gain_spread_db(index, 2, local, posterior), _CHAIN_GAIN_DB)
     covariance = covariances(index, shape, own_scale, gain_db)
     predicted, derivatives = index.linearize(mean, local, correction, by_surface)
     residual, valid = data.residual(predicted)
@@ -160,12 +166,12 @@ def shared_prior(index: ParameterIndex, start: Sequence[Any], x: float) -> Share
 
 
 def estimate_gains(index: ParameterIndex, correction: FloatArray, mean: FloatArray, local: list[FloatArray]) -> None:
-    """Set the gains of chains and rooms in `local` to the median residual of the features that contain them."""
+    """Set the gains of chains, rooms and single RIRs in `local` to the median residual of the features that contain them."""
     predicted = index.predict(index.absorption(mean, local), index.vectors(mean, local),
                               np.zeros(len(index.data.rows)), correction)
     residual = np.where(index.data.valid & HAS_GAIN, index.data.features - predicted, np.nan)
     for r, (members, design) in enumerate(zip(index.members, index.gain_design, strict=True)):
-        for n in np.flatnonzero(index.gain_kind[r] == 0):
+        for n in np.flatnonzero(np.isin(index.gain_kind[r], (0, 3))):
             of_gain = residual[members[design[:, n] > 0.0]]
             local[r][N_SURFACE + n] = np.nanmedian(of_gain) if np.isfinite(of_gain).any() else 0.0
 
@@ -193,7 +199,7 @@ def absorption_covariance(level: float, bend: float, rough: float) -> FloatArray
 
 
 def covariances(index: ParameterIndex, shape: tuple[float, float, float], own_scale: list[float],
-                gain_db: tuple[float, float, float]) -> list[FloatArray]:
+                gain_db: tuple[float, float, float, float]) -> list[FloatArray]:
     """Return the prior covariance of each room's own parameters.
 
     Parameters
@@ -203,7 +209,7 @@ def covariances(index: ParameterIndex, shape: tuple[float, float, float], own_sc
         Arguments of `absorption_covariance`.
     own_scale : list of float
         Of each effect: factor of its `SPREAD` over rooms.
-    gain_db : tuple of 3 floats
+    gain_db : tuple of 4 floats
         Spread of each kind of gain.
     """
     made = []
@@ -222,8 +228,8 @@ def covariances(index: ParameterIndex, shape: tuple[float, float, float], own_sc
     return made
 
 
-def _solve(normal: list[NormalEquations], covariance: list[FloatArray], mean: FloatArray, local: list[FloatArray],
-           prior: SharedPrior, damping: float = 0.0) -> tuple[FloatArray, list[FloatArray], list[FloatArray]]:
+def solve_step(normal: list[NormalEquations], covariance: list[FloatArray], mean: FloatArray, local: list[FloatArray],
+               prior: SharedPrior, damping: float = 0.0) -> tuple[FloatArray, list[FloatArray], list[FloatArray]]:
     """Take one Gauss-Newton step; return new shared and own parameters and the own ones' posterior covariances."""
     total, right = (1.0 + damping) * prior.precision, prior.precision @ (prior.mean - mean)
     rooms = []

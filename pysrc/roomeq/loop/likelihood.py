@@ -12,6 +12,9 @@ from roomeq.loop.packing import Derivatives, ParameterIndex
 _HUBER = 3.0  # standard deviations from which on a residual counts linearly
 _SIGMA = (0.7, 12.0)  # limits of the scatter within rooms [JND]
 _OMEGA = (0.2, 12.0)  # limits of the scatter between rooms [JND]
+_OMEGA_FLOOR = 1.0
+"""Largest scatter between rooms of the noise after the response [JND]. Noise is its only cause, so that another noise in
+each room is a finding and not a scatter."""
 
 
 @dataclass(frozen=True)
@@ -48,10 +51,9 @@ def normal_equations(index: ParameterIndex, r: int, residual: FloatArray, valid:
     """Return the normal equations of room `r`; large residuals are down-weighted (Huber)."""
     members = index.members[r]
     own, shared = index.room_derivatives(r, derivatives)
-    error, ok = residual[members], valid[members]
-    spread = np.sqrt(sigma ** 2 + omega ** 2)
-    weight = np.sqrt(np.minimum(1.0, _HUBER * spread / np.maximum(np.abs(np.where(ok, error, 0.0)), 1e-9)))
-    stacked = np.concatenate([own, shared, np.where(ok, error, 0.0)[:, :, None]], axis=2) * weight[:, :, None]
+    ok = valid[members]
+    error, slope = _huber_root(residual[members], ok, sigma, omega)
+    stacked = np.concatenate([own * slope[:, :, None], shared * slope[:, :, None], error[:, :, None]], axis=2)
     white = _whiten(stacked, ok, sigma, omega).reshape(-1, stacked.shape[2])
     product = white.T @ white
     n = own.shape[2]
@@ -64,10 +66,20 @@ def normal_equations(index: ParameterIndex, r: int, residual: FloatArray, valid:
 
 def misfit(residual: FloatArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray) -> float:
     """Return the sum of squares of a room's whitened residual; large residuals count linearly (Huber)."""
+    root, _ = _huber_root(residual, valid, sigma, omega)
+    return float(np.sum(_whiten(root[:, :, None], valid, sigma, omega) ** 2))
+
+
+def _huber_root(residual: FloatArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray
+                ) -> tuple[FloatArray, FloatArray]:
+    """Return the signed root of Huber's loss, whose square is the loss, and its derivative; 0 where invalid.
+
+    With both, a Gauss-Newton step is a descent direction of `misfit`, also where rooms correlate the features.
+    """
     limit = _HUBER * np.sqrt(sigma ** 2 + omega ** 2)
     size = np.abs(np.where(valid, residual, 0.0))
     root = np.where(size < limit, size, np.sqrt(limit * np.maximum(2.0 * size - limit, 0.0)))
-    return float(np.sum(_whiten((np.sign(residual) * root)[:, :, None], valid, sigma, omega) ** 2))
+    return np.where(valid, np.sign(residual) * root, 0.0), np.where(size < limit, 1.0, limit / np.maximum(root, 1e-9))
 
 
 def _whiten(columns: FloatArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray) -> FloatArray:
@@ -100,4 +112,5 @@ def scatter(data: Data, residual: FloatArray, valid: BoolArray) -> tuple[FloatAr
         sigma2[at] = (within[at] + 8.0 * typical) / (freedom[at] + 8.0)
         usual = max(between[at].sum(), 0.0) / max(count[:, at].sum(), 1.0)
         omega2[at] = (np.maximum(between[at], 0.0) + 16.0 * usual) / (count[:, at].sum(axis=0) + 16.0)
-    return np.clip(np.sqrt(sigma2), *_SIGMA), np.clip(np.sqrt(omega2), *_OMEGA)
+    most = np.where(METRIC == "floor", _OMEGA_FLOOR, _OMEGA[1])
+    return np.clip(np.sqrt(sigma2), *_SIGMA), np.clip(np.sqrt(omega2), _OMEGA[0], most)

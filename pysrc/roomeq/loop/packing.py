@@ -12,7 +12,8 @@ ceiling to the walls.
 
 A chain of room, source and microphone that several RIRs share has its own gain. A chain of one RIR, as in corpora that
 number positions instead of devices, would leave the gain of a held-out RIR undetermined: its gain is the sum of a gain
-of the room, one of the source in that room and one of the microphone in that room.
+of the room, one of the source in that room and one of the microphone in that room. An RIR whose level cannot be compared
+(`roomeq.loop.measurability`) has a gain of its own.
 """
 
 from collections.abc import Sequence
@@ -24,16 +25,27 @@ from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.effects.base import Effect
 from roomeq.effects.prediction import PredictionState
 from roomeq.loop.data import Data
-from roomeq.loop.features import HAS_GAIN, N_FEATURES
-from roomeq.loop.predict import N_BANDS, ReflectedEnergy, base_state, predict
+from roomeq.loop.features import HAS_GAIN, METRIC, N_FEATURES
+from roomeq.loop.predict import (
+    BANDS_APART,
+    DEPENDS_ON_BAND,
+    N_BANDS,
+    Predicted,
+    ReflectedEnergy,
+    base_state,
+    drr,
+    predict,
+    predict_by_band,
+)
 
 OWN_SCOPES = ("room", "rir")
 """Scopes of effects whose vectors belong to one room alone."""
 N_SURFACE = 2 * N_BANDS
 """Number of surface parameters of a room."""
-GAIN_KINDS = ("chain", "source", "mic")
-"""Kinds of gains: of a chain or a room, and the deviations of a source and of a microphone from it."""
-_STEP = 0.03  # of numerical derivatives, in units of a vector's spread
+GAIN_KINDS = ("chain", "source", "mic", "rir")
+"""Kinds of gains: of a chain or a room, the deviations of a source and of a microphone from it, and that of a single RIR
+whose level says nothing."""
+_STEP = 0.003  # of numerical derivatives, in units of a vector's spread; with ten times as much, steps went uphill
 
 
 class SharedPart(NamedTuple):
@@ -179,28 +191,32 @@ class ParameterIndex:
             Derivatives by the surface parameters, if they are known.
         """
         absorption, vectors = self.absorption(mean, local), self.vectors(mean, local)
-        gains = self.gains(local)
-        reflected = ReflectedEnergy(self.data, self.state(absorption, vectors))
-        centre = self.predict(absorption, vectors, gains, correction, reflected)
+        state = self.state(absorption, vectors)
+        reflected = ReflectedEnergy(self.data, state)
+        centre = predict_by_band(self.data, state, reflected)
         if by_surface is None:
-            by_surface = np.empty((*centre.shape, N_SURFACE))
-            for n in range(N_SURFACE):
-                moved = absorption.copy()
-                step = (1.0, 1.0) if n < N_BANDS else (-0.5, 0.5)
-                moved[:, :, n % N_BANDS] *= np.exp(_STEP * np.array(step))
-                by_surface[:, :, n] = (self.predict(moved, vectors, gains, correction) - centre) / _STEP
+            by_surface = np.empty((*centre.features.shape, N_SURFACE))
+            for bands in _separate(range(N_BANDS)):
+                for first, step in ((0, (1.0, 1.0)), (N_BANDS, (-0.5, 0.5))):
+                    moved = absorption.copy()
+                    moved[:, :, bands] *= np.exp(_STEP * np.array(step))[:, None]
+                    slopes = _slopes(centre, predict_by_band(self.data, self.state(moved, vectors)), bands, _STEP)
+                    by_surface[:, :, [first + band for band in bands]] = slopes
         by_effect = []
         for k, effect in enumerate(self.effects):
-            slopes = np.empty((*centre.shape, len(effect.SPREAD)))
-            spreads: tuple[float, ...] = effect.SPREAD
-            for p, spread in enumerate(spreads):
+            slopes = np.empty((*centre.features.shape, len(effect.SPREAD)))
+            for group in _groups_of(effect):
                 moved_vectors = [vector.copy() for vector in vectors]
-                moved_vectors[k][:, p] += _STEP * spread
-                same = None if effect.REFLECTIONS else reflected
-                slopes[:, :, p] = (self.predict(absorption, moved_vectors, gains, correction, same)
-                                   - centre) / (_STEP * spread)
+                steps = _STEP * np.array(effect.SPREAD)[group]
+                moved_vectors[k][:, group] += steps
+                moved_to = predict_by_band(self.data, self.state(absorption, moved_vectors),
+                                           None if effect.REFLECTIONS else reflected)
+                bands = [band for p in group if (band := effect.BANDS[p] if effect.BANDS else None) is not None]
+                slopes[:, :, group] = _slopes(centre, moved_to, bands, steps) if bands else (
+                    moved_to.features - centre.features)[:, :, None] / steps
             by_effect.append(slopes)
-        return centre, Derivatives(by_surface, by_effect)
+        gains = np.outer(self.gains(local), HAS_GAIN)
+        return centre.features + correction + gains, Derivatives(by_surface, by_effect)
 
     def room_derivatives(self, r: int, derivatives: Derivatives) -> tuple[FloatArray, FloatArray]:
         """Return derivatives of a room's RIRs by its own and by the shared parameters.
@@ -230,17 +246,51 @@ class ParameterIndex:
         return own, shared
 
 
+def _separate(bands: Sequence[int]) -> list[list[int]]:
+    """Distribute bands to groups in which no two share a feature: one prediction gives the slopes of a whole group."""
+    return [[band for band in bands if band % BANDS_APART == n] for n in range(BANDS_APART)]
+
+
+def _groups_of(effect: type[Effect]) -> list[list[int]]:
+    """Distribute the components of an effect's vector to groups that one prediction can move together."""
+    bands = effect.BANDS or (None,) * len(effect.SPREAD)
+    groups: list[dict[int, int]] = []  # band of each component
+    for p, band in enumerate(bands):
+        if band is None:
+            groups.append({p: -BANDS_APART})
+            continue
+        for group in groups:
+            if all(abs(other - band) >= BANDS_APART for other in group.values()) and min(group.values()) >= 0:
+                group[p] = band
+                break
+        else:
+            groups.append({p: band})
+    return [list(group) for group in groups]
+
+
+def _slopes(centre: Predicted, moved: Predicted, bands: Sequence[int], step: float | FloatArray) -> FloatArray:
+    """Return the slopes of features over parameters of several bands moved together, (n_rirs, n_features, n_bands)."""
+    slopes = np.where(DEPENDS_ON_BAND[:, bands], (moved.features - centre.features)[:, :, None], 0.0)
+    for i, band in enumerate(bands):
+        energy = centre.drr_energy.copy()
+        energy[:, :, band] = moved.drr_energy[:, :, band]
+        slopes[:, METRIC == "drr", i] = (drr(energy) - drr(centre.drr_energy))[:, None]
+    return slopes / step
+
+
 def _gains(data: Data, members: IntArray) -> tuple[FloatArray, IntArray]:
     """Return the gain design of a room and the kind of each gain (see `ParameterIndex`)."""
-    chain = data.chain[members]
-    columns: list[tuple[BoolArray, int]] = [(chain == number, 0) for number in np.unique(chain)
-                                            if np.sum(chain == number) > 1]
-    alone = np.array([np.sum(chain == number) == 1 for number in chain])
+    chain, comparable = data.chain[members], data.comparable[members]
+    count = np.array([np.sum(chain == number) for number in chain])
+    columns: list[tuple[BoolArray, int]] = [(comparable & (chain == number), 0)
+                                            for number in np.unique(chain[comparable & (count > 1)])]
+    alone = comparable & (count == 1)
     if alone.any():
         columns.append((alone, 0))
     for kind in (1, 2):
         names: Any = np.array([data.rows[n][f"{GAIN_KINDS[kind]}_id"] for n in members])
         several = sorted(set(names[alone]))
         columns += [(alone & (names == name), kind) for name in several if len(several) > 1]
+    columns += [(np.arange(len(members)) == n, 3) for n in np.flatnonzero(~comparable)]
     return (np.array([applies for applies, _ in columns], dtype=float).T,
             np.array([kind for _, kind in columns]))

@@ -6,6 +6,7 @@ then part of both.
 """
 
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,11 +19,14 @@ from roomeq.effects.prediction import PredictionState
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.loop.data import Data
 from roomeq.loop.features import (
+    BAND_HZ,
+    BAND_OF_FEATURE,
     DIRECT_S,
     DIRECT_THIRDS_HZ,
     EARLY_S,
     JND,
     LATE_S,
+    METRIC,
     N_FEATURES,
     QUIET,
     feature_slice,
@@ -134,7 +138,41 @@ def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
     return one is other or (one is not None and other is not None and np.array_equal(one, other))
 
 
+class Predicted(NamedTuple):
+    """Predicted features.
+
+    Attributes
+    ----------
+    features : ndarray, shape (n_rirs, n_features)
+        In JND.
+    drr_energy : ndarray, shape (2, n_rirs, 8)
+        Energy per band until and after the gate of the DRR, the only feature that depends on all bands.
+    """
+
+    features: FloatArray
+    drr_energy: FloatArray
+
+
+DEPENDS_ON_BAND = np.array([TO_THIRDS[THIRDS_HZ.index(band_hz)] > 0.0 if metric in ("direct", "spectrum")
+                            else np.arange(N_BANDS) == (-9 if metric in ("drr", "arrival") else band)
+                            for metric, band_hz, band in zip(METRIC, BAND_HZ, BAND_OF_FEATURE, strict=True)])
+"""Whether a feature depends on the energy in an octave, shape (n_features, 8); the DRR depends on all."""
+BANDS_APART = 3
+"""Bands so far apart share no feature but the DRR."""
+
+
+def drr(energy: FloatArray) -> FloatArray:
+    """Return the feature "drr" from `Predicted.drr_energy`, shape (n_rirs,)."""
+    near, far = energy.sum(axis=2)
+    return (_db(near) - _db(far)) / JND["drr"]
+
+
 def predict(data: Data, state: PredictionState, reflected: ReflectedEnergy | None = None) -> FloatArray:
+    """Predict the features of every RIR as `predict_by_band` does, shape (n_rirs, n_features)."""
+    return predict_by_band(data, state, reflected).features
+
+
+def predict_by_band(data: Data, state: PredictionState, reflected: ReflectedEnergy | None = None) -> Predicted:
     """Predict the features of every RIR, without the gains of the recordings.
 
     Parameters
@@ -143,11 +181,6 @@ def predict(data: Data, state: PredictionState, reflected: ReflectedEnergy | Non
     state : PredictionState
     reflected : ReflectedEnergy, optional
         Of the state, where it is known.
-
-    Returns
-    -------
-    ndarray, shape (n_rirs, n_features)
-        In JND.
     """
     reflected = ReflectedEnergy(data, state) if reflected is None else reflected
     near, early, late, whole = reflected.levels(state.reflected_gain)
@@ -167,8 +200,8 @@ def predict(data: Data, state: PredictionState, reflected: ReflectedEnergy | Non
     features[:, feature_slice("spectrum")] = _sum_db(direct_thirds_db, whole_thirds_db) + response_thirds_db
     features[:, feature_slice("c50")] = (_db(direct + early) - _db(whole - early)) / JND["c50"]
     weight = OCTAVE_WIDTH_HZ * 10.0 ** (response_octaves_db / 10.0)
-    drr_db = _db(((direct + near) * weight).sum(axis=1)) - _db(((whole - near) * weight).sum(axis=1))
-    features[:, feature_slice("drr")] = (drr_db / JND["drr"])[:, None]
+    drr_energy = np.stack([(direct + near) * weight, (whole - near) * weight])
+    features[:, feature_slice("drr")] = drr(drr_energy)[:, None]
     times_s = reflected.decay_times_s(direct, state.reflected_gain)
     log_shortening = np.log(data.speed_m_s / state.speed_m_s)[:, None]
     for k, metric in enumerate(("edt", "t20", "t30")):
@@ -176,7 +209,7 @@ def predict(data: Data, state: PredictionState, reflected: ReflectedEnergy | Non
     arrival_s = data.distance_m / state.speed_m_s + state.delay_s
     features[:, feature_slice("arrival")] = (arrival_s / JND["arrival"])[:, None]
     features[:, feature_slice("floor")] = _db(1.0 + state.floor / (data.white + QUIET))
-    return features + state.rendered_change
+    return Predicted(features + state.rendered_change, drr_energy)
 
 
 def _until(seconds: FloatArray, energy: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ from roomeq.effects.noise_floor import NoiseFloor
 from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.loop import close
 from roomeq.loop.features import JND, LATE_S, N_FEATURES, feature_slice
-from roomeq.loop.fit import SharedPrior, _solve, _step
+from roomeq.loop.fit import SharedPrior, _step, solve_step
 from roomeq.loop.likelihood import NormalEquations
 from roomeq.loop.predict import base_state, predict
 from roomeq.loop.selection import SPLITS, Candidate, HeldOutErrors, p_lower
@@ -31,7 +31,7 @@ def test_damping_freezes_poorly_determined_parameters():
     room = NormalEquations(information, np.zeros((2, 0)), np.zeros((0, 0)), information @ [0.3, 3.0], np.zeros(0), 1.0,
                            0.0)
     prior = SharedPrior(np.zeros(0), np.zeros((0, 0)))
-    steps = [_solve([room], [np.eye(2)], np.zeros(0), [np.zeros(2)], prior, damping)[1][0] for damping in (0.0, 30.0)]
+    steps = [solve_step([room], [np.eye(2)], np.zeros(0), [np.zeros(2)], prior, damping)[1][0] for damping in (0.0, 30.0)]
     np.testing.assert_allclose(steps[0], [0.3, 1.0], rtol=1e-3)
     np.testing.assert_allclose(steps[1], [0.3, 1.5 / 31.5], rtol=1e-2)
 
