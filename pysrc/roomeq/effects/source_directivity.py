@@ -1,4 +1,8 @@
-"""A directive loudspeaker: a membrane in a rigid sphere instead of a point (`roomeq.effects.spherical_cap`)."""
+"""A directive loudspeaker: a membrane in a rigid sphere (`roomeq.effects.spherical_cap`), and deviations from it.
+
+Real cabinets have several membranes, edges and ports. The deviation of each octave is free but smooth over angle and
+band: Legendre polynomials of the cosine of the angle, zero on the axis. The sphere is its prior mean.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,12 +12,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import FloatArray, IntArray
+from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.base import Effect
 from roomeq.effects.prediction import PredictedRirs, PredictionState
 from roomeq.effects.spherical_cap import cap_gain
 
 _RADII_M = (0.005, 0.45)
 _CAPS_RAD = (0.1, 1.5)
+_ORDERS = (1, 2, 3)
+_N_BANDS = len(BANDS_HZ)
+_DEVIATION_DB = np.outer((1.0, 1.0, 0.7), (0.3, 0.3, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0))
+"""Standard deviation of each deviation, shape (3, 8): 2.5 dB at the rear; long waves bend around every cabinet."""
+_CORRELATION_BANDS, _ROUGH = 1.5, 0.2  # over octaves, and the independent share of the variance
+_MAX_DEVIATION_DB = 10.0
 
 
 @dataclass(frozen=True)
@@ -26,32 +37,54 @@ class SourceDirectivity(Effect):
         Radius of the sphere, which sets the frequency above which the cabinet casts a shadow.
     cap_rad : float
         Half-angle of the membrane.
+    deviation_db : tuple of 24 floats
+        Coefficient of each Legendre polynomial less its value on the axis: order 1 at eight octaves, then 2 and 3.
     """
 
     radius_m: float
     cap_rad: float
+    deviation_db: tuple[float, ...] = (0.0,) * _DEVIATION_DB.size
 
     NAME = "source_directivity"
     SCOPE = "source"
-    STARTS = tuple((np.log(radius_m), np.log(0.5)) for radius_m in (0.08, 0.03, 0.2))
-    SPREAD = (0.7, 0.5)
+    STARTS = tuple((np.log(radius_m), np.log(0.5), *[0.0] * _DEVIATION_DB.size) for radius_m in (0.08, 0.03, 0.2))
+    SPREAD = (0.7, 0.5, *_DEVIATION_DB.ravel().tolist())
+    BANDS = (None, None, *[band for _ in _ORDERS for band in range(_N_BANDS)])
     DISCRIMINATING_MEASUREMENT = "the loudspeaker turned, at the same place"
+
+    @classmethod
+    def prior_covariance(cls) -> FloatArray:
+        covariance = np.diag(np.square(np.asarray(cls.SPREAD)))
+        lag = np.subtract.outer(np.arange(_N_BANDS), np.arange(_N_BANDS))
+        smooth = (1.0 - _ROUGH) * np.exp(-0.5 * (lag / _CORRELATION_BANDS) ** 2) + _ROUGH * np.eye(_N_BANDS)
+        for n, of_order in enumerate(_DEVIATION_DB):
+            at = slice(2 + n * _N_BANDS, 2 + (n + 1) * _N_BANDS)
+            covariance[at, at] = np.outer(of_order, of_order) * smooth
+        return covariance
 
     @classmethod
     def applies(cls, data: PredictedRirs) -> bool:
         return any(unit_facing(row.get("source_dir")) is not None for row in data.rows)
 
     def vector(self) -> FloatArray:
-        return np.log([self.radius_m, self.cap_rad])
+        return np.concatenate([np.log([self.radius_m, self.cap_rad]), self.deviation_db])
 
     @classmethod
     def from_vector(cls, vector: ArrayLike) -> Self:
         vector = np.asarray(vector)
         return cls(float(np.exp(np.clip(vector[0], *np.log(_RADII_M)))),
-                   float(np.exp(np.clip(vector[1], *np.log(_CAPS_RAD)))))
+                   float(np.exp(np.clip(vector[1], *np.log(_CAPS_RAD)))),
+                   tuple(float(x) for x in np.clip(vector[2:], -_MAX_DEVIATION_DB, _MAX_DEVIATION_DB)))
 
     def on_paths(self, cos_angle: FloatArray) -> FloatArray:
-        return cap_gain(np.clip(cos_angle, -1.0, 1.0), self.radius_m, self.cap_rad)
+        cos_angle = np.clip(cos_angle, -1.0, 1.0)
+        gain = cap_gain(cos_angle, self.radius_m, self.cap_rad)
+        if not any(self.deviation_db):
+            return gain
+        x = np.asarray(cos_angle)[..., None]
+        shapes = np.concatenate([x - 1.0, 1.5 * (x ** 2 - 1.0), 2.5 * x ** 3 - 1.5 * x - 1.0], axis=-1)
+        deviation_db = shapes @ np.reshape(self.deviation_db, _DEVIATION_DB.shape)
+        return gain * 10.0 ** (deviation_db / 10.0)
 
     def apply_to_prediction(self, state: PredictionState, data: PredictedRirs, rows: IntArray) -> None:
         direct = self.on_paths(np.cos([data.tables[n].direct_angle for n in rows]))
