@@ -16,6 +16,7 @@ from roomeq.loop.ceiling import ceiling_errors, ceiling_of_test_set, describe_ex
 from roomeq.loop.data import Data, load_data
 from roomeq.loop.descriptions import describe_residual, effect_names
 from roomeq.loop.examples import EXAMPLES_FILE, write_examples
+from roomeq.loop.facing import with_estimated_facings
 from roomeq.loop.ledger import (
     LEDGER_FILE,
     LEDGER_FORMAT,
@@ -125,7 +126,13 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
          seed: int, nj: int) -> dict:
     """Run the loop, write its files below `work` and return the ledger."""
     start = time.monotonic()
-    first = session = fit_base_model(data, seed=seed, nj=nj)
+    first, facings = with_estimated_facings(fit_base_model(data, seed=seed, nj=nj))
+    for facing in facings:
+        logger.info("source %s: faces %s in %d RIRs that do not state it (log Bayes factor %.1f)", facing.source,
+                    "the microphone" if facing.hypothesis != "fixed" else
+                    f"{facing.angle_deg:.0f} degrees away from the microphone in the mean", facing.rirs,
+                    abs(facing.evidence))
+    session = first
     first_errors = errors = heldout_errors(session)
     logger.info("base model: held-out error %.2f JND (leave-positions-out), %.2f JND (leave-room-out)",
                 *(errors.mean(split) for split in SPLITS))
@@ -149,7 +156,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     ledger = dict(
         format=LEDGER_FORMAT, rirs=len(data.rows), rooms=len(data.room_names),
         left_out=left_out_entries(data.left_out), given=base.names,
-        baseline=error_entry(first_errors), iterations=iterations,
+        facings=[facing.as_dict() for facing in facings], baseline=error_entry(first_errors), iterations=iterations,
         ranking=[ranking_entry(candidate) for candidate in ranking],
         unexplained=unexplained[0].as_dict() if unexplained else None,
         unexplained_all=[residual.as_dict() for residual in unexplained], final=error_entry(errors),

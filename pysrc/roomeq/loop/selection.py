@@ -24,15 +24,16 @@ from roomeq.core.workers import share_out
 from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.room_eq import RoomEq
+from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.loop.data import Data
-from roomeq.loop.features import BAND_OF_FEATURE, HAS_GAIN, LARGEST, METRIC
+from roomeq.loop.facing import estimate_facings, unknown_facings
+from roomeq.loop.features import BAND_OF_FEATURE, CALIBRATION_FEATURES, HAS_GAIN, LARGEST, METRIC
 from roomeq.loop.fit import Fit, fit
 from roomeq.loop.packing import ParameterIndex
 from roomeq.loop.rendered_model import clear_rendered_changes, effects_of_rows, in_order
 from roomeq.loop.rendering import render_rows
 from roomeq.loop.session import Session, with_rendered_changes
 from roomeq.loop.splitters import (
-    CALIBRATION_FEATURES,
     HeldOutRoom,
     calibrate,
     leave_rooms_out,
@@ -149,7 +150,8 @@ def heldout_errors(session: Session) -> HeldOutErrors:
 def score_test_set(data: Data, session: Session, *, seed: int, nj: int) -> HeldOutErrors:
     """Return the errors of a session's model on rooms that were held out of every fit.
 
-    The shared parameters come from the session, each room's own parameters from half of its RIRs.
+    What is shared comes from the session. Half of each room's RIRs gives the room's own parameters and those of devices
+    that the session does not know.
 
     Parameters
     ----------
@@ -165,16 +167,34 @@ def score_test_set(data: Data, session: Session, *, seed: int, nj: int) -> HeldO
 def transferred(data: Data, session: Session) -> tuple[Data, Callable]:
     """Return data as a session's model predicts them, and how their rooms are calibrated (`_rendered_errors`)."""
     data = clear_rendered_changes(data, {*session.effects, *data.given_kinds})
+    data = _with_facings(data, session)
     index = ParameterIndex(data, session.effects)
-    mean = transfer_shared(session, index)
+    prior = transfer_shared(session, index)
     correction = np.tile(session.correction.mean(axis=0), (len(data.rows), 1))
 
     def calibrated(known: list[IntArray], usable: BoolArray | None) -> tuple[FloatArray, list, FloatArray]:
-        local = solve_rooms(index, session.fit, mean, correction, known, usable)
+        mean, local = solve_rooms(index, session.fit, prior, correction, known, usable)
         vectors = index.vectors(mean, local)
         return index.absorption(mean, local), effects_of_rows(data, session.effects, vectors), index.gains(local)
 
     return data, calibrated
+
+
+def _with_facings(data: Data, session: Session) -> Data:
+    """Return data of a test set with estimated facings; sources with unknown facing are omnidirectional until then."""
+    if SourceDirectivity not in session.effects or not len(unknown_facings(data)):
+        return data
+    index = ParameterIndex(data, session.effects)
+    correction = np.tile(session.correction.mean(axis=0), (len(data.rows), 1))
+    mean, local = solve_rooms(index, session.fit, transfer_shared(session, index), correction, split_positions(data)[0])
+    vectors = index.vectors(mean, local)
+    residual, valid = data.residual(index.predict(index.absorption(mean, local), vectors, index.gains(local),
+                                                  correction))
+    k = index.effects.index(SourceDirectivity)
+    directivities = {name: SourceDirectivity.from_vector(vector)
+                     for name, vector in zip(data.units("source")[0], vectors[k], strict=True)}
+    return estimate_facings(data, index, mean, local, np.where(valid, residual, np.nan),
+                            np.hypot(session.fit.sigma, session.fit.omega), directivities)[0]
 
 
 def _rendered_errors(data: Data, calibrated: Callable, *, seed: int, nj: int) -> HeldOutErrors:

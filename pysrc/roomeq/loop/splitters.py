@@ -14,17 +14,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roomeq.core.arrays import BoolArray, FloatArray, IntArray
+from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
 from roomeq.loop.data import Data
-from roomeq.loop.features import METRIC, N_FEATURES
-from roomeq.loop.fit import ITERATIONS, START_X, Fit, covariances, estimate_gains, shared_prior
-from roomeq.loop.likelihood import normal_equations
+from roomeq.loop.features import CALIBRATION_FEATURES
+from roomeq.loop.fit import (
+    ITERATIONS,
+    START_X,
+    Fit,
+    SharedPrior,
+    covariances,
+    estimate_gains,
+    shared_prior,
+    solve_step,
+)
+from roomeq.loop.likelihood import NormalEquations, normal_equations
 from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, ParameterIndex
 from roomeq.loop.predict import N_BANDS
 from roomeq.loop.session import Session
-
-CALIBRATION_FEATURES = (METRIC == "direct") & (np.arange(N_FEATURES) % 2 == 0)
-"""Features of scored RIRs that calibration may use, and that are not scored: they show an obstructed direct sound."""
 
 
 @dataclass(frozen=True)
@@ -35,11 +41,14 @@ class HeldOutRoom:
     ----------
     mean : ndarray, shape (n_shared,)
         Shared parameters.
+    precision : ndarray, shape (n_shared, n_shared)
+        Of their posterior.
     log_density : float
         Log density of the room's RIRs.
     """
 
     mean: FloatArray
+    precision: FloatArray
     log_density: float
 
 
@@ -65,12 +74,8 @@ def leave_rooms_out(data: Data, fitted: Fit) -> list[HeldOutRoom]:
     """Fit the shared parameters to all rooms but one, for each room."""
     index = ParameterIndex(data, fitted.effects)
     prior = shared_prior(index, [effect.STARTS[0] for effect in index.effects], START_X)
-    rooms = []
-    for room, covariance, own in zip(fitted.normal, fitted.covariance, fitted.local, strict=True):
-        inverse = np.linalg.inv(covariance)
-        posterior = np.linalg.inv(room.own_own + inverse)
-        rooms.append((room.shared_shared - room.own_shared.T @ posterior @ room.own_shared,
-                      room.shared_residual - room.own_shared.T @ posterior @ (room.own_residual - inverse @ own)))
+    rooms = [_without_own(room, np.linalg.inv(covariance), own)
+             for room, covariance, own in zip(fitted.normal, fitted.covariance, fitted.local, strict=True)]
     total = prior.precision + sum(precision for precision, _ in rooms)
     right = prior.precision @ (prior.mean - fitted.mean) + sum(right for _, right in rooms)
     # the step that remains from the fit: 0 at its optimum, not where a parameter of an effect is at its limit, and
@@ -80,8 +85,15 @@ def leave_rooms_out(data: Data, fitted: Fit) -> list[HeldOutRoom]:
     for r, (room_precision, room_right) in enumerate(rooms):
         precision = total - room_precision
         step = np.linalg.solve(precision, right - room_right) - rejected
-        held_out.append(HeldOutRoom(fitted.mean + step, _log_density(fitted, r, precision, step)))
+        held_out.append(HeldOutRoom(fitted.mean + step, precision, _log_density(fitted, r, precision, step)))
     return held_out
+
+
+def _without_own(room: NormalEquations, inverse: Array, own: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return what a room says about the shared parameters, its own integrated out: precision and right-hand side."""
+    posterior = np.linalg.inv(room.own_own + inverse)
+    return (room.shared_shared - room.own_shared.T @ posterior @ room.own_shared,
+            room.shared_residual - room.own_shared.T @ posterior @ (room.own_residual - inverse @ own))
 
 
 def _log_density(fitted: Fit, r: int, precision: FloatArray, step: FloatArray) -> float:
@@ -134,7 +146,10 @@ def _visible(index: ParameterIndex, r: int, valid: BoolArray, known: IntArray) -
 
 def calibrate(session: Session, held_out: list[HeldOutRoom], known: list[IntArray],
               usable: BoolArray | None = None) -> Calibration:
-    """Estimate each room's own parameters from some of its RIRs, the shared ones being fitted to the other rooms.
+    """Estimate the parameters of each room from some of its RIRs, given what the other rooms say about the shared ones.
+
+    A loudspeaker that is in one room only is unknown to the other rooms: the RIRs of that room tell its parameters. A
+    shared parameter that many rooms determine hardly changes.
 
     Parameters
     ----------
@@ -154,37 +169,53 @@ def calibrate(session: Session, held_out: list[HeldOutRoom], known: list[IntArra
     for r, (local, room) in enumerate(zip(fitted.local, held_out, strict=True)):
         equations = normal_equations(index, r, residual, _visible(index, r, valid, known[r]), derivatives,
                                      fitted.sigma, fitted.omega)
-        inverse = np.linalg.inv(fitted.covariance[r])
-        right = equations.own_residual - equations.own_shared @ (room.mean - fitted.mean) - inverse @ local
-        own = local + np.linalg.solve(equations.own_own + inverse, right)
-        all_local = [own if s == r else of_other for s, of_other in enumerate(fitted.local)]
-        absorption[r] = index.absorption(room.mean, all_local)[r]
-        vectors.append(index.vectors(room.mean, all_local))
+        inverse, n = np.linalg.inv(fitted.covariance[r]), len(local)
+        matrix = np.block([[equations.own_own + inverse, equations.own_shared],
+                           [equations.own_shared.T, equations.shared_shared + room.precision]])
+        step = np.linalg.solve(matrix, np.concatenate([
+            equations.own_residual - inverse @ local,
+            equations.shared_residual + room.precision @ (room.mean - fitted.mean)]))
+        mean = fitted.mean + step[n:]
+        all_local = [local + step[:n] if s == r else of_other for s, of_other in enumerate(fitted.local)]
+        absorption[r] = index.absorption(mean, all_local)[r]
+        vectors.append(index.vectors(mean, all_local))
         members = data.room == r
         gains[members] = index.gains(all_local)[members]
     return Calibration(absorption, vectors, gains)
 
 
-def transfer_shared(session: Session, index: ParameterIndex) -> FloatArray:
-    """Return a session's shared parameters for the units of other data; unknown units get the mean."""
-    before = session.index
-    mean = np.zeros(index.n_shared)
-    mean[:N_SURFACE] = session.fit.mean[:N_SURFACE]
-    for k, effect in enumerate(index.effects):
-        part, _, _, size = index.shared[k]
-        vectors = session.fit.mean[before.shared[k].part].reshape(before.shared[k].n_vectors, size)
-        if effect.SCOPE in OWN_SCOPES:
-            mean[part] = vectors[0]
-            continue
-        names = session.data.units(effect.SCOPE)[0]
-        mean[part] = np.concatenate([vectors[names.index(name)] if name in names else vectors.mean(axis=0)
-                                     for name in index.data.units(effect.SCOPE)[0]])
-    return mean
+def transfer_shared(session: Session, index: ParameterIndex) -> SharedPrior:
+    """Return what a session says about the shared parameters of other data, whose units it may not know.
+
+    An unknown unit, such as another laboratory's loudspeaker, gets the mean of the known ones and the spread of real
+    units (`Effect.SPREAD`).
+    """
+    fitted, before = session.fit, session.index
+    prior = shared_prior(before, [effect.STARTS[0] for effect in before.effects], START_X)
+    precision: FloatArray = prior.precision.copy()
+    for room, of_own, own in zip(fitted.normal, fitted.covariance, fitted.local, strict=True):
+        precision += _without_own(room, np.linalg.inv(of_own), own)[0]
+    covariance = np.linalg.inv(precision)
+    mean, spread = np.zeros(index.n_shared), np.zeros((index.n_shared, index.n_shared))
+    mean[:N_SURFACE], spread[:N_SURFACE, :N_SURFACE] = fitted.mean[:N_SURFACE], covariance[:N_SURFACE, :N_SURFACE]
+    for effect, there, here in zip(index.effects, before.shared, index.shared, strict=True):
+        vectors = fitted.mean[there.part].reshape(there.n_vectors, there.size)
+        of_room = effect.SCOPE in OWN_SCOPES
+        known = ["mean"] if of_room else session.data.units(effect.SCOPE)[0]
+        for u, name in enumerate(["mean"] if of_room else index.data.units(effect.SCOPE)[0]):
+            at = slice(here.part.start + u * here.size, here.part.start + (u + 1) * here.size)
+            if name in known:
+                k = known.index(name)
+                source = slice(there.part.start + k * there.size, there.part.start + (k + 1) * there.size)
+                mean[at], spread[at, at] = vectors[k], covariance[source, source]
+            else:
+                mean[at], spread[at, at] = vectors.mean(axis=0), effect.prior_covariance()
+    return SharedPrior(mean, np.asarray(np.linalg.inv(spread), dtype=np.float64))
 
 
-def solve_rooms(index: ParameterIndex, fitted: Fit, mean: FloatArray, correction: FloatArray, known: list[IntArray],
-                usable: BoolArray | None = None, iterations: int = ITERATIONS) -> list[FloatArray]:
-    """Estimate the own parameters of rooms that a fit has not seen, from some of their RIRs.
+def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correction: FloatArray, known: list[IntArray],
+                usable: BoolArray | None = None, iterations: int = ITERATIONS) -> tuple[FloatArray, list[FloatArray]]:
+    """Estimate the parameters of rooms that a fit has not seen, from some of their RIRs.
 
     Parameters
     ----------
@@ -192,7 +223,7 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, mean: FloatArray, correction
         Of the new data.
     fitted : Fit
         Gives the spread over rooms and the scatter of features.
-    mean : ndarray, shape (n_shared,)
+    prior : SharedPrior
         Shared parameters (`transfer_shared`).
     correction : ndarray, shape (n_rirs, n_features)
     known : list of ndarray of int
@@ -203,23 +234,21 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, mean: FloatArray, correction
 
     Returns
     -------
-    list of ndarray
+    mean : ndarray, shape (n_shared,)
+    local : list of ndarray
         As `Fit.local`.
     """
-    priors = covariances(index, (0.3, 0.2, 0.1), [1.0] * len(index.effects), fitted.gain_db)
-    for covariance in priors:
+    spreads = covariances(index, (0.3, 0.2, 0.1), [1.0] * len(index.effects), fitted.gain_db)
+    for covariance in spreads:
         covariance[:N_SURFACE, :N_SURFACE] = fitted.covariance[0][:N_SURFACE, :N_SURFACE]
-    local = [np.zeros(part.size) for part in index.local]
+    mean, local = prior.mean.copy(), [np.zeros(part.size) for part in index.local]
     estimate_gains(index, correction, mean, local)
     for _ in range(iterations):
         predicted, derivatives = index.linearize(mean, local, correction)
         residual, valid = index.data.residual(predicted)
         if usable is not None:
             valid = valid & usable
-        for r, covariance in enumerate(priors):
-            equations = normal_equations(index, r, residual, _visible(index, r, valid, known[r]), derivatives,
-                                         fitted.sigma, fitted.omega)
-            inverse = np.linalg.inv(covariance)
-            local[r] = local[r] + np.linalg.solve(equations.own_own + inverse,
-                                                  equations.own_residual - inverse @ local[r])
-    return local
+        normal = [normal_equations(index, r, residual, _visible(index, r, valid, known[r]), derivatives, fitted.sigma,
+                                   fitted.omega) for r in range(len(local))]
+        mean, local, _ = solve_step(normal, spreads, mean, local, prior)
+    return mean, local

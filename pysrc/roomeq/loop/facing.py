@@ -1,0 +1,187 @@
+"""Where loudspeakers face, if nobody wrote it down: towards the microphone, or in one direction at each position.
+
+The direct sound tells. A loudspeaker that faces the microphone sends its direct sound with the gain of its axis; one
+that faces elsewhere sends less of it, above all at high frequencies, while its reflections stay. Only the features of
+`roomeq.loop.splitters.CALIBRATION_FEATURES`, which are never scored, take part.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.special import logsumexp
+
+from roomeq.core.arrays import FloatArray, IntArray
+from roomeq.effects.source_directivity import SourceDirectivity, unit_facing
+from roomeq.loop.data import Data
+from roomeq.loop.features import BAND_OF_FEATURE, CALIBRATION_FEATURES, METRIC
+from roomeq.loop.packing import ParameterIndex
+from roomeq.loop.predict import predict
+from roomeq.loop.session import Session
+from roomeq.loop.tables import ANGLES, collect
+
+Hypothesis = Literal["towards the microphone", "fixed"]
+_AXES = np.array([(np.cos(azimuth), np.sin(azimuth), 0.0) for azimuth in np.radians(np.arange(0.0, 360.0, 10.0))])
+"""Horizontal directions that are compared."""
+_TEST_ANGLES = np.linspace(0.0, np.pi, 13)
+_INDEPENDENT = 3.0  # of the third octaves of a direct sound, which err together
+_DECISIVE = 3.0  # natural logarithm of the Bayes factor that a direction of its own at each position needs
+
+
+@dataclass(frozen=True)
+class FacingEstimate:
+    """The facing of a loudspeaker.
+
+    Attributes
+    ----------
+    source : str
+        `source_id`.
+    rirs, positions : int
+        Number of RIRs with an unknown facing, and of positions of the loudspeaker in them.
+    hypothesis : str
+        ``"towards the microphone"``, or ``"fixed"``: one direction at each position.
+    evidence : float
+        Natural logarithm of the Bayes factor of ``"fixed"`` against ``"towards the microphone"``.
+    angle_deg : float
+        Mean angle between the facing and the direction of the microphone.
+    """
+
+    source: str
+    rirs: int
+    positions: int
+    hypothesis: Hypothesis
+    evidence: float
+    angle_deg: float
+
+    def as_dict(self) -> dict:
+        return asdict(self)
+
+
+def unknown_facings(data: Data) -> IntArray:
+    """Return the RIRs whose source faces nobody knows where."""
+    return np.flatnonzero([unit_facing(row.get("source_dir")) is None for row in data.rows])
+
+
+def with_estimated_facings(session: Session) -> tuple[Session, list[FacingEstimate]]:
+    """Return a session whose sources all face somewhere, and what was decided for each source of unknown facing."""
+    data, fitted = session.data, session.fit
+    typical = SourceDirectivity.from_vector(SourceDirectivity.STARTS[0])
+    data, estimates = estimate_facings(
+        data, session.index, fitted.mean, fitted.local, session.residual, np.hypot(fitted.sigma, fitted.omega),
+        dict.fromkeys(data.units("source")[0], typical))
+    return replace(session, data=data), estimates
+
+
+def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local: list[FloatArray],
+                     residual: FloatArray, spread: FloatArray, directivities: Mapping[str, SourceDirectivity]
+                     ) -> tuple[Data, list[FacingEstimate]]:
+    """Estimate the unknown facings; return data with them, and what was decided for each source.
+
+    Parameters
+    ----------
+    data : Data
+    index : ParameterIndex
+    mean, local
+        Parameters of a model of the data.
+    residual : ndarray, shape (n_rirs, n_features)
+        Measured minus predicted features; NaN where invalid.
+    spread : ndarray, shape (n_features,)
+        Scatter of the features [JND].
+    directivities : mapping
+        Assumed directivity of each source.
+    """
+    unknown = unknown_facings(data)
+    if not len(unknown):
+        return data, []
+    log_likelihood = _log_likelihood(data, index, mean, local, residual, spread, directivities)
+    facings: dict[int, FloatArray] = {}
+    estimates = []
+    towards = np.array([np.subtract(place.mic_pos_m, place.source_pos_m) for place in data.places])
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    for source_id in sorted({data.rows[n]["source_id"] for n in unknown}):
+        members = [int(n) for n in unknown if data.rows[n]["source_id"] == source_id]
+        by_position: dict[tuple, list[int]] = {}
+        for n in members:
+            by_position.setdefault(_position(data, n), []).append(n)
+        fixed, evidence = {}, 0.0
+        for rirs in by_position.values():
+            angles = np.arccos(np.clip(towards[rirs] @ _AXES.T, -1.0, 1.0))  # (n_rirs_of_position, n_axes)
+            of_axes = sum(np.interp(angles[i], _TEST_ANGLES, log_likelihood[n]) for i, n in enumerate(rirs))
+            evidence += logsumexp(of_axes) - np.log(len(_AXES)) - sum(log_likelihood[n, 0] for n in rirs)
+            fixed.update(dict.fromkeys(rirs, _AXES[int(np.argmax(of_axes))]))
+        chosen: Hypothesis = "fixed" if evidence > _DECISIVE else "towards the microphone"
+        of_source = {n: fixed[n] if chosen == "fixed" else towards[n] for n in members}
+        angle = np.mean([np.arccos(np.clip(towards[n] @ facing, -1.0, 1.0)) for n, facing in of_source.items()])
+        estimates.append(FacingEstimate(source_id, len(members), len(by_position), chosen, float(evidence),
+                                        float(np.degrees(angle))))
+        facings.update(of_source)
+    return with_facings(data, facings), estimates
+
+
+def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: list[FloatArray],
+                    residual: FloatArray, spread: FloatArray, directivities: Mapping[str, SourceDirectivity]) -> FloatArray:
+    """Return the log likelihood of the direct sound of each RIR at `_TEST_ANGLES`, shape (n_rirs, n_angles).
+
+    Reflections leave in all directions, so that their gain is the mean over the sphere. The response of the source
+    colours both, and its estimate from the reflections is taken from the residual of the direct sound.
+    """
+    absorption, vectors = index.absorption(mean, local), index.vectors(mean, local)
+    plain = index.predict(absorption, vectors, np.zeros(len(data.rows)), 0.0)
+    used = (METRIC == "direct") & CALIBRATION_FEATURES
+    direct = residual[:, used] - _colour(data, residual, BAND_OF_FEATURE[used])
+    sphere = np.gradient(-np.cos(ANGLES)) / 2.0
+    diffuse = [replace(table, angular=np.tile(sphere / sphere.sum(), (len(table.entries), 1))) for table in data.tables]
+    of_angles = []
+    for angle in _TEST_ANGLES:
+        turned = replace(data, tables=[replace(table, direct_angle=float(angle)) for table in diffuse])
+        state = ParameterIndex(turned, index.effects).state(absorption, vectors)
+        for source_id, directivity in directivities.items():
+            rows = np.flatnonzero([row["source_id"] == source_id for row in data.rows])
+            directivity.apply_to_prediction(state, turned, rows)
+        change = predict(turned, state) - plain
+        # relative to the reflections, which the directivity changes as well
+        error = direct - (change[:, used] - _octaves(change, "late")[:, BAND_OF_FEATURE[used]])
+        square = np.minimum((error / spread[used]) ** 2, 9.0)
+        measured = np.isfinite(square).sum(axis=1)
+        of_angles.append(-0.5 * np.nansum(square, axis=1) * np.minimum(1.0, _INDEPENDENT / np.maximum(measured, 1)))
+    return np.array(of_angles).T
+
+
+def _position(data: Data, n: int) -> tuple:
+    """Return what RIRs of one position of a source share; states of one room, such as open curtains, share it too."""
+    row = data.rows[n]
+    source_m = row["source_pos_m"] or (None, None)
+    room = row["room_id"] if row.get("mesh") else tuple(row["room_dims_m"] or ())
+    return room, source_m[0], source_m[1]
+
+
+def _octaves(features: FloatArray, metric: str) -> FloatArray:
+    return features[:, METRIC == metric]
+
+
+def _colour(data: Data, residual: FloatArray, bands: IntArray) -> FloatArray:
+    """Return the response of each RIR's source as its late reflections show it, at some octaves [dB]."""
+    names, unit = data.units("source")
+    late = _octaves(residual, "late")
+    colour = np.zeros((len(names), late.shape[1]))
+    for u in range(len(names)):
+        of_source = late[unit == u]
+        seen = np.isfinite(of_source).any(axis=0)
+        colour[u, seen] = np.nanmedian(of_source[:, seen], axis=0)
+    return colour[unit][:, bands]
+
+
+def with_facings(data: Data, facings: Mapping[int, FloatArray]) -> Data:
+    """Return data in which the sources of some RIRs face in some directions, unit vectors."""
+    rows, tables = list(data.rows), list(data.tables)
+    by_trace: dict[int, list[int]] = {}
+    for n, facing in facings.items():
+        rows[n] = {**rows[n], "source_dir": [float(x) for x in facing]}
+        by_trace.setdefault(id(data.traced[n]), []).append(n)
+    for members in by_trace.values():
+        collected = collect(data.traced[members[0]], [data.places[n].mic_pos_m for n in members],
+                            [facings[n] for n in members])
+        for n, table in zip(members, collected, strict=True):
+            tables[n] = table
+    return replace(data, rows=rows, tables=tables)
