@@ -42,6 +42,12 @@ def ranking(winner, gain):
                  size_jnd=2.0) for name, value in ((winner, gain), ("noise_floor", 1.0), ("coupled_volume", -4.0))]
 
 
+def undetected(winner, gain):
+    """Return the last ranking, with the sizes that would have been found."""
+    return [entry | dict(detectable_jnd=size_jnd, would_show=CATALOGUE[entry["effect"]].DISCRIMINATING_MEASUREMENT)
+            for entry, size_jnd in zip(ranking(winner, gain), (0.5, 0.7, None), strict=True)]
+
+
 def extension(name, units):
     """Return an effect with the same parameters for some units."""
     effect = CATALOGUE[name]
@@ -69,7 +75,7 @@ def make_loop(out):
                        size_jnd=3.5, p=0.01)
     ledger = dict(
         format=LEDGER_FORMAT, rirs=N_RIRS, rooms=len(ROOMS), left_out=LEFT_OUT, given=[], baseline=errors(3.4),
-        final=errors(1.5), ceiling=errors(1.0), explained=explained(0.79), ranking=ranking("room_eq", 0.5),
+        final=errors(1.5), ceiling=errors(1.0), explained=explained(0.79), ranking=undetected("room_eq", 0.5),
         iterations=[iteration(added[0], 3.4, 1.9, cannot_tell=["source_response", "mic_response"],
                               would_tell=["a recording of the same room with another loudspeaker"]),
                     iteration(added[1], 1.9, 1.5)],

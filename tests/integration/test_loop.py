@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rirmaker import DIRECT, coloured_rir
+from scipy.optimize import brentq
 from scipy.special import polygamma
 
 from roomeq.acoustics.iso3382 import EARLY_S
@@ -13,8 +14,10 @@ from roomeq.cli import main
 from roomeq.core.constants import FS_HZ
 from roomeq.core.files import read_json
 from roomeq.effects.catalogue import CATALOGUE
+from roomeq.effects.coupled_volume import CoupledVolume
 from roomeq.effects.model import read_model
 from roomeq.effects.response import RESPONSE_HZ
+from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.effects.source_response import SourceResponse
 from roomeq.loop.ceiling import ceiling_errors, twin_recordings
 from roomeq.loop.close import SCATTERING, close_loop
@@ -22,8 +25,9 @@ from roomeq.loop.data import load_data
 from roomeq.loop.features import HAS_GAIN, JND, LATE_S, METRIC, feature_slice, measure_features
 from roomeq.loop.fit import fit
 from roomeq.loop.packing import N_SURFACE, ParameterIndex
+from roomeq.loop.power import _changes, detectable_sizes
 from roomeq.loop.predict import predict
-from roomeq.loop.selection import SPLITS, choose, heldout_errors, rank
+from roomeq.loop.selection import SPLITS, _candidate, choose, heldout_errors, rank, size_of_change_jnd
 from roomeq.loop.session import fit_base_model, with_rendered_changes
 from roomeq.loop.splitters import leave_rooms_out, split_positions
 from roomeq.records.rir_dir import load_rir, read_rirs, relocated, write_rirs
@@ -166,6 +170,23 @@ def test_twin_recordings_scatter_like_diffuse_sound(session):
         valid = first.valid[:, at] & second.valid[:, at]
         ratio = difference[:, at][valid].mean() / (2.0 / np.sqrt(np.pi) * expected[valid]).mean()
         assert ratio == pytest.approx(1.0, abs=0.25)
+
+
+@pytest.mark.parametrize("effect", [SourceResponse, SoundSpeed, CoupledVolume])
+def test_effect_is_found_above_its_stated_size_and_not_far_below(effect, session):
+    """A pattern of the effect is added to the features of clean rooms, at 2 and at 0.4 times the stated size."""
+    def candidate_with(added):
+        data = replace(session.data, features=session.data.features + added)
+        fitted = fit(data, session.correction, (), initial=session.fit)
+        return _candidate(replace(session, data=data, fit=fitted), effect, leave_rooms_out(data, fitted))
+
+    clean = candidate_with(0.0)
+    (stated_jnd,) = detectable_sizes(session, [clean])
+    change = _changes(session, effect)[0]
+    for factor in (2.0, 0.4):
+        scale = brentq(lambda x: size_of_change_jnd(session.data, x * change) - factor * stated_jnd, 0.0, 1e3)  # noqa: B023
+        assert candidate_with(scale * change).helps(1) == (factor > 1.0)
+    assert not clean.helps(1)
 
 
 def test_leaving_a_room_out_changes_the_shared_parameters_a_little(session):

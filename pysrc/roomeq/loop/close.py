@@ -24,8 +24,9 @@ from roomeq.loop.ledger import (
     error_entry,
     iteration_entry,
     left_out_entries,
-    ranking_entry,
+    undetected_entry,
 )
+from roomeq.loop.power import detectable_sizes
 from roomeq.loop.selection import (
     LEVEL,
     SPLITS,
@@ -150,6 +151,10 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     unexplained = find_unexplained(session)
     for residual in unexplained[:1]:
         logger.info("unexplained: %s", describe_residual(residual))
+    sizes = detectable_sizes(extended, ranking)
+    logger.info("effects that were not found would have been from a size of: %s", "; ".join(
+        f"{candidate.effect.NAME} {'unknown' if size_jnd is None else f'{size_jnd:.1f} JND'}"
+        for candidate, size_jnd in zip(ranking, sizes, strict=True)))
     ceiling = ceiling_errors(session)
     shares = explained(first_errors, errors, ceiling)
     _log_explained("final model", ceiling, shares)
@@ -157,7 +162,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
         format=LEDGER_FORMAT, rirs=len(data.rows), rooms=len(data.room_names),
         left_out=left_out_entries(data.left_out), given=base.names,
         facings=[facing.as_dict() for facing in facings], baseline=error_entry(first_errors), iterations=iterations,
-        ranking=[ranking_entry(candidate) for candidate in ranking],
+        ranking=[undetected_entry(candidate, size_jnd) for candidate, size_jnd in zip(ranking, sizes, strict=True)],
         unexplained=unexplained[0].as_dict() if unexplained else None,
         unexplained_all=[residual.as_dict() for residual in unexplained], final=error_entry(errors),
         ceiling=error_entry(ceiling), explained=shares)

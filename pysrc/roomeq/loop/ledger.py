@@ -48,6 +48,12 @@ def ranking_entry(candidate: Candidate) -> dict:
                 size_jnd=candidate.size_jnd)
 
 
+def undetected_entry(candidate: Candidate, detectable_jnd: float | None) -> dict:
+    """Return the entry of a candidate that was not added: with the smallest size that would have been found."""
+    return ranking_entry(candidate) | dict(detectable_jnd=detectable_jnd,
+                                           would_show=candidate.effect.DISCRIMINATING_MEASUREMENT)
+
+
 def iteration_entry(winner: Candidate, rivals: list[Candidate], ranking: list[Candidate], session: Session,
                     before: HeldOutErrors, after: HeldOutErrors, p: dict[str, float]) -> dict:
     """Return the entry of an accepted effect.
@@ -249,6 +255,14 @@ def _candidate(value: Any, where: str) -> None:
     _number(value["size_jnd"], f"{where}.size_jnd", 0.0)
 
 
+def _undetected(value: Any, where: str) -> None:
+    _candidate(value, where)
+    _keys(value, where, ("detectable_jnd", "would_show"))
+    if value["detectable_jnd"] is not None:
+        _number(value["detectable_jnd"], f"{where}.detectable_jnd", 0.0)
+    _require(isinstance(value["would_show"], str), f"{where}.would_show", "be text")
+
+
 def _iteration(value: Any, where: str) -> None:
     _keys(value, where, ("effect", "scope", "size_jnd", "parameters", "scored_on", "heldout_error_before",
                         "heldout_error_after", "heldout_error_ci", "p", "by_metric", "by_band", "ranking"))
@@ -322,7 +336,7 @@ def _check_ledger(ledger: Any) -> None:
         _errors(ledger[key], key)
     _explained(ledger["explained"], "explained")
     _list(ledger["iterations"], "iterations", _iteration)
-    _list(ledger["ranking"], "ranking", _candidate)
+    _list(ledger["ranking"], "ranking", _undetected)
     _list(ledger["unexplained_all"], "unexplained_all", _unexplained)
     _require(ledger["unexplained"] == (ledger["unexplained_all"] or [None])[0], "unexplained",
              "be the first of unexplained_all")

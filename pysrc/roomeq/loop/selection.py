@@ -345,6 +345,11 @@ def effect_size_jnd(data: Data, effect: type[Effect], fitted: Fit) -> float:
     change = index.predict(absorption, vectors, no_gains, 0.0) - without.predict(
         absorption, [vector for vector, kind in zip(vectors, fitted.effects, strict=True) if kind is not effect],
         no_gains, 0.0)
+    return size_of_change_jnd(data, change)
+
+
+def size_of_change_jnd(data: Data, change: FloatArray) -> float:
+    """Return the size of a change of the features, shape (n_rirs, n_features), as of `effect_size_jnd` [JND]."""
     change = np.abs(np.where(data.valid, change, 0.0))
     by_metric = [change[:, METRIC == metric] for metric in np.unique(METRIC)]
     return float(max(of_metric[of_metric > TOUCHED_JND].mean() if np.any(of_metric > TOUCHED_JND) else 0.0

@@ -39,7 +39,7 @@ def closed_loop(run: Run) -> Context:
     return {"ledger": ledger, "left_out": left_out(ledger), "has_wer": run.has("wer"), "error_rows": error_rows(ledger),
             "effects": [added_effect(entry) for entry in ledger["iterations"]],
             "effect_rows": [effect_row(entry) for entry in ledger["iterations"]],
-            "at_ceiling": at_ceiling(ledger), "maps": residual_maps(run, ledger),
+            "at_ceiling": at_ceiling(ledger), "power_rows": power_rows(ledger), "maps": residual_maps(run, ledger),
             "rankings": rankings(ledger), "splits": splits(ledger),
             "responses": responses(ledger),
             "examples": example_figures(read_examples(examples)) if examples.is_file() else [],
@@ -109,6 +109,11 @@ def share_of(explained: dict[str, Any]) -> str:
 def at_ceiling(ledger: dict[str, Any]) -> list[str]:
     """Return the labels of the metrics whose error on held-out positions cannot fall further."""
     return [METRIC_LABELS[metric] for metric in ledger["explained"][SPLITS[0]]["at_ceiling"]]
+
+
+def power_rows(ledger: dict[str, Any]) -> list[list[Any]]:
+    """Return the effects that were not found, with the smallest size that would have been."""
+    return [[entry["effect"], number(entry["detectable_jnd"]), entry["would_show"]] for entry in ledger["ranking"]]
 
 
 def effect_row(entry: dict[str, Any]) -> list[str]:

@@ -48,6 +48,7 @@ def replace(value, *keys):
     (without("ceiling"), "ledger must hold 'ceiling'"),
     (replace([0.8, 0.9], "explained", SPLITS[0], "ci"),
      r"explained.leave_positions_out.ci=\[0.8, 0.9\] must lie around 0.79"),
+    (replace(-1.0, "ranking", 1, "detectable_jnd"), r"ranking\[1\].detectable_jnd=-1.0 must be a number in \[0, inf\]"),
     (replace(["bass"], "explained", SPLITS[0], "at_ceiling"),
      "explained.leave_positions_out.at_ceiling must name metrics of by_metric"),
     (replace(3.3, "baseline", SPLITS[0], "error"),

@@ -1,0 +1,93 @@
+"""The smallest size at which an effect that was not found would have been found.
+
+An effect changes the features of the RIRs by some pattern d [JND]. What absorption, gains and the model's other effects
+can imitate of it shows nothing; the rest, whitened by the scatter of the features, has the information I, the sum of
+its squares. With a pattern of s times this size, the log densities of the held-out rooms grow by s^2 I / 2 on average,
+with a standard deviation of s sqrt(I) (as a likelihood ratio: Kay, Fundamentals of Statistical Signal Processing II,
+1998, sec. 6.5), less what it costs to estimate the effect's parameters.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from roomeq.core.arrays import FloatArray
+from roomeq.core.rng import rng_for
+from roomeq.effects.base import Effect
+from roomeq.loop.fit import START_X, shared_prior
+from roomeq.loop.likelihood import normal_equations
+from roomeq.loop.packing import Derivatives, ParameterIndex
+from roomeq.loop.rendered_model import in_order
+from roomeq.loop.selection import LEVEL, MIN_SIZE_JND, Candidate, size_of_change_jnd
+from roomeq.loop.session import Session
+
+POWER = 0.8
+"""Probability that the densities of held-out rooms show an effect of the stated size."""
+_DRAWS = 5  # patterns of an effect; the median of their sizes is stated
+_SMALL = 1e-3  # scale of patterns in the normal equations, below what Huber's loss takes for outliers
+
+
+def detectable_sizes(session: Session, candidates: Sequence[Candidate]) -> list[float | None]:
+    """Return the smallest size at which each candidate would have been found [JND].
+
+    None where no part of the effect's changes is visible in at least two rooms.
+
+    Parameters
+    ----------
+    session : Session
+        Of the model that lacks the candidates, with their rendered changes (`roomeq.loop.selection.Ranking`).
+    candidates : sequence of Candidate
+    """
+    derivatives = session.index.linearize(session.fit.mean, session.fit.local, session.correction,
+                                          session.fit.by_surface)[1]
+    quantile = float(stats.norm.ppf(POWER))
+    sizes: list[float | None] = []
+    for candidate in candidates:
+        cost = max(0.0, max(candidate.gain.max(), 0.0) - candidate.total)
+        # a^2 / 2 less the quantile of its scatter, a times `quantile`, reaches the threshold of `Candidate.helps`
+        amplitude = quantile + np.sqrt(quantile ** 2 + 2.0 * (np.log(len(candidates) / LEVEL) + cost))
+        found = []
+        for change in _changes(session, candidate.effect):
+            information = _information(session, derivatives, change)
+            left = information.sum() - information.max()  # the room that gains most is not counted
+            if left > 0.0:
+                found.append(size_of_change_jnd(session.data, amplitude / np.sqrt(left) * change))
+        sizes.append(max(MIN_SIZE_JND, float(np.median(found))) if found else None)
+    return sizes
+
+
+def _changes(session: Session, effect: type[Effect]) -> list[FloatArray]:
+    """Return changes of the features by an effect with parameters drawn from its prior, (n_rirs, n_features) each."""
+    data, fitted, index = session.data, session.fit, session.index
+    absorption, vectors = index.absorption(fitted.mean, fitted.local), index.vectors(fitted.mean, fitted.local)
+    no_gains = np.zeros(len(data.rows))
+    without = index.predict(absorption, vectors, no_gains, 0.0)
+    effects = in_order([*index.effects, effect])
+    with_effect, k = ParameterIndex(data, effects), effects.index(effect)
+    rng, n_units = rng_for(session.seed, "loop power", effect.NAME), len(data.units(effect.SCOPE)[0])
+    changes = []
+    for n in range(_DRAWS):
+        start = np.asarray(effect.STARTS[n % len(effect.STARTS)], dtype=float)
+        drawn = start + rng.multivariate_normal(np.zeros(len(start)), effect.prior_covariance(), size=n_units)
+        change = with_effect.predict(absorption, [*vectors[:k], drawn, *vectors[k:]], no_gains, 0.0) - without
+        changes.append(np.where(data.valid & np.isfinite(change), change, 0.0))
+    return [change for change in changes if change.any()]
+
+
+def _information(session: Session, derivatives: Derivatives, change: FloatArray) -> FloatArray:
+    """Return each room's information of a change of the features that no other parameters imitate, shape (n_rooms,)."""
+    fitted, index = session.fit, session.index
+    rooms = [normal_equations(index, r, _SMALL * change, session.data.valid, derivatives, fitted.sigma, fitted.omega)
+             for r in range(len(fitted.local))]
+    inverses = [np.linalg.inv(room.own_own + np.linalg.inv(covariance))
+                for room, covariance in zip(rooms, fitted.covariance, strict=True)]
+    total = shared_prior(index, [effect.STARTS[0] for effect in index.effects], START_X).precision
+    right = np.zeros(len(total))
+    for room, inverse in zip(rooms, inverses, strict=True):
+        total = total + room.shared_shared - room.own_shared.T @ inverse @ room.own_shared
+        right += room.shared_residual - room.own_shared.T @ inverse @ room.own_residual
+    shared = np.linalg.solve(total, right)
+    return np.array([room.residual_residual - room.shared_residual @ shared
+                     - room.own_residual @ inverse @ (room.own_residual - room.own_shared @ shared)
+                     for room, inverse in zip(rooms, inverses, strict=True)]) / _SMALL ** 2
