@@ -18,8 +18,11 @@ MIN_JOINED = 0.9  # share of the air that the largest connected part must hold
 _PARTS = 4  # of a voxel's edge, where a surface cuts the voxel
 _LEAST_SHARE = 0.5  # of air in a voxel; one with less joins a neighbour
 _DIRECTIONS = np.array([[0.36, 0.48, 0.80], [-0.62, 0.71, -0.33], [0.19, -0.87, -0.46]])  # along no wall
-_DEGREE = 16  # of the Chebyshev filter; even
-_TOLERANCE = 1e-4
+_CUT = 1.1  # wave number up to which the Chebyshev filter is large, relative to the highest that is wanted
+_SPARE = 20  # vectors, more than modes are expected up to there
+_GAIN = 2.8  # logarithm of the filter's gain at the highest wave number that is wanted, in each pass
+_PASSES = 5
+_COLUMNS = 32  # that are filtered at once, so that they stay in the cache
 _K_STEP = 1.05  # ratio of the wave numbers up to which a room is solved: rows with other air and decay share a solution
 
 
@@ -263,30 +266,43 @@ def _lowest(laplacian: "scipy.sparse.csr_matrix", room: MeshRoom, k_max: float) 
     """Find all eigenvalues up to ``k_max^2`` and their eigenvectors, ascending.
 
     The lowest eigenvalues of a grid lie close together compared with its whole spectrum. A Chebyshev polynomial that
-    is large on them and within [-1, 1] on the rest spreads them (Zhou and Saad, SIAM J. Matrix Anal. 29, 2007). This
-    needs no factorisation of a three-dimensional matrix.
+    is large on them and within [-1, 1] on the rest separates their subspace from random vectors, without a
+    factorisation (Zhou, Saad, Tiago and Chelikowsky, J. Comput. Phys. 219 (2006) 172). It is applied in several
+    passes, between which the vectors are made orthogonal: in one pass, single precision would lose the higher modes.
     """
     n = laplacian.shape[0]
-    highest = abs(laplacian).sum(axis=1).max()
-    start = np.random.default_rng(0).standard_normal(n).astype(np.float32)
-    cut, wanted = 1.15 * k_max, int(mode_count(room, 1.05 * k_max)) + 8
+    highest, cut = float(abs(laplacian).sum(axis=1).max()), _CUT * k_max
+    wanted = int(mode_count(room, cut)) + _SPARE
+    middle, half = 0.5 * (highest + cut ** 2), 0.5 * (highest - cut ** 2)
+    single = laplacian.astype(np.float32)
+    scaled = ((single - np.float32(middle) * scipy.sparse.eye_array(n, dtype=np.float32)) / np.float32(half)).tocsr()
+    degree = int(np.ceil(_GAIN / np.arccosh((middle - k_max ** 2) / half)))
+    rng = np.random.default_rng(0)
     while True:
-        wanted = min(wanted, n - 2)
-        middle, half = 0.5 * (highest + cut ** 2), 0.5 * (highest - cut ** 2)
-        scaled = ((laplacian - middle * scipy.sparse.diags_array(np.ones(n))) / half).tocsr().astype(np.float32)
+        vectors = rng.standard_normal((n, min(wanted, n)), dtype=np.float32)
+        for _ in range(_PASSES):
+            for first in range(0, vectors.shape[1], _COLUMNS):
+                columns = slice(first, first + _COLUMNS)
+                vectors[:, columns] = _filtered(scaled, np.ascontiguousarray(vectors[:, columns]), degree)
+            vectors = _orthogonal(vectors)
+        squared, rotation = np.linalg.eigh((vectors.T @ (single @ vectors)).astype(np.float64))
+        if squared[-1] > cut ** 2 or wanted >= n:
+            lowest = squared <= k_max ** 2
+            return _Eigenpairs(squared[lowest], (vectors @ rotation[:, lowest].astype(np.float32)).astype(np.float64))
+        wanted = int(1.3 * wanted)
 
-        def filtered(vector: Array, scaled: "scipy.sparse.csr_matrix" = scaled) -> Array:
-            previous, current = vector, scaled @ vector
-            for _ in range(_DEGREE - 1):
-                previous, current = current, 2.0 * (scaled @ current) - previous
-            return current
 
-        operator = scipy.sparse.linalg.LinearOperator((n, n), matvec=filtered, dtype=np.float32)
-        _, vectors = scipy.sparse.linalg.eigsh(operator, k=wanted, which="LA", tol=_TOLERANCE, v0=start,
-                                               ncv=min(n - 1, int(1.3 * wanted) + 20))
-        vectors = vectors.astype(np.float64)
-        squared = np.einsum("ij,ij->j", vectors, laplacian @ vectors)
-        order = np.argsort(squared, kind="stable")
-        if squared.max() > k_max ** 2 or wanted == n - 2:
-            return _Eigenpairs(squared[order], vectors[:, order])
-        cut, wanted = 1.1 * cut, int(1.3 * wanted)
+def _filtered(scaled: "scipy.sparse.csr_matrix", vectors: Array, degree: int) -> Array:
+    """Apply the Chebyshev polynomial of a degree."""
+    previous, current = vectors, scaled @ vectors
+    for _ in range(degree - 1):
+        previous, current = current, 2.0 * (scaled @ current) - previous
+    return current
+
+
+def _orthogonal(vectors: Array) -> Array:
+    """Return an orthonormal basis of the space of some vectors, from their Gram matrix."""
+    vectors = vectors / np.linalg.norm(vectors, axis=0)
+    weight, rotation = np.linalg.eigh((vectors.T @ vectors).astype(np.float64))
+    kept = weight > 1e-6 * weight[-1]
+    return vectors @ (rotation[:, kept] / np.sqrt(weight[kept])).astype(np.float32)
