@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 PAGES = {
-    "simulator": "Simulator: accuracy", "speed": "Simulator: speed", "compensation": "EQ compensation",
+    "simulator": "Simulator: accuracy", "measured_room": "Simulator: a measured room",
+    "speed": "Simulator: speed", "compensation": "EQ compensation",
     "loop": "Closed loop", "effects": "Effects: predicted and rendered",
     "augmentation": "Augmentation", "wer": "Word error rates", "faults": "Faults and bad inputs",
 }

@@ -33,7 +33,7 @@ from roomeq.sim.scene import Shoebox
 
 MAX_CROSSOVER_HZ = 300.0
 MAX_MODES = 1000  # of a shoebox, up to `MARGIN` times the crossover
-MAX_MESH_MODES = 300  # of a mesh, where finding them takes seconds
+MAX_MESH_MODES = 600  # of a mesh, where finding them takes 20 s
 MARGIN = 1.5  # highest mode over the crossover frequency: modes above the crossover contribute below it
 CROSSOVER_OCTAVES = 1.0
 HIGHPASS_HZ = 15.0  # without it, the static pressure of a closed room never decays
