@@ -95,15 +95,32 @@ def voxel_modes(room: MeshRoom, k_max: float,
     ValueError
         More than `MAX_VOXELS` are needed, or voxels are so large that they close openings of the room.
     """
-    k, shapes = _solve(room, _K_STEP ** np.ceil(np.log(k_max) / np.log(_K_STEP)), per_wavelength)
+    k, shapes = _solve(room, k_step(k_max), per_wavelength, mode_count(room, _CUT * k_step(k_max)), False)
     n_modes = np.searchsorted(k, k_max, side="right")
     return k[:n_modes], replace(shapes, values=shapes.values[:, :n_modes])
 
 
+def plan_modes(room: MeshRoom, k_max: float, per_wavelength: float) -> tuple[FloatArray, "VoxelShapes"]:
+    """Find the eigenmodes of a prism that do not depend on height; as `voxel_modes`, with one layer of voxels."""
+    low, high = room.bounds_m
+    area_m2 = room.volume_m3 / (high - low)[2]
+    around_m = (room.surface_area_m2.sum() - 2.0 * area_m2) / (high - low)[2]
+    cut = _CUT * k_step(k_max)
+    return _solve(room, k_step(k_max), per_wavelength, (area_m2 * cut ** 2 + around_m * cut) / (4.0 * np.pi), True)
+
+
+def k_step(k_max: float) -> float:
+    """Return the wave number up to which a room is solved."""
+    return float(_K_STEP ** np.ceil(np.log(k_max) / np.log(_K_STEP)))
+
+
 @lru_cache(maxsize=8)
-def _solve(room: MeshRoom, k_max: float, per_wavelength: float) -> tuple[FloatArray, "VoxelShapes"]:
+def _solve(room: MeshRoom, k_max: float, per_wavelength: float, expected: float,
+           flat: bool) -> tuple[FloatArray, "VoxelShapes"]:
     low, high = room.bounds_m
     shape = _grid_shape(room, np.maximum(np.ceil((high - low) * k_max * per_wavelength / (2.0 * np.pi)), 2).astype(int))
+    if flat:
+        shape[2] = 1
     if np.prod(shape) > MAX_VOXELS:
         raise ValueError(f"modes up to {k_max:.3g} rad/m need a grid of {np.prod(shape)} voxels and may have "
                          f"{MAX_VOXELS}: ask for a lower frequency or leave the modes of this room out")
@@ -111,7 +128,7 @@ def _solve(room: MeshRoom, k_max: float, per_wavelength: float) -> tuple[FloatAr
     grid = _grid(room, low, size_m, shape)
     root = scipy.sparse.diags_array(grid.share ** -0.5)
     axes = [(root @ flux @ root).tocsr() for flux in grid.flux]
-    squared, vectors = _lowest(sum(axes[1:], axes[0]), room, k_max)
+    squared, vectors = _lowest(sum(axes[1:], axes[0]), expected, k_max)
     slow = sum(edge_m ** 2 / 12.0 * np.sum((axis @ vectors) ** 2, axis=0)
                for edge_m, axis in zip(size_m, axes, strict=True))
     k = np.sqrt(np.maximum(squared + slow, 0.0))
@@ -262,8 +279,10 @@ def _rows(share: FloatArray, openings: list[_Openings], size_m: FloatArray) -> I
     return row
 
 
-def _lowest(laplacian: "scipy.sparse.csr_matrix", room: MeshRoom, k_max: float) -> _Eigenpairs:
+def _lowest(laplacian: "scipy.sparse.csr_matrix", expected: float, k_max: float) -> _Eigenpairs:
     """Find all eigenvalues up to ``k_max^2`` and their eigenvectors, ascending.
+
+    About `expected` eigenvalues are below ``(_CUT k_max)^2``.
 
     The lowest eigenvalues of a grid lie close together compared with its whole spectrum. A Chebyshev polynomial that
     is large on them and within [-1, 1] on the rest separates their subspace from random vectors, without a
@@ -272,7 +291,7 @@ def _lowest(laplacian: "scipy.sparse.csr_matrix", room: MeshRoom, k_max: float) 
     """
     n = laplacian.shape[0]
     highest, cut = float(abs(laplacian).sum(axis=1).max()), _CUT * k_max
-    wanted = int(mode_count(room, cut)) + _SPARE
+    wanted = int(expected) + _SPARE
     middle, half = 0.5 * (highest + cut ** 2), 0.5 * (highest - cut ** 2)
     single = laplacian.astype(np.float32)
     scaled = ((single - np.float32(middle) * scipy.sparse.eye_array(n, dtype=np.float32)) / np.float32(half)).tocsr()

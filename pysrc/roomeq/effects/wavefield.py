@@ -26,14 +26,15 @@ from scipy.special import sici
 
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import EXACT_BANDS_HZ
+from roomeq.effects.prism import is_prism, prism_modes
 from roomeq.effects.voxels import mode_count, voxel_modes
 from roomeq.sim.mesh import MeshRoom
 from roomeq.sim.room import Room
 from roomeq.sim.scene import Shoebox
 
 MAX_CROSSOVER_HZ = 300.0
-MAX_MODES = 1000  # of a shoebox, up to `MARGIN` times the crossover
-MAX_MESH_MODES = 600  # of a mesh, where finding them takes 20 s
+MAX_MODES = 1000  # of a shoebox or a prism, up to `MARGIN` times the crossover
+MAX_MESH_MODES = 600  # of another mesh, where finding them takes 20 s
 MARGIN = 1.5  # highest mode over the crossover frequency: modes above the crossover contribute below it
 CROSSOVER_OCTAVES = 1.0
 HIGHPASS_HZ = 15.0  # without it, the static pressure of a closed room never decays
@@ -69,7 +70,8 @@ def modes(room: Room, f_max_hz: float, speed_m_s: float) -> Modes:
     Parameters
     ----------
     room : Shoebox or MeshRoom
-        Cosines for a shoebox, eigenmodes of a grid of voxels for a mesh (`roomeq.effects.voxels`).
+        Cosines for a shoebox; for a mesh eigenmodes of a grid of voxels (`roomeq.effects.voxels`), which is flat if
+        the mesh is a plan with a height (`roomeq.effects.prism`).
     f_max_hz, speed_m_s : float
 
     Returns
@@ -85,7 +87,8 @@ def modes(room: Room, f_max_hz: float, speed_m_s: float) -> Modes:
     if isinstance(room, Shoebox):
         frequencies_hz, shapes = _cosines(room.dims_m, float(f_max_hz), float(speed_m_s))
     else:
-        k, shapes = voxel_modes(cast(MeshRoom, room), 2.0 * np.pi * f_max_hz / speed_m_s)
+        mesh, k_max = cast(MeshRoom, room), 2.0 * np.pi * f_max_hz / speed_m_s
+        k, shapes = prism_modes(mesh, k_max) if is_prism(mesh) else voxel_modes(mesh, k_max)
         frequencies_hz = speed_m_s * k / (2.0 * np.pi)
     return Modes(frequencies_hz, float(f_max_hz), room.volume_m3, float(speed_m_s), shapes)
 
@@ -188,7 +191,7 @@ def crossover_hz(room: Room, t60_s: ArrayLike, speed_m_s: float) -> float:
     def above_schroeder(frequency_hz: float) -> float:  # T depends on frequency
         return frequency_hz - 2000.0 * np.sqrt(3.0 * np.log(10.0) / damping_per_s(frequency_hz, t60_s) / room.volume_m3)
 
-    max_modes = MAX_MODES if isinstance(room, Shoebox) else MAX_MESH_MODES
+    max_modes = MAX_MODES if isinstance(room, Shoebox) or is_prism(cast(MeshRoom, room)) else MAX_MESH_MODES
 
     def surplus_modes(frequency_hz: float) -> float:
         return mode_count(room, 2.0 * np.pi * MARGIN * frequency_hz / speed_m_s) - max_modes

@@ -13,6 +13,7 @@ from roomeq.effects.wavefield import (
     MAX_CROSSOVER_HZ,
     MAX_MESH_MODES,
     MAX_MODES,
+    Modes,
     cross_over,
     crossover_hz,
     damping_per_s,
@@ -31,6 +32,11 @@ FINE_HZ = 64000  # image sources fall on samples of this rate
 
 def inside(rng, clearance_m=0.3, dims_m=DIMS_M):
     return rng.uniform(clearance_m, np.array(dims_m) - clearance_m)
+
+
+def voxels_of(room, f_max_hz):
+    k, shapes = voxel_modes(room, 2.0 * np.pi * f_max_hz / C)
+    return Modes(C * k / (2.0 * np.pi), f_max_hz, room.volume_m3, C, shapes)
 
 
 def third_octaves_db(rir, fs_hz, frequencies_hz=THIRDS_HZ):
@@ -68,6 +74,12 @@ def box_modes():
 
 @pytest.fixture(scope="module")
 def mesh_modes():
+    """Of voxels, although the room is a prism."""
+    return voxels_of(make_room(box_triangles(DIMS_M), ["wall"] * 12), 300.0)
+
+
+@pytest.fixture(scope="module")
+def prism_modes():
     return modes(make_room(box_triangles(DIMS_M), ["wall"] * 12), 300.0, C)
 
 
@@ -130,11 +142,11 @@ def test_damping_interpolates_between_bands():
     assert damping[1] < damping[3] < damping[2]
 
 
-def test_voxels_of_a_box_have_its_eigenfrequencies(mesh_modes):
-    exact = modes(BOX, 320.0, C).frequencies_hz
-    n_modes = len(mesh_modes.frequencies_hz)
-    assert n_modes == pytest.approx(np.sum(exact <= 300.0), abs=4)
-    np.testing.assert_allclose(mesh_modes.frequencies_hz, exact[:n_modes], rtol=0.005)
+@pytest.mark.parametrize("kind, rtol", [("mesh_modes", 0.005), ("prism_modes", 0.001)])
+def test_voxels_of_a_box_have_its_eigenfrequencies(kind, rtol, request):
+    exact, found_hz = modes(BOX, 320.0, C).frequencies_hz, request.getfixturevalue(kind).frequencies_hz
+    assert len(found_hz) == pytest.approx(np.sum(exact <= 300.0), abs=4)
+    np.testing.assert_allclose(found_hz, exact[:len(found_hz)], rtol=rtol)
 
 
 @pytest.mark.parametrize("angle_rad", [0.15, 0.3, 0.6])
@@ -142,20 +154,21 @@ def test_voxels_of_an_oblique_box_have_its_eigenfrequencies(angle_rad):
     """Walls that cut voxels are where they are: steps as large as a voxel would shift the modes by 3 to 4 %."""
     x, y = np.array([[np.cos(angle_rad), np.sin(angle_rad)], [-np.sin(angle_rad), np.cos(angle_rad)]])
     turned = make_room(box_triangles(DIMS_M) @ np.array([[*x, 0.0], [*y, 0.0], [0.0, 0.0, 1.0]]), ["wall"] * 12)
-    found, exact = modes(turned, 150.0, C).frequencies_hz, modes(BOX, 160.0, C).frequencies_hz
+    found, exact = voxels_of(turned, 150.0).frequencies_hz, modes(BOX, 160.0, C).frequencies_hz
     assert len(found) == pytest.approx(np.sum(exact <= 150.0), abs=1)
     assert np.sqrt(np.mean((found / exact[:len(found)] - 1.0) ** 2)) < 0.01
 
 
 
-def test_voxels_of_a_box_give_its_response(mesh_modes):
+@pytest.mark.parametrize("kind", ["mesh_modes", "prism_modes"])
+def test_voxels_of_a_box_give_its_response(kind, request):
     """Levels agree below 200 Hz, where modes are so far apart that their order is the same."""
     rng = np.random.default_rng(2)
-    exact = modes(BOX, 300.0, C)
+    exact, of_voxels = modes(BOX, 300.0, C), request.getfixturevalue(kind)
     differences = []
     for _ in range(6):
         source, mic = inside(rng), inside(rng)
-        mesh, box = (modal_response(m, source, mic, 7.0, FS_HZ // 2, FS_HZ) for m in (mesh_modes, exact))
+        mesh, box = (modal_response(m, source, mic, 7.0, FS_HZ // 2, FS_HZ) for m in (of_voxels, exact))
         differences.append(third_octaves_db(mesh, FS_HZ) - third_octaves_db(box, FS_HZ))
     assert np.sqrt(np.mean(np.square(differences))) < 1.0
 
@@ -178,6 +191,29 @@ def test_modes_of_an_l_shape_converge_with_voxel_size():
     np.testing.assert_allclose(np.abs(k[2] / (np.pi / L_HEIGHT_M) - 1.0).min(), 0.0, atol=1e-3)
 
 
+def test_prism_has_the_modes_of_its_voxels():
+    """An L-shaped plan: frequencies, and the products of shapes that make a response."""
+    room = make_room(*l_triangles())
+    flat = modes(room, 60.0, C)
+    k, shapes = voxel_modes(room, 2.0 * np.pi * 60.0 / C, 24.0)
+    np.testing.assert_allclose(flat.frequencies_hz, C * k / (2.0 * np.pi), rtol=3e-3)
+    low, high = room.bounds_m
+    source, mic = low + 0.1 * (high - low), low + [0.15, 0.2, 0.8] * (high - low)
+    levels = [np.sum(each(source) * each(mic)) for each in (flat.shapes, shapes)]
+    assert levels[0] == pytest.approx(levels[1], rel=0.05)
+
+
+def test_prism_stands_on_its_floor():
+    """A room that does not begin at height 0 has the modes and the response of one that does."""
+    triangles, names = l_triangles()
+    both = [modes(make_room(triangles + [0.0, 0.0, z], names), 100.0, C) for z in (0.0, -1.7)]
+    np.testing.assert_allclose(both[1].frequencies_hz, both[0].frequencies_hz, rtol=1e-5)
+    source, mic = np.array([1.0, 1.2, 1.1]), np.array([2.0, 1.0, 1.6])
+    here, there = (modal_response(m, source + [0.0, 0.0, z], mic + [0.0, 0.0, z], 7.0, 4000, FS_HZ)
+                   for m, z in zip(both, (0.0, -1.7), strict=True))
+    np.testing.assert_allclose(there, here, atol=1e-3 * np.abs(here).max())
+
+
 def test_wall_thinner_than_a_voxel_separates():
     """Around a plate with a gap, sound takes a longer path in the lowest mode, and both sides have opposite signs."""
     dims_m, plate = (6.0, 3.0, 3.0), box_triangles((0.02, 2.0, 3.0 - 2e-3), (3.0, 1e-3, 1e-3))
@@ -198,7 +234,7 @@ def test_furniture_shifts_eigenfrequencies_little():
 
 def test_too_many_voxels_raise_value_error():
     with pytest.raises(ValueError, match="voxels and may have"):
-        modes(make_room(box_triangles((40.0, 30.0, 10.0)), ["wall"] * 12), 300.0, C)
+        voxels_of(make_room(box_triangles((40.0, 30.0, 10.0)), ["wall"] * 12), 300.0)
 
 
 def test_crossover_is_the_limited_schroeder_frequency():
@@ -207,10 +243,12 @@ def test_crossover_is_the_limited_schroeder_frequency():
     assert crossover_hz(Shoebox((3.0, 2.5, 2.4)), [1.0] * 8, C) == MAX_CROSSOVER_HZ
     falling = crossover_hz(big, [4.0, 2.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5], C)
     assert crossover_hz(big, [0.5] * 8, C) < falling < crossover_hz(big, [2.0] * 8, C)
-    mesh = make_room(box_triangles(big.dims_m), ["wall"] * 12)
-    for room, t60_s, max_modes in ((mesh, 4.0, MAX_MESH_MODES), (big, 9.0, MAX_MODES)):
-        limited_hz = crossover_hz(room, [t60_s] * 8, C)
-        assert limited_hz < 2000.0 * np.sqrt(t60_s / 384.0)
+    prism = make_room(box_triangles(big.dims_m), ["wall"] * 12)
+    desk = box_triangles((2.0, 1.0, 0.7), (4.0, 3.0, 0.5))
+    mesh = make_room(np.concatenate([box_triangles(big.dims_m), desk]), ["wall"] * 24)
+    for room, max_modes in ((mesh, MAX_MESH_MODES), (prism, MAX_MODES), (big, MAX_MODES)):
+        limited_hz = crossover_hz(room, [9.0] * 8, C)
+        assert limited_hz < 2000.0 * np.sqrt(9.0 / 384.0)
         assert mode_count(room, 2.0 * np.pi * MARGIN * limited_hz / C) == pytest.approx(max_modes, rel=1e-3)
 
 
