@@ -10,6 +10,7 @@ import numpy as np
 
 from roomeq.core.build import Build, check_jobs
 from roomeq.core.files import write_json
+from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, read_model, write_model
 from roomeq.loop.ceiling import ceiling_errors, ceiling_of_test_set, describe_explained, explained
@@ -17,6 +18,7 @@ from roomeq.loop.data import Data, load_data
 from roomeq.loop.descriptions import describe_residual, effect_names
 from roomeq.loop.examples import EXAMPLES_FILE, write_examples
 from roomeq.loop.facing import with_estimated_facings
+from roomeq.loop.fit import fit
 from roomeq.loop.ledger import (
     LEDGER_FILE,
     LEDGER_FORMAT,
@@ -25,6 +27,7 @@ from roomeq.loop.ledger import (
     iteration_entry,
     left_out_entries,
     undetected_entry,
+    update_errors,
 )
 from roomeq.loop.power import detectable_sizes
 from roomeq.loop.selection import (
@@ -138,16 +141,24 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     logger.info("base model: held-out error %.2f JND (leave-positions-out), %.2f JND (leave-room-out)",
                 *(errors.mean(split) for split in SPLITS))
     iterations: list[dict] = []
+    eliminated: set[type[Effect]] = set()
     while True:
-        extended, ranking = rank(session)
+        extended, ranking = rank(session, eliminated)
         accepted = _accept(extended, errors, ranking) if len(iterations) < max_effects else None
         if accepted is None:
             break
         entry, session, errors = accepted
+        superfluous = _superfluous(session, errors, CATALOGUE[entry["effect"]])
+        if superfluous:
+            session, errors = _without(session, superfluous)
+            eliminated.update(superfluous)
+            update_errors(entry, errors, [effect.NAME for effect in superfluous])
         iterations.append(entry)
         logger.info("added %s: held-out error %.2f -> %.2f JND [%.2f, %.2f] (%s)", effect_names(entry),
                     entry["heldout_error_before"], entry["heldout_error_after"], *entry["heldout_error_ci"],
                     entry["scored_on"].replace("_", "-"))
+        if superfluous:
+            logger.info("took out %s, which no longer lowers the held-out error", ", ".join(entry["eliminated"]))
     unexplained = find_unexplained(session)
     for residual in unexplained[:1]:
         logger.info("unexplained: %s", describe_residual(residual))
@@ -200,6 +211,25 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]) -
                     "rises" if rises else "does not fall")
         pool = [candidate for candidate in pool if candidate is not winner
                 and (rises or one_sided_p(winner.gain - candidate.gain) > LEVEL)]
+
+
+def _superfluous(session: Session, errors: HeldOutErrors, newest: type[Effect]) -> list[type[Effect]]:
+    """Return effects that a newer one makes superfluous: the held-out error is not significantly higher without."""
+    superfluous: list[type[Effect]] = []
+    for effect in session.effects:
+        if effect is not newest:
+            _, without = _without(session, [*superfluous, effect])
+            if all(p_lower(without, errors, split) >= LEVEL for split in SPLITS):
+                superfluous.append(effect)
+    return superfluous
+
+
+def _without(session: Session, effects: Sequence[type[Effect]]) -> tuple[Session, HeldOutErrors]:
+    """Return a session without some effects, and its held-out errors."""
+    kept = [effect for effect in session.effects if effect not in effects]
+    fitted = fit(session.data, session.correction, kept, initial=session.fit)
+    without = refit_rendered(session.data, fitted, seed=session.seed, nj=session.nj)
+    return without, heldout_errors(without)
 
 
 def _test_entry(data: Data, first: Session, last: Session, seed: int, nj: int) -> dict:

@@ -120,7 +120,8 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
 
 
 def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: list[FloatArray],
-                    residual: FloatArray, spread: FloatArray, directivities: Mapping[str, SourceDirectivity]) -> FloatArray:
+                    residual: FloatArray, spread: FloatArray, directivities: Mapping[str, SourceDirectivity]
+                    ) -> FloatArray:
     """Return the log likelihood of the direct sound of each RIR at `_TEST_ANGLES`, shape (n_rirs, n_angles).
 
     Reflections leave in all directions, so that their gain is the mean over the sphere. The response of the source

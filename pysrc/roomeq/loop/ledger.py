@@ -86,6 +86,21 @@ def iteration_entry(winner: Candidate, rivals: list[Candidate], ranking: list[Ca
     return entry
 
 
+def update_errors(entry: dict, errors: HeldOutErrors, eliminated: list[str]) -> None:
+    """Enter the effects that the effect of an iteration made superfluous, and the held-out errors without them."""
+    split = entry["scored_on"]
+    entry |= dict(eliminated=eliminated, heldout_error_after=errors.mean(split),
+                  heldout_error_ci=errors.interval(split),
+                  by_metric={**entry["by_metric"], "after": errors.by_metric(split)},
+                  by_band={**entry["by_band"], "after": errors.by_band(split)})
+
+
+def added_effects(ledger: dict) -> list[dict]:
+    """Return the iterations whose effects are in the final model: later ones may have made earlier ones superfluous."""
+    eliminated = {name for entry in ledger["iterations"] for name in entry.get("eliminated", [])}
+    return [entry for entry in ledger["iterations"] if entry["effect"] not in eliminated]
+
+
 def _parameters_of(effect: type[Effect], vector: FloatArray) -> dict:
     return asdict(effect.from_vector(vector))  # type: ignore[call-overload]
 
@@ -117,19 +132,20 @@ def validate_loop(directory: Path) -> int:
     """
     directory = Path(directory)
     ledger, model = read_ledger(directory / LEDGER_FILE), read_model(directory / MODEL_FILE)
-    names = sorted([*ledger["given"], *(entry["effect"] for entry in ledger["iterations"])])
+    added = added_effects(ledger)
+    names = sorted([*ledger["given"], *(entry["effect"] for entry in added)])
     if names != sorted(model.names):
         raise ValueError(f"{directory / MODEL_FILE}: effects {', '.join(sorted(model.names)) or 'none'} are not those "
                          f"of {LEDGER_FILE} ({', '.join(names) or 'none'}): {_REMEDY}")
     by_name = {extension.effect.NAME: extension for extension in model.extensions}
-    for entry in ledger["iterations"]:
+    for entry in added:
         units = sorted(by_name[entry["effect"]].of)
         if sorted(entry["parameters"]) != units:
             raise ValueError(f"{directory / LEDGER_FILE}: parameters of {entry['effect']} must be of "
                              f"{', '.join(units)}, as in {MODEL_FILE}: {_REMEDY}")
     read_residuals(directory / RESIDUALS_FILE, ledger["rirs"])
     read_examples(directory / EXAMPLES_FILE)
-    return len(ledger["iterations"])
+    return len(added)
 
 
 def read_residuals(path: Path, n_rirs: int) -> dict[str, FloatArray]:
@@ -283,6 +299,7 @@ def _iteration(value: Any, where: str) -> None:
         _breakdown(value["by_metric"][when], value["by_band"][when], f"{where} {when}")
     _list(value["ranking"], f"{where}.ranking", _candidate)
     _list(value.get("cannot_tell", []), f"{where}.cannot_tell", _effect)
+    _list(value.get("eliminated", []), f"{where}.eliminated", _effect)
     _require(value.get("cannot_tell", [value["effect"]])[:1] == [value["effect"]], f"{where}.cannot_tell",
              "begin with its effect")
 

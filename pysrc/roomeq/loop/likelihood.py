@@ -13,8 +13,8 @@ _HUBER = 3.0  # standard deviations from which on a residual counts linearly
 _SIGMA = (0.7, 12.0)  # limits of the scatter within rooms [JND]
 _OMEGA = (0.2, 12.0)  # limits of the scatter between rooms [JND]
 _OMEGA_FLOOR = 1.0
-"""Largest scatter between rooms of the noise after the response [JND]. Noise is its only cause, so that another noise in
-each room is a finding and not a scatter."""
+"""Largest scatter between rooms of the noise after the response [JND]. Noise is its only cause, so that another noise
+in each room is a finding and not a scatter."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,8 @@ def limit_to_excitation(rows: Sequence[RirRow], features: Sequence[Features]) ->
     for source_id, members in _groups([row["source_id"] for row in rows]).items():
         from_hz = float(np.median([features[n].excited_from_hz for n in members]))
         if from_hz:
-            logger.info("source %s: the excitation begins at %.0f Hz; features below it are left out", source_id, from_hz)
+            logger.info("source %s: the excitation begins at %.0f Hz; features below it are left out", source_id,
+                        from_hz)
         for n in members:
             limited[n] = replace(features[n], valid=features[n].valid & excited(from_hz))
     return limited

@@ -12,8 +12,8 @@ ceiling to the walls.
 
 A chain of room, source and microphone that several RIRs share has its own gain. A chain of one RIR, as in corpora that
 number positions instead of devices, would leave the gain of a held-out RIR undetermined: its gain is the sum of a gain
-of the room, one of the source in that room and one of the microphone in that room. An RIR whose level cannot be compared
-(`roomeq.loop.measurability`) has a gain of its own.
+of the room, one of the source in that room and one of the microphone in that room. An RIR whose level cannot be
+compared (`roomeq.loop.measurability`) has a gain of its own.
 """
 
 from collections.abc import Sequence
@@ -43,9 +43,9 @@ OWN_SCOPES = ("room", "rir")
 N_SURFACE = 2 * N_BANDS
 """Number of surface parameters of a room."""
 GAIN_KINDS = ("chain", "source", "mic", "rir")
-"""Kinds of gains: of a chain or a room, the deviations of a source and of a microphone from it, and that of a single RIR
-whose level says nothing."""
-_STEP = 0.003  # of numerical derivatives, in units of a vector's spread; with ten times as much, steps went uphill
+"""Kinds of gains: of a chain or a room, the deviations of a source and of a microphone from it, and that of a single
+RIR whose level says nothing."""
+_STEP = 0.003  # of numerical derivatives, in units of a vector's spread; with ten times as much steps went uphill
 
 
 class SharedPart(NamedTuple):

@@ -11,7 +11,7 @@ leave_room_out
     The one half gives only the reverberation time at 1 kHz and the gains; all else comes from the other rooms.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -29,7 +29,7 @@ from roomeq.loop.data import Data
 from roomeq.loop.facing import estimate_facings, unknown_facings
 from roomeq.loop.features import BAND_OF_FEATURE, CALIBRATION_FEATURES, HAS_GAIN, LARGEST, METRIC
 from roomeq.loop.fit import Fit, fit
-from roomeq.loop.packing import ParameterIndex
+from roomeq.loop.packing import OWN_SCOPES, ParameterIndex
 from roomeq.loop.rendered_model import clear_rendered_changes, effects_of_rows, in_order
 from roomeq.loop.rendering import render_rows
 from roomeq.loop.session import Session, with_rendered_changes
@@ -266,11 +266,12 @@ class Candidate:
 
         Without an effect, the density of all rooms together grows by a factor of x with a probability of at most 1 / x
         (Markov's inequality). The room that gains most is not counted, so that no single room, which may be faulty,
-        decides. Rooms may gain little: rooms where all distances are short say little about the speed of sound.
+        decides. Rooms may gain little: rooms where all distances are short say little about the speed of sound. Of an
+        effect that all rooms share, half of them must gain; a desk or a noise may be in a few rooms only.
         """
         without_best = self.total - max(self.gain.max(), 0.0)
         return bool(without_best > np.log(n_candidates / LEVEL) and self.size_jnd >= MIN_SIZE_JND
-                    and np.mean(self.gain > 0.0) >= 0.5)
+                    and (self.effect.SCOPE in OWN_SCOPES or np.mean(self.gain > 0.0) >= 0.5))
 
 
 class Ranking(NamedTuple):
@@ -287,11 +288,11 @@ class Choice(NamedTuple):
     rivals: list[Candidate]
 
 
-def rank(session: Session) -> Ranking:
-    """Fit each effect that the model lacks, and rank them by the densities of held-out rooms."""
+def rank(session: Session, eliminated: Collection[type[Effect]] = ()) -> Ranking:
+    """Fit each effect that the model lacks and did not lose, and rank them by the densities of held-out rooms."""
     data = session.data
     before = leave_rooms_out(data, fit(data, session.correction, session.effects, initial=session.fit))
-    known = {*session.effects, *data.given_kinds}
+    known = {*session.effects, *data.given_kinds, *eliminated}
     lacking: list[type[Effect]] = [effect for effect in CATALOGUE.values()
                                    if effect not in known and effect.applies(data)]
     session = with_rendered_changes(session, lacking)

@@ -13,7 +13,7 @@ from roomeq.effects.response import RESPONSE_HZ, Response
 from roomeq.loop.descriptions import describe_effect, describe_residual, effect_names
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, STEP_S, Examples, read_examples
 from roomeq.loop.features import BAND_OF_FEATURE, METRIC, REGION
-from roomeq.loop.ledger import LEDGER_FILE, RESIDUALS_FILE, read_ledger, read_residuals
+from roomeq.loop.ledger import LEDGER_FILE, RESIDUALS_FILE, added_effects, read_ledger, read_residuals
 from roomeq.loop.selection import SPLITS
 from roomeq.loop.unexplained import Unexplained
 from roomeq.report import figures, figures_loop
@@ -37,8 +37,8 @@ def closed_loop(run: Run) -> Context:
     ledger = ledger_of(run)
     examples = run.path("loop") / EXAMPLES_FILE
     return {"ledger": ledger, "left_out": left_out(ledger), "has_wer": run.has("wer"), "error_rows": error_rows(ledger),
-            "effects": [added_effect(entry) for entry in ledger["iterations"]],
-            "effect_rows": [effect_row(entry) for entry in ledger["iterations"]],
+            "effects": [added_effect(entry) for entry in added_effects(ledger)],
+            "effect_rows": [effect_row(entry) for entry in added_effects(ledger)],
             "at_ceiling": at_ceiling(ledger), "power_rows": power_rows(ledger), "maps": residual_maps(run, ledger),
             "rankings": rankings(ledger), "splits": splits(ledger),
             "responses": responses(ledger),
@@ -66,7 +66,7 @@ def facts(run: Run) -> Context:
         return {}
     ledger = ledger_of(run)
     before, after = (ledger[when]["leave_positions_out"]["error"] for when in ("baseline", "final"))
-    return {"loop_before_jnd": before, "loop_after_jnd": after, "n_effects": len(ledger["iterations"]),
+    return {"loop_before_jnd": before, "loop_after_jnd": after, "n_effects": len(added_effects(ledger)),
             "loop_explained": ledger["explained"]["leave_positions_out"]["share"]}
 
 

@@ -41,6 +41,7 @@ from bench.loop.table import Result, by_base, rates, show  # noqa: E402
 from roomeq.core.constants import BANDS_HZ  # noqa: E402
 from roomeq.core.digests import source_digest  # noqa: E402
 from roomeq.loop.close import close_loop  # noqa: E402
+from roomeq.loop.ledger import added_effects  # noqa: E402
 from testbed import BASES, KINDS, make_room_set  # noqa: E402
 from testbed.bases import base_named  # noqa: E402
 
@@ -92,7 +93,7 @@ def run_set(rooms: RoomSet, cache: Path, earlier: list[Result], nj: int) -> Resu
         ledger = close_loop([Path(directory, "fit")], Path(directory, "loop"), seed=seed,
                             test=[Path(directory, "test")], nj=nj)
         seconds, cpu = time.perf_counter() - start, sum(os.times()[:4]) - cpu
-    iterations, test = ledger["iterations"], ledger["test"]
+    iterations, test = added_effects(ledger), ledger["test"]
     before, after, test_before, test_after = (errors["leave_positions_out"]["error"] for errors in (
         ledger["baseline"], ledger["final"], test["before"], test["after"]))
     return dict(base=base, kind=kind, strength=strength, seed=seed, achieved_jnd=truth["achieved_jnd"],
