@@ -1,0 +1,158 @@
+#!/usr/bin/env python3
+"""Close the loop on real rooms, and judge it by laboratories that took no part in it.
+
+Usage: tests/bench/real/laboratories.py [--out DIR] [--data DIR] [--rirs-per-room N] [--only LABORATORY,...]
+e.g.:  tests/bench/real/laboratories.py --out exp/bench
+       tests/bench/real/laboratories.py --only c4dm --rirs-per-room 12
+
+All measured RIRs in the folders of DIR (default ../shared/data) whose geometry the loop can use take part; a room that
+two folders hold is taken from the first. Each laboratory with a room of two RIRs or more is left out once: the loop is
+closed on the others, and the laboratory is scored with the base model and with the final model. "all" closes the loop
+on all of them. A laboratory whose result the output folder holds is not run again.
+"""
+
+import argparse
+import json
+import os
+import resource
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from pathlib import Path
+
+for variable in ("OMP", "OPENBLAS", "MKL", "NUMBA"):  # as in path.sh: the loop has processes
+    os.environ.setdefault(f"{variable}_NUM_THREADS", "1")
+PROJECT = Path(__file__).resolve().parents[3]
+sys.path[:0] = [str(PROJECT / name) for name in ("pysrc", "tests")]
+
+import numpy as np  # noqa: E402
+
+from bench import kit  # noqa: E402
+from roomeq.core.digests import source_digest  # noqa: E402
+from roomeq.core.files import write_json  # noqa: E402
+from roomeq.corpora.measured import read_measured  # noqa: E402
+from roomeq.loop.close import close_loop  # noqa: E402
+from roomeq.loop.descriptions import effect_names  # noqa: E402
+from roomeq.loop.ledger import added_effects  # noqa: E402
+from roomeq.loop.usable import usable_rirs  # noqa: E402
+from roomeq.records.rir_dir import write_rirs  # noqa: E402
+
+SPLITS = {"leave_positions_out": ("unseen positions", 2.3), "leave_room_out": ("unseen rooms", 3.0)}
+"""Label of each split, and the error to reach in laboratories that took no part [JND]."""
+MIN_EXPLAINED = 0.7
+BOX_IS_WRONG = ("bras_cr2",)
+"""Folders whose rooms are no shoeboxes, though a box around them is given."""
+
+
+def read_laboratories(folders, work, rirs_per_room):
+    """Write an RIR directory for each laboratory below `work`; return them by name.
+
+    A laboratory is what stands ahead of the first underscore of its rooms' names.
+    """
+    rooms = {}
+    for folder in folders:
+        measured = read_measured(folder / "manifest.csv", work / "measured" / folder.name, skip_bad=True)
+        by_room = defaultdict(list)
+        for directory, row in usable_rirs([measured]).rirs:
+            by_room[row["room_id"]].append({**row, "wav": str((directory / row["wav"]).resolve())})
+        for name, rows in by_room.items():
+            rooms.setdefault(name.removeprefix("BUT_"), rows)
+    laboratories = defaultdict(list)
+    for name, rows in rooms.items():
+        chosen = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), rirs_per_room)).round().astype(int))
+        laboratories[name.split("_")[0]] += [rows[n] for n in chosen]
+    for name, rows in laboratories.items():
+        directory = work / "laboratories" / name
+        directory.mkdir(parents=True)
+        write_rirs(directory, [{**row, "wav": os.path.relpath(row["wav"], directory)} for row in rows])
+    return {name: work / "laboratories" / name for name in sorted(laboratories)}
+
+
+def has_scored_room(directory):
+    """Tell whether a laboratory has a room with two RIRs: one calibrates it, the other is scored."""
+    count = defaultdict(int)
+    for _, row in usable_rirs([directory]).rirs:
+        count[row["room_id"]] += 1
+    return max(count.values()) > 1
+
+
+def run(name, laboratories, work, nj):
+    """Close the loop on all laboratories but one, or on "all"; return what the ledger says of it."""
+    test = [laboratories[name]] if name in laboratories else []
+    start, cpu = time.perf_counter(), sum(os.times()[:4])
+    ledger = close_loop([path for path in laboratories.values() if path not in test], work / "loop" / name, test=test,
+                        nj=nj)
+    scored = ledger["test"] if test else dict(ledger, before=ledger["baseline"], after=ledger["final"])
+    usage = [resource.getrusage(who).ru_maxrss / 2 ** 20 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return dict(laboratory=name, rirs=scored["rirs"], rooms=scored["rooms"],
+                added=[effect_names(entry) for entry in added_effects(ledger)],
+                facings=ledger["facings"], unexplained=ledger["unexplained_all"][:5],
+                **{key: scored[key] for key in ("before", "after", "ceiling", "explained")},
+                seconds=time.perf_counter() - start, cpu_seconds=sum(os.times()[:4]) - cpu,
+                gib=usage[0] + nj * usage[1])
+
+
+def section(results):
+    """Return the table of all laboratories, and its checks."""
+    table = kit.Section("laboratories", "Laboratories that took no part in the loop", columns=[
+        "laboratory", "RIRs", "rooms", "split", "before [JND]", "after [JND]", "ceiling [JND]", "explained",
+        "effects that were added", "minutes"])
+    for result in results:
+        for split, (label, _) in SPLITS.items():
+            table.rows.append([result["laboratory"], result["rirs"], result["rooms"], label,
+                               *(result[key][split]["error"] for key in ("before", "after", "ceiling")),
+                               result["explained"][split]["share"], ", ".join(result["added"]) or "none",
+                               result["seconds"] / 60.0])
+    unseen = [result for result in results if result["laboratory"] != "all"]
+    for split, (label, goal) in SPLITS.items():
+        if unseen:
+            error, share = (np.average(values, weights=[result["rooms"] for result in unseen]) for values in (
+                [result["after"][split]["error"] for result in unseen],
+                [result["explained"][split]["share"] or 0.0 for result in unseen]))
+            table.checks += [kit.Check(f"error after, {label}, mean over rooms", float(error), high=goal, unit="JND"),
+                             kit.Check(f"explained, {label}, mean over rooms", float(share), low=MIN_EXPLAINED)]
+    for result in results:
+        if result["laboratory"] == "all":
+            table.checks += [kit.Check("205 RIRs", result["seconds"] / 60.0 * 205 / result["rirs"], high=3.0,
+                                       unit="minutes"), kit.Check("memory", result["gib"], high=1.5, unit="GiB")]
+    table.seconds, table.cpu_seconds = (sum(result[key] for result in results) for key in ("seconds", "cpu_seconds"))
+    return table
+
+
+def main():
+    """Run the laboratories that are missing, print the table, and write laboratories.json."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("exp/bench"), help="where results go (default exp/bench)")
+    parser.add_argument("--data", type=Path, default=PROJECT.parent / "shared" / "data")
+    parser.add_argument("--rirs-per-room", type=int, default=34, help="more are thinned out evenly")
+    parser.add_argument("--only", type=lambda text: text.split(","), help="laboratories to leave out, or all")
+    parser.add_argument("--nj", type=int, default=2)
+    args = parser.parse_args()
+    folders = [args.data / "measured", *sorted((args.data / "rooms").glob("*"))]
+    folders = [folder for folder in folders if (folder / "manifest.csv").is_file()
+               and folder.name not in BOX_IS_WRONG]
+    if not folders:
+        sys.exit(f"{args.data}: holds no folder with a manifest.csv: give the recordings with --data")
+    code = source_digest(PROJECT / "pysrc/roomeq")[:12]
+    results = []
+    with tempfile.TemporaryDirectory() as work:
+        laboratories = read_laboratories(folders, Path(work), args.rirs_per_room)
+        names = args.only or [name for name, path in laboratories.items() if has_scored_room(path)] + ["all"]
+        for name in names:
+            file = args.out / "laboratories.parts" / f"{name}.json"
+            if file.is_file() and json.loads(file.read_text())["code"] == code:
+                results.append(json.loads(file.read_text()))
+                continue
+            results.append(run(name, laboratories, Path(work), args.nj) | dict(code=code))
+            write_json(file, kit.plain(results[-1]))
+    table = section(results)
+    table.show()
+    write_json(args.out / "laboratories.json", kit.plain(dict(
+        bench="laboratories", machine=kit.machine(), results=results,
+        sections={"laboratories": dict(vars(table), checks=[dict(vars(check), held=check.held)
+                                                            for check in table.checks])})))
+
+
+if __name__ == "__main__":
+    main()
