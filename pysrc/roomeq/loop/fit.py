@@ -166,7 +166,7 @@ def shared_prior(index: ParameterIndex, start: Sequence[Any], x: float) -> Share
 
 
 def estimate_gains(index: ParameterIndex, correction: FloatArray, mean: FloatArray, local: list[FloatArray]) -> None:
-    """Set the gains of chains, rooms and single RIRs in `local` to the median residual of features that contain them."""
+    """Set the gains of chains, rooms and single RIRs in `local` to the median residual of features that have them."""
     predicted = index.predict(index.absorption(mean, local), index.vectors(mean, local),
                               np.zeros(len(index.data.rows)), correction)
     residual = np.where(index.data.valid & HAS_GAIN, index.data.features - predicted, np.nan)

@@ -31,7 +31,8 @@ def test_damping_freezes_poorly_determined_parameters():
     room = NormalEquations(information, np.zeros((2, 0)), np.zeros((0, 0)), information @ [0.3, 3.0], np.zeros(0), 1.0,
                            0.0)
     prior = SharedPrior(np.zeros(0), np.zeros((0, 0)))
-    steps = [solve_step([room], [np.eye(2)], np.zeros(0), [np.zeros(2)], prior, damping)[1][0] for damping in (0.0, 30.0)]
+    steps = [solve_step([room], [np.eye(2)], np.zeros(0), [np.zeros(2)], prior, damping)[1][0]
+             for damping in (0.0, 30.0)]
     np.testing.assert_allclose(steps[0], [0.3, 1.0], rtol=1e-3)
     np.testing.assert_allclose(steps[1], [0.3, 1.5 / 31.5], rtol=1e-2)
 
