@@ -25,7 +25,7 @@ from scipy.special import eval_legendre, spherical_jn, spherical_yn
 
 from roomeq.acoustics.air import speed_of_sound_m_s
 from roomeq.core.arrays import Array, FloatArray
-from roomeq.core.constants import EXACT_BANDS_HZ
+from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.core.jit import compiled
 
 MAX_RADIUS_M = 0.5
@@ -66,7 +66,7 @@ def cap_spectrum(cos_angle: ArrayLike, radius_m: float, cap_rad: float, frequenc
 
 def cap_gain(cos_angle: ArrayLike, radius_m: float, cap_rad: float,
              bands_hz: Sequence[float] = EXACT_BANDS_HZ) -> FloatArray:
-    """Return the energy relative to the axis, averaged over octave bands.
+    """Return the energy relative to the axis, averaged over octave bands, up to half the sample rate.
 
     Parameters
     ----------
@@ -149,8 +149,9 @@ def _polynomials(n_terms: int) -> FloatArray:
 @lru_cache(maxsize=64)
 def _table(radius_m: float, cap_rad: float, bands_hz: tuple[float, ...]) -> FloatArray:
     """Band averages at equally spaced angles from 0 to pi, shape (_N_ANGLES, n_bands)."""
-    within = 2.0 ** ((np.arange(_PER_BAND) + 0.5) / _PER_BAND - 0.5)
-    coefficients = cap_series(radius_m, cap_rad, np.outer(bands_hz, within).ravel())
+    octaves = np.minimum(np.log2(0.5 * FS_HZ / np.array(bands_hz)), 0.5) + 0.5  # half of the highest band is recorded
+    frequencies_hz = np.array(bands_hz) * 2.0 ** (octaves * (np.arange(_PER_BAND)[:, None] + 0.5) / _PER_BAND - 0.5)
+    coefficients = cap_series(radius_m, cap_rad, frequencies_hz.T.ravel())
     n_terms = coefficients.shape[1]
     polynomials = _polynomials(_STEP * (n_terms // _STEP + 1))[:n_terms]
     relative = coefficients / coefficients.sum(axis=1, keepdims=True)
