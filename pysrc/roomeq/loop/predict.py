@@ -36,6 +36,8 @@ from roomeq.loop.tables import FRAME_EDGES_S, FRAME_MID_S, LEVEL_SHARES
 N_BANDS = len(EXACT_BANDS_HZ)
 _db = partial(power_db, floor=FLOOR_POWER)
 _N_DIRECT = len(DIRECT_THIRDS_HZ)
+_PULSE_S = np.minimum(1.0 / OCTAVE_WIDTH_HZ, 0.9 * FRAME_EDGES_S[1])
+"""Time in which the direct sound passes an octave filter, shape (8,); at low frequencies limited to the first frame."""
 
 
 def _octaves_to(frequencies_hz: tuple[float, ...]) -> FloatArray:
@@ -130,7 +132,7 @@ class ReflectedEnergy:
         self.levels(gain)
         if not _same(direct, self._direct):
             self._direct, energy = direct, self._gained()
-            _decay_times(direct + energy[:, 0], energy, FRAME_EDGES_S, self._times_s)
+            _decay_times(direct, energy, FRAME_EDGES_S, _PULSE_S, self._times_s)
         return self._times_s
 
 
@@ -263,26 +265,32 @@ def _plus(total: _Octaves, weight: float, row: FloatArray) -> _Octaves:
 
 
 @compiled
-def _decay_times(direct: FloatArray, energy: FloatArray, edges_s: FloatArray, times_s: FloatArray) -> None:
+def _decay_times(direct: FloatArray, energy: FloatArray, edges_s: FloatArray, pulse_s: FloatArray,
+                 times_s: FloatArray) -> None:
     """Compute EDT, T20 and T30 from energies per frame into `times_s`, shape (n_rirs, 3, 8).
 
-    `direct` is the energy of the direct sound and the first frame, shape (n_rirs, 8).
+    The direct sound, shape (n_rirs, 8), arrives within `pulse_s`, shape (8,), at the beginning of the first frame.
     """
     n_rirs, n_frames, n_bands = energy.shape
-    curve, log_curve = np.empty(n_frames + 1), np.empty(n_frames + 1)
+    curve, log_curve = np.empty(n_frames + 2), np.empty(n_frames + 2)
+    time_s = np.empty(n_frames + 2)
+    time_s[0] = 0.0
+    time_s[2:] = edges_s[1:]
     for i in range(n_rirs):
         for band in range(n_bands):
             total = 0.0
-            curve[n_frames] = 1e-30
+            curve[n_frames + 1] = 1e-30
             for frame in range(n_frames - 1, 0, -1):
                 total += energy[i, frame, band]
-                curve[frame] = total
-            curve[0] = total + direct[i, band]
-            for frame in range(n_frames + 1):
-                log_curve[frame] = np.log10(max(curve[frame], 1e-30))
+                curve[frame + 1] = total
+            time_s[1] = pulse_s[band]
+            curve[1] = total + energy[i, 0, band] * (1.0 - pulse_s[band] / edges_s[1])
+            curve[0] = total + energy[i, 0, band] + direct[i, band]
+            for node in range(n_frames + 2):
+                log_curve[node] = np.log10(max(curve[node], 1e-30))
             for k in range(3):
                 top, bottom = (0.0, -10.0) if k == 0 else ((-5.0, -25.0) if k == 1 else (-5.0, -35.0))
-                times_s[i, k, band] = _slope(curve, log_curve, edges_s, 10.0 ** (0.1 * top), 10.0 ** (0.1 * bottom))
+                times_s[i, k, band] = _slope(curve, log_curve, time_s, 10.0 ** (0.1 * top), 10.0 ** (0.1 * bottom))
 
 
 @compiled
