@@ -107,7 +107,7 @@ def make_data(directory: Path) -> Data:
                 id=rir_id, wav=f"{rir_id}.wav", room_id=room_id, source_id="loudspeaker", mic_id="microphone",
                 fs_hz=FS_HZ, n_samples=len(rir), room_dims_m=list(dims_m), source_pos_m=source_m.round(3).tolist(),
                 mic_pos_m=mic_m.round(3).tolist(), source_dir=[float(np.cos(angle)), float(np.sin(angle)), 0.0],
-                temperature_c=20.0, humidity_pct=50.0))
+                temperature_c=20.0, humidity_pct=50.0, tof_removed=False))
     write_rirs(directory, sorted(rows, key=lambda row: row["id"]))
     return load_data([directory], scattering=SCATTERING, seed=SEED)
 
