@@ -9,6 +9,7 @@ import soundfile
 from bench import augment_peers, cpu_types, kit, ours, projection, rooms, wer_intervals
 from bench.fidelity import air, analytic, decay, early, estimate, lshape, pulses, tail, targets
 from bench.fidelity.reference import trace_energy
+from bench.real import bras_cr2
 from bench.speed import curves, dataset, timing
 
 
@@ -162,3 +163,50 @@ def test_interval_bench_measures_what_it_says():
     assert all(0.6 < share <= 1.0 for share in found["held"].values())
     # of words that are all alike: 1.96 sqrt(p (1 - p) / n) on either side
     assert found["width"]["utterances"] == pytest.approx(2 * 196 * np.sqrt(0.2 * 0.8 / 2000), rel=0.08)
+
+
+@pytest.fixture
+def bras():
+    """The bench, where its data are there."""
+    if not bras_cr2.DATA.is_dir():
+        pytest.skip(f"{bras_cr2.DATA} is absent")
+    return bras_cr2
+
+
+def test_measured_room_is_extruded_from_its_plan(bras):
+    room = bras.room()
+    assert room.volume_m3 == pytest.approx(145.7, abs=0.1)
+    assert set(room.surfaces) == set(bras.surfaces()) and not room.convex
+    windows = dict(zip(room.surfaces, bras.scene("initial").absorption, strict=True))["wall8"]
+    assert windows[1] == pytest.approx(0.53 * np.mean([0.105, 0.101, 0.099]) + 0.47 * np.mean([0.047, 0.049, 0.054]))
+
+
+def test_drivers_of_a_loudspeaker_add_up_to_one_source(bras):
+    rir = np.random.default_rng(0).standard_normal(4000)
+    np.testing.assert_allclose(bras.add_drivers([rir] * 3), rir, atol=1e-12)
+
+
+def test_measured_room_is_left_out_where_it_is_absent(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(bras_cr2, "DATA", tmp_path / "nowhere")
+    monkeypatch.setattr("sys.argv", ["bras_cr2.py", "--out", str(tmp_path)])
+    bras_cr2.main()
+    assert "nowhere is absent" in capsys.readouterr().out and not list(tmp_path.iterdir())
+
+
+def test_parameters_of_a_room_count_from_the_onset_of_each_octave():
+    time_s = np.arange(32000) / 16000.0
+    noise = np.random.default_rng(0).standard_normal(32000)
+    rir = np.append(np.zeros(3000), noise * 10.0 ** (-3.0 * time_s / 0.8))
+    t20_s, edt_s, c50_db = bras_cr2.parameters(rir)
+    np.testing.assert_allclose(t20_s[4:], 0.8, rtol=0.06)
+    np.testing.assert_allclose(edt_s[4:], 0.8, rtol=0.15)
+    np.testing.assert_allclose(c50_db[4:], 10.0 * np.log10(10.0 ** (6.0 * 0.05 / 0.8) - 1.0), atol=1.0)
+
+
+def test_fine_structure_leaves_out_the_level_and_its_trend():
+    rir = np.random.default_rng(0).standard_normal(8000)
+    spectrum = np.fft.rfft(rir) * np.fft.rfftfreq(8000, 1.0 / 16000) ** 0.5
+    tilted = bras_cr2.fine_structure(5.0 * np.fft.irfft(spectrum))
+    inner = slice(12, -12)
+    assert abs(tilted[inner].mean()) < 1.0
+    assert np.corrcoef(tilted[inner], bras_cr2.fine_structure(rir)[inner])[0, 1] > 0.97
