@@ -17,6 +17,12 @@ from roomeq.loop.selection import SPLITS
 from roomeq.records.geometry import MARKED
 
 LEFT_OUT = [dict(reason="the room's dimensions are unknown", rirs=7, rooms=2), dict(reason=MARKED, rirs=3, rooms=3)]
+GEOMETRY = [dict(room="hall", quantity="height of the room", unit="m", prior=[2.86, 0.2], posterior=[2.73, 0.03],
+                 documented=2.86, evidence=1.9, used=True),
+            dict(room="hall", quantity="height of source s", unit="m", prior=[1.3, 0.35], posterior=[1.52, 0.04],
+                 documented=None, evidence=0.4, used=True),
+            dict(room="office", quantity="width of the room", unit="m", prior=[5.0, 0.15], posterior=[5.01, 0.02],
+                 documented=5.0, evidence=-0.7, used=False)]
 N_RIRS, ROOMS = 24, ("hall", "office", "<b>attic")
 VECTORS = dict(source_response=5.0 * np.sin(np.arange(len(RESPONSE_HZ)) / 3.0),
                near_reflector=np.array([np.log(0.7), 0.6]))
@@ -74,13 +80,14 @@ def make_loop(out):
     unexplained = dict(metric="ahead", time_region=REGION["ahead"], bands_hz=[125.0], varies_with="nothing",
                        size_jnd=3.5, p=0.01)
     ledger = dict(
-        format=LEDGER_FORMAT, rirs=N_RIRS, rooms=len(ROOMS), left_out=LEFT_OUT, given=[], baseline=errors(3.4),
-        final=errors(1.5), ceiling=errors(1.0), explained=explained(0.79), ranking=undetected("room_eq", 0.5),
+        format=LEDGER_FORMAT, rirs=N_RIRS, rooms=len(ROOMS), left_out=LEFT_OUT, geometry=GEOMETRY, given=[],
+        baseline=errors(3.4), final=errors(1.5), ceiling=errors(1.0), explained=explained(0.79),
+        ranking=undetected("room_eq", 0.5),
         iterations=[iteration(added[0], 3.4, 1.9, cannot_tell=["source_response", "mic_response"],
                               would_tell=["a recording of the same room with another loudspeaker"]),
                     iteration(added[1], 1.9, 1.5)],
         unexplained=unexplained, unexplained_all=[unexplained],
-        test=dict(rirs=8, rooms=1, left_out=LEFT_OUT[1:], before=errors(3.6), after=errors(1.8),
+        test=dict(rirs=8, rooms=1, left_out=LEFT_OUT[1:], geometry=[], before=errors(3.6), after=errors(1.8),
                   ceiling=errors(1.1), explained=explained(0.72)))
     for when in ("before", "after", "ceiling", "explained"):
         for entry in ledger["test"][when].values():

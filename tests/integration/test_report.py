@@ -37,7 +37,8 @@ FIGURES = ("figure-1-left", "figure-1-right", "figure-2-measured", "figure-2-res
            *(f"figure-loop-spectrum-{n}" for n in "12"),
            *(f"figure-loop-decay-{n}-{hz}" for n in "12" for hz in (125, 1000)))
 TABLES = ("table-datasets", "table-distance", "table-accuracy", "table-rooms", "table-acoustic-parameters",
-          "table-screening", "table-run", "table-loop", "table-loop-errors", "table-loop-power", "table-wer",
+          "table-screening", "table-run", "table-loop", "table-loop-errors", "table-loop-geometry",
+          "table-loop-power", "table-wer",
           "table-wer-changes", "table-wer-strata")
 CLIPS = ("audio-clean", "audio-sim", "audio-sim-EQ", "audio-sim-loop", "audio-real")
 
@@ -179,6 +180,7 @@ def test_loop_section_describes_effects_and_errors(page):
     assert "depth_m 0.7 (0.7 to 0.7); reflection 0.6 (0.6 to 0.6)" in page.text
     assert "79\N{NO-BREAK SPACE}% (59\N{NO-BREAK SPACE}% to 99\N{NO-BREAK SPACE}%)" in page.text
     assert re.search(r"noise_floor\s*0\.7\s*a recording of the background noise before the sweep", page.text)
+    assert "2.73 ± 0.03 m" in page.text and "height of the room" in page.text and "width of the room" not in page.text
     assert "cannot fall further, as it lies within a quarter of a JND of the ceiling: T30; C50." in page.text
     assert ("10 RIRs took no part (7: the room's dimensions are unknown; 3: the positions are marked unreliable). "
             "3 RIRs of the test set took no part (3: the positions are marked unreliable)." in page.text)

@@ -171,7 +171,8 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     _log_explained("final model", ceiling, shares)
     ledger = dict(
         format=LEDGER_FORMAT, rirs=len(data.rows), rooms=len(data.room_names),
-        left_out=left_out_entries(data.left_out), given=base.names,
+        left_out=left_out_entries(data.left_out),
+        geometry=[estimate.as_dict() for estimate in data.estimates], given=base.names,
         facings=[facing.as_dict() for facing in facings], baseline=error_entry(first_errors), iterations=iterations,
         ranking=[undetected_entry(candidate, size_jnd) for candidate, size_jnd in zip(ranking, sizes, strict=True)],
         unexplained=unexplained[0].as_dict() if unexplained else None,
@@ -241,6 +242,7 @@ def _test_entry(data: Data, first: Session, last: Session, seed: int, nj: int) -
     shares = explained(before, after, ceiling)
     _log_explained("test set", ceiling, shares)
     return dict(rirs=len(data.rows), rooms=len(data.room_names), left_out=left_out_entries(data.left_out),
+                geometry=[estimate.as_dict() for estimate in data.estimates],
                 before=error_entry(before), after=error_entry(after), ceiling=error_entry(ceiling), explained=shares)
 
 

@@ -18,9 +18,10 @@ from roomeq.effects.base import Effect
 from roomeq.effects.model import Model
 from roomeq.effects.source_directivity import unit_facing
 from roomeq.loop.features import JND, Features, feature_slice, measure_features
+from roomeq.loop.geometry import Estimate, complete_geometry
 from roomeq.loop.measurability import comparable_levels, limit_to_excitation
 from roomeq.loop.tables import ANGLES, FRAME_MID_S, Table, collect
-from roomeq.loop.usable import LeftOut, Located, usable_rirs
+from roomeq.loop.usable import LeftOut, usable_rirs
 from roomeq.records.rir_dir import load_rir
 from roomeq.records.schema import RirRow
 from roomeq.sim.geometry import Place, find_place
@@ -65,6 +66,8 @@ class Data:
         See `rendered_change_of`.
     given : list of list of Effect
         Effects of each RIR that the base model has, with their parameters.
+    estimates : list of Estimate
+        Estimated geometry, which places and rows have where it is used.
     left_out : list of LeftOut
         RIRs of the directories that are not in `rows`, by reason (`roomeq.loop.usable`).
     """
@@ -86,6 +89,7 @@ class Data:
     distance_m: FloatArray
     rendered_changes: Mapping[str, FloatArray]
     given: list[list[Effect]]
+    estimates: list[Estimate]
     left_out: list[LeftOut]
 
     angles = ANGLES
@@ -172,15 +176,12 @@ def load_data(directories: Sequence[Path], *, scattering: float, seed: int, mode
     usable = usable_rirs(directories)
     if not usable.rirs:
         raise ValueError(f"{directories[0]}: no RIR can be used ({'; '.join(map(str, usable.left_out))})")
-    recordings = _merge_sources([_Recording(*located, _place(located, seed)) for located in usable.rirs])
+    located, estimates = complete_geometry(usable.rirs, seed, nj)
+    recordings = _merge_sources([_Recording(*rir, find_place(rir.row, [rir.row], rir.directory, seed))
+                                 for rir in located])
     features = limit_to_excitation([recording.row for recording in recordings], share_out(_measure, recordings, nj))
     data = _trace(recordings, features, scattering, seed, Model() if model is None else model, nj)
-    return replace(data, left_out=usable.left_out)
-
-
-def _place(located: Located, seed: int) -> Place:
-    """Return the geometry of a usable RIR: heights that nobody measured are drawn here, and no other coordinate is."""
-    return find_place(located.row, [located.row], located.directory, seed)
+    return replace(data, left_out=usable.left_out, estimates=estimates)
 
 
 def _merge_sources(recordings: list[_Recording]) -> list[_Recording]:
@@ -267,7 +268,7 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
                 air_per_m=np.array([air.attenuation_per_m for air in airs]),
                 speed_m_s=np.array([air.speed_m_s for air in airs]),
                 distance_m=distance_m, rendered_changes={},
-                given=[model.for_row(row, seed) for row in rows], left_out=[])
+                given=[model.for_row(row, seed) for row in rows], estimates=[], left_out=[])
 
 
 def _longest_s(features: Features) -> float:

@@ -341,14 +341,30 @@ def _left_out(value: Any, where: str) -> None:
     _require(value["rooms"] <= value["rirs"], f"{where}.rooms={value['rooms']}", "not exceed the number of RIRs")
 
 
+def _estimate(value: Any, where: str) -> None:
+    _keys(value, where, ("room", "quantity", "unit", "prior", "posterior", "documented", "evidence", "used"))
+    for key in ("room", "quantity", "unit"):
+        _require(isinstance(value[key], str) and bool(value[key]), f"{where}.{key}={value[key]!r:.60}", "be a text")
+    for key in ("prior", "posterior"):
+        _require(isinstance(value[key], list) and len(value[key]) == 2, f"{where}.{key}={value[key]!r:.60}",
+                 "be mean and spread")
+        _number(value[key][0], f"{where}.{key}")
+        _number(value[key][1], f"{where}.{key}", 0.0)
+    if value["documented"] is not None:
+        _number(value["documented"], f"{where}.documented")
+    _number(value["evidence"], f"{where}.evidence")
+    _require(isinstance(value["used"], bool), f"{where}.used={value['used']!r:.60}", "be true or false")
+
+
 def _check_ledger(ledger: Any) -> None:
     _require(isinstance(ledger, dict), "ledger", "be an object")
     _require(ledger.get("format") == LEDGER_FORMAT, f"format={ledger.get('format')!r:.60}", f"be {LEDGER_FORMAT}")
-    _keys(ledger, "ledger", ("rirs", "rooms", "left_out", "given", "baseline", "iterations", "ranking",
+    _keys(ledger, "ledger", ("rirs", "rooms", "left_out", "geometry", "given", "baseline", "iterations", "ranking",
                              "unexplained", "unexplained_all", "final", "ceiling", "explained"))
     for key in ("rirs", "rooms"):
         _count(ledger[key], key)
     _list(ledger["left_out"], "left_out", _left_out)
+    _list(ledger["geometry"], "geometry", _estimate)
     for key in ("baseline", "final", "ceiling"):
         _errors(ledger[key], key)
     _explained(ledger["explained"], "explained")
@@ -369,8 +385,10 @@ def _check_ledger(ledger: Any) -> None:
             _require(ledger[key][split]["error"] == error, f"{key}.{split}.error={ledger[key][split]['error']:g}",
                      f"be the heldout_error_{when} of its iteration, {error:g}")
     if "test" in ledger:
-        _keys(ledger["test"], "test", ("rirs", "rooms", "left_out", "before", "after", "ceiling", "explained"))
+        _keys(ledger["test"], "test", ("rirs", "rooms", "left_out", "geometry", "before", "after", "ceiling",
+                                       "explained"))
         _list(ledger["test"]["left_out"], "test.left_out", _left_out)
+        _list(ledger["test"]["geometry"], "test.geometry", _estimate)
         for key in ("before", "after", "ceiling"):
             _errors(ledger["test"][key], f"test.{key}")
         _explained(ledger["test"]["explained"], "test.explained")

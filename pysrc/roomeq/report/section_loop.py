@@ -36,7 +36,8 @@ def closed_loop(run: Run) -> Context:
     """Return the values of the section."""
     ledger = ledger_of(run)
     examples = run.path("loop") / EXAMPLES_FILE
-    return {"ledger": ledger, "left_out": left_out(ledger), "has_wer": run.has("wer"), "error_rows": error_rows(ledger),
+    return {"ledger": ledger, "left_out": left_out(ledger), "geometry_rows": geometry_rows(ledger),
+            "has_wer": run.has("wer"), "error_rows": error_rows(ledger),
             "effects": [added_effect(entry) for entry in added_effects(ledger)],
             "effect_rows": [effect_row(entry) for entry in added_effects(ledger)],
             "at_ceiling": at_ceiling(ledger), "power_rows": power_rows(ledger), "maps": residual_maps(run, ledger),
@@ -58,6 +59,19 @@ def left_out(ledger: dict[str, Any]) -> str:
     return " ".join(f"{sum(entry['rirs'] for entry in entries)} {name} took no part ("
                     + "; ".join(f"{entry['rirs']}: {entry['reason']}" for entry in entries) + ")."
                     for name, entries in sets if entries)
+
+
+def geometry_rows(ledger: dict[str, Any]) -> list[list[str]]:
+    """Return the estimates of geometry that the simulation used, and those of which the recordings say something."""
+    def value(mean_and_sd: list[float], unit: str) -> str:
+        return with_minus(f"{mean_and_sd[0]:.2f} ± {mean_and_sd[1]:.2f} {unit}")
+
+    entries = [*ledger["geometry"], *ledger.get("test", {}).get("geometry", [])]
+    return [[entry["room"], entry["quantity"],
+             "unknown" if entry["documented"] is None else with_minus(f"{entry['documented']:.2f} {entry['unit']}"),
+             value(entry["prior"], entry["unit"]), value(entry["posterior"], entry["unit"]),
+             with_minus(f"{entry['evidence']:.1f}"), "yes" if entry["used"] else "no"]
+            for entry in entries if entry["used"] or entry["evidence"] >= 1.0]
 
 
 def facts(run: Run) -> Context:

@@ -65,7 +65,7 @@ def specular_paths(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, or
     """Find the purely specular paths with at most `order` reflections, including the direct sound."""
     if not isinstance(room, Shoebox):
         return cast("MeshRoom", room).specular_paths(source_pos_m, mic_pos_m, order)
-    lattice, surface_counts = _lattice(order)
+    lattice, surface_counts = image_lattice(order)
     dims_m = np.array(room.dims_m)
     source = np.asarray(source_pos_m, dtype=np.float64)
     images = lattice * dims_m + np.where(lattice % 2 == 0, source, dims_m - source)
@@ -79,7 +79,7 @@ def specular_paths(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, or
 
 
 @lru_cache(maxsize=8)
-def _lattice(order: int) -> tuple[IntArray, IntArray]:
+def image_lattice(order: int) -> tuple[IntArray, IntArray]:
     """Return the cells of the image lattice up to an order, and the number of reflections at each of the six walls."""
     axis = np.arange(-order, order + 1)
     cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
