@@ -24,7 +24,7 @@ from roomeq.effects.noise_floor import NOISE_S
 from roomeq.loop.data import Data, is_timed
 from roomeq.loop.features import HAS_GAIN, Features, measure_features
 from roomeq.loop.fit import fit
-from roomeq.loop.rendering import RawRir, finished_rir, render_rows
+from roomeq.loop.rendering import RawRir, finished_rir, render_rows, samples_ahead
 from roomeq.loop.selection import SPLITS, HeldOutErrors, heldout_errors, score_test_set, transferred
 from roomeq.loop.session import Session
 
@@ -80,7 +80,8 @@ def twin_recordings(data: Data, absorption: FloatArray, effects: list[list[Effec
     measured = share_out(lambda n: _recorded(moved, n, raw_rirs[n], effects[n], twin_seed), range(len(data.rows)), nj)
     return replace(data, features=np.array([of_rir.values for of_rir in measured]) + np.outer(gains, HAS_GAIN),
                    valid=data.valid & np.array([of_rir.valid for of_rir in measured]),
-                   white=np.array([of_rir.white for of_rir in measured]))
+                   white=np.array([of_rir.white for of_rir in measured]),
+                   direct_sample=np.array([of_rir.direct_sample for of_rir in measured]))
 
 
 def _moved(data: Data, n: int, seed: int) -> tuple[float, ...]:
@@ -100,12 +101,12 @@ def _recorded(data: Data, n: int, raw: RawRir, effects: list[Effect], seed: int)
     """Measure a rendered RIR like a recording of the same length with the same white noise."""
     row, rir = data.rows[n], finished_rir(data, n, raw, effects, seed)
     density = data.white[n] * octave_energies(rir) / (NOISE_S * FS_HZ) / (OCTAVE_WIDTH_HZ / (0.5 * FS_HZ))
-    n_samples = max(len(rir), round(row["n_samples"] / row["fs_hz"] * FS_HZ))
+    expected_sample, missing = samples_ahead(data, n, raw)
+    n_samples = max(missing + len(rir), round(row["n_samples"] / row["fs_hz"] * FS_HZ))
     noise = rng_for(seed, "loop twins noise", row["id"]).standard_normal(n_samples)
     recording = np.sqrt(np.median(density)) * noise
-    recording[:len(rir)] += rir
-    expected_sample = data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ
-    return measure_features(recording, expected_sample, timed=is_timed(row))
+    recording[missing:missing + len(rir)] += rir
+    return measure_features(recording, expected_sample + missing, timed=is_timed(row))
 
 
 def explained(before: HeldOutErrors, after: HeldOutErrors, ceiling: HeldOutErrors) -> dict:

@@ -99,15 +99,20 @@ def finished_rir(data: Data, n: int, raw: RawRir, effects: Sequence[Effect], see
 
 
 def measure_row(data: Data, n: int, raw: RawRir, effects: Sequence[Effect], seed: int) -> Features:
-    """Measure the features of row `n` as rendered with all its effects.
+    """Measure the features of row `n` as rendered with all its effects."""
+    expected_sample, missing = samples_ahead(data, n, raw)
+    rir = np.concatenate([np.zeros(missing), finished_rir(data, n, raw, effects, seed)])
+    return measure_features(rir, expected_sample + missing, white=data.white[n])
 
-    A recording whose time of flight is unknown may have more samples ahead of its direct sound than the rendering; the
-    rendering then gets as many.
+
+def samples_ahead(data: Data, n: int, raw: RawRir) -> tuple[float, int]:
+    """Return the direct sample of a rendering, and the number of samples that it lacks ahead of its direct sound.
+
+    A recording whose time of flight is unknown may have more samples there than the rendering, which then gets as many.
     """
     expected_sample = data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ
     missing = 0 if is_timed(data.rows[n]) else max(0, int(np.ceil(data.direct_sample[n] - expected_sample)))
-    rir = np.concatenate([np.zeros(missing), finished_rir(data, n, raw, effects, seed)])
-    return measure_features(rir, expected_sample + missing, white=data.white[n])
+    return float(expected_sample), missing
 
 
 def _scene(scene: Scene, alpha: FloatArray, effects: Sequence[Effect]) -> Scene:
