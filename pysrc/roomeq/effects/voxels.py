@@ -9,6 +9,7 @@ import scipy  # its submodules are slow to import and load themselves when first
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
+from roomeq.effects.eigenpairs import CUT, lowest_eigenpairs
 from roomeq.sim.mesh import MeshRoom
 from roomeq.sim.room import Room
 
@@ -18,11 +19,6 @@ MIN_JOINED = 0.9  # share of the air that the largest connected part must hold
 _PARTS = 4  # of a voxel's edge, where a surface cuts the voxel
 _LEAST_SHARE = 0.5  # of air in a voxel; one with less joins a neighbour
 _DIRECTIONS = np.array([[0.36, 0.48, 0.80], [-0.62, 0.71, -0.33], [0.19, -0.87, -0.46]])  # along no wall
-_CUT = 1.1  # wave number up to which the Chebyshev filter is large, relative to the highest that is wanted
-_SPARE = 20  # vectors, more than modes are expected up to there
-_GAIN = 2.8  # logarithm of the filter's gain at the highest wave number that is wanted, in each pass
-_PASSES = 5
-_COLUMNS = 32  # that are filtered at once, so that they stay in the cache
 _K_STEP = 1.05  # ratio of the wave numbers up to which a room is solved: rows with other air and decay share a solution
 
 
@@ -43,13 +39,6 @@ class _Openings(NamedTuple):
     here: IntArray
     there: IntArray
     share: FloatArray
-
-
-class _Eigenpairs(NamedTuple):
-    """Eigenvalues of a Laplacian, ascending, shape (n,) [1/m^2], and eigenvectors, shape (n_rows, n)."""
-
-    squared_k: FloatArray
-    vectors: FloatArray
 
 
 def mode_count(room: Room, k_max: float) -> float:
@@ -95,7 +84,7 @@ def voxel_modes(room: MeshRoom, k_max: float,
     ValueError
         More than `MAX_VOXELS` are needed, or voxels are so large that they close openings of the room.
     """
-    k, shapes = _solve(room, k_step(k_max), per_wavelength, mode_count(room, _CUT * k_step(k_max)), False)
+    k, shapes = _solve(room, k_step(k_max), per_wavelength, mode_count(room, CUT * k_step(k_max)), False)
     n_modes = np.searchsorted(k, k_max, side="right")
     return k[:n_modes], replace(shapes, values=shapes.values[:, :n_modes])
 
@@ -105,7 +94,7 @@ def plan_modes(room: MeshRoom, k_max: float, per_wavelength: float) -> tuple[Flo
     low, high = room.bounds_m
     area_m2 = room.volume_m3 / (high - low)[2]
     around_m = (room.surface_area_m2.sum() - 2.0 * area_m2) / (high - low)[2]
-    cut = _CUT * k_step(k_max)
+    cut = CUT * k_step(k_max)
     return _solve(room, k_step(k_max), per_wavelength, (area_m2 * cut ** 2 + around_m * cut) / (4.0 * np.pi), True)
 
 
@@ -128,7 +117,7 @@ def _solve(room: MeshRoom, k_max: float, per_wavelength: float, expected: float,
     grid = _grid(room, low, size_m, shape)
     root = scipy.sparse.diags_array(grid.share ** -0.5)
     axes = [(root @ flux @ root).tocsr() for flux in grid.flux]
-    squared, vectors = _lowest(sum(axes[1:], axes[0]), expected, k_max)
+    squared, vectors = lowest_eigenpairs(sum(axes[1:], axes[0]), expected, k_max)
     slow = sum(edge_m ** 2 / 12.0 * np.sum((axis @ vectors) ** 2, axis=0)
                for edge_m, axis in zip(size_m, axes, strict=True))
     k = np.sqrt(np.maximum(squared + slow, 0.0))
@@ -277,51 +266,3 @@ def _rows(share: FloatArray, openings: list[_Openings], size_m: FloatArray) -> I
     order = np.argsort(np.append(open_, open_)[usable], kind="stable")  # the widest opening is assigned last
     row[little[usable][order]] = row[neighbour[usable][order]]
     return row
-
-
-def _lowest(laplacian: "scipy.sparse.csr_matrix", expected: float, k_max: float) -> _Eigenpairs:
-    """Find all eigenvalues up to ``k_max^2`` and their eigenvectors, ascending.
-
-    About `expected` eigenvalues are below ``(_CUT k_max)^2``.
-
-    The lowest eigenvalues of a grid lie close together compared with its whole spectrum. A Chebyshev polynomial that
-    is large on them and within [-1, 1] on the rest separates their subspace from random vectors, without a
-    factorisation (Zhou, Saad, Tiago and Chelikowsky, J. Comput. Phys. 219 (2006) 172). It is applied in several
-    passes, between which the vectors are made orthogonal: in one pass, single precision would lose the higher modes.
-    """
-    n = laplacian.shape[0]
-    highest, cut = float(abs(laplacian).sum(axis=1).max()), _CUT * k_max
-    wanted = int(expected) + _SPARE
-    middle, half = 0.5 * (highest + cut ** 2), 0.5 * (highest - cut ** 2)
-    single = laplacian.astype(np.float32)
-    scaled = ((single - np.float32(middle) * scipy.sparse.eye_array(n, dtype=np.float32)) / np.float32(half)).tocsr()
-    degree = int(np.ceil(_GAIN / np.arccosh((middle - k_max ** 2) / half)))
-    rng = np.random.default_rng(0)
-    while True:
-        vectors = rng.standard_normal((n, min(wanted, n)), dtype=np.float32)
-        for _ in range(_PASSES):
-            for first in range(0, vectors.shape[1], _COLUMNS):
-                columns = slice(first, first + _COLUMNS)
-                vectors[:, columns] = _filtered(scaled, np.ascontiguousarray(vectors[:, columns]), degree)
-            vectors = _orthogonal(vectors)
-        squared, rotation = np.linalg.eigh((vectors.T @ (single @ vectors)).astype(np.float64))
-        if squared[-1] > cut ** 2 or wanted >= n:
-            lowest = squared <= k_max ** 2
-            return _Eigenpairs(squared[lowest], (vectors @ rotation[:, lowest].astype(np.float32)).astype(np.float64))
-        wanted = int(1.3 * wanted)
-
-
-def _filtered(scaled: "scipy.sparse.csr_matrix", vectors: Array, degree: int) -> Array:
-    """Apply the Chebyshev polynomial of a degree."""
-    previous, current = vectors, scaled @ vectors
-    for _ in range(degree - 1):
-        previous, current = current, 2.0 * (scaled @ current) - previous
-    return current
-
-
-def _orthogonal(vectors: Array) -> Array:
-    """Return an orthonormal basis of the space of some vectors, from their Gram matrix."""
-    vectors = vectors / np.linalg.norm(vectors, axis=0)
-    weight, rotation = np.linalg.eigh((vectors.T @ vectors).astype(np.float64))
-    kept = weight > 1e-6 * weight[-1]
-    return vectors @ (rotation[:, kept] / np.sqrt(weight[kept])).astype(np.float32)
