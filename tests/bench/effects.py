@@ -20,7 +20,7 @@ import numpy as np
 
 sys.path[:0] = [str(Path(__file__).resolve().parents[1] / name) for name in ("", "data")]
 
-from rirmaker import coloured_rir  # noqa: E402
+from rirmaker import DIRECT, coloured_rir  # noqa: E402
 
 from bench.kit import machine, plain, table  # noqa: E402
 from roomeq.core.arrays import FloatArray  # noqa: E402
@@ -34,6 +34,7 @@ from roomeq.loop.features import BAND_HZ, METRIC  # noqa: E402
 from roomeq.loop.predict import base_state, predict  # noqa: E402
 from roomeq.loop.rendering import RawRir, measure_row, render_rows  # noqa: E402
 from roomeq.records.rir_dir import write_rirs  # noqa: E402
+from roomeq.sim.scene import Air  # noqa: E402
 
 ROOMS_M = {"office": (4.2, 3.4, 2.6), "classroom": (8.3, 6.1, 3.1), "hall": (14.7, 10.2, 5.3)}
 MICS = 4  # in each room
@@ -102,6 +103,8 @@ def make_data(directory: Path) -> Data:
                 mic_m = np.array([*rng.uniform(0.2, 0.85, 2) * dims_m[:2], rng.uniform(1.0, 1.8)])
             angle = np.arctan2(*(mic_m - source_m)[1::-1]) + FACING_RAD[n]
             rir, rir_id = coloured_rir(n, time_s=DECAY_S, length_s=1.5), f"{room_id}-{n}"
+            flight = round(np.linalg.norm(mic_m - source_m) / Air(20.0, 50.0).speed_m_s * FS_HZ)
+            rir = np.concatenate([np.zeros(max(0, flight - DIRECT)), rir[max(0, DIRECT - flight):]])
             write_wav(directory / f"{rir_id}.wav", 0.1 * rir)
             rows.append(dict(
                 id=rir_id, wav=f"{rir_id}.wav", room_id=room_id, source_id="loudspeaker", mic_id="microphone",

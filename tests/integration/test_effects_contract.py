@@ -20,6 +20,9 @@ _OCTAVES_OF_RESPONSES = (  # the same for loudspeaker, microphone and equaliser
     "energy, and the ringing of the filter prolongs short decays, most of all at 63 Hz.",
     dict(early=1.2, late=0.8, edt=1.4, c50=0.65))
 WIDER = {
+    "air_absorption": (
+        "EDT jumps where the direct sound stands about 10 dB above the reflections.",
+        dict(edt=0.7)),
     "sound_speed": (
         "All sound arrives at other samples, so that reflections interfere differently and the random tail of the "
         "rendering is another realisation: another seed changes the features as much. Besides the arrival, the "
@@ -29,7 +32,7 @@ WIDER = {
         "Off the axis, gains fall by up to 10 dB from octave to octave. The prediction interpolates those of "
         "reflections in dB over frequency, the renderer switches between octaves within a third of an octave. The "
         "octave that is measured at 8 kHz contains sound of the louder one at 4 kHz, which decays more slowly.",
-        dict(early=0.7, spectrum=1.3, edt=3.8, t20=1.0, t30=1.0, c50=0.75)),
+        dict(early=0.7, spectrum=1.3, edt=3.8, t20=1.0, t30=1.0, c50=0.75, drr=0.6)),
     "occlusion": (
         "The minimum-phase filter of the edge spreads the direct sound beyond its gate of 2.5 ms in the lowest third "
         "octaves.",

@@ -332,7 +332,7 @@ def test_results_do_not_depend_on_nj(world, closed, tmp_path):
 
 
 @pytest.mark.parametrize("argv, message", [
-    (["{two}", "--out", "out"], "RIRs of 2 rooms"),
+    (["{two}", "--out", "out"], "needs 3 rooms or conditions (room_id) with two usable RIRs each, and has 2"),
     (["{two}", "--out", "out", "--max-effects", "-1"], "max_effects=-1 must lie in"),
     (["{two}", "{two}", "--out", "out"], "give each RIR once"),
     (["absent", "--out", "out"], "absent"),

@@ -24,7 +24,7 @@ NOISE_S = 0.1
 QUIET_DB = -55.0
 """Noise below this level does not affect the measured decay: energy of `NOISE_S` of noise relative to the response, per
 octave band [dB]."""
-_UNHEARD = -1.0  # vector of noise that adds 0.4 dB to that of `QUIET_DB`
+_SMOOTH = 0.2  # rounding of the vector's lower end, which adds 1 dB of noise at 0
 
 
 @dataclass(frozen=True)
@@ -44,27 +44,29 @@ class NoiseFloor(Effect):
     REFLECTIONS = False
     NAME = "noise_floor"
     SCOPE = "room"
-    STARTS = ((1.0,) * 8,)  # (level - `QUIET_DB`) / 10 dB
+    STARTS = ((0.5,) * 8,)  # tens of dB that the noise adds to that of `QUIET_DB`
     SPREAD = (1.0,) * 8
     BANDS = tuple(range(8))
     DISCRIMINATING_MEASUREMENT = "a recording of the background noise before the sweep"
 
     def vector(self) -> FloatArray:
-        return (np.array(self.levels_db) - QUIET_DB) / 10.0
+        added = 2.0 * np.log10(1.0 + 10.0 ** ((np.array(self.levels_db) - QUIET_DB) / 10.0))
+        return (added ** 2 - _SMOOTH ** 2) / (2.0 * added)
 
     @classmethod
     def from_vector(cls, vector: ArrayLike) -> Self:
-        return cls(tuple(float(value) for value in QUIET_DB + 10.0 * np.clip(vector, -3.0, 5.0)))
+        vector = np.clip(vector, -3.0, 5.0)
+        added = 0.5 * (vector + np.hypot(vector, _SMOOTH))
+        return cls(tuple(float(value) for value in QUIET_DB + 10.0 * np.log10(10.0 ** added - 1.0)))
 
     @classmethod
     def measured_vectors(cls, data: PredictedRirs) -> FloatArray:
-        """Return the vector of each room whose noise is that at the end of its recordings; -1 where that is unknown."""
-        vectors = np.full((int(data.room.max()) + 1, len(cls.SPREAD)), _UNHEARD)
+        """Return the vector of each room whose noise is that at the end of its recordings; 0 where that is unknown."""
+        vectors = np.zeros((int(data.room.max()) + 1, len(cls.SPREAD)))
         for r, vector in enumerate(vectors):
             of_room = data.noise_db[data.room == r]
             known = np.isfinite(of_room).any(axis=0)
-            level_db = np.nanmedian(of_room[:, known], axis=0)
-            vector[known] = np.log10(np.maximum(10.0 ** (level_db / 10.0) - 1.0, 10.0 ** _UNHEARD))
+            vector[known] = np.maximum(np.nanmedian(of_room[:, known], axis=0), 0.0) / 10.0
         return vectors
 
     def energy_ratio(self, white: FloatArray) -> FloatArray:

@@ -67,7 +67,13 @@ def measure_arrivals(rir: FloatArray, expected_sample: float | None = None) -> A
     ValueError
         The RIR has no direct sound.
     """
-    direct = find_direct(rir, FS_HZ, expected_sample).sample
+    try:
+        direct = find_direct(rir, FS_HZ, expected_sample).sample
+    except ValueError:  # an obstacle hides it: times relative to it are unknown
+        if expected_sample is None:
+            raise
+        find_direct(rir, FS_HZ)  # raises if there is no sound at all
+        return Arrivals(expected_sample / FS_HZ, np.ones(_N_TIMES))
     # a fraction of a sample would blur less than TIMING_SD_S does
     return Arrivals(direct / FS_HZ, _likelihood_ratio(rir, round(direct)))
 

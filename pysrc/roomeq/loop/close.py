@@ -15,7 +15,7 @@ from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, read_model, write_model
 from roomeq.loop.ceiling import ceiling_errors, ceiling_of_test_set, describe_explained, explained
 from roomeq.loop.data import Data, load_data
-from roomeq.loop.descriptions import describe_residual, effect_names
+from roomeq.loop.descriptions import describe_facing, describe_residual, effect_names
 from roomeq.loop.examples import EXAMPLES_FILE, write_examples
 from roomeq.loop.facing import with_estimated_facings
 from roomeq.loop.fit import fit
@@ -132,10 +132,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     start = time.monotonic()
     first, facings = with_estimated_facings(fit_base_model(data, seed=seed, nj=nj))
     for facing in facings:
-        logger.info("source %s: faces %s in %d RIRs that do not state it (log Bayes factor %.1f)", facing.source,
-                    "the microphone" if facing.hypothesis != "fixed" else
-                    f"{facing.angle_deg:.0f} degrees away from the microphone in the mean", facing.rirs,
-                    abs(facing.evidence))
+        logger.info("%s", describe_facing(facing))
     session = first
     first_errors = errors = heldout_errors(session)
     logger.info("base model: held-out error %.2f JND (leave-positions-out), %.2f JND (leave-room-out)",

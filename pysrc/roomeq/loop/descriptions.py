@@ -7,6 +7,7 @@ import numpy as np
 from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.response import RESPONSE_HZ
+from roomeq.loop.facing import FacingEstimate
 from roomeq.loop.features import JND
 from roomeq.loop.unexplained import Unexplained
 
@@ -42,6 +43,17 @@ def describe_residual(unexplained: Unexplained) -> str:
         words, f"{size:.1f} dB")
     return (f"{name}{_bands(unexplained.bands_hz)} is {amount} {words[sign < 0.0]} than simulated, "
             f"{_VARIES[unexplained.varies_with]} ({unexplained.size_jnd:+.1f} JND)")
+
+
+def describe_facing(facing: FacingEstimate) -> str:
+    """Describe where a source faces in the RIRs that do not state it."""
+    direction = {"towards the microphone": "it faces the microphone", "fixed": "it has one direction at each position",
+                 "free": "it has another direction in each RIR"}[facing.hypothesis]
+    angle = "" if facing.hypothesis == "towards the microphone" else (
+        f", {facing.angle_deg:.0f} degrees from the microphone in the mean")
+    return (f"source {facing.source}: {facing.rirs} RIRs do not state where it faces; {direction}{angle} (log Bayes "
+            f"factor against facing the microphone: fixed {facing.evidence['fixed']:.1f}, free "
+            f"{facing.evidence['free']:.1f})")
 
 
 def _bands(bands_hz: list[float]) -> str:

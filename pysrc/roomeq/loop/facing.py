@@ -1,11 +1,11 @@
-"""Where loudspeakers face, if nobody wrote it down: towards the microphone, or in one direction at each position.
+"""Where loudspeakers face, if nobody wrote it down: towards the microphone, or in a direction of their own.
 
 The direct sound tells. A loudspeaker that faces the microphone sends its direct sound with the gain of its axis; one
 that faces elsewhere sends less of it, above all at high frequencies, while its reflections stay. Only the features of
 `roomeq.loop.splitters.CALIBRATION_FEATURES`, which are never scored, take part.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
@@ -21,12 +21,12 @@ from roomeq.loop.predict import predict
 from roomeq.loop.session import Session
 from roomeq.loop.tables import ANGLES, collect
 
-Hypothesis = Literal["towards the microphone", "fixed"]
+Hypothesis = Literal["towards the microphone", "fixed", "free"]
 _AXES = np.array([(np.cos(azimuth), np.sin(azimuth), 0.0) for azimuth in np.radians(np.arange(0.0, 360.0, 10.0))])
 """Horizontal directions that are compared."""
 _TEST_ANGLES = np.linspace(0.0, np.pi, 13)
 _INDEPENDENT = 3.0  # of the third octaves of a direct sound, which err together
-_DECISIVE = 3.0  # natural logarithm of the Bayes factor that a direction of its own at each position needs
+_DECISIVE = 3.0  # natural logarithm of the Bayes factor that other directions than the microphone's need
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ class FacingEstimate:
     rirs, positions : int
         Number of RIRs with an unknown facing, and of positions of the loudspeaker in them.
     hypothesis : str
-        ``"towards the microphone"``, or ``"fixed"``: one direction at each position.
-    evidence : float
-        Natural logarithm of the Bayes factor of ``"fixed"`` against ``"towards the microphone"``.
+        ``"towards the microphone"``; ``"fixed"``, one direction at each position; or ``"free"``, one in each recording.
+    evidence : dict
+        Natural logarithm of the Bayes factor of each hypothesis against ``"towards the microphone"``.
     angle_deg : float
         Mean angle between the facing and the direction of the microphone.
     """
@@ -51,7 +51,7 @@ class FacingEstimate:
     rirs: int
     positions: int
     hypothesis: Hypothesis
-    evidence: float
+    evidence: dict[str, float]
     angle_deg: float
 
     def as_dict(self) -> dict:
@@ -104,19 +104,31 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
         by_position: dict[tuple, list[int]] = {}
         for n in members:
             by_position.setdefault(_position(data, n), []).append(n)
-        fixed, evidence = {}, 0.0
-        for rirs in by_position.values():
-            angles = np.arccos(np.clip(towards[rirs] @ _AXES.T, -1.0, 1.0))  # (n_rirs_of_position, n_axes)
-            of_axes = sum(np.interp(angles[i], _TEST_ANGLES, log_likelihood[n]) for i, n in enumerate(rirs))
-            evidence += logsumexp(of_axes) - np.log(len(_AXES)) - sum(log_likelihood[n, 0] for n in rirs)
-            fixed.update(dict.fromkeys(rirs, _AXES[int(np.argmax(of_axes))]))
-        chosen: Hypothesis = "fixed" if evidence > _DECISIVE else "towards the microphone"
-        of_source = {n: fixed[n] if chosen == "fixed" else towards[n] for n in members}
+        log_towards = float(log_likelihood[members, 0].sum())
+        fixed, log_fixed = _best_axes(by_position.values(), towards, log_likelihood)
+        free, log_free = _best_axes([[n] for n in members], towards, log_likelihood)
+        evidence = {"fixed": float(log_fixed - log_towards), "free": float(log_free - log_towards)}
+        hypothesis: Hypothesis = "towards the microphone"
+        of_source = {n: towards[n] for n in members}
+        if max(evidence.values()) > _DECISIVE:
+            hypothesis, of_source = ("fixed", fixed) if log_fixed >= log_free else ("free", free)
         angle = np.mean([np.arccos(np.clip(towards[n] @ facing, -1.0, 1.0)) for n, facing in of_source.items()])
-        estimates.append(FacingEstimate(source_id, len(members), len(by_position), chosen, float(evidence),
+        estimates.append(FacingEstimate(source_id, len(members), len(by_position), hypothesis, evidence,
                                         float(np.degrees(angle))))
         facings.update(of_source)
     return with_facings(data, facings), estimates
+
+
+def _best_axes(groups: Iterable[list[int]], towards: FloatArray, log_likelihood: FloatArray
+               ) -> tuple[dict[int, FloatArray], float]:
+    """Return the best facing of each RIR where the RIRs of a group share one, and the log evidence of all groups."""
+    best, evidence = {}, 0.0
+    for rirs in groups:
+        angles = np.arccos(np.clip(towards[rirs] @ _AXES.T, -1.0, 1.0))  # (n_rirs_of_group, n_axes)
+        of_axes = np.sum([np.interp(angles[i], _TEST_ANGLES, log_likelihood[n]) for i, n in enumerate(rirs)], axis=0)
+        evidence += float(logsumexp(of_axes)) - np.log(len(_AXES))
+        best.update(dict.fromkeys(rirs, _AXES[int(np.argmax(of_axes))]))
+    return best, evidence
 
 
 def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: list[FloatArray],
@@ -151,10 +163,9 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
 
 def _position(data: Data, n: int) -> tuple:
     """Return what RIRs of one position of a source share; states of one room, such as open curtains, share it too."""
-    row = data.rows[n]
-    source_m = row["source_pos_m"] or (None, None)
+    row, (x_m, y_m, _) = data.rows[n], data.places[n].source_pos_m
     room = row["room_id"] if row.get("mesh") else tuple(row["room_dims_m"] or ())
-    return room, source_m[0], source_m[1]
+    return room, round(x_m, 1), round(y_m, 1)
 
 
 def _octaves(features: FloatArray, metric: str) -> FloatArray:

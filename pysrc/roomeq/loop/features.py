@@ -102,6 +102,8 @@ class _Noise(NamedTuple):
         Of noise, 0 where the response ends before its noise.
     end : ndarray, shape (8,)
         In octaves, of noise or not.
+    has_response : ndarray of bool, shape (8,)
+        Whether the excitation reaches the octave.
     n_samples : int
         Length of the part that was measured.
     """
@@ -109,6 +111,7 @@ class _Noise(NamedTuple):
     octave: FloatArray
     third: FloatArray
     end: FloatArray
+    has_response: BoolArray
     n_samples: int
 
 
@@ -144,13 +147,14 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
     drr_db = metrics["drr_db"]
     _put(values, valid, "drr", np.array([np.nan if drr_db is None else drr_db]), np.array([drr_db is not None]))
     _put(values, valid, "arrival", np.array([direct / FS_HZ]), np.array([timed]))
-    noise = _noise_density(rir, metrics)
+    from_hz = excited_from_hz(rir)
+    noise = _noise_density(rir, metrics, from_hz)
     for metric, (level_db, snr_db) in _levels(rir, direct, metrics, noise).items():
         _put(values, valid, metric, level_db, snr_db > MIN_SNR_DB)
     levels, white = _noise_levels(rir, direct, noise, white)
     for metric, (level_db, is_valid) in levels.items():
         _put(values, valid, metric, level_db, is_valid)
-    return Features(values, valid & np.isfinite(values), direct, white, excited_from_hz(rir),
+    return Features(values, valid & np.isfinite(values), direct, white, from_hz,
                     float(20.0 * np.log10(np.max(np.abs(rir)))))
 
 
@@ -232,18 +236,22 @@ def _gains(kind: str, n_fft: int) -> FloatArray:
     return np.array([octave_gains(n_fft, FS_HZ, band_hz) ** 2 for band_hz in EXACT_BANDS_HZ])
 
 
-def _noise_density(rir: FloatArray, metrics: dict) -> _Noise:
-    """Return the energy per sample at the end of a response, where only noise is left as a rule."""
+def _noise_density(rir: FloatArray, metrics: dict, from_hz: float) -> _Noise:
+    """Return the energy per sample at the end of a response, where only noise is left as a rule.
+
+    Octaves below the excitation's band have no response, and what is in them says nothing of the noise.
+    """
     last = int(np.flatnonzero(rir)[-1]) + 1
     intersection = int(max(metrics["band_noise_intersection_s"]) * FS_HZ + metrics["direct_sample"])
     start = max(int(0.9 * last), min(last, intersection))
     start = min(start, last - int(0.05 * FS_HZ)) if last > int(0.2 * FS_HZ) else int(0.9 * last)
-    seen = np.array([floor_db is not None for floor_db in metrics["band_noise_floor_db"]])
+    has_response = excited(from_hz)[feature_slice("floor")]
+    seen = has_response & [floor_db is not None for floor_db in metrics["band_noise_floor_db"]]
     part = rir[start:last]
     n_fft = next_fast_len(max(len(part), 2048), real=True)
     power = _power(part, n_fft) / max(len(part), 1)
     end = _gains("octave", n_fft) @ power
-    return _Noise(octave=np.where(seen, end, 0.0), end=end, n_samples=len(part),
+    return _Noise(octave=np.where(seen, end, 0.0), end=end, has_response=has_response, n_samples=len(part),
                   third=np.where(seen[_octave_of_third()], _gains("third", n_fft) @ power, 0.0))
 
 
@@ -309,9 +317,12 @@ def _noise_levels(rir: FloatArray, direct: float, noise: _Noise, white: FloatArr
 def _white(noise: _Noise) -> FloatArray:
     """Return the energy per sample in each octave of the largest white noise that no octave contradicts, shape (8,).
 
+    An octave whose response ends before its noise contradicts white noise above that end. If no octave shows noise,
+    there is none to speak of. Octaves without a response have no noise relative to it.
     The relative uncertainty of the energy over a time T in a bandwidth B is 1 / sqrt(B T). Each octave allows two of
     them, as otherwise the narrowest octave would be the lowest by chance.
     """
     share = 1.0 / np.sqrt(OCTAVE_WIDTH_HZ * noise.n_samples / FS_HZ)
-    most = noise.octave / OCTAVE_WIDTH_HZ * (1.0 + 2.0 * share)
-    return OCTAVE_WIDTH_HZ * (most[most > 0.0].min() if np.any(most > 0.0) else 0.0)
+    most = noise.end / OCTAVE_WIDTH_HZ * (1.0 + 2.0 * share)
+    lowest = most[noise.has_response].min() if np.any(noise.octave > 0.0) else 0.0
+    return np.where(noise.has_response, OCTAVE_WIDTH_HZ * lowest, 0.0)
