@@ -12,7 +12,8 @@ from roomeq.effects.model import MODEL_FILE, Extension, Model, write_model
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, LENGTH_S, STEP_S
 from roomeq.loop.features import METRIC, N_FEATURES, REGION
-from roomeq.loop.ledger import LEDGER_FILE, LEDGER_FORMAT, RESIDUALS_FILE
+from roomeq.loop.ledger import LEDGER_FILE, RESIDUALS_FILE
+from roomeq.loop.ledger_checks import LEDGER_FORMAT
 from roomeq.loop.selection import SPLITS
 from roomeq.records.geometry import MARKED
 
@@ -23,6 +24,8 @@ GEOMETRY = [dict(room="hall", quantity="height of the room", unit="m", prior=[2.
                  documented=None, evidence=0.4, used=True),
             dict(room="office", quantity="width of the room", unit="m", prior=[5.0, 0.15], posterior=[5.01, 0.02],
                  documented=5.0, evidence=-0.7, used=False)]
+FACINGS = [dict(source="s", rirs=12, positions=3, hypothesis="fixed", evidence=dict(fixed=21.0, free=15.5),
+                angle_deg=114.0)]
 N_RIRS, ROOMS = 24, ("hall", "office", "<b>attic")
 VECTORS = dict(source_response=5.0 * np.sin(np.arange(len(RESPONSE_HZ)) / 3.0),
                near_reflector=np.array([np.log(0.7), 0.6]))
@@ -80,15 +83,16 @@ def make_loop(out):
     unexplained = dict(metric="ahead", time_region=REGION["ahead"], bands_hz=[125.0], varies_with="nothing",
                        size_jnd=3.5, p=0.01)
     ledger = dict(
-        format=LEDGER_FORMAT, rirs=N_RIRS, rooms=len(ROOMS), left_out=LEFT_OUT, geometry=GEOMETRY, given=[],
+        format=LEDGER_FORMAT, rirs=N_RIRS, rooms=len(ROOMS), left_out=LEFT_OUT, geometry=GEOMETRY, facings=FACINGS,
+        given=[],
         baseline=errors(3.4), final=errors(1.5), ceiling=errors(1.0), explained=explained(0.79),
         ranking=undetected("room_eq", 0.5),
         iterations=[iteration(added[0], 3.4, 1.9, cannot_tell=["source_response", "mic_response"],
                               would_tell=["a recording of the same room with another loudspeaker"]),
                     iteration(added[1], 1.9, 1.5)],
         unexplained=unexplained, unexplained_all=[unexplained],
-        test=dict(rirs=8, rooms=1, left_out=LEFT_OUT[1:], geometry=[], before=errors(3.6), after=errors(1.8),
-                  ceiling=errors(1.1), explained=explained(0.72)))
+        test=dict(rirs=8, rooms=1, left_out=LEFT_OUT[1:], geometry=[], facings=[], before=errors(3.6),
+                  after=errors(1.8), ceiling=errors(1.1), explained=explained(0.72)))
     for when in ("before", "after", "ceiling", "explained"):
         for entry in ledger["test"][when].values():
             entry["ci"] = None  # a test set of a single room

@@ -22,8 +22,10 @@ from roomeq.effects.source_response import SourceResponse
 from roomeq.loop.ceiling import ceiling_errors, twin_recordings
 from roomeq.loop.close import SCATTERING, close_loop
 from roomeq.loop.data import load_data
+from roomeq.loop.facing import with_estimated_facings
 from roomeq.loop.features import HAS_GAIN, JND, LATE_S, METRIC, feature_slice, measure_features
 from roomeq.loop.fit import fit
+from roomeq.loop.likelihood import misfit, normal_equations
 from roomeq.loop.packing import N_SURFACE, ParameterIndex
 from roomeq.loop.power import _changes, detectable_sizes
 from roomeq.loop.predict import predict
@@ -202,6 +204,53 @@ def test_halves_are_disjoint_and_hold_every_chain(session):
     for r, (a, b) in enumerate(zip(first, second, strict=True)):
         assert not set(a) & set(b) and set(a) | set(b) == set(np.flatnonzero(session.data.room == r))
         assert set(session.data.chain[a]) == set(session.data.chain[b])
+
+
+def test_slopes_of_separate_bands_taken_together_are_those_of_each(session):
+    data, index, fitted = session.data, session.index, session.fit
+    centre, derivatives = index.linearize(fitted.mean, fitted.local, session.correction)
+    for n in range(N_SURFACE):
+        mean, step = fitted.mean.copy(), 0.003
+        mean[n] += step
+        moved = index.predict(index.absorption(mean, fitted.local), [], index.gains(fitted.local), session.correction)
+        np.testing.assert_allclose(derivatives.by_surface[:, :, n], (moved - centre) / step, rtol=0.02, atol=0.02)
+    assert np.ptp(derivatives.by_surface[:, METRIC == "drr"]) > 0.1 and len(data.rows) > 8
+
+
+def test_steps_of_a_fit_go_downhill(session):
+    """The gradient of the normal equations is that of the cost, also where large residuals count linearly."""
+    index, fitted = session.index, session.fit
+    predicted, derivatives = index.linearize(fitted.mean, fitted.local, session.correction)
+    far = np.random.default_rng(0).standard_t(1.5, predicted.shape) * 3.0
+    residual, valid = session.data.residual(predicted + far)
+    for r, members in enumerate(index.members):
+        equations = normal_equations(index, r, residual, valid, derivatives, fitted.sigma, fitted.omega)
+        direction = np.linalg.solve(equations.own_own + np.eye(len(equations.own_own)), equations.own_residual)
+        own, _ = index.room_derivatives(r, derivatives)
+        moved = residual[members] - own @ (1e-4 * direction)
+        before, after = (misfit(part, valid[members], fitted.sigma, fitted.omega) for part in (residual[members],
+                                                                                              moved))
+        assert (after - before) / 1e-4 == pytest.approx(-2.0 * equations.own_residual @ direction, rel=0.02)
+
+
+def test_unstated_facing_is_estimated(world, tmp_path):
+    source = world("source_directivity") / "fit"
+    rows = read_rirs(source)
+    true = {row["id"]: np.array(row["source_dir"]) for row in rows}
+    directory = tmp_path / "unstated"
+    directory.mkdir()
+    write_rirs(directory, [row | dict(source_dir=None) for row in relocated(rows, source, directory)])
+    session = with_estimated_facings(fit_base_model(load_data([directory], scattering=SCATTERING, seed=0), seed=0,
+                                                    nj=2))
+    assert {facing.hypothesis for facing in session.data.facings} <= {"fixed", "free"}
+    angles = []
+    for row, place in zip(session.data.rows, session.data.places, strict=True):
+        towards = np.subtract(place.mic_pos_m, place.source_pos_m)
+        towards /= np.linalg.norm(towards)
+        angles.append([np.degrees(np.arccos(np.clip(towards @ axis, -1.0, 1.0)))
+                       for axis in (true[row["id"]], row["source_dir"])])
+    assert np.corrcoef(np.transpose(angles))[0, 1] > 0.8
+    assert np.median(np.abs(np.diff(angles))) < 20.0
 
 
 def test_gains_of_chains_with_a_single_rir_are_sums(session):

@@ -21,7 +21,6 @@ from roomeq.loop.facing import with_estimated_facings
 from roomeq.loop.fit import fit
 from roomeq.loop.ledger import (
     LEDGER_FILE,
-    LEDGER_FORMAT,
     RESIDUALS_FILE,
     error_entry,
     iteration_entry,
@@ -29,6 +28,7 @@ from roomeq.loop.ledger import (
     undetected_entry,
     update_errors,
 )
+from roomeq.loop.ledger_checks import LEDGER_FORMAT
 from roomeq.loop.power import detectable_sizes
 from roomeq.loop.selection import (
     LEVEL,
@@ -41,6 +41,7 @@ from roomeq.loop.selection import (
     p_lower,
     rank,
     score_test_set,
+    transferred,
 )
 from roomeq.loop.session import Session, fit_base_model, refit_rendered
 from roomeq.loop.unexplained import find_unexplained
@@ -130,8 +131,8 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
          seed: int, nj: int) -> dict:
     """Run the loop, write its files below `work` and return the ledger."""
     start = time.monotonic()
-    first, facings = with_estimated_facings(fit_base_model(data, seed=seed, nj=nj))
-    for facing in facings:
+    first = with_estimated_facings(fit_base_model(data, seed=seed, nj=nj))
+    for facing in first.data.facings:
         logger.info("%s", describe_facing(facing))
     session = first
     first_errors = errors = heldout_errors(session)
@@ -170,7 +171,8 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
         format=LEDGER_FORMAT, rirs=len(data.rows), rooms=len(data.room_names),
         left_out=left_out_entries(data.left_out),
         geometry=[estimate.as_dict() for estimate in data.estimates], given=base.names,
-        facings=[facing.as_dict() for facing in facings], baseline=error_entry(first_errors), iterations=iterations,
+        facings=[facing.as_dict() for facing in first.data.facings], baseline=error_entry(first_errors),
+        iterations=iterations,
         ranking=[undetected_entry(candidate, size_jnd) for candidate, size_jnd in zip(ranking, sizes, strict=True)],
         unexplained=unexplained[0].as_dict() if unexplained else None,
         unexplained_all=[residual.as_dict() for residual in unexplained], final=error_entry(errors),
@@ -240,6 +242,7 @@ def _test_entry(data: Data, first: Session, last: Session, seed: int, nj: int) -
     _log_explained("test set", ceiling, shares)
     return dict(rirs=len(data.rows), rooms=len(data.room_names), left_out=left_out_entries(data.left_out),
                 geometry=[estimate.as_dict() for estimate in data.estimates],
+                facings=[facing.as_dict() for facing in transferred(data, last)[0].facings],
                 before=error_entry(before), after=error_entry(after), ceiling=error_entry(ceiling), explained=shares)
 
 

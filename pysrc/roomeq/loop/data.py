@@ -17,6 +17,7 @@ from roomeq.core.workers import share_out
 from roomeq.effects.base import Effect
 from roomeq.effects.model import Model
 from roomeq.effects.source_directivity import unit_facing
+from roomeq.loop.facing_estimate import FacingEstimate
 from roomeq.loop.features import JND, Features, feature_slice, measure_features
 from roomeq.loop.geometry import Estimate, complete_geometry
 from roomeq.loop.measurability import comparable_levels, limit_to_excitation
@@ -70,6 +71,8 @@ class Data:
         Estimated geometry, which places and rows have where it is used.
     left_out : list of LeftOut
         RIRs of the directories that are not in `rows`, by reason (`roomeq.loop.usable`).
+    facings : tuple of FacingEstimate
+        What was decided of sources whose rows do not state where they face.
     """
 
     rows: list[RirRow]
@@ -91,6 +94,7 @@ class Data:
     given: list[list[Effect]]
     estimates: list[Estimate]
     left_out: list[LeftOut]
+    facings: tuple[FacingEstimate, ...] = ()
 
     angles = ANGLES
     frame_mid_s = FRAME_MID_S

@@ -7,7 +7,7 @@ import numpy as np
 from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.response import RESPONSE_HZ
-from roomeq.loop.facing import FacingEstimate
+from roomeq.loop.facing_estimate import FacingEstimate
 from roomeq.loop.features import JND
 from roomeq.loop.unexplained import Unexplained
 

@@ -6,8 +6,7 @@ that faces elsewhere sends less of it, above all at high frequencies, while its 
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -15,13 +14,13 @@ from scipy.special import logsumexp
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.effects.source_directivity import SourceDirectivity, unit_facing
 from roomeq.loop.data import Data
+from roomeq.loop.facing_estimate import FacingEstimate, Hypothesis
 from roomeq.loop.features import BAND_OF_FEATURE, CALIBRATION_FEATURES, METRIC
 from roomeq.loop.packing import ParameterIndex
 from roomeq.loop.predict import predict
 from roomeq.loop.session import Session
 from roomeq.loop.tables import ANGLES, collect
 
-Hypothesis = Literal["towards the microphone", "fixed", "free"]
 _AXES = np.array([(np.cos(azimuth), np.sin(azimuth), 0.0) for azimuth in np.radians(np.arange(0.0, 360.0, 10.0))])
 """Horizontal directions that are compared."""
 _TEST_ANGLES = np.linspace(0.0, np.pi, 13)
@@ -29,54 +28,24 @@ _INDEPENDENT = 3.0  # of the third octaves of a direct sound, which err together
 _DECISIVE = 3.0  # natural logarithm of the Bayes factor that other directions than the microphone's need
 
 
-@dataclass(frozen=True)
-class FacingEstimate:
-    """The facing of a loudspeaker.
-
-    Attributes
-    ----------
-    source : str
-        `source_id`.
-    rirs, positions : int
-        Number of RIRs with an unknown facing, and of positions of the loudspeaker in them.
-    hypothesis : str
-        ``"towards the microphone"``; ``"fixed"``, one direction at each position; or ``"free"``, one in each recording.
-    evidence : dict
-        Natural logarithm of the Bayes factor of each hypothesis against ``"towards the microphone"``.
-    angle_deg : float
-        Mean angle between the facing and the direction of the microphone.
-    """
-
-    source: str
-    rirs: int
-    positions: int
-    hypothesis: Hypothesis
-    evidence: dict[str, float]
-    angle_deg: float
-
-    def as_dict(self) -> dict:
-        return asdict(self)
-
-
 def unknown_facings(data: Data) -> IntArray:
     """Return the RIRs whose source faces nobody knows where."""
     return np.flatnonzero([unit_facing(row.get("source_dir")) is None for row in data.rows])
 
 
-def with_estimated_facings(session: Session) -> tuple[Session, list[FacingEstimate]]:
-    """Return a session whose sources all face somewhere, and what was decided for each source of unknown facing."""
+def with_estimated_facings(session: Session) -> Session:
+    """Return a session whose sources all face somewhere (`Data.facings`)."""
     data, fitted = session.data, session.fit
     typical = SourceDirectivity.from_vector(SourceDirectivity.STARTS[0])
-    data, estimates = estimate_facings(
+    return replace(session, data=estimate_facings(
         data, session.index, fitted.mean, fitted.local, session.residual, np.hypot(fitted.sigma, fitted.omega),
-        dict.fromkeys(data.units("source")[0], typical))
-    return replace(session, data=data), estimates
+        dict.fromkeys(data.units("source")[0], typical)))
 
 
 def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local: list[FloatArray],
                      residual: FloatArray, spread: FloatArray, directivities: Mapping[str, SourceDirectivity]
-                     ) -> tuple[Data, list[FacingEstimate]]:
-    """Estimate the unknown facings; return data with them, and what was decided for each source.
+                     ) -> Data:
+    """Return data with an estimate of each unknown facing.
 
     Parameters
     ----------
@@ -93,7 +62,7 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
     """
     unknown = unknown_facings(data)
     if not len(unknown):
-        return data, []
+        return data
     log_likelihood = _log_likelihood(data, index, mean, local, residual, spread, directivities)
     facings: dict[int, FloatArray] = {}
     estimates = []
@@ -116,7 +85,7 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
         estimates.append(FacingEstimate(source_id, len(members), len(by_position), hypothesis, evidence,
                                         float(np.degrees(angle))))
         facings.update(of_source)
-    return with_facings(data, facings), estimates
+    return replace(with_facings(data, facings), facings=tuple(estimates))
 
 
 def _best_axes(groups: Iterable[list[int]], towards: FloatArray, log_likelihood: FloatArray

@@ -194,7 +194,7 @@ def _with_facings(data: Data, session: Session) -> Data:
     directivities = {name: SourceDirectivity.from_vector(vector)
                      for name, vector in zip(data.units("source")[0], vectors[k], strict=True)}
     return estimate_facings(data, index, mean, local, np.where(valid, residual, np.nan),
-                            np.hypot(session.fit.sigma, session.fit.omega), directivities)[0]
+                            np.hypot(session.fit.sigma, session.fit.omega), directivities)
 
 
 def _rendered_errors(data: Data, calibrated: Callable, *, seed: int, nj: int) -> HeldOutErrors:

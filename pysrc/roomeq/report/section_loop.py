@@ -10,8 +10,9 @@ from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.response import RESPONSE_HZ, Response
-from roomeq.loop.descriptions import describe_effect, describe_residual, effect_names
+from roomeq.loop.descriptions import describe_effect, describe_facing, describe_residual, effect_names
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, STEP_S, Examples, read_examples
+from roomeq.loop.facing_estimate import FacingEstimate
 from roomeq.loop.features import BAND_OF_FEATURE, METRIC, REGION
 from roomeq.loop.ledger import LEDGER_FILE, RESIDUALS_FILE, added_effects, read_ledger, read_residuals
 from roomeq.loop.selection import SPLITS
@@ -37,6 +38,7 @@ def closed_loop(run: Run) -> Context:
     ledger = ledger_of(run)
     examples = run.path("loop") / EXAMPLES_FILE
     return {"ledger": ledger, "left_out": left_out(ledger), "geometry_rows": geometry_rows(ledger),
+            "facings": [describe_facing(FacingEstimate(**facing)) for facing in facings(ledger)],
             "has_wer": run.has("wer"), "error_rows": error_rows(ledger),
             "effects": [added_effect(entry) for entry in added_effects(ledger)],
             "effect_rows": [effect_row(entry) for entry in added_effects(ledger)],
@@ -59,6 +61,11 @@ def left_out(ledger: dict[str, Any]) -> str:
     return " ".join(f"{sum(entry['rirs'] for entry in entries)} {name} took no part ("
                     + "; ".join(f"{entry['rirs']}: {entry['reason']}" for entry in entries) + ")."
                     for name, entries in sets if entries)
+
+
+def facings(ledger: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the estimated facings of the RIRs and of the test set."""
+    return [*ledger["facings"], *ledger.get("test", {}).get("facings", [])]
 
 
 def geometry_rows(ledger: dict[str, Any]) -> list[list[str]]:

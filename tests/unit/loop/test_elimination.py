@@ -1,0 +1,50 @@
+"""Effects that a newer one makes superfluous."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from roomeq.effects.occlusion import Occlusion
+from roomeq.effects.source_directivity import SourceDirectivity
+from roomeq.effects.source_response import SourceResponse
+from roomeq.loop import close
+from roomeq.loop.features import N_FEATURES
+from roomeq.loop.ledger import added_effects, update_errors
+from roomeq.loop.selection import SPLITS, HeldOutErrors
+
+ROOMS = 8
+
+
+def errors(jnd, seed=0):
+    """Return errors of rooms of two RIRs that scatter a little."""
+    rng = np.random.default_rng(seed)
+    values = jnd + 0.05 * rng.standard_normal((2 * ROOMS, 1)) * np.ones(N_FEATURES)
+    return HeldOutErrors(dict.fromkeys(SPLITS, values), np.repeat(np.arange(ROOMS), 2), np.tile([0, 1], ROOMS))
+
+
+@pytest.mark.parametrize(("without", "superfluous"), [
+    ({SourceResponse: 2.0, Occlusion: 2.4}, [SourceResponse]),
+    ({SourceResponse: 2.4, Occlusion: 2.4}, []),
+    ({SourceResponse: 1.9, Occlusion: 2.0}, [Occlusion, SourceResponse])])
+def test_effect_is_superfluous_if_the_error_does_not_rise_without_it(without, superfluous, monkeypatch):
+    session = SimpleNamespace(effects=(Occlusion, SourceDirectivity, SourceResponse))
+    tried = []
+
+    def error_without(_, effects):
+        tried.append(set(effects))
+        return None, errors(without[effects[-1]], seed=len(tried))
+
+    monkeypatch.setattr(close, "_without", error_without)
+    assert close._superfluous(session, errors(2.0, seed=9), SourceDirectivity) == superfluous
+    assert not any(SourceDirectivity in effects for effects in tried)
+
+
+def test_eliminated_effects_are_not_among_the_added_ones():
+    entries = [dict(effect="source_response", scored_on=SPLITS[0]), dict(effect="source_directivity",
+               scored_on=SPLITS[0], by_metric=dict(before={}, after={}), by_band=dict(before=[], after=[]))]
+    update_errors(entries[1], errors(1.5), ["source_response"])
+    assert [entry["effect"] for entry in added_effects(dict(iterations=entries))] == ["source_directivity"]
+    assert entries[1]["heldout_error_after"] == pytest.approx(1.5, abs=0.1)
+    low, high = entries[1]["heldout_error_ci"]
+    assert low < entries[1]["heldout_error_after"] < high

@@ -1,0 +1,85 @@
+"""The facing of loudspeakers: which hypothesis the direct sounds support, and the axes that follow."""
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from roomeq.loop import facing
+from roomeq.loop.facing import estimate_facings
+
+SOURCES_M = [(2.0, 2.0, 1.2), (6.0, 4.0, 1.2), (2.0, 5.0, 1.2)]
+MICS_M = [(4.0, 3.0, 1.2), (5.0, 2.0, 1.2), (3.0, 4.5, 1.2)]
+
+
+@dataclass
+class Rirs:
+    """RIRs of one loudspeaker at three positions, each with three microphones, as far as facings need them."""
+
+    places: list = field(default_factory=lambda: [SimpleNamespace(source_pos_m=source_m, mic_pos_m=mic_m)
+                                                  for source_m in SOURCES_M for mic_m in MICS_M])
+    facings: tuple = ()
+    rows: list = field(default_factory=lambda: [dict(source_id="ls", room_id="room", room_dims_m=[8.0, 6.0, 3.0])
+                                                for _ in SOURCES_M for _ in MICS_M])
+
+    @property
+    def towards(self):
+        directions = np.array([np.subtract(place.mic_pos_m, place.source_pos_m) for place in self.places])
+        return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def estimate(rirs, axes, monkeypatch, sharpness=4.0):
+    """Estimate facings from direct sounds that tell the angle to true axes; return the estimate and the axes."""
+    angle = np.arccos(np.clip(np.sum(rirs.towards * axes, axis=1), -1.0, 1.0))
+    log_likelihood = -0.5 * (sharpness * (facing._TEST_ANGLES - angle[:, None])) ** 2
+    found = {}
+    monkeypatch.setattr(facing, "_log_likelihood", lambda *_: log_likelihood)
+    monkeypatch.setattr(facing, "with_facings", lambda data, facings: found.update(facings) or data)
+    (estimated,) = estimate_facings(rirs, *[None] * 6).facings
+    return estimated, np.array([found[n] for n in range(len(rirs.rows))])
+
+
+def degrees(axes, others):
+    return np.degrees(np.arccos(np.clip(np.sum(axes * others, axis=1), -1.0, 1.0)))
+
+
+def test_loudspeaker_turned_to_each_microphone_is_recognised(monkeypatch):
+    rirs = Rirs()
+    estimated, axes = estimate(rirs, rirs.towards, monkeypatch)
+    assert estimated.hypothesis == "towards the microphone" and max(estimated.evidence.values()) < 0.0
+    assert degrees(axes, rirs.towards).max() < 0.1 and estimated.angle_deg < 0.1
+
+
+def test_axis_of_each_position_follows_from_all_its_microphones(monkeypatch):
+    rirs = Rirs()
+    true = np.repeat([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-0.6, 0.8, 0.0]], len(MICS_M), axis=0)
+    estimated, axes = estimate(rirs, true, monkeypatch)
+    assert estimated.hypothesis == "fixed" and estimated.positions == 3 and estimated.rirs == 9
+    assert degrees(axes, true).max() < 12.0
+
+
+def test_loudspeaker_turned_between_recordings_has_an_axis_for_each(monkeypatch):
+    rirs, rng = Rirs(), np.random.default_rng(0)
+    azimuth = rng.uniform(0.0, 2.0 * np.pi, len(rirs.rows))
+    true = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros(len(azimuth))])
+    estimated, axes = estimate(rirs, true, monkeypatch)
+    assert estimated.hypothesis == "free" and estimated.evidence["free"] > estimated.evidence["fixed"] + 3.0
+    error = np.abs(degrees(axes, rirs.towards) - degrees(true, rirs.towards))
+    assert error.max() < 12.0
+
+
+def test_direct_sounds_that_tell_nothing_leave_the_microphone_as_the_axis(monkeypatch):
+    rirs = Rirs()
+    estimated, axes = estimate(rirs, -rirs.towards, monkeypatch, sharpness=0.05)
+    assert estimated.hypothesis == "towards the microphone"
+    assert degrees(axes, rirs.towards).max() < 0.1
+
+
+@pytest.mark.parametrize("room_id", ["room", "the same room with open curtains"])
+def test_states_of_a_room_share_the_axis_at_a_position(room_id, monkeypatch):
+    rirs = Rirs()
+    for row in rirs.rows[::2]:
+        row["room_id"] = room_id
+    estimated, _ = estimate(rirs, np.tile([[0.0, 1.0, 0.0]], (len(rirs.rows), 1)), monkeypatch)
+    assert estimated.positions == len(SOURCES_M)

@@ -1,0 +1,76 @@
+"""The band of an excitation and comparable levels, read off recordings."""
+
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfilt
+
+from roomeq.core.constants import FS_HZ
+from roomeq.loop.features import BAND_HZ, METRIC, excited, excited_from_hz, measure_features
+from roomeq.loop.measurability import comparable_levels, limit_to_excitation
+
+
+def response(seed, *, from_hz=None, order=20, amplitude=1.0):
+    """Return decaying noise with a direct sound, as a sweep from `from_hz` would measure it."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(FS_HZ) / FS_HZ
+    rir = np.concatenate([np.zeros(200), rng.standard_normal(FS_HZ) * 10.0 ** (-3.0 * t / 0.5)])
+    rir[200] += 5.0
+    if from_hz:
+        rir = sosfilt(butter(order, from_hz, "high", fs=FS_HZ, output="sos"), rir)
+    return amplitude * rir
+
+
+@pytest.mark.parametrize("from_hz", [60.0, 100.0, 200.0])
+def test_lower_end_of_a_sweep_is_found_within_a_third_octave(from_hz):
+    found = [excited_from_hz(response(seed, from_hz=from_hz)) for seed in range(8)]
+    assert np.all(np.abs(np.log2(np.array(found) / from_hz)) < 1.0 / 3.0)
+
+
+@pytest.mark.parametrize("order", [0, 2, 4])
+def test_loudspeaker_that_falls_by_24_db_per_octave_is_no_end_of_the_excitation(order):
+    rirs = [response(seed, from_hz=80.0 if order else None, order=order) for seed in range(9)]
+    assert np.median([excited_from_hz(rir) for rir in rirs]) == 0.0
+
+
+def test_features_below_the_excitation_are_invalid_for_all_rirs_of_a_source():
+    features = [measure_features(response(seed, from_hz=110.0)) for seed in range(3)]
+    limited = limit_to_excitation([dict(source_id="s")] * 3, features)
+    low = (BAND_HZ > 0) & (BAND_HZ < 90.0)
+    assert not any(of_rir.valid[low].any() for of_rir in limited)
+    kept = (METRIC == "spectrum") & (BAND_HZ > 130.0)
+    assert all((of_rir.valid == of_measured.valid)[kept].all() for of_rir, of_measured in zip(limited, features,
+                                                                                           strict=True))
+
+
+def test_octave_counts_as_excited_if_four_fifths_of_it_are():
+    octave = METRIC == "t20"
+    assert excited(100.0)[octave].tolist() == [False, True] + [True] * 6
+    assert excited(112.0)[octave].tolist() == [False, False] + [True] * 6
+    assert excited(0.0).all()
+
+
+@pytest.mark.parametrize("normalised", [False, True])
+def test_levels_are_comparable_unless_each_rir_was_normalised(normalised):
+    distance_m = np.array([1.0, 1.5, 2.0, 3.0, 4.0])
+    rirs = [response(seed, amplitude=1.0 / metres) for seed, metres in enumerate(distance_m)]
+    if normalised:
+        rirs = [rir / np.abs(rir).max() for rir in rirs]
+    rows = [dict(room_id="room")] * len(rirs)
+    comparable = comparable_levels(rows, [measure_features(rir) for rir in rirs], distance_m)
+    assert comparable.tolist() == [not normalised] * len(rirs)
+
+
+def test_equal_distances_do_not_tell_whether_levels_are_comparable():
+    features = [measure_features(response(seed)) for seed in range(5)]
+    assert comparable_levels([dict(room_id="room")] * 5, features, np.full(5, 2.0)).all()
+
+
+def test_white_noise_is_bounded_by_octaves_that_end_in_their_decay():
+    """Low octaves decay fast and show hum; the response is cut before the others reach any noise."""
+    rng = np.random.default_rng(0)
+    t = np.arange(FS_HZ) / FS_HZ
+    hum = 0.02 * np.sin(2.0 * np.pi * 60.0 * t)
+    whole = np.concatenate([np.zeros(200), rng.standard_normal(FS_HZ) * 10.0 ** (-3.0 * t / 1.2) + hum])
+    whole[200] += 20.0
+    white = measure_features(whole).white
+    assert 10.0 * np.log10(white.max() + 1e-12) < -40.0
