@@ -40,7 +40,7 @@ class Response(Effect):
     @classmethod
     def prior_covariance(cls) -> FloatArray:
         lag = np.subtract.outer(np.arange(len(RESPONSE_HZ)), np.arange(len(RESPONSE_HZ)))
-        smooth = _SPREAD_DB ** 2 * np.exp(-0.5 * (lag / _CORRELATION_THIRDS) ** 2)
+        smooth = cls.SPREAD[0] ** 2 * np.exp(-0.5 * (lag / _CORRELATION_THIRDS) ** 2)
         return smooth + _ROUGHNESS_DB ** 2 * np.eye(len(RESPONSE_HZ))
 
     def vector(self) -> FloatArray:

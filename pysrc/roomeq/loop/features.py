@@ -307,11 +307,21 @@ def _noise_levels(rir: FloatArray, direct: float, noise: _Noise, white: FloatArr
     ahead, resolved = np.full(len(BANDS_HZ), np.nan), (OCTAVE_WIDTH_HZ * n_ahead > FS_HZ) & (n_ahead > 48)
     # finite wherever there are samples: the direct sound of a rendering may be earlier than that of the recording
     if n_ahead > 8:
-        part = _segment(rir, 16, 16 + n_ahead, 16)
+        part = _segment(_without_trend(rir[:min(32 + n_ahead, len(rir))]), 16, 16 + n_ahead, 16)
         n_fft = next_fast_len(max(2048, len(part)), real=True)
         ahead = _db((_gains("octave", n_fft) @ _power(part, n_fft) / len(part) * per_energy + added + QUIET) / behind)
     levels["ahead"] = ahead, resolved & known
     return levels, white
+
+
+def _without_trend(part: FloatArray) -> FloatArray:
+    """Return a part without its parabola of least squares.
+
+    The offset or the slow pre-ringing of a recording, of which a few milliseconds hold less than a period, would leak
+    into all octaves.
+    """
+    x = np.linspace(-1.0, 1.0, len(part))
+    return part - np.polynomial.legendre.legval(x, np.polynomial.legendre.legfit(x, part, 2))
 
 
 def _white(noise: _Noise) -> FloatArray:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from roomeq.core.arrays import FloatArray
+from roomeq.core.arrays import BoolArray, FloatArray
 from roomeq.effects.base import Effect
 from roomeq.loop.data import Data
 from roomeq.loop.features import HAS_GAIN, N_FEATURES
@@ -28,7 +28,7 @@ from roomeq.loop.predict import N_BANDS
 ITERATIONS = 5
 START_X = float(np.log(0.2))
 """Initial absorption ``x`` of all bands."""
-_STEP_FRACTIONS = (1.0, 0.5, 0.2, 0.05)  # of a step, tried in this order
+STEP_FRACTIONS = (1.0, 0.5, 0.2, 0.05)  # of a step, tried in this order
 _DAMPING = 30.0
 """Damping of a step that does not lower the cost, in units of the prior's precision (Levenberg, Quart. Appl. Math. 2
 (1944) 164). It freezes poorly determined parameters, such as one at its limit, so that the others can go on."""
@@ -129,13 +129,13 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
         if iteration:
             sigma, omega = scatter(data, residual, valid)
         normal = [normal_equations(index, r, residual, valid, derivatives, sigma, omega) for r in range(len(local))]
-        cost = partial(_cost, index, correction, sigma, omega, covariance, prior)
-        limit, old = cost(mean, local, predicted), (mean, local)
+        cost_at = partial(cost, index, correction, sigma, omega, covariance, prior)
+        limit, old = cost_at(mean, local, predicted), (mean, local)
         *new, posterior = solve_step(normal, covariance, mean, local, prior)
-        mean, local = _step(cost, limit, old, new, fractions=_STEP_FRACTIONS[:2])
+        mean, local = shortened_step(cost_at, limit, old, new, fractions=STEP_FRACTIONS[:2])
         if mean is old[0]:
             *new, _ = solve_step(normal, covariance, mean, local, prior, damping=_DAMPING)
-            mean, local = _step(cost, limit, old, new)
+            mean, local = shortened_step(cost_at, limit, old, new)
         shape = _best_shape(local, posterior)
         own_scale = [_own_scale(index, k, local, posterior) for k in range(len(index.effects))]
         gain_db = (_CHAIN_GAIN_DB, _gain_spread_db(index, 1, local, posterior),
@@ -246,8 +246,8 @@ def solve_step(normal: list[NormalEquations], covariance: list[FloatArray], mean
     return mean + step, new, [posterior for posterior, _, _ in rooms]
 
 
-def _step(cost: Callable, limit: float, old: Sequence[Any], new: Sequence[Any],
-          fractions: Sequence[float] = _STEP_FRACTIONS) -> tuple[FloatArray, list[FloatArray]]:
+def shortened_step(cost: Callable, limit: float, old: Sequence[Any], new: Sequence[Any],
+                   fractions: Sequence[float] = STEP_FRACTIONS) -> tuple[FloatArray, list[FloatArray]]:
     """Return parameters moved by the first fraction of a step that lowers the cost below `limit`, or `old`."""
     for fraction in fractions:
         mean = old[0] + fraction * (new[0] - old[0])
@@ -257,14 +257,18 @@ def _step(cost: Callable, limit: float, old: Sequence[Any], new: Sequence[Any],
     return old[0], old[1]
 
 
-def _cost(index: ParameterIndex, correction: FloatArray, sigma: FloatArray, omega: FloatArray,
-          covariance: list[FloatArray], prior: SharedPrior, mean: FloatArray, local: list[FloatArray],
-          predicted: FloatArray | None = None) -> float:
-    """Return twice the negative log posterior density up to a constant, with Huber's loss for outliers."""
+def cost(index: ParameterIndex, correction: FloatArray, sigma: FloatArray, omega: FloatArray,
+         covariance: list[FloatArray], prior: SharedPrior, mean: FloatArray, local: list[FloatArray],
+         predicted: FloatArray | None = None, visible: BoolArray | None = None) -> float:
+    """Return twice the negative log posterior density up to a constant, with Huber's loss for outliers.
+
+    Only `visible` features count, shape (n_rirs, n_features), if they are given.
+    """
     if predicted is None:
         predicted = index.predict(index.absorption(mean, local), index.vectors(mean, local), index.gains(local),
                                   correction)
     residual, valid = index.data.residual(predicted)
+    valid = valid if visible is None else valid & visible
     total = (mean - prior.mean) @ prior.precision @ (mean - prior.mean)
     for members, own, room_covariance in zip(index.members, local, covariance, strict=True):
         total += own @ np.linalg.solve(room_covariance, own) + misfit(residual[members], valid[members], sigma, omega)

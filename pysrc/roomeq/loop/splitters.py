@@ -10,6 +10,7 @@ Leave-positions-out
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -22,9 +23,11 @@ from roomeq.loop.fit import (
     START_X,
     Fit,
     SharedPrior,
+    cost,
     covariances,
     estimate_gains,
     shared_prior,
+    shortened_step,
     solve_step,
 )
 from roomeq.loop.likelihood import NormalEquations, normal_equations
@@ -243,12 +246,18 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
         covariance[:N_SURFACE, :N_SURFACE] = fitted.covariance[0][:N_SURFACE, :N_SURFACE]
     mean, local = prior.mean.copy(), [np.zeros(part.size) for part in index.local]
     estimate_gains(index, correction, mean, local)
+    visible = np.broadcast_to(True if usable is None else usable, index.data.valid.shape).copy()
+    for r, of_room in enumerate(known):
+        visible[np.setdiff1d(index.members[r], of_room)] &= CALIBRATION_FEATURES
     for _ in range(iterations):
         predicted, derivatives = index.linearize(mean, local, correction)
         residual, valid = index.data.residual(predicted)
-        if usable is not None:
-            valid = valid & usable
-        normal = [normal_equations(index, r, residual, _visible(index, r, valid, known[r]), derivatives, fitted.sigma,
-                                   fitted.omega) for r in range(len(local))]
-        mean, local, _ = solve_step(normal, spreads, mean, local, prior)
+        normal = [normal_equations(index, r, residual, valid & visible, derivatives, fitted.sigma, fitted.omega)
+                  for r in range(len(local))]
+        cost_at = partial(cost, index, correction, fitted.sigma, fitted.omega, spreads, prior, visible=visible)
+        old, limit = (mean, local), cost_at(mean, local, predicted)
+        *new, _ = solve_step(normal, spreads, mean, local, prior)
+        mean, local = shortened_step(cost_at, limit, old, new)
+        if mean is old[0]:
+            break
     return mean, local

@@ -13,6 +13,7 @@ on all of them. A laboratory whose result the output folder holds is not run aga
 
 import argparse
 import json
+import logging
 import os
 import resource
 import sys
@@ -134,6 +135,7 @@ def main():
                and folder.name not in BOX_IS_WRONG]
     if not folders:
         sys.exit(f"{args.data}: holds no folder with a manifest.csv: give the recordings with --data")
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
     code = source_digest(PROJECT / "pysrc/roomeq")[:12]
     results = []
     with tempfile.TemporaryDirectory() as work:

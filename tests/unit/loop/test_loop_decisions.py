@@ -10,7 +10,7 @@ from roomeq.effects.noise_floor import NoiseFloor
 from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.loop import close
 from roomeq.loop.features import JND, LATE_S, N_FEATURES, feature_slice
-from roomeq.loop.fit import SharedPrior, _step, solve_step
+from roomeq.loop.fit import SharedPrior, shortened_step, solve_step
 from roomeq.loop.likelihood import NormalEquations
 from roomeq.loop.predict import base_state, predict
 from roomeq.loop.selection import SPLITS, Candidate, HeldOutErrors, p_lower
@@ -20,7 +20,7 @@ from roomeq.loop.unexplained import find_unexplained
 
 @pytest.mark.parametrize("to, expected", [(1.0, 1.0), (3.0, 1.5), (9.0, 1.8), (-1.0, 0.0)])
 def test_step_is_shortened_until_it_lowers_the_cost(to, expected):
-    mean, local = _step(lambda mean, local: (mean[0] - 1.1) ** 2, 1.1 ** 2, (np.zeros(1), [np.zeros(2)]),
+    mean, local = shortened_step(lambda mean, local: (mean[0] - 1.1) ** 2, 1.1 ** 2, (np.zeros(1), [np.zeros(2)]),
                         (np.array([to]), [np.array([to, 2.0 * to])]))
     assert mean[0] == pytest.approx(expected)
     np.testing.assert_allclose(local[0], [expected, 2.0 * expected])
