@@ -8,7 +8,8 @@ leave_positions_out
     One half of the room's RIRs calibrates its absorption and gains, the other half is scored, and vice versa. A room
     with a single RIR is not scored.
 leave_room_out
-    The one half gives only the reverberation time at 1 kHz and the gains; all else comes from the other rooms.
+    The one half gives only the reverberation time at 1 kHz, the gains, and the noise of the recordings, which is no
+    property of the room; all else comes from the other rooms.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -49,7 +50,7 @@ TOUCHED_JND = 0.25
 SPLITS = ("leave_positions_out", "leave_room_out")
 _USABLE: dict[str, BoolArray | None] = {
     "leave_positions_out": None,
-    "leave_room_out": (np.isin(METRIC, ["t20", "t30"]) & (BAND_OF_FEATURE == BAND_1KHZ)) | (METRIC == "direct")}
+    "leave_room_out": (np.isin(METRIC, ["t20", "t30"]) & (BAND_OF_FEATURE == BAND_1KHZ)) | np.isin(METRIC, ["direct", "floor"])}
 """Features that calibration may use on each split; None for all."""
 _METRICS = tuple(dict.fromkeys(METRIC.tolist()))
 _SIGN_CHANGES = 2 ** 16  # all those of the halves of eight rooms; of more rooms, a sample
