@@ -4,8 +4,8 @@
 Usage: tests/bench/publish.py [--commit HASH] [--date YYYY-MM-DD] PAGE FILE
 e.g.:  tests/bench/publish.py simulator exp/bench/fidelity.json
        tests/bench/publish.py loop tests/bench/loop/results/results.jsonl
-PAGE is one of simulator, measured_room, speed, compensation, loop, effects, augmentation, wer, faults. The commit is
-that of the working tree, unless the results are of an earlier one.
+PAGE is one of simulator, measured_room, speed, compensation, loop, laboratories, effects, augmentation, wer,
+faults. The commit is that of the working tree, unless the results are of an earlier one.
 """
 
 import argparse
@@ -114,6 +114,9 @@ SUMMARY = {
                     "compensation. Rooms count equally.",
     "loop": "What the closed loop finds in generated rooms whose extra effect it is not told of. The rooms are made by "
             "code that shares nothing with the effects or the simulator.",
+    "laboratories": "The closed loop on measured RIRs of real rooms. Each laboratory is scored by a loop that was "
+                    "closed on the others: with the base model before, with the final model after. Ceiling: the error "
+                    "that would remain if the final model were right.",
     "effects": "Each effect of the catalogue, switched on at a realistic size in three rooms: the change of the "
                "features that the loop predicts against the change that rendering shows.",
     "augmentation": "Speed and exactness of augmentation, from FLAC to FLAC on one core.",
@@ -123,14 +126,15 @@ SUMMARY = {
 }
 READERS: dict[str, Callable[[Any], list[Table]]] = {
     "simulator": sections, "measured_room": sections, "speed": sections,
-    "compensation": lambda result: result["tables"], "loop": loop,
+    "compensation": lambda result: result["tables"], "loop": loop, "laboratories": sections,
     "augmentation": augmentation, "effects": effects, "wer": word_errors, "faults": faults,
 }
 COMMAND = {
     "simulator": "tests/bench/fidelity/run.py", "measured_room": "tests/bench/real/bras_cr2.py",
     "speed": "tests/bench/speed/run.py",
     "compensation": "./run.sh --measured RIRS --stop-stage 4 && tests/bench/compensation.py data",
-    "loop": "tests/bench/loop/run.py", "effects": "tests/bench/effects.py", "augmentation": "tests/bench/augment.py",
+    "loop": "tests/bench/loop/run.py", "laboratories": "tests/bench/real/laboratories.py",
+    "effects": "tests/bench/effects.py", "augmentation": "tests/bench/augment.py",
     "wer": "tests/bench/wer.sh", "faults": "tests/nightly/faults/run.sh",
 }
 

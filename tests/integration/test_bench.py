@@ -5,12 +5,15 @@ import json
 import numpy as np
 import pytest
 import soundfile
+from rirmaker import coloured_rir
 
 from bench import augment_peers, cpu_types, kit, ours, projection, rooms, wer_intervals
 from bench.fidelity import air, analytic, decay, early, estimate, lshape, pulses, tail, targets
 from bench.fidelity.reference import trace_energy
-from bench.real import bras_cr2
+from bench.real import bras_cr2, laboratories
 from bench.speed import curves, dataset, timing
+from roomeq.core.audio import write_wav
+from roomeq.records.rir_dir import read_rirs
 
 
 def test_reference_keeps_energy_and_mean_free_path():
@@ -191,6 +194,33 @@ def test_measured_room_is_left_out_where_it_is_absent(tmp_path, monkeypatch, cap
     monkeypatch.setattr("sys.argv", ["bras_cr2.py", "--out", str(tmp_path)])
     bras_cr2.main()
     assert "nowhere is absent" in capsys.readouterr().out and not list(tmp_path.iterdir())
+
+
+def test_laboratories_need_their_recordings(tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["laboratories.py", "--out", str(tmp_path), "--data", str(tmp_path / "nowhere")])
+    with pytest.raises(SystemExit, match="holds no folder with a manifest.csv: give the recordings with --data"):
+        laboratories.main()
+
+
+def test_laboratories_share_no_room_and_are_thinned_out_evenly(tmp_path):
+    """The rooms of a corpus that two folders hold are taken from the first; RIRs that the loop cannot use are not."""
+    header = "file,rir_id,room,room_dims_m,source_pos_m,mic_pos_m,source_id,mic_id\n"
+    rooms = {"first": ["BUT_Q301", "labA_1"], "second": ["Q301", "labA_2", "labB_1"]}
+    for folder, names in rooms.items():
+        (tmp_path / folder).mkdir()
+        lines = []
+        for room in names:
+            for n in range(6):
+                file = f"{room}-{n}.wav"
+                write_wav(tmp_path / folder / file, coloured_rir(n), 16000)
+                mic = "?" if n == 5 else f"{2 + 0.1 * n} 3 1.2"
+                lines.append(f"{file},{folder}-{room}-{n},{room},6 5 3,1 1 1.5,{mic},s,m\n")
+        (tmp_path / folder / "manifest.csv").write_text(header + "".join(lines))
+    found = laboratories.read_laboratories([tmp_path / "first", tmp_path / "second"], tmp_path / "work", 3)
+    ids = {name: [row["id"] for row in read_rirs(path)] for name, path in found.items()}
+    assert {name: len(rows) for name, rows in ids.items()} == {"Q301": 3, "labA": 6, "labB": 3}
+    assert ids["Q301"] == ["first-BUT_Q301-0", "first-BUT_Q301-2", "first-BUT_Q301-4"]
+    assert all(laboratories.has_scored_room(path) for path in found.values())
 
 
 def test_parameters_of_a_room_count_from_the_onset_of_each_octave():
