@@ -50,7 +50,8 @@ TOUCHED_JND = 0.25
 SPLITS = ("leave_positions_out", "leave_room_out")
 _USABLE: dict[str, BoolArray | None] = {
     "leave_positions_out": None,
-    "leave_room_out": (np.isin(METRIC, ["t20", "t30"]) & (BAND_OF_FEATURE == BAND_1KHZ)) | np.isin(METRIC, ["direct", "floor"])}
+    "leave_room_out": (np.isin(METRIC, ["t20", "t30"]) & (BAND_OF_FEATURE == BAND_1KHZ)) | np.isin(
+        METRIC, ["direct", "floor"])}
 """Features that calibration may use on each split; None for all."""
 _METRICS = tuple(dict.fromkeys(METRIC.tolist()))
 _SIGN_CHANGES = 2 ** 16  # all those of the halves of eight rooms; of more rooms, a sample

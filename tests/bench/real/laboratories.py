@@ -49,8 +49,8 @@ BOX_IS_WRONG = ("bras_cr2",)
 def read_laboratories(folders, work, rirs_per_room):
     """Write an RIR directory for each laboratory below `work`; return them by name.
 
-    A laboratory is what stands ahead of the first underscore of its rooms' names. Two folders hold rooms of BUT ReverbDB,
-    one of them with the corpus ahead of their names.
+    A laboratory is what stands ahead of the first underscore of its rooms' names. Two folders hold rooms of BUT
+    ReverbDB, one of them with the corpus ahead of their names.
     """
     rooms = {}
     for folder in folders:
