@@ -22,11 +22,12 @@ from roomeq.loop.features import JND, Features, feature_slice, measure_features
 from roomeq.loop.geometry import Estimate, complete_geometry
 from roomeq.loop.measurability import comparable_levels, limit_to_excitation
 from roomeq.loop.tables import ANGLES, FRAME_MID_S, Table, collect
+from roomeq.loop.traces import StoredTrace, TraceFolder
 from roomeq.loop.usable import LeftOut, usable_rirs
 from roomeq.records.rir_dir import load_rir
 from roomeq.records.schema import RirRow
 from roomeq.sim.geometry import Place, find_place
-from roomeq.sim.response import TracedSource, trace_source
+from roomeq.sim.response import trace_source
 from roomeq.sim.scene import Air, Material, Scene
 
 logger = logging.getLogger(__name__)
@@ -58,7 +59,7 @@ class Data:
     room, chain : ndarray of int, shape (n_rirs,)
         Number of the room, and of the combination of room, source and microphone.
     room_names : list of str
-    traced : list of TracedSource
+    traced : list of StoredTrace
         Of each RIR; shared by the RIRs of one source.
     tables : list of Table
     air_per_m, speed_m_s, distance_m : ndarray, shape (n_rirs, 8), (n_rirs,), (n_rirs,)
@@ -85,7 +86,7 @@ class Data:
     room: IntArray
     chain: IntArray
     room_names: list[str]
-    traced: list[TracedSource]
+    traced: list[StoredTrace]
     tables: list[Table]
     air_per_m: FloatArray
     speed_m_s: FloatArray
@@ -241,7 +242,9 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
     for n, (row, place) in enumerate(zip(rows, places, strict=True)):
         by_source.setdefault((row["room_id"], place.source_pos_m), []).append(n)
 
-    def trace(room_id: str, source_pos_m: tuple, members: list[int]) -> tuple[TracedSource, list[Table]]:
+    folder = TraceFolder()
+
+    def trace(room_id: str, source_pos_m: tuple, members: list[int]) -> tuple[StoredTrace, list[Table]]:
         place = places[members[0]]
         material = Material("surface", (0.0,) * len(BANDS_HZ), (float(scattering),) * len(BANDS_HZ))
         scene = Scene(place.room, (material,) * len(place.room.surfaces), air_of(rows[members[0]]))
@@ -249,11 +252,12 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
         source = trace_source(scene, source_pos_m, num_rays=NUM_RAYS, max_length_s=length_s,
                               rng=rng_for(seed, "loop trace", repr((room_id, source_pos_m))))
         facings = [unit_facing(rows[n].get("source_dir")) for n in members]
-        return source, collect(source, [places[n].mic_pos_m for n in members], facings)
+        return (folder.store(source, str(members[0])),
+                collect(source, [places[n].mic_pos_m for n in members], facings))
 
     # threads: paths are large, and their kernels release the interpreter's lock
     traces = Parallel(n_jobs=nj, prefer="threads")(delayed(trace)(*at, members) for at, members in by_source.items())
-    traced: dict[int, TracedSource] = {}
+    traced: dict[int, StoredTrace] = {}
     tables: dict[int, Table] = {}
     for members, (source, of_members) in zip(by_source.values(), traces, strict=True):
         for n, table in zip(members, of_members, strict=True):

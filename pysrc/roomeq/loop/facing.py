@@ -161,7 +161,7 @@ def with_facings(data: Data, facings: Mapping[int, FloatArray]) -> Data:
         rows[n] = {**rows[n], "source_dir": [float(x) for x in facing]}
         by_trace.setdefault(id(data.traced[n]), []).append(n)
     for members in by_trace.values():
-        collected = collect(data.traced[members[0]], [data.places[n].mic_pos_m for n in members],
+        collected = collect(data.traced[members[0]].load(), [data.places[n].mic_pos_m for n in members],
                             [facings[n] for n in members])
         for n, table in zip(members, collected, strict=True):
             tables[n] = table

@@ -123,7 +123,7 @@ def _scene(scene: Scene, alpha: FloatArray, effects: Sequence[Effect]) -> Scene:
 def _render_row(data: Data, n: int, scene: Scene, effects: Sequence[Effect], seed: int) -> RawRir:
     row, place = data.rows[n], data.places[n]
     gain = path_gain(effects, row.get("source_dir"))
-    (response,) = render_responses(replace(data.traced[n], scene=scene), [place.mic_pos_m],
+    (response,) = render_responses(replace(data.traced[n].load(), scene=scene), [place.mic_pos_m],
                                    [rng_for(seed, "loop tail", row["id"])], path_gain=gain)
     direct = direct_gain(scene, place.source_pos_m, place.mic_pos_m, gain) * response.direct_visible
     return RawRir(response.rir, scene, direct)

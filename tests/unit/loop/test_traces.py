@@ -1,0 +1,40 @@
+"""Traces in files: the same paths, and a folder that disappears with them."""
+
+import gc
+from pathlib import Path
+
+import numpy as np
+
+from roomeq.loop.traces import TraceFolder
+from roomeq.sim.response import trace_source
+from roomeq.sim.scene import Material, Scene, Shoebox
+
+
+def trace():
+    scene = Scene(Shoebox((5.0, 4.0, 3.0)), [Material("wall", (0.2,) * 8, (0.3,) * 8)] * 6)
+    return trace_source(scene, (1.0, 1.5, 1.2), num_rays=200, max_length_s=0.2, rng=np.random.default_rng(0))
+
+
+def test_stored_trace_loads_the_same_paths():
+    traced = trace()
+    loaded = TraceFolder().store(traced, "room").load()
+    (before,), (after,) = traced.paths, loaded.paths
+    for name in ("hits", "codes", "first", "counts"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
+        assert getattr(after, name).dtype == getattr(before, name).dtype
+    assert type(after.hits) is np.ndarray and after.hits.flags.writeable  # kernels are compiled for these
+
+
+def test_change_of_a_loaded_path_is_not_stored():
+    stored = TraceFolder().store(trace(), "room")
+    stored.load().paths[0].hits[:] = 0.0
+    assert stored.load().paths[0].hits.any()
+
+
+def test_folder_disappears_with_its_last_trace():
+    stored = TraceFolder().store(trace(), "room")
+    folder = Path(stored.first).parent
+    assert len(list(folder.iterdir())) == 2
+    del stored
+    gc.collect()
+    assert not folder.exists()
