@@ -55,8 +55,9 @@ class StoredTrace:
 
     def load(self) -> TracedSource:
         """Return the traced source; its paths are mapped from the file, and leave memory with it."""
-        return replace(self.small, paths=tuple(replace(paths, hits=self._array(n, "hits"), codes=self._array(n, "codes"))
-                                               for n, paths in enumerate(self.small.paths)))
+        return replace(self.small, paths=tuple(
+            replace(paths, hits=self._array(n, "hits"), codes=self._array(n, "codes"))
+            for n, paths in enumerate(self.small.paths)))
 
     def _array(self, n: int, name: str) -> Array:
         # copy on write: kernels are compiled for writable arrays
