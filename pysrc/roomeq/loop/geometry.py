@@ -127,8 +127,9 @@ def _arrivals(rir: Located) -> Arrivals:
     row = rir.row
     distance_m = distance_between(row["source_pos_m"], row["mic_pos_m"]) if row.get("tof_removed") is False else None
     expected = None if distance_m is None else distance_m / declared_speed_m_s(row) * FS_HZ
+    samples = load_rir(rir.directory, row)
     try:
-        return measure_arrivals(load_rir(rir.directory, row), expected)
+        return measure_arrivals(samples, expected)
     except ValueError as error:
         raise ValueError(f"{rir_path(rir.directory, row)}: {error}") from None
 

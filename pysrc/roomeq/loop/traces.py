@@ -61,4 +61,4 @@ class StoredTrace:
 
     def _array(self, n: int, name: str) -> Array:
         # copy on write: kernels are compiled for writable arrays
-        return np.asarray(np.load(f"{self.first}-{n}-{name}.npy", mmap_mode="c"))
+        return np.asarray(np.lib.format.open_memmap(f"{self.first}-{n}-{name}.npy", mode="c"))
