@@ -103,7 +103,8 @@ def test_changed_code_remakes_the_directory(tmp_path, project_dir, monkeypatch):
 
     assert digest_of_copy() == code_digest()
     assert make_squares(tmp_path / "a") == "made"
-    (package / "effects/base.py").write_text((package / "effects/base.py").read_text().replace("1e-9", "1e-8"))
+    with (package / "effects/base.py").open("a") as module:
+        module.write("CHANGED = True\n")
     changed = digest_of_copy()
     assert changed != code_digest()
     monkeypatch.setattr(build, "code_digest", lambda: changed)
