@@ -1,6 +1,7 @@
 """The rules of a ledger (`roomeq.loop.ledger`): keys, types and ranges of its entries, and what must agree."""
 
 import math
+import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -33,7 +34,7 @@ def _keys(value: Any, where: str, names: Sequence[str]) -> None:
 
 
 def _number(value: Any, where: str, low: float = -math.inf, high: float = math.inf) -> None:
-    fits = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    fits = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
     _require(fits and low <= value <= high, f"{where}={value!r:.60}", f"be a number in [{low:g}, {high:g}]")
 
 
@@ -72,8 +73,8 @@ def _facing(value: Any, where: str) -> None:
     _require(value["hypothesis"] in HYPOTHESES, f"{where}.hypothesis={value['hypothesis']!r:.60}",
              f"be one of {', '.join(HYPOTHESES)}")
     _keys(value["evidence"], f"{where}.evidence", HYPOTHESES[1:])
-    for key, evidence in value["evidence"].items():
-        _number(evidence, f"{where}.evidence.{key}")
+    for key in HYPOTHESES[1:]:
+        _number(value["evidence"][key], f"{where}.evidence.{key}")
     _number(value["angle_deg"], f"{where}.angle_deg", 0.0, 180.0)
 
 
@@ -93,18 +94,20 @@ def _explained(value: Any, where: str) -> None:
     for split in SPLITS:
         entry, at = value[split], f"{where}.{split}"
         _keys(entry, at, ("share", "ci", "by_metric", "by_band", "at_ceiling"))
+        if entry["share"] is not None:  # nothing was left to explain
+            _number(entry["share"], f"{at}.share")
         if entry["ci"] is not None:
             _interval(entry["ci"], f"{at}.ci", entry["share"])
         _require(isinstance(entry["by_metric"], dict) and set(entry["by_metric"]) <= set(METRIC), f"{at}.by_metric",
                  "name metrics")
         _require(isinstance(entry["by_band"], list) and len(entry["by_band"]) == len(BANDS_HZ), f"{at}.by_band",
                  f"hold {len(BANDS_HZ)} octaves")
-        for key, shares in (("share", [entry["share"]]), ("by_metric", [*entry["by_metric"].values()]),
-                            ("by_band", entry["by_band"])):
+        for key, shares in (("by_metric", [*entry["by_metric"].values()]), ("by_band", entry["by_band"])):
             for share in shares:
-                if share is not None:  # nothing was left to explain
+                if share is not None:
                     _number(share, f"{at}.{key}")
-        _require(isinstance(entry["at_ceiling"], list) and set(entry["at_ceiling"]) <= set(entry["by_metric"]),
+        _require(isinstance(entry["at_ceiling"], list)
+                 and all(metric in list(entry["by_metric"]) for metric in entry["at_ceiling"]),
                  f"{at}.at_ceiling", "name metrics of by_metric")
 
 
