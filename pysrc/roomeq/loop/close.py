@@ -146,9 +146,8 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
         if accepted is None:
             break
         entry, session, errors = accepted
-        superfluous = _superfluous(session, errors, CATALOGUE[entry["effect"]])
+        session, errors, superfluous = _eliminate(session, errors, CATALOGUE[entry["effect"]])
         if superfluous:
-            session, errors = _without(session, superfluous)
             eliminated.update(superfluous)
             update_errors(entry, errors, [effect.NAME for effect in superfluous])
         iterations.append(entry)
@@ -213,15 +212,21 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]) -
                 and (rises or one_sided_p(winner.gain - candidate.gain) > LEVEL)]
 
 
-def _superfluous(session: Session, errors: HeldOutErrors, newest: type[Effect]) -> list[type[Effect]]:
-    """Return effects that a newer one makes superfluous: the held-out error is not significantly higher without."""
+def _eliminate(session: Session, errors: HeldOutErrors, newest: type[Effect]
+               ) -> tuple[Session, HeldOutErrors, list[type[Effect]]]:
+    """Take out effects that a newer one makes superfluous: the held-out error is not significantly higher without.
+
+    Returns the session without them, its held-out errors, and the effects.
+    """
     superfluous: list[type[Effect]] = []
+    left = session, errors
     for effect in session.effects:
         if effect is not newest:
-            _, without = _without(session, [*superfluous, effect])
-            if all(p_lower(without, errors, split) >= LEVEL for split in SPLITS):
+            trial = _without(session, [*superfluous, effect])
+            if all(p_lower(trial[1], errors, split) >= LEVEL for split in SPLITS):
                 superfluous.append(effect)
-    return superfluous
+                left = trial
+    return *left, superfluous
 
 
 def _without(session: Session, effects: Sequence[type[Effect]]) -> tuple[Session, HeldOutErrors]:
@@ -234,6 +239,7 @@ def _without(session: Session, effects: Sequence[type[Effect]]) -> tuple[Session
 
 def _test_entry(data: Data, first: Session, last: Session, seed: int, nj: int) -> dict:
     """Return the ledger's entry of the test set: errors with the base and the final model, and the ceiling."""
+    data, _ = transferred(data, last)  # whose facings are estimated once
     before, after = (score_test_set(data, session, seed=seed, nj=nj) for session in (first, last))
     logger.info("test set: held-out error %.2f -> %.2f JND (leave-positions-out), %.2f -> %.2f JND (leave-room-out)",
                 *(errors.mean(split) for split in SPLITS for errors in (before, after)))
@@ -242,7 +248,7 @@ def _test_entry(data: Data, first: Session, last: Session, seed: int, nj: int) -
     _log_explained("test set", ceiling, shares)
     return dict(rirs=len(data.rows), rooms=len(data.room_names), left_out=left_out_entries(data.left_out),
                 geometry=[estimate.as_dict() for estimate in data.estimates],
-                facings=[facing.as_dict() for facing in transferred(data, last)[0].facings],
+                facings=[facing.as_dict() for facing in data.facings],
                 before=error_entry(before), after=error_entry(after), ceiling=error_entry(ceiling), explained=shares)
 
 

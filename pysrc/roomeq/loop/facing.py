@@ -1,8 +1,9 @@
 """Where loudspeakers face, if nobody wrote it down: towards the microphone, or in a direction of their own.
 
 The direct sound tells. A loudspeaker that faces the microphone sends its direct sound with the gain of its axis; one
-that faces elsewhere sends less of it, above all at high frequencies, while its reflections stay. Only the features of
-`roomeq.loop.splitters.CALIBRATION_FEATURES`, which are never scored, take part.
+that faces elsewhere sends less of it, above all at high frequencies, while its reflections stay. Of the direct sound,
+only the features of `roomeq.loop.features.CALIBRATION_FEATURES` take part, which are never scored. Of the reflections,
+the median over all RIRs of a source takes part, the scored ones among them: it takes out the source's response.
 """
 
 from collections.abc import Iterable, Mapping

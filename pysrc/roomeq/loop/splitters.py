@@ -140,11 +140,12 @@ def split_positions(data: Data) -> tuple[list[IntArray], list[IntArray]]:
     return first, second
 
 
-def _visible(index: ParameterIndex, r: int, valid: BoolArray, known: IntArray) -> BoolArray:
-    """Return the features that a room's calibration may use: `CALIBRATION_FEATURES` only of the RIRs to be scored."""
-    visible = valid.copy()
-    visible[np.setdiff1d(index.members[r], known)] &= CALIBRATION_FEATURES
-    return visible
+def _usable_features(index: ParameterIndex, known: list[IntArray], usable: BoolArray | None) -> BoolArray:
+    """Return what a calibration may use: of RIRs to be scored only `CALIBRATION_FEATURES`; (n_rirs, n_features)."""
+    mask = np.broadcast_to(True if usable is None else usable, index.data.valid.shape).copy()
+    for members, of_room in zip(index.members, known, strict=True):
+        mask[np.setdiff1d(members, of_room)] &= CALIBRATION_FEATURES
+    return mask
 
 
 def calibrate(session: Session, held_out: list[HeldOutRoom], known: list[IntArray],
@@ -166,12 +167,10 @@ def calibrate(session: Session, held_out: list[HeldOutRoom], known: list[IntArra
     data, fitted, index = session.data, session.fit, session.index
     predicted, derivatives = index.linearize(fitted.mean, fitted.local, session.correction, fitted.by_surface)
     residual, valid = data.residual(predicted)
-    if usable is not None:
-        valid = valid & usable
+    valid = valid & _usable_features(index, known, usable)
     absorption, vectors, gains = np.empty((len(fitted.local), 2, N_BANDS)), [], np.empty(len(data.rows))
     for r, (local, room) in enumerate(zip(fitted.local, held_out, strict=True)):
-        equations = normal_equations(index, r, residual, _visible(index, r, valid, known[r]), derivatives,
-                                     fitted.sigma, fitted.omega)
+        equations = normal_equations(index, r, residual, valid, derivatives, fitted.sigma, fitted.omega)
         inverse, n = np.linalg.inv(fitted.covariance[r]), len(local)
         matrix = np.block([[equations.own_own + inverse, equations.own_shared],
                            [equations.own_shared.T, equations.shared_shared + room.precision]])
@@ -246,9 +245,7 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
         covariance[:N_SURFACE, :N_SURFACE] = fitted.covariance[0][:N_SURFACE, :N_SURFACE]
     mean, local = prior.mean.copy(), [np.zeros(part.size) for part in index.local]
     estimate_gains(index, correction, mean, local)
-    visible = np.broadcast_to(True if usable is None else usable, index.data.valid.shape).copy()
-    for r, of_room in enumerate(known):
-        visible[np.setdiff1d(index.members[r], of_room)] &= CALIBRATION_FEATURES
+    visible = _usable_features(index, known, usable)
     for _ in range(iterations):
         predicted, derivatives = index.linearize(mean, local, correction)
         residual, valid = index.data.residual(predicted)

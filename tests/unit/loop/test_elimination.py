@@ -36,7 +36,9 @@ def test_effect_is_superfluous_if_the_error_does_not_rise_without_it(without, su
         return None, errors(without[effects[-1]], seed=len(tried))
 
     monkeypatch.setattr(close, "_without", error_without)
-    assert close._superfluous(session, errors(2.0, seed=9), SourceDirectivity) == superfluous
+    _, left, found = close._eliminate(session, errors(2.0, seed=9), SourceDirectivity)
+    assert found == superfluous
+    assert left.mean(SPLITS[0]) == pytest.approx(without[superfluous[-1]] if superfluous else 2.0, abs=0.1)
     assert not any(SourceDirectivity in effects for effects in tried)
 
 
