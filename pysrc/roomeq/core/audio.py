@@ -13,7 +13,7 @@ import soundfile
 
 from roomeq.core.arrays import Array
 from roomeq.core.constants import FS_HZ
-from roomeq.core.files import replacing
+from roomeq.core.files import write_bytes
 from roomeq.core.limits import AUDIO_HOURS, max_audio_samples
 
 logger = logging.getLogger(__name__)
@@ -151,8 +151,7 @@ def _write(path: Path, samples: Array, fs_hz: int, fmt: str, subtype: str) -> No
         buffer = io.BytesIO()
         soundfile.write(buffer, samples, fs_hz, format=fmt, subtype=subtype)
         data = buffer.getbuffer()
-    with replacing(path) as temporary:
-        temporary.write_bytes(data)
+    write_bytes(path, data)
 
 
 def _float_wav(samples: Array, fs_hz: int) -> bytes:

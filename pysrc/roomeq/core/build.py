@@ -1,8 +1,9 @@
 """Output directories that are complete or absent, made by any number of jobs, and only when something changed.
 
 A step describes its work as named items. `Build` gives each item to exactly one job, keeps a record of every finished
-item, and renames the directory into place once all items are finished. A killed run resumes with the next item. A
-directory is up to date if the key in its stamp is right: a hash of the step, its options, its inputs and the code.
+item, and renames the directory into place once all items are finished. A killed run resumes with the next item; an item
+whose files are not as its record says, which a loss of power may leave, is made again. A directory is up to date if the
+key in its stamp is right: a hash of the step, its options, its inputs and the code.
 
     build = Build(out, step="compensate", options=dict(taps=511), inputs=[sim_dir])
     if not build.done and build.run(rows_by_id, compensate_one, part=part, nj=nj):
@@ -31,7 +32,9 @@ from pathlib import Path
 from typing import Any
 
 from roomeq.core.digests import code_digest, digest, files_below
-from roomeq.core.files import hash_file, read_json, to_json, write_json, write_text
+from roomeq.core.files import hash_file, listing_written, sync, to_json, write_json
+from roomeq.core.item_records import ItemRecord, is_as_recorded, is_whole, read_item_record, write_item_record
+from roomeq.core.kept_hashes import KeptHashes
 from roomeq.core.progress import progress
 from roomeq.core.stamps import DONE_FILE, FORMAT, check_output, is_as_stamped
 
@@ -82,6 +85,7 @@ class Build:
         self.work = self.out.with_name(f".{self.out.name}.part-{self.key[:16]}")
         self._replaced = self.out.with_name(f".{self.out.name}.old")
         self._names: list[str] = []
+        self._hashes = KeptHashes()
 
     @property
     def done(self) -> bool:
@@ -116,7 +120,7 @@ class Build:
             if _is_done(self.out, self.key) or _is_done(self.work, self.key):
                 return part is None
             (self.work / _RECORDS).mkdir(parents=True, exist_ok=True)
-        todo = [name for name in names if not self._record_path(name).is_file()]
+        todo = [name for name in names if not is_whole(self._record_path(name), self.work, self._hashes)]
         if 0 < len(todo) < len(names):
             logger.info("%s: %d of %d items were done before", self.out, len(names) - len(todo), len(names))
         for _ in progress(self._make_items(todo, items, make, nj), len(todo), f"{self.step} {self.out.name}"):
@@ -153,8 +157,9 @@ class Build:
             if _is_done(self.out, self.key):
                 return False
             if not _is_done(self.work, self.key):
-                assemble(self.work, self._read_records())
-                self._write_stamp()
+                records = self._read_records()
+                assemble(self.work, [record.result for record in records])
+                self._write_stamp(records)
                 assembled = True
             shutil.rmtree(self.work / _RECORDS, ignore_errors=True)
             self._check_output()
@@ -165,27 +170,41 @@ class Build:
             if self.out.exists():
                 self.out.rename(self._replaced)
             self.work.rename(self.out)
+            sync(self.out.parent)
             self._remove_replaced()
         return assembled
 
     def _remove_replaced(self) -> None:
         shutil.rmtree(self._replaced, ignore_errors=True)
 
-    def _read_records(self) -> list[Any]:
+    def _read_records(self) -> list[ItemRecord]:
         self.work.mkdir(parents=True, exist_ok=True)
-        try:
-            return [read_json(self._record_path(name)) for name in self._names]
-        except FileNotFoundError:
+        records = [read_item_record(self._record_path(name)) for name in self._names]
+        if None in records:
             raise ValueError(f"{self.out}: another run, with other options or inputs, made it meanwhile: let one "
-                             "run at a time work on a directory, and start this one again") from None
+                             "run at a time work on a directory, and start this one again")
+        return [record for record in records if record]
 
-    def _write_stamp(self) -> None:
+    def _write_stamp(self, records: list[ItemRecord]) -> None:
+        """Write the stamp once all files are on the disk, and those of the items as they were written."""
         for leftover in self.work.rglob(".*.tmp"):  # of a job that was killed while it wrote
             leftover.unlink(missing_ok=True)
-        files = {str(path.relative_to(self.work)): (path.stat().st_size, hash_file(path))
-                 for path in files_below(self.work)}
+        recorded = {name: state for record in records for name, state in record.files.items()}
+        for name, state in recorded.items():
+            if not is_as_recorded(self.work / name, state, self._hashes):
+                raise ValueError(f"{self.work / name}: is not as it was written: check the disk and what else writes "
+                                 "there, and start this run again: it makes the file anew")
+        files = {}
+        for path in files_below(self.work):
+            name = str(path.relative_to(self.work))
+            if name not in recorded:
+                sync(path)
+            files[name] = recorded.get(name) or (path.stat().st_size, hash_file(path))
+        for folder, _, _ in os.walk(self.work):
+            sync(Path(folder))
         write_json(self.work / DONE_FILE, dict(format=FORMAT, step=self.step, options=self.options, key=self.key,
                                                refers=self.refers, files=files))
+        sync(self.work)
 
     def _record_path(self, name: str) -> Path:
         plain = re.fullmatch(r"[\w+-][\w.+-]{0,150}", name, re.ASCII)
@@ -230,10 +249,13 @@ def locked(path: Path, kind: int) -> Iterator[None]:
 def _make_item(folder: str, lock: Path, record_path: Path, make: Callable[[str, Any], Any], name: str,
                item: Any) -> None:
     os.chdir(folder)  # a worker process outlives one call, and paths may be relative
+    work = record_path.parents[1]
     with locked(lock, fcntl.LOCK_SH):
         # another run may have made the item, or put the directory in place, which must not be written to
-        if record_path.parent.is_dir() and not record_path.is_file():
-            write_text(record_path, to_json(make(name, item)))
+        if record_path.parent.is_dir() and not is_whole(record_path, work, KeptHashes()):
+            with listing_written() as written:
+                result = make(name, item)
+            write_item_record(record_path, work, result, written)
 
 
 def share(names: list[str], part: str | None) -> list[str]:

@@ -1,6 +1,7 @@
 """Files that are complete or absent: atomic writing, JSON, JSON lines, hashes."""
 
 import contextlib
+import errno
 import hashlib
 import json
 import math
@@ -9,18 +10,16 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+FileState = tuple[int, str]
+"""Size of a file [bytes] and SHA-256 of its content, in hex."""
 
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file under a temporary name and rename it, so that no reader sees half of it."""
-    with replacing(path) as temporary, open(temporary, "wb") as stream:
-        stream.write(data)
-        stream.flush()
-        os.fsync(stream.fileno())
+_listings: list[dict[Path, FileState]] = []
 
 
-@contextlib.contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path to write to; it is renamed to `path` when the block ends, and removed when it fails.
+def write_bytes(path: Path, data: bytes | memoryview) -> None:
+    """Write a file under a temporary name and rename it, so that no reader sees half of it.
+
+    Its content is on the disk before it has its name, so that a loss of power does not leave half of it either.
 
     Raises
     ------
@@ -28,6 +27,42 @@ def replacing(path: Path) -> Iterator[Path]:
         The file cannot be written, for instance because the disk is full; the error names `path`.
     """
     path = Path(path)
+    with _replacing(path) as temporary, open(temporary, "wb") as stream:
+        stream.write(data)
+        stream.flush()
+        os.fsync(stream.fileno())
+    if _listings:
+        state = len(data), hashlib.sha256(data).hexdigest()
+        for listing in _listings:
+            listing[path] = state
+
+
+@contextlib.contextmanager
+def listing_written() -> Iterator[dict[Path, FileState]]:
+    """Yield a dict that takes up every file which this process writes with `write_bytes` within the block."""
+    listing: dict[Path, FileState] = {}
+    _listings.append(listing)
+    try:
+        yield listing
+    finally:
+        _listings[:] = [other for other in _listings if other is not listing]
+
+
+def sync(path: Path) -> None:
+    """Wait until a file's content, or the names in a directory, are on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some file systems cannot sync a directory
+            raise
+    finally:
+        os.close(descriptor)
+
+
+@contextlib.contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """Yield a temporary path to write to; it is renamed to `path` when the block ends, and removed when it fails."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

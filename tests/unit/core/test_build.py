@@ -69,6 +69,24 @@ def test_temporary_files_of_a_killed_job_are_removed(tmp_path):
     assert [path.name for path in (tmp_path / "a").iterdir() if path.name.endswith(".tmp")] == []
 
 
+def test_directory_with_a_damaged_file_is_not_put_in_place(tmp_path):
+    with pytest.raises(RuntimeError):
+        make_squares(tmp_path / "a", fail_on=3)
+
+    def damaging(name, number):
+        write_text(build.work / f"{name}.txt", str(number**2))
+        (build.work / "n2.txt").write_text("5")
+        return number**2
+
+    build = Build(tmp_path / "a", step="square", options={}, inputs=[])
+    assert build.run({f"n{n}": n for n in (1, 2, 3)}, damaging)
+    with pytest.raises(ValueError, match=r"n2.txt: is not as it was written: .* start this run again"):
+        build.finish(lambda directory, records: write_json(directory / "all.json", records))
+    assert not (tmp_path / "a").exists()
+    make_squares(tmp_path / "a")
+    assert (tmp_path / "a" / "n2.txt").read_text() == "4"
+
+
 def test_missing_file_remakes_the_directory(tmp_path):
     make_squares(tmp_path / "a")
     (tmp_path / "a" / "n2.txt").unlink()
