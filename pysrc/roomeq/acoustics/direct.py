@@ -15,6 +15,10 @@ NOISE_FACTOR = 6.0  # stationary noise of any length here stays below 5.5 times 
 CLIMB_S = 0.5e-3  # a larger peak this soon belongs to the same arrival (17 cm of detour)
 CLIMB_RATIO = 2.0**0.5  # ... if it is 3 dB larger: steps over the pre-ringing of band-limited responses
 SINC_HALF_SAMPLES = 16
+_NEAR, _OFFSETS = np.arange(-SINC_HALF_SAMPLES, SINC_HALF_SAMPLES + 1), np.linspace(-1.0, 1.0, 41)
+_LAG = _OFFSETS[:, None] - _NEAR
+_SINC = np.sinc(_LAG) * np.cos(np.pi * _LAG / (2 * SINC_HALF_SAMPLES + 4)) ** 2
+"""Interpolation to 41 points around a peak (Hann-windowed sinc), shape (41, 33)."""
 
 
 class DirectSound(NamedTuple):
@@ -132,18 +136,14 @@ def _local_maximum(magnitude: FloatArray, start: int) -> int:
 
 def _refine(h: FloatArray, peak: int) -> float:
     """Return the position of a peak between samples, by a Hann-windowed sinc and a parabola on its fine grid."""
-    offsets = np.linspace(-1.0, 1.0, 41)
-    index = np.arange(peak - SINC_HALF_SAMPLES, peak + SINC_HALF_SAMPLES + 1)
-    inside = (index >= 0) & (index < len(h))
-    values = np.where(inside, h[np.clip(index, 0, len(h) - 1)], 0.0)
-    lag = peak + offsets[:, None] - index
-    weight = np.cos(np.pi * lag / (2 * SINC_HALF_SAMPLES + 4)) ** 2
-    fine = np.sum(np.sinc(lag) * weight * values, axis=1)
+    index = peak + _NEAR
+    values = np.where((index >= 0) & (index < len(h)), h[np.clip(index, 0, len(h) - 1)], 0.0)
+    fine = np.sum(_SINC * values, axis=1)
     best = int(np.argmax(fine))
-    shift = offsets[best]
-    if 0 < best < len(offsets) - 1:
+    shift = _OFFSETS[best]
+    if 0 < best < len(_OFFSETS) - 1:
         left, middle, right = fine[best - 1:best + 2]
         curve = left - 2 * middle + right
         if curve < 0:
-            shift += 0.5 * (left - right) / curve * (offsets[1] - offsets[0])
+            shift += 0.5 * (left - right) / curve * (_OFFSETS[1] - _OFFSETS[0])
     return float(peak + shift)

@@ -22,15 +22,17 @@ spend seconds on its import.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.fft import rfft
 
+from roomeq.acoustics.band_energy import energy_per_bin
+from roomeq.acoustics.decay_kernels import first_below, net_energy, slope, strongest_power
 from roomeq.acoustics.decibels import TINY_POWER, power_db
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.noise_intersection import NOISE_MARGIN_DB, NoiseIntersection, dot, find_noise_intersection
-from roomeq.acoustics.octaves import octave_bands, octave_fft_size, octave_gains
+from roomeq.acoustics.octaves import octave_bands, octave_fft_size, octave_power_gains
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import EXACT_BANDS_HZ
 
@@ -43,6 +45,7 @@ EARLY_S = 0.05
 """Time after the direct sound that separates early from late energy (C50)."""
 DECAYS_DB = {"edt": (0.0, -10.0), "t20": (-5.0, -25.0), "t30": (-5.0, -35.0)}
 """Evaluation range of each decay time: levels of the decay curve relative to its start."""
+_LOWEST_DB = min(bottom_db for _, bottom_db in DECAYS_DB.values()) - 1.0  # rounding must not cut a range
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ class Decay:
 
     Attributes
     ----------
-    edc_db
+    edc
         Decay curve from the direct sound to the intersection with the noise, relative to the total energy, shape (n,).
     range_db
         Dynamic range: level of the total energy over that of the decay's energy after the intersection. Infinite for a
@@ -63,10 +66,19 @@ class Decay:
         Intersection of the decay with the noise, in samples after the direct sound.
     """
 
-    edc_db: FloatArray
+    edc: FloatArray
     range_db: float
     noise_floor_db: float | None
     intersection: NoiseIntersection
+
+    @cached_property
+    def edc_db(self) -> FloatArray:
+        """Decay curve [dB], shape (n,)."""
+        return power_db(self.edc)
+
+    def down_to_db(self, level_db: float) -> FloatArray:
+        """Return the beginning of `edc_db`, up to the first sample at or below a level if there is one."""
+        return power_db(self.edc[:1 + first_below(self.edc, 10.0 ** (0.1 * level_db))])
 
 
 def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float) -> Decay:
@@ -86,22 +98,20 @@ def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float) -> Decay:
     Decay
     """
     start = max(0, round(direct_sample))
-    power = band ** 2
+    power = np.square(band)
     after = power[start:]
     intersection = find_noise_intersection(after, fs_hz)
-    net = after[:intersection.sample] - intersection.noise_power
-    energy = np.cumsum(net[::-1])[::-1] + intersection.rest_energy
+    energy = net_energy(after[:intersection.sample], intersection.noise_power) + intersection.rest_energy
     total = energy[0] + power[:start].sum()
     energy[0] = total
-    edc_db = power_db(energy / max(total, TINY_POWER))
     range_db = float(power_db(total) - power_db(intersection.rest_energy)) if intersection.rest_energy > 0.0 else np.inf
     if intersection.noise_power > 0.0 and intersection.rest_energy == 0.0:
         range_db = 0.0
     n_block = max(1, round(0.005 * fs_hz))
-    strongest = np.convolve(after[:20 * n_block], np.full(n_block, 1.0 / n_block), "same").max()
     has_floor = intersection.noise_power > 0.0
-    floor_db = float(power_db(intersection.noise_power) - power_db(strongest)) if has_floor else None
-    return Decay(edc_db, range_db, floor_db, intersection)
+    floor_db = float(power_db(intersection.noise_power)
+                     - power_db(strongest_power(after[:20 * n_block], n_block))) if has_floor else None
+    return Decay(energy / max(total, TINY_POWER), range_db, floor_db, intersection)
 
 
 def decay_time(edc_db: FloatArray, fs_hz: float, decay: str) -> float | None:
@@ -122,14 +132,10 @@ def decay_time(edc_db: FloatArray, fs_hz: float, decay: str) -> float | None:
         Seconds; None if the curve does not fall to the lower end of the evaluation range.
     """
     top_db, bottom_db = DECAYS_DB[decay]
-    reached = edc_db <= bottom_db
-    last = int(np.argmax(reached))
-    first = int(np.argmax(edc_db[:last + 1] <= top_db))
-    if not reached[last] or last - first < 2:
+    first, last = first_below(edc_db, top_db), first_below(edc_db, bottom_db)
+    if last == len(edc_db) or last - first < 2:
         return None
-    level = edc_db[first:last + 1]
-    time = np.arange(len(level)) - (len(level) - 1) / 2.0
-    slope_db = dot(time, level) / dot(time, time)
+    slope_db = slope(edc_db[first:last + 1])
     return float(-60.0 / slope_db / fs_hz) if slope_db < 0.0 else None
 
 
@@ -209,9 +215,9 @@ def all_metrics(rir: FloatArray, fs_hz: float, direct_sample: float | None = Non
         direct_sample=float(direct_sample), direct_polarity=int(polarity),
         drr_db=_drr_db(rir, fs_hz, direct_sample, broadband.intersection),
         noise_intersection_s=broadband.intersection.sample / fs_hz, noise_floor_db=broadband.noise_floor_db)
-    spectra = _Spectra(rir, octave_fft_size(len(rir), fs_hz))
-    rows = [_band_metrics(spectra, band, fs_hz, band_hz, direct_sample)
-            for band, band_hz in zip(octave_bands(rir, fs_hz), EXACT_BANDS_HZ, strict=True)]
+    spectra = _Spectra(rir, fs_hz)
+    rows = [_band_metrics(spectra, band, response, direct_sample)
+            for band, response in enumerate(octave_bands(rir, fs_hz))]
     result.update({key: [row[key] for row in rows] for key in rows[0]})
     return result
 
@@ -219,30 +225,29 @@ def all_metrics(rir: FloatArray, fs_hz: float, direct_sample: float | None = Non
 class _Spectra:
     """Energy spectra of sections of a response; each spectrum is computed once and serves all octave bands."""
 
-    def __init__(self, rir: FloatArray, n_fft: int) -> None:
-        self.rir, self.n_fft = rir, n_fft
+    def __init__(self, rir: FloatArray, fs_hz: float) -> None:
+        self.rir, self.fs_hz, self.n_fft = rir, fs_hz, octave_fft_size(len(rir), fs_hz)
         self._computed: dict[tuple[int, int], FloatArray] = {}
 
-    def energy(self, first: int, last: int, fs_hz: float, band_hz: float) -> float:
-        """Return the energy of samples `first` up to, but not including, `last` in an octave band."""
+    def energy(self, first: int, last: int, band: int) -> float:
+        """Return the energy of samples `first` up to, but not including, `last` in octave number `band`."""
         if (first, last) not in self._computed:
-            power = np.abs(rfft(self.rir[first:last], self.n_fft)) ** 2
-            power[1:(self.n_fft + 1) // 2] *= 2.0  # energy of positive and negative frequencies
-            self._computed[first, last] = power
-        return dot(octave_gains(self.n_fft, fs_hz, band_hz) ** 2, self._computed[first, last]) / self.n_fft
+            self._computed[first, last] = energy_per_bin(self.rir[first:last], self.n_fft)
+        return dot(octave_power_gains(self.n_fft, self.fs_hz, EXACT_BANDS_HZ[band]), self._computed[first, last])
 
 
-def _band_metrics(spectra: _Spectra, band: FloatArray, fs_hz: float, band_hz: float,
-                  direct_sample: float) -> dict[str, Any]:
-    """Return the parameters of one octave band and the validity of each."""
-    curve = energy_decay(band, fs_hz, direct_sample)
+def _band_metrics(spectra: _Spectra, band: int, response: FloatArray, direct_sample: float) -> dict[str, Any]:
+    """Return the parameters of octave number `band` from its filtered response, and the validity of each."""
+    fs_hz = spectra.fs_hz
+    curve = energy_decay(response, fs_hz, direct_sample)
+    edc_db = curve.down_to_db(_LOWEST_DB)
     row: dict[str, Any] = {}
     for decay, (_, bottom_db) in DECAYS_DB.items():
-        time_s = decay_time(curve.edc_db, fs_hz, decay)
+        time_s = decay_time(edc_db, fs_hz, decay)
         row[f"{decay}_s"] = time_s
         row[f"{decay}_valid"] = bool(time_s is not None and curve.range_db >= NOISE_MARGIN_DB - bottom_db
-                                     and band_hz * np.sqrt(0.5) * time_s > MIN_BT)
-    row["c50_db"] = _c50_db(spectra, fs_hz, band_hz, direct_sample, curve.intersection)
+                                     and EXACT_BANDS_HZ[band] * np.sqrt(0.5) * time_s > MIN_BT)
+    row["c50_db"] = _c50_db(spectra, band, direct_sample, curve.intersection)
     # C50 is early relative to late energy: if it is large, late energy is nearly C50 below the total; the noise must
     # be below that by a margin
     row["c50_valid"] = bool(row["c50_db"] is not None
@@ -253,17 +258,16 @@ def _band_metrics(spectra: _Spectra, band: FloatArray, fs_hz: float, band_hz: fl
     return row
 
 
-def _c50_db(spectra: _Spectra, fs_hz: float, band_hz: float, direct_sample: float,
-            intersection: NoiseIntersection) -> float | None:
+def _c50_db(spectra: _Spectra, band: int, direct_sample: float, intersection: NoiseIntersection) -> float | None:
     """Return the early-to-late energy ratio of one octave band; None if a part has no energy.
 
     The response is divided before it is filtered, because the filter would spread energy over the boundary.
     """
-    boundary = round(direct_sample + EARLY_S * fs_hz)
+    boundary = round(direct_sample + EARLY_S * spectra.fs_hz)
     end = round(direct_sample) + intersection.sample
     if end <= boundary:
         return None
-    early, late = (spectra.energy(*part, fs_hz, band_hz) for part in ((0, boundary), (boundary, end)))
+    early, late = (spectra.energy(*part, band) for part in ((0, boundary), (boundary, end)))
     late += intersection.rest_energy - (end - boundary) * intersection.noise_power
     early -= boundary * intersection.noise_power
     return float(power_db(early) - power_db(late)) if early > 0.0 and late > 0.0 else None

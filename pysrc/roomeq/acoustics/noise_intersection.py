@@ -1,28 +1,17 @@
 """The intersection of a decay with its noise floor (Lundeby et al., Acustica 81 (1995) 344)."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from roomeq.acoustics.decibels import TINY_POWER, power_db
 from roomeq.core.arrays import Array, FloatArray
+from roomeq.core.jit import compiled
 
 NOISE_MARGIN_DB = 10.0
 """The noise lies at least this far below the end of an evaluated range (ISO 3382-2, 7.2)."""
 
-
-class DecayLine(NamedTuple):
-    """Regression line of a decay, in samples from the direct sound: ``slope_db n + offset_db``."""
-
-    slope_db: float
-    offset_db: float
-
-    def energy(self, start: int, stop: int | None = None) -> float:
-        """Return the sum of the line's power over samples `start` to `stop`, or to infinity."""
-        rate = -self.slope_db * np.log(10.0) / 10.0
-        energy = 10.0 ** ((self.offset_db + self.slope_db * start) / 10.0) / rate
-        return energy if stop is None else energy * -np.expm1(-rate * (stop - start))
+_db = compiled(power_db)
 
 
 @dataclass(frozen=True)
@@ -66,53 +55,99 @@ def find_noise_intersection(power: FloatArray, fs_hz: float) -> NoiseIntersectio
     -------
     NoiseIntersection
     """
-    n_samples = len(power)
-    noise = tail = float(np.mean(power[int(0.9 * n_samples):]))
+    return NoiseIntersection(*_meet_noise(_remaining_energy(power), float(fs_hz)))
+
+
+@compiled
+def _remaining_energy(power: FloatArray) -> FloatArray:
+    """Return the sum of a power from each sample to the end and, last, 0, shape (n_samples + 1,).
+
+    The energy of any block is a difference of two of them. Summed from the end, they are exact to a rounding of what is
+    left at that time, however far the response has decayed.
+    """
+    remaining, total = np.zeros(len(power) + 1), 0.0
+    for n in range(len(power) - 1, -1, -1):
+        total += power[n]
+        remaining[n] = total
+    return remaining
+
+
+@compiled
+def _meet_noise(remaining: FloatArray, fs_hz: float) -> tuple[int, float, float]:
+    """Return the fields of a `NoiseIntersection` from `_remaining_energy`; see `find_noise_intersection`."""
+    n_samples = len(remaining) - 1
+    start = int(0.9 * n_samples)
+    noise = tail = remaining[start] / (n_samples - start)
     n_block, span_db, intersection = max(1, round(0.01 * fs_hz)), np.inf, n_samples
+    slope_db = offset_db = 0.0
     if noise <= TINY_POWER:
-        return NoiseIntersection(n_samples, 0.0, 0.0)
+        return n_samples, 0.0, 0.0
     for _ in range(8):
-        line = _late_decay(power, noise, n_block, span_db)
-        if line is None:
-            return _where_noise_begins(power, tail, n_block)
-        slope_db, offset_db = line
-        previous, intersection = intersection, int(np.clip((power_db(noise) - offset_db) / slope_db, 1, n_samples))
+        slope_db, offset_db = _late_decay(remaining, noise, n_block, span_db)
+        if not slope_db < 0.0:
+            return _where_noise_begins(remaining, tail, n_block), tail, 0.0
+        previous = intersection
+        intersection = int(min(max((float(_db(noise)) - offset_db) / slope_db, 1.0), n_samples))
         start = int(min(intersection - NOISE_MARGIN_DB / slope_db, 0.9 * n_samples))
-        tail = float(np.mean(power[start:]))
-        noise = tail - line.energy(start, n_samples) / (n_samples - start)
+        tail = remaining[start] / (n_samples - start)
+        decay = _line_energy(slope_db, offset_db, start) - _line_energy(slope_db, offset_db, n_samples)
+        noise = tail - decay / (n_samples - start)
         if noise < 0.5 * tail:
-            return NoiseIntersection(n_samples, 0.0, line.energy(n_samples))
-        n_block = int(np.clip(-NOISE_MARGIN_DB / slope_db / 4, 0.002 * fs_hz, 0.05 * fs_hz))
+            return n_samples, 0.0, _line_energy(slope_db, offset_db, n_samples)
+        n_block = int(min(max(-NOISE_MARGIN_DB / slope_db / 4, 0.002 * fs_hz), 0.05 * fs_hz))
         span_db = 20.0
         if abs(intersection - previous) < 0.002 * fs_hz:
             break
-    assert line is not None
-    return NoiseIntersection(intersection, noise, line.energy(intersection))
+    return intersection, noise, _line_energy(slope_db, offset_db, intersection)
 
 
-def _late_decay(power: FloatArray, noise: float, n_block: int, span_db: float) -> DecayLine | None:
-    """Fit a line to the decay from `span_db` above the noise margin down to it; None if there is no such decay."""
-    n_blocks = len(power) // n_block
-    level_db = power_db(np.mean(power[:n_blocks * n_block].reshape(n_blocks, n_block), axis=1))
-    below = np.flatnonzero(level_db < power_db(noise) + 7.0)
-    stop = int(below[0]) if len(below) else n_blocks
+@compiled
+def _line_energy(slope_db: float, offset_db: float, start: int) -> float:
+    """Return the sum of the power of the line ``slope_db n + offset_db`` from sample `start` to infinity."""
+    return 10.0 ** ((offset_db + slope_db * start) / 10.0) / (-slope_db * np.log(10.0) / 10.0)
+
+
+@compiled
+def _block_power(remaining: FloatArray, n_block: int) -> FloatArray:
+    """Return the mean power of each whole block of `n_block` samples."""
+    edges = remaining[:(len(remaining) - 1) // n_block * n_block + 1:n_block]
+    return (edges[:-1] - edges[1:]) / n_block
+
+
+@compiled
+def _late_decay(remaining: FloatArray, noise: float, n_block: int, span_db: float) -> tuple[float, float]:
+    """Fit the line ``slope_db n + offset_db`` to the decay from `span_db` above the noise margin down to it.
+
+    Returns
+    -------
+    slope_db, offset_db
+        The slope is not negative if there is no such decay.
+    """
+    level_db = _db(_block_power(remaining, n_block))
+    stop = 0
+    while stop < len(level_db) and not level_db[stop] < _db(noise) + 7.0:
+        stop += 1
     if stop < 2:
-        return None
-    start = int(np.argmax(level_db[:stop]))
-    above = np.flatnonzero(level_db[:stop] > power_db(noise) + 7.0 + span_db)
-    start = max(start, min(int(above[-1]) if len(above) else 0, stop - 4))
+        return 0.0, 0.0
+    last_above = 0
+    for block in range(stop):
+        if level_db[block] > _db(noise) + 7.0 + span_db:
+            last_above = block
+    start = max(int(np.argmax(level_db[:stop])), min(last_above, stop - 4))
     if stop - start < 2:
-        return None
+        return 0.0, 0.0
     centre = (np.arange(start, stop) + 0.5) * n_block
     mean, level_db = centre.mean(), level_db[start:stop]
-    slope_db = dot(centre - mean, level_db) / dot(centre - mean, centre - mean)
-    offset_db = level_db.mean() - slope_db * mean
-    return DecayLine(slope_db, offset_db) if slope_db < 0.0 else None
+    slope_db = np.sum((centre - mean) * level_db) / np.sum((centre - mean) ** 2)
+    return slope_db, level_db.mean() - slope_db * mean
 
 
-def _where_noise_begins(power: FloatArray, noise: float, n_block: int) -> NoiseIntersection:
+@compiled
+def _where_noise_begins(remaining: FloatArray, noise: float, n_block: int) -> int:
     """Return the intersection of a response without a decay to fit: where it first falls to the noise."""
-    n_blocks = len(power) // n_block
-    level = np.mean(power[:n_blocks * n_block].reshape(n_blocks, n_block), axis=1) if n_blocks else power[:1]
-    below = np.flatnonzero(level < 2.0 * noise)
-    return NoiseIntersection(max(1, int(below[0]) * n_block) if len(below) else len(power), noise, 0.0)
+    n_samples = len(remaining) - 1
+    power = _block_power(remaining, n_block) if n_block <= n_samples else remaining[:1] - remaining[1:2]
+    for block in range(len(power)):
+        if power[block] < 2.0 * noise:
+            return max(1, block * n_block)
+    return n_samples

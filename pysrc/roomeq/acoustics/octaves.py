@@ -50,6 +50,14 @@ def octave_gains(n_fft: int, fs_hz: float, band_hz: float) -> FloatArray:
     return gains
 
 
+@lru_cache(maxsize=128)
+def octave_power_gains(n_fft: int, fs_hz: float, band_hz: float) -> FloatArray:
+    """Return the power response of an octave filter; see `octave_gains`."""
+    gains = np.square(octave_gains(n_fft, fs_hz, band_hz))
+    gains.flags.writeable = False
+    return gains
+
+
 def octave_bands(rir: FloatArray, fs_hz: float, bands_hz: Sequence[float] = EXACT_BANDS_HZ) -> FloatArray:
     """Split a response into octave bands with zero-phase filters.
 
@@ -67,5 +75,7 @@ def octave_bands(rir: FloatArray, fs_hz: float, bands_hz: Sequence[float] = EXAC
     ndarray, shape (n_bands, n_samples)
     """
     n_fft = octave_fft_size(len(rir), fs_hz)
-    gains = np.array([octave_gains(n_fft, fs_hz, band_hz) for band_hz in bands_hz])
-    return irfft(rfft(rir, n_fft) * gains, n_fft, axis=-1)[:, :len(rir)]
+    spectrum, bands = rfft(rir, n_fft), np.empty((len(bands_hz), len(rir)))
+    for band, band_hz in zip(bands, bands_hz, strict=True):
+        band[:] = irfft(spectrum * octave_gains(n_fft, fs_hz, band_hz), n_fft)[:len(rir)]
+    return bands

@@ -12,16 +12,17 @@ Levels are those of the recording: all of them contain an unknown gain of the re
 """
 
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import next_fast_len, rfft
+from scipy.fft import next_fast_len
 
+from roomeq.acoustics.band_energy import OCTAVES, THIRDS, energy_in_bands, energy_per_bin, faded_part
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.iso3382 import DIRECT_S, EARLY_S, all_metrics
-from roomeq.acoustics.octaves import OCTAVE_WIDTH_HZ, THIRDS_HZ, octave_gains
+from roomeq.acoustics.octaves import OCTAVE_WIDTH_HZ, THIRDS_HZ
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
 from roomeq.core.constants import BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
 from roomeq.effects.noise_floor import NOISE_S, QUIET_DB
@@ -80,7 +81,7 @@ class Features:
     white : ndarray, shape (8,)
         White noise of the recording: energy of 100 ms relative to the response, per octave.
     excited_from_hz : float
-        Lower end of the excitation's band; 0 where the response shows none.
+        Lower end of the excitation's band; 0 where the response shows none, and for a rendering.
     peak_db : float
         Level of the largest sample.
     """
@@ -147,7 +148,7 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
     drr_db = metrics["drr_db"]
     _put(values, valid, "drr", np.array([np.nan if drr_db is None else drr_db]), np.array([drr_db is not None]))
     _put(values, valid, "arrival", np.array([direct / FS_HZ]), np.array([timed]))
-    from_hz = excited_from_hz(rir)
+    from_hz = excited_from_hz(rir) if white is None else 0.0  # a rendering is excited at all frequencies
     noise = _noise_density(rir, metrics, from_hz)
     for metric, (level_db, snr_db) in _levels(rir, direct, metrics, noise).items():
         _put(values, valid, metric, level_db, snr_db > MIN_SNR_DB)
@@ -165,7 +166,7 @@ def excited_from_hz(rir: FloatArray) -> float:
     Loudspeakers fall by at most 24 dB per octave, 8 dB per third octave (vented box; Small, J. Audio Eng. Soc. 21
     (1973) 363).
     """
-    power = _power(rir, next_fast_len(max(len(rir), FS_HZ), real=True))
+    power = energy_per_bin(rir, next_fast_len(max(len(rir), FS_HZ), real=True))
     bin_hz = 0.5 * FS_HZ / (len(power) - 1)
     edges = np.rint(_LOW_HZ * 2.0 ** (np.arange(-0.5, _N_LOW) / 6.0) / bin_hz).astype(int)
     level_db = _db(np.add.reduceat(power[:edges[-1]], edges[:-1]) / np.diff(edges))
@@ -206,36 +207,6 @@ def _put(values: FloatArray, valid: BoolArray, metric: str, amounts: FloatArray,
     valid[feature_slice(metric)] = is_valid
 
 
-def _segment(rir: FloatArray, start: int, stop: int, fade: int) -> FloatArray:
-    """Return a part of a response with half-cosine edges around it, cut at the ends of the response."""
-    low, high = max(0, start - fade), min(len(rir), stop + fade)
-    position = np.arange(low, high)
-    window = np.clip(np.minimum(position - start, stop - 1 - position) / max(fade, 1) + 1.0, 0.0, 1.0)
-    return rir[low:high] * np.sin(0.5 * np.pi * window) ** 2
-
-
-def _power(part: FloatArray, n_fft: int) -> FloatArray:
-    """Return the energy per bin, both signs of frequency, shape (n_fft // 2 + 1,)."""
-    power = np.abs(rfft(part, n_fft)) ** 2 / n_fft
-    power[1:(n_fft + 1) // 2] *= 2.0
-    return power
-
-
-def third_gains(n_fft: int) -> FloatArray:
-    """Return the power response of third-octave filters, Butterworth of order 4, shape (22, n_fft // 2 + 1)."""
-    ratio = np.maximum(np.fft.rfftfreq(n_fft, 1.0 / FS_HZ), 1e-3) / np.array(THIRDS_HZ)[:, None]
-    quality = 1.0 / (10.0 ** 0.05 - 10.0 ** -0.05)
-    return 1.0 / (1.0 + (quality * (ratio - 1.0 / ratio)) ** 8)
-
-
-@lru_cache(maxsize=32)
-def _gains(kind: str, n_fft: int) -> FloatArray:
-    """Return the power response of the filters of a kind, "octave" or "third", shape (n_bands, n_fft // 2 + 1)."""
-    if kind == "third":
-        return third_gains(n_fft)
-    return np.array([octave_gains(n_fft, FS_HZ, band_hz) ** 2 for band_hz in EXACT_BANDS_HZ])
-
-
 def _noise_density(rir: FloatArray, metrics: dict, from_hz: float) -> _Noise:
     """Return the energy per sample at the end of a response, where only noise is left as a rule.
 
@@ -249,10 +220,10 @@ def _noise_density(rir: FloatArray, metrics: dict, from_hz: float) -> _Noise:
     seen = has_response & [floor_db is not None for floor_db in metrics["band_noise_floor_db"]]
     part = rir[start:last]
     n_fft = next_fast_len(max(len(part), 2048), real=True)
-    power = _power(part, n_fft) / max(len(part), 1)
-    end = _gains("octave", n_fft) @ power
+    power = energy_per_bin(part, n_fft) / max(len(part), 1)
+    end = energy_in_bands(OCTAVES, power, n_fft)
     return _Noise(octave=np.where(seen, end, 0.0), end=end, has_response=has_response, n_samples=len(part),
-                  third=np.where(seen[_octave_of_third()], _gains("third", n_fft) @ power, 0.0))
+                  third=np.where(seen[_octave_of_third()], energy_in_bands(THIRDS, power, n_fft), 0.0))
 
 
 def _octave_of_third() -> IntArray:
@@ -264,14 +235,14 @@ def _levels(rir: FloatArray, direct: float, metrics: dict, noise: _Noise) -> dic
     at = round(direct)
     gate, early, late = (at + round(seconds * FS_HZ) for seconds in (DIRECT_S, EARLY_S, LATE_S))
     end = max(late, at + round(metrics["noise_intersection_s"] * FS_HZ))
-    parts = {"direct": (at - round(LEAD_S * FS_HZ), gate, 8, "third"), "early": (gate, early, 16, "octave"),
-             "late": (early, late, 40, "octave"), "spectrum": (at - round(LEAD_S * FS_HZ), end, 40, "third")}
+    parts = {"direct": (at - round(LEAD_S * FS_HZ), gate, 8, THIRDS), "early": (gate, early, 16, OCTAVES),
+             "late": (early, late, 40, OCTAVES), "spectrum": (at - round(LEAD_S * FS_HZ), end, 40, THIRDS)}
     result = {}
-    for metric, (start, stop, fade, kind) in parts.items():
-        part = _segment(rir, max(0, start), min(stop, len(rir)), fade)
+    for metric, (start, stop, fade, bands) in parts.items():
+        part = faded_part(rir, max(0, start), min(stop, len(rir)), fade)
         n_fft = 1024 if metric == "direct" else next_fast_len(max(2048, len(part)), real=True)
-        energy = _gains(kind, n_fft) @ _power(part, n_fft)
-        of_noise = (noise.third if kind == "third" else noise.octave) * len(part)
+        energy = energy_in_bands(bands, energy_per_bin(part, n_fft), n_fft)
+        of_noise = (noise.third if bands is THIRDS else noise.octave) * len(part)
         if metric == "direct":
             energy, of_noise = energy[-len(DIRECT_THIRDS_HZ):], of_noise[-len(DIRECT_THIRDS_HZ):]
         level_db = _db(energy - of_noise)
@@ -293,7 +264,8 @@ def _noise_levels(rir: FloatArray, direct: float, noise: _Noise, white: FloatArr
     white : ndarray, shape (8,)
     """
     n_fft = next_fast_len(len(rir), real=True)
-    per_energy = NOISE_S * FS_HZ / np.maximum(_gains("octave", n_fft) @ _power(rir, n_fft), 1e-30)
+    energy = energy_in_bands(OCTAVES, energy_per_bin(rir, n_fft), n_fft)
+    per_energy = NOISE_S * FS_HZ / np.maximum(energy, 1e-30)
     end, seen = noise.end * per_energy, noise.octave > 0.0
     if white is None:
         added, white = np.zeros(len(BANDS_HZ)), _white(noise) * per_energy
@@ -307,9 +279,10 @@ def _noise_levels(rir: FloatArray, direct: float, noise: _Noise, white: FloatArr
     ahead, resolved = np.full(len(BANDS_HZ), np.nan), (OCTAVE_WIDTH_HZ * n_ahead > FS_HZ) & (n_ahead > 48)
     # finite wherever there are samples: the direct sound of a rendering may be earlier than that of the recording
     if n_ahead > 8:
-        part = _segment(_without_trend(rir[:min(32 + n_ahead, len(rir))]), 16, 16 + n_ahead, 16)
+        part = faded_part(_without_trend(rir[:min(32 + n_ahead, len(rir))]), 16, 16 + n_ahead, 16)
         n_fft = next_fast_len(max(2048, len(part)), real=True)
-        ahead = _db((_gains("octave", n_fft) @ _power(part, n_fft) / len(part) * per_energy + added + QUIET) / behind)
+        energy = energy_in_bands(OCTAVES, energy_per_bin(part, n_fft), n_fft)
+        ahead = _db((energy / len(part) * per_energy + added + QUIET) / behind)
     levels["ahead"] = ahead, resolved & known
     return levels, white
 
