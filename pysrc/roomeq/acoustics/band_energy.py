@@ -6,7 +6,7 @@ import numpy as np
 from scipy.fft import rfft
 
 from roomeq.acoustics.octaves import THIRDS_HZ
-from roomeq.core.arrays import FloatArray
+from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.core.jit import compiled
 
@@ -34,15 +34,24 @@ def energy_per_bin(part: FloatArray, n_fft: int) -> FloatArray:
 
     The sum over all bins is the energy of the part (Parseval).
     """
-    spectrum = rfft(part, n_fft)
-    energy = (np.square(spectrum.real) + np.square(spectrum.imag)) / n_fft
-    energy[1:(n_fft + 1) // 2] *= 2.0
-    return energy
+    return _both_signs(rfft(part, n_fft), n_fft)
 
 
 def energy_in_bands(bands: Bands, energy: FloatArray, n_fft: int) -> FloatArray:
     """Return the energy in each band of a spectrum from `energy_per_bin` at `FS_HZ`, shape (n_bands,)."""
     return _filtered(energy, FS_HZ / n_fft, *bands)
+
+
+@compiled
+def _both_signs(spectrum: Array, n_fft: int) -> FloatArray:
+    """Return the energy per bin; all but the first, and the last of an even length, stand for two frequencies."""
+    energy = np.empty(len(spectrum))
+    for k in range(len(spectrum)):
+        energy[k] = (spectrum[k].real ** 2 + spectrum[k].imag ** 2) * (2.0 / n_fft)
+    energy[0] *= 0.5
+    if n_fft % 2 == 0:
+        energy[-1] *= 0.5
+    return energy
 
 
 @compiled

@@ -112,8 +112,9 @@ def _quietest_rms(h: FloatArray, fs_hz: float) -> float:
     if n_frames < 4:
         return 0.0
     power = np.mean(h[:n_frames * n_frame].reshape(n_frames, n_frame) ** 2, axis=1)
-    power = power[power > 0]
-    return float(np.sqrt(np.percentile(power, 10))) if len(power) >= 4 else 0.0
+    power = np.sort(power[power > 0])
+    rank = np.arange(len(power))
+    return float(np.sqrt(np.interp(0.1 * (len(power) - 1), rank, power))) if len(power) >= 4 else 0.0
 
 
 def _climb(magnitude: FloatArray, start: int, reach: int) -> int:

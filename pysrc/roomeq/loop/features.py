@@ -12,7 +12,7 @@ Levels are those of the recording: all of them contain an unknown gain of the re
 """
 
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -51,6 +51,7 @@ BAND_OF_FEATURE = np.where(BAND_HZ > 0, np.argmin(np.abs(np.log(np.maximum(BAND_
                                                                / np.array(EXACT_BANDS_HZ))), axis=1), -1)
 """Number of the octave band of each feature, -1 for the whole band, shape (n_features,)."""
 N_FEATURES = len(METRIC)
+_WIDTH = np.where(np.isin(METRIC, ["direct", "spectrum"]), 1.0 / 3.0, 1.0)  # of each feature's band [octaves]
 HAS_GAIN = np.isin(METRIC, ["direct", "early", "late", "spectrum"])
 """Whether a feature contains the gain of the recording, shape (n_features,)."""
 CALIBRATION_FEATURES = (METRIC == "direct") & (np.arange(N_FEATURES) % 2 == 0)
@@ -61,6 +62,7 @@ LARGEST = 20.0
 _db = partial(power_db, floor=FLOOR_POWER)
 
 
+@cache
 def feature_slice(metric: str) -> slice:
     """Return the slice of a metric's features."""
     at = np.flatnonzero(METRIC == metric)
@@ -180,9 +182,8 @@ def excited(from_hz: float) -> BoolArray:
 
     Four fifths of a band, in octaves, must be excited.
     """
-    width = np.where(np.isin(METRIC, ["direct", "spectrum"]), 1.0 / 3.0, 1.0)  # [octaves]
-    octaves = np.log2(np.maximum(BAND_HZ, 1.0) / max(from_hz, 1e-3)) + 0.5 * width
-    return (BAND_HZ == 0.0) | (octaves > 0.8 * width)
+    octaves = np.log2(np.maximum(BAND_HZ, 1.0) / max(from_hz, 1e-3)) + 0.5 * _WIDTH
+    return (BAND_HZ == 0.0) | (octaves > 0.8 * _WIDTH)
 
 
 def _direct(rir: FloatArray, expected_sample: float | None, timed: bool) -> tuple[float, int, bool]:
@@ -294,7 +295,8 @@ def _without_trend(part: FloatArray) -> FloatArray:
     into all octaves.
     """
     x = np.linspace(-1.0, 1.0, len(part))
-    return part - np.polynomial.legendre.legval(x, np.polynomial.legendre.legfit(x, part, 2))
+    orthogonal = (np.ones(len(part)), x, x ** 2 - np.mean(x ** 2))
+    return part - sum(np.sum(part * basis) / np.sum(basis ** 2) * basis for basis in orthogonal)
 
 
 def _white(noise: _Noise) -> FloatArray:
