@@ -31,8 +31,7 @@ class ItemRecord(NamedTuple):
 def write_item_record(path: Path, work: Path, result: Any, written: dict[Path, FileState]) -> None:
     """Write a record, after the directories of the files that were written below `work` are on the disk."""
     files = {os.path.relpath(file, work): state for file, state in written.items() if file.is_relative_to(work)}
-    folders = {folder for name in files for folder in Path(name).parents}
-    for folder in sorted(folders, reverse=True):
+    for folder in sorted({Path(name).parent for name in files}):
         sync(work / folder)
     body = to_json(dict(result=result, files=files))
     write_text(path, f"{_hash(body.encode(errors='surrogateescape'))}\n{body}")
