@@ -1,6 +1,7 @@
 """Results are made again when audio changes that their inputs refer to but do not hold."""
 
 import logging
+import os
 import shutil
 
 import numpy as np
@@ -10,6 +11,7 @@ from datadirs import rir_dir, speech_dir
 from rirmaker import coloured_rir
 
 from roomeq.augment import augment
+from roomeq.core import kept_hashes
 from roomeq.core.audio import write_flac, write_wav
 from roomeq.corpora import prepare_speech, read_measured
 from roomeq.corpora.characterise import characterise
@@ -61,6 +63,53 @@ def test_unchanged_recordings_remake_nothing(corpora, tmp_path, caplog):
         caplog.clear()
         run(tmp_path)
     assert sum("up to date" in record.getMessage() for record in caplog.records) == 9
+
+
+def change_in_secret(path):
+    """Change a recording and give it its modification time back; an RIR keeps its size too."""
+    before = path.stat()
+    change(path)
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert path.suffix == ".flac" or path.stat().st_size == before.st_size
+
+
+@pytest.mark.parametrize("pattern", ["corpus/rir*.wav", "speech/wav/*.flac"])
+@pytest.mark.parametrize("n_steps", [1, 2, 3], ids=["augment", "split", "characterise"])
+def test_recordings_changed_in_place_are_noticed_by_later_steps(pattern, n_steps, corpora, tmp_path):
+    before = run(tmp_path)
+    for path in tmp_path.glob(pattern):
+        change_in_secret(path)
+    if n_steps >= 3:
+        characterise(tmp_path / "measured", tmp_path / "real")
+    if n_steps >= 2:
+        split_rirs(tmp_path / "real", tmp_path / "real", sizes=(3, 2, 1), seed=0)
+    augment(tmp_path / "clean" / "train.clean", tmp_path / "real.train", tmp_path / "rvb")
+    after = {path.relative_to(tmp_path): path.read_bytes() for path in sorted((tmp_path / "rvb").rglob("*.flac"))}
+    assert after != before
+
+
+@pytest.mark.parametrize("keep_all", [False, True], ids=["small", "kept"])
+def test_equal_content_at_another_time_and_inode_remakes_nothing(keep_all, corpora, tmp_path, caplog, monkeypatch):
+    if keep_all:
+        monkeypatch.setattr(kept_hashes, "KEPT_FROM_BYTES", 0)
+        monkeypatch.setattr(kept_hashes, "SETTLED_NS", 0)
+    run(tmp_path)
+    for path in [*tmp_path.glob("corpus/*.wav"), *tmp_path.glob("noises/*"), *tmp_path.glob("speech/wav/*")]:
+        shutil.copy(path, tmp_path / "copy")
+        os.replace(tmp_path / "copy", path)
+    with caplog.at_level(logging.INFO):
+        caplog.clear()
+        run(tmp_path)
+    assert sum("up to date" in record.getMessage() for record in caplog.records) == 9
+
+
+@pytest.mark.parametrize("n_samples, lasts", [(3000, "0.188"), (12000, "0.750")])
+def test_speech_that_is_not_as_long_as_its_table_says_is_refused(n_samples, lasts, tmp_path):
+    clean, rirs = speech_dir(tmp_path / "clean"), rir_dir(tmp_path / "rirs")
+    write_flac(clean / "wav" / "a-1-0002.flac", 0.1 * np.random.default_rng(0).standard_normal(n_samples))
+    with pytest.raises(ValueError, match=rf"utterance a-1-0002: .*a-1-0002.flac lasts {lasts} s where utt2dur says "
+                                         r"0.563 s: prepare the directory again"):
+        augment(clean, rirs, tmp_path / "rvb")
 
 
 @pytest.mark.parametrize("pattern", ["clean/wav/*.flac", "elsewhere/*.wav"])

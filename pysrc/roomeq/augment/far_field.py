@@ -20,10 +20,10 @@ from roomeq.augment.mix import MixedUtterance, convolve, mix
 from roomeq.augment.pack import PlannedUtterance, file_name, plan_recordings, write_recording
 from roomeq.augment.summary import SUMMARY_FILE, Summary, log_summary
 from roomeq.core.build import Build
-from roomeq.core.digests import audio_digest
+from roomeq.core.constants import FS_HZ
 from roomeq.core.files import read_json, read_jsonl, to_json, write_json, write_jsonl
-from roomeq.corpora.record import is_generated
 from roomeq.kaldi.datadir import DataDir, read_data_dir
+from roomeq.kaldi.validate import MAX_DURATION_ERROR_S
 from roomeq.kaldi.wavscp import flac_entry, read_entry
 from roomeq.kaldi.write import GRID_SAMPLES, OutUtterance, write_data_dir
 
@@ -112,9 +112,6 @@ def augment(data_dir: Path | str, rir_dir: Path | str, out: Path | str, *, seed:
     flac_entry(str(out))  # refuse a path that wav.scp cannot name before hours of work
     options = {name: value for name, value in asdict(config).items()
                if name not in ("data_dir", "rir_dir", "noises", "pipes")}
-    if not is_generated(Path(data_dir)):  # no earlier step checks whether its audio has changed
-        recordings = read_data_dir(Path(data_dir), pipes=pipes).recordings
-        options["audio"] = audio_digest(Path(entry.text) for entry in recordings.values() if entry.kind != "pipe")
     build = Build(Path(out), step="augment", options=options,
                   inputs=[Path(data_dir), Path(rir_dir), *map(Path, noises)])
     if not build.done:
@@ -162,6 +159,10 @@ class _Augmenter:
             clean = read_entry(planned.entry, utterance.start_s, utterance.end_s, pipes=self.config.pipes)
         except ValueError as error:
             raise ValueError(f"{where}: {error}") from None
+        length_s = len(clean) / FS_HZ
+        if planned.stated_s is not None and abs(length_s - planned.stated_s) > MAX_DURATION_ERROR_S:
+            raise ValueError(f"{where}: {planned.entry.text} lasts {length_s:.3f} s where utt2dur says "
+                             f"{planned.stated_s:.3f} s: prepare the directory again, or put the right audio there")
         rir_id, draws = self.rules.draw(planned.id, self.pool)
         rir, shift = self.cache.rir(rir_id)
         reverberated = convolve(clean, rir, shift, len(clean))

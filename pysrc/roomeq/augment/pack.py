@@ -24,11 +24,22 @@ FLAC_LEVEL = 0.25  # libsndfile's scale, 0 to 1; higher levels save 2 % of size 
 
 
 class PlannedUtterance(NamedTuple):
-    """A far-field utterance to make: its id, the clean utterance, and the `wav.scp` entry of the clean recording."""
+    """A far-field utterance to make.
+
+    Attributes
+    ----------
+    id : str
+    clean : Utterance
+    entry : Entry
+        The `wav.scp` entry of the clean recording.
+    stated_s : float, optional
+        Duration of the clean utterance in `utt2dur` [s].
+    """
 
     id: str
     clean: Utterance
     entry: Entry
+    stated_s: float | None = None
 
 
 def plan_recordings(data: DataDir, copies: int, *, pipes: bool = False) -> dict[str, list[PlannedUtterance]]:
@@ -43,7 +54,7 @@ def plan_recordings(data: DataDir, copies: int, *, pipes: bool = False) -> dict[
         Utterances by recording id. Over all recordings in turn, the new ids are sorted by byte value.
     """
     outputs = [PlannedUtterance(f"{utterance_id}-rvb{copy}" if copies > 1 else utterance_id, utterance,
-                                data.recordings[utterance.recording])
+                                data.recordings[utterance.recording], data.utt2dur.get(utterance_id))
                for utterance_id, utterance in data.utterances.items() for copy in range(1, copies + 1)]
     outputs.sort(key=lambda planned: planned.id)
     if len({planned.id for planned in outputs}) < len(outputs):

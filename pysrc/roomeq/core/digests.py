@@ -6,22 +6,25 @@ import importlib.metadata
 import json
 import os
 import platform
-from collections.abc import Iterable, Iterator
+import re
+import shlex
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
 from roomeq.core.files import hash_file
+from roomeq.core.kept_hashes import hashes_of_input, quick_look
 from roomeq.core.stamps import DONE_FILE, is_as_stamped, read_stamp
 
 _NUMERICS = ("embreex", "numba", "numpy", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
 
 
 def digest(path: Path) -> str:
-    """Return a hash of a file's content or of a directory's.
+    """Return a hash of a file's content or of a directory's, and of the audio that the directory's tables name.
 
     A directory that a `Build` made is hashed by the content hashes in its stamp (a file that has changed since is read
-    again), and by the stamp's key where it refers to audio elsewhere. Any other directory (a corpus of many gigabytes)
-    is hashed by name, size and modification time of its files.
+    again); where it refers to audio elsewhere, by the stamp's key and the content of that audio too. Any other
+    directory is hashed by the content of all its files, and of the audio that its tables name.
 
     Raises
     ------
@@ -34,50 +37,60 @@ def digest(path: Path) -> str:
     if not path.is_dir():
         raise ValueError(f"{path}: no such file or directory: check the path, or run the step that makes it")
     stamp = read_stamp(path)
-    stamped_ns = (path / DONE_FILE).stat().st_ctime_ns if stamp else 0
-    stamped = stamp.files if stamp else {}
     total = hashlib.sha256(stamp.key.encode() if stamp and stamp.refers else b"")
-    for file in files_below(path):
-        name, stat = str(file.relative_to(path)), file.stat()
-        if name not in stamped and stamped:
-            continue  # a file that others (Kaldi) put beside ours is not an input
-        if name in stamped and is_as_stamped(file, *stamped[name], stamped_ns):
-            state = stamped[name][1]
-        elif stamped:
-            state = hash_file(file)
-        else:
-            state = f"{stat.st_size} {stat.st_mtime_ns}"
-        total.update(f"{name}\0{state}\n".encode(errors="surrogateescape"))
-    for file in [] if stamped else _audio_in_tables(path):
-        total.update(f"{file} {_size_and_time(file)}\n".encode(errors="surrogateescape"))
+    content: dict[str, str | None] = {}
+    if stamp:
+        stamped_ns = (path / DONE_FILE).stat().st_ctime_ns
+        for name in (str(file.relative_to(path)) for file in files_below(path)):
+            if name in stamp.files:  # others (Kaldi) may put files beside ours, which are no input
+                as_stamped = is_as_stamped(path / name, *stamp.files[name], stamped_ns)
+                content[name] = stamp.files[name][1] if as_stamped else hash_file(path / name)
+    else:
+        files = files_below(path)
+        content = dict(zip((str(file.relative_to(path)) for file in files),
+                           hashes_of_input(os.path.realpath(path), files), strict=True))
+    for name, content_hash in content.items():
+        total.update(f"{name}\0{content_hash}\n".encode(errors="surrogateescape"))
+    if not stamp or stamp.refers:
+        total.update(audio_digest(_audio_in_tables(path)).encode())
     return total.hexdigest()
 
 
 def audio_digest(paths: Iterable[Path]) -> str:
-    """Return a hash of files by name, size and modification time, for an output that is made of a list of files.
+    """Return a hash of files by name and content, for an output that is made of a list of files.
 
     A file that is absent is hashed as absent: reading it raises the error.
     """
+    names = [str(path) for path in paths]
+    listed = hashlib.sha256("\n".join(names).encode(errors="surrogateescape")).hexdigest()
     total = hashlib.sha256()
-    for path in paths:
-        total.update(f"{path} {_size_and_time(path)}\n".encode(errors="surrogateescape"))
+    for name, content_hash in zip(names, hashes_of_input(listed, map(Path, names)), strict=True):
+        total.update(f"{name} {content_hash}\n".encode(errors="surrogateescape"))
     return total.hexdigest()
 
 
-def _size_and_time(path: Path) -> tuple[int, int] | None:
-    try:
-        stat = path.stat()
-    except (OSError, ValueError):
-        return None
-    return stat.st_size, stat.st_mtime_ns
-
-
-def _audio_in_tables(directory: Path) -> Iterator[Path]:
-    """Yield the audio files that the tables of an RIR directory name; the reader reports lines that are wrong."""
+def _audio_in_tables(directory: Path) -> list[Path]:
+    """Return the audio files that a directory's tables name; the reader reports lines that are wrong."""
+    found = []
     for name in ("rirs.jsonl", "noises.jsonl"):
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
             for line in (directory / name).read_text(encoding="utf-8").splitlines():
-                yield directory / json.loads(line)["wav"]
+                found.append(directory / json.loads(line)["wav"])
+    with contextlib.suppress(OSError, ValueError):
+        entries = [line.split(maxsplit=1)[-1] for line in (directory / "wav.scp").read_text("utf-8").splitlines()]
+        words = {re.sub(r":\d+$", "", word.strip()) for entry in entries for word in [entry, *words_of_entry(entry)]}
+        found += [path for path in map(Path, sorted(words)) if quick_look(path)]
+    return found
+
+
+def words_of_entry(entry: str) -> list[str]:
+    """Return the words of an entry of `wav.scp`, which include the files that it reads."""
+    if not {"'", '"', "\\"} & set(entry):
+        return entry.split()
+    try:
+        return shlex.split(entry)
+    except ValueError:
+        return entry.split()
 
 
 def files_below(directory: Path) -> list[Path]:

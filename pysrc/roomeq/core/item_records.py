@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from roomeq.core.files import FileState, sync, to_json, write_text
-from roomeq.core.kept_hashes import KeptHashes
+from roomeq.core.kept_hashes import KeptHashes, quick_look
 
 
 class ItemRecord(NamedTuple):
@@ -59,10 +59,8 @@ def is_whole(path: Path, work: Path, hashes: KeptHashes) -> bool:
 
 def is_as_recorded(path: Path, state: FileState, hashes: KeptHashes) -> bool:
     """Tell whether a file has the size and the hash that were recorded."""
-    try:
-        return (path.stat().st_size, hashes.of(path)) == state
-    except OSError:
-        return False
+    look = quick_look(path)
+    return look is not None and (look.size, hashes.of(path)) == state
 
 
 def _hash(body: bytes) -> str:

@@ -5,6 +5,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterator
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -16,7 +17,7 @@ from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
 from roomeq.core.digests import audio_digest
 from roomeq.core.files import write_json
-from roomeq.corpora.listing import find_manifest, list_corpus, list_noises, require_existing
+from roomeq.corpora.listing import list_corpus, list_noises, require_existing
 from roomeq.corpora.record import UNKNOWN, Corpus, Recording, is_generated
 from roomeq.corpora.sofa_file import sofa_signals
 from roomeq.records.rir_dir import write_noises, write_rirs
@@ -71,7 +72,8 @@ def read_measured(source: Path, out: Path, *, kind: str | None = None, noises: P
     if noises:
         listed[noises] = list_noises(noises)
         corpus.noises += listed[noises]
-    build = _build(out, "read-measured", listed, kind=corpus.kind, skip_bad=skip_bad)
+    build = _build(out, "read-measured", listed, kind=corpus.kind, name=corpus.name, notes=dict(corpus.notes),
+                   skip_bad=skip_bad)
     if build.done:
         return out
     logger.info("%s: %s with %d RIR files, %d noises", source, corpus.kind, len(corpus.rirs), len(corpus.noises))
@@ -115,12 +117,12 @@ def _build(out: Path, step: str, listed: dict[Path, list[Recording]], **options:
     ways = [_relative_path(source, out) for source in listed]
     inputs, audio = [], []
     for source, recordings in listed.items():
-        manifest = source if source.is_file() else find_manifest(source)
-        if manifest is None or (source.is_dir() and is_generated(source)):
+        if source.is_dir() and is_generated(source):
             inputs.append(source)
-        else:  # a table may list files anywhere, and may stand among files that do not matter
-            inputs.append(manifest)
-            audio.append(audio_digest(recording.path for recording in recordings))
+        else:  # the files that are listed, which may stand among many that do not matter
+            said = repr([(recording.id, recording.row) for recording in recordings])
+            audio += [sha256(said.encode(errors="surrogateescape")).hexdigest(),
+                      audio_digest(recording.path for recording in recordings)]
     return Build(out, step=step, options=dict(options, ways=ways, audio=audio), inputs=inputs, refers=True)
 
 

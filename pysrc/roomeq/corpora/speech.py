@@ -3,7 +3,6 @@
 import logging
 import os
 import re
-import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from hashlib import sha256
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from roomeq.core.build import Build
-from roomeq.core.digests import audio_digest
+from roomeq.core.digests import audio_digest, words_of_entry
 from roomeq.corpora.kaldi_dir import find_kaldi_dirs, read_kaldi_dir
 from roomeq.corpora.librispeech import find_sets, list_librispeech
 from roomeq.corpora.record import is_generated
@@ -100,20 +99,12 @@ def _listing(source: Path, listed: Listed) -> str:
         said = repr(sorted((str(part.directory.path), part.directory.files, sorted(part.utterances))
                            for part in parts))
         words = {word for part in parts for entry in part.directory.files["wav.scp"].values()
-                 for word in _words(entry)}
+                 for word in words_of_entry(entry)}
         audio = audio_digest(Path(re.sub(r":\d+$", "", word)) for word in sorted(words))
         return sha256((said + audio).encode()).hexdigest()
     said = repr([(utterance.id, utterance.speaker, utterance.gender, utterance.text) for utterance in utterances])
     audio = "" if is_generated(source) else audio_digest(utterance.path for utterance in utterances)
     return sha256((said + audio).encode()).hexdigest()
-
-
-def _words(entry: str) -> list[str]:
-    """Return the words of an entry of `wav.scp`, which include the files that it reads."""
-    try:
-        return shlex.split(entry)
-    except ValueError:
-        return entry.split()
 
 
 def list_speech(source: Path, wanted: SetNames) -> Mapping[str, Listed]:
