@@ -37,6 +37,7 @@ from roomeq.core.item_records import ItemRecord, is_as_recorded, is_whole, read_
 from roomeq.core.kept_hashes import KeptHashes
 from roomeq.core.progress import progress
 from roomeq.core.stamps import DONE_FILE, FORMAT, check_output, is_as_stamped
+from roomeq.core.workers import end_with, n_processes
 
 logger = logging.getLogger(__name__)
 
@@ -135,7 +136,8 @@ class Build:
             return
         from joblib import Parallel, delayed
 
-        yield from Parallel(n_jobs=nj, return_as="generator_unordered")(delayed(_make_item)(*call) for call in calls)
+        workers = Parallel(n_jobs=n_processes(nj, len(todo)), return_as="generator_unordered")
+        yield from workers(delayed(_make_item_in_worker)(os.getpid(), *call) for call in calls)
 
     def finish(self, assemble: Callable[[Path, list[Any]], object]) -> bool:
         """Call ``assemble(directory, records)`` to write and check the common files; put the directory in place.
@@ -244,6 +246,11 @@ def locked(path: Path, kind: int) -> Iterator[None]:
                 raise
             logger.warning("%s: this file system has no locks: let one run at a time work on a directory", path)
         yield
+
+
+def _make_item_in_worker(parent: int, *call: Any) -> None:
+    end_with(parent)
+    _make_item(*call)
 
 
 def _make_item(folder: str, lock: Path, record_path: Path, make: Callable[[str, Any], Any], name: str,

@@ -1,28 +1,63 @@
-"""Forked worker processes: they inherit the memory of their parent, so that only their results are pickled."""
+"""Worker processes: how many, how they end with their parent, and forked ones that inherit its memory."""
 
 import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import connection
 from typing import Any, TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
+PARENT_CHECKED_S = 0.5
+"""How often a worker looks whether its parent still runs [s]."""
+
+PER_CORE = 4
+"""Largest number of processes per core."""
+
+_watcher = 0  # process that watches its parent
 _task: tuple[Callable[[Any], Any], list[Any]] | None = None  # in a worker: its work and all items
+
+
+def n_processes(nj: int, n_items: int) -> int:
+    """Return how many processes to start for `nj` jobs: at most one per item, and `PER_CORE` per core."""
+    return max(1, min(nj, n_items, PER_CORE * len(os.sched_getaffinity(0))))
+
+
+def end_with(parent: int) -> None:
+    """Let this worker end when its parent does: one that a signal ends cannot tell its workers, which would go on.
+
+    Parameters
+    ----------
+    parent : int
+        Process id of the process that started this one.
+    """
+    global _watcher
+    if _watcher == os.getpid():  # a fork inherits the variable, and not the thread
+        return
+    _watcher = os.getpid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(PARENT_CHECKED_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def share_out(work: Callable[[Item], Result], items: Iterable[Item], nj: int, *,
               first_here: bool = True) -> list[Result]:
-    """Return ``[work(item) for item in items]``, computed by up to `nj` forked processes.
+    """Return ``[work(item) for item in items]``, computed by up to `nj` forked processes, which inherit the memory.
+
+    Only the results are pickled.
 
     Parameters
     ----------
     work : callable
-        It and the items may be of any size and need not be picklable; its results are pickled.
+        It and the items may be of any size and need not be picklable.
     items : iterable
     nj : int
     first_here : bool
@@ -36,11 +71,10 @@ def share_out(work: Callable[[Item], Result], items: Iterable[Item], nj: int, *,
     items = list(items)
     n_here = len(items) if nj == 1 else int(first_here)
     results, items = [work(item) for item in items[:n_here]], items[n_here:]
-    nj = min(nj, len(items))
-    if not nj:
+    if not items:
         return results
-    with ProcessPoolExecutor(nj, multiprocessing.get_context("fork"), initializer=_start_worker,
-                             initargs=(work, items)) as pool:
+    with ProcessPoolExecutor(n_processes(nj, len(items)), multiprocessing.get_context("fork"),
+                             initializer=_start_worker, initargs=(work, items)) as pool:
         return [*results, *pool.map(_work_on, range(len(items)))]
 
 
@@ -49,15 +83,9 @@ def _start_worker(work: Callable[[Any], Any], items: list[Any]) -> None:
     _task = work, items
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # which a job in the background ignores
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # ends the worker without a message; the parent prints one
-    threading.Thread(target=_exit_with_parent, daemon=True).start()
-
-
-def _exit_with_parent() -> None:
-    """Exit when the parent does: a parent that is killed cannot tell its workers, which would wait for ever."""
     parent = multiprocessing.parent_process()
-    assert parent is not None
-    connection.wait([parent.sentinel])
-    os._exit(1)
+    assert parent is not None and parent.pid is not None
+    end_with(parent.pid)
 
 
 def _work_on(number: int) -> Any:

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from roomeq.core.workers import share_out
+from roomeq.core.workers import n_processes, share_out
 
 
 @pytest.mark.parametrize("first_here", [True, False])
@@ -40,7 +40,14 @@ def test_errors_of_workers_keep_their_type_and_text():
         share_out(fail, [3, 4], 2, first_here=False)
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("nj, n_items, n_cores, expected", [
+    (1, 9, 2, 1), (2, 9, 2, 2), (9, 3, 2, 3), (1000, 1000, 2, 8), (1000, 1000, 16, 64), (2, 0, 2, 1)])
+def test_number_of_processes_is_limited_by_items_and_cores(nj, n_items, n_cores, expected, monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(n_cores)))
+    assert n_processes(nj, n_items) == expected
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_workers_end_with_their_parent(how, tmp_path):
     """A terminal interrupts all processes; SIGKILL reaches only the parent."""
     # tests that run in the background inherit that interrupts are ignored
@@ -54,6 +61,31 @@ def test_workers_end_with_their_parent(how, tmp_path):
     os.kill(-parent.pid if how == signal.SIGINT else parent.pid, how)
     _, error = parent.communicate(timeout=30)
     assert parent.returncode == -how and error.count("Traceback") == (how == signal.SIGINT)
+    assert _until(lambda: [pid for pid in workers if _is_running(pid)], lambda running: not running) == []
+
+
+BUILD = """
+import os, sys, time
+from pathlib import Path
+from roomeq.core.build import Build
+
+def make(name, item):
+    (Path(sys.argv[1]) / str(os.getpid())).touch()
+    time.sleep(600)
+
+build = Build(Path(sys.argv[1]) / "out", step="sleep", options={}, inputs=[])
+build.run({f"n{n}": n for n in range(4)}, make, nj=2)
+"""
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+def test_workers_of_a_build_end_with_their_parent(how, tmp_path):
+    parent = subprocess.Popen([sys.executable, "-c", BUILD, str(tmp_path)], start_new_session=True)
+    workers = _until(lambda: [int(name) for name in os.listdir(tmp_path) if name.isdigit()],
+                     lambda running: len(running) == 2)
+    assert len(workers) == 2
+    os.kill(parent.pid, how)
+    assert parent.wait(30) == -how
     assert _until(lambda: [pid for pid in workers if _is_running(pid)], lambda running: not running) == []
 
 
