@@ -26,3 +26,12 @@ def shared_data() -> Path:
     if not path.is_dir():
         pytest.skip(f"needs the real recordings in {path}")
     return path
+
+
+@pytest.fixture(scope="session")
+def shared_repro() -> Path:
+    """Inputs beside the project that once failed; tests that need them are skipped where they are absent."""
+    path = PROJECT.parent / "shared" / "repro"
+    if not path.is_dir():
+        pytest.skip(f"needs the inputs in {path}")
+    return path

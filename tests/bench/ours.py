@@ -11,14 +11,18 @@ from roomeq.acoustics.filterbank import octave_filterbank
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import on_threads
 from roomeq.core.rng import rng_for
+from roomeq.sim.context import ALL_BANDS, add_image_sources, make_render_context, ray_echograms
 from roomeq.sim.diffraction import Edges, Grid, deposit, diffract, find_edges
 from roomeq.sim.echogram import FRAME_S, compute_echograms
 from roomeq.sim.images import specular_paths
 from roomeq.sim.materials import draw_materials, draw_scattering, read_materials
 from roomeq.sim.mesh import make_room
-from roomeq.sim.path_sample import reference_absorption, sample_paths
+from roomeq.sim.path_sample import sample_paths
 from roomeq.sim.response import (
     ISM_ORDER,
+    SERVED,
+    decay_length_s,
+    eyring_exponent,
     needed_length_s,
     render_responses,
     render_to_target,
@@ -26,6 +30,7 @@ from roomeq.sim.response import (
     trace_source,
 )
 from roomeq.sim.scene import Air, Material, Scene, Shoebox
+from roomeq.sim.target import scaled_absorption
 
 N_RAYS = 20_000
 
@@ -192,6 +197,62 @@ def simulate_drawn(dims_m, source_pos_m, mic_pos_m, target_s, *, seed, tries=10)
                 raise
 
 
+def sampled_and_full(dims_m, source_pos_m, noise_pos_m, mic_pos_m, target_s, *, seed):
+    """Echograms from a path sample and from all paths, at the absorption that meets a target with drawn materials.
+
+    Returns
+    -------
+    list of (sampled, full, largest)
+        Of the source, with the sample that the search used (None where all paths were followed), and of a noise source,
+        with a sample for what the search found. Energy, shape (n_frames, 8); and the most that a sample gives to one
+        path, relative to its whole frame.
+    """
+    table, room, air, rng = read_materials(), Shoebox(tuple(dims_m)), Air(), rng_for(seed, "materials", "")
+    scene = draw_materials(table, room, draw_scattering(table, room, rng), air, target_s, rng)
+    expected = absorption = scaled_absorption(scene.absorption, eyring_exponent(scene, target_s))
+    mics_m, pairs = [mic_pos_m], []
+    length_s = needed_length_s(scene, target_s)
+    for position_m in (source_pos_m, noise_pos_m):
+        source = traced(scene, position_m, seed=seed, duration_s=length_s)
+        n_frames = int(np.ceil(decay_length_s(scene, absorption) / FRAME_S))
+        samples = sample_paths(source, mics_m, absorption[None], [rng_for(seed, "echoes", "")],
+                               ism_order=ISM_ORDER, n_frames=min(n_frames, int(np.ceil(length_s / FRAME_S))))
+        rngs = [rng_for(seed, "tail", "")]
+        if not pairs:
+            (found,) = render_to_target(source, mics_m, rngs, target_s, length_s=length_s, path_samples=samples)
+            absorption = found.absorption
+            exponent = np.median(np.log1p(-np.minimum(absorption, 1.0 - 1e-12)) / np.log1p(-expected))
+            if not SERVED[0] < exponent < SERVED[1]:  # then all paths are followed
+                pairs.append(None)
+                continue
+        energies = []
+        for chosen in (samples, None):
+            context = make_render_context(source, mics_m, rngs, length_s=length_s, ism_order=ISM_ORDER,
+                                          diffraction=False, path_gain=None, path_samples=chosen)
+            rays = ray_echograms(context, absorption, ALL_BANDS)
+            energies.append(add_image_sources(context, rays, absorption, list(ALL_BANDS))[0])
+        pairs.append((*energies, _largest_path(samples[0], source, absorption, context)))
+    return pairs
+
+
+def _largest_path(sample, source, absorption, context):
+    """Most energy that a sample gives to one path, relative to that of all paths of its frame, over frames and bands.
+
+    Frames of which all paths together hold less than 1e-6 of the band's energy do not count.
+    """
+    largest, trace_of_band = 0.0, np.array(source.trace_of_band)
+    for trace in np.unique(trace_of_band):
+        full = compute_echograms(source.paths[trace], source.scene.room, absorption, context.mics_m,
+                                 ism_order=ISM_ORDER, n_frames=sample.weight.shape[1],
+                                 speed_m_s=source.scene.air.speed_m_s, visible=context.visible[trace])[0]
+        for band in np.flatnonzero(trace_of_band == trace):
+            energy = np.log(np.maximum(1.0 - absorption[:, band], 1e-30)) @ sample.reflection_counts[trace, ..., None]
+            energy = sample.weight[trace] * np.exp(energy[..., 0])
+            held = full[:, band] > 1e-6 * full[:, band].sum()
+            largest = np.maximum(largest, np.max(energy[held] / full[held, band, None], initial=0.0))
+    return largest
+
+
 def traced(scene, source_pos_m, *, seed, n_rays=N_RAYS, duration_s=1.5):
     """Trace only."""
     return trace_source(scene, source_pos_m, num_rays=n_rays, max_length_s=duration_s, rng=rng_for(seed, "trace", ""))
@@ -215,7 +276,7 @@ def stages(scene, source_pos_m, mics_m, *, repeats):
             compute_echograms(one, scene.room, scene.absorption, mics_m, ism_order=ISM_ORDER, n_frames=n_frames,
                    speed_m_s=air.speed_m_s)
         marks.append(time.perf_counter())
-        reference = np.tile(reference_absorption(scene.absorption), (len(mics_m), 1))
+        reference = np.tile(scene.absorption, (len(mics_m), 1, 1))
         path_samples = sample_paths(source, mics_m, reference, rngs, ism_order=ISM_ORDER, n_frames=n_frames)
         marks.append(time.perf_counter())
         on_threads(lambda sample: sample.echogram(0.9 * scene.absorption),  # noqa: B023

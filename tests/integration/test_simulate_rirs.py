@@ -14,6 +14,7 @@ from roomeq.core.constants import FS_HZ
 from roomeq.core.files import write_jsonl
 from roomeq.core.rng import rng_for
 from roomeq.records.rir_dir import load_rir, read_rirs, validate_rirs
+from roomeq.sim import context
 from roomeq.sim.materials import read_materials
 from roomeq.simulate_rirs import simulate
 
@@ -211,6 +212,38 @@ def test_target_out_of_reach_is_drawn_again_and_logged(tmp_path, caplog):
     row = run(tmp_path / "in", tmp_path / "out", t60_range_s=range_s, seed=short)["far"]
     assert "target_t60_s again" in row["drawn"] and "drawing another target" in caplog.text
     assert row["t30_s"] == pytest.approx(row["target_t60_s"], rel=0.05)
+
+
+def test_rooms_whose_octaves_differ_widely_in_absorption_are_simulated(shared_repro, tmp_path):
+    """The materials of one noise source absorb everything in three octaves: its path sample once overflowed."""
+    options = "simulate --t60-range 0.28690000000000004,1.0642 --seed 0".split()
+    made = subprocess.run([sys.executable, "-m", "roomeq", *options, shared_repro / "echogram-overflow",
+                           tmp_path / "sim"], capture_output=True, text=True)
+    assert made.returncode == 0, made.stderr
+    assert "Warning" not in made.stderr
+    for row in read_rirs(tmp_path / "sim"):
+        assert np.isfinite(load_rir(tmp_path / "sim", row)).all()
+
+
+@pytest.mark.parametrize("which", ["a1", "a1-noise1"])
+def test_response_that_is_not_finite_stops_with_rir_room_and_remedy(measured, tmp_path, monkeypatch, which):
+    """No other materials are drawn in silence, and nothing is written."""
+    ray_echograms, wanted = context.ray_echograms, which.endswith("noise1")
+
+    def overflow(of, *args):
+        energy = ray_echograms(of, *args)
+        is_noise = tuple(of.traced.source_pos_m) != (1.0, 2.0, 1.5)
+        if is_noise == wanted and energy.shape[2] == 8:
+            energy[:, 40, 6:] = np.inf
+        return energy
+
+    monkeypatch.setattr(context, "ray_echograms", overflow)
+    message = (rf"^RIR {which} of room office: the response at mic_pos_m=\[4.0, 3.0, 1.2\] is not finite in the "
+               r"octaves at 4000, 8000 Hz, where surfaces absorb up to [0-9.]+: choose other materials, another "
+               "range of T60 or another seed$")
+    with pytest.raises(ValueError, match=message):
+        run(measured, tmp_path / "sim")
+    assert not (tmp_path / "sim").exists()
 
 
 def test_rows_have_parameters_and_only_main_rirs_a_target(measured, tmp_path):

@@ -4,7 +4,7 @@ What does not depend on absorption is computed once, because the search for a ta
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray
-from roomeq.core.constants import FS_HZ
+from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.core.jit import on_threads
 from roomeq.sim.diffraction import Diffracted, diffract
 from roomeq.sim.echogram import FRAME_S, compute_echograms
@@ -31,6 +31,10 @@ PathGain = Callable[[FloatArray], FloatArray]
 """Directivity of a source: maps directions of departure, shape (n, 3), to energy gains per octave, shape (n, 8)."""
 ALL_BANDS = tuple(range(8))
 _SMOOTHING_FRAMES = 7  # length of the moving average over the late echogram
+
+
+class NotFiniteError(ValueError):
+    """A response contains infinity or what is not a number."""
 
 
 @dataclass(frozen=True)
@@ -115,9 +119,17 @@ class RenderContext:
         gains = images.gains(absorption[:, bands], scene.scattering[:, bands], scene.air.attenuation_per_m[bands])
         return gains if self.path_gain is None else gains * np.sqrt(self.path_gain(images.departure)[:, bands])
 
-    def sample_paths(self, reference: FloatArray, rngs: Sequence[np.random.Generator]) -> list[PathSample]:
-        """Draw a sample of the paths to each microphone, for a reference absorption of shape (n_surfaces,)."""
-        return sample_paths(self.traced, self.mics_m, np.tile(reference, (len(self.mics_m), 1)), rngs,
+    def with_all_paths(self) -> "RenderContext":
+        """Return a context that follows all stored paths in each rendering."""
+        scene = self.traced.scene
+        max_path_m = self.n_frames * FRAME_S * scene.air.speed_m_s
+        return replace(self, path_samples=None, visible=[
+            reflection_visibility(paths, scene.room, self.mics_m, max_path_m=max_path_m)
+            for paths in self.traced.paths])
+
+    def sample_paths(self, absorption: FloatArray, rngs: Sequence[np.random.Generator]) -> list[PathSample]:
+        """Draw a sample of the paths to each microphone, for absorption of shape (n_surfaces,) in all bands."""
+        return sample_paths(self.traced, self.mics_m, np.tile(absorption[:, None], (len(self.mics_m), 1, 8)), rngs,
                             ism_order=self.ism_order, n_frames=self.n_frames, visible=self.visible)
 
 
@@ -138,12 +150,9 @@ def make_render_context(traced: "TracedSource", mics_m: ArrayLike, rngs: Sequenc
             lambda mic_m, paths: diffract(room, traced.source_pos_m, mic_m, speed_m_s=speed_m_s, n_samples=n_samples,
                                           direct_visible=paths.has_direct), list(zip(mics_m, images, strict=True)))
     noises = [tail_noise(n_samples, room.volume_m3, speed_m_s, rng) for rng in rngs]
-    n_frames = int(np.ceil(length_s / FRAME_S))
-    visible = [] if path_samples is not None else [
-        reflection_visibility(paths, room, mics_m, max_path_m=n_frames * FRAME_S * speed_m_s)
-        for paths in traced.paths]
-    return RenderContext(traced, mics_m, images, diffracted, noises, path_samples, visible, length_s, ism_order,
-                         path_gain)
+    context = RenderContext(traced, mics_m, images, diffracted, noises, path_samples, [], length_s, ism_order,
+                            path_gain)
+    return context if path_samples is not None else context.with_all_paths()
 
 
 def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequence[int]) -> FloatArray:
@@ -221,5 +230,16 @@ def _render_microphone(context: RenderContext, absorption: FloatArray, bands: li
                  speed_m_s=air.speed_m_s, n_samples=round(length_s * FS_HZ), bands=bands)
     if diffracted is not None:
         rir = rir + diffracted.response(absorption, traced.scene.scattering, air, len(rir))
+    if not np.all(np.isfinite(rir)):
+        raise NotFiniteError(_not_finite(mic_m, absorption, total_energy, bands))
     return Response(rir, direct_sample, images.has_direct, diffracted is not None, t30_s(rir, direct_sample),
                     absorption, traced.leaked_share)
+
+
+def _not_finite(mic_m: FloatArray, absorption: FloatArray, energy: FloatArray, bands: list[int]) -> str:
+    """Say where a response is not finite: energy of shape (n_frames, n_bands) tells the octaves."""
+    octaves = [band for n, band in enumerate(bands) if not np.all(np.isfinite(energy[:, n]))] or bands
+    names = ", ".join(f"{BANDS_HZ[band]:g}" for band in octaves)
+    return (f"the response at mic_pos_m={[round(float(x), 3) for x in mic_m]} is not finite in the octaves at {names} "
+            f"Hz, where surfaces absorb up to {absorption[:, octaves].max():.4g}: choose other materials, another "
+            "range of T60 or another seed")

@@ -4,8 +4,13 @@
 per microphone and millisecond, `PATHS_PER_FRAME` of the paths that arrive, drawn with probabilities proportional to
 their energy at a reference absorption (weighted reservoir sampling with jumps, Efraimidis and Spirakis, Inf. Process.
 Lett. 97 (2006) 181). Each kept path stores how often each surface reflected it, so that the echogram for any other
-absorption is a small matrix product: exact at the reference and unbiased elsewhere, with a Monte Carlo noise that grows
-with the difference from the reference.
+absorption is a small matrix product.
+
+A path that is improbable at the reference would represent others with a weight without bound. Half of the paths are
+therefore drawn at the least absorption that a surface has in any band, half at the greatest, and all are weighted by
+the mixture of both densities (defensive importance sampling, Hesterberg, Technometrics 37 (1995) 185; the balance
+heuristic of Veach and Guibas, SIGGRAPH 1995, 419). No path then represents more than all paths together carry at the
+least absorption, in any band. The estimate is unbiased, and exact where all bands absorb alike.
 
 Every chunk of rays keeps its own share of the paths: the chunks are strata, and no two threads write to the same one.
 """
@@ -19,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
-from roomeq.core.jit import N_CHUNKS, compiled, for_chunks, mix, on_threads
+from roomeq.core.jit import N_CHUNKS, compiled, for_chunks, inlined, mix, on_threads
 from roomeq.sim.echogram import FRAME_S, MICS_PER_PASS
 from roomeq.sim.paths import (
     Rules,
@@ -39,12 +44,13 @@ from roomeq.sim.trace import Paths
 if TYPE_CHECKING:
     from roomeq.sim.response import TracedSource
 
-_PER_CHUNK = 2  # `_replace` relies on this number
+_PER_CHUNK = 2  # one for each reference; the kernels rely on this number
 PATHS_PER_FRAME = _PER_CHUNK * N_CHUNKS
 MAX_ABSORPTION = 0.999
-"""Of the reference: a path without any energy there could not represent others elsewhere."""
+"""Of a reference: a path without any energy there could not represent others elsewhere."""
 _NO_GAIN = np.zeros((0, 0, 0), np.float32)
-_NEGLIGIBLE = np.float32(1e-25)  # share of a ray's energy at the reference below which it is given up
+_NEGLIGIBLE = np.float32(1e-25)  # share of a ray's energy at a reference that counts as none
+_EMPTY = np.float32(1e-20)  # energy of a frame at a reference that counts as none: what was neglected may show
 
 
 @dataclass(frozen=True)
@@ -108,7 +114,7 @@ class PathSample:
         return result
 
 
-def sample_paths(traced: "TracedSource", mics_m: Array, reference: FloatArray, rngs: Sequence[np.random.Generator], *,
+def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, rngs: Sequence[np.random.Generator], *,
                  ism_order: int, n_frames: int | Sequence[int],
                  visible: Sequence[BoolArray] | None = None) -> list[PathSample]:
     """Sample the paths that reach some microphones.
@@ -118,9 +124,8 @@ def sample_paths(traced: "TracedSource", mics_m: Array, reference: FloatArray, r
     traced
     mics_m
         Shape (n_mics, 3).
-    reference
-        Absorption at which each microphone's sample is exact, shape (n_mics, n_surfaces); see
-        `reference_absorption`.
+    absorption
+        About that for which the sample of each microphone will be used, shape (n_mics, n_surfaces, 8).
     rngs
         One per microphone; the sample of one does not depend on the others.
     ism_order
@@ -137,18 +142,18 @@ def sample_paths(traced: "TracedSource", mics_m: Array, reference: FloatArray, r
     """
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
     seeds = np.array([rng.integers(2 ** 63) for rng in rngs], dtype=np.uint64)
-    reference = np.minimum(reference, MAX_ABSORPTION)
     spheres = receiver_spheres(traced.scene.room, mics_m)
     frames_of_mic = np.broadcast_to(n_frames, len(mics_m))
     by_frames = np.argsort(-frames_of_mic, kind="stable")  # so that those that still listen are always the first ones
     first = tuple(paths.first for paths in traced.paths)
-    result = [_empty_sample(traced.paths, count, reference.shape[1], first, traced.trace_of_band)
+    result = [_empty_sample(traced.paths, count, absorption.shape[1], first, traced.trace_of_band)
               for count in frames_of_mic]
     for trace, paths in enumerate(traced.paths):
-        tallies = _tally_reflections(paths, reference.shape[1])
+        tallies = _tally_reflections(paths, absorption.shape[1])
+        references = _references(absorption[..., np.equal(traced.trace_of_band, trace)])
         for start in range(0, len(mics_m), MICS_PER_PASS):
             batch = by_frames[start:start + MICS_PER_PASS]
-            _sample_trace(paths, tallies, traced.scene, mics_m[batch], reference[batch], seeds[batch],
+            _sample_trace(paths, tallies, traced.scene, mics_m[batch], references[batch], seeds[batch],
                           Spheres(spheres.radius_m[batch], spheres.volume_m3[batch]), ism_order, frames_of_mic[batch],
                           None if visible is None or not len(visible[trace]) else visible[trace][batch],
                           [(result[m].weight[trace], result[m].reflection_counts[trace],
@@ -156,19 +161,12 @@ def sample_paths(traced: "TracedSource", mics_m: Array, reference: FloatArray, r
     return result
 
 
-def reference_absorption(absorption: FloatArray) -> FloatArray:
-    """Return one reference for all bands: the share that each surface reflects is their geometric mean.
+def _references(absorption: FloatArray) -> FloatArray:
+    """Return the least and the greatest absorption of each surface, shape (n_mics, 2, n_surfaces), over the last axis.
 
-    Parameters
-    ----------
-    absorption
-        Shape (..., n_surfaces, 8).
-
-    Returns
-    -------
-    ndarray, shape (..., n_surfaces)
+    Each band lies between them, so a path never has more energy in a band than at the first reference.
     """
-    return 1.0 - np.exp(np.log1p(-np.minimum(absorption, MAX_ABSORPTION)).mean(axis=-1))
+    return np.minimum(np.stack([absorption.min(axis=-1), absorption.max(axis=-1)], axis=1), MAX_ABSORPTION)
 
 
 def _empty_sample(traces: Sequence[Paths], n_frames: int, n_surfaces: int, first: tuple[IntArray, ...],
@@ -198,7 +196,7 @@ def _tally_reflections(paths: Paths, n_surfaces: int) -> _Tallies:
     return _Tallies(words, bits)
 
 
-def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatArray, reference: FloatArray,
+def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatArray, references: FloatArray,
                   seeds: Array, spheres: Spheres, ism_order: int, limits: IntArray, visible: BoolArray | None,
                   results: list[tuple[Array, Array, Array]]) -> None:
     """Sample one trace into the (weight, counts, last) of each microphone; those with the most frames come first."""
@@ -207,16 +205,16 @@ def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatAr
     if visible is None:
         visible = reflection_visibility(paths, scene.room, mics_m, max_path_m=n_frames * FRAME_S * speed_m_s)
     shape = (N_CHUNKS, len(mics_m), n_frames)
-    sums = np.zeros((*shape, 2 + _PER_CHUNK), dtype=np.float32)
+    sums = np.zeros((*shape, 2 * _PER_CHUNK), dtype=np.float32)
     kept = np.zeros((*shape, _PER_CHUNK), dtype=np.uint32)
     constant = (Rules(ism_order, np.float32(paths.late_m), paths.stride), paths.hits, paths.codes, paths.first,
                 paths.counts, single(paths.normals), paths.face_surface,
-                np.ascontiguousarray((1.0 - reference).T, dtype=np.float32), single(paths.scattering),
+                np.ascontiguousarray((1.0 - references).transpose(1, 2, 0), dtype=np.float32), single(paths.scattering),
                 single(mics_m.T, order="C"), visible, single(spheres.radius_m ** 2), single(1.0 / spheres.volume_m3),
                 np.float32(1.0 / (speed_m_s * FRAME_S)), seeds, limits)
     for_chunks(n_rays, lambda chunk, low, high: _sample(*constant, low, high, sums[chunk], kept[chunk]))
-    power = (1.0 - reference[:, :, None]) ** np.arange(1.0 + paths.counts.max())
-    scale = 1.0 / (4.0 * np.pi * n_rays * _PER_CHUNK)
+    power = (1.0 - references[..., None]) ** np.arange(1.0 + paths.counts.max())
+    scale = 1.0 / (4.0 * np.pi * n_rays)
     on_threads(lambda m, arrays: _unpack(sums[:, m], kept[:, m], *tallies, power[m], scale, *arrays),
                list(enumerate(results)))
 
@@ -239,20 +237,25 @@ def _tally(codes: Array, face_surface: Array, first: Array, counts: Array, bits:
 @compiled
 def _unpack(sums: Array, kept: Array, words: Array, bits: Number, power: Array, scale: Number, weight: Array,
             counts: Array, last: Array) -> None:
-    """Join the strata of one microphone and divide the weights by the share that is reflected at the reference."""
-    n_frames, n_surfaces = len(weight), len(power)
+    """Join the strata of one microphone: the weight is 1 over the sum of the densities at both references."""
+    n_frames, n_surfaces = len(weight), power.shape[1]
     per_word, mask = 64 // bits, (np.uint64(1) << np.uint64(bits)) - np.uint64(1)
     for frame in range(n_frames):
         for place in range(weight.shape[1]):
             chunk, n = place // kept.shape[2], place % kept.shape[2]
-            at, share = kept[chunk, frame, n], 1.0
+            at, share0, share1 = kept[chunk, frame, n], 1.0, 1.0
             last[frame, place] = at
             for surface in range(n_surfaces):
                 hits = (words[at, surface // per_word] >> np.uint64(bits * (surface % per_word))) & mask
                 counts[frame, place, surface] = hits
-                share *= power[surface, hits]
-            total = sums[chunk, frame, 0]
-            weight[frame, place] = scale * total / share if total > 0.0 else 0.0
+                share0 *= power[0, surface, hits]
+                share1 *= power[1, surface, hits]
+            total0, total1, density = sums[chunk, frame, 0], sums[chunk, frame, 1], 0.0
+            if total0 > _EMPTY and share0 >= _NEGLIGIBLE:
+                density += share0 / total0
+            if total1 > _EMPTY and share1 >= _NEGLIGIBLE:
+                density += share1 / total1
+            weight[frame, place] = scale / density if sums[chunk, frame, n] > _EMPTY and density > 0.0 else 0.0
 
 
 @compiled
@@ -284,22 +287,38 @@ def _absorb(weight: Array, counts: Array, most: Number, reflected: Array, gain: 
         out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7] = e0, e1, e2, e3, e4, e5, e6, e7
 
 
+@inlined
+def _reflect(share: Array, reflection: Array, n_mics: Number) -> None:
+    """Multiply shares of energy by what a surface reflects; those that become negligible are 0 from then on."""
+    for m in range(n_mics):
+        left = share[m] * reflection[m]
+        share[m] = left if left >= _NEGLIGIBLE else np.float32(0.0)
+
+
+@inlined
+def _add(row: Array, energy: Number, share0: Number, share1: Number) -> bool:
+    """Add a path to the two sums of a frame; tell whether it takes a place of the reservoir."""
+    row[0] += energy * share0
+    row[1] += energy * share1
+    return row[0] > row[2] or row[1] > row[3]
+
+
 @compiled
 def _replace(sums: Array, kept: Array, m: Number, frame: Number, stream: Number, counter: Number, at: Number) -> None:
-    """Put a path that has just been added to the sum of a frame into the places of the reservoir that it wins.
+    """Put a path that has just been added to the sums of a frame into the places of the reservoir that it wins.
 
     A new path replaces the one in a place with probability ``energy / sum so far``. The sum at which that happens next
     is drawn in advance: it exceeds the present one by a factor of more than x with probability 1 / x. Each half of one
     random number serves one place.
     """
-    total, word = sums[m, frame, 0], mix(stream + np.uint64(counter) * np.uint64(0x9E3779B97F4A7C15))
+    word = mix(stream + np.uint64(counter) * np.uint64(0x9E3779B97F4A7C15))
     for place in range(2):
-        if total >= sums[m, frame, 2 + place]:
+        total = sums[m, frame, place]
+        if total > sums[m, frame, 2 + place]:
             share = np.float32((word & np.uint64(0xFFFFFF)) + np.uint64(1)) * np.float32(2.0 ** -24)
             sums[m, frame, 2 + place] = total / share
             kept[m, frame, place] = at
         word >>= np.uint64(32)
-    sums[m, frame, 1] = min(sums[m, frame, 2], sums[m, frame, 3])
 
 
 @compiled
@@ -311,8 +330,10 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
 
     Parameters
     ----------
-    sums : ndarray of float32, shape (n_mics, n_frames, 2 + _PER_CHUNK)
-        Energy so far, the least sum at which a place of the reservoir is taken, and that sum for each place.
+    reflection : ndarray of float32, shape (2, n_surfaces, n_mics)
+        Share of energy that is reflected at each reference.
+    sums : ndarray of float32, shape (n_mics, n_frames, 2 * _PER_CHUNK)
+        Energy so far at each reference, and the sums that must be exceeded to take the place that goes with it.
     kept : ndarray of uint32, shape (n_mics, n_frames, _PER_CHUNK)
         Last reflection of the path in each place.
     """
@@ -320,10 +341,11 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
     all_visible = len(visible) == 0
     zero, one = np.float32(0.0), np.float32(1.0)
     along, weight, frame = np.empty(n_mics, np.float32), np.empty(n_mics, np.float32), np.empty(n_mics, np.float32)
-    most = np.array([row.max() for row in reflection])
-    share = np.empty(n_mics, np.float32)
+    most = np.array([reflection[:, surface].max() for surface in range(reflection.shape[1])])
+    share0, share1 = np.empty(n_mics, np.float32), np.empty(n_mics, np.float32)
     for ray in range(low, high):
-        share[:] = one
+        share0[:] = one
+        share1[:] = one
         largest, n_active = one, n_mics
         step, hit = at_source(), (zero, zero, zero, zero)
         for n in range(face_counts[ray]):
@@ -337,9 +359,7 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
                         middle = (previous[3] + np.float32(0.5) * (enter + leave)) * frames_per_m
                         if leave > enter and middle < limits[m]:
                             k = np.uint32(middle)
-                            total = sums[m, k, 0] + (leave - enter) * per_volume[m] * share[m]
-                            sums[m, k, 0] = total
-                            if total >= sums[m, k, 1]:
+                            if _add(sums[m, k], (leave - enter) * per_volume[m], share0[m], share1[m]):
                                 _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 2, at - 1)
             face = codes[at] >> 1
             surface = face_surface[face]
@@ -351,17 +371,17 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
             step = follow(step, rules, ray, codes[at], hit[3], scattering[surface])
             if step.ends:
                 break
-            for m in range(n_active):
-                share[m] *= reflection[surface, m]
+            _reflect(share0, reflection[0, surface], n_active)
+            _reflect(share1, reflection[1, surface], n_active)
             if step.becomes_late:
+                largest *= np.float32(rules.stride)
                 for m in range(n_active):
-                    share[m] *= np.float32(rules.stride)
+                    share0[m] *= np.float32(rules.stride)
+                    share1[m] *= np.float32(rules.stride)
             if step.scattered > zero:
                 scatter(hit, normals, face, step.scattered, mics, frames_per_m, n_active, weight, frame)
                 for m in range(n_active):
                     if weight[m] > zero and frame[m] < limits[m] and (all_visible or visible[m, at]):
                         k = np.uint32(frame[m])
-                        total = sums[m, k, 0] + weight[m] * share[m]
-                        sums[m, k, 0] = total
-                        if total >= sums[m, k, 1]:
+                        if _add(sums[m, k], weight[m], share0[m], share1[m]):
                             _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 1, at)

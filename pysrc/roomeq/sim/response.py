@@ -18,6 +18,7 @@ from roomeq.core.constants import BAND_1KHZ
 from roomeq.core.rng import rng_for
 from roomeq.sim.context import (
     PathGain,
+    RenderContext,
     Response,
     add_image_sources,
     make_render_context,
@@ -45,6 +46,7 @@ _DEFAULTS: dict[str, Any] = dict(length_s=None, ism_order=ISM_ORDER, diffraction
 _AROUND_1KHZ = (BAND_1KHZ - 1, BAND_1KHZ, BAND_1KHZ + 1)  # what the octave filter at 1 kHz sees
 _CLOSE_ENOUGH = 0.025  # relative error of the target at which all octaves are not rendered again
 _MAX_RENDERINGS = 3  # of all octaves, after the first
+SERVED = (0.7, 2.5)  # exponents that a path sample serves, relative to Eyring's, for which it is drawn
 
 
 @dataclass(frozen=True)
@@ -163,7 +165,8 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
     """Render responses whose mean T30 at 1 kHz is the target, by scaling the absorption of all surfaces.
 
     Echograms of a path sample predict how T30 changes with absorption. One rendering of the octave at 1 kHz and its
-    neighbours measures the effect of the tail's noise. All octaves are then rendered, in most cases once.
+    neighbours measures the effect of the tail's noise. All octaves are then rendered, in most cases once; all paths are
+    followed where the absorption is far from that for which the samples were drawn.
 
     Parameters
     ----------
@@ -189,6 +192,14 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
     search = context if context.path_samples is not None else replace(
         context, path_samples=context.sample_paths(scaled_absorption(base, guess)[:, BAND_1KHZ], rngs))
 
+    @cache
+    def follow_all() -> RenderContext:
+        return context.with_all_paths()
+
+    def render(exponent: float) -> list[Response]:
+        served = context.path_samples is None or SERVED[0] <= exponent / guess <= SERVED[1]
+        return render_microphones(context if served else follow_all(), scaled_absorption(base, exponent))
+
     def predict(exponent: float) -> float | None:
         absorption = scaled_absorption(base, exponent)
         energy = add_image_sources(search, ray_echograms(search, absorption, [BAND_1KHZ]), absorption, [BAND_1KHZ])
@@ -202,7 +213,7 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
     time_s = measure(exponent)
     if time_s is not None:  # the ratio of measured to predicted T30 is the effect of the tail's noise
         exponent, _ = solve_exponent(predict, target_s ** 2 / time_s, exponent)
-    responses = render_microphones(context, scaled_absorption(base, exponent))
+    responses = render(exponent)
     time_s, aim_s = _mean_t30_s(responses), target_s
     for _ in range(_MAX_RENDERINGS):
         if time_s is not None and abs(time_s / target_s - 1.0) <= _CLOSE_ENOUGH:
@@ -210,7 +221,7 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
         exponent, measured_s = solve_exponent(measure, aim_s, exponent)
         if measured_s is None or abs(measured_s / aim_s - 1.0) > TOLERANCE:
             break
-        responses = render_microphones(context, scaled_absorption(base, exponent))
+        responses = render(exponent)
         time_s = _mean_t30_s(responses)
         aim_s *= target_s / (time_s or target_s)  # the search knows neither the other octaves nor all paths
     if time_s is None or abs(time_s / target_s - 1.0) > TOLERANCE:

@@ -14,11 +14,11 @@ from roomeq.core.rng import rng_for
 from roomeq.effects.base import Effect
 from roomeq.effects.model import Model, extend_scene, path_gain
 from roomeq.records.schema import RirRow
-from roomeq.sim.context import Response
+from roomeq.sim.context import NotFiniteError, Response
 from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.geometry import Place, noise_positions
 from roomeq.sim.materials import MaterialTable, Surface, draw_materials, draw_scattering, given_surfaces
-from roomeq.sim.path_sample import PathSample, reference_absorption, sample_paths
+from roomeq.sim.path_sample import PathSample, sample_paths
 from roomeq.sim.response import (
     TracedSource,
     decay_length_s,
@@ -121,7 +121,7 @@ def render_source(members: list[Member], air: Air, table: MaterialTable, model: 
     Raises
     ------
     ValueError
-        A material is unknown, or a target cannot be met; the message names the RIR.
+        A material is unknown, a target cannot be met, or a response is not finite; the message names the RIR.
     """
     effects = [model.for_row(member.row, options.seed) for member in members]
     room = _TracedRoom(members[0], air, table, effects[0], options)
@@ -202,7 +202,7 @@ class _TracedRoom:
         traced = self.trace(source_pos_m, length_s)
         decays_s = [min(decay_length_s(traced.scene, absorption), traced.max_length_s) for absorption in absorptions]
         rngs = [rng_for(self.options.seed, "echoes", rir_id) for rir_id in rir_ids]
-        return sample_paths(traced, np.array(mics_m), reference_absorption(np.array(absorptions)), rngs,
+        return sample_paths(traced, np.array(mics_m), np.array(absorptions), rngs,
                             ism_order=self.options.ism_order,
                             n_frames=[int(np.ceil(decay_s / FRAME_S)) for decay_s in decays_s])
 
@@ -211,10 +211,13 @@ class _TracedRoom:
         how |= dict(ism_order=self.options.ism_order, diffraction=self.options.diffraction)
         traced = self.trace(place.source_pos_m, how["length_s"])
         rngs = [rng_for(self.options.seed, "tail", rir_id)]
-        if target_s is None:
-            (response,) = render_responses(traced, [place.mic_pos_m], rngs, **how)
-        else:
-            (response,) = render_to_target(traced, [place.mic_pos_m], rngs, target_s, **how)
+        try:
+            if target_s is None:
+                (response,) = render_responses(traced, [place.mic_pos_m], rngs, **how)
+            else:
+                (response,) = render_to_target(traced, [place.mic_pos_m], rngs, target_s, **how)
+        except NotFiniteError as error:
+            raise NotFiniteError(f"RIR {rir_id} of room {self.room_id}: {error}") from None
         return response
 
 
@@ -234,6 +237,8 @@ def _render_row(room: _TracedRoom, member: Member, draws: Iterator[SceneDraw], p
             response = room.render(place, row["id"], draw.target_s, absorption=draw.scene.absorption,
                                    length_s=draw.length_s, path_samples=[path_sample],
                                    path_gain=path_gain(effects, row.get("source_dir")))
+        except NotFiniteError:
+            raise
         except ValueError as error:
             problem = error
             continue

@@ -18,11 +18,12 @@ for variable in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "PRA_NUM_THREADS"):
 sys.path[:1] = [str(Path(__file__).resolve().parents[n] / name) for n, name in ((3, "pysrc"), (2, ""))]
 
 from bench import kit  # noqa: E402
-from bench.fidelity import air, balance, check, decay, diffraction, early, level, lshape, tail, targets  # noqa: E402
+from bench.fidelity import air, balance, check, decay, diffraction, early, level, lshape, samples, tail, targets  # noqa: E402
 
 SECTIONS = {"reference": check.run, "decay": decay.run, "unequal": decay.run_unequal, "early": early.run,
             "lshape": lshape.run, "diffraction": diffraction.run, "level": level.run,
-            "air": air.run, "balance": balance.run, "tail": tail.run, "targets": targets.run}
+            "air": air.run, "balance": balance.run, "tail": tail.run, "targets": targets.run,
+            "samples": samples.run}
 FIGURES = {"decay": decay.draw, "unequal": decay.draw, "level": level.draw, "air": air.draw, "balance": balance.draw,
            "tail": tail.draw, "targets": targets.draw}
 
