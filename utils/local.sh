@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Run jobs as local processes, all at once. The calling convention is that of Kaldi's run.pl.
-# Usage: utils/local.sh [JOB=1:N] LOG COMMAND [ARGUMENT...]
+# Run jobs as local processes, as many at once as there are cores. The calling convention is that of Kaldi's run.pl.
+# Usage: utils/local.sh [--max-jobs-run N] [JOB=1:N] LOG COMMAND [ARGUMENT...]
 # e.g.:  utils/local.sh JOB=1:4 exp/log/count.JOB.log wc -l data/part.JOB
 # Each JOB in LOG and in the arguments is replaced by the job's number. Every job that fails is named.
 set -euo pipefail
@@ -10,6 +10,14 @@ if [ $# -lt 2 ] || [ "$1" = --help ]; then
   exit
 fi
 first=1 last=1
+max_jobs_run=$(env -u OMP_NUM_THREADS nproc)
+if [ "$1" = --max-jobs-run ]; then
+  max_jobs_run=$2
+  shift 2
+  [[ $max_jobs_run =~ ^[1-9][0-9]{0,3}$ ]] || {
+    echo "${0##*/}: --max-jobs-run '$max_jobs_run' must be a number of jobs from 1" >&2 && exit 1
+  }
+fi
 if [[ $1 =~ ^JOB=([0-9]+):([0-9]+)$ ]]; then
   first=${BASH_REMATCH[1]} last=${BASH_REMATCH[2]}
   shift
@@ -21,6 +29,7 @@ pids=()
 trap 'kill "${pids[@]}" 2>/dev/null || true' EXIT
 for ((job = first; job <= last; job++)); do
   joblog=${log//JOB/$job}
+  ((job - first < max_jobs_run)) || wait -n || true # one that fails is named below
   if ! { mkdir -p "$(dirname "$joblog")" && : >"$joblog"; } 2>/dev/null; then
     printf '%s: log %s cannot be written: is the disk full or read-only?\n' "${0##*/}" "$joblog" >&2
     exit 1

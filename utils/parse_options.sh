@@ -1,7 +1,10 @@
 # shellcheck shell=bash
 # Turn --some-option VALUE into the variable some_option, which the script must have set before it sources this file.
 # It also reads --config FILE (lines `some_option=value`), answers --help, and defines the functions below.
-# Values are assigned and never evaluated. Sourced: the remaining arguments stay in "$@".
+# Values are assigned and never evaluated. Sourced: the remaining arguments stay in "$@", and all of them in
+# options_given. The script ends with all that it starts (end_together.sh).
+
+. utils/end_together.sh
 
 # Print the caller's header comment and options: `usage 0` to stdout with exit 0, `usage` to stderr with exit 1.
 usage() {
@@ -95,4 +98,4 @@ while [ $# -gt 0 ]; do
     *) break ;;
   esac
 done
-unset options_given options_known flag
+unset options_known flag

@@ -58,7 +58,7 @@ done
 ended=$(realpath -- "$(mktemp -d -- "$(dirname "${log//JOB/$first}")/.slurm.XXXXXX")")
 name=roomeq${ended##*/.slurm}
 waiting=
-trap '[ -z "$waiting" ] || scancel --quiet --name="$name" --user="$(id -un)" || true; rm -rf -- "$ended"' EXIT
+trap '[ -z "$waiting" ] || env -u ROOMEQ_RUN scancel --quiet --name="$name" --user="$(id -un)" || true; rm -rf -- "$ended"' EXIT
 trap 'exit 130' INT
 trap 'exit 143' TERM
 
