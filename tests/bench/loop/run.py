@@ -40,6 +40,7 @@ from bench import kit  # noqa: E402
 from bench.loop.table import Result, by_base, rates, show  # noqa: E402
 from roomeq.core.constants import BANDS_HZ  # noqa: E402
 from roomeq.core.digests import source_digest  # noqa: E402
+from roomeq.core.workers import end_with  # noqa: E402
 from roomeq.loop.close import close_loop  # noqa: E402
 from roomeq.loop.ledger import added_effects  # noqa: E402
 from testbed import BASES, KINDS, make_room_set  # noqa: E402
@@ -124,8 +125,9 @@ def run_sets(missing: Iterator[RoomSet], cache: Path, results: list[Result], job
 
 
 def in_own_process(function: Callable[..., Result], *arguments: object) -> Result:
-    """Run a function in a process that ends with it: no memory is kept from set to set."""
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
+    """Run a function in a process that ends with it, or with this one: no memory is kept from set to set."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=end_with,
+                             initargs=(os.getpid(),)) as process:
         return process.submit(function, *arguments).result()
 
 
