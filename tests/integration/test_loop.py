@@ -29,6 +29,7 @@ from roomeq.loop.likelihood import misfit, normal_equations
 from roomeq.loop.packing import N_SURFACE, ParameterIndex
 from roomeq.loop.power import _changes, detectable_sizes
 from roomeq.loop.predict import predict
+from roomeq.loop.rendering import _groups_of_paths, render_rows
 from roomeq.loop.selection import SPLITS, _candidate, choose, heldout_errors, rank, size_of_change_jnd
 from roomeq.loop.session import fit_base_model, with_rendered_changes
 from roomeq.loop.splitters import leave_rooms_out, split_positions
@@ -41,41 +42,41 @@ SEED = 3
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory):
+def room_set(tmp_path_factory):
     """Make generated rooms by kind of effect; all kinds share their five rooms."""
     cache = tmp_path_factory.mktemp("cache")
     made = {}
 
     def make(kind, strength=4):
         if kind not in made:
-            made[kind] = tmp_path_factory.mktemp("world") / "world"
+            made[kind] = tmp_path_factory.mktemp("rooms") / "set"
             make_room_set(kind, strength, SEED, made[kind], n_fit=ROOMS, n_judge=1, cache=cache)
         return made[kind]
     return make
 
 
 @pytest.fixture(scope="module")
-def closed(world, tmp_path_factory):
+def closed(room_set, tmp_path_factory):
     """Close the loop on generated rooms; return its directory and ledger."""
     made = {}
 
     def close(kind):
         if kind not in made:
             out = tmp_path_factory.mktemp("loop") / "loop"
-            close_loop([world(kind) / "fit"], out, test=[world(kind) / "test"], nj=2)
+            close_loop([room_set(kind) / "fit"], out, test=[room_set(kind) / "test"], nj=2)
             made[kind] = out
         return made[kind], read_json(made[kind] / "ledger.json")
     return close
 
 
 @pytest.fixture(scope="module")
-def session(world):
+def session(room_set):
     """Fit the base model to clean rooms."""
-    return fit_base_model(load_data([world("clean") / "fit"], scattering=SCATTERING, seed=0), seed=0, nj=2)
+    return fit_base_model(load_data([room_set("clean") / "fit"], scattering=SCATTERING, seed=0), seed=0, nj=2)
 
 
-def test_features_are_in_just_noticeable_differences(world):
-    directory = world("clean") / "fit"
+def test_features_are_in_just_noticeable_differences(room_set):
+    directory = room_set("clean") / "fit"
     rir = load_rir(directory, read_rirs(directory)[0])
     plain, louder = measure_features(rir), measure_features(10.0 ** 0.15 * rir)
     change = np.where(plain.valid, louder.values - plain.values, np.nan)
@@ -199,6 +200,22 @@ def test_leaving_a_room_out_changes_the_shared_parameters_a_little(session):
         assert 0.0 < np.abs(room.mean - session.fit.mean).max() < 1.0
 
 
+def test_rows_rendered_together_are_those_rendered_alone(session):
+    """Rows of one source and one absorption share a pass over the rays."""
+    data, members = session.data, np.flatnonzero(session.data.room == 0)
+    source = data.places[members[0]].source_pos_m
+    data = replace(data, traced=[data.traced[members[0]]] * len(data.rows),
+                   rows=[{**row, "source_dir": None} for row in data.rows],
+                   places=[replace(place, source_pos_m=source) for place in data.places])
+    absorption, no_effects = np.full((len(data.rows), 2, 8), 0.2), [[]] * len(data.rows)
+    assert len(_groups_of_paths(data, absorption, no_effects, members)) == 1 < len(members)
+    raw_rirs, features = render_rows(data, absorption, no_effects, seed=0, rows=members)
+    for n, raw, of_row in zip(members, raw_rirs, features, strict=True):
+        (alone,), alone_features = render_rows(data, absorption, no_effects, seed=0, rows=[n])
+        assert raw.rir.tobytes() == alone.rir.tobytes()
+        np.testing.assert_array_equal(of_row, alone_features[0])
+
+
 def test_halves_are_disjoint_and_hold_every_chain(session):
     first, second = split_positions(session.data)
     for r, (a, b) in enumerate(zip(first, second, strict=True)):
@@ -233,8 +250,8 @@ def test_steps_of_a_fit_go_downhill(session):
         assert (after - before) / 1e-4 == pytest.approx(-2.0 * equations.own_residual @ direction, rel=0.02)
 
 
-def test_unstated_facing_is_estimated(world, tmp_path):
-    source = world("source_directivity") / "fit"
+def test_unstated_facing_is_estimated(room_set, tmp_path):
+    source = room_set("source_directivity") / "fit"
     rows = read_rirs(source)
     true = {row["id"]: np.array(row["source_dir"]) for row in rows}
     directory = tmp_path / "unstated"
@@ -278,8 +295,8 @@ def test_gains_of_chains_with_a_single_rir_are_sums(session):
         assert {row["source_id"] for row in here} == {"s0", "s1"} and {row["mic_id"] for row in here} == {"m0", "m1"}
 
 
-def test_room_with_a_single_rir_is_fitted_and_not_scored(world, tmp_path):
-    source = world("clean") / "fit"
+def test_room_with_a_single_rir_is_fitted_and_not_scored(room_set, tmp_path):
+    source = room_set("clean") / "fit"
     rows = read_rirs(source)
     rooms = sorted({row["room_id"] for row in rows})[:3]
     rows = [row for room, n in zip(rooms, (4, 4, 1), strict=True)
@@ -329,9 +346,9 @@ def test_undeclared_effect_is_found(kind, closed):
     validate([out])
 
 
-def test_effects_of_a_given_model_are_no_candidates(closed, world, tmp_path):
+def test_effects_of_a_given_model_are_no_candidates(closed, room_set, tmp_path):
     out, before = closed("noise_floor")
-    ledger = close_loop([world("noise_floor") / "fit"], tmp_path / "loop", model=out / "model.json", nj=2)
+    ledger = close_loop([room_set("noise_floor") / "fit"], tmp_path / "loop", model=out / "model.json", nj=2)
     assert ledger["given"] == read_model(out / "model.json").names
     assert not {candidate["effect"] for candidate in ledger["ranking"]} & set(ledger["given"])
     initial, final = (before[when]["leave_positions_out"]["error"] for when in ("baseline", "final"))
@@ -340,12 +357,12 @@ def test_effects_of_a_given_model_are_no_candidates(closed, world, tmp_path):
     validate([tmp_path / "loop"])
 
 
-def test_fitted_response_has_the_true_shape(closed, world):
+def test_fitted_response_has_the_true_shape(closed, room_set):
     """Only its shape: a level common to all frequencies is a gain, which is unknown."""
     out, _ = closed("source_response")
     (extension,) = [added for added in read_model(out / "model.json").extensions if added.effect is SourceResponse]
-    clean, changed = ({row["id"]: (row, load_rir(world(kind) / "fit", row)) for row in read_rirs(world(kind) / "fit")}
-                      for kind in ("clean", "source_response"))
+    clean, changed = ({row["id"]: (row, load_rir(directory, row)) for row in read_rirs(directory)}
+                      for directory in (room_set("clean") / "fit", room_set("source_response") / "fit"))
     for source_id, response in extension.of.items():
         true_db = np.mean([measure_features(changed[name][1]).values[feature_slice("spectrum")]
                            - measure_features(rir).values[feature_slice("spectrum")]
@@ -362,20 +379,20 @@ def test_effect_outside_the_catalogue_is_reported_as_unexplained(closed):
     assert ledger["unexplained"]["time_region"] == "ahead" and ledger["unexplained"]["size_jnd"] > 2.0
 
 
-def test_single_loudspeaker_and_microphone_cannot_be_distinguished(world, tmp_path):
+def test_single_loudspeaker_and_microphone_cannot_be_distinguished(room_set, tmp_path):
     directory = tmp_path / "one"
-    rows = read_rirs(world("source_response") / "fit")
+    rows = read_rirs(room_set("source_response") / "fit")
     directory.mkdir()
     write_rirs(directory, [row | dict(mic_id="the-mic") for row in relocated(
-        [row for row in rows if row["source_id"] == "spk1"], world("source_response") / "fit", directory)])
+        [row for row in rows if row["source_id"] == "spk1"], room_set("source_response") / "fit", directory)])
     close_loop([directory], tmp_path / "loop", nj=2)
     first = read_json(tmp_path / "loop" / "ledger.json")["iterations"][0]
     assert {"source_response", "mic_response"} <= set(first["cannot_tell"]) and first["would_tell"]
 
 
-def test_results_do_not_depend_on_nj(world, closed, tmp_path):
+def test_results_do_not_depend_on_nj(room_set, closed, tmp_path):
     out, _ = closed("noise_floor")
-    close_loop([world("noise_floor") / "fit"], tmp_path / "loop", test=[world("noise_floor") / "test"], nj=1)
+    close_loop([room_set("noise_floor") / "fit"], tmp_path / "loop", test=[room_set("noise_floor") / "test"], nj=1)
     for name in ("ledger.json", "model.json"):
         assert (tmp_path / "loop" / name).read_bytes() == (out / name).read_bytes()
 
@@ -386,9 +403,9 @@ def test_results_do_not_depend_on_nj(world, closed, tmp_path):
     (["{two}", "{two}", "--out", "out"], "give each RIR once"),
     (["absent", "--out", "out"], "absent"),
 ])
-def test_bad_input_is_refused_in_one_line(argv, message, world, tmp_path, monkeypatch, capsys):
+def test_bad_input_is_refused_in_one_line(argv, message, room_set, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    source = world("clean") / "fit"
+    source = room_set("clean") / "fit"
     rows = read_rirs(source)
     rooms = sorted({row["room_id"] for row in rows})[:2]
     rows = [row for row in rows if row["room_id"] in rooms]

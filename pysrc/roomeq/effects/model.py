@@ -103,7 +103,7 @@ def path_gain(effects: Sequence[Effect], source_dir: Sequence[float | None] | No
     callable or None
         Takes unit vectors, shape (n, 3), and returns gains, shape (n, 8); None where all are 1.
     """
-    directive, facing = [effect for effect in effects if _is_directive(effect)], unit_facing(source_dir)
+    directive, facing = [effect for effect in effects if is_directive(effect)], unit_facing(source_dir)
     if not directive or facing is None:
         return None
 
@@ -113,13 +113,14 @@ def path_gain(effects: Sequence[Effect], source_dir: Sequence[float | None] | No
     return gain
 
 
-def _is_directive(effect: Effect) -> bool:
+def is_directive(effect: Effect) -> bool:
+    """Tell whether an effect acts on paths over their angle of departure."""
     return effect.on_paths(np.ones(1)) is not None
 
 
 def names_of(effects: Sequence[Effect], gain: PathGain | None) -> list[str]:
     """Return the names of the effects that act; those on paths do not where `path_gain` returned None."""
-    return [effect.NAME for effect in effects if gain is not None or not _is_directive(effect)]
+    return [effect.NAME for effect in effects if gain is not None or not is_directive(effect)]
 
 
 def direct_gain(scene: Scene, source_pos_m: ArrayLike, mic_pos_m: ArrayLike,

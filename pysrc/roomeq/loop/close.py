@@ -232,7 +232,7 @@ def _eliminate(session: Session, errors: HeldOutErrors, newest: type[Effect]
 def _without(session: Session, effects: Sequence[type[Effect]]) -> tuple[Session, HeldOutErrors]:
     """Return a session without some effects, and its held-out errors."""
     kept = [effect for effect in session.effects if effect not in effects]
-    fitted = fit(session.data, session.correction, kept, initial=session.fit)
+    fitted = fit(session.data, session.correction, kept, initial=session.fit, known=session.fit.derivatives)
     without = refit_rendered(session.data, fitted, seed=session.seed, nj=session.nj)
     return without, heldout_errors(without)
 

@@ -22,7 +22,7 @@ from roomeq.effects.base import Effect
 from roomeq.loop.data import Data
 from roomeq.loop.features import HAS_GAIN, N_FEATURES
 from roomeq.loop.likelihood import NormalEquations, misfit, normal_equations, scatter
-from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, ParameterIndex
+from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, Derivatives, ParameterIndex
 from roomeq.loop.predict import N_BANDS
 
 ITERATIONS = 5
@@ -68,8 +68,8 @@ class Fit:
     predicted : ndarray, shape (n_rirs, n_features)
     normal : list of NormalEquations
         Of each room, at the fitted parameters.
-    by_surface : ndarray, shape (n_rirs, n_features, N_SURFACE), or None
-        Derivatives of the features by the surface parameters; None if they are to be computed again.
+    derivatives : Derivatives
+        Of the features.
     gain_db : tuple of float
         Spread of each kind of gain (`roomeq.loop.packing.GAIN_KINDS`).
     """
@@ -82,12 +82,13 @@ class Fit:
     omega: FloatArray
     predicted: FloatArray
     normal: list[NormalEquations]
-    by_surface: FloatArray | None
+    derivatives: Derivatives
     gain_db: tuple[float, float, float, float]
 
 
 def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
-        start: Sequence[Any] | None = None, initial: Fit | None = None, iterations: int = ITERATIONS) -> Fit:
+        start: Sequence[Any] | None = None, initial: Fit | None = None, known: Derivatives | None = None,
+        iterations: int = ITERATIONS) -> Fit:
     """Fit a model.
 
     Parameters
@@ -99,7 +100,9 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
     start : sequence of array_like, optional
         Initial vector of each effect; by default the first of its `STARTS`.
     initial : Fit, optional
-        Fit of the same or fewer effects to start from; its derivatives by the surface parameters are used again.
+        Fit of the same or fewer effects to start from.
+    known : Derivatives, optional
+        Derivatives that are not computed again in every iteration, such as those of a smaller model.
     iterations : int
     """
     index = ParameterIndex(data, effects)
@@ -111,11 +114,11 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
     mean, local = prior.mean.copy(), [np.zeros(part.size) for part in index.local]
     shape, own_scale = _FIRST_SHAPE, [1.0] * len(index.effects)
     if initial is None:
-        gain_db, by_surface = (_CHAIN_GAIN_DB, 3.0, 3.0, _CHAIN_GAIN_DB), None
+        gain_db = (_CHAIN_GAIN_DB, 3.0, 3.0, _CHAIN_GAIN_DB)
         sigma, omega = np.full(N_FEATURES, 2.0), np.full(N_FEATURES, 1.0)
         estimate_gains(index, correction, mean, local)
     else:
-        gain_db, by_surface = initial.gain_db, initial.by_surface
+        gain_db = initial.gain_db
         sigma, omega = initial.sigma.copy(), initial.omega.copy()
         _continue(index, initial, mean, local)
     for k, vectors in enumerate(measured):
@@ -124,7 +127,7 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
                 own[part.slices[k]] = vector - vectors.mean(axis=0)
     for iteration in range(iterations):
         covariance = covariances(index, shape, own_scale, gain_db)
-        predicted, derivatives = index.linearize(mean, local, correction, by_surface)
+        predicted, derivatives = index.linearize(mean, local, correction, known)
         residual, valid = data.residual(predicted)
         if iteration:
             sigma, omega = scatter(data, residual, valid)
@@ -141,11 +144,11 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
         gain_db = (_CHAIN_GAIN_DB, _gain_spread_db(index, 1, local, posterior),
                    _gain_spread_db(index, 2, local, posterior), _CHAIN_GAIN_DB)
     covariance = covariances(index, shape, own_scale, gain_db)
-    predicted, derivatives = index.linearize(mean, local, correction, by_surface)
+    predicted, derivatives = index.linearize(mean, local, correction, known)
     residual, valid = data.residual(predicted)
     sigma, omega = scatter(data, residual, valid)
     normal = [normal_equations(index, r, residual, valid, derivatives, sigma, omega) for r in range(len(local))]
-    return Fit(index.effects, mean, local, covariance, sigma, omega, predicted, normal, derivatives.by_surface, gain_db)
+    return Fit(index.effects, mean, local, covariance, sigma, omega, predicted, normal, derivatives, gain_db)
 
 
 def shared_prior(index: ParameterIndex, start: Sequence[Any], x: float) -> SharedPrior:

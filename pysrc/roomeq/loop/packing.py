@@ -16,7 +16,7 @@ of the room, one of the source in that room and one of the microphone in that ro
 compared (`roomeq.loop.measurability`) has a gain of its own.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -81,12 +81,12 @@ class Derivatives(NamedTuple):
     Attributes
     ----------
     by_surface : ndarray, shape (n_rirs, n_features, N_SURFACE)
-    by_effect : list of ndarray, shape (n_rirs, n_features, n)
+    by_effect : mapping of ndarray, shape (n_rirs, n_features, n)
         By the vector of each effect.
     """
 
     by_surface: FloatArray
-    by_effect: list[FloatArray]
+    by_effect: Mapping[type[Effect], FloatArray]
 
 
 class ParameterIndex:
@@ -178,7 +178,7 @@ class ParameterIndex:
         return predict(self.data, self.state(absorption, vectors), reflected) + correction + np.outer(gains, HAS_GAIN)
 
     def linearize(self, mean: FloatArray, local: list[FloatArray], correction: FloatArray,
-                  by_surface: FloatArray | None = None) -> tuple[FloatArray, Derivatives]:
+                  known: Derivatives | None = None) -> tuple[FloatArray, Derivatives]:
         """Return predicted features, shape (n_rirs, n_features), and their derivatives.
 
         Parameters
@@ -187,14 +187,16 @@ class ParameterIndex:
             Where to linearize.
         correction : ndarray, shape (n_rirs, n_features)
             Rendering correction.
-        by_surface : ndarray, optional
-            Derivatives by the surface parameters, if they are known.
+        known : Derivatives, optional
+            Derivatives that are not computed again, by the surface parameters and by any effects.
         """
         absorption, vectors = self.absorption(mean, local), self.vectors(mean, local)
         state = self.state(absorption, vectors)
         reflected = ReflectedEnergy(self.data, state)
         centre = predict_by_band(self.data, state, reflected)
-        if by_surface is None:
+        if known is not None:
+            by_surface = known.by_surface
+        else:
             by_surface = np.empty((*centre.features.shape, N_SURFACE))
             for bands in _separate(range(N_BANDS)):
                 for first, step in ((0, (1.0, 1.0)), (N_BANDS, (-0.5, 0.5))):
@@ -202,8 +204,10 @@ class ParameterIndex:
                     moved[:, :, bands] *= np.exp(_STEP * np.array(step))[:, None]
                     slopes = _slopes(centre, predict_by_band(self.data, self.state(moved, vectors)), bands, _STEP)
                     by_surface[:, :, [first + band for band in bands]] = slopes
-        by_effect = []
+        by_effect = {effect: known.by_effect[effect] for effect in self.effects if known and effect in known.by_effect}
         for k, effect in enumerate(self.effects):
+            if effect in by_effect:
+                continue
             slopes = np.empty((*centre.features.shape, len(effect.SPREAD)))
             for group in _groups_of(effect):
                 moved_vectors = [vector.copy() for vector in vectors]
@@ -214,7 +218,7 @@ class ParameterIndex:
                 bands = [band for p in group if (band := effect.BANDS[p] if effect.BANDS else None) is not None]
                 slopes[:, :, group] = _slopes(centre, moved_to, bands, steps) if bands else (
                     moved_to.features - centre.features)[:, :, None] / steps
-            by_effect.append(slopes)
+            by_effect[effect] = slopes
         gains = np.outer(self.gains(local), HAS_GAIN)
         return centre.features + correction + gains, Derivatives(by_surface, by_effect)
 
@@ -233,16 +237,16 @@ class ParameterIndex:
         for k, effect in enumerate(self.effects):
             part, _, unit, n = self.shared[k]
             if effect.SCOPE == "room":
-                own[:, :, slices[k]] = shared[:, :, part] = by_effect[k][members]
+                own[:, :, slices[k]] = shared[:, :, part] = by_effect[effect][members]
             elif effect.SCOPE == "rir":
-                shared[:, :, part] = by_effect[k][members]
+                shared[:, :, part] = by_effect[effect][members]
                 for i, rir in enumerate(members):
                     at = slices[k].start + n * i
-                    own[i, :, at:at + n] = by_effect[k][rir]
+                    own[i, :, at:at + n] = by_effect[effect][rir]
             else:
                 for i, rir in enumerate(members):
                     at = part.start + unit[rir] * n
-                    shared[i, :, at:at + n] = by_effect[k][rir]
+                    shared[i, :, at:at + n] = by_effect[effect][rir]
         return own, shared
 
 

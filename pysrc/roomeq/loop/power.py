@@ -17,7 +17,7 @@ from roomeq.core.rng import rng_for
 from roomeq.effects.base import Effect
 from roomeq.loop.fit import START_X, shared_prior
 from roomeq.loop.likelihood import normal_equations
-from roomeq.loop.packing import Derivatives, ParameterIndex
+from roomeq.loop.packing import ParameterIndex
 from roomeq.loop.rendered_model import in_order
 from roomeq.loop.selection import LEVEL, MIN_SIZE_JND, Candidate, size_of_change_jnd
 from roomeq.loop.session import Session
@@ -39,8 +39,6 @@ def detectable_sizes(session: Session, candidates: Sequence[Candidate]) -> list[
         Of the model that lacks the candidates, with their rendered changes (`roomeq.loop.selection.Ranking`).
     candidates : sequence of Candidate
     """
-    derivatives = session.index.linearize(session.fit.mean, session.fit.local, session.correction,
-                                          session.fit.by_surface)[1]
     quantile = float(stats.norm.ppf(POWER))
     sizes: list[float | None] = []
     for candidate in candidates:
@@ -49,7 +47,7 @@ def detectable_sizes(session: Session, candidates: Sequence[Candidate]) -> list[
         amplitude = quantile + np.sqrt(quantile ** 2 + 2.0 * (np.log(len(candidates) / LEVEL) + cost))
         found = []
         for change in _changes(session, candidate.effect):
-            information = _information(session, derivatives, change)
+            information = _information(session, change)
             left = information.sum() - information.max()  # the room that gains most is not counted
             if left > 0.0:
                 found.append(size_of_change_jnd(session.data, amplitude / np.sqrt(left) * change))
@@ -75,10 +73,11 @@ def _changes(session: Session, effect: type[Effect]) -> list[FloatArray]:
     return [change for change in changes if change.any()]
 
 
-def _information(session: Session, derivatives: Derivatives, change: FloatArray) -> FloatArray:
+def _information(session: Session, change: FloatArray) -> FloatArray:
     """Return each room's information of a change of the features that no other parameters imitate, shape (n_rooms,)."""
     fitted, index = session.fit, session.index
-    rooms = [normal_equations(index, r, _SMALL * change, session.data.valid, derivatives, fitted.sigma, fitted.omega)
+    rooms = [normal_equations(index, r, _SMALL * change, session.data.valid, fitted.derivatives, fitted.sigma,
+                              fitted.omega)
              for r in range(len(fitted.local))]
     inverses = [np.linalg.inv(room.own_own + np.linalg.inv(covariance))
                 for room, covariance in zip(rooms, fitted.covariance, strict=True)]

@@ -10,12 +10,14 @@ from roomeq.core.constants import FS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.core.workers import share_out
 from roomeq.effects.base import Effect
-from roomeq.effects.model import apply_to_rir, direct_gain, extend_scene, path_gain
+from roomeq.effects.model import apply_to_rir, direct_gain, extend_scene, is_directive, path_gain
 from roomeq.loop.data import Data, is_timed
 from roomeq.loop.features import N_FEATURES, Features, measure_features
 from roomeq.loop.tables import level_surfaces
 from roomeq.sim.response import render_responses
 from roomeq.sim.scene import Scene, with_absorption
+
+_LARGEST_GROUP = 8  # rows that are rendered together
 
 
 @dataclass(frozen=True)
@@ -60,13 +62,38 @@ def render_rows(data: Data, absorption: FloatArray, effects: Sequence[Sequence[E
     rows = range(len(data.rows)) if rows is None else rows
     scenes = {n: _scene(data.traced[n].scene, 1.0 - np.exp(-absorption[n]), effects[n]) for n in rows}
 
-    def render_and_measure(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        raw = _render_row(data, n, scenes[n], effects[n], seed)
-        return raw.rir, raw.direct_gain, measure_row(data, n, raw, effects[n], seed).values
+    def render_and_measure(group: list[int]) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+        raw_rirs = _render_group(data, group, scenes[group[0]], effects[group[0]], seed)
+        return [(raw.rir, raw.direct_gain, measure_row(data, n, raw, effects[n], seed).values)
+                for n, raw in zip(group, raw_rirs, strict=True)]
 
-    rendered = share_out(render_and_measure, rows, nj)  # a scene may be large and need not travel
-    return ([RawRir(rir, scenes[n], direct) for n, (rir, direct, _) in zip(rows, rendered, strict=True)],
-            np.array([features for *_, features in rendered]))
+    groups = _groups_of_paths(data, absorption, effects, rows)
+    rendered = dict(zip([n for group in groups for n in group],
+                        [row for of_group in share_out(render_and_measure, groups, nj) for row in of_group],
+                        strict=True))
+    # a scene may be large and need not travel
+    return ([RawRir(rir, scenes[n], direct) for n in rows for rir, direct, _ in [rendered[n]]],
+            np.array([rendered[n][2] for n in rows]))
+
+
+def _groups_of_paths(data: Data, absorption: FloatArray, effects: Sequence[Sequence[Effect]],
+                     rows: Sequence[int] | IntArray) -> list[list[int]]:
+    """Group rows that have the same paths with the same gains but for the microphone: one pass over rays serves them.
+
+    Groups have at most `_LARGEST_GROUP` rows, so that there is work for several processes. Results do not depend on
+    the groups.
+    """
+    groups: dict[tuple, list[list[int]]] = {}
+    for n in rows:
+        scene = data.traced[n].scene
+        before_paths = tuple(effect for effect in effects[n]
+                             if is_directive(effect) or extend_scene([effect], scene) is not scene)
+        of_key = groups.setdefault((data.traced[n], absorption[n].tobytes(), before_paths,
+                                    tuple(data.rows[n].get("source_dir") or ())), [[]])
+        if len(of_key[-1]) == _LARGEST_GROUP:
+            of_key.append([])
+        of_key[-1].append(int(n))
+    return [group for of_key in groups.values() for group in of_key]
 
 
 def features_with_effects(data: Data, raw_rirs: Sequence[RawRir], variants: Sequence[Sequence[Sequence[Effect]]], *,
@@ -120,10 +147,12 @@ def _scene(scene: Scene, alpha: FloatArray, effects: Sequence[Effect]) -> Scene:
     return with_absorption(extend_scene(effects, scene), alpha[level_surfaces(scene.room).astype(int)])
 
 
-def _render_row(data: Data, n: int, scene: Scene, effects: Sequence[Effect], seed: int) -> RawRir:
-    row, place = data.rows[n], data.places[n]
-    gain = path_gain(effects, row.get("source_dir"))
-    (response,) = render_responses(replace(data.traced[n].load(), scene=scene), [place.mic_pos_m],
-                                   [rng_for(seed, "loop tail", row["id"])], path_gain=gain)
-    direct = direct_gain(scene, place.source_pos_m, place.mic_pos_m, gain) * response.direct_visible
-    return RawRir(response.rir, scene, direct)
+def _render_group(data: Data, group: list[int], scene: Scene, effects: Sequence[Effect], seed: int) -> list[RawRir]:
+    """Render rows of `_groups_of_paths`, with the scene and the effects of any of them."""
+    gain = path_gain(effects, data.rows[group[0]].get("source_dir"))
+    responses = render_responses(replace(data.traced[group[0]].load(), scene=scene),
+                                 [data.places[n].mic_pos_m for n in group],
+                                 [rng_for(seed, "loop tail", data.rows[n]["id"]) for n in group], path_gain=gain)
+    return [RawRir(response.rir, scene, response.direct_visible * direct_gain(
+        scene, data.places[n].source_pos_m, data.places[n].mic_pos_m, gain))
+        for n, response in zip(group, responses, strict=True)]

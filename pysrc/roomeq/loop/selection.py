@@ -293,7 +293,8 @@ class Choice(NamedTuple):
 def rank(session: Session, eliminated: Collection[type[Effect]] = ()) -> Ranking:
     """Fit each effect that the model lacks and did not lose, and rank them by the densities of held-out rooms."""
     data = session.data
-    before = leave_rooms_out(data, fit(data, session.correction, session.effects, initial=session.fit))
+    before = leave_rooms_out(data, fit(data, session.correction, session.effects, initial=session.fit,
+                                       known=session.fit.derivatives))
     known = {*session.effects, *data.given_kinds, *eliminated}
     lacking: list[type[Effect]] = [effect for effect in CATALOGUE.values()
                                    if effect not in known and effect.applies(data)]
@@ -311,10 +312,10 @@ def _candidate(session: Session, effect: type[Effect], before: list[HeldOutRoom]
         for start in effect.STARTS:
             starts = [start if kind is effect else kind.STARTS[0] for kind in effects]
             probe = fit(data, session.correction, effects, start=starts, initial=session.fit,
-                        iterations=_PROBE_ITERATIONS)
+                        known=session.fit.derivatives, iterations=_PROBE_ITERATIONS)
             probes.append((probe, np.array([room.log_density for room in leave_rooms_out(data, probe)])))
         initial = _best_start(ParameterIndex(data, effects), effect, probes)
-    fitted = fit(data, session.correction, effects, initial=initial)
+    fitted = fit(data, session.correction, effects, initial=initial, known=session.fit.derivatives)
     after = leave_rooms_out(data, fitted)
     gain = np.array([b.log_density - a.log_density for a, b in zip(before, after, strict=True)])
     return Candidate(effect, fitted, gain, effect_size_jnd(data, effect, fitted))

@@ -69,13 +69,21 @@ def refit_rendered(data: Data, fitted: Fit, *, seed: int, nj: int) -> Session:
     rendered = render_model(data, fitted, seed=seed, nj=nj)
     data = measure_rendered_changes(rendered, fitted.effects)
     correction = rendering_correction(replace(rendered, data=data))
-    first = fit(data, correction, fitted.effects, initial=replace(fitted, by_surface=None))
-    return Session(data, fitted.effects, correction, fit(data, correction, fitted.effects, initial=first), seed, nj)
+    first = fit(data, correction, fitted.effects, initial=fitted)
+    of_surfaces = first.derivatives._replace(by_effect={})  # which are smoother than those of effects
+    final = fit(data, correction, fitted.effects, initial=first, known=of_surfaces)
+    return Session(data, fitted.effects, correction, final, seed, nj)
 
 
 def with_rendered_changes(session: Session, candidates: list[type[Effect]]) -> Session:
-    """Return a session whose data know what candidates change when they are rendered."""
-    if not any(effect.INTERPOLATION_GRID for effect in candidates):
+    """Return a session whose data know what candidates change when they are rendered.
+
+    What an earlier, smaller model has measured of a candidate remains: another effect hardly changes it, and a
+    candidate that is added is measured again.
+    """
+    unknown = [effect for effect in candidates
+               if effect.INTERPOLATION_GRID and effect.NAME not in session.data.rendered_changes]
+    if not unknown:
         return session
     rendered = render_model(session.data, session.fit, seed=session.seed, nj=session.nj)
-    return replace(session, data=measure_rendered_changes(rendered, candidates))
+    return replace(session, data=measure_rendered_changes(rendered, unknown))

@@ -165,12 +165,12 @@ def calibrate(session: Session, held_out: list[HeldOutRoom], known: list[IntArra
         The features that may be used; by default all.
     """
     data, fitted, index = session.data, session.fit, session.index
-    predicted, derivatives = index.linearize(fitted.mean, fitted.local, session.correction, fitted.by_surface)
-    residual, valid = data.residual(predicted)
+    residual, valid = data.residual(fitted.predicted)
     valid = valid & _usable_features(index, known, usable)
     absorption, vectors, gains = np.empty((len(fitted.local), 2, N_BANDS)), [], np.empty(len(data.rows))
     for r, (local, room) in enumerate(zip(fitted.local, held_out, strict=True)):
-        equations = normal_equations(index, r, residual, valid, derivatives, fitted.sigma, fitted.omega)
+        equations = normal_equations(index, r, residual, valid, fitted.derivatives, fitted.sigma,
+                                     fitted.omega)
         inverse, n = np.linalg.inv(fitted.covariance[r]), len(local)
         matrix = np.block([[equations.own_own + inverse, equations.own_shared],
                            [equations.own_shared.T, equations.shared_shared + room.precision]])
