@@ -37,9 +37,15 @@ _GAIN_DB = (0.3, _CHAIN_GAIN_DB)  # limits of the spread of the gains of sources
 _MEAN_SPREAD = 1.5  # of the mean absorption, natural logarithm
 _CONTRAST = (0.4, 0.2, 0.1)  # spread of ln(absorption of floor and ceiling / of walls) over rooms, as `_SHAPES`
 _MEAN_CONTRAST = 0.3
-_SHAPES = tuple((level, bend, rough) for level in (0.15, 0.3, 0.6) for bend in (0.03, 0.1, 0.2, 0.4)
+_SHAPES = tuple((level, bend, rough) for level in (0.15, 0.2, 0.3, 0.45, 0.6, 0.8) for bend in (0.03, 0.1, 0.2, 0.4)
                 for rough in (0.03, 0.1, 0.2))
 _FIRST_SHAPE = (0.3, 0.2, 0.1)
+_LEVEL_PRIOR = (8.0, 0.5)
+"""Scaled inverse chi-squared prior of the variance of the level of absorption over rooms (Gelman et al., Bayesian Data
+Analysis, 3rd ed., sec. 2.6): degrees of freedom, and spread. Mean absorption coefficients of rooms lie between about
+0.05, a bare classroom, and 0.4, a studio: four spreads are ln(8). A few rooms of one or two laboratories, or states of
+one room, may vary by chance much less in level than in spectrum. A new room would then get their level in all octaves
+but the one in which its decay is known."""
 _CORRELATED = 1.5  # correlation length of absorption [bands]
 
 
@@ -279,14 +285,15 @@ def cost(index: ParameterIndex, correction: FloatArray, sigma: FloatArray, omega
 
 
 def _best_shape(local: list[FloatArray], posterior: list[FloatArray]) -> tuple[float, float, float]:
-    """Return the arguments of `absorption_covariance` of the highest likelihood."""
+    """Return the arguments of `absorption_covariance` of the highest posterior density, with `_LEVEL_PRIOR`."""
     absorption = np.array([own[:N_BANDS] for own in local])
     spread = np.array([covariance[:N_BANDS, :N_BANDS] for covariance in posterior])
     best, best_value = _SHAPES[0], -np.inf
     for shape in _SHAPES:
         total = absorption_covariance(*shape) + spread
         solved = np.linalg.solve(total, absorption[:, :, None])[:, :, 0]
-        value = 0.0
+        freedom, level = _LEVEL_PRIOR
+        value = -(freedom + 2.0) * np.log(shape[0]) - 0.5 * freedom * (level / shape[0]) ** 2
         for own, log_size, own_solved in zip(absorption, np.linalg.slogdet(total)[1], solved, strict=True):
             value -= 0.5 * (log_size + own @ own_solved)
         if value > best_value:

@@ -38,6 +38,7 @@ from roomeq.loop.splitters import (
     HeldOutRoom,
     calibrate,
     leave_rooms_out,
+    position_groups,
     solve_rooms,
     split_positions,
     transfer_shared,
@@ -54,7 +55,7 @@ _USABLE: dict[str, BoolArray | None] = {
         METRIC, ["direct", "floor"])}
 """Features that calibration may use on each split; None for all."""
 _METRICS = tuple(dict.fromkeys(METRIC.tolist()))
-_SIGN_CHANGES = 2 ** 16  # all those of the halves of eight rooms; of more rooms, a sample
+_SIGN_CHANGES = 2 ** 16  # all those of 16 groups; of more groups, a sample
 _PROBE_ITERATIONS = 2  # after which the fits from different starts are compared
 
 
@@ -66,22 +67,23 @@ class HeldOutErrors:
     ----------
     by_split : dict of ndarray, shape (n_rirs, n_features)
         Absolute errors on each of `SPLITS` [JND], NaN where nothing was measured.
-    room, half : ndarray of int, shape (n_rirs,)
-        Number of the room, and of its half (`split_positions`).
+    room, group : ndarray of int, shape (n_rirs,)
+        Number of the room, and of the group of positions in it that counts as one observation (`position_groups`).
     """
 
     by_split: dict[str, FloatArray]
     room: IntArray
-    half: IntArray
+    group: IntArray
 
     def of_rooms(self, split: str) -> FloatArray:
         """Mean error of each scored room, every metric with the same weight, shape (n_scored_rooms,)."""
         return np.array([_mean_over_metrics(self.by_split[split][self.room == r]) for r in self._scored(split)])
 
-    def of_halves(self, split: str) -> FloatArray:
-        """Mean error of each half of each scored room, shape (n_scored_rooms, 2)."""
-        return np.array([[_mean_over_metrics(self.by_split[split][(self.room == r) & (self.half == half)])
-                          for half in (0, 1)] for r in self._scored(split)])
+    def of_groups(self, split: str) -> FloatArray:
+        """Mean error of each group of positions, shape (n_groups,); NaN where nothing was scored."""
+        pairs = np.stack([self.room, self.group])
+        return np.array([_mean_over_metrics(self.by_split[split][np.all(pairs == pair[:, None], axis=0)])
+                         for pair in np.unique(pairs, axis=1).T])
 
     def _scored(self, split: str) -> IntArray:
         return np.unique(self.room[np.isfinite(self.by_split[split]).any(axis=1)])
@@ -125,13 +127,13 @@ def one_sided_p(differences: FloatArray) -> float:
 def p_lower(before: HeldOutErrors, after: HeldOutErrors, split: str) -> float:
     """Return the one-sided p value of the second error being lower than the first, paired.
 
-    Leave-positions-out: Fisher's randomisation test, which changes the signs of the halves of rooms, each calibrated
-    by the other. An effect may be strong in some rooms and weak in others; a t test over rooms would count that as
-    scatter. Leave-room-out: a t test over rooms, since a few rooms have too few signs to change.
+    Leave-positions-out: Fisher's randomisation test, which changes the signs of groups of positions. An effect may be
+    strong in some rooms and weak in others; a t test over rooms would count that as scatter. Leave-room-out: a t test
+    over rooms, since a few rooms have too few signs to change.
     """
     if split == "leave_room_out":
         return one_sided_p(before.of_rooms(split) - after.of_rooms(split))
-    change = (before.of_halves(split) - after.of_halves(split)).ravel()
+    change = before.of_groups(split) - after.of_groups(split)
     return float(stats.permutation_test((change[np.isfinite(change)],), np.mean, permutation_type="samples",
                                         alternative="greater", n_resamples=_SIGN_CHANGES, batch=_SIGN_CHANGES // 16,
                                         vectorized=True, rng=np.random.default_rng(0)).pvalue)
@@ -211,8 +213,7 @@ def _rendered_errors(data: Data, calibrated: Callable, *, seed: int, nj: int) ->
     seed, nj : int
     """
     first, second = split_positions(data)
-    by_split, half = {}, np.zeros(len(data.rows), dtype=int)
-    half[np.concatenate(second)] = 1
+    by_split = {}
     for split, usable in _USABLE.items():
         errors = np.full(data.features.shape, np.nan)
         for known, scored in ((first, second), (second, first)):
@@ -225,7 +226,7 @@ def _rendered_errors(data: Data, calibrated: Callable, *, seed: int, nj: int) ->
             error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
             errors[rows] = np.where(data.valid[rows] & ~CALIBRATION_FEATURES, error, np.nan)
         by_split[split] = errors
-    return HeldOutErrors(by_split, data.room, half)
+    return HeldOutErrors(by_split, data.room, position_groups(first, second))
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,8 @@ from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, ParameterIndex
 from roomeq.loop.predict import N_BANDS
 from roomeq.loop.session import Session
 
+_GROUPS, _PER_GROUP = 4, 3  # groups of positions in half of a room, and RIRs in a group
+
 
 @dataclass(frozen=True)
 class HeldOutRoom:
@@ -138,6 +140,30 @@ def split_positions(data: Data) -> tuple[list[IntArray], list[IntArray]]:
         first.append(np.array(sorted(halves[0]), dtype=int))
         second.append(np.array(sorted(halves[1]), dtype=int))
     return first, second
+
+
+def position_groups(first: list[IntArray], second: list[IntArray]) -> IntArray:
+    """Return the number of the group within its room that each RIR belongs to, shape (n_rirs,).
+
+    Parameters
+    ----------
+    first, second : list of ndarray of int
+        From `split_positions`.
+
+    Returns
+    -------
+    ndarray of int
+        Each half of a room consists of up to `_GROUPS` groups of consecutive RIRs, which as a rule are neighbours; a
+        group has at least `_PER_GROUP` RIRs unless the half has fewer. The calibration and the interference that a few
+        neighbours share make them one observation.
+    """
+    group = np.zeros(sum(len(half) for half in (*first, *second)), dtype=int)
+    for halves in zip(first, second, strict=True):
+        for number, half in enumerate(halves):
+            parts = np.array_split(half, np.clip(len(half) // _PER_GROUP, 1, _GROUPS))
+            for n, part in enumerate(parts):
+                group[part] = number * _GROUPS + n
+    return group
 
 
 def _usable_features(index: ParameterIndex, known: list[IntArray], usable: BoolArray | None) -> BoolArray:

@@ -10,10 +10,11 @@ from roomeq.effects.noise_floor import NoiseFloor
 from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.loop import close
 from roomeq.loop.features import JND, LATE_S, N_FEATURES, feature_slice
-from roomeq.loop.fit import SharedPrior, shortened_step, solve_step
+from roomeq.loop.fit import SharedPrior, _best_shape, shortened_step, solve_step
 from roomeq.loop.likelihood import NormalEquations
 from roomeq.loop.predict import base_state, predict
 from roomeq.loop.selection import SPLITS, Candidate, HeldOutErrors, p_lower
+from roomeq.loop.splitters import position_groups
 from roomeq.loop.tables import FRAME_EDGES_S, Table
 from roomeq.loop.unexplained import find_unexplained
 
@@ -83,23 +84,39 @@ def test_predicted_features_follow_the_speed_of_sound(faster):
     np.testing.assert_allclose(features[feature_slice("t30")], log_t30 / JND["t30"], atol=0.2)
 
 
-ROOMS_AND_HALVES = np.repeat(np.arange(8), 2), np.tile([0, 1], 8)
+ROOMS_AND_GROUPS = np.repeat(np.arange(8), 2), np.tile([0, 1], 8)
 STRONG_IN_TWO_ROOMS = [[0.30, 0.28], [0.12, 0.11]] + [[0.02, 0.0], [0.0, 0.01]] * 3
 
 
-@pytest.mark.parametrize("split, of_halves, lower", [
+@pytest.mark.parametrize("split, of_groups, lower", [
     ("leave_positions_out", STRONG_IN_TWO_ROOMS, True),
     ("leave_room_out", STRONG_IN_TWO_ROOMS, False),  # no evidence about the next room
     ("leave_room_out", [[0.10, 0.12]] * 4 + [[0.08, 0.07]] * 4, True),
     ("leave_positions_out", [[0.30, -0.28], [0.12, -0.11]] + [[0.02, 0.0], [0.0, 0.01]] * 3, False),  # by chance
-    ("leave_positions_out", [[0.30, 0.0]] + [[0.01, -0.01]] * 7, False),  # a single half must not decide
+    ("leave_positions_out", [[0.30, 0.0]] + [[0.01, -0.01]] * 7, False),  # a single group must not decide
     ("leave_positions_out", [[0.0, 0.0]] * 8, False)])
-def test_p_of_a_lower_error_depends_on_the_split(split, of_halves, lower):
+def test_p_of_a_lower_error_depends_on_the_split(split, of_groups, lower):
     before = np.full((16, N_FEATURES), 2.0)
-    after = before - np.ravel(of_halves)[:, None]
-    errors_before, errors_after = (HeldOutErrors({split: errors}, *ROOMS_AND_HALVES) for errors in (before, after))
+    after = before - np.ravel(of_groups)[:, None]
+    errors_before, errors_after = (HeldOutErrors({split: errors}, *ROOMS_AND_GROUPS) for errors in (before, after))
     p = p_lower(errors_before, errors_after, split)
     assert (p < 0.025) == lower
+
+
+@pytest.mark.parametrize("sizes, groups", [
+    ((11, 11), [4, 4, 3, 4, 4, 3]), ((4, 4), [4, 4]), ((1, 0), [1]), ((40, 2), [10, 10, 10, 10, 2])])
+def test_groups_of_positions_lie_within_halves(sizes, groups):
+    rirs = np.arange(sum(sizes))
+    group = position_groups([rirs[:sizes[0]]], [rirs[sizes[0]:]])
+    assert np.unique(group, return_counts=True)[1].tolist() == groups
+    assert not set(group[:sizes[0]]) & set(group[sizes[0]:])
+
+
+@pytest.mark.parametrize("level", [0.05, 0.6])
+def test_few_rooms_of_equal_absorption_do_not_fix_the_level_of_the_next(level):
+    rooms = [np.concatenate([level * x + 0.1 * np.cos(np.arange(8) + x), np.zeros(8)]) for x in (-1.2, -0.3, 0.4, 1.1)]
+    found, _, _ = _best_shape(rooms, [1e-4 * np.eye(16)] * len(rooms))
+    assert 0.3 <= found <= 0.6
 
 
 @pytest.mark.parametrize("change, behind, added", [
@@ -116,7 +133,7 @@ def test_worse_fit_replaces_only_a_refuted_candidate(monkeypatch, change, behind
     def errors(model):
         by_room = np.repeat(np.tile([0.02, -0.02], 4), 2)[:, None] * (model is not None)
         features = 2.0 - lower.get(model, 0.0) + by_room + np.zeros((16, N_FEATURES))
-        return HeldOutErrors(dict.fromkeys(SPLITS, features), *ROOMS_AND_HALVES)
+        return HeldOutErrors(dict.fromkeys(SPLITS, features), *ROOMS_AND_GROUPS)
 
     monkeypatch.setattr(close, "refit_rendered", lambda data, fitted, **_: fitted)
     monkeypatch.setattr(close, "heldout_errors", errors)
