@@ -56,12 +56,16 @@ def normal_equations(index: ParameterIndex, r: int, residual: FloatArray, valid:
     stacked = np.concatenate([own * slope[:, :, None], shared * slope[:, :, None], error[:, :, None]], axis=2)
     white = _whiten(stacked, ok, sigma, omega).reshape(-1, stacked.shape[2])
     product = white.T @ white
-    n = own.shape[2]
+    n, n_shared, columns = own.shape[2], index.n_shared, index.columns[r]
+    own_shared, shared_shared = np.zeros((n, n_shared)), np.zeros((n_shared, n_shared))
+    shared_residual = np.zeros(n_shared)
+    own_shared[:, columns], shared_shared[np.ix_(columns, columns)] = product[:n, n:-1], product[n:-1, n:-1]
+    shared_residual[columns] = product[n:-1, -1]
     count = ok.sum(axis=0)
     log_scale = np.sum(np.maximum(count - 1, 0) * np.log(sigma)
                        + np.where(count > 0, 0.5 * np.log(sigma ** 2 + count * omega ** 2), 0.0))
-    return NormalEquations(product[:n, :n], product[:n, n:-1], product[n:-1, n:-1], product[:n, -1],
-                           product[n:-1, -1], product[-1, -1], log_scale)
+    return NormalEquations(product[:n, :n], own_shared, shared_shared, product[:n, -1], shared_residual,
+                           product[-1, -1], log_scale)
 
 
 def misfit(residual: FloatArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray) -> float:

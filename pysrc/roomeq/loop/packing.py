@@ -103,6 +103,8 @@ class ParameterIndex:
         Of each room.
     members : list of ndarray of int
         RIRs of each room.
+    columns : list of ndarray of int, shape (n_columns,)
+        Of each room: the shared parameters on which its RIRs depend, which are those of its own units.
     gain_design : list of ndarray, shape (n_rirs_of_room, n_gains)
         Of each room: 1 where a gain applies to an RIR, else 0.
     gain_kind : list of ndarray of int, shape (n_gains,)
@@ -121,6 +123,7 @@ class ParameterIndex:
             start += n_vectors * size
         self.n_shared = start
         self.members = [np.flatnonzero(data.room == r) for r in range(len(data.room_names))]
+        self.columns = [self._columns(members) for members in self.members]
         self.gain_design, self.gain_kind = zip(*[_gains(data, members) for members in self.members], strict=True)
         self.local: list[LocalPart] = []
         for kinds, members in zip(self.gain_kind, self.members, strict=True):
@@ -130,6 +133,13 @@ class ParameterIndex:
                 slices.append(slice(at, at + size))
                 at += size
             self.local.append(LocalPart(slices, at))
+
+    def _columns(self, members: IntArray) -> IntArray:
+        columns = [np.arange(N_SURFACE)]
+        for effect, (part, _, unit, size) in zip(self.effects, self.shared, strict=True):
+            units = np.zeros(1, dtype=int) if effect.SCOPE in OWN_SCOPES else np.unique(unit[members])
+            columns += [part.start + u * size + np.arange(size) for u in units]
+        return np.concatenate(columns)
 
     def vectors(self, mean: FloatArray, local: list[FloatArray]) -> list[FloatArray]:
         """Return the vectors of each effect's units: list of arrays, shape (n_units, n)."""
@@ -223,30 +233,30 @@ class ParameterIndex:
         return centre.features + correction + gains, Derivatives(by_surface, by_effect)
 
     def room_derivatives(self, r: int, derivatives: Derivatives) -> tuple[FloatArray, FloatArray]:
-        """Return derivatives of a room's RIRs by its own and by the shared parameters.
+        """Return derivatives of a room's RIRs by its own parameters and by the shared ones of its `columns`.
 
         Both have the shape (n_rirs_of_room, n_features, n_parameters).
         """
         members, (by_surface, by_effect) = self.members[r], derivatives
         slices, size = self.local[r]
         own = np.zeros((len(members), N_FEATURES, size))
-        shared = np.zeros((len(members), N_FEATURES, self.n_shared))
+        shared = np.zeros((len(members), N_FEATURES, len(self.columns[r])))
         own[:, :, :N_SURFACE] = shared[:, :, :N_SURFACE] = by_surface[members]
         design = self.gain_design[r]
         own[:, :, N_SURFACE:N_SURFACE + design.shape[1]] = HAS_GAIN[:, None] * design[:, None, :]
         for k, effect in enumerate(self.effects):
             part, _, unit, n = self.shared[k]
+            first = int(np.searchsorted(self.columns[r], part.start))
             if effect.SCOPE == "room":
-                own[:, :, slices[k]] = shared[:, :, part] = by_effect[effect][members]
+                own[:, :, slices[k]] = shared[:, :, first:first + n] = by_effect[effect][members]
             elif effect.SCOPE == "rir":
-                shared[:, :, part] = by_effect[effect][members]
+                shared[:, :, first:first + n] = by_effect[effect][members]
                 for i, rir in enumerate(members):
                     at = slices[k].start + n * i
                     own[i, :, at:at + n] = by_effect[effect][rir]
             else:
-                for i, rir in enumerate(members):
-                    at = part.start + unit[rir] * n
-                    shared[i, :, at:at + n] = by_effect[effect][rir]
+                for i, place in enumerate(np.searchsorted(self.columns[r], part.start + unit[members] * n)):
+                    shared[i, :, place:place + n] = by_effect[effect][members[i]]
         return own, shared
 
 
