@@ -37,6 +37,7 @@ from roomeq.loop.selection import (
     HeldOutErrors,
     choose,
     heldout_errors,
+    helps_beside,
     one_sided_p,
     p_lower,
     rank,
@@ -191,8 +192,9 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]) -
 
     The error must fall significantly on at least one of `SPLITS` and must not rise significantly on any.
 
-    A worse-fitting candidate replaces a rejected one only if the rejected one raised the error. If the error merely did
-    not fall, the rejected candidate may still be the cause, and a significantly worse one must not stand in for it.
+    A worse-fitting candidate replaces a rejected one only if the rejected one raised the error, or if it explains
+    something else. If the error merely did not fall, the rejected candidate may still be the cause, and a significantly
+    worse one must not stand in for it.
     """
     pool = ranking
     while True:
@@ -209,7 +211,8 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]) -
         logger.info("rejected %s: the held-out error %s when it is rendered", winner.effect.NAME,
                     "rises" if rises else "does not fall")
         pool = [candidate for candidate in pool if candidate is not winner
-                and (rises or one_sided_p(winner.gain - candidate.gain) > LEVEL)]
+                and (rises or one_sided_p(winner.gain - candidate.gain) > LEVEL
+                     or (candidate.helps(len(ranking)) and helps_beside(session, winner, candidate, len(ranking))))]
 
 
 def _eliminate(session: Session, errors: HeldOutErrors, newest: type[Effect]

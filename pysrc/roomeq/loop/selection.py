@@ -322,6 +322,12 @@ def _candidate(session: Session, effect: type[Effect], before: list[HeldOutRoom]
     return Candidate(effect, fitted, gain, effect_size_jnd(data, effect, fitted))
 
 
+def helps_beside(session: Session, other: Candidate, candidate: Candidate, n_candidates: int) -> bool:
+    """Tell whether a candidate helps a model that has another candidate: whether it explains something else."""
+    model = replace(session, effects=other.fit.effects, fit=other.fit)
+    return _candidate(model, candidate.effect, leave_rooms_out(session.data, other.fit)).helps(n_candidates)
+
+
 def _best_start(index: ParameterIndex, effect: type[Effect], probes: list[tuple[Fit, FloatArray]]) -> Fit:
     """Return the best of fits from different starts; for an effect of rooms, combine each room's own best.
 

@@ -119,12 +119,13 @@ def test_few_rooms_of_equal_absorption_do_not_fix_the_level_of_the_next(level):
     assert 0.3 <= found <= 0.6
 
 
-@pytest.mark.parametrize("change, behind, added", [
-    (0.3, 8.0, "sound_speed"),
-    (-0.3, 8.0, "noise_floor"),  # refuted: the next best is tried
-    (0.0, 8.0, None),  # not proven: no worse-fitting candidate replaces it
-    (0.0, 0.0, "noise_floor")])  # an equally good one does
-def test_worse_fit_replaces_only_a_refuted_candidate(monkeypatch, change, behind, added):
+@pytest.mark.parametrize("change, behind, helps_beside, added", [
+    (0.3, 8.0, False, "sound_speed"),
+    (-0.3, 8.0, False, "noise_floor"),  # refuted: the next best is tried
+    (0.0, 8.0, False, None),  # not proven: no worse-fitting candidate replaces it
+    (0.0, 8.0, True, "noise_floor"),  # unless it explains something else
+    (0.0, 0.0, False, "noise_floor")])  # an equally good one does
+def test_worse_fit_replaces_only_a_refuted_candidate(monkeypatch, change, behind, helps_beside, added):
     gain = 20.0 + np.arange(8)
     ranking = [Candidate(SoundSpeed, SoundSpeed, gain, 2.0),
                Candidate(NoiseFloor, NoiseFloor, gain - behind + np.tile([1.0, -1.0], 4), 2.0)]
@@ -137,6 +138,7 @@ def test_worse_fit_replaces_only_a_refuted_candidate(monkeypatch, change, behind
 
     monkeypatch.setattr(close, "refit_rendered", lambda data, fitted, **_: fitted)
     monkeypatch.setattr(close, "heldout_errors", errors)
+    monkeypatch.setattr(close, "helps_beside", lambda *_: helps_beside)
     monkeypatch.setattr(close, "iteration_entry", lambda winner, *_: dict(effect=winner.effect.NAME))
     accepted = close._accept(SimpleNamespace(data=None, seed=0, nj=1), errors(None), ranking)
     assert (accepted and accepted.entry["effect"]) == added
