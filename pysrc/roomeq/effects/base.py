@@ -114,6 +114,8 @@ class Effect:
         (`PredictedRirs.rendered_change_of`); empty where the prediction follows from the parameters.
     REFLECTIONS : bool
         Whether `apply_to_prediction` changes the energy of reflections; if not, a fit reuses the sum over them.
+    MEASURED : bool
+        Whether the vector can be read off the recordings (`measured_vectors`), whatever their rows say of the room.
     """
 
     NAME: ClassVar[str] = ""
@@ -124,6 +126,7 @@ class Effect:
     DISCRIMINATING_MEASUREMENT: ClassVar[str] = ""
     INTERPOLATION_GRID: ClassVar[tuple[tuple[float, ...], ...]] = ()
     REFLECTIONS: ClassVar[bool] = True
+    MEASURED: ClassVar[bool] = False
 
     @classmethod
     def prior_covariance(cls) -> FloatArray:
@@ -137,9 +140,9 @@ class Effect:
 
     @classmethod
     def measured_vectors(cls, data: PredictedRirs) -> FloatArray | None:
-        """Return each room's vector as far as it can be read off the recordings, shape (n_rooms, n), or None.
+        """Return each room's vector as far as it can be read off the recordings, shape (n_rooms, n).
 
-        A fit starts there instead of at `STARTS`.
+        None unless `MEASURED`. A fit starts there instead of at `STARTS`.
         """
         return None
 

@@ -42,6 +42,7 @@ class NoiseFloor(Effect):
     levels_db: tuple[float, ...]
 
     REFLECTIONS = False
+    MEASURED = True
     NAME = "noise_floor"
     SCOPE = "room"
     STARTS = ((0.5,) * 8,)  # tens of dB that the noise adds to that of `QUIET_DB`

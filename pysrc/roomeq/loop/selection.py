@@ -139,7 +139,7 @@ def p_lower(before: HeldOutErrors, after: HeldOutErrors, split: str) -> float:
                                         vectorized=True, rng=np.random.default_rng(0)).pvalue)
 
 
-def heldout_errors(session: Session) -> HeldOutErrors:
+def heldout_errors(session: Session, splits: Sequence[str] = SPLITS) -> HeldOutErrors:
     """Return the held-out errors of a session's model on its own data."""
     data, held_out = session.data, leave_rooms_out(session.data, session.fit)
 
@@ -148,7 +148,7 @@ def heldout_errors(session: Session) -> HeldOutErrors:
         by_room = [effects_of_rows(data, session.effects, of_room) for of_room in vectors]
         return absorption, [by_room[r][n] for n, r in enumerate(data.room)], gains
 
-    return _rendered_errors(data, calibrated, seed=session.seed, nj=session.nj)
+    return _rendered_errors(data, calibrated, splits, seed=session.seed, nj=session.nj)
 
 
 def score_test_set(data: Data, session: Session, *, seed: int, nj: int) -> HeldOutErrors:
@@ -165,7 +165,7 @@ def score_test_set(data: Data, session: Session, *, seed: int, nj: int) -> HeldO
     seed, nj : int
     """
     data, calibrated = transferred(data, session)
-    return _rendered_errors(data, calibrated, seed=seed, nj=nj)
+    return _rendered_errors(data, calibrated, SPLITS, seed=seed, nj=nj)
 
 
 def transferred(data: Data, session: Session) -> tuple[Data, Callable]:
@@ -201,7 +201,7 @@ def _with_facings(data: Data, session: Session) -> Data:
                             np.hypot(session.fit.sigma, session.fit.omega), directivities)
 
 
-def _rendered_errors(data: Data, calibrated: Callable, *, seed: int, nj: int) -> HeldOutErrors:
+def _rendered_errors(data: Data, calibrated: Callable, splits: Sequence[str], *, seed: int, nj: int) -> HeldOutErrors:
     """Render each half of the RIRs as the other half calibrates its rooms, and compare it with the recordings.
 
     Parameters
@@ -210,17 +210,19 @@ def _rendered_errors(data: Data, calibrated: Callable, *, seed: int, nj: int) ->
     calibrated : callable
         Takes the RIRs of each room that may be used and their features that may be used (see `_USABLE`); returns
         the absorption of rooms, the effects of each RIR and the gains of RIRs.
+    splits : sequence of str
+        Of `SPLITS`.
     seed, nj : int
     """
     first, second = split_positions(data)
     by_split = {}
-    for split, usable in _USABLE.items():
+    for split in splits:
         errors = np.full(data.features.shape, np.nan)
         for known, scored in ((first, second), (second, first)):
             # a room with a single RIR has nothing that calibrates it, and is not scored
             rows = np.concatenate([to_score if len(calibrating) else calibrating
                                    for calibrating, to_score in zip(known, scored, strict=True)])
-            absorption, by_row, gains = calibrated(known, usable)
+            absorption, by_row, gains = calibrated(known, _USABLE[split])
             _, rendered = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj, rows=rows)
             error = np.abs(data.features[rows] - rendered - np.outer(gains[rows], HAS_GAIN))
             error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
@@ -268,12 +270,13 @@ class Candidate:
         """Tell whether held-out rooms are predicted better, corrected for the number of candidates.
 
         Without an effect, the density of all rooms together grows by a factor of x with a probability of at most 1 / x
-        (Markov's inequality). The room that gains most is not counted, so that no single room, which may be faulty,
-        decides. Rooms may gain little: rooms where all distances are short say little about the speed of sound. Of an
-        effect that all rooms share, half of them must gain; a desk or a noise may be in a few rooms only.
+        (Markov's inequality). The room that gains most is not counted, so that no single room, whose rows may be wrong,
+        decides; what can be read off the recordings themselves may be in a single room. Rooms may gain little: rooms
+        where all distances are short say little about the speed of sound. Of an effect that all rooms share, half of
+        them must gain; a desk or a noise may be in a few rooms only.
         """
-        without_best = self.total - max(self.gain.max(), 0.0)
-        return bool(without_best > np.log(n_candidates / LEVEL) and self.size_jnd >= MIN_SIZE_JND
+        counted = self.total - (0.0 if self.effect.MEASURED else max(self.gain.max(), 0.0))
+        return bool(counted > np.log(n_candidates / LEVEL) and self.size_jnd >= MIN_SIZE_JND
                     and (self.effect.SCOPE in OWN_SCOPES or np.mean(self.gain > 0.0) >= 0.5))
 
 

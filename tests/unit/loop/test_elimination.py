@@ -12,6 +12,7 @@ from roomeq.loop import close
 from roomeq.loop.features import N_FEATURES
 from roomeq.loop.ledger import added_effects, update_errors
 from roomeq.loop.selection import SPLITS, HeldOutErrors
+from roomeq.loop.session import Session
 
 ROOMS = 8
 
@@ -28,15 +29,19 @@ def errors(jnd, seed=0):
     ({SourceResponse: 2.4, Occlusion: 2.4}, []),
     ({SourceResponse: 1.9, Occlusion: 2.0}, [Occlusion, SourceResponse])])
 def test_effect_is_superfluous_if_the_error_does_not_rise_without_it(without, superfluous, monkeypatch):
-    session = SimpleNamespace(effects=(Occlusion, SourceDirectivity, SourceResponse))
+    every = (Occlusion, SourceDirectivity, SourceResponse)
+    fitted = Session(None, every, None, SimpleNamespace(derivatives=None), 0, 1)
     tried = []
 
-    def error_without(_, effects):
-        tried.append(set(effects))
-        return None, errors(without[effects[-1]], seed=len(tried))
+    def error_without(session, _=SPLITS):
+        tried.append([effect for effect in every if effect not in session.effects])
+        return errors(without[tried[-1][-1]], seed=len(tried))
 
-    monkeypatch.setattr(close, "_without", error_without)
-    _, left, found = close._eliminate(session, errors(2.0, seed=9), SourceDirectivity)
+    monkeypatch.setattr(close, "fit", lambda data, correction, kept, **_: SimpleNamespace(effects=tuple(kept)))
+    monkeypatch.setattr(close, "refit_rendered", lambda data, fit, **_: Session(data, fit.effects, None, fit, 0, 1))
+    monkeypatch.setattr(close, "heldout_errors", error_without)
+    session, left, found = close._eliminate(fitted, errors(2.0, seed=9), SourceDirectivity)
+    assert set(session.effects) == set(every) - set(superfluous)
     assert found == superfluous
     assert left.mean(SPLITS[0]) == pytest.approx(without[superfluous[-1]] if superfluous else 2.0, abs=0.1)
     assert not any(SourceDirectivity in effects for effects in tried)
