@@ -128,6 +128,12 @@ fi
 if at_stage 6 "make far-field speech"; then
   kinds=(real sim sim.EQ)
   if local/enough_rooms.py "$data/rirs.real.train" >/dev/null; then kinds+=(sim.loop); fi
+  unchecked=() # clean speech of which no far-field speech was made yet; it is checked as Kaldi does, with its audio
+  for x in train dev test; do
+    require "$data/$x.clean/wav.scp" steps/prepare_speech.sh
+    [ "$data/$x.real.rvb/.done" -nt "$data/$x.clean/.done" ] || unchecked+=("$data/$x.clean")
+  done
+  [ ${#unchecked[@]} -eq 0 ] || roomeq validate "${unchecked[@]}"
   for rirs in "${kinds[@]/%/.train}" "${kinds[@]/%/.dev}" real.test; do
     x=${rirs##*.}
     steps/augment_data.sh --nj "$nj" --snr "$snr" --point-snr "$point_snr" --packing "$packing" \
