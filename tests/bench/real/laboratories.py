@@ -141,7 +141,10 @@ def main():
     results = []
     with tempfile.TemporaryDirectory() as work:
         laboratories = read_laboratories(folders, Path(work), args.rirs_per_room)
-        names = args.only or [name for name, path in laboratories.items() if has_scored_room(path)] + ["all"]
+        known = [name for name, path in laboratories.items() if has_scored_room(path)] + ["all"]
+        if unknown := set(args.only or ()) - set(known):
+            sys.exit(f"--only {','.join(sorted(unknown))}: laboratories with rooms to score are {', '.join(known)}")
+        names = args.only or known
         for name in names:
             file = args.out / "laboratories.parts" / f"{name}.json"
             if file.is_file() and json.loads(file.read_text())["code"] == code:
