@@ -15,7 +15,6 @@ import argparse
 import json
 import logging
 import os
-import resource
 import sys
 import tempfile
 import time
@@ -30,6 +29,7 @@ sys.path[:0] = [str(PROJECT / name) for name in ("pysrc", "tests")]
 import numpy as np  # noqa: E402
 
 from bench import kit  # noqa: E402
+from bench.memory import PeakMemory  # noqa: E402
 from roomeq.core.digests import source_digest  # noqa: E402
 from roomeq.core.files import write_json  # noqa: E402
 from roomeq.corpora.measured import read_measured  # noqa: E402
@@ -83,16 +83,16 @@ def run(name, laboratories, work, nj):
     """Close the loop on all laboratories but one, or on "all"; return what the ledger says of it."""
     test = [laboratories[name]] if name in laboratories else []
     start, cpu = time.perf_counter(), sum(os.times()[:4])
-    ledger = close_loop([path for path in laboratories.values() if path not in test], work / "loop" / name, test=test,
-                        nj=nj)
+    with PeakMemory() as memory:
+        ledger = close_loop([path for path in laboratories.values() if path not in test], work / "loop" / name,
+                            test=test, nj=nj)
     scored = ledger["test"] if test else dict(ledger, before=ledger["baseline"], after=ledger["final"])
-    usage = [resource.getrusage(who).ru_maxrss / 2 ** 20 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return dict(laboratory=name, rirs=scored["rirs"], rooms=scored["rooms"],
                 added=[effect_names(entry) for entry in added_effects(ledger)],
                 facings=ledger["facings"], unexplained=ledger["unexplained_all"][:5],
                 **{key: scored[key] for key in ("before", "after", "ceiling", "explained")},
                 seconds=time.perf_counter() - start, cpu_seconds=sum(os.times()[:4]) - cpu,
-                gib=usage[0] + nj * usage[1])
+                gib=memory.gib)
 
 
 def section(results):
