@@ -21,6 +21,7 @@ librispeech=      # directory of LibriSpeech, as released
 reverbdb=         # directory of BUT ReverbDB, as released
 speech=           # instead of --librispeech: LibriSpeech-like tree, Kaldi data directory or folder with manifest.csv
 measured=         # instead of --reverbdb: folder of RIRs, CSV file, SOFA file or OpenSLR 28
+keep_suspicious=false   # keep measured recordings that are no RIR by their acoustics
 noises=           # folder of noise recordings, in addition to those of the measured corpus
 train_sets=train-clean-100   # LibriSpeech subsets for training, comma-separated
 dev_sets=dev-clean           # LibriSpeech subsets for development, comma-separated
@@ -85,7 +86,8 @@ if at_stage 0 "read speech and measured RIRs"; then
   [ -n "$noises$librispeech$speech" ] || noises=$corpora/speech/point_noises
   steps/prepare_speech.sh --train-sets "$train_sets" --dev-sets "$dev_sets" --test-sets "$test_sets" \
     "${librispeech:-${speech:-$corpora/speech}}" "$data"
-  steps/read_measured.sh --noises "$noises" "${reverbdb:-${measured:-$corpora/reverbdb}}" "$data/measured"
+  steps/read_measured.sh --noises "$noises" --keep-suspicious "$keep_suspicious" \
+    "${reverbdb:-${measured:-$corpora/reverbdb}}" "$data/measured"
 fi
 
 if at_stage 1 "characterise and split the measured RIRs"; then

@@ -134,6 +134,8 @@ seed = click.option("--seed", default=0, help="Seed of all random numbers.")
 nj = click.option("--nj", default=1, help="Number of processes; results do not depend on it.")
 part = click.option("--part", metavar="JOB/JOBS", help="Do one share only; a later call without this option finishes.")
 skip_bad = click.option("--skip-bad", is_flag=True, help="Leave out and report what cannot be used.")
+keep_suspicious = click.option("--keep-suspicious", is_flag=True,
+                               help="Keep recordings that are no RIR by their acoustics.")
 
 
 @verb("corpora:prepare_speech", "--train-sets train-clean-100,train-clean-360 /corpora/LibriSpeech data")
@@ -155,6 +157,7 @@ def prepare_speech() -> None:
               help="Kind of the source, where it is not recognised.")
 @click.option("--noises", type=AnyPath(), help="Folder or CSV of noise recordings to add to those of the corpus.")
 @skip_bad
+@keep_suspicious
 @nj
 def read_measured() -> None:
     """Read measured RIRs into an RIR directory."""
@@ -173,6 +176,7 @@ def read_noises() -> None:
 @argument("rir_dir", "RIR directory.")
 @argument("out", "RIR directory to make: the same audio, with acoustic parameters in the rows.")
 @skip_bad
+@keep_suspicious
 @part
 @nj
 def characterise() -> None:

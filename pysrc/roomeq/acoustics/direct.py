@@ -76,7 +76,7 @@ def find_direct(rir: ArrayLike, fs_hz: float, expected_sample: float | None = No
             raise ValueError(f"expected_sample={expected_sample:g} must lie in the response's {len(h)} samples: "
                              "correct the geometry, or leave it out where the time of flight is not in the file")
     window = magnitude[first:last]
-    noise = NOISE_FACTOR * _quietest_rms(h, fs_hz)
+    noise = NOISE_FACTOR * quietest_rms(h, fs_hz)
     threshold = max(ONSET_FRACTION * window.max(), noise)
     reaches = np.flatnonzero(window >= threshold)
     if window.max() == 0.0 or noise >= window.max() or not len(reaches):
@@ -102,7 +102,7 @@ def _checked(rir: ArrayLike) -> FloatArray:
     return h
 
 
-def _quietest_rms(h: FloatArray, fs_hz: float) -> float:
+def quietest_rms(h: FloatArray, fs_hz: float) -> float:
     """Return the RMS of the quieter frames (20 ms, 10th percentile): the noise floor where there is one.
 
     Digital silence is padding before or after the sound; it is excluded.

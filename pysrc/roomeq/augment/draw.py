@@ -15,6 +15,7 @@ from statistics import NormalDist
 
 from roomeq.core.audio import audio_info
 from roomeq.core.rng import rng_for
+from roomeq.corpora.suspicious import without_suspicious
 from roomeq.kaldi.wavscp import AudioLength
 from roomeq.records.rir_dir import NOISES_FILE, read_noises, read_rirs
 from roomeq.records.schema import RirRow
@@ -149,14 +150,15 @@ class Pool:
 def read_pool(rir_dir: Path, noise_dirs: list[Path]) -> Pool:
     """Read the RIRs of a directory, its noises, and those of further directories with `noises.jsonl`.
 
-    RIRs that the EQ fit screens out (hand claps, for example) are kept: their rooms are real.
+    RIRs that the EQ fit screens out (hand claps, for example) are kept: their rooms are real. Recordings
+    that are no RIR are left out (`roomeq.corpora.suspicious`).
 
     Raises
     ------
     ValueError
         There is no RIR for speech, a directory has no list of noises, or two noises share an id.
     """
-    rows = {row["id"]: row for row in read_rirs(rir_dir)}
+    rows = {row["id"]: row for row in without_suspicious(rir_dir, read_rirs(rir_dir))}
     main = [key for key, row in rows.items() if not row.get("noise_for")]
     if not main:
         raise ValueError(f"{rir_dir}: all {len(rows)} RIRs are noise RIRs: one for speech is needed: "

@@ -1,8 +1,8 @@
 """Characterise measured RIRs: measure each one, drop those that are useless, mark those that the EQ fit must leave out.
 
-An RIR is *dropped* if it adds nothing (a repeat) or is of an uncommon space: it is only in `screening.json`. It is
-*screened* if the recording is fine but its spectrum is not that of the room alone (a dummy head, a hand clap, noise):
-it stays, and the EQ fit leaves it out.
+An RIR is *dropped* if it adds nothing (a repeat), is of an uncommon space, or is no RIR by its acoustics: it is only in
+`screening.json`. It is *screened* if the recording is fine but its spectrum is not that of the room alone (a dummy
+head, a hand clap, noise): it stays, and the EQ fit leaves it out.
 """
 
 import hashlib
@@ -21,6 +21,7 @@ from roomeq.acoustics.subband_eq import MIN_SNR_DB
 from roomeq.core.build import Build
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 from roomeq.core.files import write_json
+from roomeq.corpora.suspicious import suspicion
 from roomeq.records.geometry import geometry_usability, position_key
 from roomeq.records.rir_dir import load_rir, read_noises, read_rirs, relocated, rir_path, write_noises, write_rirs
 from roomeq.records.schema import RirRow
@@ -35,8 +36,8 @@ SAME_TAKE_CORRELATION = 0.8
 """Two RIRs of one position are takes of one measurement if their first 50 ms correlate better than this."""
 
 
-def characterise(rir_dir: Path, out: Path, *, skip_bad: bool = False, part: str | None = None,
-                 nj: int = 1) -> dict[str, Any] | None:
+def characterise(rir_dir: Path, out: Path, *, skip_bad: bool = False, keep_suspicious: bool = False,
+                 part: str | None = None, nj: int = 1) -> dict[str, Any] | None:
     """Measure every RIR of a directory, drop repeats and uncommon spaces, and screen RIRs for the EQ fit.
 
     Parameters
@@ -49,6 +50,9 @@ def characterise(rir_dir: Path, out: Path, *, skip_bad: bool = False, part: str 
         Beside them lies `screening.json`.
     skip_bad : bool
         Drop recordings that cannot be measured (they have no direct sound) instead of stopping at the first.
+    keep_suspicious : bool
+        Keep recordings that are no RIR by their acoustics. By default they are dropped
+        (`roomeq.corpora.suspicious`).
     part : str, optional
         ``"2/5"``: do one share of the work only.
     nj : int
@@ -66,17 +70,23 @@ def characterise(rir_dir: Path, out: Path, *, skip_bad: bool = False, part: str 
     """
     rir_dir, out = Path(rir_dir), Path(out)
     rows = read_rirs(rir_dir)
-    build = Build(out, step="characterise", options=dict(skip_bad=bool(skip_bad)), inputs=[rir_dir], refers=True)
+    build = Build(out, step="characterise", inputs=[rir_dir], refers=True,
+                  options=dict(skip_bad=bool(skip_bad), keep_suspicious=bool(keep_suspicious)))
     if build.done:
         return None
 
     def make(_: str, row: RirRow) -> dict[str, Any]:
-        return _characterise_rir(rir_dir, row, skip_bad)
+        reason = None if keep_suspicious else suspicion(rir_dir, row)
+        return dict(suspicious=reason) if reason else _characterise_rir(rir_dir, row, skip_bad)
 
     summary: dict[str, Any] = {}
 
     def assemble(directory: Path, records: list[dict[str, Any]]) -> None:
         kept, dropped = _drop(rir_dir, rows, records)
+        for row, record in zip(rows, records, strict=True):
+            if "suspicious" in record:
+                logger.warning("no RIR: %s: %s (--keep-suspicious keeps it)", rir_path(rir_dir, row),
+                               record["suspicious"])
         if not kept:
             raise ValueError(f"{rir_dir}: all {len(rows)} RIRs are dropped ({_counts_text(dropped)}): "
                              "measure others")
@@ -145,12 +155,16 @@ def _drop(rir_dir: Path, rows: Sequence[RirRow], records: Sequence[dict[str, Any
         row, record = rows[n], records[n]
         if "broken" in record:
             dropped[row["id"]] = f"broken: {record['broken']}"
+        elif "suspicious" in record:
+            kind, _, detail = record["suspicious"].partition(": ")
+            dropped[row["id"]] = f"no RIR ({kind}): {detail}"
         elif row.get("uncommon"):
             dropped[row["id"]] = "uncommon space: not one that speech is usually spoken in"
         elif row.get("repeat_of") in ids and row["repeat_of"] not in dropped:
             dropped[row["id"]] = f"repeat: same positions as {row['repeat_of']}"
         else:
-            measured = {**row, **{key: record[key] for key in ("acoustic_parameters", "screen", "geometry_ok")}}
+            measured = {**row, "suspicious": None,
+                        **{key: record[key] for key in ("acoustic_parameters", "screen", "geometry_ok")}}
             sound, position = record["sound"], position_key(row)
             if sound in first_with:
                 dropped[row["id"]] = f"repeat: same audio as {first_with[sound]['id']}"

@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from roomeq.acoustics.plausibility import find_implausibility
 from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import audio_info, read_audio, write_wav
 from roomeq.core.build import Build
@@ -32,7 +33,7 @@ _REPORTED_FLAGS = ("binaural", "unreliable_geometry", "uncommon", "repeat_of", "
 
 
 def read_measured(source: Path, out: Path, *, kind: str | None = None, noises: Path | None = None,
-                  skip_bad: bool = False, nj: int = 1) -> Path:
+                  skip_bad: bool = False, keep_suspicious: bool = False, nj: int = 1) -> Path:
     """Make an RIR directory from a corpus of measured RIRs.
 
     The rows refer to mono files at 16 kHz; everything else (several channels, higher sample rates, SOFA, paths that a
@@ -53,6 +54,9 @@ def read_measured(source: Path, out: Path, *, kind: str | None = None, noises: P
     skip_bad : bool
         Leave out and report recordings that cannot be used (broken, silent, sampled below 16 kHz) instead of stopping
         at the first.
+    keep_suspicious : bool
+        Do not mark recordings that are no RIR by their acoustics (`roomeq.acoustics.plausibility`). Marked ones have
+        the reason in their row's `suspicious`, and later steps leave them out.
     nj : int
         Number of processes.
 
@@ -73,11 +77,11 @@ def read_measured(source: Path, out: Path, *, kind: str | None = None, noises: P
         listed[noises] = list_noises(noises)
         corpus.noises += listed[noises]
     build = _build(out, "read-measured", listed, kind=corpus.kind, name=corpus.name, notes=dict(corpus.notes),
-                   skip_bad=skip_bad)
+                   skip_bad=skip_bad, keep_suspicious=keep_suspicious)
     if build.done:
         return out
     logger.info("%s: %s with %d RIR files, %d noises", source, corpus.kind, len(corpus.rirs), len(corpus.noises))
-    return _write(build, corpus, skip_bad, nj)
+    return _write(build, corpus, skip_bad, nj, keep_suspicious)
 
 
 def read_noises(source: Path, out: Path, *, skip_bad: bool = False, nj: int = 1) -> Path:
@@ -140,7 +144,7 @@ class _Listed(NamedTuple):
     recording: Recording
 
 
-def _write(build: Build, corpus: Corpus, skip_bad: bool, nj: int) -> Path:
+def _write(build: Build, corpus: Corpus, skip_bad: bool, nj: int, keep_suspicious: bool = False) -> Path:
     for recordings in (corpus.rirs, corpus.noises):
         _check_ids(recordings)
     todo = [_Listed("rirs", recording) for recording in corpus.rirs]
@@ -152,6 +156,8 @@ def _write(build: Build, corpus: Corpus, skip_bad: bool, nj: int) -> Path:
         for table, recording in chunk:
             try:
                 for row, samples in _rows(recording, table, build.out):
+                    if keep_suspicious and table == "rirs":
+                        row["suspicious"] = None
                     if samples is not None:
                         row["wav"] = f"wav/{row['id']}.wav" if table == "rirs" else f"wav/noise/{row['id']}.wav"
                         write_wav(build.work / row["wav"], samples)
@@ -193,7 +199,8 @@ def _rows(recording: Recording, table: str, out: Path) -> Iterator[tuple[dict[st
     if recording.path.suffix == ".sofa" and table == "rirs":
         for row, samples, fs_hz in sofa_signals(recording):
             samples = _at_16k(_usable(samples, f"{recording.path} ({row['id']})"), fs_hz, recording.path)
-            yield row | dict(fs_hz=FS_HZ, n_samples=len(samples)), samples
+            yield row | dict(fs_hz=FS_HZ, n_samples=len(samples),
+                              suspicious=find_implausibility(samples, FS_HZ)), samples
         return
     info = audio_info(recording.path)
     relative_path = _relative_path(recording.path, out)
@@ -209,7 +216,8 @@ def _rows(recording: Recording, table: str, out: Path) -> Iterator[tuple[dict[st
         return
     for channel in range(info.channels):
         samples = _usable(read_audio(recording.path, channel=channel), recording.path)
-        row = dict(recording.row, id=recording.id, wav=relative_path, fs_hz=FS_HZ, n_samples=len(samples))
+        row = dict(recording.row, id=recording.id, wav=relative_path, fs_hz=FS_HZ, n_samples=len(samples),
+                   suspicious=find_implausibility(samples, FS_HZ))
         if info.channels > 1:
             mic_id = "" if row["mic_id"] == UNKNOWN else f"{row['mic_id']}-"
             row.update(id=f"{recording.id}_ch{channel}", mic_id=f"{mic_id}ch{channel}")
@@ -244,6 +252,7 @@ def _check_end(path: Path, n_samples: int) -> None:
 def _report(corpus: Corpus, merged: dict[str, list[Any]], converted: int) -> dict[str, Any]:
     """Return the counts of RIRs, rooms, unknown values and irregularities, and log them."""
     rirs = merged["rirs"]
+    suspicious = {row["id"]: row["suspicious"] for row in rirs if row["suspicious"]}
     report: dict[str, Any] = dict(
         corpus=corpus.name, kind=corpus.kind, rirs=len(rirs), noises=len(merged["noises"]), converted=converted,
         rooms=dict(sorted(Counter(row["room_id"] for row in rirs).items())),
@@ -251,7 +260,8 @@ def _report(corpus: Corpus, merged: dict[str, list[Any]], converted: int) -> dic
         marked={key: n for key in _REPORTED_FLAGS if (n := sum(bool(row[key]) for row in rirs))},
         geometry_problems=dict(sorted(Counter(row["room_id"] for row in rirs if row["geometry_problem"]).items())),
         excitation=dict(sorted(Counter(str(row["excitation"]) for row in rirs).items())),
-        notes=dict(sorted(corpus.notes.items())), skipped=merged["skipped"])
+        notes=dict(sorted(corpus.notes.items())), suspicious=suspicious,
+        skipped=merged["skipped"])
     logger.info("%s: %d RIRs of %d rooms, %d noises; %d files converted to %d Hz mono, %d left out", corpus.name,
                 len(rirs), len(report["rooms"]), report["noises"], converted, FS_HZ, len(merged["skipped"]))
     for label in ("unknown", "marked", "geometry_problems", "notes"):
@@ -260,4 +270,10 @@ def _report(corpus: Corpus, merged: dict[str, list[Any]], converted: int) -> dic
                         ", ".join(f"{key} {n}" for key, n in report[label].items()))
     for line in merged["skipped"]:
         logger.warning("left out: %s", line)
+    for row in rirs:
+        if row["suspicious"]:
+            logger.warning("no RIR: %s (%s): %s", row["wav"], row["id"], row["suspicious"])
+    if suspicious:
+        logger.warning("%s: %d of %d recordings are no RIR; later steps leave them out (--keep-suspicious keeps them)",
+                       corpus.name, len(suspicious), len(rirs))
     return report

@@ -18,6 +18,7 @@ from roomeq.core.build import Build
 from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.core.files import read_json, write_json, write_jsonl
 from roomeq.core.rng import rng_for
+from roomeq.corpora.suspicious import without_suspicious
 from roomeq.eq.gmm import FREE, GMM_FILE, JND_DB, Gmm, draw_target, fit_gmm, read_gmm, room_weights, with_reference
 from roomeq.records.rir_dir import load_rir, read_rirs, rir_path
 from roomeq.records.schema import RirRow
@@ -88,12 +89,14 @@ def fit_eq(real_dir: Path | str, sim_dirs: Sequence[Path | str], out: Path | str
     if n_components < 1:
         raise ValueError(f"n_components={n_components} must be at least 1")
     directories = {"real": Path(real_dir)} | {f"sim{n}": Path(path) for n, path in enumerate(sim_dirs)}
-    items = {f"{name}+{row['id']}": (directory, row) for name, directory in directories.items()
-             for row in read_rirs(directory) if not row.get("noise_for")}
     options = dict(n_components=n_components, weight_rooms=bool(weight_rooms), seed=seed)
     build = Build(Path(out), step="fit-eq", options=options, inputs=list(directories.values()))
     if build.done:
         return None
+    rows = {name: [row for row in read_rirs(directory) if not row.get("noise_for")]
+            for name, directory in directories.items()}
+    rows["real"] = without_suspicious(directories["real"], rows["real"])
+    items = {f"{name}+{row['id']}": (directories[name], row) for name in rows for row in rows[name]}
 
     def assemble(directory: Path, records: list[EqRecord]) -> None:
         measured, simulated = ([record for name, record in zip(items, records, strict=True)

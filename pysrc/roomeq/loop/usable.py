@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple, cast
 
+from roomeq.corpora.suspicious import suspicion
 from roomeq.records.geometry import OUTSIDE, geometry_usability
 from roomeq.records.rir_dir import read_rirs
 from roomeq.records.schema import RirRow
@@ -15,6 +16,8 @@ from roomeq.sim.mesh import load_mesh
 
 MIN_ROOMS = 3
 """Fewest rooms with two usable RIRs: rooms are left out, and halves of rooms are scored."""
+
+NO_RIR = "the recording is no RIR by its acoustics (roomeq characterise says why)"
 
 
 class Located(NamedTuple):
@@ -53,7 +56,7 @@ def usable_rirs(directories: Iterable[Path]) -> UsableRirs:
     Raises
     ------
     ValueError
-        A directory or mesh is invalid, or two directories share an id.
+        A directory, mesh or recording is invalid, or two directories share an id.
     """
     found = [Located(directory, row) for directory in map(Path, directories) for row in read_rirs(directory)
              if not row.get("noise_for")]
@@ -93,7 +96,9 @@ def require_enough_rooms(directories: Sequence[Path]) -> None:
 def _refused(rir: Located) -> str | None:
     """Return why the closed loop cannot use an RIR, or None."""
     reason = geometry_usability(rir.row, needs="loop").reason
-    return OUTSIDE if reason is None and _outside_mesh(rir) else reason
+    if reason is None and _outside_mesh(rir):
+        return OUTSIDE
+    return NO_RIR if reason is None and suspicion(rir.directory, rir.row) else reason
 
 
 def _outside_mesh(rir: Located) -> bool:

@@ -7,6 +7,8 @@ required
     audio file where a hand-written row lacks them
 geometry, `null` where nobody measured it (each coordinate on its own)
     `room_dims_m` [x, y, z] or `mesh` (a file), `source_pos_m`, `mic_pos_m`, `source_dir`, `mic_dir`
+measurement
+    `suspicious`: why the recording is no RIR, or null; a row without it is checked where its audio is used
 parameters
     `acoustic_parameters`: what `roomeq characterise` measured; `screen`: why the EQ fit leaves the RIR out, or null
 """

@@ -115,6 +115,7 @@ class RirRow(TypedDict):
     uncommon: NotRequired[Flag | None]
     tof_removed: NotRequired[Flag | None]
     repeat_of: NotRequired[RirId | None]
+    suspicious: NotRequired[Text | None]
     # what the toolkit measured
     acoustic_parameters: NotRequired[Annotated[AcousticParameters, Meta(description="an object")] | None]
     screen: NotRequired[Text | None]

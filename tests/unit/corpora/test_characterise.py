@@ -99,9 +99,9 @@ def test_repeat_is_kept_if_its_first_take_is_dropped(tmp_path):
 def test_unmeasurable_rir_is_an_error_or_skipped(tmp_path):
     items = [(row("a"), coloured_rir(0)), (row("bad"), 0.1 * np.random.default_rng(0).standard_normal(8000))]
     with pytest.raises(ValueError, match="bad.wav: .*no direct sound"):
-        run(tmp_path, items)
+        run(tmp_path, items, keep_suspicious=True)
     assert not (tmp_path / "out").exists()
-    rows, report = run(tmp_path, items, skip_bad=True)
+    rows, report = run(tmp_path, items, keep_suspicious=True, skip_bad=True)
     assert sorted(rows) == ["a"] and report["dropped_counts"] == {"broken": 1}
 
 

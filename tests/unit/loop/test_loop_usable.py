@@ -26,7 +26,8 @@ BOX = "".join(f"v {x} {y} {z}\n" for z in (0, 3) for x, y in ((0, 0), (6, 0), (6
 def directory(where, rows):
     """Write rows whose audio does not exist."""
     where.mkdir(parents=True)
-    write_rirs(where, [item | dict(wav=f"{item['id']}.wav", fs_hz=16000, n_samples=16000) for item in rows])
+    write_rirs(where, [item | dict(wav=f"{item['id']}.wav", fs_hz=16000, n_samples=16000, suspicious=None)
+                       for item in rows])
     return where
 
 
