@@ -1,7 +1,7 @@
 """Reading room meshes: triangles and the material name of each."""
 
-import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,18 +9,19 @@ import numpy as np
 
 from roomeq.core.arrays import FloatArray
 from roomeq.core.limits import MESH_MB
+from roomeq.sim.gltf import load_gltf
+from roomeq.sim.scene import MAX_DIMENSION_M
 
 FORMATS = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
 UNNAMED = "surface"
 MAX_FROM_ORIGIN_M = 1e4
 """Rays are traced in single precision, which at this distance tells millimetres apart."""
+MIN_LENGTH_M = 0.1
+"""Shortest room, from end to end."""
 MAX_CORNERS = 500
 """Of one face: for a face whose edges cross, triangulation takes the cube of this number of steps."""
 
 _TRIANGLE_BYTES = 72
-# of the arrays of glTF (specification 2.0, 3.6.2.2): bytes of a component, components of an element
-_COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
-_COMPONENTS = dict(SCALAR=1, VEC2=2, VEC3=3, VEC4=4, MAT2=4, MAT3=9, MAT4=16)
 
 
 class Triangles(NamedTuple):
@@ -64,16 +65,30 @@ def read_triangles(path: str | Path) -> Triangles:
     _check_size(path, path.stat().st_size)
     try:
         triangles, names = _read_obj(path) if path.suffix.lower() == ".obj" else _read_other(path)
-    except _TooLarge:
+    except (_TooLarge, OSError, MemoryError):
         raise
-    except (ValueError, IndexError, KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"{path}: cannot be read as a mesh ({error}): export it again") from None
+    except Exception as error:  # broken bytes can raise any exception in trimesh
+        raise ValueError(f"{path}: cannot be read as a mesh ({str(error) or type(error).__name__}): export it "
+                         "again") from None
     if not len(triangles):
         raise ValueError(f"{path}: holds no triangles: export it again")
-    if not np.all(np.abs(triangles) <= MAX_FROM_ORIGIN_M):
-        raise ValueError(f"{path}: every vertex must lie within {MAX_FROM_ORIGIN_M:g} m of the origin: export it in "
-                         "metres")
+    _check_lengths(path, triangles)
     return Triangles(triangles, names)
+
+
+def _check_lengths(path: Path, triangles: FloatArray) -> None:
+    """Refuse a room that is far from the origin, or so large or small that it cannot be in metres."""
+    corners = triangles.reshape(-1, 3)
+    if not np.isfinite(corners).all():
+        raise ValueError(f"{path}: every vertex must be a finite number of metres: export it again")
+    length_m = float(np.ptp(corners, axis=0).max())
+    if not MIN_LENGTH_M <= length_m <= MAX_DIMENSION_M:
+        unit = "kilometres" if length_m < MIN_LENGTH_M else "centimetres" if length_m <= 1000 else "millimetres"
+        raise ValueError(f"{path}: the room is {length_m:,.4g} m long and must be {MIN_LENGTH_M:g} m to "
+                         f"{MAX_DIMENSION_M:g} m: is it in {unit}? Export it in metres")
+    if not np.all(np.abs(corners) <= MAX_FROM_ORIGIN_M):
+        raise ValueError(f"{path}: every vertex must lie within {MAX_FROM_ORIGIN_M:g} m of the origin: move the room "
+                         "there")
 
 
 class _TooLarge(ValueError):
@@ -87,25 +102,17 @@ def _check_size(path: Path, n_bytes: int) -> None:
                         f"triangles, or raise the bound with roomeq --{MESH_MB.option}")
 
 
-def _gltf_bytes(path: Path) -> int:
-    """Return the bytes that a glTF file declares: its buffer files, and its arrays, which need no bytes in any file."""
-    data = path.read_bytes()
-    if data[:4] == b"glTF":
-        data = data[20:20 + int.from_bytes(data[12:16], "little")]
-    header = json.loads(data)
-    files = [path.parent / buffer["uri"] for buffer in header.get("buffers", [])
-             if not buffer.get("uri", "data:").startswith("data:")]
-    return sum(file.stat().st_size for file in files if file.is_file()) + sum(
-        array["count"] * _COMPONENT_BYTES[array["componentType"]] * _COMPONENTS[array["type"]]
-        for array in header.get("accessors", []))
-
-
 def _read_other(path: Path) -> Triangles:
     import trimesh
 
-    if path.suffix.lower() in (".glb", ".gltf"):
-        _check_size(path, _gltf_bytes(path))
-    scene: Any = trimesh.load(path, force="scene", process=False)
+    suffix = path.suffix.lower()
+    scene: Any
+    if suffix in (".glb", ".gltf"):
+        scene = load_gltf(path, partial(_check_size, path))
+    elif suffix == ".ply":
+        scene = trimesh.load(path, force="scene", process=False, skip_materials=True)
+    else:
+        scene = trimesh.load(path, force="scene", process=False)
     # several nodes may hold the same mesh
     _check_size(path, _TRIANGLE_BYTES * sum(len(getattr(scene.geometry[scene.graph[node][1]], "faces", ()))
                                             for node in scene.graph.nodes_geometry))
@@ -117,7 +124,7 @@ def _read_other(path: Path) -> Triangles:
         if not isinstance(mesh, trimesh.Trimesh):
             continue
         material = getattr(getattr(mesh.visual, "material", None), "name", None)
-        if path.suffix.lower() == ".stl" and len(scene.geometry) > 1:
+        if suffix == ".stl" and len(scene.geometry) > 1:
             material = geometry  # of an STL file of several solids, the name of the solid
         triangles.append(trimesh.transform_points(mesh.vertices, transform)[mesh.faces])
         names += [material or UNNAMED] * len(mesh.faces)
@@ -130,15 +137,12 @@ def _read_obj(path: Path) -> Triangles:
     triangles: list[FloatArray] = []
     names: list[str] = []
     material = UNNAMED
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+    for line in path.read_text(encoding="utf-8-sig", errors="replace").splitlines():
         key, *words = line.split("#")[0].split() or [""]
         if key == "v":
             if len(words) < 3:
                 raise ValueError(f"vertex {len(vertices) + 1} has {len(words)} coordinates where three are needed")
             vertices.append([float(word) for word in words[:3]])
-            if not all(abs(value) <= MAX_FROM_ORIGIN_M for value in vertices[-1]):
-                raise ValueError(f"vertex {len(vertices)} at {vertices[-1]} must lie within "
-                                 f"{MAX_FROM_ORIGIN_M:g} m of the origin")
         elif key == "usemtl":
             material = " ".join(words) or UNNAMED
         elif key == "f":

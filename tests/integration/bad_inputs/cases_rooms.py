@@ -40,6 +40,19 @@ def glb(header: dict) -> bytes:
     return struct.pack("<4sIIII", b"glTF", 2, 20 + len(text), len(text), 0x4E4F534A) + text
 
 
+def scaled(factor: float, offset: float = 0.0) -> str:
+    """The box in another unit, or elsewhere."""
+    lines = [line.split() for line in BOX.splitlines()]
+    return "".join(" ".join([key, *(str(float(x) * factor + offset) for x in words)] if key == "v" else [key, *words])
+                   + "\n" for key, *words in lines)
+
+
+def gltf(how: str, message: str, **changed) -> Case:
+    """A case whose glTF file differs in a few keys from a right one."""
+    return garbage("gltf", f"RIR m1: mesh/room.gltf: cannot be read as a mesh ({message}): export it again",
+                   json.dumps(many_times(1, 1) | changed).encode(), how)
+
+
 def many_times(n_nodes: int, n_faces: int) -> dict:
     """The header of a glTF file with one mesh, at many places."""
     corners, faces = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0), struct.pack("<3H", 0, 1, 2) * n_faces
@@ -71,8 +84,20 @@ CASES = [
          "v 0 0 0\nv 1 0 0\nv 0 1 0\n"),
     mesh("vertex in a plane", "RIR m1: mesh/room.obj: cannot be read as a mesh (vertex 2 has 2 coordinates where three "
          "are needed): export it again", BOX.replace("v 5 0 0", "v 5 0")),
-    mesh("vertex far away", "RIR m1: mesh/room.obj: cannot be read as a mesh (vertex 2 at [5e+30, 0.0, 0.0] must lie "
-         "within 10000 m of the origin): export it again", BOX.replace("v 5 0 0", "v 5e30 0 0")),
+    mesh("vertex far away", "RIR m1: mesh/room.obj: the room is 5e+30 m long and must be 0.1 m to 200 m: is it in "
+         "millimetres? Export it in metres", BOX.replace("v 5 0 0", "v 5e30 0 0")),
+    mesh("vertex nan", "RIR m1: mesh/room.obj: every vertex must be a finite number of metres: export it again",
+         BOX.replace("v 5 0 0", "v nan 0 0")),
+    mesh("in millimetres", "RIR m1: mesh/room.obj: the room is 6,000 m long and must be 0.1 m to 200 m: is it in "
+         "millimetres? Export it in metres", scaled(1200)),
+    mesh("in centimetres", "RIR m1: mesh/room.obj: the room is 500 m long and must be 0.1 m to 200 m: is it in "
+         "centimetres? Export it in metres", scaled(100)),
+    mesh("in kilometres", "RIR m1: mesh/room.obj: the room is 0.005 m long and must be 0.1 m to 200 m: is it in "
+         "kilometres? Export it in metres", scaled(1e-3)),
+    mesh("of denormals", "RIR m1: mesh/room.obj: the room is 5e-310 m long and must be 0.1 m to 200 m: is it in "
+         "kilometres? Export it in metres", scaled(1e-310)),
+    mesh("far from the origin", "RIR m1: mesh/room.obj: every vertex must lie within 10000 m of the origin: move the "
+         "room there", scaled(1, 1e6)),
     mesh("vertex a text", "RIR m1: mesh/room.obj: cannot be read as a mesh (...): export it again",
          "v a b c\n" + BOX),
     mesh("flat",
@@ -87,14 +112,36 @@ CASES = [
     Case("mesh beyond the bound beside it", MESH, f"RIR m1: mesh/room.gltf: 64000001 {TOO_LARGE}",
          (write("mesh/room.gltf", json.dumps(dict(buffers=[dict(uri="zeros.bin", byteLength=1)]))),
           write("mesh/zeros.bin", bytes(64_000_001)), row("mesh/rirs.jsonl", 1, mesh="room.gltf"))),
-    garbage("glb", "RIR m1: mesh/room.glb: holds no triangles: export it again",
-         b"glTF\x02\0\0\0\xff\xff\xff\xff\xff\xff\xff\xffJSON{}"),
+    garbage("glb", "RIR m1: mesh/room.glb: cannot be read as a mesh (truncated: 22 bytes of 4294967315): export it "
+            "again", b"glTF\x02\0\0\0\xff\xff\xff\xff\xff\xff\xff\xffJSON{}"),
     garbage("glb", f"RIR m1: mesh/room.glb: 12000000000 {TOO_LARGE}",
             glb(dict(accessors=[dict(count=10**9, componentType=5126, type="VEC3")])), "without bytes"),
-    garbage("gltf", "RIR m1: mesh/room.gltf: cannot be read as a mesh ('VEC9'): export it again",
+    garbage("gltf", "RIR m1: mesh/room.gltf: cannot be read as a mesh (accessors[0]: type='VEC9' must be one of "
+            "SCALAR, VEC2, VEC3, VEC4, MAT2, MAT3, MAT4): export it again",
             json.dumps(dict(accessors=[dict(count=1, componentType=5126, type="VEC9")])).encode(), "of no type"),
     garbage("gltf", f"RIR m1: mesh/room.gltf: 72000000 {TOO_LARGE}",
             json.dumps(many_times(100, 10_000)).encode(), "of one mesh many times"),
+    gltf("of a negative count", "accessors[0]: count=-1 must be a positive whole number",
+         accessors=[dict(count=-1, componentType=5126, type="VEC3")]),
+    gltf("whose counts cancel", "accessors[1]: count=-1000000000 must be a positive whole number", accessors=[
+        dict(count=count, componentType=5126, type="VEC3") for count in (10**9, -10**9)]),
+    gltf("whose views are negative", "bufferViews[0]: byteLength=-4 must be a positive whole number",
+         bufferViews=[dict(buffer=0, byteLength=-4)]),
+    gltf("whose arrays lie elsewhere", "its arrays do not fit into its buffers",
+         bufferViews=[dict(buffer=0, byteOffset=-10, byteLength=36), dict(buffer=0, byteLength=6)]),
+    gltf("of sparse arrays", "accessors[0] is sparse, which is not read",
+         accessors=[dict(count=3, componentType=5126, type="VEC3", sparse={})]),
+    gltf("1.0", "it is glTF 1.0 and must be glTF 2.0", asset=dict(version="1.0"), accessors={}),
+    gltf("compressed", "its arrays are compressed with KHR_draco_mesh_compression, which is not read",
+         extensionsRequired=["KHR_draco_mesh_compression"]),
+    gltf("of nodes in a circle", "its nodes are nested in a circle, or deeper than 100",
+         nodes=[dict(mesh=0, children=[0])]),
+    gltf("of deep nodes", "its nodes are nested in a circle, or deeper than 100",
+         nodes=[dict(children=[n + 1]) for n in range(5000)] + [dict(mesh=0)]),
+    gltf("of a device", "buffers[0]: uri='/dev/zero' must name a regular file beside it",
+         buffers=[dict(uri="/dev/zero", byteLength=42)]),
+    garbage("gltf", "RIR m1: mesh/room.gltf: cannot be read as a mesh (its JSON is nested too deeply): export it "
+            "again", b"[" * 10**5 + b"]" * 10**5, "of deep JSON"),
     garbage("stl", "RIR m1: mesh/room.stl: holds no triangles: export it again", b"\xff" * 200),
     garbage("ply", "RIR m1: mesh/room.ply: cannot be read as a mesh (...): export it again",
          b"ply\nformat binary_little_endian 1.0\nelement vertex 999999999999\nproperty float x\nend_header\n"),

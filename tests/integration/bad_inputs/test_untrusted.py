@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from cases_rooms import many_times
 from datadirs import FS, burst, rir_dir
 from running import call, snapshot
 from wrong import HOSTILE
+from wrong import row as change_row
 
 from roomeq.augment import augment
 from roomeq.kaldi import validate_data_dir
@@ -26,6 +28,22 @@ from roomeq.records.schema import is_id
 PACKAGE = Path(__file__).resolve().parents[3] / "pysrc" / "roomeq"
 NAMES = ["two words", "it's", '"quoted"', "$(touch evil)", "`touch evil`", "a;touch evil", "-rf", "--help", "a..", "*",
          "é", "日本", "%s", "{0}", "a\\b", "tab\there", "x|y", "#x", "~", "JOB"]
+
+TEXTURED = """ply
+format ascii 1.0
+comment TextureFile fifo
+element vertex 3
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+0 1 0
+3 0 1 2
+"""
 
 
 def files_outside(root, *inside):
@@ -132,3 +150,20 @@ def test_a_fifo_or_device_is_not_waited_for(worlds, tmp_path, monkeypatch):
         assert (status, said.count("no such audio file")) == (1, 1)
 
 
+def test_what_a_mesh_refers_to_is_not_waited_for(worlds, tmp_path, monkeypatch):
+    """Buffers are regular files; textures are never opened."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(worlds / "mesh", "mesh")
+    os.mkfifo("mesh/fifo")
+    right = many_times(1, 1)
+    meshes = {"buffer.gltf": json.dumps(right | dict(buffers=[dict(uri="fifo", byteLength=42)])),
+              "image.gltf": json.dumps(right | dict(images=[dict(uri="fifo")], textures=[dict(source=0)])),
+              "texture.ply": TEXTURED}
+    said = {}
+    for name, content in meshes.items():
+        Path("mesh", name).write_text(content)
+        change_row("mesh/rirs.jsonl", 1, mesh=name)(tmp_path)
+        status, said[name] = call(["simulate", "mesh", "out"])
+        assert status == 1 and said[name].count("\n") == 1
+    assert "uri='fifo' must name a regular file beside it" in said["buffer.gltf"]
+    assert "the mesh has holes" in said["image.gltf"] and "the mesh has holes" in said["texture.ply"]

@@ -1,10 +1,12 @@
 """Meshes: the same room as a shoebox, corners that are hidden, meshes that cannot be rooms."""
 
+import re
 from dataclasses import replace
 from itertools import pairwise, product
 
 import numpy as np
 import pytest
+import trimesh
 from plans import L_PLAN, box_plan, prism_obj
 
 from roomeq.acoustics.iso3382 import reverberation_time
@@ -43,11 +45,29 @@ def test_obj_box_is_read_with_its_materials(box):
 
 @pytest.mark.parametrize("suffix", ["ply", "stl", "glb", "off"])
 def test_all_mesh_formats_give_the_same_room(box, tmp_path, suffix):
-    trimesh = pytest.importorskip("trimesh")
     mesh = trimesh.Trimesh(box.triangles.reshape(-1, 3), np.arange(36).reshape(-1, 3), process=False)
     mesh.export(tmp_path / f"box.{suffix}")
     room = load_mesh(tmp_path / f"box.{suffix}")
     assert room.surfaces == ("surface",) and room.volume_m3 == pytest.approx(72.0, rel=1e-5)
+
+
+@pytest.mark.parametrize("how", ["with a byte order mark", "with denormals", "in glTF with percent-encoded names"])
+def test_odd_but_right_files_give_the_same_room(box, write_obj, how, tmp_path):
+    text = prism_obj(box_plan(*DIMS_M[:2]), DIMS_M[2])
+    if "mark" in how:
+        path = write_obj("\ufeff" + text)
+    elif "denormals" in how:
+        path = write_obj(text.replace("v 0.0 0.0 0.0", "v 1e-310 -4e-324 0.0"))
+        assert "1e-310" in path.read_text()
+    else:
+        mesh = trimesh.Trimesh(box.triangles.reshape(-1, 3), np.arange(36).reshape(-1, 3), process=False)
+        files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(mesh))
+        for name, content in files.items():
+            content = re.sub(rb'"gltf_([^"]*)"', rb'"a%20room%20\1"', content) if name == "model.gltf" else content
+            (tmp_path / name.replace("gltf_", "a room ")).write_bytes(content)
+        path = tmp_path / "model.gltf"
+        assert b"%20" in path.read_bytes()
+    np.testing.assert_allclose(np.sort(load_mesh(path).triangles.ravel()), np.sort(box.triangles.ravel()), atol=1e-6)
 
 
 def test_specular_paths_of_mesh_box_equal_image_lattice(box):
