@@ -26,6 +26,8 @@ _DEFAULT_CORNERS = ([0.0, 0.0, 0.0], [1.0, 2.0, 3.0])
 _DEFAULT_POSITIONS = ([0.0, 0.0, 1.0], [0.0, 0.0, 0.0])
 _TEMPERATURES_C = (-30.0, 60.0)
 _ORTHOGONAL = 1e-6
+_MAX_CHARACTERS = 10**6  # of names and descriptions
+_MAX_VARIABLES = 1000  # a convention has about 50, attributes included; each takes time to read
 
 
 def list_sofa(source: Path) -> Corpus:
@@ -34,13 +36,16 @@ def list_sofa(source: Path) -> Corpus:
     Raises
     ------
     ValueError
-        There is no SOFA file.
+        There is no SOFA file, or a name of one is that of a folder, a FIFO or a device.
     """
     files = [source] if source.is_file() else sorted(path for path in source.rglob("*") if path.suffix == ".sofa")
     if not files:
         raise ValueError(f"{source}: no .sofa files below it: check the path")
     if any(path.suffix != ".sofa" for path in files):
         raise ValueError(f"{source}: a SOFA file's name must end in .sofa: rename it, or choose another kind")
+    for path in files:
+        if not path.is_file():
+            raise ValueError(f"{path}: a SOFA file must be a regular file: remove it")
     root = source.parent if source.is_file() else source
     return Corpus(name=source.stem if source.is_file() else source.name, kind="sofa", rirs=[
         Recording(path, make_id("-".join(path.relative_to(root).with_suffix("").parts)),
@@ -113,11 +118,25 @@ def _open(path: Path) -> Any:
 
 
 def _check_size(path: Path) -> None:
-    """Refuse a file whose arrays are too large before they are read; compressed arrays make small files."""
+    """Refuse a file whose arrays are too large before they are read; compressed arrays make small files.
+
+    AES69 knows numbers and characters. A string or an array as a value takes memory by its own length.
+    """
     from netCDF4 import Dataset
 
     with Dataset(str(path)) as file:
-        n_values = sum(math.prod(variable.shape) for variable in file.variables.values())
+        variables = file.variables.values()
+        for variable in variables:
+            if not (isinstance(variable.datatype, np.dtype) and variable.datatype.kind in "iufS"):
+                raise ValueError(f"variable {variable.name!r:.60} must hold plain numbers or characters, no strings or "
+                                 "records")
+            if variable.datatype.kind == "S" and math.prod(variable.shape) > _MAX_CHARACTERS:
+                raise ValueError(f"variable {variable.name!r:.60} of {math.prod(variable.shape)} characters must hold "
+                                 f"at most {_MAX_CHARACTERS}")
+        n_read = len(file.ncattrs()) + sum(1 + len(variable.ncattrs()) for variable in variables)
+        n_values = sum(math.prod(variable.shape) for variable in variables)
+    if n_read > _MAX_VARIABLES:
+        raise ValueError(f"{n_read} variables and attributes must be at most {_MAX_VARIABLES}")
     if n_values > max_audio_samples():
         raise ValueError(f"{n_values} values must be at most {max_audio_samples()}, see roomeq --{AUDIO_HOURS.option}")
 

@@ -1,8 +1,11 @@
 """SOFA files of measured rooms."""
 
+import os
+
 import numpy as np
 import pytest
 from corpora_examples import put, put_sofa, put_text, rir
+from netCDF4 import Dataset
 
 from roomeq.corpora import read_measured
 from roomeq.corpora.record import Recording
@@ -79,6 +82,40 @@ def test_dummy_head_is_binaural(tmp_path):
 def test_rate_below_16_khz_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"a\.sofa: sample rate 8000 Hz must be 16000 Hz or more"):
         read_measured(put_sofa(tmp_path / "a.sofa", fs_hz=8000), tmp_path / "out")
+
+
+@pytest.mark.parametrize("kind, shape, message", [
+    (str, (3 * 10**8,), "variable 'Comment' must hold plain numbers or characters, no strings or records"),
+    ("list", (3 * 10**8,), "variable 'Comment' must hold plain numbers or characters, no strings or records"),
+    ("record", (10**6,), "variable 'Comment' must hold plain numbers or characters, no strings or records"),
+    ("S1", (3 * 10**8,), "variable 'Comment' of 300000000 characters must hold at most 1000000"),
+    ("f8", (10**9,), "values must be at most 345600000, see roomeq --max-audio-hours")])
+def test_what_an_array_takes_is_known_before_it_is_read(tmp_path, kind, shape, message):
+    path = put_sofa(tmp_path / "a.sofa")
+    with Dataset(path, "a") as file:
+        types = dict(list=lambda: file.createVLType(float, "list"),
+                     record=lambda: file.createCompoundType(np.dtype([("a", float, (1000,))]), "record"))
+        file.createDimension("Q", shape[0])
+        file.createVariable("Comment", types[kind]() if kind in types else kind, ("Q",), zlib=kind in ("S1", "f8"))
+    with pytest.raises(ValueError, match=message):
+        signals(path)
+
+
+def test_many_variables_are_refused(tmp_path):
+    path = put_sofa(tmp_path / "a.sofa")
+    with Dataset(path, "a") as file:
+        for n in range(1000):
+            file.setncattr(f"Comment{n}", "")
+    with pytest.raises(ValueError, match=r"10\d\d variables and attributes must be at most 1000"):
+        signals(path)
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda path: path.symlink_to("/dev/zero")])
+def test_a_sofa_file_is_a_regular_file(tmp_path, make):
+    put_sofa(tmp_path / "a.sofa")
+    make(tmp_path / "b.sofa")
+    with pytest.raises(ValueError, match=r"b\.sofa: a SOFA file must be a regular file: remove it"):
+        list_sofa(tmp_path)
 
 
 def test_free_field_and_broken_files_are_refused(tmp_path):
