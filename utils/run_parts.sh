@@ -2,16 +2,20 @@
 # Run a roomeq verb in parts through $cmd, then once more to assemble the output.
 # Usage: utils/run_parts.sh NJ LOG_DIR VERB [ARGUMENT...]
 # e.g.:  utils/run_parts.sh 4 exp/log compensate data/rirs.sim.train exp/eq data/rirs.sim.EQ.train
-# Finished parts are skipped, so a killed run continues where it stopped.
+# Nothing is started where the output is up to date. Finished parts are skipped, so a killed run continues where it
+# stopped.
 set -euo pipefail
 . ./path.sh
 . ./cmd.sh
 . utils/check_words.sh
-[ $# -ge 3 ] || { sed -n '2,5s/^# //p' "$0" >&2 && exit 1; }
+[ $# -ge 3 ] || { sed -n '2,6s/^# //p' "$0" >&2 && exit 1; }
 nj=$1 log_dir=$2 verb=$3
 shift 3
 [[ $nj =~ ^[1-9][0-9]*$ ]] || { echo "${0##*/}: nj='$nj' must be a positive number of jobs" >&2 && exit 1; }
 check_words "$log_dir" "$@"
+status=0
+roomeq --ask "$verb" "$@" || status=$?
+[ "$status" -eq 3 ] || exit "$status" # 3: the output is to be made; 0: it is up to date
 # $cmd may hold options ("queue.pl --mem 2G"): split on purpose
 # shellcheck disable=SC2086
 $cmd JOB=1:"$nj" "$log_dir/$verb.JOB.log" roomeq "$verb" --part "JOB/$nj" "$@"

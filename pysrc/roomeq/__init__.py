@@ -11,9 +11,9 @@ __version__ = "0.2.0"
 if TYPE_CHECKING:
     from roomeq.acoustics.parameters import measure as analyse
     from roomeq.corpora.characterise import characterise
-    from roomeq.eq.compensation import compensate, compensate_rir
-    from roomeq.eq.fit import fit_eq
-    from roomeq.loop.close import close_loop
+    from roomeq.eq.compensation import compensate_rir
+    from roomeq.eq.steps import compensate, fit_eq
+    from roomeq.loop.step import close_loop
     from roomeq.records.rir_dir import load_rir, read_rirs
     from roomeq.sim.materials import named_scene
     from roomeq.sim.mesh import MeshRoom, load_mesh
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 _HOME = {
     "Air": "sim.scene", "Material": "sim.scene", "MeshRoom": "sim.mesh", "Scene": "sim.scene", "Shoebox": "sim.scene",
-    "analyse": "acoustics.parameters:measure", "characterise": "corpora.characterise", "close_loop": "loop.close",
-    "compensate": "eq.compensation", "compensate_rir": "eq.compensation", "fit_eq": "eq.fit", "load_mesh": "sim.mesh",
+    "analyse": "acoustics.parameters:measure", "characterise": "corpora.characterise", "close_loop": "loop.step",
+    "compensate": "eq.steps", "compensate_rir": "eq.compensation", "fit_eq": "eq.steps", "load_mesh": "sim.mesh",
     "load_rir": "records.rir_dir", "named_scene": "sim.materials", "read_rirs": "records.rir_dir",
     "simulate": "simulate_rirs", "simulate_rir": "sim.response",
 }

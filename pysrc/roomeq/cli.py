@@ -14,8 +14,11 @@ from typing import Any
 import click
 
 from roomeq import __version__
+from roomeq.core.asking import NotUpToDate, only_ask
 from roomeq.core.limits import LIMITS
 
+NOT_UP_TO_DATE = 3
+"""Exit status where ``--ask`` is answered with no."""
 MAX_MESSAGE = 1500
 """Longest message printed; of a longer one, only beginning and end are printed."""
 
@@ -59,7 +62,7 @@ class Verb(click.Command):
     Parameters
     ----------
     function : str
-        Module and name, such as ``"eq:fit_eq"``.
+        Module and name, such as ``"eq.steps:fit_eq"``.
     example : str
         Arguments of an example, for the help.
     """
@@ -84,6 +87,8 @@ class Verb(click.Command):
             extra = _EXTRA_OF.get(package)
             return failed(f"the package {package} is not installed: "
                           + (f"pip install 'roomeq[{extra}]'" if extra else "install roomeq again"))
+        except NotUpToDate:
+            return NOT_UP_TO_DATE
         except (MemoryError, BrokenExecutor) as error:
             return failed(f"not enough memory, or a worker was killed ({type(error).__name__}): use a smaller --nj and "
                           "start it again to go on")
@@ -106,13 +111,17 @@ class PipelineGroup(click.Group):
 @click.group(cls=PipelineGroup, no_args_is_help=False, subcommand_metavar="VERB [ARGS]...",
              context_settings=dict(help_option_names=["-h", "--help"], show_default=True, max_content_width=120),
              epilog='Shell completion: eval "$(_ROOMEQ_COMPLETE=bash_source roomeq)", or zsh_source, or fish_source.',
-             params=[click.Option([f"--{limit.option}"], type=float, metavar="N",
-                                  help=f"{limit.description[0].upper()}{limit.description[1:]}; default: "
-                                       f"{limit.default:g}, or {limit.variable} of the environment.")
-                     for limit in LIMITS])
+             params=[click.Option(["--ask"], is_flag=True,
+                                  help="Only tell whether the output is up to date: make nothing, and exit with "
+                                       f"status {NOT_UP_TO_DATE} if it is not."),
+                     *(click.Option([f"--{limit.option}"], type=float, metavar="N",
+                                    help=f"{limit.description[0].upper()}{limit.description[1:]}; default: "
+                                         f"{limit.default:g}, or {limit.variable} of the environment.")
+                       for limit in LIMITS)])
 @click.version_option(__version__, message="%(version)s")
-def cli(**limits: float | None) -> None:
+def cli(ask: bool, **limits: float | None) -> None:
     """Simulate room impulse responses (RIRs) that match measured ones, and make far-field speech with them."""
+    only_ask(ask)
     for limit in LIMITS:
         value = limits[limit.option.replace("-", "_")]
         if value is not None:  # in the environment, where worker processes find it too
@@ -223,7 +232,7 @@ def validate() -> None:
     """Check that directories keep their contracts."""
 
 
-@verb("eq:fit_eq", "data/rirs.real.train data/rirs.sim.train exp/eq")
+@verb("eq.steps:fit_eq", "data/rirs.real.train data/rirs.sim.train exp/eq")
 @argument("real_dir", "Measured RIRs of the training set.")
 @argument("sim_dirs", "Simulated RIRs, for comparison.", nargs=-1)
 @argument("out", "Directory to make: gmm.json, EQs of all RIRs, screening.json.")
@@ -236,7 +245,7 @@ def fit_eq() -> None:
     """Fit a Gaussian mixture to EQs of measured RIRs."""
 
 
-@verb("eq:compensate", "data/rirs.sim.train exp/eq data/rirs.sim.EQ.train")
+@verb("eq.steps:compensate", "data/rirs.sim.train exp/eq data/rirs.sim.EQ.train")
 @argument("sim_dir", "Simulated RIRs.")
 @argument("eq_dir", "Output of fit-eq.")
 @argument("out", "RIR directory to make.")
@@ -250,7 +259,7 @@ def compensate() -> None:
     """Give simulated RIRs EQs drawn from the fitted mixture."""
 
 
-@verb("loop.close:close_loop", "data/rirs.real.train --test data/rirs.real.dev --out exp/loop")
+@verb("loop.step:close_loop", "data/rirs.real.train --test data/rirs.real.dev --out exp/loop")
 @argument("rir_dirs", "Measured RIRs with geometry, of three rooms or more.", nargs=-1, required=True)
 @click.option("--out", type=AnyPath(), required=True, help="Directory to make: ledger.json, model.json.")
 @click.option("--test", type=AnyPath(), multiple=True, metavar="DIR", help="RIRs that are only scored; repeatable.")
@@ -332,3 +341,7 @@ def printable(text: str) -> str:
     """Return a text on one line, without control characters; of a very long one, only beginning and end."""
     text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(text.split()))
     return text if len(text) <= MAX_MESSAGE else f"{text[:MAX_MESSAGE // 2]} [...] {text[-MAX_MESSAGE // 2:]}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

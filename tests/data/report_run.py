@@ -10,8 +10,7 @@ from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.corpora.characterise import characterise
 from roomeq.corpora.split import split_rirs
-from roomeq.eq.compensation import compensate
-from roomeq.eq.fit import fit_eq
+from roomeq.eq.steps import compensate, fit_eq
 from roomeq.kaldi.wavscp import flac_entry
 from roomeq.kaldi.write import OutUtterance, write_data_dir
 from roomeq.records.rir_dir import read_rirs, write_noises, write_rirs

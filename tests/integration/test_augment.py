@@ -14,7 +14,7 @@ from datadirs import FS, LENGTHS, audio_of, burst, decay, rir_dir, rir_row, spee
 from joblib.externals.loky import get_reusable_executor
 
 from roomeq.augment import augment
-from roomeq.augment.draw import parse_distribution
+from roomeq.augment.distribution import parse_distribution
 from roomeq.core.audio import write_flac, write_wav
 from roomeq.kaldi import validate_data_dir
 from roomeq.kaldi.datadir import read_data_dir

@@ -20,7 +20,7 @@ from roomeq.effects.response import RESPONSE_HZ
 from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.effects.source_response import SourceResponse
 from roomeq.loop.ceiling import ceiling_errors, twin_recordings
-from roomeq.loop.close import SCATTERING, close_loop
+from roomeq.loop.close import SCATTERING
 from roomeq.loop.data import load_data
 from roomeq.loop.facing import with_estimated_facings
 from roomeq.loop.features import HAS_GAIN, JND, LATE_S, METRIC, feature_slice, measure_features
@@ -33,6 +33,7 @@ from roomeq.loop.rendering import _groups_of_paths, render_rows
 from roomeq.loop.selection import SPLITS, _candidate, choose, heldout_errors, rank, size_of_change_jnd
 from roomeq.loop.session import fit_base_model, with_rendered_changes
 from roomeq.loop.splitters import leave_rooms_out, split_positions
+from roomeq.loop.step import close_loop
 from roomeq.records.rir_dir import load_rir, read_rirs, relocated, write_rirs
 from roomeq.validate import validate
 from testbed import make_room_set

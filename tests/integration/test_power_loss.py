@@ -9,8 +9,7 @@ from rirmaker import coloured_rir, row, write_rir_dir
 
 from roomeq.augment import augment
 from roomeq.corpora import prepare_speech, read_measured
-from roomeq.eq.compensation import compensate
-from roomeq.eq.fit import fit_eq
+from roomeq.eq.steps import compensate, fit_eq
 from roomeq.simulate_rirs import simulate
 
 AUDIO = (".wav", ".flac")

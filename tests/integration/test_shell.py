@@ -6,7 +6,7 @@ import subprocess
 import pytest
 from scripts import call
 
-from roomeq.augment.draw import parse_distribution
+from roomeq.augment.distribution import parse_distribution
 
 
 def test_options_take_values_with_and_without_equals_sign(recipe):

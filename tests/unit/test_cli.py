@@ -6,10 +6,12 @@ import subprocess
 import sys
 
 import click
+import numpy as np
 import pytest
 
 from roomeq import __version__
-from roomeq.cli import Verb, cli, main
+from roomeq.cli import NOT_UP_TO_DATE, Verb, cli, main
+from roomeq.core.audio import write_wav
 
 VERBS = cli.commands
 
@@ -67,8 +69,26 @@ def test_help_imports_no_numerics():
     assert done.returncode == 0 and "Usage: roomeq simulate" in done.stdout
 
 
-def test_package_runs_as_a_module():
-    done = subprocess.run([sys.executable, "-m", "roomeq", "validate"], capture_output=True, text=True, timeout=60,
+@pytest.mark.parametrize("verb", sorted(set(cli.commands) - {"validate", "wer"}))
+def test_step_that_is_only_asked_imports_no_numerics(verb):
+    code = ("import sys; from roomeq.cli import cli; cli.commands[sys.argv[1]].load(); "
+            "sys.exit(any(name in sys.modules for name in ('numpy', 'scipy', 'numba', 'matplotlib')))")
+    assert subprocess.run([sys.executable, "-c", code, verb]).returncode == 0
+
+
+def test_asking_for_an_absent_output_is_answered_by_the_status_alone(tmp_path, capsys):
+    (tmp_path / "corpus").mkdir()
+    write_wav(tmp_path / "corpus/hum.wav", np.ones(1600))
+    arguments = ["read-noises", str(tmp_path / "corpus"), str(tmp_path / "noises")]
+    assert main(["--ask", *arguments]) == NOT_UP_TO_DATE
+    assert capsys.readouterr() == ("", "") and not (tmp_path / "noises").exists()
+    assert main(arguments) == 0 and main(["--ask", *arguments]) == 0
+    assert main(["--ask", "read-noises", str(tmp_path / "absent"), str(tmp_path / "noises")]) == 1
+
+
+@pytest.mark.parametrize("module", ["roomeq", "roomeq.cli"])
+def test_package_runs_as_a_module(module):
+    done = subprocess.run([sys.executable, "-m", module, "validate"], capture_output=True, text=True, timeout=60,
                           check=False)
     assert done.returncode == 1
     assert done.stderr == "roomeq: Missing argument 'DIRECTORIES...': see roomeq validate --help\n"

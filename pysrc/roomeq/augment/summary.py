@@ -6,12 +6,12 @@ from collections import Counter
 from pathlib import Path
 
 from roomeq.augment.draw import Pool
+from roomeq.augment.step import SUMMARY_FILE
 from roomeq.core.constants import FS_HZ
 from roomeq.core.files import read_json
 
 logger = logging.getLogger(__name__)
 
-SUMMARY_FILE = "summary.json"
 _BIN_DB = 5
 
 

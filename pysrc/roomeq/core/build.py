@@ -31,6 +31,7 @@ from itertools import starmap
 from pathlib import Path
 from typing import Any
 
+from roomeq.core.asking import NotUpToDate, only_asked
 from roomeq.core.digests import code_digest, digest, files_below
 from roomeq.core.files import hash_file, listing_written, sync, to_json, write_json
 from roomeq.core.item_records import ItemRecord, is_as_recorded, is_whole, read_item_record, write_item_record
@@ -90,8 +91,13 @@ class Build:
 
     @property
     def done(self) -> bool:
-        """Whether the directory exists, is complete, and was made with the same options, inputs and code."""
+        """Whether the directory exists, is complete, and was made with the same options, inputs and code.
+
+        Where that is the only question (`roomeq.core.asking`), `NotUpToDate` says no and ends the step.
+        """
         if not _is_done(self.out, self.key):
+            if only_asked():
+                raise NotUpToDate(str(self.out))
             return False
         logger.info("%s: up to date", self.out)
         if self._replaced.exists():  # the run that put the directory in place was killed before it had cleared up

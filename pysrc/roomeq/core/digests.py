@@ -2,12 +2,11 @@
 
 import contextlib
 import hashlib
-import importlib.metadata
 import json
 import os
-import platform
 import re
 import shlex
+import sys
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
@@ -111,18 +110,34 @@ def files_below(directory: Path) -> list[Path]:
 @cache
 def code_digest() -> str:
     """Return a hash of the package's source and of the versions of Python and of the numerical libraries."""
-    total = hashlib.sha256(f"Python {platform.python_version_tuple()[:2]}".encode())
-    for name in _NUMERICS:
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            total.update(f"{name} {importlib.metadata.version(name)}".encode())
+    total = hashlib.sha256(f"Python {sys.version_info[:2]}".encode())
+    total.update(" ".join(_installed(_NUMERICS)).encode())
     total.update(source_digest(Path(__file__).parents[1]).encode())
     return total.hexdigest()
 
 
+def _installed(packages: Iterable[str]) -> list[str]:
+    """Return names and versions of those packages that are installed: the names of their ``.dist-info`` folders.
+
+    They are what `importlib.metadata.version` looks for. Its import takes longer than all the rest that tells whether
+    an output is up to date.
+    """
+    wanted = {name.replace("-", "_") for name in packages}
+    found: dict[str, str] = {}
+    for folder in sys.path:
+        with contextlib.suppress(OSError):
+            for name in sorted(os.listdir(folder or ".")):
+                package, _, version = name.lower().partition("-")
+                if version.endswith(".dist-info") and package in wanted:
+                    found.setdefault(package, name)  # the first on the path is imported
+    return sorted(found.values())
+
+
 def source_digest(*paths: Path) -> str:
-    """Return a hash of Python files, given one by one or as folders."""
+    """Return a hash of source files, given one by one or as folders with all that belongs to their package."""
     total = hashlib.sha256()
     for path in paths:
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
-            total.update(file.read_bytes())
+        for file in files_below(path) if path.is_dir() else [path]:
+            if "__pycache__" not in file.parts:
+                total.update(f"{file.relative_to(path)}\0".encode() + file.read_bytes())
     return total.hexdigest()

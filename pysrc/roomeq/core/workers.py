@@ -1,12 +1,10 @@
 """Worker processes: how many, how they end with their parent, and forked ones that inherit its memory."""
 
-import multiprocessing
 import os
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor
 from typing import Any, TypeVar
 
 Item = TypeVar("Item")
@@ -73,12 +71,17 @@ def share_out(work: Callable[[Item], Result], items: Iterable[Item], nj: int, *,
     results, items = [work(item) for item in items[:n_here]], items[n_here:]
     if not items:
         return results
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
+
     with ProcessPoolExecutor(n_processes(nj, len(items)), multiprocessing.get_context("fork"),
                              initializer=_start_worker, initargs=(work, items)) as pool:
         return [*results, *pool.map(_work_on, range(len(items)))]
 
 
 def _start_worker(work: Callable[[Any], Any], items: list[Any]) -> None:
+    import multiprocessing
+
     global _task
     _task = work, items
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # which a job in the background ignores

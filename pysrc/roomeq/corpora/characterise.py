@@ -12,12 +12,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from roomeq.acoustics.iso3382 import DECAYS_DB
-from roomeq.acoustics.noise_intersection import NOISE_MARGIN_DB
-from roomeq.acoustics.parameters import measure
-from roomeq.acoustics.subband_eq import MIN_SNR_DB
 from roomeq.core.build import Build
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 from roomeq.core.files import write_json
@@ -102,6 +96,10 @@ def characterise(rir_dir: Path, out: Path, *, skip_bad: bool = False, keep_suspi
 
 def _characterise_rir(rir_dir: Path, row: RirRow, skip_bad: bool) -> dict[str, Any]:
     """Return the new keys of a row and a hash of its samples, or ``{"broken": reason}``."""
+    import numpy as np
+
+    from roomeq.acoustics.parameters import measure
+
     rir = load_rir(rir_dir, row)
     try:
         parameters = measure(rir)
@@ -121,6 +119,10 @@ def screen_reason(row: Mapping[str, Any], parameters: Mapping[str, Any]) -> str 
 
     The words before the colon are the kind of reason, by which summaries count.
     """
+    from roomeq.acoustics.iso3382 import DECAYS_DB
+    from roomeq.acoustics.noise_intersection import NOISE_MARGIN_DB
+    from roomeq.acoustics.subband_eq import MIN_SNR_DB
+
     if row.get("binaural"):
         return "binaural: the dummy head's ears are part of the spectrum"
     if row.get("excitation") == "clap":
@@ -184,6 +186,8 @@ def same_take(rir_dir: Path, first: Mapping[str, Any], second: Mapping[str, Any]
     The first 50 ms after their direct sounds are correlated, at the best shift of up to 0.5 ms: the channels of an
     array or of a dummy head do not correlate well.
     """
+    import numpy as np
+
     n, reach = round(SAME_TAKE_S * FS_HZ), round(5e-4 * FS_HZ)
     parts = []
     for row, margin in ((first, 0), (second, reach)):

@@ -6,9 +6,32 @@ from roomeq.corpora.folder import list_folder, list_noise_folder
 from roomeq.corpora.record import Corpus, Recording, audio_files
 from roomeq.corpora.reverbdb import find_rooms, list_reverbdb
 from roomeq.corpora.slr28 import find_measured_part, list_slr28
-from roomeq.corpora.sofa_file import list_sofa
 from roomeq.corpora.table import MANIFEST, list_noise_table, list_table
 from roomeq.records.rir_dir import ROWS_FILE
+from roomeq.records.schema import make_id
+
+
+def list_sofa(source: Path) -> Corpus:
+    """List one SOFA file, or all below a folder; their content is read later, file by file.
+
+    Raises
+    ------
+    ValueError
+        There is no SOFA file, or a name of one is that of a folder, a FIFO or a device.
+    """
+    files = [source] if source.is_file() else sorted(path for path in source.rglob("*") if path.suffix == ".sofa")
+    if not files:
+        raise ValueError(f"{source}: no .sofa files below it: check the path")
+    if any(path.suffix != ".sofa" for path in files):
+        raise ValueError(f"{source}: a SOFA file's name must end in .sofa: rename it, or choose another kind")
+    for path in files:
+        if not path.is_file():
+            raise ValueError(f"{path}: a SOFA file must be a regular file: remove it")
+    root = source.parent if source.is_file() else source
+    return Corpus(name=source.stem if source.is_file() else source.name, kind="sofa", rirs=[
+        Recording(path, make_id("-".join(path.relative_to(root).with_suffix("").parts)),
+                  dict(corpus=source.stem if source.is_file() else source.name)) for path in files])
+
 
 READERS = {"reverbdb": list_reverbdb, "slr28": list_slr28, "table": list_table, "sofa": list_sofa,
            "folder": list_folder}

@@ -1,33 +1,23 @@
 """Write a measured corpus of any kind as an RIR directory."""
 
 import logging
-import os
-import re
 from collections import Counter
-from collections.abc import Iterator
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
-
-from roomeq.acoustics.plausibility import find_implausibility
-from roomeq.core.arrays import FloatArray
-from roomeq.core.audio import audio_info, read_audio, write_wav
 from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
 from roomeq.core.digests import audio_digest
 from roomeq.core.files import write_json
 from roomeq.corpora.listing import list_corpus, list_noises, require_existing
-from roomeq.corpora.record import UNKNOWN, Corpus, Recording, is_generated
-from roomeq.corpora.sofa_file import sofa_signals
+from roomeq.corpora.record import Corpus, Recording, is_generated, path_from
 from roomeq.records.rir_dir import write_noises, write_rirs
 
 logger = logging.getLogger(__name__)
 
 REPORT_FILE = "corpus.json"
 _CHUNK = 64
-_SAFE_PATH = re.compile(r"[A-Za-z0-9_./+@,:=%~^-]+")
 _REPORTED_NULLS = ("room_dims_m", "source_pos_m", "mic_pos_m", "distance_m", "temperature_c", "documented_t60_s")
 _REPORTED_FLAGS = ("binaural", "unreliable_geometry", "uncommon", "repeat_of", "tof_removed")
 
@@ -118,7 +108,7 @@ def read_noises(source: Path, out: Path, *, skip_bad: bool = False, nj: int = 1)
 def _build(out: Path, step: str, listed: dict[Path, list[Recording]], **options: Any) -> Build:
     """Return the build of an output that depends on recordings, listed by the source that they come from."""
     # rows refer to audio by its path relative to `out`: they are out of date when the corpus has moved
-    ways = [_relative_path(source, out) for source in listed]
+    ways = [path_from(source, out) for source in listed]
     inputs, audio = [], []
     for source, recordings in listed.items():
         if source.is_dir() and is_generated(source):
@@ -130,13 +120,6 @@ def _build(out: Path, step: str, listed: dict[Path, list[Recording]], **options:
     return Build(out, step=step, options=dict(options, ways=ways, audio=audio), inputs=inputs, refers=True)
 
 
-def _relative_path(path: Path, out: Path) -> str:
-    """Return the path of a file relative to the directory `out`, with links above both resolved."""
-    path, out = Path(path), Path(os.path.normpath(out))
-    return os.path.relpath(Path(os.path.realpath(path.parent)) / path.name,
-                           Path(os.path.realpath(out.parent)) / out.name)
-
-
 class _Listed(NamedTuple):
     """A recording and the table that it goes to."""
 
@@ -145,6 +128,9 @@ class _Listed(NamedTuple):
 
 
 def _write(build: Build, corpus: Corpus, skip_bad: bool, nj: int, keep_suspicious: bool = False) -> Path:
+    from roomeq.core.audio import write_wav
+    from roomeq.corpora.recordings import rows_of
+
     for recordings in (corpus.rirs, corpus.noises):
         _check_ids(recordings)
     todo = [_Listed("rirs", recording) for recording in corpus.rirs]
@@ -155,7 +141,7 @@ def _write(build: Build, corpus: Corpus, skip_bad: bool, nj: int, keep_suspiciou
         record: dict[str, Any] = dict(rirs=[], noises=[], skipped=[], converted=0)
         for table, recording in chunk:
             try:
-                for row, samples in _rows(recording, table, build.out):
+                for row, samples in rows_of(recording, table, build.out):
                     if keep_suspicious and table == "rirs":
                         row["suspicious"] = None
                     if samples is not None:
@@ -192,61 +178,6 @@ def _check_ids(recordings: list[Recording]) -> None:
             raise ValueError(f"{recording.path}: id {recording.id!r} is also that of {first[recording.id]}: "
                              "ids must be unique: rename one file or id")
         first[recording.id] = recording.path
-
-
-def _rows(recording: Recording, table: str, out: Path) -> Iterator[tuple[dict[str, Any], FloatArray | None]]:
-    """Yield the complete rows of a file, each with the samples to write, or None if the row refers to the file."""
-    if recording.path.suffix == ".sofa" and table == "rirs":
-        for row, samples, fs_hz in sofa_signals(recording):
-            samples = _at_16k(_usable(samples, f"{recording.path} ({row['id']})"), fs_hz, recording.path)
-            yield row | dict(fs_hz=FS_HZ, n_samples=len(samples),
-                              suspicious=find_implausibility(samples, FS_HZ)), samples
-        return
-    info = audio_info(recording.path)
-    relative_path = _relative_path(recording.path, out)
-    as_it_is = info.channels == 1 and info.samplerate == FS_HZ and _SAFE_PATH.fullmatch(relative_path)
-    if table == "noises":
-        # noises are long, and channels of an array are alike: the first is taken, and read only if it is converted
-        noise = None if as_it_is else read_audio(recording.path, channel=0)
-        if as_it_is:
-            _check_end(recording.path, info.frames)
-        n_samples = info.frames if noise is None else len(noise)
-        yield recording.row | dict(id=recording.id, wav=relative_path, fs_hz=FS_HZ,
-                                   duration_s=n_samples / FS_HZ), noise
-        return
-    for channel in range(info.channels):
-        samples = _usable(read_audio(recording.path, channel=channel), recording.path)
-        row = dict(recording.row, id=recording.id, wav=relative_path, fs_hz=FS_HZ, n_samples=len(samples),
-                   suspicious=find_implausibility(samples, FS_HZ))
-        if info.channels > 1:
-            mic_id = "" if row["mic_id"] == UNKNOWN else f"{row['mic_id']}-"
-            row.update(id=f"{recording.id}_ch{channel}", mic_id=f"{mic_id}ch{channel}")
-        yield row, None if as_it_is else samples
-
-
-def _usable(samples: FloatArray, name: Path | str) -> FloatArray:
-    if not np.isfinite(samples).all():
-        raise ValueError(f"{name}: holds NaN or infinite samples: convert it again")
-    if not samples.any():
-        raise ValueError(f"{name}: RIR is silent (all samples 0): leave it out or record it again")
-    return samples
-
-
-def _at_16k(samples: FloatArray, fs_hz: int, path: Path) -> FloatArray:
-    if fs_hz < FS_HZ:
-        raise ValueError(f"{path}: sample rate {fs_hz} Hz must be {FS_HZ} Hz or more: the missing band cannot be "
-                         "restored: record or convert it at that rate")
-    if fs_hz == FS_HZ:
-        return samples
-    import soxr
-
-    resampled: FloatArray = soxr.resample(samples, fs_hz, FS_HZ, quality="VHQ")
-    return resampled
-
-
-def _check_end(path: Path, n_samples: int) -> None:
-    """Read the last sample: the file may be shorter than its FLAC header states."""
-    read_audio(path, start=n_samples - 1, stop=n_samples)
 
 
 def _report(corpus: Corpus, merged: dict[str, list[Any]], converted: int) -> dict[str, Any]:

@@ -16,8 +16,8 @@ import numpy as np
 from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import MAX_RATE_HZ
 from roomeq.core.limits import AUDIO_HOURS, max_audio_samples
-from roomeq.corpora.record import Corpus, Recording, is_binaural_name, rir_row
-from roomeq.records.schema import LARGEST, make_id
+from roomeq.corpora.record import Recording, is_binaural_name, rir_row
+from roomeq.records.schema import LARGEST
 
 _FREE_FIELD = ("HRIR", "HRTF", "Directivity", "Headphone")
 _BINAURAL = ("MultiSpeakerBRIR", "SingleRoomDRIR")
@@ -28,28 +28,6 @@ _TEMPERATURES_C = (-30.0, 60.0)
 _ORTHOGONAL = 1e-6
 _MAX_CHARACTERS = 10**6  # of names and descriptions
 _MAX_VARIABLES = 1000  # a convention has about 50, attributes included; each takes time to read
-
-
-def list_sofa(source: Path) -> Corpus:
-    """List one SOFA file, or all below a folder; their content is read later, file by file.
-
-    Raises
-    ------
-    ValueError
-        There is no SOFA file, or a name of one is that of a folder, a FIFO or a device.
-    """
-    files = [source] if source.is_file() else sorted(path for path in source.rglob("*") if path.suffix == ".sofa")
-    if not files:
-        raise ValueError(f"{source}: no .sofa files below it: check the path")
-    if any(path.suffix != ".sofa" for path in files):
-        raise ValueError(f"{source}: a SOFA file's name must end in .sofa: rename it, or choose another kind")
-    for path in files:
-        if not path.is_file():
-            raise ValueError(f"{path}: a SOFA file must be a regular file: remove it")
-    root = source.parent if source.is_file() else source
-    return Corpus(name=source.stem if source.is_file() else source.name, kind="sofa", rirs=[
-        Recording(path, make_id("-".join(path.relative_to(root).with_suffix("").parts)),
-                  dict(corpus=source.stem if source.is_file() else source.name)) for path in files])
 
 
 def sofa_signals(recording: Recording) -> Iterator[tuple[dict[str, Any], FloatArray, int]]:

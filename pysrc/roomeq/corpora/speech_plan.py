@@ -9,7 +9,6 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from roomeq.core.audio import audio_info, read_audio, write_flac
 from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
 from roomeq.core.files import write_text
@@ -153,6 +152,8 @@ def _check(utterances: list[Utterance], out: Path) -> None:
 
 def _audio(utterance: Utterance, build: Build) -> _Audio:
     """Return the `wav.scp` entry of an utterance and its length; convert audio that Kaldi could not read."""
+    from roomeq.core.audio import audio_info, read_audio, write_flac
+
     try:
         path = Path(os.path.realpath(utterance.path.parent)) / utterance.path.name
         info = audio_info(path)

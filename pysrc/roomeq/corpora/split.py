@@ -9,8 +9,6 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from roomeq.core.build import Build
 from roomeq.records.geometry import position_key
 from roomeq.records.rir_dir import read_noises, read_rirs, relocated, write_noises, write_rirs
@@ -142,6 +140,8 @@ def _by_rir(rows: Sequence[RirRow], sizes: Sequence[int], seed: int) -> dict[str
 
 def _by_room(rows: Sequence[RirRow], group_of: Mapping[str, str], sizes: Sequence[int], seed: int) -> dict[str, str]:
     """Return the split of each id, groups of rooms kept together: the best of many random orders."""
+    import numpy as np
+
     rooms: dict[str, list[str]] = defaultdict(list)
     for row in rows:
         rooms[group_of[row["room_id"]]].append(row["id"])
@@ -189,7 +189,7 @@ def _deal(noises: Sequence[NoiseRow], kind: str, rows: Sequence[RirRow], split_o
             dealt[next(iter(splits))].append(noise)
         else:
             undecided.append((noise, splits or set(SPLITS)))
-    wanted = np.array(sizes, dtype=float) / sum(sizes) * len(noises)
+    wanted = [size / sum(sizes) * len(noises) for size in sizes]
     for noise, splits in undecided:
         # in relation to the wanted number, so that small splits are not served last
         missing = {split: (wanted[k] - len(dealt[split])) / wanted[k] for k, split in enumerate(SPLITS)

@@ -9,7 +9,6 @@ import logging
 from collections.abc import Iterable
 from pathlib import Path
 
-from roomeq.acoustics.plausibility import find_implausibility
 from roomeq.core.constants import FS_HZ
 from roomeq.records.rir_dir import load_rir, rir_path
 from roomeq.records.schema import RirRow
@@ -29,7 +28,11 @@ def suspicion(rir_dir: Path, row: RirRow) -> str | None:
     """
     if "suspicious" in row:
         return row["suspicious"]
-    return None if row.get("seed") is not None else find_implausibility(load_rir(rir_dir, row), FS_HZ)
+    if row.get("seed") is not None:
+        return None
+    from roomeq.acoustics.plausibility import find_implausibility
+
+    return find_implausibility(load_rir(rir_dir, row), FS_HZ)
 
 
 def without_suspicious(rir_dir: Path, rows: Iterable[RirRow]) -> list[RirRow]:

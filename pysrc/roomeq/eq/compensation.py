@@ -20,13 +20,13 @@ from roomeq.core.build import Build
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 from roomeq.core.files import write_json
 from roomeq.eq.gmm import FREE, draw_target, read_gmm, with_reference
+from roomeq.eq.steps import MAX_TAPS
 from roomeq.records.rir_dir import load_rir, read_noises, read_rirs, relocated, rir_path, write_noises, write_rirs
 from roomeq.records.schema import RirRow
 
 logger = logging.getLogger(__name__)
 
 SUMMARY_FILE = "compensation.json"
-MAX_TAPS = 4095  # as many points as the response is sampled at in the design
 PASSES = 3  # filter designs per RIR: the first is the plain window method, each further one corrects the last
 MAX_MEDIAN_DB, MAX_P95_DB = 0.5, 1.5  # goals for |achieved - target| over all RIRs and points
 _MAX_LOGGED = 5
@@ -46,52 +46,17 @@ class CompensatedRir(NamedTuple):
     """The last filter, shape (taps,)."""
 
 
-def compensate(sim_dir: Path | str, eq_dir: Path | str, out: Path | str, *, taps: int = 511, match_rooms: bool = True,
-               seed: int, part: str | None = None, nj: int = 1) -> dict | None:
-    """Draw an EQ target for every simulated RIR and filter the RIR so that it meets the target.
-
-    The RIRs of the noise sources of a simulated RIR (`noise_for`) pass through the same filter. It represents the
-    room and the microphone, which they share.
-
-    Parameters
-    ----------
-    sim_dir
-        Simulated RIRs.
-    eq_dir
-        Output of `roomeq.eq.fit_eq`, or its `gmm.json`.
-    out
-        RIR directory to make. Rows hold `eq_target_db`, `eq_achieved_db`, `eq_error_db` and `eq_gain_db` (the gains
-        the filter was designed for), 8 points each. `compensation.json` holds `summarise` of the rows.
-    taps
-        Length of the filter, odd.
-    match_rooms
-        Weight the components of the mixture as in the measured RIRs of the simulated RIR's room. False: draw all
-        targets from the whole mixture. With one simulated RIR per measured one, as in the paper, the targets of all
-        rooms together have the same distribution either way.
-    part
-        ``"2/5"``: do the second of five shares only.
-    nj
-        Number of processes.
-
-    Returns
-    -------
-    dict or None
-        Content of `compensation.json`; None if the result was up to date or only a part was done.
+def make(build: Build, sim_dir: Path, eq_dir: Path, taps: int, match_rooms: bool, seed: int, part: str | None,
+         nj: int) -> dict | None:
+    """Make the output of a build.
 
     Raises
     ------
     ValueError
-        An option is out of range, or an RIR has no direct sound.
+        See `roomeq.eq.steps.compensate`.
     """
-    if not 3 <= taps <= MAX_TAPS or taps % 2 == 0:
-        raise ValueError(f"taps={taps} must be odd and lie in [3, {MAX_TAPS}]: a linear-phase filter delays by half "
-                         "of them")
-    sim_dir, out, gmm = Path(sim_dir), Path(out), read_gmm(eq_dir)
+    out, gmm = build.out, read_gmm(eq_dir)
     groups = _group_by_filter(sim_dir, read_rirs(sim_dir))
-    options = dict(taps=taps, match_rooms=bool(match_rooms), seed=seed)
-    build = Build(out, step="compensate", options=options, inputs=[sim_dir, Path(eq_dir)])
-    if build.done:
-        return None
     summary: dict[str, Any] = {}
 
     def compensate_group(_: str, rows: list[RirRow]) -> list[dict]:

@@ -5,7 +5,6 @@ Tang, Meng, Manocha, sections 3.1 and 3.2.
 
 import logging
 from collections import Counter
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NotRequired, TypedDict
 
@@ -49,50 +48,15 @@ class EqRecord(TypedDict):
     """EQ that the mixture was fitted to, with missing points filled in."""
 
 
-def fit_eq(real_dir: Path | str, sim_dirs: Sequence[Path | str], out: Path | str, *, n_components: int = 7,
-           weight_rooms: bool = False, seed: int, part: str | None = None, nj: int = 1) -> Gmm | None:
-    """Measure the EQ of measured and simulated RIRs and fit a Gaussian mixture to the measured ones.
-
-    Screened RIRs (`roomeq.corpora.characterise`) are left out of the fit, and so are outliers: RIRs with a point more
-    than 4 robust standard deviations from the median over rooms. Points that could not be measured are drawn from a
-    Gaussian given the points that could. Where a response rolls off at 8 kHz, the level just below the roll-off is
-    used.
-
-    Parameters
-    ----------
-    real_dir
-        Measured RIRs of the *training* set, with acoustic parameters or without.
-    sim_dirs
-        Simulated RIRs for comparison; may be empty.
-    out
-        Directory to make: `gmm.json`; `measured.jsonl` and `simulated.jsonl` (EQs); `resampled.jsonl` (one draw from
-        the mixture per measured RIR that was fitted); `screening.json`.
-    n_components
-        Components of the mixture.
-    weight_rooms
-        Let rooms weigh the same. By default each RIR weighs the same, as in the paper.
-    part
-        ``"2/5"``: analyse the second of five shares only.
-    nj
-        Number of processes.
-
-    Returns
-    -------
-    Gmm or None
-        None if the result was up to date or only a part was analysed.
+def make(build: Build, directories: dict[str, Path], n_components: int, weight_rooms: bool, seed: int,
+         part: str | None, nj: int) -> Gmm | None:
+    """Make the output of a build; `directories` holds the measured RIRs (``real``) and the simulated ones.
 
     Raises
     ------
     ValueError
-        There are fewer measured RIRs than components, or an option is out of range.
+        See `roomeq.eq.steps.fit_eq`.
     """
-    if n_components < 1:
-        raise ValueError(f"n_components={n_components} must be at least 1")
-    directories = {"real": Path(real_dir)} | {f"sim{n}": Path(path) for n, path in enumerate(sim_dirs)}
-    options = dict(n_components=n_components, weight_rooms=bool(weight_rooms), seed=seed)
-    build = Build(Path(out), step="fit-eq", options=options, inputs=list(directories.values()))
-    if build.done:
-        return None
     rows = {name: [row for row in read_rirs(directory) if not row.get("noise_for")]
             for name, directory in directories.items()}
     rows["real"] = without_suspicious(directories["real"], rows["real"])

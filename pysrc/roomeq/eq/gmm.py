@@ -54,7 +54,7 @@ def fit_gmm(vectors_db: FloatArray, rooms: Sequence[str], *, n_components: int =
     rooms
         Room of each vector.
     n_components, weight_rooms, seed
-        See `roomeq.eq.fit.fit_eq`.
+        See `roomeq.eq.steps.fit_eq`.
 
     Raises
     ------

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roomeq.core.build import Build, check_jobs
+from roomeq.core.build import Build
 from roomeq.core.files import write_json
 from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
@@ -63,47 +63,18 @@ class Accepted(NamedTuple):
     errors: HeldOutErrors
 
 
-def close_loop(rir_dirs: Sequence[Path], out: Path, *, test: Sequence[Path] = (), model: Path | None = None,
-               max_effects: int = 4, seed: int = 0, nj: int = 1) -> dict | None:
-    """Find the effects that a simulation of measured RIRs lacks, and extend the model by them.
-
-    Parameters
-    ----------
-    rir_dirs : sequence of Path
-        RIR directories (`roomeq.records.rir_dir`), together of at least three rooms or conditions with two usable RIRs
-        each. RIRs whose geometry cannot be used (`roomeq.records.geometry.geometry_usability`) are left out.
-    out : Path
-        Loop directory to create: `ledger.json`, `model.json`, `residuals.npz`, `examples.npz`.
-    test : sequence of Path
-        RIR directories that are only scored; they take no part in any fit.
-    model : Path, optional
-        Model to start from (`roomeq.effects.model`). Its effects are part of the base model with their parameters and
-        are not candidates. The effects that the loop finds are added to them.
-    max_effects : int
-        Largest number of effects to add.
-    seed : int
-    nj : int
-        Number of processes; results do not depend on it.
-
-    Returns
-    -------
-    dict or None
-        The ledger; None if `out` is up to date.
+def make(build: Build, directories: list[Path], test: list[Path], model: Path | None, max_effects: int, seed: int,
+         nj: int) -> dict:
+    """Make the loop directory of a build and return the ledger.
 
     Raises
     ------
     ValueError
-        Too few rooms have usable RIRs, or a directory or the model is invalid.
+        See `roomeq.loop.step.close_loop`.
     """
-    directories, test = [Path(directory) for directory in rir_dirs], [Path(directory) for directory in test]
     if not 0 <= max_effects <= len(CATALOGUE):
         raise ValueError(f"max_effects={max_effects} must lie in [0, {len(CATALOGUE)}]")
-    check_jobs(nj)
     base = Model() if model is None else read_model(model)
-    build = Build(Path(out), step="close-loop", options=dict(max_effects=max_effects, seed=seed),
-                  inputs=[*directories, *test, *([Path(model)] if model else [])])
-    if build.done:
-        return None
     require_enough_rooms(directories)
     data = load_data(directories, scattering=SCATTERING, seed=seed, model=base, nj=nj)
     for entry in data.left_out:

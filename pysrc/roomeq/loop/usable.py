@@ -12,7 +12,6 @@ from roomeq.corpora.suspicious import suspicion
 from roomeq.records.geometry import OUTSIDE, geometry_usability
 from roomeq.records.rir_dir import read_rirs
 from roomeq.records.schema import RirRow
-from roomeq.sim.mesh import load_mesh
 
 MIN_ROOMS = 3
 """Fewest rooms with two usable RIRs: rooms are left out, and halves of rooms are scored."""
@@ -106,6 +105,8 @@ def _outside_mesh(rir: Located) -> bool:
     mesh = rir.row.get("mesh")
     if not mesh:
         return False
+    from roomeq.sim.mesh import load_mesh
+
     room = load_mesh(rir.directory / mesh)
     try:
         for key in ("source_pos_m", "mic_pos_m"):

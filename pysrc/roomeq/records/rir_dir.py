@@ -20,10 +20,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
-import numpy as np
-
 from roomeq.core.arrays import FloatArray
-from roomeq.core.audio import audio_info, read_audio
 from roomeq.core.constants import BANDS_HZ
 from roomeq.core.files import read_jsonl, write_jsonl, write_text
 from roomeq.core.stamps import read_stamp
@@ -49,6 +46,8 @@ def read_rirs(directory: Path) -> list[RirRow]:
         raise ValueError(f"{path}: no RIRs in it: run the step that makes it again")
     for number, row in enumerate(rows, start=1):
         if "fs_hz" not in row or "n_samples" not in row:
+            from roomeq.core.audio import audio_info
+
             try:
                 header = audio_info(rir_path(directory, row))
             except ValueError as error:
@@ -132,11 +131,13 @@ def load_rir(directory: Path, row: Mapping[str, Any]) -> FloatArray:
     ValueError
         See `roomeq.core.audio.read_audio`; also when the RIR is silent or its length is not the row's.
     """
+    from roomeq.core.audio import read_audio
+
     path = rir_path(directory, row)
     rir = read_audio(path, resample=False)
     if len(rir) != row["n_samples"]:
         raise ValueError(f"{path}: {len(rir)} samples where {ROWS_FILE} says {row['n_samples']}: make it again")
-    if not np.any(rir):
+    if not rir.any():
         raise ValueError(f"{path}: RIR {row['id']} is silent (all samples 0): leave it out or record it again")
     return rir
 
@@ -169,7 +170,9 @@ def decay_range_s(rows: Sequence[RirRow]) -> DecayRange:
     if not times_of_room:
         raise ValueError("no RIR has a valid T20 at 1 kHz among its acoustic parameters: run roomeq characterise "
                          "first, or give two times [s]")
-    medians_s = [float(np.median(times_s)) for times_s in times_of_room.values()]
+    from statistics import median
+
+    medians_s = [float(median(times_s)) for times_s in times_of_room.values()]
     return DecayRange(min(medians_s), max(medians_s))
 
 
@@ -200,6 +203,8 @@ def validate_rirs(directory: Path) -> int:
     ValueError
         The first line that breaks the contract, or the first audio file that does not fit its row.
     """
+    from roomeq.core.audio import audio_info
+
     rows = read_rirs(directory)
     for row in rows:
         info = audio_info(rir_path(directory, row))
@@ -224,6 +229,8 @@ def validate_noises(directory: Path) -> int:
     ValueError
         The first line that breaks the contract, or the first audio file that does not fit its row.
     """
+    from roomeq.core.audio import audio_info, read_audio
+
     noises = read_noises(directory)
     for noise in noises:
         path = Path(directory) / noise["wav"]
@@ -232,6 +239,6 @@ def validate_noises(directory: Path) -> int:
         if info.samplerate != rate_hz or (stated_s is not None and abs(info.frames / rate_hz - stated_s) > 1e-3):
             raise ValueError(f"{path}: {info.frames / info.samplerate:g} s at {info.samplerate} Hz do not fit row "
                              f"{noise['id']} ({stated_s} s at {rate_hz} Hz): make it again")
-        if not np.any(read_audio(path, channel=0, dtype="float32")):
+        if not read_audio(path, channel=0, dtype="float32").any():
             raise ValueError(f"{path}: noise {noise['id']} is silent (all samples 0): leave it out")
     return len(noises)

@@ -1,5 +1,5 @@
 """The report of a run: one HTML page."""
 
-from roomeq.report.build_page import make_report
+from roomeq.report.step import make_report
 
 __all__ = ["make_report"]

@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 
 from roomeq.core.arrays import FloatArray
 from roomeq.core.stamps import read_stamp
-from roomeq.kaldi.wavscp import parse_entry
 from roomeq.records.rir_dir import ROWS_FILE, load_rir, read_rirs
 from roomeq.records.schema import RirRow
 from roomeq.report.kinds import KINDS
@@ -184,5 +183,7 @@ def _first_audio(directory: Path) -> Path | None:
     entries = read_pairs(directory / "wav.scp")
     if not entries:
         return None
+    from roomeq.kaldi.wavscp import parse_entry
+
     entry = parse_entry(next(iter(entries.values())))
     return None if entry.kind == "pipe" else Path(entry.text).resolve()

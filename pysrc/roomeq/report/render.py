@@ -4,16 +4,14 @@ The page's Content-Security-Policy also forbids scripts and requests.
 """
 
 import functools
-from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from roomeq.report.formats import duration, hertz, number, percent, with_interval
+from roomeq.report.step import TEMPLATES
 from roomeq.report.style import COLOUR_VARIABLES
-
-TEMPLATES = Path(__file__).parent / "templates"
 
 
 @functools.cache

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from roomeq.core.arrays import FloatArray
+from roomeq.sim.defaults import DEFAULT_TABLE
 from roomeq.sim.published import PACKAGE, extend_bands, published_file, read_published
 from roomeq.sim.response import eyring_exponent
 from roomeq.sim.room import Room
@@ -33,7 +34,6 @@ from roomeq.sim.target import scaled_absorption
 
 logger = logging.getLogger(__name__)
 
-DEFAULT_TABLE = Path(__file__).with_name("materials.toml")  # conf/materials.toml links to it
 USES = ("wall", "floor", "ceiling")
 ANY_SURFACE = "default"  # as a surface: all that are not named
 DEFAULT_SCATTERING = "ordinary"

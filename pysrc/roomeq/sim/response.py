@@ -25,6 +25,7 @@ from roomeq.sim.context import (
     ray_echograms,
     render_microphones,
 )
+from roomeq.sim.defaults import ISM_ORDER, NUM_RAYS, ORDER
 from roomeq.sim.path_sample import PathSample
 from roomeq.sim.render import MAX_LENGTH_S, MIN_LENGTH_S
 from roomeq.sim.scene import Scene, check_positions, eyring_time_s
@@ -38,9 +39,6 @@ from roomeq.sim.target import (
 )
 from roomeq.sim.trace import Paths, trace
 
-NUM_RAYS = 20000
-ISM_ORDER = 6
-ORDER = 200
 _DEFAULTS: dict[str, Any] = dict(length_s=None, ism_order=ISM_ORDER, diffraction=True, path_gain=None,
                                  path_samples=None)
 _AROUND_1KHZ = (BAND_1KHZ - 1, BAND_1KHZ, BAND_1KHZ + 1)  # what the octave filter at 1 kHz sees

@@ -30,26 +30,13 @@ from roomeq.sim.response import (
 )
 from roomeq.sim.scene import MIN_DISTANCE_M, Air, Material, Scene
 from roomeq.sim.target import scaled_absorption
+from roomeq.simulate_rirs.options import NOISE_CANDIDATES, RenderOptions
 
 logger = logging.getLogger(__name__)
 
 MATERIAL_DRAWS = 4  # per target
 TARGET_DRAWS = 8
-NOISE_CANDIDATES = 4
 _NOISE_DISTANCE_M = 0.3  # preferred distance of a noise source from the microphone and from the source
-
-
-@dataclass(frozen=True)
-class RenderOptions:
-    """Options of `roomeq.simulate_rirs.simulate` that rendering depends on."""
-
-    t60_range_s: tuple[float, float]
-    num_rays: int
-    ism_order: int
-    order: int
-    noise_rirs: int
-    diffraction: bool
-    seed: int
 
 
 class Member(NamedTuple):

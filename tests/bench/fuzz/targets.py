@@ -156,7 +156,7 @@ def options(data: bytes, work: Path) -> None:
     import click
 
     from roomeq import cli
-    from roomeq.augment.draw import parse_distribution
+    from roomeq.augment.distribution import parse_distribution
     from roomeq.core.build import share
 
     words = data.decode(errors="surrogateescape").split("\n")

@@ -41,8 +41,8 @@ from bench.loop.table import Result, by_base, rates, show  # noqa: E402
 from roomeq.core.constants import BANDS_HZ  # noqa: E402
 from roomeq.core.digests import source_digest  # noqa: E402
 from roomeq.core.workers import end_with  # noqa: E402
-from roomeq.loop.close import close_loop  # noqa: E402
 from roomeq.loop.ledger import added_effects  # noqa: E402
+from roomeq.loop.step import close_loop  # noqa: E402
 from testbed import BASES, KINDS, make_room_set  # noqa: E402
 from testbed.bases import base_named  # noqa: E402
 

@@ -33,9 +33,9 @@ from bench.memory import PeakMemory  # noqa: E402
 from roomeq.core.digests import source_digest  # noqa: E402
 from roomeq.core.files import write_json  # noqa: E402
 from roomeq.corpora.measured import read_measured  # noqa: E402
-from roomeq.loop.close import close_loop  # noqa: E402
 from roomeq.loop.descriptions import effect_names  # noqa: E402
 from roomeq.loop.ledger import added_effects  # noqa: E402
+from roomeq.loop.step import close_loop  # noqa: E402
 from roomeq.loop.usable import usable_rirs  # noqa: E402
 from roomeq.records.rir_dir import write_rirs  # noqa: E402
 

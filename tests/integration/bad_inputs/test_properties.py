@@ -15,7 +15,7 @@ from running import call
 from wrong import HOSTILE
 
 from roomeq import cli
-from roomeq.augment.draw import parse_distribution
+from roomeq.augment.distribution import parse_distribution
 from roomeq.core.build import share
 from roomeq.core.files import read_json, read_jsonl
 from roomeq.core.stamps import read_stamp

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from roomeq.core import build
+from roomeq.core import asking, build
 from roomeq.core.build import DONE_FILE, Build, share
 from roomeq.core.digests import code_digest, digest
 from roomeq.core.files import read_json, write_json, write_text
@@ -103,6 +103,20 @@ def test_changed_content_remakes_the_directory(tmp_path):
     assert (tmp_path / "a" / "n2.txt").read_text() == "4"
 
 
+def test_asking_makes_nothing_and_says_whether_the_output_is_up_to_date(tmp_path, monkeypatch):
+    monkeypatch.setattr(asking, "_asked", True)
+    with pytest.raises(asking.NotUpToDate):
+        make_squares(tmp_path / "a")
+    assert not list(tmp_path.iterdir())
+    asking.only_ask(False)
+    make_squares(tmp_path / "a")
+    asking.only_ask(True)
+    assert make_squares(tmp_path / "a") == "up to date"
+    with pytest.raises(asking.NotUpToDate):
+        make_squares(tmp_path / "a", v=2)
+    assert (tmp_path / "a/n2.txt").read_text() == "4"
+
+
 def test_changed_input_remakes_the_output(tmp_path):
     make_squares(tmp_path / "in")
     make_squares(tmp_path / "out", inputs=[tmp_path / "in"])
@@ -111,7 +125,8 @@ def test_changed_input_remakes_the_output(tmp_path):
     assert make_squares(tmp_path / "out", inputs=[tmp_path / "in"]) == "made"
 
 
-def test_changed_code_remakes_the_directory(tmp_path, project_dir, monkeypatch):
+@pytest.mark.parametrize("changed_file", ["effects/base.py", "sim/materials.toml", "report/templates/page.html.j2"])
+def test_changed_code_or_package_data_remakes_the_directory(tmp_path, project_dir, monkeypatch, changed_file):
     package = shutil.copytree(project_dir / "pysrc/roomeq", tmp_path / "pysrc/roomeq")
     code = "from roomeq.core.digests import code_digest; print(code_digest(), end='')"
 
@@ -121,8 +136,11 @@ def test_changed_code_remakes_the_directory(tmp_path, project_dir, monkeypatch):
 
     assert digest_of_copy() == code_digest()
     assert make_squares(tmp_path / "a") == "made"
-    with (package / "effects/base.py").open("a") as module:
-        module.write("CHANGED = True\n")
+    (package / "core/__pycache__").mkdir(exist_ok=True)
+    (package / "core/__pycache__/other.pyc").write_text("machine code is no source")
+    assert digest_of_copy() == code_digest()
+    with (package / changed_file).open("a") as source:
+        source.write("# changed\n")
     changed = digest_of_copy()
     assert changed != code_digest()
     monkeypatch.setattr(build, "code_digest", lambda: changed)

@@ -8,8 +8,9 @@ from corpora_examples import put, put_sofa, put_text, rir
 from netCDF4 import Dataset
 
 from roomeq.corpora import read_measured
+from roomeq.corpora.listing import list_sofa
 from roomeq.corpora.record import Recording
-from roomeq.corpora.sofa_file import list_sofa, sofa_signals
+from roomeq.corpora.sofa_file import sofa_signals
 from roomeq.records.rir_dir import load_rir, read_rirs
 
 

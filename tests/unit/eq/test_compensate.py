@@ -11,8 +11,9 @@ from roomeq.acoustics.subband_eq import analyse
 from roomeq.core.audio import read_audio
 from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.core.files import read_json, write_json
-from roomeq.eq.compensation import apply_filter, compensate, compensate_rir, design_filter, summarise
+from roomeq.eq.compensation import apply_filter, compensate_rir, design_filter, summarise
 from roomeq.eq.gmm import fit_gmm
+from roomeq.eq.steps import compensate
 from roomeq.records.rir_dir import load_rir, read_rirs, rir_path, validate_rirs
 
 TARGET_DB = np.array([8.0, 5.0, 4.0, 2.0, 0.0, -3.0, -5.0, -13.0])

@@ -8,8 +8,9 @@ from roomeq.acoustics.subband_eq import N_FRAME, N_LEAD, POINT_BINS, analyse, en
 from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.core.files import read_json, read_jsonl, write_json
 from roomeq.core.rng import rng_for
-from roomeq.eq.fit import fill_missing, fit_eq, screen_outliers, usable_eq
+from roomeq.eq.fit import fill_missing, screen_outliers, usable_eq
 from roomeq.eq.gmm import FREE, draw_target, fit_gmm, read_gmm, room_weights, sample_eq, with_reference
+from roomeq.eq.steps import fit_eq
 
 SHAPE_DB = np.array([6.0, 4.0, 3.0, -2.0, 0.0, -3.0, -6.0, -9.0])
 

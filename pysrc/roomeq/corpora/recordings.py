@@ -1,0 +1,72 @@
+"""Read the recordings of a corpus: the rows of each file, and its samples where they are to be written anew."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roomeq.acoustics.plausibility import find_implausibility
+from roomeq.core.arrays import FloatArray
+from roomeq.core.audio import audio_info, read_audio
+from roomeq.core.constants import FS_HZ
+from roomeq.corpora.record import UNKNOWN, Recording, path_from
+from roomeq.corpora.sofa_file import sofa_signals
+
+_SAFE_PATH = re.compile(r"[A-Za-z0-9_./+@,:=%~^-]+")
+
+
+def rows_of(recording: Recording, table: str, out: Path) -> Iterator[tuple[dict[str, Any], FloatArray | None]]:
+    """Yield the complete rows of a file, each with the samples to write, or None if the row refers to the file."""
+    if recording.path.suffix == ".sofa" and table == "rirs":
+        for row, samples, fs_hz in sofa_signals(recording):
+            samples = _at_16k(_usable(samples, f"{recording.path} ({row['id']})"), fs_hz, recording.path)
+            yield row | dict(fs_hz=FS_HZ, n_samples=len(samples),
+                             suspicious=find_implausibility(samples, FS_HZ)), samples
+        return
+    info = audio_info(recording.path)
+    relative_path = path_from(recording.path, out)
+    as_it_is = info.channels == 1 and info.samplerate == FS_HZ and _SAFE_PATH.fullmatch(relative_path)
+    if table == "noises":
+        # noises are long, and channels of an array are alike: the first is taken, and read only if it is converted
+        noise = None if as_it_is else read_audio(recording.path, channel=0)
+        if as_it_is:
+            _check_end(recording.path, info.frames)
+        n_samples = info.frames if noise is None else len(noise)
+        yield recording.row | dict(id=recording.id, wav=relative_path, fs_hz=FS_HZ,
+                                   duration_s=n_samples / FS_HZ), noise
+        return
+    for channel in range(info.channels):
+        samples = _usable(read_audio(recording.path, channel=channel), recording.path)
+        row = dict(recording.row, id=recording.id, wav=relative_path, fs_hz=FS_HZ, n_samples=len(samples),
+                   suspicious=find_implausibility(samples, FS_HZ))
+        if info.channels > 1:
+            mic_id = "" if row["mic_id"] == UNKNOWN else f"{row['mic_id']}-"
+            row.update(id=f"{recording.id}_ch{channel}", mic_id=f"{mic_id}ch{channel}")
+        yield row, None if as_it_is else samples
+
+
+def _usable(samples: FloatArray, name: Path | str) -> FloatArray:
+    if not np.isfinite(samples).all():
+        raise ValueError(f"{name}: holds NaN or infinite samples: convert it again")
+    if not samples.any():
+        raise ValueError(f"{name}: RIR is silent (all samples 0): leave it out or record it again")
+    return samples
+
+
+def _at_16k(samples: FloatArray, fs_hz: int, path: Path) -> FloatArray:
+    if fs_hz < FS_HZ:
+        raise ValueError(f"{path}: sample rate {fs_hz} Hz must be {FS_HZ} Hz or more: the missing band cannot be "
+                         "restored: record or convert it at that rate")
+    if fs_hz == FS_HZ:
+        return samples
+    import soxr
+
+    resampled: FloatArray = soxr.resample(samples, fs_hz, FS_HZ, quality="VHQ")
+    return resampled
+
+
+def _check_end(path: Path, n_samples: int) -> None:
+    """Read the last sample: the file may be shorter than its FLAC header states."""
+    read_audio(path, start=n_samples - 1, stop=n_samples)

@@ -1,0 +1,9 @@
+"""Defaults of the simulation, which name its options where nothing is simulated."""
+
+from pathlib import Path
+
+NUM_RAYS = 20000
+ISM_ORDER = 6
+ORDER = 200
+DEFAULT_TABLE = Path(__file__).with_name("materials.toml")
+"""Table of materials; conf/materials.toml links to it."""

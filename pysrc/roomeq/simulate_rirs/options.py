@@ -1,0 +1,28 @@
+"""Options of the simulation that rendering depends on."""
+
+from dataclasses import dataclass
+
+NOISE_CANDIDATES = 4
+"""Largest number of noise sources of an RIR."""
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """Options of `roomeq.simulate_rirs.simulate` that rendering depends on."""
+
+    t60_range_s: tuple[float, float]
+    num_rays: int
+    ism_order: int
+    order: int
+    noise_rirs: int
+    diffraction: bool
+    seed: int
+
+
+def check_options(options: RenderOptions) -> None:
+    """Raise a `ValueError` where an option is out of range."""
+    for name, low, high in (("num_rays", 100, 10 ** 7), ("ism_order", 0, 20), ("order", 1, 10 ** 4),
+                            ("noise_rirs", 0, NOISE_CANDIDATES)):
+        value = getattr(options, name)
+        if not low <= value <= high:
+            raise ValueError(f"{name}={value} must lie in [{low}, {high}]")
