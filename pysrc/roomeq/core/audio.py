@@ -20,6 +20,8 @@ logger = logging.getLogger(__name__)
 
 MAX_RATE_HZ = 768000
 """Highest sample rate that a header may state [Hz]."""
+LARGEST_SAMPLE = 1e10
+"""Largest sample, full scale being 1: above that of 32-bit integers, and its square is a number in single precision."""
 
 
 def audio_info(path: Path) -> soundfile.SoundFile:
@@ -44,7 +46,7 @@ def _opened(path: Path) -> soundfile.SoundFile:
     _check_riff_length(path)
     try:
         file = soundfile.SoundFile(str(path))
-    except (soundfile.LibsndfileError, RuntimeError) as error:
+    except (soundfile.LibsndfileError, RuntimeError, TypeError) as error:  # TypeError: a name that ends in .raw
         raise ValueError(f"{path}: cannot be read as audio ({error}): convert it to WAV or FLAC") from None
     if file.frames == 0:
         raise ValueError(f"{path}: holds 0 samples: copy or record it again")
@@ -85,7 +87,7 @@ def read_audio(path: Path, *, fs_hz: int = FS_HZ, start: int = 0, stop: int | No
     ------
     ValueError
         The file is missing, empty, truncated or not mono, its rate is too low (or another one, if `resample` is
-        false), or it holds NaN or infinity.
+        false), or its samples are not plausible (`require_plausible`).
     """
     with _opened(path) as file:
         if channel is None and file.channels != 1:
@@ -109,14 +111,23 @@ def read_audio(path: Path, *, fs_hz: int = FS_HZ, start: int = 0, stop: int | No
     if len(samples) != stop - start:
         raise ValueError(f"{path}: truncated: {len(samples)} samples of {stop - start}: copy it again")
     samples = np.ascontiguousarray(samples[:, channel or 0])
-    if not np.isfinite(samples).all():
-        raise ValueError(f"{path}: holds NaN or infinite samples: convert it again")
+    require_plausible(samples, path)
     if file.samplerate != fs_hz:
         import soxr
 
         logger.info("%s: resampled from %d to %d Hz", path, file.samplerate, fs_hz)
         samples = soxr.resample(samples, file.samplerate, fs_hz, quality="VHQ")
     return samples
+
+
+def require_plausible(samples: Array, name: Path | str) -> None:
+    """Raise a `ValueError` if a sample is NaN, infinite or beyond `LARGEST_SAMPLE`; the name begins the message."""
+    if not np.isfinite(samples).all():
+        raise ValueError(f"{name}: holds NaN or infinite samples: convert it again")
+    peak = np.abs(samples).max(initial=0.0)
+    if peak > LARGEST_SAMPLE:
+        raise ValueError(f"{name}: peak {peak:.3g} must be at most {LARGEST_SAMPLE:g}: convert it again, full scale "
+                         "being 1")
 
 
 def write_wav(path: Path, samples: Array, fs_hz: int = FS_HZ) -> None:

@@ -167,8 +167,17 @@ def _json_object(line: bytes, where: str) -> dict[str, Any]:
 
 
 def _from_json(text: str) -> Any:
-    """Parse JSON; NaN and infinity, which are not JSON, are refused."""
-    return json.loads(text, parse_constant=_finite, parse_float=_finite)
+    """Parse JSON; NaN and infinity, which are not JSON, and a key that occurs twice are refused."""
+    return json.loads(text, parse_constant=_finite, parse_float=_finite, object_pairs_hook=_object)
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    made = dict(pairs)
+    if len(made) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"key {twice[:60]!r} occurs twice: leave one out")
+    return made
 
 
 def _finite(text: str) -> float:

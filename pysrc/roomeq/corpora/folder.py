@@ -5,6 +5,7 @@ from pathlib import Path
 
 from roomeq.corpora.record import (
     Corpus,
+    DistinctIds,
     Recording,
     audio_files,
     excitation_of,
@@ -21,17 +22,22 @@ def list_folder(source: Path) -> Corpus:
     Raises
     ------
     ValueError
-        There is no audio in it, or it holds transcripts.
+        There is no audio in it, it holds transcripts, or the names of two rooms have the same id.
     """
     files, root = _audio_of(source)
     if transcripts := min(root.rglob("*.trans.txt"), default=None):
         raise ValueError(f"{source}: holds speech ({transcripts.relative_to(root)}), but RIRs are expected here: "
                          "pass it as the speech corpus")
     corpus = Corpus(name=root.name, kind="folder")
+    ids = DistinctIds()
     for path in files:
-        corpus.rirs.append(Recording(path, id_of_path(path, root), rir_row(
-            corpus=root.name, room_id=path.parent.name, excitation=excitation_of(path.stem),
-            binaural=is_binaural_name(str(path.relative_to(root))))))
+        row = rir_row(corpus=root.name, room_id=path.parent.name, excitation=excitation_of(path.stem),
+                      binaural=is_binaural_name(str(path.relative_to(root))))
+        try:
+            ids.add("room", row["room_id"], path.parent.name)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+        corpus.rirs.append(Recording(path, id_of_path(path, root), row))
     return corpus
 
 

@@ -161,6 +161,10 @@ def _write(build: Build, corpus: Corpus, skip_bad: bool, nj: int, keep_suspiciou
         if not merged["rirs"] and corpus.kind != "noises":
             raise ValueError(f"{build.out}: none of {len(corpus.rirs)} RIR files can be used, the first because: "
                              f"{merged['skipped'][0]}")
+        for row_id, count in Counter(row["id"] for row in merged["rirs"]).items():
+            if count > 1:  # `_check_ids` knows the files, not what their channels and measurements are called
+                raise ValueError(f"{corpus.name}: the id {row_id!r} of a channel or measurement is also that of "
+                                 "another RIR: ids must be unique: rename one file")
         if merged["rirs"]:
             write_rirs(directory, merged["rirs"], final_directory=build.out)
         write_noises(directory, merged["noises"])

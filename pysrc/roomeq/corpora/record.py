@@ -75,6 +75,25 @@ def rir_row(**known: Any) -> dict[str, Any]:
     return row
 
 
+class DistinctIds:
+    """The texts of one corpus that ids were made from; with the same id, two would be taken for one room or person."""
+
+    def __init__(self) -> None:
+        self._texts: dict[tuple[str, str], str] = {}
+
+    def add(self, key: str, made: str, text: str) -> None:
+        """Add a text and the id that was made from it.
+
+        Raises
+        ------
+        ValueError
+            Another text under the same key has this id.
+        """
+        first = self._texts.setdefault((key, made), text)
+        if text != first:
+            raise ValueError(f"{key}={text!r} and {first!r} would both have the id {made!r}: rename one")
+
+
 def parse_number(text: str | None) -> float | None:
     """Parse a number, with a point or comma as decimal mark; unknown (``?``, empty, ``NA``) is None.
 

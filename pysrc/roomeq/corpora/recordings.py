@@ -5,11 +5,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from roomeq.acoustics.plausibility import find_implausibility
 from roomeq.core.arrays import FloatArray
-from roomeq.core.audio import audio_info, read_audio
+from roomeq.core.audio import audio_info, read_audio, require_plausible
 from roomeq.core.constants import FS_HZ
 from roomeq.corpora.record import UNKNOWN, Recording, path_from
 from roomeq.corpora.sofa_file import sofa_signals
@@ -48,8 +46,7 @@ def rows_of(recording: Recording, table: str, out: Path) -> Iterator[tuple[dict[
 
 
 def _usable(samples: FloatArray, name: Path | str) -> FloatArray:
-    if not np.isfinite(samples).all():
-        raise ValueError(f"{name}: holds NaN or infinite samples: convert it again")
+    require_plausible(samples, name)
     if not samples.any():
         raise ValueError(f"{name}: RIR is silent (all samples 0): leave it out or record it again")
     return samples

@@ -31,7 +31,9 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from roomeq.corpora.record import (
+    UNKNOWN,
     Corpus,
+    DistinctIds,
     Recording,
     excitation_of,
     id_of_path,
@@ -119,8 +121,8 @@ def list_table(path: Path) -> Corpus:
     Raises
     ------
     ValueError
-        See `read_table`; also if a cell does not fit its column (the message names file and line), or there is a
-        column with transcripts.
+        See `read_table`; also if a cell does not fit its column or two names have the same id (the message names file
+        and line), or there is a column with transcripts.
     """
     columns, rows = read_table(path)
     if "transcript" in columns:
@@ -129,10 +131,14 @@ def list_table(path: Path) -> Corpus:
     corpus = Corpus(name=path.parent.name, kind="table")
     if ignored := sorted(set(columns) - _KNOWN):
         logger.info("%s: columns not used: %s", path, ", ".join(ignored))
+    ids = DistinctIds()
     for where, cells in rows:
         try:
             file = resolve_file(path, cells)
-            corpus.rirs.append(Recording(file, _row_id(path, file, cells), _row(path, file, cells, corpus)))
+            row = _row(path, file, cells, corpus)
+            for key, default in (("room_id", file.parent.name), ("source_id", UNKNOWN), ("mic_id", UNKNOWN)):
+                ids.add(key, row[key], cells.get(key) or default)
+            corpus.rirs.append(Recording(file, _row_id(path, file, cells), row))
         except ValueError as error:
             raise ValueError(f"{where}: {error}: correct the cell") from None
     return corpus

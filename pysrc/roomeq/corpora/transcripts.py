@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+from roomeq.corpora.record import DistinctIds
 from roomeq.corpora.table import read_table, resolve_file
 from roomeq.corpora.utterance import Utterance
 from roomeq.records.schema import make_id
@@ -17,22 +18,25 @@ def list_transcripts(path: Path) -> dict[str, list[Utterance]]:
     Raises
     ------
     ValueError
-        See `roomeq.corpora.table.read_table`; also a missing transcript. The message names file and line.
+        See `roomeq.corpora.table.read_table`; also a missing transcript, or two speakers whose names have the same
+        id. The message names file and line.
     """
     columns, rows = read_table(path)
     text_column = next((name for name in _TEXT_COLUMNS if name in columns), None)
     if text_column is None:
         raise ValueError(f"{path}: columns {','.join(columns)} must hold 'transcript': add what is spoken")
     sets: dict[str, list[Utterance]] = {}
+    ids = DistinctIds()
     for where, cells in rows:
         try:
-            sets.setdefault(cells.get("set", ""), []).append(_utterance(path, cells, text_column, where))
+            sets.setdefault(cells.get("set", ""), []).append(_utterance(path, cells, text_column, where, ids))
         except ValueError as error:
             raise ValueError(f"{where}: {error}: correct the row") from None
     return sets
 
 
-def _utterance(path: Path, cells: dict[str, str], text_column: str, where: str) -> Utterance:
+def _utterance(path: Path, cells: dict[str, str], text_column: str, where: str,
+               ids: DistinctIds) -> Utterance:
     file = resolve_file(path, cells)
     text = " ".join(cells.get(text_column, "").split())
     if not text:
@@ -40,6 +44,7 @@ def _utterance(path: Path, cells: dict[str, str], text_column: str, where: str) 
     voice = cells.get("speaker") or file.parent.name
     # Kaldi requires one order of speakers and of utterances: no character of a speaker may sort before '-'
     speaker = re.sub(r"[+-]", "_", make_id(voice))
+    ids.add("speaker", speaker, voice)
     name = make_id(cells.get("utt_id") or file.stem)
     if not name.startswith(f"{speaker}-"):
         name = f"{speaker}-{name}"

@@ -29,6 +29,7 @@ MODEL_FORMAT = 2
 MAX_COMPONENT = 100.0
 """Largest component of a vector: spreads are about 1, or some dB."""
 _ROUNDING = 1e-9
+_KEYS, _ENTRY_KEYS = ("format", "effects"), ("effect", "of", "typical", "spread")
 _KEY = {"source": "source_id", "mic": "mic_id", "room": "room_id", "rir": "id"}
 
 PathGain = Callable[[FloatArray], FloatArray]
@@ -190,6 +191,7 @@ def read_model(path: str | Path) -> Model:
     content = read_json(path)
     if not isinstance(content, dict) or not isinstance(content.get("effects"), list):
         raise ValueError(f"{path}: must hold an object with a list of 'effects': make it with roomeq close-loop")
+    _require_known(str(path), content, _KEYS)
     if content.get("format") != MODEL_FORMAT:
         raise ValueError(f"{path}: format={content.get('format')!r:.60} must be {MODEL_FORMAT}: run roomeq close-loop "
                          "again")
@@ -206,10 +208,14 @@ def _read_extension(place: str, entry: Any) -> Extension:
     if not isinstance(entry, dict) or entry.get("effect") not in list(CATALOGUE):  # a list is in no dict
         name = entry.get("effect") if isinstance(entry, dict) else entry
         raise ValueError(f"{place}: effect={name!r} must be one of {', '.join(sorted(CATALOGUE))}: correct the name")
+    _require_known(place, entry, _ENTRY_KEYS)
     effect = CATALOGUE[entry["effect"]]
     size = len(effect.SPREAD)
     if not isinstance(entry.get("of"), dict):
         raise ValueError(f"{place}: of={entry.get('of')!r} must map each {effect.SCOPE} to its parameters: add them")
+    if effect.SCOPE == "all" and (strange := entry["of"].keys() - {"all"}):
+        raise ValueError(f"{place}: of[{min(strange)!r:.60}] must be of['all'], since {effect.NAME} is of all RIRs: "
+                         "correct the name")
     vectors = {}
     for key, lowest in (("typical", -MAX_COMPONENT), ("spread", 0.0)):
         vector = entry.get(key, [0.0] * size)
@@ -221,6 +227,13 @@ def _read_extension(place: str, entry: Any) -> Extension:
     units = {unit: read_parameters(f"{place}: of[{unit!r}]", effect, parameters)
              for unit, parameters in entry["of"].items()}
     return Extension(effect, units, **vectors)
+
+
+def _require_known(place: str, entry: Mapping[str, Any], keys: Sequence[str]) -> None:
+    """Refuse a key that nothing reads, such as a known one misspelt."""
+    for key in entry:
+        if key not in keys:
+            raise ValueError(f"{place}: key {key!r:.60} must be one of {', '.join(keys)}: correct or remove it")
 
 
 def read_parameters(label: str, effect: type[Effect], parameters: Any) -> Effect:

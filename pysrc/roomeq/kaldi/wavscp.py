@@ -17,7 +17,7 @@ import numpy as np
 import soundfile
 
 from roomeq.core.arrays import Array
-from roomeq.core.audio import audio_info, read_audio
+from roomeq.core.audio import audio_info, read_audio, require_plausible
 from roomeq.core.constants import FS_HZ
 from roomeq.core.limits import AUDIO_HOURS, max_audio_samples
 
@@ -223,8 +223,7 @@ def _decode(entry: Entry, pipes: bool) -> _Decoded:
     if len(samples) > max_audio_samples():
         raise ValueError(f"{entry.text}: must hold at most {max_audio_samples()} samples ({AUDIO_HOURS.value():g} h at "
                          f"{FS_HZ} Hz): split it, or raise the bound with roomeq --{AUDIO_HOURS.option}")
-    if not np.isfinite(samples).all():
-        raise ValueError(f"{entry.text}: holds NaN or infinite samples: convert it again")
+    require_plausible(samples, entry.text)
     samples.flags.writeable = False
     return _Decoded(rate_hz, samples)
 
@@ -235,6 +234,9 @@ def _read_ark(entry: Entry) -> _Decoded:
     position = f"{entry.text}:{entry.offset}"
     if not Path(entry.text).is_file():
         raise ValueError(f"{entry.text}: no such archive: check the path")
+    if entry.offset >= Path(entry.text).stat().st_size:
+        raise ValueError(f"{position}: the offset must lie within the archive's {Path(entry.text).stat().st_size} "
+                         "bytes: correct the line")
     with open(entry.text, "rb") as stream:
         stream.seek(entry.offset)
         tag = stream.read(5)

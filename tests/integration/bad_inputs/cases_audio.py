@@ -9,6 +9,7 @@ WAV = "measured/audio/r0.wav"
 CHARACTERISE = "characterise measured out"
 AUGMENT = "augment speech rirs out"
 READ = "read-measured folder out"
+ONES = np.ones(9920)
 NAN = np.where(np.arange(9920) == 99, np.nan, 0.1)
 
 
@@ -29,6 +30,17 @@ def _wav(n_channels: int = 1, fs_hz: int = 16000, data: bytes = bytes(800), clai
 
 CASES = [
     Case("missing", CHARACTERISE, "measured/audio/r0.wav: no such audio file: check the path", (remove(WAV),)),
+    Case("far beyond full scale", CHARACTERISE, "measured/audio/r0.wav: peak 1e+20 must be at most 1e+10: convert it "
+         "again, full scale being 1", (audio(WAV, 1e20 * ONES, subtype="FLOAT"),)),
+    Case("far beyond double scale", READ, "folder/kitchen/near.wav: peak 1e+300 must be at most 1e+10: convert it "
+         "again, full scale being 1 (or leave such files out with --skip-bad)",
+         (audio("folder/kitchen/near.wav", 1e300 * ONES, subtype="DOUBLE"),)),
+    Case("noise far beyond full scale", "read-noises noises out", "noises/click.wav: peak 1e+30 must be at most 1e+10: "
+         "convert it again, full scale being 1 (or leave such files out with --skip-bad)",
+         (audio("noises/click.wav", np.full(1600, 1e30), subtype="FLOAT"),)),
+    Case("raw", "read-measured folder/kitchen/x.raw out", "folder/kitchen/x.raw: cannot be read as audio (...): "
+         "convert it to WAV or FLAC (or leave such files out with --skip-bad)",
+         (write("folder/kitchen/x.raw", bytes(4000)),)),
     Case("empty", CHARACTERISE, "measured/audio/r0.wav: audio file is empty (0 bytes): copy or record it again",
          (write(WAV, b""),)),
     Case("no audio", CHARACTERISE,

@@ -73,6 +73,17 @@ CASES = [
          "mic_pos_m", "1 2 inf"),
     cell("csv distance negative", "table/manifest.csv:2: distance_m='-1': '-1' must be 0 or more: correct the cell",
          "distance_m", "-1"),
+    Case("csv rooms alike once cleaned", TABLE, "table/manifest.csv:3: room_id='a/b' and 'a b' would both have the id "
+         "'a-b': rename one: correct the cell", (write("table/manifest.csv", "file,room\nrirs/lab/one.flac,a b\n"
+                                                       "rirs/lab/two_clap.flac,a/b\n"),)),
+    Case("folder rooms alike once cleaned", "read-measured folder out", "folder/a-b/x.wav: room='a-b' and 'a b' would "
+         "both have the id 'a-b': rename one", (audio("folder/a b/x.wav", 4000), audio("folder/a-b/x.wav", 4000))),
+    Case("channels alike", "read-measured folder out", "folder: the id 'a_ch0' of a channel or measurement is also "
+         "that of another RIR: ids must be unique: rename one file",
+         (audio("folder/a.wav", np.ones((4000, 2))), audio("folder/a_ch0.wav", 4000))),
+    Case("speakers alike once cleaned", TRANSCRIPTS, "transcripts/manifest.csv:3: speaker='a/b' and 'a b' would both "
+         "have the id 'a_b': rename one: correct the row", (write(
+             "transcripts/manifest.csv", "file,speaker,transcript\na.wav,a b,A\nb.wav,a/b,B\n"),)),
     Case("csv same id twice", TABLE,
          "table/rirs/lab/two_clap.flac: id 'a' is also that of table/rirs/lab/one.flac: ids must be unique: "
          "rename one file or id", (write(

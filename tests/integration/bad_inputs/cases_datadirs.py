@@ -1,5 +1,6 @@
 """Broken Kaldi data directories; those that `tests/unit/kaldi/test_datadir.py` breaks are not repeated here."""
 
+import numpy as np
 from wrong import Case, audio, cut, line, remove, reorder, write
 
 AUGMENT = "augment speech rirs out"
@@ -71,10 +72,18 @@ CASES = [
          (line("speech/wav.scp", 1, "a-1-0001 x.ark:0"),
                                             write("x.ark", b"NPY\x04\x08\0\0\0\x93NUMPY"))),
     Case("archive offset behind the end", AUGMENT,
-         "speech: utterance a-1-0001: x.ark:99: b'' must be the start of WAV, FLAC or kaldiio AUDIO: "
-         "matrices, arrays and pickles are not supported: write the archive again with wav-copy or kaldiio",
+         "speech: utterance a-1-0001: x.ark:99: the offset must lie within the archive's 4 bytes: correct the line",
          (line("speech/wav.scp", 1, "a-1-0001 x.ark:99"),
                                                         write("x.ark", b"RIFF"))),
+    Case("archive offset of an exabyte", AUGMENT,
+         "speech: utterance a-1-0001: x.ark:999999999999999999: the offset must lie within the archive's 4 bytes: "
+         "correct the line", (line("speech/wav.scp", 1, f"a-1-0001 x.ark:{'9' * 18}"), write("x.ark", b"RIFF"))),
+    Case("archive offset beyond 64 bits", AUGMENT,
+         "speech/wav.scp:1: offset 18446744073709551616... of 'x.ark' must be a byte position in the file: "
+         "correct the line", (line("speech/wav.scp", 1, f"a-1-0001 x.ark:{2**64}"), write("x.ark", b"RIFF"))),
+    Case("speech far beyond full scale", AUGMENT,
+         "speech: utterance a-1-0001: x.wav: peak 1e+30 must be at most 1e+10: convert it again, full scale being 1",
+         (line("speech/wav.scp", 1, "a-1-0001 x.wav"), audio("x.wav", np.full(12352, 1e30), subtype="FLOAT"))),
     Case("archive offset of 30 digits", AUGMENT,
          "speech/wav.scp:1: offset 99999999999999999999... of 'x.ark' must be a byte position in the file: "
          "correct the line", (line("speech/wav.scp", 1, f"a-1-0001 x.ark:{'9' * 30}"),

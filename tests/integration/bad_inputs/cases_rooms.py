@@ -161,6 +161,15 @@ CASES = [
     Case("model of text for numbers", "simulate --model m.json measured out",
          "m.json: effects[0]: typical=['far'] must be 1 numbers: correct them", (write("m.json", json.dumps(
              dict(format=2, effects=[dict(effect="sound_speed", of={}, typical=["far"])]))),)),
+    model("of a misspelt key", "sound_speed", "key 'spred' must be one of effect, of, typical, spread: correct or "
+          "remove it", spred=[1]),
+    Case("model of a misspelt list", "simulate --model m.json measured out", "m.json: key 'efects' must be one of "
+         "format, effects: correct or remove it", (write("m.json", '{"format": 2, "effects": [], "efects": []}'),)),
+    Case("model of a parameter twice", "simulate --model m.json measured out", "m.json: not a JSON file (key "
+         "'temperature_c' occurs twice: leave one out): make it again", (write("m.json", '{"format": 2, "effects": [{'
+         '"effect": "sound_speed", "of": {"all": {"temperature_c": 20, "temperature_c": 30}}}]}'),)),
+    model("of a room where all is meant", "sound_speed", "of['hall0'] must be of['all'], since sound_speed is of all "
+          "RIRs: correct the name", of=dict(hall0=dict(temperature_c=20))),
     model("typical of 1000", "sound_speed", "typical=[1000] must lie in [-100, 100]: correct them", typical=[1000]),
     model("spread negative", "sound_speed", "spread=[-1] must lie in [0, 100]: correct them", spread=[-1]),
     model("without units", "sound_speed", "of=None must map each all to its parameters: add them", of=None),

@@ -189,6 +189,9 @@ CASES = [
     rows("polarity of 7", COMPENSATE,
          "measured/rirs.jsonl:2: direct_polarity=7 must be 1 or -1: correct the line or make the file again",
          direct_sample=320, direct_polarity=7),
+    Case("row with a key twice", COMPENSATE, "measured/rirs.jsonl:1: not JSON (key 'fs_hz' occurs twice: leave one "
+         "out): correct the line or make the file again", (line(
+             "measured/rirs.jsonl", 1, '{"fs_hz": 8000, "fs_hz": 16000}'),)),
     rows("model a number", COMPENSATE,
          "measured/rirs.jsonl:2: model=5 must be a list of effects: correct the line or make the file again",
          model=5),

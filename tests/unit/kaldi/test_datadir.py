@@ -122,7 +122,7 @@ def wav_bytes(tmp_path, n_samples=800, channels=1, fs_hz=FS):
     (lambda path: b"PKL" + pickle.dumps(Bomb()), "pickles are not supported"),
     (lambda path: b"NPY\x01\x08abcdefgh", "arrays and pickles are not supported"),
     (lambda path: b"\0BFM \x04\x01\0\0\0\x04\x01\0\0\0abcd", "matrices"),
-    (lambda path: b"", "must be the start of WAV"),
+    (lambda path: b"", "the offset must lie within the archive.s 4 bytes"),
     (lambda path: b"AUDIO\x08\xff\xff\xff\xff\xff\xff\xff\x7fabc", "broken audio"),
     (lambda path: b"RIFFabcdefgh", "broken audio"),
     (lambda path: wav_bytes(path)[:-400], "truncated|broken"),
