@@ -38,7 +38,7 @@ check_option() {
 
 # Print a line with the time of day.
 log() {
-  printf '%s %s: %s\n' "$(date +%H:%M:%S)" "${0##*/}" "$*"
+  printf '%(%H:%M:%S)T %s: %s\n' -1 "${0##*/}" "$*"
 }
 
 # at_stage NUMBER TITLE: tell whether a stage is to run, and announce it.
