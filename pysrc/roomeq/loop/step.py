@@ -41,7 +41,8 @@ def close_loop(rir_dirs: Sequence[Path], out: Path, *, test: Sequence[Path] = ()
     directories, test = [Path(directory) for directory in rir_dirs], [Path(directory) for directory in test]
     check_jobs(nj)
     build = Build(Path(out), step="close-loop", options=dict(max_effects=max_effects, seed=seed),
-                  inputs=[*directories, *test, *([Path(model)] if model else [])])
+                  # a model that is absent is refused by its reader
+                  inputs=[*directories, *test, *([Path(model)] if model and Path(model).exists() else [])])
     if build.done:
         return None
     from roomeq.loop.close import make
