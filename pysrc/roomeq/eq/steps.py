@@ -74,7 +74,7 @@ def compensate(sim_dir: Path | str, eq_dir: Path | str, out: Path | str, *, taps
     sim_dir
         Simulated RIRs.
     eq_dir
-        Output of `roomeq.eq.fit_eq`, or its `gmm.json`.
+        Output of `fit_eq`, or its `gmm.json`.
     out
         RIR directory to make. Rows hold `eq_target_db`, `eq_achieved_db`, `eq_error_db` and `eq_gain_db` (the gains
         the filter was designed for), 8 points each. `compensation.json` holds `summarise` of the rows.
