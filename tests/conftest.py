@@ -1,5 +1,7 @@
 """Fixtures that many tests share."""
 
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark every test with its tier, the folder of `tests` that it lies in: unit, integration or nightly."""
     for item in items:
         item.add_marker(item.path.relative_to(PROJECT / "tests").parts[0])
+
+
+@pytest.fixture
+def default_hangup() -> Iterator[None]:
+    """A hang-up ends what a test starts, as in a terminal: after nohup, all processes ignore it."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
 
 
 @pytest.fixture(scope="session")

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from scripts import call
 
+pytestmark = pytest.mark.usefixtures("default_hangup")
 SIGNALS = [signal.SIGHUP, signal.SIGINT, signal.SIGTERM]
 SLEEPER = """#!/usr/bin/env bash
 # Sleep in jobs, one of which has left its parent.

@@ -11,6 +11,8 @@ import pytest
 
 from roomeq.core.workers import n_processes, share_out
 
+pytestmark = pytest.mark.usefixtures("default_hangup")
+
 
 @pytest.mark.parametrize("first_here", [True, False])
 @pytest.mark.parametrize("nj", [1, 2, 5])
