@@ -101,6 +101,17 @@ def test_lock_ends_with_its_holder(sleeper, recipe):
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
+def test_killed_run_can_be_restarted_at_once(sleeper, recipe):
+    process, _ = sleeper
+    os.kill(process.pid, signal.SIGSTOP)  # its jobs live until its end is noticed
+    (recipe / "short.sh").write_text(SLEEPER.partition("(sleep")[0])
+    restarted = subprocess.Popen(["bash", "short.sh"], cwd=recipe, stderr=subprocess.PIPE, text=True)
+    time.sleep(1)
+    assert restarted.poll() is None
+    process.kill()
+    assert (restarted.communicate()[1], restarted.returncode) == ("", 0)
+
+
 @pytest.mark.parametrize("place", ["data", "exp"])
 def test_recipe_refuses_a_directory_in_which_another_run_works(place, project_dir, tmp_path):
     (tmp_path / place).mkdir()
