@@ -32,16 +32,17 @@ def project_dir() -> Path:
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Real recordings beside the project; tests that need them are skipped where they are absent."""
-    path = PROJECT.parent / "shared" / "data"
-    if not path.is_dir():
-        pytest.skip(f"needs the real recordings in {path}")
-    return path
+    return _shared("data", "the real recordings")
 
 
 @pytest.fixture(scope="session")
 def shared_repro() -> Path:
     """Inputs beside the project that once failed; tests that need them are skipped where they are absent."""
-    path = PROJECT.parent / "shared" / "repro"
+    return _shared("repro", "the inputs")
+
+
+def _shared(name: str, content: str) -> Path:
+    path = PROJECT.parent / "shared" / name
     if not path.is_dir():
-        pytest.skip(f"needs the inputs in {path}")
+        pytest.skip(f"needs {content} in {path}")
     return path

@@ -23,7 +23,7 @@ from roomeq.loop.geometry import Estimate, complete_geometry
 from roomeq.loop.measurability import comparable_levels, limit_to_excitation
 from roomeq.loop.tables import ANGLES, FRAME_MID_S, Table, collect
 from roomeq.loop.traces import StoredTrace, TraceFolder
-from roomeq.loop.usable import LeftOut, usable_rirs
+from roomeq.loop.usable import LeftOut, UsableRirs, usable_rirs
 from roomeq.records.rir_dir import load_rir
 from roomeq.records.schema import RirRow
 from roomeq.sim.geometry import Place, find_place
@@ -181,6 +181,11 @@ def load_data(directories: Sequence[Path], *, scattering: float, seed: int, mode
     usable = usable_rirs(directories)
     if not usable.rirs:
         raise ValueError(f"{directories[0]}: no RIR can be used ({'; '.join(map(str, usable.left_out))})")
+    return load_usable(usable, scattering=scattering, seed=seed, model=model, nj=nj)
+
+
+def load_usable(usable: UsableRirs, *, scattering: float, seed: int, model: Model | None = None, nj: int = 1) -> Data:
+    """Measure usable RIRs, of which there is at least one, and trace their rooms; see `load_data`."""
     located, estimates = complete_geometry(usable.rirs, seed, nj)
     recordings = _merge_sources([_Recording(*rir, find_place(rir.row, [rir.row], rir.directory, seed))
                                  for rir in located])

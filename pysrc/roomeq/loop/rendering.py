@@ -72,8 +72,9 @@ def render_rows(data: Data, absorption: FloatArray, effects: Sequence[Sequence[E
                         [row for of_group in share_out(render_and_measure, groups, nj) for row in of_group],
                         strict=True))
     # a scene may be large and need not travel
-    return ([RawRir(rir, scenes[n], direct) for n in rows for rir, direct, _ in [rendered[n]]],
-            np.array([rendered[n][2] for n in rows]))
+    rirs, direct_gains, features = zip(*(rendered[n] for n in rows), strict=True)
+    return ([RawRir(rir, scenes[n], direct) for n, rir, direct in zip(rows, rirs, direct_gains, strict=True)],
+            np.array(features))
 
 
 def _groups_of_paths(data: Data, absorption: FloatArray, effects: Sequence[Sequence[Effect]],

@@ -70,8 +70,8 @@ def usable_rirs(directories: Iterable[Path]) -> UsableRirs:
     return UsableRirs([rir for rir, reason in zip(found, reasons, strict=True) if reason is None], left_out)
 
 
-def require_enough_rooms(directories: Sequence[Path]) -> None:
-    """Refuse directories with too few usable RIRs for the closed loop.
+def require_enough_rooms(directories: Sequence[Path]) -> UsableRirs:
+    """Return the usable RIRs of directories, and refuse too few for the closed loop.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def require_enough_rooms(directories: Sequence[Path]) -> None:
     """
     usable = usable_rirs(directories)
     if usable.n_scored >= MIN_ROOMS:
-        return
+        return usable
     problem = f"the closed loop needs {MIN_ROOMS} rooms or conditions (room_id) with two usable RIRs each, and has " \
               f"{usable.n_scored}: "
     remedy = "give further rooms"
