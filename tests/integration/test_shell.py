@@ -102,6 +102,14 @@ def test_recipe_accepts_the_same_snr_as_the_tools(project_dir, value):
     assert done.stderr.startswith("run.sh: --stop-stage '99' ")
 
 
+@pytest.mark.parametrize("word", ["$(touch evil)", "a;b", "a'b", "a\nb", "é", "*"])
+def test_words_are_kept_from_runners_that_let_a_shell_read_them(recipe, word):
+    check = '. utils/check_words.sh && check_words log "$0"'
+    done = call(recipe, "bash", "-c", f"cmd='queue.pl --mem 2G'; {check}", word)
+    assert done.returncode == 1 and "queue.pl would let a shell read" in done.stderr
+    assert call(recipe, "bash", "-c", f"cmd=utils/local.sh; {check}", word).returncode == 0
+
+
 def test_recipe_refuses_another_current_directory(tmp_path, project_dir):
     done = call(tmp_path, str(project_dir / "run.sh"))
     assert done.returncode != 0 and "directory that holds run.sh" in done.stderr

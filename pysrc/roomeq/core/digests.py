@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
-from roomeq.core.files import hash_file
+from roomeq.core.files import hash_file, read_text
 from roomeq.core.kept_hashes import hashes_of_input, quick_look
 from roomeq.core.stamps import DONE_FILE, is_as_stamped, read_stamp
 
@@ -73,10 +73,10 @@ def _audio_in_tables(directory: Path) -> list[Path]:
     found = []
     for name in ("rirs.jsonl", "noises.jsonl"):
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-            for line in (directory / name).read_text(encoding="utf-8").splitlines():
+            for line in read_text(directory / name).splitlines():
                 found.append(directory / json.loads(line)["wav"])
     with contextlib.suppress(OSError, ValueError):
-        entries = [line.split(maxsplit=1)[-1] for line in (directory / "wav.scp").read_text("utf-8").splitlines()]
+        entries = [line.split(maxsplit=1)[-1] for line in read_text(directory / "wav.scp").splitlines()]
         words = {re.sub(r":\d+$", "", word.strip()) for entry in entries for word in [entry, *words_of_entry(entry)]}
         found += [path for path in map(Path, sorted(words)) if quick_look(path)]
     return found

@@ -99,9 +99,12 @@ def read_text(path: Path) -> str:
     Raises
     ------
     ValueError
-        A byte is not UTF-8; the message names its line.
+        A byte is not UTF-8; the message names its line. Or it is a pipe or a device, which may never end.
     """
-    content = Path(path).read_bytes()
+    path = Path(path)
+    if not path.is_file() and path.exists() and not path.is_dir():
+        raise ValueError(f"{path}: must be a regular file, no pipe or device: write a file")
+    content = path.read_bytes()
     try:
         return content.decode()
     except UnicodeDecodeError as error:

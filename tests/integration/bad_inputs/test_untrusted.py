@@ -150,6 +150,20 @@ def test_a_fifo_or_device_is_not_waited_for(worlds, tmp_path, monkeypatch):
         assert (status, said.count("no such audio file")) == (1, 1)
 
 
+@pytest.mark.parametrize("name", ["wav.scp", "utt2spk"])
+def test_a_fifo_in_a_data_directory_is_not_waited_for(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    rir_dir(tmp_path / "rirs")
+    soundfile.write("a.wav", burst(np.random.default_rng(0), 4000), FS)
+    os.mkdir("clean")
+    for table, value in (("wav.scp", "a.wav"), ("utt2spk", "a")):
+        Path("clean", table).write_text(f"a {value}\n")
+    Path("clean", name).unlink()
+    os.mkfifo(f"clean/{name}")
+    status, said = call(["augment", "clean", "rirs", "out"])
+    assert (status, said) == (1, f"roomeq: clean/{name}: must be a regular file, no pipe or device: write a file\n")
+
+
 def test_what_a_mesh_refers_to_is_not_waited_for(worlds, tmp_path, monkeypatch):
     """Buffers are regular files; textures are never opened."""
     monkeypatch.chdir(tmp_path)
