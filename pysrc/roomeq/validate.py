@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from roomeq.core.files import hash_file
-from roomeq.core.stamps import read_stamp
+from roomeq.core.digests import audio_elsewhere
+from roomeq.core.stamps import read_stamp, require_as_stamped, require_audio_as_stamped
 from roomeq.kaldi import validate_data_dir
 from roomeq.records.rir_dir import NOISES_FILE, ROWS_FILE, validate_noises, validate_rirs
 from roomeq.wer.check import WER_FILE, validate_wer
@@ -49,17 +49,13 @@ def _validate_loop(directory: Path) -> None:
 
 
 def check_stamp(directory: Path) -> None:
-    """Check that the files of a directory still have the hashes recorded when it was made.
+    """Check that the files of a directory, and audio that it refers to, are as they were when it was made.
 
     Raises
     ------
     ValueError
-        A file is missing or has changed.
+        A file is missing or has changed, or audio that the directory refers to.
     """
-    stamp = read_stamp(directory)
-    for name, (_, digest) in stamp.files.items() if stamp else ():
-        path = directory / name
-        if not path.is_file():
-            raise ValueError(f"{path}: missing since it was made: make {directory} again")
-        if hash_file(path) != digest:
-            raise ValueError(f"{path}: changed since it was made: make {directory} again")
+    if stamp := read_stamp(directory):
+        require_as_stamped(directory, stamp, quick=False)
+        require_audio_as_stamped(directory, stamp, audio_elsewhere(directory))

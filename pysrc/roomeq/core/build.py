@@ -32,12 +32,12 @@ from pathlib import Path
 from typing import Any
 
 from roomeq.core.asking import NotUpToDate, only_asked
-from roomeq.core.digests import code_digest, digest, files_below
+from roomeq.core.digests import audio_elsewhere, code_digest, digest, files_below
 from roomeq.core.files import hash_file, listing_written, sync, to_json, write_json
 from roomeq.core.item_records import ItemRecord, is_as_recorded, is_whole, read_item_record, write_item_record
 from roomeq.core.kept_hashes import KeptHashes
 from roomeq.core.progress import progress
-from roomeq.core.stamps import DONE_FILE, FORMAT, check_output, is_as_stamped
+from roomeq.core.stamps import DONE_FILE, FORMAT, check_output, is_as_stamped, stamp_content
 from roomeq.core.workers import end_with, n_processes
 
 logger = logging.getLogger(__name__)
@@ -210,8 +210,10 @@ class Build:
             files[name] = recorded.get(name) or (path.stat().st_size, hash_file(path))
         for folder, _, _ in os.walk(self.work):
             sync(Path(folder))
-        write_json(self.work / DONE_FILE, dict(format=FORMAT, step=self.step, options=self.options, key=self.key,
-                                               refers=self.refers, files=files))
+        audio = audio_elsewhere(self.work, self.out) if self.refers else {}
+        write_json(self.work / DONE_FILE, stamp_content(
+            format=FORMAT, step=self.step, options=self.options, key=self.key, refers=self.refers, files=files,
+            audio={name: content_hash for name, (_, content_hash) in audio.items() if content_hash}))
         sync(self.work)
 
     def _record_path(self, name: str) -> Path:

@@ -11,9 +11,11 @@ from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from roomeq.core.files import hash_file, read_text
 from roomeq.core.kept_hashes import hashes_of_input, quick_look
-from roomeq.core.stamps import DONE_FILE, is_as_stamped, read_stamp
+from roomeq.core.stamps import read_stamp, require_as_stamped, require_audio_as_stamped
 
 _NUMERICS = ("embreex", "numba", "numpy", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
 
@@ -21,29 +23,28 @@ _NUMERICS = ("embreex", "numba", "numpy", "scikit-learn", "scipy", "soundfile", 
 def digest(path: Path) -> str:
     """Return a hash of a file's content or of a directory's, and of the audio that the directory's tables name.
 
-    A directory that a `Build` made is hashed by the content hashes in its stamp (a file that has changed since is read
-    again); where it refers to audio elsewhere, by the stamp's key and the content of that audio too. Any other
+    A directory that a `Build` made is hashed by the content hashes in its stamp, once its files are found to be as the
+    stamp says; where it refers to audio elsewhere, by the stamp's key and the content of that audio too. Any other
     directory is hashed by the content of all its files, and of the audio that its tables name.
 
     Raises
     ------
     ValueError
-        There is no such path, or the directory has the formats of another version of roomeq.
+        There is no such path, the directory has the formats of another version, or something in it has been lost or
+        has changed since a step made it.
     """
     path = Path(path)
     if path.is_file():
+        _require_file_as_stamped(path)
         return hash_file(path)
     if not path.is_dir():
         raise ValueError(f"{path}: no such file or directory: check the path, or run the step that makes it")
     stamp = read_stamp(path)
     total = hashlib.sha256(stamp.key.encode() if stamp and stamp.refers else b"")
-    content: dict[str, str | None] = {}
+    content: dict[str, str | None]
     if stamp:
-        stamped_ns = (path / DONE_FILE).stat().st_ctime_ns
-        for name in (str(file.relative_to(path)) for file in files_below(path)):
-            if name in stamp.files:  # others (Kaldi) may put files beside ours, which are no input
-                as_stamped = is_as_stamped(path / name, *stamp.files[name], stamped_ns)
-                content[name] = stamp.files[name][1] if as_stamped else hash_file(path / name)
+        require_as_stamped(path, stamp)
+        content = {name: content_hash for name, (_, content_hash) in stamp.files.items()}
     else:
         files = files_below(path)
         content = dict(zip((str(file.relative_to(path)) for file in files),
@@ -51,8 +52,22 @@ def digest(path: Path) -> str:
     for name, content_hash in content.items():
         total.update(f"{name}\0{content_hash}\n".encode(errors="surrogateescape"))
     if not stamp or stamp.refers:
-        total.update(audio_digest(_audio_in_tables(path)).encode())
+        audio = audio_elsewhere(path)
+        if stamp:
+            require_audio_as_stamped(path, stamp, audio)
+        for name, (_, content_hash) in audio.items():
+            total.update(f"{name}\0{content_hash}\n".encode(errors="surrogateescape"))
     return total.hexdigest()
+
+
+def _require_file_as_stamped(path: Path) -> None:
+    """Refuse a file that a step made and that has changed since."""
+    try:
+        stamp = read_stamp(path.parent)
+    except ValueError:  # not a stamp of ours, or of another version: readers of the file check its format
+        return
+    if stamp and path.name in stamp.files:
+        require_as_stamped(path.parent, replace(stamp, files={path.name: stamp.files[path.name]}))
 
 
 def audio_digest(paths: Iterable[Path]) -> str:
@@ -68,18 +83,32 @@ def audio_digest(paths: Iterable[Path]) -> str:
     return total.hexdigest()
 
 
-def _audio_in_tables(directory: Path) -> list[Path]:
-    """Return the audio files that a directory's tables name; the reader reports lines that are wrong."""
-    found = []
-    for name in ("rirs.jsonl", "noises.jsonl"):
+def audio_elsewhere(directory: Path, out: Path | None = None) -> dict[str, tuple[Path, str | None]]:
+    """Return path and content hash of the audio files that a directory's tables name and that lie elsewhere, by name.
+
+    The reader of a table reports lines that are wrong. A file that is absent has the hash None.
+
+    Parameters
+    ----------
+    directory : Path
+    out : Path, optional
+        Where the directory will lie.
+    """
+    found = {}
+    for table in ("rirs.jsonl", "noises.jsonl"):
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-            for line in read_text(directory / name).splitlines():
-                found.append(directory / json.loads(line)["wav"])
+            for line in read_text(directory / table).splitlines():
+                wav = json.loads(line)["wav"]
+                found[wav] = Path(os.path.normpath(directory / wav))
     with contextlib.suppress(OSError, ValueError):
         entries = [line.split(maxsplit=1)[-1] for line in read_text(directory / "wav.scp").splitlines()]
         words = {re.sub(r":\d+$", "", word.strip()) for entry in entries for word in [entry, *words_of_entry(entry)]}
-        found += [path for path in map(Path, sorted(words)) if quick_look(path)]
-    return found
+        found |= {word: Path(word) for word in sorted(words) if quick_look(Path(word))}
+    own = tuple(f"{os.path.abspath(folder)}/" for folder in (directory, out or directory))
+    found = {name: path for name, path in found.items() if not os.path.abspath(path).startswith(own)}
+    listed = hashlib.sha256("\n".join(map(str, found.values())).encode(errors="surrogateescape")).hexdigest()
+    hashes = hashes_of_input(listed, found.values())
+    return {name: (path, content_hash) for (name, path), content_hash in zip(found.items(), hashes, strict=True)}
 
 
 def words_of_entry(entry: str) -> list[str]:

@@ -3,15 +3,20 @@
 The stamp (`.done`) is the last file that `roomeq.core.build.Build` writes: a directory with a stamp is complete. It
 carries the version of the formats in the directory: a reader refuses a directory of another version, and the step that
 made the directory makes it anew.
+
+A directory is used as it was made. A step refuses an input with a file that is lost or not as the stamp says, or that
+refers to audio which is not as it was: whoever changes a file on purpose removes the stamp, and the content counts.
 """
 
+import hashlib
 import os
+import stat
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from roomeq.core.files import hash_file, read_json
+from roomeq.core.files import hash_file, read_json, to_json
 
 DONE_FILE = ".done"
 
@@ -41,6 +46,8 @@ class Stamp(msgspec.Struct, frozen=True):
         Options of the step.
     refers : bool
         The directory names audio elsewhere.
+    audio : dict
+        Hash of each audio file elsewhere, by the name that it has in the directory's tables.
     """
 
     step: str
@@ -49,6 +56,21 @@ class Stamp(msgspec.Struct, frozen=True):
     format: int = 1
     options: dict[str, Any] = {}
     refers: bool = False
+    audio: dict[str, str] = {}
+
+    @property
+    def command(self) -> str:
+        """The command that makes such a directory."""
+        return _COMMANDS.get(self.step, f"roomeq {self.step}")
+
+
+def stamp_content(**fields: Any) -> dict[str, Any]:
+    """Return what a stamp file holds: the fields of `Stamp`, and a hash of them that tells a damaged stamp."""
+    return dict(fields, check=_check(fields))
+
+
+def _check(fields: dict[str, Any]) -> str:
+    return hashlib.sha256(to_json(fields).encode(errors="surrogateescape")).hexdigest()
 
 
 def read_stamp(directory: Path) -> Stamp | None:
@@ -63,7 +85,7 @@ def read_stamp(directory: Path) -> Stamp | None:
     if stamp and stamp.format != FORMAT:
         age = "an older" if stamp.format < FORMAT else "a newer"
         raise ValueError(f"{directory}: was written by {age} roomeq (format {stamp.format}, not {FORMAT}): run "
-                         f"{_COMMANDS.get(stamp.step, f'roomeq {stamp.step}')} again")
+                         f"{stamp.command} again")
     return stamp
 
 
@@ -72,6 +94,9 @@ def _read_any_format(directory: Path) -> Stamp | None:
     if not path.is_file():
         return None
     content = read_json(path)
+    if (isinstance(content, dict) and content.get("format") == FORMAT
+            and content.pop("check", None) not in (None, _check(content))):
+        raise ValueError(f"{path}: is damaged: remove {directory} and make it again")
     try:
         return msgspec.convert(content, Stamp)
     except (msgspec.ValidationError, UnicodeEncodeError):
@@ -90,9 +115,65 @@ def is_as_stamped(path: Path, size: int, content_hash: str, stamped_ns: int) -> 
     stamped_ns : int
         When the stamp was written: its `st_ctime_ns`.
     """
-    stat = path.stat()
-    # the inode's time: a file that is moved here keeps its own modification time
-    return stat.st_size == size and (stat.st_ctime_ns <= stamped_ns or hash_file(path) == content_hash)
+    status = path.stat()
+    # the inode's time: a file that is moved here keeps its own modification time; within a tick it tells nothing
+    return (status.st_size == size and stat.S_ISREG(status.st_mode)
+            and (status.st_ctime_ns < stamped_ns or hash_file(path) == content_hash))
+
+
+def require_as_stamped(directory: Path, stamp: Stamp, *, quick: bool = True) -> None:
+    """Refuse a directory with a file that is not as its stamp says; files beside them may come and go.
+
+    Parameters
+    ----------
+    directory : Path
+    stamp : Stamp
+        Its stamp.
+    quick : bool
+        Read only files that have changed in some way since the stamp was written. False: read all.
+
+    Raises
+    ------
+    ValueError
+        A file is missing or has changed.
+    """
+    stamped_ns = (directory / DONE_FILE).stat().st_ctime_ns if quick else 0
+    for name, (size, content_hash) in stamp.files.items():
+        try:
+            unchanged = is_as_stamped(directory / name, size, content_hash, stamped_ns)
+        except (FileNotFoundError, NotADirectoryError):
+            raise ValueError(f"{directory / name}: missing since it was made: {_remedy(directory, stamp)}") from None
+        if not unchanged:
+            raise ValueError(f"{directory / name}: changed since it was made: {_remedy(directory, stamp)}")
+
+
+def require_audio_as_stamped(directory: Path, stamp: Stamp, found: dict[str, tuple[Path, str | None]]) -> None:
+    """Refuse a directory that names audio elsewhere which is not as it was.
+
+    Parameters
+    ----------
+    directory : Path
+    stamp : Stamp
+        Its stamp.
+    found : dict
+        Path and content hash of the audio that the directory names, by that name; None: there is no such file.
+
+    Raises
+    ------
+    ValueError
+        A file is missing or has changed.
+    """
+    remedy = f"run all steps that lead to {directory} again, from the first one"
+    for name, content_hash in stamp.audio.items():
+        path, now = found.get(name, (Path(name), None))
+        if now is None:
+            raise ValueError(f"{path}: missing since {directory} was made of it: {remedy}")
+        if now != content_hash and hash_file(path) != content_hash:  # the hash may be a kept one, and wrong
+            raise ValueError(f"{path}: changed since {directory} was made of it: {remedy}")
+
+
+def _remedy(directory: Path, stamp: Stamp) -> str:
+    return f"run {stamp.command} again, or remove {directory / DONE_FILE} to use {directory} as it is"
 
 
 def check_output(out: Path, step: str, inputs: list[Path]) -> None:
