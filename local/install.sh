@@ -80,7 +80,7 @@ install_packages() {
   } >"$log" 2>&1 || fail "pip cannot install the packages"
 }
 
-! is_marked "$@" || exit 0
+if is_marked "$@" && [ ! -e .venv.old ]; then exit 0; fi
 [ "$(uname -s)" = Linux ] || echo "install.sh: tested on Linux only; continuing" >&2
 if [ -L .venv ]; then
   is_whole "$@" || die ".venv is a link to $(readlink .venv), where $problem: run local/install.sh there, or remove the link"
@@ -89,9 +89,11 @@ fi
 { : >>.venv.lock; } 2>/dev/null || die "$PWD/.venv.lock cannot be written: is the disk full or read-only?"
 exec 9>>.venv.lock
 flock 9 || echo "install.sh: no locks here: let one installation at a time run" >&2 # two runs may start at once
-! is_marked "$@" || exit 0
+if is_marked "$@"; then rm -rf .venv.old && exit 0; fi
 python=$(find_python)
-export PIP_USER=0 # pip's configuration may say otherwise
+# what would lead pip elsewhere, or to other files
+unset PIP_TARGET PIP_PREFIX PIP_ROOT PIP_NO_BINARY PIP_REQUIRE_HASHES PIP_DRY_RUN
+export PIP_USER=0
 status=0
 is_whole "$@" || status=$?
 [ "$status" != 2 ] || [ ! -e .venv ] || echo "install.sh: .venv is made again: $problem"
@@ -105,6 +107,6 @@ if [ "$status" = 2 ]; then
   make_environment
   install_packages "$@"
   is_whole "$@" || die "after the installation, in .venv: $problem: does pip's configuration (python3 -m pip config" \
-    "list) or a PIP_ variable name another folder, such as PIP_TARGET or PIP_PREFIX?"
+    "list) name another folder, as target or prefix?"
 fi
 rm -rf .venv.old "$log"

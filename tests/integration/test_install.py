@@ -324,10 +324,24 @@ def test_unreachable_index_is_named(tree, wheels):
     assert_one_line(done, "pip reaches no index that has alpha==1.0: connect to the network, or name a mirror")
 
 
+@NIGHTLY
+@pytest.mark.parametrize("variable, value", [("PIP_TARGET", "/nowhere/target"), ("PIP_USER", "1"), ("PIP_PREFIX", "x"),
+                                             ("PIP_NO_BINARY", ":all:"), ("PIP_REQUIRE_HASHES", "1")])
+def test_variables_of_pip_lead_nowhere_else(tree, wheels, variable, value):
+    shutil.rmtree(tree / ".venv")
+    assert_whole(tree, install(tree, wheels, **{variable: value}))
+
+
 def test_pip_that_installs_elsewhere_is_named(tree, wheels, tmp_path):
     shutil.rmtree(tree / ".venv")
-    assert_one_line(install(tree, wheels, PIP_TARGET=str(tmp_path / "target")),
-                    "after the installation, in .venv: ", "is absent: ", "PIP_TARGET")
+    (tmp_path / "pip.conf").write_text(f"[install]\ntarget = {tmp_path}/target\n")
+    assert_one_line(install(tree, wheels, PIP_CONFIG_FILE=str(tmp_path / "pip.conf")),
+                    "after the installation, in .venv: ", "is absent: does pip's configuration", "as target or prefix?")
+
+
+def test_environment_put_aside_by_a_killed_run_is_removed(tree, wheels):
+    (tree / ".venv.old").mkdir()
+    assert_whole(tree, install(tree, wheels, PIP_FIND_LINKS="/nowhere"))
 
 
 def test_too_old_python_is_named(tree, wheels, tmp_path):
