@@ -77,6 +77,24 @@ def _replacing(path: Path) -> Iterator[Path]:
             temporary.unlink()
 
 
+def write_sealed(path: Path, body: str) -> None:
+    """Write a text with a hash of it in the first line."""
+    write_text(path, f"{_seal(body.encode(errors='surrogateescape'))}\n{body}")
+
+
+def read_sealed(path: Path) -> str | None:
+    """Return a text that `write_sealed` wrote, or None where the file is absent or damaged."""
+    try:
+        stated, body = path.read_bytes().split(b"\n", 1)
+    except (OSError, ValueError):
+        return None
+    return body.decode() if stated == _seal(body).encode() else None
+
+
+def _seal(body: bytes) -> str:
+    return hashlib.sha256(body).hexdigest()
+
+
 def write_text(path: Path, text: str) -> None:
     """`write_bytes` for UTF-8 text.
 

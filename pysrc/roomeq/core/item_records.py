@@ -4,13 +4,12 @@ A loss of power may leave a file lost, empty or half written, and a record too. 
 that vouches for them, and both are told by their hashes: an item is finished if all of them are right.
 """
 
-import hashlib
 import json
 import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from roomeq.core.files import FileState, sync, to_json, write_text
+from roomeq.core.files import FileState, read_sealed, sync, to_json, write_sealed
 from roomeq.core.kept_hashes import KeptHashes, quick_look
 
 
@@ -33,17 +32,13 @@ def write_item_record(path: Path, work: Path, result: Any, written: dict[Path, F
     files = {os.path.relpath(file, work): state for file, state in written.items() if file.is_relative_to(work)}
     for folder in sorted({Path(name).parent for name in files}):
         sync(work / folder)
-    body = to_json(dict(result=result, files=files))
-    write_text(path, f"{_hash(body.encode(errors='surrogateescape'))}\n{body}")
+    write_sealed(path, to_json(dict(result=result, files=files)))
 
 
 def read_item_record(path: Path) -> ItemRecord | None:
     """Return a record, or None where it is absent or damaged."""
-    try:
-        stated, body = path.read_bytes().split(b"\n", 1)
-    except (OSError, ValueError):
-        return None
-    if stated != _hash(body).encode():
+    body = read_sealed(path)
+    if body is None:
         return None
     content = json.loads(body)
     return ItemRecord(content["result"], {name: (size, content_hash)
@@ -61,7 +56,3 @@ def is_as_recorded(path: Path, state: FileState, hashes: KeptHashes) -> bool:
     """Tell whether a file has the size and the hash that were recorded."""
     look = quick_look(path)
     return look is not None and (look.size, hashes.of(path)) == state
-
-
-def _hash(body: bytes) -> str:
-    return hashlib.sha256(body).hexdigest()

@@ -16,7 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from roomeq.core.files import hash_file, write_bytes
+from roomeq.core.files import hash_file, read_sealed, write_sealed
 
 SETTLED_NS = 2_000_000_000
 """Age of a file from which its hash is kept: a change within a tick of the clock cannot be seen [ns]."""
@@ -102,7 +102,7 @@ def hashes_of_input(name: str, paths: Iterable[Path]) -> list[str | None]:
         hashes = _read_in_threads(known, paths)
         kept = {key: known.known[key] for path in paths if (key := str(path)) in known.known}
         with contextlib.suppress(OSError):
-            write_bytes(store, json.dumps(kept).encode())
+            write_sealed(store, json.dumps(kept))
     return hashes
 
 
@@ -117,12 +117,10 @@ def _cache_directory() -> Path:
 
 def _read_store(store: Path) -> KeptHashes:
     """Return what is kept in a file; nothing where it is absent or damaged."""
-    try:
-        content = json.loads(store.read_bytes())
-        return KeptHashes({path: (Look(*map(int, look)), str(content_hash))
-                           for path, (look, content_hash) in content.items()})
-    except (OSError, ValueError, TypeError, AttributeError):
+    body = read_sealed(store)
+    if body is None:
         return KeptHashes()
+    return KeptHashes({path: (Look(*look), content_hash) for path, (look, content_hash) in json.loads(body).items()})
 
 
 @contextlib.contextmanager

@@ -73,6 +73,13 @@ def test_damaged_store_is_done_without(content, files, tmp_path):
     assert hashes_of_input("corpus", files) == before
 
 
+def test_hash_that_changed_in_the_store_is_not_used(files, tmp_path):
+    before = hashes_of_input("corpus", files)
+    (store,) = (tmp_path / "cache/roomeq/hashes").glob("*.json")
+    store.write_text(store.read_text().replace(before[0], before[0][::-1]))
+    assert hashes_of_input("corpus", files) == before
+
+
 def test_store_that_cannot_be_written_is_done_without(files, tmp_path, monkeypatch):
     (tmp_path / "file").write_text("no directory")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
