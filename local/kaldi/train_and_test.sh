@@ -47,6 +47,7 @@ if at_stage 8 "Kaldi: language, features, GMM"; then
   texts=("$data/train.clean/text" ${lm_text:+"$lm_text"})
   [ -z "$librispeech" ] || [ -n "$lm_text" ] || texts=()
   local/kaldi/make_workspace.sh "${common[@]}" "$workspace" "${copied[@]}"
+  [ "$dry_run" = true ] || roomeq validate "${copied[@]}" # Kaldi would train on a damaged directory
   [ "$stock_rvb" = false ] || for x in train dev; do
     local/kaldi/reverberate.sh "${common[@]}" --seed "$seed" "$workspace" "$data/rirs.sim.$x" "$data/rirs.real.$x" \
       "$x.clean" "$x.sim.stock.rvb"
