@@ -5,13 +5,12 @@ import random
 import pytest
 from crash_replay import Disk, disk_after
 from generated_damage import CASES, RECIPE, World
-from power_losses import Losses
+from power_losses import AUDIO_STEPS, Losses
 
 N_EXAMPLES = 50
 STRIDE = 41
 """Step between examples: all places in turn, and the kinds of damage too."""
 STEPS = {step.name: step for step in RECIPE}
-AUDIO_STEPS = ("prepare-speech", "read-measured", "read-noises", "simulate", "compensate", "augment real")
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +18,6 @@ def world(tmp_path_factory):
     root = tmp_path_factory.mktemp("world")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(root)
-        patch.setenv("XDG_CACHE_HOME", str(root.with_name(f"{root.name}.cache")))
         yield World(root)
 
 

@@ -1,17 +1,14 @@
 """Running a case as `roomeq` would be: what it printed, and what it did to the files."""
 
-import contextlib
-import io
 import os
 import shutil
-import traceback
 from pathlib import Path
 
+from commands import call
 from right import WORLDS, put_earlier
 from wrong import Case
 
-from roomeq.cli import main
-from roomeq.core.limits import LIMITS
+__all__ = ["call", "set_up", "snapshot"]
 
 STEPS = ("read-measured", "read-noises", "characterise", "simulate", "fit-eq", "compensate", "augment", "wer",
          "report")
@@ -40,19 +37,3 @@ def snapshot(root: Path) -> dict[str, bytes | None]:
             if not name.endswith(".lock"):
                 found[str(path.relative_to(root))] = path.read_bytes() if path.is_file() else None
     return found
-
-
-def call(argv: list[str]) -> tuple[int, str]:
-    """Run the command line in this process: exit status and what it wrote to stderr; a traceback is status 99."""
-    said, bounds = io.StringIO(), {limit.variable: os.environ.get(limit.variable, "") for limit in LIMITS}
-    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
-        try:
-            status = main(argv)
-        except SystemExit as stop:
-            status = stop.code
-        except BaseException:
-            traceback.print_exc(file=said)
-            status = 99
-        finally:
-            os.environ.update(bounds)
-    return status, said.getvalue()

@@ -19,7 +19,8 @@ CASES = [pytest.param(case, id=f"{table}-{case.name}".replace(" ", "_")) for tab
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_bad_input_is_one_line_and_loses_nothing(case, worlds, tmp_path, monkeypatch, strict):
+def test_bad_input_is_one_line_and_loses_nothing(case, worlds, tmp_path, monkeypatch, strict, record_property):
+    record_property("step", case.argv[0])
     set_up(case, worlds, tmp_path)
     monkeypatch.chdir(tmp_path)
     before = snapshot(tmp_path)

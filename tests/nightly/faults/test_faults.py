@@ -1,5 +1,6 @@
-"""A small part of tests/nightly/faults/run.sh: the recipe's first stages, on stand-ins made once."""
+"""A small part of tests/nightly/faults/run.sh (the first stages, on synthetic corpora made once), and 1,000 damages."""
 
+import attacks
 from runs import main
 
 
@@ -9,3 +10,8 @@ def test_kills_two_at_once_and_a_full_disk(tmp_path, capfd):
     said = capfd.readouterr().out
     assert status == 0, said
     assert "3 kills (stage" in said
+
+
+def test_thousand_generated_damages_and_all_losses_of_power(tmp_path, capfd):
+    status = attacks.main(["--only", "damage,power", "--out", str(tmp_path)])
+    assert status == 0, capfd.readouterr().out
