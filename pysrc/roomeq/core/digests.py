@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from roomeq.core.files import hash_file, read_text
 from roomeq.core.kept_hashes import hashes_of_input, quick_look
-from roomeq.core.stamps import read_stamp, require_as_stamped, require_audio_as_stamped
+from roomeq.core.stamps import Stamp, read_stamp, require_as_stamped, require_audio_as_stamped
 
 _NUMERICS = ("embreex", "numba", "numpy", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
 
@@ -35,8 +35,9 @@ def digest(path: Path) -> str:
     """
     path = Path(path)
     if path.is_file():
-        _require_file_as_stamped(path)
-        return hash_file(path)
+        of_file = hash_file(path)
+        _require_as_stamped_above([(str(path), of_file)])
+        return of_file
     if not path.is_dir():
         raise ValueError(f"{path}: no such file or directory: check the path, or run the step that makes it")
     stamp = read_stamp(path)
@@ -55,31 +56,66 @@ def digest(path: Path) -> str:
         audio = audio_elsewhere(path)
         if stamp:
             require_audio_as_stamped(path, stamp, audio)
+        else:
+            _require_as_stamped_above((str(file), content_hash) for file, content_hash in audio.values())
         for name, (_, content_hash) in audio.items():
             total.update(f"{name}\0{content_hash}\n".encode(errors="surrogateescape"))
     return total.hexdigest()
 
 
-def _require_file_as_stamped(path: Path) -> None:
-    """Refuse a file that a step made and that has changed since."""
-    try:
-        stamp = read_stamp(path.parent)
-    except ValueError:  # not a stamp of ours, or of another version: readers of the file check its format
-        return
-    if stamp and path.name in stamp.files:
-        require_as_stamped(path.parent, replace(stamp, files={path.name: stamp.files[path.name]}))
+def _require_as_stamped_above(hashes: Iterable[tuple[str, str | None]]) -> None:
+    """Refuse files that a step made and that are not as the stamp in a folder above them says.
+
+    Parameters
+    ----------
+    hashes : iterable of tuple
+        Path of each file and its content hash; None: there is no such file.
+
+    Raises
+    ------
+    ValueError
+        A file is missing or has changed since it was made.
+    """
+    known: dict[str, tuple[Path, Stamp] | None] = {}
+    for path, content_hash in hashes:
+        path = os.path.abspath(path)
+        if found := _stamp_above(os.path.dirname(path), known):
+            directory, stamp = found
+            stated = stamp.files.get(os.path.relpath(path, directory))
+            if stated and stated[1] != content_hash:
+                require_as_stamped(directory, replace(stamp, files={os.path.relpath(path, directory): stated}))
+
+
+def _stamp_above(folder: str, known: dict[str, tuple[Path, Stamp] | None]) -> tuple[Path, Stamp] | None:
+    """Return the nearest directory with a stamp, from a folder upwards, and the stamp."""
+    if folder not in known:
+        stamp, parent = None, os.path.dirname(folder)
+        with contextlib.suppress(ValueError, OSError):  # not a stamp of ours, or of another version
+            stamp = read_stamp(Path(folder))
+        if stamp:
+            known[folder] = Path(folder), stamp
+        else:
+            known[folder] = _stamp_above(parent, known) if parent != folder else None
+    return known[folder]
 
 
 def audio_digest(paths: Iterable[Path]) -> str:
     """Return a hash of files by name and content, for an output that is made of a list of files.
 
     A file that is absent is hashed as absent: reading it raises the error.
+
+    Raises
+    ------
+    ValueError
+        A file has been lost or has changed since a step made it.
     """
     names = [str(path) for path in paths]
     listed = hashlib.sha256("\n".join(names).encode(errors="surrogateescape")).hexdigest()
+    hashes = dict(zip(names, hashes_of_input(listed, map(Path, names)), strict=True))
+    _require_as_stamped_above(hashes.items())
     total = hashlib.sha256()
-    for name, content_hash in zip(names, hashes_of_input(listed, map(Path, names)), strict=True):
-        total.update(f"{name} {content_hash}\n".encode(errors="surrogateescape"))
+    for name in names:
+        total.update(f"{name} {hashes[name]}\n".encode(errors="surrogateescape"))
     return total.hexdigest()
 
 

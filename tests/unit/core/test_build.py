@@ -9,7 +9,7 @@ import pytest
 
 from roomeq.core import asking, build
 from roomeq.core.build import DONE_FILE, Build, share
-from roomeq.core.digests import code_digest, digest
+from roomeq.core.digests import audio_digest, code_digest, digest
 from roomeq.core.files import read_json, write_json, write_text
 
 
@@ -141,6 +141,19 @@ def test_input_that_is_not_as_it_was_made_is_refused(what, happened, tmp_path):
         make_squares(tmp_path / "out", inputs=[tmp_path / what])
     assert make_squares(tmp_path / "in") == "made"
     assert make_squares(tmp_path / "out", inputs=[tmp_path / what]) == "made"
+
+
+def test_listed_audio_that_is_not_as_it_was_made_is_refused(tmp_path):
+    make_squares(tmp_path / "corpus/folder")
+    (tmp_path / "corpus/.done").write_text("of another program")
+    listed = [tmp_path / f"corpus/folder/n{n}.txt" for n in (1, 2)]
+    before = audio_digest(listed)
+    assert audio_digest(listed) == before
+    listed[1].write_text("7")
+    with pytest.raises(ValueError, match="folder/n2.txt: changed since it was made: run roomeq square again"):
+        audio_digest(listed)
+    (tmp_path / "corpus/folder" / DONE_FILE).unlink()
+    assert audio_digest(listed) != before
 
 
 def test_damaged_stamp_is_refused(tmp_path):
