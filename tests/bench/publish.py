@@ -101,7 +101,8 @@ def faults(result: dict[str, Any]) -> list[Table]:
     for row in result["rows"]:
         if row["kind"].startswith(("damage", "power")):
             counts = outcomes.setdefault(row["kind"], [0, 0, 0])
-            counts[(0 if row["outcome"] == "same bytes" else 1) if row["ok"] else 2] += 1
+            refused = row["outcome"] not in ("same bytes", "said in the report")
+            counts[int(refused) if row["ok"] else 2] += 1
     seconds = [[name, seconds] for name, seconds in result["cpu_s"].items()]
     return [dict(title="Handled of tried", columns=result["columns"], rows=result["lines"],
                  notes=["Attacks on the recipe as a whole, or on no one step, are in the column of all steps."]),

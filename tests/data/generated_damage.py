@@ -14,8 +14,11 @@ from typing import NamedTuple
 from commands import call
 from pipeline import REPORT, STEPS, Step, put_corpora
 
+from roomeq.report.section_data import UNSTAMPED
+
 RECIPE = (*STEPS, REPORT)
 MADE = tuple(dict.fromkeys(directory for step in RECIPE for directory in step.makes))
+PAGE = "exp/report/index.html"
 FROM_THE_START = Step("all steps", "", MADE)
 """All steps, run in turn until one refuses, as `run.sh` does."""
 
@@ -140,6 +143,8 @@ class World:
                 good = status == 1 and said.count("\n") == 1 and named and "internal error" not in said
                 return f"{each.name}: exit {status}: {said.strip()}", good
         wrong = self.wrong(step.makes)
+        if wrong == [PAGE] and UNSTAMPED in (self.root / PAGE).read_text():  # who removes a stamp takes it as it is
+            return "said in the report", True
         return f"other results: {', '.join(wrong)[:300]}" if wrong else "same bytes", not wrong
 
 

@@ -186,6 +186,11 @@ def test_loop_section_describes_effects_and_errors(page):
             "3 RIRs of the test set took no part (3: the positions are marked unreliable)." in page.text)
 
 
+def test_steps_name_directories_without_a_stamp(page):
+    assert re.search(r"data/train.clean ?no stamp: made or changed by hand", page.text)
+    assert re.search(r"exp/eq ?fit-eq", page.text)
+
+
 def test_distance_table_has_a_row_for_the_loop(made):
     table_of_distances = made[2].read_text().partition('id="table-distance"')[2].partition("</table>")[0]
     assert re.findall(r'class="key (\w+)', table_of_distances) == ["simulated", "compensated", "drawn", "measured"]

@@ -28,6 +28,9 @@ from roomeq.report.rir_sets import acoustic_parameters, at_1khz, reverberation_t
 OMITTED_OPTIONS = ("seed", "ways", "listed")
 """Options of stamps that the table of steps leaves out; the seed has a column of its own."""
 
+UNSTAMPED = "no stamp: made or changed by hand"
+"""What the table of steps says of a directory without a stamp."""
+
 PAPER_SETS = ("train.real", "dev.real", "test.real", "train.sim", "dev.sim", "train.sim.EQ", "dev.sim.EQ")
 """Data sets of the paper's Table 1, without ``.rvb``."""
 
@@ -155,14 +158,17 @@ def limitations(run: Run) -> Context:
 
 
 def steps(run: Run) -> Context:
-    """Return the steps of the run with their options, from the stamps of the directories."""
-    rows = []
-    for name in run.names:
-        if stamp := read_stamp(run.path(name)):
+    """Return the steps of the run with their options, from the stamps of the directories; one may have none."""
+    stamps = {name: read_stamp(run.path(name)) for name in run.names}
+    rows: list[list[Any]] = []
+    for name, stamp in stamps.items():
+        if not stamp:
+            rows.append([run.label(name), UNSTAMPED, DASH, []])
+        else:
             options = [f"{key} = {option_text(value)}" for key, value in stamp.options.items()
                        if key not in OMITTED_OPTIONS and value not in (None, "", [])]
             rows.append([run.label(name), stamp.step, option_text(stamp.options.get("seed", DASH)), options])
-    if not rows:
+    if not any(stamps.values()):
         raise Missing("any directory that roomeq made", "./run.sh")
     return {"rows": rows, "benches": run.benches}
 
