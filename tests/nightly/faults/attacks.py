@@ -85,8 +85,8 @@ def tests(args: argparse.Namespace) -> list[Row]:
     files = [path for path in sorted((PROJECT / "tests/integration").rglob("test_*.py")) if path.stem in SUITES]
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder, "report.xml")
-        subprocess.run([sys.executable, "-m", "pytest", "-q", f"--junitxml={report}", *files], cwd=PROJECT,
-                       stdout=sys.stderr)
+        subprocess.run([sys.executable, "-m", "pytest", "-q", f"--junitxml={report}", "-o", "junit_family=xunit1",
+                        *files], cwd=PROJECT, stdout=sys.stderr)
         cases = list(ElementTree.parse(report).iter("testcase"))
     rows = []
     for case in cases:
