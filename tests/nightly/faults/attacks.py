@@ -42,7 +42,8 @@ ALL_STEPS = "all steps"
 def step_of(text: str) -> str:
     """Return the step that a text names, or all."""
     plain = text.replace("_", "-")
-    return next((name for name in dict.fromkeys(step.name.split()[0] for step in RECIPE) if name in plain), ALL_STEPS)
+    names = dict.fromkeys(step.name.split()[0] for step in RECIPE)
+    return next((name for name in names if re.search(rf"(?<![a-z]){name}(?![a-z])", plain)), ALL_STEPS)
 
 
 def row_of(example: Example, kind: str) -> Row:
