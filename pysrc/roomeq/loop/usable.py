@@ -1,17 +1,21 @@
 """The RIRs that the closed loop can use, and how many it leaves out for which reason.
 
-`roomeq.records.geometry` has the rule. The verb `close-loop` and the recipe's stage 5 both decide here.
+`roomeq.records.geometry` has the rule for rows, and `roomeq.loop.mislabelled` for rows that their recordings
+contradict. The verb `close-loop` and the recipe's stage 5 both decide here.
 """
 
+import logging
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple, cast
 
 from roomeq.corpora.suspicious import suspicion
-from roomeq.records.geometry import OUTSIDE, geometry_usability
+from roomeq.records.geometry import OUTSIDE, find_contradiction, geometry_usability
 from roomeq.records.rir_dir import read_rirs
 from roomeq.records.schema import RirRow
+
+logger = logging.getLogger(__name__)
 
 MIN_ROOMS = 3
 """Fewest rooms with two usable RIRs: rooms are left out, and halves of rooms are scored."""
@@ -52,6 +56,8 @@ class UsableRirs(NamedTuple):
 def usable_rirs(directories: Iterable[Path]) -> UsableRirs:
     """Return the RIRs of some directories that the closed loop can use; RIRs of simulated noise sources are ignored.
 
+    The log names what contradicts what in rows that are left out.
+
     Raises
     ------
     ValueError
@@ -62,6 +68,8 @@ def usable_rirs(directories: Iterable[Path]) -> UsableRirs:
     _require_unique(found)
     found.sort(key=lambda rir: (rir.row["room_id"], rir.row["id"]))
     reasons = [_refused(rir) for rir in found]
+    _log_contradictions(found, reasons)
+    reasons = _with_mislabelled(found, reasons)
     left_out = []
     for reason in sorted({reason for reason in reasons if reason}):
         rooms = [rir.row["room_id"] for rir, of_rir in zip(found, reasons, strict=True) if of_rir == reason]
@@ -98,6 +106,25 @@ def _refused(rir: Located) -> str | None:
     if reason is None and _outside_mesh(rir):
         return OUTSIDE
     return NO_RIR if reason is None and suspicion(rir.directory, rir.row) else reason
+
+
+def _log_contradictions(rirs: Iterable[Located], reasons: Iterable[str | None]) -> None:
+    """Log the first RIR of each room that is left out because its geometry contradicts itself, with the values."""
+    told = set()
+    for (_, row), reason in zip(rirs, reasons, strict=True):
+        problem = find_contradiction(row)
+        if reason and problem and problem.phrase == reason and (row["room_id"], reason) not in told:
+            told.add((row["room_id"], reason))
+            logger.warning("left out: RIR %s of room %s: %s: correct it, or state lengths in metres", row["id"],
+                           row["room_id"], problem.detail)
+
+
+def _with_mislabelled(rirs: Sequence[Located], reasons: Sequence[str | None]) -> list[str | None]:
+    """Return the reasons with those of RIRs whose rows are contradicted by their recordings."""
+    from roomeq.loop.mislabelled import find_mislabelled  # only where there are recordings to listen to
+
+    left = iter(find_mislabelled([rir for rir, reason in zip(rirs, reasons, strict=True) if reason is None]))
+    return [reason or next(left) for reason in reasons]
 
 
 def _outside_mesh(rir: Located) -> bool:

@@ -14,7 +14,6 @@ from roomeq.loop.close import SCATTERING
 from roomeq.loop.data import load_data
 from roomeq.loop.usable import LeftOut, require_enough_rooms, usable_rirs
 from roomeq.records.geometry import BINAURAL, MARKED, OUTSIDE
-from roomeq.records.rir_dir import write_rirs
 
 ENOUGH_ROOMS = Path(__file__).parents[3] / "local/enough_rooms.py"
 FLAT = dict(source_pos_m=[1.0, 1.0, None], mic_pos_m=[4.0, 3.0, None])
@@ -24,11 +23,8 @@ BOX = "".join(f"v {x} {y} {z}\n" for z in (0, 3) for x, y in ((0, 0), (6, 0), (6
 
 
 def directory(where, rows):
-    """Write rows whose audio does not exist."""
-    where.mkdir(parents=True)
-    write_rirs(where, [item | dict(wav=f"{item['id']}.wav", fs_hz=16000, n_samples=16000, suspicious=None)
-                       for item in rows])
-    return where
+    """Write rows and a recording for each."""
+    return write_rir_dir(where, [(item, coloured_rir([*item["id"].encode()])) for item in rows])
 
 
 def enough_rooms(where):

@@ -1,0 +1,133 @@
+"""Recordings that cannot be of the room that their rows state: another room's decay, or a copy of another recording."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from roomeq.acoustics.iso3382 import DIRECT_S
+from roomeq.core.arrays import FloatArray, IntArray
+from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
+from roomeq.loop.doubtful_geometry import Doubt
+
+FALSE_ALARM = 1e-6
+"""Probability with which an RIR of a diffuse room is taken for another room's."""
+USUAL_SPREAD = 0.05
+"""Of T20 in a room whose field is not diffuse: its just noticeable difference (ISO 3382-1)."""
+FEWEST_RIRS = 5
+"""Of a room, so that one of another room does not determine the median."""
+OTHER_DECAY = "the decay is not that of the other RIRs of its room"
+COPY = "the recording is that of another room as well"
+SAME = 0.95
+"""Correlation of each part of two recordings from which on they are one."""
+PARTS_S = (DIRECT_S, 0.01, 0.03, 0.08, 0.2)
+"""Limits of the parts, after the direct sound, which is alike in all rooms."""
+
+_FIRST_OCTAVE = 2  # below 250 Hz, single modes determine the decay
+_HZ = np.array(EXACT_BANDS_HZ)[_FIRST_OCTAVE:]
+_OCTAVE = 2.0 ** 0.5 - 2.0 ** -0.5  # bandwidth over centre frequency
+_STATED = ("room_dims_m", "mesh", "source_pos_m", "mic_pos_m", "source_dir")
+
+
+def find_other_decays(rows: Sequence[Mapping[str, Any]], log_t20: FloatArray) -> list[Doubt | None]:
+    """Find RIRs whose decay times are not those of their room.
+
+    T20 scatters within a room by ``0.88 sqrt((1 + 1.9 / n) / (B T))`` of itself, with n = 10 for an integrated impulse
+    response (ISO 3382-2:2008, annex A; Davy, J. Sound Vib. 70 (1980)), or by more where the median absolute deviation
+    in the room says so, and by `USUAL_SPREAD` in addition. The sum of squares over the octaves then follows a
+    chi-squared distribution.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        Rows of all rooms.
+    log_t20 : ndarray, shape (n_rirs, 8)
+        Logarithm of T20 [s] per octave, NaN where it is not valid.
+
+    Returns
+    -------
+    list of Doubt or None
+        For each RIR; None in rooms of fewer than `FEWEST_RIRS`.
+    """
+    doubts: list[Doubt | None] = [None] * len(rows)
+    log_t20 = log_t20[:, _FIRST_OCTAVE:]
+    rooms = {}
+    for room_id in sorted({row["room_id"] for row in rows}):
+        members = np.flatnonzero([row["room_id"] == room_id for row in rows])
+        if np.isfinite(log_t20[members]).any(axis=1).sum() >= FEWEST_RIRS:
+            rooms[room_id] = members, *_usual_decay(log_t20[members])
+    for room_id, (members, median, sd) in rooms.items():
+        for n in map(int, members):
+            unusual, limit = _deviation(log_t20[n], median, sd)
+            if unusual > limit:
+                others = [other for other, (_, *usual) in rooms.items()
+                          if other != room_id and np.less_equal(*_deviation(log_t20[n], *usual))]
+                doubts[n] = Doubt(OTHER_DECAY, _describe(rows[n], log_t20[n], median, unusual, limit, others))
+    return doubts
+
+
+def _usual_decay(log_t20: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return median and standard deviation of the log of T20 in a room, shape (n_bands,), of bands that are enough."""
+    enough = np.isfinite(log_t20).sum(axis=0) >= FEWEST_RIRS
+    median, deviation = np.full(len(enough), np.nan), np.full(len(enough), np.nan)
+    median[enough] = np.nanmedian(log_t20[:, enough], axis=0)
+    deviation[enough] = 1.4826 * np.nanmedian(np.abs(log_t20[:, enough] - median[enough]), axis=0)
+    expected = 0.88 * np.sqrt((1.0 + 1.9 / 10.0) / (_OCTAVE * _HZ * np.exp(median)))
+    return median, np.hypot(np.fmax(deviation, expected), USUAL_SPREAD)
+
+
+def _deviation(log_t20: FloatArray, median: FloatArray, sd: FloatArray) -> tuple[float, float]:
+    """Return the sum of squared deviations in standard deviations, and what it exceeds with `FALSE_ALARM`."""
+    deviations = (log_t20 - median) / sd
+    known = np.isfinite(deviations)
+    return float(np.sum(deviations[known] ** 2)), float(chi2.isf(FALSE_ALARM, known.sum())) if known.any() else 0.0
+
+
+def _describe(row: Mapping[str, Any], log_t20: FloatArray, median: FloatArray, unusual: float, limit: float,
+              others: Sequence[str]) -> str:
+    at = int(np.nanargmax(np.abs(log_t20 - median)))
+    fits = f"it fits room {' or '.join(others[:3])}: " if others else ""
+    return (f"RIR {row['id']} of room {row['room_id']}: T20={np.exp(log_t20[at]):.2f} s at {_HZ[at]:.0f} Hz, where the "
+            f"room's median is {np.exp(median[at]):.2f} s; over the octaves, the squared deviations sum to "
+            f"{unusual:.0f} variances, and {limit:.0f} may be chance; {fits}correct room_id or wav")
+
+
+def cut_parts(rir: FloatArray, direct_sample: float) -> FloatArray:
+    """Return the parts of a recording whose correlation tells whether it is another's copy, shape (n_samples,)."""
+    edges = round(direct_sample) + np.rint(np.array(PARTS_S) * FS_HZ).astype(int)
+    padded = np.append(rir, np.zeros(max(0, edges[-1] - len(rir))))
+    return padded[edges[0]:edges[-1]].astype(np.float32)
+
+
+def find_copies(rows: Sequence[Mapping[str, Any]], parts: Sequence[FloatArray]) -> list[Doubt | None]:
+    """Find recordings that are in two rooms.
+
+    Neither the reflections nor the noise of two recordings are the same. If the rows of the copies state the same
+    geometry, the first is kept; otherwise nothing says which is right, and none is.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+    parts : sequence of ndarray
+        See `cut_parts`.
+    """
+    doubts: list[Doubt | None] = [None] * len(rows)
+    if not len(rows):
+        return doubts
+    edges = np.rint((np.array(PARTS_S) - PARTS_S[0]) * FS_HZ).astype(int)
+    smallest = np.full((len(rows), len(rows)), np.inf, dtype=np.float32)
+    for first, last in zip(edges[:-1], edges[1:], strict=True):
+        part = np.array([of_rir[first:last] for of_rir in parts])
+        part /= np.maximum(np.linalg.norm(part, axis=1, keepdims=True), 1e-20)
+        smallest = np.minimum(smallest, part @ part.T)
+    room: IntArray = np.unique([row["room_id"] for row in rows], return_inverse=True)[1]
+    for n, m in np.argwhere((smallest > SAME) & (room[:, None] != room)):
+        stated_alike = all(rows[n].get(key) == rows[m].get(key) for key in _STATED)
+        if n < m and stated_alike:
+            continue
+        remedy = "give each room once" if stated_alike else "correct wav, room_id or the positions"
+        doubts[n] = Doubt(COPY, f"RIR {rows[n]['id']} of room {rows[n]['room_id']} is the recording of RIR "
+                          f"{rows[m]['id']} of room {rows[m]['room_id']}: all parts of the response correlate by "
+                          f"{smallest[n, m]:.3f}, and {SAME:g} or more is a copy: {remedy}")
+    return doubts

@@ -1,0 +1,86 @@
+"""RIRs whose rows their recordings contradict, so that no effect is named because of an error in the rows.
+
+An error that no recording contradicts, or by less than the stated uncertainty, is not found.
+"""
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from roomeq.acoustics.direct import find_direct
+from roomeq.acoustics.iso3382 import all_metrics
+from roomeq.core.arrays import FloatArray
+from roomeq.core.constants import FS_HZ
+from roomeq.loop.arrivals import Arrivals, measure_arrivals
+from roomeq.loop.doubtful_geometry import Doubt, find_other_unit, find_wrong_distance
+from roomeq.loop.doubtful_recordings import cut_parts, find_copies, find_other_decays
+from roomeq.records.rir_dir import load_rir, rir_path
+from roomeq.records.schema import RirRow
+
+logger = logging.getLogger(__name__)
+
+
+class _Heard(NamedTuple):
+    """What one recording says: its direct sound against the positions, arrivals, log of T20 per octave, and parts."""
+
+    distance: Doubt | None
+    arrivals: Arrivals
+    log_t20: FloatArray
+    parts: FloatArray
+
+
+def find_mislabelled(rirs: Sequence[tuple[Path, RirRow]]) -> list[str | None]:
+    """Return for each RIR the fixed phrase for what does not fit, or None; the log has the details.
+
+    Parameters
+    ----------
+    rirs : sequence of (Path, RirRow)
+        Directories and rows that the closed loop could use (`roomeq.loop.usable`), sorted by room.
+
+    Raises
+    ------
+    ValueError
+        A recording cannot be read or has no direct sound; the message names the file.
+    """
+    rows, heard = [row for _, row in rirs], [_listen(*rir) for rir in rirs]
+    doubts = _other_units(rows, heard)
+    for found in ([of_rir.distance for of_rir in heard],
+                  find_other_decays(rows, np.array([of_rir.log_t20 for of_rir in heard]).reshape(-1, 8))):
+        doubts = [doubt or other for doubt, other in zip(doubts, found, strict=True)]
+    fitting = [n for n, doubt in enumerate(doubts) if doubt is None]
+    copies = find_copies([rows[n] for n in fitting], [heard[n].parts for n in fitting])
+    for n, doubt in zip(fitting, copies, strict=True):
+        doubts[n] = doubt
+    for detail in dict.fromkeys(doubt.detail for doubt in doubts if doubt):
+        logger.warning("left out: %s", detail)
+    return [doubt and doubt.phrase for doubt in doubts]
+
+
+def _listen(directory: Path, row: RirRow) -> _Heard:
+    rir = load_rir(directory, row)
+    try:
+        direct = find_direct(rir, FS_HZ)
+        arrivals = measure_arrivals(rir)
+    except ValueError as error:
+        raise ValueError(f"{rir_path(directory, row)}: {error}") from None
+    metrics = all_metrics(rir, FS_HZ, direct.sample, direct.polarity)
+    t20_s = [time_s if valid and time_s else np.nan
+             for time_s, valid in zip(metrics["t20_s"], metrics["t20_valid"], strict=True)]
+    return _Heard(find_wrong_distance(row, rir), arrivals, np.log(t20_s), cut_parts(rir, direct.sample))
+
+
+def _other_units(rows: Sequence[RirRow], heard: Sequence[_Heard]) -> list[Doubt | None]:
+    """Return the doubts about the units of rooms, for each RIR."""
+    doubts: list[Doubt | None] = [None] * len(rows)
+    rooms: dict[tuple, list[int]] = {}
+    for n, row in enumerate(rows):
+        if not row.get("mesh"):
+            rooms.setdefault((row["room_id"], repr(row["room_dims_m"])), []).append(n)
+    for members in rooms.values():
+        doubt = find_other_unit([rows[n] for n in members], [heard[n].arrivals for n in members])
+        for n in members:
+            doubts[n] = doubt
+    return doubts

@@ -1,0 +1,92 @@
+#!/usr/bin/env python
+"""Mislabel measured RIRs, close the loop on them, and print what came of each labelling error.
+
+For each generated set of rooms (`tests/testbed`) and each error of `testbed.labels`, the outcome is one of
+
+refused    the loop says in one line that it cannot use the RIRs
+left out   RIRs are left out because of the error, with their count, and the effects are those without the error
+same       nothing is said, and the effects are those without the error
+WRONG      the effects are not those without the error
+
+Exits with status 1 if anything is WRONG. Finished cases are kept in the output folder.
+
+e.g.: python tests/nightly/labels/label_errors.py --out exp/labels --seeds 2
+"""
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+for variable in ("OMP", "OPENBLAS", "MKL", "NUMBA"):  # as in path.sh: the loop has processes
+    os.environ.setdefault(f"{variable}_NUM_THREADS", "1")
+ROOT = Path(__file__).resolve().parents[3]
+sys.path[:1] = [str(ROOT / name) for name in ("pysrc", "tests")]
+
+from roomeq.loop.ledger import added_effects  # noqa: E402
+from roomeq.loop.step import close_loop  # noqa: E402
+from testbed import make_room_set  # noqa: E402
+from testbed.labels import ERRORS, make_mislabelled  # noqa: E402
+
+SETS = (("clean", 0), ("source_response", 2))
+FIRST_SEED = 101
+
+
+def findings(directory: Path, seed: int) -> dict:
+    """Close the loop on an RIR directory, and return the effects (a line if it refuses) and what it left out."""
+    with tempfile.TemporaryDirectory() as out:
+        try:
+            ledger = close_loop([directory], Path(out, "loop"), seed=seed, nj=1)
+        except ValueError as error:
+            return dict(refused=str(error).replace(str(directory), directory.name))
+    effects = [sorted({entry["effect"], *entry.get("cannot_tell", [])}) for entry in added_effects(ledger)]
+    return dict(effects=effects, left_out=[entry for entry in ledger["left_out"]])
+
+
+def outcome_of(found: dict, clean: dict) -> str:
+    """Return the outcome of a labelling error."""
+    if "refused" in found:
+        return "refused"
+    if sorted(found["effects"]) != sorted(clean["effects"]):
+        return "WRONG"
+    return "same" if found["left_out"] == clean["left_out"] else "left out"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the cases that are missing, print the table, and return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True, help="folder of sets and results; results there are kept")
+    parser.add_argument("--seeds", type=int, default=2, help="sets of each kind")
+    parser.add_argument("--errors", type=lambda text: text.split(";"), default=list(ERRORS), help="only these")
+    args = parser.parse_args(arguments)
+    args.out.mkdir(parents=True, exist_ok=True)
+    file = args.out / "results.json"
+    results = json.loads(file.read_text()) if file.is_file() else {}
+    for seed in range(FIRST_SEED, FIRST_SEED + args.seeds):
+        for kind, strength in SETS:
+            made = args.out / f"{kind}_{strength}_{seed}"
+            if not (made / "truth.json").exists():
+                make_room_set(kind, strength, seed, made, cache=args.out / "cache")
+            for error in ("none", *args.errors):
+                name = f"{kind} {seed}: {error}"
+                if name not in results:
+                    start = time.process_time()
+                    with tempfile.TemporaryDirectory() as folder:
+                        rirs = made / "fit"
+                        if error != "none":
+                            rirs = Path(folder, "rirs")
+                            make_mislabelled(error, seed, made / "fit", rirs)
+                        results[name] = findings(rirs, seed) | dict(cpu_s=round(time.process_time() - start))
+                    file.write_text(json.dumps(results, indent=1) + "\n")
+                clean = results[f"{kind} {seed}: none"]
+                print(f"{name}: {outcome_of(results[name], clean)}: {results[name]}", flush=True)
+    wrong = {name for name in results if outcome_of(results[name], results[f"{name.split(':')[0]}: none"]) == "WRONG"}
+    print(f"{len(wrong)} of {len(results)} WRONG")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

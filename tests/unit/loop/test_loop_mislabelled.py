@@ -1,0 +1,127 @@
+"""Rows that their recordings contradict: each labelling error is found, and right rows are kept."""
+
+import logging
+
+import numpy as np
+import pytest
+from echoes import echo_room
+from rirmaker import coloured_rir, row, write_rir_dir
+
+from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
+from roomeq.loop.arrivals import measure_arrivals
+from roomeq.loop.doubtful_geometry import OTHER_UNIT, TOO_EARLY, TOO_LATE, find_other_unit, find_wrong_distance
+from roomeq.loop.doubtful_recordings import COPY, OTHER_DECAY, cut_parts, find_copies, find_other_decays
+from roomeq.loop.usable import LeftOut, usable_rirs
+from roomeq.records.geometry import OUTSIDE
+
+POSITIONS = ("source_pos_m", "mic_pos_m")
+LENGTHS = (*POSITIONS, "room_dims_m")
+FEET, CM = 1.0 / 0.3048, 100.0
+
+
+def multiplied(item, keys, factor):
+    return item | {key: [None if x is None else x * factor for x in item[key]] for key in keys}
+
+
+@pytest.fixture(scope="module")
+def rooms():
+    """Return rows and RIRs of two rooms, the second without heights and time of flight."""
+    return [echo_room(3, known=POSITIONS, tof_removed=False)[:2], echo_room(4)[:2]]
+
+
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("keys, factor, said", [
+    ((), 1.0, None), (LENGTHS[2:], FEET, "fit room_dims_m in feet"), (LENGTHS, FEET, "fit all lengths in feet"),
+    (LENGTHS[2:], CM, "fit room_dims_m in centimetres"), (LENGTHS, CM, "fit all lengths in centimetres")])
+def test_lengths_in_another_unit_are_found_by_their_reflections(rooms, number, keys, factor, said):
+    rows, rirs = rooms[number]
+    doubt = find_other_unit([multiplied(item, keys, factor) for item in rows], [measure_arrivals(rir) for rir in rirs])
+    if said is None:
+        assert doubt is None
+    else:
+        assert doubt.phrase == OTHER_UNIT and said in doubt.detail and f"room {rows[0]['room_id']}" in doubt.detail
+
+
+def impulse(sample, *, noise=1e-4, hidden=0.0, at=0):
+    """Return a decaying recording whose direct sound is at a sample, and perhaps a weak one before it."""
+    rir = coloured_rir(1, snr_db=None)
+    rir = np.concatenate([np.zeros(sample), rir[320:]]) + noise * np.random.default_rng(2).standard_normal(
+        sample + len(rir) - 320)
+    rir[at] += hidden
+    return rir
+
+
+@pytest.mark.parametrize("apart_m, found_m, more, phrase", [
+    (3.0, 3.0, {}, None), (3.0, 3.8, {}, None), (9.8, 3.0, {}, TOO_EARLY), (3.0, 7.0, {}, TOO_LATE),
+    (3.0, 7.0, dict(tof_removed=True), None), (3.0, 7.0, dict(tof_removed=None), None), (20.0, 21.8, {}, None)])
+def test_direct_sound_that_contradicts_the_positions(apart_m, found_m, more, phrase):
+    item = row("r", source_pos_m=[0.0, 0.0, 1.0], mic_pos_m=[apart_m, 0.0, 1.0], tof_removed=False) | more
+    doubt = find_wrong_distance(item, impulse(round(found_m / 343.2 * FS_HZ)))
+    assert (doubt and doubt.phrase) == phrase
+    if doubt:
+        assert "RIR r of room hall" in doubt.detail and f"{apart_m:.2f} m apart" in doubt.detail
+
+
+@pytest.mark.parametrize("options", [dict(hidden=0.008, at=140), dict(noise=0.01)])
+def test_late_sound_may_be_a_reflection_behind_an_obstacle_or_noise(options):
+    item = row("r", source_pos_m=[0.0, 0.0, 1.0], mic_pos_m=[3.0, 0.0, 1.0], tof_removed=False)
+    assert find_wrong_distance(item, impulse(326, **options)) is None
+
+
+def decays(rng, time_s, n_rirs):
+    """Return log T20 per octave of RIRs of a diffuse room, with the scatter of ISO 3382-2."""
+    sd = 0.88 * np.sqrt(1.19 / (0.7071 * np.array(EXACT_BANDS_HZ) * time_s))
+    return np.log(time_s) + sd * rng.standard_normal((n_rirs, 8))
+
+
+@pytest.mark.parametrize("n_rirs", [5, 8, 30])
+def test_decays_of_diffuse_rooms_raise_no_alarm(n_rirs):
+    rng = np.random.default_rng(n_rirs)
+    rows = [row(f"r{n}", f"room{n // n_rirs}") for n in range(100 * n_rirs)]
+    log_t20 = np.concatenate([decays(rng, rng.uniform(0.2, 2.0), n_rirs) for _ in range(100)])
+    assert find_other_decays(rows, log_t20) == [None] * len(rows)
+
+
+def test_swapped_recordings_are_found_and_the_room_they_fit_is_named():
+    rng = np.random.default_rng(1)
+    rows = [row(f"r{n}", f"room{n // 6}") for n in range(12)]
+    log_t20 = np.concatenate([decays(rng, time_s, 6) for time_s in (0.5, 0.8)])
+    log_t20[[2, 9]] = log_t20[[9, 2]]
+    log_t20[5, 3] = np.nan
+    found = find_other_decays(rows, log_t20)
+    assert [n for n, doubt in enumerate(found) if doubt] == [2, 9] and found[2].phrase == OTHER_DECAY
+    assert "RIR r2 of room room0: T20=0." in found[2].detail and "it fits room room1: " in found[2].detail
+
+
+def test_decays_of_few_rirs_are_not_compared():
+    rng = np.random.default_rng(1)
+    log_t20 = np.concatenate([decays(rng, 0.5, 3), decays(rng, 1.0, 1), np.full((2, 8), np.nan)])
+    assert find_other_decays([row(f"r{n}") for n in range(6)], log_t20) == [None] * 6
+
+
+def test_copies_of_recordings_are_found_whatever_their_level():
+    rirs = [coloured_rir(n, snr_db=60.0) for n in range(3)]
+    rirs.append(0.3 * np.concatenate([np.zeros(50), rirs[1]]))
+    repeated = coloured_rir(2, snr_db=55.0)  # the same response, recorded twice at one place
+    rows = [row("a", "x"), row("b", "x"), row("c", "x"), row("b2", "y"), row("c2", "x")]
+    parts = [cut_parts(rir, direct) for rir, direct in zip([*rirs, repeated], [320, 320, 320, 370, 320], strict=True)]
+    found = find_copies(rows, parts)
+    assert [doubt and doubt.phrase for doubt in found] == [None, None, None, COPY, None]
+    assert "RIR b2 of room y is the recording of RIR b of room x" in found[3].detail
+    elsewhere = [item | dict(mic_pos_m=[1.0, 1.0, float(n)]) for n, item in enumerate(rows)]
+    assert [bool(doubt) for doubt in find_copies(elsewhere, parts)] == [False, True, False, True, False]
+    assert find_copies([], []) == []
+
+
+def test_mislabelled_rirs_are_left_out_counted_and_named(rooms, tmp_path, caplog):
+    (rows, rirs), (others, other_rirs) = rooms
+    named = [[item | dict(id=f"{item['room_id']}-{item['id']}") for item in of_room] for of_room in (rows, others)]
+    outside = multiplied(named[0][0], POSITIONS, CM)
+    items = [outside, *named[0][1:], *(multiplied(item, LENGTHS, FEET) for item in named[1])]
+    with caplog.at_level(logging.WARNING):
+        usable = usable_rirs([write_rir_dir(tmp_path, zip(items, [*rirs, *other_rirs], strict=True))])
+    assert [rir.row["room_id"] for rir in usable.rirs] == ["room3"] * 7
+    assert usable.left_out == [LeftOut(OTHER_UNIT, 8, 1), LeftOut(OUTSIDE, 1, 1)]
+    assert "room room4: room_dims_m=" in caplog.text and "state lengths in metres" in caplog.text
+    assert f"source_pos_m[0]={outside['source_pos_m'][0]:g} lies outside the room" in caplog.text
+    assert "RIR room3-s0_m0 of room room3: " in caplog.text
