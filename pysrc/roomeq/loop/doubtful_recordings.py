@@ -100,7 +100,7 @@ def cut_parts(rir: FloatArray, direct_sample: float) -> FloatArray:
     return padded[edges[0]:edges[-1]].astype(np.float32)
 
 
-def find_copies(rows: Sequence[Mapping[str, Any]], parts: Sequence[FloatArray]) -> list[Doubt | None]:
+def find_copies(rows: Sequence[Mapping[str, Any]], parts: FloatArray) -> list[Doubt | None]:
     """Find recordings that are in two rooms.
 
     Neither the reflections nor the noise of two recordings are the same. If the rows of the copies state the same
@@ -109,7 +109,7 @@ def find_copies(rows: Sequence[Mapping[str, Any]], parts: Sequence[FloatArray]) 
     Parameters
     ----------
     rows : sequence of mapping
-    parts : sequence of ndarray
+    parts : ndarray, shape (n_rirs, n_samples)
         See `cut_parts`.
     """
     doubts: list[Doubt | None] = [None] * len(rows)
@@ -118,8 +118,8 @@ def find_copies(rows: Sequence[Mapping[str, Any]], parts: Sequence[FloatArray]) 
     edges = np.rint((np.array(PARTS_S) - PARTS_S[0]) * FS_HZ).astype(int)
     smallest = np.full((len(rows), len(rows)), np.inf, dtype=np.float32)
     for first, last in zip(edges[:-1], edges[1:], strict=True):
-        part = np.array([of_rir[first:last] for of_rir in parts])
-        part /= np.maximum(np.linalg.norm(part, axis=1, keepdims=True), 1e-20)
+        part = parts[:, first:last]
+        part = part / np.maximum(np.linalg.norm(part, axis=1, keepdims=True), 1e-20)
         smallest = np.minimum(smallest, part @ part.T)
     room: IntArray = np.unique([row["room_id"] for row in rows], return_inverse=True)[1]
     for n, m in np.argwhere((smallest > SAME) & (room[:, None] != room)):

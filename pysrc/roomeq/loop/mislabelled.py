@@ -17,6 +17,7 @@ from roomeq.core.constants import FS_HZ
 from roomeq.loop.arrivals import Arrivals, measure_arrivals
 from roomeq.loop.doubtful_geometry import Doubt, find_other_unit, find_wrong_distance
 from roomeq.loop.doubtful_recordings import cut_parts, find_copies, find_other_decays
+from roomeq.loop.exchanged_devices import find_exchanged_devices, reverberation_levels
 from roomeq.records.rir_dir import load_rir, rir_path
 from roomeq.records.schema import RirRow
 
@@ -24,12 +25,13 @@ logger = logging.getLogger(__name__)
 
 
 class _Heard(NamedTuple):
-    """What one recording says: its direct sound against the positions, arrivals, log of T20 per octave, and parts."""
+    """What one recording says: its direct sound against the positions, arrivals, log of T20 per octave, and so on."""
 
     distance: Doubt | None
     arrivals: Arrivals
     log_t20: FloatArray
     parts: FloatArray
+    levels_db: FloatArray
 
 
 def find_mislabelled(rirs: Sequence[tuple[Path, RirRow]]) -> list[str | None]:
@@ -50,10 +52,12 @@ def find_mislabelled(rirs: Sequence[tuple[Path, RirRow]]) -> list[str | None]:
     for found in ([of_rir.distance for of_rir in heard],
                   find_other_decays(rows, np.array([of_rir.log_t20 for of_rir in heard]).reshape(-1, 8))):
         doubts = [doubt or other for doubt, other in zip(doubts, found, strict=True)]
-    fitting = [n for n, doubt in enumerate(doubts) if doubt is None]
-    copies = find_copies([rows[n] for n in fitting], [heard[n].parts for n in fitting])
-    for n, doubt in zip(fitting, copies, strict=True):
-        doubts[n] = doubt
+    for find, said in ((find_copies, [of_rir.parts for of_rir in heard]),
+                       (find_exchanged_devices, [of_rir.levels_db for of_rir in heard])):
+        fitting = [n for n, doubt in enumerate(doubts) if doubt is None]
+        found = find([rows[n] for n in fitting], np.array([said[n] for n in fitting]))
+        for n, doubt in zip(fitting, found, strict=True):
+            doubts[n] = doubt
     for detail in dict.fromkeys(doubt.detail for doubt in doubts if doubt):
         logger.warning("left out: %s", detail)
     return [doubt and doubt.phrase for doubt in doubts]
@@ -69,7 +73,8 @@ def _listen(directory: Path, row: RirRow) -> _Heard:
     metrics = all_metrics(rir, FS_HZ, direct.sample, direct.polarity)
     t20_s = [time_s if valid and time_s else np.nan
              for time_s, valid in zip(metrics["t20_s"], metrics["t20_valid"], strict=True)]
-    return _Heard(find_wrong_distance(row, rir), arrivals, np.log(t20_s), cut_parts(rir, direct.sample))
+    return _Heard(find_wrong_distance(row, rir), arrivals, np.log(t20_s), cut_parts(rir, direct.sample),
+                  reverberation_levels(rir, direct.sample))
 
 
 def _other_units(rows: Sequence[RirRow], heard: Sequence[_Heard]) -> list[Doubt | None]:

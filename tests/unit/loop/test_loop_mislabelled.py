@@ -11,6 +11,7 @@ from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.loop.arrivals import measure_arrivals
 from roomeq.loop.doubtful_geometry import OTHER_UNIT, TOO_EARLY, TOO_LATE, find_other_unit, find_wrong_distance
 from roomeq.loop.doubtful_recordings import COPY, OTHER_DECAY, cut_parts, find_copies, find_other_decays
+from roomeq.loop.exchanged_devices import BANDS_HZ, EXCHANGED, find_exchanged_devices, reverberation_levels
 from roomeq.loop.usable import LeftOut, usable_rirs
 from roomeq.records.geometry import OUTSIDE
 
@@ -104,13 +105,57 @@ def test_copies_of_recordings_are_found_whatever_their_level():
     rirs.append(0.3 * np.concatenate([np.zeros(50), rirs[1]]))
     repeated = coloured_rir(2, snr_db=55.0)  # the same response, recorded twice at one place
     rows = [row("a", "x"), row("b", "x"), row("c", "x"), row("b2", "y"), row("c2", "x")]
-    parts = [cut_parts(rir, direct) for rir, direct in zip([*rirs, repeated], [320, 320, 320, 370, 320], strict=True)]
+    starts = [320, 320, 320, 370, 320]
+    parts = np.array([cut_parts(rir, start) for rir, start in zip([*rirs, repeated], starts, strict=True)])
     found = find_copies(rows, parts)
     assert [doubt and doubt.phrase for doubt in found] == [None, None, None, COPY, None]
     assert "RIR b2 of room y is the recording of RIR b of room x" in found[3].detail
     elsewhere = [item | dict(mic_pos_m=[1.0, 1.0, float(n)]) for n, item in enumerate(rows)]
     assert [bool(doubt) for doubt in find_copies(elsewhere, parts)] == [False, True, False, True, False]
-    assert find_copies([], []) == []
+    assert find_copies([], np.zeros((0, 0))) == []
+
+
+def devices(rng, n_rooms, differ_db, *, key="source_id", exchanged=()):
+    """Return rows and levels of rooms with two devices, whose names are exchanged in some rooms."""
+    rows, levels_db = [], []
+    response_db = differ_db * rng.standard_normal((2, len(BANDS_HZ)))
+    for room in range(n_rooms):
+        room_db = 3.0 * rng.standard_normal(len(BANDS_HZ))
+        for n in range(8):
+            rows.append(row(f"r{room}-{n}", f"room{room}") | {key: "ab"[(n % 2) ^ (room in exchanged)]})
+            levels_db.append(response_db[n % 2] + room_db + 1.5 * rng.standard_normal(len(BANDS_HZ)))
+    return rows, np.array(levels_db)
+
+
+@pytest.mark.parametrize("key, name", [("source_id", "loudspeakers"), ("mic_id", "microphones")])
+def test_exchanged_names_are_found_in_the_room(key, name):
+    rows, levels_db = devices(np.random.default_rng(1), 6, 2.0, key=key, exchanged=[2])
+    found = find_exchanged_devices(rows, levels_db)
+    assert {item["room_id"] for item, doubt in zip(rows, found, strict=True) if doubt} == {"room2"}
+    assert sum(doubt is not None for doubt in found) == 8 and found[16].phrase == EXCHANGED
+    assert f"room room2: the {name} a and b differ by" in found[16].detail and f"correct {key}" in found[16].detail
+
+
+@pytest.mark.parametrize("differ_db", [0.0, 0.5, 2.0, 6.0])
+@pytest.mark.parametrize("n_rooms", [3, 8])
+def test_right_names_raise_no_alarm(n_rooms, differ_db):
+    for seed in range(20):
+        rows, levels_db = devices(np.random.default_rng(seed), n_rooms, differ_db)
+        assert find_exchanged_devices(rows, levels_db) == [None] * len(rows)
+
+
+def test_names_in_two_rooms_cannot_be_compared():
+    rows, levels_db = devices(np.random.default_rng(1), 2, 6.0, exchanged=[1])
+    assert find_exchanged_devices(rows, levels_db) == [None] * len(rows)
+
+
+def test_reverberation_levels_are_those_of_the_spectrum():
+    octaves_db = np.array([0.0, 0.0, 6.0, 0.0, -6.0, 0.0, 0.0, 0.0])
+    difference = np.mean([reverberation_levels(coloured_rir(n, eq_db=octaves_db), 320)
+                          - reverberation_levels(coloured_rir(n), 320) for n in range(10)], axis=0)
+    expected = np.interp(np.log(BANDS_HZ), np.log(EXACT_BANDS_HZ), octaves_db)
+    assert difference == pytest.approx(expected - expected.mean(), abs=0.8)  # tips are averaged
+    assert np.all(reverberation_levels(np.ones(100), 50) == 0.0)  # no reverberation
 
 
 def test_mislabelled_rirs_are_left_out_counted_and_named(rooms, tmp_path, caplog):
