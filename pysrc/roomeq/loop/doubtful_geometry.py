@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from roomeq.acoustics.direct import NOISE_FACTOR, find_direct, quietest_rms
+from roomeq.acoustics.direct import NOISE_FACTOR, quietest_rms
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import FS_HZ
 from roomeq.loop.arrivals import Arrivals, early_images, heard_probability, log_likelihood
@@ -63,10 +63,12 @@ def find_other_unit(rows: Sequence[RirRow], arrivals: Sequence[Arrivals]) -> Dou
     tried = {(which, unit): _evidence(rows, arrivals, dict.fromkeys(keys, factor))
              for which, keys in _WHICH.items() for unit, factor in UNITS_M.items()}
     (which, unit), best = max(tried.items(), key=lambda item: item[1])
-    gain, limit = INDEPENDENT * (best - stated), math.log(len(tried) / FALSE_ALARM)
+    # more likely than the stated lengths, and than recordings in which no reflection is heard
+    gain, limit = INDEPENDENT * (best - max(stated, 0.0)), math.log(len(tried) / FALSE_ALARM)
     if gain < limit:
         return None
-    return Doubt(OTHER_UNIT, f"room {rows[0]['room_id']}: room_dims_m={rows[0]['room_dims_m']}: the reflections of its "
+    dims_m = ", ".join(f"{size_m:g}" for size_m in _known(rows[0]["room_dims_m"], 1.0))
+    return Doubt(OTHER_UNIT, f"room {rows[0]['room_id']}: room_dims_m=[{dims_m}]: the reflections of its "
                  f"{len(rows)} RIRs fit {which} in {unit} better, by a likelihood ratio of {_power_of_ten(gain)}, and "
                  f"{_power_of_ten(limit)} may be chance: state lengths in metres")
 
@@ -98,8 +100,9 @@ def find_wrong_distance(row: RirRow, rir: FloatArray) -> Doubt | None:
     """Find a direct sound that cannot come from the stated position; only where sample 0 is the emission.
 
     Coordinates, latency and declared speed of sound have the errors that the loop reckons with elsewhere. The sound is
-    too early if its arrival is. It is too late if even the first sound that an obstacle could leave of it is, which
-    needs a recording whose noise lies below that.
+    too early if the strongest arrival is, which is the direct sound or a later one; what precedes it may be distortion
+    of a sweep. It is too late if even the first sound that an obstacle could leave of it is, which needs a recording
+    whose noise lies below that.
     """
     distance_m = distance_between(row["source_pos_m"], row["mic_pos_m"])
     if row.get("tof_removed") is not False or distance_m is None:
@@ -107,10 +110,10 @@ def find_wrong_distance(row: RirRow, rir: FloatArray) -> Doubt | None:
     speed_m_s = declared_speed_m_s(row)
     sd_m = math.hypot(math.sqrt(2.0) * COORDINATE_SD_M, 1e-3 * LATENCY_SD_MS * speed_m_s)
     slack_m = DEVIATIONS * sd_m + SPEED_RANGE * distance_m
-    found_m = find_direct(rir, FS_HZ).sample / FS_HZ * speed_m_s
-    if found_m < distance_m - slack_m:
-        return Doubt(TOO_EARLY, _wrong_distance(row, distance_m, found_m, slack_m))
     magnitude = np.abs(rir)
+    strongest_m = int(np.argmax(magnitude)) / FS_HZ * speed_m_s
+    if strongest_m < distance_m - slack_m:
+        return Doubt(TOO_EARLY, _wrong_distance(row, distance_m, strongest_m, slack_m))
     threshold = magnitude.max() * 10.0 ** (-MOST_HIDDEN_DB / 20.0)
     if NOISE_FACTOR * quietest_rms(rir, FS_HZ) > threshold:
         return None

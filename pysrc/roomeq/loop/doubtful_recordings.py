@@ -17,7 +17,7 @@ USUAL_SPREAD = 0.05
 """Of T20 in a room whose field is not diffuse: its just noticeable difference (ISO 3382-1)."""
 FEWEST_RIRS = 5
 """Of a room, so that one of another room does not determine the median."""
-OTHER_DECAY = "the decay is not that of the other RIRs of its room"
+OTHER_DECAY = "the decay is not that of the other RIRs of its room, but that of another room"
 COPY = "the recording is that of another room as well"
 SAME = 0.95
 """Correlation of each part of two recordings from which on they are one."""
@@ -31,7 +31,7 @@ _STATED = ("room_dims_m", "mesh", "source_pos_m", "mic_pos_m", "source_dir")
 
 
 def find_other_decays(rows: Sequence[Mapping[str, Any]], log_t20: FloatArray) -> list[Doubt | None]:
-    """Find RIRs whose decay times are not those of their room.
+    """Find RIRs whose decay times are not those of their room, but those of another.
 
     T20 scatters within a room by ``0.88 sqrt((1 + 1.9 / n) / (B T))`` of itself, with n = 10 for an integrated impulse
     response (ISO 3382-2:2008, annex A; Davy, J. Sound Vib. 70 (1980)), or by more where the median absolute deviation
@@ -60,10 +60,11 @@ def find_other_decays(rows: Sequence[Mapping[str, Any]], log_t20: FloatArray) ->
     for room_id, (members, median, sd) in rooms.items():
         for n in map(int, members):
             unusual, limit = _deviation(log_t20[n], median, sd)
-            if unusual > limit:
+            if unusual > limit:  # an object that rings, for one, changes a decay as well
                 others = [other for other, (_, *usual) in rooms.items()
                           if other != room_id and np.less_equal(*_deviation(log_t20[n], *usual))]
-                doubts[n] = Doubt(OTHER_DECAY, _describe(rows[n], log_t20[n], median, unusual, limit, others))
+                if others:
+                    doubts[n] = Doubt(OTHER_DECAY, _describe(rows[n], log_t20[n], median, unusual, limit, others))
     return doubts
 
 
@@ -87,10 +88,10 @@ def _deviation(log_t20: FloatArray, median: FloatArray, sd: FloatArray) -> tuple
 def _describe(row: Mapping[str, Any], log_t20: FloatArray, median: FloatArray, unusual: float, limit: float,
               others: Sequence[str]) -> str:
     at = int(np.nanargmax(np.abs(log_t20 - median)))
-    fits = f"it fits room {' or '.join(others[:3])}: " if others else ""
     return (f"RIR {row['id']} of room {row['room_id']}: T20={np.exp(log_t20[at]):.2f} s at {_HZ[at]:.0f} Hz, where the "
             f"room's median is {np.exp(median[at]):.2f} s; over the octaves, the squared deviations sum to "
-            f"{unusual:.0f} variances, and {limit:.0f} may be chance; {fits}correct room_id or wav")
+            f"{unusual:.0f} variances, and {limit:.0f} may be chance; it fits room "
+            f"{' or '.join(others[:3])}: correct room_id or wav")
 
 
 def cut_parts(rir: FloatArray, direct_sample: float) -> FloatArray:

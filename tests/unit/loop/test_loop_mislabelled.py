@@ -69,6 +69,19 @@ def test_late_sound_may_be_a_reflection_behind_an_obstacle_or_noise(options):
     assert find_wrong_distance(item, impulse(326, **options)) is None
 
 
+def test_distortion_ahead_of_the_direct_sound_is_not_the_direct_sound():
+    item = row("r", source_pos_m=[0.0, 0.0, 1.0], mic_pos_m=[6.0, 0.0, 1.0], tof_removed=False)
+    assert find_wrong_distance(item, impulse(round(6.0 / 343.2 * FS_HZ), hidden=0.1, at=60)) is None
+
+
+def test_recordings_without_reflections_tell_no_unit(rooms):
+    rows, rirs = rooms[0]
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal((len(rows), 4000)) * np.exp(-np.arange(4000) / 1000.0)
+    noise[:, 100] = 10.0
+    assert find_other_unit(rows, [measure_arrivals(rir) for rir in noise]) is None
+
+
 def decays(rng, time_s, n_rirs):
     """Return log T20 per octave of RIRs of a diffuse room, with the scatter of ISO 3382-2."""
     sd = 0.88 * np.sqrt(1.19 / (0.7071 * np.array(EXACT_BANDS_HZ) * time_s))
@@ -89,6 +102,7 @@ def test_swapped_recordings_are_found_and_the_room_they_fit_is_named():
     log_t20 = np.concatenate([decays(rng, time_s, 6) for time_s in (0.5, 0.8)])
     log_t20[[2, 9]] = log_t20[[9, 2]]
     log_t20[5, 3] = np.nan
+    log_t20[4] += 0.7  # no other room has this decay
     found = find_other_decays(rows, log_t20)
     assert [n for n, doubt in enumerate(found) if doubt] == [2, 9] and found[2].phrase == OTHER_DECAY
     assert "RIR r2 of room room0: T20=0." in found[2].detail and "it fits room room1: " in found[2].detail
