@@ -60,7 +60,7 @@ VECTORS = {
     "source_response": _RIPPLE_DB,
     "mic_response": -_RIPPLE_DB,
     "room_eq": _TILT_DB,
-    "noise_floor": (1.5,) * 8,  # 15 dB above what is inaudible
+    "noise_floor": (1.5,) * 22,  # 15 dB above what is inaudible
 }
 """Vector of each effect, of realistic size."""
 

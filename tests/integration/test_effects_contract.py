@@ -49,8 +49,8 @@ WIDER = {
     "mic_response": _OCTAVES_OF_RESPONSES,
     "room_eq": _OCTAVES_OF_RESPONSES,
     "noise_floor": (
-        "Noise in a narrow octave scatters, the more so in the few milliseconds ahead of the direct sound.",
-        dict(ahead=2.8, floor=1.45)),
+        "Noise in a narrow third octave scatters, the more so in the few milliseconds ahead of the direct sound.",
+        dict(ahead=2.8, floor=2.6)),
 }
 """Effects and metrics with limits other than `LIMIT_JND`: the reason, and the limit of each metric [JND]."""
 

@@ -19,7 +19,7 @@ VECTORS = dict(air_absorption=(1.0, np.log(20.0)), sound_speed=(3.5,),
                source_directivity=(*np.log([0.15, 0.5]), *[0.0] * 24),
                occlusion=(-3.0,), near_reflector=(np.log(0.5), 0.8), coupled_volume=(-1.0, np.log(2.0)),
                room_modes=(0.0,), source_response=np.linspace(-12.0, 6.0, 23), mic_response=np.linspace(6.0, -12.0, 23),
-               room_eq=np.linspace(-6.0, 6.0, 23), noise_floor=(3.0,) * 8)
+               room_eq=np.linspace(-6.0, 6.0, 23), noise_floor=(3.0,) * 22)
 OPTIONS = dict(num_rays=500, t60_range_s=(0.3, 0.6), seed=5)
 
 

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-from roomeq.core.arrays import FloatArray
+from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 
 OCTAVE_WIDTH_HZ = (np.minimum(np.array(EXACT_BANDS_HZ) * np.sqrt(2.0), 0.5 * FS_HZ)
@@ -14,6 +14,10 @@ OCTAVE_WIDTH_HZ = (np.minimum(np.array(EXACT_BANDS_HZ) * np.sqrt(2.0), 0.5 * FS_
 """Width of the octaves below half the sample rate [Hz], shape (8,)."""
 THIRDS_HZ = tuple(1000.0 * 10.0 ** (0.1 * k) for k in range(-13, 9))
 """Exact mid-band frequencies of third octaves, 50 Hz to 6.3 kHz."""
+THIRD_WIDTH_HZ = np.array(THIRDS_HZ) * (10.0 ** 0.05 - 10.0 ** -0.05)
+"""Width of the third octaves [Hz], shape (22,)."""
+OCTAVE_OF_THIRD: IntArray = np.argmin(np.abs(np.log(np.array(THIRDS_HZ)[:, None] / np.array(EXACT_BANDS_HZ))), axis=1)
+"""Number of the octave of each third octave, shape (22,)."""
 FILTER_ORDER = 4  # of the Butterworth prototype; IEC 61260-1 class 1 needs 3, strong neighbouring bands ask for more
 _FFT_GRID = 4096  # few sizes of transform, so that their filters stay cached
 

@@ -1,5 +1,8 @@
 """Stationary coloured noise in the recordings of a room: hum, ventilation, hiss of the recording chain.
 
+Its spectrum is given by third octaves: noise of octaves would spread the hum of a fan over the whole octave, and a loud
+octave would cover the decay in its quiet neighbours.
+
 The signal-to-noise ratio differs between recordings of the same room, for example with the playback level. White noise
 is estimated for each recording. The coloured noise of the room is assumed to have a constant ratio to it, except in
 recordings whose white noise is weaker than `QUIET_DB`.
@@ -10,20 +13,24 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from roomeq.acoustics.octaves import OCTAVE_WIDTH_HZ
+from roomeq.acoustics.octaves import OCTAVE_OF_THIRD, OCTAVE_WIDTH_HZ, THIRD_WIDTH_HZ, THIRDS_HZ
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import FS_HZ
 from roomeq.effects.base import Effect, Rendering, octave_energies
 from roomeq.effects.prediction import PredictedRirs, PredictionState
-from roomeq.sim.echogram import FRAME_S
-from roomeq.sim.render import render
 
 NOISE_S = 0.1
 """Duration [s] of the section of noise whose energy is given relative to that of the response."""
 QUIET_DB = -55.0
 """Noise below this level does not affect the measured decay: energy of `NOISE_S` of noise relative to the response, per
 octave band [dB]."""
+SHARE_OF_THIRD = THIRD_WIDTH_HZ / OCTAVE_WIDTH_HZ[OCTAVE_OF_THIRD]
+"""Share of an octave's white noise that lies in each third octave, shape (22,)."""
+_QUIET_THIRDS_DB = QUIET_DB + 10.0 * np.log10(SHARE_OF_THIRD)
+_SMOOTH_SHARE, _CORRELATION_THIRDS = 0.8, 4.0  # of the variance of the spectrum; the rest are tones
+_PASSES = 4  # to find the values of a spectrum
 _SMOOTH = 0.2  # rounding of the vector's lower end, which adds 1 dB of noise at 0
 
 
@@ -33,10 +40,11 @@ class NoiseFloor(Effect):
 
     Attributes
     ----------
-    levels_db : tuple of 8 floats
-        Energy of 100 ms of noise relative to the response, per octave, in a recording without white noise. In a
-        recording with white noise it is larger by the factor 1 + w / q, where w is the energy of the white noise and q
-        the energy that corresponds to `QUIET_DB`.
+    levels_db : tuple of 22 floats
+        Energy of 100 ms of noise in each third octave (`roomeq.acoustics.octaves.THIRDS_HZ`) relative to the response
+        in its octave, in a recording without white noise. In a recording with white noise it is larger by the factor
+        1 + w / q, where w is the energy of the white noise in the octave and q the energy that corresponds to
+        `QUIET_DB`.
     """
 
     levels_db: tuple[float, ...]
@@ -45,20 +53,26 @@ class NoiseFloor(Effect):
     MEASURED = True
     NAME = "noise_floor"
     SCOPE = "room"
-    STARTS = ((0.5,) * 8,)  # tens of dB that the noise adds to that of `QUIET_DB`
-    SPREAD = (1.0,) * 8
-    BANDS = tuple(range(8))
+    STARTS = ((0.5,) * len(THIRDS_HZ),)  # tens of dB that the noise adds to white noise of `QUIET_DB`
+    SPREAD = (1.0,) * len(THIRDS_HZ)
+    BANDS = tuple(OCTAVE_OF_THIRD.tolist())
     DISCRIMINATING_MEASUREMENT = "a recording of the background noise before the sweep"
 
+    @classmethod
+    def prior_covariance(cls) -> FloatArray:
+        lag = np.subtract.outer(np.arange(len(cls.SPREAD)), np.arange(len(cls.SPREAD)))
+        return (_SMOOTH_SHARE * np.exp(-0.5 * (lag / _CORRELATION_THIRDS) ** 2)
+                + (1.0 - _SMOOTH_SHARE) * np.eye(len(cls.SPREAD)))
+
     def vector(self) -> FloatArray:
-        added = 2.0 * np.log10(1.0 + 10.0 ** ((np.array(self.levels_db) - QUIET_DB) / 10.0))
+        added = 2.0 * np.log10(1.0 + 10.0 ** ((np.array(self.levels_db) - _QUIET_THIRDS_DB) / 10.0))
         return (added ** 2 - _SMOOTH ** 2) / (2.0 * added)
 
     @classmethod
     def from_vector(cls, vector: ArrayLike) -> Self:
         vector = np.clip(vector, -3.0, 5.0)
         added = 0.5 * (vector + np.hypot(vector, _SMOOTH))
-        return cls(tuple(float(value) for value in QUIET_DB + 10.0 * np.log10(10.0 ** added - 1.0)))
+        return cls(tuple((_QUIET_THIRDS_DB + 10.0 * np.log10(10.0 ** added - 1.0)).tolist()))
 
     @classmethod
     def measured_vectors(cls, data: PredictedRirs) -> FloatArray:
@@ -71,22 +85,40 @@ class NoiseFloor(Effect):
         return vectors
 
     def energy_ratio(self, white: FloatArray) -> FloatArray:
-        """Return the energy of 100 ms of noise relative to the response, shape (..., 8).
+        """Return the energy of 100 ms of noise in third octaves relative to the response in their octave, (..., 22).
 
         Parameters
         ----------
         white : ndarray, shape (..., 8)
             Energy of 100 ms of the recording's white noise relative to the response.
         """
-        return 10.0 ** (np.array(self.levels_db) / 10.0) * (1.0 + white / 10.0 ** (QUIET_DB / 10.0))
+        of_octave = 1.0 + white[..., OCTAVE_OF_THIRD] / 10.0 ** (QUIET_DB / 10.0)
+        return 10.0 ** (np.array(self.levels_db) / 10.0) * of_octave
 
     def apply_to_prediction(self, state: PredictionState, data: PredictedRirs, rows: IntArray) -> None:
         state.floor[rows] += self.energy_ratio(data.white[rows])
 
     def on_rir(self, rir: FloatArray, rendering: Rendering) -> FloatArray:
-        per_sample = self.energy_ratio(rendering.white) * octave_energies(rir) / (NOISE_S * FS_HZ)
-        per_frame = per_sample / (OCTAVE_WIDTH_HZ / (0.5 * FS_HZ)) * FRAME_S * FS_HZ
-        n_frames = int(np.ceil(len(rir) / FS_HZ / FRAME_S)) + 1
-        noise = rendering.rng.standard_normal(len(rir))
-        return rir + render(np.zeros(0), np.zeros((0, 8)), np.tile(per_frame, (n_frames, 1)), noise,
-                            speed_m_s=rendering.scene.air.speed_m_s, n_samples=len(rir))
+        per_sample = self.energy_ratio(rendering.white) * octave_energies(rir)[OCTAVE_OF_THIRD] / (NOISE_S * FS_HZ)
+        n = next_fast_len(len(rir), real=True)
+        noise = irfft(rfft(rendering.rng.standard_normal(n)) * np.sqrt(_power_gain(per_sample, n)), n)
+        return rir + noise[:len(rir)]
+
+
+def _power_gain(per_sample: FloatArray, n_fft: int) -> FloatArray:
+    """Return the power gain of a filter for white noise of unit variance, shape (n_fft // 2 + 1,).
+
+    The density is interpolated in dB over log frequency, since noise with steps at the edges of third octaves would
+    reach far into the next ones. Its values at the middle of third octaves are such that each has its energy
+    `per_sample`, as far as the slopes of a louder neighbour allow.
+    """
+    frequency_hz = np.maximum(rfftfreq(n_fft, 1.0 / FS_HZ), 1.0)
+    third = np.argmin(np.abs(np.log(frequency_hz[:, None] / THIRDS_HZ)), axis=1)
+    inside = np.abs(np.log10(frequency_hz / np.array(THIRDS_HZ)[third])) < 0.05  # the outermost go on beyond
+    wanted = np.maximum(per_sample, 1e-30)
+    of_thirds = np.log(wanted / THIRD_WIDTH_HZ)
+    for _ in range(_PASSES):
+        density = np.exp(np.interp(np.log(frequency_hz), np.log(THIRDS_HZ), of_thirds))
+        energy = np.bincount(third[inside], density[inside], minlength=len(THIRDS_HZ)) * FS_HZ / n_fft
+        of_thirds += np.log(np.where(energy > 0.0, wanted / np.maximum(energy, 1e-30), 1.0))
+    return 0.5 * FS_HZ * density

@@ -62,8 +62,9 @@ class PredictedRirs(Protocol):
         White noise of each recording: energy of 100 ms relative to the response, per octave.
     room : ndarray of int, shape (n_rirs,)
         Number of the room of each RIR.
-    noise_db : ndarray, shape (n_rirs, 8)
-        Noise of each recording relative to its white noise, which counts as -55 dB at least; NaN where unknown.
+    noise_db : ndarray, shape (n_rirs, 22)
+        Noise of each recording in third octaves relative to its white noise, which counts as -55 dB per octave at
+        least; NaN where unknown.
     """
 
     @property
@@ -142,8 +143,9 @@ class PredictionState:
         Each added decay, and the indices of the RIRs that have it.
     response_db : ndarray, shape (n_rirs, 23)
         Magnitude response of the recording chain [dB] at `roomeq.effects.response.RESPONSE_HZ`.
-    floor : ndarray, shape (n_rirs, 8)
-        Noise floor: energy of 100 ms of noise relative to the response per octave, without the recording's white noise.
+    floor : ndarray, shape (n_rirs, 22)
+        Noise floor: energy of 100 ms of noise in third octaves relative to the response in their octave, without the
+        recording's white noise.
     delay_s : ndarray, shape (n_rirs,)
         Delay of the direct sound by obstacles or other effects [s].
     rendered_change : ndarray, shape (n_rirs, n_features)

@@ -161,7 +161,8 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
 def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]) -> Accepted | None:
     """Return the best candidate that lowers the held-out error when it is rendered, or None.
 
-    The error must fall significantly on at least one of `SPLITS` and must not rise significantly on any.
+    The error must fall significantly on at least one of `SPLITS` and must not rise significantly on any. Of what was
+    read off the recordings, it is enough that it falls on both: there is no other cause for it.
 
     A worse-fitting candidate replaces a rejected one only if the rejected one raised the error, or if it explains
     something else. If the error merely did not fall, the rejected candidate may still be the cause, and a significantly
@@ -176,7 +177,9 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]) -
         errors_after = heldout_errors(after)
         p = {split: p_lower(errors, errors_after, split) for split in SPLITS}
         rises = any(p_lower(errors_after, errors, split) < LEVEL for split in SPLITS)
-        if min(p.values()) < LEVEL / len(p) and not rises:
+        falls = min(p.values()) < LEVEL / len(p) or (
+            winner.effect.MEASURED and all(errors_after.mean(split) < errors.mean(split) for split in SPLITS))
+        if falls and not rises:
             return Accepted(iteration_entry(winner, rivals, ranking, after, errors, errors_after, p), after,
                             errors_after)
         logger.info("rejected %s: the held-out error %s when it is rendered", winner.effect.NAME,
@@ -190,12 +193,14 @@ def _eliminate(session: Session, errors: HeldOutErrors, newest: type[Effect]
                ) -> tuple[Session, HeldOutErrors, list[type[Effect]]]:
     """Take out effects that a newer one makes superfluous: the held-out error is not significantly higher without.
 
+    What was read off the recordings themselves remains: no other effect explains it.
+
     Returns the session without them, its held-out errors, and the effects.
     """
     superfluous: list[type[Effect]] = []
     left, errors_left = session, errors
     for effect in session.effects:
-        if effect is newest:
+        if effect is newest or effect.MEASURED:
             continue
         kept = [other for other in left.effects if other is not effect]
         fitted = fit(session.data, session.correction, kept, initial=session.fit, known=session.fit.derivatives)

@@ -116,7 +116,7 @@ class Data:
 
     @property
     def noise_db(self) -> FloatArray:
-        """Noise of each recording (feature "floor"), shape (n_rirs, 8), NaN where it is unknown."""
+        """Noise of each recording (feature "floor"), shape (n_rirs, 22), NaN where it is unknown."""
         at = feature_slice("floor")
         return np.where(self.valid[:, at], self.features[:, at], np.nan)
 

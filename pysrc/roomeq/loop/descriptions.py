@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from roomeq.acoustics.octaves import THIRDS_HZ
 from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.response import RESPONSE_HZ
@@ -105,7 +106,7 @@ def _coupled_volume(best: _Best, values: _Values) -> str:
 
 def _noise_floor(best: _Best, values: _Values) -> str:
     levels_db = np.median(values["levels_db"], axis=0)
-    return f"noise is strongest at {BANDS_HZ[int(np.argmax(levels_db))]:g} Hz"
+    return f"noise is strongest at {THIRDS_HZ[int(np.argmax(levels_db))]:.0f} Hz"
 
 
 def _occlusion(best: _Best, values: _Values) -> str:

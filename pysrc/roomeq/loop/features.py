@@ -17,15 +17,16 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len
+from scipy.special import gammaincinv
 
 from roomeq.acoustics.band_energy import OCTAVES, THIRDS, energy_in_bands, energy_per_bin, faded_part
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.iso3382 import DIRECT_S, EARLY_S, all_metrics
-from roomeq.acoustics.octaves import OCTAVE_WIDTH_HZ, THIRDS_HZ
-from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
+from roomeq.acoustics.octaves import OCTAVE_OF_THIRD, OCTAVE_WIDTH_HZ, THIRD_WIDTH_HZ, THIRDS_HZ
+from roomeq.core.arrays import Array, BoolArray, FloatArray
 from roomeq.core.constants import BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
-from roomeq.effects.noise_floor import NOISE_S, QUIET_DB
+from roomeq.effects.noise_floor import NOISE_S, QUIET_DB, SHARE_OF_THIRD
 
 LEAD_S = 1.5e-3
 LATE_S = 0.2  # end of the late level, ahead of the noise of most recordings
@@ -35,6 +36,7 @@ NEAR_S, NEAR_SHARE = 4e-4, 0.05
 MIN_SNR_DB = 10.0
 CLIFF_DB = 15.0
 _LOW_HZ, _N_LOW = 20.0, 28  # sixth octaves from 20 to 450 Hz
+_CONTRADICTED = 0.5  # the level of white noise is found too high as often as too low
 QUIET = 10.0 ** (QUIET_DB / 10.0)
 JND = dict(direct=1.0, early=1.0, late=1.0, spectrum=1.0, edt=np.log(1.05), t20=np.log(1.05), t30=np.log(1.05),
            c50=1.1, drr=2.0, arrival=1e-4, ahead=1.0, floor=1.0)
@@ -42,7 +44,7 @@ REGION = dict(direct="direct", early="early", late="late", spectrum="whole", edt
               c50="early", drr="direct", arrival="direct", ahead="ahead", floor="floor")
 _BANDS_OF = dict(direct=DIRECT_THIRDS_HZ, early=EXACT_BANDS_HZ, late=EXACT_BANDS_HZ, spectrum=THIRDS_HZ,
                  edt=EXACT_BANDS_HZ, t20=EXACT_BANDS_HZ, t30=EXACT_BANDS_HZ, c50=EXACT_BANDS_HZ, drr=(0.0,),
-                 arrival=(0.0,), ahead=EXACT_BANDS_HZ, floor=EXACT_BANDS_HZ)
+                 arrival=(0.0,), ahead=EXACT_BANDS_HZ, floor=THIRDS_HZ)
 METRIC = np.array([metric for metric, bands in _BANDS_OF.items() for _ in bands])
 """Metric of each feature, shape (n_features,)."""
 BAND_HZ = np.array([band_hz for bands in _BANDS_OF.values() for band_hz in bands])
@@ -51,7 +53,7 @@ BAND_OF_FEATURE = np.where(BAND_HZ > 0, np.argmin(np.abs(np.log(np.maximum(BAND_
                                                                / np.array(EXACT_BANDS_HZ))), axis=1), -1)
 """Number of the octave band of each feature, -1 for the whole band, shape (n_features,)."""
 N_FEATURES = len(METRIC)
-_WIDTH = np.where(np.isin(METRIC, ["direct", "spectrum"]), 1.0 / 3.0, 1.0)  # of each feature's band [octaves]
+_WIDTH = np.where(np.isin(METRIC, ["direct", "spectrum", "floor"]), 1.0 / 3.0, 1.0)  # of each feature's band [octaves]
 HAS_GAIN = np.isin(METRIC, ["direct", "early", "late", "spectrum"])
 """Whether a feature contains the gain of the recording, shape (n_features,)."""
 CALIBRATION_FEATURES = (METRIC == "direct") & (np.arange(N_FEATURES) % 2 == 0)
@@ -67,6 +69,18 @@ def feature_slice(metric: str) -> slice:
     """Return the slice of a metric's features."""
     at = np.flatnonzero(METRIC == metric)
     return slice(int(at[0]), int(at[-1]) + 1)
+
+
+def with_noise_in_octaves(features: FloatArray) -> FloatArray:
+    """Return features, shape (..., n_features), whose noise in each third octave is that of the octave around it.
+
+    Noise in a narrow band scatters: that of 100 ms in the third octave at 63 Hz by 4 dB. Errors are those of octaves.
+    """
+    at = feature_slice("floor")
+    of_octave = np.equal.outer(OCTAVE_OF_THIRD, OCTAVE_OF_THIRD) * SHARE_OF_THIRD
+    result = features.copy()
+    result[..., at] = _db(10.0 ** (features[..., at] / 10.0) @ (of_octave / of_octave.sum(axis=1, keepdims=True)).T)
+    return result
 
 
 @dataclass(frozen=True)
@@ -102,9 +116,9 @@ class _Noise(NamedTuple):
     Attributes
     ----------
     octave, third : ndarray, shape (8,), (22,)
-        Of noise, 0 where the response ends before its noise.
-    end : ndarray, shape (8,)
-        In octaves, of noise or not.
+        In octaves and in third octaves.
+    seen : ndarray of bool, shape (8,)
+        Whether that is noise: not where the response ends before its noise.
     has_response : ndarray of bool, shape (8,)
         Whether the excitation reaches the octave.
     n_samples : int
@@ -113,7 +127,7 @@ class _Noise(NamedTuple):
 
     octave: FloatArray
     third: FloatArray
-    end: FloatArray
+    seen: BoolArray
     has_response: BoolArray
     n_samples: int
 
@@ -217,18 +231,13 @@ def _noise_density(rir: FloatArray, metrics: dict, from_hz: float) -> _Noise:
     intersection = int(max(metrics["band_noise_intersection_s"]) * FS_HZ + metrics["direct_sample"])
     start = max(int(0.9 * last), min(last, intersection))
     start = min(start, last - int(0.05 * FS_HZ)) if last > int(0.2 * FS_HZ) else int(0.9 * last)
-    has_response = excited(from_hz)[feature_slice("floor")]
+    has_response = excited(from_hz)[feature_slice("early")]
     seen = has_response & [floor_db is not None for floor_db in metrics["band_noise_floor_db"]]
     part = rir[start:last]
     n_fft = next_fast_len(max(len(part), 2048), real=True)
     power = energy_per_bin(part, n_fft) / max(len(part), 1)
-    end = energy_in_bands(OCTAVES, power, n_fft)
-    return _Noise(octave=np.where(seen, end, 0.0), end=end, has_response=has_response, n_samples=len(part),
-                  third=np.where(seen[_octave_of_third()], energy_in_bands(THIRDS, power, n_fft), 0.0))
-
-
-def _octave_of_third() -> IntArray:
-    return np.argmin(np.abs(np.log(np.array(THIRDS_HZ)[:, None] / np.array(EXACT_BANDS_HZ))), axis=1)
+    return _Noise(energy_in_bands(OCTAVES, power, n_fft), energy_in_bands(THIRDS, power, n_fft), seen, has_response,
+                  len(part))
 
 
 def _levels(rir: FloatArray, direct: float, metrics: dict, noise: _Noise) -> dict[str, tuple[FloatArray, FloatArray]]:
@@ -243,7 +252,8 @@ def _levels(rir: FloatArray, direct: float, metrics: dict, noise: _Noise) -> dic
         part = faded_part(rir, max(0, start), min(stop, len(rir)), fade)
         n_fft = 1024 if metric == "direct" else next_fast_len(max(2048, len(part)), real=True)
         energy = energy_in_bands(bands, energy_per_bin(part, n_fft), n_fft)
-        of_noise = (noise.third if bands is THIRDS else noise.octave) * len(part)
+        per_sample, seen = (noise.third, noise.seen[OCTAVE_OF_THIRD]) if bands is THIRDS else (noise.octave, noise.seen)
+        of_noise = np.where(seen, per_sample, 0.0) * len(part)
         if metric == "direct":
             energy, of_noise = energy[-len(DIRECT_THIRDS_HZ):], of_noise[-len(DIRECT_THIRDS_HZ):]
         level_db = _db(energy - of_noise)
@@ -253,7 +263,7 @@ def _levels(rir: FloatArray, direct: float, metrics: dict, noise: _Noise) -> dic
 
 def _noise_levels(rir: FloatArray, direct: float, noise: _Noise, white: FloatArray | None
                   ) -> tuple[dict[str, tuple[FloatArray, BoolArray]], FloatArray]:
-    """Return the noise behind the response and the sound ahead of it, per octave [dB].
+    """Return the noise behind the response, per third octave, and the sound ahead of it, per octave [dB].
 
     Noise is scored relative to white noise of the recording's own level plus a floor (`QUIET`), so that its level goes
     to 0 smoothly where there is no other noise.
@@ -267,15 +277,20 @@ def _noise_levels(rir: FloatArray, direct: float, noise: _Noise, white: FloatArr
     n_fft = next_fast_len(len(rir), real=True)
     energy = energy_in_bands(OCTAVES, energy_per_bin(rir, n_fft), n_fft)
     per_energy = NOISE_S * FS_HZ / np.maximum(energy, 1e-30)
-    end, seen = noise.end * per_energy, noise.octave > 0.0
+    end, end_of_thirds = noise.octave * per_energy, noise.third * per_energy[OCTAVE_OF_THIRD]
     if white is None:
         added, white = np.zeros(len(BANDS_HZ)), _white(noise) * per_energy
-        behind = np.where(seen, end, white) + QUIET
+        white_of_thirds = white[OCTAVE_OF_THIRD] * SHARE_OF_THIRD
+        behind = np.where(noise.seen, end, white)
+        behind_of_thirds = np.where(noise.seen[OCTAVE_OF_THIRD], end_of_thirds, white_of_thirds)
     else:  # a rendering has no noise of its own, and ends when its decay is over
-        added, behind = white, end + white + QUIET
+        white_of_thirds = white[OCTAVE_OF_THIRD] * SHARE_OF_THIRD
+        added, behind, behind_of_thirds = white, end + white, end_of_thirds + white_of_thirds
     # without visible noise, the level is known only if even the end of the response is quiet
-    known = seen | (_db(end / QUIET + 1.0) < JND["floor"])
-    levels = {"floor": (_db(behind / (white + QUIET)), known)}
+    known = noise.seen | (_db(end / QUIET + 1.0) < JND["floor"])
+    quiet_of_thirds = QUIET * SHARE_OF_THIRD
+    levels = {"floor": (_db((behind_of_thirds + quiet_of_thirds) / (white_of_thirds + quiet_of_thirds)),
+                        known[OCTAVE_OF_THIRD])}
     n_ahead = round(direct) - round(3e-3 * FS_HZ) - 16
     ahead, resolved = np.full(len(BANDS_HZ), np.nan), (OCTAVE_WIDTH_HZ * n_ahead > FS_HZ) & (n_ahead > 48)
     # finite wherever there are samples: the direct sound of a rendering may be earlier than that of the recording
@@ -283,7 +298,7 @@ def _noise_levels(rir: FloatArray, direct: float, noise: _Noise, white: FloatArr
         part = faded_part(_without_trend(rir[:min(32 + n_ahead, len(rir))]), 16, 16 + n_ahead, 16)
         n_fft = next_fast_len(max(2048, len(part)), real=True)
         energy = energy_in_bands(OCTAVES, energy_per_bin(part, n_fft), n_fft)
-        ahead = _db((energy / len(part) * per_energy + added + QUIET) / behind)
+        ahead = _db((energy / len(part) * per_energy + added + QUIET) / (behind + QUIET))
     levels["ahead"] = ahead, resolved & known
     return levels, white
 
@@ -300,14 +315,14 @@ def _without_trend(part: FloatArray) -> FloatArray:
 
 
 def _white(noise: _Noise) -> FloatArray:
-    """Return the energy per sample in each octave of the largest white noise that no octave contradicts, shape (8,).
+    """Return the energy per sample in each octave of the largest white noise that no third octave contradicts, (8,).
 
-    An octave whose response ends before its noise contradicts white noise above that end. If no octave shows noise,
-    there is none to speak of. Octaves without a response have no noise relative to it.
-    The relative uncertainty of the energy over a time T in a bandwidth B is 1 / sqrt(B T). Each octave allows two of
-    them, as otherwise the narrowest octave would be the lowest by chance.
+    A band whose response ends before its noise contradicts white noise above that end. If no octave shows noise, there
+    is none to speak of. Octaves without a response have no noise relative to it.
+    The energy of white noise over a time T in a bandwidth B is distributed as chi-squared with 2 B T degrees of
+    freedom. Any of the bands contradicts true white noise with a probability of `_CONTRADICTED`.
     """
-    share = 1.0 / np.sqrt(OCTAVE_WIDTH_HZ * noise.n_samples / FS_HZ)
-    most = noise.end / OCTAVE_WIDTH_HZ * (1.0 + 2.0 * share)
-    lowest = most[noise.has_response].min() if np.any(noise.octave > 0.0) else 0.0
+    half_freedom = THIRD_WIDTH_HZ * noise.n_samples / FS_HZ
+    most = noise.third / THIRD_WIDTH_HZ * half_freedom / gammaincinv(half_freedom, _CONTRADICTED / len(THIRDS_HZ))
+    lowest = most[noise.has_response[OCTAVE_OF_THIRD]].min() if noise.seen.any() else 0.0
     return np.where(noise.has_response, OCTAVE_WIDTH_HZ * lowest, 0.0)

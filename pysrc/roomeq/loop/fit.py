@@ -10,7 +10,7 @@ those means and the vectors of all other effects.
 Features scatter by `sigma` from RIR to RIR and by `omega` from room to room; both are estimated from the residual.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -127,10 +127,7 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
         gain_db = initial.gain_db
         sigma, omega = initial.sigma.copy(), initial.omega.copy()
         _continue(index, initial, mean, local)
-    for k, vectors in enumerate(measured):
-        if vectors is not None and (initial is None or index.effects[k] not in initial.effects):
-            for own, part, vector in zip(local, index.local, vectors, strict=True):
-                own[part.slices[k]] = vector - vectors.mean(axis=0)
+    start_from_measured(index, mean, local, () if initial is None else initial.effects)
     for iteration in range(iterations):
         covariance = covariances(index, shape, own_scale, gain_db)
         predicted, derivatives = index.linearize(mean, local, correction, known)
@@ -183,6 +180,16 @@ def estimate_gains(index: ParameterIndex, correction: FloatArray, mean: FloatArr
         for n in np.flatnonzero(np.isin(index.gain_kind[r], (0, 3))):
             of_gain = residual[members[design[:, n] > 0.0]]
             local[r][N_SURFACE + n] = np.nanmedian(of_gain) if np.isfinite(of_gain).any() else 0.0
+
+
+def start_from_measured(index: ParameterIndex, mean: FloatArray, local: list[FloatArray],
+                        fitted: Collection[type[Effect]] = ()) -> None:
+    """Set what can be read off the recordings (`Effect.measured_vectors`) in `local`, but for `fitted` effects."""
+    for k, effect in enumerate(index.effects):
+        vectors = None if effect in fitted else effect.measured_vectors(index.data)
+        if vectors is not None:
+            for own, part, vector in zip(local, index.local, vectors, strict=True):
+                own[part.slices[k]] = vector - mean[index.shared[k].part]
 
 
 def _continue(index: ParameterIndex, initial: Fit, mean: FloatArray, local: list[FloatArray]) -> None:

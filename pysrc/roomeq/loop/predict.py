@@ -11,10 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
-from roomeq.acoustics.octaves import OCTAVE_WIDTH_HZ, THIRDS_HZ
+from roomeq.acoustics.octaves import OCTAVE_OF_THIRD, OCTAVE_WIDTH_HZ, THIRDS_HZ
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.core.jit import compiled
+from roomeq.effects.noise_floor import SHARE_OF_THIRD
 from roomeq.effects.prediction import PredictionState
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.loop.data import Data
@@ -70,7 +71,7 @@ def base_state(data: Data, absorption: FloatArray) -> PredictionState:
         absorption=absorption[data.room], air_per_m=data.air_per_m.copy(), speed_m_s=data.speed_m_s.copy(),
         ray_gain=None, reflected_gain=None, direct_gain=np.ones((n, N_BANDS)),
         direct_thirds=np.ones((n, len(THIRDS_HZ))), decays=[], response_db=np.zeros((n, len(RESPONSE_HZ))),
-        floor=np.zeros((n, N_BANDS)), delay_s=np.zeros(n), rendered_change=np.zeros((n, N_FEATURES)))
+        floor=np.zeros((n, len(THIRDS_HZ))), delay_s=np.zeros(n), rendered_change=np.zeros((n, N_FEATURES)))
     for effect, rows in data.given_to:
         effect.apply_to_prediction(state, data, rows)
     return state
@@ -210,7 +211,8 @@ def predict_by_band(data: Data, state: PredictionState, reflected: ReflectedEner
         features[:, feature_slice(metric)] = (np.log(times_s[:, k]) + log_shortening) / JND[metric]
     arrival_s = data.distance_m / state.speed_m_s + state.delay_s
     features[:, feature_slice("arrival")] = (arrival_s / JND["arrival"])[:, None]
-    features[:, feature_slice("floor")] = _db(1.0 + state.floor / (data.white + QUIET))
+    white = (data.white + QUIET)[:, OCTAVE_OF_THIRD] * SHARE_OF_THIRD
+    features[:, feature_slice("floor")] = _db(1.0 + state.floor / white)
     return Predicted(features + state.rendered_change, drr_energy)
 
 

@@ -28,7 +28,14 @@ from roomeq.effects.room_eq import RoomEq
 from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.loop.data import Data
 from roomeq.loop.facing import estimate_facings, unknown_facings
-from roomeq.loop.features import BAND_OF_FEATURE, CALIBRATION_FEATURES, HAS_GAIN, LARGEST, METRIC
+from roomeq.loop.features import (
+    BAND_OF_FEATURE,
+    CALIBRATION_FEATURES,
+    HAS_GAIN,
+    LARGEST,
+    METRIC,
+    with_noise_in_octaves,
+)
 from roomeq.loop.fit import Fit, fit
 from roomeq.loop.packing import OWN_SCOPES, ParameterIndex
 from roomeq.loop.rendered_model import clear_rendered_changes, effects_of_rows, in_order
@@ -224,7 +231,8 @@ def _rendered_errors(data: Data, calibrated: Callable, splits: Sequence[str], *,
                                    for calibrating, to_score in zip(known, scored, strict=True)])
             absorption, by_row, gains = calibrated(known, _USABLE[split])
             _, rendered = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj, rows=rows)
-            error = np.abs(data.features[rows] - rendered - np.outer(gains[rows], HAS_GAIN))
+            error = np.abs(with_noise_in_octaves(data.features[rows]) - with_noise_in_octaves(rendered)
+                           - np.outer(gains[rows], HAS_GAIN))
             error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
             errors[rows] = np.where(data.valid[rows] & ~CALIBRATION_FEATURES, error, np.nan)
         by_split[split] = errors

@@ -9,7 +9,7 @@ Leave-positions-out
     `solve_rooms` for data that the fit has not seen); the other half is scored.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -29,6 +29,7 @@ from roomeq.loop.fit import (
     shared_prior,
     shortened_step,
     solve_step,
+    start_from_measured,
 )
 from roomeq.loop.likelihood import NormalEquations, normal_equations
 from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, ParameterIndex
@@ -272,6 +273,8 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
     mean, local = prior.mean.copy(), [np.zeros(part.size) for part in index.local]
     estimate_gains(index, correction, mean, local)
     visible = _usable_features(index, known, usable)
+    usable_data = replace(index.data, valid=index.data.valid & visible)
+    start_from_measured(ParameterIndex(usable_data, index.effects), mean, local)
     for _ in range(iterations):
         predicted, derivatives = index.linearize(mean, local, correction)
         residual, valid = index.data.residual(predicted)

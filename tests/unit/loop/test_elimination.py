@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from roomeq.effects.noise_floor import NoiseFloor
 from roomeq.effects.occlusion import Occlusion
 from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.effects.source_response import SourceResponse
@@ -45,6 +46,13 @@ def test_effect_is_superfluous_if_the_error_does_not_rise_without_it(without, su
     assert found == superfluous
     assert left.mean(SPLITS[0]) == pytest.approx(without[superfluous[-1]] if superfluous else 2.0, abs=0.1)
     assert not any(SourceDirectivity in effects for effects in tried)
+
+
+def test_noise_of_the_recordings_is_not_superfluous(monkeypatch):
+    fitted = Session(None, (SourceDirectivity, NoiseFloor), None, SimpleNamespace(derivatives=None), 0, 1)
+    monkeypatch.setattr(close, "fit", lambda *_, **__: pytest.fail("a model without the noise was tried"))
+    session, _, found = close._eliminate(fitted, errors(2.0), SourceDirectivity)
+    assert session is fitted and found == []
 
 
 def test_eliminated_effects_are_not_among_the_added_ones():

@@ -129,8 +129,19 @@ def test_worse_fit_replaces_only_a_refuted_candidate(monkeypatch, change, behind
     gain = 20.0 + np.arange(8)
     ranking = [Candidate(SoundSpeed, SoundSpeed, gain, 2.0),
                Candidate(NoiseFloor, NoiseFloor, gain - behind + np.tile([1.0, -1.0], 4), 2.0)]
-    lower = {SoundSpeed: change, NoiseFloor: 0.3}
+    monkeypatch.setattr(close, "helps_beside", lambda *_: helps_beside)
+    assert accepted(ranking, {SoundSpeed: change, NoiseFloor: 0.3}, monkeypatch) == added
 
+
+@pytest.mark.parametrize("effect, change, added", [
+    (NoiseFloor, 0.003, "noise_floor"), (NoiseFloor, -0.003, None), (SoundSpeed, 0.003, None)])
+def test_what_was_read_off_the_recordings_needs_no_significant_fall(monkeypatch, effect, change, added):
+    ranking = [Candidate(effect, effect, 20.0 + np.arange(8), 2.0)]
+    assert accepted(ranking, {effect: change}, monkeypatch) == added
+
+
+def accepted(ranking, lower, monkeypatch):
+    """Return the name of the effect that is added if each lowers the error by so much, or None."""
     def errors(model):
         by_room = np.repeat(np.tile([0.02, -0.02], 4), 2)[:, None] * (model is not None)
         features = 2.0 - lower.get(model, 0.0) + by_room + np.zeros((16, N_FEATURES))
@@ -138,7 +149,6 @@ def test_worse_fit_replaces_only_a_refuted_candidate(monkeypatch, change, behind
 
     monkeypatch.setattr(close, "refit_rendered", lambda data, fitted, **_: fitted)
     monkeypatch.setattr(close, "heldout_errors", errors)
-    monkeypatch.setattr(close, "helps_beside", lambda *_: helps_beside)
     monkeypatch.setattr(close, "iteration_entry", lambda winner, *_: dict(effect=winner.effect.NAME))
-    accepted = close._accept(SimpleNamespace(data=None, seed=0, nj=1), errors(None), ranking)
-    assert (accepted and accepted.entry["effect"]) == added
+    found = close._accept(SimpleNamespace(data=None, seed=0, nj=1), errors(None), ranking)
+    return found and found.entry["effect"]
