@@ -29,10 +29,11 @@ from roomeq.core.constants import FS_HZ  # noqa: E402
 from roomeq.effects.base import Effect  # noqa: E402
 from roomeq.effects.catalogue import CATALOGUE  # noqa: E402
 from roomeq.effects.response import RESPONSE_HZ  # noqa: E402
-from roomeq.loop.data import Data, load_data  # noqa: E402
+from roomeq.loop.data import Data, load_usable  # noqa: E402
 from roomeq.loop.features import BAND_HZ, METRIC  # noqa: E402
 from roomeq.loop.predict import base_state, predict  # noqa: E402
 from roomeq.loop.rendering import RawRir, measure_row, render_rows  # noqa: E402
+from roomeq.loop.usable import Located, UsableRirs  # noqa: E402
 from roomeq.records.rir_dir import write_rirs  # noqa: E402
 from roomeq.sim.scene import Air  # noqa: E402
 
@@ -111,8 +112,10 @@ def make_data(directory: Path) -> Data:
                 fs_hz=FS_HZ, n_samples=len(rir), room_dims_m=list(dims_m), source_pos_m=source_m.round(3).tolist(),
                 mic_pos_m=mic_m.round(3).tolist(), source_dir=[float(np.cos(angle)), float(np.sin(angle)), 0.0],
                 temperature_c=20.0, humidity_pct=50.0, tof_removed=False))
-    write_rirs(directory, sorted(rows, key=lambda row: row["id"]))
-    return load_data([directory], scattering=SCATTERING, seed=SEED)
+    rows.sort(key=lambda row: row["id"])
+    write_rirs(directory, rows)
+    # the rooms have the same recordings, which `load_data` would take for copies
+    return load_usable(UsableRirs([Located(directory, row) for row in rows], []), scattering=SCATTERING, seed=SEED)
 
 
 def measure_changes(data: Data) -> dict[str, Change]:

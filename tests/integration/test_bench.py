@@ -1,5 +1,6 @@
 """The benches still run, and what they measure with is right."""
 
+import itertools
 import json
 
 import numpy as np
@@ -206,13 +207,14 @@ def test_laboratories_share_no_room_and_are_thinned_out_evenly(tmp_path):
     """The rooms of a corpus that two folders hold are taken from the first; RIRs that the loop cannot use are not."""
     header = "file,rir_id,room,room_dims_m,source_pos_m,mic_pos_m,source_id,mic_id\n"
     rooms = {"first": ["BUT_Q301", "labA_1"], "second": ["Q301", "labA_2", "labB_1"]}
+    seeds = itertools.count()  # equal recordings of two rooms would count as copies
     for folder, names in rooms.items():
         (tmp_path / folder).mkdir()
         lines = []
         for room in names:
             for n in range(6):
                 file = f"{room}-{n}.wav"
-                write_wav(tmp_path / folder / file, coloured_rir(n), 16000)
+                write_wav(tmp_path / folder / file, coloured_rir(next(seeds)), 16000)
                 mic = "?" if n == 5 else f"{2 + 0.1 * n} 3 1.2"
                 lines.append(f"{file},{folder}-{room}-{n},{room},6 5 3,1 1 1.5,{mic},s,m\n")
         (tmp_path / folder / "manifest.csv").write_text(header + "".join(lines))
