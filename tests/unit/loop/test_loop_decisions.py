@@ -134,7 +134,8 @@ def test_worse_fit_replaces_only_a_refuted_candidate(monkeypatch, change, behind
 
 
 @pytest.mark.parametrize("effect, change, added", [
-    (NoiseFloor, 0.003, "noise_floor"), (NoiseFloor, -0.003, None), (SoundSpeed, 0.003, None)])
+    (NoiseFloor, 0.003, "noise_floor"), (NoiseFloor, -0.03, "noise_floor"), (NoiseFloor, -0.1, None),
+    (SoundSpeed, 0.003, None)])
 def test_what_was_read_off_the_recordings_needs_no_significant_fall(monkeypatch, effect, change, added):
     ranking = [Candidate(effect, effect, 20.0 + np.arange(8), 2.0)]
     assert accepted(ranking, {effect: change}, monkeypatch) == added
