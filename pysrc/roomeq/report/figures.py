@@ -28,11 +28,16 @@ from roomeq.report.style import COLOUR_VARIABLES, LIGHT
 SIZE_IN, SMALL_IN = (4.4, 3.1), (3.5, 2.8)
 CSS_PIXELS_PER_INCH = 96
 TICK_LABELS = ("62.5", "125", "250", "500", "1k", "2k", "4k", "8k")
+TICKS = dict(zip((*BANDS_HZ, 16000.0), (*TICK_LABELS, "16k"), strict=True))
+"""Labels of the octave bands by frequency [Hz], for any sample rate."""
 MAX_CURVES = 150
 """Largest number of curves in a panel: of more, every n-th is drawn."""
 
 MARKERS = dict(measured="o", simulated="s", compensated="^", drawn="D")
 """Markers that distinguish kinds of RIRs without colour."""
+
+SPECTROGRAM_HOP_S = 4e-3
+"""Time between frames; a frame is eight times as long, 512 samples at 16 kHz as in the paper."""
 
 LEGEND_CHARACTERS_PER_INCH = 14.0
 LEGEND_KEY_IN = 0.4
@@ -101,9 +106,9 @@ def _settings(colours: dict[str, str]) -> dict[str, Any]:
 def legend(axes: Axes) -> None:
     """Put the legend above the axes: in two columns where the labels are short enough, else in one."""
     handles, labels = axes.get_legend_handles_labels()
-    figure = axes.get_figure(root=True)
+    figure = axes.get_figure(root=False)
     assert figure is not None  # panels have one
-    width_in = figure.get_figwidth()
+    width_in = figure.bbox.width / figure.dpi
     columns = 2
     if max(map(len, labels), default=0) > (width_in / 2 - LEGEND_KEY_IN) * LEGEND_CHARACTERS_PER_INCH:
         columns = 1
@@ -113,14 +118,15 @@ def legend(axes: Axes) -> None:
 
 
 def log_frequency(axes: Axes, low_hz: float = 50.0, high_hz: float = 8600.0, along: str = "x") -> None:
-    """Make an axis logarithmic in frequency, with the eight EQ points as ticks."""
+    """Make an axis logarithmic in frequency, with the octave bands as ticks."""
     axis = axes.xaxis if along == "x" else axes.yaxis
     (axes.set_xscale if along == "x" else axes.set_yscale)("log")
     (axes.set_xlim if along == "x" else axes.set_ylim)(low_hz, high_hz)
-    axis.set_major_locator(FixedLocator(BANDS_HZ))
+    ticks = {band_hz: label for band_hz, label in TICKS.items() if low_hz <= band_hz <= high_hz}
+    axis.set_major_locator(FixedLocator(list(ticks)))
     axis.set_minor_locator(FixedLocator([]))
     axis.set_minor_formatter(NullFormatter())
-    axis.set_ticklabels(TICK_LABELS)
+    axis.set_ticklabels(list(ticks.values()))
     axis.set_label_text("Frequency (Hz)")
 
 
@@ -180,29 +186,32 @@ def common_limits(*sets: FloatArray) -> tuple[float, float]:
     return 5.0 * np.floor(min(low - 1, -5) / 5), 5.0 * np.ceil(max(high + 1, 5) / 5)
 
 
-def spectrogram(title: str, rir: FloatArray, duration_s: float) -> Draw:
+def spectrogram(title: str, rir: FloatArray, duration_s: float, fs_hz: int = FS_HZ) -> Draw:
     """Draw the spectrogram of an RIR in dB relative to its maximum (the paper's figure 3).
 
     Parameters
     ----------
     rir : ndarray, shape (n_samples,)
-        Starts half a frame (256 samples) before the direct sound, which is the centre of the first frame.
+        Starts half a frame (16 ms) before the direct sound, which is the centre of the first frame.
     duration_s : float
         Extent of the time axis [s].
+    fs_hz : int
+        Sample rate [Hz].
     """
-    n_fft, hop = 512, 64
-    n_samples = round(duration_s * FS_HZ)
+    hop = round(SPECTROGRAM_HOP_S * fs_hz)
+    n_fft = 8 * hop
+    n_samples = round(duration_s * fs_hz)
     padded = np.concatenate([rir, np.zeros(max(0, n_samples + n_fft - len(rir)))])
     frames = np.lib.stride_tricks.sliding_window_view(padded, n_fft)[::hop][:n_samples // hop]
     power = np.abs(np.fft.rfft(frames * np.hanning(n_fft), axis=1).T[1:]) ** 2
     level_db = 10 * np.log10(np.maximum(power, 1e-30) / max(power.max(), 1e-30))
 
     def draw(axes: Axes, colours: dict[str, str]) -> None:
-        edges_hz = (np.arange(len(level_db) + 1) + 0.5) * FS_HZ / n_fft
-        edges_s = np.arange(level_db.shape[1] + 1) * hop / FS_HZ
+        edges_hz = (np.arange(len(level_db) + 1) + 0.5) * fs_hz / n_fft
+        edges_s = np.arange(level_db.shape[1] + 1) * hop / fs_hz
         mesh = axes.pcolormesh(edges_s, edges_hz, level_db, vmin=-60, vmax=0, cmap="magma", rasterized=True)
         axes.grid(False)
-        log_frequency(axes, 46.9, 8000.0, along="y")
+        log_frequency(axes, 46.9, 0.5 * fs_hz, along="y")
         axes.set_xlabel("Time after the direct sound (s)")
         axes.set_title(title)
         bar = axes.figure.colorbar(mesh, ax=axes, pad=0.02, fraction=0.05)

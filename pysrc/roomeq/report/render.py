@@ -4,6 +4,7 @@ The page's Content-Security-Policy also forbids scripts and requests.
 """
 
 import functools
+from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -15,15 +16,15 @@ from roomeq.report.style import COLOUR_VARIABLES
 
 
 @functools.cache
-def environment() -> Environment:
-    """Return the environment of the report's templates."""
-    created = Environment(loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined,
+def environment(*folders: Path) -> Environment:
+    """Return the environment of the report's templates, and of those of further folders."""
+    created = Environment(loader=FileSystemLoader([TEMPLATES, *folders]), autoescape=True, undefined=StrictUndefined,
                           trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True)
     created.filters.update(duration=duration, hertz=hertz, number=number, percent=percent, with_interval=with_interval)
     created.globals["colour_variables"] = COLOUR_VARIABLES
     return created
 
 
-def render(template: str, **values: Any) -> Markup:
-    """Return a template of the report filled with values."""
-    return Markup(environment().get_template(f"{template}.html.j2").render(values))
+def render(template: str, *folders: Path, **values: Any) -> Markup:
+    """Return a template of the report, or of further folders, filled with values."""
+    return Markup(environment(*folders).get_template(f"{template}.html.j2").render(values))
