@@ -11,7 +11,7 @@ from roomeq.acoustics.filterbank import octave_filterbank
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import on_threads
 from roomeq.core.rng import rng_for
-from roomeq.sim.context import ALL_BANDS, add_image_sources, make_render_context, ray_echograms
+from roomeq.sim.context import add_image_sources, make_render_context, ray_echograms
 from roomeq.sim.diffraction import Edges, Grid, deposit, diffract, find_edges
 from roomeq.sim.echogram import FRAME_S, compute_echograms
 from roomeq.sim.images import specular_paths
@@ -151,7 +151,8 @@ def half_plane(source_pos_m, mic_pos_m, length_m, frequencies_hz):
     x, y, z = np.eye(3)
     edges = Edges(np.array([-0.5 * length_m * z]), z[None], np.array([length_m]), x[None], y[None],
                   np.array([2.0 * np.pi]), np.zeros((1, 2), dtype=int), np.array([[0, 1]]))
-    grid = Grid.between(np.linalg.norm(source_pos_m - mic_pos_m), 1.1 * length_m, 1, half_plane_speed_m_s(), 10 ** 6)
+    grid = Grid.between(np.linalg.norm(source_pos_m - mic_pos_m), 1.1 * length_m, 1, half_plane_speed_m_s() / FS_HZ,
+                        10 ** 6)
     deposit(grid, edges, np.array([0]), np.zeros(1), edges.length_m, source_pos_m, mic_pos_m, direct_visible=True)
     found = grid.sampled()
     time_s = (found.first_sample + np.arange(found.signals.shape[1])) / FS_HZ
@@ -229,8 +230,8 @@ def sampled_and_full(dims_m, source_pos_m, noise_pos_m, mic_pos_m, target_s, *, 
         for chosen in (samples, None):
             context = make_render_context(source, mics_m, rngs, length_s=length_s, ism_order=ISM_ORDER,
                                           diffraction=False, path_gain=None, path_samples=chosen)
-            rays = ray_echograms(context, absorption, ALL_BANDS)
-            energies.append(add_image_sources(context, rays, absorption, list(ALL_BANDS))[0])
+            rays = ray_echograms(context, absorption, range(8))
+            energies.append(add_image_sources(context, rays, absorption, list(range(8)))[0])
         pairs.append((*energies, _largest_path(samples[0], source, absorption, context)))
     return pairs
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import EXACT_BANDS_HZ
+from roomeq.core.constants import FS_HZ, exact_bands_hz
 
 PRESSURE_KPA = 101.325
 TEMPERATURE_RANGE_C = (-20.0, 50.0)  # of the tables in ISO 9613-1
@@ -69,12 +69,13 @@ def air_absorption_db_m(frequencies_hz: ArrayLike, temperature_c: float = 20.0, 
 
 
 @cache
-def band_attenuation_per_m(temperature_c: float = 20.0, humidity_pct: float = 50.0) -> tuple[float, ...]:
-    """Return the energy attenuation of the eight octave bands, at their exact mid-band frequencies.
+def band_attenuation_per_m(temperature_c: float = 20.0, humidity_pct: float = 50.0,
+                           fs_hz: float = FS_HZ) -> tuple[float, ...]:
+    """Return the energy attenuation of the octave bands below half a sample rate, at their exact mid-band frequencies.
 
     Returns
     -------
-    tuple of 8 floats
+    tuple of floats
         The m [1/m] in ``p^2 ~ exp(-m d)`` over a distance d.
 
     Raises
@@ -82,7 +83,7 @@ def band_attenuation_per_m(temperature_c: float = 20.0, humidity_pct: float = 50
     ValueError
         See `air_absorption_db_m`.
     """
-    attenuation = air_absorption_db_m(EXACT_BANDS_HZ, temperature_c, humidity_pct) / _DB_PER_NEPER
+    attenuation = air_absorption_db_m(exact_bands_hz(fs_hz), temperature_c, humidity_pct) / _DB_PER_NEPER
     return tuple(float(value) for value in attenuation)
 
 

@@ -34,7 +34,7 @@ from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.noise_intersection import NOISE_MARGIN_DB, NoiseIntersection, dot, find_noise_intersection
 from roomeq.acoustics.octaves import octave_bands, octave_fft_size, octave_power_gains
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import EXACT_BANDS_HZ
+from roomeq.core.constants import exact_bands_hz
 
 MIN_BT = 16.0
 """Smallest product of bandwidth and decay time for which the decay of the filter does not distort the result
@@ -195,10 +195,10 @@ def all_metrics(rir: FloatArray, fs_hz: float, direct_sample: float | None = Non
     -------
     dict
         Values that JSON can represent. Broadband: `direct_sample`, `direct_polarity`, `drr_db`, `noise_intersection_s`
-        and `noise_floor_db`. Lists of 8 values for the octaves 62.5 Hz to 8 kHz: `edt_s`, `t20_s`, `t30_s` and
-        `c50_db`; their validity `edt_valid`, `t20_valid`, `t30_valid` and `c50_valid`; `band_noise_intersection_s`,
-        `band_noise_floor_db` and `decay_range_db`. Intersections are counted from the direct sound. A value that cannot
-        be computed is None and not valid.
+        and `noise_floor_db`. Lists of a value for each octave below half the sample rate (62.5 Hz to 8 kHz at 16 kHz):
+        `edt_s`, `t20_s`, `t30_s` and `c50_db`; their validity `edt_valid`, `t20_valid`, `t30_valid` and `c50_valid`;
+        `band_noise_intersection_s`, `band_noise_floor_db` and `decay_range_db`. Intersections are counted from the
+        direct sound. A value that cannot be computed is None and not valid.
 
     Raises
     ------
@@ -233,7 +233,8 @@ class _Spectra:
         """Return the energy of samples `first` up to, but not including, `last` in octave number `band`."""
         if (first, last) not in self._computed:
             self._computed[first, last] = energy_per_bin(self.rir[first:last], self.n_fft)
-        return dot(octave_power_gains(self.n_fft, self.fs_hz, EXACT_BANDS_HZ[band]), self._computed[first, last])
+        band_hz = exact_bands_hz(self.fs_hz)[band]
+        return dot(octave_power_gains(self.n_fft, self.fs_hz, band_hz), self._computed[first, last])
 
 
 def _band_metrics(spectra: _Spectra, band: int, response: FloatArray, direct_sample: float) -> dict[str, Any]:
@@ -246,7 +247,7 @@ def _band_metrics(spectra: _Spectra, band: int, response: FloatArray, direct_sam
         time_s = decay_time(edc_db, fs_hz, decay)
         row[f"{decay}_s"] = time_s
         row[f"{decay}_valid"] = bool(time_s is not None and curve.range_db >= NOISE_MARGIN_DB - bottom_db
-                                     and EXACT_BANDS_HZ[band] * np.sqrt(0.5) * time_s > MIN_BT)
+                                     and exact_bands_hz(fs_hz)[band] * np.sqrt(0.5) * time_s > MIN_BT)
     row["c50_db"] = _c50_db(spectra, band, direct_sample, curve.intersection)
     # C50 is early relative to late energy: if it is large, late energy is nearly C50 below the total; the noise must
     # be below that by a margin

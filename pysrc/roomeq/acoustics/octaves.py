@@ -7,7 +7,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from roomeq.core.arrays import FloatArray, IntArray
-from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
+from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ, exact_bands_hz
 
 OCTAVE_WIDTH_HZ = (np.minimum(np.array(EXACT_BANDS_HZ) * np.sqrt(2.0), 0.5 * FS_HZ)
                    - np.array(EXACT_BANDS_HZ) / np.sqrt(2.0))
@@ -62,7 +62,7 @@ def octave_power_gains(n_fft: int, fs_hz: float, band_hz: float) -> FloatArray:
     return gains
 
 
-def octave_bands(rir: FloatArray, fs_hz: float, bands_hz: Sequence[float] = EXACT_BANDS_HZ) -> FloatArray:
+def octave_bands(rir: FloatArray, fs_hz: float, bands_hz: Sequence[float] | None = None) -> FloatArray:
     """Split a response into octave bands with zero-phase filters.
 
     Parameters
@@ -72,12 +72,13 @@ def octave_bands(rir: FloatArray, fs_hz: float, bands_hz: Sequence[float] = EXAC
     fs_hz
         Sample rate.
     bands_hz
-        Exact mid-band frequencies [Hz].
+        Exact mid-band frequencies [Hz]; by default all octaves below half the sample rate.
 
     Returns
     -------
     ndarray, shape (n_bands, n_samples)
     """
+    bands_hz = exact_bands_hz(fs_hz) if bands_hz is None else bands_hz
     n_fft = octave_fft_size(len(rir), fs_hz)
     spectrum, bands = rfft(rir, n_fft), np.empty((len(bands_hz), len(rir)))
     for band, band_hz in zip(bands, bands_hz, strict=True):

@@ -11,38 +11,44 @@ from roomeq.acoustics.direct import DirectSound, find_direct
 from roomeq.acoustics.iso3382 import all_metrics
 from roomeq.acoustics.subband_eq import analyse
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import FS_HZ
+from roomeq.core.constants import FS_HZ, require_fs
 
 _DECIMALS = 4
 
 
-def measure(rir: FloatArray, *, direct: DirectSound | tuple[float, int] | None = None) -> dict[str, Any]:
-    """Measure the acoustic parameters of an RIR at 16 kHz.
+def measure(rir: FloatArray, fs_hz: float = FS_HZ, *,
+            direct: DirectSound | tuple[float, int] | None = None) -> dict[str, Any]:
+    """Measure the acoustic parameters of an RIR.
 
     Parameters
     ----------
     rir
         Shape (n_samples,).
+    fs_hz
+        From 8 to 48 kHz.
     direct
         Sample and polarity of the direct sound if they are known, as for simulated RIRs; by default they are found.
 
     Returns
     -------
     dict
-        JSON-able. `roomeq.acoustics.iso3382.all_metrics` plus `eq_db` (8 points, relative to 1 kHz), `eq_valid`,
+        JSON-able. `roomeq.acoustics.iso3382.all_metrics`; at 16 kHz, the rate of the EQ, also `eq_db` (8 points,
+        relative to 1 kHz), `eq_valid`,
         `eq_snr_db` (null: no noise seen) and `eq_edge_db` (level below an anti-alias roll-off that makes the 8 kHz
         point invalid, or null).
 
     Raises
     ------
     ValueError
-        There is no direct sound, or it lies after the end of the response.
+        There is no direct sound, it lies after the end of the response, or the sample rate is out of range.
     """
-    sample, polarity = find_direct(rir, FS_HZ) if direct is None else direct
-    eq = analyse(rir, sample)
-    parameters = all_metrics(rir, FS_HZ, sample, polarity)
-    parameters.update(eq_db=eq.eq_db.tolist(), eq_valid=eq.valid.tolist(), eq_edge_db=eq.edge_db,
-                      eq_snr_db=[value if math.isfinite(value) else None for value in eq.snr_db.tolist()])
+    require_fs(fs_hz)
+    sample, polarity = find_direct(rir, fs_hz) if direct is None else direct
+    parameters = all_metrics(rir, fs_hz, sample, polarity)
+    if fs_hz == FS_HZ:
+        eq = analyse(rir, sample)
+        parameters.update(eq_db=eq.eq_db.tolist(), eq_valid=eq.valid.tolist(), eq_edge_db=eq.edge_db,
+                          eq_snr_db=[value if math.isfinite(value) else None for value in eq.snr_db.tolist()])
     return {key: _rounded(value) for key, value in parameters.items()}
 
 

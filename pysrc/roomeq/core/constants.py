@@ -1,5 +1,7 @@
 """Numbers that every package uses: the sample rate, and the octave bands that all values per band refer to."""
 
+from functools import cache
+
 FS_HZ = 16000
 """Sample rate of all speech, RIRs and noises inside the toolkit [Hz] (the paper's; LibriSpeech's)."""
 
@@ -8,6 +10,33 @@ BANDS_HZ = (62.5, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
 
 EXACT_BANDS_HZ = tuple(1000.0 * 10.0 ** (0.3 * k) for k in range(-4, 4))
 """Exact mid-band frequencies [Hz], base ten (IEC 61260-1): 63.1, 125.9, ... 7943."""
+
+MIN_FS_HZ, MAX_FS_HZ = 8000, 48000
+"""Sample rates that RIRs can be simulated, analysed and augmented with [Hz]."""
+
+
+@cache
+def exact_bands_hz(fs_hz: float) -> tuple[float, ...]:
+    """Return the exact mid-band frequencies of the octave bands at a sample rate [Hz].
+
+    They are those from 62.5 Hz to 16 kHz that lie below half the sample rate: seven at 8 kHz, the eight of
+    `EXACT_BANDS_HZ` at 16 kHz, nine from 32 kHz on.
+    """
+    return tuple(band_hz for band_hz in (*EXACT_BANDS_HZ, 1000.0 * 10.0 ** 1.2) if band_hz < 0.5 * fs_hz)
+
+
+@cache
+def bands_hz(fs_hz: float) -> tuple[float, ...]:
+    """Return the nominal mid-band frequencies of the octave bands at a sample rate [Hz]; see `exact_bands_hz`."""
+    return (*BANDS_HZ, 16000.0)[:len(exact_bands_hz(fs_hz))]
+
+
+def require_fs(fs_hz: float) -> None:
+    """Raise ValueError unless a sample rate is a whole number of hertz from `MIN_FS_HZ` to `MAX_FS_HZ`."""
+    if not (MIN_FS_HZ <= fs_hz <= MAX_FS_HZ and fs_hz == int(fs_hz)):
+        raise ValueError(f"fs={fs_hz!r} must be a whole number of hertz from {MIN_FS_HZ} to {MAX_FS_HZ}: "
+                         "choose another sample rate")
+
 
 BAND_1KHZ = 4
 """Index of the 1 kHz band: the reference of every EQ, and the band of every T60 target."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray
-from roomeq.core.constants import BANDS_HZ, FS_HZ
+from roomeq.core.constants import bands_hz
 from roomeq.core.jit import on_threads
 from roomeq.sim.diffraction import Diffracted, diffract
 from roomeq.sim.echogram import FRAME_S, compute_echograms
@@ -22,14 +22,13 @@ from roomeq.sim.paths import reflection_visibility
 from roomeq.sim.render import render, response_length_s, tail_noise
 from roomeq.sim.scene import check_positions
 from roomeq.sim.target import t30_s
-from roomeq.sim.trace import dense_after_s
+from roomeq.sim.trace import late_after_s
 
 if TYPE_CHECKING:
     from roomeq.sim.response import TracedSource
 
 PathGain = Callable[[FloatArray], FloatArray]
-"""Directivity of a source: maps directions of departure, shape (n, 3), to energy gains per octave, shape (n, 8)."""
-ALL_BANDS = tuple(range(8))
+"""Directivity of a source: maps directions of departure, shape (n, 3), to energy gains, shape (n, n_bands)."""
 _SMOOTHING_FRAMES = 7  # length of the moving average over the late echogram
 
 
@@ -44,8 +43,8 @@ class Response:
     Attributes
     ----------
     rir
-        Sound pressure, sampled at `FS_HZ`, shape (n_samples,). The source emits a unit pulse at sample 0, so the direct
-        sound at distance r has the pressure ``1 / (4 pi r)`` before air absorption.
+        Sound pressure, sampled at the scene's rate, shape (n_samples,). The source emits a unit pulse at sample 0, so
+        the direct sound at distance r has the pressure ``1 / (4 pi r)`` before air absorption.
     direct_sample
         Arrival time of the direct sound in samples, ``fs r / c``; not rounded.
     direct_visible
@@ -55,7 +54,7 @@ class Response:
     t30_s
         T30 at 1 kHz of `rir`; None if it does not decay by 35 dB.
     absorption
-        Absorption coefficients used, after scaling to a target T60 if there was one, shape (n_surfaces, 8).
+        Absorption coefficients used, after scaling to a target T60 if there was one, shape (n_surfaces, n_bands).
     leaked_share
         Share of the rays that left the room through a gap between faces.
     """
@@ -116,7 +115,7 @@ class RenderContext:
     def image_gains(self, images: SpecularPaths, absorption: FloatArray, bands: list[int]) -> FloatArray:
         """Return the pressure of image sources, including source directivity, shape (n_paths, n_bands)."""
         scene = self.traced.scene
-        gains = images.gains(absorption[:, bands], scene.scattering[:, bands], scene.air.attenuation_per_m[bands])
+        gains = images.gains(absorption[:, bands], scene.scattering[:, bands], scene.attenuation_per_m[bands])
         return gains if self.path_gain is None else gains * np.sqrt(self.path_gain(images.departure)[:, bands])
 
     def with_all_paths(self) -> "RenderContext":
@@ -129,8 +128,9 @@ class RenderContext:
 
     def sample_paths(self, absorption: FloatArray, rngs: Sequence[np.random.Generator]) -> list[PathSample]:
         """Draw a sample of the paths to each microphone, for absorption of shape (n_surfaces,) in all bands."""
-        return sample_paths(self.traced, self.mics_m, np.tile(absorption[:, None], (len(self.mics_m), 1, 8)), rngs,
-                            ism_order=self.ism_order, n_frames=self.n_frames, visible=self.visible)
+        in_all_bands = np.tile(absorption[:, None], (len(self.mics_m), 1, self.traced.scene.n_bands))
+        return sample_paths(self.traced, self.mics_m, in_all_bands, rngs, ism_order=self.ism_order,
+                            n_frames=self.n_frames, visible=self.visible)
 
 
 def make_render_context(traced: "TracedSource", mics_m: ArrayLike, rngs: Sequence[np.random.Generator], *,
@@ -141,15 +141,16 @@ def make_render_context(traced: "TracedSource", mics_m: ArrayLike, rngs: Sequenc
     for mic_m in mics_m:
         check_positions(traced.scene.room, traced.source_pos_m, mic_m)
     length_s = traced.max_length_s if length_s is None else min(length_s, traced.max_length_s)
-    room, speed_m_s = traced.scene.room, traced.scene.air.speed_m_s
+    room, speed_m_s, fs_hz = traced.scene.room, traced.scene.air.speed_m_s, traced.scene.fs_hz
     images = [specular_paths(room, traced.source_pos_m, mic_m, ism_order) for mic_m in mics_m]
-    n_samples = int(np.ceil(length_s * FS_HZ)) + 1
+    n_samples = int(np.ceil(length_s * fs_hz)) + 1
     diffracted: list[Diffracted | None] = [None] * len(mics_m)
     if diffraction:
         diffracted = on_threads(
-            lambda mic_m, paths: diffract(room, traced.source_pos_m, mic_m, speed_m_s=speed_m_s, n_samples=n_samples,
-                                          direct_visible=paths.has_direct), list(zip(mics_m, images, strict=True)))
-    noises = [tail_noise(n_samples, room.volume_m3, speed_m_s, rng) for rng in rngs]
+            lambda mic_m, paths: diffract(room, traced.source_pos_m, mic_m, speed_m_s=speed_m_s, fs_hz=fs_hz,
+                                          n_samples=n_samples, direct_visible=paths.has_direct),
+            list(zip(mics_m, images, strict=True)))
+    noises = [tail_noise(n_samples, room.volume_m3, speed_m_s, rng, fs_hz) for rng in rngs]
     context = RenderContext(traced, mics_m, images, diffracted, noises, path_samples, [], length_s, ism_order,
                             path_gain)
     return context if path_samples is not None else context.with_all_paths()
@@ -179,9 +180,9 @@ def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequenc
                                        speed_m_s=scene.air.speed_m_s, visible=context.visible[trace],
                                        ray_gain=ray_gain)[:, :, bands]
             result[:, :, trace_of_band == trace] = energy[:, :, trace_of_band == trace]
-    result = _smooth_late(result, dense_after_s(scene.room.volume_m3, scene.air.speed_m_s, FS_HZ))
+    result = _smooth_late(result, late_after_s(scene.room.volume_m3, scene.air.speed_m_s))
     length_m = (np.arange(context.n_frames) + 0.5) * FRAME_S * scene.air.speed_m_s
-    return result * np.exp(-length_m[:, None] * scene.air.attenuation_per_m[bands])
+    return result * np.exp(-length_m[:, None] * scene.attenuation_per_m[bands])
 
 
 def _smooth_late(energy: FloatArray, late_s: float) -> FloatArray:
@@ -210,9 +211,9 @@ def add_image_sources(context: RenderContext, energy: FloatArray, absorption: Fl
 
 
 def render_microphones(context: RenderContext, absorption: FloatArray,
-                       bands: Sequence[int] = ALL_BANDS) -> list[Response]:
+                       bands: Sequence[int] | None = None) -> list[Response]:
     """Render the response at every microphone; with adjacent octaves as `bands`, only their part of the responses."""
-    bands = list(bands)
+    bands = list(range(context.traced.scene.n_bands) if bands is None else bands)
     ray_energy = ray_echograms(context, absorption, bands)
     total_energy = add_image_sources(context, ray_energy, absorption, bands)
     return on_threads(partial(_render_microphone, context, absorption, bands),
@@ -223,23 +224,24 @@ def render_microphones(context: RenderContext, absorption: FloatArray,
 def _render_microphone(context: RenderContext, absorption: FloatArray, bands: list[int], mic_m: FloatArray,
                        ray_energy: FloatArray, total_energy: FloatArray, images: SpecularPaths,
                        diffracted: Diffracted | None, noise: FloatArray) -> Response:
-    traced, air = context.traced, context.traced.scene.air
-    direct_sample = float(np.linalg.norm(mic_m - traced.source_pos_m) / air.speed_m_s * FS_HZ)
-    length_s = min(response_length_s(total_energy, direct_sample / FS_HZ + 0.1), context.length_s)
+    traced, scene = context.traced, context.traced.scene
+    speed_m_s, fs_hz = scene.air.speed_m_s, scene.fs_hz
+    direct_sample = float(np.linalg.norm(mic_m - traced.source_pos_m) / speed_m_s * fs_hz)
+    length_s = min(response_length_s(total_energy, direct_sample / fs_hz + 0.1), context.length_s)
     rir = render(images.distance_m, context.image_gains(images, absorption, bands), ray_energy, noise,
-                 speed_m_s=air.speed_m_s, n_samples=round(length_s * FS_HZ), bands=bands)
+                 speed_m_s=speed_m_s, n_samples=round(length_s * fs_hz), bands=bands, fs_hz=fs_hz)
     if diffracted is not None:
-        rir = rir + diffracted.response(absorption, traced.scene.scattering, air, len(rir))
+        rir = rir + diffracted.response(absorption, scene, len(rir))
     if not np.all(np.isfinite(rir)):
-        raise NotFiniteError(_not_finite(mic_m, absorption, total_energy, bands))
-    return Response(rir, direct_sample, images.has_direct, diffracted is not None, t30_s(rir, direct_sample),
+        raise NotFiniteError(_not_finite(mic_m, absorption, total_energy, bands, fs_hz))
+    return Response(rir, direct_sample, images.has_direct, diffracted is not None, t30_s(rir, direct_sample, fs_hz),
                     absorption, traced.leaked_share)
 
 
-def _not_finite(mic_m: FloatArray, absorption: FloatArray, energy: FloatArray, bands: list[int]) -> str:
+def _not_finite(mic_m: FloatArray, absorption: FloatArray, energy: FloatArray, bands: list[int], fs_hz: float) -> str:
     """Say where a response is not finite: energy of shape (n_frames, n_bands) tells the octaves."""
     octaves = [band for n, band in enumerate(bands) if not np.all(np.isfinite(energy[:, n]))] or bands
-    names = ", ".join(f"{BANDS_HZ[band]:g}" for band in octaves)
+    names = ", ".join(f"{bands_hz(fs_hz)[band]:g}" for band in octaves)
     return (f"the response at mic_pos_m={[round(float(x), 3) for x in mic_m]} is not finite in the octaves at {names} "
             f"Hz, where surfaces absorb up to {absorption[:, octaves].max():.4g}: choose other materials, another "
             "range of T60 or another seed")

@@ -32,7 +32,7 @@ from roomeq.core.jit import compiled
 from roomeq.sim.double_diffraction import Pieces, deposit_double_diffraction, find_double_paths
 from roomeq.sim.mesh import MeshRoom
 from roomeq.sim.room import Room
-from roomeq.sim.scene import Air
+from roomeq.sim.scene import Scene
 
 logger = logging.getLogger(__name__)
 
@@ -110,14 +110,15 @@ class Diffracted:
     first_sample: int
     signals: FloatArray
 
-    def response(self, absorption: FloatArray, scattering: FloatArray, air: Air, n_samples: int) -> FloatArray:
+    def response(self, absorption: FloatArray, scene: Scene, n_samples: int) -> FloatArray:
         """Apply the losses of materials and air, and add up.
 
         Parameters
         ----------
-        absorption, scattering
-            Shape (n_surfaces, 8).
-        air
+        absorption
+            In place of that of the scene, shape (n_surfaces, n_bands).
+        scene
+            As the sound was diffracted in.
         n_samples
 
         Returns
@@ -125,14 +126,15 @@ class Diffracted:
         ndarray, shape (n_samples,)
             Part of a response; sample 0 is the emission.
         """
-        kept = np.sqrt((1.0 - absorption) * (1.0 - scattering))
-        time_s = (self.first_sample + np.arange(self.signals.shape[1])) / FS_HZ
-        loss = np.exp(-0.5 * air.speed_m_s * np.maximum(time_s, 0.0) * air.attenuation_per_m[:, None])
+        fs_hz = scene.fs_hz
+        kept = np.sqrt((1.0 - absorption) * (1.0 - scene.scattering))
+        time_s = (self.first_sample + np.arange(self.signals.shape[1])) / fs_hz
+        loss = np.exp(-0.5 * scene.air.speed_m_s * np.maximum(time_s, 0.0) * scene.attenuation_per_m[:, None])
         bands = loss * np.einsum("sb,sn->bn", np.vstack([np.ones(kept.shape[1]), kept]), self.signals)
-        guard = int(SPREAD_S * FS_HZ)
+        guard = int(SPREAD_S * fs_hz)
         n_fft = next_fast_len(bands.shape[1] + 2 * guard, real=True)
         spectrum = np.einsum("bf,bf->f", rfft(np.pad(bands, ((0, 0), (guard, guard))), n_fft),
-                             octave_filterbank(n_fft, FS_HZ))
+                             octave_filterbank(n_fft, fs_hz))
         shaped = irfft(spectrum, n_fft)
         result = np.zeros(n_samples)
         start = self.first_sample - guard
@@ -244,7 +246,7 @@ def _seen(room: MeshRoom, edges: Edges, most: int, point_m: ArrayLike) -> BoolAr
 
 
 def diffract(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, *, speed_m_s: float, n_samples: int,
-             direct_visible: bool) -> Diffracted | None:
+             direct_visible: bool, fs_hz: float = FS_HZ) -> Diffracted | None:
     """Compute the sound that reaches a microphone over one edge, or over two edges of one face.
 
     Parameters
@@ -257,6 +259,7 @@ def diffract(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, *, speed
         Later arrivals are left out.
     direct_visible
         Whether the direct sound is included elsewhere; it decides the sign exactly on its shadow boundary.
+    fs_hz
 
     Returns
     -------
@@ -276,11 +279,11 @@ def diffract(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, *, speed
     closes = np.append(opens[1:], True)[:len(both)]
     size_m = np.linalg.norm(np.subtract(*mesh.bounds_m))
     distance_m = np.linalg.norm(np.subtract(source_pos_m, mic_pos_m))
-    grid = Grid.between(distance_m, 3.0 * size_m, len(room.surfaces), speed_m_s, n_samples)
+    grid = Grid.between(distance_m, 3.0 * size_m, len(room.surfaces), speed_m_s / fs_hz, n_samples)
     deposit(grid, edges, edge[both[opens]], low[both[opens]], high[both[closes]], source_pos_m, mic_pos_m,
             direct_visible=direct_visible)
     deposit_double_diffraction(grid.fine, grid.first_sample, double_paths, edges, coarse, source_pos_m, mic_pos_m,
-                               speed_m_s=speed_m_s, oversampling=_OVERSAMPLING)
+                               sample_m=speed_m_s / fs_hz, oversampling=_OVERSAMPLING)
     return grid.sampled()
 
 
@@ -290,15 +293,16 @@ class Grid:
 
     fine: FloatArray
     first_sample: int
-    speed_m_s: float
+    sample_m: float
+    """Way of sound in one sample."""
 
     @classmethod
-    def between(cls, distance_m: Number, longest_m: Number, n_surfaces: int, speed_m_s: float,
+    def between(cls, distance_m: Number, longest_m: Number, n_surfaces: int, sample_m: float,
                 n_samples: int) -> "Grid":
         """Return a grid for paths of `distance_m` to `longest_m`, up to sample `n_samples`."""
-        first = int(np.floor(distance_m / speed_m_s * FS_HZ)) - 1
-        last = min(int(np.ceil(longest_m / speed_m_s * FS_HZ)) + 1, n_samples)
-        return cls(np.zeros((1 + n_surfaces, max(0, last - first) * _OVERSAMPLING + 1)), first, speed_m_s)
+        first = int(np.floor(distance_m / sample_m)) - 1
+        last = min(int(np.ceil(longest_m / sample_m)) + 1, n_samples)
+        return cls(np.zeros((1 + n_surfaces, max(0, last - first) * _OVERSAMPLING + 1)), first, sample_m)
 
     def sampled(self) -> Diffracted | None:
         """Resample the contributions to the sample rate; None if there are none."""
@@ -332,7 +336,7 @@ def deposit(grid: Grid, edges: Edges, edge: IntArray, low_m: FloatArray, high_m:
     source, mic = source[:, on], mic[:, on]
     bounds = np.stack([_eta(low_m[on], source, mic), _eta(high_m[on], source, mic)])
     _deposit(grid.fine, float(grid.first_sample), bounds, source, mic, wedge[on], edges.surfaces[edge[on]],
-             FS_HZ / grid.speed_m_s, direct_visible)
+             1.0 / grid.sample_m, direct_visible)
 
 
 def _eta(z: FloatArray, source: FloatArray, mic: FloatArray) -> FloatArray:

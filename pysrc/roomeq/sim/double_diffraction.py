@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number, Numbers
-from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled
 
 if TYPE_CHECKING:
@@ -108,7 +107,7 @@ def _pairs(first: IntArray, second: IntArray, side_1: int, side_2: int) -> IntAr
 
 
 def deposit_double_diffraction(fine: FloatArray, first_sample: int, paths: IntArray, edges: "Edges", pieces: Pieces,
-                               source_pos_m: ArrayLike, mic_pos_m: ArrayLike, *, speed_m_s: float,
+                               source_pos_m: ArrayLike, mic_pos_m: ArrayLike, *, sample_m: float,
                                oversampling: int) -> None:
     """Add the second-order diffraction of some paths to a fine time grid, in place.
 
@@ -127,13 +126,14 @@ def deposit_double_diffraction(fine: FloatArray, first_sample: int, paths: IntAr
     pieces
     source_pos_m, mic_pos_m
         Shape (3,).
-    speed_m_s
+    sample_m
+        Way of sound in one sample.
     oversampling
     """
     edge, low, high, _ = pieces
     geometry = np.stack([edges.start_m, edges.along, edges.across, edges.normal], axis=1)
     _deposit(fine, float(first_sample), paths, edge, low, high, geometry, edges.wedge_rad, edges.surfaces,
-             np.asarray(source_pos_m, dtype=float), np.asarray(mic_pos_m, dtype=float), FS_HZ / speed_m_s,
+             np.asarray(source_pos_m, dtype=float), np.asarray(mic_pos_m, dtype=float), 1.0 / sample_m,
              float(oversampling))
 
 

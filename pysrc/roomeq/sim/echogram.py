@@ -5,6 +5,7 @@ of `roomeq.sim.paths`. Where absorption changes again and again, `roomeq.sim.pat
 """
 
 from functools import partial
+from itertools import product
 
 import numpy as np
 
@@ -28,7 +29,20 @@ FRAME_S = 1e-3
 MICS_PER_PASS = 32
 """Microphones that one pass over the rays serves."""
 NEGLIGIBLE = np.float32(1e-10)  # share of a ray's energy below which it is given up, 40 dB below -60 dB
-_NO_GAIN = np.zeros((0, 8), np.float32)
+BANDS_PER_PASS = 8
+"""Octave bands that the kernels serve at once; at a sample rate with nine, the highest takes another pass."""
+_NO_GAIN = np.zeros((0, BANDS_PER_PASS), np.float32)
+
+
+def eight_bands(values: Array, first: int) -> Array:
+    """Return eight of the bands on the last axis, from `first` on; beyond the highest it is repeated.
+
+    Returns
+    -------
+    ndarray of float32, shape (..., 8)
+    """
+    return np.asarray(values[..., np.minimum(np.arange(first, first + BANDS_PER_PASS), values.shape[-1] - 1)],
+                      dtype=np.float32)
 
 
 def compute_echograms(paths: Paths, room: Room, absorption: FloatArray, mics_m: Array, *, ism_order: int,
@@ -41,7 +55,7 @@ def compute_echograms(paths: Paths, room: Room, absorption: FloatArray, mics_m: 
     paths
     room
     absorption
-        Shape (n_surfaces, 8).
+        Shape (n_surfaces, n_bands).
     mics_m
         Shape (n_mics, 3).
     ism_order
@@ -52,31 +66,32 @@ def compute_echograms(paths: Paths, room: Room, absorption: FloatArray, mics_m: 
     visible
         From `reflection_visibility`; computed where it is not given.
     ray_gain
-        Energy gain of each ray at the source, shape (n_rays, 8); 1 by default.
+        Energy gain of each ray at the source, shape (n_rays, n_bands); 1 by default.
 
     Returns
     -------
-    ndarray, shape (n_mics, n_frames, 8)
+    ndarray, shape (n_mics, n_frames, n_bands)
         Squared pressure per frame, relative to a direct sound of ``1 / (4 pi r)^2``; without air absorption.
     """
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
     single = partial(np.asarray, dtype=np.float32)
-    reflection = single((1.0 - absorption)[paths.face_surface])
+    reflection = (1.0 - absorption)[paths.face_surface]
     scattering = single(paths.scattering[paths.face_surface])
     if visible is None:
         visible = reflection_visibility(paths, room, mics_m, max_path_m=n_frames * FRAME_S * speed_m_s)
     n_rays, spheres = len(paths.counts), receiver_spheres(room, mics_m)
-    ray_gain = _NO_GAIN if ray_gain is None else single(ray_gain)
-    result = np.empty((len(mics_m), n_frames, absorption.shape[1]))
-    for first in range(0, len(mics_m), MICS_PER_PASS):
-        batch = slice(first, first + MICS_PER_PASS)
-        parts = np.zeros((N_CHUNKS, len(mics_m[batch]), n_frames, absorption.shape[1]), dtype=np.float32)
+    n_bands = absorption.shape[1]
+    result = np.empty((len(mics_m), n_frames, n_bands))
+    for first, band in product(range(0, len(mics_m), MICS_PER_PASS), range(0, n_bands, BANDS_PER_PASS)):
+        batch, bands = slice(first, first + MICS_PER_PASS), slice(band, min(band + BANDS_PER_PASS, n_bands))
+        parts = np.zeros((N_CHUNKS, len(mics_m[batch]), n_frames, BANDS_PER_PASS), dtype=np.float32)
         constant = (Rules(ism_order, np.float32(paths.late_m), paths.stride), paths.hits, paths.codes, paths.first,
-                    paths.counts, single(paths.normals), reflection, scattering, single(mics_m[batch].T, order="C"),
-                    visible[batch], single(spheres.radius_m[batch] ** 2), single(1.0 / spheres.volume_m3[batch]),
-                    np.float32(1.0 / (speed_m_s * FRAME_S)), ray_gain)
+                    paths.counts, single(paths.normals), eight_bands(reflection, band), scattering,
+                    single(mics_m[batch].T, order="C"), visible[batch], single(spheres.radius_m[batch] ** 2),
+                    single(1.0 / spheres.volume_m3[batch]), np.float32(1.0 / (speed_m_s * FRAME_S)),
+                    _NO_GAIN if ray_gain is None else eight_bands(ray_gain, band))
         for_chunks(n_rays, lambda chunk, low, high: _accumulate(*constant, low, high, parts[chunk]))  # noqa: B023
-        result[batch] = parts.sum(axis=0, dtype=np.float64)
+        result[batch, :, bands] = parts[..., :bands.stop - band].sum(axis=0, dtype=np.float64)
     return result / (4.0 * np.pi * n_rays)
 
 

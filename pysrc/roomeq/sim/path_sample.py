@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
 from roomeq.core.jit import N_CHUNKS, compiled, for_chunks, inlined, mix, on_threads
-from roomeq.sim.echogram import FRAME_S, MICS_PER_PASS
+from roomeq.sim.echogram import BANDS_PER_PASS, FRAME_S, MICS_PER_PASS, eight_bands
 from roomeq.sim.paths import (
     Rules,
     Spheres,
@@ -70,7 +70,7 @@ class PathSample:
     first_reflection
         `Paths.first` of each trace.
     trace_of_band
-        Which trace serves each of the eight bands.
+        Which trace serves each band.
     """
 
     weight: Array
@@ -90,27 +90,27 @@ class PathSample:
         Parameters
         ----------
         absorption
-            Shape (n_surfaces, 8).
+            Shape (n_surfaces, n_bands).
         bands
             Indices of the bands to compute; the others are 0. All by default.
         ray_gain
-            Energy gain of each ray at the source, shape (n_rays, 8); 1 by default.
+            Energy gain of each ray at the source, shape (n_rays, n_bands); 1 by default.
 
         Returns
         -------
-        ndarray of float32, shape (n_frames, 8)
+        ndarray of float32, shape (n_frames, n_bands)
             Squared pressure per frame, without air absorption.
         """
         trace_of_band = np.asarray(self.trace_of_band)
         bands = np.arange(len(trace_of_band)) if bands is None else np.asarray(bands)
-        reflected = np.asarray(1.0 - absorption, dtype=np.float32)
         result = np.zeros((self.weight.shape[1], len(trace_of_band)), dtype=np.float32)
-        for trace in np.unique(trace_of_band[bands]):
-            gain = _NO_GAIN if ray_gain is None else np.asarray(ray_gain, np.float32)[self.ray(trace)]
-            counts, energy = self.reflection_counts[trace], np.empty(result.shape, np.float32)
-            _absorb(self.weight[trace], counts, int(counts.max()), reflected, gain, energy)
-            served = bands[trace_of_band[bands] == trace]
-            result[:, served] = energy[:, served]
+        energy = np.empty((len(result), BANDS_PER_PASS), np.float32)
+        for trace, first in sorted({(int(trace_of_band[n]), int(n) // BANDS_PER_PASS * BANDS_PER_PASS) for n in bands}):
+            gain = _NO_GAIN if ray_gain is None else eight_bands(ray_gain, first)[self.ray(trace)]
+            counts = self.reflection_counts[trace]
+            _absorb(self.weight[trace], counts, int(counts.max()), eight_bands(1.0 - absorption, first), gain, energy)
+            served = [band for band in bands if trace_of_band[band] == trace and 0 <= band - first < BANDS_PER_PASS]
+            result[:, served] = energy[:, np.subtract(served, first)]
         return result
 
 
@@ -125,7 +125,7 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
     mics_m
         Shape (n_mics, 3).
     absorption
-        About that for which the sample of each microphone will be used, shape (n_mics, n_surfaces, 8).
+        About that for which the sample of each microphone will be used, shape (n_mics, n_surfaces, n_bands).
     rngs
         One per microphone; the sample of one does not depend on the others.
     ism_order

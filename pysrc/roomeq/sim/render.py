@@ -1,4 +1,4 @@
-"""Synthesis of a response from early pulses and a noise-like tail in eight octave bands.
+"""Synthesis of a response from early pulses and a noise-like tail in octave bands.
 
 The tail is one random sequence for all bands, shaped per band by the echogram. Reflections in a room arrive at a rate
 of ``4 pi c^3 t^2 / V`` (Kuttruff, Room Acoustics, eq. 4.6). While that is less than one per sample, the sequence
@@ -18,7 +18,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from roomeq.acoustics.filterbank import SPREAD_S, octave_filterbank
 from roomeq.acoustics.minimum_phase import minimum_phase
 from roomeq.core.arrays import Array, FloatArray, IntArray, Number
-from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
+from roomeq.core.constants import FS_HZ, exact_bands_hz
 from roomeq.core.jit import compiled
 from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.trace import dense_after_s
@@ -29,12 +29,13 @@ MIN_LENGTH_S = 0.5
 MAX_LENGTH_S = 3.0
 DECAY_DB = 60.0
 _LOWEST_GAIN = 1e-3  # of an octave of the first sound, relative to the strongest
-_FIRST_FFT = 1024  # length of the transform of its minimum phase: gains per octave resolve no more
+_FIRST_FFT_S = 0.064  # length of the transform of its minimum phase: gains per octave resolve no more
 _OVERSAMPLING = 256
 _FFT_GRID = 4096
 
 
-def tail_noise(n_samples: int, volume_m3: float, speed_m_s: float, rng: np.random.Generator) -> FloatArray:
+def tail_noise(n_samples: int, volume_m3: float, speed_m_s: float, rng: np.random.Generator,
+               fs_hz: float = FS_HZ) -> FloatArray:
     """Draw a random sequence of unit mean power with the echo density of a room.
 
     Returns
@@ -42,10 +43,10 @@ def tail_noise(n_samples: int, volume_m3: float, speed_m_s: float, rng: np.rando
     ndarray, shape (n_samples,)
     """
     noise = rng.standard_normal(n_samples)
-    dense_s = dense_after_s(volume_m3, speed_m_s, FS_HZ)
-    dense = min(n_samples, int(dense_s * FS_HZ))
-    time_s = np.arange(dense + 1) / FS_HZ
-    arrivals = np.cumsum(np.maximum(FS_HZ * (time_s / dense_s) ** 2, MIN_RATE_HZ)) / FS_HZ
+    dense_s = dense_after_s(volume_m3, speed_m_s, fs_hz)
+    dense = min(n_samples, int(dense_s * fs_hz))
+    time_s = np.arange(dense + 1) / fs_hz
+    arrivals = np.cumsum(np.maximum(fs_hz * (time_s / dense_s) ** 2, MIN_RATE_HZ)) / fs_hz
     edges = np.interp(np.arange(int(arrivals[-1]) + 1), arrivals, np.arange(dense + 1.0))
     width = np.diff(edges)
     place = (edges[:-1] + width * rng.random(len(width))).astype(int)
@@ -63,7 +64,7 @@ def response_length_s(energy: FloatArray, early_s: float = 0.0) -> float:
     Parameters
     ----------
     energy
-        Total energy per frame, shape (n_frames, 8).
+        Total energy per frame, shape (n_frames, n_bands).
     early_s
         Time that the response covers in any case.
     """
@@ -74,7 +75,7 @@ def response_length_s(energy: FloatArray, early_s: float = 0.0) -> float:
 
 
 def render(distance_m: FloatArray, gains: FloatArray, echogram: FloatArray, noise: FloatArray, *, speed_m_s: float,
-           n_samples: int, bands: Sequence[int] | slice = slice(None)) -> FloatArray:
+           n_samples: int, fs_hz: float = FS_HZ, bands: Sequence[int] | slice = slice(None)) -> FloatArray:
     """Synthesise a response.
 
     Parameters
@@ -89,48 +90,51 @@ def render(distance_m: FloatArray, gains: FloatArray, echogram: FloatArray, nois
         From `tail_noise`, at least `n_samples` long.
     speed_m_s
     n_samples
+    fs_hz
     bands
-        Which of the eight octaves the bands are.
+        Which of the octaves at this sample rate the bands are; all by default.
 
     Returns
     -------
     ndarray, shape (n_samples,)
         Sample 0 is the emission.
     """
-    guard, bank_bands = int(SPREAD_S * FS_HZ), np.arange(8)[bands]
+    all_bands = np.arange(len(exact_bands_hz(fs_hz)))
+    guard, bank_bands = int(SPREAD_S * fs_hz), all_bands[bands]
     # few sizes of transform for all lengths, so that their filters stay cached
     n_fft = next_fast_len(-(-(n_samples + 2 * guard) // _FFT_GRID) * _FFT_GRID, real=True)
-    bank = octave_filterbank(n_fft, FS_HZ)[bank_bands]
+    bank = octave_filterbank(n_fft, fs_hz)[bank_bands]
     signals, earliest = np.zeros((len(bank), n_fft)), np.zeros(n_fft)
-    delays, gains = guard + distance_m / speed_m_s * FS_HZ, np.ascontiguousarray(gains)
+    delays, gains = guard + distance_m / speed_m_s * fs_hz, np.ascontiguousarray(gains)
     first = int(np.argmin(distance_m)) if len(distance_m) else None
     onset = guard if first is None else int(np.ceil(delays[first]))
-    _shape_noise(signals[:, guard:guard + n_samples], noise, _padded(echogram, n_samples), onset - guard,
-                 FRAME_S * FS_HZ)
+    _shape_noise(signals[:, guard:guard + n_samples], noise, _padded(echogram, n_samples, fs_hz), onset - guard,
+                 FRAME_S * fs_hz)
     later = np.arange(len(distance_m)) != first
     _add_pulses(signals, delays[later], gains[later], _sinc_table())
     if first is not None:
-        _add_first(earliest, delays[first], gains[first], bank_bands)
+        _add_first(earliest, delays[first], gains[first], bank_bands, fs_hz)
     response = irfft(np.einsum("bf,bf->f", rfft(signals, n_fft), bank), n_fft)
     response[:onset - SINC_HALF] = 0.0  # nothing precedes the first sound, though the filters of the others ring
-    response += earliest if len(bank) == 8 else irfft(rfft(earliest, n_fft) * bank.sum(axis=0), n_fft)
+    response += earliest if len(bank) == len(all_bands) else irfft(rfft(earliest, n_fft) * bank.sum(axis=0), n_fft)
     return response[guard:guard + n_samples]
 
 
-def _add_first(signal: FloatArray, delay: float, gains: FloatArray, bands: IntArray) -> None:
+def _add_first(signal: FloatArray, delay: float, gains: FloatArray, bands: IntArray, fs_hz: float) -> None:
     """Add the first sound in minimum phase, its gains interpolated in dB over log frequency, in place."""
+    n_fft = 2 ** round(np.log2(_FIRST_FFT_S * fs_hz))
     pulse = np.zeros((1, 2 * SINC_HALF))
     start = int(np.ceil(delay)) - SINC_HALF
     _add_pulses(pulse, np.array([delay - start]), np.ones((1, 1)), _sinc_table())
     gains_db = 20.0 * np.log10(np.maximum(gains, max(_LOWEST_GAIN * gains.max(), 1e-30)))
-    sound = np.convolve(pulse[0], minimum_phase(np.array(EXACT_BANDS_HZ)[bands], gains_db, _FIRST_FFT))
+    sound = np.convolve(pulse[0], minimum_phase(np.array(exact_bands_hz(fs_hz))[bands], gains_db, n_fft, fs_hz))
     low, high = max(0, start), min(len(signal), start + len(sound))
     signal[low:high] += sound[low - start:high - start]
 
 
-def _padded(echogram: FloatArray, n_samples: int) -> FloatArray:
+def _padded(echogram: FloatArray, n_samples: int, fs_hz: float) -> FloatArray:
     """Return an echogram with one frame more than the samples need, shape (n_bands, n)."""
-    n_frames = int(np.ceil(n_samples / (FRAME_S * FS_HZ))) + 1
+    n_frames = int(np.ceil(n_samples / (FRAME_S * fs_hz))) + 1
     kept = echogram[:n_frames].T
     return np.ascontiguousarray(np.pad(kept, ((0, 0), (0, n_frames - kept.shape[1]))))
 

@@ -60,7 +60,7 @@ class TracedSource:
     paths
         Of each trace.
     trace_of_band
-        Which trace serves each of the eight bands.
+        Which trace serves each band.
     """
 
     scene: Scene
@@ -130,7 +130,7 @@ def render_responses(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
     rngs
         One per microphone, for the noise of its tail.
     absorption
-        In place of that of the traced scene, shape (n_surfaces, 8).
+        In place of that of the traced scene, shape (n_surfaces, n_bands).
     length_s
         Longest response; by default as long as the rays were followed.
     ism_order
@@ -139,7 +139,7 @@ def render_responses(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
         Whether edges of a mesh diffract (`roomeq.sim.diffraction`).
     path_gain
         Directivity of the source: from the directions of paths at the source, shape (n, 3), to energy gains, shape
-        (n, 8). It does not apply to diffracted sound.
+        (n, n_bands). It does not apply to diffracted sound.
     path_samples
         Of the microphones, from `sample_paths` with the same `ism_order`. They replace following all stored paths and
         take a fraction of its time.
@@ -226,7 +226,7 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
         result = "cannot be measured" if time_s is None else f"comes to {time_s:.3g} s"
         raise ValueError(f"target_t60_s={target_s:.3g} is out of reach: T30 at 1 kHz {result} with these materials, "
                          "however scaled: choose other materials or another target")
-    if not all(decays_straight(response.rir, response.direct_sample) for response in responses):
+    if not all(decays_straight(response.rir, response.direct_sample, traced.scene.fs_hz) for response in responses):
         raise ValueError(f"target_t60_s={target_s:.3g} was met by a decay that is no straight line: T20 and T30 at "
                          f"1 kHz differ by more than {STRAIGHT:.0%}: choose other materials or another target")
     return responses
@@ -287,10 +287,10 @@ def simulate_rir(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike, *, nu
 def eyring_exponent(scene: Scene, target_s: float, absorption: FloatArray | None = None) -> float:
     """Return the exponent with which Eyring's formula meets a target at 1 kHz; a first guess.
 
-    `absorption`, shape (n_surfaces, 8), replaces that of the scene.
+    `absorption`, shape (n_surfaces, n_bands), replaces that of the scene.
     """
     absorption = scene.absorption if absorption is None else absorption
-    air_area_m2 = 4.0 * scene.air.attenuation_per_m[BAND_1KHZ] * scene.room.volume_m3
+    air_area_m2 = 4.0 * scene.attenuation_per_m[BAND_1KHZ] * scene.room.volume_m3
     wanted_m2 = 24.0 * np.log(10.0) * scene.room.volume_m3 / (scene.air.speed_m_s * target_s) - air_area_m2
     area_m2 = scene.room.surface_area_m2
     now_m2 = -np.log(1.0 - min(0.99, area_m2 @ absorption[:, BAND_1KHZ] / area_m2.sum())) * area_m2.sum()

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from roomeq.acoustics.air import band_attenuation_per_m, speed_of_sound_m_s
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import BANDS_HZ
+from roomeq.core.constants import BANDS_HZ, FS_HZ, bands_hz, require_fs
 from roomeq.sim.room import Room, Walls
 
 N_BANDS = len(BANDS_HZ)
@@ -28,21 +28,21 @@ MAX_DIMENSION_M = 200.0
 
 @dataclass(frozen=True)
 class Material:
-    """Absorption and scattering of a surface in octave bands, 62.5 Hz to 8 kHz.
+    """Absorption and scattering of a surface in octave bands from 62.5 Hz on.
 
     Attributes
     ----------
     name
     absorption
-        Eight random-incidence absorption coefficients in [0, 1].
+        Random-incidence absorption coefficients in [0, 1]: eight, 62.5 Hz to 8 kHz, or nine, to 16 kHz.
     scattering
-        Eight scattering coefficients in [0, 1]: shares of the reflected energy that do not leave in the specular
+        Scattering coefficients in [0, 1], likewise: shares of the reflected energy that do not leave in the specular
         direction (ISO 17497-1).
 
     Raises
     ------
     ValueError
-        A coefficient lies outside [0, 1], or there are neither eight nor one, which applies to all bands.
+        A coefficient lies outside [0, 1], or there are neither eight nor nine nor one, which applies to all bands.
     """
 
     name: str
@@ -55,10 +55,12 @@ class Material:
 
     def _checked(self, kind: str, values: ArrayLike) -> tuple[float, ...]:
         try:
-            bands = tuple(float(value) for value in np.broadcast_to(values, N_BANDS))
+            given = np.asarray(values, dtype=float)
+            bands = tuple(float(value) for value in (
+                given if given.shape == (N_BANDS + 1,) else np.broadcast_to(given, N_BANDS)))
         except (ValueError, TypeError):
             raise ValueError(f"{kind}={values!r} of material {self.name!r} must be {N_BANDS} numbers "
-                             "(62.5 Hz to 8 kHz) or one: correct the material") from None
+                             f"(62.5 Hz to 8 kHz), {N_BANDS + 1} (to 16 kHz) or one: correct the material") from None
         for band, value in enumerate(bands):
             if not 0.0 <= value <= 1.0:
                 raise ValueError(f"{kind}[{band}]={value:g} of material {self.name!r} must lie in [0, 1]: "
@@ -89,7 +91,7 @@ class Air:
 
     @property
     def attenuation_per_m(self) -> FloatArray:
-        """Energy attenuation per band, shape (8,)."""
+        """Energy attenuation of the eight bands to 8 kHz, shape (8,)."""
         return np.array(band_attenuation_per_m(self.temperature_c, self.humidity_pct))
 
 
@@ -167,44 +169,63 @@ class Shoebox:
 
 @dataclass(frozen=True)
 class Scene:
-    """A room with its materials and air.
+    """A room with its materials and air, and the sample rate of its responses.
 
     Attributes
     ----------
     room
     materials
-        One per surface of the room.
+        One per surface of the room. A band above those of a material takes the value of the highest one.
     air
+    fs_hz
+        From 8 to 48 kHz. The octave bands are those below half of it (`roomeq.core.constants.bands_hz`).
 
     Raises
     ------
     ValueError
-        The number of materials is not the number of surfaces.
+        The number of materials is not the number of surfaces, or the sample rate is out of range.
     """
 
     room: Room
     materials: Sequence[Material]
     air: Air = Air()
+    fs_hz: int = FS_HZ
 
     def __post_init__(self) -> None:
+        require_fs(self.fs_hz)
         object.__setattr__(self, "materials", tuple(self.materials))
         if len(self.materials) != len(self.room.surfaces):
             raise ValueError(f"{len(self.materials)} materials must be one for each of the room's "
                              f"{len(self.room.surfaces)} surfaces ({', '.join(self.room.surfaces)}): give that many")
 
     @property
+    def n_bands(self) -> int:
+        """Number of octave bands below half the sample rate."""
+        return len(bands_hz(self.fs_hz))
+
+    @property
     def absorption(self) -> FloatArray:
-        """Absorption coefficients, shape (n_surfaces, 8)."""
-        return np.array([material.absorption for material in self.materials])
+        """Absorption coefficients, shape (n_surfaces, n_bands)."""
+        return np.array([self._in_bands(material.absorption) for material in self.materials])
 
     @property
     def scattering(self) -> FloatArray:
-        """Scattering coefficients, shape (n_surfaces, 8)."""
-        return np.array([material.scattering for material in self.materials])
+        """Scattering coefficients, shape (n_surfaces, n_bands)."""
+        return np.array([self._in_bands(material.scattering) for material in self.materials])
+
+    @property
+    def attenuation_per_m(self) -> FloatArray:
+        """Energy attenuation of the air, shape (n_bands,)."""
+        if self.n_bands == N_BANDS:
+            return self.air.attenuation_per_m
+        return np.array(band_attenuation_per_m(self.air.temperature_c, self.air.humidity_pct, self.fs_hz))
+
+    def _in_bands(self, values: tuple[float, ...]) -> tuple[float, ...]:
+        return (*values, values[-1])[:self.n_bands]
 
 
 def with_absorption(scene: Scene, absorption: Iterable[Iterable[float]]) -> Scene:
-    """Return the scene with other absorption coefficients, shape (n_surfaces, 8)."""
+    """Return the scene with other absorption coefficients, shape (n_surfaces, n_bands)."""
     materials = [replace(material, absorption=tuple(row))
                  for material, row in zip(scene.materials, absorption, strict=True)]
     return replace(scene, materials=materials)
@@ -225,11 +246,11 @@ def check_positions(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike) -
 def eyring_absorption_area_m2(scene: Scene, absorption: FloatArray | None = None) -> FloatArray:
     """Return Eyring's absorption area per band, ``-ln(1 - alpha_mean) S + 4 m V`` (J. Acoust. Soc. Am. 1 (1930) 217).
 
-    `absorption`, shape (n_surfaces, 8), replaces that of the scene.
+    `absorption`, shape (n_surfaces, n_bands), replaces that of the scene.
     """
     area_m2 = scene.room.surface_area_m2
     mean = np.minimum(area_m2 @ (scene.absorption if absorption is None else absorption) / area_m2.sum(), 1.0 - 1e-6)
-    return -np.log(1.0 - mean) * area_m2.sum() + 4.0 * scene.air.attenuation_per_m * scene.room.volume_m3
+    return -np.log(1.0 - mean) * area_m2.sum() + 4.0 * scene.attenuation_per_m * scene.room.volume_m3
 
 
 def eyring_time_s(scene: Scene, absorption: FloatArray | None = None) -> FloatArray:

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import Array, FloatArray, IntArray, Number
-from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled, for_chunks, mix, uniform
 from roomeq.sim.room import Room, Walls
 
@@ -27,6 +26,7 @@ RETRIES = 6
 LATE_RAYS = 5000
 """Rays that are followed to the end, at least, if there are so many."""
 MAX_STRIDE = 4
+_LATE_RATE_HZ = 16000.0
 """Largest number of rays that one late ray represents."""
 GOLDEN_RATIO = 0.5 * (1.0 + np.sqrt(5.0))
 
@@ -129,7 +129,7 @@ def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_ray
     scattering = np.asarray(scattering, dtype=np.float64)
     directions = sphere_directions(num_rays, rng)
     seed = np.uint64(rng.integers(2 ** 63))
-    late_m = dense_after_s(room.volume_m3, speed_m_s, FS_HZ) * speed_m_s
+    late_m = late_after_s(room.volume_m3, speed_m_s) * speed_m_s
     stride = int(np.clip(num_rays // LATE_RAYS, 1, MAX_STRIDE))
     end_m = np.where(np.arange(num_rays) % stride == 0, max_length_m, min(late_m, max_length_m))
     faces = room.walls or cast("MeshRoom", room)
@@ -140,6 +140,11 @@ def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_ray
         traced = _trace_in_mesh(cast("MeshRoom", room), source_pos_m, directions, of_faces, end_m, seed)
     return Paths(source_pos_m, directions, traced.hits, traced.codes, traced.first, faces.normals, faces.face_surface,
                  traced.counts, scattering, late_m, stride, max_length_m, traced.n_leaked)
+
+
+def late_after_s(volume_m3: float, speed_m_s: float) -> float:
+    """Return when reflections become so dense that single ones no longer matter, at any sample rate [s]."""
+    return dense_after_s(volume_m3, speed_m_s, _LATE_RATE_HZ)
 
 
 def dense_after_s(volume_m3: float, speed_m_s: float, rate_hz: float) -> float:

@@ -25,7 +25,7 @@ def wedge(open_deg, length_m=400.0):
 
 def diffracted(edges, low_m, high_m, source, mic, visible=True):
     """Diffraction at stretches of the one edge."""
-    grid = Grid.between(np.linalg.norm(source - mic), 1.1 * edges.length_m[0] + 20.0, 1, C, 10 ** 6)
+    grid = Grid.between(np.linalg.norm(source - mic), 1.1 * edges.length_m[0] + 20.0, 1, C / FS_HZ, 10 ** 6)
     deposit(grid, edges, np.zeros(len(low_m), dtype=int), low_m, high_m, source, mic, direct_visible=visible)
     return grid.sampled()
 
@@ -184,7 +184,8 @@ def test_absorbing_faces_keep_only_the_shadow_terms(room_with_box):
     rows = [n for n, row in enumerate(found.signals) if np.any(row)]
     assert rows[0] == 0 and wood in rows and 1 + room_with_box.surfaces.index("wall") not in rows
     absorption = np.full((len(room_with_box.surfaces), 8), 1.0)
-    rir = found.response(absorption, np.zeros_like(absorption), Air(), 1600)
+    scene = Scene(room_with_box, [Material("smooth", 1.0, 0.0)] * len(absorption))
+    rir = found.response(absorption, scene, 1600)
     black = found.first_sample + np.argmax(np.abs(found.signals[0]))
     assert rir[black] == pytest.approx(found.signals[0][black - found.first_sample], rel=0.1)
 
