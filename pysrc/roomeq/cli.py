@@ -297,6 +297,19 @@ def augment() -> None:
     """Make far-field speech from clean speech, RIRs and noises."""
 
 
+@verb("export:export", "lhotse data/rirs.sim.train lhotse/rirs.sim.train")
+@click.argument("kind", type=click.Choice(["lhotse", "espnet", "nemo", "huggingface"]), metavar="KIND",
+                help="lhotse, espnet, nemo or huggingface.")
+@argument("directory", "RIR directory, directory of noises, or Kaldi data directory.")
+@argument("out", "Directory to make.")
+@click.option("--link", is_flag=True, help="Link to audio files that stay as they are, instead of copying them.")
+@click.option("--pipes", is_flag=True, help="Run the commands in wav.scp; without this option, commands known to "
+              "decode a file are replaced by reading the file, and others are refused.")
+@nj
+def export() -> None:
+    """Write RIRs, noises or speech in the format of another toolkit, with their audio."""
+
+
 @verb("wer:measure_wer", "--rirs data/rirs.real exp/kaldi exp/kaldi.seed1 exp/wer")
 @argument("workspaces", "Kaldi workspaces with decoded systems, one per seed.", nargs=-1, required=True)
 @argument("out", "Directory to make: wer.json.")

@@ -18,7 +18,8 @@ VERBS = cli.commands
 
 def defaults_of(verb):
     """Return what a verb passes to its function by parameter, when only the required words are given."""
-    words = ["x" for param in verb.params if isinstance(param, click.Argument)]
+    words = [param.type.choices[0] if isinstance(param.type, click.Choice) else "x"
+             for param in verb.params if isinstance(param, click.Argument)]
     for param in verb.params:
         words += [param.opts[0], "x"] if param.required and isinstance(param, click.Option) else []
     return verb.make_context(verb.name, words).params

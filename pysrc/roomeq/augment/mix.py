@@ -63,7 +63,7 @@ def direct_shift(row: RirRow, rir: Array) -> int:
     if stated is None:
         stated = (row.get("acoustic_parameters") or {}).get("direct_sample")
     try:
-        shift = round(find_direct(rir, FS_HZ)[0] if stated is None else stated)
+        shift = round(find_direct(rir, row.get("fs_hz", FS_HZ))[0] if stated is None else stated)
     except ValueError as error:
         raise ValueError(f"RIR {row['id']}: {error}") from None
     if not 0 <= shift < len(rir):

@@ -1,0 +1,131 @@
+"""Make the audio files of an export: copied, linked, cut out, or aligned."""
+
+import io
+from pathlib import Path
+from typing import NamedTuple, cast
+
+import numpy as np
+import soundfile
+
+from roomeq.augment.mix import direct_shift
+from roomeq.core.arrays import Array
+from roomeq.core.audio import audio_info, read_audio, write_wav
+from roomeq.core.constants import FS_HZ
+from roomeq.core.files import write_bytes
+from roomeq.export.align import align
+from roomeq.export.plan import PlannedAudio
+from roomeq.kaldi.wavscp import AudioLength, read_entry, segment_samples
+from roomeq.records.schema import RirRow
+
+
+class AudioRules(NamedTuple):
+    """How the audio of a format is made.
+
+    Attributes
+    ----------
+    align_rirs : bool
+        RIRs begin shortly before their direct sound.
+    positive_rirs : bool
+        Their largest sample is that of the direct sound, as far as the polarity decides.
+    link : bool
+        Files that stay as they are will be links, which `roomeq.export.write` makes.
+    pipes : bool
+        Commands of `wav.scp` may run.
+    """
+
+    align_rirs: bool
+    positive_rirs: bool
+    link: bool
+    pipes: bool
+
+
+class MadeAudio(NamedTuple):
+    """An audio file of the export.
+
+    Attributes
+    ----------
+    planned : PlannedAudio
+    file : str
+        Path relative to the directory.
+    rate_hz, n_samples, n_channels : int
+    link_to : str, optional
+        File that a link will lead to.
+    direct_sample : int, optional
+        Position of the direct sound of an RIR that was not aligned [samples].
+    late_s : float, optional
+        See `roomeq.export.align.AlignedRir`.
+    """
+
+    planned: PlannedAudio
+    file: str
+    rate_hz: int
+    n_samples: int
+    n_channels: int = 1
+    link_to: str | None = None
+    direct_sample: int | None = None
+    late_s: float | None = None
+
+    @property
+    def duration_s(self) -> float:
+        """Duration [s]."""
+        return self.n_samples / self.rate_hz
+
+
+def make_audio(planned: PlannedAudio, work: Path, rules: AudioRules) -> MadeAudio:
+    """Write one audio file below `work`, unless it will be a link.
+
+    Raises
+    ------
+    ValueError
+        The audio cannot be read, has several channels where one is expected, or an RIR has no direct sound.
+    """
+    if planned.entry.kind != "file":
+        return _decoded(planned, work, rules.pipes)
+    source = Path(planned.entry.text)
+    info = audio_info(source)
+    if planned.row is None and info.channels != 1:
+        raise ValueError(f"{source}: {info.channels} channels where one is expected: split the file")
+    if planned.is_rir and rules.align_rirs:
+        return _aligned(planned, work, info.samplerate, rules.positive_rirs)
+    if planned.start_s or planned.end_s is not None:
+        return _cut_out(planned, work, AudioLength(info.frames, info.samplerate), info.subtype)
+    made = MadeAudio(planned, planned.file + source.suffix.lower(), info.samplerate, info.frames, info.channels)
+    if planned.is_rir:
+        rir = read_audio(source, fs_hz=info.samplerate)
+        made = made._replace(direct_sample=direct_shift(cast(RirRow, planned.row), rir))
+    else:  # that a FLAC file was cut off shows only at its end
+        read_audio(source, fs_hz=info.samplerate, start=info.frames - 1, channel=0)
+    if rules.link:
+        return made._replace(link_to=str(source.absolute()))
+    write_bytes(work / made.file, source.read_bytes())
+    return made
+
+
+def _aligned(planned: PlannedAudio, work: Path, rate_hz: int, positive: bool) -> MadeAudio:
+    rir = read_audio(Path(planned.entry.text), fs_hz=rate_hz, dtype="float32")
+    aligned = align(rir, direct_shift(cast(RirRow, planned.row), rir), rate_hz, positive=positive)
+    file = f"{planned.file}.wav"
+    write_wav(work / file, aligned.samples, rate_hz)
+    return MadeAudio(planned, file, rate_hz, len(aligned.samples), late_s=aligned.late_s)
+
+
+def _cut_out(planned: PlannedAudio, work: Path, length: AudioLength, subtype: str) -> MadeAudio:
+    """Write a segment of a recording, with 16 bits if the recording has 16, else with 24."""
+    start, stop = segment_samples(planned.entry.text, length, planned.start_s, planned.end_s)
+    samples = read_audio(Path(planned.entry.text), fs_hz=length.rate_hz, start=start, stop=stop)
+    return _write_flac(planned, work, samples, length.rate_hz, 16 if subtype == "PCM_16" else 24)
+
+
+def _decoded(planned: PlannedAudio, work: Path, pipes: bool) -> MadeAudio:
+    """Write the audio of an archive or a command."""
+    samples = read_entry(planned.entry, planned.start_s, planned.end_s, pipes=pipes)
+    return _write_flac(planned, work, samples, FS_HZ, 16)
+
+
+def _write_flac(planned: PlannedAudio, work: Path, samples: Array, rate_hz: int, bits: int) -> MadeAudio:
+    """Write samples that are multiples of ``2 ** (1 - bits)`` as they are; libsndfile would scale them."""
+    pcm = np.rint(samples * 2.0 ** (bits - 1)).clip(-2.0 ** (bits - 1), 2.0 ** (bits - 1) - 1).astype(np.int32)
+    buffer, file = io.BytesIO(), f"{planned.file}.flac"
+    soundfile.write(buffer, pcm << 32 - bits, rate_hz, format="FLAC", subtype=f"PCM_{bits}")
+    write_bytes(work / file, buffer.getbuffer())
+    return MadeAudio(planned, file, rate_hz, len(samples))

@@ -1,0 +1,98 @@
+"""What the manifests of an export are written from."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from roomeq.export.audio import MadeAudio
+from roomeq.kaldi.datadir import DataDir, Utterance, read_optional_table
+from roomeq.kaldi.wavscp import AudioLength, segment_samples
+
+
+class ExportedUtterance(NamedTuple):
+    """An utterance with its place in the exported audio.
+
+    Attributes
+    ----------
+    id, speaker : str
+    audio : MadeAudio
+        The recording, or the utterance's own file.
+    start_s, duration_s : float
+        Segment of the audio [s].
+    text, gender : str, optional
+        Transcript; ``"m"`` or ``"f"``.
+    rir, uniq : str, optional
+        RIR of far-field speech; the utterance that it was made of.
+    snr_db : float, optional
+        SNR [dB]; None also without noise.
+    """
+
+    id: str
+    speaker: str
+    audio: MadeAudio
+    start_s: float
+    duration_s: float
+    text: str | None
+    gender: str | None
+    rir: str | None
+    uniq: str | None
+    snr_db: float | None
+
+
+class Content(NamedTuple):
+    """All that an export holds.
+
+    Attributes
+    ----------
+    work : Path
+        Directory to write to.
+    out : Path
+        Where it will lie.
+    audio : list of MadeAudio
+    data : DataDir, optional
+        The data directory that it comes from.
+    utterances : list of ExportedUtterance
+    """
+
+    work: Path
+    out: Path
+    audio: list[MadeAudio]
+    data: DataDir | None
+    utterances: list[ExportedUtterance]
+
+    def by_folder(self) -> dict[str, list[MadeAudio]]:
+        """Return the audio files by folder."""
+        folders: dict[str, list[MadeAudio]] = {}
+        for audio in self.audio:
+            folders.setdefault(audio.planned.folder, []).append(audio)
+        return folders
+
+
+def utterances_of(data: DataDir | None, audio: list[MadeAudio]) -> list[ExportedUtterance]:
+    """Return the utterances of a data directory with their places in the exported audio.
+
+    Raises
+    ------
+    ValueError
+        A segment does not lie within its recording.
+    """
+    if data is None:
+        return []
+    by_id = {made.planned.id: made for made in audio}
+    tables = {name: read_optional_table(data.path, name, data.utterances) for name in ("utt2rir", "utt2snr")}
+    return [_exported(data, utterance, by_id.get(utterance.id) or by_id[utterance.recording], tables)
+            for utterance in data.utterances.values()]
+
+
+def _exported(data: DataDir, utterance: Utterance, audio: MadeAudio,
+              tables: Mapping[str, Mapping[str, str]]) -> ExportedUtterance:
+    start, stop = 0, audio.n_samples
+    if audio.planned.id == utterance.recording and data.segmented:
+        start, stop = segment_samples(f"{data.path}: utterance {utterance.id}",
+                                      AudioLength(audio.n_samples, audio.rate_hz), utterance.start_s, utterance.end_s)
+    snr = tables["utt2snr"].get(utterance.id, "inf")
+    return ExportedUtterance(
+        utterance.id, utterance.speaker, audio, start / audio.rate_hz, (stop - start) / audio.rate_hz,
+        text=data.text[utterance.id] if data.text else None, gender=data.spk2gender.get(utterance.speaker),
+        rir=tables["utt2rir"].get(utterance.id), uniq=data.utt2uniq.get(utterance.id),
+        snr_db=None if snr == "inf" else float(snr))

@@ -1,0 +1,48 @@
+"""Folders of audio files with `metadata.jsonl`, which `datasets` loads as ``audiofolder``.
+
+https://huggingface.co/docs/datasets/audio_dataset. `README.md` names each folder as a configuration with one split:
+otherwise `datasets` takes words such as "test" in the names of files for splits, and leaves out the metadata.
+"""
+
+import os
+from typing import Any
+
+from roomeq.core.files import write_jsonl, write_text
+from roomeq.export.audio import MadeAudio
+from roomeq.export.content import Content, ExportedUtterance
+
+_OF_ROW = ("room_id", "source_id", "mic_id", "noise_for", "room_dims_m", "source_pos_m", "mic_pos_m", "distance_m",
+           "target_t60_s")
+_OF_PARAMETERS = ("t20_s", "t30_s", "edt_s", "c50_db", "drr_db")
+"""Keys of `rirs.jsonl` and of its acoustic parameters that become columns."""
+
+
+def write_manifests(content: Content) -> None:
+    """Write `metadata.jsonl` into each folder, and `README.md`."""
+    by_folder = content.by_folder()
+    utterance_of = {utterance.audio.file: utterance for utterance in content.utterances}
+    for folder, audio in by_folder.items():
+        write_jsonl(content.work / folder / "metadata.jsonl", [
+            dict(file_name=os.path.relpath(made.file, folder), id=made.planned.id,
+                 **(_of_utterance(utterance_of[made.file]) if utterance_of
+                    else _of_rir(made) if made.planned.is_rir else _of_noise(made)))
+            for made in audio])
+    configurations = "".join(f"- config_name: {folder}\n  data_files:\n  - split: train\n    path: {folder}/**\n"
+                             for folder in by_folder)
+    write_text(content.work / "README.md", f"---\nconfigs:\n{configurations}---\n")
+
+
+def _of_utterance(utterance: ExportedUtterance) -> dict[str, Any]:
+    return dict(text=utterance.text, speaker_id=utterance.speaker, gender=utterance.gender,
+                duration=utterance.duration_s, rir=utterance.rir, snr_db=utterance.snr_db, uniq=utterance.uniq)
+
+
+def _of_rir(made: MadeAudio) -> dict[str, Any]:
+    row = made.planned.row or {}
+    parameters = row.get("acoustic_parameters") or {}
+    return dict(direct_sample=made.direct_sample, **{key: row.get(key) for key in _OF_ROW},
+                **{key: parameters.get(key) for key in _OF_PARAMETERS})
+
+
+def _of_noise(made: MadeAudio) -> dict[str, Any]:
+    return dict(room_id=(made.planned.row or {}).get("room_id"), duration=made.duration_s)

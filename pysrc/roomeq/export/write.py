@@ -1,0 +1,80 @@
+"""Write the audio of an export, and the manifests of its format."""
+
+import logging
+import os
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from roomeq.core.build import Build
+from roomeq.export import espnet, huggingface, lhotse, nemo
+from roomeq.export.audio import AudioRules, MadeAudio, make_audio
+from roomeq.export.content import Content, utterances_of
+from roomeq.export.plan import PlannedAudio, plan_export
+
+logger = logging.getLogger(__name__)
+
+AT_ONCE = 20
+"""Audio files that make one item of a build."""
+
+
+class _Format(NamedTuple):
+    """How a format takes audio, and the function that writes its manifests."""
+
+    write_manifests: Callable[[Content], None]
+    align_rirs: bool = True
+    positive_rirs: bool = False
+    utterance_files: bool = False
+
+
+_FORMATS = {
+    "lhotse": _Format(lhotse.write_manifests, positive_rirs=True),
+    "espnet": _Format(espnet.write_manifests),
+    "nemo": _Format(nemo.write_manifests),
+    "huggingface": _Format(huggingface.write_manifests, align_rirs=False, utterance_files=True),
+}
+
+
+def make(build: Build, kind: str, directory: Path, *, link: bool, pipes: bool, nj: int) -> None:
+    """Make the directory of a build.
+
+    Raises
+    ------
+    ValueError
+        See `roomeq.export.step.export`.
+    """
+    form = _FORMATS[kind]
+    plan = plan_export(directory, utterance_files=form.utterance_files, pipes=pipes)
+    rules = AudioRules(form.align_rirs, form.positive_rirs, link, pipes)
+    items = {f"{first:07d}": plan.audio[first:first + AT_ONCE] for first in range(0, len(plan.audio), AT_ONCE)}
+    build.run(items, partial(_make_some, build.work, rules), nj=nj)
+
+    def assemble(work: Path, records: list[list[list[Any]]]) -> None:
+        made = list(_joined(plan.audio, records))
+        _make_links(work, made)
+        form.write_manifests(Content(work, build.out, made, plan.data, utterances_of(plan.data, made)))
+        counts = {folder: sum(audio.planned.folder == folder for audio in made)
+                  for folder in dict.fromkeys(audio.planned.folder for audio in made)}
+        logger.info("%s: %s", build.out, ", ".join(f"{count} {folder}" for folder, count in counts.items()))
+
+    build.finish(assemble)
+
+
+def _make_some(work: Path, rules: AudioRules, name: str, planned: list[PlannedAudio]) -> list[list[Any]]:
+    return [list(make_audio(audio, work, rules)[1:]) for audio in planned]
+
+
+def _joined(planned: list[PlannedAudio], records: list[list[list[Any]]]) -> Iterator[MadeAudio]:
+    fields = (field for record in records for field in record)
+    for audio, made in zip(planned, fields, strict=True):
+        yield MadeAudio(audio, *made)
+
+
+def _make_links(work: Path, made: list[MadeAudio]) -> None:
+    for audio in made:
+        if audio.link_to is not None:
+            link = work / audio.file
+            link.parent.mkdir(parents=True, exist_ok=True)
+            link.unlink(missing_ok=True)  # of a run that was killed
+            os.symlink(audio.link_to, link)

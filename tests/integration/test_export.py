@@ -1,0 +1,284 @@
+"""Exports: content by the rules of each format, independence of jobs, moved directories, refused input."""
+
+import gzip
+import json
+import os
+import shutil
+
+import kaldiio
+import numpy as np
+import pytest
+import soundfile
+from datadirs import FS, LENGTHS, audio_of, decay, rir_dir, rir_row, speech_dir
+
+from roomeq.augment import augment
+from roomeq.core.audio import write_wav
+from roomeq.export import export
+from roomeq.export.align import LEAD_S
+from roomeq.kaldi.datadir import read_data_dir
+from roomeq.records.rir_dir import read_rirs, validate_rirs, write_rirs
+
+LEAD = round(LEAD_S * FS)
+KINDS = ("lhotse", "espnet", "nemo", "huggingface")
+
+
+def lines_of(path):
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def lhotse_lines(path):
+    return [json.loads(line) for line in gzip.decompress(path.read_bytes()).decode().splitlines()]
+
+
+def bytes_of(directory):
+    return {str(path.relative_to(directory)): path.read_bytes() for path in directory.rglob("*")
+            if path.is_file() and path.name != ".done"}
+
+
+def table(path):
+    return dict(line.split(maxsplit=1) for line in path.read_text().splitlines())
+
+
+def click_through(rir, shift):
+    """Return where a click at sample 5000 begins after convolution, advanced by `shift`."""
+    click = np.zeros(8000)
+    click[5000] = 1.0
+    return int(np.argmax(np.abs(np.convolve(click, rir)[shift:shift + len(click)])))
+
+
+@pytest.fixture
+def rirs(tmp_path):
+    return rir_dir(tmp_path / "rirs", simulated=True)
+
+
+@pytest.fixture
+def far_field(tmp_path, rirs):
+    augment(speech_dir(tmp_path / "clean"), rirs, tmp_path / "rvb")
+    return tmp_path / "rvb"
+
+
+def test_lhotse_manifests_state_recordings_and_segments(tmp_path, far_field):
+    export("lhotse", far_field, tmp_path / "out")
+    data = read_data_dir(far_field)
+    recordings = {row["id"]: row for row in lhotse_lines(tmp_path / "out/recordings.jsonl.gz")}
+    assert set(recordings) == set(data.recordings)
+    for row in recordings.values():
+        file = tmp_path / "out" / row["sources"][0]["source"]
+        info = soundfile.info(file)
+        assert (row["sampling_rate"], row["num_samples"], row["duration"]) == (FS, info.frames, info.frames / FS)
+    snr, rir = table(far_field / "utt2snr"), table(far_field / "utt2rir")
+    for row in lhotse_lines(tmp_path / "out/supervisions.jsonl.gz"):
+        utterance = data.utterances[row["id"]]
+        assert row["text"] == data.text[row["id"]]
+        assert (row["speaker"], row["gender"]) == (utterance.speaker, data.spk2gender[utterance.speaker])
+        assert row["custom"] == dict(rir=rir[row["id"]], snr_db=float(snr[row["id"]]), uniq=row["id"])
+        samples, _ = soundfile.read(tmp_path / "out" / recordings[row["recording_id"]]["sources"][0]["source"])
+        start = round(row["start"] * FS)
+        np.testing.assert_array_equal(samples[start:start + round(row["duration"] * FS)], audio_of(data, row["id"]))
+
+
+def test_noise_rirs_and_noises_have_manifests_of_their_own(tmp_path, rirs):
+    rows = read_rirs(rirs)
+    speech = [row["id"] for row in rows if not row.get("noise_for")]
+    noise = [row["id"] for row in rows if row.get("noise_for")]
+    export("lhotse", rirs, tmp_path / "lhotse")
+    export("espnet", rirs, tmp_path / "espnet")
+    export("nemo", rirs, tmp_path / "nemo")
+    export("huggingface", rirs, tmp_path / "huggingface")
+    for name, ids in dict(rirs=speech, noise_rirs=noise, ambient_noises=["hum-room0", "hum-room1"],
+                          point_noises=["tap"]).items():
+        assert [row["id"] for row in lhotse_lines(tmp_path / f"lhotse/{name}.jsonl.gz")] == ids
+        assert list(table(tmp_path / f"espnet/{name}.scp")) == ids
+        assert [row["id"] for row in lines_of(tmp_path / f"nemo/{name}.json")] == ids
+        assert [row["id"] for row in lines_of(tmp_path / f"huggingface/{name}/metadata.jsonl")] == ids
+
+
+def test_click_stays_in_place_by_the_rule_of_each_toolkit(tmp_path, rirs):
+    for kind in KINDS:
+        export(kind, rirs, tmp_path / kind)
+    for row in lhotse_lines(tmp_path / "lhotse/rirs.jsonl.gz"):
+        h, _ = soundfile.read(tmp_path / "lhotse" / row["sources"][0]["source"])
+        assert click_through(h, np.argmax(h)) == 5000  # lhotse advances by the largest sample
+    for path in table(tmp_path / "espnet/rirs.scp").values():
+        assert click_through(soundfile.read(path)[0], 0) == 5000 + LEAD  # ESPnet and NeMo advance by nothing
+    for row in lines_of(tmp_path / "nemo/rirs.json"):
+        assert click_through(soundfile.read(tmp_path / "nemo" / row["audio_filepath"])[0], 0) == 5000 + LEAD
+    for row in lines_of(tmp_path / "huggingface/rirs/metadata.jsonl"):
+        h, _ = soundfile.read(tmp_path / "huggingface/rirs" / row["file_name"])
+        assert click_through(h, row["direct_sample"]) == 5000
+
+
+def test_rir_that_lhotse_would_misalign_is_in_a_manifest_of_its_own(tmp_path, caplog):
+    good, late = decay(np.random.default_rng(0), direct=100), decay(np.random.default_rng(1), direct=100)
+    late[100 + 400], late[100 + 410] = 2.0, -1.9  # 25 ms later
+    for name, h in dict(good=good, late=late).items():
+        write_wav(tmp_path / f"rirs/wav/{name}.wav", h)
+    write_rirs(tmp_path / "rirs", [rir_row("good", "r", good, direct_sample=100.0),
+                                   rir_row("late", "r", late, direct_sample=100.0, suspicious=None)])
+    caplog.set_level("INFO")
+    export("lhotse", tmp_path / "rirs", tmp_path / "out")
+    assert [row["id"] for row in lhotse_lines(tmp_path / "out/rirs.jsonl.gz")] == ["good"]
+    assert [row["id"] for row in lhotse_lines(tmp_path / "out/late_rirs.jsonl.gz")] == ["late"]
+    assert "1 of 2 RIRs are in late_rirs.jsonl.gz" in caplog.text
+
+
+def test_espnet_directory_needs_no_pipe_and_no_folder(tmp_path, far_field, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    export("espnet", "rvb", "out")
+    monkeypatch.chdir("/")
+    assert "|" not in (tmp_path / "out/wav.scp").read_text()
+    data = read_data_dir(far_field)
+    segments = kaldiio.load_scp(str(tmp_path / "out/wav.scp"), segments=str(tmp_path / "out/segments"))
+    assert set(segments) == set(data.utterances)
+    for key in data.utterances:
+        rate, samples = segments[key]
+        assert rate == FS
+        np.testing.assert_array_equal(samples, audio_of(data, key))
+    for name in ("text", "utt2spk", "spk2utt", "reco2dur", "utt2dur", "spk2gender", "utt2uniq"):
+        assert (tmp_path / "out" / name).read_bytes() == (far_field / name).read_bytes()
+
+
+def test_nemo_manifest_states_offsets_within_recordings(tmp_path, far_field):
+    export("nemo", far_field, tmp_path / "out")
+    data = read_data_dir(far_field)
+    rows = lines_of(tmp_path / "out/manifest.json")
+    assert [row["id"] for row in rows] == list(data.utterances)
+    for row in rows:
+        assert os.path.dirname(row["audio_filepath"]) and not os.path.isabs(row["audio_filepath"])
+        samples, _ = soundfile.read(tmp_path / "out" / row["audio_filepath"])
+        start = round(row["offset"] * FS)
+        np.testing.assert_array_equal(samples[start:start + round(row["duration"] * FS)], audio_of(data, row["id"]))
+        assert row["text"] == data.text[row["id"]]
+
+
+def test_huggingface_has_one_file_per_utterance(tmp_path, far_field):
+    export("huggingface", far_field, tmp_path / "out")
+    data = read_data_dir(far_field)
+    rows = lines_of(tmp_path / "out/speech/metadata.jsonl")
+    assert {row["id"]: row["text"] for row in rows} == data.text
+    for row in rows:
+        samples, rate = soundfile.read(tmp_path / "out/speech" / row["file_name"])
+        assert rate == FS
+        np.testing.assert_array_equal(samples, audio_of(data, row["id"]))
+    assert "config_name: speech" in (tmp_path / "out/README.md").read_text()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_directory_without_segments_is_exported(tmp_path, kind):
+    export(kind, speech_dir(tmp_path / "clean"), tmp_path / "out")
+    if kind == "lhotse":
+        found = {row["id"]: row["duration"] for row in lhotse_lines(tmp_path / "out/supervisions.jsonl.gz")}
+    elif kind == "espnet":
+        found = {key: soundfile.info(path).frames / FS for key, path in table(tmp_path / "out/wav.scp").items()}
+    else:
+        name = "manifest.json" if kind == "nemo" else "speech/metadata.jsonl"
+        found = {row["id"]: row["duration"] for row in lines_of(tmp_path / "out" / name)}
+    assert found == {key: n / FS for key, n in LENGTHS.items()}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_result_depends_neither_on_jobs_nor_on_where_it_lies(tmp_path, kind, rirs, far_field):
+    for name, source in dict(rirs=rirs, far_field=far_field).items():
+        export(kind, source, tmp_path / "a" / name)
+        export(kind, source, tmp_path / "b" / name, nj=2)
+        first, second = bytes_of(tmp_path / "a" / name), bytes_of(tmp_path / "b" / name)
+        assert list(first) == list(second)
+        for file, content in first.items():
+            there = content if kind != "espnet" else content.replace(str(tmp_path / "a").encode(),
+                                                                     str(tmp_path / "b").encode())
+            assert there == second[file], file
+
+
+def test_second_run_leaves_the_directory_alone(tmp_path, far_field, caplog):
+    caplog.set_level("INFO")
+    export("lhotse", far_field, tmp_path / "out")
+    made = (tmp_path / "out/.done").stat().st_mtime_ns
+    export("lhotse", far_field, tmp_path / "out")
+    assert (tmp_path / "out/.done").stat().st_mtime_ns == made
+    assert "up to date" in caplog.text
+
+
+def test_lost_file_is_made_again(tmp_path, rirs):
+    export("nemo", rirs, tmp_path / "out")
+    before = bytes_of(tmp_path / "out")
+    (tmp_path / "out/rirs/room0-0.wav").unlink()
+    export("nemo", rirs, tmp_path / "out")
+    assert bytes_of(tmp_path / "out") == before
+
+
+def test_espnet_export_that_was_moved_is_made_anew(tmp_path, rirs):
+    export("espnet", rirs, tmp_path / "out")
+    (tmp_path / "out").rename(tmp_path / "moved")
+    export("espnet", rirs, tmp_path / "moved")
+    assert all(path.startswith(str(tmp_path / "moved")) for path in table(tmp_path / "moved/rirs.scp").values())
+
+
+def test_links_lead_to_audio_that_stays_as_it_is(tmp_path, rirs, far_field):
+    export("lhotse", far_field, tmp_path / "speech", link=True)
+    linked = sorted((tmp_path / "speech/recordings").rglob("*.flac"))
+    assert linked and all(path.is_symlink() and path.resolve().is_relative_to(far_field) for path in linked)
+    export("lhotse", rirs, tmp_path / "rirs.out", link=True)
+    assert not any(path.is_symlink() for path in (tmp_path / "rirs.out/rirs").iterdir())  # cut: another content
+    assert all(path.is_symlink() for path in (tmp_path / "rirs.out/ambient_noises").iterdir())
+    made = (tmp_path / "speech/.done").stat().st_mtime_ns
+    export("lhotse", far_field, tmp_path / "speech", link=True)
+    assert (tmp_path / "speech/.done").stat().st_mtime_ns == made
+
+
+def test_archive_is_decoded(tmp_path):
+    data = tmp_path / "data"
+    speech_dir(data)
+    audio = {key: soundfile.read(data / f"wav/{key}.flac", dtype="int16")[0] for key in LENGTHS}
+    kaldiio.save_ark(str(data / "wav.ark"), {key: (FS, samples) for key, samples in audio.items()},
+                     scp=str(data / "wav.scp"))
+    export("espnet", data, tmp_path / "out")
+    for key, path in table(tmp_path / "out/wav.scp").items():
+        np.testing.assert_array_equal(soundfile.read(path, dtype="int16")[0], audio[key])
+
+
+def test_suspicious_recording_is_left_out(tmp_path, rirs):
+    rows = read_rirs(rirs)
+    rows[0]["suspicious"] = "clipped"
+    write_rirs(rirs, rows)
+    export("nemo", rirs, tmp_path / "out")
+    assert rows[0]["id"] not in [row["id"] for row in lines_of(tmp_path / "out/rirs.json")]
+
+
+def test_moved_rir_directory_is_used_as_before(tmp_path, rirs):
+    clean = speech_dir(tmp_path / "clean")
+    augment(clean, rirs, tmp_path / "x/rvb")
+    export("lhotse", rirs, tmp_path / "x/out")
+    (tmp_path / "elsewhere").mkdir()
+    moved = rirs.rename(tmp_path / "elsewhere/moved")
+    assert validate_rirs(moved) == 6
+    augment(clean, moved, tmp_path / "y/rvb")
+    export("lhotse", moved, tmp_path / "y/out")
+    assert bytes_of(tmp_path / "x/out") == bytes_of(tmp_path / "y/out")
+    first, second = bytes_of(tmp_path / "x/rvb"), bytes_of(tmp_path / "y/rvb")
+    assert {name: content.replace(b"/y/rvb", b"/x/rvb") for name, content in second.items()} == first
+
+
+def test_folder_of_another_kind_is_refused(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match="empty: neither an RIR directory .* nor a data directory .*: check the path"):
+        export("lhotse", tmp_path / "empty", tmp_path / "out")
+    with pytest.raises(ValueError, match="kind='kaldi' must be one of lhotse, espnet, nemo, huggingface"):
+        export("kaldi", tmp_path / "empty", tmp_path / "out")
+
+
+def test_broken_audio_is_refused_by_name(tmp_path, far_field, rirs):
+    file = next((far_field / "audio").rglob("*.flac"))
+    file.write_bytes(file.read_bytes()[:-100])
+    (far_field / ".done").unlink()
+    with pytest.raises(ValueError, match=file.name):
+        export("lhotse", far_field, tmp_path / "out")
+    (rirs / "wav/room0-0.wav").unlink()
+    with pytest.raises(ValueError, match=r"room0-0.wav: no such audio file"):
+        export("nemo", rirs, tmp_path / "out2")
+    assert not (tmp_path / "out").exists() and not (tmp_path / "out2").exists()
+
+
+def test_foreign_directory_is_not_replaced(tmp_path, rirs):
+    shutil.copytree(rirs, tmp_path / "out")
+    with pytest.raises(ValueError, match="was not made by roomeq"):
+        export("lhotse", rirs, tmp_path / "out")
