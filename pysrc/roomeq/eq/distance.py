@@ -1,34 +1,22 @@
 """Distances between the EQs of two sets of RIRs, in which rooms weigh the same."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.spatial.distance import cdist
-from scipy.stats import wasserstein_distance
+from scipy.stats import norm, t
 
 from roomeq.core.arrays import FloatArray
 from roomeq.eq.gmm import room_weights
 
 N_BOOTSTRAP = 500
 _PERCENTILES = (2.5, 97.5)
+_SHRUNK = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Shares of the observed difference of two sets that the lower end of an interval is tested against."""
 
-
-class _Weighted(NamedTuple):
-    """EQ vectors, one a row, and their weights."""
-
-    vectors_db: FloatArray
-    weights: FloatArray
-
-    def point(self, k: int) -> "_Weighted":
-        """Return the measured values at one point."""
-        known = ~np.isnan(self.vectors_db[:, k])
-        return _Weighted(self.vectors_db[known, k], self.weights[known])
-
-    def complete(self) -> "_Weighted":
-        """Return the vectors without missing points; their weights sum to 1."""
-        known = ~np.isnan(self.vectors_db).any(axis=1)
-        return _Weighted(self.vectors_db[known], self.weights[known] / self.weights[known].sum())
+Statistic = Callable[[FloatArray, FloatArray], FloatArray]
+"""Takes the vectors of two sets, one below the other, and their signed weights, shape (n_samples, n_vectors): those of
+the second set are negative. Returns the distance for each sample."""
 
 
 class EqSet:
@@ -54,30 +42,30 @@ class EqSet:
             raise ValueError(f"EQ vectors of shape {self.vectors_db.shape} and {len(room_of)} rooms: there must be at "
                              "least one vector, and a room for each")
         self.weights = room_weights(room_of)
+        self.weights = self.weights / self.weights.sum()
         self.members = {str(room): np.flatnonzero(room_of == room) for room in np.unique(room_of)}
 
-    def resample(self, rooms: Sequence[str], rng: np.random.Generator) -> _Weighted | None:
-        """Return vectors of some rooms, of each as often as it is named; None if the set has none of these rooms.
-
-        The RIRs of a room are drawn with replacement, so that a set of a single room varies too.
-        """
-        drawn = [rng.choice(self.members[room], len(self.members[room])) for room in rooms if room in self.members]
-        if not drawn:
-            return None
-        weights = np.concatenate([np.full(len(members), 1.0 / (len(members) * len(drawn))) for members in drawn])
-        return _Weighted(self.vectors_db[np.concatenate(drawn)], weights)
-
-    def all(self) -> _Weighted:
-        """Return all vectors with the weights that make rooms weigh the same."""
-        return _Weighted(self.vectors_db, self.weights)
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Of the variance between rooms, or between RIRs where there is a single room; at least 1."""
+        return max(1, (len(self.members) if len(self.members) > 1 else len(self.vectors_db)) - 1)
 
 
 def eq_distance(first: EqSet, second: EqSet, rng: np.random.Generator, *, n_bootstrap: int = N_BOOTSTRAP) -> dict:
-    """Return the distance between the EQs of two sets, with bootstrap intervals.
+    """Return the distance between the EQs of two sets, with intervals.
 
-    Whole rooms are resampled, the same rooms in both sets. Intervals are basic bootstrap intervals (Davison & Hinkley
-    1997, eq. 5.6), cut at 0: resampled sets lie farther apart than the sets themselves, and the basic interval
-    corrects this bias.
+    The distance of finite sets is biased upwards: two sets of the same distribution lie apart. The ends of an interval
+    therefore follow from different arguments, and the distance always lies between them.
+
+    - Lower end: test inversion. The second set is moved towards the first by optimal transport at each point. The end
+      is the distance at which the upper 97.5 % limit of resampled distances falls to the observed one; it is 0 where
+      the observed distance is not significant.
+    - Upper end: the distance plus the standard error times the quantile of the t distribution. Since a Wasserstein
+      distance is convex, its bias is positive (Jensen's inequality), so the end is conservative.
+
+    Rooms are resampled with replacement, one room fewer than there are, so that the variance between rooms is unbiased
+    (Rao & Wu 1988); the same rooms in both sets. Of a single room, the RIRs are resampled. The coverage of the
+    intervals is 92 % to 99 % where the nominal one is 95 % (3 to 20 rooms, distances of 0 to 3 dB).
 
     Returns
     -------
@@ -86,17 +74,14 @@ def eq_distance(first: EqSet, second: EqSet, rng: np.random.Generator, *, n_boot
         `energy_db`: root of the energy distance ``2 E|X-Y| - E|X-X'| - E|Y-Y'|`` of complete vectors (Székely & Rizzo
         2013); `interval_db`, `energy_interval_db`: their 95 % intervals.
     """
-    bands_db = _point_distances(first.all(), second.all())
-    wasserstein_db, energy_db = float(np.nanmean(bands_db)), _energy_distance(first.all(), second.all())
-    resampled = []
-    for _ in range(n_bootstrap):
-        sample = _resample([first, second], rng)
-        resampled.append((_mean_distance(*sample), _energy_distance(*sample)))
-    mean_distances, energy_distances = zip(*resampled, strict=True)
-    return dict(wasserstein_db=wasserstein_db, bands_db=[float(distance_db) for distance_db in bands_db],
-                energy_db=energy_db,
-                interval_db=_basic_interval(wasserstein_db, mean_distances),
-                energy_interval_db=_basic_interval(energy_db, energy_distances))
+    samples = _resample([first, second], rng, n_bootstrap)
+    bands_db = _point_distances(*_pooled(first, second))[0]
+    result: dict = dict(bands_db=[float(distance_db) for distance_db in bands_db])
+    for name, interval_name, statistic in (("wasserstein_db", "interval_db", _mean_distances),
+                                           ("energy_db", "energy_interval_db", _energy_distances)):
+        result[name] = _distance(first, second, statistic)
+        result[interval_name] = _interval(first, second, samples, statistic)
+    return result
 
 
 def gap_closed(sim: EqSet, comp: EqSet, train: EqSet, heldout: EqSet, rng: np.random.Generator, *,
@@ -114,10 +99,11 @@ def gap_closed(sim: EqSet, comp: EqSet, train: EqSet, heldout: EqSet, rng: np.ra
         percentile interval over resampled rooms, the same in all sets. `closed_undefined`: share of the resamples in
         which `closed` is None; the interval is that of the others.
     """
-    shares = []
-    for _ in range(n_bootstrap):
-        *models, reference = _resample([sim, comp, train, heldout], rng)
-        shares.append(_closed(*(_mean_distance(model, reference) for model in models)))
+    *weights, heldout_weights = _resample([sim, comp, train, heldout], rng, n_bootstrap)
+    resampled = [_mean_distances(np.concatenate([model.vectors_db, heldout.vectors_db]),
+                                 np.hstack([of_model, -heldout_weights]))
+                 for model, of_model in zip((sim, comp, train), weights, strict=True)]
+    shares = [_closed(*of_sample) for of_sample in zip(*resampled, strict=True)]
     defined = [share for share in shares if share is not None]
     distances = [eq_distance(model, heldout, rng, n_bootstrap=n_bootstrap) for model in (sim, comp, train)]
     interval = [float(end) for end in np.percentile(defined, _PERCENTILES)] if defined else None
@@ -131,43 +117,110 @@ def _closed(sim: float, comp: float, floor: float) -> float | None:
     return float((sim - comp) / (sim - floor)) if sim > floor else None
 
 
-def _resample(sets: Sequence[EqSet], rng: np.random.Generator) -> list[_Weighted]:
-    """Return bootstrap samples of several sets: rooms drawn with replacement, the same rooms for every set."""
-    rooms = sorted({room for eq_set in sets for room in eq_set.members})
-    while True:
-        drawn_rooms = [rooms[k] for k in rng.integers(len(rooms), size=len(rooms))]
-        samples = [eq_set.resample(drawn_rooms, rng) for eq_set in sets]
-        complete = [sample for sample in samples if sample is not None]
-        if len(complete) == len(sets):
-            return complete
+def _resample(sets: Sequence[EqSet], rng: np.random.Generator, n_samples: int) -> list[FloatArray]:
+    """Return the weights of each set's vectors in bootstrap samples, each of shape (n_samples, n_vectors).
+
+    Rooms that are in the same of the sets are drawn among each other, so that no sample lacks a set.
+    """
+    strata: dict[tuple[bool, ...], list[str]] = {}
+    for room in sorted({room for eq_set in sets for room in eq_set.members}):
+        strata.setdefault(tuple(room in eq_set.members for eq_set in sets), []).append(room)
+    weights = [np.empty((n_samples, len(eq_set.vectors_db))) for eq_set in sets]
+    for rooms in strata.values():
+        counts = _counts(len(rooms), n_samples, rng)
+        for eq_set, of_set in zip(sets, weights, strict=True):
+            for n, members in ((n, eq_set.members[room]) for n, room in enumerate(rooms) if room in eq_set.members):
+                drawn = counts[:, [n]] if len(rooms) > 1 else _counts(len(members), n_samples, rng)
+                of_set[:, members] = drawn / len(members)
+    return [of_set / of_set.sum(axis=1, keepdims=True) for of_set in weights]
 
 
-def _basic_interval(distance: float, resampled: Sequence[float]) -> list[float]:
-    """Return the basic bootstrap interval of a distance: twice the distance, less the percentiles of the resamples."""
-    low, high = np.nanpercentile(resampled, _PERCENTILES)
-    return [float(max(2.0 * distance - high, 0.0)), float(max(2.0 * distance - low, 0.0))]
+def _counts(n: int, n_samples: int, rng: np.random.Generator) -> FloatArray:
+    """Return how often each of `n` items is drawn in ``n - 1`` draws, scaled to a mean of 1; a single item always."""
+    if n == 1:
+        return np.ones((n_samples, 1))
+    return np.asarray(rng.multinomial(n - 1, np.full(n, 1 / n), size=n_samples) * (n / (n - 1)), dtype=np.float64)
 
 
-def _mean_distance(first: _Weighted, second: _Weighted) -> float:
-    return float(np.nanmean(_point_distances(first, second)))
+def _pooled(first: EqSet, second: EqSet) -> tuple[FloatArray, FloatArray]:
+    """Return the vectors of two sets, one below the other, and their signed weights as one sample."""
+    return (np.concatenate([first.vectors_db, second.vectors_db]),
+            np.concatenate([first.weights, -second.weights])[np.newaxis])
 
 
-def _point_distances(first: _Weighted, second: _Weighted) -> FloatArray:
-    """Return the 1-Wasserstein distance per point; NaN where a set has no value."""
-    distances = np.full(first.vectors_db.shape[1], np.nan)
-    for k in range(len(distances)):
-        a, b = first.point(k), second.point(k)
-        if len(a.weights) and len(b.weights):
-            distances[k] = wasserstein_distance(a.vectors_db, b.vectors_db, a.weights, b.weights)
+def _distance(first: EqSet, second: EqSet, statistic: Statistic) -> float:
+    return float(statistic(*_pooled(first, second))[0])
+
+
+def _interval(first: EqSet, second: EqSet, samples: Sequence[FloatArray], statistic: Statistic) -> list[float]:
+    """Return the 95 % interval of a distance (see `eq_distance`)."""
+    weights = np.hstack([samples[0], -samples[1]])
+    observed = _distance(first, second, statistic)
+    quantile = t.ppf(0.975, min(first.degrees_of_freedom, second.degrees_of_freedom))
+    displacement_db = _transport(second, first)
+    distances, limits = [], []
+    for share in _SHRUNK:
+        vectors_db = np.concatenate([first.vectors_db, second.vectors_db + (1.0 - share) * displacement_db])
+        resampled = statistic(vectors_db, weights)
+        middle, high = np.nanquantile(resampled, (0.5, 0.975)) if np.isfinite(resampled).any() else (np.nan, np.nan)
+        limits.append(middle + quantile / norm.ppf(0.975) * (high - middle))
+        distances.append(float(statistic(vectors_db, _pooled(first, second)[1])[0]))
+    low = 0.0 if observed <= limits[0] else float(np.interp(observed, np.maximum.accumulate(limits), distances))
+    # the last of the samples are those of the sets as they are
+    return [min(low, observed), observed + float(quantile * np.nanstd(resampled))]
+
+
+def _transport(source: EqSet, target: EqSet) -> FloatArray:
+    """Return the displacement of each value that gives a set the distribution of another at each point [dB]."""
+    displacement_db = np.zeros_like(source.vectors_db)
+    for k in range(displacement_db.shape[1]):
+        values, levels, order = _quantiles(source, k)
+        values_there, levels_there, _ = _quantiles(target, k)
+        if len(values) and len(values_there):
+            displacement_db[order, k] = np.interp(levels, levels_there, values_there) - values
+    return displacement_db
+
+
+def _quantiles(eq_set: EqSet, k: int) -> tuple[FloatArray, FloatArray, np.ndarray]:
+    """Return the measured values at a point in ascending order, their cumulative weights, and their vectors."""
+    order = np.argsort(eq_set.vectors_db[:, k], kind="stable")
+    order = order[np.isfinite(eq_set.vectors_db[order, k])]
+    weights = eq_set.weights[order] / eq_set.weights[order].sum() if len(order) else np.empty(0)
+    return eq_set.vectors_db[order, k], np.cumsum(weights) - weights / 2, order
+
+
+def _balanced(weights: FloatArray, known: np.ndarray) -> FloatArray:
+    """Return signed weights of the known vectors, those of either sign summing to 1; NaN where a set has none."""
+    weights = weights[:, known]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return (np.maximum(weights, 0.0) / np.maximum(weights, 0.0).sum(axis=1, keepdims=True)
+                - np.maximum(-weights, 0.0) / np.maximum(-weights, 0.0).sum(axis=1, keepdims=True))
+
+
+def _mean_distances(vectors_db: FloatArray, weights: FloatArray) -> FloatArray:
+    by_point = _point_distances(vectors_db, weights)
+    known = np.isfinite(by_point)
+    with np.errstate(invalid="ignore"):
+        return np.where(known, by_point, 0.0).sum(axis=1) / known.sum(axis=1)
+
+
+def _point_distances(vectors_db: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the 1-Wasserstein distance per sample and point; NaN where a set has no value."""
+    distances = np.full((len(weights), vectors_db.shape[1]), np.nan)
+    for k, values in enumerate(vectors_db.T):
+        order = np.argsort(values, kind="stable")
+        order = order[np.isfinite(values[order])]
+        if len(order) > 1:
+            difference = np.cumsum(_balanced(weights, order), axis=1)[:, :-1]  # of the two distribution functions
+            distances[:, k] = np.abs(difference) @ np.diff(values[order])
     return distances
 
 
-def _energy_distance(first: _Weighted, second: _Weighted) -> float:
-    """Return the root of the energy distance of the complete vectors; NaN where a set has none."""
-    a, b = first.complete(), second.complete()
-    if not len(a.weights) or not len(b.weights):
-        return float("nan")
-    squared = (2 * a.weights @ cdist(a.vectors_db, b.vectors_db) @ b.weights
-               - a.weights @ cdist(a.vectors_db, a.vectors_db) @ a.weights
-               - b.weights @ cdist(b.vectors_db, b.vectors_db) @ b.weights)
-    return float(np.sqrt(max(squared, 0.0)))
+def _energy_distances(vectors_db: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the root of the energy distance of the complete vectors per sample; NaN where a set has none."""
+    complete = np.flatnonzero(np.isfinite(vectors_db).all(axis=1))
+    if not len(complete):
+        return np.full(len(weights), np.nan)
+    balanced = _balanced(weights, complete)
+    squared = -np.sum((balanced @ cdist(vectors_db[complete], vectors_db[complete])) * balanced, axis=1)
+    return np.sqrt(np.maximum(squared, 0.0))
