@@ -298,8 +298,8 @@ def augment() -> None:
 
 
 @verb("export:export", "lhotse data/rirs.sim.train lhotse/rirs.sim.train")
-@click.argument("kind", type=click.Choice(["lhotse", "espnet", "nemo", "huggingface"]), metavar="KIND",
-                help="lhotse, espnet, nemo or huggingface.")
+@click.argument("kind", type=click.Choice(["lhotse", "espnet", "nemo", "huggingface", "roomeq"]), metavar="KIND",
+                help="lhotse, espnet, nemo or huggingface; or roomeq: an RIR directory that refers to nothing outside.")
 @argument("directory", "RIR directory, directory of noises, or Kaldi data directory.")
 @argument("out", "Directory to make.")
 @click.option("--link", is_flag=True, help="Link to audio files that stay as they are, instead of copying them.")

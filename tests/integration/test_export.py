@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 import soundfile
 from datadirs import FS, LENGTHS, audio_of, decay, rir_dir, rir_row, speech_dir
+from plans import L_PLAN, prism_obj
 
 from roomeq.augment import augment
 from roomeq.core.audio import write_wav
+from roomeq.corpora.characterise import characterise
 from roomeq.export import export
 from roomeq.export.align import LEAD_S
 from roomeq.kaldi.datadir import read_data_dir
-from roomeq.records.rir_dir import read_rirs, validate_rirs, write_rirs
+from roomeq.records.rir_dir import read_noises, read_rirs, relocated, validate_rirs, write_noises, write_rirs
+from roomeq.validate import validate
 
 LEAD = round(LEAD_S * FS)
 KINDS = ("lhotse", "espnet", "nemo", "huggingface")
@@ -258,12 +261,49 @@ def test_moved_rir_directory_is_used_as_before(tmp_path, rirs):
     assert {name: content.replace(b"/y/rvb", b"/x/rvb") for name, content in second.items()} == first
 
 
+def test_directory_that_refers_to_others_is_copied_whole(tmp_path, rirs):
+    source = tmp_path / "referring"
+    write_rirs(source, [row | dict(suspicious="clipped") if row["id"] == "room1-1" else row
+                        for row in relocated(read_rirs(rirs), rirs, source)])
+    write_noises(source, relocated(read_noises(rirs), rirs, source))
+    export("roomeq", source, tmp_path / "copy")
+    shutil.rmtree(rirs)
+    shutil.rmtree(source)
+    moved = (tmp_path / "copy").rename(tmp_path / "moved")
+    assert validate_rirs(moved) == 6
+    validate([moved])
+    augment(speech_dir(tmp_path / "clean"), moved, tmp_path / "rvb")
+
+
+def test_meshes_are_copied_with_their_rirs(tmp_path):
+    h = decay(np.random.default_rng(0))
+    write_wav(tmp_path / "rirs/wav/a.wav", h)
+    (tmp_path / "room.obj").write_text(prism_obj(L_PLAN, 3.0, "brick_bare"))
+    write_rirs(tmp_path / "rirs", [rir_row("a", "r", h, mesh="../room.obj", suspicious=None)])
+    export("roomeq", tmp_path / "rirs", tmp_path / "out")
+    mesh = tmp_path / "out" / read_rirs(tmp_path / "out")[0]["mesh"]
+    assert mesh.read_bytes() == (tmp_path / "room.obj").read_bytes()
+    (tmp_path / "room.obj").write_text(prism_obj(L_PLAN, 3.5, "brick_bare"))
+    export("roomeq", tmp_path / "rirs", tmp_path / "out")
+    assert mesh.read_bytes() == (tmp_path / "room.obj").read_bytes()
+
+
+def test_directory_moved_without_its_audio_says_what_to_do(tmp_path, rirs):
+    characterise(rirs, tmp_path / "real")
+    (tmp_path / "elsewhere").mkdir()
+    moved = (tmp_path / "real").rename(tmp_path / "elsewhere/real")
+    with pytest.raises(ValueError, match="missing since .* move it back and copy it with roomeq export roomeq"):
+        augment(speech_dir(tmp_path / "clean"), moved, tmp_path / "rvb")
+
+
 def test_folder_of_another_kind_is_refused(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match="empty: neither an RIR directory .* nor a data directory .*: check the path"):
         export("lhotse", tmp_path / "empty", tmp_path / "out")
-    with pytest.raises(ValueError, match="kind='kaldi' must be one of lhotse, espnet, nemo, huggingface"):
+    with pytest.raises(ValueError, match="kind='kaldi' must be one of lhotse, espnet, nemo, huggingface, roomeq"):
         export("kaldi", tmp_path / "empty", tmp_path / "out")
+    with pytest.raises(ValueError, match="clean: kind=roomeq must be given an RIR directory"):
+        export("roomeq", speech_dir(tmp_path / "clean"), tmp_path / "out")
 
 
 def test_broken_audio_is_refused_by_name(tmp_path, far_field, rirs):

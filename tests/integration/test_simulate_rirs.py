@@ -184,6 +184,7 @@ def test_mesh_rows_use_materials_named_in_the_mesh(tmp_path):
     write_jsonl(tmp_path / "measured" / "rirs.jsonl", [
         measured_row("m1", mesh="room.obj", room_dims_m=None, source_pos_m=[5.0, 1.0, 1.5], mic_pos_m=[1.0, 5.0, 1.5])])
     rows = run(tmp_path / "measured", tmp_path / "sim", num_rays=1000)
+    assert (tmp_path / "sim" / rows["m1"]["mesh"]).samefile(tmp_path / "measured" / "room.obj")
     assert rows["m1"]["materials"]["brick_bare"]["material"] == "brick_bare"
     assert rows["m1"]["direct_visible"] is False
     assert rows["m1"]["t30_s"] == pytest.approx(rows["m1"]["target_t60_s"], rel=0.05)

@@ -21,7 +21,16 @@ from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 from roomeq.core.files import write_json
 from roomeq.eq.gmm import FREE, draw_target, read_gmm, with_reference
 from roomeq.eq.steps import MAX_TAPS
-from roomeq.records.rir_dir import load_rir, read_noises, read_rirs, relocated, rir_path, write_noises, write_rirs
+from roomeq.records.rir_dir import (
+    load_rir,
+    read_noises,
+    read_rirs,
+    relocated,
+    rir_path,
+    with_meshes_relocated,
+    write_noises,
+    write_rirs,
+)
 from roomeq.records.schema import RirRow
 
 logger = logging.getLogger(__name__)
@@ -65,7 +74,7 @@ def make(build: Build, sim_dir: Path, eq_dir: Path, taps: int, match_rooms: bool
         return _compensate_group(sim_dir, rows, target_db, build.work, taps)
 
     def assemble(directory: Path, records: list[list[dict]]) -> None:
-        rows = [row for record in records for row in record]
+        rows = with_meshes_relocated((row for record in records for row in record), sim_dir, out)
         write_rirs(directory, rows, final_directory=out)
         write_noises(directory, relocated(read_noises(sim_dir), sim_dir, out))
         summary.update(summarise([row for row in rows if not row.get("noise_for")]))

@@ -44,6 +44,8 @@ class Content(NamedTuple):
 
     Attributes
     ----------
+    source : Path
+        The directory that is exported.
     work : Path
         Directory to write to.
     out : Path
@@ -54,6 +56,7 @@ class Content(NamedTuple):
     utterances : list of ExportedUtterance
     """
 
+    source: Path
     work: Path
     out: Path
     audio: list[MadeAudio]

@@ -57,13 +57,17 @@ class Plan(NamedTuple):
     data: DataDir | None
 
 
-def plan_export(directory: Path, *, utterance_files: bool, pipes: bool) -> Plan:
+def plan_export(directory: Path, *, utterance_files: bool, all_rirs: bool, pipes: bool) -> Plan:
     """Read the tables of a directory; no audio is read, except of RIRs that nobody has characterised.
 
     Parameters
     ----------
     utterance_files
         Make one file per utterance; otherwise one per recording.
+    all_rirs
+        Keep recordings that are no RIR.
+    pipes
+        Accept commands in `wav.scp`.
 
     Raises
     ------
@@ -76,13 +80,14 @@ def plan_export(directory: Path, *, utterance_files: bool, pipes: bool) -> Plan:
     if not (directory / ROWS_FILE).is_file() and not (directory / NOISES_FILE).is_file():
         raise ValueError(f"{directory}: neither an RIR directory ({ROWS_FILE}), nor one of noises ({NOISES_FILE}), nor "
                          "a data directory (wav.scp): check the path")
-    return Plan([*_rirs(directory), *_noises(directory)], None)
+    return Plan([*_rirs(directory, all_rirs), *_noises(directory)], None)
 
 
-def _rirs(directory: Path) -> Iterator[PlannedAudio]:
+def _rirs(directory: Path, all_rirs: bool) -> Iterator[PlannedAudio]:
     if not (directory / ROWS_FILE).is_file():
         return
-    for row in without_suspicious(directory, read_rirs(directory)):
+    rows = read_rirs(directory)
+    for row in rows if all_rirs else without_suspicious(directory, rows):
         folder = NOISE_RIRS if row.get("noise_for") else RIRS
         yield PlannedAudio(row["id"], folder, f"{folder}/{row['id']}", Entry("file", str(rir_path(directory, row))),
                            row=row)

@@ -4,8 +4,11 @@ import os
 from pathlib import Path
 
 from roomeq.core.build import Build
+from roomeq.records.rir_dir import ROWS_FILE, read_rirs
 
-KINDS = ("lhotse", "espnet", "nemo", "huggingface")
+KINDS = ("lhotse", "espnet", "nemo", "huggingface", "roomeq")
+WITH_PLACE = ("espnet", "roomeq")
+"""Kinds with files that hold the path of the directory."""
 
 
 def export(kind: str, directory: Path | str, out: Path | str, *, link: bool = False, pipes: bool = False,
@@ -13,9 +16,9 @@ def export(kind: str, directory: Path | str, out: Path | str, *, link: bool = Fa
     """Write the content of an RIR, noise or data directory in the format of another toolkit, with its audio.
 
     RIRs for speech, RIRs of noise sources (rows with `noise_for`), ambient noises and point noises have a folder and a
-    manifest each. Recordings that are no RIR are left out. For lhotse, ESPnet and NeMo the audio of RIRs begins
-    `roomeq.export.align.LEAD_S` before the direct sound, so that reverberated speech stays aligned to its labels;
-    for Hugging Face it is unchanged, and a column states the direct sound.
+    manifest each. Recordings that are no RIR are left out, except of ``"roomeq"``. For lhotse, ESPnet and NeMo the
+    audio of RIRs begins `roomeq.export.align.LEAD_S` before the direct sound, so that reverberated speech stays aligned
+    to its labels; otherwise it is unchanged, and the metadata state the direct sound.
 
     Parameters
     ----------
@@ -30,6 +33,8 @@ def export(kind: str, directory: Path | str, out: Path | str, *, link: bool = Fa
             `manifest.json`; of RIRs `rirs.json` and others. Paths are relative to the manifest.
         ``"huggingface"``
             Folders of audio files with `metadata.jsonl` (``audiofolder``), one file per utterance.
+        ``"roomeq"``
+            The same RIR directory with all audio and meshes in it, so that it can be moved on its own.
     directory
         RIR directory, directory with `noises.jsonl`, or Kaldi data directory.
     out
@@ -49,10 +54,17 @@ def export(kind: str, directory: Path | str, out: Path | str, *, link: bool = Fa
     if kind not in KINDS:
         raise ValueError(f"kind={kind!r} must be one of {', '.join(KINDS)}")
     options = dict(kind=kind, link=link)
-    if kind == "espnet":  # its files hold the path of the directory
+    if kind in WITH_PLACE:
         options["place"] = os.path.abspath(out)
-    build = Build(Path(out), step="export", options=options, inputs=[Path(directory)])
+    inputs = [Path(directory), *(_meshes(Path(directory)) if kind == "roomeq" else [])]
+    build = Build(Path(out), step="export", options=options, inputs=inputs)
     if not build.done:
         from roomeq.export.write import make
 
         make(build, kind, Path(directory), link=link, pipes=pipes, nj=nj)
+
+
+def _meshes(directory: Path) -> list[Path]:
+    """Return the meshes of an RIR directory."""
+    rows = read_rirs(directory) if (directory / ROWS_FILE).is_file() else []
+    return sorted({directory / mesh for row in rows if (mesh := row.get("mesh"))})

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from roomeq.core.build import Build
-from roomeq.export import espnet, huggingface, lhotse, nemo
+from roomeq.export import espnet, huggingface, lhotse, nemo, rirs
 from roomeq.export.audio import AudioRules, MadeAudio, make_audio
 from roomeq.export.content import Content, utterances_of
 from roomeq.export.plan import PlannedAudio, plan_export
@@ -26,6 +26,7 @@ class _Format(NamedTuple):
     align_rirs: bool = True
     positive_rirs: bool = False
     utterance_files: bool = False
+    all_rirs: bool = False
 
 
 _FORMATS = {
@@ -33,6 +34,7 @@ _FORMATS = {
     "espnet": _Format(espnet.write_manifests),
     "nemo": _Format(nemo.write_manifests),
     "huggingface": _Format(huggingface.write_manifests, align_rirs=False, utterance_files=True),
+    "roomeq": _Format(rirs.write_manifests, align_rirs=False, all_rirs=True),
 }
 
 
@@ -45,7 +47,10 @@ def make(build: Build, kind: str, directory: Path, *, link: bool, pipes: bool, n
         See `roomeq.export.step.export`.
     """
     form = _FORMATS[kind]
-    plan = plan_export(directory, utterance_files=form.utterance_files, pipes=pipes)
+    plan = plan_export(directory, utterance_files=form.utterance_files, all_rirs=form.all_rirs, pipes=pipes)
+    if kind == "roomeq" and plan.data:
+        raise ValueError(f"{directory}: kind=roomeq must be given an RIR directory or one of noises: choose another "
+                         "kind for a data directory")
     rules = AudioRules(form.align_rirs, form.positive_rirs, link, pipes)
     items = {f"{first:07d}": plan.audio[first:first + AT_ONCE] for first in range(0, len(plan.audio), AT_ONCE)}
     build.run(items, partial(_make_some, build.work, rules), nj=nj)
@@ -53,7 +58,7 @@ def make(build: Build, kind: str, directory: Path, *, link: bool, pipes: bool, n
     def assemble(work: Path, records: list[list[list[Any]]]) -> None:
         made = list(_joined(plan.audio, records))
         _make_links(work, made)
-        form.write_manifests(Content(work, build.out, made, plan.data, utterances_of(plan.data, made)))
+        form.write_manifests(Content(directory, work, build.out, made, plan.data, utterances_of(plan.data, made)))
         counts = {folder: sum(audio.planned.folder == folder for audio in made)
                   for folder in dict.fromkeys(audio.planned.folder for audio in made)}
         logger.info("%s: %s", build.out, ", ".join(f"{count} {folder}" for folder, count in counts.items()))

@@ -119,8 +119,15 @@ def rir_path(directory: Path, row: Mapping[str, Any]) -> Path:
 
 
 def relocated(rows: Iterable[Mapping[str, Any]], directory: Path, out: Path) -> list[dict[str, Any]]:
-    """Return rows of RIRs or noises of `directory` with `wav` relative to `out`, so that they name the same audio."""
-    return [{**row, "wav": os.path.relpath(rir_path(directory, row), out)} for row in rows]
+    """Return rows of RIRs or noises of `directory` with `wav` and `mesh` relative to `out`, for the same files."""
+    return [{**row, "wav": os.path.relpath(rir_path(directory, row), out)}
+            for row in with_meshes_relocated(rows, directory, out)]
+
+
+def with_meshes_relocated(rows: Iterable[Mapping[str, Any]], directory: Path, out: Path) -> list[dict[str, Any]]:
+    """Return rows of RIRs with `mesh`, which is relative to `directory`, made relative to `out`."""
+    return [{**row, "mesh": os.path.relpath(Path(directory) / row["mesh"], out)} if row.get("mesh") else dict(row)
+            for row in rows]
 
 
 def load_rir(directory: Path, row: Mapping[str, Any]) -> FloatArray:

@@ -17,7 +17,7 @@ from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.effects.model import Model, apply_to_rir, direct_gain, names_of, path_gain, read_model
-from roomeq.records.rir_dir import read_rirs, validate_rirs, write_rirs
+from roomeq.records.rir_dir import read_rirs, validate_rirs, with_meshes_relocated, write_rirs
 from roomeq.records.schema import RirRow
 from roomeq.sim.geometry import find_place
 from roomeq.sim.materials import read_materials
@@ -50,7 +50,8 @@ def make(build: Build, measured_dir: Path, rows: list[RirRow], materials: Path |
                 for rendered in render_source(members, air, table, effects, options)]
 
     def assemble(directory: Path, records: list[list[dict]]) -> None:
-        write_rirs(directory, [row for record in records for row in record], final_directory=build.out)
+        rows = with_meshes_relocated((row for record in records for row in record), measured_dir, build.out)
+        write_rirs(directory, rows, final_directory=build.out)
         validate_rirs(directory)
 
     if build.run(groups, simulate_group, part=part, nj=nj):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from roomeq.core.audio import write_wav
-from roomeq.records.rir_dir import load_rir, read_rirs, validate_rirs, write_rirs
+from roomeq.records.rir_dir import load_rir, read_rirs, relocated, validate_rirs, write_rirs
 
 RIR = np.r_[np.zeros(20), 0.03, -0.02, 0.001 * np.ones(600)]
 
@@ -90,3 +90,10 @@ def test_numpy_numbers_are_written_as_plain_ones(tmp_path):
     rows = write_two(tmp_path)
     write_rirs(tmp_path, [row | dict(distance_m=np.float64(2.5)) for row in rows])
     assert [row["distance_m"] for row in read_rirs(tmp_path)] == [2.5, 2.5]
+
+
+def test_relocated_rows_name_the_same_audio_and_mesh(tmp_path):
+    rows = [dict(id="a", wav="wav/a.wav", mesh="../rooms/a.obj"), dict(id="b", wav="../b.wav", mesh=None)]
+    there = relocated(rows, tmp_path / "x" / "in", tmp_path / "out")
+    assert [row["wav"] for row in there] == ["../x/in/wav/a.wav", "../x/b.wav"]
+    assert [row["mesh"] for row in there] == ["../x/rooms/a.obj", None]
