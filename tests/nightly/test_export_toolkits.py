@@ -8,6 +8,7 @@ import soundfile
 from datadirs import FS, audio_of, rir_dir, speech_dir
 
 from roomeq.augment import augment
+from roomeq.corpora import prepare_speech
 from roomeq.export import export
 from roomeq.export.lhotse import LATE_RIRS
 from roomeq.kaldi.datadir import read_data_dir
@@ -52,6 +53,21 @@ def test_lhotse_cuts_are_the_utterances(tmp_path, far_field):
         (supervision,) = cut.supervisions
         assert supervision.text == data.text[supervision.id]
         np.testing.assert_array_equal(cut.load_audio()[0], audio_of(data, supervision.id).astype(np.float32))
+
+
+def test_lhotse_imports_clean_speech_of_ours(tmp_path):
+    lhotse_kaldi = pytest.importorskip("lhotse.kaldi")
+    lines = ["file,transcript,utt_id,speaker"]
+    for n, path in enumerate(sorted((speech_dir(tmp_path / "corpus") / "wav").iterdir())):
+        lines.append(f"wav/{path.name},WORDS {n},s{n}-1,s{n}")
+    (tmp_path / "corpus/manifest.csv").write_text("\n".join(lines) + "\n")
+    (tmp_path / "corpus/wav.scp").unlink()
+    prepare_speech(tmp_path / "corpus", tmp_path / "data")
+    recordings, supervisions, _ = lhotse_kaldi.load_kaldi_data_dir(tmp_path / "data/train.clean", FS)
+    data = read_data_dir(tmp_path / "data/train.clean")
+    assert {supervision.id: supervision.text for supervision in supervisions} == data.text
+    for recording in recordings:
+        assert recording.load_audio().shape[1] == recording.num_samples
 
 
 def test_lhotse_reverberates_in_place(tmp_path, rirs):

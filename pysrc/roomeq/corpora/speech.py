@@ -33,8 +33,8 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
     """Make Kaldi data directories from a corpus of clean speech.
 
     A directory holds `wav.scp` (``UTT flac -c -d -s FILE |``, FILE absolute), `text`, `utt2spk`, `spk2utt`, `utt2dur`,
-    and, if the gender of every speaker is known, `spk2gender`, sorted by bytes. Audio stays where it is if it is 16 kHz
-    16-bit mono FLAC or WAV. Other audio is converted and written to the directory, which the log mentions.
+    `reco2dur` and, if the gender of every speaker is known, `spk2gender`, sorted by bytes. Audio stays where it is if
+    it is 16 kHz 16-bit mono FLAC or WAV. Other audio is converted and written to the directory, which the log mentions.
 
     Parameters
     ----------

@@ -73,7 +73,10 @@ def plan_kaldi(parts: Iterable[KaldiPart], limit: int | None) -> Plan:
     _check_order(files["utt2spk"])
 
     def assemble(directory: Path, records: list[Any]) -> None:
-        _write_dir(directory, {name: lines for name, lines in files.items() if _is_complete(name, lines, files)})
+        complete = {name: lines for name, lines in files.items() if _is_complete(name, lines, files)}
+        if "segments" not in complete and "utt2dur" in complete:  # an utterance is a recording of its own
+            complete["reco2dur"] = complete["utt2dur"]
+        _write_dir(directory, complete)
 
     return Plan({}, lambda name, item: None, assemble)
 
@@ -117,10 +120,11 @@ def plan_utterances(build: Build, utterances: list[Utterance], limit: int | None
         entries = {name: (entry, n_samples) for record in records for name, entry, n_samples in record}
         genders = {utterance.speaker: utterance.gender for utterance in utterances}
         known_genders = {speaker: gender for speaker, gender in genders.items() if gender is not None}
+        durations = {name: seconds(n_samples) for name, (_, n_samples) in entries.items()}
         files = {"wav.scp": {name: entry for name, (entry, _) in entries.items()},
                  "text": {utterance.id: utterance.text for utterance in utterances},
                  "utt2spk": {utterance.id: utterance.speaker for utterance in utterances},
-                 "utt2dur": {name: seconds(n_samples) for name, (_, n_samples) in entries.items()}}
+                 "utt2dur": durations, "reco2dur": durations}  # an utterance is a recording of its own
         if len(known_genders) == len(genders):
             files["spk2gender"] = known_genders
         elif known_genders:

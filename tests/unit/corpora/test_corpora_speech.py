@@ -53,6 +53,7 @@ def test_librispeech_matches_the_stock_recipe(tmp_path, below):
     assert lines(dev / "wav.scp")[1] == (
         f"1272-128104-0001 flac -c -d -s {source / below / 'dev-clean/1272/128104/1272-128104-0001.flac'} |")
     assert lines(dev / "utt2dur") == ["1272-128104-0000 0.1", "1272-128104-0001 0.1000625"]
+    assert lines(dev / "reco2dur") == lines(dev / "utt2dur")
     assert lines(test / "utt2spk") == ["61-70968-0000 61-70968"]
 
 
