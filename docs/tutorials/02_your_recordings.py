@@ -35,7 +35,7 @@ for room_id, dims_m, t60_s in (("office", (5.2, 4.1, 2.8), 0.45), ("class", (9.0
     scene = roomeq.Scene(roomeq.Shoebox(dims_m), [roomeq.Material("walls", 0.2, 0.3)] * 6)
     source = (1.2, 1.4, 1.5)
     mics = [tuple(rng.uniform(1.0, np.array(dims_m) - 1.0)) for _ in range(6)]
-    for n, response in enumerate(roomeq.simulate_rir(scene, source, mics, target_t60_s=t60_s, seed=1)):
+    for n, response in enumerate(roomeq.simulate_responses(scene, source, mics, target_t60_s=t60_s, seed=1)):
         coloured = np.convolve(response.rir, [1.0, 0.55, 0.2])  # a loudspeaker that is weak at high frequencies
         coloured += 1e-5 * np.abs(coloured).max() * rng.standard_normal(len(coloured))
         name = f"{room_id}_{n}.wav"

@@ -37,7 +37,7 @@ for k, dims_m in enumerate([(5.2, 4.1, 2.8), (7.5, 5.0, 3.0), (6.1, 6.4, 2.6), (
     for source_id, fir in colours.items():
         source = rng.uniform(1.0, np.array(dims_m) - 1.0)
         mics = [rng.uniform(0.8, np.array(dims_m) - 0.8) for _ in range(4)]
-        for n, response in enumerate(roomeq.simulate_rir(scene, source, mics, seed=k)):
+        for n, response in enumerate(roomeq.simulate_responses(scene, source, mics, seed=k)):
             rir = np.convolve(response.rir, fir)
             rir += 3e-6 * rng.standard_normal(len(rir))
             name = f"room{k}_{source_id}_{n}"

@@ -26,7 +26,7 @@ from roomeq.sim.response import (
     needed_length_s,
     render_responses,
     render_to_target,
-    simulate_rir,
+    simulate_responses,
     trace_source,
 )
 from roomeq.sim.scene import Air, Material, Scene, Shoebox
@@ -82,7 +82,7 @@ def box_scene(dims_m, absorption, scattering, air=None):
 
 def simulate(scene, source_pos_m, mics_m, *, n_rays=N_RAYS, ism_order=ISM_ORDER, seed=0, target_t60_s=None):
     """Simulate and render; list of `Rendered`, one per microphone."""
-    responses = simulate_rir(scene, source_pos_m, mics_m, num_rays=n_rays, ism_order=ism_order, seed=seed,
+    responses = simulate_responses(scene, source_pos_m, mics_m, num_rays=n_rays, ism_order=ism_order, seed=seed,
                              target_t60_s=target_t60_s)
     return [Rendered(response.rir, FS_HZ, response.direct_sample) for response in responses]
 
@@ -229,7 +229,7 @@ def sampled_and_full(dims_m, source_pos_m, noise_pos_m, mic_pos_m, target_s, *, 
         energies = []
         for chosen in (samples, None):
             context = make_render_context(source, mics_m, rngs, length_s=length_s, ism_order=ISM_ORDER,
-                                          diffraction=False, path_gain=None, path_samples=chosen)
+                                          diffraction=False, path_samples=chosen)
             rays = ray_echograms(context, absorption, range(8))
             energies.append(add_image_sources(context, rays, absorption, list(range(8)))[0])
         pairs.append((*energies, _largest_path(samples[0], source, absorption, context)))

@@ -32,7 +32,7 @@ _ROUNDING = 1e-9
 _KEYS, _ENTRY_KEYS = ("format", "effects"), ("effect", "of", "typical", "spread")
 _KEY = {"source": "source_id", "mic": "mic_id", "room": "room_id", "rir": "id"}
 
-PathGain = Callable[[FloatArray], FloatArray]
+Directivity = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def extend_scene(effects: Sequence[Effect], scene: Scene) -> Scene:
     return scene
 
 
-def path_gain(effects: Sequence[Effect], source_dir: Sequence[float | None] | None) -> PathGain | None:
+def path_gain(effects: Sequence[Effect], source_dir: Sequence[float | None] | None) -> Directivity | None:
     """Return the energy gain of paths as a function of the direction in which they leave the source.
 
     Parameters
@@ -102,14 +102,15 @@ def path_gain(effects: Sequence[Effect], source_dir: Sequence[float | None] | No
     Returns
     -------
     callable or None
-        Takes unit vectors, shape (n, 3), and returns gains, shape (n, 8); None where all are 1.
+        Takes unit vectors, shape (n, 3), and returns pressure gains, shape (n, 8); None where all are 1.
     """
     directive, facing = [effect for effect in effects if is_directive(effect)], unit_facing(source_dir)
     if not directive or facing is None:
         return None
 
     def gain(directions: FloatArray) -> FloatArray:
-        return np.prod([effect.on_paths(directions @ facing) for effect in directive], axis=0)  # type: ignore[arg-type]
+        energy = np.prod([effect.on_paths(directions @ facing) for effect in directive], axis=0)  # type: ignore[arg-type]
+        return np.sqrt(energy)
 
     return gain
 
@@ -119,13 +120,13 @@ def is_directive(effect: Effect) -> bool:
     return effect.on_paths(np.ones(1)) is not None
 
 
-def names_of(effects: Sequence[Effect], gain: PathGain | None) -> list[str]:
+def names_of(effects: Sequence[Effect], gain: Directivity | None) -> list[str]:
     """Return the names of the effects that act; those on paths do not where `path_gain` returned None."""
     return [effect.NAME for effect in effects if gain is not None or not is_directive(effect)]
 
 
 def direct_gain(scene: Scene, source_pos_m: ArrayLike, mic_pos_m: ArrayLike,
-                gain: PathGain | None = None) -> FloatArray:
+                gain: Directivity | None = None) -> FloatArray:
     """Return the pressure of the direct sound on a free path: ``1 / (4 pi r)`` with air absorption, shape (8,).
 
     Parameters
@@ -138,7 +139,7 @@ def direct_gain(scene: Scene, source_pos_m: ArrayLike, mic_pos_m: ArrayLike,
     path_m = np.subtract(mic_pos_m, source_pos_m)
     distance_m = np.linalg.norm(path_m)
     pressure = np.exp(-0.5 * distance_m * np.asarray(scene.air.attenuation_per_m)) / (4.0 * np.pi * distance_m)
-    return pressure if gain is None else pressure * np.sqrt(gain((path_m / distance_m)[None])[0])
+    return pressure if gain is None else pressure * gain((path_m / distance_m)[None])[0]
 
 
 def apply_to_rir(effects: Sequence[Effect], rir: FloatArray, scene: Scene, source_pos_m: Sequence[float],

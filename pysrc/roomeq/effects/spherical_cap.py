@@ -65,7 +65,7 @@ def cap_spectrum(cos_angle: ArrayLike, radius_m: float, cap_rad: float, frequenc
 
 
 def cap_gain(cos_angle: ArrayLike, radius_m: float, cap_rad: float,
-             bands_hz: Sequence[float] = EXACT_BANDS_HZ) -> FloatArray:
+             bands_hz: Sequence[float] = EXACT_BANDS_HZ, fs_hz: float = FS_HZ) -> FloatArray:
     """Return the energy relative to the axis, averaged over octave bands, up to half the sample rate.
 
     Parameters
@@ -78,6 +78,8 @@ def cap_gain(cos_angle: ArrayLike, radius_m: float, cap_rad: float,
         Half-angle of the cap, up to pi / 2.
     bands_hz : sequence of float
         Mid-band frequencies.
+    fs_hz : float
+        Sample rate.
 
     Returns
     -------
@@ -88,7 +90,7 @@ def cap_gain(cos_angle: ArrayLike, radius_m: float, cap_rad: float,
     ValueError
         A parameter is out of range.
     """
-    table = _table(float(radius_m), float(cap_rad), tuple(bands_hz))
+    table = _table(float(radius_m), float(cap_rad), tuple(bands_hz), fs_hz)
     cos_angle = np.asarray(cos_angle, dtype=float)
     gain = np.empty((cos_angle.size, len(bands_hz)))
     _look_up(np.ravel(cos_angle), table, gain)
@@ -147,9 +149,9 @@ def _polynomials(n_terms: int) -> FloatArray:
 
 
 @lru_cache(maxsize=64)
-def _table(radius_m: float, cap_rad: float, bands_hz: tuple[float, ...]) -> FloatArray:
+def _table(radius_m: float, cap_rad: float, bands_hz: tuple[float, ...], fs_hz: float) -> FloatArray:
     """Band averages at equally spaced angles from 0 to pi, shape (_N_ANGLES, n_bands)."""
-    octaves = np.minimum(np.log2(0.5 * FS_HZ / np.array(bands_hz)), 0.5) + 0.5  # half of the highest band is recorded
+    octaves = np.minimum(np.log2(0.5 * fs_hz / np.array(bands_hz)), 0.5) + 0.5  # half of the highest band is recorded
     frequencies_hz = np.array(bands_hz) * 2.0 ** (octaves * (np.arange(_PER_BAND)[:, None] + 0.5) / _PER_BAND - 0.5)
     coefficients = cap_series(radius_m, cap_rad, frequencies_hz.T.ravel())
     n_terms = coefficients.shape[1]

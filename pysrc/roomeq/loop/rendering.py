@@ -153,7 +153,8 @@ def _render_group(data: Data, group: list[int], scene: Scene, effects: Sequence[
     gain = path_gain(effects, data.rows[group[0]].get("source_dir"))
     responses = render_responses(replace(data.traced[group[0]].load(), scene=scene),
                                  [data.places[n].mic_pos_m for n in group],
-                                 [rng_for(seed, "loop tail", data.rows[n]["id"]) for n in group], path_gain=gain)
+                                 [rng_for(seed, "loop tail", data.rows[n]["id"]) for n in group],
+                                 source_directivity=gain)
     return [RawRir(response.rir, scene, response.direct_visible * direct_gain(
         scene, data.places[n].source_pos_m, data.places[n].mic_pos_m, gain))
         for n, response in zip(group, responses, strict=True)]

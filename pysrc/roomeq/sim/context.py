@@ -27,8 +27,8 @@ from roomeq.sim.trace import late_after_s
 if TYPE_CHECKING:
     from roomeq.sim.response import TracedSource
 
-PathGain = Callable[[FloatArray], FloatArray]
-"""Directivity of a source: maps directions of departure, shape (n, 3), to energy gains, shape (n, n_bands)."""
+Directivity = Callable[[FloatArray], FloatArray]
+"""Of a source or microphone: maps unit vectors away from it, shape (n, 3), to gains of pressure, shape (n, n_bands)."""
 _SMOOTHING_FRAMES = 7  # length of the moving average over the late echogram
 
 
@@ -92,8 +92,10 @@ class RenderContext:
         Largest length of a response.
     ism_order
         Largest number of reflections of image sources.
-    path_gain
-        Directivity of the source; None if it is omnidirectional.
+    source_directivity
+        None if the source is omnidirectional.
+    mic_directivities
+        One per microphone, None for an omnidirectional one. They need path samples, which know where sound comes from.
     """
 
     traced: "TracedSource"
@@ -105,18 +107,23 @@ class RenderContext:
     visible: list[BoolArray]
     length_s: float
     ism_order: int
-    path_gain: PathGain | None
+    source_directivity: Directivity | None
+    mic_directivities: Sequence[Directivity | None]
 
     @property
     def n_frames(self) -> int:
         """Number of echogram frames in `length_s`."""
         return int(np.ceil(self.length_s / FRAME_S))
 
-    def image_gains(self, images: SpecularPaths, absorption: FloatArray, bands: list[int]) -> FloatArray:
-        """Return the pressure of image sources, including source directivity, shape (n_paths, n_bands)."""
-        scene = self.traced.scene
+    def image_gains(self, mic: int, absorption: FloatArray, bands: list[int]) -> FloatArray:
+        """Return the pressure of the image sources at a microphone, with directivities, shape (n_paths, n_bands)."""
+        scene, images = self.traced.scene, self.images[mic]
         gains = images.gains(absorption[:, bands], scene.scattering[:, bands], scene.attenuation_per_m[bands])
-        return gains if self.path_gain is None else gains * np.sqrt(self.path_gain(images.departure)[:, bands])
+        for directivity, directions in ((self.source_directivity, images.departure),
+                                        (self.mic_directivities[mic], images.arrival)):
+            if directivity is not None:
+                gains = gains * directivity(directions)[:, bands]
+        return gains
 
     def with_all_paths(self) -> "RenderContext":
         """Return a context that follows all stored paths in each rendering."""
@@ -134,10 +141,15 @@ class RenderContext:
 
 
 def make_render_context(traced: "TracedSource", mics_m: ArrayLike, rngs: Sequence[np.random.Generator], *,
-                        length_s: float | None, ism_order: int, diffraction: bool, path_gain: PathGain | None,
+                        length_s: float | None, ism_order: int, diffraction: bool,
+                        source_directivity: Directivity | None = None,
+                        mic_directivities: Sequence[Directivity | None] | None = None,
                         path_samples: list[PathSample] | None = None) -> RenderContext:
     """Compute the inputs of rendering that do not depend on absorption; see `render_responses` for the parameters."""
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
+    mic_directivities = [None] * len(mics_m) if mic_directivities is None else mic_directivities
+    if path_samples is None and any(mic_directivities):
+        raise ValueError("a directive microphone needs path samples, which know where sound comes from: give them")
     for mic_m in mics_m:
         check_positions(traced.scene.room, traced.source_pos_m, mic_m)
     length_s = traced.max_length_s if length_s is None else min(length_s, traced.max_length_s)
@@ -152,7 +164,7 @@ def make_render_context(traced: "TracedSource", mics_m: ArrayLike, rngs: Sequenc
             list(zip(mics_m, images, strict=True)))
     noises = [tail_noise(n_samples, room.volume_m3, speed_m_s, rng, fs_hz) for rng in rngs]
     context = RenderContext(traced, mics_m, images, diffracted, noises, path_samples, [], length_s, ism_order,
-                            path_gain)
+                            source_directivity, mic_directivities)
     return context if path_samples is not None else context.with_all_paths()
 
 
@@ -163,13 +175,17 @@ def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequenc
     """
     scene, paths, bands = context.traced.scene, context.traced.paths, list(bands)
     # all traces have the same directions of departure
-    ray_gain = None if context.path_gain is None else context.path_gain(paths[0].directions)
+    directivity = context.source_directivity
+    ray_gain = None if directivity is None else np.square(directivity(paths[0].directions))
     result = np.zeros((len(context.mics_m), context.n_frames, len(bands)))
     if context.path_samples is not None:
-        def from_sample(sample: PathSample) -> Array:
-            return sample.echogram(absorption, bands=bands, ray_gain=ray_gain)[:context.n_frames, bands]
+        def from_sample(sample: PathSample, mic_m: FloatArray, directivity: Directivity | None) -> Array:
+            arrival_gain = None if directivity is None else sample.gain_of_arrivals(paths, mic_m, directivity)
+            return sample.echogram(absorption, bands=bands, ray_gain=ray_gain,
+                                   arrival_gain=arrival_gain)[:context.n_frames, bands]
 
-        echograms = on_threads(from_sample, [(sample,) for sample in context.path_samples])
+        echograms = on_threads(from_sample, list(zip(context.path_samples, context.mics_m, context.mic_directivities,
+                                                     strict=True)))
         for energy, echogram in zip(result, echograms, strict=True):
             energy[:len(echogram)] = echogram
     else:
@@ -203,10 +219,10 @@ def add_image_sources(context: RenderContext, energy: FloatArray, absorption: Fl
                       bands: list[int]) -> FloatArray:
     """Return echograms with the energy of the image sources added."""
     speed_m_s, result = context.traced.scene.air.speed_m_s, energy.copy()
-    for echogram, images in zip(result, context.images, strict=True):
+    for mic, (echogram, images) in enumerate(zip(result, context.images, strict=True)):
         frame = (images.distance_m / speed_m_s / FRAME_S).astype(int)
         inside = frame < len(echogram)
-        np.add.at(echogram, frame[inside], context.image_gains(images, absorption, bands)[inside] ** 2)
+        np.add.at(echogram, frame[inside], context.image_gains(mic, absorption, bands)[inside] ** 2)
     return result
 
 
@@ -217,20 +233,20 @@ def render_microphones(context: RenderContext, absorption: FloatArray,
     ray_energy = ray_echograms(context, absorption, bands)
     total_energy = add_image_sources(context, ray_energy, absorption, bands)
     return on_threads(partial(_render_microphone, context, absorption, bands),
-                      list(zip(context.mics_m, ray_energy, total_energy, context.images, context.diffracted,
-                               context.noises, strict=True)))
+                      list(enumerate(zip(ray_energy, total_energy, strict=True))))
 
 
-def _render_microphone(context: RenderContext, absorption: FloatArray, bands: list[int], mic_m: FloatArray,
-                       ray_energy: FloatArray, total_energy: FloatArray, images: SpecularPaths,
-                       diffracted: Diffracted | None, noise: FloatArray) -> Response:
-    traced, scene = context.traced, context.traced.scene
+def _render_microphone(context: RenderContext, absorption: FloatArray, bands: list[int], mic: int,
+                       energies: tuple[FloatArray, FloatArray]) -> Response:
+    """Render one microphone from its energy per frame: that of the rays, and all."""
+    traced, scene, mic_m, images = context.traced, context.traced.scene, context.mics_m[mic], context.images[mic]
+    ray_energy, total_energy = energies
     speed_m_s, fs_hz = scene.air.speed_m_s, scene.fs_hz
     direct_sample = float(np.linalg.norm(mic_m - traced.source_pos_m) / speed_m_s * fs_hz)
     length_s = min(response_length_s(total_energy, direct_sample / fs_hz + 0.1), context.length_s)
-    rir = render(images.distance_m, context.image_gains(images, absorption, bands), ray_energy, noise,
+    rir = render(images.distance_m, context.image_gains(mic, absorption, bands), ray_energy, context.noises[mic],
                  speed_m_s=speed_m_s, n_samples=round(length_s * fs_hz), bands=bands, fs_hz=fs_hz)
-    if diffracted is not None:
+    if (diffracted := context.diffracted[mic]) is not None:
         rir = rir + diffracted.response(absorption, scene, len(rir))
     if not np.all(np.isfinite(rir)):
         raise NotFiniteError(_not_finite(mic_m, absorption, total_energy, bands, fs_hz))

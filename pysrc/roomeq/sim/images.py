@@ -33,11 +33,14 @@ class SpecularPaths:
         Number of reflections of each path at each surface, shape (n_paths, n_surfaces).
     departure
         Direction in which each path leaves the source, unit vectors, shape (n_paths, 3).
+    arrival
+        Direction from the receiver in which each path arrives from, unit vectors, shape (n_paths, 3).
     """
 
     distance_m: FloatArray
     surface_counts: IntArray
     departure: FloatArray
+    arrival: FloatArray
 
     @property
     def has_direct(self) -> bool:
@@ -75,7 +78,8 @@ def specular_paths(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, or
     # reflections along the axis is odd
     departure = np.where(lattice % 2 == 0, path, -path) / distance_m[:, None]
     by_length = np.argsort(distance_m, kind="stable")
-    return SpecularPaths(distance_m[by_length], surface_counts[by_length], departure[by_length])
+    arrival = -path / distance_m[:, None]
+    return SpecularPaths(distance_m[by_length], surface_counts[by_length], departure[by_length], arrival[by_length])
 
 
 @lru_cache(maxsize=8)

@@ -316,6 +316,7 @@ def _visible_paths(room: MeshRoom, sequences: list[IntArray], source: FloatArray
     distances: list[FloatArray] = []
     counts: list[IntArray] = []
     departures: list[FloatArray] = []
+    arrivals: list[FloatArray] = []
     for sequence in sequences:
         images = _images(mirrors, sequence, source)
         valid = np.arange(len(sequence))
@@ -334,11 +335,12 @@ def _visible_paths(room: MeshRoom, sequences: list[IntArray], source: FloatArray
         offset = mic - images[-1][valid]
         distances.append(np.linalg.norm(offset, axis=1))
         counts.append(surface_counts[valid])
-        departures.append(_departures(mirrors, sequence[valid], offset / distances[-1][:, None]))
+        arrivals.append(-offset / distances[-1][:, None])
+        departures.append(_departures(mirrors, sequence[valid], -arrivals[-1]))
     distance_m = np.concatenate(distances)
     by_length = np.argsort(distance_m, kind="stable")
     return SpecularPaths(distance_m[by_length], np.concatenate(counts)[by_length],
-                         np.concatenate(departures)[by_length])
+                         np.concatenate(departures)[by_length], np.concatenate(arrivals)[by_length])
 
 
 def _departures(mirrors: FloatArray, sequence: IntArray, direction: FloatArray) -> FloatArray:

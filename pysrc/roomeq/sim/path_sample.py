@@ -15,7 +15,7 @@ least absorption, in any band. The estimate is unbiased, and exact where all ban
 Every chunk of rays keeps its own share of the paths: the chunks are strata, and no two threads write to the same one.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -83,8 +83,33 @@ class PathSample:
         """Return the index of each path's ray among `Paths.directions` of a trace."""
         return np.searchsorted(self.first_reflection[trace], self.last_reflection[trace], side="right") - 1
 
-    def echogram(self, absorption: FloatArray, *, bands: ArrayLike | None = None,
-                 ray_gain: Array | None = None) -> Array:
+    def gain_of_arrivals(self, paths: Sequence[Paths], mic_m: FloatArray,
+                         directivity: Callable[[FloatArray], FloatArray]) -> list[Array]:
+        """Return the energy gain of each path at a directive microphone: sound comes from its last reflection.
+
+        Parameters
+        ----------
+        paths
+            The traces that were sampled.
+        mic_m
+            Shape (3,).
+        directivity
+            From unit vectors away from the microphone, shape (n, 3), to gains of pressure, shape (n, n_bands).
+
+        Returns
+        -------
+        list of ndarray of float32, shape (n_frames, PATHS_PER_FRAME, n_bands)
+            One per trace.
+        """
+        gains = []
+        for trace, last in zip(paths, self.last_reflection, strict=True):
+            way_m = trace.hits[last.ravel(), :3] - mic_m
+            gain = np.square(directivity(way_m / np.maximum(np.linalg.norm(way_m, axis=1, keepdims=True), 1e-9)))
+            gains.append(gain.reshape(*last.shape, -1).astype(np.float32))
+        return gains
+
+    def echogram(self, absorption: FloatArray, *, bands: ArrayLike | None = None, ray_gain: Array | None = None,
+                 arrival_gain: list[Array] | None = None) -> Array:
         """Estimate what `roomeq.sim.echogram.compute_echograms` would return, for any absorption.
 
         Parameters
@@ -95,6 +120,8 @@ class PathSample:
             Indices of the bands to compute; the others are 0. All by default.
         ray_gain
             Energy gain of each ray at the source, shape (n_rays, n_bands); 1 by default.
+        arrival_gain
+            Of each path at the microphone, from `gain_of_arrivals`; 1 by default.
 
         Returns
         -------
@@ -107,6 +134,9 @@ class PathSample:
         energy = np.empty((len(result), BANDS_PER_PASS), np.float32)
         for trace, first in sorted({(int(trace_of_band[n]), int(n) // BANDS_PER_PASS * BANDS_PER_PASS) for n in bands}):
             gain = _NO_GAIN if ray_gain is None else eight_bands(ray_gain, first)[self.ray(trace)]
+            if arrival_gain is not None:
+                of_arrivals = eight_bands(arrival_gain[trace], first)
+                gain = gain * of_arrivals if len(gain) else of_arrivals
             counts = self.reflection_counts[trace]
             _absorb(self.weight[trace], counts, int(counts.max()), eight_bands(1.0 - absorption, first), gain, energy)
             served = [band for band in bands if trace_of_band[band] == trace and 0 <= band - first < BANDS_PER_PASS]

@@ -12,7 +12,7 @@ from pathlib import Path
 from roomeq.core.constants import BANDS_HZ
 
 PACKAGE = "pyroomacoustics"
-_FIRST_BAND = {8: 0, 7: 1, 6: 1, 5: 1}  # tables of fewer bands begin at 125 Hz
+_FIRST_BAND = {9: 0, 8: 0, 7: 1, 6: 1, 5: 1}  # tables of fewer bands begin at 125 Hz
 
 
 def extend_bands(values: Iterable[float]) -> tuple[float, ...]:
@@ -21,11 +21,11 @@ def extend_bands(values: Iterable[float]) -> tuple[float, ...]:
     Parameters
     ----------
     values
-        Eight (62.5 Hz to 8 kHz), seven (125 Hz to 8 kHz), six (to 4 kHz) or five (to 2 kHz).
+        Nine (62.5 Hz to 16 kHz), eight (to 8 kHz), seven (125 Hz to 8 kHz), six (to 4 kHz) or five (to 2 kHz).
 
     Returns
     -------
-    tuple of 8 floats
+    tuple of 8 floats, or 9 where they are given
 
     Raises
     ------
@@ -34,10 +34,10 @@ def extend_bands(values: Iterable[float]) -> tuple[float, ...]:
     """
     values = tuple(values)
     if len(values) not in _FIRST_BAND:
-        raise ValueError(f"{len(values)} coefficients must be 8 (62.5 Hz to 8 kHz), 7 (125 Hz to 8 kHz), "
-                         "6 (125 Hz to 4 kHz) or 5 (125 Hz to 2 kHz): give one per band")
+        raise ValueError(f"{len(values)} coefficients must be 9 (62.5 Hz to 16 kHz), 8 (to 8 kHz), "
+                         "7 (125 Hz to 8 kHz), 6 (125 Hz to 4 kHz) or 5 (125 Hz to 2 kHz): give one per band")
     first = _FIRST_BAND[len(values)]
-    missing = len(BANDS_HZ) - first - len(values)
+    missing = max(0, len(BANDS_HZ) - first - len(values))
     return (values[0],) * first + values + (values[-1],) * missing
 
 

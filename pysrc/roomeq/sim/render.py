@@ -126,8 +126,10 @@ def _add_first(signal: FloatArray, delay: float, gains: FloatArray, bands: IntAr
     pulse = np.zeros((1, 2 * SINC_HALF))
     start = int(np.ceil(delay)) - SINC_HALF
     _add_pulses(pulse, np.array([delay - start]), np.ones((1, 1)), _sinc_table())
-    gains_db = 20.0 * np.log10(np.maximum(gains, max(_LOWEST_GAIN * gains.max(), 1e-30)))
-    sound = np.convolve(pulse[0], minimum_phase(np.array(exact_bands_hz(fs_hz))[bands], gains_db, n_fft, fs_hz))
+    strongest = gains[np.argmax(np.abs(gains))]  # all bands have its sign: that of a lobe of a directivity
+    gains_db = 20.0 * np.log10(np.maximum(np.abs(gains), max(_LOWEST_GAIN * abs(strongest), 1e-30)))
+    taps = minimum_phase(np.array(exact_bands_hz(fs_hz))[bands], gains_db, n_fft, fs_hz)
+    sound = np.sign(strongest) * np.convolve(pulse[0], taps)
     low, high = max(0, start), min(len(signal), start + len(sound))
     signal[low:high] += sound[low - start:high - start]
 

@@ -2,7 +2,7 @@
 
     room = Shoebox((6, 4, 3))
     scene = Scene(room, [Material("plaster", 0.1, 0.2)] * 6)
-    (response,) = simulate_rir(scene, (2, 1.5, 1.5), (4, 3, 1.2), seed=0)
+    (response,) = simulate_responses(scene, (2, 1.5, 1.5), (4, 3, 1.2), seed=0)
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BAND_1KHZ
 from roomeq.core.rng import rng_for
 from roomeq.sim.context import (
-    PathGain,
+    Directivity,
     RenderContext,
     Response,
     add_image_sources,
@@ -26,7 +26,8 @@ from roomeq.sim.context import (
     render_microphones,
 )
 from roomeq.sim.defaults import ISM_ORDER, NUM_RAYS, ORDER
-from roomeq.sim.path_sample import PathSample
+from roomeq.sim.echogram import FRAME_S
+from roomeq.sim.path_sample import PathSample, sample_paths
 from roomeq.sim.render import MAX_LENGTH_S, MIN_LENGTH_S
 from roomeq.sim.scene import Scene, check_positions, eyring_time_s
 from roomeq.sim.target import (
@@ -39,8 +40,7 @@ from roomeq.sim.target import (
 )
 from roomeq.sim.trace import Paths, trace
 
-_DEFAULTS: dict[str, Any] = dict(length_s=None, ism_order=ISM_ORDER, diffraction=True, path_gain=None,
-                                 path_samples=None)
+_DEFAULTS: dict[str, Any] = dict(length_s=None, ism_order=ISM_ORDER, diffraction=True)
 _AROUND_1KHZ = (BAND_1KHZ - 1, BAND_1KHZ, BAND_1KHZ + 1)  # what the octave filter at 1 kHz sees
 _CLOSE_ENOUGH = 0.025  # relative error of the target at which all octaves are not rendered again
 _MAX_RENDERINGS = 3  # of all octaves, after the first
@@ -118,7 +118,9 @@ def trace_source(scene: Scene, source_pos_m: ArrayLike, *, num_rays: int = NUM_R
 
 def render_responses(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.random.Generator], *,
                      absorption: FloatArray | None = None, length_s: float | None = None,
-                     ism_order: int = ISM_ORDER, diffraction: bool = True, path_gain: PathGain | None = None,
+                     ism_order: int = ISM_ORDER, diffraction: bool = True,
+                     source_directivity: Directivity | None = None,
+                     mic_directivities: Sequence[Directivity | None] | None = None,
                      path_samples: list[PathSample] | None = None) -> list[Response]:
     """Render the responses of a traced source at some microphones.
 
@@ -137,9 +139,9 @@ def render_responses(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
         Order up to which specular reflections are exact image sources.
     diffraction
         Whether edges of a mesh diffract (`roomeq.sim.diffraction`).
-    path_gain
-        Directivity of the source: from the directions of paths at the source, shape (n, 3), to energy gains, shape
-        (n, n_bands). It does not apply to diffracted sound.
+    source_directivity, mic_directivities
+        Of the source, and of each microphone; None is omnidirectional. They do not apply to diffracted sound. Those of
+        microphones need `path_samples`.
     path_samples
         Of the microphones, from `sample_paths` with the same `ism_order`. They replace following all stored paths and
         take a fraction of its time.
@@ -151,10 +153,11 @@ def render_responses(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
     Raises
     ------
     ValueError
-        A microphone lies outside the room or on top of the source.
+        A microphone lies outside the room or on top of the source, or is directive without a path sample.
     """
     context = make_render_context(traced, mics_m, rngs, length_s=length_s, ism_order=ism_order, diffraction=diffraction,
-                   path_gain=path_gain, path_samples=path_samples)
+                                  source_directivity=source_directivity, mic_directivities=mic_directivities,
+                                  path_samples=path_samples)
     return render_microphones(context, traced.scene.absorption if absorption is None else absorption)
 
 
@@ -164,7 +167,7 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
 
     Echograms of a path sample predict how T30 changes with absorption. One rendering of the octave at 1 kHz and its
     neighbours measures the effect of the tail's noise. All octaves are then rendered, in most cases once; all paths are
-    followed where the absorption is far from that for which the samples were drawn.
+    followed where the absorption is far from that for which the samples were drawn, unless microphones are directive.
 
     Parameters
     ----------
@@ -195,7 +198,8 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
         return context.with_all_paths()
 
     def render(exponent: float) -> list[Response]:
-        served = context.path_samples is None or SERVED[0] <= exponent / guess <= SERVED[1]
+        served = (context.path_samples is None or any(context.mic_directivities)
+                  or SERVED[0] <= exponent / guess <= SERVED[1])
         return render_microphones(context if served else follow_all(), scaled_absorption(base, exponent))
 
     def predict(exponent: float) -> float | None:
@@ -237,9 +241,10 @@ def _mean_t30_s(responses: Sequence[Response]) -> float | None:
     return float(np.mean(times_s)) if len(times_s) == len(responses) else None
 
 
-def simulate_rir(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike, *, num_rays: int = NUM_RAYS,
-                 ism_order: int = ISM_ORDER, order: int = ORDER, target_t60_s: float | None = None,
-                 diffraction: bool = True, seed: int = 0) -> list[Response]:
+def simulate_responses(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike, *, num_rays: int = NUM_RAYS,
+                       ism_order: int = ISM_ORDER, order: int = ORDER, target_t60_s: float | None = None,
+                       diffraction: bool = True, source_directivity: Directivity | None = None,
+                       mic_directivities: Sequence[Directivity | None] | None = None, seed: int = 0) -> list[Response]:
     """Simulate impulse responses from a source to one or more microphones.
 
     Parameters
@@ -261,6 +266,9 @@ def simulate_rir(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike, *, nu
         Scale the materials until T30 at 1 kHz (mean over the microphones) has this value.
     diffraction
         Whether edges of a mesh diffract (`roomeq.sim.diffraction`); convex rooms have no such edges.
+    source_directivity, mic_directivities
+        Of the source, and of each microphone (`roomeq.sim.directivity`); None is omnidirectional. They do not apply to
+        diffracted sound.
     seed
 
     Returns
@@ -279,9 +287,16 @@ def simulate_rir(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike, *, nu
     traced = trace_source(scene, source_pos_m, num_rays=num_rays,
                           max_length_s=needed_length_s(scene, target_t60_s, order), rng=rng_for(seed, "trace", ""))
     rngs = [rng_for(seed, "tail", str(n)) for n in range(len(mics_m))]
+    options: dict[str, Any] = dict(ism_order=ism_order, diffraction=diffraction, source_directivity=source_directivity)
+    if mic_directivities is not None and any(mic_directivities):
+        exponent = 1.0 if target_t60_s is None else eyring_exponent(scene, target_t60_s)
+        options |= dict(mic_directivities=mic_directivities, path_samples=sample_paths(
+            traced, mics_m, np.tile(scaled_absorption(scene.absorption, exponent), (len(mics_m), 1, 1)),
+            [rng_for(seed, "echoes", str(n)) for n in range(len(mics_m))], ism_order=ism_order,
+            n_frames=int(np.ceil(traced.max_length_s / FRAME_S))))
     if target_t60_s is None:
-        return render_responses(traced, mics_m, rngs, ism_order=ism_order, diffraction=diffraction)
-    return render_to_target(traced, mics_m, rngs, target_t60_s, ism_order=ism_order, diffraction=diffraction)
+        return render_responses(traced, mics_m, rngs, **options)
+    return render_to_target(traced, mics_m, rngs, target_t60_s, **options)
 
 
 def eyring_exponent(scene: Scene, target_s: float, absorption: FloatArray | None = None) -> float:

@@ -223,7 +223,7 @@ def _render_row(room: _TracedRoom, member: Member, draws: Iterator[SceneDraw], p
                                                    [draw.expected_absorption])
             response = room.render(place, row["id"], draw.target_s, absorption=draw.scene.absorption,
                                    length_s=draw.length_s, path_samples=[path_sample],
-                                   path_gain=path_gain(effects, row.get("source_dir")))
+                                   source_directivity=path_gain(effects, row.get("source_dir")))
         except NotFiniteError:
             raise
         except ValueError as error:

@@ -126,7 +126,7 @@ def simulated(materials):
         by_driver = []
         for z in content["sources"]["drivers_z"]:
             at = (*np.add(plan, BRAS_ORIGIN_M), z)
-            responses = roomeq.simulate_rir(the_scene, at, list(mics.values()), seed=SEED)
+            responses = roomeq.simulate_responses(the_scene, at, list(mics.values()), seed=SEED)
             by_driver.append([(response.rir, _with_modes(the_scene, response.rir, at, mic))
                               for response, mic in zip(responses, mics.values(), strict=True)])
         for mic, drivers in zip(mics, zip(*by_driver, strict=True), strict=True):

@@ -11,7 +11,7 @@ from roomeq.acoustics.parameters import measure
 from roomeq.core.constants import bands_hz, exact_bands_hz
 from roomeq.sim.echogram import compute_echograms
 from roomeq.sim.path_sample import sample_paths
-from roomeq.sim.response import simulate_rir, trace_source
+from roomeq.sim.response import simulate_responses, trace_source
 from roomeq.sim.scene import Air, Material, Scene, Shoebox, eyring_time_s
 
 RATES_HZ = (8000, 16000, 22050, 44100, 48000)
@@ -43,7 +43,7 @@ def test_direct_sound_has_its_delay_level_and_air_absorption_at_any_rate(fs_hz):
     far_m = 40.0
     room = Shoebox((60.0, 30.0, 20.0))
     scene = Scene(room, [Material("open", 1.0, 0.0)] * 6, fs_hz=fs_hz)
-    (response,) = simulate_rir(scene, (5.0, 15.0, 10.0), (5.0 + far_m, 15.0, 10.0), num_rays=200)
+    (response,) = simulate_responses(scene, (5.0, 15.0, 10.0), (5.0 + far_m, 15.0, 10.0), num_rays=200)
     assert response.direct_sample == pytest.approx(fs_hz * far_m / Air().speed_m_s)
     # at 40 m the air delays nothing, but its minimum phase shifts the found onset by a fraction of a sample
     assert find_direct(response.rir, fs_hz)[0] == pytest.approx(response.direct_sample, abs=2.0)
@@ -56,7 +56,7 @@ def test_direct_sound_has_its_delay_level_and_air_absorption_at_any_rate(fs_hz):
 def test_decay_and_clarity_agree_between_rates_in_common_bands():
     measured = {}
     for fs_hz in RATES_HZ:
-        responses = simulate_rir(scene_at(fs_hz), (2.0, 1.5, 1.5), MICS_M, num_rays=5000, seed=3)
+        responses = simulate_responses(scene_at(fs_hz), (2.0, 1.5, 1.5), MICS_M, num_rays=5000, seed=3)
         found = [all_metrics(response.rir, fs_hz, response.direct_sample, 1) for response in responses]
         level_db = [10.0 * np.log10(fs_hz * np.sum(octave_bands(response.rir, fs_hz) ** 2, axis=1))
                     for response in responses]
@@ -74,7 +74,7 @@ def test_decay_and_clarity_agree_between_rates_in_common_bands():
 
 def test_sixteen_kilohertz_band_decays_as_eyring_says_in_a_diffuse_room():
     scene = scene_at(48000, absorption=0.2, scattering=0.9)
-    responses = simulate_rir(scene, (2.0, 1.5, 1.5), MICS_M[:8], num_rays=5000, seed=1)
+    responses = simulate_responses(scene, (2.0, 1.5, 1.5), MICS_M[:8], num_rays=5000, seed=1)
     times_s = np.mean([all_metrics(response.rir, 48000, response.direct_sample, 1)["t20_s"] for response in responses],
                       axis=0)
     assert times_s[4:] == pytest.approx(eyring_time_s(scene)[4:], rel=0.1)
@@ -108,7 +108,7 @@ def test_material_of_eight_bands_keeps_its_highest_value_above_them():
 
 @pytest.mark.parametrize("fs_hz", [8000, 48000])
 def test_acoustic_parameters_have_a_value_per_band_and_no_eq_away_from_16_khz(fs_hz):
-    (response,) = simulate_rir(scene_at(fs_hz), (2.0, 1.5, 1.5), (4.0, 3.0, 1.2), num_rays=2000)
+    (response,) = simulate_responses(scene_at(fs_hz), (2.0, 1.5, 1.5), (4.0, 3.0, 1.2), num_rays=2000)
     parameters = measure(response.rir, fs_hz)
     assert len(parameters["t30_s"]) == len(parameters["c50_valid"]) == len(bands_hz(fs_hz))
     assert "eq_db" not in parameters

@@ -9,7 +9,7 @@ from bench.fidelity.halfplane import at
 from roomeq.core.constants import FS_HZ
 from roomeq.sim.diffraction import Edges, Grid, deposit, diffract, find_edges
 from roomeq.sim.mesh import load_mesh, make_room
-from roomeq.sim.response import simulate_rir
+from roomeq.sim.response import simulate_responses
 from roomeq.sim.scene import Air, Material, Scene, Shoebox
 
 C = Air().speed_m_s
@@ -136,7 +136,7 @@ def test_convex_rooms_have_no_diffraction(tmp_path):
         assert find_edges(room) is None
         assert diffract(room, (1, 1, 1), (4, 3, 1), speed_m_s=C, n_samples=800, direct_visible=True) is None
         scene = Scene(room, [Material("all", 0.2, 0.1)] * len(room.surfaces))
-        with_, without = (simulate_rir(scene, (1, 1, 1), (4, 3, 1), num_rays=500, diffraction=which)[0]
+        with_, without = (simulate_responses(scene, (1, 1, 1), (4, 3, 1), num_rays=500, diffraction=which)[0]
                           for which in (True, False))
         np.testing.assert_array_equal(with_.rir, without.rir)
         assert not with_.diffracted
@@ -168,7 +168,7 @@ def test_early_level_is_continuous_at_shadow_in_room(room_with_box):
     levels = {}
     for diffraction in (True, False):
         mics = [(5.0, edge_y + shift, 1.0) for shift in (-0.002, 0.002)]
-        found = simulate_rir(scene, source, mics, num_rays=500, ism_order=0, diffraction=diffraction)
+        found = simulate_responses(scene, source, mics, num_rays=500, ism_order=0, diffraction=diffraction)
         assert [one.direct_visible for one in found] == [False, True]
         window = slice(int(found[0].direct_sample) - 40, int(found[0].direct_sample) + 20)
         spectra = [np.abs(np.fft.rfft(one.rir[window], 512))[16:192] for one in found]
@@ -193,7 +193,7 @@ def test_absorbing_faces_keep_only_the_shadow_terms(room_with_box):
 def test_diffraction_switch_changes_the_response(room_with_box):
     scene = Scene(room_with_box, [Material("all", 0.3, 0.1)] * len(room_with_box.surfaces))
     source, mic = (1.0, 2.0, 1.0), (5.0, 2.6, 1.2)
-    on, off = (simulate_rir(scene, source, mic, num_rays=500, diffraction=which)[0] for which in (True, False))
+    on, off = (simulate_responses(scene, source, mic, num_rays=500, diffraction=which)[0] for which in (True, False))
     assert on.diffracted and not off.diffracted and not on.direct_visible
     way_m = min(np.linalg.norm(np.subtract(place, source)) + np.linalg.norm(np.subtract(place, mic))
                 for place in ((2.5, 2.5, 1.1), (3.5, 2.5, 1.15)))

@@ -13,7 +13,7 @@ from roomeq.sim import published
 from roomeq.sim.materials import draw_scattering, find_surface, given_surfaces, named_scene, read_materials
 from roomeq.sim.mesh import load_mesh
 from roomeq.sim.meshfile import read_triangles
-from roomeq.sim.response import simulate_rir
+from roomeq.sim.response import simulate_responses
 from roomeq.sim.scene import Shoebox
 from roomeq.simulate_rirs import simulate
 
@@ -130,7 +130,7 @@ def test_docstring_example_runs(tmp_path, published_table):
     assert room.surfaces == ("brick wall", "ceiling", "oak")
     scene = named_scene(room, {"oak": {"absorption": "oak_panel", "scattering": "rough"}, "default": "brick_plastered"})
     assert [one.name for one in scene.materials] == ["brick_plastered", "brick_plastered", "oak_panel"]
-    (response,) = simulate_rir(scene, (1.0, 2.0, 1.2), (4.0, 3.0, 1.2), num_rays=500, seed=0)
+    (response,) = simulate_responses(scene, (1.0, 2.0, 1.2), (4.0, 3.0, 1.2), num_rays=500, seed=0)
     assert response.direct_visible and np.all(np.isfinite(response.rir))
     np.testing.assert_allclose(response.absorption, scene.absorption)
 

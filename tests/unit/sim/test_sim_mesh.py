@@ -15,7 +15,7 @@ from roomeq.sim.echogram import compute_echograms
 from roomeq.sim.images import specular_paths
 from roomeq.sim.mesh import load_mesh, make_room
 from roomeq.sim.meshfile import triangulate
-from roomeq.sim.response import simulate_rir
+from roomeq.sim.response import simulate_responses
 from roomeq.sim.scene import Air, Material, Scene, Shoebox
 from roomeq.sim.trace import trace
 
@@ -105,7 +105,7 @@ def test_mesh_box_decay_time_matches_shoebox(box):
         scene = Scene(room, [Material("all", 0.2, 0.3)] * len(room.surfaces))
         mics = np.random.default_rng(0).uniform(0.2, 0.8, (10, 3)) * DIMS_M
         times_s.append(np.mean([reverberation_time(one.rir, FS_HZ, 1000.0, "t20", direct_sample=one.direct_sample)
-                                for one in simulate_rir(scene, (1.0, 1.3, 1.2), mics, num_rays=5000)]))
+                                for one in simulate_responses(scene, (1.0, 1.3, 1.2), mics, num_rays=5000)]))
     assert times_s[1] == pytest.approx(times_s[0], rel=0.02)
 
 
@@ -165,7 +165,7 @@ def test_occluded_receiver_gets_only_hand_computed_paths(write_obj):
         lengths.append(len(expected))
     assert lengths[0] == 0 and max(lengths) >= 6
     scene = Scene(room, [Material("all", 0.2, 0.3)] * 3)
-    near, far = simulate_rir(scene, (*source, 1.5), [(*places[2], 1.5), (*places[0], 1.5)], num_rays=4000)
+    near, far = simulate_responses(scene, (*source, 1.5), [(*places[2], 1.5), (*places[0], 1.5)], num_rays=4000)
     assert near.direct_visible and not far.direct_visible and near.leaked_share == 0.0
     around_m = np.hypot(3.0, 0.9) + np.hypot(1.1, 3.2)  # past the inner corner at (2, 2)
     silent = int(around_m / C * FS_HZ) - 200

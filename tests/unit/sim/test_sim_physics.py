@@ -11,7 +11,7 @@ from roomeq.core.constants import BAND_1KHZ, EXACT_BANDS_HZ, FS_HZ
 from roomeq.sim.echogram import FRAME_S, compute_echograms
 from roomeq.sim.images import specular_paths
 from roomeq.sim.render import render, tail_noise
-from roomeq.sim.response import render_responses, simulate_rir, trace_source
+from roomeq.sim.response import render_responses, simulate_responses, trace_source
 from roomeq.sim.scene import Air, Material, Scene, Shoebox, eyring_time_s
 from roomeq.sim.target import scaled_absorption
 from roomeq.sim.trace import sphere_directions, trace
@@ -30,7 +30,7 @@ def places(room, count, seed):
 @pytest.mark.parametrize("distance_m", [0.7, 2.0, 3.217])
 def test_direct_sound_follows_inverse_distance_and_delay(distance_m):
     scene = uniform_scene((8.0, 5.0, 3.0), 1.0, 0.0)
-    (response,) = simulate_rir(scene, (2.0, 2.0, 1.5), (2.0 + distance_m, 2.0, 1.5), num_rays=200)
+    (response,) = simulate_responses(scene, (2.0, 2.0, 1.5), (2.0 + distance_m, 2.0, 1.5), num_rays=200)
     assert response.direct_sample == pytest.approx(FS_HZ * distance_m / C)
     sample, polarity = find_direct(response.rir, FS_HZ)
     assert polarity == 1 and sample == pytest.approx(response.direct_sample, abs=0.02)
@@ -194,7 +194,7 @@ def test_decay_matches_independent_monte_carlo(scattering, absorption):
 def test_diffuse_room_decay_matches_kuttruff():
     scene = uniform_scene((5.0, 4.5, 4.0), 0.3, 1.0)
     source, *mics = places(scene.room, 12, 1)
-    responses = simulate_rir(scene, source, np.array(mics), num_rays=6000)
+    responses = simulate_responses(scene, source, np.array(mics), num_rays=6000)
     times_s = [reverberation_time(one.rir, FS_HZ, 500.0, "t20", direct_sample=one.direct_sample) for one in responses]
     # free paths vary (their relative variance is 0.4 in such rooms): Kuttruff, eq. 5.24
     expected_s = eyring_time_s(scene)[3] / (1.0 + 0.5 * 0.4 * np.log(0.7))
@@ -207,7 +207,7 @@ def test_late_energy_matches_diffuse_field_theory():
     for seed in range(4):
         source, *mics = rng.uniform(0.02, 0.98, (9, 3)) * scene.room.dims_m
         mics = [mic for mic in mics if np.linalg.norm(mic - source) > 0.5]
-        for one in simulate_rir(scene, source, mics, num_rays=4000, seed=seed):
+        for one in simulate_responses(scene, source, mics, num_rays=4000, seed=seed):
             spectrum = np.abs(np.fft.rfft(one.rir[int(one.direct_sample) + 16:], 2 * len(one.rir))) ** 2
             hz = np.fft.rfftfreq(2 * len(one.rir), 1.0 / FS_HZ)
             late.append(np.mean(spectrum[(hz > 150.0) & (hz < 1000.0)]))  # the air takes next to nothing
@@ -218,7 +218,7 @@ def test_late_energy_matches_diffuse_field_theory():
 
 def test_air_absorption_shortens_high_band_decay():
     dry = Scene(Shoebox((12.0, 8.0, 4.0)), [Material("all", 0.05, 0.5)] * 6, Air(20.0, 30.0))
-    (response,) = simulate_rir(dry, (3, 2, 1.5), (8, 6, 1.8), num_rays=6000)
+    (response,) = simulate_responses(dry, (3, 2, 1.5), (8, 6, 1.8), num_rays=6000)
     found_s = {hz: reverberation_time(response.rir, FS_HZ, hz, "t20", direct_sample=response.direct_sample)
                for hz in (1000.0, 4000.0, 8000.0)}
     expected_s = eyring_time_s(dry)
@@ -269,7 +269,7 @@ def test_t30_target_is_met_on_rendered_response(target_s, dims_m):
     absorption = (0.05, 0.1, 0.1, 0.15, 0.2, 0.25, 0.3, 0.3)
     scene = Scene(Shoebox(dims_m), [Material("a", absorption, 0.3), Material("b", 0.1, 0.1)] * 3)
     source, mic = np.multiply(dims_m, (0.3, 0.3, 0.4)), np.multiply(dims_m, (0.7, 0.6, 0.5))
-    (response,) = simulate_rir(scene, source, mic, num_rays=8000, target_t60_s=target_s, seed=3)
+    (response,) = simulate_responses(scene, source, mic, num_rays=8000, target_t60_s=target_s, seed=3)
     measured_s = reverberation_time(response.rir, FS_HZ, 1000.0, "t30", direct_sample=response.direct_sample)
     assert measured_s == pytest.approx(target_s, rel=0.05)
     assert response.t30_s == pytest.approx(measured_s)
@@ -283,14 +283,15 @@ def test_t30_target_is_met_on_rendered_response(target_s, dims_m):
     (lambda: Material("felt", (0.1, 0.2), 0.1), r"must be 8 numbers .* or one"),
     (lambda: Shoebox((4.0, 0.0, 3.0)), r"room_dims_m=.* must be three lengths"),
     (lambda: Scene(Shoebox((4.0, 3.0, 3.0)), [Material("a", 0.1, 0.1)]), r"1 materials must be one for each"),
-    (lambda: simulate_rir(uniform_scene((4, 3, 3), 0.2, 0.2), (5, 1, 1), (1, 1, 1)),
+    (lambda: simulate_responses(uniform_scene((4, 3, 3), 0.2, 0.2), (5, 1, 1), (1, 1, 1)),
      r"source_pos_m\[0\]=5 must lie in \[0.01, 3.99\] m"),
-    (lambda: simulate_rir(uniform_scene((4, 3, 3), 0.2, 0.2), (1, 1, 1), (1, float("inf"), 1)),
+    (lambda: simulate_responses(uniform_scene((4, 3, 3), 0.2, 0.2), (1, 1, 1), (1, float("inf"), 1)),
      r"mic_pos_m.* must be three finite numbers"),
-    (lambda: simulate_rir(uniform_scene((4, 3, 3), 0.2, 0.2), (1, 1, 1), (1, 1, 1.01)), r"are 0.01 m apart"),
-    (lambda: simulate_rir(uniform_scene((4, 3, 3), 0.2, 0.2), (1, 1, 1), (2, 1, 1), num_rays=0),
+    (lambda: simulate_responses(uniform_scene((4, 3, 3), 0.2, 0.2), (1, 1, 1), (1, 1, 1.01)), r"are 0.01 m apart"),
+    (lambda: simulate_responses(uniform_scene((4, 3, 3), 0.2, 0.2), (1, 1, 1), (2, 1, 1), num_rays=0),
      r"num_rays=0 must be at least 1"),
-    (lambda: simulate_rir(uniform_scene((4, 3, 3), 0.0, 0.2), (1, 1, 1), (2, 1, 1), target_t60_s=0.5, num_rays=500),
+    (lambda: simulate_responses(uniform_scene((4, 3, 3), 0.0, 0.2), (1, 1, 1), (2, 1, 1), target_t60_s=0.5,
+                                num_rays=500),
      r"target_t60_s=0.5 is out of reach"),
 ])
 def test_impossible_scenes_are_rejected(wrong, message):

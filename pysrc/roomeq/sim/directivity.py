@@ -1,0 +1,134 @@
+"""Directivities of sources and microphones, for `roomeq.simulate_rir`.
+
+A directivity maps unit vectors that point away from the source or microphone to gains of sound pressure per octave
+band. Patterns of the first order may have a negative rear lobe; a measured table has gains without phase.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from roomeq.core.arrays import FloatArray
+from roomeq.core.constants import exact_bands_hz
+
+PATTERNS = {"omnidirectional": 1.0, "subcardioid": 0.75, "cardioid": 0.5, "supercardioid": 0.366,
+            "hypercardioid": 0.25, "figure_eight": 0.0}
+"""Share a of the omnidirectional part in the pattern ``a + (1 - a) cos(theta)``."""
+_N_NEIGHBOURS = 4  # measured directions that a gain is interpolated from
+
+
+@dataclass(frozen=True)
+class FirstOrder:
+    """A directivity of the first order, the same in all bands: ``a + (1 - a) cos(theta)``.
+
+    Attributes
+    ----------
+    pattern
+        A name of `PATTERNS`, or the share a in [0, 1].
+    facing
+        Direction of the main axis, shape (3,); its length does not matter.
+    """
+
+    pattern: str | float
+    facing: Sequence[float] | FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "facing", unit(self.facing))
+        if isinstance(self.pattern, str) and self.pattern not in PATTERNS:
+            raise ValueError(f"pattern={self.pattern!r} must be one of {', '.join(PATTERNS)}, or a share in [0, 1]: "
+                             "correct it")
+        if not 0.0 <= self.share <= 1.0:
+            raise ValueError(f"pattern={self.pattern!r} must lie in [0, 1]: correct it")
+
+    @property
+    def share(self) -> float:
+        """The share a of the omnidirectional part."""
+        return PATTERNS[self.pattern] if isinstance(self.pattern, str) else float(self.pattern)
+
+    def pressure(self, directions: FloatArray, fs_hz: float) -> FloatArray:
+        """Return the gains in some directions, shape (n, n_bands)."""
+        gain = self.share + (1.0 - self.share) * (directions @ np.asarray(self.facing))
+        return np.repeat(gain[:, None], len(exact_bands_hz(fs_hz)), axis=1)
+
+
+@dataclass(frozen=True)
+class DirectivityTable:
+    """A measured directivity: gains at some directions and frequencies, without phase.
+
+    Gains are interpolated in dB over log frequency, and over angle from the four nearest measured directions, weighted
+    by the inverse of their distance. Beyond the lowest and highest frequency the gain is that of the outermost one.
+
+    Attributes
+    ----------
+    directions
+        In the coordinates of the device, whose main axis is x and whose top is z, shape (n_directions, 3).
+    frequencies_hz
+        Ascending, shape (n_frequencies,).
+    gains_db
+        Shape (n_directions, n_frequencies).
+    facing
+        Direction of the main axis in the room, shape (3,).
+    up
+        A direction in the room that lies in the plane of the device's x and z axes, shape (3,).
+    """
+
+    directions: FloatArray
+    frequencies_hz: FloatArray
+    gains_db: FloatArray
+    facing: Sequence[float] | FloatArray
+    up: Sequence[float] | FloatArray = (0.0, 0.0, 1.0)
+    _bands: dict[float, FloatArray] = field(default_factory=dict, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        directions = np.asarray(self.directions, dtype=float)
+        frequencies_hz, gains_db = np.asarray(self.frequencies_hz, float), np.asarray(self.gains_db, float)
+        if directions.ndim != 2 or directions.shape[1] != 3 or gains_db.shape != (len(directions), len(frequencies_hz)):
+            raise ValueError(f"gains_db of shape {gains_db.shape} must have one row for each of {directions.shape} "
+                             f"directions and one column for each of {frequencies_hz.shape} frequencies: correct them")
+        if not len(frequencies_hz) or frequencies_hz[0] <= 0.0 or np.any(np.diff(frequencies_hz) <= 0.0):
+            raise ValueError("frequencies_hz must be positive and ascending: sort them")
+        if not np.all(np.isfinite(gains_db)):
+            raise ValueError("gains_db must be finite: leave out directions that were not measured")
+        object.__setattr__(self, "directions", directions / np.linalg.norm(directions, axis=1, keepdims=True))
+        object.__setattr__(self, "frequencies_hz", frequencies_hz)
+        object.__setattr__(self, "gains_db", gains_db)
+        object.__setattr__(self, "facing", unit(self.facing))
+        object.__setattr__(self, "up", unit(self.up))
+        if np.linalg.norm(np.cross(self.facing, self.up)) < 1e-6:
+            raise ValueError(f"up={list(self.up)} must not be parallel to facing={list(self.facing)}: choose another")
+
+    def pressure(self, directions: FloatArray, fs_hz: float) -> FloatArray:
+        """Return the gains in some directions, shape (n, n_bands)."""
+        from scipy.spatial import cKDTree
+
+        front = np.asarray(self.facing)
+        left = unit(np.cross(np.asarray(self.up), front))
+        local = directions @ np.stack([front, left, np.cross(front, left)], axis=1)
+        count = min(_N_NEIGHBOURS, len(self.directions))
+        distance, near = cKDTree(self.directions).query(local, k=count)
+        weight = 1.0 / np.maximum(np.reshape(distance, (-1, count)), 1e-6)
+        weight /= weight.sum(axis=1, keepdims=True)
+        gains_db = np.einsum("nk,nkb->nb", weight, self._in_bands(fs_hz)[np.reshape(near, (-1, count))])
+        return 10.0 ** (0.05 * gains_db)
+
+    def _in_bands(self, fs_hz: float) -> FloatArray:
+        if fs_hz not in self._bands:
+            self._bands[fs_hz] = np.array([np.interp(np.log(exact_bands_hz(fs_hz)), np.log(self.frequencies_hz), row)
+                                           for row in self.gains_db])
+        return self._bands[fs_hz]
+
+
+def unit(vector: ArrayLike) -> FloatArray:
+    """Return a vector of shape (3,) with length 1.
+
+    Raises
+    ------
+    ValueError
+        It is not three finite numbers, or its length is 0.
+    """
+    values = np.asarray(vector, dtype=float)
+    if values.shape != (3,) or not np.all(np.isfinite(values)) or not np.any(values):
+        raise ValueError(f"direction {vector!r} must be three finite numbers, not all 0: correct it")
+    return values / np.linalg.norm(values)

@@ -1,0 +1,129 @@
+"""The public calls for rooms, responses and directivities."""
+
+import numpy as np
+import pytest
+from plans import L_PLAN, prism_obj
+
+import roomeq
+from roomeq.sim.scene import Air
+
+MIC_M, SOURCE_M = (4.0, 3.0, 1.2), (2.0, 1.5, 1.5)
+DISTANCE_M = float(np.linalg.norm(np.subtract(MIC_M, SOURCE_M)))
+ROOM = roomeq.Room((6.0, 4.0, 3.0), materials=0.3)
+DIRECTIVITIES = [roomeq.FirstOrder("cardioid", (1.0, 0.5, 0.0)), roomeq.FirstOrder("figure_eight", (0.0, 1.0, 0.0)),
+                 roomeq.FirstOrder("hypercardioid", (-1.0, 0.0, 0.2)), roomeq.Loudspeaker((1.0, 0.7, 0.0))]
+
+
+def direct_sample(fs=16000):
+    return DISTANCE_M / Air().speed_m_s * fs
+
+
+def parameters(rir, fs=16000):
+    return roomeq.analyse(rir, fs, direct=(direct_sample(fs), 1))
+
+
+def test_response_begins_with_the_direct_sound_of_a_unit_pulse():
+    for fs in (8000, 48000):
+        rir = roomeq.simulate_rir(ROOM, SOURCE_M, MIC_M, fs, num_rays=500)
+        first = round(direct_sample(fs))
+        assert rir.ndim == 1 and not np.any(np.abs(rir[:first - 40]) > 1e-6)
+        assert np.sum(rir[first - 2:first + 3]) == pytest.approx(1.0 / (4.0 * np.pi * DISTANCE_M), rel=0.1)
+
+
+def test_array_has_a_row_for_each_microphone_and_the_same_bytes_again():
+    mics_m = [MIC_M, (4.1, 3.0, 1.2), (1.0, 1.0, 1.0)]
+    rirs = roomeq.simulate_rir(ROOM, SOURCE_M, mics_m, num_rays=500, seed=4)
+    assert rirs.shape[0] == 3
+    assert np.array_equal(rirs, roomeq.simulate_rir(ROOM, SOURCE_M, mics_m, num_rays=500, seed=4))
+    assert not np.array_equal(rirs, roomeq.simulate_rir(ROOM, SOURCE_M, mics_m, num_rays=500, seed=5))
+
+
+def test_reverberation_time_is_met():
+    room = roomeq.Room((6.0, 4.0, 3.0), t60_s=0.4)
+    assert parameters(roomeq.simulate_rir(room, SOURCE_M, MIC_M))["t30_s"][4] == pytest.approx(0.4, rel=0.05)
+
+
+def test_materials_may_be_names_numbers_or_of_single_surfaces():
+    rooms = [roomeq.Room((6, 4, 3), materials=materials) for materials in
+             ("brick_plastered", 0.2, [0.1] * 8, np.full(9, 0.3), {"absorption": 0.2, "scattering": 0.5},
+              {"floor": "carpet_thin", "default": 0.2})]
+    absorption = [room.scene().absorption for room in rooms]
+    assert absorption[1] == pytest.approx(0.2) and absorption[3] == pytest.approx(0.3)
+    assert absorption[4] == pytest.approx(0.2) and rooms[4].scene().scattering == pytest.approx(0.5)
+    assert absorption[5][0] == pytest.approx(0.2) and not np.allclose(absorption[5][4], 0.2)
+
+
+def test_mesh_is_a_room(tmp_path):
+    (tmp_path / "l.obj").write_text(prism_obj(L_PLAN, 3.0))
+    room = roomeq.Room(tmp_path / "l.obj", materials=0.2)
+    rir = roomeq.simulate_rir(room, (1.0, 1.0, 1.5), (2.0, 1.2, 1.2), 8000, num_rays=500)
+    assert np.any(rir)
+
+
+@pytest.mark.parametrize("directivity", DIRECTIVITIES, ids=lambda one: type(one).__name__)
+def test_directivity_acts_at_the_microphone_as_at_the_source(directivity):
+    """A room is reciprocal: exchanging source and microphone, with their directivities, changes nothing."""
+    at_source, at_mic = ([], [])
+    for seed in range(4):
+        at_source.append(roomeq.simulate_rir(ROOM, SOURCE_M, MIC_M, source_directivity=directivity, seed=seed))
+        at_mic.append(roomeq.simulate_rir(ROOM, MIC_M, SOURCE_M, mic_directivity=directivity, seed=seed))
+    level_db = [np.mean([10.0 * np.log10(np.sum(rir ** 2)) for rir in rirs]) for rirs in (at_source, at_mic)]
+    drr_db, c50_db, t20_s = ([np.mean([parameters(rir)[key] for rir in rirs], axis=0) for rirs in (at_source, at_mic)]
+                             for key in ("drr_db", "c50_db", "t20_s"))
+    assert level_db[0] == pytest.approx(level_db[1], abs=0.3)
+    assert drr_db[0] == pytest.approx(drr_db[1], abs=0.3)
+    assert c50_db[0][2:] == pytest.approx(c50_db[1][2:], abs=1.0)
+    assert t20_s[0][2:] == pytest.approx(t20_s[1][2:], rel=0.1)
+
+
+def test_cardioid_that_faces_away_mutes_the_direct_sound_and_a_figure_eight_inverts_it():
+    towards = np.subtract(MIC_M, SOURCE_M)
+    first = round(direct_sample())
+    direct = {}
+    for pattern in ("omnidirectional", "cardioid", "figure_eight"):
+        rir = roomeq.simulate_rir(ROOM, SOURCE_M, MIC_M, source_directivity=roomeq.FirstOrder(pattern, -towards))
+        direct[pattern] = np.sum(rir[first - 2:first + 3])
+    assert abs(direct["cardioid"]) < 0.02 * direct["omnidirectional"]
+    assert direct["figure_eight"] == pytest.approx(-direct["omnidirectional"], rel=0.05)
+
+
+def test_cardioid_in_a_diffuse_field_takes_a_third_of_the_energy():
+    room = roomeq.Room((6.0, 4.0, 3.0), materials={"absorption": 0.1, "scattering": 0.9})
+    late = {}
+    for pattern in ("omnidirectional", "cardioid"):
+        rirs = roomeq.simulate_rir(room, SOURCE_M, [MIC_M, (1.0, 3.0, 1.0), (5.0, 1.0, 2.0)],
+                                   mic_directivity=roomeq.FirstOrder(pattern, (0.0, 0.0, 1.0)))
+        late[pattern] = np.sum(rirs[:, 2400:] ** 2)
+    assert 10.0 * np.log10(late["cardioid"] / late["omnidirectional"]) == pytest.approx(-4.77, abs=0.4)
+
+
+def test_table_of_a_cardioid_acts_like_the_cardioid():
+    directions = np.random.default_rng(0).standard_normal((2000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    gains_db = 20.0 * np.log10(np.maximum(0.5 + 0.5 * directions[:, :1], 1e-3))
+    facing = (0.3, -1.0, 0.4)
+    table = roomeq.DirectivityTable(directions, [100.0, 10000.0], np.repeat(gains_db, 2, axis=1), facing)
+    tested = np.random.default_rng(1).standard_normal((50, 3))
+    tested /= np.linalg.norm(tested, axis=1, keepdims=True)
+    expected = roomeq.FirstOrder("cardioid", facing).pressure(tested, 16000)
+    assert table.pressure(tested, 16000) == pytest.approx(expected, abs=0.03)
+
+
+@pytest.mark.parametrize(("wrong", "message"), [
+    (lambda: roomeq.Room((6, 4, 3)), "needs materials or t60_s"),
+    (lambda: roomeq.Room((6, 4), materials=0.1), "three lengths"),
+    (lambda: roomeq.Room((6, 4, 3), materials=1.5), r"must lie in \[0, 1\]"),
+    (lambda: roomeq.Room((6, 4, 3), materials="brik_plastered"), "closest: brick_plastered"),
+    (lambda: roomeq.Room((6, 4, 3), t60_s=20.0), r"t60_s=20.0 must lie in"),
+    (lambda: roomeq.simulate_rir(ROOM, (7, 1, 1), MIC_M), r"source_pos_m\[0\]=7"),
+    (lambda: roomeq.simulate_rir(ROOM, SOURCE_M, [1.0, 2.0]), "must have the shape"),
+    (lambda: roomeq.simulate_rir(ROOM, SOURCE_M, MIC_M, 96000), "fs=96000 must be"),
+    (lambda: roomeq.simulate_rir(ROOM, SOURCE_M, MIC_M, mic_directivity=[None, None]), "2 directivities"),
+    (lambda: roomeq.FirstOrder("cardoid", (1, 0, 0)), "must be one of omnidirectional"),
+    (lambda: roomeq.FirstOrder("cardioid", (0, 0, 0)), "not all 0"),
+    (lambda: roomeq.Loudspeaker((1, 0, 0), radius_m=0.05, membrane_radius_m=0.1), "membrane_radius_m=0.1"),
+    (lambda: roomeq.DirectivityTable(np.eye(3), [100.0], np.zeros((2, 1)), (1, 0, 0)), "one row for each"),
+])
+def test_wrong_arguments_are_refused(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        wrong()
