@@ -23,7 +23,8 @@ scene = roomeq.Scene(room, [plaster] * 6)
 # scaled until the rendered response has that reverberation time at 1 kHz.
 
 microphones_m = [(4.0, 3.0, 1.2), (4.5, 1.0, 1.2)]
-near, far = roomeq.simulate_responses(scene, source_pos_m=(2.0, 1.5, 1.5), mics_m=microphones_m, target_t60_s=0.6, seed=0)
+near, far = roomeq.simulate_responses(scene, source_pos_m=(2.0, 1.5, 1.5), mics_m=microphones_m, target_t60_s=0.6,
+                                       seed=0)
 print(f"direct sound at sample {near.direct_sample:.1f}, T30 {near.t30_s:.2f} s")
 
 # %%

@@ -32,21 +32,25 @@ class Excerpt(NamedTuple):
 
 
 class AudioCache:
-    """RIRs and noises; the most recently used ones stay in memory, up to `CACHE_BYTES`."""
+    """RIRs and noises at one sample rate; the most recently used ones stay in memory, up to `CACHE_BYTES`."""
 
-    def __init__(self, rir_dir: Path, pool: Pool) -> None:
-        self.rir_dir, self.pool = rir_dir, pool
+    def __init__(self, rir_dir: Path, pool: Pool, fs_hz: int = FS_HZ) -> None:
+        self.rir_dir, self.pool, self.fs_hz = rir_dir, pool, fs_hz
         self._cached: OrderedDict[str, tuple[Any, int]] = OrderedDict()
         self._bytes = 0
-        total = sum(noise.length.frames for noise in (*pool.ambient, *pool.point))
+        total = sum(noise.length.frames for noise in (*pool.ambient, *pool.point) if noise.samples is None)
         self._keep_noises = total * 4 < CACHE_BYTES // 2
 
     def rir(self, rir_id: str) -> ShiftedRir:
         """Return an RIR."""
         def read() -> tuple[ShiftedRir, int]:
             row = self.pool.rows[rir_id]
-            rir = load_rir(self.rir_dir, row)
-            return ShiftedRir(rir.astype(np.float32), direct_shift(row, rir)), 4 * len(rir)
+            fs_hz = row.get("fs_hz", FS_HZ)
+            rir = load_rir(self.rir_dir, row, fs_hz)
+            shifted = ShiftedRir(rir.astype(np.float32), direct_shift(row, rir))
+            if fs_hz != self.fs_hz:
+                shifted = at_rate(shifted, fs_hz, self.fs_hz)
+            return shifted, 4 * len(shifted.samples)
 
         return self._get(f"rir {rir_id}", read)
 
@@ -69,13 +73,15 @@ class AudioCache:
         ValueError
             The whole noise is silent.
         """
-        frames, rate = noise.length
-        if rate == FS_HZ and frames >= length and not self._keep_noises:
-            start = excerpt_start(u, frames, length)
-            samples = read_audio(noise.path, start=start, stop=start + length, dtype="float32")
-            if np.any(samples):
-                return Excerpt(samples, start)
-        whole = self._get(f"noise {noise.id}", lambda: _read_whole(noise.path))
+        whole = noise.samples
+        if whole is None:
+            frames, rate = noise.length
+            if rate == self.fs_hz and frames >= length and not self._keep_noises:
+                start = excerpt_start(u, frames, length)
+                samples = read_audio(noise.path, fs_hz=rate, start=start, stop=start + length, dtype="float32")
+                if np.any(samples):
+                    return Excerpt(samples, start)
+            whole = self._get(f"noise {noise.id}", lambda: _read_whole(noise.path, self.fs_hz))
         start = excerpt_start(u, len(whole), length)
         if len(whole) < length:
             return Excerpt(loop(whole, start, length), start)
@@ -103,6 +109,23 @@ def _audible_sample(samples: Array, noise: Noise, u: float) -> int:
     return int(positions[int(u * len(positions))])
 
 
-def _read_whole(path: Path) -> tuple[Array, int]:
-    samples = read_audio(path, dtype="float32")
+def at_rate(rir: ShiftedRir, fs_hz: int, wanted_hz: int) -> ShiftedRir:
+    """Return an RIR at a lower sample rate. Its samples are scaled, so that a convolution keeps its level.
+
+    Raises
+    ------
+    ValueError
+        The wanted rate is higher.
+    """
+    import soxr
+
+    if wanted_hz > fs_hz:
+        raise ValueError(f"RIRs at {fs_hz} Hz cannot serve audio at {wanted_hz} Hz, whose upper octaves they lack: "
+                         f"simulate them with fs={wanted_hz}, or resample the audio")
+    samples = soxr.resample(rir.samples, fs_hz, wanted_hz, quality="VHQ") * np.float32(fs_hz / wanted_hz)
+    return ShiftedRir(samples, round(rir.shift * wanted_hz / fs_hz))
+
+
+def _read_whole(path: Path, fs_hz: int) -> tuple[Array, int]:
+    samples = read_audio(path, fs_hz=fs_hz, dtype="float32")
     return samples, samples.nbytes

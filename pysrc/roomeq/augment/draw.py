@@ -13,6 +13,7 @@ from functools import cached_property
 from pathlib import Path
 
 from roomeq.augment.distribution import Quantile
+from roomeq.core.arrays import Array
 from roomeq.core.audio import audio_info
 from roomeq.core.rng import rng_for
 from roomeq.corpora.suspicious import without_suspicious
@@ -23,16 +24,20 @@ from roomeq.records.schema import RirRow
 
 @dataclass(frozen=True)
 class Noise:
-    """A noise recording; `room_id` is None if the room is unknown, `kind` is ``"ambient"`` or ``"point"``."""
+    """A noise recording: a file, or `samples` in memory.
+
+    `room_id` is None if the room is unknown, `kind` is ``"ambient"`` or ``"point"``.
+    """
 
     id: str
     path: Path
     room_id: str | None
     kind: str
+    samples: Array | None = None
 
     @cached_property
     def length(self) -> AudioLength:
-        """Length of the recording, from its header."""
+        """Length of the file, from its header."""
         info = audio_info(self.path)
         return AudioLength(info.frames, info.samplerate)
 

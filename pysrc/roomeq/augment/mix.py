@@ -2,7 +2,7 @@
 
 Conventions
 -----------
-- Signals are float32, mono, at `FS_HZ`.
+- Signals are float32, mono, at one sample rate.
 - The reverberated speech is advanced by the delay of the direct sound, rounded to a sample, and cut to the length of
   the clean utterance: labels and alignments of the clean speech stay valid.
 - Every SNR is a ratio of mean powers over the whole utterance: reverberated speech to that one noise as it arrives

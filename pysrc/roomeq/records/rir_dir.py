@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import BANDS_HZ
+from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.core.files import read_jsonl, write_jsonl, write_text
 from roomeq.core.stamps import read_stamp
 from roomeq.records.schema import NoiseRow, RirRow, noise_problem, row_problem
@@ -130,8 +130,8 @@ def with_meshes_relocated(rows: Iterable[Mapping[str, Any]], directory: Path, ou
             for row in rows]
 
 
-def load_rir(directory: Path, row: Mapping[str, Any]) -> FloatArray:
-    """Read the RIR of a row, shape (n_samples,), at `FS_HZ`.
+def load_rir(directory: Path, row: Mapping[str, Any], fs_hz: int = FS_HZ) -> FloatArray:
+    """Read the RIR of a row, shape (n_samples,); its file must have the sample rate `fs_hz`.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def load_rir(directory: Path, row: Mapping[str, Any]) -> FloatArray:
     from roomeq.core.audio import read_audio
 
     path = rir_path(directory, row)
-    rir = read_audio(path, resample=False)
+    rir = read_audio(path, fs_hz=fs_hz, resample=False)
     if len(rir) != row["n_samples"]:
         raise ValueError(f"{path}: {len(rir)} samples where {ROWS_FILE} says {row['n_samples']}: make it again")
     if not rir.any():

@@ -1,0 +1,197 @@
+"""`Reverberate`: alignment, level, draws in worker processes, sample rates, and the interfaces of other toolkits."""
+
+import multiprocessing
+import pickle
+
+import numpy as np
+import pytest
+import soundfile
+from rirmaker import coloured_rir, row, write_rir_dir
+
+import roomeq
+
+FS = 16000
+
+
+def speech(seconds=1.0, fs=FS, seed=0):
+    rng = np.random.default_rng(seed)
+    envelope = np.clip(np.sin(2 * np.pi * 3 * np.arange(int(seconds * fs)) / fs), 0, None)
+    return (0.1 * envelope * rng.standard_normal(int(seconds * fs))).astype(np.float32)
+
+
+def rirs(count=3, fs=FS, seed=0):
+    rng = np.random.default_rng(seed)
+    found = []
+    for n in range(count):
+        rir = 0.1 * rng.standard_normal(fs // 2) * np.exp(-np.arange(fs // 2) / (0.05 * fs))
+        rir[:100 + 20 * n] = 0.0
+        rir[100 + 20 * n] = 1.0
+        found.append(rir)
+    return found
+
+
+@pytest.fixture
+def rir_dir(tmp_path):
+    write_rir_dir(tmp_path / "rirs", [(row(f"r{n}"), coloured_rir(n)) for n in range(4)])
+    return tmp_path / "rirs"
+
+
+def test_length_level_and_alignment_are_kept():
+    reverberate = roomeq.Reverberate(rirs(), snr="none")
+    click = np.zeros(FS, np.float32)
+    click[5000] = 0.9
+    for n in range(3):
+        result = reverberate(click, FS, key=f"utt{n}")
+        assert result.shape == click.shape and result.dtype == np.float32
+        assert np.argmax(np.abs(result)) == 5000
+        assert not np.any(np.abs(result[:4990]) > 1e-5)
+        assert np.sqrt(np.mean(result ** 2)) == pytest.approx(np.sqrt(np.mean(click ** 2)), rel=1e-4)
+
+
+def test_samples_beyond_full_scale_keep_their_level():
+    reverberate, quiet = roomeq.Reverberate(rirs(), snr="none"), speech()
+    loud = reverberate(quiet * 32768, FS, key="a")
+    assert loud == pytest.approx(reverberate(quiet, FS, key="a") * 32768, rel=1e-3, abs=1.0)
+
+
+def test_snr_of_ambient_noise_is_met():
+    clean = speech(4.0)
+    noises = [np.random.default_rng(5).standard_normal(3 * FS).astype(np.float32)]
+    with_noise, without = (roomeq.Reverberate(rirs(1), noises, snr=snr)(clean, FS, key="x") for snr in (10, "none"))
+    scale = np.dot(with_noise, without) / np.dot(without, without)
+    noise_power = np.mean((with_noise - scale * without) ** 2)
+    assert 10 * np.log10(np.mean((scale * without) ** 2) / noise_power) == pytest.approx(10.0, abs=0.3)
+
+
+def test_calls_differ_from_each_other_and_are_the_same_in_another_run():
+    first, second = (roomeq.Reverberate(rirs(8), seed=3) for _ in range(2))
+    runs = [[reverberate(speech(), FS) for _ in range(6)] for reverberate in (first, second)]
+    assert all(np.array_equal(a, b) for a, b in zip(*runs, strict=True))
+    assert len({one.tobytes() for one in runs[0]}) > 2
+    assert any(not np.array_equal(a, b)
+               for a, b in zip(runs[0], [roomeq.Reverberate(rirs(8), seed=4)(speech(), FS) for _ in range(6)],
+                               strict=True))
+
+
+def _three_calls(reverberate):
+    return [reverberate(speech(), FS).tobytes() for _ in range(3)]
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_worker_processes_draw_independently(method):
+    reverberate = roomeq.Reverberate(rirs(200), seed=1)
+    with multiprocessing.get_context(method).Pool(2) as pool:
+        drawn = pool.map(_three_calls, [reverberate] * 2, chunksize=1)
+    ours = _three_calls(reverberate)
+    assert len({tuple(ours), *map(tuple, drawn)}) >= 2
+    with multiprocessing.get_context(method).Pool(1) as pool:
+        assert pool.map(_three_calls, [reverberate])[0] != ours
+
+
+def test_pickled_copy_goes_on_alike():
+    reverberate = roomeq.Reverberate(rirs(8))
+    reverberate(speech(), FS)
+    copy = pickle.loads(pickle.dumps(reverberate))
+    assert np.array_equal(copy(speech(), FS), reverberate(speech(), FS))
+
+
+def test_probability_is_met_and_other_calls_return_the_speech():
+    reverberate, clean = roomeq.Reverberate(rirs(), p=0.5), speech(0.2)
+    changed = sum(not np.array_equal(reverberate(clean, FS), clean) for _ in range(200))
+    assert 70 < changed < 130
+
+
+def test_rir_directory_serves_its_rirs(rir_dir):
+    reverberate = roomeq.Reverberate(rir_dir, snr="uniform 5 25", seed=2)
+    results = {reverberate(speech(), FS, key=f"utt{n}").tobytes() for n in range(5)}
+    assert len(results) > 1
+
+
+def test_rirs_at_a_higher_rate_serve_speech_at_a_lower_one():
+    high, low = (roomeq.simulate_rir(roomeq.Room((5, 4, 3), t60_s=0.4), (1, 1, 1.5), (1.6, 1.3, 1.4), fs, num_rays=2000)
+                 for fs in (48000, 16000))
+    click = np.zeros(FS, np.float32)
+    click[3000] = 0.5
+    from_high = roomeq.Reverberate([high], snr="none", fs=48000)(click, FS)
+    from_low = roomeq.Reverberate([low], snr="none")(click, FS)
+    assert abs(int(np.argmax(np.abs(from_high))) - 3000) <= 1 and np.argmax(np.abs(from_low)) == 3000
+    assert np.max(np.abs(from_high)) == pytest.approx(np.max(np.abs(from_low)), rel=0.3)
+
+
+def test_directory_at_another_rate_is_used_at_its_own(rir_dir):
+    reverberate = roomeq.Reverberate(rir_dir, snr="none", point_snr="none")
+    assert reverberate(speech(1.0, 8000), 8000, key="a").shape == (8000,)
+    with pytest.raises(ValueError, match="RIRs at 16000 Hz cannot serve audio at 48000 Hz"):
+        reverberate(speech(1.0, 48000), 48000)
+
+
+def test_one_channel_keeps_its_shape_and_several_are_refused():
+    reverberate = roomeq.Reverberate(rirs())
+    assert reverberate(speech()[None], FS).shape == (1, FS)
+    with pytest.raises(ValueError, match="must be that of one channel"):
+        reverberate(np.stack([speech(), speech()]), FS)
+
+
+def test_silence_is_returned_as_it_is():
+    assert not roomeq.Reverberate(rirs())(np.zeros(800, np.float32), FS).any()
+
+
+@pytest.mark.parametrize(("wrong", "message"), [
+    (lambda: roomeq.Reverberate([]), "rirs is empty"),
+    (lambda: roomeq.Reverberate([np.zeros(100)]), "RIR 0: silent"),
+    (lambda: roomeq.Reverberate([np.full(100, np.nan)]), "RIR 0: holds NaN"),
+    (lambda: roomeq.Reverberate(rirs(), snr="loud"), "snr='loud' must be"),
+    (lambda: roomeq.Reverberate(rirs(), p=2.0), r"p=2.0 must lie in \[0, 1\]"),
+    (lambda: roomeq.Reverberate(rirs(), noises="data/noises"), "go with an RIR directory"),
+    (lambda: roomeq.Reverberate(rirs())(np.array([np.inf]), FS), "samples: holds NaN"),
+    (lambda: roomeq.Reverberate(rirs())(speech(), 96000), "fs=96000 must be"),
+])
+def test_wrong_arguments_are_refused(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        wrong()
+
+
+def test_import_needs_no_torch():
+    import subprocess
+    import sys
+
+    code = "import sys, roomeq; roomeq.Reverberate; print('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "False"
+
+
+def test_chain_of_audiomentations_holds_it():
+    audiomentations = pytest.importorskip("audiomentations")
+    chain = audiomentations.Compose([audiomentations.Gain(p=1.0), roomeq.Reverberate(rirs())])
+    assert chain(samples=speech(), sample_rate=FS).shape == (FS,)
+
+
+def test_torch_workers_draw_independently():
+    torch = pytest.importorskip("torch")
+
+    class Utterances(torch.utils.data.Dataset):
+        def __init__(self):
+            self.reverberate = roomeq.Reverberate(rirs(100))
+
+        def __len__(self):
+            return 8
+
+        def __getitem__(self, n):
+            return self.reverberate(speech(0.1), FS)
+
+    def epoch():
+        loader = torch.utils.data.DataLoader(Utterances(), batch_size=None, num_workers=2)
+        return [np.asarray(one).tobytes() for one in loader]
+
+    torch.manual_seed(0)
+    first, second = epoch(), epoch()
+    torch.manual_seed(0)
+    assert epoch() == first and first != second and len(set(first)) > 5
+
+
+def test_lhotse_augments_features_with_it(tmp_path):
+    lhotse = pytest.importorskip("lhotse")
+    soundfile.write(tmp_path / "a.wav", speech(), FS)
+    cut = lhotse.MonoCut("a", 0, 1.0, 0, recording=lhotse.Recording.from_file(tmp_path / "a.wav"))
+    with_, without = (cut.compute_features(lhotse.Fbank(), augment_fn=augment)
+                      for augment in (roomeq.Reverberate(rirs()), None))
+    assert with_.shape == without.shape and not np.allclose(with_, without)
