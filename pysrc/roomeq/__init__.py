@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from roomeq.loop.step import close_loop
     from roomeq.records.rir_dir import load_rir, read_rirs
     from roomeq.rooms import Loudspeaker, Room, simulate_rir
+    from roomeq.show.sheet import plot_rir
     from roomeq.sim.directivity import DirectivityTable, FirstOrder
     from roomeq.sim.materials import named_scene
     from roomeq.sim.mesh import MeshRoom, load_mesh
@@ -29,7 +30,7 @@ _HOME = {
     "Material": "sim.scene", "MeshRoom": "sim.mesh", "Scene": "sim.scene", "Shoebox": "sim.scene",
     "analyse": "acoustics.parameters:measure", "characterise": "corpora.characterise", "close_loop": "loop.step",
     "compensate": "eq.steps", "compensate_rir": "eq.compensation", "fit_eq": "eq.steps", "load_mesh": "sim.mesh",
-    "load_rir": "records.rir_dir", "named_scene": "sim.materials",
+    "load_rir": "records.rir_dir", "named_scene": "sim.materials", "plot_rir": "show.sheet",
     "Reverberate": "augment.reverberate", "Room": "rooms", "read_rirs": "records.rir_dir",
     "simulate": "simulate_rirs", "simulate_responses": "sim.response", "simulate_rir": "rooms",
 }
@@ -39,6 +40,7 @@ __all__ = [
     "Room", "simulate_rir", "FirstOrder", "Loudspeaker", "DirectivityTable", "analyse", "Reverberate",
     "Air", "Material", "Shoebox", "MeshRoom", "load_mesh", "Scene", "named_scene", "simulate_responses",
     "read_rirs", "load_rir", "characterise", "simulate", "fit_eq", "compensate", "compensate_rir", "close_loop",
+    "plot_rir",
 ]
 
 

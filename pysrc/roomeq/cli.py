@@ -326,6 +326,37 @@ def report() -> None:
     """Make one self-contained HTML page of a run."""
 
 
+speech = click.option("--speech", type=AnyPath(), metavar="FILE",
+                      help="Recording of dry speech to play on the page, instead of noise bursts.")
+chosen_id = click.option("--id", "ident", metavar="ID", help="RIR of a directory; by default a typical one.")
+show_suspicious = click.option("--keep-suspicious", is_flag=True,
+                               help="Show recordings that are no RIR by their acoustics.")
+
+
+@verb("show:show", "data/rirs.real --id room1-s1-m1 --out rir.html")
+@argument("path", "RIR file, RIR directory, or output of close-loop.")
+@click.option("--out", type=AnyPath(), metavar="FILE",
+              help="Page with audio (FILE.html) or picture (FILE.png) to make; by default, parameters are printed.")
+@chosen_id
+@click.option("--channel", type=int, help="Channel of a file with several, counted from 0.")
+@speech
+@show_suspicious
+def show() -> None:
+    """Show and play an RIR, the RIRs of a directory, or what a closed loop found."""
+
+
+@verb("show:compare", "data/rirs.real.train data/rirs.sim.train --out comparison.html")
+@argument("first", "RIR file or RIR directory.")
+@argument("second", "RIR file or RIR directory to compare with it.")
+@click.option("--out", type=AnyPath(), metavar="FILE.html",
+              help="Page with audio to make; by default, parameters are printed.")
+@chosen_id
+@speech
+@show_suspicious
+def compare() -> None:
+    """Compare two RIRs, or two sets of RIRs, in just noticeable differences (JND)."""
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run one verb and return the exit status; a mistake of the user is one line and status 1."""
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(message)s")

@@ -10,7 +10,7 @@ from roomeq.core.rng import rng_for
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, write_model
 from roomeq.effects.response import RESPONSE_HZ
-from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, LENGTH_S, STEP_S
+from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, LENGTH_S, N_SAMPLES, STEP_S
 from roomeq.loop.features import METRIC, N_FEATURES, REGION
 from roomeq.loop.ledger import LEDGER_FILE, RESIDUALS_FILE
 from roomeq.loop.ledger_checks import LEDGER_FORMAT
@@ -101,6 +101,7 @@ def make_loop(out):
     before[rng.random(before.shape) < 0.2] = np.nan
     n_times = round(LENGTH_S / STEP_S)
     decay_db = np.tile(-60.0 * np.arange(n_times) * STEP_S / 0.6, (2, len(KINDS), len(DECAY_BANDS), 1))
+    rirs = rng.standard_normal((2, len(KINDS), N_SAMPLES)) * np.exp(-np.arange(N_SAMPLES) / 1e3)
     build = Build(out, step="close-loop", options=dict(max_effects=4, seed=0), inputs=[])
 
     def assemble(directory, _):
@@ -108,7 +109,8 @@ def make_loop(out):
         write_model(directory / MODEL_FILE, Model(tuple(added[::-1])))
         np.savez_compressed(directory / RESIDUALS_FILE, before=before, after=0.5 * before)
         np.savez_compressed(directory / EXAMPLES_FILE, ids=np.array(["r1", "r<2>"]), rooms=np.array(ROOMS[1:]),
-                            decay_db=decay_db, spectrum_db=rng.standard_normal((2, len(KINDS), len(THIRDS_HZ))))
+                            decay_db=decay_db, spectrum_db=rng.standard_normal((2, len(KINDS), len(THIRDS_HZ))),
+                            rirs=rirs)
 
     build.run({}, lambda name, item: None)
     build.finish(assemble)

@@ -30,8 +30,6 @@ MIN_NOISE = 2 * N_FRAME  # samples after the noise intersection from which the n
 PASS_HZ = (6500.0, 7250.0)  # pass band of anti-alias filters
 ROLL_OFF_HZ = 7900.0  # their stop band begins here
 ROLL_OFF_DB = 20.0  # 100 dB per octave between the two: steeper than loudspeakers, and than the scatter of a few bins
-_WINDOW = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N_FRAME) / N_FRAME)
-_WEIGHT = np.sum(_WINDOW ** 2) / N_HOP  # of each sample in the sum over frames
 
 
 @dataclass(frozen=True)
@@ -67,28 +65,38 @@ class EqPart(NamedTuple):
     stop: int
 
 
-def energy_spectrum(part: FloatArray) -> FloatArray:
+def frame_length(fs_hz: float) -> int:
+    """Return the length of frames of 32 ms at any sample rate: `N_FRAME` at 16 kHz, a multiple of four hops."""
+    return 4 * round(N_HOP * fs_hz / FS_HZ)
+
+
+def energy_spectrum(part: FloatArray, n_frame: int = N_FRAME) -> FloatArray:
     """Return the energy spectrum of a part of a response with equal weight for each sample; see the module docstring.
 
     Parameters
     ----------
     part
         Shape (n_samples,), of any length.
+    n_frame
+        Length of a frame; see `frame_length`.
 
     Returns
     -------
-    ndarray, shape (257,)
+    ndarray, shape (n_frame // 2 + 1,)
         Energy at multiples of 31.25 Hz; 1 everywhere for a unit impulse. The mean over all 512 bins of the two-sided
         spectrum is the energy of the part (Parseval).
     """
-    n_frames = -(-(len(part) + N_FRAME - N_HOP) // N_HOP)
-    padded = np.zeros((n_frames - 1) * N_HOP + N_FRAME)
-    padded[N_FRAME - N_HOP:][:len(part)] = part
-    frames = np.lib.stride_tricks.sliding_window_view(padded, N_FRAME)[::N_HOP]
-    return np.sum(np.abs(np.fft.rfft(frames * _WINDOW, axis=1)) ** 2, axis=0) / _WEIGHT
+    n_hop = n_frame // 4
+    n_frames = -(-(len(part) + n_frame - n_hop) // n_hop)
+    padded = np.zeros((n_frames - 1) * n_hop + n_frame)
+    padded[n_frame - n_hop:][:len(part)] = part
+    frames = np.lib.stride_tricks.sliding_window_view(padded, n_frame)[::n_hop]
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n_frame) / n_frame)
+    weight = np.sum(window ** 2) / n_hop  # of each sample in the sum over frames
+    return np.sum(np.abs(np.fft.rfft(frames * window, axis=1)) ** 2, axis=0) / weight
 
 
-def eq_part(rir: FloatArray, direct_sample: float) -> EqPart:
+def eq_part(rir: FloatArray, direct_sample: float, fs_hz: float = FS_HZ) -> EqPart:
     """Return the range of samples that the EQ of a response is measured on.
 
     It extends from 16 ms before the direct sound to the noise intersection point, or to the last non-zero sample, and
@@ -105,9 +113,9 @@ def eq_part(rir: FloatArray, direct_sample: float) -> EqPart:
     if last <= direct:
         raise ValueError(f"direct_sample={direct_sample:g} must lie before the response's end, {last}: "
                          "find it again")
-    start = max(0, direct - N_LEAD)
-    stop = direct + find_noise_intersection(np.square(rir[direct:last], dtype=np.float64), FS_HZ).sample
-    return EqPart(start, min(max(stop, start + N_FRAME), len(rir)))
+    start = max(0, direct - round(N_LEAD * fs_hz / FS_HZ))
+    stop = direct + find_noise_intersection(np.square(rir[direct:last], dtype=np.float64), fs_hz).sample
+    return EqPart(start, min(max(stop, start + frame_length(fs_hz)), len(rir)))
 
 
 def analyse(rir: FloatArray, direct_sample: float) -> EqAnalysis:

@@ -26,6 +26,32 @@ _METRICS = {"direct": ("the direct sound", _LOUDER), "early": ("sound of the fir
 """Name of each metric, and the words for more and less of it."""
 _VARIES = {"nothing": "equally in all rooms", "room": "in some rooms",
            "source": "for one source compared with the others", "mic": "for one microphone compared with the others"}
+_LABELS = {"source_response": "frequency response of the loudspeakers", "mic_response": "frequency response of the "
+           "microphones", "room_eq": "equaliser that all recordings share", "source_directivity": "directivity of the "
+           "loudspeakers", "noise_floor": "background noise", "near_reflector": "reflecting surface near source and "
+           "microphone", "coupled_volume": "coupled second volume", "occlusion": "obstacle in front of the source",
+           "room_modes": "room modes", "air_absorption": "air absorption", "sound_speed": "speed of sound"}
+"""Names of the effects of the catalogue in words."""
+_ADVICE = {
+    "direct": "measure the loudspeaker's response at the angles of the microphones, and state where it faces "
+              "(source_dir)",
+    "early": "add furniture and surfaces near source and microphone to the room's mesh",
+    "late": "check the room's dimensions, and give a mesh where it is no shoebox",
+    "spectrum": "measure the response of loudspeaker and microphone in the free field",
+    "edt": "check the distance, and add furniture and surfaces near source and microphone to the room's mesh",
+    "t20": "check the room's dimensions, and whether doors to other rooms were open",
+    "t30": "check the room's dimensions, and whether doors to other rooms were open",
+    "c50": "check the distance, and add large objects between and around source and microphone to the room's mesh",
+    "drr": "check the distance, and state where the loudspeaker faces (source_dir)",
+    "arrival": "check positions and temperature, and that the latency of the sound card is removed (otherwise set "
+               "tof_removed)",
+    "ahead": "play the sweep at a lower level, since distortion of the loudspeaker lies before the direct sound, and "
+             "use no zero-phase filter",
+    "floor": "record the background noise before the sweep, or average more sweeps"}
+"""What explains a residual of each metric, or makes it smaller."""
+_ADVICE_BY_UNIT = {"source": "record another loudspeaker at the same place to tell it from the room",
+                   "mic": "exchange two microphones to tell them from their positions",
+                   "room": "look at the rooms one by one, since their stated geometry or their state may differ"}
 _VISIBLE_DB = -45.0  # a second decay of a lower level does not reach the range of T30
 _MIN_DETOUR_M = 0.01  # positions are known to centimetres, so that a shorter detour may be none
 
@@ -33,6 +59,17 @@ _MIN_DETOUR_M = 0.01  # positions are known to centimetres, so that a shorter de
 def effect_names(entry: dict) -> str:
     """Return the name of an accepted effect, or the names of all effects that cannot be distinguished from it."""
     return " or ".join(entry.get("cannot_tell", [entry["effect"]]))
+
+
+def effect_label(effect: str) -> str:
+    """Return the name of an effect in words."""
+    return _LABELS[effect]
+
+
+def advise_on_residual(unexplained: Unexplained) -> str:
+    """Return what to do about an unexplained residual."""
+    by_unit = _ADVICE_BY_UNIT.get(unexplained.varies_with)
+    return _ADVICE[unexplained.metric] + (f"; {by_unit}" if by_unit else "")
 
 
 def describe_residual(unexplained: Unexplained) -> str:

@@ -1,4 +1,4 @@
-"""Decays and spectra of a few RIRs as measured and as simulated before and after the loop, for figures of the report.
+"""A few RIRs as measured and as simulated before and after the loop: decays and spectra, and the samples to listen to.
 
 Figures show what errors in JND do not: where a decay bends, how wide a resonance is. No fit uses the examples.
 """
@@ -29,11 +29,14 @@ DECAY_BANDS = (1, 4)  # octaves: 125 Hz, which has modes, and 1 kHz
 N_EXAMPLES = 3
 STEP_S = 5e-3
 LENGTH_S = 1.5
+LEAD_S = 0.016
+"""Time before the direct sound with which the RIRs to listen to begin [s]."""
+N_SAMPLES = round((LEAD_S + LENGTH_S) * FS_HZ)
 
 
 @dataclass(frozen=True)
 class Examples:
-    """Decays and spectra of some RIRs.
+    """Decays, spectra and samples of some RIRs.
 
     Attributes
     ----------
@@ -42,19 +45,23 @@ class Examples:
         Backward-integrated energy every `STEP_S` after the direct sound; NaN where noise hides it.
     spectrum_db : ndarray, shape (n_examples, 3 kinds, 22)
         Level in third octaves (`roomeq.acoustics.octaves.THIRDS_HZ`); NaN where it was not measured.
+    rirs : ndarray, shape (n_examples, 3 kinds, N_SAMPLES)
+        The RIRs from `LEAD_S` before the direct sound on, with the gain of the recording.
     """
 
     ids: list[str]
     rooms: list[str]
     decay_db: FloatArray
     spectrum_db: FloatArray
+    rirs: FloatArray
 
 
 def write_examples(path: Path, directories: Sequence[Path], first: Session, last: Session) -> None:
     """Write the examples of a loop; see `make_examples`."""
     examples = make_examples(directories, first, last)
     np.savez_compressed(path, ids=np.array(examples.ids, dtype=str), rooms=np.array(examples.rooms, dtype=str),
-                        decay_db=examples.decay_db, spectrum_db=examples.spectrum_db)
+                        decay_db=examples.decay_db, spectrum_db=examples.spectrum_db,
+                        rirs=examples.rirs.astype(np.float32))
 
 
 def read_examples(path: Path) -> Examples:
@@ -65,12 +72,12 @@ def read_examples(path: Path) -> Examples:
     ValueError
         The file is invalid.
     """
-    arrays = read_arrays(path, ("ids", "rooms", "decay_db", "spectrum_db"))
+    arrays = read_arrays(path, ("ids", "rooms", "decay_db", "spectrum_db", "rirs"))
     examples = Examples([str(name) for name in arrays["ids"]], [str(name) for name in arrays["rooms"]],
-                        arrays["decay_db"], arrays["spectrum_db"])
+                        arrays["decay_db"], arrays["spectrum_db"], arrays["rirs"])
     size = len(examples.ids), len(KINDS)
-    if (examples.decay_db.shape, examples.spectrum_db.shape, len(examples.rooms)) != (
-            (*size, len(DECAY_BANDS), round(LENGTH_S / STEP_S)), (*size, len(THIRDS_HZ)), size[0]):
+    if (examples.decay_db.shape, examples.spectrum_db.shape, examples.rirs.shape, len(examples.rooms)) != (
+            (*size, len(DECAY_BANDS), round(LENGTH_S / STEP_S)), (*size, len(THIRDS_HZ)), (*size, N_SAMPLES), size[0]):
         raise ValueError(f"{path}: arrays do not fit each other: run roomeq close-loop again")
     return examples
 
@@ -107,19 +114,29 @@ def make_examples(directories: Sequence[Path], first: Session, last: Session) ->
     recorded = _recorded(directories, {data.rows[n]["id"] for n in chosen})
     decay_db = np.full((len(chosen), len(KINDS), len(DECAY_BANDS), round(LENGTH_S / STEP_S)), np.nan)
     spectrum_db = np.full((len(chosen), len(KINDS), len(THIRDS_HZ)), np.nan)
+    rirs = np.zeros((len(chosen), len(KINDS), N_SAMPLES))
     for k, n in enumerate(chosen):
         measured = recorded[data.rows[n]["id"]]
         direct, _ = find_direct(measured, FS_HZ)
         decay_db[k, 0] = _decays(measured, direct)
+        rirs[k, 0] = _from_direct(measured, direct)
         measured_db = np.where(data.valid[n], data.features[n], np.nan)[feature_slice("spectrum")]
         spectrum_db[k, 0] = measured_db
         for kind, session in enumerate((first, last), start=1):
             rir, direct, gain_db = _rendered(session, n)
             decay_db[k, kind] = _decays(rir, direct)
+            rirs[k, kind] = _from_direct(rir, direct) * 10.0 ** (gain_db / 20.0)
             levels_db = measure_features(rir, direct).values[feature_slice("spectrum")] + gain_db
             spectrum_db[k, kind] = np.where(np.isfinite(measured_db), levels_db, np.nan)
     return Examples([data.rows[n]["id"] for n in chosen], [data.rows[n]["room_id"] for n in chosen], decay_db,
-                    spectrum_db)
+                    spectrum_db, rirs)
+
+
+def _from_direct(rir: FloatArray, direct: float) -> FloatArray:
+    """Return an RIR from `LEAD_S` before the direct sound on, shape (N_SAMPLES,)."""
+    start = round(direct - LEAD_S * FS_HZ)
+    part = np.concatenate([np.zeros(max(0, -start)), rir[max(0, start):]])[:N_SAMPLES]
+    return np.pad(part, (0, N_SAMPLES - len(part)))
 
 
 def _chosen(data: Data) -> list[int]:

@@ -76,8 +76,8 @@ def panel(ident: str, draw: Draw, alt: str, size_in: tuple[float, float] = SIZE_
 
 def render_svg(draw: Draw, size_in: tuple[float, float] = SIZE_IN) -> bytes:
     """Render an SVG document that follows the colour scheme of the reader; equal drawings give equal bytes."""
-    settings: Any = _settings(LIGHT)  # matplotlib types each key of its settings
-    with matplotlib.rc_context(settings):
+    light: Any = settings(LIGHT)  # matplotlib types each key of its settings
+    with matplotlib.rc_context(light):
         figure = Figure(figsize=size_in, layout="constrained")
         FigureCanvasSVG(figure)
         draw(figure.add_subplot(), LIGHT)
@@ -89,7 +89,8 @@ def render_svg(draw: Draw, size_in: tuple[float, float] = SIZE_IN) -> bytes:
     return svg.replace("<defs>", f"<style>{COLOUR_VARIABLES}</style>\n<defs>", 1).encode()
 
 
-def _settings(colours: dict[str, str]) -> dict[str, Any]:
+def settings(colours: dict[str, str]) -> dict[str, Any]:
+    """Return matplotlib's settings for a palette."""
     ink, soft, line, paper = (colours[key] for key in ("ink", "soft", "line", "paper"))
     return {
         "svg.hashsalt": "roomeq", "svg.fonttype": "path", "font.family": "DejaVu Sans", "font.size": 8.5,

@@ -1,9 +1,12 @@
 """Numbers and bytes as text for the page."""
 
 import base64
+import io
 import math
 import re
 from collections.abc import Sequence
+
+from roomeq.core.arrays import FloatArray
 
 DASH = "–"
 """Stands for a value that was not measured."""
@@ -47,3 +50,12 @@ def with_minus(text: str) -> str:
 def data_uri(mime: str, data: bytes) -> str:
     """Encode bytes as a ``data:`` URI."""
     return f"data:{mime};base64,{base64.b64encode(data).decode()}"
+
+
+def flac_uri(samples: FloatArray, fs_hz: int) -> str:
+    """Encode audio in [-1, 1] as FLAC in a ``data:`` URI."""
+    import soundfile
+
+    stream = io.BytesIO()
+    soundfile.write(stream, samples, fs_hz, format="FLAC", subtype="PCM_16")
+    return data_uri("audio/flac", stream.getvalue())

@@ -1,16 +1,14 @@
 """Sections about far-field speech: signal-to-noise ratios and audio examples."""
 
-import io
 from dataclasses import dataclass
 
 import numpy as np
-import soundfile
 
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import FS_HZ
 from roomeq.kaldi.datadir import DataDir, read_data_dir, read_utterance
 from roomeq.report import figures
-from roomeq.report.formats import data_uri
+from roomeq.report.formats import flac_uri
 from roomeq.report.kinds import COMPENSATED, EXTENDED, KINDS, MEASURED, SIMULATED, Kind
 from roomeq.report.load import SETS, Context, Missing, Run, read_numbers, read_pairs
 
@@ -114,7 +112,5 @@ def make_clip(kind: Kind, directory: str, data: DataDir, ident: str) -> Clip:
     """Return the beginning of an utterance as FLAC, scaled to a common peak."""
     samples = read_utterance(data, data.utterances[ident])[:round(CLIP_S * FS_HZ)].astype(np.float64)
     peak = np.abs(samples).max(initial=0.0)
-    stream = io.BytesIO()
-    soundfile.write(stream, samples * (CLIP_PEAK / peak if peak else 1.0), FS_HZ, format="FLAC", subtype="PCM_16")
-    return Clip(kind, directory, data_uri("audio/flac", stream.getvalue()),
+    return Clip(kind, directory, flac_uri(samples * (CLIP_PEAK / peak if peak else 1.0), FS_HZ),
                 read_pairs(data.path / "utt2rir").get(ident), read_pairs(data.path / "utt2snr").get(ident))

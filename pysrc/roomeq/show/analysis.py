@@ -1,0 +1,225 @@
+"""What the figures and tables of an RIR show: its parameters, band levels, decay curves and response, at any rate."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from roomeq.acoustics.decibels import FLOOR_POWER, power_db
+from roomeq.acoustics.direct import DirectSound, find_direct
+from roomeq.acoustics.iso3382 import DECAYS_DB, Decay, all_metrics, energy_decay
+from roomeq.acoustics.octaves import octave_bands
+from roomeq.acoustics.parameters import measure
+from roomeq.acoustics.plausibility import find_implausibility
+from roomeq.acoustics.subband_eq import energy_spectrum, eq_part, frame_length
+from roomeq.core.arrays import FloatArray
+from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
+
+MIN_FS_HZ = 8000
+_ALL_BANDS_HZ, _ALL_EXACT_HZ = (*BANDS_HZ, 16000.0), (*EXACT_BANDS_HZ, 1000.0 * 10.0 ** 1.2)
+_PER_BAND = ("edt", "t20", "t30", "c50")
+
+
+@dataclass(frozen=True)
+class BandDecay:
+    """The decay of one octave band, and the line that its decay time was read from.
+
+    Attributes
+    ----------
+    band_hz : float
+        Nominal mid-band frequency.
+    time_s, level_db : ndarray, shape (n_frames,)
+        Level of the band in frames of `FRAME_S` from the direct sound on.
+    curve_s, curve_db : ndarray
+        Decay curve (Schroeder integral without noise) up to the noise intersection, relative to its start.
+    intersection_s : float
+        Time at which the decay meets the noise, or the end of the response.
+    has_noise : bool
+        Whether the response reaches its noise floor.
+    fit : tuple of (name, time_s, offset_db, valid), optional
+        Decay time that a line was fitted to (T30, or T20 where the range is too small), its 60 dB time, the level of
+        the line at the direct sound, and whether the value is valid. None without a line.
+    """
+
+    band_hz: float
+    time_s: FloatArray
+    level_db: FloatArray
+    curve_s: FloatArray
+    curve_db: FloatArray
+    intersection_s: float
+    has_noise: bool
+    fit: tuple[str, float, float, bool] | None
+
+
+FRAME_S = 5e-3
+"""Length of the frames of band levels [s]."""
+
+
+@dataclass(frozen=True)
+class AnalysedRir:
+    """An RIR with its acoustic parameters.
+
+    Attributes
+    ----------
+    name : str
+        Label in figures and tables.
+    samples : ndarray, shape (n_samples,)
+    fs_hz : int
+    direct : DirectSound
+    parameters : dict
+        As of `roomeq.acoustics.parameters.measure`, with one value for each of `bands_hz`.
+    """
+
+    name: str
+    samples: FloatArray
+    fs_hz: int
+    direct: DirectSound
+    parameters: dict[str, Any]
+
+    @property
+    def bands_hz(self) -> tuple[float, ...]:
+        """Nominal mid-band frequencies of the octaves below half the sample rate."""
+        return bands_below(self.fs_hz)
+
+    @property
+    def direct_s(self) -> float:
+        """Arrival of the direct sound after the start of the file."""
+        return self.direct.sample / self.fs_hz
+
+    @cached_property
+    def decays(self) -> list[BandDecay]:
+        """The decay of each octave band."""
+        end = int(np.flatnonzero(self.samples)[-1]) + 1
+        bands = octave_bands(self.samples[:end], self.fs_hz, _ALL_EXACT_HZ[:len(self.bands_hz)])
+        return [_band_decay(self, number, band) for number, band in enumerate(bands)]
+
+    @cached_property
+    def band_levels_db(self) -> FloatArray:
+        """Level of each band relative to the loudest [dB], frames of `FRAME_S`, shape (n_bands, n_frames)."""
+        levels_db = np.array([decay.level_db for decay in self.decays])
+        return levels_db - levels_db.max()
+
+    @cached_property
+    def response(self) -> tuple[FloatArray, FloatArray]:
+        """Frequencies [Hz] and level relative to 1 kHz [dB] as the EQ analysis computes them; see `response_db`."""
+        return response_db(self.samples, self.fs_hz, self.direct.sample)
+
+    def shown_s(self, margin: float = 1.15) -> float:
+        """Return the time after the direct sound at which the last band has decayed into its noise."""
+        left_s = (len(self.samples) - self.direct.sample) / self.fs_hz
+        return float(min(left_s, margin * max(decay.intersection_s for decay in self.decays)))
+
+
+def bands_below(fs_hz: float) -> tuple[float, ...]:
+    """Return the nominal octave bands whose mid-band frequency lies below half a sample rate, 62.5 Hz to 16 kHz."""
+    return tuple(band_hz for band_hz, exact_hz in zip(_ALL_BANDS_HZ, _ALL_EXACT_HZ, strict=True)
+                 if exact_hz < 0.5 * fs_hz)
+
+
+def analyse(samples: FloatArray, fs_hz: int, name: str = "RIR", direct: DirectSound | None = None) -> AnalysedRir:
+    """Analyse an RIR at any sample rate from `MIN_FS_HZ` on.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (n_samples,)
+    fs_hz : int
+        Sample rate [Hz].
+    name : str
+        Label in figures and tables; also begins the message of an error.
+    direct : DirectSound, optional
+        The direct sound if it is known; by default it is found.
+
+    Raises
+    ------
+    ValueError
+        The sample rate is too low, or the response has no direct sound.
+    """
+    if not (np.isfinite(fs_hz) and fs_hz >= MIN_FS_HZ):
+        raise ValueError(f"{name}: fs={fs_hz} Hz must be {MIN_FS_HZ} Hz or more: record it at a higher rate")
+    samples = np.asarray(samples, dtype=np.float64)
+    try:
+        direct = find_direct(samples, fs_hz) if direct is None else direct
+        parameters = measure_parameters(samples, fs_hz, direct)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+    return AnalysedRir(name, samples, int(fs_hz), direct, parameters)
+
+
+def measure_parameters(samples: FloatArray, fs_hz: int, direct: DirectSound) -> dict[str, Any]:
+    """Return the acoustic parameters of an RIR at any sample rate; at 16 kHz, those of `roomeq characterise`."""
+    if fs_hz == FS_HZ:
+        return measure(samples, direct=direct)
+    n_bands = len(bands_below(fs_hz))
+    parameters = {key: value[:n_bands] if isinstance(value, list) else value
+                  for key, value in all_metrics(samples, fs_hz, *direct).items()}
+    frequencies_hz, level_db = response_db(samples, fs_hz, direct.sample)
+    eq_db = np.interp(bands_below(fs_hz), frequencies_hz, level_db)
+    return parameters | dict(eq_db=eq_db.tolist(), eq_valid=[True] * n_bands)
+
+
+def response_db(samples: FloatArray, fs_hz: int, direct_sample: float) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies [Hz] and the energy spectrum of an RIR relative to 1 kHz [dB].
+
+    The spectrum is that of the EQ analysis (`roomeq.acoustics.subband_eq`): from 16 ms before the direct sound to the
+    noise, with a resolution of about 31 Hz.
+    """
+    start, stop = eq_part(samples, direct_sample, fs_hz)
+    n_frame = frame_length(fs_hz)
+    level_db = power_db(energy_spectrum(samples[start:stop], n_frame), FLOOR_POWER)
+    frequencies_hz = np.arange(len(level_db)) * fs_hz / n_frame
+    return frequencies_hz, level_db - np.interp(BANDS_HZ[BAND_1KHZ], frequencies_hz, level_db)
+
+
+def why_no_rir(samples: FloatArray, fs_hz: int) -> str | None:
+    """Return why a recording cannot be an RIR, or None; see `roomeq.acoustics.plausibility`."""
+    return find_implausibility(samples, fs_hz)
+
+
+def value_of(parameters: dict[str, Any], metric: str, band: int) -> float | None:
+    """Return the valid value of a metric ("edt", "t20", "t30", "c50" or "eq") in a band, or None."""
+    key = f"{metric}_{'s' if metric[0] in 'et' and metric != 'eq' else 'db'}"
+    values, valid = parameters.get(key), parameters.get(f"{metric}_valid")
+    if not values or not valid or band >= len(values) or not valid[band]:
+        return None
+    return values[band]
+
+
+def reverberation_time_s(parameters: dict[str, Any], band: int = BAND_1KHZ) -> float | None:
+    """Return T30 of a band, or T20 where T30 is invalid."""
+    t30_s = value_of(parameters, "t30", band)
+    return value_of(parameters, "t20", band) if t30_s is None else t30_s
+
+
+def _band_decay(rir: AnalysedRir, number: int, band: FloatArray) -> BandDecay:
+    decay = energy_decay(band, rir.fs_hz, rir.direct.sample)
+    frames = power_db(_frames(band, rir), FLOOR_POWER)
+    step = max(1, round(1e-3 * rir.fs_hz))
+    curve_db = decay.edc_db[::step]
+    curve_s = np.arange(len(curve_db), dtype=np.float64) * step / rir.fs_hz
+    return BandDecay(rir.bands_hz[number], FRAME_S * np.arange(0.5, len(frames)), frames, curve_s, curve_db,
+                     decay.intersection.sample / rir.fs_hz, decay.noise_floor_db is not None,
+                     _fitted_line(rir, number, decay))
+
+
+def _frames(band: FloatArray, rir: AnalysedRir) -> FloatArray:
+    """Return the mean power of each frame from the direct sound on."""
+    n_frame = max(1, round(FRAME_S * rir.fs_hz))
+    start = max(0, round(rir.direct.sample))
+    power = np.square(band[start:])
+    n_frames = max(1, len(power) // n_frame)
+    return power[:n_frames * n_frame].reshape(n_frames, -1).mean(axis=1)
+
+
+def _fitted_line(rir: AnalysedRir, number: int, decay: Decay) -> tuple[str, float, float, bool] | None:
+    """Return the line of T30, or of T20 where T30 is invalid or absent; see `BandDecay.fit`."""
+    names = [name for name in ("t30", "t20") if rir.parameters[f"{name}_s"][number] is not None]
+    valid = [name for name in names if rir.parameters[f"{name}_valid"][number]]
+    if not names:
+        return None
+    name = (valid or names[-1:])[0]
+    time_s, level_db = rir.parameters[f"{name}_s"][number], decay.edc_db
+    top_db, bottom_db = DECAYS_DB[name]
+    part = np.flatnonzero((level_db <= top_db) & (level_db >= bottom_db))
+    offset_db = float(np.mean(level_db[part] + 60.0 / time_s * part / rir.fs_hz))
+    return name.upper(), time_s, offset_db, bool(valid)

@@ -1,0 +1,144 @@
+"""The sections of a page on the output of the closed loop: what was found, what it is worth, and what to do next."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roomeq.acoustics.octaves import THIRDS_HZ
+from roomeq.core.constants import FS_HZ
+from roomeq.effects.catalogue import CATALOGUE
+from roomeq.effects.noise_floor import NoiseFloor
+from roomeq.effects.response import RESPONSE_HZ, Response
+from roomeq.loop.descriptions import advise_on_residual, describe_effect, describe_residual, effect_label
+from roomeq.loop.examples import EXAMPLES_FILE, Examples, read_examples
+from roomeq.loop.ledger import LEDGER_FILE, added_effects, read_ledger
+from roomeq.loop.selection import SPLITS
+from roomeq.loop.unexplained import Unexplained
+from roomeq.report import figures, figures_loop, section_loop
+from roomeq.report.figures import Draw, Panel, panel
+from roomeq.report.formats import number, percent
+from roomeq.report.load import Context, Run
+from roomeq.show.clips import Clip, clips
+
+SCOPES = {"all": "all recordings", "source": "each loudspeaker", "mic": "each microphone", "room": "each room",
+          "rir": "each recording"}
+_MAX_UNITS = 6  # curves in a panel
+
+
+class LoopRun(Run):
+    """A run of which only the output of the closed loop is known, whatever its directory is called."""
+
+    def path(self, name: str) -> Path:
+        """Return the loop's directory, or one that does not exist."""
+        return self.exp_dir if name == "loop" else self.exp_dir / "absent" / name
+
+
+def loop_context(directory: Path, speech: Path | None) -> Context:
+    """Return what the template of a loop shows.
+
+    Parameters
+    ----------
+    directory : Path
+        Output of ``roomeq close-loop``.
+    speech : Path, optional
+        Recording of dry speech to listen to.
+    """
+    ledger = read_ledger(directory / LEDGER_FILE)
+    examples = read_examples(directory / EXAMPLES_FILE)
+    run = LoopRun(directory, directory)
+    return {"ledger": ledger, "left_out": section_loop.left_out(ledger), "effects": found(ledger),
+            "error_rows": section_loop.error_rows(ledger), "at_ceiling": section_loop.at_ceiling(ledger),
+            "splits": section_loop.splits(ledger), "maps": section_loop.residual_maps(run, ledger),
+            "gains": gain_panels(ledger), "geometry_rows": section_loop.geometry_rows(ledger),
+            "power_rows": [[effect_label(effect), *rest] for effect, *rest in section_loop.power_rows(ledger)],
+            "places": places(examples, speech), "residuals": residuals(ledger)}
+
+
+def loop_facts(ledger: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return value and label of the cards at the top of the page."""
+    before, after, ceiling = (ledger[when][SPLITS[0]]["error"] for when in ("baseline", "final", "ceiling"))
+    cards = [(str(len(added_effects(ledger))), "effects that the simulation lacked"),
+             (f"{number(before, 2)} → {number(after, 2)} JND", "error on positions held out, before and after"),
+             (f"{number(ceiling, 2)} JND", "smallest error that is possible (ceiling)")]
+    share = ledger["explained"][SPLITS[0]]["share"]
+    if share is not None:
+        cards.append((percent(share), "of the explainable error explained"))
+    return cards
+
+
+def found(ledger: dict[str, Any]) -> list[Context]:
+    """Return each added effect in words: name, what it applies to, its parameters, errors and rivals."""
+    effects = []
+    for entry in added_effects(ledger):
+        rivals = [effect_label(name) for name in entry.get("cannot_tell", []) if name != entry["effect"]]
+        described = section_loop.sentence(describe_effect(entry["effect"], entry["parameters"]))
+        low, high = entry["heldout_error_ci"]
+        effects.append({"label": effect_label(entry["effect"]), "code": entry["effect"], "rivals": rivals,
+                        "applies_to": SCOPES[entry["scope"]], "parameters": described,
+                        "size_jnd": entry["size_jnd"], "before": entry["heldout_error_before"],
+                        "after": entry["heldout_error_after"], "low": low, "high": high,
+                        "scored_on": section_loop.SPLIT_LABELS[entry["scored_on"]],
+                        "would_tell": entry.get("would_tell", [])})
+    return effects
+
+
+def gain_panels(ledger: dict[str, Any]) -> list[Panel]:
+    """Draw every list of gains or levels of an added effect over frequency."""
+    panels = []
+    for entry in added_effects(ledger):
+        effect = CATALOGUE[entry["effect"]]
+        if issubclass(effect, (Response, NoiseFloor)):
+            is_gain = issubclass(effect, Response)
+            key, frequencies_hz = ("gains_db", RESPONSE_HZ) if is_gain else ("levels_db", THIRDS_HZ)
+            bands = [figures_loop.ResponseBand(unit, *(np.array(estimate.get(bound, estimate["best"])[key])
+                                                       for bound in ("best", "low", "high")))
+                     for unit, estimate in list(entry["parameters"].items())[:_MAX_UNITS]]
+            label = effect_label(entry["effect"])
+            alt = "; ".join(f"{band.name}: {number(band.best.min())} to {number(band.best.max())} dB" for band in bands)
+            panels.append(panel(f"figure-gains-{entry['effect']}",
+                                gain_curves(f"{label[0].upper()}{label[1:]}", frequencies_hz, bands,
+                                            "Gain (dB)" if is_gain else "Noise re response (dB)"), alt))
+    return panels
+
+
+def gain_curves(title: str, frequencies_hz: tuple[float, ...], bands: list[figures_loop.ResponseBand],
+                label: str) -> Draw:
+    """Draw gains or levels over frequency with their intervals."""
+    inner = figures_loop.response_curves(title, frequencies_hz, bands)
+
+    def draw(axes: Any, colours: dict[str, str]) -> None:
+        inner(axes, colours)
+        axes.set_ylabel(label)
+    return draw
+
+
+def places(examples: Examples, speech: Path | None) -> list[Context]:
+    """Return the players and figures of each example: measured, before and after at the same place."""
+    shown = []
+    drawn = section_loop.example_figures(examples)
+    for number_of_example, (rirs, figure) in enumerate(zip(examples.rirs, drawn, strict=True), start=1):
+        labels = section_loop.LABELS.values()
+        players = clips([(label, colour, rir.astype(np.float64), FS_HZ) for label, colour, rir in zip(
+            labels, section_loop.COLOURS.values(), rirs, strict=True)], speech)
+        renamed = [Clip(f"{clip.ident}-{number_of_example}", clip.label, clip.colour, clip.src) for clip in players]
+        shown.append({**figure, "clips": renamed})
+    return shown
+
+
+def residuals(ledger: dict[str, Any]) -> list[Context]:
+    """Return each unexplained residual in words, and what to do about it."""
+    entries = [Unexplained(**residual) for residual in ledger["unexplained_all"]]
+    return [{"text": section_loop.sentence(describe_residual(entry)),
+             "advice": section_loop.sentence(advise_on_residual(entry))} for entry in entries]
+
+
+def loop_draws(directory: Path) -> list[Draw]:
+    """Return the functions that draw the panels of a loop, for a sheet."""
+    ledger = read_ledger(directory / LEDGER_FILE)
+    entries = [ledger[when][SPLITS[0]] for when in ("baseline", "final", "ceiling")]
+    metrics = list(entries[0]["by_metric"])
+    by_metric = [[entry["by_metric"].get(metric, np.nan) for metric in metrics] for entry in entries]
+    by_band = [[np.nan if error is None else error for error in entry["by_band"]] for entry in entries]
+    return [figures_loop.before_and_after([section_loop.METRIC_LABELS[metric] for metric in metrics], *by_metric),
+            figures_loop.before_and_after(list(figures.TICK_LABELS), *by_band)]

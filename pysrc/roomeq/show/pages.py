@@ -1,0 +1,205 @@
+"""Pages, pictures and texts of everything that can be shown."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from markupsafe import Markup
+
+from roomeq.loop.ledger import LEDGER_FILE, read_ledger
+from roomeq.records.schema import RirRow
+from roomeq.report.load import Context
+from roomeq.report.render import render
+from roomeq.report.step import versions
+from roomeq.show import tables
+from roomeq.show.figures_sets import QUANTITIES, by_room, distribution, labels_of, over_frequency
+from roomeq.show.inputs import RirSet, ShownRir, middle_of, read_rir_file, read_rir_of, read_set
+from roomeq.show.page_compare import (
+    compared_bands,
+    compared_rirs,
+    compared_sets,
+    compared_summary,
+    median_rows,
+    pair_rirs,
+    typical_pair,
+)
+from roomeq.show.page_loop import found, loop_context, loop_draws, loop_facts, residuals
+from roomeq.show.page_rir import facts, rir_context, rir_draws
+from roomeq.show.page_set import set_context, set_facts
+from roomeq.show.room_map import map_room
+from roomeq.show.sheet import png
+from roomeq.show.step import PICTURE
+from roomeq.show.tables import METRICS, as_text
+
+Part = tuple[str, str, Context]
+"""Template of a section, its title, and what it shows."""
+
+TEMPLATES = Path(__file__).parent / "templates"
+_SEE = "See and hear it: --out FILE.html (with audio) or --out FILE.png."
+
+
+@dataclass(frozen=True)
+class _Section:
+    """A section of a page: its id and its title."""
+
+    ident: str
+    title: str
+
+
+def rir_file(path: Path, suffix: str | None, channel: int | None, speech: Path | None,
+             keep_suspicious: bool) -> bytes | str:
+    """Return the page, picture or text of an RIR file."""
+    return _one_rir(read_rir_file(path, channel, keep_suspicious), suffix, speech)
+
+
+def rir_set(directory: Path, suffix: str | None, ident: str | None, speech: Path | None,
+            keep_suspicious: bool) -> bytes | str:
+    """Return the page, picture or text of a set, or of one of its RIRs for a picture or a text with an id."""
+    if ident is not None and suffix != ".html":
+        return _one_rir(read_rir_of(directory, ident, keep_suspicious), suffix, speech)
+    chosen = read_rir_of(directory, ident, keep_suspicious) if ident is not None else None
+    of_set = read_set(directory)
+    if suffix is None:
+        return _set_text(of_set)
+    if suffix == PICTURE:
+        return png([*(distribution([of_set], quantity) for quantity in QUANTITIES),
+                    *(by_room(of_set, quantity) for quantity in QUANTITIES),
+                    over_frequency([of_set], "t60", "Reverberation time (s)"),
+                    over_frequency([of_set], "eq", "EQ (dB, 1 kHz = 0)")], f"RIRs of {of_set.label}")
+    chosen = chosen or read_rir_of(directory, middle_of(of_set), keep_suspicious=True)
+    return _page(f"RIRs of {of_set.label}",
+                 "Reverberation, clarity and colour of the room impulse responses (RIRs) of a directory, room by room. "
+                 "One of them is shown in detail.", set_facts(of_set), [],
+                 [("set", "Overview", set_context(of_set)), *_rir_parts(chosen, of_set.rows, speech)])
+
+
+def loop(directory: Path, suffix: str | None, speech: Path | None) -> bytes | str:
+    """Return the page, picture or text of a loop."""
+    ledger = read_ledger(directory / LEDGER_FILE)
+    if suffix is None:
+        lines = [f"{value}: {label}" for value, label in loop_facts(ledger)]
+        lines += [f"\nThe simulation lacked: {effect['label']} ({effect['code']}), of {effect['applies_to']}. "
+                  f"{effect['parameters']}" for effect in found(ledger)]
+        lines += [f"\nUnexplained: {entry['text']}\nWhat to do: {entry['advice']}" for entry in residuals(ledger)]
+        return "\n".join([*lines, "", _SEE])
+    if suffix == PICTURE:
+        return png(loop_draws(directory), "Held-out error before and after the closed loop")
+    return _page("What the simulation lacked",
+                 f"The closed loop compared a simulation with {ledger['rirs']} measured room impulse responses (RIRs) "
+                 f"of {ledger['rooms']} rooms, and added what the simulation lacked. Errors are in just noticeable "
+                 "differences (JND).", loop_facts(ledger), [], _loop_parts(directory, speech))
+
+
+def two_files(first: Path, second: Path, suffix: str | None, speech: Path | None,
+              keep_suspicious: bool) -> bytes | str:
+    """Return the page or text that compares two RIR files."""
+    a, b = (read_rir_file(path, keep_suspicious=keep_suspicious) for path in (first, second))
+    if suffix is None:
+        return _pair_text(a, b)
+    return _page(f"{a.rir.name} and {b.rir.name}",
+                 "Two room impulse responses (RIRs) overlaid, with their differences in just noticeable differences "
+                 "(JND).", [], [], _pair_parts(a, b, speech))
+
+
+def two_sets(first: Path, second: Path, suffix: str | None, ident: str | None, speech: Path | None,
+             keep_suspicious: bool) -> bytes | str:
+    """Return the page or text that compares two RIR directories."""
+    a, b = read_set(first), read_set(second)
+    pairs = pair_rirs(a, b)
+    chosen = None
+    if ident is not None:
+        chosen = next((n for n, (number_a, _) in enumerate(pairs.numbers) if a.rows[number_a]["id"] == ident), None)
+        if chosen is None:
+            raise ValueError(f"--id {ident}: no pair of {first} and {second} has this id in {first}: give another of "
+                             f"the {len(pairs.numbers)} pairs")
+    elif pairs.numbers:
+        chosen = typical_pair(pairs)
+    if suffix is None:
+        return _sets_text(a, b, compared_sets(a, b, pairs))
+    parts: list[Part] = [("sets", "Both sets", compared_sets(a, b, pairs))]
+    if chosen is not None:
+        number_a, number_b = pairs.numbers[chosen]
+        shown = (read_rir_of(first, a.rows[number_a]["id"], keep_suspicious=True),
+                 read_rir_of(second, b.rows[number_b]["id"], keep_suspicious=True))
+        parts += _pair_parts(*shown, speech)
+    cards = [(f"{len(of_set.rows):,}", f"RIRs of {len(of_set.rooms):,} rooms in {label}")
+             for of_set, label in zip((a, b), labels_of([a, b]), strict=True)]
+    return _page(" and ".join(labels_of([a, b])),
+                 "Two sets of room impulse responses (RIRs) side by side, with their differences in just noticeable "
+                 "differences (JND).", [*cards, (f"{len(pairs.numbers):,}", "pairs of RIRs")], [], parts)
+
+
+def _one_rir(shown: ShownRir, suffix: str | None, speech: Path | None) -> bytes | str:
+    if suffix is None:
+        bands = as_text(tables.BAND_COLUMNS, tables.band_rows(shown.rir))
+        summary = as_text(*_with_heading(tables.summary_rows(shown), shown.rir.name))
+        warning = f"No RIR by its acoustics: {shown.problem}\n\n" if shown.problem else ""
+        dash = "A dash stands for a value that noise or bandwidth make invalid."
+        return f"{warning}{summary}\n\n{bands}\n\n{dash} {_SEE}"
+    if suffix == PICTURE:
+        room = map_room(shown.row, [shown.row], shown.directory) if shown.row and shown.directory else None
+        return png(rir_draws(shown.rir, room), shown.rir.name)
+    warnings = [f"No RIR by its acoustics: {shown.problem}"] if shown.problem else []
+    return _page(shown.rir.name, "A room impulse response (RIR): what is heard, measured and seen of it.", facts(shown),
+                 warnings, _rir_parts(shown, [shown.row] if shown.row else [], speech))
+
+
+def _rir_parts(shown: ShownRir, rows: list[RirRow], speech: Path | None) -> list[Part]:
+    context, of = rir_context(shown, rows, speech), f" of {shown.rir.name}" if len(rows) > 1 else ""
+    return [("listen", f"Sound{of}", context), ("parameters", f"Acoustic parameters{of}", context),
+            ("time", f"Time{of}", context), ("frequency", f"Frequency{of}", context),
+            ("decays", f"Decay{of}", context), ("room", "Room", context)]
+
+
+def _pair_parts(a: ShownRir, b: ShownRir, speech: Path | None) -> list[Part]:
+    context, of = compared_rirs(a, b, speech), f" of {a.rir.name}" if a.directory and b.directory else ""
+    return [("differences", f"Differences{of}", context), ("listen", f"Sound{of}", context),
+            ("time", f"Time{of}", context), ("frequency", f"Frequency{of}", context),
+            ("decays", f"Decay{of}", context)]
+
+
+def _loop_parts(directory: Path, speech: Path | None) -> list[Part]:
+    context = loop_context(directory, speech)
+    parts: list[Part] = [("loop_found", "What was found", context), ("loop_errors", "Before and after", context)]
+    if context["gains"]:
+        parts.append(("loop_gains", "Gains over frequency", context))
+    return [*parts, ("loop_listen", "Measured, before and after", context),
+            ("loop_unexplained", "What remains, and what to do", context)]
+
+
+def _with_heading(rows: list[list[str]], heading: str) -> tuple[list[str], list[list[str]]]:
+    return [heading, *[""] * (len(rows[0]) - 1)], rows
+
+
+def _set_text(of_set: RirSet) -> str:
+    left_out = f"\n{len(of_set.left_out)} recordings that are no RIR are left out." if of_set.left_out else ""
+    return (f"{of_set.directory}: {len(of_set.rows)} RIRs of {len(of_set.rooms)} rooms; medians by room.{left_out}\n\n"
+            f"{as_text(tables.ROOM_COLUMNS, tables.room_rows(of_set))}\n\n"
+            f"One RIR: --id ID, such as {middle_of(of_set)}. {_SEE}")
+
+
+def _pair_text(a: ShownRir, b: ShownRir) -> str:
+    columns = ["Octave", *(tables.HEADINGS[metric] for metric in METRICS)]
+    return (f"{as_text(['', 'A', 'B', 'B - A (JND)'], compared_summary(a, b))}\n\n"
+            f"{as_text(columns, compared_bands(a, b))}\n\nA → B (difference in JND). Overlaid: --out FILE.html.")
+
+
+def _sets_text(a: RirSet, b: RirSet, context: Context) -> str:
+    columns = ["Octave", *(tables.HEADINGS[metric] for metric in METRICS)]
+    paired = ""
+    if context["n_pairs"]:
+        paired = (f"\n\n{context['n_pairs']} pairs: mean absolute difference in JND (mean difference B - A)\n\n"
+                  f"{as_text(columns, context['paired'])}")
+    return (f"A: {a.directory}, {len(a.rows)} RIRs; B: {b.directory}, {len(b.rows)} RIRs\n\n"
+            f"Medians A → B (difference in JND)\n\n{as_text(columns, median_rows(a, b))}{paired}\n\n"
+            "Overlaid: --out FILE.html.")
+
+
+def _page(title: str, lead: str, cards: list[tuple[str, str]], warnings: list[str],
+          parts: list[Part]) -> str:
+    """Return a page with one section for each part: its template, its title, and what it shows."""
+    sections: list[tuple[_Section, Markup]] = []
+    for template, heading, context in parts:
+        content = render(f"show_{template}", TEMPLATES, **context)
+        sections.append((_Section(template.replace("_", "-"), heading), content))
+    return render("show_page", TEMPLATES, title=title, lead=lead, cards=cards, warnings=warnings, sections=sections,
+                  versions=versions())

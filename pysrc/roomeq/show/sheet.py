@@ -1,0 +1,85 @@
+"""Figures of several panels: for PNG files, and for notebooks."""
+
+import io
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import matplotlib
+from matplotlib.figure import Figure
+
+from roomeq.report import figures
+from roomeq.report.figures import Draw
+from roomeq.report.style import LIGHT
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+_PANEL_IN = (4.4, 3.2)
+_DPI = 110
+
+
+def sheet(draws: Sequence[Draw], title: str, columns: int = 3) -> Figure:
+    """Return a figure with panels in rows.
+
+    Parameters
+    ----------
+    draws : sequence of callable
+        Functions that draw one panel each (`roomeq.report.figures`).
+    title : str
+    columns : int
+        Panels in a row.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    settings: Any = figures.settings(LIGHT)
+    columns = min(columns, len(draws))
+    rows = -(-len(draws) // columns)
+    with matplotlib.rc_context(settings):
+        figure = Figure(figsize=(columns * _PANEL_IN[0], rows * _PANEL_IN[1] + 0.4), layout="constrained")
+        figure.suptitle(title, fontweight="bold", fontsize=11, x=0.01, ha="left")
+        parts = figure.subfigures(rows, columns, squeeze=False).ravel()
+        for part, draw in zip(parts, draws, strict=False):
+            draw(part.add_subplot(), LIGHT)
+    return figure
+
+
+def png(draws: Sequence[Draw], title: str) -> bytes:
+    """Return a figure as PNG; equal drawings give equal bytes."""
+    stream = io.BytesIO()
+    settings: Any = figures.settings(LIGHT)
+    with matplotlib.rc_context(settings):
+        sheet(draws, title).savefig(stream, format="png", dpi=_DPI, metadata=dict(Software=None))
+    return stream.getvalue()
+
+
+def plot_rir(rir: "ArrayLike", fs: int, name: str = "RIR") -> Figure:
+    """Draw an RIR: waveform, early reflections, echogram, spectrogram, response and decay times, decays per octave.
+
+    In a notebook, a cell that ends in ``roomeq.plot_rir(rir, fs)`` shows the figure.
+
+    Parameters
+    ----------
+    rir : array_like, shape (n_samples,)
+        An RIR of any scale.
+    fs : int
+        Sample rate [Hz], 8 kHz or more; the octave bands are those below half of it.
+    name : str
+        Title.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    ValueError
+        `rir` is not mono, not finite, silent, or has no direct sound; or `fs` is below 8 kHz.
+    """
+    import numpy as np
+
+    from roomeq.show.analysis import analyse
+    from roomeq.show.page_rir import rir_draws
+
+    return sheet(rir_draws(analyse(np.asarray(rir, dtype=np.float64), fs, name)), name)
