@@ -47,7 +47,7 @@ _ADVICE = {
                "tof_removed)",
     "ahead": "play the sweep at a lower level, since distortion of the loudspeaker lies before the direct sound, and "
              "use no zero-phase filter",
-    "floor": "record the background noise before the sweep, or average more sweeps"}
+    "floor": "record the background noise of each room before the sweep"}
 """What explains a residual of each metric, or makes it smaller."""
 _ADVICE_BY_UNIT = {"source": "record another loudspeaker at the same place to tell it from the room",
                    "mic": "exchange two microphones to tell them from their positions",

@@ -8,17 +8,13 @@ import numpy as np
 
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.direct import DirectSound, find_direct
-from roomeq.acoustics.iso3382 import DECAYS_DB, Decay, all_metrics, energy_decay
+from roomeq.acoustics.iso3382 import DECAYS_DB, Decay, energy_decay
 from roomeq.acoustics.octaves import octave_bands
 from roomeq.acoustics.parameters import measure
 from roomeq.acoustics.plausibility import find_implausibility
 from roomeq.acoustics.subband_eq import energy_spectrum, eq_part, frame_length
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
-
-MIN_FS_HZ = 8000
-_ALL_BANDS_HZ, _ALL_EXACT_HZ = (*BANDS_HZ, 16000.0), (*EXACT_BANDS_HZ, 1000.0 * 10.0 ** 1.2)
-_PER_BAND = ("edt", "t20", "t30", "c50")
+from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, bands_hz, require_fs
 
 
 @dataclass(frozen=True)
@@ -80,7 +76,7 @@ class AnalysedRir:
     @property
     def bands_hz(self) -> tuple[float, ...]:
         """Nominal mid-band frequencies of the octaves below half the sample rate."""
-        return bands_below(self.fs_hz)
+        return bands_hz(self.fs_hz)
 
     @property
     def direct_s(self) -> float:
@@ -91,7 +87,7 @@ class AnalysedRir:
     def decays(self) -> list[BandDecay]:
         """The decay of each octave band."""
         end = int(np.flatnonzero(self.samples)[-1]) + 1
-        bands = octave_bands(self.samples[:end], self.fs_hz, _ALL_EXACT_HZ[:len(self.bands_hz)])
+        bands = octave_bands(self.samples[:end], self.fs_hz)
         return [_band_decay(self, number, band) for number, band in enumerate(bands)]
 
     @cached_property
@@ -111,20 +107,14 @@ class AnalysedRir:
         return float(min(left_s, margin * max(decay.intersection_s for decay in self.decays)))
 
 
-def bands_below(fs_hz: float) -> tuple[float, ...]:
-    """Return the nominal octave bands whose mid-band frequency lies below half a sample rate, 62.5 Hz to 16 kHz."""
-    return tuple(band_hz for band_hz, exact_hz in zip(_ALL_BANDS_HZ, _ALL_EXACT_HZ, strict=True)
-                 if exact_hz < 0.5 * fs_hz)
-
-
 def analyse(samples: FloatArray, fs_hz: int, name: str = "RIR", direct: DirectSound | None = None) -> AnalysedRir:
-    """Analyse an RIR at any sample rate from `MIN_FS_HZ` on.
+    """Analyse an RIR.
 
     Parameters
     ----------
     samples : ndarray, shape (n_samples,)
     fs_hz : int
-        Sample rate [Hz].
+        Sample rate, 8 to 48 kHz.
     name : str
         Label in figures and tables; also begins the message of an error.
     direct : DirectSound, optional
@@ -133,12 +123,11 @@ def analyse(samples: FloatArray, fs_hz: int, name: str = "RIR", direct: DirectSo
     Raises
     ------
     ValueError
-        The sample rate is too low, or the response has no direct sound.
+        The sample rate is out of range, or the response has no direct sound.
     """
-    if not (np.isfinite(fs_hz) and fs_hz >= MIN_FS_HZ):
-        raise ValueError(f"{name}: fs={fs_hz} Hz must be {MIN_FS_HZ} Hz or more: record it at a higher rate")
     samples = np.asarray(samples, dtype=np.float64)
     try:
+        require_fs(fs_hz)
         direct = find_direct(samples, fs_hz) if direct is None else direct
         parameters = measure_parameters(samples, fs_hz, direct)
     except ValueError as error:
@@ -147,15 +136,13 @@ def analyse(samples: FloatArray, fs_hz: int, name: str = "RIR", direct: DirectSo
 
 
 def measure_parameters(samples: FloatArray, fs_hz: int, direct: DirectSound) -> dict[str, Any]:
-    """Return the acoustic parameters of an RIR at any sample rate; at 16 kHz, those of `roomeq characterise`."""
-    if fs_hz == FS_HZ:
-        return measure(samples, direct=direct)
-    n_bands = len(bands_below(fs_hz))
-    parameters = {key: value[:n_bands] if isinstance(value, list) else value
-                  for key, value in all_metrics(samples, fs_hz, *direct).items()}
-    frequencies_hz, level_db = response_db(samples, fs_hz, direct.sample)
-    eq_db = np.interp(bands_below(fs_hz), frequencies_hz, level_db)
-    return parameters | dict(eq_db=eq_db.tolist(), eq_valid=[True] * n_bands)
+    """Return the acoustic parameters of an RIR as `roomeq.acoustics.parameters.measure`, with the EQ at any rate."""
+    parameters = measure(samples, fs_hz, direct=direct)
+    if "eq_db" not in parameters:
+        frequencies_hz, level_db = response_db(samples, fs_hz, direct.sample)
+        eq_db = np.interp(bands_hz(fs_hz), frequencies_hz, level_db)
+        parameters |= dict(eq_db=eq_db.tolist(), eq_valid=[True] * len(eq_db))
+    return parameters
 
 
 def response_db(samples: FloatArray, fs_hz: int, direct_sample: float) -> tuple[FloatArray, FloatArray]:

@@ -60,14 +60,17 @@ def dry_signal(speech: Path | None, fs_hz: int) -> tuple[str, FloatArray]:
     return "speech", samples
 
 
-def clips(rirs: Sequence[tuple[str, str, FloatArray, int]], speech: Path | None) -> list[Clip]:
-    """Return the players of some RIRs: the dry signal, it through each RIR, and each RIR; sounds of equal level.
+def clips(rirs: Sequence[tuple[str, str, FloatArray, int]], speech: Path | None, *,
+          with_responses: bool = True) -> list[Clip]:
+    """Return the players of some RIRs: the dry signal, it through each RIR, and each RIR; sounds of equal energy.
 
     Parameters
     ----------
     rirs : sequence of (label, colour, samples, fs_hz)
     speech : Path, optional
         Recording of dry speech.
+    with_responses : bool
+        Whether the RIRs themselves are played too.
     """
     made = []
     signals: list[tuple[str, str, str, FloatArray, int]] = []
@@ -79,7 +82,7 @@ def clips(rirs: Sequence[tuple[str, str, FloatArray, int]], speech: Path | None)
         signals.append((f"through-{number}", f"{name}, {label}", colour, heard, fs_hz))
     for ident, label, colour, samples, fs_hz in _equally_loud(signals):
         made.append(Clip(f"audio-{ident}", label, colour, flac_uri(samples, fs_hz)))
-    for number, (label, colour, samples, fs_hz) in enumerate(rirs, start=1):
+    for number, (label, colour, samples, fs_hz) in enumerate(rirs if with_responses else (), start=1):
         response = samples[:round(MAX_RESPONSE_S * fs_hz)]
         made.append(Clip(f"audio-rir-{number}", f"impulse response, {label}", colour,
                          flac_uri(_PEAK * response / np.abs(response).max(), fs_hz)))

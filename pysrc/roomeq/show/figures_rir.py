@@ -13,7 +13,7 @@ from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.core.arrays import FloatArray
 from roomeq.report import figures
 from roomeq.report.figures import TICKS, Draw, legend, log_frequency
-from roomeq.report.formats import with_minus
+from roomeq.report.formats import hertz, with_minus
 from roomeq.show.analysis import FRAME_S, AnalysedRir
 from roomeq.show.room_map import Reflection
 
@@ -132,7 +132,7 @@ def decay(rirs: Sequence[AnalysedRir], number: int) -> Draw:
         axes.set_ylim(_LOWEST_DB, 3.0)
         axes.set_xlabel("Time after the direct sound (s)")
         axes.set_ylabel("Level (dB)")
-        axes.set_title(f"{TICKS[rirs[0].bands_hz[number]]} Hz")
+        axes.set_title(hertz(rirs[0].bands_hz[number]))
         legend(axes)
     return draw
 

@@ -2,16 +2,16 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from roomeq.core.arrays import FloatArray
+from roomeq.core.constants import MAX_FS_HZ, bands_hz
 from roomeq.report.figures import panel
 from roomeq.report.formats import DASH, hertz, number
 from roomeq.report.load import Context
 from roomeq.show import figures_rir, tables
-from roomeq.show.analysis import bands_below, value_of
+from roomeq.show.analysis import value_of
 from roomeq.show.clips import clips
 from roomeq.show.figures_sets import labels_of
 from roomeq.show.inputs import RirSet, ShownRir
@@ -81,9 +81,8 @@ def compared_rirs(first: ShownRir, second: ShownRir, speech: Path | None) -> Con
 def compared_bands(first: ShownRir, second: ShownRir) -> list[list[str]]:
     """Return for each octave band the parameters of both RIRs and the difference in JND."""
     a, b = first.rir.parameters, second.rir.parameters
-    bands_hz = bands_below(min(first.rir.fs_hz, second.rir.fs_hz))
     rows = []
-    for band, band_hz in enumerate(bands_hz):
+    for band, band_hz in enumerate(bands_hz(min(first.rir.fs_hz, second.rir.fs_hz))):
         cells = [change_text(value_of(a, metric, band), value_of(b, metric, band), metric) for metric in METRICS]
         rows.append([hertz(band_hz), *cells])
     return rows
@@ -116,8 +115,8 @@ def compared_sets(first: RirSet, second: RirSet, pairs: Pairs) -> Context:
             "left_out": sum(len(of_set.left_out) for of_set in sets), "n_pairs": len(pairs.numbers),
             "distributions": distribution_panels(sets), "frequency_panels": set_frequency_panels(sets),
             "columns": [("Octave", "text"), *((tables.HEADINGS[metric], "interval") for metric in METRICS)],
-            "medians": median_rows(first, second), "paired": paired_rows(pairs, first),
-            "drr": paired_text(pairs.differences["drr"][:, 0]) if pairs.numbers else None}
+            "medians": median_rows(first, second), "median_drr": median_drr(first, second),
+            "paired": paired_rows(pairs), "drr": paired_text(pairs.differences["drr"][:, 0]) if pairs.numbers else None}
 
 
 def median_rows(first: RirSet, second: RirSet) -> list[list[str]]:
@@ -126,19 +125,28 @@ def median_rows(first: RirSet, second: RirSet) -> list[list[str]]:
     for band in range(min(_n_bands(first), _n_bands(second))):
         cells = [change_text(*_medians(first, second, metric, band), metric) for metric in METRICS]
         rows.append([hertz(_band_hz(band)), *cells])
-    drr_db = [tables.middle(parameters.get("drr_db") for parameters in of_set.parameters) for of_set in (first, second)]
-    jnd = tables.differences_jnd(dict(drr_db=drr_db[0]), dict(drr_db=drr_db[1]), 0)["drr"][0]
-    rows.append(["DRR", f"{number(drr_db[0])} → {number(drr_db[1])} dB ({tables.signed(jnd)})", *[""] * 4])
     return rows
 
 
+def median_drr(first: RirSet, second: RirSet) -> str:
+    """Return the medians of the DRR of both sets and their difference in JND."""
+    a, b = (tables.middle(parameters.get("drr_db") for parameters in of_set.parameters) for of_set in (first, second))
+    return f"{number(a)} → {number(b)} dB ({tables.signed(tables.difference_jnd('drr', a, b))} JND)"
+
+
 def _medians(first: RirSet, second: RirSet, metric: str, band: int) -> tuple[float | None, float | None]:
-    a, b = (tables.middle(value_of(parameters, metric, band) for parameters in of_set.parameters)
+    a, b = (_median([value_of(parameters, metric, band) for parameters in of_set.parameters])
             for of_set in (first, second))
     return a, b
 
 
-def paired_rows(pairs: Pairs, first: RirSet) -> list[list[str]]:
+def _median(values: list[float | None]) -> float | None:
+    """Return the median, or None if less than half of the values are valid: those that are would be no fair sample."""
+    n_valid = len(values) - values.count(None)
+    return tables.middle(values) if 2 * n_valid >= len(values) else None
+
+
+def paired_rows(pairs: Pairs) -> list[list[str]]:
     """Return for each octave band the mean absolute and the mean difference of the pairs in JND."""
     if not pairs.numbers:
         return []
@@ -167,5 +175,4 @@ def _n_bands(of_set: RirSet) -> int:
 
 
 def _band_hz(band: int) -> float:
-    every: Any = bands_below(48000)
-    return every[band]
+    return bands_hz(MAX_FS_HZ)[band]

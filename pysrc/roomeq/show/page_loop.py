@@ -23,6 +23,7 @@ from roomeq.show.clips import Clip, clips
 
 SCOPES = {"all": "all recordings", "source": "each loudspeaker", "mic": "each microphone", "room": "each room",
           "rir": "each recording"}
+_MARGIN_DB = 3.0
 _MAX_UNITS = 6  # curves in a panel
 
 
@@ -59,11 +60,11 @@ def loop_facts(ledger: dict[str, Any]) -> list[tuple[str, str]]:
     """Return value and label of the cards at the top of the page."""
     before, after, ceiling = (ledger[when][SPLITS[0]]["error"] for when in ("baseline", "final", "ceiling"))
     cards = [(str(len(added_effects(ledger))), "effects that the simulation lacked"),
-             (f"{number(before, 2)} → {number(after, 2)} JND", "error on positions held out, before and after"),
-             (f"{number(ceiling, 2)} JND", "smallest error that is possible (ceiling)")]
+             (f"{number(before, 2)} → {number(after, 2)}", "JND error on held-out positions, before and after"),
+             (number(ceiling, 2), "JND is the smallest error that is possible (ceiling)")]
     share = ledger["explained"][SPLITS[0]]["share"]
     if share is not None:
-        cards.append((percent(share), "of the explainable error explained"))
+        cards.append((percent(share), "of the explainable error is explained"))
     return cards
 
 
@@ -110,6 +111,8 @@ def gain_curves(title: str, frequencies_hz: tuple[float, ...], bands: list[figur
     def draw(axes: Any, colours: dict[str, str]) -> None:
         inner(axes, colours)
         axes.set_ylabel(label)
+        levels_db = np.array([(band.low, band.best, band.high) for band in bands])
+        axes.set_ylim(levels_db.min() - _MARGIN_DB, levels_db.max() + _MARGIN_DB)
     return draw
 
 
@@ -120,7 +123,7 @@ def places(examples: Examples, speech: Path | None) -> list[Context]:
     for number_of_example, (rirs, figure) in enumerate(zip(examples.rirs, drawn, strict=True), start=1):
         labels = section_loop.LABELS.values()
         players = clips([(label, colour, rir.astype(np.float64), FS_HZ) for label, colour, rir in zip(
-            labels, section_loop.COLOURS.values(), rirs, strict=True)], speech)
+            labels, section_loop.COLOURS.values(), rirs, strict=True)], speech, with_responses=False)
         renamed = [Clip(f"{clip.ident}-{number_of_example}", clip.label, clip.colour, clip.src) for clip in players]
         shown.append({**figure, "clips": renamed})
     return shown

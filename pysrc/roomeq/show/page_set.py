@@ -1,5 +1,7 @@
 """The sections of a page on an RIR directory."""
 
+import numpy as np
+
 from roomeq.report.figures import Panel, panel
 from roomeq.report.formats import number
 from roomeq.report.load import Context
@@ -27,8 +29,10 @@ def set_facts(of_set: RirSet) -> list[tuple[str, str]]:
     for ident, label, value in QUANTITIES:
         values = figures_sets.known(map(value, of_set.parameters))
         if len(values):
-            low, high = (number(float(end), 2 if ident == "t60" else 1) for end in (values.min(), values.max()))
-            cards.append((f"{low} to {high}", label))
+            middle, low, high = (number(float(value), 2 if ident == "t60" else 1)
+                                 for value in (np.median(values), values.min(), values.max()))
+            name, _, unit = label.rstrip(")").rpartition(" (")
+            cards.append((f"{middle} {unit}", f"median {name} ({low} to {high} {unit})"))
     return cards
 
 

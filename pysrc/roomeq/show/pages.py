@@ -18,7 +18,6 @@ from roomeq.show.page_compare import (
     compared_rirs,
     compared_sets,
     compared_summary,
-    median_rows,
     pair_rirs,
     typical_pair,
 )
@@ -66,10 +65,12 @@ def rir_set(directory: Path, suffix: str | None, ident: str | None, speech: Path
                     over_frequency([of_set], "t60", "Reverberation time (s)"),
                     over_frequency([of_set], "eq", "EQ (dB, 1 kHz = 0)")], f"RIRs of {of_set.label}")
     chosen = chosen or read_rir_of(directory, middle_of(of_set), keep_suspicious=True)
+    context = set_context(of_set)
     return _page(f"RIRs of {of_set.label}",
                  "Reverberation, clarity and colour of the room impulse responses (RIRs) of a directory, room by room. "
                  "One of them is shown in detail.", set_facts(of_set), [],
-                 [("set", "Overview", set_context(of_set)), *_rir_parts(chosen, of_set.rows, speech)])
+                 [("set", "Overview", context), *_rir_parts(chosen, of_set.rows, speech, f"RIR {chosen.rir.name}"),
+                  ("list", "All RIRs", context)])
 
 
 def loop(directory: Path, suffix: str | None, speech: Path | None) -> bytes | str:
@@ -120,7 +121,7 @@ def two_sets(first: Path, second: Path, suffix: str | None, ident: str | None, s
         number_a, number_b = pairs.numbers[chosen]
         shown = (read_rir_of(first, a.rows[number_a]["id"], keep_suspicious=True),
                  read_rir_of(second, b.rows[number_b]["id"], keep_suspicious=True))
-        parts += _pair_parts(*shown, speech)
+        parts += _pair_parts(*shown, speech, f"One pair: {shown[0].rir.name}")
     cards = [(f"{len(of_set.rows):,}", f"RIRs of {len(of_set.rooms):,} rooms in {label}")
              for of_set, label in zip((a, b), labels_of([a, b]), strict=True)]
     return _page(" and ".join(labels_of([a, b])),
@@ -143,18 +144,17 @@ def _one_rir(shown: ShownRir, suffix: str | None, speech: Path | None) -> bytes 
                  warnings, _rir_parts(shown, [shown.row] if shown.row else [], speech))
 
 
-def _rir_parts(shown: ShownRir, rows: list[RirRow], speech: Path | None) -> list[Part]:
-    context, of = rir_context(shown, rows, speech), f" of {shown.rir.name}" if len(rows) > 1 else ""
-    return [("listen", f"Sound{of}", context), ("parameters", f"Acoustic parameters{of}", context),
-            ("time", f"Time{of}", context), ("frequency", f"Frequency{of}", context),
-            ("decays", f"Decay{of}", context), ("room", "Room", context)]
+def _rir_parts(shown: ShownRir, rows: list[RirRow], speech: Path | None, first: str = "Sound") -> list[Part]:
+    context = rir_context(shown, rows, speech)
+    return [("listen", first, context), ("parameters", "Acoustic parameters", context),
+            ("time", "Response over time", context), ("frequency", "Response over frequency", context),
+            ("decays", "Decay by octave", context), ("room", "Room", context)]
 
 
-def _pair_parts(a: ShownRir, b: ShownRir, speech: Path | None) -> list[Part]:
-    context, of = compared_rirs(a, b, speech), f" of {a.rir.name}" if a.directory and b.directory else ""
-    return [("differences", f"Differences{of}", context), ("listen", f"Sound{of}", context),
-            ("time", f"Time{of}", context), ("frequency", f"Frequency{of}", context),
-            ("decays", f"Decay{of}", context)]
+def _pair_parts(a: ShownRir, b: ShownRir, speech: Path | None, first: str = "Differences") -> list[Part]:
+    context = compared_rirs(a, b, speech)
+    return [("differences", first, context), ("listen", "Sound", context), ("time", "Response over time", context),
+            ("frequency", "Response over frequency", context), ("decays", "Decay by octave", context)]
 
 
 def _loop_parts(directory: Path, speech: Path | None) -> list[Part]:
@@ -190,7 +190,8 @@ def _sets_text(a: RirSet, b: RirSet, context: Context) -> str:
         paired = (f"\n\n{context['n_pairs']} pairs: mean absolute difference in JND (mean difference B - A)\n\n"
                   f"{as_text(columns, context['paired'])}")
     return (f"A: {a.directory}, {len(a.rows)} RIRs; B: {b.directory}, {len(b.rows)} RIRs\n\n"
-            f"Medians A → B (difference in JND)\n\n{as_text(columns, median_rows(a, b))}{paired}\n\n"
+            f"Medians A → B (difference in JND)\n\n{as_text(columns, context['medians'])}\n\n"
+            f"DRR: {context['median_drr']}{paired}\n\n"
             "Overlaid: --out FILE.html.")
 
 

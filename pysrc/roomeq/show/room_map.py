@@ -1,5 +1,6 @@
 """The room of an RIR as far as its row says: outline, positions and first reflections."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,11 +10,13 @@ import numpy as np
 
 from roomeq.acoustics.air import speed_of_sound_m_s
 from roomeq.core.arrays import FloatArray
-from roomeq.records.geometry import find_contradiction, is_known
+from roomeq.records.geometry import find_contradiction, geometry_usability, is_known
 from roomeq.records.schema import RirRow
 from roomeq.sim.images import specular_paths
 from roomeq.sim.room import Room
 from roomeq.sim.scene import Shoebox
+
+logger = logging.getLogger(__name__)
 
 _SAME_PLANE = 0.999  # cosine of the angle between faces of one flat surface
 
@@ -73,7 +76,7 @@ class RoomMap:
 
 
 def map_room(row: RirRow, rows: Sequence[RirRow], directory: Path) -> RoomMap | None:
-    """Return the map of an RIR's room, or None where neither dimensions nor mesh of the room are known.
+    """Return the map of an RIR's room, or None where neither dimensions nor mesh of the room can be used.
 
     Parameters
     ----------
@@ -84,17 +87,14 @@ def map_room(row: RirRow, rows: Sequence[RirRow], directory: Path) -> RoomMap | 
     directory : Path
         The RIR directory.
     """
-    room, problem = _room_of(row, directory)
+    room = _room_of(row, directory)
     if room is None:
         return None
     in_room = [other for other in rows if other["room_id"] == row["room_id"]]
     source_m, mic_m = _position(row, "source_pos_m"), _position(row, "mic_pos_m")
-    notes = [problem] if problem else []
     contradiction = find_contradiction(row)
-    if contradiction:
-        notes.append(contradiction.detail)
-    elif row.get("geometry_problem"):
-        notes.append(str(row["geometry_problem"]))
+    reason = contradiction.detail if contradiction else geometry_usability(row, needs="consistency").reason
+    notes = [reason] if reason else []
     unknown = [name for name, position_m in (("source", source_m), ("microphone", mic_m))
                if not np.isfinite(position_m).all()]
     reflections: list[Reflection] = []
@@ -129,22 +129,18 @@ def first_reflections(room: Room, source_m: FloatArray, mic_m: FloatArray,
     return found
 
 
-def _room_of(row: RirRow, directory: Path) -> tuple[Room | None, str]:
-    """Return the room of a row, and why it cannot be drawn as stated; the box around it where a mesh fails."""
-    if row.get("mesh"):
-        from roomeq.sim.mesh import load_mesh
-
-        try:
-            return load_mesh(directory / str(row["mesh"])), ""
-        except (ValueError, OSError) as error:
-            return None, str(error)
+def _room_of(row: RirRow, directory: Path) -> Room | None:
+    """Return the room of a row; None, with a line in the log, where its mesh or its dimensions cannot be used."""
     dims_m: Any = row.get("room_dims_m")
-    if not is_known(dims_m):
-        return None, ""
     try:
-        return Shoebox(tuple(dims_m)), ""
-    except ValueError as error:
-        return None, str(error)
+        if row.get("mesh"):
+            from roomeq.sim.mesh import load_mesh
+
+            return load_mesh(directory / str(row["mesh"]))
+        return Shoebox(tuple(dims_m)) if is_known(dims_m) else None
+    except (ValueError, OSError) as error:
+        logger.warning("no map of room %s: %s", row["room_id"], error)
+        return None
 
 
 def _position(row: RirRow, key: str) -> FloatArray:

@@ -64,7 +64,7 @@ def plot_rir(rir: "ArrayLike", fs: int, name: str = "RIR") -> Figure:
     rir : array_like, shape (n_samples,)
         An RIR of any scale.
     fs : int
-        Sample rate [Hz], 8 kHz or more; the octave bands are those below half of it.
+        Sample rate, 8 to 48 kHz; the octave bands are those below half of it.
     name : str
         Title.
 
@@ -75,7 +75,7 @@ def plot_rir(rir: "ArrayLike", fs: int, name: str = "RIR") -> Figure:
     Raises
     ------
     ValueError
-        `rir` is not mono, not finite, silent, or has no direct sound; or `fs` is below 8 kHz.
+        `rir` is not mono, not finite, silent, or has no direct sound; or `fs` is out of range.
     """
     import numpy as np
 

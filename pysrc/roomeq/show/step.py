@@ -3,6 +3,7 @@
 import logging
 from pathlib import Path
 
+from roomeq.core.asking import NotUpToDate, only_asked
 from roomeq.core.files import write_bytes
 
 logger = logging.getLogger(__name__)
@@ -17,7 +18,7 @@ def show(path: Path, *, out: Path | None = None, ident: str | None = None, chann
     Parameters
     ----------
     path : Path
-        An RIR file of any sample rate from 8 kHz on, an RIR directory, or the output of ``roomeq close-loop``.
+        An RIR file of any sample rate from 8 to 48 kHz, an RIR directory, or the output of ``roomeq close-loop``.
     out : Path, optional
         Page (``.html``, with audio) or picture (``.png``) to make. Without it, the parameters are printed.
     ident : str, optional
@@ -34,6 +35,8 @@ def show(path: Path, *, out: Path | None = None, ident: str | None = None, chann
     ValueError
         `path` is none of these, is no RIR, or has no RIR of this id; or `out` is neither a page nor a picture.
     """
+    if only_asked():  # what is shown is made each time
+        raise NotUpToDate(str(out))
     from roomeq.show.inputs import kind_of
 
     path, suffix = Path(path), _suffix(out)
@@ -42,8 +45,8 @@ def show(path: Path, *, out: Path | None = None, ident: str | None = None, chann
         raise ValueError(f"--id {ident}: {path} is no RIR directory: leave --id out")
     if channel is not None and kind != "rir":
         raise ValueError(f"--channel {channel}: {path} is no audio file: leave --channel out")
-    if speech is not None and (suffix != PAGE or kind == "loop" and not Path(speech).exists()):
-        raise ValueError(f"--speech {speech}: is played on a page: give --out FILE{PAGE} and an audio file")
+    if speech is not None and suffix != PAGE:
+        raise ValueError(f"--speech {speech}: is played on a page: give --out FILE{PAGE}")
     from roomeq.show import pages
 
     if kind == "loop":
@@ -78,6 +81,8 @@ def compare(first: Path, second: Path, *, out: Path | None = None, ident: str | 
     ValueError
         The two are of different kinds or no RIRs, there is no such pair, or `out` is no page.
     """
+    if only_asked():
+        raise NotUpToDate(str(out))
     from roomeq.show.inputs import kind_of
 
     first, second, suffix = Path(first), Path(second), _suffix(out, pictures=False)

@@ -132,8 +132,10 @@ def difference_jnd(metric: str, first: float | None, second: float | None) -> fl
 
 def signed(value: float | None, decimals: int = 1) -> str:
     """Return a number with its sign, or a dash."""
-    text = number(value, decimals)
-    return text if text == DASH or value is None or value < 0 or float(f"{value:.{decimals}f}") == 0 else f"+{text}"
+    if value is None or not np.isfinite(value):
+        return DASH
+    rounded = round(value, decimals) + 0.0  # no sign of zero
+    return f"{'+' if rounded > 0.0 else ''}{number(rounded, decimals)}"
 
 
 def as_text(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
