@@ -1,0 +1,44 @@
+"""Audio players: what is heard, at which level."""
+
+import base64
+import io
+
+import numpy as np
+import pytest
+import soundfile
+from rirmaker import coloured_rir
+
+from roomeq.core.audio import write_wav
+from roomeq.show.clips import clips, dry_signal
+
+
+def sound(clip):
+    return soundfile.read(io.BytesIO(base64.b64decode(clip.src.partition(",")[2])))
+
+
+@pytest.mark.parametrize("fs_hz", [8000, 16000, 48000])
+def test_sounds_have_equal_energy_and_do_not_clip(fs_hz):
+    rirs = [("A", "measured", coloured_rir(0), fs_hz), ("B", "simulated", 20.0 * coloured_rir(1), fs_hz)]
+    made = clips(rirs, None)
+    assert [clip.label for clip in made] == ["noise bursts, dry", "noise bursts, A", "noise bursts, B",
+                                            "impulse response, A", "impulse response, B"]
+    heard = [sound(clip) for clip in made]
+    assert {rate for _, rate in heard} == {fs_hz} and max(np.abs(samples).max() for samples, _ in heard) < 0.91
+    energies = [np.sum(samples ** 2) for samples, _ in heard[:3]]
+    assert np.ptp(10 * np.log10(energies)) < 0.1
+
+
+def test_speech_is_resampled_and_heard_through_the_rir(tmp_path):
+    speech = 0.1 * np.sin(np.arange(48000))
+    write_wav(tmp_path / "speech.wav", speech, 48000)
+    name, dry = dry_signal(tmp_path / "speech.wav", 16000)
+    assert name == "speech" and len(dry) == 16000
+    made = clips([("A", "measured", np.eye(1, 800)[0], 16000)], tmp_path / "speech.wav", with_responses=False)
+    dry_sound, heard = (sound(clip)[0] for clip in made)
+    assert np.allclose(heard[:16000], dry_sound, atol=1e-4) and len(made) == 2
+
+
+def test_silent_speech_is_refused(tmp_path):
+    write_wav(tmp_path / "speech.wav", np.zeros(100))
+    with pytest.raises(ValueError, match="speech.wav: silent"):
+        dry_signal(tmp_path / "speech.wav", 16000)
