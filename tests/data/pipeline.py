@@ -64,10 +64,13 @@ STEPS = (
            f"augment --noises data/noises data/train.clean {rirs} {rvb}", (rvb,),
            ("data/train.clean", rirs, "data/noises"), ("speech", "noises", *REFERRED[:1 + (rirs == REAL)]))
       for rirs, rvb in RVB.items()),
+    Step("export lhotse", f"export lhotse {REAL} exp/lhotse", ("exp/lhotse",), (REAL,), REFERRED),
+    Step("export nemo", f"export nemo {RVB[SIM]} exp/nemo", ("exp/nemo",), (RVB[SIM],)),
     Step("wer", "wer --rirs decoded/rirs decoded/kaldi0 decoded/kaldi1 exp/wer", ("exp/wer",)),
 )
 REPORT = Step("report", "report data exp exp/report", ("exp/report",), tuple(
-    directory for step in STEPS if step.name != "read-noises" for directory in step.makes), ("speech", *REFERRED))
+    directory for step in STEPS if step.name.split()[0] not in ("read-noises", "export") for directory in step.makes),
+              ("speech", *REFERRED))
 
 
 def put_corpora(root: Path) -> None:

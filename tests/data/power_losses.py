@@ -13,7 +13,8 @@ from pipeline import Step
 
 from roomeq.core.stamps import DONE_FILE
 
-AUDIO_STEPS = ("prepare-speech", "read-measured", "read-noises", "simulate", "compensate", "augment real")
+AUDIO_STEPS = ("prepare-speech", "read-measured", "read-noises", "simulate", "compensate", "augment real",
+               "export lhotse", "export nemo")
 """Steps that write audio, one of each kind."""
 TICK_S = 0.02
 """Files that are this old are older by the clock of any file system."""
