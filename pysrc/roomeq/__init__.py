@@ -23,22 +23,24 @@ if TYPE_CHECKING:
     from roomeq.sim.mesh import MeshRoom, load_mesh
     from roomeq.sim.response import simulate_responses
     from roomeq.sim.scene import Air, Material, Scene, Shoebox
+    from roomeq.sim.sofa_directivity import read_directivity
     from roomeq.simulate_rirs import simulate
 
 _HOME = {
     "Air": "sim.scene", "DirectivityTable": "sim.directivity", "FirstOrder": "sim.directivity", "Loudspeaker": "rooms",
-    "Material": "sim.scene", "MeshRoom": "sim.mesh", "Scene": "sim.scene", "Shoebox": "sim.scene",
-    "analyse": "acoustics.parameters:measure", "characterise": "corpora.characterise", "close_loop": "loop.step",
-    "compensate": "eq.steps", "compensate_rir": "eq.compensation", "fit_eq": "eq.steps", "load_mesh": "sim.mesh",
-    "load_rir": "records.rir_dir", "named_scene": "sim.materials", "plot_rir": "show.sheet",
-    "Reverberate": "augment.reverberate", "Room": "rooms", "read_rirs": "records.rir_dir",
-    "simulate": "simulate_rirs", "simulate_responses": "sim.response", "simulate_rir": "rooms",
+    "Material": "sim.scene", "MeshRoom": "sim.mesh", "Reverberate": "augment.reverberate", "Room": "rooms",
+    "Scene": "sim.scene", "Shoebox": "sim.scene", "analyse": "acoustics.parameters:measure",
+    "characterise": "corpora.characterise", "close_loop": "loop.step", "compensate": "eq.steps",
+    "compensate_rir": "eq.compensation", "fit_eq": "eq.steps", "load_mesh": "sim.mesh", "load_rir": "records.rir_dir",
+    "named_scene": "sim.materials", "plot_rir": "show.sheet", "read_directivity": "sim.sofa_directivity",
+    "read_rirs": "records.rir_dir", "simulate": "simulate_rirs", "simulate_responses": "sim.response",
+    "simulate_rir": "rooms",
 }
 """Module of each public name, and its name there if it is another."""
 
 __all__ = [
-    "Room", "simulate_rir", "FirstOrder", "Loudspeaker", "DirectivityTable", "analyse", "Reverberate",
-    "Air", "Material", "Shoebox", "MeshRoom", "load_mesh", "Scene", "named_scene", "simulate_responses",
+    "Room", "simulate_rir", "FirstOrder", "Loudspeaker", "DirectivityTable", "read_directivity", "analyse",
+    "Reverberate", "Air", "Material", "Shoebox", "MeshRoom", "load_mesh", "Scene", "named_scene", "simulate_responses",
     "read_rirs", "load_rir", "characterise", "simulate", "fit_eq", "compensate", "compensate_rir", "close_loop",
     "plot_rir",
 ]

@@ -76,7 +76,14 @@ def _signals(sofa: Any, recording: Recording) -> Iterator[tuple[dict[str, Any], 
                 yield row | dict(id=recording.id + suffix), np.pad(irs[m, r, :, e], (delay, 0)), round(rate_hz)
 
 
-def _open(path: Path) -> Any:
+def open_sofa(path: Path) -> Any:
+    """Return the content of a SOFA file, as `sofar` reads it.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be read as SOFA, or is too large.
+    """
     import sofar
 
     try:
@@ -87,6 +94,11 @@ def _open(path: Path) -> Any:
     except Exception as error:  # netCDF and sofar raise errors of any type on broken bytes
         raise ValueError(f"{path}: cannot be read as SOFA ({' '.join(str(error).split())[:120]}): export it "
                          "again") from None
+    return sofa
+
+
+def _open(path: Path) -> Any:
+    sofa = open_sofa(path)
     convention, data_type = sofa.GLOBAL_SOFAConventions, sofa.GLOBAL_DataType
     if not str(data_type).startswith("FIR"):
         raise ValueError(f"{path}: data type {data_type!r} must be FIR or FIR-E: export impulse responses")

@@ -57,7 +57,7 @@ class FirstOrder:
 class DirectivityTable:
     """A measured directivity: gains at some directions and frequencies, without phase.
 
-    Gains are interpolated in dB over log frequency, and over angle from the four nearest measured directions, weighted
+    Gains are interpolated in dB over log frequency, and as pressure over the four nearest measured directions, weighted
     by the inverse of their distance. Beyond the lowest and highest frequency the gain is that of the outermost one.
 
     Attributes
@@ -110,13 +110,12 @@ class DirectivityTable:
         distance, near = cKDTree(self.directions).query(local, k=count)
         weight = 1.0 / np.maximum(np.reshape(distance, (-1, count)), 1e-6)
         weight /= weight.sum(axis=1, keepdims=True)
-        gains_db = np.einsum("nk,nkb->nb", weight, self._in_bands(fs_hz)[np.reshape(near, (-1, count))])
-        return 10.0 ** (0.05 * gains_db)
+        return np.einsum("nk,nkb->nb", weight, self._in_bands(fs_hz)[np.reshape(near, (-1, count))])
 
     def _in_bands(self, fs_hz: float) -> FloatArray:
         if fs_hz not in self._bands:
-            self._bands[fs_hz] = np.array([np.interp(np.log(exact_bands_hz(fs_hz)), np.log(self.frequencies_hz), row)
-                                           for row in self.gains_db])
+            self._bands[fs_hz] = 10.0 ** (0.05 * np.array([
+                np.interp(np.log(exact_bands_hz(fs_hz)), np.log(self.frequencies_hz), row) for row in self.gains_db]))
         return self._bands[fs_hz]
 
 

@@ -1,0 +1,54 @@
+"""Directivities from SOFA files."""
+
+import numpy as np
+import pytest
+
+import roomeq
+
+sofar = pytest.importorskip("sofar")
+
+AZIMUTH, ELEVATION = (grid.ravel() for grid in np.meshgrid(np.arange(0, 360, 10), np.arange(-90, 91, 10)))
+FREQUENCIES_HZ = np.arange(50.0, 20000.0, 50.0)
+
+
+def cosine():
+    return np.cos(np.deg2rad(AZIMUTH)) * np.cos(np.deg2rad(ELEVATION))
+
+
+def write_tf(path, gain, frequencies_hz=FREQUENCIES_HZ):
+    sofa = sofar.Sofa("FreeFieldDirectivityTF")
+    response = gain[:, None] * np.exp(-1j * frequencies_hz / 300.0) * (1.0 + frequencies_hz / 1000.0)
+    sofa.Data_Real, sofa.Data_Imag = response.real[None], response.imag[None]
+    sofa.N = frequencies_hz
+    sofa.protected = False
+    for name in ("EmitterDescriptions", "Description"):  # empty texts cannot be written
+        sofa.delete(name)
+    sofa.protected = True
+    sofa.ReceiverPosition = np.stack([AZIMUTH, ELEVATION, np.ones(len(AZIMUTH))], axis=1)
+    sofar.write_sofa(str(path), sofa)
+    return path
+
+
+def test_measured_cardioid_acts_as_one_relative_to_its_axis(tmp_path):
+    table = roomeq.read_directivity(write_tf(tmp_path / "c.sofa", 3.0 * (0.5 + 0.5 * cosine())), facing=(0, 1, 0))
+    directions = np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1], [0.6, -0.8, 0]], dtype=float)
+    expected = roomeq.FirstOrder("cardioid", (0, 1, 0)).pressure(directions, 48000)
+    assert table.pressure(directions, 48000) == pytest.approx(expected, abs=0.05)
+
+
+def test_up_turns_the_device_about_its_axis(tmp_path):
+    """The gain is high above the device: with `up` along y it is high in that direction of the room."""
+    path = write_tf(tmp_path / "up.sofa", 1.0 + 0.9 * np.sin(np.deg2rad(ELEVATION)))
+    table = roomeq.read_directivity(path, facing=(1, 0, 0), up=(0, 1, 0))
+    above, below = table.pressure(np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]), 16000)[:, 4]
+    assert above > 1.7 and below < 0.3
+
+
+def test_files_that_hold_no_directivity_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="cannot be read as SOFA"):
+        (tmp_path / "x.sofa").write_bytes(b"no")
+        roomeq.read_directivity(tmp_path / "x.sofa", facing=(1, 0, 0))
+    with pytest.raises(ValueError, match="measurement 1 of 1"):
+        roomeq.read_directivity(write_tf(tmp_path / "c.sofa", np.ones(len(AZIMUTH))), (1, 0, 0), measurement=1)
+    with pytest.raises(ValueError, match="no frequency lies in an octave"):
+        roomeq.read_directivity(write_tf(tmp_path / "f.sofa", np.ones(len(AZIMUTH)), np.array([1.0, 2.0])), (1, 0, 0))
