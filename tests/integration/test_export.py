@@ -125,6 +125,16 @@ def test_rir_that_lhotse_would_misalign_is_in_a_manifest_of_its_own(tmp_path, ca
     assert "1 of 2 RIRs are in late_rirs.jsonl.gz" in caplog.text
 
 
+@pytest.mark.parametrize("rate_hz", [8000, 48000])
+def test_rirs_of_any_rate_are_aligned(tmp_path, rate_hz):
+    h = decay(np.random.default_rng(0), direct=300, n_samples=12000)
+    write_wav(tmp_path / "rirs/wav/a.wav", h, rate_hz)
+    write_rirs(tmp_path / "rirs", [rir_row("a", "r", h, fs_hz=rate_hz)])
+    export("nemo", tmp_path / "rirs", tmp_path / "out")
+    samples, found_hz = soundfile.read(tmp_path / "out/rirs/a.wav")
+    assert (found_hz, int(np.argmax(np.abs(samples)))) == (rate_hz, round(LEAD_S * rate_hz))
+
+
 def test_espnet_directory_needs_no_pipe_and_no_folder(tmp_path, far_field, monkeypatch):
     monkeypatch.chdir(tmp_path)
     export("espnet", "rvb", "out")
@@ -316,6 +326,15 @@ def test_broken_audio_is_refused_by_name(tmp_path, far_field, rirs):
     with pytest.raises(ValueError, match=r"room0-0.wav: no such audio file"):
         export("nemo", rirs, tmp_path / "out2")
     assert not (tmp_path / "out").exists() and not (tmp_path / "out2").exists()
+
+
+def test_rir_that_does_not_fit_its_row_is_refused(tmp_path, rirs):
+    write_wav(rirs / "wav/room0-0.wav", np.zeros(4000))
+    with pytest.raises(ValueError, match="RIR room0-0 is silent"):
+        export("lhotse", rirs, tmp_path / "out")
+    write_wav(rirs / "wav/room0-0.wav", np.ones(3999))
+    with pytest.raises(ValueError, match="3999 samples where rirs.jsonl says 4000: make it again"):
+        export("huggingface", rirs, tmp_path / "out")
 
 
 def test_foreign_directory_is_not_replaced(tmp_path, rirs):

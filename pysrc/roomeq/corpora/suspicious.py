@@ -9,7 +9,6 @@ import logging
 from collections.abc import Iterable
 from pathlib import Path
 
-from roomeq.core.constants import FS_HZ
 from roomeq.records.rir_dir import load_rir, rir_path
 from roomeq.records.schema import RirRow
 
@@ -32,7 +31,7 @@ def suspicion(rir_dir: Path, row: RirRow) -> str | None:
         return None
     from roomeq.acoustics.plausibility import find_implausibility
 
-    return find_implausibility(load_rir(rir_dir, row), FS_HZ)
+    return find_implausibility(load_rir(rir_dir, row, row["fs_hz"]), row["fs_hz"])
 
 
 def without_suspicious(rir_dir: Path, rows: Iterable[RirRow]) -> list[RirRow]:

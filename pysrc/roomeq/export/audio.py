@@ -15,6 +15,7 @@ from roomeq.core.files import write_bytes
 from roomeq.export.align import align
 from roomeq.export.plan import PlannedAudio
 from roomeq.kaldi.wavscp import AudioLength, read_entry, segment_samples
+from roomeq.records.rir_dir import load_rir
 from roomeq.records.schema import RirRow
 
 
@@ -86,13 +87,12 @@ def make_audio(planned: PlannedAudio, work: Path, rules: AudioRules) -> MadeAudi
     if planned.row is None and info.channels != 1:
         raise ValueError(f"{source}: {info.channels} channels where one is expected: split the file")
     if planned.is_rir and rules.align_rirs:
-        return _aligned(planned, work, info.samplerate, rules.positive_rirs)
+        return _aligned(planned, work, rules.positive_rirs)
     if planned.start_s or planned.end_s is not None:
         return _cut_out(planned, work, AudioLength(info.frames, info.samplerate), info.subtype)
     made = MadeAudio(planned, planned.file + source.suffix.lower(), info.samplerate, info.frames, info.channels)
     if planned.is_rir:
-        rir = read_audio(source, fs_hz=info.samplerate)
-        made = made._replace(direct_sample=direct_shift(cast(RirRow, planned.row), rir))
+        made = made._replace(direct_sample=_read_rir(planned).direct)
     else:  # that a FLAC file was cut off shows only at its end
         read_audio(source, fs_hz=info.samplerate, start=info.frames - 1, channel=0)
     if rules.link:
@@ -101,12 +101,26 @@ def make_audio(planned: PlannedAudio, work: Path, rules: AudioRules) -> MadeAudi
     return made
 
 
-def _aligned(planned: PlannedAudio, work: Path, rate_hz: int, positive: bool) -> MadeAudio:
-    rir = read_audio(Path(planned.entry.text), fs_hz=rate_hz, dtype="float32")
-    aligned = align(rir, direct_shift(cast(RirRow, planned.row), rir), rate_hz, positive=positive)
+class _Rir(NamedTuple):
+    """An RIR, the position of its direct sound [samples] and its sample rate [Hz]."""
+
+    samples: Array
+    direct: int
+    rate_hz: int
+
+
+def _read_rir(planned: PlannedAudio) -> _Rir:
+    row = cast(RirRow, planned.row)
+    rir = load_rir(planned.directory, row, row["fs_hz"])
+    return _Rir(rir, direct_shift(row, rir), row["fs_hz"])
+
+
+def _aligned(planned: PlannedAudio, work: Path, positive: bool) -> MadeAudio:
+    rir = _read_rir(planned)
+    aligned = align(*rir, positive=positive)
     file = f"{planned.file}.wav"
-    write_wav(work / file, aligned.samples, rate_hz)
-    return MadeAudio(planned, file, rate_hz, len(aligned.samples), late_s=aligned.late_s)
+    write_wav(work / file, aligned.samples, rir.rate_hz)
+    return MadeAudio(planned, file, rir.rate_hz, len(aligned.samples), late_s=aligned.late_s)
 
 
 def _cut_out(planned: PlannedAudio, work: Path, length: AudioLength, subtype: str) -> MadeAudio:

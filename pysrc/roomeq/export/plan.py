@@ -22,6 +22,8 @@ class PlannedAudio(NamedTuple):
 
     Attributes
     ----------
+    directory : Path
+        The directory that is exported.
     id : str
         Id of the RIR, noise, recording or utterance.
     folder : str
@@ -36,6 +38,7 @@ class PlannedAudio(NamedTuple):
         Row of the RIR or noise.
     """
 
+    directory: Path
     id: str
     folder: str
     file: str
@@ -89,15 +92,15 @@ def _rirs(directory: Path, all_rirs: bool) -> Iterator[PlannedAudio]:
     rows = read_rirs(directory)
     for row in rows if all_rirs else without_suspicious(directory, rows):
         folder = NOISE_RIRS if row.get("noise_for") else RIRS
-        yield PlannedAudio(row["id"], folder, f"{folder}/{row['id']}", Entry("file", str(rir_path(directory, row))),
-                           row=row)
+        yield PlannedAudio(directory, row["id"], folder, f"{folder}/{row['id']}",
+                           Entry("file", str(rir_path(directory, row))), row=row)
 
 
 def _noises(directory: Path) -> Iterator[PlannedAudio]:
     for row in read_noises(directory):
         folder = NOISES[row["kind"]]
-        yield PlannedAudio(row["id"], folder, f"{folder}/{row['id']}", Entry("file", str(directory / row["wav"])),
-                           row=row)
+        yield PlannedAudio(directory, row["id"], folder, f"{folder}/{row['id']}",
+                           Entry("file", str(directory / row["wav"])), row=row)
 
 
 def _recordings(data: DataDir) -> Iterator[PlannedAudio]:
@@ -106,10 +109,11 @@ def _recordings(data: DataDir) -> Iterator[PlannedAudio]:
         speakers.setdefault(utterance.recording, utterance.speaker)
     for recording, entry in data.recordings.items():
         folder = file_name(speakers.get(recording, recording))
-        yield PlannedAudio(recording, RECORDINGS, f"{RECORDINGS}/{folder}/{file_name(recording)}", entry)
+        yield PlannedAudio(data.path, recording, RECORDINGS, f"{RECORDINGS}/{folder}/{file_name(recording)}", entry)
 
 
 def _utterances(data: DataDir) -> Iterator[PlannedAudio]:
     for utterance in data.utterances.values():
-        yield PlannedAudio(utterance.id, SPEECH, f"{SPEECH}/{file_name(utterance.speaker)}/{file_name(utterance.id)}",
+        yield PlannedAudio(data.path, utterance.id, SPEECH,
+                           f"{SPEECH}/{file_name(utterance.speaker)}/{file_name(utterance.id)}",
                            data.recordings[utterance.recording], utterance.start_s, utterance.end_s)
