@@ -14,7 +14,7 @@ from roomeq.core.files import read_json, write_json
 from roomeq.eq.compensation import apply_filter, compensate_rir, design_filter, summarise
 from roomeq.eq.gmm import fit_gmm
 from roomeq.eq.steps import compensate
-from roomeq.records.rir_dir import load_rir, read_rirs, rir_path, validate_rirs
+from roomeq.records.rir_dir import load_rir, read_rirs, rir_path, validate_rirs, write_rirs
 
 TARGET_DB = np.array([8.0, 5.0, 4.0, 2.0, 0.0, -3.0, -5.0, -13.0])
 FREE_TARGETS = np.random.default_rng(0).normal(np.delete(TARGET_DB, 4), 3.0, (40, 7))
@@ -98,6 +98,12 @@ def test_rows_state_target_and_achieved_eq(dirs, tmp_path):
     assert (sim3["direct_sample"], sim3["acoustic_parameters"]["direct_sample"]) == (DIRECT, DIRECT)
     assert summary == read_json(tmp_path / "out" / "compensation.json")
     assert summary["held"] and summary["n_rirs"] == 6
+
+
+def test_mesh_stays_that_of_the_simulated_rir(dirs, tmp_path):
+    write_rirs(dirs[0], [row | dict(mesh="room.obj") for row in read_rirs(dirs[0])])
+    compensate(*dirs, tmp_path / "below" / "out", seed=0)
+    assert {row["mesh"] for row in read_rirs(tmp_path / "below" / "out")} == {"../../sim/room.obj"}
 
 
 def rows_by_id(rir_dir):
