@@ -47,9 +47,17 @@ class BandDecay:
     has_noise: bool
     fit: tuple[str, float, float, bool] | None
 
+    @property
+    def visible_s(self) -> float:
+        """Time at which the decay curve ends, or falls below `LOWEST_DB`."""
+        below = np.flatnonzero(self.curve_db < LOWEST_DB)
+        return float(self.curve_s[below[0]]) if len(below) else self.intersection_s
+
 
 FRAME_S = 5e-3
 """Length of the frames of band levels [s]."""
+LOWEST_DB = -70.0
+"""Lower end of the figures of decays."""
 
 
 @dataclass(frozen=True)
@@ -102,9 +110,9 @@ class AnalysedRir:
         return response_db(self.samples, self.fs_hz, self.direct.sample)
 
     def shown_s(self, margin: float = 1.15) -> float:
-        """Return the time after the direct sound at which the last band has decayed into its noise."""
+        """Return the time after the direct sound at which the last band has decayed into its noise or by 70 dB."""
         left_s = (len(self.samples) - self.direct.sample) / self.fs_hz
-        return float(min(left_s, margin * max(decay.intersection_s for decay in self.decays)))
+        return float(min(left_s, margin * max(decay.visible_s for decay in self.decays)))
 
 
 def analyse(samples: FloatArray, fs_hz: int, name: str = "RIR", direct: DirectSound | None = None) -> AnalysedRir:

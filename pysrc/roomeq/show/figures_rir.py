@@ -14,7 +14,7 @@ from roomeq.core.arrays import FloatArray
 from roomeq.report import figures
 from roomeq.report.figures import TICKS, Draw, legend, log_frequency
 from roomeq.report.formats import hertz, with_minus
-from roomeq.show.analysis import FRAME_S, AnalysedRir
+from roomeq.show.analysis import FRAME_S, LOWEST_DB, AnalysedRir
 from roomeq.show.room_map import Reflection
 
 COLOURS = ("measured", "simulated")
@@ -22,7 +22,6 @@ COLOURS = ("measured", "simulated")
 EARLY_S = (-0.005, 0.06)
 """Time axis of the early reflections, from the direct sound."""
 _N_COLUMNS = 1200  # of a waveform: more samples are drawn as the range of their values
-_LOWEST_DB = -70.0
 _EARLY_DB = (-50.0, 5.0)
 _LABEL_DB, _LABEL_MS = 4.0, 11.0  # size of the label of a reflection
 _SMOOTHING_S = 2e-4
@@ -121,7 +120,7 @@ def decay(rirs: Sequence[AnalysedRir], number: int) -> Draw:
                       label="decay curve" if len(rirs) == 1 else rir.name)
             if band.fit is not None:
                 name, time_s, offset_db, valid = band.fit
-                end_s = min((offset_db - _LOWEST_DB) * time_s / 60.0, band.intersection_s)
+                end_s = min((offset_db - LOWEST_DB) * time_s / 60.0, band.intersection_s)
                 axes.plot([0.0, end_s], [offset_db, offset_db - 60.0 * end_s / time_s], "--",
                           color=colours["simulated" if len(rirs) == 1 else colour], lw=1.2,
                           label=f"{name} {time_s:.2f} s" + ("" if valid else ", not valid"))
@@ -129,7 +128,7 @@ def decay(rirs: Sequence[AnalysedRir], number: int) -> Draw:
                 axes.axvline(band.intersection_s, color=colours["compensated" if len(rirs) == 1 else colour], lw=1.1,
                              ls=":", label="meets noise" if len(rirs) == 1 else None)
         axes.set_xlim(0.0, max(rir.shown_s() for rir in rirs))
-        axes.set_ylim(_LOWEST_DB, 3.0)
+        axes.set_ylim(LOWEST_DB, 3.0)
         axes.set_xlabel("Time after the direct sound (s)")
         axes.set_ylabel("Level (dB)")
         axes.set_title(hertz(rirs[0].bands_hz[number]))

@@ -18,7 +18,16 @@ _PANEL_IN = (4.4, 3.2)
 _DPI = 110
 
 
-def sheet(draws: Sequence[Draw], title: str, columns: int = 3) -> Figure:
+class Sheet(Figure):
+    """A figure that notebooks show, whether or not pyplot is in use."""
+
+    def _repr_png_(self) -> bytes:
+        stream = io.BytesIO()
+        self.savefig(stream, format="png", dpi=_DPI, metadata=dict(Software=None))
+        return stream.getvalue()
+
+
+def sheet(draws: Sequence[Draw], title: str, columns: int = 3) -> Sheet:
     """Return a figure with panels in rows.
 
     Parameters
@@ -31,13 +40,13 @@ def sheet(draws: Sequence[Draw], title: str, columns: int = 3) -> Figure:
 
     Returns
     -------
-    matplotlib.figure.Figure
+    Sheet
     """
     settings: Any = figures.settings(LIGHT)
     columns = min(columns, len(draws))
     rows = -(-len(draws) // columns)
     with matplotlib.rc_context(settings):
-        figure = Figure(figsize=(columns * _PANEL_IN[0], rows * _PANEL_IN[1] + 0.4), layout="constrained")
+        figure = Sheet(figsize=(columns * _PANEL_IN[0], rows * _PANEL_IN[1] + 0.4), layout="constrained")
         figure.suptitle(title, fontweight="bold", fontsize=11, x=0.01, ha="left")
         parts = figure.subfigures(rows, columns, squeeze=False).ravel()
         for part, draw in zip(parts, draws, strict=False):
@@ -47,11 +56,9 @@ def sheet(draws: Sequence[Draw], title: str, columns: int = 3) -> Figure:
 
 def png(draws: Sequence[Draw], title: str) -> bytes:
     """Return a figure as PNG; equal drawings give equal bytes."""
-    stream = io.BytesIO()
     settings: Any = figures.settings(LIGHT)
     with matplotlib.rc_context(settings):
-        sheet(draws, title).savefig(stream, format="png", dpi=_DPI, metadata=dict(Software=None))
-    return stream.getvalue()
+        return sheet(draws, title)._repr_png_()
 
 
 def plot_rir(rir: "ArrayLike", fs: int, name: str = "RIR") -> Figure:
