@@ -18,6 +18,8 @@ from roomeq.kaldi.wavscp import AudioLength, read_entry, segment_samples
 from roomeq.records.rir_dir import load_rir
 from roomeq.records.schema import RirRow
 
+_SUFFIXES = {"WAVEX": ".wav", "NIST": ".sph"}
+
 
 class AudioRules(NamedTuple):
     """How the audio of a format is made.
@@ -80,6 +82,15 @@ def make_audio(planned: PlannedAudio, work: Path, rules: AudioRules) -> MadeAudi
     ValueError
         The audio cannot be read, has several channels where one is expected, or an RIR has no direct sound.
     """
+    try:
+        return _make(planned, work, rules)
+    except ValueError as error:
+        if planned.row is None:  # the message names the file, and not who refers to it
+            raise ValueError(f"{planned.directory}: {planned.id}: {error}") from None
+        raise
+
+
+def _make(planned: PlannedAudio, work: Path, rules: AudioRules) -> MadeAudio:
     if planned.entry.kind != "file":
         return _decoded(planned, work, rules.pipes)
     source = Path(planned.entry.text)
@@ -90,7 +101,8 @@ def make_audio(planned: PlannedAudio, work: Path, rules: AudioRules) -> MadeAudi
         return _aligned(planned, work, rules.positive_rirs)
     if planned.start_s or planned.end_s is not None:
         return _cut_out(planned, work, AudioLength(info.frames, info.samplerate), info.subtype)
-    made = MadeAudio(planned, planned.file + source.suffix.lower(), info.samplerate, info.frames, info.channels)
+    suffix = _SUFFIXES.get(info.format, f".{info.format.lower()}")  # the name may end in anything
+    made = MadeAudio(planned, planned.file + suffix, info.samplerate, info.frames, info.channels)
     if planned.is_rir:
         made = made._replace(direct_sample=_read_rir(planned).direct)
     else:  # that a FLAC file was cut off shows only at its end

@@ -10,8 +10,8 @@ from wrong import Case
 
 __all__ = ["call", "set_up", "snapshot"]
 
-STEPS = ("read-measured", "read-noises", "characterise", "simulate", "fit-eq", "compensate", "augment", "wer",
-         "report")
+STEPS = ("read-measured", "read-noises", "characterise", "simulate", "fit-eq", "compensate", "augment", "export",
+         "wer", "report")
 OUTPUTS = {"prepare-speech": [("out/train.clean", "prepare-speech")], "split-rirs": [("out.train", "split")]}
 
 

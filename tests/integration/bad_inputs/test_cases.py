@@ -5,6 +5,7 @@ import re
 import cases_audio
 import cases_corpora
 import cases_datadirs
+import cases_export
 import cases_options
 import cases_rooms
 import cases_rows
@@ -13,7 +14,8 @@ import pytest
 from running import call, set_up, snapshot
 
 TABLES = dict(audio=cases_audio, rows=cases_rows, datadirs=cases_datadirs, corpora=cases_corpora,
-              rooms=cases_rooms, options=cases_options, wer=cases_wer)
+              rooms=cases_rooms, options=cases_options, wer=cases_wer,
+              export=cases_export)
 CASES = [pytest.param(case, id=f"{table}-{case.name}".replace(" ", "_")) for table, module in TABLES.items()
          for case in module.CASES]
 

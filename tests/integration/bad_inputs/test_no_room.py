@@ -14,6 +14,7 @@ COMMANDS = {
     "characterise": "characterise measured out", "split-rirs": "split-rirs --sizes 4,1,1 rirs out",
     "fit-eq": "fit-eq --num-components 2 measured out", "compensate": "compensate measured eq out",
     "augment": "augment speech rirs out", "prepare-speech": "prepare-speech transcripts out",
+    "export": "export huggingface segmented out",
 }
 
 
@@ -34,7 +35,7 @@ def largest_file():
 
 
 @pytest.mark.parametrize("verb, size", [(verb, 60) for verb in COMMANDS] + [
-    (verb, 3000) for verb in ("characterise", "fit-eq", "compensate", "augment")])
+    (verb, 3000) for verb in ("characterise", "fit-eq", "compensate", "augment", "export")])
 def test_a_file_that_cannot_grow(verb, size, worlds, tmp_path, monkeypatch, largest_file):
     argv = COMMANDS[verb].split()
     inputs(argv, worlds, tmp_path)

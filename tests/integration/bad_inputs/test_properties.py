@@ -216,7 +216,7 @@ def everywhere(value):
 
 
 VERBS = ("validate", "simulate", "characterise", "split-rirs", "fit-eq", "compensate", "close-loop", "augment",
-         "report", "prepare-speech", "read-measured", "read-noises")
+         "report", "prepare-speech", "read-measured", "read-noises", "export")
 OPTIONS = ("--seed", "--nj", "--part", "--num-rays", "--order", "--t60-range", "--sizes", "--taps",
            "--draw-rooms-equally",
            "--copies", "--snr", "--packing", "--limit", "--kind", "--skip-bad", "--num-components",
