@@ -96,6 +96,15 @@ def test_noise_rirs_and_noises_have_manifests_of_their_own(tmp_path, rirs):
         assert [row["id"] for row in lines_of(tmp_path / f"huggingface/{name}/metadata.jsonl")] == ids
 
 
+def test_directory_of_noises_is_exported(tmp_path, rirs):
+    write_noises(tmp_path / "noises", relocated(read_noises(rirs), rirs, tmp_path / "noises"))
+    for kind in (*KINDS, "roomeq"):
+        export(kind, tmp_path / "noises", tmp_path / kind)
+        assert sorted(path.name for path in (tmp_path / kind).rglob("*.flac")) == [
+            "hum-room0.flac", "hum-room1.flac", "tap.flac"]
+    assert not (tmp_path / "roomeq/rirs.jsonl").exists()
+
+
 def test_click_stays_in_place_by_the_rule_of_each_toolkit(tmp_path, rirs):
     for kind in KINDS:
         export(kind, rirs, tmp_path / kind)
@@ -269,6 +278,18 @@ def test_moved_rir_directory_is_used_as_before(tmp_path, rirs):
     assert bytes_of(tmp_path / "x/out") == bytes_of(tmp_path / "y/out")
     first, second = bytes_of(tmp_path / "x/rvb"), bytes_of(tmp_path / "y/rvb")
     assert {name: content.replace(b"/y/rvb", b"/x/rvb") for name, content in second.items()} == first
+
+
+def test_directories_that_refer_to_each_other_are_moved_together(tmp_path, rirs):
+    clean = speech_dir(tmp_path / "clean")
+    characterise(rirs.rename(tmp_path / "tree"), tmp_path / "tree.real")
+    (tmp_path / "elsewhere").mkdir()
+    for name in ("tree", "tree.real"):
+        (tmp_path / name).rename(tmp_path / "elsewhere" / name)
+    moved = tmp_path / "elsewhere/tree.real"
+    validate([moved])
+    augment(clean, moved, tmp_path / "rvb")
+    export("nemo", moved, tmp_path / "out")
 
 
 def test_directory_that_refers_to_others_is_copied_whole(tmp_path, rirs):
