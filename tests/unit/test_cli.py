@@ -108,6 +108,8 @@ def test_package_runs_as_a_module(module):
     ["prepare-speech", "absent", "out"],
     ["read-measured", "absent", "out"],
     ["read-noises", "absent", "out"],
+    ["show", "absent", "--out", "out.html"],
+    ["compare", "absent", "absent", "--out", "out.html"],
 ])
 def test_absent_input_is_one_line(argv, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

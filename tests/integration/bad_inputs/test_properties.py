@@ -216,11 +216,12 @@ def everywhere(value):
 
 
 VERBS = ("validate", "simulate", "characterise", "split-rirs", "fit-eq", "compensate", "close-loop", "augment",
-         "report", "prepare-speech", "read-measured", "read-noises", "export")
+         "report", "prepare-speech", "read-measured", "read-noises", "export", "show", "compare")
 OPTIONS = ("--seed", "--nj", "--part", "--num-rays", "--order", "--t60-range", "--sizes", "--taps",
            "--draw-rooms-equally",
            "--copies", "--snr", "--packing", "--limit", "--kind", "--skip-bad", "--num-components",
-           "--max-mesh-mb", "--model", "--out", "--test", "--max-effects", "--")
+           "--max-mesh-mb", "--model", "--out", "--test", "--max-effects", "--id", "--channel", "--speech",
+           "--keep-suspicious", "--")
 
 
 @quick
