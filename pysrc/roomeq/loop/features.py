@@ -3,8 +3,7 @@
 Conventions
 -----------
 All features are in just noticeable differences (JND), so that a difference of features is an error: levels in units of
-1 dB, logarithms of decay times of 5 %, C50 of 1.1 dB, DRR of 2 dB (ISO 3382-1:2009, table A.1; Bradley et al.,
-J. Acoust. Soc. Am. 105 (1999) 3446; Larsen et al., J. Acoust. Soc. Am. 124 (2008) 450). Two metrics have no such
+1 dB, logarithms of decay times of 5 %, C50 of 1.1 dB, DRR of 2 dB (`roomeq.acoustics.jnd`). Two metrics have no such
 threshold and a unit of their own: the arrival of the direct sound is in units of 0.1 ms (3.4 cm, about the accuracy of
 positions), and noise is scored in dB relative to white noise plus a -55 dB floor.
 
@@ -23,6 +22,7 @@ from roomeq.acoustics.band_energy import OCTAVES, THIRDS, energy_in_bands, energ
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.iso3382 import DIRECT_S, EARLY_S, all_metrics
+from roomeq.acoustics.jnd import C50_JND_DB, DECAY_JND, DRR_JND_DB, LEVEL_JND_DB
 from roomeq.acoustics.octaves import OCTAVE_OF_THIRD, OCTAVE_WIDTH_HZ, THIRD_WIDTH_HZ, THIRDS_HZ
 from roomeq.core.arrays import Array, BoolArray, FloatArray
 from roomeq.core.constants import BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
@@ -38,8 +38,8 @@ CLIFF_DB = 15.0
 _LOW_HZ, _N_LOW = 20.0, 28  # sixth octaves from 20 to 450 Hz
 _CONTRADICTED = 0.5  # the level of white noise is found too high as often as too low
 QUIET = 10.0 ** (QUIET_DB / 10.0)
-JND = dict(direct=1.0, early=1.0, late=1.0, spectrum=1.0, edt=np.log(1.05), t20=np.log(1.05), t30=np.log(1.05),
-           c50=1.1, drr=2.0, arrival=1e-4, ahead=1.0, floor=1.0)
+JND = dict(direct=LEVEL_JND_DB, early=LEVEL_JND_DB, late=LEVEL_JND_DB, spectrum=LEVEL_JND_DB, edt=DECAY_JND,
+           t20=DECAY_JND, t30=DECAY_JND, c50=C50_JND_DB, drr=DRR_JND_DB, arrival=1e-4, ahead=1.0, floor=1.0)
 REGION = dict(direct="direct", early="early", late="late", spectrum="whole", edt="early", t20="late", t30="late",
               c50="early", drr="direct", arrival="direct", ahead="ahead", floor="floor")
 _BANDS_OF = dict(direct=DIRECT_THIRDS_HZ, early=EXACT_BANDS_HZ, late=EXACT_BANDS_HZ, spectrum=THIRDS_HZ,

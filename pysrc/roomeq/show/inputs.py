@@ -9,7 +9,6 @@ from roomeq.acoustics.direct import DirectSound, find_direct
 from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import audio_info, read_audio
 from roomeq.core.progress import progress
-from roomeq.loop.ledger import LEDGER_FILE
 from roomeq.records.rir_dir import ROWS_FILE, read_rirs, rir_path
 from roomeq.records.schema import RirRow
 from roomeq.show.analysis import AnalysedRir, analyse, measure_parameters, why_no_rir
@@ -81,11 +80,13 @@ def kind_of(path: Path) -> Kind:
     ValueError
         It is absent, or a directory of another kind.
     """
-    if (path / LEDGER_FILE).is_file():
-        return "loop"
     if (path / ROWS_FILE).is_file():
         return "set"
     if path.is_dir():
+        from roomeq.loop.ledger import LEDGER_FILE  # takes seconds, with all that the loop computes with
+
+        if (path / LEDGER_FILE).is_file():
+            return "loop"
         raise ValueError(f"{path}: neither {ROWS_FILE} of an RIR directory nor {LEDGER_FILE} of roomeq close-loop in "
                          "it: give one of these directories or an RIR file; roomeq read-measured makes a directory of "
                          "a folder of RIRs")

@@ -1,4 +1,4 @@
-"""The sections of a page on the output of the closed loop: what was found, what it is worth, and what to do next."""
+"""The page on the output of the closed loop: what was found, what it is worth, and what to do next."""
 
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,9 @@ from roomeq.report.figures import Draw, Panel, panel
 from roomeq.report.formats import number, percent
 from roomeq.report.load import Context, Run
 from roomeq.show.clips import Clip, clips
+from roomeq.show.pages import SEE, Part, make_page
+from roomeq.show.sheet import png
+from roomeq.show.step import PICTURE
 
 SCOPES = {"all": "all recordings", "source": "each loudspeaker", "mic": "each microphone", "room": "each room",
           "rir": "each recording"}
@@ -145,3 +148,29 @@ def loop_draws(directory: Path) -> list[Draw]:
     by_band = [[np.nan if error is None else error for error in entry["by_band"]] for entry in entries]
     return [figures_loop.before_and_after([section_loop.METRIC_LABELS[metric] for metric in metrics], *by_metric),
             figures_loop.before_and_after(list(figures.TICK_LABELS), *by_band)]
+
+
+def show_loop(directory: Path, suffix: str | None, speech: Path | None) -> bytes | str:
+    """Return the page, picture or text of a loop."""
+    ledger = read_ledger(directory / LEDGER_FILE)
+    if suffix is None:
+        lines = [f"{value}: {label}" for value, label in loop_facts(ledger)]
+        lines += [f"\nThe simulation lacked: {effect['label']} ({effect['code']}), of {effect['applies_to']}. "
+                  f"{effect['parameters']}" for effect in found(ledger)]
+        lines += [f"\nUnexplained: {entry['text']}\nWhat to do: {entry['advice']}" for entry in residuals(ledger)]
+        return "\n".join([*lines, "", SEE])
+    if suffix == PICTURE:
+        return png(loop_draws(directory), "Held-out error before and after the closed loop")
+    return make_page("What the simulation lacked",
+                 f"The closed loop compared a simulation with {ledger['rirs']} measured room impulse responses (RIRs) "
+                 f"of {ledger['rooms']} rooms, and added what the simulation lacked. Errors are in just noticeable "
+                 "differences (JND).", loop_facts(ledger), [], _loop_parts(directory, speech))
+
+
+def _loop_parts(directory: Path, speech: Path | None) -> list[Part]:
+    context = loop_context(directory, speech)
+    parts: list[Part] = [("loop_found", "What was found", context), ("loop_errors", "Before and after", context)]
+    if context["gains"]:
+        parts.append(("loop_gains", "Gains over frequency", context))
+    return [*parts, ("loop_listen", "Measured, before and after", context),
+            ("loop_unexplained", "What remains, and what to do", context)]

@@ -5,7 +5,6 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from roomeq.loop.ledger import LEDGER_FILE, read_ledger
 from roomeq.records.schema import RirRow
 from roomeq.report.load import Context
 from roomeq.report.render import render
@@ -21,7 +20,6 @@ from roomeq.show.page_compare import (
     pair_rirs,
     typical_pair,
 )
-from roomeq.show.page_loop import found, loop_context, loop_draws, loop_facts, residuals
 from roomeq.show.page_rir import facts, rir_context, rir_draws
 from roomeq.show.page_set import set_context, set_facts
 from roomeq.show.room_map import map_room
@@ -33,7 +31,7 @@ Part = tuple[str, str, Context]
 """Template of a section, its title, and what it shows."""
 
 TEMPLATES = Path(__file__).parent / "templates"
-_SEE = "See and hear it: --out FILE.html (with audio) or --out FILE.png."
+SEE = "See and hear it: --out FILE.html (with audio) or --out FILE.png."
 
 
 @dataclass(frozen=True)
@@ -66,28 +64,11 @@ def rir_set(directory: Path, suffix: str | None, ident: str | None, speech: Path
                     over_frequency([of_set], "eq", "EQ (dB, 1 kHz = 0)")], f"RIRs of {of_set.label}")
     chosen = chosen or read_rir_of(directory, middle_of(of_set), keep_suspicious=True)
     context = set_context(of_set)
-    return _page(f"RIRs of {of_set.label}",
+    return make_page(f"RIRs of {of_set.label}",
                  "Reverberation, clarity and colour of the room impulse responses (RIRs) of a directory, room by room. "
                  "One of them is shown in detail.", set_facts(of_set), [],
                  [("set", "Overview", context), *_rir_parts(chosen, of_set.rows, speech, f"RIR {chosen.rir.name}"),
                   ("list", "All RIRs", context)])
-
-
-def loop(directory: Path, suffix: str | None, speech: Path | None) -> bytes | str:
-    """Return the page, picture or text of a loop."""
-    ledger = read_ledger(directory / LEDGER_FILE)
-    if suffix is None:
-        lines = [f"{value}: {label}" for value, label in loop_facts(ledger)]
-        lines += [f"\nThe simulation lacked: {effect['label']} ({effect['code']}), of {effect['applies_to']}. "
-                  f"{effect['parameters']}" for effect in found(ledger)]
-        lines += [f"\nUnexplained: {entry['text']}\nWhat to do: {entry['advice']}" for entry in residuals(ledger)]
-        return "\n".join([*lines, "", _SEE])
-    if suffix == PICTURE:
-        return png(loop_draws(directory), "Held-out error before and after the closed loop")
-    return _page("What the simulation lacked",
-                 f"The closed loop compared a simulation with {ledger['rirs']} measured room impulse responses (RIRs) "
-                 f"of {ledger['rooms']} rooms, and added what the simulation lacked. Errors are in just noticeable "
-                 "differences (JND).", loop_facts(ledger), [], _loop_parts(directory, speech))
 
 
 def two_files(first: Path, second: Path, suffix: str | None, speech: Path | None,
@@ -96,7 +77,7 @@ def two_files(first: Path, second: Path, suffix: str | None, speech: Path | None
     a, b = (read_rir_file(path, keep_suspicious=keep_suspicious) for path in (first, second))
     if suffix is None:
         return _pair_text(a, b)
-    return _page(f"{a.rir.name} and {b.rir.name}",
+    return make_page(f"{a.rir.name} and {b.rir.name}",
                  "Two room impulse responses (RIRs) overlaid, with their differences in just noticeable differences "
                  "(JND).", [], [], _pair_parts(a, b, speech))
 
@@ -124,7 +105,7 @@ def two_sets(first: Path, second: Path, suffix: str | None, ident: str | None, s
         parts += _pair_parts(*shown, speech, f"One pair: {shown[0].rir.name}")
     cards = [(f"{len(of_set.rows):,}", f"RIRs of {len(of_set.rooms):,} rooms in {label}")
              for of_set, label in zip((a, b), labels_of([a, b]), strict=True)]
-    return _page(" and ".join(labels_of([a, b])),
+    return make_page(" and ".join(labels_of([a, b])),
                  "Two sets of room impulse responses (RIRs) side by side, with their differences in just noticeable "
                  "differences (JND).", [*cards, (f"{len(pairs.numbers):,}", "pairs of RIRs")], [], parts)
 
@@ -135,13 +116,14 @@ def _one_rir(shown: ShownRir, suffix: str | None, speech: Path | None) -> bytes 
         summary = as_text(*_with_heading(tables.summary_rows(shown), shown.rir.name))
         warning = f"No RIR by its acoustics: {shown.problem}\n\n" if shown.problem else ""
         dash = "A dash stands for a value that noise or bandwidth make invalid."
-        return f"{warning}{summary}\n\n{bands}\n\n{dash} {_SEE}"
+        return f"{warning}{summary}\n\n{bands}\n\n{dash} {SEE}"
     if suffix == PICTURE:
         room = map_room(shown.row, [shown.row], shown.directory) if shown.row and shown.directory else None
         return png(rir_draws(shown.rir, room), shown.rir.name)
     warnings = [f"No RIR by its acoustics: {shown.problem}"] if shown.problem else []
-    return _page(shown.rir.name, "A room impulse response (RIR): what is heard, measured and seen of it.", facts(shown),
-                 warnings, _rir_parts(shown, [shown.row] if shown.row else [], speech))
+    lead = "A room impulse response (RIR): what is heard, measured and seen of it."
+    return make_page(shown.rir.name, lead, facts(shown), warnings,
+                     _rir_parts(shown, [shown.row] if shown.row else [], speech))
 
 
 def _rir_parts(shown: ShownRir, rows: list[RirRow], speech: Path | None, first: str = "Sound") -> list[Part]:
@@ -157,15 +139,6 @@ def _pair_parts(a: ShownRir, b: ShownRir, speech: Path | None, first: str = "Dif
             ("frequency", "Response over frequency", context), ("decays", "Decay by octave", context)]
 
 
-def _loop_parts(directory: Path, speech: Path | None) -> list[Part]:
-    context = loop_context(directory, speech)
-    parts: list[Part] = [("loop_found", "What was found", context), ("loop_errors", "Before and after", context)]
-    if context["gains"]:
-        parts.append(("loop_gains", "Gains over frequency", context))
-    return [*parts, ("loop_listen", "Measured, before and after", context),
-            ("loop_unexplained", "What remains, and what to do", context)]
-
-
 def _with_heading(rows: list[list[str]], heading: str) -> tuple[list[str], list[list[str]]]:
     return [heading, *[""] * (len(rows[0]) - 1)], rows
 
@@ -174,7 +147,7 @@ def _set_text(of_set: RirSet) -> str:
     left_out = f"\n{len(of_set.left_out)} recordings that are no RIR are left out." if of_set.left_out else ""
     return (f"{of_set.directory}: {len(of_set.rows)} RIRs of {len(of_set.rooms)} rooms; medians by room.{left_out}\n\n"
             f"{as_text(tables.ROOM_COLUMNS, tables.room_rows(of_set))}\n\n"
-            f"One RIR: --id ID, such as {middle_of(of_set)}. {_SEE}")
+            f"One RIR: --id ID, such as {middle_of(of_set)}. {SEE}")
 
 
 def _pair_text(a: ShownRir, b: ShownRir) -> str:
@@ -195,7 +168,7 @@ def _sets_text(a: RirSet, b: RirSet, context: Context) -> str:
             "Overlaid: --out FILE.html.")
 
 
-def _page(title: str, lead: str, cards: list[tuple[str, str]], warnings: list[str],
+def make_page(title: str, lead: str, cards: list[tuple[str, str]], warnings: list[str],
           parts: list[Part]) -> str:
     """Return a page with one section for each part: its template, its title, and what it shows."""
     sections: list[tuple[_Section, Markup]] = []

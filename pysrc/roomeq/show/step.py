@@ -47,11 +47,14 @@ def show(path: Path, *, out: Path | None = None, ident: str | None = None, chann
         raise ValueError(f"--channel {channel}: {path} is no audio file: leave --channel out")
     if speech is not None and suffix != PAGE:
         raise ValueError(f"--speech {speech}: is played on a page: give --out FILE{PAGE}")
+    if kind == "loop":
+        from roomeq.show.page_loop import show_loop
+
+        _deliver(show_loop(path, suffix, speech), out)
+        return
     from roomeq.show import pages
 
-    if kind == "loop":
-        content = pages.loop(path, suffix, speech)
-    elif kind == "set":
+    if kind == "set":
         content = pages.rir_set(path, suffix, ident, speech, keep_suspicious)
     else:
         content = pages.rir_file(path, suffix, channel, speech, keep_suspicious)

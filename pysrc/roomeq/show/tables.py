@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from roomeq.acoustics.jnd import C50_JND_DB, DECAY_JND, DRR_JND_DB, LEVEL_JND_DB
 from roomeq.core.arrays import FloatArray
-from roomeq.loop.features import JND
 from roomeq.records.geometry import distance_between
 from roomeq.report.formats import DASH, hertz, number
 from roomeq.show.analysis import AnalysedRir, reverberation_time_s, value_of
@@ -15,9 +15,9 @@ from roomeq.show.inputs import RirSet, ShownRir
 METRICS = ("edt", "t20", "t30", "c50", "eq")
 """Parameters per octave band."""
 HEADINGS = {"edt": "EDT (s)", "t20": "T20 (s)", "t30": "T30 (s)", "c50": "C50 (dB)", "eq": "EQ (dB)"}
-UNITS_JND = {"edt": JND["edt"], "t20": JND["t20"], "t30": JND["t30"], "c50": JND["c50"], "eq": JND["spectrum"],
-             "drr": JND["drr"]}
-"""Size of a JND: decay times as logarithms, levels in dB; as in the closed loop (`roomeq.loop.features`)."""
+UNITS_JND = {"edt": DECAY_JND, "t20": DECAY_JND, "t30": DECAY_JND, "c50": C50_JND_DB, "eq": LEVEL_JND_DB,
+             "drr": DRR_JND_DB}
+"""Size of a JND: decay times as logarithms, levels in dB."""
 DECIMALS = {"edt": 2, "t20": 2, "t30": 2, "c50": 1, "eq": 1}
 BAND_COLUMNS = ["Octave", *(HEADINGS[metric] for metric in METRICS), "Decay range (dB)", "Meets noise (s)"]
 ROOM_COLUMNS = ["Room", "Size (m)", "RIRs", "T60, 1 kHz (s)", "C50, 1 kHz (dB)", "DRR (dB)", "Distance (m)"]
