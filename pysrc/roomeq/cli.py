@@ -219,6 +219,7 @@ def split_rirs() -> None:
 @click.option("--materials", type=AnyPath(), help="TOML file of materials, instead of conf/materials.toml.")
 @click.option("--model", type=AnyPath(), help="model.json of roomeq close-loop: effects to add to the simulation.")
 @click.option("--diffraction/--no-diffraction", default=True, help="Whether sound bends around the edges of meshes.")
+@click.option("--fs", "fs_hz", default=16000, metavar="HZ", help="Sample rate, 8000 to 48000.")
 @seed
 @part
 @nj

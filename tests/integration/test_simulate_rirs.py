@@ -13,6 +13,9 @@ from roomeq.acoustics.iso3382 import reverberation_time
 from roomeq.core.constants import FS_HZ
 from roomeq.core.files import write_jsonl
 from roomeq.core.rng import rng_for
+from roomeq.corpora.characterise import characterise
+from roomeq.eq.steps import compensate, fit_eq
+from roomeq.loop.step import close_loop
 from roomeq.records.rir_dir import load_rir, read_rirs, validate_rirs
 from roomeq.sim import context
 from roomeq.sim.materials import read_materials
@@ -251,3 +254,24 @@ def test_rows_have_parameters_and_only_main_rirs_a_target(measured, tmp_path):
     for row in run(measured, tmp_path / "out").values():
         assert row["acoustic_parameters"]["direct_sample"] == pytest.approx(row["direct_sample"], abs=1e-3)
         assert (row["target_t60_s"] is None) == bool(row["noise_for"])
+
+
+@pytest.mark.parametrize("fs_hz, n_bands", [(8000, 7), (48000, 9)])
+def test_other_rates_have_their_own_bands_and_fit_no_16_khz_step(measured, tmp_path, fs_hz, n_bands):
+    out = tmp_path / "sim"
+    rows = run(measured, out, fs_hz=fs_hz)
+    assert validate_rirs(out) == 10
+    for row in rows.values():
+        assert row["fs_hz"] == fs_hz and len(row["acoustic_parameters"]["c50_db"]) == n_bands
+        assert "eq_db" not in row["acoustic_parameters"]
+    (tmp_path / "gmm.json").write_text("{}")
+    for step in (lambda: compensate(out, tmp_path / "gmm.json", tmp_path / "c", seed=0),
+                 lambda: fit_eq(out, [], tmp_path / "f", seed=0), lambda: close_loop([out], tmp_path / "l"),
+                 lambda: characterise(out, tmp_path / "m")):
+        with pytest.raises(ValueError, match=f"RIR a1(-noise1)? has fs_hz={fs_hz} and must have 16000"):
+            step()
+
+
+def test_a_model_needs_16_khz(measured, tmp_path):
+    with pytest.raises(ValueError, match=r"fs=48000 must be 16000 with model=m.json"):
+        simulate(measured, tmp_path / "sim", model="m.json", fs_hz=48000)

@@ -26,6 +26,7 @@ from roomeq.kaldi.datadir import DataDir, read_data_dir
 from roomeq.kaldi.validate import MAX_DURATION_ERROR_S
 from roomeq.kaldi.wavscp import flac_entry, read_entry
 from roomeq.kaldi.write import GRID_SAMPLES, OutUtterance, write_data_dir
+from roomeq.records.rir_dir import require_16_khz
 
 logger = logging.getLogger(__name__)
 
@@ -59,6 +60,7 @@ class _Augmenter:
     def __init__(self, config: AugmentConfig) -> None:
         self.config = config
         self.pool = read_pool(Path(config.rir_dir), [Path(path) for path in config.noises])
+        require_16_khz(Path(config.rir_dir), self.pool.rows.values())
         self.rules = DrawRules(config.seed, config.draw_rooms_equally, parse_distribution(config.snr_db, "snr_db"),
                                parse_distribution(config.point_snr_db, "point_snr_db"), config.point_noise_prob,
                                config.max_point_noises)

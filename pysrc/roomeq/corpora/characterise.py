@@ -17,7 +17,16 @@ from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 from roomeq.core.files import write_json
 from roomeq.corpora.suspicious import suspicion
 from roomeq.records.geometry import geometry_usability, position_key
-from roomeq.records.rir_dir import load_rir, read_noises, read_rirs, relocated, rir_path, write_noises, write_rirs
+from roomeq.records.rir_dir import (
+    load_rir,
+    read_noises,
+    read_rirs,
+    relocated,
+    require_16_khz,
+    rir_path,
+    write_noises,
+    write_rirs,
+)
 from roomeq.records.schema import RirRow
 
 logger = logging.getLogger(__name__)
@@ -64,6 +73,7 @@ def characterise(rir_dir: Path, out: Path, *, skip_bad: bool = False, keep_suspi
     """
     rir_dir, out = Path(rir_dir), Path(out)
     rows = read_rirs(rir_dir)
+    require_16_khz(rir_dir, rows)
     build = Build(out, step="characterise", inputs=[rir_dir], refers=True,
                   options=dict(skip_bad=bool(skip_bad), keep_suspicious=bool(keep_suspicious)))
     if build.done:

@@ -26,6 +26,7 @@ from roomeq.records.rir_dir import (
     read_noises,
     read_rirs,
     relocated,
+    require_16_khz,
     rir_path,
     with_meshes_relocated,
     write_noises,
@@ -64,8 +65,10 @@ def make(build: Build, sim_dir: Path, eq_dir: Path, taps: int, match_rooms: bool
     ValueError
         See `roomeq.eq.steps.compensate`.
     """
+    rows = read_rirs(sim_dir)
+    require_16_khz(sim_dir, rows)
     out, gmm = build.out, read_gmm(eq_dir)
-    groups = _group_by_filter(sim_dir, read_rirs(sim_dir))
+    groups = _group_by_filter(sim_dir, rows)
     summary: dict[str, Any] = {}
 
     def compensate_group(_: str, rows: list[RirRow]) -> list[dict]:

@@ -19,7 +19,7 @@ from roomeq.core.files import read_json, write_json, write_jsonl
 from roomeq.core.rng import rng_for
 from roomeq.corpora.suspicious import without_suspicious
 from roomeq.eq.gmm import FREE, GMM_FILE, JND_DB, Gmm, draw_target, fit_gmm, read_gmm, room_weights, with_reference
-from roomeq.records.rir_dir import load_rir, read_rirs, rir_path
+from roomeq.records.rir_dir import load_rir, read_rirs, require_16_khz, rir_path
 from roomeq.records.schema import RirRow
 
 logger = logging.getLogger(__name__)
@@ -59,6 +59,8 @@ def make(build: Build, directories: dict[str, Path], n_components: int, weight_r
     """
     rows = {name: [row for row in read_rirs(directory) if not row.get("noise_for")]
             for name, directory in directories.items()}
+    for name, directory in directories.items():
+        require_16_khz(directory, rows[name])
     rows["real"] = without_suspicious(directories["real"], rows["real"])
     items = {f"{name}+{row['id']}": (directories[name], row) for name in rows for row in rows[name]}
 

@@ -12,7 +12,7 @@ from typing import NamedTuple, cast
 
 from roomeq.corpora.suspicious import suspicion
 from roomeq.records.geometry import OUTSIDE, find_contradiction, geometry_usability
-from roomeq.records.rir_dir import read_rirs
+from roomeq.records.rir_dir import read_rirs, require_16_khz
 from roomeq.records.schema import RirRow
 
 logger = logging.getLogger(__name__)
@@ -65,6 +65,8 @@ def usable_rirs(directories: Iterable[Path]) -> UsableRirs:
     """
     found = [Located(directory, row) for directory in map(Path, directories) for row in read_rirs(directory)
              if not row.get("noise_for")]
+    for rir in found:
+        require_16_khz(rir.directory, [rir.row])
     _require_unique(found)
     found.sort(key=lambda rir: (rir.row["room_id"], rir.row["id"]))
     reasons = [_refused(rir) for rir in found]

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import BANDS_HZ, FS_HZ
+from roomeq.core.constants import BAND_1KHZ, FS_HZ
 from roomeq.core.files import read_jsonl, write_jsonl, write_text
 from roomeq.core.stamps import read_stamp
 from roomeq.records.schema import NoiseRow, RirRow, noise_problem, row_problem
@@ -113,6 +113,14 @@ def _as_16_bit(path: Path) -> str:
     return f"sox -D {shlex.quote(os.path.normpath(path))} -b 16 -e signed-integer -t wav - gain -n -1 |"
 
 
+def require_16_khz(directory: Path, rows: Iterable[Mapping[str, Any]]) -> None:
+    """Raise a `ValueError` unless all rows are at the one rate of the EQ, the closed loop and Kaldi's data."""
+    for row in rows:
+        if row.get("fs_hz", FS_HZ) != FS_HZ:
+            raise ValueError(f"{directory}: RIR {row['id']} has fs_hz={row['fs_hz']} and must have {FS_HZ} in this "
+                             f"step: make the RIRs at {FS_HZ} Hz")
+
+
 def rir_path(directory: Path, row: Mapping[str, Any]) -> Path:
     """Return the path of a row's audio."""
     return Path(directory) / row["wav"]
@@ -166,12 +174,11 @@ def decay_range_s(rows: Sequence[RirRow]) -> DecayRange:
     ValueError
         No room has a valid T20.
     """
-    band = BANDS_HZ.index(1000)
     times_of_room: dict[str, list[float]] = {}
     for row in rows:
         parameters = row.get("acoustic_parameters") or {}
-        if "t20_valid" in parameters and parameters["t20_valid"][band]:
-            t20_s = parameters["t20_s"][band]
+        if "t20_valid" in parameters and parameters["t20_valid"][BAND_1KHZ]:
+            t20_s = parameters["t20_s"][BAND_1KHZ]
             if t20_s is not None:
                 times_of_room.setdefault(row["room_id"], []).append(t20_s)
     if not times_of_room:
@@ -218,7 +225,7 @@ def validate_rirs(directory: Path) -> int:
         if (info.samplerate, info.frames, info.channels) != (row["fs_hz"], row["n_samples"], 1):
             raise ValueError(f"{rir_path(directory, row)}: {info.channels} channels of {info.frames} samples at "
                              f"{info.samplerate} Hz do not fit row {row['id']}: make it again")
-        load_rir(directory, row)
+        load_rir(directory, row, row["fs_hz"])
     ids = {row["id"] for row in rows}
     for number, row in enumerate(rows, start=1):
         if row.get("noise_for") and row["noise_for"] not in ids:

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, NotRequired, TypedDict, get_args, ge
 import msgspec
 from msgspec import Meta
 
-from roomeq.core.constants import BANDS_HZ
+from roomeq.core.constants import BANDS_HZ, FS_HZ, bands_hz
 
 MAX_ID = 200
 """Longest id [characters]: files are named after ids, with a suffix."""
@@ -25,7 +25,8 @@ _SUFFIX = 50  # room for what follows an id: a channel, "-noise1"
 _HASH = 12
 _ID_PATTERN = rf"^[A-Za-z0-9_+][A-Za-z0-9._+-]{{0,{MAX_ID - 1}}}\Z"
 _ID = re.compile(_ID_PATTERN)
-_N_BANDS = len(BANDS_HZ)
+_N_POINTS = len(BANDS_HZ)
+_FEWEST_BANDS, _MOST_BANDS = 7, 9  # at 8 and 48 kHz
 
 Id = Annotated[str, Meta(pattern=_ID_PATTERN, description=(
     f"1 to {MAX_ID} letters, digits or ._+-, no dash or dot first, no path"))]
@@ -42,18 +43,27 @@ Polarity = Annotated[Literal[1, -1], Meta(description="1 or -1")]
 Vector = Annotated[list[Number | None], Meta(min_length=3, max_length=3, description=(
     "three numbers (each may be null)"))]
 Numbers = Annotated[list[Number], Meta(description="a list of numbers")]
-BandLevels = Annotated[list[Number], Meta(min_length=_N_BANDS, max_length=_N_BANDS, description=f"{_N_BANDS} numbers")]
-BandFlags = Annotated[list[bool], Meta(min_length=_N_BANDS, max_length=_N_BANDS, description=(
-    f"{_N_BANDS} times true or false"))]
-BandTimes = Annotated[list[Amount | None], Meta(min_length=_N_BANDS, max_length=_N_BANDS, description=(
-    f"{_N_BANDS} times, not negative (or null)"))]
-BandValues = Annotated[list[Number | None], Meta(min_length=_N_BANDS, max_length=_N_BANDS, description=(
-    f"{_N_BANDS} numbers (or null)"))]
+EqLevels = Annotated[list[Number], Meta(min_length=_N_POINTS, max_length=_N_POINTS, description=f"{_N_POINTS} numbers")]
+EqFlags = Annotated[list[bool], Meta(min_length=_N_POINTS, max_length=_N_POINTS, description=(
+    f"{_N_POINTS} times true or false"))]
+EqValues = Annotated[list[Number | None], Meta(min_length=_N_POINTS, max_length=_N_POINTS, description=(
+    f"{_N_POINTS} numbers (or null)"))]
+_PER_BAND = "one per octave band"
+BandFlags = Annotated[list[bool], Meta(min_length=_FEWEST_BANDS, max_length=_MOST_BANDS, description=(
+    f"true or false, {_PER_BAND}"))]
+BandTimes = Annotated[list[Amount | None], Meta(min_length=_FEWEST_BANDS, max_length=_MOST_BANDS, description=(
+    f"times, not negative (or null), {_PER_BAND}"))]
+BandValues = Annotated[list[Number | None], Meta(min_length=_FEWEST_BANDS, max_length=_MOST_BANDS, description=(
+    f"numbers (or null), {_PER_BAND}"))]
 NumberOrNull = Annotated[Number | None, Meta(description="a number or null")]
 
 
 class AcousticParameters(TypedDict, total=False):
-    """What `roomeq.acoustics.parameters.measure` returns. Lists hold one value per octave band, 62.5 Hz to 8 kHz."""
+    """What `roomeq.acoustics.parameters.measure` returns.
+
+    Lists hold one value per octave band of the row's sample rate, `roomeq.core.constants.bands_hz`; those of the EQ,
+    which is of 16 kHz alone, one for each of its eight points.
+    """
 
     direct_sample: DirectSample | None
     direct_polarity: Polarity | None
@@ -71,10 +81,10 @@ class AcousticParameters(TypedDict, total=False):
     decay_range_db: BandValues | None
     band_noise_intersection_s: BandValues | None
     band_noise_floor_db: BandValues | None
-    eq_db: BandLevels
-    eq_valid: BandFlags
+    eq_db: EqLevels
+    eq_valid: EqFlags
     eq_edge_db: NumberOrNull
-    eq_snr_db: BandValues | None
+    eq_snr_db: EqValues | None
 
 
 _COMPLETE = {"eq_db": ("eq_db", "eq_valid", "eq_edge_db"), "t20_valid": ("t20_s", "t20_valid")}
@@ -175,6 +185,12 @@ def row_problem(row: Mapping[str, Any]) -> str | None:
         for key in keys if first in parameters else ():
             if key not in parameters:
                 return f"acoustic_parameters: key {key!r} is missing"
+    fs_hz = row.get("fs_hz", FS_HZ)
+    n_bands = len(bands_hz(fs_hz))
+    for key, values in parameters.items():
+        if isinstance(values, list) and not key.startswith("eq_") and len(values) != n_bands:
+            return (f"acoustic_parameters: {key} holds {len(values)} values and must hold {n_bands}, one per octave "
+                    f"band at {fs_hz} Hz")
     return None
 
 

@@ -278,7 +278,7 @@ def draw_scattering(table: MaterialTable, room: Room, rng: np.random.Generator,
     return np.array([known or row for known, row in zip(own, drawn, strict=True)])
 
 
-def draw_materials(table: MaterialTable, room: Room, scattering: FloatArray, air: Air, target_s: float,
+def draw_materials(table: MaterialTable, room: Room, scattering: FloatArray, air: Air, target_s: float | None,
                    rng: np.random.Generator, given: Mapping[str, Surface] | None = None) -> Scene:
     """Draw the materials of a room: the one of a few draws that needs least scaling to meet a target.
 
@@ -290,7 +290,7 @@ def draw_materials(table: MaterialTable, room: Room, scattering: FloatArray, air
         Shape (n_surfaces, 8).
     air
     target_s
-        Reverberation time at 1 kHz that the response will be scaled to.
+        Reverberation time at 1 kHz that the response will be scaled to; None: the first draw is taken.
     rng
     given
         Surfaces that are not drawn; by default those with the name of a material.
@@ -307,7 +307,7 @@ def draw_materials(table: MaterialTable, room: Room, scattering: FloatArray, air
                  for surface, name in zip(room.surfaces, _draw_names(table, room, rng), strict=True)]
         scene = Scene(room, [Material(surface.name, surface.absorption, tuple(row))
                              for surface, row in zip(drawn, scattering, strict=True)], air)
-        misfit = _misfit(scene, target_s)
+        misfit = 0.0 if target_s is None else _misfit(scene, target_s)
         if best is None or misfit < best_misfit:
             best, best_misfit = scene, misfit
         if misfit == 0.0 or len(given) == len(room.surfaces):

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from roomeq.acoustics.parameters import measure
+from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import write_wav
 from roomeq.core.build import Build
-from roomeq.core.constants import FS_HZ
+from roomeq.core.constants import BANDS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.effects.model import Model, apply_to_rir, direct_gain, names_of, path_gain, read_model
 from roomeq.records.rir_dir import read_rirs, validate_rirs, with_meshes_relocated, write_rirs
@@ -46,7 +47,7 @@ def make(build: Build, measured_dir: Path, rows: list[RirRow], materials: Path |
 
     def simulate_group(_: str, members: list[Member]) -> list[dict]:
         air = _declared_air(members[0].row)
-        return [_write_rir(build.work, rendered, air, options.seed)
+        return [_write_rir(build.work, rendered, air, options)
                 for rendered in render_source(members, air, table, effects, options)]
 
     def assemble(directory: Path, records: list[list[dict]]) -> None:
@@ -89,27 +90,35 @@ def _declared_air(row: RirRow) -> Air:
     return Air(**{key: values[key] for key in ("temperature_c", "humidity_pct") if values.get(key) is not None})
 
 
-def _write_rir(work: Path, rendered: RenderedRir, air: Air, seed: int) -> dict:
+def _write_rir(work: Path, rendered: RenderedRir, air: Air, options: RenderOptions) -> dict:
     """Apply the effects that act on the whole RIR, write the audio below `work`, return the row; `air` as declared."""
-    row, place, scene, response = rendered.row, rendered.place, rendered.scene, rendered.response
+    row, place, scene, response, rir = (rendered.row, rendered.place, rendered.scene, rendered.response,
+                                        rendered.response.rir)
     gain = path_gain(rendered.effects, row.get("source_dir"))
-    direct = direct_gain(scene, place.source_pos_m, place.mic_pos_m, gain) * response.direct_visible
-    rir = apply_to_rir(rendered.effects, response.rir, with_absorption(scene, response.absorption),
-                       place.source_pos_m, place.mic_pos_m, direct, rng_for(seed, "effects", row["id"]))
+    if rendered.effects:
+        direct = direct_gain(scene, place.source_pos_m, place.mic_pos_m, gain) * response.direct_visible
+        rir = apply_to_rir(rendered.effects, rir, with_absorption(scene, response.absorption), place.source_pos_m,
+                           place.mic_pos_m, direct, rng_for(options.seed, "effects", row["id"]))
     wav = f"wav/{row['id']}.wav"
-    write_wav(work / wav, rir)
+    write_wav(work / wav, rir, options.fs_hz)
     room: dict[str, object] = (dict(room_dims_m=list(place.room.dims_m)) if isinstance(place.room, Shoebox)
                                else dict(mesh=row["mesh"]))
     surfaces = zip(scene.room.surfaces, scene.materials, response.absorption, strict=True)
     return {key: row.get(key) for key in _KEPT_KEYS if key in row} | room | dict(
-        id=row["id"], wav=wav, fs_hz=FS_HZ, n_samples=len(rir),
+        id=row["id"], wav=wav, fs_hz=options.fs_hz, n_samples=len(rir),
         source_pos_m=list(place.source_pos_m), mic_pos_m=list(place.mic_pos_m), drawn=list(place.drawn),
-        temperature_c=air.temperature_c, humidity_pct=air.humidity_pct, seed=seed,
+        temperature_c=air.temperature_c, humidity_pct=air.humidity_pct, seed=options.seed,
         model=["diffraction"] * response.diffracted + names_of(rendered.effects, gain),
         target_t60_s=rendered.target_s, t30_s=response.t30_s, leaked_share=response.leaked_share,
         direct_sample=response.direct_sample, direct_polarity=1, direct_visible=response.direct_visible,
         noise_for=rendered.noise_for, measured_id=rendered.noise_for or row["id"],
-        acoustic_parameters=measure(rir, direct=(response.direct_sample, 1)),
-        materials={surface: dict(material=material.name, absorption=[round(float(a), 6) for a in absorption],
+        acoustic_parameters=measure(rir, options.fs_hz, direct=(response.direct_sample, 1)),
+        materials={surface: dict(material=material.name, absorption=_to_8_khz(absorption),
                                  scattering=list(material.scattering))
                    for surface, material, absorption in surfaces})
+
+
+def _to_8_khz(absorption: FloatArray) -> list[float]:
+    """Return coefficients as tables hold them, from 62.5 Hz to 8 kHz at least: missing bands take the last value."""
+    values = [round(float(value), 6) for value in absorption]
+    return values + values[-1:] * (len(BANDS_HZ) - len(values))

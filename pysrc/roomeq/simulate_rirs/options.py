@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from roomeq.core.constants import require_fs
+
 NOISE_CANDIDATES = 4
 """Largest number of noise sources of an RIR."""
 
@@ -16,11 +18,13 @@ class RenderOptions:
     order: int
     noise_rirs: int
     diffraction: bool
+    fs_hz: int
     seed: int
 
 
 def check_options(options: RenderOptions) -> None:
     """Raise a `ValueError` where an option is out of range."""
+    require_fs(options.fs_hz)
     for name, low, high in (("num_rays", 100, 10 ** 7), ("ism_order", 0, 20), ("order", 1, 10 ** 4),
                             ("noise_rirs", 0, NOISE_CANDIDATES)):
         value = getattr(options, name)

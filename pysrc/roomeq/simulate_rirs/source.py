@@ -162,13 +162,16 @@ class _TracedRoom:
         for n in range(MATERIAL_DRAWS * (1 if row.get("materials") else TARGET_DRAWS)):
             if n and n % MATERIAL_DRAWS == 0:
                 target_s = drawn_s = float(rng.uniform(*self.options.t60_range_s))
-            scene = extend_scene(self.effects, draw_materials(
-                self.table, self.room, self.scattering, self.air, drawn_s if target_s is None else target_s, rng,
-                self.stated))
+            scene = self.draw_scene(drawn_s if target_s is None else target_s, rng)
             if n == 0 and row.get("materials"):
                 target_s = row.get("target_t60_s", target_s)
             yield SceneDraw(scene, target_s, needed_length_s(scene, target_s, self.options.order),
                             n // MATERIAL_DRAWS)
+
+    def draw_scene(self, target_s: float | None, rng: np.random.Generator) -> Scene:
+        """Draw the materials that are not stated; see `roomeq.sim.materials.draw_materials`."""
+        scene = draw_materials(self.table, self.room, self.scattering, self.air, target_s, rng, self.stated)
+        return extend_scene(self.effects, replace(scene, fs_hz=self.options.fs_hz))
 
     def trace(self, source_pos_m: tuple[float, ...], length_s: float) -> TracedSource:
         """Return the trace of a source, followed for at least `length_s`."""
@@ -177,7 +180,7 @@ class _TracedRoom:
         if key not in self._traces:
             reflecting = [Material(surface, (0.0,) * len(BANDS_HZ), tuple(scattering))
                           for surface, scattering in zip(self.room.surfaces, self.scattering, strict=True)]
-            scene = extend_scene(self.effects, Scene(self.room, reflecting, self.air))
+            scene = extend_scene(self.effects, Scene(self.room, reflecting, self.air, self.options.fs_hz))
             rng = rng_for(self.options.seed, "trace", repr((self.room_id, tuple(source_pos_m))))
             self._traces[key] = trace_source(scene, source_pos_m, num_rays=self.options.num_rays,
                                              max_length_s=length_s, rng=rng)

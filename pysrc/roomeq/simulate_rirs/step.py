@@ -5,6 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from roomeq.core.build import Build
+from roomeq.core.constants import FS_HZ
 from roomeq.records.rir_dir import decay_range_s, read_rirs
 from roomeq.records.schema import RirRow
 from roomeq.sim.defaults import DEFAULT_TABLE, ISM_ORDER, NUM_RAYS, ORDER
@@ -17,7 +18,7 @@ logger = logging.getLogger(__name__)
 def simulate(measured_dir: Path | str, out: Path | str, *, t60_range_s: tuple[float, float] | str = (0.2, 2.0),
              num_rays: int = NUM_RAYS, ism_order: int = ISM_ORDER, order: int = ORDER, noise_rirs: int = 1,
              materials: Path | str | None = None, model: Path | str | None = None, diffraction: bool = True,
-             seed: int = 0, part: str | None = None, nj: int = 1) -> None:
+             fs_hz: int = FS_HZ, seed: int = 0, part: str | None = None, nj: int = 1) -> None:
     """Simulate one RIR per measured RIR, in its room and from its source to its microphone.
 
     The materials of each RIR are drawn and then scaled until T30 at 1 kHz of the rendered RIR meets a target drawn
@@ -53,6 +54,8 @@ def simulate(measured_dir: Path | str, out: Path | str, *, t60_range_s: tuple[fl
         File of effects to add to the simulation (`roomeq.effects.model`), as `roomeq close-loop` writes it.
     diffraction
         Render sound that comes around the edges of meshes.
+    fs_hz
+        Sample rate of the RIRs, 8 to 48 kHz. The effects of a model are defined at 16 kHz alone.
     part
         ``"2/5"``: do the second of five shares only.
     nj
@@ -66,8 +69,11 @@ def simulate(measured_dir: Path | str, out: Path | str, *, t60_range_s: tuple[fl
     """
     measured_dir = Path(measured_dir)
     low_s, high_s = _t60_range_s(t60_range_s, measured_dir)
-    options = RenderOptions((low_s, high_s), num_rays, ism_order, order, noise_rirs, bool(diffraction), seed)
+    options = RenderOptions((low_s, high_s), num_rays, ism_order, order, noise_rirs, bool(diffraction), fs_hz, seed)
     check_options(options)
+    if model and fs_hz != FS_HZ:
+        raise ValueError(f"fs={fs_hz} must be {FS_HZ} with model={model}, whose effects are defined at that rate: "
+                         "leave one of them out")
     rows = read_rirs(measured_dir)
     files = [Path(materials or DEFAULT_TABLE), *([Path(model)] if model else []), *_published_table(rows),
              *sorted({measured_dir / mesh for row in rows if (mesh := row.get("mesh"))})]
