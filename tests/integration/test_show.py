@@ -1,5 +1,6 @@
 """`roomeq show` and `roomeq compare`: pages, pictures and texts of RIRs, of sets and of loops, and what they refuse."""
 
+import os
 import re
 
 import numpy as np
@@ -166,6 +167,17 @@ def test_what_cannot_be_shown_is_refused_in_one_line(made, monkeypatch, capsys, 
     assert main(words) == 1
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and re.search(message, said), said
+
+
+def test_names_that_cannot_be_drawn_or_printed_are_replaced(made, monkeypatch):
+    monkeypatch.chdir(made)
+    name = "_$x_{\t.wav"
+    (made / name).write_bytes((made / "measured/audio/hall-0.wav").read_bytes())
+    for words in ([], ["--out", "odd.html"], ["--out", "odd.png"]):
+        assert main(["show", name, *words]) == 0
+    assert main(["compare", name, "rir<48k>.wav", "--out", "odd.html"]) == 0
+    os.symlink(made / "measured", made / "$_{a")
+    assert main(["compare", "$_{a", "simulated", "--out", "odd.html"]) == 0
 
 
 def test_asking_makes_nothing(made, monkeypatch):

@@ -12,6 +12,7 @@ from roomeq.report.figures import Draw, legend, log_frequency
 from roomeq.report.rir_sets import column_percentiles
 from roomeq.show.analysis import reverberation_time_s, value_of
 from roomeq.show.inputs import RirSet
+from roomeq.show.sheet import plot_text
 from roomeq.show.tables import c50_of
 
 COLOURS = ("measured", "simulated")
@@ -31,7 +32,7 @@ QUANTITIES: tuple[Quantity, ...] = (
 def distribution(sets: Sequence[RirSet], quantity: Quantity) -> Draw:
     """Draw the histogram of a quantity over the RIRs of each set."""
     _, label, value = quantity
-    groups = [(name, colour, known(map(value, of_set.parameters)))
+    groups = [(plot_text(name), colour, known(map(value, of_set.parameters)))
               for name, of_set, colour in zip(labels_of(sets), sets, COLOURS, strict=False)]
     every = np.concatenate([values for *_, values in groups])
     low, high = (float(every.min()), float(every.max())) if len(every) else (0.0, 1.0)
@@ -81,7 +82,8 @@ def over_frequency(sets: Sequence[RirSet], metric: str, label: str) -> Draw:
             bands_hz = list(figures.TICKS)[:values.shape[1]]
             low, middle, high = column_percentiles(values, (5, 50, 95))
             axes.fill_between(bands_hz, low, high, color=colours[colour], alpha=0.2, lw=0)
-            axes.plot(bands_hz, middle, f"{figures.MARKERS[colour]}-", color=colours[colour], ms=4.5, label=name)
+            axes.plot(bands_hz, middle, f"{figures.MARKERS[colour]}-", color=colours[colour], ms=4.5,
+                      label=plot_text(name))
         log_frequency(axes, 45.0, 18000.0 if values.shape[1] > 8 else 8600.0)
         axes.set_ylabel(label)
         if metric == "t60":

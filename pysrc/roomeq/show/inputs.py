@@ -61,7 +61,7 @@ class RirSet:
     @property
     def label(self) -> str:
         """Name in figures and tables."""
-        return self.directory.resolve().name
+        return readable(self.directory.resolve().name)
 
     @property
     def rooms(self) -> dict[str, list[int]]:
@@ -109,7 +109,7 @@ def read_rir_file(path: Path, channel: int | None = None, keep_suspicious: bool 
                          f"{n_channels - 1}")
     samples = read_audio(path, fs_hz=(fs_hz := audio_info(path).samplerate), channel=channel)
     directory, row = _row_of(path)
-    name = path.name if channel is None else f"{path.name}, channel {channel}"
+    name = readable(path.name) + ("" if channel is None else f", channel {channel}")
     return _shown(samples, fs_hz, name, path, keep_suspicious, row, directory)
 
 
@@ -163,6 +163,11 @@ def read_set(directory: Path) -> RirSet:
         raise ValueError(f"{directory}: none of its {len(given)} recordings is an RIR: look at one with --id "
                          f"{given[0]['id'] if given else 'ID'} --keep-suspicious")
     return RirSet(directory, rows, parameters, left_out)
+
+
+def readable(name: str) -> str:
+    """Return a file name with everything that cannot be printed replaced."""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in name)
 
 
 def middle_of(of_set: RirSet) -> str:

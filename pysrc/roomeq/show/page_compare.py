@@ -1,6 +1,6 @@
 """The sections of a page that compares two RIRs or two sets of RIRs."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -58,15 +58,11 @@ def pair_rirs(first: RirSet, second: RirSet) -> Pairs:
 
 def compared_rirs(first: ShownRir, second: ShownRir, speech: Path | None) -> Context:
     """Return what the template of two RIRs shows."""
-    rirs = [first.rir, second.rir]
-    if first.rir.name == second.rir.name:
-        from dataclasses import replace
-
-        rirs = [replace(rir, name=f"{letter}: {rir.name}") for letter, rir in zip(LETTERS, rirs, strict=True)]
+    rirs = [replace(shown.rir, name=letter) for letter, shown in zip(LETTERS, (first, second), strict=True)]
     players = [(letter, colour, rir.samples, rir.fs_hz)
                for letter, colour, rir in zip(LETTERS, figures_rir.COLOURS, rirs, strict=True)]
-    return {"names": [rir.name for rir in rirs], "problems": [shown.problem for shown in (first, second)],
-            "clips": clips(players, speech), "bands": compared_bands(first, second),
+    return {"names": [shown.rir.name for shown in (first, second)],
+            "problems": [shown.problem for shown in (first, second)], "clips": clips(players, speech), "bands": compared_bands(first, second),
             "band_columns": [("Octave", "text"), *((tables.HEADINGS[metric], "interval") for metric in METRICS)],
             "summary": compared_summary(first, second),
             "time_panels": [panel("figure-waveform", figures_rir.waveform(rirs), "Waveforms of both RIRs"),

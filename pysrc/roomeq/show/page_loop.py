@@ -161,10 +161,10 @@ def show_loop(directory: Path, suffix: str | None, speech: Path | None) -> bytes
         return "\n".join([*lines, "", SEE])
     if suffix == PICTURE:
         return png(loop_draws(directory), "Held-out error before and after the closed loop")
-    return make_page("What the simulation lacked",
-                 f"The closed loop compared a simulation with {ledger['rirs']} measured room impulse responses (RIRs) "
-                 f"of {ledger['rooms']} rooms, and added what the simulation lacked. Errors are in just noticeable "
-                 "differences (JND).", loop_facts(ledger), [], _loop_parts(directory, speech))
+    lead = (f"The closed loop compared a simulation with {ledger['rirs']} measured room impulse responses (RIRs) of "
+            f"{ledger['rooms']} rooms, and added what the simulation lacked. Errors are in just noticeable differences "
+            "(JND).")
+    return make_page("What the simulation lacked", lead, loop_facts(ledger), [], _loop_parts(directory, speech))
 
 
 def _loop_parts(directory: Path, speech: Path | None) -> list[Part]:

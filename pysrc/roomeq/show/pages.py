@@ -64,11 +64,11 @@ def rir_set(directory: Path, suffix: str | None, ident: str | None, speech: Path
                     over_frequency([of_set], "eq", "EQ (dB, 1 kHz = 0)")], f"RIRs of {of_set.label}")
     chosen = chosen or read_rir_of(directory, middle_of(of_set), keep_suspicious=True)
     context = set_context(of_set)
-    return make_page(f"RIRs of {of_set.label}",
-                 "Reverberation, clarity and colour of the room impulse responses (RIRs) of a directory, room by room. "
-                 "One of them is shown in detail.", set_facts(of_set), [],
-                 [("set", "Overview", context), *_rir_parts(chosen, of_set.rows, speech, f"RIR {chosen.rir.name}"),
-                  ("list", "All RIRs", context)])
+    lead = ("Reverberation, clarity and colour of the room impulse responses (RIRs) of a directory, room by room. One of "
+            "them is shown in detail.")
+    return make_page(f"RIRs of {of_set.label}", lead, set_facts(of_set), [],
+                     [("set", "Overview", context), *_rir_parts(chosen, of_set.rows, speech, f"RIR {chosen.rir.name}"),
+                      ("list", "All RIRs", context)])
 
 
 def two_files(first: Path, second: Path, suffix: str | None, speech: Path | None,
@@ -77,9 +77,8 @@ def two_files(first: Path, second: Path, suffix: str | None, speech: Path | None
     a, b = (read_rir_file(path, keep_suspicious=keep_suspicious) for path in (first, second))
     if suffix is None:
         return _pair_text(a, b)
-    return make_page(f"{a.rir.name} and {b.rir.name}",
-                 "Two room impulse responses (RIRs) overlaid, with their differences in just noticeable differences "
-                 "(JND).", [], [], _pair_parts(a, b, speech))
+    lead = "Two room impulse responses (RIRs) overlaid, with their differences in just noticeable differences (JND)."
+    return make_page(f"{a.rir.name} and {b.rir.name}", lead, [], [], _pair_parts(a, b, speech))
 
 
 def two_sets(first: Path, second: Path, suffix: str | None, ident: str | None, speech: Path | None,
@@ -105,9 +104,10 @@ def two_sets(first: Path, second: Path, suffix: str | None, ident: str | None, s
         parts += _pair_parts(*shown, speech, f"One pair: {shown[0].rir.name}")
     cards = [(f"{len(of_set.rows):,}", f"RIRs of {len(of_set.rooms):,} rooms in {label}")
              for of_set, label in zip((a, b), labels_of([a, b]), strict=True)]
-    return make_page(" and ".join(labels_of([a, b])),
-                 "Two sets of room impulse responses (RIRs) side by side, with their differences in just noticeable "
-                 "differences (JND).", [*cards, (f"{len(pairs.numbers):,}", "pairs of RIRs")], [], parts)
+    lead = ("Two sets of room impulse responses (RIRs) side by side, with their differences in just noticeable "
+            "differences (JND).")
+    return make_page(" and ".join(labels_of([a, b])), lead,
+                     [*cards, (f"{len(pairs.numbers):,}", "pairs of RIRs")], [], parts)
 
 
 def _one_rir(shown: ShownRir, suffix: str | None, speech: Path | None) -> bytes | str:
@@ -123,7 +123,7 @@ def _one_rir(shown: ShownRir, suffix: str | None, speech: Path | None) -> bytes 
     warnings = [f"No RIR by its acoustics: {shown.problem}"] if shown.problem else []
     lead = "A room impulse response (RIR): what is heard, measured and seen of it."
     return make_page(shown.rir.name, lead, facts(shown), warnings,
-                     _rir_parts(shown, [shown.row] if shown.row else [], speech))
+                         _rir_parts(shown, [shown.row] if shown.row else [], speech))
 
 
 def _rir_parts(shown: ShownRir, rows: list[RirRow], speech: Path | None, first: str = "Sound") -> list[Part]:

@@ -18,6 +18,11 @@ _PANEL_IN = (4.4, 3.2)
 _DPI = 110
 
 
+def plot_text(text: str) -> str:
+    """Return a text that matplotlib draws as it is: neither as mathematics nor, where it begins with _, not at all."""
+    return (" " if text.startswith("_") else "") + text.replace("$", r"\$")
+
+
 class Sheet(Figure):
     """A figure that notebooks show, whether or not pyplot is in use."""
 
@@ -47,7 +52,7 @@ def sheet(draws: Sequence[Draw], title: str, columns: int = 3) -> Sheet:
     rows = -(-len(draws) // columns)
     with matplotlib.rc_context(settings):
         figure = Sheet(figsize=(columns * _PANEL_IN[0], rows * _PANEL_IN[1] + 0.4), layout="constrained")
-        figure.suptitle(title, fontweight="bold", fontsize=11, x=0.01, ha="left")
+        figure.suptitle(plot_text(title), fontweight="bold", fontsize=11, x=0.01, ha="left")
         parts = figure.subfigures(rows, columns, squeeze=False).ravel()
         for part, draw in zip(parts, draws, strict=False):
             draw(part.add_subplot(), LIGHT)

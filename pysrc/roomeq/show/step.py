@@ -1,6 +1,7 @@
 """The functions behind `roomeq show` and `roomeq compare`. What they draw with is imported where there is work."""
 
 import logging
+import sys
 from pathlib import Path
 
 from roomeq.core.asking import NotUpToDate, only_asked
@@ -120,7 +121,8 @@ def _suffix(out: Path | None, pictures: bool = True) -> str | None:
 def _deliver(content: bytes | str, out: Path | None) -> None:
     """Print a text, or write a page or a picture."""
     if out is None:
-        print(content)
+        encoding = sys.stdout.encoding or "utf-8"  # which may lack arrows, as names may hold bytes that are no UTF-8
+        print(str(content).encode(encoding, "replace").decode(encoding))
         return
     write_bytes(Path(out), content if isinstance(content, bytes) else content.encode("utf-8", "replace"))
     logger.info("wrote %s", out)
