@@ -4,6 +4,7 @@ import numpy as np
 from loop_run import make_loop
 from wer_run import put_example
 
+from roomeq.acoustics.parameters import measure
 from roomeq.augment import augment
 from roomeq.core.audio import write_flac, write_wav
 from roomeq.core.constants import BANDS_HZ, FS_HZ
@@ -97,6 +98,7 @@ def make_simulated(measured, directory):
         write_wav(directory / f"{row['id']}.wav", rir)
         rows.append(row_of(row["id"], row["room_id"], rir, measured_id=row["id"], target_t60_s=target_s,
                            t30_s=achieved_s, direct_sample=32.0, direct_polarity=1, leaked_share=0.0,
+                           acoustic_parameters=measure(rir, direct=(32.0, 1)),
                            drawn=["mic_pos_m.2"], noise_for=None, seed=0))
     write_rirs(directory, rows)
     write_hums(directory, "../measured/")

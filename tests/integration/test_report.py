@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,17 +19,20 @@ from wer_run import put_example
 from roomeq.core.files import read_jsonl, write_json
 from roomeq.core.stamps import FORMAT
 from roomeq.loop.features import N_FEATURES, feature_slice
-from roomeq.report import figures, make_report
+from roomeq.report import figures, make_report, section_eq
 from roomeq.report.build_page import SECTIONS, render_page, render_section
 from roomeq.report.formats import number, with_minus
+from roomeq.report.kinds import MEASURED, SIMULATED
 from roomeq.report.load import Run
 from roomeq.report.render import environment
-from roomeq.report.rir_sets import column_percentiles
+from roomeq.report.rir_sets import LIKE_T60, column_percentiles, measured_example, t60_mismatch
 from roomeq.report.section_loop import REGIONS, residual_sizes
 from roomeq.wer import measure_wer
 
 FIGURES = ("figure-1-left", "figure-1-right", "figure-2-measured", "figure-2-resampled", "figure-2-simulated",
            "figure-2-compensated", "figure-3-simulated", "figure-3-compensated", "figure-3-measured",
+           *(f"figure-echogram-{n}" for n in "123"), "figure-summary-eq", "figure-t60-frequency",
+           *(f"figure-room-{n}" for n in "123"),
            "figure-distance-points", "figure-accuracy-points", "figure-t60-histogram", "figure-t60-met",
            "figure-snr-train", "figure-snr-dev", "figure-snr-test", "figure-loop-map-before", "figure-loop-map-after",
            "figure-loop-ranking-1", "figure-loop-ranking-2", "figure-loop-ranking-3", "figure-loop-metrics",
@@ -36,9 +40,9 @@ FIGURES = ("figure-1-left", "figure-1-right", "figure-2-measured", "figure-2-res
            "figure-wer-rooms-train.sim.EQ.rvb",
            *(f"figure-loop-spectrum-{n}" for n in "12"),
            *(f"figure-loop-decay-{n}-{hz}" for n in "12" for hz in (125, 1000)))
-TABLES = ("table-datasets", "table-distance", "table-accuracy", "table-rooms", "table-acoustic-parameters",
-          "table-screening", "table-run", "table-loop", "table-loop-errors", "table-loop-geometry",
-          "table-loop-power", "table-wer",
+TABLES = ("table-summary", "table-datasets", "table-distance", "table-accuracy", "table-rooms",
+          "table-acoustic-parameters", "table-screening", "table-run", "table-loop", "table-loop-errors",
+          "table-loop-geometry", "table-loop-power", "table-wer",
           "table-wer-changes", "table-wer-strata")
 CLIPS = ("audio-clean", "audio-sim", "audio-sim-EQ", "audio-sim-loop", "audio-real")
 
@@ -114,7 +118,8 @@ def test_table_cells_are_escaped_and_aligned():
         '{% from "macros.html.j2" import table %}'
         '{% call table("t", columns, rows) %}{{ caption }}{% endcall %}').render(
         caption="<caption>", columns=[("a", "text"), ("<b>", "number")], rows=[["<i>", 2]])
-    assert "&lt;i&gt;" in made and "&lt;b&gt;" in made and '<td class="number">2</td>' in made
+    assert "&lt;i&gt;" in made and "&lt;b&gt;" in made
+    assert '<td role="cell" class="number" data-label="&lt;b&gt;">2</td>' in made
     assert "&lt;caption&gt;" in made
 
 
@@ -162,7 +167,7 @@ def test_counts_match_the_run(made, page):
     data, _, path = made
     rows = {kind: len(read_jsonl(data / f"rirs.{kind}.train" / "rirs.jsonl")) for kind in ("real", "sim")}
     body = path.read_text()
-    line = re.search(r"<tr><th[^>]*><code>train.sim.rvb</code></th>(.*?)</tr>", body)[1]
+    line = re.search(r"<tr[^>]*><th[^>]*><code>train.sim.rvb</code></th>(.*?)</tr>", body)[1]
     assert re.findall(r"<td[^>]*>(.*?)</td>", line)[1:3] == ["4", str(rows["sim"])]
     assert f"{RIRS_PER_ROOM * len(ROOMS)} measured RIRs of {len(ROOMS)} rooms" in page.text
     assert re.search(r"binaural\s*</th>\s*<td[^>]*>not in the EQ fit</td><td[^>]*>4</td>", body)
@@ -327,6 +332,47 @@ def test_verdict_matches_the_closed_share(closed, part):
     verdict = Page(template("distance").verdict(gap)).text
     assert part in verdict
     assert ("is small, and rooms" in verdict) == (closed == 1.2)
+
+
+def test_row_of_all_points_names_those_beyond_the_limits(monkeypatch):
+    errors = np.zeros((20, 8))
+    errors[:, 0] = 2.0
+    monkeypatch.setattr(section_eq, "eq_errors", lambda run, names: errors)
+    rows = section_eq.accuracy(Run(Path("data"), Path("exp")))["rows"]
+    assert [row[-1] for row in rows] == ["no", *["yes"] * 6, "not at 62.5\N{NO-BREAK SPACE}Hz"]
+
+
+def test_summary_states_lack_error_and_worth(made):
+    text = section_text("summary", Run(made[0], made[1]))
+    assert re.search(r"the median simulated RIR is \d\.\d dB too (quiet|loud) at", text)
+    assert "Frequency response of the loudspeakers" in text and "Unexplained" in text
+    assert "Held-out error (JND), unseen rooms" in text and "1.0, noise ceiling" in text
+    assert "train.sim.EQ.rvb instead of train.sim.rvb changes the word error rate by \u221220.0" in text
+    assert "closes 50\N{NO-BREAK SPACE}% of the gap" in text
+
+
+def test_examples_have_similar_reverberation_times(made):
+    run = Run(made[0], made[1])
+    chosen = measured_example(run, (MEASURED, SIMULATED))
+    best = min(t60_mismatch(row, other) for row in run.rirs(MEASURED.train) for other in run.rirs(SIMULATED.train)
+               if other["measured_id"] == row["id"])
+    assert t60_mismatch(chosen[MEASURED], chosen[SIMULATED]) <= max(LIKE_T60, best)
+
+
+@pytest.mark.parametrize("label", ["W" * 90, "measured, simulated, simulated + EQ, simulated + loop (n = 132,123)"])
+def test_legends_fit_into_their_figures(label):
+    fitted = []
+
+    def draw(axes, colours):
+        axes.plot([0, 1], label=label)
+        axes.plot([0, 1], label="short")
+        figures.legend(axes)
+        figure = axes.figure
+        figure.canvas.draw()
+        fitted.append(figure.legends[0].get_window_extent().width <= figure.bbox.width)
+
+    figures.render_svg(draw, figures.SMALL_IN)
+    assert fitted == [True]
 
 
 def test_common_limits_cover_nearly_all_values():

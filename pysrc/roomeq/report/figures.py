@@ -17,6 +17,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import TextPath
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter
 
 from roomeq.core.arrays import FloatArray
@@ -39,8 +41,12 @@ MARKERS = dict(measured="o", simulated="s", compensated="^", drawn="D")
 SPECTROGRAM_HOP_S = 4e-3
 """Time between frames; a frame is eight times as long, 512 samples at 16 kHz as in the paper."""
 
-LEGEND_CHARACTERS_PER_INCH = 14.0
-LEGEND_KEY_IN = 0.4
+LEGEND_SIZE_PT = 8.0
+LEGEND_KEY_IN = 0.56
+"""Width of an entry without its text: key, and the distances between them."""
+
+LEGEND_MARGIN_IN = 0.15
+POINTS_PER_INCH = 72.0
 
 Draw = Callable[[Axes, dict[str, str]], None]
 
@@ -100,22 +106,44 @@ def settings(colours: dict[str, str]) -> dict[str, Any]:
         "axes.linewidth": 0.7, "xtick.major.width": 0.7, "ytick.major.width": 0.7, "axes.grid": True,
         "grid.color": line, "grid.linewidth": 0.6, "axes.axisbelow": True, "axes.titlesize": 9.5,
         "axes.titleweight": "bold", "axes.titlelocation": "left", "legend.frameon": False,
-        "legend.fontsize": 8, "lines.linewidth": 1.4, "axes.unicode_minus": True, "path.simplify": True,
+        "legend.fontsize": LEGEND_SIZE_PT, "lines.linewidth": 1.4, "axes.unicode_minus": True, "path.simplify": True,
     }
 
 
 def legend(axes: Axes) -> None:
-    """Put the legend above the axes: in two columns where the labels are short enough, else in one."""
+    """Put the legend above the axes, in as many columns as fit; a label that is too long is wrapped."""
     handles, labels = axes.get_legend_handles_labels()
-    figure = axes.get_figure(root=False)
+    if not labels:
+        return
+    figure = axes.get_figure(root=True)
     assert figure is not None  # panels have one
-    width_in = figure.bbox.width / figure.dpi
-    columns = 2
-    if max(map(len, labels), default=0) > (width_in / 2 - LEGEND_KEY_IN) * LEGEND_CHARACTERS_PER_INCH:
-        columns = 1
-        limit = int((width_in - LEGEND_KEY_IN) * LEGEND_CHARACTERS_PER_INCH)
-        labels = [textwrap.fill(label, limit) for label in labels]
+    available_in = figure.get_figwidth() - LEGEND_MARGIN_IN
+    columns = next((n for n in (3, 2) if n <= len(labels) and _legend_width_in(labels, n) <= available_in), 1)
+    if columns == 1:
+        labels = [_wrapped(label, available_in - LEGEND_KEY_IN) for label in labels]
     figure.legend(handles, labels, loc="outside upper left", ncols=columns)
+
+
+def _legend_width_in(labels: list[str], columns: int) -> float:
+    """Return the width of a legend [inch]; matplotlib fills it column by column."""
+    n_rows = -(-len(labels) // columns)
+    return sum(LEGEND_KEY_IN + max(map(_text_width_in, labels[start:start + n_rows]))
+               for start in range(0, len(labels), n_rows))
+
+
+def _text_width_in(text: str) -> float:
+    """Return the width of a label of the legend [inch]."""
+    size_pt = FontProperties(size=LEGEND_SIZE_PT)
+    return float(TextPath((0, 0), text, prop=size_pt).get_extents().width) / POINTS_PER_INCH if text.strip() else 0.0
+
+
+def _wrapped(text: str, width_in: float) -> str:
+    """Break a label into lines that are not wider than `width_in`."""
+    for n_characters in range(len(text), 0, -1):
+        lines = textwrap.wrap(text, n_characters)
+        if max(map(_text_width_in, lines), default=0.0) <= width_in:
+            return "\n".join(lines)
+    return text
 
 
 def log_frequency(axes: Axes, low_hz: float = 50.0, high_hz: float = 8600.0, along: str = "x") -> None:
@@ -176,7 +204,7 @@ def eq_curves(title: str, eq_db: FloatArray, colour: str, limits_db: tuple[float
         axes.set_ylim(limits_db)
         axes.set_ylabel("EQ gain (dB, 1 kHz = 0)")
         axes.set_title(f"{title} (n = {len(eq_db)})")
-        axes.legend(loc="lower center", ncols=2)
+        legend(axes)
     return draw
 
 

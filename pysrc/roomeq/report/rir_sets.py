@@ -14,6 +14,9 @@ from roomeq.records.schema import AcousticParameters, RirRow
 from roomeq.report.kinds import Kind
 from roomeq.report.load import Missing, Run
 
+LIKE_T60 = 0.1
+"""Largest relative difference of the T60 of RIRs that are compared one with one: two just noticeable differences."""
+
 
 @dataclass(frozen=True)
 class SimulatedDecay:
@@ -116,9 +119,11 @@ def reverberation_times(parameters: Iterable[AcousticParameters]) -> FloatArray:
 
 
 def measured_example(run: Run, kinds: Iterable[Kind]) -> dict[Kind, RirRow]:
-    """Choose one RIR of each kind to show.
+    """Choose one RIR of each kind to show: a measured one and its simulated counterparts in every other kind.
 
-    The measured RIR is the one nearest to the median EQ among those with a simulated counterpart in every other kind.
+    Since the T60 of simulated RIRs is random, only pairs are compared whose T60 at 1 kHz differs by at most two just
+    noticeable differences; of these, the measured RIR is the one nearest to the median EQ. If there is no such pair, it
+    is the pair with the nearest T60, or the RIR nearest to the median EQ where no T60 is known.
 
     Returns
     -------
@@ -132,9 +137,35 @@ def measured_example(run: Run, kinds: Iterable[Kind]) -> dict[Kind, RirRow]:
     nearest = [rows[n] for n in np.argsort(distance, kind="stable")]
     simulated = {kind: run.rirs(kind.train) for kind in others if run.has(kind.train)}
     by_measured_id = {kind: {row.get("measured_id"): row for row in members} for kind, members in simulated.items()}
-    chosen = next((row for row in nearest if all(row["id"] in index for index in by_measured_id.values())), nearest[0])
+    paired = [row for row in nearest if all(row["id"] in index for index in by_measured_id.values())]
+    mismatch = {row["id"]: max((t60_mismatch(row, index[row["id"]]) for index in by_measured_id.values()), default=0.0)
+                for row in paired}
+    close = [row for row in paired if mismatch[row["id"]] <= LIKE_T60]
+    chosen = (close or sorted(paired, key=lambda row: mismatch[row["id"]]) or nearest)[0]
     return {measured: chosen} | {kind: by_measured_id[kind].get(chosen["id"], members[0])
                                  for kind, members in simulated.items()}
+
+
+def t60_at_1khz(row: RirRow) -> float | None:
+    """Return the T30 at 1 kHz of an RIR, or its T20 where T30 is invalid [s]; None if neither is known."""
+    if row.get("t30_s"):
+        return row["t30_s"]
+    times = reverberation_times(acoustic_parameters([row]))
+    return float(times[0]) if len(times) else None
+
+
+def t60_mismatch(measured: RirRow, simulated: RirRow) -> float:
+    """Return the relative difference of the T60 at 1 kHz of two RIRs; infinite where one is unknown."""
+    times = t60_at_1khz(measured), t60_at_1khz(simulated)
+    return abs(times[1] / times[0] - 1.0) if times[0] and times[1] else np.inf
+
+
+def decay_shapes(rows: Iterable[RirRow]) -> FloatArray:
+    """Return the T30 of each octave relative to that at 1 kHz, shape (n_rirs, 8); NaN where invalid."""
+    shapes = [np.where(np.array(p["t30_valid"], dtype=bool), np.array(p["t30_s"], dtype=np.float64), np.nan)
+              for p in acoustic_parameters(rows)]
+    times_s = np.array(shapes, dtype=np.float64).reshape(-1, len(BANDS_HZ))
+    return times_s / times_s[:, [BAND_1KHZ]]
 
 
 def column_percentiles(values: FloatArray, percents: Iterable[float]) -> list[FloatArray]:

@@ -11,7 +11,10 @@ from roomeq.core.arrays import FloatArray
 from roomeq.core.files import read_json
 from roomeq.core.stamps import read_stamp
 from roomeq.corpora.characterise import SCREENING_FILE
+from roomeq.records.geometry import is_known
 from roomeq.records.schema import RirRow
+from roomeq.report import figures
+from roomeq.report.figures_room import room_view
 from roomeq.report.formats import DASH, number
 from roomeq.report.load import (
     SETS,
@@ -24,6 +27,7 @@ from roomeq.report.load import (
     synthetic_corpora,
 )
 from roomeq.report.rir_sets import acoustic_parameters, at_1khz, reverberation_times
+from roomeq.report.room_map import RoomMap, map_room
 
 OMITTED_OPTIONS = ("seed", "ways", "listed")
 """Options of stamps that the table of steps leaves out; the seed has a column of its own."""
@@ -94,6 +98,35 @@ def measured(run: Run) -> Context:
     return {"n_rirs": len(rows), "n_rooms": len({row["room_id"] for row in rows}), **rooms_by_split(run, rows),
             "parameters": [[room, *median_parameters(members)] for room, members in sorted(by_room.items())],
             "n_given": dropped["n_given"], "screening": screening(run, dropped)}
+
+
+def room_maps(run: Run) -> Context:
+    """Return maps of a small, a medium-sized and a large room of the measured corpus.
+
+    Raises
+    ------
+    Missing
+        The dimensions of no room are known.
+    """
+    rows = run.rirs("rirs.real")
+    maps: dict[str, tuple[float, RirRow, RoomMap]] = {}
+    for row in sorted(rows, key=lambda row: (not _has_positions(row), row["id"])):
+        if row["room_id"] not in maps and (mapped := map_room(row, rows, run.path("rirs.real"))):
+            extent_m = np.ptp(mapped.edges_m.reshape(-1, 3), axis=0)
+            maps[row["room_id"]] = float(np.prod(extent_m)), row, mapped
+    if not maps:
+        raise Missing("a room with known dimensions or a mesh", "stage 0 with --measured and a table of geometry")
+    by_size = sorted(maps.values(), key=lambda entry: (entry[0], entry[1]["room_id"]))
+    chosen = [by_size[n] for n in sorted({0, (len(by_size) - 1) // 2, len(by_size) - 1})]
+    panels = [figures.panel(f"figure-room-{n}", room_view(mapped, "plan", title=row["room_id"]),
+                            f"Plan of room {row['room_id']} with source and microphones")
+              for n, (_, row, mapped) in enumerate(chosen, start=1)]
+    return {"panels": panels, "n_mapped": len(maps), "n_rooms": len({row["room_id"] for row in rows}),
+            "notes": [f"{row['room_id']}: {mapped.note}" for _, row, mapped in chosen if mapped.note]}
+
+
+def _has_positions(row: RirRow) -> bool:
+    return is_known(row.get("source_pos_m")) and is_known(row.get("mic_pos_m"))
 
 
 def rooms_by_split(run: Run, rows: list[RirRow]) -> Context:

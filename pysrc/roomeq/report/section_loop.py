@@ -10,7 +10,7 @@ from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.response import RESPONSE_HZ, Response
-from roomeq.loop.descriptions import describe_effect, describe_facing, describe_residual, effect_names
+from roomeq.loop.descriptions import describe_effect, describe_facing, describe_residual, effect_label, effect_names
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, STEP_S, Examples, read_examples
 from roomeq.loop.facing_estimate import FacingEstimate
 from roomeq.loop.features import BAND_OF_FEATURE, METRIC, REGION
@@ -40,14 +40,13 @@ def closed_loop(run: Run) -> Context:
     return {"ledger": ledger, "left_out": left_out(ledger), "geometry_rows": geometry_rows(ledger),
             "facings": [describe_facing(FacingEstimate(**facing)) for facing in facings(ledger)],
             "has_wer": run.has("wer"), "error_rows": error_rows(ledger),
-            "effects": [added_effect(entry) for entry in added_effects(ledger)],
+            "effects": effects(ledger),
             "effect_rows": [effect_row(entry) for entry in added_effects(ledger)],
             "at_ceiling": at_ceiling(ledger), "power_rows": power_rows(ledger), "maps": residual_maps(run, ledger),
             "rankings": rankings(ledger), "splits": splits(ledger),
             "responses": responses(ledger),
             "examples": example_figures(read_examples(examples)) if examples.is_file() else [],
-            "unexplained": [sentence(describe_residual(Unexplained(**residual)))
-                            for residual in ledger["unexplained_all"]]}
+            "unexplained": unexplained(ledger)}
 
 
 def ledger_of(run: Run) -> dict[str, Any]:
@@ -91,11 +90,23 @@ def facts(run: Run) -> Context:
             "loop_explained": ledger["explained"]["leave_positions_out"]["share"]}
 
 
+def effects(ledger: dict[str, Any]) -> list[Context]:
+    """Describe the effects that the loop added."""
+    return [added_effect(entry) for entry in added_effects(ledger)]
+
+
+def unexplained(ledger: dict[str, Any]) -> list[str]:
+    """Describe the residuals that no effect explains."""
+    return [sentence(describe_residual(Unexplained(**residual))) for residual in ledger["unexplained_all"]]
+
+
 def added_effect(entry: dict[str, Any]) -> Context:
     """Describe an effect that the loop added: its physics, its parameters and the held-out error."""
     docstring = sys.modules[CATALOGUE[entry["effect"]].__module__].__doc__ or ""
     low, high = entry["heldout_error_ci"]
-    return {"name": effect_names(entry), "physics": docstring.splitlines()[0].rstrip(".:").split(" (`")[0],
+    labels = [effect_label(name) for name in entry.get("cannot_tell", [entry["effect"]])]
+    return {"name": effect_names(entry), "label": sentence(" or ".join(labels)).rstrip("."),
+            "physics": docstring.splitlines()[0].rstrip(".:").split(" (`")[0],
             "parameters": sentence(describe_effect(entry["effect"], entry["parameters"])),
             "before": entry["heldout_error_before"], "after": entry["heldout_error_after"], "low": low, "high": high,
             "discriminated_by": entry.get("would_tell", [])}

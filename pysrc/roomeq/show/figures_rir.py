@@ -14,8 +14,8 @@ from roomeq.core.arrays import FloatArray
 from roomeq.report import figures
 from roomeq.report.figures import TICKS, Draw, legend, log_frequency
 from roomeq.report.formats import hertz, with_minus
+from roomeq.report.room_map import Reflection
 from roomeq.show.analysis import FRAME_S, LOWEST_DB, AnalysedRir
-from roomeq.show.room_map import Reflection
 
 COLOURS = ("measured", "simulated")
 """Colours of the first and of the second RIR."""

@@ -5,14 +5,14 @@ from pathlib import Path
 from roomeq.records.schema import RirRow
 from roomeq.report import figures
 from roomeq.report.figures import SMALL_IN, TICKS, Draw, Panel, panel
+from roomeq.report.figures_room import VIEWS, room_view
 from roomeq.report.formats import number
 from roomeq.report.load import Context
+from roomeq.report.room_map import Reflection, RoomMap, map_room
 from roomeq.show import figures_rir, tables
 from roomeq.show.analysis import AnalysedRir, reverberation_time_s
 from roomeq.show.clips import clips
-from roomeq.show.figures_room import VIEWS, room_view
 from roomeq.show.inputs import ShownRir
-from roomeq.show.room_map import Reflection, RoomMap, map_room
 
 
 def rir_draws(rir: AnalysedRir, room: RoomMap | None = None) -> list[Draw]:

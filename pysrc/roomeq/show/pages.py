@@ -8,6 +8,7 @@ from markupsafe import Markup
 from roomeq.records.schema import RirRow
 from roomeq.report.load import Context
 from roomeq.report.render import render
+from roomeq.report.room_map import map_room
 from roomeq.report.step import versions
 from roomeq.show import tables
 from roomeq.show.figures_sets import QUANTITIES, by_room, distribution, labels_of, over_frequency
@@ -22,7 +23,6 @@ from roomeq.show.page_compare import (
 )
 from roomeq.show.page_rir import facts, rir_context, rir_draws
 from roomeq.show.page_set import set_context, set_facts
-from roomeq.show.room_map import map_room
 from roomeq.show.sheet import png
 from roomeq.show.step import PICTURE
 from roomeq.show.tables import METRICS, as_text

@@ -5,7 +5,7 @@ import pytest
 from plans import L_PLAN, box_plan, prism_obj
 from rirmaker import row
 
-from roomeq.show.room_map import first_reflections, map_room
+from roomeq.report.room_map import first_reflections, map_room
 from roomeq.sim.mesh import load_mesh
 from roomeq.sim.scene import WALLS, Shoebox
 

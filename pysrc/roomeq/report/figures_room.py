@@ -6,7 +6,7 @@ from matplotlib.collections import LineCollection
 
 from roomeq.core.arrays import FloatArray
 from roomeq.report.figures import Draw, legend
-from roomeq.show.room_map import RoomMap
+from roomeq.report.room_map import RoomMap
 
 VIEWS = {"plan": (0, 1), "section": (0, 2)}
 """Axes of each view: the plan from above, and the section seen from the south."""
@@ -15,8 +15,8 @@ _MARGIN = 0.06
 _ARROW = 0.1  # length of the arrow of a direction, as a share of the room's
 
 
-def room_view(room: RoomMap, view: str) -> Draw:
-    """Draw the plan or the section of a room."""
+def room_view(room: RoomMap, view: str, title: str | None = None) -> Draw:
+    """Draw the plan or the section of a room, with the name of the view or another title."""
     across, up = VIEWS[view]
 
     def draw(axes: Axes, colours: dict[str, str]) -> None:
@@ -44,7 +44,7 @@ def room_view(room: RoomMap, view: str) -> Draw:
         axes.set_aspect("equal")
         axes.set_xlabel(_AXIS_LABELS[across])
         axes.set_ylabel(_AXIS_LABELS[up])
-        axes.set_title(view.capitalize())
+        axes.set_title(title or view.capitalize())
         legend(axes)
     return draw
 
