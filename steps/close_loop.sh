@@ -12,6 +12,7 @@ seed=0          # seed of all random numbers
 . ./cmd.sh
 . utils/parse_options.sh
 . utils/check_words.sh
+. utils/progress.sh
 [ $# -eq 3 ] || usage
 require "$1/rirs.jsonl" steps/split_rirs.sh
 require "$2/rirs.jsonl" steps/split_rirs.sh
@@ -19,8 +20,10 @@ log=$(dirname "$3")/log/close-loop.log
 check_words "$log" "$@"
 cores=()
 [[ $cmd == utils/local.sh* ]] || cores=(--num-threads "$nj")
+begin_progress "$(dirname "$log")"
 # $cmd may hold options ("queue.pl --mem 2G"): split on purpose
 # shellcheck disable=SC2086
 $cmd "${cores[@]}" "$log" roomeq close-loop --nj "$nj" --max-effects "$max_effects" --seed "$seed" \
   --test "$2" --out "$3" "$1"
+end_progress
 grep -E '^(base model|test set|unexplained): |^(added|rejected|left out) |: (up to date|the test set is not scored)$' "$log"

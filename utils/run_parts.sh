@@ -8,6 +8,7 @@ set -euo pipefail
 . ./path.sh
 . ./cmd.sh
 . utils/check_words.sh
+. utils/progress.sh
 [ $# -ge 3 ] || { sed -n '2,6s/^# //p' "$0" >&2 && exit 1; }
 nj=$1 log_dir=$2 verb=$3
 shift 3
@@ -16,7 +17,9 @@ check_words "$log_dir" "$@"
 status=0
 roomeq --ask "$verb" "$@" || status=$?
 [ "$status" -eq 3 ] || exit "$status" # 3: the output is to be made; 0: it is up to date
+begin_progress "$log_dir"
 # $cmd may hold options ("queue.pl --mem 2G"): split on purpose
 # shellcheck disable=SC2086
 $cmd JOB=1:"$nj" "$log_dir/$verb.JOB.log" roomeq "$verb" --part "JOB/$nj" "$@"
+end_progress
 roomeq "$verb" "$@"

@@ -16,6 +16,7 @@ import click
 from roomeq import __version__
 from roomeq.core.asking import NotUpToDate, only_ask
 from roomeq.core.limits import LIMITS
+from roomeq.core.progress import LineHandler
 
 NOT_UP_TO_DATE = 3
 """Exit status where ``--ask`` is answered with no."""
@@ -360,7 +361,7 @@ def compare() -> None:
 
 def main(argv: list[str] | None = None) -> int:
     """Run one verb and return the exit status; a mistake of the user is one line and status 1."""
-    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(message)s")
+    logging.basicConfig(level=logging.INFO, handlers=[LineHandler()], format="%(message)s")
     try:
         return cli.main(argv, prog_name="roomeq", standalone_mode=False) or 0
     except click.UsageError as error:

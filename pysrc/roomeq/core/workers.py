@@ -7,8 +7,13 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
+from roomeq.core.progress import Meter, silence, tick
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+SHOWN_EVERY_S = 1.0
+"""How often the progress is shown while workers are waited for [s]."""
 
 PARENT_CHECKED_S = 0.5
 """How often a worker looks whether its parent still runs [s]."""
@@ -47,7 +52,7 @@ def end_with(parent: int) -> None:
 
 
 def share_out(work: Callable[[Item], Result], items: Iterable[Item], nj: int, *,
-              first_here: bool = True) -> list[Result]:
+              first_here: bool = True, label: str) -> list[Result]:
     """Return ``[work(item) for item in items]``, computed by up to `nj` forked processes, which inherit the memory.
 
     Only the results are pickled.
@@ -60,6 +65,8 @@ def share_out(work: Callable[[Item], Result], items: Iterable[Item], nj: int, *,
     nj : int
     first_here : bool
         Work on the first item before forking, so that all processes inherit what it compiled and cached.
+    label : str
+        Name of an item for the progress, e.g. ``"render"``.
 
     Raises
     ------
@@ -68,15 +75,30 @@ def share_out(work: Callable[[Item], Result], items: Iterable[Item], nj: int, *,
     """
     items = list(items)
     n_here = len(items) if nj == 1 else int(first_here)
-    results, items = [work(item) for item in items[:n_here]], items[n_here:]
-    if not items:
-        return results
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor
+    with Meter(len(items), label) as meter:
+        results = []
+        for item in items[:n_here]:
+            results.append(work(item))
+            meter.advance()
+        items = items[n_here:]
+        if not items:
+            return results
+        import multiprocessing
+        from concurrent.futures import ProcessPoolExecutor, wait
 
-    with ProcessPoolExecutor(n_processes(nj, len(items)), multiprocessing.get_context("fork"),
-                             initializer=_start_worker, initargs=(work, items)) as pool:
-        return [*results, *pool.map(_work_on, range(len(items)))]
+        with ProcessPoolExecutor(n_processes(nj, len(items)), multiprocessing.get_context("fork"),
+                                 initializer=_start_worker, initargs=(work, items)) as pool:
+            futures = [pool.submit(_work_on, n) for n in range(len(items))]
+            try:
+                for future in futures:
+                    while wait([future], SHOWN_EVERY_S).not_done:
+                        tick()
+                    results.append(future.result())
+                    meter.advance()
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+        return results
 
 
 def _start_worker(work: Callable[[Any], Any], items: list[Any]) -> None:
@@ -84,6 +106,7 @@ def _start_worker(work: Callable[[Any], Any], items: list[Any]) -> None:
 
     global _task
     _task = work, items
+    silence()
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # which a job in the background ignores
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # ends the worker without a message; the parent prints one
     parent = multiprocessing.parent_process()

@@ -77,7 +77,8 @@ def twin_recordings(data: Data, absorption: FloatArray, effects: list[list[Effec
                                   for n, place in enumerate(data.places)])
     twin_seed = int(rng_for(seed, "loop twins", "seed").integers(2 ** 31))
     raw_rirs, _ = render_rows(moved, absorption, effects, seed=twin_seed, nj=nj)
-    measured = share_out(lambda n: _recorded(moved, n, raw_rirs[n], effects[n], twin_seed), range(len(data.rows)), nj)
+    measured = share_out(lambda n: _recorded(moved, n, raw_rirs[n], effects[n], twin_seed), range(len(data.rows)), nj,
+                         label="noise ceiling: measure simulated recordings")
     return replace(data, features=np.array([of_rir.values for of_rir in measured]) + np.outer(gains, HAS_GAIN),
                    valid=data.valid & np.array([of_rir.valid for of_rir in measured]),
                    white=np.array([of_rir.white for of_rir in measured]),

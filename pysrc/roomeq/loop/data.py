@@ -12,6 +12,7 @@ from joblib import Parallel, delayed
 
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.core.constants import BANDS_HZ, FS_HZ
+from roomeq.core.progress import progress
 from roomeq.core.rng import rng_for
 from roomeq.core.workers import share_out
 from roomeq.effects.base import Effect
@@ -189,7 +190,8 @@ def load_usable(usable: UsableRirs, *, scattering: float, seed: int, model: Mode
     located, estimates = complete_geometry(usable.rirs, seed, nj)
     recordings = _merge_sources([_Recording(*rir, find_place(rir.row, [rir.row], rir.directory, seed))
                                  for rir in located])
-    features = limit_to_excitation([recording.row for recording in recordings], share_out(_measure, recordings, nj))
+    features = limit_to_excitation([recording.row for recording in recordings],
+                                   share_out(_measure, recordings, nj, label="measure RIRs"))
     data = _trace(recordings, features, scattering, seed, Model() if model is None else model, nj)
     return replace(data, left_out=usable.left_out, estimates=estimates)
 
@@ -261,7 +263,9 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
                 collect(source, [places[n].mic_pos_m for n in members], facings))
 
     # threads: paths are large, and their kernels release the interpreter's lock
-    traces = Parallel(n_jobs=nj, prefer="threads")(delayed(trace)(*at, members) for at, members in by_source.items())
+    workers = Parallel(n_jobs=nj, prefer="threads", return_as="generator")
+    traces = progress(workers(delayed(trace)(*at, members) for at, members in by_source.items()), len(by_source),
+                      "trace sources")
     traced: dict[int, StoredTrace] = {}
     tables: dict[int, Table] = {}
     for members, (source, of_members) in zip(by_source.values(), traces, strict=True):

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from roomeq.core.arrays import BoolArray, FloatArray
+from roomeq.core.progress import progress
 from roomeq.effects.base import Effect
 from roomeq.loop.data import Data
 from roomeq.loop.features import HAS_GAIN, N_FEATURES
@@ -128,7 +129,7 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
         sigma, omega = initial.sigma.copy(), initial.omega.copy()
         _continue(index, initial, mean, local)
     start_from_measured(index, mean, local, () if initial is None else initial.effects)
-    for iteration in range(iterations):
+    for iteration in progress(range(iterations), iterations, "fit: iterations"):
         covariance = covariances(index, shape, own_scale, gain_db)
         predicted, derivatives = index.linearize(mean, local, correction, known)
         residual, valid = data.residual(predicted)

@@ -69,7 +69,8 @@ def render_rows(data: Data, absorption: FloatArray, effects: Sequence[Sequence[E
 
     groups = _groups_of_paths(data, absorption, effects, rows)
     rendered = dict(zip([n for group in groups for n in group],
-                        [row for of_group in share_out(render_and_measure, groups, nj) for row in of_group],
+                        [row for of_group in share_out(render_and_measure, groups, nj,
+                                                                label="render sources") for row in of_group],
                         strict=True))
     # a scene may be large and need not travel
     rirs, direct_gains, features = zip(*(rendered[n] for n in rows), strict=True)
@@ -115,7 +116,8 @@ def features_with_effects(data: Data, raw_rirs: Sequence[RawRir], variants: Sequ
     ndarray, shape (n_variants, n_rirs, n_features)
     """
     jobs = [(n, effects[n]) for effects in variants for n in range(len(data.rows))]
-    features = share_out(lambda job: measure_row(data, job[0], raw_rirs[job[0]], job[1], seed).values, jobs, nj)
+    features = share_out(lambda job: measure_row(data, job[0], raw_rirs[job[0]], job[1], seed).values, jobs, nj,
+                         label="render RIRs with other parameters")
     return np.reshape(features, (len(variants), len(data.rows), N_FEATURES))
 
 

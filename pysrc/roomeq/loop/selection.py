@@ -312,7 +312,7 @@ def rank(session: Session, eliminated: Collection[type[Effect]] = ()) -> Ranking
                                    if effect not in known and effect.applies(data)]
     session = with_rendered_changes(session, lacking)
     candidates = share_out(lambda effect: _candidate(session, effect, before), lacking, session.nj,
-                           first_here=False)
+                           first_here=False, label=f"effect {len(session.effects) + 1}: fit candidates")
     return Ranking(session, sorted(candidates, key=lambda candidate: -candidate.total))
 
 

@@ -20,7 +20,8 @@ pytestmark = pytest.mark.usefixtures("default_hangup")
 def test_results_keep_the_order_of_the_items(nj, count, first_here):
     lock = threading.Lock()  # items need not be picklable
     items = ((n, lock) for n in range(count))
-    assert share_out(lambda item: item[0] ** 2, items, nj, first_here=first_here) == [n ** 2 for n in range(count)]
+    squares = share_out(lambda item: item[0] ** 2, items, nj, first_here=first_here, label="")
+    assert squares == [n ** 2 for n in range(count)]
 
 
 @pytest.mark.parametrize("first_here", [True, False])
@@ -29,7 +30,7 @@ def test_work_is_done_by_as_many_processes_as_asked(first_here):
         time.sleep(0.2)
         return os.getpid()
 
-    ids = share_out(busy, range(5), 2, first_here=first_here)
+    ids = share_out(busy, range(5), 2, first_here=first_here, label="")
     assert (ids[0] == os.getpid()) == first_here
     assert len(set(ids) - {os.getpid()}) == 2
 
@@ -39,7 +40,7 @@ def test_errors_of_workers_keep_their_type_and_text():
         raise ValueError(f"room {item}: no RIRs")
 
     with pytest.raises(ValueError, match="room 3: no RIRs"):
-        share_out(fail, [3, 4], 2, first_here=False)
+        share_out(fail, [3, 4], 2, first_here=False, label='')
 
 
 @pytest.mark.parametrize("nj, n_items, n_cores, expected", [
@@ -56,7 +57,7 @@ def test_workers_end_with_their_parent(how, tmp_path):
     script = ("import os, signal, sys, time\nfrom roomeq.core.workers import share_out\n"
               "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
               "def work(n):\n    open(os.path.join(sys.argv[1], str(os.getpid())), 'w').close()\n    time.sleep(600)\n"
-              "share_out(work, range(4), 3, first_here=False)\n")
+              "share_out(work, range(4), 3, first_here=False, label='')\n")
     parent = subprocess.Popen([sys.executable, "-c", script, str(tmp_path)], start_new_session=True,
                               stderr=subprocess.PIPE, text=True)
     workers = _until(lambda: [int(name) for name in os.listdir(tmp_path)], lambda running: len(running) == 3)
