@@ -110,3 +110,6 @@ if [ "$status" = 2 ]; then
     "list) name another folder, as target or prefix?"
 fi
 rm -rf .venv.old "$log"
+# otherwise the first simulation waits for the compiler
+.venv/bin/python -m roomeq.compile_kernels >/dev/null 2>&1 ||
+  echo "install.sh: the simulator's kernels are compiled when they are first used"

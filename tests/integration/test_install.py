@@ -66,6 +66,7 @@ def make_tree(tree: Path, project_dir: Path, pins: str) -> Path:
         shutil.copy2(project_dir / name, tree / name)
     (tree / "pysrc/roomeq").mkdir(parents=True)
     (tree / "pysrc/roomeq/__init__.py").write_text("def main(): print(__file__)\n")
+    (tree / "pysrc/roomeq/compile_kernels.py").touch()
     for name, text in (("pyproject.toml", PYPROJECT), ("local/backend.py", BACKEND), ("requirements.txt", pins),
                        ("local/small_wheel.py", SMALL_WHEEL), ("local/build-requirements.txt", "")):
         (tree / name).write_text(text)

@@ -99,7 +99,7 @@ def test_user_table_may_have_fewer_bands_and_scattering(tmp_path, caplog):
     assert find_surface(table, "foam").scattering == (0.3,) * 8
     assert "own.toml: coarse, felt: fewer than 8 bands; 62.5 Hz takes the value at 125 Hz" in caplog.text
     path.write_text("[materials.felt]\nabsorption = [0.1, 0.2, 0.3]\n")
-    with pytest.raises(ValueError, match=r"own.toml: absorption of material 'felt': 3 coefficients must be 8"):
+    with pytest.raises(ValueError, match=r"own.toml: absorption of material 'felt': 3 coefficients must be 9"):
         read_materials(path)
     path.write_text("[scattering]\nrough = 0.3\n[materials.felt]\nabsorption = 0.1\nscattering = 'ruff'\n")
     with pytest.raises(ValueError, match=r"own.toml: scattering='ruff' is in no table .*closest: rough"):

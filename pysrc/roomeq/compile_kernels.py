@@ -1,0 +1,24 @@
+"""Compile the simulator's kernels before they are needed: ``python -m roomeq.compile_kernels``.
+
+The machine code is kept on disk for this version of the sources (`roomeq.core.jit`). Without it, the first response of
+each installation waits for the compiler.
+"""
+
+import numpy as np
+
+from roomeq.acoustics.parameters import measure
+from roomeq.sim.response import simulate_responses
+from roomeq.sim.scene import Material, Scene, Shoebox
+
+
+def main() -> None:
+    """Simulate and analyse a response, with and without a target of the reverberation time."""
+    scene = Scene(Shoebox((3.0, 3.0, 3.0)), [Material("all", 0.3, 0.2)] * 6)
+    source_m, mics_m = (1.0, 1.0, 1.0), np.array([[2.0, 2.0, 2.0]])
+    for target_t60_s in (None, 0.3):
+        (response,) = simulate_responses(scene, source_m, mics_m, num_rays=100, target_t60_s=target_t60_s)
+        measure(response.rir)
+
+
+if __name__ == "__main__":
+    main()
