@@ -52,10 +52,8 @@ def made(tmp_path_factory):
 
 
 PAGES = {
-    "file": ["show", "rir<48k>.wav"], "channel": ["show", "stereo.wav", "--channel", "1"],
-    "row": ["show", "measured/audio/hall-1.wav", "--speech", "speech.wav"],
-    "suspicious": ["show", "reversed.wav", "--keep-suspicious"],
-    "set": ["show", "measured"], "chosen": ["show", "simulated", "--id", "office-2-sim"],
+    "file": ["show", "rir<48k>.wav"], "row": ["show", "measured/audio/hall-1.wav", "--speech", "speech.wav"],
+    "suspicious": ["show", "reversed.wav", "--keep-suspicious"], "set": ["show", "simulated", "--id", "office-2-sim"],
     "loop": ["show", "loop"], "pair": ["compare", "measured/audio/hall-0.wav", "rir<48k>.wav"],
     "sets": ["compare", "measured", "simulated", "--id", "hall-2"]}
 
@@ -117,11 +115,11 @@ def test_page_of_two_sets_pairs_them_and_shows_the_chosen_pair(pages):
 
 def test_same_input_gives_the_same_page(made, pages, monkeypatch):
     monkeypatch.chdir(made)
-    assert main([*PAGES["sets"], "--out", "again.html"]) == 0
-    assert (made / "again.html").read_bytes() == pages["sets"].read_bytes()
+    assert main([*PAGES["loop"], "--out", "again.html"]) == 0
+    assert (made / "again.html").read_bytes() == pages["loop"].read_bytes()
 
 
-@pytest.mark.parametrize("name", ["file", "set", "loop", "chosen"])
+@pytest.mark.parametrize("name", ["file", "set", "loop"])
 def test_picture_is_a_png(made, monkeypatch, name):
     monkeypatch.chdir(made)
     assert main([*PAGES[name], "--out", "picture.png"]) == 0
@@ -130,6 +128,8 @@ def test_picture_is_a_png(made, monkeypatch, name):
 
 @pytest.mark.parametrize("words, parts", [
     (["show", "rir<48k>.wav"], ["48,000 Hz", "16000 Hz", "T30 (s)", "--out FILE.html"]),
+    (["show", "stereo.wav", "--channel", "1"], ["stereo.wav, channel 1", "16,000 Hz"]),
+    (["show", "reversed.wav", "--keep-suspicious"], ["No RIR by its acoustics: time-reversed"]),
     (["show", "measured"], ["8 RIRs of 2 rooms", "hall", "office", "--id ID, such as"]),
     (["show", "measured", "--id", "office-0"], ["5.0 × 4.0 × 2.5 m", "Direct-to-reverberant ratio"]),
     (["show", "loop"], ["The simulation lacked: frequency response of the loudspeakers", "What to do:"]),
@@ -173,9 +173,8 @@ def test_names_that_cannot_be_drawn_or_printed_are_replaced(made, monkeypatch):
     monkeypatch.chdir(made)
     name = "_$x_{\t.wav"
     (made / name).write_bytes((made / "measured/audio/hall-0.wav").read_bytes())
-    for words in ([], ["--out", "odd.html"], ["--out", "odd.png"]):
+    for words in ([], ["--out", "odd.png"]):
         assert main(["show", name, *words]) == 0
-    assert main(["compare", name, "rir<48k>.wav", "--out", "odd.html"]) == 0
     os.symlink(made / "measured", made / "$_{a")
     assert main(["compare", "$_{a", "simulated", "--out", "odd.html"]) == 0
 

@@ -62,7 +62,8 @@ def compared_rirs(first: ShownRir, second: ShownRir, speech: Path | None) -> Con
     players = [(letter, colour, rir.samples, rir.fs_hz)
                for letter, colour, rir in zip(LETTERS, figures_rir.COLOURS, rirs, strict=True)]
     return {"names": [shown.rir.name for shown in (first, second)],
-            "problems": [shown.problem for shown in (first, second)], "clips": clips(players, speech), "bands": compared_bands(first, second),
+            "problems": [shown.problem for shown in (first, second)], "clips": clips(players, speech),
+            "bands": compared_bands(first, second),
             "band_columns": [("Octave", "text"), *((tables.HEADINGS[metric], "interval") for metric in METRICS)],
             "summary": compared_summary(first, second),
             "time_panels": [panel("figure-waveform", figures_rir.waveform(rirs), "Waveforms of both RIRs"),

@@ -64,8 +64,8 @@ def rir_set(directory: Path, suffix: str | None, ident: str | None, speech: Path
                     over_frequency([of_set], "eq", "EQ (dB, 1 kHz = 0)")], f"RIRs of {of_set.label}")
     chosen = chosen or read_rir_of(directory, middle_of(of_set), keep_suspicious=True)
     context = set_context(of_set)
-    lead = ("Reverberation, clarity and colour of the room impulse responses (RIRs) of a directory, room by room. One of "
-            "them is shown in detail.")
+    lead = ("Reverberation, clarity and colour of the room impulse responses (RIRs) of a directory, room by room. One "
+            "of them is shown in detail.")
     return make_page(f"RIRs of {of_set.label}", lead, set_facts(of_set), [],
                      [("set", "Overview", context), *_rir_parts(chosen, of_set.rows, speech, f"RIR {chosen.rir.name}"),
                       ("list", "All RIRs", context)])
