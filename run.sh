@@ -118,7 +118,8 @@ fi
 
 if at_stage 5 "close the loop: find the effects that the simulation lacks, and simulate with them"; then
   require "$data/rirs.real.train/rirs.jsonl" steps/split_rirs.sh
-  if local/enough_rooms.py "$data/rirs.real.train"; then
+  local/enough_rooms.py "$data/rirs.real.train" "$exp/rooms"
+  if [ -f "$exp/rooms/enough" ]; then
     steps/close_loop.sh --nj "$nj" --max-effects "$max_effects" --seed "$seed" \
       "$data/rirs.real.train" "$data/rirs.real.dev" "$exp/loop"
     for x in train dev; do
@@ -129,7 +130,8 @@ fi
 
 if at_stage 6 "make far-field speech"; then
   kinds=(real sim sim.EQ)
-  if local/enough_rooms.py "$data/rirs.real.train" >/dev/null; then kinds+=(sim.loop); fi
+  local/enough_rooms.py "$data/rirs.real.train" "$exp/rooms" >/dev/null
+  [ ! -f "$exp/rooms/enough" ] || kinds+=(sim.loop)
   unchecked=() # clean speech of which no far-field speech was made yet; it is checked as Kaldi does, with its audio
   for x in train dev test; do
     require "$data/$x.clean/wav.scp" steps/prepare_speech.sh

@@ -1,28 +1,61 @@
 #!/usr/bin/env python3
 """Tell whether measured RIRs suffice for the closed loop, which leaves rooms out and scores halves of rooms.
 
-Usage: enough_rooms.py RIR_DIR
-e.g.:  python local/enough_rooms.py data/rirs.real.train
+Usage: enough_rooms.py RIR_DIR OUT_DIR
+e.g.:  python local/enough_rooms.py data/rirs.real.train exp/rooms
 
-Exit status 0 if `roomeq close-loop` takes them; 1 and its one line if not.
+All recordings are read for it. OUT_DIR/usable.json says what was found; it is made again when RIRs or code change.
+There is a file OUT_DIR/enough if `roomeq close-loop` takes the RIRs; if not, its one line is printed.
 """
 
 import sys
 from pathlib import Path
 
-from roomeq.loop.usable import require_enough_rooms
+from roomeq.core.build import Build
+from roomeq.core.files import read_json, write_json, write_text
+
+USABLE_FILE, ENOUGH_FILE = "usable.json", "enough"
+
+
+def why_not(rir_dir: Path, out: Path) -> str | None:
+    """Return why the RIRs of a directory are too few, or None; the answer is kept in `out`.
+
+    Raises
+    ------
+    ValueError
+        An RIR directory is invalid, or `out` was not made by this function.
+    """
+    build = Build(out, step="enough-rooms", options={}, inputs=[rir_dir, Path(__file__)])
+
+    def assemble(directory: Path, _: list[None]) -> None:
+        from roomeq.loop.usable import too_few_rooms, usable_rirs  # takes longer than all the rest
+
+        usable = usable_rirs([rir_dir])
+        problem = too_few_rooms(usable)
+        write_json(directory / USABLE_FILE, dict(rirs=len(usable.rirs), scored_rooms=usable.n_scored,
+                                                 left_out=[entry._asdict() for entry in usable.left_out],
+                                                 problem=problem))
+        if problem is None:
+            write_text(directory / ENOUGH_FILE, "")
+
+    if not build.done and build.run({}, lambda *_: None):
+        build.finish(assemble)
+    return read_json(out / USABLE_FILE)["problem"]
 
 
 def main(argv: list[str]) -> int:
     """Check the directory; return the exit status."""
-    if len(argv) != 1 or argv[0].startswith("-"):
+    if len(argv) != 2 or argv[0].startswith("-"):
         print(__doc__)
         return 0 if argv[:1] in (["--help"], ["-h"]) else 1
+    rir_dir, out = map(Path, argv)
     try:
-        require_enough_rooms([Path(argv[0])])
+        problem = why_not(rir_dir, out)
     except (ValueError, OSError) as error:
-        print(f"no closed loop: {error}")
+        print(f"enough_rooms.py: {error}", file=sys.stderr)
         return 1
+    if problem:
+        print(f"no closed loop: {rir_dir}: {problem}")
     return 0
 
 

@@ -30,7 +30,8 @@ read -ra chain_opts <<<"$chain_opts"
 read -ra decode_opts <<<"$decode_opts"
 
 kinds=(clean real.rvb sim.rvb sim.EQ.rvb) # each has a dev set of its own kind, as in the paper; the test set is common
-if [ "$dry_run" = true ] || local/enough_rooms.py "$data/rirs.real.train" >/dev/null; then kinds+=(sim.loop.rvb); fi
+[ "$dry_run" = true ] || local/enough_rooms.py "$data/rirs.real.train" "$exp/rooms" >/dev/null
+if [ "$dry_run" = true ] || [ -f "$exp/rooms/enough" ]; then kinds+=(sim.loop.rvb); fi
 copied=("$data/test.real.rvb" "${kinds[@]/#/$data/train.}" "${kinds[@]/#/$data/dev.}")
 [ "$stock_rvb" = false ] || kinds+=(sim.stock.rvb)
 for x in $rows; do

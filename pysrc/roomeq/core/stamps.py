@@ -23,7 +23,8 @@ DONE_FILE = ".done"
 FORMAT = 2
 """Version of the files that this roomeq reads and writes. 1 had no `format` in its stamp."""
 
-_COMMANDS = {"split": "roomeq split-rirs", "dict": "local/make_dict.py", "digits": "local/prepare_digits.py",
+_COMMANDS = {"split": "roomeq split-rirs", "enough-rooms": "local/enough_rooms.py", "dict": "local/make_dict.py",
+             "digits": "local/prepare_digits.py",
              "synthetic-rirs": "local/make_synthetic_rirs.py", "synthetic-speech": "local/make_synthetic_speech.py",
              "standin-rirs": "local/make_synthetic_rirs.py", "standin-speech": "local/make_synthetic_speech.py"}
 """Commands of steps that are not called ``roomeq STEP``; the last two steps had these names in format 1."""

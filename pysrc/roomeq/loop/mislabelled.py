@@ -34,8 +34,8 @@ class _Heard(NamedTuple):
     levels_db: FloatArray
 
 
-def find_mislabelled(rirs: Sequence[tuple[Path, RirRow]]) -> list[str | None]:
-    """Return for each RIR the fixed phrase for what does not fit, or None; the log has the details.
+def find_mislabelled(rirs: Sequence[tuple[Path, RirRow]]) -> list[Doubt | None]:
+    """Return for each RIR what does not fit, or None; the log has the details.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def find_mislabelled(rirs: Sequence[tuple[Path, RirRow]]) -> list[str | None]:
             doubts[n] = doubt
     for detail in dict.fromkeys(doubt.detail for doubt in doubts if doubt):
         logger.warning("left out: %s", detail)
-    return [doubt and doubt.phrase for doubt in doubts]
+    return doubts
 
 
 def _listen(directory: Path, row: RirRow) -> _Heard:

@@ -6,14 +6,17 @@ contradict. The verb `close-loop` and the recipe's stage 5 both decide here.
 
 import logging
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 from roomeq.corpora.suspicious import suspicion
-from roomeq.records.geometry import OUTSIDE, find_contradiction, geometry_usability
+from roomeq.records.geometry import OUTSIDE, UNKNOWN, find_contradiction, geometry_usability
 from roomeq.records.rir_dir import read_rirs, require_16_khz
 from roomeq.records.schema import RirRow
+
+if TYPE_CHECKING:
+    from roomeq.loop.doubtful_geometry import Doubt
 
 logger = logging.getLogger(__name__)
 
@@ -42,10 +45,22 @@ class LeftOut(NamedTuple):
 
 
 class UsableRirs(NamedTuple):
-    """Usable RIRs, sorted by room and id, and those that are left out, by reason, the most frequent first."""
+    """Usable RIRs, and those that are left out.
+
+    Attributes
+    ----------
+    rirs : list of Located
+        Sorted by room and id.
+    left_out : list of LeftOut
+        By reason, the most frequent first.
+    contradictions : tuple of str
+        What contradicts what in the first RIR or room of each reason that is an error in the rows: name, value, rule
+        and remedy.
+    """
 
     rirs: list[Located]
     left_out: list[LeftOut]
+    contradictions: tuple[str, ...] = ()
 
     @property
     def n_scored(self) -> int:
@@ -70,14 +85,17 @@ def usable_rirs(directories: Iterable[Path]) -> UsableRirs:
     _require_unique(found)
     found.sort(key=lambda rir: (rir.row["room_id"], rir.row["id"]))
     reasons = [_refused(rir) for rir in found]
-    _log_contradictions(found, reasons)
-    reasons = _with_mislabelled(found, reasons)
+    contradictions = _log_contradictions(found, reasons)
+    for n, doubt in _mislabelled(found, reasons):
+        reasons[n] = doubt.phrase
+        contradictions.setdefault(doubt.phrase, doubt.detail)
     left_out = []
     for reason in sorted({reason for reason in reasons if reason}):
         rooms = [rir.row["room_id"] for rir, of_rir in zip(found, reasons, strict=True) if of_rir == reason]
         left_out.append(LeftOut(reason, len(rooms), len(set(rooms))))
     left_out.sort(key=lambda entry: -entry.rirs)
-    return UsableRirs([rir for rir, reason in zip(found, reasons, strict=True) if reason is None], left_out)
+    return UsableRirs([rir for rir, reason in zip(found, reasons, strict=True) if reason is None], left_out,
+                      tuple(contradictions[entry.reason] for entry in left_out if entry.reason in contradictions))
 
 
 def require_enough_rooms(directories: Sequence[Path]) -> UsableRirs:
@@ -87,19 +105,29 @@ def require_enough_rooms(directories: Sequence[Path]) -> UsableRirs:
     ------
     ValueError
         Fewer than `MIN_ROOMS` rooms have two usable RIRs; the message counts the RIRs by reason and says what to
-        measure. Also raised as by `usable_rirs`.
+        measure or to correct. Also raised as by `usable_rirs`.
     """
     usable = usable_rirs(directories)
+    if problem := too_few_rooms(usable):
+        raise ValueError(f"{', '.join(map(str, directories))}: {problem}")
+    return usable
+
+
+def too_few_rooms(usable: UsableRirs) -> str | None:
+    """Return why usable RIRs are too few for the closed loop, and what to do about it; None if they are enough."""
     if usable.n_scored >= MIN_ROOMS:
-        return usable
+        return None
     problem = f"the closed loop needs {MIN_ROOMS} rooms or conditions (room_id) with two usable RIRs each, and has " \
               f"{usable.n_scored}: "
-    remedy = "give further rooms"
+    remedies = ["give further rooms"]
+    if usable.contradictions:
+        remedies.insert(0, f"correct the rows ({'; '.join(usable.contradictions)})")
     if unusable := sum(entry.rirs for entry in usable.left_out):
         reasons = "; ".join(f"{entry.rirs}: {entry.reason}" for entry in usable.left_out)
         problem = f"{unusable} of {unusable + len(usable.rirs)} RIRs cannot be used ({reasons}); {problem}"
-        remedy = "measure what is unknown (heights may stay unknown), or give further rooms"
-    raise ValueError(f"{', '.join(map(str, directories))}: {problem}{remedy}")
+    if any(entry.reason.endswith(UNKNOWN) for entry in usable.left_out):
+        remedies.insert(0, "measure what is unknown (heights may stay unknown)")
+    return problem + ", or ".join(remedies)
 
 
 def _refused(rir: Located) -> str | None:
@@ -110,23 +138,31 @@ def _refused(rir: Located) -> str | None:
     return NO_RIR if reason is None and suspicion(rir.directory, rir.row) else reason
 
 
-def _log_contradictions(rirs: Iterable[Located], reasons: Iterable[str | None]) -> None:
-    """Log the first RIR of each room that is left out because its geometry contradicts itself, with the values."""
-    told = set()
+def _log_contradictions(rirs: Iterable[Located], reasons: Iterable[str | None]) -> dict[str, str]:
+    """Log the first RIR of each room that is left out because its geometry contradicts itself, with the values.
+
+    Returns the first of each reason.
+    """
+    told, first = set(), dict[str, str]()
     for (_, row), reason in zip(rirs, reasons, strict=True):
         problem = find_contradiction(row)
         if reason and problem and problem.phrase == reason and (row["room_id"], reason) not in told:
             told.add((row["room_id"], reason))
-            logger.warning("left out: RIR %s of room %s: %s: correct it, or state lengths in metres", row["id"],
-                           row["room_id"], problem.detail)
+            detail = f"RIR {row['id']} of room {row['room_id']}: {problem.detail}: correct it, or state lengths in " \
+                     "metres"
+            logger.warning("left out: %s", detail)
+            first.setdefault(reason, detail)
+    return first
 
 
-def _with_mislabelled(rirs: Sequence[Located], reasons: Sequence[str | None]) -> list[str | None]:
-    """Return the reasons with those of RIRs whose rows are contradicted by their recordings."""
+def _mislabelled(rirs: Sequence[Located], reasons: Sequence[str | None]) -> Iterator[tuple[int, "Doubt"]]:
+    """Yield number and doubt of those RIRs without a reason whose rows are contradicted by their recordings."""
     from roomeq.loop.mislabelled import find_mislabelled  # only where there are recordings to listen to
 
-    left = iter(find_mislabelled([rir for rir, reason in zip(rirs, reasons, strict=True) if reason is None]))
-    return [reason or next(left) for reason in reasons]
+    left = [n for n, reason in enumerate(reasons) if reason is None]
+    for n, doubt in zip(left, find_mislabelled([rirs[n] for n in left]), strict=True):
+        if doubt:
+            yield n, doubt
 
 
 def _outside_mesh(rir: Located) -> bool:

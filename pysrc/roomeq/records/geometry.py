@@ -29,7 +29,9 @@ BINAURAL = "binaural, where an omnidirectional microphone is needed"
 MARKED = "the positions are marked unreliable"
 CONTRADICTORY = "the positions are marked as contradictory"
 OUTSIDE = "a position lies outside the room"
-"""Fixed reasons why the closed loop cannot use an RIR; `_unknown_of` and `find_contradiction` give the others."""
+UNKNOWN = " are unknown"
+"""Fixed reasons why the closed loop cannot use an RIR; `find_contradiction` gives others, and those of `_unknown_of`
+end in `UNKNOWN`."""
 
 _MARKS = ("unreliable_geometry", "geometry_problem")
 _REQUIREMENTS: dict[Need, _Requirement] = {
@@ -113,7 +115,7 @@ def _unknown_of(row: Mapping[str, Any]) -> str | None:
             if not is_known((row.get(key) or [None])[:3 if mesh else 2])]
     if ends:
         unknown.append(f"{'x, y and z' if mesh else 'x and y'} of {' and '.join(ends)}")
-    return f"{' and '.join(unknown)} are unknown" if unknown else None
+    return f"{' and '.join(unknown)}{UNKNOWN}" if unknown else None
 
 
 def position_key(row: Mapping[str, Any]) -> str | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from rirmaker import coloured_rir, row, write_rir_dir
 
+from enough_rooms import main as check_rooms
 from roomeq.cli import main
 from roomeq.core.audio import write_wav
 from roomeq.core.files import write_text
@@ -14,6 +15,7 @@ from roomeq.loop.close import SCATTERING
 from roomeq.loop.data import load_data
 from roomeq.loop.usable import LeftOut, require_enough_rooms, usable_rirs
 from roomeq.records.geometry import BINAURAL, MARKED, OUTSIDE
+from roomeq.records.rir_dir import read_rirs
 
 ENOUGH_ROOMS = Path(__file__).parents[3] / "local/enough_rooms.py"
 FLAT = dict(source_pos_m=[1.0, 1.0, None], mic_pos_m=[4.0, 3.0, None])
@@ -27,10 +29,11 @@ def directory(where, rows):
     return write_rir_dir(where, [(item, coloured_rir([*item["id"].encode()])) for item in rows])
 
 
-def enough_rooms(where):
-    """Run the recipe's check; return its exit status and what it prints."""
-    done = subprocess.run([sys.executable, str(ENOUGH_ROOMS), str(where)], capture_output=True, text=True, check=False)
-    return done.returncode, done.stdout + done.stderr
+def enough_rooms(where, out):
+    """Run the recipe's check; return whether the rooms are enough, and what it prints."""
+    done = subprocess.run([sys.executable, str(ENOUGH_ROOMS), str(where), str(out)], capture_output=True, text=True,
+                          check=True)
+    return (out / "enough").exists(), done.stdout + done.stderr
 
 
 @pytest.fixture
@@ -80,22 +83,56 @@ def test_data_holds_the_usable_rirs_and_counts_the_others(tmp_path):
 @pytest.mark.parametrize("n_rooms, enough", [(2, False), (3, True)])
 def test_recipe_and_verb_agree_on_rirs_with_unknown_heights(tmp_path, n_rooms, enough):
     where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **FLAT) for n in range(2 * n_rooms)])
-    status, text = enough_rooms(where)
+    found, text = enough_rooms(where, tmp_path / "rooms")
+    assert found == enough
     if enough:
         require_enough_rooms([where])
-        assert (status, text) == (0, "")
+        assert text == ""
     else:
         with pytest.raises(ValueError, match=r"needs 3 rooms or conditions .* and has 2: give") as refused:
             require_enough_rooms([where])
-        assert (status, text) == (1, f"no closed loop: {refused.value}\n")
+        assert text == f"no closed loop: {refused.value}\n"
 
 
 def test_bare_files_are_refused_by_recipe_and_verb_in_the_same_line(bare, tmp_path, capsys):
-    status, text = enough_rooms(bare)
-    assert status == 1 and text == (
+    enough, text = enough_rooms(bare, tmp_path / "rooms")
+    assert not enough and text == (
         f"no closed loop: {bare}: 10 of 10 RIRs cannot be used (10: the room's dimensions and x and y of source and "
         "microphone are unknown); the closed loop needs 3 rooms or conditions (room_id) with two usable RIRs each, "
         "and has 0: measure what is unknown (heights may stay unknown), or give further rooms\n")
     assert main(["close-loop", str(bare), "--out", str(tmp_path / "loop")]) == 1
     assert capsys.readouterr().err == text.replace("no closed loop: ", "roomeq: ")
     assert not (tmp_path / "loop").exists()
+
+
+def test_kept_answer_is_used_until_a_recording_changes(tmp_path, monkeypatch, capsys):
+    where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **KNOWN) for n in range(6)])
+    out = tmp_path / "rooms"
+    for refused in (False, True):
+        assert check_rooms([str(where), str(out)]) == 0 and (out / "enough").exists() is not refused
+        said = capsys.readouterr().out
+        with monkeypatch.context() as patch:
+            patch.setattr("roomeq.loop.usable.usable_rirs", None)
+            assert check_rooms([str(where), str(out)]) == 0
+        assert capsys.readouterr().out == said and said.startswith("no closed loop: ") is refused
+        write_wav(where / read_rirs(where)[0]["wav"], coloured_rir([*b"r5"]))  # a copy of another room's recording
+    assert "is the recording of RIR" in said
+
+
+def test_recording_that_cannot_be_read_ends_the_check(tmp_path, capsys):
+    where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **KNOWN) for n in range(6)])
+    (where / read_rirs(where)[0]["wav"]).write_text("no audio")
+    assert check_rooms([str(where), str(tmp_path / "rooms")]) == 1
+    assert read_rirs(where)[0]["wav"] in capsys.readouterr().err and not (tmp_path / "rooms").exists()
+
+
+def test_refusal_because_of_labels_names_them_and_says_to_correct_them(tmp_path):
+    outside = KNOWN | dict(mic_pos_m=[400.0, 3.0, 1.2])
+    where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **(outside if n < 4 else KNOWN))
+                                          for n in range(6)])
+    with pytest.raises(ValueError) as refused:
+        require_enough_rooms([where])
+    assert "and has 1: correct the rows (RIR r0 of room room0: mic_pos_m[0]=400 lies outside the room" in str(
+        refused.value)
+    assert str(refused.value).endswith("state lengths in metres), or give further rooms")
+    assert "measure what is unknown" not in str(refused.value)
