@@ -5,7 +5,7 @@
 # second; elsewhere a line a minute is printed. All jobs together are counted.
 
 progress_text() { # DIR: "label: done of all, time left" of all jobs, or nothing
-  cat -- "$1"/[!.]* 2>/dev/null | awk '
+  { cat -- "$1"/[!.]* 2>/dev/null || true; } | awk '
     $1 ~ /^[0-9]+$/ && $2 ~ /^[0-9]+$/ {
       done += $1; total += $2; if ($3 > left) left = $3
       if (label == "") { label = $4; for (n = 5; n <= NF; n++) label = label " " $n }
@@ -21,11 +21,12 @@ progress_text() { # DIR: "label: done of all, time left" of all jobs, or nothing
 show_progress() { # DIR: until the directory is gone, or the script that sourced this
   local text waited=0 width
   while sleep 1 && [ -d "$1" ] && kill -0 $$ 2>/dev/null; do
-    text=$(progress_text "$1")
+    text=$(progress_text "$1") || continue
     [ -n "$text" ] || continue
     if [ -t 2 ]; then
-      width=$(stty size <&2 2>/dev/null | cut -d ' ' -f 2) || width=80
-      printf '\r\033[K%s' "${text:0:${width:-80}-1}" >&2
+      width=$(stty size <&2 2>/dev/null | cut -d ' ' -f 2) || width=0
+      [ "${width:-0}" -gt 0 ] || width=80
+      printf '\r\033[K%s' "${text:0:width-1}" >&2
     elif ((waited++ % 60 == 59)); then
       printf '%s\n' "$text" >&2
     fi

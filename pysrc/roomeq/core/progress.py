@@ -58,6 +58,8 @@ class Meter:
 
     def __enter__(self) -> "Meter":
         _stack.append(self)
+        if _stack[0] is self and self.total and FOLDER_VARIABLE in os.environ and _silenced_in != os.getpid():
+            self._write(Path(os.environ[FOLDER_VARIABLE]), self._start)
         return self
 
     def __exit__(self, *_: object) -> None:

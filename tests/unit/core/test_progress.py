@@ -109,3 +109,10 @@ def test_messages_clear_the_line_of_the_progress(clock, monkeypatch):
 @pytest.mark.parametrize(("seconds", "text"), [(0.2, "0 s"), (59, "59 s"), (70, "1 min 10 s"), (7320, "2 h 2 min")])
 def test_durations_have_two_units(seconds, text):
     assert duration(seconds) == text
+
+
+def test_script_without_jobs_yet_shows_nothing_and_goes_on(tmp_path):
+    done = subprocess.run(["bash", "-euo", "pipefail", "-c",
+                           f". '{SCRIPT}'; text=$(progress_text '{tmp_path}'); echo \"[$text]\""], capture_output=True,
+                          text=True, check=True)
+    assert done.stdout == "[]\n"
