@@ -75,6 +75,7 @@ decode_opts="--beam 11 --max-active 2000 --lattice-beam 6"   # options of decode
 . local/check_options.sh
 . utils/one_run.sh && one_run "$data" "$exp"
 local/install.sh
+. utils/ask.sh && start_answering
 
 if at_stage 0 "read speech and measured RIRs"; then
   [ -n "$librispeech$speech" ] || log "no --speech or --librispeech: synthetic speech is used"

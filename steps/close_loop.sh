@@ -10,6 +10,7 @@ max_effects=4   # largest number of effects to add
 seed=0          # seed of all random numbers
 . ./path.sh
 . ./cmd.sh
+. utils/ask.sh
 . utils/parse_options.sh
 . utils/check_words.sh
 . utils/progress.sh
@@ -20,10 +21,13 @@ log=$(dirname "$3")/log/close-loop.log
 check_words "$log" "$@"
 cores=()
 [[ $cmd == utils/local.sh* ]] || cores=(--num-threads "$nj")
+verb=(close-loop --nj "$nj" --max-effects "$max_effects" --seed "$seed" --test "$2" --out "$3" "$1")
+status=0
+up_to_date "${verb[@]}" || status=$?
+[ "$status" -eq 3 ] || exit "$status"
 begin_progress "$(dirname "$log")"
 # $cmd may hold options ("queue.pl --mem 2G"): split on purpose
 # shellcheck disable=SC2086
-$cmd "${cores[@]}" "$log" roomeq close-loop --nj "$nj" --max-effects "$max_effects" --seed "$seed" \
-  --test "$2" --out "$3" "$1"
+$cmd "${cores[@]}" "$log" roomeq "${verb[@]}"
 end_progress
-grep -E '^(base model|test set|unexplained): |^(added|rejected|left out) |: (up to date|the test set is not scored)$' "$log"
+grep -E '^(base model|test set|unexplained): |^(added|rejected|left out) |: the test set is not scored$' "$log"

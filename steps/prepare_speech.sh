@@ -7,6 +7,7 @@ train_sets=train-clean-100   # sets of a LibriSpeech tree, comma-separated
 dev_sets=dev-clean
 test_sets=test-clean
 . ./path.sh
+. utils/ask.sh
 . utils/parse_options.sh
 [ $# -eq 2 ] || usage
-roomeq prepare-speech --train-sets "$train_sets" --dev-sets "$dev_sets" --test-sets "$test_sets" "$1" "$2"
+run_verb prepare-speech --train-sets "$train_sets" --dev-sets "$dev_sets" --test-sets "$test_sets" "$1" "$2"

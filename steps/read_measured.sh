@@ -6,8 +6,9 @@ set -euo pipefail
 noises=   # folder of noise recordings to add to those of the corpus
 keep_suspicious=false   # keep recordings that are no RIR by their acoustics
 . ./path.sh
+. utils/ask.sh
 . utils/parse_options.sh
 [ $# -eq 2 ] || usage
 flags=()
 [ "$keep_suspicious" = false ] || flags=(--keep-suspicious)
-roomeq read-measured ${noises:+--noises "$noises"} "${flags[@]}" "$1" "$2"
+run_verb read-measured ${noises:+--noises "$noises"} "${flags[@]}" "$1" "$2"

@@ -8,7 +8,8 @@ same_rooms=           # patterns: rooms that match one pattern count as one room
 sizes=773,194,242     # RIRs per set; proportions where there are fewer
 seed=0                # seed of all random numbers
 . ./path.sh
+. utils/ask.sh
 . utils/parse_options.sh
 [ $# -eq 1 ] || usage
 require "$1/rirs.jsonl" steps/characterise_rirs.sh
-roomeq split-rirs --split-by "$split_by" --same-rooms "$same_rooms" --sizes "$sizes" --seed "$seed" "$1" "$1"
+run_verb split-rirs --split-by "$split_by" --same-rooms "$same_rooms" --sizes "$sizes" --seed "$seed" "$1" "$1"

@@ -7,6 +7,7 @@
 set -euo pipefail
 . ./path.sh
 . ./cmd.sh
+. utils/ask.sh
 . utils/check_words.sh
 . utils/progress.sh
 [ $# -ge 3 ] || { sed -n '2,6s/^# //p' "$0" >&2 && exit 1; }
@@ -15,7 +16,7 @@ shift 3
 [[ $nj =~ ^[1-9][0-9]*$ ]] || { echo "${0##*/}: nj='$nj' must be a positive number of jobs" >&2 && exit 1; }
 check_words "$log_dir" "$@"
 status=0
-roomeq --ask "$verb" "$@" || status=$?
+up_to_date "$verb" "$@" || status=$?
 [ "$status" -eq 3 ] || exit "$status" # 3: the output is to be made; 0: it is up to date
 begin_progress "$log_dir"
 # $cmd may hold options ("queue.pl --mem 2G"): split on purpose

@@ -76,8 +76,12 @@ class KeptHashes:
         return content_hash
 
 
+_in_memory = KeptHashes()
+"""Of small inputs that this process has read."""
+
+
 def hashes_of_input(name: str, paths: Iterable[Path]) -> list[str | None]:
-    """Return the hashes of the files of an input; those of a large one are kept from run to run.
+    """Return the hashes of the files of an input; those of a large one are kept from run to run, others in memory.
 
     Parameters
     ----------
@@ -92,7 +96,7 @@ def hashes_of_input(name: str, paths: Iterable[Path]) -> list[str | None]:
     """
     paths = list(paths)
     if sum(look.size for path in paths if (look := quick_look(path))) < KEPT_FROM_BYTES:
-        return _read_in_threads(KeptHashes(), paths)
+        return _read_in_threads(_in_memory, paths)
     store = _cache_directory() / f"{hashlib.sha256(name.encode(errors='surrogateescape')).hexdigest()[:32]}.json"
     known = _read_store(store)
     if None not in (hashes := [known.find(path) for path in paths]):
@@ -107,6 +111,8 @@ def hashes_of_input(name: str, paths: Iterable[Path]) -> list[str | None]:
 
 
 def _read_in_threads(known: KeptHashes, paths: list[Path]) -> list[str | None]:
+    if None not in (hashes := [known.find(path) for path in paths]):
+        return hashes
     with ThreadPoolExecutor(_THREADS) as pool:
         return list(pool.map(known.of, paths))
 
