@@ -2,13 +2,17 @@
 # Ask whether the output of a roomeq verb is up to date. Sourced.
 # All steps of a recipe ask one process, if the recipe has called start_answering; a step by itself starts its own.
 
-# Start the process. It ends with the recipe, whose end closes its input.
+# Start the process. It ends when its input does, and the recipe waits for it.
 start_answering() {
-  local stdout to from
+  local stdout to from pipe
   exec {stdout}>&1
   coproc python -P -m roomeq.answers 3>&1 >&"$stdout"
-  exec {to}>&"${COPROC[1]}" {from}<&"${COPROC[0]}" {stdout}>&-
+  # opened anew: bash closes duplicates of a coprocess's descriptors in the scripts that it starts
+  exec {to}>"/dev/fd/${COPROC[1]}" {from}<"/dev/fd/${COPROC[0]}" {stdout}>&-
+  for pipe in "${COPROC[@]}"; do exec {pipe}>&-; done
   export ROOMEQ_ANSWERS="$to $from"
+  # shellcheck disable=SC2064 # the numbers of today
+  trap "exec $to>&- && wait $COPROC_PID || true" EXIT
 }
 
 # up_to_date VERB [ARGUMENT...]: exit status 0 if the output is up to date, 3 if it is to be made, else an error.

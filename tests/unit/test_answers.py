@@ -14,21 +14,24 @@ from roomeq.core.asking import only_ask
 from roomeq.core.audio import write_wav
 from roomeq.core.digests import code_digest
 
-SCRIPT = """#!/usr/bin/env bash
-# Ask twice, make, ask again.
-# Usage: ask.sh <noises> <out>
+RECIPE = """#!/usr/bin/env bash
+# Run a step as it is, twice, and when the process that answers is gone.
+# Usage: recipe.sh <noises> <out>
 set -euo pipefail
 . ./path.sh
 . utils/parse_options.sh
 . utils/ask.sh
+roomeq() { echo "roomeq $1" && command roomeq "$@"; }
+export -f roomeq
 start_answering
-ask() { status=0; up_to_date read-noises "$1" "$2" || status=$?; echo "$status"; }
-ask "$1" "$2"
-run_verb read-noises "$1" "$2"
-ask "$1" "$2"
-ask absent "$2"
+bash ./step.sh "$1" "$2"
+bash ./step.sh "$1" "$2"
+bash ./step.sh absent "$2" || echo "exit $?"
 kill "$COPROC_PID"
-ask "$1" "$2"
+bash ./step.sh "$1" "$2"
+"""
+STEP = """. ./path.sh
+. utils/ask.sh
 run_verb read-noises "$1" "$2"
 """
 
@@ -76,7 +79,9 @@ def test_sources_that_change_between_two_questions_are_noticed(noises, tmp_path,
 def test_scripts_ask_one_process_and_do_without_it_when_it_is_killed(noises, tmp_path, project_dir):
     for name in ("path.sh", "pysrc", "utils", ".venv"):
         os.symlink(project_dir / name, tmp_path / name)
-    (tmp_path / "ask.sh").write_text(SCRIPT)
-    done = call(tmp_path, "bash", "ask.sh", str(noises), str(tmp_path / "out"))
-    assert done.stdout.split() == ["3", "0", "1", "0"] and done.returncode == 0
-    assert done.stderr.count("up to date") == 3 and done.stderr.count("absent: no such file") == 1
+    (tmp_path / "recipe.sh").write_text(RECIPE)
+    (tmp_path / "step.sh").write_text(STEP)
+    done = call(tmp_path, "bash", "recipe.sh", str(noises), str(tmp_path / "out"))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == ["roomeq read-noises", "exit 1", "roomeq --ask"]
+    assert done.stderr.count("out: up to date") == 2 and done.stderr.count("absent: no such file") == 1
