@@ -7,7 +7,7 @@ examples reach all of them, and an example has nothing to shrink.
 
 import os
 import random
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -79,12 +79,21 @@ class Example(NamedTuple):
 
 
 class World:
-    """A recipe that has run, which is damaged, run again and restored; its directory must be the current one."""
+    """Steps that have run, of which files are damaged, and which run again and are restored.
 
-    def __init__(self, root: Path) -> None:
+    Parameters
+    ----------
+    root : Path
+        Directory in which the steps run. It must be the current one.
+    steps : sequence of Step
+        Default: the whole recipe.
+    """
+
+    def __init__(self, root: Path, steps: Sequence[Step] = RECIPE) -> None:
         self.root = root
-        put_corpora(root)
-        for step in RECIPE:
+        if steps is RECIPE:
+            put_corpora(root)
+        for step in steps:
             status, said = call(step.argv)
             assert status == 0, said
         self.right = self.contents()

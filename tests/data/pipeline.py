@@ -25,7 +25,7 @@ class Step(NamedTuple):
     ----------
     name : str
     command : str
-        Arguments of `roomeq`.
+        Arguments of `roomeq`, or a script of `local` (without its suffix) and its arguments.
     makes, reads, refers : tuple of str
         Directories that it makes; that it takes as inputs; whose files these inputs refer to.
     """
@@ -71,6 +71,12 @@ STEPS = (
 REPORT = Step("report", "report data exp exp/report", ("exp/report",), tuple(
     directory for step in STEPS if step.name.split()[0] not in ("read-noises", "export") for directory in step.makes),
               ("speech", *REFERRED))
+SYNTHETIC = (
+    Step("make-synthetic-rirs", "make_synthetic_rirs --rooms 2 --mics 1 --speakers 1 --silence-s 1 synthetic/rirs",
+         ("synthetic/rirs",)),
+    Step("make-synthetic-speech", "make_synthetic_speech --utterances 16,4,8 synthetic/speech", ("synthetic/speech",)),
+)
+"""The steps that make the synthetic corpora, as small as they can be."""
 
 
 def put_corpora(root: Path) -> None:

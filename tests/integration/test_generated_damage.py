@@ -5,6 +5,7 @@ import random
 import pytest
 from crash_replay import Disk, disk_after
 from generated_damage import CASES, RECIPE, World
+from pipeline import SYNTHETIC
 from power_losses import AUDIO_STEPS, Losses
 
 N_EXAMPLES = 50
@@ -38,6 +39,17 @@ def test_step_goes_on_after_a_loss_of_power(name, over_older, world):
     rng, losses = random.Random(name), Losses(world, STEPS[name], over_older)
     for kept, number in (("nothing", 3), ("names", 5), ("some", 3)):
         for example in losses.examples(kept, number, rng):
+            assert example.outcome == "same bytes", example
+
+
+@pytest.mark.parametrize("step", SYNTHETIC, ids=lambda step: step.name)
+def test_synthetic_corpus_is_whole_after_a_loss_of_power(step, tmp_path, monkeypatch):
+    root = tmp_path / "world"
+    root.mkdir()
+    monkeypatch.chdir(root)
+    rng, losses = random.Random(step.name), Losses(World(root, [step]), step)
+    for kept in ("names", "some"):
+        for example in losses.examples(kept, 1, rng):
             assert example.outcome == "same bytes", example
 
 

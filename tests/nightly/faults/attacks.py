@@ -10,13 +10,14 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import runs
 from generated_damage import RECIPE, Example, World
+from pipeline import SYNTHETIC, Step
 from power_losses import AUDIO_STEPS, Losses
 
 from bench import kit
@@ -44,7 +45,7 @@ ALL_STEPS = "all steps"
 def step_of(text: str) -> str:
     """Return the step that a text names, or all."""
     plain = text.replace("_", "-")
-    names = dict.fromkeys(step.name.split()[0] for step in RECIPE)
+    names = dict.fromkeys(step.name.split()[0] for step in (*SYNTHETIC, *RECIPE))
     return next((name for name in names if re.search(rf"(?<![a-z]){name}(?![a-z])", plain)), ALL_STEPS)
 
 
@@ -56,13 +57,13 @@ def row_of(example: Example, kind: str) -> Row:
 
 
 @contextlib.contextmanager
-def made_world() -> Iterator[World]:
+def made_world(made: Sequence[Step] = RECIPE) -> Iterator[World]:
     """Yield a world in a temporary directory, which is the current one."""
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder, "world")
         root.mkdir()
         with contextlib.chdir(root):
-            yield World(root)
+            yield World(root, made)
 
 
 def damage(args: argparse.Namespace) -> list[Row]:
@@ -80,6 +81,11 @@ def power(args: argparse.Namespace) -> list[Row]:
             losses, rng = Losses(world, steps[name], over_older), random.Random(name)
             for kept, kind in KEPT.items():
                 rows += [row_of(example, kind) for example in losses.examples(kept, None, rng)]
+    for step in SYNTHETIC:  # losses at some places: each run takes seconds
+        with made_world([step]) as world:
+            losses, rng = Losses(world, step), random.Random(step.name)
+            for kept, kind in KEPT.items():
+                rows += [row_of(example, kind) for example in losses.examples(kept, 10, rng)]
     return rows
 
 
@@ -120,7 +126,7 @@ SECTIONS: dict[str, Callable[[argparse.Namespace], list[Row]]] = dict(
 
 def matrix(rows: list[Row]) -> tuple[list[str], list[list[str]]]:
     """Return columns and rows of the table: for each kind and step, the handled of the tried attacks."""
-    order = [*dict.fromkeys(step.name.split()[0] for step in RECIPE), ALL_STEPS]
+    order = [*dict.fromkeys(step.name.split()[0] for step in (*SYNTHETIC, *RECIPE)), ALL_STEPS]
     steps = [step for step in order if any(row["step"] == step for row in rows)]
 
     def cell(these: list[Row]) -> str:

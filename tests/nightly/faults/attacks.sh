@@ -10,4 +10,4 @@ set -euo pipefail
 cd "$(dirname "$0")/../../.."
 . ./path.sh
 [ $# -gt 0 ] || set -- --help
-PYTHONPATH="tests:tests/data:$PYTHONPATH" exec python tests/nightly/faults/attacks.py "$@"
+PYTHONPATH="tests:tests/data:local:$PYTHONPATH" exec python tests/nightly/faults/attacks.py "$@"

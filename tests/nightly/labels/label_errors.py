@@ -5,8 +5,9 @@ For each generated set of rooms (`tests/testbed`) and each error of `testbed.lab
 
 refused    the loop says in one line that it cannot use the RIRs
 left out   RIRs are left out because of the error, with their count, and the effects are those without the error
+fewer      the same, but an effect is no longer found: there are fewer rooms
 same       nothing is said, and the effects are those without the error
-WRONG      the effects are not those without the error
+WRONG      an effect is named that is not named without the error, or nothing is said and an effect is no longer found
 
 Exits with status 1 if anything is WRONG. Finished cases are kept in the output folder.
 
@@ -50,9 +51,10 @@ def outcome_of(found: dict, clean: dict) -> str:
     """Return the outcome of a labelling error."""
     if "refused" in found:
         return "refused"
-    if sorted(found["effects"]) != sorted(clean["effects"]):
-        return "WRONG"
-    return "same" if found["left_out"] == clean["left_out"] else "left out"
+    said = found["left_out"] != clean["left_out"]
+    if sorted(found["effects"]) == sorted(clean["effects"]):
+        return "left out" if said else "same"
+    return "fewer" if said and all(names in clean["effects"] for names in found["effects"]) else "WRONG"
 
 
 def main(arguments: list[str] | None = None) -> int:
