@@ -62,12 +62,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder of sets and results; results there are kept")
     parser.add_argument("--seeds", type=int, default=2, help="sets of each kind")
+    parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument("--errors", type=lambda text: text.split(";"), default=list(ERRORS), help="only these")
     args = parser.parse_args(arguments)
     args.out.mkdir(parents=True, exist_ok=True)
     file = args.out / "results.json"
     results = json.loads(file.read_text()) if file.is_file() else {}
-    for seed in range(FIRST_SEED, FIRST_SEED + args.seeds):
+    for seed in range(args.first_seed, args.first_seed + args.seeds):
         for kind, strength in SETS:
             made = args.out / f"{kind}_{strength}_{seed}"
             if not (made / "truth.json").exists():
