@@ -9,6 +9,9 @@ sys.path[:0] = [str(HERE.parent / "pysrc"), str(HERE)]
 for library in ("OMP", "OPENBLAS", "MKL", "NUMBA"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
+from matplotlib.figure import Figure  # noqa: E402
+from sphinx_gallery.scrapers import figure_rst  # noqa: E402
+
 import roomeq  # noqa: E402
 from results_tables import write_pages  # noqa: E402
 
@@ -32,7 +35,23 @@ autodoc_typehints = "description"
 autodoc_member_order = "bysource"
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
+
+
+def figures_without_pyplot(block: tuple, variables: dict, gallery: dict) -> str:
+    """Show the figures that a block of a tutorial has made without pyplot, as `roomeq.plot_rir` does."""
+    new = [value for value in variables["example_globals"].values()
+           if isinstance(value, Figure) and not hasattr(value, "number") and value not in _shown]
+    paths = []
+    for figure, path in zip(new, variables["image_path_iterator"], strict=False):
+        figure.savefig(path)
+        paths.append(path)
+        _shown.append(figure)
+    return figure_rst(paths, gallery["src_dir"])
+
+
+_shown: list[Figure] = []
 sphinx_gallery_conf = {
+    "image_scrapers": ("matplotlib", figures_without_pyplot),
     "examples_dirs": ["tutorials"],
     "gallery_dirs": ["gallery"],
     "filename_pattern": r"/\d\d_",

@@ -205,14 +205,16 @@ CASES = [
          "own.toml: absorption[0]=nan of material 'felt' must lie in [0, 1]: correct the material",
          FELT.format("nan")),
     materials("absorption of four bands",
-         "own.toml: absorption of material 'felt': 4 coefficients must be 9 (62.5 Hz to 16 kHz), 8 (to 8 kHz), "
-         "7 (125 Hz to 8 kHz), 6 (125 Hz to 4 kHz) or 5 (125 Hz to 2 kHz): give one per band", FELT.format("[0.1, 0.1, 0.1, 0.1]")),
+         "own.toml: absorption of material 'felt': 4 coefficients must be 9 (62.5 Hz to 16 kHz), 8 (to 8 "
+         "kHz), 7 (125 Hz to 8 kHz), 6 (125 Hz to 4 kHz) or 5 (125 Hz to 2 kHz): give one per band",
+         FELT.format("[0.1, 0.1, 0.1, 0.1]")),
     materials("absorption a text",
          "own.toml: absorption='soft' of material 'felt' must be 8 numbers (62.5 Hz to 8 kHz), 9 (to 16 "
          "kHz) or one: correct the material", FELT.format("'soft'")),
     materials("absorption nested",
-         "own.toml: absorption of material 'felt': 1 coefficients must be 9 (62.5 Hz to 16 kHz), 8 (to 8 kHz), "
-         "7 (125 Hz to 8 kHz), 6 (125 Hz to 4 kHz) or 5 (125 Hz to 2 kHz): give one per band", FELT.format("[[[0.1]]]")),
+         "own.toml: absorption of material 'felt': 1 coefficients must be 9 (62.5 Hz to 16 kHz), 8 (to 8 "
+         "kHz), 7 (125 Hz to 8 kHz), 6 (125 Hz to 4 kHz) or 5 (125 Hz to 2 kHz): give one per band",
+         FELT.format("[[[0.1]]]")),
     materials("no absorption", "own.toml: key 'absorption' is missing", "[materials.felt]\nscattering = 0.1\n"),
     materials("scattering above 1",
          "own.toml: scattering[0]=1.5 of material 'rough' must lie in [0, 1]: correct the material",
