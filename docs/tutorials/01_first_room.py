@@ -16,7 +16,8 @@ import numpy as np
 
 import roomeq
 
-room = roomeq.Room((6.0, 4.0, 3.0), materials={"floor": "carpet_thin", "default": "brick_plastered"}, t60_s=0.6)
+room = roomeq.Room((6.0, 4.0, 3.0), materials={"floor": "carpet_on_felt", "ceiling": "mineral_fibre_ceiling",
+                                            "default": "gypsum_board_on_studs"}, t60_s=0.6)
 
 # %%
 # The source is traced once and serves every microphone, at any sample rate from 8 to 48 kHz. The result is an array

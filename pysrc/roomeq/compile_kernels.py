@@ -13,7 +13,7 @@ from roomeq.sim.scene import Material, Scene, Shoebox
 
 def main() -> None:
     """Simulate and analyse a response, with and without a target of the reverberation time."""
-    scene = Scene(Shoebox((3.0, 3.0, 3.0)), [Material("all", 0.3, 0.2)] * 6)
+    scene = Scene(Shoebox((3.0, 3.0, 3.0)), [Material("all", (0.3,) * 8, (0.2,) * 8)] * 6)
     source_m, mics_m = (1.0, 1.0, 1.0), np.array([[2.0, 2.0, 2.0]])
     for target_t60_s in (None, 0.3):
         (response,) = simulate_responses(scene, source_m, mics_m, num_rays=100, target_t60_s=target_t60_s)

@@ -115,9 +115,9 @@ def legend(axes: Axes) -> None:
     handles, labels = axes.get_legend_handles_labels()
     if not labels:
         return
-    figure = axes.get_figure(root=True)
+    figure = axes.get_figure()  # of several panels, the part with this one
     assert figure is not None  # panels have one
-    available_in = figure.get_figwidth() - LEGEND_MARGIN_IN
+    available_in = figure.bbox.width / figure.dpi - LEGEND_MARGIN_IN
     columns = next((n for n in (3, 2) if n <= len(labels) and _legend_width_in(labels, n) <= available_in), 1)
     if columns == 1:
         labels = [_wrapped(label, available_in - LEGEND_KEY_IN) for label in labels]
