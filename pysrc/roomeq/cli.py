@@ -149,12 +149,14 @@ keep_suspicious = click.option("--keep-suspicious", is_flag=True,
 
 
 @verb("corpora:prepare_speech", "--train-sets train-clean-100,train-clean-360 /corpora/LibriSpeech data")
-@argument("source", "LibriSpeech tree, Kaldi data directory, or folder with manifest.csv.")
+@argument("source", "LibriSpeech tree, Kaldi data directory, folder with manifest.csv, or folder of audio files "
+          "without transcripts.")
 @argument("out", "Directory in which to make train.clean, dev.clean and test.clean.")
 @click.option("--train-sets", type=NAMES, default="train-clean-100", help="Sets of a LibriSpeech tree.")
 @click.option("--dev-sets", type=NAMES, default="dev-clean", help="Sets of a LibriSpeech tree.")
 @click.option("--test-sets", type=NAMES, default="test-clean", help="Sets of a LibriSpeech tree.")
 @click.option("--limit", type=int, help="Largest number of utterances in each set.")
+@click.option("--channel", default=0, help="Channel of files with several that is used, counted from 0.")
 @nj
 def prepare_speech() -> None:
     """Make Kaldi data directories of clean speech from a corpus."""

@@ -1,6 +1,7 @@
 """Every verb is a documented function with the same options; a user's mistake is one line."""
 
 import inspect
+import os
 import shlex
 import subprocess
 import sys
@@ -126,3 +127,43 @@ def test_a_missing_optional_package_names_its_extra(monkeypatch, capsys):
     monkeypatch.setattr(Verb, "load", load)
     assert main(["wer", "--rirs", "rirs", "workspace", "out"]) == 1
     assert capsys.readouterr().err == "roomeq: the package rapidfuzz is not installed: pip install 'roomeq[wer]'\n"
+
+
+@pytest.fixture(scope="module")
+def bash_completion(tmp_path_factory):
+    """Complete words as bash does with the script that the manual names."""
+    folder = tmp_path_factory.mktemp("bin")
+    (folder / "roomeq").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m roomeq "$@"\n')
+    (folder / "roomeq").chmod(0o755)
+    script = ('eval "$(_ROOMEQ_COMPLETE=bash_source roomeq)"\ncompopt() { echo "$*"; }\n'
+              'COMP_WORDS=("$@") COMP_CWORD=$(($# - 1)) COMPREPLY=()\n_roomeq_completion roomeq\n'
+              'printf "%s\\n" "${COMPREPLY[@]}"')
+
+    def complete(*words):
+        done = subprocess.run(["bash", "-c", script, "bash", "roomeq", *words], capture_output=True, text=True,
+                              check=True, env=os.environ | dict(PATH=f"{folder}:{os.environ['PATH']}"))
+        assert done.stderr == ""
+        return done.stdout.split()
+
+    return complete
+
+
+@pytest.mark.parametrize(("words", "expected"), [
+    (["sim"], {"simulate"}), (["prepare"], {"prepare-speech"}),
+    (["augment", "--p"], {"--packing", "--pipes", "--part", "--point-snr", "--point-noise-prob"}),
+    (["augment", "--packing", ""], {"recording", "utterance"}), (["prepare-speech", "--ch"], {"--channel"})])
+def test_bash_completes_verbs_options_and_values(bash_completion, words, expected):
+    assert set(bash_completion(*words)) == expected
+
+
+def test_bash_completes_every_verb(bash_completion):
+    assert set(bash_completion("")) == set(VERBS)
+
+
+def test_bash_completes_paths_as_files(bash_completion):
+    assert "default" in bash_completion("augment", "--noises", "")
+
+
+def test_module_runs_as_the_command():
+    done = subprocess.run([sys.executable, "-m", "roomeq", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == __version__

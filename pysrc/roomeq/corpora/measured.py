@@ -203,6 +203,8 @@ def _report(corpus: Corpus, merged: dict[str, list[Any]], converted: int) -> dic
         if report[label]:
             logger.info("%s: %s: %s", corpus.name, label.replace("_", " "),
                         ", ".join(f"{key} {n}" for key, n in report[label].items()))
+    if corpus.kind == "sofa":
+        _log_unused_positions(corpus.name, rirs)
     for line in merged["skipped"]:
         logger.warning("left out: %s", line)
     for row in rirs:
@@ -212,3 +214,12 @@ def _report(corpus: Corpus, merged: dict[str, list[Any]], converted: int) -> dic
         logger.warning("%s: %d of %d recordings are no RIR; later steps leave them out (--keep-suspicious keeps them)",
                        corpus.name, len(suspicious), len(rirs))
     return report
+
+
+def _log_unused_positions(name: str, rirs: list[dict[str, Any]]) -> None:
+    """Say why positions in SOFA files are not used."""
+    for problem, n in sorted(Counter(row["geometry_problem"] for row in rirs if row["geometry_problem"]).items()):
+        logger.warning("%s: positions of %d RIRs are not used: %s", name, n, problem)
+    if n_distances := sum(row["distance_m"] is not None and row["source_pos_m"] is None for row in rirs):
+        logger.warning("%s: positions of %d RIRs are not used, only their distance: RoomCornerA and RoomCornerB, which "
+                       "place them in the room, are absent or those of the convention's example", name, n_distances)

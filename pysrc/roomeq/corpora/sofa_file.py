@@ -169,14 +169,19 @@ def _temperature_c(sofa: Any) -> float | None:
 
 
 def _positions(sofa: Any, m: int, r: int, e: int) -> dict[str, Any]:
-    """Return positions (relative to the room's lowest corner) or distance of one measurement."""
+    """Return positions (relative to the room's lowest corner) or distance of one measurement, or why it has neither."""
     centres = [_vector(sofa, f"{who}Position", 0, m) for who in ("Source", "Listener")]
     source = _position(sofa, "Source", "Emitter", m, e)
     mic = _position(sofa, "Listener", "Receiver", m, r)
-    never_set = all(centre is not None and centre.tolist() == default
-                    for centre, default in zip(centres, _DEFAULT_POSITIONS, strict=True))
-    if never_set or source is None or mic is None:
-        return {}
+    if all(centre is not None and centre.tolist() == default
+           for centre, default in zip(centres, _DEFAULT_POSITIONS, strict=True)):
+        return dict(geometry_problem="SourcePosition and ListenerPosition are those of the convention's example, which "
+                                     "nobody has replaced")
+    if source is None or mic is None:
+        unusable = " and ".join(f"{who}Position" for who, position in (("Source", source), ("Listener", mic))
+                                if position is None)
+        return dict(geometry_problem=f"{unusable} is absent, or no finite vector in Cartesian or spherical coordinates "
+                                     f"of at most {LARGEST:g} m")
     corners = _corners(sofa)
     if corners is None:
         return dict(distance_m=round(float(np.linalg.norm(source - mic)), 4))

@@ -15,6 +15,7 @@ from roomeq.core.digests import audio_digest, words_of_entry
 from roomeq.corpora.kaldi_dir import find_kaldi_dirs, read_kaldi_dir
 from roomeq.corpora.librispeech import find_sets, list_librispeech
 from roomeq.corpora.record import is_generated
+from roomeq.corpora.speech_folder import list_audio_folder
 from roomeq.corpora.speech_plan import KaldiPart, Plan, plan_kaldi, plan_utterances
 from roomeq.corpora.table import MANIFEST
 from roomeq.corpora.transcripts import list_transcripts
@@ -29,7 +30,8 @@ SetNames = Mapping[str, tuple[str, ...]]
 
 
 def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), dev_sets: Iterable[str] = (),
-                   test_sets: Iterable[str] = (), limit: int | None = None, nj: int = 1) -> list[Path]:
+                   test_sets: Iterable[str] = (), limit: int | None = None, channel: int = 0,
+                   nj: int = 1) -> list[Path]:
     """Make Kaldi data directories from a corpus of clean speech.
 
     A directory holds `wav.scp` (``UTT flac -c -d -s FILE |``, FILE absolute), `text`, `utt2spk`, `spk2utt`, `utt2dur`,
@@ -41,7 +43,8 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
     source : Path
         A LibriSpeech tree (`SPEAKERS.TXT`, `set/reader/chapter/*.flac`, `*.trans.txt`) or the folder above it; a
         folder with `manifest.csv` (`file`, `transcript`, optional `utt_id`, `speaker`, `gender`, `set`), or that CSV; a
-        Kaldi data directory or a folder of several, whose lines are copied.
+        Kaldi data directory or a folder of several, whose lines are copied; or a folder of audio files without
+        transcripts (`roomeq.corpora.speech_folder`), for which no `text` is written.
     out : Path
         Where `train.clean`, `dev.clean` and `test.clean` go.
     train_sets, dev_sets, test_sets : iterable of str
@@ -49,6 +52,8 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
         utterances.
     limit : int, optional
         Largest number of utterances per role; their choice does not depend on what else is in the corpus.
+    channel : int
+        Channel of files with several that is used, counted from 0.
     nj : int
         Number of processes.
 
@@ -66,15 +71,17 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
     wanted = {"train": tuple(train_sets), "dev": tuple(dev_sets), "test": tuple(test_sets)}
     if limit is not None and limit < 1:
         raise ValueError(f"limit={limit} utterances must be at least 1")
+    if channel < 0:
+        raise ValueError(f"channel={channel} must be 0 or more: channels are counted from 0")
     if not source.exists():
         raise ValueError(f"{source}: no such file or directory: check the path of the speech corpus")
     corpus = list_speech(source, wanted)
     _warn_of_shared({role: _voices(corpus[role]) for role in ROLES}, source)
-    options = dict(sets=wanted, limit=limit, source=os.path.realpath(source))
+    options = dict(sets=wanted, limit=limit, channel=channel, source=os.path.realpath(source))
     builds = {role: Build(out / f"{role}.clean", step="prepare-speech", options=dict(
         options, role=role, listed=_listing(source, corpus[role])), inputs=[source] * is_generated(source), refers=True)
         for role in ROLES}
-    plans = [(build, _plan(build, corpus[role], limit)) for role, build in builds.items() if not build.done]
+    plans = [(build, _plan(build, corpus[role], limit, channel)) for role, build in builds.items() if not build.done]
     for build, plan in plans:  # all directories are made before one is put in place
         build.run(plan.items, plan.make, nj=nj)
     for build, plan in plans:
@@ -82,9 +89,9 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
     return [build.out for build in builds.values()]
 
 
-def _plan(build: Build, listed: Listed, limit: int | None) -> Plan:
+def _plan(build: Build, listed: Listed, limit: int | None, channel: int) -> Plan:
     parts, utterances = _sorted_out(listed)
-    return plan_kaldi(parts, limit) if parts else plan_utterances(build, utterances, limit)
+    return plan_kaldi(parts, limit) if parts else plan_utterances(build, utterances, limit, channel)
 
 
 def _sorted_out(listed: Listed) -> tuple[list[KaldiPart], list[Utterance]]:
@@ -129,8 +136,22 @@ def list_speech(source: Path, wanted: SetNames) -> Mapping[str, Listed]:
             return _split(list_librispeech([source]), source)
         return {role: list_librispeech(trees[name] for name in names)
                 for role, names in _sets_of_roles(wanted, trees, source).items()}
+    if source.is_dir() and len((folders := list_audio_folder(source))[""]) > 0:
+        return _list_without_text(folders, wanted, source)
     raise ValueError(f"{source}: no speech corpus: expected LibriSpeech (set/reader/chapter/*.trans.txt), "
-                     f"{MANIFEST} with transcripts, or wav.scp of a Kaldi data directory")
+                     f"{MANIFEST} with transcripts, wav.scp of a Kaldi data directory, or audio files")
+
+
+def _list_without_text(folders: dict[str, list[Utterance]], wanted: SetNames, source: Path) -> Mapping[str, Listed]:
+    """Return the utterances of every role of a folder of audio files; its first folders are sets or speakers."""
+    utterances = folders.pop("")
+    logger.warning("%s: no transcripts: each of %d audio files is an utterance, and no text is written", source,
+                   len(utterances))
+    if not {name for names in wanted.values() for name in names} & set(folders) and not all(
+            any(name.lower().startswith(role) for name in folders) for role in ROLES):
+        return _split(utterances, source)
+    return {role: [utterance for name in names for utterance in folders[name]]
+            for role, names in _sets_of_roles(wanted, folders, source).items()}
 
 
 def _sets_of_roles(wanted: SetNames, sets: Mapping[str, Any], source: Path) -> SetNames:

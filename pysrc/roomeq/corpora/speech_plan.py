@@ -38,11 +38,12 @@ class Plan(NamedTuple):
 
 
 class _Audio(NamedTuple):
-    """Entry of an utterance in `wav.scp`, and its length."""
+    """Entry of an utterance in `wav.scp`, its length, and the number of channels of its file."""
 
     utterance: str
     entry: str
     n_samples: int
+    n_channels: int
 
 
 def _limited(ids: Iterable[str], limit: int | None) -> set[str]:
@@ -97,8 +98,10 @@ def _is_complete(name: str, lines: dict[str, str], files: dict[str, dict[str, st
     return set(lines) >= required.get(name, set(files["utt2spk"]))
 
 
-def plan_utterances(build: Build, utterances: list[Utterance], limit: int | None) -> Plan:
+def plan_utterances(build: Build, utterances: list[Utterance], limit: int | None, channel: int) -> Plan:
     """Plan a directory from utterances; an item holds those of one speaker.
+
+    Files with several channels give the one of number `channel`, counted from 0.
 
     Raises
     ------
@@ -114,17 +117,18 @@ def plan_utterances(build: Build, utterances: list[Utterance], limit: int | None
         items.setdefault(utterance.speaker, []).append(utterance)
 
     def make(speaker: str, spoken: list[Utterance]) -> list[_Audio]:
-        return [_audio(utterance, build) for utterance in spoken]
+        return [_audio(utterance, build, channel) for utterance in spoken]
 
-    def assemble(directory: Path, records: list[list[tuple[str, str, int]]]) -> None:
-        entries = {name: (entry, n_samples) for record in records for name, entry, n_samples in record}
+    def assemble(directory: Path, records: list[list[tuple[str, str, int, int]]]) -> None:
+        entries = {name: (entry, n_samples) for record in records for name, entry, n_samples, _ in record}
         genders = {utterance.speaker: utterance.gender for utterance in utterances}
         known_genders = {speaker: gender for speaker, gender in genders.items() if gender is not None}
         durations = {name: seconds(n_samples) for name, (_, n_samples) in entries.items()}
         files = {"wav.scp": {name: entry for name, (entry, _) in entries.items()},
-                 "text": {utterance.id: utterance.text for utterance in utterances},
                  "utt2spk": {utterance.id: utterance.speaker for utterance in utterances},
                  "utt2dur": durations, "reco2dur": durations}  # an utterance is a recording of its own
+        if texts := {utterance.id: utterance.text for utterance in utterances if utterance.text is not None}:
+            files["text"] = texts
         if len(known_genders) == len(genders):
             files["spk2gender"] = known_genders
         elif known_genders:
@@ -136,6 +140,9 @@ def plan_utterances(build: Build, utterances: list[Utterance], limit: int | None
         hours = sum(n_samples for _, n_samples in entries.values()) / FS_HZ / 3600
         logger.info("%s: %d utterances of %d speakers, %.2f h%s", build.out, len(utterances), len(genders), hours,
                     f", {converted} converted to {FS_HZ} Hz FLAC" if converted else "")
+        if n_multichannel := sum(n_channels > 1 for record in records for *_, n_channels in record):
+            logger.info("%s: %d files have several channels: channel %d is used, counted from 0 (choose with "
+                        "--channel)", build.out, n_multichannel, channel)
 
     return Plan(items, make, assemble)
 
@@ -148,13 +155,13 @@ def _check(utterances: list[Utterance], out: Path) -> None:
         if utterance.id in first:
             raise ValueError(f"{utterance.where}: utterance {utterance.id} is also in {first[utterance.id]}: "
                              "ids must be unique: rename one")
-        if problem := words_problem(utterance.text):
+        if utterance.text is not None and (problem := words_problem(utterance.text)):
             raise ValueError(f"{utterance.where}: transcript of {utterance.id}: {problem}")
         first[utterance.id] = utterance.where
     _check_order({utterance.id: utterance.speaker for utterance in utterances})
 
 
-def _audio(utterance: Utterance, build: Build) -> _Audio:
+def _audio(utterance: Utterance, build: Build, channel: int) -> _Audio:
     """Return the `wav.scp` entry of an utterance and its length; convert audio that Kaldi could not read."""
     from roomeq.core.audio import audio_info, read_audio, write_flac
 
@@ -165,13 +172,13 @@ def _audio(utterance: Utterance, build: Build) -> _Audio:
                     and info.channels == 1 and _fits_a_line(path))
         if as_it_is and (info.format == "FLAC" or _PLAIN_PATH.fullmatch(str(path))):
             read_audio(path, start=info.frames - 1, stop=info.frames)  # the end of a truncated FLAC is missing
-            return _Audio(utterance.id, _flac_entry(path) if info.format == "FLAC" else str(path), info.frames)
-        samples = read_audio(path)
+            return _Audio(utterance.id, _flac_entry(path) if info.format == "FLAC" else str(path), info.frames, 1)
+        samples = read_audio(path, channel=channel if info.channels > 1 else None)
         # resampling may exceed full scale by a little
         peak = abs(samples).max()
         write_flac(build.work / "audio" / f"{utterance.id}.flac", samples / max(peak, 1.0))
         made = Path(os.path.realpath(build.out.parent)) / build.out.name / "audio" / f"{utterance.id}.flac"
-        return _Audio(utterance.id, _flac_entry(made), len(samples))
+        return _Audio(utterance.id, _flac_entry(made), len(samples), info.channels)
     except ValueError as error:
         raise ValueError(f"{error} (named by {utterance.where})") from None
 

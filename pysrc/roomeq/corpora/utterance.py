@@ -20,7 +20,8 @@ class Utterance:
         The person who speaks; a voice belongs to one of train, dev and test.
     gender : str or None
         ``"m"`` or ``"f"``.
-    text : str
+    text : str or None
+        What is said; None where the corpus has no transcripts.
     path : Path
     where : str
         File and line that list the utterance, for messages.
@@ -30,7 +31,7 @@ class Utterance:
     speaker: str
     voice: str
     gender: str | None
-    text: str
+    text: str | None
     path: Path
     where: str
 

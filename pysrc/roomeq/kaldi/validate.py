@@ -40,11 +40,14 @@ def validate_data_dir(directory: Path, *, pipes: bool = False, audio: bool = Tru
         The first line that breaks a rule.
     """
     data = read_data_dir(directory, pipes=True)
-    for name in ("spk2utt", "text"):
-        if not (data.path / name).is_file():
-            raise ValueError(f"{data.path / name}: no such file: Kaldi's scripts need it: write it")
-    for number, line in enumerate(read_lines(data.path / "text"), start=1):
-        _check_printable(line, f"{data.path / 'text'}:{number}")
+    if not (data.path / "spk2utt").is_file():
+        raise ValueError(f"{data.path / 'spk2utt'}: no such file: Kaldi's scripts need it: write it")
+    if data.text is None:
+        logger.warning("%s: no text: recognisers cannot be trained with it, and Kaldi's validate_data_dir.sh needs "
+                       "--no-text", data.path)
+    else:
+        for number, line in enumerate(read_lines(data.path / "text"), start=1):
+            _check_printable(line, f"{data.path / 'text'}:{number}")
     if data.segmented:
         _check_segments_strictly(data)
     for number, line in enumerate(read_lines(data.path / "wav.scp"), start=1):

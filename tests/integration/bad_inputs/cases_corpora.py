@@ -129,9 +129,9 @@ CASES = [
     Case("two speakers", TRANSCRIPTS,
          "transcripts: 2 speakers (a, b) cannot be split into train, dev, test: name at least 3 speakers, or "
          "give the corpus sets", (line("transcripts/manifest.csv", 4, None),)),
-    Case("speech stereo", TRANSCRIPTS,
-         "...transcripts/a.wav: 2 channels where one is expected: choose one, or split the file (named by "
-         "transcripts/manifest.csv:2)", (audio("transcripts/a.wav", np.ones((99, 2)) / 9),)),
+    Case("speech without that channel", f"{TRANSCRIPTS} --channel 2",
+         "...transcripts/a.wav: channel 2 of 2: count from 0 (named by transcripts/manifest.csv:2)",
+         (audio("transcripts/a.wav", np.ones((99, 2)) / 9),)),
 
     Case("sofa no sofa", SOFA,
          "sofa/room_a.sofa: cannot be read as SOFA (...): export it again (or leave such files out with "
@@ -244,7 +244,7 @@ CASES = [
     Case("utterance cut off", PREPARE,
          "...librispeech/dev-clean/2/20/2-20-0001.flac: broken audio (...): copy or record it again (named by "
          "librispeech/dev-clean/2/20/2-20.trans.txt:2)", (cut("librispeech/dev-clean/2/20/2-20-0001.flac", 0.7),)),
-    Case("no speech corpus", "prepare-speech folder out",
-         "folder: no speech corpus: expected LibriSpeech (set/reader/chapter/*.trans.txt), manifest.csv with "
-         "transcripts, or wav.scp of a Kaldi data directory"),
+    Case("no speech corpus", "prepare-speech sofa out",
+         "sofa: no speech corpus: expected LibriSpeech (set/reader/chapter/*.trans.txt), manifest.csv with "
+         "transcripts, wav.scp of a Kaldi data directory, or audio files"),
 ]

@@ -143,8 +143,8 @@ CASES = [
     Case("validate nothing", "validate folder",
          "folder: neither an RIR directory (rirs.jsonl), nor one of noises (noises.jsonl), nor a data "
          "directory (wav.scp), nor one of the loop (ledger.json) or of word error rates (wer.json): check the path"),
-    Case("validate absent text", "validate speech",
-         "speech/text: no such file: Kaldi's scripts need it: write it", (remove("speech/text"),)),
+    Case("validate absent speakers", "validate speech",
+         "speech/spk2utt: no such file: Kaldi's scripts need it: write it", (remove("speech/spk2utt"),)),
     Case("validate the second", "validate segmented speech",
-         "speech/text: no such file: Kaldi's scripts need it: write it", (remove("speech/text"),)),
+         "speech/spk2utt: no such file: Kaldi's scripts need it: write it", (remove("speech/spk2utt"),)),
 ]

@@ -68,6 +68,17 @@ def test_default_corners_and_positions_are_unknown(tmp_path):
     row = signals(path)[0][0]
     assert row["room_dims_m"] is None and row["mic_pos_m"] is None and row["distance_m"] is None
     assert row["temperature_c"] is None
+    assert row["geometry_problem"].startswith("SourcePosition and ListenerPosition are those of the convention's")
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    (dict(RoomCornerB=[[1, 2, 3]]), "not used, only their distance: RoomCornerA and RoomCornerB"),
+    (dict(SourcePosition=[[0, 0, 1]], ListenerPosition=[[0, 0, 0]]), "are those of the convention's example"),
+    (dict(SourcePosition=[[np.nan, 0, 1]]), "SourcePosition is absent, or no finite vector")])
+def test_log_says_why_positions_are_not_used(tmp_path, caplog, options, message):
+    path = put_sofa(tmp_path / "a.sofa", **options)
+    read_measured(path, tmp_path / "measured")
+    assert "a: positions of 1 RIRs are not used" in caplog.text and message in caplog.text
 
 
 def test_delay_precedes_the_response(tmp_path):

@@ -10,9 +10,12 @@ import pytest
 import soundfile
 from corpora_examples import put, put_librispeech, put_text, rir
 
-from roomeq.corpora import prepare_speech
+from roomeq.augment import augment
+from roomeq.corpora import prepare_speech, read_measured
+from roomeq.corpora.characterise import characterise
 from roomeq.corpora.librispeech import read_genders
 from roomeq.corpora.utterance import split_voices
+from roomeq.kaldi.validate import validate_data_dir
 
 SETS = {"train-clean-100": {"19": {"198": 2, "227": 1}}, "train-clean-360": {"100": {"1": 1}},
         "dev-clean": {"1272": {"128104": 2}}, "test-clean": {"61": {"70968": 1}}}
@@ -228,8 +231,8 @@ def test_mismatch_of_transcripts_and_audio_is_refused(tmp_path):
     chapter = root / "dev-clean" / "1272" / "128104"
     trans = chapter / "1272-128104.trans.txt"
 
-    def prepare():
-        return prepare_speech(root, tmp_path / "data", **ROLES)
+    def prepare(**options):
+        return prepare_speech(root, tmp_path / "data", **ROLES, **options)
 
     text = trans.read_text()
     for changed, message in (
@@ -252,8 +255,8 @@ def test_mismatch_of_transcripts_and_audio_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"0001\.flac: sample rate 8000 Hz must be 16000 Hz: the missing band"):
         prepare()
     put(flac, rir("stereo", channels=2))
-    with pytest.raises(ValueError, match=r"0001\.flac: 2 channels where one is expected"):
-        prepare()
+    with pytest.raises(ValueError, match=r"0001\.flac: channel 2 of 2: count from 0"):
+        prepare(channel=2)
 
 
 def test_missing_or_shared_sets_are_refused(tmp_path):
@@ -279,12 +282,65 @@ def test_bad_manifest_row_is_refused(tmp_path, row, message):
         prepare_speech(source, tmp_path / "data")
 
 
+def test_folders_without_transcripts_are_speakers(tmp_path, caplog):
+    for name in ("wavs/p1/a.wav", "wavs/p1/b.wav", "wavs/p2/c 1.wav", "wavs/p3/sub/a.wav"):
+        put(tmp_path / "speech" / name, rir(name, 1600))
+    made = prepare_speech(tmp_path / "speech", tmp_path / "data")
+    utt2spk = {key: value for directory in made for key, value in table(directory / "utt2spk").items()}
+    assert utt2spk == {"p1-a": "p1", "p1-b": "p1", "p2-c-1": "p2", "p3-sub-a": "p3"}
+    assert not any((directory / "text").exists() for directory in made)
+    assert "no transcripts: each of 4 audio files is an utterance" in caplog.text
+    for directory in made:
+        validate_data_dir(directory)
+
+
+def test_files_in_no_folder_have_speakers_of_their_own(tmp_path):
+    for n in range(6):
+        put(tmp_path / "speech" / f"file{n}.wav", rir(str(n), 1600))
+    made = prepare_speech(tmp_path / "speech", tmp_path / "data")
+    utt2spk = {key: value for directory in made for key, value in table(directory / "utt2spk").items()}
+    assert utt2spk == {f"file{n}": f"file{n}" for n in range(6)}
+
+
+def test_folders_named_like_sets_are_sets(tmp_path):
+    for name in ("train/p1/a.wav", "train/p2/a.wav", "dev/p3/a.wav", "test/p4/a.wav"):
+        put(tmp_path / "speech" / name, rir(name, 1600))
+    made = prepare_speech(tmp_path / "speech", tmp_path / "data")
+    assert [sorted(table(directory / "utt2spk")) for directory in made] == [
+        ["train-p1-a", "train-p2-a"], ["dev-p3-a"], ["test-p4-a"]]
+
+
+def test_augmentation_takes_speech_without_transcripts(tmp_path):
+    for name in ("p1/a.wav", "p2/a.wav", "p3/a.wav"):
+        put(tmp_path / "speech" / name, rir(name, 1600))
+    put(tmp_path / "rirs" / "a.wav")
+    read_measured(tmp_path / "rirs", tmp_path / "measured")
+    characterise(tmp_path / "measured", tmp_path / "real")
+    made = prepare_speech(tmp_path / "speech", tmp_path / "data")
+    augment(made[0], tmp_path / "real", tmp_path / "rvb")
+    assert not (tmp_path / "rvb" / "text").exists() and len(lines(tmp_path / "rvb" / "wav.scp")) == 1
+    validate_data_dir(tmp_path / "rvb")
+
+
+@pytest.mark.parametrize("channel", [0, 1])
+def test_chosen_channel_of_stereo_is_used_and_named(tmp_path, caplog, channel):
+    caplog.set_level("INFO")
+    stereo = np.column_stack([rir("left", 1600), rir("right", 1600)])
+    for voice in "abc":
+        put(tmp_path / "speech" / voice / "x.wav", stereo)
+    made = prepare_speech(tmp_path / "speech", tmp_path / "data", channel=channel)
+    samples, _ = soundfile.read(made[0] / "audio" / "a-x.flac")
+    np.testing.assert_allclose(samples, stereo[:, channel], atol=2e-4)
+    assert f"1 files have several channels: channel {channel} is used, counted from 0 (choose with --channel)" \
+        in caplog.text
+
+
 def test_source_without_speech_is_refused(tmp_path):
     with pytest.raises(ValueError, match="absent: no such file or directory: check the path of the speech corpus"):
         prepare_speech(tmp_path / "absent", tmp_path / "data")
-    put(tmp_path / "only audio" / "a.wav", np.ones(100))
-    with pytest.raises(ValueError, match="only audio: no speech corpus: expected LibriSpeech"):
-        prepare_speech(tmp_path / "only audio", tmp_path / "data")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match="empty: no speech corpus: expected LibriSpeech"):
+        prepare_speech(tmp_path / "empty", tmp_path / "data")
     put_text(tmp_path / "no text" / "manifest.csv", "file,speaker\na.wav,a\n")
     with pytest.raises(ValueError, match="columns file,speaker must hold 'transcript'"):
         prepare_speech(tmp_path / "no text", tmp_path / "data")

@@ -354,7 +354,6 @@ def test_corrupted_segments_are_found(tmp_path, case):
     (lambda d: (d / "utt2spk").unlink(), "utt2spk: no such file"),
     (lambda d: (d / "wav.scp").write_text(""), "wav.scp: file is empty"),
     (lambda d: (d / "spk2utt").unlink(), "spk2utt: no such file"),
-    (lambda d: (d / "text").unlink(), "text: no such file"),
     (lambda d: (d / "text").write_bytes(b"a-1-0001 \xff\n"), "text:1: byte 0xff is not UTF-8"),
     (lambda d: (d / "utt2spk").write_text((d / "utt2spk").read_text()[:-1]), "utt2spk:5: last line must end"),
     (lambda d: edit(d / "wav.scp", lambda lines: ["a-1-0001 |tee", *lines[1:]]), "wav.scp:1: .*names no audio"),
@@ -363,6 +362,13 @@ def test_broken_files_are_named(tmp_path, change, message):
     change(complete_dir(tmp_path / "d"))
     with pytest.raises(ValueError, match=message):
         validate_data_dir(tmp_path / "d")
+
+
+def test_directory_without_text_is_valid_and_said_to_have_none(tmp_path, caplog):
+    data = complete_dir(tmp_path / "d")
+    (data / "text").unlink()
+    assert validate_data_dir(data) == 5
+    assert "no text: recognisers cannot be trained with it" in caplog.text
 
 
 @pytest.fixture(scope="module")
