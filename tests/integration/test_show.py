@@ -86,7 +86,7 @@ def test_page_of_a_file_in_a_directory_has_the_map_of_its_room(pages):
     assert {"figure-plan", "figure-section"} <= {image["id"] for image in page.of("img")}
     early = next(image["alt"] for image in page.of("img") if image["id"] == "figure-early")
     assert all(surface in early for surface in ("floor", "ceiling", "west", "south"))
-    assert "speech, through the RIR" in page.text
+    assert "Speech, through the RIR" in page.text
 
 
 def test_page_of_a_file_alone_says_where_dimensions_come_from(pages):

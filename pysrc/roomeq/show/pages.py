@@ -63,6 +63,8 @@ def rir_set(directory: Path, suffix: str | None, ident: str | None, speech: Path
                     over_frequency([of_set], "t60", "Reverberation time (s)"),
                     over_frequency([of_set], "eq", "EQ (dB, 1 kHz = 0)")], f"RIRs of {of_set.label}")
     chosen = chosen or read_rir_of(directory, middle_of(of_set), keep_suspicious=True)
+    if len(of_set.rows) == 1:
+        return _one_rir(chosen, suffix, speech)
     context = set_context(of_set)
     lead = ("Reverberation, clarity and colour of the room impulse responses (RIRs) of a directory, room by room. One "
             "of them is shown in detail.")

@@ -7,7 +7,7 @@ import pytest
 
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.response import RESPONSE_HZ
-from roomeq.loop.descriptions import describe_effect, describe_residual
+from roomeq.loop.descriptions import advise_on_residual, describe_effect, describe_residual, effect_label
 from roomeq.loop.features import REGION
 from roomeq.loop.unexplained import Unexplained
 
@@ -56,3 +56,16 @@ def test_effects_are_described_by_their_parameters():
         "an obstacle delays the direct sound of 1 of 2 recordings by a detour of 20 cm")
     assert description("near_reflector", [np.log(0.7), 0.5]) == (
         "a surface 0.70 m below source and microphone reflects 50 % of the pressure")
+
+
+@pytest.mark.parametrize("effect", sorted(CATALOGUE))
+def test_every_effect_has_a_name_in_words(effect):
+    assert "_" not in effect_label(effect)
+
+
+@pytest.mark.parametrize("metric", sorted(REGION))
+@pytest.mark.parametrize("varies_with, words", [
+    ("nothing", ""), ("room", "; look at the rooms"), ("mic", "; exchange")])
+def test_every_residual_has_advice(metric, varies_with, words):
+    advice = advise_on_residual(Unexplained(metric, REGION[metric], [], varies_with, 2.0, 0.01))
+    assert advice[0].islower() and words in advice and (";" in advice) == bool(words)
