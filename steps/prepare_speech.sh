@@ -6,8 +6,10 @@ set -euo pipefail
 train_sets=train-clean-100   # sets of a LibriSpeech tree, comma-separated
 dev_sets=dev-clean
 test_sets=test-clean
+channel=0                    # channel of files with several that is used, counted from 0
 . ./path.sh
 . utils/ask.sh
 . utils/parse_options.sh
 [ $# -eq 2 ] || usage
-run_verb prepare-speech --train-sets "$train_sets" --dev-sets "$dev_sets" --test-sets "$test_sets" "$1" "$2"
+run_verb prepare-speech --train-sets "$train_sets" --dev-sets "$dev_sets" --test-sets "$test_sets" --channel "$channel" \
+  "$1" "$2"

@@ -31,6 +31,7 @@ Item = TypeVar("Item")
 
 _stack: list["Meter"] = []
 _silenced_in = 0  # process id of a worker
+_logged_s: float | None = None  # when the last line was logged, of whatever work, or the first began
 
 
 def silence() -> None:
@@ -52,9 +53,10 @@ class Meter:
 
     def __init__(self, total: int, label: str) -> None:
         self.total, self.label, self.done = total, label, 0
+        global _logged_s
         self._start = self._drawn = self._filed = time.monotonic()
-        self._logged = self._start
         self._is_drawn = False
+        _logged_s = self._start if _logged_s is None else _logged_s
 
     def __enter__(self) -> "Meter":
         _stack.append(self)
@@ -84,6 +86,7 @@ class Meter:
 
     def show(self) -> None:
         """Draw, log or file the state of all current work where it is time to."""
+        global _logged_s
         now = time.monotonic()
         if now - self._start < SHOWN_AFTER_S:
             return
@@ -95,8 +98,8 @@ class Meter:
                 self._drawn, self._is_drawn = now, True
                 sys.stderr.write(_LINE + self._line(now)[:terminal_columns() - 1])
                 sys.stderr.flush()
-        elif now - self._logged >= LOG_EVERY_S:
-            self._logged = now
+        elif _logged_s is not None and now - _logged_s >= LOG_EVERY_S:
+            _logged_s = now
             logger.info("%s", self._line(now))
 
     def _line(self, now: float) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from markupsafe import Markup
 
 from roomeq.core.constants import FS_HZ
+from roomeq.core.progress import progress
 from roomeq.report import (
     section_data,
     section_eq,
@@ -73,7 +74,8 @@ def render_page(run: Run) -> str:
     groups: dict[str, list[Section]] = {}
     for section in sections:
         groups.setdefault(section.group, []).append(section)
-    page = render("page", groups=groups, sections=[(section, render_section(run, section)) for section in sections],
+    page = render("page", groups=groups, sections=[(section, render_section(run, section))
+                                                     for section in progress(sections, len(sections), "report")],
                   synthetic=synthetic_corpora(run), facts=facts(run), versions=versions(), fs_khz=FS_HZ // 1000)
     # a file name that is not UTF-8 arrives with lone surrogates
     return page.encode("utf-8", "replace").decode()

@@ -24,6 +24,7 @@ def clock(monkeypatch):
     """A clock that goes on by a second with each item."""
     now = [0.0]
     monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(module, "_logged_s", None)
 
     def work(n):
         for item in range(n):
@@ -46,6 +47,13 @@ def test_log_has_a_line_a_minute(clock, caplog):
     caplog.set_level("INFO")
     list(progress(clock(200), 200, "simulate"))
     assert caplog.messages == [f"simulate: {n} of 200, {duration(200 - n)} left" for n in (60, 120, 180)]
+
+
+def test_log_has_a_line_a_minute_over_several_works(clock, caplog):
+    caplog.set_level("INFO")
+    for name in "abcd":
+        list(progress(clock(40), 40, name))
+    assert caplog.messages == ["b: 20 of 40, 20 s left", "c: 40 of 40, 0 s left"]
 
 
 @pytest.mark.parametrize("count", [0, 1])
