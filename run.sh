@@ -19,7 +19,7 @@ corpora=corpora   # where the synthetic corpus goes
 # stage 0: corpora; a missing corpus is replaced by a synthetic one
 librispeech=      # directory of LibriSpeech, as released
 reverbdb=         # directory of BUT ReverbDB, as released
-speech=           # instead of --librispeech: LibriSpeech-like tree, Kaldi data directory or folder with manifest.csv
+speech=           # instead of --librispeech: such a tree, a Kaldi data directory, or a folder, best with manifest.csv
 measured=         # instead of --reverbdb: folder of RIRs, CSV file, SOFA file or OpenSLR 28
 keep_suspicious=false   # keep measured recordings that are no RIR by their acoustics
 noises=           # folder of noise recordings, in addition to those of the measured corpus

@@ -59,13 +59,15 @@ class Meter:
         _logged_s = self._start if _logged_s is None else _logged_s
 
     def __enter__(self) -> "Meter":
-        _stack.append(self)
-        if _stack[0] is self and self.total and FOLDER_VARIABLE in os.environ and _silenced_in != os.getpid():
+        if self.total > 1:  # a single item is either not begun or done
+            _stack.append(self)
+        if _stack == [self] and FOLDER_VARIABLE in os.environ and _silenced_in != os.getpid():
             self._write(Path(os.environ[FOLDER_VARIABLE]), self._start)
         return self
 
     def __exit__(self, *_: object) -> None:
-        _stack.remove(self)
+        if self in _stack:
+            _stack.remove(self)
         if self._is_drawn:
             sys.stderr.write(_LINE)
             sys.stderr.flush()
@@ -103,17 +105,20 @@ class Meter:
             logger.info("%s", self._line(now))
 
     def _line(self, now: float) -> str:
-        inner = f" ({_stack[-1].label} {_stack[-1].done} of {_stack[-1].total})" if _stack[-1] is not self else ""
-        return self.text(now) + inner
+        return self.text(now) + self._inner()
+
+    def _inner(self) -> str:
+        """Return the state of the innermost work within this one, if there is any."""
+        inner = _stack[-1]
+        return "" if inner is self else f" ({inner.label} {inner.done} of {inner.total})"
 
     def _write(self, folder: Path, now: float) -> None:
         """Write the state for ``utils/progress.sh``: items done, of all, seconds left (-1: unknown), the label."""
         left_s = self.left_s(now)
-        inner = "" if _stack[-1] is self else f" ({_stack[-1].label} {_stack[-1].done} of {_stack[-1].total})"
         name = f"{os.uname().nodename}.{os.getpid()}"
         try:
             (folder / f".{name}").write_text(f"{self.done} {self.total} {-1 if left_s is None else round(left_s)} "
-                                             f"{self.label}{inner}\n", encoding="utf-8", errors="replace")
+                                             f"{self.label}{self._inner()}\n", encoding="utf-8", errors="replace")
             (folder / f".{name}").replace(folder / name)
         except OSError:  # nobody looks at it any longer
             os.environ.pop(FOLDER_VARIABLE)
