@@ -209,12 +209,24 @@ def split_rirs() -> None:
     """Split RIRs into training, development and test sets."""
 
 
-@verb("simulate_rirs:simulate", "data/rirs.real.train data/rirs.sim.train")
-@argument("measured_dir", "RIR directory from which rooms, sources and microphones are taken.")
+def at_most_one(paths: tuple[Path, ...]) -> Path | None:
+    """Return the only one of some paths, or None."""
+    if len(paths) > 1:
+        raise click.UsageError(f"{len(paths) + 1} directories are given where MEASURED_DIR OUT are at most two")
+    return paths[0] if paths else None
+
+
+@verb("simulate_rirs:simulate", "data/rirs.real.train data/rirs.sim.train\n  roomeq simulate --rooms 1000 rirs")
+@argument("measured_dir", "RIR directory from which rooms, sources and microphones are taken.", nargs=-1,
+          callback=lambda _ctx, _param, paths: at_most_one(paths))
 @argument("out", "RIR directory to make.")
-@click.option("--t60-range", "t60_range_s", default="0.2,2.0", metavar="MIN,MAX",
+@click.option("--rooms", metavar="N|FIRST-LAST", help="Draw so many rooms, or those with these numbers, instead.")
+@click.option("--room-types", metavar="FILE|NAMES", help="Distributions to draw rooms from: a TOML file, or some of "
+              "meeting_room,living_room,lecture_hall; default: all of conf/room_types.toml.")
+@click.option("--t60-range", "t60_range_s", metavar="MIN,MAX",
               type=CommaSeparated(float, "numbers with commas between, such as 0.2,2.0, or measured", ("measured",)),
-              help="Reverberation times are uniform in this range [s]; measured: range of the measured rooms.")
+              help="Reverberation times are uniform in this range [s]; measured: range of the measured rooms; "
+                   "default: 0.2,2.0, or as the room types say.")
 @click.option("--num-rays", default=20000, help="Rays per source.")
 @click.option("--order", default=200, help="Reflections of each ray, at least.")
 @click.option("--ism-order", default=6, help="Order up to which specular reflections are exact image sources.")
@@ -227,7 +239,7 @@ def split_rirs() -> None:
 @part
 @nj
 def simulate() -> None:
-    """Simulate one RIR per measured RIR. Its T60 is drawn at random."""
+    """Simulate one RIR per measured RIR, with a random T60; or RIRs of randomly drawn rooms."""
 
 
 @verb("validate:validate", "data/rirs.sim.train exp/loop data/train.sim.rvb")

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 # each may import those before it, and itself
-LAYERS = ("core", "records", "acoustics", "corpora", "sim", "effects", "rooms", "simulate_rirs", "eq", "loop", "kaldi",
-          "augment", "export", "wer", "report", "show", "validate", "compile_kernels", "cli", "answers", "__main__")
+LAYERS = ("core", "records", "acoustics", "corpora", "sim", "effects", "rooms", "draw_rooms", "simulate_rirs", "eq",
+          "loop", "kaldi", "augment", "export", "wer", "report", "show", "validate", "compile_kernels", "cli",
+          "answers", "__main__")
 PACKAGE = Path(__file__).resolve().parents[2] / "pysrc" / "roomeq"
 LAYER_OF = {name: n for n, name in enumerate(LAYERS)}
 

@@ -131,7 +131,10 @@ def require_plausible(samples: Array, name: Path | str) -> None:
 
 
 def write_wav(path: Path, samples: Array, fs_hz: int = FS_HZ) -> None:
-    """Write an RIR as a 32-bit float WAV file, atomically: levels are exact and nothing clips."""
+    """Write an RIR as a 32-bit float WAV file, atomically: levels are exact and nothing clips.
+
+    The samples of several channels have the shape (n_samples, n_channels).
+    """
     _write(Path(path), samples, fs_hz, "WAV", "FLOAT")
 
 
@@ -166,9 +169,9 @@ def _write(path: Path, samples: Array, fs_hz: int, fmt: str, subtype: str) -> No
 
 
 def _float_wav(samples: Array, fs_hz: int) -> bytes:
-    """Return a mono IEEE-float WAV file (RIFF: fmt, fact and data chunks)."""
-    data = samples.tobytes()
-    fmt = struct.pack("<4sIHHIIHHH", b"fmt ", 18, 3, 1, fs_hz, 4 * fs_hz, 4, 32, 0)
+    """Return an IEEE-float WAV file (RIFF: fmt, fact and data chunks)."""
+    data, n_channels = samples.tobytes(), 1 if samples.ndim == 1 else samples.shape[1]
+    fmt = struct.pack("<4sIHHIIHHH", b"fmt ", 18, 3, n_channels, fs_hz, 4 * n_channels * fs_hz, 4 * n_channels, 32, 0)
     fact = struct.pack("<4sII", b"fact", 4, len(samples))
     body = b"WAVE" + fmt + fact + struct.pack("<4sI", b"data", len(data)) + data
     return struct.pack("<4sI", b"RIFF", len(body)) + body

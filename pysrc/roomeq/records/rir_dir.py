@@ -100,17 +100,19 @@ def write_rirs(directory: Path, rows: Iterable[Mapping[str, Any]], final_directo
     write_jsonl(directory / ROWS_FILE, sorted_rows)
     base = Path(final_directory or directory)
     write_text(directory / "rir_list", "".join(
-        f"--rir-id {row['id']} --room-id {row['room_id']} {shlex.quote(_as_16_bit(base / row['wav']))}\n"
+        f"--rir-id {row['id']} --room-id {row['room_id']} "
+        f"{shlex.quote(_as_16_bit(base / row['wav'], n_channels(row)))}\n"
         for row in sorted_rows if not row.get("noise_for")))
 
 
-def _as_16_bit(path: Path) -> str:
-    """Return the pipe through which Kaldi reads an RIR.
+def _as_16_bit(path: Path, channels: int) -> str:
+    """Return the pipe through which Kaldi reads an RIR; of an array, that of the first microphone.
 
     `wav-reverberate` takes 16-bit PCM only, and its output does not depend on the RIR's level: sox scales the RIR to
     full scale.
     """
-    return f"sox -D {shlex.quote(os.path.normpath(path))} -b 16 -e signed-integer -t wav - gain -n -1 |"
+    first = "remix 1 " if channels > 1 else ""
+    return f"sox -D {shlex.quote(os.path.normpath(path))} -b 16 -e signed-integer -t wav - {first}gain -n -1 |"
 
 
 def require_16_khz(directory: Path, rows: Iterable[Mapping[str, Any]]) -> None:
@@ -124,6 +126,11 @@ def require_16_khz(directory: Path, rows: Iterable[Mapping[str, Any]]) -> None:
 def rir_path(directory: Path, row: Mapping[str, Any]) -> Path:
     """Return the path of a row's audio."""
     return Path(directory) / row["wav"]
+
+
+def n_channels(row: Mapping[str, Any]) -> int:
+    """Return the number of channels of a row's audio: the microphones of an array, else 1."""
+    return len(row.get("channel_pos_m") or (None,))
 
 
 def relocated(rows: Iterable[Mapping[str, Any]], directory: Path, out: Path) -> list[dict[str, Any]]:
@@ -141,6 +148,8 @@ def with_meshes_relocated(rows: Iterable[Mapping[str, Any]], directory: Path, ou
 def load_rir(directory: Path, row: Mapping[str, Any], fs_hz: int = FS_HZ) -> FloatArray:
     """Read the RIR of a row, shape (n_samples,); its file must have the sample rate `fs_hz`.
 
+    Of an array (`channel_pos_m`), the RIR is that of the first microphone.
+
     Raises
     ------
     ValueError
@@ -149,7 +158,7 @@ def load_rir(directory: Path, row: Mapping[str, Any], fs_hz: int = FS_HZ) -> Flo
     from roomeq.core.audio import read_audio
 
     path = rir_path(directory, row)
-    rir = read_audio(path, fs_hz=fs_hz, resample=False)
+    rir = read_audio(path, fs_hz=fs_hz, resample=False, channel=0 if row.get("channel_pos_m") else None)
     if len(rir) != row["n_samples"]:
         raise ValueError(f"{path}: {len(rir)} samples where {ROWS_FILE} says {row['n_samples']}: make it again")
     if not rir.any():
@@ -222,7 +231,7 @@ def validate_rirs(directory: Path) -> int:
     rows = read_rirs(directory)
     for row in rows:
         info = audio_info(rir_path(directory, row))
-        if (info.samplerate, info.frames, info.channels) != (row["fs_hz"], row["n_samples"], 1):
+        if (info.samplerate, info.frames, info.channels) != (row["fs_hz"], row["n_samples"], n_channels(row)):
             raise ValueError(f"{rir_path(directory, row)}: {info.channels} channels of {info.frames} samples at "
                              f"{info.samplerate} Hz do not fit row {row['id']}: make it again")
         load_rir(directory, row, row["fs_hz"])

@@ -42,6 +42,7 @@ DirectSample = Annotated[float, Meta(gt=-1, le=LARGEST, description="a number of
 Polarity = Annotated[Literal[1, -1], Meta(description="1 or -1")]
 Vector = Annotated[list[Number | None], Meta(min_length=3, max_length=3, description=(
     "three numbers (each may be null)"))]
+Vectors = Annotated[list[Vector], Meta(min_length=2, description="a list of two or more positions")]
 Numbers = Annotated[list[Number], Meta(description="a list of numbers")]
 EqLevels = Annotated[list[Number], Meta(min_length=_N_POINTS, max_length=_N_POINTS, description=f"{_N_POINTS} numbers")]
 EqFlags = Annotated[list[bool], Meta(min_length=_N_POINTS, max_length=_N_POINTS, description=(
@@ -112,6 +113,8 @@ class RirRow(TypedDict):
     unreliable_geometry: NotRequired[Flag | None]
     geometry_problem: NotRequired[Text | None]
     geometry_ok: NotRequired[Flag | None]
+    channel_pos_m: NotRequired[Vectors | None]
+    source_directivity: NotRequired[Annotated[dict[str, Amount], Meta(description="an object of lengths")] | None]
     drawn: NotRequired[Annotated[list[str], Meta(description="a list of texts")] | None]
     # the measurement
     corpus: NotRequired[Text | None]

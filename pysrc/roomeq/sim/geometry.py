@@ -38,12 +38,15 @@ class Place:
         Three coordinates each.
     drawn
         Names of the coordinates that were drawn, such as ``"mic_pos_m.2"`` or ``"room_dims_m.0"``.
+    channels_m
+        Positions of the microphones of an array, of which `mic_pos_m` is the first; empty for a single microphone.
     """
 
     room: Room
     source_pos_m: tuple[float, ...]
     mic_pos_m: tuple[float, ...]
     drawn: tuple[str, ...]
+    channels_m: tuple[tuple[float, ...], ...] = ()
 
 
 def find_place(row: Mapping[str, Any], rows_of_room: Iterable[Mapping[str, Any]], directory: str | Path,

@@ -6,30 +6,38 @@ One group, the rows that share a room, a source position, the air and the stated
 
 import json
 import logging
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from roomeq.acoustics.parameters import measure
 from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import write_wav
 from roomeq.core.build import Build
 from roomeq.core.constants import BANDS_HZ
+from roomeq.core.files import write_text
 from roomeq.core.rng import rng_for
+from roomeq.draw_rooms.draw import draw_room, room_id
+from roomeq.draw_rooms.room_types import RoomType
 from roomeq.effects.model import Model, apply_to_rir, direct_gain, names_of, path_gain, read_model
 from roomeq.records.rir_dir import read_rirs, validate_rirs, with_meshes_relocated, write_rirs
 from roomeq.records.schema import RirRow
+from roomeq.sim.context import Directivity, Response
 from roomeq.sim.geometry import find_place
 from roomeq.sim.materials import read_materials
 from roomeq.sim.scene import Air, Shoebox, with_absorption
+from roomeq.simulate_rirs.drawn_room import MESHES, render_drawn_room, table_of_type
 from roomeq.simulate_rirs.options import RenderOptions
-from roomeq.simulate_rirs.source import Member, RenderedRir, render_source
+from roomeq.simulate_rirs.source import Member, RenderedRir, channels_of, render_source
 
 logger = logging.getLogger(__name__)
 
 ROWS_PER_ITEM = 32  # responses of one source that are rendered together: one trace, and little to repeat when killed
-_KEPT_KEYS = ("room_id", "source_id", "mic_id", "source_dir", "mic_dir", "room_type", "corpus")
+_KEPT_KEYS = ("room_id", "source_id", "mic_id", "source_dir", "mic_dir", "room_type", "corpus", "channel_pos_m",
+              "source_directivity")
 
 
 def make(build: Build, measured_dir: Path, rows: list[RirRow], materials: Path | str | None, model: Path | str | None,
@@ -47,7 +55,7 @@ def make(build: Build, measured_dir: Path, rows: list[RirRow], materials: Path |
 
     def simulate_group(_: str, members: list[Member]) -> list[dict]:
         air = _declared_air(members[0].row)
-        return [_write_rir(build.work, rendered, air, options)
+        return [_write_rir(build.work, rendered, air, options, True)
                 for rendered in render_source(members, air, table, effects, options)]
 
     def assemble(directory: Path, records: list[list[dict]]) -> None:
@@ -60,6 +68,41 @@ def make(build: Build, measured_dir: Path, rows: list[RirRow], materials: Path |
         times_s = [row["t30_s"] or 0.0 for row in read_rirs(build.out) if not row["noise_for"]]
         logger.info("%s: %d RIRs with T30 from %.2f to %.2f s at 1 kHz, and RIRs of their noise sources", build.out,
                     len(times_s), min(times_s), max(times_s))
+
+
+def make_drawn(build: Build, numbers: range, types: list[RoomType], materials: Path | str | None,
+               model: Path | str | None, options: RenderOptions, part: str | None, nj: int) -> None:
+    """Make the RIR directory of a build from rooms that are drawn by their numbers.
+
+    Raises
+    ------
+    ValueError
+        See `roomeq.simulate_rirs.simulate`.
+    """
+    table = read_materials(materials)
+    tables = {room_type.name: table_of_type(table, room_type, "room_types") for room_type in types}
+    effects = Model() if model is None else read_model(model)
+
+    def simulate_room(_: str, number: int) -> list[dict]:
+        drawn = draw_room(number, types, options.seed)
+        if not drawn.shape.is_shoebox:
+            write_text(build.work / MESHES / f"{drawn.id}.obj", drawn.shape.obj())
+        return [_write_rir(build.work, rendered, drawn.air, options, False)
+                for rendered in render_drawn_room(drawn, tables[drawn.room_type.name], effects, options)]
+
+    def assemble(directory: Path, records: list[list[dict]]) -> None:
+        write_rirs(directory, (row for record in records for row in record), final_directory=build.out)
+        validate_rirs(directory)
+
+    if build.run({room_id(number): number for number in numbers}, simulate_room, part=part, nj=nj):
+        build.finish(assemble)
+        rows = [row for row in read_rirs(build.out) if not row["noise_for"]]
+        logger.info("%s: %d RIRs of %d rooms (%s), and RIRs of their noise sources", build.out, len(rows), len(numbers),
+                    ", ".join(f"{count} of type {name}" for name, count in sorted(_rooms_by_type(rows).items())))
+
+
+def _rooms_by_type(rows: list[RirRow]) -> Counter[str]:
+    return Counter(dict((row["room_id"], row.get("room_type") or "") for row in rows).values())
 
 
 def _group_by_source(rows: list[RirRow], directory: Path, seed: int) -> dict[str, list[Member]]:
@@ -90,32 +133,55 @@ def _declared_air(row: RirRow) -> Air:
     return Air(**{key: values[key] for key in ("temperature_c", "humidity_pct") if values.get(key) is not None})
 
 
-def _write_rir(work: Path, rendered: RenderedRir, air: Air, options: RenderOptions) -> dict:
-    """Apply the effects that act on the whole RIR, write the audio below `work`, return the row; `air` as declared."""
-    row, place, scene, response, rir = (rendered.row, rendered.place, rendered.scene, rendered.response,
-                                        rendered.response.rir)
+def _write_rir(work: Path, rendered: RenderedRir, air: Air, options: RenderOptions, measured: bool) -> dict:
+    """Apply the effects that act on the whole RIR, write the audio below `work`, return the row; `air` as declared.
+
+    `measured`: whether the RIR is simulated after a measured one.
+    """
+    row, place, scene, response = rendered.row, rendered.place, rendered.scene, rendered.response
     gain = path_gain(rendered.effects, row.get("source_dir"))
-    if rendered.effects:
-        direct = direct_gain(scene, place.source_pos_m, place.mic_pos_m, gain) * response.direct_visible
-        rir = apply_to_rir(rendered.effects, rir, with_absorption(scene, response.absorption), place.source_pos_m,
-                           place.mic_pos_m, direct, rng_for(options.seed, "effects", row["id"]))
+    channels = [_apply_effects(rendered, of_channel, mic_pos_m, gain, rng_for(options.seed, "effects", name))
+                for of_channel, (name, mic_pos_m) in zip((response, *rendered.others), channels_of(row, place),
+                                                         strict=True)]
+    rir = channels[0]
     wav = f"wav/{row['id']}.wav"
-    write_wav(work / wav, rir, options.fs_hz)
+    write_wav(work / wav, _side_by_side(channels), options.fs_hz)
     room: dict[str, object] = (dict(room_dims_m=list(place.room.dims_m)) if isinstance(place.room, Shoebox)
                                else dict(mesh=row["mesh"]))
     surfaces = zip(scene.room.surfaces, scene.materials, response.absorption, strict=True)
     return {key: row.get(key) for key in _KEPT_KEYS if key in row} | room | dict(
-        id=row["id"], wav=wav, fs_hz=options.fs_hz, n_samples=len(rir),
+        id=row["id"], wav=wav, fs_hz=options.fs_hz, n_samples=max(map(len, channels)),
         source_pos_m=list(place.source_pos_m), mic_pos_m=list(place.mic_pos_m), drawn=list(place.drawn),
         temperature_c=air.temperature_c, humidity_pct=air.humidity_pct, seed=options.seed,
         model=["diffraction"] * response.diffracted + names_of(rendered.effects, gain),
         target_t60_s=rendered.target_s, t30_s=response.t30_s, leaked_share=response.leaked_share,
         direct_sample=response.direct_sample, direct_polarity=1, direct_visible=response.direct_visible,
-        noise_for=rendered.noise_for, measured_id=rendered.noise_for or row["id"],
+        noise_for=rendered.noise_for, measured_id=(rendered.noise_for or row["id"]) if measured else None,
         acoustic_parameters=measure(rir, options.fs_hz, direct=(response.direct_sample, 1)),
         materials={surface: dict(material=material.name, absorption=_to_8_khz(absorption),
                                  scattering=list(material.scattering))
                    for surface, material, absorption in surfaces})
+
+
+def _apply_effects(rendered: RenderedRir, response: Response, mic_pos_m: tuple[float, ...], gain: Directivity | None,
+                   rng: np.random.Generator) -> FloatArray:
+    """Return the response at one microphone with the effects that act on the whole RIR."""
+    if not rendered.effects:
+        return response.rir
+    scene, source_pos_m = rendered.scene, rendered.place.source_pos_m
+    direct = direct_gain(scene, source_pos_m, mic_pos_m, gain) * response.direct_visible
+    return apply_to_rir(rendered.effects, response.rir, with_absorption(scene, response.absorption), source_pos_m,
+                        mic_pos_m, direct, rng)
+
+
+def _side_by_side(channels: list[FloatArray]) -> FloatArray:
+    """Return one response as it is, several as the columns of an array, continued with zeros."""
+    if len(channels) == 1:
+        return channels[0]
+    samples = np.zeros((max(map(len, channels)), len(channels)))
+    for n, channel in enumerate(channels):
+        samples[:len(channel), n] = channel
+    return samples
 
 
 def _to_8_khz(absorption: FloatArray) -> list[float]:

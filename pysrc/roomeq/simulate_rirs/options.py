@@ -12,7 +12,8 @@ NOISE_CANDIDATES = 4
 class RenderOptions:
     """Options of `roomeq.simulate_rirs.simulate` that rendering depends on."""
 
-    t60_range_s: tuple[float, float]
+    t60_range_s: tuple[float, float] | None
+    """Of the targets [s]; None: those of the room types."""
     num_rays: int
     ism_order: int
     order: int

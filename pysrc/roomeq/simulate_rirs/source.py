@@ -28,6 +28,7 @@ from roomeq.sim.response import (
     render_to_target,
     trace_source,
 )
+from roomeq.sim.room import Room
 from roomeq.sim.scene import MIN_DISTANCE_M, Air, Material, Scene
 from roomeq.sim.target import scaled_absorption
 from roomeq.simulate_rirs.options import NOISE_CANDIDATES, RenderOptions
@@ -64,6 +65,8 @@ class RenderedRir:
         How far the rays had to be followed.
     noise_for : str or None
         Id of the RIR whose noise source this is.
+    others : tuple of Response
+        At the further microphones of an array, `response` being that of the first.
     """
 
     row: RirRow
@@ -74,6 +77,7 @@ class RenderedRir:
     target_s: float | None
     length_s: float
     noise_for: str | None = None
+    others: tuple[Response, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -111,7 +115,9 @@ def render_source(members: list[Member], air: Air, table: MaterialTable, model: 
         A material is unknown, a target cannot be met, or a response is not finite; the message names the RIR.
     """
     effects = [model.for_row(member.row, options.seed) for member in members]
-    room = _TracedRoom(members[0], air, table, effects[0], options)
+    first = members[0]
+    room = TracedRoom(first.place.room, first.row["room_id"], _stated_surfaces(first, table), air, table, effects[0],
+                      options)
     later_draws = [room.draw_scenes(member.row) for member in members]
     first_draws = [next(draws) for draws in later_draws]
     room.min_length_s = max(draw.length_s for draw in first_draws)
@@ -121,11 +127,23 @@ def render_source(members: list[Member], air: Air, table: MaterialTable, model: 
     rendered = [_render_row(room, member, chain([first], later), path_sample, of_row)
                 for member, first, later, path_sample, of_row
                 in zip(members, first_draws, later_draws, path_samples, effects, strict=True)]
+    return with_noises(room, rendered)
+
+
+def with_noises(room: "TracedRoom", rendered: list[RenderedRir]) -> list[RenderedRir]:
+    """Return each response followed by those of its noise sources."""
     return [rir for group in zip(rendered, _render_noises(room, rendered), strict=True)
             for rir in (group[0], *group[1])]
 
 
-class _TracedRoom:
+def _stated_surfaces(member: Member, table: MaterialTable) -> dict[str, Surface]:
+    try:
+        return given_surfaces(table, member.place.room, member.row.get("materials"))
+    except ValueError as error:
+        raise ValueError(f"RIR {member.row['id']}: {error}") from None
+
+
+class TracedRoom:
     """A room with its scattering, and the traces of its sources, each made when it is first needed.
 
     Attributes
@@ -134,28 +152,21 @@ class _TracedRoom:
         All sources are followed for at least so long, so that their traces serve all rows.
     """
 
-    def __init__(self, member: Member, air: Air, table: MaterialTable, effects: list[Effect],
-                 options: RenderOptions) -> None:
-        self.room, self.room_id = member.place.room, member.row["room_id"]
+    def __init__(self, room: Room, room_id: str, stated: dict[str, Surface], air: Air, table: MaterialTable,
+                 effects: list[Effect], options: RenderOptions) -> None:
+        self.room, self.room_id, self.stated = room, room_id, stated
         self.air, self.table, self.options = air, table, options
         self.effects = [effect for effect in effects if effect.SCOPE in ("all", "room")]
-        self.stated: dict[str, Surface] = self._stated_surfaces(member.row)
-        self.scattering = draw_scattering(table, self.room, rng_for(options.seed, "scattering", self.room_id),
-                                          self.stated)
+        self.scattering = draw_scattering(table, room, rng_for(options.seed, "scattering", room_id), stated)
         self.min_length_s = 0.0
         self._traces: dict[tuple[float, ...], TracedSource] = {}
-
-    def _stated_surfaces(self, row: RirRow) -> dict[str, Surface]:
-        try:
-            return given_surfaces(self.table, self.room, row.get("materials"))
-        except ValueError as error:
-            raise ValueError(f"RIR {row['id']}: {error}") from None
 
     def draw_scenes(self, row: RirRow) -> Iterator[SceneDraw]:
         """Yield materials and targets to try for a row: several draws of materials for each of several targets.
 
         A row that states its materials may also state its target (None: do not scale), and gets no other.
         """
+        assert self.options.t60_range_s is not None
         drawn_s = float(rng_for(self.options.seed, "t60", row["id"]).uniform(*self.options.t60_range_s))
         target_s: float | None = drawn_s
         rng = rng_for(self.options.seed, "materials", row["id"])
@@ -196,22 +207,21 @@ class _TracedRoom:
                             ism_order=self.options.ism_order,
                             n_frames=[int(np.ceil(decay_s / FRAME_S)) for decay_s in decays_s])
 
-    def render(self, place: Place, rir_id: str, target_s: float | None, **how: Any) -> Response:
-        """Render one response, scaled to a target or as it is."""
+    def render(self, source_pos_m: tuple[float, ...], mics_m: list[tuple[float, ...]], rir_ids: list[str],
+               target_s: float | None, **how: Any) -> list[Response]:
+        """Render the responses at some microphones, scaled to a target or as they are."""
         how |= dict(ism_order=self.options.ism_order, diffraction=self.options.diffraction)
-        traced = self.trace(place.source_pos_m, how["length_s"])
-        rngs = [rng_for(self.options.seed, "tail", rir_id)]
+        traced = self.trace(source_pos_m, how["length_s"])
+        rngs = [rng_for(self.options.seed, "tail", rir_id) for rir_id in rir_ids]
         try:
             if target_s is None:
-                (response,) = render_responses(traced, [place.mic_pos_m], rngs, **how)
-            else:
-                (response,) = render_to_target(traced, [place.mic_pos_m], rngs, target_s, **how)
+                return render_responses(traced, mics_m, rngs, **how)
+            return render_to_target(traced, mics_m, rngs, target_s, **how)
         except NotFiniteError as error:
-            raise NotFiniteError(f"RIR {rir_id} of room {self.room_id}: {error}") from None
-        return response
+            raise NotFiniteError(f"RIR {rir_ids[0]} of room {self.room_id}: {error}") from None
 
 
-def _render_row(room: _TracedRoom, member: Member, draws: Iterator[SceneDraw], path_sample: PathSample,
+def _render_row(room: TracedRoom, member: Member, draws: Iterator[SceneDraw], path_sample: PathSample,
                 effects: list[Effect]) -> RenderedRir:
     """Render one row with the first draw of materials and target that can be met."""
     row, place = member
@@ -224,9 +234,10 @@ def _render_row(room: _TracedRoom, member: Member, draws: Iterator[SceneDraw], p
             if draw.length_s > room.min_length_s:  # the rays are followed further, for this row alone
                 (path_sample,) = room.sample_paths(place.source_pos_m, draw.length_s, [row["id"]], [place.mic_pos_m],
                                                    [draw.expected_absorption])
-            response = room.render(place, row["id"], draw.target_s, absorption=draw.scene.absorption,
-                                   length_s=draw.length_s, path_samples=[path_sample],
-                                   source_directivity=path_gain(effects, row.get("source_dir")))
+            (response,) = room.render(place.source_pos_m, [place.mic_pos_m], [row["id"]], draw.target_s,
+                                      absorption=draw.scene.absorption, length_s=draw.length_s,
+                                      path_samples=[path_sample],
+                                      source_directivity=path_gain(effects, row.get("source_dir")))
         except NotFiniteError:
             raise
         except ValueError as error:
@@ -238,33 +249,41 @@ def _render_row(room: _TracedRoom, member: Member, draws: Iterator[SceneDraw], p
     raise ValueError(f"RIR {row['id']}: {problem}")
 
 
-def _render_noises(room: _TracedRoom, rendered: list[RenderedRir]) -> list[list[RenderedRir]]:
+def _render_noises(room: TracedRoom, rendered: list[RenderedRir]) -> list[list[RenderedRir]]:
     """Render the noise sources of all rows, source by source; return for each row those of its noises."""
     noises = [[_noise_rir(rir, n, source_pos_m) for n, source_pos_m in enumerate(_noise_sources(rir, room), start=1)]
               for rir in rendered]
-    responses = {}
+    responses: dict[str, list[Response]] = {}
     for source_pos_m in sorted({noise.place.source_pos_m for of_row in noises for noise in of_row}):
         of_source = [noise for of_row in noises for noise in of_row if noise.place.source_pos_m == source_pos_m]
+        channels = [(noise, *channel) for noise in of_source for channel in channels_of(noise.row, noise.place)]
         path_samples = room.sample_paths(
-            source_pos_m, max(noise.length_s for noise in of_source), [noise.row["id"] for noise in of_source],
-            [noise.place.mic_pos_m for noise in of_source], [noise.response.absorption for noise in of_source])
-        for noise, path_sample in zip(of_source, path_samples, strict=True):
-            responses[noise.row["id"]] = room.render(
-                noise.place, noise.row["id"], None, absorption=noise.response.absorption, length_s=noise.length_s,
-                path_samples=[path_sample])
-    return [[replace(noise, response=responses[noise.row["id"]]) for noise in of_row] for of_row in noises]
+            source_pos_m, max(noise.length_s for noise in of_source), [name for _, name, _ in channels],
+            [mic_m for _, _, mic_m in channels], [noise.response.absorption for noise, _, _ in channels])
+        for (noise, name, mic_m), path_sample in zip(channels, path_samples, strict=True):
+            responses.setdefault(noise.row["id"], []).extend(room.render(
+                source_pos_m, [mic_m], [name], None, absorption=noise.response.absorption, length_s=noise.length_s,
+                path_samples=[path_sample]))
+    return [[replace(noise, response=responses[noise.row["id"]][0], others=tuple(responses[noise.row["id"]][1:]))
+             for noise in of_row] for of_row in noises]
+
+
+def channels_of(row: RirRow, place: Place) -> list[tuple[str, tuple[float, ...]]]:
+    """Return name and position of each microphone of a row; the first, or only one, has the name of the row."""
+    return [(row["id"] if n == 0 else f"{row['id']} {n}", position)
+            for n, position in enumerate(place.channels_m or (place.mic_pos_m,))]
 
 
 def _noise_rir(rir: RenderedRir, number: int, source_pos_m: tuple[float, ...]) -> RenderedRir:
     """Return an RIR moved to one of its noise sources; its response is still to be rendered."""
-    row: RirRow = {**rir.row, "id": f"{rir.row['id']}-noise{number}", "source_dir": None,
+    row: RirRow = {**rir.row, "id": f"{rir.row['id']}-noise{number}", "source_dir": None, "source_directivity": None,
                    "source_id": f"noise-{source_pos_m[0]}-{source_pos_m[1]}-{source_pos_m[2]}"}
     return replace(rir, row=row, place=replace(rir.place, source_pos_m=source_pos_m), target_s=None,
                    effects=[effect for effect in rir.effects if effect.SCOPE not in ("source", "rir")],
                    noise_for=rir.row["id"])
 
 
-def _noise_sources(rir: RenderedRir, room: _TracedRoom) -> list[tuple[float, ...]]:
+def _noise_sources(rir: RenderedRir, room: TracedRoom) -> list[tuple[float, ...]]:
     """Return the first few of the room's noise positions that keep clear of the microphone and the source."""
     place, options = rir.place, room.options
     candidates = noise_positions(place.room, rir.row["room_id"], options.seed, 2 * NOISE_CANDIDATES)

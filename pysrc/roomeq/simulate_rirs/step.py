@@ -1,28 +1,35 @@
 """The step that simulates an RIR directory. What it simulates with is imported where there is work to do."""
 
 import logging
+import re
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
+from roomeq.draw_rooms.room_types import read_room_types
 from roomeq.records.rir_dir import decay_range_s, read_rirs
-from roomeq.records.schema import RirRow
 from roomeq.sim.defaults import DEFAULT_TABLE, ISM_ORDER, NUM_RAYS, ORDER
 from roomeq.sim.published import published_file
 from roomeq.simulate_rirs.options import RenderOptions, check_options
 
 logger = logging.getLogger(__name__)
 
+MAX_ROOMS = 10 ** 6
+"""Largest number of rooms of one directory."""
 
-def simulate(measured_dir: Path | str, out: Path | str, *, t60_range_s: tuple[float, float] | str = (0.2, 2.0),
+
+def simulate(measured_dir: Path | str | None, out: Path | str, *, rooms: int | str | None = None,
+             room_types: Path | str | None = None, t60_range_s: tuple[float, float] | str | None = None,
              num_rays: int = NUM_RAYS, ism_order: int = ISM_ORDER, order: int = ORDER, noise_rirs: int = 1,
              materials: Path | str | None = None, model: Path | str | None = None, diffraction: bool = True,
              fs_hz: int = FS_HZ, seed: int = 0, part: str | None = None, nj: int = 1) -> None:
-    """Simulate one RIR per measured RIR, in its room and from its source to its microphone.
+    """Simulate one RIR per measured RIR, in its room and from its source to its microphone; or RIRs of drawn rooms.
 
     The materials of each RIR are drawn and then scaled until T30 at 1 kHz of the rendered RIR meets a target drawn
-    uniformly from a range. RIRs of noise sources elsewhere in the room share the microphone and the materials.
+    uniformly from a range. All RIRs of a drawn room have the same materials. RIRs of noise sources elsewhere in the
+    room share the microphone and the materials.
 
     The effects of a model act on all RIRs, except that those of loudspeakers do not act on noise sources. The key
     `t30_s` of a row holds T30 before effects that act on the whole RIR (filters, a second decay, noise); it is what
@@ -34,12 +41,17 @@ def simulate(measured_dir: Path | str, out: Path | str, *, t60_range_s: tuple[fl
         RIR directory (`roomeq.records.rir_dir`). Unknown coordinates are drawn. A row may state `materials`: the
         material of the mesh, the wall of the shoebox or ``"default"``, each with what
         `roomeq.sim.materials.find_surface` accepts. They are used instead of drawn ones. If its `target_t60_s` is
-        null as well, they are not scaled.
+        null as well, they are not scaled. None: the rooms are drawn.
     out
         RIR directory to make.
+    rooms
+        Instead of `measured_dir`: the number of rooms to draw, or the first and the last number, ``"101-200"``. What is
+        drawn for a room depends on the seed and its number alone.
+    room_types
+        Distributions that rooms are drawn from (`roomeq.draw_rooms.room_types.read_room_types`).
     t60_range_s
-        Range of the targets [s]; ``"measured"``: the range of the measured rooms
-        (`roomeq.records.rir_dir.decay_range_s`).
+        Range of the targets [s], (0.2, 2.0) by default; ``"measured"``: the range of the measured rooms
+        (`roomeq.records.rir_dir.decay_range_s`). Drawn rooms have the times of their types by default.
     num_rays
         Rays per source and per distinct column of scattering coefficients.
     ism_order
@@ -67,31 +79,67 @@ def simulate(measured_dir: Path | str, out: Path | str, *, t60_range_s: tuple[fl
         An option is out of range, a position lies outside its room, the model file is malformed, or a target cannot
         be met.
     """
-    measured_dir = Path(measured_dir)
-    low_s, high_s = _t60_range_s(t60_range_s, measured_dir)
-    options = RenderOptions((low_s, high_s), num_rays, ism_order, order, noise_rirs, bool(diffraction), fs_hz, seed)
+    if (measured_dir is None) == (rooms is None):
+        raise ValueError("RIRs are simulated after measured ones or in drawn rooms: give either MEASURED_DIR or "
+                         "--rooms")
+    if room_types is not None and rooms is None:
+        raise ValueError(f"room_types={room_types} is of drawn rooms: give --rooms as well, or leave it out")
+    numbers = None if rooms is None else _room_numbers(rooms)
+    measured_dir = None if measured_dir is None else Path(measured_dir)
+    times_s = _t60_range_s(t60_range_s if t60_range_s or numbers else (0.2, 2.0), measured_dir)
+    options = RenderOptions(times_s, num_rays, ism_order, order, noise_rirs, bool(diffraction), fs_hz, seed)
     check_options(options)
     if model and fs_hz != FS_HZ:
         raise ValueError(f"fs={fs_hz} must be {FS_HZ} with model={model}, whose effects are defined at that rate: "
                          "leave one of them out")
-    rows = read_rirs(measured_dir)
-    files = [Path(materials or DEFAULT_TABLE), *([Path(model)] if model else []), *_published_table(rows),
-             *sorted({measured_dir / mesh for row in rows if (mesh := row.get("mesh"))})]
-    build = Build(Path(out), step="simulate", options=asdict(options),
-                  # a file that is absent is refused by its reader, which names what refers to it
-                  inputs=[measured_dir, *(file for file in files if file.exists())])
-    if build.done:
+    files = [Path(materials or DEFAULT_TABLE), *([Path(model)] if model else [])]
+    if measured_dir is None:
+        assert numbers is not None
+        types = read_room_types(room_types)
+        is_file = room_types is not None and Path(room_types).is_file()
+        build = _build(out, asdict(options) | dict(rooms=[numbers[0], numbers[-1]],
+                                                   room_types=[room_type.name for room_type in types]),
+                       [*files, *_published_table(), *([Path(str(room_types))] if is_file else [])])
+        if not build.done:
+            from roomeq.simulate_rirs.directory import make_drawn
+
+            make_drawn(build, numbers, types, materials, model, options, part, nj)
         return
-    from roomeq.simulate_rirs.directory import make
+    rows = read_rirs(measured_dir)
+    files += [*(_published_table() if any(row.get("materials") for row in rows) else []),
+              *sorted({measured_dir / mesh for row in rows if (mesh := row.get("mesh"))})]
+    build = _build(out, asdict(options), files, measured_dir)
+    if not build.done:
+        from roomeq.simulate_rirs.directory import make
 
-    make(build, measured_dir, rows, materials, model, options, part, nj)
+        make(build, measured_dir, rows, materials, model, options, part, nj)
 
 
-def _t60_range_s(t60_range_s: tuple[float, float] | str, measured_dir: Path) -> tuple[float, float]:
-    """Return the range of the targets: as stated, or that of the measured rooms."""
+def _build(out: Path | str, options: dict[str, Any], files: list[Path], *directories: Path) -> Build:
+    return Build(Path(out), step="simulate", options=options,
+                 # a file that is absent is refused by its reader, which names what refers to it
+                 inputs=[*directories, *(file for file in files if file.exists())])
+
+
+def _room_numbers(rooms: int | str) -> range:
+    """Return the numbers of the rooms to draw: "200" is 1 to 200."""
+    match = re.fullmatch(r"(?:(\d{1,9})-)?(\d{1,9})", str(rooms))
+    first, last = (int(match[1] or 1), int(match[2])) if match else (0, 0)
+    if not 1 <= first <= last < first + MAX_ROOMS:
+        raise ValueError(f"rooms={rooms!r} must be a number of rooms, such as 200, or the first and the last, such as "
+                         f"201-400; at most {MAX_ROOMS}")
+    return range(first, last + 1)
+
+
+def _t60_range_s(t60_range_s: tuple[float, float] | str | None,
+                 measured_dir: Path | None) -> tuple[float, float] | None:
+    """Return the range of the targets: as stated, or that of the measured rooms; None for those of the room types."""
+    if t60_range_s is None:
+        return None
     if isinstance(t60_range_s, str):
-        if t60_range_s != "measured":
-            raise ValueError(f"t60_range={t60_range_s!r} must be two times [s] or 'measured'")
+        if t60_range_s != "measured" or measured_dir is None:
+            raise ValueError(f"t60_range={t60_range_s!r} must be two times [s]"
+                             + (" or 'measured'" if measured_dir else ", where no room is measured"))
         try:
             t60_range_s = decay_range_s(read_rirs(measured_dir))
         except ValueError as error:
@@ -102,7 +150,7 @@ def _t60_range_s(t60_range_s: tuple[float, float] | str, measured_dir: Path) -> 
     return float(t60_range_s[0]), float(t60_range_s[1])
 
 
-def _published_table(rows: list[RirRow]) -> list[Path]:
-    """Return the published table of materials if it is installed and a row may refer to it."""
-    path = published_file() if any(row.get("materials") for row in rows) else None
+def _published_table() -> list[Path]:
+    """Return the published table of materials if it is installed."""
+    path = published_file()
     return [path] if path else []

@@ -1,0 +1,1 @@
+"""Rooms that nobody measured, drawn from distributions: shapes, furniture, positions, reverberation times."""
