@@ -2,10 +2,10 @@
 
 import math
 from dataclasses import dataclass
-from statistics import NormalDist
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
+if TYPE_CHECKING:
+    import numpy as np
 
 LARGEST = 1e6
 """Largest absolute value of a bound."""
@@ -31,11 +31,13 @@ class Distribution:
     median: float | None = None
     spread: float = 1.0
 
-    def draw(self, rng: np.random.Generator) -> float:
+    def draw(self, rng: "np.random.Generator") -> float:
         """Draw a value; any distribution takes one number of the generator."""
         u = float(rng.random())
         if self.median is None:
             return self.low + u * (self.high - self.low)
+        from statistics import NormalDist
+
         normal = NormalDist(math.log(self.median), math.log(self.spread))
         below, above = normal.cdf(math.log(self.low)), normal.cdf(math.log(self.high))
         share = min(max(below + u * (above - below), 1e-9), 1.0 - 1e-9)

@@ -5,16 +5,19 @@
 
 import math
 import tomllib
+from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
+from itertools import accumulate
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from roomeq.draw_rooms.distributions import Distribution, parse_distribution
 from roomeq.records.schema import is_id
+
+if TYPE_CHECKING:
+    import numpy as np
 
 DEFAULT_TYPES = Path(__file__).with_name("room_types.toml")
 """File of the package's types; conf/room_types.toml links to it."""
@@ -58,7 +61,7 @@ class DecayTime:
     distribution: Distribution | None
     group: str | None = None
 
-    def draw(self, volume_m3: float, rng: np.random.Generator) -> float | None:
+    def draw(self, volume_m3: float, rng: "np.random.Generator") -> float | None:
         """Draw the time for a room [s]; None if its materials are not scaled."""
         if self.distribution is None:
             return None
@@ -167,14 +170,14 @@ def read_room_types(choice: str | Path | None = None) -> list[RoomType]:
     return [_room_type(path, name, content[name]) for name in content if name in names]
 
 
-def draw_type(types: Sequence[RoomType], rng: np.random.Generator) -> RoomType:
+def draw_type(types: Sequence[RoomType], rng: "np.random.Generator") -> RoomType:
     """Draw a type by its share."""
     return types[draw_index([room_type.share for room_type in types], rng)]
 
 
-def draw_index(shares: Sequence[float], rng: np.random.Generator) -> int:
+def draw_index(shares: Sequence[float], rng: "np.random.Generator") -> int:
     """Draw an index by its share."""
-    return int(np.searchsorted(np.cumsum(shares), rng.random() * np.sum(shares), side="right").clip(0, len(shares) - 1))
+    return min(bisect_right(list(accumulate(shares)), rng.random() * sum(shares)), len(shares) - 1)
 
 
 Parser = Callable[[Any], Any]
