@@ -37,6 +37,8 @@ split_sizes=773,194,242   # number of RIRs for train, dev, test; scaled down if 
 
 # stages 2-4: simulation, equalisation, compensation
 t60_range=0.2,2.0         # range of T60 of the simulated RIRs [s]; measured: the range of the measured rooms
+rooms=                    # simulate in so many randomly drawn rooms, and a tenth of it for dev, not in measured ones
+room_types=               # what they are drawn from: TOML file, or names in conf/room_types.toml; default: all of these
 num_rays=20000            # rays per source
 order=200                 # least number of reflections per ray
 num_components=7          # number of Gaussians in the mixture
@@ -97,12 +99,21 @@ if at_stage 1 "characterise and split the measured RIRs"; then
     "$data/rirs.real"
 fi
 
-simulate=(steps/simulate_rirs.sh --nj "$nj" --t60-range "$t60_range" --num-rays "$num_rays" --order "$order"
-  --seed "$seed")
-if at_stage 2 "simulate one RIR per measured RIR"; then
-  for x in train dev; do
-    "${simulate[@]}" "$data/rirs.real.$x" "$data/rirs.sim.$x"
-  done
+simulate() { # NAME [OPTION...]: make data/rirs.NAME.train and data/rirs.NAME.dev
+  local name=$1 x
+  local step=(steps/simulate_rirs.sh --nj "$nj" --num-rays "$num_rays" --order "$order" --seed "$seed" "${@:2}")
+  if [ -n "$rooms" ]; then # T60 as the room types say
+    step+=(--room-types "$room_types")
+    "${step[@]}" --rooms "$rooms" "$data/rirs.$name.train"
+    "${step[@]}" --rooms "$((rooms + 1))-$((rooms + (rooms + 9) / 10))" "$data/rirs.$name.dev"
+  else
+    for x in train dev; do
+      "${step[@]}" --t60-range "$t60_range" "$data/rirs.real.$x" "$data/rirs.$name.$x"
+    done
+  fi
+}
+if at_stage 2 "simulate RIRs"; then
+  simulate sim
 fi
 
 if at_stage 3 "fit the distribution of measured sub-band EQs"; then
@@ -123,9 +134,7 @@ if at_stage 5 "close the loop: find the effects that the simulation lacks, and s
   if [ -f "$exp/rooms/enough" ]; then
     steps/close_loop.sh --nj "$nj" --max-effects "$max_effects" --seed "$seed" \
       "$data/rirs.real.train" "$data/rirs.real.dev" "$exp/loop"
-    for x in train dev; do
-      "${simulate[@]}" --model "$exp/loop/model.json" "$data/rirs.real.$x" "$data/rirs.sim.loop.$x"
-    done
+    simulate sim.loop --model "$exp/loop/model.json"
   fi
 fi
 

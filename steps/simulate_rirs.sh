@@ -1,19 +1,28 @@
 #!/usr/bin/env bash
-# Simulate one RIR per measured RIR, with the same room, source and microphone, and with random materials.
-# Usage: steps/simulate_rirs.sh [options] <measured-rir-dir> <rir-dir>
+# Simulate one RIR per measured RIR, with the same room, source and microphone, and with random materials; or, with
+# --rooms, RIRs of rooms that are drawn at random.
+# Usage: steps/simulate_rirs.sh [options] [<measured-rir-dir>] <rir-dir>
 # e.g.:  steps/simulate_rirs.sh --nj 4 data/rirs.real.train data/rirs.sim.train
+#        steps/simulate_rirs.sh --nj 4 --rooms 1000 data/rirs.drawn.train
 set -euo pipefail
 nj=2               # jobs
-t60_range=0.2,2.0  # range of T60 [s]; measured: the range of the measured rooms
+rooms=             # instead of <measured-rir-dir>: number of rooms to draw, or the first and the last, as 1001-1100
+room_types=        # what they are drawn from: a TOML file, or names in conf/room_types.toml; default: all of these
+fs=16000           # sample rate [Hz]; the following steps take 16000 only
+t60_range=         # range of T60 [s]; measured: that of the measured rooms; default: 0.2,2.0, or as the room types say
 num_rays=20000     # rays per source
 order=200          # least number of reflections per ray
 model=             # effects to add, from steps/close_loop.sh: exp/loop/model.json
 seed=0             # seed of all random numbers
 . ./path.sh
 . utils/parse_options.sh
-[ $# -eq 2 ] || usage
-require "$1/rirs.jsonl" steps/split_rirs.sh
+if [ -n "$rooms" ]; then [ $# -eq 1 ] || usage; else [ $# -eq 2 ] || usage; fi
+[ -n "$rooms" ] || require "$1/rirs.jsonl" steps/split_rirs.sh
 more=()
-[ -z "$model" ] || { require "$model" steps/close_loop.sh && more=(--model "$model"); }
-utils/run_parts.sh "$nj" "$(dirname "$2")/log/$(basename "$2")" simulate --t60-range "$t60_range" \
-  --num-rays "$num_rays" --order "$order" "${more[@]}" --seed "$seed" "$1" "$2"
+[ -z "$model" ] || { require "$model" steps/close_loop.sh && more+=(--model "$model"); }
+[ -z "$rooms" ] || more+=(--rooms "$rooms")
+[ -z "$room_types" ] || more+=(--room-types "$room_types")
+[ -z "$t60_range" ] || more+=(--t60-range "$t60_range")
+out=${*: -1}
+utils/run_parts.sh "$nj" "$(dirname "$out")/log/$(basename "$out")" simulate --fs "$fs" --num-rays "$num_rays" \
+  --order "$order" "${more[@]}" --seed "$seed" "$@"

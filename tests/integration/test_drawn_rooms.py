@@ -1,6 +1,8 @@
 """RIR directories of drawn rooms: same bytes for any jobs, parts and number of rooms; rates; arrays; wrong options."""
 
 import hashlib
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from roomeq.core.files import write_jsonl
 from roomeq.records.rir_dir import load_rir, read_rirs, validate_rirs
 from roomeq.simulate_rirs import simulate
 
+ROOT = Path(__file__).resolve().parents[2]
 TYPES = """
 [plain]
 floor_area_m2 = [10, 16]
@@ -181,3 +184,12 @@ def test_an_unknown_material_is_refused_with_type_and_key(types, tmp_path):
     (tmp_path / "types.toml").write_text(TYPES.replace('["parquet"]', '["parkett"]'))
     with pytest.raises(ValueError, match=r"room_types: furnished: furniture\[0\]: materials: .*'parkett' is in"):
         draw(tmp_path / "types.toml", tmp_path / "rirs")
+
+
+def test_the_step_splits_the_work_and_gives_the_same_bytes(types, four, tmp_path):
+    arguments = ["--nj", "2", "--rooms", "4", "--room-types", str(types), "--num-rays", "500", "--seed", "3"]
+    done = subprocess.run([ROOT / "steps" / "simulate_rirs.sh", *arguments, tmp_path / "rirs"], cwd=ROOT, text=True,
+                          capture_output=True)
+    assert done.returncode == 0, done.stderr
+    assert hashes(tmp_path / "rirs") == hashes(four)
+    assert (tmp_path / "log" / "rirs" / "simulate.2.log").is_file()
