@@ -350,7 +350,7 @@ show_suspicious = click.option("--keep-suspicious", is_flag=True,
 
 
 @verb("show:show", "data/rirs.real --id room1-s1-m1 --out rir.html")
-@argument("path", "RIR file, RIR directory, or output of close-loop.")
+@argument("path", "RIR file, RIR directory, output of close-loop, or mesh of a room.")
 @click.option("--out", type=AnyPath(), metavar="FILE",
               help="Page with audio (FILE.html) or picture (FILE.png) to make; by default, parameters are printed.")
 @chosen_id
@@ -358,7 +358,7 @@ show_suspicious = click.option("--keep-suspicious", is_flag=True,
 @speech
 @show_suspicious
 def show() -> None:
-    """Show and play an RIR, the RIRs of a directory, or what a closed loop found."""
+    """Show and play an RIR, the RIRs of a directory, what a closed loop found, or a room."""
 
 
 @verb("show:compare", "data/rirs.real.train data/rirs.sim.train --out comparison.html")

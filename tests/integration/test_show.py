@@ -8,6 +8,7 @@ import pytest
 import soundfile
 import webdriver
 from loop_run import make_loop
+from plans import L_PLAN, prism_obj
 from rirmaker import DIRECT, coloured_rir, row, write_rir_dir
 from test_report import Page
 
@@ -47,6 +48,8 @@ def made(tmp_path_factory):
     write_wav(root / "reversed.wav", coloured_rir(1)[::-1])
     soundfile.write(root / "stereo.wav", np.column_stack([coloured_rir(2), coloured_rir(3)]), FS_HZ, subtype="FLOAT")
     (root / "text.wav").write_text("no audio")
+    (root / "l.obj").write_text(prism_obj(L_PLAN, 3.0))
+    (root / "open.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     (root / "empty").mkdir()
     return root
 
@@ -54,7 +57,7 @@ def made(tmp_path_factory):
 PAGES = {
     "file": ["show", "rir<48k>.wav"], "row": ["show", "measured/audio/hall-1.wav", "--speech", "speech.wav"],
     "suspicious": ["show", "reversed.wav", "--keep-suspicious"], "set": ["show", "simulated", "--id", "office-2-sim"],
-    "loop": ["show", "loop"], "pair": ["compare", "measured/audio/hall-0.wav", "rir<48k>.wav"],
+    "loop": ["show", "loop"], "mesh": ["show", "l.obj"], "pair": ["compare", "measured/audio/hall-0.wav", "rir<48k>.wav"],
     "sets": ["compare", "measured", "simulated", "--id", "hall-2"]}
 
 
@@ -119,7 +122,7 @@ def test_same_input_gives_the_same_page(made, pages, monkeypatch):
     assert (made / "again.html").read_bytes() == pages["loop"].read_bytes()
 
 
-@pytest.mark.parametrize("name", ["file", "set", "loop"])
+@pytest.mark.parametrize("name", ["file", "set", "loop", "mesh"])
 def test_picture_is_a_png(made, monkeypatch, name):
     monkeypatch.chdir(made)
     assert main([*PAGES[name], "--out", "picture.png"]) == 0
@@ -133,6 +136,7 @@ def test_picture_is_a_png(made, monkeypatch, name):
     (["show", "measured"], ["8 RIRs of 2 rooms", "hall", "office", "--id ID, such as"]),
     (["show", "measured", "--id", "office-0"], ["5.0 × 4.0 × 2.5 m", "Direct-to-reverberant ratio"]),
     (["show", "loop"], ["The simulation lacked: frequency response of the loudspeakers", "What to do:"]),
+    (["show", "l.obj"], ["6.00 × 6.00 × 3.00 m", "60.0 m³", "wall", "64.3", "mean free path"]),
     (["compare", "measured/audio/hall-0.wav", "measured/audio/office-0.wav"], ["B - A (JND)", "→"]),
     (["compare", "measured", "simulated"], ["8 pairs", "Medians A → B", "DRR:"])])
 def test_without_out_the_parameters_are_printed(made, monkeypatch, capsys, words, parts):
@@ -151,6 +155,8 @@ def test_without_out_the_parameters_are_printed(made, monkeypatch, capsys, words
     (["show", "reversed.wav"], r"reversed.wav: no RIR by its acoustics: time-reversed.*--keep-suspicious"),
     (["show", "stereo.wav"], r"stereo.wav: 2 channels .*--channel 0 to 1"),
     (["show", "stereo.wav", "--channel", "2"], r"stereo.wav: channel 2 of 2"),
+    (["show", "open.obj"], r"open.obj: the mesh has holes"),
+    (["show", "l.obj", "--speech", "speech.wav", "--out", "l.html"], r"--speech speech.wav: l.obj is a mesh"),
     (["show", "empty"], r"empty: neither rirs.jsonl .* nor ledger.json"),
     (["show", "measured", "--id", "hall-9"], r"measured: no RIR 'hall-9' among its 8: .* such as hall-"),
     (["show", "measured/audio/hall-0.wav", "--id", "hall-0"], r"--id hall-0: .* is no RIR directory"),

@@ -107,6 +107,12 @@ def map_room(row: RirRow, rows: Sequence[RirRow], directory: Path) -> RoomMap | 
                    direction if np.isfinite(direction[:2]).all() else None, reflections, "; ".join(notes))
 
 
+def outline(room: Room) -> RoomMap:
+    """Return the map of a room without source and microphone."""
+    unknown = np.full(3, np.nan)
+    return RoomMap(_edges(room), [], [], unknown, unknown, None, [], "")
+
+
 def first_reflections(room: Room, source_m: FloatArray, mic_m: FloatArray,
                       temperature_c: float | None = None) -> list[Reflection]:
     """Return the specular reflections of first order, sorted by arrival.

@@ -1,4 +1,4 @@
-"""What `roomeq show` and `roomeq compare` are given: an RIR file, an RIR directory, or output of the closed loop."""
+"""What `roomeq show` and `roomeq compare` are given: an RIR file, an RIR directory, output of the loop, or a mesh."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,8 +12,9 @@ from roomeq.core.progress import progress
 from roomeq.records.rir_dir import ROWS_FILE, read_rirs, rir_path
 from roomeq.records.schema import RirRow
 from roomeq.show.analysis import AnalysedRir, analyse, measure_parameters, why_no_rir
+from roomeq.sim.meshfile import FORMATS
 
-Kind = Literal["rir", "set", "loop"]
+Kind = Literal["rir", "set", "loop", "room"]
 KEEP = "show it all the same with --keep-suspicious"
 _SIMILAR = 3
 
@@ -92,7 +93,7 @@ def kind_of(path: Path) -> Kind:
                          "a folder of RIRs")
     if not path.exists():
         raise ValueError(f"{path}: no such file or directory: check the path")
-    return "rir"
+    return "room" if path.suffix.lower() in FORMATS else "rir"
 
 
 def read_rir_file(path: Path, channel: int | None = None, keep_suspicious: bool = False) -> ShownRir:

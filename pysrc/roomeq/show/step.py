@@ -14,12 +14,13 @@ PAGE, PICTURE = ".html", ".png"
 
 def show(path: Path, *, out: Path | None = None, ident: str | None = None, channel: int | None = None,
          speech: Path | None = None, keep_suspicious: bool = False) -> None:
-    """Show an RIR, the RIRs of a directory, or what a closed loop found: pictures, sound and numbers.
+    """Show an RIR, the RIRs of a directory, what a closed loop found, or a room: pictures, sound and numbers.
 
     Parameters
     ----------
     path : Path
-        An RIR file of any sample rate from 8 to 48 kHz, an RIR directory, or the output of ``roomeq close-loop``.
+        An RIR file of any sample rate from 8 to 48 kHz, an RIR directory, the output of ``roomeq close-loop``, or the
+        mesh of a room.
     out : Path, optional
         Page (``.html``, with audio) or picture (``.png``) to make. Without it, the parameters are printed.
     ident : str, optional
@@ -48,6 +49,13 @@ def show(path: Path, *, out: Path | None = None, ident: str | None = None, chann
         raise ValueError(f"--channel {channel}: {path} is no audio file: leave --channel out")
     if speech is not None and suffix != PAGE:
         raise ValueError(f"--speech {speech}: is played on a page: give --out FILE{PAGE}")
+    if kind == "room":
+        if speech is not None:
+            raise ValueError(f"--speech {speech}: {path} is a mesh, which has no sound: leave --speech out")
+        from roomeq.show.page_room import show_room
+
+        _deliver(show_room(path, suffix), out)
+        return
     if kind == "loop":
         from roomeq.show.page_loop import show_loop
 
