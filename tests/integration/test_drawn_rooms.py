@@ -9,8 +9,10 @@ import pytest
 import soundfile
 from commands import call
 
-from roomeq.core.files import write_jsonl
-from roomeq.records.rir_dir import load_rir, read_rirs, validate_rirs
+from roomeq.core.constants import BANDS_HZ
+from roomeq.core.files import write_json, write_jsonl
+from roomeq.eq.steps import compensate
+from roomeq.records.rir_dir import load_channels, load_rir, read_rirs, validate_rirs
 from roomeq.simulate_rirs import simulate
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -152,6 +154,24 @@ def test_arrays_have_a_row_each_with_all_positions(tmp_path):
         for channel, position in enumerate(row["channel_pos_m"]):
             direct = np.linalg.norm(np.subtract(position, row["source_pos_m"])) / 343.2 * fs_hz
             assert np.argmax(np.abs(samples[:round(direct) + 4, channel])) == pytest.approx(direct, abs=2.0)
+
+
+def test_compensation_filters_all_microphones_of_an_array(tmp_path):
+    (tmp_path / "studio.toml").write_text(ARRAYS)
+    rows = draw(tmp_path / "studio.toml", tmp_path / "rirs", rooms=1, noise_rirs=0)
+    free = [hz for hz in BANDS_HZ if hz != 1000.0]
+    write_json(tmp_path / "gmm.json", dict(weights=[1.0], means_db=[[0.0] * 7], covariances_db2=[np.eye(7).tolist()],
+                                           points_hz=free, weights_of_room={}))
+    compensate(tmp_path / "rirs", tmp_path / "gmm.json", tmp_path / "eq", seed=0)
+    assert validate_rirs(tmp_path / "eq") == 4
+    name = next(iter(rows))
+    compensated = {row["id"]: row for row in read_rirs(tmp_path / "eq")}
+    before, after = load_channels(tmp_path / "rirs", rows[name]), load_channels(tmp_path / "eq", compensated[name])
+    gains = np.abs(np.fft.rfft(after, 65536, axis=0)) / np.maximum(np.abs(np.fft.rfft(before, 65536, axis=0)), 1e-12)
+    inside = slice(1000, 20000)
+    assert np.median(np.abs(gains[inside, 1] / gains[inside, 0] - 1.0)) < 0.02
+    assert np.ptp(np.median(gains[inside].reshape(50, -1, 3), axis=1)) > 0.1
+    assert "remix 1 " in (tmp_path / "rirs" / "rir_list").read_text()
 
 
 def test_a_stated_range_replaces_the_times_of_the_types(types, tmp_path):

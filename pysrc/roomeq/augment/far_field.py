@@ -26,7 +26,7 @@ from roomeq.kaldi.datadir import DataDir, read_data_dir
 from roomeq.kaldi.validate import MAX_DURATION_ERROR_S
 from roomeq.kaldi.wavscp import flac_entry, read_entry
 from roomeq.kaldi.write import GRID_SAMPLES, OutUtterance, write_data_dir
-from roomeq.records.rir_dir import require_16_khz
+from roomeq.records.rir_dir import n_channels, require_16_khz
 
 logger = logging.getLogger(__name__)
 
@@ -44,7 +44,10 @@ def make(build: Build, config: AugmentConfig, part: str | None, nj: int) -> bool
     flac_entry(str(build.out))  # refuse a path that wav.scp cannot name before hours of work
     from_scratch, start_s = not build.work.exists(), time.monotonic()
     data = read_data_dir(Path(config.data_dir), pipes=config.pipes)
-    _log_missing_noises(_augmenter(config, build.work))
+    augmenter = _augmenter(config, build.work)
+    _log_missing_noises(augmenter)
+    if any(n_channels(row) > 1 for row in augmenter.pool.rows.values()):
+        logger.info("%s: of arrays of microphones, the first one is used", config.rir_dir)
     plan = plan_recordings(data, config.copies, pipes=config.pipes)
     if not build.run(plan, partial(_make_recording, config, build.work), part=part, nj=nj):
         return False

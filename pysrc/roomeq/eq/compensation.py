@@ -22,7 +22,7 @@ from roomeq.core.files import write_json
 from roomeq.eq.gmm import FREE, draw_target, read_gmm, with_reference
 from roomeq.eq.steps import MAX_TAPS
 from roomeq.records.rir_dir import (
-    load_rir,
+    load_channels,
     read_noises,
     read_rirs,
     relocated,
@@ -155,7 +155,8 @@ def _compensate_group(sim_dir: Path, rows: list[RirRow], target_db: FloatArray, 
     """Compensate an RIR, filter its noise RIRs alike, write their audio, return their rows."""
     fir, compensated_rows = None, []
     for row in rows:
-        rir = load_rir(sim_dir, row)
+        channels = load_channels(sim_dir, row)
+        rir = channels if channels.ndim == 1 else channels[:, 0]
         eq_keys: dict[str, list[float]] = {}
         try:
             sample, polarity = _direct_sound(row, rir)
@@ -169,6 +170,8 @@ def _compensate_group(sim_dir: Path, rows: list[RirRow], target_db: FloatArray, 
         except ValueError as error:
             raise ValueError(f"{rir_path(sim_dir, row)}: {error}") from None
         wav = f"wav/{row['id']}.wav"
+        if channels.ndim > 1:  # the further microphones of an array pass through the filter of the first
+            samples = np.column_stack([samples, *(apply_filter(channel, fir) for channel in channels.T[1:])])
         write_wav(work / wav, samples)
         compensated_rows.append(dict(row) | dict(
             wav=wav, model=[*(row.get("model") or []), "room_eq"], direct_sample=sample, direct_polarity=polarity,

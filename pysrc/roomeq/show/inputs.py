@@ -137,7 +137,7 @@ def read_rir_of(directory: Path, ident: str, keep_suspicious: bool = False) -> S
 def read_samples(directory: Path, row: RirRow) -> FloatArray:
     """Read the RIR of a row at its own sample rate, shape (n_samples,)."""
     path = rir_path(directory, row)
-    samples = read_audio(path, fs_hz=row["fs_hz"], resample=False)
+    samples = read_audio(path, fs_hz=row["fs_hz"], resample=False, channel=0 if row.get("channel_pos_m") else None)
     if len(samples) != row["n_samples"]:
         raise ValueError(f"{path}: {len(samples)} samples where {ROWS_FILE} says {row['n_samples']}: make it again")
     return samples

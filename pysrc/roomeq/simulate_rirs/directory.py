@@ -25,18 +25,18 @@ from roomeq.draw_rooms.room_types import RoomType
 from roomeq.effects.model import Model, apply_to_rir, direct_gain, names_of, path_gain, read_model
 from roomeq.records.rir_dir import read_rirs, validate_rirs, with_meshes_relocated, write_rirs
 from roomeq.records.schema import RirRow
-from roomeq.sim.context import Directivity, Response
+from roomeq.sim.context import Response
 from roomeq.sim.geometry import find_place
 from roomeq.sim.materials import read_materials
 from roomeq.sim.scene import Air, Shoebox, with_absorption
 from roomeq.simulate_rirs.drawn_room import MESHES, render_drawn_room, table_of_type
 from roomeq.simulate_rirs.options import RenderOptions
-from roomeq.simulate_rirs.source import Member, RenderedRir, channels_of, render_source
+from roomeq.simulate_rirs.source import Member, RenderedRir, channels_of, render_source, source_directivity
 
 logger = logging.getLogger(__name__)
 
 ROWS_PER_ITEM = 32  # responses of one source that are rendered together: one trace, and little to repeat when killed
-_KEPT_KEYS = ("room_id", "source_id", "mic_id", "source_dir", "mic_dir", "room_type", "corpus", "channel_pos_m",
+_KEPT_KEYS = ("room_id", "source_id", "mic_id", "source_dir", "mic_dir", "room_type", "corpus",
               "source_directivity")
 
 
@@ -140,16 +140,17 @@ def _write_rir(work: Path, rendered: RenderedRir, air: Air, options: RenderOptio
     """
     row, place, scene, response = rendered.row, rendered.place, rendered.scene, rendered.response
     gain = path_gain(rendered.effects, row.get("source_dir"))
-    channels = [_apply_effects(rendered, of_channel, mic_pos_m, gain, rng_for(options.seed, "effects", name))
+    channels = [_apply_effects(rendered, of_channel, mic_pos_m, rng_for(options.seed, "effects", name))
                 for of_channel, (name, mic_pos_m) in zip((response, *rendered.others), channels_of(row, place),
                                                          strict=True)]
     rir = channels[0]
     wav = f"wav/{row['id']}.wav"
     write_wav(work / wav, _side_by_side(channels), options.fs_hz)
+    array = dict(channel_pos_m=[list(position) for position in place.channels_m]) if place.channels_m else {}
     room: dict[str, object] = (dict(room_dims_m=list(place.room.dims_m)) if isinstance(place.room, Shoebox)
                                else dict(mesh=row["mesh"]))
     surfaces = zip(scene.room.surfaces, scene.materials, response.absorption, strict=True)
-    return {key: row.get(key) for key in _KEPT_KEYS if key in row} | room | dict(
+    return {key: row.get(key) for key in _KEPT_KEYS if key in row} | room | array | dict(
         id=row["id"], wav=wav, fs_hz=options.fs_hz, n_samples=max(map(len, channels)),
         source_pos_m=list(place.source_pos_m), mic_pos_m=list(place.mic_pos_m), drawn=list(place.drawn),
         temperature_c=air.temperature_c, humidity_pct=air.humidity_pct, seed=options.seed,
@@ -163,12 +164,13 @@ def _write_rir(work: Path, rendered: RenderedRir, air: Air, options: RenderOptio
                    for surface, material, absorption in surfaces})
 
 
-def _apply_effects(rendered: RenderedRir, response: Response, mic_pos_m: tuple[float, ...], gain: Directivity | None,
+def _apply_effects(rendered: RenderedRir, response: Response, mic_pos_m: tuple[float, ...],
                    rng: np.random.Generator) -> FloatArray:
     """Return the response at one microphone with the effects that act on the whole RIR."""
     if not rendered.effects:
         return response.rir
     scene, source_pos_m = rendered.scene, rendered.place.source_pos_m
+    gain = source_directivity(rendered.row, rendered.effects, scene.fs_hz)
     direct = direct_gain(scene, source_pos_m, mic_pos_m, gain) * response.direct_visible
     return apply_to_rir(rendered.effects, response.rir, with_absorption(scene, response.absorption), source_pos_m,
                         mic_pos_m, direct, rng)

@@ -1,21 +1,16 @@
 """Render a drawn room: one set of materials for all its sources and microphones, scaled to its reverberation time."""
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
-from typing import Any
-
-import numpy as np
+from collections.abc import Iterator, Sequence
 
 from roomeq.core.arrays import FloatArray
 from roomeq.core.rng import rng_for
 from roomeq.draw_rooms.draw import DrawnMic, DrawnRoom, DrawnSource
 from roomeq.draw_rooms.room_types import DIRECTIVITIES, RoomType
 from roomeq.effects.base import Effect
-from roomeq.effects.model import Model, path_gain
+from roomeq.effects.model import Model
 from roomeq.records.schema import RirRow
-from roomeq.rooms import Loudspeaker
-from roomeq.sim.context import Directivity, NotFiniteError, Response
+from roomeq.sim.context import NotFiniteError, Response
 from roomeq.sim.geometry import Place
 from roomeq.sim.materials import MaterialTable, Surface, find_surface
 from roomeq.sim.response import needed_length_s
@@ -29,6 +24,7 @@ from roomeq.simulate_rirs.source import (
     SceneDraw,
     TracedRoom,
     channels_of,
+    source_directivity,
     with_noises,
 )
 
@@ -173,14 +169,3 @@ def _render_source(room: TracedRoom, members: list[Member], effects: list[list[E
         rendered.append(RenderedRir(member.row, member.place, draw.scene, of_channels[0], of_row, draw.target_s,
                                     draw.length_s, others=tuple(of_channels[1:])))
     return rendered
-
-
-def source_directivity(row: RirRow, effects: Sequence[Effect], fs_hz: int) -> Directivity | None:
-    """Return the directivity of a row's source: that of the model, else the row's own, else none."""
-    if (learned := path_gain(effects, row.get("source_dir"))) is not None:
-        return learned
-    own: dict[str, Any] | None = row.get("source_directivity")
-    if own is None:
-        return None
-    gain: Callable[..., FloatArray] = Loudspeaker(np.array(row["source_dir"], dtype=float), **own).pressure
-    return partial(gain, fs_hz=fs_hz)

@@ -1,8 +1,9 @@
 """Render the responses of one source: draw materials, trace once, meet the targets, render the noise sources."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -14,7 +15,8 @@ from roomeq.core.rng import rng_for
 from roomeq.effects.base import Effect
 from roomeq.effects.model import Model, extend_scene, path_gain
 from roomeq.records.schema import RirRow
-from roomeq.sim.context import NotFiniteError, Response
+from roomeq.rooms import Loudspeaker
+from roomeq.sim.context import Directivity, NotFiniteError, Response
 from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.geometry import Place, noise_positions
 from roomeq.sim.materials import MaterialTable, Surface, draw_materials, draw_scattering, given_surfaces
@@ -237,7 +239,7 @@ def _render_row(room: TracedRoom, member: Member, draws: Iterator[SceneDraw], pa
             (response,) = room.render(place.source_pos_m, [place.mic_pos_m], [row["id"]], draw.target_s,
                                       absorption=draw.scene.absorption, length_s=draw.length_s,
                                       path_samples=[path_sample],
-                                      source_directivity=path_gain(effects, row.get("source_dir")))
+                                      source_directivity=source_directivity(row, effects, room.options.fs_hz))
         except NotFiniteError:
             raise
         except ValueError as error:
@@ -294,3 +296,14 @@ def _noise_sources(rir: RenderedRir, room: TracedRoom) -> list[tuple[float, ...]
     if len(clear) < options.noise_rirs:
         clear = [candidates[n] for n in np.argsort(clearance_m)[::-1] if clearance_m[n] >= MIN_DISTANCE_M]
     return [tuple(position) for position in clear[:options.noise_rirs]]
+
+
+def source_directivity(row: RirRow, effects: Sequence[Effect], fs_hz: int) -> Directivity | None:
+    """Return the directivity of a row's source: that of the model, else the row's own, else none."""
+    if (learned := path_gain(effects, row.get("source_dir"))) is not None:
+        return learned
+    own: dict[str, Any] | None = row.get("source_directivity")
+    if own is None:
+        return None
+    gain: Callable[..., FloatArray] = Loudspeaker(np.array(row["source_dir"], dtype=float), **own).pressure
+    return partial(gain, fs_hz=fs_hz)
