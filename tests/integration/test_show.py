@@ -57,8 +57,11 @@ def made(tmp_path_factory):
 PAGES = {
     "file": ["show", "rir<48k>.wav"], "row": ["show", "measured/audio/hall-1.wav", "--speech", "speech.wav"],
     "suspicious": ["show", "reversed.wav", "--keep-suspicious"], "set": ["show", "simulated", "--id", "office-2-sim"],
-    "loop": ["show", "loop"], "mesh": ["show", "l.obj"], "pair": ["compare", "measured/audio/hall-0.wav", "rir<48k>.wav"],
+    "loop": ["show", "loop"], "mesh": ["show", "l.obj"],
+    "pair": ["compare", "measured/audio/hall-0.wav", "rir<48k>.wav"],
     "sets": ["compare", "measured", "simulated", "--id", "hall-2"]}
+SILENT = {"mesh"}
+"""Pages without audio."""
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +78,8 @@ def pages(made):
 def test_page_is_complete_and_makes_no_requests(pages, name):
     page = Page(pages[name].read_text())
     ids = [attributes["id"] for _, attributes in page.elements if "id" in attributes]
-    assert len(ids) == len(set(ids)) and len(page.of("img")) >= 5 and len(page.of("audio")) >= 3
+    pictures, clips = (2, 0) if name in SILENT else (5, 3)
+    assert len(ids) == len(set(ids)) and len(page.of("img")) >= pictures and len(page.of("audio")) >= clips
     assert all(image["src"].startswith("data:image/svg") and image["alt"] for image in page.of("img"))
     assert all(clip["src"].startswith("data:audio/flac") for clip in page.of("audio"))
     links = {attributes["href"] for attributes in page.of("a")}
@@ -213,6 +217,7 @@ def test_browser_shows_pages_without_overflow(pages, width):
             assert browser.run("return document.documentElement.scrollWidth") <= width, name
             sizes = browser.run("return [...document.images].map(x => [x.complete, x.naturalWidth, x.width])")
             assert all(complete and natural > 0 and 200 < shown <= width for complete, natural, shown in sizes), name
-            assert browser.wait("const x = document.querySelector('audio'); if (x.readyState == 0) x.load(); "
-                                "return x.readyState >= 1 && x.duration > 0.3 && !x.error"), name
+            assert name in SILENT or browser.wait(
+                "const x = document.querySelector('audio'); if (x.readyState == 0) x.load(); "
+                "return x.readyState >= 1 && x.duration > 0.3 && !x.error"), name
             assert browser.console() == [], name

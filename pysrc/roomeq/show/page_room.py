@@ -27,7 +27,8 @@ def show_room(path: Path, suffix: str | None) -> bytes | str:
     room, name = load_mesh(path), readable(path.name)
     if suffix is None:
         facts = as_text((name, ""), [[label, value] for value, label in _facts(room)])
-        return f"{facts}\n\n{as_text(SURFACE_COLUMNS, _surface_rows(room))}\n\nSee it: --out FILE.html or --out FILE.png."
+        surfaces = as_text(SURFACE_COLUMNS, _surface_rows(room))
+        return f"{facts}\n\n{surfaces}\n\nSee it: --out FILE.html or --out FILE.png."
     map_of_room = outline(room)
     if suffix == PICTURE:
         return png([room_view(map_of_room, view) for view in VIEWS], name)
