@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import soundfile
 from commands import call
+from scipy.signal import butter, sosfilt
 
 from roomeq.core.constants import BANDS_HZ
 from roomeq.core.files import write_json, write_jsonl
@@ -154,6 +155,8 @@ def test_arrays_have_a_row_each_with_all_positions(tmp_path):
         for channel, position in enumerate(row["channel_pos_m"]):
             direct = np.linalg.norm(np.subtract(position, row["source_pos_m"])) / 343.2 * fs_hz
             assert np.argmax(np.abs(samples[:round(direct) + 4, channel])) == pytest.approx(direct, abs=2.0)
+        tails = sosfilt(butter(4, 500.0, fs=fs_hz, output="sos"), samples[round(0.08 * fs_hz):], axis=0)
+        assert np.corrcoef(tails.T)[0, 1] > 0.9  # 5 cm apart, up to 500 Hz
 
 
 def test_compensation_filters_all_microphones_of_an_array(tmp_path):

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from roomeq.core.arrays import Array, BoolArray, FloatArray
 from roomeq.core.constants import bands_hz
 from roomeq.core.jit import on_threads
+from roomeq.sim.array_noise import make_coherent
 from roomeq.sim.diffraction import Diffracted, diffract
 from roomeq.sim.echogram import FRAME_S, compute_echograms
 from roomeq.sim.images import SpecularPaths, specular_paths
@@ -144,7 +145,8 @@ def make_render_context(traced: "TracedSource", mics_m: ArrayLike, rngs: Sequenc
                         length_s: float | None, ism_order: int, diffraction: bool,
                         source_directivity: Directivity | None = None,
                         mic_directivities: Sequence[Directivity | None] | None = None,
-                        path_samples: list[PathSample] | None = None) -> RenderContext:
+                        path_samples: list[PathSample] | None = None,
+                        arrays: Sequence[int] | None = None) -> RenderContext:
     """Compute the inputs of rendering that do not depend on absorption; see `render_responses` for the parameters."""
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
     mic_directivities = [None] * len(mics_m) if mic_directivities is None else mic_directivities
@@ -163,6 +165,12 @@ def make_render_context(traced: "TracedSource", mics_m: ArrayLike, rngs: Sequenc
                                           n_samples=n_samples, direct_visible=paths.has_direct),
             list(zip(mics_m, images, strict=True)))
     noises = [tail_noise(n_samples, room.volume_m3, speed_m_s, rng, fs_hz) for rng in rngs]
+    for array in set(arrays or ()):
+        members = [mic for mic, of_array in enumerate(arrays or ()) if of_array == array]
+        if len(members) > 1:
+            mixed = make_coherent([noises[mic] for mic in members], mics_m[members], speed_m_s, fs_hz)
+            for mic, noise in zip(members, mixed, strict=True):
+                noises[mic] = noise
     context = RenderContext(traced, mics_m, images, diffracted, noises, path_samples, [], length_s, ism_order,
                             source_directivity, mic_directivities)
     return context if path_samples is not None else context.with_all_paths()

@@ -121,7 +121,8 @@ def render_responses(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
                      ism_order: int = ISM_ORDER, diffraction: bool = True,
                      source_directivity: Directivity | None = None,
                      mic_directivities: Sequence[Directivity | None] | None = None,
-                     path_samples: list[PathSample] | None = None) -> list[Response]:
+                     path_samples: list[PathSample] | None = None,
+                     arrays: Sequence[int] | None = None) -> list[Response]:
     """Render the responses of a traced source at some microphones.
 
     Parameters
@@ -145,6 +146,9 @@ def render_responses(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
     path_samples
         Of the microphones, from `sample_paths` with the same `ism_order`. They replace following all stored paths and
         take a fraction of its time.
+    arrays
+        Number of the array that each microphone belongs to: the late reverberation of its microphones is coherent as in
+        a diffuse field (`roomeq.sim.array_noise`). By default that of all microphones is independent.
 
     Returns
     -------
@@ -157,7 +161,7 @@ def render_responses(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
     """
     context = make_render_context(traced, mics_m, rngs, length_s=length_s, ism_order=ism_order, diffraction=diffraction,
                                   source_directivity=source_directivity, mic_directivities=mic_directivities,
-                                  path_samples=path_samples)
+                                  path_samples=path_samples, arrays=arrays)
     return render_microphones(context, traced.scene.absorption if absorption is None else absorption)
 
 

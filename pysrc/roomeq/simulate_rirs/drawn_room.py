@@ -162,6 +162,7 @@ def _render_source(room: TracedRoom, members: list[Member], effects: list[list[E
     responses = iter(room.render(
         source_pos_m, mics_m, names, target_s, absorption=draw.scene.absorption if absorption is None else absorption,
         length_s=draw.length_s, path_samples=path_samples,
+        arrays=[n for n, member in enumerate(members) for _ in member.place.channels_m or (None,)],
         source_directivity=source_directivity(members[0].row, effects[0], room.options.fs_hz)))
     rendered = []
     for member, of_row in zip(members, effects, strict=True):

@@ -262,10 +262,13 @@ def _render_noises(room: TracedRoom, rendered: list[RenderedRir]) -> list[list[R
         path_samples = room.sample_paths(
             source_pos_m, max(noise.length_s for noise in of_source), [name for _, name, _ in channels],
             [mic_m for _, _, mic_m in channels], [noise.response.absorption for noise, _, _ in channels])
-        for (noise, name, mic_m), path_sample in zip(channels, path_samples, strict=True):
-            responses.setdefault(noise.row["id"], []).extend(room.render(
-                source_pos_m, [mic_m], [name], None, absorption=noise.response.absorption, length_s=noise.length_s,
-                path_samples=[path_sample]))
+        remaining = iter(path_samples)
+        for noise in of_source:
+            of_row = channels_of(noise.row, noise.place)
+            responses[noise.row["id"]] = room.render(
+                source_pos_m, [mic_m for _, mic_m in of_row], [name for name, _ in of_row], None,
+                absorption=noise.response.absorption, length_s=noise.length_s,
+                path_samples=[next(remaining) for _ in of_row], arrays=[0] * len(of_row))
     return [[replace(noise, response=responses[noise.row["id"]][0], others=tuple(responses[noise.row["id"]][1:]))
              for noise in of_row] for of_row in noises]
 

@@ -1,0 +1,47 @@
+"""Noise of the late reverberation at the microphones of an array, coherent as in a diffuse field."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.fft import irfft, next_fast_len, rfft
+
+from roomeq.core.arrays import FloatArray
+
+_LOADING = 1e-6  # of the diagonal, for microphones in one place
+_CHUNK = 1024  # frequencies that are factorised together
+_MARGIN_S = 0.02  # zeros behind the noise: the filters that mix it are short, and must not wrap around
+
+
+def make_coherent(noises: Sequence[FloatArray], mics_m: ArrayLike, speed_m_s: float, fs_hz: float) -> list[FloatArray]:
+    """Mix independent noises so that two microphones at a distance d have the coherence of a diffuse field.
+
+    It is ``sin(k d) / (k d)`` (Cook et al., J. Acoust. Soc. Am. 27 (1955) 1072). The noises are mixed by the Cholesky
+    factor of the coherence matrix at each frequency (Habets, Cohen and Gannot, J. Acoust. Soc. Am. 124 (2008) 2911).
+
+    Parameters
+    ----------
+    noises
+        One per microphone, of equal power, shape (n_samples,) each.
+    mics_m
+        Shape (n_mics, 3).
+    speed_m_s
+        Speed of sound.
+    fs_hz
+
+    Returns
+    -------
+    list of ndarray, shape (n_samples,)
+        Of the same power; the first is unchanged but for rounding.
+    """
+    positions_m, n_samples = np.asarray(mics_m, dtype=float), len(noises[0])
+    distance_m = np.linalg.norm(positions_m[:, None] - positions_m, axis=2)
+    n_fft = next_fast_len(n_samples + round(_MARGIN_S * fs_hz), real=True)
+    spectra = rfft(np.array(noises), n_fft)
+    frequency_hz = np.arange(spectra.shape[1]) * fs_hz / n_fft
+    for start in range(0, spectra.shape[1], _CHUNK):
+        part = slice(start, start + _CHUNK)
+        coherence = np.sinc(2.0 * frequency_hz[part, None, None] * distance_m / speed_m_s)
+        factor = np.linalg.cholesky((1.0 - _LOADING) * coherence + _LOADING * np.eye(len(positions_m)))
+        spectra[:, part] = np.einsum("fij,jf->if", factor, spectra[:, part])
+    return list(irfft(spectra, n_fft)[:, :n_samples])
