@@ -146,11 +146,15 @@ def _write_rir(work: Path, rendered: RenderedRir, air: Air, options: RenderOptio
     rir = channels[0]
     wav = f"wav/{row['id']}.wav"
     write_wav(work / wav, _side_by_side(channels), options.fs_hz)
-    array = dict(channel_pos_m=[list(position) for position in place.channels_m]) if place.channels_m else {}
+    changed: dict[str, object] = {}
+    if place.channels_m:
+        changed["channel_pos_m"] = [list(position) for position in place.channels_m]
+    if gain is not None and row.get("source_directivity"):
+        changed["source_directivity"] = None  # that of the model takes its place
     room: dict[str, object] = (dict(room_dims_m=list(place.room.dims_m)) if isinstance(place.room, Shoebox)
                                else dict(mesh=row["mesh"]))
     surfaces = zip(scene.room.surfaces, scene.materials, response.absorption, strict=True)
-    return {key: row.get(key) for key in _KEPT_KEYS if key in row} | room | array | dict(
+    return {key: row.get(key) for key in _KEPT_KEYS if key in row} | room | changed | dict(
         id=row["id"], wav=wav, fs_hz=options.fs_hz, n_samples=max(map(len, channels)),
         source_pos_m=list(place.source_pos_m), mic_pos_m=list(place.mic_pos_m), drawn=list(place.drawn),
         temperature_c=air.temperature_c, humidity_pct=air.humidity_pct, seed=options.seed,
