@@ -2,6 +2,7 @@
 
 import random
 import re
+import shutil
 import signal
 import time
 
@@ -90,3 +91,12 @@ def test_stage_without_its_input_names_the_step_to_run(corpora, project_dir):
     output, _ = process.communicate(timeout=120)
     assert process.returncode != 0
     assert "rirs.sim.train/rirs.jsonl is missing: run steps/simulate_rirs.sh first" in output.splitlines()[-1]
+
+
+def test_drawn_rooms_take_the_place_of_the_measured_ones(undisturbed, corpora, project_dir):
+    where = corpora / "run-e"
+    shutil.copytree(corpora / "run-a", where)
+    finish(start(project_dir, where, corpora / "corpora", 2, "--rooms", "3", "--stage", "2", "--stop-stage", "4"))
+    for kind in ("sim", "sim.EQ"):
+        rooms = {x: {row["room_id"] for row in read_rirs(where / f"data/rirs.{kind}.{x}")} for x in ("train", "dev")}
+        assert rooms == {"train": {"room00001", "room00002", "room00003"}, "dev": {"room00004"}}
