@@ -128,6 +128,21 @@ def test_a_row_simulated_again_as_if_measured_is_in_the_same_room(four, tmp_path
             row.get("mesh", ""))
 
 
+@pytest.mark.parametrize("known, message", [
+    (dict(source_directivity=dict(radius_m=0.1)), "source_directivity: key 'membrane_radius_m' is missing"),
+    (dict(source_directivity=dict(radius_m=0.1, membrane_radius_m=0.2), source_dir=[1, 0, 0]),
+     r"RIR hall: membrane_radius_m=0.2 must lie in \(0, radius_m=0.1\]"),
+    (dict(source_directivity=dict(radius_m=0.1, membrane_radius_m=0.05)), "RIR hall: direction .* must be three"),
+    (dict(channel_pos_m=[[1, 2]]), "channel_pos_m=.* must be a list of two or more positions"),
+])
+def test_a_wrong_directivity_or_array_in_a_row_is_refused(tmp_path, known, message):
+    row = dict(id="hall", wav="hall.wav", room_id="hall", source_id="s", mic_id="m", fs_hz=16000, n_samples=9,
+               room_dims_m=[5, 4, 3], source_pos_m=[1, 1, 1], mic_pos_m=[3, 2, 1])
+    write_jsonl(tmp_path / "rirs.jsonl", [row | known])
+    with pytest.raises(ValueError, match=message):
+        simulate(tmp_path, tmp_path / "out", num_rays=500)
+
+
 def test_rooms_at_48_khz_are_those_at_16_khz(types, four, tmp_path):
     rows = draw(types, tmp_path / "rirs", rooms=2, fs_hz=48000)
     assert validate_rirs(tmp_path / "rirs") == 4

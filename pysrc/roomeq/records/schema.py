@@ -92,6 +92,13 @@ _COMPLETE = {"eq_db": ("eq_db", "eq_valid", "eq_edge_db"), "t20_valid": ("t20_s"
 """Acoustic parameters that are only used together: where the first is given, none of the others may be missing."""
 
 
+class Membrane(TypedDict):
+    """A source that is a membrane in a rigid sphere (`roomeq.Loudspeaker`)."""
+
+    radius_m: Annotated[float, Meta(ge=0, le=LARGEST, description="a length, not negative")]
+    membrane_radius_m: Annotated[float, Meta(ge=0, le=LARGEST, description="a length, not negative")]
+
+
 class RirRow(TypedDict):
     """A line of `rirs.jsonl`: one RIR. Every optional key may be null."""
 
@@ -114,7 +121,7 @@ class RirRow(TypedDict):
     geometry_problem: NotRequired[Text | None]
     geometry_ok: NotRequired[Flag | None]
     channel_pos_m: NotRequired[Vectors | None]
-    source_directivity: NotRequired[Annotated[dict[str, Amount], Meta(description="an object of lengths")] | None]
+    source_directivity: NotRequired[Annotated[Membrane, Meta(description="an object")] | None]
     drawn: NotRequired[Annotated[list[str], Meta(description="a list of texts")] | None]
     # the measurement
     corpus: NotRequired[Text | None]

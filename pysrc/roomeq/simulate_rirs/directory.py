@@ -96,9 +96,11 @@ def make_drawn(build: Build, numbers: range, types: list[RoomType], materials: P
 
     if build.run({room_id(number): number for number in numbers}, simulate_room, part=part, nj=nj):
         build.finish(assemble)
-        rows = [row for row in read_rirs(build.out) if not row["noise_for"]]
-        logger.info("%s: %d RIRs of %d rooms (%s), and RIRs of their noise sources", build.out, len(rows), len(numbers),
-                    ", ".join(f"{count} of type {name}" for name, count in sorted(_rooms_by_type(rows).items())))
+        everything = read_rirs(build.out)
+        rows = [row for row in everything if not row["noise_for"]]
+        types_text = ", ".join(f"{count} of type {name}" for name, count in sorted(_rooms_by_type(rows).items()))
+        logger.info("%s: %d RIRs, and %d of noise sources, of %d rooms (%s)", build.out, len(rows),
+                    len(everything) - len(rows), len(numbers), types_text)
 
 
 def _rooms_by_type(rows: list[RirRow]) -> Counter[str]:

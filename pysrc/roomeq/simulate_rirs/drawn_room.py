@@ -9,7 +9,7 @@ from roomeq.draw_rooms.draw import DrawnMic, DrawnRoom, DrawnSource
 from roomeq.draw_rooms.room_types import DIRECTIVITIES, RoomType
 from roomeq.effects.base import Effect
 from roomeq.effects.model import Model
-from roomeq.records.schema import RirRow
+from roomeq.records.schema import Membrane, RirRow
 from roomeq.sim.context import NotFiniteError, Response
 from roomeq.sim.geometry import Place
 from roomeq.sim.materials import MaterialTable, Surface, find_surface
@@ -117,7 +117,8 @@ def _row(drawn: DrawnRoom, source: DrawnSource, mic: DrawnMic) -> RirRow:
     row: RirRow = {"id": f"{drawn.id}-{source.id}-{mic.id}", "wav": "", "room_id": drawn.id, "source_id": source.id,
                    "mic_id": mic.id, "room_type": drawn.room_type.name,
                    "source_dir": None if source.facing is None else list(source.facing),
-                   "source_directivity": None if membrane is None else dict(membrane._asdict())}
+                   "source_directivity": None if membrane is None else Membrane(
+                       radius_m=membrane.radius_m, membrane_radius_m=membrane.membrane_radius_m)}
     if not drawn.shape.is_shoebox:
         row["mesh"] = f"{MESHES}/{drawn.id}.obj"
     if len(mic.channels_m) > 1:

@@ -305,8 +305,9 @@ def source_directivity(row: RirRow, effects: Sequence[Effect], fs_hz: int) -> Di
     """Return the directivity of a row's source: that of the model, else the row's own, else none."""
     if (learned := path_gain(effects, row.get("source_dir"))) is not None:
         return learned
-    own: dict[str, Any] | None = row.get("source_directivity")
+    own = row.get("source_directivity")
     if own is None:
         return None
-    gain: Callable[..., FloatArray] = Loudspeaker(np.array(row["source_dir"], dtype=float), **own).pressure
+    facing = np.array(row.get("source_dir"), dtype=float)
+    gain: Callable[..., FloatArray] = Loudspeaker(facing, own["radius_m"], own["membrane_radius_m"]).pressure
     return partial(gain, fs_hz=fs_hz)
