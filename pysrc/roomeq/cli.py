@@ -218,7 +218,7 @@ def at_most_one(paths: tuple[Path, ...]) -> Path | None:
 
 @verb("simulate_rirs:simulate", "data/rirs.real.train data/rirs.sim.train\n  roomeq simulate --rooms 1000 rirs")
 @argument("measured_dir", "RIR directory from which rooms, sources and microphones are taken.", nargs=-1,
-          callback=lambda _ctx, _param, paths: at_most_one(paths))
+          metavar="[MEASURED_DIR]", callback=lambda _ctx, _param, paths: at_most_one(paths))
 @argument("out", "RIR directory to make.")
 @click.option("--rooms", metavar="N|FIRST-LAST", help="Draw so many rooms, or those with these numbers, instead.")
 @click.option("--room-types", metavar="FILE|NAMES", help="Distributions to draw rooms from: a TOML file, or some of "
