@@ -156,7 +156,8 @@ def simulate_rir(room: Room, source: ArrayLike, mics: ArrayLike, fs: int = FS_HZ
     source
         Position of the source [m], shape (3,).
     mics
-        Positions of the microphones [m], shape (3,) or (n_mics, 3). The source is traced once for all of them.
+        Positions of the microphones [m], shape (3,) or (n_mics, 3). The source is traced once for all of them. Their late
+        reverberation is coherent as in a diffuse field (`roomeq.sim.array_noise`).
     fs
         Sample rate, 8 to 48 kHz [Hz].
     source_directivity
@@ -193,7 +194,7 @@ def simulate_rir(room: Room, source: ArrayLike, mics: ArrayLike, fs: int = FS_HZ
     responses = simulate_responses(
         room.scene(fs), np.asarray(source, dtype=np.float64), positions_m, num_rays=num_rays, target_t60_s=room.t60_s,
         source_directivity=_at_rate(source_directivity, fs), mic_directivities=[_at_rate(one, fs) for one in of_mics],
-        seed=seed)
+        arrays=[0] * n_mics, seed=seed)
     result = np.zeros((n_mics, max(len(response.rir) for response in responses)))
     for row, response in zip(result, responses, strict=True):
         row[:len(response.rir)] = response.rir

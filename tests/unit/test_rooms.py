@@ -38,6 +38,22 @@ def test_array_has_a_row_for_each_microphone_and_the_same_bytes_again():
     assert not np.array_equal(rirs, roomeq.simulate_rir(ROOM, SOURCE_M, mics_m, num_rays=500, seed=5))
 
 
+def test_late_reverberation_is_coherent_at_near_microphones_as_in_a_diffuse_field():
+    distance_m = 0.1
+    room = roomeq.Room((6.0, 4.0, 3.0), materials={"absorption": 0.05, "scattering": 0.9})
+    spectra = []
+    for seed in range(3):
+        mics_m = [MIC_M, (MIC_M[0] + distance_m, *MIC_M[1:])]
+        rirs = roomeq.simulate_rir(room, SOURCE_M, mics_m, num_rays=2000, seed=seed)
+        frames = rirs[:, 3200:3200 + 256 * 60].reshape(2, 60, 256) * np.hanning(256)
+        spectra.append(np.fft.rfft(frames))
+    first, second = np.concatenate(spectra, axis=1)
+    found = np.sum(first * second.conj(), axis=0).real / np.sqrt(
+        np.sum(np.abs(first) ** 2, axis=0) * np.sum(np.abs(second) ** 2, axis=0))
+    expected = np.sinc(2.0 * np.fft.rfftfreq(256, 1.0 / 16000) * distance_m / Air().speed_m_s)
+    assert np.abs(found - expected)[2:-2].mean() < 0.1 and found[2] > 0.9
+
+
 def test_reverberation_time_is_met():
     room = roomeq.Room((6.0, 4.0, 3.0), t60_s=0.4)
     assert parameters(roomeq.simulate_rir(room, SOURCE_M, MIC_M))["t30_s"][4] == pytest.approx(0.4, rel=0.05)

@@ -248,7 +248,8 @@ def _mean_t30_s(responses: Sequence[Response]) -> float | None:
 def simulate_responses(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike, *, num_rays: int = NUM_RAYS,
                        ism_order: int = ISM_ORDER, order: int = ORDER, target_t60_s: float | None = None,
                        diffraction: bool = True, source_directivity: Directivity | None = None,
-                       mic_directivities: Sequence[Directivity | None] | None = None, seed: int = 0) -> list[Response]:
+                       mic_directivities: Sequence[Directivity | None] | None = None,
+                       arrays: Sequence[int] | None = None, seed: int = 0) -> list[Response]:
     """Simulate impulse responses from a source to one or more microphones.
 
     Parameters
@@ -273,6 +274,8 @@ def simulate_responses(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike,
     source_directivity, mic_directivities
         Of the source, and of each microphone (`roomeq.sim.directivity`); None is omnidirectional. They do not apply to
         diffracted sound.
+    arrays
+        Number of the array that each microphone belongs to; see `render_responses`.
     seed
 
     Returns
@@ -291,7 +294,8 @@ def simulate_responses(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike,
     traced = trace_source(scene, source_pos_m, num_rays=num_rays,
                           max_length_s=needed_length_s(scene, target_t60_s, order), rng=rng_for(seed, "trace", ""))
     rngs = [rng_for(seed, "tail", str(n)) for n in range(len(mics_m))]
-    options: dict[str, Any] = dict(ism_order=ism_order, diffraction=diffraction, source_directivity=source_directivity)
+    options: dict[str, Any] = dict(ism_order=ism_order, diffraction=diffraction, source_directivity=source_directivity,
+                                   arrays=arrays)
     if mic_directivities is not None and any(mic_directivities):
         exponent = 1.0 if target_t60_s is None else eyring_exponent(scene, target_t60_s)
         options |= dict(mic_directivities=mic_directivities, path_samples=sample_paths(
