@@ -381,6 +381,8 @@ def main(argv: list[str] | None = None) -> int:
     except click.UsageError as error:
         command = error.ctx.command_path if error.ctx else "roomeq"
         return failed(f"{error.format_message().rstrip('.')}: see {command} --help")
+    finally:
+        only_ask(False)  # of this call alone
 
 
 def failed(message: str, status: int = 1) -> int:
