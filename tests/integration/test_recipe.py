@@ -94,7 +94,7 @@ def test_stage_without_its_input_names_the_step_to_run(corpora, project_dir):
 
 
 def test_drawn_rooms_take_the_place_of_the_measured_ones(undisturbed, corpora, project_dir):
-    where = corpora / "run-e"
+    where = corpora / "run-rooms"
     shutil.copytree(corpora / "run-a", where)
     finish(start(project_dir, where, corpora / "corpora", 2, "--rooms", "3", "--stage", "2", "--stop-stage", "4"))
     for kind in ("sim", "sim.EQ"):
