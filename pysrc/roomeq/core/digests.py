@@ -99,10 +99,16 @@ def _stamp_above(folder: str, known: dict[str, tuple[Path, Stamp] | None]) -> tu
     return known[folder]
 
 
-def audio_digest(paths: Iterable[Path]) -> str:
+def audio_digest(paths: Iterable[Path], root: Path | None = None) -> str:
     """Return a hash of files by name and content, for an output that is made of a list of files.
 
     A file that is absent is hashed as absent: reading it raises the error.
+
+    Parameters
+    ----------
+    paths
+    root
+        Names count from this directory on, so that the hash is the same wherever it lies.
 
     Raises
     ------
@@ -115,7 +121,8 @@ def audio_digest(paths: Iterable[Path]) -> str:
     _require_as_stamped_above(hashes.items())
     total = hashlib.sha256()
     for name in names:
-        total.update(f"{name} {hashes[name]}\n".encode(errors="surrogateescape"))
+        known_as = os.path.relpath(name, root) if root is not None else name
+        total.update(f"{known_as} {hashes[name]}\n".encode(errors="surrogateescape"))
     return total.hexdigest()
 
 

@@ -116,7 +116,7 @@ def _build(out: Path, step: str, listed: dict[Path, list[Recording]], **options:
         else:  # the files that are listed, which may stand among many that do not matter
             said = repr([(recording.id, recording.row) for recording in recordings])
             audio += [sha256(said.encode(errors="surrogateescape")).hexdigest(),
-                      audio_digest(recording.path for recording in recordings)]
+                      audio_digest((recording.path for recording in recordings), root=source)]
     return Build(out, step=step, options=dict(options, ways=ways, audio=audio), inputs=inputs, refers=True)
 
 

@@ -156,6 +156,15 @@ def test_listed_audio_that_is_not_as_it_was_made_is_refused(tmp_path):
     assert audio_digest(listed) != before
 
 
+def test_listed_audio_is_hashed_alike_wherever_its_folder_lies(tmp_path):
+    for place in ("a", "b"):
+        (tmp_path / place / "folder").mkdir(parents=True)
+        (tmp_path / place / "folder/x.wav").write_text("1")
+    listed = [tmp_path / place / "folder/x.wav" for place in ("a", "b")]
+    here, there = (audio_digest([path], root=tmp_path / place) for path, place in zip(listed, "ab", strict=True))
+    assert here == there and audio_digest(listed[:1]) != audio_digest(listed[1:])
+
+
 def test_damaged_stamp_is_refused(tmp_path):
     make_squares(tmp_path / "in", numbers=(1, 2))
     content = (tmp_path / "in" / DONE_FILE).read_text()
