@@ -9,7 +9,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from roomeq.core.arrays import FloatArray
 
 _LOADING = 1e-6  # of the diagonal, for microphones in one place
-_CHUNK = 1024  # frequencies that are factorised together
+_STEP_RAD = 0.1  # largest change of k d over frequencies that share a factor
 _MARGIN_S = 0.02  # zeros behind the noise: the filters that mix it are short, and must not wrap around
 
 
@@ -38,10 +38,14 @@ def make_coherent(noises: Sequence[FloatArray], mics_m: ArrayLike, speed_m_s: fl
     distance_m = np.linalg.norm(positions_m[:, None] - positions_m, axis=2)
     n_fft = next_fast_len(n_samples + round(_MARGIN_S * fs_hz), real=True)
     spectra = rfft(np.array(noises), n_fft)
-    frequency_hz = np.arange(spectra.shape[1]) * fs_hz / n_fft
-    for start in range(0, spectra.shape[1], _CHUNK):
-        part = slice(start, start + _CHUNK)
-        coherence = np.sinc(2.0 * frequency_hz[part, None, None] * distance_m / speed_m_s)
-        factor = np.linalg.cholesky((1.0 - _LOADING) * coherence + _LOADING * np.eye(len(positions_m)))
-        spectra[:, part] = np.einsum("fij,jf->if", factor, spectra[:, part])
-    return list(irfft(spectra, n_fft)[:, :n_samples])
+    step_hz = _STEP_RAD * speed_m_s / (2.0 * np.pi * max(float(distance_m.max()), 0.01))
+    n_bins = spectra.shape[1]
+    width = min(max(1, int(step_hz * n_fft / fs_hz)), n_bins)
+    n_groups = -(-n_bins // width)
+    frequency_hz = (np.arange(n_groups) + 0.5) * width * fs_hz / n_fft
+    coherence = np.sinc(2.0 * frequency_hz[:, None, None] * distance_m / speed_m_s)
+    factor = np.linalg.cholesky((1.0 - _LOADING) * coherence + _LOADING * np.eye(len(positions_m)))
+    padded = np.pad(spectra, ((0, 0), (0, n_groups * width - n_bins)))
+    groups = padded.reshape(len(padded), n_groups, width).transpose(1, 0, 2)
+    mixed = (factor @ groups).transpose(1, 0, 2).reshape(padded.shape)[:, :n_bins]
+    return list(irfft(mixed, n_fft)[:, :n_samples])
