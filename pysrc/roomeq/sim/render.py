@@ -104,7 +104,8 @@ def render(distance_m: FloatArray, gains: FloatArray, echogram: FloatArray, nois
     # few sizes of transform for all lengths, so that their filters stay cached
     n_fft = next_fast_len(-(-(n_samples + 2 * guard) // _FFT_GRID) * _FFT_GRID, real=True)
     bank = octave_filterbank(n_fft, fs_hz)[bank_bands]
-    signals, earliest = np.zeros((len(bank), n_fft)), np.zeros(n_fft)
+    # single precision: twice as fast, and its rounding lies 140 dB below the peak
+    signals, earliest = np.zeros((len(bank), n_fft), np.float32), np.zeros(n_fft)
     delays, gains = guard + distance_m / speed_m_s * fs_hz, np.ascontiguousarray(gains)
     first = int(np.argmin(distance_m)) if len(distance_m) else None
     onset = guard if first is None else int(np.ceil(delays[first]))
@@ -114,7 +115,7 @@ def render(distance_m: FloatArray, gains: FloatArray, echogram: FloatArray, nois
     _add_pulses(signals, delays[later], gains[later], _sinc_table())
     if first is not None:
         _add_first(earliest, delays[first], gains[first], bank_bands, fs_hz)
-    response = irfft(np.einsum("bf,bf->f", rfft(signals, n_fft), bank), n_fft)
+    response = irfft(np.einsum("bf,bf->f", rfft(signals, n_fft), bank.astype(np.float32)), n_fft).astype(np.float64)
     response[:onset - SINC_HALF] = 0.0  # nothing precedes the first sound, though the filters of the others ring
     response += earliest if len(bank) == len(all_bands) else irfft(rfft(earliest, n_fft) * bank.sum(axis=0), n_fft)
     return response[guard:guard + n_samples]
@@ -146,12 +147,15 @@ def _shape_noise(bands: Array, noise: Array, energy: Array, first: Number, frame
     """Give noise the power of an echogram, linear between the middles of frames, from sample `first` on."""
     n_bands, n_samples = bands.shape
     for band in range(n_bands):
-        for n in range(first, n_samples):
-            position = max((n + 0.5) / frame_samples - 0.5, 0.0)
-            frame = np.uint32(position)
-            fraction = position - frame
-            power = energy[band, frame] * (1.0 - fraction) + energy[band, frame + np.uint32(1)] * fraction
-            bands[band, n] = noise[n] * np.sqrt(power / frame_samples)
+        n, frame = first, max(int((first + 0.5) / frame_samples - 0.5), 0)
+        while n < n_samples:
+            # within half a frame from the middle of one to the middle of the next
+            end = min(n_samples, int(np.ceil((frame + 1.5) * frame_samples - 0.5)))
+            before, rise = energy[band, frame], energy[band, frame + 1] - energy[band, frame]
+            for k in range(n, end):
+                fraction = max((k + 0.5) / frame_samples - 0.5 - frame, 0.0)
+                bands[band, k] = noise[k] * np.sqrt((before + rise * fraction) / frame_samples)
+            n, frame = end, frame + 1
 
 
 @lru_cache(maxsize=1)
