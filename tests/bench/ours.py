@@ -216,7 +216,7 @@ def sampled_and_full(dims_m, source_pos_m, noise_pos_m, mic_pos_m, target_s, *, 
     for position_m in (source_pos_m, noise_pos_m):
         source = traced(scene, position_m, seed=seed, duration_s=length_s)
         n_frames = int(np.ceil(decay_length_s(scene, absorption) / FRAME_S))
-        samples = sample_paths(source, mics_m, absorption[None], [rng_for(seed, "echoes", "")],
+        samples = sample_paths(source, mics_m, absorption, [rng_for(seed, "echoes", "")],
                                ism_order=ISM_ORDER, n_frames=min(n_frames, int(np.ceil(length_s / FRAME_S))))
         rngs = [rng_for(seed, "tail", "")]
         if not pairs:
@@ -277,8 +277,7 @@ def stages(scene, source_pos_m, mics_m, *, repeats):
             compute_echograms(one, scene.room, scene.absorption, mics_m, ism_order=ISM_ORDER, n_frames=n_frames,
                    speed_m_s=air.speed_m_s)
         marks.append(time.perf_counter())
-        reference = np.tile(scene.absorption, (len(mics_m), 1, 1))
-        path_samples = sample_paths(source, mics_m, reference, rngs, ism_order=ISM_ORDER, n_frames=n_frames)
+        path_samples = sample_paths(source, mics_m, scene.absorption, rngs, ism_order=ISM_ORDER, n_frames=n_frames)
         marks.append(time.perf_counter())
         on_threads(lambda sample: sample.echogram(0.9 * scene.absorption),  # noqa: B023
                    [(sample,) for sample in path_samples])

@@ -29,11 +29,11 @@ from roomeq.records.rir_dir import load_rir
 from roomeq.records.schema import RirRow
 from roomeq.sim.geometry import Place, find_place
 from roomeq.sim.response import trace_source
-from roomeq.sim.scene import Air, Material, Scene
+from roomeq.sim.scene import Air, Material, Scene, uniform_absorption
 
 logger = logging.getLogger(__name__)
 
-NUM_RAYS = 5000
+NUM_RAYS = 10000
 SAME_PLACE_M = 0.15
 """Positions of a source that are closer than this are taken as one: positions are known to some centimetres."""
 LENGTHS_S = (0.4, 3.0)
@@ -255,9 +255,12 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
         place = places[members[0]]
         material = Material("surface", (0.0,) * len(BANDS_HZ), (float(scattering),) * len(BANDS_HZ))
         scene = Scene(place.room, (material,) * len(place.room.surfaces), air_of(rows[members[0]]))
-        length_s = float(np.clip(1.2 * max(_longest_s(features[n]) for n in members) + 0.1, *LENGTHS_S))
+        longest_s = max(_longest_s(features[n]) for n in members)
+        length_s = float(np.clip(1.2 * longest_s + 0.1, *LENGTHS_S))
+        # twice as long, for octaves without a valid decay time
+        expected = uniform_absorption(place.room, 2.0 * longest_s, scene.air.speed_m_s)
         source = trace_source(scene, source_pos_m, num_rays=NUM_RAYS, max_length_s=length_s,
-                              rng=rng_for(seed, "loop trace", repr((room_id, source_pos_m))))
+                              rng=rng_for(seed, "loop trace", repr((room_id, source_pos_m))), absorption=expected)
         facings = [unit_facing(rows[n].get("source_dir")) for n in members]
         return (folder.store(source, str(members[0])),
                 collect(source, [places[n].mic_pos_m for n in members], facings))

@@ -119,7 +119,7 @@ def collect(traced: TracedSource, mics_m: ArrayLike, facings: Sequence[FloatArra
     radii_m, volumes_m3 = receiver_spheres(room, mics_m)
     rays = _Rays(paths.hits, paths.codes, paths.first, paths.counts, paths.normals,
                  level_surfaces(room)[paths.face_surface], float(paths.scattering[0]))
-    rules = Rules(-1, paths.late_m, paths.stride)
+    rules = Rules(-1, paths.late_m)
     tables = []
     for m, (mic_m, facing) in enumerate(zip(mics_m, facings, strict=True)):
         distance_m = float(np.linalg.norm(mic_m - source_pos_m))
@@ -205,12 +205,12 @@ def _count(rules: Rules, rays: _Rays, receiver: _Receiver, angle_node: FloatArra
                         _put(counts, frame_of_tick[max(tick, 0)], n, n_shares * n_level / n, amount)
                         if directive:
                             _put(angular, frame_of_tick[max(tick, 0)], n, angle_node[ray], amount)
-            face = rays.codes[at] >> 1
-            step = follow(step, rules, ray, rays.codes[at], new_path, scattering)
-            if step.ends:
+            if n + 1 == rays.n_hits[ray]:
                 break
-            if step.becomes_late:
-                weight *= rules.stride
+            face = rays.codes[at] >> 2
+            step = follow(step, rules, rays.codes[at], new_path, scattering)
+            if step.represents_two:
+                weight *= 2.0
             n_level += 1 if rays.level[face] else 0
             if step.scattered > 0.0:
                 vx, vy, vz = mic[0] - hx, mic[1] - hy, mic[2] - hz

@@ -134,9 +134,18 @@ class RenderContext:
             reflection_visibility(paths, scene.room, self.mics_m, max_path_m=max_path_m)
             for paths in self.traced.paths])
 
+    def of_mics(self, mics: Sequence[int]) -> "RenderContext":
+        """Return a context of some of the microphones."""
+        return replace(
+            self, mics_m=self.mics_m[list(mics)], images=[self.images[mic] for mic in mics],
+            diffracted=[self.diffracted[mic] for mic in mics], noises=[self.noises[mic] for mic in mics],
+            path_samples=None if self.path_samples is None else [self.path_samples[mic] for mic in mics],
+            visible=[visible[list(mics)] if len(visible) else visible for visible in self.visible],
+            mic_directivities=[self.mic_directivities[mic] for mic in mics])
+
     def sample_paths(self, absorption: FloatArray, rngs: Sequence[np.random.Generator]) -> list[PathSample]:
         """Draw a sample of the paths to each microphone, for absorption of shape (n_surfaces,) in all bands."""
-        in_all_bands = np.tile(absorption[:, None], (len(self.mics_m), 1, self.traced.scene.n_bands))
+        in_all_bands = np.tile(absorption[:, None], self.traced.scene.n_bands)
         return sample_paths(self.traced, self.mics_m, in_all_bands, rngs, ism_order=self.ism_order,
                             n_frames=self.n_frames, visible=self.visible)
 
@@ -182,6 +191,9 @@ def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequenc
     Image sources are not included.
     """
     scene, paths, bands = context.traced.scene, context.traced.paths, list(bands)
+    if not context.traced.serves(absorption):
+        raise ValueError("the surfaces absorb far less than was expected when the source was traced: trace it again "
+                         "with the absorption of now")
     # all traces have the same directions of departure
     directivity = context.source_directivity
     ray_gain = None if directivity is None else np.square(directivity(paths[0].directions))
@@ -192,10 +204,16 @@ def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequenc
             return sample.echogram(absorption, bands=bands, ray_gain=ray_gain,
                                    arrival_gain=arrival_gain)[:context.n_frames, bands]
 
-        echograms = on_threads(from_sample, list(zip(context.path_samples, context.mics_m, context.mic_directivities,
-                                                     strict=True)))
-        for energy, echogram in zip(result, echograms, strict=True):
-            energy[:len(echogram)] = echogram
+        # microphones of an array that hear alike have one echogram
+        heard = [(id(sample), mic if directivity is not None else None)
+                 for mic, (sample, directivity) in enumerate(zip(context.path_samples, context.mic_directivities,
+                                                                 strict=True))]
+        firsts = {key: heard.index(key) for key in heard}
+        echograms = dict(zip(firsts, on_threads(from_sample, [
+            (context.path_samples[mic], context.mics_m[mic], context.mic_directivities[mic])
+            for mic in firsts.values()]), strict=True))
+        for energy, key in zip(result, heard, strict=True):
+            energy[:len(echograms[key])] = echograms[key]
     else:
         trace_of_band = np.array(context.traced.trace_of_band)[bands]
         for trace in np.unique(trace_of_band):

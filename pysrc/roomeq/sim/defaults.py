@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-NUM_RAYS = 20000
+NUM_RAYS = 10000
 ISM_ORDER = 6
 ORDER = 200
 DEFAULT_TABLE = Path(__file__).with_name("materials.toml")

@@ -85,7 +85,7 @@ def compute_echograms(paths: Paths, room: Room, absorption: FloatArray, mics_m: 
     for first, band in product(range(0, len(mics_m), MICS_PER_PASS), range(0, n_bands, BANDS_PER_PASS)):
         batch, bands = slice(first, first + MICS_PER_PASS), slice(band, min(band + BANDS_PER_PASS, n_bands))
         parts = np.zeros((N_CHUNKS, len(mics_m[batch]), n_frames, BANDS_PER_PASS), dtype=np.float32)
-        constant = (Rules(ism_order, np.float32(paths.late_m), paths.stride), paths.hits, paths.codes, paths.first,
+        constant = (Rules(ism_order, np.float32(paths.late_m)), paths.hits, paths.codes, paths.first,
                     paths.counts, single(paths.normals), eight_bands(reflection, band), scattering,
                     single(mics_m[batch].T, order="C"), visible[batch], single(spheres.radius_m[batch] ** 2),
                     single(1.0 / spheres.volume_m3[batch]), np.float32(1.0 / (speed_m_s * FRAME_S)),
@@ -139,17 +139,17 @@ def _accumulate(rules: Rules, hits: Array, codes: Array, first: Array, counts: A
                         if leave > enter and middle < n_frames:
                             _add(echo[m, np.uint32(middle)], (leave - enter) * per_volume[m],
                                  g0, g1, g2, g3, g4, g5, g6, g7)
-            face = codes[at] >> 1
+            if n + 1 == counts[ray]:
+                break
+            face = codes[at] >> 2
             rho = reflection[face]
             g0, g1, g2, g3 = g0 * rho[0], g1 * rho[1], g2 * rho[2], g3 * rho[3]
             g4, g5, g6, g7 = g4 * rho[4], g5 * rho[5], g6 * rho[6], g7 * rho[7]
             if max(max(max(g0, g1), max(g2, g3)), max(max(g4, g5), max(g6, g7))) < NEGLIGIBLE:
                 break
-            step = follow(step, rules, ray, codes[at], hit[3], scattering[face])
-            if step.ends:
-                break
-            if step.becomes_late:
-                k = np.float32(rules.stride)
+            step = follow(step, rules, codes[at], hit[3], scattering[face])
+            if step.represents_two:
+                k = np.float32(2.0)
                 g0, g1, g2, g3, g4, g5, g6, g7 = g0 * k, g1 * k, g2 * k, g3 * k, g4 * k, g5 * k, g6 * k, g7 * k
             if step.scattered > zero:
                 scatter(hit, normals, face, step.scattered, mics, frames_per_m, n_mics, weight, frame)

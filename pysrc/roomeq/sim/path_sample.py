@@ -18,7 +18,7 @@ Every chunk of rays keeps its own share of the paths: the chunks are strata, and
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,16 +38,20 @@ from roomeq.sim.paths import (
     scatter,
     segment_counts,
 )
+from roomeq.sim.room import Room
 from roomeq.sim.scene import Scene
 from roomeq.sim.trace import Paths
 
 if TYPE_CHECKING:
+    from roomeq.sim.mesh import MeshRoom
     from roomeq.sim.response import TracedSource
 
 _PER_CHUNK = 2  # one for each reference; the kernels rely on this number
 PATHS_PER_FRAME = _PER_CHUNK * N_CHUNKS
 MAX_ABSORPTION = 0.999
 """Of a reference: a path without any energy there could not represent others elsewhere."""
+SHARING_M = 0.1
+"""Microphones this close to one another share a sample: receiver spheres are larger, and sound goes further in 1 ms."""
 _NO_GAIN = np.zeros((0, 0, 0), np.float32)
 _NEGLIGIBLE = np.float32(1e-25)  # share of a ray's energy at a reference that counts as none
 _EMPTY = np.float32(1e-20)  # energy of a frame at a reference that counts as none: what was neglected may show
@@ -145,9 +149,12 @@ class PathSample:
 
 
 def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, rngs: Sequence[np.random.Generator], *,
-                 ism_order: int, n_frames: int | Sequence[int],
+                 ism_order: int, n_frames: int,
                  visible: Sequence[BoolArray] | None = None) -> list[PathSample]:
-    """Sample the paths that reach some microphones.
+    """Sample the paths that reach some microphones; those of a small array share a sample (`SHARING_M`).
+
+    At 0.1 m, the energies of the sampled paths differ so little that T20 and EDT change by 0.2 % (rms) and C50 by
+    0.02 dB: the exact image sources, which are not sampled, tell the microphones apart.
 
     Parameters
     ----------
@@ -155,13 +162,13 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
     mics_m
         Shape (n_mics, 3).
     absorption
-        About that for which the sample of each microphone will be used, shape (n_mics, n_surfaces, n_bands).
+        About that for which the samples will be used, shape (n_surfaces, n_bands).
     rngs
-        One per microphone; the sample of one does not depend on the others.
+        One per microphone; the sample of one does not depend on those further away.
     ism_order
         Purely specular paths with at most this many reflections are left out.
     n_frames
-        Frames of 1 ms from the emission on, of all or of each microphone.
+        Frames of 1 ms from the emission on.
     visible
         From `reflection_visibility`, for each trace; computed where it is not given.
 
@@ -171,32 +178,47 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
         One per microphone.
     """
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
-    seeds = np.array([rng.integers(2 ** 63) for rng in rngs], dtype=np.uint64)
+    leaders, sample_of_mic = np.unique(sharing(traced.scene.room, mics_m), return_inverse=True)
+    mics_m = mics_m[leaders]
+    seeds = np.array([rngs[mic].integers(2 ** 63) for mic in leaders], dtype=np.uint64)
     spheres = receiver_spheres(traced.scene.room, mics_m)
-    frames_of_mic = np.broadcast_to(n_frames, len(mics_m))
-    by_frames = np.argsort(-frames_of_mic, kind="stable")  # so that those that still listen are always the first ones
     first = tuple(paths.first for paths in traced.paths)
-    result = [_empty_sample(traced.paths, count, absorption.shape[1], first, traced.trace_of_band)
-              for count in frames_of_mic]
+    result = [_empty_sample(traced.paths, n_frames, len(absorption), first, traced.trace_of_band) for _ in mics_m]
     for trace, paths in enumerate(traced.paths):
-        tallies = _tally_reflections(paths, absorption.shape[1])
-        references = _references(absorption[..., np.equal(traced.trace_of_band, trace)])
+        tallies = _tally_reflections(paths, len(absorption))
+        references = _references(absorption[:, np.equal(traced.trace_of_band, trace)])
         for start in range(0, len(mics_m), MICS_PER_PASS):
-            batch = by_frames[start:start + MICS_PER_PASS]
-            _sample_trace(paths, tallies, traced.scene, mics_m[batch], references[batch], seeds[batch],
-                          Spheres(spheres.radius_m[batch], spheres.volume_m3[batch]), ism_order, frames_of_mic[batch],
-                          None if visible is None or not len(visible[trace]) else visible[trace][batch],
-                          [(result[m].weight[trace], result[m].reflection_counts[trace],
-                            result[m].last_reflection[trace]) for m in batch])
-    return result
+            batch = slice(start, start + MICS_PER_PASS)
+            _sample_trace(paths, tallies, traced.scene, mics_m[batch], references, seeds[batch],
+                          Spheres(spheres.radius_m[batch], spheres.volume_m3[batch]), ism_order, n_frames,
+                          None if visible is None or not len(visible[trace]) else visible[trace][leaders[batch]],
+                          [(sample.weight[trace], sample.reflection_counts[trace], sample.last_reflection[trace])
+                           for sample in result[batch]])
+    return [result[n] for n in sample_of_mic]
+
+
+def sharing(room: Room, mics_m: FloatArray) -> IntArray:
+    """Return for each microphone the first one that is close to it and seen from it, shape (n_mics,).
+
+    Only those that share with no earlier one can be the first, so that no two are further apart than `SHARING_M`
+    from the microphone whose sample they share.
+    """
+    first = np.arange(len(mics_m))
+    for mic in range(1, len(mics_m)):
+        before = np.unique(first[:mic])
+        near = before[np.linalg.norm(mics_m[before] - mics_m[mic], axis=1) <= SHARING_M]
+        if not room.convex and len(near):
+            near = near[cast("MeshRoom", room).sees(mics_m[near], mics_m[mic])]
+        first[mic] = near[0] if len(near) else mic
+    return first
 
 
 def _references(absorption: FloatArray) -> FloatArray:
-    """Return the least and the greatest absorption of each surface, shape (n_mics, 2, n_surfaces), over the last axis.
+    """Return the least and the greatest absorption of each surface in any band, shape (2, n_surfaces).
 
     Each band lies between them, so a path never has more energy in a band than at the first reference.
     """
-    return np.minimum(np.stack([absorption.min(axis=-1), absorption.max(axis=-1)], axis=1), MAX_ABSORPTION)
+    return np.minimum([absorption.min(axis=1), absorption.max(axis=1)], MAX_ABSORPTION)
 
 
 def _empty_sample(traces: Sequence[Paths], n_frames: int, n_surfaces: int, first: tuple[IntArray, ...],
@@ -212,71 +234,84 @@ def _count_type(traces: Sequence[Paths]) -> type:
 
 
 class _Tallies(NamedTuple):
-    """How often each surface was met up to each stored reflection: words of `bits` bits a surface."""
+    """How often each surface was met up to each stored reflection, packed.
 
-    words: Array  # of uint64, shape (n_stored, n_words)
-    bits: int
+    Attributes
+    ----------
+    words
+        Of uint64, shape (n_stored, n_words).
+    word, shift
+        Which word counts each surface, and from which bit on, shape (n_surfaces,).
+    mask
+        Bits of one count.
+    """
+
+    words: Array
+    word: IntArray
+    shift: Array
+    mask: np.uint64
 
 
 def _tally_reflections(paths: Paths, n_surfaces: int) -> _Tallies:
     bits = 8 * np.dtype(_count_type([paths])).itemsize
-    words = np.empty((len(paths.hits), -(-n_surfaces * bits // 64)), np.uint64)
+    word, place = np.divmod(np.arange(n_surfaces), 64 // bits)
+    tallies = _Tallies(np.empty((len(paths.hits), word[-1] + 1), np.uint64), word, (place * bits).astype(np.uint64),
+                       np.uint64(2 ** bits - 1))
     for_chunks(len(paths.counts), lambda chunk, low, high: _tally(
-        paths.codes, paths.face_surface, paths.first, paths.counts, bits, words, low, high))
-    return _Tallies(words, bits)
+        paths.codes, paths.face_surface, paths.first, paths.counts, tallies, low, high))
+    return tallies
 
 
 def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatArray, references: FloatArray,
-                  seeds: Array, spheres: Spheres, ism_order: int, limits: IntArray, visible: BoolArray | None,
+                  seeds: Array, spheres: Spheres, ism_order: int, n_frames: int, visible: BoolArray | None,
                   results: list[tuple[Array, Array, Array]]) -> None:
-    """Sample one trace into the (weight, counts, last) of each microphone; those with the most frames come first."""
+    """Sample one trace into the (weight, counts, last) of each microphone."""
     single = partial(np.asarray, dtype=np.float32)
-    n_rays, n_frames, speed_m_s = len(paths.counts), int(limits[0]), scene.air.speed_m_s
+    n_rays, speed_m_s = len(paths.counts), scene.air.speed_m_s
     if visible is None:
         visible = reflection_visibility(paths, scene.room, mics_m, max_path_m=n_frames * FRAME_S * speed_m_s)
     shape = (N_CHUNKS, len(mics_m), n_frames)
     sums = np.zeros((*shape, 2 * _PER_CHUNK), dtype=np.float32)
     kept = np.zeros((*shape, _PER_CHUNK), dtype=np.uint32)
-    constant = (Rules(ism_order, np.float32(paths.late_m), paths.stride), paths.hits, paths.codes, paths.first,
+    constant = (Rules(ism_order, np.float32(paths.late_m)), paths.hits, paths.codes, paths.first,
                 paths.counts, single(paths.normals), paths.face_surface,
-                np.ascontiguousarray((1.0 - references).transpose(1, 2, 0), dtype=np.float32), single(paths.scattering),
+                single(1.0 - references), single(paths.scattering),
                 single(mics_m.T, order="C"), visible, single(spheres.radius_m ** 2), single(1.0 / spheres.volume_m3),
-                np.float32(1.0 / (speed_m_s * FRAME_S)), seeds, limits)
+                np.float32(1.0 / (speed_m_s * FRAME_S)), seeds)
     for_chunks(n_rays, lambda chunk, low, high: _sample(*constant, low, high, sums[chunk], kept[chunk]))
     power = (1.0 - references[..., None]) ** np.arange(1.0 + paths.counts.max())
     scale = 1.0 / (4.0 * np.pi * n_rays)
-    on_threads(lambda m, arrays: _unpack(sums[:, m], kept[:, m], *tallies, power[m], scale, *arrays),
+    on_threads(lambda m, arrays: _unpack(sums[:, m], kept[:, m], tallies, power, scale, *arrays),
                list(enumerate(results)))
 
 
 @compiled
-def _tally(codes: Array, face_surface: Array, first: Array, counts: Array, bits: Number, words: Array, low: Number,
+def _tally(codes: Array, face_surface: Array, first: Array, counts: Array, tallies: _Tallies, low: Number,
            high: Number) -> None:
-    """Count hits per surface along rays `low` to `high`, in `bits` bits each."""
-    per_word, one = 64 // bits, np.uint64(1)
+    """Count hits per surface along rays `low` to `high`."""
+    words = tallies.words
     so_far = np.empty(words.shape[1], np.uint64)
     for ray in range(low, high):
         so_far[:] = np.uint64(0)
         for at in range(first[ray], first[ray] + counts[ray]):
-            surface = face_surface[codes[at] >> 1]
-            so_far[surface // per_word] += one << np.uint64(bits * (surface % per_word))
+            surface = face_surface[codes[at] >> 2]
+            so_far[tallies.word[surface]] += np.uint64(1) << tallies.shift[surface]
             for word in range(len(so_far)):
                 words[at, word] = so_far[word]
 
 
 @compiled
-def _unpack(sums: Array, kept: Array, words: Array, bits: Number, power: Array, scale: Number, weight: Array,
-            counts: Array, last: Array) -> None:
+def _unpack(sums: Array, kept: Array, tallies: _Tallies, power: Array, scale: Number, weight: Array, counts: Array,
+            last: Array) -> None:
     """Join the strata of one microphone: the weight is 1 over the sum of the densities at both references."""
     n_frames, n_surfaces = len(weight), power.shape[1]
-    per_word, mask = 64 // bits, (np.uint64(1) << np.uint64(bits)) - np.uint64(1)
     for frame in range(n_frames):
         for place in range(weight.shape[1]):
             chunk, n = place // kept.shape[2], place % kept.shape[2]
             at, share0, share1 = kept[chunk, frame, n], 1.0, 1.0
             last[frame, place] = at
             for surface in range(n_surfaces):
-                hits = (words[at, surface // per_word] >> np.uint64(bits * (surface % per_word))) & mask
+                hits = (tallies.words[at, tallies.word[surface]] >> tallies.shift[surface]) & tallies.mask
                 counts[frame, place, surface] = hits
                 share0 *= power[0, surface, hits]
                 share1 *= power[1, surface, hits]
@@ -318,11 +353,10 @@ def _absorb(weight: Array, counts: Array, most: Number, reflected: Array, gain: 
 
 
 @inlined
-def _reflect(share: Array, reflection: Array, n_mics: Number) -> None:
-    """Multiply shares of energy by what a surface reflects; those that become negligible are 0 from then on."""
-    for m in range(n_mics):
-        left = share[m] * reflection[m]
-        share[m] = left if left >= _NEGLIGIBLE else np.float32(0.0)
+def _reflected(share: Number, reflection: Number) -> Number:
+    """Return what is left of a share of energy; 0 if that is negligible."""
+    left = share * reflection
+    return left if left >= _NEGLIGIBLE else np.float32(0.0)
 
 
 @inlined
@@ -354,64 +388,53 @@ def _replace(sums: Array, kept: Array, m: Number, frame: Number, stream: Number,
 @compiled
 def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: Array, normals: Array,
             face_surface: Array, reflection: Array, scattering: Array, mics: Array, visible: Array, radius2: Array,
-            per_volume: Array, frames_per_m: Number, seeds: Array, limits: Array, low: Number, high: Number,
-            sums: Array, kept: Array) -> None:
+            per_volume: Array, frames_per_m: Number, seeds: Array, low: Number, high: Number, sums: Array,
+            kept: Array) -> None:
     """Sample the paths of rays `low` to `high`.
 
     Parameters
     ----------
-    reflection : ndarray of float32, shape (2, n_surfaces, n_mics)
+    reflection : ndarray of float32, shape (2, n_surfaces)
         Share of energy that is reflected at each reference.
     sums : ndarray of float32, shape (n_mics, n_frames, 2 * _PER_CHUNK)
         Energy so far at each reference, and the sums that must be exceeded to take the place that goes with it.
     kept : ndarray of uint32, shape (n_mics, n_frames, _PER_CHUNK)
         Last reflection of the path in each place.
     """
-    n_mics = len(sums)
+    n_mics, n_frames, _ = sums.shape
     all_visible = len(visible) == 0
     zero, one = np.float32(0.0), np.float32(1.0)
     along, weight, frame = np.empty(n_mics, np.float32), np.empty(n_mics, np.float32), np.empty(n_mics, np.float32)
-    most = np.array([reflection[:, surface].max() for surface in range(reflection.shape[1])])
-    share0, share1 = np.empty(n_mics, np.float32), np.empty(n_mics, np.float32)
     for ray in range(low, high):
-        share0[:] = one
-        share1[:] = one
-        largest, n_active = one, n_mics
+        share0, share1 = one, one
         step, hit = at_source(), (zero, zero, zero, zero)
         for n in range(face_counts[ray]):
             at = first[ray] + n
             previous, hit = hit, (hits[at, 0], hits[at, 1], hits[at, 2], hits[at, 3])
             if segment_counts(step, rules, n):
-                length = cross_spheres(previous, hit, mics, radius2, n_active, along, weight)
-                for m in range(n_active):
+                length = cross_spheres(previous, hit, mics, radius2, n_mics, along, weight)
+                for m in range(n_mics):
                     if weight[m] > zero:
                         enter, leave = chord(along[m], weight[m], length)
                         middle = (previous[3] + np.float32(0.5) * (enter + leave)) * frames_per_m
-                        if leave > enter and middle < limits[m]:
+                        if leave > enter and middle < n_frames:
                             k = np.uint32(middle)
-                            if _add(sums[m, k], (leave - enter) * per_volume[m], share0[m], share1[m]):
+                            if _add(sums[m, k], (leave - enter) * per_volume[m], share0, share1):
                                 _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 2, at - 1)
-            face = codes[at] >> 1
+            if n + 1 == face_counts[ray]:
+                break
+            face = codes[at] >> 2
             surface = face_surface[face]
-            while n_active > 0 and hit[3] * frames_per_m >= limits[n_active - 1]:
-                n_active -= 1
-            largest *= most[surface]
-            if largest < _NEGLIGIBLE or n_active == 0:
+            share0, share1 = _reflected(share0, reflection[0, surface]), _reflected(share1, reflection[1, surface])
+            if share0 == zero or hit[3] * frames_per_m >= n_frames:
                 break
-            step = follow(step, rules, ray, codes[at], hit[3], scattering[surface])
-            if step.ends:
-                break
-            _reflect(share0, reflection[0, surface], n_active)
-            _reflect(share1, reflection[1, surface], n_active)
-            if step.becomes_late:
-                largest *= np.float32(rules.stride)
-                for m in range(n_active):
-                    share0[m] *= np.float32(rules.stride)
-                    share1[m] *= np.float32(rules.stride)
+            step = follow(step, rules, codes[at], hit[3], scattering[surface])
+            if step.represents_two:
+                share0, share1 = share0 + share0, share1 + share1
             if step.scattered > zero:
-                scatter(hit, normals, face, step.scattered, mics, frames_per_m, n_active, weight, frame)
-                for m in range(n_active):
-                    if weight[m] > zero and frame[m] < limits[m] and (all_visible or visible[m, at]):
+                scatter(hit, normals, face, step.scattered, mics, frames_per_m, n_mics, weight, frame)
+                for m in range(n_mics):
+                    if weight[m] > zero and frame[m] < n_frames and (all_visible or visible[m, at]):
                         k = np.uint32(frame[m])
-                        if _add(sums[m, k], weight[m], share0[m], share1[m]):
+                        if _add(sums[m, k], weight[m], share0, share1):
                             _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 1, at)

@@ -9,9 +9,9 @@ Every path counts once. There are two kinds of contribution:
   receiver: energy density is ``power * length / volume``. Purely specular paths up to the image-source order are left
   to `roomeq.sim.images`.
 
-Once reflections are denser than samples (`roomeq.sim.trace.dense_after_s`), one ray in a few continues and is weighted
-accordingly, and next-event estimation uses only the reflections at which the ray did continue diffusely, weighted by
-1 / s: the expected value is the same, and there are enough of them.
+Once reflections are denser than samples (`roomeq.sim.trace.dense_after_s`), rays play Russian roulette, and next-event
+estimation uses only the reflections at which the ray did continue diffusely, weighted by 1 / s: the expected value is
+the same, and there are enough of them.
 
 These rules stand in `segment_counts` and `follow`. Three kernels walk along rays by them and accumulate what
 contributes: echograms (`roomeq.sim.echogram`), path samples (`roomeq.sim.path_sample`) and the loop's tables
@@ -44,13 +44,10 @@ class Rules(NamedTuple):
         Purely specular paths with at most this many reflections don't count; -1 counts all of them.
     late_m
         Path length [m] beyond which reflections are dense.
-    stride
-        One ray in `stride` continues beyond `late_m`.
     """
 
     ism_order: int
     late_m: Number
-    stride: int
 
 
 class Step(NamedTuple):
@@ -58,26 +55,20 @@ class Step(NamedTuple):
 
     Attributes
     ----------
-    ends
-        Whether the ray ends here, because another one continues in its place.
-    becomes_late
-        Whether the ray represents `Rules.stride` rays from here on.
+    represents_two
+        Whether the ray counts twice as much from here on, because another one has ended.
     scattered
         Share of the reflected energy that contributes by next-event estimation.
     diffuse
         Whether the ray continues diffusely.
     purely_specular
         Whether all reflections so far are specular.
-    late
-        Whether the path is longer than `Rules.late_m`.
     """
 
-    ends: bool
-    becomes_late: bool
+    represents_two: bool
     scattered: Number
     diffuse: bool
     purely_specular: bool
-    late: bool
 
 
 class Spheres(NamedTuple):
@@ -117,10 +108,8 @@ def reflection_visibility(paths: Paths, room: Room, mics_m: Array, *, max_path_m
         return np.zeros((0, 0), dtype=np.bool_)
     mics_m = np.atleast_2d(mics_m)
     path_m = paths.hits[:, 3]
-    late = path_m > paths.late_m
-    late &= np.repeat(np.arange(len(paths.counts)) % paths.stride != 0, paths.counts) | (paths.codes & 1 == 0)
-    tested = np.flatnonzero((path_m < max_path_m) & ~late)
-    start = paths.hits[tested, :3] + SHADOW_RAY_OFFSET_M * paths.normals[paths.codes[tested] >> 1]
+    tested = np.flatnonzero((path_m < max_path_m) & ((path_m <= paths.late_m) | (paths.codes & 1 == 1)))
+    start = paths.hits[tested, :3] + SHADOW_RAY_OFFSET_M * paths.normals[paths.codes[tested] >> 2]
     visible = np.zeros((len(mics_m), len(path_m)), dtype=np.bool_)
     for m, mic_m in enumerate(mics_m):
         visible[m, tested] = cast("MeshRoom", room).sees(start, mic_m)
@@ -130,7 +119,7 @@ def reflection_visibility(paths: Paths, room: Room, mics_m: Array, *, max_path_m
 @inlined
 def at_source() -> Step:
     """Return the state of the walk before the first reflection."""
-    return Step(False, False, np.float32(0.0), True, True, False)
+    return Step(False, np.float32(0.0), True, True)
 
 
 @inlined
@@ -140,7 +129,7 @@ def segment_counts(step: Step, rules: Rules, n: Number) -> bool:
 
 
 @inlined
-def follow(step: Step, rules: Rules, ray: Number, code: Number, path_m: Number, scattering: Number) -> Step:
+def follow(step: Step, rules: Rules, code: Number, path_m: Number, scattering: Number) -> Step:
     """Advance the walk by a reflection.
 
     Parameters
@@ -148,7 +137,6 @@ def follow(step: Step, rules: Rules, ray: Number, code: Number, path_m: Number, 
     step : Step
         State before the reflection.
     rules : Rules
-    ray : int
     code : int
         Stored code of the reflection, see `roomeq.sim.trace.Paths`.
     path_m : float
@@ -162,9 +150,7 @@ def follow(step: Step, rules: Rules, ray: Number, code: Number, path_m: Number, 
     """
     diffuse, late = (code & 1) == 1, path_m > rules.late_m
     scattered = np.float32(code & 1) if late else np.float32(scattering)
-    becomes_late = late and not step.late
-    ends = becomes_late and ray % rules.stride != 0
-    return Step(ends, becomes_late, scattered, diffuse, step.purely_specular and not diffuse, late)
+    return Step((code & 2) == 2, scattered, diffuse, step.purely_specular and not diffuse)
 
 
 @inlined

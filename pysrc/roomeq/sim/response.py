@@ -27,7 +27,7 @@ from roomeq.sim.context import (
 )
 from roomeq.sim.defaults import ISM_ORDER, NUM_RAYS, ORDER
 from roomeq.sim.echogram import FRAME_S
-from roomeq.sim.path_sample import PathSample, sample_paths
+from roomeq.sim.path_sample import PathSample, sample_paths, sharing
 from roomeq.sim.render import MAX_LENGTH_S, MIN_LENGTH_S
 from roomeq.sim.scene import Scene, check_positions, eyring_time_s
 from roomeq.sim.target import (
@@ -44,6 +44,8 @@ _DEFAULTS: dict[str, Any] = dict(length_s=None, ism_order=ISM_ORDER, diffraction
 _AROUND_1KHZ = (BAND_1KHZ - 1, BAND_1KHZ, BAND_1KHZ + 1)  # what the octave filter at 1 kHz sees
 _CLOSE_ENOUGH = 0.025  # relative error of the target at which all octaves are not rendered again
 _MAX_RENDERINGS = 3  # of all octaves, after the first
+LEAST_DECAY = 0.45
+"""Of the decay that was expected when a source was traced: slower ones would be left to too few rays."""
 SERVED = (0.7, 2.5)  # exponents that a path sample serves, relative to Eyring's, for which it is drawn
 
 
@@ -61,12 +63,24 @@ class TracedSource:
         Of each trace.
     trace_of_band
         Which trace serves each band.
+    expected_absorption
+        Shape (n_surfaces, n_bands). Rays that it weakens end early.
     """
 
     scene: Scene
     source_pos_m: FloatArray
     paths: tuple[Paths, ...]
     trace_of_band: tuple[int, ...]
+    expected_absorption: FloatArray
+
+    def serves(self, absorption: FloatArray) -> bool:
+        """Tell whether enough rays are left in all bands for absorption of shape (n_surfaces, n_bands)."""
+        area_m2 = self.scene.room.surface_area_m2
+        traced = [np.equal(self.trace_of_band, trace) for trace in self.trace_of_band]
+        expected = np.array([self.expected_absorption[:, bands].min(axis=1) for bands in traced]).T
+        decay, expected_decay = (-np.log(np.maximum(1.0 - area_m2 @ of_bands / area_m2.sum(), 1e-6))
+                                 for of_bands in (absorption, expected))
+        return bool(np.all(decay >= LEAST_DECAY * expected_decay))
 
     @property
     def leaked_share(self) -> float:
@@ -80,7 +94,8 @@ class TracedSource:
 
 
 def trace_source(scene: Scene, source_pos_m: ArrayLike, *, num_rays: int = NUM_RAYS,
-                 max_length_s: float = MAX_LENGTH_S, rng: np.random.Generator) -> TracedSource:
+                 max_length_s: float = MAX_LENGTH_S, rng: np.random.Generator,
+                 absorption: ArrayLike | None = None) -> TracedSource:
     """Trace a source once for all microphones and absorption coefficients.
 
     Parameters
@@ -93,6 +108,9 @@ def trace_source(scene: Scene, source_pos_m: ArrayLike, *, num_rays: int = NUM_R
     max_length_s
         Longest response that will be rendered.
     rng
+    absorption
+        About that for which responses will be rendered, shape (n_surfaces, n_bands) or one for all; by default that of
+        the scene. The traced energy is right for any absorption, and least noisy for this one.
 
     Returns
     -------
@@ -107,13 +125,15 @@ def trace_source(scene: Scene, source_pos_m: ArrayLike, *, num_rays: int = NUM_R
         raise ValueError(f"num_rays={num_rays} must be at least 1: ask for some rays")
     scene.room.require_inside("source_pos_m", np.asarray(source_pos_m))
     columns, trace_of_band = np.unique(scene.scattering, axis=1, return_inverse=True)
-    seed = int(rng.integers(2 ** 63))
+    trace_of_band, seed = np.ravel(trace_of_band), int(rng.integers(2 ** 63))
+    expected = np.broadcast_to(scene.absorption if absorption is None else absorption, scene.absorption.shape)
     max_length_m = max_length_s * scene.air.speed_m_s
     # the same random numbers for all columns: bands then differ by their scattering alone
     paths = tuple(trace(scene.room, source_pos_m, column, num_rays=num_rays, max_length_m=max_length_m,
-                        speed_m_s=scene.air.speed_m_s, rng=np.random.default_rng(seed)) for column in columns.T)
+                        speed_m_s=scene.air.speed_m_s, rng=np.random.default_rng(seed),
+                        absorption=expected[:, trace_of_band == n].min(axis=1)) for n, column in enumerate(columns.T))
     return TracedSource(scene, np.asarray(source_pos_m, dtype=np.float64), paths,
-                        tuple(int(n) for n in np.ravel(trace_of_band)))
+                        tuple(int(n) for n in trace_of_band), expected)
 
 
 def render_responses(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.random.Generator], *,
@@ -194,8 +214,13 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
     context = make_render_context(traced, mics_m, rngs, **(_DEFAULTS | options))
     base = traced.scene.absorption if absorption is None else absorption
     guess = eyring_exponent(traced.scene, target_s, base)
-    search = context if context.path_samples is not None else replace(
-        context, path_samples=context.sample_paths(scaled_absorption(base, guess)[:, BAND_1KHZ], rngs))
+    chosen = list(range(len(rngs)))
+    if not any(context.mic_directivities):  # of microphones that hear alike, one is enough
+        chosen = np.unique(sharing(traced.scene.room, context.mics_m)).tolist()
+    search = context.of_mics(chosen)
+    if search.path_samples is None:
+        search = replace(search, path_samples=search.sample_paths(
+            scaled_absorption(base, guess)[:, BAND_1KHZ], [rngs[mic] for mic in chosen]))
 
     @cache
     def follow_all() -> RenderContext:
@@ -208,11 +233,15 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
 
     def predict(exponent: float) -> float | None:
         absorption = scaled_absorption(base, exponent)
+        if not traced.serves(absorption):
+            return None
         energy = add_image_sources(search, ray_echograms(search, absorption, [BAND_1KHZ]), absorption, [BAND_1KHZ])
         return t30_of_echogram(energy[:, :, 0].mean(axis=0))
 
     @cache
     def measure(exponent: float) -> float | None:
+        if not traced.serves(scaled_absorption(base, exponent)):
+            return None
         return _mean_t30_s(render_microphones(search, scaled_absorption(base, exponent), _AROUND_1KHZ))
 
     exponent, _ = solve_exponent(predict, target_s, guess)
@@ -291,15 +320,16 @@ def simulate_responses(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike,
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
     for mic_m in mics_m:
         check_positions(scene.room, source_pos_m, mic_m)
-    traced = trace_source(scene, source_pos_m, num_rays=num_rays,
+    exponent = 1.0 if target_t60_s is None else eyring_exponent(scene, target_t60_s)
+    expected = scaled_absorption(scene.absorption, exponent)
+    traced = trace_source(scene, source_pos_m, num_rays=num_rays, absorption=expected,
                           max_length_s=needed_length_s(scene, target_t60_s, order), rng=rng_for(seed, "trace", ""))
     rngs = [rng_for(seed, "tail", str(n)) for n in range(len(mics_m))]
     options: dict[str, Any] = dict(ism_order=ism_order, diffraction=diffraction, source_directivity=source_directivity,
                                    arrays=arrays)
     if mic_directivities is not None and any(mic_directivities):
-        exponent = 1.0 if target_t60_s is None else eyring_exponent(scene, target_t60_s)
         options |= dict(mic_directivities=mic_directivities, path_samples=sample_paths(
-            traced, mics_m, np.tile(scaled_absorption(scene.absorption, exponent), (len(mics_m), 1, 1)),
+            traced, mics_m, expected,
             [rng_for(seed, "echoes", str(n)) for n in range(len(mics_m))], ism_order=ism_order,
             n_frames=int(np.ceil(traced.max_length_s / FRAME_S))))
     if target_t60_s is None:

@@ -2,8 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import FloatArray, IntArray
@@ -29,6 +31,19 @@ class Walls:
     offsets: FloatArray
     face_surface: IntArray
     size_m: FloatArray
+
+    @cached_property
+    def box(self) -> tuple[FloatArray, FloatArray, IntArray] | None:
+        """Low and high corner [m], and the wall on the low and high side of each axis, shape (3, 2); None if no box.
+
+        A box has six walls along the axes.
+        """
+        axis, up = np.argmax(np.abs(self.normals), axis=1), self.normals.sum(axis=1) < 0.0
+        wall_of_side = np.full((3, 2), -1)
+        wall_of_side[axis, up.astype(int)] = np.arange(len(axis))
+        if len(axis) != 6 or wall_of_side.min() < 0 or np.count_nonzero(self.normals) != 6:
+            return None
+        return self.offsets[wall_of_side[:, 0]], -self.offsets[wall_of_side[:, 1]], wall_of_side
 
 
 class Room(Protocol):

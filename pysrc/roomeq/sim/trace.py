@@ -4,8 +4,10 @@ Each ray leaves the source with an equal share of its power. At a surface it con
 probability equal to the scattering coefficient, diffusely (Lambert's law). No absorption is applied, so one trace
 serves all receivers and all absorption coefficients; bands with equal scattering share a trace.
 
-Once reflections are denser than samples, far more paths arrive than a smooth decay needs: from then on one ray in a
-few continues and represents the others.
+Once reflections are denser than samples, far more paths arrive than a smooth decay needs. From then on, rays that would
+carry little energy with materials like the expected ones play Russian roulette (Arvo and Kirk, SIGGRAPH 1990, 63): half
+of them end, and the others represent two. The rays that remain carry about equal energies, so that few of them describe
+the late decay. The result is unbiased for any absorption, and least noisy near the expected one.
 """
 
 from dataclasses import dataclass
@@ -15,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import Array, FloatArray, IntArray, Number
-from roomeq.core.jit import compiled, for_chunks, mix, uniform
+from roomeq.core.jit import compiled, for_chunks, inlined, mix, uniform
 from roomeq.sim.room import Room, Walls
 
 if TYPE_CHECKING:
@@ -24,10 +26,13 @@ if TYPE_CHECKING:
 RETRIES = 6
 """Attempts to find a surface for a ray that passed between two faces at their common edge."""
 LATE_RAYS = 5000
-"""Rays that are followed to the end, at least, if there are so many."""
-MAX_STRIDE = 4
+"""Rays that remain in a diffuse field once reflections are dense, if there are so many."""
+MAX_SHARE = 4.0
+"""Largest energy of a late ray that has lost as much as a diffuse field, in units of that of an early one."""
 _LATE_RATE_HZ = 16000.0
-"""Largest number of rays that one late ray represents."""
+_FAIR_BITS = 8  # of the number of a ray
+_LOG_2 = float(np.log(2.0))
+_LEAST_ENERGY = 1e-8  # of a diffuse field, at which rays end whatever their number
 GOLDEN_RATIO = 0.5 * (1.0 + np.sqrt(5.0))
 
 
@@ -44,9 +49,11 @@ class Paths:
     hits
         Position of each reflection and the length of the path up to it [m], ray by ray, shape (n_stored, 4), float32.
     codes
-        ``2 * face + continues_diffusely`` of each reflection, shape (n_stored,), unsigned.
+        ``4 * face + 2 * represents_two + continues_diffusely`` of each reflection, shape (n_stored,), unsigned. From
+        a reflection that represents two on, the ray's energy counts twice as much as before. A ray's last reflection
+        only ends the way to it: nothing is reflected there.
     first
-        Index of each ray's first reflection, shape (n_rays,). There may be unused elements between two rays.
+        Index of each ray's first reflection, shape (n_rays,).
     normals
         Unit normals of the faces into the air, shape (n_faces, 3).
     face_surface
@@ -55,8 +62,8 @@ class Paths:
         Reflections stored of each ray, shape (n_rays,), int32.
     scattering
         Scattering coefficient of each surface, as traced, shape (n_surfaces,).
-    late_m, stride
-        Beyond this length of path, one ray in `stride` continues and represents the others.
+    late_m
+        Beyond this length of path, reflections are dense, and rays play Russian roulette.
     max_length_m
         Rays end with the first reflection beyond this length of path.
     n_leaked
@@ -73,7 +80,6 @@ class Paths:
     counts: Array
     scattering: FloatArray
     late_m: float
-    stride: int
     max_length_m: float
     n_leaked: int
 
@@ -86,6 +92,27 @@ class _Traced(NamedTuple):
     first: IntArray
     counts: Array
     n_leaked: int
+
+
+class Roulette(NamedTuple):
+    """When a ray plays Russian roulette.
+
+    Attributes
+    ----------
+    late_m
+        Only beyond this length of path.
+    log_reflected
+        Logarithm of the energy that is expected to be reflected by each face, shape (n_faces,).
+    decay_per_m
+        Of the logarithm of the expected energy in a diffuse field, by Eyring's formula.
+    log_share
+        Logarithm of the least energy of a ray, relative to that of a diffuse field, that is spared.
+    """
+
+    late_m: float
+    log_reflected: FloatArray
+    decay_per_m: float
+    log_share: float
 
 
 def sphere_directions(n_rays: int, rng: np.random.Generator) -> FloatArray:
@@ -104,7 +131,7 @@ def sphere_directions(n_rays: int, rng: np.random.Generator) -> FloatArray:
 
 
 def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_rays: int, max_length_m: float,
-          speed_m_s: float, rng: np.random.Generator) -> Paths:
+          speed_m_s: float, rng: np.random.Generator, absorption: ArrayLike = 0.0) -> Paths:
     """Trace rays from a source.
 
     Parameters
@@ -120,6 +147,8 @@ def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_ray
     speed_m_s
         Speed of sound.
     rng
+    absorption
+        That is expected of each surface, shape (n_surfaces,) or one for all.
 
     Returns
     -------
@@ -130,16 +159,19 @@ def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_ray
     directions = sphere_directions(num_rays, rng)
     seed = np.uint64(rng.integers(2 ** 63))
     late_m = late_after_s(room.volume_m3, speed_m_s) * speed_m_s
-    stride = int(np.clip(num_rays // LATE_RAYS, 1, MAX_STRIDE))
-    end_m = np.where(np.arange(num_rays) % stride == 0, max_length_m, min(late_m, max_length_m))
     faces = room.walls or cast("MeshRoom", room)
-    of_faces = scattering[faces.face_surface]
+    area_m2 = room.surface_area_m2
+    reflected = np.maximum(1.0 - np.broadcast_to(absorption, area_m2.shape), _LEAST_ENERGY)
+    decay_per_m = -np.log(area_m2 @ reflected / area_m2.sum()) * area_m2.sum() / (4.0 * room.volume_m3)
+    roulette = Roulette(late_m, np.log(reflected)[faces.face_surface], float(decay_per_m),
+                        float(np.log(np.clip(num_rays / LATE_RAYS, 1.0, MAX_SHARE))))
+    how = source_pos_m, directions, scattering[faces.face_surface], max_length_m, roulette, seed
     if room.walls is not None:
-        traced = _trace_between_walls(room.walls, source_pos_m, directions, of_faces, end_m, seed)
+        traced = _trace_between_walls(room.walls, *how)
     else:
-        traced = _trace_in_mesh(cast("MeshRoom", room), source_pos_m, directions, of_faces, end_m, seed)
+        traced = _trace_in_mesh(cast("MeshRoom", room), *how)
     return Paths(source_pos_m, directions, traced.hits, traced.codes, traced.first, faces.normals, faces.face_surface,
-                 traced.counts, scattering, late_m, stride, max_length_m, traced.n_leaked)
+                 traced.counts, scattering, late_m, max_length_m, traced.n_leaked)
 
 
 def late_after_s(volume_m3: float, speed_m_s: float) -> float:
@@ -153,32 +185,44 @@ def dense_after_s(volume_m3: float, speed_m_s: float, rate_hz: float) -> float:
 
 
 def _code_type(n_faces: int) -> type[np.uint8] | type[np.uint32]:
-    return np.uint8 if n_faces < 128 else np.uint32
+    return np.uint8 if n_faces < 64 else np.uint32
 
 
 def _trace_between_walls(walls: Walls, source: FloatArray, directions: FloatArray, scattering: FloatArray,
-                         end_m: FloatArray, seed: np.uint64) -> _Traced:
+                         end_m: float, roulette: Roulette, seed: np.uint64) -> _Traced:
     """Trace a room that is bounded by a few planes: the next hit is on the nearest plane ahead."""
     n_rays = len(directions)
     # more than a specular ray can meet in a box
-    capacity = (1.2 * end_m * np.sqrt(np.sum(1.0 / walls.size_m ** 2))).astype(np.int64) + 40
-    start = np.concatenate([[0], np.cumsum(capacity)])
-    hits, codes = np.empty((start[-1], 4), np.float32), np.empty(start[-1], _code_type(len(walls.normals)))
-    first, counts = np.empty(n_rays, dtype=np.int64), np.empty(n_rays, dtype=np.int32)
-    # each chunk fills its share of the store from the front, so that unused pages are never touched
-    for_chunks(n_rays, lambda chunk, low, high: _trace_convex(
-        walls.normals, walls.offsets, source, directions, scattering, end_m, seed, low, high, capacity, start[low],
-        hits, codes, first, counts))
-    return _Traced(hits, codes, first, counts, 0)
+    capacity = int(1.2 * end_m * np.sqrt(np.sum(1.0 / walls.size_m ** 2))) + 40
+    counts = np.empty(n_rays, dtype=np.int32)
+
+    def trace_chunk(chunk: int, low: int, high: int) -> tuple[Array, Array]:
+        hits = np.empty(((high - low) * capacity, 4), np.float32)
+        codes = np.empty(len(hits), _code_type(len(walls.normals)))
+        how = source, directions, scattering, end_m, roulette, seed, low, high, capacity, hits, codes, counts
+        if walls.box is None:
+            n_stored = _trace_convex(walls.normals, walls.offsets, *how)
+        else:
+            low_m, high_m, wall_of_side = walls.box
+            n_stored = _trace_box(low_m, high_m, wall_of_side, *how)
+        return hits[:n_stored].copy(), codes[:n_stored].copy()  # the rest is memory for the next chunk, and fast
+
+    hits, codes = (np.concatenate(parts) for parts in zip(*for_chunks(n_rays, trace_chunk), strict=True))
+    return _Traced(hits, codes, _first_of_rays(counts), counts, 0)
+
+
+def _first_of_rays(counts: Array) -> IntArray:
+    return np.concatenate([[0], np.cumsum(counts[:-1], dtype=np.int64)])
 
 
 def _trace_in_mesh(room: "MeshRoom", source: FloatArray, directions: FloatArray, scattering: FloatArray,
-                   end_m: FloatArray, seed: np.uint64) -> _Traced:
+                   end_m: float, roulette: Roulette, seed: np.uint64) -> _Traced:
     """Trace any closed mesh: all rays together, reflection by reflection."""
     n_rays = len(directions)
     counts = np.zeros(n_rays, dtype=np.int32)
     position, before = np.tile(source, (n_rays, 1)), np.tile(source, (n_rays, 1))
     way, length = directions.copy(), np.zeros(n_rays)
+    log_energy, plays = np.zeros(n_rays), np.zeros(n_rays, dtype=np.int64)
     active, n_leaked = np.arange(n_rays), 0
     steps: list[tuple[IntArray, Array, Array]] = []
     while len(active):
@@ -187,12 +231,13 @@ def _trace_in_mesh(room: "MeshRoom", source: FloatArray, directions: FloatArray,
         n_leaked += int(lost.sum())
         active, face, distance = active[~lost], face[~lost], distance[~lost]
         hits, codes = np.empty((len(active), 4), np.float32), np.empty(len(active), _code_type(len(room.normals)))
-        _advance(room.normals, active, face, distance, scattering, seed, len(steps), position, before, way, length,
-                 hits, codes)
+        ends = np.empty(len(active), np.bool_)
+        _advance(room.normals, active, face, distance, scattering, end_m, roulette, seed, len(steps), position, before,
+                 way, length, log_energy, plays, hits, codes, ends)
         counts[active] += 1
         steps.append((active, hits, codes))
-        active = active[length[active] <= end_m[active]]
-    first = np.concatenate([[0], np.cumsum(counts[:-1], dtype=np.int64)])
+        active = active[~ends]
+    first = _first_of_rays(counts)
     hits = np.empty((counts.sum(), 4), np.float32)
     codes = np.empty(len(hits), _code_type(len(room.normals)))
     for n, (rays, step_hits, step_codes) in enumerate(steps):
@@ -230,35 +275,120 @@ def reflect(normals: Array, face: Number, scattering: Number, stream: Number, n:
     A diffuse direction is the normal plus a point on the unit sphere, which is Lambert's cosine distribution.
     """
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
-    if uniform(stream, 3 * n) >= scattering:
+    if uniform(stream, 4 * n) >= scattering:
         twice = 2.0 * (way[0] * nx + way[1] * ny + way[2] * nz)
         way[0], way[1], way[2] = way[0] - twice * nx, way[1] - twice * ny, way[2] - twice * nz
         return False
-    rise = 1.0 - 2.0 * uniform(stream, 3 * n + 1)
+    rise = 1.0 - 2.0 * uniform(stream, 4 * n + 1)
     radius = np.sqrt(max(0.0, 1.0 - rise * rise))
-    angle = 2.0 * np.pi * uniform(stream, 3 * n + 2)
+    angle = 2.0 * np.pi * uniform(stream, 4 * n + 2)
     x, y, z = nx + radius * np.cos(angle), ny + radius * np.sin(angle), nz + rise
     scale = 1.0 / np.sqrt(max(x * x + y * y + z * z, 1e-20))
     way[0], way[1], way[2] = x * scale, y * scale, z * scale
     return True
 
 
+@inlined
+def _plays(roulette: Roulette, length: Number, log_energy: Number) -> bool:
+    """Tell whether a ray carries too little energy to be followed without playing Russian roulette."""
+    if length <= roulette.late_m:
+        return False
+    diffuse = max(-roulette.decay_per_m * length, np.log(_LEAST_ENERGY))
+    return log_energy < roulette.log_share + diffuse
+
+
+@inlined
+def _survives(ray: Number, plays: Number, stream: Number, n: Number) -> bool:
+    """Tell whether a ray survives at reflection `n`.
+
+    The order of the rays is random, so that the bits of a ray's number are fair coins; and where all rays play, exactly
+    half of them end.
+    """
+    return (ray >> plays) & 1 == 1 if plays < _FAIR_BITS else uniform(stream, 4 * n + 3) < 0.5
+
+
+@inlined
+def _far_wall(position: Number, way: Number, low: Number, high: Number) -> Number:
+    """Return the distance to the wall ahead along one axis [m]."""
+    if way > 0.0:
+        return (high - position) / way
+    return (low - position) / way if way < 0.0 else 1e30
+
+
 @compiled
-def _trace_convex(normals: Array, offsets: Array, source: Array, directions: Array, scattering: Array, end_m: Array,
-                  seed: Number, low: Number, high: Number, capacity: Array, stored: Number, hits: Array, codes: Array,
-                  first: Array, counts: Array) -> None:
+def _trace_box(low_m: Array, high_m: Array, face_of_side: Array, source: Array, directions: Array, scattering: Array,
+               end_m: Number, roulette: Roulette, seed: Number, low: Number, high: Number, capacity: Number,
+               hits: Array, codes: Array, counts: Array) -> int:
+    """Trace rays `low` to `high` in a box along the axes, as `_trace_convex` does and twice as fast."""
+    x0, y0, z0, x1, y1, z1 = low_m[0], low_m[1], low_m[2], high_m[0], high_m[1], high_m[2]
+    stored = 0
+    for ray in range(low, high):
+        stream = mix(seed + np.uint64(ray))
+        x, y, z = source[0], source[1], source[2]
+        u, v, w = directions[ray, 0], directions[ray, 1], directions[ray, 2]
+        to_x, to_y, to_z = _far_wall(x, u, x0, x1), _far_wall(y, v, y0, y1), _far_wall(z, w, z0, z1)
+        length, log_energy, plays, n, ends = 0.0, 0.0, 0, 0, False
+        while not ends and n < capacity:
+            axis, distance, up = (0, to_x, u > 0.0) if to_x < to_y else (1, to_y, v > 0.0)
+            if to_z < distance:
+                axis, distance, up = 2, to_z, w > 0.0
+            distance = max(distance, 0.0)
+            face = face_of_side[axis, 1 if up else 0]
+            x, y, z, length = x + distance * u, y + distance * v, z + distance * w, length + distance
+            diffuse = uniform(stream, 4 * n) < scattering[face]
+            if diffuse:
+                rise, sign = 1.0 - 2.0 * uniform(stream, 4 * n + 1), -1.0 if up else 1.0
+                radius = np.sqrt(max(0.0, 1.0 - rise * rise))
+                angle = 2.0 * np.pi * uniform(stream, 4 * n + 2)
+                a, b = radius * np.cos(angle), radius * np.sin(angle)
+                if axis == 0:
+                    x, u, v, w = x1 if up else x0, sign + a, b, rise
+                elif axis == 1:
+                    y, u, v, w = y1 if up else y0, a, sign + b, rise
+                else:
+                    z, u, v, w = z1 if up else z0, a, b, sign + rise
+                scale = 1.0 / np.sqrt(max(u * u + v * v + w * w, 1e-20))
+                u, v, w = u * scale, v * scale, w * scale
+                to_x, to_y, to_z = _far_wall(x, u, x0, x1), _far_wall(y, v, y0, y1), _far_wall(z, w, z0, z1)
+            else:
+                to_x, to_y, to_z = to_x - distance, to_y - distance, to_z - distance
+                if axis == 0:
+                    x, u, to_x = x1 if up else x0, -u, (x1 - x0) / abs(u)
+                elif axis == 1:
+                    y, v, to_y = y1 if up else y0, -v, (y1 - y0) / abs(v)
+                else:
+                    z, w, to_z = z1 if up else z0, -w, (z1 - z0) / abs(w)
+            hits[stored, 0], hits[stored, 1], hits[stored, 2], hits[stored, 3] = x, y, z, length
+            codes[stored] = 4 * face + (1 if diffuse else 0)
+            log_energy += roulette.log_reflected[face]
+            ends = length > end_m
+            if _plays(roulette, length, log_energy):
+                if _survives(ray, plays, stream, n):
+                    codes[stored] += 2
+                    log_energy, plays = log_energy + _LOG_2, plays + 1
+                else:
+                    ends = True
+            stored += 1
+            n += 1
+        counts[ray] = n
+    return stored
+
+
+@compiled
+def _trace_convex(normals: Array, offsets: Array, source: Array, directions: Array, scattering: Array, end_m: Number,
+                  roulette: Roulette, seed: Number, low: Number, high: Number, capacity: Number, hits: Array,
+                  codes: Array, counts: Array) -> int:
     """Trace rays `low` to `high` between planes; the air is where ``normal . x > offset`` for all of them."""
-    n_faces = len(normals)
+    n_faces, stored = len(normals), 0
     height, approach, way = np.empty(n_faces), np.empty(n_faces), np.empty(3)
     for ray in range(low, high):
         stream = mix(seed + np.uint64(ray))
-        first[ray] = stored
         x, y, z = source[0], source[1], source[2]
         way[0], way[1], way[2] = directions[ray, 0], directions[ray, 1], directions[ray, 2]
         for face in range(n_faces):
             height[face] = normals[face, 0] * x + normals[face, 1] * y + normals[face, 2] * z - offsets[face]
-        length, n = 0.0, 0
-        while n < capacity[ray] and length <= end_m[ray]:
+        length, log_energy, plays, n, ends = 0.0, 0.0, 0, 0, False
+        while not ends and n < capacity:
             ahead, ahead_height, ahead_approach = -1, 1e30, 1.0
             for face in range(n_faces):
                 toward = -(normals[face, 0] * way[0] + normals[face, 1] * way[1] + normals[face, 2] * way[2])
@@ -276,16 +406,26 @@ def _trace_convex(normals: Array, offsets: Array, source: Array, directions: Arr
             length += distance
             diffuse = reflect(normals, ahead, scattering[ahead], stream, n, way)
             hits[stored, 0], hits[stored, 1], hits[stored, 2], hits[stored, 3] = x, y, z, length
-            codes[stored] = 2 * ahead + (1 if diffuse else 0)
+            codes[stored] = 4 * ahead + (1 if diffuse else 0)
+            log_energy += roulette.log_reflected[ahead]
+            ends = length > end_m
+            if _plays(roulette, length, log_energy):
+                if _survives(ray, plays, stream, n):
+                    codes[stored] += 2
+                    log_energy, plays = log_energy + _LOG_2, plays + 1
+                else:
+                    ends = True
             stored += 1
             n += 1
         counts[ray] = n
+    return stored
 
 
 @compiled
-def _advance(normals: Array, active: Array, faces: Array, distances: Array, scattering: Array, seed: Number, n: Number,
-             position: Array, before: Array, way: Array, length: Array, hits: Array, codes: Array) -> None:
-    """Move the active rays to just off their hits, store reflection `n` and turn them."""
+def _advance(normals: Array, active: Array, faces: Array, distances: Array, scattering: Array, end_m: Number,
+             roulette: Roulette, seed: Number, n: Number, position: Array, before: Array, way: Array, length: Array,
+             log_energy: Array, plays: Array, hits: Array, codes: Array, ends: Array) -> None:
+    """Move the active rays to just off their hits, store reflection `n`, turn them and tell which end."""
     for i in range(len(active)):
         ray, face, distance = active[i], faces[i], distances[i]
         for axis in range(3):
@@ -294,7 +434,17 @@ def _advance(normals: Array, active: Array, faces: Array, distances: Array, scat
             hits[i, axis] = position[ray, axis]
         length[ray] += distance
         hits[i, 3] = length[ray]
-        diffuse = reflect(normals, face, scattering[face], mix(seed + np.uint64(ray)), n, way[ray])
-        codes[i] = 2 * face + (1 if diffuse else 0)
+        stream = mix(seed + np.uint64(ray))
+        diffuse = reflect(normals, face, scattering[face], stream, n, way[ray])
+        codes[i] = 4 * face + (1 if diffuse else 0)
         for axis in range(3):
             position[ray, axis] += 1e-4 * normals[face, axis]
+        log_energy[ray] += roulette.log_reflected[face]
+        ends[i] = length[ray] > end_m
+        if _plays(roulette, length[ray], log_energy[ray]):
+            if _survives(ray, plays[ray], stream, n):
+                codes[i] += 2
+                log_energy[ray] += _LOG_2
+                plays[ray] += 1
+            else:
+                ends[i] = True

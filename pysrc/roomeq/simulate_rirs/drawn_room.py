@@ -159,10 +159,9 @@ def _render_source(room: TracedRoom, members: list[Member], effects: list[list[E
     channels = [channel for member in members for channel in channels_of(member.row, member.place)]
     names, mics_m = [name for name, _ in channels], [position for _, position in channels]
     expected = draw.expected_absorption if absorption is None else absorption
-    path_samples = room.sample_paths(source_pos_m, draw.length_s, names, mics_m, [expected] * len(channels))
     responses = iter(room.render(
-        source_pos_m, mics_m, names, target_s, absorption=draw.scene.absorption if absorption is None else absorption,
-        length_s=draw.length_s, path_samples=path_samples,
+        source_pos_m, mics_m, names, target_s, expected,
+        absorption=draw.scene.absorption if absorption is None else absorption, length_s=draw.length_s,
         arrays=[n for n, member in enumerate(members) for _ in member.place.channels_m or (None,)],
         source_directivity=source_directivity(members[0].row, effects[0], room.options.fs_hz)))
     rendered = []

@@ -4,7 +4,6 @@ import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +19,7 @@ from roomeq.sim.context import Directivity, NotFiniteError, Response
 from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.geometry import Place, noise_positions
 from roomeq.sim.materials import MaterialTable, Surface, draw_materials, draw_scattering, given_surfaces
-from roomeq.sim.path_sample import PathSample, sample_paths
+from roomeq.sim.path_sample import sample_paths
 from roomeq.sim.response import (
     TracedSource,
     decay_length_s,
@@ -120,16 +119,8 @@ def render_source(members: list[Member], air: Air, table: MaterialTable, model: 
     first = members[0]
     room = TracedRoom(first.place.room, first.row["room_id"], _stated_surfaces(first, table), air, table, effects[0],
                       options)
-    later_draws = [room.draw_scenes(member.row) for member in members]
-    first_draws = [next(draws) for draws in later_draws]
-    room.min_length_s = max(draw.length_s for draw in first_draws)
-    path_samples = room.sample_paths(
-        members[0].place.source_pos_m, room.min_length_s, [member.row["id"] for member in members],
-        [member.place.mic_pos_m for member in members], [draw.expected_absorption for draw in first_draws])
-    rendered = [_render_row(room, member, chain([first], later), path_sample, of_row)
-                for member, first, later, path_sample, of_row
-                in zip(members, first_draws, later_draws, path_samples, effects, strict=True)]
-    return with_noises(room, rendered)
+    return with_noises(room, [_render_row(room, member, of_row)
+                              for member, of_row in zip(members, effects, strict=True)])
 
 
 def with_noises(room: "TracedRoom", rendered: list[RenderedRir]) -> list[RenderedRir]:
@@ -146,13 +137,7 @@ def _stated_surfaces(member: Member, table: MaterialTable) -> dict[str, Surface]
 
 
 class TracedRoom:
-    """A room with its scattering, and the traces of its sources, each made when it is first needed.
-
-    Attributes
-    ----------
-    min_length_s : float
-        All sources are followed for at least so long, so that their traces serve all rows.
-    """
+    """A room with its scattering, and the latest trace of one of its sources."""
 
     def __init__(self, room: Room, room_id: str, stated: dict[str, Surface], air: Air, table: MaterialTable,
                  effects: list[Effect], options: RenderOptions) -> None:
@@ -160,8 +145,7 @@ class TracedRoom:
         self.air, self.table, self.options = air, table, options
         self.effects = [effect for effect in effects if effect.SCOPE in ("all", "room")]
         self.scattering = draw_scattering(table, room, rng_for(options.seed, "scattering", room_id), stated)
-        self.min_length_s = 0.0
-        self._traces: dict[tuple[float, ...], TracedSource] = {}
+        self._latest: tuple[Any, TracedSource | None] = None, None
 
     def draw_scenes(self, row: RirRow) -> Iterator[SceneDraw]:
         """Yield materials and targets to try for a row: several draws of materials for each of several targets.
@@ -186,35 +170,33 @@ class TracedRoom:
         scene = draw_materials(self.table, self.room, self.scattering, self.air, target_s, rng, self.stated)
         return extend_scene(self.effects, replace(scene, fs_hz=self.options.fs_hz))
 
-    def trace(self, source_pos_m: tuple[float, ...], length_s: float) -> TracedSource:
-        """Return the trace of a source, followed for at least `length_s`."""
-        length_s = max(length_s, self.min_length_s)
-        key = (*source_pos_m, length_s)
-        if key not in self._traces:
+    def _trace(self, source_pos_m: tuple[float, ...], length_s: float, expected: FloatArray) -> TracedSource:
+        key = source_pos_m, length_s, expected.tobytes()
+        known, traced = self._latest
+        if traced is None or known != key:
             reflecting = [Material(surface, (0.0,) * len(BANDS_HZ), tuple(scattering))
                           for surface, scattering in zip(self.room.surfaces, self.scattering, strict=True)]
             scene = extend_scene(self.effects, Scene(self.room, reflecting, self.air, self.options.fs_hz))
             rng = rng_for(self.options.seed, "trace", repr((self.room_id, tuple(source_pos_m))))
-            self._traces[key] = trace_source(scene, source_pos_m, num_rays=self.options.num_rays,
-                                             max_length_s=length_s, rng=rng)
-        return self._traces[key]
-
-    def sample_paths(self, source_pos_m: tuple[float, ...], length_s: float, rir_ids: list[str],
-                     mics_m: list[tuple[float, ...]], absorptions: list[FloatArray]) -> list[PathSample]:
-        """Sample the paths from a source to the microphones of some RIRs, each for about its own absorption."""
-        traced = self.trace(source_pos_m, length_s)
-        decays_s = [min(decay_length_s(traced.scene, absorption), traced.max_length_s) for absorption in absorptions]
-        rngs = [rng_for(self.options.seed, "echoes", rir_id) for rir_id in rir_ids]
-        return sample_paths(traced, np.array(mics_m), np.array(absorptions), rngs,
-                            ism_order=self.options.ism_order,
-                            n_frames=[int(np.ceil(decay_s / FRAME_S)) for decay_s in decays_s])
+            traced = trace_source(scene, source_pos_m, num_rays=self.options.num_rays, max_length_s=length_s, rng=rng,
+                                  absorption=expected)
+            self._latest = key, traced
+        return traced
 
     def render(self, source_pos_m: tuple[float, ...], mics_m: list[tuple[float, ...]], rir_ids: list[str],
-               target_s: float | None, **how: Any) -> list[Response]:
-        """Render the responses at some microphones, scaled to a target or as they are."""
-        how |= dict(ism_order=self.options.ism_order, diffraction=self.options.diffraction)
-        traced = self.trace(source_pos_m, how["length_s"])
-        rngs = [rng_for(self.options.seed, "tail", rir_id) for rir_id in rir_ids]
+               target_s: float | None, expected: FloatArray, **how: Any) -> list[Response]:
+        """Render the responses at some microphones, scaled to a target or as they are.
+
+        `expected` is about the absorption that they will have, shape (n_surfaces, n_bands).
+        """
+        traced = self._trace(source_pos_m, how["length_s"], expected)
+        seed, ism_order = self.options.seed, self.options.ism_order
+        decay_s = min(decay_length_s(traced.scene, expected), traced.max_length_s)
+        how |= dict(ism_order=ism_order, diffraction=self.options.diffraction, path_samples=sample_paths(
+            traced, np.array(mics_m), expected,
+            [rng_for(seed, "echoes", rir_id) for rir_id in rir_ids], ism_order=ism_order,
+            n_frames=int(np.ceil(decay_s / FRAME_S))))
+        rngs = [rng_for(seed, "tail", rir_id) for rir_id in rir_ids]
         try:
             if target_s is None:
                 return render_responses(traced, mics_m, rngs, **how)
@@ -223,22 +205,18 @@ class TracedRoom:
             raise NotFiniteError(f"RIR {rir_ids[0]} of room {self.room_id}: {error}") from None
 
 
-def _render_row(room: TracedRoom, member: Member, draws: Iterator[SceneDraw], path_sample: PathSample,
-                effects: list[Effect]) -> RenderedRir:
+def _render_row(room: TracedRoom, member: Member, effects: list[Effect]) -> RenderedRir:
     """Render one row with the first draw of materials and target that can be met."""
     row, place = member
     problem, target_number = None, 0
-    for draw in draws:
+    for draw in room.draw_scenes(row):
         if draw.target_number > target_number:  # this room, at this distance, cannot sound like that
             target_number = draw.target_number
             logger.info("%s: %s; drawing another target", row["id"], problem)
         try:
-            if draw.length_s > room.min_length_s:  # the rays are followed further, for this row alone
-                (path_sample,) = room.sample_paths(place.source_pos_m, draw.length_s, [row["id"]], [place.mic_pos_m],
-                                                   [draw.expected_absorption])
             (response,) = room.render(place.source_pos_m, [place.mic_pos_m], [row["id"]], draw.target_s,
-                                      absorption=draw.scene.absorption, length_s=draw.length_s,
-                                      path_samples=[path_sample],
+                                      draw.expected_absorption, absorption=draw.scene.absorption,
+                                      length_s=draw.length_s,
                                       source_directivity=source_directivity(row, effects, room.options.fs_hz))
         except NotFiniteError:
             raise
@@ -258,17 +236,12 @@ def _render_noises(room: TracedRoom, rendered: list[RenderedRir]) -> list[list[R
     responses: dict[str, list[Response]] = {}
     for source_pos_m in sorted({noise.place.source_pos_m for of_row in noises for noise in of_row}):
         of_source = [noise for of_row in noises for noise in of_row if noise.place.source_pos_m == source_pos_m]
-        channels = [(noise, *channel) for noise in of_source for channel in channels_of(noise.row, noise.place)]
-        path_samples = room.sample_paths(
-            source_pos_m, max(noise.length_s for noise in of_source), [name for _, name, _ in channels],
-            [mic_m for _, _, mic_m in channels], [noise.response.absorption for noise, _, _ in channels])
-        remaining = iter(path_samples)
         for noise in of_source:
             of_row = channels_of(noise.row, noise.place)
             responses[noise.row["id"]] = room.render(
                 source_pos_m, [mic_m for _, mic_m in of_row], [name for name, _ in of_row], None,
-                absorption=noise.response.absorption, length_s=noise.length_s,
-                path_samples=[next(remaining) for _ in of_row], arrays=[0] * len(of_row))
+                noise.response.absorption, absorption=noise.response.absorption, length_s=noise.length_s,
+                arrays=[0] * len(of_row))
     return [[replace(noise, response=responses[noise.row["id"]][0], others=tuple(responses[noise.row["id"]][1:]))
              for noise in of_row] for of_row in noises]
 

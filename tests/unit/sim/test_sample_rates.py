@@ -90,7 +90,7 @@ def test_ninth_band_is_treated_like_the_first_eight():
     full = compute_echograms(traced.paths[0], ROOM, absorption, MICS_M[:2], ism_order=2, n_frames=300,
                              speed_m_s=scene.air.speed_m_s, ray_gain=gain)
     assert full.shape == (2, 300, 9) and np.any(full[..., 8]) and np.array_equal(full[..., 8], full[..., 2])
-    (sample,) = sample_paths(traced, MICS_M[:1], absorption[None], [np.random.default_rng(2)], ism_order=2,
+    (sample,) = sample_paths(traced, MICS_M[:1], absorption, [np.random.default_rng(2)], ism_order=2,
                              n_frames=300)
     echogram = sample.echogram(absorption, ray_gain=gain)
     assert np.any(echogram[:, 8]) and np.array_equal(echogram[:, 8], echogram[:, 2])

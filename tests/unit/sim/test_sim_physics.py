@@ -12,6 +12,7 @@ from roomeq.sim.echogram import FRAME_S, compute_echograms
 from roomeq.sim.images import specular_paths
 from roomeq.sim.render import render, tail_noise
 from roomeq.sim.response import render_responses, simulate_responses, trace_source
+from roomeq.sim.room import Walls
 from roomeq.sim.scene import Air, Material, Scene, Shoebox, eyring_time_s
 from roomeq.sim.target import scaled_absorption
 from roomeq.sim.trace import sphere_directions, trace
@@ -128,11 +129,12 @@ def test_energy_is_conserved_without_absorption(scattering, ism_order):
             np.add.at(echogram, frame[frame < 250], gains[frame < 250] ** 2)
         level.append(energy / uniform)
     mean = np.mean(level, axis=(0, 1))
-    assert np.mean(mean[60:120]) == pytest.approx(1.0, abs=0.02)
-    assert np.mean(mean[150:250]) == pytest.approx(1.0, abs=0.02)
+    # one trace scatters by 1.4 %, because each late ray represents two
+    assert np.mean(mean[60:120]) == pytest.approx(1.0, abs=0.03)
+    assert np.mean(mean[150:250]) == pytest.approx(1.0, abs=0.03)
 
 
-def reference_decay(dims_m, absorption, scattering, time_s, rng, n_particles=15000):
+def reference_decay(dims_m, absorption, scattering, time_s, rng, n_particles=60000):
     """Total energy in a box over time: particles from random places, nothing but planes and Lambert's law."""
     size = np.array(dims_m)
     position = rng.uniform(0, 1, (n_particles, 3)) * size
@@ -181,7 +183,7 @@ def test_decay_matches_independent_monte_carlo(scattering, absorption):
     expected_s = decay_time_s(reference_decay(dims_m, absorption, scattering, time_s, rng), 0.002)
     scene = Scene(Shoebox(dims_m), [Material("wall", value, scattering) for value in absorption], Air(20.0, 50.0))
     found_s = []
-    for seed in range(3):
+    for seed in range(6):
         source, *mics = places(scene.room, 7, seed)
         traced = trace_source(scene, source, num_rays=6000, max_length_s=1.2, rng=np.random.default_rng(seed))
         rngs = [np.random.default_rng([seed, n]) for n in range(len(mics))]
@@ -297,3 +299,45 @@ def test_t30_target_is_met_on_rendered_response(target_s, dims_m):
 def test_impossible_scenes_are_rejected(wrong, message):
     with pytest.raises(ValueError, match=message):
         wrong()
+
+
+def trace_once(room, scattering, absorption, seed=0, num_rays=20000):
+    return trace(room, (1.3, 1.1, 1.4), np.full(len(room.surfaces), scattering), num_rays=num_rays,
+                 max_length_m=0.8 * C, speed_m_s=C, rng=np.random.default_rng(seed), absorption=absorption)
+
+
+@pytest.mark.parametrize("expected", [0.0, 0.1, 0.3, 0.38])
+def test_energy_is_right_for_any_absorption_whatever_was_expected(expected):
+    room, actual = Shoebox((6.0, 4.0, 3.0)), np.full((6, 8), 0.2)
+    found, wanted = (np.mean([compute_echograms(trace_once(room, 0.3, absorption, seed), room, actual,
+                                                [(4.5, 2.9, 1.6)], ism_order=0, n_frames=400, speed_m_s=C)[0, :, 0]
+                              for seed in range(6)], axis=0) for absorption in (expected, 0.2))
+    for first, tolerance_db in ((0, 0.2), (100, 0.3), (200, 0.5), (300, 0.8)):
+        assert 10.0 * np.log10(found[first:first + 50].sum() / wanted[first:first + 50].sum()) == pytest.approx(
+            0.0, abs=tolerance_db)
+
+
+def test_rays_that_expect_much_absorption_end_sooner():
+    room = Shoebox((6.0, 4.0, 3.0))
+    stored = [trace_once(room, 0.3, absorption).counts.sum() for absorption in (0.05, 0.2, 0.5)]
+    assert stored[0] > 1.2 * stored[1] > 1.2 * 1.2 * stored[2]
+
+
+@pytest.mark.parametrize("scattering", [0.0, 0.4])
+def test_box_is_traced_like_any_convex_room(scattering, monkeypatch):
+    room = Shoebox((6.0, 4.0, 3.0))
+    fast = trace_once(room, scattering, 0.2, num_rays=500)
+    monkeypatch.setattr(Walls, "box", None)
+    general = trace_once(room, scattering, 0.2, num_rays=500)
+    np.testing.assert_array_equal(fast.counts, general.counts)
+    for ray in range(500):
+        here, there = (slice(paths.first[ray], paths.first[ray] + paths.counts[ray]) for paths in (fast, general))
+        np.testing.assert_array_equal(fast.codes[here], general.codes[there])
+        np.testing.assert_allclose(fast.hits[here], general.hits[there], atol=1e-4)
+
+
+def test_absorption_far_below_the_expected_is_refused():
+    scene = Scene(Shoebox((6.0, 4.0, 3.0)), [Material("wall", 0.5, 0.3)] * 6)
+    traced = trace_source(scene, (1.3, 1.1, 1.4), num_rays=500, max_length_s=0.8, rng=np.random.default_rng(0))
+    with pytest.raises(ValueError, match="absorb far less than was expected when the source was traced"):
+        render_responses(traced, [(4.5, 2.9, 1.6)], [np.random.default_rng(0)], absorption=np.full((6, 8), 0.1))
