@@ -4,6 +4,7 @@
 # e.g.:  ./run.sh                                      # a synthetic corpus; needs no data
 #        KALDI_ROOT=~/kaldi ./run.sh --stage 8         # then train and test recognisers on the result
 #        ./run.sh --measured RIRS --speech SPEECH      # your own recordings
+#        ./run.sh --measured RIRS --test-rirs OTHERS   # test in other rooms
 #        ./run.sh --config conf/librispeech.conf --librispeech DIR --reverbdb DIR    # the paper's experiment
 # Options are the variables at the top of this file, with - for _. Stages that are up to date are skipped.
 set -euo pipefail
@@ -21,6 +22,8 @@ librispeech=      # directory of LibriSpeech, as released
 reverbdb=         # directory of BUT ReverbDB, as released
 speech=           # instead of --librispeech: such a tree, a Kaldi data directory, or a folder, best with manifest.csv
 measured=         # instead of --reverbdb: folder of RIRs, CSV file, SOFA file or OpenSLR 28
+dev_rirs=         # measured RIRs to develop on, as --measured; default: a part of --measured
+test_rirs=        # measured RIRs to test on, as --measured; default: a part of --measured
 keep_suspicious=false   # keep measured recordings that are no RIR by their acoustics
 noises=           # folder of noise recordings, in addition to those of the measured corpus
 train_sets=train-clean-100   # LibriSpeech subsets for training, comma-separated
@@ -91,12 +94,17 @@ if at_stage 0 "read speech and measured RIRs"; then
     "${librispeech:-${speech:-$corpora/speech}}" "$data"
   steps/read_measured.sh --noises "$noises" --keep-suspicious "$keep_suspicious" \
     "${reverbdb:-${measured:-$corpora/reverbdb}}" "$data/measured"
+  [ -z "$dev_rirs" ] || steps/read_measured.sh --keep-suspicious "$keep_suspicious" "$dev_rirs" "$data/measured.dev"
+  [ -z "$test_rirs" ] || steps/read_measured.sh --keep-suspicious "$keep_suspicious" "$test_rirs" "$data/measured.test"
 fi
 
 if at_stage 1 "characterise and split the measured RIRs"; then
   steps/characterise_rirs.sh --nj "$nj" "$data/measured" "$data/rirs.real"
+  for x in ${dev_rirs:+dev} ${test_rirs:+test}; do
+    steps/characterise_rirs.sh --nj "$nj" "$data/measured.$x" "$data/rirs.$x"
+  done
   steps/split_rirs.sh --split-by "$split_by" --same-rooms "$same_rooms" --sizes "$split_sizes" --seed "$seed" \
-    "$data/rirs.real"
+    ${dev_rirs:+--dev-rirs "$data/rirs.dev"} ${test_rirs:+--test-rirs "$data/rirs.test"} "$data/rirs.real"
 fi
 
 simulate() { # NAME [OPTION...]: make data/rirs.NAME.train and data/rirs.NAME.dev

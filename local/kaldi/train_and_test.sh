@@ -90,7 +90,11 @@ if at_stage 10 "Kaldi: decode; word error rates"; then
     "${decode[@]}" --tuned-on "dev.$x" "$workspace" "train.$x" "$(alignments_of "$x")" test.real.rvb
   done
   if [ "$dry_run" = false ]; then
-    roomeq wer --rirs "$data/rirs.real" "$workspace" "$exp/wer"
+    rirs=() # all that a set was made with
+    for x in "$data"/rirs.real "$data"/rirs.real.{dev,test} "$data"/rirs.{sim,sim.EQ,sim.loop}.dev; do
+      [ ! -d "$x" ] || rirs+=(--rirs "$x")
+    done
+    roomeq wer "${rirs[@]}" "$workspace" "$exp/wer"
     steps/make_report.sh "$data" "$exp" "$exp/report"
   fi
 fi

@@ -204,6 +204,8 @@ def characterise() -> None:
               help="Rooms that one pattern matches count as one room, e.g. 'house_*'; only with --split-by room.")
 @click.option("--sizes", type=CommaSeparated(int, "whole numbers with commas between, such as 773,194,242"),
               default="773,194,242", help="RIRs per set; taken as proportions where there are fewer RIRs.")
+@click.option("--dev-rirs", type=AnyPath(), help="RIR directory to develop on, instead of a part of RIR_DIR.")
+@click.option("--test-rirs", type=AnyPath(), help="RIR directory to test on, instead of a part of RIR_DIR.")
 @seed
 def split_rirs() -> None:
     """Split RIRs into training, development and test sets."""
@@ -329,7 +331,8 @@ def export() -> None:
 @verb("wer:measure_wer", "--rirs data/rirs.real exp/kaldi exp/kaldi.seed1 exp/wer")
 @argument("workspaces", "Kaldi workspaces with decoded systems, one per seed.", nargs=-1, required=True)
 @argument("out", "Directory to make: wer.json.")
-@click.option("--rirs", type=AnyPath(), required=True, help="RIR directory that names the room of each RIR.")
+@click.option("--rirs", type=AnyPath(), required=True, multiple=True,
+              help="RIR directory that names the room of each RIR; may be given again for further RIRs.")
 def wer() -> None:
     """Measure word error rates of Kaldi workspaces. Prints a table with confidence intervals."""
 

@@ -35,7 +35,7 @@ def make_run(root):
         make_simulated(read_rirs(data / f"rirs.real.{x}"), data / f"rirs.sim.loop.{x}")
     make_loop(exp / "loop")
     workspaces = put_example(root / "decoded", seeds=2, columns=("fglarge", "online"))
-    measure_wer(workspaces, exp / "wer", rirs=root / "decoded/rirs")
+    measure_wer(workspaces, exp / "wer", rirs=[root / "decoded/rirs"])
     fit_eq(data / "rirs.real.train", [data / "rirs.sim.train"], exp / "eq", n_components=3, seed=0)
     for x in ("train", "dev"):
         compensate(data / f"rirs.sim.{x}", exp / "eq", data / f"rirs.sim.EQ.{x}", seed=0)

@@ -224,7 +224,7 @@ def test_wer_section_states_rates_and_intervals(page):
      ["gap not significant"], ["Detectable difference"]),
     ({"train.sim.rvb": 5, "train.sim.EQ.rvb": 4}, ["Change against"], ["gap not significant"])])
 def test_wer_section_adapts_to_available_rows(tmp_path, errors, shown, not_shown):
-    measure_wer(put_example(tmp_path, errors=errors), tmp_path / "exp/wer", rirs=tmp_path / "rirs")
+    measure_wer(put_example(tmp_path, errors=errors), tmp_path / "exp/wer", rirs=[tmp_path / "rirs"])
     text = section_text("wer", Run(tmp_path / "data", tmp_path / "exp"))
     assert "With one seed the spread over seeds is not known" in text
     assert all(part in text for part in shown) and not any(part in text for part in not_shown)
@@ -232,7 +232,7 @@ def test_wer_section_adapts_to_available_rows(tmp_path, errors, shown, not_shown
 
 def test_wer_section_states_detectable_difference(tmp_path):
     workspaces = put_example(tmp_path, seeds=2, errors={"train.sim.rvb": 8, "train.sim.EQ.rvb": 4})
-    path = measure_wer(workspaces, tmp_path / "exp/wer", rirs=tmp_path / "rirs")
+    path = measure_wer(workspaces, tmp_path / "exp/wer", rirs=[tmp_path / "rirs"])
     found = json.loads(path.read_text())["results"]["train.sim.EQ.rvb"]["tgsmall"]["change"]
     text = section_text("wer", Run(tmp_path / "data", tmp_path / "exp"))
     assert f"{found['detectable']['difference']:.2f} points (tgsmall)" in text and "16 rooms" in text

@@ -25,7 +25,8 @@ Dealt = dict[str, list[NoiseRow]]
 
 
 def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", same_rooms: Sequence[str] = (),
-               sizes: Sequence[int] = (773, 194, 242), seed: int) -> dict[str, int]:
+               sizes: Sequence[int] = (773, 194, 242), seed: int, dev_rirs: Path | None = None,
+               test_rirs: Path | None = None) -> dict[str, int]:
     """Split an RIR directory into ``<out_prefix>.train``, ``.dev`` and ``.test``.
 
     Repeats of one source and microphone position stay together. RIRs beyond the sum of `sizes` are left over; if there
@@ -43,8 +44,11 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
         Patterns (``*``, ``?``, ``[ ]``): all rooms that a pattern matches count as one room, for instance the states
         of a laboratory, or the rooms of a house that open into each other. The first pattern that matches counts.
     sizes : sequence of int
-        Number of RIRs for training, development and test.
+        Number of RIRs for training, development and test; of noises, only the proportion counts.
     seed : int
+    dev_rirs, test_rirs : Path, optional
+        RIR directories with which to develop and to test, instead of RIRs of `rir_dir`. Noises of `rir_dir` that belong
+        to no room are dealt out to all three sets.
 
     Returns
     -------
@@ -54,29 +58,58 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
     Raises
     ------
     ValueError
-        There are too few RIRs or rooms for three sets, or an option is wrong.
+        There are too few RIRs or rooms for the sets, or an option is wrong.
     """
     rir_dir = Path(rir_dir)
     if split_by not in ("rir", "room"):
         raise ValueError(f"split_by={split_by!r} must be 'rir' or 'room'")
     if len(sizes) != 3 or min(sizes) < 1:
         raise ValueError(f"sizes={tuple(sizes)} must be three positive numbers: training, development, test")
+    others = {split: Path(given) for split, given in (("dev", dev_rirs), ("test", test_rirs)) if given is not None}
+    size_of = dict(zip(SPLITS, sizes, strict=True))
     rows = read_rirs(rir_dir)
+    for split, other in others.items():
+        _require_other_recordings(rir_dir, rows, split, other)
+    of_rirs = {split: size for split, size in size_of.items() if split not in others}
     group_of = _room_groups(rir_dir, rows, split_by, same_rooms)
-    split_of = _by_room(rows, group_of, sizes, seed) if split_by == "room" else _by_rir(rows, sizes, seed)
+    split_of = _by_room(rows, group_of, of_rirs, seed) if split_by == "room" else _by_rir(rows, of_rirs, seed)
     counts = Counter(split_of.values())
-    for split in SPLITS:
+    for split in of_rirs:
         if not counts[split]:
             raise ValueError(f"{rir_dir}: {len(rows)} RIRs of {len(set(group_of.values()))} rooms leave {split} empty "
                              f"when split by {split_by}: give more RIRs, or split by 'rir'")
-    noises = _split_noises(read_noises(rir_dir), rows, split_of, sizes, seed, split_by)
+    own_noises = {split: read_noises(other) for split, other in others.items()}
+    noises = _split_noises(read_noises(rir_dir), rows, split_of, size_of, seed, split_by, own_noises)
     # every output is checked before one of them is written
-    builds = {split: Build(Path(f"{out_prefix}.{split}"), step="split", inputs=[rir_dir], refers=True, options=dict(
-        split=split, split_by=split_by, same_rooms=list(same_rooms), sizes=list(sizes), seed=seed)) for split in SPLITS}
+    builds = {split: Build(
+        Path(f"{out_prefix}.{split}"), step="split", inputs=[rir_dir, *others.values()], refers=True, options=dict(
+            split=split, split_by=split_by, same_rooms=list(same_rooms), sizes=list(sizes), seed=seed,
+            others=sorted(others))) for split in SPLITS}
     for split, build in builds.items():
-        _write(build, rir_dir, [row for row in rows if split_of.get(row["id"]) == split], noises[split])
+        source = others.get(split, rir_dir)
+        own = read_rirs(source) if split in others else [row for row in rows if split_of.get(row["id"]) == split]
+        counts[split] = len(own)
+        _write(build, relocated(own, source, build.out), [*relocated(own_noises.get(split, []), source, build.out),
+                                                          *relocated(noises[split], rir_dir, build.out)])
     _log_table(rows, split_of, noises)
+    for split, other in others.items():
+        logger.info("%s: %d RIRs of %s", split, counts[split], other)
     return {split: counts[split] for split in SPLITS}
+
+
+def _require_other_recordings(rir_dir: Path, rows: Sequence[RirRow], split: str, other: Path) -> None:
+    """Refuse a directory with recordings or ids of those to be split; warn of rooms of the same name."""
+    here, there = ({(directory / row["wav"]).resolve(): row for row in of_directory}
+                   for directory, of_directory in ((rir_dir, rows), (other, read_rirs(other))))
+    for path in sorted(here.keys() & there.keys()):
+        raise ValueError(f"{other}: RIR {there[path]['id']} is RIR {here[path]['id']} of {rir_dir}: give recordings "
+                         f"for {split} that are not used in training")
+    if ids := {row["id"] for row in here.values()} & {row["id"] for row in there.values()}:
+        raise ValueError(f"{other}: RIR {min(ids)} has the id of an RIR of {rir_dir}: word error rates are sorted by "
+                         "room by these ids, rename one")
+    if names := {row["room_id"] for row in here.values()} & {row["room_id"] for row in there.values()}:
+        logger.warning("%s and %s both have rooms named %s: they count as different rooms", rir_dir, other,
+                       ", ".join(sorted(names)))
 
 
 def _room_groups(rir_dir: Path, rows: Sequence[RirRow], split_by: str, same_rooms: Sequence[str]) -> dict[str, str]:
@@ -121,42 +154,43 @@ def _measurement_key(row: RirRow) -> str:
     return repr((row["room_id"], row["source_id"], row.get("source_pos_m"), row.get("mic_pos_m"), stem))
 
 
-def _by_rir(rows: Sequence[RirRow], sizes: Sequence[int], seed: int) -> dict[str, str]:
+def _by_rir(rows: Sequence[RirRow], size_of: Mapping[str, int], seed: int) -> dict[str, str]:
     """Return the split of each id; the RIRs of one measurement go to the first split with space for all of them."""
     groups: dict[str, list[str]] = defaultdict(list)
     for row in rows:
         groups[_measurement_key(row)].append(row["id"])
-    free = dict(zip(SPLITS, _shares(sizes, len(rows)), strict=True))
+    free = dict(zip(size_of, _shares(list(size_of.values()), len(rows)), strict=True))
     split_of: dict[str, str] = {}
     for ids in sorted(groups.values(), key=lambda ids: _random_rank(seed, ids[0])):
-        split = next((name for name in SPLITS if free[name] >= len(ids)), None)
-        if split is None and len(rows) <= sum(sizes):
-            split = max(SPLITS, key=lambda name: free[name])
+        split = next((name for name in size_of if free[name] >= len(ids)), None)
+        if split is None and len(rows) <= sum(size_of.values()):
+            split = max(size_of, key=lambda name: free[name])
         if split is not None:
             free[split] -= len(ids)
             split_of.update(dict.fromkeys(ids, split))
     return split_of
 
 
-def _by_room(rows: Sequence[RirRow], group_of: Mapping[str, str], sizes: Sequence[int], seed: int) -> dict[str, str]:
+def _by_room(rows: Sequence[RirRow], group_of: Mapping[str, str], size_of: Mapping[str, int],
+             seed: int) -> dict[str, str]:
     """Return the split of each id, groups of rooms kept together: the best of many random orders."""
     import numpy as np
 
     rooms: dict[str, list[str]] = defaultdict(list)
     for row in rows:
         rooms[group_of[row["room_id"]]].append(row["id"])
-    shares = np.array(_shares(sizes, len(rows)), dtype=float)
+    splits, shares = list(size_of), np.array(_shares(list(size_of.values()), len(rows)), dtype=float)
     best: dict[str, str] = {}
     best_error = np.inf
     for attempt in range(N_SHUFFLES):
         order = sorted(rooms, key=lambda room: _random_rank(seed, f"{attempt} {room}"))
-        filled = np.zeros(3)
+        filled = np.zeros(len(splits))
         split_of: dict[str, str] = {}
         for n, room in enumerate(order):
-            # one of the first three rooms each, so that no split is empty
-            k = n if n < len(SPLITS) else int(np.argmax((shares - filled) / shares))
+            # one of the first rooms each, so that no split is empty
+            k = n if n < len(splits) else int(np.argmax((shares - filled) / shares))
             filled[k] += len(rooms[room])
-            split_of.update(dict.fromkeys(rooms[room], SPLITS[k]))
+            split_of.update(dict.fromkeys(rooms[room], splits[k]))
         error = float(np.sum((filled - shares) ** 2 / shares))
         if error < best_error:
             best, best_error = split_of, error
@@ -164,20 +198,24 @@ def _by_room(rows: Sequence[RirRow], group_of: Mapping[str, str], sizes: Sequenc
 
 
 def _split_noises(noises: Sequence[NoiseRow], rows: Sequence[RirRow], split_of: Mapping[str, str],
-                  sizes: Sequence[int], seed: int, split_by: str) -> Dealt:
-    """Return the noises of each split; each kind is dealt out by itself, so that every split gets some of it."""
-    dealt: Dealt = {split: [] for split in SPLITS}
+                  size_of: Mapping[str, int], seed: int, split_by: str, own: Dealt) -> Dealt:
+    """Return the noises of each split; each kind is dealt out by itself, so that every split gets some of it.
+
+    Splits that have noises of that kind of their `own` may get none.
+    """
+    dealt: Dealt = {split: [] for split in size_of}
     for kind in sorted({noise["kind"] for noise in noises}):
         of_kind = [noise for noise in noises if noise["kind"] == kind]
-        for split, share in _deal(of_kind, kind, rows, split_of, sizes, seed, split_by).items():
+        served = {split for split, noises in own.items() if any(noise["kind"] == kind for noise in noises)}
+        for split, share in _deal(of_kind, kind, rows, split_of, size_of, seed, split_by, served).items():
             dealt[split] += share
     return dealt
 
 
 def _deal(noises: Sequence[NoiseRow], kind: str, rows: Sequence[RirRow], split_of: Mapping[str, str],
-          sizes: Sequence[int], seed: int, split_by: str) -> Dealt:
+          size_of: Mapping[str, int], seed: int, split_by: str, served: set[str]) -> Dealt:
     """Deal out noises of one kind: to the split of their room's RIRs, in proportion among several such splits."""
-    dealt: Dealt = {split: [] for split in SPLITS}
+    dealt: Dealt = {split: [] for split in size_of}
     splits_of_room: dict[str | None, set[str]] = defaultdict(set)
     for row in rows:
         if row["id"] in split_of:
@@ -188,21 +226,20 @@ def _deal(noises: Sequence[NoiseRow], kind: str, rows: Sequence[RirRow], split_o
         if split_by == "room" and len(splits) == 1:
             dealt[next(iter(splits))].append(noise)
         else:
-            undecided.append((noise, splits or set(SPLITS)))
-    wanted = [size / sum(sizes) * len(noises) for size in sizes]
+            undecided.append((noise, splits or set(size_of)))
+    wanted = {split: size / sum(size_of.values()) * len(noises) for split, size in size_of.items()}
     for noise, splits in undecided:
         # in relation to the wanted number, so that small splits are not served last
-        missing = {split: (wanted[k] - len(dealt[split])) / wanted[k] for k, split in enumerate(SPLITS)
-                   if split in splits}
+        missing = {split: (wanted[split] - len(dealt[split])) / wanted[split] for split in size_of if split in splits}
         dealt[max(missing, key=missing.__getitem__)].append(noise)
-    return _fill_empty(dealt, kind, split_by)
+    return _fill_empty(dealt, kind, split_by, served)
 
 
-def _fill_empty(dealt: Dealt, kind: str, split_by: str) -> Dealt:
-    """Give every split noises: move one from the split with most, or share that split's if it has none to spare."""
-    for split in SPLITS:
-        richest = max(SPLITS, key=lambda name: len(dealt[name]))
-        if dealt[split]:
+def _fill_empty(dealt: Dealt, kind: str, split_by: str, served: set[str]) -> Dealt:
+    """Give every split that is not served noises: one of the split with most, or all if that has none to spare."""
+    for split in dealt:
+        richest = max(dealt, key=lambda name: len(dealt[name]))
+        if dealt[split] or split in served:
             continue
         if len(dealt[richest]) > 1 and split_by == "rir":
             dealt[split].append(dealt[richest].pop())
@@ -212,10 +249,10 @@ def _fill_empty(dealt: Dealt, kind: str, split_by: str) -> Dealt:
     return dealt
 
 
-def _write(build: Build, rir_dir: Path, rows: Sequence[RirRow], noises: Sequence[NoiseRow]) -> None:
+def _write(build: Build, rows: list[dict[str, Any]], noises: list[dict[str, Any]]) -> None:
     def assemble(directory: Path, _: list[Any]) -> None:
-        write_rirs(directory, relocated(rows, rir_dir, build.out), final_directory=build.out)
-        write_noises(directory, relocated(noises, rir_dir, build.out))
+        write_rirs(directory, rows, final_directory=build.out)
+        write_noises(directory, noises)
 
     if not build.done and build.run({}, lambda name, item: None):
         build.finish(assemble)
@@ -224,7 +261,7 @@ def _write(build: Build, rir_dir: Path, rows: Sequence[RirRow], noises: Sequence
 def _log_table(rows: Sequence[RirRow], split_of: Mapping[str, str], noises: Dealt) -> None:
     """Log how many RIRs of each room went to each split."""
     count = Counter((row["room_id"], split_of.get(row["id"], "left over")) for row in rows)
-    columns = [*SPLITS, *(["left over"] if any(split == "left over" for _, split in count) else [])]
+    columns = [*noises, *(["left over"] if any(split == "left over" for _, split in count) else [])]
     rooms = sorted({row["room_id"] for row in rows})
     width = max(len(name) for name in [*rooms, "noises"])
     lines = [f"{'RIRs per room':{width}s}" + "".join(f"{column:>10s}" for column in columns)]

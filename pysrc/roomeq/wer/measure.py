@@ -1,5 +1,6 @@
 """Measure the word error rates of a recipe's systems and their differences, with confidence intervals."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from roomeq.core.build import Build
@@ -25,7 +26,7 @@ from roomeq.wer.workspace import (
 )
 
 
-def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Path | str) -> Path:
+def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path]) -> Path:
     """Measure the word error rates of Kaldi workspaces, with intervals; write `wer.json` and print the table.
 
     Language model weight and word insertion penalty are chosen on the development set, for each row, column and
@@ -39,7 +40,7 @@ def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Path | str) ->
     out
         Directory to make; it holds `wer.json`.
     rirs
-        RIR directory whose `room_id` states the room of each RIR that the sets were made with.
+        RIR directories whose `room_id` states the room of each RIR that the sets were made with.
 
     Returns
     -------
@@ -53,12 +54,17 @@ def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Path | str) ->
         RIR is unknown.
     """
     workspaces = [Path(path) for path in workspaces]
-    rows = {row["id"]: row for row in read_rirs(Path(rirs))}
+    rows: dict[str, RirRow] = {}
+    for directory in rirs:
+        for row in read_rirs(directory):
+            if rows.setdefault(row["id"], row)["room_id"] != row["room_id"]:
+                raise ValueError(f"{directory}: RIR {row['id']} is of room {row['room_id']} here and of room "
+                                 f"{rows[row['id']]['room_id']} in a directory before it: rename one")
     decodings = find_decodings(workspaces)
     build = Build(Path(out), step="wer",
                   options=dict(rows=decodings.rows, columns=decodings.columns, dev_of=decodings.dev_of,
                                seeds=len(workspaces)),
-                  inputs=[Path(rirs) / ROWS_FILE, *decodings.inputs()])
+                  inputs=[*(Path(directory) / ROWS_FILE for directory in rirs), *decodings.inputs()])
     if not build.done and build.run({}, lambda name, item: None):
         build.finish(lambda directory, _: write_json(directory / WER_FILE, _measure(decodings, rows)))
     print(table_text(read_json(build.out / WER_FILE)), end="")

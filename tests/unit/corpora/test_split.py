@@ -129,3 +129,33 @@ def test_impossible_split_is_refused(tmp_path, rooms, options, message):
     with pytest.raises(ValueError, match=message):
         split(tmp_path, make(tmp_path / "in", rooms), **options)
     assert not list(tmp_path.glob("out.*"))
+
+
+def test_other_directories_serve_development_and_test(tmp_path):
+    noises = [dict(id=f"n{n}", room_id=None) for n in range(6)]
+    rir_dir = make(tmp_path / "in", {"a": 10, "b": 10}, noises)
+    other = make(tmp_path / "other", {"c": 4}, [dict(id="own", room_id="c")])
+    ids, of_noises = split(tmp_path, rir_dir, sizes=(12, 3, 5), test_rirs=other)
+    assert sizes_of(ids) == [12, 3, 4] and {name.split("-")[0] for name in ids["test"]} == {"c"}
+    assert "own" in of_noises["test"] and len(of_noises["test"]) > 1
+    ids, _ = split(tmp_path, rir_dir, "both", sizes=(12, 3, 5), test_rirs=other, dev_rirs=other)
+    assert sizes_of(ids) == [12, 4, 4]
+
+
+def test_recordings_of_training_are_no_test(tmp_path):
+    rir_dir = make(tmp_path / "in", {"a": 6})
+    with pytest.raises(ValueError, match="in: RIR a-0 is RIR a-0 of .*in: give recordings for test that are not used"):
+        split_rirs(rir_dir, tmp_path / "out", seed=0, sizes=(4, 1, 1), test_rirs=rir_dir)
+
+
+def test_rooms_of_the_same_name_are_said(tmp_path, caplog):
+    rir_dir = make(tmp_path / "in", {"a": 6})
+    other = write_rir_dir(tmp_path / "other", [(row("a-new", "a"), RIR)])
+    split_rirs(rir_dir, tmp_path / "out", seed=0, sizes=(4, 1, 1), test_rirs=other)
+    assert "both have rooms named a: they count as different rooms" in caplog.text
+
+
+def test_ids_in_both_directories_are_refused(tmp_path):
+    rir_dir, other = make(tmp_path / "in", {"a": 6}), make(tmp_path / "other", {"a": 2})
+    with pytest.raises(ValueError, match="other: RIR a-0 has the id of an RIR of .*in: .* rename one"):
+        split_rirs(rir_dir, tmp_path / "out", seed=0, sizes=(4, 1, 1), test_rirs=other)

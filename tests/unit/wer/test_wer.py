@@ -27,7 +27,7 @@ TIMES = 200
 
 
 def measured(root, workspaces):
-    return json.loads(measure_wer(workspaces, root / "wer", rirs=root / "rirs").read_text())
+    return json.loads(measure_wer(workspaces, root / "wer", rirs=[root / "rirs"]).read_text())
 
 
 @pytest.fixture(scope="module")
@@ -129,9 +129,9 @@ def test_dev_set_is_of_the_rows_kind_if_decoded(tmp_path, capsys):
 
 def test_table_text_states_sets_seeds_and_gap(tmp_path, capsys):
     workspaces = put_example(tmp_path, seeds=2, columns=("fglarge", "online"))
-    measure_wer(workspaces[:1], tmp_path / "one", rirs=tmp_path / "rirs")
+    measure_wer(workspaces[:1], tmp_path / "one", rirs=[tmp_path / "rirs"])
     one = capsys.readouterr().out
-    measure_wer(workspaces, tmp_path / "two", rirs=tmp_path / "rirs")
+    measure_wer(workspaces, tmp_path / "two", rirs=[tmp_path / "rirs"])
     two = capsys.readouterr().out
     assert "train.sim.EQ.rvb            30.00   30.00     32.50   32.50\n" in one
     assert one.splitlines()[1].split() == ["Training", "data", "fglarge", "online", "fglarge", "online"]
@@ -142,11 +142,11 @@ def test_table_text_states_sets_seeds_and_gap(tmp_path, capsys):
 
 def test_measuring_again_gives_the_same_bytes(tmp_path, capsys):
     workspaces = put_example(tmp_path, seeds=2, errors={"train.sim.rvb": 5, "train.sim.EQ.rvb": 2})
-    first = measure_wer(workspaces, tmp_path / "a", rirs=tmp_path / "rirs").read_bytes()
+    first = measure_wer(workspaces, tmp_path / "a", rirs=[tmp_path / "rirs"]).read_bytes()
     said = capsys.readouterr().out
     shutil.rmtree(tmp_path / "a")
-    assert measure_wer(workspaces, tmp_path / "a", rirs=tmp_path / "rirs").read_bytes() == first
-    assert measure_wer(workspaces, tmp_path / "a", rirs=tmp_path / "rirs").read_bytes() == first
+    assert measure_wer(workspaces, tmp_path / "a", rirs=[tmp_path / "rirs"]).read_bytes() == first
+    assert measure_wer(workspaces, tmp_path / "a", rirs=[tmp_path / "rirs"]).read_bytes() == first
     assert capsys.readouterr().out == 2 * said
 
 
