@@ -22,7 +22,7 @@ from roomeq.sim.path_sample import PathSample, sample_paths
 from roomeq.sim.paths import reflection_visibility
 from roomeq.sim.render import render, response_length_s, tail_noise
 from roomeq.sim.scene import check_positions
-from roomeq.sim.target import t30_s
+from roomeq.sim.target import decay_times_s
 from roomeq.sim.trace import late_after_s
 
 if TYPE_CHECKING:
@@ -52,8 +52,8 @@ class Response:
         Whether the line from the source to the microphone is unobstructed.
     diffracted
         Whether `rir` contains diffracted sound.
-    t30_s
-        T30 at 1 kHz of `rir`; None if it does not decay by 35 dB.
+    t20_s, t30_s
+        T20 and T30 at 1 kHz of `rir`; None if it does not decay by 25 or 35 dB.
     absorption
         Absorption coefficients used, after scaling to a target T60 if there was one, shape (n_surfaces, n_bands).
     leaked_share
@@ -64,6 +64,7 @@ class Response:
     direct_sample: float
     direct_visible: bool
     diffracted: bool
+    t20_s: float | None
     t30_s: float | None
     absorption: FloatArray
     leaked_share: float
@@ -276,8 +277,8 @@ def _render_microphone(context: RenderContext, absorption: FloatArray, bands: li
         rir = rir + diffracted.response(absorption, scene, len(rir))
     if not np.all(np.isfinite(rir)):
         raise NotFiniteError(_not_finite(mic_m, absorption, total_energy, bands, fs_hz))
-    return Response(rir, direct_sample, images.has_direct, diffracted is not None, t30_s(rir, direct_sample, fs_hz),
-                    absorption, traced.leaked_share)
+    return Response(rir, direct_sample, images.has_direct, diffracted is not None,
+                    *decay_times_s(rir, direct_sample, fs_hz), absorption, traced.leaked_share)
 
 
 def _not_finite(mic_m: FloatArray, absorption: FloatArray, energy: FloatArray, bands: list[int], fs_hz: float) -> str:

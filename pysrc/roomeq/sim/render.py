@@ -109,8 +109,8 @@ def render(distance_m: FloatArray, gains: FloatArray, echogram: FloatArray, nois
     delays, gains = guard + distance_m / speed_m_s * fs_hz, np.ascontiguousarray(gains)
     first = int(np.argmin(distance_m)) if len(distance_m) else None
     onset = guard if first is None else int(np.ceil(delays[first]))
-    _shape_noise(signals[:, guard:guard + n_samples], noise, _padded(echogram, n_samples, fs_hz), onset - guard,
-                 FRAME_S * fs_hz)
+    _shape_noise(signals[:, guard:guard + n_samples], noise.astype(np.float32),
+                 _padded(echogram, n_samples, fs_hz) / np.float32(FRAME_S * fs_hz), onset - guard, FRAME_S * fs_hz)
     later = np.arange(len(distance_m)) != first
     _add_pulses(signals, delays[later], gains[later], _sinc_table())
     if first is not None:
@@ -139,12 +139,12 @@ def _padded(echogram: FloatArray, n_samples: int, fs_hz: float) -> FloatArray:
     """Return an echogram with one frame more than the samples need, shape (n_bands, n)."""
     n_frames = int(np.ceil(n_samples / (FRAME_S * fs_hz))) + 1
     kept = echogram[:n_frames].T
-    return np.ascontiguousarray(np.pad(kept, ((0, 0), (0, n_frames - kept.shape[1]))))
+    return np.pad(kept, ((0, 0), (0, n_frames - kept.shape[1]))).astype(np.float32, order="C")
 
 
 @compiled
 def _shape_noise(bands: Array, noise: Array, energy: Array, first: Number, frame_samples: Number) -> None:
-    """Give noise the power of an echogram, linear between the middles of frames, from sample `first` on."""
+    """Give noise the power per sample of frames, linear between their middles, from sample `first` on."""
     n_bands, n_samples = bands.shape
     for band in range(n_bands):
         n, frame = first, max(int((first + 0.5) / frame_samples - 0.5), 0)
@@ -152,9 +152,10 @@ def _shape_noise(bands: Array, noise: Array, energy: Array, first: Number, frame
             # within half a frame from the middle of one to the middle of the next
             end = min(n_samples, int(np.ceil((frame + 1.5) * frame_samples - 0.5)))
             before, rise = energy[band, frame], energy[band, frame + 1] - energy[band, frame]
-            for k in range(n, end):
-                fraction = max((k + 0.5) / frame_samples - 0.5 - frame, 0.0)
-                bands[band, k] = noise[k] * np.sqrt((before + rise * fraction) / frame_samples)
+            step, start = np.float32(1.0 / frame_samples), np.float32((n + 0.5) / frame_samples - 0.5 - frame)
+            for k in range(end - n):
+                fraction = max(start + np.float32(k) * step, np.float32(0.0))
+                bands[band, n + k] = noise[n + k] * np.sqrt(max(before + rise * fraction, np.float32(0.0)))
             n, frame = end, frame + 1
 
 

@@ -263,7 +263,7 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
         result = "cannot be measured" if time_s is None else f"comes to {time_s:.3g} s"
         raise ValueError(f"target_t60_s={target_s:.3g} is out of reach: T30 at 1 kHz {result} with these materials, "
                          "however scaled: choose other materials or another target")
-    if not all(decays_straight(response.rir, response.direct_sample, traced.scene.fs_hz) for response in responses):
+    if not all(decays_straight(response.t20_s, response.t30_s) for response in responses):
         raise ValueError(f"target_t60_s={target_s:.3g} was met by a decay that is no straight line: T20 and T30 at "
                          f"1 kHz differ by more than {STRAIGHT:.0%}: choose other materials or another target")
     return responses

@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from roomeq.acoustics.decibels import FLOOR_POWER, TINY_POWER, power_db
-from roomeq.acoustics.iso3382 import decay_time, energy_decay, reverberation_time
+from roomeq.acoustics.iso3382 import decay_time, energy_decay
 from roomeq.acoustics.octaves import octave_bands
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, EXACT_BANDS_HZ
+from roomeq.core.constants import BAND_1KHZ, EXACT_BANDS_HZ
 from roomeq.sim.echogram import FRAME_S
 
 TOLERANCE = 0.05
@@ -34,24 +34,19 @@ def scaled_absorption(absorption: FloatArray, exponent: float) -> FloatArray:
     return 1.0 - (1.0 - np.minimum(absorption, 0.999)) ** exponent
 
 
-def t30_s(rir: FloatArray, direct_sample: float, fs_hz: float) -> float | None:
-    """Return T30 at 1 kHz of a noiseless response, or None if it does not decay by 35 dB."""
-    try:
-        time_s = reverberation_time(rir, fs_hz, BANDS_HZ[BAND_1KHZ], "t30", direct_sample=direct_sample)
-    except ValueError:
-        return None
-    return time_s if time_s > 0.0 else None
+def decay_times_s(rir: FloatArray, direct_sample: float, fs_hz: float) -> tuple[float | None, float | None]:
+    """Return T20 and T30 at 1 kHz of a noiseless response; None where it does not decay so far."""
+    (band,) = octave_bands(rir, fs_hz, [EXACT_BANDS_HZ[BAND_1KHZ]])
+    curve = energy_decay(band, fs_hz, direct_sample).edc_db
+    return decay_time(curve, fs_hz, "t20"), decay_time(curve, fs_hz, "t30")
 
 
-def decays_straight(rir: FloatArray, direct_sample: float, fs_hz: float) -> bool:
-    """Tell whether T20 and T30 at 1 kHz of a noiseless response are about the same.
+def decays_straight(t20_s: float | None, t30_s: float | None) -> bool:
+    """Tell whether T20 and T30 are about the same.
 
     If the direct sound or a few reflections hold most of the energy, T30 jumps between values as absorption grows, and
     may meet a target without an audible decay of that time.
     """
-    (band,) = octave_bands(rir, fs_hz, [EXACT_BANDS_HZ[BAND_1KHZ]])
-    curve = energy_decay(band, fs_hz, direct_sample).edc_db
-    t20_s, t30_s = (decay_time(curve, fs_hz, decay) for decay in ("t20", "t30"))
     return t20_s is not None and t30_s is not None and abs(t20_s / t30_s - 1.0) < STRAIGHT
 
 
