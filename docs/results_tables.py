@@ -13,6 +13,7 @@ PAGES = {
     "loop": "Closed loop: generated rooms", "laboratories": "Closed loop: real rooms",
     "effects": "Effects: predicted and rendered",
     "augmentation": "Augmentation", "wer": "Word error rates", "faults": "Faults and bad inputs",
+    "labels": "Labelling errors",
 }
 
 

@@ -7,7 +7,8 @@ refused    the loop says in one line that it cannot use the RIRs
 left out   RIRs are left out because of the error, with their count, and the effects are those without the error
 fewer      the same, but an effect is no longer found: there are fewer rooms
 same       nothing is said, and the effects are those without the error
-WRONG      an effect is named that is not named without the error, or nothing is said and an effect is no longer found
+unstable   nothing is said, and an effect is no longer named that was named by mistake without the error
+WRONG      an effect is named that is not named without the error, or nothing is said and a true one is no longer found
 
 Exits with status 1 if anything is WRONG. Finished cases are kept in the output folder.
 
@@ -15,7 +16,6 @@ e.g.: python tests/nightly/labels/label_errors.py --out exp/labels --seeds 2
 """
 
 import argparse
-import json
 import os
 import sys
 import tempfile
@@ -27,6 +27,7 @@ for variable in ("OMP", "OPENBLAS", "MKL", "NUMBA"):  # as in path.sh: the loop 
 ROOT = Path(__file__).resolve().parents[3]
 sys.path[:1] = [str(ROOT / name) for name in ("pysrc", "tests")]
 
+from roomeq.core.files import read_json, write_json  # noqa: E402
 from roomeq.loop.ledger import added_effects  # noqa: E402
 from roomeq.loop.step import close_loop  # noqa: E402
 from testbed import make_room_set  # noqa: E402
@@ -47,14 +48,19 @@ def findings(directory: Path, seed: int) -> dict:
     return dict(effects=effects, left_out=[entry for entry in ledger["left_out"]])
 
 
-def outcome_of(found: dict, clean: dict) -> str:
-    """Return the outcome of a labelling error."""
+def outcome_of(found: dict, clean: dict, kind: str) -> str:
+    """Return the outcome of a labelling error in a set with an effect of this kind."""
     if "refused" in found:
         return "refused"
     said = found["left_out"] != clean["left_out"]
     if sorted(found["effects"]) == sorted(clean["effects"]):
         return "left out" if said else "same"
-    return "fewer" if said and all(names in clean["effects"] for names in found["effects"]) else "WRONG"
+    if any(names not in clean["effects"] for names in found["effects"]):
+        return "WRONG"
+    if said:
+        return "fewer"
+    lost = [names for names in clean["effects"] if names not in found["effects"]]
+    return "WRONG" if any(kind in names for names in lost) else "unstable"
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -67,7 +73,7 @@ def main(arguments: list[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     args.out.mkdir(parents=True, exist_ok=True)
     file = args.out / "results.json"
-    results = json.loads(file.read_text()) if file.is_file() else {}
+    results = read_json(file) if file.is_file() else {}
     for seed in range(args.first_seed, args.first_seed + args.seeds):
         for kind, strength in SETS:
             made = args.out / f"{kind}_{strength}_{seed}"
@@ -83,10 +89,12 @@ def main(arguments: list[str] | None = None) -> int:
                             rirs = Path(folder, "rirs")
                             make_mislabelled(error, seed, made / "fit", rirs)
                         results[name] = findings(rirs, seed) | dict(cpu_s=round(time.process_time() - start))
-                    file.write_text(json.dumps(results, indent=1) + "\n")
+                    write_json(file, results)
                 clean = results[f"{kind} {seed}: none"]
-                print(f"{name}: {outcome_of(results[name], clean)}: {results[name]}", flush=True)
-    wrong = {name for name in results if outcome_of(results[name], results[f"{name.split(':')[0]}: none"]) == "WRONG"}
+                results[name]["outcome"] = outcome_of(results[name], clean, kind)
+                print(f"{name}: {results[name]['outcome']}: {results[name]}", flush=True)
+    write_json(file, results)
+    wrong = [name for name, result in results.items() if result["outcome"] == "WRONG"]
     print(f"{len(wrong)} of {len(results)} WRONG")
     return 1 if wrong else 0
 
