@@ -6,16 +6,19 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 [ $# -gt 0 ] || set -- pyroomacoustics audiomentations lhotse
-declare -A version=([pyroomacoustics]=0.10.1 [audiomentations]=0.43.1 [lhotse]=1.33.0)
+# lhotse imports urllib3 without saying so
+declare -A packages=([pyroomacoustics]="pyroomacoustics==0.10.1" [audiomentations]="audiomentations==0.43.1"
+                     [lhotse]="lhotse==1.33.0 urllib3==2.5.0")
 declare -A script=([pyroomacoustics]=pyroomacoustics_readme [audiomentations]=audiomentations_chain [lhotse]=lhotse_cut)
 
 for peer; do
-  [ -n "${version[$peer]:-}" ] || { echo "tests/peers/run.sh: $peer: must be one of ${!version[*]}" >&2 && exit 2; }
+  [ -n "${packages[$peer]:-}" ] || { echo "tests/peers/run.sh: $peer: must be one of ${!packages[*]}" >&2 && exit 2; }
+  read -ra wanted <<<"${packages[$peer]}"
   environment=$(mktemp -d "${TMPDIR:-/tmp}/roomeq-$peer.XXXXXX")
   trap 'rm -rf "$environment"' EXIT
   python3 -m venv "$environment"
-  if ! "$environment/bin/python" -m pip install --quiet . "$peer==${version[$peer]}" >"$environment/log" 2>&1; then
-    echo "tests/peers/run.sh: $peer ${version[$peer]} is not to be had here, its script is skipped: $(tail -n 1 "$environment/log")"
+  if ! "$environment/bin/python" -m pip install --quiet . "${wanted[@]}" >"$environment/log" 2>&1; then
+    echo "tests/peers/run.sh: ${wanted[*]}: not to be had here, the script is skipped: $(tail -n 1 "$environment/log")"
   else
     (cd / && env -u PYTHONPATH "$environment/bin/python" "$OLDPWD/tests/peers/${script[$peer]}.py")
   fi
