@@ -45,7 +45,7 @@ EARLY_S = 0.05
 """Time after the direct sound that separates early from late energy (C50)."""
 DECAYS_DB = {"edt": (0.0, -10.0), "t20": (-5.0, -25.0), "t30": (-5.0, -35.0)}
 """Evaluation range of each decay time: levels of the decay curve relative to its start."""
-_LOWEST_DB = min(bottom_db for _, bottom_db in DECAYS_DB.values()) - 1.0  # rounding must not cut a range
+LOWEST_DB = min(bottom_db for _, bottom_db in DECAYS_DB.values()) - 1.0  # rounding must not cut a range
 
 
 @dataclass(frozen=True)
@@ -241,7 +241,7 @@ def _band_metrics(spectra: _Spectra, band: int, response: FloatArray, direct_sam
     """Return the parameters of octave number `band` from its filtered response, and the validity of each."""
     fs_hz = spectra.fs_hz
     curve = energy_decay(response, fs_hz, direct_sample)
-    edc_db = curve.down_to_db(_LOWEST_DB)
+    edc_db = curve.down_to_db(LOWEST_DB)
     row: dict[str, Any] = {}
     for decay, (_, bottom_db) in DECAYS_DB.items():
         time_s = decay_time(edc_db, fs_hz, decay)

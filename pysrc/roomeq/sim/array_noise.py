@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len, rfft
 
-from roomeq.core.arrays import FloatArray
+from roomeq.core.arrays import Array
 
 _LOADING = 1e-6  # of the diagonal, for microphones in one place
 _STEP_RAD = 0.1  # largest change of k d over frequencies that share a factor
 _MARGIN_S = 0.02  # zeros behind the noise: the filters that mix it are short, and must not wrap around
 
 
-def make_coherent(noises: Sequence[FloatArray], mics_m: ArrayLike, speed_m_s: float, fs_hz: float) -> list[FloatArray]:
+def make_coherent(noises: Sequence[Array], mics_m: ArrayLike, speed_m_s: float, fs_hz: float) -> list[Array]:
     """Mix independent noises so that two microphones at a distance d have the coherence of a diffuse field.
 
     It is ``sin(k d) / (k d)`` (Cook et al., J. Acoust. Soc. Am. 27 (1955) 1072). The noises are mixed by the Cholesky
@@ -22,7 +22,7 @@ def make_coherent(noises: Sequence[FloatArray], mics_m: ArrayLike, speed_m_s: fl
     Parameters
     ----------
     noises
-        One per microphone, of equal power, shape (n_samples,) each.
+        One per microphone, of equal power, in float32, shape (n_samples,) each.
     mics_m
         Shape (n_mics, 3).
     speed_m_s
@@ -31,13 +31,13 @@ def make_coherent(noises: Sequence[FloatArray], mics_m: ArrayLike, speed_m_s: fl
 
     Returns
     -------
-    list of ndarray, shape (n_samples,)
+    list of ndarray of float32, shape (n_samples,)
         Of the same power; the first is unchanged but for rounding.
     """
     positions_m, n_samples = np.asarray(mics_m, dtype=float), len(noises[0])
     distance_m = np.linalg.norm(positions_m[:, None] - positions_m, axis=2)
     n_fft = next_fast_len(n_samples + round(_MARGIN_S * fs_hz), real=True)
-    spectra = rfft(np.array(noises), n_fft)
+    spectra = rfft(np.array(noises, np.float32), n_fft)
     step_hz = _STEP_RAD * speed_m_s / (2.0 * np.pi * max(float(distance_m.max()), 0.01))
     n_bins = spectra.shape[1]
     width = min(max(1, int(step_hz * n_fft / fs_hz)), n_bins)
@@ -47,5 +47,5 @@ def make_coherent(noises: Sequence[FloatArray], mics_m: ArrayLike, speed_m_s: fl
     factor = np.linalg.cholesky((1.0 - _LOADING) * coherence + _LOADING * np.eye(len(positions_m)))
     padded = np.pad(spectra, ((0, 0), (0, n_groups * width - n_bins)))
     groups = padded.reshape(len(padded), n_groups, width).transpose(1, 0, 2)
-    mixed = (factor @ groups).transpose(1, 0, 2).reshape(padded.shape)[:, :n_bins]
+    mixed = (factor.astype(np.float32) @ groups).transpose(1, 0, 2).reshape(padded.shape)[:, :n_bins]
     return list(irfft(mixed, n_fft)[:, :n_samples])

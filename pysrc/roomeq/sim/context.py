@@ -104,7 +104,7 @@ class RenderContext:
     mics_m: FloatArray
     images: list[SpecularPaths]
     diffracted: list[Diffracted | None]
-    noises: list[FloatArray]
+    noises: list[Array]
     path_samples: list[PathSample] | None
     visible: list[BoolArray]
     length_s: float
@@ -253,17 +253,16 @@ def add_image_sources(context: RenderContext, energy: FloatArray, absorption: Fl
     return result
 
 
-def render_microphones(context: RenderContext, absorption: FloatArray,
-                       bands: Sequence[int] | None = None) -> list[Response]:
-    """Render the response at every microphone; with adjacent octaves as `bands`, only their part of the responses."""
-    bands = list(range(context.traced.scene.n_bands) if bands is None else bands)
+def render_microphones(context: RenderContext, absorption: FloatArray) -> list[Response]:
+    """Render the response at every microphone."""
+    bands = list(range(context.traced.scene.n_bands))
     ray_energy = ray_echograms(context, absorption, bands)
     total_energy = add_image_sources(context, ray_energy, absorption, bands)
-    return on_threads(partial(_render_microphone, context, absorption, bands),
+    return on_threads(partial(_render_microphone, context, absorption),
                       list(enumerate(zip(ray_energy, total_energy, strict=True))))
 
 
-def _render_microphone(context: RenderContext, absorption: FloatArray, bands: list[int], mic: int,
+def _render_microphone(context: RenderContext, absorption: FloatArray, mic: int,
                        energies: tuple[FloatArray, FloatArray]) -> Response:
     """Render one microphone from its energy per frame: that of the rays, and all."""
     traced, scene, mic_m, images = context.traced, context.traced.scene, context.mics_m[mic], context.images[mic]
@@ -271,19 +270,21 @@ def _render_microphone(context: RenderContext, absorption: FloatArray, bands: li
     speed_m_s, fs_hz = scene.air.speed_m_s, scene.fs_hz
     direct_sample = float(np.linalg.norm(mic_m - traced.source_pos_m) / speed_m_s * fs_hz)
     length_s = min(response_length_s(total_energy, direct_sample / fs_hz + 0.1), context.length_s)
-    rir = render(images.distance_m, context.image_gains(mic, absorption, bands), ray_energy, context.noises[mic],
-                 speed_m_s=speed_m_s, n_samples=round(length_s * fs_hz), bands=bands, fs_hz=fs_hz)
+    gains = context.image_gains(mic, absorption, list(range(scene.n_bands)))
+    rir = render(images.distance_m, gains, ray_energy, context.noises[mic], speed_m_s=speed_m_s,
+                 n_samples=round(length_s * fs_hz), fs_hz=fs_hz)
     if (diffracted := context.diffracted[mic]) is not None:
         rir = rir + diffracted.response(absorption, scene, len(rir))
     if not np.all(np.isfinite(rir)):
-        raise NotFiniteError(_not_finite(mic_m, absorption, total_energy, bands, fs_hz))
+        raise NotFiniteError(_not_finite(mic_m, absorption, total_energy, fs_hz))
     return Response(rir, direct_sample, images.has_direct, diffracted is not None,
                     *decay_times_s(rir, direct_sample, fs_hz), absorption, traced.leaked_share)
 
 
-def _not_finite(mic_m: FloatArray, absorption: FloatArray, energy: FloatArray, bands: list[int], fs_hz: float) -> str:
+def _not_finite(mic_m: FloatArray, absorption: FloatArray, energy: FloatArray, fs_hz: float) -> str:
     """Say where a response is not finite: energy of shape (n_frames, n_bands) tells the octaves."""
-    octaves = [band for n, band in enumerate(bands) if not np.all(np.isfinite(energy[:, n]))] or bands
+    bands = list(range(energy.shape[1]))
+    octaves = [band for band in bands if not np.all(np.isfinite(energy[:, band]))] or bands
     names = ", ".join(f"{bands_hz(fs_hz)[band]:g}" for band in octaves)
     return (f"the response at mic_pos_m={[round(float(x), 3) for x in mic_m]} is not finite in the octaves at {names} "
             f"Hz, where surfaces absorb up to {absorption[:, octaves].max():.4g}: choose other materials, another "

@@ -9,7 +9,6 @@ nothing precedes it. Later paths and the tail pass zero-phase octave filters, wh
 paths; what rings ahead of the first sound is cut off.
 """
 
-from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -17,7 +16,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from roomeq.acoustics.filterbank import SPREAD_S, octave_filterbank
 from roomeq.acoustics.minimum_phase import minimum_phase
-from roomeq.core.arrays import Array, FloatArray, IntArray, Number
+from roomeq.core.arrays import Array, FloatArray, Number
 from roomeq.core.constants import FS_HZ, exact_bands_hz
 from roomeq.core.jit import compiled
 from roomeq.sim.echogram import FRAME_S
@@ -35,14 +34,14 @@ _FFT_GRID = 4096
 
 
 def tail_noise(n_samples: int, volume_m3: float, speed_m_s: float, rng: np.random.Generator,
-               fs_hz: float = FS_HZ) -> FloatArray:
+               fs_hz: float = FS_HZ) -> Array:
     """Draw a random sequence of unit mean power with the echo density of a room.
 
     Returns
     -------
-    ndarray, shape (n_samples,)
+    ndarray of float32, shape (n_samples,)
     """
-    noise = rng.standard_normal(n_samples)
+    noise = rng.standard_normal(n_samples, dtype=np.float32)
     dense_s = dense_after_s(volume_m3, speed_m_s, fs_hz)
     dense = min(n_samples, int(dense_s * fs_hz))
     time_s = np.arange(dense + 1) / fs_hz
@@ -50,7 +49,7 @@ def tail_noise(n_samples: int, volume_m3: float, speed_m_s: float, rng: np.rando
     edges = np.interp(np.arange(int(arrivals[-1]) + 1), arrivals, np.arange(dense + 1.0))
     width = np.diff(edges)
     place = (edges[:-1] + width * rng.random(len(width))).astype(int)
-    pulses = np.zeros(dense)
+    pulses = np.zeros(dense, np.float32)
     inside = place < dense
     # Gaussian pulses pass into Gaussian noise continuously; pulses of equal size would have a lower kurtosis
     np.add.at(pulses, place[inside], (rng.standard_normal(len(width)) * np.sqrt(width))[inside])
@@ -74,8 +73,8 @@ def response_length_s(energy: FloatArray, early_s: float = 0.0) -> float:
     return float(np.clip(max(last * FRAME_S, early_s), MIN_LENGTH_S, MAX_LENGTH_S))
 
 
-def render(distance_m: FloatArray, gains: FloatArray, echogram: FloatArray, noise: FloatArray, *, speed_m_s: float,
-           n_samples: int, fs_hz: float = FS_HZ, bands: Sequence[int] | slice = slice(None)) -> FloatArray:
+def render(distance_m: FloatArray, gains: FloatArray, echogram: FloatArray, noise: Array, *, speed_m_s: float,
+           n_samples: int, fs_hz: float = FS_HZ) -> FloatArray:
     """Synthesise a response.
 
     Parameters
@@ -91,37 +90,33 @@ def render(distance_m: FloatArray, gains: FloatArray, echogram: FloatArray, nois
     speed_m_s
     n_samples
     fs_hz
-    bands
-        Which of the octaves at this sample rate the bands are; all by default.
 
     Returns
     -------
     ndarray, shape (n_samples,)
         Sample 0 is the emission.
     """
-    all_bands = np.arange(len(exact_bands_hz(fs_hz)))
-    guard, bank_bands = int(SPREAD_S * fs_hz), all_bands[bands]
+    guard = int(SPREAD_S * fs_hz)
     # few sizes of transform for all lengths, so that their filters stay cached
     n_fft = next_fast_len(-(-(n_samples + 2 * guard) // _FFT_GRID) * _FFT_GRID, real=True)
-    bank = octave_filterbank(n_fft, fs_hz)[bank_bands]
+    bank = octave_filterbank(n_fft, fs_hz)
     # single precision: twice as fast, and its rounding lies 140 dB below the peak
     signals, earliest = np.zeros((len(bank), n_fft), np.float32), np.zeros(n_fft)
     delays, gains = guard + distance_m / speed_m_s * fs_hz, np.ascontiguousarray(gains)
     first = int(np.argmin(distance_m)) if len(distance_m) else None
     onset = guard if first is None else int(np.ceil(delays[first]))
-    _shape_noise(signals[:, guard:guard + n_samples], noise.astype(np.float32),
+    _shape_noise(signals[:, guard:guard + n_samples], noise.astype(np.float32, copy=False),
                  _padded(echogram, n_samples, fs_hz) / np.float32(FRAME_S * fs_hz), onset - guard, FRAME_S * fs_hz)
     later = np.arange(len(distance_m)) != first
     _add_pulses(signals, delays[later], gains[later], _sinc_table())
     if first is not None:
-        _add_first(earliest, delays[first], gains[first], bank_bands, fs_hz)
+        _add_first(earliest, delays[first], gains[first], fs_hz)
     response = irfft(np.einsum("bf,bf->f", rfft(signals, n_fft), bank.astype(np.float32)), n_fft).astype(np.float64)
     response[:onset - SINC_HALF] = 0.0  # nothing precedes the first sound, though the filters of the others ring
-    response += earliest if len(bank) == len(all_bands) else irfft(rfft(earliest, n_fft) * bank.sum(axis=0), n_fft)
-    return response[guard:guard + n_samples]
+    return (response + earliest)[guard:guard + n_samples]
 
 
-def _add_first(signal: FloatArray, delay: float, gains: FloatArray, bands: IntArray, fs_hz: float) -> None:
+def _add_first(signal: FloatArray, delay: float, gains: FloatArray, fs_hz: float) -> None:
     """Add the first sound in minimum phase, its gains interpolated in dB over log frequency, in place."""
     n_fft = 2 ** round(np.log2(_FIRST_FFT_S * fs_hz))
     pulse = np.zeros((1, 2 * SINC_HALF))
@@ -129,7 +124,7 @@ def _add_first(signal: FloatArray, delay: float, gains: FloatArray, bands: IntAr
     _add_pulses(pulse, np.array([delay - start]), np.ones((1, 1)), _sinc_table())
     strongest = gains[np.argmax(np.abs(gains))]  # all bands have its sign: that of a lobe of a directivity
     gains_db = 20.0 * np.log10(np.maximum(np.abs(gains), max(_LOWEST_GAIN * abs(strongest), 1e-30)))
-    taps = minimum_phase(np.array(exact_bands_hz(fs_hz))[bands], gains_db, n_fft, fs_hz)
+    taps = minimum_phase(np.array(exact_bands_hz(fs_hz)), gains_db, n_fft, fs_hz)
     sound = np.sign(strongest) * np.convolve(pulse[0], taps)
     low, high = max(0, start), min(len(signal), start + len(sound))
     signal[low:high] += sound[low - start:high - start]

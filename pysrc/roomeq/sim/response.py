@@ -41,9 +41,8 @@ from roomeq.sim.target import (
 from roomeq.sim.trace import Paths, trace
 
 _DEFAULTS: dict[str, Any] = dict(length_s=None, ism_order=ISM_ORDER, diffraction=True)
-_AROUND_1KHZ = (BAND_1KHZ - 1, BAND_1KHZ, BAND_1KHZ + 1)  # what the octave filter at 1 kHz sees
-_CLOSE_ENOUGH = 0.025  # relative error of the target at which all octaves are not rendered again
-_MAX_RENDERINGS = 3  # of all octaves, after the first
+_CLOSE_ENOUGH = 0.025  # relative error of the target at which nothing is rendered again
+_MAX_RENDERINGS = 5
 LEAST_DECAY = 0.45
 """Of the decay that was expected when a source was traced: slower ones would be left to too few rays."""
 SERVED = (0.7, 2.5)  # exponents that a path sample serves, relative to Eyring's, for which it is drawn
@@ -189,9 +188,9 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
                      absorption: FloatArray | None = None, **options: Any) -> list[Response]:
     """Render responses whose mean T30 at 1 kHz is the target, by scaling the absorption of all surfaces.
 
-    Echograms of a path sample predict how T30 changes with absorption. One rendering of the octave at 1 kHz and its
-    neighbours measures the effect of the tail's noise. All octaves are then rendered, in most cases once; all paths are
-    followed where the absorption is far from that for which the samples were drawn, unless microphones are directive.
+    Echograms of a path sample predict how T30 changes with absorption. Where the tail's noise makes T30 of the rendered
+    responses another one, they are rendered again. All paths are followed where the absorption is far from that for
+    which the samples were drawn, unless microphones are directive.
 
     Parameters
     ----------
@@ -238,27 +237,16 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
         energy = add_image_sources(search, ray_echograms(search, absorption, [BAND_1KHZ]), absorption, [BAND_1KHZ])
         return t30_of_echogram(energy[:, :, 0].mean(axis=0))
 
-    @cache
-    def measure(exponent: float) -> float | None:
-        if not traced.serves(scaled_absorption(base, exponent)):
-            return None
-        return _mean_t30_s(render_microphones(search, scaled_absorption(base, exponent), _AROUND_1KHZ))
-
-    exponent, _ = solve_exponent(predict, target_s, guess)
-    time_s = measure(exponent)
-    if time_s is not None:  # the ratio of measured to predicted T30 is the effect of the tail's noise
-        exponent, _ = solve_exponent(predict, target_s ** 2 / time_s, exponent)
-    responses = render(exponent)
-    time_s, aim_s = _mean_t30_s(responses), target_s
+    exponent, aim_s, time_s = guess, target_s, None
     for _ in range(_MAX_RENDERINGS):
-        if time_s is not None and abs(time_s / target_s - 1.0) <= _CLOSE_ENOUGH:
-            break
-        exponent, measured_s = solve_exponent(measure, aim_s, exponent)
-        if measured_s is None or abs(measured_s / aim_s - 1.0) > TOLERANCE:
+        exponent, predicted_s = solve_exponent(predict, aim_s, exponent)
+        if predicted_s is None:
             break
         responses = render(exponent)
         time_s = _mean_t30_s(responses)
-        aim_s *= target_s / (time_s or target_s)  # the search knows neither the other octaves nor all paths
+        if time_s is None or abs(time_s / target_s - 1.0) <= _CLOSE_ENOUGH:
+            break
+        aim_s *= target_s / time_s  # the ratio of rendered to predicted T30 is the effect of the tail's noise
     if time_s is None or abs(time_s / target_s - 1.0) > TOLERANCE:
         result = "cannot be measured" if time_s is None else f"comes to {time_s:.3g} s"
         raise ValueError(f"target_t60_s={target_s:.3g} is out of reach: T30 at 1 kHz {result} with these materials, "
