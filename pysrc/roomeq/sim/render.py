@@ -156,8 +156,12 @@ def _shape_noise(bands: Array, noise: Array, energy: Array, first: Number, frame
 
 @lru_cache(maxsize=1)
 def _sinc_table() -> FloatArray:
-    """Return a Hann-windowed sinc, `_OVERSAMPLING` points per sample, from ``-SINC_HALF`` to ``SINC_HALF`` samples."""
-    position = np.arange(-SINC_HALF * _OVERSAMPLING, SINC_HALF * _OVERSAMPLING + 1) / _OVERSAMPLING
+    """Return a Hann-windowed sinc at `_OVERSAMPLING` delays of a fraction of a sample, and at one of a whole one.
+
+    Row n holds it from ``-SINC_HALF`` samples on, ``n / _OVERSAMPLING`` of a sample late.
+    """
+    late = np.arange(_OVERSAMPLING + 1) / _OVERSAMPLING
+    position = late[:, None] + np.arange(-SINC_HALF, SINC_HALF)
     return np.sinc(position) * np.cos(0.5 * np.pi * position / SINC_HALF) ** 2
 
 
@@ -165,16 +169,16 @@ def _sinc_table() -> FloatArray:
 def _add_pulses(bands: Array, delays: Array, gains: Array, table: Array) -> None:
     """Add band-limited pulses at fractional delays [samples]; what falls outside is left out."""
     n_bands, n_samples = bands.shape
-    oversampling = (len(table) - 1) // 64
+    n_taps, pulse = table.shape[1], np.empty(table.shape[1], bands.dtype)
     for path in range(len(delays)):
-        start = int(np.ceil(delays[path])) - 32
-        offset = (start - delays[path] + 32.0) * oversampling
-        for tap in range(64):
-            n = start + tap
-            if 0 <= n < n_samples:
-                position = offset + tap * oversampling
-                index = min(int(position), len(table) - 2)
-                fraction = position - index
-                value = table[index] * (1.0 - fraction) + table[index + 1] * fraction
-                for band in range(n_bands):
-                    bands[band, n] += gains[path, band] * value
+        start = int(np.ceil(delays[path])) - n_taps // 2
+        place = (start + n_taps // 2 - delays[path]) * (len(table) - 1)
+        row = min(int(place), len(table) - 2)
+        for tap in range(n_taps):
+            pulse[tap] = table[row, tap] * (1.0 - (place - row)) + table[row + 1, tap] * (place - row)
+        low, high = max(start, 0), max(min(start + n_taps, n_samples), 0)
+        inside = pulse[low - start:max(high, low) - start]
+        for band in range(n_bands):
+            gain, part = bands.dtype.type(gains[path, band]), bands[band, low:high]
+            for n in range(len(part)):
+                part[n] += gain * inside[n]

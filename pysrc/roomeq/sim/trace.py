@@ -11,6 +11,7 @@ the late decay. The result is unbiased for any absorption, and least noisy near 
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
@@ -121,13 +122,17 @@ def sphere_directions(n_rays: int, rng: np.random.Generator) -> FloatArray:
     Each represents the same solid angle (Swinbank and Purser, Q. J. R. Meteorol. Soc. 132 (2006) 1769). Their order is
     random, so that any number of them from the start is a fair sample.
     """
-    index = np.arange(n_rays) + 0.5
-    z = 1.0 - 2.0 * index / n_rays
+    rotation, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    return rng.permutation(_lattice(n_rays) @ rotation)
+
+
+@lru_cache(maxsize=2)
+def _lattice(n_points: int) -> FloatArray:
+    index = np.arange(n_points) + 0.5
+    z = 1.0 - 2.0 * index / n_points
     angle = 2.0 * np.pi * index / GOLDEN_RATIO
     radius = np.sqrt(1.0 - z ** 2)
-    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
-    rotation, _ = np.linalg.qr(rng.standard_normal((3, 3)))
-    return rng.permutation(points @ rotation)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
 
 
 def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_rays: int, max_length_m: float,
