@@ -34,6 +34,7 @@ from roomeq.sim.target import (
     STRAIGHT,
     TOLERANCE,
     decays_straight,
+    noise_per_frame,
     scaled_absorption,
     solve_exponent,
     t30_of_echogram,
@@ -188,9 +189,9 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
                      absorption: FloatArray | None = None, **options: Any) -> list[Response]:
     """Render responses whose mean T30 at 1 kHz is the target, by scaling the absorption of all surfaces.
 
-    Echograms of a path sample predict how T30 changes with absorption. Where the tail's noise makes T30 of the rendered
-    responses another one, they are rendered again. All paths are followed where the absorption is far from that for
-    which the samples were drawn, unless microphones are directive.
+    Echograms of a path sample and the noise of the tail predict how T30 changes with absorption. Where T30 of the
+    rendered responses is another one, they are rendered again. All paths are followed where the absorption is far from
+    that for which the samples were drawn, unless microphones are directive.
 
     Parameters
     ----------
@@ -213,13 +214,16 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
     context = make_render_context(traced, mics_m, rngs, **(_DEFAULTS | options))
     base = traced.scene.absorption if absorption is None else absorption
     guess = eyring_exponent(traced.scene, target_s, base)
-    chosen = list(range(len(rngs)))
-    if not any(context.mic_directivities):  # of microphones that hear alike, one is enough
-        chosen = np.unique(sharing(traced.scene.room, context.mics_m)).tolist()
-    search = context.of_mics(chosen)
+    # of microphones that hear alike, one is enough
+    hears_like = (np.arange(len(rngs)) if any(context.mic_directivities)
+                  else sharing(traced.scene.room, context.mics_m))
+    chosen, n_alike = np.unique(hears_like, return_counts=True)
+    search = context.of_mics(chosen.tolist())
     if search.path_samples is None:
         search = replace(search, path_samples=search.sample_paths(
             scaled_absorption(base, guess)[:, BAND_1KHZ], [rngs[mic] for mic in chosen]))
+    of_noises = np.array([noise_per_frame(noise, context.n_frames, traced.scene.fs_hz) for noise in context.noises])
+    of_noise = np.array([of_noises[hears_like == mic].mean(axis=0) for mic in chosen])
 
     @cache
     def follow_all() -> RenderContext:
@@ -234,8 +238,9 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
         absorption = scaled_absorption(base, exponent)
         if not traced.serves(absorption):
             return None
-        energy = add_image_sources(search, ray_echograms(search, absorption, [BAND_1KHZ]), absorption, [BAND_1KHZ])
-        return t30_of_echogram(energy[:, :, 0].mean(axis=0))
+        ray_energy = ray_echograms(search, absorption, [BAND_1KHZ]) * of_noise[:, :, None]
+        energy = add_image_sources(search, ray_energy, absorption, [BAND_1KHZ])
+        return t30_of_echogram(n_alike @ energy[:, :, 0])
 
     exponent, aim_s, time_s = guess, target_s, None
     for _ in range(_MAX_RENDERINGS):
@@ -246,7 +251,7 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
         time_s = _mean_t30_s(responses)
         if time_s is None or abs(time_s / target_s - 1.0) <= _CLOSE_ENOUGH:
             break
-        aim_s *= target_s / time_s  # the ratio of rendered to predicted T30 is the effect of the tail's noise
+        aim_s *= target_s / time_s
     if time_s is None or abs(time_s / target_s - 1.0) > TOLERANCE:
         result = "cannot be measured" if time_s is None else f"comes to {time_s:.3g} s"
         raise ValueError(f"target_t60_s={target_s:.3g} is out of reach: T30 at 1 kHz {result} with these materials, "

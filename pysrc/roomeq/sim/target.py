@@ -8,7 +8,7 @@ import numpy as np
 from roomeq.acoustics.decibels import FLOOR_POWER, TINY_POWER, power_db
 from roomeq.acoustics.iso3382 import LOWEST_DB, decay_time, energy_decay
 from roomeq.acoustics.octaves import octave_bands
-from roomeq.core.arrays import FloatArray
+from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import BAND_1KHZ, EXACT_BANDS_HZ
 from roomeq.sim.echogram import FRAME_S
 
@@ -97,6 +97,14 @@ def _next_exponent(trials: list[Trial], target_s: float) -> float:
         (x0, e0), (x1, e1) = known[-2:] if above else known[:2]
         slope = min(-0.3, (e1 - e0) / (x1 - x0)) if x1 > x0 else -1.0
     return float(np.exp(x - 1.1 * error / slope))
+
+
+def noise_per_frame(noise: Array, n_frames: int, fs_hz: float) -> FloatArray:
+    """Return the power of a tail's noise in the octave at 1 kHz, relative to its mean, shape (n_frames,)."""
+    (band,) = octave_bands(noise, fs_hz, [EXACT_BANDS_HZ[BAND_1KHZ]])
+    edges = np.round(np.arange(n_frames) * FRAME_S * fs_hz).astype(int)
+    power = np.add.reduceat(np.square(band), np.minimum(edges, len(band) - 1))
+    return power / power.mean()
 
 
 def t30_of_echogram(energy: FloatArray) -> float | None:
