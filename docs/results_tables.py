@@ -9,7 +9,8 @@ from typing import Any
 
 PAGES = {
     "simulator": "Simulator: accuracy", "measured_room": "Simulator: a measured room",
-    "drawn_rooms": "Simulator: drawn rooms", "speed": "Simulator: speed", "compensation": "EQ compensation",
+    "drawn_rooms": "Simulator: drawn rooms", "many_rooms": "Simulator: many rooms", "speed": "Simulator: speed",
+    "compensation": "EQ compensation",
     "loop": "Closed loop: generated rooms", "laboratories": "Closed loop: real rooms",
     "effects": "Effects: predicted and rendered",
     "augmentation": "Augmentation", "wer": "Word error rates", "faults": "Faults and bad inputs",

@@ -231,7 +231,7 @@ def sampled_and_full(dims_m, source_pos_m, noise_pos_m, mic_pos_m, target_s, *, 
             context = make_render_context(source, mics_m, rngs, length_s=length_s, ism_order=ISM_ORDER,
                                           diffraction=False, path_samples=chosen)
             rays = ray_echograms(context, absorption, range(8))
-            energies.append(add_image_sources(context, rays, absorption, list(range(8)))[0])
+            energies.append(add_image_sources(context, rays, context.image_gains(absorption, list(range(8))))[0])
         pairs.append((*energies, _largest_path(samples[0], source, absorption, context)))
     return pairs
 

@@ -117,15 +117,17 @@ class RenderContext:
         """Number of echogram frames in `length_s`."""
         return int(np.ceil(self.length_s / FRAME_S))
 
-    def image_gains(self, mic: int, absorption: FloatArray, bands: list[int]) -> FloatArray:
-        """Return the pressure of the image sources at a microphone, with directivities, shape (n_paths, n_bands)."""
-        scene, images = self.traced.scene, self.images[mic]
-        gains = images.gains(absorption[:, bands], scene.scattering[:, bands], scene.attenuation_per_m[bands])
-        for directivity, directions in ((self.source_directivity, images.departure),
-                                        (self.mic_directivities[mic], images.arrival)):
-            if directivity is not None:
-                gains = gains * directivity(directions)[:, bands]
-        return gains
+    def image_gains(self, absorption: FloatArray, bands: list[int]) -> list[FloatArray]:
+        """Return the pressure of the image sources at each microphone, with directivities, shape (n_paths, n_bands)."""
+        scene, of_mics = self.traced.scene, []
+        for images, mic_directivity in zip(self.images, self.mic_directivities, strict=True):
+            gains = images.gains(absorption[:, bands], scene.scattering[:, bands], scene.attenuation_per_m[bands])
+            for directivity, directions in ((self.source_directivity, images.departure),
+                                            (mic_directivity, images.arrival)):
+                if directivity is not None:
+                    gains = gains * directivity(directions)[:, bands]
+            of_mics.append(gains)
+        return of_mics
 
     def with_all_paths(self) -> "RenderContext":
         """Return a context that follows all stored paths in each rendering."""
@@ -242,35 +244,33 @@ def _smooth_late(energy: FloatArray, late_s: float) -> FloatArray:
     return energy
 
 
-def add_image_sources(context: RenderContext, energy: FloatArray, absorption: FloatArray,
-                      bands: list[int]) -> FloatArray:
-    """Return echograms with the energy of the image sources added."""
+def add_image_sources(context: RenderContext, energy: FloatArray, gains: Sequence[FloatArray]) -> FloatArray:
+    """Return echograms with the energy of the image sources added; `gains` of each microphone's."""
     speed_m_s, result = context.traced.scene.air.speed_m_s, energy.copy()
-    for mic, (echogram, images) in enumerate(zip(result, context.images, strict=True)):
+    for echogram, images, pressure in zip(result, context.images, gains, strict=True):
         frame = (images.distance_m / speed_m_s / FRAME_S).astype(int)
         inside = frame < len(echogram)
-        np.add.at(echogram, frame[inside], context.image_gains(mic, absorption, bands)[inside] ** 2)
+        np.add.at(echogram, frame[inside], pressure[inside] ** 2)
     return result
 
 
 def render_microphones(context: RenderContext, absorption: FloatArray) -> list[Response]:
     """Render the response at every microphone."""
     bands = list(range(context.traced.scene.n_bands))
-    ray_energy = ray_echograms(context, absorption, bands)
-    total_energy = add_image_sources(context, ray_energy, absorption, bands)
+    gains, ray_energy = context.image_gains(absorption, bands), ray_echograms(context, absorption, bands)
+    total_energy = add_image_sources(context, ray_energy, gains)
     return on_threads(partial(_render_microphone, context, absorption),
-                      list(enumerate(zip(ray_energy, total_energy, strict=True))))
+                      list(enumerate(zip(gains, ray_energy, total_energy, strict=True))))
 
 
 def _render_microphone(context: RenderContext, absorption: FloatArray, mic: int,
-                       energies: tuple[FloatArray, FloatArray]) -> Response:
-    """Render one microphone from its energy per frame: that of the rays, and all."""
+                       parts: tuple[FloatArray, FloatArray, FloatArray]) -> Response:
+    """Render one microphone from the pressure of its image sources, and its energy per frame: of the rays, and all."""
     traced, scene, mic_m, images = context.traced, context.traced.scene, context.mics_m[mic], context.images[mic]
-    ray_energy, total_energy = energies
+    gains, ray_energy, total_energy = parts
     speed_m_s, fs_hz = scene.air.speed_m_s, scene.fs_hz
     direct_sample = float(np.linalg.norm(mic_m - traced.source_pos_m) / speed_m_s * fs_hz)
     length_s = min(response_length_s(total_energy, direct_sample / fs_hz + 0.1), context.length_s)
-    gains = context.image_gains(mic, absorption, list(range(scene.n_bands)))
     rir = render(images.distance_m, gains, ray_energy, context.noises[mic], speed_m_s=speed_m_s,
                  n_samples=round(length_s * fs_hz), fs_hz=fs_hz)
     if (diffracted := context.diffracted[mic]) is not None:

@@ -67,9 +67,9 @@ def response_length_s(energy: FloatArray, early_s: float = 0.0) -> float:
     early_s
         Time that the response covers in any case.
     """
-    remaining = np.cumsum(energy[::-1], axis=0)[::-1]
-    held = np.any(remaining > 10.0 ** (-DECAY_DB / 10.0) * np.maximum(remaining[0], 1e-300), axis=1)
-    last = int(np.flatnonzero(held)[-1]) + 1 if held.any() else 0
+    remaining = np.cumsum(energy.T[:, ::-1], axis=1)
+    held = np.any(remaining > 10.0 ** (-DECAY_DB / 10.0) * np.maximum(remaining[:, -1:], 1e-300), axis=0)
+    last = len(held) - int(np.argmax(held)) if held.any() else 0
     return float(np.clip(max(last * FRAME_S, early_s), MIN_LENGTH_S, MAX_LENGTH_S))
 
 

@@ -239,7 +239,7 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
         if not traced.serves(absorption):
             return None
         ray_energy = ray_echograms(search, absorption, [BAND_1KHZ]) * of_noise[:, :, None]
-        energy = add_image_sources(search, ray_energy, absorption, [BAND_1KHZ])
+        energy = add_image_sources(search, ray_energy, search.image_gains(absorption, [BAND_1KHZ]))
         return t30_of_echogram(n_alike @ energy[:, :, 0])
 
     exponent, aim_s, time_s = guess, target_s, None

@@ -192,10 +192,10 @@ class TracedRoom:
         traced = self._trace(source_pos_m, how["length_s"], expected)
         seed, ism_order = self.options.seed, self.options.ism_order
         decay_s = min(decay_length_s(traced.scene, expected), traced.max_length_s)
-        how |= dict(ism_order=ism_order, diffraction=self.options.diffraction, path_samples=sample_paths(
-            traced, np.array(mics_m), expected,
-            [rng_for(seed, "echoes", rir_id) for rir_id in rir_ids], ism_order=ism_order,
-            n_frames=int(np.ceil(decay_s / FRAME_S))))
+        samples = sample_paths(traced, np.array(mics_m), expected,
+                               [rng_for(seed, "echoes", rir_id) for rir_id in rir_ids], ism_order=ism_order,
+                               n_frames=int(np.ceil(decay_s / FRAME_S)))
+        how |= dict(length_s=decay_s, ism_order=ism_order, diffraction=self.options.diffraction, path_samples=samples)
         rngs = [rng_for(seed, "tail", rir_id) for rir_id in rir_ids]
         try:
             if target_s is None:
