@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomeq.core.arrays import Array, FloatArray, IntArray, Number
+from roomeq.core.arrays import Array, FloatArray, IntArray, Number, Numbers
 from roomeq.core.jit import compiled, for_chunks, inlined, mix, uniform
 from roomeq.sim.room import Room, Walls
 
@@ -34,6 +34,7 @@ _LATE_RATE_HZ = 16000.0
 _FAIR_BITS = 8  # of the number of a ray
 _LOG_2 = float(np.log(2.0))
 _LEAST_ENERGY = 1e-8  # of a diffuse field, at which rays end whatever their number
+_LOG_LEAST = float(np.log(_LEAST_ENERGY))
 GOLDEN_RATIO = 0.5 * (1.0 + np.sqrt(5.0))
 
 
@@ -298,7 +299,7 @@ def _plays(roulette: Roulette, length: Number, log_energy: Number) -> bool:
     """Tell whether a ray carries too little energy to be followed without playing Russian roulette."""
     if length <= roulette.late_m:
         return False
-    diffuse = max(-roulette.decay_per_m * length, np.log(_LEAST_ENERGY))
+    diffuse = max(-roulette.decay_per_m * length, _LOG_LEAST)
     return log_energy < roulette.log_share + diffuse
 
 
@@ -313,11 +314,10 @@ def _survives(ray: Number, plays: Number, stream: Number, n: Number) -> bool:
 
 
 @inlined
-def _far_wall(position: Number, way: Number, low: Number, high: Number) -> Number:
-    """Return the distance to the wall ahead along one axis [m]."""
-    if way > 0.0:
-        return (high - position) / way
-    return (low - position) / way if way < 0.0 else 1e30
+def _to_wall(position: Number, way: Number, low: Number, high: Number) -> Numbers:
+    """Return the distances along a ray [m] to the wall ahead, and from one wall to the other, along one axis."""
+    per_m = 1.0 / max(abs(way), 1e-30)
+    return (high - position if way > 0.0 else position - low) * per_m, (high - low) * per_m
 
 
 @compiled
@@ -331,7 +331,8 @@ def _trace_box(low_m: Array, high_m: Array, face_of_side: Array, source: Array, 
         stream = mix(seed + np.uint64(ray))
         x, y, z = source[0], source[1], source[2]
         u, v, w = directions[ray, 0], directions[ray, 1], directions[ray, 2]
-        to_x, to_y, to_z = _far_wall(x, u, x0, x1), _far_wall(y, v, y0, y1), _far_wall(z, w, z0, z1)
+        (to_x, across_x), (to_y, across_y) = _to_wall(x, u, x0, x1), _to_wall(y, v, y0, y1)
+        to_z, across_z = _to_wall(z, w, z0, z1)
         length, log_energy, plays, n, ends = 0.0, 0.0, 0, 0, False
         while not ends and n < capacity:
             axis, distance, up = (0, to_x, u > 0.0) if to_x < to_y else (1, to_y, v > 0.0)
@@ -354,16 +355,18 @@ def _trace_box(low_m: Array, high_m: Array, face_of_side: Array, source: Array, 
                     z, u, v, w = z1 if up else z0, a, b, sign + rise
                 scale = 1.0 / np.sqrt(max(u * u + v * v + w * w, 1e-20))
                 u, v, w = u * scale, v * scale, w * scale
-                to_x, to_y, to_z = _far_wall(x, u, x0, x1), _far_wall(y, v, y0, y1), _far_wall(z, w, z0, z1)
+                (to_x, across_x), (to_y, across_y) = _to_wall(x, u, x0, x1), _to_wall(y, v, y0, y1)
+                to_z, across_z = _to_wall(z, w, z0, z1)
             else:
                 to_x, to_y, to_z = to_x - distance, to_y - distance, to_z - distance
                 if axis == 0:
-                    x, u, to_x = x1 if up else x0, -u, (x1 - x0) / abs(u)
+                    x, u, to_x = x1 if up else x0, -u, across_x
                 elif axis == 1:
-                    y, v, to_y = y1 if up else y0, -v, (y1 - y0) / abs(v)
+                    y, v, to_y = y1 if up else y0, -v, across_y
                 else:
-                    z, w, to_z = z1 if up else z0, -w, (z1 - z0) / abs(w)
-            hits[stored, 0], hits[stored, 1], hits[stored, 2], hits[stored, 3] = x, y, z, length
+                    z, w, to_z = z1 if up else z0, -w, across_z
+            hit = hits[stored]
+            hit[0], hit[1], hit[2], hit[3] = x, y, z, length
             codes[stored] = 4 * face + (1 if diffuse else 0)
             log_energy += roulette.log_reflected[face]
             ends = length > end_m
