@@ -52,6 +52,7 @@ MAX_ABSORPTION = 0.999
 """Of a reference: a path without any energy there could not represent others elsewhere."""
 SHARING_M = 0.1
 """Microphones this close to one another share a sample: receiver spheres are larger, and sound goes further in 1 ms."""
+_ROUNDING_M = 1e-6  # of the coordinates of arrays that are turned
 _NO_GAIN = np.zeros((0, 0, 0), np.float32)
 _NEGLIGIBLE = np.float32(1e-25)  # share of a ray's energy at a reference that counts as none
 _EMPTY = np.float32(1e-20)  # energy of a frame at a reference that counts as none: what was neglected may show
@@ -206,7 +207,7 @@ def sharing(room: Room, mics_m: FloatArray) -> IntArray:
     first = np.arange(len(mics_m))
     for mic in range(1, len(mics_m)):
         before = np.unique(first[:mic])
-        near = before[np.linalg.norm(mics_m[before] - mics_m[mic], axis=1) <= SHARING_M]
+        near = before[np.linalg.norm(mics_m[before] - mics_m[mic], axis=1) <= SHARING_M + _ROUNDING_M]
         if not room.convex and len(near):
             near = near[cast("MeshRoom", room).sees(mics_m[near], mics_m[mic])]
         first[mic] = near[0] if len(near) else mic
