@@ -115,7 +115,7 @@ def many_rooms(result: dict[str, Any]) -> list[Table]:
     share = f"{100 * result['within_5_percent']:.1f} %"
     return [dict(title="Shoeboxes: one source, an array of 8 microphones and a target T60; two processes",
                  columns=["simulator", "rooms", "rooms/s", "CPU s a room", "peak GiB"], rows=rows,
-                 notes=[f"{result['times_faster']:.1f} times as many rooms a second, in turns. Ours write WAV files "
+                 notes=[f"{result['times_faster']:.1f} times as many rooms a second. Ours write WAV files "
                         "and rows, with image sources to order 6 and 10,000 rays, and meet the target T60 in the mean "
                         f"over the array; at the first microphone T30 is within 5 % of it in {share} of the rooms. "
                         "pyroomacoustics gets the absorption that ours ended with, order 3 and 20,000 rays, which give "
