@@ -22,7 +22,7 @@ def make_coherent(noises: Sequence[Array], mics_m: ArrayLike, speed_m_s: float, 
     Parameters
     ----------
     noises
-        One per microphone, of equal power, in float32, shape (n_samples,) each.
+        One per microphone, of equal power, shape (n_samples,) each.
     mics_m
         Shape (n_mics, 3).
     speed_m_s

@@ -34,14 +34,14 @@ _FFT_GRID = 4096
 
 
 def tail_noise(n_samples: int, volume_m3: float, speed_m_s: float, rng: np.random.Generator,
-               fs_hz: float = FS_HZ) -> Array:
+               fs_hz: float = FS_HZ) -> FloatArray:
     """Draw a random sequence of unit mean power with the echo density of a room.
 
     Returns
     -------
-    ndarray of float32, shape (n_samples,)
+    ndarray, shape (n_samples,)
     """
-    noise = rng.standard_normal(n_samples, dtype=np.float32)
+    noise = rng.standard_normal(n_samples)
     dense_s = dense_after_s(volume_m3, speed_m_s, fs_hz)
     dense = min(n_samples, int(dense_s * fs_hz))
     time_s = np.arange(dense + 1) / fs_hz
@@ -49,7 +49,7 @@ def tail_noise(n_samples: int, volume_m3: float, speed_m_s: float, rng: np.rando
     edges = np.interp(np.arange(int(arrivals[-1]) + 1), arrivals, np.arange(dense + 1.0))
     width = np.diff(edges)
     place = (edges[:-1] + width * rng.random(len(width))).astype(int)
-    pulses = np.zeros(dense, np.float32)
+    pulses = np.zeros(dense)
     inside = place < dense
     # Gaussian pulses pass into Gaussian noise continuously; pulses of equal size would have a lower kurtosis
     np.add.at(pulses, place[inside], (rng.standard_normal(len(width)) * np.sqrt(width))[inside])
