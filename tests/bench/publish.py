@@ -181,7 +181,8 @@ SUMMARY = {
     "many_rooms": "How many rooms `roomeq simulate --rooms` makes a second, beside pyroomacoustics on some of them.",
     "labels": "The closed loop on RIRs with labelling errors: wrong units, exchanged recordings and devices, a room "
               "twice, wrong dimensions. Refused: the loop says in one line that it cannot use the RIRs. Left out: RIRs "
-              "are left out with counts, and the effects are those without the error; fewer: one is no longer found. "
+              "are left out with counts, and the effects are those without the error, or those of the loop on the set "
+              "without these RIRs; fewer: one is no longer found. "
               "Same: nothing is said, and the effects are those without the error. Unstable: nothing is said, and an "
               "effect is no longer named that had been named by mistake. WRONG: an effect is named because of the "
               "error, or a true one is lost without a word.",

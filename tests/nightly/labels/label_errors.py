@@ -4,7 +4,8 @@
 For each generated set of rooms (`tests/testbed`) and each error of `testbed.labels`, the outcome is one of
 
 refused    the loop says in one line that it cannot use the RIRs
-left out   RIRs are left out because of the error, with their count, and the effects are those without the error
+left out   RIRs are left out because of the error, with their count, and the effects are those without the error, or
+           those of the loop on the set without these RIRs
 fewer      the same, but an effect is no longer found: there are fewer rooms
 same       nothing is said, and the effects are those without the error
 unstable   nothing is said, and an effect is no longer named that was named by mistake without the error
@@ -17,6 +18,7 @@ e.g.: python tests/nightly/labels/label_errors.py --out exp/labels --seeds 2
 
 import argparse
 import os
+import shutil
 import sys
 import tempfile
 import time
@@ -30,6 +32,7 @@ sys.path[:1] = [str(ROOT / name) for name in ("pysrc", "tests")]
 from roomeq.core.files import read_json, write_json  # noqa: E402
 from roomeq.loop.ledger import added_effects  # noqa: E402
 from roomeq.loop.step import close_loop  # noqa: E402
+from roomeq.records.rir_dir import read_rirs, write_rirs  # noqa: E402
 from testbed import make_room_set  # noqa: E402
 from testbed.labels import ERRORS, make_mislabelled  # noqa: E402
 
@@ -48,6 +51,13 @@ def findings(directory: Path, seed: int) -> dict:
     return dict(effects=effects, left_out=[entry for entry in ledger["left_out"]])
 
 
+def without(directory: Path, ids: set[str], out: Path) -> Path:
+    """Write an RIR directory that lacks some of the RIRs of another, and return it."""
+    shutil.copytree(directory / "audio", out / "audio")
+    write_rirs(out, [row for row in read_rirs(directory) if row["id"] not in ids])
+    return out
+
+
 def outcome_of(found: dict, clean: dict, kind: str) -> str:
     """Return the outcome of a labelling error in a set with an effect of this kind."""
     if "refused" in found:
@@ -55,6 +65,8 @@ def outcome_of(found: dict, clean: dict, kind: str) -> str:
     said = found["left_out"] != clean["left_out"]
     if sorted(found["effects"]) == sorted(clean["effects"]):
         return "left out" if said else "same"
+    if found["effects"] == found.get("control", {}).get("effects"):
+        return "left out"
     if any(names not in clean["effects"] for names in found["effects"]):
         return "WRONG"
     if said:
@@ -87,8 +99,12 @@ def main(arguments: list[str] | None = None) -> int:
                         rirs = made / "fit"
                         if error != "none":
                             rirs = Path(folder, "rirs")
-                            make_mislabelled(error, seed, made / "fit", rirs)
-                        results[name] = findings(rirs, seed) | dict(cpu_s=round(time.process_time() - start))
+                            wrong_ids = make_mislabelled(error, seed, made / "fit", rirs)
+                        found = findings(rirs, seed) | dict(cpu_s=round(time.process_time() - start))
+                        clean = results.get(f"{kind} {seed}: none", found)
+                        if outcome_of(found, clean, kind) == "WRONG" and found["left_out"]:
+                            found["control"] = findings(without(made / "fit", wrong_ids, Path(folder, "control")), seed)
+                    results[name] = found
                     write_json(file, results)
                 clean = results[f"{kind} {seed}: none"]
                 results[name]["outcome"] = outcome_of(results[name], clean, kind)
