@@ -295,22 +295,29 @@ def reflect(normals: Array, face: Number, scattering: Number, stream: Number, n:
 
 
 @inlined
-def _plays(roulette: Roulette, length: Number, log_energy: Number) -> bool:
-    """Tell whether a ray carries too little energy to be followed without playing Russian roulette."""
-    if length <= roulette.late_m:
-        return False
-    diffuse = max(-roulette.decay_per_m * length, _LOG_LEAST)
-    return log_energy < roulette.log_share + diffuse
-
-
-@inlined
-def _survives(ray: Number, plays: Number, stream: Number, n: Number) -> bool:
-    """Tell whether a ray survives at reflection `n`.
+def _play_roulette(roulette: Roulette, ray: Number, stream: Number, n: Number, length: Number, log_energy: Number,
+                   plays: Number) -> Numbers:
+    """Let a ray play Russian roulette at reflection `n`, if it carries too little energy to be followed otherwise.
 
     The order of the rays is random, so that the bits of a ray's number are fair coins; and where all rays play, exactly
     half of them end.
+
+    Returns
+    -------
+    represents_two, ends : bool
+    log_energy : float
+        From this reflection on.
+    plays : int
+        How often the ray has survived.
     """
-    return (ray >> plays) & 1 == 1 if plays < _FAIR_BITS else uniform(stream, 4 * n + 3) < 0.5
+    if length <= roulette.late_m:
+        return False, False, log_energy, plays
+    diffuse_field = max(-roulette.decay_per_m * length, _LOG_LEAST)
+    if log_energy >= roulette.log_share + diffuse_field:
+        return False, False, log_energy, plays
+    if (ray >> plays) & 1 == 1 if plays < _FAIR_BITS else uniform(stream, 4 * n + 3) < 0.5:
+        return True, False, log_energy + _LOG_2, plays + 1
+    return False, True, log_energy, plays
 
 
 @inlined
@@ -367,15 +374,11 @@ def _trace_box(low_m: Array, high_m: Array, face_of_side: Array, source: Array, 
                     z, w, to_z = z1 if up else z0, -w, across_z
             hit = hits[stored]
             hit[0], hit[1], hit[2], hit[3] = x, y, z, length
-            codes[stored] = 4 * face + (1 if diffuse else 0)
             log_energy += roulette.log_reflected[face]
-            ends = length > end_m
-            if _plays(roulette, length, log_energy):
-                if _survives(ray, plays, stream, n):
-                    codes[stored] += 2
-                    log_energy, plays = log_energy + _LOG_2, plays + 1
-                else:
-                    ends = True
+            represents_two, ends, log_energy, plays = _play_roulette(
+                roulette, ray, stream, n, length, log_energy, plays)
+            codes[stored] = 4 * face + 2 * represents_two + diffuse
+            ends = ends or length > end_m
             stored += 1
             n += 1
         counts[ray] = n
@@ -414,15 +417,11 @@ def _trace_convex(normals: Array, offsets: Array, source: Array, directions: Arr
             length += distance
             diffuse = reflect(normals, ahead, scattering[ahead], stream, n, way)
             hits[stored, 0], hits[stored, 1], hits[stored, 2], hits[stored, 3] = x, y, z, length
-            codes[stored] = 4 * ahead + (1 if diffuse else 0)
             log_energy += roulette.log_reflected[ahead]
-            ends = length > end_m
-            if _plays(roulette, length, log_energy):
-                if _survives(ray, plays, stream, n):
-                    codes[stored] += 2
-                    log_energy, plays = log_energy + _LOG_2, plays + 1
-                else:
-                    ends = True
+            represents_two, ends, log_energy, plays = _play_roulette(
+                roulette, ray, stream, n, length, log_energy, plays)
+            codes[stored] = 4 * ahead + 2 * represents_two + diffuse
+            ends = ends or length > end_m
             stored += 1
             n += 1
         counts[ray] = n
@@ -444,15 +443,10 @@ def _advance(normals: Array, active: Array, faces: Array, distances: Array, scat
         hits[i, 3] = length[ray]
         stream = mix(seed + np.uint64(ray))
         diffuse = reflect(normals, face, scattering[face], stream, n, way[ray])
-        codes[i] = 4 * face + (1 if diffuse else 0)
         for axis in range(3):
             position[ray, axis] += 1e-4 * normals[face, axis]
         log_energy[ray] += roulette.log_reflected[face]
-        ends[i] = length[ray] > end_m
-        if _plays(roulette, length[ray], log_energy[ray]):
-            if _survives(ray, plays[ray], stream, n):
-                codes[i] += 2
-                log_energy[ray] += _LOG_2
-                plays[ray] += 1
-            else:
-                ends[i] = True
+        represents_two, over, log_energy[ray], plays[ray] = _play_roulette(
+            roulette, ray, stream, n, length[ray], log_energy[ray], plays[ray])
+        codes[i] = 4 * face + 2 * represents_two + diffuse
+        ends[i] = over or length[ray] > end_m
