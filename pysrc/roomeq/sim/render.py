@@ -176,8 +176,8 @@ def _add_pulses(bands: Array, delays: Array, gains: Array, table: Array) -> None
         row = min(int(place), len(table) - 2)
         for tap in range(n_taps):
             pulse[tap] = table[row, tap] * (1.0 - (place - row)) + table[row + 1, tap] * (place - row)
-        low, high = max(start, 0), max(min(start + n_taps, n_samples), 0)
-        inside = pulse[low - start:max(high, low) - start]
+        low, high = min(max(start, 0), n_samples), min(max(start + n_taps, 0), n_samples)
+        inside = pulse[low - start:high - start]
         for band in range(n_bands):
             gain, part = bands.dtype.type(gains[path, band]), bands[band, low:high]
             for n in range(len(part)):
