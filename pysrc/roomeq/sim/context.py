@@ -211,10 +211,9 @@ def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequenc
         heard = [(id(sample), mic if directivity is not None else None)
                  for mic, (sample, directivity) in enumerate(zip(context.path_samples, context.mic_directivities,
                                                                  strict=True))]
-        firsts = {key: heard.index(key) for key in heard}
-        echograms = dict(zip(firsts, on_threads(from_sample, [
-            (context.path_samples[mic], context.mics_m[mic], context.mic_directivities[mic])
-            for mic in firsts.values()]), strict=True))
+        jobs = dict(zip(heard, zip(context.path_samples, context.mics_m, context.mic_directivities, strict=True),
+                        strict=True))
+        echograms = dict(zip(jobs, on_threads(from_sample, list(jobs.values())), strict=True))
         for energy, key in zip(result, heard, strict=True):
             energy[:len(echograms[key])] = echograms[key]
     else:
