@@ -7,7 +7,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -75,12 +75,17 @@ class TracedSource:
 
     def serves(self, absorption: FloatArray) -> bool:
         """Tell whether enough rays are left in all bands for absorption of shape (n_surfaces, n_bands)."""
-        area_m2 = self.scene.room.surface_area_m2
+        return bool(np.all(self._decay(absorption) >= LEAST_DECAY * self._expected_decay))
+
+    @cached_property
+    def _expected_decay(self) -> FloatArray:
+        """Decay at each reflection in a diffuse field, with which rays were traced for each band, shape (n_bands,)."""
         traced = [np.equal(self.trace_of_band, trace) for trace in self.trace_of_band]
-        expected = np.array([self.expected_absorption[:, bands].min(axis=1) for bands in traced]).T
-        decay, expected_decay = (-np.log(np.maximum(1.0 - area_m2 @ of_bands / area_m2.sum(), 1e-6))
-                                 for of_bands in (absorption, expected))
-        return bool(np.all(decay >= LEAST_DECAY * expected_decay))
+        return self._decay(np.array([self.expected_absorption[:, bands].min(axis=1) for bands in traced]).T)
+
+    def _decay(self, absorption: FloatArray) -> FloatArray:
+        area_m2 = self.scene.room.surface_area_m2
+        return -np.log(np.maximum(1.0 - area_m2 @ absorption / area_m2.sum(), 1e-6))
 
     @property
     def leaked_share(self) -> float:
