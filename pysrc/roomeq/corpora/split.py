@@ -68,8 +68,9 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
     others = {split: Path(given) for split, given in (("dev", dev_rirs), ("test", test_rirs)) if given is not None}
     size_of = dict(zip(SPLITS, sizes, strict=True))
     rows = read_rirs(rir_dir)
+    own_rows = {split: read_rirs(other) for split, other in others.items()}
     for split, other in others.items():
-        _require_other_recordings(rir_dir, rows, split, other)
+        _require_other_recordings(rir_dir, rows, split, other, own_rows[split])
     of_rirs = {split: size for split, size in size_of.items() if split not in others}
     group_of = _room_groups(rir_dir, rows, split_by, same_rooms)
     split_of = _by_room(rows, group_of, of_rirs, seed) if split_by == "room" else _by_rir(rows, of_rirs, seed)
@@ -87,7 +88,7 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
             others=sorted(others))) for split in SPLITS}
     for split, build in builds.items():
         source = others.get(split, rir_dir)
-        own = read_rirs(source) if split in others else [row for row in rows if split_of.get(row["id"]) == split]
+        own = own_rows[split] if split in others else [row for row in rows if split_of.get(row["id"]) == split]
         counts[split] = len(own)
         _write(build, relocated(own, source, build.out), [*relocated(own_noises.get(split, []), source, build.out),
                                                           *relocated(noises[split], rir_dir, build.out)])
@@ -97,11 +98,13 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
     return {split: counts[split] for split in SPLITS}
 
 
-def _require_other_recordings(rir_dir: Path, rows: Sequence[RirRow], split: str, other: Path) -> None:
+def _require_other_recordings(rir_dir: Path, rows: Sequence[RirRow], split: str, other: Path,
+                              other_rows: Sequence[RirRow]) -> None:
     """Refuse a directory with recordings or ids of those to be split; warn of rooms of the same name."""
     here, there = ({(directory / row["wav"]).resolve(): row for row in of_directory}
-                   for directory, of_directory in ((rir_dir, rows), (other, read_rirs(other))))
-    for path in sorted(here.keys() & there.keys()):
+                   for directory, of_directory in ((rir_dir, rows), (other, other_rows)))
+    if paths := here.keys() & there.keys():
+        path = min(paths)
         raise ValueError(f"{other}: RIR {there[path]['id']} is RIR {here[path]['id']} of {rir_dir}: give recordings "
                          f"for {split} that are not used in training")
     if ids := {row["id"] for row in here.values()} & {row["id"] for row in there.values()}:
