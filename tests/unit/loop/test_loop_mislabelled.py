@@ -11,7 +11,15 @@ from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.loop.arrivals import measure_arrivals
 from roomeq.loop.doubtful_geometry import OTHER_UNIT, TOO_EARLY, TOO_LATE, find_other_unit, find_wrong_distance
 from roomeq.loop.doubtful_recordings import COPY, OTHER_DECAY, cut_parts, find_copies, find_other_decays
-from roomeq.loop.exchanged_devices import BANDS_HZ, EXCHANGED, find_exchanged_devices, reverberation_levels
+from roomeq.loop.misnamed_devices import (
+    BANDS_HZ,
+    EXCHANGED,
+    FEWEST_RIRS,
+    OTHER_DEVICE,
+    find_exchanged_devices,
+    find_other_devices,
+    reverberation_levels,
+)
 from roomeq.loop.usable import LeftOut, usable_rirs
 from roomeq.records.geometry import OUTSIDE
 
@@ -163,6 +171,35 @@ def test_names_in_two_rooms_cannot_be_compared():
     assert find_exchanged_devices(rows, levels_db) == [None] * len(rows)
 
 
+@pytest.mark.parametrize("key", ["source_id", "mic_id"])
+@pytest.mark.parametrize("seed", range(5))
+def test_rirs_under_another_devices_name_are_found(key, seed):
+    rows, levels_db = devices(np.random.default_rng(seed), 6, 4.0, key=key)
+    for n in (16, 20):
+        rows[n][key] = "b"
+    found = find_other_devices(rows, levels_db)
+    assert [n for n, doubt in enumerate(found) if doubt] == [16, 20] and found[16].phrase == OTHER_DEVICE
+    assert found[16].detail.startswith("RIR r2-0 of room room2: ")
+    assert f"by {key} a, not b" in found[16].detail and f"correct {key}" in found[16].detail
+    assert not any(find_exchanged_devices(rows, levels_db))
+
+
+@pytest.mark.parametrize("differ_db", [0.0, 0.5, 2.0, 6.0])
+@pytest.mark.parametrize("n_rooms", [3, 8])
+def test_rirs_under_their_devices_name_raise_no_alarm(n_rooms, differ_db):
+    for seed in range(20):
+        rows, levels_db = devices(np.random.default_rng(seed), n_rooms, differ_db)
+        assert find_other_devices(rows, levels_db) == [None] * len(rows)
+
+
+def test_few_rirs_of_two_devices_cannot_be_compared():
+    rows, levels_db = devices(np.random.default_rng(1), 3, 6.0)
+    rows[0]["source_id"] = "b"
+    few = [n for n in range(len(rows)) if n % 8 < 6]
+    assert len(few) < FEWEST_RIRS and not any(find_other_devices([rows[n] for n in few], levels_db[few]))
+    assert find_other_devices(rows, levels_db)[0] is not None
+
+
 def test_reverberation_levels_are_those_of_the_spectrum():
     octaves_db = np.array([0.0, 0.0, 6.0, 0.0, -6.0, 0.0, 0.0, 0.0])
     difference = np.mean([reverberation_levels(coloured_rir(n, eq_db=octaves_db), 320)
@@ -170,6 +207,26 @@ def test_reverberation_levels_are_those_of_the_spectrum():
     expected = np.interp(np.log(BANDS_HZ), np.log(EXACT_BANDS_HZ), octaves_db)
     assert difference == pytest.approx(expected - expected.mean(), abs=0.8)  # tips are averaged
     assert np.all(reverberation_levels(np.ones(100), 50) == 0.0)  # no reverberation
+
+
+def test_levels_scatter_less_over_windows_than_in_all():
+    rirs = [coloured_rir(n) for n in range(20)]
+    levels_db = np.array([reverberation_levels(rir, 320) for rir in rirs])
+    long = slice(320 + 320, 320 + 320 + 6400)
+    power = np.abs(np.fft.rfft([rir[long] for rir in rirs], 16000)) ** 2
+    of_all_db = 10.0 * np.log10(power[:, 891:1122].sum(axis=1))  # third octave at 1 kHz
+    at_1khz = int(np.argmin(np.abs(BANDS_HZ - 1000.0)))
+    assert levels_db[:, at_1khz].std() < 0.8 * of_all_db.std()
+
+
+def test_windows_that_may_be_noise_have_no_part_in_the_levels():
+    rng = np.random.default_rng(0)
+    reverberation, noise = rng.standard_normal(800), 0.01 * np.cumsum(rng.standard_normal(4000)) / 40.0
+    assert np.sum(noise[:800] ** 2) < 1e-3 * np.sum(reverberation ** 2)
+    levels_db = [reverberation_levels(np.concatenate([np.zeros(320), reverberation, after]), 0)
+                 for after in (np.zeros(4000), noise)]
+    assert levels_db[0] == pytest.approx(levels_db[1], abs=1e-9)
+
 
 
 def test_mislabelled_rirs_are_left_out_counted_and_named(rooms, tmp_path, caplog):
