@@ -59,6 +59,9 @@ HAS_GAIN = np.isin(METRIC, ["direct", "early", "late", "spectrum"])
 CALIBRATION_FEATURES = (METRIC == "direct") & (np.arange(N_FEATURES) % 2 == 0)
 """Features of scored RIRs that calibration may use, and that are not scored: they show an obstructed direct sound, and
 where a source faces."""
+SCORED = ~CALIBRATION_FEATURES & (METRIC != "ahead")
+"""Features by whose errors a model is judged. Sound ahead of the direct sound comes from no room: it is noise,
+distortion or ringing of the measurement, which a simulation rightly lacks. It is reported as unexplained."""
 LARGEST = 20.0
 """Error of a feature that a model cannot produce [JND]."""
 _db = partial(power_db, floor=FLOOR_POWER)

@@ -30,10 +30,10 @@ from roomeq.loop.data import Data
 from roomeq.loop.facing import estimate_facings, unknown_facings
 from roomeq.loop.features import (
     BAND_OF_FEATURE,
-    CALIBRATION_FEATURES,
     HAS_GAIN,
     LARGEST,
     METRIC,
+    SCORED,
     with_noise_in_octaves,
 )
 from roomeq.loop.fit import Fit, fit
@@ -234,7 +234,7 @@ def _rendered_errors(data: Data, calibrated: Callable, splits: Sequence[str], *,
             error = np.abs(with_noise_in_octaves(data.features[rows]) - with_noise_in_octaves(rendered)
                            - np.outer(gains[rows], HAS_GAIN))
             error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
-            errors[rows] = np.where(data.valid[rows] & ~CALIBRATION_FEATURES, error, np.nan)
+            errors[rows] = np.where(data.valid[rows] & SCORED, error, np.nan)
         by_split[split] = errors
     return HeldOutErrors(by_split, data.room, position_groups(first, second))
 
