@@ -387,7 +387,7 @@ def test_effect_outside_the_catalogue_is_reported_as_unexplained(closed):
     _, ledger = closed("harmonic_distortion")
     assert ledger["iterations"] == []
     assert ledger["unexplained"]["time_region"] == "ahead" and ledger["unexplained"]["size_jnd"] > 2.0
-    assert "ahead" not in ledger["before"]["leave_positions_out"]["by_metric"]  # it is none of the model's errors
+    assert "ahead" not in ledger["baseline"]["leave_positions_out"]["by_metric"]  # it is none of the model's errors
 
 
 def test_single_loudspeaker_and_microphone_cannot_be_distinguished(room_set, tmp_path):
