@@ -16,15 +16,15 @@ from numpy.typing import ArrayLike
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.sim.images import SpecularPaths
 from roomeq.sim.meshfile import read_triangles
-from roomeq.sim.room import Walls
 from roomeq.sim.scene import MIN_WALL_DISTANCE_M
 from roomeq.sim.trace import sphere_directions
+from roomeq.sim.walls import Walls
 
 if TYPE_CHECKING:
     import trimesh
 
 NUDGE_M = 1e-4  # distance from a surface at which rays start: Embree computes in single precision
-_MAX_WALLS = 24  # largest number of planes of a convex room that are intersected directly, without Embree
+_MAX_WALLS = 32  # largest number of walls that are intersected directly, without Embree
 _SEQUENCE_RAYS = 20000  # rays that search for sequences of specular reflections
 _SPHERE_RAYS = 2000  # directions in which the distance to the surfaces is sampled
 _WELD_M = 1e-5  # grid to which corners are rounded before they are merged
@@ -84,16 +84,18 @@ class MeshRoom:
 
     @cached_property
     def walls(self) -> Walls | None:
-        """The planes of a convex room with at most `_MAX_WALLS` planes; None if rays have to be traced with Embree."""
+        """The faces of the same plane and surface, of a room with at most `_MAX_WALLS` of them; None if it has more."""
         plane, mirrors = self._cache["plane"], self._cache["mirrors"]
-        if not self.convex or len(mirrors) > _MAX_WALLS:
+        order = np.lexsort([self.face_surface, plane])
+        wall, first = np.unique(np.column_stack([plane, self.face_surface])[order], axis=0, return_index=True)
+        if len(wall) > _MAX_WALLS:
             return None
-        if any(len(np.unique(self.face_surface[plane == n])) > 1 for n in range(len(mirrors))):
-            return None
-        surface = [self.face_surface[plane == n][0] for n in range(len(mirrors))]
+        normals, offsets = mirrors[wall[:, 0], :3], mirrors[wall[:, 0], 3]
         low, high = self.bounds_m
-        normals, offsets = np.ascontiguousarray(mirrors[:, :3]), np.ascontiguousarray(mirrors[:, 3])
-        return Walls(normals, offsets, np.array(surface), high - low)
+        if self.convex and len(wall) == len(mirrors):
+            return Walls.around(normals, offsets, wall[:, 1], high - low)
+        return Walls(normals, offsets, wall[:, 1], high - low, _edges(self.triangles[order], self.normals[order]),
+                     np.append(first, len(order)))
 
     @property
     def face_area_m2(self) -> FloatArray:
@@ -128,7 +130,11 @@ class MeshRoom:
 
         The arguments broadcast to shape (n, 3).
         """
-        from_m, to_m = np.broadcast_arrays(np.asarray(from_m, float), np.asarray(to_m, float))
+        from_m, to_m = np.asarray(from_m, float), np.asarray(to_m, float)
+        shape = np.broadcast_shapes(from_m.shape, to_m.shape)
+        from_m, to_m = (np.ascontiguousarray(np.broadcast_to(point_m, shape)) for point_m in (from_m, to_m))
+        if self.walls is not None:
+            return self.walls.sees(from_m, to_m)
         offset = to_m - from_m
         length = np.linalg.norm(offset, axis=1)
         hit = self._cache["embree"].run(
@@ -178,6 +184,14 @@ class MeshRoom:
             sequences[key] = _find_sequences(self, np.asarray(source_pos_m, dtype=float), order)
         return _visible_paths(self, sequences[key], np.asarray(source_pos_m, dtype=float),
                               np.asarray(mic_pos_m, dtype=float))
+
+
+def _edges(triangles: FloatArray, normals: FloatArray) -> FloatArray:
+    """Return the edges of triangles (see `Walls`), shape (n_triangles, 3, 4)."""
+    ahead = np.roll(triangles, -1, axis=1) - triangles
+    inward = np.cross(ahead, normals[:, None])  # normals are opposite to those of the right-hand rule
+    inward /= np.linalg.norm(inward, axis=2)[:, :, None]
+    return np.concatenate([inward, np.einsum("nij,nij->ni", inward, triangles)[:, :, None]], axis=2)
 
 
 def _embree(triangles: FloatArray) -> Any:
@@ -250,7 +264,8 @@ def make_room(triangles: ArrayLike, names: Sequence[str], name: str = "mesh") ->
     faces = np.where(orientation.flip[:, None], faces[:, ::-1], faces)
     surfaces, face_surface = np.unique(materials, return_inverse=True)
     convex = bool(not orientation.flip.any() and mesh.body_count == 1 and _is_convex(mesh))
-    return MeshRoom(mesh.vertices[faces], tuple(str(surface) for surface in surfaces), face_surface,
+    solid = mesh.area_faces > 1e-12  # a polygon with a corner on one of its edges has a triangle without an area
+    return MeshRoom(mesh.vertices[faces[solid]], tuple(str(surface) for surface in surfaces), face_surface[solid],
                     orientation.volume_m3, convex)
 
 

@@ -1,49 +1,12 @@
 """The interface that rooms of any shape share; see `roomeq.sim.scene.Shoebox` and `roomeq.sim.mesh.MeshRoom`."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Protocol
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from roomeq.core.arrays import FloatArray, IntArray
-
-
-@dataclass(frozen=True)
-class Walls:
-    """The planes around a convex room: the air is where ``normal . x > offset`` for all of them.
-
-    Attributes
-    ----------
-    normals
-        Shape (n_walls, 3).
-    offsets
-        Shape (n_walls,).
-    face_surface
-        Surface of each wall, shape (n_walls,).
-    size_m
-        Of the box around the room, shape (3,).
-    """
-
-    normals: FloatArray
-    offsets: FloatArray
-    face_surface: IntArray
-    size_m: FloatArray
-
-    @cached_property
-    def box(self) -> tuple[FloatArray, FloatArray, IntArray] | None:
-        """Low and high corner [m], and the wall on the low and high side of each axis, shape (3, 2); None if no box.
-
-        A box has six walls along the axes.
-        """
-        axis, up = np.argmax(np.abs(self.normals), axis=1), self.normals.sum(axis=1) < 0.0
-        wall_of_side = np.full((3, 2), -1)
-        wall_of_side[axis, up.astype(int)] = np.arange(len(axis))
-        if len(axis) != 6 or wall_of_side.min() < 0 or np.count_nonzero(self.normals) != 6:
-            return None
-        return self.offsets[wall_of_side[:, 0]], -self.offsets[wall_of_side[:, 1]], wall_of_side
+from roomeq.core.arrays import FloatArray
+from roomeq.sim.walls import Walls
 
 
 class Room(Protocol):
@@ -67,7 +30,7 @@ class Room(Protocol):
 
     @property
     def walls(self) -> Walls | None:
-        """The planes of a convex room of few; None where rays are traced through a mesh."""
+        """The walls of a room of few planes; None where rays are traced with Embree."""
 
     def require_inside(self, name: str, position_m: Sequence[float] | FloatArray) -> None:
         """Raise ValueError unless a position lies in the room and keeps a minimum distance from its surfaces."""

@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import Array, FloatArray, IntArray, Number, Numbers
 from roomeq.core.jit import compiled, for_chunks, inlined, mix, uniform
-from roomeq.sim.room import Room, Walls
+from roomeq.sim.room import Room
+from roomeq.sim.walls import Walls, holds
 
 if TYPE_CHECKING:
     from roomeq.sim.mesh import MeshRoom
@@ -30,6 +31,7 @@ LATE_RAYS = 5000
 """Rays that remain in a diffuse field once reflections are dense, if there are so many."""
 MAX_SHARE = 4.0
 """Largest energy of a late ray that has lost as much as a diffuse field, in units of that of an early one."""
+_BEHIND_M = 1e-9  # by which rounding may put a ray behind a wall
 _LATE_RATE_HZ = 16000.0
 _FAIR_BITS = 8  # of the number of a ray
 _LOG_2 = float(np.log(2.0))
@@ -173,7 +175,8 @@ def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_ray
                         float(np.log(np.clip(num_rays / LATE_RAYS, 1.0, MAX_SHARE))))
     how = source_pos_m, directions, scattering[faces.face_surface], max_length_m, roulette, seed
     if room.walls is not None:
-        traced = _trace_between_walls(room.walls, *how)
+        mean_free_path_m = 4.0 * room.volume_m3 / float(area_m2.sum())
+        traced = _trace_between_walls(room.walls, mean_free_path_m, *how)
     else:
         traced = _trace_in_mesh(cast("MeshRoom", room), *how)
     return Paths(source_pos_m, directions, traced.hits, traced.codes, traced.first, faces.normals, faces.face_surface,
@@ -194,27 +197,32 @@ def _code_type(n_faces: int) -> type[np.uint8] | type[np.uint32]:
     return np.uint8 if n_faces < 64 else np.uint32
 
 
-def _trace_between_walls(walls: Walls, source: FloatArray, directions: FloatArray, scattering: FloatArray,
-                         end_m: float, roulette: Roulette, seed: np.uint64) -> _Traced:
-    """Trace a room that is bounded by a few planes: the next hit is on the nearest plane ahead."""
+def _trace_between_walls(walls: Walls, mean_free_path_m: float, source: FloatArray, directions: FloatArray,
+                         scattering: FloatArray, end_m: float, roulette: Roulette, seed: np.uint64) -> _Traced:
+    """Trace a room of few planes: the next hit is on the nearest wall ahead."""
     n_rays = len(directions)
-    # more than a specular ray can meet in a box
-    capacity = int(1.2 * end_m * np.sqrt(np.sum(1.0 / walls.size_m ** 2))) + 40
     counts = np.empty(n_rays, dtype=np.int32)
 
-    def trace_chunk(chunk: int, low: int, high: int) -> tuple[Array, Array]:
-        hits = np.empty(((high - low) * capacity, 4), np.float32)
-        codes = np.empty(len(hits), _code_type(len(walls.normals)))
-        how = source, directions, scattering, end_m, roulette, seed, low, high, capacity, hits, codes, counts
-        if walls.box is None:
-            n_stored = _trace_convex(walls.normals, walls.offsets, *how)
-        else:
-            low_m, high_m, wall_of_side = walls.box
-            n_stored = _trace_box(low_m, high_m, wall_of_side, *how)
-        return hits[:n_stored].copy(), codes[:n_stored].copy()  # the rest is memory for the next chunk, and fast
+    def trace_chunk(chunk: int, low: int, high: int) -> tuple[Array, Array, int]:
+        # more than a specular ray can meet in a box; elsewhere, if more are met, there is another attempt
+        per_m = 1.0 / mean_free_path_m if walls.box is None else np.sqrt(np.sum(1.0 / walls.size_m ** 2))
+        capacity = int(1.2 * end_m * per_m) + 40
+        while True:
+            hits = np.empty(((high - low) * capacity, 4), np.float32)
+            codes = np.empty(len(hits), _code_type(len(walls.normals)))
+            how = source, directions, scattering, end_m, roulette, seed, low, high
+            if walls.box is not None:
+                low_m, high_m, wall_of_side = walls.box
+                n_stored, n_leaked = _trace_box(low_m, high_m, wall_of_side, *how, capacity, hits, codes, counts), 0
+            else:
+                n_stored, n_leaked = _trace_planes(walls.normals, walls.offsets, walls.edges, walls.first, *how, hits,
+                                                   codes, counts)
+            if n_stored >= 0:  # the rest is memory for the next chunk, and fast
+                return hits[:n_stored].copy(), codes[:n_stored].copy(), n_leaked
+            capacity *= 2
 
-    hits, codes = (np.concatenate(parts) for parts in zip(*for_chunks(n_rays, trace_chunk), strict=True))
-    return _Traced(hits, codes, _first_of_rays(counts), counts, 0)
+    hits, codes, leaked = zip(*for_chunks(n_rays, trace_chunk), strict=True)
+    return _Traced(np.concatenate(hits), np.concatenate(codes), _first_of_rays(counts), counts, sum(leaked))
 
 
 def _first_of_rays(counts: Array) -> IntArray:
@@ -331,7 +339,7 @@ def _to_wall(position: Number, way: Number, low: Number, high: Number) -> Number
 def _trace_box(low_m: Array, high_m: Array, face_of_side: Array, source: Array, directions: Array, scattering: Array,
                end_m: Number, roulette: Roulette, seed: Number, low: Number, high: Number, capacity: Number,
                hits: Array, codes: Array, counts: Array) -> int:
-    """Trace rays `low` to `high` in a box along the axes, as `_trace_convex` does and twice as fast."""
+    """Trace rays `low` to `high` in a box along the axes, as `_trace_planes` does and twice as fast."""
     x0, y0, z0, x1, y1, z1 = low_m[0], low_m[1], low_m[2], high_m[0], high_m[1], high_m[2]
     stored = 0
     for ray in range(low, high):
@@ -385,36 +393,58 @@ def _trace_box(low_m: Array, high_m: Array, face_of_side: Array, source: Array, 
     return stored
 
 
+@inlined
+def _nearest(reach: Array) -> int:
+    nearest = 0
+    for face in range(1, len(reach)):
+        if reach[face] < reach[nearest]:
+            nearest = face
+    return nearest
+
+
 @compiled
-def _trace_convex(normals: Array, offsets: Array, source: Array, directions: Array, scattering: Array, end_m: Number,
-                  roulette: Roulette, seed: Number, low: Number, high: Number, capacity: Number, hits: Array,
-                  codes: Array, counts: Array) -> int:
-    """Trace rays `low` to `high` between planes; the air is where ``normal . x > offset`` for all of them."""
-    n_faces, stored = len(normals), 0
-    height, approach, way = np.empty(n_faces), np.empty(n_faces), np.empty(3)
+def _trace_planes(normals: Array, offsets: Array, edges: Array, first: Array, source: Array, directions: Array,
+                  scattering: Array, end_m: Number, roulette: Roulette, seed: Number, low: Number, high: Number,
+                  hits: Array, codes: Array, counts: Array) -> Numbers:
+    """Trace rays `low` to `high` between walls (see `Walls`).
+
+    Returns
+    -------
+    n_stored, n_leaked : int
+        -1 if `hits` has too little room.
+    """
+    n_faces, stored, n_leaked = len(normals), 0, 0
+    normal_x, normal_y, normal_z = normals[:, 0].copy(), normals[:, 1].copy(), normals[:, 2].copy()
+    height, approach, reach, way = np.empty(n_faces), np.empty(n_faces), np.empty(n_faces), np.empty(3)
     for ray in range(low, high):
         stream = mix(seed + np.uint64(ray))
         x, y, z = source[0], source[1], source[2]
         way[0], way[1], way[2] = directions[ray, 0], directions[ray, 1], directions[ray, 2]
         for face in range(n_faces):
-            height[face] = normals[face, 0] * x + normals[face, 1] * y + normals[face, 2] * z - offsets[face]
+            height[face] = normal_x[face] * x + normal_y[face] * y + normal_z[face] * z - offsets[face]
         length, log_energy, plays, n, ends = 0.0, 0.0, 0, 0, False
-        while not ends and n < capacity:
-            ahead, ahead_height, ahead_approach = -1, 1e30, 1.0
+        while not ends:
+            if stored == len(hits):
+                return -1, 0
+            u, v, w = way[0], way[1], way[2]
             for face in range(n_faces):
-                toward = -(normals[face, 0] * way[0] + normals[face, 1] * way[1] + normals[face, 2] * way[2])
-                approach[face] = toward
-                # height / toward < ahead_height / ahead_approach
-                if toward > 1e-12 and height[face] * ahead_approach < ahead_height * toward:
-                    ahead, ahead_height, ahead_approach = face, height[face], toward
-            if ahead < 0:  # along the wall to within rounding
+                approach[face] = -(normal_x[face] * u + normal_y[face] * v + normal_z[face] * w)
+            for face in range(n_faces):
+                in_front = approach[face] > 1e-12 and height[face] > -_BEHIND_M
+                reach[face] = height[face] / approach[face] if in_front else np.inf
+            ahead = _nearest(reach)
+            while reach[ahead] < np.inf and not holds(edges, first, ahead, x + reach[ahead] * u,
+                                                       y + reach[ahead] * v, z + reach[ahead] * w):
+                reach[ahead] = np.inf
+                ahead = _nearest(reach)
+            if reach[ahead] == np.inf:  # along a wall to within rounding
+                n_leaked += 1
                 break
-            distance = max(ahead_height / ahead_approach, 0.0)
-            x, y, z = x + distance * way[0], y + distance * way[1], z + distance * way[2]
+            distance = max(reach[ahead], 0.0)
+            x, y, z, length = x + distance * u, y + distance * v, z + distance * w, length + distance
             for face in range(n_faces):
                 height[face] -= distance * approach[face]
             height[ahead] = 0.0
-            length += distance
             diffuse = reflect(normals, ahead, scattering[ahead], stream, n, way)
             hits[stored, 0], hits[stored, 1], hits[stored, 2], hits[stored, 3] = x, y, z, length
             log_energy += roulette.log_reflected[ahead]
@@ -425,7 +455,7 @@ def _trace_convex(normals: Array, offsets: Array, source: Array, directions: Arr
             stored += 1
             n += 1
         counts[ray] = n
-    return stored
+    return stored, n_leaked
 
 
 @compiled
