@@ -17,7 +17,7 @@ from roomeq.core.constants import FS_HZ
 from roomeq.loop.arrivals import Arrivals, measure_arrivals
 from roomeq.loop.doubtful_geometry import Doubt, find_other_unit, find_wrong_distance
 from roomeq.loop.doubtful_recordings import cut_parts, find_copies, find_other_decays
-from roomeq.loop.misnamed_devices import find_exchanged_devices, find_other_devices, reverberation_levels
+from roomeq.loop.misnamed_devices import find_misnamed_devices, reverberation_levels
 from roomeq.records.rir_dir import load_rir, rir_path
 from roomeq.records.schema import RirRow
 
@@ -53,8 +53,7 @@ def find_mislabelled(rirs: Sequence[tuple[Path, RirRow]]) -> list[Doubt | None]:
                   find_other_decays(rows, np.array([of_rir.log_t20 for of_rir in heard]).reshape(-1, 8))):
         doubts = [doubt or other for doubt, other in zip(doubts, found, strict=True)]
     for find, said in ((find_copies, [of_rir.parts for of_rir in heard]),
-                       (find_exchanged_devices, [of_rir.levels_db for of_rir in heard]),
-                       (find_other_devices, [of_rir.levels_db for of_rir in heard])):
+                       (find_misnamed_devices, [of_rir.levels_db for of_rir in heard])):
         fitting = [n for n, doubt in enumerate(doubts) if doubt is None]
         found = find([rows[n] for n in fitting], np.array([said[n] for n in fitting]))
         for n, doubt in zip(fitting, found, strict=True):

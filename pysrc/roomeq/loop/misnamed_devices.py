@@ -24,8 +24,6 @@ FEWEST_ROOMS = 3
 """With both devices, so that the other rooms agree on their difference."""
 FEWEST_RIRS = 20
 """Of two devices, so that the spread of single RIRs is known."""
-USUAL_SPREAD_DB = 1.0
-"""Of the difference of two devices between rooms, in addition to the observed: a just noticeable difference."""
 REVERBERATION_S = (0.02, 0.42)
 """After the direct sound: late enough that it hardly matters where the loudspeaker faces."""
 WINDOW_S = 0.05
@@ -36,6 +34,7 @@ MOST_DECAY_DB = 30.0
 BANDS_HZ = 1000.0 * 2.0 ** (np.arange(-7, 9) / 3.0)
 """Third octaves, 200 to 6300 Hz."""
 
+_LEAST = 1e-12
 _DEVICES = {"source_id": "loudspeakers", "mic_id": "microphones"}
 
 
@@ -62,12 +61,14 @@ def reverberation_levels(rir: FloatArray, direct_sample: float) -> FloatArray:
     return levels_db - levels_db.mean()
 
 
-def find_exchanged_devices(rows: Sequence[Mapping[str, Any]], levels_db: FloatArray) -> list[Doubt | None]:
-    """Find rooms in which the names of two loudspeakers or of two microphones are exchanged.
+def find_misnamed_devices(rows: Sequence[Mapping[str, Any]], levels_db: FloatArray) -> list[Doubt | None]:
+    """Find rooms in which the names of two devices are exchanged, and single RIRs under the name of another device.
 
-    The likelihood of exchanged names is compared with that of the stated ones; the difference of the devices is the
-    median over the other rooms, and its spread that over all rooms. If the stated names are right, the ratio exceeds
-    ``x`` with a probability of ``1 / x`` at most (Markov), for each room and pair of devices.
+    Levels are projected onto the usual difference of two devices, the median over the other rooms: the difference of a
+    room is then 1, or -1 if the names are exchanged, and a single RIR is 0 from its own device, or 1 if it is the
+    other's. The likelihoods of both are compared, with the spread of the single RIRs. If the stated names are right,
+    their ratio exceeds ``x`` with a probability of ``1 / x`` at most (Markov), for each room and each RIR. Devices that
+    do not differ usually are not compared in effect: their projections spread widely.
 
     Parameters
     ----------
@@ -77,76 +78,60 @@ def find_exchanged_devices(rows: Sequence[Mapping[str, Any]], levels_db: FloatAr
     """
     doubts: list[Doubt | None] = [None] * len(rows)
     compared = list(_common_rooms(rows))
-    limit = math.log(max(1, sum(len(rooms) for _, _, rooms in compared)) / FALSE_ALARM)
+    n_tests = sum(1 + len(first) + len(second) for _, _, rooms in compared for first, second in rooms.values())
+    limit = math.log(max(1, n_tests) / FALSE_ALARM)
     for key, pair, rooms in compared:
-        difference_db = _differences_db(rooms, levels_db)
-        spread_db = 1.4826 * np.median(np.abs(difference_db - np.median(difference_db, axis=0)), axis=0)
-        variance = spread_db ** 2 + USUAL_SPREAD_DB ** 2
-        for at, (room_id, of_room) in enumerate(rooms.items()):
-            usual_db = np.median(np.delete(difference_db, at, axis=0), axis=0)
-            gain = float(np.sum(-2.0 * difference_db[at] * usual_db / variance))
+        share, distance = _projected(rooms, levels_db)
+        spread = 1.4826 * np.median(np.abs(np.concatenate(distance)))
+        between = 1.4826 * np.median(np.abs(np.array(share) - 1.0))
+        for (room_id, members), room_share, distances in zip(rooms.items(), share, distance, strict=True):
+            variance = max(spread ** 2 * sum(1.0 / len(of_device) for of_device in members), between ** 2, _LEAST)
+            gain = -2.0 * room_share / variance
             if gain > limit:
-                band = int(np.argmax(np.abs(usual_db)))
-                doubt = Doubt(EXCHANGED, f"room {room_id}: the {_DEVICES[key]} {' and '.join(pair)} differ by "
-                              f"{difference_db[at, band]:.1f} dB at {BANDS_HZ[band]:.0f} Hz, and by "
-                              f"{usual_db[band]:.1f} dB in the other rooms; exchanged names are 1e"
-                              f"{gain / math.log(10.0):.0f} times likelier, and 1e{limit / math.log(10.0):.0f} may be "
-                              f"chance: correct {key}")
-                for n in [*of_room[0], *of_room[1]]:
-                    doubts[n] = doubt
+                for n in [*members[0], *members[1]]:
+                    doubts[n] = Doubt(EXCHANGED, f"room {room_id}: the {_DEVICES[key]} {' and '.join(pair)} differ as "
+                                      "in the other rooms with exchanged names, by "
+                                      f"{-room_share:.1f} times as much; {_odds(gain, limit)}: correct {key}")
+                continue
+            for n, rir_distance in zip([*members[0], *members[1]], distances, strict=True):
+                gain = (rir_distance - 0.5) / max(spread ** 2, _LEAST)
+                if gain > limit:
+                    stated, other = pair if n in members[0] else pair[::-1]
+                    doubts[n] = Doubt(OTHER_DEVICE, f"RIR {rows[n]['id']} of room {room_id}: its reverberation is "
+                                      f"coloured as by {key} {other}, not {stated}, beside the room's other RIRs; "
+                                      f"{_odds(gain, limit)}: correct {key}")
     return doubts
 
 
-def find_other_devices(rows: Sequence[Mapping[str, Any]], levels_db: FloatArray) -> list[Doubt | None]:
-    """Find single RIRs under the name of another loudspeaker or microphone of their room.
+def _odds(gain: float, limit: float) -> str:
+    return (f"that is 1e{gain / math.log(10.0):.0f} times likelier than the stated names, and 1e"
+            f"{limit / math.log(10.0):.0f} may be chance")
 
-    The levels of an RIR, less those of the second device of a pair in its room, are projected onto the difference of
-    the two devices: 1 is expected for the first, 0 for the second. The likelihoods of both are compared, with the
-    spread of all RIRs of the pair and the bound of `find_exchanged_devices`.
 
-    Parameters
-    ----------
-    rows : sequence of mapping
-    levels_db : ndarray, shape (n_rirs, n_bands)
-        See `reverberation_levels`.
+def _projected(rooms: Mapping[str, tuple[list[int], list[int]]], levels_db: FloatArray
+               ) -> tuple[list[float], list[FloatArray]]:
+    """Project the levels of two devices onto their usual difference.
+
+    Returns
+    -------
+    share : list of float
+        Of each room: the difference of the two, in units of the usual one.
+    distance : list of ndarray
+        Of each room: how far each RIR is from its own device (0) towards the other (1), those of the first device
+        first.
     """
-    doubts: list[Doubt | None] = [None] * len(rows)
-    compared = [entry for entry in _common_rooms(rows)
-                if sum(len(members) for of_room in entry[2].values() for members in of_room) >= FEWEST_RIRS]
-    places = [_places(rooms, levels_db) for _, _, rooms in compared]
-    limit = math.log(max(1, sum(len(of_pair) for of_pair in places)) / FALSE_ALARM)
-    for (key, pair, rooms), of_pair in zip(compared, places, strict=True):
-        spread = 1.4826 * np.median(np.abs(np.array(list(of_pair.values()))))
-        first = {n for of_room in rooms.values() for n in of_room[0]}
-        for n, deviation in of_pair.items():
-            gain = (deviation - 0.5) / max(spread ** 2, 1e-12)
-            if gain > limit:
-                stated, other = pair if n in first else pair[::-1]
-                doubts[n] = Doubt(OTHER_DEVICE, f"RIR {rows[n]['id']} of room {rows[n]['room_id']}: its reverberation "
-                                  f"is coloured as by {key} {other}, not {stated}, against the other RIRs of the room: "
-                                  f"1e{gain / math.log(10.0):.0f} times likelier, and 1e{limit / math.log(10.0):.0f} "
-                                  f"may be chance: correct {key}")
-    return doubts
-
-
-def _places(rooms: Mapping[str, tuple[list[int], list[int]]], levels_db: FloatArray) -> dict[int, float]:
-    """Return for each RIR of two devices how far it is from its own (0) towards the other (1)."""
-    difference_db = _differences_db(rooms, levels_db)
-    deviation_of = {}
+    difference_db = np.array([np.subtract(*(levels_db[members].mean(axis=0) for members in of_room))
+                              for of_room in rooms.values()])
+    share, distance = [], []
     for at, (first, second) in enumerate(rooms.values()):
         usual_db = np.median(np.delete(difference_db, at, axis=0), axis=0)
-        as_second_db = {n: levels_db[n] - usual_db for n in first} | {n: levels_db[n] for n in second}
-        for n in as_second_db:
-            others_db = np.median([level_db for m, level_db in as_second_db.items() if m != n], axis=0)
-            place = float((levels_db[n] - others_db) @ usual_db / max(usual_db @ usual_db, 1e-12))
-            deviation_of[n] = 1.0 - place if n in first else place
-    return deviation_of
-
-
-def _differences_db(rooms: Mapping[str, tuple[list[int], list[int]]], levels_db: FloatArray) -> FloatArray:
-    """Return the mean levels of the first device less those of the second, shape (n_rooms, n_bands)."""
-    return np.array([np.subtract(*(levels_db[members].mean(axis=0) for members in of_room))
-                     for of_room in rooms.values()])
+        along = usual_db / max(usual_db @ usual_db, _LEAST)
+        share.append(float(difference_db[at] @ along))
+        place = np.array([*(levels_db[first] - usual_db) @ along, *levels_db[second] @ along])  # were all the second
+        others = np.array([np.median(np.delete(place, n)) for n in range(len(place))])
+        deviation = place - others  # as far beyond its own device
+        distance.append(np.where(np.arange(len(place)) < len(first), -deviation, deviation))
+    return share, distance
 
 
 def _common_rooms(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, tuple[str, str], dict]]:
@@ -158,5 +143,6 @@ def _common_rooms(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, tupl
         for first, second in combinations(sorted(rirs_of), 2):
             rooms = {room_id: (rirs_of[first][room_id], rirs_of[second][room_id])
                      for room_id in rirs_of[first] if room_id in rirs_of[second]}
-            if len(rooms) >= FEWEST_ROOMS:
+            n_rirs = sum(len(members) for of_room in rooms.values() for members in of_room)
+            if len(rooms) >= FEWEST_ROOMS and n_rirs >= FEWEST_RIRS:
                 yield key, (first, second), rooms
