@@ -82,8 +82,7 @@ def find_misnamed_devices(rows: Sequence[Mapping[str, Any]], levels_db: FloatArr
     limit = math.log(max(1, n_tests) / FALSE_ALARM)
     for key, pair, rooms in compared:
         share, distance = _projected(rooms, levels_db)
-        spread = 1.4826 * np.median(np.abs(np.concatenate(distance)))
-        between = 1.4826 * np.median(np.abs(np.array(share) - 1.0))
+        spread, between = _robust_deviation(np.concatenate(distance)), _robust_deviation(np.array(share) - 1.0)
         for (room_id, members), room_share, distances in zip(rooms.items(), share, distance, strict=True):
             variance = max(spread ** 2 * sum(1.0 / len(of_device) for of_device in members), between ** 2, _LEAST)
             gain = -2.0 * room_share / variance
@@ -101,6 +100,11 @@ def find_misnamed_devices(rows: Sequence[Mapping[str, Any]], levels_db: FloatArr
                                       f"coloured as by {key} {other}, not {stated}, beside the room's other RIRs; "
                                       f"{_odds(gain, limit)}: correct {key}")
     return doubts
+
+
+def _robust_deviation(errors: FloatArray) -> float:
+    """Return the standard deviation of normal errors about zero from the median of their sizes, despite outliers."""
+    return float(1.4826 * np.median(np.abs(errors)))
 
 
 def _odds(gain: float, limit: float) -> str:
