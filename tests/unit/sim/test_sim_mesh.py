@@ -104,7 +104,7 @@ def test_mesh_box_echogram_matches_shoebox(box, how, monkeypatch):
 
 @pytest.fixture
 def two_materials(write_obj):
-    """Return an L-shaped room, two of whose walls lie in one plane and have another material each."""
+    """Return a room with a pillar at one wall, whose two parts lie in one plane and have another material each."""
     lines, wall = [], 0
     for line in prism_obj([(0, 0), (2, 0), (2, 1), (3, 1), (3, 0), (6, 0), (6, 4), (0, 4)], 3.0).splitlines():
         if wall and line.startswith("f "):
