@@ -253,8 +253,10 @@ def test_steps_of_a_fit_go_downhill(session):
     for r, members in enumerate(index.members):
         equations = normal_equations(index, r, residual, valid, derivatives, fitted.sigma, fitted.omega)
         direction = np.linalg.solve(equations.own_own + np.eye(len(equations.own_own)), equations.own_residual)
-        own, _ = index.room_derivatives(r, derivatives)
-        moved = residual[members] - own @ (1e-4 * direction)
+        values, places = index.room_derivatives(r, derivatives)
+        by_place = np.zeros(places.max() + 1)
+        np.add.at(by_place, index.own_place[r], 1e-4 * direction)
+        moved = residual[members] - np.einsum("ifn,in->if", values, by_place[places])
         before, after = (misfit(part, valid[members], fitted.sigma, fitted.omega) for part in (residual[members],
                                                                                               moved))
         assert (after - before) / 1e-4 == pytest.approx(-2.0 * equations.own_residual @ direction, rel=0.02)

@@ -49,23 +49,51 @@ class NormalEquations:
 def normal_equations(index: ParameterIndex, r: int, residual: FloatArray, valid: BoolArray, derivatives: Derivatives,
                      sigma: FloatArray, omega: FloatArray) -> NormalEquations:
     """Return the normal equations of room `r`; large residuals are down-weighted (Huber)."""
-    members = index.members[r]
-    own, shared = index.room_derivatives(r, derivatives)
+    members, columns, own = index.members[r], index.columns[r], index.own_place[r]
+    values, places = index.room_derivatives(r, derivatives)
     ok = valid[members]
     error, slope = _huber_root(residual[members], ok, sigma, omega)
-    stacked = np.concatenate([own * slope[:, :, None], shared * slope[:, :, None], error[:, :, None]], axis=2)
-    white = _whiten(stacked, ok, sigma, omega).reshape(-1, stacked.shape[2])
-    product = white.T @ white
-    n, n_shared, columns = own.shape[2], index.n_shared, index.columns[r]
-    own_shared, shared_shared = np.zeros((n, n_shared)), np.zeros((n_shared, n_shared))
+    last = max(len(columns), own.max() + 1)  # place of the residual
+    values = np.concatenate([np.where(ok, slope, 0.0)[:, :, None] * values, error[:, :, None]], axis=2)
+    product = _whitened_product(values, np.pad(places, ((0, 0), (0, 1)), constant_values=last), ok, sigma, omega)
+    n, n_shared = len(columns), index.n_shared
+    own_shared, shared_shared = np.zeros((len(own), n_shared)), np.zeros((n_shared, n_shared))
     shared_residual = np.zeros(n_shared)
-    own_shared[:, columns], shared_shared[np.ix_(columns, columns)] = product[:n, n:-1], product[n:-1, n:-1]
-    shared_residual[columns] = product[n:-1, -1]
+    own_shared[:, columns], shared_shared[np.ix_(columns, columns)] = product[own, :n], product[:n, :n]
+    shared_residual[columns] = product[:n, last]
     count = ok.sum(axis=0)
     log_scale = np.sum(np.maximum(count - 1, 0) * np.log(sigma)
                        + np.where(count > 0, 0.5 * np.log(sigma ** 2 + count * omega ** 2), 0.0))
-    return NormalEquations(product[:n, :n], own_shared, shared_shared, product[:n, -1], shared_residual,
-                           product[-1, -1], log_scale)
+    return NormalEquations(product[np.ix_(own, own)], own_shared, shared_shared, product[own, last], shared_residual,
+                           product[last, last], log_scale)
+
+
+def _whitened_product(values: FloatArray, places: IntArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray
+                      ) -> FloatArray:
+    """Return ``white.T @ white`` of a room, `white` being what `_whiten` makes of a matrix.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n_rirs, n_features, n)
+        What is not zero in the rows of the matrix; 0 where invalid.
+    places : ndarray of int, shape (n_rirs, n)
+        Their columns in the matrix, the same for all features of an RIR.
+    valid : ndarray of bool, shape (n_rirs, n_features)
+    sigma, omega : ndarray, shape (n_features,)
+    """
+    size, count = places.max() + 1, valid.sum(axis=0)
+    values = values / sigma[:, None]
+    product, total = np.zeros((size, size)), np.zeros((len(sigma), size))
+    alike, group = np.unique(places, axis=0, return_inverse=True)
+    for g, place in enumerate(alike):  # RIRs that depend on the same parameters
+        of_group = values[np.ravel(group) == g]
+        stacked = of_group.reshape(-1, of_group.shape[2])
+        product[np.ix_(place, place)] += stacked.T @ stacked
+        total[:, place] += of_group.sum(axis=0)
+    # sum over n RIRs of (x - p m)(x - p m)' = sum of x x' less n (1 - (1 - p)^2) m m', m being the mean of x
+    kept = sigma ** 2 / (sigma ** 2 + count * omega ** 2)  # (1 - p)^2
+    total *= np.sqrt((1.0 - kept) / np.maximum(count, 1))[:, None]
+    return product - total.T @ total
 
 
 def misfit(residual: FloatArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray) -> float:

@@ -105,6 +105,9 @@ class ParameterIndex:
         RIRs of each room.
     columns : list of ndarray of int, shape (n_columns,)
         Of each room: the shared parameters on which its RIRs depend, which are those of its own units.
+    own_place : list of ndarray of int, shape (n_own,)
+        Of each room: places of its own parameters in a list of `columns` and of those that are its own alone. A room's
+        deviation from a shared parameter acts as that parameter does, and has its place.
     gain_design : list of ndarray, shape (n_rirs_of_room, n_gains)
         Of each room: 1 where a gain applies to an RIR, else 0.
     gain_kind : list of ndarray of int, shape (n_gains,)
@@ -133,6 +136,7 @@ class ParameterIndex:
                 slices.append(slice(at, at + size))
                 at += size
             self.local.append(LocalPart(slices, at))
+        self.own_place = [self._own_places(r) for r in range(len(self.members))]
 
     def _columns(self, members: IntArray) -> IntArray:
         columns = [np.arange(N_SURFACE)]
@@ -140,6 +144,21 @@ class ParameterIndex:
             units = np.zeros(1, dtype=int) if effect.SCOPE in OWN_SCOPES else np.unique(unit[members])
             columns += [part.start + u * size + np.arange(size) for u in units]
         return np.concatenate(columns)
+
+    def _own_places(self, r: int) -> IntArray:
+        slices, size = self.local[r]
+        place = np.full(size, -1)
+        place[:N_SURFACE] = np.arange(N_SURFACE)
+        for k, effect in enumerate(self.effects):
+            if effect.SCOPE == "room":
+                place[slices[k]] = self._first_column(r, k) + np.arange(self.shared[k].size)
+        alone = np.flatnonzero(place < 0)
+        place[alone] = len(self.columns[r]) + np.arange(len(alone))
+        return place
+
+    def _first_column(self, r: int, k: int) -> int:
+        """Place among the `columns` of a room of the first vector of an effect."""
+        return int(np.searchsorted(self.columns[r], self.shared[k].part.start))
 
     def vectors(self, mean: FloatArray, local: list[FloatArray]) -> list[FloatArray]:
         """Return the vectors of each effect's units: list of arrays, shape (n_units, n)."""
@@ -232,32 +251,29 @@ class ParameterIndex:
         gains = np.outer(self.gains(local), HAS_GAIN)
         return centre.features + correction + gains, Derivatives(by_surface, by_effect)
 
-    def room_derivatives(self, r: int, derivatives: Derivatives) -> tuple[FloatArray, FloatArray]:
-        """Return derivatives of a room's RIRs by its own parameters and by the shared ones of its `columns`.
+    def room_derivatives(self, r: int, derivatives: Derivatives) -> tuple[FloatArray, IntArray]:
+        """Return derivatives of a room's RIRs by the parameters that each of them depends on.
 
-        Both have the shape (n_rirs_of_room, n_features, n_parameters).
+        Returns
+        -------
+        values : ndarray, shape (n_rirs_of_room, n_features, n)
+        places : ndarray of int, shape (n_rirs_of_room, n)
+            Of these parameters, in the list that `own_place` refers to.
         """
         members, (by_surface, by_effect) = self.members[r], derivatives
-        slices, size = self.local[r]
-        own = np.zeros((len(members), N_FEATURES, size))
-        shared = np.zeros((len(members), N_FEATURES, len(self.columns[r])))
-        own[:, :, :N_SURFACE] = shared[:, :, :N_SURFACE] = by_surface[members]
-        design = self.gain_design[r]
-        own[:, :, N_SURFACE:N_SURFACE + design.shape[1]] = HAS_GAIN[:, None] * design[:, None, :]
+        slices, design, n_rirs = self.local[r].slices, self.gain_design[r], len(self.members[r])
+        values = [by_surface[members], HAS_GAIN[:, None] * design[:, None, :]]
+        gains = self.own_place[r][N_SURFACE:N_SURFACE + design.shape[1]]
+        places = [np.broadcast_to(part, (n_rirs, len(part))) for part in (np.arange(N_SURFACE), gains)]
         for k, effect in enumerate(self.effects):
             part, _, unit, n = self.shared[k]
-            first = int(np.searchsorted(self.columns[r], part.start))
-            if effect.SCOPE == "room":
-                own[:, :, slices[k]] = shared[:, :, first:first + n] = by_effect[effect][members]
-            elif effect.SCOPE == "rir":
-                shared[:, :, first:first + n] = by_effect[effect][members]
-                for i, rir in enumerate(members):
-                    at = slices[k].start + n * i
-                    own[i, :, at:at + n] = by_effect[effect][rir]
-            else:
-                for i, place in enumerate(np.searchsorted(self.columns[r], part.start + unit[members] * n)):
-                    shared[i, :, place:place + n] = by_effect[effect][members[i]]
-        return own, shared
+            vector = np.zeros(n_rirs, dtype=int) if effect.SCOPE in OWN_SCOPES else unit[members]
+            values.append(by_effect[effect][members])
+            places.append(np.searchsorted(self.columns[r], part.start + vector * n)[:, None] + np.arange(n))
+            if effect.SCOPE == "rir":
+                values.append(values[-1])
+                places.append(self.own_place[r][slices[k]].reshape(n_rirs, n))
+        return np.concatenate(values, axis=2), np.concatenate(places, axis=1)
 
 
 def _separate(bands: Sequence[int]) -> list[list[int]]:
