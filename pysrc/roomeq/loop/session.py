@@ -1,5 +1,6 @@
 """A fitted model together with its data and its rendering correction."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,10 +65,14 @@ def fit_base_model(data: Data, *, seed: int, nj: int) -> Session:
     return refit_rendered(data, fit(data, correction, ()), seed=seed, nj=nj)
 
 
-def refit_rendered(data: Data, fitted: Fit, *, seed: int, nj: int) -> Session:
-    """Render a fitted model, and fit it again with the rendering correction."""
+def refit_rendered(data: Data, fitted: Fit, *, seed: int, nj: int, measured: Sequence[type[Effect]] = ()) -> Session:
+    """Render a fitted model, and fit it again with the rendering correction.
+
+    What effects change when they are rendered is measured first, unless that of a smaller or larger model that has
+    them, `measured`, is known: other effects hardly change it.
+    """
     rendered = render_model(data, fitted, seed=seed, nj=nj)
-    data = measure_rendered_changes(rendered, fitted.effects)
+    data = measure_rendered_changes(rendered, [effect for effect in fitted.effects if effect not in measured])
     correction = rendering_correction(replace(rendered, data=data))
     first = fit(data, correction, fitted.effects, initial=fitted)
     of_surfaces = first.derivatives._replace(by_effect={})  # which are smoother than those of effects
@@ -78,8 +83,8 @@ def refit_rendered(data: Data, fitted: Fit, *, seed: int, nj: int) -> Session:
 def with_rendered_changes(session: Session, candidates: list[type[Effect]]) -> Session:
     """Return a session whose data know what candidates change when they are rendered.
 
-    What an earlier, smaller model has measured of a candidate remains: another effect hardly changes it, and a
-    candidate that is added is measured again.
+    What an earlier, smaller model has measured of a candidate remains, as for `refit_rendered`; a candidate that is
+    added is measured once more.
     """
     unknown = [effect for effect in candidates
                if effect.INTERPOLATION_GRID and effect.NAME not in session.data.rendered_changes]

@@ -151,5 +151,5 @@ def accepted(ranking, lower, monkeypatch):
     monkeypatch.setattr(close, "refit_rendered", lambda data, fitted, **_: fitted)
     monkeypatch.setattr(close, "heldout_errors", errors)
     monkeypatch.setattr(close, "iteration_entry", lambda winner, *_: dict(effect=winner.effect.NAME))
-    found = close._accept(SimpleNamespace(data=None, seed=0, nj=1), errors(None), ranking)
+    found = close._accept(SimpleNamespace(data=None, effects=(), seed=0, nj=1), errors(None), ranking)
     return found and found.entry["effect"]
