@@ -18,13 +18,12 @@ from roomeq.acoustics.octaves import OCTAVE_WIDTH_HZ
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import FS_HZ
 from roomeq.core.rng import rng_for
-from roomeq.core.workers import share_out
 from roomeq.effects.base import Effect, octave_energies
 from roomeq.effects.noise_floor import NOISE_S
 from roomeq.loop.data import Data, is_timed
 from roomeq.loop.features import HAS_GAIN, Features, measure_features
 from roomeq.loop.fit import fit
-from roomeq.loop.rendering import RawRir, finished_rir, render_rows, samples_ahead
+from roomeq.loop.rendering import RawRir, finished_rir, map_rendered, samples_ahead
 from roomeq.loop.selection import SPLITS, HeldOutErrors, heldout_errors, score_test_set, transferred
 from roomeq.loop.session import Session
 
@@ -61,7 +60,7 @@ def twin_recordings(data: Data, absorption: FloatArray, effects: list[list[Effec
     ----------
     data : Data
     absorption : ndarray, shape (n_rirs, 2, 8)
-        As for `roomeq.loop.rendering.render_rows`.
+        As for `roomeq.loop.rendering.map_rendered`.
     effects : list of list of Effect
         Of each RIR.
     gains : ndarray, shape (n_rirs,)
@@ -76,9 +75,8 @@ def twin_recordings(data: Data, absorption: FloatArray, effects: list[list[Effec
     moved = replace(data, places=[replace(place, mic_pos_m=_moved(data, n, seed))
                                   for n, place in enumerate(data.places)])
     twin_seed = int(rng_for(seed, "loop twins", "seed").integers(2 ** 31))
-    raw_rirs, _ = render_rows(moved, absorption, effects, seed=twin_seed, nj=nj)
-    measured = share_out(lambda n: _recorded(moved, n, raw_rirs[n], effects[n], twin_seed), range(len(data.rows)), nj,
-                         label="noise ceiling: measure simulated recordings")
+    measured = map_rendered(lambda n, raw: _recorded(moved, n, raw, effects[n], twin_seed), moved, absorption, effects,
+                            seed=twin_seed, nj=nj)
     return replace(data, features=np.array([of_rir.values for of_rir in measured]) + np.outer(gains, HAS_GAIN),
                    valid=data.valid & np.array([of_rir.valid for of_rir in measured]),
                    white=np.array([of_rir.white for of_rir in measured]),

@@ -1,7 +1,8 @@
 """Rendered RIRs of a model for every row of the data, and their features, measured like those of the recordings."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from roomeq.loop.tables import level_surfaces
 from roomeq.sim.response import render_responses
 from roomeq.sim.scene import Scene, with_absorption
 
+Result = TypeVar("Result")
 _LARGEST_GROUP = 8  # rows that are rendered together
 
 
@@ -37,12 +39,14 @@ class RawRir:
     direct_gain: FloatArray
 
 
-def render_rows(data: Data, absorption: FloatArray, effects: Sequence[Sequence[Effect]], *, seed: int, nj: int = 1,
-                rows: Sequence[int] | IntArray | None = None) -> tuple[list[RawRir], FloatArray]:
-    """Render rows of the data and measure their features.
+def map_rendered(work: Callable[[int, RawRir], Result], data: Data, absorption: FloatArray,
+                 effects: Sequence[Sequence[Effect]], *, seed: int, nj: int = 1,
+                 rows: Sequence[int] | IntArray | None = None) -> list[Result]:
+    """Render rows of the data and return ``work(row, raw_rir)`` of each; only its results leave the processes.
 
     Parameters
     ----------
+    work : callable
     data : roomeq.loop.data.Data
     absorption : ndarray, shape (n_rirs, 2, 8)
         ``-ln(1 - alpha)`` of walls, and of floor and ceiling.
@@ -52,6 +56,25 @@ def render_rows(data: Data, absorption: FloatArray, effects: Sequence[Sequence[E
     nj : int
     rows : ndarray of int, optional
         Only these RIRs.
+    """
+    rows = range(len(data.rows)) if rows is None else rows
+
+    def render_group(group: list[int]) -> list[Result]:
+        first = group[0]
+        scene = _scene(data.traced[first].scene, 1.0 - np.exp(-absorption[first]), effects[first])
+        return [work(n, raw) for n, raw in zip(group, _render_group(data, group, scene, effects[first], seed),
+                                               strict=True)]
+
+    groups = _groups_of_paths(data, absorption, effects, rows)
+    done = share_out(render_group, groups, nj, label="render sources")
+    of_row = {n: result for group, results in zip(groups, done, strict=True)
+              for n, result in zip(group, results, strict=True)}
+    return [of_row[n] for n in rows]
+
+
+def render_rows(data: Data, absorption: FloatArray, effects: Sequence[Sequence[Effect]], *, seed: int, nj: int = 1,
+                rows: Sequence[int] | IntArray | None = None) -> tuple[list[RawRir], FloatArray]:
+    """Render rows of the data and measure their features; see `map_rendered` for the parameters.
 
     Returns
     -------
@@ -60,22 +83,21 @@ def render_rows(data: Data, absorption: FloatArray, effects: Sequence[Sequence[E
         NaN where there is nothing to measure.
     """
     rows = range(len(data.rows)) if rows is None else rows
-    scenes = {n: _scene(data.traced[n].scene, 1.0 - np.exp(-absorption[n]), effects[n]) for n in rows}
 
-    def render_and_measure(group: list[int]) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        raw_rirs = _render_group(data, group, scenes[group[0]], effects[group[0]], seed)
-        return [(raw.rir, raw.direct_gain, measure_row(data, n, raw, effects[n], seed).values)
-                for n, raw in zip(group, raw_rirs, strict=True)]
+    def parts(n: int, raw: RawRir) -> tuple[FloatArray, FloatArray, FloatArray]:  # a scene may be large
+        return raw.rir, raw.direct_gain, measure_row(data, n, raw, effects[n], seed).values
 
-    groups = _groups_of_paths(data, absorption, effects, rows)
-    rendered = dict(zip([n for group in groups for n in group],
-                        [row for of_group in share_out(render_and_measure, groups, nj,
-                                                                label="render sources") for row in of_group],
-                        strict=True))
-    # a scene may be large and need not travel
-    rirs, direct_gains, features = zip(*(rendered[n] for n in rows), strict=True)
-    return ([RawRir(rir, scenes[n], direct) for n, rir, direct in zip(rows, rirs, direct_gains, strict=True)],
-            np.array(features))
+    rirs, direct_gains, features = zip(*map_rendered(parts, data, absorption, effects, seed=seed, nj=nj, rows=rows),
+                                       strict=True)
+    scenes = (_scene(data.traced[n].scene, 1.0 - np.exp(-absorption[n]), effects[n]) for n in rows)
+    return [RawRir(*raw) for raw in zip(rirs, scenes, direct_gains, strict=True)], np.array(features)
+
+
+def rendered_features(data: Data, absorption: FloatArray, effects: Sequence[Sequence[Effect]], *, seed: int,
+                      nj: int = 1, rows: Sequence[int] | IntArray | None = None) -> FloatArray:
+    """Return the features of `render_rows` alone."""
+    return np.array(map_rendered(lambda n, raw: measure_row(data, n, raw, effects[n], seed).values, data, absorption,
+                                 effects, seed=seed, nj=nj, rows=rows))
 
 
 def _groups_of_paths(data: Data, absorption: FloatArray, effects: Sequence[Sequence[Effect]],

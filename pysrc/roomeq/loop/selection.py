@@ -39,7 +39,7 @@ from roomeq.loop.features import (
 from roomeq.loop.fit import Fit, fit
 from roomeq.loop.packing import OWN_SCOPES, ParameterIndex
 from roomeq.loop.rendered_model import clear_rendered_changes, effects_of_rows, in_order
-from roomeq.loop.rendering import render_rows
+from roomeq.loop.rendering import rendered_features
 from roomeq.loop.session import Session, with_rendered_changes
 from roomeq.loop.splitters import (
     HeldOutRoom,
@@ -230,7 +230,7 @@ def _rendered_errors(data: Data, calibrated: Callable, splits: Sequence[str], *,
             rows = np.concatenate([to_score if len(calibrating) else calibrating
                                    for calibrating, to_score in zip(known, scored, strict=True)])
             absorption, by_row, gains = calibrated(known, _USABLE[split])
-            _, rendered = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj, rows=rows)
+            rendered = rendered_features(data, absorption[data.room], by_row, seed=seed, nj=nj, rows=rows)
             error = np.abs(with_noise_in_octaves(data.features[rows]) - with_noise_in_octaves(rendered)
                            - np.outer(gains[rows], HAS_GAIN))
             error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
