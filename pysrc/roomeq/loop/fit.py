@@ -27,6 +27,7 @@ from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, Derivatives, ParameterInd
 from roomeq.loop.predict import N_BANDS
 
 ITERATIONS = 5
+CONVERGED = 0.5  # a step that lowers twice the negative log posterior density by less is the last
 START_X = float(np.log(0.2))
 """Initial absorption ``x`` of all bands."""
 STEP_FRACTIONS = (1.0, 0.5, 0.2, 0.05)  # of a step, tried in this order
@@ -139,14 +140,16 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
         cost_at = partial(cost, index, correction, sigma, omega, covariance, prior)
         limit, old = cost_at(mean, local, predicted), (mean, local)
         *new, posterior = solve_step(normal, covariance, mean, local, prior)
-        mean, local = shortened_step(cost_at, limit, old, new, fractions=STEP_FRACTIONS[:2])
+        mean, local, reached = shortened_step(cost_at, limit, old, new, fractions=STEP_FRACTIONS[:2])
         if mean is old[0]:
             *new, _ = solve_step(normal, covariance, mean, local, prior, damping=_DAMPING)
-            mean, local = shortened_step(cost_at, limit, old, new)
+            mean, local, reached = shortened_step(cost_at, limit, old, new)
         shape = _best_shape(local, posterior)
         own_scale = [_own_scale(index, k, local, posterior) for k in range(len(index.effects))]
         gain_db = (_CHAIN_GAIN_DB, _gain_spread_db(index, 1, local, posterior),
                    _gain_spread_db(index, 2, local, posterior), _CHAIN_GAIN_DB)
+        if iteration and limit - reached < CONVERGED:  # the scatter is known from the second iteration on
+            break
     covariance = covariances(index, shape, own_scale, gain_db)
     predicted, derivatives = index.linearize(mean, local, correction, known)
     residual, valid = data.residual(predicted)
@@ -264,14 +267,15 @@ def solve_step(normal: list[NormalEquations], covariance: list[FloatArray], mean
 
 
 def shortened_step(cost: Callable, limit: float, old: Sequence[Any], new: Sequence[Any],
-                   fractions: Sequence[float] = STEP_FRACTIONS) -> tuple[FloatArray, list[FloatArray]]:
-    """Return parameters moved by the first fraction of a step that lowers the cost below `limit`, or `old`."""
+                   fractions: Sequence[float] = STEP_FRACTIONS) -> tuple[FloatArray, list[FloatArray], float]:
+    """Return the first fraction of a step that lowers the cost below `limit`, or `old`: parameters, and their cost."""
     for fraction in fractions:
         mean = old[0] + fraction * (new[0] - old[0])
         local = [a + fraction * (b - a) for a, b in zip(old[1], new[1], strict=True)]
-        if cost(mean, local) < limit:
-            return mean, local
-    return old[0], old[1]
+        reached = cost(mean, local)
+        if reached < limit:
+            return mean, local, reached
+    return old[0], old[1], limit
 
 
 def cost(index: ParameterIndex, correction: FloatArray, sigma: FloatArray, omega: FloatArray,

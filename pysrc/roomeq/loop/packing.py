@@ -25,7 +25,7 @@ from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.effects.base import Effect
 from roomeq.effects.prediction import PredictionState
 from roomeq.loop.data import Data
-from roomeq.loop.features import HAS_GAIN, METRIC, N_FEATURES
+from roomeq.loop.features import HAS_GAIN, METRIC
 from roomeq.loop.predict import (
     BANDS_APART,
     DEPENDS_ON_BAND,

@@ -19,6 +19,7 @@ from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
 from roomeq.loop.data import Data
 from roomeq.loop.features import CALIBRATION_FEATURES
 from roomeq.loop.fit import (
+    CONVERGED,
     ITERATIONS,
     START_X,
     Fit,
@@ -283,7 +284,7 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
         cost_at = partial(cost, index, correction, fitted.sigma, fitted.omega, spreads, prior, visible=visible)
         old, limit = (mean, local), cost_at(mean, local, predicted)
         *new, _ = solve_step(normal, spreads, mean, local, prior)
-        mean, local = shortened_step(cost_at, limit, old, new)
-        if mean is old[0]:
+        mean, local, reached = shortened_step(cost_at, limit, old, new)
+        if limit - reached < CONVERGED:
             break
     return mean, local

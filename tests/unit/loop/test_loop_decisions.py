@@ -21,9 +21,10 @@ from roomeq.loop.unexplained import find_unexplained
 
 @pytest.mark.parametrize("to, expected", [(1.0, 1.0), (3.0, 1.5), (9.0, 1.8), (-1.0, 0.0)])
 def test_step_is_shortened_until_it_lowers_the_cost(to, expected):
-    mean, local = shortened_step(lambda mean, local: (mean[0] - 1.1) ** 2, 1.1 ** 2, (np.zeros(1), [np.zeros(2)]),
-                        (np.array([to]), [np.array([to, 2.0 * to])]))
+    mean, local, reached = shortened_step(lambda mean, local: (mean[0] - 1.1) ** 2, 1.1 ** 2,
+                                          (np.zeros(1), [np.zeros(2)]), (np.array([to]), [np.array([to, 2.0 * to])]))
     assert mean[0] == pytest.approx(expected)
+    assert reached == pytest.approx((expected - 1.1) ** 2)
     np.testing.assert_allclose(local[0], [expected, 2.0 * expected])
 
 
