@@ -74,10 +74,8 @@ def refit_rendered(data: Data, fitted: Fit, *, seed: int, nj: int, measured: Seq
     rendered = render_model(data, fitted, seed=seed, nj=nj)
     data = measure_rendered_changes(rendered, [effect for effect in fitted.effects if effect not in measured])
     correction = rendering_correction(replace(rendered, data=data))
-    index = ParameterIndex(data, fitted.effects)
-    _, derivatives = index.linearize(fitted.mean, fitted.local, correction)
-    first = fit(data, correction, fitted.effects, initial=fitted, known=derivatives)
-    of_surfaces = derivatives._replace(by_effect={})  # which are smoother than those of effects
+    first = fit(data, correction, fitted.effects, initial=fitted)
+    of_surfaces = first.derivatives._replace(by_effect={})  # which are smoother than those of effects
     final = fit(data, correction, fitted.effects, initial=first, known=of_surfaces)
     return Session(data, fitted.effects, correction, final, seed, nj)
 
