@@ -16,7 +16,7 @@ from roomeq.augment.audio_cache import AudioCache
 from roomeq.augment.distribution import parse_distribution
 from roomeq.augment.draw import DrawRules, read_pool
 from roomeq.augment.mix import MixedUtterance, convolve, mix, spectra_of
-from roomeq.augment.pack import PlannedUtterance, file_name, plan_recordings, write_recording
+from roomeq.augment.pack import PlannedUtterance, RecordingFile, file_name, plan_recordings
 from roomeq.augment.step import ROWS_FOLDER, SUMMARY_FILE, AugmentConfig
 from roomeq.augment.summary import Summary, log_summary
 from roomeq.core.arrays import Array
@@ -26,7 +26,7 @@ from roomeq.core.files import read_jsonl, to_json, write_json, write_jsonl
 from roomeq.kaldi.datadir import DataDir, Utterance, read_data_dir
 from roomeq.kaldi.validate import MAX_DURATION_ERROR_S
 from roomeq.kaldi.wavscp import flac_entry, read_entry
-from roomeq.kaldi.write import GRID_SAMPLES, OutUtterance, write_data_dir
+from roomeq.kaldi.write import OutUtterance, write_data_dir
 from roomeq.records.rir_dir import n_channels, require_16_khz
 
 logger = logging.getLogger(__name__)
@@ -126,21 +126,15 @@ def _log_missing_noises(augmenter: _Augmenter) -> None:
 def _make_recording(config: AugmentConfig, work: Path, name: str, utterances: list[PlannedUtterance]) -> dict:
     """Augment the utterances of one recording; write its audio below `work`, and their rows for `_assemble`."""
     augmenter = _augmenter(config, work)
-    rows, files, pieces, position = [], [], [], 0
-    for planned in utterances:
-        mixed, row = augmenter.augment(planned)
-        pcm = np.rint(mixed.samples * 32768).astype(np.int16)
-        if config.packing == "utterance":
-            row.update(recording=planned.id, start=0)
-            files.append(write_recording(work, row["speaker"], planned.id, [pcm]))
-        else:
-            row.update(recording=name, start=position)
-            gap = -len(pcm) % GRID_SAMPLES
-            pieces += [pcm, np.zeros(gap, np.int16)]
-            position += len(pcm) + gap
-        rows.append(row)
-    if pieces:
-        files.append(write_recording(work, rows[0]["speaker"], name, pieces[:-1]))  # no gap after the last utterance
+    packed = {name: utterances} if config.packing == "recording" else {planned.id: [planned] for planned in utterances}
+    rows, files = [], []
+    for recording_id, members in packed.items():
+        recording = RecordingFile(members[0].clean.speaker, recording_id)
+        for planned in members:
+            mixed, row = augmenter.augment(planned)
+            start = recording.append(np.rint(mixed.samples * 32768).astype(np.int16))
+            rows.append(row | dict(recording=recording_id, start=start))
+        files.append(recording.save(work))
     write_jsonl(work / ROWS_FOLDER / f"{file_name(name)}.jsonl", rows)
     return dict(files=files, rows=f"{file_name(name)}.jsonl")
 
