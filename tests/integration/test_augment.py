@@ -13,11 +13,12 @@ import soundfile
 from datadirs import FS, LENGTHS, audio_of, burst, decay, rir_dir, rir_row, speech_dir
 from joblib.externals.loky import get_reusable_executor
 
-from roomeq.augment import augment
+from roomeq.augment import augment, far_field
 from roomeq.augment.distribution import parse_distribution
 from roomeq.core.audio import write_flac, write_wav
 from roomeq.kaldi import validate_data_dir
 from roomeq.kaldi.datadir import read_data_dir
+from roomeq.kaldi.wavscp import read_entry
 from roomeq.records.rir_dir import load_rir, read_rirs, write_noises, write_rirs
 
 SAMPLE = 2.0**-15
@@ -146,6 +147,14 @@ def test_copies_get_new_ids_and_draws(tmp_path, inputs):
     assert table(tmp_path / "out/utt2uniq") == {key: key.removesuffix(key[-5:]) for key in rows}
     assert len({(row["rir"], row["snr_db"]) for row in rows.values()}) > 10
     assert table(tmp_path / "out/text")["a-2-0001-rvb2"] == "WORDS OF A-2-0001"
+
+
+def test_utterance_is_read_once_for_all_its_copies(tmp_path, inputs, monkeypatch):
+    read = []
+    monkeypatch.setattr(far_field, "read_entry", lambda entry, *given, **named: read.append(entry) or
+                        read_entry(entry, *given, **named))
+    augment(*inputs, tmp_path / "out", copies=4)
+    assert len(read) == len(LENGTHS)
 
 
 def test_directories_with_the_same_ids_give_the_same_draws(tmp_path, inputs):

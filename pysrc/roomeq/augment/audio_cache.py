@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from roomeq.augment.draw import Noise, NoiseDraw, Pool, excerpt_start
-from roomeq.augment.mix import convolve, direct_shift, loop
+from roomeq.augment.mix import convolve, direct_shift, loop, spectra_of
 from roomeq.core.arrays import Array
 from roomeq.core.audio import read_audio
 from roomeq.core.constants import FS_HZ
@@ -63,7 +63,7 @@ class AudioCache:
             return self.excerpt(draw.noise, draw.offset_u, length)
         rir = self.rir(draw.rir_id).samples
         samples, start = self.excerpt(draw.noise, draw.offset_u, length + len(rir) - 1)
-        return Excerpt(convolve(samples, rir, len(rir) - 1, length), start)
+        return Excerpt(convolve(spectra_of(samples), rir, len(rir) - 1, length), start)
 
     def excerpt(self, noise: Noise, u: float, length: int) -> Excerpt:
         """Return `length` samples of a noise; if they are all 0, an excerpt around a sample that is not.

@@ -15,17 +15,18 @@ import numpy as np
 from roomeq.augment.audio_cache import AudioCache
 from roomeq.augment.distribution import parse_distribution
 from roomeq.augment.draw import DrawRules, read_pool
-from roomeq.augment.mix import MixedUtterance, convolve, mix
-from roomeq.augment.pack import PlannedUtterance, file_name, plan_recordings, write_recording
+from roomeq.augment.mix import MixedUtterance, convolve, mix, spectra_of
+from roomeq.augment.pack import PlannedUtterance, RecordingFile, file_name, plan_recordings
 from roomeq.augment.step import ROWS_FOLDER, SUMMARY_FILE, AugmentConfig
 from roomeq.augment.summary import Summary, log_summary
+from roomeq.core.arrays import Array
 from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
 from roomeq.core.files import read_jsonl, to_json, write_json, write_jsonl
-from roomeq.kaldi.datadir import DataDir, read_data_dir
+from roomeq.kaldi.datadir import DataDir, Utterance, read_data_dir
 from roomeq.kaldi.validate import MAX_DURATION_ERROR_S
 from roomeq.kaldi.wavscp import flac_entry, read_entry
-from roomeq.kaldi.write import GRID_SAMPLES, OutUtterance, write_data_dir
+from roomeq.kaldi.write import OutUtterance, write_data_dir
 from roomeq.records.rir_dir import n_channels, require_16_khz
 
 logger = logging.getLogger(__name__)
@@ -68,21 +69,15 @@ class _Augmenter:
                                parse_distribution(config.point_snr_db, "point_snr_db"), config.point_noise_prob,
                                config.max_point_noises)
         self.cache = AudioCache(Path(config.rir_dir), self.pool)
+        self._clean: tuple[Utterance, Array, Array] | None = None
 
     def augment(self, planned: PlannedUtterance) -> tuple[MixedUtterance, dict]:
         """Return one far-field utterance and its row of `augment.jsonl`, which states all draws."""
         utterance, where = planned.clean, f"{self.config.data_dir}: utterance {planned.clean.id}"
-        try:
-            clean = read_entry(planned.entry, utterance.start_s, utterance.end_s, pipes=self.config.pipes)
-        except ValueError as error:
-            raise ValueError(f"{where}: {error}") from None
-        length_s = len(clean) / FS_HZ
-        if planned.stated_s is not None and abs(length_s - planned.stated_s) > MAX_DURATION_ERROR_S:
-            raise ValueError(f"{where}: {planned.entry.text} lasts {length_s:.3f} s where utt2dur says "
-                             f"{planned.stated_s:.3f} s: prepare the directory again, or put the right audio there")
+        clean, spectra = self._read(planned, where)
         rir_id, draws = self.rules.draw(planned.id, self.pool)
         rir, shift = self.cache.rir(rir_id)
-        reverberated = convolve(clean, rir, shift, len(clean))
+        reverberated = convolve(spectra, rir, shift, len(clean))
         excerpts = [self.cache.noise(draw, len(clean)) for draw in draws]
         try:
             mixed = mix(clean, reverberated, [(excerpt.samples, draw.snr_db)
@@ -97,6 +92,22 @@ class _Augmenter:
                          snr_db=round(draw.snr_db, 4)) for excerpt, draw in zip(excerpts, draws, strict=True)],
             snr_db=None if mixed.snr_db is None else round(mixed.snr_db, 4),
             gain_db=round(mixed.gain_db, 4), peak_gain_db=round(mixed.peak_gain_db, 4))
+
+    def _read(self, planned: PlannedUtterance, where: str) -> tuple[Array, Array]:
+        """Return the samples of a clean utterance and their spectra, which are kept for its next copy."""
+        utterance = planned.clean
+        if self._clean is None or self._clean[0] != utterance:
+            self._clean = None  # an utterance may last for hours: not two at a time
+            try:
+                clean = read_entry(planned.entry, utterance.start_s, utterance.end_s, pipes=self.config.pipes)
+            except ValueError as error:
+                raise ValueError(f"{where}: {error}") from None
+            length_s = len(clean) / FS_HZ
+            if planned.stated_s is not None and abs(length_s - planned.stated_s) > MAX_DURATION_ERROR_S:
+                raise ValueError(f"{where}: {planned.entry.text} lasts {length_s:.3f} s where utt2dur says "
+                                 f"{planned.stated_s:.3f} s: prepare the directory again, or put the right audio there")
+            self._clean = utterance, clean, spectra_of(clean)
+        return self._clean[1:]
 
 
 @lru_cache(maxsize=1)
@@ -115,21 +126,15 @@ def _log_missing_noises(augmenter: _Augmenter) -> None:
 def _make_recording(config: AugmentConfig, work: Path, name: str, utterances: list[PlannedUtterance]) -> dict:
     """Augment the utterances of one recording; write its audio below `work`, and their rows for `_assemble`."""
     augmenter = _augmenter(config, work)
-    rows, files, pieces, position = [], [], [], 0
-    for planned in utterances:
-        mixed, row = augmenter.augment(planned)
-        pcm = np.rint(mixed.samples * 32768).astype(np.int16)
-        if config.packing == "utterance":
-            row.update(recording=planned.id, start=0)
-            files.append(write_recording(work, row["speaker"], planned.id, [pcm]))
-        else:
-            row.update(recording=name, start=position)
-            gap = -len(pcm) % GRID_SAMPLES
-            pieces += [pcm, np.zeros(gap, np.int16)]
-            position += len(pcm) + gap
-        rows.append(row)
-    if pieces:
-        files.append(write_recording(work, rows[0]["speaker"], name, pieces[:-1]))  # no gap after the last utterance
+    packed = {name: utterances} if config.packing == "recording" else {planned.id: [planned] for planned in utterances}
+    rows, files = [], []
+    for recording_id, members in packed.items():
+        recording = RecordingFile(members[0].clean.speaker, recording_id)
+        for planned in members:
+            mixed, row = augmenter.augment(planned)
+            start = recording.append(np.rint(mixed.samples * 32768).astype(np.int16))
+            rows.append(row | dict(recording=recording_id, start=start))
+        files.append(recording.save(work))
     write_jsonl(work / ROWS_FOLDER / f"{file_name(name)}.jsonl", rows)
     return dict(files=files, rows=f"{file_name(name)}.jsonl")
 

@@ -10,7 +10,6 @@ Conventions
 - The result has the RMS of the clean utterance. If its peak would exceed `PEAK_LIMIT`, the level is reduced further.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +23,12 @@ from roomeq.records.schema import RirRow
 PEAK_LIMIT = 0.99
 FADE_SAMPLES = FS_HZ // 20
 """Cross-fade at the repetition of a noise that is shorter than the utterance: 50 ms."""
-_FFT_SIZES = [odd << shift for shift in range(8, 24) for odd in (4, 5, 6, 7)]
+BLOCK = 4096
+"""Length of the blocks of a signal and of the partitions of an RIR; FFTs are twice as long."""
+_N_ROWS = 8
+"""Blocks of a result that are computed at a time: what they take stays in the processor's cache."""
+_N_SUMMED = 256
+"""Samples whose squares are summed in single precision."""
 
 
 @dataclass(frozen=True)
@@ -72,12 +76,35 @@ def direct_shift(row: RirRow, rir: Array) -> int:
     return shift
 
 
-def convolve(x: Array, rir: Array, start: int, n_samples: int) -> Array:
-    """Return samples `start` to ``start + n_samples`` of the linear convolution x*rir (overlap-save).
+def spectra_of(x: Array) -> Array:
+    """Return the spectra of all blocks of `BLOCK` samples, each transformed with the block before it.
 
     Parameters
     ----------
     x : ndarray of float32, shape (n,)
+
+    Returns
+    -------
+    spectra : ndarray of complex64, shape (n_blocks, BLOCK + 1)
+        The last blocks may be silent: scipy's FFT transforms four rows of float32 in the time of one.
+    """
+    n_blocks = _multiple_of_four(-(-len(x) // BLOCK) + 1)
+    padded = np.zeros((n_blocks + 1) * BLOCK, dtype=np.float32)
+    padded[BLOCK:BLOCK + len(x)] = x
+    return fft.rfft(np.lib.stride_tricks.sliding_window_view(padded, 2 * BLOCK)[::BLOCK], axis=1)
+
+
+def convolve(spectra: Array, rir: Array, start: int, n_samples: int) -> Array:
+    """Return samples `start` to ``start + n_samples`` of the linear convolution x*rir.
+
+    Overlap-save with partitions of equal length (Stockham, AFIPS 1966; Gardner, JAES 43(3), 1995): block j of the
+    result is the sum over k of block j - k of x by partition k of the RIR. The blocks do not depend on the RIR, so the
+    spectra of an utterance serve all its copies.
+
+    Parameters
+    ----------
+    spectra
+        `spectra_of` x.
     rir : ndarray of float32, shape (n_taps,)
     start
         First sample to return, at least 0.
@@ -86,35 +113,35 @@ def convolve(x: Array, rir: Array, start: int, n_samples: int) -> Array:
     -------
     y : ndarray of float32, shape (n_samples,)
     """
-    overlap = len(rir) - 1
-    n_fft, n_blocks = _blocks(len(rir), n_samples)
-    hop = n_fft - overlap
-    padded = np.zeros(n_blocks * hop + overlap, dtype=np.float32)
-    first = start - overlap
-    piece = x[max(0, first):max(0, first + len(padded))]
-    offset = max(0, -first)
-    padded[offset:offset + len(piece)] = piece
-    blocks = np.lib.stride_tricks.sliding_window_view(padded, n_fft)[::hop]
-    spectra = fft.rfft(blocks, axis=1)
-    spectra *= fft.rfft(rir, n_fft)
-    return fft.irfft(spectra, n_fft, axis=1)[:, overlap:].reshape(-1)[:n_samples]
+    n_parts, first, last = -(-len(rir) // BLOCK), start // BLOCK, -(-(start + n_samples) // BLOCK)
+    parts = np.zeros((n_parts, BLOCK), dtype=np.float32)
+    parts.reshape(-1)[:len(rir)] = rir
+    responses = fft.rfft(parts, 2 * BLOCK, axis=1)
+    y = np.empty((_multiple_of_four(last - first), BLOCK), dtype=np.float32)
+    all_sums, products = np.empty((2, _N_ROWS, BLOCK + 1), dtype=np.complex64)
+    for row in range(0, len(y), _N_ROWS):
+        sums = all_sums[:len(y) - row]
+        sums[:] = 0
+        for part, response in enumerate(responses):
+            block = first + row - part
+            known = spectra[max(0, block):max(0, block + len(sums))]
+            sums[max(0, -block):][:len(known)] += np.multiply(known, response, out=products[:len(known)])
+        y[row:row + _N_ROWS] = fft.irfft(sums, axis=1)[:, BLOCK:]
+    return y.reshape(-1)[start - first * BLOCK:][:n_samples]
 
 
-def _blocks(n_taps: int, n_samples: int) -> tuple[int, int]:
-    """Return the length and number of FFT blocks with the lowest cost, by n log n.
-
-    The number is a multiple of four: scipy's FFT transforms four rows of float32 in the time of one.
-    """
-    sizes = [(n_fft, 4 * -(-n_samples // (4 * (n_fft - n_taps + 1)))) for n_fft in _FFT_SIZES if n_fft >= n_taps]
-    return min(sizes, key=lambda size: size[0] * size[1] * math.log2(size[0]))
+def _multiple_of_four(at_least: int) -> int:
+    return -(-at_least // 4) * 4
 
 
 def mean_power(x: Array) -> float:
-    """Return the mean square of a signal.
+    """Return the mean square of a signal: sums of few samples in float32, and theirs in float64.
 
     A dot product would depend on the number of BLAS threads in its last bits.
     """
-    return float(np.mean(np.square(x)))
+    whole = len(x) // _N_SUMMED * _N_SUMMED
+    rows, rest = x[:whole].reshape(-1, _N_SUMMED), x[whole:]
+    return float(np.einsum("ij,ij->i", rows, rows).sum(dtype=np.float64) + np.einsum("i,i->", rest, rest)) / len(x)
 
 
 def loop(noise: Array, offset: int, n_samples: int) -> Array:

@@ -16,6 +16,7 @@ from roomeq.core.constants import FS_HZ
 from roomeq.core.files import write_bytes
 from roomeq.kaldi.datadir import DataDir, Utterance
 from roomeq.kaldi.wavscp import Entry, read_length
+from roomeq.kaldi.write import GRID_SAMPLES
 from roomeq.records.schema import is_id, make_id
 
 MAX_RECORDING_S = 900.0
@@ -108,16 +109,35 @@ def _duration_s(data: DataDir, planned: PlannedUtterance, pipes: bool) -> float:
     return length.frames / length.rate_hz - utterance.start_s
 
 
-def write_recording(work: Path, speaker: str, name: str, pieces: list[Array]) -> dict:
-    """Write a recording to a FLAC file below `work`.
+class RecordingFile:
+    """FLAC file of a recording, encoded utterance by utterance; in memory, since libsndfile may not report a full disk.
 
-    It is encoded in memory first, because libsndfile may not report a full disk.
+    Attributes
+    ----------
+    n_samples : int
+        Length so far.
     """
-    buffer, samples = io.BytesIO(), np.concatenate(pieces)
-    soundfile.write(buffer, samples, FS_HZ, format="FLAC", subtype="PCM_16", compression_level=FLAC_LEVEL)
-    file = f"audio/{file_name(speaker)}/{file_name(name)}.flac"
-    write_bytes(work / file, buffer.getvalue())
-    return dict(recording=name, file=file, n_samples=len(samples))
+
+    def __init__(self, speaker: str, name: str) -> None:
+        self.name, self.n_samples = name, 0
+        self._file = f"audio/{file_name(speaker)}/{file_name(name)}.flac"
+        self._buffer = io.BytesIO()
+        self._flac = soundfile.SoundFile(self._buffer, "w", FS_HZ, 1, "PCM_16", format="FLAC",
+                                         compression_level=FLAC_LEVEL)
+
+    def append(self, samples: Array) -> int:
+        """Append an utterance, int16, at the next sample on the grid; return where it starts."""
+        start = -(-self.n_samples // GRID_SAMPLES) * GRID_SAMPLES
+        self._flac.write(np.zeros(start - self.n_samples, np.int16))
+        self._flac.write(samples)
+        self.n_samples = start + len(samples)
+        return start
+
+    def save(self, work: Path) -> dict:
+        """Write the file below `work`."""
+        self._flac.close()
+        write_bytes(work / self._file, self._buffer.getbuffer())
+        return dict(recording=self.name, file=self._file, n_samples=self.n_samples)
 
 
 def file_name(name: str) -> str:

@@ -21,7 +21,7 @@ from roomeq.acoustics.direct import find_direct
 from roomeq.augment.audio_cache import AudioCache, ShiftedRir, at_rate
 from roomeq.augment.distribution import parse_distribution
 from roomeq.augment.draw import DrawRules, Noise, Pool, read_pool
-from roomeq.augment.mix import convolve, mix
+from roomeq.augment.mix import convolve, mix, spectra_of
 from roomeq.core.arrays import Array
 from roomeq.core.constants import FS_HZ, require_fs
 from roomeq.core.rng import rng_for
@@ -125,7 +125,7 @@ class Reverberate:
                           parse_distribution(self.point_snr, "point_snr"), self.point_noise_prob, 1)
         rir_id, draws = rules.draw(name, self._pool)
         rir, shift = cache.rir(rir_id)
-        reverberated = convolve(clean, rir, shift, len(clean))
+        reverberated = convolve(spectra_of(clean), rir, shift, len(clean))
         noises = [(cache.noise(draw, len(clean)).samples, draw.snr_db) for draw in draws]
         scale = max(np.float32(1.0), np.abs(clean).max())  # samples may be those of 16-bit audio
         return (scale * mix(clean / scale, reverberated / scale, noises).samples).reshape(given.shape)

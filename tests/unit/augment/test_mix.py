@@ -6,7 +6,7 @@ from datadirs import burst, decay
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roomeq.augment.mix import PEAK_LIMIT, convolve, direct_shift, loop, mean_power, mix
+from roomeq.augment.mix import BLOCK, PEAK_LIMIT, convolve, direct_shift, loop, mean_power, mix, spectra_of
 
 SAMPLE = np.float32(2**-16)
 
@@ -16,12 +16,14 @@ def db(ratio):
 
 
 @pytest.mark.parametrize("n_samples, n_taps, start", [
-    (1, 1, 0), (100, 4000, 0), (5000, 1, 0), (5000, 300, 299), (40000, 16001, 712), (200001, 1000, 99), (300, 300, 7)])
+    (1, 1, 0), (100, 4000, 0), (5000, 1, 0), (5000, 300, 299), (40000, 16001, 712), (200001, 1000, 99), (300, 300, 7),
+    (BLOCK, BLOCK, BLOCK - 1), (BLOCK, BLOCK + 1, BLOCK), (9 * BLOCK, 5 * BLOCK + 1, 5 * BLOCK),
+    (9, 9 * BLOCK, 8 * BLOCK)])
 def test_convolution_matches_numpy(n_samples, n_taps, start):
     rng = np.random.default_rng(3)
     x, h = rng.standard_normal(n_samples), rng.standard_normal(n_taps)
     expected = np.convolve(x, h)[start:start + n_samples]
-    y = convolve(x.astype(np.float32), h.astype(np.float32), start, n_samples)
+    y = convolve(spectra_of(x.astype(np.float32)), h.astype(np.float32), start, n_samples)
     assert y.shape == (n_samples,) and y.dtype == np.float32
     assert np.max(np.abs(y[:len(expected)] - expected)) < 2e-5 * np.sqrt(n_taps) * np.abs(x).max()
 
@@ -32,8 +34,14 @@ def test_convolution_matches_numpy_at_any_lengths(n, m, data):
     start = data.draw(st.integers(0, m - 1))
     rng = np.random.default_rng(n * 1000 + m)
     x, h = rng.standard_normal(n), rng.standard_normal(m)
-    y = convolve(x.astype(np.float32), h.astype(np.float32), start, n)
+    y = convolve(spectra_of(x.astype(np.float32)), h.astype(np.float32), start, n)
     assert np.allclose(y, np.convolve(x, h)[start:start + n], atol=1e-4 * np.sqrt(m))
+
+
+@pytest.mark.parametrize("n_samples", [1, 63, 64, 65, 200])
+def test_mean_power_counts_every_sample(n_samples):
+    x = np.random.default_rng(n_samples).standard_normal(n_samples).astype(np.float32)
+    assert mean_power(x) == pytest.approx(np.mean(x.astype(float) ** 2), rel=1e-6)
 
 
 @pytest.mark.parametrize("polarity", [1, -1])
@@ -46,7 +54,7 @@ def test_reverberated_speech_is_aligned_to_the_clean_speech(polarity, reflection
     x = burst(rng, 32000).astype(np.float32)
     shift = direct_shift(dict(id="h"), h)
     assert shift == 333
-    y = convolve(x, h.astype(np.float32), shift, len(x))
+    y = convolve(spectra_of(x), h.astype(np.float32), shift, len(x))
     lags = np.arange(-30, 31)
     correlation = [polarity * np.dot(x[100:-100], np.roll(y, -lag)[100:-100]) for lag in lags]
     assert lags[np.argmax(correlation)] == 0
@@ -81,8 +89,8 @@ def test_mix_matches_equation_1():
     expected = raw * np.sqrt(np.mean(x**2) / np.mean(raw**2))
 
     x32, h32, h_i32 = (v.astype(np.float32) for v in (x, h, h_i))
-    mixed = mix(x32, convolve(x32, h32, 100, 30000),
-              [(d.astype(np.float32), 5.0), (convolve(n.astype(np.float32), h_i32, len(h_i) - 1, 30000), 12.0)])
+    point32 = convolve(spectra_of(n.astype(np.float32)), h_i32, len(h_i) - 1, 30000)
+    mixed = mix(x32, convolve(spectra_of(x32), h32, 100, 30000), [(d.astype(np.float32), 5.0), (point32, 12.0)])
     assert np.max(np.abs(mixed.samples - expected)) < SAMPLE
     assert mixed.peak_gain_db == 0.0
     assert mixed.gain_db == pytest.approx(db(np.mean(x**2) / np.mean(raw**2)), abs=1e-3)
