@@ -1,4 +1,4 @@
-"""Rooms as triangle meshes: checks, ray queries with Embree, and purely specular paths.
+"""Rooms as triangle meshes: checks, ray queries, and purely specular paths.
 
 A room mesh is closed. It consists of an outer shell, whose normals point out of the room, and bodies inside the shell.
 All triangles of the same material form one surface. Triangles in the same plane act as one mirror for image sources.
@@ -18,13 +18,14 @@ from roomeq.sim.images import SpecularPaths
 from roomeq.sim.meshfile import read_triangles
 from roomeq.sim.scene import MIN_WALL_DISTANCE_M
 from roomeq.sim.trace import sphere_directions
+from roomeq.sim.tree import Tree, first_hits, make_tree, sees
 from roomeq.sim.walls import Walls
 
 if TYPE_CHECKING:
     import trimesh
 
-NUDGE_M = 1e-4  # distance from a surface at which rays start: Embree computes in single precision
-_MAX_WALLS = 32  # largest number of walls that are intersected directly, without Embree
+NUDGE_M = 1e-4  # distance from a surface at which rays start
+_MAX_WALLS = 32  # of a convex room that are intersected one by one, without a tree
 _SEQUENCE_RAYS = 20000  # rays that search for sequences of specular reflections
 _SPHERE_RAYS = 2000  # directions in which the distance to the surfaces is sampled
 _WELD_M = 1e-5  # grid to which corners are rounded before they are merged
@@ -66,10 +67,11 @@ class MeshRoom:
         _, first, plane = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
         self._cache.update(
             normals=normals, offset=offset, area=0.5 * area, plane=np.ravel(plane),
-            mirrors=np.column_stack([normals, offset])[first], embree=_embree(self.triangles))
+            mirrors=np.column_stack([normals, offset])[first])
+        self._cache["tree"] = make_tree(self.triangles, normals, self.face_surface)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the geometry only: an Embree scene cannot be pickled, so unpickling builds it again."""
+        """Pickle the geometry only; unpickling computes the rest again."""
         return MeshRoom, (self.triangles, self.surfaces, self.face_surface, self.volume_m3, self.convex)
 
     @property
@@ -84,18 +86,13 @@ class MeshRoom:
 
     @cached_property
     def walls(self) -> Walls | None:
-        """The faces of the same plane and surface, of a room with at most `_MAX_WALLS` of them; None if it has more."""
+        """The planes of a convex room of at most `_MAX_WALLS`, each of one surface; None for other rooms."""
         plane, mirrors = self._cache["plane"], self._cache["mirrors"]
-        order = np.lexsort([self.face_surface, plane])
-        wall, first = np.unique(np.column_stack([plane, self.face_surface])[order], axis=0, return_index=True)
-        if len(wall) > _MAX_WALLS:
+        wall = np.unique(np.column_stack([plane, self.face_surface]), axis=0)
+        if not self.convex or len(wall) > len(mirrors) or len(wall) > _MAX_WALLS:
             return None
-        normals, offsets = mirrors[wall[:, 0], :3], mirrors[wall[:, 0], 3]
         low, high = self.bounds_m
-        if self.convex and len(wall) == len(mirrors):
-            return Walls.around(normals, offsets, wall[:, 1], high - low)
-        return Walls(normals, offsets, wall[:, 1], high - low, _edges(self.triangles[order], self.normals[order]),
-                     np.append(first, len(order)))
+        return Walls(mirrors[:, :3], mirrors[:, 3], wall[:, 1], high - low)
 
     @property
     def face_area_m2(self) -> FloatArray:
@@ -110,20 +107,19 @@ class MeshRoom:
         corners = self.triangles.reshape(-1, 3)
         return corners.min(axis=0), corners.max(axis=0)
 
+    @property
+    def tree(self) -> Tree:
+        """The tree that rays search."""
+        return self._cache["tree"]
+
     def first_hits(self, origins: FloatArray, directions: FloatArray) -> tuple[IntArray, FloatArray]:
         """Return the first face that each ray hits, -1 for none, and the distance [m] to it.
 
-        The distance is computed in double precision from the plane of the face that Embree finds.
+        A ray that hits the back of a face began outside the air: it hits none.
         """
-        hits = self._cache["embree"].run(np.ascontiguousarray(origins, dtype=np.float32),
-                                         np.ascontiguousarray(directions, dtype=np.float32), output=True)
-        face = hits["primID"].astype(np.int64)
-        normal, offset = self.normals[face], self.offsets[face]
-        approach = np.einsum("ij,ij->i", normal, directions)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            distance = (offset - np.einsum("ij,ij->i", normal, origins)) / approach
-        # only a ray that left the room through a gap between faces hits the back of a face
-        return np.where(approach < 0.0, face, -1), np.where(face >= 0, distance, np.inf)
+        face, distance = first_hits(self.tree, origins, directions)
+        approach = np.einsum("ij,ij->i", self.normals[face], directions)
+        return np.where(approach < 0.0, face, -1), distance
 
     def sees(self, from_m: ArrayLike, to_m: ArrayLike) -> BoolArray:
         """Return whether each line from one point to another is unobstructed, shape (n,).
@@ -133,14 +129,7 @@ class MeshRoom:
         from_m, to_m = np.asarray(from_m, float), np.asarray(to_m, float)
         shape = np.broadcast_shapes(from_m.shape, to_m.shape)
         from_m, to_m = (np.ascontiguousarray(np.broadcast_to(point_m, shape)) for point_m in (from_m, to_m))
-        if self.walls is not None:
-            return self.walls.sees(from_m, to_m)
-        offset = to_m - from_m
-        length = np.linalg.norm(offset, axis=1)
-        hit = self._cache["embree"].run(
-            np.ascontiguousarray(from_m, dtype=np.float32), (offset / length[:, None]).astype(np.float32),
-            dists=(length - NUDGE_M).astype(np.float32), query="OCCLUDED")
-        return np.asarray(hit < 0)
+        return sees(self.tree, from_m, to_m)
 
     def surroundings(self, point_m: ArrayLike) -> FloatArray | None:
         """Return the distance [m] to the surfaces in `_SPHERE_RAYS` evenly spread directions; None outside the air."""
@@ -184,23 +173,6 @@ class MeshRoom:
             sequences[key] = _find_sequences(self, np.asarray(source_pos_m, dtype=float), order)
         return _visible_paths(self, sequences[key], np.asarray(source_pos_m, dtype=float),
                               np.asarray(mic_pos_m, dtype=float))
-
-
-def _edges(triangles: FloatArray, normals: FloatArray) -> FloatArray:
-    """Return the edges of triangles (see `Walls`), shape (n_triangles, 3, 4)."""
-    ahead = np.roll(triangles, -1, axis=1) - triangles
-    inward = np.cross(ahead, normals[:, None])  # normals are opposite to those of the right-hand rule
-    inward /= np.linalg.norm(inward, axis=2)[:, :, None]
-    return np.concatenate([inward, np.einsum("nij,nij->ni", inward, triangles)[:, :, None]], axis=2)
-
-
-def _embree(triangles: FloatArray) -> Any:
-    from embreex.mesh_construction import TriangleMesh
-    from embreex.rtcore_scene import EmbreeScene
-
-    scene = EmbreeScene()
-    TriangleMesh(scene, np.ascontiguousarray(triangles, dtype=np.float32))
-    return scene
 
 
 @lru_cache(maxsize=8)
