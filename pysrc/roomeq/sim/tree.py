@@ -288,7 +288,7 @@ def first_hit(tree: Tree, search: Search, origin: Numbers, way: Numbers, least_a
 
 
 @inlined
-def _crosses(tree: Tree, search: Search, origin: Numbers, way: Numbers) -> bool:
+def crosses(tree: Tree, search: Search, origin: Numbers, way: Numbers) -> bool:
     """Tell whether the line from a point over a vector meets a face, except within `_TOUCH_M` of its end."""
     most = 1.0 - _TOUCH_M / np.sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
     sides, start, per_m = _prepare(origin, way)
@@ -347,4 +347,4 @@ def _sees(tree: Tree, from_m: Array, to_m: Array, result: Array) -> None:
     search = memory(tree)
     for n in range(len(from_m)):
         x, y, z = from_m[n, 0], from_m[n, 1], from_m[n, 2]
-        result[n] = not _crosses(tree, search, (x, y, z), (to_m[n, 0] - x, to_m[n, 1] - y, to_m[n, 2] - z))
+        result[n] = not crosses(tree, search, (x, y, z), (to_m[n, 0] - x, to_m[n, 1] - y, to_m[n, 2] - z))
