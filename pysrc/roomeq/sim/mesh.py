@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.sim.images import SpecularPaths
 from roomeq.sim.meshfile import read_triangles
+from roomeq.sim.mirrors import find_sequences, visible_paths
 from roomeq.sim.scene import MIN_WALL_DISTANCE_M
 from roomeq.sim.trace import sphere_directions
 from roomeq.sim.tree import Tree, first_hits, make_tree, sees
@@ -24,9 +25,7 @@ from roomeq.sim.walls import Walls
 if TYPE_CHECKING:
     import trimesh
 
-NUDGE_M = 1e-4  # distance from a surface at which rays start
 _MAX_WALLS = 32  # of a convex room that are intersected one by one, without a tree
-_SEQUENCE_RAYS = 20000  # rays that search for sequences of specular reflections
 _SPHERE_RAYS = 2000  # directions in which the distance to the surfaces is sampled
 _WELD_M = 1e-5  # grid to which corners are rounded before they are merged
 
@@ -170,9 +169,10 @@ class MeshRoom:
         key = (tuple(np.asarray(source_pos_m)), order)
         sequences = self._cache.setdefault("sequences", {})
         if key not in sequences:
-            sequences[key] = _find_sequences(self, np.asarray(source_pos_m, dtype=float), order)
-        return _visible_paths(self, sequences[key], np.asarray(source_pos_m, dtype=float),
-                              np.asarray(mic_pos_m, dtype=float))
+            sequences[key] = find_sequences(self.tree, self._cache["plane"], self._cache["mirrors"], self.normals,
+                                            np.asarray(source_pos_m, dtype=float), order)
+        return visible_paths(sequences[key], self.tree, self._cache["plane"], self._cache["mirrors"], self.face_surface,
+                             len(self.surfaces), np.asarray(mic_pos_m, dtype=float))
 
 
 @lru_cache(maxsize=8)
@@ -276,73 +276,3 @@ def _is_convex(mesh: "trimesh.Trimesh") -> bool:
     if len(unique) > 200:
         return False  # a curved surface in many small planes: too many to test
     return bool(np.all(mesh.vertices @ unique[:, :3].T <= unique[:, 3] + 1e-4))
-
-
-def _find_sequences(room: MeshRoom, source: FloatArray, order: int) -> list[IntArray]:
-    """Find the sequences of planes that reflect rays: for each order k an array of plane indices (n_sequences, k)."""
-    plane = room._cache["plane"]
-    directions = sphere_directions(_SEQUENCE_RAYS, np.random.default_rng(1))
-    position = np.tile(source, (len(directions), 1))
-    planes_hit = np.empty((len(directions), 0), dtype=np.int64)
-    sequences = [np.empty((1, 0), dtype=np.int64)]
-    for _ in range(order):
-        face, distance = room.first_hits(position, directions)
-        hit = face >= 0
-        face, directions, planes_hit = face[hit], directions[hit], planes_hit[hit]
-        normal = room.normals[face]
-        position = position[hit] + distance[hit, None] * directions + NUDGE_M * normal
-        directions = directions - 2.0 * np.einsum("ij,ij->i", directions, normal)[:, None] * normal
-        planes_hit = np.column_stack([planes_hit, plane[face]])
-        sequences.append(np.unique(planes_hit, axis=0))
-    return sequences
-
-
-def _visible_paths(room: MeshRoom, sequences: list[IntArray], source: FloatArray, mic: FloatArray) -> SpecularPaths:
-    """Build the image sources of all sequences and return the paths that no surface obstructs."""
-    mirrors = room._cache["mirrors"]
-    distances: list[FloatArray] = []
-    counts: list[IntArray] = []
-    departures: list[FloatArray] = []
-    arrivals: list[FloatArray] = []
-    for sequence in sequences:
-        images = _images(mirrors, sequence, source)
-        valid = np.arange(len(sequence))
-        target = np.tile(mic, (len(sequence), 1))
-        surface_counts = np.zeros((len(sequence), len(room.surfaces)), dtype=np.int64)
-        for k in range(sequence.shape[1] - 1, -1, -1):
-            offset = images[k + 1][valid] - target
-            length = np.linalg.norm(offset, axis=1)
-            face, distance = room.first_hits(target, offset / length[:, None])
-            seen = (face >= 0) & (room._cache["plane"][face] == sequence[valid, k]) & (distance < length)
-            valid, face = valid[seen], face[seen]
-            target = target[seen] + (distance / length)[seen, None] * offset[seen] + NUDGE_M * room.normals[face]
-            surface_counts[valid, room.face_surface[face]] += 1
-        if len(valid):
-            valid = valid[room.sees(target, source)]
-        offset = mic - images[-1][valid]
-        distances.append(np.linalg.norm(offset, axis=1))
-        counts.append(surface_counts[valid])
-        arrivals.append(-offset / distances[-1][:, None])
-        departures.append(_departures(mirrors, sequence[valid], -arrivals[-1]))
-    distance_m = np.concatenate(distances)
-    by_length = np.argsort(distance_m, kind="stable")
-    return SpecularPaths(distance_m[by_length], np.concatenate(counts)[by_length],
-                         np.concatenate(departures)[by_length], np.concatenate(arrivals)[by_length])
-
-
-def _departures(mirrors: FloatArray, sequence: IntArray, direction: FloatArray) -> FloatArray:
-    """Return the directions of departure at the source for directions at its images, shape (n_sequences, 3)."""
-    for k in range(sequence.shape[1] - 1, -1, -1):
-        normal = mirrors[sequence[:, k], :3]
-        direction = direction - 2.0 * np.einsum("ij,ij->i", direction, normal)[:, None] * normal
-    return direction
-
-
-def _images(mirrors: FloatArray, sequence: IntArray, source: FloatArray) -> list[FloatArray]:
-    """Return the positions of the image sources after 0, 1, ... reflections [m], each of shape (n_sequences, 3)."""
-    images = [np.tile(source, (len(sequence), 1))]
-    for k in range(sequence.shape[1]):
-        normal, offset = mirrors[sequence[:, k], :3], mirrors[sequence[:, k], 3]
-        height = np.einsum("ij,ij->i", images[-1], normal) - offset
-        images.append(images[-1] - 2.0 * height[:, None] * normal)
-    return images
