@@ -96,6 +96,14 @@ class _Traced(NamedTuple):
     n_leaked: int
 
 
+class _Known(NamedTuple):
+    """`codes`, `first` and `counts` of another trace, whose rays may have come the same way."""
+
+    codes: Array
+    first: IntArray
+    counts: Array
+
+
 class Roulette(NamedTuple):
     """When a ray plays Russian roulette.
 
@@ -137,7 +145,8 @@ def _lattice(n_points: int) -> FloatArray:
 
 
 def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_rays: int, max_length_m: float,
-          speed_m_s: float, rng: np.random.Generator, absorption: ArrayLike = 0.0) -> Paths:
+          speed_m_s: float, rng: np.random.Generator, absorption: ArrayLike = 0.0,
+          like: Paths | None = None) -> Paths:
     """Trace rays from a source.
 
     Parameters
@@ -155,6 +164,9 @@ def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_ray
     rng
     absorption
         That is expected of each surface, shape (n_surfaces,) or one for all.
+    like
+        Of the same rays with the same random numbers, but other scattering and absorption. Until their paths part, rays
+        need not search what they hit. The result does not depend on it.
 
     Returns
     -------
@@ -172,7 +184,10 @@ def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_ray
     roulette = Roulette(late_m, np.log(reflected)[faces.face_surface], float(decay_per_m),
                         float(np.log(np.clip(num_rays / LATE_RAYS, 1.0, MAX_SHARE))))
     how = source_pos_m, directions, scattering[faces.face_surface], max_length_m, roulette, seed
-    traced = _trace_rays(room, 4.0 * room.volume_m3 / float(area_m2.sum()), *how)
+    known = (_Known(like.codes, like.first, like.counts) if like is not None else
+             _Known(np.empty(0, _code_type(len(faces.normals))), np.zeros(num_rays, np.int64),
+                    np.zeros(num_rays, np.int32)))
+    traced = _trace_rays(room, 4.0 * room.volume_m3 / float(area_m2.sum()), known, *how)
     return Paths(source_pos_m, directions, traced.hits, traced.codes, traced.first, faces.normals, faces.face_surface,
                  traced.counts, scattering, late_m, max_length_m, traced.n_leaked)
 
@@ -191,8 +206,8 @@ def _code_type(n_faces: int) -> type[np.uint8] | type[np.uint32]:
     return np.uint8 if n_faces < 64 else np.uint32
 
 
-def _trace_rays(room: Room, mean_free_path_m: float, source: FloatArray, directions: FloatArray, scattering: FloatArray,
-                end_m: float, roulette: Roulette, seed: np.uint64) -> _Traced:
+def _trace_rays(room: Room, mean_free_path_m: float, known: _Known, source: FloatArray, directions: FloatArray,
+                scattering: FloatArray, end_m: float, roulette: Roulette, seed: np.uint64) -> _Traced:
     walls, n_rays = room.walls, len(directions)
     code_type = _code_type(len(scattering))
     counts = np.empty(n_rays, dtype=np.int32)
@@ -208,7 +223,8 @@ def _trace_rays(room: Room, mean_free_path_m: float, source: FloatArray, directi
             how = source, directions, scattering, end_m, roulette, seed, low, high
             if walls is None:
                 mesh = cast("MeshRoom", room)
-                n_stored, n_leaked = _trace_faces(mesh.tree, mesh.normals, *how, hits, codes, counts)
+                n_stored, n_leaked = _trace_faces(mesh.tree, mesh.normals, mesh.offsets, known, *how, hits, codes,
+                                                  counts)
             elif walls.box is not None:
                 low_m, high_m, wall_of_side = walls.box
                 n_stored, n_leaked = _trace_box(low_m, high_m, wall_of_side, *how, capacity, hits, codes, counts), 0
@@ -399,9 +415,9 @@ def _trace_planes(normals: Array, offsets: Array, source: Array, directions: Arr
 
 
 @compiled
-def _trace_faces(tree: Tree, normals: Array, source: Array, directions: Array, scattering: Array, end_m: Number,
-                 roulette: Roulette, seed: Number, low: Number, high: Number, hits: Array, codes: Array,
-                 counts: Array) -> Numbers:
+def _trace_faces(tree: Tree, normals: Array, offsets: Array, known: _Known, source: Array, directions: Array,
+                 scattering: Array, end_m: Number, roulette: Roulette, seed: Number, low: Number, high: Number,
+                 hits: Array, codes: Array, counts: Array) -> Numbers:
     """Trace rays `low` to `high` between many faces, as `_trace_planes` does between few."""
     stored, n_leaked, search = 0, 0, memory(tree)
     way = np.empty(3)
@@ -410,16 +426,24 @@ def _trace_faces(tree: Tree, normals: Array, source: Array, directions: Array, s
         x, y, z = source[0], source[1], source[2]
         way[0], way[1], way[2] = directions[ray, 0], directions[ray, 1], directions[ray, 2]
         length, log_energy, plays, n, ends = 0.0, 0.0, 0, 0, False
+        n_known = known.counts[ray]
         while not ends:
             if stored == len(hits):
                 return -1, 0
             u, v, w = way[0], way[1], way[2]
-            face, distance = first_hit(tree, search, (x, y, z), (u, v, w), FRONTS)
+            if n < n_known:
+                face = np.int64(known.codes[known.first[ray] + n] >> 2)
+                nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
+                distance = max((nx * x + ny * y + nz * z - offsets[face]) / -(nx * u + ny * v + nz * w), 0.0)
+            else:
+                face, distance = first_hit(tree, search, (x, y, z), (u, v, w), FRONTS)
             if face < 0:  # between two faces to within rounding
                 n_leaked += 1
                 break
             x, y, z, length = x + distance * u, y + distance * v, z + distance * w, length + distance
             diffuse = reflect(normals, face, scattering[face], stream, n, way)
+            if n < n_known and diffuse != (known.codes[known.first[ray] + n] & 1 == 1):
+                n_known = 0  # here the ways part
             hit = hits[stored]
             hit[0], hit[1], hit[2], hit[3] = x, y, z, length
             log_energy += float(roulette.log_reflected[face])

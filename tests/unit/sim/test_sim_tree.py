@@ -106,3 +106,18 @@ def test_traces_of_a_mesh_do_not_depend_on_the_number_of_threads(room, monkeypat
     assert one.n_leaked == 0
     np.testing.assert_array_equal(one.hits, three.hits)
     np.testing.assert_array_equal(one.codes, three.codes)
+
+
+def test_a_trace_does_not_depend_on_the_trace_that_it_follows(room):
+    source = points_in_air(room, 1)[0]
+
+    def traced(scattering, absorption, like=None):
+        return trace(room, source, np.full(len(room.surfaces), scattering), num_rays=900, max_length_m=300.0,
+                     speed_m_s=343.0, rng=np.random.default_rng(0), absorption=absorption, like=like)
+
+    alone, other = traced(0.35, 0.1), traced(0.3, 0.4)
+    following = traced(0.35, 0.1, like=other)
+    assert not np.array_equal(alone.counts, other.counts)
+    np.testing.assert_array_equal(following.hits, alone.hits)
+    np.testing.assert_array_equal(following.codes, alone.codes)
+    np.testing.assert_array_equal(following.counts, alone.counts)
