@@ -3,7 +3,7 @@
 Each node has eight children, whose boxes are tested at once (Wald, Benthin and Boulos, IEEE Symp. on Interactive Ray
 Tracing 2008, 49). It is divided where the expected cost of a search is least: the surface area heuristic, with binned
 centroids (Wald, IEEE Symp. on Interactive Ray Tracing 2007, 33). Boxes are searched in single precision and stand wider
-than its rounding; triangles are intersected in double precision.
+than its rounding; faces are intersected in double precision.
 
 A line that begins in the air leaves it first through the front of a face. Where only fronts count, a ray can start
 exactly on the face that it left. Faces overlap by `_EDGE_M`, so that no ray passes between them.
@@ -22,7 +22,7 @@ _EDGE_M = 1e-6  # by which faces overlap, so that no ray passes between two of t
 _TOUCH_M = 1e-4  # from its end, where a line may touch a face
 _WIDER = 2e-6  # by which boxes are wider, of the largest coordinate: single precision rounds to a thirtieth of that
 _FLAT_M = 1e-9  # by which the corners of a quadrangle may differ from one plane
-BEHIND_M = 1e-9  # by which rounding may put a ray behind a face
+_BEHIND_M = 1e-9  # by which rounding may put a ray behind a face
 FRONTS = 1e-12
 """Least approach of a ray to a face that it meets: only its front counts."""
 BOTH_SIDES = -np.inf
@@ -30,7 +30,7 @@ BOTH_SIDES = -np.inf
 
 
 class Tree(NamedTuple):
-    """Boxes and triangles, for kernels.
+    """Boxes and faces, for kernels.
 
     Attributes
     ----------
@@ -265,7 +265,7 @@ def first_hit(tree: Tree, search: Search, origin: Numbers, way: Numbers, least_a
         if search.distance[top] > most:
             continue
         if child < 0:
-            met = meet_faces(tree.planes[-1 - child], origin, way, least_approach, BEHIND_M, search.reach)
+            met = meet_faces(tree.planes[-1 - child], origin, way, least_approach, _BEHIND_M, search.reach)
             while met:
                 n = lowest(met)
                 met &= met - 1
