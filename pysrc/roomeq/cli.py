@@ -23,8 +23,7 @@ NOT_UP_TO_DATE = 3
 MAX_MESSAGE = 1500
 """Longest message printed; of a longer one, only beginning and end are printed."""
 
-_EXTRA_OF = {"embreex": "mesh", "jinja2": "report", "matplotlib": "report", "rapidfuzz": "wer", "sofar": "sofa",
-             "trimesh": "mesh"}
+_EXTRA_OF = {"jinja2": "report", "matplotlib": "report", "rapidfuzz": "wer", "sofar": "sofa", "trimesh": "mesh"}
 """Extra of the package that installs each optional module."""
 
 _REMEDIES = {errno.ENAMETOOLONG: "shorten the name"} | dict.fromkeys(

@@ -4,7 +4,7 @@
 Usage: tests/bench/cpu_types.py [--only numpy,all] --out DIR
 e.g.:  tests/bench/cpu_types.py --out exp/cpu_types
 
-numpy, OpenBLAS, numba and the C library each choose their code by the CPU they find; scipy's FFT, libsndfile and embree
+numpy, OpenBLAS, numba and the C library each choose their code by the CPU they find; scipy's FFT and libsndfile
 do not let themselves be told. Each variant makes one of them (or all) take what an old x86-64 would; what comes out is
 compared file by file with what this CPU makes by itself. Prints a table and writes cpu_types.json.
 """

@@ -31,6 +31,7 @@ from roomeq.sim.response import (
 )
 from roomeq.sim.scene import Air, Material, Scene, Shoebox
 from roomeq.sim.target import scaled_absorption
+from roomeq.sim.tree import first_hits
 
 N_RAYS = 20_000
 
@@ -292,34 +293,11 @@ def stages(scene, source_pos_m, mics_m, *, repeats):
     return {key: float(np.median(values[1:])) for key, values in spent.items()}
 
 
-class _Clock:
-    """Stands for a room's embree scene and counts what it does."""
-
-    def __init__(self, scene):
-        self.scene, self.seconds, self.queries = scene, 0.0, 0
-
-    def run(self, origins, *args, **kwargs):
-        start = time.perf_counter()
-        found = self.scene.run(origins, *args, **kwargs)
-        self.seconds += time.perf_counter() - start
-        self.queries += len(origins)
-        return found
+def closest_hits(room, origins, directions):
+    """Find the closest hits of rays in a mesh."""
+    return first_hits(room.tree, origins, directions)
 
 
-def embree_of(room):
-    """The room's own embree scene."""
-    return room._cache["embree"]
-
-
-def traced_with_clock(scene, source_pos_m):
-    """Trace; seconds in all, seconds in ray queries, number of queries and of reflections."""
-    clock = _Clock(embree_of(scene.room))
-    traced(scene, source_pos_m, seed=0)
-    scene.room._cache["embree"] = clock
-    try:
-        start = time.perf_counter()
-        result = traced(scene, source_pos_m, seed=1)
-        seconds = time.perf_counter() - start
-    finally:
-        scene.room._cache["embree"] = clock.scene
-    return seconds, clock.seconds, clock.queries, int(sum(path.counts.sum() for path in result.paths))
+def reflections(traced_source):
+    """Number of reflections of a traced source."""
+    return int(sum(path.counts.sum() for path in traced_source.paths))

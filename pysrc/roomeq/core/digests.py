@@ -17,7 +17,7 @@ from roomeq.core.files import hash_file, read_text
 from roomeq.core.kept_hashes import hashes_of_input, quick_look
 from roomeq.core.stamps import Stamp, read_stamp, require_as_stamped, require_audio_as_stamped
 
-_NUMERICS = ("embreex", "numba", "numpy", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
+_NUMERICS = ("numba", "numpy", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
 
 
 def digest(path: Path) -> str:

@@ -13,7 +13,7 @@ from roomeq.report.load import Run
 logger = logging.getLogger(__name__)
 
 PAGE_FILE = "index.html"
-PACKAGES = ("numpy", "scipy", "scikit-learn", "matplotlib", "soundfile", "embreex")
+PACKAGES = ("numpy", "scipy", "scikit-learn", "matplotlib", "soundfile")
 TEMPLATES = Path(__file__).parent / "templates"
 
 

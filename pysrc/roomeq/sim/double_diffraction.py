@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number, Numbers
-from roomeq.core.jit import compiled
+from roomeq.core.jit import compiled, inlined
 
 if TYPE_CHECKING:
     from roomeq.sim.diffraction import Edges
@@ -74,36 +74,62 @@ def find_double_paths(room: "MeshRoom", edges: "Edges", pieces: Pieces, seen_by_
         (0 or 1) of the first edge, and which of the second edge, is the common face.
     """
     sharp = (edges.wedge_rad > np.pi + MIN_EXCESS_RAD)[pieces.edge]
-    first_pieces, second_pieces = (_by_edge(pieces.edge, seen & sharp) for seen in (seen_by_source, seen_by_mic))
-    edges_of_face: dict[int, list[tuple[int, int]]] = {}
-    for edge in second_pieces:
-        for side in (0, 1):
-            edges_of_face.setdefault(edges.faces[edge, side], []).append((edge, side))
-    parts = [_pairs(first_pieces[edge_1], second_pieces[edge_2], side_1, side_2)
-             for edge_1 in first_pieces for side_1 in (0, 1)
-             for edge_2, side_2 in edges_of_face.get(edges.faces[edge_1, side_1], ()) if edge_2 != edge_1]
-    paths = np.concatenate(parts) if parts else np.empty((0, 4), dtype=int)
-    point_m = pieces.point_m
+    first, second = (np.flatnonzero(seen & sharp) for seen in (seen_by_source, seen_by_mic))
+    paths, separation2 = _pairs(first, _ranges(pieces.edge[first], len(edges)), second,
+                                _ranges(pieces.edge[second], len(edges)), edges.faces, *_sides_of_faces(edges.faces),
+                                pieces.point_m)
     if len(paths) > MAX_PATHS:
         logger.debug("%d pairs of pieces of edges share a face: only the %d closest pairs are computed", len(paths),
                      MAX_PATHS)
-        separation_m = np.linalg.norm(point_m[paths[:, 0]] - point_m[paths[:, 1]], axis=1)
-        paths = paths[np.sort(np.argsort(separation_m, kind="stable")[:MAX_PATHS])]
+        limit = np.partition(separation2, MAX_PATHS - 1)[MAX_PATHS - 1]
+        kept = separation2 < limit
+        kept[np.flatnonzero(separation2 == limit)[:MAX_PATHS - np.count_nonzero(kept)]] = True
+        paths = paths[kept]
+    point_m = pieces.point_m
     return paths[room.sees(point_m[paths[:, 0]], point_m[paths[:, 1]])] if len(paths) else paths
 
 
-def _by_edge(edge: IntArray, seen: BoolArray) -> dict[int, IntArray]:
-    """Return the indices of the visible pieces of each edge; edges without visible pieces are left out."""
-    index = np.flatnonzero(seen)
-    starts = np.flatnonzero(np.diff(edge[index], prepend=-1))
-    return {int(edge[part[0]]): part for part in np.split(index, starts[1:]) if len(part)}
+def _ranges(number: IntArray, count: int) -> IntArray:
+    """Return where the entries of each number begin in a sorted array, and its length, shape (count + 1,)."""
+    return np.searchsorted(number, np.arange(count + 1))
 
 
-def _pairs(first: IntArray, second: IntArray, side_1: int, side_2: int) -> IntArray:
-    result = np.empty((len(first) * len(second), 4), dtype=np.int64)
-    result[:, 0], result[:, 1] = np.repeat(first, len(second)), np.tile(second, len(first))
-    result[:, 2], result[:, 3] = side_1, side_2
-    return result
+def _sides_of_faces(faces: IntArray) -> tuple[IntArray, IntArray]:
+    """Return ``2 * edge + side`` of all edges face by face, and where those of each face begin."""
+    of_face = np.argsort(faces.ravel(), kind="stable")
+    return of_face, _ranges(faces.ravel()[of_face], int(faces.max(initial=-1)) + 1)
+
+
+@compiled
+def _pairs(first: Array, first_of_edge: Array, second: Array, second_of_edge: Array, faces: Array, sides: Array,
+           sides_of_face: Array, point_m: Array) -> Numbers:
+    """Return all paths (see `find_double_paths`), and the squares of the distances between their pieces [m2]."""
+    count = 0
+    for fills in (False, True):
+        paths, separation2 = np.empty((count if fills else 0, 4), np.int64), np.empty(count if fills else 0)
+        count = 0
+        for edge_1 in range(len(faces)):
+            if first_of_edge[edge_1] == first_of_edge[edge_1 + 1]:
+                continue
+            for side_1 in range(2):
+                face = faces[edge_1, side_1]
+                for n in range(sides_of_face[face], sides_of_face[face + 1]):
+                    edge_2, side_2 = sides[n] // 2, sides[n] % 2
+                    low, high = second_of_edge[edge_2], second_of_edge[edge_2 + 1]
+                    if edge_2 == edge_1 or low == high:
+                        continue
+                    if not fills:
+                        count += (first_of_edge[edge_1 + 1] - first_of_edge[edge_1]) * (high - low)
+                        continue
+                    for i in range(first_of_edge[edge_1], first_of_edge[edge_1 + 1]):
+                        for j in range(low, high):
+                            p, q, squared = first[i], second[j], 0.0
+                            for axis in range(3):
+                                squared += (point_m[p, axis] - point_m[q, axis]) ** 2
+                            paths[count, 0], paths[count, 1], paths[count, 2], paths[count, 3] = p, q, side_1, side_2
+                            separation2[count] = squared
+                            count += 1
+    return paths, separation2
 
 
 def deposit_double_diffraction(fine: FloatArray, first_sample: int, paths: IntArray, edges: "Edges", pieces: Pieces,
@@ -131,69 +157,84 @@ def deposit_double_diffraction(fine: FloatArray, first_sample: int, paths: IntAr
     oversampling
     """
     edge, low, high, _ = pieces
-    geometry = np.stack([edges.start_m, edges.along, edges.across, edges.normal], axis=1)
-    _deposit(fine, float(first_sample), paths, edge, low, high, geometry, edges.wedge_rad, edges.surfaces,
-             np.asarray(source_pos_m, dtype=float), np.asarray(mic_pos_m, dtype=float), 1.0 / sample_m,
-             float(oversampling))
+    geometry = np.stack([edges.start_m, edges.along], axis=1)
+    source, mic = edges.coordinates(source_pos_m), edges.coordinates(mic_pos_m)
+    _deposit(fine, float(first_sample), paths, edge, low, high, geometry, np.pi / edges.wedge_rad,
+             _ends(source, edges.wedge_rad), _ends(mic, edges.wedge_rad), edges.surfaces,
+             float(np.linalg.norm(np.subtract(source_pos_m, mic_pos_m))), 1.0 / sample_m, float(oversampling))
 
 
-@compiled
-def _cylinder(point: Array, frame: Number) -> Numbers:
-    """Return cylinder coordinates about an edge: distance [m], angle [rad], position along it [m].
+def _ends(coordinates: FloatArray, wedge_rad: FloatArray) -> FloatArray:
+    """Return what `_beta_integral` needs of the source or microphone about each edge, shape (n_edges, 2, 6).
 
-    `frame`, shape (4, 3), holds `start_m`, `along`, `across` and `normal` of the edge (`roomeq.sim.diffraction.Edges`).
+    For either face: distance from the edge [m], 0 where there is none, position along it [m], and the sines and cosines
+    of ``nu (pi +- angle to the face) / 2``, their signs such that the sines are positive.
     """
-    x, y, z = 0.0, 0.0, 0.0
-    for k in range(3):
-        offset = point[k] - frame[0, k]
-        z += offset * frame[1, k]
-        x += offset * frame[2, k]
-        y += offset * frame[3, k]
-    angle = np.arctan2(y, x)
-    return np.sqrt(x * x + y * y), angle if angle > -1e-9 else angle + 2.0 * np.pi, z
+    distance, angle, position = coordinates
+    reached = (angle <= wedge_rad) & (distance >= _MIN_RADIUS_M)
+    result = np.empty((len(wedge_rad), 2, 6))
+    result[:, :, 0], result[:, :, 1] = np.where(reached, distance, 0.0)[:, None], position[:, None]
+    for side, face in enumerate((0.0, wedge_rad)):
+        for sign, place in ((-1.0, 2), (1.0, 4)):
+            half = 0.5 * np.pi / wedge_rad * (np.pi + sign * (angle - face))
+            above = np.where(np.sin(half) < 0.0, -1.0, 1.0)
+            result[:, side, place], result[:, side, place + 1] = above * np.sin(half), above * np.cos(half)
+    return result
 
 
-@compiled
-def _point_on_edge(frame: Number, z: Number, point: Array) -> None:
-    """Write the point at position z [m] along an edge to `point`, shape (3,)."""
-    for k in range(3):
-        point[k] = frame[0, k] + z * frame[1, k]
+@inlined
+def _about(point: Numbers, frame: Array) -> Numbers:
+    """Return the distance of a point from an edge [m] and its position along it [m].
+
+    `frame`, shape (2, 3), holds `start_m` and `along` of the edge (`roomeq.sim.diffraction.Edges`).
+    """
+    x, y, z = point[0] - frame[0, 0], point[1] - frame[0, 1], point[2] - frame[0, 2]
+    along = x * frame[1, 0] + y * frame[1, 1] + z * frame[1, 2]
+    x, y, z = x - along * frame[1, 0], y - along * frame[1, 1], z - along * frame[1, 2]
+    return np.sqrt(x * x + y * y + z * z), along
 
 
-@compiled
-def _beta_integral(z: Number, half: Number, end: Numbers, other_edge: Numbers, wedge: Number,
-                   face: Number) -> Number:
+@inlined
+def _point_on_edge(frame: Array, z: Number) -> Numbers:
+    """Return the point at position z [m] along an edge."""
+    return frame[0, 0] + z * frame[1, 0], frame[0, 1] + z * frame[1, 1], frame[0, 2] + z * frame[1, 2]
+
+
+@inlined
+def _exp_arcsinh(x: Number) -> Number:
+    """Return ``exp(arcsinh(x))``."""
+    root = np.sqrt(1.0 + x * x)
+    return root + x if x >= 0.0 else 1.0 / (root - x)
+
+
+@inlined
+def _beta_integral(z: Number, half: Number, end: Array, other_edge: Numbers, nu: Number) -> Number:
     """Return nu times half the integral of beta over eta, over the step from z - half to z + half [m] of an edge.
 
-    `end` and `other_edge` are the cylinder coordinates about the edge of the source or microphone, and of the point on
-    the other edge. `face` is the angle of the common face, in which the other edge lies: 0 or `wedge`;
-    there the four terms of beta are equal in pairs, and one of each pair is summed.
+    `end` is that of `_ends` for the common face, in which the other edge lies; `other_edge` the distance and position
+    about the edge of the point on the other edge. With the other edge in a face, the four terms of beta are equal in
+    pairs, and one of each pair is summed. With ``q = exp(nu eta)``, ``tanh(nu eta / 2)`` is ``(q - 1) / (q + 1)``, and
+    the difference of two arcs is one arc.
     """
-    nu, total = np.pi / wedge, 0.0
-    eta_0 = np.arcsinh((z - half - end[2]) / end[0]) + np.arcsinh((z - half - other_edge[2]) / other_edge[0])
-    eta_1 = np.arcsinh((z + half - end[2]) / end[0]) + np.arcsinh((z + half - other_edge[2]) / other_edge[0])
-    tanh_0, tanh_1 = np.tanh(0.5 * nu * eta_0), np.tanh(0.5 * nu * eta_1)
-    for sign in (-1.0, 1.0):
-        angle = 0.5 * nu * (np.pi + sign * (end[1] - face))
-        sine, cosine = np.sin(angle), np.cos(angle)
-        if sine < 0.0:
-            sine, cosine = -sine, -cosine
-        total += 2.0 * (np.arctan2(tanh_1 * cosine, sine) - np.arctan2(tanh_0 * cosine, sine))
-    return total
+    q0 = (_exp_arcsinh((z - half - end[1]) / end[0]) * _exp_arcsinh((z - half - other_edge[1]) / other_edge[0])) ** nu
+    q1 = (_exp_arcsinh((z + half - end[1]) / end[0]) * _exp_arcsinh((z + half - other_edge[1]) / other_edge[0])) ** nu
+    rise, sums, differences = 2.0 * (q1 - q0), (q1 + 1.0) * (q0 + 1.0), (q1 - 1.0) * (q0 - 1.0)
+    return 2.0 * (np.arctan2(rise * end[2] * end[3], sums * end[2] * end[2] + differences * end[3] * end[3])
+                  + np.arctan2(rise * end[4] * end[5], sums * end[4] * end[4] + differences * end[5] * end[5]))
 
 
-@compiled
-def _n_steps(low: Number, high: Number, end: Numbers, other_edge: Numbers, other_half_m: Number,
+@inlined
+def _n_steps(low: Number, high: Number, end: Array, other_edge: Numbers, other_half_m: Number,
              to_samples: Number) -> Number:
     """Return the number of steps into which a piece is divided.
 
-    `end` and `other_edge` are the cylinder coordinates about its edge of the source or microphone, and of the middle
+    `end` and `other_edge` are the distance and position about its edge of the source or microphone, and of the middle
     of the other piece, whose half length is `other_half_m`. Within a step, the arrival time changes by at most about
     `_STEP_SAMPLES`; no step is longer than the distance to the other piece.
     """
-    change = (np.sqrt(end[0] ** 2 + (high - end[2]) ** 2) + np.sqrt(other_edge[0] ** 2 + (high - other_edge[2]) ** 2)
-              - np.sqrt(end[0] ** 2 + (low - end[2]) ** 2) - np.sqrt(other_edge[0] ** 2 + (low - other_edge[2]) ** 2))
-    separation = (np.sqrt(other_edge[0] ** 2 + (0.5 * (low + high) - other_edge[2]) ** 2)
+    change = (np.sqrt(end[0] ** 2 + (high - end[1]) ** 2) + np.sqrt(other_edge[0] ** 2 + (high - other_edge[1]) ** 2)
+              - np.sqrt(end[0] ** 2 + (low - end[1]) ** 2) - np.sqrt(other_edge[0] ** 2 + (low - other_edge[1]) ** 2))
+    separation = (np.sqrt(other_edge[0] ** 2 + (0.5 * (low + high) - other_edge[1]) ** 2)
                   - other_half_m - 0.5 * (high - low))
     return 1 + int(max(abs(change) * to_samples / _STEP_SAMPLES,
                        (high - low) / max(other_edge[0], separation, _MIN_SEPARATION_M)))
@@ -201,59 +242,56 @@ def _n_steps(low: Number, high: Number, end: Numbers, other_edge: Numbers, other
 
 @compiled
 def _deposit(fine: Array, first: Number, paths: Array, edge: Array, low: Array, high: Array, geometry: Array,
-             wedge: Array, surfaces: Array, source: Array, mic: Array, to_samples: Number,
+             nu: Array, source: Array, mic: Array, surfaces: Array, direct_m: Number, to_samples: Number,
              oversampling: Number) -> None:
     """See `deposit_double_diffraction`; `to_samples` is the number of samples per metre of path."""
-    point_1, point_2 = np.empty(3), np.empty(3)
-    direct_m = np.sqrt(np.sum((source - mic) ** 2))  # straight-line distance, whether or not it is obstructed
     for n in range(len(paths)):
-        p, q, side_1, side_2 = paths[n]
+        p, q, side_1, side_2 = paths[n, 0], paths[n, 1], paths[n, 2], paths[n, 3]
         edge_1, edge_2 = edge[p], edge[q]
-        frame_1, frame_2 = geometry[edge_1], geometry[edge_2]
-        source_1, mic_2 = _cylinder(source, frame_1), _cylinder(mic, frame_2)
-        if source_1[1] > wedge[edge_1] or mic_2[1] > wedge[edge_2] or min(source_1[0], mic_2[0]) < _MIN_RADIUS_M:
+        frame_1, frame_2, nu_1, nu_2 = geometry[edge_1], geometry[edge_2], nu[edge_1], nu[edge_2]
+        source_1, mic_2 = source[edge_1, side_1], mic[edge_2, side_2]
+        if min(source_1[0], mic_2[0]) < _MIN_RADIUS_M:
             continue
-        face_angles = (0.0 if side_1 == 0 else wedge[edge_1]), (0.0 if side_2 == 0 else wedge[edge_2])
         half_1, half_2 = 0.5 * (high[p] - low[p]), 0.5 * (high[q] - low[q])
-        _point_on_edge(frame_1, low[p] + half_1, point_1)
-        _point_on_edge(frame_2, low[q] + half_2, point_2)
-        n_steps_1 = _n_steps(low[p], high[p], source_1, _cylinder(point_2, frame_1), half_2, to_samples)
-        n_steps_2 = _n_steps(low[q], high[q], mic_2, _cylinder(point_1, frame_2), half_1, to_samples)
-        pressure, _ = _step_contribution(low[p] + half_1, half_1, low[q] + half_2, half_2, source_1, mic_2, frame_1,
-                                         frame_2, wedge[edge_1], wedge[edge_2], face_angles, point_1, point_2)
-        if 4.0 * np.pi * direct_m * abs(pressure) < _MIN_PRESSURE:
-            n_steps_1, n_steps_2 = 1, 1
+        z1, z2 = low[p] + half_1, low[q] + half_2
+        pressure, length_m = _step_contribution(z1, half_1, z2, half_2, source_1, mic_2, frame_1, frame_2, nu_1, nu_2)
+        n_steps_1, n_steps_2 = 1, 1
+        if 4.0 * np.pi * direct_m * abs(pressure) >= _MIN_PRESSURE:
+            point_1, point_2 = _point_on_edge(frame_1, z1), _point_on_edge(frame_2, z2)
+            n_steps_1 = _n_steps(low[p], high[p], source_1, _about(point_2, frame_1), half_2, to_samples)
+            n_steps_2 = _n_steps(low[q], high[q], mic_2, _about(point_1, frame_2), half_1, to_samples)
         half_1, half_2 = half_1 / n_steps_1, half_2 / n_steps_2
+        row = 1 + surfaces[edge_1, side_1]
         for i in range(n_steps_1):
             for j in range(n_steps_2):
-                z1, z2 = low[p] + (2 * i + 1) * half_1, low[q] + (2 * j + 1) * half_2
-                _point_on_edge(frame_1, z1, point_1)
-                _point_on_edge(frame_2, z2, point_2)
-                weight, length_m = _step_contribution(z1, half_1, z2, half_2, source_1, mic_2, frame_1, frame_2,
-                                                      wedge[edge_1], wedge[edge_2], face_angles, point_1, point_2)
+                if n_steps_1 * n_steps_2 > 1:
+                    z1, z2 = low[p] + (2 * i + 1) * half_1, low[q] + (2 * j + 1) * half_2
+                    pressure, length_m = _step_contribution(z1, half_1, z2, half_2, source_1, mic_2, frame_1, frame_2,
+                                                            nu_1, nu_2)
                 position = (length_m * to_samples - first) * oversampling
                 index = int(position)
                 if index + 1 < fine.shape[1]:
-                    for row in (0, 1 + surfaces[edge_1, side_1]):
-                        fine[row, index] += 0.5 * weight * (1.0 - position + index)
-                        fine[row, index + 1] += 0.5 * weight * (position - index)
+                    before, after = 0.5 * pressure * (1.0 - position + index), 0.5 * pressure * (position - index)
+                    fine[0, index] += before
+                    fine[0, index + 1] += after
+                    fine[row, index] += before
+                    fine[row, index + 1] += after
 
 
 @compiled
-def _step_contribution(z1: Number, half_1: Number, z2: Number, half_2: Number, source_1: Numbers, mic_2: Numbers,
-                       frame_1: Array, frame_2: Array, wedge_1: Number, wedge_2: Number, face_angles: Numbers,
-                       point_1: Array, point_2: Array) -> Numbers:
+def _step_contribution(z1: Number, half_1: Number, z2: Number, half_2: Number, source_1: Array, mic_2: Array,
+                       frame_1: Array, frame_2: Array, nu_1: Number, nu_2: Number) -> Numbers:
     """Return the pressure that a pair of steps contributes [1/m], and the length of its path [m].
 
-    `source_1` and `mic_2` are the cylinder coordinates of the source about the first edge, and of the microphone about
-    the second.
+    `source_1` and `mic_2` are those of `_ends`: the source about the first edge, the microphone about the second.
     """
-    point_2_about_1, point_1_about_2 = _cylinder(point_2, frame_1), _cylinder(point_1, frame_2)
+    point_2_about_1 = _about(_point_on_edge(frame_2, z2), frame_1)
+    point_1_about_2 = _about(_point_on_edge(frame_1, z1), frame_2)
     if min(point_2_about_1[0], point_1_about_2[0]) < _MIN_RADIUS_M:
         return 0.0, 0.0
-    first = np.sqrt(source_1[0] ** 2 + (z1 - source_1[2]) ** 2)
-    between = np.sqrt(point_1_about_2[0] ** 2 + (z2 - point_1_about_2[2]) ** 2)
-    last = np.sqrt(mic_2[0] ** 2 + (z2 - mic_2[2]) ** 2)
-    integrals = (_beta_integral(z1, half_1, source_1, point_2_about_1, wedge_1, face_angles[0])
-                 * _beta_integral(z2, half_2, mic_2, point_1_about_2, wedge_2, face_angles[1]))
+    first = np.sqrt(source_1[0] ** 2 + (z1 - source_1[1]) ** 2)
+    between = np.sqrt(point_1_about_2[0] ** 2 + (z2 - point_1_about_2[1]) ** 2)
+    last = np.sqrt(mic_2[0] ** 2 + (z2 - mic_2[1]) ** 2)
+    integrals = (_beta_integral(z1, half_1, source_1, point_2_about_1, nu_1)
+                 * _beta_integral(z2, half_2, mic_2, point_1_about_2, nu_2))
     return integrals * between / (32.0 * np.pi ** 3 * (first + between) * (between + last)), first + between + last

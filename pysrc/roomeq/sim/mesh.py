@@ -1,4 +1,4 @@
-"""Rooms as triangle meshes: checks, ray queries with Embree, and purely specular paths.
+"""Rooms as triangle meshes: checks, ray queries, and purely specular paths.
 
 A room mesh is closed. It consists of an outer shell, whose normals point out of the room, and bodies inside the shell.
 All triangles of the same material form one surface. Triangles in the same plane act as one mirror for image sources.
@@ -16,16 +16,16 @@ from numpy.typing import ArrayLike
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.sim.images import SpecularPaths
 from roomeq.sim.meshfile import read_triangles
+from roomeq.sim.mirrors import find_sequences, visible_paths
 from roomeq.sim.scene import MIN_WALL_DISTANCE_M
 from roomeq.sim.trace import sphere_directions
+from roomeq.sim.tree import Tree, first_hits, make_tree, sees
 from roomeq.sim.walls import Walls
 
 if TYPE_CHECKING:
     import trimesh
 
-NUDGE_M = 1e-4  # distance from a surface at which rays start: Embree computes in single precision
-_MAX_WALLS = 32  # largest number of walls that are intersected directly, without Embree
-_SEQUENCE_RAYS = 20000  # rays that search for sequences of specular reflections
+_MAX_WALLS = 32  # of a convex room that are intersected one by one, without a tree
 _SPHERE_RAYS = 2000  # directions in which the distance to the surfaces is sampled
 _WELD_M = 1e-5  # grid to which corners are rounded before they are merged
 
@@ -66,10 +66,11 @@ class MeshRoom:
         _, first, plane = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
         self._cache.update(
             normals=normals, offset=offset, area=0.5 * area, plane=np.ravel(plane),
-            mirrors=np.column_stack([normals, offset])[first], embree=_embree(self.triangles))
+            mirrors=np.column_stack([normals, offset])[first])
+        self._cache["tree"] = make_tree(self.triangles, normals, self.face_surface)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the geometry only: an Embree scene cannot be pickled, so unpickling builds it again."""
+        """Pickle the geometry only; unpickling computes the rest again."""
         return MeshRoom, (self.triangles, self.surfaces, self.face_surface, self.volume_m3, self.convex)
 
     @property
@@ -84,18 +85,13 @@ class MeshRoom:
 
     @cached_property
     def walls(self) -> Walls | None:
-        """The faces of the same plane and surface, of a room with at most `_MAX_WALLS` of them; None if it has more."""
+        """The planes of a convex room of at most `_MAX_WALLS`, each of one surface; None for other rooms."""
         plane, mirrors = self._cache["plane"], self._cache["mirrors"]
-        order = np.lexsort([self.face_surface, plane])
-        wall, first = np.unique(np.column_stack([plane, self.face_surface])[order], axis=0, return_index=True)
-        if len(wall) > _MAX_WALLS:
+        wall = np.unique(np.column_stack([plane, self.face_surface]), axis=0)
+        if not self.convex or len(wall) > len(mirrors) or len(wall) > _MAX_WALLS:
             return None
-        normals, offsets = mirrors[wall[:, 0], :3], mirrors[wall[:, 0], 3]
         low, high = self.bounds_m
-        if self.convex and len(wall) == len(mirrors):
-            return Walls.around(normals, offsets, wall[:, 1], high - low)
-        return Walls(normals, offsets, wall[:, 1], high - low, _edges(self.triangles[order], self.normals[order]),
-                     np.append(first, len(order)))
+        return Walls(mirrors[:, :3], mirrors[:, 3], wall[:, 1], high - low)
 
     @property
     def face_area_m2(self) -> FloatArray:
@@ -110,20 +106,19 @@ class MeshRoom:
         corners = self.triangles.reshape(-1, 3)
         return corners.min(axis=0), corners.max(axis=0)
 
+    @property
+    def tree(self) -> Tree:
+        """The tree that rays search."""
+        return self._cache["tree"]
+
     def first_hits(self, origins: FloatArray, directions: FloatArray) -> tuple[IntArray, FloatArray]:
         """Return the first face that each ray hits, -1 for none, and the distance [m] to it.
 
-        The distance is computed in double precision from the plane of the face that Embree finds.
+        A ray that hits the back of a face began outside the air: it hits none.
         """
-        hits = self._cache["embree"].run(np.ascontiguousarray(origins, dtype=np.float32),
-                                         np.ascontiguousarray(directions, dtype=np.float32), output=True)
-        face = hits["primID"].astype(np.int64)
-        normal, offset = self.normals[face], self.offsets[face]
-        approach = np.einsum("ij,ij->i", normal, directions)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            distance = (offset - np.einsum("ij,ij->i", normal, origins)) / approach
-        # only a ray that left the room through a gap between faces hits the back of a face
-        return np.where(approach < 0.0, face, -1), np.where(face >= 0, distance, np.inf)
+        face, distance = first_hits(self.tree, origins, directions)
+        approach = np.einsum("ij,ij->i", self.normals[face], directions)
+        return np.where(approach < 0.0, face, -1), distance
 
     def sees(self, from_m: ArrayLike, to_m: ArrayLike) -> BoolArray:
         """Return whether each line from one point to another is unobstructed, shape (n,).
@@ -133,14 +128,7 @@ class MeshRoom:
         from_m, to_m = np.asarray(from_m, float), np.asarray(to_m, float)
         shape = np.broadcast_shapes(from_m.shape, to_m.shape)
         from_m, to_m = (np.ascontiguousarray(np.broadcast_to(point_m, shape)) for point_m in (from_m, to_m))
-        if self.walls is not None:
-            return self.walls.sees(from_m, to_m)
-        offset = to_m - from_m
-        length = np.linalg.norm(offset, axis=1)
-        hit = self._cache["embree"].run(
-            np.ascontiguousarray(from_m, dtype=np.float32), (offset / length[:, None]).astype(np.float32),
-            dists=(length - NUDGE_M).astype(np.float32), query="OCCLUDED")
-        return np.asarray(hit < 0)
+        return sees(self.tree, from_m, to_m)
 
     def surroundings(self, point_m: ArrayLike) -> FloatArray | None:
         """Return the distance [m] to the surfaces in `_SPHERE_RAYS` evenly spread directions; None outside the air."""
@@ -181,26 +169,10 @@ class MeshRoom:
         key = (tuple(np.asarray(source_pos_m)), order)
         sequences = self._cache.setdefault("sequences", {})
         if key not in sequences:
-            sequences[key] = _find_sequences(self, np.asarray(source_pos_m, dtype=float), order)
-        return _visible_paths(self, sequences[key], np.asarray(source_pos_m, dtype=float),
-                              np.asarray(mic_pos_m, dtype=float))
-
-
-def _edges(triangles: FloatArray, normals: FloatArray) -> FloatArray:
-    """Return the edges of triangles (see `Walls`), shape (n_triangles, 3, 4)."""
-    ahead = np.roll(triangles, -1, axis=1) - triangles
-    inward = np.cross(ahead, normals[:, None])  # normals are opposite to those of the right-hand rule
-    inward /= np.linalg.norm(inward, axis=2)[:, :, None]
-    return np.concatenate([inward, np.einsum("nij,nij->ni", inward, triangles)[:, :, None]], axis=2)
-
-
-def _embree(triangles: FloatArray) -> Any:
-    from embreex.mesh_construction import TriangleMesh
-    from embreex.rtcore_scene import EmbreeScene
-
-    scene = EmbreeScene()
-    TriangleMesh(scene, np.ascontiguousarray(triangles, dtype=np.float32))
-    return scene
+            sequences[key] = find_sequences(self.tree, self._cache["plane"], self._cache["mirrors"], self.normals,
+                                            np.asarray(source_pos_m, dtype=float), order)
+        return visible_paths(sequences[key], self.tree, self._cache["plane"], self._cache["mirrors"], self.face_surface,
+                             len(self.surfaces), np.asarray(mic_pos_m, dtype=float))
 
 
 @lru_cache(maxsize=8)
@@ -304,73 +276,3 @@ def _is_convex(mesh: "trimesh.Trimesh") -> bool:
     if len(unique) > 200:
         return False  # a curved surface in many small planes: too many to test
     return bool(np.all(mesh.vertices @ unique[:, :3].T <= unique[:, 3] + 1e-4))
-
-
-def _find_sequences(room: MeshRoom, source: FloatArray, order: int) -> list[IntArray]:
-    """Find the sequences of planes that reflect rays: for each order k an array of plane indices (n_sequences, k)."""
-    plane = room._cache["plane"]
-    directions = sphere_directions(_SEQUENCE_RAYS, np.random.default_rng(1))
-    position = np.tile(source, (len(directions), 1))
-    planes_hit = np.empty((len(directions), 0), dtype=np.int64)
-    sequences = [np.empty((1, 0), dtype=np.int64)]
-    for _ in range(order):
-        face, distance = room.first_hits(position, directions)
-        hit = face >= 0
-        face, directions, planes_hit = face[hit], directions[hit], planes_hit[hit]
-        normal = room.normals[face]
-        position = position[hit] + distance[hit, None] * directions + NUDGE_M * normal
-        directions = directions - 2.0 * np.einsum("ij,ij->i", directions, normal)[:, None] * normal
-        planes_hit = np.column_stack([planes_hit, plane[face]])
-        sequences.append(np.unique(planes_hit, axis=0))
-    return sequences
-
-
-def _visible_paths(room: MeshRoom, sequences: list[IntArray], source: FloatArray, mic: FloatArray) -> SpecularPaths:
-    """Build the image sources of all sequences and return the paths that no surface obstructs."""
-    mirrors = room._cache["mirrors"]
-    distances: list[FloatArray] = []
-    counts: list[IntArray] = []
-    departures: list[FloatArray] = []
-    arrivals: list[FloatArray] = []
-    for sequence in sequences:
-        images = _images(mirrors, sequence, source)
-        valid = np.arange(len(sequence))
-        target = np.tile(mic, (len(sequence), 1))
-        surface_counts = np.zeros((len(sequence), len(room.surfaces)), dtype=np.int64)
-        for k in range(sequence.shape[1] - 1, -1, -1):
-            offset = images[k + 1][valid] - target
-            length = np.linalg.norm(offset, axis=1)
-            face, distance = room.first_hits(target, offset / length[:, None])
-            seen = (face >= 0) & (room._cache["plane"][face] == sequence[valid, k]) & (distance < length)
-            valid, face = valid[seen], face[seen]
-            target = target[seen] + (distance / length)[seen, None] * offset[seen] + NUDGE_M * room.normals[face]
-            surface_counts[valid, room.face_surface[face]] += 1
-        if len(valid):
-            valid = valid[room.sees(target, source)]
-        offset = mic - images[-1][valid]
-        distances.append(np.linalg.norm(offset, axis=1))
-        counts.append(surface_counts[valid])
-        arrivals.append(-offset / distances[-1][:, None])
-        departures.append(_departures(mirrors, sequence[valid], -arrivals[-1]))
-    distance_m = np.concatenate(distances)
-    by_length = np.argsort(distance_m, kind="stable")
-    return SpecularPaths(distance_m[by_length], np.concatenate(counts)[by_length],
-                         np.concatenate(departures)[by_length], np.concatenate(arrivals)[by_length])
-
-
-def _departures(mirrors: FloatArray, sequence: IntArray, direction: FloatArray) -> FloatArray:
-    """Return the directions of departure at the source for directions at its images, shape (n_sequences, 3)."""
-    for k in range(sequence.shape[1] - 1, -1, -1):
-        normal = mirrors[sequence[:, k], :3]
-        direction = direction - 2.0 * np.einsum("ij,ij->i", direction, normal)[:, None] * normal
-    return direction
-
-
-def _images(mirrors: FloatArray, sequence: IntArray, source: FloatArray) -> list[FloatArray]:
-    """Return the positions of the image sources after 0, 1, ... reflections [m], each of shape (n_sequences, 3)."""
-    images = [np.tile(source, (len(sequence), 1))]
-    for k in range(sequence.shape[1]):
-        normal, offset = mirrors[sequence[:, k], :3], mirrors[sequence[:, k], 3]
-        height = np.einsum("ij,ij->i", images[-1], normal) - offset
-        images.append(images[-1] - 2.0 * height[:, None] * normal)
-    return images

@@ -17,7 +17,7 @@ Every chunk of rays keeps its own share of the paths: the chunks are strata, and
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
@@ -143,10 +143,18 @@ class PathSample:
                 of_arrivals = eight_bands(arrival_gain[trace], first)
                 gain = gain * of_arrivals if len(gain) else of_arrivals
             counts = self.reflection_counts[trace]
-            _absorb(self.weight[trace], counts, int(counts.max()), eight_bands(1.0 - absorption, first), gain, energy)
-            served = [band for band in bands if trace_of_band[band] == trace and 0 <= band - first < BANDS_PER_PASS]
-            result[:, served] = energy[:, np.subtract(served, first)]
+            reflected = eight_bands(1.0 - absorption, first)
+            _absorb(self.weight[trace], counts, self._most_reflections[trace], reflected, gain, energy)
+            served = bands[(trace_of_band[bands] == trace) & (first <= bands) & (bands < first + BANDS_PER_PASS)]
+            if len(served) == result.shape[1] == BANDS_PER_PASS:
+                return energy
+            result[:, served] = energy[:, served - first]
         return result
+
+    @cached_property
+    def _most_reflections(self) -> list[int]:
+        """The largest count of each trace."""
+        return [int(counts.max()) for counts in self.reflection_counts]
 
 
 def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, rngs: Sequence[np.random.Generator], *,

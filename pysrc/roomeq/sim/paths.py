@@ -24,9 +24,10 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 import numpy as np
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray, Number, Numbers
-from roomeq.core.jit import inlined
+from roomeq.core.jit import compiled, for_chunks, inlined
 from roomeq.sim.room import Room
 from roomeq.sim.trace import Paths
+from roomeq.sim.tree import Tree, crosses, memory
 
 if TYPE_CHECKING:
     from roomeq.sim.mesh import MeshRoom
@@ -101,19 +102,34 @@ def reflection_visibility(paths: Paths, room: Room, mics_m: Array, *, max_path_m
     Returns
     -------
     ndarray of bool, shape (n_mics, n_stored)
-        Of shape (0, 0) in a convex room, where everything is seen. Only reflections that contribute by `follow` are
-        tested; the others are False.
+        Of shape (0, 0) in a convex room, where everything is seen. Only reflections that contribute by `follow` to a
+        microphone in front of the surface are tested; the others are False.
     """
     if room.convex:
         return np.zeros((0, 0), dtype=np.bool_)
     mics_m = np.atleast_2d(mics_m)
     path_m = paths.hits[:, 3]
     tested = np.flatnonzero((path_m < max_path_m) & ((path_m <= paths.late_m) | (paths.codes & 1 == 1)))
-    start = paths.hits[tested, :3] + SHADOW_RAY_OFFSET_M * paths.normals[paths.codes[tested] >> 2]
     visible = np.zeros((len(mics_m), len(path_m)), dtype=np.bool_)
-    for m, mic_m in enumerate(mics_m):
-        visible[m, tested] = cast("MeshRoom", room).sees(start, mic_m)
+    how = cast("MeshRoom", room).tree, paths.hits, paths.codes, paths.normals, mics_m.astype(np.float64)
+    for_chunks(len(tested), lambda chunk, low, high: _see(*how, tested[low:high], visible))
     return visible
+
+
+@compiled
+def _see(tree: Tree, hits: Array, codes: Array, normals: Array, mics_m: Array, tested: Array, visible: Array) -> None:
+    """Tell for some reflections which microphones they see; none lies behind the surface."""
+    search = memory(tree)
+    for at in tested:
+        normal = normals[codes[at] >> 2]
+        nx, ny, nz = normal[0], normal[1], normal[2]
+        x = hits[at, 0] + SHADOW_RAY_OFFSET_M * nx
+        y = hits[at, 1] + SHADOW_RAY_OFFSET_M * ny
+        z = hits[at, 2] + SHADOW_RAY_OFFSET_M * nz
+        for m in range(len(mics_m)):
+            u, v, w = mics_m[m, 0] - x, mics_m[m, 1] - y, mics_m[m, 2] - z
+            if u * nx + v * ny + w * nz > -SHADOW_RAY_OFFSET_M:
+                visible[m, at] = not crosses(tree, search, (x, y, z), (u, v, w))
 
 
 @inlined

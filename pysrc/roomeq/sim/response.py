@@ -134,10 +134,12 @@ def trace_source(scene: Scene, source_pos_m: ArrayLike, *, num_rays: int = NUM_R
     expected = np.broadcast_to(scene.absorption if absorption is None else absorption, scene.absorption.shape)
     max_length_m = max_length_s * scene.air.speed_m_s
     # the same random numbers for all columns: bands then differ by their scattering alone
-    paths = tuple(trace(scene.room, source_pos_m, column, num_rays=num_rays, max_length_m=max_length_m,
-                        speed_m_s=scene.air.speed_m_s, rng=np.random.default_rng(seed),
-                        absorption=expected[:, trace_of_band == n].min(axis=1)) for n, column in enumerate(columns.T))
-    return TracedSource(scene, np.asarray(source_pos_m, dtype=np.float64), paths,
+    paths: list[Paths] = []
+    for n, column in enumerate(columns.T):
+        paths.append(trace(scene.room, source_pos_m, column, num_rays=num_rays, max_length_m=max_length_m,
+                           speed_m_s=scene.air.speed_m_s, rng=np.random.default_rng(seed),
+                           absorption=expected[:, trace_of_band == n].min(axis=1), like=paths[-1] if paths else None))
+    return TracedSource(scene, np.asarray(source_pos_m, dtype=np.float64), tuple(paths),
                         tuple(int(n) for n in trace_of_band), expected)
 
 

@@ -30,7 +30,7 @@ class Room(Protocol):
 
     @property
     def walls(self) -> Walls | None:
-        """The walls of a room of few planes; None where rays are traced with Embree."""
+        """The walls of a convex room of few planes; None where rays search a tree of faces."""
 
     def require_inside(self, name: str, position_m: Sequence[float] | FloatArray) -> None:
         """Raise ValueError unless a position lies in the room and keeps a minimum distance from its surfaces."""

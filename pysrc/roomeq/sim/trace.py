@@ -20,13 +20,11 @@ from numpy.typing import ArrayLike
 from roomeq.core.arrays import Array, FloatArray, IntArray, Number, Numbers
 from roomeq.core.jit import compiled, for_chunks, inlined, mix, uniform
 from roomeq.sim.room import Room
-from roomeq.sim.walls import Walls, holds
+from roomeq.sim.tree import FRONTS, Tree, first_hit, memory
 
 if TYPE_CHECKING:
     from roomeq.sim.mesh import MeshRoom
 
-RETRIES = 6
-"""Attempts to find a surface for a ray that passed between two faces at their common edge."""
 LATE_RAYS = 5000
 """Rays that remain in a diffuse field once reflections are dense, if there are so many."""
 MAX_SHARE = 4.0
@@ -98,6 +96,14 @@ class _Traced(NamedTuple):
     n_leaked: int
 
 
+class _Known(NamedTuple):
+    """`codes`, `first` and `counts` of another trace, whose rays may have come the same way."""
+
+    codes: Array
+    first: IntArray
+    counts: Array
+
+
 class Roulette(NamedTuple):
     """When a ray plays Russian roulette.
 
@@ -139,7 +145,8 @@ def _lattice(n_points: int) -> FloatArray:
 
 
 def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_rays: int, max_length_m: float,
-          speed_m_s: float, rng: np.random.Generator, absorption: ArrayLike = 0.0) -> Paths:
+          speed_m_s: float, rng: np.random.Generator, absorption: ArrayLike = 0.0,
+          like: Paths | None = None) -> Paths:
     """Trace rays from a source.
 
     Parameters
@@ -157,6 +164,9 @@ def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_ray
     rng
     absorption
         That is expected of each surface, shape (n_surfaces,) or one for all.
+    like
+        Of the same rays with the same random numbers, but other scattering and absorption. Until their paths part, rays
+        need not search what they hit. The result does not depend on it.
 
     Returns
     -------
@@ -174,11 +184,10 @@ def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_ray
     roulette = Roulette(late_m, np.log(reflected)[faces.face_surface], float(decay_per_m),
                         float(np.log(np.clip(num_rays / LATE_RAYS, 1.0, MAX_SHARE))))
     how = source_pos_m, directions, scattering[faces.face_surface], max_length_m, roulette, seed
-    if room.walls is not None:
-        mean_free_path_m = 4.0 * room.volume_m3 / float(area_m2.sum())
-        traced = _trace_between_walls(room.walls, mean_free_path_m, *how)
-    else:
-        traced = _trace_in_mesh(cast("MeshRoom", room), *how)
+    known = (_Known(like.codes, like.first, like.counts) if like is not None else
+             _Known(np.empty(0, _code_type(len(faces.normals))), np.zeros(num_rays, np.int64),
+                    np.zeros(num_rays, np.int32)))
+    traced = _trace_rays(room, 4.0 * room.volume_m3 / float(area_m2.sum()), known, *how)
     return Paths(source_pos_m, directions, traced.hits, traced.codes, traced.first, faces.normals, faces.face_surface,
                  traced.counts, scattering, late_m, max_length_m, traced.n_leaked)
 
@@ -197,26 +206,30 @@ def _code_type(n_faces: int) -> type[np.uint8] | type[np.uint32]:
     return np.uint8 if n_faces < 64 else np.uint32
 
 
-def _trace_between_walls(walls: Walls, mean_free_path_m: float, source: FloatArray, directions: FloatArray,
-                         scattering: FloatArray, end_m: float, roulette: Roulette, seed: np.uint64) -> _Traced:
-    """Trace a room of few planes: the next hit is on the nearest wall ahead."""
-    n_rays = len(directions)
+def _trace_rays(room: Room, mean_free_path_m: float, known: _Known, source: FloatArray, directions: FloatArray,
+                scattering: FloatArray, end_m: float, roulette: Roulette, seed: np.uint64) -> _Traced:
+    walls, n_rays = room.walls, len(directions)
+    code_type = _code_type(len(scattering))
     counts = np.empty(n_rays, dtype=np.int32)
 
     def trace_chunk(chunk: int, low: int, high: int) -> tuple[Array, Array, int]:
         # more than a specular ray can meet in a box; elsewhere, if more are met, there is another attempt
-        per_m = 1.0 / mean_free_path_m if walls.box is None else np.sqrt(np.sum(1.0 / walls.size_m ** 2))
+        in_box = walls is not None and walls.box is not None
+        per_m = np.sqrt(np.sum(1.0 / walls.size_m ** 2)) if walls is not None and in_box else 1.0 / mean_free_path_m
         capacity = int(1.2 * end_m * per_m) + 40
         while True:
             hits = np.empty(((high - low) * capacity, 4), np.float32)
-            codes = np.empty(len(hits), _code_type(len(walls.normals)))
+            codes = np.empty(len(hits), code_type)
             how = source, directions, scattering, end_m, roulette, seed, low, high
-            if walls.box is not None:
+            if walls is None:
+                mesh = cast("MeshRoom", room)
+                n_stored, n_leaked = _trace_faces(mesh.tree, mesh.normals, mesh.offsets, known, *how, hits, codes,
+                                                  counts)
+            elif walls.box is not None:
                 low_m, high_m, wall_of_side = walls.box
                 n_stored, n_leaked = _trace_box(low_m, high_m, wall_of_side, *how, capacity, hits, codes, counts), 0
             else:
-                n_stored, n_leaked = _trace_planes(walls.normals, walls.offsets, walls.edges, walls.first, *how, hits,
-                                                   codes, counts)
+                n_stored, n_leaked = _trace_planes(walls.normals, walls.offsets, *how, hits, codes, counts)
             if n_stored >= 0:  # the rest is memory for the next chunk, and fast
                 return hits[:n_stored].copy(), codes[:n_stored].copy(), n_leaked
             capacity *= 2
@@ -227,59 +240,6 @@ def _trace_between_walls(walls: Walls, mean_free_path_m: float, source: FloatArr
 
 def _first_of_rays(counts: Array) -> IntArray:
     return np.concatenate([[0], np.cumsum(counts[:-1], dtype=np.int64)])
-
-
-def _trace_in_mesh(room: "MeshRoom", source: FloatArray, directions: FloatArray, scattering: FloatArray,
-                   end_m: float, roulette: Roulette, seed: np.uint64) -> _Traced:
-    """Trace any closed mesh: all rays together, reflection by reflection."""
-    n_rays = len(directions)
-    counts = np.zeros(n_rays, dtype=np.int32)
-    position, before = np.tile(source, (n_rays, 1)), np.tile(source, (n_rays, 1))
-    way, length = directions.copy(), np.zeros(n_rays)
-    log_energy, plays = np.zeros(n_rays), np.zeros(n_rays, dtype=np.int64)
-    active, n_leaked = np.arange(n_rays), 0
-    steps: list[tuple[IntArray, Array, Array]] = []
-    while len(active):
-        face, distance = _next_hits(room, position, way, before, active, seed, len(steps))
-        lost = face < 0
-        n_leaked += int(lost.sum())
-        active, face, distance = active[~lost], face[~lost], distance[~lost]
-        hits, codes = np.empty((len(active), 4), np.float32), np.empty(len(active), _code_type(len(room.normals)))
-        ends = np.empty(len(active), np.bool_)
-        _advance(room.normals, active, face, distance, scattering, end_m, roulette, seed, len(steps), position, before,
-                 way, length, log_energy, plays, hits, codes, ends)
-        counts[active] += 1
-        steps.append((active, hits, codes))
-        active = active[~ends]
-    first = _first_of_rays(counts)
-    hits = np.empty((counts.sum(), 4), np.float32)
-    codes = np.empty(len(hits), _code_type(len(room.normals)))
-    for n, (rays, step_hits, step_codes) in enumerate(steps):
-        hits[first[rays] + n], codes[first[rays] + n] = step_hits, step_codes
-    return _Traced(hits, codes, first, counts, n_leaked)
-
-
-def _next_hits(room: "MeshRoom", position: FloatArray, way: FloatArray, before: FloatArray, active: IntArray,
-               seed: np.uint64, n: int) -> tuple[IntArray, FloatArray]:
-    """Return faces and distances of the active rays' next hits; rays that pass between two faces are shot again.
-
-    Each attempt starts a little further back and in a slightly different direction, in place.
-    """
-    face, distance = room.first_hits(position[active], way[active])
-    lost = np.flatnonzero(face < 0)
-    if not len(lost):
-        return face, distance
-    rng = np.random.default_rng([int(seed), n])
-    for attempt in range(RETRIES):
-        if not len(lost):
-            break
-        rays = active[lost]
-        position[rays] += 10.0 ** (attempt - RETRIES) * (before[rays] - position[rays])
-        way[rays] += 10.0 ** (attempt - RETRIES) * rng.standard_normal((len(rays), 3))
-        way[rays] /= np.linalg.norm(way[rays], axis=1)[:, None]
-        face[lost], distance[lost] = room.first_hits(position[rays], way[rays])
-        lost = lost[face[lost] < 0]
-    return face, distance
 
 
 @compiled
@@ -403,10 +363,10 @@ def _nearest(reach: Array) -> int:
 
 
 @compiled
-def _trace_planes(normals: Array, offsets: Array, edges: Array, first: Array, source: Array, directions: Array,
-                  scattering: Array, end_m: Number, roulette: Roulette, seed: Number, low: Number, high: Number,
-                  hits: Array, codes: Array, counts: Array) -> Numbers:
-    """Trace rays `low` to `high` between walls (see `Walls`).
+def _trace_planes(normals: Array, offsets: Array, source: Array, directions: Array, scattering: Array, end_m: Number,
+                  roulette: Roulette, seed: Number, low: Number, high: Number, hits: Array, codes: Array,
+                  counts: Array) -> Numbers:
+    """Trace rays `low` to `high` between the walls of a convex room (see `roomeq.sim.walls.Walls`).
 
     Returns
     -------
@@ -433,10 +393,6 @@ def _trace_planes(normals: Array, offsets: Array, edges: Array, first: Array, so
                 in_front = approach[face] > 1e-12 and height[face] > -_BEHIND_M
                 reach[face] = height[face] / approach[face] if in_front else np.inf
             ahead = _nearest(reach)
-            while reach[ahead] < np.inf and not holds(edges, first, ahead, x + reach[ahead] * u,
-                                                       y + reach[ahead] * v, z + reach[ahead] * w):
-                reach[ahead] = np.inf
-                ahead = _nearest(reach)
             if reach[ahead] == np.inf:  # along a wall to within rounding
                 n_leaked += 1
                 break
@@ -459,24 +415,43 @@ def _trace_planes(normals: Array, offsets: Array, edges: Array, first: Array, so
 
 
 @compiled
-def _advance(normals: Array, active: Array, faces: Array, distances: Array, scattering: Array, end_m: Number,
-             roulette: Roulette, seed: Number, n: Number, position: Array, before: Array, way: Array, length: Array,
-             log_energy: Array, plays: Array, hits: Array, codes: Array, ends: Array) -> None:
-    """Move the active rays to just off their hits, store reflection `n`, turn them and tell which end."""
-    for i in range(len(active)):
-        ray, face, distance = active[i], faces[i], distances[i]
-        for axis in range(3):
-            before[ray, axis] = position[ray, axis]
-            position[ray, axis] += distance * way[ray, axis]
-            hits[i, axis] = position[ray, axis]
-        length[ray] += distance
-        hits[i, 3] = length[ray]
+def _trace_faces(tree: Tree, normals: Array, offsets: Array, known: _Known, source: Array, directions: Array,
+                 scattering: Array, end_m: Number, roulette: Roulette, seed: Number, low: Number, high: Number,
+                 hits: Array, codes: Array, counts: Array) -> Numbers:
+    """Trace rays `low` to `high` between many faces, as `_trace_planes` does between few."""
+    stored, n_leaked, search = 0, 0, memory(tree)
+    way = np.empty(3)
+    for ray in range(low, high):
         stream = mix(seed + np.uint64(ray))
-        diffuse = reflect(normals, face, scattering[face], stream, n, way[ray])
-        for axis in range(3):
-            position[ray, axis] += 1e-4 * normals[face, axis]
-        log_energy[ray] += roulette.log_reflected[face]
-        represents_two, over, log_energy[ray], plays[ray] = _play_roulette(
-            roulette, ray, stream, n, length[ray], log_energy[ray], plays[ray])
-        codes[i] = 4 * face + 2 * represents_two + diffuse
-        ends[i] = over or length[ray] > end_m
+        x, y, z = source[0], source[1], source[2]
+        way[0], way[1], way[2] = directions[ray, 0], directions[ray, 1], directions[ray, 2]
+        length, log_energy, plays, n, ends = 0.0, 0.0, 0, 0, False
+        n_known = known.counts[ray]
+        while not ends:
+            if stored == len(hits):
+                return -1, 0
+            u, v, w = way[0], way[1], way[2]
+            if n < n_known:
+                face = np.int64(known.codes[known.first[ray] + n] >> 2)
+                nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
+                distance = max((nx * x + ny * y + nz * z - offsets[face]) / -(nx * u + ny * v + nz * w), 0.0)
+            else:
+                face, distance = first_hit(tree, search, (x, y, z), (u, v, w), FRONTS)
+            if face < 0:  # between two faces to within rounding
+                n_leaked += 1
+                break
+            x, y, z, length = x + distance * u, y + distance * v, z + distance * w, length + distance
+            diffuse = reflect(normals, face, scattering[face], stream, n, way)
+            if n < n_known and diffuse != (known.codes[known.first[ray] + n] & 1 == 1):
+                n_known = 0  # here the ways part
+            hit = hits[stored]
+            hit[0], hit[1], hit[2], hit[3] = x, y, z, length
+            log_energy += float(roulette.log_reflected[face])
+            represents_two, ends, log_energy, plays = _play_roulette(
+                roulette, ray, stream, n, length, log_energy, plays)
+            codes[stored] = 4 * face + 2 * represents_two + diffuse
+            ends = ends or length > end_m
+            stored += 1
+            n += 1
+        counts[ray] = n
+    return stored, n_leaked

@@ -1,0 +1,144 @@
+"""Purely specular paths in a mesh: rays find sequences of reflecting planes, image sources the paths by them."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
+from roomeq.core.jit import compiled, for_chunks
+from roomeq.sim.images import SpecularPaths
+from roomeq.sim.trace import sphere_directions
+from roomeq.sim.tree import FRONTS, Tree, crosses, first_hit, memory
+
+_RAYS = 20000  # that search for sequences
+
+
+class Sequences(NamedTuple):
+    """Sequences of planes that reflect rays of a source, up to an order.
+
+    Attributes
+    ----------
+    planes
+        Indices of the planes, shape (n_sequences, order).
+    n_reflections
+        Length of each sequence, shape (n_sequences,).
+    images
+        Positions of the image sources after 0, 1, ... reflections [m], shape (n_sequences, order + 1, 3).
+    """
+
+    planes: IntArray
+    n_reflections: IntArray
+    images: FloatArray
+
+
+def find_sequences(tree: Tree, plane: IntArray, mirrors: FloatArray, normals: FloatArray, source_m: FloatArray,
+                   order: int) -> Sequences:
+    """Find the sequences of planes that reflect rays of a source.
+
+    Parameters
+    ----------
+    tree
+        Of the room.
+    plane
+        Plane of each face, shape (n_faces,).
+    mirrors
+        Unit normal and offset [m] of each plane, shape (n_planes, 4).
+    normals
+        Of the faces, shape (n_faces, 3).
+    source_m
+        Shape (3,).
+    order
+        Largest number of reflections.
+
+    Returns
+    -------
+    Sequences
+        Shorter ones first.
+    """
+    directions = sphere_directions(_RAYS, np.random.default_rng(1))
+    hit = np.full((len(directions), order), -1, dtype=np.int64)
+    for_chunks(len(directions), lambda chunk, low, high: _reflect(tree, plane, normals, source_m, directions[low:high],
+                                                                  hit[low:high]))
+    planes, lengths = [np.full((1, order), -1)], [np.zeros(1, dtype=np.int64)]
+    same = np.zeros(len(hit), dtype=np.int64)  # number of the sequence so far
+    for k in range(order):
+        reflected = hit[:, k] >= 0
+        hit, same = hit[reflected], same[reflected]
+        _, first, same = np.unique(same * len(mirrors) + hit[:, k], return_index=True, return_inverse=True)
+        planes.append(np.where(np.arange(order) <= k, hit[first], -1))
+        lengths.append(np.full(len(first), k + 1))
+    joined = np.concatenate(planes)
+    return Sequences(joined, np.concatenate(lengths), _images(mirrors, joined, source_m))
+
+
+def _images(mirrors: FloatArray, planes: IntArray, source_m: FloatArray) -> FloatArray:
+    images = np.empty((len(planes), planes.shape[1] + 1, 3))
+    images[:, 0] = source_m
+    for k in range(planes.shape[1]):
+        normal, offset = mirrors[planes[:, k], :3], mirrors[planes[:, k], 3]
+        height = np.einsum("ij,ij->i", images[:, k], normal) - offset
+        images[:, k + 1] = images[:, k] - 2.0 * height[:, None] * normal
+    return images
+
+
+def visible_paths(sequences: Sequences, tree: Tree, plane: IntArray, mirrors: FloatArray, face_surface: IntArray,
+                  n_surfaces: int, mic_m: FloatArray) -> SpecularPaths:
+    """Return the paths to a microphone, shape (3,), that no surface obstructs; see `find_sequences`."""
+    n_sequences = len(sequences.planes)
+    visible, counts = np.empty(n_sequences, np.bool_), np.zeros((n_sequences, n_surfaces), np.int64)
+    for_chunks(n_sequences, lambda chunk, low, high: _walk_back(tree, plane, face_surface, *sequences, mic_m, low, high,
+                                                                visible, counts))
+    valid = np.flatnonzero(visible)
+    offset = mic_m - sequences.images[valid, sequences.n_reflections[valid]]
+    distance_m = np.linalg.norm(offset, axis=1)
+    by_length = np.argsort(distance_m, kind="stable")
+    valid, distance_m = valid[by_length], distance_m[by_length]
+    arrival = -offset[by_length] / distance_m[:, None]
+    return SpecularPaths(distance_m, counts[valid], _departures(mirrors, sequences.planes[valid], -arrival), arrival)
+
+
+def _departures(mirrors: FloatArray, planes: IntArray, direction: FloatArray) -> FloatArray:
+    """Return the directions of departure at the source for directions at its images, shape (n_sequences, 3)."""
+    for k in range(planes.shape[1] - 1, -1, -1):
+        normal = np.where(planes[:, k, None] >= 0, mirrors[planes[:, k], :3], 0.0)
+        direction = direction - 2.0 * np.einsum("ij,ij->i", direction, normal)[:, None] * normal
+    return direction
+
+
+@compiled
+def _reflect(tree: Tree, plane: Array, normals: Array, source_m: Array, directions: Array, hit: Array) -> None:
+    """Write the planes that reflect rays, one after the other, to `hit`, shape (n_rays, order)."""
+    search = memory(tree)
+    for ray in range(len(directions)):
+        x, y, z = source_m[0], source_m[1], source_m[2]
+        u, v, w = directions[ray, 0], directions[ray, 1], directions[ray, 2]
+        for k in range(hit.shape[1]):
+            face, distance = first_hit(tree, search, (x, y, z), (u, v, w), FRONTS)
+            if face < 0:
+                break
+            hit[ray, k] = plane[face]
+            x, y, z = x + distance * u, y + distance * v, z + distance * w
+            normal = normals[face]
+            twice = 2.0 * (u * normal[0] + v * normal[1] + w * normal[2])
+            u, v, w = u - twice * normal[0], v - twice * normal[1], w - twice * normal[2]
+
+
+@compiled
+def _walk_back(tree: Tree, plane: Array, face_surface: Array, planes: Array, n_reflections: Array, images: Array,
+               mic_m: Array, low: Number, high: Number, visible: BoolArray, counts: Array) -> None:
+    """Tell for sequences `low` to `high` whether their path exists, and count its reflections at each surface."""
+    search = memory(tree)
+    for n in range(low, high):
+        x, y, z, exists = mic_m[0], mic_m[1], mic_m[2], True
+        for k in range(n_reflections[n] - 1, -1, -1):
+            u, v, w = images[n, k + 1, 0] - x, images[n, k + 1, 1] - y, images[n, k + 1, 2] - z
+            length = np.sqrt(u * u + v * v + w * w)
+            u, v, w = u / length, v / length, w / length
+            face, distance = first_hit(tree, search, (x, y, z), (u, v, w), FRONTS)
+            exists = face >= 0 and plane[face] == planes[n, k] and distance < length
+            if not exists:
+                break
+            counts[n, face_surface[face]] += 1
+            x, y, z = x + distance * u, y + distance * v, z + distance * w
+        visible[n] = exists and not crosses(tree, search, (x, y, z), (images[n, 0, 0] - x, images[n, 0, 1] - y,
+                                                                      images[n, 0, 2] - z))
