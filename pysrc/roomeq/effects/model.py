@@ -117,7 +117,7 @@ def path_gain(effects: Sequence[Effect], source_dir: Sequence[float | None] | No
 
 def is_directive(effect: Effect) -> bool:
     """Tell whether an effect acts on paths over their angle of departure."""
-    return effect.on_paths(np.ones(1)) is not None
+    return type(effect).on_paths is not Effect.on_paths
 
 
 def names_of(effects: Sequence[Effect], gain: Directivity | None) -> list[str]:
