@@ -4,8 +4,9 @@
 Usage: tests/bench/publish.py [--commit HASH] [--date YYYY-MM-DD] PAGE FILE
 e.g.:  tests/bench/publish.py simulator exp/bench/fidelity.json
        tests/bench/publish.py loop tests/bench/loop/results/results.jsonl
-PAGE is one of simulator, measured_room, drawn_rooms, many_rooms, speed, compensation, loop, laboratories, effects,
-augmentation, wer, faults, labels. The commit is that of the working tree, unless the results are of an earlier one.
+PAGE is one of simulator, measured_room, drawn_rooms, many_rooms, speed, compensation, loop, loop_scale, laboratories,
+effects, augmentation, wer, faults, labels. The commit is that of the working tree, unless the results are of an earlier
+one.
 """
 
 import argparse
@@ -50,6 +51,13 @@ def loop(rows: list[dict[str, Any]]) -> list[Table]:
                  rows=[[rate.name, f"{rate.hits} of {rate.count}",
                         f"{max(0.0, 100 * rate.low):.0f} to {100 * rate.high:.0f} %", rate.goal]
                        for rate in rates(these)]) for base, these in by_base(rows).items()]
+
+
+def loop_scale(result: dict[str, Any]) -> list[Table]:
+    """Return time and memory of the loop over the number of RIRs."""
+    rows = [[*row[:4], row[3] / row[0], *row[4:]] for row in sorted(result["rows"])]
+    return [dict(title=f"Close the loop with {result['nj']} processes",
+                 columns=["RIRs", "rooms", "s", "CPU s", "CPU s an RIR", "peak GiB", "added"], rows=rows)]
 
 
 def augmentation(result: dict[str, Any]) -> list[Table]:
@@ -168,12 +176,15 @@ SUMMARY = {
                     "compensation. Rooms count equally.",
     "loop": "What the closed loop finds in generated rooms whose extra effect it is not told of. The rooms are made by "
             "code that shares nothing with the effects or the simulator.",
+    "loop_scale": "Time and memory of the closed loop over the number of RIRs, in generated rooms with eight RIRs each "
+                  "that hold an undeclared loudspeaker response and noise floor. Memory is that of all processes.",
     "laboratories": "The closed loop on measured RIRs of real rooms. Each laboratory is scored by a loop that was "
                     "closed on the others: with the base model before, with the final model after. Ceiling: the error "
                     "that would remain if the final model were right.",
     "effects": "Each effect of the catalogue, switched on at a realistic size in three rooms: the change of the "
                "features that the loop predicts against the change that rendering shows.",
-    "augmentation": "Speed and exactness of augmentation, from FLAC to FLAC on one core.",
+    "augmentation": "Speed and exactness of augmentation, from FLAC to FLAC on one core: several copies of each "
+                    "utterance, which roomeq reads and transforms once, and the others each time.",
     "wer": "Word error rates of recognisers trained on the data, with intervals over rooms and seeds.",
     "faults": "Attacks on the recipe and its steps: files that change between two steps, losses of power, bad inputs, "
               "hostile names, kills, several runs at once, full disks. Handled: the bytes of an undisturbed run, or a "
@@ -190,14 +201,15 @@ SUMMARY = {
 READERS: dict[str, Callable[[Any], list[Table]]] = {
     "simulator": sections, "measured_room": sections, "speed": sections,
     "drawn_rooms": drawn_rooms, "many_rooms": many_rooms, "compensation": lambda result: result["tables"], "loop": loop,
-    "laboratories": sections, "augmentation": augmentation, "effects": effects, "wer": word_errors, "faults": faults,
-    "labels": labels,
+    "loop_scale": loop_scale, "laboratories": sections, "augmentation": augmentation, "effects": effects,
+    "wer": word_errors, "faults": faults, "labels": labels,
 }
 COMMAND = {
     "simulator": "tests/bench/fidelity/run.py", "measured_room": "tests/bench/real/bras_cr2.py",
     "speed": "tests/bench/speed/run.py", "drawn_rooms": "tests/bench/real/drawn_rooms.py",
     "compensation": "./run.sh --measured RIRS --stop-stage 4 && tests/bench/compensation.py data",
-    "loop": "tests/bench/loop/run.py", "laboratories": "tests/bench/real/laboratories.py",
+    "loop": "tests/bench/loop/run.py", "loop_scale": "tests/bench/loop/scale.py",
+    "laboratories": "tests/bench/real/laboratories.py",
     "effects": "tests/bench/effects.py", "augmentation": "tests/bench/augment.py",
     "wer": "tests/bench/wer.sh", "faults": "tests/nightly/faults/attacks.sh",
     "many_rooms": "tests/bench/many_rooms.py", "labels": "tests/nightly/labels/label_errors.py",

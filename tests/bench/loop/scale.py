@@ -4,9 +4,9 @@
 e.g.: python tests/bench/loop/scale.py --out exp/bench                # 250, 500 and 1,000 RIRs: half an hour
       python tests/bench/loop/scale.py --out exp/bench --rooms 8,16   # a look
 
-The rooms lack a loudspeaker response and a noise floor (`tests/testbed`), so that the loop adds effects as it does on
-recordings. Each size is closed in a process of its own with `--nj` jobs; rooms are generated before the clock starts.
-Memory is that of all processes, shared pages counted once.
+The rooms hold an undeclared loudspeaker response and noise floor (`tests/testbed`), so that the loop adds effects as it
+does on recordings. Each size is closed in a process of its own with `--nj` jobs; rooms are generated before the clock
+starts. Memory is that of all processes, shared pages counted once.
 """
 
 import argparse
