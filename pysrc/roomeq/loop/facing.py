@@ -113,7 +113,7 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
     plain = index.predict(absorption, vectors, np.zeros(len(data.rows)), 0.0)
     used = (METRIC == "direct") & CALIBRATION_FEATURES
     direct = residual[:, used] - _colour(data, residual, BAND_OF_FEATURE[used])
-    sphere = np.gradient(-np.cos(ANGLES)) / 2.0
+    sphere = (np.gradient(-np.cos(ANGLES)) / 2.0).astype(np.float32)
     diffuse = [replace(table, angular=np.tile(sphere / sphere.sum(), (len(table.entries), 1))) for table in data.tables]
     of_angles = []
     for angle in _TEST_ANGLES:

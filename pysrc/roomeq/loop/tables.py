@@ -133,8 +133,10 @@ def collect(traced: TracedSource, mics_m: ArrayLike, facings: Sequence[FloatArra
         counts, angular = (whole[entries[:, 0], entries[:, 1]] for whole in (counts, angular))
         angular /= np.maximum(angular.sum(axis=1, keepdims=True), 1e-300)
         direct_angle = float(_angles((mic_m - source_pos_m)[None] / distance_m, facing)[0])
-        tables.append(Table(entries, counts / (4.0 * np.pi * len(paths.counts)), None if facing is None else angular,
-                            distance_m, bool(sees[m]), direct_angle))
+        counts /= 4.0 * np.pi * len(paths.counts)
+        tables.append(Table(entries.astype(np.int32), counts.astype(np.float32),
+                            None if facing is None else angular.astype(np.float32), distance_m, bool(sees[m]),
+                            direct_angle))
     return tables
 
 
