@@ -11,7 +11,7 @@ Features scatter by `sigma` from RIR to RIR and by `omega` from room to room; bo
 """
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -92,6 +92,11 @@ class Fit:
     normal: list[NormalEquations]
     derivatives: Derivatives
     gain_db: tuple[float, float, float, float]
+
+    def parameters(self) -> "Fit":
+        """Return a fit to start another one from, without `predicted`, `normal` and `derivatives`, which are large."""
+        return replace(self, predicted=np.empty((0, N_FEATURES)), normal=[],
+                       derivatives=Derivatives(np.empty((0, N_FEATURES, N_SURFACE)), {}))
 
 
 def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],

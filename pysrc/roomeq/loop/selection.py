@@ -247,7 +247,7 @@ class Candidate:
     ----------
     effect : type
     fit : Fit
-        Of the model with the effect.
+        Of the model with the effect: its parameters (`Fit.parameters`).
     gain : ndarray, shape (n_rooms,)
         Increase of the log density of each held-out room.
     size_jnd : float
@@ -330,13 +330,14 @@ def _candidate(session: Session, effect: type[Effect], before: list[HeldOutRoom]
     fitted = fit(data, session.correction, effects, initial=initial, known=session.fit.derivatives)
     after = leave_rooms_out(data, fitted)
     gain = np.array([b.log_density - a.log_density for a, b in zip(before, after, strict=True)])
-    return Candidate(effect, fitted, gain, effect_size_jnd(data, effect, fitted))
+    return Candidate(effect, fitted.parameters(), gain, effect_size_jnd(data, effect, fitted))
 
 
 def helps_beside(session: Session, other: Candidate, candidate: Candidate, n_candidates: int) -> bool:
     """Tell whether a candidate helps a model that has another candidate: whether it explains something else."""
-    model = replace(session, effects=other.fit.effects, fit=other.fit)
-    return _candidate(model, candidate.effect, leave_rooms_out(session.data, other.fit)).helps(n_candidates)
+    fitted = fit(session.data, session.correction, other.fit.effects, initial=other.fit, known=session.fit.derivatives)
+    model = replace(session, effects=fitted.effects, fit=fitted)
+    return _candidate(model, candidate.effect, leave_rooms_out(session.data, fitted)).helps(n_candidates)
 
 
 def _best_start(index: ParameterIndex, effect: type[Effect], probes: list[tuple[Fit, FloatArray]]) -> Fit:
