@@ -24,7 +24,7 @@ PEAK_LIMIT = 0.99
 FADE_SAMPLES = FS_HZ // 20
 """Cross-fade at the repetition of a noise that is shorter than the utterance: 50 ms."""
 BLOCK = 4096
-"""Length of the blocks of a signal and of the partitions of an RIR; FFTs are twice as long."""
+"""Samples in a block of a signal and in a partition of an RIR; FFTs are twice as long."""
 _N_ROWS = 8
 """Blocks of a result that are computed at a time: what they take stays in the processor's cache."""
 _N_SUMMED = 256
@@ -135,13 +135,14 @@ def _multiple_of_four(at_least: int) -> int:
 
 
 def mean_power(x: Array) -> float:
-    """Return the mean square of a signal: sums of few samples in float32, and theirs in float64.
+    """Return the mean square of a signal, 0 if it is empty: sums of few samples in float32, and theirs in float64.
 
     A dot product would depend on the number of BLAS threads in its last bits.
     """
     whole = len(x) // _N_SUMMED * _N_SUMMED
     rows, rest = x[:whole].reshape(-1, _N_SUMMED), x[whole:]
-    return float(np.einsum("ij,ij->i", rows, rows).sum(dtype=np.float64) + np.einsum("i,i->", rest, rest)) / len(x)
+    total = np.einsum("ij,ij->i", rows, rows).sum(dtype=np.float64) + np.einsum("i,i->", rest, rest)
+    return float(total) / max(1, len(x))
 
 
 def loop(noise: Array, offset: int, n_samples: int) -> Array:

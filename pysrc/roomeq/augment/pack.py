@@ -114,6 +114,7 @@ class RecordingFile:
 
     Attributes
     ----------
+    name : str
     n_samples : int
         Length so far.
     """

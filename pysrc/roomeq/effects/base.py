@@ -180,9 +180,10 @@ class Effect:
         return scene if air is scene.air else replace(scene, air=cast(Air, air))  # all that is read of an Air
 
     def on_paths(self, cos_angle: FloatArray) -> FloatArray | None:
-        """Return the energy gain of paths over the cosine of their angle of departure, shape (..., 8), or None for 1.
+        """Return the energy gain of paths over the cosine of their angle of departure, shape (..., 8).
 
-        The angle is that between a path's departure and the direction that the source faces.
+        The angle is that between a path's departure and the direction that the source faces. None, for a gain of 1, in
+        this class alone: an effect that overrides it acts on all paths.
         """
         return None
 

@@ -175,7 +175,8 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]) -
         winner, rivals = choose(pool, len(ranking))
         if winner is None:
             return None
-        after = refit_rendered(session.data, winner.fit, seed=session.seed, nj=session.nj, measured=session.effects)
+        after = refit_rendered(session.data, winner.fit, seed=session.seed, nj=session.nj,
+                               known_changes=session.effects)
         errors_after = heldout_errors(after)
         p = {split: p_lower(errors, errors_after, split) for split in SPLITS}
         if winner.effect.MEASURED:
@@ -213,7 +214,7 @@ def _eliminate(session: Session, errors: HeldOutErrors, newest: type[Effect]
         # the first trial, of one split and with the correction of the whole model, takes a third of the time
         if p_lower(heldout_errors(without, SPLITS[:1]), errors, SPLITS[0]) < LEVEL:
             continue
-        without = refit_rendered(session.data, fitted, seed=session.seed, nj=session.nj, measured=session.effects)
+        without = refit_rendered(session.data, fitted, seed=session.seed, nj=session.nj, known_changes=session.effects)
         errors_without = heldout_errors(without)
         if all(p_lower(errors_without, errors, split) >= LEVEL for split in SPLITS):
             superfluous.append(effect)

@@ -54,7 +54,7 @@ def normal_equations(index: ParameterIndex, r: int, residual: FloatArray, valid:
     ok = valid[members]
     error, slope = _huber_root(residual[members], ok, sigma, omega)
     last = max(len(columns), own.max() + 1)  # place of the residual
-    values = np.concatenate([np.where(ok, slope, 0.0)[:, :, None] * values, error[:, :, None]], axis=2)
+    values = np.concatenate([np.where(ok[:, :, None], slope[:, :, None] * values, 0.0), error[:, :, None]], axis=2)
     product = _whitened_product(values, np.pad(places, ((0, 0), (0, 1)), constant_values=last), ok, sigma, omega)
     n, n_shared = len(columns), index.n_shared
     own_shared, shared_shared = np.zeros((len(own), n_shared)), np.zeros((n_shared, n_shared))

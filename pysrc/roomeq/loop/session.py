@@ -65,14 +65,15 @@ def fit_base_model(data: Data, *, seed: int, nj: int) -> Session:
     return refit_rendered(data, fit(data, correction, ()), seed=seed, nj=nj)
 
 
-def refit_rendered(data: Data, fitted: Fit, *, seed: int, nj: int, measured: Sequence[type[Effect]] = ()) -> Session:
+def refit_rendered(data: Data, fitted: Fit, *, seed: int, nj: int,
+                   known_changes: Sequence[type[Effect]] = ()) -> Session:
     """Render a fitted model, and fit it again with the rendering correction.
 
-    What effects change when they are rendered is measured first, unless that of a smaller or larger model that has
-    them, `measured`, is known: other effects hardly change it.
+    What effects change when they are rendered is measured first, but for those of `known_changes`, of which another
+    model that has them has measured it: other effects hardly change it.
     """
     rendered = render_model(data, fitted, seed=seed, nj=nj)
-    data = measure_rendered_changes(rendered, [effect for effect in fitted.effects if effect not in measured])
+    data = measure_rendered_changes(rendered, [effect for effect in fitted.effects if effect not in known_changes])
     correction = rendering_correction(replace(rendered, data=data))
     first = fit(data, correction, fitted.effects, initial=fitted)
     of_surfaces = first.derivatives._replace(by_effect={})  # which are smoother than those of effects

@@ -102,7 +102,7 @@ def _sides_of_faces(faces: IntArray) -> tuple[IntArray, IntArray]:
 
 @compiled
 def _pairs(first: Array, first_of_edge: Array, second: Array, second_of_edge: Array, faces: Array, sides: Array,
-           sides_of_face: Array, point_m: Array) -> Numbers:
+           sides_of_face: Array, point_m: Array) -> tuple[Array, Array]:
     """Return all paths (see `find_double_paths`), and the squares of the distances between their pieces [m2]."""
     count = 0
     for fills in (False, True):
@@ -270,7 +270,7 @@ def _deposit(fine: Array, first: Number, paths: Array, edge: Array, low: Array, 
                                                             nu_1, nu_2)
                 position = (length_m * to_samples - first) * oversampling
                 index = int(position)
-                if index + 1 < fine.shape[1]:
+                if 0 <= index and index + 1 < fine.shape[1]:
                     before, after = 0.5 * pressure * (1.0 - position + index), 0.5 * pressure * (position - index)
                     fine[0, index] += before
                     fine[0, index + 1] += after

@@ -97,7 +97,8 @@ def meet_boxes(typing: Any, box: Array, sides: Numbers, origin: Numbers, per_m: 
             low = builder.add(sides[axis], ir.Constant(sides[axis].type, 2 * axis))
             high = builder.sub(ir.Constant(sides[axis].type, 2 * axis + 1), sides[axis])
             first, last = (builder.fmul(builder.fsub(lanes.load(row(side)), at), scale) for side in (low, high))
-            enters, leaves = lanes.most(first, enters), lanes.least(last, leaves)
+            # in this order, a ray of which a number is missing meets nothing
+            enters, leaves = lanes.most(first, enters), lanes.least(leaves, last)
         lanes.store(enters, near)
         return lanes.bits(builder.fcmp_ordered("<=", enters, leaves))
 

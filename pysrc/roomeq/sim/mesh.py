@@ -91,7 +91,7 @@ class MeshRoom:
         if not self.convex or len(wall) > len(mirrors) or len(wall) > _MAX_WALLS:
             return None
         low, high = self.bounds_m
-        return Walls(mirrors[:, :3], mirrors[:, 3], wall[:, 1], high - low)
+        return Walls(mirrors[:, :3].copy(), mirrors[:, 3].copy(), wall[:, 1], high - low)
 
     @property
     def face_area_m2(self) -> FloatArray:
@@ -114,7 +114,8 @@ class MeshRoom:
     def first_hits(self, origins: FloatArray, directions: FloatArray) -> tuple[IntArray, FloatArray]:
         """Return the first face that each ray hits, -1 for none, and the distance [m] to it.
 
-        A ray that hits the back of a face began outside the air: it hits none.
+        A ray that hits the back of a face began outside the air: it hits none, and the distance is that to the
+        back.
         """
         face, distance = first_hits(self.tree, origins, directions)
         approach = np.einsum("ij,ij->i", self.normals[face], directions)

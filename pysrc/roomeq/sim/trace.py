@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from roomeq.core.arrays import Array, FloatArray, IntArray, Number, Numbers
 from roomeq.core.jit import compiled, for_chunks, inlined, mix, uniform
 from roomeq.sim.room import Room
-from roomeq.sim.tree import FRONTS, Tree, first_hit, memory
+from roomeq.sim.tree import BEHIND_M, FRONTS, Tree, first_hit, memory
 
 if TYPE_CHECKING:
     from roomeq.sim.mesh import MeshRoom
@@ -29,7 +29,6 @@ LATE_RAYS = 5000
 """Rays that remain in a diffuse field once reflections are dense, if there are so many."""
 MAX_SHARE = 4.0
 """Largest energy of a late ray that has lost as much as a diffuse field, in units of that of an early one."""
-_BEHIND_M = 1e-9  # by which rounding may put a ray behind a wall
 _LATE_RATE_HZ = 16000.0
 _FAIR_BITS = 8  # of the number of a ray
 _LOG_2 = float(np.log(2.0))
@@ -214,8 +213,8 @@ def _trace_rays(room: Room, mean_free_path_m: float, known: _Known, source: Floa
 
     def trace_chunk(chunk: int, low: int, high: int) -> tuple[Array, Array, int]:
         # more than a specular ray can meet in a box; elsewhere, if more are met, there is another attempt
-        in_box = walls is not None and walls.box is not None
-        per_m = np.sqrt(np.sum(1.0 / walls.size_m ** 2)) if walls is not None and in_box else 1.0 / mean_free_path_m
+        box = None if walls is None else walls.box
+        per_m = 1.0 / mean_free_path_m if box is None else np.sqrt(np.sum(1.0 / (box[1] - box[0]) ** 2))
         capacity = int(1.2 * end_m * per_m) + 40
         while True:
             hits = np.empty(((high - low) * capacity, 4), np.float32)
@@ -225,8 +224,8 @@ def _trace_rays(room: Room, mean_free_path_m: float, known: _Known, source: Floa
                 mesh = cast("MeshRoom", room)
                 n_stored, n_leaked = _trace_faces(mesh.tree, mesh.normals, mesh.offsets, known, *how, hits, codes,
                                                   counts)
-            elif walls.box is not None:
-                low_m, high_m, wall_of_side = walls.box
+            elif box is not None:
+                low_m, high_m, wall_of_side = box
                 n_stored, n_leaked = _trace_box(low_m, high_m, wall_of_side, *how, capacity, hits, codes, counts), 0
             else:
                 n_stored, n_leaked = _trace_planes(walls.normals, walls.offsets, *how, hits, codes, counts)
@@ -390,7 +389,7 @@ def _trace_planes(normals: Array, offsets: Array, source: Array, directions: Arr
             for face in range(n_faces):
                 approach[face] = -(normal_x[face] * u + normal_y[face] * v + normal_z[face] * w)
             for face in range(n_faces):
-                in_front = approach[face] > 1e-12 and height[face] > -_BEHIND_M
+                in_front = approach[face] > FRONTS and height[face] > -BEHIND_M
                 reach[face] = height[face] / approach[face] if in_front else np.inf
             ahead = _nearest(reach)
             if reach[ahead] == np.inf:  # along a wall to within rounding

@@ -22,7 +22,7 @@ _EDGE_M = 1e-6  # by which faces overlap, so that no ray passes between two of t
 _TOUCH_M = 1e-4  # from its end, where a line may touch a face
 _WIDER = 2e-6  # by which boxes are wider, of the largest coordinate: single precision rounds to a thirtieth of that
 _FLAT_M = 1e-9  # by which the corners of a quadrangle may differ from one plane
-_BEHIND_M = 1e-9  # by which rounding may put a ray behind a face
+BEHIND_M = 1e-9  # by which rounding may put a ray behind a face
 FRONTS = 1e-12
 """Least approach of a ray to a face that it meets: only its front counts."""
 BOTH_SIDES = -np.inf
@@ -265,7 +265,7 @@ def first_hit(tree: Tree, search: Search, origin: Numbers, way: Numbers, least_a
         if search.distance[top] > most:
             continue
         if child < 0:
-            met = meet_faces(tree.planes[-1 - child], origin, way, least_approach, _BEHIND_M, search.reach)
+            met = meet_faces(tree.planes[-1 - child], origin, way, least_approach, BEHIND_M, search.reach)
             while met:
                 n = lowest(met)
                 met &= met - 1

@@ -23,11 +23,10 @@ def run(quick):
             continue
         source = (5.2, 1.1, 1.4) if name.startswith("L") else SOURCE
         rays = _scattered_rays(scene.room, source, n_rays)
-        threads = os.environ.pop("NUMBA_NUM_THREADS", None)
+        threads = os.environ["NUMBA_NUM_THREADS"]
         os.environ["NUMBA_NUM_THREADS"] = "1"
         own = n_rays / _best(lambda: ours.closest_hits(scene.room, *rays))  # noqa: B023
-        if threads is not None:
-            os.environ["NUMBA_NUM_THREADS"] = threads
+        os.environ["NUMBA_NUM_THREADS"] = threads
         bare = _embree_rate(scene.room, *rays)
         seconds, _, _ = repeated(lambda n: ours.traced(scene, source, seed=n), 3)  # noqa: B023
         reflections = ours.reflections(ours.traced(scene, source, seed=1))

@@ -65,6 +65,16 @@ def test_first_hits_are_those_of_embree(name):
     assert np.mean(np.abs(room.normals[embree["primID"]] - room.normals[face]).max(axis=1) < 1e-6) > 0.998
 
 
+@pytest.mark.parametrize("missing", [np.nan, np.inf])
+def test_rays_with_missing_numbers_hit_nothing(missing):
+    room, inside = make_room(*rooms()["L"]), np.array([[1.0, 1.0, 1.0]])
+    for origin, way in ((np.full((1, 3), missing), [[0.0, 0.0, 1.0]]), (inside, np.full((1, 3), missing))):
+        assert room.first_hits(np.asarray(origin), np.asarray(way))[0][0] == -1
+    assert room.sees(inside, np.full((1, 3), missing)).shape == (1,)
+    with pytest.raises(ValueError, match="must lie inside"):
+        room.require_inside("mic_pos_m", [missing] * 3)
+
+
 def test_first_hits_are_the_nearest_of_all_triangles(room):
     origins = points_in_air(room, 800)
     ways = np.random.default_rng(1).standard_normal(origins.shape)
