@@ -27,7 +27,7 @@ from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, Derivatives, ParameterInd
 from roomeq.loop.predict import N_BANDS
 
 ITERATIONS = 5
-CONVERGED = 0.5  # a step that lowers twice the negative log posterior density by less is the last
+CONVERGED = 0.05  # a step that lowers twice the negative log posterior density by less is the last
 START_X = float(np.log(0.2))
 """Initial absorption ``x`` of all bands."""
 STEP_FRACTIONS = (1.0, 0.5, 0.2, 0.05)  # of a step, tried in this order
