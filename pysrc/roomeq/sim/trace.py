@@ -288,6 +288,26 @@ def _play_roulette(roulette: Roulette, ray: Number, stream: Number, n: Number, l
 
 
 @inlined
+def _store(hits: Array, codes: Array, stored: Number, position: Numbers, length: Number, face: Number, diffuse: Number,
+           end_m: Number, roulette: Roulette, ray: Number, stream: Number, n: Number, log_energy: Number,
+           plays: Number) -> Numbers:
+    """Store reflection `n` of a ray, and let it play Russian roulette.
+
+    Returns
+    -------
+    ends : bool
+    log_energy, plays
+        As of `_play_roulette`.
+    """
+    hit = hits[stored]
+    hit[0], hit[1], hit[2], hit[3] = position[0], position[1], position[2], length
+    represents_two, ends, log_energy, plays = _play_roulette(
+        roulette, ray, stream, n, length, log_energy + roulette.log_reflected[face], plays)
+    codes[stored] = 4 * face + 2 * represents_two + diffuse
+    return ends or length > end_m, log_energy, plays
+
+
+@inlined
 def _to_wall(position: Number, way: Number, low: Number, high: Number) -> Numbers:
     """Return the distances along a ray [m] to the wall ahead, and from one wall to the other, along one axis."""
     per_m = 1.0 / max(abs(way), 1e-30)
@@ -339,13 +359,8 @@ def _trace_box(low_m: Array, high_m: Array, face_of_side: Array, source: Array, 
                     y, v, to_y = y1 if up else y0, -v, across_y
                 else:
                     z, w, to_z = z1 if up else z0, -w, across_z
-            hit = hits[stored]
-            hit[0], hit[1], hit[2], hit[3] = x, y, z, length
-            log_energy += roulette.log_reflected[face]
-            represents_two, ends, log_energy, plays = _play_roulette(
-                roulette, ray, stream, n, length, log_energy, plays)
-            codes[stored] = 4 * face + 2 * represents_two + diffuse
-            ends = ends or length > end_m
+            ends, log_energy, plays = _store(hits, codes, stored, (x, y, z), length, face, diffuse, end_m,
+                                             roulette, ray, stream, n, log_energy, plays)
             stored += 1
             n += 1
         counts[ray] = n
@@ -401,12 +416,8 @@ def _trace_planes(normals: Array, offsets: Array, source: Array, directions: Arr
                 height[face] -= distance * approach[face]
             height[ahead] = 0.0
             diffuse = reflect(normals, ahead, scattering[ahead], stream, n, way)
-            hits[stored, 0], hits[stored, 1], hits[stored, 2], hits[stored, 3] = x, y, z, length
-            log_energy += roulette.log_reflected[ahead]
-            represents_two, ends, log_energy, plays = _play_roulette(
-                roulette, ray, stream, n, length, log_energy, plays)
-            codes[stored] = 4 * ahead + 2 * represents_two + diffuse
-            ends = ends or length > end_m
+            ends, log_energy, plays = _store(hits, codes, stored, (x, y, z), length, ahead, diffuse, end_m,
+                                             roulette, ray, stream, n, log_energy, plays)
             stored += 1
             n += 1
         counts[ray] = n
@@ -443,13 +454,8 @@ def _trace_faces(tree: Tree, normals: Array, offsets: Array, known: _Known, sour
             diffuse = reflect(normals, face, scattering[face], stream, n, way)
             if n < n_known and diffuse != (known.codes[known.first[ray] + n] & 1 == 1):
                 n_known = 0  # here the ways part
-            hit = hits[stored]
-            hit[0], hit[1], hit[2], hit[3] = x, y, z, length
-            log_energy += float(roulette.log_reflected[face])
-            represents_two, ends, log_energy, plays = _play_roulette(
-                roulette, ray, stream, n, length, log_energy, plays)
-            codes[stored] = 4 * face + 2 * represents_two + diffuse
-            ends = ends or length > end_m
+            ends, log_energy, plays = _store(hits, codes, stored, (x, y, z), length, face, diffuse, end_m,
+                                             roulette, ray, stream, n, log_energy, plays)
             stored += 1
             n += 1
         counts[ray] = n
