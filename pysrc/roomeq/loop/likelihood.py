@@ -70,7 +70,7 @@ def normal_equations(index: ParameterIndex, r: int, residual: FloatArray, valid:
 
 def _whitened_product(values: FloatArray, places: IntArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray
                       ) -> FloatArray:
-    """Return ``white.T @ white`` of a room, `white` being what `_whiten` makes of a matrix.
+    """Return ``white.T @ white`` of a room, where `_whiten` makes each column of `white` from that of a matrix.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def _whitened_product(values: FloatArray, places: IntArray, valid: BoolArray, si
 def misfit(residual: FloatArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray) -> float:
     """Return the sum of squares of a room's whitened residual; large residuals count linearly (Huber)."""
     root, _ = _huber_root(residual, valid, sigma, omega)
-    return float(np.sum(_whiten(root[:, :, None], valid, sigma, omega) ** 2))
+    return float(np.sum(_whiten(root, valid, sigma, omega) ** 2))
 
 
 def _huber_root(residual: FloatArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray
@@ -114,13 +114,13 @@ def _huber_root(residual: FloatArray, valid: BoolArray, sigma: FloatArray, omega
     return np.where(valid, np.sign(residual) * root, 0.0), np.where(size < limit, 1.0, limit / np.maximum(root, 1e-9))
 
 
-def _whiten(columns: FloatArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray) -> FloatArray:
-    """Scale a room's features to independence and unit scatter, shape (n_rirs, n_features, n); invalid ones to 0."""
+def _whiten(values: FloatArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray) -> FloatArray:
+    """Scale a room's features to independence and unit scatter, shape (n_rirs, n_features); invalid ones to 0."""
     count = valid.sum(axis=0)
-    columns = np.where(valid[:, :, None], columns, 0.0)
-    mean = columns.sum(axis=0) / np.maximum(count, 1)[:, None]
+    values = np.where(valid, values, 0.0)
+    mean = values.sum(axis=0) / np.maximum(count, 1)
     part = 1.0 - sigma / np.sqrt(sigma ** 2 + count * omega ** 2)
-    return np.where(valid[:, :, None], columns - part[:, None] * mean, 0.0) / sigma[:, None]
+    return np.where(valid, values - part * mean, 0.0) / sigma
 
 
 def scatter(data: Data, residual: FloatArray, valid: BoolArray) -> tuple[FloatArray, FloatArray]:
