@@ -37,17 +37,12 @@ done
   cat <<'EOF'
 PATH=$PWD/utils:$PWD:$KALDI_ROOT/tools/openfst/bin:$PATH
 for folder in "$KALDI_ROOT"/src/*bin; do PATH=$folder:$PATH; done
-export PATH=$ROOMEQ_DIR/.venv/bin:$PATH # first: Kaldi's tools may link to another Python
+export PATH=$PWD/bin:$ROOMEQ_DIR/.venv/bin:$PATH # ahead of Kaldi's tools, which may link to another Python
 EOF
 } >"$workspace/path.sh"
 printf 'export train_cmd=%q decode_cmd=%q\n' "$runner" "$runner" >"$workspace/cmd.sh"
 
-missing=()
-for tool in flac sox perl python3 gzip fstcompile compute-mfcc-feats gmm-est-fmllr nnet3-chain-train \
-  nnet3-latgen-faster lattice-lmrescore-const-arpa online2-wav-nnet3-latgen-faster arpa2fst compute-wer-bootci; do
-  (cd "$workspace" && . ./path.sh && command -v "$tool" >/dev/null) || missing+=("$tool")
-done
-[ ${#missing[@]} = 0 ] || die "not found: ${missing[*]}: install them, or compile Kaldi in $root/src"
+local/kaldi/check_kaldi.sh "$workspace"
 
 for data; do
   require "$data/wav.scp" "stages 0-6"
