@@ -68,6 +68,7 @@ rows=                     # training sets to compare, e.g. "sim.rvb sim.loop.rvb
 stock_rvb=false           # add a training set made by Kaldi's reverberate_data_dir.py with the same simulated RIRs
 speed_perturb=false       # speed-perturb the training sets by 0.9, 1.0 and 1.1
 ivectors=false            # add i-vectors to the TDNN's features
+online_cmvn=true          # subtract the mean of the TDNN's features so far
 use_gpu=false             # train the TDNN on GPUs
 chain_opts="--config conf/chain_small.conf"           # options of train_chain.sh
 decode_opts="--beam 11 --max-active 2000 --lattice-beam 6"   # options of decode.sh
@@ -173,8 +174,8 @@ if [ "$stop_stage" -ge 8 ]; then
   local/kaldi/train_and_test.sh --stage "$stage" --stop-stage "$stop_stage" --nj "$nj" --seed "$seed" \
     --dry-run "$dry_run" --librispeech "$librispeech" --lm-text "$lm_text" --align-on "$align_on" \
     --gmm-passes "$gmm_passes" --num-leaves "$num_leaves" --rows "$rows" --stock-rvb "$stock_rvb" \
-    --speed-perturb "$speed_perturb" --ivectors "$ivectors" --use-gpu "$use_gpu" --chain-opts "$chain_opts" \
-    --decode-opts "$decode_opts" "$data" "$exp"
+    --speed-perturb "$speed_perturb" --online-cmvn "$online_cmvn" --ivectors "$ivectors" --use-gpu "$use_gpu" \
+    --chain-opts "$chain_opts" --decode-opts "$decode_opts" "$data" "$exp"
 fi
 [ "$dry_run" = false ] || exit 0
 

@@ -7,6 +7,7 @@ set -euo pipefail
 nj=2                  # jobs
 hires=false           # high-resolution features
 train=false           # vary the level, as Kaldi's recipes do for training sets
+by_utterance=false    # with --hires: each utterance is a speaker of its own, so that CMVN does not mix rooms
 speed_perturb=false   # perturb the speed: 0.9, 1.0 and 1.1
 dry_run=false         # print the commands
 . ./path.sh
@@ -21,7 +22,9 @@ if [ "$speed_perturb" = true ]; then
   made=$set.sp
 fi
 if [ "$hires" = true ]; then
-  once "$set/features/copy" utils/copy_data_dir.sh "data/$made" "data/$set.hires"
+  copy=(utils/copy_data_dir.sh)
+  [ "$by_utterance" = false ] || copy=(utils/data/modify_speaker_info.sh --utts-per-spk-max 1)
+  once "$set/features/copy" "${copy[@]}" "data/$made" "data/$set.hires"
   made=$set.hires config=conf/mfcc_hires.conf
   [ "$train" = false ] || once "$set/features/volume" utils/data/perturb_data_dir_volume.sh "data/$made"
 fi

@@ -17,6 +17,7 @@ num_leaves=400        # leaves of the TDNN's phonetic decision tree
 rows=                 # training sets to compare, e.g. "clean sim.rvb"; default: all
 stock_rvb=false       # add a training set made by Kaldi's reverberate_data_dir.py with the same simulated RIRs
 speed_perturb=false   # speed-perturb the training sets by 0.9, 1.0 and 1.1
+online_cmvn=true      # subtract the mean of the TDNN's features so far
 ivectors=false        # add i-vectors to the TDNN's features
 use_gpu=false         # train the TDNN on GPUs
 chain_opts="--config conf/chain_small.conf"                  # options of train_chain.sh
@@ -71,15 +72,17 @@ if at_stage 9 "Kaldi: TDNN with LF-MMI"; then
       "$workspace" "$x"
   done
   for x in test.real.rvb "${kinds[@]/#/dev.}"; do
+  hires=(local/kaldi/make_features.sh "${common[@]}" --hires true --by-utterance "$online_cmvn")
     local/kaldi/make_features.sh "${common[@]}" --hires true "$workspace" "$x"
   done
   for x in "${kinds[@]}"; do
     local/kaldi/make_features.sh "${common[@]}" --hires true --train true --speed-perturb "$speed_perturb" \
       "$workspace" "train.$x"
     [ "$ivectors" = false ] ||
-      local/kaldi/train_ivectors.sh "${common[@]}" "$workspace" "train.$x" "dev.$x" test.real.rvb
-    local/kaldi/train_chain.sh "${common[@]}" --use-gpu "$use_gpu" --ivectors "$ivectors" --seed "$seed" \
-      "${chain_opts[@]}" "$workspace" "train.$x" "$(alignments_of "$x")"
+      local/kaldi/train_ivectors.sh "${common[@]}" --online-cmvn "$online_cmvn" "$workspace" "train.$x" "dev.$x" \
+        test.real.rvb
+    local/kaldi/train_chain.sh "${common[@]}" --use-gpu "$use_gpu" --ivectors "$ivectors" \
+      --online-cmvn "$online_cmvn" --seed "$seed" "${chain_opts[@]}" "$workspace" "train.$x" "$(alignments_of "$x")"
   done
 fi
 

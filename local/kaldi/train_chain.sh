@@ -7,6 +7,7 @@ set -euo pipefail
 nj=2                      # jobs that make the examples
 use_gpu=true              # train on GPUs; false: on processors
 ivectors=true             # add i-vectors to the features
+online_cmvn=false         # subtract the mean of the features so far, as mini_librispeech's run_tdnn_1k.sh does
 layers=16                 # TDNN-F layers
 dim=1536                  # of a layer
 bottleneck=160            # of a layer
@@ -62,11 +63,14 @@ fi
 once "$set/nnet/configs" steps/nnet3/xconfig_to_configs.py --xconfig-file "$set/configs/network.xconfig" \
   --config-dir "$set/configs"
 
+cmvn="--norm-means=false --norm-vars=false"
+[ "$online_cmvn" = false ] || cmvn="--config=conf/online_cmvn.conf"
 train=(steps/nnet3/chain/train.py --cmd "$runner" --use-gpu "$([ "$use_gpu" = true ] && echo wait || echo no)"
-  --feat.cmvn-opts "--norm-means=false --norm-vars=false"
+  --feat.cmvn-opts "$cmvn"
   --chain.xent-regularize 0.1 --chain.leaky-hmm-coefficient 0.1 --chain.l2-regularize 0.0
   --chain.apply-deriv-weights false --chain.lm-opts="--num-extra-lm-states=2000"
-  --egs.opts "--frames-overlap-per-eg 0 --constrained false --num-utts-subset $held_out" --egs.nj "$nj"
+  --egs.opts "--frames-overlap-per-eg 0 --constrained false --online-cmvn $online_cmvn --num-utts-subset $held_out"
+  --egs.nj "$nj"
   --egs.chunk-width "$chunk_width"
   --trainer.dropout-schedule "0,0@0.20,0.5@0.50,0" --trainer.add-option="--optimization.memory-compression-level=2"
   --trainer.srand "$seed" --trainer.num-chunk-per-minibatch "$minibatch" --trainer.frames-per-iter "$frames_per_iter"

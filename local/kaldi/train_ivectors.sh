@@ -4,6 +4,7 @@
 # e.g.:  local/kaldi/train_ivectors.sh --nj 30 exp/kaldi train.sim.rvb dev.real.rvb test.real.rvb
 set -euo pipefail
 nj=2                  # jobs
+online_cmvn=false     # subtract the mean of the features so far, as in train_chain.sh
 min_utterances=2000   # for UBM and extractor, at least; of large sets a hundredth and a fifth
 dry_run=false         # print the commands
 . ./path.sh
@@ -24,7 +25,7 @@ once "$set/ivectors/pca" steps/online/nnet2/get_pca_transform.sh --cmd "$runner"
 once "$set/ivectors/ubm" steps/online/nnet2/train_diag_ubm.sh --cmd "$runner" --nj "$nj" --num-frames 700000 \
   --num-threads 2 "$data.ubm" 512 "$dir/pca" "$dir/ubm"
 once "$set/ivectors/extractor" steps/online/nnet2/train_ivector_extractor.sh --cmd "$runner" --nj "$nj" \
-  --num-threads 1 --num-processes 1 "$data.ivectors" "$dir/ubm" "$dir/extractor"
+  --num-threads 1 --num-processes 1 --online-cmvn-iextractor "$online_cmvn" "$data.ivectors" "$dir/ubm" "$dir/extractor"
 once "$set/ivectors/max2" utils/data/modify_speaker_info.sh --utts-per-spk-max 2 "$data" "$data.max2"
 once "$set/ivectors/train" steps/online/nnet2/extract_ivectors_online.sh --cmd "$runner" --nj "$nj" \
   "$data.max2" "$dir/extractor" "$dir/$set"
