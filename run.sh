@@ -41,6 +41,7 @@ split_sizes=773,194,242   # number of RIRs for train, dev, test; scaled down if 
 # stages 2-4: simulation, equalisation, compensation
 t60_range=0.2,2.0         # range of T60 of the simulated RIRs [s]; measured: the range of the measured rooms
 rooms=                    # simulate in so many randomly drawn rooms, and a tenth of it for dev, not in measured ones
+free_rooms=               # make a further training set sim.free: RIRs of so many drawn rooms, without any measurement
 room_types=               # what they are drawn from: TOML file, or names in conf/room_types.toml; default: all of these
 num_rays=10000            # rays per source
 order=200                 # least number of reflections per ray
@@ -67,8 +68,8 @@ num_leaves=400            # leaves of the TDNN's phonetic decision tree
 rows=                     # training sets to compare, e.g. "sim.rvb sim.loop.rvb"; default: all
 stock_rvb=false           # add a training set made by Kaldi's reverberate_data_dir.py with the same simulated RIRs
 speed_perturb=false       # speed-perturb the training sets by 0.9, 1.0 and 1.1
-ivectors=false            # add i-vectors to the TDNN's features
 online_cmvn=true          # subtract the mean of the TDNN's features so far
+ivectors=false            # add i-vectors to the TDNN's features
 use_gpu=false             # train the TDNN on GPUs
 chain_opts="--config conf/chain_small.conf"           # options of train_chain.sh
 decode_opts="--beam 11 --max-active 2000 --lattice-beam 6"   # options of decode.sh
@@ -108,9 +109,9 @@ if at_stage 1 "characterise and split the measured RIRs"; then
     ${dev_rirs:+--dev-rirs "$data/rirs.dev"} ${test_rirs:+--test-rirs "$data/rirs.test"} "$data/rirs.real"
 fi
 
-simulate() { # NAME [OPTION...]: make data/rirs.NAME.train and data/rirs.NAME.dev
-  local name=$1 x
-  local step=(steps/simulate_rirs.sh --nj "$nj" --num-rays "$num_rays" --order "$order" --seed "$seed" "${@:2}")
+simulate() { # NAME ROOMS [OPTION...]: make data/rirs.NAME.train and data/rirs.NAME.dev, in drawn ROOMS if there are any
+  local name=$1 rooms=$2 x
+  local step=(steps/simulate_rirs.sh --nj "$nj" --num-rays "$num_rays" --order "$order" --seed "$seed" "${@:3}")
   if [ -n "$rooms" ]; then # T60 as the room types say
     step+=(--room-types "$room_types")
     "${step[@]}" --rooms "$rooms" "$data/rirs.$name.train"
@@ -122,7 +123,8 @@ simulate() { # NAME [OPTION...]: make data/rirs.NAME.train and data/rirs.NAME.de
   fi
 }
 if at_stage 2 "simulate RIRs"; then
-  simulate sim
+  simulate sim "$rooms"
+  [ -z "$free_rooms" ] || simulate sim.free "$free_rooms"
 fi
 
 if at_stage 3 "fit the distribution of measured sub-band EQs"; then
@@ -143,7 +145,7 @@ if at_stage 5 "close the loop: find the effects that the simulation lacks, and s
   if [ -f "$exp/rooms/enough" ]; then
     steps/close_loop.sh --nj "$nj" --max-effects "$max_effects" --seed "$seed" \
       "$data/rirs.real.train" "$data/rirs.real.dev" "$exp/loop"
-    simulate sim.loop --model "$exp/loop/model.json"
+    simulate sim.loop "$rooms" --model "$exp/loop/model.json"
   fi
 fi
 
@@ -151,6 +153,7 @@ if at_stage 6 "make far-field speech"; then
   kinds=(real sim sim.EQ)
   local/enough_rooms.py "$data/rirs.real.train" "$exp/rooms" >/dev/null
   [ ! -f "$exp/rooms/enough" ] || kinds+=(sim.loop)
+  [ -z "$free_rooms" ] || kinds+=(sim.free)
   unchecked=() # clean speech of which no far-field speech was made yet; it is checked as Kaldi does, with its audio
   for x in train dev test; do
     require "$data/$x.clean/wav.scp" steps/prepare_speech.sh

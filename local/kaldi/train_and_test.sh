@@ -33,6 +33,7 @@ read -ra decode_opts <<<"$decode_opts"
 kinds=(clean real.rvb sim.rvb sim.EQ.rvb) # each has a dev set of its own kind, as in the paper; the test set is common
 [ "$dry_run" = true ] || local/enough_rooms.py "$data/rirs.real.train" "$exp/rooms" >/dev/null
 if [ "$dry_run" = true ] || [ -f "$exp/rooms/enough" ]; then kinds+=(sim.loop.rvb); fi
+[ ! -d "$data/train.sim.free.rvb" ] || kinds+=(sim.free.rvb)
 copied=("$data/test.real.rvb" "${kinds[@]/#/$data/train.}" "${kinds[@]/#/$data/dev.}")
 [ "$stock_rvb" = false ] || kinds+=(sim.stock.rvb)
 for x in $rows; do
@@ -71,13 +72,12 @@ if at_stage 9 "Kaldi: TDNN with LF-MMI"; then
     local/kaldi/align_chain.sh "${common[@]}" --num-leaves "$num_leaves" --speed-perturb "$speed_perturb" \
       "$workspace" "$x"
   done
-  for x in test.real.rvb "${kinds[@]/#/dev.}"; do
   hires=(local/kaldi/make_features.sh "${common[@]}" --hires true --by-utterance "$online_cmvn")
-    local/kaldi/make_features.sh "${common[@]}" --hires true "$workspace" "$x"
+  for x in test.real.rvb "${kinds[@]/#/dev.}"; do
+    "${hires[@]}" "$workspace" "$x"
   done
   for x in "${kinds[@]}"; do
-    local/kaldi/make_features.sh "${common[@]}" --hires true --train true --speed-perturb "$speed_perturb" \
-      "$workspace" "train.$x"
+    "${hires[@]}" --train true --speed-perturb "$speed_perturb" "$workspace" "train.$x"
     [ "$ivectors" = false ] ||
       local/kaldi/train_ivectors.sh "${common[@]}" --online-cmvn "$online_cmvn" "$workspace" "train.$x" "dev.$x" \
         test.real.rvb
@@ -94,7 +94,7 @@ if at_stage 10 "Kaldi: decode; word error rates"; then
   done
   if [ "$dry_run" = false ]; then
     rirs=() # all that a set was made with
-    for x in "$data"/rirs.real "$data"/rirs.real.{dev,test} "$data"/rirs.{sim,sim.EQ,sim.loop}.dev; do
+    for x in "$data"/rirs.real "$data"/rirs.real.{dev,test} "$data"/rirs.{sim,sim.EQ,sim.loop,sim.free}.dev; do
       [ ! -d "$x" ] || rirs+=(--rirs "$x")
     done
     roomeq wer "${rirs[@]}" "$workspace" "$exp/wer"

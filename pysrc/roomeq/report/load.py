@@ -18,7 +18,8 @@ Context = dict[str, Any]
 
 STAGES = (("rirs.real", 1, "characterise and split-rirs"), ("rirs.sim.EQ", 4, "compensate"),
           ("rirs.sim.loop", 5, "simulate --model"), ("loop", 5, "close-loop"), ("wer", 10, "wer"),
-          ("rirs.sim", 2, "simulate"), ("eq", 3, "fit-eq"), ("measured", 0, "read-measured"))
+          ("rirs.sim.free", 2, "simulate --rooms"), ("rirs.sim", 2, "simulate"), ("eq", 3, "fit-eq"),
+          ("measured", 0, "read-measured"))
 """Prefix of a directory's name, the stage that writes it and its verb."""
 
 IN_EXP = ("eq", "loop", "wer")

@@ -39,7 +39,8 @@ PAPER_SETS = ("train.real", "dev.real", "test.real", "train.sim", "dev.sim", "tr
 """Data sets of the paper's Table 1, without ``.rvb``."""
 
 LOOP_SETS = ("train.sim.loop", "dev.sim.loop")
-"""Data sets of the closed loop, which a run may lack."""
+FREE_SETS = ("train.sim.free", "dev.sim.free")
+"""Data sets of the closed loop and of drawn rooms, which a run may lack."""
 
 TABLE_BANDS = (0, 1, 6)
 """EQ points in the table of acoustic parameters: 62.5 Hz, 125 Hz and 4 kHz."""
@@ -48,7 +49,7 @@ TABLE_BANDS = (0, 1, 6)
 def datasets(run: Run) -> Context:
     """Return the paper's Table 1 with the counts of this run."""
     rows, missing = [], []
-    for name in [*PAPER_SETS, *(name for name in LOOP_SETS if run.has(f"{name}.rvb"))]:
+    for name in [*PAPER_SETS, *(name for name in LOOP_SETS + FREE_SETS if run.has(f"{name}.rvb"))]:
         directory = f"{name}.rvb"
         if not run.has(directory):
             missing.append(f"data/{directory}")
@@ -224,6 +225,6 @@ def facts(run: Run) -> Context:
         values |= {"n_measured": len(rows), "n_rooms": len({row["room_id"] for row in rows})}
     if simulated := [len(run.rirs(f"rirs.sim.{split}")) for split in SETS if run.has(f"rirs.sim.{split}")]:
         values["n_simulated"] = sum(simulated)
-    if sizes := [size(run, f"{name}.rvb") for name in (*PAPER_SETS, *LOOP_SETS) if run.has(f"{name}.rvb")]:
+    if sizes := [size(run, f"{name}.rvb") for name in (*PAPER_SETS, *LOOP_SETS, *FREE_SETS) if run.has(f"{name}.rvb")]:
         values |= {"hours": sum(hours for hours, _ in sizes), "n_sets": len(sizes)}
     return values

@@ -21,9 +21,11 @@ from roomeq.wer.scoring import (
     scoring_dir,
 )
 
-ROWS = ("train.clean", "train.real.rvb", "train.sim.rvb", "train.sim.EQ.rvb", "train.sim.loop.rvb")
+ROWS = ("train.clean", "train.real.rvb", "train.sim.free.rvb", "train.sim.rvb", "train.sim.EQ.rvb",
+        "train.sim.loop.rvb")
 COLUMNS = ("fglarge", "tglarge", "tgmed", "tgsmall", "online")
-"""Rows (training data) and columns (language models) of the paper's Table 2, in its order; others follow."""
+"""Rows (training data) and columns (language models) of the paper's Table 2, and the rows of drawn rooms and of the
+closed loop; others follow."""
 TEST, DEV = "test.real.rvb", "dev.real.rvb"
 BASE, ORACLE, CLEAN = "train.sim.rvb", "train.real.rvb", "train.clean"
 
