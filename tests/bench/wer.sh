@@ -1,10 +1,13 @@
 #!/usr/bin/env bash
 # Word error rates over several seeds: rooms, speech and their split stay, all that is drawn later is drawn again.
-# Usage: KALDI_ROOT=DIR tests/bench/wer.sh [--seeds "0 1 2 3 4"] <out-dir> [-- options of run.sh]
+# Usage: KALDI_ROOT=DIR tests/bench/wer.sh [--seeds "0 1 2 3 4"] [--rows-without-cmvn "sim.rvb sim.EQ.rvb"] <out-dir>
+#        [-- options of run.sh]
 # e.g.:  KALDI_ROOT=~/kaldi tests/bench/wer.sh exp/bench_wer -- --config conf/mini.conf
-# May be stopped at any time; the same call goes on. The table of all seeds that are done is <out-dir>/wer.
+# May be stopped at any time; the same call goes on. The tables of all seeds that are done are <out-dir>/wer and
+# <out-dir>/wer.without_cmvn.
 set -euo pipefail
-seeds="0 1 2 3 4"   # as many runs
+seeds="0 1 2 3 4"    # as many runs
+rows_without_cmvn=   # training sets to train a second recogniser on, whose features are not normalised
 . ./path.sh
 . utils/parse_options.sh
 [ $# -ge 1 ] || usage
@@ -13,20 +16,38 @@ out=$(realpath -m "$1")
 shift
 [ "${1:-}" != -- ] || shift
 ./run.sh "$@" --data "$out/data" --exp "$out/exp" --corpora "$out/corpora" --stop-stage 1
-done=()
+
+first='' # workspace that has been trained in
+done=() done_without_cmvn=()
+train() { # WORKSPACE OPTION...: stages 8 to 10
+  local workspace=$1
+  if [ -n "$first" ] && [ ! -e "$workspace" ]; then # no seed changes these; stages repeat what is out of date
+    mkdir -p "$workspace"
+    (cd "$first" && cp -a --parents data/lang* data/local {,done/}train.clean/{gmm,align} done/lang "$workspace")
+  fi
+  ./run.sh "${options[@]}" --exp "${workspace%/kaldi}" --stage 8 "${@:2}"
+  first=${first:-$workspace}
+}
 for seed in $seeds; do
   where=$out/seed$seed
-  mkdir -p "$where/data"
-  for shared in "$out"/data/{measured,rirs.real,rirs.real.train,rirs.real.dev,rirs.real.test} "$out"/data/*.clean; do
+  mkdir -p "$where"/{data,exp.without_cmvn}
+  for shared in "$out"/data/{*.clean,measured*,rirs.*}; do
     ln -sfn "$shared" "$where/data/${shared##*/}"
   done
-  ./run.sh "$@" --seed "$seed" --data "$where/data" --exp "$where/exp" --corpora "$out/corpora" --stage 2 --stop-stage 7
-  workspace=$where/exp/kaldi
-  if [ ${#done[@]} -gt 0 ] && [ ! -e "$workspace" ]; then # no seed changes these; stages repeat what is out of date
-    mkdir -p "$workspace"
-    (cd "${done[0]}" && cp -a --parents data/lang* data/local {,done/}train.clean/{gmm,align} done/lang "$workspace")
-  fi
-  ./run.sh "$@" --seed "$seed" --data "$where/data" --exp "$where/exp" --corpora "$out/corpora" --stage 8
-  done+=("$workspace")
-  roomeq wer --rirs "$out/data/rirs.real" "${done[@]}" "$out/wer"
+  options=("$@" --seed "$seed" --data "$where/data" --corpora "$out/corpora")
+  ./run.sh "${options[@]}" --exp "$where/exp" --stage 2 --stop-stage 7
+  train "$where/exp/kaldi"
+  done+=("$where/exp/kaldi")
+  rirs=()
+  for x in "$out"/data/rirs.real{,.dev,.test} "$where"/data/rirs.sim.free.dev; do
+    [ ! -d "$x" ] || rirs+=(--rirs "$x")
+  done
+  roomeq wer "${rirs[@]}" "${done[@]}" "$out/wer"
+  [ -n "$rows_without_cmvn" ] || continue
+  for x in eq loop rooms; do
+    ln -sfn "$where/exp/$x" "$where/exp.without_cmvn/$x"
+  done
+  train "$where/exp.without_cmvn/kaldi" --online-cmvn false --rows "$rows_without_cmvn"
+  done_without_cmvn+=("$where/exp.without_cmvn/kaldi")
+  roomeq wer "${rirs[@]}" "${done_without_cmvn[@]}" "$out/wer.without_cmvn"
 done
