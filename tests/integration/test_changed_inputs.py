@@ -2,6 +2,7 @@
 
 import logging
 import os
+import shlex
 import shutil
 
 import numpy as np
@@ -55,6 +56,24 @@ def test_changed_recordings_change_augmented_speech(pattern, corpora, tmp_path):
     after = run(tmp_path)
     assert after.keys() == before.keys()
     assert after != before
+
+
+def test_linked_directories_give_the_same_speech(corpora, tmp_path):
+    """A link to an RIR directory at another depth: `..` in its table leads out of the directory, not of the link."""
+    before = run(tmp_path)
+    linked = tmp_path / "a" / "b" / "real.train"
+    linked.parent.mkdir(parents=True)
+    linked.symlink_to(tmp_path / "real.train")
+    split_rirs(tmp_path / "real", linked.parent / "again", sizes=(3, 2, 1), seed=0)
+    augment(tmp_path / "clean" / "train.clean", linked, linked.parent / "rvb")
+    after = {path.relative_to(linked.parent): path.read_bytes() for path in linked.parent.rglob("rvb/**/*.flac")}
+    assert after == before
+    rir_list = (linked.parent / "again.train" / "rir_list").read_text()
+    paths = [shlex.split(shlex.split(line)[4])[2] for line in rir_list.splitlines()]
+    assert paths and all(os.path.exists(path) for path in paths)
+    (tmp_path / "corpus" / "rir0.wav").unlink()
+    with pytest.raises(ValueError, match="rir0.wav: missing since"):
+        split_rirs(tmp_path / "real", linked.parent / "once_more", sizes=(3, 2, 1), seed=0)
 
 
 def test_unchanged_recordings_remake_nothing(corpora, tmp_path, caplog):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from roomeq.core.files import hash_file, read_text
+from roomeq.core.files import hash_file, physical, read_text
 from roomeq.core.kept_hashes import hashes_of_input, quick_look
 from roomeq.core.stamps import Stamp, read_stamp, require_as_stamped, require_audio_as_stamped
 
@@ -142,13 +142,13 @@ def audio_elsewhere(directory: Path, out: Path | None = None) -> dict[str, tuple
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
             for line in read_text(directory / table).splitlines():
                 wav = json.loads(line)["wav"]
-                found[wav] = Path(os.path.normpath(directory / wav))
+                found[wav] = physical(directory / wav)
     with contextlib.suppress(OSError, ValueError):
         entries = [line.split(maxsplit=1)[-1] for line in read_text(directory / "wav.scp").splitlines()]
         words = {re.sub(r":\d+$", "", word.strip()) for entry in entries for word in [entry, *words_of_entry(entry)]}
         found |= {word: Path(word) for word in sorted(words) if quick_look(Path(word))}
-    own = tuple(f"{os.path.abspath(folder)}/" for folder in (directory, out or directory))
-    found = {name: path for name, path in found.items() if not os.path.abspath(path).startswith(own)}
+    own = tuple(f"{os.path.realpath(folder)}/" for folder in (directory, out or directory))
+    found = {name: path for name, path in found.items() if not str(physical(path)).startswith(own)}
     listed = hashlib.sha256("\n".join(map(str, found.values())).encode(errors="surrogateescape")).hexdigest()
     hashes = hashes_of_input(listed, found.values())
     return {name: (path, content_hash) for (name, path), content_hash in zip(found.items(), hashes, strict=True)}

@@ -208,6 +208,20 @@ def _finite(text: str) -> float:
     return value
 
 
+def physical(path: Path | str) -> Path:
+    """Return a path with the links above it resolved, as the system does: ``..`` leaves where a link leads to.
+
+    If the path is itself a link, it is kept.
+    """
+    path = Path(path)
+    return Path(os.path.realpath(path.parent)) / path.name
+
+
+def path_from(path: Path, out: Path) -> str:
+    """Return the path of a file relative to the directory `out`, with links above both resolved."""
+    return os.path.relpath(physical(path), physical(os.path.normpath(out)))
+
+
 def hash_file(path: Path) -> str:
     """Return the SHA-256 of a file's content, in hex."""
     with open(path, "rb") as stream:

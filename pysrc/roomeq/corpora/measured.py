@@ -9,9 +9,9 @@ from typing import Any, Literal, NamedTuple
 from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
 from roomeq.core.digests import audio_digest
-from roomeq.core.files import write_json
+from roomeq.core.files import path_from, write_json
 from roomeq.corpora.listing import list_corpus, list_noises, require_existing
-from roomeq.corpora.record import Corpus, Recording, is_generated, path_from
+from roomeq.corpora.record import Corpus, Recording, is_generated
 from roomeq.records.rir_dir import write_noises, write_rirs
 
 logger = logging.getLogger(__name__)

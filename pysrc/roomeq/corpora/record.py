@@ -1,6 +1,5 @@
 """What every reader of measured RIRs returns, and the parsing that readers share."""
 
-import os
 import re
 from collections import Counter
 from dataclasses import dataclass, field
@@ -183,10 +182,3 @@ def is_generated(source: Path) -> bool:
 def id_of_path(path: Path, root: Path) -> str:
     """Return an id made from a file's path below a root, without the suffix."""
     return make_id("-".join(path.relative_to(root).with_suffix("").parts))
-
-
-def path_from(path: Path, out: Path) -> str:
-    """Return the path of a file relative to the directory `out`, with links above both resolved."""
-    path, out = Path(path), Path(os.path.normpath(out))
-    return os.path.relpath(Path(os.path.realpath(path.parent)) / path.name,
-                           Path(os.path.realpath(out.parent)) / out.name)

@@ -9,7 +9,8 @@ from roomeq.acoustics.plausibility import find_implausibility
 from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import audio_info, read_audio, require_plausible
 from roomeq.core.constants import FS_HZ
-from roomeq.corpora.record import UNKNOWN, Recording, path_from
+from roomeq.core.files import path_from
+from roomeq.corpora.record import UNKNOWN, Recording
 from roomeq.corpora.sofa_file import sofa_signals
 
 _SAFE_PATH = re.compile(r"[A-Za-z0-9_./+@,:=%~^-]+")

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, cast
 
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BAND_1KHZ, FS_HZ
-from roomeq.core.files import read_jsonl, write_jsonl, write_text
+from roomeq.core.files import path_from, read_jsonl, write_jsonl, write_text
 from roomeq.core.stamps import read_stamp
 from roomeq.records.schema import NoiseRow, RirRow, noise_problem, row_problem
 
@@ -111,8 +111,10 @@ def _as_16_bit(path: Path, channels: int) -> str:
     `wav-reverberate` takes 16-bit PCM only, and its output does not depend on the RIR's level: sox scales the RIR to
     full scale.
     """
-    first = "remix 1 " if channels > 1 else ""
-    return f"sox -D {shlex.quote(os.path.normpath(path))} -b 16 -e signed-integer -t wav - {first}gain -n -1 |"
+    first, short = "remix 1 " if channels > 1 else "", os.path.normpath(path)
+    if os.path.realpath(short) != os.path.realpath(path):  # `..` leads out of a linked directory
+        short = str(path)
+    return f"sox -D {shlex.quote(short)} -b 16 -e signed-integer -t wav - {first}gain -n -1 |"
 
 
 def require_16_khz(directory: Path, rows: Iterable[Mapping[str, Any]]) -> None:
@@ -135,13 +137,13 @@ def n_channels(row: Mapping[str, Any]) -> int:
 
 def relocated(rows: Iterable[Mapping[str, Any]], directory: Path, out: Path) -> list[dict[str, Any]]:
     """Return rows of RIRs or noises of `directory` with `wav` and `mesh` relative to `out`, for the same files."""
-    return [{**row, "wav": os.path.relpath(rir_path(directory, row), out)}
+    return [{**row, "wav": path_from(rir_path(directory, row), out)}
             for row in with_meshes_relocated(rows, directory, out)]
 
 
 def with_meshes_relocated(rows: Iterable[Mapping[str, Any]], directory: Path, out: Path) -> list[dict[str, Any]]:
     """Return rows of RIRs with `mesh`, which is relative to `directory`, made relative to `out`."""
-    return [{**row, "mesh": os.path.relpath(Path(directory) / row["mesh"], out)} if row.get("mesh") else dict(row)
+    return [{**row, "mesh": path_from(Path(directory) / row["mesh"], out)} if row.get("mesh") else dict(row)
             for row in rows]
 
 
