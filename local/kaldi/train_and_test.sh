@@ -97,7 +97,7 @@ if at_stage 10 "Kaldi: decode; word error rates"; then
     for x in "$data"/rirs.real "$data"/rirs.real.{dev,test} "$data"/rirs.{sim,sim.EQ,sim.loop,sim.free}.dev; do
       [ ! -d "$x" ] || rirs+=(--rirs "$x")
     done
-    roomeq wer "${rirs[@]}" "$workspace" "$exp/wer"
+    roomeq wer "${rirs[@]}" --train-rirs "$data/rirs.real.train" "$workspace" "$exp/wer"
     steps/make_report.sh "$data" "$exp" "$exp/report"
   fi
 fi

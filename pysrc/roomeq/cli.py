@@ -332,6 +332,8 @@ def export() -> None:
 @argument("out", "Directory to make: wer.json.")
 @click.option("--rirs", type=AnyPath(), required=True, multiple=True,
               help="RIR directory that names the room of each RIR; may be given again for further RIRs.")
+@click.option("--train-rirs", type=AnyPath(), help="Measured RIRs that the recognisers were trained with: states how "
+              "far the EQ of each test room is from theirs.")
 def wer() -> None:
     """Measure word error rates of Kaldi workspaces. Prints a table with confidence intervals."""
 

@@ -38,7 +38,7 @@ for seed in $seeds; do
   ./run.sh "${options[@]}" --exp "$where/exp" --stage 2 --stop-stage 7
   train "$where/exp/kaldi"
   done+=("$where/exp/kaldi")
-  rirs=()
+  rirs=(--train-rirs "$out/data/rirs.real.train")
   for x in "$out"/data/rirs.real{,.dev,.test} "$where"/data/rirs.sim.free.dev; do
     [ ! -d "$x" ] || rirs+=(--rirs "$x")
   done

@@ -83,6 +83,11 @@ def eq_distance(first: EqSet, second: EqSet, rng: np.random.Generator, *, n_boot
     return result
 
 
+def wasserstein_db(first: EqSet, second: EqSet) -> float:
+    """Return the distance of two sets as `eq_distance` does, without intervals [dB]; NaN if they share no point."""
+    return _distance(first, second, _mean_distances)
+
+
 def gap_closed(sim: EqSet, comp: EqSet, train: EqSet, heldout: EqSet, rng: np.random.Generator, *,
                n_bootstrap: int = N_BOOTSTRAP) -> dict:
     """Return how much of the distance between simulated and held-out measured RIRs the compensation removes.

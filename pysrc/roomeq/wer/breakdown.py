@@ -1,75 +1,160 @@
-"""Word error rates of parts of the test set: by room, by SNR, by decay time, by direct-to-reverberant ratio."""
+"""Word error rates of parts of the test set: by room, by SNR and by the acoustics of the RIR."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import spearmanr
 
 from roomeq.core.arrays import BoolArray, FloatArray
 from roomeq.core.constants import BAND_1KHZ
+from roomeq.eq.distance import EqSet, wasserstein_db
+from roomeq.eq.fit import eq_row, usable_eq
 from roomeq.records.schema import RirRow
 from roomeq.wer.scoring import read_reference, read_texts
-from roomeq.wer.workspace import TEST, Decodings, Scores
+from roomeq.wer.workspace import BASE, TEST, Decodings, Scores
 
-EDGES = {"SNR [dB]": (10.0, 15.0, 20.0), "T20 at 1 kHz [s]": (0.3, 0.5, 0.8), "DRR [dB]": (-5.0, 0.0, 5.0)}
+SNR, T20, DRR, C50, EQ_DISTANCE = "SNR [dB]", "T20 at 1 kHz [s]", "DRR [dB]", "C50 at 1 kHz [dB]", "EQ distance [dB]"
+EDGES = {SNR: (10.0, 15.0, 20.0), T20: (0.3, 0.5, 0.8), DRR: (-5.0, 0.0, 5.0), C50: (0.0, 5.0, 10.0),
+         EQ_DISTANCE: (2.0, 4.0, 6.0)}
 """Edges of the strata; the same for every test set."""
+MIN_ROOMS = 8
+"""Rooms of which a rank correlation is stated."""
 
 
-def by_room(decodings: Decodings, scores: Scores) -> list[dict]:
-    """Return the word error rates of each room over all seeds: `room`, `words`, and `wer` by column and row [%]."""
-    rooms = np.concatenate(scores.rooms)
-    return [dict(room=name) | _rates(decodings, scores, rooms == n) for n, name in enumerate(scores.room_names)]
-
-
-def by_stratum(decodings: Decodings, scores: Scores, rirs: dict[str, RirRow]) -> list[dict]:
-    """Return the word error rates of each stratum of the test set over all seeds.
+class Breakdown:
+    """The test set in parts.
 
     Parameters
     ----------
     scores
         Of the test set.
-    rirs
+    rirs : dict
         Rows by RIR id.
+    train_rirs : iterable of RirRow
+        Measured RIRs that the recognisers were trained with. The EQ distance of a room is the distance of its EQs in
+        the test set to theirs (`roomeq.eq.distance`); it is unknown if there are none.
+    """
+
+    def __init__(self, decodings: Decodings, scores: Scores, rirs: dict[str, RirRow],
+                 train_rirs: Iterable[RirRow] = ()) -> None:
+        self.decodings, self.scores, self.rirs = decodings, scores, rirs
+        self.room_of = np.concatenate(scores.rooms)
+        self.used: list[RirRow] = []
+        snr_db: list[float] = []
+        for seed, workspace in enumerate(decodings.workspaces):
+            data = workspace / "data" / TEST
+            rir_of, snr_of = read_texts(data / "utt2rir"), _read_snr_db(data / "utt2snr")
+            for utterance in read_reference(decodings.decode_dir(seed, decodings.systems()[0], TEST)):
+                self.used.append(rirs[rir_of[utterance][0]])
+                snr_db.append(snr_of.get(utterance, np.nan))
+        self.values = {SNR: np.array(snr_db)}
+        self.values |= {what: np.array([_acoustics(row)[what] for row in self.used]) for what in (T20, DRR, C50)}
+        self.values[EQ_DISTANCE] = self._eq_distances(train_rirs)[self.room_of]
+
+    def by_room(self) -> list[dict]:
+        """Return the word error rates of each room over all seeds.
+
+        Returns
+        -------
+        list of dict
+            `room`, `words`, `wer` by column and row [%], and `acoustics`: the mean of each property over the room's
+            utterances, None where it is unknown.
+        """
+        return [dict(room=name) | self._rates(self.room_of == n)
+                | dict(acoustics={what: _number(_mean(values[self.room_of == n])) for what, values in
+                                  self.values.items()})
+                for n, name in enumerate(self.scores.room_names)]
+
+    def by_stratum(self) -> list[dict]:
+        """Return the word error rates of each stratum over all seeds.
+
+        Returns
+        -------
+        list of dict
+            `what, low, high` (None where the stratum has no edge), `words`, and `wer` by column and row [%]. Strata
+            without words are left out. An utterance of which a property is unknown is in none of its strata.
+        """
+        strata = []
+        for what, edges in EDGES.items():
+            values = self.values[what]
+            stratum = np.digitize(values, edges)
+            for n, (low, high) in enumerate(zip((None, *edges), (*edges, None), strict=True)):
+                members = ~np.isnan(values) & (stratum == n)
+                if members.any():
+                    strata.append(dict(what=what, low=low, high=high) | self._rates(members))
+        return strata
+
+    def _rates(self, members: BoolArray) -> dict:
+        """Return `words` and `wer` by column and row [%] of some utterances of all seeds."""
+        words = int(np.concatenate(self.scores.words)[members].sum())
+        rates: dict[str, dict[str, float]] = {column: {} for column in self.decodings.columns}
+        for system in self.decodings.systems():
+            errors = np.concatenate(self.scores.counts[system]).sum(axis=1)[members].sum()
+            rates[system.column][system.row] = float(100 * errors / words)
+        return dict(words=words, wer=rates)
+
+    def _eq_distances(self, train_rirs: Iterable[RirRow]) -> FloatArray:
+        """Return the EQ distance of each room [dB]; NaN if it is unknown."""
+        distances = np.full(len(self.scores.room_names), np.nan)
+        train = _eq_set([row for row in train_rirs if not row.get("screen")])
+        for room in range(len(distances)):
+            rows = {row["id"]: row for n, row in enumerate(self.used) if self.room_of[n] == room}
+            if train and (tested := _eq_set(rows.values())):
+                distances[room] = wasserstein_db(tested, train)
+        return distances
+
+
+def gains_by_acoustics(rooms: list[dict], rows: list[str], column: str) -> list[dict]:
+    """Return how the change of a row against `BASE` in each room depends on the room's acoustics.
+
+    Parameters
+    ----------
+    rooms
+        What `Breakdown.by_room` returns.
 
     Returns
     -------
     list of dict
-        `what, low, high` (None where the stratum has no edge), `words`, and `wer` by column and row [%]. Strata
-        without words are left out. An utterance of which a property is unknown is in none of its strata.
+        `row, what, rooms` (their number), `rho` (Spearman's rank correlation: negative if the row gains where the
+        property is large) and `p`. Properties that fewer than `MIN_ROOMS` rooms have, or that are all equal, are left
+        out.
     """
-    strata = []
-    for what, values in _properties(decodings, rirs).items():
-        stratum = np.digitize(values, EDGES[what])
-        for n, (low, high) in enumerate(zip((None, *EDGES[what]), (*EDGES[what], None), strict=True)):
-            members = ~np.isnan(values) & (stratum == n)
-            if members.any():
-                strata.append(dict(what=what, low=low, high=high) | _rates(decodings, scores, members))
-    return strata
+    found = []
+    for row in rows:
+        for what in EDGES:
+            pairs = [(room["acoustics"][what], room["wer"][column][row] - room["wer"][column][BASE])
+                     for room in rooms if room["acoustics"][what] is not None]
+            if len(pairs) >= MIN_ROOMS and all(len(set(values)) > 1 for values in zip(*pairs, strict=True)):
+                rho, p = spearmanr(*zip(*pairs, strict=True))
+                found.append(dict(row=row, what=what, rooms=len(pairs), rho=float(rho), p=float(p)))
+    return found
 
 
-def _rates(decodings: Decodings, scores: Scores, members: BoolArray) -> dict:
-    """Return `words` and `wer` by column and row [%] of some utterances of all seeds."""
-    words = int(np.concatenate(scores.words)[members].sum())
-    errors = {system: np.concatenate(counts).sum(axis=1)[members].sum() for system, counts in scores.counts.items()}
-    rates: dict[str, dict[str, float]] = {column: {} for column in decodings.columns}
-    for system in decodings.systems():
-        rates[system.column][system.row] = float(100 * errors[system] / words)
-    return dict(words=words, wer=rates)
+def _acoustics(row: RirRow) -> dict[str, float]:
+    """Return the acoustic parameters of an RIR by name; NaN where they are unknown or not valid."""
+    parameters = row.get("acoustic_parameters") or {}
+    found = {DRR: parameters.get("drr_db")}
+    for what, values, valid in ((T20, parameters.get("t20_s"), parameters.get("t20_valid")),
+                                (C50, parameters.get("c50_db"), parameters.get("c50_valid"))):
+        found[what] = values[BAND_1KHZ] if values and valid and valid[BAND_1KHZ] else None
+    return {what: np.nan if value is None else float(value) for what, value in found.items()}
 
 
-def _properties(decodings: Decodings, rirs: dict[str, RirRow]) -> dict[str, FloatArray]:
-    """Return each property of the test utterances, seed after seed; NaN where it is unknown."""
-    values: dict[str, list[float]] = {what: [] for what in EDGES}
-    for seed, workspace in enumerate(decodings.workspaces):
-        data = workspace / "data" / TEST
-        rir_of = read_texts(data / "utt2rir")
-        snr_of = _read_snr_db(data / "utt2snr")
-        for utterance in read_reference(decodings.decode_dir(seed, decodings.systems()[0], TEST)):
-            parameters = rirs[rir_of[utterance][0]].get("acoustic_parameters") or {}
-            valid = parameters.get("t20_valid", [False] * (BAND_1KHZ + 1))[BAND_1KHZ]
-            t20_s = parameters["t20_s"][BAND_1KHZ] if valid else None
-            for what, value in zip(EDGES, (snr_of.get(utterance), t20_s, parameters.get("drr_db")), strict=True):
-                values[what].append(np.nan if value is None else value)
-    return {what: np.array(of_utterances) for what, of_utterances in values.items()}
+def _eq_set(rows: Iterable[RirRow]) -> EqSet | None:
+    """Return the EQs that rows state, or None if none does."""
+    stated = [row for row in rows if "eq_db" in (row.get("acoustic_parameters") or {})]
+    vectors_db = [usable_eq(eq_row(Path(), row)) for row in stated]
+    return EqSet(np.array(vectors_db), [row["room_id"] for row in stated]) if stated else None
+
+
+def _mean(values: FloatArray) -> float:
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if len(known) else np.nan
+
+
+def _number(value: float) -> float | None:
+    return None if np.isnan(value) else value
 
 
 def _read_snr_db(path: Path) -> dict[str, float]:

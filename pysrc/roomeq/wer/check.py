@@ -76,10 +76,20 @@ def _check(wer: dict) -> None:
             _check_system(wer["results"][row][column], f"{row} {column}")
     for room in wer["rooms"]:
         _check_rates(wer, room["wer"], f"in room {room['room']!r:.60}")
+        for what, value in room["acoustics"].items():
+            _require(value is None or isinstance(value, (int, float)), f"{what} of {room['room']!r:.60}",
+                     "be a number or null")
     for stratum in wer["strata"]:
         name = f"{stratum['what']} from {stratum['low']} to {stratum['high']}"
         _number(stratum["words"], name, 1)
         _check_rates(wer, stratum["wer"], f"at {name}")
+
+
+    for gain in wer["gains"]:
+        _require(gain["row"] in wer["rows"] and -1 <= gain["rho"] <= 1, f"rho of {gain['row']!r:.60}",
+                 "be of a row, from -1 to 1")
+        _number(gain["p"], f"p of {gain['row']}", 0.0)
+    _require(all(isinstance(version, str) for version in wer["kaldi"]), "kaldi", "be versions")
 
 
 def _check_rates(wer: dict, rates: dict, where: str) -> None:

@@ -7,7 +7,7 @@ from roomeq.core.build import Build
 from roomeq.core.files import read_json, write_json
 from roomeq.records.rir_dir import ROWS_FILE, read_rirs
 from roomeq.records.schema import RirRow
-from roomeq.wer.breakdown import by_room, by_stratum
+from roomeq.wer.breakdown import Breakdown, gains_by_acoustics
 from roomeq.wer.check import WER_FILE
 from roomeq.wer.scoring import Weights, read_bootci
 from roomeq.wer.statistics import Resampling, Statistic, detectable, ratio_interval
@@ -22,11 +22,13 @@ from roomeq.wer.workspace import (
     choose_all_weights,
     compared,
     find_decodings,
+    kaldi_versions,
     read_scores,
 )
 
 
-def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path]) -> Path:
+def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path],
+                train_rirs: Path | None = None) -> Path:
     """Measure the word error rates of Kaldi workspaces, with intervals; write `wer.json` and print the table.
 
     Language model weight and word insertion penalty are chosen on the development set, for each row, column and
@@ -41,6 +43,9 @@ def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path]
         Directory to make; it holds `wer.json`.
     rirs
         RIR directories whose `room_id` states the room of each RIR that the sets were made with.
+    train_rirs
+        RIR directory of the measured RIRs that the recognisers were trained with, for the EQ distance of each test
+        room to them.
 
     Returns
     -------
@@ -61,17 +66,19 @@ def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path]
                 raise ValueError(f"{directory}: RIR {row['id']} is of room {row['room_id']} here and of room "
                                  f"{rows[row['id']]['room_id']} in a directory before it: rename one")
     decodings = find_decodings(workspaces)
+    directories = [*rirs, *([train_rirs] if train_rirs else ())]
     build = Build(Path(out), step="wer",
                   options=dict(rows=decodings.rows, columns=decodings.columns, dev_of=decodings.dev_of,
                                seeds=len(workspaces)),
-                  inputs=[*(Path(directory) / ROWS_FILE for directory in rirs), *decodings.inputs()])
+                  inputs=[*(Path(directory) / ROWS_FILE for directory in directories), *decodings.inputs()])
     if not build.done and build.run({}, lambda name, item: None):
-        build.finish(lambda directory, _: write_json(directory / WER_FILE, _measure(decodings, rows)))
+        train = read_rirs(train_rirs) if train_rirs else []
+        build.finish(lambda directory, _: write_json(directory / WER_FILE, _measure(decodings, rows, train)))
     print(table_text(read_json(build.out / WER_FILE)), end="")
     return build.out / WER_FILE
 
 
-def _measure(decodings: Decodings, rirs: dict[str, RirRow]) -> dict:
+def _measure(decodings: Decodings, rirs: dict[str, RirRow], train_rirs: list[RirRow]) -> dict:
     """Return what `wer.json` holds; rates and differences in per cent."""
     room_of_rir = {rir_id: row["room_id"] for rir_id, row in rirs.items()}
     weights = choose_all_weights(decodings)
@@ -80,10 +87,13 @@ def _measure(decodings: Decodings, rirs: dict[str, RirRow]) -> dict:
     results: dict[str, dict[str, dict]] = {row: {} for row in decodings.rows}
     for system in decodings.systems():
         results[system.row][system.column] = _result(rates, system, weights[system])
-    return dict(seeds=len(decodings.workspaces), rows=decodings.rows, columns=decodings.columns, test=TEST,
-                dev_of=decodings.dev_of, sets={name: _set_size(of_set) for name, of_set in scores.items()},
-                results=results, rooms=by_room(decodings, scores[TEST]),
-                strata=by_stratum(decodings, scores[TEST], rirs))
+    parts = Breakdown(decodings, scores[TEST], rirs, train_rirs)
+    rooms = parts.by_room()
+    others = [row for row in decodings.rows if row != BASE] if BASE in decodings.rows else []
+    return dict(kaldi=kaldi_versions(decodings.workspaces), seeds=len(decodings.workspaces), rows=decodings.rows,
+                columns=decodings.columns, test=TEST, dev_of=decodings.dev_of,
+                sets={name: _set_size(of_set) for name, of_set in scores.items()}, results=results, rooms=rooms,
+                strata=parts.by_stratum(), gains=gains_by_acoustics(rooms, others, decodings.columns[0]))
 
 
 class _Rates:

@@ -15,7 +15,7 @@ def table_text(wer: dict) -> str:
     lines.append("")
     for column in wer["columns"]:
         lines += [f"{column}:", *(f"  {line}" for row in wer["rows"] for line in _row_lines(wer, row, column)), ""]
-    lines += _strata_lines(wer)
+    lines += [*_room_lines(wer), *_strata_lines(wer), *_gain_lines(wer)]
     return "\n".join(lines)
 
 
@@ -51,6 +51,8 @@ def caption(wer: dict) -> list[str]:
              f"dev is of each row's own kind, as in the paper: {', '.join(own)}{other}." if own else
              f"dev is {DEV} for every row.",
              f"Intervals are of 95 %, from a bootstrap over {resampled}; speakers and sentences stay the same."]
+    if wer["kaldi"]:
+        lines.append(f"Trained with Kaldi {', '.join(wer['kaldi'])}.")
     if seeds == 1:
         lines.append("With one seed the spread over seeds is not known: the intervals hold for these trained models "
                      "only.")
@@ -112,6 +114,50 @@ def _detectable_text(detectable: dict, seeds: int) -> str:
     known = "" if seeds > 1 else ", for these models: the spread over seeds is not known"
     return (f"detectable with 80 % power at 5 %: {detectable['difference']:.2f} points "
             f"({detectable['standard_errors']:.1f} standard errors{known}); half of it with {' or '.join(ways)}")
+
+
+ROOM_ACOUSTICS = {"T20 at 1 kHz [s]": ("T20 [s]", 2), "DRR [dB]": ("DRR [dB]", 1),
+                  "C50 at 1 kHz [dB]": ("C50 [dB]", 1), "EQ distance [dB]": ("EQ [dB]", 1)}
+"""Properties in the table of rooms: heading and digits."""
+
+
+def room_cells(room: dict) -> list[str]:
+    """Return the acoustics of a room as text; a dash where they are unknown."""
+    values = [(room["acoustics"][what], digits) for what, (_, digits) in ROOM_ACOUSTICS.items()]
+    return ["-" if value is None else f"{value:.{digits}f}" for value, digits in values]
+
+
+def _room_lines(wer: dict) -> list[str]:
+    """Return the acoustics and the word error rates of each room, in the first column."""
+    column, width = wer["columns"][0], max(len("room"), *(len(room["room"]) for room in wer["rooms"]))
+    headings = [heading for heading, _ in ROOM_ACOUSTICS.values()]
+    lines = [f"Rooms, {column}. EQ is the distance of the room's EQs to those of the training RIRs.",
+             "room".ljust(width) + "   words" + "".join(f"  {text}" for text in [*headings, *wer["rows"]])]
+    for room in wer["rooms"]:
+        cells = [text.rjust(len(heading)) for text, heading in zip(room_cells(room), headings, strict=True)]
+        cells += [f"{room['wer'][column][row]:{len(row)}.2f}" for row in wer["rows"]]
+        lines.append(room["room"].ljust(width) + f"{room['words']:8d}" + "".join(f"  {cell}" for cell in cells))
+    return [*lines, ""]
+
+
+def _gain_lines(wer: dict) -> list[str]:
+    """Return how the gains depend on the acoustics of the rooms."""
+    if not wer["gains"]:
+        return []
+    names = {gain["what"]: gain["what"].partition(" [")[0] for gain in wer["gains"]}
+    lines = [gains_caption(wer)]
+    for row in dict.fromkeys(gain["row"] for gain in wer["gains"]):
+        lines.append(f"  {row}: " + ", ".join(
+            f"{names[gain['what']]} {gain['rho']:+.2f} (p {gain['p']:.2g}, {gain['rooms']} rooms)"
+            for gain in wer["gains"] if gain["row"] == row))
+    return [*lines, ""]
+
+
+def gains_caption(wer: dict) -> str:
+    """Return the sentences that explain the rank correlations."""
+    return (f"Spearman's rank correlation over rooms of the change against {BASE} with the acoustics, "
+            f"{wer['columns'][0]}. Negative: the row gains most where the value is large. {len(wer['gains'])} "
+            "correlations are stated: by chance, one in 20 has p below 0.05.")
 
 
 def _strata_lines(wer: dict) -> list[str]:

@@ -26,6 +26,7 @@ ROWS = ("train.clean", "train.real.rvb", "train.sim.free.rvb", "train.sim.rvb", 
 COLUMNS = ("fglarge", "tglarge", "tgmed", "tgsmall", "online")
 """Rows (training data) and columns (language models) of the paper's Table 2, and the rows of drawn rooms and of the
 closed loop; others follow."""
+VERSION_FILE = "kaldi_version"
 TEST, DEV = "test.real.rvb", "dev.real.rvb"
 BASE, ORACLE, CLEAN = "train.sim.rvb", "train.real.rvb", "train.clean"
 
@@ -81,7 +82,8 @@ class Decodings:
         """Return the files and directories that word error rates depend on, except the RIRs."""
         tables = [workspace / "data" / name / table for workspace in self.workspaces for name in self.set_names
                   for table in ("utt2rir", "utt2snr", "utt2spk")]
-        optional = [*tables, *(decode / BOOTCI_FILE for decode in self.decode_dirs())]
+        optional = [*tables, *(workspace / VERSION_FILE for workspace in self.workspaces),
+                    *(decode / BOOTCI_FILE for decode in self.decode_dirs())]
         return [*map(scoring_dir, self.decode_dirs()), *(path for path in optional if path.is_file())]
 
 
@@ -117,6 +119,12 @@ def find_decodings(workspaces: list[Path]) -> Decodings:
             raise ValueError(f"{path}: no such directory, but other rows, columns or seeds have it: decode and score "
                              "it (stage 10), or leave the row or column out of all")
     return decodings
+
+
+def kaldi_versions(workspaces: list[Path]) -> list[str]:
+    """Return the versions of Kaldi that the workspaces were made with; see ``local/kaldi/check_kaldi.sh``."""
+    paths = [workspace / VERSION_FILE for workspace in workspaces]
+    return sorted({path.read_text().strip() for path in paths if path.is_file()})
 
 
 def _in_order(names: set[str], known: tuple[str, ...]) -> list[str]:

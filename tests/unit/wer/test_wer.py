@@ -8,10 +8,11 @@ import pytest
 from scipy.stats import binom
 from wer_run import DEV_ROOMS, ROOMS, put_decode, put_example, put_rirs, put_workspace, sentence, utterances_of
 
-from roomeq.core.files import write_json
+from roomeq.core.files import read_jsonl, write_json, write_jsonl
 from roomeq.core.rng import rng_for
 from roomeq.validate import validate
 from roomeq.wer import measure_wer, statistics
+from roomeq.wer.breakdown import DRR, EDGES, EQ_DISTANCE, gains_by_acoustics
 from roomeq.wer.check import read_wer, validate_wer
 from roomeq.wer.scoring import Weights, choose_weights, count_errors, read_bootci, read_reference
 from roomeq.wer.statistics import (
@@ -68,6 +69,42 @@ def test_strata_have_their_words_and_rates(example):
     assert found == {("SNR [dB]", None, 10.0): (80, 52.5), ("SNR [dB]", 10.0, 15.0): (80, 52.5),
                      ("T20 at 1 kHz [s]", 0.8, None): (40, 60.0),  # the hall; T20 of the other rooms is not valid
                      ("DRR [dB]", 0.0, 5.0): (160, 52.5)}
+
+
+def test_rooms_state_their_acoustics_and_the_distance_of_their_eq(tmp_path):
+    workspaces = put_example(tmp_path)
+    (workspaces[0] / "kaldi_version").write_text("5.5.1-abcd\n")
+    eqs_db = dict(attic=0.0, cellar=2.0, hall=-3.0, kitchen=6.0)
+    for rirs, levels_db in (("rirs", eqs_db), ("train", dict(lab=0.0))):
+        rows = read_jsonl(tmp_path / "rirs/rirs.jsonl")
+        rows = rows if rirs == "rirs" else [row | dict(room_id="lab") for row in rows]
+        for row in rows:
+            if (level_db := levels_db.get(row["room_id"])) is not None:
+                row["acoustic_parameters"] |= dict(eq_db=[level_db] * 8, eq_valid=[True] * 8, eq_edge_db=None,
+                                                   c50_db=[7.0] * 8, c50_valid=[True] * 8)
+        write_jsonl(tmp_path / rirs / "rirs.jsonl", rows)
+    out = measure_wer(workspaces, tmp_path / "wer", rirs=[tmp_path / "rirs"], train_rirs=tmp_path / "train")
+    wer = read_wer(out)
+    assert wer["kaldi"] == ["5.5.1-abcd"]
+    for room in wer["rooms"]:
+        acoustics = room["acoustics"]
+        assert acoustics["EQ distance [dB]"] == pytest.approx(abs(eqs_db[room["room"]]))
+        assert acoustics["DRR [dB]"] == 1 and acoustics["C50 at 1 kHz [dB]"] == 7
+        assert acoustics["T20 at 1 kHz [s]"] == (1 if room["room"] == "hall" else None)
+    assert {(one["low"], one["words"]) for one in wer["strata"] if one["what"].startswith("EQ")} == {
+        (None, 20), (2.0, 40), (6.0, 20)}
+    assert wer["gains"] == []  # of four rooms, none is stated
+
+
+def test_gains_follow_the_acoustics():
+    rooms = [dict(wer=dict(online={"train.sim.rvb": 20.0, "train.sim.EQ.rvb": 20.0 - n}),
+                  acoustics={what: None for what in EDGES} | {EQ_DISTANCE: 0.5 * n, DRR: 1.0}) for n in range(10)]
+    gain, = gains_by_acoustics(rooms, ["train.sim.EQ.rvb"], "online")
+    assert (gain["what"], gain["rooms"]) == (EQ_DISTANCE, 10)
+    assert gain["rho"] == pytest.approx(-1) and gain["p"] < 0.001
+    rooms[0]["acoustics"][EQ_DISTANCE] = 9.0  # the room without a gain is the farthest
+    assert gains_by_acoustics(rooms, ["train.sim.EQ.rvb"], "online")[0]["rho"] == pytest.approx(-0.4545, abs=1e-3)
+    assert gains_by_acoustics(rooms[:7], ["train.sim.EQ.rvb"], "online") == []
 
 
 def test_malformed_snr_is_named_and_missing_file_accepted(tmp_path):
