@@ -80,7 +80,8 @@ decode_opts="--beam 11 --max-active 2000 --lattice-beam 6"   # options of decode
 [ $# -eq 0 ] || usage
 [ -n "$stop_stage" ] || stop_stage=$((stage < 8 ? 7 : 10))
 . local/check_options.sh
-. utils/one_run.sh && one_run "$data" "$exp"
+. utils/one_run.sh
+[ "$dry_run" = true ] || one_run "$data" "$exp"
 local/install.sh
 . utils/ask.sh && start_answering
 

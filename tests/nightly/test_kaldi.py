@@ -238,6 +238,60 @@ def test_kaldi_root_is_found_from_egs_librispeech(tmp_path, project_dir):
     assert (tmp_path / "ws/steps").resolve() == kaldi / "egs/wsj/s5/steps"
 
 
+def put_programs(folder, **programs):
+    """Write shell scripts in place of programs; `_` in a name stands for a hyphen."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, script in programs.items():
+        path = folder / name.replace("_", "-")
+        path.write_text(f"#!/bin/sh\n{script}\n")
+        path.chmod(0o755)
+
+
+@pytest.fixture
+def workspace(recipe, tmp_path):
+    """A workspace with a Kaldi whose programs do nothing, and an OpenFst that takes `--project_output`."""
+    (recipe / "path.sh").write_text("")
+    bin_dir = tmp_path / "programs"
+    put_programs(bin_dir, **dict.fromkeys((
+        "flac", "sox", "compute_mfcc_feats", "gmm_est_fmllr", "nnet3_chain_train", "nnet3_latgen_faster",
+        "lattice_lmrescore_const_arpa", "online2_wav_nnet3_latgen_faster", "compute_wer_bootci"), "exit 0"),
+        arpa2fst='echo "LOG (arpa2fst[5.5.1-abcd]:Read():a.cc:94) Reading" >&2', fstcompile="cat", fstprint="cat",
+        fstproject='[ "$1" = --project_output=true ] && echo 0 1 2 2')
+    (recipe / "ws/path.sh").write_text(f"export KALDI_ROOT=/kaldi; PATH=$PWD/bin:{bin_dir}:$PATH\n")
+    return recipe, bin_dir
+
+
+def test_kaldi_version_is_kept(workspace):
+    recipe, _ = workspace
+    done = run(recipe, "local/kaldi/check_kaldi.sh", "ws")
+    assert done.returncode == 0, done.stderr
+    assert (recipe / "ws/kaldi_version").read_text() == "5.5.1-abcd\n"
+    assert not (recipe / "ws/bin").exists()
+
+
+def test_option_that_fstproject_does_not_know_is_translated(workspace):
+    recipe, bin_dir = workspace
+    put_programs(bin_dir, fstproject='[ "$1" = --project_type=output ] && echo 0 1 2 2 || exit 1')
+    done = run(recipe, "local/kaldi/check_kaldi.sh", "ws")
+    assert done.returncode == 0 and "the workspace translates it" in done.stdout
+    translated = run(recipe / "ws", "bash", "-c", ". ./path.sh && fstproject --project_output=true")
+    assert translated.stdout == "0 1 2 2\n"
+    put_programs(bin_dir, fstproject='[ "$1" = --project_output=true ] && echo 0 1 2 2')
+    assert run(recipe, "local/kaldi/check_kaldi.sh", "ws").returncode == 0
+    assert not (recipe / "ws/bin/fstproject").exists()
+
+
+@pytest.mark.parametrize(("programs", "words"), [
+    (dict(fstproject="echo unknown flag >&2; exit 1"), ["projects neither", "unknown flag", "tools/Makefile"]),
+    (dict(arpa2fst="echo about to crash >&2; kill -SEGV $$"), ["arpa2fst fails", "139", "about to crash"])])
+def test_unusable_openfst_is_refused(workspace, programs, words):
+    recipe, bin_dir = workspace
+    put_programs(bin_dir, **programs)
+    done = run(recipe, "local/kaldi/check_kaldi.sh", "ws")
+    assert done.returncode == 1
+    assert all(word in done.stderr.splitlines()[-1] for word in words), done.stderr
+
+
 @pytest.mark.skipif("KALDI_ROOT" not in os.environ, reason="needs KALDI_ROOT: Kaldi, compiled")
 def test_stock_kaldi_trains_and_decodes(tmp_path, project_dir):
     """Stages 8-10 at the smallest size: every stock command runs, and the table is made."""
