@@ -14,7 +14,9 @@ PAGES = {
     "loop": "Closed loop: generated rooms", "loop_scale": "Closed loop: time and memory",
     "laboratories": "Closed loop: real rooms",
     "effects": "Effects: predicted and rendered",
-    "augmentation": "Augmentation", "wer": "Word error rates", "faults": "Faults and bad inputs",
+    "augmentation": "Augmentation", "wer": "Word error rates: generated rooms",
+    "wer_real_rooms": "Word error rates: generated speech in real rooms",
+    "wer_digits": "Word error rates: real digits in real rooms", "faults": "Faults and bad inputs",
     "labels": "Labelling errors",
 }
 

@@ -5,8 +5,8 @@ Usage: tests/bench/publish.py [--commit HASH] [--date YYYY-MM-DD] PAGE FILE
 e.g.:  tests/bench/publish.py simulator exp/bench/fidelity.json
        tests/bench/publish.py loop tests/bench/loop/results/results.jsonl
 PAGE is one of simulator, measured_room, drawn_rooms, many_rooms, speed, compensation, loop, loop_scale, laboratories,
-effects, augmentation, wer, faults, labels. The commit is that of the working tree, unless the results are of an earlier
-one.
+effects, augmentation, wer, wer_real_rooms, wer_digits, faults, labels; of the word error rates, FILE is the directory
+that `tests/bench/wer.sh` made. The commit is that of the working tree, unless the results are of an earlier one.
 """
 
 import argparse
@@ -24,6 +24,9 @@ sys.path[:0] = [str(PROJECT / name) for name in ("pysrc", "tests")]
 
 from bench import kit  # noqa: E402
 from bench.loop.table import OWN_BASE, by_base, rates  # noqa: E402
+from roomeq.wer.check import WER_FILE, read_wer  # noqa: E402
+from roomeq.wer.table import ROOM_ACOUSTICS, caption, gains_caption, room_cells, stratum_label  # noqa: E402
+from roomeq.wer.workspace import BASE  # noqa: E402
 
 Table = dict[str, Any]
 
@@ -82,26 +85,49 @@ def effects(result: dict[str, Any]) -> list[Table]:
                  rows=rows, notes=["Largest median over RIRs of a band / worst single deviation."])]
 
 
-def word_errors(result: dict[str, Any]) -> list[Table]:
-    """Return the table of word error rates, and the differences between training sets."""
-    columns = result["columns"]
+def word_errors(results: dict[str, dict[str, Any]]) -> list[Table]:
+    """Return what `tests/bench/wer.sh` measured, with and without normalised features."""
+    tables = []
+    for addition, wer in results.items():
+        tables += [table | dict(title=f"{table['title']}{addition}") for table in _word_error_tables(wer)]
+    return tables
+
+
+def _word_error_tables(wer: dict[str, Any]) -> list[Table]:
+    """Return rates, differences between training sets, the rooms, and how gains depend on them."""
+    columns, first, results = wer["columns"], wer["columns"][0], wer["results"]
 
     def rate(system: dict[str, Any]) -> str:
         low, high = system["test"]["interval"]
         return f"{system['test']['wer']:.1f} [{low:.1f}, {high:.1f}]"
 
-    rates = [[row, *(rate(result["results"][row][column]) for column in columns)] for row in result["rows"]]
-    by_seed = [[row, column, *result["results"][row][column]["test"]["by_seed"]]
-               for row in result["rows"] for column in columns]
-    seeds = [f"seed {n}" for n in range(result["seeds"])]
-    changes = [[row, column, change["points"], "{:.1f} to {:.1f}".format(*change["interval"]), change["relative"]]
-               for row in result["rows"] for column in columns
-               if (change := result["results"][row][column].get("change"))]
+    def change(row: str, column: str) -> list[Any]:
+        found = results[row][column]["change"]
+        relative = f"{found['relative']:.1f} [{{:.1f}}, {{:.1f}}]".format(*found["relative_interval"])
+        return [row, column, found["points"], "{:.1f} to {:.1f}".format(*found["interval"]), relative,
+                found["detectable"] and found["detectable"]["difference"]]
+
+    changes = [change(row, column) for row in wer["rows"] for column in columns if "change" in results[row][column]]
+    by_seed = [[row, *results[row][first]["test"]["by_seed"]] for row in wer["rows"]]
+    rooms = [[room["room"], room["words"], *room_cells(room), *(room["wer"][first][row] for row in wer["rows"])]
+             for room in wer["rooms"]]
+    strata = [[stratum_label(stratum), stratum["words"], *(stratum["wer"][first][row] for row in wer["rows"])]
+              for stratum in wer["strata"]]
+    gains = [[gain[key] for key in ("row", "what", "rooms", "rho", "p")] for gain in wer["gains"]]
+    headings = [heading for heading, _ in ROOM_ACOUSTICS.values()]
     return [dict(title="Test error [%], 95 % intervals over rooms and seeds", columns=["trained on", *columns],
-                 rows=rates),
-            dict(title="Difference to train.sim.rvb, paired over rooms and seeds",
-                 columns=["trained on", "decoding", "points", "95 % interval", "relative [%]"], rows=changes),
-            dict(title="Test error by seed [%]", columns=["trained on", "decoding", *seeds], rows=by_seed)]
+                 rows=[[row, *(rate(results[row][column]) for column in columns)] for row in wer["rows"]],
+                 notes=caption(wer)),
+            dict(title=f"Difference to {BASE}, paired over rooms and seeds", rows=changes,
+                 columns=["trained on", "decoding", "points", "95 % interval", "relative [%]", "detectable [points]"]),
+            dict(title=f"Test error by seed [%], {first}",
+                 columns=["trained on", *(f"seed {n}" for n in range(wer["seeds"]))], rows=by_seed),
+            dict(title=f"Rooms, test error [%], {first}", columns=["room", "words", *headings, *wer["rows"]],
+                 rows=rooms, notes=["EQ: distance of the room's EQs to those of the measured training RIRs."]),
+            dict(title=f"Parts of the test set, test error [%], {first}", columns=["part", "words", *wer["rows"]],
+                 rows=strata),
+            *([dict(title="Gains and acoustics", columns=["trained on", "acoustics", "rooms", "rank correlation", "p"],
+                    rows=gains, notes=[gains_caption(wer)])] if gains else [])]
 
 
 def drawn_rooms(result: dict[str, Any]) -> list[Table]:
@@ -185,7 +211,12 @@ SUMMARY = {
                "features that the loop predicts against the change that rendering shows.",
     "augmentation": "Speed and exactness of augmentation, from FLAC to FLAC on one core: several copies of each "
                     "utterance, which roomeq reads and transforms once, and the others each time.",
-    "wer": "Word error rates of recognisers trained on the data, with intervals over rooms and seeds.",
+    "wer": "Word error rates in generated rooms, with intervals over rooms and seeds (`conf/mini.conf`).",
+    "wer_real_rooms": "Word error rates of generated speech in real rooms, with intervals over rooms and seeds "
+                      "(`conf/real_rooms.conf`). Three laboratories are in the training sets; every test room is "
+                      "elsewhere.",
+    "wer_digits": "Word error rates of real digits in real rooms, with intervals over rooms and seeds "
+                  "(`conf/digits.conf`). Three laboratories are in the training sets; every test room is elsewhere.",
     "faults": "Attacks on the recipe and its steps: files that change between two steps, losses of power, bad inputs, "
               "hostile names, kills, several runs at once, full disks. Handled: the bytes of an undisturbed run, or a "
               "refusal in one line that names the cause.",
@@ -202,7 +233,7 @@ READERS: dict[str, Callable[[Any], list[Table]]] = {
     "simulator": sections, "measured_room": sections, "speed": sections,
     "drawn_rooms": drawn_rooms, "many_rooms": many_rooms, "compensation": lambda result: result["tables"], "loop": loop,
     "loop_scale": loop_scale, "laboratories": sections, "augmentation": augmentation, "effects": effects,
-    "wer": word_errors, "faults": faults, "labels": labels,
+    "wer": word_errors, "wer_real_rooms": word_errors, "wer_digits": word_errors, "faults": faults, "labels": labels,
 }
 COMMAND = {
     "simulator": "tests/bench/fidelity/run.py", "measured_room": "tests/bench/real/bras_cr2.py",
@@ -211,13 +242,18 @@ COMMAND = {
     "loop": "tests/bench/loop/run.py", "loop_scale": "tests/bench/loop/scale.py",
     "laboratories": "tests/bench/real/laboratories.py",
     "effects": "tests/bench/effects.py", "augmentation": "tests/bench/augment.py",
-    "wer": "tests/bench/wer.sh", "faults": "tests/nightly/faults/attacks.sh",
+    **dict.fromkeys(("wer", "wer_real_rooms", "wer_digits"), "tests/bench/wer.sh"),
+    "faults": "tests/nightly/faults/attacks.sh",
     "many_rooms": "tests/bench/many_rooms.py", "labels": "tests/nightly/labels/label_errors.py",
 }
 
 
 def read(path: Path) -> Any:
-    """Read a JSON file, the lines of a JSON-lines file, or all JSON files of a directory."""
+    """Read a JSON file, the lines of a JSON-lines file, all JSON files of a directory, or what wer.sh made."""
+    if (path / "wer").is_dir():
+        additions = {"wer": "", "wer.without_cmvn": ", features not normalised"}
+        return {addition: read_wer(path / name / WER_FILE) for name, addition in additions.items()
+                if (path / name).is_dir()}
     if path.is_dir():
         return [json.loads(file.read_text()) for file in sorted(path.glob("*.json"))]
     if path.suffix == ".jsonl":

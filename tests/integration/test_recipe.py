@@ -29,7 +29,7 @@ def test_run_ends_with_data_directories_and_report(undisturbed, corpora):
     output, files = undisturbed
     assert "report: " in output.splitlines()[-1] and "data directory: " in output.splitlines()[-2]
     for name in ("train.real", "train.sim", "train.sim.EQ", "train.sim.loop", "dev.real", "dev.sim", "dev.sim.EQ",
-                 "dev.sim.loop", "test.real"):
+                 "dev.sim.loop", "train.sim.free", "dev.sim.free", "test.real"):
         assert f"data/{name}.rvb/wav.scp" in files and f"data/{name}.rvb/segments" in files
     assert "exp/report/index.html" in files
 

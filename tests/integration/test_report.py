@@ -405,3 +405,9 @@ def test_browser_renders_all_elements(made, width):
         paper = browser.run("return getComputedStyle(document.body).backgroundColor")
         assert paper == ("rgb(22, 27, 34)" if width == 390 else "rgb(255, 255, 255)")
         assert browser.console() == []
+
+
+def test_histogram_of_more_groups_than_line_styles():
+    groups = [(f"group {n}", "measured", np.arange(n + 3.0)) for n in range(7)]
+    panel = figures.panel("figure-many", figures.histogram("", groups, np.arange(10.0), "SNR (dB)"), "many groups")
+    assert panel

@@ -5,6 +5,7 @@ A panel is legible on a phone without zooming; a wide screen shows the panels of
 """
 
 import io
+import itertools
 import re
 import textwrap
 from collections.abc import Callable
@@ -264,11 +265,11 @@ def histogram(title: str, groups: list[tuple[str, str, FloatArray]], edges: Floa
         The counted items.
     """
     def draw(axes: Axes, colours: dict[str, str]) -> None:
-        styles = iter(["-", "--", "-.", ":"])
-        for n, (name, colour, values) in enumerate(groups):
+        styles = itertools.cycle(["-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1))])
+        for n, ((name, colour, values), style) in enumerate(zip(groups, styles, strict=False)):
             if n == 0:
                 axes.hist(values, list(edges), histtype="stepfilled", color=colours[colour], alpha=0.2)
-            axes.hist(values, list(edges), histtype="step", color=colours[colour], lw=1.6, ls=next(styles),
+            axes.hist(values, list(edges), histtype="step", color=colours[colour], lw=1.6, ls=style,
                       label=f"{name} (n = {len(values)})")
         axes.set_xlim(edges[0], edges[-1])
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
