@@ -15,8 +15,9 @@ cd "$workspace" && . ./path.sh
 rm -f bin/fstproject # of an earlier OpenFst
 
 missing=()
-for tool in flac sox perl python3 gzip fstcompile fstprint fstproject compute-mfcc-feats gmm-est-fmllr nnet3-chain-train \
-  nnet3-latgen-faster lattice-lmrescore-const-arpa online2-wav-nnet3-latgen-faster arpa2fst compute-wer-bootci; do
+for tool in flac sox perl python3 gzip fstcompile fstprint fstproject arpa2fst compute-mfcc-feats gmm-est-fmllr \
+  nnet3-chain-train nnet3-latgen-faster lattice-lmrescore-const-arpa online2-wav-nnet3-latgen-faster \
+  compute-wer-bootci; do
   command -v "$tool" >/dev/null || missing+=("$tool")
 done
 [ ${#missing[@]} = 0 ] || die "not found: ${missing[*]}: install them, or compile Kaldi in $KALDI_ROOT/src"
@@ -27,22 +28,30 @@ cat >"$work/lm.arpa" <<'EOF'
 
 \data\
 ngram 1=3
+ngram 2=2
 
 \1-grams:
 -0.3 </s>
--99 <s> 0
--0.3 a 0
+-99 <s> -0.1
+-0.3 a -0.1
+
+\2-grams:
+-0.1 <s> a
+-0.1 a </s>
 
 \end\
 EOF
-arpa2fst --disambig-symbol=#0 --read-symbol-table="$work/words.txt" "$work/lm.arpa" "$work/G.fst" 2>"$work/arpa2fst.log" || {
+made=$work/arpa2fst.log
+arpa2fst --disambig-symbol=#0 --read-symbol-table="$work/words.txt" "$work/lm.arpa" "$work/G.fst" 2>"$made" || {
   status=$?
-  die "$(command -v arpa2fst) fails on a language model of one word (exit status $status, $(tail -n 1 "$work/arpa2fst.log")): \
-compile Kaldi with the OpenFst that it finds at run time"
+  die "$(command -v arpa2fst) fails on a language model of one word (exit status $status, \
+$(grep ERROR "$made" || tail -n 1 "$made")): compile Kaldi with the OpenFst that it finds at run time"
 }
 
 # The output labels of an acceptor of one arc, 1 to 2.
-projected() { printf '0 1 1 2\n1\n' | fstcompile | fstproject "$1" 2>"$work/log" | fstprint | awk 'NF == 4 {print $4}'; }
+projected() {
+  printf '0 1 1 2\n1\n' | fstcompile | fstproject "$1" 2>"$work/log" | fstprint 2>/dev/null | awk 'NF == 4 {print $4}'
+}
 if [ "$(projected --project_output=true)" != 2 ]; then
   [ "$(projected --project_type=output)" = 2 ] ||
     die "$(command -v fstproject) projects neither with --project_output=true nor with --project_type=output \
@@ -55,6 +64,6 @@ EOF
   chmod +x bin/fstproject
   log "fstproject of this OpenFst does not know --project_output: the workspace translates it"
 fi
-version=$(sed -n 's/^[A-Z]* (arpa2fst\[\([^]]*\)\].*/\1/p' "$work/arpa2fst.log" | head -n 1)
+version=$(sed -n 's/^[A-Z]* (arpa2fst\[\([^]]*\)\].*/\1/p' "$made" | head -n 1)
 echo "${version:-unknown}" >kaldi_version
 log "Kaldi $(cat kaldi_version) in $KALDI_ROOT"
