@@ -244,6 +244,16 @@ def test_slopes_of_separate_bands_taken_together_are_those_of_each(session):
     assert np.ptp(derivatives.by_surface[:, METRIC == "drr"]) > 0.1 and len(data.rows) > 8
 
 
+def test_fit_does_not_depend_on_threads(session):
+    effects = tuple(CATALOGUE[name] for name in ("source_response", "source_directivity", "noise_floor"))
+    one, three = (fit(session.data, session.correction, effects, initial=session.fit, iterations=2, threads=threads)
+                  for threads in (1, 3))
+    np.testing.assert_array_equal(one.mean, three.mean)
+    np.testing.assert_array_equal(one.predicted, three.predicted)
+    for effect in effects:
+        np.testing.assert_array_equal(one.derivatives.by_effect[effect], three.derivatives.by_effect[effect])
+
+
 def test_steps_of_a_fit_go_downhill(session):
     """The gradient of the normal equations is that of the cost, also where large residuals count linearly."""
     index, fitted = session.index, session.fit

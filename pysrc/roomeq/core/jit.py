@@ -102,9 +102,13 @@ def for_chunks(n_rays: int, work: Callable[[int, int, int], Result]) -> list[Res
     return on_threads(work, [(chunk, int(edges[chunk]), int(edges[chunk + 1])) for chunk in range(N_CHUNKS)])
 
 
-def on_threads(work: Callable[..., Result], jobs: Sequence[tuple[Any, ...]]) -> list[Result]:
-    """Return ``[work(*job) for job in jobs]``, computed on threads: for work that releases the interpreter lock."""
-    threads = min(n_threads(), len(jobs))
+def on_threads(work: Callable[..., Result], jobs: Sequence[tuple[Any, ...]], threads: int | None = None
+               ) -> list[Result]:
+    """Return ``[work(*job) for job in jobs]``, computed on threads: for work that releases the interpreter lock.
+
+    There are `threads` at most, by default `n_threads`.
+    """
+    threads = min(threads or n_threads(), len(jobs))
     if threads <= 1:
         return [work(*job) for job in jobs]
     with ThreadPoolExecutor(threads) as pool:

@@ -209,7 +209,8 @@ def _eliminate(session: Session, errors: HeldOutErrors, newest: type[Effect]
         if effect is newest or effect.MEASURED:
             continue
         kept = [other for other in left.effects if other is not effect]
-        fitted = fit(session.data, session.correction, kept, initial=session.fit, known=session.fit.derivatives)
+        fitted = fit(session.data, session.correction, kept, initial=session.fit, known=session.fit.derivatives,
+                     threads=session.nj)
         without = replace(session, effects=fitted.effects, fit=fitted)
         # the first trial, of one split and with the correction of the whole model, takes a third of the time
         if p_lower(heldout_errors(without, SPLITS[:1]), errors, SPLITS[0]) < LEVEL:

@@ -22,7 +22,7 @@ from roomeq.core.progress import progress
 from roomeq.effects.base import Effect
 from roomeq.loop.data import Data
 from roomeq.loop.features import HAS_GAIN, N_FEATURES
-from roomeq.loop.likelihood import NormalEquations, misfit, normal_equations, scatter
+from roomeq.loop.likelihood import NormalEquations, all_normal_equations, misfit, scatter
 from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, Derivatives, ParameterIndex
 from roomeq.loop.predict import N_BANDS
 
@@ -101,7 +101,7 @@ class Fit:
 
 def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
         start: Sequence[Any] | None = None, initial: Fit | None = None, known: Derivatives | None = None,
-        iterations: int = ITERATIONS) -> Fit:
+        iterations: int = ITERATIONS, threads: int = 1) -> Fit:
     """Fit a model.
 
     Parameters
@@ -117,6 +117,8 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
     known : Derivatives, optional
         Derivatives that are not computed again in every iteration, such as those of a smaller model.
     iterations : int
+    threads : int
+        Number of threads; the result does not depend on it.
     """
     index = ParameterIndex(data, effects)
     measured = [effect.measured_vectors(data) if start is None else None for effect in index.effects]
@@ -137,11 +139,11 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
     start_from_measured(index, mean, local, () if initial is None else initial.effects)
     for iteration in progress(range(iterations), iterations, "fit: iterations"):
         covariance = covariances(index, shape, own_scale, gain_db)
-        predicted, derivatives = index.linearize(mean, local, correction, known)
+        predicted, derivatives = index.linearize(mean, local, correction, known, threads)
         residual, valid = data.residual(predicted)
         if iteration:
             sigma, omega = scatter(data, residual, valid)
-        normal = [normal_equations(index, r, residual, valid, derivatives, sigma, omega) for r in range(len(local))]
+        normal = all_normal_equations(index, residual, valid, derivatives, sigma, omega, threads)
         cost_at = partial(cost, index, correction, sigma, omega, covariance, prior)
         limit, old = cost_at(mean, local, predicted), (mean, local)
         *new, posterior = solve_step(normal, covariance, mean, local, prior)
@@ -156,10 +158,10 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
         if iteration and limit - reached < CONVERGED:  # the scatter is known from the second iteration on
             break
     covariance = covariances(index, shape, own_scale, gain_db)
-    predicted, derivatives = index.linearize(mean, local, correction, known)
+    predicted, derivatives = index.linearize(mean, local, correction, known, threads)
     residual, valid = data.residual(predicted)
     sigma, omega = scatter(data, residual, valid)
-    normal = [normal_equations(index, r, residual, valid, derivatives, sigma, omega) for r in range(len(local))]
+    normal = all_normal_equations(index, residual, valid, derivatives, sigma, omega, threads)
     return Fit(index.effects, mean, local, covariance, sigma, omega, predicted, normal, derivatives, gain_db)
 
 

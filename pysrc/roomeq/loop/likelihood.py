@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
+from roomeq.core.jit import on_threads
 from roomeq.loop.data import Data
 from roomeq.loop.features import METRIC, N_FEATURES
 from roomeq.loop.packing import Derivatives, ParameterIndex
@@ -44,6 +45,13 @@ class NormalEquations:
     shared_residual: FloatArray
     residual_residual: float
     log_scale: float
+
+
+def all_normal_equations(index: ParameterIndex, residual: FloatArray, valid: BoolArray, derivatives: Derivatives,
+                         sigma: FloatArray, omega: FloatArray, threads: int = 1) -> list[NormalEquations]:
+    """Return the normal equations of all rooms (see `normal_equations`)."""
+    return on_threads(lambda r: normal_equations(index, r, residual, valid, derivatives, sigma, omega),
+                      [(r,) for r in range(len(index.members))], threads)
 
 
 def normal_equations(index: ParameterIndex, r: int, residual: FloatArray, valid: BoolArray, derivatives: Derivatives,

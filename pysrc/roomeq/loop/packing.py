@@ -16,12 +16,13 @@ of the room, one of the source in that room and one of the microphone in that ro
 compared (`roomeq.loop.measurability`) has a gain of its own.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
+from roomeq.core.jit import on_threads
 from roomeq.effects.base import Effect
 from roomeq.effects.prediction import PredictionState
 from roomeq.loop.data import Data
@@ -207,7 +208,7 @@ class ParameterIndex:
         return predict(self.data, self.state(absorption, vectors), reflected) + correction + np.outer(gains, HAS_GAIN)
 
     def linearize(self, mean: FloatArray, local: list[FloatArray], correction: FloatArray,
-                  known: Derivatives | None = None) -> tuple[FloatArray, Derivatives]:
+                  known: Derivatives | None = None, threads: int = 1) -> tuple[FloatArray, Derivatives]:
         """Return predicted features, shape (n_rirs, n_features), and their derivatives.
 
         Parameters
@@ -218,36 +219,43 @@ class ParameterIndex:
             Rendering correction.
         known : Derivatives, optional
             Derivatives that are not computed again, by the surface parameters and by any effects.
+        threads : int
+            On which the derivatives are computed.
         """
         absorption, vectors = self.absorption(mean, local), self.vectors(mean, local)
         state = self.state(absorption, vectors)
         reflected = ReflectedEnergy(self.data, state)
         centre = predict_by_band(self.data, state, reflected)
-        if known is not None:
-            by_surface = known.by_surface
-        else:
+        jobs: list[tuple[Callable[..., None], tuple[Any, ...]]] = []
+
+        def by_absorption(slopes: FloatArray, bands: list[int], first: int, step: tuple[float, float]) -> None:
+            moved = absorption.copy()
+            moved[:, :, bands] *= np.exp(_STEP * np.array(step))[:, None]
+            moved_to = predict_by_band(self.data, self.state(moved, vectors))
+            slopes[:, :, [first + band for band in bands]] = _slopes(centre, moved_to, bands, _STEP)
+
+        def by_vector(slopes: FloatArray, k: int, group: list[int]) -> None:
+            effect, moved_vectors = self.effects[k], [vector.copy() for vector in vectors]
+            steps = _STEP * np.array(effect.SPREAD)[group]
+            moved_vectors[k][:, group] += steps
+            moved_to = predict_by_band(self.data, self.state(absorption, moved_vectors),
+                                       None if effect.REFLECTIONS else reflected.copy())
+            bands = [band for p in group if (band := effect.BANDS[p] if effect.BANDS else None) is not None]
+            slopes[:, :, group] = _slopes(centre, moved_to, bands, steps) if bands else (
+                moved_to.features - centre.features)[:, :, None] / steps
+
+        if known is None:
             by_surface = np.empty((*centre.features.shape, N_SURFACE))
-            for bands in _separate(range(N_BANDS)):
-                for first, step in ((0, (1.0, 1.0)), (N_BANDS, (-0.5, 0.5))):
-                    moved = absorption.copy()
-                    moved[:, :, bands] *= np.exp(_STEP * np.array(step))[:, None]
-                    slopes = _slopes(centre, predict_by_band(self.data, self.state(moved, vectors)), bands, _STEP)
-                    by_surface[:, :, [first + band for band in bands]] = slopes
+            jobs += [(by_absorption, (by_surface, bands, first, step)) for bands in _separate(range(N_BANDS))
+                     for first, step in ((0, (1.0, 1.0)), (N_BANDS, (-0.5, 0.5)))]
+        else:
+            by_surface = known.by_surface
         by_effect = {effect: known.by_effect[effect] for effect in self.effects if known and effect in known.by_effect}
         for k, effect in enumerate(self.effects):
-            if effect in by_effect:
-                continue
-            slopes = np.empty((*centre.features.shape, len(effect.SPREAD)))
-            for group in _groups_of(effect):
-                moved_vectors = [vector.copy() for vector in vectors]
-                steps = _STEP * np.array(effect.SPREAD)[group]
-                moved_vectors[k][:, group] += steps
-                moved_to = predict_by_band(self.data, self.state(absorption, moved_vectors),
-                                           None if effect.REFLECTIONS else reflected)
-                bands = [band for p in group if (band := effect.BANDS[p] if effect.BANDS else None) is not None]
-                slopes[:, :, group] = _slopes(centre, moved_to, bands, steps) if bands else (
-                    moved_to.features - centre.features)[:, :, None] / steps
-            by_effect[effect] = slopes
+            if effect not in by_effect:
+                by_effect[effect] = np.empty((*centre.features.shape, len(effect.SPREAD)))
+                jobs += [(by_vector, (by_effect[effect], k, group)) for group in _groups_of(effect)]
+        on_threads(lambda job, arguments: job(*arguments), jobs, threads)
         gains = np.outer(self.gains(local), HAS_GAIN)
         return centre.features + correction + gains, Derivatives(by_surface, by_effect)
 

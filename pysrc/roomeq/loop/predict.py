@@ -5,6 +5,7 @@ states are used, added to features that were measured on rendered RIRs. What win
 then part of both.
 """
 
+from copy import copy
 from functools import partial
 from typing import NamedTuple
 
@@ -111,6 +112,12 @@ class ReflectedEnergy:
         self._levels = self._measured(self._energy)
         self._direct: FloatArray | None = None
         self._times_s: FloatArray = np.empty((len(self._energy), 3, N_BANDS))
+
+    def copy(self) -> "ReflectedEnergy":
+        """Return a copy for another thread: what it keeps of the last state is its own."""
+        made = copy(self)
+        made._times_s = self._times_s.copy()
+        return made
 
     def _measured(self, energy: FloatArray) -> tuple[FloatArray, ...]:
         return *(_until(seconds, energy) for seconds in self._gates_s), energy.sum(axis=1)

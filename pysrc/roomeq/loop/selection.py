@@ -306,7 +306,7 @@ def rank(session: Session, eliminated: Collection[type[Effect]] = ()) -> Ranking
     """Fit each effect that the model lacks and did not lose, and rank them by the densities of held-out rooms."""
     data = session.data
     before = leave_rooms_out(data, fit(data, session.correction, session.effects, initial=session.fit,
-                                       known=session.fit.derivatives))
+                                       known=session.fit.derivatives, threads=session.nj))
     known = {*session.effects, *data.given_kinds, *eliminated}
     lacking: list[type[Effect]] = [effect for effect in CATALOGUE.values()
                                    if effect not in known and effect.applies(data)]
@@ -335,7 +335,8 @@ def _candidate(session: Session, effect: type[Effect], before: list[HeldOutRoom]
 
 def helps_beside(session: Session, other: Candidate, candidate: Candidate, n_candidates: int) -> bool:
     """Tell whether a candidate helps a model that has another candidate: whether it explains something else."""
-    fitted = fit(session.data, session.correction, other.fit.effects, initial=other.fit, known=session.fit.derivatives)
+    fitted = fit(session.data, session.correction, other.fit.effects, initial=other.fit, known=session.fit.derivatives,
+                 threads=session.nj)
     model = replace(session, effects=fitted.effects, fit=fitted)
     return _candidate(model, candidate.effect, leave_rooms_out(session.data, fitted)).helps(n_candidates)
 

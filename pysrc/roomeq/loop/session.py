@@ -62,7 +62,7 @@ def fit_base_model(data: Data, *, seed: int, nj: int) -> Session:
     """Fit the base model, render it, and fit it again with the rendering correction."""
     data = clear_rendered_changes(data, data.given_kinds)
     correction = np.zeros((len(data.rows), N_FEATURES))
-    return refit_rendered(data, fit(data, correction, ()), seed=seed, nj=nj)
+    return refit_rendered(data, fit(data, correction, (), threads=nj), seed=seed, nj=nj)
 
 
 def refit_rendered(data: Data, fitted: Fit, *, seed: int, nj: int,
@@ -75,9 +75,9 @@ def refit_rendered(data: Data, fitted: Fit, *, seed: int, nj: int,
     rendered = render_model(data, fitted, seed=seed, nj=nj)
     data = measure_rendered_changes(rendered, [effect for effect in fitted.effects if effect not in known_changes])
     correction = rendering_correction(replace(rendered, data=data))
-    first = fit(data, correction, fitted.effects, initial=fitted)
+    first = fit(data, correction, fitted.effects, initial=fitted, threads=nj)
     of_surfaces = first.derivatives._replace(by_effect={})  # which are smoother than those of effects
-    final = fit(data, correction, fitted.effects, initial=first, known=of_surfaces)
+    final = fit(data, correction, fitted.effects, initial=first, known=of_surfaces, threads=nj)
     return Session(data, fitted.effects, correction, final, seed, nj)
 
 

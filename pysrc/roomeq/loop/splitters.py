@@ -32,7 +32,7 @@ from roomeq.loop.fit import (
     solve_step,
     start_from_measured,
 )
-from roomeq.loop.likelihood import NormalEquations, normal_equations
+from roomeq.loop.likelihood import NormalEquations, all_normal_equations, normal_equations
 from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, ParameterIndex
 from roomeq.loop.predict import N_BANDS
 from roomeq.loop.session import Session
@@ -279,8 +279,7 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
     for _ in range(iterations):
         predicted, derivatives = index.linearize(mean, local, correction)
         residual, valid = index.data.residual(predicted)
-        normal = [normal_equations(index, r, residual, valid & visible, derivatives, fitted.sigma, fitted.omega)
-                  for r in range(len(local))]
+        normal = all_normal_equations(index, residual, valid & visible, derivatives, fitted.sigma, fitted.omega)
         cost_at = partial(cost, index, correction, fitted.sigma, fitted.omega, spreads, prior, visible=visible)
         old, limit = (mean, local), cost_at(mean, local, predicted)
         *new, _ = solve_step(normal, spreads, mean, local, prior)
