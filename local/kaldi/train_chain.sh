@@ -66,7 +66,7 @@ once "$set/nnet/configs" steps/nnet3/xconfig_to_configs.py --xconfig-file "$set/
 cmvn="--norm-means=false --norm-vars=false"
 [ "$online_cmvn" = false ] || cmvn="--config=conf/online_cmvn.conf"
 train=(steps/nnet3/chain/train.py --cmd "$runner" --use-gpu "$([ "$use_gpu" = true ] && echo wait || echo no)"
-  --feat.cmvn-opts "$cmvn"
+  --feat.cmvn-opts="$cmvn"
   --chain.xent-regularize 0.1 --chain.leaky-hmm-coefficient 0.1 --chain.l2-regularize 0.0
   --chain.apply-deriv-weights false --chain.lm-opts="--num-extra-lm-states=2000"
   --egs.opts "--frames-overlap-per-eg 0 --constrained false --online-cmvn $online_cmvn --num-utts-subset $held_out"
