@@ -15,9 +15,9 @@ cd "$workspace" && . ./path.sh
 rm -f bin/fstproject # of an earlier OpenFst
 
 missing=()
-for tool in flac sox perl python3 gzip fstcompile fstprint fstproject arpa2fst compute-mfcc-feats gmm-est-fmllr \
-  nnet3-chain-train nnet3-latgen-faster lattice-lmrescore-const-arpa online2-wav-nnet3-latgen-faster \
-  compute-wer-bootci; do
+for tool in flac sox perl python3 gzip fstcompile fstprint fstproject arpa2fst fsttablecompose compute-mfcc-feats \
+  gmm-est-fmllr gmm-est-fmllr-gpost chain-est-phone-lm nnet-get-feature-transform nnet3-chain-train \
+  nnet3-latgen-faster lattice-lmrescore-const-arpa online2-wav-nnet3-latgen-faster compute-wer-bootci; do
   command -v "$tool" >/dev/null || missing+=("$tool")
 done
 [ ${#missing[@]} = 0 ] || die "not found: ${missing[*]}: install them, or compile Kaldi in $KALDI_ROOT/src"

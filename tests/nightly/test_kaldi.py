@@ -253,7 +253,8 @@ def workspace(recipe, tmp_path):
     (recipe / "path.sh").write_text("")
     bin_dir = tmp_path / "programs"
     put_programs(bin_dir, **dict.fromkeys((
-        "flac", "sox", "compute_mfcc_feats", "gmm_est_fmllr", "nnet3_chain_train", "nnet3_latgen_faster",
+        "flac", "sox", "fsttablecompose", "compute_mfcc_feats", "gmm_est_fmllr", "gmm_est_fmllr_gpost",
+        "chain_est_phone_lm", "nnet_get_feature_transform", "nnet3_chain_train", "nnet3_latgen_faster",
         "lattice_lmrescore_const_arpa", "online2_wav_nnet3_latgen_faster", "compute_wer_bootci"), "exit 0"),
         arpa2fst='echo "LOG (arpa2fst[5.5.1-abcd]:Read():a.cc:94) Reading" >&2', fstcompile="cat", fstprint="cat",
         fstproject='[ "$1" = --project_output=true ] && echo 0 1 2 2')
