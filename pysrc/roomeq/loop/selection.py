@@ -184,7 +184,7 @@ def transferred(data: Data, session: Session) -> tuple[Data, Callable]:
     correction = np.tile(session.correction.mean(axis=0), (len(data.rows), 1))
 
     def calibrated(known: list[IntArray], usable: BoolArray | None) -> tuple[FloatArray, list, FloatArray]:
-        mean, local = solve_rooms(index, session.fit, prior, correction, known, usable)
+        mean, local = solve_rooms(index, session.fit, prior, correction, known, usable, threads=session.nj)
         vectors = index.vectors(mean, local)
         return index.absorption(mean, local), effects_of_rows(data, session.effects, vectors), index.gains(local)
 
@@ -197,7 +197,8 @@ def _with_facings(data: Data, session: Session) -> Data:
         return data
     index = ParameterIndex(data, session.effects)
     correction = np.tile(session.correction.mean(axis=0), (len(data.rows), 1))
-    mean, local = solve_rooms(index, session.fit, transfer_shared(session, index), correction, split_positions(data)[0])
+    mean, local = solve_rooms(index, session.fit, transfer_shared(session, index), correction, split_positions(data)[0],
+                              threads=session.nj)
     vectors = index.vectors(mean, local)
     residual, valid = data.residual(index.predict(index.absorption(mean, local), vectors, index.gains(local),
                                                   correction))

@@ -244,7 +244,8 @@ def transfer_shared(session: Session, index: ParameterIndex) -> SharedPrior:
 
 
 def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correction: FloatArray, known: list[IntArray],
-                usable: BoolArray | None = None, iterations: int = ITERATIONS) -> tuple[FloatArray, list[FloatArray]]:
+                usable: BoolArray | None = None, iterations: int = ITERATIONS, threads: int = 1
+                ) -> tuple[FloatArray, list[FloatArray]]:
     """Estimate the parameters of rooms that a fit has not seen, from some of their RIRs.
 
     Parameters
@@ -261,6 +262,8 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
     usable : ndarray of bool, shape (n_features,), optional
         The features that may be used; by default all.
     iterations : int
+    threads : int
+        Number of threads; the result does not depend on it.
 
     Returns
     -------
@@ -277,9 +280,10 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
     usable_data = replace(index.data, valid=index.data.valid & visible)
     start_from_measured(ParameterIndex(usable_data, index.effects), mean, local)
     for _ in range(iterations):
-        predicted, derivatives = index.linearize(mean, local, correction)
+        predicted, derivatives = index.linearize(mean, local, correction, threads=threads)
         residual, valid = index.data.residual(predicted)
-        normal = all_normal_equations(index, residual, valid & visible, derivatives, fitted.sigma, fitted.omega)
+        normal = all_normal_equations(index, residual, valid & visible, derivatives, fitted.sigma, fitted.omega,
+                                      threads)
         cost_at = partial(cost, index, correction, fitted.sigma, fitted.omega, spreads, prior, visible=visible)
         old, limit = (mean, local), cost_at(mean, local, predicted)
         *new, _ = solve_step(normal, spreads, mean, local, prior)
