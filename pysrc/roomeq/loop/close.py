@@ -77,7 +77,7 @@ def make(build: Build, directories: list[Path], test: list[Path], model: Path | 
     if not 0 <= max_effects <= len(CATALOGUE):
         raise ValueError(f"max_effects={max_effects} must lie in [0, {len(CATALOGUE)}]")
     base = Model() if model is None else read_model(model)
-    data = load_usable(require_enough_rooms(directories), scattering=SCATTERING, seed=seed, model=base, nj=nj)
+    data = load_usable(require_enough_rooms(directories, nj), scattering=SCATTERING, seed=seed, model=base, nj=nj)
     for entry in data.left_out:
         logger.info("left out %s", entry)
     # read before the loop, so that an invalid test set is reported at once and not after hours
@@ -91,7 +91,7 @@ def make(build: Build, directories: list[Path], test: list[Path], model: Path | 
 
 def _load_test_set(directories: Sequence[Path], base: Model, seed: int, nj: int) -> Data | None:
     """Return the data of the test set, or None where no room can be scored."""
-    usable = usable_rirs(directories)
+    usable = usable_rirs(directories, nj)
     for entry in usable.left_out:
         logger.info("test set: left out %s", entry)
     if not usable.n_scored:

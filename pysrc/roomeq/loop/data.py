@@ -179,7 +179,7 @@ def load_data(directories: Sequence[Path], *, scattering: float, seed: int, mode
         A directory is invalid, none of its RIRs is usable, one of these cannot be measured, or two directories share
         an id.
     """
-    usable = usable_rirs(directories)
+    usable = usable_rirs(directories, nj)
     if not usable.rirs:
         raise ValueError(f"{directories[0]}: no RIR can be used ({'; '.join(map(str, usable.left_out))})")
     return load_usable(usable, scattering=scattering, seed=seed, model=model, nj=nj)

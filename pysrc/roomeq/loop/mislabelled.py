@@ -14,6 +14,7 @@ from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.iso3382 import all_metrics
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import FS_HZ
+from roomeq.core.workers import share_out
 from roomeq.loop.arrivals import Arrivals, measure_arrivals
 from roomeq.loop.doubtful_geometry import Doubt, find_other_unit, find_wrong_distance
 from roomeq.loop.doubtful_recordings import cut_parts, find_copies, find_other_decays
@@ -34,20 +35,23 @@ class _Heard(NamedTuple):
     levels_db: FloatArray
 
 
-def find_mislabelled(rirs: Sequence[tuple[Path, RirRow]]) -> list[Doubt | None]:
+def find_mislabelled(rirs: Sequence[tuple[Path, RirRow]], nj: int = 1) -> list[Doubt | None]:
     """Return for each RIR what does not fit, or None; the log has the details.
 
     Parameters
     ----------
     rirs : sequence of (Path, RirRow)
         Directories and rows that the closed loop could use (`roomeq.loop.usable`), sorted by room.
+    nj : int
+        Number of processes that read them.
 
     Raises
     ------
     ValueError
         A recording cannot be read or has no direct sound; the message names the file.
     """
-    rows, heard = [row for _, row in rirs], [_listen(*rir) for rir in rirs]
+    rows = [row for _, row in rirs]
+    heard = share_out(lambda rir: _listen(*rir), rirs, nj, label="check RIRs")
     doubts = _other_units(rows, heard)
     for found in ([of_rir.distance for of_rir in heard],
                   find_other_decays(rows, np.array([of_rir.log_t20 for of_rir in heard]).reshape(-1, 8))):

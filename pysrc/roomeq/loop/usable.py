@@ -68,10 +68,10 @@ class UsableRirs(NamedTuple):
         return sum(n > 1 for n in Counter(rir.row["room_id"] for rir in self.rirs).values())
 
 
-def usable_rirs(directories: Iterable[Path]) -> UsableRirs:
+def usable_rirs(directories: Iterable[Path], nj: int = 1) -> UsableRirs:
     """Return the RIRs of some directories that the closed loop can use; RIRs of simulated noise sources are ignored.
 
-    The log names what contradicts what in rows that are left out.
+    The log names what contradicts what in rows that are left out. Recordings are read by `nj` processes.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def usable_rirs(directories: Iterable[Path]) -> UsableRirs:
     found.sort(key=lambda rir: (rir.row["room_id"], rir.row["id"]))
     reasons = [_refused(rir) for rir in found]
     contradictions = _log_contradictions(found, reasons)
-    for n, doubt in _mislabelled(found, reasons):
+    for n, doubt in _mislabelled(found, reasons, nj):
         reasons[n] = doubt.phrase
         contradictions.setdefault(doubt.phrase, doubt.detail)
     left_out = []
@@ -98,8 +98,8 @@ def usable_rirs(directories: Iterable[Path]) -> UsableRirs:
                       tuple(contradictions[entry.reason] for entry in left_out if entry.reason in contradictions))
 
 
-def require_enough_rooms(directories: Sequence[Path]) -> UsableRirs:
-    """Return the usable RIRs of directories, and refuse too few for the closed loop.
+def require_enough_rooms(directories: Sequence[Path], nj: int = 1) -> UsableRirs:
+    """Return the usable RIRs of directories as `usable_rirs` does, and refuse too few for the closed loop.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def require_enough_rooms(directories: Sequence[Path]) -> UsableRirs:
         Fewer than `MIN_ROOMS` rooms have two usable RIRs; the message counts the RIRs by reason and says what to
         measure or to correct. Also raised as by `usable_rirs`.
     """
-    usable = usable_rirs(directories)
+    usable = usable_rirs(directories, nj)
     if problem := too_few_rooms(usable):
         raise ValueError(f"{', '.join(map(str, directories))}: {problem}")
     return usable
@@ -155,12 +155,12 @@ def _log_contradictions(rirs: Iterable[Located], reasons: Iterable[str | None]) 
     return first
 
 
-def _mislabelled(rirs: Sequence[Located], reasons: Sequence[str | None]) -> Iterator[tuple[int, "Doubt"]]:
+def _mislabelled(rirs: Sequence[Located], reasons: Sequence[str | None], nj: int) -> Iterator[tuple[int, "Doubt"]]:
     """Yield number and doubt of those RIRs without a reason whose rows are contradicted by their recordings."""
     from roomeq.loop.mislabelled import find_mislabelled  # only where there are recordings to listen to
 
     left = [n for n, reason in enumerate(reasons) if reason is None]
-    for n, doubt in zip(left, find_mislabelled([rirs[n] for n in left]), strict=True):
+    for n, doubt in zip(left, find_mislabelled([rirs[n] for n in left], nj), strict=True):
         if doubt:
             yield n, doubt
 
