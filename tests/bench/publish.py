@@ -25,7 +25,15 @@ sys.path[:0] = [str(PROJECT / name) for name in ("pysrc", "tests")]
 from bench import kit  # noqa: E402
 from bench.loop.table import OWN_BASE, by_base, rates  # noqa: E402
 from roomeq.wer.check import WER_FILE, read_wer  # noqa: E402
-from roomeq.wer.table import ROOM_ACOUSTICS, caption, gains_caption, room_cells, stratum_label  # noqa: E402
+from roomeq.wer.table import (  # noqa: E402
+    EQ_NOTE,
+    ROOM_ACOUSTICS,
+    brackets,
+    caption,
+    gains_caption,
+    room_cells,
+    stratum_label,
+)
 from roomeq.wer.workspace import BASE  # noqa: E402
 
 Table = dict[str, Any]
@@ -98,13 +106,13 @@ def _word_error_tables(wer: dict[str, Any]) -> list[Table]:
     columns, first, results = wer["columns"], wer["columns"][0], wer["results"]
 
     def rate(system: dict[str, Any]) -> str:
-        low, high = system["test"]["interval"]
-        return f"{system['test']['wer']:.1f} [{low:.1f}, {high:.1f}]"
+        return f"{system['test']['wer']:.1f}{brackets(system['test']['interval'], 1)}"
 
     def change(row: str, column: str) -> list[Any]:
         found = results[row][column]["change"]
-        relative = f"{found['relative']:.1f} [{{:.1f}}, {{:.1f}}]".format(*found["relative_interval"])
-        return [row, column, found["points"], "{:.1f} to {:.1f}".format(*found["interval"]), relative,
+        relative = None if found["relative"] is None else (
+            f"{found['relative']:.1f}{brackets(found['relative_interval'], 1)}")
+        return [row, column, f"{found['points']:.2f}{brackets(found['interval'])}", relative,
                 found["detectable"] and found["detectable"]["difference"]]
 
     changes = [change(row, column) for row in wer["rows"] for column in columns if "change" in results[row][column]]
@@ -119,11 +127,11 @@ def _word_error_tables(wer: dict[str, Any]) -> list[Table]:
                  rows=[[row, *(rate(results[row][column]) for column in columns)] for row in wer["rows"]],
                  notes=caption(wer)),
             dict(title=f"Difference to {BASE}, paired over rooms and seeds", rows=changes,
-                 columns=["trained on", "decoding", "points", "95 % interval", "relative [%]", "detectable [points]"]),
+                 columns=["trained on", "decoding", "points", "relative [%]", "detectable [points]"]),
             dict(title=f"Test error by seed [%], {first}",
                  columns=["trained on", *(f"seed {n}" for n in range(wer["seeds"]))], rows=by_seed),
             dict(title=f"Rooms, test error [%], {first}", columns=["room", "words", *headings, *wer["rows"]],
-                 rows=rooms, notes=["EQ: distance of the room's EQs to those of the measured training RIRs."]),
+                 rows=rooms, notes=[EQ_NOTE]),
             dict(title=f"Parts of the test set, test error [%], {first}", columns=["part", "words", *wer["rows"]],
                  rows=strata),
             *([dict(title="Gains and acoustics", columns=["trained on", "acoustics", "rooms", "rank correlation", "p"],
@@ -273,6 +281,8 @@ def main() -> None:
     commit = given.commit or subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=PROJECT, check=True, text=True,
                                             capture_output=True).stdout.strip()
     result = read(given.file)
+    if READERS[given.page] is word_errors and not (given.file / "wer").is_dir():
+        sys.exit(f"{given.file}: has no wer: give the directory that tests/bench/wer.sh made")
     machine = result.get("machine", kit.machine()) if isinstance(result, dict) else kit.machine()
     machine = {key: value for key, value in machine.items() if key in ("cpu", "cores", "python")}
     content = dict(summary=f"{SUMMARY[given.page]} {given.note}".strip(), command=COMMAND[given.page], commit=commit,

@@ -63,7 +63,8 @@ def datasets(run: Run) -> Context:
                      f"{n_rirs:,}", f"{len(used):,}" if used else DASH, source(run, split)])
     if not rows:
         raise Missing("any data/*.rvb", "stage 6 (roomeq augment)")
-    return {"rows": rows, "missing": missing, "has_loop": any(run.has(f"{name}.rvb") for name in LOOP_SETS)}
+    return {"rows": rows, "missing": missing, "has_loop": any(run.has(f"{name}.rvb") for name in LOOP_SETS),
+            "has_free": any(run.has(f"{name}.rvb") for name in FREE_SETS)}
 
 
 def size(run: Run, name: str) -> tuple[float, int]:

@@ -8,7 +8,7 @@ from roomeq.report import figures, figures_wer
 from roomeq.report.formats import DASH, number, with_interval
 from roomeq.report.load import Context, Run
 from roomeq.wer.check import WER_FILE, read_wer
-from roomeq.wer.table import ROOM_ACOUSTICS, caption, gains_caption, label, room_cells, stratum_label
+from roomeq.wer.table import EQ_NOTE, ROOM_ACOUSTICS, caption, gains_caption, label, room_cells, stratum_label
 from roomeq.wer.workspace import BASE, CLEAN, ORACLE, compared
 
 
@@ -26,6 +26,7 @@ def word_error_rates(run: Run) -> Context:
             "omitted": CLEAN if len(shown) < len(wer["rows"]) else None,
             "changes": change_rows(wer) if has_changes else [],
             "rooms": room_panels(wer, column) if has_changes else [],
+            "eq_note": EQ_NOTE,
             "room_headings": [heading for heading, _ in ROOM_ACOUSTICS.values()],
             "room_rows": [[room["room"], str(room["words"]), *room_cells(room),
                            *(number(room["wer"][column][row]) for row in wer["rows"])] for room in wer["rooms"]],

@@ -16,10 +16,13 @@ from roomeq.wer.workspace import BASE, TEST, Decodings, Scores
 
 SNR, T20, DRR, C50, EQ_DISTANCE = "SNR [dB]", "T20 at 1 kHz [s]", "DRR [dB]", "C50 at 1 kHz [dB]", "EQ distance [dB]"
 EDGES = {SNR: (10.0, 15.0, 20.0), T20: (0.3, 0.5, 0.8), DRR: (-5.0, 0.0, 5.0), C50: (0.0, 5.0, 10.0),
-         EQ_DISTANCE: (2.0, 4.0, 6.0)}
+         EQ_DISTANCE: (4.0, 6.0, 8.0)}
 """Edges of the strata; the same for every test set."""
+ACOUSTICS = (T20, DRR, C50, EQ_DISTANCE)
+"""The properties that are of the RIR."""
 MIN_ROOMS = 8
 """Rooms of which a rank correlation is stated."""
+_DECIMALS = 9  # of what is ranked, so that rounding errors break no tie
 
 
 class Breakdown:
@@ -27,30 +30,40 @@ class Breakdown:
 
     Parameters
     ----------
-    scores
+    decodings : Decodings
+    scores : Scores
         Of the test set.
     rirs : dict
         Rows by RIR id.
     train_rirs : iterable of RirRow
-        Measured RIRs that the recognisers were trained with. The EQ distance of a room is the distance of its EQs in
-        the test set to theirs (`roomeq.eq.distance`); it is unknown if there are none.
+        Measured RIRs that the recognisers were trained with. The EQ distance of an RIR is the distance of its EQ to
+        all of theirs (`roomeq.eq.distance.wasserstein_db`); it is unknown if there are none. It is not 0 for an RIR
+        like those of training, since these differ among themselves.
+
+    Attributes
+    ----------
+    room_of : ndarray of int, shape (n_utterances,)
+        Of the utterances of all seeds, one seed after the other: index into ``scores.room_names``.
+    values : dict of ndarray, shape (n_utterances,)
+        SNR and acoustics of each, by the keys of `EDGES`; NaN where unknown.
     """
 
     def __init__(self, decodings: Decodings, scores: Scores, rirs: dict[str, RirRow],
                  train_rirs: Iterable[RirRow] = ()) -> None:
-        self.decodings, self.scores, self.rirs = decodings, scores, rirs
+        self.decodings, self.scores = decodings, scores
         self.room_of = np.concatenate(scores.rooms)
-        self.used: list[RirRow] = []
+        used: list[str] = []
         snr_db: list[float] = []
         for seed, workspace in enumerate(decodings.workspaces):
             data = workspace / "data" / TEST
             rir_of, snr_of = read_texts(data / "utt2rir"), _read_snr_db(data / "utt2snr")
             for utterance in read_reference(decodings.decode_dir(seed, decodings.systems()[0], TEST)):
-                self.used.append(rirs[rir_of[utterance][0]])
+                used.append(rir_of[utterance][0])
                 snr_db.append(snr_of.get(utterance, np.nan))
-        self.values = {SNR: np.array(snr_db)}
-        self.values |= {what: np.array([_acoustics(row)[what] for row in self.used]) for what in (T20, DRR, C50)}
-        self.values[EQ_DISTANCE] = self._eq_distances(train_rirs)[self.room_of]
+        train = _eq_set([row for row in train_rirs if not row.get("screen")])
+        of_rir = {rir_id: _acoustics(rirs[rir_id], train) for rir_id in sorted(set(used))}
+        self.values = {SNR: np.array(snr_db)} | {what: np.array([of_rir[rir_id][what] for rir_id in used])
+                                                 for what in ACOUSTICS}
 
     def by_room(self) -> list[dict]:
         """Return the word error rates of each room over all seeds.
@@ -58,12 +71,11 @@ class Breakdown:
         Returns
         -------
         list of dict
-            `room`, `words`, `wer` by column and row [%], and `acoustics`: the mean of each property over the room's
-            utterances, None where it is unknown.
+            `room`, `words`, `wer` by column and row [%], and `acoustics`: the mean of each of `ACOUSTICS` over the
+            room's utterances, None where it is unknown.
         """
         return [dict(room=name) | self._rates(self.room_of == n)
-                | dict(acoustics={what: _number(_mean(values[self.room_of == n])) for what, values in
-                                  self.values.items()})
+                | dict(acoustics={what: _mean(self.values[what][self.room_of == n]) for what in ACOUSTICS})
                 for n, name in enumerate(self.scores.room_names)]
 
     def by_stratum(self) -> list[dict]:
@@ -94,24 +106,18 @@ class Breakdown:
             rates[system.column][system.row] = float(100 * errors / words)
         return dict(words=words, wer=rates)
 
-    def _eq_distances(self, train_rirs: Iterable[RirRow]) -> FloatArray:
-        """Return the EQ distance of each room [dB]; NaN if it is unknown."""
-        distances = np.full(len(self.scores.room_names), np.nan)
-        train = _eq_set([row for row in train_rirs if not row.get("screen")])
-        for room in range(len(distances)):
-            rows = {row["id"]: row for n, row in enumerate(self.used) if self.room_of[n] == room}
-            if train and (tested := _eq_set(rows.values())):
-                distances[room] = wasserstein_db(tested, train)
-        return distances
-
 
 def gains_by_acoustics(rooms: list[dict], rows: list[str], column: str) -> list[dict]:
     """Return how the change of a row against `BASE` in each room depends on the room's acoustics.
 
     Parameters
     ----------
-    rooms
+    rooms : list of dict
         What `Breakdown.by_room` returns.
+    rows : list of str
+        Rows other than `BASE`.
+    column : str
+        Language model.
 
     Returns
     -------
@@ -122,19 +128,20 @@ def gains_by_acoustics(rooms: list[dict], rows: list[str], column: str) -> list[
     """
     found = []
     for row in rows:
-        for what in EDGES:
-            pairs = [(room["acoustics"][what], room["wer"][column][row] - room["wer"][column][BASE])
-                     for room in rooms if room["acoustics"][what] is not None]
+        for what in ACOUSTICS:
+            pairs = [(round(value, _DECIMALS), round(room["wer"][column][row] - room["wer"][column][BASE], _DECIMALS))
+                     for room in rooms if (value := room["acoustics"][what]) is not None]
             if len(pairs) >= MIN_ROOMS and all(len(set(values)) > 1 for values in zip(*pairs, strict=True)):
                 rho, p = spearmanr(*zip(*pairs, strict=True))
                 found.append(dict(row=row, what=what, rooms=len(pairs), rho=float(rho), p=float(p)))
     return found
 
 
-def _acoustics(row: RirRow) -> dict[str, float]:
+def _acoustics(row: RirRow, train: EqSet | None) -> dict[str, float]:
     """Return the acoustic parameters of an RIR by name; NaN where they are unknown or not valid."""
     parameters = row.get("acoustic_parameters") or {}
-    found = {DRR: parameters.get("drr_db")}
+    own_eq = _eq_set([row])
+    found = {DRR: parameters.get("drr_db"), EQ_DISTANCE: wasserstein_db(own_eq, train) if own_eq and train else None}
     for what, values, valid in ((T20, parameters.get("t20_s"), parameters.get("t20_valid")),
                                 (C50, parameters.get("c50_db"), parameters.get("c50_valid"))):
         found[what] = values[BAND_1KHZ] if values and valid and valid[BAND_1KHZ] else None
@@ -142,19 +149,15 @@ def _acoustics(row: RirRow) -> dict[str, float]:
 
 
 def _eq_set(rows: Iterable[RirRow]) -> EqSet | None:
-    """Return the EQs that rows state, or None if none does."""
+    """Return the EQs that rows state [dB], or None if none does."""
     stated = [row for row in rows if "eq_db" in (row.get("acoustic_parameters") or {})]
     vectors_db = [usable_eq(eq_row(Path(), row)) for row in stated]
     return EqSet(np.array(vectors_db), [row["room_id"] for row in stated]) if stated else None
 
 
-def _mean(values: FloatArray) -> float:
+def _mean(values: FloatArray) -> float | None:
     known = values[~np.isnan(values)]
-    return float(known.mean()) if len(known) else np.nan
-
-
-def _number(value: float) -> float | None:
-    return None if np.isnan(value) else value
+    return float(known.mean()) if len(known) else None
 
 
 def _read_snr_db(path: Path) -> dict[str, float]:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from roomeq.core.files import read_json
+from roomeq.wer.breakdown import ACOUSTICS
 
 WER_FILE = "wer.json"
 
@@ -74,22 +75,28 @@ def _check(wer: dict) -> None:
         _require(isinstance(wer["dev_of"][row], str), f"dev_of {row}", "be a name")
         for column in wer["columns"]:
             _check_system(wer["results"][row][column], f"{row} {column}")
+    _require(bool(wer["rooms"]), "rooms", "not be empty")
     for room in wer["rooms"]:
-        _check_rates(wer, room["wer"], f"in room {room['room']!r:.60}")
-        for what, value in room["acoustics"].items():
-            _require(value is None or isinstance(value, (int, float)), f"{what} of {room['room']!r:.60}",
-                     "be a number or null")
+        name = f"room {room['room']!r:.60}"
+        _number(room["words"], f"words of {name}", 1)
+        _check_rates(wer, room["wer"], f"in {name}")
+        for what in ACOUSTICS:
+            if room["acoustics"][what] is not None:
+                _number(room["acoustics"][what], f"{what} of {name}")
     for stratum in wer["strata"]:
         name = f"{stratum['what']} from {stratum['low']} to {stratum['high']}"
         _number(stratum["words"], name, 1)
         _check_rates(wer, stratum["wer"], f"at {name}")
-
-
     for gain in wer["gains"]:
-        _require(gain["row"] in wer["rows"] and -1 <= gain["rho"] <= 1, f"rho of {gain['row']!r:.60}",
-                 "be of a row, from -1 to 1")
-        _number(gain["p"], f"p of {gain['row']}", 0.0)
-    _require(all(isinstance(version, str) for version in wer["kaldi"]), "kaldi", "be versions")
+        name = f"{gain['row']!r:.60} and {gain['what']!r:.60}"
+        _require(gain["row"] in wer["rows"] and gain["what"] in ACOUSTICS, f"gain of {name}",
+                 "be of a row and of the acoustics")
+        _number(gain["rooms"], f"rooms of {name}", 1)
+        for key, low in (("rho", -1.0), ("p", 0.0)):
+            _number(gain[key], f"{key} of {name}", low)
+            _require(gain[key] <= 1.0, f"{key} of {name}", "be 1 or less")
+    _require(isinstance(wer["kaldi"], list) and all(isinstance(version, str) for version in wer["kaldi"]), "kaldi",
+             "be versions")
 
 
 def _check_rates(wer: dict, rates: dict, where: str) -> None:

@@ -69,7 +69,7 @@ def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path]
     directories = [*rirs, *([train_rirs] if train_rirs else ())]
     build = Build(Path(out), step="wer",
                   options=dict(rows=decodings.rows, columns=decodings.columns, dev_of=decodings.dev_of,
-                               seeds=len(workspaces)),
+                               seeds=len(workspaces), train_rirs=train_rirs is not None),
                   inputs=[*(Path(directory) / ROWS_FILE for directory in directories), *decodings.inputs()])
     if not build.done and build.run({}, lambda name, item: None):
         train = read_rirs(train_rirs) if train_rirs else []

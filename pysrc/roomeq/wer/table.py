@@ -1,5 +1,6 @@
 """The paper's Table 2 as plain text, and a line for each comparison; `wer` is the content of `wer.json`."""
 
+from roomeq.wer.breakdown import C50, DRR, EQ_DISTANCE, T20
 from roomeq.wer.workspace import BASE, CLEAN, DEV, ORACLE
 
 _NOTES = {CLEAN: "baseline", ORACLE: "oracle"}
@@ -52,7 +53,7 @@ def caption(wer: dict) -> list[str]:
              f"dev is {DEV} for every row.",
              f"Intervals are of 95 %, from a bootstrap over {resampled}; speakers and sentences stay the same."]
     if wer["kaldi"]:
-        lines.append(f"Trained with Kaldi {', '.join(wer['kaldi'])}.")
+        lines.append(f"Kaldi {', '.join(wer['kaldi'])}.")
     if seeds == 1:
         lines.append("With one seed the spread over seeds is not known: the intervals hold for these trained models "
                      "only.")
@@ -73,11 +74,11 @@ def _row_lines(wer: dict, row: str, column: str) -> list[str]:
 
 
 def _rate_text(rate: dict) -> str:
-    kaldi = "; ".join(f"{bootci['wer']:.2f}{_brackets(bootci['interval'])}" for bootci in rate["bootci"] if bootci)
-    return f"{rate['wer']:.2f}{_brackets(rate['interval'])}" + (f" (Kaldi's {kaldi})" if kaldi else "")
+    kaldi = "; ".join(f"{bootci['wer']:.2f}{brackets(bootci['interval'])}" for bootci in rate["bootci"] if bootci)
+    return f"{rate['wer']:.2f}{brackets(rate['interval'])}" + (f" (Kaldi's {kaldi})" if kaldi else "")
 
 
-def _brackets(interval: list[float] | None, digits: int = 2) -> str:
+def brackets(interval: list[float] | None, digits: int = 2) -> str:
     """Return an interval in brackets after a space; nothing for None."""
     return "" if interval is None else f" [{interval[0]:.{digits}f}, {interval[1]:.{digits}f}]"
 
@@ -85,7 +86,7 @@ def _brackets(interval: list[float] | None, digits: int = 2) -> str:
 def _points_text(difference: dict) -> str:
     p = difference["p"]
     p_text = "" if p is None else f", p {p:.2g}" if p >= 0.001 else ", p < 0.001"
-    return f"{difference['points']:+.2f}{_brackets(difference['interval'])}{p_text}"
+    return f"{difference['points']:+.2f}{brackets(difference['interval'])}{p_text}"
 
 
 def _change_text(change: dict) -> str:
@@ -93,7 +94,7 @@ def _change_text(change: dict) -> str:
     if change["relative"] is None:
         return _points_text(change)
     return (f"{_points_text(change)}; relative {change['relative']:+.1f} %"
-            f"{_brackets(change['relative_interval'], 1)}")
+            f"{brackets(change['relative_interval'], 1)}")
 
 
 def _closed_text(closed: dict) -> str:
@@ -116,9 +117,10 @@ def _detectable_text(detectable: dict, seeds: int) -> str:
             f"({detectable['standard_errors']:.1f} standard errors{known}); half of it with {' or '.join(ways)}")
 
 
-ROOM_ACOUSTICS = {"T20 at 1 kHz [s]": ("T20 [s]", 2), "DRR [dB]": ("DRR [dB]", 1),
-                  "C50 at 1 kHz [dB]": ("C50 [dB]", 1), "EQ distance [dB]": ("EQ [dB]", 1)}
+ROOM_ACOUSTICS = {T20: ("T20 [s]", 2), DRR: ("DRR [dB]", 1), C50: ("C50 [dB]", 1), EQ_DISTANCE: ("EQ [dB]", 1)}
 """Properties in the table of rooms: heading and digits."""
+EQ_NOTE = ("EQ: mean distance of the room's EQs to those of the measured training RIRs; also a room like those of "
+           "training has one.")
 
 
 def room_cells(room: dict) -> list[str]:
@@ -131,7 +133,7 @@ def _room_lines(wer: dict) -> list[str]:
     """Return the acoustics and the word error rates of each room, in the first column."""
     column, width = wer["columns"][0], max(len("room"), *(len(room["room"]) for room in wer["rooms"]))
     headings = [heading for heading, _ in ROOM_ACOUSTICS.values()]
-    lines = [f"Rooms, {column}. EQ is the distance of the room's EQs to those of the training RIRs.",
+    lines = [f"Rooms, {column}. {EQ_NOTE}",
              "room".ljust(width) + "   words" + "".join(f"  {text}" for text in [*headings, *wer["rows"]])]
     for room in wer["rooms"]:
         cells = [text.rjust(len(heading)) for text, heading in zip(room_cells(room), headings, strict=True)]
@@ -175,7 +177,7 @@ def _strata_lines(wer: dict) -> list[str]:
 
 
 def stratum_label(stratum: dict) -> str:
-    """Return the range of SNRs, decay times or DRRs that a stratum covers."""
+    """Return the range of values that a stratum covers, with the name of the property."""
     name, unit = stratum["what"].removesuffix("]").split(" [")
     low, high = stratum["low"], stratum["high"]
     if low is None:

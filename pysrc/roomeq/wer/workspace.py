@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roomeq.core.arrays import FloatArray, IntArray
+from roomeq.core.files import read_text
 from roomeq.wer.scoring import (
     BOOTCI_FILE,
     REFERENCE_FILE,
@@ -122,9 +123,9 @@ def find_decodings(workspaces: list[Path]) -> Decodings:
 
 
 def kaldi_versions(workspaces: list[Path]) -> list[str]:
-    """Return the versions of Kaldi that the workspaces were made with; see ``local/kaldi/check_kaldi.sh``."""
+    """Return the versions of Kaldi that worked in the workspaces; see ``local/kaldi/check_kaldi.sh``."""
     paths = [workspace / VERSION_FILE for workspace in workspaces]
-    return sorted({path.read_text().strip() for path in paths if path.is_file()})
+    return sorted({line.strip() for path in paths if path.is_file() for line in read_text(path).splitlines()})
 
 
 def _in_order(names: set[str], known: tuple[str, ...]) -> list[str]:

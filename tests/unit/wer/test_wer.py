@@ -1,6 +1,7 @@
 """Word error rates: counts that are known, and the coverage of confidence intervals."""
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -10,9 +11,10 @@ from wer_run import DEV_ROOMS, ROOMS, put_decode, put_example, put_rirs, put_wor
 
 from roomeq.core.files import read_jsonl, write_json, write_jsonl
 from roomeq.core.rng import rng_for
+from roomeq.core.stamps import read_stamp
 from roomeq.validate import validate
 from roomeq.wer import measure_wer, statistics
-from roomeq.wer.breakdown import DRR, EDGES, EQ_DISTANCE, gains_by_acoustics
+from roomeq.wer.breakdown import ACOUSTICS, DRR, EQ_DISTANCE, gains_by_acoustics
 from roomeq.wer.check import read_wer, validate_wer
 from roomeq.wer.scoring import Weights, choose_weights, count_errors, read_bootci, read_reference
 from roomeq.wer.statistics import (
@@ -23,6 +25,7 @@ from roomeq.wer.statistics import (
     ratio_interval,
     variance_components,
 )
+from roomeq.wer.table import table_text
 
 TIMES = 200
 
@@ -92,19 +95,44 @@ def test_rooms_state_their_acoustics_and_the_distance_of_their_eq(tmp_path):
         assert acoustics["DRR [dB]"] == 1 and acoustics["C50 at 1 kHz [dB]"] == 7
         assert acoustics["T20 at 1 kHz [s]"] == (1 if room["room"] == "hall" else None)
     assert {(one["low"], one["words"]) for one in wer["strata"] if one["what"].startswith("EQ")} == {
-        (None, 20), (2.0, 40), (6.0, 20)}
+        (None, 60), (6.0, 20)}
     assert wer["gains"] == []  # of four rooms, none is stated
 
 
 def test_gains_follow_the_acoustics():
     rooms = [dict(wer=dict(online={"train.sim.rvb": 20.0, "train.sim.EQ.rvb": 20.0 - n}),
-                  acoustics={what: None for what in EDGES} | {EQ_DISTANCE: 0.5 * n, DRR: 1.0}) for n in range(10)]
+                  acoustics={what: None for what in ACOUSTICS} | {EQ_DISTANCE: 0.5 * n, DRR: 1.0}) for n in range(10)]
     gain, = gains_by_acoustics(rooms, ["train.sim.EQ.rvb"], "online")
     assert (gain["what"], gain["rooms"]) == (EQ_DISTANCE, 10)
     assert gain["rho"] == pytest.approx(-1) and gain["p"] < 0.001
     rooms[0]["acoustics"][EQ_DISTANCE] = 9.0  # the room without a gain is the farthest
     assert gains_by_acoustics(rooms, ["train.sim.EQ.rvb"], "online")[0]["rho"] == pytest.approx(-0.4545, abs=1e-3)
     assert gains_by_acoustics(rooms[:7], ["train.sim.EQ.rvb"], "online") == []
+    for n, room in enumerate(rooms):  # one error less in 30 words everywhere: rounding must not rank the rooms
+        room["wer"]["online"] = {"train.sim.rvb": 100 * (n + 2) / 30, "train.sim.EQ.rvb": 100 * (n + 1) / 30}
+    assert gains_by_acoustics(rooms, ["train.sim.EQ.rvb"], "online") == []
+
+
+def test_changed_training_rirs_are_measured_again(tmp_path, capsys):
+    workspaces = put_example(tmp_path)
+    (tmp_path / "train").mkdir()
+    (tmp_path / "train/rirs.jsonl").write_bytes((tmp_path / "rirs/rirs.jsonl").read_bytes())
+    train = tmp_path / "train"
+    measure_wer(workspaces, tmp_path / "wer", rirs=[tmp_path / "rirs", train])
+    before = read_wer(tmp_path / "wer/wer.json")
+    measure_wer(workspaces, tmp_path / "wer", rirs=[tmp_path / "rirs"], train_rirs=train)
+    assert (tmp_path / "wer/wer.json").stat().st_size and read_wer(tmp_path / "wer/wer.json") == before  # no EQ stated
+    assert read_stamp(tmp_path / "wer").options["train_rirs"] is True
+
+
+def test_table_states_rooms_and_gains(example):
+    rooms = [json.loads(json.dumps(example["rooms"][0])) | dict(room=f"room{n}") for n in range(9)]
+    for n, room in enumerate(rooms):
+        room["acoustics"][DRR] = float(n)
+        room["wer"]["fglarge"]["train.sim.EQ.rvb"] -= n
+    text = table_text(example | dict(rooms=rooms, gains=gains_by_acoustics(rooms, ["train.sim.EQ.rvb"], "fglarge")))
+    assert "train.sim.EQ.rvb: DRR -1.00 (p 0, 9 rooms)" in text
+    assert re.search(r"^room8 +\d+ +- +8\.0 +- +- ", text, re.M)
 
 
 def test_malformed_snr_is_named_and_missing_file_accepted(tmp_path):
@@ -224,7 +252,13 @@ def test_written_file_is_valid(example, tmp_path, capsys):
     (("results", "train.sim.EQ.rvb", "online", "change", "points"), None, "train.sim.EQ.rvb online change=None must"),
     (("results", "train.sim.EQ.rvb", "online", "closed", "interval"), None, "online share must have an interval"),
     (("results", "train.sim.EQ.rvb", "online", "dev_test_gap", "p"), -1, "dev_test_gap p=-1 must be"),
-    (("rooms",), [dict(room="hall", wer={})], "KeyError: 'fglarge'"),
+    (("rooms",), [dict(room="hall", words=9, wer={})], "KeyError: 'fglarge'"), (("rooms",), [], "rooms must not be"),
+    (("rooms", 0, "words"), 0, "words of room 'attic'=0 must be a number of 1"),
+    (("rooms", 0, "acoustics"), {}, "KeyError: 'T20 at 1 kHz .s.'"),
+    (("rooms", 0, "acoustics", "DRR [dB]"), True, "DRR .dB. of room 'attic'=True must be a number"),
+    (("gains",), [dict(row="train.sim.EQ.rvb", what="mood", rooms=9, rho=0, p=1)], "gain of .* must be of a row"),
+    (("gains",), [dict(row="train.sim.EQ.rvb", what="DRR [dB]", rooms=9, rho=0, p=7)], "p of .* must be 1 or less"),
+    (("kaldi",), "5.5", "kaldi must be versions"),
     (("strata", 0, "words"), 0, "SNR .dB. from None to 10.0=0 must be a number of 1"),
     (("sets",), {}, "KeyError: 'test.real.rvb'")])
 def test_edited_file_is_refused_in_one_line(example, tmp_path, where, value, message):
