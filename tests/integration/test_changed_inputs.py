@@ -68,7 +68,11 @@ def test_linked_directories_give_the_same_speech(corpora, tmp_path):
     augment(tmp_path / "clean" / "train.clean", linked, linked.parent / "rvb")
     after = {path.relative_to(linked.parent): path.read_bytes() for path in linked.parent.rglob("rvb/**/*.flac")}
     assert after == before
-    rir_list = (linked.parent / "again.train" / "rir_list").read_text()
+    below = tmp_path / "disk"
+    (tmp_path / "c" / "d" / "e").mkdir(parents=True)
+    below.symlink_to(tmp_path / "c" / "d" / "e")
+    split_rirs(tmp_path / "real", below / "again", sizes=(3, 2, 1), seed=0)
+    rir_list = (below / "again.train" / "rir_list").read_text()
     paths = [shlex.split(shlex.split(line)[4])[2] for line in rir_list.splitlines()]
     assert paths and all(os.path.exists(path) for path in paths)
     (tmp_path / "corpus" / "rir0.wav").unlink()

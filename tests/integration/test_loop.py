@@ -36,7 +36,7 @@ from roomeq.loop.fit import fit
 from roomeq.loop.likelihood import misfit, normal_equations
 from roomeq.loop.packing import N_SURFACE, ParameterIndex
 from roomeq.loop.power import _changes, detectable_sizes
-from roomeq.loop.predict import predict
+from roomeq.loop.predict import ReflectedEnergy, predict
 from roomeq.loop.rendering import _groups_of_paths, render_rows
 from roomeq.loop.selection import SPLITS, _candidate, choose, heldout_errors, rank, size_of_change_jnd
 from roomeq.loop.session import fit_base_model, with_rendered_changes
@@ -248,10 +248,23 @@ def test_fit_does_not_depend_on_threads(session):
     effects = tuple(CATALOGUE[name] for name in ("source_response", "source_directivity", "noise_floor"))
     one, three = (fit(session.data, session.correction, effects, initial=session.fit, iterations=2, threads=threads)
                   for threads in (1, 3))
-    np.testing.assert_array_equal(one.mean, three.mean)
-    np.testing.assert_array_equal(one.predicted, three.predicted)
+    for a, b in zip((one.mean, one.predicted, one.derivatives.by_surface, *one.local),
+                    (three.mean, three.predicted, three.derivatives.by_surface, *three.local), strict=True):
+        np.testing.assert_array_equal(a, b)
     for effect in effects:
         np.testing.assert_array_equal(one.derivatives.by_effect[effect], three.derivatives.by_effect[effect])
+
+
+def test_a_copy_of_reflected_energy_is_for_another_thread(session):
+    data, index, fitted = session.data, session.index, session.fit
+    state = index.state(index.absorption(fitted.mean, fitted.local), index.vectors(fitted.mean, fitted.local))
+    one = ReflectedEnergy(data, state)
+    direct = np.ones((len(data.rows), 8))
+    of_one = one.decay_times_s(direct, None)
+    before, twin = of_one.copy(), one.copy()
+    assert np.any(twin.decay_times_s(1e6 * direct, None) < 0.5 * before)
+    np.testing.assert_array_equal(of_one, before)
+    np.testing.assert_array_equal(one.decay_times_s(direct, None), before)
 
 
 def test_steps_of_a_fit_go_downhill(session):

@@ -106,9 +106,9 @@ def on_threads(work: Callable[..., Result], jobs: Sequence[tuple[Any, ...]], thr
                ) -> list[Result]:
     """Return ``[work(*job) for job in jobs]``, computed on threads: for work that releases the interpreter lock.
 
-    There are `threads` at most, by default `n_threads`.
+    There are `threads` at most, by default `n_threads`, and one for each usable core.
     """
-    threads = min(threads or n_threads(), len(jobs))
+    threads = min(threads or n_threads(), len(jobs), len(os.sched_getaffinity(0)))
     if threads <= 1:
         return [work(*job) for job in jobs]
     with ThreadPoolExecutor(threads) as pool:
