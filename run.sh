@@ -41,7 +41,7 @@ split_sizes=773,194,242   # number of RIRs for train, dev, test; scaled down if 
 # stages 2-4: simulation, equalisation, compensation
 t60_range=0.2,2.0         # range of T60 of the simulated RIRs [s]; measured: the range of the measured rooms
 rooms=                    # simulate in so many randomly drawn rooms, and a tenth of it for dev, not in measured ones
-free_rooms=               # make a further training set sim.free: RIRs of so many drawn rooms, without any measurement
+free_rooms=0              # make a further training set, sim.free: RIRs of so many drawn rooms, not of measured ones
 room_types=               # what they are drawn from: TOML file, or names in conf/room_types.toml; default: all of these
 num_rays=10000            # rays per source
 order=200                 # least number of reflections per ray
@@ -125,7 +125,7 @@ simulate() { # NAME ROOMS [OPTION...]: make data/rirs.NAME.train and data/rirs.N
 }
 if at_stage 2 "simulate RIRs"; then
   simulate sim "$rooms"
-  [ -z "$free_rooms" ] || simulate sim.free "$free_rooms"
+  [ "$free_rooms" = 0 ] || simulate sim.free "$free_rooms"
 fi
 
 if at_stage 3 "fit the distribution of measured sub-band EQs"; then
@@ -154,7 +154,7 @@ if at_stage 6 "make far-field speech"; then
   kinds=(real sim sim.EQ)
   local/enough_rooms.py "$data/rirs.real.train" "$exp/rooms" >/dev/null
   [ ! -f "$exp/rooms/enough" ] || kinds+=(sim.loop)
-  [ -z "$free_rooms" ] || kinds+=(sim.free)
+  [ "$free_rooms" = 0 ] || kinds+=(sim.free)
   unchecked=() # clean speech of which no far-field speech was made yet; it is checked as Kaldi does, with its audio
   for x in train dev test; do
     require "$data/$x.clean/wav.scp" steps/prepare_speech.sh
@@ -177,7 +177,8 @@ if [ "$stop_stage" -ge 8 ]; then
   [ -n "$lm_text$librispeech$speech" ] || lm_text=$corpora/speech/LibriSpeech-LM/lm.txt
   local/kaldi/train_and_test.sh --stage "$stage" --stop-stage "$stop_stage" --nj "$nj" --seed "$seed" \
     --dry-run "$dry_run" --librispeech "$librispeech" --lm-text "$lm_text" --align-on "$align_on" \
-    --gmm-passes "$gmm_passes" --num-leaves "$num_leaves" --rows "$rows" --stock-rvb "$stock_rvb" \
+    --gmm-passes "$gmm_passes" --num-leaves "$num_leaves" --free-rooms "$free_rooms" --rows "$rows" \
+    --stock-rvb "$stock_rvb" \
     --speed-perturb "$speed_perturb" --online-cmvn "$online_cmvn" --ivectors "$ivectors" --use-gpu "$use_gpu" \
     --chain-opts "$chain_opts" --decode-opts "$decode_opts" "$data" "$exp"
 fi

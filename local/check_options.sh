@@ -9,13 +9,13 @@ check_option split_by 'rir|room' "rir or room"
 check_option split_sizes '[0-9]+,[0-9]+,[0-9]+' "three counts, as 773,194,242"
 check_option t60_range '[0-9.]+,[0-9.]+|measured' "two times, as 0.2,2.0, or measured"
 check_option rooms '([1-9][0-9]{0,5})?' "a number of rooms, or empty"
-check_option free_rooms '([1-9][0-9]{0,5})?' "a number of rooms, or empty"
+check_option free_rooms '0|[1-9][0-9]{0,5}' "a number of rooms, or 0"
 check_option taps '[0-9]*[13579]' "odd"
 check_option snr "$distribution" "$distribution_rule"
 check_option point_snr "$distribution" "$distribution_rule"
 check_option packing 'recording|utterance' "recording or utterance"
 check_option align_on 'clean|self' "clean or self"
 [ "$dry_run" = false ] || [ "$stage" -ge 8 ] || die "--dry-run prints the Kaldi commands: add --stage 8"
-[ -z "$rooms" ] || [ -z "$free_rooms" ] ||
-  die "--free-rooms adds drawn rooms to measured ones, and --rooms draws all rooms: give one of them"
+[ -z "$rooms" ] || [ "$free_rooms" = 0 ] ||
+  die "--free-rooms $free_rooms adds drawn rooms to measured ones, and --rooms draws all rooms: give --free-rooms 0"
 unset number distribution distribution_rule

@@ -3,7 +3,7 @@
 # otherwise.
 # Usage: local/kaldi/check_kaldi.sh <workspace>
 # e.g.:  local/kaldi/check_kaldi.sh exp/kaldi
-# Prints Kaldi's version, and writes it to <workspace>/kaldi_version. If the fstproject of a recent OpenFst does not
+# Prints Kaldi's version, and adds it to <workspace>/kaldi_version. If the fstproject of a recent OpenFst does not
 # know --project_output, which stock scripts give it, <workspace>/bin/fstproject translates this option.
 set -euo pipefail
 . ./path.sh
@@ -11,8 +11,8 @@ set -euo pipefail
 [ $# -eq 1 ] || usage
 workspace=$1
 require "$workspace/path.sh" local/kaldi/make_workspace.sh
-cd "$workspace" && . ./path.sh
-rm -f bin/fstproject # of an earlier OpenFst
+cd "$workspace"
+. ./path.sh
 
 missing=()
 for tool in flac sox perl python3 gzip fstcompile fstprint fstproject arpa2fst fsttablecompose compute-mfcc-feats \
@@ -22,7 +22,8 @@ for tool in flac sox perl python3 gzip fstcompile fstprint fstproject arpa2fst f
 done
 [ ${#missing[@]} = 0 ] || die "not found: ${missing[*]}: install them, or compile Kaldi in $KALDI_ROOT/src"
 
-work=$(mktemp -d) && trap 'rm -rf "$work"' EXIT
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
 printf '<eps> 0\na 1\n<s> 2\n</s> 3\n#0 4\n' >"$work/words.txt"
 cat >"$work/lm.arpa" <<'EOF'
 
@@ -45,25 +46,29 @@ made=$work/arpa2fst.log
 arpa2fst --disambig-symbol=#0 --read-symbol-table="$work/words.txt" "$work/lm.arpa" "$work/G.fst" 2>"$made" || {
   status=$?
   die "$(command -v arpa2fst) fails on a language model of one word (exit status $status, \
-$(grep ERROR "$made" || tail -n 1 "$made")): compile Kaldi with the OpenFst that it finds at run time"
+$(grep -m 1 ERROR "$made" || tail -n 1 "$made")): compile Kaldi with the OpenFst that it finds at run time"
 }
 
-# The output labels of an acceptor of one arc, 1 to 2.
+# Project an FST whose one arc has input label 1 and output label 2, and print the output label.
 projected() {
-  printf '0 1 1 2\n1\n' | fstcompile | fstproject "$1" 2>"$work/log" | fstprint 2>/dev/null | awk 'NF == 4 {print $4}'
+  printf '0 1 1 2\n1\n' | fstcompile | "$fstproject" "$1" 2>"$work/log" | fstprint 2>/dev/null | awk 'NF == 4 {print $4}'
 }
-if [ "$(projected --project_output=true)" != 2 ]; then
+fstproject=$(PATH=${PATH#"$PWD/bin:"} command -v fstproject) # not the one that this script writes
+if [ "$(projected --project_output=true)" = 2 ]; then
+  rm -f bin/fstproject
+else
   [ "$(projected --project_type=output)" = 2 ] ||
-    die "$(command -v fstproject) projects neither with --project_output=true nor with --project_type=output \
+    die "$fstproject projects neither with --project_output=true nor with --project_type=output \
 ($(tail -n 1 "$work/log")): install the OpenFst of Kaldi's tools/Makefile"
   mkdir -p bin
-  cat >bin/fstproject <<EOF
+  cat >bin/fstproject.new <<EOF
 #!/usr/bin/env bash
-exec $(printf %q "$(command -v fstproject)") "\${@/#--project_output=true/--project_type=output}"
+exec $(printf %q "$fstproject") "\${@/#--project_output=true/--project_type=output}"
 EOF
-  chmod +x bin/fstproject
+  chmod +x bin/fstproject.new && mv bin/fstproject.new bin/fstproject
   log "fstproject of this OpenFst does not know --project_output: the workspace translates it"
 fi
 version=$(sed -n 's/^[A-Z]* (arpa2fst\[\([^]]*\)\].*/\1/p' "$made" | head -n 1)
-echo "${version:-unknown}" >kaldi_version
-log "Kaldi $(cat kaldi_version) in $KALDI_ROOT"
+version=${version:-of unknown version}
+grep -qxF "$version" kaldi_version 2>/dev/null || echo "$version" >>kaldi_version
+log "Kaldi $version in $KALDI_ROOT"

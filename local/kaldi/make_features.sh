@@ -25,6 +25,8 @@ if [ "$hires" = true ]; then
   copy=(utils/copy_data_dir.sh)
   [ "$by_utterance" = false ] || copy=(utils/data/modify_speaker_info.sh --utts-per-spk-max 1)
   once "$set/features/copy" "${copy[@]}" "data/$made" "data/$set.hires"
+  [ "$by_utterance" = false ] || [ "$speed_perturb" = false ] || # modify_speaker_info.sh leaves it out
+    once "$set/features/utt2uniq" cp "data/$made/utt2uniq" "data/$set.hires/"
   made=$set.hires config=conf/mfcc_hires.conf
   [ "$train" = false ] || once "$set/features/volume" utils/data/perturb_data_dir_volume.sh "data/$made"
 fi

@@ -14,6 +14,7 @@ lm_text=              # text added to the transcripts of the clean speech to tra
 align_on=clean        # all systems use the alignments of the clean speech; self: of their own set
 gmm_passes="mono 300, deltas all 300 3000, lda_mllt all 400 6000, sat all 400 6000"   # --passes of train_gmm.sh
 num_leaves=400        # leaves of the TDNN's phonetic decision tree
+free_rooms=0          # compare the training set of drawn rooms, sim.free.rvb, too: unless 0
 rows=                 # training sets to compare, e.g. "clean sim.rvb"; default: all
 stock_rvb=false       # add a training set made by Kaldi's reverberate_data_dir.py with the same simulated RIRs
 speed_perturb=false   # speed-perturb the training sets by 0.9, 1.0 and 1.1
@@ -33,7 +34,7 @@ read -ra decode_opts <<<"$decode_opts"
 kinds=(clean real.rvb sim.rvb sim.EQ.rvb) # each has a dev set of its own kind, as in the paper; the test set is common
 [ "$dry_run" = true ] || local/enough_rooms.py "$data/rirs.real.train" "$exp/rooms" >/dev/null
 if [ "$dry_run" = true ] || [ -f "$exp/rooms/enough" ]; then kinds+=(sim.loop.rvb); fi
-[ ! -d "$data/train.sim.free.rvb" ] || kinds+=(sim.free.rvb)
+[ "$free_rooms" = 0 ] || kinds+=(sim.free.rvb)
 copied=("$data/test.real.rvb" "${kinds[@]/#/$data/train.}" "${kinds[@]/#/$data/dev.}")
 [ "$stock_rvb" = false ] || kinds+=(sim.stock.rvb)
 for x in $rows; do

@@ -55,7 +55,10 @@ def test_dry_run_needs_neither_kaldi_nor_data(project_dir, tmp_path):
     trained = [line for line in lines if "chain/train.py" in line]
     assert len(trained) == 5
     assert all("--use-gpu no" in line and "--tree-dir train.clean/align/tree" in line for line in trained)
-    assert not any("ivectors" in line for line in lines)
+    assert all("--feat.cmvn-opts=--config=conf/online_cmvn.conf" in line and "--online-cmvn\\ true" in line
+               for line in trained)
+    assert not any("ivectors" in line or "sim.free" in line for line in lines)
+    position(lines, "modify_speaker_info.sh --utts-per-spk-max 1 data/test.real.rvb data/test.real.rvb.hires")
     decoded = [line for line in lines if re.match(r"steps/(nnet3/decode|lmrescore|online/nnet3/decode)", line)]
     assert len(decoded) == 5 * 2 * 5  # sets, test sets, language models and online
 
@@ -66,6 +69,13 @@ def test_stock_augmentation_adds_a_row(project_dir, tmp_path):
     assert made < position(lines, "chain/train.py", "--dir train.sim.stock.rvb")
     position(lines, "nnet3/decode", "train.sim.stock.rvb/decode_dev.sim.stock.rvb_tgsmall")
     assert not any("stock.rvb" in line for line in dry(project_dir, tmp_path, "--stage", "8"))
+
+
+def test_free_rooms_add_a_row(project_dir, tmp_path):
+    lines = dry(project_dir, tmp_path, "--stage", "8", "--free-rooms", "10")
+    position(lines, "chain/train.py", "--dir train.sim.free.rvb")
+    done = run(project_dir, "./run.sh", "--stage", "8", "--dry-run", "--free-rooms", "10", "--rooms", "10")
+    assert done.returncode == 1 and "give --free-rooms 0" in done.stderr
 
 
 def test_rows_selects_the_systems_to_train(project_dir, tmp_path):
