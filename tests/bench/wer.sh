@@ -28,23 +28,28 @@ train() { # WORKSPACE OPTION...: stages 8 to 10
   ./run.sh "${options[@]}" --exp "${workspace%/kaldi}" --stage 8 "${@:2}"
   first=${first:-$workspace}
 }
+rirs=(--train-rirs "$out/data/rirs.real.train")
+for x in "$out"/data/rirs.real{,.dev,.test}; do
+  [ ! -d "$x" ] || rirs+=(--rirs "$x")
+done
 for seed in $seeds; do
   where=$out/seed$seed
-  mkdir -p "$where"/{data,exp.without_cmvn}
+  mkdir -p "$where/data"
   for shared in "$out"/data/{*.clean,measured*,rirs.*}; do
     ln -sfn "$shared" "$where/data/${shared##*/}"
   done
   options=("$@" --seed "$seed" --data "$where/data" --corpora "$out/corpora")
   ./run.sh "${options[@]}" --exp "$where/exp" --stage 2 --stop-stage 7
+  for row in $rows_without_cmvn; do
+    [ -d "$where/data/train.$row" ] || die "--rows-without-cmvn: $where/data has no train.$row"
+  done
+  [ ! -d "$where/data/rirs.sim.free.dev" ] || rirs+=(--rirs "$where/data/rirs.sim.free.dev")
   train "$where/exp/kaldi"
   done+=("$where/exp/kaldi")
-  rirs=(--train-rirs "$out/data/rirs.real.train")
-  for x in "$out"/data/rirs.real{,.dev,.test} "$where"/data/rirs.sim.free.dev; do
-    [ ! -d "$x" ] || rirs+=(--rirs "$x")
-  done
   roomeq wer "${rirs[@]}" "${done[@]}" "$out/wer"
   [ -n "$rows_without_cmvn" ] || continue
-  for x in eq loop rooms; do
+  mkdir -p "$where/exp.without_cmvn"
+  for x in eq loop; do
     ln -sfn "$where/exp/$x" "$where/exp.without_cmvn/$x"
   done
   train "$where/exp.without_cmvn/kaldi" --online-cmvn false --rows "$rows_without_cmvn"

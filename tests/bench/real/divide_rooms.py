@@ -12,12 +12,14 @@ was fixed before any recogniser was trained:
   simulation and the loop need these. A single RIR of one of these laboratories is added.
 - Development: one state of the room of each laboratory that measured in several states.
 - Test: every other room. Each counts once: a room that two folders hold has one name, and if both hold the same
-  recording, the first is taken. Rooms of one house and of one university are all in the test set.
+  recording, the first is taken. Rooms of one house, which open into each other, and of one university are all in the
+  test set, where they count as rooms of their own.
 """
 
 import argparse
 import csv
 import os
+import sys
 from collections import defaultdict
 from fnmatch import fnmatch
 from pathlib import Path
@@ -56,7 +58,10 @@ def main() -> None:
     out = args.out.resolve()
     out.mkdir(parents=True, exist_ok=True)
     by_role = defaultdict(list)
-    for manifest in [args.data / "measured" / "manifest.csv", *sorted(args.data.glob("rooms/*/manifest.csv"))]:
+    manifests = [args.data / "measured" / "manifest.csv", *sorted(args.data.glob("rooms/*/manifest.csv"))]
+    if len(manifests) < 2 or not manifests[0].is_file():
+        sys.exit(f"{args.data}: has no measured/manifest.csv and rooms/*/manifest.csv: check --data")
+    for manifest in manifests:
         for row in read_rows(manifest, out):
             by_role[role_of(row["room"])].append(row)
     for role in ("train", "dev", "test"):
