@@ -16,6 +16,8 @@ check_option point_snr "$distribution" "$distribution_rule"
 check_option packing 'recording|utterance' "recording or utterance"
 check_option align_on 'clean|self' "clean or self"
 [ "$dry_run" = false ] || [ "$stage" -ge 8 ] || die "--dry-run prints the Kaldi commands: add --stage 8"
-[ -z "$rooms" ] || [ "$free_rooms" = 0 ] ||
-  die "--free-rooms $free_rooms adds drawn rooms to measured ones, and --rooms draws all rooms: give --free-rooms 0"
+if [ -n "$rooms" ] && [ "$free_rooms" != 0 ]; then
+  log "--rooms draws all rooms: no set sim.free is made beside"
+  free_rooms=0
+fi
 unset number distribution distribution_rule
