@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.special import sici
 
-from roomeq.core.arrays import FloatArray, IntArray
+from roomeq.core.arrays import Array, FloatArray, IntArray
 from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.effects.prism import is_prism, prism_modes
 from roomeq.effects.voxels import mode_count, voxel_modes
@@ -163,16 +163,30 @@ def modal_response(modes: Modes, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, 
     # exp(z (q L + r)) = exp(z q L) exp(z r): one matrix product computes all samples
     length = int(np.ceil(np.sqrt(n_samples)))
     pole = (-damping + 1j * omega) / fs_hz
-    coarse = weight * np.exp(length * np.outer(np.arange(length), pole))
-    fine = np.exp(np.outer(pole, np.arange(length)))
-    rir = (np.hstack([coarse.real, coarse.imag]) @ np.vstack([fine.imag, fine.real])).ravel()[:n_samples]
+    coarse, fine = weight * _powers(np.exp(length * pole), length), _powers(np.exp(pole), length)
+    rir = (np.hstack([coarse.real, coarse.imag]) @ np.hstack([fine.imag, fine.real]).T).ravel()[:n_samples]
     # the static mode meets the walls as at grazing incidence: half the damping, first order
     rate = damping[0] if len(damping) else 1.0
     rir += scale * -np.expm1(-rate * np.arange(n_samples) / fs_hz) / rate
     missing = 1.0 - 2.0 / np.pi * sici(2.0 * np.pi * modes.f_max_hz / modes.speed_m_s * distance_m)[0]
     rir[0] += missing / (4.0 * np.pi * distance_m)
-    highpass = scipy.signal.butter(2, HIGHPASS_HZ, "highpass", fs=fs_hz, output="sos")
-    return scipy.signal.sosfilt(highpass, rir)
+    return scipy.signal.sosfilt(_highpass(fs_hz), rir)
+
+
+def _powers(base: Array, n: int) -> Array:
+    """Return the powers 0 to n - 1 of complex numbers, shape (n, len(base)), each from two lower ones."""
+    powers = np.ones((n, len(base)), complex)
+    known = 1
+    while known < n:
+        new = min(known, n - known)
+        np.multiply(powers[:new], base, out=powers[known:known + new])
+        known, base = known + new, base * base
+    return powers
+
+
+@lru_cache(maxsize=4)
+def _highpass(fs_hz: float) -> FloatArray:
+    return scipy.signal.butter(2, HIGHPASS_HZ, "highpass", fs=fs_hz, output="sos")
 
 
 def crossover_hz(room: Room, t60_s: ArrayLike, speed_m_s: float) -> float:
