@@ -5,7 +5,7 @@ What does not depend on absorption is computed once, because the search for a ta
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,8 +52,8 @@ class Response:
         Whether the line from the source to the microphone is unobstructed.
     diffracted
         Whether `rir` contains diffracted sound.
-    t20_s, t30_s
-        T20 and T30 at 1 kHz of `rir`; None if it does not decay by 25 or 35 dB.
+    fs_hz
+        Sample rate.
     absorption
         Absorption coefficients used, after scaling to a target T60 if there was one, shape (n_surfaces, n_bands).
     leaked_share
@@ -64,10 +64,23 @@ class Response:
     direct_sample: float
     direct_visible: bool
     diffracted: bool
-    t20_s: float | None
-    t30_s: float | None
+    fs_hz: int
     absorption: FloatArray
     leaked_share: float
+
+    @property
+    def t20_s(self) -> float | None:
+        """T20 at 1 kHz of `rir`; None if it does not decay by 25 dB."""
+        return self._decay_times_s[0]
+
+    @property
+    def t30_s(self) -> float | None:
+        """T30 at 1 kHz of `rir`; None if it does not decay by 35 dB."""
+        return self._decay_times_s[1]
+
+    @cached_property
+    def _decay_times_s(self) -> tuple[float | None, float | None]:
+        return decay_times_s(self.rir, self.direct_sample, self.fs_hz)
 
 
 @dataclass(frozen=True)
@@ -276,8 +289,8 @@ def _render_microphone(context: RenderContext, absorption: FloatArray, mic: int,
         rir = rir + diffracted.response(absorption, scene, len(rir))
     if not np.all(np.isfinite(rir)):
         raise NotFiniteError(_not_finite(mic_m, absorption, total_energy, fs_hz))
-    return Response(rir, direct_sample, images.has_direct, diffracted is not None,
-                    *decay_times_s(rir, direct_sample, fs_hz), absorption, traced.leaked_share)
+    return Response(rir, direct_sample, images.has_direct, diffracted is not None, fs_hz, absorption,
+                    traced.leaked_share)
 
 
 def _not_finite(mic_m: FloatArray, absorption: FloatArray, energy: FloatArray, fs_hz: float) -> str:
