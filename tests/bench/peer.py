@@ -53,6 +53,37 @@ def hybrid(dims_m, absorption, scattering, source_pos_m, mics_m, *, n_rays=20_00
                        max_order=order, ray_tracing=n_rays > 0, air_absorption=air)
     if n_rays > 0:
         room.set_ray_tracing(n_rays=n_rays)
+    return _rendered(pra, room, source_pos_m, mics_m, start)
+
+
+def extruded(plan_m, height_m, walls, floor, ceiling, source_pos_m, mics_m, *, n_rays, order=3, speed_m_s=343.2,
+             threads=2, seed=1):
+    """Simulate as `hybrid` does, in a room with a polygon as its plan, with eight octave bands and air.
+
+    Parameters
+    ----------
+    plan_m : array_like, shape (n_walls, 2)
+        Corners, anticlockwise.
+    height_m : float
+    walls : list of tuple
+        Absorption and scattering of each wall, shape (8,) each; wall n leads from corner n to the next.
+    floor, ceiling : tuple
+    """
+    pra = load()
+    pra.constants.set("num_threads", threads)
+    pra.constants.set("c", speed_m_s)
+    pra.constants.set("octave_bands_base_freq", 62.5)
+    pra.random.seed(seed)
+    start = time.perf_counter()
+    room = pra.Room.from_corners(np.asarray(plan_m).T, fs=FS_HZ, materials=[_octaves(pra, *wall) for wall in walls],
+                                 max_order=order, ray_tracing=True, air_absorption=True)
+    room.extrude(height_m, materials={"floor": _octaves(pra, *floor), "ceiling": _octaves(pra, *ceiling)})
+    room.set_ray_tracing(n_rays=n_rays)
+    return _rendered(pra, room, source_pos_m, mics_m, start)
+
+
+def _rendered(pra, room, source_pos_m, mics_m, start):
+    """Add source and microphones, simulate and render; see `hybrid` for what is returned."""
     room.add_source(list(source_pos_m))
     room.add_microphone_array(np.atleast_2d(mics_m).T)
     marks = [start]
@@ -60,7 +91,8 @@ def hybrid(dims_m, absorption, scattering, source_pos_m, mics_m, *, n_rays=20_00
         step()
         marks.append(time.perf_counter())
     delay = pra.constants.get("frac_delay_length") // 2
-    direct = np.linalg.norm(np.atleast_2d(mics_m) - np.asarray(source_pos_m), axis=1) / speed_m_s * FS_HZ + delay
+    distance_m = np.linalg.norm(np.atleast_2d(mics_m) - np.asarray(source_pos_m), axis=1)
+    direct = distance_m / pra.constants.get("c") * FS_HZ + delay
     responses = [Rendered(np.asarray(rir[0], dtype=float) / (4.0 * np.pi), FS_HZ, float(sample))
                  for rir, sample in zip(room.rir, direct, strict=True)]
     return responses, dict(zip(("images", "rays", "render"), np.diff(marks), strict=True))
@@ -87,6 +119,16 @@ def image_paths(dims_m, absorption, source_pos_m, mic_pos_m, *, order):
     gain = source.damping[0] / (4.0 * np.pi * distance_m)
     by_length = np.argsort(distance_m, kind="stable")
     return distance_m[by_length], gain[by_length]
+
+
+def _octaves(pra, absorption, scattering):
+    """A material with coefficients of eight octaves."""
+    centres = [62.5 * 2 ** k for k in range(8)]
+
+    def spread(values):
+        return {"coeffs": [float(value) for value in values], "center_freqs": centres}
+
+    return pra.Material(energy_absorption=spread(absorption), scattering=spread(scattering))
 
 
 def _materials(pra, absorption, scattering, n_bands):

@@ -13,14 +13,18 @@ measured parameters with and without the wave field at low frequencies.
 - The measured parameters count each octave's time from the first sample within 20 dB of the octave's peak, because the
   crossover of the loudspeaker delays low frequencies by up to 20 ms. The simulated ones are measured alike.
 - Fine structure is the level from 30 to 175 Hz in steps of 1/24 octave, less its mean over the surrounding octave.
+- The time of the ten pairs is measured with one driver of each loudspeaker, beside pyroomacoustics' room of the same
+  plan, materials and number of rays, both on two threads.
 
 e.g.: python tests/bench/real/bras_cr2.py --out exp/bench
 """
 
 import csv
+import itertools
 import json
 import sys
 import tempfile
+import time
 from functools import cache
 from pathlib import Path
 
@@ -30,7 +34,7 @@ PROJECT = Path(__file__).resolve().parents[3]
 sys.path[:1] = [str(PROJECT / "pysrc"), str(PROJECT / "tests")]
 
 import roomeq  # noqa: E402
-from bench import kit  # noqa: E402
+from bench import kit, peer  # noqa: E402
 from roomeq.acoustics.decibels import power_db  # noqa: E402
 from roomeq.acoustics.iso3382 import EARLY_S, decay_time, energy_decay  # noqa: E402
 from roomeq.acoustics.octaves import octave_bands  # noqa: E402
@@ -40,6 +44,7 @@ from roomeq.core.rng import rng_for  # noqa: E402
 from roomeq.effects.model import apply_to_rir, direct_gain  # noqa: E402
 from roomeq.effects.room_modes import RoomModes  # noqa: E402
 from roomeq.effects.wavefield import MAX_CROSSOVER_HZ  # noqa: E402
+from roomeq.sim.defaults import NUM_RAYS  # noqa: E402
 
 DATA = PROJECT.parent / "shared/data/rooms/bras_cr2"
 BRAS_ORIGIN_M = (3.036, 4.255)  # of BRAS's coordinates, in those of measured_parameters.csv
@@ -244,7 +249,48 @@ def draw_fine_structure(axis, section):
     axis.legend(fontsize=7)
 
 
-SECTIONS = {"parameters": run_parameters, "fine_structure": run_fine_structure}
+def run_speed(quick):
+    """Time the ten pairs, with five microphones at once and each alone, beside pyroomacoustics."""
+    content, the_scene = document(), scene("fitted")
+    mics = [tuple(np.add(at, (*BRAS_ORIGIN_M, 0.0))) for at in content["receivers"].values()]
+    sources = [(*np.add(plan, BRAS_ORIGIN_M), content["sources"]["drivers_z"][1])
+               for name, plan in content["sources"].items() if name.startswith("LS")]
+    simulators = {"roomeq": lambda source, group: roomeq.simulate_responses(the_scene, source, group, seed=SEED)}
+    if peer.load():
+        simulators["pyroomacoustics"] = lambda source, group: _peer(the_scene, source, group)
+    section = kit.Section("speed", f"BRAS CR2: time of ten RIRs, {NUM_RAYS} rays",
+                          ["microphones", "simulator", "s", "CPU s"])
+    for how, groups in {"five at once": [mics], "one at a time": [[mic] for mic in mics]}.items():
+        spent = {}
+        for name, simulate in simulators.items():
+            simulate(sources[0], groups[0])  # compiles, or reads what was compiled
+            marks = [(time.perf_counter(), time.process_time())]
+            for _ in range(1 if quick else 3):
+                for source, group in itertools.product(sources, groups):
+                    simulate(source, group)
+                marks.append((time.perf_counter(), time.process_time()))
+            spent[name] = np.median(np.diff(marks, axis=0), axis=0)
+            section.rows.append([how, name, *spent[name]])
+        section.checks.append(kit.Check(f"{how}: CPU time", float(spent["roomeq"][1]), high=3.0, unit="s"))
+        if peer.load():
+            section.checks.append(kit.Check(f"{how}: times faster than pyroomacoustics",
+                                            float(spent["pyroomacoustics"][0] / spent["roomeq"][0]), low=10.0))
+    section.notes.append("pyroomacoustics: its room of the same plan and height, with the same materials, air, octave "
+                         "bands and number of rays, and image sources to order 3; both on two threads. roomeq traces "
+                         "as many rays for each of six different sets of scattering coefficients."
+                         if peer.load() else peer.ABSENT)
+    return section
+
+
+def _peer(the_scene, source, mics):
+    materials = {material.name: (material.absorption, material.scattering) for material in the_scene.materials}
+    plan = np.array(document()["corners"]) + BRAS_ORIGIN_M
+    walls = [materials[f"wall{n}" if n in MIXED_WALLS else "concrete"] for n in range(len(plan))]
+    return peer.extruded(plan, document()["height"], walls, materials["floor"], materials["ceiling"], source, mics,
+                         n_rays=NUM_RAYS, speed_m_s=the_scene.air.speed_m_s)
+
+
+SECTIONS = {"parameters": run_parameters, "fine_structure": run_fine_structure, "speed": run_speed}
 FIGURES = {"parameters": draw_parameters, "fine_structure": draw_fine_structure}
 
 
