@@ -10,6 +10,7 @@ from typing import Any
 PAGES = {
     "simulator": "Simulator: accuracy", "measured_room": "Simulator: a measured room",
     "drawn_rooms": "Simulator: drawn rooms", "many_rooms": "Simulator: many rooms", "speed": "Simulator: speed",
+    "waiting": "Waiting times",
     "compensation": "EQ compensation",
     "loop": "Closed loop: generated rooms", "loop_scale": "Closed loop: time and memory",
     "laboratories": "Closed loop: real rooms",

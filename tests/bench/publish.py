@@ -206,6 +206,8 @@ SUMMARY = {
                    "over its RIRs. The measured rooms are those of published corpora, many of them laboratories; the "
                    "distributions of the drawn rooms are not fitted to them.",
     "speed": "Time of the simulator beside pyroomacoustics, in one run on one machine.",
+    "waiting": "How long one waits for a first RIR in a new process, for the recipe in a new clone and for the closed "
+               "loop, on two cores.",
     "compensation": "Distance of the EQ of simulated RIRs to that of held-out measured RIRs, before and after "
                     "compensation. Rooms count equally.",
     "loop": "What the closed loop finds in generated rooms whose extra effect it is not told of. The rooms are made by "
@@ -238,14 +240,15 @@ SUMMARY = {
               "error, or a true one is lost without a word.",
 }
 READERS: dict[str, Callable[[Any], list[Table]]] = {
-    "simulator": sections, "measured_room": sections, "speed": sections,
+    "simulator": sections, "measured_room": sections, "speed": sections, "waiting": sections,
     "drawn_rooms": drawn_rooms, "many_rooms": many_rooms, "compensation": lambda result: result["tables"], "loop": loop,
     "loop_scale": loop_scale, "laboratories": sections, "augmentation": augmentation, "effects": effects,
     "wer": word_errors, "wer_real_rooms": word_errors, "wer_digits": word_errors, "faults": faults, "labels": labels,
 }
 COMMAND = {
     "simulator": "tests/bench/fidelity/run.py", "measured_room": "tests/bench/real/bras_cr2.py",
-    "speed": "tests/bench/speed/run.py", "drawn_rooms": "tests/bench/real/drawn_rooms.py",
+    "speed": "tests/bench/speed/run.py", "waiting": "tests/bench/waiting.py",
+    "drawn_rooms": "tests/bench/real/drawn_rooms.py",
     "compensation": "./run.sh --measured RIRS --stop-stage 4 && tests/bench/compensation.py data",
     "loop": "tests/bench/loop/run.py", "loop_scale": "tests/bench/loop/scale.py",
     "laboratories": "tests/bench/real/laboratories.py",
