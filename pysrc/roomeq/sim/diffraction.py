@@ -29,7 +29,7 @@ from roomeq.acoustics.filterbank import SPREAD_S, octave_filterbank
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled
-from roomeq.sim.double_diffraction import Pieces, deposit_double_diffraction, find_double_paths
+from roomeq.sim.double_diffraction import Pieces, arc, deposit_double_diffraction, find_double_paths
 from roomeq.sim.mesh import MeshRoom
 from roomeq.sim.room import Room
 from roomeq.sim.scene import Scene
@@ -382,14 +382,15 @@ def _branch(fine: Array, rows: Array, first: Number, low: Number, high: Number, 
     apex_m = np.sqrt(squared + 4.0 * product)
     here = np.sqrt(squared + 4.0 * product * np.cosh(0.5 * low) ** 2)
     end_m = np.sqrt(squared + 4.0 * product * np.cosh(0.5 * high) ** 2)
-    before = np.arctan2(np.tanh(0.5 * nu * low) * cosine, sine)
+    before = np.exp(nu * low)
     width = 1.0 / (_BINS_PER_SAMPLE * to_samples)
     step = width / 256.0
     while here < end_m:
         there = min(here + step, end_m)
         quotient = np.sqrt(max((there - apex_m) * (there + apex_m) / (4.0 * product), 0.0))  # sinh(eta / 2)
-        power = (quotient + np.sqrt(1.0 + quotient * quotient)) ** (2.0 * nu)
-        steepness = (power - 1.0) / (power + 1.0)  # tanh(nu eta / 2)
+        after = (quotient + np.sqrt(1.0 + quotient * quotient)) ** (2.0 * nu)  # exp(nu eta)
+        # of tanh(nu eta / 2) = (exp(nu eta) - 1) / (exp(nu eta) + 1) at both ends; the difference of two arcs is one
+        rise, sums, differences = 2.0 * (before - after), (before + 1.0) * (after + 1.0), (before - 1.0) * (after - 1.0)
         middle = 0.5 * (here + there)
         place = (middle * to_samples - first) * _OVERSAMPLING
         index = int(place)
@@ -397,9 +398,8 @@ def _branch(fine: Array, rows: Array, first: Number, low: Number, high: Number, 
             return
         share = place - index
         for k in range(4):
-            after = np.arctan2(steepness * cosine[k], sine[k])
-            weight = (before[k] - after) / (8.0 * np.pi * np.pi * middle)
+            turn = arc(rise * sine[k] * cosine[k], sums * sine[k] * sine[k] + differences * cosine[k] * cosine[k])
+            weight = turn / (8.0 * np.pi * np.pi * middle)
             fine[rows[k], index] += weight * (1.0 - share)
             fine[rows[k], index + 1] += weight * share
-            before[k] = after
-        here, step = there, min(2.0 * step, width)
+        here, before, step = there, after, min(2.0 * step, width)

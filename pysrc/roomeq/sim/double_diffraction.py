@@ -208,6 +208,16 @@ def _exp_arcsinh(x: Number) -> Number:
 
 
 @inlined
+def arc(y: Number, x: Number) -> Number:
+    """Return ``arctan2(y, x)``, where it is small from its series, to 1e-10 of it."""
+    if abs(y) < 0.03 * x:
+        slope = y / x
+        squared = slope * slope
+        return slope * (1.0 - squared * (1.0 / 3.0 - 0.2 * squared))
+    return np.arctan2(y, x)
+
+
+@inlined
 def _beta_integral(z: Number, half: Number, end: Array, other_edge: Numbers, nu: Number) -> Number:
     """Return nu times half the integral of beta over eta, over the step from z - half to z + half [m] of an edge.
 
@@ -219,8 +229,8 @@ def _beta_integral(z: Number, half: Number, end: Array, other_edge: Numbers, nu:
     q0 = (_exp_arcsinh((z - half - end[1]) / end[0]) * _exp_arcsinh((z - half - other_edge[1]) / other_edge[0])) ** nu
     q1 = (_exp_arcsinh((z + half - end[1]) / end[0]) * _exp_arcsinh((z + half - other_edge[1]) / other_edge[0])) ** nu
     rise, sums, differences = 2.0 * (q1 - q0), (q1 + 1.0) * (q0 + 1.0), (q1 - 1.0) * (q0 - 1.0)
-    return 2.0 * (np.arctan2(rise * end[2] * end[3], sums * end[2] * end[2] + differences * end[3] * end[3])
-                  + np.arctan2(rise * end[4] * end[5], sums * end[4] * end[4] + differences * end[5] * end[5]))
+    return 2.0 * (arc(rise * end[2] * end[3], sums * end[2] * end[2] + differences * end[3] * end[3])
+                  + arc(rise * end[4] * end[5], sums * end[4] * end[4] + differences * end[5] * end[5]))
 
 
 @inlined
