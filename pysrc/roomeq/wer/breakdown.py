@@ -11,7 +11,7 @@ from roomeq.core.constants import BAND_1KHZ
 from roomeq.eq.distance import EqSet, wasserstein_db
 from roomeq.eq.fit import eq_row, usable_eq
 from roomeq.records.schema import RirRow
-from roomeq.wer.scoring import read_reference, read_texts
+from roomeq.wer.scoring import read_texts
 from roomeq.wer.workspace import BASE, TEST, Decodings, Scores
 
 SNR, T20, DRR, C50, EQ_DISTANCE = "SNR [dB]", "T20 at 1 kHz [s]", "DRR [dB]", "C50 at 1 kHz [dB]", "EQ distance [dB]"
@@ -52,14 +52,11 @@ class Breakdown:
                  train_rirs: Iterable[RirRow] = ()) -> None:
         self.decodings, self.scores = decodings, scores
         self.room_of = np.concatenate(scores.rooms)
-        used: list[str] = []
+        used = [source for of_seed in scores.sources for source in of_seed]
         snr_db: list[float] = []
-        for seed, workspace in enumerate(decodings.workspaces):
-            data = workspace / "data" / TEST
-            rir_of, snr_of = read_texts(data / "utt2rir"), _read_snr_db(data / "utt2snr")
-            for utterance in read_reference(decodings.decode_dir(seed, decodings.systems()[0], TEST)):
-                used.append(rir_of[utterance][0])
-                snr_db.append(snr_of.get(utterance, np.nan))
+        for workspace, utterances in zip(decodings.workspaces, scores.utterances, strict=True):
+            snr_of = _read_snr_db(workspace / "data" / TEST / "utt2snr")
+            snr_db += [snr_of.get(utterance, np.nan) for utterance in utterances]
         train = _eq_set([row for row in train_rirs if not row.get("screen")])
         of_rir = {rir_id: _acoustics(rirs[rir_id], train) for rir_id in sorted(set(used))}
         self.values = {SNR: np.array(snr_db)} | {what: np.array([of_rir[rir_id][what] for rir_id in used])

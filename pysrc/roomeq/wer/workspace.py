@@ -147,6 +147,9 @@ class Scores:
         Substitutions, deletions and insertions by system.
     words : list of ndarray, each of shape (n_utterances,)
         Words of the reference.
+    utterances : list of list of str, each of length n_utterances
+    sources : list of list of str, each of length n_utterances
+        RIR of each utterance; of clean speech the speaker.
     rooms : list of ndarray, each of shape (n_utterances,)
         Indices into `room_names`.
     room_names : list of str
@@ -157,6 +160,8 @@ class Scores:
 
     counts: dict[System, list[IntArray]]
     words: list[IntArray]
+    utterances: list[list[str]]
+    sources: list[list[str]]
     rooms: list[IntArray]
     room_names: list[str]
     has_rooms: bool
@@ -192,18 +197,20 @@ def read_scores(decodings: Decodings, set_name: str, weights: dict[System, list[
     """
     systems = decodings.systems(set_name)
     counts: dict[System, list[IntArray]] = {system: [] for system in systems}
-    words, labels = [], []
+    words, utterances, sources = [], [], []
     for seed, workspace in enumerate(decodings.workspaces):
         reference = read_shared_reference(decodings, seed, set_name)
         for system in systems:
             path = weights[system][seed].path(decodings.decode_dir(seed, system, set_name))
             counts[system].append(count_errors(list(reference.values()), read_hypotheses(path, reference)))
         words.append(np.array([len(spoken) for spoken in reference.values()]))
-        labels.append(_read_rooms(workspace / "data" / set_name, reference, room_of_rir))
-    room_names = sorted(set().union(*labels))
+        utterances.append(list(reference))
+        sources.append(_read_sources(workspace / "data" / set_name, reference, room_of_rir))
+    room_of = {source: source if _is_clean(set_name) else room_of_rir[source] for source in set().union(*sources)}
+    room_names = sorted(set(room_of.values()))
     index = {name: n for n, name in enumerate(room_names)}
-    rooms = [np.array([index[label] for label in of_seed]) for of_seed in labels]
-    return Scores(counts, words, rooms, room_names, has_rooms=not _is_clean(set_name))
+    rooms = [np.array([index[room_of[source]] for source in of_seed]) for of_seed in sources]
+    return Scores(counts, words, utterances, sources, rooms, room_names, has_rooms=not _is_clean(set_name))
 
 
 def read_shared_reference(decodings: Decodings, seed: int, set_name: str) -> Texts:
@@ -220,21 +227,21 @@ def read_shared_reference(decodings: Decodings, seed: int, set_name: str) -> Tex
     return shared
 
 
-def _read_rooms(data: Path, reference: Texts, room_of_rir: dict[str, str]) -> list[str]:
-    """Return the room of each utterance of a data directory; the speaker if it is clean speech."""
+def _read_sources(data: Path, reference: Texts, room_of_rir: dict[str, str]) -> list[str]:
+    """Return the RIR of each utterance of a data directory; the speaker if it is clean speech."""
     clean = _is_clean(data.name)
     path = data / ("utt2spk" if clean else "utt2rir")
-    table, labels = read_texts(path), []
+    table, sources = read_texts(path), []
     for utterance in reference:
-        label = " ".join(table.get(utterance, ()))
-        if not label:
+        source = " ".join(table.get(utterance, ()))
+        if not source:
             raise ValueError(f"{path}: no {'speaker' if clean else 'RIR'} of utterance {utterance!r}: make the data "
                              "directory again")
-        if not clean and label not in room_of_rir:
-            raise ValueError(f"{path}: RIR {label!r} of utterance {utterance!r} is not among those of --rirs: give the "
-                             "RIR directory that the set was made with")
-        labels.append(label if clean else room_of_rir[label])
-    return labels
+        if not clean and source not in room_of_rir:
+            raise ValueError(f"{path}: RIR {source!r} of utterance {utterance!r} is not among those of --rirs: give "
+                             "the RIR directory that the set was made with")
+        sources.append(source)
+    return sources
 
 
 def _is_clean(set_name: str) -> bool:

@@ -131,7 +131,7 @@ def test_table_states_rooms_and_gains(example):
         room["acoustics"][DRR] = float(n)
         room["wer"]["fglarge"]["train.sim.EQ.rvb"] -= n
     text = table_text(example | dict(rooms=rooms, gains=gains_by_acoustics(rooms, ["train.sim.EQ.rvb"], "fglarge")))
-    assert "train.sim.EQ.rvb: DRR -1.00 (p 0, 9 rooms)" in text
+    assert "train.sim.EQ.rvb: DRR -1.00 (p < 0.001, 9 rooms)" in text
     assert re.search(r"^room8 +\d+ +- +8\.0 +- +- ", text, re.M)
 
 
