@@ -19,6 +19,7 @@ LOWEST_HZ = 22.0  # below it no loudspeaker has anything to say
 WIDTH_OCTAVES = 0.5  # of the crossover to the rays
 N_LOW_BANDS = 3  # octaves whose walls count here: 62.5, 125, 250 Hz
 PERIOD_S = N_FFT / FS_HZ
+FADE_S = 0.25
 N_LOW = int(np.searchsorted(FREQUENCY_HZ, HIGHEST_HZ * 1.2))
 
 
@@ -137,9 +138,10 @@ def _transfers(room_id, room, cache):
     hats = np.array([np.interp(octave, np.arange(N_LOW_BANDS), np.eye(N_LOW_BANDS)[b]) for b in range(N_LOW_BANDS)])
     result = []
     for s in range(N_SOURCES):
-        pressure, step_s = responses(room.dims_m, room.sources_m[s], room.mics_m, impedances)
+        # faded out behind the end of the recordings: the static pressure, faded out within them, would be heard
+        pressure, step_s = responses(room.dims_m, room.sources_m[s], room.mics_m, impedances, LENGTH_S + FADE_S)
         time_s = np.arange(pressure.shape[1]) * step_s
-        fade = np.clip((time_s[-1] - time_s) / 0.1, 0.0, 1.0)
+        fade = np.sin(0.5 * np.pi * np.clip((time_s[-1] - time_s) / FADE_S, 0.0, 1.0)) ** 2
         n = round(PERIOD_S / step_s)
         result.append(sum(hat * np.fft.rfft(pressure * fade * np.exp(-rate * time_s), n)[:, :N_LOW]
                           for hat, rate in zip(hats, rates, strict=True)))
