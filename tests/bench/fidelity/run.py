@@ -8,14 +8,14 @@ e.g.: python tests/bench/fidelity/run.py --out exp/bench
       python tests/bench/fidelity/run.py --quick --only decay,early
 """
 
-import os
 import sys
 from pathlib import Path
 
-THREADS = 2
-for variable in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "PRA_NUM_THREADS"):
-    os.environ.setdefault(variable, str(min(THREADS, len(os.sched_getaffinity(0)))))
 sys.path[:1] = [str(Path(__file__).resolve().parents[n] / name) for n, name in ((3, "pysrc"), (2, ""))]
+
+from bench.threads import use_threads  # noqa: E402
+
+use_threads()
 
 from bench import kit  # noqa: E402
 from bench.fidelity import air, balance, check, decay, diffraction, early, level, lshape, samples, tail, targets  # noqa: E402

@@ -33,6 +33,10 @@ import numpy as np
 PROJECT = Path(__file__).resolve().parents[3]
 sys.path[:1] = [str(PROJECT / "pysrc"), str(PROJECT / "tests")]
 
+from bench.threads import use_threads  # noqa: E402
+
+use_threads()
+
 import roomeq  # noqa: E402
 from bench import kit, peer  # noqa: E402
 from roomeq.acoustics.decibels import power_db  # noqa: E402

@@ -1,0 +1,11 @@
+"""The number of threads that both sides of a comparison use; to be set before they are imported."""
+
+import os
+
+THREADS = 2
+
+
+def use_threads() -> None:
+    """Let numba, OpenMP and pyroomacoustics use `THREADS` threads, whatever the environment says (path.sh says one)."""
+    count = str(min(THREADS, len(os.sched_getaffinity(0))))
+    os.environ.update({f"{library}_NUM_THREADS": count for library in ("NUMBA", "OMP", "PRA")})
