@@ -33,6 +33,7 @@ from roomeq.sim.double_diffraction import Pieces, arc, deposit_double_diffractio
 from roomeq.sim.mesh import MeshRoom
 from roomeq.sim.room import Room
 from roomeq.sim.scene import Scene
+from roomeq.sim.tree import EDGE_M
 
 logger = logging.getLogger(__name__)
 
@@ -362,8 +363,9 @@ def _deposit(fine: Array, first: Number, bounds: Array, source: Array, mic: Arra
         for k, angle in enumerate((less, -less, -more, more)):
             half = 0.5 * nu * (np.pi + angle)
             sine[k], cosine[k] = np.sin(half), np.cos(half)
-            if k < 2 and abs(sine[k]) < _ON_BOUNDARY:  # there diffraction compensates the jump of the direct sound
-                sine[k] = _ON_BOUNDARY if direct_visible else -_ON_BOUNDARY
+            if abs(sine[k]) < _ON_BOUNDARY:  # there it makes up for the jump of the direct sound or a reflection
+                seen = direct_visible if k < 2 else _meets_face(source, mic, n, wedge[n], k == 3)
+                sine[k] = np.copysign(_ON_BOUNDARY, cosine[k] if seen else -cosine[k])
             if sine[k] < 0.0:
                 sine[k], cosine[k] = -sine[k], -cosine[k]
         squared = (source[0, n] - mic[0, n]) ** 2 + (source[2, n] - mic[2, n]) ** 2
@@ -373,6 +375,14 @@ def _deposit(fine: Array, first: Number, bounds: Array, source: Array, mic: Arra
             _branch(fine, rows, first, max(0.0, -high), -low, nu, sine, cosine, squared, product, to_samples)
         if high > 0.0:
             _branch(fine, rows, first, max(0.0, low), high, nu, sine, cosine, squared, product, to_samples)
+
+
+@compiled
+def _meets_face(source: Array, mic: Array, n: Number, wedge: Number, far: Number) -> bool:
+    """Tell whether the reflection at a face of wedge `n` lies on the face, which reaches `EDGE_M` beyond the edge."""
+    from_face, to_face = (wedge - source[1, n], wedge - mic[1, n]) if far else (source[1, n], mic[1, n])
+    heights_m = source[0, n] * np.sin(from_face) + mic[0, n] * np.sin(to_face)
+    return source[0, n] * mic[0, n] * np.sin(from_face + to_face) >= -EDGE_M * heights_m
 
 
 @compiled

@@ -6,7 +6,7 @@ centroids (Wald, IEEE Symp. on Interactive Ray Tracing 2007, 33). Boxes are sear
 than its rounding; faces are intersected in double precision.
 
 A line that begins in the air leaves it first through the front of a face. Where only fronts count, a ray can start
-exactly on the face that it left. Faces overlap by `_EDGE_M`, so that no ray passes between them.
+exactly on the face that it left. Faces overlap by `EDGE_M`, so that no ray passes between them.
 """
 
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from roomeq.core.jit import compiled, for_chunks, inlined
 from roomeq.sim.lanes import WIDTH, lowest, meet_boxes, meet_faces
 
 _BINS = 16
-_EDGE_M = 1e-6  # by which faces overlap, so that no ray passes between two of them
+EDGE_M = 1e-6  # by which faces overlap, so that no ray passes between two of them
 _TOUCH_M = 1e-4  # from its end, where a line may touch a face
 _WIDER = 2e-6  # by which boxes are wider, of the largest coordinate: single precision rounds to a thirtieth of that
 _FLAT_M = 1e-9  # by which the corners of a quadrangle may differ from one plane
@@ -70,7 +70,7 @@ def make_tree(triangles: FloatArray, normals: FloatArray, face_surface: IntArray
     ahead = np.roll(triangles, -1, axis=1) - triangles
     inward = np.cross(ahead, normals[:, None])
     inward /= np.linalg.norm(inward, axis=2)[:, :, None]
-    edges = np.concatenate([inward, np.einsum("nij,nij->ni", inward, triangles)[:, :, None] - _EDGE_M], axis=2)
+    edges = np.concatenate([inward, np.einsum("nij,nij->ni", inward, triangles)[:, :, None] - EDGE_M], axis=2)
     first, second, edge_of_first, edge_of_second = _quadrangles(triangles, normals, offsets, face_surface)
     four = edges[:, [0, 1, 2, 2]]
     for n in (1, 2):
@@ -82,7 +82,7 @@ def make_tree(triangles: FloatArray, normals: FloatArray, face_surface: IntArray
     bounds = np.empty((len(kept), 6, WIDTH), np.float32)
     children = np.empty((len(kept), WIDTH), np.int32)
     faces = np.full((len(kept), WIDTH), -1, np.int32)
-    wider_m = _EDGE_M + _WIDER * np.abs(triangles).max()
+    wider_m = EDGE_M + _WIDER * np.abs(triangles).max()
     n_nodes, n_leaves, depth = _divide(low, high, kept, wider_m, bounds, children, faces)
     planes = np.concatenate([normals, offsets[:, None], four.reshape(-1, 16)], axis=1)
     faces = faces[:n_leaves].copy()

@@ -1,5 +1,7 @@
 """Edge diffraction: against the exact half-plane, across the shadow boundary, and in rooms."""
 
+import math
+
 import numpy as np
 import pytest
 from plans import L_PLAN, box_plan, prism_obj
@@ -68,6 +70,26 @@ def test_field_is_continuous_across_shadow_boundary():
         direct = visible * np.exp(-2j * np.pi * frequencies_hz / C * 4.0) / (16.0 * np.pi)
         total = direct + wedge_spectrum(edges, source, right_on, frequencies_hz, visible=visible)
         np.testing.assert_allclose(20.0 * np.log10(np.abs(total)), level_db(239.999), atol=0.05)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_reflection_is_continuous_at_its_boundary(axis, tmp_path):
+    """A wall's reflection meets the wall at its free edge, exactly or nearly: with diffraction it does not jump."""
+    (tmp_path / "room.obj").write_text(prism_obj(L_PLAN, 3.0))
+    room = load_mesh(tmp_path / "room.obj")
+    scene = Scene(room, [Material("wall", 0.1, 0.0)] * len(room.surfaces))
+
+    def echo(shift_m, diffraction):
+        positions = [np.roll([distance_m, 2.0 + shift_m], axis) for distance_m in (1.0, 0.5)]
+        source, mic = [*positions[0], 1.5], [*positions[1], 1.7]
+        response, = simulate_responses(scene, source, mic, num_rays=1, ism_order=1, diffraction=diffraction)
+        image = [*np.roll([3.0, 2.0 + shift_m], axis), 1.5]
+        at = response.direct_sample + FS_HZ / scene.air.speed_m_s * (math.dist(image, mic) - math.dist(source, mic))
+        return response.rir[round(at) - 12:round(at) + 13].sum()
+
+    shifts_m = (-1e-3, -1e-5, -1e-7, -1e-12, 0.0, 1e-12, 1e-7, 1e-3)
+    np.testing.assert_allclose([echo(shift_m, True) for shift_m in shifts_m], echo(1e-3, True), rtol=0.01)
+    assert abs(echo(1e-3, False) - echo(-1e-3, False)) > abs(echo(1e-3, True))
 
 
 def test_diffraction_is_reciprocal():
