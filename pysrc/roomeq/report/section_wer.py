@@ -8,7 +8,7 @@ from roomeq.report import figures, figures_wer
 from roomeq.report.formats import DASH, number, with_interval
 from roomeq.report.load import Context, Run
 from roomeq.wer.check import WER_FILE, read_wer
-from roomeq.wer.table import EQ_NOTE, ROOM_ACOUSTICS, caption, gains_caption, label, room_cells, stratum_label
+from roomeq.wer.table import EQ_NOTE, ROOM_ACOUSTICS, caption, gains_caption, label, p_text, room_cells, stratum_label
 from roomeq.wer.workspace import BASE, CLEAN, ORACLE, compared
 
 
@@ -77,14 +77,9 @@ def change_rows(wer: dict[str, Any]) -> list[list[str]]:
             change, gap = result.get("change"), result["dev_test_gap"]
             changed = [with_interval(change["points"], change["interval"]),
                        with_interval(change["relative"], change["relative_interval"], 1),
-                       p_text(change["p"])] if change else [DASH] * 3
+                       DASH if change["p"] is None else p_text(change["p"])] if change else [DASH] * 3
             rows.append([row, column, *changed, closed_text(result), with_interval(gap["points"], gap["interval"])])
     return rows
-
-
-def p_text(p: float | None) -> str:
-    """Format a p value."""
-    return DASH if p is None else "<\N{NO-BREAK SPACE}0.001" if p < 0.001 else f"{p:.2g}"
 
 
 def closed_text(result: dict[str, Any]) -> str:

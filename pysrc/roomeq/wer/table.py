@@ -84,12 +84,13 @@ def brackets(interval: list[float] | None, digits: int = 2) -> str:
 
 
 def _points_text(difference: dict) -> str:
-    p_text = "" if difference["p"] is None else f", {_p_text(difference['p'])}"
-    return f"{difference['points']:+.2f}{brackets(difference['interval'])}{p_text}"
+    chance = "" if difference["p"] is None else f", p {p_text(difference['p'])}"
+    return f"{difference['points']:+.2f}{brackets(difference['interval'])}{chance}"
 
 
-def _p_text(p: float) -> str:
-    return f"p {p:.2g}" if p >= 0.001 else "p < 0.001"
+def p_text(p: float) -> str:
+    """Return the text of a p value."""
+    return f"{p:.2g}" if p >= 0.001 else "< 0.001"
 
 
 def _change_text(change: dict) -> str:
@@ -153,7 +154,7 @@ def _gain_lines(wer: dict) -> list[str]:
     lines = [gains_caption(wer)]
     for row in dict.fromkeys(gain["row"] for gain in wer["gains"]):
         lines.append(f"  {row}: " + ", ".join(
-            f"{names[gain['what']]} {gain['rho']:+.2f} ({_p_text(gain['p'])}, {gain['rooms']} rooms)"
+            f"{names[gain['what']]} {gain['rho']:+.2f} (p {p_text(gain['p'])}, {gain['rooms']} rooms)"
             for gain in wer["gains"] if gain["row"] == row))
     return [*lines, ""]
 

@@ -148,6 +148,7 @@ class Scores:
     words : list of ndarray, each of shape (n_utterances,)
         Words of the reference.
     utterances : list of list of str, each of length n_utterances
+        Identifier of each utterance.
     sources : list of list of str, each of length n_utterances
         RIR of each utterance; of clean speech the speaker.
     rooms : list of ndarray, each of shape (n_utterances,)
