@@ -5,7 +5,7 @@ Usage: tests/bench/real/divide_rooms.py [--data DIR] OUT_DIR
 e.g.:  tests/bench/real/divide_rooms.py corpora/real_rooms
 
 The RIRs are those in the folders of DIR (default ../shared/data). Writes OUT_DIR/train.csv, dev.csv and test.csv for
---measured, --dev-rirs and --test-rirs of run.sh, and prints the rooms. The division follows from metadata alone:
+--measured, --dev-rirs and --test-rirs of run.sh, and prints the rooms. The division follows from metadata:
 
 - Training: the laboratories that measured several positions in rooms of known size, without a dummy head, since the
   simulation and the loop need these.
@@ -13,10 +13,12 @@ The RIRs are those in the folders of DIR (default ../shared/data). Writes OUT_DI
 - Test: every other room. Each counts once: a room that two folders hold has one name, and if both hold the same
   recording, the first is taken. Rooms of one house, which open into each other, and of one university are all in the
   test set, where they count as rooms of their own.
-- Left out: a room of known size with a single RIR, which would be heard in a sixth of the training speech.
+- Left out: FRL's room, which has a single RIR. In a first experiment it was a training room: since rooms are drawn
+  equally, a seventh of the training speech had that RIR.
 
-It was fixed before any recogniser was trained, but for the room that is left out: in a first experiment, that was a
-training room.
+The division was fixed before any recogniser was trained, but for the room that is left out. A first experiment was
+scored in the same test rooms. After it, this room was left out, the T60 of simulated RIRs was taken from the paper's
+range, and the generated training speech was doubled. The reasons are in the training sets.
 """
 
 import argparse
@@ -70,7 +72,8 @@ def main() -> None:
     for manifest in manifests:
         for row in read_rows(manifest, out):
             by_role[role_of(row["room"])].append(row)
-    for role, rows in sorted(by_role.items()):
+    for role in ("train", "dev", "test", "left out"):
+        rows = by_role[role]
         if role != "left out":
             columns = list(dict.fromkeys(column for row in rows for column in row))
             with (out / f"{role}.csv").open("w", newline="") as file:
