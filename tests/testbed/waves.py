@@ -138,7 +138,7 @@ def _transfers(room_id, room, cache):
     hats = np.array([np.interp(octave, np.arange(N_LOW_BANDS), np.eye(N_LOW_BANDS)[b]) for b in range(N_LOW_BANDS)])
     result = []
     for s in range(N_SOURCES):
-        # faded out behind the end of the recordings: the static pressure, faded out within them, would be heard
+        # faded out behind the end of the recordings: a fade of the static pressure within them adds low frequencies
         pressure, step_s = responses(room.dims_m, room.sources_m[s], room.mics_m, impedances, LENGTH_S + FADE_S)
         time_s = np.arange(pressure.shape[1]) * step_s
         fade = np.sin(0.5 * np.pi * np.clip((time_s[-1] - time_s) / FADE_S, 0.0, 1.0)) ** 2
