@@ -31,6 +31,7 @@ from roomeq.wer.table import (  # noqa: E402
     brackets,
     caption,
     gains_caption,
+    p_text,
     room_cells,
     stratum_label,
 )
@@ -121,7 +122,7 @@ def _word_error_tables(wer: dict[str, Any]) -> list[Table]:
              for room in wer["rooms"]]
     strata = [[stratum_label(stratum), stratum["words"], *(stratum["wer"][first][row] for row in wer["rows"])]
               for stratum in wer["strata"]]
-    gains = [[gain[key] for key in ("row", "what", "rooms", "rho", "p")] for gain in wer["gains"]]
+    gains = [[*(gain[key] for key in ("row", "what", "rooms", "rho")), p_text(gain["p"])] for gain in wer["gains"]]
     headings = [heading for heading, _ in ROOM_ACOUSTICS.values()]
     return [dict(title="Test error [%], 95 % intervals over rooms and seeds", columns=["trained on", *columns],
                  rows=[[row, *(rate(results[row][column]) for column in columns)] for row in wer["rows"]],
@@ -223,10 +224,11 @@ SUMMARY = {
                     "utterance, which roomeq reads and transforms once, and the others each time.",
     "wer": "Word error rates in generated rooms, with intervals over rooms and seeds (`conf/mini.conf`).",
     "wer_real_rooms": "Word error rates of generated speech in real rooms, with intervals over rooms and seeds "
-                      "(`conf/real_rooms.conf`). Three laboratories are in the training sets; every test room is "
-                      "elsewhere.",
+                      "(`conf/real_rooms.conf`). The measured RIRs for training are of three laboratories, the EQ "
+                      "mixture is of two of them; every test room is elsewhere.",
     "wer_digits": "Word error rates of real digits in real rooms, with intervals over rooms and seeds "
-                  "(`conf/digits.conf`). Three laboratories are in the training sets; every test room is elsewhere.",
+                  "(`conf/digits.conf`). The measured RIRs for training are of three laboratories, the EQ "
+                  "mixture is of two of them; every test room is elsewhere.",
     "faults": "Attacks on the recipe and its steps: files that change between two steps, losses of power, bad inputs, "
               "hostile names, kills, several runs at once, full disks. Handled: the bytes of an undisturbed run, or a "
               "refusal in one line that names the cause.",
