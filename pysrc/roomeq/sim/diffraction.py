@@ -399,7 +399,7 @@ def _branch(fine: Array, rows: Array, first: Number, low: Number, high: Number, 
         there = min(here + step, end_m)
         quotient = np.sqrt(max((there - apex_m) * (there + apex_m) / (4.0 * product), 0.0))  # sinh(eta / 2)
         after = (quotient + np.sqrt(1.0 + quotient * quotient)) ** (2.0 * nu)  # exp(nu eta)
-        # the difference of two arctangents is one; tanh(nu eta / 2) = (exp(nu eta) - 1) / (exp(nu eta) + 1) at both ends
+        # one arctangent for the difference of two, of tanh(nu eta / 2) = (exp(nu eta) - 1) / (exp(nu eta) + 1)
         rise, sums, differences = 2.0 * (before - after), (before + 1.0) * (after + 1.0), (before - 1.0) * (after - 1.0)
         middle = 0.5 * (here + there)
         place = (middle * to_samples - first) * _OVERSAMPLING
