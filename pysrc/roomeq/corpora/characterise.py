@@ -7,9 +7,10 @@ head, a hand clap, noise): it stays, and the EQ fit leaves it out.
 
 import hashlib
 import logging
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from statistics import median
 from typing import Any, NamedTuple
 
 from roomeq.core.build import Build
@@ -86,6 +87,7 @@ def characterise(rir_dir: Path, out: Path, *, skip_bad: bool = False, keep_suspi
     summary: dict[str, Any] = {}
 
     def assemble(directory: Path, records: list[dict[str, Any]]) -> None:
+        _limit_to_excitation(rows, records)
         kept, dropped = _drop(rir_dir, rows, records)
         for row, record in zip(rows, records, strict=True):
             if "suspicious" in record:
@@ -105,9 +107,10 @@ def characterise(rir_dir: Path, out: Path, *, skip_bad: bool = False, keep_suspi
 
 
 def _characterise_rir(rir_dir: Path, row: RirRow, skip_bad: bool) -> dict[str, Any]:
-    """Return the new keys of a row and a hash of its samples, or ``{"broken": reason}``."""
+    """Return what was measured on an RIR and a hash of its samples, or ``{"broken": reason}``."""
     import numpy as np
 
+    from roomeq.acoustics.excitation import excited_from_hz
     from roomeq.acoustics.parameters import measure
 
     rir = load_rir(rir_dir, row)
@@ -119,9 +122,27 @@ def _characterise_rir(rir_dir: Path, row: RirRow, skip_bad: bool) -> dict[str, A
         raise ValueError(f"{rir_path(rir_dir, row)}: {error}") from None
     # scaled, so that the same samples at another gain have the same hash
     scaled = np.round(rir / np.max(np.abs(rir)) * 2 ** 15).astype("<i4")
-    return dict(acoustic_parameters=parameters, screen=screen_reason(row, parameters),
+    return dict(acoustic_parameters=parameters, excited_from_hz=excited_from_hz(rir),
                 geometry_ok=geometry_usability(row, needs="consistency").usable,
                 sound=hashlib.sha256(scaled.tobytes()).hexdigest())
+
+
+def _limit_to_excitation(rows: Sequence[RirRow], records: Sequence[dict[str, Any]]) -> None:
+    """Make EQ points below the band of the excitation invalid; it is the same for all RIRs of a source in a corpus."""
+    of_source = defaultdict(list)
+    for row, record in zip(rows, records, strict=True):
+        if "acoustic_parameters" in record:
+            of_source[row.get("corpus"), row["source_id"]].append(record)
+    for (_, source_id), measured in of_source.items():
+        from_hz = median(record["excited_from_hz"] for record in measured)
+        below = [hz < from_hz for hz in BANDS_HZ]
+        if any(below):
+            logger.info("source %s, %d RIRs: the excitation begins at %.0f Hz; the EQ below is not measured", source_id,
+                        len(measured), from_hz)
+        for record in measured:
+            parameters = record["acoustic_parameters"]
+            parameters["eq_valid"] = [valid and not unexcited
+                                      for valid, unexcited in zip(parameters["eq_valid"], below, strict=True)]
 
 
 def screen_reason(row: Mapping[str, Any], parameters: Mapping[str, Any]) -> str | None:
@@ -145,7 +166,7 @@ def screen_reason(row: Mapping[str, Any], parameters: Mapping[str, Any]) -> str 
     dead = [f"{hz:g}" for k, (hz, valid) in enumerate(zip(BANDS_HZ, parameters["eq_valid"], strict=True))
             if not valid and not (rolled_off and k == len(BANDS_HZ) - 1)]
     if len(dead) > MAX_DEAD_POINTS:
-        return f"dead bands: less than {MIN_SNR_DB:g} dB above the noise at {', '.join(dead)} Hz"
+        return f"dead bands: not excited, or less than {MIN_SNR_DB:g} dB above the noise, at {', '.join(dead)} Hz"
     return None
 
 
@@ -175,8 +196,8 @@ def _drop(rir_dir: Path, rows: Sequence[RirRow], records: Sequence[dict[str, Any
         elif row.get("repeat_of") in ids and row["repeat_of"] not in dropped:
             dropped[row["id"]] = f"repeat: same positions as {row['repeat_of']}"
         else:
-            measured = {**row, "suspicious": None,
-                        **{key: record[key] for key in ("acoustic_parameters", "screen", "geometry_ok")}}
+            measured = {**row, "suspicious": None, "screen": screen_reason(row, record["acoustic_parameters"]),
+                        **{key: record[key] for key in ("acoustic_parameters", "geometry_ok")}}
             sound, position = record["sound"], position_key(row)
             if sound in first_with:
                 dropped[row["id"]] = f"repeat: same audio as {first_with[sound]['id']}"

@@ -21,6 +21,7 @@ from scipy.special import gammaincinv
 from roomeq.acoustics.band_energy import OCTAVES, THIRDS, energy_in_bands, energy_per_bin, faded_part
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.direct import find_direct
+from roomeq.acoustics.excitation import excited_from_hz
 from roomeq.acoustics.iso3382 import DIRECT_S, EARLY_S, all_metrics
 from roomeq.acoustics.jnd import C50_JND_DB, DECAY_JND, DRR_JND_DB, LEVEL_JND_DB
 from roomeq.acoustics.octaves import OCTAVE_OF_THIRD, OCTAVE_WIDTH_HZ, THIRD_WIDTH_HZ, THIRDS_HZ
@@ -34,8 +35,6 @@ DIRECT_THIRDS_HZ = THIRDS_HZ[11:]  # from 630 Hz: lower ones are not resolved wi
 NEAR_S, NEAR_SHARE = 4e-4, 0.05
 """Tolerance of the arrival of the direct sound: positions (14 cm) plus a speed of sound that is wrong by 5 %."""
 MIN_SNR_DB = 10.0
-CLIFF_DB = 15.0
-_LOW_HZ, _N_LOW = 20.0, 28  # sixth octaves from 20 to 450 Hz
 _CONTRADICTED = 0.5  # the level of white noise is found too high as often as too low
 QUIET = 10.0 ** (QUIET_DB / 10.0)
 JND = dict(direct=LEVEL_JND_DB, early=LEVEL_JND_DB, late=LEVEL_JND_DB, spectrum=LEVEL_JND_DB, edt=DECAY_JND,
@@ -176,22 +175,6 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
         _put(values, valid, metric, level_db, is_valid)
     return Features(values, valid & np.isfinite(values), direct, white, from_hz,
                     float(20.0 * np.log10(np.max(np.abs(rir)))))
-
-
-def excited_from_hz(rir: FloatArray) -> float:
-    """Return the frequency below which the excitation, such as a sweep from 100 Hz, had no energy; 0 if there is none.
-
-    It is the highest frequency at which the response rises by `CLIFF_DB` in a third octave, above everything below.
-    Loudspeakers fall by at most 24 dB per octave, 8 dB per third octave (vented box; Small, J. Audio Eng. Soc. 21
-    (1973) 363).
-    """
-    power = energy_per_bin(rir, next_fast_len(max(len(rir), FS_HZ), real=True))
-    bin_hz = 0.5 * FS_HZ / (len(power) - 1)
-    edges = np.rint(_LOW_HZ * 2.0 ** (np.arange(-0.5, _N_LOW) / 6.0) / bin_hz).astype(int)
-    level_db = _db(np.add.reduceat(power[:edges[-1]], edges[:-1]) / np.diff(edges))
-    below_db = np.maximum.accumulate(level_db)
-    cliffs = np.flatnonzero(level_db[2:] - below_db[:-2] > CLIFF_DB)
-    return float(_LOW_HZ * 2.0 ** ((cliffs[-1] + 1) / 6.0)) if len(cliffs) else 0.0
 
 
 def excited(from_hz: float) -> BoolArray:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from rirmaker import DIRECT, coloured_rir, row, write_rir_dir
-from scipy.signal import firwin
+from scipy.signal import butter, firwin, sosfilt
 
 from roomeq.acoustics.parameters import measure
 from roomeq.core.audio import read_audio
@@ -65,6 +65,17 @@ def test_anti_alias_roll_off_invalidates_8_khz_only(tmp_path):
     assert parameters["eq_valid"] == [True] * 7 + [False]
     assert parameters["eq_db"][7] < -40.0 and abs(parameters["eq_edge_db"]) < 4.0
     assert report["n_roll_off_at_8khz"] == 1
+
+
+def test_eq_points_below_a_sweep_are_not_measured_for_all_rirs_of_a_source(tmp_path):
+    sweep = butter(20, 90.0, "high", fs=16000, output="sos")
+    items = [(row(f"a{n}"), sosfilt(sweep, coloured_rir(n))) for n in range(2)]
+    items += [(row("a2"), coloured_rir(2)), (row("b", source_id="other"), coloured_rir(3))]
+    rows, _ = run(tmp_path, items)
+    valid = {name: kept["acoustic_parameters"]["eq_valid"] for name, kept in rows.items()}
+    assert {name: points[0] for name, points in valid.items()} == dict(a0=False, a1=False, a2=False, b=True)
+    assert all(all(points[1:]) for points in valid.values())
+    assert all(kept["screen"] is None for kept in rows.values())
 
 
 def test_slope_of_24_db_per_octave_is_no_roll_off():

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
+from roomeq.acoustics.excitation import excited_from_hz
 from roomeq.core.constants import FS_HZ
-from roomeq.loop.features import BAND_HZ, METRIC, excited, excited_from_hz, measure_features
+from roomeq.loop.features import BAND_HZ, METRIC, excited, measure_features
 from roomeq.loop.measurability import comparable_levels, limit_to_excitation
 
 
