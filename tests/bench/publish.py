@@ -23,7 +23,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(PROJECT / name) for name in ("pysrc", "tests")]
 
 from bench import kit  # noqa: E402
-from bench.loop.table import OWN_BASE, by_base, rates  # noqa: E402
+from bench.loop.table import KIND_COLUMNS, OWN_BASE, by_base, by_kind, rates  # noqa: E402
 from roomeq.wer.check import WER_FILE, read_wer  # noqa: E402
 from roomeq.wer.table import (  # noqa: E402
     EQ_NOTE,
@@ -57,12 +57,21 @@ def sections(result: dict[str, Any]) -> list[Table]:
 
 
 def loop(rows: list[dict[str, Any]]) -> list[Table]:
-    """Return the rates of the loop over its generated rooms, with Wilson intervals, for each simulator of the rooms."""
-    return [dict(title="Rates" if base == OWN_BASE else f"Rates, rooms simulated by {base}",
-                 columns=["rate", "sets of rooms", "95 % interval", "goal"],
-                 rows=[[rate.name, f"{rate.hits} of {rate.count}",
-                        f"{max(0.0, 100 * rate.low):.0f} to {100 * rate.high:.0f} %", rate.goal]
-                       for rate in rates(these)]) for base, these in by_base(rows).items()]
+    """Return the rates of the loop over its generated rooms, with Wilson intervals, and what it added.
+
+    Rooms of each simulator have tables of their own.
+    """
+    tables = []
+    for base, these in by_base(rows).items():
+        where = "" if base == OWN_BASE else f", rooms simulated by {base}"
+        tables += [dict(title=f"Rates{where}", columns=["rate", "sets of rooms", "95 % interval", "goal"],
+                        rows=[[rate.name, f"{rate.hits} of {rate.count}",
+                               f"{max(0.0, 100 * rate.low):.0f} to {100 * rate.high:.0f} %", rate.goal]
+                              for rate in rates(these)]),
+                   dict(title=f"What was added{where}", columns=list(KIND_COLUMNS), rows=by_kind(these),
+                        notes=["JND: change of the features that was requested; error: of held-out positions [JND]; "
+                               "s: wall time."])]
+    return tables
 
 
 def loop_scale(result: dict[str, Any]) -> list[Table]:

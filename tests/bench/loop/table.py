@@ -1,5 +1,6 @@
 """Rates of the loop's bench, with Wilson intervals."""
 
+from collections import Counter
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -133,17 +134,28 @@ def show(results: list[Result]) -> None:
         _show_base(these)
 
 
-def _show_base(results: list[Result]) -> None:
+KIND_COLUMNS = ("effect", "JND", "sets", "added first", "added, not there", "error before", "after", "test after", "s")
+
+
+def by_kind(results: list[Result]) -> list[list[Any]]:
+    """Return what was added and the errors for each kind of effect and strength, with `KIND_COLUMNS`."""
     rows = []
     for kind, strength in sorted({(result["kind"], result["strength"]) for result in results}):
         these = [result for result in results if (result["kind"], result["strength"]) == (kind, strength)]
-        first = [(result["added"] or ["none"])[0] for result in these]
         seconds = [result["seconds"] for result in these if result["seconds"]]
-        counts = ", ".join(f"{first.count(name)} {name}" for name in sorted(set(first), key=lambda n: -first.count(n)))
-        rows.append([kind, strength, len(these), counts,
+        rows.append([kind, strength, len(these), _counts([(result["added"] or ["none"])[0] for result in these]),
+                     _counts([name for result in these for name in result["added"] if name not in kind.split("+")]),
                      *(float(np.mean([result[key] for result in these])) for key in ("before", "after", "test_after")),
                      float(np.median(seconds)) if seconds else None])
-    print("\n" + table(["kind", "JND", "sets", "added first", "error before", "after", "test after", "s"], rows))
+    return rows
+
+
+def _counts(names: list[str]) -> str:
+    return ", ".join(f"{count} {name}" for name, count in sorted(Counter(names).items(), key=lambda item: -item[1]))
+
+
+def _show_base(results: list[Result]) -> None:
+    print("\n" + table(list(KIND_COLUMNS), by_kind(results)))
     print()
     for rate in rates(results):
         percent = "-" if rate.rate is None else f"{100 * rate.rate:.0f} %"
