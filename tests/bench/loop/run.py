@@ -100,6 +100,7 @@ def run_set(rooms: RoomSet, cache: Path, earlier: list[Result], nj: int) -> Resu
     return dict(base=base, kind=kind, strength=strength, seed=seed, achieved_jnd=truth["achieved_jnd"],
                 rings_hz=_rings_hz(truth), added=[entry["effect"] for entry in iterations],
                 cannot_tell=[entry.get("cannot_tell", []) for entry in iterations],
+                p=[entry["p"] for entry in iterations],
                 before=before, after=after, test_before=test_before, test_after=test_after,
                 unexplained=ledger["unexplained_all"][:3], ranking=(iterations or [ledger])[0]["ranking"][:3],
                 seconds=seconds, cpu_seconds=cpu, nj=nj)
