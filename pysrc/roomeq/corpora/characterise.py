@@ -136,9 +136,10 @@ def _limit_to_excitation(rows: Sequence[RirRow], records: Sequence[dict[str, Any
     for (_, source_id), measured in of_source.items():
         from_hz = median(record["excited_from_hz"] for record in measured)
         below = [hz < from_hz for hz in BANDS_HZ]
-        if any(below):
-            logger.info("source %s, %d RIRs: the excitation begins at %.0f Hz; the EQ below is not measured", source_id,
-                        len(measured), from_hz)
+        if not any(below):
+            continue
+        logger.info("source %s, %d RIRs: the excitation begins at %.0f Hz; the EQ below is not measured", source_id,
+                    len(measured), from_hz)
         for record in measured:
             parameters = record["acoustic_parameters"]
             parameters["eq_valid"] = [valid and not unexcited

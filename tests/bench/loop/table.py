@@ -18,6 +18,8 @@ OUTSIDE_REGIONS = {"clock_drift": ("direct", "early"), "harmonic_distortion": ("
 OWN_BASE, FIRST_GOAL = "testbed", {"testbed": ">= 95 %", "pyroomacoustics": ">= 85 %"}
 """The testbed's own base, and the goal for the true effect coming first."""
 
+KIND_COLUMNS = ("effect", "JND", "sets", "added first", "added, not there", "error before", "after", "test after", "s")
+
 Result = dict[str, Any]
 
 
@@ -134,9 +136,6 @@ def show(results: list[Result]) -> None:
         _show_base(these)
 
 
-KIND_COLUMNS = ("effect", "JND", "sets", "added first", "added, not there", "error before", "after", "test after", "s")
-
-
 def by_kind(results: list[Result]) -> list[list[Any]]:
     """Return what was added and the errors for each kind of effect and strength, with `KIND_COLUMNS`."""
     rows = []
@@ -151,7 +150,7 @@ def by_kind(results: list[Result]) -> list[list[Any]]:
 
 
 def _counts(names: list[str]) -> str:
-    return ", ".join(f"{count} {name}" for name, count in sorted(Counter(names).items(), key=lambda item: -item[1]))
+    return ", ".join(f"{count} {name}" for name, count in Counter(names).most_common())
 
 
 def _show_base(results: list[Result]) -> None:
