@@ -70,7 +70,7 @@ def loop(rows: list[dict[str, Any]]) -> list[Table]:
                               for rate in rates(these)]),
                    dict(title=f"What was added{where}", columns=list(KIND_COLUMNS), rows=by_kind(these),
                         notes=["JND: change of the features that was requested; error: of held-out positions [JND]; "
-                               "s: wall time."])]
+                               "s: wall time. Where physics limits an effect, several strengths are the same rooms."])]
     return tables
 
 
