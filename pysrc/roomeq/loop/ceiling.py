@@ -79,6 +79,7 @@ def twin_recordings(data: Data, absorption: FloatArray, effects: list[list[Effec
                             seed=twin_seed, nj=nj)
     return replace(data, features=np.array([of_rir.values for of_rir in measured]) + np.outer(gains, HAS_GAIN),
                    valid=data.valid & np.array([of_rir.valid for of_rir in measured]),
+                   bounded=np.array([of_rir.bounded for of_rir in measured]),
                    white=np.array([of_rir.white for of_rir in measured]),
                    direct_sample=np.array([of_rir.direct_sample for of_rir in measured]))
 

@@ -51,6 +51,8 @@ class Data:
     places : list of Place
     features, valid : ndarray, shape (n_rirs, n_features)
         What was measured, and which of it is valid (`roomeq.loop.features`).
+    bounded : ndarray of bool, shape (n_rirs, n_features)
+        Which features are upper limits instead (`roomeq.loop.features.Features`).
     white : ndarray, shape (n_rirs, 8)
         White noise of the recordings (`roomeq.loop.features.Features`).
     direct_sample : ndarray, shape (n_rirs,)
@@ -81,6 +83,7 @@ class Data:
     places: list[Place]
     features: FloatArray
     valid: BoolArray
+    bounded: BoolArray
     white: FloatArray
     direct_sample: FloatArray
     comparable: BoolArray
@@ -127,9 +130,12 @@ class Data:
         return int(np.sum(np.bincount(self.room) > 1))
 
     def residual(self, predicted: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Measured minus predicted features, and which of them are valid, shape (n_rirs, n_features) each."""
+        """Measured minus predicted features, and which of them are valid, shape (n_rirs, n_features) each.
+
+        An upper limit counts as a measurement where the prediction exceeds it, and says nothing elsewhere.
+        """
         residual = self.features - predicted
-        return residual, self.valid & np.isfinite(residual)
+        return residual, (self.valid | (self.bounded & (residual < 0.0))) & np.isfinite(residual)
 
     def rendered_change_of(self, effect: type[Effect]) -> FloatArray:
         """Changes that an effect makes to rendered features, shape (n_grid_points, n_rirs, n_features) [JND].
@@ -278,6 +284,7 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
     distance_m = np.array([tables[n].distance_m for n in range(len(rows))])
     return Data(rows=rows, places=places, features=np.array([of_rir.values for of_rir in features]),
                 valid=np.array([of_rir.valid for of_rir in features]),
+                bounded=np.array([of_rir.bounded for of_rir in features]),
                 white=np.array([of_rir.white for of_rir in features]),
                 direct_sample=np.array([of_rir.direct_sample for of_rir in features]),
                 comparable=comparable_levels(rows, features, distance_m),

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
-from roomeq.loop.features import Features, excited
+from roomeq.loop.features import JND, Features, excited, feature_slice
 from roomeq.records.schema import RirRow
 
 logger = logging.getLogger(__name__)
@@ -26,27 +26,37 @@ def limit_to_excitation(rows: Sequence[RirRow], features: Sequence[Features]) ->
             logger.info("source %s: the excitation begins at %.0f Hz; features below it are left out", source_id,
                         from_hz)
         for n in members:
-            limited[n] = replace(features[n], valid=features[n].valid & excited(from_hz))
+            limited[n] = replace(features[n], valid=features[n].valid & excited(from_hz),
+                                 bounded=features[n].bounded & excited(from_hz))
     return limited
 
 
 def comparable_levels(rows: Sequence[RirRow], features: Sequence[Features], distance_m: FloatArray) -> BoolArray:
     """Tell for each RIR whether its level can be compared with those of the same room and session, shape (n_rirs,).
 
-    The peaks of RIRs vary with distance (20 dB per decade). If they vary by less than half as much, the RIRs were
-    normalised one by one.
+    The peaks of RIRs vary with distance (20 dB per decade), and late reverberation is equally loud everywhere in a
+    room. If the peaks vary by less than half as much, and by less than the late levels, the RIRs were normalised one by
+    one. Peaks alone do not tell: an obstacle may weaken those of near sources.
     """
     comparable = np.ones(len(rows), dtype=bool)
     for room_id, members in _groups([row["room_id"] for row in rows]).items():
         of_distance = np.std(20.0 * np.log10(distance_m[members]))
         of_peaks = np.std([features[n].peak_db for n in members])
         if (len(members) >= _MIN_RIRS and of_distance > _MIN_SPREAD_DB
-                and of_peaks < _NORMALISED_SHARE * of_distance):
+                and of_peaks < min(_NORMALISED_SHARE * of_distance, _late_spread_db([features[n] for n in members]))):
             comparable[members] = False
-            logger.info("room %s: the peaks of its %d RIRs vary by %.1f dB, their distances demand %.1f dB: each was "
-                        "normalised, so that levels are compared within an RIR only", room_id, len(members), of_peaks,
-                        of_distance)
+            logger.info("room %s: the peaks of its %d RIRs vary by %.1f dB, less than their late levels, and their "
+                        "distances demand %.1f dB: each was normalised, so that levels are compared within an RIR only",
+                        room_id, len(members), of_peaks, of_distance)
     return comparable
+
+
+def _late_spread_db(features: Sequence[Features]) -> float:
+    """Return the standard deviation over RIRs of their late levels, the median over octaves; infinite if unknown."""
+    at = feature_slice("late")
+    levels = np.array([np.where(of_rir.valid[at], of_rir.values[at], np.nan) for of_rir in features]) * JND["late"]
+    known = np.isfinite(levels).sum(axis=0) >= _MIN_RIRS
+    return float(np.median(np.nanstd(levels[:, known], axis=0))) if known.any() else np.inf
 
 
 def _groups(keys: Sequence[Hashable]) -> dict[Hashable, IntArray]:

@@ -1,12 +1,15 @@
 """The band of an excitation and comparable levels, read off recordings."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
 from roomeq.acoustics.excitation import excited_from_hz
 from roomeq.core.constants import FS_HZ
-from roomeq.loop.features import BAND_HZ, METRIC, excited, measure_features
+from roomeq.loop.data import Data
+from roomeq.loop.features import BAND_HZ, CALIBRATION_FEATURES, METRIC, excited, measure_features
 from roomeq.loop.measurability import comparable_levels, limit_to_excitation
 
 
@@ -59,6 +62,35 @@ def test_levels_are_comparable_unless_each_rir_was_normalised(normalised):
     rows = [dict(room_id="room")] * len(rirs)
     comparable = comparable_levels(rows, [measure_features(rir) for rir in rirs], distance_m)
     assert comparable.tolist() == [not normalised] * len(rirs)
+
+
+def test_obstacle_before_near_microphones_is_no_normalisation():
+    distance_m = np.array([1.0, 1.5, 2.0, 3.0, 4.0])
+    rirs = [response(seed) for seed in range(len(distance_m))]
+    for rir, peak in zip(rirs, (6.0, 4.5, 6.5, 4.5, 6.0), strict=True):  # 1.5 dB; the distances demand 4 dB
+        rir[195:205] *= peak / np.abs(rir[195:205]).max()
+    assert comparable_levels([dict(room_id="room")] * 5, [measure_features(rir) for rir in rirs], distance_m).all()
+
+
+def test_direct_sound_below_the_noise_is_an_upper_limit():
+    rng = np.random.default_rng(0)
+    t = np.arange(FS_HZ) / FS_HZ
+    rir = np.where(t > 0.03, rng.standard_normal(FS_HZ) * 10.0 ** (-3.0 * t / 0.3), 0.0)
+    hidden, audible = (rir + 1e-4 * rng.standard_normal(FS_HZ) for _ in range(2))
+    audible[160] += 1.0
+    limit, measured = (measure_features(recording, 160.0) for recording in (hidden, audible))
+    direct = METRIC == "direct"
+    assert limit.bounded.any() and not (limit.bounded & ~CALIBRATION_FEATURES).any()
+    assert not limit.valid[direct | (METRIC == "drr")].any()
+    assert measured.valid[direct | (METRIC == "drr")].all() and not measured.bounded.any()
+    assert np.all(limit.values[limit.bounded] < measured.values[limit.bounded] - 20.0)
+
+
+def test_upper_limit_counts_where_the_prediction_exceeds_it():
+    values, valid, bounded = np.zeros((1, 3)), np.array([[True, False, False]]), np.array([[False, True, True]])
+    data = SimpleNamespace(features=values, valid=valid, bounded=bounded)
+    residual, counts = Data.residual(data, np.array([[2.0, 3.0, -3.0]]))
+    assert counts.tolist() == [[True, True, False]] and residual[0, :2].tolist() == [-2.0, -3.0]
 
 
 def test_equal_distances_do_not_tell_whether_levels_are_comparable():
