@@ -197,8 +197,10 @@ def _rendered_changes(rendered: RenderedModel, ray_field: _RayField, effect: typ
 def _split(data: Data, difference: FloatArray, error: FloatArray) -> _Difference:
     """Split a difference into its mean over RIRs and the deviation of each RIR, of which a share helps.
 
-    Early reflections are the same in every rendering, noise-like tails are not. The helpful share is a regression of
-    the error of the prediction on the deviations in the other rooms, one coefficient per metric.
+    Only RIRs in which the feature is valid count: the direct sound of a rendering may be another than that of the
+    recording, where an obstacle hides it. Early reflections are the same in every rendering, noise-like tails are not.
+    The helpful share is a regression of the error of the prediction on the deviations in the other rooms, one
+    coefficient per metric.
 
     Parameters
     ----------
@@ -207,7 +209,7 @@ def _split(data: Data, difference: FloatArray, error: FloatArray) -> _Difference
     error : ndarray, shape (n_rirs, n_features)
         Measured less predicted features.
     """
-    seen = np.isfinite(difference)
+    seen = np.isfinite(difference) & data.valid
     mean = np.sum(np.where(seen, difference, 0.0), axis=0) / np.maximum(seen.sum(axis=0), 1)
     own = np.where(seen, difference - mean, 0.0)
     valid = data.valid & np.isfinite(error)
