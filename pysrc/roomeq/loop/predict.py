@@ -38,6 +38,8 @@ from roomeq.loop.tables import FRAME_EDGES_S, FRAME_MID_S, LEVEL_SHARES
 N_BANDS = len(EXACT_BANDS_HZ)
 _db = partial(power_db, floor=FLOOR_POWER)
 _N_DIRECT = len(DIRECT_THIRDS_HZ)
+_GATE_FADE_S = 5e-4
+"""Time in which the gate of the direct sound closes."""
 _PULSE_S = np.minimum(1.0 / OCTAVE_WIDTH_HZ, 0.9 * FRAME_EDGES_S[1])
 """Time in which the direct sound passes an octave filter, shape (8,); at low frequencies limited to the first frame."""
 
@@ -200,17 +202,20 @@ def predict_by_band(data: Data, state: PredictionState, reflected: ReflectedEner
     direct_thirds_db = _db(direct) @ TO_THIRDS.T + _db(state.direct_thirds)
     direct = direct * (state.direct_thirds @ _THIRDS_TO_OCTAVES.T)
     near_thirds_db, whole_thirds_db = _db(near) @ TO_THIRDS.T, _db(whole) @ TO_THIRDS.T
+    # direct sound that comes around an obstacle after the end of its gate is early sound
+    in_gate = np.clip((DIRECT_S - state.delay_s) / _GATE_FADE_S + 0.5, 0.0, 1.0)[:, None]
     response_octaves_db = state.response_db @ RESPONSE_TO_OCTAVES.T
     response_thirds_db = state.response_db[:, :len(THIRDS_HZ)]
     features = np.zeros((len(direct), N_FEATURES))
-    features[:, feature_slice("direct")] = (_sum_db(direct_thirds_db, near_thirds_db)
+    features[:, feature_slice("direct")] = (_sum_db(direct_thirds_db + _db(in_gate), near_thirds_db)
                                             + response_thirds_db)[:, -_N_DIRECT:]
-    features[:, feature_slice("early")] = _db(early - near) + response_octaves_db
+    features[:, feature_slice("early")] = _db(early - near + (1.0 - in_gate) * direct) + response_octaves_db
     features[:, feature_slice("late")] = _db(late - early) + response_octaves_db
     features[:, feature_slice("spectrum")] = _sum_db(direct_thirds_db, whole_thirds_db) + response_thirds_db
     features[:, feature_slice("c50")] = (_db(direct + early) - _db(whole - early)) / JND["c50"]
     weight = OCTAVE_WIDTH_HZ * 10.0 ** (response_octaves_db / 10.0)
-    drr_energy = np.stack([(direct + near) * weight, (whole - near) * weight])
+    drr_energy = np.stack([(in_gate * direct + near) * weight,
+                           (whole - near + (1.0 - in_gate) * direct) * weight])
     features[:, feature_slice("drr")] = drr(drr_energy)[:, None]
     times_s = reflected.decay_times_s(direct, state.reflected_gain)
     log_shortening = np.log(data.speed_m_s / state.speed_m_s)[:, None]

@@ -85,6 +85,21 @@ def test_predicted_features_follow_the_speed_of_sound(faster):
     np.testing.assert_allclose(features[feature_slice("t30")], log_t30 / JND["t30"], atol=0.2)
 
 
+@pytest.mark.parametrize("delay_s, in_gate", [(0.0, 1.0), (2.0e-3, 1.0), (3.0e-3, 0.0)])
+def test_direct_sound_that_misses_its_gate_counts_as_early(delay_s, in_gate):
+    data = SimpleNamespace(
+        rows=[{}], room=np.zeros(1, int), given_to=[], distance_m=np.ones(1), speed_m_s=np.array([343.0]),
+        tables=[Table(np.array([[1, 0]]), np.full((1, 6), 1e-9), None, 1.0, True, 0.0)],
+        air_per_m=np.zeros((1, 8)), white=np.full((1, 8), 1e-9))
+    state = base_state(data, np.full((1, 2, 8), 0.1))
+    state.delay_s[:] = delay_s
+    (features,) = predict(data, state)
+    level_db = -20.0 * np.log10(4.0 * np.pi)
+    loud, quiet = ("direct", "early") if in_gate else ("early", "direct")
+    np.testing.assert_allclose(features[feature_slice(loud)], level_db, atol=0.1)
+    assert np.all(features[feature_slice(quiet)] < level_db - 40.0)
+
+
 ROOMS_AND_GROUPS = np.repeat(np.arange(8), 2), np.tile([0, 1], 8)
 STRONG_IN_TWO_ROOMS = [[0.30, 0.28], [0.12, 0.11]] + [[0.02, 0.0], [0.0, 0.01]] * 3
 
