@@ -110,6 +110,12 @@ def misfit(residual: FloatArray, valid: BoolArray, sigma: FloatArray, omega: Flo
     return float(np.sum(_whiten(root, valid, sigma, omega) ** 2))
 
 
+def huber(error: FloatArray) -> FloatArray:
+    """Return Huber's loss of errors in standard deviations: squares, of large errors linear."""
+    size = np.abs(error)
+    return np.where(size < _HUBER, size ** 2, _HUBER * (2.0 * size - _HUBER))
+
+
 def _huber_root(residual: FloatArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray
                 ) -> tuple[FloatArray, FloatArray]:
     """Return the signed root of Huber's loss, whose square is the loss, and its derivative; 0 where invalid.

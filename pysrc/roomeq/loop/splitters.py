@@ -32,11 +32,13 @@ from roomeq.loop.fit import (
     solve_step,
     start_from_measured,
 )
-from roomeq.loop.likelihood import NormalEquations, all_normal_equations, normal_equations
+from roomeq.loop.likelihood import NormalEquations, all_normal_equations, huber, normal_equations
 from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, ParameterIndex
-from roomeq.loop.predict import N_BANDS
+from roomeq.loop.predict import N_BANDS, ReflectedEnergy
 from roomeq.loop.session import Session
 
+_WIDEST, _GRID_POINTS = 3.0, 41
+"""Grid of the vector of a single RIR about its mean over RIRs: its end, in standard deviations, and its size."""
 _GROUPS, _PER_GROUP = 4, 3  # groups of positions in half of a room, and RIRs in a group
 
 
@@ -211,7 +213,41 @@ def calibrate(session: Session, held_out: list[HeldOutRoom], known: list[IntArra
         vectors.append(index.vectors(mean, all_local))
         members = data.room == r
         gains[members] = index.gains(all_local)[members]
+    _search_rirs(session, held_out, known, usable, vectors, gains)
     return Calibration(absorption, vectors, gains)
+
+
+def _search_rirs(session: Session, held_out: list[HeldOutRoom], known: list[IntArray], usable: BoolArray | None,
+                 vectors: list[list[FloatArray]], gains: FloatArray) -> None:
+    """Replace the vectors that belong to single RIRs, of the RIRs to be scored, by the most probable ones of a grid.
+
+    Only the few features that calibration may use tell about such an RIR, and its vector can be far from the fitted
+    one, which all of its features determine: a step of least squares does not reach it. All else is as fitted.
+    """
+    data, fitted, index = session.data, session.fit, session.index
+    mask = _usable_features(index, known, usable)
+    scored = np.concatenate([np.setdiff1d(members, of_room) for members, of_room
+                             in zip(index.members, known, strict=True)]).astype(int)
+    absorption, of_fit = index.absorption(fitted.mean, fitted.local), index.vectors(fitted.mean, fitted.local)
+    reflected = ReflectedEnergy(data, index.state(absorption, of_fit))
+    spread = np.hypot(fitted.sigma, fitted.omega)
+    for k, effect in enumerate(index.effects):
+        if effect.SCOPE != "rir":
+            continue
+        part, scale = index.shared[k].part, float(np.sqrt(fitted.covariance[0][index.local[0].slices[k].start][
+            index.local[0].slices[k].start]))
+        centre = np.array([held_out[r].mean[part] for r in data.room])
+        best, lowest = centre.copy(), np.full(len(centre), np.inf)
+        for deviation in np.linspace(-_WIDEST, _WIDEST, _GRID_POINTS):
+            moved = centre + deviation * scale
+            of_grid = [moved if j == k else vector for j, vector in enumerate(of_fit)]
+            residual, valid = data.residual(index.predict(absorption, of_grid, gains, session.correction, reflected))
+            error = np.where(valid & mask, residual / spread, 0.0)
+            value = deviation ** 2 + np.sum(huber(error), axis=1)
+            best[value < lowest], lowest = moved[value < lowest], np.minimum(value, lowest)
+        for r in np.unique(data.room[scored]):
+            rows = scored[data.room[scored] == r]
+            vectors[r][k][rows] = best[rows]
 
 
 def transfer_shared(session: Session, index: ParameterIndex) -> SharedPrior:
