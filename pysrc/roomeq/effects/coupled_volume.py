@@ -1,8 +1,9 @@
 """A second volume behind an opening: its slower decay becomes audible after the room's own has died away.
 
 Cremer and Mueller, Principles and Applications of Room Acoustics, vol. 1, sec. II.3: the energy of two coupled rooms
-decays as a sum of two exponentials. The second one arrives as ``E r exp(-r t) dt``, where the ratio of E to the
-energy of all reflections is `energy_ratio` and r is `rate_per_s`.
+decays as a sum of two exponentials. The second one arrives as ``E r exp(-r t) dt``, where r is `rate_per_s` and E is
+the energy of all reflections times `energy_ratio`. Of the power that enters the second volume, an energy proportional
+to 1 / r is stored there; where its air absorbs more, less comes back.
 """
 
 from dataclasses import dataclass
@@ -31,7 +32,7 @@ class CoupledVolume(Effect):
     Attributes
     ----------
     level_db : float
-        Energy of the second decay relative to that of all reflections.
+        Energy of the second decay relative to that of all reflections, at low frequencies.
     time_s : float
         Its decay time at low frequencies; air absorption shortens it at high ones.
     """
@@ -54,10 +55,10 @@ class CoupledVolume(Effect):
         return cls(float(np.clip(10.0 * vector[0], *_LEVELS_DB)),
                    float(np.exp(np.clip(vector[1], *np.log(_TIMES_S)))))
 
-    @property
-    def energy_ratio(self) -> float:
-        """Energy of the second decay relative to that of all reflections."""
-        return 10.0 ** (self.level_db / 10.0)
+    def energy_ratio(self, speed_m_s: float | FloatArray, attenuation_per_m: ArrayLike) -> FloatArray:
+        """Return the energy of the second decay relative to that of all reflections, in each octave."""
+        air = np.asarray(speed_m_s) * np.asarray(attenuation_per_m)
+        return 10.0 ** (self.level_db / 10.0) / (1.0 + air * self.time_s / _DECAY)
 
     def rate_per_s(self, speed_m_s: float, attenuation_per_m: ArrayLike) -> FloatArray:
         """Return the rate at which its energy decays in air, shape (8,) [1/s]."""
@@ -79,7 +80,8 @@ class CoupledVolume(Effect):
         rate = self.rate_per_s(air.speed_m_s, air.attenuation_per_m)
         shape = np.where(time_s[:, None] > 0.0, np.exp(-np.maximum(time_s, 0.0)[:, None] * rate), 0.0)
         # an echogram holds energies of pulses of the whole band, of which each octave filter passes a part
-        energy = self.energy_ratio * np.maximum(reflected, 0.0) / _pulse_energies() * rate * FRAME_S * shape
+        whole = self.energy_ratio(air.speed_m_s, air.attenuation_per_m) * np.maximum(reflected, 0.0)
+        energy = whole / _pulse_energies() * rate * FRAME_S * shape
         noise = tail_noise(len(rir), rendering.scene.room.volume_m3, air.speed_m_s, rendering.rng)
         return rir + render(np.zeros(0), np.zeros((0, 8)), energy, noise, speed_m_s=air.speed_m_s, n_samples=len(rir))
 

@@ -108,9 +108,8 @@ class PredictedRirs(Protocol):
 class AddedDecay(Protocol):
     """An exponential decay that is added to the reflections (`roomeq.effects.coupled_volume.CoupledVolume`)."""
 
-    @property
-    def energy_ratio(self) -> float:
-        """Energy of the added decay relative to that of all reflections."""
+    def energy_ratio(self, speed_m_s: FloatArray, attenuation_per_m: FloatArray) -> FloatArray:
+        """Return the energy of the added decay relative to that of all reflections."""
         ...
 
     def rate_per_m(self, speed_m_s: FloatArray, attenuation_per_m: FloatArray) -> FloatArray:

@@ -98,9 +98,10 @@ def reflected_energy(data: Data, state: PredictionState) -> FloatArray:
     energy *= np.exp(-length_m[:, :, None] * state.air_per_m[:, None, :])
     whole = energy.sum(axis=1)
     for decay, rows in state.decays:
-        rate = decay.rate_per_m(state.speed_m_s[rows][:, None], state.air_per_m[rows]) * data.speed_m_s[rows][:, None]
+        air = state.speed_m_s[rows][:, None], state.air_per_m[rows]
+        rate = decay.rate_per_m(*air) * data.speed_m_s[rows][:, None]
         left = np.exp(-FRAME_EDGES_S[:, None] * rate[:, None, :])
-        energy[rows] += decay.energy_ratio * whole[rows][:, None, :] * (left[:, :-1] - left[:, 1:])
+        energy[rows] += (decay.energy_ratio(*air) * whole[rows])[:, None, :] * (left[:, :-1] - left[:, 1:])
     return energy
 
 
