@@ -54,7 +54,11 @@ _TOLERATED_JND = 0.05
 """Rise of the held-out error that is taken for chance: noise scatters, also in rooms that have hardly any."""
 
 SCATTERING = 0.3
-"""Scattering coefficient of all surfaces: measured RIRs do not state it, and the error depends little on it."""
+"""Scattering coefficient of all surfaces: measured RIRs do not state it."""
+_MIN_FALL = 0.03
+"""Smallest fall of the held-out error, as a share of it, that counts. The scattering coefficient is unknown: with 0.15
+or 0.5 in its place, the error of ten generated sets changed by 3 % in the mean. An effect that changes the error by
+less may be the wrong scattering."""
 
 
 class Accepted(NamedTuple):
@@ -163,8 +167,9 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
 def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]) -> Accepted | None:
     """Return the best candidate that lowers the held-out error when it is rendered, or None.
 
-    The error must fall significantly on at least one of `SPLITS` and must not rise significantly on any. What was read
-    off the recordings has no other cause: it is enough that the error does not rise by more than `_TOLERATED_JND`.
+    The error must fall significantly, and by `_MIN_FALL`, on at least one of `SPLITS` and must not rise significantly
+    on any. What was read off the recordings has no other cause: it is enough that the error does not rise by more than
+    `_TOLERATED_JND`.
 
     A worse-fitting candidate replaces a rejected one only if the rejected one raised the error, or if it explains
     something else. If the error merely did not fall, the rejected candidate may still be the cause, and a significantly
@@ -184,12 +189,14 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]) -
             rises = not accepted
         else:
             rises = any(p_lower(errors_after, errors, split) < LEVEL for split in SPLITS)
-            accepted = min(p.values()) < LEVEL / len(p) and not rises
+            accepted = not rises and any(
+                p[split] < LEVEL / len(p) and errors_after.mean(split) < (1.0 - _MIN_FALL) * errors.mean(split)
+                for split in SPLITS)
         if accepted:
             return Accepted(iteration_entry(winner, rivals, ranking, after, errors, errors_after, p), after,
                             errors_after)
         logger.info("rejected %s: the held-out error %s when it is rendered", winner.effect.NAME,
-                    "rises" if rises else "does not fall")
+                    "rises" if rises else f"does not fall significantly by {100 * _MIN_FALL:.0f} %")
         pool = [candidate for candidate in pool if candidate is not winner
                 and (rises or one_sided_p(winner.gain - candidate.gain) > LEVEL
                      or (candidate.helps(len(ranking)) and helps_beside(session, winner, candidate, len(ranking))))]

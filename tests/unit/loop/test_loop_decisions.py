@@ -138,6 +138,7 @@ def test_few_rooms_of_equal_absorption_do_not_fix_the_level_of_the_next(level):
 @pytest.mark.parametrize("change, behind, helps_beside, added", [
     (0.3, 8.0, False, "sound_speed"),
     (-0.3, 8.0, False, "noise_floor"),  # refuted: the next best is tried
+    (0.03, 8.0, False, None),  # so little may be another scattering
     (0.0, 8.0, False, None),  # not proven: no worse-fitting candidate replaces it
     (0.0, 8.0, True, "noise_floor"),  # unless it explains something else
     (0.0, 0.0, False, "noise_floor")])  # an equally good one does
