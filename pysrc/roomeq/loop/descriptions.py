@@ -20,7 +20,8 @@ _LONGER, _LATER = ("longer", "shorter"), ("later", "earlier")
 _METRICS = {"direct": ("the direct sound", _LOUDER), "early": ("sound of the first 50 ms", _LOUDER),
             "late": ("sound from 50 to 200 ms", _LOUDER), "spectrum": ("the whole response", _LOUDER),
             "edt": ("the early decay time (EDT)", _LONGER), "t20": ("the decay time (T20)", _LONGER),
-            "t30": ("the decay time (T30)", _LONGER), "c50": ("clarity (C50)", _HIGHER),
+            "t30": ("the decay time (T30)", _LONGER), "curvature": ("T30 relative to T20", _LONGER),
+            "c50": ("clarity (C50)", _HIGHER),
             "drr": ("the direct-to-reverberant ratio (DRR)", _HIGHER), "arrival": ("the direct sound", _LATER),
             "ahead": ("sound before the direct sound", _LOUDER), "floor": ("noise after the response", _LOUDER)}
 """Name of each metric, and the words for more and less of it."""
@@ -41,6 +42,7 @@ _ADVICE = {
     "edt": "check the distance, and add furniture and surfaces near source and microphone to the room's mesh",
     "t20": "check the room's dimensions, and whether doors to other rooms were open",
     "t30": "check the room's dimensions, and whether doors to other rooms were open",
+    "curvature": "look for objects that ring, doors to other rooms that were open, and noise in the recordings",
     "c50": "check the distance, and add large objects between and around source and microphone to the room's mesh",
     "drr": "check the distance, and state where the loudspeaker faces (source_dir)",
     "arrival": "check positions and temperature, and that the latency of the sound card is removed (otherwise set "

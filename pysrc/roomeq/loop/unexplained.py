@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from roomeq.acoustics.octaves import OCTAVE_WIDTH_HZ
 from roomeq.core.arrays import BoolArray, FloatArray
-from roomeq.core.constants import BANDS_HZ
+from roomeq.core.constants import BAND_1KHZ, BANDS_HZ
 from roomeq.loop.data import Data
 from roomeq.loop.features import BAND_OF_FEATURE, METRIC, REGION
 from roomeq.loop.likelihood import scatter
@@ -18,6 +19,7 @@ MIN_ROOM_SIZE_JND = 2.0  # of a residual that varies with the room, since rooms 
 LEVEL = 0.05
 _CLIP = 8.0
 _FREEDOM = 8  # degrees of freedom that the shrinkage over a metric adds to the scatter of a feature
+_MIN_CURVATURES = 16  # rooms and octaves from which on their scatter is known
 
 
 @dataclass(frozen=True)
@@ -76,8 +78,15 @@ def find_unexplained(session: Session) -> list[Unexplained]:
         bands, size_jnd, p = _outlying_band_test(metric, residual, data)
         tests += [_Test(metric, band, "room", size_jnd, min(1.0, p * len(metrics))) for band in bands]
     tests += _outlying_rooms(residual, data)
-    return _merged([test for test in tests if test.p < LEVEL and abs(test.size_jnd) >= (
-        MIN_ROOM_SIZE_JND if test.varies_with == "room" else MIN_SIZE_JND)])
+    significant = [test for test in tests if _is_significant(test)]
+    decays = {test.band for test in significant if test.metric in ("t20", "t30")}
+    return _merged(significant + [test for test in _outlying_curvatures(residual, data)
+                                  if _is_significant(test) and test.band not in decays])
+
+
+def _is_significant(test: _Test) -> bool:
+    return test.p < LEVEL and abs(test.size_jnd) >= (
+        MIN_ROOM_SIZE_JND if test.varies_with == "room" else MIN_SIZE_JND)
 
 
 def _block_tests(values: FloatArray, data: Data, measured: BoolArray) -> list[tuple[str, float, float]]:
@@ -138,12 +147,33 @@ def _outlying_rooms(residual: FloatArray, data: Data) -> list[_Test]:
     return tests
 
 
+def _outlying_curvatures(residual: FloatArray, data: Data) -> list[_Test]:
+    """Test each room's residuals of T30 relative to T20 in each octave; return the significant ones.
+
+    Both times scatter together, so that a late second slope shows in their ratio when neither stands out. The ratio
+    scatters with the inverse square root of bandwidth and number of RIRs. The scale is the median over rooms and
+    octaves, since an object that rings at the same octave in several rooms must not hide itself.
+    """
+    names = np.unique(data.room)
+    relative = residual[:, METRIC == "t30"] - residual[:, METRIC == "t20"]
+    count = np.array([np.isfinite(relative[data.room == r]).sum(axis=0) for r in names])
+    mean = np.array([np.nansum(relative[data.room == r], axis=0) for r in names]) / np.maximum(count, 1)
+    known = count > 1
+    if len(names) < 3 or known.sum() < _MIN_CURVATURES:
+        return []
+    standard = mean * np.sqrt(count * OCTAVE_WIDTH_HZ / OCTAVE_WIDTH_HZ[BAND_1KHZ])
+    scale = 1.4826 * np.median(np.abs(standard[known])) + 1e-9
+    p = 2.0 * stats.t.sf(np.abs(standard) / scale, _FREEDOM) * known.sum()
+    return [_Test("curvature", int(band), "room", float(mean[r, band]), float(p[r, band]))
+            for r, band in np.argwhere(known & (p < LEVEL))]
+
+
 def _merged(tests: list[_Test]) -> list[Unexplained]:
     """Merge the bands of a metric whose residuals vary with the same thing in the same direction."""
     groups: dict[tuple, list[_Test]] = {}
     for test in tests:
         groups.setdefault((test.metric, test.varies_with, np.sign(test.size_jnd)), []).append(test)
-    merged = [Unexplained(metric, REGION[metric], [BANDS_HZ[band] for band in sorted(test.band for test in members)
+    merged = [Unexplained(metric, REGION[metric], [BANDS_HZ[band] for band in sorted({test.band for test in members})
                                                    if band >= 0], varies_with,
                           float(np.mean([test.size_jnd for test in members])), float(min(test.p for test in members)))
               for (metric, varies_with, _), members in groups.items()]

@@ -25,9 +25,9 @@ REGIONS = ("ahead", "direct", "early", "late", "whole", "floor")
 """Time regions in temporal order; the whole response stands before the noise."""
 
 METRIC_LABELS = {"direct": "level, direct sound", "early": "level, 2.5 to 50 ms", "late": "level, 50 to 200 ms",
-                 "spectrum": "level, whole response", "edt": "EDT", "t20": "T20", "t30": "T30", "c50": "C50",
-                 "drr": "DRR", "arrival": "arrival time", "ahead": "level, before direct sound",
-                 "floor": "level, noise floor"}
+                 "spectrum": "level, whole response", "edt": "EDT", "t20": "T20", "t30": "T30",
+                 "curvature": "T30 / T20", "c50": "C50", "drr": "DRR", "arrival": "arrival time",
+                 "ahead": "level, before direct sound", "floor": "level, noise floor"}
 SPLIT_LABELS = {split: split.replace("_", "-") for split in SPLITS}
 COLOURS = dict(zip(KINDS, ("measured", "simulated", "compensated"), strict=True))
 LABELS = dict(zip(KINDS, ("measured", "simulated, before", "simulated, after"), strict=True))

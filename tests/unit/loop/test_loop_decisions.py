@@ -64,6 +64,23 @@ def test_residual_of_one_room_is_unexplained_if_it_is_an_outlier(extra_jnd):
     assert len(unexplained) == (extra_jnd > 0.0)
 
 
+def test_object_that_rings_at_one_octave_in_half_of_the_rooms_is_unexplained():
+    rng = np.random.default_rng(2)
+    room = np.repeat(np.arange(8), 8)
+    residual = rng.normal(0.0, 0.3, (64, N_FEATURES))
+    t20, t30 = feature_slice("t20").start, feature_slice("t30").start
+    decay = rng.normal(0.0, 1.5, (64, 8))  # scatters alike in both
+    residual[:, t20:t20 + 8] += decay
+    residual[:, t30:t30 + 8] += decay
+    data = SimpleNamespace(room=room, room_names=list("abcdefgh"), units=lambda scope: (["one"], np.zeros(64, int)))
+    assert not find_unexplained(SimpleNamespace(data=data, residual=residual))
+    residual[room < 4, t30 + 4] += 3.0
+    first = find_unexplained(SimpleNamespace(data=data, residual=residual))[0]
+    assert (first.metric, first.time_region, first.bands_hz, first.varies_with) == (
+        "curvature", "late", [BANDS_HZ[4]], "room")
+    assert first.size_jnd == pytest.approx(3.0, abs=0.5)
+
+
 @pytest.mark.parametrize("faster", [1.0, 1.03, 0.9])
 def test_predicted_features_follow_the_speed_of_sound(faster):
     rate = 14.0  # decay rate at the declared speed [1/s]
