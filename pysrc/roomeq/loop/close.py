@@ -167,9 +167,9 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
 def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]) -> Accepted | None:
     """Return the best candidate that lowers the held-out error when it is rendered, or None.
 
-    The error must fall significantly, and by `_MIN_FALL`, on at least one of `SPLITS` and must not rise significantly
-    on any. What was read off the recordings has no other cause: it is enough that the error does not rise by more than
-    `_TOLERATED_JND`.
+    The error must fall significantly on at least one of `SPLITS`, by `_MIN_FALL` on at least one, and must not rise
+    significantly on any. What was read off the recordings has no other cause: it is enough that the error does not rise
+    by more than `_TOLERATED_JND`.
 
     A worse-fitting candidate replaces a rejected one only if the rejected one raised the error, or if it explains
     something else. If the error merely did not fall, the rejected candidate may still be the cause, and a significantly
@@ -189,9 +189,8 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]) -
             rises = not accepted
         else:
             rises = any(p_lower(errors_after, errors, split) < LEVEL for split in SPLITS)
-            accepted = not rises and any(
-                p[split] < LEVEL / len(p) and errors_after.mean(split) < (1.0 - _MIN_FALL) * errors.mean(split)
-                for split in SPLITS)
+            falls = any(errors_after.mean(split) < (1.0 - _MIN_FALL) * errors.mean(split) for split in SPLITS)
+            accepted = min(p.values()) < LEVEL / len(p) and falls and not rises
         if accepted:
             return Accepted(iteration_entry(winner, rivals, ranking, after, errors, errors_after, p), after,
                             errors_after)
