@@ -67,8 +67,7 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
     log_likelihood = _log_likelihood(data, index, mean, local, residual, spread, directivities)
     facings: dict[int, FloatArray] = {}
     estimates = []
-    towards = np.array([np.subtract(place.mic_pos_m, place.source_pos_m) for place in data.places])
-    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    towards = _towards(data)
     for source_id in sorted({data.rows[n]["source_id"] for n in unknown}):
         members = [int(n) for n in unknown if data.rows[n]["source_id"] == source_id]
         by_position: dict[tuple, list[int]] = {}
@@ -87,6 +86,18 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
                                         float(np.degrees(angle))))
         facings.update(of_source)
     return replace(with_facings(data, facings), facings=tuple(estimates))
+
+
+def facing_the_microphone(data: Data) -> Data:
+    """Return data in which each source with unknown facing faces the microphone."""
+    towards = _towards(data)
+    return with_facings(data, {int(n): towards[n] for n in unknown_facings(data)})
+
+
+def _towards(data: Data) -> FloatArray:
+    """Unit vectors from each source to its microphone, shape (n_rirs, 3)."""
+    towards = np.array([np.subtract(place.mic_pos_m, place.source_pos_m) for place in data.places])
+    return towards / np.linalg.norm(towards, axis=1, keepdims=True)
 
 
 def _best_axes(groups: Iterable[list[int]], towards: FloatArray, log_likelihood: FloatArray

@@ -27,7 +27,7 @@ from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.room_eq import RoomEq
 from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.loop.data import Data
-from roomeq.loop.facing import estimate_facings, unknown_facings
+from roomeq.loop.facing import estimate_facings, facing_the_microphone, unknown_facings
 from roomeq.loop.features import (
     BAND_OF_FEATURE,
     HAS_GAIN,
@@ -192,12 +192,17 @@ def transferred(data: Data, session: Session) -> tuple[Data, Callable]:
 
 
 def _with_facings(data: Data, session: Session) -> Data:
-    """Return data of a test set with estimated facings; sources with unknown facing are omnidirectional until then."""
+    """Return data of a test set with estimated facings.
+
+    Directivities are calibrated first as if all sources faced the microphone. With the mean directivity of the
+    session's sources, a source that is less directional would seem to face elsewhere.
+    """
     if SourceDirectivity not in session.effects or not len(unknown_facings(data)):
         return data
     index = ParameterIndex(data, session.effects)
     correction = np.tile(session.correction.mean(axis=0), (len(data.rows), 1))
-    mean, local = solve_rooms(index, session.fit, transfer_shared(session, index), correction, split_positions(data)[0],
+    mean, local = solve_rooms(ParameterIndex(facing_the_microphone(data), session.effects), session.fit,
+                              transfer_shared(session, index), correction, split_positions(data)[0],
                               threads=session.nj)
     vectors = index.vectors(mean, local)
     residual, valid = data.residual(index.predict(index.absorption(mean, local), vectors, index.gains(local),
