@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
+from roomeq.core.constants import BAND_1KHZ
 from roomeq.loop.data import Data
 from roomeq.loop.features import CALIBRATION_FEATURES
 from roomeq.loop.fit import (
@@ -39,6 +40,9 @@ from roomeq.loop.session import Session
 
 _WIDEST, _GRID_POINTS = 3.0, 41
 """Grid of the vector of a single RIR about its mean over RIRs: its end, in standard deviations, and its size."""
+COMMON_SPECTRUM = np.array([-0.28, -0.19, -0.19, -0.03, 0.0, 0.02, 0.01, -0.08])
+"""Logarithm of ``-ln(1 - alpha)`` per octave, relative to 1 kHz: mean of 174 rooms of `conf/room_types.toml` with the
+materials of `conf/materials.toml`, from T20 less air absorption (`roomeq simulate --rooms 240 --num-rays 3000`)."""
 _GROUPS, _PER_GROUP = 4, 3  # groups of positions in half of a room, and RIRs in a group
 
 
@@ -254,7 +258,9 @@ def transfer_shared(session: Session, index: ParameterIndex) -> SharedPrior:
     """Return what a session says about the shared parameters of other data, whose units it may not know.
 
     An unknown unit, such as another laboratory's loudspeaker, gets the mean of the known ones and the spread of real
-    units (`Effect.SPREAD`).
+    units (`Effect.SPREAD`). The mean spectrum of absorption is half that of the session's rooms and half that of rooms
+    in general (`COMMON_SPECTRUM`): the rooms of a laboratory resemble each other, so that few laboratories say little
+    about the next.
     """
     fitted, before = session.fit, session.index
     prior = shared_prior(before, [effect.STARTS[0] for effect in before.effects], START_X)
@@ -264,6 +270,7 @@ def transfer_shared(session: Session, index: ParameterIndex) -> SharedPrior:
     covariance = np.linalg.inv(precision)
     mean, spread = np.zeros(index.n_shared), np.zeros((index.n_shared, index.n_shared))
     mean[:N_SURFACE], spread[:N_SURFACE, :N_SURFACE] = fitted.mean[:N_SURFACE], covariance[:N_SURFACE, :N_SURFACE]
+    mean[:N_BANDS] = 0.5 * mean[:N_BANDS] + 0.5 * (mean[BAND_1KHZ] + COMMON_SPECTRUM)
     for effect, there, here in zip(index.effects, before.shared, index.shared, strict=True):
         vectors = fitted.mean[there.part].reshape(there.n_vectors, there.size)
         of_room = effect.SCOPE in OWN_SCOPES
