@@ -16,6 +16,7 @@ from roomeq.core.files import read_json
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.coupled_volume import CoupledVolume
 from roomeq.effects.model import read_model
+from roomeq.effects.occlusion import Occlusion
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.effects.source_response import SourceResponse
@@ -41,7 +42,7 @@ from roomeq.loop.predict import ReflectedEnergy, predict
 from roomeq.loop.rendering import _groups_of_paths, render_rows
 from roomeq.loop.selection import SPLITS, _candidate, choose, heldout_errors, rank, size_of_change_jnd
 from roomeq.loop.session import fit_base_model, with_rendered_changes
-from roomeq.loop.splitters import leave_rooms_out, split_positions
+from roomeq.loop.splitters import COMMON_SPECTRUM, calibrate, leave_rooms_out, split_positions, transfer_shared
 from roomeq.loop.step import close_loop
 from roomeq.records.rir_dir import load_rir, read_rirs, relocated, write_rirs
 from roomeq.validate import validate
@@ -215,6 +216,30 @@ def test_leaving_a_room_out_changes_the_shared_parameters_a_little(session):
     for room in held_out:
         assert np.isfinite(room.log_density)
         assert 0.0 < np.abs(room.mean - session.fit.mean).max() < 1.0
+
+
+def test_obstacles_of_held_out_rirs_are_found_from_half_of_their_direct_sound(session):
+    index, fitted = ParameterIndex(session.data, [Occlusion]), session.fit
+    rng = np.random.default_rng(0)
+    detour_m = np.where(rng.random(len(session.data.rows)) < 0.4, 0.3, 1e-3)
+    features = index.predict(session.index.absorption(fitted.mean, fitted.local), [np.log(detour_m)[:, None]],
+                             session.index.gains(fitted.local), session.correction)
+    data = replace(session.data, features=features)
+    with_obstacles = fit(data, session.correction, [Occlusion], initial=fitted)
+    obstructed = replace(session, data=data, effects=(Occlusion,), fit=with_obstacles)
+    known, scored = split_positions(data)
+    vectors = calibrate(obstructed, leave_rooms_out(data, with_obstacles), known).vectors
+    for of_room, rirs in zip(vectors, scored, strict=True):
+        found_db, true_db = (10.0 * np.log10([Occlusion(metres).energy_gain(1000.0, 343.0) for metres in detours])
+                             for detours in (np.exp(of_room[0][rirs, 0]), detour_m[rirs]))
+        assert np.abs(found_db - true_db).max() < 2.5
+
+
+def test_spectrum_of_unseen_rooms_lies_between_the_known_ones_and_rooms_in_general(session):
+    x = transfer_shared(session, session.index).mean[:8]
+    of_session = session.fit.mean[:8] - session.fit.mean[4]
+    low, high = np.minimum(of_session, COMMON_SPECTRUM), np.maximum(of_session, COMMON_SPECTRUM)
+    assert np.all((low - 1e-9 <= x - x[4]) & (x - x[4] <= high + 1e-9)) and x[4] == session.fit.mean[4]
 
 
 def test_rows_rendered_together_are_those_rendered_alone(session):

@@ -51,6 +51,15 @@ def test_loudspeaker_turned_to_each_microphone_is_recognised(monkeypatch):
     assert degrees(axes, rirs.towards).max() < 0.1 and estimated.angle_deg < 0.1
 
 
+def test_sources_of_unknown_facing_are_turned_to_the_microphone(monkeypatch):
+    rirs, found = Rirs(), {}
+    rirs.rows[2]["source_dir"] = [1.0, 0.0, 0.0]
+    monkeypatch.setattr(facing, "with_facings", lambda data, facings: found.update(facings))
+    facing.facing_the_microphone(rirs)
+    assert sorted(found) == [n for n in range(len(rirs.rows)) if n != 2]
+    assert all(np.allclose(found[n], rirs.towards[n]) for n in found)
+
+
 def test_axis_of_each_position_follows_from_all_its_microphones(monkeypatch):
     rirs = Rirs()
     true = np.repeat([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-0.6, 0.8, 0.0]], len(MICS_M), axis=0)
