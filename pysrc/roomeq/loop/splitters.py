@@ -226,32 +226,31 @@ def _search_rirs(session: Session, held_out: list[HeldOutRoom], known: list[IntA
     """Replace the vectors that belong to single RIRs, of the RIRs to be scored, by the most probable ones of a grid.
 
     Only the few features that calibration may use tell about such an RIR, and its vector can be far from the fitted
-    one, which all of its features determine: a step of least squares does not reach it. All else is as fitted.
+    one, which all of its features determine: a step of least squares does not reach it. All else is as fitted. The
+    vectors have one component.
     """
     data, fitted, index = session.data, session.fit, session.index
-    mask = _usable_features(index, known, usable)
-    scored = np.concatenate([np.setdiff1d(members, of_room) for members, of_room
-                             in zip(index.members, known, strict=True)]).astype(int)
+    of_rirs = [k for k, effect in enumerate(index.effects) if effect.SCOPE == "rir"]
+    if not of_rirs:
+        return
+    visible = _usable_features(index, known, usable)
     absorption, of_fit = index.absorption(fitted.mean, fitted.local), index.vectors(fitted.mean, fitted.local)
     reflected = ReflectedEnergy(data, index.state(absorption, of_fit))
-    spread = np.hypot(fitted.sigma, fitted.omega)
-    for k, effect in enumerate(index.effects):
-        if effect.SCOPE != "rir":
-            continue
-        part, scale = index.shared[k].part, float(np.sqrt(fitted.covariance[0][index.local[0].slices[k].start][
-            index.local[0].slices[k].start]))
-        centre = np.array([held_out[r].mean[part] for r in data.room])
+    for k in of_rirs:
+        first = index.local[0].slices[k].start
+        scale = np.sqrt(fitted.covariance[0][first, first])
+        centre = np.array([held_out[r].mean[index.shared[k].part] for r in data.room])
         best, lowest = centre.copy(), np.full(len(centre), np.inf)
         for deviation in np.linspace(-_WIDEST, _WIDEST, _GRID_POINTS):
             moved = centre + deviation * scale
-            of_grid = [moved if j == k else vector for j, vector in enumerate(of_fit)]
+            of_grid = [*of_fit[:k], moved, *of_fit[k + 1:]]
             residual, valid = data.residual(index.predict(absorption, of_grid, gains, session.correction, reflected))
-            error = np.where(valid & mask, residual / spread, 0.0)
+            error = np.where(valid & visible, residual / np.hypot(fitted.sigma, fitted.omega), 0.0)
             value = deviation ** 2 + np.sum(huber(error), axis=1)
             best[value < lowest], lowest = moved[value < lowest], np.minimum(value, lowest)
-        for r in np.unique(data.room[scored]):
-            rows = scored[data.room[scored] == r]
-            vectors[r][k][rows] = best[rows]
+        for of_room, members, calibrating in zip(vectors, index.members, known, strict=True):
+            scored = np.setdiff1d(members, calibrating)
+            of_room[k][scored] = best[scored]
 
 
 def transfer_shared(session: Session, index: ParameterIndex) -> SharedPrior:
