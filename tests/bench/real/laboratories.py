@@ -95,11 +95,11 @@ def run(name, laboratories, work, nj):
                 gib=memory.gib)
 
 
-def section(results):
+def section(results, rirs_per_room):
     """Return the table of all laboratories, and its checks."""
     table = kit.Section("laboratories", "Laboratories that took no part in the loop", columns=[
         "laboratory", "RIRs", "rooms", "split", "before [JND]", "after [JND]", "ceiling [JND]", "explained",
-        "effects that were added", "minutes"])
+        "effects that were added", "minutes"], notes=[f"At most {rirs_per_room} RIRs of a room."])
     for result in results:
         for split, (label, _) in SPLITS.items():
             table.rows.append([result["laboratory"], result["rirs"], result["rooms"], label,
@@ -152,7 +152,7 @@ def main():
                 continue
             results.append(run(name, laboratories, Path(work), args.nj) | dict(code=code))
             write_json(file, kit.plain(results[-1]))
-    table = section(results)
+    table = section(results, args.rirs_per_room)
     table.show()
     write_json(args.out / "laboratories.json", kit.plain(dict(
         bench="laboratories", machine=kit.machine(), results=results,
