@@ -174,17 +174,18 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
     _put(values, valid, "arrival", np.array([direct / FS_HZ]), np.array([timed]))
     from_hz = excited_from_hz(rir) if white is None else 0.0  # a rendering is excited at all frequencies
     noise = _noise_density(rir, metrics, from_hz)
-    bounded = np.zeros(N_FEATURES, dtype=bool)
-    for metric, (level_db, snr_db) in _levels(rir, direct, metrics, noise).items():
+    levels = _levels(rir, direct, metrics, noise)
+    for metric, (level_db, snr_db) in levels.items():
         _put(values, valid, metric, level_db, snr_db > MIN_SNR_DB)
-        if metric == "direct" and white is None:  # a rendering has no noise
-            at = feature_slice(metric)
-            bounded[at] = CALIBRATION_FEATURES[at] & noise.seen[OCTAVE_OF_THIRD][-len(DIRECT_THIRDS_HZ):] & ~valid[at]
-            values[at] = np.where(bounded[at], (level_db - snr_db + MIN_SNR_DB) / JND[metric], values[at])
-    drr_is_known = drr_db is not None and bool(valid[feature_slice("direct")].any())
-    _put(values, valid, "drr", np.array([np.nan if drr_db is None else drr_db]), np.array([drr_is_known]))
-    levels, white = _noise_levels(rir, direct, noise, white)
-    for metric, (level_db, is_valid) in levels.items():
+    at, bounded = feature_slice("direct"), np.zeros(N_FEATURES, dtype=bool)
+    if white is None:  # a rendering has no noise
+        level_db, snr_db = levels["direct"]
+        bounded[at] = CALIBRATION_FEATURES[at] & noise.seen[OCTAVE_OF_THIRD][-len(DIRECT_THIRDS_HZ):] & ~valid[at]
+        values[at] = np.where(bounded[at], (level_db - snr_db + MIN_SNR_DB) / JND["direct"], values[at])
+    _put(values, valid, "drr", np.array([np.nan if drr_db is None else drr_db]),
+         np.array([drr_db is not None and valid[at].any()]))
+    noise_levels, white = _noise_levels(rir, direct, noise, white)
+    for metric, (level_db, is_valid) in noise_levels.items():
         _put(values, valid, metric, level_db, is_valid)
     return Features(values, valid & np.isfinite(values), bounded, direct, white, from_hz,
                     float(20.0 * np.log10(np.max(np.abs(rir)))))

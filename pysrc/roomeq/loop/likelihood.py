@@ -60,7 +60,7 @@ def normal_equations(index: ParameterIndex, r: int, residual: FloatArray, valid:
     members, columns, own = index.members[r], index.columns[r], index.own_place[r]
     values, places = index.room_derivatives(r, derivatives)
     ok = valid[members]
-    error, slope = _huber_root(residual[members], ok, sigma, omega)
+    error, slope = huber_root(residual[members], ok, sigma, omega)
     last = max(len(columns), own.max() + 1)  # place of the residual
     values = np.concatenate([np.where(ok[:, :, None], slope[:, :, None] * values, 0.0), error[:, :, None]], axis=2)
     product = _whitened_product(values, np.pad(places, ((0, 0), (0, 1)), constant_values=last), ok, sigma, omega)
@@ -106,18 +106,12 @@ def _whitened_product(values: FloatArray, places: IntArray, valid: BoolArray, si
 
 def misfit(residual: FloatArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray) -> float:
     """Return the sum of squares of a room's whitened residual; large residuals count linearly (Huber)."""
-    root, _ = _huber_root(residual, valid, sigma, omega)
+    root, _ = huber_root(residual, valid, sigma, omega)
     return float(np.sum(_whiten(root, valid, sigma, omega) ** 2))
 
 
-def huber(error: FloatArray) -> FloatArray:
-    """Return Huber's loss of errors in standard deviations: squares, of large errors linear."""
-    size = np.abs(error)
-    return np.where(size < _HUBER, size ** 2, _HUBER * (2.0 * size - _HUBER))
-
-
-def _huber_root(residual: FloatArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray
-                ) -> tuple[FloatArray, FloatArray]:
+def huber_root(residual: FloatArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray
+               ) -> tuple[FloatArray, FloatArray]:
     """Return the signed root of Huber's loss, whose square is the loss, and its derivative; 0 where invalid.
 
     With both, a Gauss-Newton step is a descent direction of `misfit`, also where rooms correlate the features.

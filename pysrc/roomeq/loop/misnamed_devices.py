@@ -82,7 +82,7 @@ def find_misnamed_devices(rows: Sequence[Mapping[str, Any]], levels_db: FloatArr
     limit = math.log(max(1, n_tests) / FALSE_ALARM)
     for key, pair, rooms in compared:
         share, distance = _projected(rooms, levels_db)
-        spread, between = _robust_deviation(np.concatenate(distance)), _robust_deviation(np.array(share) - 1.0)
+        spread, between = robust_deviation(np.concatenate(distance)), robust_deviation(np.array(share) - 1.0)
         for (room_id, members), room_share, distances in zip(rooms.items(), share, distance, strict=True):
             variance = max(spread ** 2 * sum(1.0 / len(of_device) for of_device in members), between ** 2, _LEAST)
             gain = -2.0 * room_share / variance
@@ -102,7 +102,7 @@ def find_misnamed_devices(rows: Sequence[Mapping[str, Any]], levels_db: FloatArr
     return doubts
 
 
-def _robust_deviation(errors: FloatArray) -> float:
+def robust_deviation(errors: FloatArray) -> float:
     """Return the standard deviation of normal errors about zero from the median of their sizes, despite outliers."""
     return float(1.4826 * np.median(np.abs(errors)))
 

@@ -33,7 +33,7 @@ from roomeq.loop.fit import (
     solve_step,
     start_from_measured,
 )
-from roomeq.loop.likelihood import NormalEquations, all_normal_equations, huber, normal_equations
+from roomeq.loop.likelihood import NormalEquations, all_normal_equations, huber_root, normal_equations
 from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, ParameterIndex
 from roomeq.loop.predict import N_BANDS, ReflectedEnergy
 from roomeq.loop.session import Session
@@ -235,7 +235,7 @@ def _search_rirs(session: Session, held_out: list[HeldOutRoom], known: list[IntA
         return
     visible = _usable_features(index, known, usable)
     absorption, of_fit = index.absorption(fitted.mean, fitted.local), index.vectors(fitted.mean, fitted.local)
-    reflected = ReflectedEnergy(data, index.state(absorption, of_fit))
+    reflected, spread = ReflectedEnergy(data, index.state(absorption, of_fit)), np.hypot(fitted.sigma, fitted.omega)
     for k in of_rirs:
         first = index.local[0].slices[k].start
         scale = np.sqrt(fitted.covariance[0][first, first])
@@ -245,8 +245,8 @@ def _search_rirs(session: Session, held_out: list[HeldOutRoom], known: list[IntA
             moved = centre + deviation * scale
             of_grid = [*of_fit[:k], moved, *of_fit[k + 1:]]
             residual, valid = data.residual(index.predict(absorption, of_grid, gains, session.correction, reflected))
-            error = np.where(valid & visible, residual / np.hypot(fitted.sigma, fitted.omega), 0.0)
-            value = deviation ** 2 + np.sum(huber(error), axis=1)
+            error, _ = huber_root(residual, valid & visible, fitted.sigma, fitted.omega)
+            value = deviation ** 2 + np.sum((error / spread) ** 2, axis=1)
             best[value < lowest], lowest = moved[value < lowest], np.minimum(value, lowest)
         for of_room, members, calibrating in zip(vectors, index.members, known, strict=True):
             scored = np.setdiff1d(members, calibrating)

@@ -12,6 +12,7 @@ from roomeq.core.constants import BAND_1KHZ, BANDS_HZ
 from roomeq.loop.data import Data
 from roomeq.loop.features import BAND_OF_FEATURE, METRIC, REGION
 from roomeq.loop.likelihood import scatter
+from roomeq.loop.misnamed_devices import robust_deviation
 from roomeq.loop.session import Session
 
 MIN_SIZE_JND = 1.0
@@ -162,7 +163,7 @@ def _outlying_curvatures(residual: FloatArray, data: Data) -> list[_Test]:
     if len(names) < 3 or known.sum() < _MIN_CURVATURES:
         return []
     standard = mean * np.sqrt(count * OCTAVE_WIDTH_HZ / OCTAVE_WIDTH_HZ[BAND_1KHZ])
-    scale = 1.4826 * np.median(np.abs(standard[known])) + 1e-9
+    scale = robust_deviation(standard[known]) + 1e-9
     p = 2.0 * stats.t.sf(np.abs(standard) / scale, _FREEDOM) * known.sum()
     return [_Test("curvature", int(band), "room", float(mean[r, band]), float(p[r, band]))
             for r, band in np.argwhere(known & (p < LEVEL))]
