@@ -33,7 +33,10 @@ from roomeq.sim.scene import Air, Material, Scene, uniform_absorption
 
 logger = logging.getLogger(__name__)
 
-NUM_RAYS = 10000
+NUM_RAYS = 40000
+"""Rays of each source. With 10,000, the noise of the rays was the same in fit and score, and effects that are not there
+could take it out of both: of eight sets of clean rooms in which the loop had once found something, two had a fall of
+the error by 1 to 3 % by a `coupled_volume`; with 40,000, none had."""
 SAME_PLACE_M = 0.15
 """Positions of a source that are closer than this are taken as one: positions are known to some centimetres."""
 LENGTHS_S = (0.4, 3.0)
