@@ -155,7 +155,7 @@ def test_few_rooms_of_equal_absorption_do_not_fix_the_level_of_the_next(level):
 @pytest.mark.parametrize("change, behind, helps_beside, added", [
     (0.3, 8.0, False, "sound_speed"),
     (-0.3, 8.0, False, "noise_floor"),  # refuted: the next best is tried
-    (0.03, 8.0, False, None),  # so little may be another scattering
+    (0.02, 8.0, False, None),  # so little may be another scattering
     (0.0, 8.0, False, None),  # not proven: no worse-fitting candidate replaces it
     (0.0, 8.0, True, "noise_floor"),  # unless it explains something else
     (0.0, 0.0, False, "noise_floor")])  # an equally good one does
@@ -187,3 +187,12 @@ def accepted(ranking, lower, monkeypatch):
     monkeypatch.setattr(close, "iteration_entry", lambda winner, *_: dict(effect=winner.effect.NAME))
     found = close._accept(SimpleNamespace(data=None, effects=(), seed=0, nj=1), errors(None), ranking)
     return found and found.entry["effect"]
+
+
+@pytest.mark.parametrize("p, added", [((0.02, 0.9), True), ((0.03, 0.2), False), ((0.03, 0.04), True)])
+def test_evidence_of_both_splits_counts_together(monkeypatch, p, added):
+    values = dict(zip(SPLITS, p, strict=True))
+    monkeypatch.setattr(close, "p_lower", lambda before, after, split: values[split] if after.by_split[split].mean(
+        ) < 1.9 else 1.0 - values[split])
+    ranking = [Candidate(SoundSpeed, SoundSpeed, 20.0 + np.arange(8), 2.0)]
+    assert (accepted(ranking, {SoundSpeed: 0.3}, monkeypatch) is not None) == added
