@@ -91,7 +91,7 @@ def make_loop(out):
                               would_tell=["a recording of the same room with another loudspeaker"]),
                     iteration(added[1], 1.9, 1.5)],
         unexplained=unexplained, unexplained_all=[unexplained],
-        test=dict(rirs=8, rooms=1, left_out=LEFT_OUT[1:], geometry=[], facings=[], before=errors(3.6),
+        test=dict(rirs=8, rooms=1, left_out=LEFT_OUT[1:], geometry=[], facings=[], measured=[], before=errors(3.6),
                   after=errors(1.8), ceiling=errors(1.1), explained=explained(0.72)))
     for when in ("before", "after", "ceiling", "explained"):
         for entry in ledger["test"][when].values():

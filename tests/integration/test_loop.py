@@ -418,6 +418,17 @@ def test_undeclared_effect_is_found(kind, closed):
     validate([out])
 
 
+def test_noise_of_a_test_set_is_read_off_its_recordings(closed, room_set, tmp_path):
+    quiet = close_loop([room_set("clean") / "fit"], tmp_path / "loop", test=[room_set("noise_floor") / "test"], nj=2)
+    _, noisy = closed("noise_floor")
+    assert quiet["iterations"] == []
+    assert (quiet["test"]["measured"], noisy["test"]["measured"]) == (["noise_floor"], [])
+    for split in SPLITS:
+        before, after = (quiet["test"][when][split]["by_metric"]["floor"] for when in ("before", "after"))
+        assert after < 0.5 * before
+    validate([tmp_path / "loop"])
+
+
 def test_effects_of_a_given_model_are_no_candidates(closed, room_set, tmp_path):
     out, before = closed("noise_floor")
     ledger = close_loop([room_set("noise_floor") / "fit"], tmp_path / "loop", model=out / "model.json", nj=2)

@@ -23,7 +23,7 @@ from roomeq.effects.noise_floor import NOISE_S
 from roomeq.loop.data import Data, is_timed
 from roomeq.loop.features import HAS_GAIN, Features, measure_features
 from roomeq.loop.fit import fit
-from roomeq.loop.rendering import RawRir, finished_rir, map_rendered, samples_ahead
+from roomeq.loop.rendering import RawRir, finished_rir, map_rendered, on_recording_time
 from roomeq.loop.selection import SPLITS, HeldOutErrors, heldout_errors, score_test_set, transferred
 from roomeq.loop.session import Session
 
@@ -81,7 +81,8 @@ def twin_recordings(data: Data, absorption: FloatArray, effects: list[list[Effec
                    valid=data.valid & np.array([of_rir.valid for of_rir in measured]),
                    bounded=np.array([of_rir.bounded for of_rir in measured]),
                    white=np.array([of_rir.white for of_rir in measured]),
-                   direct_sample=np.array([of_rir.direct_sample for of_rir in measured]))
+                   direct_sample=np.array([of_rir.direct_sample for of_rir in measured]),
+                   n_samples=np.array([of_rir.n_samples for of_rir in measured]))
 
 
 def _moved(data: Data, n: int, seed: int) -> tuple[float, ...]:
@@ -99,14 +100,12 @@ def _moved(data: Data, n: int, seed: int) -> tuple[float, ...]:
 
 def _recorded(data: Data, n: int, raw: RawRir, effects: list[Effect], seed: int) -> Features:
     """Measure a rendered RIR like a recording of the same length with the same white noise."""
-    row, rir = data.rows[n], finished_rir(data, n, raw, effects, seed)
-    density = data.white[n] * octave_energies(rir) / (NOISE_S * FS_HZ) / (OCTAVE_WIDTH_HZ / (0.5 * FS_HZ))
-    expected_sample, missing = samples_ahead(data, n, raw)
-    n_samples = max(missing + len(rir), round(row["n_samples"] / row["fs_hz"] * FS_HZ))
-    noise = rng_for(seed, "loop twins noise", row["id"]).standard_normal(n_samples)
-    recording = np.sqrt(np.median(density)) * noise
-    recording[missing:missing + len(rir)] += rir
-    return measure_features(recording, expected_sample + missing, timed=is_timed(row))
+    whole = finished_rir(data, n, raw, effects, seed)
+    density = data.white[n] * octave_energies(whole) / (NOISE_S * FS_HZ) / (OCTAVE_WIDTH_HZ / (0.5 * FS_HZ))
+    rir, direct_sample, end = on_recording_time(data, n, raw, whole)
+    recording = np.sqrt(np.median(density)) * rng_for(seed, "loop twins noise", data.rows[n]["id"]).standard_normal(end)
+    recording[:len(rir)] += rir[:end]
+    return measure_features(recording, direct_sample, timed=is_timed(data.rows[n]))
 
 
 def explained(before: HeldOutErrors, after: HeldOutErrors, ceiling: HeldOutErrors) -> dict:

@@ -46,7 +46,7 @@ from roomeq.loop.selection import (
     score_test_set,
     transferred,
 )
-from roomeq.loop.session import Session, fit_base_model, refit_rendered
+from roomeq.loop.session import Session, fit_base_model, refit_rendered, with_measured_effects
 from roomeq.loop.unexplained import find_unexplained
 from roomeq.loop.usable import require_enough_rooms, usable_rirs
 
@@ -233,7 +233,11 @@ def _eliminate(session: Session, errors: HeldOutErrors, newest: type[Effect]
 
 
 def _test_entry(data: Data, first: Session, last: Session, seed: int, nj: int) -> dict:
-    """Return the ledger's entry of the test set: errors with the base and the final model, and the ceiling."""
+    """Return the ledger's entry of the test set: errors with the base and the final model, and the ceiling.
+
+    What is read off the recordings of a room is part of the final model there, whether the other rooms have it or not.
+    """
+    found, last = last.effects, with_measured_effects(last)
     data, _ = transferred(data, last)  # whose facings are estimated once
     before, after = (score_test_set(data, session, seed=seed, nj=nj) for session in (first, last))
     logger.info("test set: held-out error %.2f -> %.2f JND (leave-positions-out), %.2f -> %.2f JND (leave-room-out)",
@@ -244,6 +248,7 @@ def _test_entry(data: Data, first: Session, last: Session, seed: int, nj: int) -
     return dict(rirs=len(data.rows), rooms=len(data.room_names), left_out=left_out_entries(data.left_out),
                 geometry=[estimate.as_dict() for estimate in data.estimates],
                 facings=[facing.as_dict() for facing in data.facings],
+                measured=[effect.NAME for effect in last.effects if effect not in found],
                 before=error_entry(before), after=error_entry(after), ceiling=error_entry(ceiling), explained=shares)
 
 

@@ -60,6 +60,8 @@ class Data:
         White noise of the recordings (`roomeq.loop.features.Features`).
     direct_sample : ndarray, shape (n_rirs,)
         Direct sample of each recording.
+    n_samples : ndarray of int, shape (n_rirs,)
+        Length of each recording without zeros at its end.
     comparable : ndarray of bool, shape (n_rirs,)
         Whether the level of a recording can be compared with others (`roomeq.loop.measurability`).
     room, chain : ndarray of int, shape (n_rirs,)
@@ -89,6 +91,7 @@ class Data:
     bounded: BoolArray
     white: FloatArray
     direct_sample: FloatArray
+    n_samples: IntArray
     comparable: BoolArray
     room: IntArray
     chain: IntArray
@@ -290,6 +293,7 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
                 bounded=np.array([of_rir.bounded for of_rir in features]),
                 white=np.array([of_rir.white for of_rir in features]),
                 direct_sample=np.array([of_rir.direct_sample for of_rir in features]),
+                n_samples=np.array([of_rir.n_samples for of_rir in features]),
                 comparable=comparable_levels(rows, features, distance_m),
                 room=np.array([room_names.index(row["room_id"]) for row in rows]),
                 chain=np.array([chains.index(chain) for chain in by_chain]),

@@ -108,6 +108,10 @@ class Features:
         Lower end of the excitation's band; 0 where the response shows none, and for a rendering.
     peak_db : float
         Level of the largest sample.
+    n_samples : int
+        Length without zeros at the end.
+    end_level : ndarray, shape (22,)
+        Of a rendering: the feature "floor" as it would be measured if the RIR ended with the recording.
     """
 
     values: FloatArray
@@ -117,6 +121,8 @@ class Features:
     white: FloatArray
     excited_from_hz: float
     peak_db: float
+    n_samples: int
+    end_level: FloatArray
 
 
 class _Noise(NamedTuple):
@@ -142,7 +148,7 @@ class _Noise(NamedTuple):
 
 
 def measure_features(rir: Array, expected_sample: float | None = None, *, timed: bool = True,
-                     white: FloatArray | None = None) -> Features:
+                     white: FloatArray | None = None, end: int | None = None) -> Features:
     """Measure all features of an RIR.
 
     Parameters
@@ -155,6 +161,8 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
         Whether the arrival of the direct sound is known: not if the time of flight was removed.
     white : ndarray, shape (8,), optional
         White noise to assume in a rendered RIR: that of the recording that it is compared with.
+    end : int, optional
+        Sample of a rendered RIR at which that recording ends.
 
     Raises
     ------
@@ -185,10 +193,13 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
     _put(values, valid, "drr", np.array([np.nan if drr_db is None else drr_db]),
          np.array([drr_db is not None and valid[at].any()]))
     noise_levels, white = _noise_levels(rir, direct, noise, white)
+    end_level, _ = noise_levels["floor"]
+    if end is not None and end < len(rir):
+        end_level, _ = _noise_levels(rir, direct, _noise_density(rir[:end], metrics, from_hz), white)[0]["floor"]
     for metric, (level_db, is_valid) in noise_levels.items():
         _put(values, valid, metric, level_db, is_valid)
     return Features(values, valid & np.isfinite(values), bounded, direct, white, from_hz,
-                    float(20.0 * np.log10(np.max(np.abs(rir)))))
+                    float(20.0 * np.log10(np.max(np.abs(rir)))), _length(rir), end_level / JND["floor"])
 
 
 def excited(from_hz: float) -> BoolArray:
@@ -222,12 +233,17 @@ def _put(values: FloatArray, valid: BoolArray, metric: str, amounts: FloatArray,
     valid[feature_slice(metric)] = is_valid
 
 
+def _length(rir: FloatArray) -> int:
+    """Return the length of an RIR without zeros at its end."""
+    return int(np.flatnonzero(rir)[-1]) + 1
+
+
 def _noise_density(rir: FloatArray, metrics: dict, from_hz: float) -> _Noise:
     """Return the energy per sample at the end of a response, where only noise is left as a rule.
 
     Octaves below the excitation's band have no response, and what is in them says nothing of the noise.
     """
-    last = int(np.flatnonzero(rir)[-1]) + 1
+    last = _length(rir)
     intersection = int(max(metrics["band_noise_intersection_s"]) * FS_HZ + metrics["direct_sample"])
     start = max(int(0.9 * last), min(last, intersection))
     start = min(start, last - int(0.05 * FS_HZ)) if last > int(0.2 * FS_HZ) else int(0.9 * last)

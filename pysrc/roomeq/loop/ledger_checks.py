@@ -239,8 +239,9 @@ def check_ledger(ledger: Any) -> None:
             _require(ledger[key][split]["error"] == error, f"{key}.{split}.error={ledger[key][split]['error']:g}",
                      f"be the heldout_error_{when} of its iteration, {error:g}")
     if "test" in ledger:
-        _keys(ledger["test"], "test", ("rirs", "rooms", "left_out", "geometry", "facings", "before", "after", "ceiling",
-                                       "explained"))
+        _keys(ledger["test"], "test", ("rirs", "rooms", "left_out", "geometry", "facings", "measured", "before",
+                                       "after", "ceiling", "explained"))
+        _list(ledger["test"]["measured"], "test.measured", _effect)
         _list(ledger["test"]["left_out"], "test.left_out", _left_out)
         _list(ledger["test"]["geometry"], "test.geometry", _estimate)
         _list(ledger["test"]["facings"], "test.facings", _facing)

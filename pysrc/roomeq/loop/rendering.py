@@ -13,7 +13,7 @@ from roomeq.core.workers import share_out
 from roomeq.effects.base import Effect
 from roomeq.effects.model import apply_to_rir, direct_gain, extend_scene, is_directive, path_gain
 from roomeq.loop.data import Data, is_timed
-from roomeq.loop.features import N_FEATURES, Features, measure_features
+from roomeq.loop.features import N_FEATURES, Features, feature_slice, measure_features
 from roomeq.loop.tables import level_surfaces
 from roomeq.sim.response import render_responses
 from roomeq.sim.scene import Scene, with_absorption
@@ -151,20 +151,29 @@ def finished_rir(data: Data, n: int, raw: RawRir, effects: Sequence[Effect], see
 
 
 def measure_row(data: Data, n: int, raw: RawRir, effects: Sequence[Effect], seed: int) -> Features:
-    """Measure the features of row `n` as rendered with all its effects."""
-    expected_sample, missing = samples_ahead(data, n, raw)
-    rir = np.concatenate([np.zeros(missing), finished_rir(data, n, raw, effects, seed)])
-    return measure_features(rir, expected_sample + missing, white=data.white[n])
+    """Measure the features of row `n` as rendered with all its effects.
 
-
-def samples_ahead(data: Data, n: int, raw: RawRir) -> tuple[float, int]:
-    """Return the direct sample of a rendering, and the number of samples that it lacks ahead of its direct sound.
-
-    A recording whose time of flight is unknown may have more samples there than the rendering, which then gets as many.
+    Nobody can tell the noise at the end of a recording from a decay that is not over there. Any level between that of
+    the rendering's noise alone and that of its noise and its decay agrees with the model.
     """
-    expected_sample = data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ
-    missing = 0 if is_timed(data.rows[n]) else max(0, int(np.ceil(data.direct_sample[n] - expected_sample)))
-    return float(expected_sample), missing
+    rir, direct_sample, end = on_recording_time(data, n, raw, finished_rir(data, n, raw, effects, seed))
+    features, at = measure_features(rir, direct_sample, white=data.white[n], end=end), feature_slice("floor")
+    recorded, alone = data.features[n, at], features.values[at]
+    features.values[at] = np.where(recorded > alone, np.minimum(recorded, features.end_level), alone)
+    return features
+
+
+def on_recording_time(data: Data, n: int, raw: RawRir, rir: FloatArray) -> tuple[FloatArray, float, int]:
+    """Return a rendering of row `n`, its direct sample, and the sample at which its recording ends.
+
+    A recording whose time of flight is unknown may have more samples ahead of its direct sound than the rendering,
+    which then gets as many.
+    """
+    direct_sample = float(data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ)
+    missing = 0 if is_timed(data.rows[n]) else max(0, int(np.ceil(data.direct_sample[n] - direct_sample)))
+    direct_sample += missing
+    end = round(direct_sample + data.n_samples[n] - data.direct_sample[n])
+    return np.concatenate([np.zeros(missing), rir]), direct_sample, end
 
 
 def _scene(scene: Scene, alpha: FloatArray, effects: Sequence[Effect]) -> Scene:

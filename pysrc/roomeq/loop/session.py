@@ -7,6 +7,7 @@ import numpy as np
 
 from roomeq.core.arrays import FloatArray
 from roomeq.effects.base import Effect
+from roomeq.effects.catalogue import CATALOGUE
 from roomeq.loop.data import Data
 from roomeq.loop.features import N_FEATURES
 from roomeq.loop.fit import Fit, fit
@@ -14,6 +15,7 @@ from roomeq.loop.packing import ParameterIndex
 from roomeq.loop.rendered_model import (
     clear_rendered_changes,
     effects_of_rows,
+    in_order,
     measure_rendered_changes,
     render_model,
     rendering_correction,
@@ -79,6 +81,17 @@ def refit_rendered(data: Data, fitted: Fit, *, seed: int, nj: int,
     of_surfaces = first.derivatives._replace(by_effect={})  # which are smoother than those of effects
     final = fit(data, correction, fitted.effects, initial=first, known=of_surfaces, threads=nj)
     return Session(data, fitted.effects, correction, final, seed, nj)
+
+
+def with_measured_effects(session: Session) -> Session:
+    """Return a session whose model also has what is read off any recording, such as its noise (`Effect.MEASURED`)."""
+    lacking = [effect for effect in CATALOGUE.values()
+               if effect.MEASURED and effect not in {*session.effects, *session.data.given_kinds}]
+    if not lacking:
+        return session
+    fitted = fit(session.data, session.correction, in_order([*session.effects, *lacking]), initial=session.fit,
+                 known=session.fit.derivatives, threads=session.nj)
+    return replace(session, effects=fitted.effects, fit=fitted)
 
 
 def with_rendered_changes(session: Session, candidates: list[type[Effect]]) -> Session:
