@@ -55,6 +55,7 @@ LEVEL = 0.05
 MIN_SIZE_JND = 0.5
 """Smallest mean change of the features that an effect touches: half of what can be heard."""
 TOUCHED_JND = 0.25
+"""Change of a feature from which on an effect touches it."""
 SPLITS = ("leave_positions_out", "leave_room_out")
 _USABLE: dict[str, BoolArray | None] = {
     "leave_positions_out": None,
@@ -81,6 +82,11 @@ class HeldOutErrors:
     by_split: dict[str, FloatArray]
     room: IntArray
     group: IntArray
+
+    def changed_in(self, touched: BoolArray, before: "HeldOutErrors") -> "HeldOutErrors":
+        """Return the errors with those of all but the `touched` features, (n_rirs, n_features), as they were before."""
+        return replace(self, by_split={split: np.where(touched, errors, before.by_split[split])
+                                       for split, errors in self.by_split.items()})
 
     def of_rooms(self, split: str) -> FloatArray:
         """Mean error of each scored room, every metric with the same weight, shape (n_scored_rooms,)."""
@@ -336,7 +342,7 @@ def _candidate(session: Session, effect: type[Effect], before: list[HeldOutRoom]
     fitted = fit(data, session.correction, effects, initial=initial, known=session.fit.derivatives)
     after = leave_rooms_out(data, fitted)
     gain = np.array([b.log_density - a.log_density for a, b in zip(before, after, strict=True)])
-    return Candidate(effect, fitted.parameters(), gain, effect_size_jnd(data, effect, fitted))
+    return Candidate(effect, fitted.parameters(), gain, size_of_change_jnd(data, _change_by(data, effect, fitted)))
 
 
 def helps_beside(session: Session, other: Candidate, candidate: Candidate, n_candidates: int) -> bool:
@@ -366,8 +372,13 @@ def _best_start(index: ParameterIndex, effect: type[Effect], probes: list[tuple[
     return replace(best, mean=mean, local=local)
 
 
-def effect_size_jnd(data: Data, effect: type[Effect], fitted: Fit) -> float:
-    """Return the mean change of the features that an effect touches, for the metric that it changes most [JND]."""
+def touched_by(effect: type[Effect], session: Session) -> BoolArray:
+    """Tell which features an effect of a session's model touches, shape (n_rirs, n_features)."""
+    return np.abs(_change_by(session.data, effect, session.fit)) > TOUCHED_JND
+
+
+def _change_by(data: Data, effect: type[Effect], fitted: Fit) -> FloatArray:
+    """Return the predicted change of the features by an effect of a fitted model, (n_rirs, n_features) [JND]."""
     index = ParameterIndex(data, fitted.effects)
     without = ParameterIndex(data, [kind for kind in fitted.effects if kind is not effect])
     absorption, vectors = index.absorption(fitted.mean, fitted.local), index.vectors(fitted.mean, fitted.local)
@@ -375,11 +386,14 @@ def effect_size_jnd(data: Data, effect: type[Effect], fitted: Fit) -> float:
     change = index.predict(absorption, vectors, no_gains, 0.0) - without.predict(
         absorption, [vector for vector, kind in zip(vectors, fitted.effects, strict=True) if kind is not effect],
         no_gains, 0.0)
-    return size_of_change_jnd(data, change)
+    return np.where(data.valid, change, 0.0)
 
 
 def size_of_change_jnd(data: Data, change: FloatArray) -> float:
-    """Return the size of a change of the features, shape (n_rirs, n_features), as of `effect_size_jnd` [JND]."""
+    """Return the mean of a change of the features over those that it touches, for the metric that changes most [JND].
+
+    The change has a shape of (n_rirs, n_features).
+    """
     change = np.abs(np.where(data.valid, change, 0.0))
     by_metric = [change[:, METRIC == metric] for metric in np.unique(METRIC)]
     return float(max(of_metric[of_metric > TOUCHED_JND].mean() if np.any(of_metric > TOUCHED_JND) else 0.0

@@ -155,7 +155,7 @@ def test_few_rooms_of_equal_absorption_do_not_fix_the_level_of_the_next(level):
 @pytest.mark.parametrize("change, behind, helps_beside, added", [
     (0.3, 8.0, False, "sound_speed"),
     (-0.3, 8.0, False, "noise_floor"),  # refuted: the next best is tried
-    (0.02, 8.0, False, None),  # so little may be another scattering
+    (0.015, 8.0, False, None),  # so little may be another scattering
     (0.0, 8.0, False, None),  # not proven: no worse-fitting candidate replaces it
     (0.0, 8.0, True, "noise_floor"),  # unless it explains something else
     (0.0, 0.0, False, "noise_floor")])  # an equally good one does
@@ -175,6 +175,23 @@ def test_what_was_read_off_the_recordings_needs_no_significant_fall(monkeypatch,
     assert accepted(ranking, {effect: change}, monkeypatch) == added
 
 
+@pytest.mark.parametrize("touched, elsewhere, added", [
+    (True, 0.0, True), (True, 0.03, True), (True, -0.1, False), (False, 0.0, False), (False, 0.03, False)])
+def test_effect_is_judged_by_the_features_that_it_touches(monkeypatch, touched, elsewhere, added):
+    """The arrival falls by 0.4 JND, and all others fall by `elsewhere` with a scatter that would hide it."""
+    arrival = np.zeros((16, N_FEATURES), dtype=bool)
+    arrival[:, feature_slice("arrival")] = True
+
+    def errors(model):
+        scatter = np.repeat(np.tile([0.1, -0.1], 4), 2)[:, None]
+        after = np.where(arrival, 1.6, 2.0 - elsewhere + scatter)
+        return HeldOutErrors(dict.fromkeys(SPLITS, after if model else np.full(arrival.shape, 2.0)), *ROOMS_AND_GROUPS)
+
+    found = accept([Candidate(SoundSpeed, SoundSpeed, 20.0 + np.arange(8), 2.0)], errors,
+                   arrival if touched else ~arrival, monkeypatch)
+    assert (found == "sound_speed") == added
+
+
 def accepted(ranking, lower, monkeypatch):
     """Return the name of the effect that is added if each lowers the error by so much, or None."""
     def errors(model):
@@ -182,6 +199,12 @@ def accepted(ranking, lower, monkeypatch):
         features = 2.0 - lower.get(model, 0.0) + by_room + np.zeros((16, N_FEATURES))
         return HeldOutErrors(dict.fromkeys(SPLITS, features), *ROOMS_AND_GROUPS)
 
+    return accept(ranking, errors, np.ones((16, N_FEATURES), dtype=bool), monkeypatch)
+
+
+def accept(ranking, errors, touched, monkeypatch):
+    """Return the name of the effect that is added, or None; `errors` maps an effect or None to held-out errors."""
+    monkeypatch.setattr(close, "touched_by", lambda *_: touched)
     monkeypatch.setattr(close, "refit_rendered", lambda data, fitted, **_: fitted)
     monkeypatch.setattr(close, "heldout_errors", errors)
     monkeypatch.setattr(close, "iteration_entry", lambda winner, *_: dict(effect=winner.effect.NAME))
