@@ -376,7 +376,7 @@ def test_room_with_a_single_rir_is_fitted_and_not_scored(room_set, tmp_path):
     (tmp_path / "few").mkdir()
     write_rirs(tmp_path / "few", relocated(rows, source, tmp_path / "few"))
     session = fit_base_model(load_data([tmp_path / "few"], scattering=SCATTERING, seed=0), seed=0, nj=2)
-    assert session.data.n_scored == 2 and len(session.fit.local) == 3
+    assert session.data.is_scored.tolist() == [True, True, False] and len(session.fit.local) == 3
     errors = heldout_errors(session)
     for split, of_split in errors.by_split.items():
         scored = np.isfinite(of_split).any(axis=1)

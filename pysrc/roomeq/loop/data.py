@@ -131,9 +131,9 @@ class Data:
         return np.where(self.valid[:, at], self.features[:, at], np.nan)
 
     @property
-    def n_scored(self) -> int:
-        """Number of rooms with two RIRs or more: one calibrates the room, another is scored."""
-        return int(np.sum(np.bincount(self.room) > 1))
+    def is_scored(self) -> BoolArray:
+        """Whether a room has two RIRs or more: one calibrates it, another is scored; shape (n_rooms,)."""
+        return np.bincount(self.room, minlength=len(self.room_names)) > 1
 
     def residual(self, predicted: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Measured minus predicted features, and which of them are valid, shape (n_rirs, n_features) each.

@@ -47,7 +47,7 @@ def detectable_sizes(session: Session, candidates: Sequence[Candidate]) -> list[
         amplitude = quantile + np.sqrt(quantile ** 2 + 2.0 * (np.log(len(candidates) / LEVEL) + cost))
         found = []
         for change in _changes(session, candidate.effect):
-            information = _information(session, change)
+            information = _information(session, change)[session.data.is_scored]
             left = information.sum() - information.max()  # the room that gains most is not counted
             if left > 0.0:
                 found.append(size_of_change_jnd(session.data, amplitude / np.sqrt(left) * change))

@@ -260,8 +260,9 @@ class Candidate:
     effect : type
     fit : Fit
         Of the model with the effect: its parameters (`Fit.parameters`).
-    gain : ndarray, shape (n_rooms,)
-        Increase of the log density of each held-out room.
+    gain : ndarray, shape (n_scored_rooms,)
+        Increase of the log density of each held-out room. A room with a single RIR, in which a device cannot be told
+        from the room, does not count.
     size_jnd : float
         Effect size: mean change of the features that it touches.
     """
@@ -341,7 +342,7 @@ def _candidate(session: Session, effect: type[Effect], before: list[HeldOutRoom]
         initial = _best_start(ParameterIndex(data, effects), effect, probes)
     fitted = fit(data, session.correction, effects, initial=initial, known=session.fit.derivatives)
     after = leave_rooms_out(data, fitted)
-    gain = np.array([b.log_density - a.log_density for a, b in zip(before, after, strict=True)])
+    gain = np.array([b.log_density - a.log_density for a, b in zip(before, after, strict=True)])[data.is_scored]
     return Candidate(effect, fitted.parameters(), gain, size_of_change_jnd(data, _change_by(data, effect, fitted)))
 
 
