@@ -17,7 +17,7 @@ from roomeq.simulate_rirs import simulate
 SOURCE_ONLY = {name for name, effect in CATALOGUE.items() if effect.SCOPE in ("source", "rir")}
 VECTORS = dict(air_absorption=(1.0, np.log(20.0)), sound_speed=(3.5,),
                source_directivity=(*np.log([0.15, 0.5]), *[0.0] * 24),
-               occlusion=(-3.0,), near_reflector=(np.log(0.5), 0.8), coupled_volume=(-1.0, np.log(2.0)),
+               occlusion=(-3.0,), near_reflector=(np.log(0.5), 0.8), coupled_volume=(-1.0, np.log(2.0), 0.1),
                room_modes=(0.0,), source_response=np.linspace(-12.0, 6.0, 23), mic_response=np.linspace(6.0, -12.0, 23),
                room_eq=np.linspace(-6.0, 6.0, 23), noise_floor=(3.0,) * 22)
 OPTIONS = dict(num_rays=500, t60_range_s=(0.3, 0.6), seed=5)
@@ -73,7 +73,7 @@ def test_every_effect_changes_exactly_the_rirs_it_concerns(name, measured, plain
 
 
 def test_target_is_met_before_effects_on_the_whole_rir(measured, plain, tmp_path):
-    path = model_file(tmp_path / "model.json", extension("coupled_volume", (-0.5, np.log(3.0))),
+    path = model_file(tmp_path / "model.json", extension("coupled_volume", (-0.5, np.log(3.0), 0.0)),
                       extension("source_response"))
     row, rir = simulated(measured, tmp_path / "out", path)["a"]
     assert row["model"] == ["coupled_volume", "source_response"] and row["n_samples"] == len(rir)

@@ -108,12 +108,12 @@ class PredictedRirs(Protocol):
 class AddedDecay(Protocol):
     """An exponential decay that is added to the reflections (`roomeq.effects.coupled_volume.CoupledVolume`)."""
 
-    def energy_ratio(self, speed_m_s: FloatArray, attenuation_per_m: FloatArray) -> FloatArray:
-        """Return the energy of the added decay relative to that of all reflections."""
+    def energy_ratio(self, t60_s: FloatArray, speed_m_s: FloatArray, attenuation_per_m: FloatArray) -> FloatArray:
+        """Return the energy of the added decay relative to that of all reflections in a room that decays in `t60_s`."""
         ...
 
-    def rate_per_m(self, speed_m_s: FloatArray, attenuation_per_m: FloatArray) -> FloatArray:
-        """Return the rate at which the energy decays with the length of the path [1/m]."""
+    def rate_per_s(self, speed_m_s: FloatArray, attenuation_per_m: FloatArray) -> FloatArray:
+        """Return the rate at which the energy decays [1/s]."""
         ...
 
 

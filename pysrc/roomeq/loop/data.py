@@ -22,13 +22,14 @@ from roomeq.loop.facing_estimate import FacingEstimate
 from roomeq.loop.features import JND, Features, feature_slice, measure_features
 from roomeq.loop.geometry import Estimate, complete_geometry
 from roomeq.loop.measurability import comparable_levels, limit_to_excitation
-from roomeq.loop.tables import ANGLES, FRAME_MID_S, Table, collect
+from roomeq.loop.tables import ANGLES, FRAME_MID_S, Table, collect, level_surfaces
 from roomeq.loop.traces import StoredTrace, TraceFolder
 from roomeq.loop.usable import LeftOut, UsableRirs, usable_rirs
 from roomeq.records.rir_dir import load_rir
 from roomeq.records.schema import RirRow
 from roomeq.sim.geometry import Place, find_place
 from roomeq.sim.response import trace_source
+from roomeq.sim.room import Room
 from roomeq.sim.scene import Air, Material, Scene, uniform_absorption
 
 logger = logging.getLogger(__name__)
@@ -70,6 +71,8 @@ class Data:
     traced : list of StoredTrace
         Of each RIR; shared by the RIRs of one source.
     tables : list of Table
+    surface_per_m : ndarray, shape (n_rirs, 2)
+        Area of the walls, and of floor and ceiling, over the volume of the room.
     air_per_m, speed_m_s, distance_m : ndarray, shape (n_rirs, 8), (n_rirs,), (n_rirs,)
         The declared air, and distances between source and microphone.
     rendered_changes : mapping
@@ -98,6 +101,7 @@ class Data:
     room_names: list[str]
     traced: list[StoredTrace]
     tables: list[Table]
+    surface_per_m: FloatArray
     air_per_m: FloatArray
     speed_m_s: FloatArray
     distance_m: FloatArray
@@ -299,10 +303,16 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
                 chain=np.array([chains.index(chain) for chain in by_chain]),
                 room_names=room_names, traced=[traced[n] for n in range(len(rows))],
                 tables=[tables[n] for n in range(len(rows))],
+                surface_per_m=np.array([_surface_per_m(place.room) for place in places]),
                 air_per_m=np.array([air.attenuation_per_m for air in airs]),
                 speed_m_s=np.array([air.speed_m_s for air in airs]),
                 distance_m=distance_m, rendered_changes={},
                 given=[model.for_row(row, seed) for row in rows], estimates=[], left_out=[])
+
+
+def _surface_per_m(room: Room) -> FloatArray:
+    """Return the area of the walls, and of floor and ceiling, over the volume of a room, shape (2,)."""
+    return np.bincount(level_surfaces(room), room.surface_area_m2, minlength=2) / room.volume_m3
 
 
 def _longest_s(features: Features) -> float:

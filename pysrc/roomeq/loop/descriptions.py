@@ -140,7 +140,7 @@ def _coupled_volume(best: _Best, values: _Values) -> str:
         return "the second decay lies below the measured part of the decay in all rooms"
     time, level = _over(values["time_s"][visible], ".1f", "s"), _over(-values["level_db"][visible], ".0f", "dB")
     return (f"{visible.sum()} of {len(best)} rooms have a second decay of {time}, {level} below the energy of all "
-            "reflections, as of a volume that is coupled through an opening")
+            "reflections in octaves that decay in 0.5 s, as of a volume that is coupled through an opening")
 
 
 def _noise_floor(best: _Best, values: _Values) -> str:

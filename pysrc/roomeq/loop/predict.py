@@ -96,13 +96,23 @@ def reflected_energy(data: Data, state: PredictionState) -> FloatArray:
         _add_up(table.entries, table.counts, angular, ray_gain, kept[i], energy[i])
     length_m = data.distance_m[:, None] + FRAME_MID_S * data.speed_m_s[:, None]
     energy *= np.exp(-length_m[:, :, None] * state.air_per_m[:, None, :])
-    whole = energy.sum(axis=1)
+    if not state.decays:
+        return energy
+    whole, t60_s = energy.sum(axis=1), _eyring_times_s(data, state)
     for decay, rows in state.decays:
         air = state.speed_m_s[rows][:, None], state.air_per_m[rows]
-        rate = decay.rate_per_m(*air) * data.speed_m_s[rows][:, None]
+        rate = decay.rate_per_s(*air) * (data.speed_m_s / state.speed_m_s)[rows][:, None]
         left = np.exp(-FRAME_EDGES_S[:, None] * rate[:, None, :])
-        energy[rows] += (decay.energy_ratio(*air) * whole[rows])[:, None, :] * (left[:, :-1] - left[:, 1:])
+        energy[rows] += (decay.energy_ratio(t60_s[rows], *air) * whole[rows])[:, None, :] * (left[:, :-1] - left[:, 1:])
     return energy
+
+
+def _eyring_times_s(data: Data, state: PredictionState) -> FloatArray:
+    """Return the decay time of each RIR's room by Eyring, shape (n_rirs, 8) (`roomeq.sim.scene.eyring_time_s`)."""
+    share = data.surface_per_m / data.surface_per_m.sum(axis=1, keepdims=True)
+    mean = np.minimum(np.sum(share[:, :, None] * -np.expm1(-state.absorption), axis=1), 1.0 - 1e-6)
+    rate_per_m = -0.25 * np.log1p(-mean) * data.surface_per_m.sum(axis=1)[:, None] + state.air_per_m
+    return 6.0 * np.log(10.0) / (rate_per_m * state.speed_m_s[:, None])
 
 
 class ReflectedEnergy:

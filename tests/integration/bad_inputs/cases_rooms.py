@@ -182,7 +182,7 @@ CASES = [
     model("of a desk above", "near_reflector", "of['hall0']: depth_m=-0.5 must lie in [0.05, 2]: correct it",
           of=dict(hall0=dict(depth_m=-0.5, reflection=0.5))),
     model("of a decay of no time", "coupled_volume", "of['hall0']: time_s=0 must lie in [0.2, 6]: correct it",
-          of=dict(hall0=dict(level_db=-10, time_s=0))),
+          of=dict(hall0=dict(level_db=-10, time_s=0, slope=0))),
     model("of 1000 dB", "room_eq", "of['all']: gains_db=[...1000...] must lie in [-60, 60]: correct it",
           of=dict(all=dict(gains_db=[0] * 22 + [1000]))),
     model("of three octaves", "noise_floor", "of['hall0']: levels_db=[-50, -50, -50] must be 22 numbers: correct it",
