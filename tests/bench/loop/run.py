@@ -101,6 +101,8 @@ def run_set(rooms: RoomSet, cache: Path, earlier: list[Result], nj: int) -> Resu
                 rings_hz=_rings_hz(truth), added=[entry["effect"] for entry in iterations],
                 cannot_tell=[entry.get("cannot_tell", []) for entry in iterations],
                 p=[entry["p"] for entry in iterations],
+                detectable_jnd={entry["effect"]: entry["detectable_jnd"] for entry in ledger["ranking"]
+                                if entry["effect"] in kind.split("+")},
                 before=before, after=after, test_before=test_before, test_after=test_after,
                 unexplained=ledger["unexplained_all"][:3], ranking=(iterations or [ledger])[0]["ranking"][:3],
                 seconds=seconds, cpu_seconds=cpu, nj=nj)

@@ -73,6 +73,15 @@ def _is_misnamed(result: Result) -> bool:
     return bool(result["added"]) and not _first_is_true(result) and not _is_among_first(result)
 
 
+def _is_stated(result: Result) -> bool:
+    """Tell whether each effect was added, or is smaller than what the ledger says that the data would have shown."""
+    def undetectable(name: str) -> bool:
+        detectable_jnd = result.get("detectable_jnd", {}).get(name, 0.0)
+        return detectable_jnd is None or result["achieved_jnd"][name] < detectable_jnd
+
+    return all(name in result["added"] or undetectable(name) for name in result["kind"].split("+"))
+
+
 def _is_located(result: Result) -> bool:
     """Tell whether an unexplained residual lies in the true time region and, for objects that ring, the true band."""
     return any(residual["time_region"] in OUTSIDE_REGIONS[result["kind"]]
@@ -111,6 +120,7 @@ def rates(results: list[Result]) -> list[Rate]:
     return [
         _rate("true effect added first, achieved 1.8 JND or more", map(_first_is_true, strong), first_goal),
         _rate("true effect added first, achieved less than 1.8 JND", map(_first_is_true, weak), ">= 75 %"),
+        _rate("the same, or too small to be found by the ledger's statement", map(_is_stated, weak), ">= 75 %"),
         _rate("first find cannot be told from others, true effect among them", map(_is_among_first, single), "-"),
         _rate("another effect added first", map(_is_misnamed, single), "<= 5 %"),
         _rate("second effect added that is not there", [len(result["added"]) > 1 for result in single
@@ -121,6 +131,7 @@ def rates(results: list[Result]) -> list[Rate]:
               [value <= 1.2 for value in ratio], "all"),
         _rate("both of two effects added", [set(result["added"]) >= set(result["kind"].split("+"))
                                             for result in pairs], ">= 80 %"),
+        _rate("both added, or too small to be found by the ledger's statement", map(_is_stated, pairs), "-"),
         _rate("effect outside the catalogue: unexplained, in its region and band", map(_is_located, outside),
               ">= 90 %"),
         _rate("effect outside the catalogue: another one added", [bool(result["added"]) for result in outside],

@@ -43,6 +43,18 @@ def test_a_find_is_right_or_not_told_apart_or_misnamed(added, rivals, expected):
     assert counts[SECOND][1] == expected["first"]
 
 
+@pytest.mark.parametrize(("added", "detectable_jnd", "stated"), [
+    (("occlusion",), {}, True), ((), dict(occlusion=1.2), True), ((), dict(occlusion=None), True),
+    ((), dict(occlusion=0.8), False), ((), {}, False)])
+def test_what_is_stated_to_be_too_small_is_no_miss(added, detectable_jnd, stated):
+    weak = result(added=added, achieved_jnd=dict(occlusion=1.0), detectable_jnd=detectable_jnd)
+    name = "the same, or too small to be found by the ledger's statement"
+    assert found([weak])[name] == (stated, 1)
+    pair = result("occlusion+air_absorption", added=[*added, "air_absorption"], detectable_jnd=detectable_jnd,
+                  achieved_jnd=dict(occlusion=1.0, air_absorption=1.0))
+    assert found([pair])["both added, or too small to be found by the ledger's statement"] == (stated, 1)
+
+
 def test_half_of_the_added_error_is_judged_by_the_clean_set_of_the_seed():
     clean = [result("clean", seed=seed, added=()) for seed in (1, 2)]
     counts = found([*clean, result(seed=1, after=1.4), result(seed=2, after=1.6), result(seed=3)])
