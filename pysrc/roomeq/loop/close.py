@@ -15,6 +15,7 @@ from roomeq.core.files import write_json
 from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, read_model, write_model
+from roomeq.effects.room_eq import RoomEq
 from roomeq.loop.ceiling import ceiling_errors, ceiling_of_test_set, describe_explained, explained
 from roomeq.loop.data import Data, load_usable
 from roomeq.loop.descriptions import describe_facing, describe_residual, effect_names
@@ -171,8 +172,9 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]) -
 
     With the features that the effect touches, the error must fall on both `SPLITS`, significantly (Simes' test,
     Biometrika 73 (1986) 751) and by `_MIN_FALL`: the scatter of the others would hide an effect that touches few. With
-    all features, it must not rise significantly on any split. What was read off the recordings has no other cause: it
-    is enough that the error does not rise by more than `_TOLERATED_JND`.
+    all features, it must not rise significantly on any split. An equaliser, which names no cause and is the same in all
+    rooms, needs significance on each split. What was read off the recordings has no other cause: it is enough that the
+    error does not rise by more than `_TOLERATED_JND`.
 
     A worse-fitting candidate replaces a rejected one only if the rejected one raised the error, or if it explains
     something else. If the error merely did not fall, the rejected candidate may still be the cause, and a significantly
@@ -195,8 +197,8 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]) -
             rises = any(p_lower(errors_after, errors, split) < LEVEL for split in SPLITS)
             falls = [1.0 - of_touched.mean(split) / errors.mean(split) for split in SPLITS]
             # the smallest p value that the Benjamini-Hochberg procedure adjusts is that of Simes
-            significant = stats.false_discovery_control(list(p.values())).min() < LEVEL
-            accepted = bool(significant and min(falls) > 0.0 and np.mean(falls) > _MIN_FALL and not rises)
+            p_joint = max(p.values()) if winner.effect is RoomEq else stats.false_discovery_control([*p.values()]).min()
+            accepted = bool(p_joint < LEVEL and min(falls) > 0.0 and np.mean(falls) > _MIN_FALL and not rises)
         if accepted:
             return Accepted(iteration_entry(winner, rivals, ranking, after, errors, errors_after, p), after,
                             errors_after)

@@ -7,6 +7,7 @@ import pytest
 
 from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.noise_floor import NoiseFloor
+from roomeq.effects.room_eq import RoomEq
 from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.loop import close
 from roomeq.loop.features import JND, LATE_S, N_FEATURES, feature_slice
@@ -212,10 +213,12 @@ def accept(ranking, errors, touched, monkeypatch):
     return found and found.entry["effect"]
 
 
-@pytest.mark.parametrize("p, added", [((0.02, 0.9), True), ((0.03, 0.2), False), ((0.03, 0.04), True)])
-def test_evidence_of_both_splits_counts_together(monkeypatch, p, added):
+@pytest.mark.parametrize("effect, p, added", [
+    (SoundSpeed, (0.02, 0.9), True), (SoundSpeed, (0.03, 0.2), False), (SoundSpeed, (0.03, 0.04), True),
+    (RoomEq, (0.02, 0.9), False), (RoomEq, (0.03, 0.04), True)])  # an equaliser is the same in all rooms
+def test_evidence_of_both_splits_counts_together(monkeypatch, effect, p, added):
     values = dict(zip(SPLITS, p, strict=True))
     monkeypatch.setattr(close, "p_lower", lambda before, after, split: values[split] if after.by_split[split].mean(
         ) < 1.9 else 1.0 - values[split])
-    ranking = [Candidate(SoundSpeed, SoundSpeed, 20.0 + np.arange(8), 2.0)]
-    assert (accepted(ranking, {SoundSpeed: 0.3}, monkeypatch) is not None) == added
+    ranking = [Candidate(effect, effect, 20.0 + np.arange(8), 2.0)]
+    assert (accepted(ranking, {effect: 0.3}, monkeypatch) is not None) == added
