@@ -56,7 +56,7 @@ VECTORS = {
     "source_directivity": np.log([0.12, 0.6]),  # a cabinet of 12 cm radius, a membrane of 7 cm
     "occlusion": (np.log(0.03),),  # a detour of 3 cm: a person's head
     "near_reflector": (np.log(0.35), 0.6),  # a desk 35 cm below
-    "coupled_volume": (-1.8, np.log(1.8), 0.1),  # -18 dB, 1.8 s: a corridor
+    "coupled_volume": (-2.1, np.log(1.8), 0.1),  # -21 dB, 1.8 s: a corridor
     "room_modes": (np.log2(1.1),),  # up to 110 Hz, between two points of the grid
     "source_response": _RIPPLE_DB,
     "mic_response": -_RIPPLE_DB,

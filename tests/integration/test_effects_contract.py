@@ -44,7 +44,7 @@ WIDER = {
     "coupled_volume": (
         "The second decay is rendered with random noise, which scatters in the narrow low octaves; its end is taken "
         "for noise where the response ends.",
-        dict(spectrum=0.85, edt=1.3, t20=1.9, t30=1.25, ahead=0.9, floor=0.85)),
+        dict(spectrum=0.85, edt=0.85, t20=1.9, t30=1.25, ahead=0.7, floor=0.85)),
     "source_response": _OCTAVES_OF_RESPONSES,
     "mic_response": _OCTAVES_OF_RESPONSES,
     "room_eq": _OCTAVES_OF_RESPONSES,
