@@ -116,6 +116,8 @@ class Effect:
         Whether `apply_to_prediction` changes the energy of reflections; if not, a fit reuses the sum over them.
     MEASURED : bool
         Whether the vector can be read off the recordings (`measured_vectors`), whatever their rows say of the room.
+    NAMES_CAUSE : bool
+        Whether it is a physical cause. An equaliser is none: whatever explains as much comes first.
     """
 
     NAME: ClassVar[str] = ""
@@ -127,6 +129,7 @@ class Effect:
     INTERPOLATION_GRID: ClassVar[tuple[tuple[float, ...], ...]] = ()
     REFLECTIONS: ClassVar[bool] = True
     MEASURED: ClassVar[bool] = False
+    NAMES_CAUSE: ClassVar[bool] = True
 
     @classmethod
     def prior_covariance(cls) -> FloatArray:

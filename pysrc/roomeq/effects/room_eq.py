@@ -15,4 +15,5 @@ class RoomEq(Response):
 
     NAME = "room_eq"
     SCOPE = "all"
+    NAMES_CAUSE = False
     DISCRIMINATING_MEASUREMENT = "a second loudspeaker and a second microphone in the same rooms"

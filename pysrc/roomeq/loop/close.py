@@ -15,7 +15,6 @@ from roomeq.core.files import write_json
 from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, read_model, write_model
-from roomeq.effects.room_eq import RoomEq
 from roomeq.loop.ceiling import ceiling_errors, ceiling_of_test_set, describe_explained, explained
 from roomeq.loop.data import Data, load_usable
 from roomeq.loop.descriptions import describe_facing, describe_residual, effect_names
@@ -197,7 +196,8 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]) -
             rises = any(p_lower(errors_after, errors, split) < LEVEL for split in SPLITS)
             falls = [1.0 - of_touched.mean(split) / errors.mean(split) for split in SPLITS]
             # the smallest p value that the Benjamini-Hochberg procedure adjusts is that of Simes
-            p_joint = max(p.values()) if winner.effect is RoomEq else stats.false_discovery_control([*p.values()]).min()
+            simes, largest = stats.false_discovery_control([*p.values()]).min(), max(p.values())
+            p_joint = simes if winner.effect.NAMES_CAUSE else largest
             accepted = bool(p_joint < LEVEL and min(falls) > 0.0 and np.mean(falls) > _MIN_FALL and not rises)
         if accepted:
             return Accepted(iteration_entry(winner, rivals, ranking, after, errors, errors_after, p), after,

@@ -24,7 +24,6 @@ from roomeq.core.constants import BAND_1KHZ
 from roomeq.core.workers import share_out
 from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
-from roomeq.effects.room_eq import RoomEq
 from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.loop.data import Data
 from roomeq.loop.facing import estimate_facings, facing_the_microphone, unknown_facings
@@ -408,6 +407,5 @@ def choose(ranking: Sequence[Candidate], n_candidates: int) -> Choice:
         return Choice(None, [])
     close = [candidate for candidate in helping
              if candidate is helping[0] or one_sided_p(helping[0].gain - candidate.gain) > LEVEL]
-    # an equaliser names no cause: every effect that names one comes first
-    close.sort(key=lambda candidate: (candidate.effect is RoomEq, -candidate.total))
-    return Choice(close[0], [candidate for candidate in close[1:] if candidate.effect is not RoomEq])
+    close.sort(key=lambda candidate: (not candidate.effect.NAMES_CAUSE, -candidate.total))
+    return Choice(close[0], [candidate for candidate in close[1:] if candidate.effect.NAMES_CAUSE])
