@@ -63,8 +63,8 @@ def iteration_entry(winner: Candidate, rivals: list[Candidate], ranking: list[Ca
         Of the model with the effect.
     before, after : HeldOutErrors
     p : dict
-        p value of the error being lower, by split (`roomeq.loop.selection.p_lower`). The entry's errors are those of
-        the split with the lowest p.
+        p value of the error of the touched features being lower, by split (`roomeq.loop.selection.p_lower`). The
+        entry's errors, of all features, are those of the split with the lowest p.
     """
     split = min(p, key=lambda name: (p[name], name))
     entry = dict(
