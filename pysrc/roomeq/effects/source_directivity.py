@@ -15,7 +15,7 @@ from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.base import Effect
 from roomeq.effects.prediction import PredictedRirs, PredictionState
-from roomeq.effects.spherical_cap import cap_gain
+from roomeq.effects.spherical_cap import cap_table, look_up, table_angles
 
 _RADII_M = (0.005, 0.45)
 _CAPS_RAD = (0.1, 1.5)
@@ -77,19 +77,22 @@ class SourceDirectivity(Effect):
                    tuple(float(x) for x in np.clip(vector[2:], -_MAX_DEVIATION_DB, _MAX_DEVIATION_DB)))
 
     def on_paths(self, cos_angle: FloatArray) -> FloatArray:
-        cos_angle = np.clip(cos_angle, -1.0, 1.0)
-        gain = cap_gain(cos_angle, self.radius_m, self.cap_rad)
-        if not any(self.deviation_db):
-            return gain
+        cos_angle, table = np.clip(cos_angle, -1.0, 1.0), cap_table(self.radius_m, self.cap_rad)
+        if cos_angle.size > len(table):  # as for the rays of a source
+            return look_up(cos_angle, table * self._deviation(np.cos(table_angles(len(table)))))
+        return look_up(cos_angle, table) * self._deviation(cos_angle)
+
+    def _deviation(self, cos_angle: FloatArray) -> FloatArray:
+        """Return the energy gain by which the source deviates from the cap, shape (..., 8)."""
         x = np.asarray(cos_angle)[..., None]
         shapes = np.concatenate([x - 1.0, 1.5 * (x ** 2 - 1.0), 2.5 * x ** 3 - 1.5 * x - 1.0], axis=-1)
-        deviation_db = shapes @ np.reshape(self.deviation_db, _DEVIATION_DB.shape)
-        return gain * 10.0 ** (deviation_db / 10.0)
+        return 10.0 ** (shapes @ np.reshape(self.deviation_db, _DEVIATION_DB.shape) / 10.0)
 
     def apply_to_prediction(self, state: PredictionState, data: PredictedRirs, rows: IntArray) -> None:
-        direct = self.on_paths(np.cos([data.tables[n].direct_angle for n in rows]))
-        knows_facing = np.array([data.tables[n].angular is not None for n in rows])
-        state.apply_directivity(rows[knows_facing], self.on_paths(np.cos(data.angles)), direct[knows_facing])
+        rows = rows[[data.tables[n].angular is not None for n in rows]]
+        angles = np.concatenate([data.angles, [data.tables[n].direct_angle for n in rows]])
+        gains, direct = np.split(self.on_paths(np.cos(angles)), [len(data.angles)])
+        state.apply_directivity(rows, gains, direct)
 
 
 def unit_facing(source_dir: Sequence[float | None] | None) -> FloatArray | None:
