@@ -138,18 +138,18 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
         _continue(index, initial, mean, local)
     start_from_measured(index, mean, local, () if initial is None else initial.effects)
     for iteration in progress(range(iterations), iterations, "fit: iterations"):
-        covariance = covariances(index, shape, own_scale, gain_db)
+        precision = [inverted(of_room) for of_room in covariances(index, shape, own_scale, gain_db)]
         predicted, derivatives = index.linearize(mean, local, correction, known, threads)
         residual, valid = data.residual(predicted)
         if iteration:
             sigma, omega = scatter(data, residual, valid)
         normal = all_normal_equations(index, residual, valid, derivatives, sigma, omega, threads)
-        cost_at = partial(cost, index, correction, sigma, omega, covariance, prior)
+        cost_at = partial(cost, index, correction, sigma, omega, precision, prior)
         limit, old = cost_at(mean, local, predicted), (mean, local)
-        *new, posterior = solve_step(normal, covariance, mean, local, prior)
+        *new, posterior = solve_step(normal, precision, mean, local, prior)
         mean, local, reached = shortened_step(cost_at, limit, old, new, fractions=STEP_FRACTIONS[:2])
         if mean is old[0]:
-            *new, _ = solve_step(normal, covariance, mean, local, prior, damping=_DAMPING)
+            *new, _ = solve_step(normal, precision, mean, local, prior, damping=_DAMPING)
             mean, local, reached = shortened_step(cost_at, limit, old, new)
         shape = _best_shape(local, posterior)
         own_scale = [_own_scale(index, k, local, posterior) for k in range(len(index.effects))]
@@ -255,15 +255,21 @@ def covariances(index: ParameterIndex, shape: tuple[float, float, float], own_sc
     return made
 
 
-def solve_step(normal: list[NormalEquations], covariance: list[FloatArray], mean: FloatArray, local: list[FloatArray],
+def inverted(matrix: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+
+def solve_step(normal: list[NormalEquations], precision: list[FloatArray], mean: FloatArray, local: list[FloatArray],
                prior: SharedPrior, damping: float = 0.0) -> tuple[FloatArray, list[FloatArray], list[FloatArray]]:
-    """Take one Gauss-Newton step; return new shared and own parameters and the own ones' posterior covariances."""
+    """Take one Gauss-Newton step; return new shared and own parameters and the own ones' posterior covariances.
+
+    `precision` is that of the prior of each room's own parameters.
+    """
     total, right = (1.0 + damping) * prior.precision, prior.precision @ (prior.mean - mean)
     rooms = []
-    for room, room_covariance, own in zip(normal, covariance, local, strict=True):
-        inverse = np.linalg.inv(room_covariance)
-        posterior = np.linalg.inv(room.own_own + (1.0 + damping) * inverse)
-        own_right = room.own_residual - inverse @ own
+    for room, of_prior, own in zip(normal, precision, local, strict=True):
+        posterior = inverted(room.own_own + (1.0 + damping) * of_prior)
+        own_right = room.own_residual - of_prior @ own
         total += room.shared_shared - room.own_shared.T @ posterior @ room.own_shared
         right += room.shared_residual - room.own_shared.T @ posterior @ own_right
         rooms.append((posterior, room.own_shared, own_right))
@@ -286,7 +292,7 @@ def shortened_step(cost: Callable, limit: float, old: Sequence[Any], new: Sequen
 
 
 def cost(index: ParameterIndex, correction: FloatArray, sigma: FloatArray, omega: FloatArray,
-         covariance: list[FloatArray], prior: SharedPrior, mean: FloatArray, local: list[FloatArray],
+         precision: list[FloatArray], prior: SharedPrior, mean: FloatArray, local: list[FloatArray],
          predicted: FloatArray | None = None, visible: BoolArray | None = None) -> float:
     """Return twice the negative log posterior density up to a constant, with Huber's loss for outliers.
 
@@ -298,8 +304,8 @@ def cost(index: ParameterIndex, correction: FloatArray, sigma: FloatArray, omega
     residual, valid = index.data.residual(predicted)
     valid = valid if visible is None else valid & visible
     total = (mean - prior.mean) @ prior.precision @ (mean - prior.mean)
-    for members, own, room_covariance in zip(index.members, local, covariance, strict=True):
-        total += own @ np.linalg.solve(room_covariance, own) + misfit(residual[members], valid[members], sigma, omega)
+    for members, own, of_prior in zip(index.members, local, precision, strict=True):
+        total += own @ of_prior @ own + misfit(residual[members], valid[members], sigma, omega)
     return float(total)
 
 
@@ -307,17 +313,12 @@ def _best_shape(local: list[FloatArray], posterior: list[FloatArray]) -> tuple[f
     """Return the arguments of `absorption_covariance` of the highest posterior density, with `_LEVEL_PRIOR`."""
     absorption = np.array([own[:N_BANDS] for own in local])
     spread = np.array([covariance[:N_BANDS, :N_BANDS] for covariance in posterior])
-    best, best_value = _SHAPES[0], -np.inf
-    for shape in _SHAPES:
-        total = absorption_covariance(*shape) + spread
-        solved = np.linalg.solve(total, absorption[:, :, None])[:, :, 0]
-        freedom, level = _LEVEL_PRIOR
-        value = -(freedom + 2.0) * np.log(shape[0]) - 0.5 * freedom * (level / shape[0]) ** 2
-        for own, log_size, own_solved in zip(absorption, np.linalg.slogdet(total)[1], solved, strict=True):
-            value -= 0.5 * (log_size + own @ own_solved)
-        if value > best_value:
-            best, best_value = shape, value
-    return best
+    total = np.array([absorption_covariance(*shape) for shape in _SHAPES])[:, None] + spread
+    solved = np.linalg.solve(total, np.broadcast_to(absorption[:, :, None], (*total.shape[:3], 1)))[..., 0]
+    (freedom, level), of_level = _LEVEL_PRIOR, np.array([shape[0] for shape in _SHAPES])
+    log_prior = -(freedom + 2.0) * np.log(of_level) - 0.5 * freedom * (level / of_level) ** 2
+    misfits = np.linalg.slogdet(total)[1] + np.sum(absorption * solved, axis=-1)
+    return _SHAPES[int(np.argmax(log_prior - 0.5 * misfits.sum(axis=1)))]
 
 
 def _own_scale(index: ParameterIndex, k: int, local: list[FloatArray], posterior: list[FloatArray]) -> float:

@@ -14,6 +14,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
 from roomeq.core.constants import BAND_1KHZ
@@ -28,6 +29,7 @@ from roomeq.loop.fit import (
     cost,
     covariances,
     estimate_gains,
+    inverted,
     shared_prior,
     shortened_step,
     solve_step,
@@ -38,6 +40,8 @@ from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, ParameterIndex
 from roomeq.loop.predict import N_BANDS, ReflectedEnergy
 from roomeq.loop.session import Session
 
+Cholesky = tuple[FloatArray, bool]
+"""From `scipy.linalg.cho_factor`."""
 _WIDEST, _GRID_POINTS = 3.0, 41
 """Grid of the vector of a single RIR about its mean over RIRs: its end, in standard deviations, and its size."""
 COMMON_SPECTRUM = np.array([-0.28, -0.19, -0.19, -0.03, 0.0, 0.02, 0.01, -0.08])
@@ -91,14 +95,16 @@ def leave_rooms_out(data: Data, fitted: Fit) -> list[HeldOutRoom]:
              for room, covariance, own in zip(fitted.normal, fitted.covariance, fitted.local, strict=True)]
     total = prior.precision + sum(precision for precision, _ in rooms)
     right = prior.precision @ (prior.mean - fitted.mean) + sum(right for _, right in rooms)
+    of_all = cho_factor(total)
     # the step that remains from the fit: 0 at its optimum, not where a parameter of an effect is at its limit, and
     # there the fit has tried and rejected it
-    rejected = np.linalg.solve(total, right)
+    rejected = cho_solve(of_all, right)
     held_out = []
     for r, (room_precision, room_right) in enumerate(rooms):
         precision = total - room_precision
-        step = np.linalg.solve(precision, right - room_right) - rejected
-        held_out.append(HeldOutRoom(fitted.mean + step, precision, _log_density(fitted, r, precision, step)))
+        of_others = cho_factor(precision)
+        step = cho_solve(of_others, right - room_right) - rejected
+        held_out.append(HeldOutRoom(fitted.mean + step, precision, _log_density(fitted, r, of_all, of_others, step)))
     return held_out
 
 
@@ -109,22 +115,29 @@ def _without_own(room: NormalEquations, inverse: Array, own: FloatArray) -> tupl
             room.shared_residual - room.own_shared.T @ posterior @ (room.own_residual - inverse @ own))
 
 
-def _log_density(fitted: Fit, r: int, precision: FloatArray, step: FloatArray) -> float:
-    """Return the log density of a room's RIRs, its own and the shared parameters integrated out (Gaussian)."""
+def _log_density(fitted: Fit, r: int, of_all: Cholesky, of_others: Cholesky, step: FloatArray) -> float:
+    """Return the log density of a room's RIRs, its own and the shared parameters integrated out (Gaussian).
+
+    The precision of the shared parameters is given as Cholesky factors: of all rooms, and of the others. Once the
+    room's own parameters are integrated out, the posterior of the shared ones is that of all rooms.
+    """
     room = fitted.normal[r]
     inverse = np.linalg.inv(fitted.covariance[r])
     back = -fitted.local[r]  # from the fitted parameters back to their prior mean
     quad = (room.residual_residual - 2.0 * (room.own_residual @ back + room.shared_residual @ step)
             + back @ room.own_own @ back + 2.0 * back @ room.own_shared @ step + step @ room.shared_shared @ step)
-    right = np.concatenate([room.own_residual - room.own_own @ back - room.own_shared @ step,
-                            room.shared_residual - room.own_shared.T @ back - room.shared_shared @ step])
-    products = np.block([[room.own_own, room.own_shared], [room.own_shared.T, room.shared_shared]])
-    prior = np.zeros_like(products)
-    n = len(back)
-    prior[:n, :n], prior[n:, n:] = inverse, precision
-    posterior = products + prior
-    return float(-0.5 * (quad - right @ np.linalg.solve(posterior, right))
-                 - 0.5 * (np.linalg.slogdet(posterior)[1] - np.linalg.slogdet(prior)[1]) - room.log_scale)
+    own = cho_factor(room.own_own + inverse)
+    own_right = room.own_residual - room.own_own @ back - room.own_shared @ step
+    right = (room.shared_residual - room.own_shared.T @ back - room.shared_shared @ step
+             - room.own_shared.T @ cho_solve(own, own_right))
+    explained = own_right @ cho_solve(own, own_right) + right @ cho_solve(of_all, right)
+    log_posterior = _log_determinant(own) + _log_determinant(of_all)
+    log_prior = np.linalg.slogdet(inverse)[1] + _log_determinant(of_others)
+    return float(-0.5 * (quad - explained) - 0.5 * (log_posterior - log_prior) - room.log_scale)
+
+
+def _log_determinant(factor: Cholesky) -> float:
+    return 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
 
 
 def split_positions(data: Data) -> tuple[list[IntArray], list[IntArray]]:
@@ -313,9 +326,10 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
     local : list of ndarray
         As `Fit.local`.
     """
-    spreads = covariances(index, (0.3, 0.2, 0.1), [1.0] * len(index.effects), fitted.gain_db)
-    for covariance in spreads:
+    precision = []
+    for covariance in covariances(index, (0.3, 0.2, 0.1), [1.0] * len(index.effects), fitted.gain_db):
         covariance[:N_SURFACE, :N_SURFACE] = fitted.covariance[0][:N_SURFACE, :N_SURFACE]
+        precision.append(inverted(covariance))
     mean, local = prior.mean.copy(), [np.zeros(part.size) for part in index.local]
     estimate_gains(index, correction, mean, local)
     visible = _usable_features(index, known, usable)
@@ -326,9 +340,9 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
         residual, valid = index.data.residual(predicted)
         normal = all_normal_equations(index, residual, valid & visible, derivatives, fitted.sigma, fitted.omega,
                                       threads)
-        cost_at = partial(cost, index, correction, fitted.sigma, fitted.omega, spreads, prior, visible=visible)
+        cost_at = partial(cost, index, correction, fitted.sigma, fitted.omega, precision, prior, visible=visible)
         old, limit = (mean, local), cost_at(mean, local, predicted)
-        *new, _ = solve_step(normal, spreads, mean, local, prior)
+        *new, _ = solve_step(normal, precision, mean, local, prior)
         mean, local, reached = shortened_step(cost_at, limit, old, new)
         if limit - reached < CONVERGED:
             break
