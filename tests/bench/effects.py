@@ -32,7 +32,7 @@ from roomeq.effects.response import RESPONSE_HZ  # noqa: E402
 from roomeq.loop.data import Data, load_usable  # noqa: E402
 from roomeq.loop.features import BAND_HZ, METRIC  # noqa: E402
 from roomeq.loop.predict import base_state, predict  # noqa: E402
-from roomeq.loop.rendering import RawRir, measure_row, render_rows  # noqa: E402
+from roomeq.loop.rendering import RawRir, measure_row, render_rows, row_models  # noqa: E402
 from roomeq.loop.usable import Located, UsableRirs  # noqa: E402
 from roomeq.records.rir_dir import write_rirs  # noqa: E402
 from roomeq.sim.scene import Air  # noqa: E402
@@ -124,7 +124,7 @@ def measure_changes(data: Data) -> dict[str, Change]:
     rows = np.arange(len(data.rows))
 
     def render(effects: list[Effect]) -> tuple[list[RawRir], FloatArray]:
-        raw_rirs, _ = render_rows(data, absorption[data.room], [effects] * len(rows), seed=SEED)
+        raw_rirs, _ = render_rows(data, row_models(data, absorption, [effects] * len(rows)), seed=SEED)
         return raw_rirs, measure(raw_rirs, effects)
 
     def measure(raw_rirs: list[RawRir], effects: list[Effect]) -> FloatArray:

@@ -40,7 +40,6 @@ from roomeq.loop.likelihood import misfit, normal_equations
 from roomeq.loop.packing import N_SURFACE, ParameterIndex
 from roomeq.loop.power import _changes, detectable_sizes
 from roomeq.loop.predict import ReflectedEnergy, predict
-from roomeq.loop.rendering import _groups_of_paths, render_rows
 from roomeq.loop.selection import SPLITS, _candidate, choose, heldout_errors, rank, size_of_change_jnd
 from roomeq.loop.session import fit_base_model, with_rendered_changes
 from roomeq.loop.splitters import COMMON_SPECTRUM, calibrate, leave_rooms_out, split_positions, transfer_shared
@@ -245,22 +244,6 @@ def test_spectrum_of_unseen_rooms_lies_between_the_known_ones_and_rooms_in_gener
     of_session = session.fit.mean[:8] - session.fit.mean[4]
     low, high = np.minimum(of_session, COMMON_SPECTRUM), np.maximum(of_session, COMMON_SPECTRUM)
     assert np.all((low - 1e-9 <= x - x[4]) & (x - x[4] <= high + 1e-9)) and x[4] == session.fit.mean[4]
-
-
-def test_rows_rendered_together_are_those_rendered_alone(session):
-    """Rows of one source and one absorption share a pass over the rays."""
-    data, members = session.data, np.flatnonzero(session.data.room == 0)
-    source = data.places[members[0]].source_pos_m
-    data = replace(data, traced=[data.traced[members[0]]] * len(data.rows),
-                   rows=[{**row, "source_dir": None} for row in data.rows],
-                   places=[replace(place, source_pos_m=source) for place in data.places])
-    absorption, no_effects = np.full((len(data.rows), 2, 8), 0.2), [[]] * len(data.rows)
-    assert len(_groups_of_paths(data, absorption, no_effects, members)) == 1 < len(members)
-    raw_rirs, features = render_rows(data, absorption, no_effects, seed=0, rows=members)
-    for n, raw, of_row in zip(members, raw_rirs, features, strict=True):
-        (alone,), alone_features = render_rows(data, absorption, no_effects, seed=0, rows=[n])
-        assert raw.rir.tobytes() == alone.rir.tobytes()
-        np.testing.assert_array_equal(of_row, alone_features[0])
 
 
 def test_halves_are_disjoint_and_hold_every_chain(session):

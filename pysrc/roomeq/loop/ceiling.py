@@ -9,6 +9,7 @@ Dubout, Acustica 43 (1979) 12), the rendering's own noise, the uncertainty of ge
 other rooms cannot tell about a room.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +24,7 @@ from roomeq.effects.noise_floor import NOISE_S
 from roomeq.loop.data import Data, is_timed
 from roomeq.loop.features import HAS_GAIN, Features, measure_features
 from roomeq.loop.fit import fit
-from roomeq.loop.rendering import RawRir, finished_rir, map_rendered, on_recording_time
+from roomeq.loop.rendering import RawRir, finished_rir, map_rendered, on_recording_time, row_models
 from roomeq.loop.selection import SPLITS, HeldOutErrors, heldout_errors, score_test_set, transferred
 from roomeq.loop.session import Session
 
@@ -37,7 +38,7 @@ _TRIES = 100  # to move a microphone within its room
 def ceiling_errors(session: Session) -> HeldOutErrors:
     """Return the held-out errors that a session's model would have if the recordings followed it."""
     data, index, fitted = session.data, session.index, session.fit
-    twins = twin_recordings(data, index.absorption(fitted.mean, fitted.local)[data.room], session.by_row,
+    twins = twin_recordings(data, index.absorption(fitted.mean, fitted.local), session.by_row,
                             index.gains(fitted.local), seed=session.seed, nj=session.nj)
     refitted = fit(twins, session.correction, session.effects, initial=fitted, threads=session.nj)
     return heldout_errors(replace(session, data=twins, fit=refitted))
@@ -48,7 +49,7 @@ def ceiling_of_test_set(data: Data, session: Session, *, seed: int, nj: int) -> 
     data, calibrated = transferred(data, session)
     every: list[IntArray] = [np.flatnonzero(data.room == r) for r in range(len(data.room_names))]
     absorption, by_row, gains = calibrated(every, None)
-    twins = twin_recordings(data, absorption[data.room], by_row, gains, seed=seed, nj=nj)
+    twins = twin_recordings(data, absorption, by_row, gains, seed=seed, nj=nj)
     return score_test_set(twins, session, seed=seed, nj=nj)
 
 
@@ -59,10 +60,8 @@ def twin_recordings(data: Data, absorption: FloatArray, effects: list[list[Effec
     Parameters
     ----------
     data : Data
-    absorption : ndarray, shape (n_rirs, 2, 8)
-        As for `roomeq.loop.rendering.map_rendered`.
-    effects : list of list of Effect
-        Of each RIR.
+    absorption, effects
+        As for `roomeq.loop.rendering.row_models`.
     gains : ndarray, shape (n_rirs,)
         Of the recordings [dB].
     seed, nj : int
@@ -75,8 +74,8 @@ def twin_recordings(data: Data, absorption: FloatArray, effects: list[list[Effec
     moved = replace(data, places=[replace(place, mic_pos_m=_moved(data, n, seed))
                                   for n, place in enumerate(data.places)])
     twin_seed = int(rng_for(seed, "loop twins", "seed").integers(2 ** 31))
-    measured = map_rendered(lambda n, raw: _recorded(moved, n, raw, effects[n], twin_seed), moved, absorption, effects,
-                            seed=twin_seed, nj=nj)
+    measured = map_rendered(lambda model, raw: _recorded(moved, model.n, raw, model.effects, twin_seed), moved,
+                            row_models(moved, absorption, effects), seed=twin_seed, nj=nj)
     return replace(data, features=np.array([of_rir.values for of_rir in measured]) + np.outer(gains, HAS_GAIN),
                    valid=data.valid & np.array([of_rir.valid for of_rir in measured]),
                    bounded=np.array([of_rir.bounded for of_rir in measured]),
@@ -98,7 +97,7 @@ def _moved(data: Data, n: int, seed: int) -> tuple[float, ...]:
     return place.mic_pos_m
 
 
-def _recorded(data: Data, n: int, raw: RawRir, effects: list[Effect], seed: int) -> Features:
+def _recorded(data: Data, n: int, raw: RawRir, effects: Sequence[Effect], seed: int) -> Features:
     """Measure a rendered RIR like a recording of the same length with the same white noise."""
     whole = finished_rir(data, n, raw, effects, seed)
     density = data.white[n] * octave_energies(whole) / (NOISE_S * FS_HZ) / (OCTAVE_WIDTH_HZ / (0.5 * FS_HZ))

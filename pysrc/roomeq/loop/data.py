@@ -27,7 +27,10 @@ from roomeq.loop.traces import StoredTrace, TraceFolder
 from roomeq.loop.usable import LeftOut, UsableRirs, usable_rirs
 from roomeq.records.rir_dir import load_rir
 from roomeq.records.schema import RirRow
+from roomeq.sim.defaults import ISM_ORDER
+from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.geometry import Place, find_place
+from roomeq.sim.path_sample import PathSample, sample_paths
 from roomeq.sim.response import trace_source
 from roomeq.sim.room import Room
 from roomeq.sim.scene import Air, Material, Scene, uniform_absorption
@@ -70,6 +73,8 @@ class Data:
     room_names : list of str
     traced : list of StoredTrace
         Of each RIR; shared by the RIRs of one source.
+    path_samples : list of PathSample
+        Of each RIR: the paths from which it is rendered with any absorption.
     tables : list of Table
     surface_per_m : ndarray, shape (n_rirs, 2)
         Area of the walls, and of floor and ceiling, over the volume of the room.
@@ -100,6 +105,7 @@ class Data:
     chain: IntArray
     room_names: list[str]
     traced: list[StoredTrace]
+    path_samples: list[PathSample]
     tables: list[Table]
     surface_per_m: FloatArray
     air_per_m: FloatArray
@@ -267,29 +273,35 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
 
     folder = TraceFolder()
 
-    def trace(room_id: str, source_pos_m: tuple, members: list[int]) -> tuple[StoredTrace, list[Table]]:
-        place = places[members[0]]
+    def trace(room_id: str, source_pos_m: tuple, members: list[int]
+              ) -> tuple[StoredTrace, list[PathSample], list[Table]]:
+        place, mics_m = places[members[0]], np.array([places[n].mic_pos_m for n in members])
         material = Material("surface", (0.0,) * len(BANDS_HZ), (float(scattering),) * len(BANDS_HZ))
         scene = Scene(place.room, (material,) * len(place.room.surfaces), air_of(rows[members[0]]))
-        longest_s = max(_longest_s(features[n]) for n in members)
+        shortest_s, longest_s = _decay_range_s([features[n] for n in members])
         length_s = float(np.clip(1.2 * longest_s + 0.1, *LENGTHS_S))
         # twice as long, for octaves without a valid decay time
         expected = uniform_absorption(place.room, 2.0 * longest_s, scene.air.speed_m_s)
         source = trace_source(scene, source_pos_m, num_rays=NUM_RAYS, max_length_s=length_s,
                               rng=rng_for(seed, "loop trace", repr((room_id, source_pos_m))), absorption=expected)
         facings = [unit_facing(rows[n].get("source_dir")) for n in members]
-        return (folder.store(source, str(members[0])),
-                collect(source, [places[n].mic_pos_m for n in members], facings))
+        reference = [uniform_absorption(place.room, time_s, scene.air.speed_m_s)
+                     for time_s in (0.5 * shortest_s, 2.0 * longest_s)]
+        samples = sample_paths(source, mics_m, np.resize(reference, scene.absorption.shape),
+                               [rng_for(seed, "loop paths", rows[n]["id"]) for n in members], ism_order=ISM_ORDER,
+                               n_frames=int(np.ceil(source.max_length_s / FRAME_S)))
+        return folder.store(source, str(members[0])), samples, collect(source, mics_m, facings)
 
     # threads: paths are large, and their kernels release the interpreter's lock
     workers = Parallel(n_jobs=nj, prefer="threads", return_as="generator")
     traces = progress(workers(delayed(trace)(*at, members) for at, members in by_source.items()), len(by_source),
                       "trace sources")
     traced: dict[int, StoredTrace] = {}
+    path_samples: dict[int, PathSample] = {}
     tables: dict[int, Table] = {}
-    for members, (source, of_members) in zip(by_source.values(), traces, strict=True):
-        for n, table in zip(members, of_members, strict=True):
-            traced[n], tables[n] = source, table
+    for members, (source, *of_members) in zip(by_source.values(), traces, strict=True):
+        for n, path_sample, table in zip(members, *of_members, strict=True):
+            traced[n], path_samples[n], tables[n] = source, path_sample, table
     airs = [air_of(row) for row in rows]
     distance_m = np.array([tables[n].distance_m for n in range(len(rows))])
     return Data(rows=rows, places=places, features=np.array([of_rir.values for of_rir in features]),
@@ -302,7 +314,7 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
                 room=np.array([room_names.index(row["room_id"]) for row in rows]),
                 chain=np.array([chains.index(chain) for chain in by_chain]),
                 room_names=room_names, traced=[traced[n] for n in range(len(rows))],
-                tables=[tables[n] for n in range(len(rows))],
+                path_samples=[path_samples[n] for n in range(len(rows))], tables=[tables[n] for n in range(len(rows))],
                 surface_per_m=np.array([_surface_per_m(place.room) for place in places]),
                 air_per_m=np.array([air.attenuation_per_m for air in airs]),
                 speed_m_s=np.array([air.speed_m_s for air in airs]),
@@ -315,8 +327,8 @@ def _surface_per_m(room: Room) -> FloatArray:
     return np.bincount(level_surfaces(room), room.surface_area_m2, minlength=2) / room.volume_m3
 
 
-def _longest_s(features: Features) -> float:
-    """Return the longest valid decay time of an RIR [s]."""
-    times = [np.exp(features.values[at][features.valid[at]] * JND[metric])
-             for metric, at in (("t20", feature_slice("t20")), ("t30", feature_slice("t30")))]
-    return max([LENGTHS_S[0], *np.concatenate(times)])
+def _decay_range_s(features: Sequence[Features]) -> tuple[float, float]:
+    """Return the shortest and the longest valid decay time of some RIRs [s]; the least of `LENGTHS_S` is one."""
+    times_s = np.concatenate([np.exp(of_rir.values[at][of_rir.valid[at]] * JND[metric]) for of_rir in features
+                              for metric, at in (("t20", feature_slice("t20")), ("t30", feature_slice("t30")))])
+    return float(times_s.min(initial=LENGTHS_S[0])), float(times_s.max(initial=LENGTHS_S[0]))

@@ -19,7 +19,7 @@ from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.loop.data import Data
 from roomeq.loop.features import feature_slice, measure_features
-from roomeq.loop.rendering import finished_rir, render_rows
+from roomeq.loop.rendering import finished_rir, render_rows, row_models
 from roomeq.loop.session import Session
 from roomeq.records.rir_dir import load_rir, read_rirs
 
@@ -163,7 +163,7 @@ def _rendered(session: Session, n: int) -> tuple[FloatArray, float, float]:
     data, index = session.data, session.index
     absorption = index.absorption(session.fit.mean, session.fit.local)
     by_row = session.by_row
-    (raw,), _ = render_rows(data, absorption[data.room], by_row, seed=session.seed, rows=[n])
+    (raw,), _ = render_rows(data, row_models(data, absorption, by_row, [n]), seed=session.seed)
     rir = finished_rir(data, n, raw, by_row[n], session.seed)
     return rir, data.distance_m[n] / raw.scene.air.speed_m_s * FS_HZ, index.gains(session.fit.local)[n]
 

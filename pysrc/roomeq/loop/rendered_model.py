@@ -18,7 +18,7 @@ from roomeq.loop.data import Data
 from roomeq.loop.features import HAS_GAIN, METRIC
 from roomeq.loop.fit import Fit
 from roomeq.loop.packing import ParameterIndex
-from roomeq.loop.rendering import RawRir, features_with_effects, render_rows
+from roomeq.loop.rendering import RawRir, features_with_effects, render_rows, row_models
 
 _ORDER = list(CATALOGUE.values())
 
@@ -106,7 +106,7 @@ def render_model(data: Data, fitted: Fit, *, seed: int, nj: int) -> RenderedMode
     packing = ParameterIndex(data, fitted.effects)
     absorption, vectors = packing.absorption(fitted.mean, fitted.local), packing.vectors(fitted.mean, fitted.local)
     by_row = effects_of_rows(data, fitted.effects, vectors)
-    raw_rirs, features = render_rows(data, absorption[data.room], by_row, seed=seed, nj=nj)
+    raw_rirs, features = render_rows(data, row_models(data, absorption, by_row), seed=seed, nj=nj)
     return RenderedModel(data, fitted, by_row, raw_rirs, features, seed, nj)
 
 

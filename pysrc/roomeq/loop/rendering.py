@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from roomeq.core.constants import FS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.core.workers import share_out
 from roomeq.effects.base import Effect
-from roomeq.effects.model import apply_to_rir, direct_gain, extend_scene, is_directive, path_gain
+from roomeq.effects.model import apply_to_rir, direct_gain, extend_scene, path_gain
 from roomeq.loop.data import Data, is_timed
 from roomeq.loop.features import N_FEATURES, Features, feature_slice, measure_features
 from roomeq.loop.tables import level_surfaces
@@ -19,7 +19,6 @@ from roomeq.sim.response import render_responses
 from roomeq.sim.scene import Scene, with_absorption
 
 Result = TypeVar("Result")
-_LARGEST_GROUP = 8  # rows that are rendered together
 
 
 @dataclass(frozen=True)
@@ -39,42 +38,30 @@ class RawRir:
     direct_gain: FloatArray
 
 
-def map_rendered(work: Callable[[int, RawRir], Result], data: Data, absorption: FloatArray,
-                 effects: Sequence[Sequence[Effect]], *, seed: int, nj: int = 1,
-                 rows: Sequence[int] | IntArray | None = None) -> list[Result]:
-    """Render rows of the data and return ``work(row, raw_rir)`` of each; only its results leave the processes.
+class RowModel(NamedTuple):
+    """A row of the data, and the model of its RIR.
 
-    Parameters
+    Attributes
     ----------
-    work : callable
-    data : roomeq.loop.data.Data
-    absorption : ndarray, shape (n_rirs, 2, 8)
+    n : int
+    absorption : ndarray, shape (2, 8)
         ``-ln(1 - alpha)`` of walls, and of floor and ceiling.
-    effects : sequence of sequence of Effect
-        Of each row.
-    seed : int
-    nj : int
-    rows : ndarray of int, optional
-        Only these RIRs.
+    effects : sequence of Effect
     """
-    rows = range(len(data.rows)) if rows is None else rows
 
-    def render_group(group: list[int]) -> list[Result]:
-        first = group[0]
-        scene = _scene(data.traced[first].scene, 1.0 - np.exp(-absorption[first]), effects[first])
-        return [work(n, raw) for n, raw in zip(group, _render_group(data, group, scene, effects[first], seed),
-                                               strict=True)]
-
-    groups = _groups_of_paths(data, absorption, effects, rows)
-    done = share_out(render_group, groups, nj, label="render sources")
-    of_row = {n: result for group, results in zip(groups, done, strict=True)
-              for n, result in zip(group, results, strict=True)}
-    return [of_row[n] for n in rows]
+    n: int
+    absorption: FloatArray
+    effects: Sequence[Effect]
 
 
-def render_rows(data: Data, absorption: FloatArray, effects: Sequence[Sequence[Effect]], *, seed: int, nj: int = 1,
-                rows: Sequence[int] | IntArray | None = None) -> tuple[list[RawRir], FloatArray]:
-    """Render rows of the data and measure their features; see `map_rendered` for the parameters.
+def map_rendered(work: Callable[[RowModel, RawRir], Result], data: Data, models: Sequence[RowModel], *, seed: int,
+                 nj: int = 1) -> list[Result]:
+    """Render rows of the data and return ``work(model, raw_rir)`` of each; only its results leave the processes."""
+    return share_out(lambda model: work(model, _render(data, model, seed)), models, nj, label="render RIRs")
+
+
+def render_rows(data: Data, models: Sequence[RowModel], *, seed: int, nj: int = 1) -> tuple[list[RawRir], FloatArray]:
+    """Render rows of the data and measure their features.
 
     Returns
     -------
@@ -82,42 +69,35 @@ def render_rows(data: Data, absorption: FloatArray, effects: Sequence[Sequence[E
     features : ndarray, shape (n_rows, n_features)
         NaN where there is nothing to measure.
     """
-    rows = range(len(data.rows)) if rows is None else rows
+    def parts(model: RowModel, raw: RawRir) -> tuple[FloatArray, FloatArray, FloatArray]:  # a scene may be large
+        return raw.rir, raw.direct_gain, measure_row(data, model.n, raw, model.effects, seed).values
 
-    def parts(n: int, raw: RawRir) -> tuple[FloatArray, FloatArray, FloatArray]:  # a scene may be large
-        return raw.rir, raw.direct_gain, measure_row(data, n, raw, effects[n], seed).values
-
-    rirs, direct_gains, features = zip(*map_rendered(parts, data, absorption, effects, seed=seed, nj=nj, rows=rows),
-                                       strict=True)
-    scenes = (_scene(data.traced[n].scene, 1.0 - np.exp(-absorption[n]), effects[n]) for n in rows)
+    rirs, direct_gains, features = zip(*map_rendered(parts, data, models, seed=seed, nj=nj), strict=True)
+    scenes = (_scene_of(data, model) for model in models)
     return [RawRir(*raw) for raw in zip(rirs, scenes, direct_gains, strict=True)], np.array(features)
 
 
-def rendered_features(data: Data, absorption: FloatArray, effects: Sequence[Sequence[Effect]], *, seed: int,
-                      nj: int = 1, rows: Sequence[int] | IntArray | None = None) -> FloatArray:
+def rendered_features(data: Data, models: Sequence[RowModel], *, seed: int, nj: int = 1) -> FloatArray:
     """Return the features of `render_rows` alone."""
-    return np.array(map_rendered(lambda n, raw: measure_row(data, n, raw, effects[n], seed).values, data, absorption,
-                                 effects, seed=seed, nj=nj, rows=rows))
+    return np.array(map_rendered(lambda model, raw: measure_row(data, model.n, raw, model.effects, seed).values, data,
+                                 models, seed=seed, nj=nj))
 
 
-def _groups_of_paths(data: Data, absorption: FloatArray, effects: Sequence[Sequence[Effect]],
-                     rows: Sequence[int] | IntArray) -> list[list[int]]:
-    """Group rows that have the same paths with the same gains but for the microphone: one pass over rays serves them.
+def row_models(data: Data, absorption: FloatArray, effects: Sequence[Sequence[Effect]],
+               rows: Sequence[int] | IntArray | None = None) -> list[RowModel]:
+    """Return the models of rows of the data, all of them by default.
 
-    Groups have at most `_LARGEST_GROUP` rows, so that there is work for several processes. Results do not depend on
-    the groups.
+    Parameters
+    ----------
+    data : roomeq.loop.data.Data
+    absorption : ndarray, shape (n_rooms, 2, 8)
+        ``-ln(1 - alpha)`` of walls, and of floor and ceiling.
+    effects : sequence of sequence of Effect
+        Of each row of the data.
+    rows : sequence of int, optional
     """
-    groups: dict[tuple, list[list[int]]] = {}
-    for n in rows:
-        scene = data.traced[n].scene
-        before_paths = tuple(effect for effect in effects[n]
-                             if is_directive(effect) or extend_scene([effect], scene) is not scene)
-        of_key = groups.setdefault((data.traced[n], absorption[n].tobytes(), before_paths,
-                                    tuple(data.rows[n].get("source_dir") or ())), [[]])
-        if len(of_key[-1]) == _LARGEST_GROUP:
-            of_key.append([])
-        of_key[-1].append(int(n))
-    return [group for of_key in groups.values() for group in of_key]
+    return [RowModel(int(n), absorption[data.room[n]], effects[n])
+            for n in (range(len(data.rows)) if rows is None else rows)]
 
 
 def features_with_effects(data: Data, raw_rirs: Sequence[RawRir], variants: Sequence[Sequence[Sequence[Effect]]], *,
@@ -176,18 +156,17 @@ def on_recording_time(data: Data, n: int, raw: RawRir, rir: FloatArray) -> tuple
     return np.concatenate([np.zeros(missing), rir]), direct_sample, end
 
 
-def _scene(scene: Scene, alpha: FloatArray, effects: Sequence[Effect]) -> Scene:
-    """Scene of the traced source with effects and absorption coefficients of shape (2, 8)."""
-    return with_absorption(extend_scene(effects, scene), alpha[level_surfaces(scene.room).astype(int)])
+def _scene_of(data: Data, model: RowModel) -> Scene:
+    """Return the scene of a row with its absorption and its effects."""
+    scene, alpha = data.traced[model.n].scene, 1.0 - np.exp(-model.absorption)
+    return with_absorption(extend_scene(model.effects, scene), alpha[level_surfaces(scene.room).astype(int)])
 
 
-def _render_group(data: Data, group: list[int], scene: Scene, effects: Sequence[Effect], seed: int) -> list[RawRir]:
-    """Render rows of `_groups_of_paths`, with the scene and the effects of any of them."""
-    gain = path_gain(effects, data.rows[group[0]].get("source_dir"))
-    responses = render_responses(replace(data.traced[group[0]].load(), scene=scene),
-                                 [data.places[n].mic_pos_m for n in group],
-                                 [rng_for(seed, "loop tail", data.rows[n]["id"]) for n in group],
-                                 source_directivity=gain)
-    return [RawRir(response.rir, scene, response.direct_visible * direct_gain(
-        scene, data.places[n].source_pos_m, data.places[n].mic_pos_m, gain))
-        for n, response in zip(group, responses, strict=True)]
+def _render(data: Data, model: RowModel, seed: int) -> RawRir:
+    n, scene, place = model.n, _scene_of(data, model), data.places[model.n]
+    gain = path_gain(model.effects, data.rows[n].get("source_dir"))
+    (response,) = render_responses(replace(data.traced[n].small, scene=scene), [place.mic_pos_m],
+                                   [rng_for(seed, "loop tail", data.rows[n]["id"])], source_directivity=gain,
+                                   path_samples=[data.path_samples[n]])
+    return RawRir(response.rir, scene, response.direct_visible * direct_gain(
+        scene, place.source_pos_m, place.mic_pos_m, gain))

@@ -14,6 +14,7 @@ leave_room_out
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +39,7 @@ from roomeq.loop.features import (
 from roomeq.loop.fit import Fit, fit
 from roomeq.loop.packing import OWN_SCOPES, ParameterIndex
 from roomeq.loop.rendered_model import clear_rendered_changes, effects_of_rows, in_order
-from roomeq.loop.rendering import rendered_features
+from roomeq.loop.rendering import RowModel, rendered_features, row_models
 from roomeq.loop.session import Session, with_rendered_changes
 from roomeq.loop.splitters import (
     HeldOutRoom,
@@ -233,20 +234,26 @@ def _rendered_errors(data: Data, calibrated: Callable, splits: Sequence[str], *,
     seed, nj : int
     """
     first, second = split_positions(data)
+    rows_of: list[IntArray] = []
+    gains_of: list[FloatArray] = []
+    models: list[RowModel] = []
+    for split, (known, scored) in product(splits, ((first, second), (second, first))):
+        # a room with a single RIR has nothing that calibrates it, and is not scored
+        rows = np.concatenate([to_score if len(calibrating) else calibrating
+                               for calibrating, to_score in zip(known, scored, strict=True)])
+        absorption, by_row, gains = calibrated(known, _USABLE[split])
+        rows_of.append(rows)
+        gains_of.append(gains[rows])
+        models += row_models(data, absorption, by_row, rows)
+    rows, gains = np.concatenate(rows_of), np.concatenate(gains_of)
+    error = np.abs(with_noise_in_octaves(data.features[rows]) - np.outer(gains, HAS_GAIN)
+                   - with_noise_in_octaves(rendered_features(data, models, seed=seed, nj=nj)))
+    error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
+    error = np.where(data.valid[rows] & SCORED, error, np.nan)
     by_split = {}
-    for split in splits:
-        errors = np.full(data.features.shape, np.nan)
-        for known, scored in ((first, second), (second, first)):
-            # a room with a single RIR has nothing that calibrates it, and is not scored
-            rows = np.concatenate([to_score if len(calibrating) else calibrating
-                                   for calibrating, to_score in zip(known, scored, strict=True)])
-            absorption, by_row, gains = calibrated(known, _USABLE[split])
-            rendered = rendered_features(data, absorption[data.room], by_row, seed=seed, nj=nj, rows=rows)
-            error = np.abs(with_noise_in_octaves(data.features[rows]) - with_noise_in_octaves(rendered)
-                           - np.outer(gains[rows], HAS_GAIN))
-            error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
-            errors[rows] = np.where(data.valid[rows] & SCORED, error, np.nan)
-        by_split[split] = errors
+    for split, of_rows, of_split in zip(splits, np.split(rows, len(splits)), np.split(error, len(splits)), strict=True):
+        by_split[split] = np.full(data.features.shape, np.nan)
+        by_split[split][of_rows] = of_split
     return HeldOutErrors(by_split, data.room, position_groups(first, second))
 
 

@@ -217,8 +217,8 @@ def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequenc
     if context.path_samples is not None:
         def from_sample(sample: PathSample, mic_m: FloatArray, directivity: Directivity | None) -> Array:
             arrival_gain = None if directivity is None else sample.gain_of_arrivals(paths, mic_m, directivity)
-            return sample.echogram(absorption, bands=bands, ray_gain=ray_gain,
-                                   arrival_gain=arrival_gain)[:context.n_frames, bands]
+            energy = sample.echogram(absorption, bands=bands, ray_gain=ray_gain, arrival_gain=arrival_gain)[:, bands]
+            return _in_frames_of(energy, scene.air.speed_m_s * FRAME_S / sample.frame_m)[:context.n_frames]
 
         # microphones of an array that hear alike have one echogram
         heard = [(id(sample), mic if directivity is not None else None)
@@ -240,6 +240,16 @@ def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequenc
     result = _smooth_late(result, late_after_s(scene.room.volume_m3, scene.air.speed_m_s))
     length_m = (np.arange(context.n_frames) + 0.5) * FRAME_S * scene.air.speed_m_s
     return result * np.exp(-length_m[:, None] * scene.attenuation_per_m[bands])
+
+
+def _in_frames_of(energy: Array, length: float) -> Array:
+    """Return an echogram, shape (n_frames, n_bands), in frames of another length, relative to that of its own."""
+    if abs(length - 1.0) < 1e-9:
+        return energy
+    so_far = np.concatenate([np.zeros((1, energy.shape[1])), np.cumsum(energy, axis=0, dtype=np.float64)])
+    place = np.minimum(length * np.arange(len(energy) + 1), len(energy))
+    whole = np.minimum(place.astype(int), len(energy) - 1)
+    return np.diff(so_far[whole] + (place - whole)[:, None] * energy[whole], axis=0)
 
 
 def _smooth_late(energy: FloatArray, late_s: float) -> FloatArray:

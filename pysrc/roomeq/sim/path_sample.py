@@ -76,6 +76,8 @@ class PathSample:
         `Paths.first` of each trace.
     trace_of_band
         Which trace serves each band.
+    frame_m
+        Way of the sound in a frame [m]: where the speed of sound changes, so does the length of the frames.
     """
 
     weight: Array
@@ -83,6 +85,7 @@ class PathSample:
     last_reflection: Array
     first_reflection: tuple[IntArray, ...]
     trace_of_band: tuple[int, ...]
+    frame_m: float
 
     def ray(self, trace: int) -> IntArray:
         """Return the index of each path's ray among `Paths.directions` of a trace."""
@@ -192,7 +195,9 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
     seeds = np.array([rngs[mic].integers(2 ** 63) for mic in leaders], dtype=np.uint64)
     spheres = receiver_spheres(traced.scene.room, mics_m)
     first = tuple(paths.first for paths in traced.paths)
-    result = [_empty_sample(traced.paths, n_frames, len(absorption), first, traced.trace_of_band) for _ in mics_m]
+    frame_m = FRAME_S * traced.scene.air.speed_m_s
+    result = [_empty_sample(traced.paths, n_frames, len(absorption), first, traced.trace_of_band, frame_m)
+              for _ in mics_m]
     for trace, paths in enumerate(traced.paths):
         tallies = _tally_reflections(paths, len(absorption))
         references = _references(absorption[:, np.equal(traced.trace_of_band, trace)])
@@ -231,11 +236,11 @@ def _references(absorption: FloatArray) -> FloatArray:
 
 
 def _empty_sample(traces: Sequence[Paths], n_frames: int, n_surfaces: int, first: tuple[IntArray, ...],
-                  trace_of_band: tuple[int, ...]) -> PathSample:
+                  trace_of_band: tuple[int, ...], frame_m: float) -> PathSample:
     """Allocate the sample of one microphone; nothing is filled in yet."""
     shape = (len(traces), n_frames, PATHS_PER_FRAME)
     return PathSample(np.empty(shape, np.float32), np.empty((*shape, n_surfaces), _count_type(traces)),
-                      np.empty(shape, np.uint32), first, trace_of_band)
+                      np.empty(shape, np.uint32), first, trace_of_band, frame_m)
 
 
 def _count_type(traces: Sequence[Paths]) -> type:
