@@ -3,11 +3,13 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from roomeq.core.rng import rng_for
+from roomeq.sim.context import make_render_context, ray_echograms
 from roomeq.sim.echogram import compute_echograms
 from roomeq.sim.images import specular_paths
 from roomeq.sim.mesh import make_room
@@ -127,6 +129,20 @@ def test_ray_gains_apply_to_their_own_paths():
     np.testing.assert_allclose(parts[0] + parts[1], sample.echogram(one.scene.absorption), rtol=1e-5)
     late = parts[0][100:, 4].sum() / (parts[0] + parts[1])[100:, 4].sum()
     assert late == pytest.approx(0.5, abs=0.05)
+
+
+def test_frames_follow_the_speed_of_sound():
+    """A sample that was drawn at one speed of sound serves another: the echogram is that of all paths at that speed."""
+    scene = box_scene(0.12, 0.3)
+    one = traced(scene)
+    samples = kept(one, np.full(6, 0.12), MICS[:1])
+    warm = replace(one, scene=replace(scene, air=Air(temperature_c=48.0)))
+    options = dict(length_s=0.8, ism_order=ISM_ORDER, diffraction=False)
+    contexts = [make_render_context(warm, MICS[:1], [rng_for(0, "tail", "a")], path_samples=given, **options)
+                for given in (samples, None)]
+    found, everything = (ray_echograms(context, scene.absorption, range(8))[0] for context in contexts)
+    error_db = smooth_db(everything[:700, 4], found[:700, 4])
+    assert abs(np.mean(error_db)) < 0.02 and np.std(error_db) < 0.35
 
 
 def test_sample_is_independent_of_other_microphones():
