@@ -172,7 +172,7 @@ def test_error_of_clean_rooms_is_that_of_the_ceiling(session):
 def test_twin_recordings_scatter_like_diffuse_sound(session):
     """Scatter of T20 (ISO 3382-2:2008, sec. 7.1; ten decays for an integrated response) and of late levels."""
     data, index, fitted = session.data, session.index, session.fit
-    absorption, gains = index.absorption(fitted.mean, fitted.local)[data.room], index.gains(fitted.local)
+    absorption, gains = index.absorption(fitted.mean, fitted.local), index.gains(fitted.local)
     first, second = (twin_recordings(data, absorption, session.by_row, gains, seed=seed, nj=2) for seed in (1, 2))
     difference = np.abs(first.features - second.features)
     time_s = np.exp(first.features[:, feature_slice("t20")] * JND["t20"])
@@ -192,7 +192,7 @@ def test_effect_is_found_above_its_stated_size_and_not_far_below(effect, session
     """A pattern of the effect is added to the features of recordings that follow the model, at 2 and at 0.4 times its
     stated size."""
     index, fitted = session.index, session.fit
-    clean_data = twin_recordings(session.data, index.absorption(fitted.mean, fitted.local)[session.data.room],
+    clean_data = twin_recordings(session.data, index.absorption(fitted.mean, fitted.local),
                                  session.by_row, index.gains(fitted.local), seed=3, nj=2)
 
     def candidate_with(added):
@@ -203,7 +203,9 @@ def test_effect_is_found_above_its_stated_size_and_not_far_below(effect, session
     clean = candidate_with(0.0)
     change = _changes(session, effect)[0]
     monkeypatch.setattr(power, "_changes", lambda *_: [change])  # not the median of several patterns
-    (stated_jnd,) = detectable_sizes(session, [clean])
+    (stated_jnd,) = detectable_sizes(session, [clean], [])
+    refused = replace(clean, size_jnd=stated_jnd + 1.0)  # its rendered error did not fall
+    assert detectable_sizes(session, [refused], [clean.effect]) == [stated_jnd + 1.0]
     for factor in (2.0, 0.4):
         scale = brentq(lambda x: size_of_change_jnd(clean_data, x * change) - factor * stated_jnd, 0.0, 1e3)  # noqa: B023
         assert candidate_with(scale * change).helps(1) == (factor > 1.0)

@@ -122,7 +122,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     eliminated: set[type[Effect]] = set()
     while True:
         extended, ranking = rank(session, eliminated)
-        accepted = _accept(extended, errors, ranking) if len(iterations) < max_effects else None
+        accepted, rejected = _accept(extended, errors, ranking) if len(iterations) < max_effects else (None, [])
         if accepted is None:
             break
         entry, session, errors = accepted
@@ -139,7 +139,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     unexplained = find_unexplained(session)
     for residual in unexplained[:1]:
         logger.info("unexplained: %s", describe_residual(residual))
-    sizes = detectable_sizes(extended, ranking)
+    sizes = detectable_sizes(extended, ranking, rejected)
     logger.info("effects that were not found would have been from a size of: %s", "; ".join(
         f"{candidate.effect.NAME} {'unknown' if size_jnd is None else f'{size_jnd:.1f} JND'}"
         for candidate, size_jnd in zip(ranking, sizes, strict=True)))
@@ -166,8 +166,9 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     return ledger
 
 
-def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]) -> Accepted | None:
-    """Return the best candidate that lowers the held-out error when it is rendered, or None.
+def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]
+            ) -> tuple[Accepted | None, list[type[Effect]]]:
+    """Return the best candidate that lowers the held-out error when it is rendered, or None, and the rejected effects.
 
     With the features that the effect touches, the error must fall on both `SPLITS`, significantly (Simes' test,
     Biometrika 73 (1986) 751) and by `_MIN_FALL`: the scatter of the others would hide an effect that touches few. With
@@ -180,10 +181,11 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]) -
     worse one must not stand in for it.
     """
     pool = ranking
+    rejected: list[type[Effect]] = []
     while True:
         winner, rivals = choose(pool, len(ranking))
         if winner is None:
-            return None
+            return None, rejected
         after = refit_rendered(session.data, winner.fit, seed=session.seed, nj=session.nj,
                                known_changes=session.effects)
         errors_after = heldout_errors(after)
@@ -201,7 +203,8 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]) -
             accepted = bool(p_joint < LEVEL and min(falls) > 0.0 and np.mean(falls) > _MIN_FALL and not rises)
         if accepted:
             return Accepted(iteration_entry(winner, rivals, ranking, after, errors, errors_after, p), after,
-                            errors_after)
+                            errors_after), rejected
+        rejected.append(winner.effect)
         logger.info("rejected %s: the held-out error %s when it is rendered", winner.effect.NAME,
                     "rises" if rises else f"does not fall significantly by {100 * _MIN_FALL:.1f} %")
         pool = [candidate for candidate in pool if candidate is not winner

@@ -5,9 +5,12 @@ can imitate of it shows nothing; the rest, whitened by the scatter of the featur
 its squares. With a pattern of s times this size, the log densities of the held-out rooms grow by s^2 I / 2 on average,
 with a standard deviation of s sqrt(I) (as a likelihood ratio: Kay, Fundamentals of Statistical Signal Processing II,
 1998, sec. 6.5), less what it costs to estimate the effect's parameters.
+
+A candidate that was fitted, and rejected since it did not lower the held-out error, would not have been found at the
+size that was fitted, whatever its density.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from scipy import stats
@@ -28,7 +31,8 @@ _DRAWS = 5  # patterns of an effect; the median of their sizes is stated
 _SMALL = 1e-3  # scale of patterns in the normal equations, below what Huber's loss takes for outliers
 
 
-def detectable_sizes(session: Session, candidates: Sequence[Candidate]) -> list[float | None]:
+def detectable_sizes(session: Session, candidates: Sequence[Candidate], rejected: Collection[type[Effect]]
+                     ) -> list[float | None]:
     """Return the smallest size at which each candidate would have been found [JND].
 
     None where no part of the effect's changes is visible in at least two rooms.
@@ -38,6 +42,8 @@ def detectable_sizes(session: Session, candidates: Sequence[Candidate]) -> list[
     session : Session
         Of the model that lacks the candidates, with their rendered changes (`roomeq.loop.selection.Ranking`).
     candidates : sequence of Candidate
+    rejected : collection of types
+        Effects of those whose rendered error did not fall.
     """
     quantile = float(stats.norm.ppf(POWER))
     sizes: list[float | None] = []
@@ -51,7 +57,8 @@ def detectable_sizes(session: Session, candidates: Sequence[Candidate]) -> list[
             left = information.sum() - information.max()  # the room that gains most is not counted
             if left > 0.0:
                 found.append(size_of_change_jnd(session.data, amplitude / np.sqrt(left) * change))
-        sizes.append(max(MIN_SIZE_JND, float(np.median(found))) if found else None)
+        least = max(MIN_SIZE_JND, candidate.size_jnd if candidate.effect in rejected else 0.0)
+        sizes.append(max(least, float(np.median(found))) if found else None)
     return sizes
 
 

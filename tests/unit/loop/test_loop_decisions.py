@@ -209,7 +209,7 @@ def accept(ranking, errors, touched, monkeypatch):
     monkeypatch.setattr(close, "refit_rendered", lambda data, fitted, **_: fitted)
     monkeypatch.setattr(close, "heldout_errors", errors)
     monkeypatch.setattr(close, "iteration_entry", lambda winner, *_: dict(effect=winner.effect.NAME))
-    found = close._accept(SimpleNamespace(data=None, effects=(), seed=0, nj=1), errors(None), ranking)
+    found, _ = close._accept(SimpleNamespace(data=None, effects=(), seed=0, nj=1), errors(None), ranking)
     return found and found.entry["effect"]
 
 
