@@ -53,7 +53,7 @@ _RIPPLE_DB = 6.0 * np.sin(np.linspace(0.0, 5.0, len(RESPONSE_HZ)))
 VECTORS = {
     "air_absorption": (1.0, np.log(20.0)),  # 10 degrees, 20 % humidity; declared are 20 degrees and 50 %
     "sound_speed": (3.2,),  # 32 degrees
-    "source_directivity": np.log([0.12, 0.6]),  # a cabinet of 12 cm radius, a membrane of 7 cm
+    "source_directivity": (*np.log([0.12, 0.6]), *[0.0] * 24),  # a cabinet of 12 cm radius, a membrane of 7 cm
     "occlusion": (np.log(0.03),),  # a detour of 3 cm: a person's head
     "near_reflector": (np.log(0.35), 0.6),  # a desk 35 cm below
     "coupled_volume": (-2.1, np.log(1.8), 0.1),  # -21 dB, 1.8 s: a corridor

@@ -19,18 +19,17 @@ from roomeq.effects.base import Effect
 from roomeq.effects.model import Model
 from roomeq.effects.source_directivity import unit_facing
 from roomeq.loop.facing_estimate import FacingEstimate
-from roomeq.loop.features import JND, Features, feature_slice, measure_features
+from roomeq.loop.features import Features, feature_slice, measure_features
 from roomeq.loop.geometry import Estimate, complete_geometry
 from roomeq.loop.measurability import comparable_levels, limit_to_excitation
+from roomeq.loop.path_samples import decay_range_s, draw_path_samples
 from roomeq.loop.tables import ANGLES, FRAME_MID_S, Table, collect, level_surfaces
 from roomeq.loop.traces import StoredTrace, TraceFolder
 from roomeq.loop.usable import LeftOut, UsableRirs, usable_rirs
 from roomeq.records.rir_dir import load_rir
 from roomeq.records.schema import RirRow
-from roomeq.sim.defaults import ISM_ORDER
-from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.geometry import Place, find_place
-from roomeq.sim.path_sample import PathSample, sample_paths
+from roomeq.sim.path_sample import PathSample
 from roomeq.sim.response import trace_source
 from roomeq.sim.room import Room
 from roomeq.sim.scene import Air, Material, Scene, uniform_absorption
@@ -88,6 +87,8 @@ class Data:
         Estimated geometry, which places and rows have where it is used.
     left_out : list of LeftOut
         RIRs of the directories that are not in `rows`, by reason (`roomeq.loop.usable`).
+    seed : int
+        Of rays and path samples.
     facings : tuple of FacingEstimate
         What was decided of sources whose rows do not state where they face.
     """
@@ -115,6 +116,7 @@ class Data:
     given: list[list[Effect]]
     estimates: list[Estimate]
     left_out: list[LeftOut]
+    seed: int
     facings: tuple[FacingEstimate, ...] = ()
 
     angles = ANGLES
@@ -278,18 +280,16 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
         place, mics_m = places[members[0]], np.array([places[n].mic_pos_m for n in members])
         material = Material("surface", (0.0,) * len(BANDS_HZ), (float(scattering),) * len(BANDS_HZ))
         scene = Scene(place.room, (material,) * len(place.room.surfaces), air_of(rows[members[0]]))
-        shortest_s, longest_s = _decay_range_s([features[n] for n in members])
-        length_s = float(np.clip(1.2 * longest_s + 0.1, *LENGTHS_S))
+        decays_s = decay_range_s(np.array([features[n].values for n in members]),
+                                 np.array([features[n].valid for n in members]), LENGTHS_S[0])
+        length_s = float(np.clip(1.2 * decays_s[1] + 0.1, *LENGTHS_S))
         # twice as long, for octaves without a valid decay time
-        expected = uniform_absorption(place.room, 2.0 * longest_s, scene.air.speed_m_s)
+        expected = uniform_absorption(place.room, 2.0 * decays_s[1], scene.air.speed_m_s)
         source = trace_source(scene, source_pos_m, num_rays=NUM_RAYS, max_length_s=length_s,
                               rng=rng_for(seed, "loop trace", repr((room_id, source_pos_m))), absorption=expected)
         facings = [unit_facing(rows[n].get("source_dir")) for n in members]
-        reference = [uniform_absorption(place.room, time_s, scene.air.speed_m_s)
-                     for time_s in (0.5 * shortest_s, 2.0 * longest_s)]
-        samples = sample_paths(source, mics_m, np.resize(reference, scene.absorption.shape),
-                               [rng_for(seed, "loop paths", rows[n]["id"]) for n in members], ism_order=ISM_ORDER,
-                               n_frames=int(np.ceil(source.max_length_s / FRAME_S)))
+        samples = draw_path_samples(source, mics_m, facings, decays_s,
+                                    [rng_for(seed, "loop paths", rows[n]["id"]) for n in members])
         return folder.store(source, str(members[0])), samples, collect(source, mics_m, facings)
 
     # threads: paths are large, and their kernels release the interpreter's lock
@@ -319,16 +319,9 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
                 air_per_m=np.array([air.attenuation_per_m for air in airs]),
                 speed_m_s=np.array([air.speed_m_s for air in airs]),
                 distance_m=distance_m, rendered_changes={},
-                given=[model.for_row(row, seed) for row in rows], estimates=[], left_out=[])
+                given=[model.for_row(row, seed) for row in rows], estimates=[], left_out=[], seed=seed)
 
 
 def _surface_per_m(room: Room) -> FloatArray:
     """Return the area of the walls, and of floor and ceiling, over the volume of a room, shape (2,)."""
     return np.bincount(level_surfaces(room), room.surface_area_m2, minlength=2) / room.volume_m3
-
-
-def _decay_range_s(features: Sequence[Features]) -> tuple[float, float]:
-    """Return the shortest and the longest valid decay time of some RIRs [s]; the least of `LENGTHS_S` is one."""
-    times_s = np.concatenate([np.exp(of_rir.values[at][of_rir.valid[at]] * JND[metric]) for of_rir in features
-                              for metric, at in (("t20", feature_slice("t20")), ("t30", feature_slice("t30")))])
-    return float(times_s.min(initial=LENGTHS_S[0])), float(times_s.max(initial=LENGTHS_S[0]))

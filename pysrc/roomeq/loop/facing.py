@@ -13,11 +13,13 @@ import numpy as np
 from scipy.special import logsumexp
 
 from roomeq.core.arrays import FloatArray, IntArray
+from roomeq.core.rng import rng_for
 from roomeq.effects.source_directivity import SourceDirectivity, unit_facing
-from roomeq.loop.data import Data
+from roomeq.loop.data import LENGTHS_S, Data
 from roomeq.loop.facing_estimate import FacingEstimate, Hypothesis
 from roomeq.loop.features import BAND_OF_FEATURE, CALIBRATION_FEATURES, METRIC
 from roomeq.loop.packing import ParameterIndex
+from roomeq.loop.path_samples import decay_range_s, draw_path_samples
 from roomeq.loop.predict import predict
 from roomeq.loop.session import Session
 from roomeq.loop.tables import ANGLES, collect
@@ -167,14 +169,17 @@ def _colour(data: Data, residual: FloatArray, bands: IntArray) -> FloatArray:
 
 def with_facings(data: Data, facings: Mapping[int, FloatArray]) -> Data:
     """Return data in which the sources of some RIRs face in some directions, unit vectors."""
-    rows, tables = list(data.rows), list(data.tables)
+    rows, tables, path_samples = list(data.rows), list(data.tables), list(data.path_samples)
     by_trace: dict[int, list[int]] = {}
     for n, facing in facings.items():
         rows[n] = {**rows[n], "source_dir": [float(x) for x in facing]}
         by_trace.setdefault(id(data.traced[n]), []).append(n)
     for members in by_trace.values():
-        collected = collect(data.traced[members[0]].load(), [data.places[n].mic_pos_m for n in members],
-                            [facings[n] for n in members])
-        for n, table in zip(members, collected, strict=True):
-            tables[n] = table
-    return replace(data, rows=rows, tables=tables)
+        traced, mics_m = data.traced[members[0]].load(), np.array([data.places[n].mic_pos_m for n in members])
+        of_members = [facings[n] for n in members]
+        drawn = draw_path_samples(traced, mics_m, of_members,
+                                  decay_range_s(data.features[members], data.valid[members], LENGTHS_S[0]),
+                                  [rng_for(data.seed, "loop paths", data.rows[n]["id"]) for n in members])
+        for n, table, sample in zip(members, collect(traced, mics_m, of_members), drawn, strict=True):
+            tables[n], path_samples[n] = table, sample
+    return replace(data, rows=rows, tables=tables, path_samples=path_samples)
