@@ -65,6 +65,29 @@ for iteration in ledger["iterations"]:
 print("unexplained:", ledger["unexplained"])
 
 # %%
+# It also says which RIRs could not be used and why, and how much of the error a model of this kind can explain at all:
+# the noise ceiling is the error that would remain if the recordings followed the model.
+
+print(f"{ledger['rirs']} RIRs of {ledger['rooms']} rooms were used; left out: {ledger['left_out'] or 'none'}")
+share = ledger["explained"]["leave_room_out"]
+print(f"of the explainable error in left-out rooms, {100 * share['share']:.0f} % is explained; nothing is left to "
+      f"explain in: {', '.join(share['at_ceiling']) or 'none'}")
+
+# %%
+# The error of each metric in left-out rooms: what was wrong, what the found effects mended, and where the ceiling is.
+
+metrics = list(ledger["baseline"]["leave_room_out"]["by_metric"])
+figure, axes = plt.subplots(figsize=(7, 3.5))
+for n, stage in enumerate(("baseline", "final", "ceiling")):
+    by_metric = ledger[stage]["leave_room_out"]["by_metric"]
+    axes.bar(np.arange(len(metrics)) + 0.27 * (n - 1), [by_metric.get(metric, 0.0) for metric in metrics], 0.25,
+             label=stage)
+axes.set_xticks(range(len(metrics)), metrics, rotation=30)
+axes.set_ylabel("Held-out error (JND)")
+axes.legend()
+figure.tight_layout()
+
+# %%
 # How the candidates of the first iteration ranked: the gain is the increase of the log density of rooms that were left
 # out of the fit.
 
