@@ -270,12 +270,12 @@ def solve_step(normal: list[NormalEquations], precision: list[FloatArray], mean:
     for room, of_prior, own in zip(normal, precision, local, strict=True):
         posterior = inverted(room.own_own + (1.0 + damping) * of_prior)
         own_right = room.own_residual - of_prior @ own
-        total += room.shared_shared - room.own_shared.T @ posterior @ room.own_shared
-        right += room.shared_residual - room.own_shared.T @ posterior @ own_right
-        rooms.append((posterior, room.own_shared, own_right))
+        total[room.block] += room.shared_shared - room.own_shared.T @ posterior @ room.own_shared
+        right[room.columns] += room.shared_residual - room.own_shared.T @ posterior @ own_right
+        rooms.append((posterior, room, own_right))
     step = np.linalg.solve(total, right)
-    new = [own + posterior @ (own_right - own_shared @ step)
-           for own, (posterior, own_shared, own_right) in zip(local, rooms, strict=True)]
+    new = [own + posterior @ (own_right - room.own_shared @ step[room.columns])
+           for own, (posterior, room, own_right) in zip(local, rooms, strict=True)]
     return mean + step, new, [posterior for posterior, _, _ in rooms]
 
 

@@ -26,16 +26,18 @@ class NormalEquations:
     ----------
     own_own : ndarray, shape (n_own, n_own)
         Derivatives by the room's own parameters with themselves.
-    own_shared : ndarray, shape (n_own, n_shared)
-        With the derivatives by the shared parameters.
-    shared_shared : ndarray, shape (n_shared, n_shared)
+    own_shared : ndarray, shape (n_own, n_columns)
+        With the derivatives by the shared parameters on which the room depends.
+    shared_shared : ndarray, shape (n_columns, n_columns)
     own_residual : ndarray, shape (n_own,)
         Derivatives by the room's own parameters with the residual.
-    shared_residual : ndarray, shape (n_shared,)
+    shared_residual : ndarray, shape (n_columns,)
     residual_residual : float
         Sum of the squares of the residual.
     log_scale : float
         Logarithm of the density's scale.
+    columns : ndarray of int, shape (n_columns,)
+        Of these parameters among all shared ones (`ParameterIndex.columns`).
     """
 
     own_own: FloatArray
@@ -45,6 +47,12 @@ class NormalEquations:
     shared_residual: FloatArray
     residual_residual: float
     log_scale: float
+    columns: IntArray
+
+    @property
+    def block(self) -> tuple[IntArray, ...]:
+        """Where `shared_shared` lies in a matrix of all shared parameters."""
+        return np.ix_(self.columns, self.columns)
 
 
 def all_normal_equations(index: ParameterIndex, residual: FloatArray, valid: BoolArray, derivatives: Derivatives,
@@ -64,16 +72,12 @@ def normal_equations(index: ParameterIndex, r: int, residual: FloatArray, valid:
     last = max(len(columns), own.max() + 1)  # place of the residual
     values = np.concatenate([np.where(ok[:, :, None], slope[:, :, None] * values, 0.0), error[:, :, None]], axis=2)
     product = _whitened_product(values, np.pad(places, ((0, 0), (0, 1)), constant_values=last), ok, sigma, omega)
-    n, n_shared = len(columns), index.n_shared
-    own_shared, shared_shared = np.zeros((len(own), n_shared)), np.zeros((n_shared, n_shared))
-    shared_residual = np.zeros(n_shared)
-    own_shared[:, columns], shared_shared[np.ix_(columns, columns)] = product[own, :n], product[:n, :n]
-    shared_residual[columns] = product[:n, last]
+    n = len(columns)
     count = ok.sum(axis=0)
     log_scale = np.sum(np.maximum(count - 1, 0) * np.log(sigma)
                        + np.where(count > 0, 0.5 * np.log(sigma ** 2 + count * omega ** 2), 0.0))
-    return NormalEquations(product[np.ix_(own, own)], own_shared, shared_shared, product[own, last], shared_residual,
-                           product[last, last], log_scale)
+    return NormalEquations(product[np.ix_(own, own)], product[own, :n], product[:n, :n], product[own, last],
+                           product[:n, last], product[last, last], log_scale, columns)
 
 
 def _whitened_product(values: FloatArray, places: IntArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray

@@ -91,9 +91,9 @@ def _information(session: Session, change: FloatArray) -> FloatArray:
     total = shared_prior(index, [effect.STARTS[0] for effect in index.effects], START_X).precision
     right = np.zeros(len(total))
     for room, inverse in zip(rooms, inverses, strict=True):
-        total = total + room.shared_shared - room.own_shared.T @ inverse @ room.own_shared
-        right += room.shared_residual - room.own_shared.T @ inverse @ room.own_residual
+        total[room.block] += room.shared_shared - room.own_shared.T @ inverse @ room.own_shared
+        right[room.columns] += room.shared_residual - room.own_shared.T @ inverse @ room.own_residual
     shared = np.linalg.solve(total, right)
-    return np.array([room.residual_residual - room.shared_residual @ shared
-                     - room.own_residual @ inverse @ (room.own_residual - room.own_shared @ shared)
+    return np.array([room.residual_residual - room.shared_residual @ shared[room.columns]
+                     - room.own_residual @ inverse @ (room.own_residual - room.own_shared @ shared[room.columns])
                      for room, inverse in zip(rooms, inverses, strict=True)]) / _SMALL ** 2

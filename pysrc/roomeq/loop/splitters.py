@@ -11,7 +11,7 @@ Leave-positions-out
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -58,15 +58,26 @@ class HeldOutRoom:
     ----------
     mean : ndarray, shape (n_shared,)
         Shared parameters.
-    precision : ndarray, shape (n_shared, n_shared)
-        Of their posterior.
+    of_all : ndarray, shape (n_shared, n_shared)
+        Precision of their posterior with all rooms.
+    of_room : ndarray, shape (n_columns, n_columns)
+        What the room itself adds to it.
+    columns : ndarray of int
+        Of the shared parameters on which the room depends.
     log_density : float
         Log density of the room's RIRs.
     """
 
     mean: FloatArray
-    precision: FloatArray
+    of_all: FloatArray
+    of_room: FloatArray
+    columns: IntArray
     log_density: float
+
+    @property
+    def precision(self) -> FloatArray:
+        """Of the posterior of the shared parameters, shape (n_shared, n_shared)."""
+        return _less(self.of_all, self.of_room, np.ix_(self.columns, self.columns))
 
 
 class Calibration(NamedTuple):
@@ -91,25 +102,37 @@ def leave_rooms_out(data: Data, fitted: Fit) -> list[HeldOutRoom]:
     """Fit the shared parameters to all rooms but one, for each room."""
     index = ParameterIndex(data, fitted.effects)
     prior = shared_prior(index, [effect.STARTS[0] for effect in index.effects], START_X)
-    rooms = [_without_own(room, np.linalg.inv(covariance), own)
+    alone = [_without_own(room, np.linalg.inv(covariance), own)
              for room, covariance, own in zip(fitted.normal, fitted.covariance, fitted.local, strict=True)]
-    total = prior.precision + sum(precision for precision, _ in rooms)
-    right = prior.precision @ (prior.mean - fitted.mean) + sum(right for _, right in rooms)
+    total, right = prior.precision.copy(), prior.precision @ (prior.mean - fitted.mean)
+    for room, (of_room, right_of_room) in zip(fitted.normal, alone, strict=True):
+        total[room.block] += of_room
+        right[room.columns] += right_of_room
     of_all = cho_factor(total)
     # the step that remains from the fit: 0 at its optimum, not where a parameter of an effect is at its limit, and
     # there the fit has tried and rejected it
     rejected = cho_solve(of_all, right)
     held_out = []
-    for r, (room_precision, room_right) in enumerate(rooms):
-        precision = total - room_precision
-        of_others = cho_factor(precision)
-        step = cho_solve(of_others, right - room_right) - rejected
-        held_out.append(HeldOutRoom(fitted.mean + step, precision, _log_density(fitted, r, of_all, of_others, step)))
+    for r, (room, (of_room, right_of_room)) in enumerate(zip(fitted.normal, alone, strict=True)):
+        of_others = cho_factor(_less(total, of_room, room.block))
+        step = cho_solve(of_others, _less(right, right_of_room, room.columns)) - rejected
+        held_out.append(HeldOutRoom(fitted.mean + step, total, of_room, room.columns,
+                                    _log_density(fitted, r, of_all, of_others, step)))
     return held_out
 
 
+def _less(whole: FloatArray, part: FloatArray, at: Any) -> FloatArray:
+    """Return an array from which a part is subtracted at some places."""
+    rest = whole.copy()
+    rest[at] -= part
+    return rest
+
+
 def _without_own(room: NormalEquations, inverse: Array, own: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return what a room says about the shared parameters, its own integrated out: precision and right-hand side."""
+    """Return what a room says about the shared parameters on which it depends, its own integrated out.
+
+    Returns precision and right-hand side, of its `columns`.
+    """
     posterior = np.linalg.inv(room.own_own + inverse)
     return (room.shared_shared - room.own_shared.T @ posterior @ room.own_shared,
             room.shared_residual - room.own_shared.T @ posterior @ (room.own_residual - inverse @ own))
@@ -124,12 +147,14 @@ def _log_density(fitted: Fit, r: int, of_all: Cholesky, of_others: Cholesky, ste
     room = fitted.normal[r]
     inverse = np.linalg.inv(fitted.covariance[r])
     back = -fitted.local[r]  # from the fitted parameters back to their prior mean
+    step = step[room.columns]
     quad = (room.residual_residual - 2.0 * (room.own_residual @ back + room.shared_residual @ step)
             + back @ room.own_own @ back + 2.0 * back @ room.own_shared @ step + step @ room.shared_shared @ step)
     own = cho_factor(room.own_own + inverse)
     own_right = room.own_residual - room.own_own @ back - room.own_shared @ step
-    right = (room.shared_residual - room.own_shared.T @ back - room.shared_shared @ step
-             - room.own_shared.T @ cho_solve(own, own_right))
+    right = np.zeros(len(of_all[0]))
+    right[room.columns] = (room.shared_residual - room.own_shared.T @ back - room.shared_shared @ step
+                           - room.own_shared.T @ cho_solve(own, own_right))
     explained = own_right @ cho_solve(own, own_right) + right @ cho_solve(of_all, right)
     log_posterior = _log_determinant(own) + _log_determinant(of_all)
     log_prior = np.linalg.slogdet(inverse)[1] + _log_determinant(of_others)
@@ -218,12 +243,16 @@ def calibrate(session: Session, held_out: list[HeldOutRoom], known: list[IntArra
     for r, (local, room) in enumerate(zip(fitted.local, held_out, strict=True)):
         equations = normal_equations(index, r, residual, valid, fitted.derivatives, fitted.sigma,
                                      fitted.omega)
-        inverse, n = np.linalg.inv(fitted.covariance[r]), len(local)
-        matrix = np.block([[equations.own_own + inverse, equations.own_shared],
-                           [equations.own_shared.T, equations.shared_shared + room.precision]])
-        step = np.linalg.solve(matrix, np.concatenate([
-            equations.own_residual - inverse @ local,
-            equations.shared_residual + room.precision @ (room.mean - fitted.mean)]))
+        inverse, n, precision = np.linalg.inv(fitted.covariance[r]), len(local), room.precision
+        matrix = np.zeros((n + index.n_shared, n + index.n_shared))
+        matrix[n:, n:] = precision
+        right = np.concatenate([equations.own_residual - inverse @ local, precision @ (room.mean - fitted.mean)])
+        columns = n + equations.columns
+        matrix[:n, :n] = equations.own_own + inverse
+        matrix[:n, columns], matrix[columns, :n] = equations.own_shared, equations.own_shared.T
+        matrix[np.ix_(columns, columns)] += equations.shared_shared
+        right[columns] += equations.shared_residual
+        step = np.linalg.solve(matrix, right)
         mean = fitted.mean + step[n:]
         all_local = [local + step[:n] if s == r else of_other for s, of_other in enumerate(fitted.local)]
         absorption[r] = index.absorption(mean, all_local)[r]
@@ -278,7 +307,7 @@ def transfer_shared(session: Session, index: ParameterIndex) -> SharedPrior:
     prior = shared_prior(before, [effect.STARTS[0] for effect in before.effects], START_X)
     precision: FloatArray = prior.precision.copy()
     for room, of_own, own in zip(fitted.normal, fitted.covariance, fitted.local, strict=True):
-        precision += _without_own(room, np.linalg.inv(of_own), own)[0]
+        precision[room.block] += _without_own(room, np.linalg.inv(of_own), own)[0]
     covariance = np.linalg.inv(precision)
     mean, spread = np.zeros(index.n_shared), np.zeros((index.n_shared, index.n_shared))
     mean[:N_SURFACE], spread[:N_SURFACE, :N_SURFACE] = fitted.mean[:N_SURFACE], covariance[:N_SURFACE, :N_SURFACE]

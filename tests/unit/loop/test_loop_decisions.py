@@ -32,7 +32,7 @@ def test_step_is_shortened_until_it_lowers_the_cost(to, expected):
 def test_damping_freezes_poorly_determined_parameters():
     information = np.diag([1e4, 0.5])
     room = NormalEquations(information, np.zeros((2, 0)), np.zeros((0, 0)), information @ [0.3, 3.0], np.zeros(0), 1.0,
-                           0.0)
+                           0.0, np.zeros(0, dtype=int))
     prior = SharedPrior(np.zeros(0), np.zeros((0, 0)))
     steps = [solve_step([room], [np.eye(2)], np.zeros(0), [np.zeros(2)], prior, damping)[1][0]
              for damping in (0.0, 30.0)]
