@@ -46,7 +46,7 @@ for k, dims_m in enumerate([(5.2, 4.1, 2.8), (7.5, 5.0, 3.0), (6.1, 6.4, 2.6), (
                              n_samples=len(rir), source_id=source_id, mic_id="m1", source_pos_m=source.tolist(),
                              mic_pos_m=mics[n].tolist()))
 rows.sort(key=lambda row: row["id"])
-(work / "measured" / "rirs.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+_ = (work / "measured" / "rirs.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
 
 # %%
 # One call, or ``roomeq close-loop measured --out loop``. The loop needs measured RIRs of at least three rooms with two
