@@ -40,6 +40,7 @@ from roomeq.loop.likelihood import misfit, normal_equations
 from roomeq.loop.packing import N_SURFACE, ParameterIndex
 from roomeq.loop.power import _changes, detectable_sizes
 from roomeq.loop.predict import ReflectedEnergy, predict
+from roomeq.loop.rendering import render_rows, row_models
 from roomeq.loop.selection import SPLITS, _candidate, choose, heldout_errors, rank, size_of_change_jnd
 from roomeq.loop.session import fit_base_model, with_rendered_changes
 from roomeq.loop.splitters import COMMON_SPECTRUM, calibrate, leave_rooms_out, split_positions, transfer_shared
@@ -246,6 +247,17 @@ def test_spectrum_of_unseen_rooms_lies_between_the_known_ones_and_rooms_in_gener
     of_session = session.fit.mean[:8] - session.fit.mean[4]
     low, high = np.minimum(of_session, COMMON_SPECTRUM), np.maximum(of_session, COMMON_SPECTRUM)
     assert np.all((low - 1e-9 <= x - x[4]) & (x - x[4] <= high + 1e-9)) and x[4] == session.fit.mean[4]
+
+
+def test_rows_rendered_together_are_those_rendered_alone(session):
+    data, members = session.data, np.flatnonzero(session.data.room == 0)
+    models = row_models(data, np.full((len(data.room_names), 2, 8), 0.2), [[]] * len(data.rows), members)
+    raw_rirs, features = render_rows(data, models, seed=0)
+    assert len(models) > 1
+    for model, raw, of_row in zip(models, raw_rirs, features, strict=True):
+        (alone,), alone_features = render_rows(data, [model], seed=0)
+        assert raw.rir.tobytes() == alone.rir.tobytes()
+        np.testing.assert_array_equal(of_row, alone_features[0])
 
 
 def test_halves_are_disjoint_and_hold_every_chain(session):
