@@ -214,8 +214,8 @@ def accept(ranking, errors, touched, monkeypatch):
 
 
 @pytest.mark.parametrize("effect, p, added", [
-    (SoundSpeed, (0.02, 0.9), True), (SoundSpeed, (0.03, 0.2), False), (SoundSpeed, (0.03, 0.04), True),
-    (RoomEq, (0.02, 0.9), False), (RoomEq, (0.03, 0.04), True)])  # an equaliser is the same in all rooms
+    (SoundSpeed, (0.001, 0.9), True), (SoundSpeed, (0.02, 0.2), False), (SoundSpeed, (0.03, 0.04), True),
+    (RoomEq, (0.001, 0.9), False), (RoomEq, (0.03, 0.04), True)])  # an equaliser is the same in all rooms
 def test_evidence_of_both_splits_counts_together(monkeypatch, effect, p, added):
     values = dict(zip(SPLITS, p, strict=True))
     monkeypatch.setattr(close, "p_lower", lambda before, after, split: values[split] if after.by_split[split].mean(
