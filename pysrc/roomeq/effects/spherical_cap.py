@@ -97,7 +97,7 @@ def look_up(cos_angle: ArrayLike, table: FloatArray) -> FloatArray:
     """Interpolate between the angles of a table (`cap_table`), for cosines of shape (...,): shape (..., n_bands)."""
     cos_angle = np.asarray(cos_angle, dtype=float)
     gain = np.empty((cos_angle.size, table.shape[1]))
-    _look_up(np.ravel(cos_angle), table, gain)
+    _interpolate(np.ravel(cos_angle), table, gain)
     return gain.reshape(*cos_angle.shape, table.shape[1])
 
 
@@ -194,7 +194,7 @@ def cap_table(radius_m: float, cap_rad: float, bands_hz: tuple[float, ...] = EXA
 
 
 @compiled
-def _look_up(cos_angle: FloatArray, table: FloatArray, gain: FloatArray) -> None:
+def _interpolate(cos_angle: FloatArray, table: FloatArray, gain: FloatArray) -> None:
     """Interpolate between the angles of a table, into `gain`."""
     last = len(table) - 1
     for n in range(len(cos_angle)):

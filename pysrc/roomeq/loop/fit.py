@@ -12,7 +12,7 @@ Features scatter by `sigma` from RIR to RIR and by `omega` from room to room; bo
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -92,6 +92,11 @@ class Fit:
     normal: list[NormalEquations]
     derivatives: Derivatives
     gain_db: tuple[float, float, float, float]
+
+    @cached_property
+    def precision(self) -> list[FloatArray]:
+        """Prior precision of `local`."""
+        return [inverted(covariance) for covariance in self.covariance]
 
     def parameters(self) -> "Fit":
         """Return a fit to start another one from, without `predicted`, `normal` and `derivatives`, which are large."""

@@ -86,8 +86,7 @@ def _information(session: Session, change: FloatArray) -> FloatArray:
     rooms = [normal_equations(index, r, _SMALL * change, session.data.valid, fitted.derivatives, fitted.sigma,
                               fitted.omega)
              for r in range(len(fitted.local))]
-    inverses = [np.linalg.inv(room.own_own + np.linalg.inv(covariance))
-                for room, covariance in zip(rooms, fitted.covariance, strict=True)]
+    inverses = [np.linalg.inv(room.own_own + of_prior) for room, of_prior in zip(rooms, fitted.precision, strict=True)]
     total = shared_prior(index, [effect.STARTS[0] for effect in index.effects], START_X).precision
     right = np.zeros(len(total))
     for room, inverse in zip(rooms, inverses, strict=True):

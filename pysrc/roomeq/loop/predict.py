@@ -109,9 +109,9 @@ def reflected_energy(data: Data, state: PredictionState) -> FloatArray:
 
 def _eyring_times_s(data: Data, state: PredictionState) -> FloatArray:
     """Return the decay time of each RIR's room by Eyring, shape (n_rirs, 8) (`roomeq.sim.scene.eyring_time_s`)."""
-    share = data.surface_per_m / data.surface_per_m.sum(axis=1, keepdims=True)
-    mean = np.minimum(np.sum(share[:, :, None] * -np.expm1(-state.absorption), axis=1), 1.0 - 1e-6)
-    rate_per_m = -0.25 * np.log1p(-mean) * data.surface_per_m.sum(axis=1)[:, None] + state.air_per_m
+    of_room = data.surface_per_m.sum(axis=1, keepdims=True)
+    mean = np.minimum(np.einsum("ns,nsb->nb", data.surface_per_m / of_room, -np.expm1(-state.absorption)), 1.0 - 1e-6)
+    rate_per_m = -0.25 * np.log1p(-mean) * of_room + state.air_per_m
     return 6.0 * np.log(10.0) / (rate_per_m * state.speed_m_s[:, None])
 
 

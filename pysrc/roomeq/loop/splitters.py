@@ -102,8 +102,7 @@ def leave_rooms_out(data: Data, fitted: Fit) -> list[HeldOutRoom]:
     """Fit the shared parameters to all rooms but one, for each room."""
     index = ParameterIndex(data, fitted.effects)
     prior = shared_prior(index, [effect.STARTS[0] for effect in index.effects], START_X)
-    alone = [_without_own(room, np.linalg.inv(covariance), own)
-             for room, covariance, own in zip(fitted.normal, fitted.covariance, fitted.local, strict=True)]
+    alone = [_without_own(*of_room) for of_room in zip(fitted.normal, fitted.precision, fitted.local, strict=True)]
     total, right = prior.precision.copy(), prior.precision @ (prior.mean - fitted.mean)
     for room, (of_room, right_of_room) in zip(fitted.normal, alone, strict=True):
         total[room.block] += of_room
@@ -145,7 +144,7 @@ def _log_density(fitted: Fit, r: int, of_all: Cholesky, of_others: Cholesky, ste
     room's own parameters are integrated out, the posterior of the shared ones is that of all rooms.
     """
     room = fitted.normal[r]
-    inverse = np.linalg.inv(fitted.covariance[r])
+    inverse = fitted.precision[r]
     back = -fitted.local[r]  # from the fitted parameters back to their prior mean
     step = step[room.columns]
     quad = (room.residual_residual - 2.0 * (room.own_residual @ back + room.shared_residual @ step)
@@ -243,7 +242,7 @@ def calibrate(session: Session, held_out: list[HeldOutRoom], known: list[IntArra
     for r, (local, room) in enumerate(zip(fitted.local, held_out, strict=True)):
         equations = normal_equations(index, r, residual, valid, fitted.derivatives, fitted.sigma,
                                      fitted.omega)
-        inverse, n, precision = np.linalg.inv(fitted.covariance[r]), len(local), room.precision
+        inverse, n, precision = fitted.precision[r], len(local), room.precision
         matrix = np.zeros((n + index.n_shared, n + index.n_shared))
         matrix[n:, n:] = precision
         right = np.concatenate([equations.own_residual - inverse @ local, precision @ (room.mean - fitted.mean)])
@@ -306,8 +305,8 @@ def transfer_shared(session: Session, index: ParameterIndex) -> SharedPrior:
     fitted, before = session.fit, session.index
     prior = shared_prior(before, [effect.STARTS[0] for effect in before.effects], START_X)
     precision: FloatArray = prior.precision.copy()
-    for room, of_own, own in zip(fitted.normal, fitted.covariance, fitted.local, strict=True):
-        precision[room.block] += _without_own(room, np.linalg.inv(of_own), own)[0]
+    for room, of_own, own in zip(fitted.normal, fitted.precision, fitted.local, strict=True):
+        precision[room.block] += _without_own(room, of_own, own)[0]
     covariance = np.linalg.inv(precision)
     mean, spread = np.zeros(index.n_shared), np.zeros((index.n_shared, index.n_shared))
     mean[:N_SURFACE], spread[:N_SURFACE, :N_SURFACE] = fitted.mean[:N_SURFACE], covariance[:N_SURFACE, :N_SURFACE]
