@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from roomeq.export.audio import MadeAudio
+from roomeq.export.plan import RECORDINGS, SPEECH
 from roomeq.kaldi.datadir import DataDir, Utterance, read_optional_table
 from roomeq.kaldi.wavscp import AudioLength, segment_samples
 
@@ -81,16 +82,18 @@ def utterances_of(data: DataDir | None, audio: list[MadeAudio]) -> list[Exported
     """
     if data is None:
         return []
-    by_id = {made.planned.id: made for made in audio}
+    by_id = {(made.planned.folder, made.planned.id): made for made in audio}
+    per_utterance = any(folder == SPEECH for folder, _ in by_id)
     tables = {name: read_optional_table(data.path, name, data.utterances) for name in ("utt2rir", "utt2snr")}
-    return [_exported(data, utterance, by_id.get(utterance.id) or by_id[utterance.recording], tables)
+    return [_exported(data, utterance, by_id[(SPEECH, utterance.id) if per_utterance
+                                             else (RECORDINGS, utterance.recording)], tables)
             for utterance in data.utterances.values()]
 
 
 def _exported(data: DataDir, utterance: Utterance, audio: MadeAudio,
               tables: Mapping[str, Mapping[str, str]]) -> ExportedUtterance:
     start, stop = 0, audio.n_samples
-    if audio.planned.id == utterance.recording and data.segmented:
+    if audio.planned.folder == RECORDINGS and data.segmented:
         start, stop = segment_samples(f"{data.path}: utterance {utterance.id}",
                                       AudioLength(audio.n_samples, audio.rate_hz), utterance.start_s, utterance.end_s)
     snr = tables["utt2snr"].get(utterance.id, "inf")
