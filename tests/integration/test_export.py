@@ -258,6 +258,50 @@ def test_archive_is_decoded(tmp_path):
         np.testing.assert_array_equal(soundfile.read(path, dtype="int16")[0], audio[key])
 
 
+@pytest.mark.parametrize("kind", ["nemo", "lhotse"])
+def test_utterance_with_the_id_of_another_recording_keeps_its_own_audio(tmp_path, kind):
+    data = speech_dir(tmp_path / "data")
+    first, second = list(LENGTHS)[:2]
+    speaker = table(data / "utt2spk")[first].strip()
+    for name, lines in {"utt2spk": [f"{first} {speaker}", f"{second} {speaker}"],
+                        "text": [f"{first} ONE", f"{second} TWO"],
+                        "segments": [f"{first} {second} 0.10 0.30", f"{second} {first} 0.20 0.30"],
+                        "wav.scp": [line for line in (data / "wav.scp").read_text().splitlines()
+                                    if line.split()[0] in (first, second)]}.items():
+        (data / name).write_text("".join(f"{line}\n" for line in lines))
+    for name in ("spk2utt", "spk2gender", "utt2dur", "reco2dur"):
+        (data / name).unlink(missing_ok=True)
+    export(kind, data, tmp_path / "out")
+    if kind == "nemo":
+        found = {row["id"]: (os.path.basename(row["audio_filepath"]), row["offset"], row["duration"])
+                 for row in lines_of(tmp_path / "out/manifest.json")}
+        assert found == {first: (f"{second}.flac", 0.1, 0.2), second: (f"{first}.flac", 0.2, 0.1)}
+    else:
+        rows = lhotse_lines(tmp_path / "out/supervisions.jsonl.gz")
+        assert {row["id"]: row["recording_id"] for row in rows} == {first: second, second: first}
+
+
+def test_command_keeps_rate_and_bits(tmp_path):
+    rng = np.random.default_rng(4)
+    wav, pcm = tmp_path / "fine.wav", rng.integers(-2 ** 22, 2 ** 22, 24000) << 8
+    soundfile.write(wav, pcm.astype(np.int32), 48000, subtype="PCM_24")
+    data = tmp_path / "data"
+    data.mkdir()
+    for name, line in {"wav.scp": f"a cat {wav} |", "utt2spk": "a a", "text": "a ONE"}.items():
+        (data / name).write_text(line + "\n")
+    export("nemo", data, tmp_path / "out", pipes=True)
+    (made,) = (tmp_path / "out").rglob("*.flac")
+    samples, rate = soundfile.read(made, dtype="int32")
+    assert rate == 48000
+    np.testing.assert_array_equal(samples, pcm)
+    soundfile.write(wav, 1.8 * np.sin(np.arange(24000.0)), 48000, subtype="FLOAT")
+    with pytest.raises(ValueError, match=r"a: cat .*: peak 1\.8 must be at most 1 in a FLAC file: scale"):
+        export("nemo", data, tmp_path / "loud", pipes=True)
+    wav.write_bytes(wav.read_bytes()[:-8000])
+    with pytest.raises(ValueError, match=r"cat .*truncated: \d+ bytes of \d+"):
+        export("nemo", data, tmp_path / "cut", pipes=True)
+
+
 def test_suspicious_recording_is_left_out(tmp_path, rirs):
     rows = read_rirs(rirs)
     rows[0]["suspicious"] = "clipped"

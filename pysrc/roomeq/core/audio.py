@@ -178,13 +178,32 @@ def _float_wav(samples: Array, fs_hz: int) -> bytes:
 
 
 def _check_riff_length(path: Path) -> None:
-    """Refuse a WAV file that is shorter than its header says; libsndfile would read the part that is left."""
     with open(path, "rb") as stream:
-        head = stream.read(8)
+        require_whole_riff(stream.read(8), path.stat().st_size, path)
+
+
+def require_whole_riff(head: bytes, n_bytes: int, name: Path | str) -> None:
+    """Refuse a WAV file that is shorter than its header says; libsndfile would read the part that is left.
+
+    Parameters
+    ----------
+    head : bytes
+        The first eight; of any other format, nothing is checked.
+    n_bytes : int
+        Length of the file.
+    name : Path or str
+        With which the message begins.
+
+    Raises
+    ------
+    ValueError
+        Bytes are missing.
+    """
     if head[:4] != b"RIFF" or len(head) < 8:
         return
-    stated = int.from_bytes(head[4:], "little") + 8
-    streamed = stated - 8 in (0, 0x7FFFFFFF, 0xFFFFFFFF) or stated > 0xFFFFFFF0
+    stated = int.from_bytes(head[4:8], "little")
+    # a program that cannot seek back states a length that no file has: sox 0x7ffff024, others 0 or the largest number
+    streamed = stated == 0 or 0x7FFFF000 <= stated <= 0x7FFFFFFF or stated > 0xFFFFFFE8
     # the last chunk may lack its padding byte
-    if not streamed and path.stat().st_size < stated - 1:
-        raise ValueError(f"{path}: truncated: {path.stat().st_size} bytes of {stated}: copy it again")
+    if not streamed and n_bytes < stated + 7:
+        raise ValueError(f"{name}: truncated: {n_bytes} bytes of {stated + 8}: copy it again")

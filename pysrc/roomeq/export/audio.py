@@ -10,11 +10,10 @@ import soundfile
 from roomeq.augment.mix import direct_shift
 from roomeq.core.arrays import Array
 from roomeq.core.audio import audio_info, read_audio, write_wav
-from roomeq.core.constants import FS_HZ
 from roomeq.core.files import write_bytes
 from roomeq.export.align import align
 from roomeq.export.plan import PlannedAudio
-from roomeq.kaldi.wavscp import AudioLength, read_entry, segment_samples
+from roomeq.kaldi.wavscp import AudioLength, decode_entry, segment_samples
 from roomeq.records.rir_dir import load_rir
 from roomeq.records.schema import RirRow
 
@@ -143,13 +142,18 @@ def _cut_out(planned: PlannedAudio, work: Path, length: AudioLength, subtype: st
 
 
 def _decoded(planned: PlannedAudio, work: Path, pipes: bool) -> MadeAudio:
-    """Write the audio of an archive or a command."""
-    samples = read_entry(planned.entry, planned.start_s, planned.end_s, pipes=pipes)
-    return _write_flac(planned, work, samples, FS_HZ, 16)
+    """Write the audio of an archive or a command, with 16 bits if they are enough, else with 24."""
+    rate_hz, samples = decode_entry(planned.entry, planned.start_s, planned.end_s, pipes=pipes)
+    exact = np.array_equal(np.rint(samples * 2.0 ** 15), samples * 2.0 ** 15)
+    return _write_flac(planned, work, samples, rate_hz, 16 if exact else 24)
 
 
 def _write_flac(planned: PlannedAudio, work: Path, samples: Array, rate_hz: int, bits: int) -> MadeAudio:
     """Write samples that are multiples of ``2 ** (1 - bits)`` as they are; libsndfile would scale them."""
+    peak = np.abs(samples).max(initial=0.0)
+    if peak > 1.0:
+        raise ValueError(f"{planned.entry.text}: peak {peak:.3g} must be at most 1 in a FLAC file: scale the signal "
+                         "down")
     pcm = np.rint(samples * 2.0 ** (bits - 1)).clip(-2.0 ** (bits - 1), 2.0 ** (bits - 1) - 1).astype(np.int32)
     buffer, file = io.BytesIO(), f"{planned.file}.flac"
     soundfile.write(buffer, pcm << 32 - bits, rate_hz, format="FLAC", subtype=f"PCM_{bits}")

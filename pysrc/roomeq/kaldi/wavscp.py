@@ -17,8 +17,10 @@ import numpy as np
 import soundfile
 
 from roomeq.core.arrays import Array
-from roomeq.core.audio import audio_info, read_audio, require_plausible
+from roomeq.core.audio import audio_info, read_audio, require_plausible, require_whole_riff
 from roomeq.core.constants import FS_HZ
+from roomeq.core.digests import words_of_entry
+from roomeq.core.kept_hashes import Look, quick_look
 from roomeq.core.limits import AUDIO_HOURS, max_audio_samples
 
 MAX_OVERSHOOT_S = 0.01
@@ -133,9 +135,9 @@ def read_length(entry: Entry, *, pipes: bool = False) -> AudioLength:
         The audio cannot be read, or is a pipe and `pipes` is false.
     """
     if entry.kind == "file":
-        info = _file_info(entry.text)
+        info = _file_info(entry.text, _looks(entry))
         return AudioLength(info.frames, info.samplerate)
-    decoded = _decode(entry, pipes)
+    decoded = _decode(entry, pipes, _looks(entry))
     return AudioLength(len(decoded.samples), decoded.rate_hz)
 
 
@@ -162,19 +164,32 @@ def read_entry(entry: Entry, start_s: float = 0.0, end_s: float | None = None, *
     """
     if entry.kind == "file" and start_s == 0.0 and end_s is None:
         return read_audio(Path(entry.text), dtype="float32")
-    length = read_length(entry, pipes=pipes)
-    start, stop = segment_samples(entry.text, length, start_s, end_s)
     if entry.kind == "file":
+        start, stop = segment_samples(entry.text, read_length(entry), start_s, end_s)
         return read_audio(Path(entry.text), start=start, stop=stop, dtype="float32")
-    samples = _decode(entry, pipes).samples[start:stop]
-    if length.rate_hz == FS_HZ:
+    rate_hz, samples = decode_entry(entry, start_s, end_s, pipes=pipes)
+    if rate_hz == FS_HZ:
         return samples
-    if length.rate_hz < FS_HZ:
-        raise ValueError(f"{entry.text}: sample rate {length.rate_hz} Hz must be {FS_HZ} Hz: "
+    if rate_hz < FS_HZ:
+        raise ValueError(f"{entry.text}: sample rate {rate_hz} Hz must be {FS_HZ} Hz: "
                          "the missing band cannot be restored: use other recordings")
     import soxr
 
-    return soxr.resample(samples, length.rate_hz, FS_HZ, quality="VHQ")
+    return soxr.resample(samples, rate_hz, FS_HZ, quality="VHQ")
+
+
+class Decoded(NamedTuple):
+    """Sample rate [Hz], and samples, float32, shape (n_samples,)."""
+
+    rate_hz: int
+    samples: Array
+
+
+def decode_entry(entry: Entry, start_s: float = 0.0, end_s: float | None = None, *, pipes: bool = False) -> Decoded:
+    """Read a recording of an archive or command, or a segment of it, at its own rate; see `read_entry`."""
+    rate_hz, samples = _decode(entry, pipes, _looks(entry))
+    start, stop = segment_samples(entry.text, AudioLength(len(samples), rate_hz), start_s, end_s)
+    return Decoded(rate_hz, samples[start:stop])
 
 
 def segment_samples(name: str, length: AudioLength, start_s: float, end_s: float | None) -> tuple[int, int]:
@@ -200,19 +215,23 @@ def segment_samples(name: str, length: AudioLength, start_s: float, end_s: float
     return start, min(stop, frames)
 
 
+def _looks(entry: Entry) -> tuple[Look | None, ...]:
+    """Return how the files look that an entry reads; of a command, those that are words of it."""
+    names = words_of_entry(entry.text) if entry.kind == "pipe" else [entry.text]
+    return tuple(quick_look(Path(name)) for name in names)
+
+
 @lru_cache(maxsize=256)
-def _file_info(path: str) -> Any:
+def _file_info(path: str, _: tuple[Look | None, ...]) -> Any:
     return audio_info(Path(path))
 
 
-class _Decoded(NamedTuple):
-    rate_hz: int
-    samples: Array
-
-
 @lru_cache(maxsize=1)
-def _decode(entry: Entry, pipes: bool) -> _Decoded:
-    """Decode a whole archive entry or pipe. The last result is cached for the other segments of the recording."""
+def _decode(entry: Entry, pipes: bool, _: tuple[Look | None, ...]) -> Decoded:
+    """Decode a whole archive entry or pipe. The last result is cached for the other segments of the recording.
+
+    What is cached depends on how the files look that are read, so that a process notices when they change.
+    """
     rate_hz, samples = _read_ark(entry) if entry.kind == "ark" else _run_pipe(entry.text, pipes)
     if samples.ndim == 2 and samples.shape[1] == 1:
         samples = samples[:, 0]
@@ -225,10 +244,10 @@ def _decode(entry: Entry, pipes: bool) -> _Decoded:
                          f"{FS_HZ} Hz): split it, or raise the bound with roomeq --{AUDIO_HOURS.option}")
     require_plausible(samples, entry.text)
     samples.flags.writeable = False
-    return _Decoded(rate_hz, samples)
+    return Decoded(rate_hz, samples)
 
 
-def _read_ark(entry: Entry) -> _Decoded:
+def _read_ark(entry: Entry) -> Decoded:
     from kaldiio.matio import read_kaldi
 
     position = f"{entry.text}:{entry.offset}"
@@ -252,9 +271,10 @@ def _read_ark(entry: Entry) -> _Decoded:
         except Exception as error:  # broken bytes can raise any exception in kaldiio
             raise ValueError(f"{position}: broken audio ({error or type(error).__name__}): "
                              "make the archive again") from None
-    if tag.startswith(b"RIFF"):
-        _check_ark_length(entry, samples)
-    return _Decoded(int(rate), _to_float(samples))
+    with open(entry.text, "rb") as stream:  # of a WAV entry that is cut off, `wave` returns the samples before the end
+        stream.seek(entry.offset)
+        require_whole_riff(stream.read(8), Path(entry.text).stat().st_size - entry.offset, position)
+    return Decoded(int(rate), _to_float(samples))
 
 
 def _decoding_limit() -> int:
@@ -265,16 +285,6 @@ def _decoding_limit() -> int:
     return max_audio_samples() + 1
 
 
-def _check_ark_length(entry: Entry, samples: np.ndarray) -> None:
-    """Raise an error if the archive ends within a WAV entry; `wave` would return the samples before the end."""
-    with open(entry.text, "rb") as stream:
-        stream.seek(entry.offset + 4)
-        stated = int.from_bytes(stream.read(4), "little") + 8
-        available = stream.seek(0, io.SEEK_END) - entry.offset
-    if stated < 0x7FFFFFFF and available < stated - 1:
-        raise ValueError(f"{entry.text}:{entry.offset}: truncated: {available} bytes of {stated}: copy it again")
-
-
 def _to_float(samples: Array) -> Array:
     """Return samples of any PCM type as float32 in [-1, 1)."""
     if samples.dtype == np.uint8:
@@ -283,7 +293,7 @@ def _to_float(samples: Array) -> Array:
     return (samples / scale).astype(np.float32)
 
 
-def _run_pipe(command: str, pipes: bool) -> _Decoded:
+def _run_pipe(command: str, pipes: bool) -> Decoded:
     if not pipes:
         raise ValueError(f"{command!r} is a command, and commands run only with --pipes: allow it, or convert the "
                          "audio to files")
@@ -293,9 +303,10 @@ def _run_pipe(command: str, pipes: bool) -> _Decoded:
         last_line = (result.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]
         raise ValueError(f"{command!r}: command failed with status {result.returncode} ({last_line[:200]}): "
                          "run it by hand")
+    require_whole_riff(result.stdout[:8], len(result.stdout), repr(command))
     try:
         samples, rate = soundfile.read(io.BytesIO(result.stdout), dtype="float32", frames=_decoding_limit())
     except (soundfile.LibsndfileError, RuntimeError, TypeError) as error:
         raise ValueError(f"{command!r}: its {len(result.stdout)} bytes of output cannot be read as audio "
                          f"({str(error).rsplit(': ', 1)[-1]}): make it write WAV") from None
-    return _Decoded(rate, samples)
+    return Decoded(rate, samples)
