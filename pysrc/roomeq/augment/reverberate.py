@@ -10,7 +10,8 @@ It is called as transforms of audiomentations, `augment_fn` of lhotse and functi
 import multiprocessing
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,11 @@ from roomeq.core.constants import FS_HZ, require_fs
 from roomeq.core.rng import rng_for
 
 PathLike = str | os.PathLike[str]
+
+_INSTANCES = count()
+_CALLS: dict[tuple[int, str], Iterator[int]] = {}
+"""Numbers of the calls to come, by instance and worker. They belong to the process: a pool may copy an instance to it
+for every task, and each copy goes on where the one before ended."""
 
 
 class Reverberate:
@@ -52,7 +58,8 @@ class Reverberate:
         which RIRs and noises are resampled, but no higher one.
     seed
         Worker processes draw independently of each other. Within a process, call number n gives the same draws in
-        every run; with a torch `DataLoader`, whose workers begin anew in each epoch, their draws follow torch's seed.
+        every run. A process pool deals out its calls differently from run to run: give the `key` of a call for the
+        same draws. With a torch `DataLoader`, whose workers begin anew in each epoch, draws follow torch's seed.
 
     Raises
     ------
@@ -74,7 +81,7 @@ class Reverberate:
         self._rir_dir = Path(rirs) if isinstance(rirs, str | os.PathLike) else None
         self._rirs = {} if isinstance(rirs, str | os.PathLike) else _with_direct_sound(rirs, fs)
         self._pool = self._make_pool(noises)
-        self._stream: tuple[str, int] = ("", 0)
+        self._number = next(_INSTANCES)
         self._caches: dict[int, AudioCache] = {}
 
     def _make_pool(self, noises: PathLike | Sequence[ArrayLike] | None) -> Pool:
@@ -133,9 +140,7 @@ class Reverberate:
     def _next_call(self) -> str:
         """Return the name of this call, which no other process and no other call has."""
         worker = _worker()
-        number = self._stream[1] if self._stream[0] == worker else 0
-        self._stream = worker, number + 1
-        return f"{worker} call {number}"
+        return f"{worker} call {next(_CALLS.setdefault((self._number, worker), count()))}"
 
     def _cache(self, sample_rate: int) -> AudioCache:
         require_fs(sample_rate)

@@ -88,11 +88,11 @@ def test_worker_processes_draw_independently(method):
         assert pool.map(_three_calls, [reverberate])[0] != ours
 
 
-def test_pickled_copy_goes_on_alike():
-    reverberate = roomeq.Reverberate(rirs(8))
-    reverberate(speech(), FS)
-    copy = pickle.loads(pickle.dumps(reverberate))
-    assert np.array_equal(copy(speech(), FS), reverberate(speech(), FS))
+def test_copies_of_a_process_draw_one_after_the_other():
+    reverberate, other = (roomeq.Reverberate(rirs(8), seed=3) for _ in range(2))
+    state = pickle.dumps(reverberate)  # a pool sends one with every task
+    drawn = [pickle.loads(state)(speech(), FS) for _ in range(5)] + [reverberate(speech(), FS)]
+    np.testing.assert_array_equal(drawn, [other(speech(), FS) for _ in drawn])
 
 
 def test_probability_is_met_and_other_calls_return_the_speech():
