@@ -6,12 +6,14 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 from roomeq.core.build import Build
+from roomeq.core.files import hash_file
 from roomeq.records.geometry import position_key
-from roomeq.records.rir_dir import read_noises, read_rirs, relocated, write_noises, write_rirs
+from roomeq.records.rir_dir import read_noises, read_rirs, relocated, rir_path, write_noises, write_rirs
 from roomeq.records.schema import NoiseRow, RirRow
 
 logger = logging.getLogger(__name__)
@@ -69,8 +71,11 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
     size_of = dict(zip(SPLITS, sizes, strict=True))
     rows = read_rirs(rir_dir)
     own_rows = {split: read_rirs(other) for split, other in others.items()}
+    own_noises = {split: read_noises(other) for split, other in others.items()}
+    _require_apart([("train", rir_dir, rows), *((split, other, own_rows[split]) for split, other in others.items())])
+    given_noises = read_noises(rir_dir)
     for split, other in others.items():
-        _require_other_recordings(rir_dir, rows, split, other, own_rows[split])
+        _require_other_ids(rir_dir, given_noises, other, own_noises[split])
     of_rirs = {split: size for split, size in size_of.items() if split not in others}
     group_of = _room_groups(rir_dir, rows, split_by, same_rooms)
     split_of = _by_room(rows, group_of, of_rirs, seed) if split_by == "room" else _by_rir(rows, of_rirs, seed)
@@ -79,8 +84,7 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
         if not counts[split]:
             raise ValueError(f"{rir_dir}: {len(rows)} RIRs of {len(set(group_of.values()))} rooms leave {split} empty "
                              f"when split by {split_by}: give more RIRs, or split by 'rir'")
-    own_noises = {split: read_noises(other) for split, other in others.items()}
-    noises = _split_noises(read_noises(rir_dir), rows, split_of, size_of, seed, split_by, own_noises)
+    noises = _split_noises(given_noises, rows, split_of, size_of, seed, split_by, own_noises)
     # every output is checked before one of them is written
     builds = {split: Build(
         Path(f"{out_prefix}.{split}"), step="split", inputs=[rir_dir, *others.values()], refers=True, options=dict(
@@ -98,21 +102,31 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
     return {split: counts[split] for split in SPLITS}
 
 
-def _require_other_recordings(rir_dir: Path, rows: Sequence[RirRow], split: str, other: Path,
-                              other_rows: Sequence[RirRow]) -> None:
-    """Refuse a directory with recordings or ids of those to be split; warn of rooms of the same name."""
-    here, there = ({(directory / row["wav"]).resolve(): row for row in of_directory}
-                   for directory, of_directory in ((rir_dir, rows), (other, other_rows)))
-    if paths := here.keys() & there.keys():
-        path = min(paths)
-        raise ValueError(f"{other}: RIR {there[path]['id']} is RIR {here[path]['id']} of {rir_dir}: give recordings "
-                         f"for {split} that are not used in training")
-    if ids := {row["id"] for row in here.values()} & {row["id"] for row in there.values()}:
-        raise ValueError(f"{other}: RIR {min(ids)} has the id of an RIR of {rir_dir}: word error rates are sorted by "
-                         "room by these ids, rename one")
-    if names := {row["room_id"] for row in here.values()} & {row["room_id"] for row in there.values()}:
-        logger.warning("%s and %s both have rooms named %s: they count as different rooms", rir_dir, other,
-                       ", ".join(sorted(names)))
+def _require_apart(given: Sequence[tuple[str, Path, Sequence[RirRow]]]) -> None:
+    """Refuse directories that share recordings, also as copies, or ids; warn of rooms of the same name.
+
+    Each directory has the role of its RIRs and its rows.
+    """
+    if len(given) < 2:
+        return
+    by_content = [{hash_file(rir_path(directory, row)): row for row in rows} for _, directory, rows in given]
+    for (first, second), (here, there) in zip(combinations(given, 2), combinations(by_content, 2), strict=True):
+        (role, directory, rows), (other_role, other, other_rows) = first, second
+        for content in sorted(here.keys() & there.keys()):
+            raise ValueError(f"{other}: RIR {there[content]['id']} is the recording of RIR {here[content]['id']} of "
+                             f"{directory}: give recordings for {other_role} that {role} does not have")
+        if ids := {row["id"] for row in rows} & {row["id"] for row in other_rows}:
+            raise ValueError(f"{other}: RIR {min(ids)} has the id of an RIR of {directory}: word error rates are "
+                             "sorted by room by these ids, rename one")
+        if names := {row["room_id"] for row in rows} & {row["room_id"] for row in other_rows}:
+            logger.warning("%s and %s both have rooms named %s: they count as different rooms", directory, other,
+                           ", ".join(sorted(names)))
+
+
+def _require_other_ids(rir_dir: Path, noises: Sequence[NoiseRow], other: Path, own: Sequence[NoiseRow]) -> None:
+    if ids := {noise["id"] for noise in noises} & {noise["id"] for noise in own}:
+        raise ValueError(f"{other}: noise {min(ids)} has the id of a noise of {rir_dir}, and may come to the same set: "
+                         "rename one")
 
 
 def _room_groups(rir_dir: Path, rows: Sequence[RirRow], split_by: str, same_rooms: Sequence[str]) -> dict[str, str]:

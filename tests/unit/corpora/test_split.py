@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import soundfile
 from rirmaker import row, write_rir_dir
 
 from roomeq.corpora.split import SPLITS, split_rirs
@@ -11,9 +12,10 @@ RIR = np.eye(1, 600, 10).ravel() + 1e-3
 
 
 def make(directory, rooms, noises=()):
-    """Write an RIR directory of {room: number of RIRs}."""
-    return write_rir_dir(directory, [(row(f"{room}-{n}", room), RIR) for room, count in rooms.items()
-                                     for n in range(count)], noises)
+    """Write an RIR directory of {room: number of RIRs}, whose recordings are in no directory of another name."""
+    rng = np.random.default_rng(list(directory.name.encode()))
+    return write_rir_dir(directory, [(row(f"{room}-{n}", room), RIR + 1e-4 * rng.normal(size=len(RIR)))
+                                     for room, count in rooms.items() for n in range(count)], noises)
 
 
 def split(tmp_path, rir_dir, name="out", **options):
@@ -138,19 +140,34 @@ def test_other_directories_serve_development_and_test(tmp_path):
     ids, of_noises = split(tmp_path, rir_dir, sizes=(12, 3, 5), test_rirs=other)
     assert sizes_of(ids) == [12, 3, 4] and {name.split("-")[0] for name in ids["test"]} == {"c"}
     assert "own" in of_noises["test"] and len(of_noises["test"]) > 1
-    ids, _ = split(tmp_path, rir_dir, "both", sizes=(12, 3, 5), test_rirs=other, dev_rirs=other)
-    assert sizes_of(ids) == [12, 4, 4]
+    third = make(tmp_path / "third", {"d": 2})
+    ids, _ = split(tmp_path, rir_dir, "both", sizes=(12, 3, 5), test_rirs=other, dev_rirs=third)
+    assert sizes_of(ids) == [12, 2, 4]
 
 
-def test_recordings_of_training_are_no_test(tmp_path):
-    rir_dir = make(tmp_path / "in", {"a": 6})
-    with pytest.raises(ValueError, match="in: RIR a-0 is RIR a-0 of .*in: give recordings for test that are not used"):
+def test_recordings_of_another_set_are_no_test(tmp_path):
+    rir_dir, other = make(tmp_path / "in", {"a": 6}), make(tmp_path / "other", {"c": 4})
+    with pytest.raises(ValueError, match="in: RIR a-. is the recording of RIR a-. of .*in: give recordings for test "
+                                         "that train does not have"):
         split_rirs(rir_dir, tmp_path / "out", seed=0, sizes=(4, 1, 1), test_rirs=rir_dir)
+    with pytest.raises(ValueError, match="other: RIR c-. is the recording of RIR c-. of .*other: give recordings for "
+                                         "test that dev does not have"):
+        split_rirs(rir_dir, tmp_path / "out", seed=0, sizes=(4, 1, 1), dev_rirs=other, test_rirs=other)
+    copy = write_rir_dir(tmp_path / "copy", [(row("renamed", "d"), soundfile.read(rir_dir / "audio/a-2.wav")[0])])
+    with pytest.raises(ValueError, match="copy: RIR renamed is the recording of RIR a-2"):
+        split_rirs(rir_dir, tmp_path / "out", seed=0, sizes=(4, 1, 1), test_rirs=copy)
+
+
+def test_noises_of_the_same_id_are_refused(tmp_path):
+    rir_dir = make(tmp_path / "in", {"a": 10}, [dict(id="n1", room_id=None)])
+    other = make(tmp_path / "other", {"c": 4}, [dict(id="n1", room_id="c")])
+    with pytest.raises(ValueError, match="other: noise n1 has the id of a noise of .*in, .* rename one"):
+        split_rirs(rir_dir, tmp_path / "out", seed=0, sizes=(4, 1, 1), test_rirs=other)
 
 
 def test_rooms_of_the_same_name_are_said(tmp_path, caplog):
     rir_dir = make(tmp_path / "in", {"a": 6})
-    other = write_rir_dir(tmp_path / "other", [(row("a-new", "a"), RIR)])
+    other = write_rir_dir(tmp_path / "other", [(row("a-new", "a"), 0.5 * RIR)])
     split_rirs(rir_dir, tmp_path / "out", seed=0, sizes=(4, 1, 1), test_rirs=other)
     assert "both have rooms named a: they count as different rooms" in caplog.text
 
