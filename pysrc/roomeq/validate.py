@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from roomeq.core.digests import audio_elsewhere
-from roomeq.core.stamps import read_stamp, require_as_stamped, require_audio_as_stamped
+from roomeq.core.stamps import read_stamp, require_as_stamped, require_audio_as_stamped, require_in_place
 from roomeq.kaldi import validate_data_dir
 from roomeq.records.rir_dir import NOISES_FILE, ROWS_FILE, validate_noises, validate_rirs
 from roomeq.wer.check import WER_FILE, validate_wer
@@ -57,5 +57,6 @@ def check_stamp(directory: Path) -> None:
         A file is missing or has changed, or audio that the directory refers to.
     """
     if stamp := read_stamp(directory):
+        require_in_place(directory, stamp)
         require_as_stamped(directory, stamp, quick=False)
         require_audio_as_stamped(directory, stamp, audio_elsewhere(directory))

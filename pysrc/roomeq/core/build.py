@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from roomeq.core.asking import NotUpToDate, only_asked
-from roomeq.core.digests import audio_elsewhere, code_digest, digest, files_below
+from roomeq.core.digests import audio_elsewhere, code_digest, digest, files_below, names_audio_in
 from roomeq.core.files import hash_file, listing_written, sync, to_json, write_json
 from roomeq.core.item_records import ItemRecord, is_as_recorded, is_whole, read_item_record, write_item_record
 from roomeq.core.kept_hashes import KeptHashes
@@ -95,7 +95,7 @@ class Build:
 
         Where that is the only question (`roomeq.core.asking`), `NotUpToDate` says no and ends the step.
         """
-        if not _is_done(self.out, self.key):
+        if not self._is_done(self.out):
             if only_asked():
                 raise NotUpToDate(str(self.out))
             return False
@@ -124,7 +124,7 @@ class Build:
         names = share(self._names, part)
         check_jobs(nj)
         with self._lock(fcntl.LOCK_SH):
-            if _is_done(self.out, self.key) or _is_done(self.work, self.key):
+            if self._is_done(self.out) or self._is_done(self.work):
                 return part is None
             (self.work / _RECORDS).mkdir(parents=True, exist_ok=True)
         todo = [name for name in names if not is_whole(self._record_path(name), self.work, self._hashes)]
@@ -162,9 +162,9 @@ class Build:
         """
         assembled = False
         with self._lock(fcntl.LOCK_EX):
-            if _is_done(self.out, self.key):
+            if self._is_done(self.out):
                 return False
-            if not _is_done(self.work, self.key):
+            if not self._is_done(self.work):
                 records = self._read_records()
                 assemble(self.work, [record.result for record in records])
                 self._write_stamp(records)
@@ -213,8 +213,19 @@ class Build:
         audio = audio_elsewhere(self.work, self.out) if self.refers else {}
         write_json(self.work / DONE_FILE, stamp_content(
             format=FORMAT, step=self.step, options=self.options, key=self.key, refers=self.refers, files=files,
-            audio={name: content_hash for name, (_, content_hash) in audio.items() if content_hash}))
+            audio={name: content_hash for name, (_, content_hash) in audio.items() if content_hash},
+            place=str(self.out) if names_audio_in(self.work, self.out) else ""))
         sync(self.work)
+
+    def _is_done(self, directory: Path) -> bool:
+        try:
+            stamp = json.loads((directory / DONE_FILE).read_text())
+            stamped_ns = (directory / DONE_FILE).stat().st_ctime_ns
+            return (stamp["key"] == self.key and stamp.get("place", "") in ("", str(self.out))
+                    and all(is_as_stamped(directory, name, size, content_hash, stamped_ns)
+                            for name, (size, content_hash) in stamp["files"].items()))
+        except (OSError, ValueError, KeyError, TypeError):
+            return False
 
     def _record_path(self, name: str) -> Path:
         plain = re.fullmatch(r"[\w+-][\w.+-]{0,150}", name, re.ASCII)
@@ -287,13 +298,3 @@ def share(names: list[str], part: str | None) -> list[str]:
     if not match or not 1 <= int(match[1]) <= int(match[2]):
         raise ValueError(f"part={part!r} must be JOB/JOBS with 1 <= JOB <= JOBS, such as 2/5")
     return names[int(match[1]) - 1::int(match[2])]
-
-
-def _is_done(directory: Path, key: str) -> bool:
-    try:
-        stamp = json.loads((directory / DONE_FILE).read_text())
-        stamped_ns = (directory / DONE_FILE).stat().st_ctime_ns
-        return stamp["key"] == key and all(is_as_stamped(directory / name, size, content_hash, stamped_ns)
-                                           for name, (size, content_hash) in stamp["files"].items())
-    except (OSError, ValueError, KeyError, TypeError):
-        return False

@@ -15,8 +15,11 @@ from msgspec.structs import replace
 
 from roomeq.core.files import hash_file, physical, read_text
 from roomeq.core.kept_hashes import hashes_of_input, quick_look
-from roomeq.core.stamps import Stamp, read_stamp, require_as_stamped, require_audio_as_stamped
+from roomeq.core.stamps import Stamp, read_stamp, require_as_stamped, require_audio_as_stamped, require_in_place
 
+READ_IF_PRESENT = ("noises.jsonl", "rirs.jsonl", "segments", "spk2gender", "text", "utt2lang", "utt2rir", "utt2snr",
+                   "utt2uniq")
+"""Tables that readers use where they are, also if somebody has put them beside the files of a step."""
 _NUMERICS = ("numba", "numpy", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
 
 
@@ -24,8 +27,8 @@ def digest(path: Path) -> str:
     """Return a hash of a file's content or of a directory's, and of the audio that the directory's tables name.
 
     A directory that a `Build` made is hashed by the content hashes in its stamp, once its files are found to be as the
-    stamp says; where it refers to audio elsewhere, by the stamp's key and the content of that audio too. Any other
-    directory is hashed by the content of all its files, and of the audio that its tables name.
+    stamp says, and by `READ_IF_PRESENT`; where it refers to audio elsewhere, by the stamp's key and the content of that
+    audio too. Any other directory is hashed by the content of all its files, and of the audio that its tables name.
 
     Raises
     ------
@@ -44,8 +47,11 @@ def digest(path: Path) -> str:
     total = hashlib.sha256(stamp.key.encode() if stamp and stamp.refers else b"")
     content: dict[str, str | None]
     if stamp:
+        require_in_place(path, stamp)
         require_as_stamped(path, stamp)
         content = {name: content_hash for name, (_, content_hash) in stamp.files.items()}
+        content |= {name: hash_file(path / name) for name in READ_IF_PRESENT
+                    if name not in content and (path / name).is_file()}
     else:
         files = files_below(path)
         content = dict(zip((str(file.relative_to(path)) for file in files),
@@ -144,9 +150,8 @@ def audio_elsewhere(directory: Path, out: Path | None = None) -> dict[str, tuple
                 wav = json.loads(line)["wav"]
                 found[wav] = physical(directory / wav)
     with contextlib.suppress(OSError, ValueError):
-        entries = [line.split(maxsplit=1)[-1] for line in read_text(directory / "wav.scp").splitlines()]
-        words = {re.sub(r":\d+$", "", word.strip()) for entry in entries for word in [entry, *words_of_entry(entry)]}
-        found |= {word: Path(word) for word in sorted(words) if quick_look(Path(word))}
+        names = {name for entry in _entries(directory) for name in names_in_entry(entry)}
+        found |= {name: Path(name) for name in sorted(names) if quick_look(Path(name))}
     own = tuple(f"{os.path.realpath(folder)}/" for folder in (directory, out or directory))
     found = {name: path for name, path in found.items() if not str(physical(path)).startswith(own)}
     listed = hashlib.sha256("\n".join(map(str, found.values())).encode(errors="surrogateescape")).hexdigest()
@@ -154,14 +159,29 @@ def audio_elsewhere(directory: Path, out: Path | None = None) -> dict[str, tuple
     return {name: (path, content_hash) for (name, path), content_hash in zip(found.items(), hashes, strict=True)}
 
 
-def words_of_entry(entry: str) -> list[str]:
-    """Return the words of an entry of `wav.scp`, which include the files that it reads."""
-    if not {"'", '"', "\\"} & set(entry):
-        return entry.split()
+def names_audio_in(directory: Path, out: Path) -> bool:
+    """Tell whether the `wav.scp` of a directory names files below `out`."""
+    with contextlib.suppress(OSError, ValueError):
+        return any(name.startswith(f"{out}/") for entry in _entries(directory) for name in names_in_entry(entry))
+    return False
+
+
+def _entries(directory: Path) -> list[str]:
+    return [line.split(maxsplit=1)[-1] for line in read_text(directory / "wav.scp").splitlines()]
+
+
+def names_in_entry(entry: str) -> set[str]:
+    """Return names that may be those of files that an entry of `wav.scp` reads.
+
+    They are the whole entry and its words, each also without a colon and a number at its end: they are the offset in an
+    archive, or part of the name.
+    """
     try:
-        return shlex.split(entry)
+        words = shlex.split(entry) if {"'", '"', "\\"} & set(entry) else entry.split()
     except ValueError:
-        return entry.split()
+        words = entry.split()
+    words = [entry.strip(), *words]
+    return {name for word in words for name in (word, re.sub(r":\d+$", "", word))}
 
 
 def files_below(directory: Path) -> list[Path]:

@@ -49,6 +49,9 @@ class Stamp(msgspec.Struct, frozen=True):
         The directory names audio elsewhere.
     audio : dict
         Hash of each audio file elsewhere, by the name that it has in the directory's tables.
+    place : str
+        Path of the directory where its `wav.scp` names its own audio by it, as Kaldi requires, else empty. It may be
+        relative to the folder where the step ran.
     """
 
     step: str
@@ -58,6 +61,7 @@ class Stamp(msgspec.Struct, frozen=True):
     options: dict[str, Any] = {}
     refers: bool = False
     audio: dict[str, str] = {}
+    place: str = ""
 
     @property
     def command(self) -> str:
@@ -105,21 +109,31 @@ def _read_any_format(directory: Path) -> Stamp | None:
                          "again") from None
 
 
-def is_as_stamped(path: Path, size: int, content_hash: str, stamped_ns: int) -> bool:
+def is_as_stamped(directory: Path, name: str, size: int, content_hash: str, stamped_ns: int) -> bool:
     """Tell whether a file is as its directory's stamp says; it is only read if it has changed since then.
 
     Parameters
     ----------
-    path : Path
-    size, content_hash
+    directory : Path
+    name, size, content_hash
         The file's entry in the stamp.
     stamped_ns : int
         When the stamp was written: its `st_ctime_ns`.
     """
+    path = directory / name
     status = path.stat()
-    # the inode's time: a file that is moved here keeps its own modification time; within a tick it tells nothing
     return (status.st_size == size and stat.S_ISREG(status.st_mode)
-            and (status.st_ctime_ns < stamped_ns or hash_file(path) == content_hash))
+            and (_is_older(directory, name, stamped_ns) or hash_file(path) == content_hash))
+
+
+def _is_older(directory: Path, name: str, stamped_ns: int) -> bool:
+    """Tell whether a file, and each folder between it and its directory, was there before the stamp.
+
+    It is the inode's time that tells: what is moved to here keeps its time of modification. Links are not followed: a
+    link that was set later may lead to older files. Within a tick of the clock, times tell nothing.
+    """
+    return all(os.lstat(directory / part).st_ctime_ns < stamped_ns for part in (Path(name), *Path(name).parents)
+               if part.name)
 
 
 def require_as_stamped(directory: Path, stamp: Stamp, *, quick: bool = True) -> None:
@@ -141,11 +155,25 @@ def require_as_stamped(directory: Path, stamp: Stamp, *, quick: bool = True) -> 
     stamped_ns = (directory / DONE_FILE).stat().st_ctime_ns if quick else 0
     for name, (size, content_hash) in stamp.files.items():
         try:
-            unchanged = is_as_stamped(directory / name, size, content_hash, stamped_ns)
+            unchanged = is_as_stamped(directory, name, size, content_hash, stamped_ns)
         except (FileNotFoundError, NotADirectoryError):
             raise ValueError(f"{directory / name}: missing since it was made: {_remedy(directory, stamp)}") from None
         if not unchanged:
             raise ValueError(f"{directory / name}: changed since it was made: {_remedy(directory, stamp)}")
+
+
+def require_in_place(directory: Path, stamp: Stamp) -> None:
+    """Refuse a directory whose `wav.scp` names the audio of another one: a copy, or one that lies elsewhere now.
+
+    Raises
+    ------
+    ValueError
+        Seen from the current folder, the place that the stamp states is not the directory.
+    """
+    if stamp.place and os.path.realpath(stamp.place) != os.path.realpath(directory):
+        raise ValueError(f"{directory}: its wav.scp names audio in {stamp.place}, where the directory was made, and "
+                         "from the current folder that is not this directory: go to the folder where it was made, or "
+                         f"run {stamp.command} again for {directory}")
 
 
 def require_audio_as_stamped(directory: Path, stamp: Stamp, found: dict[str, tuple[Path, str | None]]) -> None:

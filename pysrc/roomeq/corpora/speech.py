@@ -2,7 +2,6 @@
 
 import logging
 import os
-import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from hashlib import sha256
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from roomeq.core.build import Build
-from roomeq.core.digests import audio_digest, words_of_entry
+from roomeq.core.digests import audio_digest, names_in_entry
 from roomeq.corpora.kaldi_dir import find_kaldi_dirs, read_kaldi_dir
 from roomeq.corpora.librispeech import find_sets, list_librispeech
 from roomeq.corpora.record import is_generated
@@ -105,9 +104,9 @@ def _listing(source: Path, listed: Listed) -> str:
     if parts:
         said = repr(sorted((str(part.directory.path), part.directory.files, sorted(part.utterances))
                            for part in parts))
-        words = {word for part in parts for entry in part.directory.files["wav.scp"].values()
-                 for word in words_of_entry(entry)}
-        audio = audio_digest(Path(re.sub(r":\d+$", "", word)) for word in sorted(words))
+        names = {name for part in parts for entry in part.directory.files["wav.scp"].values()
+                 for name in names_in_entry(entry)}
+        audio = audio_digest(Path(name) for name in sorted(names))
         return sha256((said + audio).encode()).hexdigest()
     said = repr([(utterance.id, utterance.speaker, utterance.gender, utterance.text) for utterance in utterances])
     audio = "" if is_generated(source) else audio_digest(utterance.path for utterance in utterances)

@@ -104,7 +104,7 @@ def compensate(sim_dir: Path | str, eq_dir: Path | str, out: Path | str, *, taps
                          "of them")
     sim_dir, eq_dir, out = Path(sim_dir), Path(eq_dir), Path(out)
     options = dict(taps=taps, match_rooms=bool(match_rooms), seed=seed)
-    build = Build(out, step="compensate", options=options, inputs=[sim_dir, eq_dir])
+    build = Build(out, step="compensate", options=options, inputs=[sim_dir, eq_dir], refers=True)
     if build.done:
         return None
     from roomeq.eq.compensation import make

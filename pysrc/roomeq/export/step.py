@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from roomeq.core.build import Build
-from roomeq.records.rir_dir import ROWS_FILE, read_rirs
+from roomeq.records.rir_dir import mesh_files
 
 KINDS = ("lhotse", "espnet", "nemo", "huggingface", "roomeq")
 WITH_PLACE = ("espnet", "roomeq")
@@ -56,15 +56,9 @@ def export(kind: str, directory: Path | str, out: Path | str, *, link: bool = Fa
     options = dict(kind=kind, link=link)
     if kind in WITH_PLACE:
         options["place"] = os.path.abspath(out)
-    inputs = [Path(directory), *(_meshes(Path(directory)) if kind == "roomeq" else [])]
+    inputs = [Path(directory), *(mesh_files(Path(directory)) if kind == "roomeq" else [])]
     build = Build(Path(out), step="export", options=options, inputs=inputs)
     if not build.done:
         from roomeq.export.write import make
 
         make(build, kind, Path(directory), link=link, pipes=pipes, nj=nj)
-
-
-def _meshes(directory: Path) -> list[Path]:
-    """Return the meshes of an RIR directory."""
-    rows = read_rirs(directory) if (directory / ROWS_FILE).is_file() else []
-    return sorted({directory / mesh for row in rows if (mesh := row.get("mesh"))})

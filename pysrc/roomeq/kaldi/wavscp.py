@@ -19,7 +19,7 @@ import soundfile
 from roomeq.core.arrays import Array
 from roomeq.core.audio import audio_info, read_audio, require_plausible, require_whole_riff
 from roomeq.core.constants import FS_HZ
-from roomeq.core.digests import words_of_entry
+from roomeq.core.digests import names_in_entry
 from roomeq.core.kept_hashes import Look, quick_look
 from roomeq.core.limits import AUDIO_HOURS, max_audio_samples
 
@@ -217,7 +217,7 @@ def segment_samples(name: str, length: AudioLength, start_s: float, end_s: float
 
 def _looks(entry: Entry) -> tuple[Look | None, ...]:
     """Return how the files look that an entry reads; of a command, those that are words of it."""
-    names = words_of_entry(entry.text) if entry.kind == "pipe" else [entry.text]
+    names = sorted(names_in_entry(entry.text)) if entry.kind == "pipe" else [entry.text]
     return tuple(quick_look(Path(name)) for name in names)
 
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from roomeq.core.build import Build, check_jobs
+from roomeq.records.rir_dir import mesh_files
 
 
 def close_loop(rir_dirs: Sequence[Path], out: Path, *, test: Sequence[Path] = (), model: Path | None = None,
@@ -42,7 +43,9 @@ def close_loop(rir_dirs: Sequence[Path], out: Path, *, test: Sequence[Path] = ()
     check_jobs(nj)
     build = Build(Path(out), step="close-loop", options=dict(max_effects=max_effects, seed=seed),
                   # a model that is absent is refused by its reader
-                  inputs=[*directories, *test, *([Path(model)] if model and Path(model).exists() else [])])
+                  inputs=[*directories, *test, *sorted({mesh for directory in (*directories, *test)
+                                                        for mesh in mesh_files(directory)}),
+                          *([Path(model)] if model and Path(model).exists() else [])])
     if build.done:
         return None
     from roomeq.loop.close import make

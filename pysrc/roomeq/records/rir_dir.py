@@ -13,12 +13,14 @@ parameters
     `acoustic_parameters`: what `roomeq characterise` measured; `screen`: why the EQ fit leaves the RIR out, or null
 """
 
+import contextlib
 import json
 import os
 import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast
+from urllib.parse import unquote
 
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BAND_1KHZ, FS_HZ
@@ -145,6 +147,23 @@ def with_meshes_relocated(rows: Iterable[Mapping[str, Any]], directory: Path, ou
     """Return rows of RIRs with `mesh`, which is relative to `directory`, made relative to `out`."""
     return [{**row, "mesh": path_from(Path(directory) / row["mesh"], out)} if row.get("mesh") else dict(row)
             for row in rows]
+
+
+def mesh_files(directory: Path) -> list[Path]:
+    """Return the files of the meshes of an RIR directory, and those of the buffers of glTF files, sorted.
+
+    What is missing or malformed is left to the reader of meshes. A directory of another kind has none.
+    """
+    if not (Path(directory) / ROWS_FILE).is_file():
+        return []
+    found = {Path(directory) / mesh for row in read_rirs(directory) if (mesh := row.get("mesh"))}
+    for path in sorted(found):
+        if path.suffix.lower() == ".gltf":
+            with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
+                uris = [buffer["uri"] for buffer in json.loads(path.read_bytes())["buffers"] if "uri" in buffer]
+                found |= {path.parent / name for uri in uris if not uri.lower().startswith("data:")
+                          for name in {uri, unquote(uri)}}
+    return sorted(path for path in found if path.exists())
 
 
 def load_rir(directory: Path, row: Mapping[str, Any], fs_hz: int = FS_HZ) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import Any
 from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
 from roomeq.draw_rooms.room_types import read_room_types
-from roomeq.records.rir_dir import decay_range_s, read_rirs
+from roomeq.records.rir_dir import decay_range_s, mesh_files, read_rirs
 from roomeq.sim.defaults import DEFAULT_TABLE, ISM_ORDER, NUM_RAYS, ORDER
 from roomeq.sim.published import published_file
 from roomeq.simulate_rirs.options import RenderOptions, check_options
@@ -107,7 +107,7 @@ def simulate(measured_dir: Path | str | None, out: Path | str, *, rooms: int | s
         return
     rows = read_rirs(measured_dir)
     files += [*(_published_table() if any(row.get("materials") for row in rows) else []),
-              *sorted({measured_dir / mesh for row in rows if (mesh := row.get("mesh"))})]
+              *mesh_files(measured_dir)]
     build = _build(out, asdict(options), files, measured_dir)
     if not build.done:
         from roomeq.simulate_rirs.directory import make

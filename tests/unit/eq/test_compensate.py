@@ -1,5 +1,7 @@
 """Compensated RIRs: the EQ measured again meets the target; level, decay and direct sound do not change."""
 
+import json
+
 import numpy as np
 import pytest
 from rirmaker import DIRECT, coloured_rir, row, write_rir_dir
@@ -10,6 +12,7 @@ from roomeq.acoustics.iso3382 import reverberation_time
 from roomeq.acoustics.subband_eq import analyse
 from roomeq.core.audio import read_audio
 from roomeq.core.constants import BANDS_HZ, FS_HZ
+from roomeq.core.digests import digest
 from roomeq.core.files import read_json, write_json
 from roomeq.eq.compensation import apply_filter, compensate_rir, design_filter, summarise
 from roomeq.eq.gmm import fit_gmm
@@ -98,6 +101,17 @@ def test_rows_state_target_and_achieved_eq(dirs, tmp_path):
     assert (sim3["direct_sample"], sim3["acoustic_parameters"]["direct_sample"]) == (DIRECT, DIRECT)
     assert summary == read_json(tmp_path / "out" / "compensation.json")
     assert summary["held"] and summary["n_rirs"] == 6
+
+
+def test_noise_elsewhere_counts_as_part_of_compensated_rirs(dirs, tmp_path):
+    rows = [json.loads(line) for line in (dirs[0] / "noises.jsonl").read_text().splitlines()]
+    (dirs[0] / rows[0]["wav"]).rename(tmp_path / "hum.wav")
+    (dirs[0] / "noises.jsonl").write_text(json.dumps(rows[0] | dict(wav="../hum.wav")) + "\n")
+    compensate(*dirs, tmp_path / "out", seed=0)
+    digest(tmp_path / "out")
+    (tmp_path / "hum.wav").write_bytes(b"another recording")
+    with pytest.raises(ValueError, match=r"hum\.wav: changed since .*out was made of it"):
+        digest(tmp_path / "out")
 
 
 def test_mesh_stays_that_of_the_simulated_rir(dirs, tmp_path):
