@@ -18,7 +18,7 @@ from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.effects.base import Effect, Rendering, octave_energies
 from roomeq.effects.prediction import PredictedRirs, PredictionState
 from roomeq.sim.echogram import FRAME_S
-from roomeq.sim.render import MAX_LENGTH_S, render, tail_noise
+from roomeq.sim.render import render, tail_noise
 
 _LEVELS_DB = (-60.0, 0.0)
 _TIMES_S = (0.2, 6.0)
@@ -27,6 +27,7 @@ _OVER_1KHZ = np.maximum(np.array(BANDS_HZ) / 1000.0, 1.0)
 _TYPICAL_S = 0.5
 """Decay time of a room in which the ratio of energies is `CoupledVolume.level_db` [s]."""
 _RANGE_DB = 75.0  # level below the response at which rendering ends; see `roomeq.effects.noise_floor.QUIET_DB`
+_LONGEST_S = 3.0  # of a response with it
 _DECAY = 6.0 * np.log(10.0)  # of energy over the decay time
 
 
@@ -88,7 +89,7 @@ class CoupledVolume(Effect):
     def on_rir(self, rir: FloatArray, rendering: Rendering) -> FloatArray:
         air = rendering.scene.air
         start_s = rendering.distance_m / air.speed_m_s
-        reflected = octave_energies(rir) - rendering.direct_gain ** 2 * _pulse_energies()
+        reflected = octave_energies(rendering.rendered) - rendering.direct_gain ** 2 * _pulse_energies()
         rir = np.pad(rir, (0, max(0, self._n_samples(start_s) - len(rir))))
         time_s = (np.arange(int(np.ceil(len(rir) / FS_HZ / FRAME_S))) + 0.5) * FRAME_S - start_s
         rate = self.rate_per_s(air.speed_m_s, air.attenuation_per_m)
@@ -101,7 +102,7 @@ class CoupledVolume(Effect):
 
     def _n_samples(self, start_s: float) -> int:
         """Length at which the decay is complete; if it were cut off earlier, its end would be taken for noise."""
-        return round(min(start_s + (_RANGE_DB + self.level_db) / 60.0 * self.time_s, MAX_LENGTH_S) * FS_HZ)
+        return round(min(start_s + (_RANGE_DB + self.level_db) / 60.0 * self.time_s, _LONGEST_S) * FS_HZ)
 
 
 def _pulse_energies() -> FloatArray:

@@ -25,7 +25,8 @@ from roomeq.sim.trace import dense_after_s
 SINC_HALF = 32
 MIN_RATE_HZ = 2000.0  # diffuse reflections are dense from the start: at least two pulses per millisecond
 MIN_LENGTH_S = 0.5
-MAX_LENGTH_S = 3.0
+MAX_LENGTH_S = 13.1
+"""Of a response: a decay time of 10 s with the margin of `roomeq.sim.response.decay_length_s`."""
 DECAY_DB = 60.0
 _LOWEST_GAIN = 1e-3  # of an octave of the first sound, relative to the strongest
 _FIRST_FFT_S = 0.064  # length of the transform of its minimum phase: gains per octave resolve no more

@@ -5,6 +5,7 @@
     (response,) = simulate_responses(scene, (2, 1.5, 1.5), (4, 3, 1.2), seed=0)
 """
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -41,9 +42,13 @@ from roomeq.sim.target import (
 )
 from roomeq.sim.trace import Paths, trace
 
+logger = logging.getLogger(__name__)
+
 _DEFAULTS: dict[str, Any] = dict(length_s=None, ism_order=ISM_ORDER, diffraction=True)
 _CLOSE_ENOUGH = 0.025  # relative error of the target at which nothing is rendered again
 _MAX_RENDERINGS = 5
+SLOW_BANDS_S = 3.0
+"""Time up to which bands are followed that decay more slowly than 1 kHz [s]."""
 LEAST_DECAY = 0.45
 """Of the decay that was expected when a source was traced: slower ones would be left to too few rays."""
 SERVED = (0.7, 2.5)  # exponents that a path sample serves, relative to Eyring's, for which it is drawn
@@ -99,7 +104,7 @@ class TracedSource:
 
 
 def trace_source(scene: Scene, source_pos_m: ArrayLike, *, num_rays: int = NUM_RAYS,
-                 max_length_s: float = MAX_LENGTH_S, rng: np.random.Generator,
+                 max_length_s: float = SLOW_BANDS_S, rng: np.random.Generator,
                  absorption: ArrayLike | None = None) -> TracedSource:
     """Trace a source once for all microphones and absorption coefficients.
 
@@ -322,15 +327,19 @@ def simulate_responses(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike,
         check_positions(scene.room, source_pos_m, mic_m)
     exponent = 1.0 if target_t60_s is None else eyring_exponent(scene, target_t60_s)
     expected = scaled_absorption(scene.absorption, exponent)
+    # other rooms, sources and microphones have other rays and tails, also with the same seed
+    of_source = (scene.room.volume_m3, *map(float, scene.room.surface_area_m2), *map(float, np.ravel(source_pos_m)))
+    names = [repr((of_source, *map(float, mic_m))) for mic_m in mics_m]
     traced = trace_source(scene, source_pos_m, num_rays=num_rays, absorption=expected,
-                          max_length_s=needed_length_s(scene, target_t60_s, order), rng=rng_for(seed, "trace", ""))
-    rngs = [rng_for(seed, "tail", str(n)) for n in range(len(mics_m))]
+                          max_length_s=needed_length_s(scene, target_t60_s, order),
+                          rng=rng_for(seed, "trace", repr(of_source)))
+    rngs = [rng_for(seed, "tail", name) for name in names]
     options: dict[str, Any] = dict(ism_order=ism_order, diffraction=diffraction, source_directivity=source_directivity,
                                    arrays=arrays)
     if mic_directivities is not None and any(mic_directivities):
         options |= dict(mic_directivities=mic_directivities, path_samples=sample_paths(
             traced, mics_m, expected,
-            [rng_for(seed, "echoes", str(n)) for n in range(len(mics_m))], ism_order=ism_order,
+            [rng_for(seed, "path sample", name) for name in names], ism_order=ism_order,
             n_frames=int(np.ceil(traced.max_length_s / FRAME_S))))
     if target_t60_s is None:
         return render_responses(traced, mics_m, rngs, **options)
@@ -353,16 +362,23 @@ def eyring_exponent(scene: Scene, target_s: float, absorption: FloatArray | None
 def needed_length_s(scene: Scene, target_s: float | None = None, order: int = ORDER) -> float:
     """Return the time up to which rays are followed [s].
 
-    It covers a decay by 60 dB in every band, by Eyring and with a margin, and `order` mean free paths ``4 V / S``, up
-    to `MAX_LENGTH_S`.
+    It covers the decay (`decay_length_s`), and `order` mean free paths ``4 V / S`` up to `SLOW_BANDS_S`.
     """
     area_m2 = scene.room.surface_area_m2.sum()
     depth_s = order * 4.0 * scene.room.volume_m3 / (area_m2 * scene.air.speed_m_s)
     exponent = 1.0 if target_s is None else eyring_exponent(scene, target_s)
     decay_s = decay_length_s(scene, scaled_absorption(scene.absorption, exponent))
-    return float(np.clip(max(decay_s, depth_s), MIN_LENGTH_S, MAX_LENGTH_S))
+    return max(decay_s, min(depth_s, SLOW_BANDS_S))
 
 
 def decay_length_s(scene: Scene, absorption: FloatArray) -> float:
-    """Return the time in which every band decays by 60 dB, by Eyring and with a margin [s]."""
-    return float(np.clip(1.3 * eyring_time_s(scene, absorption).max() + 0.1, MIN_LENGTH_S, MAX_LENGTH_S))
+    """Return the time in which every band decays by 60 dB, by Eyring and with a margin [s].
+
+    Beyond `SLOW_BANDS_S`, bands are not followed that decay more slowly than 1 kHz, and none beyond `MAX_LENGTH_S`.
+    """
+    decay_s = 1.3 * eyring_time_s(scene, absorption) + 0.1
+    if decay_s[BAND_1KHZ] > MAX_LENGTH_S:
+        logger.warning("responses of %.1f s or less do not hold a decay by 60 dB, which takes %.1f s at 1 kHz",
+                       MAX_LENGTH_S, decay_s[BAND_1KHZ])
+    longest_s = max(SLOW_BANDS_S, min(float(decay_s[BAND_1KHZ]), MAX_LENGTH_S))
+    return float(np.clip(decay_s.max(), MIN_LENGTH_S, longest_s))
