@@ -64,6 +64,8 @@ class Rendering:
     t60_s : ndarray, shape (8,)
         Decay time of the scene.
     rng : numpy.random.Generator
+    rendered : ndarray, shape (n_samples,)
+        The RIR before all effects that act on it as a whole.
     white : ndarray, shape (8,)
         White noise of the recording that the RIR is compared with: energy of 100 ms relative to the response; 0 if
         there is none.
@@ -75,6 +77,7 @@ class Rendering:
     direct_gain: FloatArray
     t60_s: FloatArray
     rng: np.random.Generator
+    rendered: FloatArray
     white: FloatArray
 
     @property

@@ -14,8 +14,9 @@ from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.effects.source_response import SourceResponse
 
 _EFFECTS: tuple[type[Effect], ...] = (
-    AirAbsorption, SoundSpeed, SourceDirectivity, Occlusion, NearReflector, CoupledVolume, RoomModes, SourceResponse,
+    AirAbsorption, SoundSpeed, SourceDirectivity, NearReflector, Occlusion, CoupledVolume, RoomModes, SourceResponse,
     MicResponse, RoomEq, NoiseFloor)
 
 CATALOGUE: dict[str, type[Effect]] = {effect.NAME: effect for effect in _EFFECTS}
-"""Effects by name, in the order in which a model applies them: sound field, recording chain, noise."""
+"""Effects by name, in the order in which a model applies them: sound field, recording chain, noise. An obstacle shades
+the reflection of a desk as it shades others."""

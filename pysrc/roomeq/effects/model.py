@@ -59,8 +59,12 @@ class Extension:
         unit = "all" if self.effect.SCOPE == "all" else row[_KEY[self.effect.SCOPE]]
         if unit in self.of:
             return self.of[unit]
-        rng = rng_for(seed, f"effect {self.effect.NAME}", unit)
-        return self.effect.from_vector(self.typical + self.spread * rng.standard_normal(len(self.typical)))
+        drawn = rng_for(seed, f"effect {self.effect.NAME}", unit).standard_normal(len(self.typical))
+        # components correlate as in the prior: responses of real loudspeakers are smooth
+        covariance = self.effect.prior_covariance()
+        deviation = np.sqrt(np.diag(covariance))
+        root = np.linalg.cholesky(covariance / np.outer(deviation, deviation) + 1e-9 * np.eye(len(deviation)))
+        return self.effect.from_vector(self.typical + self.spread * (root @ drawn))
 
 
 @dataclass(frozen=True)
@@ -165,7 +169,7 @@ def apply_to_rir(effects: Sequence[Effect], rir: FloatArray, scene: Scene, sourc
     ndarray
         Longer than `rir` where an effect prolongs the decay.
     """
-    rendering = Rendering(scene, source_pos_m, mic_pos_m, direct, eyring_time_s(scene), rng, np.asarray(white))
+    rendering = Rendering(scene, source_pos_m, mic_pos_m, direct, eyring_time_s(scene), rng, rir, np.asarray(white))
     for effect in effects:
         rir = effect.on_rir(rir, rendering)
     return rir

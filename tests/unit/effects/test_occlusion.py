@@ -21,7 +21,7 @@ DIFFUSE_M = 17.0
 def rendering():
     scene = Scene(Shoebox((6.0, 5.0, 3.0)), [Material("all", 0.2, 0.3)] * 6)
     return Rendering(scene, (1.5, 2.0, 1.5), (4.0, 2.0, 1.5), np.full(8, 1.0 / (4.0 * np.pi * DISTANCE_M)), np.ones(8),
-                     np.random.default_rng(0), np.zeros(8))
+                     np.random.default_rng(0), np.zeros(1), np.zeros(8))
 
 
 @pytest.mark.parametrize("detour_m, excess_m", [(0.05, 0.3), (0.05, 2.0), (0.3, 1.0), (0.3, 8.0), (0.5, 0.9)])
