@@ -271,15 +271,15 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
     chains = sorted(set(by_chain))
     by_source: dict[tuple, list[int]] = {}
     for n, (row, place) in enumerate(zip(rows, places, strict=True)):
-        by_source.setdefault((row["room_id"], place.source_pos_m), []).append(n)
+        by_source.setdefault((row["room_id"], place.source_pos_m, air_of(row)), []).append(n)
 
     folder = TraceFolder()
 
-    def trace(room_id: str, source_pos_m: tuple, members: list[int]
+    def trace(room_id: str, source_pos_m: tuple, air: Air, members: list[int]
               ) -> tuple[StoredTrace, list[PathSample], list[Table]]:
         place, mics_m = places[members[0]], np.array([places[n].mic_pos_m for n in members])
         material = Material("surface", (0.0,) * len(BANDS_HZ), (float(scattering),) * len(BANDS_HZ))
-        scene = Scene(place.room, (material,) * len(place.room.surfaces), air_of(rows[members[0]]))
+        scene = Scene(place.room, (material,) * len(place.room.surfaces), air)
         decays_s = decay_range_s(np.array([features[n].values for n in members]),
                                  np.array([features[n].valid for n in members]), LENGTHS_S[0])
         length_s = float(np.clip(1.2 * decays_s[1] + 0.1, *LENGTHS_S))
