@@ -18,6 +18,7 @@ from roomeq.loop.session import Session
 MIN_SIZE_JND = 1.0
 MIN_ROOM_SIZE_JND = 2.0  # of a residual that varies with the room, since rooms differ in more than absorption
 LEVEL = 0.05
+_KINDS = 4  # of tests
 _CLIP = 8.0
 _FREEDOM = 8  # degrees of freedom that the shrinkage over a metric adds to the scatter of a feature
 _MIN_CURVATURES = 16  # rooms and octaves from which on their scatter is known
@@ -53,7 +54,7 @@ class Unexplained:
 
 
 class _Test(NamedTuple):
-    """A tested residual: `band` is -1 for the whole band, `p` is corrected for the number of tests."""
+    """A tested residual: `band` is -1 for the whole band."""
 
     metric: str
     band: int
@@ -67,22 +68,30 @@ def find_unexplained(session: Session) -> list[Unexplained]:
     data, residual = session.data, session.residual
     blocks = [(metric, band) for metric in dict.fromkeys(METRIC.tolist()) for band in range(-1, len(BANDS_HZ))
               if np.any((METRIC == metric) & (BAND_OF_FEATURE == band))]
-    tests: list[_Test] = []
+    of_blocks: list[_Test] = []
     for metric, band in blocks:
         block = residual[:, (METRIC == metric) & (BAND_OF_FEATURE == band)]
         measured = np.asarray(np.isfinite(block).any(axis=1))
         values = np.array([np.nanmean(of_rir) for of_rir in block[measured]])
-        tests += [_Test(metric, band, varies_with, size_jnd, min(1.0, p * len(blocks)))
-                  for varies_with, size_jnd, p in _block_tests(values, data, measured)]
-    metrics = list(dict.fromkeys(METRIC.tolist()))
+        of_blocks += [_Test(metric, band, varies_with, size_jnd, p)
+                      for varies_with, size_jnd, p in _block_tests(values, data, measured)]
+    metrics, of_bands = list(dict.fromkeys(METRIC.tolist())), []
     for metric in metrics:
         bands, size_jnd, p = _outlying_band_test(metric, residual, data)
-        tests += [_Test(metric, band, "room", size_jnd, min(1.0, p * len(metrics))) for band in bands]
-    tests += _outlying_rooms(residual, data)
-    significant = [test for test in tests if _is_significant(test)]
+        of_bands += [_Test(metric, band, "room", size_jnd, p) for band in bands]
+    of_rooms = _outlying_rooms(residual, data)
+    significant = (_significant(of_blocks, len(of_blocks)) + _significant(of_bands, len(metrics))
+                   + _significant(of_rooms, len(of_rooms)))
     decays = {test.band for test in significant if test.metric in ("t20", "t30")}
-    return _merged(significant + [test for test in _outlying_curvatures(residual, data)
-                                  if _is_significant(test) and test.band not in decays])
+    curvatures = _outlying_curvatures(residual, data)
+    return _merged(significant + [test for test in _significant(curvatures, len(curvatures))
+                                  if test.band not in decays])
+
+
+def _significant(tests: list[_Test], n_tests: int) -> list[_Test]:
+    """Return the significant ones of a kind of tests, corrected for their number and that of the kinds (Bonferroni)."""
+    corrected = [test._replace(p=min(1.0, test.p * n_tests * _KINDS)) for test in tests]
+    return [test for test in corrected if _is_significant(test)]
 
 
 def _is_significant(test: _Test) -> bool:
@@ -131,7 +140,7 @@ def _outlying_band_test(metric: str, residual: FloatArray, data: Data) -> tuple[
 
 
 def _outlying_rooms(residual: FloatArray, data: Data) -> list[_Test]:
-    """Test each room against the scatter of the others, feature by feature; return the significant ones."""
+    """Test each room against the scatter of the others, feature by feature (uncorrected p)."""
     names = np.unique(data.room)
     if len(names) < 4:
         return []
@@ -142,14 +151,14 @@ def _outlying_rooms(residual: FloatArray, data: Data) -> list[_Test]:
         count = valid[members].sum(axis=0)
         mean = np.where(valid[members], residual[members], 0.0).sum(axis=0) / np.maximum(count, 1)
         ratio = np.where(count > 1, mean / np.sqrt(omega ** 2 + sigma ** 2 / np.maximum(count, 1)), 0.0)
-        p = 2.0 * stats.t.sf(np.abs(ratio), len(names) - 2 + _FREEDOM) * len(names) * residual.shape[1]
+        p = 2.0 * stats.t.sf(np.abs(ratio), len(names) - 2 + _FREEDOM)
         tests += [_Test(str(METRIC[n]), int(BAND_OF_FEATURE[n]), "room", float(mean[n]), float(p[n]))
-                  for n in np.flatnonzero(p < LEVEL)]
+                  for n in range(len(p))]
     return tests
 
 
 def _outlying_curvatures(residual: FloatArray, data: Data) -> list[_Test]:
-    """Test each room's residuals of T30 relative to T20 in each octave; return the significant ones.
+    """Test each room's residuals of T30 relative to T20 in each octave (uncorrected p).
 
     Both times scatter together, so that a late second slope shows in their ratio when neither stands out. The ratio
     scatters with the inverse square root of bandwidth and number of RIRs. The scale is the median over rooms and
@@ -164,9 +173,9 @@ def _outlying_curvatures(residual: FloatArray, data: Data) -> list[_Test]:
         return []
     standard = mean * np.sqrt(count * OCTAVE_WIDTH_HZ / OCTAVE_WIDTH_HZ[BAND_1KHZ])
     scale = robust_deviation(standard[known]) + 1e-9
-    p = 2.0 * stats.t.sf(np.abs(standard) / scale, _FREEDOM) * known.sum()
+    p = 2.0 * stats.t.sf(np.abs(standard) / scale, _FREEDOM)
     return [_Test("curvature", int(band), "room", float(mean[r, band]), float(p[r, band]))
-            for r, band in np.argwhere(known & (p < LEVEL))]
+            for r, band in np.argwhere(known)]
 
 
 def _merged(tests: list[_Test]) -> list[Unexplained]:
