@@ -61,8 +61,10 @@ def find_other_decays(rows: Sequence[Mapping[str, Any]], log_t20: FloatArray) ->
         for n in map(int, members):
             unusual, limit = _deviation(log_t20[n], median, sd)
             if unusual > limit:  # an object that rings, for one, changes a decay as well
+                compared = np.isfinite(log_t20[n] - median)
                 others = [other for other, (_, *usual) in rooms.items()
-                          if other != room_id and np.less_equal(*_deviation(log_t20[n], *usual))]
+                          if other != room_id and np.all(np.isfinite(usual[0][compared]))
+                          and np.less_equal(*_deviation(log_t20[n], *usual))]
                 if others:
                     doubts[n] = Doubt(OTHER_DECAY, _describe(rows[n], log_t20[n], median, unusual, limit, others))
     return doubts
