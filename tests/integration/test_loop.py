@@ -11,7 +11,8 @@ from scipy.special import polygamma
 from roomeq.acoustics.iso3382 import EARLY_S
 from roomeq.acoustics.octaves import OCTAVE_WIDTH_HZ, octave_bands
 from roomeq.cli import main
-from roomeq.core.constants import FS_HZ
+from roomeq.core.audio import write_wav
+from roomeq.core.constants import BAND_1KHZ, FS_HZ
 from roomeq.core.files import read_json
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.coupled_volume import CoupledVolume
@@ -20,12 +21,13 @@ from roomeq.effects.occlusion import Occlusion
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.effects.source_response import SourceResponse
-from roomeq.loop import power
+from roomeq.loop import power, splitters
 from roomeq.loop.ceiling import ceiling_errors, twin_recordings
 from roomeq.loop.close import SCATTERING
 from roomeq.loop.data import load_data
 from roomeq.loop.facing import with_estimated_facings
 from roomeq.loop.features import (
+    BAND_OF_FEATURE,
     CALIBRATION_FEATURES,
     HAS_GAIN,
     JND,
@@ -40,12 +42,14 @@ from roomeq.loop.likelihood import misfit, normal_equations
 from roomeq.loop.packing import N_SURFACE, ParameterIndex
 from roomeq.loop.power import _changes, detectable_sizes
 from roomeq.loop.predict import ReflectedEnergy, predict
-from roomeq.loop.rendering import render_rows, row_models
-from roomeq.loop.selection import SPLITS, _candidate, choose, heldout_errors, rank, size_of_change_jnd
+from roomeq.loop.rendering import render_rows, rendered_features, row_models
+from roomeq.loop.selection import SPLITS, _candidate, choose, heldout_errors, rank, size_of_change_jnd, transferred
 from roomeq.loop.session import fit_base_model, with_rendered_changes
 from roomeq.loop.splitters import COMMON_SPECTRUM, calibrate, leave_rooms_out, split_positions, transfer_shared
 from roomeq.loop.step import close_loop
 from roomeq.records.rir_dir import load_rir, read_rirs, relocated, write_rirs
+from roomeq.sim.response import simulate_responses
+from roomeq.sim.scene import Air, Material, Scene, Shoebox
 from roomeq.validate import validate
 from testbed import make_room_set
 
@@ -85,6 +89,44 @@ def closed(room_set, tmp_path_factory):
 def session(room_set):
     """Fit the base model to clean rooms."""
     return fit_base_model(load_data([room_set("clean") / "fit"], scattering=SCATTERING, seed=0), seed=0, nj=2)
+
+
+def test_parameters_of_unseen_rooms_converge(session, room_set, monkeypatch, caplog):
+    data = load_data([room_set("source_response") / "test"], scattering=SCATTERING, seed=0)
+    _, calibrated = transferred(data, session)
+    first, _ = split_positions(data)
+    one_khz = (np.isin(METRIC, ["t20", "t30"]) & (BAND_OF_FEATURE == BAND_1KHZ)) | np.isin(METRIC, ["direct", "floor"])
+    absorption, _, gains = calibrated(first, one_khz)
+    monkeypatch.setattr(splitters, "_MOST_ITERATIONS", 200)
+    of_more, _, gains_of_more = calibrated(first, one_khz)
+    np.testing.assert_allclose(absorption, of_more, rtol=0.02)
+    np.testing.assert_allclose(gains, gains_of_more, atol=0.1)
+    assert "did not converge" not in caplog.text
+    monkeypatch.setattr(splitters, "_MOST_ITERATIONS", 2)
+    calibrated(first, one_khz)
+    assert "did not converge in 2 iterations" in caplog.text
+
+
+def test_rirs_of_a_source_are_rendered_in_their_own_air(tmp_path):
+    room, source = Shoebox((8.0, 6.0, 3.5)), (2.0, 2.0, 1.5)
+    rows = []
+    for celsius in (5.0, 35.0):
+        scene = Scene(room, [Material("wall", 0.1, 0.3)] * 6, Air(celsius, 30.0))
+        for n, mic_m in enumerate(((6.5, 4.5, 1.3), (6.0, 3.0, 1.6))):
+            (response,) = simulate_responses(scene, source, mic_m, num_rays=2000)
+            name = f"t{celsius:02.0f}-{n}"
+            write_wav(tmp_path / f"{name}.wav", response.rir)
+            rows.append(dict(id=name, wav=f"{name}.wav", room_id="r", room_dims_m=[8.0, 6.0, 3.5], source_id="s",
+                             mic_id=f"m{n}", source_pos_m=list(source), mic_pos_m=list(mic_m), fs_hz=16000,
+                             n_samples=len(response.rir), temperature_c=celsius, humidity_pct=30.0, tof_removed=False))
+    write_rirs(tmp_path, rows)
+    data = load_data([tmp_path], scattering=SCATTERING, seed=0)
+    absorption = np.full((1, 2, 8), 0.1)
+    rendered = rendered_features(data, row_models(data, absorption, [[]] * len(data.rows)), seed=0)
+    predicted = ParameterIndex(data, ()).predict(absorption, [], np.zeros(len(data.rows)), 0.0)
+    at = METRIC == "arrival"
+    np.testing.assert_allclose(rendered[:, at], predicted[:, at], atol=0.3)
+    np.testing.assert_allclose(rendered[:, at], data.features[:, at], atol=0.3)
 
 
 def test_features_are_in_just_noticeable_differences(room_set):

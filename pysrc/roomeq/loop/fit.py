@@ -31,7 +31,7 @@ CONVERGED = 0.05  # a step that lowers twice the negative log posterior density 
 START_X = float(np.log(0.2))
 """Initial absorption ``x`` of all bands."""
 STEP_FRACTIONS = (1.0, 0.5, 0.2, 0.05)  # of a step, tried in this order
-_DAMPING = 30.0
+DAMPING = 30.0
 """Damping of a step that does not lower the cost, in units of the prior's precision (Levenberg, Quart. Appl. Math. 2
 (1944) 164). It freezes poorly determined parameters, such as one at its limit, so that the others can go on."""
 _CHAIN_GAIN_DB = 30.0  # spread of the gain of a chain, a room or a single RIR
@@ -154,7 +154,7 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
         *new, posterior = solve_step(normal, precision, mean, local, prior)
         mean, local, reached = shortened_step(cost_at, limit, old, new, fractions=STEP_FRACTIONS[:2])
         if mean is old[0]:
-            *new, _ = solve_step(normal, precision, mean, local, prior, damping=_DAMPING)
+            *new, _ = solve_step(normal, precision, mean, local, prior, damping=DAMPING)
             mean, local, reached = shortened_step(cost_at, limit, old, new)
         shape = _best_shape(local, posterior)
         own_scale = [_own_scale(index, k, local, posterior) for k in range(len(index.effects))]

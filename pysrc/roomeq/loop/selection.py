@@ -45,7 +45,6 @@ from roomeq.loop.splitters import (
     HeldOutRoom,
     calibrate,
     leave_rooms_out,
-    position_groups,
     solve_rooms,
     split_positions,
     transfer_shared,
@@ -63,7 +62,7 @@ _USABLE: dict[str, BoolArray | None] = {
         METRIC, ["direct", "floor"])}
 """Features that calibration may use on each split; None for all."""
 _METRICS = tuple(dict.fromkeys(METRIC.tolist()))
-_SIGN_CHANGES = 2 ** 16  # all those of 16 groups; of more groups, a sample
+_SIGN_CHANGES = 2 ** 16  # all those of 16 halves; of more, a sample
 _PROBE_ITERATIONS = 2  # after which the fits from different starts are compared
 
 
@@ -75,13 +74,13 @@ class HeldOutErrors:
     ----------
     by_split : dict of ndarray, shape (n_rirs, n_features)
         Absolute errors on each of `SPLITS` [JND], NaN where nothing was measured.
-    room, group : ndarray of int, shape (n_rirs,)
-        Number of the room, and of the group of positions in it that counts as one observation (`position_groups`).
+    room, half : ndarray of int, shape (n_rirs,)
+        Number of the room, and of the half of its RIRs (`split_positions`).
     """
 
     by_split: dict[str, FloatArray]
     room: IntArray
-    group: IntArray
+    half: IntArray
 
     def changed_in(self, touched: BoolArray, before: "HeldOutErrors") -> "HeldOutErrors":
         """Return the errors with those of all but the `touched` features, (n_rirs, n_features), as they were before."""
@@ -92,9 +91,9 @@ class HeldOutErrors:
         """Mean error of each scored room, every metric with the same weight, shape (n_scored_rooms,)."""
         return np.array([_mean_over_metrics(self.by_split[split][self.room == r]) for r in self._scored(split)])
 
-    def of_groups(self, split: str) -> FloatArray:
-        """Mean error of each group of positions, shape (n_groups,); NaN where nothing was scored."""
-        pairs = np.stack([self.room, self.group])
+    def of_halves(self, split: str) -> FloatArray:
+        """Mean error of each half of a room, shape (n_halves,); NaN where nothing was scored."""
+        pairs = np.stack([self.room, self.half])
         return np.array([_mean_over_metrics(self.by_split[split][np.all(pairs == pair[:, None], axis=0)])
                          for pair in np.unique(pairs, axis=1).T])
 
@@ -140,13 +139,14 @@ def one_sided_p(differences: FloatArray) -> float:
 def p_lower(before: HeldOutErrors, after: HeldOutErrors, split: str) -> float:
     """Return the one-sided p value of the second error being lower than the first, paired.
 
-    Leave-positions-out: Fisher's randomisation test, which changes the signs of groups of positions. An effect may be
-    strong in some rooms and weak in others; a t test over rooms would count that as scatter. Leave-room-out: a t test
-    over rooms, since a few rooms have too few signs to change.
+    Leave-positions-out: Fisher's randomisation test, which changes the signs of halves of rooms: one calibration serves
+    all RIRs of a half, which therefore are one observation. An effect may be strong in some rooms and weak in others; a
+    t test over rooms would count that as scatter. Leave-room-out: a t test over rooms, since a few rooms have too few
+    signs to change.
     """
     if split == "leave_room_out":
         return one_sided_p(before.of_rooms(split) - after.of_rooms(split))
-    change = before.of_groups(split) - after.of_groups(split)
+    change = before.of_halves(split) - after.of_halves(split)
     return float(stats.permutation_test((change[np.isfinite(change)],), np.mean, permutation_type="samples",
                                         alternative="greater", n_resamples=_SIGN_CHANGES, batch=_SIGN_CHANGES // 16,
                                         vectorized=True, rng=np.random.default_rng(0)).pvalue)
@@ -187,7 +187,7 @@ def transferred(data: Data, session: Session) -> tuple[Data, Callable]:
     data = _with_facings(data, session)
     index = ParameterIndex(data, session.effects)
     prior = transfer_shared(session, index)
-    correction = np.tile(session.correction.mean(axis=0), (len(data.rows), 1))
+    correction = _transferred_correction(session, len(data.rows))
 
     def calibrated(known: list[IntArray], usable: BoolArray | None) -> tuple[FloatArray, list, FloatArray]:
         mean, local = solve_rooms(index, session.fit, prior, correction, known, usable, threads=session.nj)
@@ -195,6 +195,20 @@ def transferred(data: Data, session: Session) -> tuple[Data, Callable]:
         return index.absorption(mean, local), effects_of_rows(data, session.effects, vectors), index.gains(local)
 
     return data, calibrated
+
+
+def _transferred_correction(session: Session, n_rirs: int) -> FloatArray:
+    """Return what is added to features that are predicted for other rooms, shape (n_rirs, n_features).
+
+    It is the mean of the session's rendering correction, and of the changes by effects on waves: in other rooms, nobody
+    has rendered those.
+    """
+    mean = session.correction.mean(axis=0)
+    for effect in session.effects:
+        if effect.INTERPOLATION_GRID:
+            change = _change_by(session.data, effect, session.fit)
+            mean = mean + change.sum(axis=0) / np.maximum(session.data.valid.sum(axis=0), 1)
+    return np.tile(mean, (n_rirs, 1))
 
 
 def _with_facings(data: Data, session: Session) -> Data:
@@ -206,7 +220,7 @@ def _with_facings(data: Data, session: Session) -> Data:
     if SourceDirectivity not in session.effects or not len(unknown_facings(data)):
         return data
     index = ParameterIndex(data, session.effects)
-    correction = np.tile(session.correction.mean(axis=0), (len(data.rows), 1))
+    correction = _transferred_correction(session, len(data.rows))
     mean, local = solve_rooms(ParameterIndex(facing_the_microphone(data), session.effects), session.fit,
                               transfer_shared(session, index), correction, split_positions(data)[0],
                               threads=session.nj)
@@ -254,7 +268,9 @@ def _rendered_errors(data: Data, calibrated: Callable, splits: Sequence[str], *,
     for split, of_rows, of_split in zip(splits, np.split(rows, len(splits)), np.split(error, len(splits)), strict=True):
         by_split[split] = np.full(data.features.shape, np.nan)
         by_split[split][of_rows] = of_split
-    return HeldOutErrors(by_split, data.room, position_groups(first, second))
+    half = np.zeros(len(data.rows), dtype=int)
+    half[np.concatenate(second)] = 1
+    return HeldOutErrors(by_split, data.room, half)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ Leave-positions-out
     `solve_rooms` for data that the fit has not seen); the other half is scored.
 """
 
+import logging
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -22,7 +23,7 @@ from roomeq.loop.data import Data
 from roomeq.loop.features import CALIBRATION_FEATURES
 from roomeq.loop.fit import (
     CONVERGED,
-    ITERATIONS,
+    DAMPING,
     START_X,
     Fit,
     SharedPrior,
@@ -40,6 +41,8 @@ from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, ParameterIndex
 from roomeq.loop.predict import N_BANDS, ReflectedEnergy
 from roomeq.loop.session import Session
 
+logger = logging.getLogger(__name__)
+
 Cholesky = tuple[FloatArray, bool]
 """From `scipy.linalg.cho_factor`."""
 _WIDEST, _GRID_POINTS = 3.0, 41
@@ -47,7 +50,7 @@ _WIDEST, _GRID_POINTS = 3.0, 41
 COMMON_SPECTRUM = np.array([-0.28, -0.19, -0.19, -0.03, 0.0, 0.02, 0.01, -0.08])
 """Logarithm of ``-ln(1 - alpha)`` per octave, relative to 1 kHz: mean of 174 rooms of `conf/room_types.toml` with the
 materials of `conf/materials.toml`, from T20 less air absorption (`roomeq simulate --rooms 240 --num-rays 3000`)."""
-_GROUPS, _PER_GROUP = 4, 3  # groups of positions in half of a room, and RIRs in a group
+_MOST_ITERATIONS = 40  # to estimate the parameters of rooms that a fit has not seen
 
 
 @dataclass(frozen=True)
@@ -187,30 +190,6 @@ def split_positions(data: Data) -> tuple[list[IntArray], list[IntArray]]:
     return first, second
 
 
-def position_groups(first: list[IntArray], second: list[IntArray]) -> IntArray:
-    """Return the number of the group within its room that each RIR belongs to, shape (n_rirs,).
-
-    Parameters
-    ----------
-    first, second : list of ndarray of int
-        From `split_positions`.
-
-    Returns
-    -------
-    ndarray of int
-        Each half of a room consists of up to `_GROUPS` groups of consecutive RIRs, which as a rule are neighbours; a
-        group has at least `_PER_GROUP` RIRs unless the half has fewer. The calibration and the interference that a few
-        neighbours share make them one observation.
-    """
-    group = np.zeros(sum(len(half) for half in (*first, *second)), dtype=int)
-    for halves in zip(first, second, strict=True):
-        for number, half in enumerate(halves):
-            parts = np.array_split(half, np.clip(len(half) // _PER_GROUP, 1, _GROUPS))
-            for n, part in enumerate(parts):
-                group[part] = number * _GROUPS + n
-    return group
-
-
 def _usable_features(index: ParameterIndex, known: list[IntArray], usable: BoolArray | None) -> BoolArray:
     """Return what a calibration may use: of RIRs to be scored only `CALIBRATION_FEATURES`; (n_rirs, n_features)."""
     mask = np.broadcast_to(True if usable is None else usable, index.data.valid.shape).copy()
@@ -327,9 +306,10 @@ def transfer_shared(session: Session, index: ParameterIndex) -> SharedPrior:
 
 
 def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correction: FloatArray, known: list[IntArray],
-                usable: BoolArray | None = None, iterations: int = ITERATIONS, threads: int = 1
-                ) -> tuple[FloatArray, list[FloatArray]]:
+                usable: BoolArray | None = None, threads: int = 1) -> tuple[FloatArray, list[FloatArray]]:
     """Estimate the parameters of rooms that a fit has not seen, from some of their RIRs.
+
+    Nothing is known of them at the start, so that it takes more iterations than to continue a fit.
 
     Parameters
     ----------
@@ -344,7 +324,6 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
         Of each room: the RIRs that may be used.
     usable : ndarray of bool, shape (n_features,), optional
         The features that may be used; by default all.
-    iterations : int
     threads : int
         Number of threads; the result does not depend on it.
 
@@ -363,7 +342,7 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
     visible = _usable_features(index, known, usable)
     usable_data = replace(index.data, valid=index.data.valid & visible)
     start_from_measured(ParameterIndex(usable_data, index.effects), mean, local)
-    for _ in range(iterations):
+    for _ in range(_MOST_ITERATIONS):
         predicted, derivatives = index.linearize(mean, local, correction, threads=threads)
         residual, valid = index.data.residual(predicted)
         normal = all_normal_equations(index, residual, valid & visible, derivatives, fitted.sigma, fitted.omega,
@@ -372,6 +351,12 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
         old, limit = (mean, local), cost_at(mean, local, predicted)
         *new, _ = solve_step(normal, precision, mean, local, prior)
         mean, local, reached = shortened_step(cost_at, limit, old, new)
+        if mean is old[0]:
+            *new, _ = solve_step(normal, precision, mean, local, prior, damping=DAMPING)
+            mean, local, reached = shortened_step(cost_at, limit, old, new)
         if limit - reached < CONVERGED:
             break
+    else:
+        logger.warning("the parameters of rooms that the fit has not seen did not converge in %d iterations",
+                       _MOST_ITERATIONS)
     return mean, local
