@@ -315,15 +315,20 @@ def cost(index: ParameterIndex, correction: FloatArray, sigma: FloatArray, omega
 
 
 def _best_shape(local: list[FloatArray], posterior: list[FloatArray]) -> tuple[float, float, float]:
-    """Return the arguments of `absorption_covariance` of the highest posterior density, with `_LEVEL_PRIOR`."""
+    """Return the arguments of `absorption_covariance` of the highest expected posterior density, with `_LEVEL_PRIOR`.
+
+    The expectation is that of the EM algorithm (Dempster, Laird and Rubin, J. R. Stat. Soc. B 39 (1977) 1): the second
+    moment of a room's parameters is the square of their mean plus their posterior covariance.
+    """
     absorption = np.array([own[:N_BANDS] for own in local])
     spread = np.array([covariance[:N_BANDS, :N_BANDS] for covariance in posterior])
-    total = np.array([absorption_covariance(*shape) for shape in _SHAPES])[:, None] + spread
-    solved = np.linalg.solve(total, np.broadcast_to(absorption[:, :, None], (*total.shape[:3], 1)))[..., 0]
+    squares = np.einsum("ra,rb->ab", absorption, absorption) + spread.sum(axis=0)
+    of_shapes = np.array([absorption_covariance(*shape) for shape in _SHAPES])
     (freedom, level), of_level = _LEVEL_PRIOR, np.array([shape[0] for shape in _SHAPES])
     log_prior = -(freedom + 2.0) * np.log(of_level) - 0.5 * freedom * (level / of_level) ** 2
-    misfits = np.linalg.slogdet(total)[1] + np.sum(absorption * solved, axis=-1)
-    return _SHAPES[int(np.argmax(log_prior - 0.5 * misfits.sum(axis=1)))]
+    misfits = (len(local) * np.linalg.slogdet(of_shapes)[1]
+               + np.trace(np.linalg.solve(of_shapes, np.broadcast_to(squares, of_shapes.shape)), axis1=1, axis2=2))
+    return _SHAPES[int(np.argmax(log_prior - 0.5 * misfits))]
 
 
 def _own_scale(index: ParameterIndex, k: int, local: list[FloatArray], posterior: list[FloatArray]) -> float:
