@@ -29,6 +29,8 @@ from roomeq.sim.scene import Air, Scene, Shoebox
 _NEUTRAL = 0.1
 """Absorption in all bands of a room of which only the reverberation time is known, before it is scaled."""
 
+_LARGEST = dict(num_rays=10 ** 7, seed=2 ** 63 - 1)
+
 MaterialLike = str | float | Sequence[float] | Mapping[str, Any]
 
 
@@ -113,8 +115,8 @@ class Room:
     def __post_init__(self) -> None:
         if self.materials is None and self.t60_s is None:
             raise ValueError("a room needs materials or t60_s: give one of them")
-        if self.t60_s is not None and not 0.05 <= self.t60_s <= 10.0:
-            raise ValueError(f"t60_s={self.t60_s!r} must lie in [0.05, 10] s: correct it")
+        if self.t60_s is not None and not (_is_number(self.t60_s) and 0.05 <= self.t60_s <= 10.0):
+            raise ValueError(f"t60_s={self.t60_s!r} must be a number in [0.05, 10] s: correct it")
         self.scene()
 
     def scene(self, fs_hz: int = FS_HZ) -> Scene:
@@ -123,6 +125,9 @@ class Room:
             shape: Shoebox | MeshRoom = load_mesh(Path(self.geometry))
         elif isinstance(self.geometry, Shoebox | MeshRoom):
             shape = self.geometry
+        elif np.ndim(self.geometry) != 1:
+            raise ValueError(f"geometry={self.geometry!r:.80} must be three lengths [m], the path of a mesh, or a "
+                             "Shoebox or mesh: correct it")
         else:
             shape = Shoebox(tuple(self.geometry))
         given = _NEUTRAL if self.materials is None else self.materials
@@ -182,6 +187,9 @@ def simulate_rir(room: Room, source: ArrayLike, mics: ArrayLike, fs: int = FS_HZ
         argument is out of range.
     """
     require_fs(fs)
+    for name, value, lowest in (("num_rays", num_rays, 1), ("seed", seed, 0)):
+        if not (isinstance(value, int | np.integer) and lowest <= value <= _LARGEST[name]):
+            raise ValueError(f"{name}={value!r} must be a whole number from {lowest} to {_LARGEST[name]}: correct it")
     positions_m = np.asarray(mics, dtype=np.float64)
     if positions_m.shape[-1:] != (3,) or positions_m.ndim > 2 or not positions_m.size:
         raise ValueError(f"mics of shape {positions_m.shape} must have the shape (3,) or (n_mics, 3): give x, y, z of "
@@ -202,4 +210,13 @@ def simulate_rir(room: Room, source: ArrayLike, mics: ArrayLike, fs: int = FS_HZ
 
 
 def _at_rate(directivity: Directivity | None, fs_hz: float) -> Callable[[FloatArray], FloatArray] | None:
-    return None if directivity is None else partial(directivity.pressure, fs_hz=fs_hz)
+    if directivity is None:
+        return None
+    if not callable(getattr(directivity, "pressure", None)):
+        raise ValueError(f"directivity={directivity!r:.80} must be a FirstOrder, Loudspeaker or DirectivityTable, or "
+                         "have their method pressure: correct it")
+    return partial(directivity.pressure, fs_hz=fs_hz)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)

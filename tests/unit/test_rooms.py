@@ -80,7 +80,7 @@ def test_mesh_is_a_room(tmp_path):
 def test_directivity_acts_at_the_microphone_as_at_the_source(directivity):
     """A room is reciprocal: exchanging source and microphone, with their directivities, changes nothing."""
     at_source, at_mic = ([], [])
-    for seed in range(4):
+    for seed in range(12):
         at_source.append(roomeq.simulate_rir(ROOM, SOURCE_M, MIC_M, source_directivity=directivity, seed=seed))
         at_mic.append(roomeq.simulate_rir(ROOM, MIC_M, SOURCE_M, mic_directivity=directivity, seed=seed))
     level_db = [np.mean([10.0 * np.log10(np.sum(rir ** 2)) for rir in rirs]) for rirs in (at_source, at_mic)]
@@ -125,12 +125,33 @@ def test_table_of_a_cardioid_acts_like_the_cardioid():
     assert table.pressure(tested, 16000) == pytest.approx(expected, abs=0.03)
 
 
+def test_long_reverberation_is_not_cut_off():
+    rir = roomeq.simulate_rir(roomeq.Room((6, 4, 3), t60_s=5.0), SOURCE_M, MIC_M)
+    assert len(rir) > 5.0 * 16000
+    parameters = roomeq.analyse(rir, 16000)
+    assert parameters["t30_valid"][4] and parameters["t30_s"][4] == pytest.approx(5.0, rel=0.05)
+
+
+def test_rooms_and_sources_have_tails_of_their_own():
+    tails = [roomeq.simulate_rir(roomeq.Room(dims_m, t60_s=0.6), source_m, (3.0, 2.5, 1.1))[2000:6000]
+             for dims_m, source_m in (((6, 4, 3), (1, 1, 1.5)), ((6, 4, 3), (1.5, 1, 1.5)), ((6, 4.5, 3), (1, 1, 1.5)))]
+    correlation = np.corrcoef(tails) - np.eye(3)
+    assert np.abs(correlation).max() < 0.1
+
+
 @pytest.mark.parametrize(("wrong", "message"), [
     (lambda: roomeq.Room((6, 4, 3)), "needs materials or t60_s"),
     (lambda: roomeq.Room((6, 4), materials=0.1), "three lengths"),
     (lambda: roomeq.Room((6, 4, 3), materials=1.5), r"must lie in \[0, 1\]"),
     (lambda: roomeq.Room((6, 4, 3), materials="brik_plastered"), "closest: brick_plastered"),
-    (lambda: roomeq.Room((6, 4, 3), t60_s=20.0), r"t60_s=20.0 must lie in"),
+    (lambda: roomeq.Room((6, 4, 3), {"absorption": 0.2, "scatering": 0.9}), "key 'scatering' must be one of material"),
+    (lambda: roomeq.Room(600, t60_s=0.5), "geometry=600 must be three lengths"),
+    (lambda: roomeq.Room((6, 4, 3), t60_s="0.5"), "t60_s='0.5' must be a number"),
+    (lambda: roomeq.simulate_rir(ROOM, SOURCE_M, MIC_M, "16000"), "fs='16000' must be"),
+    (lambda: roomeq.simulate_rir(ROOM, SOURCE_M, MIC_M, seed=1.5), "seed=1.5 must be a whole number"),
+    (lambda: roomeq.simulate_rir(ROOM, SOURCE_M, MIC_M, num_rays=10 ** 9), "num_rays=1000000000 must be"),
+    (lambda: roomeq.simulate_rir(ROOM, SOURCE_M, MIC_M, source_directivity="cardioid"), "directivity='cardioid' must"),
+    (lambda: roomeq.Room((6, 4, 3), t60_s=20.0), r"t60_s=20.0 must be a number in \[0.05, 10\]"),
     (lambda: roomeq.simulate_rir(ROOM, (7, 1, 1), MIC_M), r"source_pos_m\[0\]=7"),
     (lambda: roomeq.simulate_rir(ROOM, SOURCE_M, [1.0, 2.0]), "must have the shape"),
     (lambda: roomeq.simulate_rir(ROOM, SOURCE_M, MIC_M, 96000), "fs=96000 must be"),

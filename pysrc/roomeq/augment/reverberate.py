@@ -170,6 +170,8 @@ class _ArrayCache(AudioCache):
 
 def _with_direct_sound(rirs: Sequence[ArrayLike], fs_hz: int) -> dict[str, ShiftedRir]:
     """Return RIRs by name, each with the delay of its direct sound."""
+    if isinstance(rirs, np.ndarray) and rirs.ndim == 1:
+        raise ValueError(f"rirs: shape {rirs.shape} is that of one RIR, and a list is expected: give [rir]")
     found = {}
     for n, rir in enumerate(rirs):
         samples = _audible(rir, f"RIR {n}")
@@ -184,7 +186,9 @@ def _with_direct_sound(rirs: Sequence[ArrayLike], fs_hz: int) -> dict[str, Shift
 
 def _one_channel(values: ArrayLike, name: str) -> Array:
     samples = np.asarray(values, dtype=np.float32)
-    if samples.ndim != 1 or not samples.size:
+    if not samples.size:
+        raise ValueError(f"{name}: holds no samples: leave it out")
+    if samples.ndim != 1:
         raise ValueError(f"{name}: shape {samples.shape} must be that of one channel, (n_samples,): choose a channel")
     if not np.all(np.isfinite(samples)):
         raise ValueError(f"{name}: holds NaN or infinite samples: correct them")

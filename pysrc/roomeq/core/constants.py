@@ -33,7 +33,7 @@ def bands_hz(fs_hz: float) -> tuple[float, ...]:
 
 def require_fs(fs_hz: float) -> None:
     """Raise ValueError unless a sample rate is a whole number of hertz from `MIN_FS_HZ` to `MAX_FS_HZ`."""
-    if not (MIN_FS_HZ <= fs_hz <= MAX_FS_HZ and fs_hz == int(fs_hz)):
+    if isinstance(fs_hz, str) or not (MIN_FS_HZ <= fs_hz <= MAX_FS_HZ and fs_hz == int(fs_hz)):
         raise ValueError(f"fs={fs_hz!r} must be a whole number of hertz from {MIN_FS_HZ} to {MAX_FS_HZ}: "
                          "choose another sample rate")
 

@@ -71,7 +71,8 @@ def make(build: Build, directories: dict[str, Path], n_components: int, weight_r
         used = [record for record in measured if not record["screen"]]
         if len(used) < n_components:
             raise ValueError(f"{directories['real']}: {len(used)} measured RIRs are left after screening of "
-                             f"{len(measured)}: must be at least {n_components}, the mixture's components: give more")
+                             f"{len(measured)}: must be at least {n_components}, the mixture's components: give "
+                             "more, or fewer --num-components")
         vectors_db = fill_missing(used, seed)
         gmm = fit_gmm(vectors_db, [record["room_id"] for record in used], n_components=n_components,
                       weight_rooms=weight_rooms, seed=seed)

@@ -37,6 +37,7 @@ logger = logging.getLogger(__name__)
 USES = ("wall", "floor", "ceiling")
 ANY_SURFACE = "default"  # as a surface: all that are not named
 DEFAULT_SCATTERING = "ordinary"
+_KEYS = ("material", "absorption", "scattering")
 _SAME_WALLS = 0.4  # probability that a wall is of the same material as the first
 _PLAUSIBLE_EXPONENT = 2.5  # absorption is scaled by no more, where a few draws allow it
 _PLAUSIBLE_RATIO = 2.0  # reverberation time of the most reverberant band over that at 1 kHz
@@ -191,6 +192,9 @@ def find_surface(table: MaterialTable, given: str | Mapping[str, Any]) -> Surfac
     """
     if isinstance(given, str):
         given = {"material": given, "absorption": given, "scattering": table.own_scattering.get(given)}
+    for key in given if isinstance(given, dict) else ():
+        if key not in _KEYS:
+            raise ValueError(f"material {given!r}: key {key!r} must be one of {', '.join(_KEYS)}: correct or remove it")
     if not isinstance(given, dict) or given.get("absorption") is None:
         raise ValueError(f"material {given!r} must be a name or an object with absorption and scattering: correct it")
     absorption, scattering = given["absorption"], given.get("scattering")

@@ -80,8 +80,8 @@ def simulate(measured_dir: Path | str | None, out: Path | str, *, rooms: int | s
         be met.
     """
     if (measured_dir is None) == (rooms is None):
-        raise ValueError("RIRs are simulated after measured ones or in drawn rooms: give either MEASURED_DIR or "
-                         "--rooms")
+        raise ValueError("RIRs are simulated after measured ones or in drawn rooms: give either MEASURED_DIR and OUT, "
+                         "or --rooms and OUT")
     if room_types is not None and rooms is None:
         raise ValueError(f"room_types={room_types} is of drawn rooms: give --rooms as well, or leave it out")
     numbers = None if rooms is None else _room_numbers(rooms)
