@@ -77,7 +77,7 @@ decode_opts="--beam 11 --max-active 2000 --lattice-beam 6"   # options of decode
 [ -f path.sh ] || { echo "run.sh: call it from the directory that holds run.sh, not from $PWD" >&2 && exit 1; }
 . ./path.sh
 . utils/parse_options.sh
-[ $# -eq 0 ] || usage
+[ $# -eq 0 ] || die "'$1' is no option: options begin with --; see --help"
 [ -n "$stop_stage" ] || stop_stage=$((stage < 8 ? 7 : 10))
 . local/check_options.sh
 . utils/one_run.sh

@@ -4,6 +4,7 @@ number='[-+]?[0-9]*\.?[0-9]+'
 distribution="none|$number|(uniform|normal) +${number}[ ,]+$number|list +(${number}[ ,]+)*$number"
 distribution_rule="'uniform LOW HIGH', 'normal MEAN SD', 'list A,B,...', a number or none"
 
+check_option nj '[1-9][0-9]*' "at least 1"
 check_option stop_stage '[0-9]|10' "a whole number up to 10"
 check_option split_by 'rir|room' "rir or room"
 check_option split_sizes '[0-9]+,[0-9]+,[0-9]+' "three counts, as 773,194,242"
@@ -15,6 +16,9 @@ check_option snr "$distribution" "$distribution_rule"
 check_option point_snr "$distribution" "$distribution_rule"
 check_option packing 'recording|utterance' "recording or utterance"
 check_option align_on 'clean|self' "clean or self"
+[ "$stage" -le "$stop_stage" ] || die "--stage $stage comes after --stop-stage $stop_stage: nothing is to be done"
+[ -z "$librispeech" ] || [ -z "$speech" ] || die "--librispeech and --speech both name the speech: leave one out"
+[ -z "$reverbdb" ] || [ -z "$measured" ] || die "--reverbdb and --measured both name the measured RIRs: leave one out"
 [ "$dry_run" = false ] || [ "$stage" -ge 8 ] || die "--dry-run prints the Kaldi commands: add --stage 8"
 if [ -n "$rooms" ] && [ "$free_rooms" != 0 ]; then
   log "--rooms draws all rooms: no set sim.free is made beside"

@@ -92,10 +92,12 @@ while [ $# -gt 0 ]; do
         set_option "${1#--}" true "" && shift && continue
       fi
       [ $# -gt 1 ] || die "$1 needs a value; see --help"
+      next=${2#--} && next=${next//-/_}
+      [[ $2 != --* || $options_known != *" ${next%%=*} "* ]] || die "$1 needs a value, and $2 is an option; see --help"
       set_option "${1#--}" "$2" ""
       shift 2
       ;;
     *) break ;;
   esac
 done
-unset options_known flag
+unset options_known flag next

@@ -35,6 +35,7 @@ def test_command_line_wins_over_config(recipe):
     (["--PATH", "1", "say.sh"], "unknown option 'PATH'"),
     (["--options-given", "1", "say.sh"], "unknown option"),
     (["--nj"], "--nj needs a value"),
+    (["--some-name", "--nj", "3", "say.sh"], "--some-name needs a value, and --nj is an option"),
     (["--fast", "yes", "say.sh"], "must be true or false"),
     (["--config", "absent.conf", "say.sh"], "absent.conf: no such file"),
     (["absent"], "absent is missing: run steps/before.sh first"),
