@@ -8,11 +8,9 @@ from typing import Any
 
 from roomeq.core.stamps import DONE_FILE
 from roomeq.records.geometry import find_contradiction
-from roomeq.records.schema import LARGEST, make_id
+from roomeq.records.schema import LARGEST, UNKNOWN, make_id
 
 AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".aiff", ".aif", ".au", ".caf", ".w64", ".mp3")
-UNKNOWN = "unknown"
-"""Id of a room, source or microphone without a name (ids must not be null)."""
 
 _UNKNOWN_CELLS = {"", "?", "-", "na", "n/a", "nan", "none", "null", "unknown"}
 _AMBIENT_WORDS = {"ambient", "ambience", "background", "isotropic", "silence", "roomtone"}

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed
+from scipy.cluster.hierarchy import fcluster, linkage
 
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.core.constants import BANDS_HZ, FS_HZ
@@ -27,7 +28,7 @@ from roomeq.loop.tables import ANGLES, FRAME_MID_S, Table, collect, level_surfac
 from roomeq.loop.traces import StoredTrace, TraceFolder
 from roomeq.loop.usable import LeftOut, UsableRirs, usable_rirs
 from roomeq.records.rir_dir import load_rir
-from roomeq.records.schema import RirRow
+from roomeq.records.schema import UNKNOWN, RirRow
 from roomeq.sim.geometry import Place, find_place
 from roomeq.sim.path_sample import PathSample
 from roomeq.sim.response import trace_source
@@ -163,13 +164,18 @@ class Data:
         return self.rendered_changes[effect.NAME]
 
     def units(self, scope: str) -> tuple[list[str], IntArray]:
-        """Names of the units of a scope, such as its microphones, and the number of the unit of each RIR."""
+        """Names of the units of a scope, such as its microphones, and the number of the unit of each RIR.
+
+        Devices without a name are one within a corpus, and others in another one.
+        """
         if scope == "all":
             return ["all"], np.zeros(len(self.rows), dtype=int)
         if scope == "rir":
             return [row["id"] for row in self.rows], np.arange(len(self.rows))
         key = {"source": "source_id", "mic": "mic_id", "room": "room_id"}[scope]
         unit_of_row = [str(row[key]) for row in self.rows]  # type: ignore[literal-required]
+        unit_of_row = [f"{UNKNOWN} of {row['corpus']}" if name == UNKNOWN and row.get("corpus") else name
+                       for name, row in zip(unit_of_row, self.rows, strict=True)]
         names = sorted(set(unit_of_row))
         return names, np.array([names.index(name) for name in unit_of_row])
 
@@ -222,19 +228,18 @@ def load_usable(usable: UsableRirs, *, scattering: float, seed: int, model: Mode
 
 def _merge_sources(recordings: list[_Recording]) -> list[_Recording]:
     """Move the positions of a source that are closer than `SAME_PLACE_M` to their mean: one trace serves them all."""
-    groups: list[tuple[tuple[str, str], tuple, list[int]]] = []
-    for n, (_, row, place) in enumerate(recordings):
-        for source, position_m, members in groups:
-            if source == (row["room_id"], row["source_id"]) and np.linalg.norm(
-                    np.subtract(place.source_pos_m, position_m)) < SAME_PLACE_M:
-                members.append(n)
-                break
-        else:
-            groups.append(((row["room_id"], row["source_id"]), place.source_pos_m, [n]))
+    of_source: dict[tuple[str, str], list[int]] = {}
+    for n, (_, row, _) in enumerate(recordings):
+        of_source.setdefault((row["room_id"], row["source_id"]), []).append(n)
     merged = list(recordings)
-    for _, _, members in groups:
-        mean_m = tuple(float(x) for x in np.mean([recordings[n].place.source_pos_m for n in members], axis=0))
-        for n in members:
+    for members in of_source.values():
+        positions_m = np.array([recordings[n].place.source_pos_m for n in members])
+        places_m, place = np.unique(positions_m, axis=0, return_inverse=True)  # in an order of their own
+        # no two of a group are further apart (complete linkage)
+        group = (fcluster(linkage(places_m, "complete"), SAME_PLACE_M, "distance") if len(places_m) > 1
+                 else np.ones(1))[place.ravel()]
+        for n, number in zip(members, group, strict=True):
+            mean_m = tuple(float(x) for x in positions_m[group == number].mean(axis=0))
             merged[n] = recordings[n]._replace(place=replace(recordings[n].place, source_pos_m=mean_m))
     return merged
 

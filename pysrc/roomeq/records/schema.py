@@ -17,7 +17,8 @@ from roomeq.core.constants import BANDS_HZ, FS_HZ, bands_hz
 
 MAX_ID = 200
 """Longest id [characters]: files are named after ids, with a suffix."""
-
+UNKNOWN = "unknown"
+"""Id of a room, source or microphone without a name (ids must not be null)."""
 LARGEST = 1e9
 """Largest absolute value of a number: no length, time or level of a room comes near it."""
 
