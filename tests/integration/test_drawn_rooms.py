@@ -199,8 +199,8 @@ def test_a_stated_range_replaces_the_times_of_the_types(types, tmp_path):
 
 
 @pytest.mark.parametrize("arguments, message", [
-    (["out"], "give either MEASURED_DIR or --rooms"),
-    (["--rooms", "3", "measured", "out"], "give either MEASURED_DIR or --rooms"),
+    (["out"], "give either MEASURED_DIR and OUT, or --rooms and OUT"),
+    (["--rooms", "3", "measured", "out"], "give either MEASURED_DIR and OUT, or --rooms and OUT"),
     (["a", "b", "c"], "3 directories are given where MEASURED_DIR OUT are at most two"),
     (["--rooms", "0", "out"], "rooms='0' must be a number of rooms, such as 200"),
     (["--rooms", "7-3", "out"], "rooms='7-3' must be a number of rooms"),

@@ -42,9 +42,9 @@ def close_loop(rir_dirs: Sequence[Path], out: Path, *, test: Sequence[Path] = ()
     directories, test = [Path(directory) for directory in rir_dirs], [Path(directory) for directory in test]
     check_jobs(nj)
     build = Build(Path(out), step="close-loop", options=dict(max_effects=max_effects, seed=seed),
-                  # a model that is absent is refused by its reader
+                  # a model or mesh that is absent is refused by its reader
                   inputs=[*directories, *test, *sorted({mesh for directory in (*directories, *test)
-                                                        for mesh in mesh_files(directory)}),
+                                                        for mesh in mesh_files(directory) if mesh.exists()}),
                           *([Path(model)] if model and Path(model).exists() else [])])
     if build.done:
         return None

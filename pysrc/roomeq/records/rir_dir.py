@@ -152,18 +152,18 @@ def with_meshes_relocated(rows: Iterable[Mapping[str, Any]], directory: Path, ou
 def mesh_files(directory: Path) -> list[Path]:
     """Return the files of the meshes of an RIR directory, and those of the buffers of glTF files, sorted.
 
-    What is missing or malformed is left to the reader of meshes. A directory of another kind has none.
+    Buffers that are missing or malformed are left to the reader of meshes. A directory of another kind has none.
     """
     if not (Path(directory) / ROWS_FILE).is_file():
         return []
     found = {Path(directory) / mesh for row in read_rirs(directory) if (mesh := row.get("mesh"))}
     for path in sorted(found):
         if path.suffix.lower() == ".gltf":
-            with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
+            with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
                 uris = [buffer["uri"] for buffer in json.loads(path.read_bytes())["buffers"] if "uri" in buffer]
                 found |= {path.parent / name for uri in uris if not uri.lower().startswith("data:")
-                          for name in {uri, unquote(uri)}}
-    return sorted(path for path in found if path.exists())
+                          for name in {uri, unquote(uri)} if (path.parent / name).is_file()}
+    return sorted(found)
 
 
 def load_rir(directory: Path, row: Mapping[str, Any], fs_hz: int = FS_HZ) -> FloatArray:

@@ -45,7 +45,8 @@ CASES = [
          "No such option '--rays'. (Did you mean one of: '--fs', '--num-rays', '--rooms'?): see roomeq simulate "
          "--help"),
     Case("too few", "simulate measured",
-         "RIRs are simulated after measured ones or in drawn rooms: give either MEASURED_DIR or --rooms"),
+         "RIRs are simulated after measured ones or in drawn rooms: give either MEASURED_DIR and OUT, or "
+         "--rooms and OUT"),
     Case("too many", "simulate measured out more",
          "3 directories are given where MEASURED_DIR OUT are at most two: see roomeq simulate --help"),
     Case("rays a text", "simulate --num-rays many measured out",
@@ -91,7 +92,7 @@ CASES = [
     Case("components of 0", "fit-eq --num-components 0 measured out", "n_components=0 must be at least 1"),
     Case("components of a billion", "fit-eq --num-components 1000000000 measured out",
          "measured: 4 measured RIRs are left after screening of 4: must be at least 1000000000, the mixture's "
-         "components: give more"),
+         "components: give more, or fewer --num-components"),
     Case("taps even", "compensate --taps 512 measured eq out",
          "taps=512 must be odd and lie in [3, 4095]: a linear-phase filter delays by half of them"),
     Case("taps of a million", "compensate --taps 1000001 measured eq out",

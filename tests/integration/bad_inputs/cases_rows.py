@@ -212,7 +212,7 @@ CASES = [
          "measured/rirs.jsonl:2: screen=3 must be a text: correct the line or make the file again", screen=3),
     Case("seven components of four", "fit-eq measured out",
          "measured: 4 measured RIRs are left after screening of 4: must be at least 7, the mixture's "
-         "components: give more"),
+         "components: give more, or fewer --num-components"),
     Case("all for noises", COMPENSATE,
          "measured: noise_for='r9' of RIR r0 is no RIR of this directory: simulate it again",
          tuple(row(RIRS, n, noise_for="r9") for n in (1, 2, 3, 4))),
