@@ -5,8 +5,9 @@ parameters, but another random realisation of everything that no model of this k
 and of the diffuse tail, the exact positions, the noise of the recording. The model is then fitted to these twins of the
 recordings and scored on them like on the recordings (parametric bootstrap; Efron and Tibshirani, An Introduction to
 the Bootstrap, 1993, sec. 6.5). What remains is interference, decays of finite bandwidth and length (Davy, Dunn and
-Dubout, Acustica 43 (1979) 12), the rendering's own noise, the uncertainty of geometry, and what half of a room or the
-other rooms cannot tell about a room.
+Dubout, Acustica 43 (1979) 12), the noise of the rendered tails, the uncertainty of geometry, and what half of a room or
+the other rooms cannot tell about a room. The twins have the rays of the model that scores them: with other rays, the
+ceiling of five generated rooms was 0.01 and 0.03 JND higher.
 """
 
 from collections.abc import Sequence
