@@ -302,6 +302,26 @@ def test_command_keeps_rate_and_bits(tmp_path):
         export("nemo", data, tmp_path / "cut", pipes=True)
 
 
+@pytest.mark.parametrize("kind, said", [("nemo", True), ("huggingface", False)])
+def test_export_that_takes_one_microphone_of_an_array_says_so(tmp_path, kind, said, caplog):
+    rng = np.random.default_rng(0)
+    rir = np.column_stack([decay(rng), decay(rng)])
+    write_wav(tmp_path / "rirs/wav/a.wav", rir)
+    write_rirs(tmp_path / "rirs", [rir_row("a", "room", rir, direct_sample=100.0, mic_pos_m=[1.0, 1.0, 1.0],
+                                           channel_pos_m=[[1.0, 1.0, 1.0], [1.1, 1.0, 1.0]])])
+    export(kind, tmp_path / "rirs", tmp_path / "out")
+    assert ("1 of 1 RIRs are of arrays: nemo gets that of the first microphone" in caplog.text) == said
+
+
+def test_snr_that_is_no_number_is_refused_by_its_line(far_field, tmp_path):
+    table = far_field / "utt2snr"
+    lines = table.read_text().splitlines()
+    table.write_text("\n".join([lines[0].split()[0] + " high", *lines[1:]]) + "\n")
+    (far_field / ".done").unlink()
+    with pytest.raises(ValueError, match=r"utt2snr:1: value 'high' of .* must be a number of decibels, or inf"):
+        export("nemo", far_field, tmp_path / "out")
+
+
 def test_suspicious_recording_is_left_out(tmp_path, rirs):
     rows = read_rirs(rirs)
     rows[0]["suspicious"] = "clipped"

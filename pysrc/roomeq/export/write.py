@@ -12,6 +12,7 @@ from roomeq.export import espnet, huggingface, lhotse, nemo, rirs
 from roomeq.export.audio import AudioRules, MadeAudio, make_audio
 from roomeq.export.content import Content, utterances_of
 from roomeq.export.plan import PlannedAudio, plan_export
+from roomeq.records.rir_dir import n_channels
 
 logger = logging.getLogger(__name__)
 
@@ -51,6 +52,10 @@ def make(build: Build, kind: str, directory: Path, *, link: bool, pipes: bool, n
     if kind == "roomeq" and plan.data:
         raise ValueError(f"{directory}: kind=roomeq must be given an RIR directory or one of noises: choose another "
                          "kind for a data directory")
+    arrays = sum(audio.is_rir and n_channels(audio.row or {}) > 1 for audio in plan.audio)
+    if arrays and form.align_rirs:
+        logger.warning("%s: %d of %d RIRs are of arrays: %s gets that of the first microphone", directory, arrays,
+                       sum(audio.is_rir for audio in plan.audio), kind)
     rules = AudioRules(form.align_rirs, form.positive_rirs, link, pipes)
     items = {f"{first:07d}": plan.audio[first:first + AT_ONCE] for first in range(0, len(plan.audio), AT_ONCE)}
     build.run(items, partial(_make_some, build.work, rules), nj=nj)

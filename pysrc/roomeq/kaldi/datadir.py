@@ -24,6 +24,7 @@ _RULES: dict[str, tuple[Callable[[str], object], str]] = {
     "utt2num_frames": (lambda value: re.fullmatch(r"0*[1-9]\d*", value), "a positive whole number"),
     "utt2warp": (lambda value: 0.5 < _number(value) < 1.5, "a number between 0.5 and 1.5"),
     "spk2warp": (lambda value: 0.5 < _number(value) < 1.5, "a number between 0.5 and 1.5"),
+    "utt2snr": (lambda value: value == "inf" or math.isfinite(_number(value)), "a number of decibels, or inf"),
     "reco2file_and_channel": (lambda value: re.fullmatch(r"\S+\s+[AB1]", value), "a file and a channel A or B"),
 }
 
