@@ -7,7 +7,7 @@ from pathlib import Path
 from roomeq.core.files import read_text
 from roomeq.records.transcripts import words_problem
 
-BY_UTTERANCE = ("segments", "text", "utt2spk", "utt2dur", "utt2lang")
+BY_UTTERANCE = ("segments", "text", "utt2spk", "utt2dur", "utt2lang", "utt2uniq")
 BY_RECORDING = ("wav.scp", "reco2dur")
 BY_SPEAKER = ("spk2gender",)
 _REMEDY = "complete the data directory (utils/fix_data_dir.sh)"
@@ -21,8 +21,25 @@ class KaldiDir:
     files: dict[str, dict[str, str]]
 
     def voices(self) -> dict[str, str]:
-        """Return the voice of each utterance: its speaker, or the reader of a LibriSpeech speaker reader-chapter."""
-        return {utt: re.sub(r"^(\d+)-\d+$", r"\1", spk) for utt, spk in self.files["utt2spk"].items()}
+        """Return the voice of each utterance: its speaker, or the reader of a LibriSpeech speaker reader-chapter.
+
+        Speakers of copies of one utterance (`utt2uniq`), as speed perturbation makes them, are one voice.
+        """
+        speaker_of = {utt: re.sub(r"^(\d+)-\d+$", r"\1", spk) for utt, spk in self.files["utt2spk"].items()}
+        same = {speaker: speaker for speaker in speaker_of.values()}
+
+        def voice(speaker: str) -> str:
+            while same[speaker] != speaker:
+                speaker = same[speaker]
+            return speaker
+
+        first: dict[str, str] = {}
+        for utt, original in self.files.get("utt2uniq", {}).items():
+            if utt in speaker_of:
+                other = first.setdefault(original, speaker_of.get(original, speaker_of[utt]))
+                kept, joined = sorted((voice(other), voice(speaker_of[utt])))
+                same[joined] = kept
+        return {utt: voice(speaker) for utt, speaker in speaker_of.items()}
 
     def subset(self, utterances: set[str]) -> dict[str, dict[str, str]]:
         """Return the tables with only the lines that these utterances need."""

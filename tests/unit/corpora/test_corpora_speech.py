@@ -13,6 +13,7 @@ from corpora_examples import put, put_librispeech, put_text, rir
 from roomeq.augment import augment
 from roomeq.corpora import prepare_speech, read_measured
 from roomeq.corpora.characterise import characterise
+from roomeq.corpora.kaldi_dir import KaldiDir
 from roomeq.corpora.librispeech import read_genders
 from roomeq.corpora.utterance import split_voices
 from roomeq.kaldi.validate import validate_data_dir
@@ -99,6 +100,15 @@ def test_manifest_is_split_by_voice(tmp_path):
     assert len(set.union(*voices)) == sum(map(len, voices)) == 7
     assert len(lines(dirs[0] / "text")) == pytest.approx(0.7 * 40, abs=4)
     assert not (dirs[0] / "spk2gender").exists()
+
+
+def test_copies_of_an_utterance_have_one_voice():
+    utt2spk = {f"{prefix}{speaker}-{n}": f"{prefix}{speaker}" for speaker in "abc" for n in range(2)
+               for prefix in ("", "sp0.9-", "sp1.1-")}
+    uniq = {utt: utt.removeprefix("sp0.9-").removeprefix("sp1.1-") for utt in utt2spk if utt.startswith("sp")}
+    voices = KaldiDir(Path(), dict(utt2spk=utt2spk, utt2uniq=uniq)).voices()
+    assert voices == {utt: utt.split("-")[-2] for utt in utt2spk}
+    assert set(KaldiDir(Path(), dict(utt2spk=utt2spk)).voices().values()) == set(utt2spk.values())
 
 
 def test_voices_are_split_in_proportion():
