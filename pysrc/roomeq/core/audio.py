@@ -151,10 +151,15 @@ def write_flac(path: Path, samples: Array, fs_hz: int = FS_HZ, subtype: str = "P
     ValueError
         A sample is not finite or is out of range.
     """
+    require_full_scale(samples, path)
+    _write(Path(path), samples, fs_hz, "FLAC", subtype)
+
+
+def require_full_scale(samples: Array, name: Path | str) -> None:
+    """Raise a `ValueError` if a sample would clip in a FLAC file; the name begins the message."""
     peak = np.abs(samples).max(initial=0.0)
     if not peak <= 1.0:
-        raise ValueError(f"{path}: peak {peak:.3g} must be at most 1 in a FLAC file: scale the signal down")
-    _write(Path(path), samples, fs_hz, "FLAC", subtype)
+        raise ValueError(f"{name}: peak {peak:.3g} must be at most 1 in a FLAC file: scale the signal down")
 
 
 def _write(path: Path, samples: Array, fs_hz: int, fmt: str, subtype: str) -> None:

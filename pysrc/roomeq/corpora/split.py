@@ -112,7 +112,8 @@ def _require_apart(given: Sequence[tuple[str, Path, Sequence[RirRow]]]) -> None:
     by_content = [{hash_file(rir_path(directory, row)): row for row in rows} for _, directory, rows in given]
     for (first, second), (here, there) in zip(combinations(given, 2), combinations(by_content, 2), strict=True):
         (role, directory, rows), (other_role, other, other_rows) = first, second
-        for content in sorted(here.keys() & there.keys()):
+        if same := here.keys() & there.keys():
+            content = min(same)
             raise ValueError(f"{other}: RIR {there[content]['id']} is the recording of RIR {here[content]['id']} of "
                              f"{directory}: give recordings for {other_role} that {role} does not have")
         if ids := {row["id"] for row in rows} & {row["id"] for row in other_rows}:

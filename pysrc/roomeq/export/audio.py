@@ -9,7 +9,7 @@ import soundfile
 
 from roomeq.augment.mix import direct_shift
 from roomeq.core.arrays import Array
-from roomeq.core.audio import audio_info, read_audio, write_wav
+from roomeq.core.audio import audio_info, read_audio, require_full_scale, write_wav
 from roomeq.core.files import write_bytes
 from roomeq.export.align import align
 from roomeq.export.plan import PlannedAudio
@@ -150,10 +150,7 @@ def _decoded(planned: PlannedAudio, work: Path, pipes: bool) -> MadeAudio:
 
 def _write_flac(planned: PlannedAudio, work: Path, samples: Array, rate_hz: int, bits: int) -> MadeAudio:
     """Write samples that are multiples of ``2 ** (1 - bits)`` as they are; libsndfile would scale them."""
-    peak = np.abs(samples).max(initial=0.0)
-    if peak > 1.0:
-        raise ValueError(f"{planned.entry.text}: peak {peak:.3g} must be at most 1 in a FLAC file: scale the signal "
-                         "down")
+    require_full_scale(samples, planned.entry.text)
     pcm = np.rint(samples * 2.0 ** (bits - 1)).clip(-2.0 ** (bits - 1), 2.0 ** (bits - 1) - 1).astype(np.int32)
     buffer, file = io.BytesIO(), f"{planned.file}.flac"
     soundfile.write(buffer, pcm << 32 - bits, rate_hz, format="FLAC", subtype=f"PCM_{bits}")

@@ -258,7 +258,8 @@ def _read_ark(entry: Entry) -> Decoded:
                          "bytes: correct the line")
     with open(entry.text, "rb") as stream:
         stream.seek(entry.offset)
-        tag = stream.read(5)
+        head = stream.read(8)
+        tag = head[:5]
         if not tag.startswith(_AUDIO_TAGS):
             raise ValueError(f"{position}: {tag!r} must be the start of WAV, FLAC or kaldiio AUDIO: matrices, "
                              "arrays and pickles are not supported: write the archive again with wav-copy or kaldiio")
@@ -271,9 +272,8 @@ def _read_ark(entry: Entry) -> Decoded:
         except Exception as error:  # broken bytes can raise any exception in kaldiio
             raise ValueError(f"{position}: broken audio ({error or type(error).__name__}): "
                              "make the archive again") from None
-    with open(entry.text, "rb") as stream:  # of a WAV entry that is cut off, `wave` returns the samples before the end
-        stream.seek(entry.offset)
-        require_whole_riff(stream.read(8), Path(entry.text).stat().st_size - entry.offset, position)
+    # of a WAV entry that is cut off, `wave` returns the samples before the end
+    require_whole_riff(head, Path(entry.text).stat().st_size - entry.offset, position)
     return Decoded(int(rate), _to_float(samples))
 
 
