@@ -12,7 +12,7 @@ from roomeq.acoustics.iso3382 import EARLY_S
 from roomeq.acoustics.octaves import OCTAVE_WIDTH_HZ, octave_bands
 from roomeq.cli import main
 from roomeq.core.audio import write_wav
-from roomeq.core.constants import BAND_1KHZ, FS_HZ
+from roomeq.core.constants import FS_HZ
 from roomeq.core.files import read_json
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.coupled_volume import CoupledVolume
@@ -27,7 +27,6 @@ from roomeq.loop.close import SCATTERING
 from roomeq.loop.data import load_data
 from roomeq.loop.facing import with_estimated_facings
 from roomeq.loop.features import (
-    BAND_OF_FEATURE,
     CALIBRATION_FEATURES,
     HAS_GAIN,
     JND,
@@ -43,7 +42,16 @@ from roomeq.loop.packing import N_SURFACE, ParameterIndex
 from roomeq.loop.power import _changes, detectable_sizes
 from roomeq.loop.predict import ReflectedEnergy, predict
 from roomeq.loop.rendering import render_rows, rendered_features, row_models
-from roomeq.loop.selection import SPLITS, _candidate, choose, heldout_errors, rank, size_of_change_jnd, transferred
+from roomeq.loop.selection import (
+    _USABLE,
+    SPLITS,
+    _candidate,
+    choose,
+    heldout_errors,
+    rank,
+    size_of_change_jnd,
+    transferred,
+)
 from roomeq.loop.session import fit_base_model, with_rendered_changes
 from roomeq.loop.splitters import COMMON_SPECTRUM, calibrate, leave_rooms_out, split_positions, transfer_shared
 from roomeq.loop.step import close_loop
@@ -95,16 +103,36 @@ def test_parameters_of_unseen_rooms_converge(session, room_set, monkeypatch, cap
     data = load_data([room_set("source_response") / "test"], scattering=SCATTERING, seed=0)
     _, calibrated = transferred(data, session)
     first, _ = split_positions(data)
-    one_khz = (np.isin(METRIC, ["t20", "t30"]) & (BAND_OF_FEATURE == BAND_1KHZ)) | np.isin(METRIC, ["direct", "floor"])
-    absorption, _, gains = calibrated(first, one_khz)
+    absorption, _, gains = calibrated(first, _USABLE["leave_room_out"])
     monkeypatch.setattr(splitters, "_MOST_ITERATIONS", 200)
-    of_more, _, gains_of_more = calibrated(first, one_khz)
+    of_more, _, gains_of_more = calibrated(first, _USABLE["leave_room_out"])
     np.testing.assert_allclose(absorption, of_more, rtol=0.02)
     np.testing.assert_allclose(gains, gains_of_more, atol=0.1)
     assert "did not converge" not in caplog.text
     monkeypatch.setattr(splitters, "_MOST_ITERATIONS", 2)
-    calibrated(first, one_khz)
+    calibrated(first, _USABLE["leave_room_out"])
     assert "did not converge in 2 iterations" in caplog.text
+
+
+def test_direct_sound_tells_nothing_about_the_surfaces_of_unseen_rooms(session, room_set):
+    known, _ = split_positions(session.data)
+    held_out = leave_rooms_out(session.data, session.fit)
+    test = load_data([room_set("source_response") / "test"], scattering=SCATTERING, seed=0)
+    known_of_test, _ = split_positions(test)
+    calibrations = []
+    for error_db in (0.0, 5.0):
+        def disturbed(data, error_db=error_db):
+            error = error_db * np.random.default_rng(0).standard_normal(data.features.shape)
+            return replace(data, features=data.features + np.where(METRIC == "direct", error, 0.0))
+
+        of_own = calibrate(replace(session, data=disturbed(session.data)), held_out, known, _USABLE["leave_room_out"])
+        _, calibrated = transferred(disturbed(test), session)
+        of_test, _, gains = calibrated(known_of_test, _USABLE["leave_room_out"])
+        calibrations.append((of_own.absorption, of_test, of_own.gains, gains))
+    (own, of_test, *gains), (own_disturbed, of_disturbed, *gains_disturbed) = calibrations
+    np.testing.assert_array_equal(own_disturbed, own)
+    np.testing.assert_allclose(of_disturbed, of_test, rtol=0.01)
+    assert all(np.abs(a - b).max() > 0.1 for a, b in zip(gains, gains_disturbed, strict=True))
 
 
 def test_rirs_of_a_source_are_rendered_in_their_own_air(tmp_path):

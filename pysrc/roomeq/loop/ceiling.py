@@ -28,6 +28,7 @@ from roomeq.loop.fit import fit
 from roomeq.loop.rendering import RawRir, finished_rir, map_rendered, on_recording_time, row_models
 from roomeq.loop.selection import SPLITS, HeldOutErrors, heldout_errors, score_test_set, transferred
 from roomeq.loop.session import Session
+from roomeq.loop.splitters import EVERY_FEATURE
 
 POSITION_SPREAD_M = 0.02
 """Standard deviation of each coordinate of a source and of a microphone about the stated one."""
@@ -49,7 +50,7 @@ def ceiling_of_test_set(data: Data, session: Session, *, seed: int, nj: int) -> 
     """Return the errors that a session's model would have on rooms held out of every fit if they followed it."""
     data, calibrated = transferred(data, session)
     every: list[IntArray] = [np.flatnonzero(data.room == r) for r in range(len(data.room_names))]
-    absorption, by_row, gains = calibrated(every, None)
+    absorption, by_row, gains = calibrated(every, EVERY_FEATURE)
     twins = twin_recordings(data, absorption, by_row, gains, seed=seed, nj=nj)
     return score_test_set(twins, session, seed=seed, nj=nj)
 

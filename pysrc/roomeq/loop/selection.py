@@ -42,7 +42,9 @@ from roomeq.loop.rendered_model import clear_rendered_changes, effects_of_rows, 
 from roomeq.loop.rendering import RowModel, rendered_features, row_models
 from roomeq.loop.session import Session, with_rendered_changes
 from roomeq.loop.splitters import (
+    EVERY_FEATURE,
     HeldOutRoom,
+    Usable,
     calibrate,
     leave_rooms_out,
     solve_rooms,
@@ -56,11 +58,12 @@ MIN_SIZE_JND = 0.5
 TOUCHED_JND = 0.25
 """Change of a feature from which on an effect touches it."""
 SPLITS = ("leave_positions_out", "leave_room_out")
-_USABLE: dict[str, BoolArray | None] = {
-    "leave_positions_out": None,
-    "leave_room_out": (np.isin(METRIC, ["t20", "t30"]) & (BAND_OF_FEATURE == BAND_1KHZ)) | np.isin(
-        METRIC, ["direct", "floor"])}
-"""Features that calibration may use on each split; None for all."""
+_T60_AT_1KHZ = np.isin(METRIC, ["t20", "t30"]) & (BAND_OF_FEATURE == BAND_1KHZ)
+_USABLE = {
+    "leave_positions_out": EVERY_FEATURE,
+    "leave_room_out": Usable(_T60_AT_1KHZ | np.isin(METRIC, ["direct", "floor"]), of_surfaces=_T60_AT_1KHZ)}
+"""Features that calibration may use on each split. Reflections that arrive in the window of the direct sound would tell
+about the absorption of unseen rooms, but so little that errors of their phases decided."""
 _METRICS = tuple(dict.fromkeys(METRIC.tolist()))
 _SIGN_CHANGES = 2 ** 16  # all those of 16 halves; of more, a sample
 _PROBE_ITERATIONS = 2  # after which the fits from different starts are compared
@@ -156,7 +159,7 @@ def heldout_errors(session: Session, splits: Sequence[str] = SPLITS) -> HeldOutE
     """Return the held-out errors of a session's model on its own data."""
     data, held_out = session.data, leave_rooms_out(session.data, session.fit)
 
-    def calibrated(known: list[IntArray], usable: BoolArray | None) -> tuple[FloatArray, list, FloatArray]:
+    def calibrated(known: list[IntArray], usable: Usable) -> tuple[FloatArray, list, FloatArray]:
         absorption, vectors, gains = calibrate(session, held_out, known, usable)
         by_room = [effects_of_rows(data, session.effects, of_room) for of_room in vectors]
         return absorption, [by_room[r][n] for n, r in enumerate(data.room)], gains
@@ -189,7 +192,7 @@ def transferred(data: Data, session: Session) -> tuple[Data, Callable]:
     prior = transfer_shared(session, index)
     correction = _transferred_correction(session, len(data.rows))
 
-    def calibrated(known: list[IntArray], usable: BoolArray | None) -> tuple[FloatArray, list, FloatArray]:
+    def calibrated(known: list[IntArray], usable: Usable) -> tuple[FloatArray, list, FloatArray]:
         mean, local = solve_rooms(index, session.fit, prior, correction, known, usable, threads=session.nj)
         vectors = index.vectors(mean, local)
         return index.absorption(mean, local), effects_of_rows(data, session.effects, vectors), index.gains(local)

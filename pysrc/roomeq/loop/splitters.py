@@ -20,7 +20,7 @@ from scipy.linalg import cho_factor, cho_solve
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
 from roomeq.core.constants import BAND_1KHZ
 from roomeq.loop.data import Data
-from roomeq.loop.features import CALIBRATION_FEATURES
+from roomeq.loop.features import CALIBRATION_FEATURES, N_FEATURES
 from roomeq.loop.fit import (
     CONVERGED,
     DAMPING,
@@ -81,6 +81,24 @@ class HeldOutRoom:
     def precision(self) -> FloatArray:
         """Of the posterior of the shared parameters, shape (n_shared, n_shared)."""
         return _less(self.of_all, self.of_room, np.ix_(self.columns, self.columns))
+
+
+class Usable(NamedTuple):
+    """Features that a calibration may use, shape (n_features,).
+
+    Attributes
+    ----------
+    features : ndarray of bool
+    of_surfaces : ndarray of bool
+        Those of them that tell about the surfaces of the room. The others calibrate all else, given the surfaces
+        (cut feedback; Plummer, Stat. Comput. 25 (2015) 37).
+    """
+
+    features: BoolArray
+    of_surfaces: BoolArray
+
+
+EVERY_FEATURE = Usable(np.ones(N_FEATURES, dtype=bool), np.ones(N_FEATURES, dtype=bool))
 
 
 class Calibration(NamedTuple):
@@ -190,16 +208,16 @@ def split_positions(data: Data) -> tuple[list[IntArray], list[IntArray]]:
     return first, second
 
 
-def _usable_features(index: ParameterIndex, known: list[IntArray], usable: BoolArray | None) -> BoolArray:
-    """Return what a calibration may use: of RIRs to be scored only `CALIBRATION_FEATURES`; (n_rirs, n_features)."""
-    mask = np.broadcast_to(True if usable is None else usable, index.data.valid.shape).copy()
+def _visible(index: ParameterIndex, known: list[IntArray], features: BoolArray) -> BoolArray:
+    """Return what a calibration sees: of RIRs to be scored only `CALIBRATION_FEATURES`; (n_rirs, n_features)."""
+    mask = np.tile(features, (len(index.data.rows), 1))
     for members, of_room in zip(index.members, known, strict=True):
         mask[np.setdiff1d(members, of_room)] &= CALIBRATION_FEATURES
     return mask
 
 
 def calibrate(session: Session, held_out: list[HeldOutRoom], known: list[IntArray],
-              usable: BoolArray | None = None) -> Calibration:
+              usable: Usable = EVERY_FEATURE) -> Calibration:
     """Estimate the parameters of each room from some of its RIRs, given what the other rooms say about the shared ones.
 
     A loudspeaker that is in one room only is unknown to the other rooms: the RIRs of that room tell its parameters. A
@@ -211,26 +229,23 @@ def calibrate(session: Session, held_out: list[HeldOutRoom], known: list[IntArra
     held_out : list of HeldOutRoom
     known : list of ndarray of int
         Of each room: the RIRs that may be used.
-    usable : ndarray of bool, shape (n_features,), optional
-        The features that may be used; by default all.
+    usable : Usable, optional
     """
     data, fitted, index = session.data, session.fit, session.index
     residual, valid = data.residual(fitted.predicted)
-    valid = valid & _usable_features(index, known, usable)
     absorption, vectors, gains = np.empty((len(fitted.local), 2, N_BANDS)), [], np.empty(len(data.rows))
     for r, (local, room) in enumerate(zip(fitted.local, held_out, strict=True)):
-        equations = normal_equations(index, r, residual, valid, fitted.derivatives, fitted.sigma,
-                                     fitted.omega)
-        inverse, n, precision = fitted.precision[r], len(local), room.precision
-        matrix = np.zeros((n + index.n_shared, n + index.n_shared))
-        matrix[n:, n:] = precision
-        right = np.concatenate([equations.own_residual - inverse @ local, precision @ (room.mean - fitted.mean)])
-        columns = n + equations.columns
-        matrix[:n, :n] = equations.own_own + inverse
-        matrix[:n, columns], matrix[columns, :n] = equations.own_shared, equations.own_shared.T
-        matrix[np.ix_(columns, columns)] += equations.shared_shared
-        right[columns] += equations.shared_residual
+        n, n_all = len(local), len(local) + index.n_shared
+        of_surfaces = np.isin(np.arange(n_all), np.concatenate([np.arange(N_SURFACE), n + np.arange(N_SURFACE)]))
+        matrix, right = _calibration_system(session, r, room, residual,
+                                            valid & _visible(index, known, usable.of_surfaces))
         step = np.linalg.solve(matrix, right)
+        if not np.array_equal(usable.features, usable.of_surfaces):
+            matrix, right = _calibration_system(session, r, room, residual,
+                                                valid & _visible(index, known, usable.features))
+            rest = ~of_surfaces
+            step[rest] = np.linalg.solve(matrix[np.ix_(rest, rest)],
+                                         right[rest] - matrix[np.ix_(rest, of_surfaces)] @ step[of_surfaces])
         mean = fitted.mean + step[n:]
         all_local = [local + step[:n] if s == r else of_other for s, of_other in enumerate(fitted.local)]
         absorption[r] = index.absorption(mean, all_local)[r]
@@ -241,7 +256,25 @@ def calibrate(session: Session, held_out: list[HeldOutRoom], known: list[IntArra
     return Calibration(absorption, vectors, gains)
 
 
-def _search_rirs(session: Session, held_out: list[HeldOutRoom], known: list[IntArray], usable: BoolArray | None,
+def _calibration_system(session: Session, r: int, room: HeldOutRoom, residual: FloatArray, valid: BoolArray
+                        ) -> tuple[FloatArray, FloatArray]:
+    """Return matrix and right-hand side for a step of a held-out room's own and of the shared parameters."""
+    index, fitted = session.index, session.fit
+    equations = normal_equations(index, r, residual, valid, fitted.derivatives, fitted.sigma, fitted.omega)
+    local, inverse, precision = fitted.local[r], fitted.precision[r], room.precision
+    n = len(local)
+    matrix = np.zeros((n + index.n_shared, n + index.n_shared))
+    matrix[n:, n:] = precision
+    right = np.concatenate([equations.own_residual - inverse @ local, precision @ (room.mean - fitted.mean)])
+    columns = n + equations.columns
+    matrix[:n, :n] = equations.own_own + inverse
+    matrix[:n, columns], matrix[columns, :n] = equations.own_shared, equations.own_shared.T
+    matrix[np.ix_(columns, columns)] += equations.shared_shared
+    right[columns] += equations.shared_residual
+    return matrix, right
+
+
+def _search_rirs(session: Session, held_out: list[HeldOutRoom], known: list[IntArray], usable: Usable,
                  vectors: list[list[FloatArray]], gains: FloatArray) -> None:
     """Replace the vectors that belong to single RIRs, of the RIRs to be scored, by the most probable ones of a grid.
 
@@ -253,7 +286,7 @@ def _search_rirs(session: Session, held_out: list[HeldOutRoom], known: list[IntA
     of_rirs = [k for k, effect in enumerate(index.effects) if effect.SCOPE == "rir"]
     if not of_rirs:
         return
-    visible = _usable_features(index, known, usable)
+    visible = _visible(index, known, usable.features)
     absorption, of_fit = index.absorption(fitted.mean, fitted.local), index.vectors(fitted.mean, fitted.local)
     reflected, spread = ReflectedEnergy(data, index.state(absorption, of_fit)), np.hypot(fitted.sigma, fitted.omega)
     for k in of_rirs:
@@ -306,10 +339,8 @@ def transfer_shared(session: Session, index: ParameterIndex) -> SharedPrior:
 
 
 def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correction: FloatArray, known: list[IntArray],
-                usable: BoolArray | None = None, threads: int = 1) -> tuple[FloatArray, list[FloatArray]]:
+                usable: Usable = EVERY_FEATURE, threads: int = 1) -> tuple[FloatArray, list[FloatArray]]:
     """Estimate the parameters of rooms that a fit has not seen, from some of their RIRs.
-
-    Nothing is known of them at the start, so that it takes more iterations than to continue a fit.
 
     Parameters
     ----------
@@ -322,8 +353,7 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
     correction : ndarray, shape (n_rirs, n_features)
     known : list of ndarray of int
         Of each room: the RIRs that may be used.
-    usable : ndarray of bool, shape (n_features,), optional
-        The features that may be used; by default all.
+    usable : Usable, optional
     threads : int
         Number of threads; the result does not depend on it.
 
@@ -339,11 +369,29 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
         precision.append(inverted(covariance))
     mean, local = prior.mean.copy(), [np.zeros(part.size) for part in index.local]
     estimate_gains(index, correction, mean, local)
-    visible = _usable_features(index, known, usable)
+    visible = _visible(index, known, usable.features)
     usable_data = replace(index.data, valid=index.data.valid & visible)
     start_from_measured(ParameterIndex(usable_data, index.effects), mean, local)
+    stages = [usable.of_surfaces]
+    if not np.array_equal(usable.features, usable.of_surfaces):
+        stages.append(usable.features)
+    for features in stages:
+        mean, local = _converged(index, fitted, prior, precision, correction, mean, local,
+                                 _visible(index, known, features), usable.of_surfaces, threads)
+    return mean, local
+
+
+def _converged(index: ParameterIndex, fitted: Fit, prior: SharedPrior, precision: list[FloatArray],
+               correction: FloatArray, mean: FloatArray, local: list[FloatArray], visible: BoolArray,
+               of_surfaces: BoolArray, threads: int) -> tuple[FloatArray, list[FloatArray]]:
+    """Return the most probable parameters given the `visible` features, (n_rirs, n_features), as `solve_rooms` does.
+
+    Only the features `of_surfaces`, (n_features,), move the surfaces. Nothing is known of the rooms at the start, so
+    that it takes more iterations than to continue a fit.
+    """
     for _ in range(_MOST_ITERATIONS):
         predicted, derivatives = index.linearize(mean, local, correction, threads=threads)
+        derivatives = derivatives._replace(by_surface=np.where(of_surfaces[:, None], derivatives.by_surface, 0.0))
         residual, valid = index.data.residual(predicted)
         normal = all_normal_equations(index, residual, valid & visible, derivatives, fitted.sigma, fitted.omega,
                                       threads)
