@@ -26,6 +26,9 @@ FEWEST_RIRS = 20
 """Of two devices, so that the spread of single RIRs is known."""
 REVERBERATION_S = (0.02, 0.42)
 """After the direct sound: late enough that it hardly matters where the loudspeaker faces."""
+SUSPECTS, FEWEST_OF_ROOM = 2, 4
+"""RIRs of a room that are least like their device and may be misnamed, and the others from which on its spread is
+known."""
 WINDOW_S = 0.05
 """Part of the reverberation whose levels are averaged with those of the others: late parts would hardly count in the
 energy of all, and the levels would scatter more."""
@@ -66,9 +69,10 @@ def find_misnamed_devices(rows: Sequence[Mapping[str, Any]], levels_db: FloatArr
 
     Levels are projected onto the usual difference of two devices, the median over the other rooms: the difference of a
     room is then 1, or -1 if the names are exchanged, and a single RIR is 0 from its own device, or 1 if it is the
-    other's. The likelihoods of both are compared, with the spread of the single RIRs. If the stated names are right,
-    their ratio exceeds ``x`` with a probability of ``1 / x`` at most (Markov), for each room and each RIR. Devices that
-    do not differ usually are not compared in effect: their projections spread widely.
+    other's. The likelihoods of both are compared, with the spread of the single RIRs, or that of the room's own RIRs if
+    it is larger: positions differ more where a few reflections are strong. If the stated names are right, their ratio
+    exceeds ``x`` with a probability of ``1 / x`` at most (Markov), for each room and each RIR. Devices that do not
+    differ usually are not compared in effect: their projections spread widely.
 
     Parameters
     ----------
@@ -92,8 +96,11 @@ def find_misnamed_devices(rows: Sequence[Mapping[str, Any]], levels_db: FloatArr
                                       "in the other rooms with exchanged names, by "
                                       f"{-room_share:.1f} times as much; {_odds(gain, limit)}: correct {key}")
                 continue
+            near = np.sort(np.abs(distances))[:-SUSPECTS]
+            own = robust_deviation(near) if len(near) >= FEWEST_OF_ROOM else 0.0
+            of_rir = max(spread, own) ** 2
             for n, rir_distance in zip([*members[0], *members[1]], distances, strict=True):
-                gain = (rir_distance - 0.5) / max(spread ** 2, _LEAST)
+                gain = (rir_distance - 0.5) / max(of_rir, _LEAST)
                 if gain > limit:
                     stated, other = pair if n in members[0] else pair[::-1]
                     doubts[n] = Doubt(OTHER_DEVICE, f"RIR {rows[n]['id']} of room {room_id}: its reverberation is "

@@ -167,6 +167,14 @@ def test_right_names_raise_no_alarm(n_rooms, differ_db, rirs):
         assert find_misnamed_devices(rows, levels_db) == [None] * len(rows)
 
 
+def test_rooms_with_more_scatter_raise_no_alarm():
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        rows, levels_db = devices(rng, 8, 2.0)
+        levels_db[:8] += 4.0 * rng.standard_normal((8, len(BANDS_HZ)))  # a few strong reflections
+        assert find_misnamed_devices(rows, levels_db) == [None] * len(rows)
+
+
 def test_names_in_two_rooms_cannot_be_compared():
     rows, levels_db = devices(np.random.default_rng(1), 2, 6.0, exchanged=[1])
     assert find_misnamed_devices(rows, levels_db) == [None] * len(rows)
