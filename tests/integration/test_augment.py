@@ -1,5 +1,6 @@
 """Augmented data directories: content, independence of jobs and order, refused input."""
 
+import gzip
 import json
 import os
 import shutil
@@ -16,6 +17,7 @@ from joblib.externals.loky import get_reusable_executor
 from roomeq.augment import augment, far_field
 from roomeq.augment.distribution import parse_distribution
 from roomeq.core.audio import write_flac, write_wav
+from roomeq.export import export
 from roomeq.kaldi import validate_data_dir
 from roomeq.kaldi.datadir import read_data_dir
 from roomeq.kaldi.wavscp import read_entry
@@ -73,6 +75,17 @@ def test_utterances_match_equation_1_in_float64(tmp_path, inputs):
         assert kinds == ["ambient", "point"]
         assert row["noises"][0]["id"] == f"hum-{row['room']}"
         assert row["noises"][1]["rir"] != row["rir"] and row["noises"][1]["rir"].startswith(row["room"])
+
+
+def test_languages_are_those_of_clean_speech(tmp_path, inputs):
+    clean, rirs = inputs
+    (clean / "utt2lang").write_text("".join(f"{key} {'de' if key < 'b' else 'en'}\n" for key in LENGTHS))
+    augment(clean, rirs, tmp_path / "out")
+    assert (tmp_path / "out/utt2lang").read_text() == (clean / "utt2lang").read_text()
+    validate_data_dir(tmp_path / "out")
+    export("lhotse", tmp_path / "out", tmp_path / "lhotse")
+    with gzip.open(tmp_path / "lhotse/supervisions.jsonl.gz", "rt") as lines:
+        assert {row["id"]: row["language"] for row in map(json.loads, lines)} == table(clean / "utt2lang")
 
 
 def test_tables_and_summary_match_the_rows(tmp_path, inputs):

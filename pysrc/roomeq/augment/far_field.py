@@ -155,7 +155,7 @@ def _assemble(config: AugmentConfig, work: Path, data: DataDir, out: Path, direc
                         row["id"], row["speaker"], row["recording"], row["start"], row["n_samples"],
                         text=data.text[row["clean"]] if data.text else None, rir=row["rir"],
                         snr_db="inf" if row["snr_db"] is None else f"{row['snr_db']:.2f}",
-                        uniq=data.utt2uniq.get(row["clean"], row["clean"]))
+                        uniq=data.utt2uniq.get(row["clean"], row["clean"]), lang=data.utt2lang.get(row["clean"]))
 
         write_data_dir(directory, recordings, utterances(), spk2gender=data.spk2gender,
                        segmented=config.packing == "recording")

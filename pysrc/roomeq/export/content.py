@@ -20,8 +20,8 @@ class ExportedUtterance(NamedTuple):
         The recording, or the utterance's own file.
     start_s, duration_s : float
         Segment of the audio [s].
-    text, gender : str, optional
-        Transcript; ``"m"`` or ``"f"``.
+    text, gender, language : str, optional
+        Transcript; ``"m"`` or ``"f"``; as in `utt2lang`.
     rir, uniq : str, optional
         RIR of far-field speech; the utterance that it was made of.
     snr_db : float, optional
@@ -35,6 +35,7 @@ class ExportedUtterance(NamedTuple):
     duration_s: float
     text: str | None
     gender: str | None
+    language: str | None
     rir: str | None
     uniq: str | None
     snr_db: float | None
@@ -100,5 +101,5 @@ def _exported(data: DataDir, utterance: Utterance, audio: MadeAudio,
     return ExportedUtterance(
         utterance.id, utterance.speaker, audio, start / audio.rate_hz, (stop - start) / audio.rate_hz,
         text=data.text[utterance.id] if data.text else None, gender=data.spk2gender.get(utterance.speaker),
-        rir=tables["utt2rir"].get(utterance.id), uniq=data.utt2uniq.get(utterance.id),
-        snr_db=None if snr == "inf" else float(snr))
+        language=data.utt2lang.get(utterance.id), rir=tables["utt2rir"].get(utterance.id),
+        uniq=data.utt2uniq.get(utterance.id), snr_db=None if snr == "inf" else float(snr))

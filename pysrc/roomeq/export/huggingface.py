@@ -34,7 +34,8 @@ def write_manifests(content: Content) -> None:
 
 def _of_utterance(utterance: ExportedUtterance) -> dict[str, Any]:
     return dict(text=utterance.text, speaker_id=utterance.speaker, gender=utterance.gender,
-                duration=utterance.duration_s, rir=utterance.rir, snr_db=utterance.snr_db, uniq=utterance.uniq)
+                language=utterance.language, duration=utterance.duration_s, rir=utterance.rir,
+                snr_db=utterance.snr_db, uniq=utterance.uniq)
 
 
 def _of_rir(made: MadeAudio) -> dict[str, Any]:

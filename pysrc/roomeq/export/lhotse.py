@@ -45,7 +45,7 @@ def _supervision(utterance: ExportedUtterance) -> dict[str, Any]:
     custom = dict(rir=utterance.rir, snr_db=utterance.snr_db, uniq=utterance.uniq)
     return _known(id=utterance.id, recording_id=utterance.audio.planned.id, start=utterance.start_s,
                   duration=utterance.duration_s, channel=0, text=utterance.text, speaker=utterance.speaker,
-                  gender=utterance.gender, custom=_known(**custom) or None)
+                  gender=utterance.gender, language=utterance.language, custom=_known(**custom) or None)
 
 
 def _known(**fields: Any) -> dict[str, Any]:

@@ -18,8 +18,8 @@ def write_manifests(content: Content) -> None:
     if content.utterances:
         write_jsonl(content.work / "manifest.json", [
             _line(utterance.audio.file, utterance.start_s, utterance.duration_s, utterance.text or "",
-                  id=utterance.id, speaker=utterance.speaker, gender=utterance.gender, rir=utterance.rir,
-                  snr_db=utterance.snr_db, uniq=utterance.uniq)
+                  id=utterance.id, speaker=utterance.speaker, gender=utterance.gender,
+                  lang=utterance.language, rir=utterance.rir, snr_db=utterance.snr_db, uniq=utterance.uniq)
             for utterance in content.utterances])
         return
     for folder, audio in content.by_folder().items():

@@ -57,6 +57,8 @@ class DataDir:
         ``"m"`` or ``"f"`` by speaker id; empty without `spk2gender`.
     utt2uniq : dict of str
         The original utterance by utterance id; empty without `utt2uniq`.
+    utt2lang : dict of str
+        The language by utterance id; empty without `utt2lang`.
     utt2dur : dict of float
         Durations that the directory states [s], unchecked; may be empty.
     segmented : bool
@@ -69,6 +71,7 @@ class DataDir:
     text: dict[str, str] | None
     spk2gender: dict[str, str]
     utt2uniq: dict[str, str]
+    utt2lang: dict[str, str]
     utt2dur: dict[str, float]
     segmented: bool
 
@@ -76,8 +79,8 @@ class DataDir:
 def read_data_dir(directory: Path, *, pipes: bool = False) -> DataDir:
     """Read and check a Kaldi data directory of any recipe; no audio is read.
 
-    Paths in `wav.scp` are relative to the current folder, as in Kaldi. `text`, `spk2utt`, `spk2gender` and
-    `utt2uniq` may be absent. A segment's end of -1 is the end of its recording.
+    Paths in `wav.scp` are relative to the current folder, as in Kaldi. `text`, `spk2utt`, `spk2gender`,
+    `utt2uniq` and `utt2lang` may be absent. A segment's end of -1 is the end of its recording.
 
     Parameters
     ----------
@@ -103,10 +106,10 @@ def read_data_dir(directory: Path, *, pipes: bool = False) -> DataDir:
         _require_same_ids(directory / "utt2spk", utt2spk, directory / "text", text)
     _check_spk2utt(directory, utt2spk)
     spk2gender = read_optional_table(directory, "spk2gender", dict.fromkeys(utt2spk.values()))
-    utt2uniq = read_optional_table(directory, "utt2uniq", utt2spk)
+    utt2uniq, utt2lang = (read_optional_table(directory, name, utt2spk) for name in ("utt2uniq", "utt2lang"))
     utt2dur = read_optional_table(directory, "utt2dur", utt2spk)
     return DataDir(directory, utterances, recordings, text, segmented=segmented, spk2gender=spk2gender,
-                   utt2uniq=utt2uniq,
+                   utt2uniq=utt2uniq, utt2lang=utt2lang,
                    utt2dur={key: float(duration_s) for key, duration_s in utt2dur.items()})
 
 

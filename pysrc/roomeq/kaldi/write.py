@@ -18,8 +18,8 @@ Append = Callable[[str, str], None]
 class OutUtterance(NamedTuple):
     """One utterance to write: lines of `segments`, `utt2spk`, `text`, ...
 
-    `start` and `n_samples` are at `FS_HZ`. Each of `text`, `rir`, `snr_db` and `uniq` is None either for all
-    utterances or for none.
+    `start` and `n_samples` are at `FS_HZ`. Each of `text`, `rir`, `snr_db`, `uniq` and `lang` is None either for
+    all utterances or for none.
     """
 
     id: str
@@ -31,6 +31,7 @@ class OutUtterance(NamedTuple):
     rir: str | None = None
     snr_db: str | None = None
     uniq: str | None = None
+    lang: str | None = None
 
 
 def format_seconds(n_samples: int) -> str:
@@ -48,8 +49,8 @@ def write_data_dir(directory: Path, recordings: dict[str, tuple[str, int]], utte
                    spk2gender: dict[str, str] | None = None, segmented: bool = True) -> int:
     """Write the files of a Kaldi data directory; only the recordings are held in memory.
 
-    Writes `wav.scp reco2dur utt2spk spk2utt utt2dur`, and `segments text utt2rir utt2snr utt2uniq spk2gender`
-    if there are values for them.
+    Writes `wav.scp reco2dur utt2spk spk2utt utt2dur`, and `segments text utt2rir utt2snr utt2uniq utt2lang
+    spk2gender` if there are values for them.
 
     Parameters
     ----------
@@ -98,7 +99,7 @@ def _append_utterance(append: Append, utterance: OutUtterance, segmented: bool) 
                            f"{format_seconds(utterance.start + utterance.n_samples)}\n")
     for name, value in (("utt2spk", utterance.speaker), ("utt2dur", format_seconds(utterance.n_samples)),
                         ("text", utterance.text), ("utt2rir", utterance.rir),
-                        ("utt2snr", utterance.snr_db), ("utt2uniq", utterance.uniq)):
+                        ("utt2snr", utterance.snr_db), ("utt2uniq", utterance.uniq), ("utt2lang", utterance.lang)):
         if value is not None:
             append(name, f"{utterance.id} {value}\n")
 
