@@ -158,6 +158,7 @@ def _write(build: Build, corpus: Corpus, skip_bad: bool, nj: int, keep_suspiciou
     def assemble(directory: Path, records: list[dict[str, Any]]) -> None:
         merged = {key: [row for record in records for row in record[key]] for key in ("rirs", "noises", "skipped")}
         report = _report(corpus, merged, sum(record["converted"] for record in records))
+        _warn_of_one_position(corpus, merged["rirs"])
         if not merged["rirs"] and corpus.kind != "noises":
             raise ValueError(f"{build.out}: none of {len(corpus.rirs)} RIR files can be used, the first because: "
                              f"{merged['skipped'][0]}")
@@ -182,6 +183,17 @@ def _check_ids(recordings: list[Recording]) -> None:
             raise ValueError(f"{recording.path}: id {recording.id!r} is also that of {first[recording.id]}: "
                              "ids must be unique: rename one file or id")
         first[recording.id] = recording.path
+
+
+def _warn_of_one_position(corpus: Corpus, rirs: list[dict[str, Any]]) -> None:
+    """Say that the channels of a file have the one position that is stated for it."""
+    stated = {recording.id for recording in corpus.rirs
+              if recording.path.suffix != ".sofa" and recording.row.get("mic_pos_m") and not recording.row["binaural"]}
+    second = {f"{recording_id}_ch1" for recording_id in stated}
+    if several := [row["id"] for row in rirs if row["id"] in second]:
+        logger.warning("%s: files with several channels, all of which have the one stated microphone position: %d "
+                       "(first %s): where the microphones are more than some centimetres apart, give a mono file and "
+                       "a position for each", corpus.name, len(several), several[0].removesuffix("_ch1"))
 
 
 def _report(corpus: Corpus, merged: dict[str, list[Any]], converted: int) -> dict[str, Any]:
