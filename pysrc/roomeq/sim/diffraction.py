@@ -271,8 +271,9 @@ def diffract(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, *, speed
     if edges is None:
         return None
     coarse, (edge, low, high, _) = (_pieces(mesh, edges, most) for most in (MAX_PIECES_TWICE, MAX_PIECES))
-    double_paths = find_double_paths(mesh, edges, coarse, _seen(mesh, edges, MAX_PIECES_TWICE, source_pos_m),
-                                     _seen(mesh, edges, MAX_PIECES_TWICE, mic_pos_m))
+    double_paths = find_double_paths(
+        mesh, edges, coarse, source_pos_m, _seen(mesh, edges, MAX_PIECES_TWICE, source_pos_m), mic_pos_m,
+        _seen(mesh, edges, MAX_PIECES_TWICE, mic_pos_m))
     both = np.flatnonzero(_seen(mesh, edges, MAX_PIECES, source_pos_m) & _seen(mesh, edges, MAX_PIECES, mic_pos_m))
     if not len(both) and not len(double_paths):
         return None

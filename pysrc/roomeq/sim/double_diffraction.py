@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-MAX_PATHS = 40_000  # largest number of pairs of pieces
+MAX_PATHS = 15_000  # largest number of pairs of pieces
 MIN_EXCESS_RAD = np.radians(40.0)  # of the open angle over pi; blunter edges diffract too little in second order
 _STEP_SAMPLES = 1.0  # largest change of the arrival time within a step
-_MIN_PRESSURE = 3e-5  # relative to the free-field direct sound; a weaker pair of pieces is integrated in one step
+_MIN_PRESSURE = 1e-4  # relative to the free-field direct sound; a weaker pair of pieces is integrated in one step
 _MIN_RADIUS_M = 1e-6  # points closer to the line of an edge are skipped
 _MIN_SEPARATION_M = 0.005  # closer edges are divided into steps as if they were this far apart
 
@@ -54,9 +54,11 @@ class Pieces(NamedTuple):
     point_m: FloatArray
 
 
-def find_double_paths(room: "MeshRoom", edges: "Edges", pieces: Pieces, seen_by_source: BoolArray,
-                      seen_by_mic: BoolArray) -> IntArray:
+def find_double_paths(room: "MeshRoom", edges: "Edges", pieces: Pieces, source_pos_m: ArrayLike,
+                      seen_by_source: BoolArray, mic_pos_m: ArrayLike, seen_by_mic: BoolArray) -> IntArray:
     """Find the paths that diffract at two edges of the same face.
+
+    Of more than `MAX_PATHS`, those with the largest ``dz_1 dz_2 / (m l n)`` are found.
 
     Parameters
     ----------
@@ -64,6 +66,8 @@ def find_double_paths(room: "MeshRoom", edges: "Edges", pieces: Pieces, seen_by_
     edges
     pieces
         Pieces of all edges.
+    source_pos_m, mic_pos_m
+        Shape (3,).
     seen_by_source, seen_by_mic
         Whether the source and the microphone see each piece, shape (n_pieces,).
 
@@ -75,17 +79,18 @@ def find_double_paths(room: "MeshRoom", edges: "Edges", pieces: Pieces, seen_by_
     """
     sharp = (edges.wedge_rad > np.pi + MIN_EXCESS_RAD)[pieces.edge]
     first, second = (np.flatnonzero(seen & sharp) for seen in (seen_by_source, seen_by_mic))
-    paths, separation2 = _pairs(first, _ranges(pieces.edge[first], len(edges)), second,
-                                _ranges(pieces.edge[second], len(edges)), edges.faces, *_sides_of_faces(edges.faces),
-                                pieces.point_m)
+    point_m, length_m = pieces.point_m, pieces.high_m - pieces.low_m
+    weights = (length_m / np.linalg.norm(point_m - np.asarray(end_m), axis=1) for end_m in (source_pos_m, mic_pos_m))
+    paths, weight = _pairs(first, _ranges(pieces.edge[first], len(edges)), second,
+                           _ranges(pieces.edge[second], len(edges)), edges.faces, *_sides_of_faces(edges.faces),
+                           point_m, *weights)
     if len(paths) > MAX_PATHS:
-        logger.debug("%d pairs of pieces of edges share a face: only the %d closest pairs are computed", len(paths),
-                     MAX_PATHS)
-        limit = np.partition(separation2, MAX_PATHS - 1)[MAX_PATHS - 1]
-        kept = separation2 < limit
-        kept[np.flatnonzero(separation2 == limit)[:MAX_PATHS - np.count_nonzero(kept)]] = True
+        logger.debug("%d pairs of pieces of edges share a face: only the %d of the largest weight are computed",
+                     len(paths), MAX_PATHS)
+        limit = np.partition(weight, -MAX_PATHS)[-MAX_PATHS]
+        kept = weight > limit
+        kept[np.flatnonzero(weight == limit)[:MAX_PATHS - np.count_nonzero(kept)]] = True
         paths = paths[kept]
-    point_m = pieces.point_m
     return paths[room.sees(point_m[paths[:, 0]], point_m[paths[:, 1]])] if len(paths) else paths
 
 
@@ -102,11 +107,14 @@ def _sides_of_faces(faces: IntArray) -> tuple[IntArray, IntArray]:
 
 @compiled
 def _pairs(first: Array, first_of_edge: Array, second: Array, second_of_edge: Array, faces: Array, sides: Array,
-           sides_of_face: Array, point_m: Array) -> tuple[Array, Array]:
-    """Return all paths (see `find_double_paths`), and the squares of the distances between their pieces [m2]."""
+           sides_of_face: Array, point_m: Array, to_source: Array, to_mic: Array) -> tuple[Array, Array]:
+    """Return all paths, and the weight of each (see `find_double_paths`) [1/m].
+
+    `to_source` and `to_mic` are the lengths of the pieces over their distances from the source and the microphone.
+    """
     count = 0
     for fills in (False, True):
-        paths, separation2 = np.empty((count if fills else 0, 4), np.int64), np.empty(count if fills else 0)
+        paths, weight = np.empty((count if fills else 0, 4), np.int64), np.empty(count if fills else 0)
         count = 0
         for edge_1 in range(len(faces)):
             if first_of_edge[edge_1] == first_of_edge[edge_1 + 1]:
@@ -127,9 +135,9 @@ def _pairs(first: Array, first_of_edge: Array, second: Array, second_of_edge: Ar
                             for axis in range(3):
                                 squared += (point_m[p, axis] - point_m[q, axis]) ** 2
                             paths[count, 0], paths[count, 1], paths[count, 2], paths[count, 3] = p, q, side_1, side_2
-                            separation2[count] = squared
+                            weight[count] = to_source[p] * to_mic[q] / np.sqrt(max(squared, 1e-12))
                             count += 1
-    return paths, separation2
+    return paths, weight
 
 
 def deposit_double_diffraction(fine: FloatArray, first_sample: int, paths: IntArray, edges: "Edges", pieces: Pieces,
