@@ -97,6 +97,11 @@ class Usable(NamedTuple):
     features: BoolArray
     of_surfaces: BoolArray
 
+    @property
+    def stages(self) -> list[BoolArray]:
+        """The features for the surfaces, and then those for all else; one stage if they are the same."""
+        return [self.of_surfaces, *([] if np.array_equal(self.features, self.of_surfaces) else [self.features])]
+
 
 EVERY_FEATURE = Usable(np.ones(N_FEATURES, dtype=bool), np.ones(N_FEATURES, dtype=bool))
 
@@ -233,17 +238,14 @@ def calibrate(session: Session, held_out: list[HeldOutRoom], known: list[IntArra
     """
     data, fitted, index = session.data, session.fit, session.index
     residual, valid = data.residual(fitted.predicted)
+    visibles = [_visible(index, known, features) for features in usable.stages]
     absorption, vectors, gains = np.empty((len(fitted.local), 2, N_BANDS)), [], np.empty(len(data.rows))
     for r, (local, room) in enumerate(zip(fitted.local, held_out, strict=True)):
         n, n_all = len(local), len(local) + index.n_shared
         of_surfaces = np.isin(np.arange(n_all), np.concatenate([np.arange(N_SURFACE), n + np.arange(N_SURFACE)]))
-        matrix, right = _calibration_system(session, r, room, residual,
-                                            valid & _visible(index, known, usable.of_surfaces))
-        step = np.linalg.solve(matrix, right)
-        if not np.array_equal(usable.features, usable.of_surfaces):
-            matrix, right = _calibration_system(session, r, room, residual,
-                                                valid & _visible(index, known, usable.features))
-            rest = ~of_surfaces
+        systems = [_calibration_system(session, r, room, residual, valid & visible) for visible in visibles]
+        step, rest = np.linalg.solve(*systems[0]), ~of_surfaces
+        for matrix, right in systems[1:]:
             step[rest] = np.linalg.solve(matrix[np.ix_(rest, rest)],
                                          right[rest] - matrix[np.ix_(rest, of_surfaces)] @ step[of_surfaces])
         mean = fitted.mean + step[n:]
@@ -372,10 +374,7 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
     visible = _visible(index, known, usable.features)
     usable_data = replace(index.data, valid=index.data.valid & visible)
     start_from_measured(ParameterIndex(usable_data, index.effects), mean, local)
-    stages = [usable.of_surfaces]
-    if not np.array_equal(usable.features, usable.of_surfaces):
-        stages.append(usable.features)
-    for features in stages:
+    for features in usable.stages:
         mean, local = _converged(index, fitted, prior, precision, correction, mean, local,
                                  _visible(index, known, features), usable.of_surfaces, threads)
     return mean, local
