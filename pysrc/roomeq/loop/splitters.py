@@ -243,7 +243,7 @@ def calibrate(session: Session, held_out: list[HeldOutRoom], known: list[IntArra
     for r, (local, room) in enumerate(zip(fitted.local, held_out, strict=True)):
         n, n_all = len(local), len(local) + index.n_shared
         of_surfaces = np.isin(np.arange(n_all), np.concatenate([np.arange(N_SURFACE), n + np.arange(N_SURFACE)]))
-        systems = [_calibration_system(session, r, room, residual, valid & visible) for visible in visibles]
+        systems = [_calibration_system(index, fitted, r, room, residual, valid & visible) for visible in visibles]
         step, rest = np.linalg.solve(*systems[0]), ~of_surfaces
         for matrix, right in systems[1:]:
             step[rest] = np.linalg.solve(matrix[np.ix_(rest, rest)],
@@ -258,10 +258,9 @@ def calibrate(session: Session, held_out: list[HeldOutRoom], known: list[IntArra
     return Calibration(absorption, vectors, gains)
 
 
-def _calibration_system(session: Session, r: int, room: HeldOutRoom, residual: FloatArray, valid: BoolArray
-                        ) -> tuple[FloatArray, FloatArray]:
+def _calibration_system(index: ParameterIndex, fitted: Fit, r: int, room: HeldOutRoom, residual: FloatArray,
+                        valid: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return matrix and right-hand side for a step of a held-out room's own and of the shared parameters."""
-    index, fitted = session.index, session.fit
     equations = normal_equations(index, r, residual, valid, fitted.derivatives, fitted.sigma, fitted.omega)
     local, inverse, precision = fitted.local[r], fitted.precision[r], room.precision
     n = len(local)
