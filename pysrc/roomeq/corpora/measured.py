@@ -189,7 +189,7 @@ def _warn_of_one_position(corpus: Corpus, rirs: list[dict[str, Any]]) -> None:
     """Say that the channels of a file have the one position that is stated for it."""
     stated = {recording.id for recording in corpus.rirs
               if recording.path.suffix != ".sofa" and recording.row.get("mic_pos_m") and not recording.row["binaural"]}
-    second = {f"{recording_id}_ch1" for recording_id in stated}
+    second = {f"{recording_id}_ch1" for recording_id in stated} - {recording.id for recording in corpus.rirs}
     if several := [row["id"] for row in rirs if row["id"] in second]:
         logger.warning("%s: files with several channels, all of which have the one stated microphone position: %d "
                        "(first %s): where the microphones are more than some centimetres apart, give a mono file and "

@@ -82,8 +82,10 @@ def test_16_khz_mono_is_referenced_other_audio_converted(tmp_path):
 def test_one_position_for_several_channels_is_said(tmp_path, caplog):
     put(tmp_path / "corpus/pair.wav", rir("pair", channels=2))
     put(tmp_path / "corpus/one.wav", rir("one"))
+    put(tmp_path / "corpus/one_ch1.wav", rir("other"))  # a file of its own
     (tmp_path / "corpus/manifest.csv").write_text(
-        "file,room,room_dims_m,source_pos_m,mic_pos_m\npair.wav,a,5 4 3,1 1 1,3 2 1\none.wav,a,5 4 3,1 1 1,2 2 1\n")
+        "file,room,room_dims_m,source_pos_m,mic_pos_m\npair.wav,a,5 4 3,1 1 1,3 2 1\none.wav,a,5 4 3,1 1 1,2 2 1\n"
+        "one_ch1.wav,a,5 4 3,1 1 1,1 2 1\n")
     rows = read_rirs(read_measured(tmp_path / "corpus", tmp_path / "out"))
     assert [row["mic_pos_m"] for row in rows if "pair" in row["id"]] == [[3.0, 2.0, 1.0]] * 2
     assert "files with several channels, all of which have the one stated microphone position: 1 (first" in caplog.text
