@@ -52,7 +52,7 @@ def air_absorption_db_m(frequencies_hz: ArrayLike, temperature_c: float = 20.0, 
     ValueError
         Temperature, humidity or pressure is out of range.
     """
-    _check_air(temperature_c, humidity_pct, pressure_kpa)
+    check_air(temperature_c, humidity_pct, pressure_kpa)
     frequency = np.asarray(frequencies_hz, dtype=np.float64)
     kelvin = temperature_c + _KELVIN
     pressure = pressure_kpa / PRESSURE_KPA
@@ -87,7 +87,8 @@ def band_attenuation_per_m(temperature_c: float = 20.0, humidity_pct: float = 50
     return tuple(float(value) for value in attenuation)
 
 
-def _check_air(temperature_c: float, humidity_pct: float, pressure_kpa: float) -> None:
+def check_air(temperature_c: float = 20.0, humidity_pct: float = 50.0, pressure_kpa: float = PRESSURE_KPA) -> None:
+    """Raise ValueError unless the air is one of a room."""
     low, high = TEMPERATURE_RANGE_C
     if not low <= temperature_c <= high:
         raise ValueError(f"temperature_c={temperature_c:g} must lie in [{low:g}, {high:g}] (ISO 9613-1): "

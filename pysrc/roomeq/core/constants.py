@@ -40,3 +40,5 @@ def require_fs(fs_hz: float) -> None:
 
 BAND_1KHZ = 4
 """Index of the 1 kHz band: the reference of every EQ, and the band of every T60 target."""
+MIN_ROOM_M, MAX_ROOM_M = 0.1, 200.0
+"""Shortest and longest dimension of a room; a value outside is in another unit than metres."""

@@ -30,6 +30,8 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+from roomeq.acoustics.air import check_air
+from roomeq.core.constants import MAX_ROOM_M
 from roomeq.corpora.record import (
     UNKNOWN,
     Corpus,
@@ -187,6 +189,14 @@ def _row_id(path: Path, file: Path, cells: dict[str, str]) -> str:
         return make_id(f"{file.parent.name}-{file.stem}")
 
 
+def _check_units(known: dict[str, Any]) -> None:
+    """Refuse dimensions of a room, a temperature or a humidity that must be in another unit; unknown ones are right."""
+    for axis, size_m in enumerate(known["room_dims_m"] or ()):
+        if size_m is not None and size_m > MAX_ROOM_M:
+            raise ValueError(f"room_dims_m[{axis}]={size_m:g} must be at most {MAX_ROOM_M:g}: give metres")
+    check_air(**{key: known[key] for key in ("temperature_c", "humidity_pct") if known[key] is not None})
+
+
 def _row(path: Path, file: Path, cells: dict[str, str], corpus: Corpus) -> dict[str, Any]:
     known: dict[str, Any] = {key: cells[key] for key in _NAMES if cells.get(key)}
     for key in _VECTORS:
@@ -199,6 +209,7 @@ def _row(path: Path, file: Path, cells: dict[str, str], corpus: Corpus) -> dict[
                 raise
             known[key] = None
             corpus.notes[f"{key} that is no number, read as unknown"] += 1
+    _check_units(known)
     for key in _FLAGS:
         if (flag := _parse(key, cells, _flag)) is not None:
             known[key] = flag

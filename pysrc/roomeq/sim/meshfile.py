@@ -8,16 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from roomeq.core.arrays import FloatArray
+from roomeq.core.constants import MAX_ROOM_M, MIN_ROOM_M
 from roomeq.core.limits import MESH_MB
 from roomeq.sim.gltf import load_gltf
-from roomeq.sim.scene import MAX_DIMENSION_M
 
 FORMATS = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
 UNNAMED = "surface"
 MAX_FROM_ORIGIN_M = 1e4
 """Rays are traced in single precision, which at this distance tells millimetres apart."""
-MIN_LENGTH_M = 0.1
-"""Shortest room, from end to end."""
 MAX_CORNERS = 500
 """Of one face: for a face whose edges cross, triangulation takes the cube of this number of steps."""
 
@@ -82,10 +80,10 @@ def _check_lengths(path: Path, triangles: FloatArray) -> None:
     if not np.isfinite(corners).all():
         raise ValueError(f"{path}: every vertex must be a finite number of metres: export it again")
     length_m = float(np.ptp(corners, axis=0).max())
-    if not MIN_LENGTH_M <= length_m <= MAX_DIMENSION_M:
-        unit = "kilometres" if length_m < MIN_LENGTH_M else "centimetres" if length_m <= 1000 else "millimetres"
-        raise ValueError(f"{path}: the room is {length_m:,.4g} m long and must be {MIN_LENGTH_M:g} m to "
-                         f"{MAX_DIMENSION_M:g} m: is it in {unit}? Export it in metres")
+    if not MIN_ROOM_M <= length_m <= MAX_ROOM_M:
+        unit = "kilometres" if length_m < MIN_ROOM_M else "centimetres" if length_m <= 1000 else "millimetres"
+        raise ValueError(f"{path}: the room is {length_m:,.4g} m long and must be {MIN_ROOM_M:g} m to "
+                         f"{MAX_ROOM_M:g} m: is it in {unit}? Export it in metres")
     if not np.all(np.abs(corners) <= MAX_FROM_ORIGIN_M):
         raise ValueError(f"{path}: every vertex must lie within {MAX_FROM_ORIGIN_M:g} m of the origin: move the room "
                          "there")

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from roomeq.acoustics.air import band_attenuation_per_m, speed_of_sound_m_s
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import BANDS_HZ, FS_HZ, bands_hz, require_fs
+from roomeq.core.constants import BANDS_HZ, FS_HZ, MAX_ROOM_M, MIN_ROOM_M, bands_hz, require_fs
 from roomeq.sim.room import Room
 from roomeq.sim.walls import Walls
 
@@ -24,7 +24,6 @@ WALLS = ("west", "east", "south", "north", "floor", "ceiling")
 
 MIN_WALL_DISTANCE_M = 0.01
 MIN_DISTANCE_M = 0.05
-MAX_DIMENSION_M = 200.0
 
 
 @dataclass(frozen=True)
@@ -123,8 +122,8 @@ class Shoebox:
     def __post_init__(self) -> None:
         dims_m = tuple(float(value) for value in self.dims_m)
         object.__setattr__(self, "dims_m", dims_m)
-        if len(dims_m) != 3 or not all(0.1 <= value <= MAX_DIMENSION_M for value in dims_m):
-            raise ValueError(f"room_dims_m={list(dims_m)} must be three lengths in [0.1, {MAX_DIMENSION_M:g}] m: "
+        if len(dims_m) != 3 or not all(MIN_ROOM_M <= value <= MAX_ROOM_M for value in dims_m):
+            raise ValueError(f"room_dims_m={list(dims_m)} must be three lengths in [{MIN_ROOM_M:g}, {MAX_ROOM_M:g}] m: "
                              "correct the room")
 
     @property

@@ -73,6 +73,10 @@ CASES = [
          "mic_pos_m", "1 2 inf"),
     cell("csv distance negative", "table/manifest.csv:2: distance_m='-1': '-1' must be 0 or more: correct the cell",
          "distance_m", "-1"),
+    cell("csv room in centimetres", "table/manifest.csv:2: room_dims_m[0]=620 must be at most 200: give metres: "
+         "correct the cell", "room_dims_m", "620 410 270"),
+    cell("csv temperature in kelvin", "table/manifest.csv:2: temperature_c=293 must lie in [-20, 50] (ISO 9613-1): "
+         "give degrees Celsius: correct the cell", "temperature_c", "293"),
     Case("csv rooms alike once cleaned", TABLE, "table/manifest.csv:3: room_id='a/b' and 'a b' would both have the id "
          "'a-b': rename one: correct the cell", (write("table/manifest.csv", "file,room\nrirs/lab/one.flac,a b\n"
                                                        "rirs/lab/two_clap.flac,a/b\n"),)),
