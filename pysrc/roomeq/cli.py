@@ -329,11 +329,13 @@ def export() -> None:
 
 @verb("wer:measure_wer", "--rirs data/rirs.real exp/kaldi exp/kaldi.seed1 exp/wer")
 @argument("workspaces", "Kaldi workspaces with decoded systems, one per seed.", nargs=-1, required=True)
-@argument("out", "Directory to make: wer.json.")
+@argument("out", "Directory to make: wer.json, and counts.jsonl with the errors of each seed.")
 @click.option("--rirs", type=AnyPath(), required=True, multiple=True,
               help="RIR directory that names the room of each RIR; may be given again for further RIRs.")
 @click.option("--train-rirs", type=AnyPath(), help="Measured RIRs that the recognisers were trained with: states how "
               "far the EQ of each test room is from theirs.")
+@click.option("--counted", type=AnyPath(), multiple=True,
+              help="counts.jsonl of further seeds, such as those of another machine; may be given again.")
 def wer() -> None:
     """Measure word error rates of Kaldi workspaces. Prints a table with confidence intervals."""
 

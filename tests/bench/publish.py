@@ -6,7 +6,8 @@ e.g.:  tests/bench/publish.py simulator exp/bench/fidelity.json
        tests/bench/publish.py loop tests/bench/loop/results/results.jsonl
 PAGE is one of simulator, measured_room, drawn_rooms, many_rooms, speed, compensation, loop, loop_scale, laboratories,
 effects, augmentation, wer, wer_real_rooms, wer_digits, faults, labels; of the word error rates, FILE is the directory
-that `tests/bench/wer.sh` made. The commit is that of the working tree, unless the results are of an earlier one.
+that `tests/bench/wer.sh` made, and the errors of each seed are written to docs/results/counts/PAGE. The commit is that
+of the working tree, unless the results are of an earlier one.
 """
 
 import argparse
@@ -24,7 +25,9 @@ sys.path[:0] = [str(PROJECT / name) for name in ("pysrc", "tests")]
 
 from bench import kit  # noqa: E402
 from bench.loop.table import KIND_COLUMNS, OWN_BASE, by_base, by_kind, rates  # noqa: E402
+from roomeq.core.files import write_text  # noqa: E402
 from roomeq.wer.check import WER_FILE, read_wer  # noqa: E402
+from roomeq.wer.counts import COUNTS_FILE  # noqa: E402
 from roomeq.wer.table import (  # noqa: E402
     EQ_NOTE,
     ROOM_ACOUSTICS,
@@ -270,11 +273,14 @@ COMMAND = {
 }
 
 
+WER_TABLES = {"wer": "", "wer.without_cmvn": ", features not normalised"}
+"""Directories that `tests/bench/wer.sh` makes, and what their tables are called."""
+
+
 def read(path: Path) -> Any:
     """Read a JSON file, the lines of a JSON-lines file, all JSON files of a directory, or what wer.sh made."""
     if (path / "wer").is_dir():
-        additions = {"wer": "", "wer.without_cmvn": ", features not normalised"}
-        return {addition: read_wer(path / name / WER_FILE) for name, addition in additions.items()
+        return {addition: read_wer(path / name / WER_FILE) for name, addition in WER_TABLES.items()
                 if (path / name).is_dir()}
     if path.is_dir():
         return [json.loads(file.read_text()) for file in sorted(path.glob("*.json"))]
@@ -304,6 +310,10 @@ def main() -> None:
     out = PROJECT / "docs/results" / f"{given.page}.json"
     out.write_text(json.dumps(kit.plain(content), indent=1, ensure_ascii=False) + "\n")
     print(f"{out.relative_to(PROJECT)} written")
+    if READERS[given.page] is word_errors:
+        for name in WER_TABLES:
+            if (counts := given.file / name / COUNTS_FILE).is_file():
+                write_text(out.parent / "counts" / given.page / f"{name}.jsonl", counts.read_text())
 
 
 if __name__ == "__main__":

@@ -3,16 +3,18 @@
 from collections.abc import Iterable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from scipy.stats import spearmanr
 
-from roomeq.core.arrays import BoolArray, FloatArray
+from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BAND_1KHZ
 from roomeq.eq.distance import EqSet, wasserstein_db
 from roomeq.eq.fit import eq_row, usable_eq
 from roomeq.records.schema import RirRow
+from roomeq.wer.scores import Scores
 from roomeq.wer.scoring import read_texts
-from roomeq.wer.workspace import BASE, TEST, Decodings, Scores
+from roomeq.wer.workspace import BASE, TEST, System, Workspace
 
 SNR, T20, DRR, C50, EQ_DISTANCE = "SNR [dB]", "T20 at 1 kHz [s]", "DRR [dB]", "C50 at 1 kHz [dB]", "EQ distance [dB]"
 EDGES = {SNR: (10.0, 15.0, 20.0), T20: (0.3, 0.5, 0.8), DRR: (-5.0, 0.0, 5.0), C50: (0.0, 5.0, 10.0),
@@ -25,83 +27,60 @@ MIN_ROOMS = 8
 _DECIMALS = 9  # of what is ranked, so that rounding errors break no tie
 
 
+class StratumCounts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A part of the test set: the range of a property, its words, and the errors in it by column and row."""
+
+    what: str
+    low: float | None
+    high: float | None
+    words: int
+    errors: dict[str, dict[str, int]]
+
+
 class Breakdown:
-    """The test set in parts.
+    """Counts of the test set in parts.
 
     Parameters
     ----------
-    decodings : Decodings
-    scores : Scores
-        Of the test set.
     rirs : dict
         Rows by RIR id.
     train_rirs : iterable of RirRow
         Measured RIRs that the recognisers were trained with. The EQ distance of an RIR is the distance of its EQ to
         all of theirs (`roomeq.eq.distance.wasserstein_db`); it is unknown if there are none. It is not 0 for an RIR
         like those of training, since these differ among themselves.
-
-    Attributes
-    ----------
-    room_of : ndarray of int, shape (n_utterances,)
-        Of the utterances of all seeds, one seed after the other: index into ``scores.room_names``.
-    values : dict of ndarray, shape (n_utterances,)
-        SNR and acoustics of each, by the keys of `EDGES`; NaN where unknown.
     """
 
-    def __init__(self, decodings: Decodings, scores: Scores, rirs: dict[str, RirRow],
-                 train_rirs: Iterable[RirRow] = ()) -> None:
-        self.decodings, self.scores = decodings, scores
-        self.room_of = np.concatenate(scores.rooms)
-        used = [source for of_seed in scores.sources for source in of_seed]
-        snr_db: list[float] = []
-        for workspace, utterances in zip(decodings.workspaces, scores.utterances, strict=True):
-            snr_of = _read_snr_db(workspace / "data" / TEST / "utt2snr")
-            snr_db += [snr_of.get(utterance, np.nan) for utterance in utterances]
-        train = _eq_set([row for row in train_rirs if not row.get("screen")])
-        of_rir = {rir_id: _acoustics(rirs[rir_id], train) for rir_id in sorted(set(used))}
-        self.values = {SNR: np.array(snr_db)} | {what: np.array([of_rir[rir_id][what] for rir_id in used])
-                                                 for what in ACOUSTICS}
+    def __init__(self, rirs: dict[str, RirRow], train_rirs: Iterable[RirRow] = ()) -> None:
+        self._rirs, self._train = rirs, _eq_set([row for row in train_rirs if not row.get("screen")])
+        self._of_rir: dict[str, dict[str, float]] = {}
 
-    def by_room(self) -> list[dict]:
-        """Return the word error rates of each room over all seeds.
+    def counts(self, workspace: Workspace, scores: Scores
+               ) -> tuple[dict[str, dict[str, tuple[float, int]]], list[StratumCounts]]:
+        """Return `acoustics` and `strata` of `roomeq.wer.counts.SeedCounts`.
 
-        Returns
-        -------
-        list of dict
-            `room`, `words`, `wer` by column and row [%], and `acoustics`: the mean of each of `ACOUSTICS` over the
-            room's utterances, None where it is unknown.
+        Strata without words are left out. An utterance of which a property is unknown is in none of its strata.
         """
-        return [dict(room=name) | self._rates(self.room_of == n)
-                | dict(acoustics={what: _mean(self.values[what][self.room_of == n]) for what in ACOUSTICS})
-                for n, name in enumerate(self.scores.room_names)]
-
-    def by_stratum(self) -> list[dict]:
-        """Return the word error rates of each stratum over all seeds.
-
-        Returns
-        -------
-        list of dict
-            `what, low, high` (None where the stratum has no edge), `words`, and `wer` by column and row [%]. Strata
-            without words are left out. An utterance of which a property is unknown is in none of its strata.
-        """
+        snr_of = _read_snr_db(workspace.path / "data" / TEST / "utt2snr")
+        values = {what: np.array([self._acoustics(rir_id)[what] for rir_id in scores.sources]) for what in ACOUSTICS}
+        acoustics = {name: {what: _sum_of_known(values[what][scores.room == n]) for what in ACOUSTICS}
+                     for n, name in enumerate(scores.room_names)}
+        values[SNR] = np.array([snr_of.get(utterance, np.nan) for utterance in scores.utterances])
+        errors = {system: of_system.sum(axis=1) for system, of_system in scores.errors.items()}
         strata = []
         for what, edges in EDGES.items():
-            values = self.values[what]
-            stratum = np.digitize(values, edges)
+            stratum = np.digitize(values[what], edges)
             for n, (low, high) in enumerate(zip((None, *edges), (*edges, None), strict=True)):
-                members = ~np.isnan(values) & (stratum == n)
+                members = ~np.isnan(values[what]) & (stratum == n)
                 if members.any():
-                    strata.append(dict(what=what, low=low, high=high) | self._rates(members))
-        return strata
+                    strata.append(StratumCounts(what, low, high, int(scores.words[members].sum()), {
+                        column: {row: int(errors[System(row, column)][members].sum()) for row in workspace.rows}
+                        for column in workspace.columns}))
+        return acoustics, strata
 
-    def _rates(self, members: BoolArray) -> dict:
-        """Return `words` and `wer` by column and row [%] of some utterances of all seeds."""
-        words = int(np.concatenate(self.scores.words)[members].sum())
-        rates: dict[str, dict[str, float]] = {column: {} for column in self.decodings.columns}
-        for system in self.decodings.systems():
-            errors = np.concatenate(self.scores.counts[system]).sum(axis=1)[members].sum()
-            rates[system.column][system.row] = float(100 * errors / words)
-        return dict(words=words, wer=rates)
+    def _acoustics(self, rir_id: str) -> dict[str, float]:
+        if rir_id not in self._of_rir:
+            self._of_rir[rir_id] = _acoustics(self._rirs[rir_id], self._train)
+        return self._of_rir[rir_id]
 
 
 def gains_by_acoustics(rooms: list[dict], rows: list[str], column: str) -> list[dict]:
@@ -110,7 +89,7 @@ def gains_by_acoustics(rooms: list[dict], rows: list[str], column: str) -> list[
     Parameters
     ----------
     rooms : list of dict
-        What `Breakdown.by_room` returns.
+        What `roomeq.wer.measure` states of each room.
     rows : list of str
         Rows other than `BASE`.
     column : str
@@ -152,9 +131,9 @@ def _eq_set(rows: Iterable[RirRow]) -> EqSet | None:
     return EqSet(np.array(vectors_db), [row["room_id"] for row in stated]) if stated else None
 
 
-def _mean(values: FloatArray) -> float | None:
+def _sum_of_known(values: FloatArray) -> tuple[float, int]:
     known = values[~np.isnan(values)]
-    return float(known.mean()) if len(known) else None
+    return float(known.sum()), len(known)
 
 
 def _read_snr_db(path: Path) -> dict[str, float]:

@@ -3,32 +3,31 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import msgspec
+import numpy as np
+
 from roomeq.core.build import Build
-from roomeq.core.files import read_json, write_json
+from roomeq.core.files import read_json, write_json, write_text
 from roomeq.records.rir_dir import ROWS_FILE, read_rirs
 from roomeq.records.schema import RirRow
-from roomeq.wer.breakdown import Breakdown, gains_by_acoustics
+from roomeq.wer.breakdown import ACOUSTICS, EDGES, Breakdown, gains_by_acoustics
 from roomeq.wer.check import WER_FILE
-from roomeq.wer.scoring import Weights, read_bootci
+from roomeq.wer.counts import (
+    COUNTS_FILE,
+    SeedCounts,
+    SetCounts,
+    count_seed,
+    counts_text,
+    read_counts,
+    require_comparable,
+)
 from roomeq.wer.statistics import Resampling, Statistic, detectable, ratio_interval
 from roomeq.wer.table import table_text
-from roomeq.wer.workspace import (
-    BASE,
-    ORACLE,
-    TEST,
-    Decodings,
-    Scores,
-    System,
-    choose_all_weights,
-    compared,
-    find_decodings,
-    kaldi_versions,
-    read_scores,
-)
+from roomeq.wer.workspace import BASE, ORACLE, TEST, System, compared, find_workspaces
 
 
 def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path],
-                train_rirs: Path | None = None) -> Path:
+                train_rirs: Path | None = None, counted: Sequence[Path] = ()) -> Path:
     """Measure the word error rates of Kaldi workspaces, with intervals; write `wer.json` and print the table.
 
     Language model weight and word insertion penalty are chosen on the development set, for each row, column and
@@ -40,12 +39,14 @@ def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path]
         One per seed, e.g. ``exp/kaldi``: ``ROW/decode_SET_COLUMN/scoring_kaldi`` as Kaldi's scoring leaves it, and
         ``data/SET/utt2rir``.
     out
-        Directory to make; it holds `wer.json`.
+        Directory to make; it holds `wer.json` and `counts.jsonl`.
     rirs
         RIR directories whose `room_id` states the room of each RIR that the sets were made with.
     train_rirs
         RIR directory of the measured RIRs that the recognisers were trained with, for the EQ distance of each test
         room to them.
+    counted
+        `counts.jsonl` of further seeds, which come before those of the workspaces.
 
     Returns
     -------
@@ -55,75 +56,85 @@ def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path]
     Raises
     ------
     ValueError
-        A decode directory, a file of its scoring or a hypothesis is missing, references differ between rows, or an
-        RIR is unknown.
+        A decode directory, a file of its scoring or a hypothesis is missing, references differ between rows, an RIR is
+        unknown, or the seeds are not of one experiment.
     """
-    workspaces = [Path(path) for path in workspaces]
+    counted = [Path(path) for path in counted]
     rows: dict[str, RirRow] = {}
     for directory in rirs:
         for row in read_rirs(directory):
             if rows.setdefault(row["id"], row)["room_id"] != row["room_id"]:
                 raise ValueError(f"{directory}: RIR {row['id']} is of room {row['room_id']} here and of room "
                                  f"{rows[row['id']]['room_id']} in a directory before it: rename one")
-    decodings = find_decodings(workspaces)
+    found = find_workspaces([Path(path) for path in workspaces])
+    earlier = {f"{path}:{n}": seed for path in counted for n, seed in enumerate(read_counts(path), start=1)}
     directories = [*rirs, *([train_rirs] if train_rirs else ())]
     build = Build(Path(out), step="wer",
-                  options=dict(rows=decodings.rows, columns=decodings.columns, dev_of=decodings.dev_of,
-                               seeds=len(workspaces), train_rirs=train_rirs is not None),
-                  inputs=[*(Path(directory) / ROWS_FILE for directory in directories), *decodings.inputs()])
+                  options=dict(rows=found[0].rows, columns=found[0].columns, dev_of=found[0].dev_of,
+                               seeds=len(earlier) + len(found), train_rirs=train_rirs is not None),
+                  inputs=[*(Path(directory) / ROWS_FILE for directory in directories), *counted,
+                          *(path for workspace in found for path in workspace.inputs())])
     if not build.done and build.run({}, lambda name, item: None):
-        train = read_rirs(train_rirs) if train_rirs else []
-        build.finish(lambda directory, _: write_json(directory / WER_FILE, _measure(decodings, rows, train)))
+        breakdown = Breakdown(rows, read_rirs(train_rirs) if train_rirs else [])
+        room_of_rir = {rir_id: row["room_id"] for rir_id, row in rows.items()}
+        trained = {str(workspace.path): count_seed(workspace, room_of_rir, breakdown) for workspace in found}
+        require_comparable(earlier, trained)
+        seeds = [*earlier.values(), *trained.values()]
+
+        def write(directory: Path, _: object) -> None:
+            write_json(directory / WER_FILE, _measure(seeds))
+            write_text(directory / COUNTS_FILE, counts_text(seeds))
+
+        build.finish(write)
     print(table_text(read_json(build.out / WER_FILE)), end="")
     return build.out / WER_FILE
 
 
-def _measure(decodings: Decodings, rirs: dict[str, RirRow], train_rirs: list[RirRow]) -> dict:
+def _measure(seeds: Sequence[SeedCounts]) -> dict:
     """Return what `wer.json` holds; rates and differences in per cent."""
-    room_of_rir = {rir_id: row["room_id"] for rir_id, row in rirs.items()}
-    weights = choose_all_weights(decodings)
-    scores = {name: read_scores(decodings, name, weights, room_of_rir) for name in decodings.set_names}
-    rates = _Rates(decodings, scores)
-    results: dict[str, dict[str, dict]] = {row: {} for row in decodings.rows}
-    for system in decodings.systems():
-        results[system.row][system.column] = _result(rates, system, weights[system])
-    parts = Breakdown(decodings, scores[TEST], rirs, train_rirs)
-    rooms = parts.by_room()
-    others = [row for row in decodings.rows if row != BASE] if BASE in decodings.rows else []
-    return dict(kaldi=kaldi_versions(decodings.workspaces), seeds=len(decodings.workspaces), rows=decodings.rows,
-                columns=decodings.columns, test=TEST, dev_of=decodings.dev_of,
-                sets={name: _set_size(of_set) for name, of_set in scores.items()}, results=results, rooms=rooms,
-                strata=parts.by_stratum(), gains=gains_by_acoustics(rooms, others, decodings.columns[0]))
+    first, rates = seeds[0], _Rates(seeds)
+    results = {row: {column: _result(rates, System(row, column)) for column in first.columns} for row in first.rows}
+    rooms = _rooms(seeds)
+    others = [row for row in first.rows if row != BASE] if BASE in first.rows else []
+    return dict(kaldi=sorted({version for seed in seeds for version in seed.kaldi}), seeds=len(seeds), rows=first.rows,
+                columns=first.columns, test=TEST, dev_of=first.dev_of,
+                sets={name: _set_size([seed.sets[name] for seed in seeds]) for name in sorted(first.sets)},
+                results=results, rooms=rooms, strata=_strata(seeds),
+                gains=gains_by_acoustics(rooms, others, first.columns[0]))
 
 
 class _Rates:
     """Word error rates as statistics; those of the same sets share their resampled rooms and seeds."""
 
-    def __init__(self, decodings: Decodings, scores: dict[str, Scores]) -> None:
-        self.decodings, self.scores = decodings, scores
+    def __init__(self, seeds: Sequence[SeedCounts]) -> None:
+        self.seeds = seeds
         self._resamplings: dict[tuple[str, ...], tuple[list[str], Resampling]] = {}
 
     def rate(self, system: System, set_name: str, compared_with: tuple[str, ...] = ()) -> Statistic:
         """Return the rate of a system on a set, comparable with rates on the sets `compared_with`."""
         set_names = tuple(sorted({set_name, *compared_with}))
         if set_names not in self._resamplings:
-            rooms = sorted(set().union(*(self.scores[name].room_names for name in set_names)))
-            self._resamplings[set_names] = rooms, Resampling(len(self.decodings.workspaces), len(rooms),
-                                                             " ".join(set_names))
+            rooms = sorted(set().union(*(seed.sets[name].rooms for seed in self.seeds for name in set_names)))
+            self._resamplings[set_names] = rooms, Resampling(len(self.seeds), len(rooms), " ".join(set_names))
         rooms, resampling = self._resamplings[set_names]
-        scores = self.scores[set_name]
-        return Statistic.of(scores.error_table(system, rooms), scores.word_table(rooms), resampling)
+        of_seeds = [seed.sets[set_name] for seed in self.seeds]
+        return Statistic.of(np.array([of_set.of_system(system, rooms).sum(axis=1) for of_set in of_seeds], dtype=float),
+                            np.array([of_set.words_of(rooms) for of_set in of_seeds], dtype=float), resampling)
 
 
-def _set_size(scores: Scores) -> dict:
-    return dict(utterances=sum(map(len, scores.words)), words=sum(int(words.sum()) for words in scores.words),
-                rooms=len(scores.room_names) if scores.has_rooms else None)
+def _set_size(of_seeds: Sequence[SetCounts]) -> dict:
+    rooms = set().union(*(of_set.rooms for of_set in of_seeds))
+    return dict(utterances=sum(of_set.utterances for of_set in of_seeds),
+                words=sum(sum(of_set.words) for of_set in of_seeds),
+                rooms=len(rooms) if of_seeds[0].has_rooms else None)
 
 
-def _result(rates: _Rates, system: System, weights: list[Weights]) -> dict:
+def _result(rates: _Rates, system: System) -> dict:
     """Return the figures of one row and column."""
-    rows, (dev, test) = rates.decodings.rows, rates.decodings.sets_of(system.row)
-    result = dict(weights=[dict(lmwt=chosen.lmwt, penalty=chosen.penalty) for chosen in weights],
+    first = rates.seeds[0]
+    rows, dev, test = first.rows, first.dev_of[system.row], TEST
+    chosen = [seed.weights[system.row][system.column] for seed in rates.seeds]
+    result = dict(weights=[dict(lmwt=weights.lmwt, penalty=weights.penalty) for weights in chosen],
                   dev=_rate(rates, system, dev), test=_rate(rates, system, test))
     test_rate, dev_rate = (rates.rate(system, name, (dev, test)) for name in (test, dev))
     result["dev_test_gap"] = _difference(test_rate.minus(dev_rate))
@@ -137,16 +148,55 @@ def _result(rates: _Rates, system: System, weights: list[Weights]) -> dict:
 
 def _rate(rates: _Rates, system: System, set_name: str) -> dict:
     """Return a word error rate with its counts and its interval, which cannot reach below 0."""
-    scores, rate = rates.scores[set_name], rates.rate(system, set_name)
+    rate, of_seeds = rates.rate(system, set_name), [seed.sets[set_name] for seed in rates.seeds]
     interval = rate.interval()
-    counts = scores.counts[system]
-    substitutions, deletions, insertions = (int(sum(of_seed[:, kind].sum() for of_seed in counts)) for kind in range(3))
-    decode_dirs = [rates.decodings.decode_dir(seed, system, set_name) for seed in range(len(counts))]
+    by_kind = np.array([of_set.of_system(system) for of_set in of_seeds])
+    substitutions, deletions, insertions = by_kind.sum(axis=0).tolist()
+    bootci = [of_set.errors[system.row][system.column].bootci for of_set in of_seeds]
     return dict(set=set_name, wer=rate.value, interval=interval and [max(0.0, end) for end in interval],
                 substitutions=substitutions, deletions=deletions, insertions=insertions,
-                by_seed=[float(100 * of_seed.sum() / words.sum())
-                         for of_seed, words in zip(counts, scores.words, strict=True)],
-                bootci=[read_bootci(decode) for decode in decode_dirs])
+                by_seed=[float(100 * errors.sum() / sum(of_set.words))
+                         for errors, of_set in zip(by_kind, of_seeds, strict=True)],
+                bootci=[msgspec.to_builtins(printed) for printed in bootci])
+
+
+def _rooms(seeds: Sequence[SeedCounts]) -> list[dict]:
+    """Return the word error rates of each test room over all seeds.
+
+    Returns
+    -------
+    list of dict
+        `room`, `words`, `wer` by column and row [%], and `acoustics`: the mean of each of
+        `roomeq.wer.breakdown.ACOUSTICS` over the room's utterances, None where it is unknown.
+    """
+    first, names = seeds[0], seeds[0].sets[TEST].rooms
+    words = np.sum([seed.sets[TEST].words_of(names) for seed in seeds], axis=0)
+    wer = {column: {row: 100 * np.sum([seed.sets[TEST].of_system(System(row, column), names).sum(axis=1)
+                                       for seed in seeds], axis=0) / words for row in first.rows}
+           for column in first.columns}
+    stated = []
+    for n, name in enumerate(names):
+        known = {what: [seed.acoustics[name][what] for seed in seeds] for what in ACOUSTICS}
+        stated.append(dict(
+            room=name, words=int(words[n]),
+            wer={column: {row: float(rates[n]) for row, rates in of_rows.items()} for column, of_rows in wer.items()},
+            acoustics={what: sum(total for total, _ in sums) / count if (count := sum(n for _, n in sums)) else None
+                       for what, sums in known.items()}))
+    return stated
+
+
+def _strata(seeds: Sequence[SeedCounts]) -> list[dict]:
+    """Return the word error rates of each part of the test set over all seeds: `what, low, high, words, wer`."""
+    stated = []
+    for what, edges in EDGES.items():
+        for low, high in zip((None, *edges), (*edges, None), strict=True):
+            parts = [part for seed in seeds for part in seed.strata if (part.what, part.low, part.high)
+                     == (what, low, high)]
+            if words := sum(part.words for part in parts):
+                wer = {column: {row: float(100 * sum(part.errors[column][row] for part in parts) / words)
+                                for row in seeds[0].rows} for column in seeds[0].columns}
+                stated.append(dict(what=what, low=low, high=high, words=words, wer=wer))
+    return stated
 
 
 def _difference(difference: Statistic) -> dict:

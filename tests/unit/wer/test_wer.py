@@ -7,7 +7,17 @@ import shutil
 import numpy as np
 import pytest
 from scipy.stats import binom
-from wer_run import DEV_ROOMS, ROOMS, put_decode, put_example, put_rirs, put_workspace, sentence, utterances_of
+from wer_run import (
+    DEV_ROOMS,
+    ERRORS,
+    ROOMS,
+    put_decode,
+    put_example,
+    put_rirs,
+    put_workspace,
+    sentence,
+    utterances_of,
+)
 
 from roomeq.core.files import read_jsonl, write_json, write_jsonl
 from roomeq.core.rng import rng_for
@@ -409,3 +419,47 @@ def test_half_of_the_detectable_difference_needs_for_half(draws):
     assert detectable(only_rooms)["for_half"]["seeds"] is None
     assert detectable(only_rooms)["for_half"]["rooms"] == 80
     assert detectable(rate(20 + table(3, 0, 3, 0, (1, 20)), draws(1, 20)))["seed"] is None
+
+
+def put_seeds(root, count):
+    """Write workspaces of seeds that make different errors."""
+    workspaces = put_example(root, seeds=count)
+    for workspace, harder in zip(workspaces[1:], ("attic-0", "hall-1"), strict=False):
+        put_workspace(workspace, {row: lambda name, column, ident, rir, n=n, harder=harder: n + (rir == harder)
+                                  for row, n in ERRORS.items()},
+                      sets={"dev.real.rvb": utterances_of("dev", DEV_ROOMS),
+                            "test.real.rvb": utterances_of("test", ROOMS)})
+    return workspaces
+
+
+def test_seeds_of_several_machines_are_put_together(tmp_path, capsys):
+    workspaces, rirs = put_seeds(tmp_path, 3), [tmp_path / "rirs"]
+    together = measure_wer(workspaces, tmp_path / "together", rirs=rirs)
+    first = measure_wer(workspaces[:2], tmp_path / "first", rirs=rirs)
+    counts = first.parent / "counts.jsonl"
+    joined = measure_wer(workspaces[2:], tmp_path / "joined", rirs=rirs, counted=[counts])
+    assert joined.read_bytes() == together.read_bytes() != first.read_bytes()
+    assert (joined.parent / "counts.jsonl").read_bytes() == (together.parent / "counts.jsonl").read_bytes()
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    (str, r"kaldi1: its errors are those of .*counts\.jsonl:2: it is the same seed, give it once"),
+    (lambda text: text.replace("train.sim.EQ.rvb", "train.other.rvb"), "kaldi1: its rows are not those of .*: put only "
+     "seeds of one experiment together"),
+    (lambda text: text.replace('"attic"', '"barn"'), "kaldi1: its test rooms are not those of"),
+    (lambda text: text.replace("[[", "[[-", 1), r"counts\.jsonl:1: is not what roomeq wer writes \(Expected `int`"),
+    (lambda text: text[:200] + "\n", r"counts\.jsonl:1: is not what roomeq wer writes \(.*truncated\): make it again"),
+    (lambda text: text.replace('"words":[20,', '"words":[', 1), r"counts\.jsonl:1: is not what roomeq wer writes \(.* "
+     "words or errors of another number"),
+    (lambda text: text.replace('"test.real.rvb":{', '"test.old.rvb":{', 1), r"errors of train\.clean on "
+     r"test\.real\.rvb are not complete"),
+    (None, r"counts\.jsonl: no such file: give the counts\.jsonl of a directory that roomeq wer made")])
+def test_counts_that_do_not_fit_are_refused(tmp_path, capsys, change, message):
+    workspaces, rirs = put_seeds(tmp_path, 3), [tmp_path / "rirs"]
+    text = (measure_wer(workspaces[:1], tmp_path / "first", rirs=rirs).parent / "counts.jsonl").read_text()
+    if change:
+        text += (measure_wer(workspaces[1:2], tmp_path / "second", rirs=rirs).parent / "counts.jsonl").read_text()
+        (tmp_path / "counts.jsonl").write_text(change(text))
+    with pytest.raises(ValueError, match=message):
+        measure_wer(workspaces[1:2], tmp_path / "wer", rirs=rirs, counted=[tmp_path / "counts.jsonl"])
+    assert not (tmp_path / "wer/wer.json").exists()
