@@ -46,13 +46,13 @@ def ceiling_errors(session: Session) -> HeldOutErrors:
     return heldout_errors(replace(session, data=twins, fit=refitted))
 
 
-def ceiling_of_test_set(data: Data, session: Session, *, seed: int, nj: int) -> HeldOutErrors:
+def ceiling_of_test_set(data: Data, session: Session) -> HeldOutErrors:
     """Return the errors that a session's model would have on rooms held out of every fit if they followed it."""
     data, calibrated = transferred(data, session)
     every: list[IntArray] = [np.flatnonzero(data.room == r) for r in range(len(data.room_names))]
     absorption, by_row, gains = calibrated(every, EVERY_FEATURE)
-    twins = twin_recordings(data, absorption, by_row, gains, seed=seed, nj=nj)
-    return score_test_set(twins, session, seed=seed, nj=nj)
+    twins = twin_recordings(data, absorption, by_row, gains, seed=session.seed, nj=session.nj)
+    return score_test_set(twins, session)
 
 
 def twin_recordings(data: Data, absorption: FloatArray, effects: list[list[Effect]], gains: FloatArray, *, seed: int,

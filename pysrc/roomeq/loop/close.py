@@ -160,7 +160,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
         unexplained_all=[residual.as_dict() for residual in unexplained], final=error_entry(errors),
         ceiling=error_entry(ceiling), explained=shares)
     if test_data:
-        ledger["test"] = _test_entry(test_data, first, session, seed, nj)
+        ledger["test"] = _test_entry(test_data, first, session)
     logger.info("closed the loop on %d RIRs in %.0f s", len(data.rows), time.monotonic() - start)
     write_json(work / LEDGER_FILE, ledger)
     write_model(work / MODEL_FILE, _model_of(session, base))
@@ -242,17 +242,17 @@ def _eliminate(session: Session, errors: HeldOutErrors, newest: type[Effect]
     return left, errors_left, superfluous
 
 
-def _test_entry(data: Data, first: Session, last: Session, seed: int, nj: int) -> dict:
+def _test_entry(data: Data, first: Session, last: Session) -> dict:
     """Return the ledger's entry of the test set: errors with the base and the final model, and the ceiling.
 
     What is read off the recordings of a room is part of the final model there, whether the other rooms have it or not.
     """
     found, last = last.effects, with_measured_effects(last)
     data, _ = transferred(data, last)  # whose facings are estimated once
-    before, after = (score_test_set(data, session, seed=seed, nj=nj) for session in (first, last))
+    before, after = (score_test_set(data, session) for session in (first, last))
     logger.info("test set: held-out error %.2f -> %.2f JND (leave-positions-out), %.2f -> %.2f JND (leave-room-out)",
                 *(errors.mean(split) for split in SPLITS for errors in (before, after)))
-    ceiling = ceiling_of_test_set(data, last, seed=seed, nj=nj)
+    ceiling = ceiling_of_test_set(data, last)
     shares = explained(before, after, ceiling)
     _log_explained("test set", ceiling, shares)
     return dict(rirs=len(data.rows), rooms=len(data.room_names), left_out=left_out_entries(data.left_out),

@@ -167,7 +167,7 @@ def heldout_errors(session: Session, splits: Sequence[str] = SPLITS) -> HeldOutE
     return _rendered_errors(data, calibrated, splits, seed=session.seed, nj=session.nj)
 
 
-def score_test_set(data: Data, session: Session, *, seed: int, nj: int) -> HeldOutErrors:
+def score_test_set(data: Data, session: Session) -> HeldOutErrors:
     """Return the errors of a session's model on rooms that were held out of every fit.
 
     What is shared comes from the session. Half of each room's RIRs gives the room's own parameters and those of devices
@@ -178,10 +178,9 @@ def score_test_set(data: Data, session: Session, *, seed: int, nj: int) -> HeldO
     data : Data
         Rooms, and possibly loudspeakers and microphones, that the session has not seen.
     session : Session
-    seed, nj : int
     """
     data, calibrated = transferred(data, session)
-    return _rendered_errors(data, calibrated, SPLITS, seed=seed, nj=nj)
+    return _rendered_errors(data, calibrated, SPLITS, seed=session.seed, nj=session.nj)
 
 
 def transferred(data: Data, session: Session) -> tuple[Data, Callable]:

@@ -367,7 +367,12 @@ def needed_length_s(scene: Scene, target_s: float | None = None, order: int = OR
     area_m2 = scene.room.surface_area_m2.sum()
     depth_s = order * 4.0 * scene.room.volume_m3 / (area_m2 * scene.air.speed_m_s)
     exponent = 1.0 if target_s is None else eyring_exponent(scene, target_s)
-    decay_s = decay_length_s(scene, scaled_absorption(scene.absorption, exponent))
+    absorption = scaled_absorption(scene.absorption, exponent)
+    decay_1khz_s = _decay_lengths_s(scene, absorption)[BAND_1KHZ]
+    if decay_1khz_s > MAX_LENGTH_S:
+        logger.warning("responses of %.1f s or less do not hold a decay by 60 dB, which takes %.1f s at 1 kHz",
+                       MAX_LENGTH_S, decay_1khz_s)
+    decay_s = decay_length_s(scene, absorption)
     return max(decay_s, min(depth_s, SLOW_BANDS_S))
 
 
@@ -376,9 +381,11 @@ def decay_length_s(scene: Scene, absorption: FloatArray) -> float:
 
     Beyond `SLOW_BANDS_S`, bands are not followed that decay more slowly than 1 kHz, and none beyond `MAX_LENGTH_S`.
     """
-    decay_s = 1.3 * eyring_time_s(scene, absorption) + 0.1
-    if decay_s[BAND_1KHZ] > MAX_LENGTH_S:
-        logger.warning("responses of %.1f s or less do not hold a decay by 60 dB, which takes %.1f s at 1 kHz",
-                       MAX_LENGTH_S, decay_s[BAND_1KHZ])
+    decay_s = _decay_lengths_s(scene, absorption)
     longest_s = max(SLOW_BANDS_S, min(float(decay_s[BAND_1KHZ]), MAX_LENGTH_S))
     return float(np.clip(decay_s.max(), MIN_LENGTH_S, longest_s))
+
+
+def _decay_lengths_s(scene: Scene, absorption: FloatArray) -> FloatArray:
+    """Return the time in which each band decays by 60 dB, by Eyring and with a margin [s], shape (n_bands,)."""
+    return 1.3 * eyring_time_s(scene, absorption) + 0.1

@@ -10,8 +10,8 @@ from roomeq.acoustics.iso3382 import reverberation_time
 from roomeq.core.constants import BAND_1KHZ, EXACT_BANDS_HZ, FS_HZ
 from roomeq.sim.echogram import FRAME_S, compute_echograms
 from roomeq.sim.images import specular_paths
-from roomeq.sim.render import render, tail_noise
-from roomeq.sim.response import render_responses, simulate_responses, trace_source
+from roomeq.sim.render import MAX_LENGTH_S, render, tail_noise
+from roomeq.sim.response import decay_length_s, needed_length_s, render_responses, simulate_responses, trace_source
 from roomeq.sim.room import Walls
 from roomeq.sim.scene import Air, Material, Scene, Shoebox, eyring_time_s
 from roomeq.sim.target import scaled_absorption
@@ -342,3 +342,11 @@ def test_absorption_far_below_the_expected_is_refused():
     traced = trace_source(scene, (1.3, 1.1, 1.4), num_rays=500, max_length_s=0.8, rng=np.random.default_rng(0))
     with pytest.raises(ValueError, match="absorb far less than was expected when the source was traced"):
         render_responses(traced, [(4.5, 2.9, 1.6)], [np.random.default_rng(0)], absorption=np.full((6, 8), 0.1))
+
+
+def test_decay_longer_than_the_longest_response_is_said_once(caplog):
+    scene = Scene(Shoebox((6, 4, 3)), [Material("steel", 0.002, 0.1)] * 6)
+    assert needed_length_s(scene) == decay_length_s(scene, scene.absorption) == MAX_LENGTH_S
+    (record,) = caplog.records
+    decay_s = 1.3 * eyring_time_s(scene, scene.absorption)[BAND_1KHZ] + 0.1
+    assert f"which takes {decay_s:.1f} s at 1 kHz" in record.message
