@@ -14,7 +14,7 @@ from msgspec import Meta
 
 from roomeq.core.arrays import IntArray
 from roomeq.core.files import read_text
-from roomeq.wer.breakdown import Breakdown, StratumCounts
+from roomeq.wer.breakdown import ACOUSTICS, Breakdown, StratumCounts
 from roomeq.wer.scores import Scores, choose_all_weights, read_scores
 from roomeq.wer.scoring import read_bootci
 from roomeq.wer.workspace import TEST, System, Workspace
@@ -181,6 +181,12 @@ def _checked(seed: SeedCounts) -> SeedCounts:
                                       for system in of_row.values())}
         if sizes != {len(of_set.rooms)}:
             raise ValueError(f"{name} has {len(of_set.rooms)} rooms, but words or errors of another number of them")
+    for room in seed.sets[TEST].rooms:
+        if not {*ACOUSTICS} <= {*seed.acoustics.get(room, {})}:
+            raise ValueError(f"acoustics of room {room!r} are not complete")
+    for part in seed.strata:
+        if any({*seed.rows} - {*part.errors.get(column, {})} for column in seed.columns):
+            raise ValueError(f"errors by {part.what} are not complete")
     return seed
 
 

@@ -453,6 +453,9 @@ def test_seeds_of_several_machines_are_put_together(tmp_path, capsys):
      "words or errors of another number"),
     (lambda text: text.replace('"test.real.rvb":{', '"test.old.rvb":{', 1), r"errors of train\.clean on "
      r"test\.real\.rvb are not complete"),
+    (lambda text: text.replace('"acoustics":{"attic"', '"acoustics":{"barn"', 1), "acoustics of room 'attic' are not"),
+    (lambda text: text.replace('"errors":{"tgsmall":{"train.clean":', '"errors":{"tgsmall":{"other":', 1), r"errors by "
+     r"SNR \[dB\] are not complete"),
     (None, r"counts\.jsonl: no such file: give the counts\.jsonl of a directory that roomeq wer made")])
 def test_counts_that_do_not_fit_are_refused(tmp_path, capsys, change, message):
     workspaces, rirs = put_seeds(tmp_path, 3), [tmp_path / "rirs"]
