@@ -24,6 +24,7 @@ fi
 if [ "$hires" = true ]; then
   copy=(utils/copy_data_dir.sh)
   [ "$by_utterance" = false ] || copy=(utils/data/modify_speaker_info.sh --utts-per-spk-max 1)
+  once "$set/features/clear" rm -rf "data/$set.hires" # features of the utterances that the set had before
   once "$set/features/copy" "${copy[@]}" "data/$made" "data/$set.hires"
   [ "$by_utterance" = false ] || [ "$speed_perturb" = false ] || # modify_speaker_info.sh leaves it out
     once "$set/features/utt2uniq" cp "data/$made/utt2uniq" "data/$set.hires/"
