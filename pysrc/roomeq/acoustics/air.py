@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import FS_HZ, exact_bands_hz
+from roomeq.core.constants import FS_HZ, exact_bands_hz, require_air
 
 PRESSURE_KPA = 101.325
-TEMPERATURE_RANGE_C = (-20.0, 50.0)  # of the tables in ISO 9613-1
 _KELVIN = 273.15
 _REFERENCE_K = 293.15
 _TRIPLE_POINT_K = 273.16
@@ -52,7 +51,9 @@ def air_absorption_db_m(frequencies_hz: ArrayLike, temperature_c: float = 20.0, 
     ValueError
         Temperature, humidity or pressure is out of range.
     """
-    check_air(temperature_c, humidity_pct, pressure_kpa)
+    require_air(temperature_c, humidity_pct)
+    if not 10.0 <= pressure_kpa <= 200.0:
+        raise ValueError(f"pressure_kpa={pressure_kpa:g} must lie in [10, 200]: give kilopascals")
     frequency = np.asarray(frequencies_hz, dtype=np.float64)
     kelvin = temperature_c + _KELVIN
     pressure = pressure_kpa / PRESSURE_KPA
@@ -85,15 +86,3 @@ def band_attenuation_per_m(temperature_c: float = 20.0, humidity_pct: float = 50
     """
     attenuation = air_absorption_db_m(exact_bands_hz(fs_hz), temperature_c, humidity_pct) / _DB_PER_NEPER
     return tuple(float(value) for value in attenuation)
-
-
-def check_air(temperature_c: float = 20.0, humidity_pct: float = 50.0, pressure_kpa: float = PRESSURE_KPA) -> None:
-    """Raise ValueError unless the air is one of a room."""
-    low, high = TEMPERATURE_RANGE_C
-    if not low <= temperature_c <= high:
-        raise ValueError(f"temperature_c={temperature_c:g} must lie in [{low:g}, {high:g}] (ISO 9613-1): "
-                         "give degrees Celsius")
-    if not 0.0 <= humidity_pct <= 100.0:
-        raise ValueError(f"humidity_pct={humidity_pct:g} must lie in [0, 100]: give relative humidity in percent")
-    if not 10.0 <= pressure_kpa <= 200.0:
-        raise ValueError(f"pressure_kpa={pressure_kpa:g} must lie in [10, 200]: give kilopascals")

@@ -38,6 +38,20 @@ def require_fs(fs_hz: float) -> None:
                          "choose another sample rate")
 
 
+TEMPERATURE_RANGE_C = (-20.0, 50.0)
+"""Of the tables in ISO 9613-1."""
+
+
+def require_air(temperature_c: float = 20.0, humidity_pct: float = 50.0) -> None:
+    """Raise ValueError unless temperature [°C] and relative humidity [%] can be those of the air in a room."""
+    low, high = TEMPERATURE_RANGE_C
+    if not low <= temperature_c <= high:
+        raise ValueError(f"temperature_c={temperature_c:g} must lie in [{low:g}, {high:g}] (ISO 9613-1): "
+                         "give degrees Celsius")
+    if not 0.0 <= humidity_pct <= 100.0:
+        raise ValueError(f"humidity_pct={humidity_pct:g} must lie in [0, 100]: give relative humidity in percent")
+
+
 BAND_1KHZ = 4
 """Index of the 1 kHz band: the reference of every EQ, and the band of every T60 target."""
 MIN_ROOM_M, MAX_ROOM_M = 0.1, 200.0

@@ -30,8 +30,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from roomeq.acoustics.air import check_air
-from roomeq.core.constants import MAX_ROOM_M
+from roomeq.core.constants import MAX_ROOM_M, require_air
 from roomeq.corpora.record import (
     UNKNOWN,
     Corpus,
@@ -194,7 +193,7 @@ def _check_units(known: dict[str, Any]) -> None:
     for axis, size_m in enumerate(known["room_dims_m"] or ()):
         if size_m is not None and size_m > MAX_ROOM_M:
             raise ValueError(f"room_dims_m[{axis}]={size_m:g} must be at most {MAX_ROOM_M:g}: give metres")
-    check_air(**{key: known[key] for key in ("temperature_c", "humidity_pct") if known[key] is not None})
+    require_air(**{key: known[key] for key in ("temperature_c", "humidity_pct") if known[key] is not None})
 
 
 def _row(path: Path, file: Path, cells: dict[str, str], corpus: Corpus) -> dict[str, Any]:
