@@ -96,9 +96,9 @@ def find_workspaces(paths: Sequence[Path]) -> list[Workspace]:
         if resolved[n] in resolved[:n]:
             raise ValueError(f"workspace {path} is given twice: give each seed's once")
     first = paths[0]
-    rows = in_order({path.parent.name for path in first.glob("train.*/decode_*") if path.is_dir()}, ROWS)
-    columns = in_order({path.name.removeprefix(f"decode_{TEST}_") for row in rows
-                        for path in (first / row).glob(f"decode_{TEST}_*")}, COLUMNS)
+    rows = _in_order({path.parent.name for path in first.glob("train.*/decode_*") if path.is_dir()}, ROWS)
+    columns = _in_order({path.name.removeprefix(f"decode_{TEST}_") for row in rows
+                         for path in (first / row).glob(f"decode_{TEST}_*")}, COLUMNS)
     if not columns:
         raise ValueError(f"{first}: no train.*/decode_{TEST}_* in it: run stages 8 to 10, or check the path")
     dev_of = {row: _dev_set(first, row) for row in rows}
@@ -110,8 +110,7 @@ def find_workspaces(paths: Sequence[Path]) -> list[Workspace]:
     return workspaces
 
 
-def in_order(names: set[str], known: tuple[str, ...]) -> list[str]:
-    """Return names in the order of `known`, and others after them."""
+def _in_order(names: set[str], known: tuple[str, ...]) -> list[str]:
     return [name for name in known if name in names] + sorted(names - set(known))
 
 
