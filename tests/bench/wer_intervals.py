@@ -42,6 +42,7 @@ class Scenario(NamedTuple):
 
 SCENARIOS = [
     Scenario(1, 10, 0, 4, 0), Scenario(1, 40, 0, 4, 0), Scenario(2, 40, 1, 4, 2), Scenario(2, 40, 2, 0, 0),
+    Scenario(2, 27, 0.5, 0.5, 1.4), Scenario(3, 27, 0.5, 0.5, 1.4), Scenario(5, 27, 0.5, 0.5, 1.4),
     Scenario(3, 40, 1, 4, 2), Scenario(3, 40, 2, 0, 0), Scenario(5, 10, 1, 4, 2), Scenario(5, 40, 1, 4, 2),
     Scenario(5, 40, 2, 0, 0), Scenario(5, 40, 0, 0, 0), Scenario(5, 40, 1, 6, 2, skewed=True),
     Scenario(5, 10, 1, 6, 2, skewed=True)]

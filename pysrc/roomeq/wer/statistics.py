@@ -10,11 +10,13 @@ Seeds and rooms are crossed random factors: ``z = seed + room + residual``. A bo
 with replacement (McCullagh, Bernoulli 2000; Owen, Ann. Appl. Stat. 2007). Its variance contains the residual variance
 three times, and with few seeds it is too small. The deviations of the replicates from the estimate are therefore
 scaled: to the standard error from the variance components (two-way analysis of variance, method of moments, negative
-estimates set to zero), and to the quantiles of Student's t with Satterthwaite's degrees of freedom.
+estimates set to zero), and to the quantiles of Student's t with Satterthwaite's degrees of freedom. A component that is
+estimated as zero keeps its degrees of freedom: two or three seeds cannot show that seeds do not matter.
 `tests/bench/wer_intervals.py` measures how often these intervals contain the true value.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +29,10 @@ from roomeq.core.rng import rng_for
 REPLICATES = 10_000
 LEVEL = 0.95
 POWER = 0.8
+LEAST_P = 1e-4
+"""Smallest p value that is stated: `REPLICATES` tell no smaller ones."""
+_GREATEST_P = 0.999
+_MANY = 10 ** 6  # seeds or rooms, about as good as any number
 
 
 @dataclass(frozen=True)
@@ -39,8 +45,6 @@ class Components:
         Variance over seeds; None with a single seed, from which it cannot be estimated.
     room, residual : float
         Variance over rooms, and of the residual. With a single seed, the residual is part of `room`.
-    df : float
-        Satterthwaite's degrees of freedom of `variance`.
     """
 
     n_seeds: int
@@ -48,16 +52,29 @@ class Components:
     seed: float | None
     room: float
     residual: float
-    df: float
 
     def variance_with(self, n_seeds: float, n_rooms: float) -> float:
         """Return the variance of the mean with other numbers of seeds and rooms."""
         return (self.seed or 0.0) / n_seeds + self.room / n_rooms + self.residual / (n_seeds * n_rooms)
 
+    def df_with(self, n_seeds: float, n_rooms: float) -> float:
+        """Return Satterthwaite's degrees of freedom of `variance_with`, from the expected mean squares."""
+        if self.seed is None:
+            return n_rooms - 1.0
+        of_seeds, of_rooms = self.residual + n_rooms * self.seed, self.residual + n_seeds * self.room
+        sum_of_squares = (of_seeds ** 2 / (n_seeds - 1.0) + of_rooms ** 2 / (n_rooms - 1.0)
+                          + self.residual ** 2 / ((n_seeds - 1.0) * (n_rooms - 1.0)))
+        return (of_seeds + of_rooms - self.residual) ** 2 / sum_of_squares if sum_of_squares > 0.0 else n_rooms - 1.0
+
     @property
     def variance(self) -> float:
         """Variance of the mean over all cells."""
         return self.variance_with(self.n_seeds, self.n_rooms)
+
+    @property
+    def df(self) -> float:
+        """Satterthwaite's degrees of freedom of `variance`."""
+        return self.df_with(self.n_seeds, self.n_rooms)
 
 
 def influence(errors: FloatArray, words: FloatArray) -> tuple[float, FloatArray]:
@@ -78,19 +95,12 @@ def variance_components(z: FloatArray) -> Components:
     seed_mean, room_mean = z.mean(axis=1), z.mean(axis=0)
     ms_room = n_seeds * room_mean.var(ddof=1)
     if n_seeds == 1:
-        return Components(1, n_rooms, None, ms_room, 0.0, n_rooms - 1.0)
+        return Components(1, n_rooms, None, ms_room, 0.0)
     residuals = z - seed_mean[:, None] - room_mean + z.mean()
     ms_seed = n_rooms * seed_mean.var(ddof=1)
-    df_residual = (n_seeds - 1) * (n_rooms - 1)
-    ms_residual = (residuals ** 2).sum() / df_residual
-    seed, room = max(0.0, ms_seed - ms_residual), max(0.0, ms_room - ms_residual)
-    # the variance is a weighted sum of mean squares; a component that was set to zero drops out with its mean square
-    terms = ((ms_seed * (seed > 0), n_seeds - 1), (ms_room * (room > 0), n_rooms - 1),
-             (ms_residual * (1 - (seed > 0) - (room > 0)), df_residual))
-    sum_of_squares = sum(ms ** 2 / df for ms, df in terms)
-    total = seed + room + ms_residual
-    df = total ** 2 / sum_of_squares if sum_of_squares > 0 else float(df_residual)
-    return Components(n_seeds, n_rooms, seed / n_rooms, room / n_seeds, ms_residual, df)
+    ms_residual = (residuals ** 2).sum() / ((n_seeds - 1) * (n_rooms - 1))
+    return Components(n_seeds, n_rooms, max(0.0, ms_seed - ms_residual) / n_rooms,
+                      max(0.0, ms_room - ms_residual) / n_seeds, ms_residual)
 
 
 class Resampling:
@@ -139,30 +149,36 @@ class Statistic:
         return Statistic(self.value - factor * other.value, self.z - factor * other.z,
                          self.deviations - factor * other.deviations)
 
-    def replicates(self) -> FloatArray:
-        """Return the replicates, scaled as the module describes."""
-        components, bootstrap_error = variance_components(self.z), self.deviations.std()
-        if bootstrap_error == 0:
-            return np.full(len(self.deviations), self.value)
-        upper = (1 + LEVEL) / 2
-        scale = math.sqrt(components.variance) / bootstrap_error * t.ppf(upper, components.df) / norm.ppf(upper)
-        return self.value + scale * self.deviations
-
     def interval(self) -> list[float] | None:
         """Return the 95 % interval; None with a single room."""
         return None if self.z.shape[1] < 2 else self._limits()
 
-    def _limits(self) -> list[float]:
-        low, high = np.quantile(self.replicates(), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    def _limits(self, level: float = LEVEL) -> list[float]:
+        components, bootstrap_error = variance_components(self.z), self.deviations.std()
+        if bootstrap_error == 0:
+            return [self.value, self.value]
+        upper = (1 + level) / 2
+        scale = math.sqrt(components.variance) / bootstrap_error * t.ppf(upper, components.df) / norm.ppf(upper)
+        low, high = self.value + scale * np.quantile(self.deviations, [1 - upper, upper])
         return [float(low), float(high)]
 
     def p_value(self) -> float | None:
-        """Return the two-sided p-value of the hypothesis that the value is 0; None with a single room."""
+        """Return the two-sided p value of the hypothesis that the value is 0; None with a single room.
+
+        It is the level of the widest interval that does not contain 0, taken from 1; at least `LEAST_P`.
+        """
         if self.z.shape[1] < 2:
             return None
-        replicates = self.replicates()
-        below, above = (replicates <= 0).sum(), (replicates >= 0).sum()
-        return float(min(1.0, 2 * (min(below, above) + 1) / (len(replicates) + 1)))
+
+        def clearance(p: float) -> float:  # of the interval from 0
+            low, high = self._limits(1.0 - p)
+            return low if self.value > 0 else -high
+
+        if self.value == 0 or clearance(_GREATEST_P) <= 0:
+            return 1.0
+        if clearance(LEAST_P) > 0:
+            return LEAST_P
+        return float(brentq(clearance, LEAST_P, _GREATEST_P, xtol=1e-7))
 
 
 def ratio_interval(numerator: Statistic, denominator: Statistic) -> list[float] | None:
@@ -206,19 +222,28 @@ def detectable(difference: Statistic) -> dict | None:
     if difference.z.shape[1] < 2 or not difference.deviations.any():
         return None
     fitted = variance_components(difference.z)
-    seed, n_seeds, n_rooms = fitted.seed, fitted.n_seeds, fitted.n_rooms
-    standard_errors = float(t.ppf((1 + LEVEL) / 2, fitted.df) + t.ppf(POWER, fitted.df))
-    target = fitted.variance / 4  # half the standard error
-    residual = fitted.residual / (n_seeds * n_rooms)
-    main = fitted.variance - residual  # part of the main effects, seeds and rooms
-    factor = (main + math.sqrt(main ** 2 + 4 * target * residual)) / (2 * target)
-    seeds = None if seed is None else _sample_size(target, fitted.room / n_rooms, seed + fitted.residual / n_rooms)
-    rooms = _sample_size(target, (seed or 0.0) / n_seeds, fitted.room + fitted.residual / n_seeds)
-    return dict(difference=standard_errors * math.sqrt(fitted.variance), standard_errors=standard_errors, df=fitted.df,
-                seed=None if seed is None else math.sqrt(seed), room=math.sqrt(fitted.room),
-                residual=math.sqrt(fitted.residual), for_half=dict(seeds=seeds, rooms=rooms, factor=factor))
+    n_seeds, n_rooms = fitted.n_seeds, fitted.n_rooms
+
+    def detected(seeds: float, rooms: float) -> float:
+        df = fitted.df_with(seeds, rooms)
+        return float((t.ppf((1 + LEVEL) / 2, df) + t.ppf(POWER, df)) * math.sqrt(fitted.variance_with(seeds, rooms)))
+
+    found = detected(n_seeds, n_rooms)
+    of_seeds = None if fitted.seed is None else _first(lambda n: detected(n, n_rooms) <= found / 2, n_seeds)
+    of_rooms = _first(lambda n: detected(n_seeds, n) <= found / 2, n_rooms)
+    both = brentq(lambda factor: detected(n_seeds if fitted.seed is None else factor * n_seeds, factor * n_rooms)
+                  - found / 2, 1.0, _MANY)
+    return dict(difference=found, standard_errors=found / math.sqrt(fitted.variance), df=fitted.df,
+                seed=None if fitted.seed is None else math.sqrt(fitted.seed), room=math.sqrt(fitted.room),
+                residual=math.sqrt(fitted.residual), for_half=dict(seeds=of_seeds, rooms=of_rooms, factor=both))
 
 
-def _sample_size(variance: float, fixed: float, variance_of_one: float) -> int | None:
-    """Return the smallest n with ``fixed + variance_of_one / n <= variance``; None if there is none."""
-    return None if fixed >= variance else math.ceil(variance_of_one / (variance - fixed) - 1e-9)
+def _first(holds: Callable[[int], bool], low: int) -> int | None:
+    """Return the smallest number above `low` from which on a condition holds; None if it does not for `_MANY`."""
+    high = _MANY
+    if not holds(high):
+        return None
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if holds(middle) else (middle, high)
+    return high
