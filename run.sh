@@ -66,7 +66,6 @@ align_on=clean            # all systems use the alignments of the clean speech; 
 gmm_passes="mono 300, deltas all 300 3000, lda_mllt all 400 6000, sat all 400 6000"   # --passes of train_gmm.sh
 num_leaves=400            # leaves of the TDNN's phonetic decision tree
 rows=                     # training sets to compare, e.g. "sim.rvb sim.loop.rvb"; default: all
-stock_rvb=false           # add a training set made by Kaldi's reverberate_data_dir.py with the same simulated RIRs
 speed_perturb=false       # speed-perturb the training sets by 0.9, 1.0 and 1.1
 online_cmvn=true          # subtract the mean of the TDNN's features so far
 ivectors=false            # add i-vectors to the TDNN's features
@@ -178,7 +177,6 @@ if [ "$stop_stage" -ge 8 ]; then
   local/kaldi/train_and_test.sh --stage "$stage" --stop-stage "$stop_stage" --nj "$nj" --seed "$seed" \
     --dry-run "$dry_run" --librispeech "$librispeech" --lm-text "$lm_text" --align-on "$align_on" \
     --gmm-passes "$gmm_passes" --num-leaves "$num_leaves" --free-rooms "$free_rooms" --rows "$rows" \
-    --stock-rvb "$stock_rvb" \
     --speed-perturb "$speed_perturb" --online-cmvn "$online_cmvn" --ivectors "$ivectors" --use-gpu "$use_gpu" \
     --chain-opts "$chain_opts" --decode-opts "$decode_opts" "$data" "$exp"
 fi

@@ -16,6 +16,8 @@ check_option snr "$distribution" "$distribution_rule"
 check_option point_snr "$distribution" "$distribution_rule"
 check_option packing 'recording|utterance' "recording or utterance"
 check_option align_on 'clean|self' "clean or self"
+pass=' *(mono +(all|[0-9]+)|(deltas|lda_mllt|sat) +(all|[0-9]+) +[0-9]+ +[0-9]+) *'
+check_option gmm_passes "$pass(,$pass)*" "passes as 'mono 300, deltas all 300 3000': kind, utterances, leaves, Gaussians"
 [ "$stage" -le "$stop_stage" ] || die "--stage $stage comes after --stop-stage $stop_stage: nothing is to be done"
 [ -z "$librispeech" ] || [ -z "$speech" ] || die "--librispeech and --speech both name the speech: leave one out"
 [ -z "$reverbdb" ] || [ -z "$measured" ] || die "--reverbdb and --measured both name the measured RIRs: leave one out"
@@ -24,4 +26,4 @@ if [ -n "$rooms" ] && [ "$free_rooms" != 0 ]; then
   log "--rooms draws all rooms: no set sim.free is made beside"
   free_rooms=0
 fi
-unset number distribution distribution_rule
+unset number distribution distribution_rule pass

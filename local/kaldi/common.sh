@@ -5,21 +5,28 @@
 # the command that runs Kaldi's jobs: run.pl, or queue.pl or slurm.pl with their options
 runner=${kaldi_cmd:-run.pl --max-jobs-run $nj}
 
-# once NAME COMMAND...: run a command in the workspace unless it has run before; log to <workspace>/log/NAME.log. It
-# runs again when its arguments (except --nj, --cmd and --stage), its `inputs`, or the arguments of an earlier command
-# of the same script have changed. With --dry-run it is printed. If two runs share a workspace, one waits for the other.
-once() {
-  local name=$1 started=$SECONDS word previous='' words=()
-  shift
+# lasting WORD...: print the words of a command on which its result depends, each ended by a null byte: all but the
+# values of --nj, --egs.nj, --cmd and --stage.
+lasting() {
+  local word previous=''
   for word; do
-    [[ $previous =~ ^--((egs\.)?nj|cmd|stage)$ ]] || words+=("$word")
+    [[ $previous =~ ^--((egs\.)?nj|cmd|stage)$ ]] || printf '%s\0' "$word"
     previous=$word
   done
+}
+
+# once NAME COMMAND...: run a command in the workspace unless it has run before; log to <workspace>/log/NAME.log. It
+# runs again when its `lasting` words, its `inputs`, or the words of an earlier command of the same script have changed.
+# With --dry-run it is printed. If two runs share a workspace, one waits for the other. If `outputs` holds files of the
+# workspace, they are removed before: Kaldi leaves those of an earlier run with more jobs, and reads them.
+once() {
+  local name=$1 started=$SECONDS
+  shift
   if [ "$dry_run" = true ]; then
     printf '%q ' "$@" && echo
     return
   fi
-  key=$(printf '%s\0' "${key:-}" "$name" "${words[@]}" | sha256sum | cut -c1-16)
+  key=$({ printf '%s\0' "${key:-}" "$name" && lasting "$@"; } | sha256sum | cut -c1-16)
   local mark=$workspace/done/$name log=$workspace/log/$name.log
   [ "$(cat "$mark" 2>/dev/null)" != "$key" ] || return 0
   exec 9>"$workspace/.lock" # commands inherit the lock, so those that outlive a killed run are waited for, too
@@ -29,6 +36,7 @@ once() {
   }
   [ "$(cat "$mark" 2>/dev/null)" != "$key" ] || return 0 # the other run has done it
   rm -f "$mark"
+  [ -z "${outputs:-}" ] || find "$workspace" -path "$workspace/$outputs" -delete
   mkdir -p "$(dirname "$log")" "$(dirname "$mark")"
   printf '%s kaldi: %s\n' "$(date +%H:%M:%S)" "$name"
   (cd "$workspace" && . ./path.sh && "$@") >"$log" 2>&1 </dev/null ||

@@ -29,7 +29,7 @@ fi
 # Score with all language model weights and insertion penalties, or with those that were best on `tuned_on`; then
 # bootstrap the best result.
 score() { # COLUMN
-  local penalty=0.0,0.5,1.0 lowest=7 highest=17
+  local penalty=0.0,0.5,1.0 lowest=1 highest=17
   if [ -n "$tuned_on" ] && [ "$dry_run" = false ]; then
     read -r penalty lowest < <(local/kaldi/chosen_weights.py "$workspace/$set/decode_${tuned_on}_$1")
     highest=$lowest
@@ -42,20 +42,23 @@ score() { # COLUMN
 }
 
 after "$set/nnet/train" "$ali/align/graph" "$test/features/$test.hires.fix" "${ivectors_made[@]}"
-once "$out/tgsmall" steps/nnet3/decode.sh "${search[@]}" --skip-scoring true --nj "$nj" --cmd "$runner" \
+outputs=${out}_tgsmall/lat.*.gz once "$out/tgsmall" steps/nnet3/decode.sh "${search[@]}" --skip-scoring true --nj "$nj" --cmd "$runner" \
   "${with_ivectors[@]}" "$graph" "$data" "${out}_tgsmall"
 score tgsmall
-once "$out/tgmed" steps/lmrescore.sh --skip-scoring true --cmd "$runner" --self-loop-scale 1.0 \
+outputs=${out}_tgmed/lat.*.gz once "$out/tgmed" steps/lmrescore.sh --skip-scoring true --cmd "$runner" --self-loop-scale 1.0 \
   $small data/lang_test_tgmed "$data" "${out}"_{tgsmall,tgmed}
 score tgmed
 for model in tglarge fglarge; do
-  once "$out/$model" steps/lmrescore_const_arpa.sh --skip-scoring true --cmd "$runner" \
+  outputs=${out}_$model/lat.*.gz once "$out/$model" steps/lmrescore_const_arpa.sh --skip-scoring true --cmd "$runner" \
     $small data/lang_test_$model "$data" "${out}_tgsmall" "${out}_$model"
   score $model
 done
-once "$set/online" steps/online/nnet3/prepare_online_decoding.sh --mfcc-config conf/mfcc_hires.conf "$ali/align/lang" \
+once "$out/online_config" steps/online/nnet3/prepare_online_decoding.sh --mfcc-config conf/mfcc_hires.conf "$ali/align/lang" \
   "${extractor[@]}" "$set" "$set/online"
-once "$out/online" steps/online/nnet3/decode.sh "${search[@]}" --skip-scoring true --nj "$nj" --cmd "$runner" \
+outputs=$set/online/decode_$test/lat.*.gz once "$out/online" steps/online/nnet3/decode.sh "${search[@]}" --skip-scoring true --nj "$nj" --cmd "$runner" \
   "$graph" "$data" "$set/online/decode_$test"
 once "$out/link" ln -sfn "online/decode_$test" "${out}_online"
 score online
+for column in tgsmall tgmed tglarge fglarge online; do # what roomeq wer compares with the set's present state
+  once "$out/$column.source" cp "data/$test/source" "${out}_$column/source"
+done

@@ -16,7 +16,6 @@ gmm_passes="mono 300, deltas all 300 3000, lda_mllt all 400 6000, sat all 400 60
 num_leaves=400        # leaves of the TDNN's phonetic decision tree
 free_rooms=0          # compare the training set of drawn rooms, sim.free.rvb, too: unless 0
 rows=                 # training sets to compare, e.g. "clean sim.rvb"; default: all
-stock_rvb=false       # add a training set made by Kaldi's reverberate_data_dir.py with the same simulated RIRs
 speed_perturb=false   # speed-perturb the training sets by 0.9, 1.0 and 1.1
 online_cmvn=true      # subtract the mean of the TDNN's features so far
 ivectors=false        # add i-vectors to the TDNN's features
@@ -36,7 +35,6 @@ kinds=(clean real.rvb sim.rvb sim.EQ.rvb) # each has a dev set of its own kind, 
 if [ "$dry_run" = true ] || [ -f "$exp/rooms/enough" ]; then kinds+=(sim.loop.rvb); fi
 [ "$free_rooms" = 0 ] || kinds+=(sim.free.rvb)
 copied=("$data/test.real.rvb" "${kinds[@]/#/$data/train.}" "${kinds[@]/#/$data/dev.}")
-[ "$stock_rvb" = false ] || kinds+=(sim.stock.rvb)
 for x in $rows; do
   [[ " ${kinds[*]} " == *" $x "* ]] || die "--rows: '$x' must be one of: ${kinds[*]}"
 done
@@ -52,10 +50,7 @@ if at_stage 8 "Kaldi: language, features, GMM"; then
   [ -z "$librispeech" ] || [ -n "$lm_text" ] || texts=()
   local/kaldi/make_workspace.sh "${common[@]}" "$workspace" "${copied[@]}"
   [ "$dry_run" = true ] || roomeq validate "${copied[@]}" # Kaldi would train on a damaged directory
-  [ "$stock_rvb" = false ] || for x in train dev; do
-    local/kaldi/reverberate.sh "${common[@]}" --seed "$seed" "$workspace" "$data/rirs.sim.$x" "$data/rirs.real.$x" \
-      "$x.clean" "$x.sim.stock.rvb"
-  done
+  [ "$dry_run" = true ] || echo "$seed" >"$workspace/seed" # of which roomeq wer counts the errors
   local/kaldi/make_lang.sh "${common[@]}" "$workspace" "${texts[@]}"
   for x in "${aligned[@]}"; do
     local/kaldi/make_features.sh "${common[@]}" "$workspace" "$x"

@@ -83,13 +83,14 @@ train=(steps/nnet3/chain/train.py --cmd "$runner" --use-gpu "$([ "$use_gpu" = tr
 [ "$ivectors" = false ] || train+=(--feat.online-ivector-dir "$set/ivectors/$set")
 stage=-10
 if [ "$dry_run" = false ]; then
-  begun=$workspace/$set/begun state=$(printf '%s\0' "$key" "${train[@]}" | sha256sum)
+  begun=$workspace/$set/begun state=$({ echo "$key" && lasting "${train[@]}"; } | sha256sum)
   if [ "$(cat "$begun" 2>/dev/null)" = "$state" ]; then # the last model may be incomplete: start from the one before
     last=$(find "$workspace/$set" -maxdepth 1 -name '[0-9]*.mdl' -printf '%f\n' | sort -n | tail -n 1)
     last=${last%.mdl}
     [ "${last:-0}" -lt 2 ] || stage=$((last - 1))
   else
-    rm -rf "$workspace/$set"/{egs,*.mdl} && echo "$state" >"$begun"
+    rm -rf "$workspace/$set"/{egs,*.mdl,online_cmvn,global_cmvn.stats,cmvn_opts} && echo "$state" >"$begun"
   fi
 fi
 once "$set/nnet/train" "${train[@]}" --stage "$stage"
+once "$set/nnet/source" cp "data/$set/source" "$set/source" # what roomeq wer compares with the set's present state

@@ -4,10 +4,10 @@
 Usage: tests/bench/publish.py [--commit HASH] [--date YYYY-MM-DD] PAGE FILE
 e.g.:  tests/bench/publish.py simulator exp/bench/fidelity.json
        tests/bench/publish.py loop tests/bench/loop/results/results.jsonl
-PAGE is one of simulator, measured_room, drawn_rooms, many_rooms, speed, compensation, loop, loop_scale, laboratories,
-effects, augmentation, wer, wer_real_rooms, wer_digits, faults, labels; of the word error rates, FILE is the directory
-that `tests/bench/wer.sh` made, and the errors of each seed are written to docs/results/counts/PAGE. The commit is that
-of the working tree, unless the results are of an earlier one.
+PAGE is one of simulator, measured_room, drawn_rooms, many_rooms, speed, waiting, compensation, loop, loop_scale,
+laboratories, effects, augmentation, wer, wer_real_rooms, wer_digits, faults, labels; of the word error rates, FILE is
+the directory that `tests/bench/wer.sh` made, and the errors of each seed are written to docs/results/counts/PAGE. The
+commit is that of the working tree, unless the results are of an earlier one.
 """
 
 import argparse
@@ -142,7 +142,7 @@ def _word_error_tables(wer: dict[str, Any]) -> list[Table]:
             dict(title=f"Difference to {BASE}, paired over rooms and seeds", rows=changes,
                  columns=["trained on", "decoding", "points", "relative [%]", "detectable [points]"]),
             dict(title=f"Test error by seed [%], {first}",
-                 columns=["trained on", *(f"seed {n}" for n in range(wer["seeds"]))], rows=by_seed),
+                 columns=["trained on", *(f"seed {number}" for number in wer["seeds"])], rows=by_seed),
             dict(title=f"Rooms, test error [%], {first}", columns=["room", "words", *headings, *wer["rows"]],
                  rows=rooms, notes=[EQ_NOTE]),
             dict(title=f"Parts of the test set, test error [%], {first}", columns=["part", "words", *wer["rows"]],

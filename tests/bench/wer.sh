@@ -51,7 +51,9 @@ for seed in $seeds; do
   for row in $rows_without_cmvn; do
     [ -d "$where/data/train.$row" ] || die "--rows-without-cmvn: $where/data has no train.$row"
   done
-  [ ! -d "$where/data/rirs.sim.free.dev" ] || rirs+=(--rirs "$where/data/rirs.sim.free.dev")
+  for x in "$where"/data/rirs.{sim,sim.EQ,sim.loop,sim.free}.dev; do
+    [ ! -d "$x" ] || rirs+=(--rirs "$x")
+  done
   train "$where/exp/kaldi"
   done+=("$where/exp/kaldi")
   table wer "${done[@]}"

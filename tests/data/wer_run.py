@@ -56,7 +56,7 @@ def utterances_of(name, rooms, per_room=2):
     return {f"{name}-{room}-{n}": f"{room}-{n % 2}" for room in rooms for n in range(per_room)}
 
 
-def put_workspace(workspace, errors, *, sets, columns=("tgsmall",)):
+def put_workspace(workspace, errors, *, sets, columns=("tgsmall",), seed=0):
     """Write a workspace whose systems make given errors.
 
     Parameters
@@ -66,6 +66,9 @@ def put_workspace(workspace, errors, *, sets, columns=("tgsmall",)):
     sets : dict of dict of str
         By name of the set: RIR by utterance.
     """
+    write_text(workspace / "seed", f"{seed}\n")
+    for row in errors:
+        put_source(workspace, row, workspace / row)
     for name, rirs in sets.items():
         put_texts(workspace / "data" / name / "utt2rir", {ident: [rir] for ident, rir in rirs.items()})
         snrs = zip(rirs, cycle(("5", "12")))
@@ -76,6 +79,13 @@ def put_workspace(workspace, errors, *, sets, columns=("tgsmall",)):
                 hypotheses = {ident: spoilt(words, count(name, column, ident, rirs[ident]))
                               for ident, words in reference.items()}
                 put_decode(workspace / row / f"decode_{name}_{column}", reference, hypotheses)
+                put_source(workspace, name, workspace / row / f"decode_{name}_{column}")
+
+
+def put_source(workspace, name, made):
+    """State what a set holds, and that something was made of it."""
+    for path in (workspace / "data" / name, made):
+        write_text(path / "source", f"state of {name}\n")
 
 
 ROOMS = ("attic", "cellar", "hall", "kitchen")
@@ -91,5 +101,5 @@ def put_example(root, seeds=1, columns=("tgsmall",), errors=ERRORS):
     for seed in range(seeds):
         put_workspace(root / f"kaldi{seed}", {
             row: lambda name, column, ident, rir, n=n: n + (rir.startswith("hall") and n < 8)
-            for row, n in errors.items()}, sets=sets, columns=columns)
+            for row, n in errors.items()}, sets=sets, columns=columns, seed=seed)
     return [root / f"kaldi{seed}" for seed in range(seeds)]

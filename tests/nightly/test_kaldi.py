@@ -63,14 +63,6 @@ def test_dry_run_needs_neither_kaldi_nor_data(project_dir, tmp_path):
     assert len(decoded) == 5 * 2 * 5  # sets, test sets, language models and online
 
 
-def test_stock_augmentation_adds_a_row(project_dir, tmp_path):
-    lines = dry(project_dir, tmp_path, "--stage", "8", "--stock-rvb")
-    made = position(lines, "reverberate_data_dir.py", "data/train.clean data/train.sim.stock.rvb")
-    assert made < position(lines, "chain/train.py", "--dir train.sim.stock.rvb")
-    position(lines, "nnet3/decode", "train.sim.stock.rvb/decode_dev.sim.stock.rvb_tgsmall")
-    assert not any("stock.rvb" in line for line in dry(project_dir, tmp_path, "--stage", "8"))
-
-
 def test_free_rooms_add_a_row(project_dir, tmp_path):
     lines = dry(project_dir, tmp_path, "--stage", "8", "--free-rooms", "10")
     position(lines, "chain/train.py", "--dir train.sim.free.rvb")
@@ -108,7 +100,10 @@ def test_librispeech_config_runs_the_stock_recipe(project_dir, tmp_path):
     (["--dry-run"], ["--dry-run", "add --stage 8"]),
     (["--stage", "8", "--dry-run", "--stop-stage", "10", "--align-on", "them"], ["--align-on 'them'", "clean or self"]),
     (["--stage", "8", "--dry-run", "--rows", "sim.rvb sim.rvd"], ["--rows: 'sim.rvd'", "clean real.rvb sim.rvb"]),
-    (["--stage", "8", "--dry-run", "--stop-stage", "10", "--gmm-passes", "quad 3"], ["'quad'", "mono, deltas"]),
+    (["--stage", "8", "--dry-run", "--stop-stage", "10", "--gmm-passes", "mono ten, deltas all 300 3000"],
+     ["'mono ten, deltas all 300 3000'", "kind, utterances, leaves"]),
+    (["--stage", "8", "--dry-run", "--stop-stage", "10", "--gmm-passes", "quad 3"],
+     ["'quad 3'", "kind, utterances, leaves"]),
 ])
 def test_wrong_kaldi_options_are_refused_in_one_line(project_dir, options, words):
     done = run(project_dir, "./run.sh", *options)
@@ -145,6 +140,16 @@ def test_once_repeats_only_after_a_change(recipe):
     assert len(counted(recipe, "--input", "in", "ws", "b")[0]) == 6
     (recipe / "in").write_text("2")
     assert len(counted(recipe, "--input", "in", "ws", "b")[0]) == 8
+
+
+def test_outputs_of_an_earlier_run_with_more_jobs_are_removed(recipe):
+    (recipe / "ws/out").mkdir()
+    for name in ("lat.1.gz", "lat.9.gz", "kept"):
+        (recipe / "ws/out" / name).write_text("")
+    (recipe / "clear.sh").write_text(ONCE.replace("once first", "outputs=out/lat.*.gz once first"))
+    (recipe / "clear.sh").chmod(0o755)
+    assert run(recipe, "./clear.sh", "ws", "a").returncode == 0
+    assert [path.name for path in (recipe / "ws/out").iterdir()] == ["kept"]
 
 
 def test_failed_command_is_named_and_alone_repeated(recipe):

@@ -22,7 +22,7 @@ def word_error_rates(run: Run) -> Context:
             for row in wer["rows"]]
     shown = [row for row in wer["rows"] if row != CLEAN] or wer["rows"]
     return {"caption": caption(wer), "kinds": kinds, "rows": rows, "column": column, "base": BASE, "oracle": ORACLE,
-            "rates": [rates_panel(wer, column, shown)], "n_seeds": wer["seeds"],
+            "rates": [rates_panel(wer, column, shown)], "n_seeds": len(wer["seeds"]),
             "omitted": CLEAN if len(shown) < len(wer["rows"]) else None,
             "changes": change_rows(wer) if has_changes else [],
             "rooms": room_panels(wer, column) if has_changes else [],
@@ -114,6 +114,6 @@ def detectable(wer: dict[str, Any], column: str) -> list[Context]:
         if result := wer["results"][row][column]["change"]["detectable"]:
             half = result["for_half"]
             remedies = [f"{half[kind]} {kind}" for kind in ("seeds", "rooms") if half[kind] is not None]
-            remedies += [f"{number(half['factor'])} times as many of both"] if wer["seeds"] > 1 else []
+            remedies += [f"{number(half['factor'])} times as many of both"] if len(wer["seeds"]) > 1 else []
             entries.append({"row": row, "points": result["difference"], "remedies": " or ".join(remedies)})
     return entries

@@ -27,6 +27,12 @@ MIN_ROOMS = 8
 _DECIMALS = 9  # of what is ranked, so that rounding errors break no tie
 
 
+def ranges(what: str) -> list[tuple[float | None, float | None]]:
+    """Return the lower and the upper end of each stratum of a property, None where it is open; [] if there is none."""
+    edges = EDGES.get(what)
+    return list(zip((None, *edges), (*edges, None), strict=True)) if edges else []
+
+
 class StratumCounts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A part of the test set: the range of a property, its words, and the errors in it by column and row."""
 
@@ -69,7 +75,7 @@ class Breakdown:
         strata = []
         for what, edges in EDGES.items():
             stratum = np.digitize(values[what], edges)
-            for n, (low, high) in enumerate(zip((None, *edges), (*edges, None), strict=True)):
+            for n, (low, high) in enumerate(ranges(what)):
                 members = ~np.isnan(values[what]) & (stratum == n)
                 if members.any():
                     strata.append(StratumCounts(what, low, high, int(scores.words[members].sum()), {

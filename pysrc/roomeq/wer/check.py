@@ -68,7 +68,9 @@ def _interval(value: Any, name: str, estimate: float) -> None:
 def _check(wer: dict) -> None:
     for key in ("rows", "columns"):
         _require(bool(wer[key]) and all(isinstance(name, str) for name in wer[key]), key, "be names")
-    _number(wer["seeds"], "seeds", 1)
+    _require(isinstance(wer["seeds"], list) and bool(wer["seeds"]), "seeds", "be numbers")
+    for seed in wer["seeds"]:
+        _number(seed, "seeds", 0)
     for count in ("utterances", "words", "rooms"):
         _number(wer["sets"][wer["test"]][count], count, 1)
     for row in wer["rows"]:

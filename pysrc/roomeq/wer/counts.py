@@ -14,9 +14,9 @@ from msgspec import Meta
 
 from roomeq.core.arrays import IntArray
 from roomeq.core.files import read_text
-from roomeq.wer.breakdown import ACOUSTICS, Breakdown, StratumCounts
+from roomeq.wer.breakdown import ACOUSTICS, Breakdown, StratumCounts, ranges
 from roomeq.wer.scores import Scores, choose_all_weights, read_scores
-from roomeq.wer.scoring import read_bootci
+from roomeq.wer.scoring import Weights, read_bootci, read_weights
 from roomeq.wer.workspace import TEST, System, Workspace
 
 COUNTS_FILE = "counts.jsonl"
@@ -51,9 +51,12 @@ class SetCounts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Names of the rooms, and words in each.
     errors
         By row and column.
+    reference
+        SHA-256 of the utterances and their words: all seeds of an experiment recognise the same speech.
     """
 
     has_rooms: bool
+    reference: Annotated[str, Meta(pattern="^[0-9a-f]{64}$")]
     utterances: Annotated[int, Meta(gt=0)]
     rooms: Annotated[list[str], Meta(min_length=1)]
     words: list[Annotated[int, Meta(gt=0)]]
@@ -78,10 +81,11 @@ class SetCounts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ChosenWeights(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Language model weight and word insertion penalty of a system."""
+    """Language model weight and word insertion penalty of a system; whether others beyond them were not tried."""
 
     lmwt: int
     penalty: str
+    at_edge: bool
 
 
 class SeedCounts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -89,6 +93,8 @@ class SeedCounts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes
     ----------
+    seed
+        Its number.
     kaldi
         Versions of Kaldi that worked.
     dev_of
@@ -103,6 +109,7 @@ class SeedCounts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Parts of the test set.
     """
 
+    seed: Count
     kaldi: list[str]
     rows: Annotated[list[str], Meta(min_length=1)]
     columns: Annotated[list[str], Meta(min_length=1)]
@@ -123,12 +130,20 @@ def count_seed(workspace: Workspace, room_of_rir: dict[str, str], breakdown: Bre
     """
     weights = choose_all_weights(workspace)
     scores = {name: read_scores(workspace, name, weights, room_of_rir) for name in workspace.set_names}
-    chosen = {row: {column: ChosenWeights(weights[System(row, column)].lmwt, weights[System(row, column)].penalty)
+    chosen = {row: {column: _chosen(workspace, System(row, column), weights[System(row, column)])
                     for column in workspace.columns} for row in workspace.rows}
     acoustics, strata = breakdown.counts(workspace, scores[TEST])
-    return SeedCounts(workspace.kaldi_versions(), workspace.rows, workspace.columns, workspace.dev_of, chosen,
-                      {name: _set_counts(workspace, name, of_set) for name, of_set in scores.items()}, acoustics,
-                      strata)
+    return SeedCounts(workspace.seed(), workspace.kaldi_versions(), workspace.rows, workspace.columns, workspace.dev_of,
+                      chosen, {name: _set_counts(workspace, name, of_set) for name, of_set in scores.items()},
+                      acoustics, strata)
+
+
+def _chosen(workspace: Workspace, system: System, weights: Weights) -> ChosenWeights:
+    """Return weights that were chosen; penalties below 0 are never tried."""
+    grid = read_weights(workspace.decode_dir(system, workspace.dev_of[system.row]))
+    lmwts, penalties = {one.lmwt for one in grid}, {float(one.penalty) for one in grid}
+    return ChosenWeights(weights.lmwt, weights.penalty,
+                         weights.lmwt in (min(lmwts), max(lmwts)) or float(weights.penalty) == max(penalties))
 
 
 def _set_counts(workspace: Workspace, name: str, scores: Scores) -> SetCounts:
@@ -141,7 +156,7 @@ def _set_counts(workspace: Workspace, name: str, scores: Scores) -> SetCounts:
         errors.setdefault(system.row, {})[system.column] = SystemCounts(of_rooms.tolist(),
                                                                         Bootci(**bootci) if bootci else None)
     words = np.bincount(scores.room, weights=scores.words, minlength=n_rooms).astype(int)
-    return SetCounts(scores.has_rooms, len(scores.words), scores.room_names, words.tolist(), errors)
+    return SetCounts(scores.has_rooms, scores.reference, len(scores.words), scores.room_names, words.tolist(), errors)
 
 
 def counts_text(seeds: Sequence[SeedCounts]) -> str:
@@ -165,6 +180,8 @@ def read_counts(path: Path) -> list[SeedCounts]:
             seeds.append(_checked(msgspec.json.decode(line, type=SeedCounts)))
         except (msgspec.DecodeError, ValueError) as error:
             raise ValueError(f"{path}:{number}: is not what roomeq wer writes ({error}): make it again") from None
+    if not seeds:
+        raise ValueError(f"{path}: holds no seed: give a {COUNTS_FILE} that roomeq wer made, or leave it out")
     return seeds
 
 
@@ -185,25 +202,29 @@ def _checked(seed: SeedCounts) -> SeedCounts:
         if not {*ACOUSTICS} <= {*seed.acoustics.get(room, {})}:
             raise ValueError(f"acoustics of room {room!r} are not complete")
     for part in seed.strata:
+        if (part.low, part.high) not in ranges(part.what):
+            raise ValueError(f"{part.what!r} from {part.low} to {part.high} is no part of the test set")
         if any({*seed.rows} - {*part.errors.get(column, {})} for column in seed.columns):
             raise ValueError(f"errors by {part.what} are not complete")
     return seed
 
 
-def require_comparable(counted: dict[str, SeedCounts], found: dict[str, SeedCounts]) -> None:
-    """Refuse seeds, by where they come from, with other systems or test rooms, and those that were counted before."""
-    seeds = counted | found
+def require_comparable(seeds: dict[str, SeedCounts]) -> None:
+    """Refuse seeds, by where they come from, of other systems, test rooms or speech, and those that are given twice."""
     first_name, first = next(iter(seeds.items()))
-    seen: dict[bytes, str] = {}
+    where: dict[int, str] = {}
     for name, seed in seeds.items():
         for what, here, there in (("rows", seed.rows, first.rows), ("columns", seed.columns, first.columns),
                                   ("development sets", seed.dev_of, first.dev_of),
-                                  ("test rooms", seed.sets[TEST].rooms, first.sets[TEST].rooms)):
+                                  ("test rooms", seed.sets[TEST].rooms, first.sets[TEST].rooms),
+                                  ("reference texts", _references(seed), _references(first))):
             if here != there:
                 raise ValueError(f"{name}: its {what} are not those of {first_name}: put only seeds of one experiment "
                                  "together")
-        errors = msgspec.json.encode(seed.sets, order="sorted")
-        if errors in seen:
-            raise ValueError(f"{name}: its errors are those of {seen[errors]}: it is the same seed, give it once")
-        if name in counted:
-            seen[errors] = name
+        if seed.seed in where:
+            raise ValueError(f"{name}: is of seed {seed.seed}, as {where[seed.seed]}: give each seed once")
+        where[seed.seed] = name
+
+
+def _references(seed: SeedCounts) -> dict[str, str]:
+    return {name: of_set.reference for name, of_set in seed.sets.items()}

@@ -10,7 +10,7 @@ from roomeq.core.build import Build
 from roomeq.core.files import read_json, write_json, write_text
 from roomeq.records.rir_dir import ROWS_FILE, read_rirs
 from roomeq.records.schema import RirRow
-from roomeq.wer.breakdown import ACOUSTICS, EDGES, Breakdown, gains_by_acoustics
+from roomeq.wer.breakdown import ACOUSTICS, EDGES, Breakdown, gains_by_acoustics, ranges
 from roomeq.wer.check import WER_FILE
 from roomeq.wer.counts import (
     COUNTS_FILE,
@@ -46,7 +46,7 @@ def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path]
         RIR directory of the measured RIRs that the recognisers were trained with, for the EQ distance of each test
         room to them.
     counted
-        `counts.jsonl` of further seeds, which come before those of the workspaces.
+        `counts.jsonl` of further seeds.
 
     Returns
     -------
@@ -78,8 +78,8 @@ def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path]
         breakdown = Breakdown(rows, read_rirs(train_rirs) if train_rirs else [])
         room_of_rir = {rir_id: row["room_id"] for rir_id, row in rows.items()}
         trained = {str(workspace.path): count_seed(workspace, room_of_rir, breakdown) for workspace in found}
-        require_comparable(earlier, trained)
-        seeds = [*earlier.values(), *trained.values()]
+        require_comparable(earlier | trained)
+        seeds = sorted([*earlier.values(), *trained.values()], key=lambda counts: counts.seed)
 
         def write(directory: Path, _: object) -> None:
             write_json(directory / WER_FILE, _measure(seeds))
@@ -96,7 +96,8 @@ def _measure(seeds: Sequence[SeedCounts]) -> dict:
     results = {row: {column: _result(rates, System(row, column)) for column in first.columns} for row in first.rows}
     rooms = _rooms(seeds)
     others = [row for row in first.rows if row != BASE] if BASE in first.rows else []
-    return dict(kaldi=sorted({version for seed in seeds for version in seed.kaldi}), seeds=len(seeds), rows=first.rows,
+    return dict(kaldi=sorted({version for seed in seeds for version in seed.kaldi}),
+                seeds=[seed.seed for seed in seeds], rows=first.rows,
                 columns=first.columns, test=TEST, dev_of=first.dev_of,
                 sets={name: _set_size([seed.sets[name] for seed in seeds]) for name in sorted(first.sets)},
                 results=results, rooms=rooms, strata=_strata(seeds),
@@ -134,7 +135,7 @@ def _result(rates: _Rates, system: System) -> dict:
     first = rates.seeds[0]
     rows, dev, test = first.rows, first.dev_of[system.row], TEST
     chosen = [seed.weights[system.row][system.column] for seed in rates.seeds]
-    result = dict(weights=[dict(lmwt=weights.lmwt, penalty=weights.penalty) for weights in chosen],
+    result = dict(weights=[msgspec.to_builtins(weights) for weights in chosen],
                   dev=_rate(rates, system, dev), test=_rate(rates, system, test))
     test_rate, dev_rate = (rates.rate(system, name, (dev, test)) for name in (test, dev))
     result["dev_test_gap"] = _difference(test_rate.minus(dev_rate))
@@ -188,8 +189,8 @@ def _rooms(seeds: Sequence[SeedCounts]) -> list[dict]:
 def _strata(seeds: Sequence[SeedCounts]) -> list[dict]:
     """Return the word error rates of each part of the test set over all seeds: `what, low, high, words, wer`."""
     stated = []
-    for what, edges in EDGES.items():
-        for low, high in zip((None, *edges), (*edges, None), strict=True):
+    for what in EDGES:
+        for low, high in ranges(what):
             parts = [part for seed in seeds for part in seed.strata if (part.what, part.low, part.high)
                      == (what, low, high)]
             if words := sum(part.words for part in parts):

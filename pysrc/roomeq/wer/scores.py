@@ -1,5 +1,6 @@
 """Errors of the systems of a Kaldi workspace, utterance by utterance."""
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,6 +41,8 @@ class Scores:
         Clean speech has no rooms; its speakers take their place.
     has_rooms : bool
         False for clean speech.
+    reference : str
+        SHA-256 of the utterances and their words.
     """
 
     errors: dict[System, IntArray]
@@ -49,6 +52,7 @@ class Scores:
     room: IntArray
     room_names: list[str]
     has_rooms: bool
+    reference: str
 
 
 def choose_all_weights(workspace: Workspace) -> dict[System, Weights]:
@@ -80,7 +84,8 @@ def read_scores(workspace: Workspace, set_name: str, weights: dict[System, Weigh
     rooms = sources if clean else [room_of_rir[source] for source in sources]
     room_names, room = np.unique(rooms, return_inverse=True)
     return Scores(errors, np.array([len(spoken) for spoken in reference.values()]), list(reference), sources, room,
-                  room_names.tolist(), has_rooms=not clean)
+                  room_names.tolist(), has_rooms=not clean,
+                  reference=hashlib.sha256(repr(sorted(reference.items())).encode()).hexdigest())
 
 
 def _shared_reference(workspace: Workspace, set_name: str) -> Texts:

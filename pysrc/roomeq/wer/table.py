@@ -11,8 +11,8 @@ def table_text(wer: dict) -> str:
     results = [result for of_row in wer["results"].values() for result in of_row.values()]
     lines = [*_rates_lines(wer), "", *caption(wer)]
     if any(any(result[kind]["bootci"]) for result in results for kind in ("dev", "test")):
-        lines.append("Kaldi's: output of compute-wer-bootci for each seed, which resamples utterances, at the weights "
-                     "that Kaldi's scoring chose on that set.")
+        lines.append("Kaldi's: output of compute-wer-bootci for each seed, which resamples utterances: on dev at the "
+                     "weights that Kaldi's scoring chose there, on test at those that were chosen on dev.")
     lines.append("")
     for column in wer["columns"]:
         lines += [f"{column}:", *(f"  {line}" for row in wer["rows"] for line in _row_lines(wer, row, column)), ""]
@@ -41,7 +41,7 @@ def label(row: str) -> str:
 
 def caption(wer: dict) -> list[str]:
     """Return the sentences that explain the table."""
-    test, seeds = wer["sets"][wer["test"]], wer["seeds"]
+    test, seeds = wer["sets"][wer["test"]], len(wer["seeds"])
     own = sorted(set(wer["dev_of"].values()) - {DEV})
     other = f"; else {DEV}" if own and DEV in wer["dev_of"].values() else ""
     resampled = "rooms and seeds, crossed" if seeds > 1 else "rooms"
@@ -49,6 +49,7 @@ def caption(wer: dict) -> list[str]:
              f"{seeds} seed{'s' * (seeds > 1)}.",
              "LM weight and word insertion penalty were chosen on dev for each row, column and seed, and applied to "
              "test. Rates on dev are therefore the lowest of the search, rates on test are not.",
+             *_edge_lines(wer),
              f"dev is of each row's own kind, as in the paper: {', '.join(own)}{other}." if own else
              f"dev is {DEV} for every row.",
              f"Intervals are of 95 %, from a bootstrap over {resampled}; speakers and sentences stay the same."]
@@ -60,6 +61,14 @@ def caption(wer: dict) -> list[str]:
     return lines
 
 
+def _edge_lines(wer: dict) -> list[str]:
+    chosen = [weights for of_row in wer["results"].values() for result in of_row.values()
+              for weights in result["weights"]]
+    at_edge = sum(weights["at_edge"] for weights in chosen)
+    return [f"{at_edge} of {len(chosen)} choices lie at the edge of the search: weights beyond it may be "
+            "better."] if at_edge else []
+
+
 def _row_lines(wer: dict, row: str, column: str) -> list[str]:
     result = wer["results"][row][column]
     lines = [f"{row}: " + ", ".join(f"{kind} {_rate_text(result[kind])}" for kind in ("test", "dev"))
@@ -69,7 +78,7 @@ def _row_lines(wer: dict, row: str, column: str) -> list[str]:
     if "closed" in result:
         lines.append(f"  {_closed_text(result['closed'])}")
     if result.get("change", {}).get("detectable"):
-        lines.append(f"  {_detectable_text(result['change']['detectable'], wer['seeds'])}")
+        lines.append(f"  {_detectable_text(result['change']['detectable'], len(wer['seeds']))}")
     return lines
 
 

@@ -1,5 +1,6 @@
 """Decode directories of a Kaldi workspace: which systems were decoded, and on which sets."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,9 @@ ROWS = ("train.clean", "train.real.rvb", "train.sim.free.rvb", "train.sim.rvb", 
 COLUMNS = ("fglarge", "tglarge", "tgmed", "tgsmall", "online")
 """Rows (training data) and columns (language models) of the paper's Table 2, and the rows of drawn rooms and of the
 closed loop; others follow."""
-VERSION_FILE = "kaldi_version"
+VERSION_FILE, SEED_FILE = "kaldi_version", "seed"
+SOURCE_FILE = "source"
+"""State of a data directory (``local/kaldi/copy_data.py``); copied to what was trained on it and decoded from it."""
 TEST, DEV = "test.real.rvb", "dev.real.rvb"
 BASE, ORACLE, CLEAN = "train.sim.rvb", "train.real.rvb", "train.clean"
 
@@ -67,7 +70,36 @@ class Workspace:
         tables = [self.path / "data" / name / table for name in self.set_names
                   for table in ("utt2rir", "utt2snr", "utt2spk")]
         optional = [*tables, self.path / VERSION_FILE, *(decode / BOOTCI_FILE for decode in self.decode_dirs())]
-        return [*map(scoring_dir, self.decode_dirs()), *(path for path in optional if path.is_file())]
+        return [self.path / SEED_FILE, *map(scoring_dir, self.decode_dirs()),
+                *(path for path in optional if path.is_file())]
+
+    def seed(self) -> int:
+        """Return the seed that all was drawn with.
+
+        Raises
+        ------
+        ValueError
+            The file `SEED_FILE` is missing or holds something else.
+        """
+        path = self.path / SEED_FILE
+        text = read_text(path).strip() if path.is_file() else ""
+        if not re.fullmatch(r"\d{1,9}", text, re.ASCII):
+            raise ValueError(f"{path}: must hold the seed of the run: run stage 8 again, which writes it")
+        return int(text)
+
+    def require_present(self) -> None:
+        """Raise ValueError for a model or a decoding of other data than the workspace has now."""
+        for row in self.rows:
+            self._require_source(self.path / row, row, "trained on")
+            for name in self.sets_of(row):
+                for column in self.columns:
+                    self._require_source(self.decode_dir(System(row, column), name), name, "decoded from")
+
+    def _require_source(self, made: Path, name: str, how: str) -> None:
+        now, then = self.path / "data" / name / SOURCE_FILE, made / SOURCE_FILE
+        if not then.is_file() or not now.is_file() or read_text(then) != read_text(now):
+            raise ValueError(f"{made}: was not {how} what {now.parent} holds now: run stages 8 to 10 again with this "
+                             "row among --rows, or remove it")
 
     def kaldi_versions(self) -> list[str]:
         """Return the versions of Kaldi that worked in the workspace; see ``local/kaldi/check_kaldi.sh``."""
@@ -86,7 +118,8 @@ def find_workspaces(paths: Sequence[Path]) -> list[Workspace]:
     Raises
     ------
     ValueError
-        A workspace is missing or holds no decoding, or the decode directory of a row and column is missing.
+        A workspace is missing or holds no decoding, or the decode directory of a row and column is missing, or of
+        other data than the workspace holds.
     """
     for path in paths:
         if not path.is_dir():
@@ -107,6 +140,8 @@ def find_workspaces(paths: Sequence[Path]) -> list[Workspace]:
         if not path.is_dir():
             raise ValueError(f"{path}: no such directory, but other rows, columns or seeds have it: decode and score "
                              "it (stage 10), or leave the row or column out of all")
+    for workspace in workspaces:
+        workspace.require_present()
     return workspaces
 
 

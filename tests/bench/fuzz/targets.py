@@ -40,7 +40,7 @@ _LEDGER = (b'{"format": 2, "given": [], "rirs": 8, "rooms": 4, "baseline": ' + _
            b'"gain": 1, "ci": [0, 2], "p": 0.5, "size_jnd": 1}], "unexplained": null, "unexplained_all": [], "final": '
            + _ERRORS + b"}")
 _WER = (b"a-1 one two\na-2 three\n", b"a-1 one\na-2\n", b"Set1: %WER 12.50 95% Conf Interval [ 10.1, 14.9 ]\n",
-        b'{"rows": ["train.sim.rvb"], "columns": ["tg"], "seeds": 1, "test": "t", "sets": {"t": {"utterances": 2, '
+        b'{"rows": ["train.sim.rvb"], "columns": ["tg"], "seeds": [1], "test": "t", "sets": {"t": {"utterances": 2, '
         b'"words": 3, "rooms": 1}}, "dev_of": {"train.sim.rvb": "d"}, "rooms": [{"room": "r", "words": 3, "acoustics": '
         b'{"T20 at 1 kHz [s]": 0.5, "DRR [dB]": -3, "C50 at 1 kHz [dB]": 2, "EQ distance [dB]": null}, "wer": {"tg": '
         b'{"train.sim.rvb": 5}}}], "strata": [], "gains": [], "kaldi": ["5.5"], '

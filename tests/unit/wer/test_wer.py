@@ -64,7 +64,7 @@ def test_errors_are_counted_by_kind(spoken, heard, counts):
 
 def test_rates_match_the_errors_that_were_made(example):
     assert example["rows"] == ["train.clean", "train.real.rvb", "train.sim.rvb", "train.sim.EQ.rvb"]
-    assert example["columns"] == ["fglarge", "online"] and example["seeds"] == 2
+    assert example["columns"] == ["fglarge", "online"] and example["seeds"] == [0, 1]
     for row, per_ten in (("train.real.rvb", 1), ("train.sim.rvb", 5), ("train.sim.EQ.rvb", 3)):
         one = example["results"][row]["online"]
         assert one["dev"]["wer"] == pytest.approx(10 * per_ten)
@@ -72,7 +72,7 @@ def test_rates_match_the_errors_that_were_made(example):
         assert one["test"]["substitutions"] == 2 * (8 * per_ten + 2) and one["test"]["deletions"] == 0
         assert one["test"]["by_seed"] == pytest.approx([10 * per_ten + 2.5] * 2)
         assert one["dev_test_gap"]["points"] == pytest.approx(2.5)
-        assert one["weights"] == [dict(lmwt=8, penalty="0.5")] * 2
+        assert one["weights"] == [dict(lmwt=8, penalty="0.5", at_edge=True)] * 2
     assert example["sets"]["test.real.rvb"] == dict(rooms=4, utterances=16, words=160)
     rooms = {one["room"]: one["wer"]["online"]["train.sim.rvb"] for one in example["rooms"]}
     assert rooms == pytest.approx(dict(attic=50, cellar=50, hall=60, kitchen=50))
@@ -176,8 +176,35 @@ def test_weights_are_chosen_on_dev_not_on_test(tmp_path):
     put_decode(decode, reference, hypotheses, spoil_best=3)
     assert choose_weights(decode) != Weights("0.5", 8)
     found = measured(tmp_path, [workspace])["results"]["train.sim.rvb"]["tgsmall"]
-    assert found["weights"] == [dict(lmwt=8, penalty="0.5")]
+    assert found["weights"] == [dict(lmwt=8, penalty="0.5", at_edge=True)]
     assert (found["test"]["insertions"], found["test"]["wer"]) == (3, 100 * 3 / 80)
+
+
+@pytest.mark.parametrize(("damage", "message"), [
+    (lambda root: (root / "data/test.real.rvb/source").write_text("other RIRs"),
+     "decode_test.real.rvb_tgsmall: was not decoded from what .*data/test.real.rvb holds now: run stages 8 to 10"),
+    (lambda root: (root / "data/train.sim.rvb/source").write_text("other RIRs"),
+     "train.sim.rvb: was not trained on what .*train.sim.rvb holds now"),
+    (lambda root: (root / "train.sim.rvb/decode_dev.real.rvb_tgsmall/source").unlink(),
+     "was not decoded from what .*dev"),
+    (lambda root: (root / "seed").write_text("seven"), "seed: must hold the seed of the run: run stage 8 again")])
+def test_models_and_decodings_of_other_data_are_refused(tmp_path, damage, message):
+    workspace, = put_example(tmp_path)
+    damage(workspace)
+    with pytest.raises(ValueError, match=message):
+        measured(tmp_path, [workspace])
+
+
+def test_caption_counts_weights_at_the_edge_of_the_search(tmp_path, capsys):
+    workspace, = put_example(tmp_path)
+    measured(tmp_path, [workspace])
+    assert "4 of 4 choices lie at the edge of the search" in capsys.readouterr().out
+    for decode in workspace.glob("train.*/decode_*"):
+        shutil.copytree(decode / "scoring_kaldi/penalty_0.0", decode / "scoring_kaldi/penalty_1.0")
+        for made in (decode / "scoring_kaldi").glob("penalty_*"):
+            shutil.copy(made / "7.txt", made / "9.txt")
+    measure_wer([workspace], tmp_path / "again", rirs=[tmp_path / "rirs"])
+    assert "edge of the search" not in capsys.readouterr().out
 
 
 def test_ties_between_weights_go_to_the_smallest(tmp_path):
@@ -258,7 +285,8 @@ def test_written_file_is_valid(example, tmp_path, capsys):
 
 @pytest.mark.parametrize(("where", "value", "message"), [
     (("rows",), [], "rows must be names"), (("rows",), ["train.other"], "KeyError: 'train.other'"),
-    (("seeds",), 0, "seeds=0 must be a number of 1 or more"),
+    (("seeds",), [], "seeds must be numbers"),
+    (("seeds",), [-1], "seeds=-1 must be a number of 0 or more"),
     (("results", "train.sim.rvb", "online", "test", "wer"), "low", "train.sim.rvb online test='low' must be a number"),
     (("results", "train.sim.rvb", "online", "test", "interval"), [90.0, 99.0], r"interval=\[90.0, 99.0\] must lie"),
     (("results", "train.sim.EQ.rvb", "online", "change", "points"), None, "train.sim.EQ.rvb online change=None must"),
@@ -455,11 +483,11 @@ def test_p_value_is_the_level_of_the_interval_that_ends_at_zero(draws):
 def put_seeds(root, count):
     """Write workspaces of seeds that make different errors."""
     workspaces = put_example(root, seeds=count)
-    for workspace, harder in zip(workspaces[1:], ("attic-0", "hall-1"), strict=False):
+    for seed, (workspace, harder) in enumerate(zip(workspaces[1:], ("attic-0", "hall-1"), strict=False), start=1):
         put_workspace(workspace, {row: lambda name, column, ident, rir, n=n, harder=harder: n + (rir == harder)
                                   for row, n in ERRORS.items()},
                       sets={"dev.real.rvb": utterances_of("dev", DEV_ROOMS),
-                            "test.real.rvb": utterances_of("test", ROOMS)})
+                            "test.real.rvb": utterances_of("test", ROOMS)}, seed=seed)
     return workspaces
 
 
@@ -474,7 +502,12 @@ def test_seeds_of_several_machines_are_put_together(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    (str, r"kaldi1: its errors are those of .*counts\.jsonl:2: it is the same seed, give it once"),
+    (str, r"kaldi1: is of seed 1, as .*counts\.jsonl:2: give each seed once"),
+    (lambda text: "", r"counts\.jsonl: holds no seed"),
+    (lambda text: re.sub('"reference":".{64}"', f'"reference":"{64 * "0"}"', text),
+     "kaldi1: its reference texts are not those of"),
+    (lambda text: text.replace('"low":10.0,"high":15.0', '"low":11.0,"high":15.0', 1), r"'SNR \[dB\]' from 11\.0 to "
+     r"15\.0 is no part of the test set"),
     (lambda text: text.replace("train.sim.EQ.rvb", "train.other.rvb"), "kaldi1: its rows are not those of .*: put only "
      "seeds of one experiment together"),
     (lambda text: text.replace('"attic"', '"barn"'), "kaldi1: its test rooms are not those of"),
