@@ -82,10 +82,13 @@ def _meet_noise(remaining: FloatArray, fs_hz: float) -> tuple[int, float, float]
     slope_db = offset_db = 0.0
     if noise <= TINY_POWER:
         return n_samples, 0.0, 0.0
-    for _ in range(8):
-        slope_db, offset_db = _late_decay(remaining, noise, n_block, span_db)
-        if not slope_db < 0.0:
-            return _where_noise_begins(remaining, tail, n_block), tail, 0.0
+    for iteration in range(8):
+        fitted_slope_db, fitted_offset_db = _late_decay(remaining, noise, n_block, span_db)
+        if not fitted_slope_db < 0.0:
+            if iteration == 0:
+                return _where_noise_begins(remaining, tail, n_block), tail, 0.0
+            break  # a few blocks of a sparse tail scatter by more than it decays: the fit before holds
+        slope_db, offset_db = fitted_slope_db, fitted_offset_db
         previous = intersection
         intersection = int(min(max((float(_db(noise)) - offset_db) / slope_db, 1.0), n_samples))
         start = int(min(intersection - NOISE_MARGIN_DB / slope_db, 0.9 * n_samples))
