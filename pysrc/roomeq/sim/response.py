@@ -34,7 +34,11 @@ from roomeq.sim.scene import Scene, check_positions, eyring_time_s
 from roomeq.sim.target import (
     STRAIGHT,
     TOLERANCE,
+    Measured,
+    bracketed,
+    closest,
     decays_straight,
+    next_exponent,
     noise_per_frame,
     scaled_absorption,
     solve_exponent,
@@ -254,20 +258,31 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
         energy = add_image_sources(search, ray_energy, search.image_gains(absorption, [BAND_1KHZ]))
         return t30_of_echogram(n_alike @ energy[:, :, 0])
 
-    exponent, aim_s, time_s = guess, target_s, None
+    exponent, aim_s = guess, target_s
+    rendered: list[Measured] = []
+    best: Measured | None = None
     for _ in range(_MAX_RENDERINGS):
-        exponent, predicted_s = solve_exponent(predict, aim_s, exponent)
-        if predicted_s is None:
+        if bracketed(rendered, target_s):  # the prediction is not smooth there, or it would have met the target
+            exponent = next_exponent(rendered, target_s)
+        else:
+            exponent, predicted_s = solve_exponent(predict, aim_s, exponent)
+            if predicted_s is None:
+                break
+        made = render(exponent)
+        time_s = _mean_t30_s(made)
+        if time_s is None:
             break
-        responses = render(exponent)
-        time_s = _mean_t30_s(responses)
-        if time_s is None or abs(time_s / target_s - 1.0) <= _CLOSE_ENOUGH:
+        rendered.append(Measured(exponent, time_s))
+        best = closest(rendered, target_s)
+        if best is rendered[-1]:
+            responses = made
+        if abs(time_s / target_s - 1.0) <= _CLOSE_ENOUGH:
             break
         aim_s *= target_s / time_s
-    if time_s is None or abs(time_s / target_s - 1.0) > TOLERANCE:
-        result = "cannot be measured" if time_s is None else f"comes to {time_s:.3g} s"
+    if best is None or abs(best.time_s / target_s - 1.0) > TOLERANCE:
+        result = "cannot be measured" if best is None else f"comes to {best.time_s:.3g} s at best"
         raise ValueError(f"target_t60_s={target_s:.3g} is out of reach: T30 at 1 kHz {result} with these materials, "
-                         "however scaled: choose other materials or another target")
+                         f"scaled {len(rendered)} times: choose other materials or another target")
     if not all(decays_straight(response.t20_s, response.t30_s) for response in responses):
         raise ValueError(f"target_t60_s={target_s:.3g} was met by a decay that is no straight line: T20 and T30 at "
                          f"1 kHz differ by more than {STRAIGHT:.0%}: choose other materials or another target")

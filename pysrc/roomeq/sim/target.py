@@ -26,6 +26,13 @@ class Trial(NamedTuple):
     time_s: float | None
 
 
+class Measured(NamedTuple):
+    """An exponent, and the reverberation time that was measured with it [s]."""
+
+    exponent: float
+    time_s: float
+
+
 def scaled_absorption(absorption: FloatArray, exponent: float) -> FloatArray:
     """Raise the reflected share to an exponent: ``1 - (1 - alpha) ** exponent``.
 
@@ -66,25 +73,36 @@ def solve_exponent(measure: Callable[[float], float | None], target_s: float, gu
     Trial
         The closest one; the caller decides whether it is close enough.
     """
-    trials: list[Trial] = []
+    trials: list[Measured] = []
     exponent = guess
     for _ in range(_MAX_TRIALS):
         time_s = measure(exponent)
-        trials.append(Trial(exponent, time_s))
-        if time_s is not None and abs(time_s / target_s - 1.0) < _AIM:
-            break
-        exponent = _next_exponent(trials, target_s)
+        if time_s is None:  # too long to measure: absorb more
+            exponent *= 2.0
+        else:
+            trials.append(Measured(exponent, time_s))
+            if abs(time_s / target_s - 1.0) < _AIM:
+                break
+            exponent = next_exponent(trials, target_s)
         if not _EXPONENT_RANGE[0] <= exponent <= _EXPONENT_RANGE[1]:
             break
-    measured = [(abs(np.log(trial.time_s / target_s)), n) for n, trial in enumerate(trials) if trial.time_s is not None]
-    return trials[min(measured)[1]] if measured else Trial(guess, None)
+    best = closest(trials, target_s)
+    return Trial(guess, None) if best is None else Trial(*best)
 
 
-def _next_exponent(trials: list[Trial], target_s: float) -> float:
+def closest(trials: list[Measured], target_s: float) -> Measured | None:
+    """Return the trial whose time is closest to the target, the first of several; None if there is none."""
+    return min(trials, key=lambda trial: abs(np.log(trial.time_s / target_s)), default=None)
+
+
+def bracketed(trials: list[Measured], target_s: float) -> bool:
+    """Tell whether some times are longer than the target and others are not."""
+    return len({trial.time_s > target_s for trial in trials}) == 2
+
+
+def next_exponent(trials: list[Measured], target_s: float) -> float:
     """Take a secant step in log-log, kept inside the known bracket."""
-    known = sorted((np.log(x), np.log(t / target_s)) for x, t in trials if t is not None)
-    if trials[-1].time_s is None:  # too long to measure: absorb more
-        return trials[-1].exponent * 2.0
+    known = sorted((np.log(x), np.log(t / target_s)) for x, t in trials)
     above = [point for point in known if point[1] > 0.0]  # longer than the target
     below = [point for point in known if point[1] <= 0.0]
     if above and below:
