@@ -150,18 +150,16 @@ class TracedRoom:
     def draw_scenes(self, row: RirRow) -> Iterator[SceneDraw]:
         """Yield materials and targets to try for a row: several draws of materials for each of several targets.
 
-        A row that states its materials may also state its target (None: do not scale), and gets no other.
+        A row may state its materials, its target, or both, and gets no others; the target None does not scale.
         """
         assert self.options.t60_range_s is not None
         drawn_s = float(rng_for(self.options.seed, "t60", row["id"]).uniform(*self.options.t60_range_s))
-        target_s: float | None = drawn_s
-        rng = rng_for(self.options.seed, "materials", row["id"])
-        for n in range(MATERIAL_DRAWS * (1 if row.get("materials") else TARGET_DRAWS)):
+        target_s: float | None = row.get("target_t60_s", drawn_s)
+        rng, stated = rng_for(self.options.seed, "materials", row["id"]), row.get("materials") or "target_t60_s" in row
+        for n in range(MATERIAL_DRAWS * (1 if stated else TARGET_DRAWS)):
             if n and n % MATERIAL_DRAWS == 0:
                 target_s = drawn_s = float(rng.uniform(*self.options.t60_range_s))
             scene = self.draw_scene(drawn_s if target_s is None else target_s, rng)
-            if n == 0 and row.get("materials"):
-                target_s = row.get("target_t60_s", target_s)
             yield SceneDraw(scene, target_s, needed_length_s(scene, target_s, self.options.order),
                             n // MATERIAL_DRAWS)
 

@@ -40,8 +40,8 @@ def simulate(measured_dir: Path | str | None, out: Path | str, *, rooms: int | s
     measured_dir
         RIR directory (`roomeq.records.rir_dir`). Unknown coordinates are drawn. A row may state `materials`: the
         material of the mesh, the wall of the shoebox or ``"default"``, each with what
-        `roomeq.sim.materials.find_surface` accepts. They are used instead of drawn ones. If its `target_t60_s` is
-        null as well, they are not scaled. None: the rooms are drawn.
+        `roomeq.sim.materials.find_surface` accepts. They are used instead of drawn ones. A row may state its
+        `target_t60_s` as well; null: the materials are not scaled. None: the rooms are drawn.
     out
         RIR directory to make.
     rooms

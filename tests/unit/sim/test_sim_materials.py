@@ -156,7 +156,8 @@ def measured(tmp_path):
     write_jsonl(directory / "rirs.jsonl", [
         common | dict(id="drawn", wav="a.wav"),
         common | dict(id="kept", wav="b.wav", materials=names, target_t60_s=None),
-        common | dict(id="scaled", wav="c.wav", materials=names, target_t60_s=0.5)])
+        common | dict(id="scaled", wav="c.wav", materials=names, target_t60_s=0.5),
+        common | dict(id="target", wav="d.wav", target_t60_s=0.9)])
     return directory
 
 
@@ -173,6 +174,7 @@ def test_row_materials_are_used_in_simulation(measured, tmp_path):
     assert scaled["materials"]["floor"]["material"] == "carpet_on_felt"
     assert scaled["materials"]["floor"]["absorption"] != kept["materials"]["floor"]["absorption"]
     assert 0.3 <= rows["drawn"]["target_t60_s"] <= 0.6
+    assert rows["target"]["target_t60_s"] == 0.9 and rows["target"]["t30_s"] == pytest.approx(0.9, rel=0.05)
 
 
 def test_unknown_row_material_is_rejected(measured, tmp_path, nothing_published):
