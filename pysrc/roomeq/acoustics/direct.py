@@ -66,7 +66,7 @@ def find_direct(rir: ArrayLike, fs_hz: float, expected_sample: float | None = No
     ValueError
         The response is empty, not mono, silent or not finite, or nothing in it exceeds its noise.
     """
-    h = _checked(rir)
+    h = checked_response(rir)
     magnitude = np.abs(h)
     first, last = 0, len(h)
     if expected_sample is not None:
@@ -87,8 +87,8 @@ def find_direct(rir: ArrayLike, fs_hz: float, expected_sample: float | None = No
     return DirectSound(_refine(polarity * h, peak), polarity)
 
 
-def _checked(rir: ArrayLike) -> FloatArray:
-    """Return the response as float64; raise ValueError if it cannot hold a direct sound."""
+def checked_response(rir: ArrayLike, direct_sample: float = 0.0) -> FloatArray:
+    """Return a response as float64; raise ValueError if it cannot hold a direct sound at that sample."""
     h = np.asarray(rir, dtype=np.float64)
     if h.ndim != 1:
         raise ValueError(f"impulse response has shape {h.shape}: must be mono, one axis: choose one channel")
@@ -99,6 +99,8 @@ def _checked(rir: ArrayLike) -> FloatArray:
         raise ValueError(f"impulse response holds {h[bad]} at sample {bad}: must be finite: export it again")
     if not h.any():
         raise ValueError("impulse response is silent: must hold a direct sound: record it again or drop it")
+    if not direct_sample < len(h):
+        raise ValueError(f"direct_sample={direct_sample:g} must lie before the response's end, {len(h)}: find it again")
     return h
 
 

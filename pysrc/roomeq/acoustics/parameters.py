@@ -7,7 +7,7 @@ pyrato, and the EQ from `roomeq.acoustics.subband_eq`.
 import math
 from typing import Any
 
-from roomeq.acoustics.direct import DirectSound, find_direct
+from roomeq.acoustics.direct import DirectSound, checked_response, find_direct
 from roomeq.acoustics.iso3382 import all_metrics
 from roomeq.acoustics.subband_eq import analyse
 from roomeq.core.arrays import FloatArray
@@ -40,10 +40,12 @@ def measure(rir: FloatArray, fs_hz: float = FS_HZ, *,
     Raises
     ------
     ValueError
-        There is no direct sound, it lies after the end of the response, or the sample rate is out of range.
+        There is no direct sound, it lies after the end of the response, the response is not mono or not finite, or the
+        sample rate is out of range.
     """
     require_fs(fs_hz)
     sample, polarity = find_direct(rir, fs_hz) if direct is None else direct
+    rir = checked_response(rir, sample)
     parameters = all_metrics(rir, fs_hz, sample, polarity)
     if fs_hz == FS_HZ:
         eq = analyse(rir, sample)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from roomeq.augment.distribution import parse_distribution
 from roomeq.core.build import Build
-from roomeq.core.files import read_json
+from roomeq.core.files import paths, read_json
 
 SUMMARY_FILE = "summary.json"
 ROWS_FOLDER = ".rows"
@@ -88,12 +88,12 @@ def augment(data_dir: Path | str, rir_dir: Path | str, out: Path | str, *, seed:
         An option is out of range, or the data directory, an RIR or a noise breaks its contract.
     """
     config = AugmentConfig(str(data_dir), str(rir_dir), copies, snr_db, point_snr_db, point_noise_prob,
-                           max_point_noises, draw_rooms_equally, tuple(map(str, noises)), packing, seed, pipes)
+                           max_point_noises, draw_rooms_equally, tuple(map(str, paths(noises))), packing, seed, pipes)
     _check(config)
     options = {name: value for name, value in asdict(config).items()
                if name not in ("data_dir", "rir_dir", "noises", "pipes")}
     build = Build(Path(out), step="augment", options=options,
-                  inputs=[Path(data_dir), Path(rir_dir), *map(Path, noises)])
+                  inputs=[Path(data_dir), Path(rir_dir), *paths(noises)])
     if not build.done:
         from roomeq.augment.far_field import make
 

@@ -6,14 +6,22 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+Paths = Path | str | Sequence[Path | str]
+"""One path or several."""
 
 FileState = tuple[int, str]
 """Size of a file [bytes] and SHA-256 of its content, in hex."""
 
 _listings: list[dict[Path, FileState]] = []
+
+
+def paths(given: Paths) -> list[Path]:
+    """Return one path or several as a list."""
+    return [Path(given)] if isinstance(given, Path | str) else [Path(path) for path in given]
 
 
 def write_bytes(path: Path, data: bytes | memoryview) -> None:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import fftconvolve, firwin2
 
-from roomeq.acoustics.direct import find_direct
+from roomeq.acoustics.direct import checked_response, find_direct
 from roomeq.acoustics.parameters import measure
 from roomeq.acoustics.subband_eq import analyse
 from roomeq.core.arrays import FloatArray
@@ -20,7 +20,7 @@ from roomeq.core.build import Build
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 from roomeq.core.files import write_json
 from roomeq.eq.gmm import FREE, draw_target, read_gmm, with_reference
-from roomeq.eq.steps import MAX_TAPS
+from roomeq.eq.steps import MAX_TAPS, check_taps
 from roomeq.records.rir_dir import (
     load_channels,
     read_noises,
@@ -40,6 +40,7 @@ SUMMARY_FILE = "compensation.json"
 PASSES = 3  # filter designs per RIR: the first is the plain window method, each further one corrects the last
 MAX_MEDIAN_DB, MAX_P95_DB = 0.5, 1.5  # goals for |achieved - target| over all RIRs and points
 _MAX_LOGGED = 5
+_REFERENCE_DB = 1e-6  # that a target may differ from 0 dB at 1 kHz
 _DECIMALS = 4
 
 
@@ -105,10 +106,18 @@ def compensate_rir(rir: FloatArray, direct_sample: float, target_db: FloatArray,
     Raises
     ------
     ValueError
-        The direct sound lies behind the end of the response.
+        The direct sound lies behind the end of the response, the response or the target is not finite or has another
+        shape, the target is not 0 dB at 1 kHz, or the length of the filter is even.
     """
+    rir, target_db = checked_response(rir, direct_sample), np.asarray(target_db, dtype=np.float64)
+    if target_db.shape != (len(BANDS_HZ),) or not np.all(np.isfinite(target_db)):
+        raise ValueError(f"target_db={target_db.tolist()} must be {len(BANDS_HZ)} finite levels: correct the target")
+    if abs(target_db[BAND_1KHZ]) > _REFERENCE_DB:
+        raise ValueError(f"target_db[{BAND_1KHZ}]={target_db[BAND_1KHZ]:g} must be 0 dB, the level at 1 kHz: subtract "
+                         "it from all")
+    check_taps(taps)
     level_db = analyse(rir, direct_sample).level_db
-    wanted_db = level_db[BAND_1KHZ] + np.asarray(target_db, dtype=np.float64)
+    wanted_db = level_db[BAND_1KHZ] + target_db
     next_gain_db = wanted_db - level_db
     for _ in range(PASSES):
         gain_db = next_gain_db

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from roomeq.core.build import Build
+from roomeq.core.files import paths
 
 if TYPE_CHECKING:
     from roomeq.eq.gmm import Gmm
@@ -27,7 +28,7 @@ def fit_eq(real_dir: Path | str, sim_dirs: Sequence[Path | str], out: Path | str
     real_dir
         Measured RIRs of the *training* set, with acoustic parameters or without.
     sim_dirs
-        Simulated RIRs for comparison; may be empty.
+        Simulated RIRs for comparison, one directory or several; may be empty.
     out
         Directory to make: `gmm.json`; `measured.jsonl` and `simulated.jsonl` (EQs); `resampled.jsonl` (one draw from
         the mixture per measured RIR that was fitted); `screening.json`.
@@ -52,7 +53,7 @@ def fit_eq(real_dir: Path | str, sim_dirs: Sequence[Path | str], out: Path | str
     """
     if n_components < 1:
         raise ValueError(f"n_components={n_components} must be at least 1")
-    directories = {"real": Path(real_dir)} | {f"sim{n}": Path(path) for n, path in enumerate(sim_dirs)}
+    directories = {"real": Path(real_dir)} | {f"sim{n}": path for n, path in enumerate(paths(sim_dirs))}
     options = dict(n_components=n_components, weight_rooms=bool(weight_rooms), seed=seed)
     build = Build(Path(out), step="fit-eq", options=options, inputs=list(directories.values()))
     if build.done:
@@ -60,6 +61,13 @@ def fit_eq(real_dir: Path | str, sim_dirs: Sequence[Path | str], out: Path | str
     from roomeq.eq.fit import make
 
     return make(build, directories, n_components, weight_rooms, seed, part, nj)
+
+
+def check_taps(taps: int) -> None:
+    """Raise ValueError for a length that no compensation filter can have."""
+    if not 3 <= taps <= MAX_TAPS or taps % 2 == 0:
+        raise ValueError(f"taps={taps} must be odd and lie in [3, {MAX_TAPS}]: a linear-phase filter delays by half "
+                         "of them")
 
 
 def compensate(sim_dir: Path | str, eq_dir: Path | str, out: Path | str, *, taps: int = 511, match_rooms: bool = True,
@@ -99,9 +107,7 @@ def compensate(sim_dir: Path | str, eq_dir: Path | str, out: Path | str, *, taps
     ValueError
         An option is out of range, or an RIR has no direct sound.
     """
-    if not 3 <= taps <= MAX_TAPS or taps % 2 == 0:
-        raise ValueError(f"taps={taps} must be odd and lie in [3, {MAX_TAPS}]: a linear-phase filter delays by half "
-                         "of them")
+    check_taps(taps)
     sim_dir, eq_dir, out = Path(sim_dir), Path(eq_dir), Path(out)
     options = dict(taps=taps, match_rooms=bool(match_rooms), seed=seed)
     build = Build(out, step="compensate", options=options, inputs=[sim_dir, eq_dir], refers=True)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from roomeq.core.build import Build, check_jobs
+from roomeq.core.files import paths
 from roomeq.records.rir_dir import mesh_files
 
 
@@ -13,14 +14,14 @@ def close_loop(rir_dirs: Sequence[Path], out: Path, *, test: Sequence[Path] = ()
 
     Parameters
     ----------
-    rir_dirs : sequence of Path
+    rir_dirs : sequence of Path, or one
         RIR directories (`roomeq.records.rir_dir`), together of at least three rooms or conditions with two usable RIRs
         each. RIRs whose geometry cannot be used (`roomeq.records.geometry.geometry_usability`) are left out.
-    out : Path
+    out : path
         Loop directory to create: `ledger.json`, `model.json`, `residuals.npz`, `examples.npz`.
-    test : sequence of Path
+    test : sequence of Path, or one
         RIR directories that are only scored; they take no part in any fit.
-    model : Path, optional
+    model : path, optional
         Model to start from (`roomeq.effects.model`). Its effects are part of the base model with their parameters and
         are not candidates. The effects that the loop finds are added to them.
     max_effects : int
@@ -39,15 +40,16 @@ def close_loop(rir_dirs: Sequence[Path], out: Path, *, test: Sequence[Path] = ()
     ValueError
         Too few rooms have usable RIRs, or a directory or the model is invalid.
     """
-    directories, test = [Path(directory) for directory in rir_dirs], [Path(directory) for directory in test]
+    directories, test_directories = paths(rir_dirs), paths(test)
     check_jobs(nj)
     build = Build(Path(out), step="close-loop", options=dict(max_effects=max_effects, seed=seed),
                   # a model or mesh that is absent is refused by its reader
-                  inputs=[*directories, *test, *sorted({mesh for directory in (*directories, *test)
-                                                        for mesh in mesh_files(directory) if mesh.exists()}),
+                  inputs=[*directories, *test_directories,
+                          *sorted({mesh for directory in (*directories, *test_directories)
+                                   for mesh in mesh_files(directory) if mesh.exists()}),
                           *([Path(model)] if model and Path(model).exists() else [])])
     if build.done:
         return None
     from roomeq.loop.close import make
 
-    return make(build, directories, test, model, max_effects, seed, nj)
+    return make(build, directories, test_directories, Path(model) if model else None, max_effects, seed, nj)

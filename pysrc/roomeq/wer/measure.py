@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from roomeq.core.build import Build
-from roomeq.core.files import read_json, write_json, write_text
+from roomeq.core.files import paths, read_json, write_json, write_text
 from roomeq.records.rir_dir import ROWS_FILE, read_rirs
 from roomeq.records.schema import RirRow
 from roomeq.wer.breakdown import ACOUSTICS, EDGES, Breakdown, gains_by_acoustics, ranges
@@ -59,14 +59,15 @@ def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path]
         A decode directory, a file of its scoring or a hypothesis is missing, references differ between rows, an RIR is
         unknown, or the seeds are not of one experiment.
     """
-    counted = [Path(path) for path in counted]
+    counted = paths(counted)
     rows: dict[str, RirRow] = {}
+    rirs = paths(rirs)
     for directory in rirs:
         for row in read_rirs(directory):
             if rows.setdefault(row["id"], row)["room_id"] != row["room_id"]:
                 raise ValueError(f"{directory}: RIR {row['id']} is of room {row['room_id']} here and of room "
                                  f"{rows[row['id']]['room_id']} in a directory before it: rename one")
-    found = find_workspaces([Path(path) for path in workspaces])
+    found = find_workspaces(paths(workspaces))
     earlier = {f"{path}:{n}": seed for path in counted for n, seed in enumerate(read_counts(path), start=1)}
     directories = [*rirs, *([train_rirs] if train_rirs else ())]
     build = Build(Path(out), step="wer",

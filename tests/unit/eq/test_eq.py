@@ -8,6 +8,7 @@ from roomeq.acoustics.subband_eq import N_FRAME, N_LEAD, POINT_BINS, analyse, en
 from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.core.files import read_json, read_jsonl, write_json
 from roomeq.core.rng import rng_for
+from roomeq.eq.compensation import compensate_rir
 from roomeq.eq.fit import fill_missing, screen_outliers, usable_eq
 from roomeq.eq.gmm import FREE, draw_target, fit_gmm, read_gmm, room_weights, sample_eq, with_reference
 from roomeq.eq.steps import fit_eq
@@ -285,3 +286,24 @@ def test_malformed_mixture_file_is_refused(tmp_path, gmm, message):
 
 def test_seven_points_are_free():
     assert len(FREE) == 7 and 4 not in FREE
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    (dict(target_db=np.full(8, np.nan)), r"target_db=\[nan, .* must be 8 finite levels"),
+    (dict(target_db=np.zeros(3)), "must be 8 finite levels"),
+    (dict(target_db=np.full(8, 6.0)), r"target_db\[4\]=6 must be 0 dB, the level at 1 kHz"),
+    (dict(taps=510), r"taps=510 must be odd and lie in \[3, 4095\]"),
+    (dict(rir=np.ones((2, 800))), r"has shape \(2, 800\): must be mono"),
+    (dict(rir=np.r_[np.ones(10), np.nan]), "holds nan at sample 10"),
+    (dict(direct_sample=801), "direct_sample=801 must lie before the response's end, 800")])
+def test_compensation_of_what_is_no_response_or_no_target_is_refused(change, message):
+    arguments = dict(rir=np.exp(-np.arange(800.0) / 80), direct_sample=0, target_db=np.zeros(8)) | change
+    with pytest.raises(ValueError, match=message):
+        compensate_rir(**arguments)
+
+
+def test_one_directory_is_as_good_as_a_list(rir_dirs, tmp_path):
+    real, sim = rir_dirs
+    for out, directories in (("one", str(sim)), ("list", [sim])):
+        fit_eq(real, directories, tmp_path / out, n_components=2, seed=0)
+    assert (tmp_path / "one/simulated.jsonl").read_bytes() == (tmp_path / "list/simulated.jsonl").read_bytes()
