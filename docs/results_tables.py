@@ -41,7 +41,7 @@ def page(title: str, result: dict[str, Any]) -> str:
     for table in result["tables"]:
         parts += [f"## {table['title']}", markdown(table["columns"], table["rows"])]
         parts += table.get("notes", [])
-    machine = ", ".join(f"{key} {value}" for key, value in result["machine"].items())
+    machine = ", ".join(f"{key} {value}" for key, value in result["machine"].items()) or "not recorded"
     parts += ["## How this was measured", f"- command: `{result['command']}`\n- commit: `{result['commit']}`\n"
               f"- date: {result['date']}\n- machine: {machine}"]
     return "\n\n".join(parts) + "\n"
