@@ -60,6 +60,11 @@ class Breakdown:
         self._rirs, self._train = rirs, _eq_set([row for row in train_rirs if not row.get("screen")])
         self._of_rir: dict[str, dict[str, float]] = {}
 
+    def room_of_rir(self, seed: int) -> dict[str, str]:
+        """Return the room of each RIR by id. Drawn rooms of the same number are others with each seed."""
+        return {rir_id: f"{row['room_id']} of seed {seed}" if row.get("measured_id", "") is None else row["room_id"]
+                for rir_id, row in self._rirs.items()}
+
     def counts(self, workspace: Workspace, scores: Scores
                ) -> tuple[dict[str, dict[str, tuple[float, int]]], list[StratumCounts]]:
         """Return `acoustics` and `strata` of `roomeq.wer.counts.SeedCounts`.

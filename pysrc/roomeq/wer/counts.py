@@ -120,7 +120,7 @@ class SeedCounts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     strata: list[StratumCounts]
 
 
-def count_seed(workspace: Workspace, room_of_rir: dict[str, str], breakdown: Breakdown) -> SeedCounts:
+def count_seed(workspace: Workspace, breakdown: Breakdown) -> SeedCounts:
     """Count the errors of a workspace.
 
     Raises
@@ -128,12 +128,13 @@ def count_seed(workspace: Workspace, room_of_rir: dict[str, str], breakdown: Bre
     ValueError
         See `roomeq.wer.scores.read_scores`.
     """
-    weights = choose_all_weights(workspace)
+    seed, weights = workspace.seed(), choose_all_weights(workspace)
+    room_of_rir = breakdown.room_of_rir(seed)
     scores = {name: read_scores(workspace, name, weights, room_of_rir) for name in workspace.set_names}
     chosen = {row: {column: _chosen(workspace, System(row, column), weights[System(row, column)])
                     for column in workspace.columns} for row in workspace.rows}
     acoustics, strata = breakdown.counts(workspace, scores[TEST])
-    return SeedCounts(workspace.seed(), workspace.kaldi_versions(), workspace.rows, workspace.columns, workspace.dev_of,
+    return SeedCounts(seed, workspace.kaldi_versions(), workspace.rows, workspace.columns, workspace.dev_of,
                       chosen, {name: _set_counts(workspace, name, of_set) for name, of_set in scores.items()},
                       acoustics, strata)
 

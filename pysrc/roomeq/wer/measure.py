@@ -77,8 +77,7 @@ def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path]
                           *(path for workspace in found for path in workspace.inputs())])
     if not build.done and build.run({}, lambda name, item: None):
         breakdown = Breakdown(rows, read_rirs(train_rirs) if train_rirs else [])
-        room_of_rir = {rir_id: row["room_id"] for rir_id, row in rows.items()}
-        trained = {str(workspace.path): count_seed(workspace, room_of_rir, breakdown) for workspace in found}
+        trained = {str(workspace.path): count_seed(workspace, breakdown) for workspace in found}
         require_comparable(earlier | trained)
         seeds = sorted([*earlier.values(), *trained.values()], key=lambda counts: counts.seed)
 

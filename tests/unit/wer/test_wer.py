@@ -491,6 +491,15 @@ def put_seeds(root, count):
     return workspaces
 
 
+def test_drawn_rooms_of_two_seeds_are_not_the_same_rooms(tmp_path):
+    workspaces = put_example(tmp_path, seeds=2)
+    for measured_id, rooms in (("m1", len(DEV_ROOMS)), (None, 2 * len(DEV_ROOMS))):
+        rows = read_jsonl(tmp_path / "rirs/rirs.jsonl")
+        write_jsonl(tmp_path / "rirs/rirs.jsonl", [
+            row | (dict(measured_id=measured_id) if row["room_id"] in DEV_ROOMS else {}) for row in rows])
+        assert measured(tmp_path, workspaces)["sets"]["dev.real.rvb"]["rooms"] == rooms
+
+
 def test_seeds_of_several_machines_are_put_together(tmp_path, capsys):
     workspaces, rirs = put_seeds(tmp_path, 3), [tmp_path / "rirs"]
     together = measure_wer(workspaces, tmp_path / "together", rirs=rirs)
