@@ -19,6 +19,7 @@ logger = logging.getLogger(__name__)
 REPORT_FILE = "corpus.json"
 _CHUNK = 64
 _REPORTED_NULLS = ("room_dims_m", "source_pos_m", "mic_pos_m", "distance_m", "temperature_c", "documented_t60_s")
+_LOGGED_CONTRADICTIONS = 5
 _REPORTED_FLAGS = ("binaural", "unreliable_geometry", "uncommon", "repeat_of", "tof_removed")
 
 
@@ -215,6 +216,7 @@ def _report(corpus: Corpus, merged: dict[str, list[Any]], converted: int) -> dic
         if report[label]:
             logger.info("%s: %s: %s", corpus.name, label.replace("_", " "),
                         ", ".join(f"{key} {n}" for key, n in report[label].items()))
+    _log_contradictions(corpus)
     if corpus.kind == "sofa":
         _log_unused_positions(corpus.name, rirs)
     for line in merged["skipped"]:
@@ -226,6 +228,21 @@ def _report(corpus: Corpus, merged: dict[str, list[Any]], converted: int) -> dic
         logger.warning("%s: %d of %d recordings are no RIR; later steps leave them out (--keep-suspicious keeps them)",
                        corpus.name, len(suspicious), len(rirs))
     return report
+
+
+def _log_contradictions(corpus: Corpus) -> None:
+    """Say for the first recordings of different problems what contradicts what, and how many more there are."""
+    contradictory = [recording for recording in corpus.rirs if recording.row.get("geometry_problem")]
+    first: dict[str, Recording] = {}
+    for recording in contradictory:
+        first.setdefault(recording.row["geometry_problem"], recording)
+    logged = list(first.items())[:_LOGGED_CONTRADICTIONS]
+    for problem, recording in logged:
+        logger.warning("%s: %s: the positions are not used: correct the geometry",
+                       recording.where or recording.path, problem)
+    if more := len(contradictory) - len(logged):
+        logger.warning("%s: positions of %d more recordings are not used: see geometry_problem in rirs.jsonl",
+                       corpus.name, more)
 
 
 def _log_unused_positions(name: str, rirs: list[dict[str, Any]]) -> None:

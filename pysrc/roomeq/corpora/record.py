@@ -27,11 +27,14 @@ class Recording:
         Id of the RIR or noise; ``_ch0``, ``_ch1``, ... is appended for the channels of a file with several.
     row : dict
         What the corpus states: keys of the RIR row (see `rir_row`), or `kind` and `room_id` of a noise.
+    where : str
+        Line of the manifest that lists the file (``file:line``); empty where no manifest does.
     """
 
     path: Path
     id: str
     row: dict[str, Any] = field(default_factory=dict)
+    where: str = ""
 
 
 @dataclass

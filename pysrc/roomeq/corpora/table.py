@@ -139,7 +139,7 @@ def list_table(path: Path) -> Corpus:
             row = _row(path, file, cells, corpus)
             for key, default in (("room_id", file.parent.name), ("source_id", UNKNOWN), ("mic_id", UNKNOWN)):
                 ids.add(key, row[key], cells.get(key) or default)
-            corpus.rirs.append(Recording(file, _row_id(path, file, cells), row))
+            corpus.rirs.append(Recording(file, _row_id(path, file, cells), row, where))
         except ValueError as error:
             raise ValueError(f"{where}: {error}: correct the cell") from None
     return corpus
@@ -161,7 +161,7 @@ def list_noise_table(path: Path) -> list[Recording]:
             raise ValueError(f"{where}: kind={kind!r} must be 'ambient' or 'point': correct the cell")
         room = cells.get("room_id")
         noises.append(Recording(file, _row_id(path, file, cells),
-                                dict(room_id=make_id(room) if room else None, kind=kind)))
+                                dict(room_id=make_id(room) if room else None, kind=kind), where))
     return noises
 
 

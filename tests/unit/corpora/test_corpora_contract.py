@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from corpora_examples import MEASURED, make_folder, make_table, put, rir
+from corpora_examples import MEASURED, make_folder, make_table, put, put_text, rir
 
 from roomeq.core.audio import read_audio
 from roomeq.corpora import read_measured
@@ -89,6 +89,22 @@ def test_one_position_for_several_channels_is_said(tmp_path, caplog):
     rows = read_rirs(read_measured(tmp_path / "corpus", tmp_path / "out"))
     assert [row["mic_pos_m"] for row in rows if "pair" in row["id"]] == [[3.0, 2.0, 1.0]] * 2
     assert "files with several channels, all of which have the one stated microphone position: 1 (first" in caplog.text
+
+
+def test_log_says_where_geometry_contradicts_itself(tmp_path, caplog):
+    lines = ["wav0.wav,a,5 4 3,7 1 1,3 2 1,", "wav1.wav,a,5 4 3,1 1 1,3 2 1,9"]
+    lines += [f"wav{n}.wav,a,5 4 3,1 1 1,{5 + n} 2 1," for n in range(2, 7)] + ["wav7.wav,a,5 4 3,7 1 1,3 2 1,"]
+    for n in range(len(lines)):
+        put(tmp_path / f"corpus/wav{n}.wav", rir(str(n)))
+    put_text(tmp_path / "corpus/manifest.csv",
+             "\n".join(["file,room,room_dims_m,source_pos_m,mic_pos_m,distance_m", *lines, ""]))
+    read_measured(tmp_path / "corpus", tmp_path / "out")
+    problems = [message for message in caplog.messages if "positions" in message]
+    assert len(problems) == 6
+    assert problems[0].endswith("manifest.csv:2: source_pos_m[0]=7 lies outside the room (0 to 5 m): the positions are "
+                                "not used: correct the geometry")
+    assert "manifest.csv:3: distance_m=9 but the positions are 2.24 m apart" in problems[1]
+    assert problems[5] == "corpus: positions of 3 more recordings are not used: see geometry_problem in rirs.jsonl"
 
 
 def test_relative_paths_hold_through_links(tmp_path):
