@@ -188,9 +188,14 @@ def _row_id(path: Path, file: Path, cells: dict[str, str]) -> str:
         return make_id(f"{file.parent.name}-{file.stem}")
 
 
-def _check_units(known: dict[str, Any]) -> None:
-    """Refuse dimensions of a room, a temperature or a humidity that must be in another unit; unknown ones are right."""
+def _check_values(known: dict[str, Any]) -> None:
+    """Refuse dimensions of a room, a temperature or a humidity that no room can have; unknown ones are right.
+
+    They are mistakes or in another unit.
+    """
     for axis, size_m in enumerate(known["room_dims_m"] or ()):
+        if size_m is not None and size_m <= 0:
+            raise ValueError(f"room_dims_m[{axis}]={size_m:g} must be positive: give metres, or ? where it is unknown")
         if size_m is not None and size_m > MAX_ROOM_M:
             raise ValueError(f"room_dims_m[{axis}]={size_m:g} must be at most {MAX_ROOM_M:g}: give metres")
     require_air(**{key: known[key] for key in ("temperature_c", "humidity_pct") if known[key] is not None})
@@ -208,7 +213,7 @@ def _row(path: Path, file: Path, cells: dict[str, str], corpus: Corpus) -> dict[
                 raise
             known[key] = None
             corpus.notes[f"{key} that is no number, read as unknown"] += 1
-    _check_units(known)
+    _check_values(known)
     for key in _FLAGS:
         if (flag := _parse(key, cells, _flag)) is not None:
             known[key] = flag

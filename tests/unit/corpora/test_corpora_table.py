@@ -97,6 +97,15 @@ def test_contradicting_geometry_is_found():
     assert "on top" in find_contradiction(rir_row(**good | dict(source_pos_m=[3, 1, 1.005]))).detail
 
 
+@pytest.mark.parametrize("dims_m, message", [
+    ("6 -4 3", r"t\.csv:2: room_dims_m\[1\]=-4 must be positive: give metres, or \? where it is unknown: correct"),
+    ("0 4 3", r"t\.csv:2: room_dims_m\[0\]=0 must be positive"),
+    ("6 4 300", r"t\.csv:2: room_dims_m\[2\]=300 must be at most 200")])
+def test_impossible_room_dimensions_are_refused(tmp_path, dims_m, message):
+    with pytest.raises(ValueError, match=message):
+        list_row(tmp_path, "room_dims_m", dims_m)
+
+
 HEADER = "file,rir_id,binaural,distance_m,mic_pos_m,kind\n"
 
 
