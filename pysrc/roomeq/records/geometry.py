@@ -22,7 +22,7 @@ class _Requirement(NamedTuple):
 
     unmarked_by: tuple[str, ...]
     known: tuple[str, ...] = ()
-    inside: bool = False
+    consistent: bool = False
 
 
 BINAURAL = "binaural, where an omnidirectional microphone is needed"
@@ -35,7 +35,7 @@ end in `UNKNOWN`."""
 
 _MARKS = ("unreliable_geometry", "geometry_problem")
 _REQUIREMENTS: dict[Need, _Requirement] = {
-    "consistency": _Requirement(_MARKS, inside=True),
+    "consistency": _Requirement(_MARKS, consistent=True),
     "simulation": _Requirement(_MARKS),
     "stated distance": _Requirement(("geometry_problem",)),
     "same position": _Requirement(("unreliable_geometry",), known=("source_pos_m", "mic_pos_m")),
@@ -65,7 +65,7 @@ def geometry_usability(row: Mapping[str, Any], needs: Need) -> Usability:
         Row of an RIR directory (`roomeq.records.schema.RirRow`).
     needs : str
         ``"consistency"``
-            The coordinates that are known may be right: the row is unmarked, and no position lies outside the room.
+            The coordinates that are known may be right: the row is unmarked, and nothing in it contradicts itself.
         ``"simulation"``
             The simulator may take the positions that are known: the row is unmarked. What is unknown it draws.
         ``"stated distance"``
@@ -89,7 +89,7 @@ def geometry_usability(row: Mapping[str, Any], needs: Need) -> Usability:
     for key in requirement.known:
         if not is_known(row.get(key)):
             return Usability(False, f"{key}={row.get(key)} has unknown coordinates")
-    if requirement.inside and (problem := _outside(row)):
+    if requirement.consistent and (problem := find_contradiction(row)):
         return Usability(False, problem.detail)
     return Usability(True)
 
