@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import logging
 import os
 import subprocess
 import sys
@@ -120,11 +121,13 @@ def test_second_run_does_nothing(measured, tmp_path):
     (dict(temperature_c=90.0), r"temperature_c=90 must lie in"),
     (dict(mesh="room.obj"), r"RIR a1: .*room.obj: no such mesh file"),
 ])
-def test_wrong_geometry_is_refused_with_the_id_of_the_rir(tmp_path, known, message):
+def test_wrong_geometry_is_refused_with_the_id_of_the_rir(tmp_path, caplog, known, message):
+    caplog.set_level(logging.INFO)
     (tmp_path / "measured").mkdir()
     write_jsonl(tmp_path / "measured" / "rirs.jsonl", [measured_row("a1", **known)])
     with pytest.raises(ValueError, match=message):
         simulate(tmp_path / "measured", tmp_path / "sim", num_rays=1000)
+    assert "drawing another target" not in caplog.text
     assert not (tmp_path / "sim").exists()
 
 

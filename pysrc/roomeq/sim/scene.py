@@ -237,6 +237,11 @@ def check_positions(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike) -
         if np.shape(position_m) != (3,) or not np.all(np.isfinite(np.asarray(position_m, dtype=float))):
             raise ValueError(f"{name}={position_m!r} must be three finite numbers: correct the position")
         room.require_inside(name, np.asarray(position_m))
+    require_apart(source_pos_m, mic_pos_m)
+
+
+def require_apart(source_pos_m: ArrayLike, mic_pos_m: ArrayLike) -> None:
+    """Raise ValueError unless source and microphone, shape (3,) each, keep a minimum distance from each other."""
     distance_m = float(np.linalg.norm(np.subtract(source_pos_m, mic_pos_m)))
     if distance_m < MIN_DISTANCE_M:
         raise ValueError(f"source and microphone are {distance_m:g} m apart and must be at least "

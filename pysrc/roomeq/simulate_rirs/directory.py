@@ -28,7 +28,7 @@ from roomeq.records.schema import RirRow
 from roomeq.sim.context import Response
 from roomeq.sim.geometry import find_place
 from roomeq.sim.materials import read_materials
-from roomeq.sim.scene import Air, Shoebox, with_absorption
+from roomeq.sim.scene import Air, Shoebox, require_apart, with_absorption
 from roomeq.simulate_rirs.drawn_room import MESHES, render_drawn_room, table_of_type
 from roomeq.simulate_rirs.options import RenderOptions
 from roomeq.simulate_rirs.source import Member, RenderedRir, channels_of, render_source, source_directivity
@@ -116,6 +116,10 @@ def _group_by_source(rows: list[RirRow], directory: Path, seed: int) -> dict[str
     n_drawn = 0
     for row in rows:
         place = find_place(row, rows_of_room[row["room_id"]], directory, seed)
+        try:
+            require_apart(place.source_pos_m, place.mic_pos_m)
+        except ValueError as error:  # here, since no other target or material could mend it
+            raise ValueError(f"RIR {row['id']}: {error}") from None
         if place.drawn:
             n_drawn += 1
             logger.debug("%s: drawn or moved: %s", row["id"], ", ".join(place.drawn))
