@@ -178,12 +178,17 @@ def _write(build: Build, corpus: Corpus, skip_bad: bool, nj: int, keep_suspiciou
 
 
 def _check_ids(recordings: list[Recording]) -> None:
-    first: dict[str, Path] = {}
+    first: dict[str, Recording] = {}
     for recording in recordings:
-        if recording.id in first:
-            raise ValueError(f"{recording.path}: id {recording.id!r} is also that of {first[recording.id]}: "
-                             "ids must be unique: rename one file or id")
-        first[recording.id] = recording.path
+        namesake = first.setdefault(recording.id, recording)
+        if namesake is recording:
+            continue
+        if namesake.path == recording.path:
+            line = f"{recording.where}: " if recording.where else ""
+            first_line = f" (first in {namesake.where})" if namesake.where else ""
+            raise ValueError(f"{line}{recording.path} is listed twice{first_line}: list every file once")
+        raise ValueError(f"{recording.path}: id {recording.id!r} is also that of {namesake.path}: "
+                         "ids must be unique: rename one file or id")
 
 
 def _warn_of_one_position(corpus: Corpus, rirs: list[dict[str, Any]]) -> None:

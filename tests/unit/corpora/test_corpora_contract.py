@@ -91,6 +91,14 @@ def test_one_position_for_several_channels_is_said(tmp_path, caplog):
     assert "files with several channels, all of which have the one stated microphone position: 1 (first" in caplog.text
 
 
+def test_file_that_is_listed_twice_is_refused_with_its_lines(tmp_path):
+    put(tmp_path / "a.wav", rir("a"))
+    put_text(tmp_path / "manifest.csv", "file,room\na.wav,hall\na.wav,hall\n")
+    with pytest.raises(ValueError, match=r"manifest\.csv:3: .*/a\.wav is listed twice \(first in .*manifest\.csv:2\): "
+                                         "list every file once"):
+        read_measured(tmp_path, tmp_path / "out")
+
+
 def test_log_says_where_geometry_contradicts_itself(tmp_path, caplog):
     lines = ["wav0.wav,a,5 4 3,7 1 1,3 2 1,", "wav1.wav,a,5 4 3,1 1 1,3 2 1,9"]
     lines += [f"wav{n}.wav,a,5 4 3,1 1 1,{5 + n} 2 1," for n in range(2, 7)] + ["wav7.wav,a,5 4 3,7 1 1,3 2 1,"]
