@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import FS_HZ, exact_bands_hz, require_fs
+from roomeq.core.constants import FS_HZ, exact_bands_hz, is_number, is_whole, require_fs
 from roomeq.effects.spherical_cap import cap_gain, cap_series
 from roomeq.sim.defaults import NUM_RAYS
 from roomeq.sim.directivity import unit
@@ -115,7 +115,7 @@ class Room:
     def __post_init__(self) -> None:
         if self.materials is None and self.t60_s is None:
             raise ValueError("a room needs materials or t60_s: give one of them")
-        if self.t60_s is not None and not (_is_number(self.t60_s) and 0.05 <= self.t60_s <= 10.0):
+        if self.t60_s is not None and not (is_number(self.t60_s) and 0.05 <= self.t60_s <= 10.0):
             raise ValueError(f"t60_s={self.t60_s!r} must be a number in [0.05, 10] s: correct it")
         self.scene()
 
@@ -145,7 +145,7 @@ def _entry(material: MaterialLike) -> str | Mapping[str, Any]:
     entry = dict(material) if isinstance(material, Mapping) else dict(absorption=material)
     for key, value in entry.items():
         if key in ("absorption", "scattering") and not isinstance(value, str) and value is not None:
-            entry[key] = np.asarray(value, dtype=float).tolist()
+            entry[key] = np.asarray(value, dtype=object).tolist()  # `Material` refuses what is no number
     return {"scattering": DEFAULT_SCATTERING} | entry
 
 
@@ -186,11 +186,13 @@ def simulate_rir(room: Room, source: ArrayLike, mics: ArrayLike, fs: int = FS_HZ
         A position lies outside the room, source and microphone coincide, the reverberation time cannot be met, or an
         argument is out of range.
     """
+    if not isinstance(room, Room):
+        raise ValueError(f"room={room!r:.80} must be a Room: give Room(geometry, materials=...)")
     require_fs(fs)
     for name, value, lowest in (("num_rays", num_rays, 1), ("seed", seed, 0)):
-        if not (isinstance(value, int | np.integer) and lowest <= value <= _LARGEST[name]):
+        if not (is_whole(value) and lowest <= value <= _LARGEST[name]):
             raise ValueError(f"{name}={value!r} must be a whole number from {lowest} to {_LARGEST[name]}: correct it")
-    positions_m = np.asarray(mics, dtype=np.float64)
+    source_m, positions_m = _coordinates("source", source), _coordinates("mics", mics)
     if positions_m.shape[-1:] != (3,) or positions_m.ndim > 2 or not positions_m.size:
         raise ValueError(f"mics of shape {positions_m.shape} must have the shape (3,) or (n_mics, 3): give x, y, z of "
                          "each microphone")
@@ -200,13 +202,20 @@ def simulate_rir(room: Room, source: ArrayLike, mics: ArrayLike, fs: int = FS_HZ
         raise ValueError(f"{len(of_mics)} directivities of microphones must be one, or one for each of {n_mics}: give "
                          "that many")
     responses = simulate_responses(
-        room.scene(fs), np.asarray(source, dtype=np.float64), positions_m, num_rays=num_rays, target_t60_s=room.t60_s,
+        room.scene(fs), source_m, positions_m, num_rays=num_rays, target_t60_s=room.t60_s,
         source_directivity=_at_rate(source_directivity, fs), mic_directivities=[_at_rate(one, fs) for one in of_mics],
         arrays=[0] * n_mics, seed=seed)
     result = np.zeros((n_mics, max(len(response.rir) for response in responses)))
     for row, response in zip(result, responses, strict=True):
         row[:len(response.rir)] = response.rir
     return result[0] if positions_m.ndim == 1 else result
+
+
+def _coordinates(name: str, values: ArrayLike) -> FloatArray:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}={values!r:.80} must be coordinates x, y, z [m]: correct them") from None
 
 
 def _at_rate(directivity: Directivity | None, fs_hz: float) -> Callable[[FloatArray], FloatArray] | None:
@@ -216,7 +225,3 @@ def _at_rate(directivity: Directivity | None, fs_hz: float) -> Callable[[FloatAr
         raise ValueError(f"directivity={directivity!r:.80} must be a FirstOrder, Loudspeaker or DirectivityTable, or "
                          "have their method pressure: correct it")
     return partial(directivity.pressure, fs_hz=fs_hz)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool)

@@ -1,6 +1,8 @@
 """Numbers that every package uses: the sample rate, and the octave bands that all values per band refer to."""
 
 from functools import cache
+from numbers import Integral, Real
+from typing import Any
 
 FS_HZ = 16000
 """Sample rate of all speech, RIRs and noises inside the toolkit [Hz] (the paper's; LibriSpeech's)."""
@@ -31,9 +33,19 @@ def bands_hz(fs_hz: float) -> tuple[float, ...]:
     return (*BANDS_HZ, 16000.0)[:len(exact_bands_hz(fs_hz))]
 
 
+def is_number(value: Any) -> bool:
+    """Tell whether a value is a real number, of Python or NumPy; a truth value is not."""
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def is_whole(value: Any) -> bool:
+    """Tell whether a value is an integer, of Python or NumPy; a truth value is not."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
 def require_fs(fs_hz: float) -> None:
     """Raise ValueError unless a sample rate is a whole number of hertz from `MIN_FS_HZ` to `MAX_FS_HZ`."""
-    if isinstance(fs_hz, str) or not (MIN_FS_HZ <= fs_hz <= MAX_FS_HZ and fs_hz == int(fs_hz)):
+    if not (is_number(fs_hz) and MIN_FS_HZ <= fs_hz <= MAX_FS_HZ and fs_hz == int(fs_hz)):
         raise ValueError(f"fs={fs_hz!r} must be a whole number of hertz from {MIN_FS_HZ} to {MAX_FS_HZ}: "
                          "choose another sample rate")
 
@@ -44,6 +56,9 @@ TEMPERATURE_RANGE_C = (-20.0, 50.0)
 
 def require_air(temperature_c: float = 20.0, humidity_pct: float = 50.0) -> None:
     """Raise ValueError unless temperature [°C] and relative humidity [%] can be those of the air in a room."""
+    for name, value in (("temperature_c", temperature_c), ("humidity_pct", humidity_pct)):
+        if not is_number(value):
+            raise ValueError(f"{name}={value!r} must be a number: correct it")
     low, high = TEMPERATURE_RANGE_C
     if not low <= temperature_c <= high:
         raise ValueError(f"temperature_c={temperature_c:g} must lie in [{low:g}, {high:g}] (ISO 9613-1): "

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from roomeq.acoustics.air import band_attenuation_per_m, speed_of_sound_m_s
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import BANDS_HZ, FS_HZ, MAX_ROOM_M, MIN_ROOM_M, bands_hz, require_fs
+from roomeq.core.constants import BANDS_HZ, FS_HZ, MAX_ROOM_M, MIN_ROOM_M, bands_hz, is_number, require_fs
 from roomeq.sim.room import Room
 from roomeq.sim.walls import Walls
 
@@ -55,7 +55,9 @@ class Material:
 
     def _checked(self, kind: str, values: ArrayLike) -> tuple[float, ...]:
         try:
-            given = np.asarray(values, dtype=float)
+            given = np.asarray(values)
+            if given.dtype.kind not in "iuf":  # True and "0.1" would be converted
+                raise TypeError
             bands = tuple(float(value) for value in (
                 given if given.shape == (N_BANDS + 1,) else np.broadcast_to(given, N_BANDS)))
         except (ValueError, TypeError):
@@ -120,9 +122,9 @@ class Shoebox:
     surfaces: ClassVar[tuple[str, ...]] = WALLS
 
     def __post_init__(self) -> None:
-        dims_m = tuple(float(value) for value in self.dims_m)
+        dims_m = tuple(float(value) if is_number(value) else value for value in self.dims_m)
         object.__setattr__(self, "dims_m", dims_m)
-        if len(dims_m) != 3 or not all(MIN_ROOM_M <= value <= MAX_ROOM_M for value in dims_m):
+        if len(dims_m) != 3 or not all(is_number(value) and MIN_ROOM_M <= value <= MAX_ROOM_M for value in dims_m):
             raise ValueError(f"room_dims_m={list(dims_m)} must be three lengths in [{MIN_ROOM_M:g}, {MAX_ROOM_M:g}] m: "
                              "correct the room")
 
