@@ -66,6 +66,9 @@ class Loudspeaker:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "facing", unit(self.facing))
+        for name in ("radius_m", "membrane_radius_m"):
+            if not is_number(getattr(self, name)):
+                raise ValueError(f"{name}={getattr(self, name)!r} must be a number [m]: correct it")
         if not 0.0 < self.membrane_radius_m <= self.radius_m:
             raise ValueError(f"membrane_radius_m={self.membrane_radius_m:g} must lie in (0, radius_m="
                              f"{self.radius_m:g}]: correct it")

@@ -171,6 +171,14 @@ def test_rooms_and_sources_have_tails_of_their_own():
     (lambda: roomeq.FirstOrder("cardioid", (0, 0, 0)), "not all 0"),
     (lambda: roomeq.Loudspeaker((1, 0, 0), radius_m=0.05, membrane_radius_m=0.1), "membrane_radius_m=0.1"),
     (lambda: roomeq.DirectivityTable(np.eye(3), [100.0], np.zeros((2, 1)), (1, 0, 0)), "one row for each"),
+    (lambda: roomeq.FirstOrder(None, (1, 0, 0)), "pattern=None must be one of omnidirectional"),
+    (lambda: roomeq.FirstOrder("cardioid", "front"), "direction='front' must be numbers"),
+    (lambda: roomeq.Loudspeaker((1, 0, 0), radius_m="0.1"), "radius_m='0.1' must be a number"),
+    (lambda: roomeq.Loudspeaker((1, 0, 0), membrane_radius_m=None), "membrane_radius_m=None must be a number"),
+    (lambda: roomeq.DirectivityTable([(1, 0, 0), (0, 0, 0)], [100.0], np.zeros((2, 1)), (1, 0, 0)),
+     r"directions\[1\]=\[0.0, 0.0, 0.0\] must be three finite numbers, not all 0"),
+    (lambda: roomeq.DirectivityTable("sphere", [100.0], np.zeros((2, 1)), (1, 0, 0)), "directions='sphere' must be"),
+    (lambda: roomeq.DirectivityTable(np.eye(3), 100.0, np.zeros((3, 1)), (1, 0, 0)), "one column for each"),
 ])
 def test_wrong_arguments_are_refused(wrong, message):
     with pytest.raises(ValueError, match=message):

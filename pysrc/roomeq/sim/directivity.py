@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import exact_bands_hz
+from roomeq.core.constants import exact_bands_hz, is_number
 
 PATTERNS = {"omnidirectional": 1.0, "subcardioid": 0.75, "cardioid": 0.5, "supercardioid": 0.366,
             "hypercardioid": 0.25, "figure_eight": 0.0}
@@ -36,7 +36,8 @@ class FirstOrder:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "facing", unit(self.facing))
-        if isinstance(self.pattern, str) and self.pattern not in PATTERNS:
+        known = self.pattern in PATTERNS if isinstance(self.pattern, str) else is_number(self.pattern)
+        if not known:
             raise ValueError(f"pattern={self.pattern!r} must be one of {', '.join(PATTERNS)}, or a share in [0, 1]: "
                              "correct it")
         if not 0.0 <= self.share <= 1.0:
@@ -82,15 +83,20 @@ class DirectivityTable:
     _bands: dict[float, FloatArray] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        directions = np.asarray(self.directions, dtype=float)
-        frequencies_hz, gains_db = np.asarray(self.frequencies_hz, float), np.asarray(self.gains_db, float)
-        if directions.ndim != 2 or directions.shape[1] != 3 or gains_db.shape != (len(directions), len(frequencies_hz)):
+        directions, frequencies_hz, gains_db = (
+            _numbers(name, getattr(self, name)) for name in ("directions", "frequencies_hz", "gains_db"))
+        if (directions.ndim != 2 or directions.shape[1] != 3 or frequencies_hz.ndim != 1
+                or gains_db.shape != (len(directions), len(frequencies_hz))):
             raise ValueError(f"gains_db of shape {gains_db.shape} must have one row for each of {directions.shape} "
                              f"directions and one column for each of {frequencies_hz.shape} frequencies: correct them")
         if not len(frequencies_hz) or frequencies_hz[0] <= 0.0 or np.any(np.diff(frequencies_hz) <= 0.0):
             raise ValueError("frequencies_hz must be positive and ascending: sort them")
         if not np.all(np.isfinite(gains_db)):
             raise ValueError("gains_db must be finite: leave out directions that were not measured")
+        for n, direction in enumerate(directions):
+            if not np.all(np.isfinite(direction)) or not np.any(direction):
+                raise ValueError(f"directions[{n}]={direction.tolist()} must be three finite numbers, not all 0: "
+                                 "correct it or leave it out")
         object.__setattr__(self, "directions", directions / np.linalg.norm(directions, axis=1, keepdims=True))
         object.__setattr__(self, "frequencies_hz", frequencies_hz)
         object.__setattr__(self, "gains_db", gains_db)
@@ -127,7 +133,14 @@ def unit(vector: ArrayLike) -> FloatArray:
     ValueError
         It is not three finite numbers, or its length is 0.
     """
-    values = np.asarray(vector, dtype=float)
+    values = _numbers("direction", vector)
     if values.shape != (3,) or not np.all(np.isfinite(values)) or not np.any(values):
         raise ValueError(f"direction {vector!r} must be three finite numbers, not all 0: correct it")
     return values / np.linalg.norm(values)
+
+
+def _numbers(name: str, values: ArrayLike) -> FloatArray:
+    try:
+        return np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}={values!r:.80} must be numbers: correct it") from None
