@@ -24,7 +24,7 @@ from roomeq.augment.distribution import parse_distribution
 from roomeq.augment.draw import DrawRules, Noise, Pool, read_pool
 from roomeq.augment.mix import convolve, mix, spectra_of
 from roomeq.core.arrays import Array
-from roomeq.core.constants import FS_HZ, require_fs
+from roomeq.core.constants import FS_HZ, is_number, is_whole, require_fs
 from roomeq.core.rng import rng_for
 
 PathLike = str | os.PathLike[str]
@@ -72,8 +72,10 @@ class Reverberate:
                  point_noise_prob: float = 0.5, p: float = 1.0, fs: int = FS_HZ, seed: int = 0) -> None:
         require_fs(fs)
         for name, value in (("p", p), ("point_noise_prob", point_noise_prob)):
-            if not 0.0 <= value <= 1.0:
+            if not (is_number(value) and 0.0 <= value <= 1.0):
                 raise ValueError(f"{name}={value!r} must lie in [0, 1]: correct it")
+        if not is_whole(seed):
+            raise ValueError(f"seed={seed!r} must be a whole number: correct it")
         parse_distribution(snr, "snr")
         parse_distribution(point_snr, "point_snr")
         self.p, self.fs, self.seed = p, fs, seed
