@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import FS_HZ, exact_bands_hz, is_number, is_whole, require_fs
+from roomeq.core.constants import FS_HZ, LARGEST_SEED, exact_bands_hz, is_number, is_whole, require_fs
 from roomeq.effects.spherical_cap import cap_gain, cap_series
 from roomeq.sim.defaults import NUM_RAYS
 from roomeq.sim.directivity import unit
@@ -29,7 +29,7 @@ from roomeq.sim.scene import Air, Scene, Shoebox
 _NEUTRAL = 0.1
 """Absorption in all bands of a room of which only the reverberation time is known, before it is scaled."""
 
-_LARGEST = dict(num_rays=10 ** 7, seed=2 ** 63 - 1)
+_LARGEST = dict(num_rays=10 ** 7, seed=LARGEST_SEED)
 
 MaterialLike = str | float | Sequence[float] | Mapping[str, Any]
 

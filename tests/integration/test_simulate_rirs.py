@@ -134,6 +134,10 @@ def test_wrong_geometry_is_refused_with_the_id_of_the_rir(tmp_path, caplog, know
 @pytest.mark.parametrize("options, message", [
     (dict(t60_range_s=(2.0, 0.2)), r"t60_range=.* the smaller first"),
     (dict(num_rays=3), r"num_rays=3 must lie in \[100, "),
+    (dict(num_rays=300.0), r"num_rays=300.0 must be a whole number"),
+    (dict(noise_rirs="1"), r"noise_rirs='1' must be a whole number"),
+    (dict(seed=-1), r"seed=-1 must lie in \[0, "),
+    (dict(fs_hz="16000"), r"fs='16000' must be a whole number"),
     (dict(noise_rirs=9), r"noise_rirs=9 must lie in"),
     (dict(ism_order=-1), r"ism_order=-1 must lie in"),
     (dict(materials="absent.toml"), r"absent.toml: cannot be read as a table of materials"),

@@ -67,6 +67,7 @@ def require_air(temperature_c: float = 20.0, humidity_pct: float = 50.0) -> None
         raise ValueError(f"humidity_pct={humidity_pct:g} must lie in [0, 100]: give relative humidity in percent")
 
 
+LARGEST_SEED = 2 ** 63 - 1
 BAND_1KHZ = 4
 """Index of the 1 kHz band: the reference of every EQ, and the band of every T60 target."""
 MIN_ROOM_M, MAX_ROOM_M = 0.1, 200.0
