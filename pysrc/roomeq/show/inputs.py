@@ -110,6 +110,8 @@ def read_rir_file(path: Path, channel: int | None = None, keep_suspicious: bool 
                          f"{n_channels - 1}")
     samples = read_audio(path, fs_hz=(fs_hz := audio_info(path).samplerate), channel=channel)
     directory, row = _row_of(path)
+    if row is not None and channel:
+        row = _row_of_channel(row, channel)
     name = readable(path.name) + ("" if channel is None else f", channel {channel}")
     return _shown(samples, fs_hz, name, path, keep_suspicious, row, directory)
 
@@ -208,6 +210,14 @@ def _shown(samples: FloatArray, fs_hz: int, name: str, path: Path, keep_suspicio
     except ValueError as error:
         raise ValueError(f"{path}: {str(error).removeprefix(f'{name}: ')}") from None
     return ShownRir(rir, row, directory, problem)
+
+
+def _row_of_channel(row: RirRow, channel: int) -> RirRow:
+    """Return the row of an array for another channel than the first, which alone its measured values are of."""
+    positions_m = row.get("channel_pos_m") or []
+    position_m = positions_m[channel] if channel < len(positions_m) else None
+    return row | {"mic_pos_m": position_m, "distance_m": None, "direct_sample": None, "direct_polarity": None,
+                  "acoustic_parameters": None}
 
 
 def _row_of(path: Path) -> tuple[Path | None, RirRow | None]:
