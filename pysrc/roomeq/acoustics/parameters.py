@@ -8,7 +8,7 @@ import math
 from typing import Any
 
 from roomeq.acoustics.direct import DirectSound, checked_response, find_direct
-from roomeq.acoustics.iso3382 import all_metrics
+from roomeq.acoustics.iso3382 import DECAYS_DB, all_metrics
 from roomeq.acoustics.subband_eq import analyse
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import FS_HZ, require_fs
@@ -32,8 +32,8 @@ def measure(rir: FloatArray, fs_hz: float = FS_HZ, *,
     Returns
     -------
     dict
-        JSON-able. `roomeq.acoustics.iso3382.all_metrics`; at 16 kHz, the rate of the EQ, also `eq_db` (8 points,
-        relative to 1 kHz), `eq_valid`,
+        JSON-able. `roomeq.acoustics.iso3382.all_metrics`, with None for a decay time that rounds to 0 s; at 16 kHz, the
+        rate of the EQ, also `eq_db` (8 points, relative to 1 kHz), `eq_valid`,
         `eq_snr_db` (null: no noise seen) and `eq_edge_db` (level below an anti-alias roll-off that makes the 8 kHz
         point invalid, or null).
 
@@ -51,7 +51,10 @@ def measure(rir: FloatArray, fs_hz: float = FS_HZ, *,
         eq = analyse(rir, sample)
         parameters.update(eq_db=eq.eq_db.tolist(), eq_valid=eq.valid.tolist(), eq_edge_db=eq.edge_db,
                           eq_snr_db=[value if math.isfinite(value) else None for value in eq.snr_db.tolist()])
-    return {key: _rounded(value) for key, value in parameters.items()}
+    rounded = {key: _rounded(value) for key, value in parameters.items()}
+    for decay in DECAYS_DB:  # a response that is cut off may seem to decay within a sample or two
+        rounded[f"{decay}_s"] = [time_s or None for time_s in rounded[f"{decay}_s"]]
+    return rounded
 
 
 def _rounded(value: Any) -> Any:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from rirmaker import coloured_rir
 
+from roomeq.acoustics.iso3382 import all_metrics
 from roomeq.acoustics.parameters import measure
 from roomeq.core.constants import bands_hz
 from roomeq.show.analysis import FRAME_S, analyse, reverberation_time_s, value_of
@@ -61,6 +62,14 @@ def test_response_of_an_impulse_is_flat_at_any_rate():
         rir = analyse(samples, fs_hz)
         assert np.abs(rir.response[1]).max() < 1e-6 and rir.direct.polarity == -1
         assert rir.direct_s == pytest.approx(0.1, abs=1e-4)
+
+
+def test_response_cut_off_early_has_no_decay_time_of_zero():
+    samples = decaying_noise(16000)[:360]  # 2.5 ms after the direct sound
+    assert 0.0 < min(time_s for time_s in all_metrics(samples, 16000)["t30_s"] if time_s is not None) < 5e-5
+    rir = analyse(samples, 16000)
+    assert all(time_s != 0.0 for key in ("edt_s", "t20_s", "t30_s") for time_s in rir.parameters[key])
+    assert any(decay.fit is None for decay in rir.decays)
 
 
 def test_levels_over_frequency_agree_between_rates():
