@@ -373,6 +373,7 @@ def show() -> None:
 @click.option("--out", type=AnyPath(), metavar="FILE.html",
               help="Page with audio to make; by default, parameters are printed.")
 @chosen_id
+@click.option("--channel", type=int, help="Channel of files with several, counted from 0.")
 @speech
 @show_suspicious
 def compare() -> None:

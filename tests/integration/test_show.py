@@ -142,6 +142,8 @@ def test_picture_is_a_png(made, monkeypatch, name):
     (["show", "loop"], ["The simulation lacked: frequency response of the loudspeakers", "What to do:"]),
     (["show", "l.obj"], ["6.00 × 6.00 × 3.00 m", "60.0 m³", "wall", "64.3", "mean free path"]),
     (["compare", "measured/audio/hall-0.wav", "measured/audio/office-0.wav"], ["B - A (JND)", "→"]),
+    (["compare", "stereo.wav", "stereo.wav", "--channel", "1"], ["B - A (JND)", "→"]),
+    (["compare", "stereo.wav", "rir<48k>.wav", "--channel", "1"], ["B - A (JND)", "→"]),
     (["compare", "measured", "simulated"], ["8 pairs", "Medians A → B", "DRR:"])])
 def test_without_out_the_parameters_are_printed(made, monkeypatch, capsys, words, parts):
     monkeypatch.chdir(made)
@@ -168,6 +170,9 @@ def test_without_out_the_parameters_are_printed(made, monkeypatch, capsys, words
     (["show", "measured", "--speech", "speech.wav"], r"--speech speech.wav: .* --out FILE.html"),
     (["show", "measured", "--out", "page.pdf"], r"--out page.pdf: must end in .html or .png"),
     (["show", "measured", "--out", "absent/page.html"], r"--out absent/page.html: its directory does not exist"),
+    (["compare", "stereo.wav", "stereo.wav"], r"stereo.wav: 2 channels .*--channel 0 to 1"),
+    (["compare", "rir<48k>.wav", "stereo.wav", "--channel", "2"], r"stereo.wav: channel 2 of 2"),
+    (["compare", "measured", "simulated", "--channel", "0"], r"--channel 0: measured is no audio file"),
     (["compare", "measured", "loop"], r"must be two RIR files or two RIR directories"),
     (["compare", "measured", "speech.wav"], r"must be two RIR files or two RIR directories"),
     (["compare", "measured", "simulated", "--id", "hall-9"], r"--id hall-9: no pair .* 8 pairs"),

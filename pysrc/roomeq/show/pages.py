@@ -5,6 +5,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from roomeq.core.audio import audio_info
 from roomeq.records.schema import RirRow
 from roomeq.report.load import Context
 from roomeq.report.render import render
@@ -73,10 +74,11 @@ def rir_set(directory: Path, suffix: str | None, ident: str | None, speech: Path
                       ("list", "All RIRs", context)])
 
 
-def two_files(first: Path, second: Path, suffix: str | None, speech: Path | None,
+def two_files(first: Path, second: Path, suffix: str | None, channel: int | None, speech: Path | None,
               keep_suspicious: bool) -> bytes | str:
-    """Return the page or text that compares two RIR files."""
-    a, b = (read_rir_file(path, keep_suspicious=keep_suspicious) for path in (first, second))
+    """Return the page or text that compares two RIR files; a mono file is compared whatever the channel."""
+    a, b = (read_rir_file(path, channel if audio_info(path).channels > 1 else None, keep_suspicious)
+            for path in (first, second))
     if suffix is None:
         return _pair_text(a, b)
     lead = "Two room impulse responses (RIRs) overlaid, with their differences in just noticeable differences (JND)."

@@ -71,7 +71,7 @@ def show(path: Path, *, out: Path | None = None, ident: str | None = None, chann
 
 
 def compare(first: Path, second: Path, *, out: Path | None = None, ident: str | None = None,
-            speech: Path | None = None, keep_suspicious: bool = False) -> None:
+            channel: int | None = None, speech: Path | None = None, keep_suspicious: bool = False) -> None:
     """Compare two RIRs, or the RIRs of two directories, in just noticeable differences (JND).
 
     Parameters
@@ -83,6 +83,8 @@ def compare(first: Path, second: Path, *, out: Path | None = None, ident: str | 
         Page (``.html``, with audio) to make. Without it, the parameters of both are printed.
     ident : str, optional
         Id in `first` of the pair that the page shows; by default that of the median difference.
+    channel : int, optional
+        Channel of files with several, counted from 0.
     speech : Path, optional
         Recording of dry speech that the page plays through both RIRs, instead of noise bursts.
     keep_suspicious : bool
@@ -103,12 +105,14 @@ def compare(first: Path, second: Path, *, out: Path | None = None, ident: str | 
         raise ValueError(f"{first} and {second} must be two RIR files or two RIR directories: give two of one kind")
     if ident is not None and kinds[0] != "set":
         raise ValueError(f"--id {ident}: {first} is no RIR directory: leave --id out")
+    if channel is not None and kinds[0] != "rir":
+        raise ValueError(f"--channel {channel}: {first} is no audio file: leave --channel out")
     if speech is not None and suffix != PAGE:
         raise ValueError(f"--speech {speech}: is played on a page: give --out FILE{PAGE}")
     from roomeq.show import pages
 
     if kinds[0] == "rir":
-        content = pages.two_files(first, second, suffix, speech, keep_suspicious)
+        content = pages.two_files(first, second, suffix, channel, speech, keep_suspicious)
     else:
         content = pages.two_sets(first, second, suffix, ident, speech, keep_suspicious)
     _deliver(content, out)
