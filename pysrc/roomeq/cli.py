@@ -77,9 +77,12 @@ class Verb(click.Command):
         return getattr(importlib.import_module(f"roomeq.{module}"), name)
 
     def invoke(self, ctx: click.Context) -> int:
-        """Call the function and return the exit status; an error becomes one line."""
+        """Call the function and return the exit status; an error becomes one line, a closed output none."""
         try:
             self.load()(**ctx.params)
+            print(end="", flush=True)  # at exit, its error would not become one line
+        except BrokenPipeError:  # as of head: click exits with status 1, without a message
+            raise
         except (ValueError, OSError) as error:
             return failed(one_line(error))
         except ModuleNotFoundError as error:

@@ -120,6 +120,20 @@ def test_absent_input_is_one_line(argv, tmp_path, monkeypatch, capsys):
     assert [path for path in tmp_path.iterdir() if not path.name.startswith(".")] == []
 
 
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_output_that_is_closed_ends_the_verb_without_a_message(tmp_path, unbuffered):
+    (tmp_path / "noises").mkdir()
+    write_wav(tmp_path / "noises/hum.wav", np.ones(1600))
+    assert main(["read-noises", str(tmp_path / "noises"), str(tmp_path / "out")]) == 0
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run([sys.executable, "-m", "roomeq", "validate", tmp_path / "out"], stdout=writer, text=True,
+                          stderr=subprocess.PIPE, timeout=60, check=False,
+                          env=os.environ | dict(PYTHONUNBUFFERED=unbuffered))
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (1, "")
+
+
 def test_a_missing_optional_package_names_its_extra(monkeypatch, capsys):
     def load(verb):
         raise ModuleNotFoundError("No module named 'rapidfuzz'", name="rapidfuzz.distance")
