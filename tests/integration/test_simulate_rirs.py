@@ -4,6 +4,7 @@ import hashlib
 import json
 import logging
 import os
+import re
 import subprocess
 import sys
 
@@ -106,6 +107,14 @@ def test_bytes_depend_on_the_seed_alone(measured, tmp_path):
     assert fewer == {name: rows[name] for name in fewer}
     other = run(measured, tmp_path / "other", seed=6)
     assert other["a1"]["target_t60_s"] != rows["a1"]["target_t60_s"]
+
+
+@pytest.mark.parametrize("noise_rirs, counts", [(0, "5 RIRs with .* and 0 of noise sources"),
+                                                (1, "5 RIRs with .* and 5 of noise sources")])
+def test_log_counts_the_rirs_of_noise_sources(measured, tmp_path, caplog, noise_rirs, counts):
+    caplog.set_level("INFO")
+    run(measured, tmp_path / "sim", num_rays=200, noise_rirs=noise_rirs)
+    assert re.search(counts, caplog.text)
 
 
 def test_second_run_does_nothing(measured, tmp_path):

@@ -65,9 +65,10 @@ def make(build: Build, measured_dir: Path, rows: list[RirRow], materials: Path |
 
     if build.run(groups, simulate_group, part=part, nj=nj):
         build.finish(assemble)
-        times_s = [row["t30_s"] or 0.0 for row in read_rirs(build.out) if not row["noise_for"]]
-        logger.info("%s: %d RIRs with T30 from %.2f to %.2f s at 1 kHz, and RIRs of their noise sources", build.out,
-                    len(times_s), min(times_s), max(times_s))
+        everything = read_rirs(build.out)
+        times_s = [row["t30_s"] or 0.0 for row in everything if not row["noise_for"]]
+        logger.info("%s: %d RIRs with T30 from %.2f to %.2f s at 1 kHz, and %d of noise sources", build.out,
+                    len(times_s), min(times_s), max(times_s), len(everything) - len(times_s))
 
 
 def make_drawn(build: Build, numbers: range, types: list[RoomType], materials: Path | str | None,
