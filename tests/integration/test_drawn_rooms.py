@@ -219,9 +219,9 @@ def test_wrong_options_end_in_one_line(tmp_path, monkeypatch, arguments, message
     assert status and message in said and "Traceback" not in said
 
 
-def test_an_unknown_material_is_refused_with_type_and_key(types, tmp_path):
+def test_an_unknown_material_is_refused_with_file_type_and_key(types, tmp_path):
     (tmp_path / "types.toml").write_text(TYPES.replace('["parquet"]', '["parkett"]'))
-    with pytest.raises(ValueError, match=r"room_types: furnished: furniture\[0\]: materials: .*'parkett' is in"):
+    with pytest.raises(ValueError, match=r"/types.toml: furnished: furniture\[0\]: materials: .*'parkett' is in"):
         draw(tmp_path / "types.toml", tmp_path / "rirs")
 
 

@@ -132,6 +132,12 @@ class RoomType:
     microphones: tuple[MicPlace, ...]
 
 
+def types_file(choice: str | Path | None) -> Path:
+    """Return the file of a choice of types (`read_room_types`): it is the file, or is of the package's types."""
+    is_file = choice is not None and (str(choice).endswith(".toml") or "/" in str(choice))
+    return Path(str(choice)) if is_file else DEFAULT_TYPES
+
+
 def read_room_types(choice: str | Path | None = None) -> list[RoomType]:
     """Read types of rooms.
 
@@ -151,8 +157,7 @@ def read_room_types(choice: str | Path | None = None) -> list[RoomType]:
         The file is missing or no TOML, a key is unknown or missing, or a value is out of range; the message names file,
         key, rule and remedy.
     """
-    is_file = choice is not None and (str(choice).endswith(".toml") or "/" in str(choice))
-    path = Path(str(choice)) if is_file else DEFAULT_TYPES
+    path = types_file(choice)
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
@@ -160,7 +165,7 @@ def read_room_types(choice: str | Path | None = None) -> list[RoomType]:
                          "form") from None
     if not content:
         raise ValueError(f"{path}: no type of room in it: add a table such as [meeting_room]")
-    if choice is None or is_file:
+    if choice is None or Path(choice) == path:
         return [_room_type(path, name, table) for name, table in content.items()]
     names = [name for name in str(choice).split(",") if name]
     for name in names:

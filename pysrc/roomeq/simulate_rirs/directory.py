@@ -21,7 +21,7 @@ from roomeq.core.constants import BANDS_HZ
 from roomeq.core.files import write_text
 from roomeq.core.rng import rng_for
 from roomeq.draw_rooms.draw import draw_room, room_id
-from roomeq.draw_rooms.room_types import RoomType
+from roomeq.draw_rooms.room_types import RoomType, types_file
 from roomeq.effects.model import Model, apply_to_rir, direct_gain, names_of, path_gain, read_model
 from roomeq.records.rir_dir import read_rirs, validate_rirs, with_meshes_relocated, write_rirs
 from roomeq.records.schema import RirRow
@@ -71,9 +71,10 @@ def make(build: Build, measured_dir: Path, rows: list[RirRow], materials: Path |
                     len(times_s), min(times_s), max(times_s), len(everything) - len(times_s))
 
 
-def make_drawn(build: Build, numbers: range, types: list[RoomType], materials: Path | str | None,
-               model: Path | str | None, options: RenderOptions, part: str | None, nj: int) -> None:
-    """Make the RIR directory of a build from rooms that are drawn by their numbers.
+def make_drawn(build: Build, numbers: range, room_types: Path | str | None, types: list[RoomType],
+               materials: Path | str | None, model: Path | str | None, options: RenderOptions, part: str | None,
+               nj: int) -> None:
+    """Make the RIR directory of a build from rooms that are drawn by their numbers, of types as `room_types` chose.
 
     Raises
     ------
@@ -81,7 +82,7 @@ def make_drawn(build: Build, numbers: range, types: list[RoomType], materials: P
         See `roomeq.simulate_rirs.simulate`.
     """
     table = read_materials(materials)
-    tables = {room_type.name: table_of_type(table, room_type, "room_types") for room_type in types}
+    tables = {room_type.name: table_of_type(table, room_type, str(types_file(room_types))) for room_type in types}
     effects = Model() if model is None else read_model(model)
 
     def simulate_room(_: str, number: int) -> list[dict]:

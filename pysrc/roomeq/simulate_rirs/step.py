@@ -103,7 +103,7 @@ def simulate(measured_dir: Path | str | None, out: Path | str, *, rooms: int | s
         if not build.done:
             from roomeq.simulate_rirs.directory import make_drawn
 
-            make_drawn(build, numbers, types, materials, model, options, part, nj)
+            make_drawn(build, numbers, room_types, types, materials, model, options, part, nj)
         return
     rows = read_rirs(measured_dir)
     files += [*(_published_table() if any(row.get("materials") for row in rows) else []),
