@@ -11,6 +11,7 @@ from roomeq.loop.features import METRIC, N_FEATURES
 from roomeq.loop.packing import Derivatives, ParameterIndex
 
 _HUBER = 3.0  # standard deviations from which on a residual counts linearly
+_LARGEST = 15.0  # deviation that is no outlier [JND]
 _SIGMA = (0.7, 12.0)  # limits of the scatter within rooms [JND]
 _OMEGA = (0.2, 12.0)  # limits of the scatter between rooms [JND]
 _OMEGA_FLOOR = 1.0
@@ -135,13 +136,20 @@ def _whiten(values: FloatArray, valid: BoolArray, sigma: FloatArray, omega: Floa
     return np.where(valid, values - part * mean, 0.0) / sigma
 
 
+def _clipped(room: FloatArray) -> FloatArray:
+    """Return the residual of a room without outliers: deviations from its median are clipped, and then its median."""
+    median = np.nanmedian(np.where(np.isfinite(room).any(axis=0), room, 0.0), axis=0)
+    return np.clip(median, -_LARGEST, _LARGEST) + np.clip(room - median, -_LARGEST, _LARGEST)
+
+
 def scatter(data: Data, residual: FloatArray, valid: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return the scatter of features within and between rooms [JND], shape (n_features,) each.
 
-    Both are shrunk to the mean over the features of their metric.
+    Both are shrunk to the mean over the features of their metric. Outliers are clipped about the median of their room:
+    a room that is far off as a whole would otherwise seem to have no scatter.
     """
-    clipped = np.where(valid, np.clip(residual, -15.0, 15.0), np.nan)
-    rooms = [clipped[data.room == r] for r in range(len(data.room_names)) if np.any(data.room == r)]
+    values = np.where(valid, residual, np.nan)
+    rooms = [_clipped(values[data.room == r]) for r in range(len(data.room_names)) if np.any(data.room == r)]
     count: IntArray = np.array([np.isfinite(room).sum(axis=0) for room in rooms])
     total = np.array([np.nansum(room, axis=0) for room in rooms])
     square = np.array([np.nansum(room ** 2, axis=0) for room in rooms])
