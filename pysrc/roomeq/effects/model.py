@@ -22,6 +22,7 @@ from roomeq.core.rng import rng_for
 from roomeq.effects.base import Effect, Rendering
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.source_directivity import unit_facing
+from roomeq.records.schema import DEVICE_KEYS, device_name
 from roomeq.sim.scene import Scene, eyring_time_s
 
 MODEL_FILE = "model.json"
@@ -30,7 +31,6 @@ MAX_COMPONENT = 100.0
 """Largest component of a vector: spreads are about 1, or some dB."""
 _ROUNDING = 1e-9
 _KEYS, _ENTRY_KEYS = ("format", "effects"), ("effect", "of", "typical", "spread")
-_KEY = {"source": "source_id", "mic": "mic_id", "room": "room_id", "rir": "id"}
 
 Directivity = Callable[[FloatArray], FloatArray]
 
@@ -56,7 +56,9 @@ class Extension:
 
     def for_row(self, row: Mapping[str, Any], seed: int) -> Effect:
         """Return the effect with the parameters of a row's unit, drawn where that was not measured."""
-        unit = "all" if self.effect.SCOPE == "all" else row[_KEY[self.effect.SCOPE]]
+        scope = self.effect.SCOPE
+        unit = ("all" if scope == "all" else device_name(row, scope) if scope in DEVICE_KEYS
+                else row["room_id" if scope == "room" else "id"])
         if unit in self.of:
             return self.of[unit]
         drawn = rng_for(seed, f"effect {self.effect.NAME}", unit).standard_normal(len(self.typical))

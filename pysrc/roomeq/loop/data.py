@@ -28,7 +28,7 @@ from roomeq.loop.tables import ANGLES, FRAME_MID_S, Table, collect, level_surfac
 from roomeq.loop.traces import StoredTrace, TraceFolder
 from roomeq.loop.usable import LeftOut, UsableRirs, usable_rirs
 from roomeq.records.rir_dir import load_rir
-from roomeq.records.schema import UNKNOWN, RirRow
+from roomeq.records.schema import RirRow, device_name
 from roomeq.sim.geometry import Place, find_place
 from roomeq.sim.path_sample import PathSample
 from roomeq.sim.response import trace_source
@@ -164,18 +164,12 @@ class Data:
         return self.rendered_changes[effect.NAME]
 
     def units(self, scope: str) -> tuple[list[str], IntArray]:
-        """Names of the units of a scope, such as its microphones, and the number of the unit of each RIR.
-
-        Devices without a name are one within a corpus, and others in another one.
-        """
+        """Names of the units of a scope, such as its microphones, and the number of the unit of each RIR."""
         if scope == "all":
             return ["all"], np.zeros(len(self.rows), dtype=int)
         if scope == "rir":
             return [row["id"] for row in self.rows], np.arange(len(self.rows))
-        key = {"source": "source_id", "mic": "mic_id", "room": "room_id"}[scope]
-        unit_of_row = [str(row[key]) for row in self.rows]  # type: ignore[literal-required]
-        unit_of_row = [f"{UNKNOWN} of {row['corpus']}" if name == UNKNOWN and row.get("corpus") else name
-                       for name, row in zip(unit_of_row, self.rows, strict=True)]
+        unit_of_row = [row["room_id"] if scope == "room" else device_name(row, scope) for row in self.rows]
         names = sorted(set(unit_of_row))
         return names, np.array([names.index(name) for name in unit_of_row])
 

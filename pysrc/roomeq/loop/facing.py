@@ -70,8 +70,9 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
     facings: dict[int, FloatArray] = {}
     estimates = []
     towards = _towards(data)
-    for source_id in sorted({data.rows[n]["source_id"] for n in unknown}):
-        members = [int(n) for n in unknown if data.rows[n]["source_id"] == source_id]
+    names, unit = data.units("source")
+    for u in sorted({int(unit[n]) for n in unknown}):
+        members = [int(n) for n in unknown if unit[n] == u]
         by_position: dict[tuple, list[int]] = {}
         for n in members:
             by_position.setdefault(_position(data, n), []).append(n)
@@ -84,7 +85,7 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
         if max(evidence.values()) > _DECISIVE:
             hypothesis, of_source = ("fixed", fixed) if log_fixed >= log_free else ("free", free)
         angle = np.mean([np.arccos(np.clip(towards[n] @ facing, -1.0, 1.0)) for n, facing in of_source.items()])
-        estimates.append(FacingEstimate(source_id, len(members), len(by_position), hypothesis, evidence,
+        estimates.append(FacingEstimate(names[u], len(members), len(by_position), hypothesis, evidence,
                                         float(np.degrees(angle))))
         facings.update(of_source)
     return replace(with_facings(data, facings), facings=tuple(estimates))
@@ -128,12 +129,12 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
     direct = residual[:, used] - _colour(data, residual, BAND_OF_FEATURE[used])
     sphere = (np.gradient(-np.cos(ANGLES)) / 2.0).astype(np.float32)
     diffuse = [replace(table, angular=np.tile(sphere / sphere.sum(), (len(table.entries), 1))) for table in data.tables]
-    of_angles = []
+    of_angles, (names, unit) = [], data.units("source")
     for angle in _TEST_ANGLES:
         turned = replace(data, tables=[replace(table, direct_angle=float(angle)) for table in diffuse])
         state = ParameterIndex(turned, index.effects).state(absorption, vectors)
-        for source_id, directivity in directivities.items():
-            rows = np.flatnonzero([row["source_id"] == source_id for row in data.rows])
+        for name, directivity in directivities.items():
+            rows = np.flatnonzero(unit == names.index(name))
             directivity.apply_to_prediction(state, turned, rows)
         change = predict(turned, state) - plain
         # relative to the reflections, which the directivity changes as well

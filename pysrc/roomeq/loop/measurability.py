@@ -8,7 +8,7 @@ import numpy as np
 
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.loop.features import JND, Features, excited, feature_slice
-from roomeq.records.schema import RirRow
+from roomeq.records.schema import RirRow, device_name
 
 logger = logging.getLogger(__name__)
 
@@ -20,10 +20,10 @@ _NORMALISED_SHARE = 0.5
 def limit_to_excitation(rows: Sequence[RirRow], features: Sequence[Features]) -> list[Features]:
     """Return features that are valid only within the band of the excitation, which is the same for all of a source."""
     limited = list(features)
-    for source_id, members in _groups([row["source_id"] for row in rows]).items():
+    for name, members in _groups([device_name(row, "source") for row in rows]).items():
         from_hz = float(np.median([features[n].excited_from_hz for n in members]))
         if from_hz:
-            logger.info("source %s: the excitation begins at %.0f Hz; features below it are left out", source_id,
+            logger.info("source %s: the excitation begins at %.0f Hz; features below it are left out", name,
                         from_hz)
         for n in members:
             limited[n] = replace(features[n], valid=features[n].valid & excited(from_hz),

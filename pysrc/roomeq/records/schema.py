@@ -19,6 +19,18 @@ MAX_ID = 200
 """Longest id [characters]: files are named after ids, with a suffix."""
 UNKNOWN = "unknown"
 """Id of a room, source or microphone without a name (ids must not be null)."""
+DEVICE_KEYS = {"source": "source_id", "mic": "mic_id"}
+
+
+def device_name(row: Mapping[str, Any], scope: str) -> str:
+    """Return the name of the source or microphone (`DEVICE_KEYS`) of a row.
+
+    Devices without a name are one within a corpus, and others in another one.
+    """
+    name = str(row[DEVICE_KEYS[scope]])
+    return f"{UNKNOWN} of {row['corpus']}" if name == UNKNOWN and row.get("corpus") else name
+
+
 LARGEST = 1e9
 """Largest absolute value of a number: no length, time or level of a room comes near it."""
 
