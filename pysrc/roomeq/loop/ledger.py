@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from scipy import stats
 
 from roomeq.core.arrays import FloatArray
 from roomeq.core.files import read_json
@@ -50,7 +51,7 @@ def undetected_entry(candidate: Candidate, detectable_jnd: float | None) -> dict
 
 
 def iteration_entry(winner: Candidate, rivals: list[Candidate], ranking: list[Candidate], session: Session,
-                    before: HeldOutErrors, after: HeldOutErrors, p: dict[str, float]) -> dict:
+                    before: HeldOutErrors, after: HeldOutErrors, p: dict[str, float], joint_p: float) -> dict:
     """Return the entry of an accepted effect.
 
     Parameters
@@ -65,13 +66,15 @@ def iteration_entry(winner: Candidate, rivals: list[Candidate], ranking: list[Ca
     p : dict
         p value of the error of the touched features being lower, by split (`roomeq.loop.selection.p_lower`). The
         entry's errors, of all features, are those of the split with the lowest p.
+    joint_p : float
+        p value of both, by Fisher's method.
     """
     split = min(p, key=lambda name: (p[name], name))
     entry = dict(
         effect=winner.effect.NAME, scope=winner.effect.SCOPE, size_jnd=winner.size_jnd,
         parameters=_parameter_intervals(session, winner.effect), scored_on=split,
         heldout_error_before=before.mean(split), heldout_error_after=after.mean(split),
-        heldout_error_ci=after.interval(split), p=p[split],
+        heldout_error_ci=after.interval(split), fall_ci=before.fall_interval(after, split), p=joint_p, p_by_split=p,
         by_metric={"before": before.by_metric(split), "after": after.by_metric(split)},
         by_band={"before": before.by_band(split), "after": after.by_band(split)},
         ranking=[ranking_entry(candidate) for candidate in ranking])
@@ -81,11 +84,11 @@ def iteration_entry(winner: Candidate, rivals: list[Candidate], ranking: list[Ca
     return entry
 
 
-def update_errors(entry: dict, errors: HeldOutErrors, eliminated: list[str]) -> None:
+def update_errors(entry: dict, before: HeldOutErrors, errors: HeldOutErrors, eliminated: list[str]) -> None:
     """Enter the effects that the effect of an iteration made superfluous, and the held-out errors without them."""
     split = entry["scored_on"]
     entry |= dict(eliminated=eliminated, heldout_error_after=errors.mean(split),
-                  heldout_error_ci=errors.interval(split),
+                  heldout_error_ci=errors.interval(split), fall_ci=before.fall_interval(errors, split),
                   by_metric={**entry["by_metric"], "after": errors.by_metric(split)},
                   by_band={**entry["by_band"], "after": errors.by_band(split)})
 
@@ -110,8 +113,8 @@ def _parameter_intervals(session: Session, effect: type[Effect]) -> dict:
         return entry
     held_out = np.array([index.vectors(room.mean, session.fit.local)[k]
                          for room in leave_rooms_out(session.data, session.fit)])
-    half = 1.96 * np.sqrt((len(held_out) - 1) / len(held_out)
-                          * np.sum((held_out - held_out.mean(axis=0)) ** 2, axis=0))
+    half = stats.t.ppf(0.975, len(held_out) - 1) * np.sqrt(
+        (len(held_out) - 1) / len(held_out) * np.sum((held_out - held_out.mean(axis=0)) ** 2, axis=0))
     for unit, low, high in zip(entry.values(), best - half, best + half, strict=True):
         unit |= {"low": _parameters_of(effect, low), "high": _parameters_of(effect, high)}
     return entry

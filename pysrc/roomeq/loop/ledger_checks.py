@@ -14,7 +14,7 @@ from roomeq.loop.features import LARGEST, METRIC, REGION
 from roomeq.loop.selection import SPLITS
 from roomeq.loop.usable import LeftOut
 
-LEDGER_FORMAT = 3
+LEDGER_FORMAT = 4
 _VARIES = ("nothing", "room", "source", "mic")
 
 
@@ -120,7 +120,11 @@ def _candidate(value: Any, where: str) -> None:
     _effect(value["effect"], f"{where}.effect")
     _number(value["gain"], f"{where}.gain")
     _interval(value["ci"], f"{where}.ci")
+    _interval(value["fall_ci"], f"{where}.fall_ci", value["heldout_error_before"] - value["heldout_error_after"])
     _number(value["p"], f"{where}.p", 0.0, 1.0)
+    _keys(value["p_by_split"], f"{where}.p_by_split", SPLITS)
+    for split in SPLITS:
+        _number(value["p_by_split"][split], f"{where}.p_by_split.{split}", 0.0, 1.0)
     _number(value["size_jnd"], f"{where}.size_jnd", 0.0)
 
 
@@ -134,7 +138,8 @@ def _undetected(value: Any, where: str) -> None:
 
 def _iteration(value: Any, where: str) -> None:
     _keys(value, where, ("effect", "scope", "size_jnd", "parameters", "scored_on", "heldout_error_before",
-                        "heldout_error_after", "heldout_error_ci", "p", "by_metric", "by_band", "ranking"))
+                        "heldout_error_after", "heldout_error_ci", "fall_ci", "p", "p_by_split",
+                        "by_metric", "by_band", "ranking"))
     _effect(value["effect"], f"{where}.effect")
     scope = CATALOGUE[value["effect"]].SCOPE
     _require(value["scope"] == scope, f"{where}.scope={value['scope']!r:.60}", f"be {scope!r}")
@@ -143,7 +148,11 @@ def _iteration(value: Any, where: str) -> None:
     for key in ("heldout_error_before", "heldout_error_after"):
         _number(value[key], f"{where}.{key}", 0.0, LARGEST)
     _interval(value["heldout_error_ci"], f"{where}.heldout_error_ci", value["heldout_error_after"])
+    _interval(value["fall_ci"], f"{where}.fall_ci", value["heldout_error_before"] - value["heldout_error_after"])
     _number(value["p"], f"{where}.p", 0.0, 1.0)
+    _keys(value["p_by_split"], f"{where}.p_by_split", SPLITS)
+    for split in SPLITS:
+        _number(value["p_by_split"][split], f"{where}.p_by_split.{split}", 0.0, 1.0)
     _number(value["size_jnd"], f"{where}.size_jnd", 0.0)
     _parameters(value["parameters"], CATALOGUE[value["effect"]], f"{where}.parameters")
     for key in ("by_metric", "by_band"):

@@ -108,21 +108,32 @@ class HeldOutErrors:
 
     def interval(self, split: str) -> list[float] | None:
         """Confidence interval of 95 % of the mean over rooms (t); None for a single room."""
-        rooms = self.of_rooms(split)
-        if len(rooms) < 2:
-            return None
-        half = stats.t.ppf(0.975, len(rooms) - 1) * rooms.std(ddof=1) / np.sqrt(len(rooms))
-        return [float(rooms.mean() - half), float(rooms.mean() + half)]
+        return _interval_of_mean(self.of_rooms(split))
+
+    def fall_interval(self, after: "HeldOutErrors", split: str) -> list[float] | None:
+        """Confidence interval of 95 % of the mean fall from these errors to later ones, paired over rooms (t)."""
+        return _interval_of_mean(self.of_rooms(split) - after.of_rooms(split))
 
     def by_metric(self, split: str) -> dict[str, float]:
-        """Mean error of each metric [JND]."""
-        return {metric: float(np.nanmean(self.by_split[split][:, METRIC == metric])) for metric in _METRICS
-                if np.isfinite(self.by_split[split][:, METRIC == metric]).any()}
+        """Mean error of each metric, rooms with the same weight [JND]."""
+        means = {metric: self._mean_in(split, METRIC == metric) for metric in _METRICS}
+        return {metric: mean for metric, mean in means.items() if mean is not None}
 
     def by_band(self, split: str) -> list[float | None]:
-        """Mean error of each octave band, None where nothing was measured [JND]."""
-        bands = [self.by_split[split][:, BAND_OF_FEATURE == band] for band in range(8)]
-        return [float(np.nanmean(errors)) if np.isfinite(errors).any() else None for errors in bands]
+        """Mean error of each octave band, rooms with the same weight, None where nothing was measured [JND]."""
+        return [self._mean_in(split, BAND_OF_FEATURE == band) for band in range(8)]
+
+    def _mean_in(self, split: str, features: BoolArray) -> float | None:
+        of_rooms = [self.by_split[split][self.room == r][:, features] for r in self._scored(split)]
+        means = [np.nanmean(errors) for errors in of_rooms if np.isfinite(errors).any()]
+        return float(np.mean(means)) if means else None
+
+
+def _interval_of_mean(values: FloatArray) -> list[float] | None:
+    if len(values) < 2:
+        return None
+    half = stats.t.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
+    return [float(values.mean() - half), float(values.mean() + half)]
 
 
 def _mean_over_metrics(errors: FloatArray) -> float:

@@ -1,22 +1,26 @@
 """Decisions of the loop: predicted features, steps of a fit, tests of an effect, and what replaces a rejected one."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from roomeq.core.constants import BANDS_HZ
+from roomeq.effects.model import Extension
 from roomeq.effects.noise_floor import NoiseFloor
 from roomeq.effects.room_eq import RoomEq
 from roomeq.effects.sound_speed import SoundSpeed
+from roomeq.effects.source_response import SourceResponse
 from roomeq.loop import close
-from roomeq.loop.features import JND, LATE_S, N_FEATURES, feature_slice
+from roomeq.loop.features import JND, LATE_S, METRIC, N_FEATURES, feature_slice
 from roomeq.loop.fit import SharedPrior, _best_shape, shortened_step, solve_step
-from roomeq.loop.likelihood import NormalEquations
+from roomeq.loop.likelihood import NormalEquations, scatter
 from roomeq.loop.predict import base_state, predict
 from roomeq.loop.selection import SPLITS, Candidate, HeldOutErrors, p_lower
 from roomeq.loop.tables import FRAME_EDGES_S, Table
 from roomeq.loop.unexplained import find_unexplained
+from roomeq.records.schema import device_name
 
 
 @pytest.mark.parametrize("to, expected", [(1.0, 1.0), (3.0, 1.5), (9.0, 1.8), (-1.0, 0.0)])
@@ -223,3 +227,38 @@ def test_evidence_of_both_splits_counts_together(monkeypatch, effect, p, added):
         ) < 1.9 else 1.0 - values[split])
     ranking = [Candidate(effect, effect, 20.0 + np.arange(8), 2.0)]
     assert (accepted(ranking, {effect: 0.3}, monkeypatch) is not None) == added
+
+
+def test_room_that_is_far_off_keeps_its_scatter():
+    """A room 22 dB off scatters as much as before; the scatter had seemed to be 0, which rewarded the offset."""
+    rng = np.random.default_rng(0)
+    room = np.repeat(np.arange(4), (130, 10, 10, 10))
+    residual = rng.standard_normal((len(room), N_FEATURES)) * 3.0
+    data = SimpleNamespace(room=room, room_names=["a", "b", "c", "d"])
+    valid = np.ones_like(residual, dtype=bool)
+    sigma, _ = scatter(data, residual, valid)
+    off, omega = scatter(data, residual + 22.0 * (room == 0)[:, None], valid)
+    np.testing.assert_allclose(off, sigma, rtol=1e-6)
+    assert np.all(omega[METRIC != "floor"] > 1.0)
+
+
+def test_unnamed_devices_of_two_corpora_are_two():
+    rows = [dict(source_id="unknown", corpus=corpus) for corpus in "ab"]
+    assert [device_name(row, "source") for row in rows] == ["unknown of a", "unknown of b"]
+    assert device_name(dict(mic_id="m1", corpus="a"), "mic") == "m1"
+    named = {"unknown of a": SourceResponse.from_vector(np.full(len(SourceResponse.SPREAD), -3.0))}
+    extension = Extension(SourceResponse, named, np.zeros(len(SourceResponse.SPREAD)),
+                          np.ones(len(SourceResponse.SPREAD)))
+    assert extension.for_row(rows[0], 0) is named["unknown of a"]
+    assert extension.for_row(rows[1], 0) is not named["unknown of a"]
+
+
+def test_errors_by_metric_and_by_band_weigh_rooms_the_same():
+    errors = np.full((5, N_FEATURES), 4.0)
+    errors[0] = 1.0  # the only RIR of its room
+    found = HeldOutErrors({split: errors for split in SPLITS}, np.array([0, 1, 1, 1, 1]), np.zeros(5, dtype=int))
+    assert set(found.by_metric(SPLITS[0]).values()) == {2.5} and set(found.by_band(SPLITS[0])) == {2.5}
+    assert found.mean(SPLITS[0]) == 2.5
+    after = replace(found, by_split={split: 0.5 * errors for split in SPLITS})
+    low, high = found.fall_interval(after, SPLITS[0])
+    assert low < 1.25 < high and (low + high) / 2.0 == pytest.approx(1.25)
