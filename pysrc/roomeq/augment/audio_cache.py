@@ -71,9 +71,11 @@ class AudioCache:
         Raises
         ------
         ValueError
-            The whole noise is silent.
+            The whole noise is silent, or in memory at a lower sample rate.
         """
         whole = noise.samples
+        if whole is not None and noise.fs_hz != self.fs_hz:
+            whole = self._get(f"noise {noise.id}", lambda: _noise_at_rate(noise, self.fs_hz))
         if whole is None:
             frames, rate = noise.length
             if rate == self.fs_hz and frames >= length and not self._keep_noises:
@@ -124,6 +126,18 @@ def at_rate(rir: ShiftedRir, fs_hz: int, wanted_hz: int) -> ShiftedRir:
                          f"simulate them with fs={wanted_hz}, or resample the audio")
     samples = soxr.resample(rir.samples, fs_hz, wanted_hz, quality="VHQ") * np.float32(fs_hz / wanted_hz)
     return ShiftedRir(samples, round(rir.shift * wanted_hz / fs_hz))
+
+
+def _noise_at_rate(noise: Noise, wanted_hz: int) -> tuple[Array, int]:
+    import soxr
+
+    if wanted_hz > noise.fs_hz:
+        raise ValueError(f"noises at {noise.fs_hz} Hz cannot serve audio at {wanted_hz} Hz, whose upper octaves they "
+                         f"lack: give noises with fs={wanted_hz}, or resample the audio")
+    samples = soxr.resample(noise.samples, noise.fs_hz, wanted_hz, quality="VHQ")
+    if not samples.any():
+        raise ValueError(f"{noise.id}: nothing of it is left at {wanted_hz} Hz: leave it out, or give a longer one")
+    return samples, samples.nbytes
 
 
 def _read_whole(path: Path, fs_hz: int) -> tuple[Array, int]:

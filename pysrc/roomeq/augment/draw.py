@@ -15,6 +15,7 @@ from pathlib import Path
 from roomeq.augment.distribution import Quantile
 from roomeq.core.arrays import Array
 from roomeq.core.audio import audio_info
+from roomeq.core.constants import FS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.corpora.suspicious import without_suspicious
 from roomeq.kaldi.wavscp import AudioLength
@@ -24,7 +25,7 @@ from roomeq.records.schema import RirRow
 
 @dataclass(frozen=True)
 class Noise:
-    """A noise recording: a file, or `samples` in memory.
+    """A noise recording: a file, or `samples` in memory at `fs_hz`.
 
     `room_id` is None if the room is unknown, `kind` is ``"ambient"`` or ``"point"``.
     """
@@ -34,6 +35,7 @@ class Noise:
     room_id: str | None
     kind: str
     samples: Array | None = None
+    fs_hz: int = FS_HZ
 
     @cached_property
     def length(self) -> AudioLength:

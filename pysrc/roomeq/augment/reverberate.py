@@ -96,7 +96,7 @@ class Reverberate:
             rows: dict[str, Any] = {name: dict(id=name, room_id="room", fs_hz=self.fs) for name in self._rirs}
             pool = Pool(rows, list(rows), {name: [] for name in rows})
         if noises is not None and not isinstance(noises, str | os.PathLike):
-            pool.ambient.extend(Noise(f"noise {n}", Path(), None, "ambient", _audible(noise, f"noise {n}"))
+            pool.ambient.extend(Noise(f"noise {n}", Path(), None, "ambient", _audible(noise, f"noise {n}"), self.fs)
                                 for n, noise in enumerate(noises))
         return pool
 
@@ -122,7 +122,8 @@ class Reverberate:
         Raises
         ------
         ValueError
-            The samples are not finite or of several channels, or the sample rate is higher than that of the RIRs.
+            The samples are not finite or of several channels, or the sample rate is higher than that of the RIRs
+            or the noises.
         """
         given = np.asarray(samples)
         clean = _one_channel(given[0] if given.ndim == 2 and len(given) == 1 else given, "samples")
@@ -160,8 +161,6 @@ class _ArrayCache(AudioCache):
     """RIRs and noises that are in memory."""
 
     def __init__(self, rirs: dict[str, ShiftedRir], pool: Pool, fs_hz: int, wanted_hz: int) -> None:
-        if wanted_hz != fs_hz and pool.ambient:
-            raise ValueError(f"noises at {fs_hz} Hz do not fit audio at {wanted_hz} Hz: resample one of them")
         super().__init__(Path(), pool, wanted_hz)
         self._rirs = {name: rir if wanted_hz == fs_hz else at_rate(rir, fs_hz, wanted_hz)
                       for name, rir in rirs.items()}

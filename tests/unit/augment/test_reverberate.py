@@ -9,6 +9,8 @@ import soundfile
 from rirmaker import coloured_rir, row, write_rir_dir
 
 import roomeq
+from roomeq.core.audio import write_wav
+from roomeq.records.rir_dir import write_rirs
 
 FS = 16000
 
@@ -123,6 +125,26 @@ def test_directory_at_another_rate_is_used_at_its_own(rir_dir):
     assert reverberate(speech(1.0, 8000), 8000, key="a").shape == (8000,)
     with pytest.raises(ValueError, match="RIRs at 16000 Hz cannot serve audio at 48000 Hz"):
         reverberate(speech(1.0, 48000), 48000)
+
+
+@pytest.mark.parametrize("of", ["arrays", "directory"])
+def test_noises_in_memory_are_resampled_to_the_rate_of_the_speech(rir_dir, of):
+    tone = np.sin(2 * np.pi * 3000 * np.arange(2 * FS) / FS).astype(np.float32)
+    reverberate = roomeq.Reverberate(rirs() if of == "arrays" else rir_dir, [tone], snr=-60, point_snr="none")
+    for fs in (8000, FS):
+        assert np.argmax(np.abs(np.fft.rfft(reverberate(speech(1.0, fs), fs)))) == pytest.approx(3000, abs=2)
+
+
+def test_noises_in_memory_at_a_lower_rate_are_refused(tmp_path):
+    write_wav(tmp_path / "r.wav", coloured_rir(0), 48000)
+    write_rirs(tmp_path, [row("r", wav="r.wav", fs_hz=48000, n_samples=len(coloured_rir(0)))])
+    with pytest.raises(ValueError, match="noises at 16000 Hz cannot serve audio at 48000 Hz.*noises with fs=48000"):
+        roomeq.Reverberate(tmp_path, [speech()])(speech(1.0, 48000), 48000)
+
+
+def test_noise_of_which_resampling_leaves_nothing_is_refused():
+    with pytest.raises(ValueError, match="noise 0: nothing of it is left at 8000 Hz"):
+        roomeq.Reverberate(rirs(fs=48000), [np.ones(1)], fs=48000)(speech(1.0, 8000), 8000)
 
 
 def test_one_channel_keeps_its_shape_and_several_are_refused():
