@@ -135,6 +135,8 @@ def audio_digest(paths: Iterable[Path], root: Path | None = None) -> str:
 def audio_elsewhere(directory: Path, out: Path | None = None) -> dict[str, tuple[Path, str | None]]:
     """Return path and content hash of the audio files that a directory's tables name and that lie elsewhere, by name.
 
+    Hidden files, which `files_below` leaves out, count as elsewhere.
+
     The reader of a table reports lines that are wrong. A file that is absent has the hash None.
 
     Parameters
@@ -152,8 +154,8 @@ def audio_elsewhere(directory: Path, out: Path | None = None) -> dict[str, tuple
     with contextlib.suppress(OSError, ValueError):
         names = {name for entry in _entries(directory) for name in names_in_entry(entry)}
         found |= {name: Path(name) for name in sorted(names) if quick_look(Path(name))}
-    own = tuple(f"{os.path.realpath(folder)}/" for folder in (directory, out or directory))
-    found = {name: path for name, path in found.items() if not str(physical(path)).startswith(own)}
+    own = [os.path.realpath(folder) for folder in (directory, out or directory)]
+    found = {name: path for name, path in found.items() if not any(_is_among_files_below(path, one) for one in own)}
     listed = hashlib.sha256("\n".join(map(str, found.values())).encode(errors="surrogateescape")).hexdigest()
     hashes = hashes_of_input(listed, found.values())
     return {name: (path, content_hash) for (name, path), content_hash in zip(found.items(), hashes, strict=True)}
@@ -197,6 +199,12 @@ def files_below(directory: Path) -> list[Path]:
         paths = (Path(folder) / name for name in sorted(names) if not name.startswith("."))
         files += [path for path in paths if path.is_file()]
     return files
+
+
+def _is_among_files_below(path: Path, directory: str) -> bool:
+    """Tell whether `files_below` returns a file of a directory, given by its physical path; the file may be absent."""
+    inside = str(physical(path))
+    return inside.startswith(f"{directory}/") and "/." not in inside[len(directory):]
 
 
 @cache

@@ -165,6 +165,17 @@ def test_listed_audio_is_hashed_alike_wherever_its_folder_lies(tmp_path):
     assert here == there and audio_digest(listed[:1]) != audio_digest(listed[1:])
 
 
+@pytest.mark.parametrize("name", [".audio/u1.wav", "audio/.u1.wav", "audio/u1.wav"])
+@pytest.mark.parametrize("table, line", [("wav.scp", "u1 {}"), ("rirs.jsonl", '{{"wav": "{}"}}')])
+def test_hidden_audio_of_an_input_is_in_its_digest(tmp_path, name, table, line):
+    write_text(tmp_path / "in" / table, line.format(tmp_path / "in" / name) + "\n")
+    write_text(tmp_path / "in" / name, "1")
+    before = digest(tmp_path / "in")
+    assert digest(tmp_path / "in") == before
+    write_text(tmp_path / "in" / name, "2")
+    assert digest(tmp_path / "in") != before
+
+
 def test_damaged_stamp_is_refused(tmp_path):
     make_squares(tmp_path / "in", numbers=(1, 2))
     content = (tmp_path / "in" / DONE_FILE).read_text()
