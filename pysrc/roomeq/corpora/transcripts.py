@@ -18,8 +18,8 @@ def list_transcripts(path: Path) -> dict[str, list[Utterance]]:
     Raises
     ------
     ValueError
-        See `roomeq.corpora.table.read_table`; also a missing transcript, or two speakers whose names have the same
-        id. The message names file and line.
+        See `roomeq.corpora.table.read_table`; also a missing transcript, two speakers whose names have the same
+        id, or a row without a set where others have one. The message names file and line.
     """
     columns, rows = read_table(path)
     text_column = next((name for name in _TEXT_COLUMNS if name in columns), None)
@@ -32,6 +32,8 @@ def list_transcripts(path: Path) -> dict[str, list[Utterance]]:
             sets.setdefault(cells.get("set", ""), []).append(_utterance(path, cells, text_column, where, ids))
         except ValueError as error:
             raise ValueError(f"{where}: {error}: correct the row") from None
+    if len(sets) > 1 and "" in sets:
+        raise ValueError(f"{sets[''][0].where}: set='' must be a name, as in other rows: fill it in, or remove the row")
     return sets
 
 

@@ -128,6 +128,14 @@ def test_manifest_with_sets_and_genders(tmp_path):
     assert lines(train / "spk2gender") == ["a m"] and lines(dev / "utt2spk") == ["b-b b"]
 
 
+@pytest.mark.parametrize("ending", [",", ", ", ""])
+def test_manifest_row_without_a_set_is_refused_where_others_have_one(tmp_path, ending):
+    rows = [f"{part}.flac,{part},{part},HI,{part}" for part in ("train", "dev", "test")]
+    source = put_manifest(tmp_path / "speech", [*rows, f"d.flac,d,d,HI{ending}"], "file,utt_id,speaker,transcript,set")
+    with pytest.raises(ValueError, match=r"manifest\.csv:5: set='' must be a name, as in other rows: fill it in"):
+        prepare_speech(source, tmp_path / "data")
+
+
 def test_utterances_sort_like_their_speakers(tmp_path):
     # '+' sorts before the '-' that joins speaker and utterance: either of them in a speaker's name breaks Kaldi's order
     rows = ["1.flac,x,a,HI", "2.flac,x,a+b,HI", "3.flac,a-z,a-c,HI", "4.flac,d-1,d,HI", "5.flac,e-1,e,HI"]
