@@ -313,6 +313,18 @@ def test_bad_audio_is_named_and_the_old_output_kept(tmp_path, inputs):
         assert bytes_of(tmp_path / "out") == before
 
 
+def test_order_that_the_suffix_of_copies_breaks_is_refused_before_audio_is_made(tmp_path, inputs, monkeypatch):
+    clean = speech_dir(tmp_path / "talks", {"talk": 8000, "talk-2": 8000})
+    for name in ("utt2spk", "spk2utt"):
+        (clean / name).write_text("talk talk\ntalk-2 talk-2\n")
+    (clean / "spk2gender").unlink(missing_ok=True)
+    augment(clean, inputs[1], tmp_path / "one")
+    monkeypatch.setattr(far_field, "_make_recording", lambda *_: pytest.fail("audio was made"))
+    with pytest.raises(ValueError, match="copies=2: with the suffix -rvbN, utterance 'talk-2' of 'talk-2' sorts before "
+                                         "'talk' of 'talk'.* rename utterance 'talk' so that no other id begins"):
+        augment(clean, inputs[1], tmp_path / "out", copies=2)
+
+
 @pytest.mark.parametrize("change, message", [
     (lambda d: write_flac(d / "wav/hum-room0.flac", np.zeros(2 * FS)), "noise hum-room0 is silent"),
     (lambda d: (d / "wav/hum-room0.flac").unlink(), "hum-room0.flac: no such audio file"),

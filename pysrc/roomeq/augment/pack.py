@@ -4,7 +4,7 @@ import hashlib
 import io
 import re
 from collections.abc import Iterable, Iterator
-from itertools import groupby
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -53,6 +53,11 @@ def plan_recordings(data: DataDir, copies: int, *, pipes: bool = False) -> dict[
     -------
     plan : dict
         Utterances by recording id. Over all recordings in turn, the new ids are sorted by byte value.
+
+    Raises
+    ------
+    ValueError
+        The new ids clash, or do not sort like their speakers; or the audio of an utterance cannot be read.
     """
     outputs = [PlannedUtterance(f"{utterance_id}-rvb{copy}" if copies > 1 else utterance_id, utterance,
                                 data.recordings[utterance.recording], data.utt2dur.get(utterance_id))
@@ -60,6 +65,12 @@ def plan_recordings(data: DataDir, copies: int, *, pipes: bool = False) -> dict[
     outputs.sort(key=lambda planned: planned.id)
     if len({planned.id for planned in outputs}) < len(outputs):
         raise ValueError(f"{data.path}: ids with and without -rvb1 clash: use copies=1, or rename the utterances")
+    for before, planned in pairwise(outputs):
+        if planned.clean.speaker < before.clean.speaker:
+            raise ValueError(f"{data.path}: copies={copies}: with the suffix -rvbN, utterance {before.clean.id!r} of "
+                             f"{before.clean.speaker!r} sorts before {planned.clean.id!r} of "
+                             f"{planned.clean.speaker!r}, and ids must sort like speakers: use copies=1, or rename "
+                             f"utterance {planned.clean.id!r} so that no other id begins with it")
 
     def chapter_and_speaker(planned: PlannedUtterance) -> tuple[str, str]:
         if data.segmented:
