@@ -313,6 +313,17 @@ def test_bad_audio_is_named_and_the_old_output_kept(tmp_path, inputs):
         assert bytes_of(tmp_path / "out") == before
 
 
+def test_speech_that_16_bits_cannot_hold_is_refused(tmp_path, inputs):
+    clean, rirs = inputs
+    (clean / "wav/b-1-0001.flac").unlink()
+    write_wav(tmp_path / "quiet.wav", 3e-6 * np.random.default_rng(0).standard_normal(LENGTHS["b-1-0001"]))
+    scp = clean / "wav.scp"
+    scp.write_text("".join(f"b-1-0001 {tmp_path}/quiet.wav\n" if line.startswith("b-1-0001 ") else line
+                           for line in scp.read_text().splitlines(keepends=True)))
+    with pytest.raises(ValueError, match="utterance b-1-0001: peak .*e-05 of .* rounds to 0 in 16 bits: raise"):
+        augment(clean, rirs, tmp_path / "out", snr_db="none")
+
+
 def test_order_that_the_suffix_of_copies_breaks_is_refused_before_audio_is_made(tmp_path, inputs, monkeypatch):
     clean = speech_dir(tmp_path / "talks", {"talk": 8000, "talk-2": 8000})
     for name in ("utt2spk", "spk2utt"):

@@ -132,7 +132,12 @@ def _make_recording(config: AugmentConfig, work: Path, name: str, utterances: li
         recording = RecordingFile(members[0].clean.speaker, recording_id)
         for planned in members:
             mixed, row = augmenter.augment(planned)
-            start = recording.append(np.rint(mixed.samples * 32768).astype(np.int16))
+            samples = np.rint(mixed.samples * 32768).astype(np.int16)
+            if not samples.any():
+                raise ValueError(f"{config.data_dir}: utterance {planned.clean.id}: peak "
+                                 f"{np.abs(mixed.samples).max():.2g} of its far-field speech rounds to 0 in 16 bits: "
+                                 "raise the level of its audio, or leave it out of the data directory")
+            start = recording.append(samples)
             rows.append(row | dict(recording=recording_id, start=start))
         files.append(recording.save(work))
     write_jsonl(work / ROWS_FOLDER / f"{file_name(name)}.jsonl", rows)
