@@ -302,6 +302,6 @@ def validate_noises(directory: Path) -> int:
         if info.samplerate != rate_hz or (stated_s is not None and abs(info.frames / rate_hz - stated_s) > 1e-3):
             raise ValueError(f"{path}: {info.frames / info.samplerate:g} s at {info.samplerate} Hz do not fit row "
                              f"{noise['id']} ({stated_s} s at {rate_hz} Hz): make it again")
-        if not read_audio(path, channel=0, dtype="float32").any():
+        if not read_audio(path, dtype="float32").any():
             raise ValueError(f"{path}: noise {noise['id']} is silent (all samples 0): leave it out")
     return len(noises)

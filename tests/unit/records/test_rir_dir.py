@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 
 from roomeq.core.audio import write_wav
-from roomeq.records.rir_dir import load_rir, read_rirs, relocated, validate_rirs, write_rirs
+from roomeq.records.rir_dir import (
+    load_rir,
+    read_rirs,
+    relocated,
+    validate_noises,
+    validate_rirs,
+    write_noises,
+    write_rirs,
+)
 
 RIR = np.r_[np.zeros(20), 0.03, -0.02, 0.001 * np.ones(600)]
 
@@ -84,6 +92,13 @@ def test_missing_audio_of_a_short_row_names_line_and_file(tmp_path):
     (tmp_path / "wav" / "b.wav").unlink()
     with pytest.raises(ValueError, match=r"rirs\.jsonl:2: .*wav/b\.wav: no such audio file: check the path"):
         read_rirs(tmp_path)
+
+
+def test_noise_of_several_channels_is_refused_as_by_augment(tmp_path):
+    write_wav(tmp_path / "n.wav", np.ones((1000, 2)))
+    write_noises(tmp_path, [dict(id="n", wav="n.wav", kind="ambient")])
+    with pytest.raises(ValueError, match=r"n\.wav: 2 channels where one is expected: choose one, or split the file"):
+        validate_noises(tmp_path)
 
 
 def test_numpy_numbers_are_written_as_plain_ones(tmp_path):
