@@ -12,7 +12,7 @@ from typing import Any
 
 from roomeq.core.build import Build
 from roomeq.core.files import hash_file
-from roomeq.records.geometry import position_key
+from roomeq.records.geometry import is_known, position_key
 from roomeq.records.rir_dir import read_noises, read_rirs, relocated, rir_path, write_noises, write_rirs
 from roomeq.records.schema import NoiseRow, RirRow
 
@@ -31,8 +31,8 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
                test_rirs: Path | None = None) -> dict[str, int]:
     """Split an RIR directory into ``<out_prefix>.train``, ``.dev`` and ``.test``.
 
-    Repeats of one source and microphone position stay together. RIRs beyond the sum of `sizes` are left over; if there
-    are fewer, the proportion is kept. Noises are split in the same proportion.
+    Repeats of one source and microphone position stay together, also where heights are unknown. RIRs beyond the sum of
+    `sizes` are left over; if there are fewer, the proportion is kept. Noises are split in the same proportion.
 
     Parameters
     ----------
@@ -163,23 +163,43 @@ def _shares(sizes: Sequence[int], n: int) -> list[int]:
     return shares
 
 
-def _measurement_key(row: RirRow) -> str:
-    """Return what the recordings of one measurement share: positions or, if unknown, the file name without channel."""
+def _measurement_keys(row: RirRow) -> list[str]:
+    """Return what recordings of one measurement share: positions or, if one is not wholly known, also the file name.
+
+    The file name is without its channel.
+    """
     position = position_key(row)
-    if position is not None:
-        return repr(position)
+    if position is not None and is_known(row.get("source_pos_m")) and is_known(row.get("mic_pos_m")):
+        return [position]
     stem = re.sub(r"[._-](ch\d+|[LR])$", "", Path(row["wav"]).stem)
-    return repr((row["room_id"], row["source_id"], row.get("source_pos_m"), row.get("mic_pos_m"), stem))
+    by_name = repr((row["room_id"], row["source_id"], row.get("source_pos_m"), row.get("mic_pos_m"), stem))
+    return [by_name] if position is None else [position, by_name]
+
+
+def _measurements(rows: Sequence[RirRow]) -> list[list[str]]:
+    """Return the ids of each measurement: of rows that share a key, directly or through other rows."""
+    parent: dict[str, str] = {}
+
+    def root(key: str) -> str:
+        while parent.setdefault(key, key) != key:
+            key = parent[key]
+        return key
+
+    keys_of = {row["id"]: _measurement_keys(row) for row in rows}
+    for first, *others in keys_of.values():
+        for other in others:
+            parent[root(other)] = root(first)
+    groups: dict[str, list[str]] = defaultdict(list)
+    for rir_id, keys in keys_of.items():
+        groups[root(keys[0])].append(rir_id)
+    return list(groups.values())
 
 
 def _by_rir(rows: Sequence[RirRow], size_of: Mapping[str, int], seed: int) -> dict[str, str]:
     """Return the split of each id; the RIRs of one measurement go to the first split with space for all of them."""
-    groups: dict[str, list[str]] = defaultdict(list)
-    for row in rows:
-        groups[_measurement_key(row)].append(row["id"])
     free = dict(zip(size_of, _shares(list(size_of.values()), len(rows)), strict=True))
     split_of: dict[str, str] = {}
-    for ids in sorted(groups.values(), key=lambda ids: _random_rank(seed, ids[0])):
+    for ids in sorted(_measurements(rows), key=lambda ids: _random_rank(seed, ids[0])):
         split = next((name for name in size_of if free[name] >= len(ids)), None)
         if split is None and len(rows) <= sum(size_of.values()):
             split = max(size_of, key=lambda name: free[name])

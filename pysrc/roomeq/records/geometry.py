@@ -21,7 +21,7 @@ class _Requirement(NamedTuple):
     """What one use of the geometry requires."""
 
     unmarked_by: tuple[str, ...]
-    known: tuple[str, ...] = ()
+    known: tuple[str, ...] = ()  # positions of which x and y are required
     consistent: bool = False
 
 
@@ -71,8 +71,8 @@ def geometry_usability(row: Mapping[str, Any], needs: Need) -> Usability:
         ``"stated distance"``
             The simulator may keep the stated distance of source and microphone: nothing contradicts the geometry.
         ``"same position"``
-            Two recordings may be recognised as of one position: the row is not marked unreliable, and all coordinates
-            of source and microphone are known.
+            Two recordings may be recognised as of one position: the row is not marked unreliable, and x and y of source
+            and microphone are known.
         ``"loop"``
             The closed loop may use the RIR: it is not binaural, the row is unmarked, nothing in it contradicts itself,
             and the three dimensions of the room and x and y of source and microphone are known. Heights of source and
@@ -87,8 +87,8 @@ def geometry_usability(row: Mapping[str, Any], needs: Need) -> Usability:
         if row.get(mark):
             return Usability(False, row[mark] if mark == "geometry_problem" else MARKED)
     for key in requirement.known:
-        if not is_known(row.get(key)):
-            return Usability(False, f"{key}={row.get(key)} has unknown coordinates")
+        if not is_known((row.get(key) or [None])[:2]):
+            return Usability(False, f"{key}={row.get(key)}: x and y must be known")
     if requirement.consistent and (problem := find_contradiction(row)):
         return Usability(False, problem.detail)
     return Usability(True)
@@ -119,7 +119,10 @@ def _unknown_of(row: Mapping[str, Any]) -> str | None:
 
 
 def position_key(row: Mapping[str, Any]) -> str | None:
-    """Return what all recordings of one source and microphone position share, or None where that is unknown."""
+    """Return what all recordings of one source and microphone position share, or None where x or y is unknown.
+
+    An unknown height is equal to another unknown height only.
+    """
     if not geometry_usability(row, needs="same position").usable:
         return None
     positions, directions = (row["source_pos_m"], row["mic_pos_m"]), (row.get("source_dir"), row.get("mic_dir"))

@@ -97,8 +97,17 @@ def test_repeats_and_uncommon_spaces_are_dropped(tmp_path):
     assert report["dropped"]["d"] == "repeat: same positions as e"
 
 
-def test_array_channels_of_one_position_are_kept(tmp_path):
-    rows, _ = run(tmp_path, [(row("ch0", **PLACES), coloured_rir(0)), (row("ch1", **PLACES), coloured_rir(1))])
+def test_repeats_with_an_unknown_height_are_dropped(tmp_path):
+    places = PLACES | dict(mic_pos_m=[4.0, 3.0, None])
+    first = coloured_rir(0)
+    _, report = run(tmp_path, [(row("a", **places), first), (row("b", **places), first + 0.01 * coloured_rir(5))])
+    assert report["dropped"] == dict(b="repeat: same positions as a")
+
+
+@pytest.mark.parametrize("height_m", [1.5, None])
+def test_array_channels_of_one_position_are_kept(tmp_path, height_m):
+    places = PLACES | dict(mic_pos_m=[4.0, 3.0, height_m])
+    rows, _ = run(tmp_path, [(row("ch0", **places), coloured_rir(0)), (row("ch1", **places), coloured_rir(1))])
     assert sorted(rows) == ["ch0", "ch1"]
 
 

@@ -70,8 +70,9 @@ def test_rooms_of_one_pattern_stay_together(tmp_path, seed):
     assert sum(sizes_of(ids)) == sum(rooms.values())
 
 
-def test_takes_of_one_position_stay_together(tmp_path):
-    items = [(row(f"p{n}-{take}", source_pos_m=[1.0, 1.0, 0.1 * n], mic_pos_m=[2.0, 2.0, 1.0]), RIR)
+@pytest.mark.parametrize("height_m", [1.0, None])
+def test_takes_of_one_position_stay_together(tmp_path, height_m):
+    items = [(row(f"p{n}-{take}", source_pos_m=[1.0, 0.1 * n, 1.5], mic_pos_m=[2.0, 2.0, height_m]), RIR)
              for n in range(12) for take in range(2)]
     ids, _ = split(tmp_path, write_rir_dir(tmp_path / "in", items))
     assert sum(sizes_of(ids)) == 24
@@ -79,8 +80,10 @@ def test_takes_of_one_position_stay_together(tmp_path):
         assert all(rir_id[:-1] + str(1 - int(rir_id[-1])) in ids[part] for rir_id in ids[part])
 
 
-def test_channels_of_one_measurement_stay_together(tmp_path):
-    items = [(row(f"p{n}_ch{take}", source_pos_m=None, mic_pos_m=None), RIR) for n in range(12) for take in range(2)]
+@pytest.mark.parametrize("position_m", [None, [2.0, 2.0, None]])
+def test_channels_of_one_measurement_stay_together(tmp_path, position_m):
+    items = [(row(f"p{n}_ch{take}", mic_id=f"m{take}", source_pos_m=position_m and [1.0, 0.1 * n, 1.5],
+                  mic_pos_m=position_m), RIR) for n in range(12) for take in range(2)]
     ids, _ = split(tmp_path, write_rir_dir(tmp_path / "in", items))
     assert sum(sizes_of(ids)) == 24
     for part in SPLITS:
