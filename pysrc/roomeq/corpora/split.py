@@ -44,7 +44,8 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
         ``"rir"`` (as in the paper: a room may be in all three sets) or ``"room"`` (each room is in one set).
     same_rooms : sequence of str
         Patterns (``*``, ``?``, ``[ ]``): all rooms that a pattern matches count as one room, for instance the states
-        of a laboratory, or the rooms of a house that open into each other. The first pattern that matches counts.
+        of a laboratory, or the rooms of a house that open into each other. The first pattern that matches counts. It
+        holds for the rooms of noises too.
     sizes : sequence of int
         Number of RIRs for training, development and test; of noises, only the proportion counts.
     seed : int
@@ -84,7 +85,8 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
         if not counts[split]:
             raise ValueError(f"{rir_dir}: {len(rows)} RIRs of {len(set(group_of.values()))} rooms leave {split} empty "
                              f"when split by {split_by}: give more RIRs, or split by 'rir'")
-    noises = _split_noises(given_noises, rows, split_of, size_of, seed, split_by, own_noises)
+    homes = _homes(given_noises, rows, group_of, split_of, same_rooms)
+    noises = _split_noises(given_noises, homes, size_of, seed, split_by, own_noises)
     # every output is checked before one of them is written
     builds = {split: Build(
         Path(f"{out_prefix}.{split}"), step="split", inputs=[rir_dir, *others.values()], refers=True, options=dict(
@@ -136,12 +138,16 @@ def _room_groups(rir_dir: Path, rows: Sequence[RirRow], split_by: str, same_room
         raise ValueError(f"same_rooms={','.join(same_rooms)} keeps rooms together that split_by={split_by!r} "
                          "splits: split by 'room'")
     rooms = sorted({row["room_id"] for row in rows})
-    group_of = {room: next((pattern for pattern in same_rooms if fnmatchcase(room, pattern)), room) for room in rooms}
+    group_of = {room: _group(room, same_rooms) for room in rooms}
     for pattern in same_rooms:
         if pattern not in group_of.values():
             raise ValueError(f"{rir_dir}: same_rooms: {pattern!r} matches no room that is not matched before: they are "
                              f"{', '.join(rooms)}")
     return group_of
+
+
+def _group(room: str, same_rooms: Sequence[str]) -> str:
+    return next((pattern for pattern in same_rooms if fnmatchcase(room, pattern)), room)
 
 
 def _random_rank(seed: int, name: str) -> str:
@@ -235,32 +241,40 @@ def _by_room(rows: Sequence[RirRow], group_of: Mapping[str, str], size_of: Mappi
     return best
 
 
-def _split_noises(noises: Sequence[NoiseRow], rows: Sequence[RirRow], split_of: Mapping[str, str],
-                  size_of: Mapping[str, int], seed: int, split_by: str, own: Dealt) -> Dealt:
+def _homes(noises: Sequence[NoiseRow], rows: Sequence[RirRow], group_of: Mapping[str, str],
+           split_of: Mapping[str, str], same_rooms: Sequence[str]) -> dict[str, set[str]]:
+    """Return the splits of the RIRs of each noise's room; a room without RIRs may be in a group that has some."""
+    splits_of: dict[str, set[str]] = defaultdict(set)
+    for row in rows:
+        if row["id"] in split_of:
+            splits_of[group_of[row["room_id"]]].add(split_of[row["id"]])
+    return {noise["id"]: splits_of.get(_group(room, same_rooms), set())
+            for noise in noises if (room := noise.get("room_id"))}
+
+
+def _split_noises(noises: Sequence[NoiseRow], homes: Mapping[str, set[str]], size_of: Mapping[str, int], seed: int,
+                  split_by: str, own: Dealt) -> Dealt:
     """Return the noises of each split; each kind is dealt out by itself, so that every split gets some of it.
 
-    Splits that have noises of that kind of their `own` may get none.
+    `homes` are the splits of the RIRs of each noise's room. Splits that have noises of that kind of their `own` may get
+    none.
     """
     dealt: Dealt = {split: [] for split in size_of}
     for kind in sorted({noise["kind"] for noise in noises}):
         of_kind = [noise for noise in noises if noise["kind"] == kind]
         served = {split for split, noises in own.items() if any(noise["kind"] == kind for noise in noises)}
-        for split, share in _deal(of_kind, kind, rows, split_of, size_of, seed, split_by, served).items():
+        for split, share in _deal(of_kind, kind, homes, size_of, seed, split_by, served).items():
             dealt[split] += share
     return dealt
 
 
-def _deal(noises: Sequence[NoiseRow], kind: str, rows: Sequence[RirRow], split_of: Mapping[str, str],
-          size_of: Mapping[str, int], seed: int, split_by: str, served: set[str]) -> Dealt:
+def _deal(noises: Sequence[NoiseRow], kind: str, homes: Mapping[str, set[str]], size_of: Mapping[str, int], seed: int,
+          split_by: str, served: set[str]) -> Dealt:
     """Deal out noises of one kind: to the split of their room's RIRs, in proportion among several such splits."""
     dealt: Dealt = {split: [] for split in size_of}
-    splits_of_room: dict[str | None, set[str]] = defaultdict(set)
-    for row in rows:
-        if row["id"] in split_of:
-            splits_of_room[row["room_id"]].add(split_of[row["id"]])
     undecided: list[tuple[NoiseRow, set[str]]] = []
     for noise in sorted(noises, key=lambda noise: (str(noise.get("room_id")), _random_rank(seed, noise["id"]))):
-        splits = splits_of_room.get(noise.get("room_id"), set())
+        splits = homes.get(noise["id"], set())
         if split_by == "room" and len(splits) == 1:
             dealt[next(iter(splits))].append(noise)
         else:

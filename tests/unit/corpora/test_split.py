@@ -70,6 +70,15 @@ def test_rooms_of_one_pattern_stay_together(tmp_path, seed):
     assert sum(sizes_of(ids)) == sum(rooms.values())
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_noises_go_with_the_rooms_of_their_pattern(tmp_path, seed):
+    noises = [dict(id=f"{room}-noise{n}", room_id=room) for room in ("c", "d", "lab_hall") for n in range(6)]
+    rir_dir = make(tmp_path / "in", {"lab_a": 3, "lab_b": 3, "c": 4, "d": 6}, noises)
+    ids, dealt = split(tmp_path, rir_dir, split_by="room", same_rooms=("lab_*",), seed=seed)
+    for part in SPLITS:  # of three groups, one each
+        assert len(dealt[part]) == 6 and {name[:2] for name in dealt[part]} == {name[:2] for name in ids[part]}
+
+
 @pytest.mark.parametrize("height_m", [1.0, None])
 def test_takes_of_one_position_stay_together(tmp_path, height_m):
     items = [(row(f"p{n}-{take}", source_pos_m=[1.0, 0.1 * n, 1.5], mic_pos_m=[2.0, 2.0, height_m]), RIR)
