@@ -37,7 +37,8 @@ def write_rir_dir(directory, items, noises=()):
         rows.append(item | dict(wav=f"audio/{item['id']}.wav", fs_hz=FS_HZ, n_samples=len(rir)))
     write_rirs(directory, rows)
     for noise in noises:
-        write_wav(directory / "audio" / f"{noise['id']}.wav", 0.01 * np.ones(FS_HZ // 2))
+        rng = np.random.default_rng(list(f"{directory.name} {noise['id']}".encode()))
+        write_wav(directory / "audio" / f"{noise['id']}.wav", 0.01 * rng.standard_normal(FS_HZ // 2))
     if noises:
         write_noises(directory, [dict(kind="ambient", duration_s=0.5, fs_hz=FS_HZ, wav=f"audio/{noise['id']}.wav")
                                  | noise for noise in noises])

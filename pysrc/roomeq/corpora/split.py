@@ -10,10 +10,11 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+from roomeq.core.arrays import FloatArray
 from roomeq.core.build import Build
-from roomeq.core.files import hash_file
+from roomeq.corpora.copies import first_copy, sketch_noises, sketch_rirs
 from roomeq.records.geometry import is_known, position_key
-from roomeq.records.rir_dir import read_noises, read_rirs, relocated, rir_path, write_noises, write_rirs
+from roomeq.records.rir_dir import read_noises, read_rirs, relocated, write_noises, write_rirs
 from roomeq.records.schema import NoiseRow, RirRow
 
 logger = logging.getLogger(__name__)
@@ -24,6 +25,8 @@ N_SHUFFLES = 200
 
 Dealt = dict[str, list[NoiseRow]]
 """Noises by split."""
+Copies = list[NoiseRow]
+"""Noises that are one recording; mostly a single one."""
 
 
 def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", same_rooms: Sequence[str] = (),
@@ -32,7 +35,8 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
     """Split an RIR directory into ``<out_prefix>.train``, ``.dev`` and ``.test``.
 
     Repeats of one source and microphone position stay together, also where heights are unknown. RIRs beyond the sum of
-    `sizes` are left over; if there are fewer, the proportion is kept. Noises are split in the same proportion.
+    `sizes` are left over; if there are fewer, the proportion is kept. Noises are split in the same proportion; copies
+    of a noise stay together.
 
     Parameters
     ----------
@@ -61,7 +65,8 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
     Raises
     ------
     ValueError
-        There are too few RIRs or rooms for the sets, or an option is wrong.
+        There are too few RIRs or rooms for the sets, an option is wrong, a noise cannot be read, or two directories
+        share an RIR, a noise or an id.
     """
     rir_dir = Path(rir_dir)
     if split_by not in ("rir", "room"):
@@ -75,8 +80,11 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
     own_noises = {split: read_noises(other) for split, other in others.items()}
     _require_apart([("train", rir_dir, rows), *((split, other, own_rows[split]) for split, other in others.items())])
     given_noises = read_noises(rir_dir)
+    sketches = sketch_noises(rir_dir, given_noises)
     for split, other in others.items():
         _require_other_ids(rir_dir, given_noises, other, own_noises[split])
+    _require_no_copies("noise", [("train", rir_dir, given_noises, sketches), *(
+        (split, other, own_noises[split], sketch_noises(other, own_noises[split])) for split, other in others.items())])
     of_rirs = {split: size for split, size in size_of.items() if split not in others}
     group_of = _room_groups(rir_dir, rows, split_by, same_rooms)
     split_of = _by_room(rows, group_of, of_rirs, seed) if split_by == "room" else _by_rir(rows, of_rirs, seed)
@@ -86,7 +94,7 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
             raise ValueError(f"{rir_dir}: {len(rows)} RIRs of {len(set(group_of.values()))} rooms leave {split} empty "
                              f"when split by {split_by}: give more RIRs, or split by 'rir'")
     homes = _homes(given_noises, rows, group_of, split_of, same_rooms)
-    noises = _split_noises(given_noises, homes, size_of, seed, split_by, own_noises)
+    noises = _split_noises(_copies(rir_dir, given_noises, sketches), homes, size_of, seed, split_by, own_noises)
     # every output is checked before one of them is written
     builds = {split: Build(
         Path(f"{out_prefix}.{split}"), step="split", inputs=[rir_dir, *others.values()], refers=True, options=dict(
@@ -111,19 +119,25 @@ def _require_apart(given: Sequence[tuple[str, Path, Sequence[RirRow]]]) -> None:
     """
     if len(given) < 2:
         return
-    by_content = [{hash_file(rir_path(directory, row)): row for row in rows} for _, directory, rows in given]
-    for (first, second), (here, there) in zip(combinations(given, 2), combinations(by_content, 2), strict=True):
-        (role, directory, rows), (other_role, other, other_rows) = first, second
-        if same := here.keys() & there.keys():
-            content = min(same)
-            raise ValueError(f"{other}: RIR {there[content]['id']} is the recording of RIR {here[content]['id']} of "
-                             f"{directory}: give recordings for {other_role} that {role} does not have")
+    _require_no_copies("RIR", [(role, directory, rows, sketch_rirs(directory, rows))
+                               for role, directory, rows in given])
+    for (_, directory, rows), (_, other, other_rows) in combinations(given, 2):
         if ids := {row["id"] for row in rows} & {row["id"] for row in other_rows}:
             raise ValueError(f"{other}: RIR {min(ids)} has the id of an RIR of {directory}: word error rates are "
                              "sorted by room by these ids, rename one")
         if names := {row["room_id"] for row in rows} & {row["room_id"] for row in other_rows}:
             logger.warning("%s and %s both have rooms named %s: they count as different rooms", directory, other,
                            ", ".join(sorted(names)))
+
+
+def _require_no_copies(kind: str,
+                       given: Sequence[tuple[str, Path, Sequence[RirRow] | Sequence[NoiseRow], FloatArray]]) -> None:
+    """Refuse RIRs or noises of which another directory has a copy, given the role, rows and sketches of each."""
+    for (role, directory, rows, sketches), (other_role, other, other_rows, other_sketches) in combinations(given, 2):
+        for row, sketch in zip(other_rows, other_sketches, strict=True):
+            if (n := first_copy(sketch, sketches)) is not None:
+                raise ValueError(f"{other}: {kind} {row['id']} is the recording of {kind} {rows[n]['id']} of "
+                                 f"{directory}: give recordings for {other_role} that {role} does not have")
 
 
 def _require_other_ids(rir_dir: Path, noises: Sequence[NoiseRow], other: Path, own: Sequence[NoiseRow]) -> None:
@@ -252,7 +266,19 @@ def _homes(noises: Sequence[NoiseRow], rows: Sequence[RirRow], group_of: Mapping
             for noise in noises if (room := noise.get("room_id"))}
 
 
-def _split_noises(noises: Sequence[NoiseRow], homes: Mapping[str, set[str]], size_of: Mapping[str, int], seed: int,
+def _copies(rir_dir: Path, noises: Sequence[NoiseRow], sketches: FloatArray) -> list[Copies]:
+    """Return the noises, those together that are copies of each other."""
+    groups: dict[int | None, Copies] = defaultdict(list)
+    for noise, sketch in zip(noises, sketches, strict=True):
+        groups[first_copy(sketch, sketches)].append(noise)
+    for copies in groups.values():
+        if len(copies) > 1:
+            logger.info("%s: noises %s are one recording and stay together", rir_dir,
+                        ", ".join(noise["id"] for noise in copies))
+    return list(groups.values())
+
+
+def _split_noises(noises: Sequence[Copies], homes: Mapping[str, set[str]], size_of: Mapping[str, int], seed: int,
                   split_by: str, own: Dealt) -> Dealt:
     """Return the noises of each split; each kind is dealt out by itself, so that every split gets some of it.
 
@@ -260,34 +286,36 @@ def _split_noises(noises: Sequence[NoiseRow], homes: Mapping[str, set[str]], siz
     none.
     """
     dealt: Dealt = {split: [] for split in size_of}
-    for kind in sorted({noise["kind"] for noise in noises}):
-        of_kind = [noise for noise in noises if noise["kind"] == kind]
+    for kind in sorted({copies[0]["kind"] for copies in noises}):
+        of_kind = [copies for copies in noises if copies[0]["kind"] == kind]
         served = {split for split, noises in own.items() if any(noise["kind"] == kind for noise in noises)}
         for split, share in _deal(of_kind, kind, homes, size_of, seed, split_by, served).items():
-            dealt[split] += share
+            dealt[split] += [noise for copies in share for noise in copies]
     return dealt
 
 
-def _deal(noises: Sequence[NoiseRow], kind: str, homes: Mapping[str, set[str]], size_of: Mapping[str, int], seed: int,
-          split_by: str, served: set[str]) -> Dealt:
+def _deal(noises: Sequence[Copies], kind: str, homes: Mapping[str, set[str]], size_of: Mapping[str, int], seed: int,
+          split_by: str, served: set[str]) -> dict[str, list[Copies]]:
     """Deal out noises of one kind: to the split of their room's RIRs, in proportion among several such splits."""
-    dealt: Dealt = {split: [] for split in size_of}
-    undecided: list[tuple[NoiseRow, set[str]]] = []
-    for noise in sorted(noises, key=lambda noise: (str(noise.get("room_id")), _random_rank(seed, noise["id"]))):
-        splits = homes.get(noise["id"], set())
+    dealt: dict[str, list[Copies]] = {split: [] for split in size_of}
+    undecided: list[tuple[Copies, set[str]]] = []
+    for copies in sorted(noises, key=lambda copies: (str(copies[0].get("room_id")),
+                                                     _random_rank(seed, copies[0]["id"]))):
+        splits = {split for noise in copies for split in homes.get(noise["id"], ())}
         if split_by == "room" and len(splits) == 1:
-            dealt[next(iter(splits))].append(noise)
+            dealt[next(iter(splits))].append(copies)
         else:
-            undecided.append((noise, splits or set(size_of)))
+            undecided.append((copies, splits or set(size_of)))
     wanted = {split: size / sum(size_of.values()) * len(noises) for split, size in size_of.items()}
-    for noise, splits in undecided:
+    for copies, splits in undecided:
         # in relation to the wanted number, so that small splits are not served last
         missing = {split: (wanted[split] - len(dealt[split])) / wanted[split] for split in size_of if split in splits}
-        dealt[max(missing, key=missing.__getitem__)].append(noise)
+        dealt[max(missing, key=missing.__getitem__)].append(copies)
     return _fill_empty(dealt, kind, split_by, served)
 
 
-def _fill_empty(dealt: Dealt, kind: str, split_by: str, served: set[str]) -> Dealt:
+def _fill_empty(dealt: dict[str, list[Copies]], kind: str, split_by: str,
+                served: set[str]) -> dict[str, list[Copies]]:
     """Give every split that is not served noises: one of the split with most, or all if that has none to spare."""
     for split in dealt:
         richest = max(dealt, key=lambda name: len(dealt[name]))

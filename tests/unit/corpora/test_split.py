@@ -14,7 +14,7 @@ RIR = np.eye(1, 600, 10).ravel() + 1e-3
 def make(directory, rooms, noises=()):
     """Write an RIR directory of {room: number of RIRs}, whose recordings are in no directory of another name."""
     rng = np.random.default_rng(list(directory.name.encode()))
-    return write_rir_dir(directory, [(row(f"{room}-{n}", room), RIR + 1e-4 * rng.normal(size=len(RIR)))
+    return write_rir_dir(directory, [(row(f"{room}-{n}", room), RIR + 0.01 * rng.normal(size=len(RIR)))
                                      for room, count in rooms.items() for n in range(count)], noises)
 
 
@@ -175,6 +175,34 @@ def test_noises_of_the_same_id_are_refused(tmp_path):
     other = make(tmp_path / "other", {"c": 4}, [dict(id="n1", room_id="c")])
     with pytest.raises(ValueError, match="other: noise n1 has the id of a noise of .*in, .* rename one"):
         split_rirs(rir_dir, tmp_path / "out", seed=0, sizes=(4, 1, 1), test_rirs=other)
+
+
+@pytest.mark.parametrize("gain, subtype", [(1.0, "FLOAT"), (0.3, "PCM_24"), (0.3, "PCM_16"), (-0.1, "PCM_16")])
+@pytest.mark.parametrize("kind, old", [("RIR", "a-2"), ("noise", "n1")])
+def test_copies_in_other_formats_and_at_other_levels_are_no_test(tmp_path, kind, old, gain, subtype):
+    rir_dir = make(tmp_path / "in", {"a": 6}, [dict(id=f"n{n}", room_id=None) for n in range(3)])
+    copied, _ = soundfile.read(rir_dir / f"audio/{old}.wav")
+    if kind == "RIR":
+        other = write_rir_dir(tmp_path / "other", [(row("new", "d"), copied)])
+    else:
+        other = make(tmp_path / "other", {"d": 1}, [dict(id="new", room_id=None)])
+    soundfile.write(other / "audio/new.wav", gain / np.abs(copied).max() * copied, 16000, subtype=subtype)
+    with pytest.raises(ValueError, match=f"other: {kind} new is the recording of {kind} {old} of .*in: give "
+                                         "recordings for test that train does not have"):
+        split_rirs(rir_dir, tmp_path / "out", seed=0, sizes=(4, 1, 1), test_rirs=other)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_copies_of_a_noise_stay_together(tmp_path, seed):
+    rir_dir = make(tmp_path / "in", {"a": 9}, [dict(id=f"n{n}-{copy}", room_id=None) for n in range(6)
+                                               for copy in range(2)])
+    for n in range(6):
+        noise, _ = soundfile.read(rir_dir / f"audio/n{n}-0.wav")
+        soundfile.write(rir_dir / f"audio/n{n}-1.wav", 0.5 * noise, 16000, subtype="PCM_16")
+    _, dealt = split(tmp_path, rir_dir, seed=seed)
+    assert sum(sizes_of(dealt)) == 12 and min(sizes_of(dealt)) > 0
+    for part in SPLITS:
+        assert all(noise_id[:-1] + str(1 - int(noise_id[-1])) in dealt[part] for noise_id in dealt[part])
 
 
 def test_rooms_of_the_same_name_are_said(tmp_path, caplog):
