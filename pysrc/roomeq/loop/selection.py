@@ -326,11 +326,11 @@ class Candidate:
         """Tell whether held-out rooms are predicted better, corrected for the number of candidates.
 
         The threshold is that of a likelihood ratio, which exceeds x without an effect with a probability of at most
-        1 / x (Markov's inequality). Densities of held-out rooms are no likelihood ratio, but exceed it more rarely: with
-        one parameter and 11 candidates in 0.035 % of the cases. The room that gains most is not counted, so that no single room, whose rows may be wrong,
-        decides; what can be read off the recordings themselves may be in a single room. Rooms may gain little: rooms
-        where all distances are short say little about the speed of sound. Of an effect that all rooms share, half of
-        them must gain; a desk or a noise may be in a few rooms only.
+        1 / x (Markov's inequality). Densities of held-out rooms are no likelihood ratio, but exceed it more rarely:
+        with one parameter and 11 candidates in 0.035 % of the cases. The room that gains most is not counted, so that
+        no single room, whose rows may be wrong, decides; what can be read off the recordings themselves may be in a
+        single room. Rooms may gain little: rooms where all distances are short say little about the speed of sound. Of
+        an effect that all rooms share, half of them must gain; a desk or a noise may be in a few rooms only.
         """
         counted = self.total - (0.0 if self.effect.MEASURED else max(self.gain.max(), 0.0))
         return bool(counted > np.log(n_candidates / LEVEL) and self.size_jnd >= MIN_SIZE_JND
