@@ -120,11 +120,7 @@ def _candidate(value: Any, where: str) -> None:
     _effect(value["effect"], f"{where}.effect")
     _number(value["gain"], f"{where}.gain")
     _interval(value["ci"], f"{where}.ci")
-    _interval(value["fall_ci"], f"{where}.fall_ci", value["heldout_error_before"] - value["heldout_error_after"])
     _number(value["p"], f"{where}.p", 0.0, 1.0)
-    _keys(value["p_by_split"], f"{where}.p_by_split", SPLITS)
-    for split in SPLITS:
-        _number(value["p_by_split"][split], f"{where}.p_by_split.{split}", 0.0, 1.0)
     _number(value["size_jnd"], f"{where}.size_jnd", 0.0)
 
 
