@@ -43,6 +43,7 @@ NUM_RAYS = 40000
 neither."""
 SAME_PLACE_M = 0.15
 """Positions of a source that are closer than this are taken as one: positions are known to some centimetres."""
+_MOVED_M = 0.02  # from which on it is said that a position is moved
 LENGTHS_S = (0.4, 3.0)
 """Limits of the length to which rays are traced."""
 
@@ -235,6 +236,12 @@ def _merge_sources(recordings: list[_Recording]) -> list[_Recording]:
         for n, number in zip(members, group, strict=True):
             mean_m = tuple(float(x) for x in positions_m[group == number].mean(axis=0))
             merged[n] = recordings[n]._replace(place=replace(recordings[n].place, source_pos_m=mean_m))
+    moved_m = [float(np.linalg.norm(np.subtract(after.place.source_pos_m, before.place.source_pos_m)))
+               for before, after in zip(recordings, merged, strict=True)]
+    if max(moved_m) > _MOVED_M:
+        logger.info("the source of %d of %d RIRs is moved by up to %.0f cm: positions of a source closer than %.0f cm "
+                    "are taken as one", sum(moved > _MOVED_M for moved in moved_m), len(merged), 100.0 * max(moved_m),
+                    100.0 * SAME_PLACE_M)
     return merged
 
 
