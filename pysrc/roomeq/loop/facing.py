@@ -23,6 +23,7 @@ from roomeq.loop.path_samples import decay_range_s, draw_path_samples
 from roomeq.loop.predict import predict
 from roomeq.loop.session import Session
 from roomeq.loop.tables import ANGLES, collect
+from roomeq.records.schema import device_name
 
 _AXES = np.array([(np.cos(azimuth), np.sin(azimuth), 0.0) for azimuth in np.radians(np.arange(0.0, 360.0, 10.0))])
 """Horizontal directions that are compared."""
@@ -70,9 +71,9 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
     facings: dict[int, FloatArray] = {}
     estimates = []
     towards = _towards(data)
-    names, unit = data.units("source")
-    for u in sorted({int(unit[n]) for n in unknown}):
-        members = [int(n) for n in unknown if unit[n] == u]
+    source_of = [device_name(row, "source") for row in data.rows]
+    for source in sorted({source_of[n] for n in unknown}):
+        members = [int(n) for n in unknown if source_of[n] == source]
         by_position: dict[tuple, list[int]] = {}
         for n in members:
             by_position.setdefault(_position(data, n), []).append(n)
@@ -85,7 +86,7 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
         if max(evidence.values()) > _DECISIVE:
             hypothesis, of_source = ("fixed", fixed) if log_fixed >= log_free else ("free", free)
         angle = np.mean([np.arccos(np.clip(towards[n] @ facing, -1.0, 1.0)) for n, facing in of_source.items()])
-        estimates.append(FacingEstimate(names[u], len(members), len(by_position), hypothesis, evidence,
+        estimates.append(FacingEstimate(source, len(members), len(by_position), hypothesis, evidence,
                                         float(np.degrees(angle))))
         facings.update(of_source)
     return replace(with_facings(data, facings), facings=tuple(estimates))
@@ -129,12 +130,12 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
     direct = residual[:, used] - _colour(data, residual, BAND_OF_FEATURE[used])
     sphere = (np.gradient(-np.cos(ANGLES)) / 2.0).astype(np.float32)
     diffuse = [replace(table, angular=np.tile(sphere / sphere.sum(), (len(table.entries), 1))) for table in data.tables]
-    of_angles, (names, unit) = [], data.units("source")
+    of_angles, source_of = [], np.array([device_name(row, "source") for row in data.rows])
     for angle in _TEST_ANGLES:
         turned = replace(data, tables=[replace(table, direct_angle=float(angle)) for table in diffuse])
         state = ParameterIndex(turned, index.effects).state(absorption, vectors)
         for name, directivity in directivities.items():
-            rows = np.flatnonzero(unit == names.index(name))
+            rows = np.flatnonzero(source_of == name)
             directivity.apply_to_prediction(state, turned, rows)
         change = predict(turned, state) - plain
         # relative to the reflections, which the directivity changes as well

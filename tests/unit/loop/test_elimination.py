@@ -59,8 +59,10 @@ def test_noise_of_the_recordings_is_not_superfluous(monkeypatch):
 def test_eliminated_effects_are_not_among_the_added_ones():
     entries = [dict(effect="source_response", scored_on=SPLITS[0]), dict(effect="source_directivity",
                scored_on=SPLITS[0], by_metric=dict(before={}, after={}), by_band=dict(before=[], after=[]))]
-    update_errors(entries[1], errors(1.5), ["source_response"])
+    update_errors(entries[1], errors(2.0, seed=1), errors(1.5), ["source_response"])
     assert [entry["effect"] for entry in added_effects(dict(iterations=entries))] == ["source_directivity"]
     assert entries[1]["heldout_error_after"] == pytest.approx(1.5, abs=0.1)
     low, high = entries[1]["heldout_error_ci"]
     assert low < entries[1]["heldout_error_after"] < high
+    low, high = entries[1]["fall_ci"]
+    assert 0.3 < low < 0.5 < high < 0.7
