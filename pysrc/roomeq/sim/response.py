@@ -34,7 +34,7 @@ from roomeq.sim.scene import Scene, check_positions, eyring_time_s
 from roomeq.sim.target import (
     STRAIGHT,
     TOLERANCE,
-    Measured,
+    Trial,
     bracketed,
     closest,
     decays_straight,
@@ -259,20 +259,21 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
         return t30_of_echogram(n_alike @ energy[:, :, 0])
 
     exponent, aim_s = guess, target_s
-    rendered: list[Measured] = []
-    best: Measured | None = None
+    rendered: list[Trial] = []
+    best: Trial | None = None
     for _ in range(_MAX_RENDERINGS):
         if bracketed(rendered, target_s):  # the prediction is not smooth there, or it would have met the target
             exponent = next_exponent(rendered, target_s)
         else:
-            exponent, predicted_s = solve_exponent(predict, aim_s, exponent)
-            if predicted_s is None:
+            predicted = solve_exponent(predict, aim_s, exponent)
+            if predicted is None:
                 break
+            exponent = predicted.exponent
         made = render(exponent)
         time_s = _mean_t30_s(made)
         if time_s is None:
             break
-        rendered.append(Measured(exponent, time_s))
+        rendered.append(Trial(exponent, time_s))
         best = closest(rendered, target_s)
         if best is rendered[-1]:
             responses = made

@@ -20,13 +20,6 @@ _EXPONENT_RANGE = (1e-3, 1e3)
 
 
 class Trial(NamedTuple):
-    """An exponent, and the reverberation time [s] measured with it; None if the decay is too long to measure."""
-
-    exponent: float
-    time_s: float | None
-
-
-class Measured(NamedTuple):
     """An exponent, and the reverberation time that was measured with it [s]."""
 
     exponent: float
@@ -57,7 +50,7 @@ def decays_straight(t20_s: float | None, t30_s: float | None) -> bool:
     return t20_s is not None and t30_s is not None and abs(t20_s / t30_s - 1.0) < STRAIGHT
 
 
-def solve_exponent(measure: Callable[[float], float | None], target_s: float, guess: float = 1.0) -> Trial:
+def solve_exponent(measure: Callable[[float], float | None], target_s: float, guess: float = 1.0) -> Trial | None:
     """Find the exponent with which a measured reverberation time meets the target.
 
     Parameters
@@ -70,37 +63,36 @@ def solve_exponent(measure: Callable[[float], float | None], target_s: float, gu
 
     Returns
     -------
-    Trial
-        The closest one; the caller decides whether it is close enough.
+    Trial or None
+        The closest one; the caller decides whether it is close enough. None if no time could be measured.
     """
-    trials: list[Measured] = []
+    trials: list[Trial] = []
     exponent = guess
     for _ in range(_MAX_TRIALS):
         time_s = measure(exponent)
         if time_s is None:  # too long to measure: absorb more
             exponent *= 2.0
         else:
-            trials.append(Measured(exponent, time_s))
+            trials.append(Trial(exponent, time_s))
             if abs(time_s / target_s - 1.0) < _AIM:
                 break
             exponent = next_exponent(trials, target_s)
         if not _EXPONENT_RANGE[0] <= exponent <= _EXPONENT_RANGE[1]:
             break
-    best = closest(trials, target_s)
-    return Trial(guess, None) if best is None else Trial(*best)
+    return closest(trials, target_s)
 
 
-def closest(trials: list[Measured], target_s: float) -> Measured | None:
+def closest(trials: list[Trial], target_s: float) -> Trial | None:
     """Return the trial whose time is closest to the target, the first of several; None if there is none."""
     return min(trials, key=lambda trial: abs(np.log(trial.time_s / target_s)), default=None)
 
 
-def bracketed(trials: list[Measured], target_s: float) -> bool:
+def bracketed(trials: list[Trial], target_s: float) -> bool:
     """Tell whether some times are longer than the target and others are not."""
     return len({trial.time_s > target_s for trial in trials}) == 2
 
 
-def next_exponent(trials: list[Measured], target_s: float) -> float:
+def next_exponent(trials: list[Trial], target_s: float) -> float:
     """Take a secant step in log-log, kept inside the known bracket."""
     known = sorted((np.log(x), np.log(t / target_s)) for x, t in trials)
     above = [point for point in known if point[1] > 0.0]  # longer than the target
