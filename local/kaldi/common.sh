@@ -36,7 +36,8 @@ once() {
   }
   [ "$(cat "$mark" 2>/dev/null)" != "$key" ] || return 0 # the other run has done it
   rm -f "$mark"
-  [ -z "${outputs:-}" ] || find "$workspace" -path "$workspace/$outputs" -delete
+  # shellcheck disable=SC2086 # a pattern
+  [ -z "${outputs:-}" ] || rm -f "$workspace"/$outputs
   mkdir -p "$(dirname "$log")" "$(dirname "$mark")"
   printf '%s kaldi: %s\n' "$(date +%H:%M:%S)" "$name"
   (cd "$workspace" && . ./path.sh && "$@") >"$log" 2>&1 </dev/null ||
