@@ -304,9 +304,9 @@ def main() -> None:
     if READERS[given.page] is word_errors and not (given.file / "wer").is_dir():
         sys.exit(f"{given.file}: has no wer: give the directory that tests/bench/wer.sh made")
     machine = result.get("machine", kit.machine()) if isinstance(result, dict) else kit.machine()
-    # seeds may be of several machines, and this may be another one
-    machine = {key: value for key, value in machine.items() if key in ("cpu", "cores", "python")
-               and READERS[given.page] is not word_errors}
+    if READERS[given.page] is word_errors:
+        machine = {}  # seeds may be of several machines, and this may be another one
+    machine = {key: value for key, value in machine.items() if key in ("cpu", "cores", "python")}
     content = dict(summary=f"{SUMMARY[given.page]} {given.note}".strip(), command=COMMAND[given.page], commit=commit,
                    date=given.date, machine=machine, tables=READERS[given.page](result))
     out = PROJECT / "docs/results" / f"{given.page}.json"
