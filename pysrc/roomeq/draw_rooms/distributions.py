@@ -4,6 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from roomeq.core.constants import is_number
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -71,4 +73,4 @@ def parse_distribution(value: Any, low: float, high: float) -> Distribution:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
+    return is_number(value) and abs(value) <= LARGEST
