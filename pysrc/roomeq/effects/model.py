@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import FloatArray
+from roomeq.core.constants import is_number
 from roomeq.core.files import read_json, write_json
 from roomeq.core.rng import rng_for
 from roomeq.effects.base import Effect, Rendering
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.source_directivity import unit_facing
-from roomeq.records.schema import DEVICE_KEYS, device_name
+from roomeq.records.schema import unit_name
 from roomeq.sim.scene import Scene, eyring_time_s
 
 MODEL_FILE = "model.json"
@@ -56,9 +57,7 @@ class Extension:
 
     def for_row(self, row: Mapping[str, Any], seed: int) -> Effect:
         """Return the effect with the parameters of a row's unit, drawn where that was not measured."""
-        scope = self.effect.SCOPE
-        unit = ("all" if scope == "all" else device_name(row, scope) if scope in DEVICE_KEYS
-                else row["room_id" if scope == "room" else "id"])
+        unit = unit_name(row, self.effect.SCOPE)
         if unit in self.of:
             return self.of[unit]
         drawn = rng_for(seed, f"effect {self.effect.NAME}", unit).standard_normal(len(self.typical))
@@ -270,4 +269,4 @@ def read_parameters(label: str, effect: type[Effect], parameters: Any) -> Effect
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+    return is_number(value) and abs(value) <= sys.float_info.max

@@ -28,7 +28,7 @@ from roomeq.loop.tables import ANGLES, FRAME_MID_S, Table, collect, level_surfac
 from roomeq.loop.traces import StoredTrace, TraceFolder
 from roomeq.loop.usable import LeftOut, UsableRirs, usable_rirs
 from roomeq.records.rir_dir import load_rir
-from roomeq.records.schema import RirRow, device_name
+from roomeq.records.schema import RirRow, unit_name
 from roomeq.sim.geometry import Place, find_place
 from roomeq.sim.path_sample import PathSample
 from roomeq.sim.response import trace_source
@@ -170,7 +170,7 @@ class Data:
             return ["all"], np.zeros(len(self.rows), dtype=int)
         if scope == "rir":
             return [row["id"] for row in self.rows], np.arange(len(self.rows))
-        unit_of_row = [row["room_id"] if scope == "room" else device_name(row, scope) for row in self.rows]
+        unit_of_row = [unit_name(row, scope) for row in self.rows]
         names = sorted(set(unit_of_row))
         return names, np.array([names.index(name) for name in unit_of_row])
 

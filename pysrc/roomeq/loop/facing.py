@@ -23,7 +23,7 @@ from roomeq.loop.path_samples import decay_range_s, draw_path_samples
 from roomeq.loop.predict import predict
 from roomeq.loop.session import Session
 from roomeq.loop.tables import ANGLES, collect
-from roomeq.records.schema import device_name
+from roomeq.records.schema import unit_name
 
 _AXES = np.array([(np.cos(azimuth), np.sin(azimuth), 0.0) for azimuth in np.radians(np.arange(0.0, 360.0, 10.0))])
 """Horizontal directions that are compared."""
@@ -71,7 +71,7 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
     facings: dict[int, FloatArray] = {}
     estimates = []
     towards = _towards(data)
-    source_of = [device_name(row, "source") for row in data.rows]
+    source_of = [unit_name(row, "source") for row in data.rows]
     for source in sorted({source_of[n] for n in unknown}):
         members = [int(n) for n in unknown if source_of[n] == source]
         by_position: dict[tuple, list[int]] = {}
@@ -130,7 +130,7 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
     direct = residual[:, used] - _colour(data, residual, BAND_OF_FEATURE[used])
     sphere = (np.gradient(-np.cos(ANGLES)) / 2.0).astype(np.float32)
     diffuse = [replace(table, angular=np.tile(sphere / sphere.sum(), (len(table.entries), 1))) for table in data.tables]
-    of_angles, source_of = [], np.array([device_name(row, "source") for row in data.rows])
+    of_angles, source_of = [], np.array([unit_name(row, "source") for row in data.rows])
     for angle in _TEST_ANGLES:
         turned = replace(data, tables=[replace(table, direct_angle=float(angle)) for table in diffuse])
         state = ParameterIndex(turned, index.effects).state(absorption, vectors)

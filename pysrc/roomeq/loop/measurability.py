@@ -8,7 +8,7 @@ import numpy as np
 
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.loop.features import JND, Features, excited, feature_slice
-from roomeq.records.schema import RirRow, device_name
+from roomeq.records.schema import RirRow, unit_name
 
 logger = logging.getLogger(__name__)
 
@@ -20,7 +20,7 @@ _NORMALISED_SHARE = 0.5
 def limit_to_excitation(rows: Sequence[RirRow], features: Sequence[Features]) -> list[Features]:
     """Return features that are valid only within the band of the excitation, which is the same for all of a source."""
     limited = list(features)
-    for name, members in _groups([device_name(row, "source") for row in rows]).items():
+    for name, members in _groups([unit_name(row, "source") for row in rows]).items():
         from_hz = float(np.median([features[n].excited_from_hz for n in members]))
         if from_hz:
             logger.info("source %s: the excitation begins at %.0f Hz; features below it are left out", name,

@@ -19,20 +19,9 @@ MAX_ID = 200
 """Longest id [characters]: files are named after ids, with a suffix."""
 UNKNOWN = "unknown"
 """Id of a room, source or microphone without a name (ids must not be null)."""
-DEVICE_KEYS = {"source": "source_id", "mic": "mic_id"}
-
-
-def device_name(row: Mapping[str, Any], scope: str) -> str:
-    """Return the name of the source or microphone (`DEVICE_KEYS`) of a row.
-
-    Devices without a name are one within a corpus, and others in another one.
-    """
-    name = str(row[DEVICE_KEYS[scope]])
-    return f"{UNKNOWN} of {row['corpus']}" if name == UNKNOWN and row.get("corpus") else name
-
-
 LARGEST = 1e9
 """Largest absolute value of a number: no length, time or level of a room comes near it."""
+_ID_OF_SCOPE = {"source": "source_id", "mic": "mic_id", "room": "room_id", "rir": "id"}
 
 _SUFFIX = 50  # room for what follows an id: a channel, "-noise1"
 _HASH = 12
@@ -70,6 +59,18 @@ BandTimes = Annotated[list[Amount | None], Meta(min_length=_FEWEST_BANDS, max_le
 BandValues = Annotated[list[Number | None], Meta(min_length=_FEWEST_BANDS, max_length=_MOST_BANDS, description=(
     f"numbers (or null), {_PER_BAND}"))]
 NumberOrNull = Annotated[Number | None, Meta(description="a number or null")]
+
+
+def unit_name(row: Mapping[str, Any], scope: str) -> str:
+    """Return the name of what a scope (``"source"``, ``"mic"``, ``"room"``, ``"rir"``, ``"all"``) refers to in a row.
+
+    Devices without a name are one within a corpus, and others in another one.
+    """
+    if scope == "all":
+        return "all"
+    name = str(row[_ID_OF_SCOPE[scope]])
+    unnamed = scope in ("source", "mic") and name == UNKNOWN and row.get("corpus")
+    return f"{UNKNOWN} of {row['corpus']}" if unnamed else name
 
 
 class AcousticParameters(TypedDict, total=False):

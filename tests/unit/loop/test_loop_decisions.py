@@ -20,7 +20,7 @@ from roomeq.loop.predict import base_state, predict
 from roomeq.loop.selection import SPLITS, Candidate, HeldOutErrors, p_lower
 from roomeq.loop.tables import FRAME_EDGES_S, Table
 from roomeq.loop.unexplained import find_unexplained
-from roomeq.records.schema import device_name
+from roomeq.records.schema import unit_name
 
 
 @pytest.mark.parametrize("to, expected", [(1.0, 1.0), (3.0, 1.5), (9.0, 1.8), (-1.0, 0.0)])
@@ -244,8 +244,8 @@ def test_room_that_is_far_off_keeps_its_scatter():
 
 def test_unnamed_devices_of_two_corpora_are_two():
     rows = [dict(source_id="unknown", corpus=corpus) for corpus in "ab"]
-    assert [device_name(row, "source") for row in rows] == ["unknown of a", "unknown of b"]
-    assert device_name(dict(mic_id="m1", corpus="a"), "mic") == "m1"
+    assert [unit_name(row, "source") for row in rows] == ["unknown of a", "unknown of b"]
+    assert unit_name(dict(mic_id="m1", corpus="a"), "mic") == "m1"
     named = {"unknown of a": SourceResponse.from_vector(np.full(len(SourceResponse.SPREAD), -3.0))}
     extension = Extension(SourceResponse, named, np.zeros(len(SourceResponse.SPREAD)),
                           np.ones(len(SourceResponse.SPREAD)))
