@@ -19,7 +19,7 @@ from testbed.paths import image_sources
 from testbed.render import render
 from testbed.screen import past_screen
 from testbed.size import cells, changes, mean_size
-from testbed.waves import impedance_of, random_incidence, responses
+from testbed.waves import impedance_of, linkwitz_riley, random_incidence, responses
 
 SEED = 3
 FORBIDDEN = ("roomeq.sim", "roomeq.effects", "roomeq.loop")
@@ -206,6 +206,13 @@ def test_wave_field_starts_as_a_spherical_wave():
     f = np.array([100.0, 200.0])
     found = np.exp(-2j * np.pi * np.outer(f, np.arange(pressure.shape[1]) * step_s)) @ pressure[0]
     assert np.abs(found) * 4 * np.pi * 1.5 == pytest.approx(1.0, abs=0.1)
+
+
+def test_wave_field_takes_the_place_of_rays_below_the_crossover():
+    low, high = linkwitz_riley(100.0)
+    assert np.abs(low + high) == pytest.approx(1.0)  # of early pulses, which both fields have
+    below, above = FREQUENCY_HZ < 50.0, FREQUENCY_HZ > 200.0
+    assert np.all(np.abs(high[below]) < 0.005) and np.all(np.abs(low[above]) < 0.005)
 
 
 def test_walls_of_the_wave_field_absorb_what_is_asked():

@@ -35,7 +35,8 @@ class Extra:
     pulses : callable
         field -> list of (length [m], departure, gain, shape (N_FFT // 2 + 1,)).
     wave : callable
-        field -> (low-frequency transfer function, its filter, that of the late field), each shape (N_FFT // 2 + 1,).
+        field -> (spectrum of the low-frequency field, filter of the early pulses, that of the late field), each shape
+        (N_FFT // 2 + 1,).
     response : callable
         (field, rir) -> rir.
     noise : callable
@@ -79,9 +80,9 @@ def render(field, extras=()):
     image_spectrum = _images(base, field, extras, speed, air)
     late_spectrum = base.late(field, _late_energy(base, field, extras, speed), speed, air)
     for wave in hooks(extras, "wave"):
-        transfer, low, late = wave(field)
+        low_spectrum, high, late = wave(field)
         # early pulses agree with the wave field in phase, the late field doesn't: pressures add up, or powers
-        image_spectrum = image_spectrum * (1.0 - low) + low * transfer
+        image_spectrum = image_spectrum * high + low_spectrum
         late_spectrum = late_spectrum * late
     rir = base.finished(np.fft.irfft(image_spectrum + late_spectrum, N_FFT)[:N_SAMPLES], speed, air)
     for change in hooks(extras, "response"):
