@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from roomeq.acoustics.octaves import THIRDS_HZ
+from roomeq.acoustics.octaves import SPECTRUM_HZ
 from roomeq.core.build import Build
 from roomeq.core.constants import BANDS_HZ
 from roomeq.core.files import write_json
@@ -111,7 +111,7 @@ def make_loop(out):
         write_model(directory / MODEL_FILE, Model(tuple(added[::-1])))
         np.savez_compressed(directory / RESIDUALS_FILE, before=before, after=0.5 * before)
         np.savez_compressed(directory / EXAMPLES_FILE, ids=np.array(["r1", "r<2>"]), rooms=np.array(ROOMS[1:]),
-                            decay_db=decay_db, spectrum_db=rng.standard_normal((2, len(KINDS), len(THIRDS_HZ))),
+                            decay_db=decay_db, spectrum_db=rng.standard_normal((2, len(KINDS), len(SPECTRUM_HZ))),
                             rirs=rirs)
 
     build.run({}, lambda name, item: None)

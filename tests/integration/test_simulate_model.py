@@ -18,8 +18,9 @@ SOURCE_ONLY = {name for name, effect in CATALOGUE.items() if effect.SCOPE in ("s
 VECTORS = dict(air_absorption=(1.0, np.log(20.0)), sound_speed=(3.5,),
                source_directivity=(*np.log([0.15, 0.5]), *[0.0] * 24),
                occlusion=(-3.0,), near_reflector=(np.log(0.5), 0.8), coupled_volume=(-1.0, np.log(2.0), 0.1),
-               room_modes=(0.0,), source_response=np.linspace(-12.0, 6.0, 23), mic_response=np.linspace(6.0, -12.0, 23),
-               room_eq=np.linspace(-6.0, 6.0, 23), noise_floor=(3.0,) * 22)
+               room_modes=(0.0,), source_response=np.linspace(-12.0, 6.0, len(RESPONSE_HZ)),
+               mic_response=np.linspace(6.0, -12.0, len(RESPONSE_HZ)),
+               room_eq=np.linspace(-6.0, 6.0, len(RESPONSE_HZ)), noise_floor=(3.0,) * 22)
 OPTIONS = dict(num_rays=500, t60_range_s=(0.3, 0.6), seed=5)
 
 
@@ -130,7 +131,7 @@ def test_changed_model_rebuilds_the_directory(measured, tmp_path):
     path = model_file(tmp_path / "model.json", extension("mic_response"))
     before = simulated(measured, tmp_path / "out", path)
     content = json.loads(path.read_text())
-    content["effects"][0]["typical"] = [0.0] * 23
+    content["effects"][0]["typical"] = [0.0] * len(RESPONSE_HZ)
     path.write_text(json.dumps(content))
     after = simulated(measured, tmp_path / "out", path)
     assert not np.array_equal(before["a"][1], after["a"][1])
@@ -139,9 +140,9 @@ def test_changed_model_rebuilds_the_directory(measured, tmp_path):
 @pytest.mark.parametrize("text, message", [
     ("[]", r"model.json: must hold an object with a list of 'effects'"),
     ('{"effects": []}', r"model.json: format=None must be 2: run roomeq close-loop again"),
-    ('{"format": 2, "effects": [{"effect": "gnomes"}]}',
+    ('{"format": 3, "effects": [{"effect": "gnomes"}]}',
      r"effects\[0\]: effect='gnomes' must be one of air_absorption, "),
-    ('{"format": 2, "effects": [{"effect": "occlusion", "of": {"office": {"detour_m": "far"}}}]}',
+    ('{"format": 3, "effects": [{"effect": "occlusion", "of": {"office": {"detour_m": "far"}}}]}',
      r"effects\[0\]: of\['office'\]: detour_m='far' must be a number"),
 ])
 def test_broken_model_error_names_the_place(text, message, measured, tmp_path):

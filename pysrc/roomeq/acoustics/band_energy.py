@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.fft import rfft
 
-from roomeq.acoustics.octaves import THIRDS_HZ
+from roomeq.acoustics.octaves import SPECTRUM_HZ
 from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.core.jit import compiled
@@ -26,7 +26,7 @@ class Bands(NamedTuple):
 
 
 OCTAVES = Bands(np.array(EXACT_BANDS_HZ), np.sqrt(2.0))
-THIRDS = Bands(np.array(THIRDS_HZ), 1.0 / (10.0 ** 0.05 - 10.0 ** -0.05))
+THIRDS = Bands(np.array(SPECTRUM_HZ), 1.0 / (10.0 ** 0.05 - 10.0 ** -0.05))
 
 
 def energy_per_bin(part: FloatArray, n_fft: int) -> FloatArray:

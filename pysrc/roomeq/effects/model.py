@@ -1,6 +1,6 @@
 """A model: the simulator plus a list of effects, in a file that a person can read and edit.
 
-    {"format": 2,
+    {"format": 3,
      "effects": [{"effect": "source_response", "of": {"spk1": {"gains_db": [...]}}, "typical": [...], "spread": [...]}]}
 
 `of` holds the parameters of each unit (loudspeaker, microphone, room or all) that was measured. Other units get
@@ -27,7 +27,7 @@ from roomeq.records.schema import unit_name
 from roomeq.sim.scene import Scene, eyring_time_s
 
 MODEL_FILE = "model.json"
-MODEL_FORMAT = 2
+MODEL_FORMAT = 3
 MAX_COMPONENT = 100.0
 """Largest component of a vector: spreads are about 1, or some dB."""
 _ROUNDING = 1e-9

@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomeq.acoustics.octaves import THIRDS_HZ
+from roomeq.acoustics.octaves import SPECTRUM_HZ
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.effects.base import Effect, Rendering
@@ -70,7 +70,7 @@ class NearReflector(Effect):
         length_m = self.lengths_m(np.array([data.places[n].source_pos_m for n in rows]),
                                   np.array([data.places[n].mic_pos_m for n in rows]))
         delay_s = (length_m - direct_m) / state.speed_m_s[rows]
-        frequency = np.array(THIRDS_HZ)[:, None] * 10.0 ** np.linspace(-0.05, 0.05, _POINTS)
+        frequency = np.array(SPECTRUM_HZ)[:, None] * 10.0 ** np.linspace(-0.05, 0.05, _POINTS)
         pressure = 1.0 + (self.pressure_gain(frequency, direct_m[:, None, None], length_m[:, None, None])
                           * np.exp(-2j * np.pi * frequency * delay_s[:, None, None]))
         state.direct_thirds[rows] *= np.mean(np.abs(pressure) ** 2, axis=2)

@@ -135,12 +135,12 @@ class PredictionState:
         Energy gain of all reflections per frame and octave; None for 1.
     direct_gain : ndarray, shape (n_rirs, 8)
         Energy gain of the direct sound per octave.
-    direct_thirds : ndarray, shape (n_rirs, 22)
-        Energy gain of the direct sound per third octave (`roomeq.acoustics.octaves.THIRDS_HZ`), multiplied with
+    direct_thirds : ndarray, shape (n_rirs, 25)
+        Energy gain of the direct sound per third octave (`roomeq.acoustics.octaves.SPECTRUM_HZ`), multiplied with
         `direct_gain`.
     decays : list of (AddedDecay, ndarray of int)
         Each added decay, and the indices of the RIRs that have it.
-    response_db : ndarray, shape (n_rirs, 23)
+    response_db : ndarray, shape (n_rirs, 26)
         Magnitude response of the recording chain [dB] at `roomeq.effects.response.RESPONSE_HZ`.
     floor : ndarray, shape (n_rirs, 22)
         Noise floor: energy of 100 ms of noise in third octaves relative to the response in their octave, without the

@@ -8,13 +8,13 @@ import scipy  # its submodules are slow to import and load themselves when first
 from numpy.typing import ArrayLike
 
 from roomeq.acoustics.minimum_phase import minimum_phase
-from roomeq.acoustics.octaves import THIRDS_HZ
+from roomeq.acoustics.octaves import SPECTRUM_HZ
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.effects.base import Effect, Rendering
 from roomeq.effects.prediction import PredictedRirs, PredictionState
 
-RESPONSE_HZ = (*THIRDS_HZ, 1000.0 * 10.0 ** (0.1 * 9))
-"""Third octaves from 50 Hz to 8 kHz."""
+RESPONSE_HZ = (*SPECTRUM_HZ, 1000.0 * 10.0 ** (0.1 * 9))
+"""Third octaves from 25 Hz to 8 kHz."""
 _SPREAD_DB = 6.0
 _MAX_DB = 60.0
 _ROUGHNESS_DB = 1.5  # independent part of the spread
@@ -27,7 +27,7 @@ class Response(Effect):
 
     Attributes
     ----------
-    gains_db : tuple of 23 floats
+    gains_db : tuple of 26 floats
         At `RESPONSE_HZ`, within 60 dB.
     """
 

@@ -14,7 +14,7 @@ from numpy.lib.format import read_array
 
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.iso3382 import energy_decay
-from roomeq.acoustics.octaves import THIRDS_HZ, octave_bands
+from roomeq.acoustics.octaves import SPECTRUM_HZ, octave_bands
 from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.loop.data import Data
@@ -43,8 +43,8 @@ class Examples:
     ids, rooms : list of str
     decay_db : ndarray, shape (n_examples, 3 kinds, 2 bands, n_times)
         Backward-integrated energy every `STEP_S` after the direct sound; NaN where noise hides it.
-    spectrum_db : ndarray, shape (n_examples, 3 kinds, 22)
-        Level in third octaves (`roomeq.acoustics.octaves.THIRDS_HZ`); NaN where it was not measured.
+    spectrum_db : ndarray, shape (n_examples, 3 kinds, 25)
+        Level in third octaves (`roomeq.acoustics.octaves.SPECTRUM_HZ`); NaN where it was not measured.
     rirs : ndarray, shape (n_examples, 3 kinds, N_SAMPLES)
         The RIRs from `LEAD_S` before the direct sound on, with the gain of the recording.
     """
@@ -77,7 +77,8 @@ def read_examples(path: Path) -> Examples:
                         arrays["decay_db"], arrays["spectrum_db"], arrays["rirs"])
     size = len(examples.ids), len(KINDS)
     if (examples.decay_db.shape, examples.spectrum_db.shape, examples.rirs.shape, len(examples.rooms)) != (
-            (*size, len(DECAY_BANDS), round(LENGTH_S / STEP_S)), (*size, len(THIRDS_HZ)), (*size, N_SAMPLES), size[0]):
+            (*size, len(DECAY_BANDS), round(LENGTH_S / STEP_S)), (*size, len(SPECTRUM_HZ)),
+            (*size, N_SAMPLES), size[0]):
         raise ValueError(f"{path}: arrays do not fit each other: run roomeq close-loop again")
     return examples
 
@@ -113,7 +114,7 @@ def make_examples(directories: Sequence[Path], first: Session, last: Session) ->
     chosen = _chosen(data)
     recorded = _recorded(directories, {data.rows[n]["id"] for n in chosen})
     decay_db = np.full((len(chosen), len(KINDS), len(DECAY_BANDS), round(LENGTH_S / STEP_S)), np.nan)
-    spectrum_db = np.full((len(chosen), len(KINDS), len(THIRDS_HZ)), np.nan)
+    spectrum_db = np.full((len(chosen), len(KINDS), len(SPECTRUM_HZ)), np.nan)
     rirs = np.zeros((len(chosen), len(KINDS), N_SAMPLES))
     for k, n in enumerate(chosen):
         measured = recorded[data.rows[n]["id"]]

@@ -24,7 +24,7 @@ from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.excitation import excited_from_hz
 from roomeq.acoustics.iso3382 import DIRECT_S, EARLY_S, all_metrics
 from roomeq.acoustics.jnd import C50_JND_DB, DECAY_JND, DRR_JND_DB, LEVEL_JND_DB
-from roomeq.acoustics.octaves import OCTAVE_OF_THIRD, OCTAVE_WIDTH_HZ, THIRD_WIDTH_HZ, THIRDS_HZ
+from roomeq.acoustics.octaves import OCTAVE_OF_THIRD, OCTAVE_WIDTH_HZ, SPECTRUM_HZ, THIRD_WIDTH_HZ, THIRDS_HZ
 from roomeq.core.arrays import Array, BoolArray, FloatArray
 from roomeq.core.constants import BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
 from roomeq.effects.noise_floor import NOISE_S, QUIET_DB, SHARE_OF_THIRD
@@ -32,6 +32,8 @@ from roomeq.effects.noise_floor import NOISE_S, QUIET_DB, SHARE_OF_THIRD
 LEAD_S = 1.5e-3
 LATE_S = 0.2  # end of the late level, ahead of the noise of most recordings
 DIRECT_THIRDS_HZ = THIRDS_HZ[11:]  # from 630 Hz: lower ones are not resolved within `DIRECT_S`
+_FROM_50_HZ = len(SPECTRUM_HZ) - len(THIRDS_HZ)  # the first third octave of the spectrum that belongs to an octave
+_OCTAVE_OF_LEVEL = np.concatenate([np.zeros(_FROM_50_HZ, dtype=int), OCTAVE_OF_THIRD])
 NEAR_S, NEAR_SHARE = 4e-4, 0.05
 """Tolerance of the arrival of the direct sound: positions (14 cm) plus a speed of sound that is wrong by 5 %."""
 MIN_SNR_DB = 10.0
@@ -44,7 +46,7 @@ REGION = dict(direct="direct", early="early", late="late", spectrum="whole", edt
               curvature="late", c50="early", drr="direct", arrival="direct", ahead="ahead", floor="floor")
 """Time region of each metric. The curvature of a decay, T30 relative to T20 (ISO 3382-2:2008, annex B), is no feature:
 residuals are tested for it (`roomeq.loop.unexplained`)."""
-_BANDS_OF = dict(direct=DIRECT_THIRDS_HZ, early=EXACT_BANDS_HZ, late=EXACT_BANDS_HZ, spectrum=THIRDS_HZ,
+_BANDS_OF = dict(direct=DIRECT_THIRDS_HZ, early=EXACT_BANDS_HZ, late=EXACT_BANDS_HZ, spectrum=SPECTRUM_HZ,
                  edt=EXACT_BANDS_HZ, t20=EXACT_BANDS_HZ, t30=EXACT_BANDS_HZ, c50=EXACT_BANDS_HZ, drr=(0.0,),
                  arrival=(0.0,), ahead=EXACT_BANDS_HZ, floor=THIRDS_HZ)
 METRIC = np.array([metric for metric, bands in _BANDS_OF.items() for _ in bands])
@@ -130,8 +132,8 @@ class _Noise(NamedTuple):
 
     Attributes
     ----------
-    octave, third : ndarray, shape (8,), (22,)
-        In octaves and in third octaves.
+    octave, third : ndarray, shape (8,), (25,)
+        In octaves and in the third octaves `SPECTRUM_HZ`.
     seen : ndarray of bool, shape (8,)
         Whether that is noise: not where the response ends before its noise.
     has_response : ndarray of bool, shape (8,)
@@ -268,7 +270,8 @@ def _levels(rir: FloatArray, direct: float, metrics: dict, noise: _Noise) -> dic
         part = faded_part(rir, max(0, start), min(stop, len(rir)), fade)
         n_fft = 1024 if metric == "direct" else next_fast_len(max(2048, len(part)), real=True)
         energy = energy_in_bands(bands, energy_per_bin(part, n_fft), n_fft)
-        per_sample, seen = (noise.third, noise.seen[OCTAVE_OF_THIRD]) if bands is THIRDS else (noise.octave, noise.seen)
+        per_sample, seen = ((noise.third, noise.seen[_OCTAVE_OF_LEVEL]) if bands is THIRDS
+                            else (noise.octave, noise.seen))
         of_noise = np.where(seen, per_sample, 0.0) * len(part)
         if metric == "direct":
             energy, of_noise = energy[-len(DIRECT_THIRDS_HZ):], of_noise[-len(DIRECT_THIRDS_HZ):]
@@ -293,7 +296,7 @@ def _noise_levels(rir: FloatArray, direct: float, noise: _Noise, white: FloatArr
     n_fft = next_fast_len(len(rir), real=True)
     energy = energy_in_bands(OCTAVES, energy_per_bin(rir, n_fft), n_fft)
     per_energy = NOISE_S * FS_HZ / np.maximum(energy, 1e-30)
-    end, end_of_thirds = noise.octave * per_energy, noise.third * per_energy[OCTAVE_OF_THIRD]
+    end, end_of_thirds = noise.octave * per_energy, noise.third[_FROM_50_HZ:] * per_energy[OCTAVE_OF_THIRD]
     if white is None:
         added, white = np.zeros(len(BANDS_HZ)), _white(noise) * per_energy
         white_of_thirds = white[OCTAVE_OF_THIRD] * SHARE_OF_THIRD
@@ -339,6 +342,7 @@ def _white(noise: _Noise) -> FloatArray:
     freedom. Any of the bands contradicts true white noise with a probability of `_CONTRADICTED`.
     """
     half_freedom = THIRD_WIDTH_HZ * noise.n_samples / FS_HZ
-    most = noise.third / THIRD_WIDTH_HZ * half_freedom / gammaincinv(half_freedom, _CONTRADICTED / len(THIRDS_HZ))
+    contradicted = gammaincinv(half_freedom, _CONTRADICTED / len(THIRDS_HZ)) / half_freedom
+    most = noise.third[_FROM_50_HZ:] / THIRD_WIDTH_HZ / contradicted
     lowest = most[noise.has_response[OCTAVE_OF_THIRD]].min() if noise.seen.any() else 0.0
     return np.where(noise.has_response, OCTAVE_WIDTH_HZ * lowest, 0.0)

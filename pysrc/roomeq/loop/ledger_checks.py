@@ -14,7 +14,7 @@ from roomeq.loop.features import LARGEST, METRIC, REGION
 from roomeq.loop.selection import SPLITS
 from roomeq.loop.usable import LeftOut
 
-LEDGER_FORMAT = 4
+LEDGER_FORMAT = 5
 _VARIES = ("nothing", "room", "source", "mic")
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
-from roomeq.acoustics.octaves import OCTAVE_OF_THIRD, OCTAVE_WIDTH_HZ, THIRDS_HZ
+from roomeq.acoustics.octaves import OCTAVE_OF_THIRD, OCTAVE_WIDTH_HZ, SPECTRUM_HZ, THIRDS_HZ
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.core.jit import compiled
@@ -52,11 +52,11 @@ def _octaves_to(frequencies_hz: tuple[float, ...]) -> FloatArray:
 
 _Octaves = tuple[float, ...]
 _OMNIDIRECTIONAL = np.empty((0, 0))  # in place of angles and their gains
-TO_THIRDS = _octaves_to(THIRDS_HZ)
+TO_THIRDS = _octaves_to(SPECTRUM_HZ)
 _RESPONSE_TO_OCTAVES = np.array([np.abs(np.log2(np.array(RESPONSE_HZ) / band_hz)) < 0.4 for band_hz in EXACT_BANDS_HZ])
 RESPONSE_TO_OCTAVES = _RESPONSE_TO_OCTAVES / _RESPONSE_TO_OCTAVES.sum(axis=1, keepdims=True)
-"""Mean of the third octaves of each octave, shape (8, 23)."""
-_THIRDS_TO_OCTAVES = _RESPONSE_TO_OCTAVES[:, :len(THIRDS_HZ)]
+"""Mean of the third octaves of each octave, shape (8, 26)."""
+_THIRDS_TO_OCTAVES = _RESPONSE_TO_OCTAVES[:, :len(SPECTRUM_HZ)]
 _THIRDS_TO_OCTAVES = _THIRDS_TO_OCTAVES / _THIRDS_TO_OCTAVES.sum(axis=1, keepdims=True)
 
 
@@ -73,7 +73,7 @@ def base_state(data: Data, absorption: FloatArray) -> PredictionState:
     state = PredictionState(
         absorption=absorption[data.room], air_per_m=data.air_per_m.copy(), speed_m_s=data.speed_m_s.copy(),
         ray_gain=None, reflected_gain=None, direct_gain=np.ones((n, N_BANDS)),
-        direct_thirds=np.ones((n, len(THIRDS_HZ))), decays=[], response_db=np.zeros((n, len(RESPONSE_HZ))),
+        direct_thirds=np.ones((n, len(SPECTRUM_HZ))), decays=[], response_db=np.zeros((n, len(RESPONSE_HZ))),
         floor=np.zeros((n, len(THIRDS_HZ))), delay_s=np.zeros(n), rendered_change=np.zeros((n, N_FEATURES)))
     for effect, rows in data.given_to:
         effect.apply_to_prediction(state, data, rows)
@@ -176,7 +176,7 @@ class Predicted(NamedTuple):
     drr_energy: FloatArray
 
 
-DEPENDS_ON_BAND = np.array([TO_THIRDS[THIRDS_HZ.index(band_hz)] > 0.0 if metric in ("direct", "spectrum")
+DEPENDS_ON_BAND = np.array([TO_THIRDS[SPECTRUM_HZ.index(band_hz)] > 0.0 if metric in ("direct", "spectrum")
                             else np.arange(N_BANDS) == (-9 if metric in ("drr", "arrival") else band)
                             for metric, band_hz, band in zip(METRIC, BAND_HZ, BAND_OF_FEATURE, strict=True)])
 """Whether a feature depends on the energy in an octave, shape (n_features, 8); the DRR depends on all."""
@@ -216,7 +216,7 @@ def predict_by_band(data: Data, state: PredictionState, reflected: ReflectedEner
     # direct sound that comes around an obstacle after the end of its gate is early sound
     in_gate = np.clip((DIRECT_S - state.delay_s) / _GATE_FADE_S + 0.5, 0.0, 1.0)[:, None]
     response_octaves_db = state.response_db @ RESPONSE_TO_OCTAVES.T
-    response_thirds_db = state.response_db[:, :len(THIRDS_HZ)]
+    response_thirds_db = state.response_db[:, :len(SPECTRUM_HZ)]
     features = np.zeros((len(direct), N_FEATURES))
     features[:, feature_slice("direct")] = (_sum_db(direct_thirds_db + _db(in_gate), near_thirds_db)
                                             + response_thirds_db)[:, -_N_DIRECT:]

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from roomeq.acoustics.octaves import THIRDS_HZ
+from roomeq.acoustics.octaves import SPECTRUM_HZ
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.catalogue import CATALOGUE
@@ -257,7 +257,7 @@ def responses(ledger: dict[str, Any]) -> list[figures.Panel]:
 
 def example_figures(examples: Examples) -> list[Context]:
     """Draw spectra and decay curves of a few RIRs, measured and simulated."""
-    frequency_hz = np.array(THIRDS_HZ, dtype=np.float64)
+    frequency_hz = np.array(SPECTRUM_HZ, dtype=np.float64)
     time_s = np.array(np.arange(examples.decay_db.shape[-1]) * STEP_S, dtype=np.float64)
     drawn = []
     for n, (ident, room) in enumerate(zip(examples.ids, examples.rooms, strict=True)):

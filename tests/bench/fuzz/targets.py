@@ -30,12 +30,12 @@ _WORDS = (  # what random bytes would not hit upon
     "[scattering]", "use = [", "%%", "$EnvSpk1Depth", "99999999999999999999", "?", "source_dir", "mic_pos_m",
     "tof_removed", "documented_t60_s", "#0", "<s>", '"effect": "room_modes"', '"up_to_hz": ', '"gains_db": [',
     '"levels_db": [', '"cannot_tell": ["', '"test": {')
-_MODEL = (b'{"format": 2, "effects": [{"effect": "near_reflector", "of": {"r": {"depth_m": 0.7, "reflection": 0.6}}, '
+_MODEL = (b'{"format": 3, "effects": [{"effect": "near_reflector", "of": {"r": {"depth_m": 0.7, "reflection": 0.6}}, '
           b'"typical": [-0.4, 0.6], "spread": [0.1, 0.1]}, {"effect": "sound_speed", "of": {}}]}')
 _ERRORS = (b'{"leave_positions_out": {"error": 1.5, "ci": [1, 2], "by_metric": {"t30": 1.5}, "by_band": '
            b'[null, 1, 1, 1, 1, 1, 1, 1]}, "leave_room_out": {"error": 1.5, "ci": null, "by_metric": {}, "by_band": '
            b'[1, 1, 1, 1, 1, 1, 1, 1]}}')
-_LEDGER = (b'{"format": 2, "given": [], "rirs": 8, "rooms": 4, "baseline": ' + _ERRORS
+_LEDGER = (b'{"format": 5, "given": [], "rirs": 8, "rooms": 4, "baseline": ' + _ERRORS
            + b', "iterations": [], "ranking": [{"effect": "room_eq", '
            b'"gain": 1, "ci": [0, 2], "p": 0.5, "size_jnd": 1}], "unexplained": null, "unexplained_all": [], "final": '
            + _ERRORS + b"}")

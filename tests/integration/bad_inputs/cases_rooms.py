@@ -25,7 +25,7 @@ def materials(name: str, message: str, content: str | bytes) -> Case:
 def model(name: str, effect: str, message: str, **changed) -> Case:
     """A case whose model has one effect."""
     return Case(f"model {name}", "simulate --model m.json measured out", f"m.json: effects[0]: {message}",
-                (write("m.json", json.dumps(dict(format=2, effects=[dict(effect=effect, of={}) | changed]))),))
+                (write("m.json", json.dumps(dict(format=3, effects=[dict(effect=effect, of={}) | changed]))),))
 
 
 def garbage(kind: str, message: str, content: bytes, how: str = "garbage") -> Case:
@@ -157,16 +157,16 @@ CASES = [
     Case("model no JSON", "simulate --model m.json measured out", "m.json: ...", (write("m.json", "{"),)),
     Case("model of an unknown effect", "simulate --model m.json measured out",
          "m.json: effects[0]: effect='gnomes' must be one of ...",
-         (write("m.json", '{"format": 2, "effects": [{"effect": "gnomes"}]}'),)),
+         (write("m.json", '{"format": 3, "effects": [{"effect": "gnomes"}]}'),)),
     Case("model of text for numbers", "simulate --model m.json measured out",
          "m.json: effects[0]: typical=['far'] must be 1 numbers: correct them", (write("m.json", json.dumps(
-             dict(format=2, effects=[dict(effect="sound_speed", of={}, typical=["far"])]))),)),
+             dict(format=3, effects=[dict(effect="sound_speed", of={}, typical=["far"])]))),)),
     model("of a misspelt key", "sound_speed", "key 'spred' must be one of effect, of, typical, spread: correct or "
           "remove it", spred=[1]),
     Case("model of a misspelt list", "simulate --model m.json measured out", "m.json: key 'efects' must be one of "
-         "format, effects: correct or remove it", (write("m.json", '{"format": 2, "effects": [], "efects": []}'),)),
+         "format, effects: correct or remove it", (write("m.json", '{"format": 3, "effects": [], "efects": []}'),)),
     Case("model of a parameter twice", "simulate --model m.json measured out", "m.json: not a JSON file (key "
-         "'temperature_c' occurs twice: leave one out): make it again", (write("m.json", '{"format": 2, "effects": [{'
+         "'temperature_c' occurs twice: leave one out): make it again", (write("m.json", '{"format": 3, "effects": [{'
          '"effect": "sound_speed", "of": {"all": {"temperature_c": 20, "temperature_c": 30}}}]}'),)),
     model("of a room where all is meant", "sound_speed", "of['hall0'] must be of['all'], since sound_speed is of all "
           "RIRs: correct the name", of=dict(hall0=dict(temperature_c=20))),

@@ -183,7 +183,7 @@ def test_a_model_is_refused_or_gives_every_row_its_effects(tmp_path, name, data)
     of = {field.name: data.draw(st.one_of(JSON, st.lists(NUMBER, min_size=8, max_size=8), st.floats(0.01, 60.0)))
           for field in fields(effect)}
     changed = data.draw(st.dictionaries(st.sampled_from(["effect", "of", "typical", "spread"]), JSON))
-    (tmp_path / "m.json").write_text(dump(dict(format=2, effects=[dict(effect=name, of=dict(r=of)) | changed])))
+    (tmp_path / "m.json").write_text(dump(dict(format=3, effects=[dict(effect=name, of=dict(r=of)) | changed])))
     if (model := one_line_or_result(read_model, tmp_path / "m.json")) is not None:
         for unit in ("r", "other"):
             (one,) = model.for_row(dict(id=unit, room_id=unit, source_id=unit, mic_id=unit), 0)

@@ -5,11 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from roomeq.acoustics.octaves import SPECTRUM_HZ
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.effects.base import Rendering
 from roomeq.effects.near_reflector import NearReflector
 from roomeq.effects.occlusion import Occlusion
 from roomeq.effects.prediction import PredictionState
+from roomeq.effects.response import RESPONSE_HZ
 from roomeq.sim.scene import Air, Material, Scene, Shoebox
 
 C = Air().speed_m_s
@@ -77,8 +79,8 @@ def test_predictions_use_the_speed_of_sound_that_another_effect_set(speed_m_s):
     def predicted(effect, speed):
         state = PredictionState(
             absorption=np.zeros((1, 2, 8)), air_per_m=np.zeros((1, 8)), speed_m_s=np.array([speed]), ray_gain=None,
-            reflected_gain=None, direct_gain=np.ones((1, 8)), direct_thirds=np.ones((1, 22)), decays=[],
-            response_db=np.zeros((1, 23)), floor=np.zeros((1, 8)), delay_s=np.zeros(1),
+            reflected_gain=None, direct_gain=np.ones((1, 8)), direct_thirds=np.ones((1, len(SPECTRUM_HZ))), decays=[],
+            response_db=np.zeros((1, len(RESPONSE_HZ))), floor=np.zeros((1, 8)), delay_s=np.zeros(1),
             rendered_change=np.zeros((1, 1)))
         effect.apply_to_prediction(state, data, np.array([0]))
         return state

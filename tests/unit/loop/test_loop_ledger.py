@@ -33,8 +33,8 @@ def replace(value, *keys):
 
 
 @pytest.mark.parametrize("change, message", [
-    (without("format"), "format=None must be 4"),  # of an older version
-    (replace(1, "format"), "format=1 must be 4"),
+    (without("format"), "format=None must be 5"),  # of an older version
+    (replace(1, "format"), "format=1 must be 5"),
     (without("given"), "ledger must hold 'given'"),
     (without("left_out"), "ledger must hold 'left_out'"),
     (replace("", "left_out", 0, "reason"), r"left_out\[0\].reason='' must be a text"),

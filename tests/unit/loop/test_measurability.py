@@ -107,3 +107,16 @@ def test_white_noise_is_bounded_by_octaves_that_end_in_their_decay():
     whole[200] += 20.0
     white = measure_features(whole).white
     assert 10.0 * np.log10(white.max() + 1e-12) < -40.0
+
+
+def test_spectrum_shows_a_mode_below_the_lowest_octave():
+    """A mode at 31.6 Hz raises the level of its third octave, which begins below the octaves, and nothing else."""
+    rir = response(0)
+    t = np.arange(len(rir) - 200) / FS_HZ
+    with_mode = rir.copy()
+    with_mode[200:] += 0.5 * np.sin(2.0 * np.pi * 31.62 * t) * 10.0 ** (-3.0 * t / 0.5)
+    change = measure_features(with_mode).values - measure_features(rir).values
+    spectrum, at_mode = METRIC == "spectrum", np.abs(BAND_HZ - 31.62) < 1.0
+    assert change[spectrum & at_mode] > 6.0
+    assert np.abs(change[spectrum & (BAND_HZ > 60.0)]).max() < 1.5
+    assert BAND_HZ[spectrum].min() == pytest.approx(25.1, abs=0.1)
