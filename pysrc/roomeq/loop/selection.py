@@ -85,20 +85,26 @@ class HeldOutErrors:
     room: IntArray
     half: IntArray
 
-    def changed_in(self, touched: BoolArray, before: "HeldOutErrors") -> "HeldOutErrors":
-        """Return the errors with those of all but the `touched` features, (n_rirs, n_features), as they were before."""
-        return replace(self, by_split={split: np.where(touched, errors, before.by_split[split])
-                                       for split, errors in self.by_split.items()})
+    def of_rooms(self, split: str, only: BoolArray | None = None) -> FloatArray:
+        """Mean error of each scored room, shape (n_scored_rooms,).
 
-    def of_rooms(self, split: str) -> FloatArray:
-        """Mean error of each scored room, every metric with the same weight, shape (n_scored_rooms,)."""
-        return np.array([_mean_over_metrics(self.by_split[split][self.room == r]) for r in self._scored(split)])
+        Every metric has the same weight; or, of `only` some features, (n_rirs, n_features), every feature has, and the
+        mean of a room without any is NaN.
+        """
+        return np.array([self._mean(split, self.room == r, only) for r in self._scored(split)])
 
-    def of_halves(self, split: str) -> FloatArray:
-        """Mean error of each half of a room, shape (n_halves,); NaN where nothing was scored."""
+    def of_halves(self, split: str, only: BoolArray | None = None) -> FloatArray:
+        """Mean error of each half of a room, as `of_rooms`, shape (n_halves,); NaN where nothing was scored."""
         pairs = np.stack([self.room, self.half])
-        return np.array([_mean_over_metrics(self.by_split[split][np.all(pairs == pair[:, None], axis=0)])
+        return np.array([self._mean(split, np.all(pairs == pair[:, None], axis=0), only)
                          for pair in np.unique(pairs, axis=1).T])
+
+    def _mean(self, split: str, rows: BoolArray, only: BoolArray | None) -> float:
+        errors = self.by_split[split][rows]
+        if only is None:
+            return _mean_over_metrics(errors)
+        errors = errors[only[rows] & np.isfinite(errors)]
+        return float(errors.mean()) if len(errors) else np.nan
 
     def _scored(self, split: str) -> IntArray:
         return np.unique(self.room[np.isfinite(self.by_split[split]).any(axis=1)])
@@ -150,8 +156,11 @@ def one_sided_p(differences: FloatArray) -> float:
     return float(stats.t.sf(differences.mean() / max(spread, 1e-12), len(differences) - 1))
 
 
-def p_lower(before: HeldOutErrors, after: HeldOutErrors, split: str) -> float:
+def p_lower(before: HeldOutErrors, after: HeldOutErrors, split: str, only: BoolArray | None = None) -> float:
     """Return the one-sided p value of the second error being lower than the first, paired.
+
+    The errors are those of all metrics, or of `only` some features, shape (n_rirs, n_features), with the same weight
+    each.
 
     Leave-positions-out: Fisher's randomisation test, which changes the signs of halves of rooms: one calibration serves
     all RIRs of a half, which therefore are one observation. An effect may be strong in some rooms and weak in others; a
@@ -159,11 +168,23 @@ def p_lower(before: HeldOutErrors, after: HeldOutErrors, split: str) -> float:
     signs to change.
     """
     if split == "leave_room_out":
-        return one_sided_p(before.of_rooms(split) - after.of_rooms(split))
-    change = before.of_halves(split) - after.of_halves(split)
-    return float(stats.permutation_test((change[np.isfinite(change)],), np.mean, permutation_type="samples",
-                                        alternative="greater", n_resamples=_SIGN_CHANGES, batch=_SIGN_CHANGES // 16,
-                                        vectorized=True, rng=np.random.default_rng(0)).pvalue)
+        return one_sided_p(_known(before.of_rooms(split, only) - after.of_rooms(split, only)))
+    change = _known(before.of_halves(split, only) - after.of_halves(split, only))
+    if not len(change):
+        return 1.0
+    return float(stats.permutation_test((change,), np.mean, permutation_type="samples", alternative="greater",
+                                        n_resamples=_SIGN_CHANGES, batch=_SIGN_CHANGES // 16, vectorized=True,
+                                        rng=np.random.default_rng(0)).pvalue)
+
+
+def share_of_fall(before: HeldOutErrors, after: HeldOutErrors, split: str, only: BoolArray) -> float:
+    """Return the fall from one error to another of `only` some features, as a share of the first, over all rooms."""
+    falls, first = before.of_rooms(split, only) - after.of_rooms(split, only), before.of_rooms(split, only)
+    return float(_known(falls).sum() / max(_known(first).sum(), 1e-12))
+
+
+def _known(values: FloatArray) -> FloatArray:
+    return values[np.isfinite(values)]
 
 
 def heldout_errors(session: Session, splits: Sequence[str] = SPLITS) -> HeldOutErrors:

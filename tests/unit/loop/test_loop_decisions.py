@@ -17,7 +17,7 @@ from roomeq.loop.features import JND, LATE_S, METRIC, N_FEATURES, feature_slice
 from roomeq.loop.fit import SharedPrior, _best_shape, shortened_step, solve_step
 from roomeq.loop.likelihood import NormalEquations, scatter
 from roomeq.loop.predict import base_state, predict
-from roomeq.loop.selection import SPLITS, Candidate, HeldOutErrors, p_lower
+from roomeq.loop.selection import SPLITS, Candidate, HeldOutErrors, p_lower, share_of_fall
 from roomeq.loop.tables import FRAME_EDGES_S, Table
 from roomeq.loop.unexplained import find_unexplained
 from roomeq.records.schema import unit_name
@@ -151,6 +151,23 @@ def test_p_of_a_lower_error_depends_on_the_split(split, of_halves, lower):
     assert (p < 0.025) == lower
 
 
+@pytest.mark.parametrize("split", SPLITS)
+def test_features_that_an_effect_touches_have_the_same_weight_each(split):
+    """Levels of three bands fall by 0.5 JND in all rooms; the one decay time that changes too scatters by 5 JND."""
+    before, rng = np.full((16, N_FEATURES), 3.0), np.random.default_rng(0)
+    low, decay = np.flatnonzero(METRIC == "spectrum")[:3], np.flatnonzero(METRIC == "t30")[0]
+    touched = np.zeros((16, N_FEATURES), dtype=bool)
+    touched[:, [*low, decay]] = True
+    after = before.copy()
+    after[:, low] -= 0.5
+    after[:, decay] += 2.0 * rng.standard_normal(16)
+    after[:, METRIC == "edt"] += 9.0  # which the effect does not touch
+    errors_before, errors_after = (HeldOutErrors({split: errors}, *ROOMS_AND_HALVES) for errors in (before, after))
+    assert p_lower(errors_before, errors_after, split, touched) < 0.02 < p_lower(errors_before, errors_after, split)
+    assert 0.05 < share_of_fall(errors_before, errors_after, split, touched) < 0.2
+    assert p_lower(errors_before, errors_after, split, np.zeros_like(touched)) == 1.0
+
+
 @pytest.mark.parametrize("level", [0.05, 0.6])
 def test_few_rooms_of_equal_absorption_do_not_fix_the_level_of_the_next(level):
     rooms = [np.concatenate([level * x + 0.1 * np.cos(np.arange(8) + x), np.zeros(8)]) for x in (-1.2, -0.3, 0.4, 1.1)]
@@ -223,8 +240,8 @@ def accept(ranking, errors, touched, monkeypatch):
     (RoomEq, (0.001, 0.9), False), (RoomEq, (0.03, 0.04), True)])  # an equaliser is the same in all rooms
 def test_evidence_of_both_splits_counts_together(monkeypatch, effect, p, added):
     values = dict(zip(SPLITS, p, strict=True))
-    monkeypatch.setattr(close, "p_lower", lambda before, after, split: values[split] if after.by_split[split].mean(
-        ) < 1.9 else 1.0 - values[split])
+    monkeypatch.setattr(close, "p_lower", lambda before, after, split, only=None: (
+        values[split] if after.by_split[split].mean() < 1.9 else 1.0 - values[split]))
     ranking = [Candidate(effect, effect, 20.0 + np.arange(8), 2.0)]
     assert (accepted(ranking, {effect: 0.3}, monkeypatch) is not None) == added
 
