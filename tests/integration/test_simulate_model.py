@@ -139,7 +139,7 @@ def test_changed_model_rebuilds_the_directory(measured, tmp_path):
 
 @pytest.mark.parametrize("text, message", [
     ("[]", r"model.json: must hold an object with a list of 'effects'"),
-    ('{"effects": []}', r"model.json: format=None must be 2: run roomeq close-loop again"),
+    ('{"effects": []}', r"model.json: format=None must be 3: run roomeq close-loop again"),
     ('{"format": 3, "effects": [{"effect": "gnomes"}]}',
      r"effects\[0\]: effect='gnomes' must be one of air_absorption, "),
     ('{"format": 3, "effects": [{"effect": "occlusion", "of": {"office": {"detour_m": "far"}}}]}',

@@ -30,7 +30,7 @@ CASES = [
          "m.json: effects[1]: effect='sound_speed' is there already: leave one out",
          (write("m.json", json.dumps(dict(format=3, effects=2 * [dict(effect="sound_speed", of={})]))),)),
     Case("loop of a model of another version", "close-loop --model m.json measured --out out",
-         "m.json: format=None must be 2: run roomeq close-loop again", (write("m.json", '{"effects": []}'),)),
+         "m.json: format=None must be 3: run roomeq close-loop again", (write("m.json", '{"effects": []}'),)),
     Case("loop of rirs given twice", "close-loop measured measured --out out",
          "RIR r0 is in both measured and measured: give each RIR once"),
     Case("loop into its input", "close-loop measured --out measured",

@@ -184,7 +184,7 @@ CASES = [
     model("of a decay of no time", "coupled_volume", "of['hall0']: time_s=0 must lie in [0.2, 6]: correct it",
           of=dict(hall0=dict(level_db=-10, time_s=0, slope=0))),
     model("of 1000 dB", "room_eq", "of['all']: gains_db=[...1000...] must lie in [-60, 60]: correct it",
-          of=dict(all=dict(gains_db=[0] * 22 + [1000]))),
+          of=dict(all=dict(gains_db=[0] * 25 + [1000]))),
     model("of three octaves", "noise_floor", "of['hall0']: levels_db=[-50, -50, -50] must be 22 numbers: correct it",
           of=dict(hall0=dict(levels_db=[-50] * 3))),
     Case("materials absent", "simulate --materials absent.toml measured out",
