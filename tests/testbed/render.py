@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.bases import base_named
-from testbed.draws import C0, DECLARED_C, DECLARED_PCT, N_FFT, N_SAMPLES, generator
+from testbed.draws import C0, DECLARED_C, DECLARED_PCT, FS_HZ, N_FFT, N_SAMPLES, generator
 from testbed.paths import COARSE
 from testbed.trace import N_ANGLES
 
+ONSET_S = 3e-3  # in which the wave field takes over from the direct sound, which it has too
 NOISE_DB = (-70.0, -65.0)  # of the recorder, relative to the direct sound's peak
 ANGLE_COSINES = -1.0 + (2.0 * np.arange(N_ANGLES) + 1.0) / N_ANGLES
 
@@ -35,7 +36,7 @@ class Extra:
     pulses : callable
         field -> list of (length [m], departure, gain, shape (N_FFT // 2 + 1,)).
     wave : callable
-        field -> (spectrum of the low-frequency field, filter of the early pulses, that of the late field), each shape
+        field -> (low-frequency transfer function, its share of the pressure, filter of the late field), each shape
         (N_FFT // 2 + 1,).
     response : callable
         (field, rir) -> rir.
@@ -80,15 +81,22 @@ def render(field, extras=()):
     image_spectrum = _images(base, field, extras, speed, air)
     late_spectrum = base.late(field, _late_energy(base, field, extras, speed), speed, air)
     for wave in hooks(extras, "wave"):
-        low_spectrum, high, late = wave(field)
+        transfer, share, late = wave(field)
         # early pulses agree with the wave field in phase, the late field doesn't: pressures add up, or powers
-        image_spectrum = image_spectrum * high + low_spectrum
+        image_spectrum = image_spectrum + _after_arrival(share * (transfer - image_spectrum), field, speed)
         late_spectrum = late_spectrum * late
     rir = base.finished(np.fft.irfft(image_spectrum + late_spectrum, N_FFT)[:N_SAMPLES], speed, air)
     for change in hooks(extras, "response"):
         rir = change(field, rir)
     noise = sum((make(field, rir) for make in hooks(extras, "noise")), _recorder(field))
     return rir + noise
+
+
+def _after_arrival(spectrum, field, speed):
+    """Spectrum of what comes after the direct sound: a share without phase begins before its cause, and ahead of 0."""
+    since_s = np.arange(N_FFT) / FS_HZ - field.images.length_m[0] / speed
+    after = np.sin(0.5 * np.pi * np.clip(since_s / ONSET_S, 0.0, 1.0)) ** 2 * (np.arange(N_FFT) < N_SAMPLES)
+    return np.fft.rfft(np.fft.irfft(spectrum, N_FFT) * after)
 
 
 def _images(base, field, extras, speed, air):

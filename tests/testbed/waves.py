@@ -16,7 +16,7 @@ from testbed.rooms import N_SOURCES
 HIGHEST_HZ = 300.0
 POINTS = 8.0  # per wavelength there
 LOWEST_HZ = 22.0  # below it no loudspeaker has anything to say
-WIDTH_OCTAVES = 0.5  # of the edge there
+WIDTH_OCTAVES = 0.5  # of the crossover to the rays
 N_LOW_BANDS = 3  # octaves whose walls count here: 62.5, 125, 250 Hz
 PERIOD_S = N_FFT / FS_HZ
 FADE_S = 0.25
@@ -167,26 +167,20 @@ def draw_modes(seed, rooms):
     return {}
 
 
-def linkwitz_riley(hz):
-    """Low-pass and high-pass of a crossover of eighth order, which add up to an all-pass (Linkwitz and Riley 1976).
-
-    Each is the square of a Butterworth filter of fourth order.
-    """
-    s = 1j * FREQUENCY_HZ / hz
-    sections = [1.0 + 2.0 * np.sin(angle) * s + s ** 2 for angle in np.pi * np.array([1.0, 3.0]) / 8.0]
-    butterworth = np.prod(sections, axis=0)
-    return 1.0 / butterworth ** 2, s ** 8 / butterworth ** 2
+def share_of_waves(hz):
+    """Share of the pressure that the wave field has below a crossover frequency, of zero phase; 0 below `LOWEST_HZ`."""
+    octave = np.log2(np.maximum(FREQUENCY_HZ, 1.0))
+    up, down = (np.clip((octave - np.log2(edge)) / WIDTH_OCTAVES + 0.5, 0.0, 1.0) for edge in (LOWEST_HZ, hz))
+    return np.sin(0.5 * np.pi * up) ** 2 * np.cos(0.5 * np.pi * down) ** 2
 
 
 def modes(parameters, scale):
     """The wave field below a crossover of `scale` Hz, rays above."""
-    octave = np.log2(np.maximum(FREQUENCY_HZ, 1.0) / LOWEST_HZ) / WIDTH_OCTAVES
-    heard = causal(np.sin(0.5 * np.pi * np.clip(octave + 0.5, 0.0, 1.0)) ** 2)
-    low, high = linkwitz_riley(scale)
-    late = causal(np.sqrt(np.maximum(1.0 - np.abs(low) ** 2, 0.0)))
+    share = share_of_waves(scale)
+    late = causal(np.sqrt(1.0 - share ** 2))
 
     def wave(field):
         transfer = np.zeros(N_FFT // 2 + 1, dtype=complex)
         transfer[:N_LOW] = _transfers(field.room.room_id, field.room, field.cache)[field.rir.source, field.rir.mic]
-        return transfer * heard * low, high, late
+        return transfer, share, late
     return Extra(wave=wave)
