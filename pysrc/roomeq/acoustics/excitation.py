@@ -9,6 +9,7 @@ from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import FS_HZ
 
 CLIFF_DB = 15.0
+_MODES_HZ, _MODES_DB = 63.0, 10.0  # below this frequency, the modes of a room may rise by so much within a third octave
 _LOW_HZ, _N_LOW = 20.0, 28  # sixth octaves from 20 to 450 Hz
 
 
@@ -17,12 +18,13 @@ def excited_from_hz(rir: FloatArray) -> float:
 
     It is the highest frequency at which the response rises by `CLIFF_DB` in a third octave, above everything below.
     Loudspeakers fall by at most 24 dB per octave, 8 dB per third octave (vented box; Small, J. Audio Eng. Soc. 21
-    (1973) 363).
+    (1973) 363). At low frequencies the lowest modes of the room add to that.
     """
     power = energy_per_bin(rir, next_fast_len(max(len(rir), FS_HZ), real=True))
     bin_hz = 0.5 * FS_HZ / (len(power) - 1)
     edges = np.rint(_LOW_HZ * 2.0 ** (np.arange(-0.5, _N_LOW) / 6.0) / bin_hz).astype(int)
     level_db = power_db(np.add.reduceat(power[:edges[-1]], edges[:-1]) / np.diff(edges), floor=FLOOR_POWER)
     below_db = np.maximum.accumulate(level_db)
-    cliffs = np.flatnonzero(level_db[2:] - below_db[:-2] > CLIFF_DB)
-    return float(_LOW_HZ * 2.0 ** ((cliffs[-1] + 1) / 6.0)) if len(cliffs) else 0.0
+    at_hz = _LOW_HZ * 2.0 ** ((np.arange(len(level_db) - 2) + 1) / 6.0)
+    cliffs = np.flatnonzero(level_db[2:] - below_db[:-2] > CLIFF_DB + np.where(at_hz < _MODES_HZ, _MODES_DB, 0.0))
+    return float(at_hz[cliffs[-1]]) if len(cliffs) else 0.0

@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len
-from scipy.special import gammaincinv
+from scipy.special import chdtri, gammaincinv
 
-from roomeq.acoustics.band_energy import OCTAVES, THIRDS, energy_in_bands, energy_per_bin, faded_part
+from roomeq.acoustics.band_energy import OCTAVES, THIRDS, Bands, energy_in_bands, energy_per_bin, faded_part
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.excitation import excited_from_hz
@@ -32,11 +32,12 @@ from roomeq.effects.noise_floor import NOISE_S, QUIET_DB, SHARE_OF_THIRD
 LEAD_S = 1.5e-3
 LATE_S = 0.2  # end of the late level, ahead of the noise of most recordings
 DIRECT_THIRDS_HZ = THIRDS_HZ[11:]  # from 630 Hz: lower ones are not resolved within `DIRECT_S`
-_FROM_50_HZ = len(SPECTRUM_HZ) - len(THIRDS_HZ)  # the first third octave of the spectrum that belongs to an octave
-_OCTAVE_OF_LEVEL = np.concatenate([np.zeros(_FROM_50_HZ, dtype=int), OCTAVE_OF_THIRD])
+_N_BELOW = len(SPECTRUM_HZ) - len(THIRDS_HZ)  # third octaves below the octaves
 NEAR_S, NEAR_SHARE = 4e-4, 0.05
 """Tolerance of the arrival of the direct sound: positions (14 cm) plus a speed of sound that is wrong by 5 %."""
 MIN_SNR_DB = 10.0
+_LOW_NOISE_S = 0.5  # at the end of a recording, of which the noise below 45 Hz is measured
+_UNDERESTIMATED = 0.05  # how often it may be larger than is assumed
 _CONTRADICTED = 0.5  # the level of white noise is found too high as often as too low
 QUIET = 10.0 ** (QUIET_DB / 10.0)
 JND = dict(direct=LEVEL_JND_DB, early=LEVEL_JND_DB, late=LEVEL_JND_DB, spectrum=LEVEL_JND_DB, edt=DECAY_JND,
@@ -132,8 +133,10 @@ class _Noise(NamedTuple):
 
     Attributes
     ----------
-    octave, third : ndarray, shape (8,), (25,)
-        In octaves and in the third octaves `SPECTRUM_HZ`.
+    octave, third : ndarray, shape (8,), (22,)
+        In octaves and in third octaves.
+    most_below : ndarray, shape (3,)
+        Upper limit in the third octaves of `SPECTRUM_HZ` below the octaves.
     seen : ndarray of bool, shape (8,)
         Whether that is noise: not where the response ends before its noise.
     has_response : ndarray of bool, shape (8,)
@@ -144,6 +147,7 @@ class _Noise(NamedTuple):
 
     octave: FloatArray
     third: FloatArray
+    most_below: FloatArray
     seen: BoolArray
     has_response: BoolArray
     n_samples: int
@@ -254,8 +258,20 @@ def _noise_density(rir: FloatArray, metrics: dict, from_hz: float) -> _Noise:
     part = rir[start:last]
     n_fft = next_fast_len(max(len(part), 2048), real=True)
     power = energy_per_bin(part, n_fft) / max(len(part), 1)
-    return _Noise(energy_in_bands(OCTAVES, power, n_fft), energy_in_bands(THIRDS, power, n_fft), seen, has_response,
-                  len(part))
+    return _Noise(energy_in_bands(OCTAVES, power, n_fft), energy_in_bands(THIRDS, power, n_fft)[_N_BELOW:],
+                  _most_noise_below(rir[max(0, last - round(_LOW_NOISE_S * FS_HZ)):last]), seen, has_response, len(part))
+
+
+def _most_noise_below(end: FloatArray) -> FloatArray:
+    """Return an upper limit of the energy per sample of noise in the third octaves below the octaves, shape (3,).
+
+    A few periods at the end of a recording tell little of such noise: its energy in a time T and a bandwidth B is
+    distributed as chi-squared with 2 B T degrees of freedom. What has not decayed there counts as noise.
+    """
+    n_fft = next_fast_len(max(len(end), 2048), real=True)
+    energy = energy_in_bands(Bands(THIRDS.mid_hz[:_N_BELOW], THIRDS.quality), energy_per_bin(end, n_fft), n_fft)
+    freedom = 2.0 * THIRDS.mid_hz[:_N_BELOW] / THIRDS.quality * len(end) / FS_HZ
+    return energy / len(end) * freedom / np.maximum(chdtri(freedom, 1.0 - _UNDERESTIMATED), 1e-30)
 
 
 def _levels(rir: FloatArray, direct: float, metrics: dict, noise: _Noise) -> dict[str, tuple[FloatArray, FloatArray]]:
@@ -270,13 +286,16 @@ def _levels(rir: FloatArray, direct: float, metrics: dict, noise: _Noise) -> dic
         part = faded_part(rir, max(0, start), min(stop, len(rir)), fade)
         n_fft = 1024 if metric == "direct" else next_fast_len(max(2048, len(part)), real=True)
         energy = energy_in_bands(bands, energy_per_bin(part, n_fft), n_fft)
-        per_sample, seen = ((noise.third, noise.seen[_OCTAVE_OF_LEVEL]) if bands is THIRDS
-                            else (noise.octave, noise.seen))
+        per_sample, seen = (noise.third, noise.seen[OCTAVE_OF_THIRD]) if bands is THIRDS else (noise.octave, noise.seen)
         of_noise = np.where(seen, per_sample, 0.0) * len(part)
+        most_noise = of_noise
         if metric == "direct":
-            energy, of_noise = energy[-len(DIRECT_THIRDS_HZ):], of_noise[-len(DIRECT_THIRDS_HZ):]
+            energy, of_noise, most_noise = (values[-len(DIRECT_THIRDS_HZ):] for values in (energy, of_noise, of_noise))
+        elif metric == "spectrum":  # below the octaves a limit is known, which is not subtracted
+            of_noise = np.concatenate([np.zeros(_N_BELOW), of_noise])
+            most_noise = np.concatenate([noise.most_below * len(part), most_noise])
         level_db = _db(energy - of_noise)
-        result[metric] = level_db, level_db - _db(of_noise)
+        result[metric] = level_db, level_db - _db(most_noise)
     return result
 
 
@@ -296,7 +315,7 @@ def _noise_levels(rir: FloatArray, direct: float, noise: _Noise, white: FloatArr
     n_fft = next_fast_len(len(rir), real=True)
     energy = energy_in_bands(OCTAVES, energy_per_bin(rir, n_fft), n_fft)
     per_energy = NOISE_S * FS_HZ / np.maximum(energy, 1e-30)
-    end, end_of_thirds = noise.octave * per_energy, noise.third[_FROM_50_HZ:] * per_energy[OCTAVE_OF_THIRD]
+    end, end_of_thirds = noise.octave * per_energy, noise.third * per_energy[OCTAVE_OF_THIRD]
     if white is None:
         added, white = np.zeros(len(BANDS_HZ)), _white(noise) * per_energy
         white_of_thirds = white[OCTAVE_OF_THIRD] * SHARE_OF_THIRD
@@ -343,6 +362,6 @@ def _white(noise: _Noise) -> FloatArray:
     """
     half_freedom = THIRD_WIDTH_HZ * noise.n_samples / FS_HZ
     contradicted = gammaincinv(half_freedom, _CONTRADICTED / len(THIRDS_HZ)) / half_freedom
-    most = noise.third[_FROM_50_HZ:] / THIRD_WIDTH_HZ / contradicted
+    most = noise.third / THIRD_WIDTH_HZ / contradicted
     lowest = most[noise.has_response[OCTAVE_OF_THIRD]].min() if noise.seen.any() else 0.0
     return np.where(noise.has_response, OCTAVE_WIDTH_HZ * lowest, 0.0)

@@ -8,9 +8,11 @@ from scipy.signal import butter, sosfilt
 
 from roomeq.acoustics.excitation import excited_from_hz
 from roomeq.core.constants import FS_HZ
+from roomeq.effects.wavefield import damping_per_s, modal_response, modes
 from roomeq.loop.data import Data
 from roomeq.loop.features import BAND_HZ, CALIBRATION_FEATURES, METRIC, excited, measure_features
 from roomeq.loop.measurability import comparable_levels, limit_to_excitation
+from roomeq.sim.scene import Shoebox
 
 
 def response(seed, *, from_hz=None, order=20, amplitude=1.0):
@@ -28,6 +30,36 @@ def response(seed, *, from_hz=None, order=20, amplitude=1.0):
 def test_lower_end_of_a_sweep_is_found_within_a_third_octave(from_hz):
     found = [excited_from_hz(response(seed, from_hz=from_hz)) for seed in range(8)]
     assert np.all(np.abs(np.log2(np.array(found) / from_hz)) < 1.0 / 3.0)
+
+
+def test_roll_off_and_a_mode_are_no_end_of_the_excitation():
+    """A loudspeaker that falls by 24 dB per octave from 60 Hz on in a room whose first mode is at 41 Hz."""
+    room = Shoebox((4.2, 3.4, 2.6))
+    found_modes, rng = modes(room, 300.0, 343.0), np.random.default_rng(0)
+    t60_s = np.full(8, 0.8)
+    found = []
+    for _ in range(12):
+        source, mic = rng.uniform(0.5, np.array(room.dims_m) - 0.5, (2, 3))
+        low = modal_response(found_modes, source, mic, damping_per_s(found_modes.frequencies_hz, t60_s), FS_HZ, FS_HZ)
+        rir = sosfilt(butter(4, 60.0, "high", fs=FS_HZ, output="sos"), low)
+        found.append(excited_from_hz(rir + 4e-4 * np.abs(rir).max() * rng.standard_normal(FS_HZ)))
+    assert np.median(found) == 0.0
+
+
+@pytest.mark.parametrize("colour", [0, 1, 2])  # white, pink, brown
+@pytest.mark.parametrize("length_s", [0.7, 1.6])
+def test_noise_below_the_octaves_is_no_level(colour, length_s):
+    """A loudspeaker that plays nothing below 45 Hz, in noise 60 dB below the direct sound."""
+    at = np.flatnonzero((METRIC == "spectrum") & (BAND_HZ > 0) & (BAND_HZ < 45.0))
+    frequency_hz = np.maximum(np.fft.rfftfreq(FS_HZ * 2, 1.0 / FS_HZ), 15.0)
+    valid = []
+    for seed in range(40):
+        rir = sosfilt(butter(8, 90.0, "high", fs=FS_HZ, output="sos"), np.pad(response(seed), (0, FS_HZ)))[:2 * FS_HZ]
+        rng = np.random.default_rng(1000 + seed)
+        noise = np.fft.irfft(np.fft.rfft(rng.standard_normal(2 * FS_HZ)) / frequency_hz ** (0.5 * colour))
+        rir = rir + 5e-3 * noise / noise.std()
+        valid.append(measure_features(rir[:round(length_s * FS_HZ)]).valid[at])
+    assert np.mean(valid) < 0.05
 
 
 @pytest.mark.parametrize("order", [0, 2, 4])
