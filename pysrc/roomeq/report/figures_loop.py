@@ -162,7 +162,7 @@ def response_curves(title: str, frequencies_hz: Sequence[float], responses: list
             axes.fill_between(frequencies_hz, response.low, response.high, color=colour, alpha=0.15, lw=0)
             axes.plot(frequencies_hz, response.best, style, color=colour, label=response.name)
         axes.axhline(0.0, color=colours["soft"], lw=0.8)
-        log_frequency(axes, 45.0)
+        log_frequency(axes, 0.9 * min(frequencies_hz))
         axes.set_ylabel("Gain (dB)")
         axes.set_title(title)
         if len(responses) <= _LEGEND_ENTRIES:
@@ -177,7 +177,7 @@ def draw_curves(curves: Curves) -> Draw:
             axes.plot(curves.x, values, style, color=colours[colour], lw=width, label=name,
                       alpha=0.55 if colour == "measured" else 1.0)
         if curves.is_spectrum:
-            log_frequency(axes, 45.0)
+            log_frequency(axes, 0.9 * float(curves.x[0]))
         else:
             axes.set_xlabel("Time after the direct sound (s)")
             levels = np.array([values for *_, values in curves.lines])
