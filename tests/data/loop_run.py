@@ -74,7 +74,8 @@ def iteration(added, before, after, **more):
                 scored_on=SPLITS[0], heldout_error_before=before, heldout_error_after=after,
                 heldout_error_ci=[after - 0.3, after + 0.3],
                 fall_ci=[before - after - 0.2, before - after + 0.2], p=1e-4,
-                p_by_split=dict.fromkeys(SPLITS, 1e-3), ranking=ranking(added.effect.NAME, 90.0),
+                p_by_split=dict.fromkeys(SPLITS, 1e-3), touched_fall=dict.fromkeys(SPLITS, 0.3),
+                ranking=ranking(added.effect.NAME, 90.0),
                 by_metric={when: entry["by_metric"] for when, entry in whole.items()},
                 by_band={when: entry["by_band"] for when, entry in whole.items()}) | more
 

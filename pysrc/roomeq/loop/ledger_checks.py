@@ -135,7 +135,7 @@ def _undetected(value: Any, where: str) -> None:
 def _iteration(value: Any, where: str) -> None:
     _keys(value, where, ("effect", "scope", "size_jnd", "parameters", "scored_on", "heldout_error_before",
                         "heldout_error_after", "heldout_error_ci", "fall_ci", "p", "p_by_split",
-                        "by_metric", "by_band", "ranking"))
+                        "touched_fall", "by_metric", "by_band", "ranking"))
     _effect(value["effect"], f"{where}.effect")
     scope = CATALOGUE[value["effect"]].SCOPE
     _require(value["scope"] == scope, f"{where}.scope={value['scope']!r:.60}", f"be {scope!r}")
@@ -146,9 +146,10 @@ def _iteration(value: Any, where: str) -> None:
     _interval(value["heldout_error_ci"], f"{where}.heldout_error_ci", value["heldout_error_after"])
     _interval(value["fall_ci"], f"{where}.fall_ci", value["heldout_error_before"] - value["heldout_error_after"])
     _number(value["p"], f"{where}.p", 0.0, 1.0)
-    _keys(value["p_by_split"], f"{where}.p_by_split", SPLITS)
-    for split in SPLITS:
-        _number(value["p_by_split"][split], f"{where}.p_by_split.{split}", 0.0, 1.0)
+    for key, low in (("p_by_split", 0.0), ("touched_fall", -LARGEST)):
+        _keys(value[key], f"{where}.{key}", SPLITS)
+        for split in SPLITS:
+            _number(value[key][split], f"{where}.{key}.{split}", low, 1.0)
     _number(value["size_jnd"], f"{where}.size_jnd", 0.0)
     _parameters(value["parameters"], CATALOGUE[value["effect"]], f"{where}.parameters")
     for key in ("by_metric", "by_band"):

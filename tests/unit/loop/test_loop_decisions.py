@@ -168,6 +168,17 @@ def test_features_that_an_effect_touches_have_the_same_weight_each(split):
     assert p_lower(errors_before, errors_after, split, np.zeros_like(touched)) == 1.0
 
 
+def test_rooms_without_what_an_effect_touches_count_as_rooms_without_a_fall():
+    """An effect in two rooms, where the error falls by the same, says little about the next."""
+    room, touched = ROOMS_AND_HALVES[0], np.zeros((16, N_FEATURES), dtype=bool)
+    touched[room < 2, 0] = True
+    before, after = np.full((16, N_FEATURES), 3.0), np.full((16, N_FEATURES), 3.0)
+    after[touched] = np.repeat([2.0, 1.95], 2)
+    split = "leave_room_out"
+    errors_before, errors_after = (HeldOutErrors({split: errors}, *ROOMS_AND_HALVES) for errors in (before, after))
+    assert p_lower(errors_before, errors_after, split, touched) > 0.05
+
+
 @pytest.mark.parametrize("level", [0.05, 0.6])
 def test_few_rooms_of_equal_absorption_do_not_fix_the_level_of_the_next(level):
     rooms = [np.concatenate([level * x + 0.1 * np.cos(np.arange(8) + x), np.zeros(8)]) for x in (-1.2, -0.3, 0.4, 1.1)]
