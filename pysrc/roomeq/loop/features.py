@@ -259,7 +259,8 @@ def _noise_density(rir: FloatArray, metrics: dict, from_hz: float) -> _Noise:
     n_fft = next_fast_len(max(len(part), 2048), real=True)
     power = energy_per_bin(part, n_fft) / max(len(part), 1)
     return _Noise(energy_in_bands(OCTAVES, power, n_fft), energy_in_bands(THIRDS, power, n_fft)[_N_BELOW:],
-                  _most_noise_below(rir[max(0, last - round(_LOW_NOISE_S * FS_HZ)):last]), seen, has_response, len(part))
+                  _most_noise_below(rir[max(0, last - round(_LOW_NOISE_S * FS_HZ)):last]), seen, has_response,
+                  len(part))
 
 
 def _most_noise_below(end: FloatArray) -> FloatArray:
