@@ -36,8 +36,8 @@ def test_run_ends_with_data_directories_and_report(undisturbed, corpora):
 
 def test_loop_finds_the_loudspeaker_responses(undisturbed, corpora):
     output, files = undisturbed
-    added = re.findall(r"^added (\S+): held-out error ([\d.]+) -> ([\d.]+) JND, a fall of -?[\d.]+ to [\d.]+ \(\S+\)$",
-                       output, re.M)
+    added = re.findall(r"^added (\S+): held-out error ([\d.]+) -> ([\d.]+) JND, a fall of -?[\d.]+ to [\d.]+; of "
+                       r"what it touches, by \d+ % \(\S+\)$", output, re.M)
     assert [name for name, *_ in added] == ["source_response"] and float(added[0][2]) < float(added[0][1])
     # dev has five RIRs
     assert "no room has two usable RIRs, one to calibrate it and one to score: the test set is not scored" in output
