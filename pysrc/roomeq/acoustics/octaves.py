@@ -12,10 +12,10 @@ from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ, exact_bands_hz
 OCTAVE_WIDTH_HZ = (np.minimum(np.array(EXACT_BANDS_HZ) * np.sqrt(2.0), 0.5 * FS_HZ)
                    - np.array(EXACT_BANDS_HZ) / np.sqrt(2.0))
 """Width of the octaves below half the sample rate [Hz], shape (8,)."""
-THIRDS_HZ = tuple(1000.0 * 10.0 ** (0.1 * k) for k in range(-13, 9))
-"""Exact mid-band frequencies of third octaves, 50 Hz to 6.3 kHz."""
-SPECTRUM_HZ = (*(1000.0 * 10.0 ** (0.1 * k) for k in range(-16, -13)), *THIRDS_HZ)
-"""The same from 25 Hz on: below the octaves, the modes of rooms are far apart."""
+SPECTRUM_HZ = tuple(1000.0 * 10.0 ** (0.1 * k) for k in range(-16, 9))
+"""Exact mid-band frequencies of third octaves, 25 Hz to 6.3 kHz: below the octaves, modes of rooms are far apart."""
+THIRDS_HZ = SPECTRUM_HZ[3:]
+"""Those that make up the octaves, from 50 Hz on."""
 THIRD_WIDTH_HZ = np.array(THIRDS_HZ) * (10.0 ** 0.05 - 10.0 ** -0.05)
 """Width of the third octaves [Hz], shape (22,)."""
 OCTAVE_OF_THIRD: IntArray = np.argmin(np.abs(np.log(np.array(THIRDS_HZ)[:, None] / np.array(EXACT_BANDS_HZ))), axis=1)

@@ -199,17 +199,18 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]
         errors_after = heldout_errors(after)
         touched = touched_by(winner.effect, after)
         p = {split: p_lower(errors, errors_after, split, touched) for split in SPLITS}
+        falls = {split: share_of_fall(errors, errors_after, split, touched) for split in SPLITS}
         joint_p = float(stats.combine_pvalues([*p.values()], "fisher").pvalue)
         if winner.effect.MEASURED:
             accepted = all(errors_after.mean(split) < errors.mean(split) + _TOLERATED_JND for split in SPLITS)
             rises = not accepted
         else:
             rises = any(p_lower(errors_after, errors, split) < LEVEL for split in SPLITS)
-            falls = [share_of_fall(errors, errors_after, split, touched) for split in SPLITS]
             significant = joint_p < _JOINT_LEVEL if winner.effect.NAMES_CAUSE else max(p.values()) < LEVEL
-            accepted = bool(significant and min(falls) > 0.0 and np.mean(falls) > _MIN_FALL and not rises)
+            falls_enough = min(falls.values()) > 0.0 and np.mean([*falls.values()]) > _MIN_FALL
+            accepted = bool(significant and falls_enough and not rises)
         if accepted:
-            entry = iteration_entry(winner, rivals, ranking, after, errors, errors_after, p, joint_p, touched)
+            entry = iteration_entry(winner, rivals, ranking, after, errors, errors_after, p, joint_p, falls)
             return Accepted(entry, after, errors_after), rejected
         rejected.append(winner.effect)
         logger.info("rejected %s: the held-out error %s when it is rendered", winner.effect.NAME,

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len
-from scipy.special import chdtri, gammaincinv
+from scipy.special import gammaincinv
 
 from roomeq.acoustics.band_energy import OCTAVES, THIRDS, Bands, energy_in_bands, energy_per_bin, faded_part
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
@@ -33,6 +33,7 @@ LEAD_S = 1.5e-3
 LATE_S = 0.2  # end of the late level, ahead of the noise of most recordings
 DIRECT_THIRDS_HZ = THIRDS_HZ[11:]  # from 630 Hz: lower ones are not resolved within `DIRECT_S`
 _N_BELOW = len(SPECTRUM_HZ) - len(THIRDS_HZ)  # third octaves below the octaves
+_BELOW = Bands(THIRDS.mid_hz[:_N_BELOW], THIRDS.quality)
 NEAR_S, NEAR_SHARE = 4e-4, 0.05
 """Tolerance of the arrival of the direct sound: positions (14 cm) plus a speed of sound that is wrong by 5 %."""
 MIN_SNR_DB = 10.0
@@ -135,8 +136,6 @@ class _Noise(NamedTuple):
     ----------
     octave, third : ndarray, shape (8,), (22,)
         In octaves and in third octaves.
-    most_below : ndarray, shape (3,)
-        Upper limit in the third octaves of `SPECTRUM_HZ` below the octaves.
     seen : ndarray of bool, shape (8,)
         Whether that is noise: not where the response ends before its noise.
     has_response : ndarray of bool, shape (8,)
@@ -147,7 +146,6 @@ class _Noise(NamedTuple):
 
     octave: FloatArray
     third: FloatArray
-    most_below: FloatArray
     seen: BoolArray
     has_response: BoolArray
     n_samples: int
@@ -258,21 +256,30 @@ def _noise_density(rir: FloatArray, metrics: dict, from_hz: float) -> _Noise:
     part = rir[start:last]
     n_fft = next_fast_len(max(len(part), 2048), real=True)
     power = energy_per_bin(part, n_fft) / max(len(part), 1)
-    return _Noise(energy_in_bands(OCTAVES, power, n_fft), energy_in_bands(THIRDS, power, n_fft)[_N_BELOW:],
-                  _most_noise_below(rir[max(0, last - round(_LOW_NOISE_S * FS_HZ)):last]), seen, has_response,
-                  len(part))
+    return _Noise(energy_in_bands(OCTAVES, power, n_fft), energy_in_bands(THIRDS, power, n_fft)[_N_BELOW:], seen,
+                  has_response, len(part))
 
 
-def _most_noise_below(end: FloatArray) -> FloatArray:
+def _most_noise_below(rir: FloatArray) -> FloatArray:
     """Return an upper limit of the energy per sample of noise in the third octaves below the octaves, shape (3,).
 
-    A few periods at the end of a recording tell little of such noise: its energy in a time T and a bandwidth B is
-    distributed as chi-squared with 2 B T degrees of freedom. What has not decayed there counts as noise.
+    A few periods at the end of a recording tell little of such noise (`_quantile`). What has not decayed there counts
+    as noise.
     """
+    last = _length(rir)
+    end = rir[max(0, last - round(_LOW_NOISE_S * FS_HZ)):last]
     n_fft = next_fast_len(max(len(end), 2048), real=True)
-    energy = energy_in_bands(Bands(THIRDS.mid_hz[:_N_BELOW], THIRDS.quality), energy_per_bin(end, n_fft), n_fft)
-    freedom = 2.0 * THIRDS.mid_hz[:_N_BELOW] / THIRDS.quality * len(end) / FS_HZ
-    return energy / len(end) * freedom / np.maximum(chdtri(freedom, 1.0 - _UNDERESTIMATED), 1e-30)
+    energy = energy_in_bands(_BELOW, energy_per_bin(end, n_fft), n_fft)
+    return energy / len(end) / np.maximum(_quantile(_BELOW.mid_hz / _BELOW.quality, len(end), _UNDERESTIMATED), 1e-30)
+
+
+def _quantile(bandwidth_hz: FloatArray, n_samples: int, probability: float) -> FloatArray:
+    """Return the quantile of the energy of white noise in some bands, relative to its expectation.
+
+    In a time T and a bandwidth B, it is distributed as chi-squared with 2 B T degrees of freedom.
+    """
+    half_freedom = bandwidth_hz * n_samples / FS_HZ
+    return gammaincinv(half_freedom, probability) / half_freedom
 
 
 def _levels(rir: FloatArray, direct: float, metrics: dict, noise: _Noise) -> dict[str, tuple[FloatArray, FloatArray]]:
@@ -289,14 +296,14 @@ def _levels(rir: FloatArray, direct: float, metrics: dict, noise: _Noise) -> dic
         energy = energy_in_bands(bands, energy_per_bin(part, n_fft), n_fft)
         per_sample, seen = (noise.third, noise.seen[OCTAVE_OF_THIRD]) if bands is THIRDS else (noise.octave, noise.seen)
         of_noise = np.where(seen, per_sample, 0.0) * len(part)
-        most_noise = of_noise
         if metric == "direct":
-            energy, of_noise, most_noise = (values[-len(DIRECT_THIRDS_HZ):] for values in (energy, of_noise, of_noise))
-        elif metric == "spectrum":  # below the octaves a limit is known, which is not subtracted
+            energy, of_noise = energy[-len(DIRECT_THIRDS_HZ):], of_noise[-len(DIRECT_THIRDS_HZ):]
+        elif metric == "spectrum":
             of_noise = np.concatenate([np.zeros(_N_BELOW), of_noise])
-            most_noise = np.concatenate([noise.most_below * len(part), most_noise])
         level_db = _db(energy - of_noise)
-        result[metric] = level_db, level_db - _db(most_noise)
+        if metric == "spectrum":  # below the octaves a limit is known, which is not subtracted
+            of_noise[:_N_BELOW] = _most_noise_below(rir) * len(part)
+        result[metric] = level_db, level_db - _db(of_noise)
     return result
 
 
@@ -358,11 +365,8 @@ def _white(noise: _Noise) -> FloatArray:
 
     A band whose response ends before its noise contradicts white noise above that end. If no octave shows noise, there
     is none to speak of. Octaves without a response have no noise relative to it.
-    The energy of white noise over a time T in a bandwidth B is distributed as chi-squared with 2 B T degrees of
-    freedom. Any of the bands contradicts true white noise with a probability of `_CONTRADICTED`.
+    Any of the bands contradicts true white noise with a probability of `_CONTRADICTED`.
     """
-    half_freedom = THIRD_WIDTH_HZ * noise.n_samples / FS_HZ
-    contradicted = gammaincinv(half_freedom, _CONTRADICTED / len(THIRDS_HZ)) / half_freedom
-    most = noise.third / THIRD_WIDTH_HZ / contradicted
+    most = noise.third / THIRD_WIDTH_HZ / _quantile(THIRD_WIDTH_HZ, noise.n_samples, _CONTRADICTED / len(THIRDS_HZ))
     lowest = most[noise.has_response[OCTAVE_OF_THIRD]].min() if noise.seen.any() else 0.0
     return np.where(noise.has_response, OCTAVE_WIDTH_HZ * lowest, 0.0)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from roomeq.core.arrays import BoolArray, FloatArray
+from roomeq.core.arrays import FloatArray
 from roomeq.core.files import read_json
 from roomeq.effects.base import Effect
 from roomeq.effects.model import MODEL_FILE, read_model
@@ -18,7 +18,7 @@ from roomeq.loop.examples import EXAMPLES_FILE, read_arrays, read_examples
 from roomeq.loop.features import N_FEATURES
 from roomeq.loop.ledger_checks import InvalidEntryError, check_ledger
 from roomeq.loop.packing import OWN_SCOPES
-from roomeq.loop.selection import SPLITS, Candidate, HeldOutErrors, share_of_fall
+from roomeq.loop.selection import SPLITS, Candidate, HeldOutErrors
 from roomeq.loop.session import Session
 from roomeq.loop.splitters import leave_rooms_out
 from roomeq.loop.usable import LeftOut
@@ -52,7 +52,7 @@ def undetected_entry(candidate: Candidate, detectable_jnd: float | None) -> dict
 
 def iteration_entry(winner: Candidate, rivals: list[Candidate], ranking: list[Candidate], session: Session,
                     before: HeldOutErrors, after: HeldOutErrors, p: dict[str, float], joint_p: float,
-                    touched: BoolArray) -> dict:
+                    touched_fall: dict[str, float]) -> dict:
     """Return the entry of an accepted effect.
 
     Parameters
@@ -69,8 +69,8 @@ def iteration_entry(winner: Candidate, rivals: list[Candidate], ranking: list[Ca
         entry's errors, of all features, are those of the split with the lowest p.
     joint_p : float
         p value of both, by Fisher's method.
-    touched : ndarray of bool, shape (n_rirs, n_features)
-        Features that the effect touches. Their fall, a share of their error, is `touched_fall`.
+    touched_fall : dict
+        Fall of the error of the touched features, a share of it, by split (`roomeq.loop.selection.share_of_fall`).
     """
     split = min(p, key=lambda name: (p[name], name))
     entry = dict(
@@ -78,7 +78,7 @@ def iteration_entry(winner: Candidate, rivals: list[Candidate], ranking: list[Ca
         parameters=_parameter_intervals(session, winner.effect), scored_on=split,
         heldout_error_before=before.mean(split), heldout_error_after=after.mean(split),
         heldout_error_ci=after.interval(split), fall_ci=before.fall_interval(after, split), p=joint_p, p_by_split=p,
-        touched_fall={name: share_of_fall(before, after, name, touched) for name in p},
+        touched_fall=touched_fall,
         by_metric={"before": before.by_metric(split), "after": after.by_metric(split)},
         by_band={"before": before.by_band(split), "after": after.by_band(split)},
         ranking=[ranking_entry(candidate) for candidate in ranking])

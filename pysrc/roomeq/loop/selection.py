@@ -180,8 +180,8 @@ def p_lower(before: HeldOutErrors, after: HeldOutErrors, split: str, only: BoolA
 
 def share_of_fall(before: HeldOutErrors, after: HeldOutErrors, split: str, only: BoolArray) -> float:
     """Return the fall from one error to another of `only` some features, as a share of the first, over all rooms."""
-    falls, first = before.of_rooms(split, only) - after.of_rooms(split, only), before.of_rooms(split, only)
-    return float(_known(falls).sum() / max(_known(first).sum(), 1e-12))
+    first = before.of_rooms(split, only)
+    return float(_known(first - after.of_rooms(split, only)).sum() / max(_known(first).sum(), 1e-12))
 
 
 def _known(values: FloatArray) -> FloatArray:
