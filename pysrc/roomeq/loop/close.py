@@ -213,8 +213,10 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]
             entry = iteration_entry(winner, rivals, ranking, after, errors, errors_after, p, joint_p, falls)
             return Accepted(entry, after, errors_after), rejected
         rejected.append(winner.effect)
-        logger.info("rejected %s: the held-out error %s when it is rendered", winner.effect.NAME,
-                    "rises" if rises else f"of what it touches does not fall significantly by {100 * _MIN_FALL:.0f} %")
+        logger.info("rejected %s: rendered, the held-out error %s", winner.effect.NAME, "rises" if rises else
+                    "of what it touches falls too little or not significantly: " + ", ".join(
+                        f"by {100 * falls[split]:.0f} % (p {p[split]:.2g}, {split.replace('_', '-')})"
+                        for split in SPLITS))
         pool = [candidate for candidate in pool if candidate is not winner
                 and (rises or one_sided_p(winner.gain - candidate.gain) > LEVEL
                      or (candidate.helps(len(ranking)) and helps_beside(session, winner, candidate, len(ranking))))]

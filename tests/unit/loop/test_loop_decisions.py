@@ -168,6 +168,18 @@ def test_features_that_an_effect_touches_have_the_same_weight_each(split):
     assert p_lower(errors_before, errors_after, split, np.zeros_like(touched)) == 1.0
 
 
+def test_p_of_few_halves_is_the_mid_p_value():
+    """Of six halves that all fall, no more extreme sign is possible: half of 1 / 64."""
+    before = np.full((6, N_FEATURES), 3.0)
+    after = before - np.linspace(0.5, 1.0, 6)[:, None]
+    split = "leave_positions_out"
+    errors_before, errors_after = (HeldOutErrors({split: errors}, np.repeat(np.arange(3), 2), np.tile([0, 1], 3))
+                                   for errors in (before, after))
+    assert p_lower(errors_before, errors_after, split) == pytest.approx(0.5 / 64)
+    assert p_lower(errors_after, errors_before, split) == pytest.approx(1.0 - 0.5 / 64)
+    assert p_lower(errors_before, errors_before, split) == pytest.approx(0.5)
+
+
 def test_rooms_without_what_an_effect_touches_count_as_rooms_without_a_fall():
     """An effect in two rooms, where the error falls by the same, says little about the next."""
     room, touched = ROOMS_AND_HALVES[0], np.zeros((16, N_FEATURES), dtype=bool)
