@@ -409,6 +409,16 @@ def test_unstated_facing_is_estimated(room_set, tmp_path):
     assert np.median(np.abs(np.diff(angles))) < 20.0
 
 
+def test_loudspeakers_that_radiate_alike_in_all_directions_have_no_facing(room_set, tmp_path):
+    source = room_set("clean") / "fit"
+    directory = tmp_path / "unstated"
+    directory.mkdir()
+    write_rirs(directory, [row | dict(source_dir=None) for row in relocated(read_rirs(source), source, directory)])
+    session = with_estimated_facings(fit_base_model(load_data([directory], scattering=SCATTERING, seed=0), seed=0,
+                                                    nj=2))
+    assert {facing.hypothesis for facing in session.data.facings} == {"towards the microphone"}
+
+
 def test_gains_of_chains_with_a_single_rir_are_sums(session):
     """A chain of several RIRs has its own gain; else the gain is a sum over room, source and microphone."""
     data = session.data

@@ -10,16 +10,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from roomeq.core.arrays import IntArray
 from roomeq.core.build import Build
 from roomeq.core.files import write_json
 from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, read_model, write_model
+from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.loop.ceiling import ceiling_errors, ceiling_of_test_set, describe_explained, explained
 from roomeq.loop.data import Data, load_usable
 from roomeq.loop.descriptions import describe_facing, describe_residual, effect_names
 from roomeq.loop.examples import EXAMPLES_FILE, write_examples
-from roomeq.loop.facing import with_estimated_facings
+from roomeq.loop.facing import unknown_facings, with_estimated_facings
 from roomeq.loop.fit import fit
 from roomeq.loop.ledger import (
     LEDGER_FILE,
@@ -116,9 +118,9 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
          seed: int, nj: int) -> dict:
     """Run the loop, write its files below `work` and return the ledger."""
     start = time.monotonic()
+    unknown = unknown_facings(data)
     first = with_estimated_facings(fit_base_model(data, seed=seed, nj=nj))
-    for facing in first.data.facings:
-        logger.info("%s", describe_facing(facing))
+    _log_facings(first.data)
     session = first
     first_errors = errors = heldout_errors(session)
     logger.info("base model: held-out error %.2f JND (leave-positions-out), %.2f JND (leave-room-out)",
@@ -132,6 +134,10 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
             break
         before = errors
         entry, session, errors = accepted
+        if entry["effect"] == SourceDirectivity.NAME and len(unknown):
+            session = _face_as_fitted(session, unknown)
+            errors = heldout_errors(session)
+            update_errors(entry, before, errors, [])
         session, errors, superfluous = _eliminate(session, errors, CATALOGUE[entry["effect"]])
         if superfluous:
             eliminated.update(superfluous)
@@ -157,7 +163,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
         format=LEDGER_FORMAT, rirs=len(data.rows), rooms=len(data.room_names),
         left_out=left_out_entries(data.left_out),
         geometry=[estimate.as_dict() for estimate in data.estimates], given=base.names,
-        facings=[facing.as_dict() for facing in first.data.facings], baseline=error_entry(first_errors),
+        facings=[facing.as_dict() for facing in session.data.facings], baseline=error_entry(first_errors),
         iterations=iterations,
         ranking=[undetected_entry(candidate, size_jnd) for candidate, size_jnd in zip(ranking, sizes, strict=True)],
         unexplained=unexplained[0].as_dict() if unexplained else None,
@@ -173,13 +179,27 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     return ledger
 
 
+def _face_as_fitted(session: Session, unknown: IntArray) -> Session:
+    """Return a session whose sources face as their fitted directivities say, fitted again; `unknown`: of these RIRs."""
+    turned = with_estimated_facings(session, unknown)
+    _log_facings(turned.data)
+    return refit_rendered(turned.data, fit(turned.data, turned.correction, turned.effects, initial=turned.fit,
+                                           threads=turned.nj),
+                          seed=session.seed, nj=session.nj, known_changes=session.effects)
+
+
+def _log_facings(data: Data) -> None:
+    for facing in data.facings:
+        logger.info("%s", describe_facing(facing))
+
+
 def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]
             ) -> tuple[Accepted | None, list[type[Effect]]]:
     """Return the best candidate that lowers the held-out error when it is rendered, or None, and the rejected effects.
 
-    The error of the features that the effect touches must fall on both `SPLITS`, by `_MIN_FALL` and significantly
-    (Fisher's method, which combines both p values; at `_JOINT_LEVEL`): the scatter of the others would hide an effect
-    that touches few. They have the same weight each: in a mean over metrics, the few decay times at low frequencies,
+    The error of the features that the effect touches must fall on both `SPLITS`, by `_MIN_FALL` in the mean of both and
+    significantly (Fisher's method, which combines both p values; at `_JOINT_LEVEL`): the scatter of the others would
+    hide an effect that touches few. They have the same weight each: in a mean over metrics, the few decay times at low frequencies,
     which scatter most, would have the largest. The error of all features must not rise significantly on any split. An
     equaliser, which names no cause and is the same in all rooms, needs significance on each split. What was read off
     the recordings has no other cause: it is enough that the error does not rise by more than `_TOLERATED_JND`.
@@ -257,6 +277,7 @@ def _test_entry(data: Data, first: Session, last: Session) -> dict:
     """
     found, last = last.effects, with_measured_effects(last)
     data, _ = transferred(data, last)  # whose facings are estimated once
+    _log_facings(data)
     before, after = (score_test_set(data, session) for session in (first, last))
     logger.info("test set: held-out error %.2f -> %.2f JND (leave-positions-out), %.2f -> %.2f JND (leave-room-out)",
                 *(errors.mean(split) for split in SPLITS for errors in (before, after)))

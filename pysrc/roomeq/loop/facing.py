@@ -6,7 +6,7 @@ only the features of `roomeq.loop.features.CALIBRATION_FEATURES` take part, whic
 the median over all RIRs of a source takes part, the scored ones among them: it takes out the source's response.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -29,7 +29,9 @@ _AXES = np.array([(np.cos(azimuth), np.sin(azimuth), 0.0) for azimuth in np.radi
 """Horizontal directions that are compared."""
 _TEST_ANGLES = np.linspace(0.0, np.pi, 13)
 _INDEPENDENT = 3.0  # of the third octaves of a direct sound, which err together
-_DECISIVE = 3.0  # natural logarithm of the Bayes factor that other directions than the microphone's need
+_SCALES = (1.0, 0.5, 0.25)
+"""Of the scatter of the direct sound: without its directivity, a model takes what the source lacks for scatter."""
+_DECISIVE = 1.0  # natural logarithm of the Bayes factor that other directions than the microphone's need
 
 
 def unknown_facings(data: Data) -> IntArray:
@@ -37,19 +39,32 @@ def unknown_facings(data: Data) -> IntArray:
     return np.flatnonzero([unit_facing(row.get("source_dir")) is None for row in data.rows])
 
 
-def with_estimated_facings(session: Session) -> Session:
-    """Return a session whose sources all face somewhere (`Data.facings`)."""
-    data, fitted = session.data, session.fit
-    typical = SourceDirectivity.from_vector(SourceDirectivity.STARTS[0])
-    return replace(session, data=estimate_facings(
-        data, session.index, fitted.mean, fitted.local, session.residual, np.hypot(fitted.sigma, fitted.omega),
-        dict.fromkeys(data.units("source")[0], typical)))
+def with_estimated_facings(session: Session, unknown: IntArray | None = None) -> Session:
+    """Return a session whose sources all face somewhere (`Data.facings`).
+
+    Parameters
+    ----------
+    session : Session
+    unknown : ndarray of int, optional
+        RIRs whose facing is estimated, by default all without one.
+    """
+    fitted = session.fit
+    data = session.data if unknown is None else without_facings(session.data, unknown)
+    return replace(session, data=estimate_facings(data, session.index, fitted.mean, fitted.local, session.residual,
+                                                  np.hypot(fitted.sigma, fitted.omega)))
+
+
+def without_facings(data: Data, rirs: IntArray) -> Data:
+    """Return data in which the facing of some RIRs is unknown."""
+    return replace(data, rows=[{**row, "source_dir": None} if n in rirs else row for n, row in enumerate(data.rows)])
 
 
 def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local: list[FloatArray],
-                     residual: FloatArray, spread: FloatArray, directivities: Mapping[str, SourceDirectivity]
-                     ) -> Data:
+                     residual: FloatArray, spread: FloatArray) -> Data:
     """Return data with an estimate of each unknown facing.
+
+    The directivity of a source is unknown as well: it is one of cabinets of several sizes, that of the model if it has
+    one, or none.
 
     Parameters
     ----------
@@ -61,13 +76,11 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
         Measured minus predicted features; NaN where invalid.
     spread : ndarray, shape (n_features,)
         Scatter of the features [JND].
-    directivities : mapping
-        Assumed directivity of each source.
     """
     unknown = unknown_facings(data)
     if not len(unknown):
         return data
-    log_likelihood = _log_likelihood(data, index, mean, local, residual, spread, directivities)
+    log_likelihood, log_alike = _log_likelihood(data, index, mean, local, residual, spread)
     facings: dict[int, FloatArray] = {}
     estimates = []
     towards = _towards(data)
@@ -77,8 +90,10 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
         by_position: dict[tuple, list[int]] = {}
         for n in members:
             by_position.setdefault(_position(data, n), []).append(n)
-        log_towards = float(log_likelihood[members, 0].sum())
-        fixed, log_fixed = _best_axes(by_position.values(), towards, log_likelihood)
+        # one that radiates alike in all directions would seem to face half away from all microphones
+        of_sources = np.concatenate([log_likelihood[:, members, 0], log_alike[:, members]]).sum(axis=1)
+        log_towards = float(logsumexp(of_sources) - np.log(len(of_sources)))
+        fixed, log_fixed = _best_axes(list(by_position.values()), towards, log_likelihood)
         free, log_free = _best_axes([[n] for n in members], towards, log_likelihood)
         evidence = {"fixed": float(log_fixed - log_towards), "free": float(log_free - log_towards)}
         hypothesis: Hypothesis = "towards the microphone"
@@ -92,58 +107,88 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
     return replace(with_facings(data, facings), facings=tuple(estimates))
 
 
-def facing_the_microphone(data: Data) -> Data:
-    """Return data in which each source with unknown facing faces the microphone."""
-    towards = _towards(data)
-    return with_facings(data, {int(n): towards[n] for n in unknown_facings(data)})
-
-
 def _towards(data: Data) -> FloatArray:
     """Unit vectors from each source to its microphone, shape (n_rirs, 3)."""
     towards = np.array([np.subtract(place.mic_pos_m, place.source_pos_m) for place in data.places])
     return towards / np.linalg.norm(towards, axis=1, keepdims=True)
 
 
-def _best_axes(groups: Iterable[list[int]], towards: FloatArray, log_likelihood: FloatArray
+def _best_axes(groups: list[list[int]], towards: FloatArray, log_likelihood: FloatArray
                ) -> tuple[dict[int, FloatArray], float]:
-    """Return the best facing of each RIR where the RIRs of a group share one, and the log evidence of all groups."""
-    best, evidence = {}, 0.0
-    for rirs in groups:
-        angles = np.arccos(np.clip(towards[rirs] @ _AXES.T, -1.0, 1.0))  # (n_rirs_of_group, n_axes)
-        of_axes = np.sum([np.interp(angles[i], _TEST_ANGLES, log_likelihood[n]) for i, n in enumerate(rirs)], axis=0)
-        evidence += float(logsumexp(of_axes)) - np.log(len(_AXES))
-        best.update(dict.fromkeys(rirs, _AXES[int(np.argmax(of_axes))]))
-    return best, evidence
+    """Return the best facing of each RIR where the RIRs of a group share one, and the log evidence of all groups.
+
+    The likelihood is that of `_log_likelihood`.
+    """
+    n_assumed = len(log_likelihood)
+    best: list[dict[int, FloatArray]] = [{} for _ in range(n_assumed)]
+    evidence = np.zeros(n_assumed)
+    for k, assumed in enumerate(log_likelihood):
+        for rirs in groups:
+            angles = np.arccos(np.clip(towards[rirs] @ _AXES.T, -1.0, 1.0))  # (n_rirs_of_group, n_axes)
+            of_axes = np.sum([np.interp(angles[i], _TEST_ANGLES, assumed[n]) for i, n in enumerate(rirs)], axis=0)
+            evidence[k] += float(logsumexp(of_axes)) - np.log(len(_AXES))
+            best[k].update(dict.fromkeys(rirs, _AXES[int(np.argmax(of_axes))]))
+    return best[int(np.argmax(evidence))], float(logsumexp(evidence) - np.log(n_assumed))
 
 
 def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: list[FloatArray],
-                    residual: FloatArray, spread: FloatArray, directivities: Mapping[str, SourceDirectivity]
-                    ) -> FloatArray:
-    """Return the log likelihood of the direct sound of each RIR at `_TEST_ANGLES`, shape (n_rirs, n_angles).
+                    residual: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the log likelihood of the direct sound of each RIR, with some directivities and without any.
 
     Reflections leave in all directions, so that their gain is the mean over the sphere. The response of the source
-    colours both, and its estimate from the reflections is taken from the residual of the direct sound.
+    colours both, and its estimate from the reflections is taken from the residual of the direct sound. The model's own
+    directivity is taken out first.
+
+    Returns
+    -------
+    of_angles : ndarray, shape (n_assumed, n_rirs, n_angles)
+        At `_TEST_ANGLES` from the axis, for each assumed directivity and scale of the scatter.
+    alike : ndarray, shape (n_scales, n_rirs)
+        Of a source that radiates alike in all directions, for each scale.
     """
+    rest = [k for k, effect in enumerate(index.effects) if effect is not SourceDirectivity]
     absorption, vectors = index.absorption(mean, local), index.vectors(mean, local)
-    plain = index.predict(absorption, vectors, np.zeros(len(data.rows)), 0.0)
+    others, vectors_of_others = [index.effects[k] for k in rest], [vectors[k] for k in rest]
+    no_gains = np.zeros(len(data.rows))
+    plain = ParameterIndex(data, others).predict(absorption, vectors_of_others, no_gains, 0.0)
+    residual = residual + index.predict(absorption, vectors, no_gains, 0.0) - plain
     used = (METRIC == "direct") & CALIBRATION_FEATURES
     direct = residual[:, used] - _colour(data, residual, BAND_OF_FEATURE[used])
     sphere = (np.gradient(-np.cos(ANGLES)) / 2.0).astype(np.float32)
     diffuse = [replace(table, angular=np.tile(sphere / sphere.sum(), (len(table.entries), 1))) for table in data.tables]
-    of_angles, source_of = [], np.array([unit_name(row, "source") for row in data.rows])
+
+    def log_likelihood(change: FloatArray) -> FloatArray:
+        # relative to the reflections, which the directivity changes as well
+        error = (direct - (change[:, used] - _octaves(change, "late")[:, BAND_OF_FEATURE[used]])) / spread[used]
+        measured = np.isfinite(error).sum(axis=1)
+        independent = np.minimum(measured, _INDEPENDENT)
+        square = [np.nansum(np.minimum((error / scale) ** 2, 9.0), axis=1) for scale in _SCALES]
+        return -0.5 * independent / np.maximum(measured, 1) * square - np.outer(np.log(_SCALES), independent)
+
+    of_angles: list[FloatArray] = []
+    source_of = np.array([unit_name(row, "source") for row in data.rows])
     for angle in _TEST_ANGLES:
         turned = replace(data, tables=[replace(table, direct_angle=float(angle)) for table in diffuse])
-        state = ParameterIndex(turned, index.effects).state(absorption, vectors)
-        for name, directivity in directivities.items():
-            rows = np.flatnonzero(source_of == name)
-            directivity.apply_to_prediction(state, turned, rows)
-        change = predict(turned, state) - plain
-        # relative to the reflections, which the directivity changes as well
-        error = direct - (change[:, used] - _octaves(change, "late")[:, BAND_OF_FEATURE[used]])
-        square = np.minimum((error / spread[used]) ** 2, 9.0)
-        measured = np.isfinite(square).sum(axis=1)
-        of_angles.append(-0.5 * np.nansum(square, axis=1) * np.minimum(1.0, _INDEPENDENT / np.maximum(measured, 1)))
-    return np.array(of_angles).T
+        with_others = ParameterIndex(turned, others)
+        at_angle = []
+        for directivities in _directivities(index, vectors):
+            state = with_others.state(absorption, vectors_of_others)
+            for name, directivity in directivities.items():
+                directivity.apply_to_prediction(state, turned, np.flatnonzero(source_of == name))
+            at_angle.append(log_likelihood(predict(turned, state) - plain))
+        of_angles.append(np.concatenate(at_angle))
+    return np.stack(of_angles, axis=2), log_likelihood(np.zeros_like(plain))
+
+
+def _directivities(index: ParameterIndex, vectors: list[FloatArray]) -> list[dict[str, SourceDirectivity]]:
+    """Return directivities that sources may have: of cabinets of several sizes, and as fitted if the model has them."""
+    names = index.data.units("source")[0]
+    typical = [dict.fromkeys(names, SourceDirectivity.from_vector(start)) for start in SourceDirectivity.STARTS]
+    if SourceDirectivity not in index.effects:
+        return typical
+    of_sources = vectors[index.effects.index(SourceDirectivity)]
+    return [*typical, {name: SourceDirectivity.from_vector(vector)
+                       for name, vector in zip(names, of_sources, strict=True)}]
 
 
 def _position(data: Data, n: int) -> tuple:

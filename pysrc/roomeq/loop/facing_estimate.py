@@ -20,7 +20,8 @@ class FacingEstimate:
     hypothesis : str
         ``"towards the microphone"``; ``"fixed"``, one direction at each position; or ``"free"``, one in each recording.
     evidence : dict
-        Natural logarithm of the Bayes factor of each hypothesis against ``"towards the microphone"``.
+        Natural logarithm of the Bayes factor of each other hypothesis against ``"towards the microphone"``, which
+        includes loudspeakers that radiate alike in all directions.
     angle_deg : float
         Mean angle between the facing and the direction of the microphone.
     """

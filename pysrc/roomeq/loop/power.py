@@ -6,7 +6,7 @@ its squares. With a pattern of s times this size, the log densities of the held-
 with a standard deviation of s sqrt(I) (as a likelihood ratio: Kay, Fundamentals of Statistical Signal Processing II,
 1998, sec. 6.5), less what it costs to estimate the effect's parameters.
 
-A candidate that was fitted, and rejected since it did not lower the held-out error, would not have been found at the
+A candidate that was fitted, and rejected since it did not lower the held-out error significantly, would not have been found at the
 size that was fitted, whatever its density.
 """
 
@@ -43,7 +43,7 @@ def detectable_sizes(session: Session, candidates: Sequence[Candidate], rejected
         Of the model that lacks the candidates, with their rendered changes (`roomeq.loop.selection.Ranking`).
     candidates : sequence of Candidate
     rejected : collection of types
-        Effects of those whose rendered error did not fall.
+        Effects of those whose rendered error did not fall significantly.
     """
     quantile = float(stats.norm.ppf(POWER))
     sizes: list[float | None] = []

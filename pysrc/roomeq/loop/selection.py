@@ -27,7 +27,7 @@ from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.loop.data import Data
-from roomeq.loop.facing import estimate_facings, facing_the_microphone, unknown_facings
+from roomeq.loop.facing import estimate_facings, unknown_facings, without_facings
 from roomeq.loop.features import (
     BAND_OF_FEATURE,
     HAS_GAIN,
@@ -66,6 +66,7 @@ _USABLE = {
 about the absorption of unseen rooms, but so little that errors of their phases decided."""
 _METRICS = tuple(dict.fromkeys(METRIC.tolist()))
 _SIGN_CHANGES = 2 ** 16  # all those of 16 halves; of more, a sample
+_FACING_ROUNDS = 2
 _PROBE_ITERATIONS = 2  # after which the fits from different starts are compared
 
 
@@ -167,8 +168,7 @@ def p_lower(before: HeldOutErrors, after: HeldOutErrors, split: str, only: BoolA
     t test over rooms would count that as scatter. The test is discrete, and Fisher's method of combining p values
     assumes that they are continuous: the p value is the mid-p value, which counts half of the probability of the
     observed mean (Lancaster, JASA 56 (1961) 223). Of three rooms, with six halves, the smallest p value would otherwise
-    be 0.016, and no effect could pass that is only likely in unseen rooms. Leave-room-out: a t test over rooms, since a
-    few rooms have too few signs to change.
+    be 0.016. Leave-room-out: a t test over rooms, since a few rooms have too few signs to change.
     """
     if split == "leave_room_out":
         # a room without such features shows no fall, and counts: two rooms say little about the next
@@ -253,24 +253,22 @@ def _transferred_correction(session: Session, n_rirs: int) -> FloatArray:
 def _with_facings(data: Data, session: Session) -> Data:
     """Return data of a test set with estimated facings.
 
-    Directivities are calibrated first as if all sources faced the microphone. With the mean directivity of the
-    session's sources, a source that is less directional would seem to face elsewhere.
+    They are first those with the mean directivity of the session's sources, and then those with the directivities that
+    are calibrated with these facings.
     """
-    if SourceDirectivity not in session.effects or not len(unknown_facings(data)):
+    unknown = unknown_facings(data)
+    if SourceDirectivity not in session.effects or not len(unknown):
         return data
-    index = ParameterIndex(data, session.effects)
     correction = _transferred_correction(session, len(data.rows))
-    mean, local = solve_rooms(ParameterIndex(facing_the_microphone(data), session.effects), session.fit,
-                              transfer_shared(session, index), correction, split_positions(data)[0],
-                              threads=session.nj)
-    vectors = index.vectors(mean, local)
-    residual, valid = data.residual(index.predict(index.absorption(mean, local), vectors, index.gains(local),
-                                                  correction))
-    k = index.effects.index(SourceDirectivity)
-    directivities = {name: SourceDirectivity.from_vector(vector)
-                     for name, vector in zip(data.units("source")[0], vectors[k], strict=True)}
-    return estimate_facings(data, index, mean, local, np.where(valid, residual, np.nan),
-                            np.hypot(session.fit.sigma, session.fit.omega), directivities)
+    for _ in range(_FACING_ROUNDS):
+        index = ParameterIndex(data, session.effects)
+        mean, local = solve_rooms(index, session.fit, transfer_shared(session, index), correction,
+                                  split_positions(data)[0], threads=session.nj)
+        residual, valid = data.residual(index.predict(index.absorption(mean, local), index.vectors(mean, local),
+                                                      index.gains(local), correction))
+        data = estimate_facings(without_facings(data, unknown), index, mean, local, np.where(valid, residual, np.nan),
+                                np.hypot(session.fit.sigma, session.fit.omega))
+    return data
 
 
 def _rendered_errors(data: Data, calibrated: Callable, splits: Sequence[str], *, seed: int, nj: int) -> HeldOutErrors:

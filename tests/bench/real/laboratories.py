@@ -89,7 +89,7 @@ def run(name, laboratories, work, nj):
     scored = ledger["test"] if test else dict(ledger, before=ledger["baseline"], after=ledger["final"])
     return dict(laboratory=name, rirs=scored["rirs"], rooms=scored["rooms"],
                 added=[effect_names(entry) for entry in added_effects(ledger)],
-                facings=ledger["facings"], unexplained=ledger["unexplained_all"][:5],
+                facings=scored["facings"], unexplained=ledger["unexplained_all"][:5],
                 **{key: scored[key] for key in ("before", "after", "ceiling", "explained")},
                 seconds=time.perf_counter() - start, cpu_seconds=sum(os.times()[:4]) - cpu,
                 gib=memory.gib)

@@ -29,14 +29,17 @@ class Rirs:
         return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
-def estimate(rirs, axes, monkeypatch, sharpness=4.0):
-    """Estimate facings from direct sounds that tell the angle to true axes; return the estimate and the axes."""
+def estimate(rirs, axes, monkeypatch, sharpness=4.0, alike=-np.inf):
+    """Estimate facings from direct sounds that tell the angle to true axes; return the estimate and the axes.
+
+    `alike`: log likelihood of each direct sound if the loudspeaker has no directivity.
+    """
     angle = np.arccos(np.clip(np.sum(rirs.towards * axes, axis=1), -1.0, 1.0))
     log_likelihood = -0.5 * (sharpness * (facing._TEST_ANGLES - angle[:, None])) ** 2
     found = {}
-    monkeypatch.setattr(facing, "_log_likelihood", lambda *_: log_likelihood)
+    monkeypatch.setattr(facing, "_log_likelihood", lambda *_: (log_likelihood[None], np.full((1, len(angle)), alike)))
     monkeypatch.setattr(facing, "with_facings", lambda data, facings: found.update(facings) or data)
-    (estimated,) = estimate_facings(rirs, *[None] * 6).facings
+    (estimated,) = estimate_facings(rirs, *[None] * 5).facings
     return estimated, np.array([found[n] for n in range(len(rirs.rows))])
 
 
@@ -49,15 +52,6 @@ def test_loudspeaker_turned_to_each_microphone_is_recognised(monkeypatch):
     estimated, axes = estimate(rirs, rirs.towards, monkeypatch)
     assert estimated.hypothesis == "towards the microphone" and max(estimated.evidence.values()) < 0.0
     assert degrees(axes, rirs.towards).max() < 0.1 and estimated.angle_deg < 0.1
-
-
-def test_sources_of_unknown_facing_are_turned_to_the_microphone(monkeypatch):
-    rirs, found = Rirs(), {}
-    rirs.rows[2]["source_dir"] = [1.0, 0.0, 0.0]
-    monkeypatch.setattr(facing, "with_facings", lambda data, facings: found.update(facings))
-    facing.facing_the_microphone(rirs)
-    assert sorted(found) == [n for n in range(len(rirs.rows)) if n != 2]
-    assert all(np.allclose(found[n], rirs.towards[n]) for n in found)
 
 
 def test_axis_of_each_position_follows_from_all_its_microphones(monkeypatch):
@@ -92,3 +86,26 @@ def test_states_of_a_room_share_the_axis_at_a_position(room_id, monkeypatch):
         row["room_id"] = room_id
     estimated, _ = estimate(rirs, np.tile([[0.0, 1.0, 0.0]], (len(rirs.rows), 1)), monkeypatch)
     assert estimated.positions == len(SOURCES_M)
+
+
+def test_loudspeaker_without_directivity_has_no_facing(monkeypatch):
+    rirs = Rirs()
+    half_away = np.cross(rirs.towards, [0.0, 0.0, 1.0])
+    assert estimate(rirs, half_away, monkeypatch)[0].hypothesis == "free"
+    estimated, axes = estimate(rirs, half_away, monkeypatch, alike=0.0)
+    assert estimated.hypothesis == "towards the microphone" and degrees(axes, rirs.towards).max() < 0.1
+
+
+def test_directivity_is_assumed_that_fits_the_direct_sounds(monkeypatch):
+    """Of two assumed directivities, one fits direct sounds at the true angles; the axes are those that it tells."""
+    rirs = Rirs()
+    true = np.repeat([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-0.6, 0.8, 0.0]], len(MICS_M), axis=0)
+    angle = np.arccos(np.clip(np.sum(rirs.towards * true, axis=1), -1.0, 1.0))
+    fits = -0.5 * (4.0 * (facing._TEST_ANGLES - angle[:, None])) ** 2
+    wrong = -0.5 * (4.0 * (facing._TEST_ANGLES - 0.5 * angle[:, None])) ** 2 - 5.0
+    found = {}
+    monkeypatch.setattr(facing, "_log_likelihood", lambda *_: (np.stack([wrong, fits]), np.full((1, 9), -np.inf)))
+    monkeypatch.setattr(facing, "with_facings", lambda data, facings: found.update(facings) or data)
+    (estimated,) = estimate_facings(rirs, *[None] * 5).facings
+    assert estimated.hypothesis == "fixed"
+    assert degrees(np.array([found[n] for n in range(9)]), true).max() < 12.0
