@@ -47,8 +47,8 @@ from roomeq.loop.selection import (
     rank,
     score_test_set,
     share_of_fall,
-    touched_by,
     transferred,
+    weights_of,
 )
 from roomeq.loop.session import Session, fit_base_model, refit_rendered, with_measured_effects
 from roomeq.loop.unexplained import find_unexplained
@@ -199,10 +199,12 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]
 
     The error of the features that the effect touches must fall on both `SPLITS`, by `_MIN_FALL` in the mean of both and
     significantly (Fisher's method, which combines both p values; at `_JOINT_LEVEL`): the scatter of the others would
-    hide an effect that touches few. They have the same weight each: in a mean over metrics, the few decay times at low frequencies,
-    which scatter most, would have the largest. The error of all features must not rise significantly on any split. An
-    equaliser, which names no cause and is the same in all rooms, needs significance on each split. What was read off
-    the recordings has no other cause: it is enough that the error does not rise by more than `_TOLERATED_JND`.
+    hide an effect that touches few. Features count as much as they tell of the effect (`weights_of`): in a mean over
+    metrics, the few decay times at low frequencies, which scatter most, would decide about room modes; in a mean over
+    features, the many that hardly change would decide about the speed of sound. The error of all features must not rise
+    significantly on any split. An equaliser, which names no cause and is the same in all rooms, needs significance on
+    each split. What was read off the recordings has no other cause: it is enough that the error does not rise by more
+    than `_TOLERATED_JND`.
 
     A worse-fitting candidate replaces a rejected one only if the rejected one raised the error, or if it explains
     something else. If the error merely did not fall, the rejected candidate may still be the cause, and a significantly
@@ -217,9 +219,9 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]
         after = refit_rendered(session.data, winner.fit, seed=session.seed, nj=session.nj,
                                known_changes=session.effects)
         errors_after = heldout_errors(after)
-        touched = touched_by(winner.effect, after)
-        p = {split: p_lower(errors, errors_after, split, touched) for split in SPLITS}
-        falls = {split: share_of_fall(errors, errors_after, split, touched) for split in SPLITS}
+        weights = weights_of(winner.effect, after)
+        p = {split: p_lower(errors, errors_after, split, weights) for split in SPLITS}
+        falls = {split: share_of_fall(errors, errors_after, split, weights) for split in SPLITS}
         joint_p = float(stats.combine_pvalues([*p.values()], "fisher").pvalue)
         if winner.effect.MEASURED:
             accepted = all(errors_after.mean(split) < errors.mean(split) + _TOLERATED_JND for split in SPLITS)
@@ -258,13 +260,13 @@ def _eliminate(session: Session, errors: HeldOutErrors, newest: type[Effect]
         kept = [other for other in left.effects if other is not effect]
         fitted = fit(session.data, session.correction, kept, initial=session.fit, known=session.fit.derivatives,
                      threads=session.nj)
-        without, touched = replace(session, effects=fitted.effects, fit=fitted), touched_by(effect, session)
+        without, weights = replace(session, effects=fitted.effects, fit=fitted), weights_of(effect, session)
         # the first trial, of one split and with the correction of the whole model, takes a third of the time
-        if p_lower(heldout_errors(without, SPLITS[:1]), errors, SPLITS[0], touched) < LEVEL:
+        if p_lower(heldout_errors(without, SPLITS[:1]), errors, SPLITS[0], weights) < LEVEL:
             continue
         without = refit_rendered(session.data, fitted, seed=session.seed, nj=session.nj, known_changes=session.effects)
         errors_without = heldout_errors(without)
-        if all(p_lower(errors_without, errors, split, touched) >= LEVEL for split in SPLITS):
+        if all(p_lower(errors_without, errors, split, weights) >= LEVEL for split in SPLITS):
             superfluous.append(effect)
             left, errors_left = without, errors_without
     return left, errors_left, superfluous

@@ -86,26 +86,26 @@ class HeldOutErrors:
     room: IntArray
     half: IntArray
 
-    def of_rooms(self, split: str, only: BoolArray | None = None) -> FloatArray:
+    def of_rooms(self, split: str, weights: FloatArray | None = None) -> FloatArray:
         """Mean error of each scored room, shape (n_scored_rooms,).
 
-        Every metric has the same weight; or, of `only` some features, (n_rirs, n_features), every feature has, and the
-        mean of a room without any is NaN.
+        Every metric has the same weight; or the features have `weights`, (n_rirs, n_features), and the mean of a room
+        without any is NaN.
         """
-        return np.array([self._mean(split, self.room == r, only) for r in self._scored(split)])
+        return np.array([self._mean(split, self.room == r, weights) for r in self._scored(split)])
 
-    def of_halves(self, split: str, only: BoolArray | None = None) -> FloatArray:
+    def of_halves(self, split: str, weights: FloatArray | None = None) -> FloatArray:
         """Mean error of each half of a room, as `of_rooms`, shape (n_halves,); NaN where nothing was scored."""
         pairs = np.stack([self.room, self.half])
-        return np.array([self._mean(split, np.all(pairs == pair[:, None], axis=0), only)
+        return np.array([self._mean(split, np.all(pairs == pair[:, None], axis=0), weights)
                          for pair in np.unique(pairs, axis=1).T])
 
-    def _mean(self, split: str, rows: BoolArray, only: BoolArray | None) -> float:
+    def _mean(self, split: str, rows: BoolArray, weights: FloatArray | None) -> float:
         errors = self.by_split[split][rows]
-        if only is None:
+        if weights is None:
             return _mean_over_metrics(errors)
-        errors = errors[only[rows] & np.isfinite(errors)]
-        return float(errors.mean()) if len(errors) else np.nan
+        known = np.isfinite(errors) & (weights[rows] > 0.0)
+        return float(np.average(errors[known], weights=weights[rows][known])) if known.any() else np.nan
 
     def _scored(self, split: str) -> IntArray:
         return np.unique(self.room[np.isfinite(self.by_split[split]).any(axis=1)])
@@ -157,11 +157,10 @@ def one_sided_p(differences: FloatArray) -> float:
     return float(stats.t.sf(differences.mean() / max(spread, 1e-12), len(differences) - 1))
 
 
-def p_lower(before: HeldOutErrors, after: HeldOutErrors, split: str, only: BoolArray | None = None) -> float:
+def p_lower(before: HeldOutErrors, after: HeldOutErrors, split: str, weights: FloatArray | None = None) -> float:
     """Return the one-sided p value of the second error being lower than the first, paired.
 
-    The errors are those of all metrics, or of `only` some features, shape (n_rirs, n_features), with the same weight
-    each.
+    The errors are those of all metrics, or those of features with `weights`, shape (n_rirs, n_features).
 
     Leave-positions-out: Fisher's randomisation test, which changes the signs of halves of rooms: one calibration serves
     all RIRs of a half, which therefore are one observation. An effect may be strong in some rooms and weak in others; a
@@ -172,8 +171,8 @@ def p_lower(before: HeldOutErrors, after: HeldOutErrors, split: str, only: BoolA
     """
     if split == "leave_room_out":
         # a room without such features shows no fall, and counts: two rooms say little about the next
-        return one_sided_p(np.nan_to_num(before.of_rooms(split, only) - after.of_rooms(split, only)))
-    change = _known(before.of_halves(split, only) - after.of_halves(split, only))
+        return one_sided_p(np.nan_to_num(before.of_rooms(split, weights) - after.of_rooms(split, weights)))
+    change = _known(before.of_halves(split, weights) - after.of_halves(split, weights))
     if not len(change):
         return 1.0
     test = stats.permutation_test((change,), np.mean, permutation_type="samples", alternative="greater",
@@ -182,10 +181,10 @@ def p_lower(before: HeldOutErrors, after: HeldOutErrors, split: str, only: BoolA
     return float(test.pvalue - 0.5 * np.isclose(test.null_distribution, test.statistic, rtol=1e-9).mean())
 
 
-def share_of_fall(before: HeldOutErrors, after: HeldOutErrors, split: str, only: BoolArray) -> float:
-    """Return the fall from one error to another of `only` some features, as a share of the first, over all rooms."""
-    first = before.of_rooms(split, only)
-    return float(_known(first - after.of_rooms(split, only)).sum() / max(_known(first).sum(), 1e-12))
+def share_of_fall(before: HeldOutErrors, after: HeldOutErrors, split: str, weights: FloatArray) -> float:
+    """Return the fall from one error to another of features with `weights`, as a share of the first, over all rooms."""
+    first = before.of_rooms(split, weights)
+    return float(_known(first - after.of_rooms(split, weights)).sum() / max(_known(first).sum(), 1e-12))
 
 
 def _known(values: FloatArray) -> FloatArray:
@@ -433,9 +432,14 @@ def _best_start(index: ParameterIndex, effect: type[Effect], probes: list[tuple[
     return replace(best, mean=mean, local=local)
 
 
-def touched_by(effect: type[Effect], session: Session) -> BoolArray:
-    """Tell which features an effect of a session's model touches, shape (n_rirs, n_features)."""
-    return np.abs(_change_by(session.data, effect, session.fit)) > TOUCHED_JND
+def weights_of(effect: type[Effect], session: Session) -> FloatArray:
+    """Return how much each feature tells of an effect of a session's model, shape (n_rirs, n_features).
+
+    The weight is the predicted change over the variance of the feature, as in a matched filter; 0 for what the effect
+    does not touch.
+    """
+    change, fitted = np.abs(_change_by(session.data, effect, session.fit)), session.fit
+    return np.where(change > TOUCHED_JND, change, 0.0) / (fitted.sigma ** 2 + fitted.omega ** 2)
 
 
 def _change_by(data: Data, effect: type[Effect], fitted: Fit) -> FloatArray:

@@ -41,7 +41,7 @@ def test_effect_is_superfluous_if_the_error_does_not_rise_without_it(without, su
     monkeypatch.setattr(close, "fit", lambda data, correction, kept, **_: SimpleNamespace(effects=tuple(kept)))
     monkeypatch.setattr(close, "refit_rendered", lambda data, fit, **_: Session(data, fit.effects, None, fit, 0, 1))
     monkeypatch.setattr(close, "heldout_errors", error_without)
-    monkeypatch.setattr(close, "touched_by", lambda *_: np.ones((2 * ROOMS, N_FEATURES), dtype=bool))
+    monkeypatch.setattr(close, "weights_of", lambda *_: np.ones((2 * ROOMS, N_FEATURES), dtype=bool))
     session, left, found = close._eliminate(fitted, errors(2.0, seed=9), SourceDirectivity)
     assert set(session.effects) == set(every) - set(superfluous)
     assert found == superfluous

@@ -12,12 +12,12 @@ from roomeq.effects.noise_floor import NoiseFloor
 from roomeq.effects.room_eq import RoomEq
 from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.effects.source_response import SourceResponse
-from roomeq.loop import close
+from roomeq.loop import close, selection
 from roomeq.loop.features import JND, LATE_S, METRIC, N_FEATURES, feature_slice
 from roomeq.loop.fit import SharedPrior, _best_shape, shortened_step, solve_step
 from roomeq.loop.likelihood import NormalEquations, scatter
 from roomeq.loop.predict import base_state, predict
-from roomeq.loop.selection import SPLITS, Candidate, HeldOutErrors, p_lower, share_of_fall
+from roomeq.loop.selection import SPLITS, Candidate, HeldOutErrors, p_lower, share_of_fall, weights_of
 from roomeq.loop.tables import FRAME_EDGES_S, Table
 from roomeq.loop.unexplained import find_unexplained
 from roomeq.records.schema import unit_name
@@ -152,7 +152,7 @@ def test_p_of_a_lower_error_depends_on_the_split(split, of_halves, lower):
 
 
 @pytest.mark.parametrize("split", SPLITS)
-def test_features_that_an_effect_touches_have_the_same_weight_each(split):
+def test_weights_of_features_replace_those_of_metrics(split):
     """Levels of three bands fall by 0.5 JND in all rooms; the one decay time that changes too scatters by 5 JND."""
     before, rng = np.full((16, N_FEATURES), 3.0), np.random.default_rng(0)
     low, decay = np.flatnonzero(METRIC == "spectrum")[:3], np.flatnonzero(METRIC == "t30")[0]
@@ -166,6 +166,18 @@ def test_features_that_an_effect_touches_have_the_same_weight_each(split):
     assert p_lower(errors_before, errors_after, split, touched) < 0.02 < p_lower(errors_before, errors_after, split)
     assert 0.05 < share_of_fall(errors_before, errors_after, split, touched) < 0.2
     assert p_lower(errors_before, errors_after, split, np.zeros_like(touched)) == 1.0
+
+
+def test_features_weigh_by_their_predicted_change_over_their_variance(monkeypatch):
+    """The arrival changes by 2 JND and scatters by 0.5; a level changes by 0.5 and scatters by 2; another hardly."""
+    change = np.zeros((3, N_FEATURES))
+    change[:, :3] = [2.0, -0.5, 0.2]
+    monkeypatch.setattr(selection, "_change_by", lambda *_: change)
+    sigma, omega = np.ones(N_FEATURES), np.zeros(N_FEATURES)
+    sigma[:2], omega[:2] = [0.4, 2.0], [0.3, 0.0]
+    weights = weights_of(None, SimpleNamespace(data=None, fit=SimpleNamespace(sigma=sigma, omega=omega)))
+    assert weights[0, 0] / weights[0, 1] == pytest.approx(2.0 / 0.25 / (0.5 / 4.0))
+    assert not np.any(weights[:, 2:])
 
 
 def test_p_of_few_halves_is_the_mid_p_value():
@@ -250,7 +262,7 @@ def accepted(ranking, lower, monkeypatch):
 
 def accept(ranking, errors, touched, monkeypatch):
     """Return the name of the effect that is added, or None; `errors` maps an effect or None to held-out errors."""
-    monkeypatch.setattr(close, "touched_by", lambda *_: touched)
+    monkeypatch.setattr(close, "weights_of", lambda *_: touched)
     monkeypatch.setattr(close, "refit_rendered", lambda data, fitted, **_: fitted)
     monkeypatch.setattr(close, "heldout_errors", errors)
     monkeypatch.setattr(close, "iteration_entry", lambda winner, *_: dict(effect=winner.effect.NAME))
@@ -263,7 +275,7 @@ def accept(ranking, errors, touched, monkeypatch):
     (RoomEq, (0.001, 0.9), False), (RoomEq, (0.03, 0.04), True)])  # an equaliser is the same in all rooms
 def test_evidence_of_both_splits_counts_together(monkeypatch, effect, p, added):
     values = dict(zip(SPLITS, p, strict=True))
-    monkeypatch.setattr(close, "p_lower", lambda before, after, split, only=None: (
+    monkeypatch.setattr(close, "p_lower", lambda before, after, split, weights=None: (
         values[split] if after.by_split[split].mean() < 1.9 else 1.0 - values[split]))
     ranking = [Candidate(effect, effect, 20.0 + np.arange(8), 2.0)]
     assert (accepted(ranking, {effect: 0.3}, monkeypatch) is not None) == added
