@@ -22,6 +22,7 @@ stood. Each step is also a command; the commands are named beside them.
 import csv
 import json
 import logging
+import shutil
 import tempfile
 from functools import partial
 from pathlib import Path
@@ -51,7 +52,7 @@ for k, dims_m in enumerate(rooms_m):
         mics = [(*rng.uniform(0.8, np.array(dims_m[:2]) - 0.8), heights_m[k]) for _ in range(4)]
         facing = np.array(dims_m) / 2.0 - source
         facing[2] = 0.0
-        cabinet = roomeq.Loudspeaker(facing / np.linalg.norm(facing), 0.15, 0.08)
+        cabinet = roomeq.Loudspeaker(facing, 0.15, 0.08)
         directivity = partial(cabinet.pressure, fs_hz=16000) if source_id == "ls1" else None
         for n, response in enumerate(roomeq.simulate_responses(scene, source, mics, source_directivity=directivity,
                                                                seed=k)):
@@ -79,7 +80,7 @@ for folder in manifests:
 
 (work / "bare").mkdir()
 for rir in sorted((work / "recordings").glob("*.wav")):
-    soundfile.write(work / "bare" / rir.name, *soundfile.read(rir), subtype="FLOAT")
+    shutil.copy(rir, work / "bare")
 read_measured(work / "bare", work / "measured.bare")
 try:
     roomeq.close_loop([work / "measured.bare"], work / "loop.bare")

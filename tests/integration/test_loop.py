@@ -389,15 +389,17 @@ def test_steps_of_a_fit_go_downhill(session):
         assert (after - before) / 1e-4 == pytest.approx(-2.0 * equations.own_residual @ direction, rel=0.02)
 
 
+def with_facings_that_no_row_states(source, directory):
+    """Return the base model of RIRs whose facings are estimated."""
+    directory.mkdir()
+    write_rirs(directory, [row | dict(source_dir=None) for row in relocated(read_rirs(source), source, directory)])
+    return with_estimated_facings(fit_base_model(load_data([directory], scattering=SCATTERING, seed=0), seed=0, nj=2))
+
+
 def test_unstated_facing_is_estimated(room_set, tmp_path):
     source = room_set("source_directivity") / "fit"
-    rows = read_rirs(source)
-    true = {row["id"]: np.array(row["source_dir"]) for row in rows}
-    directory = tmp_path / "unstated"
-    directory.mkdir()
-    write_rirs(directory, [row | dict(source_dir=None) for row in relocated(rows, source, directory)])
-    session = with_estimated_facings(fit_base_model(load_data([directory], scattering=SCATTERING, seed=0), seed=0,
-                                                    nj=2))
+    true = {row["id"]: np.array(row["source_dir"]) for row in read_rirs(source)}
+    session = with_facings_that_no_row_states(source, tmp_path / "unstated")
     assert {facing.hypothesis for facing in session.data.facings} <= {"fixed", "free"}
     angles = []
     for row, place in zip(session.data.rows, session.data.places, strict=True):
@@ -410,12 +412,7 @@ def test_unstated_facing_is_estimated(room_set, tmp_path):
 
 
 def test_loudspeakers_that_radiate_alike_in_all_directions_have_no_facing(room_set, tmp_path):
-    source = room_set("clean") / "fit"
-    directory = tmp_path / "unstated"
-    directory.mkdir()
-    write_rirs(directory, [row | dict(source_dir=None) for row in relocated(read_rirs(source), source, directory)])
-    session = with_estimated_facings(fit_base_model(load_data([directory], scattering=SCATTERING, seed=0), seed=0,
-                                                    nj=2))
+    session = with_facings_that_no_row_states(room_set("clean") / "fit", tmp_path / "unstated")
     assert {facing.hypothesis for facing in session.data.facings} == {"towards the microphone"}
 
 

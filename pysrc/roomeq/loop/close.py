@@ -137,10 +137,9 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
         if entry["effect"] == SourceDirectivity.NAME and len(unknown):
             session = _face_as_fitted(session, unknown)
             errors = heldout_errors(session)
-            update_errors(entry, before, errors, [])
         session, errors, superfluous = _eliminate(session, errors, CATALOGUE[entry["effect"]])
-        if superfluous:
-            eliminated.update(superfluous)
+        eliminated.update(superfluous)
+        if errors is not accepted.errors:
             update_errors(entry, before, errors, [effect.NAME for effect in superfluous])
         iterations.append(entry)
         logger.info("added %s: held-out error %.2f -> %.2f JND, a fall of %.2f to %.2f; of what it touches, by %.0f %% "

@@ -122,9 +122,9 @@ def _best_axes(groups: list[list[int]], towards: FloatArray, log_likelihood: Flo
     n_assumed = len(log_likelihood)
     best: list[dict[int, FloatArray]] = [{} for _ in range(n_assumed)]
     evidence = np.zeros(n_assumed)
-    for k, assumed in enumerate(log_likelihood):
-        for rirs in groups:
-            angles = np.arccos(np.clip(towards[rirs] @ _AXES.T, -1.0, 1.0))  # (n_rirs_of_group, n_axes)
+    for rirs in groups:
+        angles = np.arccos(np.clip(towards[rirs] @ _AXES.T, -1.0, 1.0))  # (n_rirs_of_group, n_axes)
+        for k, assumed in enumerate(log_likelihood):
             of_axes = np.sum([np.interp(angles[i], _TEST_ANGLES, assumed[n]) for i, n in enumerate(rirs)], axis=0)
             evidence[k] += float(logsumexp(of_axes)) - np.log(len(_AXES))
             best[k].update(dict.fromkeys(rirs, _AXES[int(np.argmax(of_axes))]))
@@ -167,11 +167,12 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
 
     of_angles: list[FloatArray] = []
     source_of = np.array([unit_name(row, "source") for row in data.rows])
+    possible = _directivities(index, vectors)
     for angle in _TEST_ANGLES:
         turned = replace(data, tables=[replace(table, direct_angle=float(angle)) for table in diffuse])
         with_others = ParameterIndex(turned, others)
         at_angle = []
-        for directivities in _directivities(index, vectors):
+        for directivities in possible:
             state = with_others.state(absorption, vectors_of_others)
             for name, directivity in directivities.items():
                 directivity.apply_to_prediction(state, turned, np.flatnonzero(source_of == name))

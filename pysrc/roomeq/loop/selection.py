@@ -66,7 +66,7 @@ _USABLE = {
 about the absorption of unseen rooms, but so little that errors of their phases decided."""
 _METRICS = tuple(dict.fromkeys(METRIC.tolist()))
 _SIGN_CHANGES = 2 ** 16  # all those of 16 halves; of more, a sample
-_FACING_ROUNDS = 2
+_FACING_ROUNDS = 2  # with the directivities of other loudspeakers, and with its own
 _PROBE_ITERATIONS = 2  # after which the fits from different starts are compared
 
 

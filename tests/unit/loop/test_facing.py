@@ -11,6 +11,8 @@ from roomeq.loop.facing import estimate_facings
 
 SOURCES_M = [(2.0, 2.0, 1.2), (6.0, 4.0, 1.2), (2.0, 5.0, 1.2)]
 MICS_M = [(4.0, 3.0, 1.2), (5.0, 2.0, 1.2), (3.0, 4.5, 1.2)]
+OF_POSITIONS = np.repeat([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-0.6, 0.8, 0.0]], len(MICS_M), axis=0)
+"""An axis for each position of the loudspeaker."""
 
 
 @dataclass
@@ -34,10 +36,19 @@ def estimate(rirs, axes, monkeypatch, sharpness=4.0, alike=-np.inf):
 
     `alike`: log likelihood of each direct sound if the loudspeaker has no directivity.
     """
-    angle = np.arccos(np.clip(np.sum(rirs.towards * axes, axis=1), -1.0, 1.0))
-    log_likelihood = -0.5 * (sharpness * (facing._TEST_ANGLES - angle[:, None])) ** 2
+    return estimate_from(rirs, log_likelihood(rirs, axes, sharpness)[None], alike, monkeypatch)
+
+
+def log_likelihood(rirs, axes, sharpness=4.0, scale=1.0):
+    """Log likelihood of each direct sound at `_TEST_ANGLES`, largest at the angle to its axis times a scale."""
+    angle = scale * np.arccos(np.clip(np.sum(rirs.towards * axes, axis=1), -1.0, 1.0))
+    return -0.5 * (sharpness * (facing._TEST_ANGLES - angle[:, None])) ** 2
+
+
+def estimate_from(rirs, of_angles, alike, monkeypatch):
+    """Estimate facings from log likelihoods, for each assumed directivity; return the estimate and the axes."""
     found = {}
-    monkeypatch.setattr(facing, "_log_likelihood", lambda *_: (log_likelihood[None], np.full((1, len(angle)), alike)))
+    monkeypatch.setattr(facing, "_log_likelihood", lambda *_: (of_angles, np.full((1, len(rirs.rows)), alike)))
     monkeypatch.setattr(facing, "with_facings", lambda data, facings: found.update(facings) or data)
     (estimated,) = estimate_facings(rirs, *[None] * 5).facings
     return estimated, np.array([found[n] for n in range(len(rirs.rows))])
@@ -56,10 +67,9 @@ def test_loudspeaker_turned_to_each_microphone_is_recognised(monkeypatch):
 
 def test_axis_of_each_position_follows_from_all_its_microphones(monkeypatch):
     rirs = Rirs()
-    true = np.repeat([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-0.6, 0.8, 0.0]], len(MICS_M), axis=0)
-    estimated, axes = estimate(rirs, true, monkeypatch)
+    estimated, axes = estimate(rirs, OF_POSITIONS, monkeypatch)
     assert estimated.hypothesis == "fixed" and estimated.positions == 3 and estimated.rirs == 9
-    assert degrees(axes, true).max() < 12.0
+    assert degrees(axes, OF_POSITIONS).max() < 12.0
 
 
 def test_loudspeaker_turned_between_recordings_has_an_axis_for_each(monkeypatch):
@@ -99,13 +109,7 @@ def test_loudspeaker_without_directivity_has_no_facing(monkeypatch):
 def test_directivity_is_assumed_that_fits_the_direct_sounds(monkeypatch):
     """Of two assumed directivities, one fits direct sounds at the true angles; the axes are those that it tells."""
     rirs = Rirs()
-    true = np.repeat([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-0.6, 0.8, 0.0]], len(MICS_M), axis=0)
-    angle = np.arccos(np.clip(np.sum(rirs.towards * true, axis=1), -1.0, 1.0))
-    fits = -0.5 * (4.0 * (facing._TEST_ANGLES - angle[:, None])) ** 2
-    wrong = -0.5 * (4.0 * (facing._TEST_ANGLES - 0.5 * angle[:, None])) ** 2 - 5.0
-    found = {}
-    monkeypatch.setattr(facing, "_log_likelihood", lambda *_: (np.stack([wrong, fits]), np.full((1, 9), -np.inf)))
-    monkeypatch.setattr(facing, "with_facings", lambda data, facings: found.update(facings) or data)
-    (estimated,) = estimate_facings(rirs, *[None] * 5).facings
+    of_angles = [log_likelihood(rirs, OF_POSITIONS, scale=0.5) - 5.0, log_likelihood(rirs, OF_POSITIONS)]
+    estimated, axes = estimate_from(rirs, np.stack(of_angles), -np.inf, monkeypatch)
     assert estimated.hypothesis == "fixed"
-    assert degrees(np.array([found[n] for n in range(9)]), true).max() < 12.0
+    assert degrees(axes, OF_POSITIONS).max() < 12.0
