@@ -179,8 +179,13 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
 
 
 def _face_as_fitted(session: Session, unknown: IntArray) -> Session:
-    """Return a session whose sources face as their fitted directivities say, fitted again; `unknown`: of these RIRs."""
+    """Return a session whose sources face as their fitted directivities say, fitted again if any of them turned.
+
+    `unknown` are the RIRs whose facings are estimated.
+    """
     turned = with_estimated_facings(session, unknown)
+    if all(turned.data.rows[n]["source_dir"] == session.data.rows[n]["source_dir"] for n in unknown):
+        return session
     _log_facings(turned.data)
     return refit_rendered(turned.data, fit(turned.data, turned.correction, turned.effects, initial=turned.fit,
                                            threads=turned.nj),
