@@ -20,12 +20,13 @@ from roomeq.effects.model import read_model
 from roomeq.effects.occlusion import Occlusion
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.effects.sound_speed import SoundSpeed
+from roomeq.effects.source_directivity import SourceDirectivity, unit_facing
 from roomeq.effects.source_response import SourceResponse
 from roomeq.loop import power, splitters
 from roomeq.loop.ceiling import ceiling_errors, twin_recordings
 from roomeq.loop.close import SCATTERING
 from roomeq.loop.data import load_data
-from roomeq.loop.facing import with_estimated_facings
+from roomeq.loop.facing import with_estimated_facings, with_facings
 from roomeq.loop.features import (
     CALIBRATION_FEATURES,
     HAS_GAIN,
@@ -41,6 +42,7 @@ from roomeq.loop.likelihood import misfit, normal_equations
 from roomeq.loop.packing import N_SURFACE, ParameterIndex
 from roomeq.loop.power import _changes, detectable_sizes
 from roomeq.loop.predict import ReflectedEnergy, predict
+from roomeq.loop.refined_facing import _turned, with_refined_facings
 from roomeq.loop.rendering import render_rows, rendered_features, row_models
 from roomeq.loop.selection import (
     _USABLE,
@@ -414,6 +416,19 @@ def test_unstated_facing_is_estimated(room_set, tmp_path):
 def test_loudspeakers_that_radiate_alike_in_all_directions_have_no_facing(room_set, tmp_path):
     session = with_facings_that_no_row_states(room_set("clean") / "fit", tmp_path / "unstated")
     assert {facing.hypothesis for facing in session.data.facings} == {"towards the microphone"}
+
+
+def test_axes_are_refined_together_with_the_directivity(room_set):
+    """Axes that are 12 degrees wrong, one way in each room, are found, although the directivity was fitted to them."""
+    data = load_data([room_set("source_directivity") / "fit"], scattering=SCATTERING, seed=0)
+    turns_rad = np.radians([12.0, -12.0, -12.0, 12.0, 12.0])
+    wrong = {n: _turned(row["source_dir"], turns_rad[data.room[n]]) for n, row in enumerate(data.rows)}
+    base = fit_base_model(replace(with_facings(data, wrong), axis=data.room), seed=0, nj=2)
+    fitted = fit(base.data, base.correction, (SourceDirectivity,), threads=2)
+    refined = with_refined_facings(replace(base, effects=fitted.effects, fit=fitted)).data
+    error_deg = [np.degrees(np.arccos(np.clip(unit_facing(before["source_dir"]) @ after["source_dir"], -1.0, 1.0)))
+                 for before, after in zip(data.rows, refined.rows, strict=True)]
+    assert np.max(error_deg) < 4.0
 
 
 def test_gains_of_chains_with_a_single_rir_are_sums(session):

@@ -147,6 +147,8 @@ class PredictionState:
         recording's white noise.
     delay_s : ndarray, shape (n_rirs,)
         Delay of the direct sound by obstacles or other effects [s].
+    direct_angle : ndarray, shape (n_rirs,)
+        Angle between the direct sound's direction of departure and the source's axis [rad].
     rendered_change : ndarray, shape (n_rirs, n_features)
         Change of the features, taken from renderings with and without an effect [JND].
     """
@@ -162,6 +164,7 @@ class PredictionState:
     response_db: FloatArray
     floor: FloatArray
     delay_s: FloatArray
+    direct_angle: FloatArray
     rendered_change: FloatArray
 
     def apply_directivity(self, rows: IntArray, gains: FloatArray, direct: FloatArray) -> None:

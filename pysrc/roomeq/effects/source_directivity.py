@@ -90,7 +90,7 @@ class SourceDirectivity(Effect):
 
     def apply_to_prediction(self, state: PredictionState, data: PredictedRirs, rows: IntArray) -> None:
         rows = rows[[data.tables[n].angular is not None for n in rows]]
-        angles = np.concatenate([data.angles, [data.tables[n].direct_angle for n in rows]])
+        angles = np.concatenate([data.angles, state.direct_angle[rows]])
         gains, direct = np.split(self.on_paths(np.cos(angles)), [len(data.angles)])
         state.apply_directivity(rows, gains, direct)
 

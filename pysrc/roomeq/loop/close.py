@@ -34,6 +34,7 @@ from roomeq.loop.ledger import (
 )
 from roomeq.loop.ledger_checks import LEDGER_FORMAT
 from roomeq.loop.power import detectable_sizes
+from roomeq.loop.refined_facing import with_refined_facings
 from roomeq.loop.selection import (
     LEVEL,
     SPLITS,
@@ -134,10 +135,11 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
             break
         before = errors
         entry, session, errors = accepted
-        if entry["effect"] == SourceDirectivity.NAME and len(unknown):
-            session = _face_as_fitted(session, unknown)
+        newest = CATALOGUE[entry["effect"]]
+        if SourceDirectivity in session.effects and len(unknown):
+            session = _faced_as_fitted(session, unknown, newest)
             errors = heldout_errors(session)
-        session, errors, superfluous = _eliminate(session, errors, CATALOGUE[entry["effect"]])
+        session, errors, superfluous = _eliminate(session, errors, newest)
         eliminated.update(superfluous)
         if errors is not accepted.errors:
             update_errors(entry, before, errors, [effect.NAME for effect in superfluous])
@@ -178,18 +180,15 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     return ledger
 
 
-def _face_as_fitted(session: Session, unknown: IntArray) -> Session:
-    """Return a session whose sources face as their fitted directivities say, fitted again if any of them turned.
+def _faced_as_fitted(session: Session, unknown: IntArray, newest: type[Effect]) -> Session:
+    """Return a session whose sources face as its model says, fitted again.
 
-    `unknown` are the RIRs whose facings are estimated.
+    With the first directivity, the facings of the RIRs `unknown` are estimated anew; with each further effect, they are
+    refined.
     """
-    turned = with_estimated_facings(session, unknown)
-    if all(turned.data.rows[n]["source_dir"] == session.data.rows[n]["source_dir"] for n in unknown):
-        return session
+    turned = with_refined_facings(with_estimated_facings(session, unknown) if newest is SourceDirectivity else session)
     _log_facings(turned.data)
-    return refit_rendered(turned.data, fit(turned.data, turned.correction, turned.effects, initial=turned.fit,
-                                           threads=turned.nj),
-                          seed=session.seed, nj=session.nj, known_changes=session.effects)
+    return refit_rendered(turned.data, turned.fit, seed=session.seed, nj=session.nj, known_changes=session.effects)
 
 
 def _log_facings(data: Data) -> None:

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -93,6 +93,9 @@ class Data:
         Of rays and path samples.
     facings : tuple of FacingEstimate
         What was decided of sources whose rows do not state where they face.
+    axis : ndarray of int, shape (n_rirs,)
+        Number of the estimated axis that several RIRs may share; -1 where the facing is stated or is that towards the
+        microphone. Empty before facings are estimated.
     """
 
     rows: list[RirRow]
@@ -120,6 +123,7 @@ class Data:
     left_out: list[LeftOut]
     seed: int
     facings: tuple[FacingEstimate, ...] = ()
+    axis: IntArray = field(default_factory=lambda: np.empty(0, dtype=int))
 
     angles = ANGLES
     frame_mid_s = FRAME_MID_S
@@ -170,6 +174,9 @@ class Data:
             return ["all"], np.zeros(len(self.rows), dtype=int)
         if scope == "rir":
             return [row["id"] for row in self.rows], np.arange(len(self.rows))
+        if scope == "axis":
+            axes, axis_of_row = np.unique(self.axis, return_inverse=True)
+            return [str(axis) for axis in axes], axis_of_row
         unit_of_row = [unit_name(row, scope) for row in self.rows]
         names = sorted(set(unit_of_row))
         return names, np.array([names.index(name) for name in unit_of_row])

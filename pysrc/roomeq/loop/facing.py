@@ -25,9 +25,9 @@ from roomeq.loop.session import Session
 from roomeq.loop.tables import ANGLES, collect
 from roomeq.records.schema import unit_name
 
-_AXES = np.array([(np.cos(azimuth), np.sin(azimuth), 0.0) for azimuth in np.radians(np.arange(0.0, 360.0, 10.0))])
+_AXES = np.array([(np.cos(azimuth), np.sin(azimuth), 0.0) for azimuth in np.radians(np.arange(0.0, 360.0, 5.0))])
 """Horizontal directions that are compared."""
-_TEST_ANGLES = np.linspace(0.0, np.pi, 13)
+_TEST_ANGLES = np.linspace(0.0, np.pi, 25)
 _INDEPENDENT = 3.0  # of the third octaves of a direct sound, which err together
 _SCALES = (1.0, 0.5, 0.25)
 """Of the scatter of the direct sound: without its directivity, a model takes what the source lacks for scatter."""
@@ -82,8 +82,9 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
         return data
     log_likelihood, log_alike = _log_likelihood(data, index, mean, local, residual, spread)
     facings: dict[int, FloatArray] = {}
+    axis: IntArray = np.full(len(data.rows), -1)
     estimates = []
-    towards = _towards(data)
+    towards = towards_microphones(data)
     source_of = [unit_name(row, "source") for row in data.rows]
     for source in sorted({source_of[n] for n in unknown}):
         members = [int(n) for n in unknown if source_of[n] == source]
@@ -100,17 +101,25 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
         of_source = {n: towards[n] for n in members}
         if max(evidence.values()) > _DECISIVE:
             hypothesis, of_source = ("fixed", fixed) if log_fixed >= log_free else ("free", free)
-        angle = np.mean([np.arccos(np.clip(towards[n] @ facing, -1.0, 1.0)) for n, facing in of_source.items()])
+            for rirs in by_position.values() if hypothesis == "fixed" else [[n] for n in members]:
+                axis[rirs] = axis.max() + 1
         estimates.append(FacingEstimate(source, len(members), len(by_position), hypothesis, evidence,
-                                        float(np.degrees(angle))))
+                                        mean_angle_deg(data, of_source)))
         facings.update(of_source)
-    return replace(with_facings(data, facings), facings=tuple(estimates))
+    return replace(with_facings(data, facings), facings=tuple(estimates), axis=axis)
 
 
-def _towards(data: Data) -> FloatArray:
+def towards_microphones(data: Data) -> FloatArray:
     """Unit vectors from each source to its microphone, shape (n_rirs, 3)."""
     towards = np.array([np.subtract(place.mic_pos_m, place.source_pos_m) for place in data.places])
     return towards / np.linalg.norm(towards, axis=1, keepdims=True)
+
+
+def mean_angle_deg(data: Data, facings: Mapping[int, FloatArray]) -> float:
+    """Return the mean angle between the facings of some RIRs, unit vectors, and the directions of the microphones."""
+    towards = towards_microphones(data)
+    cosines = [towards[n] @ facing for n, facing in facings.items()]
+    return float(np.degrees(np.mean(np.arccos(np.clip(cosines, -1.0, 1.0)))))
 
 
 def _best_axes(groups: list[list[int]], towards: FloatArray, log_likelihood: FloatArray

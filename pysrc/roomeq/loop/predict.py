@@ -74,7 +74,8 @@ def base_state(data: Data, absorption: FloatArray) -> PredictionState:
         absorption=absorption[data.room], air_per_m=data.air_per_m.copy(), speed_m_s=data.speed_m_s.copy(),
         ray_gain=None, reflected_gain=None, direct_gain=np.ones((n, N_BANDS)),
         direct_thirds=np.ones((n, len(SPECTRUM_HZ))), decays=[], response_db=np.zeros((n, len(RESPONSE_HZ))),
-        floor=np.zeros((n, len(THIRDS_HZ))), delay_s=np.zeros(n), rendered_change=np.zeros((n, N_FEATURES)))
+        floor=np.zeros((n, len(THIRDS_HZ))), delay_s=np.zeros(n),
+        direct_angle=np.array([table.direct_angle for table in data.tables]), rendered_change=np.zeros((n, N_FEATURES)))
     for effect, rows in data.given_to:
         effect.apply_to_prediction(state, data, rows)
     return state

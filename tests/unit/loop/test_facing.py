@@ -22,6 +22,7 @@ class Rirs:
     places: list = field(default_factory=lambda: [SimpleNamespace(source_pos_m=source_m, mic_pos_m=mic_m)
                                                   for source_m in SOURCES_M for mic_m in MICS_M])
     facings: tuple = ()
+    axis: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     rows: list = field(default_factory=lambda: [dict(source_id="ls", room_id="room", room_dims_m=[8.0, 6.0, 3.0])
                                                 for _ in SOURCES_M for _ in MICS_M])
 
