@@ -112,6 +112,7 @@ def test_page_of_a_loop_says_what_was_found_and_what_to_do(pages):
     assert "These recordings cannot tell it from: frequency response of the microphones" in page.text
     assert [clip["id"] for clip in page.of("audio")][:4] == ["audio-dry-1", "audio-through-1-1", "audio-through-2-1",
                                                              "audio-through-3-1"]
+    assert "one direction at each position, 114 degrees from the microphone" in page.text
     assert "figure-gains-source_response" in {image["id"] for image in page.of("img")}
 
 
@@ -139,7 +140,8 @@ def test_picture_is_a_png(made, monkeypatch, name):
     (["show", "reversed.wav", "--keep-suspicious"], ["No RIR by its acoustics: time-reversed"]),
     (["show", "measured"], ["8 RIRs of 2 rooms", "hall", "office", "--id ID, such as"]),
     (["show", "measured", "--id", "office-0"], ["5.0 × 4.0 × 2.5 m", "Direct-to-reverberant ratio"]),
-    (["show", "loop"], ["The simulation lacked: frequency response of the loudspeakers", "What to do:"]),
+    (["show", "loop"], ["The simulation lacked: frequency response of the loudspeakers",
+                        "Source s: 12 RIRs do not state where it faces", "What to do:"]),
     (["show", "l.obj"], ["6.00 × 6.00 × 3.00 m", "60.0 m³", "wall", "64.3", "mean free path"]),
     (["compare", "measured/audio/hall-0.wav", "measured/audio/office-0.wav"], ["B - A (JND)", "→"]),
     (["compare", "stereo.wav", "stereo.wav", "--channel", "1"], ["B - A (JND)", "→"]),

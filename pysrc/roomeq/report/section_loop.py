@@ -38,7 +38,7 @@ def closed_loop(run: Run) -> Context:
     ledger = ledger_of(run)
     examples = run.path("loop") / EXAMPLES_FILE
     return {"ledger": ledger, "left_out": left_out(ledger), "geometry_rows": geometry_rows(ledger),
-            "facings": [describe_facing(FacingEstimate(**facing)) for facing in facings(ledger)],
+            "facings": facings(ledger),
             "has_wer": run.has("wer"), "error_rows": error_rows(ledger),
             "effects": effects(ledger),
             "effect_rows": [effect_row(entry) for entry in added_effects(ledger)],
@@ -62,9 +62,10 @@ def left_out(ledger: dict[str, Any]) -> str:
                     for name, entries in sets if entries)
 
 
-def facings(ledger: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the estimated facings of the RIRs and of the test set."""
-    return [*ledger["facings"], *ledger.get("test", {}).get("facings", [])]
+def facings(ledger: dict[str, Any]) -> list[str]:
+    """Return in words where the loudspeakers of the RIRs and of the test set face, if their rows do not state it."""
+    return [describe_facing(FacingEstimate(**facing))
+            for facing in [*ledger["facings"], *ledger.get("test", {}).get("facings", [])]]
 
 
 def geometry_rows(ledger: dict[str, Any]) -> list[list[str]]:

@@ -55,6 +55,7 @@ def loop_context(directory: Path, speech: Path | None) -> Context:
             "error_rows": section_loop.error_rows(ledger), "at_ceiling": section_loop.at_ceiling(ledger),
             "splits": section_loop.splits(ledger), "maps": section_loop.residual_maps(run, ledger),
             "gains": gain_panels(ledger), "geometry_rows": section_loop.geometry_rows(ledger),
+            "facings": section_loop.facings(ledger),
             "power_rows": [[effect_label(effect), *rest] for effect, *rest in section_loop.power_rows(ledger)],
             "places": places(examples, speech), "residuals": residuals(ledger)}
 
@@ -157,6 +158,7 @@ def show_loop(directory: Path, suffix: str | None, speech: Path | None) -> bytes
         lines = [f"{value}: {label}" for value, label in loop_facts(ledger)]
         lines += [f"\nThe simulation lacked: {effect['label']} ({effect['code']}), of {effect['applies_to']}. "
                   f"{effect['parameters']}" for effect in found(ledger)]
+        lines += [f"\n{section_loop.sentence(facing)}" for facing in section_loop.facings(ledger)]
         lines += [f"\nUnexplained: {entry['text']}\nWhat to do: {entry['advice']}" for entry in residuals(ledger)]
         return "\n".join([*lines, "", SEE])
     if suffix == PICTURE:
