@@ -125,15 +125,15 @@ def rates(results: list[Result]) -> list[Rate]:
         _rate("another effect added first", map(_is_misnamed, single), "<= 5 %"),
         _rate("second effect added that is not there", [len(result["added"]) > 1 for result in single
                                                         if _first_is_true(result)], "<= 5 %"),
-        _rate("effect added to clean rooms", [bool(result["added"]) for result in clean.values()], "<= 5 %"),
-        _rate("half of the effect's error removed", [share >= 0.5 for share in removed], "all"),
+        _rate("effect added to clean rooms", [bool(result["added"]) for result in clean.values()], "none"),
+        _rate("half of the effect's error removed", [share >= 0.5 for share in removed], ">= 95 %"),
         _rate("error after at most 1.2 times that of the same rooms without the effect",
               [value <= 1.2 for value in ratio], "all"),
         _rate("both of two effects added", [set(result["added"]) >= set(result["kind"].split("+"))
                                             for result in pairs], ">= 80 %"),
         _rate("both added, or too small to be found by the ledger's statement", map(_is_stated, pairs), "-"),
         _rate("effect outside the catalogue: unexplained, in its region and band", map(_is_located, outside),
-              ">= 90 %"),
+              ">= 95 %"),
         _rate("effect outside the catalogue: another one added", [bool(result["added"]) for result in outside],
               "<= 5 %"),
         _rate("within 60 s of wall time, two jobs", [result["seconds"] <= 60.0 for result in results
