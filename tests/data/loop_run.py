@@ -40,8 +40,9 @@ def errors(mean):
 
 def explained(share):
     """Return the explained share as of the ledger."""
-    entry = dict(share=share, ci=[share - 0.2, share + 0.2], at_ceiling=["t30", "c50"],
-                 by_metric=dict.fromkeys(METRIC, share), by_band=[None, *[share] * (len(BANDS_HZ) - 1)])
+    known = dict(share=share, ci=[share - 0.2, share + 0.2])
+    entry = dict(**known, at_ceiling=["t30", "c50"], by_metric=dict.fromkeys(METRIC, known),
+                 by_band=[dict(share=None, ci=None), *[known] * (len(BANDS_HZ) - 1)])
     return {split: dict(entry) for split in SPLITS}
 
 

@@ -18,12 +18,12 @@ from scipy import stats
 
 from roomeq.acoustics.octaves import OCTAVE_WIDTH_HZ
 from roomeq.core.arrays import FloatArray, IntArray
-from roomeq.core.constants import FS_HZ
+from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.effects.base import Effect, octave_energies
 from roomeq.effects.noise_floor import NOISE_S
 from roomeq.loop.data import Data, is_timed
-from roomeq.loop.features import HAS_GAIN, Features, measure_features
+from roomeq.loop.features import BAND_OF_FEATURE, HAS_GAIN, METRIC, Features, measure_features
 from roomeq.loop.fit import fit
 from roomeq.loop.rendering import RawRir, finished_rir, map_rendered, on_recording_time, row_models
 from roomeq.loop.selection import SPLITS, HeldOutErrors, heldout_errors, score_test_set, transferred
@@ -117,35 +117,39 @@ def explained(before: HeldOutErrors, after: HeldOutErrors, ceiling: HeldOutError
     dict
         By split: `share`, None where `before` exceeds `ceiling` by less than `MIN_EXPLAINABLE_JND`; `ci`, its interval
         of 95 % over rooms (that of a ratio of means; Cochran, Sampling Techniques, 3rd ed., sec. 6.4), None for fewer
-        than three rooms; the shares `by_metric` and `by_band`; `at_ceiling`, the metrics whose error cannot fall
-        further.
+        than three rooms; `by_metric` and `by_band`, the same of each metric and octave band; `at_ceiling`, the metrics
+        whose error cannot fall further.
     """
     entries = {}
     for split in SPLITS:
         known = np.isfinite(ceiling.by_split[split])
-        old, new, least = (replace(errors, by_split={split: np.where(known, errors.by_split[split], np.nan)})
-                           for errors in (before, after, ceiling))
-        fallen = old.of_rooms(split) - new.of_rooms(split)
-        explainable = old.of_rooms(split) - least.of_rooms(split)
-        share = _share(float(fallen.mean()), float(explainable.mean()))
-        interval = None
-        if share is not None and len(fallen) > 2:
-            deviation = (fallen - share * explainable).std(ddof=1) / np.sqrt(len(fallen)) / explainable.mean()
-            half = float(stats.t.ppf(0.975, len(fallen) - 1) * deviation)
-            interval = [share - half, share + half]
-        of_metric = {metric: (old.by_metric(split)[metric], new.by_metric(split)[metric], error)
-                     for metric, error in least.by_metric(split).items()}
-        bands = zip(old.by_band(split), new.by_band(split), least.by_band(split), strict=True)
+        three = [replace(errors, by_split={split: np.where(known, errors.by_split[split], np.nan)})
+                 for errors in (before, after, ceiling)]
+        metrics = [*three[2].by_metric(split)]
+        in_metrics = {metric: [errors.of_rooms_in(split, METRIC == metric) for errors in three] for metric in metrics}
+        in_bands = [[errors.of_rooms_in(split, BAND_OF_FEATURE == band) for errors in three]
+                    for band in range(len(BANDS_HZ))]
         entries[split] = dict(
-            share=share, ci=interval,
-            by_metric={metric: _share(b - a, b - c) for metric, (b, a, c) in of_metric.items()},
-            by_band=[None if b is None or a is None or c is None else _share(b - a, b - c) for b, a, c in bands],
-            at_ceiling=[metric for metric, (_, a, c) in of_metric.items() if a - c < MIN_EXPLAINABLE_JND])
+            **_share(*(errors.of_rooms(split) for errors in three)),
+            by_metric={metric: _share(*errors) for metric, errors in in_metrics.items()},
+            by_band=[_share(*errors) for errors in in_bands],
+            at_ceiling=[metric for metric, (_, new, least) in in_metrics.items()
+                        if np.nanmean(new - least) < MIN_EXPLAINABLE_JND])
     return entries
 
 
-def _share(fallen: float, explainable: float) -> float | None:
-    return fallen / explainable if explainable >= MIN_EXPLAINABLE_JND else None
+def _share(before: FloatArray, after: FloatArray, ceiling: FloatArray) -> dict:
+    """Return the explained share and its interval, from errors of rooms, (n_rooms,), NaN where nothing was measured."""
+    measured = np.isfinite(before) & np.isfinite(after) & np.isfinite(ceiling)
+    fallen, explainable = (before - after)[measured], (before - ceiling)[measured]
+    if not len(fallen) or explainable.mean() < MIN_EXPLAINABLE_JND:
+        return dict(share=None, ci=None)
+    share = float(fallen.mean() / explainable.mean())
+    if len(fallen) < 3:
+        return dict(share=share, ci=None)
+    deviation = (fallen - share * explainable).std(ddof=1) / np.sqrt(len(fallen)) / explainable.mean()
+    half = float(stats.t.ppf(0.975, len(fallen) - 1) * deviation)
+    return dict(share=share, ci=[share - half, share + half])
 
 
 def describe_explained(entry: dict) -> str:

@@ -14,7 +14,7 @@ from roomeq.loop.features import LARGEST, METRIC, REGION
 from roomeq.loop.selection import SPLITS
 from roomeq.loop.usable import LeftOut
 
-LEDGER_FORMAT = 5
+LEDGER_FORMAT = 6
 _VARIES = ("nothing", "room", "source", "mic")
 
 
@@ -94,21 +94,26 @@ def _explained(value: Any, where: str) -> None:
     for split in SPLITS:
         entry, at = value[split], f"{where}.{split}"
         _keys(entry, at, ("share", "ci", "by_metric", "by_band", "at_ceiling"))
-        if entry["share"] is not None:  # nothing was left to explain
-            _number(entry["share"], f"{at}.share")
-        if entry["ci"] is not None:
-            _interval(entry["ci"], f"{at}.ci", entry["share"])
         _require(isinstance(entry["by_metric"], dict) and set(entry["by_metric"]) <= set(METRIC), f"{at}.by_metric",
                  "name metrics")
         _require(isinstance(entry["by_band"], list) and len(entry["by_band"]) == len(BANDS_HZ), f"{at}.by_band",
                  f"hold {len(BANDS_HZ)} octaves")
-        for key, shares in (("by_metric", [*entry["by_metric"].values()]), ("by_band", entry["by_band"])):
-            for share in shares:
-                if share is not None:
-                    _number(share, f"{at}.{key}")
+        _share(entry, at)
+        for metric, share in entry["by_metric"].items():
+            _share(share, f"{at}.by_metric.{metric}")
+        for share in entry["by_band"]:
+            _share(share, f"{at}.by_band")
         _require(isinstance(entry["at_ceiling"], list)
                  and all(metric in list(entry["by_metric"]) for metric in entry["at_ceiling"]),
                  f"{at}.at_ceiling", "name metrics of by_metric")
+
+
+def _share(entry: Any, where: str) -> None:
+    _keys(entry, where, ("share", "ci"))
+    if entry["share"] is not None:  # nothing was left to explain
+        _number(entry["share"], f"{where}.share")
+    if entry["ci"] is not None:
+        _interval(entry["ci"], f"{where}.ci", entry["share"])
 
 
 def _effect(value: Any, where: str) -> None:

@@ -130,10 +130,14 @@ class HeldOutErrors:
         """Mean error of each octave band, rooms with the same weight, None where nothing was measured [JND]."""
         return [self._mean_in(split, BAND_OF_FEATURE == band) for band in range(8)]
 
-    def _mean_in(self, split: str, features: BoolArray) -> float | None:
+    def of_rooms_in(self, split: str, features: BoolArray) -> FloatArray:
+        """Mean error of some features, (n_features,), in each scored room; NaN where none was measured."""
         of_rooms = [self.by_split[split][self.room == r][:, features] for r in self._scored(split)]
-        means = [np.nanmean(errors) for errors in of_rooms if np.isfinite(errors).any()]
-        return float(np.mean(means)) if means else None
+        return np.array([np.nanmean(errors) if np.isfinite(errors).any() else np.nan for errors in of_rooms])
+
+    def _mean_in(self, split: str, features: BoolArray) -> float | None:
+        means = _known(self.of_rooms_in(split, features))
+        return float(means.mean()) if len(means) else None
 
 
 def _interval_of_mean(values: FloatArray) -> list[float] | None:

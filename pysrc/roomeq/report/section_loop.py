@@ -42,7 +42,8 @@ def closed_loop(run: Run) -> Context:
             "has_wer": run.has("wer"), "error_rows": error_rows(ledger),
             "effects": effects(ledger),
             "effect_rows": [effect_row(entry) for entry in added_effects(ledger)],
-            "at_ceiling": at_ceiling(ledger), "power_rows": power_rows(ledger), "maps": residual_maps(run, ledger),
+            "explained_rows": explained_rows(ledger), "at_ceiling": at_ceiling(ledger),
+            "power_rows": power_rows(ledger), "maps": residual_maps(run, ledger),
             "rankings": rankings(ledger), "splits": splits(ledger),
             "responses": responses(ledger),
             "examples": example_figures(read_examples(examples)) if examples.is_file() else [],
@@ -137,6 +138,16 @@ def share_of(explained: dict[str, Any]) -> str:
         return "nothing left to explain"
     limits = "" if explained["ci"] is None else f" ({' to '.join(percent(bound) for bound in explained['ci'])})"
     return percent(explained["share"]) + limits
+
+
+def explained_rows(ledger: dict[str, Any]) -> list[list[str]]:
+    """Return the explained share of each metric, then of each octave band, on both splits."""
+    of_splits = [ledger["explained"][split] for split in SPLITS]
+    metrics = [metric for metric in METRIC_LABELS if any(metric in entry["by_metric"] for entry in of_splits)]
+    rows = [[METRIC_LABELS[metric], *(share_of(entry["by_metric"][metric]) if metric in entry["by_metric"] else ""
+                                      for entry in of_splits)] for metric in metrics]
+    return rows + [[hertz(band_hz), *(share_of(entry["by_band"][band]) for entry in of_splits)]
+                   for band, band_hz in enumerate(BANDS_HZ)]
 
 
 def at_ceiling(ledger: dict[str, Any]) -> list[str]:

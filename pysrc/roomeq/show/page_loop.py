@@ -52,7 +52,8 @@ def loop_context(directory: Path, speech: Path | None) -> Context:
     examples = read_examples(directory / EXAMPLES_FILE)
     run = LoopRun(directory, directory)
     return {"ledger": ledger, "left_out": section_loop.left_out(ledger), "effects": found(ledger),
-            "error_rows": section_loop.error_rows(ledger), "at_ceiling": section_loop.at_ceiling(ledger),
+            "error_rows": section_loop.error_rows(ledger), "explained_rows": section_loop.explained_rows(ledger),
+            "at_ceiling": section_loop.at_ceiling(ledger),
             "splits": section_loop.splits(ledger), "maps": section_loop.residual_maps(run, ledger),
             "gains": gain_panels(ledger), "geometry_rows": section_loop.geometry_rows(ledger),
             "facings": section_loop.facings(ledger),

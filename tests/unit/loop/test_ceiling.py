@@ -21,7 +21,8 @@ def test_share_is_the_fall_relative_to_what_can_fall():
     assert entry["share"] == pytest.approx(2.0 / 3.0)
     low, high = entry["ci"]
     assert 0.55 < low < 2.0 / 3.0 < high < 0.8
-    assert set(entry["by_metric"]) == set(METRIC) and np.allclose(list(entry["by_metric"].values()), 2.0 / 3.0)
+    alike = dict(share=pytest.approx(2.0 / 3.0), ci=pytest.approx([low, high]))
+    assert entry["by_metric"] == dict.fromkeys(METRIC, alike) and entry["by_band"] == [alike] * 8
     assert entry["at_ceiling"] == []
     assert describe_explained(entry).startswith("67 % [")
 
@@ -39,9 +40,20 @@ def test_interval_covers_the_share_of_the_population():
 def test_nothing_is_left_to_explain_near_the_ceiling():
     entry = explained(errors([1.2, 1.3, 1.1]), errors([1.2, 1.3, 1.1]), errors([1.0, 1.1, 0.9]))[SPLITS[0]]
     assert entry["share"] is None and entry["ci"] is None
-    assert set(entry["by_metric"].values()) == {None} and set(entry["by_band"]) == {None}
+    nothing = dict(share=None, ci=None)
+    assert entry["by_metric"] == dict.fromkeys(METRIC, nothing) and entry["by_band"] == [nothing] * 8
     assert entry["at_ceiling"] == list(dict.fromkeys(METRIC)) and MIN_EXPLAINABLE_JND > 0.2
     assert describe_explained(entry) == "nothing left to explain"
+
+
+def test_shares_and_intervals_of_a_metric_are_those_of_the_rooms_that_have_it():
+    before, after, ceiling = (errors(of_rooms) for of_rooms in ([4.0, 4.2, 3.8, 4.4], [2.0, 2.1, 1.9, 2.4], [1.0] * 4))
+    after.by_split[SPLITS[0]][:, METRIC == "t20"] += np.repeat([0.5, 0.0, 1.0, 0.0], 2)[:, None]
+    before.by_split[SPLITS[0]][:4, METRIC == "c50"] = np.nan
+    entry = explained(before, after, ceiling)[SPLITS[0]]["by_metric"]
+    assert entry["t20"]["share"] == pytest.approx((2.0 + 2.1 + 1.9 + 2.0 - 1.5) / (3.0 + 3.2 + 2.8 + 3.4))
+    assert np.ptp(entry["t20"]["ci"]) > np.ptp(entry["t30"]["ci"])
+    assert entry["c50"] == dict(share=pytest.approx((1.9 + 2.0) / (2.8 + 3.4)), ci=None)  # two rooms
 
 
 def test_two_rooms_have_a_share_without_interval():

@@ -33,8 +33,8 @@ def replace(value, *keys):
 
 
 @pytest.mark.parametrize("change, message", [
-    (without("format"), "format=None must be 5"),  # of an older version
-    (replace(1, "format"), "format=1 must be 5"),
+    (without("format"), "format=None must be 6"),  # of an older version
+    (replace(1, "format"), "format=1 must be 6"),
     (without("given"), "ledger must hold 'given'"),
     (without("left_out"), "ledger must hold 'left_out'"),
     (replace("", "left_out", 0, "reason"), r"left_out\[0\].reason='' must be a text"),
@@ -52,6 +52,8 @@ def replace(value, *keys):
     (replace([0.8, 0.9], "explained", SPLITS[0], "ci"),
      r"explained.leave_positions_out.ci=\[0.8, 0.9\] must lie around 0.79"),
     (replace(-1.0, "ranking", 1, "detectable_jnd"), r"ranking\[1\].detectable_jnd=-1.0 must be a number in \[0, inf\]"),
+    (replace(0.8, "explained", SPLITS[0], "by_metric", "t20"),
+     "explained.leave_positions_out.by_metric.t20 must be an object"),
     (replace(["bass"], "explained", SPLITS[0], "at_ceiling"),
      "explained.leave_positions_out.at_ceiling must name metrics of by_metric"),
     (replace(3.3, "baseline", SPLITS[0], "error"),
