@@ -42,7 +42,8 @@ FIGURES = ("figure-1-left", "figure-1-right", "figure-2-measured", "figure-2-res
            *(f"figure-loop-decay-{n}-{hz}" for n in "12" for hz in (125, 1000)))
 TABLES = ("table-summary", "table-datasets", "table-distance", "table-accuracy", "table-rooms",
           "table-acoustic-parameters", "table-screening", "table-run", "table-loop", "table-loop-errors",
-          "table-loop-explained", "table-loop-geometry", "table-loop-power", "table-wer", "table-wer-changes", "table-wer-rooms", "table-wer-strata")
+          "table-loop-explained", "table-loop-geometry", "table-loop-power", "table-wer", "table-wer-changes",
+          "table-wer-rooms", "table-wer-strata")
 CLIPS = ("audio-clean", "audio-sim", "audio-sim-EQ", "audio-sim-loop", "audio-real")
 
 

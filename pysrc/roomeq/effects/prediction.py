@@ -148,7 +148,8 @@ class PredictionState:
     delay_s : ndarray, shape (n_rirs,)
         Delay of the direct sound by obstacles or other effects [s].
     direct_angle : ndarray, shape (n_rirs,)
-        Angle between the direct sound's direction of departure and the source's axis [rad].
+        Angle between the direct sound's direction of departure and the source's axis [rad]; 0 where the axis is
+        unknown.
     rendered_change : ndarray, shape (n_rirs, n_features)
         Change of the features, taken from renderings with and without an effect [JND].
     """

@@ -34,7 +34,7 @@ from roomeq.loop.ledger import (
 )
 from roomeq.loop.ledger_checks import LEDGER_FORMAT
 from roomeq.loop.power import detectable_sizes
-from roomeq.loop.refined_facing import with_refined_facings
+from roomeq.loop.refined_facing import refined_facings
 from roomeq.loop.selection import (
     LEVEL,
     SPLITS,
@@ -137,8 +137,8 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
         entry, session, errors = accepted
         newest = CATALOGUE[entry["effect"]]
         if SourceDirectivity in session.effects and len(unknown):
-            session = _faced_as_fitted(session, unknown, newest)
-            errors = heldout_errors(session)
+            faced = _faced_as_fitted(session, unknown, newest)
+            session, errors = faced, errors if faced is session else heldout_errors(faced)
         session, errors, superfluous = _eliminate(session, errors, newest)
         eliminated.update(superfluous)
         if errors is not accepted.errors:
@@ -183,12 +183,14 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
 def _faced_as_fitted(session: Session, unknown: IntArray, newest: type[Effect]) -> Session:
     """Return a session whose sources face as its model says, fitted again.
 
-    With the first directivity, the facings of the RIRs `unknown` are estimated anew; with each further effect, they are
-    refined.
+    Once the directivity is fitted, the facings of the RIRs `unknown` are estimated anew; with it and with each later
+    effect, their axes are refined. Where nothing turns, the session remains as it is.
     """
-    turned = with_refined_facings(with_estimated_facings(session, unknown) if newest is SourceDirectivity else session)
-    _log_facings(turned.data)
-    return refit_rendered(turned.data, turned.fit, seed=session.seed, nj=session.nj, known_changes=session.effects)
+    data = refined_facings(with_estimated_facings(session, unknown) if newest is SourceDirectivity else session)
+    if all(data.rows[n]["source_dir"] == session.data.rows[n]["source_dir"] for n in unknown):
+        return session
+    _log_facings(data)
+    return refit_rendered(data, session.fit, seed=session.seed, nj=session.nj, known_changes=session.effects)
 
 
 def _log_facings(data: Data) -> None:

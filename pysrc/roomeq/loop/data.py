@@ -95,7 +95,7 @@ class Data:
         What was decided of sources whose rows do not state where they face.
     axis : ndarray of int, shape (n_rirs,)
         Number of the estimated axis that several RIRs may share; -1 where the facing is stated or is that towards the
-        microphone. Empty before facings are estimated.
+        microphone. Empty if no facing has been estimated.
     """
 
     rows: list[RirRow]

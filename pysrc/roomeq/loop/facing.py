@@ -24,6 +24,7 @@ from roomeq.loop.predict import predict
 from roomeq.loop.session import Session
 from roomeq.loop.tables import ANGLES, collect
 from roomeq.records.schema import unit_name
+from roomeq.sim.geometry import Place
 
 _AXES = np.array([(np.cos(azimuth), np.sin(azimuth), 0.0) for azimuth in np.radians(np.arange(0.0, 360.0, 5.0))])
 """Horizontal directions that are compared."""
@@ -84,7 +85,7 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
     facings: dict[int, FloatArray] = {}
     axis: IntArray = np.full(len(data.rows), -1)
     estimates = []
-    towards = towards_microphones(data)
+    towards = np.array([towards_microphone(place) for place in data.places])
     source_of = [unit_name(row, "source") for row in data.rows]
     for source in sorted({source_of[n] for n in unknown}):
         members = [int(n) for n in unknown if source_of[n] == source]
@@ -109,16 +110,15 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
     return replace(with_facings(data, facings), facings=tuple(estimates), axis=axis)
 
 
-def towards_microphones(data: Data) -> FloatArray:
-    """Unit vectors from each source to its microphone, shape (n_rirs, 3)."""
-    towards = np.array([np.subtract(place.mic_pos_m, place.source_pos_m) for place in data.places])
-    return towards / np.linalg.norm(towards, axis=1, keepdims=True)
+def towards_microphone(place: Place) -> FloatArray:
+    """Return the unit vector from a source to its microphone, shape (3,)."""
+    towards = np.subtract(place.mic_pos_m, place.source_pos_m)
+    return np.asarray(towards / np.linalg.norm(towards))
 
 
 def mean_angle_deg(data: Data, facings: Mapping[int, FloatArray]) -> float:
     """Return the mean angle between the facings of some RIRs, unit vectors, and the directions of the microphones."""
-    towards = towards_microphones(data)
-    cosines = [towards[n] @ facing for n, facing in facings.items()]
+    cosines = [towards_microphone(data.places[n]) @ facing for n, facing in facings.items()]
     return float(np.degrees(np.mean(np.arccos(np.clip(cosines, -1.0, 1.0)))))
 
 

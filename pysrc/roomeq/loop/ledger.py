@@ -89,7 +89,7 @@ def iteration_entry(winner: Candidate, rivals: list[Candidate], ranking: list[Ca
 
 
 def update_errors(entry: dict, before: HeldOutErrors, errors: HeldOutErrors, eliminated: list[str]) -> None:
-    """Enter the effects that the effect of an iteration made superfluous, and the held-out errors without them."""
+    """Enter the held-out errors at the end of an iteration: with refined axes, and without `eliminated` effects."""
     split = entry["scored_on"]
     entry |= dict(eliminated=eliminated, heldout_error_after=errors.mean(split),
                   heldout_error_ci=errors.interval(split), fall_ci=before.fall_interval(errors, split),

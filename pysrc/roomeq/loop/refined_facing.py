@@ -1,7 +1,12 @@
-"""The axes of loudspeakers, refined together with the model.
+"""The axes of loudspeakers, fitted together with the model.
 
-`roomeq.loop.facing` finds axes to some degrees, with a directivity that is given. One that was fitted to such axes
-hides their errors, which then look like obstacles ahead of single microphones. Here, both are fitted together.
+`roomeq.loop.facing` finds axes with an error of some degrees, for a directivity that is given. A directivity that is
+fitted to such axes absorbs a part of their error, so that the same axes are found again; the rest of the error is taken
+for an occlusion. Here, axes and directivity are fitted together.
+
+Of the features that show the direct sound, only those take part that are never scored
+(`roomeq.loop.features.CALIBRATION_FEATURES`). The features of reflections, which give their level, take part whether
+they are scored or not.
 """
 
 from collections.abc import Sequence
@@ -15,7 +20,7 @@ from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.effects.base import Effect
 from roomeq.effects.prediction import PredictedRirs, PredictionState
 from roomeq.loop.data import Data
-from roomeq.loop.facing import mean_angle_deg, towards_microphones, with_facings
+from roomeq.loop.facing import mean_angle_deg, towards_microphone, with_facings
 from roomeq.loop.features import CALIBRATION_FEATURES, METRIC
 from roomeq.loop.fit import fit
 from roomeq.loop.packing import ParameterIndex
@@ -23,13 +28,13 @@ from roomeq.loop.session import Session
 from roomeq.records.schema import unit_name
 
 _SD_RAD = 0.15
-"""Standard deviation of the error of an axis before it is refined."""
+"""Standard deviation of the error of an axis."""
 _SHOW_DIRECT_SOUND = np.isin(METRIC, ("direct", "spectrum", "c50", "drr", "edt"))
 
 
 @dataclass(frozen=True)
-class _Turn(Effect):
-    """A turn of the axis that some RIRs share (`Data.axis`), as far as it changes the direct sound.
+class _AzimuthError(Effect):
+    """The azimuth error of an axis (`Data.axis`), as far as it changes the direct sound.
 
     Attributes
     ----------
@@ -39,7 +44,7 @@ class _Turn(Effect):
 
     angle_rad: float
 
-    NAME = "turn"
+    NAME = "azimuth_error"
     SCOPE = "axis"
     STARTS = ((0.0,),)
     SPREAD = (_SD_RAD,)
@@ -50,11 +55,9 @@ class _Turn(Effect):
         return cls(float(np.asarray(vector)[0]))
 
     def apply_to_prediction(self, state: PredictionState, data: PredictedRirs, rows: IntArray) -> None:
-        data = cast(Data, data)
-        towards = towards_microphones(data)
-        for n in rows[data.axis[rows] >= 0]:
-            axis = _turned(cast(list[float], data.rows[n]["source_dir"]), self.angle_rad)
-            state.direct_angle[n] = np.arccos(np.clip(towards[n] @ axis, -1.0, 1.0))
+        for n in rows[cast(Data, data).axis[rows] >= 0]:
+            axis = _turned(data.rows[n]["source_dir"], self.angle_rad)
+            state.direct_angle[n] = np.arccos(np.clip(towards_microphone(data.places[n]) @ axis, -1.0, 1.0))
 
 
 def _turned(direction: Sequence[float], angle_rad: float) -> FloatArray:
@@ -64,18 +67,15 @@ def _turned(direction: Sequence[float], angle_rad: float) -> FloatArray:
     return np.array([cos * x - sin * y, sin * x + cos * y, z])
 
 
-def with_refined_facings(session: Session) -> Session:
-    """Return a session whose estimated axes are fitted together with the parameters of its model.
-
-    Of the features that show the direct sound, only those take part that are never scored.
-    """
+def refined_facings(session: Session) -> Data:
+    """Return a session's data with axes that are fitted together with the parameters of its model."""
     data = session.data
     turning = np.flatnonzero(data.axis >= 0)
     if not len(turning):
-        return session
+        return data
     shown = replace(data, valid=data.valid & ~(_SHOW_DIRECT_SOUND & ~CALIBRATION_FEATURES))
-    # first, so that the directivity finds the turned axes
-    fitted = fit(shown, session.correction, [_Turn, *session.effects], initial=session.fit, threads=session.nj)
+    # the azimuth error comes first, so that the directivity finds the turned axes
+    fitted = fit(shown, session.correction, [_AzimuthError, *session.effects], initial=session.fit, threads=session.nj)
     index = ParameterIndex(shown, fitted.effects)
     angles_rad = index.vectors(fitted.mean, fitted.local)[0][index.shared[0].unit, 0]
     facings = {int(n): _turned(cast(list[float], data.rows[n]["source_dir"]), angles_rad[n]) for n in turning}
@@ -84,4 +84,4 @@ def with_refined_facings(session: Session) -> Session:
     for estimate in data.facings:
         of_source = {n: facing for n, facing in facings.items() if source_of[n] == estimate.source}
         estimates.append(replace(estimate, angle_deg=mean_angle_deg(data, of_source)) if of_source else estimate)
-    return replace(session, data=replace(with_facings(data, facings), facings=tuple(estimates)))
+    return replace(with_facings(data, facings), facings=tuple(estimates))

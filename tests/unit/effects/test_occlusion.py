@@ -81,7 +81,7 @@ def test_predictions_use_the_speed_of_sound_that_another_effect_set(speed_m_s):
             absorption=np.zeros((1, 2, 8)), air_per_m=np.zeros((1, 8)), speed_m_s=np.array([speed]), ray_gain=None,
             reflected_gain=None, direct_gain=np.ones((1, 8)), direct_thirds=np.ones((1, len(SPECTRUM_HZ))), decays=[],
             response_db=np.zeros((1, len(RESPONSE_HZ))), floor=np.zeros((1, 8)), delay_s=np.zeros(1),
-            rendered_change=np.zeros((1, 1)))
+            direct_angle=np.zeros(1), rendered_change=np.zeros((1, 1)))
         effect.apply_to_prediction(state, data, np.array([0]))
         return state
 

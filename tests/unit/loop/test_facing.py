@@ -47,11 +47,17 @@ def log_likelihood(rirs, axes, sharpness=4.0, scale=1.0):
 
 
 def estimate_from(rirs, of_angles, alike, monkeypatch):
-    """Estimate facings from log likelihoods, for each assumed directivity; return the estimate and the axes."""
+    """Estimate facings from log likelihoods, for each assumed directivity; return the estimate and the axes.
+
+    RIRs share axes as the hypothesis says.
+    """
     found = {}
     monkeypatch.setattr(facing, "_log_likelihood", lambda *_: (of_angles, np.full((1, len(rirs.rows)), alike)))
     monkeypatch.setattr(facing, "with_facings", lambda data, facings: found.update(facings) or data)
-    (estimated,) = estimate_facings(rirs, *[None] * 5).facings
+    data = estimate_facings(rirs, *[None] * 5)
+    (estimated,) = data.facings
+    n_axes = {"towards the microphone": 0, "fixed": estimated.positions, "free": len(rirs.rows)}[estimated.hypothesis]
+    assert sorted(set(data.axis)) == (list(range(n_axes)) if n_axes else [-1])
     return estimated, np.array([found[n] for n in range(len(rirs.rows))])
 
 
