@@ -39,12 +39,12 @@ same_rooms=               # patterns such as 'house_*,lab_*': rooms that match o
 split_sizes=773,194,242   # number of RIRs for train, dev, test; scaled down if the corpus has fewer
 
 # stages 2-4: simulation, equalisation, compensation
-t60_range=0.2,2.0         # range of T60 of the simulated RIRs [s]; measured: the range of the measured rooms
+t60_range=0.2,2.0         # range of T60 of RIRs in measured rooms [s]; measured: the range of their recordings
 rooms=                    # simulate in so many randomly drawn rooms, and a tenth of it for dev, not in measured ones
 free_rooms=0              # make a further training set, sim.free: RIRs of so many drawn rooms, not of measured ones
 room_types=               # what they are drawn from: TOML file, or names in conf/room_types.toml; default: all of these
 num_rays=10000            # rays per source
-order=200                 # least number of reflections per ray
+order=200                 # reflections of a ray on average, up to 3 s; more where the decay needs it
 num_components=7          # number of Gaussians in the mixture
 weight_rooms=false        # give every room the same weight in the mixture
 match_rooms=true          # draw each EQ with the mixture weights of its room; false: with those of all rooms

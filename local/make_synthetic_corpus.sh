@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Generate the synthetic corpus: speech synthesised by eSpeak NG, and wave-based simulated RIRs in place of measured
-# ones. It contains no recordings. The directory layouts are those of LibriSpeech and BUT ReverbDB.
+# Generate the synthetic corpus: speech synthesised by eSpeak NG, and RIRs of other simulation code (modes below 250 to
+# 350 Hz, image sources and noise above) in place of measured ones. It contains no recordings. The directory layouts are
+# those of LibriSpeech and BUT ReverbDB.
 # Usage: local/make_synthetic_corpus.sh [--nj 2] [--utterances 900,150,150] [--rooms 9] [--positions 6] <corpora-dir>
 # e.g.:  local/make_synthetic_corpus.sh corpora
 set -euo pipefail

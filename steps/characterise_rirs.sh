@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Measure every RIR (T60, C50, DRR, EQ ...), and mark repeats, uncommon rooms and RIRs unfit for the EQ fit.
+# Measure every RIR (T60, C50, DRR, EQ ...), leave out repeats, uncommon rooms and recordings that are no RIR, and mark
+# RIRs unfit for the EQ fit.
 # Usage: steps/characterise_rirs.sh [--nj 2] [--keep-suspicious false] <rir-dir> <rir-dir-out>
 # e.g.:  steps/characterise_rirs.sh data/measured data/rirs.real
 set -euo pipefail

@@ -11,7 +11,7 @@ room_types=        # what they are drawn from: a TOML file, or names in conf/roo
 fs=16000           # sample rate [Hz]; the following steps take 16000 only
 t60_range=         # range of T60 [s]; measured: that of the measured rooms; default: 0.2,2.0, or as the room types say
 num_rays=10000     # rays per source
-order=200          # least number of reflections per ray
+order=200          # reflections of a ray on average, up to 3 s; more where the decay needs it
 model=             # effects to add, from steps/close_loop.sh: exp/loop/model.json
 seed=0             # seed of all random numbers
 . ./path.sh

@@ -59,8 +59,8 @@ print(row["id"], row["room_dims_m"], row["mic_pos_m"])
 print("T20", row["acoustic_parameters"]["t20_s"])
 
 # %%
-# ``roomeq simulate rirs.real rirs.sim`` simulates one RIR for each measured RIR, with the same room, source and
-# microphone positions. The reverberation time is drawn from the range of the measured rooms.
+# ``roomeq simulate --t60-range measured rirs.real rirs.sim`` simulates one RIR for each measured RIR, with the same
+# room, source and microphone positions. The reverberation time is drawn from the range of the measured rooms.
 
 roomeq.simulate(work / "rirs.real", work / "rirs.sim", t60_range_s="measured", num_rays=5000, noise_rirs=0, seed=0)
 
