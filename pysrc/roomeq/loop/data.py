@@ -25,7 +25,7 @@ from roomeq.loop.geometry import Estimate, complete_geometry
 from roomeq.loop.measurability import comparable_levels, limit_to_excitation
 from roomeq.loop.path_samples import decay_range_s, draw_path_samples
 from roomeq.loop.tables import ANGLES, FRAME_MID_S, Table, collect, level_surfaces
-from roomeq.loop.traces import StoredTrace, TraceFolder
+from roomeq.loop.traces import StoredTrace, TraceFolder, without_paths
 from roomeq.loop.usable import LeftOut, UsableRirs, usable_rirs
 from roomeq.records.rir_dir import load_rir
 from roomeq.records.schema import RirRow, unit_name
@@ -303,7 +303,10 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
         facings = [unit_facing(rows[n].get("source_dir")) for n in members]
         samples = draw_path_samples(source, mics_m, facings, decays_s,
                                     [rng_for(seed, "loop paths", rows[n]["id"]) for n in members])
-        return folder.store(source, str(members[0])), samples, collect(source, mics_m, facings)
+        # whole paths are needed once more where a facing is to be estimated
+        stored = (folder.store(source, str(members[0])) if any(facing is None for facing in facings)
+                  else StoredTrace(without_paths(source)))
+        return stored, samples, collect(source, mics_m, facings)
 
     # threads: paths are large, and their kernels release the interpreter's lock
     workers = Parallel(n_jobs=nj, prefer="threads", return_as="generator")

@@ -1,5 +1,6 @@
 """Likelihood of residuals: features scatter within and between rooms, and outliers count linearly (Huber's loss)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,12 +68,12 @@ def normal_equations(index: ParameterIndex, r: int, residual: FloatArray, valid:
                      sigma: FloatArray, omega: FloatArray) -> NormalEquations:
     """Return the normal equations of room `r`; large residuals are down-weighted (Huber)."""
     members, columns, own = index.members[r], index.columns[r], index.own_place[r]
-    values, places = index.room_derivatives(r, derivatives)
+    values, (places, alike) = index.room_derivatives(r, derivatives), index.room_places(r)
     ok = valid[members]
     error, slope = huber_root(residual[members], ok, sigma, omega)
     last = max(len(columns), own.max() + 1)  # place of the residual
     values = np.concatenate([np.where(ok[:, :, None], slope[:, :, None] * values, 0.0), error[:, :, None]], axis=2)
-    product = _whitened_product(values, np.pad(places, ((0, 0), (0, 1)), constant_values=last), ok, sigma, omega)
+    product = _whitened_product(values, np.pad(places, ((0, 0), (0, 1)), constant_values=last), alike, ok, sigma, omega)
     n = len(columns)
     count = ok.sum(axis=0)
     log_scale = np.sum(np.maximum(count - 1, 0) * np.log(sigma)
@@ -81,8 +82,8 @@ def normal_equations(index: ParameterIndex, r: int, residual: FloatArray, valid:
                            product[:n, last], product[last, last], log_scale, columns)
 
 
-def _whitened_product(values: FloatArray, places: IntArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray
-                      ) -> FloatArray:
+def _whitened_product(values: FloatArray, places: IntArray, alike: Sequence[IntArray], valid: BoolArray,
+                      sigma: FloatArray, omega: FloatArray) -> FloatArray:
     """Return ``white.T @ white`` of a room, where `_whiten` makes each column of `white` from that of a matrix.
 
     Parameters
@@ -91,15 +92,16 @@ def _whitened_product(values: FloatArray, places: IntArray, valid: BoolArray, si
         What is not zero in the rows of the matrix; 0 where invalid.
     places : ndarray of int, shape (n_rirs, n)
         Their columns in the matrix, the same for all features of an RIR.
+    alike : sequence of ndarray of int
+        Groups of RIRs with the same columns.
     valid : ndarray of bool, shape (n_rirs, n_features)
     sigma, omega : ndarray, shape (n_features,)
     """
     size, count = places.max() + 1, valid.sum(axis=0)
     values = values / sigma[:, None]
     product, total = np.zeros((size, size)), np.zeros((len(sigma), size))
-    alike, group = np.unique(places, axis=0, return_inverse=True)
-    for g, place in enumerate(alike):  # RIRs that depend on the same parameters
-        of_group = values[np.ravel(group) == g]
+    for rirs in alike:
+        place, of_group = places[rirs[0]], values[rirs]
         stacked = of_group.reshape(-1, of_group.shape[2])
         product[np.ix_(place, place)] += stacked.T @ stacked
         total[:, place] += of_group.sum(axis=0)

@@ -138,6 +138,7 @@ class ParameterIndex:
                 at += size
             self.local.append(LocalPart(slices, at))
         self.own_place = [self._own_places(r) for r in range(len(self.members))]
+        self._places: dict[int, tuple[IntArray, list[IntArray]]] = {}  # of rooms, when they are needed
 
     def _columns(self, members: IntArray) -> IntArray:
         columns = [np.arange(N_SURFACE)]
@@ -259,29 +260,38 @@ class ParameterIndex:
         gains = np.outer(self.gains(local), HAS_GAIN)
         return centre.features + correction + gains, Derivatives(by_surface, by_effect)
 
-    def room_derivatives(self, r: int, derivatives: Derivatives) -> tuple[FloatArray, IntArray]:
-        """Return derivatives of a room's RIRs by the parameters that each of them depends on.
+    def room_derivatives(self, r: int, derivatives: Derivatives) -> FloatArray:
+        """Return derivatives of a room's RIRs by the parameters of `room_places`, (n_rirs_of_room, n_features, n)."""
+        members, (by_surface, by_effect) = self.members[r], derivatives
+        values = [by_surface[members], HAS_GAIN[:, None] * self.gain_design[r][:, None, :]]
+        for effect in self.effects:
+            values += [by_effect[effect][members]] * (2 if effect.SCOPE == "rir" else 1)
+        return np.concatenate(values, axis=2)
+
+    def room_places(self, r: int) -> tuple[IntArray, list[IntArray]]:
+        """Return which parameters the RIRs of a room depend on.
 
         Returns
         -------
-        values : ndarray, shape (n_rirs_of_room, n_features, n)
         places : ndarray of int, shape (n_rirs_of_room, n)
             Of these parameters, in the list that `own_place` refers to.
+        alike : list of ndarray of int
+            Groups of RIRs, counted within the room, that depend on the same parameters.
         """
-        members, (by_surface, by_effect) = self.members[r], derivatives
-        slices, design, n_rirs = self.local[r].slices, self.gain_design[r], len(self.members[r])
-        values = [by_surface[members], HAS_GAIN[:, None] * design[:, None, :]]
-        gains = self.own_place[r][N_SURFACE:N_SURFACE + design.shape[1]]
-        places = [np.broadcast_to(part, (n_rirs, len(part))) for part in (np.arange(N_SURFACE), gains)]
-        for k, effect in enumerate(self.effects):
-            part, _, unit, n = self.shared[k]
-            vector = np.zeros(n_rirs, dtype=int) if effect.SCOPE in OWN_SCOPES else unit[members]
-            values.append(by_effect[effect][members])
-            places.append(np.searchsorted(self.columns[r], part.start + vector * n)[:, None] + np.arange(n))
-            if effect.SCOPE == "rir":
-                values.append(values[-1])
-                places.append(self.own_place[r][slices[k]].reshape(n_rirs, n))
-        return np.concatenate(values, axis=2), np.concatenate(places, axis=1)
+        if r not in self._places:
+            members, slices, design = self.members[r], self.local[r].slices, self.gain_design[r]
+            n_rirs, gains = len(members), self.own_place[r][N_SURFACE:N_SURFACE + design.shape[1]]
+            places = [np.broadcast_to(part, (n_rirs, len(part))) for part in (np.arange(N_SURFACE), gains)]
+            for k, effect in enumerate(self.effects):
+                part, _, unit, n = self.shared[k]
+                vector = np.zeros(n_rirs, dtype=int) if effect.SCOPE in OWN_SCOPES else unit[members]
+                places.append(np.searchsorted(self.columns[r], part.start + vector * n)[:, None] + np.arange(n))
+                if effect.SCOPE == "rir":
+                    places.append(self.own_place[r][slices[k]].reshape(n_rirs, n))
+            of_room = np.concatenate(places, axis=1)
+            group = np.ravel(np.unique(of_room, axis=0, return_inverse=True)[1])
+            self._places[r] = of_room, [np.flatnonzero(group == g) for g in range(group.max() + 1)]
+        return self._places[r]
 
 
 def _separate(bands: Sequence[int]) -> list[list[int]]:

@@ -14,6 +14,12 @@ _LARGE = ("hits", "codes")
 """Arrays of `roomeq.sim.trace.Paths` that are kept in files."""
 
 
+def without_paths(traced: TracedSource) -> TracedSource:
+    """Return a traced source without the large arrays of its paths."""
+    return replace(traced, paths=tuple(replace(paths, **{array: getattr(paths, array)[:0].copy() for array in _LARGE})
+                                       for paths in traced.paths))
+
+
 class TraceFolder:
     """A temporary folder of traces; it disappears with the last trace that it holds."""
 
@@ -23,30 +29,28 @@ class TraceFolder:
     def store(self, traced: TracedSource, name: str) -> "StoredTrace":
         """Move the paths of a traced source to files that begin with a name."""
         first = Path(self._folder.name) / name
-        small = []
         for n, paths in enumerate(traced.paths):
             for array in _LARGE:
                 np.save(f"{first}-{n}-{array}.npy", getattr(paths, array))
-            small.append(replace(paths, hits=paths.hits[:0].copy(), codes=paths.codes[:0].copy()))
-        return StoredTrace(replace(traced, paths=tuple(small)), first, self)
+        return StoredTrace(without_paths(traced), first, self)
 
 
 @dataclass(frozen=True, eq=False)
 class StoredTrace:
-    """A traced source in a `TraceFolder`.
+    """A traced source in a `TraceFolder`, or one whose paths nobody needs any more.
 
     Attributes
     ----------
     small : TracedSource
         Without the large arrays of its paths.
-    first : Path
+    first : Path or None
         Beginning of the names of their files.
-    folder : TraceFolder
+    folder : TraceFolder or None
     """
 
     small: TracedSource
-    first: Path
-    folder: TraceFolder
+    first: Path | None = None
+    folder: TraceFolder | None = None
 
     @property
     def scene(self) -> Scene:
@@ -54,7 +58,15 @@ class StoredTrace:
         return self.small.scene
 
     def load(self) -> TracedSource:
-        """Return the traced source; its paths are mapped from the file, and leave memory with it."""
+        """Return the traced source; its paths are mapped from the file, and leave memory with it.
+
+        Raises
+        ------
+        ValueError
+            The paths were not stored.
+        """
+        if self.first is None:
+            raise ValueError("the paths of this source were not stored")
         return replace(self.small, paths=tuple(
             replace(paths, hits=self._array(n, "hits"), codes=self._array(n, "codes"))
             for n, paths in enumerate(self.small.paths)))

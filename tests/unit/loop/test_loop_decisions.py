@@ -192,6 +192,17 @@ def test_p_of_few_halves_is_the_mid_p_value():
     assert p_lower(errors_before, errors_before, split) == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("n_halves", [5, 18, 19])
+def test_mid_p_value_is_the_share_of_signs_with_a_larger_mean(n_halves):
+    """Up to 18 halves, all signs are tried, as here one by one; of more, a sample."""
+    rng = np.random.default_rng(n_halves)
+    change = np.round(rng.normal(0.3, 1.0, n_halves), 1)  # with ties
+    signs = 1 - 2 * (np.arange(2 ** n_halves)[:, None] >> np.arange(n_halves) & 1)
+    above = np.round(signs @ change - change.sum(), 6)
+    expected = np.mean(above > 0.0) + 0.5 * np.mean(above == 0.0)
+    assert selection._mid_p_of_signs(change) == pytest.approx(expected, abs=1e-12 if n_halves < 19 else 0.01)
+
+
 def test_rooms_without_what_an_effect_touches_count_as_rooms_without_a_fall():
     """An effect in two rooms, where the error falls by the same, says little about the next."""
     room, touched = ROOMS_AND_HALVES[0], np.zeros((16, N_FEATURES), dtype=bool)

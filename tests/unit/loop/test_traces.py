@@ -4,8 +4,9 @@ import gc
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from roomeq.loop.traces import TraceFolder
+from roomeq.loop.traces import StoredTrace, TraceFolder, without_paths
 from roomeq.sim.response import trace_source
 from roomeq.sim.scene import Material, Scene, Shoebox
 
@@ -29,6 +30,13 @@ def test_change_of_a_loaded_path_is_not_stored():
     stored = TraceFolder().store(trace(), "room")
     stored.load().paths[0].hits[:] = 0.0
     assert stored.load().paths[0].hits.any()
+
+
+def test_paths_that_were_not_stored_cannot_be_loaded():
+    stored = StoredTrace(without_paths(trace()))
+    assert not len(stored.small.paths[0].hits) and len(stored.small.paths[0].counts)
+    with pytest.raises(ValueError, match="were not stored"):
+        stored.load()
 
 
 def test_folder_disappears_with_its_last_trace():
