@@ -31,6 +31,7 @@ from roomeq.loop.ledger import (
     left_out_entries,
     undetected_entry,
     update_errors,
+    update_parameters,
 )
 from roomeq.loop.ledger_checks import LEDGER_FORMAT
 from roomeq.loop.power import detectable_sizes
@@ -150,6 +151,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
                     entry["scored_on"].replace("_", "-"))
         if superfluous:
             logger.info("took out %s, which no longer lowers the held-out error", ", ".join(entry["eliminated"]))
+    update_parameters(iterations, session)
     unexplained = find_unexplained(session)
     for residual in unexplained[:1]:
         logger.info("unexplained: %s", describe_residual(residual))

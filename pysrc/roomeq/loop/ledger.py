@@ -13,6 +13,7 @@ from scipy import stats
 from roomeq.core.arrays import FloatArray
 from roomeq.core.files import read_json
 from roomeq.effects.base import Effect
+from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, read_model
 from roomeq.loop.examples import EXAMPLES_FILE, read_arrays, read_examples
 from roomeq.loop.features import N_FEATURES
@@ -95,6 +96,14 @@ def update_errors(entry: dict, before: HeldOutErrors, errors: HeldOutErrors, eli
                   heldout_error_ci=errors.interval(split), fall_ci=before.fall_interval(errors, split),
                   by_metric={**entry["by_metric"], "after": errors.by_metric(split)},
                   by_band={**entry["by_band"], "after": errors.by_band(split)})
+
+
+def update_parameters(iterations: list[dict], session: Session) -> None:
+    """Enter the parameters of the final model: each later effect has changed those of the earlier ones."""
+    for entry in iterations:
+        effect = CATALOGUE[entry["effect"]]
+        if effect in session.effects:
+            entry["parameters"] = _parameter_intervals(session, effect)
 
 
 def added_effects(ledger: dict) -> list[dict]:

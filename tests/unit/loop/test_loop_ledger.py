@@ -1,10 +1,14 @@
 """Reading a ledger: a whole one is accepted, an invalid one is refused with the place of its first error."""
 
+from types import SimpleNamespace
+
 import pytest
 from loop_run import make_loop
 
 from roomeq.core.files import read_json, write_json
-from roomeq.loop.ledger import LEDGER_FILE, read_ledger, validate_loop
+from roomeq.effects.source_response import SourceResponse
+from roomeq.loop import ledger as ledger_module
+from roomeq.loop.ledger import LEDGER_FILE, read_ledger, update_parameters, validate_loop
 from roomeq.loop.selection import SPLITS
 
 
@@ -64,3 +68,10 @@ def test_invalid_ledger_is_refused_with_the_place_of_its_error(loop, tmp_path, c
     write_json(tmp_path / LEDGER_FILE, ledger)
     with pytest.raises(ValueError, match=f"{LEDGER_FILE}: {message}: run roomeq close-loop again"):
         read_ledger(tmp_path / LEDGER_FILE)
+
+
+def test_parameters_of_effects_in_the_final_model_are_renewed(monkeypatch):
+    monkeypatch.setattr(ledger_module, "_parameter_intervals", lambda session, effect: f"final {effect.NAME}")
+    iterations = [dict(effect="source_response", parameters="first"), dict(effect="occlusion", parameters="first")]
+    update_parameters(iterations, SimpleNamespace(effects=(SourceResponse,)))
+    assert [entry["parameters"] for entry in iterations] == ["final source_response", "first"]
