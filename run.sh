@@ -12,7 +12,7 @@ set -euo pipefail
 stage=0           # first stage to run
 stop_stage=       # last stage to run; default: 7, or 10 if --stage is 8 or more
 nj=$(env -u OMP_NUM_THREADS nproc)   # parallel jobs; results do not depend on it
-seed=0            # seed of all random numbers
+seed=0            # seed of all random numbers, except those of the synthetic corpus
 data=data         # where data directories go
 exp=exp           # where models, logs and the report go
 corpora=corpora   # where the synthetic corpus goes
@@ -149,15 +149,17 @@ if at_stage 5 "close the loop: find the effects that the simulation lacks, and s
   fi
 fi
 
+[ "$stop_stage" -ge 6 ] || exit 0
+kinds=(real sim sim.EQ) # of RIRs; $data may hold others of an earlier run
+[ "$dry_run" = true ] || local/enough_rooms.py "$data/rirs.real.train" "$exp/rooms" >/dev/null
+[ ! -f "$exp/rooms/enough" ] || kinds+=(sim.loop)
+[ "$free_rooms" = 0 ] || kinds+=(sim.free)
+
 if at_stage 6 "make far-field speech"; then
-  kinds=(real sim sim.EQ)
-  local/enough_rooms.py "$data/rirs.real.train" "$exp/rooms" >/dev/null
-  [ ! -f "$exp/rooms/enough" ] || kinds+=(sim.loop)
-  [ "$free_rooms" = 0 ] || kinds+=(sim.free)
   unchecked=() # clean speech of which no far-field speech was made yet; it is checked as Kaldi does, with its audio
   for x in train dev test; do
     require "$data/$x.clean/wav.scp" steps/prepare_speech.sh
-    [ "$data/$x.real.rvb/.done" -nt "$data/$x.clean/.done" ] || unchecked+=("$data/$x.clean")
+    [[ -f $data/$x.clean/.done && $data/$x.real.rvb/.done -nt $data/$x.clean/.done ]] || unchecked+=("$data/$x.clean")
   done
   [ ${#unchecked[@]} -eq 0 ] || roomeq validate "${unchecked[@]}"
   for rirs in "${kinds[@]/%/.train}" "${kinds[@]/%/.dev}" real.test; do
@@ -169,11 +171,14 @@ if at_stage 6 "make far-field speech"; then
 fi
 
 if at_stage 7 "make the report"; then
-  steps/make_report.sh "$data" "$exp" "$exp/report"
+  steps/make_report.sh --kinds "$(IFS=, && echo "${kinds[*]}")" "$data" "$exp" "$exp/report"
 fi
 
 if [ "$stop_stage" -ge 8 ]; then
-  [ -n "$lm_text$librispeech$speech" ] || lm_text=$corpora/speech/LibriSpeech-LM/lm.txt
+  if [ -z "$lm_text$librispeech$speech" ] && { [ "$dry_run" = true ] ||
+    grep -qF "$(realpath "$corpora")/speech/" "$data/train.clean/wav.scp"; }; then
+    lm_text=$corpora/speech/LibriSpeech-LM/lm.txt
+  fi
   local/kaldi/train_and_test.sh --stage "$stage" --stop-stage "$stop_stage" --nj "$nj" --seed "$seed" \
     --dry-run "$dry_run" --librispeech "$librispeech" --lm-text "$lm_text" --align-on "$align_on" \
     --gmm-passes "$gmm_passes" --num-leaves "$num_leaves" --free-rooms "$free_rooms" --rows "$rows" \
@@ -182,7 +187,9 @@ if [ "$stop_stage" -ge 8 ]; then
 fi
 [ "$dry_run" = false ] || exit 0
 
-for x in "$data"/*.rvb; do
-  [ ! -d "$x" ] || log "data directory: $(realpath "$x")"
+for kind in "${kinds[@]}"; do
+  for x in "$data"/{train,dev,test}."$kind.rvb"; do
+    [ ! -d "$x" ] || log "data directory: $(realpath "$x")"
+  done
 done
 [ ! -f "$exp/report/index.html" ] || log "report: $(realpath "$exp")/report/index.html"

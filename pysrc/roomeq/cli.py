@@ -347,6 +347,8 @@ def wer() -> None:
 @argument("data_dir", "Where stages 0 to 6 wrote.")
 @argument("exp_dir", "Where stages 3, 5 and 10 wrote eq, loop and wer.")
 @argument("out", "Directory to make; it gets index.html.")
+@click.option("--kinds", type=NAMES, default="real,sim.free,sim,sim.EQ,sim.loop",
+              help="Kinds of RIRs to report, where they are there.")
 def report() -> None:
     """Make one self-contained HTML page of a run."""
 

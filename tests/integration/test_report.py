@@ -294,6 +294,15 @@ def test_missing_parts_name_their_stage(made, tmp_path):
         assert part in text
 
 
+def test_sets_of_an_earlier_run_are_left_out(made, tmp_path):
+    data, exp, path = made
+    assert "sim.loop" in path.read_text() and 'id="loop"' in path.read_text()
+    now = make_report(data, exp, tmp_path / "report", kinds=("real", "sim", "sim.EQ")).read_text()
+    assert 'id="loop"' not in now and "sim.loop" not in Page(now).text
+    with pytest.raises(ValueError, match="kinds: 'simulated' must be one of real, sim.free, sim, sim.EQ, sim.loop"):
+        make_report(data, exp, tmp_path / "report", kinds=["simulated"])
+
+
 def test_synthetic_corpus_is_announced_at_the_top(made, tmp_path):
     data, exp, _ = made
     shutil.copytree(data / "measured", tmp_path / "data/measured")

@@ -10,7 +10,7 @@ from roomeq.core.arrays import FloatArray
 from roomeq.core.stamps import read_stamp
 from roomeq.records.rir_dir import ROWS_FILE, load_rir, read_rirs
 from roomeq.records.schema import RirRow
-from roomeq.report.kinds import KINDS
+from roomeq.report.kinds import EXTENDED, KIND_NAMES, KINDS
 
 T = TypeVar("T")
 Context = dict[str, Any]
@@ -63,10 +63,13 @@ class Run:
     ----------
     data_dir, exp_dir : Path
         Directories of the RIRs and data sets, and of the fitted models.
+    kinds : tuple of str
+        Kinds of RIRs (`roomeq.report.kinds`) that belong to the run; what is there of others is of an earlier one.
     """
 
     data_dir: Path
     exp_dir: Path
+    kinds: tuple[str, ...] = KIND_NAMES
     _cache: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def cached(self, key: Hashable, compute: Callable[[], T]) -> T:
@@ -85,8 +88,9 @@ class Run:
         return f"{'exp' if name in IN_EXP else 'data'}/{name}"
 
     def has(self, name: str) -> bool:
-        """Tell whether a directory exists."""
-        return self.path(name).is_dir()
+        """Tell whether a directory exists and belongs to the run."""
+        kind = next((kind for kind in KIND_NAMES if kind in _kinds_in(name)), None)
+        return self.path(name).is_dir() and (kind is None or kind in self.kinds)
 
     def need(self, name: str, file: str | None = None) -> Path:
         """Return the path of a directory or of a file in it.
@@ -94,10 +98,10 @@ class Run:
         Raises
         ------
         Missing
-            It is absent.
+            It is absent, or of another run.
         """
         path = self.path(name) / file if file else self.path(name)
-        if not path.exists():
+        if not self.has(name) or not path.exists():
             raise Missing("/".join(part for part in (self.label(name), file) if part), maker(name))
         return path
 
@@ -132,6 +136,12 @@ class Run:
         """Result files of the benches, relative to `exp_dir`."""
         return [f"bench/{name}{suffix}" for name in ("fidelity", "speed") for suffix in (".json", ".png")
                 if (self.exp_dir / "bench" / f"{name}{suffix}").is_file()]
+
+
+def _kinds_in(name: str) -> tuple[str, ...]:
+    """Return what a directory's name may say of its kind: that of ``rirs.KIND.train`` and of ``train.KIND.rvb``."""
+    return (EXTENDED.name,) if name == "loop" else (name.removeprefix("rirs.").rpartition(".")[0],
+                                                    name.removesuffix(".rvb").partition(".")[2])
 
 
 def read_pairs(path: Path) -> dict[str, str]:

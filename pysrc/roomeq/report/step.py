@@ -3,11 +3,13 @@
 import importlib.metadata
 import logging
 import platform
+from collections.abc import Sequence
 from pathlib import Path
 
 from roomeq import __version__
 from roomeq.core.build import Build
 from roomeq.core.files import write_text
+from roomeq.report.kinds import KIND_NAMES
 from roomeq.report.load import Run
 
 logger = logging.getLogger(__name__)
@@ -17,7 +19,7 @@ PACKAGES = ("numpy", "scipy", "scikit-learn", "matplotlib", "soundfile")
 TEMPLATES = Path(__file__).parent / "templates"
 
 
-def make_report(data_dir: Path, exp_dir: Path, out: Path) -> Path:
+def make_report(data_dir: Path, exp_dir: Path, out: Path, *, kinds: Sequence[str] = KIND_NAMES) -> Path:
     """Make one self-contained HTML page of a run: the paper's figures and tables, and audio examples.
 
     Sections whose inputs are missing name the stage that makes them. The page makes no external requests. The same
@@ -31,6 +33,8 @@ def make_report(data_dir: Path, exp_dir: Path, out: Path) -> Path:
         Parent of `eq`, `loop` and `wer`, the output of stages 3, 5 and 10, e.g. ``exp``.
     out : Path
         Directory to make; it receives `index.html`.
+    kinds : sequence of str
+        Kinds of RIRs to report, where they are there; others may be left of an earlier run in the same directories.
 
     Returns
     -------
@@ -40,11 +44,14 @@ def make_report(data_dir: Path, exp_dir: Path, out: Path) -> Path:
     Raises
     ------
     ValueError
-        `data_dir` is missing or holds no directory of a run, a directory in it violates its format, or `out` holds
-        files of other origin.
+        `data_dir` is missing or holds no directory of a run, a directory in it violates its format, a kind is unknown,
+        or `out` holds files of other origin.
     """
     data_dir, exp_dir, out = Path(data_dir), Path(exp_dir), Path(out)
-    run = Run(data_dir, exp_dir)
+    for kind in kinds:
+        if kind not in KIND_NAMES:
+            raise ValueError(f"kinds: {kind!r} must be one of {', '.join(KIND_NAMES)}")
+    run = Run(data_dir, exp_dir, tuple(kinds))
     if not run.names:
         raise ValueError(f"{data_dir}: no directory of a run in it: run stages 0 to 6 first, or check the path")
     build = Build(out, step="report", options=dict(parts=run.names, benches=run.benches, versions=versions()),
