@@ -54,4 +54,4 @@ inputs() {
 }
 
 # after NAME...: declare that the following commands depend on commands of other scripts, by their `once` names.
-after() { inputs "${@/#/$workspace/done/}"; }
+after() { inputs "${@/#/"$workspace"/done/}"; }

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Make the lang directory of all systems: pronunciation and silence probabilities estimated with a GMM, and four LMs.
-# Usage: local/kaldi/finish_lang.sh [--nj 2] [--dry-run] <workspace> <set>
+# Usage: local/kaldi/finish_lang.sh [--nj 2] [--dry-run true] <workspace> <set>
 # e.g.:  local/kaldi/finish_lang.sh exp/kaldi train.clean
 # All systems use the probabilities of the clean speech, whose alignments are the most accurate. The systems therefore
 # differ in their acoustic models only.

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Make a workspace for stock Kaldi scripts: link Kaldi's folders, check Kaldi's tools, copy data directories.
-# Usage: local/kaldi/make_workspace.sh [--dry-run] [--nj 2] <workspace> <data-dir>...
+# Usage: local/kaldi/make_workspace.sh [--dry-run true] [--nj 2] <workspace> <data-dir>...
 # e.g.:  KALDI_ROOT=~/kaldi local/kaldi/make_workspace.sh exp/kaldi data/train.clean data/test.real.rvb
 set -euo pipefail
 nj=2            # jobs at a time, for local processes

@@ -7,7 +7,7 @@ set -euo pipefail
 stage=8               # first stage to run
 stop_stage=10         # last stage to run
 nj=2                  # jobs
-seed=0                # seed of all random numbers
+seed=0                # seed of the TDNN's training
 dry_run=false         # print the commands
 librispeech=          # directory of LibriSpeech: use its released language models, unless --lm-text is given
 lm_text=              # text added to the transcripts of the clean speech to train language models
@@ -34,7 +34,9 @@ kinds=(clean real.rvb sim.rvb sim.EQ.rvb) # each has a dev set of its own kind, 
 [ "$dry_run" = true ] || local/enough_rooms.py "$data/rirs.real.train" "$exp/rooms" >/dev/null
 if [ "$dry_run" = true ] || [ -f "$exp/rooms/enough" ]; then kinds+=(sim.loop.rvb); fi
 [ "$free_rooms" = 0 ] || kinds+=(sim.free.rvb)
-copied=("$data/test.real.rvb" "${kinds[@]/#/$data/train.}" "${kinds[@]/#/$data/dev.}")
+reported=$(sed 's/^clean //; s/\.rvb//g; s/ /,/g' <<<"${kinds[*]}")
+copied=("$data/test.real.rvb")
+for x in "${kinds[@]}"; do copied+=("$data/train.$x" "$data/dev.$x"); done
 for x in $rows; do
   [[ " ${kinds[*]} " == *" $x "* ]] || die "--rows: '$x' must be one of: ${kinds[*]}"
 done
@@ -44,10 +46,22 @@ aligned=(train.clean) # sets that a GMM is trained on
   [ "$x" = clean ] || aligned+=("train.$x")
 done
 alignments_of() { if [ "$align_on" = self ]; then echo "train.$1"; else echo train.clean; fi; }
+# Print options, with the state of files that they name; roomeq wer compares systems of the same settings only.
+settings() { # NAME...
+  local name word
+  for name; do
+    local -n value=$name
+    for word in "${value[@]}"; do
+      if [ -f "$word" ]; then word="${word##*/} $(sha256sum <"$word" | cut -c1-16)"; fi
+      echo "$name $word"
+    done
+  done
+}
 
 if at_stage 8 "Kaldi: language, features, GMM"; then
   texts=("$data/train.clean/text" ${lm_text:+"$lm_text"})
   [ -z "$librispeech" ] || [ -n "$lm_text" ] || texts=()
+  log "language models are trained on: ${texts[*]:-nothing, those of LibriSpeech are used}"
   local/kaldi/make_workspace.sh "${common[@]}" "$workspace" "${copied[@]}"
   [ "$dry_run" = true ] || roomeq validate "${copied[@]}" # Kaldi would train on a damaged directory
   [ "$dry_run" = true ] || echo "$seed" >"$workspace/seed" # of which roomeq wer counts the errors
@@ -59,9 +73,15 @@ if at_stage 8 "Kaldi: language, features, GMM"; then
     local/kaldi/train_gmm.sh "${common[@]}" --passes "$gmm_passes" "$workspace" "$x" "$lang"
     [ "$x" != train.clean ] || local/kaldi/finish_lang.sh "${common[@]}" "$workspace" "$x"
   done
+  [ "$dry_run" = true ] || settings texts align_on gmm_passes >"$workspace/settings"
 fi
 
 if at_stage 9 "Kaldi: TDNN with LF-MMI"; then
+  if [ "$dry_run" = false ]; then
+    require "$workspace/settings" "stage 8"
+    [ "$(cat "$workspace/seed")" = "$seed" ] || die "--seed $seed: $workspace is of seed $(cat "$workspace/seed"): run" \
+      "stages 6 to 8 with this seed first, or train with that one"
+  fi
   for x in "${aligned[@]}"; do
     [ "$speed_perturb" = false ] ||
       local/kaldi/make_features.sh "${common[@]}" --speed-perturb true "$workspace" "$x"
@@ -79,14 +99,19 @@ if at_stage 9 "Kaldi: TDNN with LF-MMI"; then
         test.real.rvb
     local/kaldi/train_chain.sh "${common[@]}" --use-gpu "$use_gpu" --ivectors "$ivectors" \
       --online-cmvn "$online_cmvn" --seed "$seed" "${chain_opts[@]}" "$workspace" "train.$x" "$(alignments_of "$x")"
+    [ "$dry_run" = true ] || { cat "$workspace/settings" &&
+      settings num_leaves speed_perturb online_cmvn ivectors chain_opts; } >"$workspace/train.$x/trained_with"
   done
 fi
 
 if at_stage 10 "Kaldi: decode; word error rates"; then
   decode=(local/kaldi/decode.sh "${common[@]}" --ivectors "$ivectors" "${decode_opts[@]}")
   for x in "${kinds[@]}"; do
+    [ "$dry_run" = true ] || require "$workspace/train.$x/trained_with" "stage 9"
     "${decode[@]}" "$workspace" "train.$x" "$(alignments_of "$x")" "dev.$x"
     "${decode[@]}" --tuned-on "dev.$x" "$workspace" "train.$x" "$(alignments_of "$x")" test.real.rvb
+    [ "$dry_run" = true ] || { cat "$workspace/train.$x/trained_with" &&
+      settings decode_opts; } >"$workspace/train.$x/settings"
   done
   if [ "$dry_run" = false ]; then
     rirs=() # all that a set was made with
@@ -94,6 +119,6 @@ if at_stage 10 "Kaldi: decode; word error rates"; then
       [ ! -d "$x" ] || rirs+=(--rirs "$x")
     done
     roomeq wer "${rirs[@]}" --train-rirs "$data/rirs.real.train" "$workspace" "$exp/wer"
-    steps/make_report.sh "$data" "$exp" "$exp/report"
+    steps/make_report.sh --kinds "$reported" "$data" "$exp" "$exp/report"
   fi
 fi

@@ -17,6 +17,8 @@ closed loop; others follow."""
 VERSION_FILE, SEED_FILE = "kaldi_version", "seed"
 SOURCE_FILE = "source"
 """State of a data directory (``local/kaldi/copy_data.py``); copied to what was trained on it and decoded from it."""
+SETTINGS_FILE = "settings"
+"""Options of stages 8 to 10 that a row was trained and decoded with, a line each, in the row's directory."""
 TEST, DEV = "test.real.rvb", "dev.real.rvb"
 BASE, ORACLE, CLEAN = "train.sim.rvb", "train.real.rvb", "train.clean"
 
@@ -142,7 +144,20 @@ def find_workspaces(paths: Sequence[Path]) -> list[Workspace]:
                              "it (stage 10), or leave the row or column out of all")
     for workspace in workspaces:
         workspace.require_present()
+    _require_same_settings([workspace.path / row for workspace in workspaces for row in workspace.rows])
     return workspaces
+
+
+def _require_same_settings(rows: list[Path]) -> None:
+    """Raise ValueError for two rows whose recognisers differ in more than their data."""
+    files = [row / SETTINGS_FILE for row in rows]
+    settings = [read_text(file).splitlines() if file.is_file() else [] for file in files]
+    for file, lines in zip(files, settings, strict=True):
+        if lines != settings[0]:
+            differing = sorted({line.split(" ")[0] for line in set(lines) ^ set(settings[0])})
+            raise ValueError(f"{file}: is not as {files[0]} ({', '.join(differing)}): rows of other settings cannot be "
+                             "compared; run stages 8 to 10 for all rows with the same options, or keep the rows of "
+                             "each in an --exp of its own")
 
 
 def _in_order(names: set[str], known: tuple[str, ...]) -> list[str]:

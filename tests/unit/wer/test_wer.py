@@ -195,6 +195,20 @@ def test_models_and_decodings_of_other_data_are_refused(tmp_path, damage, messag
         measured(tmp_path, [workspace])
 
 
+def test_rows_of_other_settings_are_refused(tmp_path):
+    workspace, = put_example(tmp_path)
+    for row in ("clean", "real.rvb", "sim.rvb", "sim.EQ.rvb"):
+        (workspace / f"train.{row}/settings").write_text("ivectors false\nnum_leaves 400\n")
+    measured(tmp_path, [workspace])
+    (workspace / "train.sim.rvb/settings").write_text("ivectors false\nnum_leaves 300\n")
+    with pytest.raises(ValueError, match=r"train.sim.rvb/settings: is not as .*train.clean/settings \(num_leaves\): "
+                                         "rows of other settings cannot be compared"):
+        measured(tmp_path, [workspace])
+    (workspace / "train.sim.rvb/settings").unlink()
+    with pytest.raises(ValueError, match=r"\(ivectors, num_leaves\)"):
+        measured(tmp_path, [workspace])
+
+
 def test_caption_counts_weights_at_the_edge_of_the_search(tmp_path, capsys):
     workspace, = put_example(tmp_path)
     measured(tmp_path, [workspace])
