@@ -4,16 +4,18 @@
 Usage: copy_data.py DATA_DIR COPY
 e.g.:  python local/kaldi/copy_data.py data/train.sim.rvb exp/kaldi/data/train.sim.rvb
 
-Paths become absolute. Files added by Kaldi stay unless the source has changed; the file `source` records its state.
+Paths become absolute. Files added by Kaldi stay unless the source has changed or moved; the file `source` records its
+state.
 """
 
 import argparse
 import hashlib
+import os
 import shutil
 import sys
 from pathlib import Path
 
-from roomeq.core.files import write_text
+from roomeq.core.files import sync, write_bytes, write_text
 from roomeq.kaldi.datadir import read_data_dir
 from roomeq.kaldi.wavscp import flac_entry
 
@@ -29,8 +31,8 @@ def copy_data(source: Path, copy: Path) -> None:
         `source` is not a valid data directory, or has recordings that are not FLAC or WAV files.
     """
     files = [file for name in ("wav.scp", *COPIED, ".done") if (file := source / name).is_file()]
-    state = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest() + "\n"
-    if (copy / "source").is_file() and (copy / "source").read_text() == state:
+    state = hashlib.sha256(b"\0".join([os.fsencode(os.path.realpath(source)), *(file.read_bytes() for file in files)]))
+    if (copy / "source").is_file() and (copy / "source").read_text() == f"{state.hexdigest()}\n":
         return
     recordings = read_data_dir(source, pipes=True).recordings
     lines = []
@@ -43,9 +45,10 @@ def copy_data(source: Path, copy: Path) -> None:
     copy.mkdir(parents=True)
     for name in COPIED:
         if (source / name).is_file():
-            shutil.copyfile(source / name, copy / name)
+            write_bytes(copy / name, (source / name).read_bytes())
     write_text(copy / "wav.scp", "".join(lines))
-    write_text(copy / "source", state)
+    sync(copy)  # the files are on the disk before the one that says so
+    write_text(copy / "source", f"{state.hexdigest()}\n")
 
 
 def main(argv: list[str] | None = None) -> int:
