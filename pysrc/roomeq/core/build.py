@@ -182,6 +182,19 @@ class Build:
             self._remove_replaced()
         return assembled
 
+    def withdraw(self) -> None:
+        """Remove the directory unless it is up to date.
+
+        Of directories that belong together, such as sets that share nothing, one of an earlier run then never stands
+        beside one of this run, wherever that is killed.
+        """
+        with self._lock(fcntl.LOCK_EX):
+            self._remove_replaced()
+            if self.out.exists() and not self._is_done(self.out):
+                self.out.rename(self._replaced)
+                sync(self.out.parent)
+                self._remove_replaced()
+
     def _remove_replaced(self) -> None:
         shutil.rmtree(self._replaced, ignore_errors=True)
 

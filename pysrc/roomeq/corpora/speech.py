@@ -83,6 +83,8 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
     plans = [(build, _plan(build, corpus[role], limit, channel)) for role, build in builds.items() if not build.done]
     for build, plan in plans:  # all directories are made before one is put in place
         build.run(plan.items, plan.make, nj=nj)
+    for build, _ in plans:
+        build.withdraw()
     for build, plan in plans:
         build.finish(plan.assemble)
     return [build.out for build in builds.values()]

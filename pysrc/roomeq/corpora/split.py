@@ -100,6 +100,8 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
         Path(f"{out_prefix}.{split}"), step="split", inputs=[rir_dir, *others.values()], refers=True, options=dict(
             split=split, split_by=split_by, same_rooms=list(same_rooms), sizes=list(sizes), seed=seed,
             others=sorted(others))) for split in SPLITS}
+    for build in [build for build in builds.values() if not build.done]:
+        build.withdraw()  # no set of an earlier split beside those of this one
     for split, build in builds.items():
         source = others.get(split, rir_dir)
         own = own_rows[split] if split in others else [row for row in rows if split_of.get(row["id"]) == split]
@@ -126,8 +128,8 @@ def _require_apart(given: Sequence[tuple[str, Path, Sequence[RirRow]]]) -> None:
             raise ValueError(f"{other}: RIR {min(ids)} has the id of an RIR of {directory}: word error rates are "
                              "sorted by room by these ids, rename one")
         if names := {row["room_id"] for row in rows} & {row["room_id"] for row in other_rows}:
-            logger.warning("%s and %s both have rooms named %s: they count as different rooms", directory, other,
-                           ", ".join(sorted(names)))
+            logger.warning("%s and %s both have rooms named %s: word error rates take them for the same rooms; rename "
+                           "one if they are not", directory, other, ", ".join(sorted(names)))
 
 
 def _require_no_copies(kind: str,

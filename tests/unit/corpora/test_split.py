@@ -1,5 +1,7 @@
 """Splits are disjoint and complete, have the sizes asked for, and depend on the seed only."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 import soundfile
@@ -209,7 +211,18 @@ def test_rooms_of_the_same_name_are_said(tmp_path, caplog):
     rir_dir = make(tmp_path / "in", {"a": 6})
     other = write_rir_dir(tmp_path / "other", [(row("a-new", "a"), 0.5 * RIR)])
     split_rirs(rir_dir, tmp_path / "out", seed=0, sizes=(4, 1, 1), test_rirs=other)
-    assert "both have rooms named a: they count as different rooms" in caplog.text
+    assert "both have rooms named a: word error rates take them for the same rooms" in caplog.text
+
+
+def test_run_that_is_killed_between_two_sets_leaves_no_set_of_an_earlier_split(tmp_path, monkeypatch):
+    rir_dir = make(tmp_path / "in", {"a": 12})
+    split(tmp_path, rir_dir, sizes=(6, 3, 3))
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("roomeq.corpora.split.write_noises", Mock(side_effect=[None, KeyboardInterrupt]))
+        split_rirs(rir_dir, tmp_path / "out", seed=1, sizes=(6, 3, 3))
+    assert sorted(path.name for path in tmp_path.glob("out.*")) == ["out.train"]
+    ids, _ = split(tmp_path, rir_dir, seed=1, sizes=(6, 3, 3))
+    assert sizes_of(ids) == [6, 3, 3] and len(set().union(*ids.values())) == 12
 
 
 def test_ids_in_both_directories_are_refused(tmp_path):
