@@ -1,4 +1,4 @@
-"""A folder of audio files without metadata: its subfolders are the rooms, everything else is unknown."""
+"""A folder of audio files without metadata: the folders in it are the rooms, everything else is unknown."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -31,10 +31,14 @@ def list_folder(source: Path) -> Corpus:
     corpus = Corpus(name=root.name, kind="folder")
     ids = DistinctIds()
     for path in files:
-        row = rir_row(corpus=root.name, room_id=path.parent.name, excitation=excitation_of(path.stem),
+        below = path.parent.relative_to(root).parts
+        room = below[0] if below else root.name
+        if len(below) > 1:
+            corpus.notes[f"RIR in a folder of a folder of {root.name}, which is taken for the room"] += 1
+        row = rir_row(corpus=root.name, room_id=room, excitation=excitation_of(path.stem),
                       binaural=is_binaural_name(str(path.relative_to(root))))
         try:
-            ids.add("room", row["room_id"], path.parent.name)
+            ids.add("room", row["room_id"], room)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
         corpus.rirs.append(Recording(path, id_of_path(path, root), row))

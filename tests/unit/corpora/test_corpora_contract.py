@@ -1,11 +1,13 @@
 """Rules that every kind of measured corpus obeys."""
 
 import json
+from itertools import product
 
 import pytest
 from corpora_examples import MEASURED, make_folder, make_table, put, put_text, rir
 
 from roomeq.core.audio import read_audio
+from roomeq.core.files import read_json
 from roomeq.corpora import read_measured
 from roomeq.corpora.listing import detect_kind
 from roomeq.corpora.record import rir_row
@@ -63,6 +65,16 @@ def test_changed_audio_of_a_table_remakes_the_output(tmp_path):
     assert (read_measured(table, out) / "rirs.jsonl").stat().st_mtime_ns == made
     put(tmp_path / "home" / "corpus" / "rirs" / "lab" / "one.flac", rir("longer", 900))
     assert read_rirs(read_measured(table, out))[0]["n_samples"] == 900
+
+
+def test_folders_below_that_of_a_room_are_no_rooms(tmp_path):
+    for room, place in product(("attic", "kitchen"), ("near", "far")):
+        put(tmp_path / "rooms" / room / place / "one.wav", rir(room + place))
+    out = read_measured(tmp_path / "rooms", tmp_path / "out")
+    assert {row["id"]: row["room_id"] for row in read_rirs(out)} == {
+        f"{room}-{place}-one": room for room in ("attic", "kitchen") for place in ("near", "far")}
+    assert read_json(out / "corpus.json")["notes"] == {"RIR in a folder of a folder of rooms, which is taken for the "
+                                                       "room": 4}
 
 
 def test_16_khz_mono_is_referenced_other_audio_converted(tmp_path):

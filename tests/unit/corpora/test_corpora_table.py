@@ -75,6 +75,13 @@ def test_paths_may_start_with_the_folder_of_the_csv(tmp_path):
     assert noise.path.is_file() and noise.id == "room_tone" and noise.row["kind"] == "ambient"
 
 
+def test_rooms_named_by_folders_of_one_name_are_refused(tmp_path):
+    path = put_text(tmp_path / "t.csv", "file,room\nattic/RIR/a.wav,attic\nkitchen/RIR/a.wav,\ncellar/RIR/a.wav,\n")
+    with pytest.raises(ValueError, match="t.csv:4: folder of a room without a name in column 'room'='.*cellar/RIR' and "
+                                         "'.*kitchen/RIR' would both have the id 'RIR'"):
+        list_table(path)
+
+
 def test_documented_t60_in_words_is_unknown(tmp_path):
     path = put_text(tmp_path / "t.csv", 'file,documented_t60_s\na.wav,"0.5-0.75 (README)"\nb.wav,0.6\n')
     corpus = list_table(path)
