@@ -4,7 +4,8 @@
 Usage: enough_rooms.py RIR_DIR OUT_DIR
 e.g.:  python local/enough_rooms.py data/rirs.real.train exp/rooms
 
-All recordings are read for it. OUT_DIR/usable.json says what was found; it is made again when RIRs or code change.
+All recordings are read for it. OUT_DIR/usable.json says what was found; it is made again when RIRs, meshes or
+code change.
 There is a file OUT_DIR/enough if `roomeq close-loop` takes the RIRs; if not, its one line is printed.
 """
 
@@ -13,6 +14,7 @@ from pathlib import Path
 
 from roomeq.core.build import Build
 from roomeq.core.files import read_json, write_json, write_text
+from roomeq.records.rir_dir import mesh_files
 
 USABLE_FILE, ENOUGH_FILE = "usable.json", "enough"
 
@@ -25,7 +27,8 @@ def why_not(rir_dir: Path, out: Path) -> str | None:
     ValueError
         An RIR directory is invalid, or `out` was not made by this function.
     """
-    build = Build(out, step="enough-rooms", options={}, inputs=[rir_dir, Path(__file__)])
+    build = Build(out, step="enough-rooms", options={}, inputs=[
+        rir_dir, *(mesh for mesh in mesh_files(rir_dir) if mesh.exists()), Path(__file__)])
 
     def assemble(directory: Path, _: list[None]) -> None:
         from roomeq.loop.usable import too_few_rooms, usable_rirs  # takes longer than all the rest

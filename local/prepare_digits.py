@@ -6,8 +6,8 @@ e.g.:  python local/prepare_digits.py free-spoken-digit-dataset/recordings corpo
 
 DIGITS holds DIGIT_SPEAKER_INDEX.wav or .flac, in any folders. Of each speaker and digit, recordings 0-14 go to the test
 set, 15-19 to dev, the rest to training: no recording is in two sets, but every speaker is in all sets. A string is 3-7
-recordings of one speaker with gaps of 0.1-0.3 s. Writes FLAC files of 16 kHz and manifest.csv. Of recordings at 8 kHz,
-the band above 4 kHz holds a noise floor only.
+recordings of one speaker, the last one of a pass maybe fewer, with gaps of 0.1-0.3 s. Writes FLAC files of 16 kHz and
+manifest.csv. Of recordings at 8 kHz, the band above 4 kHz holds a noise floor only.
 
 Each recording of dev is in five strings, 1,500 words in all. The weights of the language models are chosen on dev: of
 300 words, a dozen errors would choose them, and word error rates on test would differ by a tenth by chance.
@@ -23,7 +23,7 @@ import numpy as np
 import soundfile
 import soxr
 
-from make_synthetic_speech import recorded
+import make_synthetic_speech
 from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import write_flac
 from roomeq.core.build import Build
@@ -79,7 +79,7 @@ def read_digit(path: Path) -> FloatArray:
 
 
 def draw_strings(recordings: list[Recording], passes: int, rng: np.random.Generator) -> list[list[Recording]]:
-    """Return lists of 3 to 7 recordings; every recording is in as many lists as there are passes."""
+    """Return lists of 3 to 7 recordings, the last of a pass maybe fewer; each recording is in as many as passes."""
     strings = []
     for _ in range(passes):
         left = [recordings[n] for n in rng.permutation(len(recordings))]
@@ -101,7 +101,8 @@ def make_set(seed: int, passes: dict[str, int], out_dir: Path, name: str,
         parts = [read_digit(path) for _, path in chosen]
         gaps = [np.zeros(int(rng.uniform(0.1, 0.3) * FS_HZ)) for _ in parts[1:]] + [np.zeros(0)]
         speech = np.concatenate([part for pair in zip(parts, gaps, strict=True) for part in pair])
-        write_flac(out_dir / role / f"{utterance}.flac", recorded(speech / np.abs(speech).max(), rng))
+        recorded = make_synthetic_speech.recorded(speech / np.abs(speech).max(), rng)
+        write_flac(out_dir / role / f"{utterance}.flac", recorded)
         rows.append(f"{role}/{utterance}.flac,{utterance},{speaker},{role},{' '.join(WORDS[d] for d, _ in chosen)}\n")
     return rows
 
@@ -127,7 +128,8 @@ def prepare_digits(digits: Path, out_dir: Path, passes: dict[str, int], seed: in
         `digits` lacks recordings, or `out_dir` exists and was not made by this function.
     """
     by_speaker = find_recordings(digits)
-    build = Build(out_dir, step="digits", options=dict(passes=passes, seed=seed), inputs=[digits, Path(__file__)])
+    build = Build(out_dir, step="digits", options=dict(passes=passes, seed=seed), inputs=[
+        digits, Path(__file__), Path(make_synthetic_speech.__file__)])
     items = {" ".join(key): (key, recordings) for key, recordings in sorted(by_speaker.items())}
 
     def assemble(directory: Path, records: list[list[str]]) -> None:

@@ -17,8 +17,8 @@ from roomeq.core.files import hash_file, physical, read_text
 from roomeq.core.kept_hashes import hashes_of_input, quick_look
 from roomeq.core.stamps import Stamp, read_stamp, require_as_stamped, require_audio_as_stamped, require_in_place
 
-READ_IF_PRESENT = ("noises.jsonl", "rirs.jsonl", "segments", "spk2gender", "text", "utt2lang", "utt2rir", "utt2snr",
-                   "utt2uniq")
+READ_IF_PRESENT = ("noises.jsonl", "rirs.jsonl", "segments", "spk2gender", "text", "utt2dur", "utt2lang", "utt2rir",
+                   "utt2snr", "utt2uniq")
 """Tables that readers use where they are, also if somebody has put them beside the files of a step."""
 _NUMERICS = ("numba", "numpy", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
 

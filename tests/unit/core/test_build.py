@@ -190,6 +190,8 @@ def test_files_beside_those_of_an_input_may_come_and_go(tmp_path):
     first = digest(tmp_path / "in")
     (tmp_path / "in/feats.scp").write_text("of Kaldi")
     assert digest(tmp_path / "in") == first
+    (tmp_path / "in/utt2dur").write_text("u1 3.5\n")  # which is read where it is
+    assert digest(tmp_path / "in") != first
 
 
 @pytest.mark.parametrize("changed_file", ["effects/base.py", "sim/materials.toml", "report/templates/page.html.j2"])

@@ -119,6 +119,15 @@ def test_kept_answer_is_used_until_a_recording_changes(tmp_path, monkeypatch, ca
     assert "is the recording of RIR" in said
 
 
+def test_kept_answer_is_made_again_when_a_mesh_is_corrected(tmp_path, capsys):
+    placed = KNOWN | dict(room_dims_m=None, mesh="../room.obj")
+    where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **placed) for n in range(6)])
+    for top, enough in ((" 1.1\n", False), (" 3\n", True)):
+        write_text(tmp_path / "room.obj", BOX.replace(" 3\n", top))
+        assert check_rooms([str(where), str(tmp_path / "rooms")]) == 0, capsys.readouterr().err
+        assert (tmp_path / "rooms/enough").exists() is enough, capsys.readouterr().out
+
+
 def test_recording_that_cannot_be_read_ends_the_check(tmp_path, capsys):
     where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **KNOWN) for n in range(6)])
     (where / read_rirs(where)[0]["wav"]).write_text("no audio")
