@@ -1,6 +1,7 @@
 """Plan the Kaldi data directory of one role: its items, the function that makes one, and the tables at the end."""
 
 import logging
+import math
 import os
 import re
 import shlex
@@ -38,12 +39,14 @@ class Plan(NamedTuple):
 
 
 class _Audio(NamedTuple):
-    """Entry of an utterance in `wav.scp`, its length, and the number of channels of its file."""
+    """Entry of an utterance in `wav.scp`, its length, the number of channels of its file, and how it was scaled."""
 
     utterance: str
     entry: str
     n_samples: int
     n_channels: int
+    attenuated_db: float = 0.0
+    """By how much samples of the file beyond full scale were reduced."""
 
 
 def _limited(ids: Iterable[str], limit: int | None) -> set[str]:
@@ -119,8 +122,9 @@ def plan_utterances(build: Build, utterances: list[Utterance], limit: int | None
     def make(speaker: str, spoken: list[Utterance]) -> list[_Audio]:
         return [_audio(utterance, build, channel) for utterance in spoken]
 
-    def assemble(directory: Path, records: list[list[tuple[str, str, int, int]]]) -> None:
-        entries = {name: (entry, n_samples) for record in records for name, entry, n_samples, _ in record}
+    def assemble(directory: Path, records: list[list[list[Any]]]) -> None:
+        audio = [_Audio(*made) for record in records for made in record]
+        entries = {made.utterance: (made.entry, made.n_samples) for made in audio}
         genders = {utterance.speaker: utterance.gender for utterance in utterances}
         known_genders = {speaker: gender for speaker, gender in genders.items() if gender is not None}
         durations = {name: seconds(n_samples) for name, (_, n_samples) in entries.items()}
@@ -140,7 +144,12 @@ def plan_utterances(build: Build, utterances: list[Utterance], limit: int | None
         hours = sum(n_samples for _, n_samples in entries.values()) / FS_HZ / 3600
         logger.info("%s: %d utterances of %d speakers, %.2f h%s", build.out, len(utterances), len(genders), hours,
                     f", {converted} converted to {FS_HZ} Hz FLAC" if converted else "")
-        if n_multichannel := sum(n_channels > 1 for record in records for *_, n_channels in record):
+        if attenuated := [made for made in audio if made.attenuated_db > 0.0]:
+            worst = max(attenuated, key=lambda made: made.attenuated_db)
+            logger.warning("%s: %d files exceed full scale and were reduced to it, by up to %.1f dB (%s): scale all "
+                           "files by one factor if their levels matter", build.out, len(attenuated),
+                           worst.attenuated_db, worst.utterance)
+        if n_multichannel := sum(made.n_channels > 1 for made in audio):
             logger.info("%s: %d files have several channels: channel %d is used, counted from 0 (choose with "
                         "--channel)", build.out, n_multichannel, channel)
 
@@ -174,11 +183,12 @@ def _audio(utterance: Utterance, build: Build, channel: int) -> _Audio:
             read_audio(path, start=info.frames - 1, stop=info.frames)  # the end of a truncated FLAC is missing
             return _Audio(utterance.id, _flac_entry(path) if info.format == "FLAC" else str(path), info.frames, 1)
         samples = read_audio(path, channel=channel if info.channels > 1 else None)
-        # resampling may exceed full scale by a little
-        peak = abs(samples).max()
-        write_flac(build.work / "audio" / f"{utterance.id}.flac", samples / max(peak, 1.0))
+        peak = max(float(abs(samples).max()), 1.0)
+        write_flac(build.work / "audio" / f"{utterance.id}.flac", samples / peak)
         made = Path(os.path.realpath(build.out.parent)) / build.out.name / "audio" / f"{utterance.id}.flac"
-        return _Audio(utterance.id, _flac_entry(made), len(samples), info.channels)
+        # resampling may exceed full scale by a little; samples of the file itself only where they are floating-point
+        attenuated_db = 20.0 * math.log10(peak) if info.subtype in ("FLOAT", "DOUBLE") else 0.0
+        return _Audio(utterance.id, _flac_entry(made), len(samples), info.channels, attenuated_db)
     except ValueError as error:
         raise ValueError(f"{error} (named by {utterance.where})") from None
 

@@ -158,7 +158,12 @@ def test_audio_that_kaldi_cannot_read_is_converted(tmp_path, caplog):
         assert soundfile.info(made).subtype == "PCM_16" and soundfile.info(made).samplerate == 16000
     assert entries["a-2"] == f"flac -c -d -s '{tmp_path}/my speech/a/2.flac' |"  # a shell reads it
     assert durations == {"a-0": "0.1", "a-1": "0.1", "a-2": "0.1"}
-    assert "2 converted to 16000 Hz FLAC" in caplog.text
+    assert "2 converted to 16000 Hz FLAC" in caplog.text and "full scale" not in caplog.text
+    put(speech / "a" / "1.flac", rir("44", 4410)).unlink()
+    put(speech / "a" / "1.wav", 4.0 * rir("44", 4410) / abs(rir("44", 4410)).max(), subtype="FLOAT")
+    (speech / "manifest.csv").write_text((speech / "manifest.csv").read_text().replace("1.flac", "1.wav", 1))
+    train, _, _ = prepare_speech(speech, tmp_path / "data")
+    assert "1 files exceed full scale and were reduced to it, by up to 12.0 dB (a-1)" in caplog.text
 
 
 @pytest.mark.skipif(not shutil.which("flac"), reason="needs flac")

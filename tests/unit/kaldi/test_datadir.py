@@ -26,6 +26,17 @@ def edit(path, change):
     path.write_text("".join(f"{line}\n" for line in change(path.read_text().splitlines())))
 
 
+def test_segments_that_kaldi_leaves_out_are_said(tmp_path, caplog):
+    path = speech_dir(tmp_path / "in")
+    (path / "utt2dur").unlink()
+    names = sorted(LENGTHS, key=str.encode)
+    for end_s, said in (("0.11", False), ("0.06", True)):
+        (path / "segments").write_text("".join(f"{name} {name} 0.01 {end_s}\n" for name in names))
+        validate_data_dir(path)
+        assert ("shorter than" in caplog.text) is said
+    assert f"{len(names)} segments are shorter than 0.1 s" in caplog.text and "Kaldi leaves them out" in caplog.text
+
+
 # --- wav.scp
 
 @pytest.mark.parametrize("text, entry", [
