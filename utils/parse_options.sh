@@ -51,10 +51,11 @@ set_option() { # NAME VALUE WHERE
   local name=${1//-/_}
   [[ $name =~ ^[a-z][a-z0-9_]*$ && $name != PATH ]] && [[ ${options_known:-} == *" $name "* ]] ||
     die "${3:+$3: }unknown option '$1'; see --help"
-  if [[ ${!name} == true || ${!name} == false ]] && [[ $2 != true && $2 != false ]]; then
+  local default=${option_defaults[$name]}
+  if [[ $default == true || $default == false ]] && [[ $2 != true && $2 != false ]]; then
     die "${3:+$3: }--$1 '$2' must be true or false"
   fi
-  if [[ ${!name} =~ ^[0-9]+$ && ! $2 =~ ^[0-9]{1,9}$ ]]; then
+  if [[ $default =~ ^[0-9]+$ && ! $2 =~ ^[0-9]{1,9}$ ]]; then
     die "${3:+$3: }--$1 '$2' must be a whole number"
   fi
   printf -v "$name" '%s' "$2"
@@ -75,15 +76,19 @@ read_config() { # FILE
 
 # the options of a script are the variables that it assigns, at the start of a line, before it sources this file
 options_known=" $(sed -n '/parse_options\.sh/q;s/^\([a-z][a-z0-9_]*\)=.*/\1/p' "$0" | tr '\n' ' ')"
+declare -A option_defaults
+for flag in $options_known; do option_defaults[$flag]=${!flag}; done
 options_given=("$@")
 for ((i = 0; i < $#; i++)); do # the config file first: the command line takes precedence
   [ "${options_given[i]}" != -- ] || break
   [ "${options_given[i]}" != --config ] || read_config "${options_given[i + 1]:-}"
+  [[ ${options_given[i]} != --config=* ]] || read_config "${options_given[i]#*=}"
 done
 while [ $# -gt 0 ]; do
   case $1 in
     --help | -h) usage 0 ;;
     --config) shift $(($# > 1 ? 2 : 1)) ;;
+    --config=*) shift ;;
     --*=*) set_option "$(cut -d= -f1 <<<"${1#--}")" "${1#*=}" "" && shift ;;
     --) shift && break ;;
     --*)
@@ -100,4 +105,4 @@ while [ $# -gt 0 ]; do
     *) break ;;
   esac
 done
-unset options_known flag next
+unset options_known option_defaults flag next

@@ -30,6 +30,14 @@ def test_command_line_wins_over_config(recipe):
     assert call(recipe, "./say.sh", "--nj", "4", "--config", "size.conf", "say.sh").stdout == "4|x|false|say.sh|"
 
 
+def test_rule_for_values_is_that_of_the_default_not_of_the_config(recipe):
+    (recipe / "size.conf").write_text("some_name=10\n")
+    for name in ("uniform 0 15", ""):
+        done = call(recipe, "./say.sh", "--config=size.conf", "--some-name", name, "say.sh")
+        assert (done.returncode, done.stdout) == (0, f"2|{name}|false|say.sh|")
+    assert call(recipe, "./say.sh", "--config=size.conf", "say.sh").stdout == "2|10|false|say.sh|"
+
+
 @pytest.mark.parametrize("args, message", [
     (["--nope", "1", "say.sh"], "unknown option 'nope'"),
     (["--PATH", "1", "say.sh"], "unknown option 'PATH'"),
