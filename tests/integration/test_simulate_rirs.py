@@ -21,6 +21,7 @@ from roomeq.loop.step import close_loop
 from roomeq.records.rir_dir import load_rir, read_rirs, validate_rirs
 from roomeq.sim import context
 from roomeq.sim.materials import read_materials
+from roomeq.sim.scene import Shoebox
 from roomeq.simulate_rirs import simulate
 
 BOX_M = [6.0, 4.2, 3.0]
@@ -220,6 +221,27 @@ def test_mesh_rooms_give_the_same_bytes_with_two_processes(tmp_path):
     for nj in (1, 2):
         run(tmp_path / "measured", tmp_path / f"nj{nj}", num_rays=500, nj=nj)
     assert hashes(tmp_path / "nj1") == hashes(tmp_path / "nj2")
+
+
+def test_decays_slower_than_eyring_are_not_cut_off(tmp_path):
+    """Between reflecting walls, below an absorbing ceiling, sound decays for far longer than in a diffuse field."""
+    surfaces = {surface: dict(absorption=0.6 if surface in ("floor", "ceiling") else 0.05, scattering=0.1)
+                for surface in Shoebox(BOX_M).surfaces}
+    hall = measured_row("hall", room_dims_m=[12.0, 8.0, 4.0], materials=surfaces, target_t60_s=None)
+    (tmp_path / "in").mkdir()
+    write_jsonl(tmp_path / "in" / "rirs.jsonl", [hall])
+    rows = run(tmp_path / "in", tmp_path / "out")
+    assert rows["hall"]["t30_s"] == pytest.approx(1.4, rel=0.15)
+    rir = load_rir(tmp_path / "out", rows["hall-noise1"])
+    assert np.sum(np.square(rir[-800:])) < 1e-5 * np.sum(np.square(rir))
+
+
+def test_scattering_may_be_stated_up_to_16_khz(tmp_path):
+    (tmp_path / "in").mkdir()
+    stated = dict(floor=dict(absorption=[0.1] * 9, scattering=[0.1, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.6, 0.6]))
+    write_jsonl(tmp_path / "in" / "rirs.jsonl", [measured_row("a", materials=stated)])
+    row = run(tmp_path / "in", tmp_path / "out", noise_rirs=0)["a"]
+    assert row["materials"]["floor"]["scattering"] == [0.1, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.6, 0.6]
 
 
 def test_target_out_of_reach_is_drawn_again_and_logged(tmp_path, caplog):

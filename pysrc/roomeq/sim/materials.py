@@ -274,12 +274,17 @@ def named_scene(room: Room, materials: Mapping[str, Any], *, table: MaterialTabl
 
 def draw_scattering(table: MaterialTable, room: Room, rng: np.random.Generator,
                     given: Mapping[str, Surface] | None = None) -> FloatArray:
-    """Draw the scattering of each surface of a room, shape (n_surfaces, 8), unless `given` states it."""
+    """Draw the scattering of each surface of a room, unless `given` states it.
+
+    Shape (n_surfaces, 8), or 9 bands where one of them is stated up to 16 kHz.
+    """
     given = given or {}
     classes = sorted(table.scattering)
     drawn = [table.scattering[classes[rng.integers(len(classes))]] for _ in room.surfaces]
     own = [given[surface].scattering if surface in given else None for surface in room.surfaces]
-    return np.array([known or row for known, row in zip(own, drawn, strict=True)])
+    rows = [known or row for known, row in zip(own, drawn, strict=True)]
+    n_bands = max(map(len, rows))
+    return np.array([(*row, *(row[-1],) * (n_bands - len(row))) for row in rows])
 
 
 def draw_materials(table: MaterialTable, room: Room, scattering: FloatArray, air: Air, target_s: float | None,
@@ -291,7 +296,7 @@ def draw_materials(table: MaterialTable, room: Room, scattering: FloatArray, air
     table
     room
     scattering
-        Shape (n_surfaces, 8).
+        From `draw_scattering`.
     air
     target_s
         Reverberation time at 1 kHz that the response will be scaled to; None: the first draw is taken.

@@ -6,7 +6,7 @@ All triangles of the same material form one surface. Triangles in the same plane
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 _MAX_WALLS = 32  # of a convex room that are intersected one by one, without a tree
 _SPHERE_RAYS = 2000  # directions in which the distance to the surfaces is sampled
 _WELD_M = 1e-5  # grid to which corners are rounded before they are merged
+_INSIDE_POINTS = 16  # of a body, of which most must lie in the room
+_BELOW_FACE_M = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,10 +266,40 @@ def _orient(mesh: "trimesh.Trimesh", name: str) -> _Orientation:
                          "m3): turn its faces so that normals point out of the room")
     for n, body in enumerate(bodies):
         flip[body] = n != shell and volumes[n] > 0.0
+        if n != shell and not _is_inside(mesh.triangles[bodies[shell]], mesh.triangles[body], volumes[n] > 0.0):
+            where = np.round(mesh.triangles[body].mean(axis=(0, 1)), 3).tolist()
+            raise ValueError(f"{name}: the body around {where} m lies outside of the largest one, which is the room: "
+                             "put each room in a mesh of its own, or join them by an opening")
     volume_m3 = volumes[shell] - sum(abs(volume) for n, volume in enumerate(volumes) if n != shell)
     if volume_m3 <= 0.0:
         raise ValueError(f"{name}: the bodies in the room fill all of its {volumes[shell]:.3g} m3: correct them")
     return _Orientation(flip, volume_m3)
+
+
+def _is_inside(shell: FloatArray, body: FloatArray, outward: bool) -> bool:
+    """Tell whether most of a body lies in a shell, by the solid angle of the shell seen from just below its faces.
+
+    Van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30 (1983) 125.
+
+    Parameters
+    ----------
+    shell, body
+        Triangles, shape (n_faces, 3, 3).
+    outward
+        Whether the normals of the body point out of it.
+    """
+    body = body[:: -(-len(body) // _INSIDE_POINTS)]
+    normals = np.cross(body[:, 1] - body[:, 0], body[:, 2] - body[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    points = body.mean(axis=1) - (1.0 if outward else -1.0) * _BELOW_FACE_M * normals
+    around = []
+    for point in points:
+        a, b, c = (shell - point).transpose(1, 0, 2)
+        x, y, z = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
+        dot = partial(np.einsum, "ij,ij->i")
+        half = np.arctan2(dot(a, np.cross(b, c)), x * y * z + dot(a, b) * z + dot(b, c) * x + dot(c, a) * y)
+        around.append(half.sum() / (2.0 * np.pi))  # 1 inside, 0 outside
+    return float(np.median(around)) > 0.5
 
 
 def _is_convex(mesh: "trimesh.Trimesh") -> bool:

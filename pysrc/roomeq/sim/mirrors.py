@@ -1,5 +1,6 @@
 """Purely specular paths in a mesh: rays find sequences of reflecting planes, image sources the paths by them."""
 
+import logging
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,10 @@ from roomeq.sim.images import SpecularPaths
 from roomeq.sim.trace import sphere_directions
 from roomeq.sim.tree import FRONTS, Tree, crosses, first_hit, memory
 
+logger = logging.getLogger(__name__)
+
 _RAYS = 20000  # that search for sequences
+_CURVED = 0.25  # share of them that find different sequences of second order: far fewer do where surfaces are flat
 
 
 class Sequences(NamedTuple):
@@ -67,6 +71,10 @@ def find_sequences(tree: Tree, plane: IntArray, mirrors: FloatArray, normals: Fl
         _, first, same = np.unique(same * len(mirrors) + hit[:, k], return_index=True, return_inverse=True)
         planes.append(np.where(np.arange(order) <= k, hit[first], -1))
         lengths.append(np.full(len(first), k + 1))
+        if k == 1 and len(first) > _CURVED * _RAYS:
+            logger.warning("the mesh has curved surfaces of many small faces: %d rays find only a part of the image "
+                           "sources, and specular sound is too weak; make the faces larger, or use ism_order 0 or 1",
+                           _RAYS)
     joined = np.concatenate(planes)
     return Sequences(joined, np.concatenate(lengths), _images(mirrors, joined, source_m))
 

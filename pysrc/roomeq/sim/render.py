@@ -4,9 +4,9 @@ The tail is one random sequence for all bands, shaped per band by the echogram. 
 of ``4 pi c^3 t^2 / V`` (Kuttruff, Room Acoustics, eq. 4.6). While that is less than one per sample, the sequence
 consists of single pulses, one at a random time in each interval between arrivals; later it is Gaussian.
 
-The first sound is of minimum phase, as air and loudspeakers are, with gains interpolated in dB over log frequency:
+The direct sound is of minimum phase, as air and loudspeakers are, with gains interpolated in dB over log frequency:
 nothing precedes it. Later paths and the tail pass zero-phase octave filters, which cost the same for any number of
-paths; what rings ahead of the first sound is cut off.
+paths; what rings ahead of the direct sound, or of where it would be, is cut off.
 """
 
 from functools import lru_cache
@@ -28,6 +28,9 @@ MIN_LENGTH_S = 0.5
 MAX_LENGTH_S = 13.1
 """Of a response: a decay time of 10 s with the margin of `roomeq.sim.response.decay_length_s`."""
 DECAY_DB = 60.0
+CUT_DB = 50.0
+"""Below the whole energy: a response whose last 50 ms hold more was cut off, and its decay cannot be measured to T30
+with the margin of ISO 3382."""
 _LOWEST_GAIN = 1e-3  # of an octave of the first sound, relative to the strongest
 _FIRST_FFT_S = 0.064  # length of the transform of its minimum phase: gains per octave resolve no more
 _OVERSAMPLING = 256
@@ -74,8 +77,20 @@ def response_length_s(energy: FloatArray, early_s: float = 0.0) -> float:
     return float(np.clip(max(last * FRAME_S, early_s), MIN_LENGTH_S, MAX_LENGTH_S))
 
 
+def is_cut(energy: FloatArray) -> bool:
+    """Tell whether an echogram ends before the decay does: in some band, its last 50 ms are above `CUT_DB`.
+
+    Parameters
+    ----------
+    energy
+        Total energy per frame, shape (n_frames, n_bands).
+    """
+    last = energy[-round(0.05 / FRAME_S):].sum(axis=0)
+    return bool(np.any(last > 10.0 ** (-CUT_DB / 10.0) * energy.sum(axis=0)))
+
+
 def render(distance_m: FloatArray, gains: FloatArray, echogram: FloatArray, noise: Array, *, speed_m_s: float,
-           n_samples: int, fs_hz: float = FS_HZ) -> FloatArray:
+           n_samples: int, fs_hz: float = FS_HZ, hidden_m: float | None = None) -> FloatArray:
     """Synthesise a response.
 
     Parameters
@@ -91,6 +106,9 @@ def render(distance_m: FloatArray, gains: FloatArray, echogram: FloatArray, nois
     speed_m_s
     n_samples
     fs_hz
+    hidden_m
+        Distance of the source if it is hidden. No specular path is the first sound then: scattered sound may come
+        before all of them.
 
     Returns
     -------
@@ -104,8 +122,8 @@ def render(distance_m: FloatArray, gains: FloatArray, echogram: FloatArray, nois
     # single precision: twice as fast, and its rounding lies 140 dB below the peak
     signals, earliest = np.zeros((len(bank), n_fft), np.float32), np.zeros(n_fft)
     delays, gains = guard + distance_m / speed_m_s * fs_hz, np.ascontiguousarray(gains)
-    first = int(np.argmin(distance_m)) if len(distance_m) else None
-    onset = guard if first is None else int(np.ceil(delays[first]))
+    first = int(np.argmin(distance_m)) if len(distance_m) and hidden_m is None else None
+    onset = int(np.ceil(delays[first] if first is not None else guard + (hidden_m or 0.0) / speed_m_s * fs_hz))
     _shape_noise(signals[:, guard:guard + n_samples], noise.astype(np.float32, copy=False),
                  _padded(echogram, n_samples, fs_hz) / np.float32(FRAME_S * fs_hz), onset - guard, FRAME_S * fs_hz)
     later = np.arange(len(distance_m)) != first

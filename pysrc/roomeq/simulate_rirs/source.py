@@ -185,15 +185,27 @@ class TracedRoom:
                target_s: float | None, expected: FloatArray, **how: Any) -> list[Response]:
         """Render the responses at some microphones, scaled to a target or as they are.
 
+        They are as long as Eyring's decay, or longer where sound between reflecting surfaces decays more slowly: up to
+        the length for which the source was traced.
+
         `expected` is about the absorption that they will have, shape (n_surfaces, n_bands).
         """
-        traced = self._trace(source_pos_m, how["length_s"], expected)
+        traced = self._trace(source_pos_m, how.pop("length_s"), expected)
+        length_s = min(decay_length_s(traced.scene, expected), traced.max_length_s)
+        while True:
+            responses = self._render(traced, mics_m, rir_ids, target_s, expected, length_s, how)
+            if length_s == traced.max_length_s or not any(response.is_cut for response in responses):
+                return responses
+            length_s = min(2.0 * length_s, traced.max_length_s)
+
+    def _render(self, traced: TracedSource, mics_m: list[tuple[float, ...]], rir_ids: list[str],
+                target_s: float | None, expected: FloatArray, length_s: float, how: dict[str, Any]) -> list[Response]:
         seed, ism_order = self.options.seed, self.options.ism_order
-        decay_s = min(decay_length_s(traced.scene, expected), traced.max_length_s)
         samples = sample_paths(traced, np.array(mics_m), expected,
                                [rng_for(seed, "echoes", rir_id) for rir_id in rir_ids], ism_order=ism_order,
-                               n_frames=int(np.ceil(decay_s / FRAME_S)))
-        how |= dict(length_s=decay_s, ism_order=ism_order, diffraction=self.options.diffraction, path_samples=samples)
+                               n_frames=int(np.ceil(length_s / FRAME_S)))
+        how = how | dict(length_s=length_s, ism_order=ism_order, diffraction=self.options.diffraction,
+                         path_samples=samples)
         rngs = [rng_for(seed, "tail", rir_id) for rir_id in rir_ids]
         try:
             if target_s is None:

@@ -11,11 +11,11 @@ from plans import L_PLAN, box_plan, prism_obj
 
 from roomeq.acoustics.iso3382 import reverberation_time
 from roomeq.core.constants import FS_HZ
-from roomeq.sim.echogram import compute_echograms
+from roomeq.sim.echogram import FRAME_S, compute_echograms
 from roomeq.sim.images import specular_paths
 from roomeq.sim.mesh import load_mesh, make_room
 from roomeq.sim.meshfile import triangulate
-from roomeq.sim.response import simulate_responses
+from roomeq.sim.response import simulate_responses, trace_source
 from roomeq.sim.scene import Air, Material, Scene, Shoebox
 from roomeq.sim.trace import trace
 
@@ -210,6 +210,26 @@ def test_occluded_receiver_gets_only_hand_computed_paths(write_obj):
     assert np.abs(far.rir[:silent]).max() < 1e-3 * np.abs(near.rir).max() < np.abs(far.rir[silent:]).max()
 
 
+DOOR_PLAN = [(0, 0), (5, 0), (5, 2.5), (5.1, 2.5), (5.1, 0), (10.1, 0), (10.1, 6), (5.1, 6), (5.1, 3.5), (5, 3.5),
+             (5, 6), (0, 6)]
+
+
+def test_sound_that_is_scattered_around_a_corner_comes_before_any_mirrored_one(write_obj):
+    """From the next room through a door, the first specular path is long."""
+    scene = Scene(load_mesh(write_obj(prism_obj(DOOR_PLAN, 3.0))), [Material("all", 0.2, 0.3)] * 3)
+    source, mic = (1.0, 0.8, 1.5), (9.0, 1.2, 1.2)
+    (response,) = simulate_responses(scene, source, mic, num_rays=4000, diffraction=False)
+    speculars_m = scene.room.specular_paths(source, mic, 6).distance_m
+    assert not response.direct_visible and speculars_m[0] > 1.6 * response.direct_sample * C / FS_HZ
+    traced = trace_source(scene, source, num_rays=4000, rng=np.random.default_rng(0))
+    energy = compute_echograms(traced.paths[0], scene.room, scene.absorption, np.array([mic]), ism_order=6,
+                               n_frames=800, speed_m_s=C)[0, :, 4]
+    onset_s = speculars_m[0] / C
+    early = np.sum(np.square(response.rir[:int(onset_s * FS_HZ) - 20])) / np.sum(np.square(response.rir))
+    assert early > 0.02
+    assert early == pytest.approx(energy[:int(onset_s / FRAME_S) - 1].sum() / energy.sum(), rel=0.5)
+
+
 def test_energy_is_conserved_in_room_with_table(write_obj):
     shell = prism_obj(box_plan(6.0, 4.0), 3.0)
     table = prism_obj(box_plan(2.0, 1.0, 2.0, 1.5), 0.6, "wood")
@@ -236,6 +256,14 @@ def test_energy_is_conserved_in_room_with_table(write_obj):
     assert energy[:, 150:, 0].mean() / uniform == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.parametrize("subdivisions, said", [(1, False), (3, True)])
+def test_curved_surfaces_of_many_faces_are_said(subdivisions, said, caplog):
+    sphere = trimesh.creation.icosphere(subdivisions=subdivisions, radius=3.0)
+    room = make_room(sphere.triangles, ["all"] * len(sphere.faces))
+    room.specular_paths((0.5, 0.3, 0.2), (-1.0, 0.0, 1.0), 2)
+    assert ("curved surfaces of many small faces" in caplog.text) is said
+
+
 def test_polygons_are_triangulated():
     corners = np.array([(x, y, 1.0) for x, y in L_PLAN])
     cut = triangulate(corners)
@@ -253,6 +281,9 @@ def test_invalid_room_meshes_are_rejected(write_obj, tmp_path, box):
     turned[0] = turned[0, ::-1]
     with pytest.raises(ValueError, match=r"neighbouring faces of the mesh have opposite normals"):
         make_room(turned, ["a"] * 12)
+    beside = box.triangles + [20.0, 0.0, 0.0]
+    with pytest.raises(ValueError, match=r"body around \[23.0, 2.0, 1.5\] m lies outside of the largest one"):
+        make_room(np.concatenate([1.1 * box.triangles, beside]), ["a"] * 24)
     with pytest.raises(ValueError, match=r"no such mesh file"):
         load_mesh(tmp_path / "absent.obj")
     with pytest.raises(ValueError, match=r"must be one of \.obj"):
