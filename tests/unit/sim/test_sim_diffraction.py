@@ -175,6 +175,27 @@ def test_collinear_segments_merge_into_one_edge(room_with_box):
     np.testing.assert_allclose(np.sort(edges.length_m), [1.0] * 8 + [1.5] * 4)
 
 
+@pytest.mark.parametrize("between", [[(5.0, 0.0)], [(3.0, 0.0), (5.0, 0.0), (7.0, 0.0)]])
+def test_corners_in_the_middle_of_a_wall_change_no_edge(between, tmp_path):
+    """Floor and ceiling then have triangles without an area, which are left out."""
+    (tmp_path / "l.obj").write_text(prism_obj([(0, 0), *between, (10, 0), (10, 3), (4, 3), (4, 8), (0, 8)], 3.0))
+    edges = find_edges(load_mesh(tmp_path / "l.obj"))
+    assert len(edges) == 1 and np.degrees(edges.wedge_rad) == pytest.approx(270.0)
+    assert edges.length_m == pytest.approx(3.0) and edges.start_m[0, :2] == pytest.approx([4.0, 3.0])
+
+
+def test_corners_in_the_middle_of_an_edge_change_no_edge(room_with_box):
+    """A triangle of a cupboard's top is cut in two where the triangle at its side is not, with a sliver between."""
+    triangles = room_with_box.triangles
+    top = next(n for n, triangle in enumerate(triangles) if np.allclose(triangle[:, 2], 2.0))
+    a, b, c = triangles[top]
+    middle = 0.4 * a + 0.6 * b
+    cut = np.concatenate([np.delete(triangles, top, axis=0), [(a, middle, c), (middle, b, c), (a, b, middle)]])
+    edges = find_edges(make_room(cut, ["all"] * len(cut)))
+    np.testing.assert_allclose(np.degrees(edges.wedge_rad), 270.0)
+    np.testing.assert_allclose(np.sort(edges.length_m), [1.0] * 8 + [1.5] * 4)
+
+
 def test_excess_edges_are_dropped_with_a_warning(room_with_box, monkeypatch, caplog):
     monkeypatch.setattr("roomeq.sim.diffraction.MAX_EDGES", 4)
     edges = find_edges(make_room(room_with_box.triangles, ["all"] * len(room_with_box.triangles)))
