@@ -11,6 +11,11 @@ from roomeq.core.jit import compiled
 NOISE_MARGIN_DB = 10.0
 """The noise lies at least this far below the end of an evaluated range (ISO 3382-2, 7.2)."""
 
+_LONGEST_GAP_S = 0.2
+"""Between the direct sound and the first reflection: both are far from all surfaces of a large room."""
+_AFTER_GAP_DB = 20.0
+"""Level of reflections above that at which a decay ends; blocks of noise don't scatter so much."""
+
 _db = compiled(power_db)
 
 
@@ -83,7 +88,7 @@ def _meet_noise(remaining: FloatArray, fs_hz: float) -> tuple[int, float, float]
     if noise <= TINY_POWER:
         return n_samples, 0.0, 0.0
     for iteration in range(8):
-        fitted_slope_db, fitted_offset_db = _late_decay(remaining, noise, n_block, span_db)
+        fitted_slope_db, fitted_offset_db = _late_decay(remaining, noise, n_block, span_db, fs_hz)
         if not fitted_slope_db < 0.0:
             if iteration == 0:
                 return _where_noise_begins(remaining, tail, n_block), tail, 0.0
@@ -118,7 +123,8 @@ def _block_power(remaining: FloatArray, n_block: int) -> FloatArray:
 
 
 @compiled
-def _late_decay(remaining: FloatArray, noise: float, n_block: int, span_db: float) -> tuple[float, float]:
+def _late_decay(remaining: FloatArray, noise: float, n_block: int, span_db: float,
+                fs_hz: float) -> tuple[float, float]:
     """Fit the line ``slope_db n + offset_db`` to the decay from `span_db` above the noise margin down to it.
 
     Returns
@@ -128,6 +134,9 @@ def _late_decay(remaining: FloatArray, noise: float, n_block: int, span_db: floa
     """
     level_db = _db(_block_power(remaining, n_block))
     stop = 0
+    for block in range(min(len(level_db), int(_LONGEST_GAP_S * fs_hz / n_block))):
+        if level_db[block] > _db(noise) + 7.0 + _AFTER_GAP_DB:
+            stop = block  # what lies before is the direct sound and a gap, not the end of the decay
     while stop < len(level_db) and not level_db[stop] < _db(noise) + 7.0:
         stop += 1
     if stop < 2:

@@ -65,6 +65,16 @@ def test_noise_intersection_lies_where_decay_meets_noise(snr_db):
     assert np.mean(levels_db) == pytest.approx(-snr_db, abs=0.3)
 
 
+@pytest.mark.parametrize("gap_s", [0.025, 0.09, 0.17])
+def test_gap_behind_the_direct_sound_is_no_end_of_the_decay(gap_s):
+    """In a large room, no reflection arrives for tens of milliseconds."""
+    time_s, gap = 1.2, round(gap_s * FS_HZ)
+    rir = room(time_s, length_s=2.5, snr_db=80.0)
+    rir[DIRECT + 1:] = np.concatenate([1e-5 * rir[:gap], rir[DIRECT + 1:-gap]])
+    metrics = all_metrics(rir, FS_HZ)
+    assert np.array(metrics["t20_s"][3:]) == pytest.approx(time_s, rel=0.15) and all(metrics["t20_valid"][3:])
+
+
 def test_response_ending_above_its_noise_has_no_floor():
     intersection = find_noise_intersection(room(1.5, length_s=0.7)[DIRECT:] ** 2, FS_HZ)
     assert (intersection.sample, intersection.noise_power) == (round(0.7 * FS_HZ), 0.0)
