@@ -27,7 +27,6 @@ _OVER_1KHZ = np.maximum(np.array(BANDS_HZ) / 1000.0, 1.0)
 _TYPICAL_S = 0.5
 """Decay time of a room in which the ratio of energies is `CoupledVolume.level_db` [s]."""
 _RANGE_DB = 75.0  # level below the response at which rendering ends; see `roomeq.effects.noise_floor.QUIET_DB`
-_LONGEST_S = 3.0  # of a response with it
 _DECAY = 6.0 * np.log(10.0)  # of energy over the decay time
 
 
@@ -102,7 +101,7 @@ class CoupledVolume(Effect):
 
     def _n_samples(self, start_s: float) -> int:
         """Length at which the decay is complete; if it were cut off earlier, its end would be taken for noise."""
-        return round(min(start_s + (_RANGE_DB + self.level_db) / 60.0 * self.time_s, _LONGEST_S) * FS_HZ)
+        return round((start_s + (_RANGE_DB + self.level_db) / 60.0 * self.time_s) * FS_HZ)
 
 
 def _pulse_energies() -> FloatArray:

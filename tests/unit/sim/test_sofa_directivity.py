@@ -15,7 +15,7 @@ def cosine():
     return np.cos(np.deg2rad(AZIMUTH)) * np.cos(np.deg2rad(ELEVATION))
 
 
-def write_tf(path, gain, frequencies_hz=FREQUENCIES_HZ):
+def write_tf(path, gain, frequencies_hz=FREQUENCIES_HZ, view=(1, 0, 0), up=(0, 0, 1)):
     sofa = sofar.Sofa("FreeFieldDirectivityTF")
     response = gain[:, None] * np.exp(-1j * frequencies_hz / 300.0) * (1.0 + frequencies_hz / 1000.0)
     sofa.Data_Real, sofa.Data_Imag = response.real[None], response.imag[None]
@@ -24,6 +24,7 @@ def write_tf(path, gain, frequencies_hz=FREQUENCIES_HZ):
     for name in ("EmitterDescriptions", "Description"):  # empty texts cannot be written
         sofa.delete(name)
     sofa.protected = True
+    sofa.SourceView, sofa.SourceUp = np.array([view], float), np.array([up], float)
     sofa.ReceiverPosition = np.stack([AZIMUTH, ELEVATION, np.ones(len(AZIMUTH))], axis=1)
     sofar.write_sofa(str(path), sofa)
     return path
@@ -42,6 +43,18 @@ def test_up_turns_the_device_about_its_axis(tmp_path):
     table = roomeq.read_directivity(path, facing=(1, 0, 0), up=(0, 1, 0))
     above, below = table.pressure(np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]), 16000)[:, 4]
     assert above > 1.7 and below < 0.3
+
+
+def test_main_axis_is_what_the_file_states(tmp_path):
+    """A device that the file lays on its side, its front along y: it is loudest ahead, and softest on its left."""
+    gain = 1.0 + 0.5 * np.sin(np.deg2rad(AZIMUTH)) * np.cos(np.deg2rad(ELEVATION)) + 0.4 * np.sin(np.deg2rad(ELEVATION))
+    path = write_tf(tmp_path / "view.sofa", gain, view=(0, 1, 0), up=(1, 0, 0))
+    table = roomeq.read_directivity(path, facing=(1, 0, 0))
+    ahead, left, up = table.pressure(np.eye(3), 16000)[:, 4]
+    # the device's left is up x ahead = (1, 0, 0) x (0, 1, 0) = z of the file, its top is x
+    assert [ahead, left, up] == pytest.approx([1.0, 1.4 / 1.5, 1.0 / 1.5], abs=0.02)
+    with pytest.raises(ValueError, match="must point in two different directions"):
+        roomeq.read_directivity(write_tf(tmp_path / "flat.sofa", gain, view=(0, 0, 1)), facing=(1, 0, 0))
 
 
 def test_files_that_hold_no_directivity_are_refused(tmp_path):
