@@ -3,9 +3,10 @@
 Conventions
 -----------
 Times are in seconds, levels in dB. Octave filters have zero phase and cause no delay; energy that a filter spreads to
-times before the direct sound is counted as energy of the direct sound. Decay curves are integrated backward from the
-point where the decay meets the noise (`roomeq.acoustics.noise_intersection`), with the noise subtracted and the energy
-of the exponential decay beyond that point added (Guski and Vorländer, Acta Acustica 100 (2014) 320, methods D and E).
+times before the direct sound is counted as energy of the direct sound, also where that begins the response. Decay
+curves are integrated backward from the point where the decay meets the noise (`roomeq.acoustics.noise_intersection`),
+with the noise subtracted and the energy of the exponential decay beyond that point added (Guski and Vorländer, Acta
+Acustica 100 (2014) 320, methods D and E).
 
 Metrics
 -------
@@ -21,6 +22,7 @@ these it raises an error or returns -inf. It takes several times as long per ban
 spend seconds on its import.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -32,7 +34,7 @@ from roomeq.acoustics.decay_kernels import first_below, net_energy, slope, stron
 from roomeq.acoustics.decibels import TINY_POWER, power_db
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.noise_intersection import NOISE_MARGIN_DB, NoiseIntersection, dot, find_noise_intersection
-from roomeq.acoustics.octaves import octave_bands, octave_fft_size, octave_power_gains
+from roomeq.acoustics.octaves import LEAD_S, octave_bands, octave_fft_size, octave_power_gains
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import exact_bands_hz
 
@@ -91,7 +93,8 @@ def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float) -> Decay:
     fs_hz
         Sample rate.
     direct_sample
-        Arrival time of the direct sound in samples; see `roomeq.acoustics.direct.find_direct`.
+        Arrival time of the direct sound in samples; see `roomeq.acoustics.direct.find_direct`. What comes before it by
+        up to `roomeq.acoustics.octaves.LEAD_S` is counted as its energy.
 
     Returns
     -------
@@ -99,10 +102,11 @@ def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float) -> Decay:
     """
     start = max(0, round(direct_sample))
     power = np.square(band)
+    before = power[max(0, start - round(LEAD_S * fs_hz)):start]
     after = power[start:]
     intersection = find_noise_intersection(after, fs_hz)
     energy = net_energy(after[:intersection.sample], intersection.noise_power) + intersection.rest_energy
-    total = energy[0] + power[:start].sum()
+    total = energy[0] + before.sum()
     energy[0] = total
     range_db = float(power_db(total) - power_db(intersection.rest_energy)) if intersection.rest_energy > 0.0 else np.inf
     if intersection.noise_power > 0.0 and intersection.rest_energy == 0.0:
@@ -112,6 +116,14 @@ def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float) -> Decay:
     floor_db = float(power_db(intersection.noise_power)
                      - power_db(strongest_power(after[:20 * n_block], n_block))) if has_floor else None
     return Decay(energy / max(total, TINY_POWER), range_db, floor_db, intersection)
+
+
+def octave_decays(rir: FloatArray, fs_hz: float, direct_sample: float,
+                  bands_hz: Sequence[float] | None = None) -> list[Decay]:
+    """Return the decay of each octave; see `energy_decay` and `roomeq.acoustics.octaves.octave_bands`."""
+    lead = round(LEAD_S * fs_hz)
+    return [energy_decay(band, fs_hz, lead + max(0.0, direct_sample))
+            for band in octave_bands(rir, fs_hz, bands_hz, lead=lead)]
 
 
 def decay_time(edc_db: FloatArray, fs_hz: float, decay: str) -> float | None:
@@ -170,7 +182,7 @@ def reverberation_time(rir: FloatArray, fs_hz: float, band_hz: float = 1000.0, d
     if direct_sample is None:
         direct_sample, _ = find_direct(rir, fs_hz)
     exact_hz = 1000.0 * 10.0 ** (0.3 * round(np.log2(band_hz / 1000.0)))
-    curve = energy_decay(octave_bands(rir, fs_hz, [exact_hz])[0], fs_hz, direct_sample)
+    (curve,) = octave_decays(rir, fs_hz, direct_sample, [exact_hz])
     time_s = decay_time(curve.edc_db, fs_hz, decay)
     if time_s is None:
         raise ValueError(f"{decay} at {band_hz:g} Hz needs a decay of {-DECAYS_DB[decay][1]:g} dB and "
@@ -216,8 +228,8 @@ def all_metrics(rir: FloatArray, fs_hz: float, direct_sample: float | None = Non
         drr_db=_drr_db(rir, fs_hz, direct_sample, broadband.intersection),
         noise_intersection_s=broadband.intersection.sample / fs_hz, noise_floor_db=broadband.noise_floor_db)
     spectra = _Spectra(rir, fs_hz)
-    rows = [_band_metrics(spectra, band, response, direct_sample)
-            for band, response in enumerate(octave_bands(rir, fs_hz))]
+    rows = [_band_metrics(spectra, band, decay, direct_sample)
+            for band, decay in enumerate(octave_decays(rir, fs_hz, direct_sample))]
     result.update({key: [row[key] for row in rows] for key in rows[0]})
     return result
 
@@ -237,10 +249,9 @@ class _Spectra:
         return dot(octave_power_gains(self.n_fft, self.fs_hz, band_hz), self._computed[first, last])
 
 
-def _band_metrics(spectra: _Spectra, band: int, response: FloatArray, direct_sample: float) -> dict[str, Any]:
-    """Return the parameters of octave number `band` from its filtered response, and the validity of each."""
+def _band_metrics(spectra: _Spectra, band: int, curve: Decay, direct_sample: float) -> dict[str, Any]:
+    """Return the parameters of octave number `band` from its decay, and the validity of each."""
     fs_hz = spectra.fs_hz
-    curve = energy_decay(response, fs_hz, direct_sample)
     edc_db = curve.down_to_db(LOWEST_DB)
     row: dict[str, Any] = {}
     for decay, (_, bottom_db) in DECAYS_DB.items():

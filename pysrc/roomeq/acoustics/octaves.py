@@ -21,12 +21,14 @@ THIRD_WIDTH_HZ = np.array(THIRDS_HZ) * (10.0 ** 0.05 - 10.0 ** -0.05)
 OCTAVE_OF_THIRD: IntArray = np.argmin(np.abs(np.log(np.array(THIRDS_HZ)[:, None] / np.array(EXACT_BANDS_HZ))), axis=1)
 """Number of the octave of each third octave, shape (22,)."""
 FILTER_ORDER = 4  # of the Butterworth prototype; IEC 61260-1 class 1 needs 3, strong neighbouring bands ask for more
+LEAD_S = 0.05
+"""Time by which an octave filter spreads energy, before and after [s]."""
 _FFT_GRID = 4096  # few sizes of transform, so that their filters stay cached
 
 
 def octave_fft_size(n_samples: int, fs_hz: float) -> int:
     """Return a length of transform in which no octave filter wraps around a response."""
-    return next_fast_len(-(-(n_samples + round(0.1 * fs_hz)) // _FFT_GRID) * _FFT_GRID, real=True)
+    return next_fast_len(-(-(n_samples + round(2 * LEAD_S * fs_hz)) // _FFT_GRID) * _FFT_GRID, real=True)
 
 
 @lru_cache(maxsize=128)
@@ -64,7 +66,8 @@ def octave_power_gains(n_fft: int, fs_hz: float, band_hz: float) -> FloatArray:
     return gains
 
 
-def octave_bands(rir: FloatArray, fs_hz: float, bands_hz: Sequence[float] | None = None) -> FloatArray:
+def octave_bands(rir: FloatArray, fs_hz: float, bands_hz: Sequence[float] | None = None, *,
+                 lead: int = 0) -> FloatArray:
     """Split a response into octave bands with zero-phase filters.
 
     Parameters
@@ -75,14 +78,17 @@ def octave_bands(rir: FloatArray, fs_hz: float, bands_hz: Sequence[float] | None
         Sample rate.
     bands_hz
         Exact mid-band frequencies [Hz]; by default all octaves below half the sample rate.
+    lead
+        Number of samples before the response that are returned too, `LEAD_S` at most: the filters spread energy there.
 
     Returns
     -------
-    ndarray, shape (n_bands, n_samples)
+    ndarray, shape (n_bands, lead + n_samples)
     """
     bands_hz = exact_bands_hz(fs_hz) if bands_hz is None else bands_hz
     n_fft = octave_fft_size(len(rir), fs_hz)
-    spectrum, bands = rfft(rir, n_fft), np.empty((len(bands_hz), len(rir)))
+    spectrum, bands = rfft(rir, n_fft), np.empty((len(bands_hz), lead + len(rir)))
     for band, band_hz in zip(bands, bands_hz, strict=True):
-        band[:] = irfft(spectrum * octave_gains(n_fft, fs_hz, band_hz), n_fft)[:len(rir)]
+        filtered = irfft(spectrum * octave_gains(n_fft, fs_hz, band_hz), n_fft)
+        band[:lead], band[lead:] = filtered[n_fft - lead:], filtered[:len(rir)]
     return bands

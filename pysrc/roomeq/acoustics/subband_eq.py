@@ -139,6 +139,7 @@ def analyse(rir: FloatArray, direct_sample: float) -> EqAnalysis:
     """
     rir = np.asarray(rir, dtype=np.float64)
     start, stop = eq_part(rir, direct_sample)
+    rir = rir[:max(stop, int(np.flatnonzero(rir)[-1]) + 1)]  # digital silence after the response is no noise
     power = energy_spectrum(rir[start:stop])
     points = list(POINT_BINS)
     snr_db = np.full(len(points), np.inf)

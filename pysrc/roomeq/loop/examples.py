@@ -13,8 +13,8 @@ import numpy as np
 from numpy.lib.format import read_array
 
 from roomeq.acoustics.direct import find_direct
-from roomeq.acoustics.iso3382 import energy_decay
-from roomeq.acoustics.octaves import SPECTRUM_HZ, octave_bands
+from roomeq.acoustics.iso3382 import octave_decays
+from roomeq.acoustics.octaves import SPECTRUM_HZ
 from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.loop.data import Data
@@ -171,9 +171,9 @@ def _rendered(session: Session, n: int) -> tuple[FloatArray, float, float]:
 
 def _decays(rir: FloatArray, direct: float) -> FloatArray:
     """Return the decay curves of `DECAY_BANDS`, shape (2, n_times) [dB]."""
-    bands = octave_bands(rir, FS_HZ, [EXACT_BANDS_HZ[band] for band in DECAY_BANDS])
-    result = np.full((len(bands), round(LENGTH_S / STEP_S)), np.nan)
-    for line, band in zip(result, bands, strict=True):
-        curve = energy_decay(band, FS_HZ, direct).edc_db[::round(STEP_S * FS_HZ)][:len(line)]
+    decays = octave_decays(rir, FS_HZ, direct, [EXACT_BANDS_HZ[band] for band in DECAY_BANDS])
+    result = np.full((len(decays), round(LENGTH_S / STEP_S)), np.nan)
+    for line, decay in zip(result, decays, strict=True):
+        curve = decay.edc_db[::round(STEP_S * FS_HZ)][:len(line)]
         line[:len(curve)] = curve
     return result

@@ -8,7 +8,7 @@ import numpy as np
 
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.direct import DirectSound, find_direct
-from roomeq.acoustics.iso3382 import DECAYS_DB, Decay, energy_decay
+from roomeq.acoustics.iso3382 import DECAYS_DB, Decay, octave_decays
 from roomeq.acoustics.octaves import octave_bands
 from roomeq.acoustics.parameters import measure
 from roomeq.acoustics.plausibility import find_implausibility
@@ -94,9 +94,9 @@ class AnalysedRir:
     @cached_property
     def decays(self) -> list[BandDecay]:
         """The decay of each octave band."""
-        end = int(np.flatnonzero(self.samples)[-1]) + 1
-        bands = octave_bands(self.samples[:end], self.fs_hz)
-        return [_band_decay(self, number, band) for number, band in enumerate(bands)]
+        samples = self.samples[:int(np.flatnonzero(self.samples)[-1]) + 1]
+        return [_band_decay(self, number, band, decay) for number, (band, decay) in enumerate(zip(
+            octave_bands(samples, self.fs_hz), octave_decays(samples, self.fs_hz, self.direct.sample), strict=True))]
 
     @cached_property
     def band_levels_db(self) -> FloatArray:
@@ -186,8 +186,7 @@ def reverberation_time_s(parameters: dict[str, Any], band: int = BAND_1KHZ) -> f
     return value_of(parameters, "t20", band) if t30_s is None else t30_s
 
 
-def _band_decay(rir: AnalysedRir, number: int, band: FloatArray) -> BandDecay:
-    decay = energy_decay(band, rir.fs_hz, rir.direct.sample)
+def _band_decay(rir: AnalysedRir, number: int, band: FloatArray, decay: Decay) -> BandDecay:
     frames = power_db(_frames(band, rir), FLOOR_POWER)
     step = max(1, round(1e-3 * rir.fs_hz))
     curve_db = decay.edc_db[::step]

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roomeq.acoustics.decibels import FLOOR_POWER, TINY_POWER, power_db
-from roomeq.acoustics.iso3382 import LOWEST_DB, decay_time, energy_decay
+from roomeq.acoustics.iso3382 import LOWEST_DB, decay_time, octave_decays
 from roomeq.acoustics.octaves import octave_bands
 from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import BAND_1KHZ, EXACT_BANDS_HZ
@@ -36,8 +36,8 @@ def scaled_absorption(absorption: FloatArray, exponent: float) -> FloatArray:
 
 def decay_times_s(rir: FloatArray, direct_sample: float, fs_hz: float) -> tuple[float | None, float | None]:
     """Return T20 and T30 at 1 kHz of a noiseless response; None where it does not decay so far."""
-    (band,) = octave_bands(rir, fs_hz, [EXACT_BANDS_HZ[BAND_1KHZ]])
-    curve = energy_decay(band, fs_hz, direct_sample).down_to_db(LOWEST_DB)
+    (decay,) = octave_decays(rir, fs_hz, direct_sample, [EXACT_BANDS_HZ[BAND_1KHZ]])
+    curve = decay.down_to_db(LOWEST_DB)
     return decay_time(curve, fs_hz, "t20"), decay_time(curve, fs_hz, "t30")
 
 

@@ -75,6 +75,22 @@ def test_gap_behind_the_direct_sound_is_no_end_of_the_decay(gap_s):
     assert np.array(metrics["t20_s"][3:]) == pytest.approx(time_s, rel=0.15) and all(metrics["t20_valid"][3:])
 
 
+@pytest.mark.parametrize("lead", [0, 47])
+def test_decay_times_do_not_depend_on_the_silence_before_the_direct_sound(lead):
+    """Zero-phase filters spread the direct sound to both sides, also where nothing is recorded before it."""
+    rir = room(0.6, snr_db=60.0, direct=60.0)[DIRECT:]
+    cut, whole = (all_metrics(np.concatenate([np.zeros(n), rir]), FS_HZ, n, 1) for n in (lead, 1600))
+    for key in ("edt_s", "t20_s", "t30_s"):
+        assert cut[key] == pytest.approx(whole[key], rel=0.005), key
+
+
+def test_noise_before_the_direct_sound_is_no_energy_of_the_decay():
+    rirs = [np.concatenate([1e-1 * np.random.default_rng(0).standard_normal(n), room(0.3, snr_db=20.0)])
+            for n in (160, 80000)]
+    near, far = (all_metrics(rir, FS_HZ, len(rir) - 1.5 * FS_HZ, 1) for rir in rirs)
+    assert near["decay_range_db"] == pytest.approx(far["decay_range_db"], abs=1.0)
+
+
 def test_response_ending_above_its_noise_has_no_floor():
     intersection = find_noise_intersection(room(1.5, length_s=0.7)[DIRECT:] ** 2, FS_HZ)
     assert (intersection.sample, intersection.noise_power) == (round(0.7 * FS_HZ), 0.0)

@@ -122,6 +122,13 @@ def test_point_covered_by_noise_is_invalid_others_unchanged():
     assert noisy.eq_db[2:] == pytest.approx(quiet.eq_db[2:], abs=2.5)
 
 
+def test_digital_silence_after_the_response_is_no_noise():
+    rng = np.random.default_rng(4)
+    rir = coloured_rir(3) + 0.01 * np.abs(coloured_rir(3)).max() * rng.standard_normal(len(coloured_rir(3)))
+    padded = np.concatenate([rir, np.zeros(5 * FS_HZ)])
+    np.testing.assert_allclose(analyse(padded, DIRECT).snr_db, analyse(rir, DIRECT).snr_db, atol=1e-9)
+
+
 def test_direct_sound_behind_the_end_is_refused():
     with pytest.raises(ValueError, match="must lie before the response's end"):
         analyse(np.zeros(2000), DIRECT)
