@@ -10,7 +10,8 @@ cd "$(dirname "$0")/.."
 local/install.sh requirements.txt tests/requirements.txt docs/requirements.txt
 [ "${1:-}" != --install-only ] || exit 0
 ruff check pysrc local tests docs
-shellcheck -x run.sh path.sh cmd.sh utils/*.sh steps/*.sh local/*.sh local/kaldi/*.sh tests/*.sh tests/bench/*.sh .ci/run
+shellcheck -x run.sh path.sh cmd.sh utils/*.sh steps/*.sh local/*.sh local/kaldi/*.sh tests/*.sh tests/{bench,peers}/*.sh \
+  tests/nightly/faults/*.sh .ci/run
 mypy
 [ $# -gt 0 ] || sphinx-build -q -W --keep-going -b html docs docs/_build/html
 python -m pytest -q "$@"

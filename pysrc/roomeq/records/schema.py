@@ -114,7 +114,7 @@ class Membrane(TypedDict):
 
 
 class RirRow(TypedDict):
-    """A line of `rirs.jsonl`: one RIR. Every optional key may be null."""
+    """A line of `rirs.jsonl`: one RIR. Every optional key but `fs_hz` and `n_samples` may be null."""
 
     id: Id
     wav: FileName
