@@ -18,6 +18,8 @@ from roomeq.core.jit import compiled
 from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.mesh import MeshRoom
 from roomeq.sim.paths import (
+    BEHIND,
+    SEEN,
     Rules,
     at_source,
     chord,
@@ -88,8 +90,8 @@ class _Receiver(NamedTuple):
     """A microphone, the sphere around it, and the time axis of its table."""
 
     position_m: FloatArray
-    visible: BoolArray
-    """Whether it sees each hit; empty if it sees all."""
+    visible: Array
+    """Which hits it sees, by `roomeq.sim.paths.reflection_visibility`; empty if it sees all."""
     radius_m: float
     per_volume: float
     distance_m: float
@@ -123,7 +125,7 @@ def collect(traced: TracedSource, mics_m: ArrayLike, facings: Sequence[FloatArra
     tables = []
     for m, (mic_m, facing) in enumerate(zip(mics_m, facings, strict=True)):
         distance_m = float(np.linalg.norm(mic_m - source_pos_m))
-        receiver = _Receiver(mic_m, visible[m] if len(visible) else np.zeros(0, dtype=np.bool_), radii_m[m],
+        receiver = _Receiver(mic_m, visible[m] if len(visible) else np.zeros(0, dtype=np.uint8), radii_m[m],
                              1.0 / volumes_m3[m], distance_m, 1.0 / (speed_m_s * _TICK_S), frame_of_tick)
         angle_node = _angles(paths.directions, facing) / (np.pi / (len(ANGLES) - 1))
         counts = np.zeros((N_FRAMES, int(paths.counts.max()) + 1, len(LEVEL_SHARES)))
@@ -202,7 +204,7 @@ def _count(rules: Rules, rays: _Rays, receiver: _Receiver, angle_node: FloatArra
                 if inside > 0.0:
                     enter, leave = chord(along, inside, length)
                     tick = int((path + 0.5 * (enter + leave) - distance_m) * ticks_per_m)
-                    if leave > enter and tick < n_ticks:
+                    if leave > enter and tick < n_ticks and (all_visible or receiver.visible[at] & BEHIND == 0):
                         amount = weight * (leave - enter) * receiver.per_volume
                         _put(counts, frame_of_tick[max(tick, 0)], n, n_shares * n_level / n, amount)
                         if directive:
@@ -220,7 +222,7 @@ def _count(rules: Rules, rays: _Rays, receiver: _Receiver, angle_node: FloatArra
                 d = np.sqrt(d2)
                 cosine = (vx * rays.normals[face, 0] + vy * rays.normals[face, 1] + vz * rays.normals[face, 2]) / d
                 tick = int((new_path + d - distance_m) * ticks_per_m)
-                if cosine > 0.0 and tick < n_ticks and (all_visible or receiver.visible[at]):
+                if cosine > 0.0 and tick < n_ticks and (all_visible or receiver.visible[at] & SEEN):
                     amount = weight * step.scattered * cosine / (np.pi * d2)
                     _put(counts, frame_of_tick[max(tick, 0)], n + 1, n_shares * n_level / (n + 1), amount)
                     if directive:

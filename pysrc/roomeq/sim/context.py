@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomeq.core.arrays import Array, BoolArray, FloatArray
+from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import bands_hz
 from roomeq.core.jit import on_threads
 from roomeq.sim.array_noise import make_coherent
@@ -123,7 +123,7 @@ class RenderContext:
     diffracted: list[Diffracted | None]
     noises: list[Array]
     path_samples: list[PathSample] | None
-    visible: list[BoolArray]
+    visible: list[Array]
     length_s: float
     ism_order: int
     source_directivity: Directivity | None

@@ -9,9 +9,11 @@ from itertools import product
 
 import numpy as np
 
-from roomeq.core.arrays import Array, BoolArray, FloatArray, Number
+from roomeq.core.arrays import Array, FloatArray, Number
 from roomeq.core.jit import N_CHUNKS, compiled, for_chunks
 from roomeq.sim.paths import (
+    BEHIND,
+    SEEN,
     Rules,
     at_source,
     chord,
@@ -46,7 +48,7 @@ def eight_bands(values: Array, first: int) -> Array:
 
 
 def compute_echograms(paths: Paths, room: Room, absorption: FloatArray, mics_m: Array, *, ism_order: int,
-                      n_frames: int, speed_m_s: float, visible: BoolArray | None = None,
+                      n_frames: int, speed_m_s: float, visible: Array | None = None,
                       ray_gain: Array | None = None) -> FloatArray:
     """Compute the echograms of all rays at some microphones.
 
@@ -136,7 +138,7 @@ def _accumulate(rules: Rules, hits: Array, codes: Array, first: Array, counts: A
                     if weight[m] > zero:
                         enter, leave = chord(along[m], weight[m], length)
                         middle = (previous[3] + np.float32(0.5) * (enter + leave)) * frames_per_m
-                        if leave > enter and middle < n_frames:
+                        if leave > enter and middle < n_frames and (all_visible or visible[m, at] & BEHIND == 0):
                             _add(echo[m, np.uint32(middle)], (leave - enter) * per_volume[m],
                                  g0, g1, g2, g3, g4, g5, g6, g7)
             if n + 1 == counts[ray]:
@@ -154,5 +156,5 @@ def _accumulate(rules: Rules, hits: Array, codes: Array, first: Array, counts: A
             if step.scattered > zero:
                 scatter(hit, normals, face, step.scattered, mics, frames_per_m, n_mics, weight, frame)
                 for m in range(n_mics):
-                    if weight[m] > zero and frame[m] < n_frames and (all_visible or visible[m, at]):
+                    if weight[m] > zero and frame[m] < n_frames and (all_visible or visible[m, at] & SEEN):
                         _add(echo[m, np.uint32(frame[m])], weight[m], g0, g1, g2, g3, g4, g5, g6, g7)

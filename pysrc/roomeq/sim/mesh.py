@@ -167,6 +167,10 @@ class MeshRoom:
             return radius_m
         return float(np.clip(self._surface_distances_m(center_m).min(), 0.5 * radius_m, radius_m))
 
+    def cuts_sphere(self, center_m: ArrayLike, radius_m: float) -> bool:
+        """Tell whether a surface cuts a sphere."""
+        return bool(self._surface_distances_m(center_m).min() < radius_m - _WELD_M)
+
     def specular_paths(self, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, order: int) -> SpecularPaths:
         """Find the purely specular paths up to an order; see `roomeq.sim.images.specular_paths`."""
         key = (tuple(np.asarray(source_pos_m)), order)

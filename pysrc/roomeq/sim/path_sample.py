@@ -23,10 +23,12 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
+from roomeq.core.arrays import Array, FloatArray, IntArray, Number
 from roomeq.core.jit import N_CHUNKS, compiled, for_chunks, inlined, mix, on_threads
 from roomeq.sim.echogram import BANDS_PER_PASS, FRAME_S, MICS_PER_PASS, eight_bands
 from roomeq.sim.paths import (
+    BEHIND,
+    SEEN,
     Rules,
     Spheres,
     at_source,
@@ -161,7 +163,7 @@ class PathSample:
 
 
 def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, rngs: Sequence[np.random.Generator], *,
-                 ism_order: int, n_frames: int, visible: Sequence[BoolArray] | None = None,
+                 ism_order: int, n_frames: int, visible: Sequence[Array] | None = None,
                  ray_weight: Array | None = None) -> list[PathSample]:
     """Sample the paths that reach some microphones; those of a small array share a sample (`SHARING_M`).
 
@@ -281,7 +283,7 @@ def _tally_reflections(paths: Paths, n_surfaces: int) -> _Tallies:
 
 def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatArray, references: FloatArray,
                   seeds: Array, spheres: Spheres, ism_order: int, n_frames: int, ray_weight: Array | None,
-                  visible: BoolArray | None, results: list[tuple[Array, Array, Array]]) -> None:
+                  visible: Array | None, results: list[tuple[Array, Array, Array]]) -> None:
     """Sample one trace into the (weight, counts, last) of each microphone."""
     single = partial(np.asarray, dtype=np.float32)
     n_rays, speed_m_s = len(paths.counts), scene.air.speed_m_s
@@ -438,7 +440,7 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
                     if weight[m] > zero:
                         enter, leave = chord(along[m], weight[m], length)
                         middle = (previous[3] + np.float32(0.5) * (enter + leave)) * frames_per_m
-                        if leave > enter and middle < n_frames:
+                        if leave > enter and middle < n_frames and (all_visible or visible[m, at] & BEHIND == 0):
                             k = np.uint32(middle)
                             if _add(sums[m, k], (leave - enter) * per_volume[m], share0, share1):
                                 _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 2, at - 1)
@@ -455,7 +457,7 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
             if step.scattered > zero:
                 scatter(hit, normals, face, step.scattered, mics, frames_per_m, n_mics, weight, frame)
                 for m in range(n_mics):
-                    if weight[m] > zero and frame[m] < n_frames and (all_visible or visible[m, at]):
+                    if weight[m] > zero and frame[m] < n_frames and (all_visible or visible[m, at] & SEEN):
                         k = np.uint32(frame[m])
                         if _add(sums[m, k], weight[m], share0, share1):
                             _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 1, at)

@@ -6,8 +6,8 @@ Every path counts once. There are two kinds of contribution:
   Lambert reflector of scattering s sends ``s (1 - alpha) cos(theta) / (pi d^2)`` to a receiver at distance d,
   whichever way the ray itself continues.
 - A path whose last reflection is specular counts by the length of its last segment inside a sphere around the
-  receiver: energy density is ``power * length / volume``. Purely specular paths up to the image-source order are left
-  to `roomeq.sim.images`.
+  receiver that the receiver sees: energy density is ``power * length / volume``. Purely specular paths up to the
+  image-source order are left to `roomeq.sim.images`.
 
 Once reflections are denser than samples (`roomeq.sim.trace.dense_after_s`), rays play Russian roulette, and next-event
 estimation uses only the reflections at which the ray did continue diffusely, weighted by 1 / s: the expected value is
@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
-from roomeq.core.arrays import Array, BoolArray, FloatArray, Number, Numbers
+from roomeq.core.arrays import Array, FloatArray, Number, Numbers
 from roomeq.core.jit import compiled, for_chunks, inlined
 from roomeq.sim.room import Room
 from roomeq.sim.trace import Paths
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 SPHERE_RADII_M = (0.35, 1.0)  # of receivers: as large as the room lets the late field be uniform inside
 SHADOW_RAY_OFFSET_M = 1e-4  # shadow rays start this far off the surface
+SEEN, BEHIND = 1, 2
+"""Bits of `reflection_visibility`: the microphone sees the reflection; a surface hides the segment that leads to it."""
 
 
 class Rules(NamedTuple):
@@ -87,8 +89,8 @@ def receiver_spheres(room: Room, mics_m: FloatArray) -> Spheres:
     return Spheres(radius_m, volume_m3)
 
 
-def reflection_visibility(paths: Paths, room: Room, mics_m: Array, *, max_path_m: float) -> BoolArray:
-    """Tell from which stored reflections microphones are seen.
+def reflection_visibility(paths: Paths, room: Room, mics_m: Array, *, max_path_m: float) -> Array:
+    """Tell which stored reflections microphones see, and which segments cross their spheres behind a surface.
 
     Parameters
     ----------
@@ -101,18 +103,23 @@ def reflection_visibility(paths: Paths, room: Room, mics_m: Array, *, max_path_m
 
     Returns
     -------
-    ndarray of bool, shape (n_mics, n_stored)
-        Of shape (0, 0) in a convex room, where everything is seen. Only reflections that contribute by `follow` to a
-        microphone in front of the surface are tested; the others are False.
+    ndarray of uint8, shape (n_mics, n_stored)
+        `SEEN` and `BEHIND`. Of shape (0, 0) in a convex room, where everything is seen. Only reflections that
+        contribute by `follow` to a microphone in front of the surface are tested; the others are not `SEEN`.
     """
     if room.convex:
-        return np.zeros((0, 0), dtype=np.bool_)
+        return np.zeros((0, 0), dtype=np.uint8)
     mics_m = np.atleast_2d(mics_m)
     path_m = paths.hits[:, 3]
     tested = np.flatnonzero((path_m < max_path_m) & ((path_m <= paths.late_m) | (paths.codes & 1 == 1)))
-    visible = np.zeros((len(mics_m), len(path_m)), dtype=np.bool_)
-    how = cast("MeshRoom", room).tree, paths.hits, paths.codes, paths.normals, mics_m.astype(np.float64)
+    visible = np.zeros((len(mics_m), len(path_m)), dtype=np.uint8)
+    mesh = cast("MeshRoom", room)
+    how = mesh.tree, paths.hits, paths.codes, paths.normals, mics_m.astype(np.float64)
     for_chunks(len(tested), lambda chunk, low, high: _see(*how, tested[low:high], visible))
+    for m, (mic_m, radius_m) in enumerate(zip(mics_m, receiver_spheres(room, mics_m).radius_m, strict=True)):
+        if mesh.cuts_sphere(mic_m, radius_m):
+            cut = mesh.tree, paths.hits, paths.first, paths.counts, mic_m.astype(np.float64), radius_m
+            for_chunks(len(paths.counts), lambda chunk, low, high: _hide(*cut, low, high, visible[m]))  # noqa: B023
     return visible
 
 
@@ -129,7 +136,30 @@ def _see(tree: Tree, hits: Array, codes: Array, normals: Array, mics_m: Array, t
         for m in range(len(mics_m)):
             u, v, w = mics_m[m, 0] - x, mics_m[m, 1] - y, mics_m[m, 2] - z
             if u * nx + v * ny + w * nz > -SHADOW_RAY_OFFSET_M:
-                visible[m, at] = not crosses(tree, search, (x, y, z), (u, v, w))
+                if not crosses(tree, search, (x, y, z), (u, v, w)):
+                    visible[m, at] = SEEN
+
+
+@compiled
+def _hide(tree: Tree, hits: Array, first: Array, counts: Array, mic_m: Array, radius_m: Number, low: Number,
+          high: Number, visible: Array) -> None:
+    """Mark the segments of rays `low` to `high` that cross a sphere behind a surface, by the middle of their chord."""
+    search = memory(tree)
+    for ray in range(low, high):
+        for at in range(first[ray] + 1, first[ray] + counts[ray]):
+            px, py, pz = np.float64(hits[at - 1, 0]), np.float64(hits[at - 1, 1]), np.float64(hits[at - 1, 2])
+            ux, uy, uz = hits[at, 0] - px, hits[at, 1] - py, hits[at, 2] - pz
+            length = max(np.sqrt(ux * ux + uy * uy + uz * uz), 1e-9)
+            ux, uy, uz = ux / length, uy / length, uz / length
+            vx, vy, vz = mic_m[0] - px, mic_m[1] - py, mic_m[2] - pz
+            along = ux * vx + uy * vy + uz * vz
+            inside = radius_m * radius_m - (vx * vx + vy * vy + vz * vz - along * along)
+            if inside > 0.0:
+                enter, leave = max(0.0, along - np.sqrt(inside)), min(length, along + np.sqrt(inside))
+                middle = 0.5 * (enter + leave)
+                x, y, z = px + middle * ux, py + middle * uy, pz + middle * uz
+                if leave > enter and crosses(tree, search, (x, y, z), (mic_m[0] - x, mic_m[1] - y, mic_m[2] - z)):
+                    visible[at] |= BEHIND
 
 
 @inlined

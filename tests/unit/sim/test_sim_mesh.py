@@ -15,6 +15,7 @@ from roomeq.sim.echogram import FRAME_S, compute_echograms
 from roomeq.sim.images import specular_paths
 from roomeq.sim.mesh import load_mesh, make_room
 from roomeq.sim.meshfile import triangulate
+from roomeq.sim.path_sample import sample_paths
 from roomeq.sim.response import simulate_responses, trace_source
 from roomeq.sim.scene import Air, Material, Scene, Shoebox
 from roomeq.sim.trace import trace
@@ -228,6 +229,21 @@ def test_sound_that_is_scattered_around_a_corner_comes_before_any_mirrored_one(w
     early = np.sum(np.square(response.rir[:int(onset_s * FS_HZ) - 20])) / np.sum(np.square(response.rir))
     assert early > 0.02
     assert early == pytest.approx(energy[:int(onset_s / FRAME_S) - 1].sum() / energy.sum(), rel=0.5)
+
+
+def test_surface_hides_what_is_behind_it_from_a_microphone_close_to_it(write_obj):
+    """The sphere around a microphone at a partition reaches into the room behind, where the source is."""
+    plan = [(0, 0), (10, 0), (10, 6), (5.1, 6), (5.1, 0.8), (5, 0.8), (5, 6), (0, 6)]
+    scene = Scene(load_mesh(write_obj(prism_obj(plan, 3.0))), [Material("all", 0.2, 0.1)] * 3)
+    mics = np.array([(4.97, 4.0, 1.2), (4.4, 4.0, 1.2)])
+    traced = trace_source(scene, (8.0, 4.5, 1.5), num_rays=10000, rng=np.random.default_rng(0))
+    energy = compute_echograms(traced.paths[0], scene.room, scene.absorption, mics, ism_order=-1, n_frames=500,
+                               speed_m_s=C)[:, :, 4].sum(axis=1)
+    assert 10.0 * np.log10(energy[0] / energy[1]) == pytest.approx(0.0, abs=1.5)
+    sample, _ = sample_paths(traced, mics, scene.absorption, [np.random.default_rng(n) for n in (1, 2)], ism_order=-1,
+                             n_frames=500)
+    echogram = sample.echogram(scene.absorption, bands=[4])[:, 4]
+    assert 10.0 * np.log10(echogram.sum() / energy[0]) == pytest.approx(0.0, abs=0.3)
 
 
 def test_energy_is_conserved_in_room_with_table(write_obj):
