@@ -40,7 +40,7 @@ from roomeq.core.constants import exact_bands_hz
 
 MIN_BT = 16.0
 """Smallest product of bandwidth and decay time for which the decay of the filter does not distort the result
-(ISO 3382-2, 7.3)."""
+(ISO 3382-2, 7.3); of EDT, T20 and T30, the shortest counts for all."""
 DIRECT_S = 2.5e-3
 """Energy within this time before and after the direct sound counts as direct (DRR)."""
 EARLY_S = 0.05
@@ -253,12 +253,14 @@ def _band_metrics(spectra: _Spectra, band: int, curve: Decay, direct_sample: flo
     """Return the parameters of octave number `band` from its decay, and the validity of each."""
     fs_hz = spectra.fs_hz
     edc_db = curve.down_to_db(LOWEST_DB)
+    times_s = {decay: decay_time(edc_db, fs_hz, decay) for decay in DECAYS_DB}
+    # of a decay as short as the filter's, each time by itself would be valid where it comes out too long by chance
+    shortest_s = min((time_s for time_s in times_s.values() if time_s is not None), default=0.0)
     row: dict[str, Any] = {}
-    for decay, (_, bottom_db) in DECAYS_DB.items():
-        time_s = decay_time(edc_db, fs_hz, decay)
+    for decay, time_s in times_s.items():
         row[f"{decay}_s"] = time_s
-        row[f"{decay}_valid"] = bool(time_s is not None and curve.range_db >= NOISE_MARGIN_DB - bottom_db
-                                     and exact_bands_hz(fs_hz)[band] * np.sqrt(0.5) * time_s > MIN_BT)
+        row[f"{decay}_valid"] = bool(time_s is not None and curve.range_db >= NOISE_MARGIN_DB - DECAYS_DB[decay][1]
+                                     and exact_bands_hz(fs_hz)[band] * np.sqrt(0.5) * shortest_s > MIN_BT)
     row["c50_db"] = _c50_db(spectra, band, direct_sample, curve.intersection)
     # C50 is early relative to late energy: if it is large, late energy is nearly C50 below the total; the noise must
     # be below that by a margin

@@ -91,6 +91,14 @@ def test_noise_before_the_direct_sound_is_no_energy_of_the_decay():
     assert near["decay_range_db"] == pytest.approx(far["decay_range_db"], abs=1.0)
 
 
+def test_decays_as_short_as_that_of_the_filter_are_not_valid_by_chance():
+    """At 62.5 Hz and 0.3 s, the product of bandwidth and time is 13."""
+    found = [all_metrics(room(0.3, seed, direct=6.0), FS_HZ) for seed in range(20)]
+    assert max(metrics["edt_s"][0] for metrics in found) > 0.36
+    assert not any(metrics[f"{decay}_valid"][0] for metrics in found for decay in ("edt", "t20", "t30"))
+    assert all(metrics["t30_valid"][2] for metrics in found)
+
+
 def test_response_ending_above_its_noise_has_no_floor():
     intersection = find_noise_intersection(room(1.5, length_s=0.7)[DIRECT:] ** 2, FS_HZ)
     assert (intersection.sample, intersection.noise_power) == (round(0.7 * FS_HZ), 0.0)
