@@ -5,7 +5,6 @@ distribution="none|$number|(uniform|normal) +${number}[ ,]+$number|list +(${numb
 distribution_rule="'uniform LOW HIGH', 'normal MEAN SD', 'list A,B,...', a number or none"
 
 check_option nj '[1-9][0-9]*' "at least 1"
-check_option seed '[0-9]{1,9}' "a whole number below 1000000000"
 check_option stop_stage '[0-9]|10' "a whole number up to 10"
 check_option split_by 'rir|room' "rir or room"
 check_option split_sizes '[0-9]+,[0-9]+,[0-9]+' "three counts, as 773,194,242"

@@ -78,31 +78,29 @@ read_config() { # FILE
 options_known=" $(sed -n '/parse_options\.sh/q;s/^\([a-z][a-z0-9_]*\)=.*/\1/p' "$0" | tr '\n' ' ')"
 declare -A option_defaults
 for flag in $options_known; do option_defaults[$flag]=${!flag}; done
-options_given=("$@")
-for ((i = 0; i < $#; i++)); do # the config file first: the command line takes precedence
-  [ "${options_given[i]}" != -- ] || break
-  [ "${options_given[i]}" != --config ] || read_config "${options_given[i + 1]:-}"
-  [[ ${options_given[i]} != --config=* ]] || read_config "${options_given[i]#*=}"
-done
+# shellcheck disable=SC2034 # options_given is for other scripts
+options_given=("$@") options_set=() # names and values of the command line, which follow those of the config file
 while [ $# -gt 0 ]; do
   case $1 in
     --help | -h) usage 0 ;;
-    --config) shift $(($# > 1 ? 2 : 1)) ;;
-    --config=*) shift ;;
-    --*=*) set_option "$(cut -d= -f1 <<<"${1#--}")" "${1#*=}" "" && shift ;;
+    --config) read_config "${2:-}" && shift 2 ;;
+    --config=*) read_config "${1#*=}" && shift ;;
+    --*=*) options_set+=("$(cut -d= -f1 <<<"${1#--}")" "${1#*=}") && shift ;;
     --) shift && break ;;
     --*)
       flag=${1#--} && flag=${flag//-/_}
-      if [[ $flag =~ ^[a-z][a-z0-9_]*$ && ${!flag:-} == false && ${2:---} == --* ]]; then # a switch without a value
-        set_option "${1#--}" true "" && shift && continue
+      if [[ $flag =~ ^[a-z][a-z0-9_]*$ && ${option_defaults[$flag]:-} == false && ${2:---} == --* ]]; then # a switch without a value
+        options_set+=("${1#--}" true) && shift && continue
       fi
       [ $# -gt 1 ] || die "$1 needs a value; see --help"
       next=${2#--} && next=${next//-/_}
       [[ $2 != --* || $options_known != *" ${next%%=*} "* ]] || die "$1 needs a value, and $2 is an option; see --help"
-      set_option "${1#--}" "$2" ""
-      shift 2
+      options_set+=("${1#--}" "$2") && shift 2
       ;;
     *) break ;;
   esac
 done
-unset options_known option_defaults flag next
+for ((flag = 0; flag < ${#options_set[@]}; flag += 2)); do
+  set_option "${options_set[flag]}" "${options_set[flag + 1]}" ""
+done
+unset options_known option_defaults options_set flag next

@@ -36,6 +36,14 @@ def test_rule_for_values_is_that_of_the_default_not_of_the_config(recipe):
         done = call(recipe, "./say.sh", "--config=size.conf", "--some-name", name, "say.sh")
         assert (done.returncode, done.stdout) == (0, f"2|{name}|false|say.sh|")
     assert call(recipe, "./say.sh", "--config=size.conf", "say.sh").stdout == "2|10|false|say.sh|"
+    (recipe / "size.conf").write_text("fast=true\n")  # a switch is one whatever the config says
+    done = call(recipe, "./say.sh", "--config", "size.conf", "--fast", "--nj", "4", "say.sh")
+    assert done.stdout == "4||true|say.sh|"
+
+
+def test_config_of_another_script_is_a_value(recipe):
+    for value in ("--config=absent.conf", "--config=absent.conf --dim 9", "--config absent.conf"):
+        assert call(recipe, "./say.sh", "--some-name", value, "say.sh").stdout == f"2|{value}|false|say.sh|"
 
 
 @pytest.mark.parametrize("args, message", [
