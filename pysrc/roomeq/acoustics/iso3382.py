@@ -40,7 +40,7 @@ from roomeq.core.constants import exact_bands_hz
 
 MIN_BT = 16.0
 """Smallest product of bandwidth and decay time for which the decay of the filter does not distort the result
-(ISO 3382-2, 7.3); of EDT, T20 and T30, the shortest counts for all."""
+(ISO 3382-2, 7.3); for each of EDT, T20 and T30, the shortest of itself, T20 and T30 counts."""
 DIRECT_S = 2.5e-3
 """Energy within this time before and after the direct sound counts as direct (DRR)."""
 EARLY_S = 0.05
@@ -254,10 +254,11 @@ def _band_metrics(spectra: _Spectra, band: int, curve: Decay, direct_sample: flo
     fs_hz = spectra.fs_hz
     edc_db = curve.down_to_db(LOWEST_DB)
     times_s = {decay: decay_time(edc_db, fs_hz, decay) for decay in DECAYS_DB}
-    # of a decay as short as the filter's, each time by itself would be valid where it comes out too long by chance
-    shortest_s = min((time_s for time_s in times_s.values() if time_s is not None), default=0.0)
     row: dict[str, Any] = {}
     for decay, time_s in times_s.items():
+        # of a decay as short as the filter's, each time by itself would be valid where it is too long by chance; EDT
+        # may be short because of the direct sound, and tells nothing of the others
+        shortest_s = min(times_s[other] or np.inf for other in (decay, "t20", "t30"))
         row[f"{decay}_s"] = time_s
         row[f"{decay}_valid"] = bool(time_s is not None and curve.range_db >= NOISE_MARGIN_DB - DECAYS_DB[decay][1]
                                      and exact_bands_hz(fs_hz)[band] * np.sqrt(0.5) * shortest_s > MIN_BT)

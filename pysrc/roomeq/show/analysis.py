@@ -8,8 +8,8 @@ import numpy as np
 
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.direct import DirectSound, find_direct
-from roomeq.acoustics.iso3382 import DECAYS_DB, Decay, octave_decays
-from roomeq.acoustics.octaves import octave_bands
+from roomeq.acoustics.iso3382 import DECAYS_DB, Decay, energy_decay
+from roomeq.acoustics.octaves import LEAD_S, octave_bands
 from roomeq.acoustics.parameters import measure
 from roomeq.acoustics.plausibility import find_implausibility
 from roomeq.acoustics.subband_eq import energy_spectrum, eq_part, frame_length
@@ -95,8 +95,9 @@ class AnalysedRir:
     def decays(self) -> list[BandDecay]:
         """The decay of each octave band."""
         samples = self.samples[:int(np.flatnonzero(self.samples)[-1]) + 1]
-        return [_band_decay(self, number, band, decay) for number, (band, decay) in enumerate(zip(
-            octave_bands(samples, self.fs_hz), octave_decays(samples, self.fs_hz, self.direct.sample), strict=True))]
+        lead = round(LEAD_S * self.fs_hz)
+        return [_band_decay(self, number, band[lead:], energy_decay(band, self.fs_hz, lead + self.direct.sample))
+                for number, band in enumerate(octave_bands(samples, self.fs_hz, lead=lead))]
 
     @cached_property
     def band_levels_db(self) -> FloatArray:
