@@ -151,7 +151,8 @@ fi
 
 [ "$stop_stage" -ge 6 ] || exit 0
 kinds=(real sim sim.EQ) # of RIRs; $data may hold others of an earlier run
-[ "$dry_run" = true ] || local/enough_rooms.py "$data/rirs.real.train" "$exp/rooms" >/dev/null
+[ "$dry_run" = true ] || [ ! -d "$data/rirs.real.train" ] ||
+  local/enough_rooms.py "$data/rirs.real.train" "$exp/rooms" >/dev/null
 [ ! -f "$exp/rooms/enough" ] || kinds+=(sim.loop)
 [ "$free_rooms" = 0 ] || kinds+=(sim.free)
 

@@ -73,7 +73,7 @@ if at_stage 8 "Kaldi: language, features, GMM"; then
     local/kaldi/train_gmm.sh "${common[@]}" --passes "$gmm_passes" "$workspace" "$x" "$lang"
     [ "$x" != train.clean ] || local/kaldi/finish_lang.sh "${common[@]}" "$workspace" "$x"
   done
-  [ "$dry_run" = true ] || settings texts align_on gmm_passes >"$workspace/settings"
+  [ "$dry_run" = true ] || settings texts gmm_passes >"$workspace/settings"
 fi
 
 if at_stage 9 "Kaldi: TDNN with LF-MMI"; then
@@ -100,7 +100,7 @@ if at_stage 9 "Kaldi: TDNN with LF-MMI"; then
     local/kaldi/train_chain.sh "${common[@]}" --use-gpu "$use_gpu" --ivectors "$ivectors" \
       --online-cmvn "$online_cmvn" --seed "$seed" "${chain_opts[@]}" "$workspace" "train.$x" "$(alignments_of "$x")"
     [ "$dry_run" = true ] || { cat "$workspace/settings" &&
-      settings num_leaves speed_perturb online_cmvn ivectors chain_opts; } >"$workspace/train.$x/trained_with"
+      settings align_on num_leaves speed_perturb online_cmvn ivectors chain_opts; } >"$workspace/train.$x/trained_with"
   done
 fi
 

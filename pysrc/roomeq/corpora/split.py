@@ -100,14 +100,16 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
         Path(f"{out_prefix}.{split}"), step="split", inputs=[rir_dir, *others.values()], refers=True, options=dict(
             split=split, split_by=split_by, same_rooms=list(same_rooms), sizes=list(sizes), seed=seed,
             others=sorted(others))) for split in SPLITS}
-    for build in [build for build in builds.values() if not build.done]:
-        build.withdraw()  # no set of an earlier split beside those of this one
+    stale = [split for split, build in builds.items() if not build.done]
+    for split in stale:
+        builds[split].withdraw()  # no set of an earlier split beside those of this one
     for split, build in builds.items():
         source = others.get(split, rir_dir)
         own = own_rows[split] if split in others else [row for row in rows if split_of.get(row["id"]) == split]
         counts[split] = len(own)
-        _write(build, relocated(own, source, build.out), [*relocated(own_noises.get(split, []), source, build.out),
-                                                          *relocated(noises[split], rir_dir, build.out)])
+        if split in stale:
+            _write(build, relocated(own, source, build.out), [*relocated(own_noises.get(split, []), source, build.out),
+                                                              *relocated(noises[split], rir_dir, build.out)])
     _log_table(rows, split_of, noises)
     for split, other in others.items():
         logger.info("%s: %d RIRs of %s", split, counts[split], other)
@@ -336,7 +338,7 @@ def _write(build: Build, rows: list[dict[str, Any]], noises: list[dict[str, Any]
         write_rirs(directory, rows, final_directory=build.out)
         write_noises(directory, noises)
 
-    if not build.done and build.run({}, lambda name, item: None):
+    if build.run({}, lambda name, item: None):
         build.finish(assemble)
 
 

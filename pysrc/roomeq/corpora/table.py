@@ -25,6 +25,7 @@ Other columns are ignored; the log lists them.
 
 import csv
 import logging
+import os
 from collections.abc import Callable
 from itertools import zip_longest
 from pathlib import Path
@@ -140,7 +141,8 @@ def list_table(path: Path) -> Corpus:
             for key, default in (("room_id", file.parent.name), ("source_id", UNKNOWN), ("mic_id", UNKNOWN)):
                 ids.add(key, row[key], cells.get(key) or default)
             if not cells.get("room_id"):
-                ids.add("folder of a room without a name in column 'room'", row["room_id"], str(file.parent))
+                ids.add("folder of a room without a name in column 'room'", row["room_id"],
+                        os.path.realpath(file.parent))
             corpus.rirs.append(Recording(file, _row_id(path, file, cells), row, where))
         except ValueError as error:
             raise ValueError(f"{where}: {error}: correct the cell") from None

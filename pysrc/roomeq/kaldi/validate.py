@@ -6,6 +6,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 from roomeq.core.audio import read_audio
+from roomeq.core.constants import FS_HZ
 from roomeq.kaldi.datadir import DataDir, read_data_dir, read_lines, read_optional_table
 from roomeq.kaldi.wavscp import AudioLength, read_length, segment_samples
 from roomeq.records.transcripts import unprintable_in
@@ -15,7 +16,7 @@ logger = logging.getLogger(__name__)
 MAX_DURATION_ERROR_S = 0.1
 """Error of durations that Kaldi computes from numbers of frames [s]."""
 MIN_SEGMENT_S = 0.1
-"""Kaldi's `extract-segments` leaves out shorter segments (``--min-segment-length``)."""
+"""Kaldi's `extract-segments` leaves out segments that are not longer (``--min-segment-length``)."""
 _PER_UTTERANCE = ("utt2dur", "utt2num_frames", "utt2uniq", "utt2lang", "utt2warp", "utt2rir", "utt2snr",
                   "feats.scp", "vad.scp")
 _PER_SPEAKER = ("spk2gender", "spk2warp", "cmvn.scp")
@@ -78,11 +79,11 @@ def _check_segments_strictly(data: DataDir) -> None:
         if utterance.end_s is None:
             raise ValueError(f"{path}:{number}: end -1 of {utterance.id!r} must be a time [s] for Kaldi's "
                              "validator: write it")
-    if short := [utterance.id for utterance in data.utterances.values()
-                 if utterance.end_s is not None and utterance.end_s - utterance.start_s < MIN_SEGMENT_S]:
-        logger.warning("%s: %d segments are shorter than %g s, such as %s: Kaldi leaves them out, so that sets of the "
-                       "same speech without segments differ from this one: leave them out of all", path, len(short),
-                       MIN_SEGMENT_S, short[0])
+    if short := [utterance.id for utterance in data.utterances.values() if utterance.end_s is not None
+                 and int(utterance.end_s * FS_HZ) <= int(utterance.start_s * FS_HZ) + int(MIN_SEGMENT_S * FS_HZ)]:
+        logger.warning("%s: %d segments are not longer than %g s, such as %s: Kaldi leaves them out, so that sets of "
+                       "the same speech without segments differ from this one: leave them out of all", path,
+                       len(short), MIN_SEGMENT_S, short[0])
     used = {utterance.recording for utterance in data.utterances.values()}
     for number, recording in enumerate(data.recordings, start=1):
         if recording not in used:

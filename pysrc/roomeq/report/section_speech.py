@@ -61,6 +61,8 @@ def snr_groups(run: Run, split: str) -> list[tuple[str, str, FloatArray]]:
     """Return label, colour and finite SNRs [dB] of a split's data sets; sets with equal SNRs form one group."""
     groups: dict[tuple[float, ...], list[Kind]] = {}
     for kind in KINDS:
+        if not run.has(f"{split}.{kind.name}.rvb"):
+            continue
         snrs = read_numbers(run.path(f"{split}.{kind.name}.rvb") / "utt2snr")
         if finite := tuple(snr for snr in snrs.values() if np.isfinite(snr)):
             groups.setdefault(finite, []).append(kind)

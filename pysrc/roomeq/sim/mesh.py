@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _MAX_WALLS = 32  # of a convex room that are intersected one by one, without a tree
 _SPHERE_RAYS = 2000  # directions in which the distance to the surfaces is sampled
 _WELD_M = 1e-5  # grid to which corners are rounded before they are merged
-_INSIDE_POINTS = 16  # of a body, of which most must lie in the room
+_INSIDE_POINTS = 5  # of a body, of which most must lie in the room
 _BELOW_FACE_M = 1e-4
 
 

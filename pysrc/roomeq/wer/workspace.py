@@ -151,13 +151,13 @@ def find_workspaces(paths: Sequence[Path]) -> list[Workspace]:
 def _require_same_settings(rows: list[Path]) -> None:
     """Raise ValueError for two rows whose recognisers differ in more than their data."""
     files = [row / SETTINGS_FILE for row in rows]
-    settings = [read_text(file).splitlines() if file.is_file() else [] for file in files]
+    settings = [sorted(read_text(file).splitlines()) if file.is_file() else [] for file in files]
     for file, lines in zip(files, settings, strict=True):
         if lines != settings[0]:
             differing = sorted({line.split(" ")[0] for line in set(lines) ^ set(settings[0])})
             raise ValueError(f"{file}: is not as {files[0]} ({', '.join(differing)}): rows of other settings cannot be "
-                             "compared; run stages 8 to 10 for all rows with the same options, or keep the rows of "
-                             "each in an --exp of its own")
+                             "compared; run stages 8 to 10 for all rows with the same options, remove the row, or "
+                             "keep the rows of each in an --exp of its own")
 
 
 def _in_order(names: set[str], known: tuple[str, ...]) -> list[str]:

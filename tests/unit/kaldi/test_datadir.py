@@ -30,11 +30,11 @@ def test_segments_that_kaldi_leaves_out_are_said(tmp_path, caplog):
     path = speech_dir(tmp_path / "in")
     (path / "utt2dur").unlink()
     names = sorted(LENGTHS, key=str.encode)
-    for end_s, said in (("0.11", False), ("0.06", True)):
+    for end_s, said in (("0.12", False), ("0.11", True)):
         (path / "segments").write_text("".join(f"{name} {name} 0.01 {end_s}\n" for name in names))
         validate_data_dir(path)
-        assert ("shorter than" in caplog.text) is said
-    assert f"{len(names)} segments are shorter than 0.1 s" in caplog.text and "Kaldi leaves them out" in caplog.text
+        assert ("not longer than" in caplog.text) is said
+    assert f"{len(names)} segments are not longer than 0.1 s" in caplog.text and "Kaldi leaves them out" in caplog.text
 
 
 # --- wav.scp
