@@ -8,12 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomeq.core.arrays import FloatArray
+from roomeq.core.arrays import FloatArray, IntArray
 
 ONSET_FRACTION = 0.1  # of the peak: ISO 3382-1 starts where the level comes within 20 dB of the maximum
 NOISE_FACTOR = 6.0  # stationary noise of any length here stays below 5.5 times its standard deviation
 CLIMB_S = 0.5e-3  # a larger peak this soon belongs to the same arrival (17 cm of detour)
 CLIMB_RATIO = 2.0**0.5  # ... if it is 3 dB larger: steps over the pre-ringing of band-limited responses
+_LEAST_S = 5e-3  # of noise before the direct sound, for a level
 SINC_HALF_SAMPLES = 16
 _NEAR, _OFFSETS = np.arange(-SINC_HALF_SAMPLES, SINC_HALF_SAMPLES + 1), np.linspace(-1.0, 1.0, 41)
 _LAG = _OFFSETS[:, None] - _NEAR
@@ -41,9 +42,9 @@ def find_direct(rir: ArrayLike, fs_hz: float, expected_sample: float | None = No
     """Find the direct sound: the first arrival, which need not be the strongest.
 
     The onset is the first local maximum of ``|h|`` that reaches a tenth of the maximum (20 dB, ISO 3382-1:2009,
-    5.3.3) and exceeds the noise floor. From there the search moves to a peak that is at least 3 dB larger and at
-    most 0.5 ms later, and repeats: this skips sinc pre-ringing and stops before a stronger first reflection. The
-    position of the peak is refined by band-limited (sinc) interpolation.
+    5.3.3) and exceeds the noise: the lower of that before it and of the quietest frames. From there the search moves to
+    a peak that is at least 3 dB larger and at most 0.5 ms later, and repeats: this skips sinc pre-ringing and stops
+    before a stronger first reflection. The position of the peak is refined by band-limited (sinc) interpolation.
 
     Parameters
     ----------
@@ -76,12 +77,13 @@ def find_direct(rir: ArrayLike, fs_hz: float, expected_sample: float | None = No
             raise ValueError(f"expected_sample={expected_sample:g} must lie in the response's {len(h)} samples: "
                              "correct the geometry, or leave it out where the time of flight is not in the file")
     window = magnitude[first:last]
-    noise = NOISE_FACTOR * quietest_rms(h, fs_hz)
-    threshold = max(ONSET_FRACTION * window.max(), noise)
-    reaches = np.flatnonzero(window >= threshold)
-    if window.max() == 0.0 or noise >= window.max() or not len(reaches):
+    quietest = quietest_rms(h, fs_hz)
+    candidates = np.flatnonzero(window >= ONSET_FRACTION * window.max())
+    noise = np.minimum(_rms_before(h, first + candidates, fs_hz), quietest)
+    reaches = candidates[window[candidates] > NOISE_FACTOR * noise]
+    if window.max() == 0.0 or not len(reaches):
         raise ValueError(f"impulse response has no direct sound: its peak {window.max():.3g} must exceed "
-                         f"{NOISE_FACTOR:g} times its noise, {noise / NOISE_FACTOR:.3g}: record it again")
+                         f"{NOISE_FACTOR:g} times its noise, {quietest:.3g}: record it again")
     peak = first + _climb(window, int(reaches[0]), max(1, round(CLIMB_S * fs_hz)))
     polarity = 1 if h[peak] > 0 else -1
     return DirectSound(_refine(polarity * h, peak), polarity)
@@ -102,6 +104,22 @@ def checked_response(rir: ArrayLike, direct_sample: float = 0.0) -> FloatArray:
     if not direct_sample < len(h):
         raise ValueError(f"direct_sample={direct_sample:g} must lie before the response's end, {len(h)}: find it again")
     return h
+
+
+def _rms_before(h: FloatArray, samples: IntArray, fs_hz: float) -> FloatArray:
+    """Return the RMS of what precedes some samples by `CLIMB_S` or more; infinite where that is too short to tell.
+
+    Digital silence at the beginning is excluded. Where nothing else precedes, except for what a filter may spread, the
+    RMS is 0.
+    """
+    begin = int(np.argmax(h != 0.0))
+    ends = np.maximum(samples - max(1, round(CLIMB_S * fs_hz)), begin)
+    energy = np.concatenate([[0.0], np.cumsum(np.square(h[begin:int(ends.max(initial=begin))]))])[ends - begin]
+    count = ends - begin
+    rms = np.sqrt(energy / np.maximum(count, 1))
+    silence = begin > 0
+    return np.where(silence & (count < SINC_HALF_SAMPLES), 0.0, np.where(silence | (count >= _LEAST_S * fs_hz), rms,
+                                                                         np.inf))
 
 
 def quietest_rms(h: FloatArray, fs_hz: float) -> float:

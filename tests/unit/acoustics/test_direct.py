@@ -38,6 +38,18 @@ def test_noise_before_direct_sound_is_ignored():
         assert found == pytest.approx(700.0, abs=0.5)
 
 
+@pytest.mark.parametrize("lead", [0.0, 1e-4])
+@pytest.mark.parametrize("length_s", [0.1, 0.125, 0.15])
+def test_response_that_ends_in_its_decay_has_its_direct_sound(length_s, lead):
+    """The quietest part of the file is reverberation then, not noise."""
+    rng = np.random.default_rng(3)
+    decay = 0.1 * rng.standard_normal(4000) * 10.0 ** (-3.0 * np.arange(4000) / FS_HZ / 1.8)
+    rir = arrival(300.0) * (np.abs(np.arange(4000) - 300) < 16) + np.where(np.arange(4000) > 320, 4.0 * decay, 0.0)
+    rir[:280] = lead * rng.standard_normal(280)
+    assert np.abs(rir).max() < 2.0
+    assert find_direct(rir[:round(length_s * FS_HZ)], FS_HZ)[0] == pytest.approx(300.0, abs=0.5)
+
+
 def test_arrival_ignores_scale_and_leading_silence():
     rir = arrival(700.4)
     assert find_direct(1e-6 * rir, FS_HZ) == pytest.approx(find_direct(rir, FS_HZ))
