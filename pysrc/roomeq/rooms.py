@@ -21,7 +21,7 @@ from roomeq.core.constants import FS_HZ, LARGEST_SEED, exact_bands_hz, is_number
 from roomeq.effects.spherical_cap import cap_gain, cap_series
 from roomeq.sim.defaults import NUM_RAYS
 from roomeq.sim.directivity import unit
-from roomeq.sim.materials import ANY_SURFACE, DEFAULT_SCATTERING, named_scene, read_materials
+from roomeq.sim.materials import DEFAULT_SCATTERING, named_scene, read_materials
 from roomeq.sim.mesh import MeshRoom, load_mesh
 from roomeq.sim.response import simulate_responses
 from roomeq.sim.scene import Air, Scene, Shoebox
@@ -94,10 +94,11 @@ class Room:
         Length, width and height of a shoebox [m]; or the path of a mesh, whose materials name its surfaces; or a room
         of `roomeq.Shoebox` or `roomeq.load_mesh`.
     materials
-        Of all surfaces, or from the name of each surface to its own (``"default"``: all others). A shoebox has the
-        surfaces west, east, south, north, floor and ceiling. A material is a name of ``conf/materials.toml``, an
-        absorption coefficient, coefficients per octave band from 62.5 Hz on, or ``{"absorption": ..., "scattering":
-        ...}``. Where only `t60_s` is given, all bands absorb alike.
+        Of all surfaces, or from the name of each surface to its own (``"default"``: all others, except that a surface
+        of a mesh that has the name of a material is of it). A shoebox has the surfaces west, east, south, north, floor
+        and ceiling. A material is a name of ``conf/materials.toml``, an absorption coefficient, coefficients per octave
+        band (8 from 62.5 Hz on or 9 with 16 kHz; 5, 6 or 7 begin at 125 Hz), or ``{"absorption": ..., "scattering":
+        ...}``. Where only `t60_s` is given, all bands and surfaces absorb alike.
     t60_s
         Scale the absorption of all surfaces until T30 at 1 kHz has this value, in the mean over the microphones.
     temperature_c
@@ -135,7 +136,7 @@ class Room:
             shape = Shoebox(tuple(self.geometry))
         given = _NEUTRAL if self.materials is None else self.materials
         if not isinstance(given, Mapping) or "absorption" in given:
-            given = {ANY_SURFACE: given}
+            given = dict.fromkeys(shape.surfaces, given)
         scene = named_scene(shape, {surface: _entry(material) for surface, material in given.items()},
                             table=read_materials(), air=Air(self.temperature_c, self.humidity_pct))
         return Scene(scene.room, scene.materials, scene.air, fs_hz)

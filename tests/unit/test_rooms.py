@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from plans import L_PLAN, prism_obj
+from plans import L_PLAN, box_plan, prism_obj
 
 import roomeq
 from roomeq.sim.scene import Air
@@ -67,6 +67,14 @@ def test_materials_may_be_names_numbers_or_of_single_surfaces():
     assert absorption[1] == pytest.approx(0.2) and absorption[3] == pytest.approx(0.3)
     assert absorption[4] == pytest.approx(0.2) and rooms[4].scene().scattering == pytest.approx(0.5)
     assert absorption[5][0] == pytest.approx(0.2) and not np.allclose(absorption[5][4], 0.2)
+
+
+def test_material_of_all_surfaces_is_that_of_surfaces_named_like_a_material_too(tmp_path):
+    (tmp_path / "room.obj").write_text(prism_obj(box_plan(6.0, 4.0), 3.0, "carpet_thin"))
+    for room in (roomeq.Room(tmp_path / "room.obj", 0.3), roomeq.Room(tmp_path / "room.obj", dict(absorption=0.3))):
+        assert np.all(room.scene().absorption == 0.3)
+    named = roomeq.Room(tmp_path / "room.obj", {"default": 0.3}).scene()
+    assert named.absorption[named.room.surfaces.index("carpet_thin")].max() > 0.3
 
 
 def test_mesh_is_a_room(tmp_path):

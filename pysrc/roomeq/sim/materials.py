@@ -8,7 +8,7 @@ An impulse response of a furnished room with its materials by name:
     from roomeq.sim.response import simulate_responses
 
     room = load_mesh("office.obj")  # usemtl carpet, oak, wall, ...
-    scene = named_scene(room, {"carpet": "carpet_thin", "oak": {"absorption": "wood_1.6cm", "scattering": "rough"},
+    scene = named_scene(room, {"carpet": "carpet_thin", "oak": {"absorption": "parquet", "scattering": "ordinary"},
                                "default": "brick_plastered"})
     (response,) = simulate_responses(scene, (1.0, 2.0, 1.2), (4.5, 3.0, 1.2), seed=0)
     write_wav("office.wav", response.rir)

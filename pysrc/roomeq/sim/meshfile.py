@@ -124,7 +124,10 @@ def _read_other(path: Path) -> Triangles:
         material = getattr(getattr(mesh.visual, "material", None), "name", None)
         if suffix == ".stl" and len(scene.geometry) > 1:
             material = geometry  # of an STL file of several solids, the name of the solid
-        triangles.append(trimesh.transform_points(mesh.vertices, transform)[mesh.faces])
+        placed = trimesh.transform_points(mesh.vertices, transform)
+        if suffix in (".glb", ".gltf"):  # whose y is up (glTF 2.0, 3.4); here z is
+            placed = placed[:, [0, 2, 1]] * [1.0, -1.0, 1.0]
+        triangles.append(placed[mesh.faces])
         names += [material or UNNAMED] * len(mesh.faces)
     return Triangles(np.concatenate(triangles), names)
 
@@ -136,7 +139,7 @@ def _read_obj(path: Path) -> Triangles:
     names: list[str] = []
     material = UNNAMED
     for line in path.read_text(encoding="utf-8-sig", errors="replace").splitlines():
-        key, *words = line.split("#")[0].split() or [""]
+        key, *words = (line if line.startswith("usemtl") else line.split("#")[0]).split() or [""]
         if key == "v":
             if len(words) < 3:
                 raise ValueError(f"vertex {len(vertices) + 1} has {len(words)} coordinates where three are needed")

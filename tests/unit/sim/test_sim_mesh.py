@@ -22,6 +22,8 @@ from roomeq.sim.trace import trace
 
 DIMS_M = (6.0, 4.0, 3.0)
 C = Air().speed_m_s
+Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""From coordinates with z up to those of glTF, where y is up."""
 
 
 @pytest.fixture
@@ -47,9 +49,13 @@ def test_obj_box_is_read_with_its_materials(box):
 @pytest.mark.parametrize("suffix", ["ply", "stl", "glb", "off"])
 def test_all_mesh_formats_give_the_same_room(box, tmp_path, suffix):
     mesh = trimesh.Trimesh(box.triangles.reshape(-1, 3), np.arange(36).reshape(-1, 3), process=False)
+    if suffix == "glb":
+        mesh.vertices = mesh.vertices @ Y_UP.T
     mesh.export(tmp_path / f"box.{suffix}")
     room = load_mesh(tmp_path / f"box.{suffix}")
     assert room.surfaces == ("surface",) and room.volume_m3 == pytest.approx(72.0, rel=1e-5)
+    np.testing.assert_allclose(np.sort(room.triangles.ravel()), np.sort(box.triangles.ravel()), atol=1e-5)
+    np.testing.assert_allclose(room.triangles.reshape(-1, 3).max(axis=0), DIMS_M, atol=1e-5)
 
 
 @pytest.mark.parametrize("how", ["with a byte order mark", "with denormals", "in glTF with percent-encoded names"])
@@ -62,6 +68,7 @@ def test_odd_but_right_files_give_the_same_room(box, write_obj, how, tmp_path):
         assert "1e-310" in path.read_text()
     else:
         mesh = trimesh.Trimesh(box.triangles.reshape(-1, 3), np.arange(36).reshape(-1, 3), process=False)
+        mesh.vertices = mesh.vertices @ Y_UP.T
         files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(mesh))
         for name, content in files.items():
             content = re.sub(rb'"gltf_([^"]*)"', rb'"a%20room%20\1"', content) if name == "model.gltf" else content
@@ -69,6 +76,11 @@ def test_odd_but_right_files_give_the_same_room(box, write_obj, how, tmp_path):
         path = tmp_path / "model.gltf"
         assert b"%20" in path.read_bytes()
     np.testing.assert_allclose(np.sort(load_mesh(path).triangles.ravel()), np.sort(box.triangles.ravel()), atol=1e-6)
+
+
+def test_names_of_materials_may_hold_a_hash(write_obj):
+    text = prism_obj(box_plan(*DIMS_M[:2]), DIMS_M[2], "brick#2").replace("usemtl floor", "usemtl brick#1")
+    assert load_mesh(write_obj(text)).surfaces == ("brick#1", "brick#2", "ceiling")
 
 
 def test_specular_paths_of_mesh_box_equal_image_lattice(box):
