@@ -8,7 +8,7 @@ import io
 import itertools
 import re
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -209,10 +209,12 @@ def eq_curves(title: str, eq_db: FloatArray, colour: str, limits_db: tuple[float
     return draw
 
 
-def common_limits(*sets: FloatArray) -> tuple[float, float]:
-    """Return axis limits [dB], multiples of 5 dB, that cover the 0.5th to the 99.5th percentile of several EQ sets."""
+def common_limits(*sets: FloatArray, marked: Sequence[FloatArray] = ()) -> tuple[float, float]:
+    """Return axis limits [dB], multiples of 5 dB, around the 0.5th to the 99.5th percentile of EQs and all `marked`."""
     values = np.concatenate([eq_db[np.isfinite(eq_db)].ravel() for eq_db in sets])
     low, high = np.percentile(values, (0.5, 99.5)) if len(values) else (-10.0, 10.0)
+    for points_db in marked:
+        low, high = min(low, np.min(points_db)), max(high, np.max(points_db))
     return 5.0 * np.floor(min(low - 1, -5) / 5), 5.0 * np.ceil(max(high + 1, 5) / 5)
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from roomeq.core.arrays import FloatArray
-from roomeq.core.stamps import DONE_FILE, read_stamp
+from roomeq.core.stamps import read_stamp
 from roomeq.records.rir_dir import ROWS_FILE, load_rir, read_rirs
 from roomeq.records.schema import RirRow
-from roomeq.report.kinds import EXTENDED, KIND_NAMES, KINDS, MEASURED
+from roomeq.report.kinds import EXTENDED, KIND_NAMES, KINDS
 
 T = TypeVar("T")
 Context = dict[str, Any]
@@ -90,14 +90,7 @@ class Run:
     def has(self, name: str) -> bool:
         """Tell whether a directory exists and belongs to the run."""
         kind = next((kind for kind in KIND_NAMES if kind in _kinds_in(name)), None)
-        return (self.path(name).is_dir() and (kind is None or kind in self.kinds)
-                and not (name == "wer" and self.has_old_wer))
-
-    @cached_property
-    def has_old_wer(self) -> bool:
-        """Whether the word error rates are older than the far-field test set, and so of another one."""
-        wer, test = (self.path(name) / DONE_FILE for name in ("wer", f"test.{MEASURED.name}.rvb"))
-        return wer.is_file() and test.is_file() and wer.stat().st_mtime_ns < test.stat().st_mtime_ns
+        return self.path(name).is_dir() and (kind is None or kind in self.kinds)
 
     def need(self, name: str, file: str | None = None) -> Path:
         """Return the path of a directory or of a file in it.

@@ -66,7 +66,8 @@ def frequency_responses(run: Run) -> Context:
     chosen = example_rirs(run)
     levels = {kind: response_db(run.rir(kind.train, row), direct_sample(run, kind.train, row))
               for kind, row in chosen.items()}
-    limits = figures.common_limits(*levels.values())
+    points_db = [level_db[list(POINT_BINS)] for level_db in levels.values()]
+    limits = figures.common_limits(*levels.values(), marked=points_db)
     alt = "; ".join(describe_eq(kind.label, level_db[list(POINT_BINS)]) for kind, level_db in levels.items())
     panels = []
     for side, kind in (("left", SIMULATED), ("right", COMPENSATED)):

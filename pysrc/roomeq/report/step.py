@@ -54,9 +54,6 @@ def make_report(data_dir: Path, exp_dir: Path, out: Path, *, kinds: Sequence[str
     run = Run(data_dir, exp_dir, tuple(kinds))
     if not run.names:
         raise ValueError(f"{data_dir}: no directory of a run in it: run stages 0 to 6 first, or check the path")
-    if run.has_old_wer:
-        logger.warning("%s: older than %s: left out of the report; run stages 8 to 10 again", run.path("wer"),
-                       run.path("test.real.rvb"))
     build = Build(out, step="report", options=dict(parts=run.names, benches=run.benches, versions=versions()),
                   inputs=[*(run.path(name) for name in run.names), TEMPLATES])
     if not build.done and build.run({}, lambda name, item: None):

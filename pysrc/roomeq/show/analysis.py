@@ -12,9 +12,9 @@ from roomeq.acoustics.iso3382 import DECAYS_DB, Decay, energy_decay
 from roomeq.acoustics.octaves import LEAD_S, octave_bands
 from roomeq.acoustics.parameters import measure
 from roomeq.acoustics.plausibility import find_implausibility
-from roomeq.acoustics.subband_eq import energy_spectrum, eq_part, frame_length
+from roomeq.acoustics.subband_eq import MIN_NOISE, MIN_SNR_DB, energy_spectrum, eq_part, frame_length
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, bands_hz, require_fs
+from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ, bands_hz, require_fs
 
 
 @dataclass(frozen=True)
@@ -150,8 +150,26 @@ def measure_parameters(samples: FloatArray, fs_hz: int, direct: DirectSound) -> 
     if "eq_db" not in parameters:
         frequencies_hz, level_db = response_db(samples, fs_hz, direct.sample)
         eq_db = np.interp(bands_hz(fs_hz), frequencies_hz, level_db)
-        parameters |= dict(eq_db=eq_db.tolist(), eq_valid=[True] * len(eq_db))
+        parameters |= dict(eq_db=eq_db.tolist(), eq_valid=_eq_valid(samples, fs_hz, direct.sample))
     return parameters
+
+
+def _eq_valid(samples: FloatArray, fs_hz: int, direct_sample: float) -> list[bool]:
+    """Tell which points of the EQ exceed the noise, as `roomeq.acoustics.subband_eq.analyse` does at 16 kHz.
+
+    A point at half the sample rate, where the anti-alias filter ends, is not valid.
+    """
+    start, stop = eq_part(samples, direct_sample, fs_hz)
+    noise, n_frame = samples[stop:int(np.flatnonzero(samples)[-1]) + 1], frame_length(fs_hz)
+    points_hz = np.array(bands_hz(fs_hz))
+    valid = points_hz < 0.5 * fs_hz
+    if len(noise) >= MIN_NOISE * fs_hz / FS_HZ:
+        frequencies_hz = np.arange(n_frame // 2 + 1) * fs_hz / n_frame
+        response, floor = (np.interp(points_hz, frequencies_hz, energy_spectrum(part, n_frame) / len(part))
+                           for part in (samples[start:stop], noise))
+        above = power_db(response) - power_db(floor) >= MIN_SNR_DB
+        valid &= above & above[BAND_1KHZ]
+    return [bool(point) for point in valid]
 
 
 def response_db(samples: FloatArray, fs_hz: int, direct_sample: float) -> tuple[FloatArray, FloatArray]:

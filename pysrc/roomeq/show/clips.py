@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import scipy  # its submodules load themselves when first used
 
+from roomeq.acoustics.direct import find_direct
 from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import audio_info, read_audio
 from roomeq.core.rng import rng_for
@@ -17,6 +18,9 @@ MAX_RESPONSE_S = 3.0
 _PEAK = 0.9
 _BURST_S, _BURSTS, _PAUSE_S = 0.12, 3, 0.6
 _FADE_S = 5e-3
+LEAD_S = 0.02
+"""What is played of an RIR before its direct sound [s]."""
+_CUT_FADE_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,9 @@ def dry_signal(speech: Path | None, fs_hz: int) -> tuple[str, FloatArray]:
 
 def clips(rirs: Sequence[tuple[str, str, FloatArray, int]], speech: Path | None, *,
           with_responses: bool = True) -> list[Clip]:
-    """Return the players of some RIRs: the dry signal, it through each RIR, and each RIR; sounds of equal energy.
+    """Return the players of some RIRs: the dry signal and it through each RIR, of equal energy, and each RIR.
+
+    RIRs are played from shortly before the direct sound on, for `MAX_RESPONSE_S` at most.
 
     Parameters
     ----------
@@ -78,15 +84,29 @@ def clips(rirs: Sequence[tuple[str, str, FloatArray, int]], speech: Path | None,
     signals.append(("dry", f"{name}, dry", "clean", dry, rirs[0][3]))
     for number, (label, colour, samples, fs_hz) in enumerate(rirs, start=1):
         _, dry = dry_signal(speech, fs_hz)
-        heard = scipy.signal.oaconvolve(dry, samples[:round(MAX_RESPONSE_S * fs_hz)])
+        heard = scipy.signal.oaconvolve(dry, _played(samples, fs_hz))
         signals.append((f"through-{number}", f"{name}, {label}", colour, heard, fs_hz))
     for ident, label, colour, samples, fs_hz in _equally_loud(signals):
         made.append(Clip(f"audio-{ident}", label, colour, flac_uri(samples, fs_hz)))
     for number, (label, colour, samples, fs_hz) in enumerate(rirs if with_responses else (), start=1):
-        response = samples[:round(MAX_RESPONSE_S * fs_hz)]
+        response = _played(samples, fs_hz)
         made.append(Clip(f"audio-rir-{number}", f"impulse response, {label}", colour,
                          flac_uri(_PEAK * response / np.abs(response).max(), fs_hz)))
     return made
+
+
+def _played(samples: FloatArray, fs_hz: int) -> FloatArray:
+    """Return the part of an RIR that is played; where it is cut off, it fades out."""
+    try:
+        direct = find_direct(samples, fs_hz).sample
+    except ValueError:  # it is shown although it is no RIR
+        direct = float(np.argmax(np.abs(samples)))
+    start, n_samples = max(0, round(direct - LEAD_S * fs_hz)), round(MAX_RESPONSE_S * fs_hz)
+    part = samples[start:start + n_samples]
+    if start + n_samples < len(samples):
+        n_fade = round(_CUT_FADE_S * fs_hz)
+        part = part * np.minimum(1.0, np.arange(n_samples, 0, -1) / n_fade)
+    return part
 
 
 def _equally_loud(signals: Sequence[tuple[str, str, str, FloatArray, int]]

@@ -139,11 +139,11 @@ def decay(rirs: Sequence[AnalysedRir], number: int) -> Draw:
 def response(rirs: Sequence[AnalysedRir]) -> Draw:
     """Draw the frequency response with the octave bands of the EQ marked."""
     def draw(axes: Axes, colours: dict[str, str]) -> None:
-        limits = figures.common_limits(*(_audible(rir) for rir in rirs))
-        for rir, colour in zip(rirs, COLOURS, strict=False):
+        marked = [np.interp(rir.bands_hz, *rir.response) for rir in rirs]
+        limits = figures.common_limits(*(_audible(rir) for rir in rirs), marked=marked)
+        for rir, points_db, colour in zip(rirs, marked, COLOURS, strict=False):
             frequencies_hz, level_db = rir.response
             axes.plot(frequencies_hz[1:], level_db[1:], color=colours[colour], lw=1.1, label=rir.name)
-            points_db = np.interp(rir.bands_hz, frequencies_hz, level_db)
             axes.plot(rir.bands_hz, points_db, figures.MARKERS[colour], color=colours[colour], ms=5.0,
                       mec=colours["paper"], mew=0.8)
         log_frequency(axes, 31.0, max(8600.0, 0.5 * max(rir.fs_hz for rir in rirs)))

@@ -190,7 +190,8 @@ def direct_of(row: RirRow, samples: FloatArray) -> DirectSound:
 
 def _parameters(directory: Path, row: RirRow) -> dict[str, Any] | None:
     """Return the acoustic parameters of a row, measured unless they are stored; None if there is no direct sound."""
-    if stored := row.get("acoustic_parameters"):
+    stored = row.get("acoustic_parameters") or {}
+    if "eq_db" in stored:
         return dict(stored)
     samples = read_samples(directory, row)
     try:

@@ -38,6 +38,17 @@ def test_speech_is_resampled_and_heard_through_the_rir(tmp_path):
     assert np.allclose(heard[:16000], dry_sound, atol=1e-4) and len(made) == 2
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_rir_is_heard_from_its_direct_sound_on(noise):
+    """However long the file is before it, and without a click where it is cut off."""
+    rir = np.concatenate([np.zeros(5 * 16000), 10.0 * coloured_rir(0, time_s=7.0, length_s=5.0)])
+    rir += noise * np.random.default_rng(0).standard_normal(len(rir))
+    made = clips([("A", "measured", rir, 16000)], None)
+    heard, response = (sound(clip)[0] for clip in made[1:])
+    assert len(response) == 3 * 16000 and np.abs(response[:2000]).max() > 0.1
+    assert np.abs(response[-16:]).max() < 1e-3 and np.abs(heard[:8000]).max() > 0.1
+
+
 def test_silent_speech_is_refused(tmp_path):
     write_wav(tmp_path / "speech.wav", np.zeros(100))
     with pytest.raises(ValueError, match="speech.wav: silent"):

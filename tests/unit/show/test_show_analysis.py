@@ -55,6 +55,21 @@ def test_parameters_at_16_khz_are_those_of_characterise():
     assert analyse(samples, 16000).parameters == measure(samples)
 
 
+@pytest.mark.parametrize("fs_hz", [16000, 48000, 44100])
+def test_points_of_the_eq_below_the_noise_are_not_valid_at_any_rate(fs_hz):
+    rng = np.random.default_rng(5)
+    time_s = np.arange(3 * fs_hz) / fs_hz
+    rir = np.concatenate([np.zeros(fs_hz // 10), rng.standard_normal(len(time_s)) * 10.0 ** (-3.0 * time_s / 0.5)])
+    hum_hz = np.array([55.0, 62.0, 70.0, 120.0, 126.0])
+    hum = np.sin(2.0 * np.pi * hum_hz[:, None] * np.arange(len(rir)) / fs_hz).sum(axis=0)
+    valid = analyse(rir + 0.03 * hum, fs_hz, "a").parameters["eq_valid"]
+    assert valid[:2] == [False, False] and all(valid[3:7])
+
+
+def test_point_of_the_eq_at_half_the_rate_is_not_valid():
+    assert analyse(np.eye(1, 4000, 400)[0], 8000, "a").parameters["eq_valid"] == [True] * 6 + [False]
+
+
 def test_response_of_an_impulse_is_flat_at_any_rate():
     for fs_hz in (8000, 16000, 44100, 48000):
         samples = np.zeros(fs_hz // 2)
