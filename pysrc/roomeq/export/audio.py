@@ -29,6 +29,8 @@ class AudioRules(NamedTuple):
         RIRs begin shortly before their direct sound.
     positive_rirs : bool
         Their largest sample is that of the direct sound, as far as the polarity decides.
+    with_direct : bool
+        The direct sound of RIRs is stated.
     link : bool
         Files that stay as they are will be links, which `roomeq.export.write` makes.
     pipes : bool
@@ -37,6 +39,7 @@ class AudioRules(NamedTuple):
 
     align_rirs: bool
     positive_rirs: bool
+    with_direct: bool
     link: bool
     pipes: bool
 
@@ -102,7 +105,7 @@ def _make(planned: PlannedAudio, work: Path, rules: AudioRules) -> MadeAudio:
         return _cut_out(planned, work, AudioLength(info.frames, info.samplerate), info.subtype)
     suffix = _SUFFIXES.get(info.format, f".{info.format.lower()}")  # the name may end in anything
     made = MadeAudio(planned, planned.file + suffix, info.samplerate, info.frames, info.channels)
-    if planned.is_rir:
+    if planned.is_rir and rules.with_direct:
         made = made._replace(direct_sample=_read_rir(planned).direct)
     else:  # that a FLAC file was cut off shows only at its end
         read_audio(source, fs_hz=info.samplerate, start=info.frames - 1, channel=0)

@@ -11,8 +11,8 @@ from roomeq.core.files import write_jsonl, write_text
 from roomeq.export.audio import MadeAudio
 from roomeq.export.content import Content, ExportedUtterance
 
-_OF_ROW = ("room_id", "source_id", "mic_id", "noise_for", "room_dims_m", "source_pos_m", "mic_pos_m", "distance_m",
-           "target_t60_s")
+_OF_ROW = ("room_id", "source_id", "mic_id", "noise_for", "room_dims_m", "source_pos_m", "mic_pos_m", "channel_pos_m",
+           "distance_m", "target_t60_s")
 _OF_PARAMETERS = ("t20_s", "t30_s", "edt_s", "c50_db", "drr_db")
 """Keys of `rirs.jsonl` and of its acoustic parameters that become columns."""
 

@@ -28,6 +28,7 @@ class _Format(NamedTuple):
     positive_rirs: bool = False
     utterance_files: bool = False
     all_rirs: bool = False
+    with_direct: bool = True
 
 
 _FORMATS = {
@@ -35,7 +36,7 @@ _FORMATS = {
     "espnet": _Format(espnet.write_manifests),
     "nemo": _Format(nemo.write_manifests),
     "huggingface": _Format(huggingface.write_manifests, align_rirs=False, utterance_files=True),
-    "roomeq": _Format(rirs.write_manifests, align_rirs=False, all_rirs=True),
+    "roomeq": _Format(rirs.write_manifests, align_rirs=False, all_rirs=True, with_direct=False),
 }
 
 
@@ -56,7 +57,10 @@ def make(build: Build, kind: str, directory: Path, *, link: bool, pipes: bool, n
     if arrays and form.align_rirs:
         logger.warning("%s: %d of %d RIRs are of arrays: %s gets that of the first microphone", directory, arrays,
                        sum(audio.is_rir for audio in plan.audio), kind)
-    rules = AudioRules(form.align_rirs, form.positive_rirs, link, pipes)
+    if arrays and form.with_direct and not form.align_rirs:
+        logger.warning("%s: %d RIRs are of arrays: where `datasets` decodes them, it averages the channels; read their "
+                       "files themselves, with Audio(decode=False)", directory, arrays)
+    rules = AudioRules(form.align_rirs, form.positive_rirs, form.with_direct, link, pipes)
     items = {f"{first:07d}": plan.audio[first:first + AT_ONCE] for first in range(0, len(plan.audio), AT_ONCE)}
     build.run(items, partial(_make_some, build.work, rules), nj=nj)
 
