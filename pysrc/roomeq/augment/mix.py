@@ -22,7 +22,7 @@ from roomeq.records.schema import RirRow
 
 PEAK_LIMIT = 0.99
 FADE_SAMPLES = FS_HZ // 20
-"""Cross-fade at the repetition of a noise that is shorter than the utterance: 50 ms."""
+"""Cross-fade at the repetition of a noise that is shorter than the utterance: 50 ms at 16 kHz."""
 BLOCK = 4096
 """Samples in a block of a signal and in a partition of an RIR; FFTs are twice as long."""
 _N_ROWS = 8

@@ -10,6 +10,7 @@ from roomeq.core.arrays import Array
 
 _LOADING = 1e-6  # of the diagonal, for microphones in one place
 _STEP_RAD = 0.1  # largest change of k d over frequencies that share a factor
+_ELEMENTS = 2 ** 22  # of the coherence matrices that are in memory at once
 _MARGIN_S = 0.02  # zeros behind the noise: the filters that mix it are short, and must not wrap around
 
 
@@ -43,9 +44,11 @@ def make_coherent(noises: Sequence[Array], mics_m: ArrayLike, speed_m_s: float, 
     width = min(max(1, int(step_hz * n_fft / fs_hz)), n_bins)
     n_groups = -(-n_bins // width)
     frequency_hz = (np.arange(n_groups) + 0.5) * width * fs_hz / n_fft
-    coherence = np.sinc(2.0 * frequency_hz[:, None, None] * distance_m / speed_m_s)
-    factor = np.linalg.cholesky((1.0 - _LOADING) * coherence + _LOADING * np.eye(len(positions_m)))
     padded = np.pad(spectra, ((0, 0), (0, n_groups * width - n_bins)))
     groups = padded.reshape(len(padded), n_groups, width).transpose(1, 0, 2)
-    mixed = (factor.astype(np.float32) @ groups).transpose(1, 0, 2).reshape(padded.shape)[:, :n_bins]
-    return list(irfft(mixed, n_fft)[:, :n_samples])
+    at_once = max(1, _ELEMENTS // distance_m.size)
+    for block in (slice(first, first + at_once) for first in range(0, n_groups, at_once)):
+        coherence = np.sinc(2.0 * frequency_hz[block, None, None] * distance_m / speed_m_s)
+        factor = np.linalg.cholesky((1.0 - _LOADING) * coherence + _LOADING * np.eye(len(positions_m)))
+        groups[block] = factor.astype(np.float32) @ groups[block]
+    return list(irfft(padded[:, :n_bins], n_fft)[:, :n_samples])
