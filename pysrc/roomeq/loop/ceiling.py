@@ -106,7 +106,11 @@ def _recorded(data: Data, n: int, raw: RawRir, effects: Sequence[Effect], seed: 
     rir, direct_sample, end = on_recording_time(data, n, raw, whole)
     recording = np.sqrt(np.median(density)) * rng_for(seed, "loop twins noise", data.rows[n]["id"]).standard_normal(end)
     recording[:len(rir)] += rir[:end]
-    return measure_features(recording, direct_sample, timed=is_timed(data.rows[n]))
+    try:
+        return measure_features(recording, direct_sample, timed=is_timed(data.rows[n]))
+    except ValueError:  # noise that happens to be larger than the recording's hides the direct sound
+        features = measure_features(rir[:end], direct_sample, timed=is_timed(data.rows[n]))
+        return replace(features, valid=np.zeros_like(features.valid))
 
 
 def explained(before: HeldOutErrors, after: HeldOutErrors, ceiling: HeldOutErrors) -> dict:

@@ -1,7 +1,7 @@
 """The measured RIRs of some rooms: their features, their geometry, and the ray contributions at their positions."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,7 +23,7 @@ from roomeq.loop.facing_estimate import FacingEstimate
 from roomeq.loop.features import Features, feature_slice, measure_features
 from roomeq.loop.geometry import Estimate, complete_geometry
 from roomeq.loop.measurability import comparable_levels, limit_to_excitation
-from roomeq.loop.path_samples import decay_range_s, draw_path_samples
+from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, decay_range_s, draw_path_samples
 from roomeq.loop.tables import ANGLES, FRAME_MID_S, Table, collect, level_surfaces
 from roomeq.loop.traces import StoredTrace, TraceFolder, without_paths
 from roomeq.loop.usable import LeftOut, UsableRirs, usable_rirs
@@ -288,13 +288,21 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
 
     folder = TraceFolder()
 
+    def decays_of(members: Iterable[int]) -> tuple[float, float] | None:
+        of_rirs = [features[n] for n in members]
+        return decay_range_s(np.array([of_rir.values for of_rir in of_rirs]),
+                             np.array([of_rir.valid for of_rir in of_rirs]), LENGTHS_S[0])
+
     def trace(room_id: str, source_pos_m: tuple, air: Air, members: list[int]
               ) -> tuple[StoredTrace, list[PathSample], list[Table]]:
         place, mics_m = places[members[0]], np.array([places[n].mic_pos_m for n in members])
         material = Material("surface", (0.0,) * len(BANDS_HZ), (float(scattering),) * len(BANDS_HZ))
         scene = Scene(place.room, (material,) * len(place.room.surfaces), air)
-        decays_s = decay_range_s(np.array([features[n].values for n in members]),
-                                 np.array([features[n].valid for n in members]), LENGTHS_S[0])
+        decays_s = decays_of(members) or decays_of(n for n, row in enumerate(rows) if row["room_id"] == room_id)
+        if decays_s is None:
+            logger.warning("no decay time of room %s is valid, as recordings are too short or too noisy: rays are "
+                           "traced for one of up to %g s", room_id, UNKNOWN_DECAYS_S[1])
+            decays_s = UNKNOWN_DECAYS_S
         length_s = float(np.clip(1.2 * decays_s[1] + 0.1, *LENGTHS_S))
         # twice as long, for octaves without a valid decay time
         expected = uniform_absorption(place.room, 2.0 * decays_s[1], scene.air.speed_m_s)

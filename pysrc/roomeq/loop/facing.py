@@ -19,7 +19,7 @@ from roomeq.loop.data import LENGTHS_S, Data
 from roomeq.loop.facing_estimate import FacingEstimate, Hypothesis
 from roomeq.loop.features import BAND_OF_FEATURE, CALIBRATION_FEATURES, METRIC
 from roomeq.loop.packing import ParameterIndex
-from roomeq.loop.path_samples import decay_range_s, draw_path_samples
+from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, decay_range_s, draw_path_samples
 from roomeq.loop.predict import predict
 from roomeq.loop.session import Session
 from roomeq.loop.tables import ANGLES, collect
@@ -234,8 +234,8 @@ def with_facings(data: Data, facings: Mapping[int, FloatArray]) -> Data:
     for members in by_trace.values():
         traced, mics_m = data.traced[members[0]].load(), np.array([data.places[n].mic_pos_m for n in members])
         of_members = [facings[n] for n in members]
-        drawn = draw_path_samples(traced, mics_m, of_members,
-                                  decay_range_s(data.features[members], data.valid[members], LENGTHS_S[0]),
+        decays_s = decay_range_s(data.features[members], data.valid[members], LENGTHS_S[0]) or UNKNOWN_DECAYS_S
+        drawn = draw_path_samples(traced, mics_m, of_members, decays_s,
                                   [rng_for(data.seed, "loop paths", data.rows[n]["id"]) for n in members])
         for n, table, sample in zip(members, collect(traced, mics_m, of_members), drawn, strict=True):
             tables[n], path_samples[n] = table, sample

@@ -187,15 +187,18 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
     from_hz = excited_from_hz(rir) if white is None else 0.0  # a rendering is excited at all frequencies
     noise = _noise_density(rir, metrics, from_hz)
     levels = _levels(rir, direct, metrics, noise)
+    whole = {metric: np.ones(len(level_db), dtype=bool) for metric, (level_db, _) in levels.items()}
+    if white is None and _length(rir) < direct + LATE_S * FS_HZ:  # a rendering ends when its decay is over
+        whole = _before_the_end(rir, direct, metrics, levels)
     for metric, (level_db, snr_db) in levels.items():
-        _put(values, valid, metric, level_db, snr_db > MIN_SNR_DB)
+        _put(values, valid, metric, level_db, (snr_db > MIN_SNR_DB) & whole[metric])
     at, bounded = feature_slice("direct"), np.zeros(N_FEATURES, dtype=bool)
     if white is None:  # a rendering has no noise
         level_db, snr_db = levels["direct"]
         bounded[at] = CALIBRATION_FEATURES[at] & noise.seen[OCTAVE_OF_THIRD][-len(DIRECT_THIRDS_HZ):] & ~valid[at]
         values[at] = np.where(bounded[at], (level_db - snr_db + MIN_SNR_DB) / JND["direct"], values[at])
     _put(values, valid, "drr", np.array([np.nan if drr_db is None else drr_db]),
-         np.array([drr_db is not None and valid[at].any()]))
+         np.array([drr_db is not None and valid[at].any() and whole["late"].any()]))
     noise_levels, white = _noise_levels(rir, direct, noise, white)
     end_level, _ = noise_levels["floor"]
     if end is not None and end < len(rir):
@@ -305,6 +308,22 @@ def _levels(rir: FloatArray, direct: float, metrics: dict, noise: _Noise) -> dic
             of_noise[:_N_BELOW] = _most_noise_below(rir) * len(part)
         result[metric] = level_db, level_db - _db(of_noise)
     return result
+
+
+def _before_the_end(rir: FloatArray, direct: float, metrics: dict, levels: dict[str, tuple[FloatArray, FloatArray]]
+                    ) -> dict[str, BoolArray]:
+    """Tell which levels a recording that ends within the window of the late level still has as a whole.
+
+    What its decay would add after its end lies below them by `MIN_SNR_DB`.
+    """
+    n_fft = next_fast_len(max(2048, len(rir)), real=True)
+    total_db = _db(energy_in_bands(OCTAVES, energy_per_bin(rir, n_fft), n_fft))
+    lost_db = total_db - np.array(metrics["decay_range_db"])
+    of_thirds = np.concatenate([lost_db[[0] * _N_BELOW], lost_db[OCTAVE_OF_THIRD]])
+    has_early = _length(rir) >= direct + EARLY_S * FS_HZ
+    lost_of = {"direct": np.full(len(DIRECT_THIRDS_HZ), -np.inf), "late": lost_db, "spectrum": of_thirds,
+               "early": np.full(len(total_db), -np.inf) if has_early else lost_db}
+    return {metric: level_db > lost_of[metric] + MIN_SNR_DB for metric, (level_db, _) in levels.items()}
 
 
 def _noise_levels(rir: FloatArray, direct: float, noise: _Noise, white: FloatArray | None

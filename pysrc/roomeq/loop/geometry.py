@@ -9,7 +9,7 @@ Nothing is estimated of rooms that are meshes.
 
 import logging
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,11 +19,12 @@ from roomeq.core.arrays import BoolArray, FloatArray
 from roomeq.core.constants import FS_HZ
 from roomeq.core.workers import share_out
 from roomeq.loop.arrivals import Arrivals, measure_arrivals
-from roomeq.loop.unknown_geometry import N_SHARED, Unknown, UnknownGeometry, declared_speed_m_s
+from roomeq.loop.unknown_geometry import DIMS, N_SHARED, Unknown, UnknownGeometry, declared_speed_m_s
 from roomeq.loop.usable import Located
 from roomeq.records.geometry import distance_between
 from roomeq.records.rir_dir import load_rir, rir_path
 from roomeq.records.schema import RirRow
+from roomeq.sim.scene import MIN_WALL_DISTANCE_M
 
 logger = logging.getLogger(__name__)
 
@@ -161,9 +162,28 @@ def complete_room(rows: Sequence[RirRow], arrivals: Sequence[Arrivals], seed: in
         # what is more likely as documented than not helps to find the rest
         rest = _estimates(geometry.with_known(kept), seed)
         estimates = [rest[at] if estimate.used else estimate for at, estimate in enumerate(free)]
-    completed = [geometry.completed(n, {at: estimate.posterior[0] for at, estimate in enumerate(estimates)
-                                        if estimate.used}) for n in range(len(rows))]
+    estimates = _without_dims_that_positions_exceed(geometry, estimates)
+    completed = [geometry.completed(n, _used(estimates)) for n in range(len(rows))]
     return Completed(completed, [estimate for estimate in estimates if estimate.unit])
+
+
+def _used(estimates: Sequence[Estimate]) -> dict[int, float]:
+    return {at: estimate.posterior[0] for at, estimate in enumerate(estimates) if estimate.used}
+
+
+def _without_dims_that_positions_exceed(geometry: UnknownGeometry, estimates: list[Estimate]) -> list[Estimate]:
+    """Keep the documented dimensions of a room if a position that is kept lies outside of those estimated.
+
+    Such as a microphone at the ceiling, above a suspended one that nobody wrote down.
+    """
+    rows: list[Any] = [geometry.completed(n, _used(estimates)) for n in range(len(geometry.rows))]
+    fits = all(MIN_WALL_DISTANCE_M <= at_m <= size_m - MIN_WALL_DISTANCE_M for row in rows
+               for position_m in (row["source_pos_m"], row["mic_pos_m"])
+               for at_m, size_m in zip(position_m, row["room_dims_m"], strict=True))
+    if fits:
+        return estimates
+    return [replace(estimate, used=False) if at in range(*DIMS.indices(len(estimates)))
+            and estimate.documented is not None else estimate for at, estimate in enumerate(estimates)]
 
 
 def _estimates(geometry: UnknownGeometry, seed: int) -> list[Estimate]:

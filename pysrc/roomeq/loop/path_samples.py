@@ -19,18 +19,20 @@ from roomeq.sim.response import TracedSource
 from roomeq.sim.scene import uniform_absorption
 
 _TYPICAL = SourceDirectivity(radius_m=0.12, cap_rad=0.5)
+UNKNOWN_DECAYS_S = (0.4, 1.5)
+"""Shortest and longest decay time for which paths are drawn where none is valid."""
 _DECAY_FACTORS = (0.5, 2.0)
 """Range of decay times for which paths are drawn, relative to the shortest and the longest that were measured."""
 
 
-def decay_range_s(values: FloatArray, valid: BoolArray, least_s: float) -> tuple[float, float]:
-    """Return the shortest and the longest valid T20 or T30 of some RIRs [s], `least_s` among them.
+def decay_range_s(values: FloatArray, valid: BoolArray, least_s: float) -> tuple[float, float] | None:
+    """Return the shortest and the longest valid T20 or T30 of some RIRs [s], `least_s` among them, None if none is.
 
     Features and their validity have the shape (n_rirs, n_features).
     """
     times_s = np.concatenate([np.exp(values[:, at][valid[:, at]] * JND[metric])
                               for metric in ("t20", "t30") for at in [feature_slice(metric)]])
-    return float(times_s.min(initial=least_s)), float(times_s.max(initial=least_s))
+    return (float(times_s.min(initial=least_s)), float(times_s.max(initial=least_s))) if len(times_s) else None
 
 
 def draw_path_samples(traced: TracedSource, mics_m: FloatArray, facings: Sequence[FloatArray | None],

@@ -157,9 +157,13 @@ def on_recording_time(data: Data, n: int, raw: RawRir, rir: FloatArray) -> tuple
 
 
 def _scene_of(data: Data, model: RowModel) -> Scene:
-    """Return the scene of a row with its absorption and its effects."""
-    scene, alpha = data.traced[model.n].scene, 1.0 - np.exp(-model.absorption)
-    return with_absorption(extend_scene(model.effects, scene), alpha[level_surfaces(scene.room).astype(int)])
+    """Return the scene of a row with its absorption and its effects.
+
+    An octave without valid decay times may be fitted with a decay that is longer than the traced rays can show.
+    """
+    traced, alpha = data.traced[model.n].small, 1.0 - np.exp(-model.absorption)
+    absorption = traced.served(alpha[level_surfaces(traced.scene.room).astype(int)])
+    return with_absorption(extend_scene(model.effects, traced.scene), absorption)
 
 
 def _render(data: Data, model: RowModel, seed: int) -> RawRir:

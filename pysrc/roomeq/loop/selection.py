@@ -487,4 +487,6 @@ def choose(ranking: Sequence[Candidate], n_candidates: int) -> Choice:
     close = [candidate for candidate in helping
              if candidate is helping[0] or one_sided_p(helping[0].gain - candidate.gain) > LEVEL]
     close.sort(key=lambda candidate: (not candidate.effect.NAMES_CAUSE, -candidate.total))
-    return Choice(close[0], [candidate for candidate in close[1:] if candidate.effect.NAMES_CAUSE])
+    alike = close[0].total - np.log(n_candidates / LEVEL)  # of effects in few rooms, the test over rooms says little
+    return Choice(close[0], [candidate for candidate in close[1:]
+                             if candidate.effect.NAMES_CAUSE and candidate.total > alike])

@@ -49,7 +49,7 @@ HEARD = (0.02, 0.98)
 """Limits of the probability that a reflection at a wall is heard, evenly distributed between them."""
 
 SPEED, LATENCY, N_SHARED = 3, 4, 11
-_DIMS, _HEARD = slice(0, 3), slice(5, N_SHARED)
+DIMS, _HEARD = slice(0, 3), slice(5, N_SHARED)
 _FLOOR, _CEILING = 5 + WALLS.index("floor"), 5 + WALLS.index("ceiling")
 _POSITIONS = {"source_pos_m": ("source", "source_id"), "mic_pos_m": ("microphone", "mic_id")}
 
@@ -160,7 +160,7 @@ class UnknownGeometry:
         possible = np.empty((0, len(mean)))
         while len(possible) < N_PARTICLES:
             drawn = mean + sd * rng.standard_normal((N_PARTICLES, len(mean)))
-            drawn[:, _DIMS] = np.maximum(drawn[:, _DIMS], self._least_dims_m)
+            drawn[:, DIMS] = np.maximum(drawn[:, DIMS], self._least_dims_m)
             drawn[:, _HEARD] = rng.uniform(*HEARD, (N_PARTICLES, len(WALLS)))
             drawn[:, N_SHARED:] = np.clip(drawn[:, N_SHARED:], CLEARANCE_M, drawn[:, 2:3] - CLEARANCE_M)
             possible = np.concatenate([possible, drawn[np.isfinite(self._log_prior(drawn))]])
@@ -174,7 +174,7 @@ class UnknownGeometry:
         mean, sd = self._prior()
         deviation = (values - mean) / sd
         deviation[:, _HEARD] = 0.0  # uniform
-        heard, dims_m, heights_m = values[:, _HEARD], values[:, _DIMS], values[:, N_SHARED:]
+        heard, dims_m, heights_m = values[:, _HEARD], values[:, DIMS], values[:, N_SHARED:]
         possible = np.all((heard >= HEARD[0]) & (heard <= HEARD[1]), axis=1)
         possible &= np.all(dims_m >= self._least_dims_m, axis=1)
         possible &= np.all((heights_m >= CLEARANCE_M) & (heights_m <= dims_m[:, 2:] - CLEARANCE_M), axis=1)
@@ -182,7 +182,7 @@ class UnknownGeometry:
 
     def _log_likelihood(self, values: FloatArray, rirs: IntArray) -> FloatArray:
         cells = early_images()[0]
-        dims_m, probability = np.ascontiguousarray(values[:, _DIMS]), heard_probability(values[:, _HEARD])
+        dims_m, probability = np.ascontiguousarray(values[:, DIMS]), heard_probability(values[:, _HEARD])
         result = np.empty((len(values), len(rirs)))
         for column, n in enumerate(rirs):
             source_m, mic_m = (self._position(key, n, values) for key in _POSITIONS)

@@ -23,6 +23,8 @@ logger = logging.getLogger(__name__)
 MIN_ROOMS = 3
 """Fewest rooms with two usable RIRs: rooms are left out, and halves of rooms are scored."""
 
+UNLIKE = "rows of the room state different dimensions or meshes"
+_SAME_SIZE_M = 0.01
 NO_RIR = "the recording is no RIR by its acoustics (roomeq characterise says why)"
 
 
@@ -85,7 +87,7 @@ def usable_rirs(directories: Iterable[Path], nj: int = 1) -> UsableRirs:
     _require_unique(found)
     found.sort(key=lambda rir: (rir.row["room_id"], rir.row["id"]))
     reasons = [_refused(rir) for rir in found]
-    contradictions = _log_contradictions(found, reasons)
+    contradictions = _log_contradictions(found, reasons) | _leave_out_unlike_rooms(found, reasons)
     for n, doubt in _mislabelled(found, reasons, nj):
         reasons[n] = doubt.phrase
         contradictions.setdefault(doubt.phrase, doubt.detail)
@@ -153,6 +155,40 @@ def _log_contradictions(rirs: Iterable[Located], reasons: Iterable[str | None]) 
             logger.warning("left out: %s", detail)
             first.setdefault(reason, detail)
     return first
+
+
+def _leave_out_unlike_rooms(rirs: Sequence[Located], reasons: list[str | None]) -> dict[str, str]:
+    """Leave out rooms whose rows state different dimensions or meshes, in `reasons`; return what the first states."""
+    first = dict[str, str]()
+    of_room: dict[str, list[int]] = {}
+    for n, (rir, reason) in enumerate(zip(rirs, reasons, strict=True)):
+        if reason is None:
+            of_room.setdefault(rir.row["room_id"], []).append(n)
+    for room_id, members in of_room.items():
+        begin = rirs[members[0]]
+        for other in (rirs[n] for n in members[1:]):
+            if (unlike := _difference(begin, other)) is None:
+                continue
+            detail = f"room {room_id}: RIR {begin.row['id']} states {unlike} of RIR {other.row['id']}: correct the " \
+                     "row, or give different rooms or states of a room different names (room_id)"
+            logger.warning("left out: %s", detail)
+            first.setdefault(UNLIKE, detail)
+            for n in members:
+                reasons[n] = UNLIKE
+            break
+    return first
+
+
+def _difference(one: Located, other: Located) -> str | None:
+    """Return how the rooms of two rows differ, or None."""
+    if bool(one.row.get("mesh")) != bool(other.row.get("mesh")):
+        return "a mesh in place of the dimensions" if one.row.get("mesh") else "dimensions in place of the mesh"
+    if one.row.get("mesh"):
+        files = [(rir.directory / str(rir.row["mesh"])).resolve() for rir in (one, other)]
+        return None if files[0] == files[1] else f"the mesh {files[0]}, not {files[1]}"
+    sizes_m = [rir.row["room_dims_m"] or [None] * 3 for rir in (one, other)]
+    unlike = any(a is not None and b is not None and abs(a - b) > _SAME_SIZE_M for a, b in zip(*sizes_m, strict=True))
+    return f"room_dims_m={sizes_m[0]}, not {sizes_m[1]}" if unlike else None
 
 
 def _mislabelled(rirs: Sequence[Located], reasons: Sequence[str | None], nj: int) -> Iterator[tuple[int, "Doubt"]]:

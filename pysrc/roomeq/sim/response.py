@@ -86,6 +86,12 @@ class TracedSource:
         """Tell whether enough rays are left in all bands for absorption of shape (n_surfaces, n_bands)."""
         return bool(np.all(self._decay(absorption) >= LEAST_DECAY * self._expected_decay))
 
+    def served(self, absorption: FloatArray) -> FloatArray:
+        """Return absorption of shape (n_surfaces, n_bands), raised in bands where too few rays would be left."""
+        least_decay = LEAST_DECAY * self._expected_decay * (1.0 + 1e-9)
+        return np.where(self._decay(absorption) < least_decay, np.maximum(absorption, 1.0 - np.exp(-least_decay)),
+                        absorption)
+
     @cached_property
     def _expected_decay(self) -> FloatArray:
         """Decay at each reflection in a diffuse field, with which rays were traced for each band, shape (n_bands,)."""

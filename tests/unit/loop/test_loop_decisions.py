@@ -53,6 +53,19 @@ def test_effect_helps_if_all_rooms_but_the_best_gain(gain, size_jnd, helps):
     assert Candidate(SoundSpeed, None, np.array(gain), size_jnd).helps(11) == helps
 
 
+@pytest.mark.parametrize("behind, told_apart", [(1.0, False), (19.0, True)])
+def test_effect_of_one_room_is_told_from_one_that_fits_far_worse(behind, told_apart):
+    """The test over rooms says nothing of effects in a single room."""
+    best, other = (Candidate(effect, None, np.array([gain, *[0.0] * 7]), 1.5)
+                   for effect, gain in ((NoiseFloor, 30.0), (DeclaredNoise, 30.0 - behind)))
+    chosen, alike = selection.choose([best, other], 11)
+    assert chosen is best and (alike == []) is told_apart
+
+
+class DeclaredNoise(NoiseFloor):
+    """Another effect that is read off the recordings."""
+
+
 @pytest.mark.parametrize("extra_jnd", [0.0, 6.0])
 def test_residual_of_one_room_is_unexplained_if_it_is_an_outlier(extra_jnd):
     rng = np.random.default_rng(1)

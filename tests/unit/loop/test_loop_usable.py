@@ -13,7 +13,7 @@ from roomeq.core.audio import write_wav
 from roomeq.core.files import write_text
 from roomeq.loop.close import SCATTERING
 from roomeq.loop.data import load_data
-from roomeq.loop.usable import LeftOut, require_enough_rooms, usable_rirs
+from roomeq.loop.usable import UNLIKE, LeftOut, require_enough_rooms, usable_rirs
 from roomeq.records.geometry import BINAURAL, MARKED, OUTSIDE
 from roomeq.records.rir_dir import read_rirs
 
@@ -126,6 +126,18 @@ def test_kept_answer_is_made_again_when_a_mesh_is_corrected(tmp_path, capsys):
         write_text(tmp_path / "room.obj", BOX.replace(" 3\n", top))
         assert check_rooms([str(where), str(tmp_path / "rooms")]) == 0, capsys.readouterr().err
         assert (tmp_path / "rooms/enough").exists() is enough, capsys.readouterr().out
+
+
+@pytest.mark.parametrize("third, left_out", [(3.0, 0), (3.005, 0), (10.62, 4)])
+def test_room_whose_rows_state_different_dimensions_is_left_out(tmp_path, third, left_out):
+    rows = [row(f"r{n}", f"room{n // 4}", **KNOWN | dict(room_dims_m=[7.62, 6.0, third if n == 2 else 3.0]))
+            for n in range(16)]
+    usable = usable_rirs([directory(tmp_path / "rirs", rows)])
+    assert sum(entry.rirs for entry in usable.left_out) == left_out and len(usable.rirs) == 16 - left_out
+    if left_out:
+        assert usable.left_out[0].reason == UNLIKE
+        assert usable.contradictions[0].startswith("room room0: RIR r0 states room_dims_m=[7.62, 6.0, 3.0], not "
+                                                   "[7.62, 6.0, 10.62] of RIR r2: correct the row")
 
 
 def test_recording_that_cannot_be_read_ends_the_check(tmp_path, capsys):

@@ -32,6 +32,21 @@ def test_lower_end_of_a_sweep_is_found_within_a_third_octave(from_hz):
     assert np.all(np.abs(np.log2(np.array(found) / from_hz)) < 1.0 / 3.0)
 
 
+@pytest.mark.parametrize("t60_s, end_s, valid", [(0.6, 0.1, False), (0.6, 0.3, True), (0.08, 0.15, True)])
+def test_level_of_which_the_recording_holds_a_part_is_not_valid(t60_s, end_s, valid):
+    """The late level needs 200 ms, or a decay that is over before."""
+    shares = []
+    for seed in range(4):
+        rng, t = np.random.default_rng(seed), np.arange(round(end_s * FS_HZ)) / FS_HZ
+        rir = np.concatenate([np.zeros(200), rng.standard_normal(len(t)) * 10.0 ** (-3.0 * t / t60_s)])
+        rir[200] += 5.0
+        features = measure_features(rir)
+        shares.append([features.valid[(METRIC == metric) & (BAND_HZ > 400.0)].mean() for metric in ("late", "spectrum")]
+                      + [features.valid[METRIC == "drr"].item()])
+    shares = np.mean(shares, axis=0)
+    assert np.all(shares == 1.0) if valid else np.all(shares < 0.2)
+
+
 def test_roll_off_and_a_mode_are_no_end_of_the_excitation():
     """A loudspeaker that falls by 24 dB per octave from 60 Hz on in a room whose first mode is at 41 Hz."""
     room = Shoebox((4.2, 3.4, 2.6))

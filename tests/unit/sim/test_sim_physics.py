@@ -28,6 +28,18 @@ def places(room, count, seed):
     return np.random.default_rng(seed).uniform(0.15, 0.85, (count, 3)) * room.dims_m
 
 
+def test_absorption_is_raised_to_what_the_traced_rays_serve_in_the_bands_that_need_it():
+    expected = np.full((6, 8), 0.2)
+    traced = trace_source(uniform_scene((5.0, 4.0, 3.0), 0.2, 0.3), (1.0, 1.0, 1.5), num_rays=100, absorption=expected,
+                          rng=np.random.default_rng(0))
+    absorption = np.full((6, 8), 0.3)
+    absorption[:, 0] = [0.02, 0.02, 0.5, 0.02, 0.02, 0.02]
+    absorption[:, 1] = 0.02
+    served = traced.served(absorption)
+    assert not traced.serves(absorption) and traced.serves(served)
+    assert np.all(served[:, 2:] == 0.3) and served[2, 0] == 0.5 and 0.09 < served[0, 1] < 0.1
+
+
 @pytest.mark.parametrize("distance_m", [0.7, 2.0, 3.217])
 def test_direct_sound_follows_inverse_distance_and_delay(distance_m):
     scene = uniform_scene((8.0, 5.0, 3.0), 1.0, 0.0)
