@@ -2,9 +2,11 @@
 
     python tests/bench/effects.py --out exp/bench
 
-Every effect of the catalogue is switched on, at a realistic size, in three rooms with four microphones each. For each
-feature the deviation is |predicted change - rendered change| in just noticeable differences (JND). `effects.json` holds
-the median over RIRs of each band, and for each metric the largest of these medians and the worst single deviation.
+Every effect of the catalogue is switched on, at a realistic size, in three rooms with four microphones each, drawn
+three times: other positions, rays and tails, on which a median over twelve RIRs depends as much as on the prediction.
+For each feature the deviation is |predicted change - rendered change| in just noticeable differences (JND).
+`effects.json` holds the median over RIRs of each band, and for each metric the largest of these medians and the worst
+single deviation.
 `tests/integration/test_effects_contract.py` holds the medians to limits.
 """
 
@@ -44,8 +46,8 @@ DECAY_S = 0.8  # of the recordings that stand for measured ones; it sets how lon
 ABSORPTION = (0.12, 0.14, 0.16, 0.18, 0.2, 0.22, 0.25, 0.28)  # -ln(1 - alpha) of walls, per octave
 FLOOR_FACTOR = 1.3  # absorption of floor and ceiling over that of walls
 SCATTERING = 0.3
-SEED = 0
-MIN_RIRS = 4  # that have a feature, for its median to be taken
+SEEDS = (0, 1, 2)  # each draws positions, rays and tails
+MIN_RIRS = 12  # that have a feature, for its median to be taken
 MIN_RMS_JND = 0.7  # predicted change of a metric from which its slope says something
 
 _TILT_DB = np.linspace(-6.0, 6.0, len(RESPONSE_HZ))
@@ -93,9 +95,9 @@ class Deviation(NamedTuple):
     """Median over RIRs of each band, by its frequency [Hz]; 0 for the whole band."""
 
 
-def make_data(directory: Path) -> Data:
+def make_data(directory: Path, seed: int) -> Data:
     """Write recordings of `ROOMS_M` and load them: the loop's data, in traced rooms."""
-    rng, rows = np.random.default_rng(SEED), []
+    rng, rows = np.random.default_rng(seed), []
     for room_id, dims_m in ROOMS_M.items():
         source_m = np.array(dims_m) * [0.28, 0.36, 0.0] + [0.0, 0.0, 1.4]
         for n in range(MICS):
@@ -115,20 +117,29 @@ def make_data(directory: Path) -> Data:
     rows.sort(key=lambda row: row["id"])
     write_rirs(directory, rows)
     # the rooms have the same recordings, which `load_data` would take for copies
-    return load_usable(UsableRirs([Located(directory, row) for row in rows], []), scattering=SCATTERING, seed=SEED)
+    return load_usable(UsableRirs([Located(directory, row) for row in rows], []), scattering=SCATTERING, seed=seed)
 
 
-def measure_changes(data: Data) -> dict[str, Change]:
-    """Measure the predicted and the rendered change of the features by every effect of the catalogue."""
+def measure_changes() -> dict[str, Change]:
+    """Measure the predicted and the rendered change of the features by every effect, of the RIRs of all seeds."""
+    of_seeds = []
+    for seed in SEEDS:
+        with tempfile.TemporaryDirectory() as directory:
+            of_seeds.append(_measure_changes(make_data(Path(directory), seed)))
+    return {name: Change(*(np.concatenate([getattr(changes[name], part) for changes in of_seeds])
+                           for part in ("predicted", "rendered"))) for name in CATALOGUE}
+
+
+def _measure_changes(data: Data) -> dict[str, Change]:
     absorption = np.tile([ABSORPTION, np.multiply(ABSORPTION, FLOOR_FACTOR)], (len(data.room_names), 1, 1))
     rows = np.arange(len(data.rows))
 
     def render(effects: list[Effect]) -> tuple[list[RawRir], FloatArray]:
-        raw_rirs, _ = render_rows(data, row_models(data, absorption, [effects] * len(rows)), seed=SEED)
+        raw_rirs, _ = render_rows(data, row_models(data, absorption, [effects] * len(rows)), seed=data.seed)
         return raw_rirs, measure(raw_rirs, effects)
 
     def measure(raw_rirs: list[RawRir], effects: list[Effect]) -> FloatArray:
-        measured = [measure_row(data, n, raw_rirs[n], effects, SEED) for n in rows]
+        measured = [measure_row(data, n, raw_rirs[n], effects, data.seed) for n in rows]
         return np.array([np.where(features.valid, features.values, np.nan) for features in measured])
 
     def predict_with(effects: list[Effect]) -> FloatArray:
@@ -183,8 +194,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("exp/bench"), metavar="DIR", help="where effects.json goes")
     out = parser.parse_args().out
-    with tempfile.TemporaryDirectory() as directory:
-        changes = measure_changes(make_data(Path(directory)))
+    changes = measure_changes()
     deviations = {name: {metric: deviation(change, metric) for metric in METRICS} for name, change in changes.items()}
     print_table(deviations)
     out.mkdir(parents=True, exist_ok=True)
