@@ -170,7 +170,7 @@ def _temperature_c(sofa: Any) -> float | None:
 
 def _positions(sofa: Any, m: int, r: int, e: int) -> dict[str, Any]:
     """Return positions (relative to the room's lowest corner) or distance of one measurement, or why it has neither."""
-    centres = [_vector(sofa, f"{who}Position", 0, m) for who in ("Source", "Listener")]
+    centres = [vector_of(sofa, f"{who}Position", 0, m) for who in ("Source", "Listener")]
     source = _position(sofa, "Source", "Emitter", m, e)
     mic = _position(sofa, "Listener", "Receiver", m, r)
     if all(centre is not None and centre.tolist() == default
@@ -191,24 +191,40 @@ def _positions(sofa: Any, m: int, r: int, e: int) -> dict[str, Any]:
 
 def _position(sofa: Any, whole: str, part: str, m: int, n: int) -> FloatArray | None:
     """Return the position of the n-th part (receiver, emitter) of the whole (listener, source), shape (3,) [m]."""
-    centre = _vector(sofa, f"{whole}Position", 0, m)
-    local = _vector(sofa, f"{part}Position", n, m)
+    centre = vector_of(sofa, f"{whole}Position", 0, m)
+    local = vector_of(sofa, f"{part}Position", n, m)
     if centre is None or local is None or not local.any():
         return centre
-    forward, up = _vector(sofa, f"{whole}View", 0, m), _vector(sofa, f"{whole}Up", 0, m)
-    forward = np.array([1.0, 0.0, 0.0]) if forward is None or not forward.any() else forward
+    forward, up = vector_of(sofa, f"{whole}View", 0, m), vector_of(sofa, f"{whole}Up", 0, m)
+    axes = axes_of(forward if forward is not None and forward.any() else None, up)
+    if axes is None:
+        return centre
+    position: FloatArray = centre + axes @ local
+    return position
+
+
+def axes_of(forward: FloatArray | None, up: FloatArray | None) -> FloatArray | None:
+    """Return the local axes of a device with a view, by default x, and a direction up, by default z.
+
+    Returns
+    -------
+    ndarray, shape (3, 3), or None
+        Unit vectors in columns: x is the view, z is up, and y, to the left, completes a right-handed frame. None if the
+        two do not point in two different directions.
+    """
+    forward = np.array([1.0, 0.0, 0.0]) if forward is None else forward
+    if not forward.any():
+        return None
     forward = forward / np.linalg.norm(forward)
     up = np.array([0.0, 0.0, 1.0]) if up is None else up
     up = up - (up @ forward) * forward
     if np.linalg.norm(up) < _ORTHOGONAL:
-        return centre
+        return None
     up /= np.linalg.norm(up)
-    # local x is the view, z is up, and y, to the left, completes a right-handed frame
-    position: FloatArray = centre + np.column_stack([forward, np.cross(up, forward), up]) @ local
-    return position
+    return np.column_stack([forward, np.cross(up, forward), up])
 
 
-def _vector(sofa: Any, name: str, n: int, m: int) -> FloatArray | None:
+def vector_of(sofa: Any, name: str, n: int, m: int) -> FloatArray | None:
     """Return a Cartesian vector from an array of shape (1|M, 3) or (n, 3[, 1|M]); None if absent or not finite."""
     array = _array(sofa, name)
     if array is None or array.ndim not in (2, 3) or array.shape[1] != 3:

@@ -9,7 +9,7 @@ import numpy as np
 
 from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import MAX_FS_HZ, exact_bands_hz
-from roomeq.corpora.sofa_file import open_sofa
+from roomeq.corpora.sofa_file import axes_of, open_sofa, vector_of
 from roomeq.sim.directivity import DirectivityTable
 
 
@@ -85,39 +85,19 @@ def _spectra(sofa: Any, path: Path) -> tuple[Array, FloatArray]:
 def _directions(sofa: Any, path: Path, measurement: int) -> FloatArray:
     """Return unit vectors from the source to the receivers, shape (n_receivers, 3): ahead of it, to its left, up.
 
-    What is ahead and up, the file states as SourceView and SourceUp; by default these are x and z.
+    What is ahead and up, the file states as SourceView and SourceUp.
     """
     positions = np.asarray(sofa.ReceiverPosition, dtype=float)
     if positions.ndim == 3:
         positions = positions[..., min(measurement, positions.shape[2] - 1)]
-    directions = _cartesian(positions, str(sofa.ReceiverPosition_Type))
-    distance = np.linalg.norm(directions, axis=1, keepdims=True)
+    if str(sofa.ReceiverPosition_Type).lower() == "spherical":
+        azimuth, elevation = np.deg2rad(positions[:, 0]), np.deg2rad(positions[:, 1])
+        positions = np.stack([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation),
+                              np.sin(elevation)], axis=1)
+    distance = np.linalg.norm(positions, axis=1, keepdims=True)
     if not np.all(distance > 0.0):
         raise ValueError(f"{path}: a receiver lies at the source, in no direction: correct ReceiverPosition")
-    ahead, up = (_axis(sofa, name, default, measurement) for name, default in (("SourceView", (1.0, 0.0, 0.0)),
-                                                                               ("SourceUp", (0.0, 0.0, 1.0))))
-    left = np.cross(up, ahead)
-    lengths = np.linalg.norm([ahead, up, left], axis=1)
-    if min(lengths) < 1e-6 * max(lengths[:2]):
-        raise ValueError(f"{path}: SourceView {ahead.tolist()} and SourceUp {up.tolist()} must point in two different "
-                         "directions: correct them")
-    axes = np.stack([ahead / lengths[0], left / lengths[2], np.cross(ahead, left) / lengths[0] / lengths[2]])
-    return directions / distance @ axes.T
-
-
-def _axis(sofa: Any, name: str, default: tuple[float, float, float], measurement: int) -> FloatArray:
-    """Return a vector that a file states for all measurements or for each."""
-    if not hasattr(sofa, name):
-        return np.array(default)
-    vectors = np.atleast_2d(np.asarray(getattr(sofa, name), dtype=float))
-    kind = str(getattr(sofa, f"{name}_Type", getattr(sofa, "SourceView_Type", "cartesian")))
-    return _cartesian(vectors, kind)[min(measurement, len(vectors) - 1)]
-
-
-def _cartesian(positions: FloatArray, kind: str) -> FloatArray:
-    """Return vectors in the direction of positions, shape (n, 3); spherical ones have azimuth and elevation [deg]."""
-    if kind.lower() != "spherical":
-        return positions
-    azimuth, elevation = np.deg2rad(positions[:, 0]), np.deg2rad(positions[:, 1])
-    return np.stack([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)],
-                    axis=1)
+    axes = axes_of(*(vector_of(sofa, name, 0, measurement) for name in ("SourceView", "SourceUp")))
+    if axes is None:
+        raise ValueError(f"{path}: SourceView and SourceUp must point in two different directions: correct them")
+    return positions / distance @ axes
