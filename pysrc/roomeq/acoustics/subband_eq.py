@@ -118,6 +118,20 @@ def eq_part(rir: FloatArray, direct_sample: float, fs_hz: float = FS_HZ) -> EqPa
     return EqPart(start, min(max(stop, start + frame_length(fs_hz)), len(rir)))
 
 
+def response_and_noise(rir: FloatArray, direct_sample: float, fs_hz: float = FS_HZ
+                       ) -> tuple[FloatArray, FloatArray | None]:
+    """Return the energy spectrum of `eq_part`, and that of as much noise; None where hardly anything is behind it.
+
+    Digital silence after the response is no noise.
+    """
+    start, stop = eq_part(rir, direct_sample, fs_hz)
+    n_frame, noise = frame_length(fs_hz), rir[stop:int(np.flatnonzero(rir)[-1]) + 1]
+    power = energy_spectrum(rir[start:stop], n_frame)
+    if len(noise) < MIN_NOISE * fs_hz / FS_HZ:
+        return power, None
+    return power, energy_spectrum(noise, n_frame) * (stop - start) / len(noise)
+
+
 def analyse(rir: FloatArray, direct_sample: float) -> EqAnalysis:
     """Measure the EQ of a response at 16 kHz.
 
@@ -138,15 +152,11 @@ def analyse(rir: FloatArray, direct_sample: float) -> EqAnalysis:
         The direct sound lies after the end of the response.
     """
     rir = np.asarray(rir, dtype=np.float64)
-    start, stop = eq_part(rir, direct_sample)
-    rir = rir[:max(stop, int(np.flatnonzero(rir)[-1]) + 1)]  # digital silence after the response is no noise
-    power = energy_spectrum(rir[start:stop])
+    power, noise = response_and_noise(rir, direct_sample)
     points = list(POINT_BINS)
     snr_db = np.full(len(points), np.inf)
-    if len(rir) - stop >= MIN_NOISE:
-        noise = energy_spectrum(rir[stop:]) * (stop - start) / (len(rir) - stop)
-        if noise.max() > 0.0:
-            snr_db = power_db(power[points]) - power_db(noise[points])
+    if noise is not None:
+        snr_db = power_db(power[points]) - power_db(noise[points])
     valid = (snr_db >= MIN_SNR_DB) & (power[points] > 0.0) & (snr_db[BAND_1KHZ] >= MIN_SNR_DB)
     level_db = power_db(power[points])
     edge_db = _edge_db(power)

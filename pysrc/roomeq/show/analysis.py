@@ -12,9 +12,9 @@ from roomeq.acoustics.iso3382 import DECAYS_DB, Decay, energy_decay
 from roomeq.acoustics.octaves import LEAD_S, octave_bands
 from roomeq.acoustics.parameters import measure
 from roomeq.acoustics.plausibility import find_implausibility
-from roomeq.acoustics.subband_eq import MIN_NOISE, MIN_SNR_DB, energy_spectrum, eq_part, frame_length
+from roomeq.acoustics.subband_eq import MIN_SNR_DB, energy_spectrum, eq_part, frame_length, response_and_noise
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ, bands_hz, require_fs
+from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, bands_hz, require_fs
 
 
 @dataclass(frozen=True)
@@ -159,15 +159,13 @@ def _eq_valid(samples: FloatArray, fs_hz: int, direct_sample: float) -> list[boo
 
     A point at half the sample rate, where the anti-alias filter ends, is not valid.
     """
-    start, stop = eq_part(samples, direct_sample, fs_hz)
-    noise, n_frame = samples[stop:int(np.flatnonzero(samples)[-1]) + 1], frame_length(fs_hz)
+    response, noise = response_and_noise(samples, direct_sample, fs_hz)
     points_hz = np.array(bands_hz(fs_hz))
     valid = points_hz < 0.5 * fs_hz
-    if len(noise) >= MIN_NOISE * fs_hz / FS_HZ:
-        frequencies_hz = np.arange(n_frame // 2 + 1) * fs_hz / n_frame
-        response, floor = (np.interp(points_hz, frequencies_hz, energy_spectrum(part, n_frame) / len(part))
-                           for part in (samples[start:stop], noise))
-        above = power_db(response) - power_db(floor) >= MIN_SNR_DB
+    if noise is not None:
+        frequencies_hz = np.arange(len(noise)) * fs_hz / frame_length(fs_hz)
+        at_points = [power_db(np.interp(points_hz, frequencies_hz, spectrum)) for spectrum in (response, noise)]
+        above = at_points[0] - at_points[1] >= MIN_SNR_DB
         valid &= above & above[BAND_1KHZ]
     return [bool(point) for point in valid]
 
