@@ -295,11 +295,12 @@ def _render_microphone(context: RenderContext, absorption: FloatArray, mic: int,
     traced, scene, mic_m, images = context.traced, context.traced.scene, context.mics_m[mic], context.images[mic]
     gains, ray_energy, total_energy = parts
     speed_m_s, fs_hz = scene.air.speed_m_s, scene.fs_hz
-    direct_sample = float(np.linalg.norm(mic_m - traced.source_pos_m) / speed_m_s * fs_hz)
+    distance_m = float(np.linalg.norm(mic_m - traced.source_pos_m))
+    direct_sample = distance_m / speed_m_s * fs_hz
     length_s = min(response_length_s(total_energy, direct_sample / fs_hz + 0.1), context.length_s)
     rir = render(images.distance_m, gains, ray_energy, context.noises[mic], speed_m_s=speed_m_s,
                  n_samples=round(length_s * fs_hz), fs_hz=fs_hz,
-                 hidden_m=None if images.has_direct else float(np.linalg.norm(mic_m - traced.source_pos_m)))
+                 hidden_m=None if images.has_direct else distance_m)
     if (diffracted := context.diffracted[mic]) is not None:
         rir = rir + diffracted.response(absorption, scene, len(rir))
     if not np.all(np.isfinite(rir)):

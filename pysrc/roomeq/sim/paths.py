@@ -155,7 +155,7 @@ def _hide(tree: Tree, hits: Array, first: Array, counts: Array, mic_m: Array, ra
             along = ux * vx + uy * vy + uz * vz
             inside = radius_m * radius_m - (vx * vx + vy * vy + vz * vz - along * along)
             if inside > 0.0:
-                enter, leave = max(0.0, along - np.sqrt(inside)), min(length, along + np.sqrt(inside))
+                enter, leave = chord(along, inside, length)
                 middle = 0.5 * (enter + leave)
                 x, y, z = px + middle * ux, py + middle * uy, pz + middle * uz
                 if leave > enter and crosses(tree, search, (x, y, z), (mic_m[0] - x, mic_m[1] - y, mic_m[2] - z)):
