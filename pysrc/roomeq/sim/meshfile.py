@@ -1,5 +1,6 @@
 """Reading room meshes: triangles and the material name of each."""
 
+import re
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -139,7 +140,8 @@ def _read_obj(path: Path) -> Triangles:
     names: list[str] = []
     material = UNNAMED
     for line in path.read_text(encoding="utf-8-sig", errors="replace").splitlines():
-        key, *words = (line if line.startswith("usemtl") else line.split("#")[0]).split() or [""]
+        # a name may hold the sign of comments
+        key, *words = re.split(r"(?:^|\s)#" if "usemtl" in line else "#", line)[0].split() or [""]
         if key == "v":
             if len(words) < 3:
                 raise ValueError(f"vertex {len(vertices) + 1} has {len(words)} coordinates where three are needed")

@@ -79,7 +79,7 @@ def test_odd_but_right_files_give_the_same_room(box, write_obj, how, tmp_path):
 
 
 def test_names_of_materials_may_hold_a_hash(write_obj):
-    text = prism_obj(box_plan(*DIMS_M[:2]), DIMS_M[2], "brick#2").replace("usemtl floor", "usemtl brick#1")
+    text = prism_obj(box_plan(*DIMS_M[:2]), DIMS_M[2], "brick#2").replace("usemtl floor", "usemtl brick#1 # red")
     assert load_mesh(write_obj(text)).surfaces == ("brick#1", "brick#2", "ceiling")
 
 
