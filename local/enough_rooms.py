@@ -4,9 +4,8 @@
 Usage: enough_rooms.py RIR_DIR OUT_DIR
 e.g.:  python local/enough_rooms.py data/rirs.real.train exp/rooms
 
-All recordings are read for it. OUT_DIR/usable.json says what was found; it is made again when RIRs, meshes or
-code change.
-There is a file OUT_DIR/enough if `roomeq close-loop` takes the RIRs; if not, its one line is printed.
+All recordings are read for it. OUT_DIR/usable.json says what was found; it is made again when RIRs, meshes or code
+change. There is a file OUT_DIR/enough if `roomeq close-loop` takes the RIRs; if not, its one line is printed.
 """
 
 import sys

@@ -30,4 +30,5 @@ begin_progress "$(dirname "$log")"
 # shellcheck disable=SC2086
 $cmd "${cores[@]}" "$log" roomeq "${verb[@]}"
 end_progress
-grep -E '^(base model|final model|test set|unexplained): |^(added|rejected|left out) |: the test set is not scored$' "$log" || true # none if an earlier call was killed when all was done
+# no line is there if an earlier call was killed when all was done
+grep -E '^(base model|final model|test set|unexplained): |^(added|rejected|left out) |: the test set is not scored$' "$log" || true

@@ -89,7 +89,8 @@ while [ $# -gt 0 ]; do
     --) shift && break ;;
     --*)
       flag=${1#--} && flag=${flag//-/_}
-      if [[ $flag =~ ^[a-z][a-z0-9_]*$ && ${option_defaults[$flag]:-} == false && ${2:---} == --* ]]; then # a switch without a value
+      # a switch without a value
+      if [[ $flag =~ ^[a-z][a-z0-9_]*$ && ${option_defaults[$flag]:-} == false && ${2:---} == --* ]]; then
         options_set+=("${1#--}" true) && shift && continue
       fi
       [ $# -gt 1 ] || die "$1 needs a value; see --help"
@@ -100,7 +101,7 @@ while [ $# -gt 0 ]; do
     *) break ;;
   esac
 done
-for ((flag = 0; flag < ${#options_set[@]}; flag += 2)); do
-  set_option "${options_set[flag]}" "${options_set[flag + 1]}" ""
+for ((i = 0; i < ${#options_set[@]}; i += 2)); do
+  set_option "${options_set[i]}" "${options_set[i + 1]}" ""
 done
 unset options_known option_defaults options_set flag next

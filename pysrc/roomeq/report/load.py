@@ -89,8 +89,7 @@ class Run:
 
     def has(self, name: str) -> bool:
         """Tell whether a directory exists and belongs to the run."""
-        kind = next((kind for kind in KIND_NAMES if kind in _kinds_in(name)), None)
-        return self.path(name).is_dir() and (kind is None or kind in self.kinds)
+        return self.path(name).is_dir() and set(KIND_NAMES).difference(self.kinds).isdisjoint(_kinds_in(name))
 
     def need(self, name: str, file: str | None = None) -> Path:
         """Return the path of a directory or of a file in it.
