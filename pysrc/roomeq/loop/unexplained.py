@@ -7,7 +7,7 @@ import numpy as np
 from scipy import stats
 
 from roomeq.acoustics.octaves import OCTAVE_WIDTH_HZ
-from roomeq.core.arrays import BoolArray, FloatArray
+from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ
 from roomeq.loop.data import Data
 from roomeq.loop.features import BAND_OF_FEATURE, METRIC, REGION
@@ -18,7 +18,7 @@ from roomeq.loop.session import Session
 MIN_SIZE_JND = 1.0
 MIN_ROOM_SIZE_JND = 2.0  # of a residual that varies with the room, since rooms differ in more than absorption
 LEVEL = 0.05
-_KINDS = 4  # of tests
+_KINDS = 5  # of tests
 _CLIP = 8.0
 _FREEDOM = 8  # degrees of freedom that the shrinkage over a metric adds to the scatter of a feature
 _MIN_CURVATURES = 16  # rooms and octaves from which on their scatter is known
@@ -33,7 +33,7 @@ class Unexplained:
     metric, time_region : str
         As in `roomeq.loop.features`.
     bands_hz : list of floats
-        Octave bands in which it is significant; empty for the whole band.
+        Octave bands in which it is significant; empty if only their mean is, or if the metric has no bands.
     varies_with : str
         ``"nothing"`` if it is the same in all rooms, else ``"room"``, ``"source"`` or ``"mic"``.
     size_jnd : float
@@ -68,20 +68,18 @@ def find_unexplained(session: Session) -> list[Unexplained]:
     data, residual = session.data, session.residual
     blocks = [(metric, band) for metric in dict.fromkeys(METRIC.tolist()) for band in range(-1, len(BANDS_HZ))
               if np.any((METRIC == metric) & (BAND_OF_FEATURE == band))]
-    of_blocks: list[_Test] = []
-    for metric, band in blocks:
-        block = residual[:, (METRIC == metric) & (BAND_OF_FEATURE == band)]
-        measured = np.asarray(np.isfinite(block).any(axis=1))
-        values = np.array([np.nanmean(of_rir) for of_rir in block[measured]])
-        of_blocks += [_Test(metric, band, varies_with, size_jnd, p)
-                      for varies_with, size_jnd, p in _block_tests(values, data, measured)]
-    metrics, of_bands = list(dict.fromkeys(METRIC.tolist())), []
+    of_blocks = [_Test(metric, band, *test) for metric, band in blocks
+                 for test in _block_tests(residual[:, (METRIC == metric) & (BAND_OF_FEATURE == band)], data)]
+    metrics, of_metrics, of_bands = list(dict.fromkeys(METRIC.tolist())), [], []
     for metric in metrics:
+        of_metric = residual[:, METRIC == metric]
+        if of_metric.shape[1] > 1:  # what touches all bands shows in their mean, also where few rooms measure it
+            of_metrics += [_Test(metric, -1, *test) for test in _block_tests(of_metric, data)[:1]]
         bands, size_jnd, p = _outlying_band_test(metric, residual, data)
         of_bands += [_Test(metric, band, "room", size_jnd, p) for band in bands]
     of_rooms = _outlying_rooms(residual, data)
-    significant = (_significant(of_blocks, len(of_blocks)) + _significant(of_bands, len(metrics))
-                   + _significant(of_rooms, len(of_rooms)))
+    significant = (_significant(of_blocks, len(of_blocks)) + _significant(of_metrics, len(of_metrics))
+                   + _significant(of_bands, len(metrics)) + _significant(of_rooms, len(of_rooms)))
     decays = {test.band for test in significant if test.metric in ("t20", "t30")}
     curvatures = _outlying_curvatures(residual, data)
     return _merged(significant + [test for test in _significant(curvatures, len(curvatures))
@@ -99,23 +97,35 @@ def _is_significant(test: _Test) -> bool:
         MIN_ROOM_SIZE_JND if test.varies_with == "room" else MIN_SIZE_JND)
 
 
-def _block_tests(values: FloatArray, data: Data, measured: BoolArray) -> list[tuple[str, float, float]]:
-    """Test the residuals of one metric and band: list of (varies_with, size in JND, uncorrected p)."""
-    rooms = data.room[measured]
-    names = np.unique(rooms)
+def _block_tests(block: FloatArray, data: Data) -> list[tuple[str, float, float]]:
+    """Test the mean residual of a block of features: list of (varies_with, size in JND, uncorrected p).
+
+    The first test is of a residual that is the same in all rooms.
+    """
+    measured = np.isfinite(block).any(axis=1)
+    values = np.nanmean(block[measured], axis=1)
+    names, room = np.unique(data.room[measured], return_inverse=True)
     if len(names) < 3 or len(values) < 6:
         return []
-    means = np.array([values[rooms == r].mean() for r in names])
-    tests = [("nothing", float(means.mean()), float(stats.ttest_1samp(means, 0.0).pvalue))]
+    varies_with, means = ["nothing"], [_room_means(values, room, np.ones(len(values), dtype=bool))]
     for scope in ("source", "mic"):
         units, number = data.units(scope)
-        number = number[measured]
         for u in range(len(units) if len(units) > 1 else 0):
-            apart = [values[(rooms == r) & (number == u)].mean() - values[(rooms == r) & (number != u)].mean()
-                     for r in names if np.any((rooms == r) & (number == u)) and np.any((rooms == r) & (number != u))]
-            if len(apart) > 2:
-                tests.append((scope, float(np.mean(apart)), float(stats.ttest_1samp(apart, 0.0).pvalue)))
-    return tests
+            of_unit = number[measured] == u
+            apart = _room_means(values, room, of_unit) - _room_means(values, room, ~of_unit)
+            if np.isfinite(apart).sum() > 2:
+                varies_with.append(scope)
+                means.append(apart)
+    p = stats.ttest_1samp(np.array(means), 0.0, axis=1, nan_policy="omit").pvalue
+    return list(zip(varies_with, np.nanmean(means, axis=1).tolist(), p.tolist(), strict=True))
+
+
+def _room_means(values: FloatArray, room: IntArray, members: BoolArray) -> FloatArray:
+    """Return the mean over some RIRs of each room, NaN for a room without any."""
+    n_rooms = room.max() + 1
+    count = np.bincount(room[members], minlength=n_rooms)
+    total = np.bincount(room[members], values[members], minlength=n_rooms)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def _outlying_band_test(metric: str, residual: FloatArray, data: Data) -> tuple[list[int], float, float]:

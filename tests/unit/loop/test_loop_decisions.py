@@ -81,6 +81,22 @@ def test_residual_of_one_room_is_unexplained_if_it_is_an_outlier(extra_jnd):
     assert len(unexplained) == (extra_jnd > 0.0)
 
 
+def test_residual_of_all_bands_is_unexplained_where_few_rooms_measure_it():
+    rng = np.random.default_rng(3)
+    room = np.repeat(np.arange(8), 8)
+    ahead = feature_slice("ahead")
+    residual = rng.normal(0.0, 0.7, (64, N_FEATURES))
+    residual[room > 4, ahead] = np.nan
+    devices = ["one", "two"], np.arange(64) % 2
+    data = SimpleNamespace(room=room, room_names=list("abcdefgh"), units=lambda scope: devices)
+    assert not find_unexplained(SimpleNamespace(data=data, residual=residual))
+    of_room = np.array([3.8, 4.6, 5.0, 5.4, 6.2, 0.0, 0.0, 0.0])[:, None]
+    residual[:, ahead] += (of_room + rng.normal(0.0, 0.7, (8, ahead.stop - ahead.start)))[room]
+    found, = find_unexplained(SimpleNamespace(data=data, residual=residual))
+    assert (found.metric, found.varies_with) == ("ahead", "nothing")
+    assert found.size_jnd == pytest.approx(5.0, abs=0.5)
+
+
 def test_scatter_of_many_devices_is_not_unexplained():
     room, source, mic = (number.ravel() for number in np.meshgrid(range(5), range(4), range(30), indexing="ij"))
     numbers = dict(source=source, mic=mic)
