@@ -231,7 +231,7 @@ def at_most_one(paths: tuple[Path, ...]) -> Path | None:
               type=CommaSeparated(float, "numbers with commas between, such as 0.2,2.0, or measured", ("measured",)),
               help="Reverberation times are uniform in this range [s]; measured: range of the measured rooms; "
                    "default: 0.2,2.0, or as the room types say.")
-@click.option("--num-rays", default=10000, help="Rays per source.")
+@click.option("--num-rays", default=10000, help="Rays per source and distinct set of scattering coefficients.")
 @click.option("--order", default=200, help="Reflections of a ray on average, up to 3 s; more where the decay needs it.")
 @click.option("--ism-order", default=6, help="Order up to which specular reflections are exact image sources.")
 @click.option("--noise-rirs", default=1, help="RIRs of noise sources per RIR.")
