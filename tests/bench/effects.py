@@ -31,7 +31,7 @@ from roomeq.core.constants import FS_HZ  # noqa: E402
 from roomeq.effects.base import Effect  # noqa: E402
 from roomeq.effects.catalogue import CATALOGUE  # noqa: E402
 from roomeq.effects.response import RESPONSE_HZ  # noqa: E402
-from roomeq.loop.data import Data, load_usable  # noqa: E402
+from roomeq.loop.data import Data, load_data  # noqa: E402
 from roomeq.loop.features import BAND_HZ, METRIC  # noqa: E402
 from roomeq.loop.predict import base_state, predict  # noqa: E402
 from roomeq.loop.rendering import RawRir, measure_row, render_rows, row_models  # noqa: E402
@@ -116,8 +116,8 @@ def make_data(directory: Path, seed: int) -> Data:
                 temperature_c=20.0, humidity_pct=50.0, tof_removed=False))
     rows.sort(key=lambda row: row["id"])
     write_rirs(directory, rows)
-    # the rooms have the same recordings, which `load_data` would take for copies
-    return load_usable(UsableRirs([Located(directory, row) for row in rows], []), scattering=SCATTERING, seed=seed)
+    # the rooms have the same recordings, which `usable_rirs` would take for copies
+    return load_data(UsableRirs([Located(directory, row) for row in rows], []), scattering=SCATTERING, seed=seed)
 
 
 def measure_changes() -> dict[str, Change]:

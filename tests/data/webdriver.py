@@ -1,6 +1,5 @@
 """Control a headless Chromium over WebDriver (https://www.w3.org/TR/webdriver2/) without a client library."""
 
-import base64
 import json
 import os
 import shutil
@@ -113,7 +112,3 @@ class Browser:
     def console(self):
         """Return the console messages since the last call."""
         return self._ask("POST", self._session + "/se/log", {"type": "browser"})
-
-    def screenshot(self):
-        """Return an image of the whole page as PNG bytes."""
-        return base64.b64decode(self.devtools("Page.captureScreenshot", captureBeyondViewport=True)["data"])

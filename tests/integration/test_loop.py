@@ -57,6 +57,7 @@ from roomeq.loop.selection import (
 from roomeq.loop.session import fit_base_model, with_rendered_changes
 from roomeq.loop.splitters import COMMON_SPECTRUM, calibrate, leave_rooms_out, split_positions, transfer_shared
 from roomeq.loop.step import close_loop
+from roomeq.loop.usable import usable_rirs
 from roomeq.records.rir_dir import load_rir, read_rirs, relocated, write_rirs
 from roomeq.sim.response import simulate_responses
 from roomeq.sim.scene import Air, Material, Scene, Shoebox
@@ -95,14 +96,18 @@ def closed(room_set, tmp_path_factory):
     return close
 
 
+def data_of(directory):
+    return load_data(usable_rirs([directory]), scattering=SCATTERING, seed=0)
+
+
 @pytest.fixture(scope="module")
 def session(room_set):
     """Fit the base model to clean rooms."""
-    return fit_base_model(load_data([room_set("clean") / "fit"], scattering=SCATTERING, seed=0), seed=0, nj=2)
+    return fit_base_model(data_of(room_set("clean") / "fit"), seed=0, nj=2)
 
 
 def test_parameters_of_unseen_rooms_converge(session, room_set, monkeypatch, caplog):
-    data = load_data([room_set("source_response") / "test"], scattering=SCATTERING, seed=0)
+    data = data_of(room_set("source_response") / "test")
     _, calibrated = transferred(data, session)
     first, _ = split_positions(data)
     absorption, _, gains = calibrated(first, _USABLE["leave_room_out"])
@@ -119,7 +124,7 @@ def test_parameters_of_unseen_rooms_converge(session, room_set, monkeypatch, cap
 def test_direct_sound_tells_nothing_about_the_surfaces_of_unseen_rooms(session, room_set):
     known, _ = split_positions(session.data)
     held_out = leave_rooms_out(session.data, session.fit)
-    test = load_data([room_set("source_response") / "test"], scattering=SCATTERING, seed=0)
+    test = data_of(room_set("source_response") / "test")
     known_of_test, _ = split_positions(test)
     calibrations = []
     for error_db in (0.0, 5.0):
@@ -150,7 +155,7 @@ def test_rirs_of_a_source_are_rendered_in_their_own_air(tmp_path):
                              mic_id=f"m{n}", source_pos_m=list(source), mic_pos_m=list(mic_m), fs_hz=16000,
                              n_samples=len(response.rir), temperature_c=celsius, humidity_pct=30.0, tof_removed=False))
     write_rirs(tmp_path, rows)
-    data = load_data([tmp_path], scattering=SCATTERING, seed=0)
+    data = data_of(tmp_path)
     absorption = np.full((1, 2, 8), 0.1)
     rendered = rendered_features(data, row_models(data, absorption, [[]] * len(data.rows)), seed=0)
     predicted = ParameterIndex(data, ()).predict(absorption, [], np.zeros(len(data.rows)), 0.0)
@@ -395,7 +400,7 @@ def without_stated_facings(source, directory):
     """Return the data of RIRs whose rows do not state where sources face."""
     directory.mkdir()
     write_rirs(directory, [row | dict(source_dir=None) for row in relocated(read_rirs(source), source, directory)])
-    return load_data([directory], scattering=SCATTERING, seed=0)
+    return data_of(directory)
 
 
 def with_facings_that_no_row_states(source, directory):
@@ -471,7 +476,7 @@ def test_room_with_a_single_rir_is_fitted_and_not_scored(room_set, tmp_path):
             for row in [row for row in rows if row["room_id"] == room][:n]]
     (tmp_path / "few").mkdir()
     write_rirs(tmp_path / "few", relocated(rows, source, tmp_path / "few"))
-    session = fit_base_model(load_data([tmp_path / "few"], scattering=SCATTERING, seed=0), seed=0, nj=2)
+    session = fit_base_model(data_of(tmp_path / "few"), seed=0, nj=2)
     assert session.data.is_scored.tolist() == [True, True, False] and len(session.fit.local) == 3
     errors = heldout_errors(session)
     for split, of_split in errors.by_split.items():

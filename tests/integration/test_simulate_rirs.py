@@ -10,8 +10,8 @@ import sys
 
 import numpy as np
 import pytest
+from decays import reverberation_time
 
-from roomeq.acoustics.iso3382 import reverberation_time
 from roomeq.core.constants import FS_HZ
 from roomeq.core.files import write_jsonl
 from roomeq.core.rng import rng_for

@@ -17,8 +17,3 @@ def band_gains(n_fft):
     ramp = np.clip((octave - edges[:, None]) / WIDTH_OCTAVES + 0.5, 0.0, 1.0)
     above = 0.5 - 0.5 * np.cos(np.pi * ramp)
     return -np.diff(above, axis=0, prepend=1.0, append=0.0)
-
-
-def between_bands(values, frequency_hz):
-    """Interpolate values at the octaves over log frequency; constant beyond the ends."""
-    return np.interp(np.log2(np.maximum(frequency_hz, 1.0)), np.log2(OCTAVES_HZ), values)

@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.draws import N_BANDS, generator
 from testbed.rooms import N_SOURCES, Room
-from testbed.trace import BIN_M, COHERENT_ORDER, N_ANGLES, N_BINS, N_RAYS, NO_SCREEN, trace
+from testbed.trace import COHERENT_ORDER, N_ANGLES, N_BINS, N_RAYS, NO_SCREEN, trace
 
 COARSE = 8  # bins over which shares of the departure angles are kept
 OWN = "testbed"
@@ -145,8 +145,3 @@ def smoothed(energy):
     reach = np.clip(k // 40, 0, 4)
     low, high = np.maximum(k - reach, 0), np.minimum(k + reach + 1, energy.shape[-1])
     return (total[:, high] - total[:, low]) / (high - low)
-
-
-def bin_centres_m():
-    """Path length at the middle of each bin, shape (N_BINS,)."""
-    return (np.arange(N_BINS) + 0.5) * BIN_M

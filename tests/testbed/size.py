@@ -99,7 +99,7 @@ def _between(power, first, last):
 
 
 def _numbers(values):
-    return np.array([np.nan if value is None else value for value in values], dtype=float)
+    return np.array(values, dtype=float)  # None becomes NaN
 
 
 def _db(power):

@@ -151,45 +151,6 @@ def decay_time(edc_db: FloatArray, fs_hz: float, decay: str) -> float | None:
     return float(-60.0 / slope_db / fs_hz) if slope_db < 0.0 else None
 
 
-def reverberation_time(rir: FloatArray, fs_hz: float, band_hz: float = 1000.0, decay: str = "t30", *,
-                       direct_sample: float | None = None) -> float:
-    """Measure the decay time in a single octave band; the search for a target T60 uses it, because it is fast.
-
-    Parameters
-    ----------
-    rir
-        Shape (n_samples,).
-    fs_hz
-        Sample rate.
-    band_hz
-        Nominal or exact mid-band frequency.
-    decay
-        ``"edt"``, ``"t20"`` or ``"t30"``.
-    direct_sample
-        Arrival time of the direct sound in samples; by default `find_direct` detects it.
-
-    Returns
-    -------
-    float
-        Seconds.
-
-    Raises
-    ------
-    ValueError
-        The response does not decay to the lower end of the evaluation range.
-    """
-    rir = np.asarray(rir, dtype=np.float64)
-    if direct_sample is None:
-        direct_sample, _ = find_direct(rir, fs_hz)
-    exact_hz = 1000.0 * 10.0 ** (0.3 * round(np.log2(band_hz / 1000.0)))
-    (curve,) = octave_decays(rir, fs_hz, direct_sample, [exact_hz])
-    time_s = decay_time(curve.edc_db, fs_hz, decay)
-    if time_s is None:
-        raise ValueError(f"{decay} at {band_hz:g} Hz needs a decay of {-DECAYS_DB[decay][1]:g} dB and "
-                         f"{len(rir)} samples decay by {-curve.edc_db.min():.1f} dB: use a longer response")
-    return time_s
-
-
 def all_metrics(rir: FloatArray, fs_hz: float, direct_sample: float | None = None,
                 polarity: int | None = None) -> dict[str, Any]:
     """Measure the decay times, level ratios and noise of a response.

@@ -5,7 +5,6 @@ Conventions: mono, float in [-1, 1), `FS_HZ` unless a caller says otherwise.
 
 import io
 import logging
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -174,12 +173,12 @@ def _write(path: Path, samples: Array, fs_hz: int, fmt: str, subtype: str) -> No
 
 
 def _float_wav(samples: Array, fs_hz: int) -> bytes:
-    """Return an IEEE-float WAV file (RIFF: fmt, fact and data chunks)."""
-    data, n_channels = samples.tobytes(), 1 if samples.ndim == 1 else samples.shape[1]
-    fmt = struct.pack("<4sIHHIIHHH", b"fmt ", 18, 3, n_channels, fs_hz, 4 * n_channels * fs_hz, 4 * n_channels, 32, 0)
-    fact = struct.pack("<4sII", b"fact", 4, len(samples))
-    body = b"WAVE" + fmt + fact + struct.pack("<4sI", b"data", len(data)) + data
-    return struct.pack("<4sI", b"RIFF", len(body)) + body
+    """Return an IEEE-float WAV file."""
+    from scipy.io import wavfile
+
+    buffer = io.BytesIO()
+    wavfile.write(buffer, fs_hz, samples)
+    return buffer.getvalue()
 
 
 def _check_riff_length(path: Path) -> None:

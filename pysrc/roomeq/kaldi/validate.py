@@ -23,15 +23,14 @@ _PER_SPEAKER = ("spk2gender", "spk2warp", "cmvn.scp")
 _PER_RECORDING = ("reco2dur", "reco2file_and_channel")
 
 
-def validate_data_dir(directory: Path, *, pipes: bool = False, audio: bool = True) -> int:
+def validate_data_dir(directory: Path, *, audio: bool = True) -> int:
     """Check a data directory as strictly as Kaldi's `validate_data_dir.sh --no-feats`, and its audio.
 
     Parameters
     ----------
-    pipes
-        Also run the commands in `wav.scp` and check their output; by default these recordings are not checked.
     audio
-        Check that every recording can be read and that every segment lies within its recording.
+        Check that every recording can be read and that every segment lies within its recording. Commands in `wav.scp`
+        are not run.
 
     Returns
     -------
@@ -63,7 +62,7 @@ def validate_data_dir(directory: Path, *, pipes: bool = False, audio: bool = Tru
         for name in names:
             read_optional_table(data.path, name, ids)
     if audio:
-        _check_audio(data, pipes)
+        _check_audio(data)
     return len(data.utterances)
 
 
@@ -91,13 +90,13 @@ def _check_segments_strictly(data: DataDir) -> None:
                              "remove it, or add its segments")
 
 
-def _check_audio(data: DataDir, pipes: bool) -> None:
+def _check_audio(data: DataDir) -> None:
     lengths: dict[str, AudioLength] = {}
     for number, (recording, entry) in enumerate(data.recordings.items(), start=1):
-        if entry.kind == "pipe" and not pipes:
+        if entry.kind == "pipe":
             continue
         try:
-            length = lengths[recording] = read_length(entry, pipes=pipes)
+            length = lengths[recording] = read_length(entry, pipes=False)
             if entry.kind == "file":  # that a FLAC file was cut off shows only at its end
                 read_audio(Path(entry.text), fs_hz=length.rate_hz, start=length.frames - 1)
         except ValueError as error:

@@ -18,7 +18,7 @@ from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, read_model, write_model
 from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.loop.ceiling import ceiling_errors, ceiling_of_test_set, describe_explained, explained
-from roomeq.loop.data import Data, load_usable
+from roomeq.loop.data import Data, load_data
 from roomeq.loop.descriptions import describe_facing, describe_residual, effect_names
 from roomeq.loop.examples import EXAMPLES_FILE, write_examples
 from roomeq.loop.facing import unknown_facings, with_estimated_facings
@@ -92,7 +92,7 @@ def make(build: Build, directories: list[Path], test: list[Path], model: Path | 
     if not 0 <= max_effects <= len(CATALOGUE):
         raise ValueError(f"max_effects={max_effects} must lie in [0, {len(CATALOGUE)}]")
     base = Model() if model is None else read_model(model)
-    data = load_usable(require_enough_rooms(directories, nj), scattering=SCATTERING, seed=seed, model=base, nj=nj)
+    data = load_data(require_enough_rooms(directories, nj), scattering=SCATTERING, seed=seed, model=base, nj=nj)
     for entry in data.left_out:
         logger.info("left out %s", entry)
     # read before the loop, so that an invalid test set is reported at once and not after hours
@@ -113,7 +113,7 @@ def _load_test_set(directories: Sequence[Path], base: Model, seed: int, nj: int)
         logger.warning("%s: no room has two usable RIRs, one to calibrate it and one to score: the test set is not "
                        "scored", directories[0])
         return None
-    return load_usable(usable, scattering=SCATTERING, seed=seed, model=base, nj=nj)
+    return load_data(usable, scattering=SCATTERING, seed=seed, model=base, nj=nj)
 
 
 def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None, base: Model, max_effects: int,

@@ -1,7 +1,7 @@
 """The measured RIRs of some rooms: their features, their geometry, and the ray contributions at their positions."""
 
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -26,7 +26,7 @@ from roomeq.loop.measurability import comparable_levels, limit_to_excitation
 from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, decay_range_s, draw_path_samples
 from roomeq.loop.tables import ANGLES, FRAME_MID_S, Table, collect, level_surfaces
 from roomeq.loop.traces import StoredTrace, TraceFolder, without_paths
-from roomeq.loop.usable import LeftOut, UsableRirs, usable_rirs
+from roomeq.loop.usable import LeftOut, UsableRirs
 from roomeq.records.rir_dir import load_rir
 from roomeq.records.schema import RirRow, unit_name
 from roomeq.sim.geometry import Place, find_place
@@ -190,14 +190,13 @@ class _Recording(NamedTuple):
     place: Place
 
 
-def load_data(directories: Sequence[Path], *, scattering: float, seed: int, model: Model | None = None,
-              nj: int = 1) -> Data:
-    """Read RIR directories, measure their usable RIRs (`roomeq.loop.usable`) and trace their rooms.
+def load_data(usable: UsableRirs, *, scattering: float, seed: int, model: Model | None = None, nj: int = 1) -> Data:
+    """Measure usable RIRs and trace their rooms.
 
     Parameters
     ----------
-    directories : sequence of Path
-        RIR directories (`roomeq.records.rir_dir`).
+    usable : UsableRirs
+        Of which there is at least one.
     scattering : float
         Scattering coefficient of all surfaces.
     seed : int
@@ -208,17 +207,8 @@ def load_data(directories: Sequence[Path], *, scattering: float, seed: int, mode
     Raises
     ------
     ValueError
-        A directory is invalid, none of its RIRs is usable, one of these cannot be measured, or two directories share
-        an id.
+        An RIR cannot be measured.
     """
-    usable = usable_rirs(directories, nj)
-    if not usable.rirs:
-        raise ValueError(f"{directories[0]}: no RIR can be used ({'; '.join(map(str, usable.left_out))})")
-    return load_usable(usable, scattering=scattering, seed=seed, model=model, nj=nj)
-
-
-def load_usable(usable: UsableRirs, *, scattering: float, seed: int, model: Model | None = None, nj: int = 1) -> Data:
-    """Measure usable RIRs, of which there is at least one, and trace their rooms; see `load_data`."""
     located, estimates = complete_geometry(usable.rirs, seed, nj)
     recordings = _merge_sources([_Recording(*rir, find_place(rir.row, [rir.row], rir.directory, seed))
                                  for rir in located])

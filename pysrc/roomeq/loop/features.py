@@ -178,9 +178,9 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
     metrics = all_metrics(rir, FS_HZ, direct, polarity)
     values, valid = np.full(N_FEATURES, np.nan), np.zeros(N_FEATURES, dtype=bool)
     for metric in ("edt", "t20", "t30"):
-        times_s = np.array([np.nan if time_s is None else time_s for time_s in metrics[f"{metric}_s"]])
+        times_s = np.array(metrics[f"{metric}_s"], dtype=float)  # None becomes NaN
         _put(values, valid, metric, np.log(times_s), np.array(metrics[f"{metric}_valid"]))
-    _put(values, valid, "c50", np.array([np.nan if c50_db is None else c50_db for c50_db in metrics["c50_db"]]),
+    _put(values, valid, "c50", np.array(metrics["c50_db"], dtype=float),
          np.array(metrics["c50_valid"]))
     drr_db = metrics["drr_db"]
     _put(values, valid, "arrival", np.array([direct / FS_HZ]), np.array([timed]))
@@ -197,7 +197,7 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
         level_db, snr_db = levels["direct"]
         bounded[at] = CALIBRATION_FEATURES[at] & noise.seen[OCTAVE_OF_THIRD][-len(DIRECT_THIRDS_HZ):] & ~valid[at]
         values[at] = np.where(bounded[at], (level_db - snr_db + MIN_SNR_DB) / JND["direct"], values[at])
-    _put(values, valid, "drr", np.array([np.nan if drr_db is None else drr_db]),
+    _put(values, valid, "drr", np.array([drr_db], dtype=float),
          np.array([drr_db is not None and valid[at].any() and whole["late"].any()]))
     noise_levels, white = _noise_levels(rir, direct, noise, white)
     end_level, _ = noise_levels["floor"]

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
+from roomeq.acoustics.jnd import LEVEL_JND_DB
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BANDS_HZ
 from roomeq.report.figures import MARKERS, Draw, legend, log_frequency
 
-JND_DB = 1.0
 """Just noticeable difference of a level [dB]."""
 
 LOWEST_DB = -60.0
@@ -43,7 +43,7 @@ def eq_differences(groups: list[tuple[str, str, FloatArray]]) -> Draw:
         `difference_db` has shape (8,); NaN omits a point.
     """
     def draw(axes: Axes, colours: dict[str, str]) -> None:
-        axes.axhspan(-JND_DB, JND_DB, color=colours["extra"], alpha=0.2, lw=0, label="just noticeable")
+        axes.axhspan(-LEVEL_JND_DB, LEVEL_JND_DB, color=colours["extra"], alpha=0.2, lw=0, label="just noticeable")
         axes.axhline(0.0, color=colours["measured"], lw=1.4, label="measured")
         for label, colour, difference_db in groups:
             axes.plot(BANDS_HZ, difference_db, MARKERS[colour] + "-", color=colours[colour], ms=5.5, lw=1.2,

@@ -150,8 +150,7 @@ def _room_of(row: RirRow, directory: Path) -> Room | None:
 
 
 def _position(row: RirRow, key: str) -> FloatArray:
-    values: Any = row.get(key) or [None] * 3
-    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+    return np.array(row.get(key) or [None] * 3, dtype=np.float64)  # None becomes NaN
 
 
 def _unique(rows: Sequence[RirRow], key: str) -> list[FloatArray]:

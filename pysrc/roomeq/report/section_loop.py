@@ -242,7 +242,7 @@ def splits(ledger: dict[str, Any]) -> list[figures.Panel]:
     entries = [ledger[when]["leave_positions_out"] for when in ("baseline", "final", "ceiling")]
     metrics = list(entries[0]["by_metric"])
     by_metric = [[entry["by_metric"].get(metric, np.nan) for metric in metrics] for entry in entries]
-    by_band = [[np.nan if error is None else error for error in entry["by_band"]] for entry in entries]
+    by_band = [np.array(entry["by_band"], dtype=float).tolist() for entry in entries]
 
     def panel(ident: str, names: list[str], errors: list[list[float]]) -> figures.Panel:
         alt = "; ".join(f"{name} {number(b)} to {number(a)} JND, ceiling {number(c)} JND"

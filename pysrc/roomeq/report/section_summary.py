@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from roomeq.acoustics.jnd import LEVEL_JND_DB
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ
 from roomeq.report import figures, figures_rirs, section_eq, section_loop, section_wer
 from roomeq.report.formats import DASH, hertz, number, percent, with_interval, with_minus
@@ -39,7 +40,7 @@ def eq_lacks(run: Run) -> list[str]:
     """Return the points at which the median EQ of simulated RIRs differs noticeably from that of measured ones."""
     difference_db = median_difference_db(run, SIMULATED.train)
     return [f"{abs(db):.1f} dB too {'loud' if db > 0 else 'quiet'} at {hertz(band_hz)}"
-            for band_hz, db in zip(BANDS_HZ, difference_db, strict=True) if abs(db) >= figures_rirs.JND_DB]
+            for band_hz, db in zip(BANDS_HZ, difference_db, strict=True) if abs(db) >= LEVEL_JND_DB]
 
 
 def median_difference_db(run: Run, name: str) -> np.ndarray:

@@ -162,7 +162,7 @@ def decay_times(rirs: Sequence[AnalysedRir]) -> Draw:
         for rir, colour in zip(rirs, COLOURS, strict=False):
             for metric, (marker, line) in styles.items() if len(rirs) == 1 else [("t30", ("o", "-"))]:
                 times_s, valid = (rir.parameters[f"{metric}_{key}"] for key in ("s", "valid"))
-                values = np.array([np.nan if time_s is None else time_s for time_s in times_s])
+                values = np.array(times_s, dtype=float)
                 label = metric.upper() if len(rirs) == 1 else f"T30, {rir.name}"
                 axes.plot(rir.bands_hz, np.where(valid, values, np.nan), marker + line, color=colours[colour], ms=4.5,
                           lw=1.1, label=label)

@@ -147,7 +147,7 @@ def loop_draws(directory: Path) -> list[Draw]:
     entries = [ledger[when][SPLITS[0]] for when in ("baseline", "final", "ceiling")]
     metrics = list(entries[0]["by_metric"])
     by_metric = [[entry["by_metric"].get(metric, np.nan) for metric in metrics] for entry in entries]
-    by_band = [[np.nan if error is None else error for error in entry["by_band"]] for entry in entries]
+    by_band = [np.array(entry["by_band"], dtype=float).tolist() for entry in entries]
     return [figures_loop.before_and_after([section_loop.METRIC_LABELS[metric] for metric in metrics], *by_metric),
             figures_loop.before_and_after(list(figures.TICK_LABELS), *by_band)]
 

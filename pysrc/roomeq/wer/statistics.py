@@ -16,6 +16,7 @@ estimated as zero keeps its degrees of freedom: two or three seeds cannot show t
 """
 
 import math
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -240,10 +241,5 @@ def detectable(difference: Statistic) -> dict | None:
 
 def _first(holds: Callable[[int], bool], low: int) -> int | None:
     """Return the smallest number above `low` from which on a condition holds; None if it does not for `_MANY`."""
-    high = _MANY
-    if not holds(high):
-        return None
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if holds(middle) else (middle, high)
-    return high
+    first = low + 1 + bisect_left(range(low + 1, _MANY + 1), True, key=holds)
+    return first if first <= _MANY else None

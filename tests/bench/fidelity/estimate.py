@@ -39,9 +39,3 @@ def rir_decay_time_s(rir, fs_hz, direct_sample, **ranges):
     """
     first = max(0, int(np.floor(direct_sample)) - 8)  # the direct sound's interpolation kernel starts before it
     return decay_time_s(np.asarray(rir, dtype=float)[first:] ** 2, 1.0 / fs_hz, **ranges)
-
-
-def batch_mean_and_error(values):
-    """Mean of batches and the standard error of that mean."""
-    values = np.asarray(values, dtype=float)
-    return float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))

@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 import pytest
+from decays import reverberation_time
 from rirmaker import DIRECT, coloured_rir, row, write_rir_dir
 from scipy.signal import freqz
 
 from roomeq.acoustics.direct import find_direct
-from roomeq.acoustics.iso3382 import reverberation_time
 from roomeq.acoustics.subband_eq import analyse
 from roomeq.core.audio import read_audio
 from roomeq.core.constants import BANDS_HZ, FS_HZ

@@ -75,7 +75,7 @@ def test_id_in_two_directories_is_refused(tmp_path):
 def test_data_holds_the_usable_rirs_and_counts_the_others(tmp_path):
     where = write_rir_dir(tmp_path / "rirs", [(row("r1", **KNOWN), coloured_rir(1)), (row("r2"), coloured_rir(2)),
                                               (row("r3", binaural=True), coloured_rir(3))])
-    data = load_data([where], scattering=SCATTERING, seed=0)
+    data = load_data(usable_rirs([where]), scattering=SCATTERING, seed=0)
     assert [row["id"] for row in data.rows] == ["r1"] and data.places[0].drawn == ()
     assert [entry.rirs for entry in data.left_out] == [1, 1]
 

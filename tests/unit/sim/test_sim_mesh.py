@@ -7,9 +7,9 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 import trimesh
+from decays import reverberation_time
 from plans import L_PLAN, box_plan, prism_obj
 
-from roomeq.acoustics.iso3382 import reverberation_time
 from roomeq.core.constants import FS_HZ
 from roomeq.sim.echogram import FRAME_S, compute_echograms
 from roomeq.sim.images import specular_paths

@@ -4,9 +4,9 @@ from itertools import product
 
 import numpy as np
 import pytest
+from decays import reverberation_time
 
 from roomeq.acoustics.direct import find_direct
-from roomeq.acoustics.iso3382 import reverberation_time
 from roomeq.core.constants import BAND_1KHZ, EXACT_BANDS_HZ, FS_HZ
 from roomeq.sim.echogram import FRAME_S, compute_echograms
 from roomeq.sim.images import specular_paths
