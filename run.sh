@@ -153,8 +153,9 @@ fi
 kinds=(real sim sim.EQ) # of RIRs; $data may hold others of an earlier run
 [ "$dry_run" = true ] || [ ! -d "$data/rirs.real.train" ] ||
   local/enough_rooms.py "$data/rirs.real.train" "$exp/rooms" >/dev/null
-[ ! -f "$exp/rooms/enough" ] || kinds+=(sim.loop)
+if [ "$dry_run" = true ] || [ -f "$exp/rooms/enough" ]; then kinds+=(sim.loop); fi
 [ "$free_rooms" = 0 ] || kinds+=(sim.free)
+kind_list=$(IFS=, && echo "${kinds[*]}")
 
 if at_stage 6 "make far-field speech"; then
   unchecked=() # clean speech of which no far-field speech was made yet; it is checked as Kaldi does, with its audio
@@ -172,7 +173,7 @@ if at_stage 6 "make far-field speech"; then
 fi
 
 if at_stage 7 "make the report"; then
-  steps/make_report.sh --kinds "$(IFS=, && echo "${kinds[*]}")" "$data" "$exp" "$exp/report"
+  steps/make_report.sh --kinds "$kind_list" "$data" "$exp" "$exp/report"
 fi
 
 if [ "$stop_stage" -ge 8 ]; then
@@ -182,7 +183,7 @@ if [ "$stop_stage" -ge 8 ]; then
   fi
   local/kaldi/train_and_test.sh --stage "$stage" --stop-stage "$stop_stage" --nj "$nj" --seed "$seed" \
     --dry-run "$dry_run" --librispeech "$librispeech" --lm-text "$lm_text" --align-on "$align_on" \
-    --gmm-passes "$gmm_passes" --num-leaves "$num_leaves" --free-rooms "$free_rooms" --rows "$rows" \
+    --gmm-passes "$gmm_passes" --num-leaves "$num_leaves" --kinds "$kind_list" --rows "$rows" \
     --speed-perturb "$speed_perturb" --online-cmvn "$online_cmvn" --ivectors "$ivectors" --use-gpu "$use_gpu" \
     --chain-opts "$chain_opts" --decode-opts "$decode_opts" "$data" "$exp"
 fi

@@ -25,10 +25,6 @@ verb=(close-loop --nj "$nj" --max-effects "$max_effects" --seed "$seed" --test "
 status=0
 up_to_date "${verb[@]}" || status=$?
 [ "$status" -eq 3 ] || exit "$status"
-begin_progress "$(dirname "$log")"
-# $cmd may hold options ("queue.pl --mem 2G"): split on purpose
-# shellcheck disable=SC2086
-$cmd "${cores[@]}" "$log" roomeq "${verb[@]}"
-end_progress
+run_jobs "$(dirname "$log")" "${cores[@]}" "$log" roomeq "${verb[@]}"
 # no line is there if an earlier call was killed when all was done
 grep -E '^(base model|final model|test set|unexplained): |^(added|rejected|left out) |: the test set is not scored$' "$log" || true

@@ -1,6 +1,6 @@
 # shellcheck shell=bash
-# Show the progress of jobs that run elsewhere and write to a log. Sourced.
-# Usage: begin_progress DIR; $cmd JOB=1:4 LOG roomeq ...; end_progress
+# Run jobs through $cmd, which write to a log and may run elsewhere, and show their progress. Sourced.
+# Usage: run_jobs DIR JOB=1:4 LOG roomeq ...
 # The jobs write their state below DIR/.progress, which all machines must see. On a terminal, one line is rewritten every
 # second; elsewhere a line a minute is printed. All jobs together are counted.
 
@@ -31,6 +31,14 @@ show_progress() { # DIR: until the directory is gone, or the script that sourced
       printf '%s\n' "$text" >&2
     fi
   done
+}
+
+run_jobs() { # DIR ARGUMENT...: run $cmd ARGUMENT...
+  begin_progress "$1"
+  # $cmd, set by cmd.sh, may hold options ("queue.pl --mem 2G"): split on purpose
+  # shellcheck disable=SC2086,SC2154
+  $cmd "${@:2}"
+  end_progress
 }
 
 begin_progress() { # DIR

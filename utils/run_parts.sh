@@ -18,9 +18,5 @@ check_words "$log_dir" "$@"
 status=0
 up_to_date "$verb" "$@" || status=$?
 [ "$status" -eq 3 ] || exit "$status" # 3: the output is to be made; 0: it is up to date
-begin_progress "$log_dir"
-# $cmd may hold options ("queue.pl --mem 2G"): split on purpose
-# shellcheck disable=SC2086
-$cmd JOB=1:"$nj" "$log_dir/$verb.JOB.log" roomeq "$verb" --part "JOB/$nj" "$@"
-end_progress
+run_jobs "$log_dir" JOB=1:"$nj" "$log_dir/$verb.JOB.log" roomeq "$verb" --part "JOB/$nj" "$@"
 roomeq "$verb" "$@"

@@ -17,13 +17,13 @@ die() {
 }
 
 first=1 last=1 at_once=''
-options=(--job-name=roomeq --requeue)
+options=(--requeue)
 while [ $# -gt 0 ]; do
   case $1 in
     --help) usage && exit ;;
     --array* | --wait* | --parsable* | --output* | --error* | --open-mode* | --export* | --chdir* | --wrap*)
       die "$1 is set by slurm.sh itself: leave it out" ;;
-    --max-jobs-run | --num-threads | --[a-z]*)
+    --[a-z]*)
       name=${1%%=*}
       if [[ $1 == *=* ]]; then value=${1#*=} && shift; else
         [ $# -gt 1 ] || die "$1 needs a value"

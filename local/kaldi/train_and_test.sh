@@ -14,8 +14,8 @@ lm_text=              # text added to the transcripts of the clean speech to tra
 align_on=clean        # all systems use the alignments of the clean speech; self: of their own set
 gmm_passes="mono 300, deltas all 300 3000, lda_mllt all 400 6000, sat all 400 6000"   # --passes of train_gmm.sh
 num_leaves=400        # leaves of the TDNN's phonetic decision tree
-free_rooms=0          # compare the training set of drawn rooms, sim.free.rvb, too: unless 0
-rows=                 # training sets to compare, e.g. "clean sim.rvb"; default: all
+kinds=real,sim,sim.EQ,sim.loop   # kinds of RIRs that the data were made with
+rows=                 # training sets to compare, e.g. "clean sim.rvb"; default: clean speech, and all kinds
 speed_perturb=false   # speed-perturb the training sets by 0.9, 1.0 and 1.1
 online_cmvn=true      # subtract the mean of the TDNN's features so far
 ivectors=false        # add i-vectors to the TDNN's features
@@ -30,19 +30,16 @@ common=(--nj "$nj" --dry-run "$dry_run")
 read -ra chain_opts <<<"$chain_opts"
 read -ra decode_opts <<<"$decode_opts"
 
-kinds=(clean real.rvb sim.rvb sim.EQ.rvb) # each has a dev set of its own kind, as in the paper; the test set is common
-[ "$dry_run" = true ] || local/enough_rooms.py "$data/rirs.real.train" "$exp/rooms" >/dev/null
-if [ "$dry_run" = true ] || [ -f "$exp/rooms/enough" ]; then kinds+=(sim.loop.rvb); fi
-[ "$free_rooms" = 0 ] || kinds+=(sim.free.rvb)
-reported=$(sed 's/^clean //; s/\.rvb//g; s/ /,/g' <<<"${kinds[*]}")
+IFS=, read -ra sets <<<"$kinds"
+sets=(clean "${sets[@]/%/.rvb}") # each has a dev set of its own kind, as in the paper; the test set is common
 copied=("$data/test.real.rvb")
-for x in "${kinds[@]}"; do copied+=("$data/train.$x" "$data/dev.$x"); done
+for x in "${sets[@]}"; do copied+=("$data/train.$x" "$data/dev.$x"); done
 for x in $rows; do
-  [[ " ${kinds[*]} " == *" $x "* ]] || die "--rows: '$x' must be one of: ${kinds[*]}"
+  [[ " ${sets[*]} " == *" $x "* ]] || die "--rows: '$x' must be one of: ${sets[*]}"
 done
-[ -z "$rows" ] || read -ra kinds <<<"$rows"
+[ -z "$rows" ] || read -ra sets <<<"$rows"
 aligned=(train.clean) # sets that a GMM is trained on
-[ "$align_on" = clean ] || for x in "${kinds[@]}"; do
+[ "$align_on" = clean ] || for x in "${sets[@]}"; do
   [ "$x" = clean ] || aligned+=("train.$x")
 done
 alignments_of() { if [ "$align_on" = self ]; then echo "train.$1"; else echo train.clean; fi; }
@@ -89,10 +86,10 @@ if at_stage 9 "Kaldi: TDNN with LF-MMI"; then
       "$workspace" "$x"
   done
   hires=(local/kaldi/make_features.sh "${common[@]}" --hires true --by-utterance "$online_cmvn")
-  for x in test.real.rvb "${kinds[@]/#/dev.}"; do
+  for x in test.real.rvb "${sets[@]/#/dev.}"; do
     "${hires[@]}" "$workspace" "$x"
   done
-  for x in "${kinds[@]}"; do
+  for x in "${sets[@]}"; do
     "${hires[@]}" --train true --speed-perturb "$speed_perturb" "$workspace" "train.$x"
     [ "$ivectors" = false ] ||
       local/kaldi/train_ivectors.sh "${common[@]}" --online-cmvn "$online_cmvn" "$workspace" "train.$x" "dev.$x" \
@@ -106,7 +103,7 @@ fi
 
 if at_stage 10 "Kaldi: decode; word error rates"; then
   decode=(local/kaldi/decode.sh "${common[@]}" --ivectors "$ivectors" "${decode_opts[@]}")
-  for x in "${kinds[@]}"; do
+  for x in "${sets[@]}"; do
     [ "$dry_run" = true ] || require "$workspace/train.$x/trained_with" "stage 9"
     "${decode[@]}" "$workspace" "train.$x" "$(alignments_of "$x")" "dev.$x"
     "${decode[@]}" --tuned-on "dev.$x" "$workspace" "train.$x" "$(alignments_of "$x")" test.real.rvb
@@ -119,6 +116,6 @@ if at_stage 10 "Kaldi: decode; word error rates"; then
       [ ! -d "$x" ] || rirs+=(--rirs "$x")
     done
     roomeq wer "${rirs[@]}" --train-rirs "$data/rirs.real.train" "$workspace" "$exp/wer"
-    steps/make_report.sh --kinds "$reported" "$data" "$exp" "$exp/report"
+    steps/make_report.sh --kinds "$kinds" "$data" "$exp" "$exp/report"
   fi
 fi
