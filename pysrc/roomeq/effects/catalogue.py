@@ -14,9 +14,10 @@ from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.effects.source_response import SourceResponse
 
 _EFFECTS: tuple[type[Effect], ...] = (
-    AirAbsorption, SoundSpeed, SourceDirectivity, NearReflector, Occlusion, CoupledVolume, RoomModes, SourceResponse,
+    AirAbsorption, SoundSpeed, SourceDirectivity, RoomModes, NearReflector, Occlusion, CoupledVolume, SourceResponse,
     MicResponse, RoomEq, NoiseFloor)
 
 CATALOGUE: dict[str, type[Effect]] = {effect.NAME: effect for effect in _EFFECTS}
-"""Effects by name, in the order in which a model applies them: sound field, recording chain, noise. An obstacle shades
-the reflection of a desk as it shades others."""
+"""Effects by name, in the order in which a model applies them: sound field, recording chain, noise. The wave field of a
+room replaces rays at low frequencies, and comes before what is added to its sound. An obstacle shades the reflection of
+a desk as it shades others."""

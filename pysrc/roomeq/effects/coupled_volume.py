@@ -88,14 +88,14 @@ class CoupledVolume(Effect):
     def on_rir(self, rir: FloatArray, rendering: Rendering) -> FloatArray:
         air = rendering.scene.air
         start_s = rendering.distance_m / air.speed_m_s
-        reflected = octave_energies(rendering.rendered) - rendering.direct_gain ** 2 * _pulse_energies()
+        reflected = octave_energies(rendering.rendered - rendering.direct(len(rendering.rendered)))
         rir = np.pad(rir, (0, max(0, self._n_samples(start_s) - len(rir))))
         time_s = (np.arange(int(np.ceil(len(rir) / FS_HZ / FRAME_S))) + 0.5) * FRAME_S - start_s
         rate = self.rate_per_s(air.speed_m_s, air.attenuation_per_m)
         shape = np.where(time_s[:, None] > 0.0, np.exp(-np.maximum(time_s, 0.0)[:, None] * rate), 0.0)
         # an echogram holds energies of pulses of the whole band, of which each octave filter passes a part
         ratio = self.energy_ratio(rendering.t60_s, air.speed_m_s, air.attenuation_per_m)
-        energy = ratio * np.maximum(reflected, 0.0) / _pulse_energies() * rate * FRAME_S * shape
+        energy = ratio * reflected / _pulse_energies() * rate * FRAME_S * shape
         noise = tail_noise(len(rir), rendering.scene.room.volume_m3, air.speed_m_s, rendering.rng)
         return rir + render(np.zeros(0), np.zeros((0, 8)), energy, noise, speed_m_s=air.speed_m_s, n_samples=len(rir))
 
