@@ -176,13 +176,15 @@ def all_metrics(rir: FloatArray, fs_hz: float, direct_sample: float | None = Non
     Raises
     ------
     ValueError
-        See `find_direct`.
+        See `find_direct`; or all samples from the direct sound on are 0.
     """
     rir = np.asarray(rir, dtype=np.float64)
     if direct_sample is None or polarity is None:
         direct_sample, polarity = find_direct(rir, fs_hz, direct_sample)
-    last = int(np.flatnonzero(rir)[-1]) + 1  # digital silence after the response is not a noise floor
-    rir = rir[:last]
+    rir = np.trim_zeros(rir, "b")  # digital silence after the response is not a noise floor
+    if round(direct_sample) >= len(rir):
+        raise ValueError(f"direct_sample={direct_sample:g} must lie before the end of the response, {len(rir)} samples "
+                         "without the zeros that follow: measure it again")
     broadband = energy_decay(rir, fs_hz, direct_sample)
     result: dict[str, Any] = dict(
         direct_sample=float(direct_sample), direct_polarity=int(polarity),

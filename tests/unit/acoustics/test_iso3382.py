@@ -149,6 +149,12 @@ def test_trailing_zeros_are_not_a_noise_floor():
     assert all_metrics(np.pad(rir, (0, 20000)), FS_HZ)["t30_s"] == pytest.approx(all_metrics(rir, FS_HZ)["t30_s"])
 
 
+@pytest.mark.parametrize("rir", [np.eye(1, 4000, 100)[0], np.zeros(4000)])
+def test_direct_sound_after_the_last_sample_that_is_not_zero_is_refused(rir):
+    with pytest.raises(ValueError, match="direct_sample=101 must lie before the end of the response"):
+        all_metrics(rir, FS_HZ, 101.0, 1)
+
+
 def test_spike_has_no_valid_t30():
     rir = np.zeros(8000)
     rir[100] = 1.0
