@@ -20,7 +20,7 @@ from roomeq.effects.base import Effect
 from roomeq.effects.model import Model
 from roomeq.effects.source_directivity import unit_facing
 from roomeq.loop.facing_estimate import FacingEstimate
-from roomeq.loop.features import Features, feature_slice, measure_features
+from roomeq.loop.features import METRIC, Features, feature_slice, measure_features
 from roomeq.loop.geometry import Estimate, complete_geometry
 from roomeq.loop.measurability import comparable_levels, limit_to_excitation
 from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, decay_range_s, draw_path_samples
@@ -316,10 +316,16 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
     for members, (source, *of_members) in zip(by_source.values(), traces, strict=True):
         for n, path_sample, table in zip(members, *of_members, strict=True):
             traced[n], path_samples[n], tables[n] = source, path_sample, table
+    valid = np.array([of_rir.valid for of_rir in features])
+    hidden = ~np.array([tables[n].visible for n in range(len(rows))])
+    if hidden.any():
+        logger.info("the source is hidden from the microphone in %d of %d RIRs: their direct sound is not scored",
+                    hidden.sum(), len(rows))
+        valid[np.ix_(hidden, np.isin(METRIC, ("direct", "drr", "arrival")))] = False
     airs = [air_of(row) for row in rows]
     distance_m = np.array([tables[n].distance_m for n in range(len(rows))])
     return Data(rows=rows, places=places, features=np.array([of_rir.values for of_rir in features]),
-                valid=np.array([of_rir.valid for of_rir in features]),
+                valid=valid,
                 bounded=np.array([of_rir.bounded for of_rir in features]),
                 white=np.array([of_rir.white for of_rir in features]),
                 direct_sample=np.array([of_rir.direct_sample for of_rir in features]),
