@@ -3,12 +3,13 @@
 from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
+from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from roomeq.augment.draw import Noise, NoiseDraw, Pool, excerpt_start
-from roomeq.augment.mix import convolve, direct_shift, loop, spectra_of
+from roomeq.augment.mix import convolve, direct_shift, loop, ring_length, spectra_of
 from roomeq.core.arrays import Array
 from roomeq.core.audio import read_audio
 from roomeq.core.constants import FS_HZ
@@ -38,6 +39,7 @@ class AudioCache:
         self.rir_dir, self.pool, self.fs_hz = rir_dir, pool, fs_hz
         self._cached: OrderedDict[str, tuple[Any, int]] = OrderedDict()
         self._bytes = 0
+        self._lock = Lock()
         total = sum(noise.length.frames for noise in (*pool.ambient, *pool.point) if noise.samples is None)
         self._keep_noises = total * 4 < CACHE_BYTES // 2
 
@@ -62,11 +64,13 @@ class AudioCache:
         if draw.rir_id is None:
             return self.excerpt(draw.noise, draw.offset_u, length)
         rir = self.rir(draw.rir_id).samples
-        samples, start = self.excerpt(draw.noise, draw.offset_u, length + len(rir) - 1)
+        samples, start = self.excerpt(draw.noise, draw.offset_u, length + len(rir) - 1, lead=len(rir) - 1)
         return Excerpt(convolve(spectra_of(samples), rir, len(rir) - 1, length), start)
 
-    def excerpt(self, noise: Noise, u: float, length: int) -> Excerpt:
-        """Return `length` samples of a noise; if they are all 0, an excerpt around a sample that is not.
+    def excerpt(self, noise: Noise, u: float, length: int, lead: int = 0) -> Excerpt:
+        """Return `length` samples of a noise; if all after the first `lead` are 0, an excerpt around one that is not.
+
+        A sound that ends in the lead would reach the utterance as reverberation alone, which the SNR would amplify.
 
         Raises
         ------
@@ -81,26 +85,31 @@ class AudioCache:
             if rate == self.fs_hz and frames >= length and not self._keep_noises:
                 start = excerpt_start(u, frames, length)
                 samples = read_audio(noise.path, fs_hz=rate, start=start, stop=start + length, dtype="float32")
-                if np.any(samples):
+                if np.any(samples[lead:]):
                     return Excerpt(samples, start)
             whole = self._get(f"noise {noise.id}", lambda: _read_whole(noise.path, self.fs_hz))
         start = excerpt_start(u, len(whole), length)
-        if len(whole) < length:
-            return Excerpt(loop(whole, start, length), start)
-        if not np.any(whole[start:start + length]):
-            start = min(max(0, _audible_sample(whole, noise, u) - length // 2), len(whole) - length)
-        return Excerpt(whole[start:start + length], start)
+        samples = whole[start:start + length] if len(whole) >= length else loop(whole, start, length)
+        if np.any(samples[lead:]):
+            return Excerpt(samples, start)
+        wanted = _audible_sample(whole, noise, u) - (length + lead) // 2  # in the middle of what follows the lead
+        start = min(max(0, wanted), len(whole) - length)
+        if start >= 0 and np.any(whole[start + lead:start + length]):
+            return Excerpt(whole[start:start + length], start)
+        start = wanted % ring_length(len(whole))
+        return Excerpt(loop(whole, start, length), start)
 
     def _get(self, key: str, read: Callable[[], tuple[Any, int]]) -> Any:
         """Return what `read` returned for a key (a value and its bytes), and drop what was not used for longest."""
-        if key not in self._cached:
-            self._cached[key] = read()
-            self._bytes += self._cached[key][1]
-            while self._bytes > CACHE_BYTES and len(self._cached) > 1:
-                _, (_, n_bytes) = self._cached.popitem(last=False)
-                self._bytes -= n_bytes
-        self._cached.move_to_end(key)
-        return self._cached[key][0]
+        with self._lock:  # a loader of training data may have threads
+            if key not in self._cached:
+                self._cached[key] = read()
+                self._bytes += self._cached[key][1]
+                while self._bytes > CACHE_BYTES and len(self._cached) > 1:
+                    _, (_, n_bytes) = self._cached.popitem(last=False)
+                    self._bytes -= n_bytes
+            self._cached.move_to_end(key)
+            return self._cached[key][0]
 
 
 def _audible_sample(samples: Array, noise: Noise, u: float) -> int:

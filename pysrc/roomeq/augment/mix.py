@@ -145,6 +145,11 @@ def mean_power(x: Array) -> float:
     return float(total) / max(1, len(x))
 
 
+def ring_length(n_samples: int) -> int:
+    """Return the number of samples after which a noise of `n_samples` repeats in `loop`."""
+    return n_samples - min(FADE_SAMPLES, n_samples // 4)
+
+
 def loop(noise: Array, offset: int, n_samples: int) -> Array:
     """Return `n_samples` of a noise that repeats without clicks: its end is cross-faded into its start.
 
@@ -155,8 +160,8 @@ def loop(noise: Array, offset: int, n_samples: int) -> Array:
     offset
         First sample on the ring.
     """
-    fade = min(FADE_SAMPLES, len(noise) // 4)
-    ring = noise[:len(noise) - fade].copy()
+    ring = noise[:ring_length(len(noise))].copy()
+    fade = len(noise) - len(ring)
     if fade:
         angle = (np.arange(fade, dtype=np.float32) + 0.5) * np.float32(np.pi / 2 / fade)
         ring[:fade] = noise[:fade] * np.sin(angle) + noise[len(noise) - fade:] * np.cos(angle)
