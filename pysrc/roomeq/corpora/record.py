@@ -94,6 +94,11 @@ class DistinctIds:
             raise ValueError(f"{key}={text!r} and {first!r} would both have the id {made!r}: rename one")
 
 
+def is_unknown(text: str) -> bool:
+    """Tell whether a cell says that something is unknown: ``?``, ``NA``, or nothing."""
+    return text.lower() in _UNKNOWN_CELLS
+
+
 def parse_number(text: str | None) -> float | None:
     """Parse a number, with a point or comma as decimal mark; unknown (``?``, empty, ``NA``) is None.
 
@@ -103,7 +108,7 @@ def parse_number(text: str | None) -> float | None:
         The text is no number, or its absolute value exceeds `roomeq.records.schema.LARGEST`.
     """
     text = (text or "").strip()
-    if text.lower() in _UNKNOWN_CELLS:
+    if is_unknown(text):
         return None
     if re.fullmatch(r"[+-]?\d+,\d+", text):
         text = text.replace(",", ".")
@@ -130,7 +135,7 @@ def parse_vector(text: str | None) -> list[float | None] | None:
         The text does not hold three coordinates, or one is not a number.
     """
     text = (text or "").strip().strip("[]()")
-    if text.lower() in _UNKNOWN_CELLS:
+    if is_unknown(text):
         return None
     parts = [part for part in re.split(r"\s*[,;x\u00d7]\s*|\s+", text) if part]
     if len(parts) != 3:

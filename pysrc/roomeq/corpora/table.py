@@ -5,7 +5,7 @@ Columns (any order, upper or lower case, separated by comma, semicolon or tab); 
 `file`
     Relative to the CSV.
 `rir_id` or `id`, `dataset` or `corpus`, `room` or `room_id`, `room_type`, `source_id`, `mic_id`, `session`
-    Names. By default, the id is made from the file's path, and the room is the file's folder.
+    Names. An unknown id (``?`` or empty) is made from the file's path; an unknown room is the file's folder.
 `room_dims_m`, `source_pos_m`, `mic_pos_m`
     Three numbers [m] from one lower corner of the room, e.g. ``4.71 2.75 ?``; ``?`` or empty is unknown.
 `source_dir`, `mic_dir`
@@ -39,6 +39,7 @@ from roomeq.corpora.record import (
     Recording,
     excitation_of,
     id_of_path,
+    is_unknown,
     noise_kind_of,
     parse_amount,
     parse_number,
@@ -59,6 +60,7 @@ _NUMBERS = ("distance_m", "temperature_c", "humidity_pct", "documented_t60_s")
 _FLAGS = ("binaural", "tof_removed", "unreliable_geometry", "uncommon")
 _LENIENT = ("documented_t60_s",)
 _AMOUNTS = ("distance_m", "documented_t60_s")
+_MAY_BE_UNKNOWN = {*_NAMES, "rir_id", "utt_id", "speaker", "set"}
 _KNOWN = {"file", "rir_id", "excitation", *_NAMES, *_VECTORS, *_NUMBERS, *_FLAGS}
 _TRUE, _FALSE = {"1", "true", "yes"}, {"0", "false", "no"}
 
@@ -113,8 +115,13 @@ def read_table(path: Path) -> Table:
         if len(cells) > len(columns):
             raise ValueError(f"{where}: {len(cells)} cells under {len(columns)} columns: quote cells that hold "
                              f"{delimiter!r}")
-    return Table(columns, [TableRow(where, dict(zip_longest(columns, map(str.strip, cells), fillvalue="")))
+    return Table(columns, [TableRow(where, _named(dict(zip_longest(columns, map(str.strip, cells), fillvalue=""))))
                            for where, cells in rows])
+
+
+def _named(cells: dict[str, str]) -> dict[str, str]:
+    """Return the cells of a row, in which unknown names (``?``, ``NA``) are empty."""
+    return {key: "" if key in _MAY_BE_UNKNOWN and is_unknown(cell) else cell for key, cell in cells.items()}
 
 
 def list_table(path: Path) -> Corpus:

@@ -5,7 +5,7 @@ import logging
 import pytest
 from corpora_examples import make_table, put, put_text
 
-from roomeq.corpora.record import noise_kind_of, parse_number, parse_vector, rir_row
+from roomeq.corpora.record import UNKNOWN, noise_kind_of, parse_number, parse_vector, rir_row
 from roomeq.corpora.table import list_noise_table, list_table
 from roomeq.records.geometry import find_contradiction
 
@@ -139,3 +139,14 @@ def test_bad_noise_kind_and_bytes_are_refused(tmp_path):
     (tmp_path / "t.csv").write_bytes(b"file\n\xff\xfe\n")
     with pytest.raises(ValueError, match="not a CSV file in UTF-8"):
         list_table(tmp_path / "t.csv")
+
+
+@pytest.mark.parametrize("unknown", ["?", "", "NA", "unknown"])
+def test_unknown_names_are_not_taken_for_one_name(tmp_path, unknown):
+    for folder in ("hall", "attic"):
+        put(tmp_path / folder / "a.wav")
+    lines = [f"{folder}/a.wav,{unknown},{unknown},{unknown}\n" for folder in ("hall", "attic")]
+    table = put_text(tmp_path / "t.csv", "file,rir_id,room,source_id\n" + "".join(lines))
+    rows = [recording.row for recording in list_table(table).rirs]
+    assert [row["room_id"] for row in rows] == ["hall", "attic"] and {row["source_id"] for row in rows} == {UNKNOWN}
+    assert [noise.row["room_id"] for noise in list_noise_table(table)] == [None, None]
