@@ -170,14 +170,14 @@ def _rooms(seeds: Sequence[SeedCounts]) -> list[dict]:
         `room`, `words`, `wer` by column and row [%], and `acoustics`: the mean of each of
         `roomeq.wer.breakdown.ACOUSTICS` over the room's utterances, None where it is unknown.
     """
-    first, names = seeds[0], seeds[0].sets[TEST].rooms
+    first, names = seeds[0], sorted(set().union(*(seed.sets[TEST].rooms for seed in seeds)))
     words = np.sum([seed.sets[TEST].words_of(names) for seed in seeds], axis=0)
     wer = {column: {row: 100 * np.sum([seed.sets[TEST].of_system(System(row, column), names).sum(axis=1)
                                        for seed in seeds], axis=0) / words for row in first.rows}
            for column in first.columns}
     stated = []
     for n, name in enumerate(names):
-        known = {what: [seed.acoustics[name][what] for seed in seeds] for what in ACOUSTICS}
+        known = {what: [seed.acoustics[name][what] for seed in seeds if name in seed.acoustics] for what in ACOUSTICS}
         stated.append(dict(
             room=name, words=int(words[n]),
             wer={column: {row: float(rates[n]) for row, rates in of_rows.items()} for column, of_rows in wer.items()},

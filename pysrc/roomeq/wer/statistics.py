@@ -217,12 +217,14 @@ def detectable(difference: Statistic) -> dict | None:
         `difference` [%]; `standard_errors`: the same in standard errors, with `df` degrees of freedom; `seed`, `room`,
         `residual`: standard deviations of a cell [%], `seed` None with a single seed; `for_half`: number of `seeds`
         that halves the difference with the same rooms, number of `rooms` that halves it with the same seeds (None if
-        no number does), and `factor` on both numbers that halves it. None with a single room, or if the replicates do
-        not vary.
+        no number does), and `factor` on both numbers that halves it. None with a single room, or if rooms and seeds do
+        not vary but for rounding.
     """
-    if difference.z.shape[1] < 2 or not difference.deviations.any():
+    if difference.z.shape[1] < 2 or np.allclose(difference.deviations, 0.0, atol=1e-9):
         return None
     fitted = variance_components(difference.z)
+    if not fitted.variance > 0.0:
+        return None
     n_seeds, n_rooms = fitted.n_seeds, fitted.n_rooms
 
     def detected(seeds: float, rooms: float) -> float:
