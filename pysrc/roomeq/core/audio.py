@@ -203,11 +203,17 @@ def require_whole_riff(head: bytes, n_bytes: int, name: Path | str) -> None:
     ValueError
         Bytes are missing.
     """
+    stated = stated_riff_length(head)
+    if stated is not None and n_bytes < stated - 1:  # the last chunk may lack its padding byte
+        raise ValueError(f"{name}: truncated: {n_bytes} bytes of {stated}: copy it again")
+
+
+def stated_riff_length(head: bytes) -> int | None:
+    """Return the length of a WAV file that its first eight bytes state; None if they state none, or of other formats.
+
+    A program that cannot seek back states a length that no file has: sox 0x7ffff024, others 0 or the largest number.
+    """
     if head[:4] != b"RIFF" or len(head) < 8:
-        return
+        return None
     stated = int.from_bytes(head[4:8], "little")
-    # a program that cannot seek back states a length that no file has: sox 0x7ffff024, others 0 or the largest number
-    streamed = stated == 0 or 0x7FFFF000 <= stated <= 0x7FFFFFFF or stated > 0xFFFFFFE8
-    # the last chunk may lack its padding byte
-    if not streamed and n_bytes < stated + 7:
-        raise ValueError(f"{name}: truncated: {n_bytes} bytes of {stated + 8}: copy it again")
+    return None if stated == 0 or 0x7FFFF000 <= stated <= 0x7FFFFFFF or stated > 0xFFFFFFE8 else stated + 8

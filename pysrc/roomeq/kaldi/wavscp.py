@@ -11,13 +11,13 @@ import subprocess
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 import soundfile
 
 from roomeq.core.arrays import Array
-from roomeq.core.audio import audio_info, read_audio, require_plausible, require_whole_riff
+from roomeq.core.audio import audio_info, read_audio, require_plausible, require_whole_riff, stated_riff_length
 from roomeq.core.constants import FS_HZ
 from roomeq.core.digests import names_in_entry
 from roomeq.core.kept_hashes import Look, quick_look
@@ -263,18 +263,53 @@ def _read_ark(entry: Entry) -> Decoded:
         if not tag.startswith(_AUDIO_TAGS):
             raise ValueError(f"{position}: {tag!r} must be the start of WAV, FLAC or kaldiio AUDIO: matrices, "
                              "arrays and pickles are not supported: write the archive again with wav-copy or kaldiio")
-        stream.seek(entry.offset)
+        n_bytes = Path(entry.text).stat().st_size - entry.offset
+        if tag.startswith(b"RIFF"):
+            require_whole_riff(head, n_bytes, position)  # of one that is cut off, the part that is left would be read
+            stated = stated_riff_length(head)
+            if stated is None:
+                raise ValueError(f"{position}: a WAV file in an archive must state its length: write the archive again "
+                                 "with wav-copy or kaldiio")
+            n_bytes = min(n_bytes, stated)
         try:
-            if tag.startswith(b"fLaC"):
-                samples, rate = soundfile.read(io.BytesIO(stream.read()), frames=_decoding_limit(), dtype="float32")
-            else:
+            if tag.startswith(b"AUDIO"):
+                stream.seek(entry.offset)
                 rate, samples = read_kaldi(stream, load_kwargs=dict(frames=_decoding_limit(), dtype="float32"))
+            else:
+                samples, rate = soundfile.read(_Part(stream, entry.offset, n_bytes), frames=_decoding_limit(),
+                                               dtype="float32")
         except Exception as error:  # broken bytes can raise any exception in kaldiio
             raise ValueError(f"{position}: broken audio ({error or type(error).__name__}): "
                              "make the archive again") from None
-    # of a WAV entry that is cut off, `wave` returns the samples before the end
-    require_whole_riff(head, Path(entry.text).stat().st_size - entry.offset, position)
     return Decoded(int(rate), _to_float(samples))
+
+
+class _Part(io.RawIOBase):
+    """A part of an open file as a file of its own, of which no more is read than is used."""
+
+    def __init__(self, stream: BinaryIO, start: int, n_bytes: int) -> None:
+        super().__init__()
+        self._stream, self._start, self._n_bytes, self._position = stream, start, n_bytes, 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def tell(self) -> int:
+        return self._position
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        self._position = offset + {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: self._n_bytes}[whence]
+        return self._position
+
+    def readinto(self, buffer: Any) -> int:
+        self._stream.seek(self._start + self._position)
+        data = self._stream.read(max(0, min(len(buffer), self._n_bytes - self._position)))
+        buffer[:len(data)] = data
+        self._position += len(data)
+        return len(data)
 
 
 def _decoding_limit() -> int:

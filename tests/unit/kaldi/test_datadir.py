@@ -4,6 +4,7 @@ import os
 import pickle
 import shutil
 import subprocess
+import tracemalloc
 from pathlib import Path
 
 import kaldiio
@@ -113,6 +114,25 @@ def test_archives_are_read_at_their_offset(tmp_path, how):
         assert np.array_equal(read_entry(entry, 0.01, 0.05) * 32768, x[key][160:800])
 
 
+@pytest.mark.parametrize("subtype", ["ULAW", "MS_ADPCM", "PCM_24", "PCM_32", "FLOAT"])
+def test_wav_of_any_encoding_in_an_archive_is_that_of_the_file(tmp_path, subtype):
+    soundfile.write(tmp_path / "x.wav", burst(np.random.default_rng(0), 1000), FS, subtype=subtype)
+    wav = (tmp_path / "x.wav").read_bytes()
+    entry = ark(tmp_path, wav + b"b " + wav)  # another utterance follows
+    assert np.array_equal(read_entry(entry), soundfile.read(tmp_path / "x.wav", dtype="float32")[0])
+
+
+def test_utterance_of_a_large_archive_takes_little_memory(tmp_path):
+    soundfile.write(tmp_path / "x.flac", burst(np.random.default_rng(0), 1000), FS)
+    entry = ark(tmp_path, (tmp_path / "x.flac").read_bytes())
+    os.truncate(entry.text, 200 << 20)  # as if many followed
+    tracemalloc.start()
+    assert len(read_entry(entry)) == 1000
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1 << 20
+
+
 def ark(tmp_path, content):
     (tmp_path / "x.ark").write_bytes(b"key " + content)
     return Entry("ark", str(tmp_path / "x.ark"), 4)
@@ -135,11 +155,13 @@ def wav_bytes(tmp_path, n_samples=800, channels=1, fs_hz=FS):
     (lambda path: b"\0BFM \x04\x01\0\0\0\x04\x01\0\0\0abcd", "matrices"),
     (lambda path: b"", "the offset must lie within the archive.s 4 bytes"),
     (lambda path: b"AUDIO\x08\xff\xff\xff\xff\xff\xff\xff\x7fabc", "broken audio"),
-    (lambda path: b"RIFFabcdefgh", "broken audio"),
+    (lambda path: b"RIFFabcdefgh", "truncated"),
+    (lambda path: b"RIFF\4\0\0\0abcdefgh", "broken audio"),
+    (lambda path: wav_bytes(path)[:4] + b"\xff" * 4 + wav_bytes(path)[8:], "must state its length"),
     (lambda path: wav_bytes(path)[:-400], "truncated|broken"),
     (lambda path: wav_bytes(path, channels=2), "2 channels"),
     (lambda path: wav_bytes(path, fs_hz=8000), "sample rate 8000 Hz must be 16000 Hz"),
-], ids=["pickle", "npy", "matrix", "end", "length", "riff", "truncated", "stereo", "rate"])
+], ids=["pickle", "npy", "matrix", "end", "length", "short", "riff", "streamed", "truncated", "stereo", "rate"])
 def test_broken_or_unsafe_archive_is_refused(tmp_path, monkeypatch, content, message):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError, match=message):
