@@ -37,10 +37,10 @@ def copy_data(source: Path, copy: Path) -> None:
     recordings = read_data_dir(source, pipes=True).recordings
     lines = []
     for recording, entry in recordings.items():
-        if entry.kind != "file" or not entry.text.endswith((".flac", ".wav")):
-            raise ValueError(f"{source}/wav.scp: recording {recording} must be a FLAC or WAV file, not {entry.text!r}")
         path = Path(entry.text).absolute()
-        lines.append(f"{recording} {flac_entry(str(path)) if path.suffix == '.flac' else path}\n")
+        if entry.kind != "file" or path.suffix.lower() not in (".flac", ".wav"):
+            raise ValueError(f"{source}/wav.scp: recording {recording} must be a FLAC or WAV file, not {entry.text!r}")
+        lines.append(f"{recording} {flac_entry(str(path)) if path.suffix.lower() == '.flac' else path}\n")
     shutil.rmtree(copy, ignore_errors=True)
     copy.mkdir(parents=True)
     for name in COPIED:
