@@ -16,9 +16,10 @@ lasting() {
 }
 
 # once NAME COMMAND...: run a command in the workspace unless it has run before; log to <workspace>/log/NAME.log. It
-# runs again when its `lasting` words, its `inputs`, or the words of an earlier command of the same script have changed.
-# With --dry-run it is printed. If two runs share a workspace, one waits for the other. If `outputs` holds files of the
-# workspace, they are removed before: Kaldi leaves those of an earlier run with more jobs, and reads them.
+# runs again when its `lasting` words, its `inputs`, or the words of an earlier command of the same script have changed,
+# or when an earlier one has run. With --dry-run it is printed. If two runs share a workspace, one waits for the other.
+# If `outputs` holds files or a directory of the workspace, they are removed before: Kaldi leaves those of an earlier run
+# with more jobs and reads them, or refuses a directory that is there.
 once() {
   local name=$1 started=$SECONDS
   shift
@@ -28,21 +29,32 @@ once() {
   fi
   key=$({ printf '%s\0' "${key:-}" "$name" && lasting "$@"; } | sha256sum | cut -c1-16)
   local mark=$workspace/done/$name log=$workspace/log/$name.log
-  [ "$(cat "$mark" 2>/dev/null)" != "$key" ] || return 0
-  exec 9>"$workspace/.lock" # commands inherit the lock, so those that outlive a killed run are waited for, too
-  flock -w 10 9 || {
-    printf '%s kaldi: waiting for a command of another run in %s\n' "$(date +%H:%M:%S)" "$workspace"
-    flock 9
-  }
-  [ "$(cat "$mark" 2>/dev/null)" != "$key" ] || return 0 # the other run has done it
+  [ -n "${ran:-}" ] || [ "$(cat "$mark" 2>/dev/null)" != "$key" ] || return 0
+  take_lock
+  [ -n "${ran:-}" ] || [ "$(cat "$mark" 2>/dev/null)" != "$key" ] || return 0 # another run has done it
+  ran=1
   rm -f "$mark"
   # shellcheck disable=SC2086 # a pattern
-  [ -z "${outputs:-}" ] || rm -f "$workspace"/$outputs
+  [ -z "${outputs:-}" ] || rm -rf "${workspace:?}"/$outputs
   mkdir -p "$(dirname "$log")" "$(dirname "$mark")"
   printf '%s kaldi: %s\n' "$(date +%H:%M:%S)" "$name"
   (cd "$workspace" && . ./path.sh && "$@") >"$log" 2>&1 </dev/null ||
     die "$name failed after $((SECONDS - started)) s: $(grep -v '^ *$' "$log" | tail -n 1) (log: $log)"
   echo "$key" >"$mark.new" && mv "$mark.new" "$mark"
+}
+
+# take_lock: wait until no command of another run works in the workspace. Commands inherit the lock, so that those which
+# outlive a killed run are waited for, too.
+take_lock() {
+  local status=0
+  exec 9>"$workspace/.lock"
+  flock -w 10 -E 9 9 || status=$?
+  [ "$status" -ne 9 ] || {
+    printf '%s kaldi: waiting for a command of another run in %s\n' "$(date +%H:%M:%S)" "$workspace"
+    status=0
+    flock 9 || status=$?
+  }
+  [ "$status" -eq 0 ] || printf '%s: no locks here: let one run at a time work there\n' "$workspace" >&2
 }
 
 # inputs FILE...: declare files that the following commands depend on.

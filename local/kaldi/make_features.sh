@@ -18,14 +18,13 @@ workspace=$1 set=$2 made=$2 config=conf/mfcc.conf
 
 inputs "$workspace/data/$set/source"
 if [ "$speed_perturb" = true ]; then
-  once "$set/features/speed" utils/data/perturb_data_dir_speed_3way.sh "data/$set" "data/$set.sp"
+  outputs=data/$set.sp once "$set/features/speed" utils/data/perturb_data_dir_speed_3way.sh "data/$set" "data/$set.sp"
   made=$set.sp
 fi
 if [ "$hires" = true ]; then
   copy=(utils/copy_data_dir.sh)
   [ "$by_utterance" = false ] || copy=(utils/data/modify_speaker_info.sh --utts-per-spk-max 1)
-  once "$set/features/clear" rm -rf "data/$set.hires" # features of the utterances that the set had before
-  once "$set/features/copy" "${copy[@]}" "data/$made" "data/$set.hires"
+  outputs=data/$set.hires once "$set/features/copy" "${copy[@]}" "data/$made" "data/$set.hires"
   [ "$by_utterance" = false ] || [ "$speed_perturb" = false ] || # modify_speaker_info.sh leaves it out
     once "$set/features/utt2uniq" cp "data/$made/utt2uniq" "data/$set.hires/"
   made=$set.hires config=conf/mfcc_hires.conf

@@ -1,10 +1,11 @@
 #!/usr/bin/env bash
 # Make a workspace for stock Kaldi scripts: link Kaldi's folders, check Kaldi's tools, copy data directories.
-# Usage: local/kaldi/make_workspace.sh [--dry-run true] [--nj 2] <workspace> <data-dir>...
+# Usage: local/kaldi/make_workspace.sh [--dry-run true] [--nj 2] [--seed 0] <workspace> <data-dir>...
 # e.g.:  KALDI_ROOT=~/kaldi local/kaldi/make_workspace.sh exp/kaldi data/train.clean data/test.real.rvb
 set -euo pipefail
 nj=2            # jobs at a time, for local processes
 dry_run=false   # print the commands
+seed=           # seed that far-field speech must have been made with; default: any
 . ./path.sh
 . ./cmd.sh
 . utils/parse_options.sh
@@ -46,5 +47,5 @@ local/kaldi/check_kaldi.sh "$workspace"
 
 for data; do
   require "$data/wav.scp" "stages 0-6"
-  local/kaldi/copy_data.py "$data" "$workspace/data/${data##*/}"
+  local/kaldi/copy_data.py ${seed:+--seed "$seed"} "$data" "$workspace/data/${data##*/}"
 done

@@ -59,7 +59,7 @@ if at_stage 8 "Kaldi: language, features, GMM"; then
   texts=("$data/train.clean/text" ${lm_text:+"$lm_text"})
   [ -z "$librispeech" ] || [ -n "$lm_text" ] || texts=()
   log "language models are trained on: ${texts[*]:-nothing, those of LibriSpeech are used}"
-  local/kaldi/make_workspace.sh "${common[@]}" "$workspace" "${copied[@]}"
+  local/kaldi/make_workspace.sh "${common[@]}" --seed "$seed" "$workspace" "${copied[@]}"
   [ "$dry_run" = true ] || roomeq validate "${copied[@]}" # Kaldi would train on a damaged directory
   [ "$dry_run" = true ] || echo "$seed" >"$workspace/seed" # of which roomeq wer counts the errors
   local/kaldi/make_lang.sh "${common[@]}" "$workspace" "${texts[@]}"
@@ -96,6 +96,7 @@ if at_stage 9 "Kaldi: TDNN with LF-MMI"; then
         test.real.rvb
     local/kaldi/train_chain.sh "${common[@]}" --use-gpu "$use_gpu" --ivectors "$ivectors" \
       --online-cmvn "$online_cmvn" --seed "$seed" "${chain_opts[@]}" "$workspace" "train.$x" "$(alignments_of "$x")"
+    [ "$dry_run" = true ] || cp "$workspace/seed" "$workspace/train.$x/seed"
     [ "$dry_run" = true ] || { cat "$workspace/settings" &&
       settings align_on num_leaves speed_perturb online_cmvn ivectors chain_opts; } >"$workspace/train.$x/trained_with"
   done

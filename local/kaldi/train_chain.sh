@@ -89,7 +89,9 @@ if [ "$dry_run" = false ]; then
     last=${last%.mdl}
     [ "${last:-0}" -lt 2 ] || stage=$((last - 1))
   else
-    rm -rf "$workspace/$set"/{egs,*.mdl,online_cmvn,global_cmvn.stats,cmvn_opts} && echo "$state" >"$begun"
+    take_lock
+    rm -rf "$workspace/done/$set/nnet/train" "$workspace/$set"/{egs,*.mdl,online_cmvn,global_cmvn.stats,cmvn_opts}
+    echo "$state" >"$begun"
   fi
 fi
 once "$set/nnet/train" "${train[@]}" --stage "$stage"

@@ -69,6 +69,7 @@ def put_workspace(workspace, errors, *, sets, columns=("tgsmall",), seed=0):
     write_text(workspace / "seed", f"{seed}\n")
     for row in errors:
         put_source(workspace, row, workspace / row)
+        write_text(workspace / row / "seed", f"{seed}\n")
     for name, rirs in sets.items():
         put_texts(workspace / "data" / name / "utt2rir", {ident: [rir] for ident, rir in rirs.items()})
         snrs = zip(rirs, cycle(("5", "12")))

@@ -90,8 +90,13 @@ class Workspace:
         return int(text)
 
     def require_present(self) -> None:
-        """Raise ValueError for a model or a decoding of other data than the workspace has now."""
+        """Raise ValueError for a model or a decoding of other data, or of another seed, than the workspace has now."""
+        seed = self.seed()
         for row in self.rows:
+            trained = self.path / row / SEED_FILE
+            if not trained.is_file() or read_text(trained).strip() != str(seed):
+                raise ValueError(f"{trained}: must hold the seed of the workspace, {seed}: run stages 8 to 10 with one "
+                                 "seed for all rows")
             self._require_source(self.path / row, row, "trained on")
             for name in self.sets_of(row):
                 for column in self.columns:

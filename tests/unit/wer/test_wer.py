@@ -187,7 +187,9 @@ def test_weights_are_chosen_on_dev_not_on_test(tmp_path):
      "train.sim.rvb: was not trained on what .*train.sim.rvb holds now"),
     (lambda root: (root / "train.sim.rvb/decode_dev.real.rvb_tgsmall/source").unlink(),
      "was not decoded from what .*dev"),
-    (lambda root: (root / "seed").write_text("seven"), "seed: must hold the seed of the run: run stage 8 again")])
+    (lambda root: (root / "seed").write_text("seven"), "seed: must hold the seed of the run: run stage 8 again"),
+    (lambda root: (root / "train.sim.rvb/seed").write_text("7"), "train.sim.rvb/seed: must hold the seed of the "
+     "workspace, 0: run stages 8 to 10 with one seed for all rows")])
 def test_models_and_decodings_of_other_data_are_refused(tmp_path, damage, message):
     workspace, = put_example(tmp_path)
     damage(workspace)
