@@ -17,7 +17,7 @@ lasting() {
 
 # once NAME COMMAND...: run a command in the workspace unless it has run before; log to <workspace>/log/NAME.log. It
 # runs again when its `lasting` words, its `inputs`, or the words of an earlier command of the same script have changed,
-# or when an earlier one has run. With --dry-run it is printed. If two runs share a workspace, one waits for the other.
+# or when an earlier one has run since. With --dry-run it is printed. If two runs share a workspace, one waits for the other.
 # If `outputs` holds files or a directory of the workspace, they are removed before: Kaldi leaves those of an earlier run
 # with more jobs and reads them, or refuses a directory that is there.
 once() {
@@ -29,10 +29,9 @@ once() {
   fi
   key=$({ printf '%s\0' "${key:-}" "$name" && lasting "$@"; } | sha256sum | cut -c1-16)
   local mark=$workspace/done/$name log=$workspace/log/$name.log
-  [ -n "${ran:-}" ] || [ "$(cat "$mark" 2>/dev/null)" != "$key" ] || return 0
+  ! is_done "$mark" || return 0
   take_lock
-  [ -n "${ran:-}" ] || [ "$(cat "$mark" 2>/dev/null)" != "$key" ] || return 0 # another run has done it
-  ran=1
+  ! is_done "$mark" || return 0 # another run has done it
   rm -f "$mark"
   # shellcheck disable=SC2086 # a pattern
   [ -z "${outputs:-}" ] || rm -rf "${workspace:?}"/$outputs
@@ -40,7 +39,16 @@ once() {
   printf '%s kaldi: %s\n' "$(date +%H:%M:%S)" "$name"
   (cd "$workspace" && . ./path.sh && "$@") >"$log" 2>&1 </dev/null ||
     die "$name failed after $((SECONDS - started)) s: $(grep -v '^ *$' "$log" | tail -n 1) (log: $log)"
-  echo "$key" >"$mark.new" && mv "$mark.new" "$mark"
+  printf '%s\n' "$key" "$(date +%s%N).$$" "${earlier:-}" >"$mark.new" && mv "$mark.new" "$mark"
+  is_done "$mark"
+}
+
+# is_done MARK: tell whether a command's mark is that of its key, and of the earlier command as that ran last.
+is_done() {
+  local lines=()
+  [ ! -f "$1" ] || mapfile -t lines <"$1"
+  [ "${lines[0]:-}" = "$key" ] && [ "${lines[2]:-}" = "${earlier:-}" ] || return 1
+  earlier=${lines[1]:-}
 }
 
 # take_lock: wait until no command of another run works in the workspace. Commands inherit the lock, so that those which
@@ -66,4 +74,9 @@ inputs() {
 }
 
 # after NAME...: declare that the following commands depend on commands of other scripts, by their `once` names.
-after() { inputs "${@/#/"$workspace"/done/}"; }
+after() {
+  [ "$dry_run" = false ] || return 0
+  local name
+  for name; do require "$workspace/done/$name" "the stage before"; done
+  key=$(head -qn 1 -- "${@/#/"$workspace"/done/}" | sha256sum | cut -c1-16)
+}

@@ -8,6 +8,9 @@ import pytest
 import recipe_run
 from datadirs import speech_dir
 
+from roomeq.core.files import write_json, write_text
+from roomeq.core.stamps import FORMAT, stamp_content
+
 ONCE = """#!/usr/bin/env bash
 # Count.
 # Usage: count.sh [options] <workspace> <word>
@@ -142,6 +145,18 @@ def test_once_repeats_only_after_a_change(recipe):
     assert len(counted(recipe, "--input", "in", "ws", "b")[0]) == 8
 
 
+def test_commands_after_one_that_has_run_since_are_repeated(recipe):
+    """What a later command made lay in the directory that the earlier one has made again."""
+    counted(recipe, "ws", "a")
+    assert counted(recipe, "ws", "bad", fails=True)[0] == ["a", "a", "bad", "bad"]
+    (recipe / "ws/done/first").unlink()
+    assert counted(recipe, "ws", "bad", fails=True)[0][4:] == ["bad", "bad"]
+    assert counted(recipe, "ws", "a")[0][6:] == ["a", "a"]
+    (recipe / "ws/done/first").unlink()
+    assert counted(recipe, "ws", "a")[0][8:] == ["a", "a"]
+    assert len(counted(recipe, "ws", "a")[0]) == 10
+
+
 def test_outputs_of_an_earlier_run_with_more_jobs_are_removed(recipe):
     (recipe / "ws/out").mkdir()
     for name in ("lat.1.gz", "lat.9.gz", "kept"):
@@ -198,14 +213,24 @@ def test_copied_directory_names_audio_by_absolute_paths(copy_data, tmp_path, pro
 
 
 def test_copy_keeps_features_until_the_source_changes(copy_data, tmp_path):
-    source = speech_dir(tmp_path / "source")
-    copy_data(source, tmp_path / "copy")
-    (tmp_path / "copy/feats.scp").write_text("x")
-    copy_data(source, tmp_path / "copy")
-    assert (tmp_path / "copy/feats.scp").exists()
+    source, copy = speech_dir(tmp_path / "source"), tmp_path / "ws/data/a"
+    features, mark = copy / "feats.scp", tmp_path / "ws/done/a/features/a.cmvn"
+    copy_data(source, copy)
+    for path in (features, mark):
+        write_text(path, "x")
+    copy_data(source, copy)
+    assert features.exists() and mark.exists()
     (source / ".done").write_text("another state")
-    copy_data(source, tmp_path / "copy")
-    assert not (tmp_path / "copy/feats.scp").exists()
+    copy_data(source, copy)
+    assert not features.exists() and not mark.exists()
+
+
+def test_far_field_speech_of_another_seed_is_refused(copy_data, tmp_path):
+    source = speech_dir(tmp_path / "source")
+    write_json(source / ".done", stamp_content(step="augment", key="k", options=dict(seed=0), files={}, format=FORMAT))
+    assert copy_data("--seed", "0", source, tmp_path / "ws/data/a").returncode == 0
+    done = copy_data("--seed", "1", source, tmp_path / "ws/data/b")
+    assert done.returncode == 1 and "was made with seed 0, and would count as one of seed 1" in done.stderr
 
 
 def test_copy_refuses_pipes(copy_data, tmp_path):
