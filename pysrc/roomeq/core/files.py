@@ -216,6 +216,11 @@ def _finite(text: str) -> float:
     return value
 
 
+def user_cache() -> Path:
+    """Return the directory for what may be deleted at any time."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "roomeq"
+
+
 def physical(path: Path | str) -> Path:
     """Return a path with the links above it resolved, as the system does: ``..`` leaves where a link leads to.
 

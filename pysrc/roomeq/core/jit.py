@@ -16,6 +16,7 @@ import numpy as np
 from numba import config, njit, uint64
 
 from roomeq.core.digests import code_digest
+from roomeq.core.files import user_cache
 
 N_CHUNKS = 8
 config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]  # off by default; adds the eight bands of an echogram at once
@@ -35,7 +36,7 @@ def _cache_directory() -> Path | None:
     """
     name = f"kernels-{code_digest()[:16]}"
     setting = os.environ.get("NUMBA_CACHE_DIR")
-    for parent in [Path(setting)] if setting else [_PACKAGE / "__pycache__", Path.home() / ".cache" / "roomeq"]:
+    for parent in [Path(setting)] if setting else [_PACKAGE / "__pycache__", user_cache()]:
         with contextlib.suppress(OSError):
             (parent / name).mkdir(parents=True, exist_ok=True)
             if os.access(parent / name, os.W_OK):

@@ -8,7 +8,6 @@ import contextlib
 import fcntl
 import hashlib
 import json
-import os
 import stat
 import time
 from collections.abc import Iterable, Iterator
@@ -16,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from roomeq.core.files import hash_file, read_sealed, write_sealed
+from roomeq.core.files import hash_file, read_sealed, user_cache, write_sealed
 
 SETTLED_NS = 2_000_000_000
 """Age of a file from which its hash is kept: a change within a tick of the clock cannot be seen [ns]."""
@@ -97,7 +96,7 @@ def hashes_of_input(name: str, paths: Iterable[Path]) -> list[str | None]:
     paths = list(paths)
     if sum(look.size for path in paths if (look := quick_look(path))) < KEPT_FROM_BYTES:
         return _read_in_threads(_in_memory, paths)
-    store = _cache_directory() / f"{hashlib.sha256(name.encode(errors='surrogateescape')).hexdigest()[:32]}.json"
+    store = user_cache() / "hashes" / f"{hashlib.sha256(name.encode(errors='surrogateescape')).hexdigest()[:32]}.json"
     known = _read_store(store)
     if None not in (hashes := [known.find(path) for path in paths]):
         return hashes
@@ -115,10 +114,6 @@ def _read_in_threads(known: KeptHashes, paths: list[Path]) -> list[str | None]:
         return hashes
     with ThreadPoolExecutor(_THREADS) as pool:
         return list(pool.map(known.of, paths))
-
-
-def _cache_directory() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "roomeq" / "hashes"
 
 
 def _read_store(store: Path) -> KeptHashes:
