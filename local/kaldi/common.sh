@@ -17,9 +17,9 @@ lasting() {
 
 # once NAME COMMAND...: run a command in the workspace unless it has run before; log to <workspace>/log/NAME.log. It
 # runs again when its `lasting` words, its `inputs`, or the words of an earlier command of the same script have changed,
-# or when an earlier one has run since. With --dry-run it is printed. If two runs share a workspace, one waits for the other.
-# If `outputs` holds files or a directory of the workspace, they are removed before: Kaldi leaves those of an earlier run
-# with more jobs and reads them, or refuses a directory that is there.
+# or when an earlier one has run since. With --dry-run it is printed. If two runs share a workspace, one waits for the
+# other. If `outputs` holds files or a directory of the workspace, they are removed before: Kaldi leaves those of an
+# earlier run with more jobs and reads them, or refuses a directory that is there.
 once() {
   local name=$1 started=$SECONDS
   shift
