@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import subprocess
 
 import pytest
@@ -352,3 +353,33 @@ def test_stock_kaldi_trains_and_decodes(tmp_path, project_dir):
         assert checked.returncode == 0, checked.stderr
     assert (tmp_path / "exp/wer/wer.json").exists()
     assert " kaldi: " not in stages(8, 9)
+
+
+@pytest.mark.skipif("KALDI_ROOT" not in os.environ, reason="needs KALDI_ROOT: Kaldi, compiled")
+def test_features_are_those_of_the_set_and_the_options(tmp_path, project_dir):
+    source, ws = tmp_path / "data/a", tmp_path / "ws"
+
+    def copied(state):
+        shutil.rmtree(source, ignore_errors=True)
+        speech_dir(source, {f"{speaker}-{n}": 16000 for speaker in "ab" for n in range(3)}, seed=state)
+        (source / ".done").write_text(str(state))
+        done = run(project_dir, "local/kaldi/make_workspace.sh", str(ws), str(source),
+                   KALDI_ROOT=os.environ["KALDI_ROOT"])
+        assert done.returncode == 0, done.stderr
+
+    def featured(made, *options):
+        done = run(project_dir, "local/kaldi/make_features.sh", *options, str(ws), "a",
+                   KALDI_ROOT=os.environ["KALDI_ROOT"])
+        assert done.returncode == 0, done.stderr
+        return done.stdout, (ws / "data" / made / "feats.scp").read_text()
+
+    copied(0)
+    said, _ = featured("a.sp", "--speed-perturb", "true")
+    assert "features/speed" in said and featured("a.sp", "--speed-perturb", "true")[0] == ""
+    for by_utterance in ("false", "true", "false"):
+        said, _ = featured("a.hires", "--hires", "true", "--by-utterance", by_utterance)
+        assert "features/a.hires.cmvn" in said
+        assert len((ws / "data/a.hires/spk2utt").read_text().splitlines()) == (6 if by_utterance == "true" else 2)
+    copied(1)  # and killed before its features
+    copied(0)
+    assert "features/speed" in featured("a.sp", "--speed-perturb", "true")[0]
