@@ -66,11 +66,12 @@ class _Test(NamedTuple):
 def find_unexplained(session: Session) -> list[Unexplained]:
     """Return the significant residuals of a model, the largest first."""
     data, residual = session.data, session.residual
-    blocks = [(metric, band) for metric in dict.fromkeys(METRIC.tolist()) for band in range(-1, len(BANDS_HZ))
+    metrics = list(dict.fromkeys(METRIC.tolist()))
+    blocks = [(metric, band) for metric in metrics for band in range(-1, len(BANDS_HZ))
               if np.any((METRIC == metric) & (BAND_OF_FEATURE == band))]
     of_blocks = [_Test(metric, band, *test) for metric, band in blocks
                  for test in _block_tests(residual[:, (METRIC == metric) & (BAND_OF_FEATURE == band)], data)]
-    metrics, of_metrics, of_bands = list(dict.fromkeys(METRIC.tolist())), [], []
+    of_metrics, of_bands = [], []
     for metric in metrics:
         of_metric = residual[:, METRIC == metric]
         if of_metric.shape[1] > 1:  # what touches all bands shows in their mean, also where few rooms measure it

@@ -10,8 +10,6 @@ from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BANDS_HZ
 from roomeq.report.figures import MARKERS, Draw, legend, log_frequency
 
-"""Just noticeable difference of a level [dB]."""
-
 LOWEST_DB = -60.0
 
 

@@ -223,8 +223,6 @@ def detectable(difference: Statistic) -> dict | None:
     if difference.z.shape[1] < 2 or np.allclose(difference.deviations, 0.0, atol=1e-9):
         return None
     fitted = variance_components(difference.z)
-    if not fitted.variance > 0.0:
-        return None
     n_seeds, n_rooms = fitted.n_seeds, fitted.n_rooms
 
     def detected(seeds: float, rooms: float) -> float:
