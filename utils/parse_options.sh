@@ -104,4 +104,4 @@ done
 for ((i = 0; i < ${#options_set[@]}; i += 2)); do
   set_option "${options_set[i]}" "${options_set[i + 1]}" ""
 done
-unset options_known option_defaults options_set flag next
+unset options_known option_defaults options_set flag next i

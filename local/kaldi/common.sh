@@ -43,7 +43,8 @@ once() {
   is_done "$mark"
 }
 
-# is_done MARK: tell whether a command's mark is that of its key, and of the earlier command as that ran last.
+# is_done MARK: tell whether a command's mark is that of its key, and of the earlier command as that ran last. If so, this
+# command is the earlier one of the next.
 is_done() {
   local lines=()
   [ ! -f "$1" ] || mapfile -t lines <"$1"
