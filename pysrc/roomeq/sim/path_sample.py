@@ -56,6 +56,7 @@ SHARING_M = 0.1
 """Microphones this close to one another share a sample: receiver spheres are larger, and sound goes further in 1 ms."""
 _ROUNDING_M = 1e-6  # of the coordinates of arrays that are turned
 _NO_GAIN = np.zeros((0, 0, 0), np.float32)
+_NO_WEIGHT = np.zeros(0, np.float32)
 _NEGLIGIBLE = np.float32(1e-25)  # share of a ray's energy at a reference that counts as none
 _EMPTY = np.float32(1e-20)  # energy of a frame at a reference that counts as none: what was neglected may show
 
@@ -292,7 +293,7 @@ def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatAr
     shape = (N_CHUNKS, len(mics_m), n_frames)
     sums = np.zeros((*shape, 2 * _PER_CHUNK), dtype=np.float32)
     kept = np.zeros((*shape, _PER_CHUNK), dtype=np.uint32)
-    weight = np.ones(n_rays, np.float32) if ray_weight is None else single(ray_weight)
+    weight = _NO_WEIGHT if ray_weight is None else single(ray_weight)
     constant = (Rules(ism_order, np.float32(paths.late_m)), paths.hits, paths.codes, paths.first,
                 paths.counts, single(paths.normals), paths.face_surface,
                 single(1.0 - references), single(paths.scattering),
@@ -328,8 +329,9 @@ def _unpack(sums: Array, kept: Array, tallies: _Tallies, power: Array, scale: Nu
     for frame in range(n_frames):
         for place in range(weight.shape[1]):
             chunk, n = place // kept.shape[2], place % kept.shape[2]
-            at, share0 = kept[chunk, frame, n], 1.0
-            share1 = np.float64(ray_weight[np.searchsorted(first, at, side="right") - 1])
+            at, share0, share1 = kept[chunk, frame, n], 1.0, 1.0
+            if len(ray_weight):
+                share1 = np.float64(ray_weight[np.searchsorted(first, at, side="right") - 1])
             last[frame, place] = at
             for surface in range(n_surfaces):
                 hits = (tallies.words[at, tallies.word[surface]] >> tallies.shift[surface]) & tallies.mask
@@ -418,7 +420,7 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
     reflection : ndarray of float32, shape (2, n_surfaces)
         Share of energy that is reflected at each reference.
     ray_weight : ndarray of float32, shape (n_rays,)
-        Energy of each ray at the second reference.
+        Energy of each ray at the second reference; empty if that is 1.
     sums : ndarray of float32, shape (n_mics, n_frames, 2 * _PER_CHUNK)
         Energy so far at each reference, and the sums that must be exceeded to take the place that goes with it.
     kept : ndarray of uint32, shape (n_mics, n_frames, _PER_CHUNK)
@@ -429,7 +431,7 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
     zero, one = np.float32(0.0), np.float32(1.0)
     along, weight, frame = np.empty(n_mics, np.float32), np.empty(n_mics, np.float32), np.empty(n_mics, np.float32)
     for ray in range(low, high):
-        share0, share1 = one, ray_weight[ray]
+        share0, share1 = one, ray_weight[ray] if len(ray_weight) else one
         step, hit = at_source(), (zero, zero, zero, zero)
         for n in range(face_counts[ray]):
             at = first[ray] + n
