@@ -277,11 +277,14 @@ def _pieces(room: MeshRoom, edges: Edges, most: int) -> Pieces:
 
 
 def _seen(room: MeshRoom, edges: Edges, most: int, point_m: ArrayLike) -> BoolArray:
-    """Tell which pieces are seen from a point; computed once per point."""
+    """Tell which pieces are seen from a point; computed once per point.
+
+    The line of sight starts in the air: a piece may lie behind the floor that furniture stands on.
+    """
     known = room._cache.setdefault("edges_seen", {})
     key = (most, *(float(value) for value in np.asarray(point_m)))
     if key not in known:
-        known[key] = room.sees(_pieces(room, edges, most).point_m, np.asarray(key[1:]))
+        known[key] = room.sees(np.asarray(key[1:]), _pieces(room, edges, most).point_m)
     return cast(BoolArray, known[key])
 
 
