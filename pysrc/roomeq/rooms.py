@@ -166,7 +166,7 @@ def simulate_rir(room: Room, source: ArrayLike, mics: ArrayLike, fs: int = FS_HZ
         Position of the source [m], shape (3,).
     mics
         Positions of the microphones [m], shape (3,) or (n_mics, 3). The source is traced once for all. Their late
-        reverberation is coherent as in a diffuse field (`roomeq.sim.array_noise`).
+        reverberation is coherent as in a diffuse field, with their directivities (`roomeq.sim.array_noise`).
     fs
         Sample rate, 8 to 48 kHz [Hz].
     source_directivity

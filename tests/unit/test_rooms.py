@@ -30,6 +30,15 @@ def test_response_begins_with_the_direct_sound_of_a_unit_pulse():
         assert np.sum(rir[first - 2:first + 3]) == pytest.approx(1.0 / (4.0 * np.pi * DISTANCE_M), rel=0.1)
 
 
+def test_coincident_pair_hears_different_reverberation():
+    """Figure-eights at right angles have no coherence in a diffuse field; two omnidirectional ones are alike."""
+    crossed = [roomeq.FirstOrder("figure_eight", axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))]
+    for directivities, low, high in ((crossed, -0.2, 0.2), (None, 0.99, 1.0)):
+        rirs = roomeq.simulate_rir(roomeq.Room((6.0, 4.0, 3.0), materials=0.1), SOURCE_M, [MIC_M] * 2, num_rays=500,
+                                   mic_directivity=directivities)
+        assert low <= np.corrcoef(rirs[:, 4000:12000])[0, 1] <= high
+
+
 def test_array_has_a_row_for_each_microphone_and_the_same_bytes_again():
     mics_m = [MIC_M, (4.1, 3.0, 1.2), (1.0, 1.0, 1.0)]
     rirs = roomeq.simulate_rir(ROOM, SOURCE_M, mics_m, num_rays=500, seed=4)

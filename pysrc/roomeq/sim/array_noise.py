@@ -1,24 +1,31 @@
 """Noise of the late reverberation at the microphones of an array, coherent as in a diffuse field."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len, rfft
 
-from roomeq.core.arrays import Array
+from roomeq.core.arrays import Array, FloatArray
+from roomeq.core.constants import exact_bands_hz
+from roomeq.sim.trace import sphere_directions
 
 _LOADING = 1e-6  # of the diagonal, for microphones in one place
 _STEP_RAD = 0.1  # largest change of k d over frequencies that share a factor
 _ELEMENTS = 2 ** 22  # of the coherence matrices that are in memory at once
+_DIRECTIONS = 2000  # of plane waves that are a diffuse field to directive microphones
 _MARGIN_S = 0.02  # zeros behind the noise: the filters that mix it are short, and must not wrap around
 
 
-def make_coherent(noises: Sequence[Array], mics_m: ArrayLike, speed_m_s: float, fs_hz: float) -> list[Array]:
+def make_coherent(noises: Sequence[Array], mics_m: ArrayLike, speed_m_s: float, fs_hz: float,
+                  directivities: Sequence[Callable[[FloatArray], FloatArray] | None] = ()) -> list[Array]:
     """Mix independent noises so that two microphones at a distance d have the coherence of a diffuse field.
 
-    It is ``sin(k d) / (k d)`` (Cook et al., J. Acoust. Soc. Am. 27 (1955) 1072). The noises are mixed by the Cholesky
-    factor of the coherence matrix at each frequency (Habets, Cohen and Gannot, J. Acoust. Soc. Am. 124 (2008) 2911).
+    Of omnidirectional ones it is ``sin(k d) / (k d)`` (Cook et al., J. Acoust. Soc. Am. 27 (1955) 1072). With
+    directivities D it is the mean of ``D_1 D_2 exp(i k x)`` over all directions, where x is the part of d along each,
+    over the root of both mean squares (Elko, in Brandstein and Ward, Microphone Arrays, Springer 2001, ch. 4). The
+    noises are mixed by the Cholesky factor of the coherence matrix at each frequency (Habets, Cohen and Gannot, J.
+    Acoust. Soc. Am. 124 (2008) 2911).
 
     Parameters
     ----------
@@ -29,6 +36,9 @@ def make_coherent(noises: Sequence[Array], mics_m: ArrayLike, speed_m_s: float, 
     speed_m_s
         Speed of sound.
     fs_hz
+    directivities
+        One per microphone, from unit vectors away from it, shape (n, 3), to gains of pressure, shape (n, n_bands); None
+        is omnidirectional. By default all are.
 
     Returns
     -------
@@ -48,7 +58,24 @@ def make_coherent(noises: Sequence[Array], mics_m: ArrayLike, speed_m_s: float, 
     groups = padded.reshape(len(padded), n_groups, width).transpose(1, 0, 2)
     at_once = max(1, _ELEMENTS // distance_m.size)
     for block in (slice(first, first + at_once) for first in range(0, n_groups, at_once)):
-        coherence = np.sinc(2.0 * frequency_hz[block, None, None] * distance_m / speed_m_s)
+        coherence = (_of_directive(frequency_hz[block], positions_m, speed_m_s, fs_hz, directivities)
+                     if any(directivities) else np.sinc(2.0 * frequency_hz[block, None, None] * distance_m / speed_m_s))
         factor = np.linalg.cholesky((1.0 - _LOADING) * coherence + _LOADING * np.eye(len(positions_m)))
-        groups[block] = factor.astype(np.float32) @ groups[block]
+        groups[block] = factor.astype(np.complex64 if np.iscomplexobj(factor) else np.float32) @ groups[block]
     return list(irfft(padded[:, :n_bins], n_fft)[:, :n_samples])
+
+
+def _of_directive(frequency_hz: FloatArray, positions_m: FloatArray, speed_m_s: float, fs_hz: float,
+                  directivities: Sequence[Callable[[FloatArray], FloatArray] | None]) -> Array:
+    """Return the coherence of directive microphones in a diffuse field, shape (n_frequencies, n_mics, n_mics)."""
+    directions, bands_hz = sphere_directions(_DIRECTIONS, np.random.default_rng(0)), exact_bands_hz(fs_hz)
+    gains = np.array([np.ones((_DIRECTIONS, len(bands_hz))) if directivity is None else directivity(directions)
+                      for directivity in directivities])
+    gains = gains / np.sqrt(np.maximum(np.mean(gains ** 2, axis=1, keepdims=True), np.finfo(float).tiny))
+    ahead_m = (positions_m - positions_m.mean(axis=0)) @ directions.T
+    band = np.abs(np.log(frequency_hz[:, None] / bands_hz)).argmin(axis=1)
+    result = np.empty((len(frequency_hz), len(positions_m), len(positions_m)), complex)
+    for n, (one_hz, of_band) in enumerate(zip(frequency_hz, band, strict=True)):
+        heard = gains[:, :, of_band] * np.exp(2j * np.pi * one_hz / speed_m_s * ahead_m)
+        result[n] = heard @ heard.conj().T / _DIRECTIONS
+    return result

@@ -197,7 +197,8 @@ def make_render_context(traced: "TracedSource", mics_m: ArrayLike, rngs: Sequenc
     for array in set(arrays or ()):
         members = [mic for mic, of_array in enumerate(arrays or ()) if of_array == array]
         if len(members) > 1:
-            mixed = make_coherent([noises[mic] for mic in members], mics_m[members], speed_m_s, fs_hz)
+            mixed = make_coherent([noises[mic] for mic in members], mics_m[members], speed_m_s, fs_hz,
+                                  [mic_directivities[mic] for mic in members])
             for mic, noise in zip(members, mixed, strict=True):
                 noises[mic] = noise
     context = RenderContext(traced, mics_m, images, diffracted, noises, path_samples, [], length_s, ism_order,

@@ -6,6 +6,7 @@
 """
 
 import logging
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -349,9 +350,14 @@ def simulate_responses(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike,
         check_positions(scene.room, source_pos_m, mic_m)
     exponent = 1.0 if target_t60_s is None else eyring_exponent(scene, target_t60_s)
     expected = scaled_absorption(scene.absorption, exponent)
-    # other rooms, sources and microphones have other rays and tails, also with the same seed
+    # other rooms, sources and microphones have other rays and tails, also with the same seed; of microphones in one
+    # place, which may be directive, the tails before mixing have to be independent too
     of_source = (scene.room.volume_m3, *map(float, scene.room.surface_area_m2), *map(float, np.ravel(source_pos_m)))
-    names = [repr((of_source, *map(float, mic_m))) for mic_m in mics_m]
+    before: Counter[tuple[float, ...]] = Counter()
+    names = []
+    for place_m in (tuple(map(float, mic_m)) for mic_m in mics_m):
+        names.append(repr((of_source, *place_m, *[before[place_m]] * (place_m in before))))
+        before[place_m] += 1
     traced = trace_source(scene, source_pos_m, num_rays=num_rays, absorption=expected,
                           max_length_s=needed_length_s(scene, target_t60_s, order),
                           rng=rng_for(seed, "trace", repr(of_source)))
