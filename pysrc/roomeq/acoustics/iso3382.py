@@ -47,6 +47,9 @@ EARLY_S = 0.05
 """Time after the direct sound that separates early from late energy (C50)."""
 DECAYS_DB = {"edt": (0.0, -10.0), "t20": (-5.0, -25.0), "t30": (-5.0, -35.0)}
 """Evaluation range of each decay time: levels of the decay curve relative to its start."""
+_LARGEST_DRR_ERROR_DB = 1.0
+_NOISE_DEVIATIONS = 4.0  # of the energy of white noise, within which it explains what is there
+_FEWEST_SAMPLES = 1000  # of noise, to tell how much it is
 LOWEST_DB = min(bottom_db for _, bottom_db in DECAYS_DB.values()) - 1.0  # rounding must not cut a range
 
 
@@ -252,11 +255,26 @@ def _c50_db(spectra: _Spectra, band: int, direct_sample: float, intersection: No
 
 
 def _drr_db(rir: FloatArray, fs_hz: float, direct_sample: float, intersection: NoiseIntersection) -> float | None:
-    """Return the broadband direct-to-reverberant energy ratio; None if either part has no energy."""
+    """Return the broadband direct-to-reverberant energy ratio.
+
+    None if either part has no energy, or if there is more energy beyond the intersection than the noise at the end and
+    the fitted decay explain, and enough to change the ratio by `_LARGEST_DRR_ERROR_DB`: the noise is too high for the
+    intersection to be found.
+    """
     boundary = round(direct_sample + DIRECT_S * fs_hz)
     first = max(0, round(direct_sample - DIRECT_S * fs_hz))
     end = round(direct_sample) + intersection.sample
-    direct = np.sum(rir[first:boundary] ** 2) - (boundary - first) * intersection.noise_power
-    reverberant = (np.sum(rir[boundary:end] ** 2) - max(0, end - boundary) * intersection.noise_power
+    noise_power = intersection.noise_power
+    direct = np.sum(rir[first:boundary] ** 2) - (boundary - first) * noise_power
+    reverberant = (np.sum(rir[boundary:end] ** 2) - max(0, end - boundary) * noise_power
                    + intersection.rest_energy)
-    return float(power_db(direct) - power_db(reverberant)) if direct > 0.0 and reverberant > 0.0 else None
+    if not (direct > 0.0 and reverberant > 0.0):
+        return None
+    beyond = rir[max(end, boundary):] ** 2
+    if noise_power > 0.0 and len(beyond) >= _FEWEST_SAMPLES:
+        at_end = beyond[int(0.9 * len(beyond)):]
+        scatter = _NOISE_DEVIATIONS * np.mean(at_end) * np.sqrt(2.0 / len(beyond) + 2.0 / len(at_end))
+        missed = len(beyond) * (np.mean(beyond) - np.mean(at_end)) - intersection.rest_energy
+        if missed > max(len(beyond) * scatter, (10.0 ** (0.1 * _LARGEST_DRR_ERROR_DB) - 1.0) * reverberant):
+            return None
+    return float(power_db(direct) - power_db(reverberant))

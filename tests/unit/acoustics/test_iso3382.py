@@ -134,6 +134,20 @@ def test_c50_of_exponential_decay(time_s):
     assert found[3:] == pytest.approx(expected_db, abs=0.7)
 
 
+@pytest.mark.parametrize("time_s, snr_db", [(1.0, 42.0), (1.0, 40.0), (2.0, 42.0), (2.0, 40.0)])
+def test_drr_is_left_out_where_the_noise_hides_the_decay(time_s, snr_db):
+    """Direct sound and decay of equal energy; the noise is 8 to 11 dB below the beginning of the decay."""
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        decay = rng.standard_normal(round(1.5 * time_s * FS_HZ)) * 10.0 ** (-3.0 * np.arange(1.5 * time_s * FS_HZ) /
+                                                                            (time_s * FS_HZ))
+        rir = np.concatenate([np.zeros(DIRECT), decay / np.sqrt(np.sum(decay ** 2))])
+        rir[DIRECT] = 1.0
+        rir += rng.standard_normal(len(rir)) * 10.0 ** (-snr_db / 20.0)
+        found_db = all_metrics(rir, FS_HZ, DIRECT, 1)["drr_db"]
+        assert found_db is None or abs(found_db) < 2.5
+
+
 def test_drr_is_recovered_for_both_polarities():
     rir = room(0.5, snr_db=70.0, direct=30.0)
     gate = DIRECT + 40
