@@ -228,8 +228,8 @@ class Scene:
 
 def with_absorption(scene: Scene, absorption: Iterable[Iterable[float]]) -> Scene:
     """Return the scene with other absorption coefficients, shape (n_surfaces, n_bands)."""
-    materials = [replace(material, absorption=tuple(row))
-                 for material, row in zip(scene.materials, absorption, strict=True)]
+    materials = [replace(material, absorption=(*row, *row[-1:] * (N_BANDS - len(row))))  # seven bands at 8 kHz
+                 for material, row in zip(scene.materials, map(tuple, absorption), strict=True)]
     return replace(scene, materials=materials)
 
 

@@ -12,7 +12,7 @@ from roomeq.core.constants import bands_hz, exact_bands_hz
 from roomeq.sim.echogram import compute_echograms
 from roomeq.sim.path_sample import sample_paths
 from roomeq.sim.response import simulate_responses, trace_source
-from roomeq.sim.scene import Air, Material, Scene, Shoebox, eyring_time_s
+from roomeq.sim.scene import Air, Material, Scene, Shoebox, eyring_time_s, with_absorption
 
 RATES_HZ = (8000, 16000, 22050, 44100, 48000)
 ROOM = Shoebox((6.0, 4.0, 3.0))
@@ -79,6 +79,13 @@ def test_sixteen_kilohertz_band_decays_as_eyring_says_in_a_diffuse_room():
     times_s = np.mean([all_metrics(response.rir, 48000, response.direct_sample, 1)["t20_s"] for response in responses],
                       axis=0)
     assert times_s[4:] == pytest.approx(eyring_time_s(scene)[4:], rel=0.1)
+
+
+@pytest.mark.parametrize("fs_hz", [8000, 16000, 48000])
+def test_absorption_of_a_scene_is_replaced_in_all_of_its_bands(fs_hz):
+    scene = scene_at(fs_hz)
+    wanted = np.random.default_rng(0).uniform(0.1, 0.5, scene.absorption.shape)
+    assert np.array_equal(with_absorption(scene, wanted).absorption, wanted)
 
 
 def test_ninth_band_is_treated_like_the_first_eight():
