@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import FS_HZ, LARGEST_SEED, exact_bands_hz, is_number, is_whole, require_fs
+from roomeq.core.constants import FS_HZ, LARGEST_SEED, bands_hz, exact_bands_hz, is_number, is_whole, require_fs
 from roomeq.effects.spherical_cap import cap_gain, cap_series
 from roomeq.sim.defaults import NUM_RAYS
 from roomeq.sim.directivity import unit
@@ -201,7 +201,8 @@ def simulate_rir(room: Room, source: ArrayLike, mics: ArrayLike, fs: int = FS_HZ
         raise ValueError(f"mics of shape {positions_m.shape} must have the shape (3,) or (n_mics, 3): give x, y, z of "
                          "each microphone")
     n_mics = len(np.atleast_2d(positions_m))
-    of_mics = list(mic_directivity) if isinstance(mic_directivity, Sequence) else [mic_directivity] * n_mics
+    of_mics = (list(mic_directivity) if isinstance(mic_directivity, Sequence | np.ndarray)
+               else [mic_directivity] * n_mics)
     if len(of_mics) != n_mics:
         raise ValueError(f"{len(of_mics)} directivities of microphones must be one, or one for each of {n_mics}: give "
                          "that many")
@@ -225,7 +226,12 @@ def _coordinates(name: str, values: ArrayLike) -> FloatArray:
 def _at_rate(directivity: Directivity | None, fs_hz: float) -> Callable[[FloatArray], FloatArray] | None:
     if directivity is None:
         return None
-    if not callable(getattr(directivity, "pressure", None)):
+    if isinstance(directivity, type) or not callable(getattr(directivity, "pressure", None)):
         raise ValueError(f"directivity={directivity!r:.80} must be a FirstOrder, Loudspeaker or DirectivityTable, or "
                          "have their method pressure: correct it")
+    gains = np.asarray(directivity.pressure(np.array([[1.0, 0.0, 0.0]]), fs_hz=fs_hz))
+    if gains.shape != (1, len(bands_hz(fs_hz))) or not np.all(np.isfinite(gains)):
+        raise ValueError(f"directivity={directivity!r:.80}: pressure returns gains of shape {gains.shape} for one "
+                         f"direction, and must return finite ones of shape {(1, len(bands_hz(fs_hz)))}, one for each "
+                         f"octave band at fs={fs_hz:g}: correct it")
     return partial(directivity.pressure, fs_hz=fs_hz)

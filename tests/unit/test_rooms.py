@@ -39,6 +39,32 @@ def test_coincident_pair_hears_different_reverberation():
         assert low <= np.corrcoef(rirs[:, 4000:12000])[0, 1] <= high
 
 
+class Odd:
+    """A directivity whose gains have a shape of their own."""
+
+    def __init__(self, gains):
+        self.gains = gains
+
+    def pressure(self, directions, fs_hz):
+        return self.gains
+
+
+@pytest.mark.parametrize("directivity, message", [
+    (roomeq.FirstOrder, "must be a FirstOrder"), (Odd(np.ones(1)), r"shape \(1,\)"),
+    (Odd(np.full((1, 8), np.nan)), "must return finite"), (Odd(np.ones((1, 7))), r"of shape \(1, 8\), one for each")])
+def test_odd_directivities_are_refused(directivity, message):
+    with pytest.raises(ValueError, match=message):
+        roomeq.simulate_rir(ROOM, SOURCE_M, MIC_M, mic_directivity=directivity, num_rays=100)
+
+
+def test_directivities_may_come_in_an_array():
+    both = [None, roomeq.FirstOrder("cardioid", (1.0, 0.0, 0.0))]
+    mics_m = [MIC_M, (4.1, 3.0, 1.2)]
+    found, wanted = (roomeq.simulate_rir(ROOM, SOURCE_M, mics_m, mic_directivity=given, num_rays=100)
+                     for given in (np.array(both, dtype=object), both))
+    assert np.array_equal(found, wanted)
+
+
 def test_array_has_a_row_for_each_microphone_and_the_same_bytes_again():
     mics_m = [MIC_M, (4.1, 3.0, 1.2), (1.0, 1.0, 1.0)]
     rirs = roomeq.simulate_rir(ROOM, SOURCE_M, mics_m, num_rays=500, seed=4)
