@@ -125,10 +125,12 @@ def _read_other(path: Path) -> Triangles:
         material = getattr(getattr(mesh.visual, "material", None), "name", None)
         if suffix == ".stl" and len(scene.geometry) > 1:
             material = geometry  # of an STL file of several solids, the name of the solid
-        placed = trimesh.transform_points(mesh.vertices, transform)
-        if suffix in (".glb", ".gltf"):  # whose y is up (glTF 2.0, 3.4); here z is
-            placed = placed[:, [0, 2, 1]] * [1.0, -1.0, 1.0]
-        triangles.append(placed[mesh.faces])
+        placed, faces = trimesh.transform_points(mesh.vertices, transform), np.asarray(mesh.faces)
+        if suffix in (".glb", ".gltf"):
+            placed = placed[:, [0, 2, 1]] * [1.0, -1.0, 1.0]  # there y is up (glTF 2.0, 3.4); here z is
+            if np.linalg.det(transform[:3, :3]) < 0.0:  # a mirror image is wound the other way (3.7.4)
+                faces = faces[:, ::-1]
+        triangles.append(placed[faces])
         names += [material or UNNAMED] * len(mesh.faces)
     return Triangles(np.concatenate(triangles), names)
 

@@ -78,6 +78,18 @@ def test_odd_but_right_files_give_the_same_room(box, write_obj, how, tmp_path):
     np.testing.assert_allclose(np.sort(load_mesh(path).triangles.ravel()), np.sort(box.triangles.ravel()), atol=1e-6)
 
 
+def test_mirrored_node_of_a_gltf_file_is_the_mirrored_room(write_obj, tmp_path):
+    room = write_obj(prism_obj(L_PLAN, 3.0))
+    mesh = trimesh.load_mesh(room)
+    mesh.vertices = mesh.vertices[:, [0, 2, 1]] * [1.0, 1.0, -1.0]  # y is up in glTF
+    scene = trimesh.Scene()
+    scene.add_geometry(mesh, transform=np.diag([-1.0, 1.0, 1.0, 1.0]))
+    scene.export(tmp_path / "mirrored.glb")
+    mirrored, wanted = load_mesh(tmp_path / "mirrored.glb"), load_mesh(room)
+    assert mirrored.volume_m3 == pytest.approx(wanted.volume_m3)
+    assert mirrored.triangles[..., 0].min() == pytest.approx(-wanted.triangles[..., 0].max())
+
+
 def test_names_of_materials_may_hold_a_hash(write_obj):
     text = prism_obj(box_plan(*DIMS_M[:2]), DIMS_M[2], "brick#2").replace("usemtl floor", "usemtl brick#1 # red")
     assert load_mesh(write_obj(text)).surfaces == ("brick#1", "brick#2", "ceiling")
