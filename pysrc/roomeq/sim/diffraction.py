@@ -30,7 +30,7 @@ from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled
 from roomeq.sim.double_diffraction import Pieces, arc, deposit_double_diffraction, find_double_paths
-from roomeq.sim.mesh import MeshRoom
+from roomeq.sim.mesh import KEPT_POINTS, MeshRoom
 from roomeq.sim.room import Room
 from roomeq.sim.scene import Scene
 from roomeq.sim.tree import EDGE_M
@@ -281,11 +281,9 @@ def _seen(room: MeshRoom, edges: Edges, most: int, point_m: ArrayLike) -> BoolAr
 
     The line of sight starts in the air: a piece may lie behind the floor that furniture stands on.
     """
-    known = room._cache.setdefault("edges_seen", {})
     key = (most, *(float(value) for value in np.asarray(point_m)))
-    if key not in known:
-        known[key] = room.sees(np.asarray(key[1:]), _pieces(room, edges, most).point_m)
-    return cast(BoolArray, known[key])
+    return room.remember("edges_seen", key, KEPT_POINTS,
+                         lambda: room.sees(np.asarray(key[1:]), _pieces(room, edges, most).point_m))
 
 
 def diffract(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, *, speed_m_s: float, n_samples: int,

@@ -4,11 +4,12 @@ A room mesh is closed. It consists of an outer shell, whose normals point out of
 All triangles of the same material form one surface. Triangles in the same plane act as one mirror for image sources.
 """
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +31,9 @@ _SPHERE_RAYS = 2000  # directions in which the distance to the surfaces is sampl
 _WELD_M = 1e-5  # grid to which corners are rounded before they are merged
 _INSIDE_POINTS = 5  # of a body, of which most must lie in the room
 _BELOW_FACE_M = 1e-4
+KEPT_POINTS, KEPT_SOURCES = 500, 16
+"""For so many positions, what was found of the room around them is kept."""
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,12 +140,13 @@ class MeshRoom:
     def surroundings(self, point_m: ArrayLike) -> FloatArray | None:
         """Return the distance [m] to the surfaces in `_SPHERE_RAYS` evenly spread directions; None outside the air."""
         key = tuple(np.round(np.asarray(point_m, dtype=float), 9))
-        cache = self._cache.setdefault("surroundings", {})
-        if key not in cache:
+
+        def look_around() -> FloatArray | None:
             directions = sphere_directions(_SPHERE_RAYS, np.random.default_rng(0))
             face, distance = self.first_hits(np.tile(np.asarray(key), (_SPHERE_RAYS, 1)), directions)
-            cache[key] = distance if np.mean(face >= 0) > 0.99 else None
-        return cache[key]
+            return distance if np.mean(face >= 0) > 0.99 else None
+
+        return self.remember("surroundings", key, KEPT_POINTS, look_around)
 
     def _surface_distances_m(self, point_m: ArrayLike) -> FloatArray:
         distance = self.surroundings(point_m)
@@ -173,13 +178,22 @@ class MeshRoom:
 
     def specular_paths(self, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, order: int) -> SpecularPaths:
         """Find the purely specular paths up to an order; see `roomeq.sim.images.specular_paths`."""
-        key = (tuple(np.asarray(source_pos_m)), order)
-        sequences = self._cache.setdefault("sequences", {})
-        if key not in sequences:
-            sequences[key] = find_sequences(self.tree, self._cache["plane"], self._cache["mirrors"], self.normals,
-                                            np.asarray(source_pos_m, dtype=float), order)
-        return visible_paths(sequences[key], self.tree, self._cache["plane"], self._cache["mirrors"], self.face_surface,
-                             len(self.surfaces), np.asarray(mic_pos_m, dtype=float))
+        plane, mirrors, source_m = self._cache["plane"], self._cache["mirrors"], np.asarray(source_pos_m, dtype=float)
+        sequences = self.remember("sequences", (tuple(source_m), order), KEPT_SOURCES, lambda: find_sequences(
+            self.tree, plane, mirrors, self.normals, source_m, order))
+        return visible_paths(sequences, self.tree, plane, mirrors, self.face_surface, len(self.surfaces),
+                             np.asarray(mic_pos_m, dtype=float))
+
+    def remember(self, what: str, key: Any, size: int, compute: Callable[[], Result]) -> Result:
+        """Return what is computed for a key; the latest `size` results of a kind are kept."""
+        kept = self._cache.setdefault(what, {})
+        if key in kept:
+            with contextlib.suppress(KeyError):  # another thread may just have dropped it
+                return cast(Result, kept[key])
+        result = kept[key] = compute()
+        for oldest in list(kept)[:-size]:
+            kept.pop(oldest, None)
+        return result
 
 
 @lru_cache(maxsize=8)

@@ -90,6 +90,14 @@ def test_mirrored_node_of_a_gltf_file_is_the_mirrored_room(write_obj, tmp_path):
     assert mirrored.triangles[..., 0].min() == pytest.approx(-wanted.triangles[..., 0].max())
 
 
+def test_memory_of_a_room_does_not_grow_with_the_positions(write_obj):
+    room = load_mesh(write_obj(prism_obj(L_PLAN, 3.0)))
+    calls = []
+    for number in (*range(40), 39, 0):
+        assert room.remember("test", number, 16, lambda: calls.append(1) or number) == number  # noqa: B023
+    assert len(calls) == 41 and len(room._cache["test"]) == 16
+
+
 def test_names_of_materials_may_hold_a_hash(write_obj):
     text = prism_obj(box_plan(*DIMS_M[:2]), DIMS_M[2], "brick#2").replace("usemtl floor", "usemtl brick#1 # red")
     assert load_mesh(write_obj(text)).surfaces == ("brick#1", "brick#2", "ceiling")
