@@ -20,6 +20,7 @@ from roomeq.eq.steps import compensate, fit_eq
 from roomeq.loop.step import close_loop
 from roomeq.records.rir_dir import load_rir, read_rirs, validate_rirs
 from roomeq.sim import context
+from roomeq.sim.geometry import find_place
 from roomeq.sim.materials import read_materials
 from roomeq.sim.scene import Shoebox
 from roomeq.simulate_rirs import simulate
@@ -86,6 +87,16 @@ def test_each_measured_rir_gives_one_at_target_and_its_noise(measured, tmp_path)
     distance_m = np.linalg.norm(np.subtract(rows["b1"]["source_pos_m"], rows["b1"]["mic_pos_m"]))
     assert distance_m == pytest.approx(6.3, abs=0.2)
     assert "mic_pos_m.0" in rows["c1"]["drawn"] and rows["c1"]["room_dims_m"] == BOX_M
+
+
+@pytest.mark.parametrize("mic_m, distance_m", [((5.0, 4.0, 1.2), 1.0), ((1.0, 1.0, 1.2), 2.0), ((5.0, 4.0, 1.2), 3.0)])
+def test_unknown_source_is_drawn_at_its_distance_from_a_known_microphone(mic_m, distance_m):
+    for n in range(40):
+        row = dict(id=f"r{n}", room_id=f"room{n}", source_id="s", mic_id="m", room_dims_m=[10.0, 8.0, 3.5],
+                   mic_pos_m=list(mic_m), distance_m=distance_m)
+        place = find_place(row, [row], ".", 0)
+        assert place.mic_pos_m == mic_m
+        assert np.linalg.norm(np.subtract(place.source_pos_m, mic_m)) == pytest.approx(distance_m, abs=0.01)
 
 
 def test_bytes_depend_on_the_seed_alone(measured, tmp_path):

@@ -1,7 +1,8 @@
 """Positions of rooms, sources and microphones; unknown coordinates are drawn from plausible ranges.
 
 The row of a simulated RIR lists the coordinates that were drawn. A room without dimensions is drawn once for all rows
-of that room, a source once for all its microphones.
+of that room. A source is drawn at the same place for all its microphones, except for a row whose microphone or stated
+distance does not allow that place.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -138,12 +139,16 @@ def _positions(row: Mapping[str, Any], room: Room, source: Position, mic: Positi
     known = repr([row["room_id"], row["source_id"], source])
     distance_m = row.get("distance_m") if geometry_usability(row, needs="stated distance").usable else None
     mic_rng = rng_for(seed, "mic_pos_m", row["id"])
-    free = None in mic or None in source
-    for attempt in range(20):
-        placed_source = _draw(room, source, rng_for(seed, f"source_pos_m {attempt}", known))
-        for _ in range(_TRIES):
-            placed_mic = _draw_mic(room, mic, placed_source, distance_m, mic_rng)
-            if not free or _fits(room, placed_source, placed_mic, distance_m, None not in mic):
+    source_known, mic_known = None not in source, None not in mic
+    for attempt in range(_TRIES if mic_known else 20):
+        source_rng = rng_for(seed, f"source_pos_m {attempt}", known)
+        placed_source = (_draw_at(room, source, cast(list[float], mic), distance_m, source_rng) if mic_known else
+                         _draw(room, source, source_rng))
+        if not (source_known or _inside(room, placed_source)):
+            continue
+        for _ in range(1 if mic_known else _TRIES):
+            placed_mic = _draw_at(room, mic, placed_source, distance_m, mic_rng)
+            if (source_known and mic_known) or _fits(room, placed_source, placed_mic, distance_m, mic_known):
                 return placed_source, placed_mic
     raise ValueError(f"distance_m={distance_m} between source and microphone has no place in the room: correct "
                      "distance or room")
@@ -171,23 +176,23 @@ def _draw(room: Room, place: Sequence[float | None], rng: np.random.Generator) -
     return position
 
 
-def _draw_mic(room: Room, mic: Position, source: list[float], distance_m: float | None,
-              rng: np.random.Generator) -> list[float]:
-    """Draw the unknown coordinates of a microphone, at a stated distance from the source if there is one."""
-    if distance_m is None or None not in mic:
-        return _draw(room, mic, rng)
-    unknown = [axis for axis in range(3) if mic[axis] is None]
+def _draw_at(room: Room, place: Position, other: list[float], distance_m: float | None,
+             rng: np.random.Generator) -> list[float]:
+    """Draw the unknown coordinates of a position, at a stated distance from another one if there is one."""
+    if distance_m is None or None not in place:
+        return _draw(room, place, rng)
+    unknown = [axis for axis in range(3) if place[axis] is None]
     if len(unknown) == 3:
         angle, rise_m = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(-0.3, 0.3)
         rise_m = float(np.clip(rise_m, -distance_m, distance_m))
         level_m = np.sqrt(max(distance_m ** 2 - rise_m ** 2, 0.0))
-        position_m = np.add(source, [level_m * np.cos(angle), level_m * np.sin(angle), rise_m])
+        position_m = np.add(other, [level_m * np.cos(angle), level_m * np.sin(angle), rise_m])
         return [round(float(value), 4) for value in position_m]
-    position = _draw(room, mic, rng)
+    position = _draw(room, place, rng)
     axis = unknown[-1] if len(unknown) == 1 else unknown[rng.integers(len(unknown))]
-    rest = distance_m ** 2 - sum((position[k] - source[k]) ** 2 for k in range(3) if k != axis)
+    rest = distance_m ** 2 - sum((position[k] - other[k]) ** 2 for k in range(3) if k != axis)
     if rest >= 0.0:  # the last unknown coordinate is set to meet the distance
-        position[axis] = round(float(source[axis] + np.sqrt(rest) * rng.choice([-1.0, 1.0])), 4)
+        position[axis] = round(float(other[axis] + np.sqrt(rest) * rng.choice([-1.0, 1.0])), 4)
     return position
 
 
