@@ -42,7 +42,10 @@ def close_loop(rir_dirs: Sequence[Path], out: Path, *, test: Sequence[Path] = ()
     """
     directories, test_directories = paths(rir_dirs), paths(test)
     check_jobs(nj)
-    build = Build(Path(out), step="close-loop", options=dict(max_effects=max_effects, seed=seed),
+    build = Build(Path(out), step="close-loop",
+                  # the inputs are one list: the options say which of them is what
+                  options=dict(max_effects=max_effects, seed=seed, n_train=len(directories),
+                               n_test=len(test_directories), model=bool(model)),
                   # a model or mesh that is absent is refused by its reader
                   inputs=[*directories, *test_directories,
                           *sorted({mesh for directory in (*directories, *test_directories)
