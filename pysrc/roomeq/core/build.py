@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from roomeq.core.asking import NotUpToDate, only_asked
-from roomeq.core.digests import audio_elsewhere, code_digest, digest, files_below, names_audio_in
+from roomeq.core.digests import audio_elsewhere, code_digest, digest, files_below, place_in_entries, places_of
 from roomeq.core.files import hash_file, listing_written, sync, to_json, write_json
 from roomeq.core.item_records import ItemRecord, is_as_recorded, is_whole, read_item_record, write_item_record
 from roomeq.core.kept_hashes import KeptHashes
@@ -227,14 +227,14 @@ class Build:
         write_json(self.work / DONE_FILE, stamp_content(
             format=FORMAT, step=self.step, options=self.options, key=self.key, refers=self.refers, files=files,
             audio={name: content_hash for name, (_, content_hash) in audio.items() if content_hash},
-            place=str(self.out) if names_audio_in(self.work, self.out) else ""))
+            place=place_in_entries(self.work, self.out)))
         sync(self.work)
 
     def _is_done(self, directory: Path) -> bool:
         try:
             stamp = json.loads((directory / DONE_FILE).read_text())
             stamped_ns = (directory / DONE_FILE).stat().st_ctime_ns
-            return (stamp["key"] == self.key and stamp.get("place", "") in ("", str(self.out))
+            return (stamp["key"] == self.key and stamp.get("place", "") in ("", *places_of(self.out))
                     and all(is_as_stamped(directory, name, size, content_hash, stamped_ns)
                             for name, (size, content_hash) in stamp["files"].items()))
         except (OSError, ValueError, KeyError, TypeError):

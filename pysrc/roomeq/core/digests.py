@@ -161,11 +161,20 @@ def audio_elsewhere(directory: Path, out: Path | None = None) -> dict[str, tuple
     return {name: (path, content_hash) for (name, path), content_hash in zip(found.items(), hashes, strict=True)}
 
 
-def names_audio_in(directory: Path, out: Path) -> bool:
-    """Tell whether the `wav.scp` of a directory names files below `out`."""
+def place_in_entries(directory: Path, out: Path) -> str:
+    """Return the path of `out`, one of `places_of`, by which the `wav.scp` of a directory names files below it.
+
+    Empty: it names no file there.
+    """
     with contextlib.suppress(OSError, ValueError):
-        return any(name.startswith(f"{out}/") for entry in _entries(directory) for name in names_in_entry(entry))
-    return False
+        names = {name for entry in _entries(directory) for name in names_in_entry(entry)}
+        return next((place for place in places_of(out) if any(name.startswith(f"{place}/") for name in names)), "")
+    return ""
+
+
+def places_of(out: Path) -> tuple[str, str]:
+    """Return the paths by which the `wav.scp` of a directory may name files in it: as given, and the physical one."""
+    return str(out), str(physical(out))
 
 
 def _entries(directory: Path) -> list[str]:

@@ -50,8 +50,8 @@ class Stamp(msgspec.Struct, frozen=True):
     audio : dict
         Hash of each audio file elsewhere, by the name that it has in the directory's tables.
     place : str
-        Path of the directory where its `wav.scp` names its own audio by it, as Kaldi requires, else empty. It may be
-        relative to the folder where the step ran.
+        Path of the directory where its `wav.scp` names its own audio by it, as Kaldi requires, else empty: the physical
+        one, or as it was given, which may be relative to the folder where the step ran.
     """
 
     step: str

@@ -11,6 +11,7 @@ import soundfile
 from corpora_examples import put, put_librispeech, put_text, rir
 
 from roomeq.augment import augment
+from roomeq.core.digests import digest
 from roomeq.corpora import prepare_speech, read_measured
 from roomeq.corpora.characterise import characterise
 from roomeq.corpora.kaldi_dir import KaldiDir
@@ -164,6 +165,23 @@ def test_audio_that_kaldi_cannot_read_is_converted(tmp_path, caplog):
     (speech / "manifest.csv").write_text((speech / "manifest.csv").read_text().replace("1.flac", "1.wav", 1))
     train, _, _ = prepare_speech(speech, tmp_path / "data")
     assert "1 files exceed full scale and were reduced to it, by up to 12.0 dB (a-1)" in caplog.text
+
+
+def test_copy_that_plays_the_converted_audio_of_the_original_is_made_anew(tmp_path, monkeypatch, caplog):
+    caplog.set_level("INFO")
+    speech = put_manifest(tmp_path / "speech", rows_of_voices({"a": 3, "b": 1, "c": 1}))
+    put(speech / "a" / "0.flac", rir("24", 1600), subtype="PCM_24")
+    monkeypatch.chdir(tmp_path)
+    prepare_speech(speech, "data")
+    for path in (Path("data"), tmp_path / "data"):
+        caplog.clear()
+        prepare_speech(speech, path)
+        assert caplog.text.count("up to date") == 3
+    shutil.copytree("data", "copy")
+    with pytest.raises(ValueError, match=r"copy/train\.clean: its wav\.scp names audio in .*/data/train\.clean"):
+        digest(Path("copy/train.clean"))
+    train, _, _ = prepare_speech(speech, "copy")
+    assert str(tmp_path / "copy/train.clean/audio/a-0.flac") in table(train / "wav.scp")["a-0"]
 
 
 @pytest.mark.skipif(not shutil.which("flac"), reason="needs flac")
