@@ -13,11 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import webdriver
-from report_run import HOSTILE, RIRS_PER_ROOM, ROOMS, make_run
+from datadirs import rir_dir
+from report_run import HOSTILE, RIRS_PER_ROOM, ROOMS, make_measured, make_run
 from wer_run import put_example
 
 from roomeq.core.files import read_jsonl, write_json
 from roomeq.core.stamps import FORMAT
+from roomeq.corpora.characterise import characterise
+from roomeq.corpora.split import split_rirs
 from roomeq.loop.features import N_FEATURES, feature_slice
 from roomeq.report import figures, make_report, section_eq
 from roomeq.report.build_page import SECTIONS, render_page, render_section
@@ -26,6 +29,7 @@ from roomeq.report.kinds import MEASURED, SIMULATED
 from roomeq.report.load import Run
 from roomeq.report.render import environment
 from roomeq.report.rir_sets import LIKE_T60, column_percentiles, measured_example, t60_mismatch
+from roomeq.report.section_data import facts, measured
 from roomeq.report.section_loop import REGIONS, residual_sizes
 from roomeq.wer import measure_wer
 
@@ -189,6 +193,20 @@ def test_loop_section_describes_effects_and_errors(page):
     assert "cannot fall further, as it lies within a quarter of a JND of the ceiling: T30; C50." in page.text
     assert ("10 RIRs took no part (7: the room's dimensions are unknown; 3: the positions are marked unreliable). "
             "3 RIRs of the test set took no part (3: the positions are marked unreliable)." in page.text)
+
+
+@pytest.mark.parametrize("own_test, rooms", [(False, 4), (True, 6)])
+def test_test_rirs_of_their_own_count_and_share_no_room(own_test, rooms, tmp_path):
+    make_measured(tmp_path / "measured")
+    characterise(tmp_path / "measured", tmp_path / "rirs.real")
+    split_rirs(tmp_path / "rirs.real", tmp_path / "rirs.real", sizes=(26, 8, 10), seed=0,
+               test_rirs=rir_dir(tmp_path / "rirs.test") if own_test else None)
+    run = Run(tmp_path, tmp_path / "exp")
+    n_test, n_all = (6, 50) if own_test else (10, 44)
+    assert facts(run) == {"n_measured": n_all, "n_rooms": rooms}
+    context = measured(run)
+    assert (context["totals"][2 + context["splits"].index("test")], context["totals"][-1]) == (n_test, n_all)
+    assert ("share rooms" in section_text("limits", run)) is not own_test
 
 
 def test_steps_name_directories_without_a_stamp(page):

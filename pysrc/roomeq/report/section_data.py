@@ -89,7 +89,7 @@ def source(run: Run, split: str) -> str:
 
 def measured(run: Run) -> Context:
     """Return rooms and splits, acoustic parameters and the screening of the measured corpus."""
-    rows = run.rirs("rirs.real")
+    rows = measured_rows(run)
     by_room: dict[str, list[RirRow]] = defaultdict(list)
     for row in rows:
         if row.get("acoustic_parameters"):
@@ -100,6 +100,12 @@ def measured(run: Run) -> Context:
     return {"n_rirs": len(rows), "n_rooms": len({row["room_id"] for row in rows}), **rooms_by_split(run, rows),
             "parameters": [[room, *median_parameters(members)] for room, members in sorted(by_room.items())],
             "n_given": dropped["n_given"], "screening": screening(run, dropped)}
+
+
+def measured_rows(run: Run) -> list[RirRow]:
+    """Return the measured RIRs of a run: those that were split, and others that were given to develop or test on."""
+    own = {row["id"]: row for split in SETS if run.has(f"rirs.real.{split}") for row in run.rirs(f"rirs.real.{split}")}
+    return list(({row["id"]: row for row in run.rirs("rirs.real")} | own).values())
 
 
 def room_maps(run: Run) -> Context:
@@ -183,11 +189,12 @@ def screening(run: Run, dropped: dict[str, Any]) -> list[list[Any]]:
 
 def limitations(run: Run) -> Context:
     """Return the values that decide which conclusions this run does not support."""
-    real = run.rirs("rirs.real") if run.has("rirs.real") else []
+    real = measured_rows(run) if run.has("rirs.real") else []
+    rooms = [{row["room_id"] for row in run.rirs(name)} if run.has(name) else set()
+             for name in ("rirs.real.train", "rirs.real.test")]
     simulated = run.rirs("rirs.sim.train") if run.has("rirs.sim.train") else []
-    split_by = run.options("rirs.real.train").get("split_by", "rir")
     return {"synthetic": synthetic_corpora(run), "n_measured": len(real),
-            "n_rooms": len({row["room_id"] for row in real}), "split_by_rir": bool(real) and split_by == "rir",
+            "n_rooms": len({row["room_id"] for row in real}), "shares_rooms": not rooms[0].isdisjoint(rooms[1]),
             "n_simulated": len(simulated), "n_drawn": sum(bool(row.get("drawn")) for row in simulated),
             "has_wer": run.has("wer")}
 
@@ -222,7 +229,7 @@ def facts(run: Run) -> Context:
     """Return the counts for the cards at the top of the page."""
     values: Context = {}
     if run.has("rirs.real"):
-        rows = run.rirs("rirs.real")
+        rows = measured_rows(run)
         values |= {"n_measured": len(rows), "n_rooms": len({row["room_id"] for row in rows})}
     if simulated := [len(run.rirs(f"rirs.sim.{split}")) for split in SETS if run.has(f"rirs.sim.{split}")]:
         values["n_simulated"] = sum(simulated)
