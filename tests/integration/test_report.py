@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import webdriver
 from datadirs import rir_dir
-from report_run import HOSTILE, RIRS_PER_ROOM, ROOMS, make_measured, make_run
+from report_run import HOSTILE, RIRS_PER_ROOM, ROOMS, make_measured, make_run, make_simulated
 from wer_run import put_example
 
 from roomeq.core.files import read_jsonl, write_json
@@ -22,6 +22,7 @@ from roomeq.core.stamps import FORMAT
 from roomeq.corpora.characterise import characterise
 from roomeq.corpora.split import split_rirs
 from roomeq.loop.features import N_FEATURES, feature_slice
+from roomeq.records.rir_dir import read_rirs, write_rirs
 from roomeq.report import figures, make_report, section_eq
 from roomeq.report.build_page import SECTIONS, render_page, render_section
 from roomeq.report.formats import number, with_minus
@@ -386,6 +387,20 @@ def test_examples_have_similar_reverberation_times(made):
     best = min(t60_mismatch(row, other) for row in run.rirs(MEASURED.train) for other in run.rirs(SIMULATED.train)
                if other["measured_id"] == row["id"])
     assert t60_mismatch(chosen[MEASURED], chosen[SIMULATED]) <= max(LIKE_T60, best)
+
+
+@pytest.mark.parametrize("drawn", [False, True])
+def test_examples_of_drawn_rooms_are_of_another_place(drawn, tmp_path):
+    make_measured(tmp_path / "measured")
+    characterise(tmp_path / "measured", tmp_path / "rirs.real.train")
+    make_simulated(read_rirs(tmp_path / "rirs.real.train"), tmp_path / "rirs.sim.train")
+    if drawn:
+        write_rirs(tmp_path / "rirs.sim.train", [row | dict(measured_id=None, room_id="drawn")
+                                                 for row in read_rirs(tmp_path / "rirs.sim.train")])
+    run = Run(tmp_path, tmp_path / "exp")
+    for ident, place in (("responses", "uses its room and positions"), ("spectrograms", "RIRs of one place")):
+        text = section_text(ident, run)
+        assert (place in text, "of another place" in text) == (not drawn, drawn)
 
 
 @pytest.mark.parametrize("label", ["W" * 90, "measured, simulated, simulated + EQ, simulated + loop (n = 132,123)"])

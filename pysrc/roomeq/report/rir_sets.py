@@ -128,7 +128,8 @@ def measured_example(run: Run, kinds: Iterable[Kind]) -> dict[Kind, RirRow]:
     Returns
     -------
     dict
-        A row of the training RIRs of each kind that the run has.
+        A row of the training RIRs of each kind that the run has. Where no measured RIR has a counterpart in all kinds,
+        as in drawn rooms, these are not of one place: see `are_paired`.
     """
     measured, *others = kinds
     rows = unscreened(run, measured.train)
@@ -144,6 +145,12 @@ def measured_example(run: Run, kinds: Iterable[Kind]) -> dict[Kind, RirRow]:
     chosen = (close or sorted(paired, key=lambda row: mismatch[row["id"]]) or nearest)[0]
     return {measured: chosen} | {kind: by_measured_id[kind].get(chosen["id"], members[0])
                                  for kind, members in simulated.items()}
+
+
+def are_paired(chosen: dict[Kind, RirRow]) -> bool:
+    """Tell whether the simulated RIRs of `measured_example` have the room and positions of the measured one."""
+    measured, *others = chosen.values()
+    return all(row.get("measured_id") == measured["id"] for row in others)
 
 
 def t60_at_1khz(row: RirRow) -> float | None:

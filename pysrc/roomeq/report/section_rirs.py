@@ -14,6 +14,7 @@ from roomeq.report.load import Context, Missing, Run
 from roomeq.report.rir_sets import (
     LIKE_T60,
     acoustic_parameters,
+    are_paired,
     column_percentiles,
     decay_shapes,
     describe_eq,
@@ -74,7 +75,7 @@ def frequency_responses(run: Run) -> Context:
         if kind in levels:
             curves = [(shown.label, shown.colour, levels[shown]) for shown in (MEASURED, kind)]
             panels.append(figures.panel(f"figure-1-{side}", figures.frequency_responses(curves, limits), alt))
-    return {"panels": panels, "measured": chosen[MEASURED]}
+    return {"panels": panels, "measured": chosen[MEASURED], "paired": are_paired(chosen)}
 
 
 def spectrograms(run: Run) -> Context:
@@ -90,7 +91,7 @@ def spectrograms(run: Run) -> Context:
             panels.append(figures.panel(f"figure-3-{kind.colour}",
                                         figures.spectrogram(title, parts[kind], SPECTROGRAM_S), alt, figures.SMALL_IN))
     mismatch = t60_mismatch(chosen[MEASURED], chosen[SIMULATED]) if SIMULATED in chosen else np.inf
-    return {"panels": panels, "echograms": echograms(parts), "measured": chosen[MEASURED],
+    return {"panels": panels, "echograms": echograms(parts), "paired": are_paired(chosen),
             "mismatch": mismatch if np.isfinite(mismatch) else None, "like": mismatch <= LIKE_T60}
 
 
