@@ -28,13 +28,10 @@ def rows_of(recording: Recording, table: str, out: Path) -> Iterator[tuple[dict[
     relative_path = path_from(recording.path, out)
     as_it_is = info.channels == 1 and info.samplerate == FS_HZ and _SAFE_PATH.fullmatch(relative_path)
     if table == "noises":
-        # noises are long, and channels of an array are alike: the first is taken, and read only if it is converted
-        noise = None if as_it_is else read_audio(recording.path, channel=0)
-        if as_it_is:
-            _check_end(recording.path, info.frames)
-        n_samples = info.frames if noise is None else len(noise)
+        # noises are long, and channels of an array are alike: the first is taken
+        noise = _usable(read_audio(recording.path, channel=0), recording.path, "noise")
         yield recording.row | dict(id=recording.id, wav=relative_path, fs_hz=FS_HZ,
-                                   duration_s=n_samples / FS_HZ), noise
+                                   duration_s=len(noise) / FS_HZ), None if as_it_is else noise
         return
     for channel in range(info.channels):
         samples = _usable(read_audio(recording.path, channel=channel), recording.path)
@@ -46,10 +43,10 @@ def rows_of(recording: Recording, table: str, out: Path) -> Iterator[tuple[dict[
         yield row, None if as_it_is else samples
 
 
-def _usable(samples: FloatArray, name: Path | str) -> FloatArray:
+def _usable(samples: FloatArray, name: Path | str, kind: str = "RIR") -> FloatArray:
     require_plausible(samples, name)
     if not samples.any():
-        raise ValueError(f"{name}: RIR is silent (all samples 0): leave it out or record it again")
+        raise ValueError(f"{name}: {kind} is silent (all samples 0): leave it out or record it again")
     return samples
 
 
@@ -63,8 +60,3 @@ def _at_16k(samples: FloatArray, fs_hz: int, path: Path) -> FloatArray:
 
     resampled: FloatArray = soxr.resample(samples, fs_hz, FS_HZ, quality="VHQ")
     return resampled
-
-
-def _check_end(path: Path, n_samples: int) -> None:
-    """Read the last sample: the file may be shorter than its FLAC header states."""
-    read_audio(path, start=n_samples - 1, stop=n_samples)
