@@ -26,6 +26,9 @@ Listed = list[Utterance] | list[KaldiPart]
 """What belongs to a role: utterances, or parts of Kaldi data directories."""
 SetNames = Mapping[str, tuple[str, ...]]
 """Names of the corpus' sets by role."""
+DEFAULT_SETS: SetNames = {"train": ("train-clean-100",), "dev": ("dev-clean",), "test": ("test-clean",)}
+"""What the commands ask for where nobody chooses sets: they are those of LibriSpeech, and other corpora need not have
+them."""
 
 
 def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), dev_sets: Iterable[str] = (),
@@ -47,8 +50,9 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
     out : Path
         Where `train.clean`, `dev.clean` and `test.clean` go.
     train_sets, dev_sets, test_sets : iterable of str
-        Names of the corpus' sets. A corpus without sets is split by speaker into about 70, 15 and 15 % of its
-        utterances.
+        Names of the corpus' sets. Where they are those of `DEFAULT_SETS` or none, and the corpus has no such set, sets
+        are taken whose names begin with the roles; a corpus without sets is split by speaker into about 70, 15 and 15 %
+        of its utterances.
     limit : int, optional
         Largest number of utterances per role; their choice does not depend on what else is in the corpus.
     channel : int
@@ -126,14 +130,14 @@ def list_speech(source: Path, wanted: SetNames) -> Mapping[str, Listed]:
     manifest = source if source.is_file() else source / MANIFEST
     if manifest.is_file():
         sets = list_transcripts(manifest)
-        if set(sets) == {""}:
+        if set(sets) == {""} and not _are_chosen(wanted):
             return _split(sets[""], source)
         return {role: [utterance for name in names for utterance in sets[name]]
                 for role, names in _sets_of_roles(wanted, sets, manifest).items()}
     if paths := find_kaldi_dirs(source):
         return _list_kaldi(paths, wanted, source)
     if trees := find_sets(source):
-        if list(trees.values()) == [source]:
+        if list(trees.values()) == [source] and not _are_chosen(wanted):
             return _split(list_librispeech([source]), source)
         return {role: list_librispeech(trees[name] for name in names)
                 for role, names in _sets_of_roles(wanted, trees, source).items()}
@@ -148,7 +152,8 @@ def _list_without_text(folders: dict[str, list[Utterance]], wanted: SetNames, so
     utterances = folders.pop("")
     logger.warning("%s: no transcripts: each of %d audio files is an utterance, and no text is written", source,
                    len(utterances))
-    if not {name for names in wanted.values() for name in names} & set(folders) and not all(
+    requested = {name for names in wanted.values() for name in names}
+    if not _are_chosen(wanted) and not requested & set(folders) and not all(
             any(name.lower().startswith(role) for name in folders) for role in ROLES):
         return _split(utterances, source)
     return {role: [utterance for name in names for utterance in folders[name]]
@@ -156,9 +161,9 @@ def _list_without_text(folders: dict[str, list[Utterance]], wanted: SetNames, so
 
 
 def _sets_of_roles(wanted: SetNames, sets: Mapping[str, Any], source: Path) -> SetNames:
-    """Return the names of each role's sets; if there is none of the wanted sets, the sets named like the roles."""
+    """Return the names of each role's sets; if there are none of the default ones, the sets named like the roles."""
     requested = [name for names in wanted.values() for name in names]
-    if not any(name in sets for name in requested):
+    if not _are_chosen(wanted) and not any(name in sets for name in requested):
         like = {role: tuple(name for name in sets if name.lower().startswith(role)) for role in ROLES}
         if all(like.values()):
             logger.info("%s: sets by name: %s", source, "; ".join(f"{x} {','.join(like[x])}" for x in ROLES))
@@ -166,12 +171,18 @@ def _sets_of_roles(wanted: SetNames, sets: Mapping[str, Any], source: Path) -> S
     for role, names in wanted.items():
         for name in names or ("(none named)",):
             if name not in sets:
-                raise ValueError(f"{source}: {role} set {name!r} is not in it (it has {', '.join(sorted(sets))}): "
-                                 f"choose with --{role}-sets")
+                present = ", ".join(sorted(sets))
+                raise ValueError(f"{source}: {role} set {name!r} is not in it (it has {present or 'no sets'}): " + (
+                    f"choose with --{role}-sets" if present else f"leave --{role}-sets out"))
             if requested.count(name) > 1:
                 raise ValueError(f"{source}: set {name!r} is named {requested.count(name)} times: train, dev and test "
                                  "must not share speech: name it once")
     return wanted
+
+
+def _are_chosen(wanted: SetNames) -> bool:
+    """Tell whether sets are wanted that are not those of `DEFAULT_SETS`."""
+    return any(names not in ((), DEFAULT_SETS[role]) for role, names in wanted.items())
 
 
 def _split(utterances: list[Utterance], source: Path) -> dict[str, list[Utterance]]:
@@ -202,7 +213,7 @@ def _roles(voices: Iterable[str], source: Path) -> dict[str, str]:
 
 
 def _list_kaldi(paths: Mapping[str, Path], wanted: SetNames, source: Path) -> dict[str, list[KaldiPart]]:
-    if "" in paths:
+    if "" in paths and not _are_chosen(wanted):
         whole = read_kaldi_dir(paths[""])
         voices = whole.voices()
         roles = _roles(voices.values(), source)

@@ -83,6 +83,25 @@ def test_spk2gender_needs_every_gender(tmp_path):
     assert not (train / "spk2gender").exists() and (train / "utt2spk").exists()
 
 
+@pytest.mark.parametrize("kind, has", [("sets", "dev, test, train"), ("no sets", "no sets"), ("folders", "a, b, c"),
+                                       ("kaldi", "no sets"), ("one set", "dev-clean")])
+def test_chosen_sets_that_are_not_there_are_refused(tmp_path, kind, has):
+    source = tmp_path / "speech"
+    if kind == "one set":
+        source = put_librispeech(source, {"dev-clean": SETS["dev-clean"]}) / "dev-clean"
+    elif kind == "kaldi":
+        put_kaldi_dir(source, ["a", "b", "c"])
+    elif kind == "folders":
+        for voice in "abc":
+            put(source / voice / "0.flac", rir(voice, 1600))
+    else:
+        rows = [f"{part}.flac,{part},{part},HI,{part}" for part in ("train", "dev", "test")]
+        put_manifest(source, rows, "file,utt_id,speaker,transcript," + ("set" if kind == "sets" else "notes"))
+    remedy = "leave --train-sets out" if has == "no sets" else "choose with --train-sets"
+    with pytest.raises(ValueError, match=rf"train set 'mine' is not in it \(it has {has}\): {remedy}"):
+        prepare_speech(source, tmp_path / "data", train_sets=("mine",), dev_sets=("dev-clean",))
+
+
 def test_single_set_is_split_by_voice(tmp_path):
     readers = {str(reader): {"1": 2, "2": 1} for reader in range(10, 20)}
     put_librispeech(tmp_path / "corpus", {"dev-clean": readers})
