@@ -65,8 +65,9 @@ def read_measured(source: Path, out: Path, *, kind: str | None = None, noises: P
     corpus = list_corpus(source, kind)
     listed = {source: corpus.rirs + corpus.noises}
     if noises:
-        listed[noises] = list_noises(noises)
-        corpus.noises += listed[noises]
+        found = list_noises(noises)
+        listed[noises] = listed.get(noises, []) + found  # it may be the source
+        corpus.noises += found
     build = _build(out, "read-measured", listed, kind=corpus.kind, name=corpus.name, notes=dict(corpus.notes),
                    skip_bad=skip_bad, keep_suspicious=keep_suspicious)
     if build.done:

@@ -145,6 +145,15 @@ def test_noises_are_added(tmp_path):
     assert noises["dishes-44k"]["duration_s"] == pytest.approx(0.1)
 
 
+def test_changed_table_counts_where_its_folder_is_that_of_the_noises_too(tmp_path):
+    source = make_table(tmp_path / "corpus")
+    read_measured(source, tmp_path / "out", noises=source)
+    manifest = source / "manifest.csv"
+    put_text(manifest, manifest.read_text().replace(",1.50,", ",1.52,"))
+    rows = read_rirs(read_measured(source, tmp_path / "out", noises=source))
+    assert [row["distance_m"] for row in rows] == [1.52, None]
+
+
 def test_synthetic_corpus_is_read_with_its_defects(project_dir, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(project_dir / "local"))
     import make_synthetic_rirs
