@@ -23,7 +23,7 @@ from roomeq.corpora.characterise import characterise
 from roomeq.corpora.split import split_rirs
 from roomeq.loop.features import N_FEATURES, feature_slice
 from roomeq.records.rir_dir import read_rirs, write_rirs
-from roomeq.report import figures, make_report, section_eq
+from roomeq.report import figures, make_report, section_eq, section_summary
 from roomeq.report.build_page import SECTIONS, render_page, render_section
 from roomeq.report.formats import number, with_minus
 from roomeq.report.kinds import MEASURED, SIMULATED
@@ -379,6 +379,16 @@ def test_summary_states_lack_error_and_worth(made):
     assert "Held-out error (JND), unseen rooms" in text and "1.0, noise ceiling" in text
     assert "train.sim.EQ.rvb instead of train.sim.rvb changes the word error rate by \u221220.0" in text
     assert "closes 50\N{NO-BREAK SPACE}% of the gap" in text
+
+
+@pytest.mark.parametrize("low_db, text", [
+    (0.0, "of the median measured RIR at all points."),
+    (np.nan, "at all other points. At 62.5\N{NO-BREAK SPACE}Hz it is not known: no simulated or no measured RIR has")])
+def test_summary_names_points_without_a_valid_eq(low_db, text, monkeypatch, tmp_path):
+    for name in ("real", "sim"):
+        (tmp_path / f"rirs.{name}.train").mkdir()
+    monkeypatch.setattr(section_summary, "eq_vectors", lambda run, name: np.array([[low_db, *[0.0] * 7]]))
+    assert text in section_text("summary", Run(tmp_path, tmp_path / "exp"))
 
 
 def test_examples_have_similar_reverberation_times(made):

@@ -30,8 +30,9 @@ def summary(run: Run) -> Context:
     rows = [*eq_rows(run), *(loop_rows(ledger) if ledger else []), *wer_rows(run)]
     if lacks_eq is None and not rows:
         run.need(SIMULATED.train)
-    return {"lacks_eq": lacks_eq, "panels": [eq_panel(run)] if lacks_eq is not None else [],
-            "has_loop": ledger is not None, "effects": section_loop.effects(ledger) if ledger else [],
+    return {"lacks_eq": lacks_eq, "unknown_hz": eq_unknown(run) if lacks_eq is not None else [],
+            "panels": [eq_panel(run)] if lacks_eq is not None else [], "has_loop": ledger is not None,
+            "effects": section_loop.effects(ledger) if ledger else [],
             "unexplained": section_loop.unexplained(ledger)[:1] if ledger else [], "rows": rows,
             "worth": worth(run), "has_wer": run.has("wer")}
 
@@ -41,6 +42,12 @@ def eq_lacks(run: Run) -> list[str]:
     difference_db = median_difference_db(run, SIMULATED.train)
     return [f"{abs(db):.1f} dB too {'loud' if db > 0 else 'quiet'} at {hertz(band_hz)}"
             for band_hz, db in zip(BANDS_HZ, difference_db, strict=True) if abs(db) >= LEVEL_JND_DB]
+
+
+def eq_unknown(run: Run) -> list[str]:
+    """Return the points at which no simulated or no measured RIR has a valid EQ."""
+    difference_db = median_difference_db(run, SIMULATED.train)
+    return [hertz(band_hz) for band_hz, db in zip(BANDS_HZ, difference_db, strict=True) if np.isnan(db)]
 
 
 def median_difference_db(run: Run, name: str) -> np.ndarray:
