@@ -1,6 +1,6 @@
 # shellcheck shell=bash
 # Turn --some-option VALUE into the variable some_option, which the script must have set before it sources this file.
-# It also reads --config FILE (lines `some_option=value`), answers --help, and defines the functions below.
+# It also reads --config FILE (lines `some_option=value  # comment`), answers --help, and defines the functions below.
 # Values are assigned and never evaluated. Sourced: the remaining arguments stay in "$@", and all of them in
 # options_given. The script ends with all that it starts (end_together.sh).
 
@@ -66,7 +66,7 @@ read_config() { # FILE
   [ -f "$1" ] || die "--config $1: no such file"
   while IFS= read -r line || [ -n "$line" ]; do
     number=$((number + 1))
-    line=${line%%#*}
+    line=" $line" && line=${line%%[[:space:]]#*} && line=${line# } # a comment starts the line or follows a blank
     line=${line%"${line##*[![:space:]]}"}
     [ -n "$line" ] || continue
     [[ $line == *=* ]] || die "$1:$number: '$line' must be name=value"

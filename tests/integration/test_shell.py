@@ -30,6 +30,14 @@ def test_command_line_wins_over_config(recipe):
     assert call(recipe, "./say.sh", "--nj", "4", "--config", "size.conf", "say.sh").stdout == "4|x|false|say.sh|"
 
 
+@pytest.mark.parametrize("line, value", [("/x/my#1/data", "/x/my#1/data"), ("#1", "#1"), ("a#b # c # d", "a#b"),
+                                         ("a\t# b", "a"), (" # b", "")])
+def test_comment_of_a_config_follows_a_blank(recipe, line, value):
+    (recipe / "size.conf").write_text(f"#nj=3\n # of names\nsome_name={line}\n")
+    done = call(recipe, "./say.sh", "--config", "size.conf", "say.sh")
+    assert (done.returncode, done.stdout) == (0, f"2|{value}|false|say.sh|")
+
+
 def test_rule_for_values_is_that_of_the_default_not_of_the_config(recipe):
     (recipe / "size.conf").write_text("some_name=10\n")
     for name in ("uniform 0 15", ""):
