@@ -98,10 +98,14 @@ def _read_any_format(directory: Path) -> Stamp | None:
     path = Path(directory) / DONE_FILE
     if not path.is_file():
         return None
-    content = read_json(path)
+    damaged = f"{path}: is damaged: remove {directory} and make it again"
+    try:
+        content = read_json(path)
+    except ValueError:
+        raise ValueError(damaged) from None
     if (isinstance(content, dict) and content.get("format") == FORMAT
             and content.pop("check", None) not in (None, _check(content))):
-        raise ValueError(f"{path}: is damaged: remove {directory} and make it again")
+        raise ValueError(damaged)
     try:
         return msgspec.convert(content, Stamp)
     except (msgspec.ValidationError, UnicodeEncodeError):

@@ -293,7 +293,8 @@ CASES = [
          "eq/gmm.json: means must be below 200 dB and covariances positive definite: run fit-eq again",
          (keys("eq/gmm.json", means_db=[[1e300] * 7] * 2),)),
 
-    Case("stamp no json", "report data exp out", "data/rirs.real/.done: not a JSON file (...): make it again",
+    Case("stamp no json", "report data exp out",
+         "data/rirs.real/.done: is damaged: remove data/rirs.real and make it again",
          (write("data/rirs.real/.done", "{"),)),
     Case("stamp a list", CHARACTERISE,
          "measured/.done: is not a stamp of roomeq (step, key, files): remove measured and make it again",
@@ -310,7 +311,7 @@ CASES = [
     Case("stamp of an older format beside noises", AUGMENT,
          "rirs: was written by an older roomeq (format 1, not 2): run roomeq read-measured again",
          (write("rirs/.done", '{"step": "read-measured", "key": "x", "files": {}}'),)),
-    Case("stamp of the output no json", CHARACTERISE, "out/.done: not a JSON file (...): make it again",
+    Case("stamp of the output no json", CHARACTERISE, "out/.done: is damaged: remove out and make it again",
          (write("out/.done", "{"),)),
     Case("stamp of texts", CHARACTERISE,
          "measured/.done: is not a stamp of roomeq (step, key, files): remove measured and make it again",

@@ -185,6 +185,14 @@ def test_damaged_stamp_is_refused(tmp_path):
             make_squares(tmp_path / "out", inputs=[tmp_path / "in"])
 
 
+@pytest.mark.parametrize("content", ["", '{"step": "squ', "\0\0\0"])
+def test_output_with_a_damaged_stamp_is_to_be_removed(content, tmp_path):
+    make_squares(tmp_path / "out")
+    (tmp_path / "out" / DONE_FILE).write_text(content)
+    with pytest.raises(ValueError, match=rf"out/{DONE_FILE}: is damaged: remove .*out and make it again"):
+        make_squares(tmp_path / "out")
+
+
 def test_files_beside_those_of_an_input_may_come_and_go(tmp_path):
     make_squares(tmp_path / "in")
     first = digest(tmp_path / "in")
