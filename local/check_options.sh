@@ -22,6 +22,8 @@ check_option gmm_passes "$pass(,$pass)*" "passes as 'mono 300, deltas all 300 30
 [ -z "$librispeech" ] || [ -z "$speech" ] || die "--librispeech and --speech both name the speech: leave one out"
 [ -z "$reverbdb" ] || [ -z "$measured" ] || die "--reverbdb and --measured both name the measured RIRs: leave one out"
 [ "$dry_run" = false ] || [ "$stage" -ge 8 ] || die "--dry-run prints the Kaldi commands: add --stage 8"
+[ -z "$room_types" ] || [ -n "$rooms" ] || [ "$free_rooms" != 0 ] ||
+  die "--room-types '$room_types' is of drawn rooms: give --rooms or --free-rooms"
 if [ -n "$rooms" ] && [ "$free_rooms" != 0 ]; then
   log "--rooms draws all rooms: no set sim.free is made beside"
   free_rooms=0

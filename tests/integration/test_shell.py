@@ -113,7 +113,8 @@ def test_unwritable_log_is_named_and_nothing_starts(recipe, runner):
     ("--snr", "loud", "must be 'uniform LOW HIGH'"), ("--snr", "20,15", "must be 'uniform LOW HIGH'"),
     ("--point-snr", "$(touch evil)", "must be 'uniform LOW HIGH'"), ("--taps", "512", "must be odd"),
     ("--packing", "files", "must be recording or utterance"), ("--t60-range", "0.5", "must be two times"),
-    ("--t60-range", "match", "must be two times")])
+    ("--t60-range", "match", "must be two times"),
+    ("--room-types", "absent.toml", "is of drawn rooms: give --rooms or --free-rooms")])
 def test_recipe_refuses_values_before_any_work(project_dir, option, value, message):
     done = call(project_dir, "./run.sh", option, value)
     assert done.returncode == 1 and done.stdout == ""
@@ -125,6 +126,23 @@ def test_recipe_accepts_the_same_snr_as_the_tools(project_dir, value):
     parse_distribution(value, "snr")
     done = call(project_dir, "./run.sh", "--snr", value, "--stop-stage", "99")
     assert done.stderr.startswith("run.sh: --stop-stage '99' ")
+
+
+def options_checked(project_dir, *options):
+    """Return what run.sh logs before it finds that its folder cannot be written."""
+    done = call(project_dir, "./run.sh", *options, "--data", "/dev/null/data")
+    assert done.returncode == 1 and done.stderr.startswith("run.sh: /dev/null/data/.run.lock cannot be written")
+    return done.stdout
+
+
+@pytest.mark.parametrize("option", ["--rooms", "--free-rooms"])
+def test_recipe_takes_room_types_where_rooms_are_drawn(project_dir, option):
+    options_checked(project_dir, "--room-types", "meeting_room", option, "3")
+
+
+def test_recipe_takes_its_configurations(project_dir):
+    for config in ("digits", "librispeech", "mini", "real_rooms", "smallest"):
+        options_checked(project_dir, "--config", f"conf/{config}.conf")
 
 
 @pytest.mark.parametrize("word", ["$(touch evil)", "a;b", "a'b", "a\nb", "é", "*"])
