@@ -28,4 +28,5 @@ if [ -n "$rooms" ] && [ "$free_rooms" != 0 ]; then
   log "--rooms draws all rooms: no set sim.free is made beside"
   free_rooms=0
 fi
+[ -z "$rooms" ] || log "--rooms draws all rooms: their T60 is that of the types of rooms, not of --t60-range"
 unset number distribution distribution_rule pass

@@ -140,6 +140,12 @@ def test_recipe_takes_room_types_where_rooms_are_drawn(project_dir, option):
     options_checked(project_dir, "--room-types", "meeting_room", option, "3")
 
 
+def test_recipe_says_that_drawn_rooms_take_no_t60_range(project_dir):
+    line = "--rooms draws all rooms: their T60 is that of the types of rooms, not of --t60-range"
+    assert line in options_checked(project_dir, "--t60-range", "0.3,0.5", "--rooms", "3")
+    assert line not in options_checked(project_dir, "--t60-range", "0.3,0.5", "--free-rooms", "3")
+
+
 def test_recipe_takes_its_configurations(project_dir):
     for config in ("digits", "librispeech", "mini", "real_rooms", "smallest"):
         options_checked(project_dir, "--config", f"conf/{config}.conf")
