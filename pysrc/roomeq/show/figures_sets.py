@@ -77,14 +77,15 @@ def over_frequency(sets: Sequence[RirSet], metric: str, label: str) -> Draw:
         Label of the vertical axis, with its unit.
     """
     def draw(axes: Axes, colours: dict[str, str]) -> None:
-        for name, of_set, colour in zip(labels_of(sets), sets, COLOURS, strict=False):
-            values = band_values(of_set, metric)
+        every = [band_values(of_set, metric) for of_set in sets]
+        for name, values, colour in zip(labels_of(sets), every, COLOURS, strict=False):
             bands_hz = list(figures.TICKS)[:values.shape[1]]
             low, middle, high = column_percentiles(values, (5, 50, 95))
             axes.fill_between(bands_hz, low, high, color=colours[colour], alpha=0.2, lw=0)
             axes.plot(bands_hz, middle, f"{figures.MARKERS[colour]}-", color=colours[colour], ms=4.5,
                       label=plot_text(name))
-        log_frequency(axes, 45.0, 18000.0 if values.shape[1] > 8 else 8600.0)
+        n_bands = max(values.shape[1] for values in every)
+        log_frequency(axes, 45.0, 18000.0 if n_bands > 8 else 8600.0)
         axes.set_ylabel(label)
         if metric == "t60":
             axes.set_ylim(bottom=0.0)

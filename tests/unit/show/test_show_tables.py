@@ -4,11 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from rirmaker import coloured_rir, row
 
 from roomeq.acoustics.parameters import measure
 from roomeq.show import tables
 from roomeq.show.figures_rir import label_lines
+from roomeq.show.figures_sets import COLOURS, over_frequency
 from roomeq.show.inputs import RirSet
 from roomeq.show.page_compare import change_text, median_rows, pair_rirs, paired_rows, typical_pair
 
@@ -70,6 +72,15 @@ def test_medians_of_few_valid_values_are_left_out():
     (cells, *_), (full, *_) = (list(zip(*median_rows(of_set, of_set), strict=True))[3:] for of_set in (
         mixed, set_of(row("a"))))
     assert set(cells) == {"–"} and set(full) != {"–"}
+
+
+def test_figure_over_frequency_shows_all_bands_of_both_sets():
+    wide = {key: [*value, value[-1]] if isinstance(value, list) else value for key, value in PARAMETERS.items()}
+    sets = [set_of(row("a"), parameters=wide), set_of(row("a"))]
+    for ordered in (sets, sets[::-1]):
+        axes = Figure().subplots()
+        over_frequency(ordered, "c50", "C50 (dB)")(axes, dict.fromkeys(COLOURS, "k"))
+        assert axes.get_xlim()[1] > 16000.0
 
 
 def test_labels_of_reflections_do_not_overlap():
