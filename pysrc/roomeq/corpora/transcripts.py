@@ -1,5 +1,6 @@
 """Speech listed in a CSV: columns `file`, `transcript`, optional `utt_id`, `speaker`, `gender`, `set`."""
 
+import os
 import re
 from pathlib import Path
 
@@ -19,7 +20,8 @@ def list_transcripts(path: Path) -> dict[str, list[Utterance]]:
     ------
     ValueError
         See `roomeq.corpora.table.read_table`; also a missing transcript, two speakers whose names have the same
-        id, or a row without a set where others have one. The message names file and line.
+        id, a file that is listed twice, two genders of a speaker, or a row without a set where others have one. The
+        message names file and line.
     """
     columns, rows = read_table(path)
     text_column = next((name for name in _TEXT_COLUMNS if name in columns), None)
@@ -27,9 +29,18 @@ def list_transcripts(path: Path) -> dict[str, list[Utterance]]:
         raise ValueError(f"{path}: columns {','.join(columns)} must hold 'transcript': add what is spoken")
     sets: dict[str, list[Utterance]] = {}
     ids = DistinctIds()
+    of_file: dict[str, Utterance] = {}
+    of_speaker: dict[str, Utterance] = {}
     for where, cells in rows:
         try:
-            sets.setdefault(cells.get("set", ""), []).append(_utterance(path, cells, text_column, where, ids))
+            utterance = _utterance(path, cells, text_column, where, ids)
+            if (first := of_file.setdefault(os.path.realpath(utterance.path), utterance)) is not utterance:
+                raise ValueError(f"file={cells['file']!r} must be listed once and is also in {first.where}")
+            if utterance.gender and (
+                    first := of_speaker.setdefault(utterance.speaker, utterance)).gender != utterance.gender:
+                raise ValueError(f"gender={cells['gender']!r} of speaker {utterance.speaker!r} contradicts "
+                                 f"{first.gender!r} in {first.where}")
+            sets.setdefault(cells.get("set", ""), []).append(utterance)
         except ValueError as error:
             raise ValueError(f"{where}: {error}: correct the row") from None
     if len(sets) > 1 and "" in sets:

@@ -148,6 +148,17 @@ def test_manifest_with_sets_and_genders(tmp_path):
     assert lines(train / "spk2gender") == ["a m"] and lines(dev / "utt2spk") == ["b-b b"]
 
 
+@pytest.mark.parametrize("row, message", [
+    ("b/../a.flac,b2,b,HI,f", r"file='b/\.\./a\.flac' must be listed once and is also in .*manifest\.csv:2"),
+    ("c.flac,c,a,HI,F", r"gender='F' of speaker 'a' contradicts 'm' in .*manifest\.csv:2")])
+def test_manifest_that_contradicts_itself_is_refused(tmp_path, row, message):
+    put(tmp_path / "speech/b/x.flac")
+    rows = ["a.flac,a,a,HI,male", "b.flac,b,b,HI,", "d.flac,d,a,HI,", row]
+    source = put_manifest(tmp_path / "speech", rows, "file,utt_id,speaker,transcript,gender")
+    with pytest.raises(ValueError, match=rf"manifest\.csv:5: {message}: correct the row"):
+        prepare_speech(source, tmp_path / "data")
+
+
 @pytest.mark.parametrize("ending", [",", ", ", ""])
 def test_manifest_row_without_a_set_is_refused_where_others_have_one(tmp_path, ending):
     rows = [f"{part}.flac,{part},{part},HI,{part}" for part in ("train", "dev", "test")]
