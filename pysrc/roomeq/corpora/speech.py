@@ -56,7 +56,7 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
     limit : int, optional
         Largest number of utterances per role; their choice does not depend on what else is in the corpus.
     channel : int
-        Channel of files with several that is used, counted from 0.
+        Channel of files with several that is used, counted from 0; of Kaldi data directories, `wav.scp` chooses it.
     nj : int
         Number of processes.
 
@@ -68,7 +68,7 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
     ------
     ValueError
         The path is not a speech corpus, a set is missing, transcripts and audio do not match, two utterances share an
-        id, or an audio file is broken or sampled below 16 kHz.
+        id, an audio file is broken or sampled below 16 kHz, or the channel of a Kaldi data directory is to be chosen.
     """
     source, out = Path(source), Path(out)
     wanted = {"train": tuple(train_sets), "dev": tuple(dev_sets), "test": tuple(test_sets)}
@@ -79,6 +79,9 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
     if not source.exists():
         raise ValueError(f"{source}: no such file or directory: check the path of the speech corpus")
     corpus = list_speech(source, wanted)
+    if channel and any(_sorted_out(listed)[0] for listed in corpus.values()):
+        raise ValueError(f"{source}: channel={channel} must be 0, as the audio of a Kaldi data directory is not "
+                         "touched: choose the channel in wav.scp")
     _warn_of_shared({role: _voices(corpus[role]) for role in ROLES}, source)
     options = dict(sets=wanted, limit=limit, channel=channel, source=os.path.realpath(source))
     builds = {role: Build(out / f"{role}.clean", step="prepare-speech", options=dict(

@@ -406,6 +406,12 @@ def test_chosen_channel_of_stereo_is_used_and_named(tmp_path, caplog, channel):
         in caplog.text
 
 
+def test_channel_of_a_kaldi_directory_is_chosen_in_its_table(tmp_path):
+    put_kaldi_dir(tmp_path / "kaldi", ["a", "b", "c"])
+    with pytest.raises(ValueError, match=r"kaldi: channel=1 must be 0, .* choose the channel in wav\.scp"):
+        prepare_speech(tmp_path / "kaldi", tmp_path / "data", channel=1)
+
+
 def test_source_without_speech_is_refused(tmp_path):
     with pytest.raises(ValueError, match="absent: no such file or directory: check the path of the speech corpus"):
         prepare_speech(tmp_path / "absent", tmp_path / "data")
