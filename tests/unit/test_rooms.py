@@ -5,6 +5,7 @@ import pytest
 from plans import L_PLAN, box_plan, prism_obj
 
 import roomeq
+from roomeq.core.constants import exact_bands_hz
 from roomeq.sim.scene import Air
 
 MIC_M, SOURCE_M = (4.0, 3.0, 1.2), (2.0, 1.5, 1.5)
@@ -63,6 +64,29 @@ def test_directivities_may_come_in_an_array():
     found, wanted = (roomeq.simulate_rir(ROOM, SOURCE_M, mics_m, mic_directivity=given, num_rays=100)
                      for given in (np.array(both, dtype=object), both))
     assert np.array_equal(found, wanted)
+
+
+@pytest.mark.parametrize("azimuth_deg, elevation_deg, largest_db", [(10, 10, 2.5), (2, 10, 2.5), (5, 30, 6.0)])
+def test_table_is_interpolated_on_grids_that_are_finer_in_one_angle(azimuth_deg, elevation_deg, largest_db):
+    azimuth, elevation = np.meshgrid(np.radians(np.arange(0, 361, azimuth_deg)),
+                                     np.radians(np.arange(-90, 91, elevation_deg)))
+    grid = np.stack([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)],
+                    axis=-1).reshape(-1, 3)
+    speaker = roomeq.Loudspeaker((1.0, 0.0, 0.0))
+    bands_hz = exact_bands_hz(16000)
+    table = roomeq.DirectivityTable(grid, bands_hz, 20.0 * np.log10(speaker.pressure(grid, 16000)), (1.0, 0.0, 0.0))
+    asked = np.random.default_rng(0).standard_normal((2000, 3))
+    asked /= np.linalg.norm(asked, axis=1, keepdims=True)
+    error_db = 20.0 * np.log10(table.pressure(asked, 16000) / speaker.pressure(asked, 16000))
+    assert np.abs(error_db[:, :7]).max() < largest_db
+    assert np.abs(table.pressure(grid, 16000) / speaker.pressure(grid, 16000) - 1.0).max() < 1e-6
+
+
+def test_table_of_one_plane_takes_the_nearest_directions():
+    angle = np.radians(np.arange(0, 360, 10))
+    plane = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    table = roomeq.DirectivityTable(plane, [1000.0], np.zeros((36, 1)), (1.0, 0.0, 0.0))
+    assert table.pressure(np.eye(3), 16000) == pytest.approx(np.ones((3, 8)))
 
 
 def test_array_has_a_row_for_each_microphone_and_the_same_bytes_again():

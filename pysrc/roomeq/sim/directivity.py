@@ -6,17 +6,20 @@ band. Patterns of the first order may have a negative rear lobe; a measured tabl
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomeq.core.arrays import FloatArray
+from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import exact_bands_hz, is_number
 
 PATTERNS = {"omnidirectional": 1.0, "subcardioid": 0.75, "cardioid": 0.5, "supercardioid": 0.366,
             "hypercardioid": 0.25, "figure_eight": 0.0}
 """Share a of the omnidirectional part in the pattern ``a + (1 - a) cos(theta)``."""
-_N_NEIGHBOURS = 4  # measured directions that a gain is interpolated from
+_N_NEIGHBOURS = 4  # measured directions that a gain is interpolated from where they do not surround the device
+_LEAST_SURROUND = 0.05  # distance of the planes through them from the device, on the unit sphere
+_ELEMENTS = 2 ** 20  # of the products of directions and triangles that are in memory at once
 
 
 @dataclass(frozen=True)
@@ -58,8 +61,10 @@ class FirstOrder:
 class DirectivityTable:
     """A measured directivity: gains at some directions and frequencies, without phase.
 
-    Gains are interpolated in dB over log frequency, and as pressure over the four nearest measured directions, weighted
-    by the inverse of their distance. Beyond the lowest and highest frequency the gain is that of the outermost one.
+    Gains are interpolated in dB over log frequency, and as pressure over the triangle of measured directions that a
+    direction lies in, linearly. Where the measured directions do not lie all around the device, it is the four nearest
+    ones, weighted by the inverse of their distance. Beyond the lowest and highest frequency the gain is that of the
+    outermost one.
 
     Attributes
     ----------
@@ -107,22 +112,56 @@ class DirectivityTable:
 
     def pressure(self, directions: FloatArray, fs_hz: float) -> FloatArray:
         """Return the gains in some directions, shape (n, n_bands)."""
-        from scipy.spatial import cKDTree
-
         front = np.asarray(self.facing)
         left = unit(np.cross(np.asarray(self.up), front))
         local = directions @ np.stack([front, left, np.cross(front, left)], axis=1)
+        near, weight = self._nearest(local) if self._triangles is None else _around(local, *self._triangles)
+        return np.einsum("nk,nkb->nb", weight, self._in_bands(fs_hz)[near])
+
+    @cached_property
+    def _triangles(self) -> tuple[IntArray, FloatArray] | None:
+        """Triangles of measured directions that surround the device, and the inverse of the matrix of each.
+
+        The convex hull of points on a sphere is their Delaunay triangulation.
+        """
+        from scipy.spatial import ConvexHull, QhullError
+
+        _, first = np.unique(np.round(self.directions, 9), axis=0, return_index=True)
+        try:
+            hull = ConvexHull(self.directions[first])
+        except (QhullError, ValueError):  # too few, or all in one plane
+            return None
+        if hull.equations[:, 3].max() > -_LEAST_SURROUND:
+            return None
+        corners = first[hull.simplices]
+        return corners, np.linalg.inv(self.directions[corners].transpose(0, 2, 1))
+
+    def _nearest(self, directions: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Return the nearest measured directions and their weights, shape (n, `_N_NEIGHBOURS`)."""
+        from scipy.spatial import cKDTree
+
         count = min(_N_NEIGHBOURS, len(self.directions))
-        distance, near = cKDTree(self.directions).query(local, k=count)
+        distance, near = cKDTree(self.directions).query(directions, k=count)
         weight = 1.0 / np.maximum(np.reshape(distance, (-1, count)), 1e-6)
-        weight /= weight.sum(axis=1, keepdims=True)
-        return np.einsum("nk,nkb->nb", weight, self._in_bands(fs_hz)[np.reshape(near, (-1, count))])
+        return np.reshape(near, (-1, count)), weight / weight.sum(axis=1, keepdims=True)
 
     def _in_bands(self, fs_hz: float) -> FloatArray:
         if fs_hz not in self._bands:
             self._bands[fs_hz] = 10.0 ** (0.05 * np.array([
                 np.interp(np.log(exact_bands_hz(fs_hz)), np.log(self.frequencies_hz), row) for row in self.gains_db]))
         return self._bands[fs_hz]
+
+
+def _around(directions: FloatArray, corners: IntArray, inverses: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the corners of the triangle that each direction lies in, and their weights, shape (n, 3) each."""
+    chosen, weights = np.empty((len(directions), 3), int), np.empty((len(directions), 3))
+    step = max(1, _ELEMENTS // len(corners))
+    for block in (slice(first, first + step) for first in range(0, len(directions), step)):
+        of_all = np.einsum("fij,nj->nfi", inverses, directions[block])
+        inside = of_all.min(axis=2).argmax(axis=1)  # there, no weight is negative
+        chosen[block], weights[block] = corners[inside], of_all[np.arange(len(inside)), inside]
+    weights = np.maximum(weights, 0.0)
+    return chosen, weights / weights.sum(axis=1, keepdims=True)
 
 
 def unit(vector: ArrayLike) -> FloatArray:
