@@ -5,6 +5,7 @@ All triangles of the same material form one surface. Triangles in the same plane
 """
 
 import contextlib
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache, partial
@@ -26,11 +27,14 @@ from roomeq.sim.walls import Walls
 if TYPE_CHECKING:
     import trimesh
 
+logger = logging.getLogger(__name__)
+
 _MAX_WALLS = 32  # of a convex room that are intersected one by one, without a tree
 _SPHERE_RAYS = 2000  # directions in which the distance to the surfaces is sampled
 _WELD_M = 1e-5  # grid to which corners are rounded before they are merged
 _INSIDE_POINTS = 5  # of a body, of which most must lie in the room
 _BELOW_FACE_M = 1e-4
+_REACHES_OUT_M = 1e-3
 KEPT_POINTS, KEPT_SOURCES = 500, 16
 """For so many positions, what was found of the room around them is kept."""
 Result = TypeVar("Result")
@@ -288,10 +292,24 @@ def _orient(mesh: "trimesh.Trimesh", name: str) -> _Orientation:
             where = np.round(mesh.triangles[body].mean(axis=(0, 1)), 3).tolist()
             raise ValueError(f"{name}: the body around {where} m lies outside of the largest one, which is the room: "
                              "put each room in a mesh of its own, or join them by an opening")
+    _say_what_reaches_out(mesh.triangles[bodies[shell]],
+                          [mesh.triangles[body] for n, body in enumerate(bodies) if n != shell], name)
     volume_m3 = volumes[shell] - sum(abs(volume) for n, volume in enumerate(volumes) if n != shell)
     if volume_m3 <= 0.0:
         raise ValueError(f"{name}: the bodies in the room fill all of its {volumes[shell]:.3g} m3: correct them")
     return _Orientation(flip, volume_m3)
+
+
+def _say_what_reaches_out(shell: FloatArray, bodies: list[FloatArray], name: str) -> None:
+    """Warn of bodies that reach out of the box around the room; triangles of shape (n_faces, 3, 3) each."""
+    low_m, high_m = shell.min(axis=(0, 1)), shell.max(axis=(0, 1))
+    out_m = [float(max((low_m - body.min(axis=(0, 1))).max(), (body.max(axis=(0, 1)) - high_m).max()))
+             for body in bodies]
+    if out_m and max(out_m) > _REACHES_OUT_M:
+        where = np.round(bodies[int(np.argmax(out_m))].mean(axis=(0, 1)), 3).tolist()
+        logger.warning("%s: bodies that reach out of the room: %d, the one around %s m by %.2g m: volume and area of "
+                       "what is outside count as if it were inside: cut it off", name,
+                       np.count_nonzero(np.array(out_m) > _REACHES_OUT_M), where, max(out_m))
 
 
 def _is_inside(shell: FloatArray, body: FloatArray, outward: bool) -> bool:

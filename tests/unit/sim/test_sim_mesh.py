@@ -90,6 +90,18 @@ def test_mirrored_node_of_a_gltf_file_is_the_mirrored_room(write_obj, tmp_path):
     assert mirrored.triangles[..., 0].min() == pytest.approx(-wanted.triangles[..., 0].max())
 
 
+@pytest.mark.parametrize("corner_x_m, said", [(5.2, True), (5.0, False)])
+def test_bodies_that_reach_out_of_the_room_are_said(write_obj, caplog, corner_x_m, said):
+    """A body of one metre in a room of 6 m, flush with its wall or 0.2 m through it."""
+    shell, body = prism_obj(box_plan(6.0, 4.0), 3.0), prism_obj(box_plan(1.0, 1.0, corner_x_m, 1.0), 1.0, "wood")
+    words = [line.split() for line in body.splitlines()]
+    body = "\n".join(" ".join([word[0], *(str(int(n) + 8) for n in word[1:])] if word[0] == "f" else word)
+                     for word in words)
+    load_mesh(write_obj(shell + body + "\n"))
+    assert ("bodies that reach out of the room: 1, the one" in caplog.text) == said
+    assert ("by 0.2 m" in caplog.text) == said
+
+
 def test_memory_of_a_room_does_not_grow_with_the_positions(write_obj):
     room = load_mesh(write_obj(prism_obj(L_PLAN, 3.0)))
     calls = []
