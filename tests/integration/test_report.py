@@ -31,7 +31,7 @@ from roomeq.report.load import Run
 from roomeq.report.render import environment
 from roomeq.report.rir_sets import LIKE_T60, column_percentiles, measured_example, t60_mismatch
 from roomeq.report.section_data import facts, measured
-from roomeq.report.section_loop import REGIONS, residual_sizes
+from roomeq.report.section_loop import REGIONS, facings, residual_sizes
 from roomeq.wer import measure_wer
 
 FIGURES = ("figure-1-left", "figure-1-right", "figure-2-measured", "figure-2-resampled", "figure-2-simulated",
@@ -268,6 +268,14 @@ def test_residual_map_averages_each_region_and_band():
     late, direct = REGIONS.index("late"), REGIONS.index("direct")
     np.testing.assert_array_equal(found[late, :8], 2.0)
     assert found[direct, 8] == 2.0 and np.isfinite(found).sum() == 9
+
+
+def test_facings_of_the_test_set_are_marked():
+    entry = dict(source="s1", rirs=9, positions=3, hypothesis="fixed", evidence=dict(fixed=9.0, free=1.0),
+                 angle_deg=20.0)
+    ledger = dict(facings=[entry], test=dict(facings=[entry | dict(rirs=4)]))
+    first, second = facings(ledger)
+    assert first.startswith("source s1: 9 RIRs ") and second.startswith("in the test set, source s1: 4 RIRs ")
 
 
 def test_page_is_reproducible_across_processes(made):

@@ -65,8 +65,8 @@ def left_out(ledger: dict[str, Any]) -> str:
 
 def facings(ledger: dict[str, Any]) -> list[str]:
     """Return in words where the loudspeakers of the RIRs and of the test set face, if their rows do not state it."""
-    return [describe_facing(FacingEstimate(**facing))
-            for facing in [*ledger["facings"], *ledger.get("test", {}).get("facings", [])]]
+    sets = [("", ledger["facings"]), ("in the test set, ", ledger.get("test", {}).get("facings", []))]
+    return [prefix + describe_facing(FacingEstimate(**facing)) for prefix, entries in sets for facing in entries]
 
 
 def geometry_rows(ledger: dict[str, Any]) -> list[list[str]]:
