@@ -53,7 +53,8 @@ def read_rirs(directory: Path) -> list[RirRow]:
             try:
                 header = audio_info(rir_path(directory, row))
             except ValueError as error:
-                raise ValueError(f"{path}:{number}: fs_hz and n_samples cannot be read: {error}") from None
+                raise ValueError(f"{path}:{number}: fs_hz and n_samples cannot be read: {error}; roomeq "
+                                 "simulate needs no audio if the row states both") from None
             row.setdefault("fs_hz", header.samplerate)
             row.setdefault("n_samples", header.frames)
     return rows
