@@ -220,7 +220,10 @@ def test_rooms_and_sources_have_tails_of_their_own():
     (lambda: roomeq.Room((6, 4, 3), materials=True), "absorption=True of material 'own' must be 8 numbers"),
     (lambda: roomeq.Room((6, 4, 3), materials=["0.1"] * 8), r"absorption=\('0.1', .* must be 8 numbers"),
     (lambda: roomeq.Room((6, 4, 3), materials={"absorption": 0.1, "scattering": {}}), "scattering={} of material"),
-    (lambda: roomeq.simulate_rir((6, 4, 3), SOURCE_M, MIC_M), r"room=\(6, 4, 3\) must be a Room"),
+    (lambda: roomeq.simulate_rir((6, 4, 3), SOURCE_M, MIC_M), r"room is a tuple and must be a Room"),
+    (lambda: roomeq.simulate_rir(roomeq.Room((6, 4, 3), 0.2).scene(), SOURCE_M, MIC_M),
+     r"room is a Scene and must be a Room: give Room\(geometry, materials=\.\.\.\), or call simulate_responses with a "
+     "Scene"),
     (lambda: roomeq.simulate_rir(ROOM, "here", MIC_M), "source='here' must be coordinates"),
     (lambda: roomeq.simulate_rir(ROOM, SOURCE_M, [(1, 1, 1), (2, 1)]), "mics=.* must be coordinates"),
     (lambda: roomeq.simulate_rir(ROOM, SOURCE_M, MIC_M, num_rays=True), "num_rays=True must be a whole number"),
