@@ -91,8 +91,11 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
     counts = Counter(split_of.values())
     for split in of_rirs:
         if not counts[split]:
+            more = [f"--{other}-rirs" for other in ("dev", "test") if other not in others]
+            remedies = ["give more RIRs", *[f"others with {' and '.join(more)}"] * bool(more),
+                        *["split by 'rir'"] * (split_by == "room")]
             raise ValueError(f"{rir_dir}: {len(rows)} RIRs of {len(set(group_of.values()))} rooms leave {split} empty "
-                             f"when split by {split_by}: give more RIRs, or split by 'rir'")
+                             f"when split by {split_by}: {', or '.join(remedies)}")
     homes = _homes(given_noises, rows, group_of, split_of, same_rooms)
     noises = _split_noises(_copies(rir_dir, given_noises, sketches), homes, size_of, seed, split_by, own_noises)
     # every output is checked before one of them is written

@@ -217,9 +217,11 @@ CASES = [
          "measured: noise_for='r9' of RIR r0 is no RIR of this directory: simulate it again",
          tuple(row(RIRS, n, noise_for="r9") for n in (1, 2, 3, 4))),
     Case("one room split by room", "split-rirs --split-by room measured out",
-         "measured: 4 RIRs of 2 rooms leave test empty when split by room: give more RIRs, or split by 'rir'"),
+         "measured: 4 RIRs of 2 rooms leave test empty when split by room: give more RIRs, or others with "
+         "--dev-rirs and --test-rirs, or split by 'rir'"),
     Case("two rirs in three sets", "split-rirs measured out",
-         "measured: 2 RIRs of 2 rooms leave test empty when split by rir: give more RIRs, or split by 'rir'",
+         "measured: 2 RIRs of 2 rooms leave test empty when split by rir: give more RIRs, or others with "
+         "--dev-rirs and --test-rirs",
          (reorder(RIRS, lambda lines: lines[:2]),)),
 
     Case("noises no json", AUGMENT,
