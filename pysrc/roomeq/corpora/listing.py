@@ -50,7 +50,8 @@ def detect_kind(source: Path) -> str:
         by_suffix = {".csv": "table", ".tsv": "table", ".sofa": "sofa"}
         return by_suffix.get(source.suffix.lower(), "folder")
     if (source / ROWS_FILE).is_file():
-        raise ValueError(f"{source}: is an RIR directory already ({ROWS_FILE}): use it as it is")
+        raise ValueError(f"{source}: is an RIR directory already ({ROWS_FILE}): give the recordings that it was "
+                         "made from, or run the single steps on it, from roomeq characterise on")
     if (source / "wav.scp").is_file():
         raise ValueError(f"{source}: is a Kaldi data directory with speech (wav.scp), but RIRs are expected here: "
                          "pass it as the speech corpus")

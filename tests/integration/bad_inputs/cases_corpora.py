@@ -203,7 +203,8 @@ CASES = [
          "absent: no such file or directory: check the path of the corpus"),
     Case("no audio", "read-measured eq out", "eq: no audio files below it: check the path"),
     Case("rir directory as corpus", "read-measured rirs out",
-         "rirs: is an RIR directory already (rirs.jsonl): use it as it is"),
+         "rirs: is an RIR directory already (rirs.jsonl): give the recordings that it was made from, or run the "
+         "single steps on it, from roomeq characterise on"),
     Case("noises absent", "read-measured --noises absent folder out",
          "absent: no such file or directory: check the path of the corpus"),
     Case("kind without its file", "read-measured --kind table folder out",
