@@ -158,9 +158,20 @@ def _list_without_text(folders: dict[str, list[Utterance]], wanted: SetNames, so
     requested = {name for names in wanted.values() for name in names}
     if not _are_chosen(wanted) and not requested & set(folders) and not all(
             any(name.lower().startswith(role) for name in folders) for role in ROLES):
+        _warn_of_no_folders(utterances, source)
         return _split(utterances, source)
-    return {role: [utterance for name in names for utterance in folders[name]]
-            for role, names in _sets_of_roles(wanted, folders, source).items()}
+    of_roles = {role: [utterance for name in names for utterance in folders[name]]
+                for role, names in _sets_of_roles(wanted, folders, source).items()}
+    _warn_of_no_folders([utterance for listed in of_roles.values() for utterance in listed], source)
+    return of_roles
+
+
+def _warn_of_no_folders(utterances: list[Utterance], source: Path) -> None:
+    """Warn of files without the folder of a speaker: those of one speaker may be in several roles."""
+    if alone := sum(utterance.speaker == utterance.id for utterance in utterances):
+        logger.warning("%s: no folders of speakers for %d of %d files: each of them counts as a speaker of its own: "
+                       "put the files of each speaker into a folder, or train, dev and test may share voices", source,
+                       alone, len(utterances))
 
 
 def _sets_of_roles(wanted: SetNames, sets: Mapping[str, Any], source: Path) -> SetNames:

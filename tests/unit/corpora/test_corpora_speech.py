@@ -361,24 +361,27 @@ def test_folders_without_transcripts_are_speakers(tmp_path, caplog):
     assert utt2spk == {"p1-a": "p1", "p1-b": "p1", "p2-c-1": "p2", "p3-sub-a": "p3"}
     assert not any((directory / "text").exists() for directory in made)
     assert "no transcripts: each of 4 audio files is an utterance" in caplog.text
+    assert "no folders" not in caplog.text
     for directory in made:
         validate_data_dir(directory)
 
 
-def test_files_in_no_folder_have_speakers_of_their_own(tmp_path):
+def test_files_in_no_folder_have_speakers_of_their_own(tmp_path, caplog):
     for n in range(6):
         put(tmp_path / "speech" / f"file{n}.wav", rir(str(n), 1600))
     made = prepare_speech(tmp_path / "speech", tmp_path / "data")
     utt2spk = {key: value for directory in made for key, value in table(directory / "utt2spk").items()}
     assert utt2spk == {f"file{n}": f"file{n}" for n in range(6)}
+    assert "no folders of speakers for 6 of 6 files: each of them counts as a speaker of its own" in caplog.text
 
 
-def test_folders_named_like_sets_are_sets(tmp_path):
+def test_folders_named_like_sets_are_sets(tmp_path, caplog):
     for name in ("train/p1/a.wav", "train/p2/a.wav", "dev/p3/a.wav", "test/p4/a.wav"):
         put(tmp_path / "speech" / name, rir(name, 1600))
     made = prepare_speech(tmp_path / "speech", tmp_path / "data")
     assert [sorted(table(directory / "utt2spk")) for directory in made] == [
         ["train-p1-a", "train-p2-a"], ["dev-p3-a"], ["test-p4-a"]]
+    assert "no folders" not in caplog.text
 
 
 def test_augmentation_takes_speech_without_transcripts(tmp_path):
