@@ -12,7 +12,7 @@ from roomeq.core.digests import audio_digest
 from roomeq.core.files import path_from, write_json
 from roomeq.corpora.listing import list_corpus, list_noises, require_existing
 from roomeq.corpora.record import Corpus, Recording, is_generated
-from roomeq.records.rir_dir import write_noises, write_rirs
+from roomeq.records.rir_dir import rir_path, write_noises, write_rirs
 
 logger = logging.getLogger(__name__)
 
@@ -159,7 +159,7 @@ def _write(build: Build, corpus: Corpus, skip_bad: bool, nj: int, keep_suspiciou
 
     def assemble(directory: Path, records: list[dict[str, Any]]) -> None:
         merged = {key: [row for record in records for row in record[key]] for key in ("rirs", "noises", "skipped")}
-        report = _report(corpus, merged, sum(record["converted"] for record in records))
+        report = _report(corpus, merged, sum(record["converted"] for record in records), build.out)
         _warn_of_one_position(corpus, merged["rirs"])
         if not merged["rirs"] and corpus.kind != "noises":
             raise ValueError(f"{build.out}: none of {len(corpus.rirs)} RIR files can be used, the first because: "
@@ -203,7 +203,7 @@ def _warn_of_one_position(corpus: Corpus, rirs: list[dict[str, Any]]) -> None:
                        "a position for each", corpus.name, len(several), several[0].removesuffix("_ch1"))
 
 
-def _report(corpus: Corpus, merged: dict[str, list[Any]], converted: int) -> dict[str, Any]:
+def _report(corpus: Corpus, merged: dict[str, list[Any]], converted: int, out: Path) -> dict[str, Any]:
     """Return the counts of RIRs, rooms, unknown values and irregularities, and log them."""
     rirs = merged["rirs"]
     suspicious = {row["id"]: row["suspicious"] for row in rirs if row["suspicious"]}
@@ -229,7 +229,7 @@ def _report(corpus: Corpus, merged: dict[str, list[Any]], converted: int) -> dic
         logger.warning("left out: %s", line)
     for row in rirs:
         if row["suspicious"]:
-            logger.warning("no RIR: %s (%s): %s", row["wav"], row["id"], row["suspicious"])
+            logger.warning("no RIR: %s (%s): %s", rir_path(out, row), row["id"], row["suspicious"])
     if suspicious:
         logger.warning("%s: %d of %d recordings are no RIR; later steps leave them out (--keep-suspicious keeps them)",
                        corpus.name, len(suspicious), len(rirs))
