@@ -140,17 +140,22 @@ def _write(build: Build, corpus: Corpus, skip_bad: bool, nj: int, keep_suspiciou
     items = {f"{n:06d}": todo[n:n + _CHUNK] for n in range(0, len(todo), _CHUNK)}
 
     def make(name: str, chunk: list[_Listed]) -> dict[str, Any]:
-        record: dict[str, Any] = dict(rirs=[], noises=[], skipped=[], converted=0)
+        record: dict[str, Any] = dict(rirs=[], noises=[], skipped=[], converted=0, copied=0, multichannel=0)
         for table, recording in chunk:
             try:
-                for row, samples in rows_of(recording, table, build.out):
+                change, n_rows = "", 0
+                for row, samples, converted in rows_of(recording, table, build.out):
                     if keep_suspicious and table == "rirs":
                         row["suspicious"] = None
                     if samples is not None:
                         row["wav"] = f"wav/{row['id']}.wav" if table == "rirs" else f"wav/noise/{row['id']}.wav"
                         write_wav(build.work / row["wav"], samples)
-                        record["converted"] += 1
+                        change = "converted" if converted else "copied"
                     record[table].append(row)
+                    n_rows += 1
+                if change:
+                    record[change] += 1
+                record["multichannel"] += n_rows > 1 and recording.path.suffix != ".sofa"
             except ValueError as error:
                 if not skip_bad:
                     raise ValueError(f"{error} (or leave such files out with --skip-bad)") from None
@@ -159,7 +164,8 @@ def _write(build: Build, corpus: Corpus, skip_bad: bool, nj: int, keep_suspiciou
 
     def assemble(directory: Path, records: list[dict[str, Any]]) -> None:
         merged = {key: [row for record in records for row in record[key]] for key in ("rirs", "noises", "skipped")}
-        report = _report(corpus, merged, sum(record["converted"] for record in records), build.out)
+        files = {key: sum(record[key] for record in records) for key in ("converted", "copied", "multichannel")}
+        report = _report(corpus, merged, files, build.out)
         _warn_of_one_position(corpus, merged["rirs"])
         if not merged["rirs"] and corpus.kind != "noises":
             raise ValueError(f"{build.out}: none of {len(corpus.rirs)} RIR files can be used, the first because: "
@@ -203,12 +209,12 @@ def _warn_of_one_position(corpus: Corpus, rirs: list[dict[str, Any]]) -> None:
                        "a position for each", corpus.name, len(several), several[0].removesuffix("_ch1"))
 
 
-def _report(corpus: Corpus, merged: dict[str, list[Any]], converted: int, out: Path) -> dict[str, Any]:
+def _report(corpus: Corpus, merged: dict[str, list[Any]], files: dict[str, int], out: Path) -> dict[str, Any]:
     """Return the counts of RIRs, rooms, unknown values and irregularities, and log them."""
     rirs = merged["rirs"]
     suspicious = {row["id"]: row["suspicious"] for row in rirs if row["suspicious"]}
     report: dict[str, Any] = dict(
-        corpus=corpus.name, kind=corpus.kind, rirs=len(rirs), noises=len(merged["noises"]), converted=converted,
+        corpus=corpus.name, kind=corpus.kind, rirs=len(rirs), noises=len(merged["noises"]), **files,
         rooms=dict(sorted(Counter(row["room_id"] for row in rirs).items())),
         unknown={key: n for key in _REPORTED_NULLS if (n := sum(row[key] is None for row in rirs))},
         marked={key: n for key in _REPORTED_FLAGS if (n := sum(bool(row[key]) for row in rirs))},
@@ -216,8 +222,13 @@ def _report(corpus: Corpus, merged: dict[str, list[Any]], converted: int, out: P
         excitation=dict(sorted(Counter(str(row["excitation"]) for row in rirs).items())),
         notes=dict(sorted(corpus.notes.items())), suspicious=suspicious,
         skipped=merged["skipped"])
-    logger.info("%s: %d RIRs of %d rooms, %d noises; %d files converted to %d Hz mono, %d left out", corpus.name,
-                len(rirs), len(report["rooms"]), report["noises"], converted, FS_HZ, len(merged["skipped"]))
+    copied = f", {files['copied']} copied (path with blanks or special characters)" if files["copied"] else ""
+    logger.info("%s: %d RIRs of %d rooms, %d noises; %d files converted to %d Hz mono%s, %d left out", corpus.name,
+                len(rirs), len(report["rooms"]), report["noises"], files["converted"], FS_HZ, copied,
+                len(merged["skipped"]))
+    if files["multichannel"]:
+        logger.info("%s: %d files have several channels: each channel is an RIR of its own (ID_ch0, ID_ch1, ...)",
+                    corpus.name, files["multichannel"])
     for label in ("unknown", "marked", "geometry_problems", "notes"):
         if report[label]:
             logger.info("%s: %s: %s", corpus.name, label.replace("_", " "),

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from roomeq.acoustics.plausibility import find_implausibility
 from roomeq.core.arrays import FloatArray
@@ -16,22 +16,32 @@ from roomeq.corpora.sofa_file import sofa_signals
 _SAFE_PATH = re.compile(r"[A-Za-z0-9_./+@,:=%~^-]+")
 
 
-def rows_of(recording: Recording, table: str, out: Path) -> Iterator[tuple[dict[str, Any], FloatArray | None]]:
-    """Yield the complete rows of a file, each with the samples to write, or None if the row refers to the file."""
+class Read(NamedTuple):
+    """A complete row, and the samples to write, or None if the row refers to the file."""
+
+    row: dict[str, Any]
+    samples: FloatArray | None
+    converted: bool
+    """Whether the samples are not those of the file: resampled, one of several channels, or from SOFA."""
+
+
+def rows_of(recording: Recording, table: str, out: Path) -> Iterator[Read]:
+    """Yield what a file holds."""
     if recording.path.suffix == ".sofa" and table == "rirs":
         for row, samples, fs_hz in sofa_signals(recording):
             samples = _at_16k(_usable(samples, f"{recording.path} ({row['id']})"), fs_hz, recording.path)
-            yield row | dict(fs_hz=FS_HZ, n_samples=len(samples),
-                             suspicious=find_implausibility(samples, FS_HZ)), samples
+            yield Read(row | dict(fs_hz=FS_HZ, n_samples=len(samples),
+                                  suspicious=find_implausibility(samples, FS_HZ)), samples, True)
         return
     info = audio_info(recording.path)
     relative_path = path_from(recording.path, out)
-    as_it_is = info.channels == 1 and info.samplerate == FS_HZ and _SAFE_PATH.fullmatch(relative_path)
+    converted = info.channels > 1 or info.samplerate != FS_HZ
+    as_it_is = not converted and _SAFE_PATH.fullmatch(relative_path)
     if table == "noises":
         # noises are long, and channels of an array are alike: the first is taken
         noise = _usable(read_audio(recording.path, channel=0), recording.path, "noise")
-        yield recording.row | dict(id=recording.id, wav=relative_path, fs_hz=FS_HZ,
-                                   duration_s=len(noise) / FS_HZ), None if as_it_is else noise
+        yield Read(recording.row | dict(id=recording.id, wav=relative_path, fs_hz=FS_HZ,
+                                        duration_s=len(noise) / FS_HZ), None if as_it_is else noise, converted)
         return
     for channel in range(info.channels):
         samples = _usable(read_audio(recording.path, channel=channel), recording.path)
@@ -40,7 +50,7 @@ def rows_of(recording: Recording, table: str, out: Path) -> Iterator[tuple[dict[
         if info.channels > 1:
             mic_id = "" if row["mic_id"] == UNKNOWN else f"{row['mic_id']}-"
             row.update(id=f"{recording.id}_ch{channel}", mic_id=f"{mic_id}ch{channel}")
-        yield row, None if as_it_is else samples
+        yield Read(row, None if as_it_is else samples, converted)
 
 
 def _usable(samples: FloatArray, name: Path | str, kind: str = "RIR") -> FloatArray:

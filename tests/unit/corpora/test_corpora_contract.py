@@ -91,6 +91,17 @@ def test_16_khz_mono_is_referenced_other_audio_converted(tmp_path):
     assert (load_rir(out, channels[0]) == read_audio(tmp_path / "rooms/kitchen/far stereo.wav", channel=0)).all()
 
 
+def test_converted_and_copied_files_are_counted(tmp_path, caplog):
+    caplog.set_level("INFO")
+    put(tmp_path / "corpus/a room/one.wav", rir("one"))
+    put(tmp_path / "corpus/a room/two.wav", rir("two"))
+    put(tmp_path / "corpus/plain/pair.wav", rir("pair", channels=2))
+    put(tmp_path / "corpus/plain/three.wav", rir("three"))
+    read_measured(tmp_path / "corpus", tmp_path / "out")
+    assert "1 files converted to 16000 Hz mono, 2 copied (path with blanks or special characters), 0" in caplog.text
+    assert "corpus: 1 files have several channels: each channel is an RIR of its own" in caplog.text
+
+
 def test_one_position_for_several_channels_is_said(tmp_path, caplog):
     put(tmp_path / "corpus/pair.wav", rir("pair", channels=2))
     put(tmp_path / "corpus/one.wav", rir("one"))
