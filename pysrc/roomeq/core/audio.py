@@ -94,7 +94,8 @@ def read_audio(path: Path, *, fs_hz: int = FS_HZ, start: int = 0, stop: int | No
         if channel is not None and not 0 <= channel < file.channels:
             raise ValueError(f"{path}: channel {channel} of {file.channels}: count from 0")
         if file.samplerate < fs_hz:
-            raise ValueError(f"{path}: sample rate {file.samplerate} Hz must be {fs_hz} Hz: the missing band cannot be "
+            rule = f"at least {fs_hz} Hz" if resample else f"{fs_hz} Hz"
+            raise ValueError(f"{path}: sample rate {file.samplerate} Hz must be {rule}: the missing band cannot be "
                              "restored: record or convert it at that rate")
         if file.samplerate != fs_hz and not resample:
             raise ValueError(f"{path}: sample rate {file.samplerate} Hz must be {fs_hz} Hz: convert it")

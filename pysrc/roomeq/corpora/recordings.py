@@ -62,7 +62,7 @@ def _usable(samples: FloatArray, name: Path | str, kind: str = "RIR") -> FloatAr
 
 def _at_16k(samples: FloatArray, fs_hz: int, path: Path) -> FloatArray:
     if fs_hz < FS_HZ:
-        raise ValueError(f"{path}: sample rate {fs_hz} Hz must be {FS_HZ} Hz or more: the missing band cannot be "
+        raise ValueError(f"{path}: sample rate {fs_hz} Hz must be at least {FS_HZ} Hz: the missing band cannot be "
                          "restored: record or convert it at that rate")
     if fs_hz == FS_HZ:
         return samples

@@ -171,7 +171,7 @@ def read_entry(entry: Entry, start_s: float = 0.0, end_s: float | None = None, *
     if rate_hz == FS_HZ:
         return samples
     if rate_hz < FS_HZ:
-        raise ValueError(f"{entry.text}: sample rate {rate_hz} Hz must be {FS_HZ} Hz: "
+        raise ValueError(f"{entry.text}: sample rate {rate_hz} Hz must be at least {FS_HZ} Hz: "
                          "the missing band cannot be restored: use other recordings")
     import soxr
 

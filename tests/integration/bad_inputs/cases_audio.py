@@ -99,7 +99,7 @@ CASES = [
          "speech: utterance b-1-0001: speech/wav/b-1-0001.flac: 2 channels where one is expected: choose one, or "
          "split the file", (audio("speech/wav/b-1-0001.flac", np.ones((20011, 2)) / 9),)),
     Case("speech at 8 kHz", AUGMENT,
-         "speech: utterance b-1-0001: speech/wav/b-1-0001.flac: sample rate 8000 Hz must be 16000 Hz: the "
+         "speech: utterance b-1-0001: speech/wav/b-1-0001.flac: sample rate 8000 Hz must be at least 16000 Hz: the "
          "missing band cannot be restored: record or convert it at that rate",
          (audio("speech/wav/b-1-0001.flac", 20011, 8000),)),
     Case("speech silent", AUGMENT,
@@ -112,14 +112,14 @@ CASES = [
          "rirs/wav/hum-room0.flac: noise hum-room0 is silent (all samples 0): leave it out",
          tuple(audio(f"rirs/wav/hum-room{n}.flac", np.zeros(32000)) for n in (0, 1))),
     Case("noise at 8 kHz", "augment --point-snr none speech rirs out",
-         "rirs/wav/hum-room0.flac: sample rate 8000 Hz must be 16000 Hz: the missing band cannot be restored: "
+         "rirs/wav/hum-room0.flac: sample rate 8000 Hz must be at least 16000 Hz: the missing band cannot be restored: "
          "record or convert it at that rate",
          tuple(audio(f"rirs/wav/hum-room{n}.flac", 32000, 8000) for n in (0, 1))),
     Case("rir silent", AUGMENT,
          "rirs/wav/room0-0.wav: RIR room0-0 is silent (all samples 0): leave it out or record it again",
          tuple(audio(f"rirs/wav/room{r}-{n}.wav", np.zeros(4000)) for r in (0, 1) for n in (0, 1, 2))),
     Case("corpus file at 8 kHz", READ,
-         "folder/kitchen/near.wav: sample rate 8000 Hz must be 16000 Hz: the missing band cannot be restored: "
+         "folder/kitchen/near.wav: sample rate 8000 Hz must be at least 16000 Hz: the missing band cannot be restored: "
          "record or convert it at that rate (or leave such files out with --skip-bad)",
          (audio("folder/kitchen/near.wav", 800, 8000),)),
     Case("corpus file of no audio", READ,

@@ -153,7 +153,7 @@ CASES = [
          "sofa/room_a.sofa: Data.SamplingRate=0 must be a whole number of hertz, at most 768000: export it "
          "again (or leave such files out with --skip-bad)", fs_hz=0),
     sofa("sofa rate of 8 kHz",
-         "sofa/room_a.sofa: sample rate 8000 Hz must be 16000 Hz or more: the missing band cannot be restored: "
+         "sofa/room_a.sofa: sample rate 8000 Hz must be at least 16000 Hz: the missing band cannot be restored: "
          "record or convert it at that rate (or leave such files out with --skip-bad)", fs_hz=8000),
     sofa("sofa rate nan",
          "sofa/room_a.sofa: Data.SamplingRate=nan must be a whole number of hertz, at most 768000: export it "

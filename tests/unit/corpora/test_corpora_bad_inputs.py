@@ -37,7 +37,7 @@ BAD = {
     "no samples": (lambda path: put(path, np.zeros(0)), r"bad\.wav: holds 0 samples"),
     "nan": (put_nan, r"bad\.wav: holds NaN or infinite samples"),
     "silent": (lambda path: put(path, np.zeros(800)), r"bad\.wav: RIR is silent \(all samples 0\)"),
-    "8 kHz": (lambda path: put(path, fs_hz=8000), r"bad\.wav: sample rate 8000 Hz must be 16000 Hz: the missing"),
+    "8 kHz": (lambda path: put(path, fs_hz=8000), r"bad\.wav: sample rate 8000 Hz must be at least 16000 Hz"),
 }
 
 

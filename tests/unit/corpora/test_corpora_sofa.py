@@ -92,7 +92,7 @@ def test_dummy_head_is_binaural(tmp_path):
 
 
 def test_rate_below_16_khz_is_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"a\.sofa: sample rate 8000 Hz must be 16000 Hz or more"):
+    with pytest.raises(ValueError, match=r"a\.sofa: sample rate 8000 Hz must be at least 16000 Hz"):
         read_measured(put_sofa(tmp_path / "a.sofa", fs_hz=8000), tmp_path / "out")
 
 

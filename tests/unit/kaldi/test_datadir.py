@@ -160,7 +160,7 @@ def wav_bytes(tmp_path, n_samples=800, channels=1, fs_hz=FS):
     (lambda path: wav_bytes(path)[:4] + b"\xff" * 4 + wav_bytes(path)[8:], "must state its length"),
     (lambda path: wav_bytes(path)[:-400], "truncated|broken"),
     (lambda path: wav_bytes(path, channels=2), "2 channels"),
-    (lambda path: wav_bytes(path, fs_hz=8000), "sample rate 8000 Hz must be 16000 Hz"),
+    (lambda path: wav_bytes(path, fs_hz=8000), "sample rate 8000 Hz must be at least 16000 Hz"),
 ], ids=["pickle", "npy", "matrix", "end", "length", "short", "riff", "streamed", "truncated", "stereo", "rate"])
 def test_broken_or_unsafe_archive_is_refused(tmp_path, monkeypatch, content, message):
     monkeypatch.chdir(tmp_path)
