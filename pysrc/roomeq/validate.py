@@ -31,21 +31,22 @@ def validate(directories: Iterable[Path]) -> None:
         read_stamp(directory)  # refuses the formats of another version, which the checks would call broken
         for name, check, items in CONTRACTS:
             if (directory / name).is_file():
-                print(f"{directory}: {check(directory)} {items}, OK")
+                found = f"{check(directory)} {items}"
                 break
         else:
-            _validate_loop(directory)
+            found = f"{_validate_loop(directory)} effects"
         check_stamp(directory)
+        print(f"{directory}: {found}, OK")
 
 
-def _validate_loop(directory: Path) -> None:
+def _validate_loop(directory: Path) -> int:
     from roomeq.loop.ledger import LEDGER_FILE, validate_loop  # its import takes a second
 
     if not (directory / LEDGER_FILE).is_file():
         raise ValueError(f"{directory}: neither an RIR directory ({ROWS_FILE}), nor one of noises ({NOISES_FILE}), nor "
                          f"a data directory (wav.scp), nor one of the loop ({LEDGER_FILE}) or of word error rates "
                          f"({WER_FILE}): check the path")
-    print(f"{directory}: {validate_loop(directory)} effects, OK")
+    return validate_loop(directory)
 
 
 def check_stamp(directory: Path) -> None:

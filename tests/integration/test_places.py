@@ -10,7 +10,7 @@ from roomeq.augment import augment
 from roomeq.core.digests import digest
 from roomeq.export import export
 from roomeq.records.rir_dir import mesh_files
-from roomeq.validate import check_stamp
+from roomeq.validate import check_stamp, validate
 
 
 @pytest.fixture
@@ -31,6 +31,15 @@ def test_copy_that_names_the_audio_of_the_original_is_refused(far_field, use):
     with pytest.raises(ValueError, match=r"rvb\.seed0: its wav\.scp names audio in rvb, .* go to the folder .* or run "
                                          r"roomeq augment again"):
         use(copy)
+
+
+def test_refused_directory_is_not_called_valid_before(far_field, capsys):
+    validate(["rvb"])
+    assert capsys.readouterr().out.endswith("utterances, OK\n")
+    shutil.copytree(far_field, far_field.with_name("rvb.seed0"))
+    with pytest.raises(ValueError, match="names audio in rvb"):
+        validate(["rvb.seed0"])
+    assert not capsys.readouterr().out
 
 
 def test_directory_is_used_from_the_folder_where_it_was_made(far_field, monkeypatch, tmp_path):
