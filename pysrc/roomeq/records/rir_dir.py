@@ -43,6 +43,9 @@ def read_rirs(directory: Path) -> list[RirRow]:
     """
     path = Path(directory) / ROWS_FILE
     read_stamp(directory)
+    if not path.is_file():
+        raise ValueError(f"{path}: no such file: check the path, or run the step that makes it (of recordings: roomeq "
+                         "read-measured)")
     rows = cast(list[RirRow], _read_checked(path, row_problem))
     if not rows:
         raise ValueError(f"{path}: no RIRs in it: run the step that makes it again")

@@ -155,9 +155,11 @@ CASES = [
     Case("output with a zero byte", "characterise measured 'a\0b'",
          "output 'a\\x00b' must name a directory to make, without line breaks: choose another"),
     Case("input with a line break", "characterise 'a\nb' out",
-         "a b/rirs.jsonl: no such file: check the path, or run the step that makes it"),
+         "a b/rirs.jsonl: no such file: check the path, or run the step that makes it (of recordings: roomeq "
+         "read-measured)"),
     Case("input that colours the terminal", "characterise '\x1b[31mred' out",
-         "\\x1b[31mred/rirs.jsonl: no such file: check the path, or run the step that makes it"),
+         "\\x1b[31mred/rirs.jsonl: no such file: check the path, or run the step that makes it (of recordings: roomeq "
+         "read-measured)"),
     Case("second of three outputs is somebody's", "split-rirs --sizes 4,1,1 rirs out",
          "out.dev: exists and was not made by roomeq (no .done in it): choose another output, or move it away",
          (write("out.dev/thesis.tex", "precious"),)),

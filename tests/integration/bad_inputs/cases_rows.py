@@ -18,7 +18,8 @@ def rows(name: str, command: str, message: str, **changed) -> Case:
 
 CASES = [
     Case("rows missing", CHARACTERISE,
-         "measured/rirs.jsonl: no such file: check the path, or run the step that makes it", (remove(RIRS),)),
+         "measured/rirs.jsonl: no such file: check the path, or run the step that makes it (of recordings: roomeq "
+         "read-measured)", (remove(RIRS),)),
     Case("rows empty", CHARACTERISE, "measured/rirs.jsonl: no RIRs in it: run the step that makes it again",
          (write(RIRS, ""),)),
     Case("rows no json", CHARACTERISE,

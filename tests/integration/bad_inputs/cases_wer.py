@@ -30,7 +30,8 @@ CASES = [
     Case("workspace twice", "wer --rirs decoded/rirs decoded/kaldi0 decoded/kaldi1 decoded/../decoded/kaldi0 out",
          "workspace decoded/../decoded/kaldi0 is given twice: give each seed's once"),
     Case("rirs absent", "wer --rirs nowhere decoded/kaldi0 out",
-         "nowhere/rirs.jsonl: no such file: check the path, or run the step that makes it"),
+         "nowhere/rirs.jsonl: no such file: check the path, or run the step that makes it (of recordings: roomeq "
+         "read-measured)"),
     Case("no rooms", WER, "decoded/rirs/rirs.jsonl: no RIRs in it: run the step that makes it again",
          (write("decoded/rirs/rirs.jsonl", ""),)),
     Case("rir without room", WER, "decoded/rirs/rirs.jsonl:1: room_id=... must be ...: correct the line or make the "

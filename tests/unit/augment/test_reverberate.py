@@ -160,6 +160,7 @@ def test_silence_is_returned_as_it_is():
 
 @pytest.mark.parametrize(("wrong", "message"), [
     (lambda: roomeq.Reverberate([]), "rirs is empty"),
+    (lambda: roomeq.Reverberate("hall.wav"), r"hall\.wav/rirs\.jsonl: no such file: .*roomeq read-measured"),
     (lambda: roomeq.Reverberate([np.zeros(100)]), "RIR 0: silent"),
     (lambda: roomeq.Reverberate([np.full(100, np.nan)]), "RIR 0: holds NaN"),
     (lambda: roomeq.Reverberate(rirs(), snr="loud"), "snr='loud' must be"),
