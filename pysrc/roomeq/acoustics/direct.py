@@ -3,6 +3,7 @@
 Detection works on ``|h|``: an inverted loudspeaker or microphone changes the reported polarity and nothing else.
 """
 
+import os
 from typing import NamedTuple
 
 import numpy as np
@@ -91,6 +92,9 @@ def find_direct(rir: ArrayLike, fs_hz: float, expected_sample: float | None = No
 
 def checked_response(rir: ArrayLike, direct_sample: float = 0.0) -> FloatArray:
     """Return a response as float64; raise ValueError if it cannot hold a direct sound at that sample."""
+    if isinstance(rir, str | os.PathLike):
+        raise ValueError(f"impulse response {os.fspath(rir)!r} is a path: must be samples: read the file, for example "
+                         "with soundfile.read")
     h = np.asarray(rir, dtype=np.float64)
     if h.ndim != 1:
         raise ValueError(f"impulse response has shape {h.shape}: must be mono, one axis: choose one channel")

@@ -67,10 +67,11 @@ def test_expected_sample_finds_obstructed_direct_sound():
 @pytest.mark.parametrize("rir, message", [
     (np.zeros(1000), "is silent"),
     (np.zeros(0), "0 samples"),
+    ("hall.wav", "impulse response 'hall.wav' is a path: must be samples: read the file"),
     (np.where(np.arange(1000) == 7, np.nan, 0.1), "nan at sample 7"),
     (np.ones((2, 100)), "must be mono"),
     (np.random.default_rng(1).standard_normal(20000), "no direct sound"),
-], ids=["silence", "empty", "nan", "stereo", "noise"])
+], ids=["silence", "empty", "path", "nan", "stereo", "noise"])
 def test_response_without_direct_sound_is_rejected(rir, message):
     with pytest.raises(ValueError, match=message):
         find_direct(rir, FS_HZ)
