@@ -13,7 +13,7 @@ from roomeq.core.build import Build
 from roomeq.core.digests import audio_digest, names_in_entry
 from roomeq.corpora.kaldi_dir import find_kaldi_dirs, read_kaldi_dir
 from roomeq.corpora.librispeech import find_sets, list_librispeech
-from roomeq.corpora.record import is_generated
+from roomeq.corpora.record import AUDIO_SUFFIXES, is_generated
 from roomeq.corpora.speech_folder import list_audio_folder
 from roomeq.corpora.speech_plan import KaldiPart, Plan, plan_kaldi, plan_utterances
 from roomeq.corpora.table import MANIFEST
@@ -130,6 +130,8 @@ def list_speech(source: Path, wanted: SetNames) -> Mapping[str, Listed]:
     ValueError
         See `prepare_speech`.
     """
+    if source.is_file() and source.suffix.lower() in AUDIO_SUFFIXES:
+        raise ValueError(f"{source}: is one audio file, but a corpus is expected: give its folder, or a CSV")
     manifest = source if source.is_file() else source / MANIFEST
     if manifest.is_file():
         sets = list_transcripts(manifest)

@@ -249,6 +249,8 @@ CASES = [
     Case("utterance cut off", PREPARE,
          "...librispeech/dev-clean/2/20/2-20-0001.flac: broken audio (...): copy or record it again (named by "
          "librispeech/dev-clean/2/20/2-20.trans.txt:2)", (cut("librispeech/dev-clean/2/20/2-20-0001.flac", 0.7),)),
+    Case("speech of one file", "prepare-speech folder/kitchen/near.wav out",
+         "folder/kitchen/near.wav: is one audio file, but a corpus is expected: give its folder, or a CSV"),
     Case("no speech corpus", "prepare-speech sofa out",
          "sofa: no speech corpus: expected LibriSpeech (set/reader/chapter/*.trans.txt), manifest.csv with "
          "transcripts, wav.scp of a Kaldi data directory, or audio files"),
