@@ -32,4 +32,4 @@ def check_options(options: RenderOptions) -> None:
         if not is_whole(value):
             raise ValueError(f"{name}={value!r} must be a whole number: correct it")
         if not low <= value <= high:
-            raise ValueError(f"{name}={value} must lie in [{low}, {high}]")
+            raise ValueError(f"{name}={value} must lie in [{low}, {high}]: choose another number")

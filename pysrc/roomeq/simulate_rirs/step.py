@@ -146,7 +146,8 @@ def _t60_range_s(t60_range_s: tuple[float, float] | str | None,
             raise ValueError(f"{measured_dir}: t60_range=measured: {error}") from None
         logger.info("%s: T60 of the rooms lies between %.2f and %.2f s at 1 kHz", measured_dir, *t60_range_s)
     if len(t60_range_s) != 2 or not 0.05 <= t60_range_s[0] <= t60_range_s[1] <= 10.0:
-        raise ValueError(f"t60_range={t60_range_s} must be two times in [0.05, 10] s, the smaller first")
+        raise ValueError(f"t60_range={t60_range_s} must be two times in [0.05, 10] s, the smaller first: give "
+                         "two such as 0.2,2.0")
     return float(t60_range_s[0]), float(t60_range_s[1])
 
 
