@@ -106,6 +106,11 @@ def simulate(measured_dir: Path | str | None, out: Path | str, *, rooms: int | s
             make_drawn(build, numbers, room_types, types, materials, model, options, part, nj)
         return
     rows = read_rirs(measured_dir)
+    for row in rows:
+        target_s = row.get("target_t60_s")
+        if target_s is not None and not 0.05 <= target_s <= 10.0:
+            raise ValueError(f"{measured_dir}: RIR {row['id']}: target_t60_s={target_s:g} must lie in [0.05, 10] s, or "
+                             "be null to keep the materials: correct the row")
     files += [*(_published_table() if any(row.get("materials") for row in rows) else []),
               *mesh_files(measured_dir)]
     build = _build(out, asdict(options), files, measured_dir)

@@ -204,6 +204,10 @@ CASES = [
     rows("repeat of a list", CHARACTERISE,
          "measured/rirs.jsonl:2: repeat_of=['r0'] must be the id of an RIR: correct the line or make the file "
          "again", repeat_of=["r0"]),
+    Case("target of 50 s", "simulate measured out",
+         "measured: RIR r1: target_t60_s=50 must lie in [0.05, 10] s, or be null to keep the materials: correct "
+         "the row",
+         (row(RIRS, 2, target_t60_s=50),)),
     rows("binaural a text", CHARACTERISE,
          "measured/rirs.jsonl:2: binaural='no' must be true or false: correct the line or make the file again",
          binaural="no"),
