@@ -57,24 +57,38 @@ def make_coherent(noises: Sequence[Array], mics_m: ArrayLike, speed_m_s: float, 
     padded = np.pad(spectra, ((0, 0), (0, n_groups * width - n_bins)))
     groups = padded.reshape(len(padded), n_groups, width).transpose(1, 0, 2)
     at_once = max(1, _ELEMENTS // distance_m.size)
+    waves = _diffuse_field(positions_m, fs_hz, directivities) if any(directivities) else None
     for block in (slice(first, first + at_once) for first in range(0, n_groups, at_once)):
-        coherence = (_of_directive(frequency_hz[block], positions_m, speed_m_s, fs_hz, directivities)
-                     if any(directivities) else np.sinc(2.0 * frequency_hz[block, None, None] * distance_m / speed_m_s))
+        coherence = (np.sinc(2.0 * frequency_hz[block, None, None] * distance_m / speed_m_s) if waves is None else
+                     _coherence(*waves, frequency_hz[block], speed_m_s, fs_hz))
         factor = np.linalg.cholesky((1.0 - _LOADING) * coherence + _LOADING * np.eye(len(positions_m)))
         groups[block] = factor.astype(np.complex64 if np.iscomplexobj(factor) else np.float32) @ groups[block]
     return list(irfft(padded[:, :n_bins], n_fft)[:, :n_samples])
 
 
-def _of_directive(frequency_hz: FloatArray, positions_m: FloatArray, speed_m_s: float, fs_hz: float,
-                  directivities: Sequence[Callable[[FloatArray], FloatArray] | None]) -> Array:
-    """Return the coherence of directive microphones in a diffuse field, shape (n_frequencies, n_mics, n_mics)."""
-    directions, bands_hz = sphere_directions(_DIRECTIONS, np.random.default_rng(0)), exact_bands_hz(fs_hz)
-    gains = np.array([np.ones((_DIRECTIONS, len(bands_hz))) if directivity is None else directivity(directions)
+def _diffuse_field(positions_m: FloatArray, fs_hz: float, directivities: Sequence[
+        Callable[[FloatArray], FloatArray] | None]) -> tuple[FloatArray, FloatArray]:
+    """Return plane waves from everywhere as directive microphones hear them.
+
+    Returns
+    -------
+    gains : ndarray, shape (n_mics, n_waves, n_bands)
+        Of unit mean square over the waves.
+    ahead_m : ndarray, shape (n_mics, n_waves)
+        How far each microphone lies towards where a wave comes from.
+    """
+    directions, n_bands = sphere_directions(_DIRECTIONS, np.random.default_rng(0)), len(exact_bands_hz(fs_hz))
+    gains = np.array([np.ones((_DIRECTIONS, n_bands)) if directivity is None else directivity(directions)
                       for directivity in directivities])
     gains = gains / np.sqrt(np.maximum(np.mean(gains ** 2, axis=1, keepdims=True), np.finfo(float).tiny))
-    ahead_m = (positions_m - positions_m.mean(axis=0)) @ directions.T
-    band = np.abs(np.log(frequency_hz[:, None] / bands_hz)).argmin(axis=1)
-    result = np.empty((len(frequency_hz), len(positions_m), len(positions_m)), complex)
+    return gains, (positions_m - positions_m.mean(axis=0)) @ directions.T
+
+
+def _coherence(gains: FloatArray, ahead_m: FloatArray, frequency_hz: FloatArray, speed_m_s: float,
+               fs_hz: float) -> Array:
+    """Return the coherence of microphones in the field of `_diffuse_field`, shape (n_frequencies, n_mics, n_mics)."""
+    band = np.abs(np.log(frequency_hz[:, None] / exact_bands_hz(fs_hz))).argmin(axis=1)
+    result = np.empty((len(frequency_hz), len(gains), len(gains)), complex)
     for n, (one_hz, of_band) in enumerate(zip(frequency_hz, band, strict=True)):
         heard = gains[:, :, of_band] * np.exp(2j * np.pi * one_hz / speed_m_s * ahead_m)
         result[n] = heard @ heard.conj().T / _DIRECTIONS
