@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import FS_HZ, LARGEST_SEED, bands_hz, exact_bands_hz, is_number, is_whole, require_fs
 from roomeq.effects.spherical_cap import cap_gain, cap_series
-from roomeq.sim.defaults import NUM_RAYS
+from roomeq.sim.defaults import NUM_RAYS, TARGET_RANGE_S
 from roomeq.sim.directivity import unit
 from roomeq.sim.materials import DEFAULT_SCATTERING, named_scene, read_materials
 from roomeq.sim.mesh import MeshRoom, load_mesh
@@ -119,7 +119,8 @@ class Room:
     def __post_init__(self) -> None:
         if self.materials is None and self.t60_s is None:
             raise ValueError("a room needs materials or t60_s: give one of them")
-        if self.t60_s is not None and not (is_number(self.t60_s) and 0.05 <= self.t60_s <= 10.0):
+        if self.t60_s is not None and not (
+                is_number(self.t60_s) and TARGET_RANGE_S[0] <= self.t60_s <= TARGET_RANGE_S[1]):
             raise ValueError(f"t60_s={self.t60_s!r} must be a number in [0.05, 10] s: correct it")
         self.scene()
 

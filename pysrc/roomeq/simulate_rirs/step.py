@@ -10,7 +10,7 @@ from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
 from roomeq.draw_rooms.room_types import read_room_types
 from roomeq.records.rir_dir import decay_range_s, mesh_files, read_rirs
-from roomeq.sim.defaults import DEFAULT_TABLE, ISM_ORDER, NUM_RAYS, ORDER
+from roomeq.sim.defaults import DEFAULT_TABLE, ISM_ORDER, NUM_RAYS, ORDER, TARGET_RANGE_S
 from roomeq.sim.published import published_file
 from roomeq.simulate_rirs.options import RenderOptions, check_options
 
@@ -108,7 +108,7 @@ def simulate(measured_dir: Path | str | None, out: Path | str, *, rooms: int | s
     rows = read_rirs(measured_dir)
     for row in rows:
         target_s = row.get("target_t60_s")
-        if target_s is not None and not 0.05 <= target_s <= 10.0:
+        if target_s is not None and not TARGET_RANGE_S[0] <= target_s <= TARGET_RANGE_S[1]:
             raise ValueError(f"{measured_dir}: RIR {row['id']}: target_t60_s={target_s:g} must lie in [0.05, 10] s, or "
                              "be null to keep the materials: correct the row")
     files += [*(_published_table() if any(row.get("materials") for row in rows) else []),
@@ -150,7 +150,8 @@ def _t60_range_s(t60_range_s: tuple[float, float] | str | None,
         except ValueError as error:
             raise ValueError(f"{measured_dir}: t60_range=measured: {error}") from None
         logger.info("%s: T60 of the rooms lies between %.2f and %.2f s at 1 kHz", measured_dir, *t60_range_s)
-    if len(t60_range_s) != 2 or not 0.05 <= t60_range_s[0] <= t60_range_s[1] <= 10.0:
+    if len(t60_range_s) != 2 or not (
+            TARGET_RANGE_S[0] <= t60_range_s[0] <= t60_range_s[1] <= TARGET_RANGE_S[1]):
         raise ValueError(f"t60_range={t60_range_s} must be two times in [0.05, 10] s, the smaller first: give "
                          "two such as 0.2,2.0")
     return float(t60_range_s[0]), float(t60_range_s[1])
