@@ -57,6 +57,7 @@ SHARING_M = 0.1
 _ROUNDING_M = 1e-6  # of the coordinates of arrays that are turned
 _NO_GAIN = np.zeros((0, 0, 0), np.float32)
 _NO_WEIGHT = np.zeros(0, np.float32)
+_NO_RAYS = np.zeros((0, 0), np.uint32)
 _NEGLIGIBLE = np.float32(1e-25)  # share of a ray's energy at a reference that counts as none
 _EMPTY = np.float32(1e-20)  # energy of a frame at a reference that counts as none: what was neglected may show
 
@@ -77,6 +78,9 @@ class PathSample:
         PATHS_PER_FRAME), uint32.
     first_reflection
         `Paths.first` of each trace.
+    rays
+        What `ray` returns, shape (n_traces, n_frames, PATHS_PER_FRAME), unsigned; None where it is to be searched for,
+        as no ray had a weight.
     trace_of_band
         Which trace serves each band.
     frame_m
@@ -87,11 +91,14 @@ class PathSample:
     reflection_counts: Array
     last_reflection: Array
     first_reflection: tuple[IntArray, ...]
+    rays: Array | None
     trace_of_band: tuple[int, ...]
     frame_m: float
 
     def ray(self, trace: int) -> IntArray:
         """Return the index of each path's ray among `Paths.directions` of a trace."""
+        if self.rays is not None:
+            return self.rays[trace]
         return np.searchsorted(self.first_reflection[trace], self.last_reflection[trace], side="right") - 1
 
     def gain_of_arrivals(self, paths: Sequence[Paths], mic_m: FloatArray,
@@ -202,8 +209,8 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
     spheres = receiver_spheres(traced.scene.room, mics_m)
     first = tuple(paths.first for paths in traced.paths)
     frame_m = FRAME_S * traced.scene.air.speed_m_s
-    result = [_empty_sample(traced.paths, n_frames, len(absorption), first, traced.trace_of_band, frame_m)
-              for _ in mics_m]
+    result = [_empty_sample(traced.paths, n_frames, len(absorption), first, ray_weight is not None,
+                            traced.trace_of_band, frame_m) for _ in mics_m]
     for trace, paths in enumerate(traced.paths):
         tallies = _tally_reflections(paths, len(absorption))
         references = _references(absorption[:, np.equal(traced.trace_of_band, trace)])
@@ -212,8 +219,8 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
             _sample_trace(paths, tallies, traced.scene, mics_m[batch], references, seeds[batch],
                           Spheres(spheres.radius_m[batch], spheres.volume_m3[batch]), ism_order, n_frames, ray_weight,
                           None if visible is None or not len(visible[trace]) else visible[trace][leaders[batch]],
-                          [(sample.weight[trace], sample.reflection_counts[trace], sample.last_reflection[trace])
-                           for sample in result[batch]])
+                          [(sample.weight[trace], sample.reflection_counts[trace], sample.last_reflection[trace],
+                            _NO_RAYS if sample.rays is None else sample.rays[trace]) for sample in result[batch]])
     return [result[n] for n in sample_of_mic]
 
 
@@ -242,11 +249,12 @@ def _references(absorption: FloatArray) -> FloatArray:
 
 
 def _empty_sample(traces: Sequence[Paths], n_frames: int, n_surfaces: int, first: tuple[IntArray, ...],
-                  trace_of_band: tuple[int, ...], frame_m: float) -> PathSample:
+                  with_rays: bool, trace_of_band: tuple[int, ...], frame_m: float) -> PathSample:
     """Allocate the sample of one microphone; nothing is filled in yet."""
     shape = (len(traces), n_frames, PATHS_PER_FRAME)
     return PathSample(np.empty(shape, np.float32), np.empty((*shape, n_surfaces), _count_type(traces)),
-                      np.empty(shape, np.uint32), first, trace_of_band, frame_m)
+                      np.empty(shape, np.uint32), first, np.empty(shape, np.uint32) if with_rays else None,
+                      trace_of_band, frame_m)
 
 
 def _count_type(traces: Sequence[Paths]) -> type:
@@ -284,8 +292,8 @@ def _tally_reflections(paths: Paths, n_surfaces: int) -> _Tallies:
 
 def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatArray, references: FloatArray,
                   seeds: Array, spheres: Spheres, ism_order: int, n_frames: int, ray_weight: Array | None,
-                  visible: Array | None, results: list[tuple[Array, Array, Array]]) -> None:
-    """Sample one trace into the (weight, counts, last) of each microphone."""
+                  visible: Array | None, results: list[tuple[Array, Array, Array, Array]]) -> None:
+    """Sample one trace into the (weight, counts, last, rays) of each microphone."""
     single = partial(np.asarray, dtype=np.float32)
     n_rays, speed_m_s = len(paths.counts), scene.air.speed_m_s
     if visible is None:
@@ -323,7 +331,7 @@ def _tally(codes: Array, face_surface: Array, first: Array, counts: Array, talli
 
 @compiled
 def _unpack(sums: Array, kept: Array, tallies: _Tallies, power: Array, scale: Number, first: Array, ray_weight: Array,
-            weight: Array, counts: Array, last: Array) -> None:
+            weight: Array, counts: Array, last: Array, rays: Array) -> None:
     """Join the strata of one microphone: the weight is 1 over the sum of the densities at both references."""
     n_frames, n_surfaces = len(weight), power.shape[1]
     for frame in range(n_frames):
@@ -331,7 +339,8 @@ def _unpack(sums: Array, kept: Array, tallies: _Tallies, power: Array, scale: Nu
             chunk, n = place // kept.shape[2], place % kept.shape[2]
             at, share0, share1 = kept[chunk, frame, n], 1.0, 1.0
             if len(ray_weight):
-                share1 = np.float64(ray_weight[np.searchsorted(first, at, side="right") - 1])
+                rays[frame, place] = np.searchsorted(first, at, side="right") - 1
+                share1 = np.float64(ray_weight[rays[frame, place]])
             last[frame, place] = at
             for surface in range(n_surfaces):
                 hits = (tallies.words[at, tallies.word[surface]] >> tallies.shift[surface]) & tallies.mask
