@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from roomeq.core.arrays import FloatArray, IntArray
+from roomeq.core.jit import on_threads
 from roomeq.core.rng import rng_for
 from roomeq.effects.source_directivity import SourceDirectivity, unit_facing
 from roomeq.loop.data import LENGTHS_S, Data
@@ -52,7 +53,7 @@ def with_estimated_facings(session: Session, unknown: IntArray | None = None) ->
     fitted = session.fit
     data = session.data if unknown is None else without_facings(session.data, unknown)
     return replace(session, data=estimate_facings(data, session.index, fitted.mean, fitted.local, session.residual,
-                                                  np.hypot(fitted.sigma, fitted.omega)))
+                                                  np.hypot(fitted.sigma, fitted.omega), threads=session.nj))
 
 
 def without_facings(data: Data, rirs: IntArray) -> Data:
@@ -61,7 +62,7 @@ def without_facings(data: Data, rirs: IntArray) -> Data:
 
 
 def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local: list[FloatArray],
-                     residual: FloatArray, spread: FloatArray) -> Data:
+                     residual: FloatArray, spread: FloatArray, threads: int = 1) -> Data:
     """Return data with an estimate of each unknown facing.
 
     The directivity of a source is unknown as well: it is one of cabinets of several sizes, that of the model if it has
@@ -77,6 +78,8 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
         Measured minus predicted features; NaN where invalid.
     spread : ndarray, shape (n_features,)
         Scatter of the features [JND].
+    threads : int
+        Number of threads; the result does not depend on it.
     """
     unknown = unknown_facings(data)
     if not len(unknown):
@@ -107,7 +110,7 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
         estimates.append(FacingEstimate(source, len(members), len(by_position), hypothesis, evidence,
                                         mean_angle_deg(data, of_source)))
         facings.update(of_source)
-    return replace(with_facings(data, facings), facings=tuple(estimates), axis=axis)
+    return replace(with_facings(data, facings, threads=threads), facings=tuple(estimates), axis=axis)
 
 
 def towards_microphone(place: Place) -> FloatArray:
@@ -224,19 +227,37 @@ def _colour(data: Data, residual: FloatArray, bands: IntArray) -> FloatArray:
     return colour[unit][:, bands]
 
 
-def with_facings(data: Data, facings: Mapping[int, FloatArray]) -> Data:
-    """Return data in which the sources of some RIRs face in some directions, unit vectors."""
+def with_facings(data: Data, facings: Mapping[int, FloatArray], *, resample: bool = True, threads: int = 1) -> Data:
+    """Return data in which the sources of some RIRs face in some directions, unit vectors.
+
+    Parameters
+    ----------
+    data : Data
+    facings : mapping
+        From the number of an RIR.
+    resample : bool
+        Draw the samples of paths again: after a small turn, those that are there are hardly more noisy.
+    threads : int
+        Number of threads; the result does not depend on it.
+    """
     rows, tables, path_samples = list(data.rows), list(data.tables), list(data.path_samples)
     by_trace: dict[int, list[int]] = {}
     for n, facing in facings.items():
         rows[n] = {**rows[n], "source_dir": [float(x) for x in facing]}
         by_trace.setdefault(id(data.traced[n]), []).append(n)
-    for members in by_trace.values():
+
+    def turn(members: list[int]) -> None:
         traced, mics_m = data.traced[members[0]].load(), np.array([data.places[n].mic_pos_m for n in members])
         of_members = [facings[n] for n in members]
+        for n, table in zip(members, collect(traced, mics_m, of_members), strict=True):
+            tables[n] = table
+        if not resample:
+            return
         decays_s = decay_range_s(data.features[members], data.valid[members], LENGTHS_S[0]) or UNKNOWN_DECAYS_S
         drawn = draw_path_samples(traced, mics_m, of_members, decays_s,
                                   [rng_for(data.seed, "loop paths", data.rows[n]["id"]) for n in members])
-        for n, table, sample in zip(members, collect(traced, mics_m, of_members), drawn, strict=True):
-            tables[n], path_samples[n] = table, sample
+        for n, sample in zip(members, drawn, strict=True):
+            path_samples[n] = sample
+
+    on_threads(turn, [(members,) for members in by_trace.values()], threads)
     return replace(data, rows=rows, tables=tables, path_samples=path_samples)

@@ -280,7 +280,7 @@ def _with_facings(data: Data, session: Session) -> Data:
         residual, valid = data.residual(index.predict(index.absorption(mean, local), index.vectors(mean, local),
                                                       index.gains(local), correction))
         data = estimate_facings(without_facings(data, unknown), index, mean, local, np.where(valid, residual, np.nan),
-                                np.hypot(session.fit.sigma, session.fit.omega))
+                                np.hypot(session.fit.sigma, session.fit.omega), threads=session.nj)
     return data
 
 

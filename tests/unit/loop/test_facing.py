@@ -53,7 +53,7 @@ def estimate_from(rirs, of_angles, alike, monkeypatch):
     """
     found = {}
     monkeypatch.setattr(facing, "_log_likelihood", lambda *_: (of_angles, np.full((1, len(rirs.rows)), alike)))
-    monkeypatch.setattr(facing, "with_facings", lambda data, facings: found.update(facings) or data)
+    monkeypatch.setattr(facing, "with_facings", lambda data, facings, **_: found.update(facings) or data)
     data = estimate_facings(rirs, *[None] * 5)
     (estimated,) = data.facings
     n_axes = {"towards the microphone": 0, "fixed": estimated.positions, "free": len(rirs.rows)}[estimated.hypothesis]
