@@ -242,7 +242,7 @@ def transferred(data: Data, session: Session) -> tuple[Data, Callable]:
     correction = _transferred_correction(session, len(data.rows))
 
     def calibrated(known: list[IntArray], usable: Usable) -> tuple[FloatArray, list, FloatArray]:
-        mean, local = solve_rooms(index, session.fit, prior, correction, known, usable, threads=session.nj)
+        mean, local = solve_rooms(index, session.fit, prior, correction, known, usable)
         vectors = index.vectors(mean, local)
         return index.absorption(mean, local), effects_of_rows(data, session.effects, vectors), index.gains(local)
 
@@ -298,14 +298,16 @@ def _rendered_errors(data: Data, calibrated: Callable, splits: Sequence[str], *,
     seed, nj : int
     """
     first, second = split_positions(data)
+    halves = list(product(splits, ((first, second), (second, first))))
+    calibrations = share_out(lambda half: calibrated(half[1][0], _USABLE[half[0]]), halves, nj, first_here=False,
+                             label="calibrate rooms")
     rows_of: list[IntArray] = []
     gains_of: list[FloatArray] = []
     models: list[RowModel] = []
-    for split, (known, scored) in product(splits, ((first, second), (second, first))):
+    for (_, (known, scored)), (absorption, by_row, gains) in zip(halves, calibrations, strict=True):
         # a room with a single RIR has nothing that calibrates it, and is not scored
         rows = np.concatenate([to_score if len(calibrating) else calibrating
                                for calibrating, to_score in zip(known, scored, strict=True)])
-        absorption, by_row, gains = calibrated(known, _USABLE[split])
         rows_of.append(rows)
         gains_of.append(gains[rows])
         models += row_models(data, absorption, by_row, rows)
