@@ -302,6 +302,7 @@ def _decay_times(direct: FloatArray, energy: FloatArray, edges_s: FloatArray, pu
     time_s = np.empty(n_frames + 2)
     time_s[0] = 0.0
     time_s[2:] = edges_s[1:]
+    lowest = 10.0 ** -3.5  # of T30; what is below is not needed
     for i in range(n_rirs):
         for band in range(n_bands):
             total = 0.0
@@ -314,6 +315,8 @@ def _decay_times(direct: FloatArray, energy: FloatArray, edges_s: FloatArray, pu
             curve[0] = total + energy[i, 0, band] + direct[i, band]
             for node in range(n_frames + 2):
                 log_curve[node] = np.log10(max(curve[node], 1e-30))
+                if curve[node] < lowest * curve[0]:
+                    break
             for k in range(3):
                 top, bottom = (0.0, -10.0) if k == 0 else ((-5.0, -25.0) if k == 1 else (-5.0, -35.0))
                 times_s[i, k, band] = _slope(curve, log_curve, time_s, 10.0 ** (0.1 * top), 10.0 ** (0.1 * bottom))
