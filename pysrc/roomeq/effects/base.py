@@ -28,7 +28,8 @@ from typing import ClassVar, Self, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomeq.acoustics.octaves import octave_bands
+from roomeq.acoustics.band_energy import OCTAVES, energy_in_bands, energy_per_bin
+from roomeq.acoustics.octaves import octave_fft_size
 from roomeq.core.arrays import Array, FloatArray, IntArray
 from roomeq.core.constants import FS_HZ
 from roomeq.effects.prediction import PredictedRirs, PredictionState
@@ -200,4 +201,5 @@ class Effect:
 
 def octave_energies(rir: Array) -> FloatArray:
     """Return the energy of a response in each octave band, shape (8,)."""
-    return np.sum(octave_bands(rir, FS_HZ) ** 2, axis=1)
+    n_fft = octave_fft_size(len(rir), FS_HZ)
+    return energy_in_bands(OCTAVES, energy_per_bin(rir, n_fft), n_fft)

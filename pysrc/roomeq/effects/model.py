@@ -10,6 +10,7 @@ parameters drawn from the spread of those.
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -114,8 +115,8 @@ def path_gain(effects: Sequence[Effect], source_dir: Sequence[float | None] | No
         return None
 
     def gain(directions: FloatArray) -> FloatArray:
-        energy = np.prod([effect.on_paths(directions @ facing) for effect in directive], axis=0)  # type: ignore[arg-type]
-        return np.sqrt(energy)
+        cos_angle = directions @ facing
+        return np.sqrt(reduce(np.multiply, [effect.on_paths(cos_angle) for effect in directive]))  # type: ignore[arg-type]
 
     return gain
 

@@ -113,8 +113,9 @@ def _power_gain(per_sample: FloatArray, n_fft: int) -> FloatArray:
     `per_sample`, as far as the slopes of a louder neighbour allow.
     """
     frequency_hz = np.maximum(rfftfreq(n_fft, 1.0 / FS_HZ), 1.0)
-    third = np.argmin(np.abs(np.log(frequency_hz[:, None] / THIRDS_HZ)), axis=1)
-    inside = np.abs(np.log10(frequency_hz / np.array(THIRDS_HZ)[third])) < 0.05  # the outermost go on beyond
+    place = 10.0 * np.log10(frequency_hz / THIRDS_HZ[0])
+    third = np.clip(np.rint(place), 0, len(THIRDS_HZ) - 1).astype(int)
+    inside = np.abs(place - third) < 0.5  # the outermost go on beyond
     wanted = np.maximum(per_sample, 1e-30)
     of_thirds = np.log(wanted / THIRD_WIDTH_HZ)
     for _ in range(_PASSES):

@@ -241,6 +241,8 @@ def cross_over(low: FloatArray, high: FloatArray, fs_hz: float, frequency_hz: fl
     octaves = np.log2(np.maximum(rfftfreq(n_fft, 1.0 / fs_hz), 1e-3) / frequency_hz) / CROSSOVER_OCTAVES
     angle = 0.5 * np.pi * np.sin(0.5 * np.pi * np.clip(octaves + 0.5, 0.0, 1.0)) ** 2
     below = np.cos(angle) * np.exp(-1j * angle)
-    change = irfft(below * (rfft(low[:n_samples], n_fft) - rfft(high, n_fft)), n_fft)[:n_samples]
+    difference = -high
+    difference[:len(low)] += low[:n_samples]
+    change = irfft(below * rfft(difference, n_fft), n_fft)[:n_samples]
     since = (np.arange(n_samples) / fs_hz - arrival_s) * 4.0 * frequency_hz
     return high + change * np.sin(0.5 * np.pi * np.clip(since, 0.0, 1.0)) ** 2
