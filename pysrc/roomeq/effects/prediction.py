@@ -6,6 +6,7 @@ and noise, response of the recording chain.
 """
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -167,6 +168,14 @@ class PredictionState:
     delay_s: FloatArray
     direct_angle: FloatArray
     rendered_change: FloatArray
+
+    def copy(self) -> "PredictionState":
+        """Return a state that effects can change without changing this one."""
+        made = copy(self)
+        for name, value in vars(self).items():
+            if value is not None:
+                setattr(made, name, value.copy())
+        return made
 
     def apply_directivity(self, rows: IntArray, gains: FloatArray, direct: FloatArray) -> None:
         """Apply the directivity of the source to some RIRs, in place.

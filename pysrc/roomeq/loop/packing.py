@@ -17,6 +17,8 @@ compared (`roomeq.loop.measurability`) has a gain of its own.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -195,13 +197,22 @@ class ParameterIndex:
     def state(self, absorption: FloatArray, vectors: list[FloatArray]) -> PredictionState:
         """Return the state of each RIR: the base model's, changed by the effects."""
         state = base_state(self.data, absorption)
-        for k, effect in enumerate(self.effects):
-            unit = self.shared[k].unit
-            for u, vector in enumerate(vectors[k]):
-                rows = np.flatnonzero(unit == u)
-                if len(rows):
-                    effect.from_vector(vector).apply_to_prediction(state, self.data, rows)
+        for k in range(len(self.effects)):
+            self._apply(k, vectors[k], state)
         return state
+
+    def _apply(self, k: int, vectors: FloatArray, state: PredictionState) -> None:
+        """Change a state by the effect number `k`, in place."""
+        for vector, rows in zip(vectors, self._rows_of_units[k], strict=True):
+            if len(rows):
+                self.effects[k].from_vector(vector).apply_to_prediction(state, self.data, rows)
+
+    @cached_property
+    def _rows_of_units(self) -> list[list[IntArray]]:
+        """RIRs of each unit of each effect."""
+        n_units = [len(self.data.units(effect.SCOPE)[0]) for effect in self.effects]
+        return [[np.flatnonzero(part.unit == u) for u in range(count)]
+                for part, count in zip(self.shared, n_units, strict=True)]
 
     def predict(self, absorption: FloatArray, vectors: list[FloatArray], gains: FloatArray,
                 correction: FloatArray | float, reflected: ReflectedEnergy | None = None) -> FloatArray:
@@ -224,7 +235,10 @@ class ParameterIndex:
             On which the derivatives are computed.
         """
         absorption, vectors = self.absorption(mean, local), self.vectors(mean, local)
-        state = self.state(absorption, vectors)
+        state, before = base_state(self.data, absorption), []  # before each effect
+        for k, of_effect in enumerate(vectors):
+            before.append(state.copy())
+            self._apply(k, of_effect, state)
         reflected = ReflectedEnergy(self.data, state)
         centre = predict_by_band(self.data, state, reflected)
         jobs: list[tuple[Callable[..., None], tuple[Any, ...]]] = []
@@ -232,15 +246,17 @@ class ParameterIndex:
         def by_absorption(slopes: FloatArray, bands: list[int], first: int, step: tuple[float, float]) -> None:
             moved = absorption.copy()
             moved[:, :, bands] *= np.exp(_STEP * np.array(step))[:, None]
-            moved_to = predict_by_band(self.data, self.state(moved, vectors))
+            # no effect changes the absorption, and none depends on it
+            moved_to = predict_by_band(self.data, replace(state, absorption=moved[self.data.room]))
             slopes[:, :, [first + band for band in bands]] = _slopes(centre, moved_to, bands, _STEP)
 
         def by_vector(slopes: FloatArray, k: int, group: list[int]) -> None:
-            effect, moved_vectors = self.effects[k], [vector.copy() for vector in vectors]
+            effect, moved, moved_state = self.effects[k], vectors[k].copy(), before[k].copy()
             steps = _STEP * np.array(effect.SPREAD)[group]
-            moved_vectors[k][:, group] += steps
-            moved_to = predict_by_band(self.data, self.state(absorption, moved_vectors),
-                                       None if effect.REFLECTIONS else reflected.copy())
+            moved[:, group] += steps
+            for later, of_effect in enumerate([moved, *vectors[k + 1:]], k):
+                self._apply(later, of_effect, moved_state)
+            moved_to = predict_by_band(self.data, moved_state, None if effect.REFLECTIONS else reflected.copy())
             bands = [band for p in group if (band := effect.BANDS[p] if effect.BANDS else None) is not None]
             slopes[:, :, group] = _slopes(centre, moved_to, bands, steps) if bands else (
                 moved_to.features - centre.features)[:, :, None] / steps
