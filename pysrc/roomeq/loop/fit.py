@@ -23,7 +23,7 @@ from roomeq.effects.base import Effect
 from roomeq.loop.data import Data
 from roomeq.loop.features import HAS_GAIN, N_FEATURES
 from roomeq.loop.likelihood import NormalEquations, all_normal_equations, misfit, scatter
-from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, Derivatives, ParameterIndex
+from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, Derivatives, Linearization, ParameterIndex
 from roomeq.loop.predict import N_BANDS
 
 ITERATIONS = 5
@@ -142,15 +142,16 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
         sigma, omega = initial.sigma.copy(), initial.omega.copy()
         _continue(index, initial, mean, local)
     start_from_measured(index, mean, local, () if initial is None else initial.effects)
+    linearization = Linearization(index, correction, known, threads)
     for iteration in progress(range(iterations), iterations, "fit: iterations"):
         precision = [inverted(of_room) for of_room in covariances(index, shape, own_scale, gain_db)]
-        predicted, derivatives = index.linearize(mean, local, correction, known, threads)
+        predicted, derivatives = linearization.at(mean, local)
         residual, valid = data.residual(predicted)
         if iteration:
             sigma, omega = scatter(data, residual, valid)
         normal = all_normal_equations(index, residual, valid, derivatives, sigma, omega, threads)
-        cost_at = partial(cost, index, correction, sigma, omega, precision, prior)
-        limit, old = cost_at(mean, local, predicted), (mean, local)
+        cost_at = partial(cost, linearization, sigma, omega, precision, prior)
+        limit, old = cost_at(mean, local), (mean, local)
         *new, posterior = solve_step(normal, precision, mean, local, prior)
         mean, local, reached = shortened_step(cost_at, limit, old, new, fractions=STEP_FRACTIONS[:2])
         if mean is old[0]:
@@ -163,7 +164,7 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
         if iteration and limit - reached < CONVERGED:  # the scatter is known from the second iteration on
             break
     covariance = covariances(index, shape, own_scale, gain_db)
-    predicted, derivatives = index.linearize(mean, local, correction, known, threads)
+    predicted, derivatives = linearization.at(mean, local)
     residual, valid = data.residual(predicted)
     sigma, omega = scatter(data, residual, valid)
     normal = all_normal_equations(index, residual, valid, derivatives, sigma, omega, threads)
@@ -296,17 +297,14 @@ def shortened_step(cost: Callable, limit: float, old: Sequence[Any], new: Sequen
     return old[0], old[1], limit
 
 
-def cost(index: ParameterIndex, correction: FloatArray, sigma: FloatArray, omega: FloatArray,
-         precision: list[FloatArray], prior: SharedPrior, mean: FloatArray, local: list[FloatArray],
-         predicted: FloatArray | None = None, visible: BoolArray | None = None) -> float:
+def cost(linearization: Linearization, sigma: FloatArray, omega: FloatArray, precision: list[FloatArray],
+         prior: SharedPrior, mean: FloatArray, local: list[FloatArray], visible: BoolArray | None = None) -> float:
     """Return twice the negative log posterior density up to a constant, with Huber's loss for outliers.
 
     Only `visible` features count, shape (n_rirs, n_features), if they are given.
     """
-    if predicted is None:
-        predicted = index.predict(index.absorption(mean, local), index.vectors(mean, local), index.gains(local),
-                                  correction)
-    residual, valid = index.data.residual(predicted)
+    index = linearization.index
+    residual, valid = index.data.residual(linearization.predicted(mean, local))
     valid = valid if visible is None else valid & visible
     total = (mean - prior.mean) @ prior.precision @ (mean - prior.mean)
     for members, own, of_prior in zip(index.members, local, precision, strict=True):

@@ -51,6 +51,10 @@ RIR whose level says nothing."""
 _STEP = 0.003  # of numerical derivatives, in units of a vector's spread; with ten times as much steps went uphill
 
 
+_SAME_JND = 0.1
+"""Change of the features (rms) over which derivatives are taken as constant."""
+
+
 class SharedPart(NamedTuple):
     """Position of an effect's vectors among the shared parameters.
 
@@ -308,6 +312,42 @@ class ParameterIndex:
             group = np.ravel(np.unique(of_room, axis=0, return_inverse=True)[1])
             self._places[r] = of_room, [np.flatnonzero(group == g) for g in range(group.max() + 1)]
         return self._places[r]
+
+
+class Linearization:
+    """Predicted features and their derivatives on the way of a fit; derivatives are kept while features hardly change.
+
+    Parameters
+    ----------
+    index : ParameterIndex
+    correction, known, threads
+        As for `ParameterIndex.linearize`.
+    """
+
+    def __init__(self, index: ParameterIndex, correction: FloatArray, known: Derivatives | None = None,
+                 threads: int = 1) -> None:
+        self.index, self._correction, self._known, self._threads = index, correction, known, threads
+        self._newest: tuple[FloatArray, list[FloatArray], FloatArray] | None = None
+        self._linearized: tuple[FloatArray, Derivatives] | None = None
+
+    def predicted(self, mean: FloatArray, local: list[FloatArray]) -> FloatArray:
+        """Return predicted features, shape (n_rirs, n_features); they are known where the last call was."""
+        if self._newest is None or self._newest[0] is not mean or self._newest[1] is not local:
+            index = self.index
+            self._newest = mean, local, index.predict(index.absorption(mean, local), index.vectors(mean, local),
+                                                      index.gains(local), self._correction)
+        return self._newest[2]
+
+    def at(self, mean: FloatArray, local: list[FloatArray]) -> tuple[FloatArray, Derivatives]:
+        """Return predicted features, and their derivatives there or so close by that they are taken as the same."""
+        if self._linearized is not None:
+            predicted, (origin, derivatives) = self.predicted(mean, local), self._linearized
+            change = (predicted - origin)[self.index.data.valid]
+            if np.sqrt(np.mean(change ** 2)) < _SAME_JND:
+                return predicted, derivatives
+        self._linearized = self.index.linearize(mean, local, self._correction, self._known, self._threads)
+        self._newest = mean, local, self._linearized[0]
+        return self._linearized
 
 
 def _separate(bands: Sequence[int]) -> list[list[int]]:

@@ -37,7 +37,7 @@ from roomeq.loop.fit import (
     start_from_measured,
 )
 from roomeq.loop.likelihood import NormalEquations, all_normal_equations, huber_root, normal_equations
-from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, ParameterIndex
+from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, Linearization, ParameterIndex
 from roomeq.loop.predict import N_BANDS, ReflectedEnergy
 from roomeq.loop.session import Session
 
@@ -387,14 +387,15 @@ def _converged(index: ParameterIndex, fitted: Fit, prior: SharedPrior, precision
     Only the features `of_surfaces`, (n_features,), move the surfaces. Nothing is known of the rooms at the start, so
     that it takes more iterations than to continue a fit.
     """
+    linearization = Linearization(index, correction, threads=threads)
     for _ in range(_MOST_ITERATIONS):
-        predicted, derivatives = index.linearize(mean, local, correction, threads=threads)
+        predicted, derivatives = linearization.at(mean, local)
         derivatives = derivatives._replace(by_surface=np.where(of_surfaces[:, None], derivatives.by_surface, 0.0))
         residual, valid = index.data.residual(predicted)
         normal = all_normal_equations(index, residual, valid & visible, derivatives, fitted.sigma, fitted.omega,
                                       threads)
-        cost_at = partial(cost, index, correction, fitted.sigma, fitted.omega, precision, prior, visible=visible)
-        old, limit = (mean, local), cost_at(mean, local, predicted)
+        cost_at = partial(cost, linearization, fitted.sigma, fitted.omega, precision, prior, visible=visible)
+        old, limit = (mean, local), cost_at(mean, local)
         *new, _ = solve_step(normal, precision, mean, local, prior)
         mean, local, reached = shortened_step(cost_at, limit, old, new)
         if mean is old[0]:
