@@ -164,7 +164,7 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
         if iteration and limit - reached < CONVERGED:  # the scatter is known from the second iteration on
             break
     covariance = covariances(index, shape, own_scale, gain_db)
-    predicted, derivatives = linearization.at(mean, local)
+    predicted, derivatives = linearization.at(mean, local, same_jnd=0.0)  # densities of rooms need the right ones
     residual, valid = data.residual(predicted)
     sigma, omega = scatter(data, residual, valid)
     normal = all_normal_equations(index, residual, valid, derivatives, sigma, omega, threads)

@@ -51,7 +51,7 @@ RIR whose level says nothing."""
 _STEP = 0.003  # of numerical derivatives, in units of a vector's spread; with ten times as much steps went uphill
 
 
-_SAME_JND = 0.1
+_SAME_JND = 0.03
 """Change of the features (rms) over which derivatives are taken as constant."""
 
 
@@ -338,12 +338,13 @@ class Linearization:
                                                       index.gains(local), self._correction)
         return self._newest[2]
 
-    def at(self, mean: FloatArray, local: list[FloatArray]) -> tuple[FloatArray, Derivatives]:
-        """Return predicted features, and their derivatives there or so close by that they are taken as the same."""
+    def at(self, mean: FloatArray, local: list[FloatArray], same_jnd: float = _SAME_JND
+           ) -> tuple[FloatArray, Derivatives]:
+        """Return predicted features, and their derivatives there or where the features differ by `same_jnd` (rms)."""
         if self._linearized is not None:
             predicted, (origin, derivatives) = self.predicted(mean, local), self._linearized
             change = (predicted - origin)[self.index.data.valid]
-            if np.sqrt(np.mean(change ** 2)) < _SAME_JND:
+            if np.sqrt(np.mean(change ** 2)) <= same_jnd:
                 return predicted, derivatives
         self._linearized = self.index.linearize(mean, local, self._correction, self._known, self._threads)
         self._newest = mean, local, self._linearized[0]
