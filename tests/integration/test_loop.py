@@ -39,7 +39,7 @@ from roomeq.loop.features import (
 )
 from roomeq.loop.fit import fit
 from roomeq.loop.likelihood import misfit, normal_equations
-from roomeq.loop.packing import N_SURFACE, ParameterIndex
+from roomeq.loop.packing import N_SURFACE, Linearization, ParameterIndex
 from roomeq.loop.power import _changes, detectable_sizes
 from roomeq.loop.predict import ReflectedEnergy, predict
 from roomeq.loop.refined_facing import _turned, refined_facings
@@ -353,6 +353,35 @@ def test_slopes_of_separate_bands_taken_together_are_those_of_each(session):
         moved = index.predict(index.absorption(mean, fitted.local), [], index.gains(fitted.local), session.correction)
         np.testing.assert_allclose(derivatives.by_surface[:, :, n], (moved - centre) / step, rtol=0.02, atol=0.02)
     assert np.ptp(derivatives.by_surface[:, METRIC == "drr"]) > 0.1 and len(data.rows) > 8
+
+
+@pytest.mark.parametrize("order", [("source_response", "source_directivity"), ("source_directivity", "noise_floor")])
+def test_derivatives_by_an_effect_have_all_other_effects(session, order):
+    effects = tuple(CATALOGUE[name] for name in order)
+    fitted = fit(session.data, session.correction, effects, initial=session.fit, iterations=1)
+    index, part = ParameterIndex(session.data, effects), 0.003
+    centre, derivatives = index.linearize(fitted.mean, fitted.local, session.correction)
+    for k, effect in enumerate(effects):
+        absorption, vectors = (of(fitted.mean, fitted.local) for of in (index.absorption, index.vectors))
+        step = part * effect.SPREAD[0]
+        vectors[k] = vectors[k].copy()
+        vectors[k][:, 0] += step
+        moved = index.predict(absorption, vectors, index.gains(fitted.local), session.correction)
+        slopes = derivatives.by_effect[effect][:, :, 0]
+        np.testing.assert_allclose(slopes, (moved - centre) / step, rtol=0.02, atol=0.02)
+
+
+def test_derivatives_are_kept_while_features_hardly_change(session):
+    index, fitted = session.index, session.fit
+    linearization = Linearization(index, session.correction)
+    _, first = linearization.at(fitted.mean, fitted.local)
+    near, far = fitted.mean + 1e-4, fitted.mean + 0.3
+    predicted, kept = linearization.at(near, fitted.local)
+    assert kept is first
+    np.testing.assert_array_equal(predicted, index.linearize(near, fitted.local, session.correction)[0])
+    exact = linearization.at(near, fitted.local, same_jnd=0.0)[1]
+    assert exact is not first and linearization.at(near, fitted.local, same_jnd=0.0)[1] is exact
+    assert linearization.at(far, fitted.local)[1] is not exact
 
 
 def test_fit_does_not_depend_on_threads(session):
