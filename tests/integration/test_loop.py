@@ -50,12 +50,20 @@ from roomeq.loop.selection import (
     _candidate,
     choose,
     heldout_errors,
+    p_with_other_devices,
     rank,
     size_of_change_jnd,
     transferred,
 )
 from roomeq.loop.session import fit_base_model, with_rendered_changes
-from roomeq.loop.splitters import COMMON_SPECTRUM, calibrate, leave_rooms_out, split_positions, transfer_shared
+from roomeq.loop.splitters import (
+    COMMON_SPECTRUM,
+    calibrate,
+    leave_rooms_out,
+    rooms_by_devices,
+    split_positions,
+    transfer_shared,
+)
 from roomeq.loop.step import close_loop
 from roomeq.loop.usable import usable_rirs
 from roomeq.records.rir_dir import load_rir, read_rirs, relocated, write_rirs
@@ -369,6 +377,24 @@ def test_derivatives_by_an_effect_have_all_other_effects(session, order):
         moved = index.predict(absorption, vectors, index.gains(fitted.local), session.correction)
         slopes = derivatives.by_effect[effect][:, :, 0]
         np.testing.assert_allclose(slopes, (moved - centre) / step, rtol=0.02, atol=0.02)
+
+
+def test_rooms_of_a_group_are_left_out_together(session):
+    data, fitted = session.data, session.fit
+    alone, same, together = (leave_rooms_out(data, fitted, groups) for groups in (
+        None, np.arange(len(data.room_names)), np.zeros(len(data.room_names), dtype=int)))
+    for a, b, c in zip(alone, same, together, strict=True):
+        np.testing.assert_array_equal(a.mean, b.mean)
+        np.testing.assert_allclose(c.mean, together[0].mean, atol=1e-6)  # nothing is known of any room
+        assert np.linalg.norm(c.precision) < 0.5 * np.linalg.norm(a.precision)
+
+
+def test_equaliser_needs_rooms_with_other_devices(session):
+    weights = np.ones(session.data.features.shape)
+    rows = [{**row, "source_id": row["room_id"], "mic_id": row["room_id"]} for row in session.data.rows]
+    apart = replace(session, data=replace(session.data, rows=rows))
+    assert len(set(rooms_by_devices(session.data))) == 1 and len(set(rooms_by_devices(apart.data))) > 2
+    assert p_with_other_devices(session, session, weights) == 1.0
 
 
 def test_derivatives_are_kept_while_features_hardly_change(session):

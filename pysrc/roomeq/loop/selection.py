@@ -47,6 +47,7 @@ from roomeq.loop.splitters import (
     Usable,
     calibrate,
     leave_rooms_out,
+    rooms_by_devices,
     solve_rooms,
     split_positions,
     transfer_shared,
@@ -195,6 +196,19 @@ def _mid_p_of_signs(change: FloatArray) -> float:
     return float(np.mean(above > rounding) + 0.5 * np.mean(np.abs(above) <= rounding))
 
 
+def p_with_other_devices(before: Session, after: Session, weights: FloatArray) -> float:
+    """Return the p value of an error being lower in rooms whose devices no other room of the fit has.
+
+    The error is that of features with `weights`, shape (n_rirs, n_features), leave-room-out; a t test over groups of
+    rooms that share devices (`roomeq.loop.splitters.rooms_by_devices`). 1 where all rooms share devices.
+    """
+    groups, (_, split) = rooms_by_devices(before.data), SPLITS
+    first, second = (heldout_errors(session, (split,), groups) for session in (before, after))
+    falls = np.nan_to_num(first.of_rooms(split, weights) - second.of_rooms(split, weights))
+    group = groups[np.unique(before.data.room[np.isfinite(first.by_split[split]).any(axis=1)])]
+    return one_sided_p(np.array([falls[group == g].mean() for g in np.unique(group)]))
+
+
 def share_of_fall(before: HeldOutErrors, after: HeldOutErrors, split: str, weights: FloatArray) -> float:
     """Return the fall from one error to another of features with `weights`, as a share of the first, over all rooms."""
     first = before.of_rooms(split, weights)
@@ -205,9 +219,9 @@ def _known(values: FloatArray) -> FloatArray:
     return values[np.isfinite(values)]
 
 
-def heldout_errors(session: Session, splits: Sequence[str] = SPLITS) -> HeldOutErrors:
-    """Return the held-out errors of a session's model on its own data."""
-    data, held_out = session.data, leave_rooms_out(session.data, session.fit)
+def heldout_errors(session: Session, splits: Sequence[str] = SPLITS, groups: IntArray | None = None) -> HeldOutErrors:
+    """Return the held-out errors of a session's model on its own data; `groups` as for `leave_rooms_out`."""
+    data, held_out = session.data, leave_rooms_out(session.data, session.fit, groups)
 
     def calibrated(known: list[IntArray], usable: Usable) -> tuple[FloatArray, list, FloatArray]:
         absorption, vectors, gains = calibrate(session, held_out, known, usable)

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse.csgraph import connected_components
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
 from roomeq.core.constants import BAND_1KHZ
@@ -124,8 +125,11 @@ class Calibration(NamedTuple):
     gains: FloatArray
 
 
-def leave_rooms_out(data: Data, fitted: Fit) -> list[HeldOutRoom]:
-    """Fit the shared parameters to all rooms but one, for each room."""
+def leave_rooms_out(data: Data, fitted: Fit, groups: IntArray | None = None) -> list[HeldOutRoom]:
+    """Fit the shared parameters to all rooms but one, for each room; all rooms of its group are left out, if given.
+
+    Groups are numbers of rooms, shape (n_rooms,).
+    """
     index = ParameterIndex(data, fitted.effects)
     prior = shared_prior(index, [effect.STARTS[0] for effect in index.effects], START_X)
     alone = [_without_own(*of_room) for of_room in zip(fitted.normal, fitted.precision, fitted.local, strict=True)]
@@ -133,17 +137,32 @@ def leave_rooms_out(data: Data, fitted: Fit) -> list[HeldOutRoom]:
     for room, (of_room, right_of_room) in zip(fitted.normal, alone, strict=True):
         total[room.block] += of_room
         right[room.columns] += right_of_room
-    of_all = cho_factor(total)
     # the step that remains from the fit: 0 at its optimum, not where a parameter of an effect is at its limit, and
     # there the fit has tried and rejected it
-    rejected = cho_solve(of_all, right)
+    rejected = cho_solve(cho_factor(total), right)
+    groups = np.arange(len(alone)) if groups is None else groups
     held_out = []
     for r, (room, (of_room, right_of_room)) in enumerate(zip(fitted.normal, alone, strict=True)):
-        of_others = cho_factor(_less(total, of_room, room.block))
-        step = cho_solve(of_others, _less(right, right_of_room, room.columns)) - rejected
-        held_out.append(HeldOutRoom(fitted.mean + step, total, of_room, room.columns,
-                                    _log_density(fitted, r, of_all, of_others, step)))
+        with_room, right_with_room = total, right
+        for s in np.flatnonzero((groups == groups[r]) & (np.arange(len(alone)) != r)):
+            with_room = _less(with_room, alone[s][0], fitted.normal[s].block)
+            right_with_room = _less(right_with_room, alone[s][1], fitted.normal[s].columns)
+        of_others = cho_factor(_less(with_room, of_room, room.block))
+        step = cho_solve(of_others, _less(right_with_room, right_of_room, room.columns)) - rejected
+        held_out.append(HeldOutRoom(fitted.mean + step, with_room, of_room, room.columns,
+                                    _log_density(fitted, r, cho_factor(with_room), of_others, step)))
     return held_out
+
+
+def rooms_by_devices(data: Data) -> IntArray:
+    """Return the number of each room's group, shape (n_rooms,): rooms of two groups share no source or microphone."""
+    units = [data.units(scope) for scope in ("source", "mic")]
+    size = len(data.room_names) + sum(len(names) for names, _ in units)
+    shared, first = np.zeros((size, size), dtype=bool), len(data.room_names)
+    for names, unit in units:
+        shared[data.room, first + unit] = True
+        first += len(names)
+    return connected_components(shared, directed=False)[1][:len(data.room_names)]
 
 
 def _less(whole: FloatArray, part: FloatArray, at: Any) -> FloatArray:

@@ -18,6 +18,7 @@ from roomeq.loop.fit import SharedPrior, _best_shape, shortened_step, solve_step
 from roomeq.loop.likelihood import NormalEquations, scatter
 from roomeq.loop.predict import base_state, predict
 from roomeq.loop.selection import SPLITS, Candidate, HeldOutErrors, p_lower, share_of_fall, weights_of
+from roomeq.loop.splitters import rooms_by_devices
 from roomeq.loop.tables import FRAME_EDGES_S, Table
 from roomeq.loop.unexplained import find_unexplained
 from roomeq.records.schema import unit_name
@@ -314,11 +315,31 @@ def accept(ranking, errors, touched, monkeypatch):
     (SoundSpeed, (0.001, 0.9), True), (SoundSpeed, (0.02, 0.2), False), (SoundSpeed, (0.03, 0.04), True),
     (RoomEq, (0.001, 0.9), False), (RoomEq, (0.03, 0.04), True)])  # an equaliser is the same in all rooms
 def test_evidence_of_both_splits_counts_together(monkeypatch, effect, p, added):
+    monkeypatch.setattr(close, "p_with_other_devices", lambda *_: 0.01)
     values = dict(zip(SPLITS, p, strict=True))
     monkeypatch.setattr(close, "p_lower", lambda before, after, split, weights=None: (
         values[split] if after.by_split[split].mean() < 1.9 else 1.0 - values[split]))
     ranking = [Candidate(effect, effect, 20.0 + np.arange(8), 2.0)]
     assert (accepted(ranking, {effect: 0.3}, monkeypatch) is not None) == added
+
+
+@pytest.mark.parametrize("effect, p, added", [(RoomEq, 0.04, True), (RoomEq, 0.06, False), (SoundSpeed, 0.06, True)])
+def test_equaliser_must_hold_with_other_devices(monkeypatch, caplog, effect, p, added):
+    monkeypatch.setattr(close, "p_with_other_devices", lambda *_: p)
+    ranking = [Candidate(effect, effect, 20.0 + np.arange(8), 2.0)]
+    with caplog.at_level("INFO"):
+        assert (accepted(ranking, {effect: 0.3}, monkeypatch) is not None) == added
+    assert ("in rooms with other devices" in caplog.text) != added
+
+
+def test_rooms_that_share_devices_are_a_group():
+    rows = [dict(room_id=f"r{room}", source_id=source, mic_id=mic) for room, source, mic in (
+        (0, "s0", "m0"), (1, "s1", "m1"), (2, "s2", "m0"), (3, "s1", "m3"), (4, "s4", "m4"))]
+    names = {"source": sorted({row["source_id"] for row in rows}), "mic": sorted({row["mic_id"] for row in rows})}
+    data = SimpleNamespace(room=np.arange(5), room_names=[row["room_id"] for row in rows], units=lambda scope: (
+        names[scope], np.array([names[scope].index(row[f"{scope}_id"]) for row in rows])))
+    group = rooms_by_devices(data)
+    assert group[0] == group[2] and group[1] == group[3] and len(set(group)) == 3
 
 
 def test_room_that_is_far_off_keeps_its_scatter():
