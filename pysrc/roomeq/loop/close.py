@@ -232,23 +232,23 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]
         p = {split: p_lower(errors, errors_after, split, weights) for split in SPLITS}
         falls = {split: share_of_fall(errors, errors_after, split, weights) for split in SPLITS}
         joint_p = float(stats.combine_pvalues([*p.values()], "fisher").pvalue)
-        of_devices = False
+        fails_elsewhere = False
         if winner.effect.MEASURED:
             accepted = all(errors_after.mean(split) < errors.mean(split) + _TOLERATED_JND for split in SPLITS)
             rises = not accepted
         else:
             rises = any(p_lower(errors_after, errors, split) < LEVEL for split in SPLITS)
             significant = joint_p < _JOINT_LEVEL if winner.effect.NAMES_CAUSE else max(p.values()) < LEVEL
-            of_devices = significant and not winner.effect.NAMES_CAUSE and p_with_other_devices(
+            fails_elsewhere = significant and not winner.effect.NAMES_CAUSE and p_with_other_devices(
                 session, after, weights) >= LEVEL
             falls_enough = min(falls.values()) > 0.0 and np.mean([*falls.values()]) > _MIN_FALL
-            accepted = bool(significant and not of_devices and falls_enough and not rises)
+            accepted = bool(significant and not fails_elsewhere and falls_enough and not rises)
         if accepted:
             entry = iteration_entry(winner, rivals, ranking, after, errors, errors_after, p, joint_p, falls)
             return Accepted(entry, after, errors_after), rejected
         rejected.append(winner.effect)
         logger.info("rejected %s: rendered, the held-out error %s", winner.effect.NAME, "rises" if rises else
-                    "does not fall significantly in rooms with other devices" if of_devices else
+                    "does not fall significantly in rooms with other devices" if fails_elsewhere else
                     "of what it touches falls too little or not significantly: " + ", ".join(
                         f"by {100 * falls[split]:.0f} % (p {p[split]:.2g}, {split.replace('_', '-')})"
                         for split in SPLITS))
