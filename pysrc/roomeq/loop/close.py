@@ -239,10 +239,11 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]
         else:
             rises = any(p_lower(errors_after, errors, split) < LEVEL for split in SPLITS)
             significant = joint_p < _JOINT_LEVEL if winner.effect.NAMES_CAUSE else max(p.values()) < LEVEL
-            fails_elsewhere = significant and not winner.effect.NAMES_CAUSE and p_with_other_devices(
-                session, after, weights) >= LEVEL
             falls_enough = min(falls.values()) > 0.0 and np.mean([*falls.values()]) > _MIN_FALL
-            accepted = bool(significant and not fails_elsewhere and falls_enough and not rises)
+            accepted = bool(significant and falls_enough and not rises)
+            if accepted and not winner.effect.NAMES_CAUSE:  # both models are rendered again
+                fails_elsewhere = p_with_other_devices(session, after, weights) >= LEVEL
+                accepted = not fails_elsewhere
         if accepted:
             entry = iteration_entry(winner, rivals, ranking, after, errors, errors_after, p, joint_p, falls)
             return Accepted(entry, after, errors_after), rejected

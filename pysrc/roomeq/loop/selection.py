@@ -205,7 +205,7 @@ def p_with_other_devices(before: Session, after: Session, weights: FloatArray) -
     groups, (_, split) = rooms_by_devices(before.data), SPLITS
     first, second = (heldout_errors(session, (split,), groups) for session in (before, after))
     falls = np.nan_to_num(first.of_rooms(split, weights) - second.of_rooms(split, weights))
-    group = groups[np.unique(before.data.room[np.isfinite(first.by_split[split]).any(axis=1)])]
+    group = groups[first._scored(split)]
     return one_sided_p(np.array([falls[group == g].mean() for g in np.unique(group)]))
 
 

@@ -137,20 +137,23 @@ def leave_rooms_out(data: Data, fitted: Fit, groups: IntArray | None = None) -> 
     for room, (of_room, right_of_room) in zip(fitted.normal, alone, strict=True):
         total[room.block] += of_room
         right[room.columns] += right_of_room
+    of_all = cho_factor(total)
     # the step that remains from the fit: 0 at its optimum, not where a parameter of an effect is at its limit, and
     # there the fit has tried and rejected it
-    rejected = cho_solve(cho_factor(total), right)
+    rejected = cho_solve(of_all, right)
     groups = np.arange(len(alone)) if groups is None else groups
     held_out = []
     for r, (room, (of_room, right_of_room)) in enumerate(zip(fitted.normal, alone, strict=True)):
         with_room, right_with_room = total, right
-        for s in np.flatnonzero((groups == groups[r]) & (np.arange(len(alone)) != r)):
+        mates = np.flatnonzero((groups == groups[r]) & (np.arange(len(alone)) != r))
+        for s in mates:
             with_room = _less(with_room, alone[s][0], fitted.normal[s].block)
             right_with_room = _less(right_with_room, alone[s][1], fitted.normal[s].columns)
+        of_all_left = cho_factor(with_room) if len(mates) else of_all
         of_others = cho_factor(_less(with_room, of_room, room.block))
         step = cho_solve(of_others, _less(right_with_room, right_of_room, room.columns)) - rejected
         held_out.append(HeldOutRoom(fitted.mean + step, with_room, of_room, room.columns,
-                                    _log_density(fitted, r, cho_factor(with_room), of_others, step)))
+                                    _log_density(fitted, r, of_all_left, of_others, step)))
     return held_out
 
 
