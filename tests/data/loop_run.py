@@ -10,6 +10,7 @@ from roomeq.core.rng import rng_for
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, write_model
 from roomeq.effects.response import RESPONSE_HZ
+from roomeq.loop.acceptance import OTHER_DEVICES
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, LENGTH_S, N_SAMPLES, STEP_S
 from roomeq.loop.features import METRIC, N_FEATURES, REGION
 from roomeq.loop.ledger import LEDGER_FILE, RESIDUALS_FILE
@@ -54,8 +55,12 @@ def ranking(winner, gain):
 
 def undetected(winner, gain):
     """Return the last ranking, with the sizes that would have been found."""
-    return [entry | dict(detectable_jnd=size_jnd, would_show=CATALOGUE[entry["effect"]].DISCRIMINATING_MEASUREMENT)
-            for entry, size_jnd in zip(ranking(winner, gain), (0.5, 0.7, None), strict=True)]
+    entries = [entry | dict(detectable_jnd=size_jnd,
+                            would_show=CATALOGUE[entry["effect"]].DISCRIMINATING_MEASUREMENT)
+               for entry, size_jnd in zip(ranking(winner, gain), (0.5, 0.7, None), strict=True)]
+    entries[0]["rejected"] = dict(reason=OTHER_DEVICES, p=0.01, p_by_split=dict.fromkeys(SPLITS, 0.02),
+                                  touched_fall=dict.fromkeys(SPLITS, 0.1), p_other_devices=0.4)
+    return entries
 
 
 def extension(name, units):
@@ -75,7 +80,7 @@ def iteration(added, before, after, **more):
                 scored_on=SPLITS[0], heldout_error_before=before, heldout_error_after=after,
                 heldout_error_ci=[after - 0.3, after + 0.3],
                 fall_ci=[before - after - 0.2, before - after + 0.2], p=1e-4,
-                p_by_split=dict.fromkeys(SPLITS, 1e-3), touched_fall=dict.fromkeys(SPLITS, 0.3),
+                p_by_split=dict.fromkeys(SPLITS, 1e-3), touched_fall=dict.fromkeys(SPLITS, 0.3), p_other_devices=None,
                 ranking=ranking(added.effect.NAME, 90.0),
                 by_metric={when: entry["by_metric"] for when, entry in whole.items()},
                 by_band={when: entry["by_band"] for when, entry in whole.items()}) | more

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from roomeq.core.arrays import IntArray
 from roomeq.core.build import Build
@@ -17,6 +16,7 @@ from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, read_model, write_model
 from roomeq.effects.source_directivity import SourceDirectivity
+from roomeq.loop.acceptance import RISES, Trial, describe_rejection, judge
 from roomeq.loop.ceiling import ceiling_errors, ceiling_of_test_set, describe_explained, explained
 from roomeq.loop.data import Data, load_data
 from roomeq.loop.descriptions import describe_facing, describe_residual, effect_names
@@ -46,10 +46,8 @@ from roomeq.loop.selection import (
     helps_beside,
     one_sided_p,
     p_lower,
-    p_with_other_devices,
     rank,
     score_test_set,
-    share_of_fall,
     transferred,
     weights_of,
 )
@@ -58,19 +56,8 @@ from roomeq.loop.unexplained import find_unexplained
 from roomeq.loop.usable import require_enough_rooms, usable_rirs
 
 logger = logging.getLogger(__name__)
-_TOLERATED_JND = 0.05
-"""Rise of the held-out error that is taken for chance: noise scatters, also in rooms that have hardly any."""
-
 SCATTERING = 0.3
 """Scattering coefficient of all surfaces: measured RIRs do not state it."""
-_JOINT_LEVEL = 0.01
-"""Level of Fisher's test of both `SPLITS`, which assumes that they are independent. They share rooms and recordings;
-were both to show the same, p values of 3.6 % would be enough."""
-_MIN_FALL = 0.03
-"""Smallest fall of the held-out error that counts, as a share of the error of the features that an effect touches, in
-the mean over `SPLITS`. The scattering coefficient is unknown: with 0.15 or 0.5 in its place, the error of all features
-of ten generated sets changed by 2 % and 5 % in the mean. An effect that changes what it touches by less may be the
-wrong scattering."""
 
 
 class Accepted(NamedTuple):
@@ -132,7 +119,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     eliminated: set[type[Effect]] = set()
     while True:
         extended, ranking = rank(session, eliminated)
-        accepted, rejected = _accept(extended, errors, ranking) if len(iterations) < max_effects else (None, [])
+        accepted, rejected = _accept(extended, errors, ranking) if len(iterations) < max_effects else (None, {})
         if accepted is None:
             break
         before = errors
@@ -169,7 +156,8 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
         geometry=[estimate.as_dict() for estimate in data.estimates], given=base.names,
         facings=[facing.as_dict() for facing in session.data.facings], baseline=error_entry(first_errors),
         iterations=iterations,
-        ranking=[undetected_entry(candidate, size_jnd) for candidate, size_jnd in zip(ranking, sizes, strict=True)],
+        ranking=[undetected_entry(candidate, size_jnd, rejected.get(candidate.effect))
+                 for candidate, size_jnd in zip(ranking, sizes, strict=True)],
         unexplained=unexplained[0].as_dict() if unexplained else None,
         unexplained_all=[residual.as_dict() for residual in unexplained], final=error_entry(errors),
         ceiling=error_entry(ceiling), explained=shares)
@@ -202,25 +190,15 @@ def _log_facings(data: Data) -> None:
 
 
 def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]
-            ) -> tuple[Accepted | None, list[type[Effect]]]:
-    """Return the best candidate that lowers the held-out error when it is rendered, or None, and the rejected effects.
-
-    The error of the features that the effect touches must fall on both `SPLITS`, by `_MIN_FALL` in the mean of both and
-    significantly (Fisher's method, which combines both p values; at `_JOINT_LEVEL`): the scatter of the others would
-    hide an effect that touches few. Features count as much as they tell of the effect (`weights_of`): in a mean over
-    metrics, the few decay times at low frequencies, which scatter most, would decide about room modes; in a mean over
-    features, the many that hardly change would decide about the speed of sound. The error of all features must not rise
-    significantly on any split. An equaliser, which names no cause and is the same in all rooms, needs significance on
-    each split, and in rooms with other devices than those that it was fitted to, whose response it may be. What was
-    read off the recordings has no other cause: it is enough that the error does not rise by more than
-    `_TOLERATED_JND`.
+            ) -> tuple[Accepted | None, dict[type[Effect], Trial]]:
+    """Return the best candidate that is accepted when it is rendered, or None, and the trials of rejected effects.
 
     A worse-fitting candidate replaces a rejected one only if the rejected one raised the error, or if it explains
     something else. If the error merely did not fall, the rejected candidate may still be the cause, and a significantly
     worse one must not stand in for it.
     """
     pool = ranking
-    rejected: list[type[Effect]] = []
+    rejected: dict[type[Effect], Trial] = {}
     while True:
         winner, rivals = choose(pool, len(ranking))
         if winner is None:
@@ -228,33 +206,14 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]
         after = refit_rendered(session.data, winner.fit, seed=session.seed, nj=session.nj,
                                known_changes=session.effects)
         errors_after = heldout_errors(after)
-        weights = weights_of(winner.effect, after)
-        p = {split: p_lower(errors, errors_after, split, weights) for split in SPLITS}
-        falls = {split: share_of_fall(errors, errors_after, split, weights) for split in SPLITS}
-        joint_p = float(stats.combine_pvalues([*p.values()], "fisher").pvalue)
-        fails_elsewhere = False
-        if winner.effect.MEASURED:
-            accepted = all(errors_after.mean(split) < errors.mean(split) + _TOLERATED_JND for split in SPLITS)
-            rises = not accepted
-        else:
-            rises = any(p_lower(errors_after, errors, split) < LEVEL for split in SPLITS)
-            significant = joint_p < _JOINT_LEVEL if winner.effect.NAMES_CAUSE else max(p.values()) < LEVEL
-            falls_enough = min(falls.values()) > 0.0 and np.mean([*falls.values()]) > _MIN_FALL
-            accepted = bool(significant and falls_enough and not rises)
-            if accepted and not winner.effect.NAMES_CAUSE:  # both models are rendered again
-                fails_elsewhere = p_with_other_devices(session, after, weights) >= LEVEL
-                accepted = not fails_elsewhere
-        if accepted:
-            entry = iteration_entry(winner, rivals, ranking, after, errors, errors_after, p, joint_p, falls)
+        trial = judge(winner.effect, session, after, errors, errors_after)
+        if trial.reason is None:
+            entry = iteration_entry(winner, rivals, ranking, after, errors, errors_after, trial, rejected)
             return Accepted(entry, after, errors_after), rejected
-        rejected.append(winner.effect)
-        logger.info("rejected %s: rendered, the held-out error %s", winner.effect.NAME, "rises" if rises else
-                    "does not fall significantly in rooms with other devices" if fails_elsewhere else
-                    "of what it touches falls too little or not significantly: " + ", ".join(
-                        f"by {100 * falls[split]:.0f} % (p {p[split]:.2g}, {split.replace('_', '-')})"
-                        for split in SPLITS))
+        rejected[winner.effect] = trial
+        logger.info("rejected %s: rendered, the held-out error %s", winner.effect.NAME, describe_rejection(trial))
         pool = [candidate for candidate in pool if candidate is not winner
-                and (rises or one_sided_p(winner.gain - candidate.gain) > LEVEL
+                and (trial.reason == RISES or one_sided_p(winner.gain - candidate.gain) > LEVEL
                      or (candidate.helps(len(ranking)) and helps_beside(session, winner, candidate, len(ranking))))]
 
 

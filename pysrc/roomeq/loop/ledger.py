@@ -15,6 +15,7 @@ from roomeq.core.files import read_json
 from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, read_model
+from roomeq.loop.acceptance import Trial
 from roomeq.loop.examples import EXAMPLES_FILE, read_arrays, read_examples
 from roomeq.loop.features import N_FEATURES
 from roomeq.loop.ledger_checks import InvalidEntryError, check_ledger
@@ -39,21 +40,26 @@ def left_out_entries(left_out: Sequence[LeftOut]) -> list[dict]:
     return [entry._asdict() for entry in left_out]
 
 
-def ranking_entry(candidate: Candidate) -> dict:
-    """Return the entry of a candidate in a ranking."""
-    return dict(effect=candidate.effect.NAME, gain=candidate.total, ci=list(candidate.interval), p=candidate.p,
-                size_jnd=candidate.size_jnd)
+def ranking_entry(candidate: Candidate, rejected: Trial | None) -> dict:
+    """Return the entry of a candidate in a ranking, with its trial if it was rendered and rejected."""
+    entry = dict(effect=candidate.effect.NAME, gain=candidate.total, ci=list(candidate.interval), p=candidate.p,
+                 size_jnd=candidate.size_jnd)
+    return entry if rejected is None else entry | dict(rejected=dict(reason=rejected.reason, **_trial_entry(rejected)))
 
 
-def undetected_entry(candidate: Candidate, detectable_jnd: float | None) -> dict:
+def undetected_entry(candidate: Candidate, detectable_jnd: float | None, rejected: Trial | None) -> dict:
     """Return the entry of a candidate that was not added: with the smallest size that would have been found."""
-    return ranking_entry(candidate) | dict(detectable_jnd=detectable_jnd,
-                                           would_show=candidate.effect.DISCRIMINATING_MEASUREMENT)
+    return ranking_entry(candidate, rejected) | dict(detectable_jnd=detectable_jnd,
+                                                     would_show=candidate.effect.DISCRIMINATING_MEASUREMENT)
+
+
+def _trial_entry(trial: Trial) -> dict:
+    return dict(p=trial.joint_p, p_by_split=trial.p, touched_fall=trial.falls, p_other_devices=trial.other_devices_p)
 
 
 def iteration_entry(winner: Candidate, rivals: list[Candidate], ranking: list[Candidate], session: Session,
-                    before: HeldOutErrors, after: HeldOutErrors, p: dict[str, float], joint_p: float,
-                    touched_fall: dict[str, float]) -> dict:
+                    before: HeldOutErrors, after: HeldOutErrors, trial: Trial, rejected: dict[type[Effect], Trial]
+                    ) -> dict:
     """Return the entry of an accepted effect.
 
     Parameters
@@ -65,24 +71,21 @@ def iteration_entry(winner: Candidate, rivals: list[Candidate], ranking: list[Ca
     session : Session
         Of the model with the effect.
     before, after : HeldOutErrors
-    p : dict
-        p value of the error of the touched features being lower, by split (`roomeq.loop.selection.p_lower`). The
-        entry's errors, of all features, are those of the split with the lowest p.
-    joint_p : float
-        p value of both, by Fisher's method.
-    touched_fall : dict
-        Fall of the error of the touched features, a share of it, by split (`roomeq.loop.selection.share_of_fall`).
+        Of all features. The entry has those on the split on which the error of the touched ones has the lowest p.
+    trial : Trial
+        Of the winner.
+    rejected : dict
+        Trials of effects that were rendered before it and rejected.
     """
-    split = min(p, key=lambda name: (p[name], name))
+    split = min(trial.p, key=lambda name: (trial.p[name], name))
     entry = dict(
         effect=winner.effect.NAME, scope=winner.effect.SCOPE, size_jnd=winner.size_jnd,
         parameters=_parameter_intervals(session, winner.effect), scored_on=split,
         heldout_error_before=before.mean(split), heldout_error_after=after.mean(split),
-        heldout_error_ci=after.interval(split), fall_ci=before.fall_interval(after, split), p=joint_p, p_by_split=p,
-        touched_fall=touched_fall,
+        heldout_error_ci=after.interval(split), fall_ci=before.fall_interval(after, split), **_trial_entry(trial),
         by_metric={"before": before.by_metric(split), "after": after.by_metric(split)},
         by_band={"before": before.by_band(split), "after": after.by_band(split)},
-        ranking=[ranking_entry(candidate) for candidate in ranking])
+        ranking=[ranking_entry(candidate, rejected.get(candidate.effect)) for candidate in ranking])
     if rivals:
         entry["cannot_tell"] = [winner.effect.NAME, *(candidate.effect.NAME for candidate in rivals)]
         entry["would_tell"] = sorted({candidate.effect.DISCRIMINATING_MEASUREMENT for candidate in (winner, *rivals)})

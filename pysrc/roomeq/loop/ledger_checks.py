@@ -9,12 +9,13 @@ from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import read_parameters
+from roomeq.loop.acceptance import REASONS
 from roomeq.loop.facing_estimate import HYPOTHESES
 from roomeq.loop.features import LARGEST, METRIC, REGION
 from roomeq.loop.selection import SPLITS
 from roomeq.loop.usable import LeftOut
 
-LEDGER_FORMAT = 6
+LEDGER_FORMAT = 7
 _VARIES = ("nothing", "room", "source", "mic")
 
 
@@ -127,6 +128,21 @@ def _candidate(value: Any, where: str) -> None:
     _interval(value["ci"], f"{where}.ci")
     _number(value["p"], f"{where}.p", 0.0, 1.0)
     _number(value["size_jnd"], f"{where}.size_jnd", 0.0)
+    if "rejected" in value:
+        _trial(value["rejected"], f"{where}.rejected")
+        reason = value["rejected"].get("reason")
+        _require(reason in REASONS, f"{where}.rejected.reason={reason!r:.60}", f"be one of {', '.join(REASONS)}")
+
+
+def _trial(value: Any, where: str) -> None:
+    _keys(value, where, ("p", "p_by_split", "touched_fall", "p_other_devices"))
+    _number(value["p"], f"{where}.p", 0.0, 1.0)
+    if value["p_other_devices"] is not None:
+        _number(value["p_other_devices"], f"{where}.p_other_devices", 0.0, 1.0)
+    for key, low in (("p_by_split", 0.0), ("touched_fall", -LARGEST)):
+        _keys(value[key], f"{where}.{key}", SPLITS)
+        for split in SPLITS:
+            _number(value[key][split], f"{where}.{key}.{split}", low, 1.0)
 
 
 def _undetected(value: Any, where: str) -> None:
@@ -139,8 +155,8 @@ def _undetected(value: Any, where: str) -> None:
 
 def _iteration(value: Any, where: str) -> None:
     _keys(value, where, ("effect", "scope", "size_jnd", "parameters", "scored_on", "heldout_error_before",
-                        "heldout_error_after", "heldout_error_ci", "fall_ci", "p", "p_by_split",
-                        "touched_fall", "by_metric", "by_band", "ranking"))
+                        "heldout_error_after", "heldout_error_ci", "fall_ci", "by_metric", "by_band", "ranking"))
+    _trial(value, where)
     _effect(value["effect"], f"{where}.effect")
     scope = CATALOGUE[value["effect"]].SCOPE
     _require(value["scope"] == scope, f"{where}.scope={value['scope']!r:.60}", f"be {scope!r}")
@@ -150,11 +166,6 @@ def _iteration(value: Any, where: str) -> None:
         _number(value[key], f"{where}.{key}", 0.0, LARGEST)
     _interval(value["heldout_error_ci"], f"{where}.heldout_error_ci", value["heldout_error_after"])
     _interval(value["fall_ci"], f"{where}.fall_ci", value["heldout_error_before"] - value["heldout_error_after"])
-    _number(value["p"], f"{where}.p", 0.0, 1.0)
-    for key, low in (("p_by_split", 0.0), ("touched_fall", -LARGEST)):
-        _keys(value[key], f"{where}.{key}", SPLITS)
-        for split in SPLITS:
-            _number(value[key][split], f"{where}.{key}.{split}", low, 1.0)
     _number(value["size_jnd"], f"{where}.size_jnd", 0.0)
     _parameters(value["parameters"], CATALOGUE[value["effect"]], f"{where}.parameters")
     for key in ("by_metric", "by_band"):

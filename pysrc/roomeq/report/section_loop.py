@@ -10,6 +10,7 @@ from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.response import RESPONSE_HZ, Response
+from roomeq.loop.acceptance import NO_CLEAR_FALL, OTHER_DEVICES, RISES
 from roomeq.loop.descriptions import describe_effect, describe_facing, describe_residual, effect_label, effect_names
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, STEP_S, Examples, read_examples
 from roomeq.loop.facing_estimate import FacingEstimate
@@ -28,6 +29,8 @@ METRIC_LABELS = {"direct": "level, direct sound", "early": "level, 2.5 to 50 ms"
                  "spectrum": "level, whole response", "edt": "EDT", "t20": "T20", "t30": "T30",
                  "curvature": "T30 / T20", "c50": "C50", "drr": "DRR", "arrival": "arrival time",
                  "ahead": "level, before direct sound", "floor": "level, noise floor"}
+REJECTIONS = {RISES: "held-out error rises", NO_CLEAR_FALL: "no clear fall of the held-out error",
+              OTHER_DEVICES: "no fall in rooms with other devices"}
 SPLIT_LABELS = {split: split.replace("_", "-") for split in SPLITS}
 COLOURS = dict(zip(KINDS, ("measured", "simulated", "compensated"), strict=True))
 LABELS = dict(zip(KINDS, ("measured", "simulated, before", "simulated, after"), strict=True))
@@ -156,8 +159,9 @@ def at_ceiling(ledger: dict[str, Any]) -> list[str]:
 
 
 def power_rows(ledger: dict[str, Any]) -> list[list[Any]]:
-    """Return the effects that were not found, with the smallest size that would have been."""
-    return [[entry["effect"], number(entry["detectable_jnd"]), entry["would_show"]] for entry in ledger["ranking"]]
+    """Return the effects that were not added: if rendered, why, the size that would be found, what would show less."""
+    return [[entry["effect"], REJECTIONS[entry["rejected"]["reason"]] if "rejected" in entry else "not rendered",
+             number(entry["detectable_jnd"]), entry["would_show"]] for entry in ledger["ranking"]]
 
 
 def effect_row(entry: dict[str, Any]) -> list[str]:

@@ -12,7 +12,7 @@ from roomeq.effects.noise_floor import NoiseFloor
 from roomeq.effects.room_eq import RoomEq
 from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.effects.source_response import SourceResponse
-from roomeq.loop import close, selection
+from roomeq.loop import acceptance, close, selection
 from roomeq.loop.features import JND, LATE_S, METRIC, N_FEATURES, feature_slice
 from roomeq.loop.fit import SharedPrior, _best_shape, shortened_step, solve_step
 from roomeq.loop.likelihood import NormalEquations, scatter
@@ -303,7 +303,7 @@ def accepted(ranking, lower, monkeypatch):
 
 def accept(ranking, errors, touched, monkeypatch):
     """Return the name of the effect that is added, or None; `errors` maps an effect or None to held-out errors."""
-    monkeypatch.setattr(close, "weights_of", lambda *_: touched)
+    monkeypatch.setattr(acceptance, "weights_of", lambda *_: touched)
     monkeypatch.setattr(close, "refit_rendered", lambda data, fitted, **_: fitted)
     monkeypatch.setattr(close, "heldout_errors", errors)
     monkeypatch.setattr(close, "iteration_entry", lambda winner, *_: dict(effect=winner.effect.NAME))
@@ -315,9 +315,9 @@ def accept(ranking, errors, touched, monkeypatch):
     (SoundSpeed, (0.001, 0.9), True), (SoundSpeed, (0.02, 0.2), False), (SoundSpeed, (0.03, 0.04), True),
     (RoomEq, (0.001, 0.9), False), (RoomEq, (0.03, 0.04), True)])  # an equaliser is the same in all rooms
 def test_evidence_of_both_splits_counts_together(monkeypatch, effect, p, added):
-    monkeypatch.setattr(close, "p_with_other_devices", lambda *_: 0.01)
+    monkeypatch.setattr(acceptance, "p_with_other_devices", lambda *_: 0.01)
     values = dict(zip(SPLITS, p, strict=True))
-    monkeypatch.setattr(close, "p_lower", lambda before, after, split, weights=None: (
+    monkeypatch.setattr(acceptance, "p_lower", lambda before, after, split, weights=None: (
         values[split] if after.by_split[split].mean() < 1.9 else 1.0 - values[split]))
     ranking = [Candidate(effect, effect, 20.0 + np.arange(8), 2.0)]
     assert (accepted(ranking, {effect: 0.3}, monkeypatch) is not None) == added
@@ -325,7 +325,7 @@ def test_evidence_of_both_splits_counts_together(monkeypatch, effect, p, added):
 
 @pytest.mark.parametrize("effect, p, added", [(RoomEq, 0.04, True), (RoomEq, 0.06, False), (SoundSpeed, 0.06, True)])
 def test_equaliser_must_hold_with_other_devices(monkeypatch, caplog, effect, p, added):
-    monkeypatch.setattr(close, "p_with_other_devices", lambda *_: p)
+    monkeypatch.setattr(acceptance, "p_with_other_devices", lambda *_: p)
     ranking = [Candidate(effect, effect, 20.0 + np.arange(8), 2.0)]
     with caplog.at_level("INFO"):
         assert (accepted(ranking, {effect: 0.3}, monkeypatch) is not None) == added

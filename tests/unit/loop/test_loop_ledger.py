@@ -37,8 +37,8 @@ def replace(value, *keys):
 
 
 @pytest.mark.parametrize("change, message", [
-    (without("format"), "format=None must be 6"),  # of an older version
-    (replace(1, "format"), "format=1 must be 6"),
+    (without("format"), "format=None must be 7"),  # of an older version
+    (replace(1, "format"), "format=1 must be 7"),
     (without("given"), "ledger must hold 'given'"),
     (without("left_out"), "ledger must hold 'left_out'"),
     (replace("", "left_out", 0, "reason"), r"left_out\[0\].reason='' must be a text"),
@@ -52,6 +52,11 @@ def replace(value, *keys):
     (replace("positions", "iterations", 0, "scored_on"),
      r"iterations\[0\].scored_on='positions' must be leave_positions_out or leave_room_out"),
     (replace(2.0, "iterations", 0, "p"), r"iterations\[0\].p=2.0 must be a number in \[0, 1\]"),
+    (replace("luck", "ranking", 0, "rejected", "reason"),
+     r"ranking\[0\].rejected.reason='luck' must be one of error rises, not in rooms with other devices, no clear fall"),
+    (replace(1.5, "ranking", 0, "rejected", "p_other_devices"),
+     r"ranking\[0\].rejected.p_other_devices=1.5 must be a number in \[0, 1\]"),
+    (replace({}, "ranking", 0, "rejected"), r"ranking\[0\].rejected must hold 'p'"),
     (without("ceiling"), "ledger must hold 'ceiling'"),
     (replace([0.8, 0.9], "explained", SPLITS[0], "ci"),
      r"explained.leave_positions_out.ci=\[0.8, 0.9\] must lie around 0.79"),
