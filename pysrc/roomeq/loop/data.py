@@ -85,6 +85,8 @@ class Data:
         See `rendered_change_of`.
     given : list of list of Effect
         Effects of each RIR that the base model has, with their parameters.
+    documented_dims_m : list of tuple
+        Dimensions of the room as the row of each RIR states them, before any estimate; empty for a mesh.
     estimates : list of Estimate
         Estimated geometry, which places and rows have where it is used.
     left_out : list of LeftOut
@@ -119,6 +121,7 @@ class Data:
     distance_m: FloatArray
     rendered_changes: Mapping[str, FloatArray]
     given: list[list[Effect]]
+    documented_dims_m: list[tuple[float | None, ...]]
     estimates: list[Estimate]
     left_out: list[LeftOut]
     seed: int
@@ -215,7 +218,8 @@ def load_data(usable: UsableRirs, *, scattering: float, seed: int, model: Model 
     features = limit_to_excitation([recording.row for recording in recordings],
                                    share_out(_measure, recordings, nj, label="measure RIRs"))
     data = _trace(recordings, features, scattering, seed, Model() if model is None else model, nj)
-    return replace(data, left_out=usable.left_out, estimates=estimates)
+    return replace(data, documented_dims_m=[tuple(rir.row["room_dims_m"] or ()) for rir in usable.rirs],
+                   left_out=usable.left_out, estimates=estimates)
 
 
 def _merge_sources(recordings: list[_Recording]) -> list[_Recording]:
@@ -339,7 +343,8 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
                 air_per_m=np.array([air.attenuation_per_m for air in airs]),
                 speed_m_s=np.array([air.speed_m_s for air in airs]),
                 distance_m=distance_m, rendered_changes={},
-                given=[model.for_row(row, seed) for row in rows], estimates=[], left_out=[], seed=seed)
+                given=[model.for_row(row, seed) for row in rows], documented_dims_m=[],
+                estimates=[], left_out=[], seed=seed)
 
 
 def _surface_per_m(room: Room) -> FloatArray:

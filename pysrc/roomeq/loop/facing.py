@@ -207,7 +207,7 @@ def _directivities(index: ParameterIndex, vectors: list[FloatArray]) -> list[dic
 def _position(data: Data, n: int) -> tuple:
     """Return what RIRs of one position of a source share; states of one room, such as open curtains, share it too."""
     row, (x_m, y_m, _) = data.rows[n], data.places[n].source_pos_m
-    room = row["room_id"] if row.get("mesh") else tuple(row["room_dims_m"] or ())
+    room = row["room_id"] if row.get("mesh") else data.documented_dims_m[n]  # estimates differ between states
     return room, round(x_m, 1), round(y_m, 1)
 
 

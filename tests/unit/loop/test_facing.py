@@ -26,6 +26,8 @@ class Rirs:
     rows: list = field(default_factory=lambda: [dict(source_id="ls", room_id="room", room_dims_m=[8.0, 6.0, 3.0])
                                                 for _ in SOURCES_M for _ in MICS_M])
 
+    documented_dims_m: list = field(default_factory=lambda: [(8.0, 6.0, None)] * len(SOURCES_M) * len(MICS_M))
+
     @property
     def towards(self):
         directions = np.array([np.subtract(place.mic_pos_m, place.source_pos_m) for place in self.places])
@@ -100,7 +102,7 @@ def test_direct_sounds_that_tell_nothing_leave_the_microphone_as_the_axis(monkey
 def test_states_of_a_room_share_the_axis_at_a_position(room_id, monkeypatch):
     rirs = Rirs()
     for row in rirs.rows[::2]:
-        row["room_id"] = room_id
+        row |= dict(room_id=room_id, room_dims_m=[8.0, 6.0, 3.1])  # as estimated of this state
     estimated, _ = estimate(rirs, np.tile([[0.0, 1.0, 0.0]], (len(rirs.rows), 1)), monkeypatch)
     assert estimated.positions == len(SOURCES_M)
 
