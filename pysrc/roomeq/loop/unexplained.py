@@ -20,6 +20,7 @@ MIN_ROOM_SIZE_JND = 2.0  # of a residual that varies with the room, since rooms 
 LEVEL = 0.05
 _KINDS = 5  # of tests
 _CLIP = 8.0
+_MIN_BANDS = 4  # among which one can be outlying
 _FREEDOM = 8  # degrees of freedom that the shrinkage over a metric adds to the scatter of a feature
 _MIN_CURVATURES = 16  # rooms and octaves from which on their scatter is known
 
@@ -130,24 +131,35 @@ def _room_means(values: FloatArray, room: IntArray, members: BoolArray) -> Float
 
 
 def _outlying_band_test(metric: str, residual: FloatArray, data: Data) -> tuple[list[int], float, float]:
-    """Test whether each room has an outlying band, all in the same direction: (bands, size in JND, uncorrected p).
+    """Test whether each room has a band that lies apart from its others, all in the same direction.
 
-    Scatter is symmetric, so that the largest residual of each room's features is compared with its smallest.
+    Returns bands, size in JND, and uncorrected p. Scatter is symmetric, so that the largest residual of each room's
+    bands is compared with its smallest. Rooms in which fewer than `_MIN_BANDS` bands were measured do not count.
     """
-    of_metric, names = residual[:, METRIC == metric], np.unique(data.room)
-    if of_metric.shape[1] < 4 or len(names) < 3:
+    of_metric = residual[:, METRIC == metric]
+    of_rooms = [of_metric[data.room == r] for r in np.unique(data.room)]
+    of_rooms = [room for room in of_rooms if np.isfinite(room).any(axis=0).sum() >= _MIN_BANDS]
+    if len(of_rooms) < 3:
         return [], 0.0, 1.0
-    measured = [np.isfinite(of_metric[data.room == r]) for r in names]
-    means = np.array([np.where(ok.any(axis=0), np.where(ok, of_metric[data.room == r], 0.0).sum(axis=0)
-                               / np.maximum(ok.sum(axis=0), 1), 0.0) for r, ok in zip(names, measured, strict=True)])
+    means = np.array([_mean_of_known(room) for room in of_rooms])
+    apart = means - np.nanmedian(means, axis=1, keepdims=True)
     # low bands scatter more, and a single room must not decide
-    standing = np.clip(means / (np.median(np.abs(means), axis=0) + 0.2), -_CLIP, _CLIP)
-    high, low = standing.max(axis=1), standing.min(axis=1)
+    typical = np.array([np.median(np.abs(band[np.isfinite(band)])) if np.isfinite(band).any() else 0.0
+                        for band in apart.T])
+    standing = np.clip(apart / (typical + 0.2), -_CLIP, _CLIP)
+    high, low = np.nanmax(standing, axis=1), np.nanmin(standing, axis=1)
     sign = 1.0 if np.mean(high + low) > 0.0 else -1.0
-    at = np.argmax(sign * standing, axis=1)
-    size = float(np.mean(means[np.arange(len(names)), at]))
+    at = np.nanargmax(sign * standing, axis=1)
+    size = float(np.mean(means[np.arange(len(means)), at]))
     bands = sorted(set(BAND_OF_FEATURE[METRIC == metric][at].tolist()))
     return bands, size, float(stats.ttest_1samp(high + low, 0.0).pvalue)
+
+
+def _mean_of_known(values: FloatArray) -> FloatArray:
+    """Return the mean over RIRs of the features of a room, NaN where none was measured."""
+    known = np.isfinite(values)
+    return np.where(known.any(axis=0), np.where(known, values, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1),
+                    np.nan)
 
 
 def _outlying_rooms(residual: FloatArray, data: Data) -> list[_Test]:

@@ -109,6 +109,21 @@ def test_scatter_of_many_devices_is_not_unexplained():
     assert sum(found) <= 3  # 5 % of 20, and a margin of two standard deviations
 
 
+def test_room_without_a_metric_says_nothing_of_the_bands_that_ring_elsewhere():
+    rng = np.random.default_rng(1)
+    room = np.repeat(np.arange(12), 8)
+    residual = rng.normal(0.0, 0.7, (96, N_FEATURES))
+    at = feature_slice("t30")
+    for r in range(8):
+        residual[room == r, at.start + 4 + r % 2] += 6.0
+    residual[room >= 8, at] = np.nan
+    devices = ["one"], np.zeros(96, int)
+    data = SimpleNamespace(room=room, room_names=list("abcdefghijkl"), units=lambda scope: devices)
+    first = find_unexplained(SimpleNamespace(data=data, residual=residual))[0]
+    assert (first.metric, first.bands_hz) == ("t30", [BANDS_HZ[4], BANDS_HZ[5]])
+    assert first.size_jnd == pytest.approx(6.0, abs=0.5)
+
+
 def test_object_that_rings_at_one_octave_in_half_of_the_rooms_is_unexplained():
     rng = np.random.default_rng(2)
     room = np.repeat(np.arange(8), 8)
