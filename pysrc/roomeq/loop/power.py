@@ -6,8 +6,8 @@ its squares. With a pattern of s times this size, the log densities of the held-
 with a standard deviation of s sqrt(I) (as a likelihood ratio: Kay, Fundamentals of Statistical Signal Processing II,
 1998, sec. 6.5), less what it costs to estimate the effect's parameters.
 
-A candidate that was fitted, and rejected since it did not lower the held-out error significantly, would not have been
-found at the size that was fitted, whatever its density.
+A candidate that was rejected when it was rendered, or whose density helps and that was not added, such as beyond the
+largest number of effects, was not found at the size that was fitted, whatever its density.
 """
 
 from collections.abc import Collection, Sequence
@@ -57,7 +57,8 @@ def detectable_sizes(session: Session, candidates: Sequence[Candidate], rejected
             left = information.sum() - information.max()  # the room that gains most is not counted
             if left > 0.0:
                 found.append(size_of_change_jnd(session.data, amplitude / np.sqrt(left) * change))
-        least = max(MIN_SIZE_JND, candidate.size_jnd if candidate.effect in rejected else 0.0)
+        not_added = candidate.effect in rejected or candidate.helps(len(candidates))
+        least = max(MIN_SIZE_JND, candidate.size_jnd if not_added else 0.0)
         sizes.append(max(least, float(np.median(found))) if found else None)
     return sizes
 
