@@ -38,6 +38,7 @@ from roomeq.loop.features import (
     with_noise_in_octaves,
 )
 from roomeq.loop.fit import fit
+from roomeq.loop.ledger import _parameter_intervals
 from roomeq.loop.likelihood import misfit, normal_equations
 from roomeq.loop.packing import N_SURFACE, Linearization, ParameterIndex
 from roomeq.loop.power import _changes, detectable_sizes
@@ -55,7 +56,7 @@ from roomeq.loop.selection import (
     size_of_change_jnd,
     transferred,
 )
-from roomeq.loop.session import fit_base_model, with_rendered_changes
+from roomeq.loop.session import Session, fit_base_model, with_rendered_changes
 from roomeq.loop.splitters import (
     COMMON_SPECTRUM,
     calibrate,
@@ -273,6 +274,21 @@ def test_twin_recordings_scatter_like_diffuse_sound(session):
         assert ratio == pytest.approx(1.0, abs=0.25)
 
 
+def test_interval_of_a_loudspeaker_of_one_room_comes_from_that_room(session):
+    data = session.data
+    rows = [{**row, "source_id": f"of {row['room_id']}"} for row in data.rows]
+    data = replace(data, rows=rows)
+    fitted = fit(data, session.correction, (SourceResponse,), initial=session.fit)
+    intervals = _parameter_intervals(Session(data, fitted.effects, session.correction, fitted, 0, 1), SourceResponse)
+    assert len(intervals) == len(data.room_names)
+    half, best = (np.array([f(unit) for unit in intervals.values()]) for f in (
+        lambda unit: 0.5 * np.subtract(unit["high"]["gains_db"], unit["low"]["gains_db"]),
+        lambda unit: unit["best"]["gains_db"]))
+    assert half.min() > 0.1
+    # a jackknife without its only room would leave the prior, and a half that is proportional to the estimate
+    assert np.corrcoef(half.ravel(), np.abs(best).ravel())[0, 1] < 0.9
+
+
 @pytest.mark.parametrize("effect", [SourceResponse, SoundSpeed, CoupledVolume])
 def test_effect_is_found_above_its_stated_size_and_not_far_below(effect, session, monkeypatch):
     """A pattern of the effect is added to the features of recordings that follow the model, at 2 and at 0.4 times its
@@ -292,6 +308,8 @@ def test_effect_is_found_above_its_stated_size_and_not_far_below(effect, session
     (stated_jnd,) = detectable_sizes(session, [clean], [])
     refused = replace(clean, size_jnd=stated_jnd + 1.0)  # its rendered error did not fall
     assert detectable_sizes(session, [refused], [clean.effect]) == [stated_jnd + 1.0]
+    beyond_max_effects = replace(refused, gain=np.full(len(clean.gain), 10.0))
+    assert detectable_sizes(session, [beyond_max_effects], []) == [stated_jnd + 1.0]
     for factor in (2.0, 0.4):
         scale = brentq(lambda x: size_of_change_jnd(clean_data, x * change) - factor * stated_jnd, 0.0, 1e3)  # noqa: B023
         assert candidate_with(scale * change).helps(1) == (factor > 1.0)

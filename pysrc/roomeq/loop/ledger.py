@@ -22,7 +22,7 @@ from roomeq.loop.ledger_checks import InvalidEntryError, check_ledger
 from roomeq.loop.packing import OWN_SCOPES
 from roomeq.loop.selection import SPLITS, Candidate, HeldOutErrors
 from roomeq.loop.session import Session
-from roomeq.loop.splitters import leave_rooms_out
+from roomeq.loop.splitters import leave_rooms_out, shared_covariance
 from roomeq.loop.usable import LeftOut
 
 LEDGER_FILE, RESIDUALS_FILE = "ledger.json", "residuals.npz"
@@ -120,7 +120,11 @@ def _parameters_of(effect: type[Effect], vector: FloatArray) -> dict:
 
 
 def _parameter_intervals(session: Session, effect: type[Effect]) -> dict:
-    """Return the parameters of each unit, those of shared effects with 95 % intervals from a jackknife over rooms."""
+    """Return the parameters of each unit, those of shared effects with 95 % intervals.
+
+    They are from a jackknife over the rooms that have the unit; of one or two rooms, which is too few, from the
+    posterior covariance. Rooms that do not have the unit say nothing of it.
+    """
     index, k = session.index, session.effects.index(effect)
     best = index.vectors(session.fit.mean, session.fit.local)[k]
     entry = {name: {"best": _parameters_of(effect, vector)}
@@ -129,11 +133,21 @@ def _parameter_intervals(session: Session, effect: type[Effect]) -> dict:
         return entry
     held_out = np.array([index.vectors(room.mean, session.fit.local)[k]
                          for room in leave_rooms_out(session.data, session.fit)])
-    half = stats.t.ppf(0.975, len(held_out) - 1) * np.sqrt(
-        (len(held_out) - 1) / len(held_out) * np.sum((held_out - held_out.mean(axis=0)) ** 2, axis=0))
-    for unit, low, high in zip(entry.values(), best - half, best + half, strict=True):
-        unit |= {"low": _parameters_of(effect, low), "high": _parameters_of(effect, high)}
+    part, n_vectors, unit_of_row, size = index.shared[k]
+    deviation = np.sqrt(np.diag(shared_covariance(session.data, session.fit))[part]).reshape(n_vectors, size)
+    for u, of_unit in enumerate(entry.values()):
+        rooms = np.unique(session.data.room[unit_of_row == u])
+        half = (_jackknife_half_interval(held_out[rooms, u]) if len(rooms) > 2
+                else stats.norm.ppf(0.975) * deviation[u])
+        of_unit |= {"low": _parameters_of(effect, best[u] - half), "high": _parameters_of(effect, best[u] + half)}
     return entry
+
+
+def _jackknife_half_interval(without: FloatArray) -> FloatArray:
+    """Return half the 95 % interval of estimates from those without each observation, shape (n_observations, n)."""
+    n = len(without)
+    return np.asarray(stats.t.ppf(0.975, n - 1) * np.sqrt((n - 1) / n * np.sum((without - without.mean(axis=0)) ** 2,
+                                                                               axis=0)))
 
 
 def validate_loop(directory: Path) -> int:
