@@ -14,10 +14,11 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from roomeq.core.build import Build
-from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
+from roomeq.core.constants import BAND_1KHZ, BANDS_HZ
 from roomeq.core.files import write_json
+from roomeq.corpora.repeats import find_repeats, keeping_order
 from roomeq.corpora.suspicious import suspicion
-from roomeq.records.geometry import geometry_usability, position_key
+from roomeq.records.geometry import geometry_usability
 from roomeq.records.rir_dir import (
     load_rir,
     read_noises,
@@ -35,9 +36,6 @@ logger = logging.getLogger(__name__)
 SCREENING_FILE = "screening.json"
 MAX_DEAD_POINTS = 1
 """EQ points that may be invalid: one can be estimated from the others, two are a dead band."""
-SAME_TAKE_S = 0.05
-SAME_TAKE_CORRELATION = 0.8
-"""Two RIRs of one position are takes of one measurement if their first 50 ms correlate better than this."""
 
 
 def characterise(rir_dir: Path, out: Path, *, skip_bad: bool = False, keep_suspicious: bool = False,
@@ -179,56 +177,31 @@ class _Drop(NamedTuple):
 
 
 def _drop(rir_dir: Path, rows: Sequence[RirRow], records: Sequence[dict[str, Any]]) -> _Drop:
+    reasons: list[str | None] = [_useless(row, record) for row, record in zip(rows, records, strict=True)]
+    rest = [n for n, reason in enumerate(reasons) if reason is None]
+    repeats = find_repeats([(rir_dir, rows[n]) for n in rest], [records[n]["sound"] for n in rest])
+    for n, repeat in zip(rest, repeats, strict=True):
+        reasons[n] = f"repeat: {repeat}" if repeat else None
     kept: list[dict[str, Any]] = []
     dropped: dict[str, str] = {}
-    first_with: dict[str, dict[str, Any]] = {}  # by hash of the samples and by position
-    ids = {row["id"] for row in rows}
-    # where a reader sets repeat_of, it names the take to keep: that take comes first
-    order = sorted(range(len(rows)), key=lambda n: (rows[n].get("repeat_of") is not None, rows[n]["id"]))
-    for n in order:
-        row, record = rows[n], records[n]
-        if "broken" in record:
-            dropped[row["id"]] = f"broken: {record['broken']}"
-        elif "suspicious" in record:
-            kind, _, detail = record["suspicious"].partition(": ")
-            dropped[row["id"]] = f"no RIR ({kind}): {detail}"
-        elif row.get("uncommon"):
-            dropped[row["id"]] = "uncommon space: not one that speech is usually spoken in"
-        elif row.get("repeat_of") in ids and row["repeat_of"] not in dropped:
-            dropped[row["id"]] = f"repeat: same positions as {row['repeat_of']}"
+    for n in keeping_order(rows):
+        row, record, reason = rows[n], records[n], reasons[n]
+        if reason:
+            dropped[row["id"]] = reason
         else:
-            measured = {**row, "suspicious": None, "screen": screen_reason(row, record["acoustic_parameters"]),
-                        **{key: record[key] for key in ("acoustic_parameters", "geometry_ok")}}
-            sound, position = record["sound"], position_key(row)
-            if sound in first_with:
-                dropped[row["id"]] = f"repeat: same audio as {first_with[sound]['id']}"
-            elif position in first_with and same_take(rir_dir, first_with[position], measured):
-                dropped[row["id"]] = f"repeat: same positions as {first_with[position]['id']}"
-            else:
-                first_with.setdefault(sound, measured)
-                if position is not None:
-                    first_with.setdefault(position, measured)
-                kept.append(measured)
+            kept.append({**row, "suspicious": None, "screen": screen_reason(row, record["acoustic_parameters"]),
+                         **{key: record[key] for key in ("acoustic_parameters", "geometry_ok")}})
     return _Drop(kept, dropped)
 
 
-def same_take(rir_dir: Path, first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
-    """Tell whether two RIRs of one stated position are takes of one measurement, not channels of one recording.
-
-    The first 50 ms after their direct sounds are correlated, at the best shift of up to 0.5 ms: the channels of an
-    array or of a dummy head do not correlate well.
-    """
-    import numpy as np
-
-    n, reach = round(SAME_TAKE_S * FS_HZ), round(5e-4 * FS_HZ)
-    parts = []
-    for row, margin in ((first, 0), (second, reach)):
-        start = max(0, round(row["acoustic_parameters"]["direct_sample"]))
-        rir = np.pad(load_rir(rir_dir, row), (margin, n + margin))
-        parts.append(rir[start:start + n + 2 * margin])
-    windows = np.lib.stride_tricks.sliding_window_view(parts[1], n)
-    size = np.linalg.norm(parts[0]) * np.linalg.norm(windows, axis=1)
-    return bool(np.max(np.abs(windows @ parts[0]) / np.maximum(size, 1e-300)) > SAME_TAKE_CORRELATION)
+def _useless(row: RirRow, record: Mapping[str, Any]) -> str | None:
+    """Return why an RIR is dropped, by what is known of this recording alone; or None."""
+    if "broken" in record:
+        return f"broken: {record['broken']}"
+    if "suspicious" in record:
+        kind, _, detail = record["suspicious"].partition(": ")
+        return f"no RIR ({kind}): {detail}"
+    return "uncommon space: not one that speech is usually spoken in" if row.get("uncommon") else None
 
 
 def _summary(rows: Sequence[RirRow], kept: Sequence[dict[str, Any]], dropped: dict[str, str]) -> dict[str, Any]:

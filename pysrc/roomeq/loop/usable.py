@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, cast
 
+from roomeq.corpora.repeats import find_repeats
 from roomeq.corpora.suspicious import suspicion
 from roomeq.records.geometry import OUTSIDE, UNKNOWN, find_contradiction, geometry_usability
 from roomeq.records.rir_dir import read_rirs, require_16_khz
@@ -25,6 +26,7 @@ MIN_ROOMS = 3
 
 UNLIKE = "rows of the room state different dimensions or meshes"
 _SAME_SIZE_M = 0.01
+REPEAT = "the recording is a repeated take: another RIR has the same room, devices and positions"
 NO_RIR = "the recording is no RIR by its acoustics (roomeq characterise says why)"
 
 
@@ -88,6 +90,7 @@ def usable_rirs(directories: Iterable[Path], nj: int = 1) -> UsableRirs:
     found.sort(key=lambda rir: (rir.row["room_id"], rir.row["id"]))
     reasons = [_refused(rir) for rir in found]
     contradictions = _log_contradictions(found, reasons) | _leave_out_unlike_rooms(found, reasons)
+    _leave_out_repeats(found, reasons)
     for n, doubt in _mislabelled(found, reasons, nj):
         reasons[n] = doubt.phrase
         contradictions.setdefault(doubt.phrase, doubt.detail)
@@ -177,6 +180,15 @@ def _leave_out_unlike_rooms(rirs: Sequence[Located], reasons: list[str | None]) 
                 reasons[n] = UNLIKE
             break
     return first
+
+
+def _leave_out_repeats(rirs: Sequence[Located], reasons: list[str | None]) -> None:
+    """Leave out all takes of a measurement but the first, in `reasons`: the others are no evidence of their own."""
+    left = [n for n, reason in enumerate(reasons) if reason is None]
+    for n, repeat in zip(left, find_repeats([rirs[n] for n in left]), strict=True):
+        if repeat:
+            reasons[n] = REPEAT
+            logger.info("left out: RIR %s of room %s: %s", rirs[n].row["id"], rirs[n].row["room_id"], repeat)
 
 
 def _difference(one: Located, other: Located) -> str | None:

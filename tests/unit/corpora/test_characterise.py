@@ -111,6 +111,14 @@ def test_array_channels_of_one_position_are_kept(tmp_path, height_m):
     assert sorted(rows) == ["ch0", "ch1"]
 
 
+def test_takes_of_each_channel_of_one_position_are_dropped(tmp_path):
+    noise = 0.01 * coloured_rir(5)
+    rows, report = run(tmp_path, [(row(f"take{take}-ch{channel}", **PLACES), coloured_rir(channel) + take * noise)
+                                  for take in range(2) for channel in range(2)])
+    assert sorted(rows) == ["take0-ch0", "take0-ch1"]
+    assert report["dropped"] == {f"take1-ch{n}": f"repeat: same positions as take0-ch{n}" for n in range(2)}
+
+
 def test_repeat_is_kept_if_its_first_take_is_dropped(tmp_path):
     rows, _ = run(tmp_path, [(row("a", uncommon=True), coloured_rir(0)), (row("b", repeat_of="a"), coloured_rir(1))])
     assert sorted(rows) == ["b"]

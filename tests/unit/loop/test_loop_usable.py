@@ -13,7 +13,7 @@ from roomeq.core.audio import write_wav
 from roomeq.core.files import write_text
 from roomeq.loop.close import SCATTERING
 from roomeq.loop.data import load_data
-from roomeq.loop.usable import UNLIKE, LeftOut, require_enough_rooms, usable_rirs
+from roomeq.loop.usable import REPEAT, UNLIKE, LeftOut, require_enough_rooms, usable_rirs
 from roomeq.records.geometry import BINAURAL, MARKED, OUTSIDE
 from roomeq.records.rir_dir import read_rirs
 
@@ -64,6 +64,31 @@ def test_position_outside_of_a_mesh_is_left_out(tmp_path):
                                        row("out", **KNOWN | mesh | dict(mic_pos_m=[6.5, 1.0, 1.0]))])
     usable = usable_rirs([where])
     assert [rir.row["id"] for rir in usable.rirs] == ["in"] and usable.left_out == [LeftOut(OUTSIDE, 1, 1)]
+
+
+@pytest.mark.parametrize("places", [KNOWN, FLAT], ids=["known", "heights unknown"])
+@pytest.mark.parametrize("change, kept", [
+    ({}, ["a"]), (dict(room_id="hall_dry"), ["a", "b"]), (dict(mic_id="other"), ["a", "b"]),
+    (dict(mic_pos_m=[4.0, 3.5, 1.2]), ["a", "b"])], ids=["take", "state", "microphone", "position"])
+def test_repeated_takes_are_left_out_but_the_first(tmp_path, caplog, places, change, kept):
+    caplog.set_level("INFO")
+    first = coloured_rir(0)
+    take = first + 0.5 * coloured_rir(5)
+    where = write_rir_dir(tmp_path / "rirs", [(row("b", **places | change), take), (row("a", **places), first)])
+    usable = usable_rirs([where])
+    assert sorted(rir.row["id"] for rir in usable.rirs) == kept
+    if kept == ["a"]:
+        assert usable.left_out == [LeftOut(REPEAT, 1, 1)]
+        assert "left out: RIR b of room hall: same positions as a" in caplog.text
+
+
+def test_marked_repeat_is_left_out_if_its_first_take_is_usable(tmp_path):
+    where = directory(tmp_path / "rirs", [
+        row("a", "x", repeat_of="z", **KNOWN), row("z", "x", **FLAT), row("b", "y", repeat_of="c", **KNOWN),
+        row("c", "y", binaural=True), row("d", "y", repeat_of="z", **KNOWN)])
+    usable = usable_rirs([where])
+    assert [rir.row["id"] for rir in usable.rirs] == ["z", "b", "d"]
+    assert usable.left_out == [LeftOut(BINAURAL, 1, 1), LeftOut(REPEAT, 1, 1)]
 
 
 def test_id_in_two_directories_is_refused(tmp_path):
