@@ -20,13 +20,14 @@ KEYS = {"id", "wav", "room_id", "source_id", "mic_id", "room_dims_m", "source_po
 def made(tmp_path_factory):
     """Run the verbs on eight RIRs of four rooms; the microphones of the last room were not located."""
     where = tmp_path_factory.mktemp("hand")
-    rows = []
-    for n in range(8):
-        name, mic_pos_m = f"r{n}", [2 + n / 4, 2, 1.2] if n < 6 else None
-        write_wav(where / f"rirs/{name}.wav", coloured_rir(n, time_s=0.3 + 0.05 * n))
-        rows.append(dict(id=name, wav=f"{name}.wav", room_id=f"room{n // 2}", source_id="speaker", mic_id="omni",
-                         room_dims_m=[5, 4, 3], source_pos_m=[1, 1, 1.5], mic_pos_m=mic_pos_m))
-    write_jsonl(where / "rirs/rirs.jsonl", rows)
+    for folder, first in (("rirs", 0), ("others", 8)):
+        rows = []
+        for n in range(8):
+            name, mic_pos_m = f"r{first + n}", [2 + n / 4, 2, 1.2] if n < 6 else None
+            write_wav(where / f"{folder}/{name}.wav", coloured_rir(first + n, time_s=0.3 + 0.05 * n))
+            rows.append(dict(id=name, wav=f"{name}.wav", room_id=f"room{n // 2}", source_id="speaker", mic_id="omni",
+                             room_dims_m=[5, 4, 3], source_pos_m=[1, 1, 1.5], mic_pos_m=mic_pos_m))
+        write_jsonl(where / folder / "rirs.jsonl", sorted(rows, key=lambda row: row["id"]))
     speech_dir(where / "speech")
     rirs, out = str(where / "rirs"), {verb: str(where / verb) for verb in (
         "characterise", "split", "simulate", "fit", "compensate", "augment", "loop")}
@@ -36,8 +37,8 @@ def made(tmp_path_factory):
                   ["compensate", rirs, out["fit"], out["compensate"]],
                   ["augment", str(where / "speech"), rirs, out["augment"]]):
         assert main(words) == 0, words
-    loop = [sys.executable, "-m", "roomeq", "close-loop", "--max-effects", "0", "--test", rirs, "--out", out["loop"]]
-    done = subprocess.run([*loop, rirs], capture_output=True, text=True, check=True)
+    loop = ["close-loop", "--max-effects", "0", "--test", str(where / "others"), "--out", out["loop"], rirs]
+    done = subprocess.run([sys.executable, "-m", "roomeq", *loop], capture_output=True, text=True, check=True)
     write_text(where / "close-loop.log", done.stderr)
     return where
 

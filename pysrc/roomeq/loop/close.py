@@ -23,6 +23,7 @@ from roomeq.loop.descriptions import describe_facing, describe_residual, effect_
 from roomeq.loop.examples import EXAMPLES_FILE, write_examples
 from roomeq.loop.facing import unknown_facings, with_estimated_facings
 from roomeq.loop.fit import fit
+from roomeq.loop.held_out import require_held_out
 from roomeq.loop.ledger import (
     LEDGER_FILE,
     RESIDUALS_FILE,
@@ -53,7 +54,7 @@ from roomeq.loop.selection import (
 )
 from roomeq.loop.session import Session, fit_base_model, refit_rendered, with_measured_effects
 from roomeq.loop.unexplained import find_unexplained
-from roomeq.loop.usable import require_enough_rooms, usable_rirs
+from roomeq.loop.usable import UsableRirs, require_enough_rooms, usable_rirs
 
 logger = logging.getLogger(__name__)
 SCATTERING = 0.3
@@ -80,11 +81,13 @@ def make(build: Build, directories: list[Path], test: list[Path], model: Path | 
     if not 0 <= max_effects <= len(CATALOGUE):
         raise ValueError(f"max_effects={max_effects} must lie in [0, {len(CATALOGUE)}]")
     base = Model() if model is None else read_model(model)
-    data = load_data(require_enough_rooms(directories, nj), scattering=SCATTERING, seed=seed, model=base, nj=nj)
-    for entry in data.left_out:
+    usable = require_enough_rooms(directories, nj)
+    for entry in usable.left_out:
         logger.info("left out %s", entry)
     # read before the loop, so that an invalid test set is reported at once and not after hours
-    test_data = _load_test_set(test, base, seed, nj) if test else None
+    usable_test = _usable_test_set(test, usable, nj) if test else None
+    data = load_data(usable, scattering=SCATTERING, seed=seed, model=base, nj=nj)
+    test_data = load_data(usable_test, scattering=SCATTERING, seed=seed, model=base, nj=nj) if usable_test else None
     ledger: dict = {}
     if build.run({"loop": None}, lambda _, __: {}):
         build.finish(lambda directory, _: ledger.update(_run(data, directories, directory, test_data, base,
@@ -92,16 +95,23 @@ def make(build: Build, directories: list[Path], test: list[Path], model: Path | 
     return ledger
 
 
-def _load_test_set(directories: Sequence[Path], base: Model, seed: int, nj: int) -> Data | None:
-    """Return the data of the test set, or None where no room can be scored."""
+def _usable_test_set(directories: Sequence[Path], rirs: UsableRirs, nj: int) -> UsableRirs | None:
+    """Return the usable RIRs of the test set, or None where no room can be scored.
+
+    Raises
+    ------
+    ValueError
+        See `usable_rirs`; or the test set shares recordings with the RIRs that the loop is closed on.
+    """
     usable = usable_rirs(directories, nj)
     for entry in usable.left_out:
         logger.info("test set: left out %s", entry)
+    require_held_out(usable.rirs, rirs.rirs, nj)
     if not usable.n_scored:
         logger.warning("%s: no room has two usable RIRs, one to calibrate it and one to score: the test set is not "
                        "scored", directories[0])
         return None
-    return load_data(usable, scattering=SCATTERING, seed=seed, model=base, nj=nj)
+    return usable
 
 
 def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None, base: Model, max_effects: int,
