@@ -17,7 +17,8 @@ stood. Each step is also a command; the commands are named beside them.
 # A folder of audio files and a ``manifest.csv``. The loop needs at least three rooms with two positions each, and of
 # each RIR the dimensions of the room and the positions of source and microphone, in metres from one corner. A height
 # that nobody measured is ``?``. Here two loudspeakers were recorded at four microphone positions in each room: ``ls1``
-# is dark and radiates mostly ahead, ``ls2`` is bright and radiates alike in all directions.
+# is dark and radiates mostly ahead, ``ls2`` is bright and radiates alike in all directions. ``dataset`` is the same in
+# both folders, as the devices are.
 
 import csv
 import json
@@ -61,8 +62,9 @@ for k, dims_m in enumerate(rooms_m):
             file = f"room{k}_{source_id}_{n}.wav"
             soundfile.write(work / folder / file, rir, 16000, subtype="FLOAT")
             manifests[folder].append(dict(
-                file=file, room_id=f"room{k}", room_dims_m=" ".join(map(str, dims_m)), source_id=source_id, mic_id="m1",
-                source_pos_m="{:.3f} {:.3f} {:.3f}".format(*source), mic_pos_m="{:.3f} {:.3f} ?".format(*mics[n])))
+                file=file, dataset="ours", room_id=f"room{k}", room_dims_m=" ".join(map(str, dims_m)),
+                source_id=source_id, mic_id="m1", source_pos_m="{:.3f} {:.3f} {:.3f}".format(*source),
+                mic_pos_m="{:.3f} {:.3f} ?".format(*mics[n])))
 for folder, rows in manifests.items():
     with open(work / folder / "manifest.csv", "w", newline="") as csv_file:
         writer = csv.DictWriter(csv_file, fieldnames=rows[0])

@@ -53,6 +53,7 @@ from roomeq.loop.selection import (
     weights_of,
 )
 from roomeq.loop.session import Session, fit_base_model, refit_rendered, with_measured_effects
+from roomeq.loop.shared_devices import warn_of_shared_devices
 from roomeq.loop.unexplained import find_unexplained
 from roomeq.loop.usable import UsableRirs, require_enough_rooms, usable_rirs
 
@@ -86,6 +87,7 @@ def make(build: Build, directories: list[Path], test: list[Path], model: Path | 
         logger.info("left out %s", entry)
     # read before the loop, so that an invalid test set is reported at once and not after hours
     usable_test = _usable_test_set(test, usable, nj) if test else None
+    warn_of_shared_devices(rir.row for of_set in (usable, usable_test) if of_set for rir in of_set.rirs)
     data = load_data(usable, scattering=SCATTERING, seed=seed, model=base, nj=nj)
     test_data = load_data(usable_test, scattering=SCATTERING, seed=seed, model=base, nj=nj) if usable_test else None
     ledger: dict = {}
