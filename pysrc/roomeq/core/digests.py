@@ -20,7 +20,8 @@ from roomeq.core.stamps import Stamp, read_stamp, require_as_stamped, require_au
 READ_IF_PRESENT = ("noises.jsonl", "rirs.jsonl", "segments", "spk2gender", "text", "utt2dur", "utt2lang", "utt2rir",
                    "utt2snr", "utt2uniq")
 """Tables that readers use where they are, also if somebody has put them beside the files of a step."""
-_NUMERICS = ("numba", "numpy", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
+_NUMERICS = ("espeakng-loader", "llvmlite", "numba", "numpy", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
+"""Packages whose version decides results: numerical libraries, the compiler of the kernels, and eSpeak NG."""
 
 
 def digest(path: Path) -> str:
@@ -218,7 +219,7 @@ def _is_among_files_below(path: Path, directory: str) -> bool:
 
 @cache
 def code_digest() -> str:
-    """Return a hash of the package's source and of the versions of Python and of the numerical libraries."""
+    """Return a hash of the package's source and of the versions of Python and of the packages in `_NUMERICS`."""
     total = hashlib.sha256(f"Python {sys.version_info[:2]}".encode())
     total.update(" ".join(_installed(_NUMERICS)).encode())
     total.update(source_digest(Path(__file__).parents[1]).encode())

@@ -224,6 +224,17 @@ def test_changed_code_or_package_data_remakes_the_directory(tmp_path, project_di
     assert make_squares(tmp_path / "a") == "made"
 
 
+@pytest.mark.parametrize("package", ["espeakng_loader", "llvmlite", "numba"])
+def test_another_version_of_a_library_changes_the_code_digest(package, tmp_path, monkeypatch):
+    before = code_digest()
+    (tmp_path / f"{package}-0.0.1.dist-info").mkdir()
+    monkeypatch.syspath_prepend(tmp_path)
+    code_digest.cache_clear()
+    after = code_digest()
+    code_digest.cache_clear()
+    assert after != before
+
+
 def test_input_remade_with_equal_content_has_equal_digest(tmp_path):
     make_squares(tmp_path / "in", v=1)
     first = digest(tmp_path / "in")
