@@ -133,11 +133,12 @@ def is_as_stamped(directory: Path, name: str, size: int, content_hash: str, stam
 def _is_older(directory: Path, name: str, stamped_ns: int) -> bool:
     """Tell whether a file, and each folder between it and its directory, was there before the stamp.
 
-    It is the inode's time that tells: what is moved to here keeps its time of modification. Links are not followed: a
-    link that was set later may lead to older files. Within a tick of the clock, times tell nothing.
+    It is the inode's time that tells: what is moved to here keeps its time of modification. Of a link, both its own and
+    that of what it leads to must tell: a link that was set later may lead to an older file, and a file behind an older
+    link may have changed since. Within a tick of the clock, times tell nothing.
     """
-    return all(os.lstat(directory / part).st_ctime_ns < stamped_ns for part in (Path(name), *Path(name).parents)
-               if part.name)
+    return all(look(directory / part).st_ctime_ns < stamped_ns for part in (Path(name), *Path(name).parents)
+               if part.name for look in (os.lstat, os.stat))
 
 
 def require_as_stamped(directory: Path, stamp: Stamp, *, quick: bool = True) -> None:

@@ -143,6 +143,28 @@ def test_input_that_is_not_as_it_was_made_is_refused(what, happened, tmp_path):
     assert make_squares(tmp_path / "out", inputs=[tmp_path / what]) == "made"
 
 
+def make_links(out, to):
+    build = Build(out, step="link", options={}, inputs=[])
+    if build.run({"a": to}, lambda name, target: os.symlink(target, build.work / name)):
+        build.finish(lambda directory, records: None)
+
+
+def test_changed_file_behind_a_link_is_noticed(tmp_path):
+    audio, folder = tmp_path / "audio.wav", tmp_path / "folder"
+    audio.write_text("1")
+    folder.mkdir()
+    (folder / "b.wav").write_text("1")
+    for target, file in ((audio, audio), (folder, folder / "b.wav")):
+        make_links(tmp_path / "links", target)
+        unchanged = digest(tmp_path / "links")
+        assert digest(tmp_path / "links") == unchanged
+        file.write_text("2")
+        os.utime(file, ns=(0, 0))
+        with pytest.raises(ValueError, match=r"links/a\S*: changed since it was made: run roomeq link again"):
+            digest(tmp_path / "links")
+        shutil.rmtree(tmp_path / "links")
+
+
 def test_listed_audio_that_is_not_as_it_was_made_is_refused(tmp_path):
     make_squares(tmp_path / "corpus/folder")
     (tmp_path / "corpus/.done").write_text("of another program")
