@@ -22,6 +22,8 @@ READ_IF_PRESENT = ("noises.jsonl", "rirs.jsonl", "segments", "spk2gender", "text
 """Tables that readers use where they are, also if somebody has put them beside the files of a step."""
 _NUMERICS = ("espeakng-loader", "llvmlite", "numba", "numpy", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
 """Packages whose version decides results: numerical libraries, the compiler of the kernels, and eSpeak NG."""
+_OFFSET = re.compile(r":\d+$")
+_SHELL_SYNTAX = re.compile(r"[\s|&;<>()`'\"]+")
 
 
 def digest(path: Path) -> str:
@@ -186,14 +188,30 @@ def names_in_entry(entry: str) -> set[str]:
     """Return names that may be those of files that an entry of `wav.scp` reads.
 
     They are the whole entry and its words, each also without a colon and a number at its end: they are the offset in an
-    archive, or part of the name.
+    archive, or part of the name. The entry is split at blanks, and again at quotes, brackets and the shell's operators
+    too, since a name may hold brackets. What follows the first ``=`` of a word is a word as well.
     """
+    words = [entry.strip(), *(word.rstrip("|") for word in entry.split()), *_SHELL_SYNTAX.split(entry)]
+    if {"'", '"', "\\"} & set(entry):
+        words += _unquoted(entry)
+    if "=" in entry:
+        words += [word.partition("=")[2] for word in words]
+    return {name for word in words if word for name in (word, _OFFSET.sub("", word))}
+
+
+def _unquoted(command: str) -> list[str]:
+    """Return the words of a command without their quotes, and those of commands in it, as of ``bash -c '...'``.
+
+    A command with a quote that does not end has none.
+    """
+    lexer = shlex.shlex(command, posix=True, punctuation_chars=True)
+    lexer.whitespace_split, lexer.commenters = True, ""
     try:
-        words = shlex.split(entry) if {"'", '"', "\\"} & set(entry) else entry.split()
+        words = list(lexer)
     except ValueError:
-        words = entry.split()
-    words = [entry.strip(), *words]
-    return {name for word in words for name in (word, re.sub(r":\d+$", "", word))}
+        return []
+    inner = [word for word in words if word != command and set(word) & set(" \t'\"\\")]
+    return words + [name for word in inner for name in _unquoted(word)]
 
 
 def files_below(directory: Path) -> list[Path]:

@@ -9,7 +9,7 @@ import pytest
 
 from roomeq.core import asking, build
 from roomeq.core.build import DONE_FILE, Build, share
-from roomeq.core.digests import audio_digest, code_digest, digest
+from roomeq.core.digests import audio_digest, code_digest, digest, names_in_entry
 from roomeq.core.files import read_json, write_json, write_text
 
 
@@ -196,6 +196,33 @@ def test_hidden_audio_of_an_input_is_in_its_digest(tmp_path, name, table, line):
     assert digest(tmp_path / "in") == before
     write_text(tmp_path / "in" / name, "2")
     assert digest(tmp_path / "in") != before
+
+
+@pytest.mark.parametrize("entry", [
+    "{}", "flac -c -d -s {}|", "cat {}|", "cat '{}'|", "bash -c 'flac -cds {}' |", "(flac -cds {}) |", "(cat '{}')|",
+    "{{ cat {};}}|", "cat <{}|", "cat $(ls {})|", "cat {}|sox -t wav - -t wav -|", "cat {}&&true|", "dd if={}|",
+    """bash -c "cat '{}'"|""", "{}:12", "wav-copy {}:12 -|"])
+@pytest.mark.parametrize("name", ["a.flac", "a=b{1}.flac"])
+def test_audio_that_a_command_reads_is_in_the_digest(tmp_path, entry, name):
+    path = tmp_path / "elsewhere" / name
+    write_text(path, "1")
+    write_text(tmp_path / "in/wav.scp", f"u1 {entry.format(path)}\n")
+    before = digest(tmp_path / "in")
+    assert digest(tmp_path / "in") == before
+    write_text(path, "2")
+    assert digest(tmp_path / "in") != before
+
+
+@pytest.mark.parametrize("entry, name", [
+    ("cat /x/a\\ b.flac|", "/x/a b.flac"),
+    ("(cat '/x/a b.flac')|", "/x/a b.flac"),
+    ("""bash -c "cat '/x/a b.flac' | sox - -" |""", "/x/a b.flac"),
+    ("cat '/x/a(b).flac'|", "/x/a(b).flac"),
+    ("/x/a(b).ark:55", "/x/a(b).ark"),
+    ("cat /x/it's.flac|", "/x/it's.flac"),
+])
+def test_names_in_an_entry(entry, name):
+    assert name in names_in_entry(entry)
 
 
 def test_damaged_stamp_is_refused(tmp_path):
