@@ -7,7 +7,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from functools import cache
 from pathlib import Path
 
@@ -20,6 +20,8 @@ from roomeq.core.stamps import Stamp, read_stamp, require_as_stamped, require_au
 READ_IF_PRESENT = ("noises.jsonl", "rirs.jsonl", "segments", "spk2gender", "text", "utt2dur", "utt2lang", "utt2rir",
                    "utt2snr", "utt2uniq")
 """Tables that readers use where they are, also if somebody has put them beside the files of a step."""
+_TABLES_OF_ROWS = ("rirs.jsonl", "noises.jsonl")
+"""Tables whose rows name audio."""
 _NUMERICS = ("espeakng-loader", "llvmlite", "numba", "numpy", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
 """Packages whose version decides results: numerical libraries, the compiler of the kernels, and eSpeak NG."""
 _OFFSET = re.compile(r":\d+$")
@@ -30,8 +32,9 @@ def digest(path: Path) -> str:
     """Return a hash of a file's content or of a directory's, and of the audio that the directory's tables name.
 
     A directory that a `Build` made is hashed by the content hashes in its stamp, once its files are found to be as the
-    stamp says, and by `READ_IF_PRESENT`; where it refers to audio elsewhere, by the stamp's key and the content of that
-    audio too. Any other directory is hashed by the content of all its files, and of the audio that its tables name.
+    stamp says, and by `READ_IF_PRESENT` and audio named there; where it refers to audio elsewhere, by the stamp's key
+    and the content of that audio too. Any other directory is hashed by the content of all its files, and of the audio
+    that its tables name.
 
     Raises
     ------
@@ -55,6 +58,7 @@ def digest(path: Path) -> str:
         content = {name: content_hash for name, (_, content_hash) in stamp.files.items()}
         content |= {name: hash_file(path / name) for name in READ_IF_PRESENT
                     if name not in content and (path / name).is_file()}
+        content |= _audio_of_added_rows(path, stamp)
     else:
         files = files_below(path)
         content = dict(zip((str(file.relative_to(path)) for file in files),
@@ -70,6 +74,21 @@ def digest(path: Path) -> str:
         for name, (_, content_hash) in audio.items():
             total.update(f"{name}\0{content_hash}\n".encode(errors="surrogateescape"))
     return total.hexdigest()
+
+
+def _audio_of_added_rows(directory: Path, stamp: Stamp) -> dict[str, str | None]:
+    """Return hashes, by name, of audio that a directory's stamp does not list and tables beside its files name.
+
+    Raises
+    ------
+    ValueError
+        A file has been lost or has changed since another step made it.
+    """
+    found = _audio_in_rows(directory, (table for table in _TABLES_OF_ROWS if table not in stamp.files))
+    found = {wav: path for wav, path in found.items() if wav not in stamp.files}
+    hashes = dict(zip(found, _hashes_of_audio(found.values()), strict=True))
+    _require_as_stamped_above((str(path), hashes[wav]) for wav, path in found.items())
+    return hashes
 
 
 def _require_as_stamped_above(hashes: Iterable[tuple[str, str | None]]) -> None:
@@ -148,20 +167,30 @@ def audio_elsewhere(directory: Path, out: Path | None = None) -> dict[str, tuple
     out : Path, optional
         Where the directory will lie.
     """
-    found = {}
-    for table in ("rirs.jsonl", "noises.jsonl"):
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-            for line in read_text(directory / table).splitlines():
-                wav = json.loads(line)["wav"]
-                found[wav] = physical(directory / wav)
+    found = _audio_in_rows(directory, _TABLES_OF_ROWS)
     with contextlib.suppress(OSError, ValueError):
         names = {name for entry in _entries(directory) for name in names_in_entry(entry)}
         found |= {name: Path(name) for name in sorted(names) if quick_look(Path(name))}
     own = [os.path.realpath(folder) for folder in (directory, out or directory)]
     found = {name: path for name, path in found.items() if not any(_is_among_files_below(path, one) for one in own)}
-    listed = hashlib.sha256("\n".join(map(str, found.values())).encode(errors="surrogateescape")).hexdigest()
-    hashes = hashes_of_input(listed, found.values())
+    hashes = _hashes_of_audio(found.values())
     return {name: (path, content_hash) for (name, path), content_hash in zip(found.items(), hashes, strict=True)}
+
+
+def _audio_in_rows(directory: Path, tables: Iterable[str]) -> dict[str, Path]:
+    """Return paths of the audio that rows of some of a directory's tables name, by that name."""
+    found = {}
+    for table in tables:
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            for line in read_text(directory / table).splitlines():
+                wav = json.loads(line)["wav"]
+                found[wav] = physical(directory / wav)
+    return found
+
+
+def _hashes_of_audio(paths: Collection[Path]) -> list[str | None]:
+    listed = hashlib.sha256("\n".join(map(str, paths)).encode(errors="surrogateescape")).hexdigest()
+    return hashes_of_input(listed, paths)
 
 
 def place_in_entries(directory: Path, out: Path) -> str:

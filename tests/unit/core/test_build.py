@@ -251,6 +251,30 @@ def test_files_beside_those_of_an_input_may_come_and_go(tmp_path):
     assert digest(tmp_path / "in") != first
 
 
+@pytest.mark.parametrize("wav", ["noise/hum.flac", "noise/../noise/hum.flac", "../elsewhere/hum.flac", ".hum.flac"])
+def test_audio_of_a_table_beside_the_files_of_an_input_is_in_its_digest(tmp_path, wav):
+    make_squares(tmp_path / "in")
+    write_text(tmp_path / "in/noise/hum.flac", "of somebody")
+    first = digest(tmp_path / "in")
+    write_text(tmp_path / "in/noises.jsonl", f'{{"id": "hum", "wav": "{wav}"}}\n{{"id": "n1", "wav": "n1.txt"}}\n')
+    digests = {first, digest(tmp_path / "in")}
+    for content in ("1", "2"):
+        write_text(tmp_path / "in" / wav, content)
+        digests.add(digest(tmp_path / "in"))
+        assert digest(tmp_path / "in") in digests
+    assert len(digests) == 4
+
+
+def test_audio_of_another_step_in_a_table_beside_files_is_to_be_as_it_was_made(tmp_path):
+    for name in ("in", "other"):
+        make_squares(tmp_path / name)
+    write_text(tmp_path / "in/noises.jsonl", '{"wav": "../other/n1.txt"}\n')
+    digest(tmp_path / "in")
+    (tmp_path / "other/n1.txt").write_text("7")
+    with pytest.raises(ValueError, match="other/n1.txt: changed since it was made: run roomeq square again"):
+        digest(tmp_path / "in")
+
+
 @pytest.mark.parametrize("changed_file", ["effects/base.py", "sim/materials.toml", "report/templates/page.html.j2"])
 def test_changed_code_or_package_data_remakes_the_directory(tmp_path, project_dir, monkeypatch, changed_file):
     package = shutil.copytree(project_dir / "pysrc/roomeq", tmp_path / "pysrc/roomeq")
