@@ -1,7 +1,8 @@
 """Upper bounds on what is read into memory, so that a broken or hostile header cannot make roomeq fill it.
 
 They are options of `roomeq` (``roomeq --max-audio-hours 24 VERB ...``) and reach worker processes and recipes as
-environment variables. Results do not depend on them.
+environment variables. What exceeds a bound is refused, so that results do not depend on them; only where a step leaves
+out what cannot be read (``--skip-bad``), the bound is one of its options.
 """
 
 import os

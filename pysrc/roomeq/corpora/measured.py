@@ -10,6 +10,7 @@ from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
 from roomeq.core.digests import audio_digest
 from roomeq.core.files import path_from, write_json
+from roomeq.core.limits import AUDIO_HOURS
 from roomeq.corpora.listing import list_corpus, list_noises, require_existing
 from roomeq.corpora.record import Corpus, Recording, is_generated
 from roomeq.records.rir_dir import rir_path, write_noises, write_rirs
@@ -107,8 +108,11 @@ def read_noises(source: Path, out: Path, *, skip_bad: bool = False, nj: int = 1)
     return _write(build, corpus, skip_bad, nj)
 
 
-def _build(out: Path, step: str, listed: dict[Path, list[Recording]], **options: Any) -> Build:
+def _build(out: Path, step: str, listed: dict[Path, list[Recording]], *, skip_bad: bool, **options: Any) -> Build:
     """Return the build of an output that depends on recordings, listed by the source that they come from."""
+    options["skip_bad"] = skip_bad
+    if skip_bad:  # recordings that are too long are left out
+        options["max_audio_hours"] = AUDIO_HOURS.value()
     # rows refer to audio by its path relative to `out`: they are out of date when the corpus has moved
     ways = [path_from(source, out) for source in listed]
     inputs, audio = [], []

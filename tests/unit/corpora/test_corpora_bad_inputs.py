@@ -83,6 +83,22 @@ def test_bad_noise_is_an_error_or_skipped(tmp_path, make, message):
     assert (tmp_path / "out" / "noises.jsonl").read_text().count("\n") == 1
 
 
+@pytest.mark.parametrize("read, table", [(read_measured, "rirs.jsonl"), (read_noises, "noises.jsonl")])
+def test_another_bound_on_the_length_changes_what_is_left_out(tmp_path, monkeypatch, read, table):
+    source, out = make_folder(tmp_path / "corpus"), tmp_path / "out"
+    put(source / "hall" / "long.wav", rir("long", 3200))
+    n_rows = []
+    for hours in (0.15 / 3600, 1, 0.15 / 3600):
+        monkeypatch.setenv("ROOMEQ_MAX_AUDIO_HOURS", str(hours))
+        read(source, out, skip_bad=True)
+        n_rows.append(len((out / table).read_text().splitlines()))
+    assert n_rows[0] == n_rows[1] - 1 == n_rows[2] > 0
+    monkeypatch.setenv("ROOMEQ_MAX_AUDIO_HOURS", "1")
+    made = (read(source, out) / ".done").stat().st_mtime_ns
+    monkeypatch.setenv("ROOMEQ_MAX_AUDIO_HOURS", "2")
+    assert (read(source, out) / ".done").stat().st_mtime_ns == made  # nothing is left out
+
+
 def test_duplicate_ids_name_both_files(tmp_path):
     source = make_folder(tmp_path / "corpus")
     put(source / "kitchen" / "near.flac")
