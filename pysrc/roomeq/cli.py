@@ -72,7 +72,10 @@ class Verb(click.Command):
         self.function = function
 
     def load(self) -> Callable[..., Any]:
-        """Import and return the function."""
+        """Import and return the function, after the hash of the code is taken, which may change meanwhile."""
+        from roomeq.core.digests import code_digest
+
+        code_digest()
         module, name = self.function.split(":")
         return getattr(importlib.import_module(f"roomeq.{module}"), name)
 

@@ -32,7 +32,15 @@ from pathlib import Path
 from typing import Any
 
 from roomeq.core.asking import NotUpToDate, only_asked
-from roomeq.core.digests import audio_elsewhere, code_digest, digest, files_below, place_in_entries, places_of
+from roomeq.core.digests import (
+    audio_elsewhere,
+    code_digest,
+    code_digest_now,
+    digest,
+    files_below,
+    place_in_entries,
+    places_of,
+)
 from roomeq.core.files import hash_file, listing_written, sync, to_json, write_json
 from roomeq.core.item_records import ItemRecord, is_as_recorded, is_whole, read_item_record, write_item_record
 from roomeq.core.kept_hashes import KeptHashes
@@ -44,6 +52,8 @@ logger = logging.getLogger(__name__)
 
 _RECORDS = ".items"
 MAX_JOBS = 1024
+
+code_digest()  # of the code as it is loaded: it may be another one on the disk once the inputs are hashed
 
 
 class Build:
@@ -119,10 +129,16 @@ class Build:
             ``"2/5"``: make only the second of five shares, and leave `finish` to a later call without `part`.
         nj : int
             Number of processes.
+
+        Raises
+        ------
+        ValueError
+            `part` or `nj` is out of range, or the code of roomeq has changed since this process started.
         """
         self._names = list(items)
         names = share(self._names, part)
         check_jobs(nj)
+        self._require_same_code()
         with self._lock(fcntl.LOCK_SH):
             if self._is_done(self.out) or self._is_done(self.work):
                 return part is None
@@ -158,7 +174,8 @@ class Build:
         Raises
         ------
         ValueError
-            Another run with other options put the directory in place meanwhile.
+            Another run with other options put the directory in place meanwhile, or the code of roomeq has changed
+            since this process started.
         """
         assembled = False
         with self._lock(fcntl.LOCK_EX):
@@ -224,11 +241,21 @@ class Build:
         for folder, _, _ in os.walk(self.work):
             sync(Path(folder))
         audio = audio_elsewhere(self.work, self.out) if self.refers else {}
+        try:
+            self._require_same_code()
+        except ValueError:
+            shutil.rmtree(self.work, ignore_errors=True)  # a part of it may be of the other code
+            raise
         write_json(self.work / DONE_FILE, stamp_content(
             format=FORMAT, step=self.step, options=self.options, key=self.key, refers=self.refers, files=files,
             audio={name: content_hash for name, (_, content_hash) in audio.items() if content_hash},
             place=place_in_entries(self.work, self.out)))
         sync(self.work)
+
+    def _require_same_code(self) -> None:
+        """Refuse to go on where the code on the disk is not that of the key: modules loaded later would be of it."""
+        if code_digest_now() != code_digest():
+            raise ValueError(f"{self.out}: the code of roomeq changed while it ran: start again")
 
     def _is_done(self, directory: Path) -> bool:
         try:

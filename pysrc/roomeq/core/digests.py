@@ -266,6 +266,14 @@ def _is_among_files_below(path: Path, directory: str) -> bool:
 
 @cache
 def code_digest() -> str:
+    """Return `code_digest_now` as it was when this process first asked.
+
+    It must ask before it loads the code that works, which stays as it was loaded.
+    """
+    return code_digest_now()
+
+
+def code_digest_now() -> str:
     """Return a hash of the package's source and of the versions of Python and of the packages in `_NUMERICS`."""
     total = hashlib.sha256(f"Python {sys.version_info[:2]}".encode())
     total.update(" ".join(_installed(_NUMERICS)).encode())

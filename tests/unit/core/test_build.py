@@ -5,9 +5,11 @@ import shutil
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from roomeq.core import asking, build
+from roomeq.core.audio import write_wav
 from roomeq.core.build import DONE_FILE, Build, share
 from roomeq.core.digests import audio_digest, code_digest, digest, names_in_entry
 from roomeq.core.files import read_json, write_json, write_text
@@ -293,8 +295,42 @@ def test_changed_code_or_package_data_remakes_the_directory(tmp_path, project_di
         source.write("# changed\n")
     changed = digest_of_copy()
     assert changed != code_digest()
-    monkeypatch.setattr(build, "code_digest", lambda: changed)
+    for name in ("code_digest", "code_digest_now"):
+        monkeypatch.setattr(build, name, lambda: changed)
     assert make_squares(tmp_path / "a") == "made"
+
+
+@pytest.mark.parametrize("when", ["inputs are hashed", "items are made", "files are put together"])
+def test_output_of_code_that_changes_meanwhile_is_refused(tmp_path, monkeypatch, when):
+    def change(now):
+        if when == now:
+            monkeypatch.setattr("roomeq.core.digests.source_digest", lambda *_: "other sources")
+
+    make_squares(tmp_path / "a", power=2)
+    build = Build(tmp_path / "a", step="square", options=dict(power=3), inputs=[])
+    change("inputs are hashed")
+    with pytest.raises(ValueError, match="a: the code of roomeq changed while it ran: start again"):
+        build.run({"n1": 1}, lambda name, number: change("items are made"))
+        build.finish(lambda directory, records: change("files are put together"))
+    monkeypatch.undo()
+    assert not build.work.exists()
+    assert make_squares(tmp_path / "a", power=2) == "up to date"
+
+
+def test_verb_takes_the_hash_of_the_code_before_it_loads_it(tmp_path, project_dir):
+    package = shutil.copytree(project_dir / "pysrc/roomeq", tmp_path / "pysrc/roomeq")
+    change = f"open({str(package / 'update.txt')!r}, 'w').close()\n"
+    (package / "corpora/__init__.py").write_text(change + (package / "corpora/__init__.py").read_text())
+    write_wav(tmp_path / "noises/hum.wav", np.ones(1600))
+
+    def read_noises():
+        return subprocess.run([sys.executable, "-m", "roomeq", "read-noises", tmp_path / "noises", tmp_path / "out"],
+                              env=os.environ | dict(PYTHONPATH=str(tmp_path / "pysrc")), stderr=subprocess.PIPE,
+                              text=True).stderr.splitlines()[-1]
+
+    assert read_noises() == f"roomeq: {tmp_path}/out: the code of roomeq changed while it ran: start again"
+    assert "hum" not in read_noises() and (tmp_path / "out/.done").is_file()
+    assert read_noises() == f"{tmp_path}/out: up to date"
 
 
 @pytest.mark.parametrize("package", ["espeakng_loader", "llvmlite", "numba"])
