@@ -86,7 +86,7 @@ class Decay:
         return power_db(self.edc[:1 + first_below(self.edc, 10.0 ** (0.1 * level_db))])
 
 
-def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float) -> Decay:
+def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float, *, noiseless: bool = False) -> Decay:
     """Integrate the squared response of one band backward, with compensation for noise and truncation.
 
     Parameters
@@ -98,6 +98,9 @@ def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float) -> Decay:
     direct_sample
         Arrival time of the direct sound in samples; see `roomeq.acoustics.direct.find_direct`. What comes before it by
         up to `roomeq.acoustics.octaves.LEAD_S` is counted as its energy.
+    noiseless
+        The response is known to have no noise, and to be over at its end: a tail that bends or consists of few
+        reflections is no noise floor.
 
     Returns
     -------
@@ -107,7 +110,7 @@ def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float) -> Decay:
     power = np.square(band)
     before = power[max(0, start - round(LEAD_S * fs_hz)):start]
     after = power[start:]
-    intersection = find_noise_intersection(after, fs_hz)
+    intersection = NoiseIntersection(len(after), 0.0, 0.0) if noiseless else find_noise_intersection(after, fs_hz)
     energy = net_energy(after[:intersection.sample], intersection.noise_power) + intersection.rest_energy
     total = energy[0] + before.sum()
     energy[0] = total
@@ -122,10 +125,10 @@ def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float) -> Decay:
 
 
 def octave_decays(rir: FloatArray, fs_hz: float, direct_sample: float,
-                  bands_hz: Sequence[float] | None = None) -> list[Decay]:
+                  bands_hz: Sequence[float] | None = None, *, noiseless: bool = False) -> list[Decay]:
     """Return the decay of each octave; see `energy_decay` and `roomeq.acoustics.octaves.octave_bands`."""
     lead = round(LEAD_S * fs_hz)
-    return [energy_decay(band, fs_hz, lead + max(0.0, direct_sample))
+    return [energy_decay(band, fs_hz, lead + max(0.0, direct_sample), noiseless=noiseless)
             for band in octave_bands(rir, fs_hz, bands_hz, lead=lead)]
 
 

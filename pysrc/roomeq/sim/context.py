@@ -84,7 +84,7 @@ class Response:
 
     @cached_property
     def _decay_times_s(self) -> tuple[float | None, float | None]:
-        return decay_times_s(self.rir, self.direct_sample, self.fs_hz)
+        return decay_times_s(self.rir, self.direct_sample, self.fs_hz, is_cut=self.is_cut)
 
 
 @dataclass(frozen=True)

@@ -34,9 +34,13 @@ def scaled_absorption(absorption: FloatArray, exponent: float) -> FloatArray:
     return 1.0 - (1.0 - np.minimum(absorption, 0.999)) ** exponent
 
 
-def decay_times_s(rir: FloatArray, direct_sample: float, fs_hz: float) -> tuple[float | None, float | None]:
-    """Return T20 and T30 at 1 kHz of a noiseless response; None where it does not decay so far."""
-    (decay,) = octave_decays(rir, fs_hz, direct_sample, [EXACT_BANDS_HZ[BAND_1KHZ]])
+def decay_times_s(rir: FloatArray, direct_sample: float, fs_hz: float, *, is_cut: bool = False
+                  ) -> tuple[float | None, float | None]:
+    """Return T20 and T30 at 1 kHz of a response without noise; None where it does not decay so far.
+
+    Of a response that is cut off, what lies beyond its end is estimated.
+    """
+    (decay,) = octave_decays(rir, fs_hz, direct_sample, [EXACT_BANDS_HZ[BAND_1KHZ]], noiseless=not is_cut)
     curve = decay.down_to_db(LOWEST_DB)
     return decay_time(curve, fs_hz, "t20"), decay_time(curve, fs_hz, "t30")
 
