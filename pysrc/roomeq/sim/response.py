@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomeq.core.arrays import FloatArray
+from roomeq.core.arrays import BoolArray, FloatArray
 from roomeq.core.constants import BAND_1KHZ
 from roomeq.core.rng import rng_for
 from roomeq.sim.context import (
@@ -214,7 +214,8 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
 
     Echograms of a path sample and the noise of the tail predict how T30 changes with absorption. Where T30 of the
     rendered responses is another one, they are rendered again. All paths are followed where the absorption is far from
-    that for which the samples were drawn, unless microphones are directive.
+    that for which the samples were drawn, unless microphones are directive. Microphones so close to the source that its
+    direct sound hides the decay (`hides_decay`) do not count, unless all are.
 
     Parameters
     ----------
@@ -237,15 +238,16 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
     context = make_render_context(traced, mics_m, rngs, **(_DEFAULTS | options))
     base = traced.scene.absorption if absorption is None else absorption
     guess = eyring_exponent(traced.scene, target_s, base)
+    close = hides_decay(traced.scene, np.linalg.norm(context.mics_m - traced.source_pos_m, axis=1), target_s)
+    used = np.arange(len(rngs)) if close.all() else np.flatnonzero(~close)
     # of microphones that hear alike, one is enough
-    hears_like = (np.arange(len(rngs)) if any(context.mic_directivities)
-                  else sharing(traced.scene.room, context.mics_m))
+    hears_like = used if any(context.mic_directivities) else used[sharing(traced.scene.room, context.mics_m[used])]
     chosen, n_alike = np.unique(hears_like, return_counts=True)
     search = context.of_mics(chosen.tolist())
     if search.path_samples is None:
         search = replace(search, path_samples=search.sample_paths(
             scaled_absorption(base, guess)[:, BAND_1KHZ], [rngs[mic] for mic in chosen]))
-    of_noises = np.array([noise_per_frame(noise, context.n_frames, traced.scene.fs_hz) for noise in context.noises])
+    of_noises = np.array([noise_per_frame(context.noises[mic], context.n_frames, traced.scene.fs_hz) for mic in used])
     of_noise = np.array([of_noises[hears_like == mic].mean(axis=0) for mic in chosen])
 
     @cache
@@ -277,7 +279,7 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
                 break
             exponent = predicted.exponent
         made = render(exponent)
-        time_s = _mean_t30_s(made)
+        time_s = _mean_t30_s([made[mic] for mic in used])
         if time_s is None:
             break
         rendered.append(Trial(exponent, time_s))
@@ -290,11 +292,28 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
     if best is None or abs(best.time_s / target_s - 1.0) > TOLERANCE:
         result = "cannot be measured" if best is None else f"comes to {best.time_s:.3g} s at best"
         raise ValueError(f"target_t60_s={target_s:.3g} is out of reach: T30 at 1 kHz {result} with these materials, "
-                         f"scaled {len(rendered)} times: choose other materials or another target")
-    if not all(decays_straight(response.t20_s, response.t30_s) for response in responses):
+                         f"scaled {len(rendered)} times: {_remedy(close)}")
+    if not all(decays_straight(responses[mic].t20_s, responses[mic].t30_s) for mic in used):
         raise ValueError(f"target_t60_s={target_s:.3g} was met by a decay that is no straight line: T20 and T30 at "
-                         f"1 kHz differ by more than {STRAIGHT:.0%}: choose other materials or another target")
+                         f"1 kHz differ by more than {STRAIGHT:.0%}: {_remedy(close)}")
     return responses
+
+
+def hides_decay(scene: Scene, distance_m: FloatArray, t60_s: float) -> BoolArray:
+    """Tell at which distances from a source its direct sound lies 20 dB or more above the diffuse sound of a room.
+
+    T20 then holds 5 dB of the decay or less. Both are equal at the critical distance, ``sqrt(A / (16 pi))`` (Kuttruff,
+    Room Acoustics, ch. 5), with the absorption area A by Sabine's formula.
+    """
+    area_m2 = 24.0 * np.log(10.0) * scene.room.volume_m3 / (scene.air.speed_m_s * t60_s)
+    return area_m2 / (16.0 * np.pi * np.square(distance_m)) >= 100.0
+
+
+def _remedy(close: BoolArray) -> str:
+    if close.all():
+        return ("the direct sound hides the decay at all microphones: add one further away, which may be dropped, or "
+                "choose another target")
+    return "choose other materials or another target"
 
 
 def _mean_t30_s(responses: Sequence[Response]) -> float | None:
@@ -397,7 +416,7 @@ def needed_length_s(scene: Scene, target_s: float | None = None, order: int = OR
     exponent = 1.0 if target_s is None else eyring_exponent(scene, target_s)
     absorption = scaled_absorption(scene.absorption, exponent)
     decay_1khz_s = _decay_lengths_s(scene, absorption)[BAND_1KHZ]
-    if decay_1khz_s > MAX_LENGTH_S:
+    if decay_1khz_s > MAX_LENGTH_S + 1e-6:
         logger.warning("responses of %.1f s or less do not hold a decay by 60 dB, which takes %.1f s at 1 kHz",
                        MAX_LENGTH_S, decay_1khz_s)
     decay_s = decay_length_s(scene, absorption)
