@@ -65,7 +65,7 @@ class Loudspeaker:
     membrane_radius_m: float = 0.05
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "facing", unit(self.facing))
+        object.__setattr__(self, "facing", tuple(unit(self.facing).tolist()))  # may be compared and hashed
         for name in ("radius_m", "membrane_radius_m"):
             if not is_number(getattr(self, name)):
                 raise ValueError(f"{name}={getattr(self, name)!r} must be a number [m]: correct it")

@@ -38,7 +38,7 @@ class FirstOrder:
     facing: Sequence[float] | FloatArray
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "facing", unit(self.facing))
+        object.__setattr__(self, "facing", tuple(unit(self.facing).tolist()))  # may be compared and hashed
         known = self.pattern in PATTERNS if isinstance(self.pattern, str) else is_number(self.pattern)
         if not known:
             raise ValueError(f"pattern={self.pattern!r} must be one of {', '.join(PATTERNS)}, or a share in [0, 1]: "
@@ -105,7 +105,7 @@ class DirectivityTable:
         object.__setattr__(self, "directions", directions / np.linalg.norm(directions, axis=1, keepdims=True))
         object.__setattr__(self, "frequencies_hz", frequencies_hz)
         object.__setattr__(self, "gains_db", gains_db)
-        object.__setattr__(self, "facing", unit(self.facing))
+        object.__setattr__(self, "facing", tuple(unit(self.facing).tolist()))  # may be compared and hashed
         object.__setattr__(self, "up", unit(self.up))
         if np.linalg.norm(np.cross(self.facing, self.up)) < 1e-6:
             raise ValueError(f"up={list(self.up)} must not be parallel to facing={list(self.facing)}: choose another")

@@ -245,7 +245,7 @@ def check_positions(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike) -
 def require_apart(source_pos_m: ArrayLike, mic_pos_m: ArrayLike) -> None:
     """Raise ValueError unless source and microphone, shape (3,) each, keep a minimum distance from each other."""
     distance_m = float(np.linalg.norm(np.subtract(source_pos_m, mic_pos_m)))
-    if distance_m < MIN_DISTANCE_M:
+    if distance_m < MIN_DISTANCE_M - 1e-9:  # coordinates are rounded
         raise ValueError(f"source and microphone are {distance_m:g} m apart and must be at least "
                          f"{MIN_DISTANCE_M:g} m: correct the positions")
 
