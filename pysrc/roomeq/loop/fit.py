@@ -23,7 +23,7 @@ from roomeq.effects.base import Effect
 from roomeq.loop.data import Data
 from roomeq.loop.features import HAS_GAIN, N_FEATURES
 from roomeq.loop.likelihood import NormalEquations, all_normal_equations, misfit, scatter
-from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, Derivatives, Linearization, ParameterIndex
+from roomeq.loop.packing import LEVEL_KINDS, N_SURFACE, OWN_SCOPES, Derivatives, Linearization, ParameterIndex
 from roomeq.loop.predict import N_BANDS
 
 ITERATIONS = 5
@@ -188,15 +188,22 @@ def shared_prior(index: ParameterIndex, start: Sequence[Any], x: float) -> Share
     return SharedPrior(mean, precision)
 
 
-def estimate_gains(index: ParameterIndex, correction: FloatArray, mean: FloatArray, local: list[FloatArray]) -> None:
-    """Set the gains of chains, rooms and single RIRs in `local` to the median residual of features that have them."""
+def estimate_gains(index: ParameterIndex, correction: FloatArray, mean: FloatArray, local: list[FloatArray],
+                   valid: BoolArray | None = None) -> None:
+    """Set the gains of chains, rooms and single RIRs in `local` to the median residual of features that have them.
+
+    `valid`, shape (n_rirs, n_features), says which features count, by default those of the data. A gain without any is
+    left as it is.
+    """
+    valid = index.data.valid if valid is None else valid
     predicted = index.predict(index.absorption(mean, local), index.vectors(mean, local),
                               np.zeros(len(index.data.rows)), correction)
-    residual = np.where(index.data.valid & HAS_GAIN, index.data.features - predicted, np.nan)
+    residual = np.where(valid & HAS_GAIN, index.data.features - predicted, np.nan)
     for r, (members, design) in enumerate(zip(index.members, index.gain_design, strict=True)):
-        for n in np.flatnonzero(np.isin(index.gain_kind[r], (0, 3))):
+        for n in np.flatnonzero(np.isin(index.gain_kind[r], LEVEL_KINDS)):
             of_gain = residual[members[design[:, n] > 0.0]]
-            local[r][N_SURFACE + n] = np.nanmedian(of_gain) if np.isfinite(of_gain).any() else 0.0
+            if np.isfinite(of_gain).any():
+                local[r][N_SURFACE + n] = np.nanmedian(of_gain)
 
 
 def start_from_measured(index: ParameterIndex, mean: FloatArray, local: list[FloatArray],

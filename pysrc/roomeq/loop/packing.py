@@ -48,6 +48,8 @@ N_SURFACE = 2 * N_BANDS
 GAIN_KINDS = ("chain", "source", "mic", "rir")
 """Kinds of gains: of a chain or a room, the deviations of a source and of a microphone from it, and that of a single
 RIR whose level says nothing."""
+LEVEL_KINDS = (GAIN_KINDS.index("chain"), GAIN_KINDS.index("rir"))
+"""Kinds of gains of which each RIR has one, to which those of source and microphone may be added."""
 _STEP = 0.003  # of numerical derivatives, in units of a vector's spread; with ten times as much steps went uphill
 _SAME_JND = 0.03
 """Change of the features (rms) over which derivatives are taken as constant."""

@@ -9,7 +9,8 @@ leave_positions_out
     with a single RIR is not scored.
 leave_room_out
     The one half gives only the reverberation time at 1 kHz, the gains, and the noise of the recordings, which is no
-    property of the room; all else comes from the other rooms.
+    property of the room; all else comes from the other rooms. The direct sound tells the gains, or all levels where no
+    direct sound is valid.
 """
 
 from collections.abc import Callable, Collection, Sequence

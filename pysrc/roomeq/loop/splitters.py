@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import connected_components
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
 from roomeq.core.constants import BAND_1KHZ
 from roomeq.loop.data import Data
-from roomeq.loop.features import CALIBRATION_FEATURES, N_FEATURES
+from roomeq.loop.features import CALIBRATION_FEATURES, HAS_GAIN, N_FEATURES
 from roomeq.loop.fit import (
     CONVERGED,
     DAMPING,
@@ -38,7 +38,7 @@ from roomeq.loop.fit import (
     start_from_measured,
 )
 from roomeq.loop.likelihood import NormalEquations, all_normal_equations, huber_root, normal_equations
-from roomeq.loop.packing import N_SURFACE, OWN_SCOPES, Linearization, ParameterIndex
+from roomeq.loop.packing import GAIN_KINDS, LEVEL_KINDS, N_SURFACE, OWN_SCOPES, Linearization, ParameterIndex
 from roomeq.loop.predict import N_BANDS, ReflectedEnergy
 from roomeq.loop.session import Session
 
@@ -255,12 +255,32 @@ def _visible(index: ParameterIndex, known: list[IntArray], features: BoolArray) 
     return mask
 
 
+def _levels_for_gains(index: ParameterIndex, known: list[IntArray], visible: BoolArray) -> BoolArray:
+    """Return the valid levels that set gains which no visible level tells, shape (n_rirs, n_features).
+
+    They are those of the known RIRs with that gain, or those of the RIR itself where the gain is its own: such an RIR
+    says nothing of its level anyway. Without them, RIRs whose direct sound is hidden or lost in the noise would have a
+    gain of 0 dB, and errors that depend on the gain of the recording.
+    """
+    valid = index.data.valid & HAS_GAIN
+    told: BoolArray = np.any(valid & visible, axis=1)
+    levels = np.zeros_like(valid)
+    for r, (members, of_room) in enumerate(zip(index.members, known, strict=True)):
+        for n in np.flatnonzero(np.isin(index.gain_kind[r], LEVEL_KINDS)):
+            with_gain = members[index.gain_design[r][:, n] > 0.0]
+            if not told[with_gain].any():
+                rirs = with_gain if GAIN_KINDS[index.gain_kind[r][n]] == "rir" else np.intersect1d(with_gain, of_room)
+                levels[rirs] = valid[rirs]
+    return levels
+
+
 def calibrate(session: Session, held_out: list[HeldOutRoom], known: list[IntArray],
               usable: Usable = EVERY_FEATURE) -> Calibration:
     """Estimate the parameters of each room from some of its RIRs, given what the other rooms say about the shared ones.
 
     A loudspeaker that is in one room only is unknown to the other rooms: the RIRs of that room tell its parameters. A
-    shared parameter that many rooms determine hardly changes.
+    shared parameter that many rooms determine hardly changes. Gains of which no usable feature tells follow last, from
+    other levels (`_levels_for_gains`), which change nothing else.
 
     Parameters
     ----------
@@ -273,6 +293,7 @@ def calibrate(session: Session, held_out: list[HeldOutRoom], known: list[IntArra
     data, fitted, index = session.data, session.fit, session.index
     residual, valid = data.residual(fitted.predicted)
     visibles = [_visible(index, known, features) for features in usable.stages]
+    levels = _levels_for_gains(index, known, visibles[-1])
     absorption, vectors, gains = np.empty((len(fitted.local), 2, N_BANDS)), [], np.empty(len(data.rows))
     for r, (local, room) in enumerate(zip(fitted.local, held_out, strict=True)):
         n, n_all = len(local), len(local) + index.n_shared
@@ -287,6 +308,8 @@ def calibrate(session: Session, held_out: list[HeldOutRoom], known: list[IntArra
         absorption[r] = index.absorption(mean, all_local)[r]
         vectors.append(index.vectors(mean, all_local))
         members = data.room == r
+        if levels[members].any():
+            estimate_gains(index, session.correction, mean, all_local, levels & members[:, None])
         gains[members] = index.gains(all_local)[members]
     _search_rirs(session, held_out, known, usable, vectors, gains)
     return Calibration(absorption, vectors, gains)
@@ -371,7 +394,7 @@ def transfer_shared(session: Session, index: ParameterIndex) -> SharedPrior:
 
 def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correction: FloatArray, known: list[IntArray],
                 usable: Usable = EVERY_FEATURE, threads: int = 1) -> tuple[FloatArray, list[FloatArray]]:
-    """Estimate the parameters of rooms that a fit has not seen, from some of their RIRs.
+    """Estimate the parameters of rooms that a fit has not seen, from some of their RIRs; gains as in `calibrate`.
 
     Parameters
     ----------
@@ -406,6 +429,9 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
     for features in usable.stages:
         mean, local = _converged(index, fitted, prior, precision, correction, mean, local,
                                  _visible(index, known, features), usable.of_surfaces, threads)
+    levels = _levels_for_gains(index, known, visible)
+    if levels.any():
+        estimate_gains(index, correction, mean, local, levels)
     return mean, local
 
 
