@@ -24,13 +24,14 @@ from roomeq.loop.features import METRIC, Features, feature_slice, measure_featur
 from roomeq.loop.geometry import Estimate, complete_geometry
 from roomeq.loop.measurability import comparable_levels, limit_to_excitation
 from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, decay_range_s, draw_path_samples
-from roomeq.loop.tables import ANGLES, FRAME_MID_S, Table, collect, level_surfaces
+from roomeq.loop.tables import ANGLES, Table, collect, frame_edges_s, level_surfaces
 from roomeq.loop.traces import StoredTrace, TraceFolder, without_paths
 from roomeq.loop.usable import LeftOut, UsableRirs
 from roomeq.records.rir_dir import load_rir
 from roomeq.records.schema import RirRow, unit_name
 from roomeq.sim.geometry import Place, find_place
 from roomeq.sim.path_sample import PathSample
+from roomeq.sim.render import MAX_LENGTH_S
 from roomeq.sim.response import trace_source
 from roomeq.sim.room import Room
 from roomeq.sim.scene import Air, Material, Scene, uniform_absorption
@@ -44,8 +45,10 @@ neither."""
 SAME_PLACE_M = 0.15
 """Positions of a source that are closer than this are taken as one: positions are known to some centimetres."""
 _MOVED_M = 0.02  # from which on it is said that a position is moved
-LENGTHS_S = (0.4, 3.0)
+LENGTHS_S = (0.4, MAX_LENGTH_S)
 """Limits of the length to which rays are traced."""
+_MARGIN_TO_S = 3.0
+"""Length up to which rays are traced beyond a decay by 60 dB, which is more than T30 needs: long traces take memory."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +132,16 @@ class Data:
     axis: IntArray = field(default_factory=lambda: np.empty(0, dtype=int))
 
     angles = ANGLES
-    frame_mid_s = FRAME_MID_S
+
+    @cached_property
+    def frame_edges_s(self) -> FloatArray:
+        """Edges of the frames of the reflected energy, shape (n_frames + 1,) (`roomeq.loop.tables.frame_edges_s`)."""
+        return frame_edges_s(self.tables)
+
+    @cached_property
+    def frame_mid_s(self) -> FloatArray:
+        """Middle of each frame, shape (n_frames,)."""
+        return 0.5 * (self.frame_edges_s[1:] + self.frame_edges_s[:-1])
 
     @cached_property
     def given_to(self) -> list[tuple[Effect, IntArray]]:
@@ -297,7 +309,10 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
             logger.warning("no decay time of room %s is valid, as recordings are too short or too noisy: rays are "
                            "traced for one of up to %g s", room_id, UNKNOWN_DECAYS_S[1])
             decays_s = UNKNOWN_DECAYS_S
-        length_s = float(np.clip(1.2 * decays_s[1] + 0.1, *LENGTHS_S))
+        if decays_s[1] > LENGTHS_S[1]:
+            logger.warning("room %s decays for %.1f s, and rays are traced for %g s at most: its late decay is that of "
+                           "a shorter one", room_id, decays_s[1], LENGTHS_S[1])
+        length_s = _traced_length_s(decays_s[1])
         # twice as long, for octaves without a valid decay time
         expected = uniform_absorption(place.room, 2.0 * decays_s[1], scene.air.speed_m_s)
         source = trace_source(scene, source_pos_m, num_rays=NUM_RAYS, max_length_s=length_s,
@@ -345,6 +360,11 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
                 distance_m=distance_m, rendered_changes={},
                 given=[model.for_row(row, seed) for row in rows], documented_dims_m=[],
                 estimates=[], left_out=[], seed=seed)
+
+
+def _traced_length_s(decay_s: float) -> float:
+    """Return the length to which rays are traced for the longest decay time of a source."""
+    return float(np.clip(min(1.2 * decay_s + 0.1, max(decay_s, _MARGIN_TO_S)), *LENGTHS_S))
 
 
 def _surface_per_m(room: Room) -> FloatArray:

@@ -33,7 +33,7 @@ from roomeq.loop.features import (
     QUIET,
     feature_slice,
 )
-from roomeq.loop.tables import FRAME_EDGES_S, FRAME_MID_S, LEVEL_SHARES
+from roomeq.loop.tables import FRAME_EDGES_S, LEVEL_SHARES
 
 N_BANDS = len(EXACT_BANDS_HZ)
 _db = partial(power_db, floor=FLOOR_POWER)
@@ -82,20 +82,21 @@ def base_state(data: Data, absorption: FloatArray) -> PredictionState:
 
 
 def reflected_energy(data: Data, state: PredictionState) -> FloatArray:
-    """Return the energy of all but the direct sound, shape (n_rirs, N_FRAMES, 8).
+    """Return the energy of all but the direct sound, shape (n_rirs, n_frames, 8).
 
     Frames are lengths of paths, given in seconds at the declared speed of sound.
     """
     share = LEVEL_SHARES[:, None]
     # share of the energy that each reflection leaves, shape (n_rirs, 6, 8)
     kept = np.exp(-state.absorption[:, :1] * (1.0 - share) - state.absorption[:, 1:] * share)
-    energy = np.zeros((len(kept), len(FRAME_MID_S), N_BANDS))
+    edges_s = data.frame_edges_s
+    energy = np.zeros((len(kept), len(edges_s) - 1, N_BANDS))
     for i, table in enumerate(data.tables):
         angular, ray_gain = _OMNIDIRECTIONAL, _OMNIDIRECTIONAL
         if state.ray_gain is not None and table.angular is not None:
             angular, ray_gain = table.angular, state.ray_gain[i]
         _add_up(table.entries, table.counts, angular, ray_gain, kept[i], energy[i])
-    length_m = data.distance_m[:, None] + FRAME_MID_S * data.speed_m_s[:, None]
+    length_m = data.distance_m[:, None] + 0.5 * (edges_s[1:] + edges_s[:-1]) * data.speed_m_s[:, None]
     energy *= np.exp(-length_m[:, :, None] * state.air_per_m[:, None, :])
     if not state.decays:
         return energy
@@ -103,7 +104,7 @@ def reflected_energy(data: Data, state: PredictionState) -> FloatArray:
     for decay, rows in state.decays:
         air = state.speed_m_s[rows][:, None], state.air_per_m[rows]
         rate = decay.rate_per_s(*air) * (data.speed_m_s / state.speed_m_s)[rows][:, None]
-        left = np.exp(-FRAME_EDGES_S[:, None] * rate[:, None, :])
+        left = np.exp(-edges_s[:, None] * rate[:, None, :])
         energy[rows] += (decay.energy_ratio(t60_s[rows], *air) * whole[rows])[:, None, :] * (left[:, :-1] - left[:, 1:])
     return energy
 
@@ -120,7 +121,7 @@ class ReflectedEnergy:
     """Energy of all but the direct sound, as features need it; states that differ only in other things share it."""
 
     def __init__(self, data: Data, state: PredictionState) -> None:
-        self._energy = reflected_energy(data, state)
+        self._energy, self._edges_s = reflected_energy(data, state), data.frame_edges_s
         self._gates_s = [seconds * state.speed_m_s / data.speed_m_s for seconds in (DIRECT_S, EARLY_S, LATE_S)]
         self._gain: FloatArray | None = None
         self._levels = self._measured(self._energy)
@@ -154,7 +155,7 @@ class ReflectedEnergy:
         self.levels(gain)
         if not _same(direct, self._direct):
             self._direct, energy = direct, self._gained()
-            _decay_times(direct, energy, FRAME_EDGES_S, _PULSE_S, self._times_s)
+            _decay_times(direct, energy, self._edges_s, _PULSE_S, self._times_s)
         return self._times_s
 
 

@@ -33,10 +33,10 @@ from roomeq.sim.room import Room
 
 FRAME_EDGES_S = np.concatenate([
     [0.0, 2.5e-3, 5e-3, 7.5e-3], np.arange(0.01, 0.05, 0.005), np.arange(0.05, 0.3, 0.01),
-    0.3 * 1.06 ** np.arange(48)])
-"""Edges of the frames after the direct sound [s]; fine where features have their gates."""
-FRAME_MID_S = 0.5 * (FRAME_EDGES_S[1:] + FRAME_EDGES_S[:-1])
-N_FRAMES = len(FRAME_EDGES_S) - 1
+    0.3 * 1.06 ** np.arange(66)])
+"""Edges of the frames after the direct sound [s]; fine where features have their gates. They end at 13.2 s."""
+_USUAL_EDGES = int(np.searchsorted(FRAME_EDGES_S, 4.7))
+"""Edges that are used where no response is longer, as in most sets: more would take time."""
 ANGLES = np.linspace(0.0, np.pi, 9)
 """Grid of the angle between a ray's departure and the direction that the source faces [rad]."""
 LEVEL_SHARES = np.linspace(0.0, 1.0, 6)
@@ -99,6 +99,16 @@ class _Receiver(NamedTuple):
     frame_of_tick: IntArray
 
 
+def frame_edges_s(tables: Sequence[Table]) -> FloatArray:
+    """Return the edges of the frames that some tables need, shape (n_frames + 1,), the first of `FRAME_EDGES_S`."""
+    n_frames = max(int(table.entries[:, 0].max(initial=-1)) + 1 for table in tables)
+    return _edges_up_to(FRAME_EDGES_S[n_frames])
+
+
+def _edges_up_to(length_s: float) -> FloatArray:
+    return FRAME_EDGES_S[:_USUAL_EDGES] if length_s <= FRAME_EDGES_S[_USUAL_EDGES - 1] else FRAME_EDGES_S
+
+
 def collect(traced: TracedSource, mics_m: ArrayLike, facings: Sequence[FloatArray | None]) -> list[Table]:
     """Collect the ray contributions of a traced source to its microphones.
 
@@ -117,7 +127,8 @@ def collect(traced: TracedSource, mics_m: ArrayLike, facings: Sequence[FloatArra
     visible = reflection_visibility(paths, room, mics_m, max_path_m=n_frames * FRAME_S * speed_m_s)
     sees = np.ones(len(mics_m), dtype=bool) if room.convex else cast(MeshRoom, room).sees(
         np.tile(source_pos_m, (len(mics_m), 1)), mics_m)
-    frame_of_tick = np.searchsorted(FRAME_EDGES_S, (np.arange(int(FRAME_EDGES_S[-1] / _TICK_S)) + 0.5) * _TICK_S) - 1
+    edges_s = _edges_up_to(traced.max_length_s)
+    frame_of_tick = np.searchsorted(edges_s, (np.arange(int(edges_s[-1] / _TICK_S)) + 0.5) * _TICK_S) - 1
     radii_m, volumes_m3 = receiver_spheres(room, mics_m)
     rays = _Rays(paths.hits, paths.codes, paths.first, paths.counts, paths.normals,
                  level_surfaces(room)[paths.face_surface], float(paths.scattering[0]))
@@ -128,7 +139,7 @@ def collect(traced: TracedSource, mics_m: ArrayLike, facings: Sequence[FloatArra
         receiver = _Receiver(mic_m, visible[m] if len(visible) else np.zeros(0, dtype=np.uint8), radii_m[m],
                              1.0 / volumes_m3[m], distance_m, 1.0 / (speed_m_s * _TICK_S), frame_of_tick)
         angle_node = _angles(paths.directions, facing) / (np.pi / (len(ANGLES) - 1))
-        counts = np.zeros((N_FRAMES, int(paths.counts.max()) + 1, len(LEVEL_SHARES)))
+        counts = np.zeros((len(edges_s) - 1, int(paths.counts.max()) + 1, len(LEVEL_SHARES)))
         angular = np.zeros((*counts.shape[:2], 0 if facing is None else len(ANGLES)))
         _count(rules, rays, receiver, angle_node, counts, angular)
         entries = np.argwhere(counts.any(axis=2))
@@ -180,8 +191,8 @@ def _count(rules: Rules, rays: _Rays, receiver: _Receiver, angle_node: FloatArra
     receiver : _Receiver
     angle_node : ndarray, shape (n_rays,)
         Angle of departure of each ray, in steps of `ANGLES`.
-    counts : ndarray, shape (N_FRAMES, n_reflections, 6)
-    angular : ndarray, shape (N_FRAMES, n_reflections, 9 or 0)
+    counts : ndarray, shape (n_frames, n_reflections, 6)
+    angular : ndarray, shape (n_frames, n_reflections, 9 or 0)
     """
     hits, mic, frame_of_tick, distance_m = rays.hits, receiver.position_m, receiver.frame_of_tick, receiver.distance_m
     all_visible, n_ticks, directive = len(receiver.visible) == 0, len(frame_of_tick), angular.shape[2] > 0

@@ -4,11 +4,13 @@ from itertools import permutations
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from plans import L_PLAN, prism_obj
 from rirmaker import coloured_rir, write_rir_dir
 
-from roomeq.loop.data import SAME_PLACE_M, Data, _merge_sources, _Recording, load_data
-from roomeq.loop.features import METRIC
+from roomeq.loop.data import SAME_PLACE_M, Data, _merge_sources, _Recording, _traced_length_s, load_data
+from roomeq.loop.features import BAND_OF_FEATURE, METRIC
+from roomeq.loop.session import fit_base_model
 from roomeq.loop.usable import usable_rirs
 from roomeq.sim.geometry import Place
 from roomeq.sim.scene import Shoebox
@@ -48,3 +50,31 @@ def test_direct_sound_of_a_hidden_source_is_not_scored(tmp_path):
     assert [row["id"] for row in data.rows] == ["free", "hidden"]
     assert data.valid[0, shows_direct].any() and not data.valid[1, shows_direct].any()
     assert data.valid[1, METRIC == "c50"].any()
+
+
+@pytest.mark.parametrize("decay_s, length_s", [(0.2, 0.4), (1.0, 1.3), (2.8, 3.0), (3.0, 3.0), (7.0, 7.0),
+                                               (20.0, 13.1)])
+def test_rays_are_traced_for_the_decay_with_a_margin_up_to_3_s(decay_s, length_s):
+    assert _traced_length_s(decay_s) == pytest.approx(length_s)
+
+
+def test_decay_times_of_long_decays_are_predicted(tmp_path):
+    rows = [dict(id=f"{room}{n}", wav=f"{room}{n}.wav", room_id=room, source_id="s", mic_id="m", room_dims_m=dims_m,
+                 source_pos_m=[2.0, 1.5, 1.5], mic_pos_m=[5.0 + n, 4.0, 1.3], source_dir=[1.0, 0.0, 0.0])
+            for room, dims_m in (("a", [12.0, 9.0, 5.0]), ("b", [10.0, 11.0, 6.0]), ("c", [14.0, 8.0, 5.5]))
+            for n in range(2)]
+    rirs = [(row, coloured_rir(n, time_s=8.0, length_s=10.0)) for n, row in enumerate(rows)]
+    data = load_data(usable_rirs([write_rir_dir(tmp_path / "rirs", rirs)]), scattering=0.3, seed=0)
+    # air alone decays faster at high frequencies
+    decays = np.isin(METRIC, ("t20", "t30")) & (BAND_OF_FEATURE < 6)
+    errors = np.abs(fit_base_model(data, seed=0, nj=1).residual[:, decays])
+    assert np.nanmean(errors) < 1.5
+
+
+def test_decay_longer_than_any_trace_is_named(tmp_path, caplog):
+    row = dict(id="a", wav="a.wav", room_id="dome", source_id="s", mic_id="m", room_dims_m=[12.0, 9.0, 5.0],
+               source_pos_m=[2.0, 1.5, 1.5], mic_pos_m=[5.0, 4.0, 1.3], source_dir=[1.0, 0.0, 0.0])
+    where = write_rir_dir(tmp_path / "rirs", [(row, coloured_rir(0, time_s=16.0, length_s=15.0))])
+    data = load_data(usable_rirs([where]), scattering=0.3, seed=0)
+    assert data.traced[0].small.max_length_s == pytest.approx(13.1)
+    assert "room dome decays for 1" in caplog.text and "13.1 s at most" in caplog.text

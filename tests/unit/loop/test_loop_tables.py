@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from plans import L_PLAN, prism_obj
 
-from roomeq.loop.tables import FRAME_EDGES_S, collect
+from roomeq.loop.tables import FRAME_EDGES_S, collect, frame_edges_s
 from roomeq.sim.echogram import FRAME_S, compute_echograms
 from roomeq.sim.mesh import load_mesh
 from roomeq.sim.response import trace_source
@@ -40,3 +40,12 @@ def test_energy_of_every_time_window_is_that_of_the_echogram(room):
                           np.arange(len(echogram) + 1.0))
         whole = np.interp(edges, np.arange(len(echogram) + 1.0), np.append(0.0, np.cumsum(echogram)))
         assert 10.0 * np.log10(tabled / np.diff(whole)) == pytest.approx(np.zeros(len(tabled)), abs=0.1)
+
+
+@pytest.mark.parametrize("length_s, last_s", [(0.5, 4.640), (3.0, 4.640), (6.0, 13.243)])
+def test_frames_last_longer_where_rays_do(length_s, last_s):
+    scene = Scene(Shoebox((6.0, 4.0, 3.0)), [Material("all", 0.01, 0.3)] * 6)
+    traced = trace_source(scene, SOURCE_M, num_rays=1000, max_length_s=length_s, rng=np.random.default_rng(0))
+    tables = collect(traced, MICS_M, [None, None])
+    assert frame_edges_s(tables)[-1] == pytest.approx(last_s, abs=1e-3)
+    assert FRAME_EDGES_S[max(table.entries[:, 0].max() for table in tables)] == pytest.approx(length_s, rel=0.1)
