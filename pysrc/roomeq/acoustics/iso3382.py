@@ -33,6 +33,7 @@ from roomeq.acoustics.band_energy import energy_per_bin
 from roomeq.acoustics.decay_kernels import first_below, net_energy, slope, strongest_power
 from roomeq.acoustics.decibels import TINY_POWER, power_db
 from roomeq.acoustics.direct import find_direct
+from roomeq.acoustics.fade import length_before_fade
 from roomeq.acoustics.noise_intersection import NOISE_MARGIN_DB, NoiseIntersection, dot, find_noise_intersection
 from roomeq.acoustics.octaves import LEAD_S, octave_bands, octave_fft_size, octave_power_gains
 from roomeq.core.arrays import FloatArray
@@ -159,7 +160,7 @@ def decay_time(edc_db: FloatArray, fs_hz: float, decay: str) -> float | None:
 
 def all_metrics(rir: FloatArray, fs_hz: float, direct_sample: float | None = None,
                 polarity: int | None = None) -> dict[str, Any]:
-    """Measure the decay times, level ratios and noise of a response.
+    """Measure the decay times, level ratios and noise of a response; a fade-out at its end does not count.
 
     Parameters
     ----------
@@ -191,6 +192,7 @@ def all_metrics(rir: FloatArray, fs_hz: float, direct_sample: float | None = Non
     if round(direct_sample) >= len(rir):
         raise ValueError(f"direct_sample={direct_sample:g} must lie before the end of the response, {len(rir)} samples "
                          "without the zeros that follow: measure it again")
+    rir = rir[:length_before_fade(rir, fs_hz, direct_sample)]
     broadband = energy_decay(rir, fs_hz, direct_sample)
     result: dict[str, Any] = dict(
         direct_sample=float(direct_sample), direct_polarity=int(polarity),

@@ -69,7 +69,7 @@ class Data:
     direct_sample : ndarray, shape (n_rirs,)
         Direct sample of each recording.
     n_samples : ndarray of int, shape (n_rirs,)
-        Length of each recording without zeros at its end.
+        Length of each recording without zeros or a fade-out at its end.
     comparable : ndarray of bool, shape (n_rirs,)
         Whether the level of a recording can be compared with others (`roomeq.loop.measurability`).
     room, chain : ndarray of int, shape (n_rirs,)

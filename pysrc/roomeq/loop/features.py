@@ -22,6 +22,7 @@ from roomeq.acoustics.band_energy import OCTAVES, THIRDS, Bands, energy_in_bands
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.excitation import excited_from_hz
+from roomeq.acoustics.fade import length_before_fade
 from roomeq.acoustics.iso3382 import DIRECT_S, EARLY_S, all_metrics
 from roomeq.acoustics.jnd import C50_JND_DB, DECAY_JND, DRR_JND_DB, LEVEL_JND_DB
 from roomeq.acoustics.octaves import OCTAVE_OF_THIRD, OCTAVE_WIDTH_HZ, SPECTRUM_HZ, THIRD_WIDTH_HZ, THIRDS_HZ
@@ -113,7 +114,7 @@ class Features:
     peak_db : float
         Level of the largest sample.
     n_samples : int
-        Length without zeros at the end.
+        Length without zeros or a fade-out at the end.
     end_level : ndarray, shape (22,)
         Of a rendering: the feature "floor" as it would be measured if the RIR ended with the recording.
     """
@@ -175,6 +176,8 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
     """
     rir = np.asarray(rir, dtype=np.float64)
     direct, polarity, timed = _direct(rir, expected_sample, timed)
+    if white is None and (n_samples := length_before_fade(rir[:_length(rir)], FS_HZ, direct)) < _length(rir):
+        rir = rir[:n_samples]  # what fades out is not the noise of the recording
     metrics = all_metrics(rir, FS_HZ, direct, polarity)
     values, valid = np.full(N_FEATURES, np.nan), np.zeros(N_FEATURES, dtype=bool)
     for metric in ("edt", "t20", "t30"):

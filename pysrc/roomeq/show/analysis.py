@@ -8,6 +8,7 @@ import numpy as np
 
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.direct import DirectSound, find_direct
+from roomeq.acoustics.fade import length_before_fade
 from roomeq.acoustics.iso3382 import DECAYS_DB, Decay, energy_decay
 from roomeq.acoustics.octaves import LEAD_S, octave_bands
 from roomeq.acoustics.parameters import measure
@@ -95,6 +96,7 @@ class AnalysedRir:
     def decays(self) -> list[BandDecay]:
         """The decay of each octave band."""
         samples = self.samples[:int(np.flatnonzero(self.samples)[-1]) + 1]
+        samples = samples[:length_before_fade(samples, self.fs_hz, self.direct.sample)]
         lead = round(LEAD_S * self.fs_hz)
         return [_band_decay(self, number, band[lead:], energy_decay(band, self.fs_hz, lead + self.direct.sample))
                 for number, band in enumerate(octave_bands(samples, self.fs_hz, lead=lead))]
