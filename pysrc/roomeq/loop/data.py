@@ -230,7 +230,7 @@ def load_data(usable: UsableRirs, *, scattering: float, seed: int, model: Model 
     features = limit_to_excitation([recording.row for recording in recordings],
                                    share_out(_measure, recordings, nj, label="measure RIRs"))
     data = _trace(recordings, features, scattering, seed, Model() if model is None else model, nj)
-    return replace(data, documented_dims_m=[tuple(rir.row["room_dims_m"] or ()) for rir in usable.rirs],
+    return replace(data, documented_dims_m=[tuple(rir.row.get("room_dims_m") or ()) for rir in usable.rirs],
                    left_out=usable.left_out, estimates=estimates)
 
 
