@@ -88,6 +88,9 @@ if [ "$dry_run" = false ]; then
     last=$(find "$workspace/$set" -maxdepth 1 -name '[0-9]*.mdl' -printf '%f\n' | sort -n | tail -n 1)
     last=${last%.mdl}
     [ "${last:-0}" -lt 2 ] || stage=$((last - 1))
+    if [ ! -e "$workspace/$set/egs/cegs.1.ark" ]; then # it is removed first, after the last iteration and final.mdl
+      if [ -e "$workspace/$set/final.mdl" ]; then stage=1000000; else stage=-10; fi # 1000000: only write the reports
+    fi
   else
     take_lock
     rm -rf "$workspace/done/$set/nnet/train" "$workspace/$set"/{egs,*.mdl,online_cmvn,global_cmvn.stats,cmvn_opts}

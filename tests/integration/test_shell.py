@@ -162,3 +162,49 @@ def test_words_are_kept_from_runners_that_let_a_shell_read_them(recipe, word):
 def test_recipe_refuses_another_current_directory(tmp_path, project_dir):
     done = call(tmp_path, str(project_dir / "run.sh"))
     assert done.returncode != 0 and "directory that holds run.sh" in done.stderr
+
+
+STAND_IN = """#!/usr/bin/env bash
+# stands in for Kaldi's train.py: makes examples and models, removes examples and the first models, then writes reports
+set -euo pipefail
+echo "${@: -1}" >>stages
+cd train.sim
+mkdir -p egs
+stage=${@: -1}
+if [ "$stage" -le -3 ]; then touch egs/cegs.{1,2}.ark; fi
+if [ "$stage" -le 4 ]; then
+  touch {0,1,2,3,4}.mdl
+  [ -e egs/cegs.1.ark ]
+  [ "$(cat ../killed_at)" != models ]
+  touch final.mdl
+fi
+rm -f egs/cegs.1.ark
+[ "$(cat ../killed_at)" != cleaning ]
+rm -f egs/cegs.2.ark {1,2}.mdl
+[ "$(cat ../killed_at)" != reports ]
+"""
+
+
+@pytest.mark.parametrize("killed_at, stage", [("models", "3"), ("cleaning", "1000000"), ("reports", "1000000")])
+def test_training_goes_on_where_it_was_killed(project_dir, tmp_path, killed_at, stage):
+    """Kaldi's train.py removes the examples before its reports: a training that has none left is not repeated."""
+    workspace = tmp_path / "ws"
+    for name in ("done/train.sim/features/train.sim.hires.fix", "done/train.clean/align/tree"):
+        (workspace / name).parent.mkdir(parents=True)
+        (workspace / name).write_text("key\n")
+    for folder in ("train.sim", "data/train.sim", "data/train.sim.hires", "bin"):
+        (workspace / folder).mkdir(parents=True, exist_ok=True)
+    for name in ("data/train.sim/source", "data/train.sim.hires/text"):
+        (workspace / name).write_text("a\n")
+    for name, script in (("steps/nnet3/chain/train.py", STAND_IN), ("bin/tree-info", "#!/bin/sh\necho num-pdfs 9\n"),
+                         ("steps/nnet3/xconfig_to_configs.py", "#!/bin/sh\n")):
+        (workspace / name).parent.mkdir(parents=True, exist_ok=True)
+        (workspace / name).write_text(script)
+        (workspace / name).chmod(0o755)
+    (workspace / "path.sh").write_text("export PATH=$PWD/bin:$PATH\n")
+    for moment in (killed_at, "never", "never"):
+        (workspace / "killed_at").write_text(moment)
+        done = call(project_dir, "local/kaldi/train_chain.sh", "--ivectors", "false", str(workspace),
+                    "train.sim", "train.clean")
+        assert done.returncode == (moment == killed_at), done.stderr
+    assert (workspace / "stages").read_text().split() == ["-10", stage]
