@@ -156,6 +156,10 @@ kinds=(real sim sim.EQ) # of RIRs; $data may hold others of an earlier run
 if [ "$dry_run" = true ] || [ -f "$exp/rooms/enough" ]; then kinds+=(sim.loop); fi
 [ "$free_rooms" = 0 ] || kinds+=(sim.free)
 kind_list=$(IFS=, && echo "${kinds[*]}")
+if [ "$dry_run" = false ] && [ "$stage" -ge 2 ]; then # what skipped stages made may be of another split or seed
+  [ "$stage" -gt 6 ] && origin=(--speech) || origin=(--seed "$seed")
+  local/check_origin.py "${origin[@]}" --kinds "$kind_list" "$data" "$exp"
+fi
 
 if at_stage 6 "make far-field speech"; then
   unchecked=() # clean speech of which no far-field speech was made yet; it is checked as Kaldi does, with its audio

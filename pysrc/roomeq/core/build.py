@@ -41,11 +41,11 @@ from roomeq.core.digests import (
     place_in_entries,
     places_of,
 )
-from roomeq.core.files import hash_file, listing_written, sync, to_json, write_json
+from roomeq.core.files import hash_file, listing_written, path_from, sync, to_json, write_json
 from roomeq.core.item_records import ItemRecord, is_as_recorded, is_whole, read_item_record, write_item_record
 from roomeq.core.kept_hashes import KeptHashes
 from roomeq.core.progress import progress
-from roomeq.core.stamps import DONE_FILE, FORMAT, check_output, is_as_stamped, stamp_content
+from roomeq.core.stamps import DONE_FILE, FORMAT, check_output, is_as_stamped, stamp_content, was_made
 from roomeq.core.workers import end_with, n_processes
 
 logger = logging.getLogger(__name__)
@@ -92,12 +92,15 @@ class Build:
         self.out = Path(os.path.normpath(out))
         self.step, self.options, self.refers, self._inputs = step, options, refers, inputs
         self._check_output()
-        described = dict(step=step, options=options, inputs=[digest(path) for path in inputs], code=code_digest())
+        digests = [digest(path) for path in inputs]
+        described = dict(step=step, options=options, inputs=digests, code=code_digest())
         self.key = hashlib.sha256(to_json(described).encode(errors="surrogateescape")).hexdigest()
         self.work = self.out.with_name(f".{self.out.name}.part-{self.key[:16]}")
         self._replaced = self.out.with_name(f".{self.out.name}.old")
         self._names: list[str] = []
         self._hashes = KeptHashes()
+        self._made_of = {name: content for path, content in zip(inputs, digests, strict=True)
+                         if was_made(path) and (name := path_from(path, self.out)).isprintable()}
 
     @property
     def done(self) -> bool:
@@ -248,6 +251,7 @@ class Build:
             raise
         write_json(self.work / DONE_FILE, stamp_content(
             format=FORMAT, step=self.step, options=self.options, key=self.key, refers=self.refers, files=files,
+            made_of=self._made_of,
             audio={name: content_hash for name, (_, content_hash) in audio.items() if content_hash},
             place=place_in_entries(self.work, self.out)))
         sync(self.work)

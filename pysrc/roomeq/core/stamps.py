@@ -52,6 +52,8 @@ class Stamp(msgspec.Struct, frozen=True):
     place : str
         Path of the directory where its `wav.scp` names its own audio by it, as Kaldi requires, else empty: the physical
         one, or as it was given, which may be relative to the folder where the step ran.
+    made_of : dict
+        Hash (`roomeq.core.digests.digest`) of each input that a step had made, by its path from the directory.
     """
 
     step: str
@@ -62,6 +64,7 @@ class Stamp(msgspec.Struct, frozen=True):
     refers: bool = False
     audio: dict[str, str] = {}
     place: str = ""
+    made_of: dict[str, str] = {}
 
     @property
     def command(self) -> str:
@@ -76,6 +79,11 @@ def stamp_content(**fields: Any) -> dict[str, Any]:
 
 def _check(fields: dict[str, Any]) -> str:
     return hashlib.sha256(to_json(fields).encode(errors="surrogateescape")).hexdigest()
+
+
+def was_made(path: Path) -> bool:
+    """Tell whether a step made a directory, or the directory that holds a file: it has a stamp."""
+    return any((directory / DONE_FILE).is_file() for directory in (path, path.parent))
 
 
 def read_stamp(directory: Path) -> Stamp | None:
