@@ -55,8 +55,9 @@ set_option() { # NAME VALUE WHERE
   if [[ $default == true || $default == false ]] && [[ $2 != true && $2 != false ]]; then
     die "${3:+$3: }--$1 '$2' must be true or false"
   fi
-  if [[ $default =~ ^[0-9]+$ && ! $2 =~ ^[0-9]{1,9}$ ]]; then
-    die "${3:+$3: }--$1 '$2' must be a whole number"
+  if [[ $default =~ ^[0-9]+$ ]]; then
+    [[ $2 =~ ^[0-9]{1,9}$ ]] || die "${3:+$3: }--$1 '$2' must be a whole number"
+    set -- "$1" "$((10#$2))" "${3:-}" # bash takes 08 for a number in base eight
   fi
   printf -v "$name" '%s' "$2"
 }

@@ -25,6 +25,13 @@ def test_option_values_are_never_evaluated(recipe, value):
     assert not (recipe / "evil").exists()
 
 
+@pytest.mark.parametrize("value, number", [("08", "8"), ("010", "10"), ("00", "0")])
+def test_number_with_leading_zeros_is_decimal(recipe, value, number):
+    assert call(recipe, "./say.sh", "--nj", value, "say.sh").stdout == f"{number}||false|say.sh|"
+    (recipe / "size.conf").write_text(f"nj={value}\n")
+    assert call(recipe, "./say.sh", "--config", "size.conf", "say.sh").stdout == f"{number}||false|say.sh|"
+
+
 def test_command_line_wins_over_config(recipe):
     (recipe / "size.conf").write_text("# sizes\nnj=3   # three\n\nsome_name=x\n")
     assert call(recipe, "./say.sh", "--nj", "4", "--config", "size.conf", "say.sh").stdout == "4|x|false|say.sh|"
