@@ -168,6 +168,9 @@ def read_room_types(choice: str | Path | None = None) -> list[RoomType]:
     if choice is None or Path(choice) == path:
         return [_room_type(path, name, table) for name, table in content.items()]
     names = [name for name in str(choice).split(",") if name]
+    if not names:
+        raise ValueError(f"room_types={str(choice)!r} must be a TOML file or among {', '.join(content)}: give one, or "
+                         "leave the option out")
     for name in names:
         if name not in content:
             raise ValueError(f"room_types: {name!r} must be a TOML file or among {', '.join(content)}: correct "

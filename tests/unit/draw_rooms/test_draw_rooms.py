@@ -165,6 +165,9 @@ def test_names_choose_among_the_types_of_the_package():
                                                                                             "lecture_hall"]
     with pytest.raises(ValueError, match="room_types: 'car' must be a TOML file or among meeting_room, living_room"):
         read_room_types("meeting_room,car")
+    for empty in ("", ","):
+        with pytest.raises(ValueError, match=f"room_types='{empty}' must be a TOML file or among meeting_room, "):
+            read_room_types(empty)
 
 
 @pytest.mark.parametrize("old, new, message", [
