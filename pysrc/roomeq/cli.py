@@ -36,6 +36,8 @@ class AnyPath(click.Path):
     """A path that the verb itself checks; the shell completes file names."""
 
     def convert(self, value: str | os.PathLike[str], param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        if value == "":  # Path("") is the current folder
+            self.fail("'' is no path: give one, or . for the current folder", param, ctx)
         return Path(value)
 
 

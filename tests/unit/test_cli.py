@@ -120,6 +120,18 @@ def test_absent_input_is_one_line(argv, tmp_path, monkeypatch, capsys):
     assert [path for path in tmp_path.iterdir() if not path.name.startswith(".")] == []
 
 
+@pytest.mark.parametrize("argv, name", [
+    (["prepare-speech", "", "out"], "SOURCE"), (["read-measured", "in", ""], "OUT"), (["validate", ""], "DIRECTORIES"),
+    (["augment", "--noises", "", "in", "in", "out"], "--noises"), (["simulate", "", "out"], "MEASURED_DIR")])
+def test_empty_path_is_not_the_current_folder(argv, name, tmp_path, monkeypatch, capsys):
+    (tmp_path / "in").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert main(argv) == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and name in said and "'' is no path: give one" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]
+
+
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_output_that_is_closed_ends_the_verb_without_a_message(tmp_path, unbuffered):
     (tmp_path / "noises").mkdir()

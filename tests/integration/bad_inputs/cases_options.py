@@ -146,7 +146,7 @@ CASES = [
     Case("output is above", "characterise measured ..",
          "output '..' must name a directory to make, without line breaks: choose another"),
     Case("output is nothing", "characterise measured ''",
-         "output '.' must name a directory to make, without line breaks: choose another"),
+         "Invalid value for 'OUT': '' is no path: give one, or . for the current folder...--help"),
     Case("output is the root", "characterise measured /",
          "output '/' must name a directory to make, without line breaks: choose another"),
     Case("output is a device", "characterise measured /dev/null",
