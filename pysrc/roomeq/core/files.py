@@ -217,8 +217,11 @@ def _finite(text: str) -> float:
 
 
 def user_cache() -> Path:
-    """Return the directory for what may be deleted at any time."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "roomeq"
+    """Return the directory for what may be deleted at any time; for a user without a home, one that cannot be made."""
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "roomeq"
+    except RuntimeError:
+        return Path(os.devnull) / "roomeq"
 
 
 def physical(path: Path | str) -> Path:

@@ -86,6 +86,14 @@ def test_store_that_cannot_be_written_is_done_without(files, tmp_path, monkeypat
     assert hashes_of_input("corpus", files) == [hash_file(path) for path in files]
 
 
+def test_user_without_a_home_has_no_store(files, monkeypatch):
+    for name in ("XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(os, "getuid", lambda: 2**31 - 7)  # in no list of users
+    assert hashes_of_input("corpus", files) == [hash_file(path) for path in files]
+    assert hashes_of_input("corpus", files) == [hash_file(path) for path in files]
+
+
 def test_absent_files_and_pipes_have_no_hash(files, tmp_path):
     os.mkfifo(tmp_path / "pipe")
     found = []
