@@ -29,4 +29,12 @@ if [ -n "$rooms" ] && [ "$free_rooms" != 0 ]; then
   free_rooms=0
 fi
 [ -z "$rooms" ] || log "--rooms draws all rooms: their T60 is that of the types of rooms, not of --t60-range"
+if [ "$stop_stage" -ge 8 ]; then
+  sets="clean real.rvb sim.rvb sim.EQ.rvb sim.loop.rvb$([ "$free_rooms" = 0 ] || echo " sim.free.rvb")"
+  for x in $rows; do
+    [[ " $sets " == *" $x "* ]] || die "--rows: '$x' must be one of: $sets"
+  done
+  [ "$dry_run" = true ] || [ "$stage" -gt 8 ] || (. local/kaldi/common.sh && kaldi_root >/dev/null)
+  unset sets x
+fi
 unset number distribution distribution_rule pass

@@ -5,6 +5,18 @@
 # the command that runs Kaldi's jobs: run.pl, or queue.pl or slurm.pl with their options
 runner=${kaldi_cmd:-run.pl --max-jobs-run $nj}
 
+# kaldi_root: print Kaldi's top directory: KALDI_ROOT, or the Kaldi tree that holds this directory.
+kaldi_root() {
+  local root=${KALDI_ROOT:-} folder
+  if [ -z "$root" ] && [[ $PWD == */egs/librispeech/* ]]; then root=${PWD%/egs/librispeech/*}; fi
+  [ -n "$root" ] ||
+    die "KALDI_ROOT is not set: set it to Kaldi's top directory, or put this directory into Kaldi's egs/librispeech"
+  for folder in egs/wsj/s5/steps egs/wsj/s5/utils egs/librispeech/s5/local egs/librispeech/s5/conf src; do
+    [ -d "$root/$folder" ] || die "KALDI_ROOT '$root' has no $folder: is it Kaldi's top directory?"
+  done
+  realpath "$root"
+}
+
 # lasting WORD...: print the words of a command on which its result depends, each ended by a null byte: all but the
 # values of --nj, --egs.nj, --cmd and --stage.
 lasting() {

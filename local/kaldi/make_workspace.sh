@@ -14,21 +14,13 @@ seed=           # seed that far-field speech must have been made with; default: 
 workspace=$1
 shift
 
-root=${KALDI_ROOT:-}
-if [ -z "$root" ] && [[ $PWD == */egs/librispeech/* ]]; then root=${PWD%/egs/librispeech/*}; fi
 if [ "$dry_run" = true ]; then
-  root=${root:-KALDI_ROOT}
+  root=${KALDI_ROOT:-KALDI_ROOT}
   echo "ln -s $root/egs/wsj/s5/{steps,utils} $root/egs/librispeech/s5/{local,conf} $workspace/"
   for data; do echo "local/kaldi/copy_data.py $data $workspace/data/${data##*/}"; done
   exit
 fi
-[ -n "$root" ] ||
-  die "KALDI_ROOT is not set: set it to Kaldi's top directory, or put this directory into Kaldi's egs/librispeech"
-for folder in egs/wsj/s5/steps egs/wsj/s5/utils egs/librispeech/s5/local egs/librispeech/s5/conf src; do
-  [ -d "$root/$folder" ] || die "KALDI_ROOT '$root' has no $folder: is it Kaldi's top directory?"
-done
-root=$(realpath "$root")
-
+root=$(kaldi_root)
 mkdir -p "$workspace/data"
 for link in wsj/s5/steps wsj/s5/utils librispeech/s5/local librispeech/s5/conf; do
   ln -sfn "$root/egs/$link" "$workspace/${link##*/}"

@@ -158,6 +158,20 @@ def test_recipe_takes_its_configurations(project_dir):
         options_checked(project_dir, "--config", f"conf/{config}.conf")
 
 
+def test_recipe_refuses_before_any_work_what_stage_8_would(project_dir):
+    """It would be hours later."""
+    where = ["--data", "/dev/null/data"]
+    done = call(project_dir, "./run.sh", "--stop-stage", "8", *where)
+    assert (done.returncode, done.stdout) == (1, "") and done.stderr.startswith("run.sh: KALDI_ROOT is not set: ")
+    rows = ["--rows", "clean sim.rvd"]
+    done = call(project_dir, "./run.sh", "--stop-stage", "8", *rows, *where)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == ("run.sh: --rows: 'sim.rvd' must be one of: clean real.rvb sim.rvb sim.EQ.rvb "
+                           "sim.loop.rvb\n")
+    options_checked(project_dir, "--stop-stage", "7", *rows)
+    options_checked(project_dir, "--stage", "9", "--rows", "clean sim.free.rvb", "--free-rooms", "3")
+
+
 @pytest.mark.parametrize("word", ["$(touch evil)", "a;b", "a'b", "a\nb", "é", "*"])
 def test_words_are_kept_from_runners_that_let_a_shell_read_them(recipe, word):
     check = '. utils/check_words.sh && check_words log "$0"'
