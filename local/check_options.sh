@@ -4,14 +4,22 @@ number='[-+]?[0-9]*\.?[0-9]+'
 distribution="none|$number|(uniform|normal) +${number}[ ,]+$number|list +(${number}[ ,]+)*$number"
 distribution_rule="'uniform LOW HIGH', 'normal MEAN SD', 'list A,B,...', a number or none"
 
+in_range() { # NAME LOW HIGH: stop unless a whole number lies in this range
+  [[ ${!1} -ge $2 && ${!1} -le $3 ]] || die "--${1//_/-} '${!1}' must lie in [$2, $3]"
+}
 check_option nj '[1-9][0-9]*' "at least 1"
 check_option stop_stage '[0-9]|10' "a whole number up to 10"
 check_option split_by 'rir|room' "rir or room"
-check_option split_sizes '[0-9]+,[0-9]+,[0-9]+' "three counts, as 773,194,242"
+check_option split_sizes '0*[1-9][0-9]*,0*[1-9][0-9]*,0*[1-9][0-9]*' "three counts from 1, as 773,194,242"
 check_option t60_range '[0-9.]+,[0-9.]+|measured' "two times, as 0.2,2.0, or measured"
 check_option rooms '([1-9][0-9]{0,5})?' "a number of rooms, or empty"
 check_option free_rooms '0|[1-9][0-9]{0,5}' "a number of rooms, or 0"
+in_range num_rays 100 10000000
+in_range order 1 10000
+[ "$num_components" -ge 1 ] || die "--num-components '$num_components' must be at least 1"
 check_option taps '[0-9]*[13579]' "odd"
+in_range taps 3 4095
+in_range max_effects 0 11
 check_option snr "$distribution" "$distribution_rule"
 check_option point_snr "$distribution" "$distribution_rule"
 check_option packing 'recording|utterance' "recording or utterance"
@@ -37,4 +45,5 @@ if [ "$stop_stage" -ge 8 ]; then
   [ "$dry_run" = true ] || [ "$stage" -gt 8 ] || (. local/kaldi/common.sh && kaldi_root >/dev/null)
   unset sets x
 fi
+unset -f in_range
 unset number distribution distribution_rule pass

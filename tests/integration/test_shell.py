@@ -7,6 +7,8 @@ import pytest
 from scripts import call
 
 from roomeq.augment.distribution import parse_distribution
+from roomeq.effects.catalogue import CATALOGUE
+from roomeq.eq.steps import MAX_TAPS
 
 
 def test_options_take_values_with_and_without_equals_sign(recipe):
@@ -119,7 +121,10 @@ def test_unwritable_log_is_named_and_nothing_starts(recipe, runner):
 @pytest.mark.parametrize("option, value, message", [
     ("--snr", "loud", "must be 'uniform LOW HIGH'"), ("--snr", "20,15", "must be 'uniform LOW HIGH'"),
     ("--point-snr", "$(touch evil)", "must be 'uniform LOW HIGH'"), ("--taps", "512", "must be odd"),
-    ("--packing", "files", "must be recording or utterance"), ("--t60-range", "0.5", "must be two times"),
+    ("--num-components", "0", "must be at least 1"), ("--split-sizes", "0,0,0", "must be three counts from 1"),
+    ("--split-sizes", "9,00,1", "must be three counts from 1"),
+    ("--packing", "files", "must be recording or utterance"),
+    ("--t60-range", "0.5", "must be two times"),
     ("--t60-range", "match", "must be two times"),
     ("--room-types", "absent.toml", "is of drawn rooms: give --rooms or --free-rooms")])
 def test_recipe_refuses_values_before_any_work(project_dir, option, value, message):
@@ -133,6 +138,18 @@ def test_recipe_accepts_the_same_snr_as_the_tools(project_dir, value):
     parse_distribution(value, "snr")
     done = call(project_dir, "./run.sh", "--snr", value, "--stop-stage", "99")
     assert done.stderr.startswith("run.sh: --stop-stage '99' ")
+
+
+@pytest.mark.parametrize("option, low, high, step", [
+    ("--num-rays", 100, 10**7, 1), ("--order", 1, 10**4, 1), ("--taps", 3, MAX_TAPS, 2),
+    ("--max-effects", 0, len(CATALOGUE), 1)])
+def test_recipe_has_the_ranges_of_the_tools(project_dir, option, low, high, step):
+    for value in (low - step, high + step):
+        done = call(project_dir, "./run.sh", option, str(value), "--data", "/dev/null/data")
+        rule = "a whole number" if value < 0 else f"lie in [{low}, {high}]"
+        assert done.returncode == 1 and done.stderr.endswith(f"{option} '{value}' must {'be ' * (value < 0)}{rule}\n")
+    for value in (low, high):
+        options_checked(project_dir, option, str(value))
 
 
 def options_checked(project_dir, *options):
