@@ -5,7 +5,8 @@ Usage: copy_data.py [--seed N] DATA_DIR COPY
 e.g.:  python local/kaldi/copy_data.py data/train.sim.rvb exp/kaldi/data/train.sim.rvb
 
 Paths become absolute. Files added by Kaldi stay unless the source has changed or moved; the file `source` records its
-state. Where they are removed, so are the marks of the commands that made them.
+state. Where they are removed, so are the marks of the commands that made them. The file `content` holds the hash of a
+source that a step made; it goes to wer.json, which then says what it is of.
 """
 
 import argparse
@@ -15,10 +16,12 @@ import shutil
 import sys
 from pathlib import Path
 
+from roomeq.core.digests import digest
 from roomeq.core.files import sync, write_bytes, write_text
 from roomeq.core.stamps import read_stamp
 from roomeq.kaldi.datadir import read_data_dir
 from roomeq.kaldi.wavscp import flac_entry
+from roomeq.wer.workspace import CONTENT_FILE
 
 COPIED = ("segments", "text", "utt2spk", "spk2utt", "spk2gender", "utt2dur", "reco2dur", "utt2rir", "utt2snr")
 
@@ -40,6 +43,7 @@ def copy_data(source: Path, copy: Path, seed: int | None = None) -> None:
     files = [file for name in ("wav.scp", *COPIED, ".done") if (file := source / name).is_file()]
     state = hashlib.sha256(b"\0".join([os.fsencode(os.path.realpath(source)), *(file.read_bytes() for file in files)]))
     if (copy / "source").is_file() and (copy / "source").read_text() == f"{state.hexdigest()}\n":
+        _write_content(source, copy)
         return
     recordings = read_data_dir(source, pipes=True).recordings
     lines = []
@@ -56,7 +60,13 @@ def copy_data(source: Path, copy: Path, seed: int | None = None) -> None:
             write_bytes(copy / name, (source / name).read_bytes())
     write_text(copy / "wav.scp", "".join(lines))
     sync(copy)  # the files are on the disk before the one that says so
+    _write_content(source, copy)
     write_text(copy / "source", f"{state.hexdigest()}\n")
+
+
+def _write_content(source: Path, copy: Path) -> None:
+    if not (copy / CONTENT_FILE).is_file() and read_stamp(source):
+        write_text(copy / CONTENT_FILE, f"{digest(source)}\n")
 
 
 def main(argv: list[str] | None = None) -> int:

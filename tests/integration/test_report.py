@@ -17,7 +17,8 @@ from datadirs import rir_dir
 from report_run import HOSTILE, RIRS_PER_ROOM, ROOMS, make_measured, make_run, make_simulated
 from wer_run import put_example
 
-from roomeq.core.files import read_jsonl, write_json
+from roomeq.core.digests import digest
+from roomeq.core.files import read_jsonl, write_json, write_text
 from roomeq.core.stamps import FORMAT
 from roomeq.corpora.characterise import characterise
 from roomeq.corpora.split import split_rirs
@@ -249,6 +250,28 @@ def test_wer_section_adapts_to_available_rows(tmp_path, errors, shown, not_shown
     text = section_text("wer", Run(tmp_path / "data", tmp_path / "exp"))
     assert "With one seed the spread over seeds is not known" in text
     assert all(part in text for part in shown) and not any(part in text for part in not_shown)
+
+
+def test_word_error_rates_of_other_data_are_left_out(made, tmp_path, caplog):
+    (tmp_path / "data").mkdir()
+    for name in ("rirs.real.train", "rirs.sim.train", "test.real.rvb"):
+        (tmp_path / "data" / name).symlink_to(made[0] / name)
+    workspaces = put_example(tmp_path, seeds=2, errors={"train.sim.rvb": 5, "train.sim.EQ.rvb": 4})
+
+    def measured(*contents):
+        for workspace, content in zip(workspaces, contents, strict=True):
+            write_text(workspace / "data/test.real.rvb/content", f"{content}\n")
+        path = measure_wer(workspaces, tmp_path / "exp/wer", rirs=[tmp_path / "rirs"])
+        assert json.loads(path.read_text())["data"] == {"test.real.rvb": sorted(contents)}
+        return Run(tmp_path / "data", tmp_path / "exp")
+
+    run = measured(digest(made[0] / "test.real.rvb"), "1" * 64)
+    assert run.has("wer") and "is of other data" not in section_text("summary", run)
+    run = measured("0" * 64, "1" * 64)
+    assert "Not known: exp/wer is of other data: run stages 8 to 10." in section_text("summary", run)
+    page = make_report(run.data_dir, run.exp_dir, tmp_path / "report").read_text()
+    assert "No recogniser was trained on these data." in page and "table-wer" not in page
+    assert f"{tmp_path}/exp/wer is of other data: run stages 8 to 10" in caplog.messages
 
 
 def test_wer_section_states_detectable_difference(tmp_path):

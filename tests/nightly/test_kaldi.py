@@ -9,6 +9,7 @@ import pytest
 import recipe_run
 from datadirs import speech_dir
 
+from roomeq.core.digests import digest
 from roomeq.core.files import write_json, write_text
 from roomeq.core.stamps import FORMAT, stamp_content
 
@@ -232,6 +233,17 @@ def test_far_field_speech_of_another_seed_is_refused(copy_data, tmp_path):
     assert copy_data("--seed", "0", source, tmp_path / "ws/data/a").returncode == 0
     done = copy_data("--seed", "1", source, tmp_path / "ws/data/b")
     assert done.returncode == 1 and "was made with seed 0, and would count as one of seed 1" in done.stderr
+
+
+def test_copy_states_the_content_of_a_set_that_a_step_made(copy_data, tmp_path):
+    source, copy = speech_dir(tmp_path / "source"), tmp_path / "ws/data/a"
+    assert copy_data(source, copy).returncode == 0 and not (copy / "content").exists()
+    write_json(source / ".done", stamp_content(step="augment", key="k", options={}, files={}, format=FORMAT))
+    assert copy_data(source, copy).returncode == 0
+    assert (copy / "content").read_text() == f"{digest(source)}\n"
+    (copy / "content").unlink()  # of an earlier version
+    assert copy_data(source, copy).returncode == 0
+    assert (copy / "content").read_text() == f"{digest(source)}\n"
 
 
 def test_copy_refuses_pipes(copy_data, tmp_path):

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from roomeq.core.arrays import FloatArray
+from roomeq.core.digests import digest
+from roomeq.core.files import read_json
 from roomeq.core.stamps import read_stamp
 from roomeq.records.rir_dir import ROWS_FILE, load_rir, read_rirs
 from roomeq.records.schema import RirRow
@@ -24,6 +26,8 @@ STAGES = (("rirs.real", 1, "characterise and split-rirs"), ("rirs.sim.EQ", 4, "c
 
 IN_EXP = ("eq", "loop", "wer")
 """Directories below `exp_dir`."""
+
+OTHER_WER = "{} is of other data: run stages 8 to 10"
 
 SETS = ("train", "dev", "test")
 
@@ -89,7 +93,19 @@ class Run:
 
     def has(self, name: str) -> bool:
         """Tell whether a directory exists and belongs to the run."""
-        return self.path(name).is_dir() and set(KIND_NAMES).difference(self.kinds).isdisjoint(_kinds_in(name))
+        return (self.path(name).is_dir() and set(KIND_NAMES).difference(self.kinds).isdisjoint(_kinds_in(name))
+                and (name != "wer" or not self.other_wer))
+
+    @cached_property
+    def other_wer(self) -> bool:
+        """Whether the word error rates are of other far-field speech than is there: that of an earlier run."""
+        path = self.path("wer") / "wer.json"
+        try:
+            stated = read_json(path).get("data", {}) if path.is_file() else {}
+            return any(digest(self.path(name)) not in hashes for name, hashes in stated.items()
+                       if name.endswith(".rvb") and self.has(name))
+        except (ValueError, AttributeError, TypeError):  # not what roomeq wer writes; the section says so
+            return False
 
     def need(self, name: str, file: str | None = None) -> Path:
         """Return the path of a directory or of a file in it.

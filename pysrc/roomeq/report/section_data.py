@@ -196,7 +196,7 @@ def limitations(run: Run) -> Context:
     return {"synthetic": synthetic_corpora(run), "n_measured": len(real),
             "n_rooms": len({row["room_id"] for row in real}), "shares_rooms": not rooms[0].isdisjoint(rooms[1]),
             "n_simulated": len(simulated), "n_drawn": sum(bool(row.get("drawn")) for row in simulated),
-            "has_wer": run.has("wer")}
+            "has_wer": run.has("wer"), "other_wer": run.other_wer}
 
 
 def steps(run: Run) -> Context:

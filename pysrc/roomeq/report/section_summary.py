@@ -10,7 +10,7 @@ from roomeq.core.constants import BAND_1KHZ, BANDS_HZ
 from roomeq.report import figures, figures_rirs, section_eq, section_loop, section_wer
 from roomeq.report.formats import DASH, hertz, number, percent, with_interval, with_minus
 from roomeq.report.kinds import COMPENSATED, EXTENDED, MEASURED, SIMULATED
-from roomeq.report.load import Context, Missing, Run
+from roomeq.report.load import OTHER_WER, Context, Missing, Run
 from roomeq.report.rir_sets import column_percentiles, eq_vectors
 from roomeq.wer.workspace import BASE, ORACLE, compared
 
@@ -34,7 +34,8 @@ def summary(run: Run) -> Context:
             "panels": [eq_panel(run)] if lacks_eq is not None else [], "has_loop": ledger is not None,
             "effects": section_loop.effects(ledger) if ledger else [],
             "unexplained": section_loop.unexplained(ledger)[:1] if ledger else [], "rows": rows,
-            "worth": worth(run), "has_wer": run.has("wer")}
+            "worth": worth(run), "has_wer": run.has("wer"),
+            "other_wer": run.other_wer and OTHER_WER.format(run.label("wer"))}
 
 
 def eq_lacks(run: Run) -> list[str]:

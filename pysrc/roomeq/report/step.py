@@ -10,7 +10,7 @@ from roomeq import __version__
 from roomeq.core.build import Build
 from roomeq.core.files import write_text
 from roomeq.report.kinds import KIND_NAMES
-from roomeq.report.load import Run
+from roomeq.report.load import OTHER_WER, Run
 
 logger = logging.getLogger(__name__)
 
@@ -60,6 +60,8 @@ def make_report(data_dir: Path, exp_dir: Path, out: Path, *, kinds: Sequence[str
         from roomeq.report.build_page import render_page
 
         build.finish(lambda directory, _: write_text(directory / PAGE_FILE, render_page(run)))
+    if run.other_wer:
+        logger.warning("%s", OTHER_WER.format(exp_dir / "wer"))
     logger.info("report: %s", out / PAGE_FILE)
     return out / PAGE_FILE
 

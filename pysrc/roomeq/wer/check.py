@@ -73,6 +73,8 @@ def _check(wer: dict) -> None:
         _number(seed, "seeds", 0)
     for count in ("utterances", "words", "rooms"):
         _number(wer["sets"][wer["test"]][count], count, 1)
+    for name, hashes in wer.get("data", {}).items():  # earlier versions did not state them
+        _require(isinstance(hashes, list), f"data of {name!r:.60}", "be hashes")
     for row in wer["rows"]:
         _require(isinstance(wer["dev_of"][row], str), f"dev_of {row}", "be a name")
         for column in wer["columns"]:

@@ -23,7 +23,7 @@ from roomeq.wer.counts import (
 )
 from roomeq.wer.statistics import Resampling, Statistic, detectable, ratio_interval
 from roomeq.wer.table import table_text
-from roomeq.wer.workspace import BASE, ORACLE, TEST, System, compared, find_workspaces
+from roomeq.wer.workspace import BASE, ORACLE, TEST, System, Workspace, compared, find_workspaces
 
 
 def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path],
@@ -82,12 +82,19 @@ def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path]
         seeds = sorted([*earlier.values(), *trained.values()], key=lambda counts: counts.seed)
 
         def write(directory: Path, _: object) -> None:
-            write_json(directory / WER_FILE, _measure(seeds))
+            write_json(directory / WER_FILE, dict(_measure(seeds), data=_contents(found)))
             write_text(directory / COUNTS_FILE, counts_text(seeds))
 
         build.finish(write)
     print(table_text(read_json(build.out / WER_FILE)), end="")
     return build.out / WER_FILE
+
+
+def _contents(workspaces: Sequence[Workspace]) -> dict[str, list[str]]:
+    """Return the hashes of each set in the workspaces, by its name."""
+    of_each = [workspace.contents() for workspace in workspaces]
+    return {name: sorted({contents[name] for contents in of_each if name in contents})
+            for name in sorted(set().union(*of_each))}
 
 
 def _measure(seeds: Sequence[SeedCounts]) -> dict:

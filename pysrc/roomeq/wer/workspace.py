@@ -17,6 +17,8 @@ closed loop; others follow."""
 VERSION_FILE, SEED_FILE = "kaldi_version", "seed"
 SOURCE_FILE = "source"
 """State of a data directory (``local/kaldi/copy_data.py``); copied to what was trained on it and decoded from it."""
+CONTENT_FILE = "content"
+"""Hash of a data directory (`roomeq.core.digests.digest`) that a step made, in the workspace's copy of it."""
 SETTINGS_FILE = "settings"
 """Options of stages 8 to 10 that a row was trained and decoded with, a line each, in the row's directory."""
 TEST, DEV = "test.real.rvb", "dev.real.rvb"
@@ -71,9 +73,17 @@ class Workspace:
         """Return the files and directories that word error rates depend on, except the RIRs."""
         tables = [self.path / "data" / name / table for name in self.set_names
                   for table in ("utt2rir", "utt2snr", "utt2spk")]
-        optional = [*tables, self.path / VERSION_FILE, *(decode / BOOTCI_FILE for decode in self.decode_dirs())]
+        optional = [*tables, *self._content_files().values(), self.path / VERSION_FILE,
+                    *(decode / BOOTCI_FILE for decode in self.decode_dirs())]
         return [self.path / SEED_FILE, *map(scoring_dir, self.decode_dirs()),
                 *(path for path in optional if path.is_file())]
+
+    def _content_files(self) -> dict[str, Path]:
+        return {name: self.path / "data" / name / CONTENT_FILE for name in [*self.rows, *self.set_names]}
+
+    def contents(self) -> dict[str, str]:
+        """Return the hash of each set that was trained on or decoded, by name, where it is known."""
+        return {name: read_text(path).strip() for name, path in self._content_files().items() if path.is_file()}
 
     def seed(self) -> int:
         """Return the seed that all was drawn with.
