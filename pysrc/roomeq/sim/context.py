@@ -134,6 +134,13 @@ class RenderContext:
         """Number of echogram frames in `length_s`."""
         return int(np.ceil(self.length_s / FRAME_S))
 
+    @cached_property
+    def ray_gain(self) -> FloatArray | None:
+        """Energy gain of each ray at a directive source, shape (n_rays, n_bands); None for an omnidirectional one."""
+        if self.source_directivity is None:
+            return None
+        return np.square(self.source_directivity(self.traced.paths[0].directions))  # those of all traces
+
     def image_gains(self, absorption: FloatArray, bands: list[int]) -> list[FloatArray]:
         """Return the pressure of the image sources at each microphone, with directivities, shape (n_paths, n_bands)."""
         scene, of_mics = self.traced.scene, []
@@ -215,9 +222,7 @@ def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequenc
     if not context.traced.serves(absorption):
         raise ValueError("the surfaces absorb far less than was expected when the source was traced: trace it again "
                          "with the absorption of now")
-    # all traces have the same directions of departure
-    directivity = context.source_directivity
-    ray_gain = None if directivity is None else np.square(directivity(paths[0].directions))
+    ray_gain = context.ray_gain
     result = np.zeros((len(context.mics_m), context.n_frames, len(bands)))
     if context.path_samples is not None:
         def from_sample(sample: PathSample, mic_m: FloatArray, directivity: Directivity | None) -> Array:

@@ -7,6 +7,7 @@ band. Patterns of the first order may have a negative rear lobe; a measured tabl
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,12 +15,17 @@ from numpy.typing import ArrayLike
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import exact_bands_hz, is_number
 
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
 PATTERNS = {"omnidirectional": 1.0, "subcardioid": 0.75, "cardioid": 0.5, "supercardioid": 0.366,
             "hypercardioid": 0.25, "figure_eight": 0.0}
 """Share a of the omnidirectional part in the pattern ``a + (1 - a) cos(theta)``."""
 _N_NEIGHBOURS = 4  # measured directions that a gain is interpolated from where they do not surround the device
 _LEAST_SURROUND = 0.05  # distance of the planes through them from the device, on the unit sphere
-_ELEMENTS = 2 ** 20  # of the products of directions and triangles that are in memory at once
+_CANDIDATES = (2, 8, 32, 128, 512)  # triangles that a direction is tested against: several may share a plane
+_ROUNDING = 1e-12  # of the weights of a triangle's corners
+_ELEMENTS = 2 ** 20  # of the matrices of triangles that are in memory at once
 
 
 @dataclass(frozen=True)
@@ -115,16 +121,16 @@ class DirectivityTable:
         front = np.asarray(self.facing)
         left = unit(np.cross(np.asarray(self.up), front))
         local = directions @ np.stack([front, left, np.cross(front, left)], axis=1)
-        near, weight = self._nearest(local) if self._triangles is None else _around(local, *self._triangles)
+        near, weight = self._nearest(local) if self._triangles is None else self._triangles.around(local)
         return np.einsum("nk,nkb->nb", weight, self._in_bands(fs_hz)[near])
 
     @cached_property
-    def _triangles(self) -> tuple[IntArray, FloatArray] | None:
-        """Triangles of measured directions that surround the device, and the inverse of the matrix of each.
+    def _triangles(self) -> "_Triangles | None":
+        """Triangles of measured directions, where these surround the device.
 
         The convex hull of points on a sphere is their Delaunay triangulation.
         """
-        from scipy.spatial import ConvexHull, QhullError
+        from scipy.spatial import ConvexHull, QhullError, cKDTree
 
         _, first = np.unique(np.round(self.directions, 9), axis=0, return_index=True)
         try:
@@ -134,7 +140,10 @@ class DirectivityTable:
         if hull.equations[:, 3].max() > -_LEAST_SURROUND:
             return None
         corners = first[hull.simplices]
-        return corners, np.linalg.inv(self.directions[corners].transpose(0, 2, 1))
+        met = hull.equations[:, :3] / -hull.equations[:, 3:]
+        squared = np.sum(met ** 2, axis=1, keepdims=True)
+        return _Triangles(corners, np.linalg.inv(self.directions[corners].transpose(0, 2, 1)),
+                          cKDTree(np.concatenate([met, np.sqrt(squared.max() - squared)], axis=1)))
 
     def _nearest(self, directions: FloatArray) -> tuple[IntArray, FloatArray]:
         """Return the nearest measured directions and their weights, shape (n, `_N_NEIGHBOURS`)."""
@@ -152,16 +161,45 @@ class DirectivityTable:
         return self._bands[fs_hz]
 
 
-def _around(directions: FloatArray, corners: IntArray, inverses: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return the corners of the triangle that each direction lies in, and their weights, shape (n, 3) each."""
-    chosen, weights = np.empty((len(directions), 3), int), np.empty((len(directions), 3))
-    step = max(1, _ELEMENTS // len(corners))
-    for block in (slice(first, first + step) for first in range(0, len(directions), step)):
-        of_all = np.einsum("fij,nj->nfi", inverses, directions[block])
-        inside = of_all.min(axis=2).argmax(axis=1)  # there, no weight is negative
-        chosen[block], weights[block] = corners[inside], of_all[np.arange(len(inside)), inside]
-    weights = np.maximum(weights, 0.0)
-    return chosen, weights / weights.sum(axis=1, keepdims=True)
+class _Triangles(NamedTuple):
+    """Triangles of measured directions that surround the device: the convex hull of points on a sphere.
+
+    Attributes
+    ----------
+    corners
+        Indices of measured directions, shape (n_triangles, 3).
+    inverses
+        Of the matrices whose columns are the corners, shape (n_triangles, 3, 3): times a direction, the weights of the
+        corners. None is negative in the triangle that the direction lies in.
+    tree
+        Finds the triangles whose planes a direction meets first. A plane with the unit normal n at the distance d from
+        the device meets the direction u at ``1 / (n u / d)``, and the largest product of u with a vector p is with the
+        nearest point ``(p, sqrt(max |p|^2 - |p|^2))`` to ``(u, 0)``.
+    """
+
+    corners: IntArray
+    inverses: FloatArray
+    tree: "cKDTree"
+
+    def around(self, directions: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Return the corners of the triangle that each direction lies in, and their weights, shape (n, 3) each."""
+        chosen, weights = np.empty((len(directions), 3), int), np.empty((len(directions), 3))
+        left = np.arange(len(directions))
+        for count in [*(few for few in _CANDIDATES if few < len(self.corners)), len(self.corners)]:
+            step = max(1, _ELEMENTS // (9 * count))
+            for rows in (left[first:first + step] for first in range(0, len(left), step)):
+                chosen[rows], weights[rows] = self._best_of(count, directions[rows])
+            left = left[weights[left].min(axis=1) < -_ROUNDING]
+        weights = np.maximum(weights, 0.0)
+        return chosen, weights / weights.sum(axis=1, keepdims=True)
+
+    def _best_of(self, count: int, directions: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Return corners and weights, shape (n, 3) each, of the best of the triangles whose planes are met first."""
+        near = self.tree.query(np.pad(directions, ((0, 0), (0, 1))), k=np.arange(1, count + 1))[1]
+        weights = np.einsum("nfij,nj->nfi", self.inverses[near], directions)
+        best = weights.min(axis=2).argmax(axis=1)
+        each = np.arange(len(directions))
+        return self.corners[near[each, best]], weights[each, best]
 
 
 def unit(vector: ArrayLike) -> FloatArray:
