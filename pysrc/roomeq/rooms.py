@@ -208,9 +208,10 @@ def simulate_rir(room: Room, source: ArrayLike, mics: ArrayLike, fs: int = FS_HZ
     if len(of_mics) != n_mics:
         raise ValueError(f"{len(of_mics)} directivities of microphones must be one, or one for each of {n_mics}: give "
                          "that many")
+    at_rate = {id(one): _at_rate(one, fs) for one in of_mics}
     responses = simulate_responses(
         room.scene(fs), source_m, positions_m, num_rays=num_rays, target_t60_s=room.t60_s,
-        source_directivity=_at_rate(source_directivity, fs), mic_directivities=[_at_rate(one, fs) for one in of_mics],
+        source_directivity=_at_rate(source_directivity, fs), mic_directivities=[at_rate[id(one)] for one in of_mics],
         arrays=[0] * n_mics, seed=seed)
     result = np.zeros((n_mics, max(len(response.rir) for response in responses)))
     for row, response in zip(result, responses, strict=True):

@@ -5,13 +5,16 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len, rfft
+from threadpoolctl import threadpool_limits
 
-from roomeq.core.arrays import Array, FloatArray
+from roomeq.core.arrays import Array, FloatArray, IntArray
 from roomeq.core.constants import exact_bands_hz
 from roomeq.sim.trace import sphere_directions
 
 _LOADING = 1e-6  # of the diagonal, for microphones in one place
 _STEP_RAD = 0.1  # largest change of k d over frequencies that share a factor
+_STEP_SHARE = 0.02  # or relative change of the frequency, if that is more, in arrays that are
+_COMPACT_M = 0.5  # larger than this
 _ELEMENTS = 2 ** 22  # of the coherence matrices that are in memory at once
 _DIRECTIONS = 2000  # of plane waves that are a diffuse field to directive microphones
 _MARGIN_S = 0.02  # zeros behind the noise: the filters that mix it are short, and must not wrap around
@@ -49,21 +52,41 @@ def make_coherent(noises: Sequence[Array], mics_m: ArrayLike, speed_m_s: float, 
     distance_m = np.linalg.norm(positions_m[:, None] - positions_m, axis=2)
     n_fft = next_fast_len(n_samples + round(_MARGIN_S * fs_hz), real=True)
     spectra = rfft(np.array(noises, np.float32), n_fft)
-    step_hz = _STEP_RAD * speed_m_s / (2.0 * np.pi * max(float(distance_m.max()), 0.01))
     n_bins = spectra.shape[1]
-    width = min(max(1, int(step_hz * n_fft / fs_hz)), n_bins)
-    n_groups = -(-n_bins // width)
-    frequency_hz = (np.arange(n_groups) + 0.5) * width * fs_hz / n_fft
-    padded = np.pad(spectra, ((0, 0), (0, n_groups * width - n_bins)))
-    groups = padded.reshape(len(padded), n_groups, width).transpose(1, 0, 2)
+    edges = _group_edges(n_fft, fs_hz, float(distance_m.max()), speed_m_s)
+    frequency_hz = 0.5 * (edges[:-1] + edges[1:]) * fs_hz / n_fft
+    padded = np.pad(spectra, ((0, 0), (0, edges[-1] - n_bins)))
     at_once = max(1, _ELEMENTS // distance_m.size)
     waves = _diffuse_field(positions_m, fs_hz, directivities) if any(directivities) else None
-    for block in (slice(first, first + at_once) for first in range(0, n_groups, at_once)):
-        coherence = (np.sinc(2.0 * frequency_hz[block, None, None] * distance_m / speed_m_s) if waves is None else
-                     _coherence(*waves, frequency_hz[block], speed_m_s, fs_hz))
-        factor = np.linalg.cholesky((1.0 - _LOADING) * coherence + _LOADING * np.eye(len(positions_m)))
-        groups[block] = factor.astype(np.complex64 if np.iscomplexobj(factor) else np.float32) @ groups[block]
+    with threadpool_limits(1):  # of small matrices; threads would take longer than one
+        for first in range(0, len(frequency_hz), at_once):
+            of_block = frequency_hz[first:first + at_once]
+            coherence = (np.sinc(2.0 * of_block[:, None, None] * distance_m / speed_m_s) if waves is None else
+                         _coherence(*waves, of_block, speed_m_s, fs_hz))
+            factors = np.linalg.cholesky((1.0 - _LOADING) * coherence + _LOADING * np.eye(len(positions_m)))
+            factors = factors.astype(np.complex64 if np.iscomplexobj(factors) else np.float32)
+            for n, factor in enumerate(factors, first):
+                group = slice(edges[n], edges[n + 1])
+                padded[:, group] = factor @ padded[:, group]
     return list(irfft(padded[:, :n_bins], n_fft)[:, :n_samples])
+
+
+def _group_edges(n_fft: int, fs_hz: float, largest_m: float, speed_m_s: float) -> IntArray:
+    """Return the bins at which groups of frequencies begin that share a factor, and where the last one ends.
+
+    The coherence of omnidirectional microphones differs within a group from that at its middle by 0.22 `_STEP_RAD` at
+    most, as the slope of ``sin(x) / x`` is 0.44 at most. Beyond `_COMPACT_M` the width of a group grows with frequency:
+    the slope is also 1.07 / x at most, so that the difference is 0.54 `_STEP_SHARE` at most, whatever the distance.
+    Between directive microphones it is up to three times as much, of figures of eight along their axis.
+    """
+    step_hz = _STEP_RAD * speed_m_s / (2.0 * np.pi * max(largest_m, 0.01))
+    n_bins = n_fft // 2 + 1
+    width = min(max(1, int(step_hz * n_fft / fs_hz)), n_bins)
+    share = _STEP_SHARE if largest_m > _COMPACT_M else 0.0
+    edges = [0]
+    while edges[-1] < n_bins:
+        edges.append(edges[-1] + max(width, int(share * edges[-1])))
+    return np.array(edges)
 
 
 def _diffuse_field(positions_m: FloatArray, fs_hz: float, directivities: Sequence[
@@ -78,8 +101,10 @@ def _diffuse_field(positions_m: FloatArray, fs_hz: float, directivities: Sequenc
         How far each microphone lies towards where a wave comes from.
     """
     directions, n_bands = sphere_directions(_DIRECTIONS, np.random.default_rng(0)), len(exact_bands_hz(fs_hz))
-    gains = np.array([np.ones((_DIRECTIONS, n_bands)) if directivity is None else directivity(directions)
-                      for directivity in directivities])
+    different = {id(directivity): directivity for directivity in directivities}
+    heard = {key: np.ones((_DIRECTIONS, n_bands)) if directivity is None else directivity(directions)
+             for key, directivity in different.items()}
+    gains = np.array([heard[id(directivity)] for directivity in directivities])
     gains = gains / np.sqrt(np.maximum(np.mean(gains ** 2, axis=1, keepdims=True), np.finfo(float).tiny))
     return gains, (positions_m - positions_m.mean(axis=0)) @ directions.T
 
