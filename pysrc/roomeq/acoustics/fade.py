@@ -6,6 +6,7 @@ way. That of a fade falls ever faster, by 12 or 24 dB each time the rest of it h
 
 import numpy as np
 
+from roomeq.acoustics.decay_kernels import strongest_power
 from roomeq.acoustics.decibels import power_db
 from roomeq.core.arrays import FloatArray
 
@@ -14,6 +15,9 @@ _FADED_DB, _WHOLE_DB = 4.5, 1.0
 """Bend from which on a response ends in a fade, and that of a response without one. Linear fades over the last fifth to
 half of a response bend it by 5.3 dB or more, one over its last tenth by 4.8 dB, and Hann windows by more but for the
 last tenth, by 4.3 dB. None of 600 measured responses without a fade is bent by more than 2.5 dB."""
+_DECAYED_DB = 80.0
+"""Level below the strongest 5 ms of what no microphone records: a response that has fallen so far ahead of its last tenth
+is simulated, and a fade there cannot change T30."""
 _STEP = 0.95  # by which a response is shortened until no bend is left
 _LEAST = 0.4  # of a response is kept
 
@@ -36,6 +40,9 @@ def length_before_fade(rir: FloatArray, fs_hz: float, direct_sample: float) -> i
     power = np.square(np.diff(rir[start:]))  # the difference takes out rumble, whose level scatters
     n_samples = len(power)
     if n_samples < 10.0 * _SHORTEST_PART_S * fs_hz or _bend_db(power) < _FADED_DB:
+        return len(rir)
+    before_db = power_db(power[-(n_samples // 10 * 2):-(n_samples // 10)].mean())
+    if before_db < power_db(strongest_power(power, round(0.005 * fs_hz))) - _DECAYED_DB:
         return len(rir)
     while n_samples > _LEAST * len(power) and _bend_db(power[:n_samples]) > _WHOLE_DB:
         n_samples = int(_STEP * n_samples)
