@@ -16,8 +16,8 @@ _FADED_DB, _WHOLE_DB = 4.5, 1.0
 half of a response bend it by 5.3 dB or more, one over its last tenth by 4.8 dB, and Hann windows by more but for the
 last tenth, by 4.3 dB. None of 600 measured responses without a fade is bent by more than 2.5 dB."""
 _DECAYED_DB = 80.0
-"""Level below the strongest 5 ms of what no microphone records: a response that has fallen so far ahead of its last tenth
-is simulated, and a fade there cannot change T30."""
+"""Level below the strongest 5 ms of what no microphone records: a response that has fallen so far ahead of its last
+tenth is simulated, and a fade there cannot change T30."""
 _STEP = 0.95  # by which a response is shortened until no bend is left
 _LEAST = 0.4  # of a response is kept
 
