@@ -22,7 +22,7 @@ from roomeq.loop.ledger_checks import InvalidEntryError, check_ledger
 from roomeq.loop.packing import OWN_SCOPES
 from roomeq.loop.selection import SPLITS, Candidate, HeldOutErrors
 from roomeq.loop.session import Session
-from roomeq.loop.splitters import leave_rooms_out, shared_covariance
+from roomeq.loop.splitters import leave_rooms_out
 from roomeq.loop.usable import LeftOut
 
 LEDGER_FILE, RESIDUALS_FILE = "ledger.json", "residuals.npz"
@@ -131,10 +131,10 @@ def _parameter_intervals(session: Session, effect: type[Effect]) -> dict:
              for name, vector in zip(session.data.units(effect.SCOPE)[0], best, strict=True)}
     if effect.SCOPE in OWN_SCOPES:
         return entry
-    held_out = np.array([index.vectors(room.mean, session.fit.local)[k]
-                         for room in leave_rooms_out(session.data, session.fit)])
+    left_out = leave_rooms_out(session.data, session.fit)
+    held_out = np.array([index.vectors(room.mean, session.fit.local)[k] for room in left_out])
     part, n_vectors, unit_of_row, size = index.shared[k]
-    deviation = np.sqrt(np.diag(shared_covariance(session.data, session.fit))[part]).reshape(n_vectors, size)
+    deviation = np.sqrt(np.diag(np.linalg.inv(left_out[0].of_all))[part]).reshape(n_vectors, size)
     for u, of_unit in enumerate(entry.values()):
         rooms = np.unique(session.data.room[unit_of_row == u])
         half = (_jackknife_half_interval(held_out[rooms, u]) if len(rooms) > 2

@@ -57,8 +57,8 @@ def detectable_sizes(session: Session, candidates: Sequence[Candidate], rejected
             left = information.sum() - information.max()  # the room that gains most is not counted
             if left > 0.0:
                 found.append(size_of_change_jnd(session.data, amplitude / np.sqrt(left) * change))
-        not_added = candidate.effect in rejected or candidate.helps(len(candidates))
-        least = max(MIN_SIZE_JND, candidate.size_jnd if not_added else 0.0)
+        passed_over = candidate.effect in rejected or candidate.helps(len(candidates))
+        least = max(MIN_SIZE_JND, candidate.size_jnd if passed_over else 0.0)
         sizes.append(max(least, float(np.median(found))) if found else None)
     return sizes
 

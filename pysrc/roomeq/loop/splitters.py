@@ -157,18 +157,6 @@ def leave_rooms_out(data: Data, fitted: Fit, groups: IntArray | None = None) -> 
     return held_out
 
 
-def shared_covariance(data: Data, fitted: Fit) -> FloatArray:
-    """Return the posterior covariance of the shared parameters given all rooms, shape (n_shared, n_shared)."""
-    return inverted(_shared_precision(ParameterIndex(data, fitted.effects), fitted))
-
-
-def _shared_precision(index: ParameterIndex, fitted: Fit) -> FloatArray:
-    precision = shared_prior(index, [effect.STARTS[0] for effect in index.effects], START_X).precision.copy()
-    for room, of_own, own in zip(fitted.normal, fitted.precision, fitted.local, strict=True):
-        precision[room.block] += _without_own(room, of_own, own)[0]
-    return precision
-
-
 def rooms_by_devices(data: Data) -> IntArray:
     """Return the number of each room's group, shape (n_rooms,): rooms of two groups share no source or microphone."""
     units = [data.units(scope) for scope in ("source", "mic")]
@@ -373,7 +361,11 @@ def transfer_shared(session: Session, index: ParameterIndex) -> SharedPrior:
     about the next.
     """
     fitted, before = session.fit, session.index
-    covariance = inverted(_shared_precision(before, fitted))
+    prior = shared_prior(before, [effect.STARTS[0] for effect in before.effects], START_X)
+    precision: FloatArray = prior.precision.copy()
+    for room, of_own, own in zip(fitted.normal, fitted.precision, fitted.local, strict=True):
+        precision[room.block] += _without_own(room, of_own, own)[0]
+    covariance = np.linalg.inv(precision)
     mean, spread = np.zeros(index.n_shared), np.zeros((index.n_shared, index.n_shared))
     mean[:N_SURFACE], spread[:N_SURFACE, :N_SURFACE] = fitted.mean[:N_SURFACE], covariance[:N_SURFACE, :N_SURFACE]
     mean[:N_BANDS] = 0.5 * mean[:N_BANDS] + 0.5 * (mean[BAND_1KHZ] + COMMON_SPECTRUM)
