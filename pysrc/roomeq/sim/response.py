@@ -31,7 +31,7 @@ from roomeq.sim.defaults import ISM_ORDER, NUM_RAYS, ORDER
 from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.path_sample import PathSample, sample_paths, sharing
 from roomeq.sim.render import MAX_LENGTH_S, MIN_LENGTH_S
-from roomeq.sim.scene import Scene, check_positions, eyring_time_s
+from roomeq.sim.scene import Scene, check_positions, eyring_time_s, needed_area_m2
 from roomeq.sim.target import (
     STRAIGHT,
     TOLERANCE,
@@ -305,7 +305,7 @@ def hides_decay(scene: Scene, distance_m: FloatArray, t60_s: float) -> BoolArray
     T20 then holds 5 dB of the decay or less. Both are equal at the critical distance, ``sqrt(A / (16 pi))`` (Kuttruff,
     Room Acoustics, ch. 5), with the absorption area A by Sabine's formula.
     """
-    area_m2 = 24.0 * np.log(10.0) * scene.room.volume_m3 / (scene.air.speed_m_s * t60_s)
+    area_m2 = needed_area_m2(scene.room.volume_m3, t60_s, scene.air.speed_m_s)
     return area_m2 / (16.0 * np.pi * np.square(distance_m)) >= 100.0
 
 
@@ -400,7 +400,7 @@ def eyring_exponent(scene: Scene, target_s: float, absorption: FloatArray | None
     """
     absorption = scene.absorption if absorption is None else absorption
     air_area_m2 = 4.0 * scene.attenuation_per_m[BAND_1KHZ] * scene.room.volume_m3
-    wanted_m2 = 24.0 * np.log(10.0) * scene.room.volume_m3 / (scene.air.speed_m_s * target_s) - air_area_m2
+    wanted_m2 = needed_area_m2(scene.room.volume_m3, target_s, scene.air.speed_m_s) - air_area_m2
     area_m2 = scene.room.surface_area_m2
     now_m2 = -np.log(1.0 - min(0.99, area_m2 @ absorption[:, BAND_1KHZ] / area_m2.sum())) * area_m2.sum()
     return float(np.clip(wanted_m2 / max(now_m2, 1e-6), 1e-2, 1e2))

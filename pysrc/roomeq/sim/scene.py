@@ -260,10 +260,14 @@ def eyring_absorption_area_m2(scene: Scene, absorption: FloatArray | None = None
     return -np.log(1.0 - mean) * area_m2.sum() + 4.0 * scene.attenuation_per_m * scene.room.volume_m3
 
 
+def needed_area_m2(volume_m3: float, time_s: float, speed_m_s: float) -> float:
+    """Return the absorption area that gives a reverberation time, ``24 ln(10) V / (c T)`` (Sabine, Eyring)."""
+    return float(24.0 * np.log(10.0) * volume_m3 / (speed_m_s * time_s))
+
+
 def uniform_absorption(room: Room, time_s: float, speed_m_s: float) -> float:
     """Return the absorption coefficient with which all surfaces give a reverberation time by Eyring, without air."""
-    area_m2 = 24.0 * np.log(10.0) * room.volume_m3 / (speed_m_s * time_s)
-    return 1.0 - float(np.exp(-area_m2 / room.surface_area_m2.sum()))
+    return 1.0 - float(np.exp(-needed_area_m2(room.volume_m3, time_s, speed_m_s) / room.surface_area_m2.sum()))
 
 
 def eyring_time_s(scene: Scene, absorption: FloatArray | None = None) -> FloatArray:
