@@ -29,6 +29,7 @@ MEASURED_FILE, SIMULATED_FILE, RESAMPLED_FILE = "measured.jsonl", "simulated.jso
 OUTLIER_Z = 4.0  # robust standard deviations from the median of the rooms
 MIN_SPREAD_DB = 4.0  # a single bin of one RIR scatters that much within a room (Schroeder's 5.6 dB, averaged)
 _EM_STEPS = 50
+_ROUNDING_DB2 = 1e-6  # keeps a covariance positive definite
 _DECIMALS = 4
 
 
@@ -169,7 +170,8 @@ def fill_missing(records: list[EqRecord], seed: int) -> FloatArray:
 
     Mean and covariance come from expectation-maximisation over the incomplete vectors (Little & Rubin, Statistical
     Analysis with Missing Data, 11.2.2). A missing point is *drawn* from the Gaussian given the known points of its
-    RIR. The conditional mean would make the mixture too narrow.
+    RIR, which are taken as measured to `JND_DB` (ridge regression), so that a few RIRs determine it too. The
+    conditional mean would make the mixture too narrow.
 
     Raises
     ------
@@ -186,28 +188,34 @@ def fill_missing(records: list[EqRecord], seed: int) -> FloatArray:
                          "give recordings that reach it")
     incomplete = np.flatnonzero(missing.any(axis=1))
     mean = np.nanmean(vectors, axis=0)
-    covariance = np.diag(np.nanvar(vectors, axis=0)) + JND_DB ** 2 * np.eye(len(FREE))
+    covariance = np.diag(np.nanvar(vectors, axis=0))
     for _ in range(_EM_STEPS):
         filled, unexplained = vectors.copy(), np.zeros_like(covariance)
         for n in incomplete:
             filled[n, missing[n]], conditional = _condition(vectors[n], missing[n], mean, covariance)
             unexplained[np.ix_(missing[n], missing[n])] += conditional
         mean = filled.mean(axis=0)
-        covariance = (np.cov(filled.T, bias=True) + unexplained / len(filled)) + JND_DB ** 2 * np.eye(len(FREE))
+        covariance = np.cov(filled.T, bias=True) + unexplained / len(filled)
     for n in incomplete:
         expected, conditional = _condition(vectors[n], missing[n], mean, covariance)
         rng = rng_for(seed, "missing EQ points", records[n]["id"])
-        vectors[n, missing[n]] = expected + np.linalg.cholesky(conditional) @ rng.standard_normal(len(expected))
+        factor = np.linalg.cholesky(conditional + _ROUNDING_DB2 * np.eye(len(expected)))
+        vectors[n, missing[n]] = expected + factor @ rng.standard_normal(len(expected))
     return vectors
 
 
 def _condition(vector: FloatArray, missing: BoolArray, mean: FloatArray,
                covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean and covariance of the missing points given the others."""
+    """Return the mean of the missing points given the others, and the covariance that their mean leaves unexplained.
+
+    With that covariance, mean and unexplained part together vary as much as `covariance` says.
+    """
     known = ~missing
-    gain = np.linalg.solve(covariance[np.ix_(known, known)], covariance[np.ix_(known, missing)]).T
-    conditional = covariance[np.ix_(missing, missing)] - gain @ covariance[np.ix_(known, missing)]
-    return mean[missing] + gain @ (vector[known] - mean[known]), conditional
+    of_known = covariance[np.ix_(known, known)]
+    measured = of_known + JND_DB ** 2 * np.eye(len(of_known))
+    gain = np.linalg.solve(measured, covariance[np.ix_(known, missing)]).T
+    unexplained = covariance[np.ix_(missing, missing)] - gain @ of_known @ gain.T
+    return mean[missing] + gain @ (vector[known] - mean[known]), unexplained
 
 
 def _eight_points(vector_db: FloatArray) -> list[float]:
