@@ -20,7 +20,8 @@ MAX_DB = 200.0
 
 GMM_FILE = "gmm.json"
 JND_DB = 1.0
-"""Just noticeable difference of EQ [dB]. The standard deviation of a component is at least this large."""
+"""Just noticeable difference of EQ [dB]. The standard deviation of a component is at least this large in any
+direction."""
 
 REPLICAS = 20  # rows per RIR when rooms are weighted by repeating rows: weights are exact to 5 %
 
@@ -86,7 +87,17 @@ def fit_gmm(vectors_db: FloatArray, rooms: Sequence[str], *, n_components: int =
     return Gmm(points_hz=POINTS_HZ, reference_hz=BANDS_HZ[BAND_1KHZ], n_rirs=len(vectors_db),
                 n_rooms=len(weights_of_room), weight_rooms=bool(weight_rooms), seed=seed,
                 weights=model.weights_[order].tolist(), means_db=model.means_[order].tolist(),
-                covariances_db2=model.covariances_[order].tolist(), weights_of_room=weights_of_room)
+                covariances_db2=_with_floor(model.covariances_[order]).tolist(), weights_of_room=weights_of_room)
+
+
+def _with_floor(covariances_db2: FloatArray) -> FloatArray:
+    """Return covariances without what scikit-learn added to their diagonals, and with eigenvalues of at least JND².
+
+    The addition keeps components from collapsing onto single RIRs, but would make every component wider.
+    """
+    values, vectors = np.linalg.eigh(covariances_db2)
+    values = np.maximum(values - JND_DB ** 2, JND_DB ** 2)
+    return np.einsum("kij,kj,klj->kil", vectors, values, vectors)
 
 
 def read_gmm(path: Path | str) -> Gmm:

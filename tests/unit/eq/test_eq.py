@@ -174,6 +174,17 @@ def test_missing_points_are_drawn_given_the_measured_ones():
     assert reordered == pytest.approx(filled, abs=1e-6)
 
 
+@pytest.mark.parametrize("share", [0.5, 0.9])
+def test_drawn_points_scatter_as_the_measured_ones(share):
+    rng, n = np.random.default_rng(0), 800
+    vectors_db = rng.multivariate_normal(np.zeros(7), 9.0 * (0.5 * np.eye(7) + 0.5), size=n)
+    lacks_62_hz = np.arange(n) < share * n
+    records = [dict(id=f"r{k}", eq_db=with_reference(vector_db).tolist(), valid=[not lacks_62_hz[k], *[True] * 7],
+                    edge_db=None) for k, vector_db in enumerate(vectors_db)]
+    filled = fill_missing(records, seed=0)
+    assert filled[lacks_62_hz, 0].std() == pytest.approx(vectors_db[~lacks_62_hz, 0].std(), rel=0.1)
+
+
 def test_point_that_no_record_has_is_an_error():
     records = [record(f"r{n}", np.zeros(7), valid=[False] + [True] * 7) for n in range(9)]
     with pytest.raises(ValueError, match="none of 9 measured RIRs has a valid EQ at 62.5 Hz"):
@@ -230,6 +241,12 @@ def test_targets_of_a_room_use_its_component_weights(two_clusters):
 
 
 @pytest.mark.filterwarnings("ignore:Number of distinct clusters")
+def test_component_is_as_wide_as_its_rirs():
+    vectors = np.random.default_rng(0).normal(0.0, [1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0], (400, 7))
+    gmm = fit_gmm(vectors, ["room"] * 400, n_components=1, seed=0)
+    assert np.array(gmm["covariances_db2"][0]) == pytest.approx(np.cov(vectors.T, bias=True), abs=1e-6)
+
+
 def test_nearly_as_many_components_as_rirs_keep_min_width():
     rng = np.random.default_rng(0)
     vectors = np.concatenate([np.repeat(rng.normal(0, 3, (1, 7)), 7, axis=0), rng.normal(0, 3, (2, 7))])
