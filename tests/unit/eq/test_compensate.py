@@ -51,6 +51,18 @@ def test_measured_eq_of_compensated_rirs_meets_the_target(time_s):
     assert np.percentile(errors, 95) < 1.5
 
 
+@pytest.mark.parametrize("direct_sample", [0, 47, 255])
+def test_steep_targets_are_met_wherever_the_direct_sound_is(direct_sample):
+    rng, time_s = np.random.default_rng(3), np.arange(8000) / FS_HZ
+    mean_db, spread_db = np.array([[-10, -4, -1, 0, -1, -3, -8], [8, 5, 3, 2, 3, 4, 6]])
+    for _ in range(20):
+        tail = 0.05 * rng.standard_normal(8000) * 10.0 ** (-3.0 * time_s / rng.uniform(0.3, 1.0))
+        tail[0], tail[1:40] = 1.0, 0.0
+        target_db = np.insert(np.maximum(rng.normal(mean_db, spread_db), -20.0), 4, 0.0)  # 31 Hz bins follow these
+        result = compensate_rir(np.concatenate([np.zeros(direct_sample), tail]), direct_sample, target_db)
+        assert result.achieved_db == pytest.approx(target_db, abs=1.5)
+
+
 def test_corrected_design_beats_a_single_pass_at_low_bands():
     def error_db(achieved_db):
         return np.mean(np.abs(achieved_db - TARGET_DB)[:, :2])
