@@ -136,19 +136,18 @@ def compensate_rir(rir: FloatArray, direct_sample: float, target_db: FloatArray,
 def _approach(rir: FloatArray, direct_sample: float, level_db: FloatArray, wanted_db: FloatArray,
               design: Callable[[FloatArray], FloatArray]) -> tuple[CompensatedRir, float]:
     """Design filters until the levels are the wanted ones; return the best RIR and its largest error [dB]."""
-    gain_db, best, least_db = wanted_db - level_db, None, np.inf
+    gain_db, results, errors_db = wanted_db - level_db, [], [np.inf]
     for _ in range(MAX_PASSES):
         fir = design(gain_db)
         compensated = apply_filter(rir, fir)
         achieved = analyse(compensated, direct_sample)
-        error_db = float(np.abs(achieved.level_db - wanted_db).max())
-        converges = error_db < _PROGRESS * least_db
-        if best is None or error_db < least_db:
-            best, least_db = CompensatedRir(compensated, achieved.eq_db, gain_db, fir), error_db
-        if least_db <= _CLOSE_DB or not converges:
+        results.append(CompensatedRir(compensated, achieved.eq_db, gain_db, fir))
+        errors_db.append(float(np.abs(achieved.level_db - wanted_db).max()))
+        if errors_db[-1] <= _CLOSE_DB or errors_db[-1] >= _PROGRESS * min(errors_db[:-1]):
             break
         gain_db = gain_db + wanted_db - achieved.level_db
-    return best, least_db
+    best = int(np.argmin(errors_db))
+    return results[best - 1], errors_db[best]
 
 
 def design_filter(gain_db: FloatArray, taps: int) -> FloatArray:
