@@ -35,6 +35,9 @@ SUSTAINED_RATIO = 3.0
 _LOCAL_S = 0.02
 DENSE_CREST = 4.5
 """Peak over RMS that 20 ms of Gaussian noise, which late reverberation is, exceed once in 500 times."""
+OFFSET_SHARE = 0.05
+"""Energy of a constant offset, relative to the rest, from which on it is more than rounding."""
+_OFFSET_S = 0.2
 _NO_RISE_SAMPLES = 4
 """A start is no onset if these first samples are as loud as the response already."""
 
@@ -62,7 +65,21 @@ def find_implausibility(rir: ArrayLike, fs_hz: float) -> str | None:
     sounding = np.flatnonzero(h)
     h = h[sounding[0]:sounding[-1] + 1]  # digital silence before and after is padding
     h = h / np.max(np.abs(h))
-    return _clipped(h) or _not_decaying(h, fs_hz) or _reversed(h, fs_hz) or _without_onset(h, fs_hz)
+    return (_with_offset(h, fs_hz) or _clipped(h) or _not_decaying(h, fs_hz) or _reversed(h, fs_hz)
+            or _without_onset(h, fs_hz))
+
+
+def _with_offset(h: FloatArray, fs_hz: float) -> str | None:
+    """Find a constant offset: the means of the last quarters of the recording agree, and hold much of its energy."""
+    if len(h) < _OFFSET_S * fs_hz:
+        return None
+    means = np.array([part.mean() for part in np.array_split(h[len(h) // 2:], 4)])
+    offset = means.mean()
+    share = offset ** 2 * len(h) / np.sum((h - offset) ** 2)
+    if share < OFFSET_SHARE or np.any(np.abs(means - offset) > 0.5 * abs(offset)):
+        return None
+    return (f"offset: a constant holds {share:.0%} of the energy of the rest, and a room passes no constant on: "
+            f"subtract the mean of the recording's end, {100.0 * offset:.2g} % of the peak")
 
 
 def _clipped(h: FloatArray) -> str | None:

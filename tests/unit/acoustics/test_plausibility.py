@@ -45,6 +45,12 @@ def test_clipping_of_a_weak_direct_sound_by_6_db_is_found():
     assert sum(reason is not None for reason in found) > 4
 
 
+@pytest.mark.parametrize("offset", [-0.05, 0.01, 0.1])
+def test_constant_offset_is_found(offset):
+    for rir, _ in examples():
+        assert find_implausibility(rir + offset * np.abs(rir).max(), FS_HZ).startswith("offset: a constant holds")
+
+
 @pytest.mark.parametrize("time_s", [0.15, 0.3, 1.0, 4.0])
 @pytest.mark.parametrize("lead_s", [0.0, 0.0005, 0.002, 0.2])
 @pytest.mark.parametrize("drr_db", [-6.0, 0.0, 12.0])
