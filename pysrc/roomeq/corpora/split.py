@@ -191,16 +191,19 @@ def _shares(sizes: Sequence[int], n: int) -> list[int]:
 
 
 def _measurement_keys(row: RirRow) -> list[str]:
-    """Return what recordings of one measurement share: positions or, if one is not wholly known, also the file name.
+    """Return what recordings of one measurement share: the file without its channel, positions, or what else is known.
 
-    The file name is without its channel.
+    Where positions are not wholly known, files of one name in different folders of a room count as channels too.
     """
+    path = Path(row["wav"]).with_suffix("")
+    name = re.sub(r"[._-](ch\d+(_e\d+)?|e\d+|[LR])$", "", path.name)
+    keys = [repr((row["room_id"], str(path.parent), name))]
     position = position_key(row)
-    if position is not None and is_known(row.get("source_pos_m")) and is_known(row.get("mic_pos_m")):
-        return [position]
-    stem = re.sub(r"[._-](ch\d+|[LR])$", "", Path(row["wav"]).stem)
-    by_name = repr((row["room_id"], row["source_id"], row.get("source_pos_m"), row.get("mic_pos_m"), stem))
-    return [by_name] if position is None else [position, by_name]
+    if position is not None:
+        keys.append(position)
+    if position is None or not is_known(row.get("source_pos_m")) or not is_known(row.get("mic_pos_m")):
+        keys.append(repr((row["room_id"], row["source_id"], row.get("source_pos_m"), row.get("mic_pos_m"), name)))
+    return keys
 
 
 def _measurements(rows: Sequence[RirRow]) -> list[list[str]]:

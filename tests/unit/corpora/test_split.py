@@ -47,6 +47,20 @@ def test_splits_are_disjoint_and_complete(tmp_path):
     assert everything == sorted(row["id"] for row in read_rirs(tmp_path / "in"))
 
 
+@pytest.mark.parametrize("ending", ["_ch{}", "_ch{}_e0", "_ch0_e{}"])
+def test_channels_of_a_measurement_stay_together_wherever_they_are(tmp_path, ending):
+    rng = np.random.default_rng(0)
+    rows = []
+    for measurement in range(6):
+        for n in range(4):
+            rir_id = f"lab-{measurement}" + ending.format(n)
+            rows.append((row(rir_id, "lab", mic_id=f"array-ch{n}", source_pos_m=[1.0 + measurement, 1.0, 1.0],
+                             mic_pos_m=[2.0, 3.0 + 0.05 * n, 1.0]), RIR + 0.01 * rng.normal(size=len(RIR))))
+    ids, _ = split(tmp_path, write_rir_dir(tmp_path / "in", rows), sizes=(12, 4, 8))
+    part_of = {rir_id: part for part in SPLITS for rir_id in ids[part]}
+    assert len({(rir_id.split("_")[0], part) for rir_id, part in part_of.items()}) == 6
+
+
 def test_split_depends_on_the_seed_only(tmp_path):
     rir_dir = make(tmp_path / "in", {"a": 20})
     first, _ = split(tmp_path, rir_dir, "first")
