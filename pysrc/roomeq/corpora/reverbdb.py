@@ -25,9 +25,9 @@ from roomeq.records.schema import make_id
 
 logger = logging.getLogger(__name__)
 
-UNRELIABLE_ROOMS = ("ConferenceRoom2", "L227")
+UNRELIABLE_ROOMS = ("Hotel_SkalskyDvur_ConferenceRoom2", "VUT_FIT_L227")
 """Rooms whose positions the release's own notes call unreliable."""
-UNCOMMON_ROOMS = ("L227",)
+UNCOMMON_ROOMS = ("VUT_FIT_L227",)
 """Spaces that the paper leaves out: stairs."""
 
 _SESSION = re.compile(r"(SpkID\d+)_(.+)_([A-Z])")
