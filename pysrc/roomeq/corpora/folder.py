@@ -9,6 +9,7 @@ from roomeq.corpora.record import (
     Recording,
     audio_files,
     excitation_of,
+    folder_name,
     id_of_path,
     is_binaural_name,
     noise_kind_of,
@@ -28,14 +29,15 @@ def list_folder(source: Path) -> Corpus:
     if transcripts := min(root.rglob("*.trans.txt"), default=None):
         raise ValueError(f"{source}: holds speech ({transcripts.relative_to(root)}), but RIRs are expected here: "
                          "pass it as the speech corpus")
-    corpus = Corpus(name=root.name, kind="folder")
+    name = folder_name(root)
+    corpus = Corpus(name=name, kind="folder")
     ids = DistinctIds()
     for path in files:
         below = path.parent.relative_to(root).parts
-        room = below[0] if below else root.name
+        room = below[0] if below else name
         if len(below) > 1:
-            corpus.notes[f"RIR in a folder of a folder of {root.name}, which is taken for the room"] += 1
-        row = rir_row(corpus=root.name, room_id=room, excitation=excitation_of(path.stem),
+            corpus.notes[f"RIR in a folder of a folder of {name}, which is taken for the room"] += 1
+        row = rir_row(corpus=name, room_id=room, excitation=excitation_of(path.stem),
                       binaural=is_binaural_name(str(path.relative_to(root))))
         try:
             ids.add("room", row["room_id"], room)

@@ -3,12 +3,11 @@
 from pathlib import Path
 
 from roomeq.corpora.folder import list_folder, list_noise_folder
-from roomeq.corpora.record import Corpus, Recording, audio_files
+from roomeq.corpora.record import Corpus, Recording, audio_files, folder_name, id_of_path, is_sofa
 from roomeq.corpora.reverbdb import find_rooms, list_reverbdb
 from roomeq.corpora.slr28 import find_measured_part, list_slr28
 from roomeq.corpora.table import MANIFEST, list_noise_table, list_table
 from roomeq.records.rir_dir import ROWS_FILE
-from roomeq.records.schema import make_id
 
 
 def list_sofa(source: Path) -> Corpus:
@@ -19,18 +18,21 @@ def list_sofa(source: Path) -> Corpus:
     ValueError
         There is no SOFA file, or a name of one is that of a folder, a FIFO or a device.
     """
-    files = [source] if source.is_file() else sorted(path for path in source.rglob("*") if path.suffix == ".sofa")
+    files = [source] if source.is_file() else _sofa_files(source)
     if not files:
         raise ValueError(f"{source}: no .sofa files below it: check the path")
-    if any(path.suffix != ".sofa" for path in files):
-        raise ValueError(f"{source}: a SOFA file's name must end in .sofa: rename it, or choose another kind")
+    if other := next((path for path in files if path.suffix != ".sofa"), None):
+        raise ValueError(f"{other}: a SOFA file's name must end in .sofa: rename it, or choose another kind")
     for path in files:
         if not path.is_file():
             raise ValueError(f"{path}: a SOFA file must be a regular file: remove it")
-    root = source.parent if source.is_file() else source
-    return Corpus(name=source.stem if source.is_file() else source.name, kind="sofa", rirs=[
-        Recording(path, make_id("-".join(path.relative_to(root).with_suffix("").parts)),
-                  dict(corpus=source.stem if source.is_file() else source.name)) for path in files])
+    root, name = (source.parent, source.stem) if source.is_file() else (source, folder_name(source))
+    return Corpus(name=name, kind="sofa", rirs=[
+        Recording(path, id_of_path(path, root), dict(corpus=name)) for path in files])
+
+
+def _sofa_files(source: Path) -> list[Path]:
+    return sorted(path for path in source.rglob("*") if is_sofa(path))
 
 
 READERS = {"reverbdb": list_reverbdb, "slr28": list_slr28, "table": list_table, "sofa": list_sofa,
@@ -44,7 +46,7 @@ def detect_kind(source: Path) -> str:
     Raises
     ------
     ValueError
-        The folder is an RIR directory already, or holds speech.
+        The folder is an RIR directory already, or holds speech, or both SOFA and audio files.
     """
     if source.is_file():
         by_suffix = {".csv": "table", ".tsv": "table", ".sofa": "sofa"}
@@ -61,7 +63,12 @@ def detect_kind(source: Path) -> str:
         return "slr28"
     if find_manifest(source):
         return "table"
-    return "sofa" if not audio_files(source) and any(source.rglob("*.sofa")) else "folder"
+    sofa, audio = _sofa_files(source), audio_files(source)
+    if sofa and audio:
+        raise ValueError(f"{source}: holds SOFA files ({sofa[0].relative_to(source)}) and audio files "
+                         f"({audio[0].relative_to(source)}): name the kind to read, sofa or folder, or list both in "
+                         f"{MANIFEST}")
+    return "sofa" if sofa else "folder"
 
 
 def list_corpus(source: Path, kind: str | None = None) -> Corpus:

@@ -12,7 +12,7 @@ from roomeq.core.digests import audio_digest
 from roomeq.core.files import path_from, write_json
 from roomeq.core.limits import AUDIO_HOURS
 from roomeq.corpora.listing import list_corpus, list_noises, require_existing
-from roomeq.corpora.record import Corpus, Recording, is_generated
+from roomeq.corpora.record import Corpus, Recording, is_generated, is_sofa
 from roomeq.records.rir_dir import rir_path, write_noises, write_rirs
 
 logger = logging.getLogger(__name__)
@@ -159,7 +159,7 @@ def _write(build: Build, corpus: Corpus, skip_bad: bool, nj: int, keep_suspiciou
                     n_rows += 1
                 if change:
                     record[change] += 1
-                record["multichannel"] += n_rows > 1 and recording.path.suffix != ".sofa"
+                record["multichannel"] += n_rows > 1 and not is_sofa(recording.path)
             except ValueError as error:
                 if not skip_bad:
                     raise ValueError(f"{error} (or leave such files out with --skip-bad)") from None
@@ -205,7 +205,7 @@ def _check_ids(recordings: list[Recording]) -> None:
 def _warn_of_one_position(corpus: Corpus, rirs: list[dict[str, Any]]) -> None:
     """Say that the channels of a file have the one position that is stated for it."""
     stated = {recording.id for recording in corpus.rirs
-              if recording.path.suffix != ".sofa" and recording.row.get("mic_pos_m") and not recording.row["binaural"]}
+              if not is_sofa(recording.path) and recording.row.get("mic_pos_m") and not recording.row["binaural"]}
     second = {f"{recording_id}_ch1" for recording_id in stated} - {recording.id for recording in corpus.rirs}
     if several := [row["id"] for row in rirs if row["id"] in second]:
         logger.warning("%s: files with several channels, all of which have the one stated microphone position: %d "
@@ -238,7 +238,7 @@ def _report(corpus: Corpus, merged: dict[str, list[Any]], files: dict[str, int],
             logger.info("%s: %s: %s", corpus.name, label.replace("_", " "),
                         ", ".join(f"{key} {n}" for key, n in report[label].items()))
     _log_contradictions(corpus)
-    if corpus.kind == "sofa":
+    if any(is_sofa(recording.path) for recording in corpus.rirs):
         _log_unused_positions(corpus.name, rirs)
     for line in merged["skipped"]:
         logger.warning("left out: %s", line)

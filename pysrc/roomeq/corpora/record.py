@@ -1,5 +1,6 @@
 """What every reader of measured RIRs returns, and the parsing that readers share."""
 
+import os
 import re
 from collections import Counter
 from dataclasses import dataclass, field
@@ -26,7 +27,8 @@ class Recording:
     id : str
         Id of the RIR or noise; ``_ch0``, ``_ch1``, ... is appended for the channels of a file with several.
     row : dict
-        What the corpus states: keys of the RIR row (see `rir_row`), or `kind` and `room_id` of a noise.
+        What the corpus states: keys of the RIR row (see `rir_row`; of a SOFA file only those that the corpus states
+        beside it), or `kind` and `room_id` of a noise.
     where : str
         Line of the manifest that lists the file (``file:line``); empty where no manifest does.
     """
@@ -129,6 +131,8 @@ def parse_amount(text: str | None) -> float | None:
 def parse_vector(text: str | None) -> list[float | None] | None:
     """Parse three coordinates ``"4.71 2.75 ?"`` (also separated by ``,``, ``;`` or ``x``); None if all are unknown.
 
+    Where blanks, ``;`` or ``x`` separate them, a comma within one is a decimal mark.
+
     Raises
     ------
     ValueError
@@ -137,7 +141,9 @@ def parse_vector(text: str | None) -> list[float | None] | None:
     text = (text or "").strip().strip("[]()")
     if is_unknown(text):
         return None
-    parts = [part for part in re.split(r"\s*[,;x\u00d7]\s*|\s+", text) if part]
+    parts = [part.strip(",") for part in re.split(r"[;x\u00d7\s]+", text) if part.strip(",")]
+    if len(parts) == 1:
+        parts = text.split(",")
     if len(parts) != 3:
         raise ValueError(f"{text!r} must be three numbers such as '4.7 2.75 ?'")
     vector = [parse_number(part) for part in parts]
@@ -178,6 +184,16 @@ def audio_files(directory: Path) -> list[Path]:
     return sorted(path for path in directory.rglob("*")
                   if path.suffix.lower() in AUDIO_SUFFIXES and path.is_file()
                   and not any(part.startswith(".") for part in path.relative_to(directory).parts))
+
+
+def is_sofa(path: Path) -> bool:
+    """Tell by its name whether a file is a SOFA file."""
+    return path.suffix.lower() == ".sofa"
+
+
+def folder_name(directory: Path) -> str:
+    """Return the name of a folder, also of the working directory; that of a link is its own."""
+    return Path(os.path.abspath(directory)).name
 
 
 def is_generated(source: Path) -> bool:

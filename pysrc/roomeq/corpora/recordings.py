@@ -10,7 +10,7 @@ from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import audio_info, read_audio, require_plausible
 from roomeq.core.constants import FS_HZ
 from roomeq.core.files import path_from
-from roomeq.corpora.record import UNKNOWN, Recording
+from roomeq.corpora.record import UNKNOWN, Recording, is_sofa
 from roomeq.corpora.sofa_file import sofa_signals
 
 _SAFE_PATH = re.compile(r"[A-Za-z0-9_./+@,:=%~^-]+")
@@ -27,7 +27,7 @@ class Read(NamedTuple):
 
 def rows_of(recording: Recording, table: str, out: Path) -> Iterator[Read]:
     """Yield what a file holds."""
-    if recording.path.suffix == ".sofa" and table == "rirs":
+    if is_sofa(recording.path) and table == "rirs":
         for row, samples, fs_hz in sofa_signals(recording):
             samples = _at_16k(_usable(samples, f"{recording.path} ({row['id']})"), fs_hz, recording.path)
             yield Read(row | dict(fs_hz=FS_HZ, n_samples=len(samples),

@@ -1,8 +1,9 @@
 """SOFA files (AES69) of measured rooms, read with `sofar`: one RIR per measurement, receiver and emitter.
 
-The data types FIR and FIR-E are read: `SingleRoomSRIR`, `SingleRoomMIMOSRIR`, `MultiSpeakerBRIR`, `GeneralFIR`,
-`GeneralFIR-E` and similar conventions. Where the file states the room's corners, positions are relative to its lowest
-corner; without corners the distance to the walls is unknown, and only the distance of source and microphone is kept.
+The data types FIR, FIR-E and FIRE (FIR-E of old) are read: `SingleRoomSRIR`, `SingleRoomMIMOSRIR`,
+`MultiSpeakerBRIR`, `GeneralFIR`, `GeneralFIR-E` and similar conventions. Where the file states the room's corners,
+positions are relative to its lowest corner; without corners the distance to the walls is unknown, and only the distance
+of source and microphone is kept.
 """
 
 import math
@@ -19,6 +20,7 @@ from roomeq.core.limits import AUDIO_HOURS, max_audio_samples
 from roomeq.corpora.record import Recording, is_binaural_name, rir_row
 from roomeq.records.schema import LARGEST
 
+_DATA_TYPES = ("FIR", "FIR-E", "FIRE")
 _FREE_FIELD = ("HRIR", "HRTF", "Directivity", "Headphone")
 _BINAURAL = ("MultiSpeakerBRIR", "SingleRoomDRIR")
 _HEADS = ("dummy", "head", "kemar", "ku100", "ku 100", "hats", "artificial", "human")
@@ -55,10 +57,12 @@ def _signals(sofa: Any, recording: Recording) -> Iterator[tuple[dict[str, Any], 
     if irs is None or irs.ndim not in (3, 4):
         raise ValueError(f"{path}: Data.IR must have the dimensions M x R x N (x E): export it as FIR")
     irs = irs if irs.ndim == 4 else irs[..., np.newaxis]
+    if sofa.GLOBAL_DataType == "FIRE":  # M x R x E x N
+        irs = np.moveaxis(irs, 2, 3)
     n_measurements, n_receivers, n_samples, n_emitters = irs.shape
     rates_hz = _array(sofa, "Data_SamplingRate")
     rates_hz = np.zeros(1) if rates_hz is None else np.atleast_1d(rates_hz)
-    room = _room(sofa, path)
+    room = _room(sofa, recording.id)
     binaural = _is_binaural(sofa, n_receivers)
     for m in range(n_measurements):
         rate_hz = float(rates_hz[min(m, len(rates_hz) - 1)])
@@ -69,9 +73,12 @@ def _signals(sofa: Any, recording: Recording) -> Iterator[tuple[dict[str, Any], 
             for e in range(n_emitters):
                 suffix = "".join((f"_m{m:0{len(str(n_measurements - 1))}d}" * (n_measurements > 1),
                                   f"_ch{r}" * (n_receivers > 1), f"_e{e}" * (n_emitters > 1)))
-                row = rir_row(**room, **_positions(sofa, m, r, e), binaural=binaural,
-                              corpus=recording.row["corpus"], source_id=f"{_named(sofa, 'Source')}{e or ''}",
-                              mic_id=f"{_named(sofa, 'Listener')}{f'-ch{r}' * (n_receivers > 1)}")
+                # what a CSV states of the file comes before what the file itself states
+                named = dict(binaural=binaural, source_id=_named(sofa, "Source"), mic_id=_named(sofa, "Listener"))
+                known = room | _positions(sofa, m, r, e) | named | recording.row
+                known["source_id"] += str(e or "")
+                known["mic_id"] += f"-ch{r}" * (n_receivers > 1)
+                row = rir_row(**known)
                 delay = _delay_samples(sofa, m, r, e, path)
                 yield row | dict(id=recording.id + suffix), np.pad(irs[m, r, :, e], (delay, 0)), round(rate_hz)
 
@@ -86,6 +93,8 @@ def open_sofa(path: Path) -> Any:
     """
     import sofar
 
+    if path.suffix != ".sofa":  # which `sofar` would put in place of another one
+        raise ValueError(f"{path}: a SOFA file's name must end in .sofa: rename it")
     try:
         _check_size(path)
         with warnings.catch_warnings():
@@ -100,7 +109,7 @@ def open_sofa(path: Path) -> Any:
 def _open(path: Path) -> Any:
     sofa = open_sofa(path)
     convention, data_type = sofa.GLOBAL_SOFAConventions, sofa.GLOBAL_DataType
-    if not str(data_type).startswith("FIR"):
+    if data_type not in _DATA_TYPES:
         raise ValueError(f"{path}: data type {data_type!r} must be FIR or FIR-E: export impulse responses")
     if any(word in convention for word in _FREE_FIELD):
         raise ValueError(f"{path}: convention {convention} describes a free field, no room: leave the file out")
@@ -150,12 +159,12 @@ def _corners(sofa: Any) -> tuple[FloatArray, FloatArray] | None:
     return (a, b) if plausible else None
 
 
-def _room(sofa: Any, path: Path) -> dict[str, Any]:
-    """Return the keys of a row that describe the room."""
+def _room(sofa: Any, file_id: str) -> dict[str, Any]:
+    """Return the keys of a row that describe the room; without a name it has the id of its file."""
     corners = _corners(sofa)
     dims_m = None if corners is None else np.abs(corners[1] - corners[0]).tolist()
     named = str(getattr(sofa, "GLOBAL_RoomShortName", "") or "").strip()
-    return dict(room_id=named or path.stem, room_dims_m=dims_m, temperature_c=_temperature_c(sofa),
+    return dict(room_id=named or file_id, room_dims_m=dims_m, temperature_c=_temperature_c(sofa),
                 room_type=str(getattr(sofa, "GLOBAL_RoomDescription", "") or "").strip() or None)
 
 

@@ -3,7 +3,7 @@
 Columns (any order, upper or lower case, separated by comma, semicolon or tab); only `file` is needed:
 
 `file`
-    Relative to the CSV.
+    Relative to the CSV. A SOFA file states its positions itself; other cells come before what it states.
 `rir_id` or `id`, `dataset` or `corpus`, `room` or `room_id`, `room_type`, `source_id`, `mic_id`, `session`
     Names. An unknown id (``?`` or empty) is made from the file's path; an unknown room is the file's folder.
 `room_dims_m`, `source_pos_m`, `mic_pos_m`
@@ -38,7 +38,9 @@ from roomeq.corpora.record import (
     DistinctIds,
     Recording,
     excitation_of,
+    folder_name,
     id_of_path,
+    is_sofa,
     is_unknown,
     noise_kind_of,
     parse_amount,
@@ -58,6 +60,7 @@ _NAMES = ("corpus", "room_id", "room_type", "source_id", "mic_id", "session")
 _VECTORS = ("room_dims_m", "source_pos_m", "mic_pos_m", "source_dir", "mic_dir")
 _NUMBERS = ("distance_m", "temperature_c", "humidity_pct", "documented_t60_s")
 _FLAGS = ("binaural", "tof_removed", "unreliable_geometry", "uncommon")
+_OF_ONE_RIR = ("source_pos_m", "mic_pos_m", "source_dir", "mic_dir", "distance_m")
 _LENIENT = ("documented_t60_s",)
 _AMOUNTS = ("distance_m", "documented_t60_s")
 _MAY_BE_UNKNOWN = {*_NAMES, "rir_id", "utt_id", "speaker", "set"}
@@ -99,10 +102,14 @@ def read_table(path: Path) -> Table:
             delimiter = max(",;\t", key=head.count)
             reader = csv.reader(stream, delimiter=delimiter)
             names = [cell.strip().lower() for cell in next(reader, [])]
-            rows = [(f"{path}:{reader.line_num}", cells) for cells in reader if any(map(str.strip, cells))]
+            rows = [(f"{path}:{reader.line_num}", [cell.strip() for cell in cells]) for cells in reader
+                    if any(map(str.strip, cells))]
     except (UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"{path}: not a CSV file in UTF-8 ({error}): export it again") from None
     columns = [_ALIASES.get(name, name) for name in names]
+    while columns and not columns[-1] and not any(any(cells[len(columns) - 1:]) for _, cells in rows):
+        columns.pop()  # spreadsheets write empty columns where cells were in use once
+        rows = [(where, cells[:len(columns)]) for where, cells in rows]
     if "file" not in columns:
         raise ValueError(f"{path}: columns {','.join(names) or '(none)'} must include 'file', the column of the "
                          "paths: rename it")
@@ -115,7 +122,7 @@ def read_table(path: Path) -> Table:
         if len(cells) > len(columns):
             raise ValueError(f"{where}: {len(cells)} cells under {len(columns)} columns: quote cells that hold "
                              f"{delimiter!r}")
-    return Table(columns, [TableRow(where, _named(dict(zip_longest(columns, map(str.strip, cells), fillvalue=""))))
+    return Table(columns, [TableRow(where, _named(dict(zip_longest(columns, cells, fillvalue=""))))
                            for where, cells in rows])
 
 
@@ -137,7 +144,7 @@ def list_table(path: Path) -> Corpus:
     if "transcript" in columns:
         raise ValueError(f"{path}: column 'transcript' says that this is speech, but RIRs are expected here: pass it "
                          "as the speech corpus")
-    corpus = Corpus(name=path.parent.name, kind="table")
+    corpus = Corpus(name=folder_name(path.parent), kind="table")
     if ignored := sorted(set(columns) - _KNOWN):
         logger.info("%s: columns not used: %s", path, ", ".join(ignored))
     ids = DistinctIds()
@@ -145,7 +152,11 @@ def list_table(path: Path) -> Corpus:
         try:
             file = resolve_file(path, cells)
             row = _row(path, file, cells, corpus)
-            for key, default in (("room_id", file.parent.name), ("source_id", UNKNOWN), ("mic_id", UNKNOWN)):
+            if is_sofa(file):
+                row = _stated(row, cells)
+                corpus.rirs.append(Recording(file, _row_id(path, file, cells), row, where))
+                continue
+            for key, default in (("room_id", folder_name(file.parent)), ("source_id", UNKNOWN), ("mic_id", UNKNOWN)):
                 ids.add(key, row[key], cells.get(key) or default)
             if not cells.get("room_id"):
                 ids.add("folder of a room without a name in column 'room'", row["room_id"],
@@ -154,6 +165,16 @@ def list_table(path: Path) -> Corpus:
         except ValueError as error:
             raise ValueError(f"{where}: {error}: correct the cell") from None
     return corpus
+
+
+def _stated(row: dict[str, Any], cells: dict[str, str]) -> dict[str, Any]:
+    """Return what a CSV states of a SOFA file: the keys of a row whose cells say something."""
+    for key in _OF_ONE_RIR:
+        if row[key] is not None:
+            raise ValueError(f"{key}={cells[key]!r} must be empty for a SOFA file, which states it for each RIR")
+    marked = {key: True for key in ("unreliable_geometry", "uncommon") if row[key]}
+    return {"corpus": row["corpus"], "excitation": row["excitation"], **marked,
+            **{key: row[key] for key in row if cells.get(key) and row[key] is not None}}
 
 
 def list_noise_table(path: Path) -> list[Recording]:
@@ -196,7 +217,7 @@ def _row_id(path: Path, file: Path, cells: dict[str, str]) -> str:
     try:
         return id_of_path(file, path.parent)
     except ValueError:  # outside the CSV's folder, from which no path may go into the id
-        return make_id(f"{file.parent.name}-{file.stem}")
+        return make_id(f"{folder_name(file.parent)}-{file.stem}")
 
 
 def _check_values(known: dict[str, Any]) -> None:
@@ -229,7 +250,7 @@ def _row(path: Path, file: Path, cells: dict[str, str], corpus: Corpus) -> dict[
         if (flag := _parse(key, cells, _flag)) is not None:
             known[key] = flag
     known.setdefault("corpus", path.parent.resolve().name)
-    room = known.setdefault("room_id", file.parent.name)
+    room = known.setdefault("room_id", folder_name(file.parent))
     known["excitation"] = (cells["excitation"].lower() or None) if "excitation" in cells else \
         excitation_of(f"{cells.get('rir_id', '')} {file.stem}")
     if "unreliable_geometry" not in known and is_unreliable(room):

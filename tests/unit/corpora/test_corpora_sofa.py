@@ -140,3 +140,59 @@ def test_free_field_and_broken_files_are_refused(tmp_path):
             list(sofa_signals(Recording(broken, "x", dict(corpus="x"))))
     with pytest.raises(ValueError, match=r"no \.sofa files below it"):
         list_sofa(tmp_path / "empty")
+
+
+def put_fire(path, irs):
+    """Write a file of the old data type FIRE, shape (n_measurements, n_receivers, n_emitters, n_samples)."""
+    with Dataset(str(path), "w") as file:
+        for name, text in dict(Conventions="SOFA", Version="1.0", SOFAConventions="MultiSpeakerBRIR",
+                               SOFAConventionsVersion="0.3", DataType="FIRE", RoomType="reverberant").items():
+            setattr(file, name, text)
+        for name, size in zip("MRENCI", (*irs.shape, 3, 1), strict=True):
+            file.createDimension(name, size)
+        values = {"Data.IR": ("MREN", irs), "Data.SamplingRate": ("I", 16000), "Data.Delay": ("IRE", 0),
+                  "ListenerPosition": ("IC", 0), "SourcePosition": ("IC", 0), "ReceiverPosition": ("RCI", 0),
+                  "EmitterPosition": ("ECI", 1)}
+        for name, (dimensions, value) in values.items():
+            variable = file.createVariable(name, "f8", tuple(dimensions))
+            variable[:] = value
+            if name.endswith("Position"):
+                variable.Type, variable.Units = "cartesian", "metre"
+    return path
+
+
+def test_emitters_of_data_type_fire_are_no_samples(tmp_path):
+    irs = np.random.default_rng(0).normal(size=(1, 2, 3, 100))
+    found = signals(put_fire(tmp_path / "a.sofa", irs))
+    assert [row["id"] for row, _, _ in found] == [f"a_ch{r}_e{e}" for r in range(2) for e in range(3)]
+    assert found[4][1] == pytest.approx(irs[0, 1, 1])
+
+
+def test_rooms_without_a_name_are_named_by_their_files(tmp_path):
+    for folder in ("office", "hall"):
+        put_sofa(tmp_path / folder / "rirs.sofa")
+    assert [next(sofa_signals(recording))[0]["room_id"] for recording in list_sofa(tmp_path).rirs] == [
+        "hall-rirs", "office-rirs"]
+
+
+def test_cells_of_a_table_come_before_what_the_file_states(tmp_path):
+    put_sofa(tmp_path / "a.sofa", 2, GLOBAL_RoomShortName="Lab", GLOBAL_SourceShortName="Genelec")
+    put_text(tmp_path / "t.csv", "file,room,mic_id,binaural,excitation\na.sofa,Hall 2,KU100,1,clap\n")
+    rows = read_rirs(read_measured(tmp_path / "t.csv", tmp_path / "out"))
+    assert {(row["room_id"], row["source_id"], row["mic_id"], row["binaural"], row["excitation"]) for row in rows} == {
+        ("Hall-2", "Genelec", "KU100", True, "clap")}
+    assert rows[0]["mic_pos_m"] == [3, 2, 1.5]
+    put_text(tmp_path / "t.csv", "file,mic_pos_m\na.sofa,1 2 1\n")
+    with pytest.raises(ValueError, match=r"mic_pos_m='1 2 1' must be empty for a SOFA file"):
+        read_measured(tmp_path / "t.csv", tmp_path / "out")
+
+
+def test_sofa_files_are_not_overlooked(tmp_path):
+    put_sofa(tmp_path / "a.sofa")
+    put(tmp_path / "note.wav")
+    with pytest.raises(ValueError, match="holds SOFA files .* and audio files"):
+        read_measured(tmp_path, tmp_path.parent / "out")
+    (tmp_path / "note.wav").unlink()
+    put_sofa(tmp_path / "b.sofa").rename(tmp_path / "B.SOFA")
+    with pytest.raises(ValueError, match=r"B\.SOFA: a SOFA file's name must end in \.sofa"):
+        read_measured(tmp_path, tmp_path.parent / "out")

@@ -1,10 +1,12 @@
 """A CSV of measured RIRs."""
 
 import logging
+from pathlib import Path
 
 import pytest
 from corpora_examples import make_table, put, put_text
 
+from roomeq.corpora.folder import list_folder
 from roomeq.corpora.record import UNKNOWN, noise_kind_of, parse_number, parse_vector, rir_row
 from roomeq.corpora.table import list_noise_table, list_table
 from roomeq.records.geometry import find_contradiction
@@ -32,6 +34,12 @@ def test_vector_cells_are_parsed(text, vector):
     assert parse_vector(text) == vector
 
 
+@pytest.mark.parametrize("text", ["6 5,5", "6,1,5,2", "6,5, 3", "1 2 3 4"])
+def test_cells_without_three_coordinates_are_refused(text):
+    with pytest.raises(ValueError, match="must be three numbers"):
+        parse_vector(text)
+
+
 def test_number_cells_are_parsed():
     assert parse_number("2,5") == 2.5 and parse_number(" 1e-3 ") == 1e-3 and parse_number("n/a") is None
     with pytest.raises(ValueError, match="must be finite"):
@@ -40,12 +48,30 @@ def test_number_cells_are_parsed():
 
 def test_separators_case_and_byte_order_mark_are_free(tmp_path):
     put(tmp_path / "a.wav")
-    (tmp_path / "t.csv").write_text("\ufeffFile;Room;source_pos_m\r\na.wav;lab 1;1,5 2,5 1\r\n", encoding="utf-8")
-    with pytest.raises(ValueError, match="must be three numbers"):
-        list_table(tmp_path / "t.csv")  # a comma between coordinates and in them is not to be told apart
-    (tmp_path / "t.csv").write_text("\ufeffFile;Room;source_pos_m\r\na.wav;lab 1;1.5 2.5 1\r\n", encoding="utf-8")
+    (tmp_path / "t.csv").write_text("\ufeffFile;Room;source_pos_m\r\na.wav;lab 1;1.5 2,5 1\r\n", encoding="utf-8")
     row = list_table(tmp_path / "t.csv").rirs[0].row
     assert row["room_id"] == "lab-1" and row["source_pos_m"] == [1.5, 2.5, 1]
+
+
+def test_empty_columns_without_a_name_are_ignored(tmp_path):
+    assert list_row(tmp_path, "room,,", "lab,,").row["room_id"] == "lab"
+    with pytest.raises(ValueError, match="column '' occurs twice"):
+        list_row(tmp_path, "room,,", "lab,,x")
+
+
+def test_rooms_and_corpora_are_named_by_the_working_directory(tmp_path, monkeypatch):
+    (tmp_path / "Hall").mkdir()
+    put(tmp_path / "Hall" / "a.wav")
+    put_text(tmp_path / "Hall" / "t.csv", "file\na.wav\n")
+    monkeypatch.chdir(tmp_path / "Hall")
+    for corpus in (list_table(Path("t.csv")), list_folder(Path())):
+        assert corpus.name == "Hall" and corpus.rirs[0].row["room_id"] == "Hall"
+
+
+def test_rooms_called_like_those_of_but_are_as_good_as_others(tmp_path):
+    for name in ("Lab_L227", "ConferenceRoom2"):
+        row = list_row(tmp_path, "room", name).row
+        assert not row["uncommon"] and not row["unreliable_geometry"]
 
 
 def test_unused_columns_are_logged(tmp_path, caplog):
