@@ -23,7 +23,8 @@ from roomeq.kaldi.datadir import read_data_dir
 from roomeq.kaldi.wavscp import flac_entry
 from roomeq.wer.workspace import CONTENT_FILE
 
-COPIED = ("segments", "text", "utt2spk", "spk2utt", "spk2gender", "utt2dur", "reco2dur", "utt2rir", "utt2snr")
+COPIED = ("segments", "text", "utt2spk", "spk2utt", "spk2gender", "utt2dur", "reco2dur", "utt2lang", "utt2uniq",
+          "utt2rir", "utt2snr")
 
 
 def copy_data(source: Path, copy: Path, seed: int | None = None) -> None:

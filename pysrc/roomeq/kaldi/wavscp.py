@@ -24,7 +24,8 @@ from roomeq.core.kept_hashes import Look, quick_look
 from roomeq.core.limits import AUDIO_HOURS, max_audio_samples
 
 MAX_OVERSHOOT_S = 0.01
-"""A segment may end this much after its recording, since times are rounded to 10 ms; it is cut there, as in Kaldi."""
+"""A segment may end this much after its recording, since times are rounded to 10 ms; it is cut there. Kaldi allows
+0.5 s, in which a recording that lost its end goes unnoticed."""
 
 _AUDIO_TAGS = (b"RIFF", b"fLaC", b"AUDIO")
 _FLAC_FLAG = re.compile(r"-[cds]+|--stdout|--decode|--silent|--totally-silent")
