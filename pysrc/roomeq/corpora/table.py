@@ -152,13 +152,11 @@ def list_table(path: Path) -> Corpus:
         try:
             file = resolve_file(path, cells)
             row = _row(path, file, cells, corpus)
-            if is_sofa(file):
-                row = _stated(row, cells)
-                corpus.rirs.append(Recording(file, _row_id(path, file, cells), row, where))
-                continue
             for key, default in (("room_id", folder_name(file.parent)), ("source_id", UNKNOWN), ("mic_id", UNKNOWN)):
                 ids.add(key, row[key], cells.get(key) or default)
-            if not cells.get("room_id"):
+            if is_sofa(file):
+                row = _stated(row, cells)
+            elif not cells.get("room_id"):
                 ids.add("folder of a room without a name in column 'room'", row["room_id"],
                         os.path.realpath(file.parent))
             corpus.rirs.append(Recording(file, _row_id(path, file, cells), row, where))

@@ -182,6 +182,10 @@ def test_cells_of_a_table_come_before_what_the_file_states(tmp_path):
     assert {(row["room_id"], row["source_id"], row["mic_id"], row["binaural"], row["excitation"]) for row in rows} == {
         ("Hall-2", "Genelec", "KU100", True, "clap")}
     assert rows[0]["mic_pos_m"] == [3, 2, 1.5]
+    put_sofa(tmp_path / "b.sofa")
+    put_text(tmp_path / "t.csv", "file,room\na.sofa,Hall 2\nb.sofa,Hall-2\n")
+    with pytest.raises(ValueError, match="'Hall-2' and 'Hall 2' would both have the id 'Hall-2'"):
+        read_measured(tmp_path / "t.csv", tmp_path / "out")
     put_text(tmp_path / "t.csv", "file,mic_pos_m\na.sofa,1 2 1\n")
     with pytest.raises(ValueError, match=r"mic_pos_m='1 2 1' must be empty for a SOFA file"):
         read_measured(tmp_path / "t.csv", tmp_path / "out")
