@@ -240,13 +240,13 @@ def test_targets_of_a_room_use_its_component_weights(two_clusters):
     assert {bool(draw_target(gmm, 0, name, "never measured")[0] > 0) for name in names} == {True, False}
 
 
-@pytest.mark.filterwarnings("ignore:Number of distinct clusters")
 def test_component_is_as_wide_as_its_rirs():
     vectors = np.random.default_rng(0).normal(0.0, [1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0], (400, 7))
     gmm = fit_gmm(vectors, ["room"] * 400, n_components=1, seed=0)
     assert np.array(gmm["covariances_db2"][0]) == pytest.approx(np.cov(vectors.T, bias=True), abs=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore:Number of distinct clusters")
 def test_nearly_as_many_components_as_rirs_keep_min_width():
     rng = np.random.default_rng(0)
     vectors = np.concatenate([np.repeat(rng.normal(0, 3, (1, 7)), 7, axis=0), rng.normal(0, 3, (2, 7))])
