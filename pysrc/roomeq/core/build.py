@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from roomeq.core.asking import NotUpToDate, only_asked
+from roomeq.core.constants import is_whole
 from roomeq.core.digests import (
     audio_elsewhere,
     code_digest,
@@ -42,7 +43,7 @@ from roomeq.core.digests import (
     places_of,
 )
 from roomeq.core.files import hash_file, listing_written, path_from, sync, to_json, write_json
-from roomeq.core.item_records import ItemRecord, is_as_recorded, is_whole, read_item_record, write_item_record
+from roomeq.core.item_records import ItemRecord, is_as_recorded, is_complete, read_item_record, write_item_record
 from roomeq.core.kept_hashes import KeptHashes
 from roomeq.core.progress import progress
 from roomeq.core.stamps import DONE_FILE, FORMAT, check_output, is_as_stamped, stamp_content, was_made
@@ -146,7 +147,7 @@ class Build:
             if self._is_done(self.out) or self._is_done(self.work):
                 return part is None
             (self.work / _RECORDS).mkdir(parents=True, exist_ok=True)
-        todo = [name for name in names if not is_whole(self._record_path(name), self.work, self._hashes)]
+        todo = [name for name in names if not is_complete(self._record_path(name), self.work, self._hashes)]
         if 0 < len(todo) < len(names):
             logger.info("%s: %d of %d items were done before", self.out, len(names) - len(todo), len(names))
         for _ in progress(self._make_items(todo, items, make, nj), len(todo), f"{self.step} {self.out.name}"):
@@ -161,7 +162,7 @@ class Build:
             return
         from joblib import Parallel, delayed
 
-        workers = Parallel(n_jobs=n_processes(nj, len(todo)), return_as="generator_unordered")
+        workers = Parallel(n_jobs=n_processes(nj, len(todo)), backend="loky", return_as="generator_unordered")
         yield from workers(delayed(_make_item_in_worker)(os.getpid(), *call) for call in calls)
 
     def finish(self, assemble: Callable[[Path, list[Any]], object]) -> bool:
@@ -291,6 +292,8 @@ class Build:
 
 def check_jobs(nj: int) -> None:
     """Raise a `ValueError` where a number of processes or threads is out of range."""
+    if not is_whole(nj):
+        raise ValueError(f"nj={nj!r} must be a whole number: give the number of processes")
     if not 1 <= nj <= MAX_JOBS:
         raise ValueError(f"nj={nj} must lie in [1, {MAX_JOBS}]: give the number of processes")
 
@@ -322,7 +325,7 @@ def _make_item(folder: str, lock: Path, record_path: Path, make: Callable[[str, 
     work = record_path.parents[1]
     with locked(lock, fcntl.LOCK_SH):
         # another run may have made the item, or put the directory in place, which must not be written to
-        if record_path.parent.is_dir() and not is_whole(record_path, work, KeptHashes()):
+        if record_path.parent.is_dir() and not is_complete(record_path, work, KeptHashes()):
             with listing_written() as written:
                 result = make(name, item)
             write_item_record(record_path, work, result, written)
@@ -338,7 +341,7 @@ def share(names: list[str], part: str | None) -> list[str]:
     """
     if part is None:
         return names
-    match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", part)
+    match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", part) if isinstance(part, str) else None
     if not match or not 1 <= int(match[1]) <= int(match[2]):
         raise ValueError(f"part={part!r} must be JOB/JOBS with 1 <= JOB <= JOBS, such as 2/5")
     return names[int(match[1]) - 1::int(match[2])]

@@ -45,7 +45,7 @@ def read_item_record(path: Path) -> ItemRecord | None:
                                           for name, (size, content_hash) in content["files"].items()})
 
 
-def is_whole(path: Path, work: Path, hashes: KeptHashes) -> bool:
+def is_complete(path: Path, work: Path, hashes: KeptHashes) -> bool:
     """Tell whether an item is finished: its record and all its files below `work` are as they were written."""
     record = read_item_record(path)
     return record is not None and all(is_as_recorded(work / name, state, hashes)

@@ -36,10 +36,10 @@ def end_with(parent: int) -> None:
     Parameters
     ----------
     parent : int
-        Process id of the process that started this one.
+        Process id of the process that started this one; of this one itself where the work is done in place.
     """
     global _watcher
-    if _watcher == os.getpid():  # a fork inherits the variable, and not the thread
+    if os.getpid() in (parent, _watcher):  # a fork inherits the variable, and not the thread
         return
     _watcher = os.getpid()
 

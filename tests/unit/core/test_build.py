@@ -10,7 +10,7 @@ import pytest
 
 from roomeq.core import asking, build
 from roomeq.core.audio import write_wav
-from roomeq.core.build import DONE_FILE, Build, share
+from roomeq.core.build import DONE_FILE, Build, check_jobs, share
 from roomeq.core.digests import audio_digest, code_digest, digest, names_in_entry
 from roomeq.core.files import read_json, write_json, write_text
 
@@ -381,7 +381,13 @@ def test_directory_without_a_stamp_is_not_replaced(tmp_path):
     assert (tmp_path / "thesis.txt").read_text() == "ten years"
 
 
-@pytest.mark.parametrize("part", ["0/2", "3/2", "x", "1"])
+@pytest.mark.parametrize("nj", [1.5, "2", True, None])
+def test_number_of_jobs_that_is_not_whole_is_refused(nj):
+    with pytest.raises(ValueError, match=rf"nj={nj!r} must be a whole number"):
+        check_jobs(nj)
+
+
+@pytest.mark.parametrize("part", ["0/2", "3/2", "x", "1", (1, 2)])
 def test_malformed_part_is_refused(part):
     with pytest.raises(ValueError, match="JOB/JOBS"):
         share(["a"], part)

@@ -92,6 +92,30 @@ def test_workers_of_a_build_end_with_their_parent(how, tmp_path):
     assert _until(lambda: [pid for pid in workers if _is_running(pid)], lambda running: not running) == []
 
 
+IN_PLACE = """
+import sys
+from pathlib import Path
+
+import joblib
+from roomeq.core.build import Build
+
+def make(name, item):
+    return item
+
+build = Build(Path(sys.argv[1]) / "out", step="count", options={}, inputs=[])
+with joblib.parallel_config(backend="threading"):
+    build.run({f"n{n}": n for n in range(4)}, make, nj=2)
+build.finish(lambda directory, records: print(records))
+"""
+
+
+@pytest.mark.parametrize("processes", ["0", "1"])
+def test_build_works_where_no_processes_can_be_started(processes, tmp_path):
+    run = subprocess.run([sys.executable, "-c", IN_PLACE, str(tmp_path)], text=True, capture_output=True, timeout=60,
+                         env=os.environ | {"JOBLIB_MULTIPROCESSING": processes})
+    assert (run.returncode, run.stdout) == (0, "[0, 1, 2, 3]\n"), run.stderr
+
+
 def _is_running(pid):
     try:
         with open(f"/proc/{pid}/stat") as file:
