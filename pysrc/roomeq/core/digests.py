@@ -3,6 +3,7 @@
 import contextlib
 import hashlib
 import json
+import logging
 import os
 import re
 import shlex
@@ -17,6 +18,8 @@ from roomeq.core.files import hash_file, physical, read_text
 from roomeq.core.kept_hashes import hashes_of_input, quick_look
 from roomeq.core.stamps import Stamp, read_stamp, require_as_stamped, require_audio_as_stamped, require_in_place
 
+logger = logging.getLogger(__name__)
+
 READ_IF_PRESENT = ("noises.jsonl", "rirs.jsonl", "segments", "spk2gender", "text", "utt2dur", "utt2lang", "utt2rir",
                    "utt2snr", "utt2uniq")
 """Tables that readers use where they are, also if somebody has put them beside the files of a step."""
@@ -26,6 +29,7 @@ _NUMERICS = ("espeakng-loader", "llvmlite", "numba", "numpy", "scikit-learn", "s
 """Packages whose version decides results: numerical libraries, the compiler of the kernels, and eSpeak NG."""
 _OFFSET = re.compile(r":\d+$")
 _SHELL_SYNTAX = re.compile(r"[\s|&;<>()`'\"]+")
+_INDIRECT = re.compile(r"[$`*?]|\bcd\b")  # in a command: it may read files whose names are not among its words
 
 
 def digest(path: Path) -> str:
@@ -169,12 +173,23 @@ def audio_elsewhere(directory: Path, out: Path | None = None) -> dict[str, tuple
     """
     found = _audio_in_rows(directory, _TABLES_OF_ROWS)
     with contextlib.suppress(OSError, ValueError):
-        names = {name for entry in _entries(directory) for name in names_in_entry(entry)}
+        entries = _entries(directory)
+        _warn_of_indirect(directory, entries)
+        names = {name for entry in entries for name in names_in_entry(entry)}
         found |= {name: Path(name) for name in sorted(names) if quick_look(Path(name))}
     own = [os.path.realpath(folder) for folder in (directory, out or directory)]
     found = {name: path for name, path in found.items() if not any(_is_among_files_below(path, one) for one in own)}
     hashes = _hashes_of_audio(found.values())
     return {name: (path, content_hash) for (name, path), content_hash in zip(found.items(), hashes, strict=True)}
+
+
+def _warn_of_indirect(directory: Path, entries: list[str]) -> None:
+    """Log a warning where commands may read files that they do not name."""
+    indirect = [entry for entry in entries if entry.endswith("|") and _INDIRECT.search(entry)]
+    if indirect:
+        logger.warning("%s: %d commands may read files that they name with cd, $, ` or a pattern: changes of these go "
+                       "unnoticed, and outputs stay as they are: name the files (the first: %s)",
+                       directory / "wav.scp", len(indirect), indirect[0])
 
 
 def _audio_in_rows(directory: Path, tables: Iterable[str]) -> dict[str, Path]:

@@ -215,6 +215,14 @@ def test_audio_that_a_command_reads_is_in_the_digest(tmp_path, entry, name):
     assert digest(tmp_path / "in") != before
 
 
+@pytest.mark.parametrize("entry", ["cd wav && cat a.wav |", "cat wav/a.w* |", "F=a.wav; cat wav/$F |", "cat `ls` |"])
+def test_command_whose_files_cannot_be_told_is_warned_of(tmp_path, entry, caplog):
+    write_text(tmp_path / "in/wav.scp", f"u1 {entry}\nu2 flac -cds cd/$a*.flac\nu3 sox a.wav -t wav - |\n")
+    digest(tmp_path / "in")
+    assert "in/wav.scp: 1 commands may read files that they name with cd, $, ` or a pattern" in caplog.text
+    assert entry in caplog.text
+
+
 @pytest.mark.parametrize("entry, name", [
     ("cat /x/a\\ b.flac|", "/x/a b.flac"),
     ("(cat '/x/a b.flac')|", "/x/a b.flac"),
