@@ -160,6 +160,50 @@ def test_espnet_directory_needs_no_pipe_and_no_folder(tmp_path, far_field, monke
         assert (tmp_path / "out" / name).read_bytes() == (far_field / name).read_bytes()
 
 
+def segmented(data, rows, n_samples=8 * FS):
+    """Write a data directory with one recording `r1` of a speaker, and segments `UTTERANCE START END`."""
+    rng = np.random.default_rng(0)
+    write_wav(data / "r1.wav", 0.1 * rng.standard_normal(n_samples))
+    write_wav(data / "r2.wav", 0.1 * rng.standard_normal(FS))
+    (data / "wav.scp").write_text(f"r1 {data}/r1.wav\nr2 {data}/r2.wav\n")
+    (data / "reco2dur").write_text(f"r1 {n_samples / FS}\nr2 1\n")
+    (data / "segments").write_text("".join("{} r1 {} {}\n".format(*row.split()) for row in rows))
+    (data / "utt2spk").write_text("".join(f"{row.split()[0]} s\n" for row in rows))
+    return data
+
+
+def test_espnet_segments_end_where_the_audio_does_and_unused_recordings_are_left_out(tmp_path):
+    """Kaldi's validate_data_dir.sh takes no END of -1, and no recording without a segment."""
+    data = segmented(tmp_path / "data", ["s-1 0.5 2", "s-2 2 -1"])
+    export("espnet", data, tmp_path / "out")
+    assert (tmp_path / "out/segments").read_text() == "s-1 r1 0.5 2.0\ns-2 r1 2.0 8.0\n"
+    assert list(table(tmp_path / "out/wav.scp")) == list(table(tmp_path / "out/reco2dur")) == ["r1"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_segment_without_a_sample_is_refused(tmp_path, kind):
+    data = segmented(tmp_path / "data", ["s-1 1.000005 1.000015"])
+    with pytest.raises(ValueError, match=r"segment from 1.000005 s to 1.000015 s holds no sample at 16000 Hz"):
+        export(kind, data, tmp_path / "out")
+
+
+@pytest.mark.parametrize("kind", ["espnet", "nemo"])
+def test_times_give_the_samples_of_each_segment(tmp_path, kind):
+    """Both toolkits cut at ``int(seconds * rate)``."""
+    starts = [160 * n for n in range(100, 700)]
+    ends = [start + 16005 + n for n, start in enumerate(starts)]
+    data = segmented(tmp_path / "data", [f"s-{n:03d} {a / FS!r} {b / FS!r}" for n, (a, b) in
+                                         enumerate(zip(starts, ends, strict=True))], n_samples=9 * FS)
+    export(kind, data, tmp_path / "out")
+    if kind == "nemo":
+        rows = lines_of(tmp_path / "out/manifest.json")
+        found = [(int(row["offset"] * FS), int(row["duration"] * FS)) for row in rows]
+    else:
+        times = [line.split()[2:] for line in (tmp_path / "out/segments").read_text().splitlines()]
+        found = [(int(float(a) * FS), int(float(b) * FS) - int(float(a) * FS)) for a, b in times]
+    assert found == [(a, b - a) for a, b in zip(starts, ends, strict=True)]
+
+
 def test_nemo_manifest_states_offsets_within_recordings(tmp_path, far_field):
     export("nemo", far_field, tmp_path / "out")
     data = read_data_dir(far_field)

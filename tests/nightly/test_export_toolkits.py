@@ -47,7 +47,7 @@ def test_lhotse_cuts_are_the_utterances(tmp_path, far_field):
     supervisions = lhotse.SupervisionSet.from_file(out / "supervisions.jsonl.gz")
     lhotse.validate_recordings_and_supervisions(recordings=recordings, supervisions=supervisions, read_data=True)
     data = read_data_dir(far_field)
-    cuts = lhotse.CutSet.from_manifests(recordings, supervisions).trim_to_supervisions()
+    cuts = lhotse.CutSet.from_manifests(recordings, supervisions).trim_to_supervisions(keep_overlapping=False)
     assert {cut.supervisions[0].id for cut in cuts} == set(data.utterances)
     for cut in cuts:
         (supervision,) = cut.supervisions
@@ -90,7 +90,8 @@ def test_lhotse_mixes_our_noises(tmp_path, rirs, far_field):
     out, speech = moved(tmp_path, "lhotse", rirs), moved(tmp_path, "lhotse", far_field)
     recordings = lhotse.RecordingSet.from_file(speech / "recordings.jsonl.gz").with_path_prefix(speech)
     supervisions = lhotse.SupervisionSet.from_file(speech / "supervisions.jsonl.gz")
-    cuts = lhotse.CutSet.from_manifests(recordings, supervisions).trim_to_supervisions().to_eager()
+    cuts = lhotse.CutSet.from_manifests(recordings, supervisions).trim_to_supervisions(
+        keep_overlapping=False).to_eager()
     noises = lhotse.RecordingSet.from_file(out / "ambient_noises.jsonl.gz").with_path_prefix(out)
     for cut in cuts.mix(lhotse.CutSet.from_manifests(recordings=noises).to_eager(), snr=10, random_mix_offset=True):
         assert cut.load_audio().shape == (1, cut.num_samples)

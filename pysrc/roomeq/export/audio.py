@@ -1,6 +1,7 @@
 """Make the audio files of an export: copied, linked, cut out, or aligned."""
 
 import io
+import math
 from pathlib import Path
 from typing import NamedTuple, cast
 
@@ -73,7 +74,19 @@ class MadeAudio(NamedTuple):
     @property
     def duration_s(self) -> float:
         """Duration [s]."""
-        return self.n_samples / self.rate_hz
+        return seconds(self.n_samples, self.rate_hz)
+
+
+def seconds(n_samples: int, rate_hz: int) -> float:
+    """Return the time of a number of samples [s], of which ``int(time * rate_hz)`` is that number again.
+
+    NeMo and ESPnet compute samples so. The nearest time may lie just below it and lose the last sample: 16,005 samples
+    at 16 kHz would become 16,004.
+    """
+    time_s = n_samples / rate_hz
+    while int(time_s * rate_hz) < n_samples:
+        time_s = math.nextafter(time_s, math.inf)
+    return time_s
 
 
 def make_audio(planned: PlannedAudio, work: Path, rules: AudioRules) -> MadeAudio:

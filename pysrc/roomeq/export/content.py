@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from roomeq.export.audio import MadeAudio
+from roomeq.export.audio import MadeAudio, seconds
 from roomeq.export.plan import RECORDINGS, SPEECH
 from roomeq.kaldi.datadir import DataDir, Utterance, read_optional_table
 from roomeq.kaldi.wavscp import AudioLength, segment_samples
@@ -18,8 +18,8 @@ class ExportedUtterance(NamedTuple):
     id, speaker : str
     audio : MadeAudio
         The recording, or the utterance's own file.
-    start_s, duration_s : float
-        Segment of the audio [s].
+    start, stop : int
+        Segment of the audio [samples]; `stop` is exclusive.
     text, gender, language : str, optional
         Transcript; ``"m"`` or ``"f"``; as in `utt2lang`.
     rir, uniq : str, optional
@@ -31,14 +31,29 @@ class ExportedUtterance(NamedTuple):
     id: str
     speaker: str
     audio: MadeAudio
-    start_s: float
-    duration_s: float
+    start: int
+    stop: int
     text: str | None
     gender: str | None
     language: str | None
     rir: str | None
     uniq: str | None
     snr_db: float | None
+
+    @property
+    def start_s(self) -> float:
+        """Start of the segment [s]."""
+        return seconds(self.start, self.audio.rate_hz)
+
+    @property
+    def end_s(self) -> float:
+        """End of the segment [s]."""
+        return seconds(self.stop, self.audio.rate_hz)
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of the segment [s]."""
+        return seconds(self.stop - self.start, self.audio.rate_hz)
 
 
 class Content(NamedTuple):
@@ -99,7 +114,7 @@ def _exported(data: DataDir, utterance: Utterance, audio: MadeAudio,
                                       AudioLength(audio.n_samples, audio.rate_hz), utterance.start_s, utterance.end_s)
     snr = tables["utt2snr"].get(utterance.id, "inf")
     return ExportedUtterance(
-        utterance.id, utterance.speaker, audio, start / audio.rate_hz, (stop - start) / audio.rate_hz,
+        utterance.id, utterance.speaker, audio, start, stop,
         text=data.text[utterance.id] if data.text else None, gender=data.spk2gender.get(utterance.speaker),
         language=data.utt2lang.get(utterance.id), rir=tables["utt2rir"].get(utterance.id),
         uniq=data.utt2uniq.get(utterance.id), snr_db=None if snr == "inf" else float(snr))

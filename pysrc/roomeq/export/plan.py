@@ -104,12 +104,14 @@ def _noises(directory: Path) -> Iterator[PlannedAudio]:
 
 
 def _recordings(data: DataDir) -> Iterator[PlannedAudio]:
+    """Yield the recordings that an utterance is of: Kaldi's `validate_data_dir.sh` refuses others beside `segments`."""
     speakers: dict[str, str] = {}
     for utterance in data.utterances.values():
         speakers.setdefault(utterance.recording, utterance.speaker)
     for recording, entry in data.recordings.items():
-        folder = file_name(speakers.get(recording, recording))
-        yield PlannedAudio(data.path, recording, RECORDINGS, f"{RECORDINGS}/{folder}/{file_name(recording)}", entry)
+        if recording in speakers:
+            yield PlannedAudio(data.path, recording, RECORDINGS,
+                               f"{RECORDINGS}/{file_name(speakers[recording])}/{file_name(recording)}", entry)
 
 
 def _utterances(data: DataDir) -> Iterator[PlannedAudio]:

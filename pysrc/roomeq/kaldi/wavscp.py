@@ -204,7 +204,8 @@ def segment_samples(name: str, length: AudioLength, start_s: float, end_s: float
     Raises
     ------
     ValueError
-        The segment ends more than `MAX_OVERSHOOT_S` after the end of the recording, or starts at or after that end.
+        The segment ends more than `MAX_OVERSHOOT_S` after the end of the recording, starts at or after that end, or is
+        so short that it holds no sample.
     """
     frames, rate = length
     start = int(start_s * rate + 0.5)
@@ -213,6 +214,9 @@ def segment_samples(name: str, length: AudioLength, start_s: float, end_s: float
         end_text = "its end" if end_s is None else f"{end_s:g} s"
         raise ValueError(f"{name}: segment from {start_s:g} s to {end_text} must lie within the recording's "
                          f"{frames / rate:g} s: correct the segments file, or copy the audio again if it is truncated")
+    if start >= stop:
+        raise ValueError(f"{name}: segment from {start_s:.10g} s to {end_s:.10g} s holds no sample at {rate} Hz: "
+                         "remove the utterance")
     return start, min(stop, frames)
 
 
