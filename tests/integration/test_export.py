@@ -204,6 +204,15 @@ def test_times_give_the_samples_of_each_segment(tmp_path, kind):
     assert found == [(a, b - a) for a, b in zip(starts, ends, strict=True)]
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_noise_of_several_channels_is_refused(tmp_path, kind):
+    """Mixed into speech of one channel, it would make it multi-channel."""
+    write_wav(tmp_path / "noises/n.wav", np.full((FS, 2), 0.1))
+    write_noises(tmp_path / "noises", [dict(id="n", wav="n.wav", kind="ambient", room_id=None)])
+    with pytest.raises(ValueError, match=r"n.wav: 2 channels where one is expected: split the file"):
+        export(kind, tmp_path / "noises", tmp_path / "out")
+
+
 def test_nemo_manifest_states_offsets_within_recordings(tmp_path, far_field):
     export("nemo", far_field, tmp_path / "out")
     data = read_data_dir(far_field)

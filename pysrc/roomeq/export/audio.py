@@ -110,7 +110,7 @@ def _make(planned: PlannedAudio, work: Path, rules: AudioRules) -> MadeAudio:
         return _decoded(planned, work, rules.pipes)
     source = Path(planned.entry.text)
     info = audio_info(source)
-    if planned.row is None and info.channels != 1:
+    if not planned.is_rir and info.channels != 1:
         raise ValueError(f"{source}: {info.channels} channels where one is expected: split the file")
     if planned.is_rir and rules.align_rirs:
         return _aligned(planned, work, rules.positive_rirs)
