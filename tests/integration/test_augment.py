@@ -286,6 +286,8 @@ def test_malformed_distribution_is_refused(text):
 
 
 @pytest.mark.parametrize("options, message", [
+    (dict(copies=2.0), r"copies=2.0 must be a whole number"), (dict(seed=1.5), "seed=1.5 must be a whole number"),
+    (dict(max_point_noises="1"), "max_point_noises='1' must be"), (dict(point_noise_prob="a"), "prob='a' must lie in"),
     (dict(copies=0), "copies=0 must be at least 1"), (dict(point_noise_prob=1.5), r"point_noise_prob=1.5 must lie in"),
     (dict(max_point_noises=-1), "max_point_noises=-1"), (dict(packing="chapter"), "packing='chapter' must be"),
     (dict(snr_db="loud"), "snr_db='loud' must be"), (dict(part="0/2"), "part='0/2' must be JOB/JOBS")])

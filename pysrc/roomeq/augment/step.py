@@ -7,6 +7,7 @@ from pathlib import Path
 
 from roomeq.augment.distribution import parse_distribution
 from roomeq.core.build import Build
+from roomeq.core.constants import is_number, is_whole
 from roomeq.core.files import paths, read_json
 
 SUMMARY_FILE = "summary.json"
@@ -104,10 +105,13 @@ def augment(data_dir: Path | str, rir_dir: Path | str, out: Path | str, *, seed:
 
 
 def _check(config: AugmentConfig) -> None:
+    for name in ("seed", "copies", "max_point_noises"):
+        if not is_whole(value := getattr(config, name)):
+            raise ValueError(f"{name}={value!r} must be a whole number: correct it")
     if not 1 <= config.copies <= MAX_COPIES:
         raise ValueError(f"copies={config.copies} must be at least 1 and at most {MAX_COPIES}")
-    if not 0 <= config.point_noise_prob <= 1:
-        raise ValueError(f"point_noise_prob={config.point_noise_prob} must lie in [0, 1]")
+    if not (is_number(config.point_noise_prob) and 0 <= config.point_noise_prob <= 1):
+        raise ValueError(f"point_noise_prob={config.point_noise_prob!r} must lie in [0, 1]")
     if not 0 <= config.max_point_noises <= MAX_POINT_NOISES:
         raise ValueError(f"max_point_noises={config.max_point_noises} must lie in [0, {MAX_POINT_NOISES}]")
     if config.packing not in ("recording", "utterance"):
