@@ -96,6 +96,15 @@ def test_noise_rirs_and_noises_have_manifests_of_their_own(tmp_path, rirs):
         assert [row["id"] for row in lines_of(tmp_path / f"huggingface/{name}/metadata.jsonl")] == ids
 
 
+@pytest.mark.parametrize("room, warned", [("2023-01-17", True), ("2023-01-17T10", True), ("2023-01-17-hall", False)])
+def test_rooms_that_datasets_would_read_as_times_are_warned_of(tmp_path, room, warned, caplog):
+    h = decay(np.random.default_rng(0))
+    write_wav(tmp_path / "rirs/wav/a.wav", h)
+    write_rirs(tmp_path / "rirs", [rir_row("a", room, h)])
+    export("huggingface", tmp_path / "rirs", tmp_path / "out")
+    assert ("datasets will read room_id of rirs as times" in caplog.text) == warned
+
+
 def test_directory_of_noises_is_exported(tmp_path, rirs):
     write_noises(tmp_path / "noises", relocated(read_noises(rirs), rirs, tmp_path / "noises"))
     for kind in (*KINDS, "roomeq"):

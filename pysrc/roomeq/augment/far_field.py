@@ -22,7 +22,7 @@ from roomeq.augment.summary import Summary, log_summary
 from roomeq.core.arrays import Array
 from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
-from roomeq.core.files import read_jsonl, to_json, write_json, write_jsonl
+from roomeq.core.files import errors_naming, read_jsonl, to_json, write_json, write_jsonl
 from roomeq.kaldi.datadir import DataDir, Utterance, read_data_dir
 from roomeq.kaldi.validate import MAX_DURATION_ERROR_S
 from roomeq.kaldi.wavscp import flac_entry, read_entry
@@ -150,7 +150,8 @@ def _assemble(config: AugmentConfig, work: Path, data: DataDir, out: Path, direc
     recordings = {file["recording"]: (flac_entry(str(out / file["file"])), file["n_samples"])
                   for record in records for file in record["files"]}
     summary = Summary()
-    with open(directory / ROWS_FILE, "w", encoding="utf-8", newline="\n") as stream:
+    rows_file = directory / ROWS_FILE
+    with errors_naming(rows_file), open(rows_file, "w", encoding="utf-8", newline="\n") as stream:
         def utterances() -> Iterator[OutUtterance]:
             for record in records:
                 for row in read_jsonl(directory / ROWS_FOLDER / record["rows"]):

@@ -59,7 +59,7 @@ class Reverberate:
     seed
         Worker processes draw independently of each other. Within a process, call number n gives the same draws in
         every run. A process pool deals out its calls differently from run to run: give the `key` of a call for the
-        same draws. With a torch `DataLoader`, whose workers begin anew in each epoch, draws follow torch's seed.
+        same draws. In the workers of a torch `DataLoader`, which begin anew in each epoch, draws follow torch's seed.
 
     Raises
     ------

@@ -4,13 +4,19 @@ https://huggingface.co/docs/datasets/audio_dataset. `README.md` names each folde
 otherwise `datasets` takes words such as "test" in the names of files for splits, and leaves out the metadata.
 """
 
+import logging
 import os
+import re
+from collections.abc import Sequence
 from typing import Any
 
 from roomeq.core.files import write_jsonl, write_text
 from roomeq.export.audio import MadeAudio
 from roomeq.export.content import Content, ExportedUtterance
 
+logger = logging.getLogger(__name__)
+
+_TIME = re.compile(r"\d{4}-\d\d-\d\d([ T]\d\d(:\d\d){0,2}(Z|[+-]\d\d(:?\d\d)?)?)?")  # in JSON, for pyarrow
 _OF_ROW = ("room_id", "source_id", "mic_id", "noise_for", "room_dims_m", "source_pos_m", "mic_pos_m", "channel_pos_m",
            "distance_m", "target_t60_s")
 _OF_PARAMETERS = ("t20_s", "t30_s", "edt_s", "c50_db", "drr_db")
@@ -22,14 +28,23 @@ def write_manifests(content: Content) -> None:
     by_folder = content.by_folder()
     utterance_of = {utterance.audio.file: utterance for utterance in content.utterances}
     for folder, audio in by_folder.items():
-        write_jsonl(content.work / folder / "metadata.jsonl", [
-            dict(file_name=os.path.relpath(made.file, folder), id=made.planned.id,
-                 **(_of_utterance(utterance_of[made.file]) if utterance_of
-                    else _of_rir(made) if made.planned.is_rir else _of_noise(made)))
-            for made in audio])
+        rows = [dict(file_name=os.path.relpath(made.file, folder), id=made.planned.id,
+                     **(_of_utterance(utterance_of[made.file]) if utterance_of
+                        else _of_rir(made) if made.planned.is_rir else _of_noise(made))) for made in audio]
+        _warn_of_times(content, folder, rows)
+        write_jsonl(content.work / folder / "metadata.jsonl", rows)
     configurations = "".join(f"- config_name: {folder}\n  data_files:\n  - split: train\n    path: {folder}/**\n"
                              for folder in by_folder)
     write_text(content.work / "README.md", f"---\nconfigs:\n{configurations}---\n")
+
+
+def _warn_of_times(content: Content, folder: str, rows: Sequence[dict[str, Any]]) -> None:
+    """Log the columns that `datasets` takes for times: it knows types from values only."""
+    for name in rows[0]:
+        known = [row[name] for row in rows if row[name] is not None]
+        if known and all(isinstance(value, str) and _TIME.fullmatch(value) for value in known):
+            logger.warning("%s: datasets will read %s of %s as times, since all look like %r: rename one, or give "
+                           "load_dataset the features", content.out, name, folder, known[0])
 
 
 def _of_utterance(utterance: ExportedUtterance) -> dict[str, Any]:

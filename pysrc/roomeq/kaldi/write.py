@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple, TextIO
 
 from roomeq.core.constants import FS_HZ
+from roomeq.core.files import errors_naming
 
 GRID_SAMPLES = FS_HZ // 100
 """Grid on which segments start: 10 ms, Kaldi's frame shift."""
@@ -130,7 +131,7 @@ def _open_tables(directory: Path) -> Iterator[Append]:
         streams[name].write(text)
 
     try:
-        with contextlib.ExitStack() as stack:
+        with errors_naming(directory), contextlib.ExitStack() as stack:
             yield append
         for name in streams:
             os.replace(temporary(name), directory / name)

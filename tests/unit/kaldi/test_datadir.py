@@ -436,3 +436,11 @@ def test_kaldi_refuses_corrupted_directory(tmp_path, kaldi_validates, case):
     name, change, _ = CORRUPTIONS[case]
     edit(complete_dir(tmp_path) / name, change)
     assert not kaldi_validates(tmp_path)
+
+
+def test_full_disk_is_told_with_the_directory(tmp_path):
+    (tmp_path / f".text.{os.getpid()}.tmp").symlink_to("/dev/full")
+    utterance = OutUtterance("s-1", "s", "r", 0, FS, text="A" * 100_000)
+    with pytest.raises(OSError, match="No space left on device") as raised:
+        write_data_dir(tmp_path, {"r": ("r.flac", FS)}, [utterance], segmented=True)
+    assert raised.value.filename == str(tmp_path)
