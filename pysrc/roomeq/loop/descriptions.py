@@ -106,11 +106,15 @@ def _bands(bands_hz: list[float]) -> str:
     return f" at {', '.join(ranges)} Hz"
 
 
-def describe_effect(effect: str, parameters: dict) -> str:
-    """Describe the parameters of an accepted effect, by unit as in the ledger."""
+def describe_effect(effect: str, parameters: dict, sum_with: str | None = None) -> str:
+    """Describe the parameters of an accepted effect, by unit, and what is uncertain of them, as in the ledger."""
     best = {unit: entry["best"] for unit, entry in parameters.items()}
-    return _EFFECTS[effect](best, {name: np.array([of_unit[name] for of_unit in best.values()])
+    text = _EFFECTS[effect](best, {name: np.array([of_unit[name] for of_unit in best.values()])
                                    for name in next(iter(best.values()))})
+    if sum_with is None:
+        return text
+    return (f"{text}; recordings determine its sum with the {effect_label(sum_with)}, and not how a filter that all "
+            "share is divided between both")
 
 
 def _over(values: FloatArray, form: str, unit: str) -> str:

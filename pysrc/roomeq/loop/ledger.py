@@ -14,7 +14,9 @@ from roomeq.core.arrays import FloatArray
 from roomeq.core.files import read_json
 from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
+from roomeq.effects.mic_response import MicResponse
 from roomeq.effects.model import MODEL_FILE, read_model
+from roomeq.effects.source_response import SourceResponse
 from roomeq.loop.acceptance import Trial
 from roomeq.loop.examples import EXAMPLES_FILE, read_arrays, read_examples
 from roomeq.loop.features import N_FEATURES
@@ -107,6 +109,18 @@ def update_parameters(iterations: list[dict], session: Session) -> None:
         effect = CATALOGUE[entry["effect"]]
         if effect in session.effects:
             entry["parameters"] = _parameter_intervals(session, effect)
+            if other := _in_sum_with(session, effect):
+                entry["sum_with"] = other.NAME
+
+
+def _in_sum_with(session: Session, effect: type[Effect]) -> type[Effect] | None:
+    """Return the effect of the model of which recordings determine only the sum with another.
+
+    A filter on all loudspeakers and its inverse on all microphones give the same recordings.
+    """
+    others: dict[type[Effect], type[Effect]] = {SourceResponse: MicResponse, MicResponse: SourceResponse}
+    other = others.get(effect)
+    return other if other in session.effects else None
 
 
 def added_effects(ledger: dict) -> list[dict]:
@@ -123,7 +137,8 @@ def _parameter_intervals(session: Session, effect: type[Effect]) -> dict:
     """Return the parameters of each unit, those of shared effects with 95 % intervals.
 
     They are from a jackknife over the rooms that have the unit; of one or two rooms, which is too few, from the
-    posterior covariance. Rooms that do not have the unit say nothing of it.
+    posterior covariance. Rooms that do not have the unit say nothing of it. The jackknife does not see what no room
+    determines, as `_in_sum_with` tells: all fits share the same prior there, whose width is that of the posterior.
     """
     index, k = session.index, session.effects.index(effect)
     best = index.vectors(session.fit.mean, session.fit.local)[k]
@@ -137,7 +152,7 @@ def _parameter_intervals(session: Session, effect: type[Effect]) -> dict:
     deviation = np.sqrt(np.diag(np.linalg.inv(left_out[0].of_all))[part]).reshape(n_vectors, size)
     for u, of_unit in enumerate(entry.values()):
         rooms = np.unique(session.data.room[unit_of_row == u])
-        half = (_jackknife_half_interval(held_out[rooms, u]) if len(rooms) > 2
+        half = (_jackknife_half_interval(held_out[rooms, u]) if len(rooms) > 2 and not _in_sum_with(session, effect)
                 else stats.norm.ppf(0.975) * deviation[u])
         of_unit |= {"low": _parameters_of(effect, best[u] - half), "high": _parameters_of(effect, best[u] + half)}
     return entry

@@ -174,6 +174,8 @@ def _iteration(value: Any, where: str) -> None:
         _breakdown(value["by_metric"][when], value["by_band"][when], f"{where} {when}")
     _list(value["ranking"], f"{where}.ranking", _candidate)
     _list(value.get("cannot_tell", []), f"{where}.cannot_tell", _effect)
+    if "sum_with" in value:
+        _effect(value["sum_with"], f"{where}.sum_with")
     _list(value.get("eliminated", []), f"{where}.eliminated", _effect)
     _require(value.get("cannot_tell", [value["effect"]])[:1] == [value["effect"]], f"{where}.cannot_tell",
              "begin with its effect")

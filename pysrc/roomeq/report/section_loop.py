@@ -112,7 +112,7 @@ def added_effect(entry: dict[str, Any]) -> Context:
     labels = [effect_label(name) for name in entry.get("cannot_tell", [entry["effect"]])]
     return {"name": effect_names(entry), "label": sentence(" or ".join(labels)).rstrip("."),
             "physics": docstring.splitlines()[0].rstrip(".:").split(" (`")[0],
-            "parameters": sentence(describe_effect(entry["effect"], entry["parameters"])),
+            "parameters": sentence(describe_effect(entry["effect"], entry["parameters"], entry.get("sum_with"))),
             "before": entry["heldout_error_before"], "after": entry["heldout_error_after"], "low": low, "high": high,
             "discriminated_by": entry.get("would_tell", [])}
 

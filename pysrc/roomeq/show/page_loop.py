@@ -78,7 +78,7 @@ def found(ledger: dict[str, Any]) -> list[Context]:
     effects = []
     for entry in added_effects(ledger):
         rivals = [effect_label(name) for name in entry.get("cannot_tell", []) if name != entry["effect"]]
-        described = section_loop.sentence(describe_effect(entry["effect"], entry["parameters"]))
+        described = section_loop.sentence(describe_effect(entry["effect"], entry["parameters"], entry.get("sum_with")))
         low, high = entry["heldout_error_ci"]
         effects.append({"label": effect_label(entry["effect"]), "code": entry["effect"], "rivals": rivals,
                         "applies_to": SCOPES[entry["scope"]], "parameters": described,

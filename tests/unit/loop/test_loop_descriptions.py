@@ -52,6 +52,9 @@ def test_effects_are_described_by_their_parameters():
     assert description("coupled_volume", [-1.5, np.log(2.0), 0.0], [-6.0, 0.0, 0.0], [-2.0, np.log(3.0), 0.2]) == (
         "2 of 3 rooms have a second decay of 2.5 s (2.0 to 3.0), 18 dB (15 to 20) below the energy of all reflections "
         "in octaves that decay in 0.5 s, as of a volume that is coupled through an opening")
+    assert describe_effect("mic_response", parameters(CATALOGUE["mic_response"].from_vector(flat)), "source_response"
+                           ).endswith("Hz; recordings determine its sum with the frequency response of the "
+                                      "loudspeakers, and not how a filter that all share is divided between both")
     assert description("occlusion", [np.log(0.2)], [-9.0]) == (
         "an obstacle delays the direct sound of 1 of 2 recordings by a detour of 20 cm")
     assert description("near_reflector", [np.log(0.7), 0.5]) == (

@@ -6,6 +6,7 @@ import pytest
 from loop_run import make_loop
 
 from roomeq.core.files import read_json, write_json
+from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.source_response import SourceResponse
 from roomeq.loop import ledger as ledger_module
 from roomeq.loop.ledger import LEDGER_FILE, read_ledger, update_parameters, validate_loop
@@ -80,3 +81,11 @@ def test_parameters_of_effects_in_the_final_model_are_renewed(monkeypatch):
     iterations = [dict(effect="source_response", parameters="first"), dict(effect="occlusion", parameters="first")]
     update_parameters(iterations, SimpleNamespace(effects=(SourceResponse,)))
     assert [entry["parameters"] for entry in iterations] == ["final source_response", "first"]
+
+
+def test_responses_of_which_only_the_sum_is_known_name_each_other(monkeypatch):
+    monkeypatch.setattr(ledger_module, "_parameter_intervals", lambda session, effect: {})
+    names = ("source_response", "mic_response", "occlusion")
+    iterations = [dict(effect=name) for name in names]
+    update_parameters(iterations, SimpleNamespace(effects=tuple(CATALOGUE[name] for name in names)))
+    assert [entry.get("sum_with") for entry in iterations] == ["mic_response", "source_response", None]
