@@ -45,6 +45,7 @@ neither."""
 SAME_PLACE_M = 0.15
 """Positions of a source that are closer than this are taken as one: positions are known to some centimetres."""
 _MOVED_M = 0.02  # from which on it is said that a position is moved
+_ONE_FACING_DEG = 10.0  # within which stated directions are one
 LENGTHS_S = (0.4, MAX_LENGTH_S)
 """Limits of the length to which rays are traced."""
 _MARGIN_TO_S = 3.0
@@ -225,8 +226,8 @@ def load_data(usable: UsableRirs, *, scattering: float, seed: int, model: Model 
         An RIR cannot be measured.
     """
     located, estimates = complete_geometry(usable.rirs, seed, nj)
-    recordings = _merge_sources([_Recording(*rir, find_place(rir.row, [rir.row], rir.directory, seed))
-                                 for rir in located])
+    recordings = _share_facings(_merge_sources([
+        _Recording(*rir, find_place(rir.row, [rir.row], rir.directory, seed)) for rir in located]))
     features = limit_to_excitation([recording.row for recording in recordings],
                                    share_out(_measure, recordings, nj, label="measure RIRs"))
     data = _trace(recordings, features, scattering, seed, Model() if model is None else model, nj)
@@ -256,6 +257,40 @@ def _merge_sources(recordings: list[_Recording]) -> list[_Recording]:
                     "are taken as one", sum(moved > _MOVED_M for moved in moved_m), len(merged), 100.0 * max(moved_m),
                     100.0 * SAME_PLACE_M)
     return merged
+
+
+def _share_facings(recordings: list[_Recording]) -> list[_Recording]:
+    """Let RIRs that do not state where their source faces take the direction that the others of its position state.
+
+    They must state one direction, and not only that of their own microphones: a source that is turned to each
+    microphone faces another way in the other RIRs.
+    """
+    of_position: dict[tuple, list[int]] = {}
+    for n, (_, row, place) in enumerate(recordings):
+        of_position.setdefault((row["room_id"], row["source_id"], place.source_pos_m), []).append(n)
+    shared = list(recordings)
+    for members in of_position.values():
+        known = {n: unit_facing(recordings[n].row.get("source_dir")) for n in members}
+        facings = {n: facing for n, facing in known.items() if facing is not None}
+        if not 0 < len(facings) < len(members):
+            continue
+        axes = np.array([*facings.values()])
+        ways_m = np.array([np.subtract(recordings[n].place.mic_pos_m, recordings[n].place.source_pos_m)
+                           for n in facings])
+        if max(_angles_deg(axes, axes[0])) <= _ONE_FACING_DEG < max(_angles_deg(axes, ways_m)):
+            for n in members:
+                if n not in facings:
+                    shared[n] = recordings[n]._replace(row={**recordings[n].row, "source_dir": axes[0].tolist()})
+    if n_shared := sum(one is not other for one, other in zip(shared, recordings, strict=True)):
+        logger.info("%d RIRs do not state where their source faces, and take the direction that others of its position "
+                    "state", n_shared)
+    return shared
+
+
+def _angles_deg(axes: FloatArray, ways: FloatArray) -> FloatArray:
+    """Return the angles between unit vectors, shape (n, 3), and other vectors, shape (n, 3) or (3,) [degrees]."""
+    cosines = np.sum(axes * ways, axis=1) / np.linalg.norm(ways, axis=-1)
+    return np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
 
 
 def air_of(row: RirRow) -> Air:

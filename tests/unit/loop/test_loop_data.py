@@ -8,7 +8,7 @@ import pytest
 from plans import L_PLAN, prism_obj
 from rirmaker import coloured_rir, write_rir_dir
 
-from roomeq.loop.data import SAME_PLACE_M, Data, _merge_sources, _Recording, _traced_length_s, load_data
+from roomeq.loop.data import SAME_PLACE_M, Data, _merge_sources, _Recording, _share_facings, _traced_length_s, load_data
 from roomeq.loop.features import BAND_OF_FEATURE, METRIC
 from roomeq.loop.session import fit_base_model
 from roomeq.loop.usable import usable_rirs
@@ -28,6 +28,22 @@ def test_merged_places_of_a_source_depend_on_no_order():
         assert all(abs(merged[n] - at_m[n]) <= SAME_PLACE_M / 2.0 for n in at_m)
         found.add(tuple(np.round([merged[n] for n in at_m], 9)))
     assert len(found) == 1
+
+
+@pytest.mark.parametrize("stated, taken", [
+    ([(0.0, 1.0, 0.0), (0.0, 1.0, 0.0)], [0.0, 1.0, 0.0]),  # one direction, whatever the microphone
+    ([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], None),  # turned to each microphone
+    ([(0.0, 1.0, 0.0)], [0.0, 1.0, 0.0]),  # not that of its microphone
+    ([(1.0, 0.0, 0.0)], None)])  # may be either
+def test_facing_that_others_of_a_position_state_is_taken(stated, taken):
+    mics_m, directions = [(3.0, 1.0, 1.0), (1.0, 3.0, 1.0), (2.0, 2.5, 1.0)], [*stated, None, None][:3]
+    room = Shoebox((4.0, 4.0, 3.0))
+    recordings = [_Recording(None, dict(room_id="r", source_id="s", source_dir=facing and list(facing)),
+                             Place(room, (1.0, 1.0, 1.0), mic_m, ()))
+                  for facing, mic_m in zip(directions, mics_m, strict=True)]
+    elsewhere = recordings[-1]._replace(place=Place(room, (1.5, 1.0, 1.0), mics_m[2], ()))
+    *_, last, other = _share_facings([*recordings, elsewhere])
+    assert last.row["source_dir"] == taken and other.row["source_dir"] is None
 
 
 def test_devices_without_a_name_are_one_within_a_corpus():
