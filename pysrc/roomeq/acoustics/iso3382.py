@@ -35,7 +35,7 @@ from roomeq.acoustics.decibels import TINY_POWER, power_db
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.fade import length_before_fade
 from roomeq.acoustics.noise_intersection import NOISE_MARGIN_DB, NoiseIntersection, dot, find_noise_intersection
-from roomeq.acoustics.octaves import LEAD_S, octave_bands, octave_fft_size, octave_power_gains
+from roomeq.acoustics.octaves import LEAD_S, octave_bands, octave_fft_size, octave_power_gains, octave_width_hz
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import exact_bands_hz
 
@@ -87,7 +87,8 @@ class Decay:
         return power_db(self.edc[:1 + first_below(self.edc, 10.0 ** (0.1 * level_db))])
 
 
-def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float, *, noiseless: bool = False) -> Decay:
+def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float, *, bandwidth_hz: float | None = None,
+                 noiseless: bool = False) -> Decay:
     """Integrate the squared response of one band backward, with compensation for noise and truncation.
 
     Parameters
@@ -99,6 +100,8 @@ def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float, *, noisel
     direct_sample
         Arrival time of the direct sound in samples; see `roomeq.acoustics.direct.find_direct`. What comes before it by
         up to `roomeq.acoustics.octaves.LEAD_S` is counted as its energy.
+    bandwidth_hz
+        Of the band; see `roomeq.acoustics.noise_intersection.find_noise_intersection`.
     noiseless
         The response is known to have no noise, and to be over at its end: a tail that bends or consists of few
         reflections is no noise floor.
@@ -111,7 +114,8 @@ def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float, *, noisel
     power = np.square(band)
     before = power[max(0, start - round(LEAD_S * fs_hz)):start]
     after = power[start:]
-    intersection = NoiseIntersection(len(after), 0.0, 0.0) if noiseless else find_noise_intersection(after, fs_hz)
+    intersection = (NoiseIntersection(len(after), 0.0, 0.0, is_flat=False) if noiseless
+                    else find_noise_intersection(after, fs_hz, bandwidth_hz))
     energy = net_energy(after[:intersection.sample], intersection.noise_power) + intersection.rest_energy
     total = energy[0] + before.sum()
     energy[0] = total
@@ -119,18 +123,18 @@ def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float, *, noisel
     if intersection.noise_power > 0.0 and intersection.rest_energy == 0.0:
         range_db = 0.0
     n_block = max(1, round(0.005 * fs_hz))
-    has_floor = intersection.noise_power > 0.0
     floor_db = float(power_db(intersection.noise_power)
-                     - power_db(strongest_power(after[:20 * n_block], n_block))) if has_floor else None
+                     - power_db(strongest_power(after[:20 * n_block], n_block))) if intersection.is_flat else None
     return Decay(energy / max(total, TINY_POWER), range_db, floor_db, intersection)
 
 
 def octave_decays(rir: FloatArray, fs_hz: float, direct_sample: float,
                   bands_hz: Sequence[float] | None = None, *, noiseless: bool = False) -> list[Decay]:
     """Return the decay of each octave; see `energy_decay` and `roomeq.acoustics.octaves.octave_bands`."""
-    lead = round(LEAD_S * fs_hz)
-    return [energy_decay(band, fs_hz, lead + max(0.0, direct_sample), noiseless=noiseless)
-            for band in octave_bands(rir, fs_hz, bands_hz, lead=lead)]
+    lead, bands_hz = round(LEAD_S * fs_hz), exact_bands_hz(fs_hz) if bands_hz is None else bands_hz
+    return [energy_decay(band, fs_hz, lead + max(0.0, direct_sample), bandwidth_hz=octave_width_hz(band_hz, fs_hz),
+                         noiseless=noiseless)
+            for band_hz, band in zip(bands_hz, octave_bands(rir, fs_hz, bands_hz, lead=lead), strict=True)]
 
 
 def decay_time(edc_db: FloatArray, fs_hz: float, decay: str) -> float | None:

@@ -26,6 +26,11 @@ LEAD_S = 0.05
 _FFT_GRID = 4096  # few sizes of transform, so that their filters stay cached
 
 
+def octave_width_hz(band_hz: float, fs_hz: float) -> float:
+    """Return the width of an octave below half the sample rate."""
+    return min(band_hz * np.sqrt(2.0), 0.5 * fs_hz) - band_hz / np.sqrt(2.0)
+
+
 def octave_fft_size(n_samples: int, fs_hz: float) -> int:
     """Return a length of transform in which no octave filter wraps around a response."""
     return next_fast_len(-(-(n_samples + round(2 * LEAD_S * fs_hz)) // _FFT_GRID) * _FFT_GRID, real=True)

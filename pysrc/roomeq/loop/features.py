@@ -139,6 +139,8 @@ class _Noise(NamedTuple):
         In octaves and in third octaves.
     seen : ndarray of bool, shape (8,)
         Whether that is noise: not where the response ends before its noise.
+    possible : ndarray of bool, shape (8,)
+        Whether it may be noise: more than the decay explains, also where its end is too short to tell.
     has_response : ndarray of bool, shape (8,)
         Whether the excitation reaches the octave.
     n_samples : int
@@ -148,6 +150,7 @@ class _Noise(NamedTuple):
     octave: FloatArray
     third: FloatArray
     seen: BoolArray
+    possible: BoolArray
     has_response: BoolArray
     n_samples: int
 
@@ -254,16 +257,17 @@ def _noise_density(rir: FloatArray, metrics: dict, from_hz: float) -> _Noise:
     Octaves below the excitation's band have no response, and what is in them says nothing of the noise.
     """
     last = _length(rir)
-    intersection = int(max(metrics["band_noise_intersection_s"]) * FS_HZ + metrics["direct_sample"])
-    start = max(int(0.9 * last), min(last, intersection))
+    intersections = np.array(metrics["band_noise_intersection_s"]) * FS_HZ + metrics["direct_sample"]
+    start = max(int(0.9 * last), min(last, int(intersections.max())))
     start = min(start, last - int(0.05 * FS_HZ)) if last > int(0.2 * FS_HZ) else int(0.9 * last)
     has_response = excited(from_hz)[feature_slice("early")]
     seen = has_response & [floor_db is not None for floor_db in metrics["band_noise_floor_db"]]
+    possible = has_response & (intersections < last - 1)
     part = rir[start:last]
     n_fft = next_fast_len(max(len(part), 2048), real=True)
     power = energy_per_bin(part, n_fft) / max(len(part), 1)
     return _Noise(energy_in_bands(OCTAVES, power, n_fft), energy_in_bands(THIRDS, power, n_fft)[_N_BELOW:], seen,
-                  has_response, len(part))
+                  possible, has_response, len(part))
 
 
 def _most_noise_below(rir: FloatArray) -> FloatArray:
@@ -300,8 +304,9 @@ def _levels(rir: FloatArray, direct: float, metrics: dict, noise: _Noise) -> dic
         part = faded_part(rir, max(0, start), min(stop, len(rir)), fade)
         n_fft = 1024 if metric == "direct" else next_fast_len(max(2048, len(part)), real=True)
         energy = energy_in_bands(bands, energy_per_bin(part, n_fft), n_fft)
-        per_sample, seen = (noise.third, noise.seen[OCTAVE_OF_THIRD]) if bands is THIRDS else (noise.octave, noise.seen)
-        of_noise = np.where(seen, per_sample, 0.0) * len(part)
+        per_sample, possible = ((noise.third, noise.possible[OCTAVE_OF_THIRD]) if bands is THIRDS
+                                else (noise.octave, noise.possible))
+        of_noise = np.where(possible, per_sample, 0.0) * len(part)
         if metric == "direct":
             energy, of_noise = energy[-len(DIRECT_THIRDS_HZ):], of_noise[-len(DIRECT_THIRDS_HZ):]
         elif metric == "spectrum":

@@ -10,12 +10,12 @@ from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.direct import DirectSound, find_direct
 from roomeq.acoustics.fade import length_before_fade
 from roomeq.acoustics.iso3382 import DECAYS_DB, Decay, energy_decay
-from roomeq.acoustics.octaves import LEAD_S, octave_bands
+from roomeq.acoustics.octaves import LEAD_S, octave_bands, octave_width_hz
 from roomeq.acoustics.parameters import measure
 from roomeq.acoustics.plausibility import find_implausibility
 from roomeq.acoustics.subband_eq import MIN_SNR_DB, energy_spectrum, eq_part, frame_length, response_and_noise
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, bands_hz, require_fs
+from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, bands_hz, exact_bands_hz, require_fs
 
 
 @dataclass(frozen=True)
@@ -98,8 +98,11 @@ class AnalysedRir:
         samples = self.samples[:int(np.flatnonzero(self.samples)[-1]) + 1]
         samples = samples[:length_before_fade(samples, self.fs_hz, self.direct.sample)]
         lead = round(LEAD_S * self.fs_hz)
-        return [_band_decay(self, number, band[lead:], energy_decay(band, self.fs_hz, lead + self.direct.sample))
-                for number, band in enumerate(octave_bands(samples, self.fs_hz, lead=lead))]
+        widths_hz = [octave_width_hz(band_hz, self.fs_hz) for band_hz in exact_bands_hz(self.fs_hz)]
+        return [_band_decay(self, number, band[lead:], energy_decay(band, self.fs_hz, lead + self.direct.sample,
+                                                                    bandwidth_hz=width_hz))
+                for number, (band, width_hz)
+                in enumerate(zip(octave_bands(samples, self.fs_hz, lead=lead), widths_hz, strict=True))]
 
     @cached_property
     def band_levels_db(self) -> FloatArray:

@@ -113,6 +113,37 @@ def test_response_ending_above_its_noise_has_no_floor():
     assert 10 * np.log10(intersection.rest_energy / expected) == pytest.approx(0.0, abs=1.0)
 
 
+@pytest.mark.parametrize("time_s, length_s", [(0.5, 0.15), (0.5, 0.2), (0.5, 0.3), (1.0, 0.3), (1.0, 0.5)])
+@pytest.mark.parametrize("direct", [2.0, 20.0])
+def test_scatter_of_a_decay_that_is_cut_off_is_no_noise_floor(time_s, length_s, direct):
+    for seed in range(20):
+        metrics = all_metrics(room(time_s, seed, length_s=length_s, direct=direct), FS_HZ, DIRECT, 1)
+        assert not any(floor_db is not None for floor_db in metrics["band_noise_floor_db"]), seed
+
+
+@pytest.mark.parametrize("snr_db", [30.0, 40.0, 50.0])
+@pytest.mark.parametrize("time_s, length_s", [(0.3, 0.8), (0.5, 1.0), (1.0, 2.0)])
+def test_noise_floor_is_seen_where_it_lasts(time_s, length_s, snr_db):
+    """At 62.5 Hz, noise of a few tenths of a second scatters as much as some decays fall."""
+    found = [all_metrics(room(time_s, seed, length_s=length_s, snr_db=snr_db), FS_HZ)["band_noise_floor_db"]
+             for seed in range(10)]
+    seen = np.mean([[floor_db is not None for floor_db in floors_db] for floors_db in found], axis=0)
+    assert seen[0] > 0.4 and seen[1] > 0.7 and np.all(seen[2:] > 0.9)
+
+
+def test_noise_that_hides_the_decay_is_a_floor():
+    found = [all_metrics(room(0.5, seed, length_s=1.0, snr_db=3.0, direct=20.0), FS_HZ)["band_noise_floor_db"]
+             for seed in range(10)]
+    assert np.mean([[floor_db is not None for floor_db in floors_db] for floors_db in found]) > 0.9
+
+
+def test_second_slope_of_a_decay_is_no_noise_floor():
+    """A coupled room whose decay takes three times as long, from 20 dB below on."""
+    for seed in range(10):
+        rir = room(0.4, seed, length_s=0.7) + 0.1 * room(1.2, 100 + seed, length_s=0.7)
+        assert all_metrics(rir, FS_HZ, DIRECT, 1)["band_noise_floor_db"] == [None] * 8, seed
+
+
 def test_validity_requires_decay_range():
     metrics = all_metrics(room(0.6, snr_db=40.0), FS_HZ)
     assert metrics["t20_valid"][4] and not metrics["t30_valid"][4]

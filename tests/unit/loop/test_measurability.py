@@ -47,6 +47,17 @@ def test_level_of_which_the_recording_holds_a_part_is_not_valid(t60_s, end_s, va
     assert np.all(shares == 1.0) if valid else np.all(shares < 0.2)
 
 
+@pytest.mark.parametrize("end_s", [0.1, 0.2, 0.3])
+def test_end_of_a_recording_that_is_cut_short_tells_nothing_of_its_noise(end_s):
+    """What lies ahead of the direct sound is quieter than the decay at the end, and no noise is missing there."""
+    of_noise = np.isin(METRIC, ["floor", "ahead"])
+    for seed in range(10):
+        rng, t = np.random.default_rng(seed), np.arange(round(end_s * FS_HZ)) / FS_HZ
+        rir = np.concatenate([np.zeros(1600), rng.standard_normal(len(t)) * 10.0 ** (-3.0 * t / 0.6)])
+        rir[1600] += 5.0
+        assert not measure_features(rir + 1e-5 * rng.standard_normal(len(rir))).valid[of_noise].any(), seed
+
+
 def test_roll_off_and_a_mode_are_no_end_of_the_excitation():
     """A loudspeaker that falls by 24 dB per octave from 60 Hz on in a room whose first mode is at 41 Hz."""
     room = Shoebox((4.2, 3.4, 2.6))
