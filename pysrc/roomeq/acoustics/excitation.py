@@ -1,4 +1,4 @@
-"""The band of an excitation, such as a sweep, read off the response that was measured with it."""
+"""The band of an excitation, such as a sweep, and of its recording, read off the response that was measured with it."""
 
 import numpy as np
 from scipy.fft import next_fast_len
@@ -11,6 +11,12 @@ from roomeq.core.constants import FS_HZ
 CLIFF_DB = 15.0
 _MODES_HZ, _MODES_DB = 63.0, 10.0  # below this frequency, the modes of a room may rise by so much within a third octave
 _LOW_HZ, _N_LOW = 20.0, 28  # sixth octaves from 20 to 450 Hz
+_TOP_CLIFF_DB = 24.0
+"""Three times as steep as loudspeakers. Of 213 measured responses, the steepest falls by 14 dB in a third octave;
+resampling filters fall by 40 dB or more."""
+_N_HIGH = 24  # sixth octaves from 500 Hz to half the sample rate
+NO_END_HZ = 0.5 * FS_HZ
+"""Upper end of a band that reaches half the sample rate."""
 
 
 def excited_from_hz(rir: FloatArray) -> float:
@@ -20,11 +26,28 @@ def excited_from_hz(rir: FloatArray) -> float:
     Loudspeakers fall by at most 24 dB per octave, 8 dB per third octave (vented box; Small, J. Audio Eng. Soc. 21
     (1973) 363). At low frequencies the lowest modes of the room add to that.
     """
-    power = energy_per_bin(rir, next_fast_len(max(len(rir), FS_HZ), real=True))
-    bin_hz = 0.5 * FS_HZ / (len(power) - 1)
-    edges = np.rint(_LOW_HZ * 2.0 ** (np.arange(-0.5, _N_LOW) / 6.0) / bin_hz).astype(int)
-    level_db = power_db(np.add.reduceat(power[:edges[-1]], edges[:-1]) / np.diff(edges), floor=FLOOR_POWER)
+    level_db = _levels_db(rir, _LOW_HZ * 2.0 ** (np.arange(-0.5, _N_LOW) / 6.0))
     below_db = np.maximum.accumulate(level_db)
     at_hz = _LOW_HZ * 2.0 ** ((np.arange(len(level_db) - 2) + 1) / 6.0)
     cliffs = np.flatnonzero(level_db[2:] - below_db[:-2] > CLIFF_DB + np.where(at_hz < _MODES_HZ, _MODES_DB, 0.0))
     return float(at_hz[cliffs[-1]]) if len(cliffs) else 0.0
+
+
+def excited_to_hz(rir: FloatArray) -> float:
+    """Return the frequency above which nothing was played or recorded, as by a device at 8 kHz; else `NO_END_HZ`.
+
+    It is the lowest frequency at which the response falls by `_TOP_CLIFF_DB` in a third octave, and everything above is
+    as low. An anti-alias filter just below half the sample rate is no such end.
+    """
+    edges_hz = NO_END_HZ * 2.0 ** (np.arange(-_N_HIGH, 1) / 6.0)
+    level_db = _levels_db(rir, edges_hz)
+    above_db = np.maximum.accumulate(level_db[::-1])[::-1]
+    cliffs = np.flatnonzero(level_db[:-2] - above_db[2:] > _TOP_CLIFF_DB)
+    return float(np.sqrt(edges_hz[cliffs[0] + 1] * edges_hz[cliffs[0] + 2])) if len(cliffs) else NO_END_HZ
+
+
+def _levels_db(rir: FloatArray, edges_hz: FloatArray) -> FloatArray:
+    """Return the level of a response in the bands between some frequencies [dB per bin]."""
+    power = energy_per_bin(rir, next_fast_len(max(len(rir), FS_HZ), real=True))
+    edges = np.rint(edges_hz / (0.5 * FS_HZ / (len(power) - 1))).astype(int)
+    return power_db(np.add.reduceat(power[:edges[-1]], edges[:-1]) / np.diff(edges), floor=FLOOR_POWER)

@@ -14,7 +14,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from roomeq.core.build import Build
-from roomeq.core.constants import BAND_1KHZ, BANDS_HZ
+from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 from roomeq.core.files import write_json
 from roomeq.corpora.repeats import find_repeats, keeping_order
 from roomeq.corpora.suspicious import suspicion
@@ -108,7 +108,7 @@ def _characterise_rir(rir_dir: Path, row: RirRow, skip_bad: bool) -> dict[str, A
     """Return what was measured on an RIR and a hash of its samples, or ``{"broken": reason}``."""
     import numpy as np
 
-    from roomeq.acoustics.excitation import excited_from_hz
+    from roomeq.acoustics.excitation import excited_from_hz, excited_to_hz
     from roomeq.acoustics.parameters import measure
 
     rir = load_rir(rir_dir, row)
@@ -120,28 +120,38 @@ def _characterise_rir(rir_dir: Path, row: RirRow, skip_bad: bool) -> dict[str, A
         raise ValueError(f"{rir_path(rir_dir, row)}: {error}") from None
     # scaled, so that the same samples at another gain have the same hash
     scaled = np.round(rir / np.max(np.abs(rir)) * 2 ** 15).astype("<i4")
-    return dict(acoustic_parameters=parameters, excited_from_hz=excited_from_hz(rir),
+    return dict(acoustic_parameters=parameters, excited_from_hz=excited_from_hz(rir), excited_to_hz=excited_to_hz(rir),
                 geometry_ok=geometry_usability(row, needs="consistency").usable,
                 sound=hashlib.sha256(scaled.tobytes()).hexdigest())
 
 
 def _limit_to_excitation(rows: Sequence[RirRow], records: Sequence[dict[str, Any]]) -> None:
-    """Make EQ points below the band of the excitation invalid; it is the same for all RIRs of a source in a corpus."""
+    """Make EQ points outside the band of the excitation invalid.
+
+    Its lower end is the same for all RIRs of a source in a corpus, its upper end that of each recording.
+    """
     of_source = defaultdict(list)
     for row, record in zip(rows, records, strict=True):
         if "acoustic_parameters" in record:
             of_source[row.get("corpus"), row["source_id"]].append(record)
     for (_, source_id), measured in of_source.items():
         from_hz = median(record["excited_from_hz"] for record in measured)
-        below = [hz < from_hz for hz in BANDS_HZ]
-        if not any(below):
-            continue
-        logger.info("source %s, %d RIRs: the excitation begins at %.0f Hz; the EQ below is not measured", source_id,
-                    len(measured), from_hz)
-        for record in measured:
+        if from_hz > BANDS_HZ[0]:
+            logger.info("source %s, %d RIRs: the excitation begins at %.0f Hz; the EQ below is not measured", source_id,
+                        len(measured), from_hz)
+        ends_hz = [_highest_hz(record["excited_to_hz"]) for record in measured]
+        if n_ended := sum(end_hz < BANDS_HZ[-1] for end_hz in ends_hz):
+            logger.info("source %s: %d of %d RIRs hold nothing above %.0f Hz, like recordings of a lower sample rate; "
+                        "the EQ above is not measured", source_id, n_ended, len(measured), min(ends_hz))
+        for record, end_hz in zip(measured, ends_hz, strict=True):
             parameters = record["acoustic_parameters"]
-            parameters["eq_valid"] = [valid and not unexcited
-                                      for valid, unexcited in zip(parameters["eq_valid"], below, strict=True)]
+            parameters["eq_valid"] = [valid and from_hz <= hz <= end_hz
+                                      for valid, hz in zip(parameters["eq_valid"], BANDS_HZ, strict=True)]
+
+
+def _highest_hz(to_hz: float) -> float:
+    """Return the frequency up to which a recording holds a whole EQ: it ends in the middle of a third octave."""
+    return to_hz * 2.0 ** (-1.0 / 6.0) if to_hz < 0.5 * FS_HZ else to_hz
 
 
 def screen_reason(row: Mapping[str, Any], parameters: Mapping[str, Any]) -> str | None:

@@ -21,7 +21,7 @@ from scipy.special import gammaincinv
 from roomeq.acoustics.band_energy import OCTAVES, THIRDS, Bands, energy_in_bands, energy_per_bin, faded_part
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.direct import find_direct
-from roomeq.acoustics.excitation import excited_from_hz
+from roomeq.acoustics.excitation import NO_END_HZ, excited_from_hz, excited_to_hz
 from roomeq.acoustics.fade import length_before_fade
 from roomeq.acoustics.iso3382 import DIRECT_S, EARLY_S, all_metrics
 from roomeq.acoustics.jnd import C50_JND_DB, DECAY_JND, DRR_JND_DB, LEVEL_JND_DB
@@ -111,6 +111,8 @@ class Features:
         White noise of the recording: energy of 100 ms relative to the response, per octave.
     excited_from_hz : float
         Lower end of the excitation's band; 0 where the response shows none, and for a rendering.
+    excited_to_hz : float
+        Upper end of the band that was played and recorded; `NO_END_HZ` where the response shows none.
     peak_db : float
         Level of the largest sample.
     n_samples : int
@@ -125,6 +127,7 @@ class Features:
     direct_sample: float
     white: FloatArray
     excited_from_hz: float
+    excited_to_hz: float
     peak_db: float
     n_samples: int
     end_level: FloatArray
@@ -190,8 +193,9 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
          np.array(metrics["c50_valid"]))
     drr_db = metrics["drr_db"]
     _put(values, valid, "arrival", np.array([direct / FS_HZ]), np.array([timed]))
-    from_hz = excited_from_hz(rir) if white is None else 0.0  # a rendering is excited at all frequencies
-    noise = _noise_density(rir, metrics, from_hz)
+    # a rendering is excited at all frequencies
+    band_hz = (excited_from_hz(rir), excited_to_hz(rir)) if white is None else (0.0, NO_END_HZ)
+    noise = _noise_density(rir, metrics, band_hz)
     levels = _levels(rir, direct, metrics, noise)
     whole = {metric: np.ones(len(level_db), dtype=bool) for metric, (level_db, _) in levels.items()}
     if white is None and _length(rir) < direct + LATE_S * FS_HZ:  # a rendering ends when its decay is over
@@ -208,20 +212,23 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
     noise_levels, white = _noise_levels(rir, direct, noise, white)
     end_level, _ = noise_levels["floor"]
     if end is not None and end < len(rir):
-        end_level, _ = _noise_levels(rir, direct, _noise_density(rir[:end], metrics, from_hz), white)[0]["floor"]
+        end_level, _ = _noise_levels(rir, direct, _noise_density(rir[:end], metrics, band_hz), white)[0]["floor"]
     for metric, (level_db, is_valid) in noise_levels.items():
         _put(values, valid, metric, level_db, is_valid)
-    return Features(values, valid & np.isfinite(values), bounded, direct, white, from_hz,
+    return Features(values, valid & np.isfinite(values), bounded, direct, white, *band_hz,
                     float(20.0 * np.log10(np.max(np.abs(rir)))), _length(rir), end_level / JND["floor"])
 
 
-def excited(from_hz: float) -> BoolArray:
-    """Tell which features are measurable with an excitation from a frequency on, shape (n_features,).
+def excited(from_hz: float, to_hz: float = NO_END_HZ) -> BoolArray:
+    """Tell which features are measurable with an excitation between two frequencies, shape (n_features,).
 
-    Four fifths of a band, in octaves, must be excited.
+    Four fifths of a band, in octaves, must be excited; at the upper end, of what lies below half the sample rate.
     """
-    octaves = np.log2(np.maximum(BAND_HZ, 1.0) / max(from_hz, 1e-3)) + 0.5 * _WIDTH
-    return (BAND_HZ == 0.0) | (octaves > 0.8 * _WIDTH)
+    middle = np.log2(np.maximum(BAND_HZ, 1.0))
+    low, high = middle - 0.5 * _WIDTH, np.minimum(middle + 0.5 * _WIDTH, np.log2(NO_END_HZ))
+    above_lower_end = middle + 0.5 * _WIDTH - np.log2(max(from_hz, 1e-3)) > 0.8 * _WIDTH
+    below_upper_end = np.log2(to_hz) - low > 0.8 * (high - low)
+    return (BAND_HZ == 0.0) | (above_lower_end & below_upper_end)
 
 
 def _direct(rir: FloatArray, expected_sample: float | None, timed: bool) -> tuple[float, int, bool]:
@@ -251,16 +258,16 @@ def _length(rir: FloatArray) -> int:
     return int(np.flatnonzero(rir)[-1]) + 1
 
 
-def _noise_density(rir: FloatArray, metrics: dict, from_hz: float) -> _Noise:
+def _noise_density(rir: FloatArray, metrics: dict, band_hz: tuple[float, float]) -> _Noise:
     """Return the energy per sample at the end of a response, where only noise is left as a rule.
 
-    Octaves below the excitation's band have no response, and what is in them says nothing of the noise.
+    Octaves outside the excitation's band have no response, and what is in them says nothing of the noise.
     """
     last = _length(rir)
     intersections = np.array(metrics["band_noise_intersection_s"]) * FS_HZ + metrics["direct_sample"]
     start = max(int(0.9 * last), min(last, int(intersections.max())))
     start = min(start, last - int(0.05 * FS_HZ)) if last > int(0.2 * FS_HZ) else int(0.9 * last)
-    has_response = excited(from_hz)[feature_slice("early")]
+    has_response = excited(*band_hz)[feature_slice("early")]
     seen = has_response & [floor_db is not None for floor_db in metrics["band_noise_floor_db"]]
     possible = has_response & (intersections < last - 1)
     part = rir[start:last]

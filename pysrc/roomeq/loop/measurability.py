@@ -3,9 +3,11 @@
 import logging
 from collections.abc import Hashable, Sequence
 from dataclasses import replace
+from statistics import median_low
 
 import numpy as np
 
+from roomeq.acoustics.excitation import NO_END_HZ
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.loop.features import JND, Features, excited, feature_slice
 from roomeq.records.schema import RirRow, unit_name
@@ -18,16 +20,27 @@ _NORMALISED_SHARE = 0.5
 
 
 def limit_to_excitation(rows: Sequence[RirRow], features: Sequence[Features]) -> list[Features]:
-    """Return features that are valid only within the band of the excitation, which is the same for all of a source."""
+    """Return features that are valid only within the band of the excitation.
+
+    Its lower end is the same for all RIRs of a source. Its upper end is that of their recordings, which may have
+    another sample rate in another room.
+    """
     limited = list(features)
     for name, members in _groups([unit_name(row, "source") for row in rows]).items():
         from_hz = float(np.median([features[n].excited_from_hz for n in members]))
         if from_hz:
             logger.info("source %s: the excitation begins at %.0f Hz; features below it are left out", name,
                         from_hz)
-        for n in members:
-            limited[n] = replace(features[n], valid=features[n].valid & excited(from_hz),
-                                 bounded=features[n].bounded & excited(from_hz))
+        to_hz = np.full(len(members), NO_END_HZ)
+        for of_room in _groups([rows[n]["room_id"] for n in members]).values():
+            to_hz[of_room] = median_low([features[n].excited_to_hz for n in members[of_room]])
+        if np.any(to_hz < NO_END_HZ):
+            logger.info("source %s: %d of %d RIRs hold nothing above %.0f Hz, like recordings of a lower sample rate; "
+                        "features above it are left out", name, np.sum(to_hz < NO_END_HZ), len(members), to_hz.min())
+        for n, end_hz in zip(members, to_hz, strict=True):
+            measurable = excited(from_hz, end_hz)
+            limited[n] = replace(features[n], valid=features[n].valid & measurable,
+                                 bounded=features[n].bounded & measurable)
     return limited
 
 

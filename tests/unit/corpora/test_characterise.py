@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from rirmaker import DIRECT, coloured_rir, row, write_rir_dir
-from scipy.signal import butter, firwin, sosfilt
+from scipy.signal import butter, firwin, resample_poly, sosfilt
 
 from roomeq.acoustics.parameters import measure
 from roomeq.core.audio import read_audio
@@ -65,6 +65,14 @@ def test_anti_alias_roll_off_invalidates_8_khz_only(tmp_path):
     assert parameters["eq_valid"] == [True] * 7 + [False]
     assert parameters["eq_db"][7] < -40.0 and abs(parameters["eq_edge_db"]) < 4.0
     assert report["n_roll_off_at_8khz"] == 1
+
+
+def test_eq_points_above_a_lower_sample_rate_are_not_measured(tmp_path):
+    narrow = resample_poly(resample_poly(coloured_rir(1), 1, 2), 2, 1)
+    rows, _ = run(tmp_path, [(row("a"), coloured_rir(0)), (row("b"), narrow)])
+    valid = {name: kept["acoustic_parameters"]["eq_valid"] for name, kept in rows.items()}
+    assert valid == dict(a=[True] * 8, b=[True] * 6 + [False] * 2)
+    assert rows["b"]["screen"].startswith("dead bands: ")
 
 
 def test_eq_points_below_a_sweep_are_not_measured_for_all_rirs_of_a_source(tmp_path):

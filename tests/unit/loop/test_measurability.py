@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.signal import butter, sosfilt
+from scipy.signal import butter, resample_poly, sosfilt
 
-from roomeq.acoustics.excitation import excited_from_hz
+from roomeq.acoustics.excitation import NO_END_HZ, excited_from_hz, excited_to_hz
 from roomeq.core.constants import FS_HZ
 from roomeq.effects.wavefield import damping_per_s, modal_response, modes
 from roomeq.loop.data import Data
@@ -30,6 +30,43 @@ def response(seed, *, from_hz=None, order=20, amplitude=1.0):
 def test_lower_end_of_a_sweep_is_found_within_a_third_octave(from_hz):
     found = [excited_from_hz(response(seed, from_hz=from_hz)) for seed in range(8)]
     assert np.all(np.abs(np.log2(np.array(found) / from_hz)) < 1.0 / 3.0)
+
+
+def narrowed(rir, rate_hz):
+    """Return a response that was recorded at a lower sample rate."""
+    return resample_poly(resample_poly(rir, rate_hz, FS_HZ), FS_HZ, rate_hz)[:len(rir)]
+
+
+@pytest.mark.parametrize("rate_hz", [6000, 8000, 11025])
+@pytest.mark.parametrize("noise", [0.0, 0.003])
+def test_upper_end_of_a_recording_is_found_within_a_third_octave(rate_hz, noise):
+    rng = np.random.default_rng(0)
+    found = [excited_to_hz(narrowed(response(seed), rate_hz) + noise * rng.standard_normal(FS_HZ + 200))
+             for seed in range(8)]
+    assert np.all(np.abs(np.log2(np.array(found) / (0.5 * rate_hz))) < 1.0 / 3.0)
+
+
+@pytest.mark.parametrize("order, to_hz", [(4, 2000.0), (4, 6000.0), (8, 4000.0), (100, 7500.0)])
+def test_roll_off_of_devices_and_an_anti_alias_filter_are_no_upper_end(order, to_hz):
+    """A tweeter of 24 dB per octave, one behind a microphone that falls by as much, and a filter below 8 kHz."""
+    frequency_hz = np.fft.rfftfreq(2 * FS_HZ, 1.0 / FS_HZ)
+    gain = 1.0 / np.sqrt(1.0 + (frequency_hz / to_hz) ** (2 * order))
+    rirs = [np.fft.irfft(gain * np.fft.rfft(response(seed), 2 * FS_HZ))[:FS_HZ] for seed in range(4)]
+    assert [excited_to_hz(rir) for rir in rirs] == [NO_END_HZ] * 4
+
+
+def test_features_above_a_recording_are_invalid_in_its_room_alone(caplog):
+    whole = [measure_features(response(seed)) for seed in range(6)]
+    features = [measure_features(narrowed(response(seed), 8000)) if seed < 3 else whole[seed] for seed in range(6)]
+    rows = [dict(source_id="s", room_id="narrow" if seed < 3 else "wide") for seed in range(6)]
+    with caplog.at_level("INFO"):
+        limited = limit_to_excitation(rows, features)
+    high, low = BAND_HZ > 3800.0, BAND_HZ < 3000.0
+    assert not any(of_rir.valid[high].any() for of_rir in limited[:3])
+    assert all((of_rir.valid == of_whole.valid)[low & (METRIC != "drr")].all()
+               for of_rir, of_whole in zip(limited[:3], whole, strict=False))
+    assert all((of_rir.valid == of_whole.valid).all() for of_rir, of_whole in zip(limited[3:], whole[3:], strict=True))
+    assert "source s: 3 of 6 RIRs hold nothing above" in caplog.text
 
 
 @pytest.mark.parametrize("t60_s, end_s, valid", [(0.6, 0.1, False), (0.6, 0.3, True), (0.08, 0.15, True)])
@@ -96,7 +133,7 @@ def test_loudspeaker_that_falls_by_24_db_per_octave_is_no_end_of_the_excitation(
 
 def test_features_below_the_excitation_are_invalid_for_all_rirs_of_a_source():
     features = [measure_features(response(seed, from_hz=110.0)) for seed in range(3)]
-    limited = limit_to_excitation([dict(source_id="s")] * 3, features)
+    limited = limit_to_excitation([dict(source_id="s", room_id="room")] * 3, features)
     low = (BAND_HZ > 0) & (BAND_HZ < 90.0)
     assert not any(of_rir.valid[low].any() for of_rir in limited)
     kept = (METRIC == "spectrum") & (BAND_HZ > 130.0)
@@ -109,6 +146,9 @@ def test_octave_counts_as_excited_if_four_fifths_of_it_are():
     assert excited(100.0)[octave].tolist() == [False, True] + [True] * 6
     assert excited(112.0)[octave].tolist() == [False, False] + [True] * 6
     assert excited(0.0).all()
+    assert excited(0.0, 5400.0)[octave].tolist() == [True] * 7 + [False]
+    assert excited(0.0, 4500.0)[octave].tolist() == [True] * 6 + [False] * 2
+    assert excited(0.0, 7700.0)[octave].all()
 
 
 @pytest.mark.parametrize("normalised", [False, True])
