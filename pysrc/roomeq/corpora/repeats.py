@@ -90,6 +90,40 @@ def find_repeats(rirs: Sequence[tuple[Path, Mapping[str, Any]]], sounds: Sequenc
     return repeats
 
 
+def find_further_takes(rirs: Sequence[tuple[Path, Mapping[str, Any]]], of: Sequence[tuple[Path, Mapping[str, Any]]]
+                       ) -> list[Repeat | None]:
+    """Find further takes of measurements of which another set holds a take, by the rule of `find_repeats`.
+
+    Parameters
+    ----------
+    rirs, of : sequence of (Path, mapping)
+        RIR directories and rows at `FS_HZ`, of the one and of the other set.
+
+    Returns
+    -------
+    list of Repeat or None
+        For each RIR of the one set.
+
+    Raises
+    ------
+    ValueError
+        As `find_repeats`.
+    """
+    rooms = {(row["room_id"], row["id"]) for _, row in of}
+    at: dict[str, list[tuple[Path, Mapping[str, Any]]]] = {}
+    for rir in of:
+        if (position := position_key(rir[1])) is not None:
+            at.setdefault(position, []).append(rir)
+    takes: list[Repeat | None] = []
+    for directory, row in rirs:
+        first = row.get("repeat_of") if (row["room_id"], row.get("repeat_of")) in rooms else None
+        if first is None and (others := at.get(position_key(row) or "")):
+            beginning = _beginning(directory, row)
+            first = next((other[1]["id"] for other in others if _same_take(_beginning(*other), beginning)), None)
+        takes.append(None if first is None else Repeat(first, "positions"))
+    return takes
+
+
 def _beginning(directory: Path, row: Mapping[str, Any]) -> FloatArray:
     """Return what is compared of a recording and `_REACH` on both sides, shape (`_N_COMPARED` + 2 `_REACH`,)."""
     import numpy as np

@@ -23,7 +23,7 @@ from roomeq.loop.descriptions import describe_facing, describe_residual, effect_
 from roomeq.loop.examples import EXAMPLES_FILE, write_examples
 from roomeq.loop.facing import unknown_facings, with_estimated_facings
 from roomeq.loop.fit import fit
-from roomeq.loop.held_out import require_held_out
+from roomeq.loop.held_out import held_out_rirs
 from roomeq.loop.ledger import (
     LEDGER_FILE,
     RESIDUALS_FILE,
@@ -105,10 +105,9 @@ def _usable_test_set(directories: Sequence[Path], rirs: UsableRirs, nj: int) -> 
     ValueError
         See `usable_rirs`; or the test set shares recordings with the RIRs that the loop is closed on.
     """
-    usable = usable_rirs(directories, nj)
+    usable = held_out_rirs(usable_rirs(directories, nj), rirs.rirs, nj)
     for entry in usable.left_out:
         logger.info("test set: left out %s", entry)
-    require_held_out(usable.rirs, rirs.rirs, nj)
     if not usable.n_scored:
         logger.warning("%s: no room has two usable RIRs, one to calibrate it and one to score: the test set is not "
                        "scored", directories[0])

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from roomeq.acoustics.iso3382 import DIRECT_S
-from roomeq.core.arrays import FloatArray, IntArray
-from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
+from roomeq.core.arrays import FloatArray
+from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.loop.doubtful_geometry import Doubt
+from roomeq.loop.same_recordings import SAME, find_same
 
 FALSE_ALARM = 1e-6
 """Probability with which an RIR of a diffuse room is taken for another room's."""
@@ -19,10 +19,6 @@ FEWEST_RIRS = 5
 """Of a room, so that one of another room does not determine the median."""
 OTHER_DECAY = "the decay is not that of the other RIRs of its room, but that of another room"
 COPY = "the recording is that of another room as well"
-SAME = 0.95
-"""Correlation of each part of two recordings from which on they are one."""
-PARTS_S = (DIRECT_S, 0.01, 0.03, 0.08, 0.2)
-"""Limits of the parts, after the direct sound, which is alike in all rooms."""
 
 _FIRST_OCTAVE = 2  # below 250 Hz, single modes determine the decay
 _HZ = np.array(EXACT_BANDS_HZ)[_FIRST_OCTAVE:]
@@ -96,41 +92,30 @@ def _describe(row: Mapping[str, Any], log_t20: FloatArray, median: FloatArray, u
             f"{' or '.join(others[:3])}: correct room_id or wav")
 
 
-def cut_parts(rir: FloatArray, direct_sample: float) -> FloatArray:
-    """Return the parts of a recording whose correlation tells whether it is another's copy, shape (n_samples,)."""
-    edges = round(direct_sample) + np.rint(np.array(PARTS_S) * FS_HZ).astype(int)
-    padded = np.append(rir, np.zeros(max(0, edges[-1] - len(rir))))
-    return padded[edges[0]:edges[-1]].astype(np.float32)
-
-
 def find_copies(rows: Sequence[Mapping[str, Any]], parts: FloatArray) -> list[Doubt | None]:
     """Find recordings that are in two rooms.
 
-    Neither the reflections nor the noise of two recordings are the same. If the rows of the copies state the same
-    geometry, the first is kept; otherwise nothing says which is right, and none is.
+    If the rows of the copies state the same geometry, the first is kept; otherwise nothing says which is right, and
+    none is.
 
     Parameters
     ----------
     rows : sequence of mapping
     parts : ndarray, shape (n_rirs, n_samples)
-        See `cut_parts`.
+        See `roomeq.loop.same_recordings.cut_parts`.
     """
     doubts: list[Doubt | None] = [None] * len(rows)
-    if not len(rows):
-        return doubts
-    edges = np.rint((np.array(PARTS_S) - PARTS_S[0]) * FS_HZ).astype(int)
-    smallest = np.full((len(rows), len(rows)), np.inf, dtype=np.float32)
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
-        part = parts[:, first:last]
-        part = part / np.maximum(np.linalg.norm(part, axis=1, keepdims=True), 1e-20)
-        smallest = np.minimum(smallest, part @ part.T)
-    room: IntArray = np.unique([row["room_id"] for row in rows], return_inverse=True)[1]
-    for n, m in np.argwhere((smallest > SAME) & (room[:, None] != room)):
-        stated_alike = all(rows[n].get(key) == rows[m].get(key) for key in _STATED)
-        if n < m and stated_alike:
+    for first, second, correlation in find_same(parts):
+        if rows[first]["room_id"] == rows[second]["room_id"]:
             continue
+        stated_alike = all(rows[first].get(key) == rows[second].get(key) for key in _STATED)
         remedy = "give each room once" if stated_alike else "correct wav, room_id or the positions"
-        doubts[n] = Doubt(COPY, f"RIR {rows[n]['id']} of room {rows[n]['room_id']} is the recording of RIR "
-                          f"{rows[m]['id']} of room {rows[m]['room_id']}: all parts of the response correlate by "
-                          f"{smallest[n, m]:.3f}, and {SAME:g} or more is a copy: {remedy}")
+        for n, m in ((second, first), *([] if stated_alike else [(first, second)])):
+            doubts[n] = doubts[n] or Doubt(COPY, _describe_copy(rows[n], rows[m], correlation, remedy))
     return doubts
+
+
+def _describe_copy(row: Mapping[str, Any], other: Mapping[str, Any], correlation: float, remedy: str) -> str:
+    return (f"RIR {row['id']} of room {row['room_id']} is the recording of RIR {other['id']} of room "
+            f"{other['room_id']}: all parts of the response correlate by {correlation:.3f}, and {SAME:g} or more is a "
+            f"copy: {remedy}")

@@ -94,13 +94,19 @@ def usable_rirs(directories: Iterable[Path], nj: int = 1) -> UsableRirs:
     for n, doubt in _mislabelled(found, reasons, nj):
         reasons[n] = doubt.phrase
         contradictions.setdefault(doubt.phrase, doubt.detail)
-    left_out = []
+    usable = leave_out(UsableRirs(found, []), reasons)
+    return usable._replace(contradictions=tuple(contradictions[entry.reason] for entry in usable.left_out
+                                                if entry.reason in contradictions))
+
+
+def leave_out(usable: UsableRirs, reasons: Sequence[str | None]) -> UsableRirs:
+    """Return RIRs without those for which there is a reason, which are counted by it."""
+    left_out = list(usable.left_out)
     for reason in sorted({reason for reason in reasons if reason}):
-        rooms = [rir.row["room_id"] for rir, of_rir in zip(found, reasons, strict=True) if of_rir == reason]
+        rooms = [rir.row["room_id"] for rir, of_rir in zip(usable.rirs, reasons, strict=True) if of_rir == reason]
         left_out.append(LeftOut(reason, len(rooms), len(set(rooms))))
-    left_out.sort(key=lambda entry: -entry.rirs)
-    return UsableRirs([rir for rir, reason in zip(found, reasons, strict=True) if reason is None], left_out,
-                      tuple(contradictions[entry.reason] for entry in left_out if entry.reason in contradictions))
+    return usable._replace(rirs=[rir for rir, reason in zip(usable.rirs, reasons, strict=True) if reason is None],
+                           left_out=sorted(left_out, key=lambda entry: -entry.rirs))
 
 
 def require_enough_rooms(directories: Sequence[Path], nj: int = 1) -> UsableRirs:

@@ -10,7 +10,7 @@ from rirmaker import coloured_rir, row, write_rir_dir
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.loop.arrivals import measure_arrivals
 from roomeq.loop.doubtful_geometry import OTHER_UNIT, TOO_EARLY, TOO_LATE, find_other_unit, find_wrong_distance
-from roomeq.loop.doubtful_recordings import COPY, OTHER_DECAY, cut_parts, find_copies, find_other_decays
+from roomeq.loop.doubtful_recordings import COPY, OTHER_DECAY, find_copies, find_other_decays
 from roomeq.loop.misnamed_devices import (
     BANDS_HZ,
     EXCHANGED,
@@ -19,6 +19,7 @@ from roomeq.loop.misnamed_devices import (
     find_misnamed_devices,
     reverberation_levels,
 )
+from roomeq.loop.same_recordings import cut_parts
 from roomeq.loop.usable import LeftOut, usable_rirs
 from roomeq.records.geometry import OUTSIDE
 
