@@ -109,8 +109,8 @@ def _usable_test_set(directories: Sequence[Path], rirs: UsableRirs, nj: int) -> 
     for entry in usable.left_out:
         logger.info("test set: left out %s", entry)
     if not usable.n_scored:
-        logger.warning("%s: no room has two usable RIRs, one to calibrate it and one to score: the test set is not "
-                       "scored", directories[0])
+        logger.warning("%s: no room has usable RIRs of two places, one to calibrate it and one to score: the test set "
+                       "is not scored", directories[0])
         return None
     return usable
 

@@ -27,6 +27,7 @@ from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, decay_range_s, draw_path_
 from roomeq.loop.tables import ANGLES, Table, collect, frame_edges_s, level_surfaces
 from roomeq.loop.traces import StoredTrace, TraceFolder, without_paths
 from roomeq.loop.usable import LeftOut, UsableRirs
+from roomeq.records.geometry import place_key
 from roomeq.records.rir_dir import load_rir
 from roomeq.records.schema import RirRow, unit_name
 from roomeq.sim.geometry import Place, find_place
@@ -75,6 +76,9 @@ class Data:
         Whether the level of a recording can be compared with others (`roomeq.loop.measurability`).
     room, chain : ndarray of int, shape (n_rirs,)
         Number of the room, and of the combination of room, source and microphone.
+    place_number : ndarray of int, shape (n_rirs,)
+        Number of the combination of room, source position and microphone position, as the rows state them
+        (`roomeq.records.geometry.place_key`).
     room_names : list of str
     traced : list of StoredTrace
         Of each RIR; shared by the RIRs of one source.
@@ -115,6 +119,7 @@ class Data:
     comparable: BoolArray
     room: IntArray
     chain: IntArray
+    place_number: IntArray
     room_names: list[str]
     traced: list[StoredTrace]
     path_samples: list[PathSample]
@@ -166,8 +171,9 @@ class Data:
 
     @property
     def is_scored(self) -> BoolArray:
-        """Whether a room has two RIRs or more: one calibrates it, another is scored; shape (n_rooms,)."""
-        return np.bincount(self.room, minlength=len(self.room_names)) > 1
+        """Whether a room has RIRs of two places or more: one calibrates it, another is scored; shape (n_rooms,)."""
+        first_of_place = np.unique(self.place_number, return_index=True)[1]
+        return np.bincount(self.room[first_of_place], minlength=len(self.room_names)) > 1
 
     def residual(self, predicted: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Measured minus predicted features, and which of them are valid, shape (n_rirs, n_features) each.
@@ -231,7 +237,9 @@ def load_data(usable: UsableRirs, *, scattering: float, seed: int, model: Model 
     features = limit_to_excitation([recording.row for recording in recordings],
                                    share_out(_measure, recordings, nj, label="measure RIRs"))
     data = _trace(recordings, features, scattering, seed, Model() if model is None else model, nj)
+    places: IntArray = np.unique([place_key(rir.row) for rir in usable.rirs], return_inverse=True)[1]
     return replace(data, documented_dims_m=[tuple(rir.row.get("room_dims_m") or ()) for rir in usable.rirs],
+                   place_number=places,
                    left_out=usable.left_out, estimates=estimates)
 
 
@@ -386,7 +394,7 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
                 n_samples=np.array([of_rir.n_samples for of_rir in features]),
                 comparable=comparable_levels(rows, features, distance_m),
                 room=np.array([room_names.index(row["room_id"]) for row in rows]),
-                chain=np.array([chains.index(chain) for chain in by_chain]),
+                chain=np.array([chains.index(chain) for chain in by_chain]), place_number=np.empty(0, dtype=int),
                 room_names=room_names, traced=[traced[n] for n in range(len(rows))],
                 path_samples=[path_samples[n] for n in range(len(rows))], tables=[tables[n] for n in range(len(rows))],
                 surface_per_m=np.array([_surface_per_m(place.room) for place in places]),

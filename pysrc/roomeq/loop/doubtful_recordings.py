@@ -10,15 +10,17 @@ from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.loop.doubtful_geometry import Doubt
 from roomeq.loop.same_recordings import SAME, find_same
+from roomeq.records.geometry import place_key
 
 FALSE_ALARM = 1e-6
 """Probability with which an RIR of a diffuse room is taken for another room's."""
 USUAL_SPREAD = 0.05
 """Of T20 in a room whose field is not diffuse: its just noticeable difference (ISO 3382-1)."""
 FEWEST_RIRS = 5
-"""Of a room, so that one of another room does not determine the median."""
+"""Of a room, of different places, so that one of another room does not determine the median."""
 OTHER_DECAY = "the decay is not that of the other RIRs of its room, but that of another room"
 COPY = "the recording is that of another room as well"
+COPY_IN_ROOM = "the recording is that of another RIR of its room as well"
 
 _FIRST_OCTAVE = 2  # below 250 Hz, single modes determine the decay
 _HZ = np.array(EXACT_BANDS_HZ)[_FIRST_OCTAVE:]
@@ -51,7 +53,8 @@ def find_other_decays(rows: Sequence[Mapping[str, Any]], log_t20: FloatArray) ->
     rooms = {}
     for room_id in sorted({row["room_id"] for row in rows}):
         members = np.flatnonzero([row["room_id"] == room_id for row in rows])
-        if np.isfinite(log_t20[members]).any(axis=1).sum() >= FEWEST_RIRS:
+        told = members[np.isfinite(log_t20[members]).any(axis=1)]
+        if len({place_key(rows[n]) for n in told}) >= FEWEST_RIRS:
             rooms[room_id] = members, *_usual_decay(log_t20[members])
     for room_id, (members, median, sd) in rooms.items():
         for n in map(int, members):
@@ -93,7 +96,7 @@ def _describe(row: Mapping[str, Any], log_t20: FloatArray, median: FloatArray, u
 
 
 def find_copies(rows: Sequence[Mapping[str, Any]], parts: FloatArray) -> list[Doubt | None]:
-    """Find recordings that are in two rooms.
+    """Find recordings that stand for two RIRs, of one room or of two.
 
     If the rows of the copies state the same geometry, the first is kept; otherwise nothing says which is right, and
     none is.
@@ -106,16 +109,18 @@ def find_copies(rows: Sequence[Mapping[str, Any]], parts: FloatArray) -> list[Do
     """
     doubts: list[Doubt | None] = [None] * len(rows)
     for first, second, correlation in find_same(parts):
-        if rows[first]["room_id"] == rows[second]["room_id"]:
-            continue
         stated_alike = all(rows[first].get(key) == rows[second].get(key) for key in _STATED)
-        remedy = "give each room once" if stated_alike else "correct wav, room_id or the positions"
         for n, m in ((second, first), *([] if stated_alike else [(first, second)])):
-            doubts[n] = doubts[n] or Doubt(COPY, _describe_copy(rows[n], rows[m], correlation, remedy))
+            doubts[n] = doubts[n] or _copy(rows[n], rows[m], correlation, stated_alike)
     return doubts
 
 
-def _describe_copy(row: Mapping[str, Any], other: Mapping[str, Any], correlation: float, remedy: str) -> str:
-    return (f"RIR {row['id']} of room {row['room_id']} is the recording of RIR {other['id']} of room "
-            f"{other['room_id']}: all parts of the response correlate by {correlation:.3f}, and {SAME:g} or more is a "
-            f"copy: {remedy}")
+def _copy(row: Mapping[str, Any], other: Mapping[str, Any], correlation: float, stated_alike: bool) -> Doubt:
+    in_room = row["room_id"] == other["room_id"]
+    if stated_alike:
+        remedy = "give each recording once" if in_room else "give each room once"
+    else:
+        remedy = "correct wav or the positions" if in_room else "correct wav, room_id or the positions"
+    return Doubt(COPY_IN_ROOM if in_room else COPY, f"RIR {row['id']} of room {row['room_id']} is the recording of RIR "
+                 f"{other['id']} of room {other['room_id']}: all parts of the response correlate by {correlation:.3f}, "
+                 f"and {SAME:g} or more is a copy: {remedy}")

@@ -15,6 +15,7 @@ from roomeq.acoustics.decibels import power_db
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import FS_HZ
 from roomeq.loop.doubtful_geometry import Doubt
+from roomeq.records.geometry import place_key
 
 EXCHANGED = "the loudspeakers or microphones of the room differ as if their names were exchanged"
 OTHER_DEVICE = "the recording is one of another loudspeaker or microphone"
@@ -23,7 +24,7 @@ FALSE_ALARM = 1e-6
 FEWEST_ROOMS = 3
 """With both devices, so that the other rooms agree on their difference."""
 FEWEST_RIRS = 20
-"""Of two devices, so that the spread of single RIRs is known."""
+"""Of two devices, each of different places, so that the spread of single RIRs is known."""
 REVERBERATION_S = (0.02, 0.42)
 """After the direct sound: late enough that it hardly matters where the loudspeaker faces."""
 SUSPECTS, FEWEST_OF_ROOM = 2, 4
@@ -154,6 +155,7 @@ def _common_rooms(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, tupl
         for first, second in combinations(sorted(rirs_of), 2):
             rooms = {room_id: (rirs_of[first][room_id], rirs_of[second][room_id])
                      for room_id in rirs_of[first] if room_id in rirs_of[second]}
-            n_rirs = sum(len(members) for of_room in rooms.values() for members in of_room)
-            if len(rooms) >= FEWEST_ROOMS and n_rirs >= FEWEST_RIRS:
+            n_places = sum(len({place_key(rows[n]) for n in members}) for of_room in rooms.values()
+                           for members in of_room)
+            if len(rooms) >= FEWEST_ROOMS and n_places >= FEWEST_RIRS:
                 yield key, (first, second), rooms

@@ -6,7 +6,7 @@ error: RIRs are rendered with it, measured, and compared with the recordings, in
 
 leave_positions_out
     One half of the room's RIRs calibrates its absorption and gains, the other half is scored, and vice versa. A room
-    with a single RIR is not scored.
+    with RIRs of a single place is not scored.
 leave_room_out
     The one half gives only the reverberation time at 1 kHz, the gains, and the noise of the recordings, which is no
     property of the room; all else comes from the other rooms. The direct sound tells the gains, or all levels where no
@@ -320,7 +320,7 @@ def _rendered_errors(data: Data, calibrated: Callable, splits: Sequence[str], *,
     gains_of: list[FloatArray] = []
     models: list[RowModel] = []
     for (_, (known, scored)), (absorption, by_row, gains) in zip(halves, calibrations, strict=True):
-        # a room with a single RIR has nothing that calibrates it, and is not scored
+        # a room with RIRs of a single place has nothing that calibrates it, and is not scored
         rows = np.concatenate([to_score if len(calibrating) else calibrating
                                for calibrating, to_score in zip(known, scored, strict=True)])
         rows_of.append(rows)
@@ -350,8 +350,8 @@ class Candidate:
     fit : Fit
         Of the model with the effect: its parameters (`Fit.parameters`).
     gain : ndarray, shape (n_scored_rooms,)
-        Increase of the log density of each held-out room. A room with a single RIR, in which a device cannot be told
-        from the room, does not count.
+        Increase of the log density of each held-out room. A room with RIRs of a single place, in which a device
+        cannot be told from the room, does not count.
     size_jnd : float
         Effect size: mean change of the features that it touches.
     """

@@ -215,8 +215,9 @@ def _log_determinant(factor: Cholesky) -> float:
 def split_positions(data: Data) -> tuple[list[IntArray], list[IntArray]]:
     """Split each room's RIRs into two halves: two lists of arrays of RIRs.
 
-    Each RIR joins the half with fewer RIRs of its chain, then the half with fewer of its source and its microphone.
-    The second half of a room with a single RIR is empty.
+    All RIRs of one place, such as the channels of an array, join the same half: one calibrated by another would be no
+    held-out position. It is the half with fewer RIRs of their chains, then the half with fewer of their sources and
+    microphones. The second half of a room with a single place is empty.
     """
     (_, source), (_, mic) = data.units("source"), data.units("mic")
     first, second = [], []
@@ -224,12 +225,14 @@ def split_positions(data: Data) -> tuple[list[IntArray], list[IntArray]]:
         members = np.flatnonzero(data.room == r)
         halves: tuple[list[int], list[int]] = [], []
         chains = list(np.unique(data.chain[members]))
-        for n in members[np.argsort(data.chain[members], kind="stable")]:
-            load = [(np.sum(data.chain[half] == data.chain[n]),
-                     np.sum(source[half] == source[n]) + np.sum(mic[half] == mic[n]), len(half))
+        by_chain = members[np.argsort(data.chain[members], kind="stable")]
+        for place in dict.fromkeys(data.place_number[by_chain]):
+            here = by_chain[data.place_number[by_chain] == place]
+            load = [(np.isin(data.chain[half], data.chain[here]).sum(),
+                     np.isin(source[half], source[here]).sum() + np.isin(mic[half], mic[here]).sum(), len(half))
                     for half in (np.array(rirs, dtype=int) for rirs in halves)]
-            fewer = chains.index(data.chain[n]) % 2 if load[0] == load[1] else int(load[1] < load[0])
-            halves[fewer].append(n)
+            fewer = chains.index(data.chain[here[0]]) % 2 if load[0] == load[1] else int(load[1] < load[0])
+            halves[fewer].extend(here)
         first.append(np.array(sorted(halves[0]), dtype=int))
         second.append(np.array(sorted(halves[1]), dtype=int))
     return first, second

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 from roomeq.corpora.repeats import find_repeats
 from roomeq.corpora.suspicious import suspicion
-from roomeq.records.geometry import OUTSIDE, UNKNOWN, find_contradiction, geometry_usability
+from roomeq.records.geometry import OUTSIDE, UNKNOWN, find_contradiction, geometry_usability, place_key
 from roomeq.records.rir_dir import read_rirs, require_16_khz
 from roomeq.records.schema import RirRow
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 MIN_ROOMS = 3
-"""Fewest rooms with two usable RIRs: rooms are left out, and halves of rooms are scored."""
+"""Fewest rooms with usable RIRs of two places: rooms are left out, and halves of rooms are scored."""
 
 UNLIKE = "rows of the room state different dimensions or meshes"
 _SAME_SIZE_M = 0.01
@@ -68,8 +68,9 @@ class UsableRirs(NamedTuple):
 
     @property
     def n_scored(self) -> int:
-        """Number of rooms with two usable RIRs or more: one calibrates the room, another is scored."""
-        return sum(n > 1 for n in Counter(rir.row["room_id"] for rir in self.rirs).values())
+        """Number of rooms with usable RIRs of two places or more: one calibrates the room, another is scored."""
+        places = {(place_key(rir.row), rir.row["room_id"]) for rir in self.rirs}
+        return sum(n > 1 for n in Counter(room_id for _, room_id in places).values())
 
 
 def usable_rirs(directories: Iterable[Path], nj: int = 1) -> UsableRirs:
@@ -115,8 +116,8 @@ def require_enough_rooms(directories: Sequence[Path], nj: int = 1) -> UsableRirs
     Raises
     ------
     ValueError
-        Fewer than `MIN_ROOMS` rooms have two usable RIRs; the message counts the RIRs by reason and says what to
-        measure or to correct. Also raised as by `usable_rirs`.
+        Fewer than `MIN_ROOMS` rooms have usable RIRs of two places; the message counts the RIRs by reason and says what
+        to measure or to correct. Also raised as by `usable_rirs`.
     """
     usable = usable_rirs(directories, nj)
     if problem := too_few_rooms(usable):
@@ -130,7 +131,13 @@ def too_few_rooms(usable: UsableRirs) -> str | None:
         return None
     problem = f"the closed loop needs {MIN_ROOMS} rooms or conditions (room_id) with two usable RIRs each, and has " \
               f"{usable.n_scored}: "
+    of_one_place = sum(n > 1 for n in Counter(rir.row["room_id"] for rir in usable.rirs).values()) - usable.n_scored
+    if of_one_place:
+        problem += f"the RIRs of {of_one_place} other{'s' * (of_one_place > 1)} have one source and one microphone " \
+                   "position, of which one half cannot be held out: "
     remedies = ["give further rooms"]
+    if of_one_place:
+        remedies.insert(0, "give further positions (state that of each channel of an array)")
     if usable.contradictions:
         remedies.insert(0, f"correct the rows ({'; '.join(usable.contradictions)})")
     if unusable := sum(entry.rirs for entry in usable.left_out):

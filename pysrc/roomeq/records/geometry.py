@@ -10,6 +10,7 @@ from typing import Any, Literal, NamedTuple
 
 SAME_POINT_M = 0.01
 """A source and a microphone closer than this are in one place, which cannot be [m]."""
+_PLACE_DIGITS = 3  # of a coordinate in metres: channels of an array are some millimetres apart
 DISTANCE_SLACK_M, DISTANCE_SLACK = 0.15, 0.05
 """Tolerance of a stated distance, taken by tape measure: the larger of these [m, share of the distance]."""
 
@@ -127,6 +128,18 @@ def position_key(row: Mapping[str, Any]) -> str | None:
         return None
     positions, directions = (row["source_pos_m"], row["mic_pos_m"]), (row.get("source_dir"), row.get("mic_dir"))
     return repr((row["room_id"], row["source_id"], row["mic_id"], positions, directions))
+
+
+def place_key(row: Mapping[str, Any]) -> str:
+    """Return what all RIRs of one place share: room and position of source and microphone, whatever the devices.
+
+    An unknown height is equal to another unknown height only. Where x or y is unknown, each RIR has a place of its own.
+    """
+    positions = [row.get(key) or [None] for key in ("source_pos_m", "mic_pos_m")]
+    if not all(is_known(position[:2]) for position in positions):
+        return repr((row["room_id"], row["id"]))
+    return repr((row["room_id"], [[None if at_m is None else round(float(at_m), _PLACE_DIGITS) for at_m in position]
+                                  for position in positions]))
 
 
 def is_known(coordinates: Coordinates) -> bool:

@@ -40,8 +40,8 @@ f 4 1 5 8
 
 def _measured(path: Path) -> None:
     """RIRs with geometry that analysis and simulation can work on."""
-    place = dict(source_pos_m=[1.0, 1.0, 1.5], mic_pos_m=[4.0, 3.0, 1.2])
-    write_rir_dir(path, [(row(f"r{n}", f"hall{n % 2}", **place), coloured_rir(n)) for n in range(4)],
+    places = [dict(source_pos_m=[1.0, 1.0, 1.5], mic_pos_m=[4.0, y_m, 1.2]) for y_m in (3.0, 3.5)]
+    write_rir_dir(path, [(row(f"r{n}", f"hall{n % 2}", **places[n // 2]), coloured_rir(n)) for n in range(4)],
                   [dict(id="hum", room_id="hall0")])
 
 

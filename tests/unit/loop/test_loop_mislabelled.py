@@ -10,7 +10,7 @@ from rirmaker import coloured_rir, row, write_rir_dir
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.loop.arrivals import measure_arrivals
 from roomeq.loop.doubtful_geometry import OTHER_UNIT, TOO_EARLY, TOO_LATE, find_other_unit, find_wrong_distance
-from roomeq.loop.doubtful_recordings import COPY, OTHER_DECAY, find_copies, find_other_decays
+from roomeq.loop.doubtful_recordings import COPY, COPY_IN_ROOM, OTHER_DECAY, find_copies, find_other_decays
 from roomeq.loop.misnamed_devices import (
     BANDS_HZ,
     EXCHANGED,
@@ -125,15 +125,17 @@ def test_decays_of_few_rirs_are_not_compared():
 def test_copies_of_recordings_are_found_whatever_their_level():
     rirs = [coloured_rir(n, snr_db=60.0) for n in range(3)]
     rirs.append(0.3 * np.concatenate([np.zeros(50), rirs[1]]))
-    repeated = coloured_rir(2, snr_db=55.0)  # the same response, recorded twice at one place
-    rows = [row("a", "x"), row("b", "x"), row("c", "x"), row("b2", "y"), row("c2", "x")]
+    repeated = coloured_rir(2, snr_db=55.0)  # under the name of another microphone at one place
+    rows = [row("a", "x"), row("b", "x"), row("c", "x"), row("b2", "y"), row("c2", "x", mic_id="m2")]
     starts = [320, 320, 320, 370, 320]
     parts = np.array([cut_parts(rir, start) for rir, start in zip([*rirs, repeated], starts, strict=True)])
     found = find_copies(rows, parts)
-    assert [doubt and doubt.phrase for doubt in found] == [None, None, None, COPY, None]
+    assert [doubt and doubt.phrase for doubt in found] == [None, None, None, COPY, COPY_IN_ROOM]
     assert "RIR b2 of room y is the recording of RIR b of room x" in found[3].detail
+    assert "RIR c2 of room x is the recording of RIR c of room x" in found[4].detail
+    assert found[4].detail.endswith(": give each recording once")
     elsewhere = [item | dict(mic_pos_m=[1.0, 1.0, float(n)]) for n, item in enumerate(rows)]
-    assert [bool(doubt) for doubt in find_copies(elsewhere, parts)] == [False, True, False, True, False]
+    assert [bool(doubt) for doubt in find_copies(elsewhere, parts)] == [False, True, True, True, True]
     assert find_copies([], np.zeros((0, 0))) == []
 
 

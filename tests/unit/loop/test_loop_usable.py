@@ -13,6 +13,7 @@ from roomeq.core.audio import write_wav
 from roomeq.core.files import write_text
 from roomeq.loop.close import SCATTERING
 from roomeq.loop.data import load_data
+from roomeq.loop.doubtful_recordings import COPY_IN_ROOM
 from roomeq.loop.usable import REPEAT, UNLIKE, LeftOut, require_enough_rooms, usable_rirs
 from roomeq.records.geometry import BINAURAL, MARKED, OUTSIDE
 from roomeq.records.rir_dir import read_rirs
@@ -27,6 +28,11 @@ BOX = "".join(f"v {x} {y} {z}\n" for z in (0, 3) for x, y in ((0, 0), (6, 0), (6
 def directory(where, rows):
     """Write rows and a recording for each."""
     return write_rir_dir(where, [(item, coloured_rir([*item["id"].encode()])) for item in rows])
+
+
+def apart(places, n):
+    """Return the places of the n-th RIR, whose room has another one elsewhere."""
+    return places | dict(mic_pos_m=[*places["mic_pos_m"][:1], 3.0 + n % 2, *places["mic_pos_m"][2:]])
 
 
 def enough_rooms(where, out):
@@ -91,6 +97,32 @@ def test_marked_repeat_is_left_out_if_its_first_take_is_usable(tmp_path):
     assert usable.left_out == [LeftOut(BINAURAL, 1, 1), LeftOut(REPEAT, 1, 1)]
 
 
+def channels(room, n_places, n_channels):
+    """Return the rows of an array of microphones whose channels state one position, at some places of a room."""
+    return [row(f"{room}p{place}c{channel}", room, mic_id=f"array{channel}", source_pos_m=[1.0, 1.0, 1.5],
+                mic_pos_m=[3.0 + place, 3.0, 1.2]) for place in range(n_places) for channel in range(n_channels)]
+
+
+def test_channels_of_one_place_are_one_position(tmp_path):
+    rows = [item for room, n_places in (("x", 1), ("y", 2), ("z", 2)) for item in channels(room, n_places, 4)]
+    usable = usable_rirs([directory(tmp_path / "rirs", rows)])
+    assert len(usable.rirs) == 20 and usable.n_scored == 2
+    with pytest.raises(ValueError, match="and has 2: the RIRs of 1 other have one source and one microphone position, "
+                                         "of which one half cannot be held out: give further positions"):
+        require_enough_rooms([tmp_path / "rirs"])
+
+
+def test_copies_within_a_room_are_left_out_and_counted(tmp_path, caplog):
+    rows = [item | dict(id=item["id"] + name, mic_id=item["mic_id"] + name) for item in channels("x", 2, 1)
+            for name in ("", "copy")]
+    where = write_rir_dir(tmp_path / "rirs", [(item, 0.5 ** (n % 2) * coloured_rir(n // 2))
+                                              for n, item in enumerate(rows)])
+    usable = usable_rirs([where])
+    assert [rir.row["id"] for rir in usable.rirs] == ["xp0c0", "xp1c0"]
+    assert usable.left_out == [LeftOut(COPY_IN_ROOM, 2, 1)]
+    assert "left out: RIR xp0c0copy of room x is the recording of RIR xp0c0 of room x" in caplog.text
+
+
 def test_id_in_two_directories_is_refused(tmp_path):
     first, second = (directory(tmp_path / name, [row("r", **KNOWN)]) for name in "ab")
     with pytest.raises(ValueError, match=f"RIR r is in both {first} and {second}: give each RIR once"):
@@ -107,7 +139,7 @@ def test_data_holds_the_usable_rirs_and_counts_the_others(tmp_path):
 
 @pytest.mark.parametrize("n_rooms, enough", [(2, False), (3, True)])
 def test_recipe_and_verb_agree_on_rirs_with_unknown_heights(tmp_path, n_rooms, enough):
-    where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **FLAT) for n in range(2 * n_rooms)])
+    where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **apart(FLAT, n)) for n in range(2 * n_rooms)])
     found, text = enough_rooms(where, tmp_path / "rooms")
     assert found == enough
     if enough:
@@ -131,7 +163,7 @@ def test_bare_files_are_refused_by_recipe_and_verb_in_the_same_line(bare, tmp_pa
 
 
 def test_kept_answer_is_used_until_a_recording_changes(tmp_path, monkeypatch, capsys):
-    where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **KNOWN) for n in range(6)])
+    where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **apart(KNOWN, n)) for n in range(6)])
     out = tmp_path / "rooms"
     for refused in (False, True):
         assert check_rooms([str(where), str(out)]) == 0 and (out / "enough").exists() is not refused
@@ -146,7 +178,7 @@ def test_kept_answer_is_used_until_a_recording_changes(tmp_path, monkeypatch, ca
 
 def test_kept_answer_is_made_again_when_a_mesh_is_corrected(tmp_path, capsys):
     placed = KNOWN | dict(room_dims_m=None, mesh="../room.obj")
-    where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **placed) for n in range(6)])
+    where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **apart(placed, n)) for n in range(6)])
     for top, enough in ((" 1.1\n", False), (" 3\n", True)):
         write_text(tmp_path / "room.obj", BOX.replace(" 3\n", top))
         assert check_rooms([str(where), str(tmp_path / "rooms")]) == 0, capsys.readouterr().err
@@ -166,7 +198,7 @@ def test_room_whose_rows_state_different_dimensions_is_left_out(tmp_path, third,
 
 
 def test_recording_that_cannot_be_read_ends_the_check(tmp_path, capsys):
-    where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **KNOWN) for n in range(6)])
+    where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **apart(KNOWN, n)) for n in range(6)])
     (where / read_rirs(where)[0]["wav"]).write_text("no audio")
     assert check_rooms([str(where), str(tmp_path / "rooms")]) == 1
     assert read_rirs(where)[0]["wav"] in capsys.readouterr().err and not (tmp_path / "rooms").exists()
@@ -174,7 +206,7 @@ def test_recording_that_cannot_be_read_ends_the_check(tmp_path, capsys):
 
 def test_refusal_because_of_labels_names_them_and_says_to_correct_them(tmp_path):
     outside = KNOWN | dict(mic_pos_m=[400.0, 3.0, 1.2])
-    where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **(outside if n < 4 else KNOWN))
+    where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **(outside if n < 4 else apart(KNOWN, n)))
                                           for n in range(6)])
     with pytest.raises(ValueError) as refused:
         require_enough_rooms([where])

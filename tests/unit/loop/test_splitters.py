@@ -63,3 +63,14 @@ def test_levels_tell_no_gain_of_which_the_direct_sound_tells(rooms):
     one, other = (transferred(of_test, session)[1](known, usable) for of_test in (data, disturbed))
     np.testing.assert_array_equal(one[2][free], other[2][free])
     np.testing.assert_array_equal(one[0], other[0])
+
+
+def test_rirs_of_one_place_are_in_the_same_half(rooms):
+    source, mic = np.arange(12) // 2 % 2, np.arange(12) % 4
+    first, second = split_positions(replace(rooms, place_number=2 * rooms.room + source, chain=4 * rooms.room + mic))
+    for of_room in zip(first, second, strict=True):
+        places = [set(source[half]) for half in of_room]
+        assert all(len(half) == 2 for half in of_room) and not places[0] & places[1]
+    one_place = replace(rooms, place_number=np.where(rooms.room == 1, 4, np.arange(12) + 5))
+    first, second = split_positions(one_place)
+    assert [len(half) for half in second] == [2, 0, 2] and list(one_place.is_scored) == [True, False, True]
