@@ -92,16 +92,16 @@ def make_loop(out):
     unexplained = dict(metric="ahead", time_region=REGION["ahead"], bands_hz=[125.0], varies_with="nothing",
                        size_jnd=3.5, p=0.01)
     ledger = dict(
-        format=LEDGER_FORMAT, rirs=N_RIRS, rooms=len(ROOMS), left_out=LEFT_OUT, geometry=GEOMETRY, facings=FACINGS,
-        given=[],
+        format=LEDGER_FORMAT, rirs=N_RIRS, rooms=len(ROOMS), scored_rirs=N_RIRS, scored_rooms=len(ROOMS),
+        left_out=LEFT_OUT, geometry=GEOMETRY, facings=FACINGS, given=[],
         baseline=errors(3.4), final=errors(1.5), ceiling=errors(1.0), explained=explained(0.79),
         ranking=undetected("room_eq", 0.5),
         iterations=[iteration(added[0], 3.4, 1.9, cannot_tell=["source_response", "mic_response"],
                               would_tell=["a recording of the same room with another loudspeaker"]),
                     iteration(added[1], 1.9, 1.5)],
         unexplained=unexplained, unexplained_all=[unexplained],
-        test=dict(rirs=8, rooms=1, left_out=LEFT_OUT[1:], geometry=[], facings=[], measured=[], before=errors(3.6),
-                  after=errors(1.8), ceiling=errors(1.1), explained=explained(0.72)))
+        test=dict(rirs=8, rooms=1, scored_rirs=8, scored_rooms=1, left_out=LEFT_OUT[1:], geometry=[], facings=[],
+                  measured=[], before=errors(3.6), after=errors(1.8), ceiling=errors(1.1), explained=explained(0.72)))
     for when in ("before", "after", "ceiling", "explained"):
         for entry in ledger["test"][when].values():
             entry["ci"] = None  # a test set of a single room

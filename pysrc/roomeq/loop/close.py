@@ -19,7 +19,7 @@ from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.loop.acceptance import RISES, Trial, describe_rejection, judge
 from roomeq.loop.ceiling import ceiling_errors, ceiling_of_test_set, describe_explained, explained
 from roomeq.loop.data import Data, load_data
-from roomeq.loop.descriptions import describe_facing, describe_residual, effect_names
+from roomeq.loop.descriptions import describe_facing, describe_residual, describe_scored, effect_names
 from roomeq.loop.examples import EXAMPLES_FILE, write_examples
 from roomeq.loop.facing import unknown_facings, with_estimated_facings
 from roomeq.loop.fit import fit
@@ -27,6 +27,7 @@ from roomeq.loop.held_out import held_out_rirs
 from roomeq.loop.ledger import (
     LEDGER_FILE,
     RESIDUALS_FILE,
+    count_entries,
     error_entry,
     iteration_entry,
     left_out_entries,
@@ -124,8 +125,9 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     _log_facings(first.data)
     session = first
     first_errors = errors = heldout_errors(session)
-    logger.info("base model: held-out error %.2f JND (leave-positions-out), %.2f JND (leave-room-out)",
-                *(errors.mean(split) for split in SPLITS))
+    counts = count_entries(data)
+    logger.info("base model: held-out error %.2f JND (leave-positions-out), %.2f JND (leave-room-out)%s",
+                *(errors.mean(split) for split in SPLITS), _of_scored(counts))
     iterations: list[dict] = []
     eliminated: set[type[Effect]] = set()
     while True:
@@ -162,8 +164,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     shares = explained(first_errors, errors, ceiling)
     _log_explained("final model", ceiling, shares)
     ledger = dict(
-        format=LEDGER_FORMAT, rirs=len(data.rows), rooms=len(data.room_names),
-        left_out=left_out_entries(data.left_out),
+        format=LEDGER_FORMAT, **counts, left_out=left_out_entries(data.left_out),
         geometry=[estimate.as_dict() for estimate in data.estimates], given=base.names,
         facings=[facing.as_dict() for facing in session.data.facings], baseline=error_entry(first_errors),
         iterations=iterations,
@@ -174,7 +175,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
         ceiling=error_entry(ceiling), explained=shares)
     if test_data:
         ledger["test"] = _test_entry(test_data, first, session)
-    logger.info("closed the loop on %d RIRs in %.0f s", len(data.rows), time.monotonic() - start)
+    logger.info("closed the loop on %d RIRs in %.0f s%s", len(data.rows), time.monotonic() - start, _of_scored(counts))
     write_json(work / LEDGER_FILE, ledger)
     write_model(work / MODEL_FILE, _model_of(session, base))
     np.savez_compressed(work / RESIDUALS_FILE, before=first.residual, after=session.residual)
@@ -265,16 +266,21 @@ def _test_entry(data: Data, first: Session, last: Session) -> dict:
     data, _ = transferred(data, last)  # whose facings are estimated once
     _log_facings(data)
     before, after = (score_test_set(data, session) for session in (first, last))
-    logger.info("test set: held-out error %.2f -> %.2f JND (leave-positions-out), %.2f -> %.2f JND (leave-room-out)",
-                *(errors.mean(split) for split in SPLITS for errors in (before, after)))
+    counts = count_entries(data)
+    logger.info("test set: held-out error %.2f -> %.2f JND (leave-positions-out), %.2f -> %.2f JND (leave-room-out)%s",
+                *(errors.mean(split) for split in SPLITS for errors in (before, after)), _of_scored(counts))
     ceiling = ceiling_of_test_set(data, last)
     shares = explained(before, after, ceiling)
     _log_explained("test set", ceiling, shares)
-    return dict(rirs=len(data.rows), rooms=len(data.room_names), left_out=left_out_entries(data.left_out),
+    return dict(**counts, left_out=left_out_entries(data.left_out),
                 geometry=[estimate.as_dict() for estimate in data.estimates],
                 facings=[facing.as_dict() for facing in data.facings],
                 measured=[effect.NAME for effect in last.effects if effect not in found],
                 before=error_entry(before), after=error_entry(after), ceiling=error_entry(ceiling), explained=shares)
+
+
+def _of_scored(counts: dict[str, int]) -> str:
+    return f", scored on {scored}" if (scored := describe_scored(counts)) else ""
 
 
 def _log_explained(name: str, ceiling: HeldOutErrors, shares: dict) -> None:

@@ -1,6 +1,7 @@
 """Sentences that describe what the loop added and what it left unexplained, for the log and the report."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -56,6 +57,14 @@ _ADVICE_BY_UNIT = {"source": "record another loudspeaker at the same place to te
                    "room": "look at the rooms one by one, since their stated geometry or their state may differ"}
 _VISIBLE_DB = -45.0  # a second decay of a lower level does not reach the range of T30
 _MIN_DETOUR_M = 0.01  # positions are known to centimetres, so that a shorter detour may be none
+
+
+def describe_scored(counts: Mapping[str, Any]) -> str:
+    """Return of how many RIRs and rooms the errors are, from a ledger or its test set; empty if they are of all."""
+    if all(counts[f"scored_{key}"] == counts[key] for key in ("rirs", "rooms")):
+        return ""
+    return (f"{counts['scored_rirs']} of {counts['rirs']} RIRs in {counts['scored_rooms']} of {counts['rooms']} rooms: "
+            "the RIRs of each other room are of a single place")
 
 
 def effect_names(entry: dict) -> str:

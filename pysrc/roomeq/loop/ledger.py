@@ -18,6 +18,7 @@ from roomeq.effects.mic_response import MicResponse
 from roomeq.effects.model import MODEL_FILE, read_model
 from roomeq.effects.source_response import SourceResponse
 from roomeq.loop.acceptance import Trial
+from roomeq.loop.data import Data
 from roomeq.loop.examples import EXAMPLES_FILE, read_arrays, read_examples
 from roomeq.loop.features import N_FEATURES
 from roomeq.loop.ledger_checks import InvalidEntryError, check_ledger
@@ -35,6 +36,13 @@ def error_entry(errors: HeldOutErrors) -> dict:
     """Return the entry of held-out errors, by split."""
     return {split: dict(error=errors.mean(split), ci=errors.interval(split), by_metric=errors.by_metric(split),
                         by_band=errors.by_band(split)) for split in SPLITS}
+
+
+def count_entries(data: Data) -> dict[str, int]:
+    """Return the numbers of RIRs and rooms that took part, and of those that are scored: errors are of these."""
+    scored = data.is_scored
+    return dict(rirs=len(data.rows), rooms=len(data.room_names), scored_rirs=int(scored[data.room].sum()),
+                scored_rooms=int(scored.sum()))
 
 
 def left_out_entries(left_out: Sequence[LeftOut]) -> list[dict]:

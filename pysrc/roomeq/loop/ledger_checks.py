@@ -15,7 +15,7 @@ from roomeq.loop.features import LARGEST, METRIC, REGION
 from roomeq.loop.selection import SPLITS
 from roomeq.loop.usable import LeftOut
 
-LEDGER_FORMAT = 7
+LEDGER_FORMAT = 8
 _VARIES = ("nothing", "room", "source", "mic")
 
 
@@ -209,6 +209,17 @@ def _count(value: Any, where: str) -> None:
              "be a positive whole number")
 
 
+def _counts(value: Any, where: str) -> None:
+    """Check the numbers of RIRs and rooms, and of those that are scored; `where` ends in a point, or is empty."""
+    for key in ("rirs", "rooms", "scored_rirs", "scored_rooms"):
+        _count(value[key], f"{where}{key}")
+    for key in ("rirs", "rooms"):
+        _require(value[f"scored_{key}"] <= value[key], f"{where}scored_{key}={value[f'scored_{key}']}",
+                 f"not exceed {where}{key}, {value[key]}")
+    _require(2 * value["scored_rooms"] <= value["scored_rirs"], f"{where}scored_rirs={value['scored_rirs']}",
+             f"be two or more for each of {where}scored_rooms, {value['scored_rooms']}")
+
+
 def _left_out(value: Any, where: str) -> None:
     _keys(value, where, LeftOut._fields)
     _require(isinstance(value["reason"], str) and bool(value["reason"]), f"{where}.reason={value['reason']!r:.60}",
@@ -236,10 +247,10 @@ def _estimate(value: Any, where: str) -> None:
 def check_ledger(ledger: Any) -> None:
     _require(isinstance(ledger, dict), "ledger", "be an object")
     _require(ledger.get("format") == LEDGER_FORMAT, f"format={ledger.get('format')!r:.60}", f"be {LEDGER_FORMAT}")
-    _keys(ledger, "ledger", ("rirs", "rooms", "left_out", "geometry", "facings", "given", "baseline", "iterations",
-                             "ranking", "unexplained", "unexplained_all", "final", "ceiling", "explained"))
-    for key in ("rirs", "rooms"):
-        _count(ledger[key], key)
+    _keys(ledger, "ledger", ("rirs", "rooms", "scored_rirs", "scored_rooms", "left_out", "geometry", "facings", "given",
+                             "baseline", "iterations", "ranking", "unexplained", "unexplained_all", "final", "ceiling",
+                             "explained"))
+    _counts(ledger, "")
     _list(ledger["left_out"], "left_out", _left_out)
     _list(ledger["geometry"], "geometry", _estimate)
     _list(ledger["facings"], "facings", _facing)
@@ -263,8 +274,9 @@ def check_ledger(ledger: Any) -> None:
             _require(ledger[key][split]["error"] == error, f"{key}.{split}.error={ledger[key][split]['error']:g}",
                      f"be the heldout_error_{when} of its iteration, {error:g}")
     if "test" in ledger:
-        _keys(ledger["test"], "test", ("rirs", "rooms", "left_out", "geometry", "facings", "measured", "before",
-                                       "after", "ceiling", "explained"))
+        _keys(ledger["test"], "test", ("rirs", "rooms", "scored_rirs", "scored_rooms", "left_out", "geometry",
+                                       "facings", "measured", "before", "after", "ceiling", "explained"))
+        _counts(ledger["test"], "test.")
         _list(ledger["test"]["measured"], "test.measured", _effect)
         _list(ledger["test"]["left_out"], "test.left_out", _left_out)
         _list(ledger["test"]["geometry"], "test.geometry", _estimate)

@@ -11,7 +11,14 @@ from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.response import RESPONSE_HZ, Response
 from roomeq.loop.acceptance import NO_CLEAR_FALL, OTHER_DEVICES, RISES
-from roomeq.loop.descriptions import describe_effect, describe_facing, describe_residual, effect_label, effect_names
+from roomeq.loop.descriptions import (
+    describe_effect,
+    describe_facing,
+    describe_residual,
+    describe_scored,
+    effect_label,
+    effect_names,
+)
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, STEP_S, Examples, read_examples
 from roomeq.loop.facing_estimate import FacingEstimate
 from roomeq.loop.features import BAND_OF_FEATURE, METRIC, REGION
@@ -40,8 +47,8 @@ def closed_loop(run: Run) -> Context:
     """Return the values of the section."""
     ledger = ledger_of(run)
     examples = run.path("loop") / EXAMPLES_FILE
-    return {"ledger": ledger, "left_out": left_out(ledger), "geometry_rows": geometry_rows(ledger),
-            "facings": facings(ledger),
+    return {"ledger": ledger, "left_out": left_out(ledger), "scored": scored(ledger),
+            "geometry_rows": geometry_rows(ledger), "facings": facings(ledger),
             "has_wer": run.has("wer"), "error_rows": error_rows(ledger),
             "effects": effects(ledger),
             "effect_rows": [effect_row(entry) for entry in added_effects(ledger)],
@@ -126,13 +133,26 @@ def error_rows(ledger: dict[str, Any]) -> list[list[Any]]:
     """Return the held-out errors before and after, their ceiling and the explained share; also of the test set."""
     def row(name: str, split: str, entry: dict[str, Any], before: str, after: str) -> list[Any]:
         errors = (with_interval(entry[when][split]["error"], entry[when][split]["ci"]) for when in (before, after))
-        return [name, entry["rirs"], entry["rooms"], *errors, number(entry["ceiling"][split]["error"], 2),
+        counts = (scored_of(entry, key) for key in ("rirs", "rooms"))
+        return [name, *counts, *errors, number(entry["ceiling"][split]["error"], 2),
                 share_of(entry["explained"][split])]
 
     rows = [row(SPLIT_LABELS[split].capitalize(), split, ledger, "baseline", "final") for split in SPLITS]
     if test := ledger.get("test"):
         rows += [row(f"Test set, {SPLIT_LABELS[split]}", split, test, "before", "after") for split in SPLITS]
     return rows
+
+
+def scored_of(entry: dict[str, Any], key: str) -> str | int:
+    """Return how many RIRs or rooms the errors are of, and of how many, where they are not of all."""
+    scored, every = entry[f"scored_{key}"], entry[key]
+    return every if scored == every else f"{scored} of {every}"
+
+
+def scored(ledger: dict[str, Any]) -> str:
+    """Return in a sentence each on what the errors of the loop and of the test set are scored, if not on all RIRs."""
+    sets = [("errors", ledger), ("errors of the test set", ledger.get("test"))]
+    return " ".join(f"The {name} are of {text}." for name, entry in sets if entry and (text := describe_scored(entry)))
 
 
 def share_of(explained: dict[str, Any]) -> str:
@@ -234,8 +254,8 @@ def rankings(ledger: dict[str, Any]) -> list[figures.Panel]:
     panels = []
     for n, (title, candidates, chosen) in enumerate(iterations, start=1):
         if candidates:
-            gains = [figures_loop.Candidate(candidate["effect"], candidate["gain"] / ledger["rooms"], *candidate["ci"])
-                     for candidate in candidates]
+            gains = [figures_loop.Candidate(candidate["effect"], candidate["gain"] / ledger["scored_rooms"],
+                                            *candidate["ci"]) for candidate in candidates]
             alt = f"{title}: " + ", ".join(f"{gain.name} {number(gain.mean)}" for gain in gains)
             panels.append(figures.panel(f"figure-loop-ranking-{n}", figures_loop.ranking(title, gains, chosen), alt))
     return panels

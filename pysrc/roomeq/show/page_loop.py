@@ -51,9 +51,9 @@ def loop_context(directory: Path, speech: Path | None) -> Context:
     ledger = read_ledger(directory / LEDGER_FILE)
     examples = read_examples(directory / EXAMPLES_FILE)
     run = LoopRun(directory, directory)
-    return {"ledger": ledger, "left_out": section_loop.left_out(ledger), "effects": found(ledger),
-            "error_rows": section_loop.error_rows(ledger), "explained_rows": section_loop.explained_rows(ledger),
-            "at_ceiling": section_loop.at_ceiling(ledger),
+    return {"ledger": ledger, "left_out": section_loop.left_out(ledger), "scored": section_loop.scored(ledger),
+            "effects": found(ledger), "error_rows": section_loop.error_rows(ledger),
+            "explained_rows": section_loop.explained_rows(ledger), "at_ceiling": section_loop.at_ceiling(ledger),
             "splits": section_loop.splits(ledger), "maps": section_loop.residual_maps(run, ledger),
             "gains": gain_panels(ledger), "geometry_rows": section_loop.geometry_rows(ledger),
             "facings": section_loop.facings(ledger),
@@ -159,6 +159,7 @@ def show_loop(directory: Path, suffix: str | None, speech: Path | None) -> bytes
         lines = [f"{value}: {label}" for value, label in loop_facts(ledger)]
         lines += [f"\nThe simulation lacked: {effect['label']} ({effect['code']}), of {effect['applies_to']}. "
                   f"{effect['parameters']}" for effect in found(ledger)]
+        lines += [f"\n{text}" for text in (section_loop.scored(ledger),) if text]
         lines += [f"\n{section_loop.sentence(facing)}" for facing in section_loop.facings(ledger)]
         lines += [f"\nUnexplained: {entry['text']}\nWhat to do: {entry['advice']}" for entry in residuals(ledger)]
         return "\n".join([*lines, "", SEE])

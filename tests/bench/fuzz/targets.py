@@ -35,8 +35,8 @@ _MODEL = (b'{"format": 3, "effects": [{"effect": "near_reflector", "of": {"r": {
 _ERRORS = (b'{"leave_positions_out": {"error": 1.5, "ci": [1, 2], "by_metric": {"t30": 1.5}, "by_band": '
            b'[null, 1, 1, 1, 1, 1, 1, 1]}, "leave_room_out": {"error": 1.5, "ci": null, "by_metric": {}, "by_band": '
            b'[1, 1, 1, 1, 1, 1, 1, 1]}}')
-_LEDGER = (b'{"format": 7, "given": [], "rirs": 8, "rooms": 4, "baseline": ' + _ERRORS
-           + b', "iterations": [], "ranking": [{"effect": "room_eq", '
+_LEDGER = (b'{"format": 8, "given": [], "rirs": 8, "rooms": 4, "scored_rirs": 8, "scored_rooms": 4, "baseline": '
+           + _ERRORS + b', "iterations": [], "ranking": [{"effect": "room_eq", '
            b'"gain": 1, "ci": [0, 2], "p": 0.5, "size_jnd": 1}], "unexplained": null, "unexplained_all": [], "final": '
            + _ERRORS + b"}")
 _WER = (b"a-1 one two\na-2 three\n", b"a-1 one\na-2\n", b"Set1: %WER 12.50 95% Conf Interval [ 10.1, 14.9 ]\n",

@@ -87,7 +87,7 @@ def run(name, laboratories, work, nj):
         ledger = close_loop([path for path in laboratories.values() if path not in test], work / "loop" / name,
                             test=test, nj=nj)
     scored = ledger["test"] if test else dict(ledger, before=ledger["baseline"], after=ledger["final"])
-    return dict(laboratory=name, rirs=scored["rirs"], rooms=scored["rooms"],
+    return dict(laboratory=name, rirs=scored["rirs"], rooms=scored["scored_rooms"],
                 added=[effect_names(entry) for entry in added_effects(ledger)],
                 facings=scored["facings"], unexplained=ledger["unexplained_all"][:5],
                 **{key: scored[key] for key in ("before", "after", "ceiling", "explained")},

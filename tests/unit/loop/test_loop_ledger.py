@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from loop_run import make_loop
 
@@ -9,8 +10,10 @@ from roomeq.core.files import read_json, write_json
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.source_response import SourceResponse
 from roomeq.loop import ledger as ledger_module
-from roomeq.loop.ledger import LEDGER_FILE, read_ledger, update_parameters, validate_loop
+from roomeq.loop.ledger import LEDGER_FILE, count_entries, read_ledger, update_parameters, validate_loop
 from roomeq.loop.selection import SPLITS
+from roomeq.report import section_loop
+from roomeq.show.page_loop import show_loop
 
 
 @pytest.fixture(scope="module")
@@ -38,13 +41,17 @@ def replace(value, *keys):
 
 
 @pytest.mark.parametrize("change, message", [
-    (without("format"), "format=None must be 7"),  # of an older version
-    (replace(1, "format"), "format=1 must be 7"),
+    (without("format"), "format=None must be 8"),  # of an older version
+    (replace(1, "format"), "format=1 must be 8"),
     (without("given"), "ledger must hold 'given'"),
     (without("left_out"), "ledger must hold 'left_out'"),
     (replace("", "left_out", 0, "reason"), r"left_out\[0\].reason='' must be a text"),
     (replace(0, "left_out", 0, "rirs"), r"left_out\[0\].rirs=0 must be a positive whole number"),
     (replace(9, "left_out", 0, "rooms"), r"left_out\[0\].rooms=9 must not exceed the number of RIRs"),
+    (without("scored_rirs"), "ledger must hold 'scored_rirs'"),
+    (replace(4, "scored_rooms"), "scored_rooms=4 must not exceed rooms, 3"),
+    (replace(5, "scored_rirs"), "scored_rirs=5 must be two or more for each of scored_rooms, 3"),
+    (replace(9, "test", "scored_rirs"), "test.scored_rirs=9 must not exceed test.rirs, 8"),
     (without("geometry"), "ledger must hold 'geometry'"),
     (replace([2.73], "geometry", 0, "posterior"), r"geometry\[0\].posterior=\[2.73\] must be mean and spread"),
     (replace("yes", "geometry", 1, "used"), r"geometry\[1\].used='yes' must be true or false"),
@@ -74,6 +81,39 @@ def test_invalid_ledger_is_refused_with_the_place_of_its_error(loop, tmp_path, c
     write_json(tmp_path / LEDGER_FILE, ledger)
     with pytest.raises(ValueError, match=f"{LEDGER_FILE}: {message}: run roomeq close-loop again"):
         read_ledger(tmp_path / LEDGER_FILE)
+
+
+@pytest.fixture
+def partly_scored(loop):
+    """Return a ledger of which one room has RIRs of a single place."""
+    return read_ledger(loop / LEDGER_FILE) | dict(scored_rirs=20, scored_rooms=2)
+
+
+def test_errors_stand_beside_the_rirs_and_rooms_that_are_scored(loop, partly_scored):
+    whole = read_ledger(loop / LEDGER_FILE)
+    assert section_loop.scored(whole) == "" and section_loop.error_rows(whole)[0][1:3] == [24, 3]
+    assert section_loop.scored(partly_scored) == ("The errors are of 20 of 24 RIRs in 2 of 3 rooms: the RIRs of each "
+                                                  "other room are of a single place.")
+    rows = section_loop.error_rows(partly_scored)
+    assert rows[0][1:3] == ["20 of 24", "2 of 3"] and rows[2][1:3] == [8, 1]
+
+
+def test_gains_are_drawn_per_scored_room(partly_scored):
+    gain, (low, high) = (partly_scored["ranking"][1][key] for key in ("gain", "ci"))
+    panel = section_loop.rankings(partly_scored)[-1]
+    assert f"noise_floor {gain / 2:.1f}" in panel.alt and low < gain / 2 < high
+
+
+def test_show_prints_what_is_scored(loop, partly_scored, tmp_path):
+    for ledger, said in ((read_ledger(loop / LEDGER_FILE), False), (partly_scored, True)):
+        write_json(tmp_path / LEDGER_FILE, ledger)
+        assert ("The errors are of 20 of 24 RIRs" in show_loop(tmp_path, None, None)) is said
+
+
+def test_counts_of_a_ledger_are_those_of_rooms_with_several_places():
+    data = SimpleNamespace(rows=[None] * 7, room=np.array([0, 0, 0, 1, 1, 2, 2]), room_names=["a", "b", "c"],
+                           is_scored=np.array([True, False, True]))
+    assert count_entries(data) == dict(rirs=7, rooms=3, scored_rirs=5, scored_rooms=2)
 
 
 def test_parameters_of_effects_in_the_final_model_are_renewed(monkeypatch):
