@@ -10,10 +10,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, cast
 
+from roomeq.core.constants import require_air
 from roomeq.corpora.repeats import find_repeats
 from roomeq.corpora.suspicious import suspicion
 from roomeq.records.geometry import OUTSIDE, UNKNOWN, find_contradiction, geometry_usability, place_key
-from roomeq.records.rir_dir import read_rirs, require_16_khz
+from roomeq.records.rir_dir import ROWS_FILE, read_rirs, require_16_khz
 from roomeq.records.schema import RirRow
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ logger = logging.getLogger(__name__)
 MIN_ROOMS = 3
 """Fewest rooms with usable RIRs of two places: rooms are left out, and halves of rooms are scored."""
 
+DRY_PCT = 10.0
+"""Relative humidity from which on a room is not suspiciously dry [%]."""
 UNLIKE = "rows of the room state different dimensions or meshes"
 _SAME_SIZE_M = 0.01
 REPEAT = "the recording is a repeated take: another RIR has the same room, devices and positions"
@@ -81,7 +84,7 @@ def usable_rirs(directories: Iterable[Path], nj: int = 1) -> UsableRirs:
     Raises
     ------
     ValueError
-        A directory, mesh or recording is invalid, or two directories share an id.
+        A directory, mesh or recording is invalid, no room can have the air of a row, or two directories share an id.
     """
     found = [Located(directory, row) for directory in map(Path, directories) for row in read_rirs(directory)
              if not row.get("noise_for")]
@@ -90,6 +93,7 @@ def usable_rirs(directories: Iterable[Path], nj: int = 1) -> UsableRirs:
     _require_unique(found)
     found.sort(key=lambda rir: (rir.row["room_id"], rir.row["id"]))
     reasons = [_refused(rir) for rir in found]
+    _check_air([rir for rir, reason in zip(found, reasons, strict=True) if reason is None])
     contradictions = _log_contradictions(found, reasons) | _leave_out_unlike_rooms(found, reasons)
     _leave_out_repeats(found, reasons)
     for n, doubt in _mislabelled(found, reasons, nj):
@@ -154,6 +158,25 @@ def _refused(rir: Located) -> str | None:
     if reason is None and _outside_mesh(rir):
         return OUTSIDE
     return NO_RIR if reason is None and suspicion(rir.directory, rir.row) else reason
+
+
+def _check_air(rirs: Iterable[Located]) -> None:
+    """Refuse air that no room can have, and warn of each directory with drier air than that of rooms."""
+    dry: dict[Path, list[Located]] = {}
+    for rir in rirs:
+        declared = {key: value for key in ("temperature_c", "humidity_pct") if (value := rir.row.get(key)) is not None}
+        try:
+            require_air(**cast(dict[str, float], declared))
+        except ValueError as error:
+            raise ValueError(f"{rir.directory / ROWS_FILE}: RIR {rir.row['id']} of room {rir.row['room_id']}: {error}"
+                             ) from None
+        if cast(float, declared.get("humidity_pct", DRY_PCT)) < DRY_PCT:
+            dry.setdefault(rir.directory, []).append(rir)
+    for directory, (first, *others) in dry.items():
+        more = f" and {len(others)} more" if others else ""
+        logger.warning("%s: RIR %s of room %s%s: humidity_pct=%g is less than %g, which is drier than the air of "
+                       "rooms: give percent if it is a fraction", directory / ROWS_FILE, first.row["id"],
+                       first.row["room_id"], more, first.row["humidity_pct"], DRY_PCT)
 
 
 def _log_contradictions(rirs: Iterable[Located], reasons: Iterable[str | None]) -> dict[str, str]:

@@ -123,6 +123,33 @@ def test_copies_within_a_room_are_left_out_and_counted(tmp_path, caplog):
     assert "left out: RIR xp0c0copy of room x is the recording of RIR xp0c0 of room x" in caplog.text
 
 
+@pytest.mark.parametrize("air, message", [
+    (dict(temperature_c=293.15), r"temperature_c=293.15 must lie in \[-20, 50\] \(ISO 9613-1\): give degrees Celsius"),
+    (dict(temperature_c=68), r"temperature_c=68 must lie in \[-20, 50\]"),
+    (dict(humidity_pct=150.0), r"humidity_pct=150 must lie in \[0, 100\]: give relative humidity in percent")])
+def test_impossible_air_is_refused_with_rir_and_file(tmp_path, air, message):
+    rows = [row("r0", **KNOWN), row("r1", temperature_c=None, **KNOWN), row("r2", **KNOWN | air)]
+    where = tmp_path / "rirs"
+    write_rir_dir(where, [(item, coloured_rir(n)) for n, item in enumerate(rows)])
+    with pytest.raises(ValueError, match=f"^{where}/rirs.jsonl: RIR r2 of room hall: {message}"):
+        usable_rirs([where])
+
+
+def test_air_of_unusable_rirs_is_not_checked(tmp_path):
+    where = directory(tmp_path / "rirs", [row("r", binaural=True, temperature_c=68.0)])
+    assert usable_rirs([where]).left_out == [LeftOut(BINAURAL, 1, 1)]
+
+
+def test_log_warns_once_of_humidity_as_a_fraction(tmp_path, caplog):
+    rows = [row(f"r{n}", humidity_pct=humidity_pct, **apart(KNOWN, n)) for n, humidity_pct in enumerate([0.5, 0.4])]
+    rows.append(row("r2", "dry", humidity_pct=10.0, **KNOWN))
+    where = directory(tmp_path / "rirs", rows)
+    assert len(usable_rirs([where]).rirs) == 3
+    (text,) = [record.getMessage() for record in caplog.records]
+    assert text == (f"{where}/rirs.jsonl: RIR r0 of room hall and 1 more: humidity_pct=0.5 is less than 10, which is "
+                    "drier than the air of rooms: give percent if it is a fraction")
+
+
 def test_id_in_two_directories_is_refused(tmp_path):
     first, second = (directory(tmp_path / name, [row("r", **KNOWN)]) for name in "ab")
     with pytest.raises(ValueError, match=f"RIR r is in both {first} and {second}: give each RIR once"):
