@@ -5,10 +5,10 @@ Usage: tests/bench/wer_intervals.py [--times 1000] --out DIR
 e.g.:  tests/bench/wer_intervals.py --out exp/wer_intervals
 
 A recogniser makes 20 % errors. Seeds, rooms and each room at each seed add random deviations [points], and the errors
-are drawn with the resulting rates. Rooms have 200 words, or a random number from a skewed distribution. The intervals
-of `roomeq wer` are compared with the percentiles of the plain bootstrap over rooms and seeds, and with the bootstrap
-over utterances of Kaldi's `compute-wer-bootci` (utterances of ten words). Prints a table and writes
-wer_intervals.json.
+are drawn with the resulting rates. Rooms have 200 words, some of them 20 times as many, or a random number from a
+skewed distribution. The intervals of `roomeq wer` are compared with the percentiles of the plain bootstrap over rooms
+and seeds, and with the bootstrap over utterances of Kaldi's `compute-wer-bootci` (utterances of ten words). Prints a
+table and writes wer_intervals.json.
 """
 
 import argparse
@@ -27,10 +27,14 @@ from roomeq.wer.statistics import Resampling, Statistic  # noqa: E402
 
 TRUTH = 20.0  # per cent
 WORDS, UTTERANCE = 200, 10  # in a room, in an utterance
+LARGE = 20  # times as many words
 
 
 class Scenario(NamedTuple):
-    """Standard deviations [points]. `skewed`: exponential effects of rooms; their sizes vary by 60 %."""
+    """Standard deviations [points].
+
+    `skewed`: exponential effects of rooms; their sizes vary by 60 %. `large`: number of rooms of `LARGE` size.
+    """
 
     n_seeds: int
     n_rooms: int
@@ -38,6 +42,7 @@ class Scenario(NamedTuple):
     room: float
     residual: float
     skewed: bool = False
+    large: int = 0
 
 
 SCENARIOS = [
@@ -45,7 +50,7 @@ SCENARIOS = [
     Scenario(2, 27, 0.5, 0.5, 1.4), Scenario(3, 27, 0.5, 0.5, 1.4), Scenario(5, 27, 0.5, 0.5, 1.4),
     Scenario(3, 40, 1, 4, 2), Scenario(3, 40, 2, 0, 0), Scenario(5, 10, 1, 4, 2), Scenario(5, 40, 1, 4, 2),
     Scenario(5, 40, 2, 0, 0), Scenario(5, 40, 0, 0, 0), Scenario(5, 40, 1, 6, 2, skewed=True),
-    Scenario(5, 10, 1, 6, 2, skewed=True)]
+    Scenario(5, 10, 1, 6, 2, skewed=True), Scenario(1, 27, 0, 3, 0, large=5), Scenario(5, 27, 0.3, 3, 1, large=2)]
 
 
 def draw(scenario: Scenario, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -55,6 +60,7 @@ def draw(scenario: Scenario, rng: np.random.Generator) -> tuple[np.ndarray, np.n
     if scenario.skewed:
         room = rng.exponential(size=scenario.n_rooms) - 1
         words[:] = np.maximum(UTTERANCE, rng.gamma(1 / 0.36, 0.36 * WORDS, size=scenario.n_rooms))
+    words[:, :scenario.large] *= LARGE
     rate = (TRUTH + scenario.seed * rng.standard_normal((scenario.n_seeds, 1)) + scenario.room * room
             + scenario.residual * rng.standard_normal(shape))
     return rng.binomial(words, np.clip(rate / 100, 0.0, 1.0)), words
@@ -90,10 +96,11 @@ def main() -> None:
     args = parser.parse_args()
     results = [measure(scenario, args.times) for scenario in SCENARIOS]
     print("methods: ours, bootstrap over rooms and seeds, bootstrap over utterances")
-    print("seeds rooms | seed room residual        | held [%]          | width [points]")
+    print("seeds rooms | seed room residual skewed large | held [%]          | width [points]")
     for result in results:
         print(f"{result['n_seeds']:5d} {result['n_rooms']:5d} | {result['seed']:4g} {result['room']:4g} "
-              f"{result['residual']:8g} {'skewed' if result['skewed'] else '      '} | "
+              f"{result['residual']:8g} {'skewed' if result['skewed'] else '':6} "
+              f"{result['large'] or '':>5} | "
               + " ".join(f"{100 * value:5.1f}" for value in result["held"].values()) + " | "
               + " ".join(f"{value:6.2f}" for value in result["width"].values()))
     write_json(args.out / "wer_intervals.json", dict(times=args.times, scenarios=results))

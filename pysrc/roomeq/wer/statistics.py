@@ -6,18 +6,25 @@ over the cells of the influence ``z = (errors - wer words) / mean words of a cel
 two rates is the difference of their influences. Comparisons are therefore paired: effects of rooms and seeds that are
 common to both rates cancel.
 
-Seeds and rooms are crossed random factors: ``z = seed + room + residual``. A bootstrap resamples seeds and rooms, each
-with replacement (McCullagh, Bernoulli 2000; Owen, Ann. Appl. Stat. 2007). Its variance contains the residual variance
-three times, and with few seeds it is too small. The deviations of the replicates from the estimate are therefore
-scaled: to the standard error from the variance components (two-way analysis of variance, method of moments, negative
-estimates set to zero), and to the quantiles of Student's t with Satterthwaite's degrees of freedom. A component that is
-estimated as zero keeps its degrees of freedom: two or three seeds cannot show that seeds do not matter.
-`tests/bench/wer_intervals.py` measures how often these intervals contain the true value.
+Seeds and rooms are crossed random factors: the rate of a cell is ``wer + seed + room + residual``, and a room or a seed
+weighs as its share of the words. The variance of the mean is therefore ``seed sum(g^2) + room sum(h^2) + residual
+sum(g^2) sum(h^2)`` with the shares g of the seeds and h of the rooms: ``1 / sum(h^2)`` is the effective number of rooms
+(Kish, Survey Sampling, 1965). The components are estimated by analysis of variance with unequal numbers (method of
+moments with weighted sums of squares, negative estimates set to zero: Searle, Casella & McCulloch, Variance Components,
+1992, ch. 3), and the variance has Satterthwaite's degrees of freedom. The variance over rooms is taken to be the same
+whatever their size; where small rooms vary more, since they have fewer words, the intervals are too wide. A component
+that is estimated as zero keeps its degrees of freedom: two or three seeds cannot show that seeds do not matter.
+
+The intervals have the shape of a bootstrap, which resamples seeds and rooms, each with replacement (McCullagh,
+Bernoulli 2000; Owen, Ann. Appl. Stat. 2007). Its variance contains the residual variance three times, and with few
+seeds, or with rooms of unequal size, it is too small. The deviations of the replicates from the estimate are therefore
+scaled to the standard error and to the quantiles of Student's t. `tests/bench/wer_intervals.py` measures how often
+these intervals contain the true value.
 """
 
 import math
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,45 +44,98 @@ _MANY = 10 ** 6  # seeds or rooms, about as good as any number
 
 
 @dataclass(frozen=True)
+class Levels:
+    """Seeds or rooms, by the shares h of the words that they have.
+
+    Attributes
+    ----------
+    squares, cubes : float
+        ``sum(h^2)`` and ``sum(h^3)``.
+    """
+
+    squares: float
+    cubes: float
+
+    @classmethod
+    def of(cls, shares: FloatArray) -> "Levels":
+        """Return the levels of shares that sum to 1."""
+        return cls(float((shares ** 2).sum()), float((shares ** 3).sum()))
+
+    def times(self, factor: float) -> "Levels":
+        """Return so many times as many levels whose sizes are distributed alike."""
+        return Levels(self.squares / factor, self.cubes / factor ** 2)
+
+    @property
+    def df(self) -> float:
+        """Satterthwaite's degrees of freedom of ``sum(h deviation^2)``, n - 1 for n levels of equal size."""
+        return (1.0 - self.squares) ** 2 / (self.squares - 2.0 * self.cubes + self.squares ** 2)
+
+
+@dataclass(frozen=True)
+class RoomComponents:
+    """Variance components over the rooms of a set, in per cent squared.
+
+    Attributes
+    ----------
+    room, residual : float
+        Variance over rooms, and of the residual of a cell. With a single seed, the residual is part of `room`.
+    """
+
+    rooms: Levels
+    room: float
+    residual: float
+
+
+@dataclass(frozen=True)
 class Components:
-    """Variance components of the influence of a cell, in units of z squared.
+    """Variance components of the rates of cells, in per cent squared.
 
     Attributes
     ----------
     seed : float or None
         Variance over seeds; None with a single seed, from which it cannot be estimated.
-    room, residual : float
-        Variance over rooms, and of the residual. With a single seed, the residual is part of `room`.
+    of_sets : tuple of RoomComponents
+        Of each of the sets that share no room, e.g. two for a difference of test and dev.
     """
 
-    n_seeds: int
-    n_rooms: int
+    seeds: Levels
     seed: float | None
-    room: float
-    residual: float
+    of_sets: tuple[RoomComponents, ...]
 
-    def variance_with(self, n_seeds: float, n_rooms: float) -> float:
-        """Return the variance of the mean with other numbers of seeds and rooms."""
-        return (self.seed or 0.0) / n_seeds + self.room / n_rooms + self.residual / (n_seeds * n_rooms)
+    def variance_with(self, seeds: float = 1.0, rooms: float = 1.0) -> float:
+        """Return the variance of the mean with `seeds` times as many seeds and `rooms` times as many rooms."""
+        of_seeds, of_rooms, residuals = self._mean_squares(seeds, rooms)
+        return of_seeds + sum(of_rooms) - sum(residuals)
 
-    def df_with(self, n_seeds: float, n_rooms: float) -> float:
+    def df_with(self, seeds: float = 1.0, rooms: float = 1.0) -> float:
         """Return Satterthwaite's degrees of freedom of `variance_with`, from the expected mean squares."""
-        if self.seed is None:
-            return n_rooms - 1.0
-        of_seeds, of_rooms = self.residual + n_rooms * self.seed, self.residual + n_seeds * self.room
-        sum_of_squares = (of_seeds ** 2 / (n_seeds - 1.0) + of_rooms ** 2 / (n_rooms - 1.0)
-                          + self.residual ** 2 / ((n_seeds - 1.0) * (n_rooms - 1.0)))
-        return (of_seeds + of_rooms - self.residual) ** 2 / sum_of_squares if sum_of_squares > 0.0 else n_rooms - 1.0
+        of_seeds, of_rooms, residuals = self._mean_squares(seeds, rooms)
+        df_rooms = [one.rooms.times(rooms).df for one in self.of_sets]
+        sum_of_squares = sum(mean_square ** 2 / df for mean_square, df in zip(of_rooms, df_rooms, strict=True))
+        if self.seed is not None:
+            df_seeds = self.seeds.times(seeds).df
+            sum_of_squares += of_seeds ** 2 / df_seeds + sum(
+                residual ** 2 / (df_seeds * df) for residual, df in zip(residuals, df_rooms, strict=True))
+        return self.variance_with(seeds, rooms) ** 2 / sum_of_squares if sum_of_squares > 0.0 else min(df_rooms)
+
+    def _mean_squares(self, seeds: float, rooms: float) -> tuple[float, list[float], list[float]]:
+        """Return the parts of the variance: mean squares of seeds, and of rooms and residual of each set."""
+        share = self.seeds.squares / seeds
+        shares = [one.rooms.squares / rooms for one in self.of_sets]
+        residuals = [share * of_set * one.residual for of_set, one in zip(shares, self.of_sets, strict=True)]
+        return (share * (self.seed or 0.0) + sum(residuals),
+                [of_set * one.room + residual
+                 for of_set, one, residual in zip(shares, self.of_sets, residuals, strict=True)], residuals)
 
     @property
     def variance(self) -> float:
         """Variance of the mean over all cells."""
-        return self.variance_with(self.n_seeds, self.n_rooms)
+        return self.variance_with()
 
     @property
     def df(self) -> float:
         """Satterthwaite's degrees of freedom of `variance`."""
-        return self.df_with(self.n_seeds, self.n_rooms)
+        return self.df_with()
 
 
 def influence(errors: FloatArray, words: FloatArray) -> tuple[float, FloatArray]:
@@ -90,18 +150,61 @@ def influence(errors: FloatArray, words: FloatArray) -> tuple[float, FloatArray]
     return float(wer), (100.0 * errors - wer * words) / words.mean()
 
 
-def variance_components(z: FloatArray) -> Components:
-    """Estimate the variance components of a table of influences, shape (n_seeds, n_rooms >= 2)."""
-    n_seeds, n_rooms = z.shape
-    seed_mean, room_mean = z.mean(axis=1), z.mean(axis=0)
-    ms_room = n_seeds * room_mean.var(ddof=1)
-    if n_seeds == 1:
-        return Components(1, n_rooms, None, ms_room, 0.0)
-    residuals = z - seed_mean[:, None] - room_mean + z.mean()
-    ms_seed = n_rooms * seed_mean.var(ddof=1)
-    ms_residual = (residuals ** 2).sum() / ((n_seeds - 1) * (n_rooms - 1))
-    return Components(n_seeds, n_rooms, max(0.0, ms_seed - ms_residual) / n_rooms,
-                      max(0.0, ms_room - ms_residual) / n_seeds, ms_residual)
+def variance_components(z: FloatArray, shares: Sequence[FloatArray]) -> Components:
+    """Estimate the variance components of a table of influences.
+
+    Parameters
+    ----------
+    z : ndarray, shape (n_seeds, n_rooms)
+        Those of each set sum to 0.
+    shares : sequence of ndarray, shape (n_seeds, n_rooms)
+        See `Statistic`; of two rooms or more each.
+    """
+    of_cells = z / z.size
+    of_seeds = np.mean([table.sum(axis=1) for table in shares], axis=0)
+    of_sets = tuple(_room_components(of_cells, of_seeds, table.sum(axis=0)) for table in shares)
+    levels = Levels.of(of_seeds)
+    if len(z) == 1:
+        return Components(levels, None, of_sets)
+    residual = sum(one.residual * one.rooms.squares for one in of_sets)
+    return Components(levels, max(0.0, _variance(of_cells.sum(axis=1) / of_seeds, of_seeds) - residual), of_sets)
+
+
+def _room_components(of_cells: FloatArray, seeds: FloatArray, rooms: FloatArray) -> RoomComponents:
+    """Estimate the components over the rooms of one set, from the contributions of the cells to the statistic.
+
+    Parameters
+    ----------
+    of_cells : ndarray, shape (n_seeds, n_rooms)
+    seeds, rooms : ndarray
+        Shares of the words; 0 in rooms of other sets. A cell counts as the product of those of its seed and room: an
+        empty one deviates by 0.
+    """
+    of_cells, rooms = of_cells[:, rooms > 0], rooms[rooms > 0]
+    of_rooms, levels = of_cells.sum(axis=0) / rooms, Levels.of(rooms)
+    if len(seeds) == 1:
+        return RoomComponents(levels, _variance(of_rooms, rooms), 0.0)
+    weights = np.outer(seeds, rooms)
+    residuals = of_cells / weights - (of_cells.sum(axis=1) / seeds)[:, None] - of_rooms
+    squares = Levels.of(seeds).squares
+    residual = float((weights * residuals ** 2).sum() / ((1.0 - squares) * (1.0 - levels.squares)))
+    return RoomComponents(levels, max(0.0, _variance(of_rooms, rooms) - residual * squares), residual)
+
+
+def _variance(deviations: FloatArray, shares: FloatArray) -> float:
+    """Return the unbiased estimate of a variance from deviations from the weighted mean."""
+    return float((shares * deviations ** 2).sum() / (1.0 - (shares ** 2).sum()))
+
+
+def _of_distinct_sets(shares: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
+    """Return shares of sets that have no room in common: of sets that have, the mean."""
+    distinct: list[FloatArray] = []
+    for table in shares:
+        common = [other for other in distinct if (table.any(axis=0) & other.any(axis=0)).any()]
+        if not any(np.array_equal(table, other) for other in common):
+            distinct = [other for other in distinct if not any(other is one for one in common)]
+            distinct.append(np.mean([table, *common], axis=0))
+    return tuple(distinct)
 
 
 class Resampling:
@@ -133,29 +236,43 @@ class Statistic:
         Influence of each cell [%].
     deviations : ndarray, shape (REPLICATES,)
         See `Resampling.deviations`.
+    shares : tuple of ndarray, shape (n_seeds, n_rooms)
+        Share of each cell in the words of a set. Statistics of the same sets are paired over rooms and seeds, those of
+        sets without a common room over seeds.
     """
 
     value: float
     z: FloatArray
     deviations: FloatArray
+    shares: tuple[FloatArray, ...]
 
     @classmethod
     def of(cls, errors: FloatArray, words: FloatArray, resampling: Resampling) -> "Statistic":
         """Return the word error rate of tables of errors and words, shape (n_seeds, n_rooms)."""
         value, z = influence(errors, words)
-        return cls(value, z, resampling.deviations(z))
+        return cls(value, z, resampling.deviations(z), (words / words.sum(),))
 
     def minus(self, other: "Statistic", factor: float = 1.0) -> "Statistic":
         """Return this statistic minus `factor` times another statistic of the same resampling."""
         return Statistic(self.value - factor * other.value, self.z - factor * other.z,
-                         self.deviations - factor * other.deviations)
+                         self.deviations - factor * other.deviations, _of_distinct_sets((*self.shares, *other.shares)))
+
+    @property
+    def n_rooms(self) -> int:
+        """Number of rooms of the set that has the fewest."""
+        return min(int(table.any(axis=0).sum()) for table in self.shares)
+
+    @property
+    def components(self) -> Components:
+        """Variance components; there must be two rooms or more."""
+        return variance_components(self.z, self.shares)
 
     def interval(self) -> list[float] | None:
-        """Return the 95 % interval; None with a single room."""
-        return None if self.z.shape[1] < 2 else self._limits()
+        """Return the 95 % interval; None where a set has a single room."""
+        return None if self.n_rooms < 2 else self._limits()
 
     def _limits(self, level: float = LEVEL) -> list[float]:
-        components, bootstrap_error = variance_components(self.z), self.deviations.std()
+        components, bootstrap_error = self.components, self.deviations.std()
         if bootstrap_error == 0:
             return [self.value, self.value]
         upper = (1 + level) / 2
@@ -164,11 +281,11 @@ class Statistic:
         return [float(low), float(high)]
 
     def p_value(self) -> float | None:
-        """Return the two-sided p value of the hypothesis that the value is 0; None with a single room.
+        """Return the two-sided p value of the hypothesis that the value is 0; None where a set has a single room.
 
         It is the level of the widest interval that does not contain 0, taken from 1; at least `LEAST_P`.
         """
-        if self.z.shape[1] < 2:
+        if self.n_rooms < 2:
             return None
 
         def clearance(p: float) -> float:  # of the interval from 0
@@ -209,7 +326,13 @@ def ratio_interval(numerator: Statistic, denominator: Statistic) -> list[float] 
 def detectable(difference: Statistic) -> dict | None:
     """Return the minimum detectable difference (80 % power, 5 % level), and the sample size that would halve it.
 
-    The minimum detectable difference is ``t(0.975) + t(0.8)`` standard errors, 2.8 with many rooms and seeds.
+    The minimum detectable difference is ``t(0.975) + t(0.8)`` standard errors, 2.8 with many rooms and seeds. More
+    rooms are taken to be of sizes as unequal as those there are.
+
+    Parameters
+    ----------
+    difference
+        Of rates on one set.
 
     Returns
     -------
@@ -220,23 +343,24 @@ def detectable(difference: Statistic) -> dict | None:
         no number does), and `factor` on both numbers that halves it. None with a single room, or if rooms and seeds do
         not vary but for rounding.
     """
-    if difference.z.shape[1] < 2 or np.allclose(difference.deviations, 0.0, atol=1e-9):
+    if difference.n_rooms < 2 or np.allclose(difference.deviations, 0.0, atol=1e-9):
         return None
-    fitted = variance_components(difference.z)
-    n_seeds, n_rooms = fitted.n_seeds, fitted.n_rooms
+    fitted, n_seeds, n_rooms = difference.components, len(difference.z), difference.n_rooms
+    of_rooms, = fitted.of_sets
 
     def detected(seeds: float, rooms: float) -> float:
+        seeds, rooms = seeds / n_seeds, rooms / n_rooms
         df = fitted.df_with(seeds, rooms)
         return float((t.ppf((1 + LEVEL) / 2, df) + t.ppf(POWER, df)) * math.sqrt(fitted.variance_with(seeds, rooms)))
 
     found = detected(n_seeds, n_rooms)
-    of_seeds = None if fitted.seed is None else _first(lambda n: detected(n, n_rooms) <= found / 2, n_seeds)
-    of_rooms = _first(lambda n: detected(n_seeds, n) <= found / 2, n_rooms)
+    for_seeds = None if fitted.seed is None else _first(lambda n: detected(n, n_rooms) <= found / 2, n_seeds)
+    for_rooms = _first(lambda n: detected(n_seeds, n) <= found / 2, n_rooms)
     both = brentq(lambda factor: detected(n_seeds if fitted.seed is None else factor * n_seeds, factor * n_rooms)
                   - found / 2, 1.0, _MANY)
     return dict(difference=found, standard_errors=found / math.sqrt(fitted.variance), df=fitted.df,
-                seed=None if fitted.seed is None else math.sqrt(fitted.seed), room=math.sqrt(fitted.room),
-                residual=math.sqrt(fitted.residual), for_half=dict(seeds=of_seeds, rooms=of_rooms, factor=both))
+                seed=None if fitted.seed is None else math.sqrt(fitted.seed), room=math.sqrt(of_rooms.room),
+                residual=math.sqrt(of_rooms.residual), for_half=dict(seeds=for_seeds, rooms=for_rooms, factor=both))
 
 
 def _first(holds: Callable[[int], bool], low: int) -> int | None:

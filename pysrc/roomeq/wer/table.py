@@ -4,6 +4,8 @@ from roomeq.wer.breakdown import C50, DRR, EQ_DISTANCE, T20
 from roomeq.wer.workspace import BASE, CLEAN, DEV, ORACLE
 
 _NOTES = {CLEAN: "baseline", ORACLE: "oracle"}
+_UNEQUAL = 0.8
+"""Effective share of the number of rooms below which it is stated."""
 
 
 def table_text(wer: dict) -> str:
@@ -49,7 +51,7 @@ def caption(wer: dict) -> list[str]:
              f"{seeds} seed{'s' * (seeds > 1)}.",
              "LM weight and word insertion penalty were chosen on dev for each row, column and seed, and applied to "
              "test. Rates on dev are therefore the lowest of the search, rates on test are not.",
-             *_edge_lines(wer),
+             *_size_lines(wer), *_edge_lines(wer),
              f"dev is of each row's own kind, as in the paper: {', '.join(own)}{other}." if own else
              f"dev is {DEV} for every row.",
              f"Intervals are of 95 %, from a bootstrap over {resampled}; speakers and sentences stay the same."]
@@ -59,6 +61,14 @@ def caption(wer: dict) -> list[str]:
         lines.append("With one seed the spread over seeds is not known: the intervals hold for these trained models "
                      "only.")
     return lines
+
+
+def _size_lines(wer: dict) -> list[str]:
+    """Return the effective number of rooms (see `roomeq.wer.statistics`) where it is clearly below their number."""
+    words = [room["words"] for room in wer["rooms"]]
+    effective = sum(words) ** 2 / sum(n ** 2 for n in words)
+    return [f"The rooms are unequal in words: effective number of rooms {effective:.1f}."
+            ] if effective < _UNEQUAL * len(words) else []
 
 
 def _edge_lines(wer: dict) -> list[str]:

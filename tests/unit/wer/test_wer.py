@@ -31,13 +31,15 @@ from roomeq.wer.check import read_wer, validate_wer
 from roomeq.wer.scoring import Weights, choose_weights, count_errors, read_bootci, read_reference
 from roomeq.wer.statistics import (
     Components,
+    Levels,
     Resampling,
+    RoomComponents,
     Statistic,
     detectable,
     ratio_interval,
     variance_components,
 )
-from roomeq.wer.table import table_text
+from roomeq.wer.table import caption, table_text
 
 TIMES = 200
 
@@ -211,6 +213,14 @@ def test_rows_of_other_settings_are_refused(tmp_path):
         measured(tmp_path, [workspace])
 
 
+@pytest.mark.parametrize(("words", "stated"), [
+    ((100, 100, 100, 50), None), ((100, 100, 100, 10), "3.2"), ((1000, 10, 10, 10), "1.1")])
+def test_caption_states_the_effective_number_of_rooms_of_unequal_sizes(example, words, stated):
+    rooms = [room | dict(words=n) for room, n in zip(example["rooms"], words, strict=True)]
+    text = " ".join(caption(example | dict(rooms=rooms)))
+    assert (f"unequal in words: effective number of rooms {stated}." in text) if stated else "effective" not in text
+
+
 def test_caption_counts_weights_at_the_edge_of_the_search(tmp_path, capsys):
     workspace, = put_example(tmp_path)
     measured(tmp_path, [workspace])
@@ -353,15 +363,38 @@ def draws():
         yield lambda *shape: kept.get(shape) or kept.setdefault(shape, Resampling(*shape, "test"))
 
 
+def equal(shape):
+    """Shares of cells of equal size."""
+    return [np.full(shape, 1.0 / np.prod(shape))]
+
+
 def test_variance_components_of_a_known_table():
     seeds, rooms = np.array([-1.0, 0.0, 1.0]), np.array([-3.0, 0.0, 0.0, 3.0])
-    found = variance_components(seeds[:, None] + rooms)
-    assert (found.seed, found.room, found.residual) == pytest.approx((1.0, 6.0, 0.0))
+    found = variance_components(seeds[:, None] + rooms, equal((3, 4)))
+    of_rooms, = found.of_sets
+    assert (found.seed, of_rooms.room, of_rooms.residual) == pytest.approx((1.0, 6.0, 0.0))
     assert found.variance == pytest.approx(1 / 3 + 6 / 4)
     # Satterthwaite: (sum of terms)^2 / sum of terms^2 / df
     assert found.df == pytest.approx((1 / 3 + 1.5) ** 2 / ((1 / 3) ** 2 / 2 + 1.5 ** 2 / 3))
-    alone = variance_components(rooms[None])
-    assert alone.seed is None and alone.variance == pytest.approx(1.5) and alone.df == 3
+    alone = variance_components(rooms[None], equal((1, 4)))
+    assert alone.seed is None and alone.variance == pytest.approx(1.5) and alone.df == pytest.approx(3)
+
+
+def test_components_of_unequal_rooms_are_unbiased_and_their_df_are_those_of_their_variance():
+    words, times = np.tile([2000.0, 1000.0, *[100.0] * 8], (4, 1)), 4000
+    seeds, rooms, residual = 1.0, 3.0, 2.0
+    shares = words / words.sum()
+    found = []
+    for n in range(times):
+        percent = table(f"unequal{n}", seeds, rooms, residual, words.shape)
+        found.append(variance_components(words.size * shares * (percent - (shares * percent).sum()), [shares]))
+    true = seeds ** 2 / 4 + (rooms ** 2 + residual ** 2 / 4) * (shares.sum(axis=0) ** 2).sum()
+    variances = np.array([one.variance for one in found])
+    assert variances.mean() == pytest.approx(true, rel=0.05)
+    exact = Components(found[0].seeds, seeds ** 2,
+                       (RoomComponents(found[0].of_sets[0].rooms, rooms ** 2, residual ** 2),))
+    assert exact.variance == pytest.approx(true)
+    assert 2 * true ** 2 / variances.var() == pytest.approx(exact.df, rel=0.1)
 
 
 @pytest.mark.parametrize(("shape", "seed", "room", "residual"), [
@@ -386,6 +419,53 @@ def test_intervals_of_equal_rows_cover_zero_at_their_level(draws):
     assert binom.ppf(0.001, TIMES, 0.93) <= held < TIMES
     significant = sum(one.p_value() < 0.05 for one in differences)
     assert significant <= binom.ppf(0.999, TIMES, 0.07)
+
+
+@pytest.mark.parametrize(("n_seeds", "sizes"), [
+    (5, [2000] + 9 * [200]), (5, [10000] + 39 * [200]), (5, 2 * [3000] + 25 * [100]), (1, 5 * [2000] + 22 * [100])])
+def test_intervals_cover_the_truth_where_few_rooms_have_most_words(draws, n_seeds, sizes):
+    words, rates, differences = np.tile(sizes, (n_seeds, 1)).astype(float), 0, 0
+    for n in range(TIMES):
+        first, second = (Statistic.of(words * (20 + table(f"rooms{n}", 0, 3, 0, words.shape) + table(
+            f"{name}{n}", 0.3, 1, 1, words.shape)) / 100, words, draws(*words.shape)) for name in "ab")
+        low, high = first.interval()
+        rates += low <= 20 <= high
+        difference = first.minus(second)
+        low, high = difference.interval()
+        differences += low <= 0 <= high
+        assert (difference.p_value() >= 0.05) == (low <= 0 <= high)
+    assert min(rates, differences) >= binom.ppf(0.001, TIMES, 0.93)
+
+
+def test_difference_of_sets_has_the_uncertainty_of_the_set_with_few_rooms(draws):
+    """Of 40 rooms of test and 3 of dev, all as variable."""
+    shape, held = (4, 43), 0
+    for n in range(TIMES):
+        errors = (20 + table(f"sets{n}", 0.3, 3, 1, shape)) / 100 * 200
+        of_test = np.arange(43) < 40
+        test, dev = (Statistic.of(np.where(rooms, errors, 0.0), np.where(rooms, 200.0, 0.0) + np.zeros(shape),
+                                  draws(*shape)) for rooms in (of_test, ~of_test))
+        low, high = test.minus(dev).interval()
+        held += low <= 0 <= high
+    assert test.minus(dev).components.df < 4 and test.components.df > 30
+    assert held >= binom.ppf(0.001, TIMES, 0.93)
+
+
+def test_set_of_a_single_room_leaves_no_interval_of_a_difference(draws):
+    words = np.array([[200.0, 200.0, 0.0], [200.0, 200.0, 0.0]])
+    test = Statistic.of(0.2 * words + [[1, 3, 0], [2, 4, 0]], words, draws(2, 3))
+    dev = Statistic.of(np.array([[0.0, 0.0, 30.0], [0.0, 0.0, 50.0]]), 200.0 - words, draws(2, 3))
+    assert test.interval() and dev.interval() is None
+    assert test.minus(dev).interval() is None and test.minus(dev).p_value() is None
+
+
+def test_sets_with_a_common_room_are_paired_over_their_rooms(draws):
+    """Two sets of the same rooms, in which the rooms have other numbers of words."""
+    first, second = np.tile([200.0, 300.0, 200.0, 250.0], (3, 1)), np.tile([300.0, 200.0, 250.0, 200.0], (3, 1))
+    percent = 20 + table("common", 0.3, 8, 0.1, (3, 4))
+    one, other = (Statistic.of(percent / 100 * words, words, draws(3, 4)) for words in (first, second))
+    assert len(one.minus(other).shares) == 1
+    assert one.minus(other).components.variance < 0.2 * one.components.variance
 
 
 def test_row_does_not_differ_from_itself(draws):
@@ -445,7 +525,9 @@ def test_uncertain_gap_has_no_share(tmp_path, capsys):
 
 def test_detectable_difference_is_detected_in_80_percent(draws):
     shape, parts = (5, 40), (0.5, 2.0, 1.5)
-    true = Components(*shape, *(one ** 2 for one in parts))
+    seed, room, residual = (one ** 2 for one in parts)
+    true = Components(Levels.of(np.full(5, 1 / 5)), seed,
+                      (RoomComponents(Levels.of(np.full(40, 1 / 40)), room, residual),))
     found = detectable(rate(20 + table(0, *parts, shape), draws(*shape)))
     size = found["standard_errors"] * np.sqrt(true.variance)
     times = sum(rate(size + table(n, *parts, shape), draws(*shape)).p_value() < 0.05 for n in range(TIMES))
@@ -455,11 +537,12 @@ def test_detectable_difference_is_detected_in_80_percent(draws):
 def test_half_of_the_detectable_difference_needs_for_half(draws):
     shape = (4, 20)
     one = rate(20 + table(3, 1, 3, 2, shape), draws(*shape))
-    fitted, found = variance_components(one.z), detectable(one)
+    fitted, found = one.components, detectable(one)
 
     def difference(n_seeds, n_rooms):
-        df = fitted.df_with(n_seeds, n_rooms)
-        return (student_t.ppf(0.975, df) + student_t.ppf(0.8, df)) * np.sqrt(fitted.variance_with(n_seeds, n_rooms))
+        times = n_seeds / 4, n_rooms / 20
+        df = fitted.df_with(*times)
+        return (student_t.ppf(0.975, df) + student_t.ppf(0.8, df)) * np.sqrt(fitted.variance_with(*times))
 
     half = found["for_half"]
     assert found["difference"] == pytest.approx(difference(*shape))
@@ -478,10 +561,12 @@ def test_two_seeds_do_not_show_that_seeds_do_not_matter():
     """The degrees of freedom do not jump where the estimated variance over seeds becomes zero."""
     rng = rng_for(0, "test", "jump")
     rooms, residual = rng.standard_normal(27), rng.standard_normal((2, 27))
+    rooms -= rooms.mean()
     residual -= residual.mean(axis=1, keepdims=True)
     expected = np.sqrt(residual.var(axis=0, ddof=1).sum() / 26 / 27)  # of a seed's mean, by the residual alone
     just_below, just_above = (variance_components(
-        rooms + residual + factor * expected / np.sqrt(2.0) * np.array([[1.0], [-1.0]])) for factor in (0.99, 1.01))
+        rooms + residual + factor * expected / np.sqrt(2.0) * np.array([[1.0], [-1.0]]), equal((2, 27)))
+        for factor in (0.99, 1.01))
     assert just_below.seed == 0.0 < just_above.seed
     assert just_below.df == pytest.approx(just_above.df, rel=0.1) and just_below.df < 10
 
@@ -491,7 +576,7 @@ def test_p_value_is_the_level_of_the_interval_that_ends_at_zero(draws):
     for end in one.interval():
         shifted = replace(one, value=one.value - end)
         assert shifted.p_value() == pytest.approx(0.05, abs=1e-3)
-        df = variance_components(one.z).df
+        df = one.components.df
         beyond = replace(one, value=2.0 * (one.value - end))
         assert beyond.p_value() == pytest.approx(2.0 * student_t.sf(2.0 * student_t.ppf(0.975, df), df), rel=0.5)
 
