@@ -60,9 +60,10 @@ def main():
         eq_db = {name: np.array([measure(*pair) for pair in pairs])[:, FREE] for name, pairs in rirs.items()}
         for bands, range_hz in ((slice(None), "62.5 Hz to 8 kHz"), (TO_4KHZ, "62.5 Hz to 4 kHz")):
             gap = gap_closed(*(EqSet(eq_db[name][:, bands], rooms[name]) for name in SETS), np.random.default_rng(0))
-            low, high = gap["closed_interval"]
+            interval = gap["closed_interval"]
+            limits = f" [{100 * interval[0]:.0f}, {100 * interval[1]:.0f}]" if interval else ""
             distances.append([label, range_hz, *(gap[key]["wasserstein_db"] for key in ("sim", "comp", "floor")),
-                              f"{100 * gap['closed']:.0f} % [{100 * low:.0f}, {100 * high:.0f}]",
+                              f"{100 * gap['closed']:.0f} %{limits}",
                               f"{100 * gap['closed_energy']:.0f} %"])
     measured = rirs["real.train"] + rirs["real.test"]
     changes = np.array([max(np.abs(eq_points_db(rir, at + shift) - eq_points_db(rir, at)).max()

@@ -22,6 +22,7 @@ from roomeq.core.files import read_jsonl, write_json, write_text
 from roomeq.core.stamps import FORMAT
 from roomeq.corpora.characterise import characterise
 from roomeq.corpora.split import split_rirs
+from roomeq.eq.distance import EqSet
 from roomeq.loop.features import N_FEATURES, feature_slice
 from roomeq.records.rir_dir import read_rirs, write_rirs
 from roomeq.report import figures, make_report, section_eq, section_summary
@@ -90,7 +91,8 @@ class Page(HTMLParser):
 def template(name):
     """Return the macros of a template."""
     return environment().get_template(f"{name}.html.j2").make_module(dict(
-        held_out="", n_held_out=0, frequencies_hz=[], rows=[], panels=[], gap=dict(closed=None)))
+        held_out="", n_held_out=0, frequencies_hz=[], rows=[], panels=[], few_rooms="",
+        gap=dict(closed=None)))
 
 
 def section_text(ident, run):
@@ -222,6 +224,15 @@ def test_distance_table_has_a_row_for_the_loop(made):
     table_of_distances = made[2].read_text().partition('id="table-distance"')[2].partition("</table>")[0]
     assert re.findall(r'class="key (\w+)', table_of_distances) == ["simulated", "compensated", "drawn", "measured"]
     assert "simulated + loop" in table_of_distances
+
+
+def test_distances_of_too_few_rooms_have_no_interval_and_it_is_said(made, monkeypatch, caplog):
+    of_run = section_eq.eq_set
+    monkeypatch.setattr(section_eq, "eq_set", lambda run, name: of_run(run, name) if name != section_eq.HELD_OUT else (
+        EqSet(of_run(run, name).vectors_db, [f"room{n % 2}" for n in range(len(of_run(run, name).vectors_db))])))
+    text = section_text("distance", Run(made[0], made[1]))
+    stated = "Distances from or to a set of fewer than 3 rooms have no interval: held-out (2)."
+    assert stated in text and stated in caplog.text and " to " not in text.partition("Wasserstein (dB)")[2][:300]
 
 
 def test_page_without_loop_or_wer_omits_their_sections(made, tmp_path):

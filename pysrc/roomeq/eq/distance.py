@@ -10,6 +10,8 @@ from roomeq.core.arrays import FloatArray
 from roomeq.eq.gmm import room_weights
 
 N_BOOTSTRAP = 500
+FEWEST_ROOMS = 3
+"""Of a set, so that a distance has an interval: fewer do not show how much rooms differ."""
 _SHRUNK = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Shares of the observed difference of two sets that the lower end of an interval is tested against."""
 
@@ -46,8 +48,8 @@ class EqSet:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Of the variance between rooms, or between RIRs where there is a single room; at least 1."""
-        return max(1, (len(self.members) if len(self.members) > 1 else len(self.vectors_db)) - 1)
+        """Of the variance between rooms."""
+        return len(self.members) - 1
 
 
 def eq_distance(first: EqSet, second: EqSet, rng: np.random.Generator, *, n_bootstrap: int = N_BOOTSTRAP) -> dict:
@@ -63,24 +65,30 @@ def eq_distance(first: EqSet, second: EqSet, rng: np.random.Generator, *, n_boot
       distance is convex, its bias is positive (Jensen's inequality), so the end is conservative.
 
     Rooms are resampled with replacement, one room fewer than there are, so that the variance between rooms is unbiased
-    (Rao & Wu 1988); the same rooms in both sets. Of a single room, the RIRs are resampled. The coverage of the
-    intervals is 91 % to 100 % where the nominal one is 95 % (3 to 20 rooms, distances of 0 to 3 dB).
+    (Rao & Wu 1988); the same rooms in both sets. The coverage of the intervals is 91 % to 100 % where the nominal one
+    is 95 % (3 to 20 rooms, distances of 0 to 3 dB).
 
     Returns
     -------
     dict
         `wasserstein_db`: mean over points of the 1-Wasserstein distance; `bands_db`: that distance per point;
         `energy_db`: root of the energy distance ``2 E|X-Y| - E|X-X'| - E|Y-Y'|`` of complete vectors (Székely & Rizzo
-        2013); `interval_db`, `energy_interval_db`: their 95 % intervals.
+        2013); `interval_db`, `energy_interval_db`: their 95 % intervals, None where a set has fewer than
+        `FEWEST_ROOMS`.
     """
-    samples = _resample([first, second], rng, n_bootstrap)
+    samples = _resample([first, second], rng, n_bootstrap) if have_intervals(first, second) else None
     bands_db = _point_distances(*_pooled(first, second))[0]
     result: dict = dict(bands_db=[float(distance_db) for distance_db in bands_db])
     for name, interval_name, statistic in (("wasserstein_db", "interval_db", _mean_distances),
                                            ("energy_db", "energy_interval_db", _energy_distances)):
         result[name] = _distance(first, second, statistic)
-        result[interval_name] = _interval(first, second, samples, statistic)
+        result[interval_name] = _interval(first, second, samples, statistic) if samples else None
     return result
+
+
+def have_intervals(*sets: EqSet) -> bool:
+    """Return whether sets have so many rooms that their distances have intervals."""
+    return all(len(eq_set.members) >= FEWEST_ROOMS for eq_set in sets)
 
 
 def wasserstein_db(first: EqSet, second: EqSet) -> float:
@@ -101,9 +109,9 @@ def gap_closed(sim: EqSet, comp: EqSet, train: EqSet, heldout: EqSet, rng: np.ra
         `sim`, `comp`, `floor` (of the training set): see `eq_distance`. `closed` and `closed_energy`: the share by
         either distance; None where the simulation is no farther away than the training set. `closed_interval`: basic
         bootstrap interval of 95 % over rooms, the same in all sets (Davison & Hinkley 1997, eq. 5.6), widened as the t
-        distribution is. `closed_undefined`: share of the resamples in which `closed` is None; the interval is that of
-        the others. The distances are those of sets of these sizes: a share of 1 means that the compensated RIRs are as
-        far from the held-out ones as the training set is.
+        distribution is; None where a set has fewer than `FEWEST_ROOMS`. `closed_undefined`: share of the resamples in
+        which `closed` is None; the interval is that of the others. The distances are those of sets of these sizes: a
+        share of 1 means that the compensated RIRs are as far from the held-out ones as the training set is.
     """
     *weights, heldout_weights = _resample([sim, comp, train, heldout], rng, n_bootstrap)
     resampled = [_mean_distances(np.concatenate([model.vectors_db, heldout.vectors_db]),
@@ -115,7 +123,7 @@ def gap_closed(sim: EqSet, comp: EqSet, train: EqSet, heldout: EqSet, rng: np.ra
     closed, closed_energy = (_closed(*(distance[name] for distance in distances))
                              for name in ("wasserstein_db", "energy_db"))
     interval = None
-    if defined and closed is not None:
+    if defined and closed is not None and have_intervals(sim, comp, train, heldout):
         low, middle, high = np.percentile(defined, (2.5, 50, 97.5))
         widening = _t_quantile(sim, comp, train, heldout) / norm.ppf(0.975)
         interval = [float(min(closed, 2 * closed - middle - widening * (high - middle))),
@@ -137,7 +145,8 @@ def _closed(sim: float, comp: float, floor: float) -> float | None:
 def _resample(sets: Sequence[EqSet], rng: np.random.Generator, n_samples: int) -> list[FloatArray]:
     """Return the weights of each set's vectors in bootstrap samples, each of shape (n_samples, n_vectors).
 
-    Rooms that are in the same of the sets are drawn among each other, so that no sample lacks a set.
+    Rooms that are in the same of the sets are drawn among each other, so that no sample lacks a set; of a room that is
+    alone in that, its RIRs.
     """
     strata: dict[tuple[bool, ...], list[str]] = {}
     for room in sorted({room for eq_set in sets for room in eq_set.members}):

@@ -1,5 +1,6 @@
 """Sections about the EQ: the paper's figure 2, distances between distributions, accuracy of the compensation."""
 
+import logging
 from collections import Counter
 from typing import Any
 
@@ -10,7 +11,7 @@ from roomeq.core.constants import BAND_1KHZ, BANDS_HZ
 from roomeq.core.files import read_json, read_jsonl
 from roomeq.core.rng import rng_for
 from roomeq.eq.compensation import MAX_MEDIAN_DB, MAX_P95_DB, SUMMARY_FILE
-from roomeq.eq.distance import EqSet, eq_distance, gap_closed
+from roomeq.eq.distance import FEWEST_ROOMS, EqSet, eq_distance, gap_closed
 from roomeq.eq.fit import MEASURED_FILE, RESAMPLED_FILE
 from roomeq.eq.gmm import FREE, with_reference
 from roomeq.report import figures
@@ -24,6 +25,8 @@ from roomeq.report.rir_sets import (
     eq_vectors,
     unscreened,
 )
+
+logger = logging.getLogger(__name__)
 
 N_BOOTSTRAP = 200
 HELD_OUT = "rirs.real.test"
@@ -107,8 +110,10 @@ def distances(run: Run) -> Context:
         groups.append(figures.PointSeries(kind.label, kind.colour, points_db, points_db))
     draw = figures.per_point(groups, "1-Wasserstein distance (dB)", {})
     alt = "Distance to held-out measured EQs at each point, as in the table"
+    if few := few_rooms(run):
+        logger.warning("EQ distance: %s", few)
     return {"rows": rows, "frequencies_hz": [BANDS_HZ[n] for n in FREE], "gap": gap, "held_out": HELD_OUT,
-            "n_held_out": len(eq_vectors(run, HELD_OUT)),
+            "n_held_out": len(eq_vectors(run, HELD_OUT)), "few_rooms": few,
             "panels": [figures.panel("figure-distance-points", draw, alt)]}
 
 
@@ -126,6 +131,15 @@ def extended_distance(run: Run) -> dict[str, Any]:
     return run.cached("extended distance", lambda: eq_distance(
         eq_set(run, EXTENDED.train), eq_set(run, HELD_OUT), rng_for(0, "report", "EQ distance of the loop"),
         n_bootstrap=N_BOOTSTRAP))
+
+
+def few_rooms(run: Run) -> str:
+    """Return the sentence that names the sets of too few rooms for an interval; nothing where all have enough."""
+    names = {kind.label: kind.train for kind in (SIMULATED, COMPENSATED, EXTENDED, MEASURED) if run.has(kind.train)}
+    rooms = {label: len(eq_set(run, name).members) for label, name in (names | {"held-out": HELD_OUT}).items()}
+    few = [f"{label} ({count})" for label, count in rooms.items() if count < FEWEST_ROOMS]
+    return (f"Distances from or to a set of fewer than {FEWEST_ROOMS} rooms have no interval: {', '.join(few)}."
+            if few else "")
 
 
 def eq_set(run: Run, name: str) -> EqSet:

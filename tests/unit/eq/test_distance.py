@@ -94,13 +94,27 @@ def test_unmeasured_points_are_left_out(vectors):
 
 
 def test_interval_contains_distance_and_widens_with_rooms(vectors):
-    reference = one_room(rng().normal(1.0, 3.0, (200, 7)), "b")
+    reference = EqSet(rng().normal(1.0, 3.0, (200, 7)), [f"b{n}" for n in range(200)])
     rooms = [f"r{n // 50}" for n in range(200)]
     by_room = vectors + np.repeat(rng().normal(0.0, 4.0, (4, 7)), 50, axis=0)
-    single = eq_distance(one_room(by_room), reference, rng(), n_bootstrap=200)
+    many = eq_distance(EqSet(by_room, [f"r{n}" for n in range(200)]), reference, rng(), n_bootstrap=200)
     clustered = eq_distance(EqSet(by_room, rooms), reference, rng(), n_bootstrap=200)
-    assert single["interval_db"][0] < single["wasserstein_db"] < single["interval_db"][1]
-    assert np.ptp(clustered["interval_db"]) > 2 * np.ptp(single["interval_db"])
+    assert many["interval_db"][0] < many["wasserstein_db"] < many["interval_db"][1]
+    assert np.ptp(clustered["interval_db"]) > 2 * np.ptp(many["interval_db"])
+
+
+@pytest.mark.parametrize(("n_rooms", "shared_rooms"), [(1, False), (1, True), (2, False), (2, True)])
+def test_one_or_two_rooms_show_no_difference_of_sets(n_rooms, shared_rooms):
+    generator = np.random.default_rng(n_rooms)
+    few, others = drawn_sets(generator, 0.0, n_rooms, shared_rooms)
+    many, _ = drawn_sets(generator, 0.0, 5, False)
+    for first, second in ((few, others), (few, many), (many, few)):
+        distance = eq_distance(first, second, generator, n_bootstrap=10)
+        assert distance["wasserstein_db"] > 0.0
+        assert distance["interval_db"] is None and distance["energy_interval_db"] is None
+    far = EqSet(many.vectors_db + 9.0, np.repeat(np.arange(5), 8))
+    gap = gap_closed(far, many, many, few, generator, n_bootstrap=10)
+    assert gap["closed"] is not None and gap["closed_interval"] is None
 
 
 def test_gap_closed_is_none_half_or_all():
