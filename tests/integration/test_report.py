@@ -404,7 +404,9 @@ def test_options_show_the_last_part_of_paths(made, tmp_path):
 def test_verdict_matches_the_closed_share(closed, part):
     gap = dict(closed=closed, closed_interval=[0.5, 1.0], closed_energy=None)
     verdict = Page(template("distance").verdict(gap)).text
-    assert part in verdict
+    assert part in verdict and "no interval" not in verdict
+    without = Page(template("distance").verdict(gap | dict(closed_interval=None))).text
+    assert ("no interval" in without) == (closed is not None)
     assert ("is small, and rooms" in verdict) == (closed == 1.2)
 
 

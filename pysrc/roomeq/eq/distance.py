@@ -107,30 +107,57 @@ def gap_closed(sim: EqSet, comp: EqSet, train: EqSet, heldout: EqSet, rng: np.ra
     -------
     dict
         `sim`, `comp`, `floor` (of the training set): see `eq_distance`. `closed` and `closed_energy`: the share by
-        either distance; None where the simulation is no farther away than the training set. `closed_interval`: basic
-        bootstrap interval of 95 % over rooms, the same in all sets (Davison & Hinkley 1997, eq. 5.6), widened as the t
-        distribution is; None where a set has fewer than `FEWEST_ROOMS`. `closed_undefined`: share of the resamples in
-        which `closed` is None; the interval is that of the others. The distances are those of sets of these sizes: a
-        share of 1 means that the compensated RIRs are as far from the held-out ones as the training set is.
+        either distance; None where the simulation is no farther away than the training set. `closed_interval`: 95 %
+        interval of `closed` (see `_closed_interval`); None where a set has fewer than `FEWEST_ROOMS`, or where the gap
+        may be chance. The distances are those of sets of these sizes: a share of 1 means that the compensated RIRs are
+        as far from the held-out ones as the training set is.
     """
-    *weights, heldout_weights = _resample([sim, comp, train, heldout], rng, n_bootstrap)
-    resampled = [_mean_distances(np.concatenate([model.vectors_db, heldout.vectors_db]),
-                                 np.hstack([of_model, -heldout_weights]))
-                 for model, of_model in zip((sim, comp, train), weights, strict=True)]
-    shares = [_closed(*of_sample) for of_sample in zip(*resampled, strict=True)]
-    defined = [share for share in shares if share is not None]
-    distances = [eq_distance(model, heldout, rng, n_bootstrap=n_bootstrap) for model in (sim, comp, train)]
+    models = (sim, comp, train)
+    distances = [eq_distance(model, heldout, rng, n_bootstrap=n_bootstrap) for model in models]
     closed, closed_energy = (_closed(*(distance[name] for distance in distances))
                              for name in ("wasserstein_db", "energy_db"))
     interval = None
-    if defined and closed is not None and have_intervals(sim, comp, train, heldout):
-        low, middle, high = np.percentile(defined, (2.5, 50, 97.5))
-        widening = _t_quantile(sim, comp, train, heldout) / norm.ppf(0.975)
-        interval = [float(min(closed, 2 * closed - middle - widening * (high - middle))),
-                    float(max(closed, 2 * closed - middle + widening * (middle - low)))]
+    if closed is not None and have_intervals(*models, heldout):
+        *weights, heldout_weights = _resample([*models, heldout], rng, n_bootstrap)
+        resampled = [_mean_distances(np.concatenate([model.vectors_db, heldout.vectors_db]),
+                                     np.hstack([of_model, -heldout_weights]))
+                     for model, of_model in zip(models, weights, strict=True)]
+        interval = _closed_interval([distance["wasserstein_db"] for distance in distances], np.array(resampled),
+                                    _t_quantile(*models, heldout))
     return dict(zip(("sim", "comp", "floor"), distances, strict=True)) | dict(
-        closed_interval=interval, closed_undefined=1.0 - len(defined) / max(len(shares), 1), closed=closed,
-        closed_energy=closed_energy)
+        closed_interval=interval, closed=closed, closed_energy=closed_energy)
+
+
+def _closed_interval(distances_db: Sequence[float], resampled_db: FloatArray, quantile: float) -> list[float] | None:
+    """Return the interval of the share of the gap that is closed (Fieller, J. R. Stat. Soc. B 16 (1954)).
+
+    It contains each share r for which ``gained - r gap = (d_sim - d_comp) - r (d_sim - d_train)`` is less than
+    `quantile` of its standard errors from 0. Its expectation is 0 for the share of the expected distances, whatever the
+    bias of the distances. Coverage in simulations of 3 to 27 rooms: 91 % to 100 % where the nominal one is 95 %.
+
+    Parameters
+    ----------
+    distances_db : sequence of float
+        Of `sim`, `comp` and `train`.
+    resampled_db : ndarray, shape (3, n_samples)
+        The same of resampled rooms, which give the variance.
+
+    Returns
+    -------
+    list of float or None
+        None where the gap is not significant: any share is then possible.
+    """
+    known = resampled_db[:, np.isfinite(resampled_db).all(axis=0)]
+    if known.shape[1] < 2:
+        return None
+    contrasts = np.array([[1.0, -1.0, 0.0], [1.0, 0.0, -1.0]])
+    gained, gap = contrasts @ distances_db
+    (of_gained, of_both), (_, of_gap) = quantile ** 2 * contrasts @ np.cov(known) @ contrasts.T
+    square, linear, constant = gap ** 2 - of_gap, gained * gap - of_both, gained ** 2 - of_gained
+    if square <= 0.0:
+        return None
+    half = np.sqrt(max(0.0, linear ** 2 - square * constant))
+    return [float((linear - half) / square), float((linear + half) / square)]
 
 
 def _t_quantile(*sets: EqSet) -> float:

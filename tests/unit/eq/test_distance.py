@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 from roomeq.eq.distance import EqSet, eq_distance, gap_closed
 
@@ -126,6 +127,39 @@ def test_gap_closed_is_none_half_or_all():
         gap = gap_closed(sim, comp, train, heldout, rng(), n_bootstrap=20)
         assert low - 1e-9 <= gap["closed"] <= high + 1e-9
         assert gap["closed_interval"][0] <= gap["closed"] + 0.05
+
+
+@pytest.mark.parametrize(("n_rooms", "left_db"), [(10, 0.0), (10, 1.5), (6, 3.0)])
+def test_interval_of_the_closed_gap_covers_the_share_of_the_expected_distances(n_rooms, left_db):
+    """Of RIRs 3 dB off, of which compensation leaves some; the measured training RIRs are in the held-out rooms."""
+    generator = np.random.default_rng(n_rooms)
+    names = np.repeat(np.arange(n_rooms), 6)
+
+    def drawn(shift_db, rooms_db=None):
+        rooms_db = generator.normal(0.0, 2.0, (n_rooms, 7)) if rooms_db is None else rooms_db
+        return EqSet(np.repeat(rooms_db, 6, axis=0) + shift_db + generator.normal(0.0, 1.5, (6 * n_rooms, 7)), names)
+
+    gaps = []
+    for _ in range(120):
+        rooms_db = generator.normal(0.0, 2.0, (n_rooms, 7))
+        gaps.append(gap_closed(drawn(3.0), drawn(left_db), drawn(0.0, rooms_db), drawn(0.0, rooms_db), generator,
+                               n_bootstrap=60))
+    sim, comp, floor = (np.mean([gap[name]["wasserstein_db"] for gap in gaps]) for name in ("sim", "comp", "floor"))
+    share = (sim - comp) / (sim - floor)
+    intervals = [gap["closed_interval"] for gap in gaps if gap["closed_interval"]]
+    assert len(intervals) > 100
+    assert sum(low <= share <= high for low, high in intervals) >= binom.ppf(0.01, len(intervals), 0.93)
+    assert sum(share < low for low, _ in intervals) <= binom.ppf(0.99, len(intervals), 0.04)
+
+
+def test_uncertain_gap_has_no_interval_of_the_share():
+    generator = np.random.default_rng(3)
+    gaps = []
+    for _ in range(30):  # all of one population
+        (sim, comp), (train, heldout) = (drawn_sets(generator, 0.0, 4, False) for _ in range(2))
+        gaps.append(gap_closed(sim, comp, train, heldout, generator, n_bootstrap=50))
+    assert sum(gap["closed"] is not None for gap in gaps) > 8
+    assert sum(gap["closed_interval"] is not None for gap in gaps) <= 3
 
 
 def test_gap_closed_is_null_where_there_is_no_gap(vectors):
