@@ -1,12 +1,13 @@
 """Recordings that cannot be of the room that their rows state: another room's decay, or a copy of another recording."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
+from scipy.stats import f as f_distribution
 
-from roomeq.core.arrays import FloatArray
+from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.loop.doubtful_geometry import Doubt
 from roomeq.loop.same_recordings import SAME, find_same
@@ -14,6 +15,10 @@ from roomeq.records.geometry import place_key
 
 FALSE_ALARM = 1e-6
 """Probability with which an RIR of a diffuse room is taken for another room's."""
+FALSE_ALARM_SCATTERED = 1e-4
+"""The same in a room whose RIRs scatter more, which few of them hardly tell."""
+UNLIKE = 0.05
+"""Probability with which an RIR of a room is taken for none of that room."""
 USUAL_SPREAD = 0.05
 """Of T20 in a room whose field is not diffuse: its just noticeable difference (ISO 3382-1)."""
 FEWEST_RIRS = 5
@@ -25,6 +30,11 @@ COPY_IN_ROOM = "the recording is that of another RIR of its room as well"
 _FIRST_OCTAVE = 2  # below 250 Hz, single modes determine the decay
 _HZ = np.array(EXACT_BANDS_HZ)[_FIRST_OCTAVE:]
 _OCTAVE = 2.0 ** 0.5 - 2.0 ** -0.5  # bandwidth over centre frequency
+_SD_PER_MAD = 1.4826
+_SD_PER_QUARTILE = 2.2219
+"""Of the differences of pairs."""
+_EFFICIENCY = 0.82
+"""Of that quartile, against the standard deviation (Qn of Rousseeuw & Croux, J. Am. Stat. Assoc. 88 (1993))."""
 _STATED = ("room_dims_m", "mesh", "source_pos_m", "mic_pos_m", "source_dir")
 
 
@@ -34,7 +44,8 @@ def find_other_decays(rows: Sequence[Mapping[str, Any]], log_t20: FloatArray) ->
     T20 scatters within a room by ``0.88 sqrt((1 + 1.9 / n) / (B T))`` of itself, with n = 10 for an integrated impulse
     response (ISO 3382-2:2008, annex A; Davy, J. Sound Vib. 70 (1980)), or by more where the median absolute deviation
     in the room says so, and by `USUAL_SPREAD` in addition. The sum of squares over the octaves then follows a
-    chi-squared distribution.
+    chi-squared distribution. In a room whose field is not diffuse, T20 may scatter by a common multiple of that, which
+    its other RIRs tell: an RIR must be unusual by the F distribution, too. It must be usual in another room.
 
     Parameters
     ----------
@@ -50,40 +61,77 @@ def find_other_decays(rows: Sequence[Mapping[str, Any]], log_t20: FloatArray) ->
     """
     doubts: list[Doubt | None] = [None] * len(rows)
     log_t20 = log_t20[:, _FIRST_OCTAVE:]
-    rooms = {}
+    rooms: dict[str, tuple[IntArray, _Usual]] = {}
     for room_id in sorted({row["room_id"] for row in rows}):
         members = np.flatnonzero([row["room_id"] == room_id for row in rows])
         told = members[np.isfinite(log_t20[members]).any(axis=1)]
         if len({place_key(rows[n]) for n in told}) >= FEWEST_RIRS:
-            rooms[room_id] = members, *_usual_decay(log_t20[members])
-    for room_id, (members, median, sd) in rooms.items():
+            rooms[room_id] = members, _usual_decay(log_t20[members])
+    for room_id, (members, usual) in rooms.items():
         for n in map(int, members):
-            unusual, limit = _deviation(log_t20[n], median, sd)
+            unusual, limit = _deviation(log_t20[n], usual, log_t20[members[members != n]])
             if unusual > limit:  # an object that rings, for one, changes a decay as well
-                compared = np.isfinite(log_t20[n] - median)
-                others = [other for other, (_, *usual) in rooms.items()
-                          if other != room_id and np.all(np.isfinite(usual[0][compared]))
-                          and np.less_equal(*_deviation(log_t20[n], *usual))]
+                compared = np.isfinite(log_t20[n] - usual.median)
+                others = [other for other, (_, there) in rooms.items()
+                          if other != room_id and np.all(np.isfinite(there.median[compared]))
+                          and _sum_of_squares(log_t20[n], there) <= chi2.isf(UNLIKE, compared.sum())]
                 if others:
-                    doubts[n] = Doubt(OTHER_DECAY, _describe(rows[n], log_t20[n], median, unusual, limit, others))
+                    doubts[n] = Doubt(OTHER_DECAY, _describe(rows[n], log_t20[n], usual.median, unusual, limit, others))
     return doubts
 
 
-def _usual_decay(log_t20: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return median and standard deviation of the log of T20 in a room, shape (n_bands,), of bands that are enough."""
+class _Usual(NamedTuple):
+    """What is usual in a room: median of the log of T20, its deviation and what is expected of it, shape (n_bands,)."""
+
+    median: FloatArray
+    deviation: FloatArray
+    expected: FloatArray
+
+
+def _usual_decay(log_t20: FloatArray) -> _Usual:
+    """Return what is usual in a room, of bands that are enough."""
     enough = np.isfinite(log_t20).sum(axis=0) >= FEWEST_RIRS
     median, deviation = np.full(len(enough), np.nan), np.full(len(enough), np.nan)
     median[enough] = np.nanmedian(log_t20[:, enough], axis=0)
-    deviation[enough] = 1.4826 * np.nanmedian(np.abs(log_t20[:, enough] - median[enough]), axis=0)
+    deviation[enough] = _SD_PER_MAD * np.nanmedian(np.abs(log_t20[:, enough] - median[enough]), axis=0)
     expected = 0.88 * np.sqrt((1.0 + 1.9 / 10.0) / (_OCTAVE * _HZ * np.exp(median)))
-    return median, np.hypot(np.fmax(deviation, expected), USUAL_SPREAD)
+    return _Usual(median, np.hypot(deviation, USUAL_SPREAD), np.hypot(expected, USUAL_SPREAD))
 
 
-def _deviation(log_t20: FloatArray, median: FloatArray, sd: FloatArray) -> tuple[float, float]:
-    """Return the sum of squared deviations in standard deviations, and what it exceeds with `FALSE_ALARM`."""
-    deviations = (log_t20 - median) / sd
-    known = np.isfinite(deviations)
-    return float(np.sum(deviations[known] ** 2)), float(chi2.isf(FALSE_ALARM, known.sum())) if known.any() else 0.0
+def _deviation(log_t20: FloatArray, usual: _Usual, others: FloatArray) -> tuple[float, float]:
+    """Return the sum of squared deviations in standard deviations, and what it exceeds with `FALSE_ALARM`.
+
+    Parameters
+    ----------
+    others : ndarray, shape (n_rirs, n_bands)
+        Of the other RIRs of the room. If they scatter by another factor than expected, that and `FALSE_ALARM_SCATTERED`
+        count where they allow for more.
+    """
+    known = np.isfinite(log_t20 - usual.median)
+    n_known = int(known.sum())
+    if not n_known:
+        return 0.0, 0.0
+    unusual, limit = _sum_of_squares(log_t20, usual), float(chi2.isf(FALSE_ALARM, n_known))
+    if unusual > limit:
+        factor, df = _scatter(others[:, known] / usual.expected[known])
+        scattered = _sum_of_squares(log_t20, usual, factor)
+        of_scattered = n_known * float(f_distribution.isf(FALSE_ALARM_SCATTERED, n_known, df))
+        if scattered * limit < unusual * of_scattered:
+            return scattered, of_scattered
+    return unusual, limit
+
+
+def _sum_of_squares(log_t20: FloatArray, usual: _Usual, factor: float = 1.0) -> float:
+    """Return the sum of squared deviations, in standard deviations of so many times what is expected or more."""
+    return float(np.nansum(((log_t20 - usual.median) / np.fmax(usual.deviation, factor * usual.expected)) ** 2))
+
+
+def _scatter(values: FloatArray) -> tuple[float, float]:
+    """Return the standard deviation within columns, from the differences of pairs, and its degrees of freedom."""
+    first, second = np.triu_indices(len(values), 1)
+    differences = np.abs(values[first] - values[second])
+    df = _EFFICIENCY * float((np.isfinite(values).sum(axis=0) - 1).clip(0).sum())
+    return _SD_PER_QUARTILE * float(np.nanquantile(differences, 0.25)), df
 
 
 def _describe(row: Mapping[str, Any], log_t20: FloatArray, median: FloatArray, unusual: float, limit: float,

@@ -90,9 +90,9 @@ def test_recordings_without_reflections_tell_no_unit(rooms):
     assert find_other_unit(rows, [measure_arrivals(rir) for rir in noise]) is None
 
 
-def decays(rng, time_s, n_rirs):
-    """Return log T20 per octave of RIRs of a diffuse room, with the scatter of ISO 3382-2."""
-    sd = 0.88 * np.sqrt(1.19 / (0.7071 * np.array(EXACT_BANDS_HZ) * time_s))
+def decays(rng, time_s, n_rirs, factor=1.0):
+    """Return log T20 per octave of RIRs of a room, with the scatter of ISO 3382-2 in diffuse ones, or a multiple."""
+    sd = factor * 0.88 * np.sqrt(1.19 / (0.7071 * np.array(EXACT_BANDS_HZ) * time_s))
     return np.log(time_s) + sd * rng.standard_normal((n_rirs, 8))
 
 
@@ -102,6 +102,30 @@ def test_decays_of_diffuse_rooms_raise_no_alarm(n_rirs):
     rows = [row(f"r{n}", f"room{n // n_rirs}") for n in range(100 * n_rirs)]
     log_t20 = np.concatenate([decays(rng, rng.uniform(0.2, 2.0), n_rirs) for _ in range(100)])
     assert find_other_decays(rows, log_t20) == [None] * len(rows)
+
+
+@pytest.mark.parametrize(("n_rirs", "factor"), [(5, 1.5), (5, 3.0), (8, 2.0), (8, 3.0), (30, 2.0)])
+def test_decays_that_scatter_more_than_in_a_diffuse_room_raise_no_alarm(n_rirs, factor):
+    """By chance, 1e-4 of them may; few RIRs do not tell how much more theirs scatter."""
+    rng, alarms = np.random.default_rng(n_rirs), 0
+    rows = [row(f"r{n}", f"room{n // n_rirs}") for n in range(8 * n_rirs)]
+    for _ in range(800 // n_rirs):
+        log_t20 = np.concatenate([decays(rng, rng.uniform(0.2, 2.0), n_rirs, factor) for _ in range(8)])
+        alarms += sum(doubt is not None for doubt in find_other_decays(rows, log_t20))
+    assert alarms <= 2  # of 6,400
+
+
+@pytest.mark.parametrize("n_rirs", [6, 8])
+def test_swapped_recordings_are_found_in_rooms_that_scatter(n_rirs):
+    rng, found = np.random.default_rng(n_rirs), 0
+    rows = [row(f"r{n}", f"room{n // n_rirs}") for n in range(2 * n_rirs)]
+    for _ in range(50):
+        log_t20 = np.concatenate([decays(rng, time_s, n_rirs, 1.2) for time_s in (0.5, 0.8)])
+        log_t20[[1, n_rirs + 2]] = log_t20[[n_rirs + 2, 1]]
+        doubts = find_other_decays(rows, log_t20)
+        found += (doubts[1] is not None) + (doubts[n_rirs + 2] is not None)
+        assert sum(doubt is not None for doubt in doubts) <= 2
+    assert found >= 85
 
 
 def test_swapped_recordings_are_found_and_the_room_they_fit_is_named():
