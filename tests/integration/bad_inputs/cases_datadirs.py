@@ -107,8 +107,8 @@ CASES = [
          "recording's 3 s: correct the segments file, or copy the audio again if it is truncated",
          (line("segmented/segments", 2, "s-2 r 1.0 9.5"),)),
     Case("segment of no samples", SEGMENTED,
-         "segmented: utterance s-2: segmented/r.flac: samples 16000 to 16000 must lie within its 48000: correct the "
-         "segment", (line("segmented/segments", 2, "s-2 r 1.0 1.00001"),)),
+         "segmented: utterance s-2: segmented/r.flac: segment from 1 s to 1.00001 s holds no sample at 16000 Hz: "
+         "remove the utterance", (line("segmented/segments", 2, "s-2 r 1.0 1.00001"),)),
     Case("segment backwards", SEGMENTED,
          "segmented/segments:2: segment from 2.0 to 1.0 must be 0 <= START < END in seconds (or END -1): "
          "correct the line", (line("segmented/segments", 2, "s-2 r 2.0 1.0"),)),
