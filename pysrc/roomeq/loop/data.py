@@ -283,9 +283,8 @@ def _share_facings(recordings: list[_Recording]) -> list[_Recording]:
         if not 0 < len(facings) < len(members):
             continue
         axes = np.array([*facings.values()])
-        ways_m = np.array([np.subtract(recordings[n].place.mic_pos_m, recordings[n].place.source_pos_m)
-                           for n in facings])
-        if max(_angles_deg(axes, axes[0])) <= _ONE_FACING_DEG < max(_angles_deg(axes, ways_m)):
+        towards = np.array([towards_microphone(recordings[n].place) for n in facings])
+        if max(_angles_deg(axes, axes[0])) <= _ONE_FACING_DEG < max(_angles_deg(axes, towards)):
             for n in members:
                 if n not in facings:
                     shared[n] = recordings[n]._replace(row={**recordings[n].row, "source_dir": axes[0].tolist()})
@@ -295,10 +294,15 @@ def _share_facings(recordings: list[_Recording]) -> list[_Recording]:
     return shared
 
 
-def _angles_deg(axes: FloatArray, ways: FloatArray) -> FloatArray:
-    """Return the angles between unit vectors, shape (n, 3), and other vectors, shape (n, 3) or (3,) [degrees]."""
-    cosines = np.sum(axes * ways, axis=1) / np.linalg.norm(ways, axis=-1)
-    return np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
+def towards_microphone(place: Place) -> FloatArray:
+    """Return the unit vector from a source to its microphone, shape (3,)."""
+    towards = np.subtract(place.mic_pos_m, place.source_pos_m)
+    return np.asarray(towards / np.linalg.norm(towards))
+
+
+def _angles_deg(axes: FloatArray, others: FloatArray) -> FloatArray:
+    """Return the angles between unit vectors, shape (n, 3), and others, shape (n, 3) or (3,) [degrees]."""
+    return np.degrees(np.arccos(np.clip(np.sum(axes * others, axis=1), -1.0, 1.0)))
 
 
 def air_of(row: RirRow) -> Air:

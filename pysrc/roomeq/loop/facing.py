@@ -16,7 +16,7 @@ from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.jit import on_threads
 from roomeq.core.rng import rng_for
 from roomeq.effects.source_directivity import SourceDirectivity, unit_facing
-from roomeq.loop.data import LENGTHS_S, Data
+from roomeq.loop.data import LENGTHS_S, Data, towards_microphone
 from roomeq.loop.facing_estimate import FacingEstimate, Hypothesis
 from roomeq.loop.features import BAND_OF_FEATURE, CALIBRATION_FEATURES, METRIC
 from roomeq.loop.packing import ParameterIndex
@@ -25,7 +25,6 @@ from roomeq.loop.predict import predict
 from roomeq.loop.session import Session
 from roomeq.loop.tables import ANGLES, collect
 from roomeq.records.schema import unit_name
-from roomeq.sim.geometry import Place
 
 _AXES = np.array([(np.cos(azimuth), np.sin(azimuth), 0.0) for azimuth in np.radians(np.arange(0.0, 360.0, 5.0))])
 """Horizontal directions that are compared."""
@@ -111,12 +110,6 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
                                         mean_angle_deg(data, of_source)))
         facings.update(of_source)
     return replace(with_facings(data, facings, threads=threads), facings=tuple(estimates), axis=axis)
-
-
-def towards_microphone(place: Place) -> FloatArray:
-    """Return the unit vector from a source to its microphone, shape (3,)."""
-    towards = np.subtract(place.mic_pos_m, place.source_pos_m)
-    return np.asarray(towards / np.linalg.norm(towards))
 
 
 def mean_angle_deg(data: Data, facings: Mapping[int, FloatArray]) -> float:

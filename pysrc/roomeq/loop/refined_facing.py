@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.effects.base import Effect
 from roomeq.effects.prediction import PredictedRirs, PredictionState
-from roomeq.loop.data import Data
-from roomeq.loop.facing import mean_angle_deg, towards_microphone, with_facings
+from roomeq.loop.data import Data, towards_microphone
+from roomeq.loop.facing import mean_angle_deg, with_facings
 from roomeq.loop.features import CALIBRATION_FEATURES, METRIC
 from roomeq.loop.fit import fit
 from roomeq.loop.packing import ParameterIndex
