@@ -12,7 +12,7 @@ from typing import Any
 
 from roomeq.core.arrays import FloatArray
 from roomeq.core.build import Build
-from roomeq.corpora.copies import first_copy, sketch_noises, sketch_rirs
+from roomeq.corpora.copies import RirSketches, find_rir_copies, first_copy, sketch_noises, sketch_rirs
 from roomeq.records.geometry import is_known, position_key
 from roomeq.records.rir_dir import read_noises, read_rirs, relocated, write_noises, write_rirs
 from roomeq.records.schema import NoiseRow, RirRow
@@ -34,9 +34,9 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
                test_rirs: Path | None = None) -> dict[str, int]:
     """Split an RIR directory into ``<out_prefix>.train``, ``.dev`` and ``.test``.
 
-    Repeats of one source and microphone position stay together, also where heights are unknown. RIRs beyond the sum of
-    `sizes` are left over; if there are fewer, the proportion is kept. Noises are split in the same proportion; copies
-    of a noise stay together.
+    Repeats of one source and microphone position stay together, also where heights are unknown, and so do copies of one
+    recording, or the rooms that have them. RIRs beyond the sum of `sizes` are left over; if there are fewer, the
+    proportion is kept. Noises are split in the same proportion; copies of a noise stay together.
 
     Parameters
     ----------
@@ -78,16 +78,20 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
     rows = read_rirs(rir_dir)
     own_rows = {split: read_rirs(other) for split, other in others.items()}
     own_noises = {split: read_noises(other) for split, other in others.items()}
-    _require_apart([("train", rir_dir, rows), *((split, other, own_rows[split]) for split, other in others.items())])
+    rir_sketches = sketch_rirs(rir_dir, rows)
+    _require_apart([("train", rir_dir, rows, rir_sketches), *(
+        (split, other, own_rows[split], sketch_rirs(other, own_rows[split])) for split, other in others.items())])
+    copies = [(rows[n]["id"], rows[m]["id"]) for n, m in find_rir_copies(rir_sketches)]
+    _log_copies(rir_dir, copies)
     given_noises = read_noises(rir_dir)
     sketches = sketch_noises(rir_dir, given_noises)
     for split, other in others.items():
         _require_other_ids(rir_dir, given_noises, other, own_noises[split])
-    _require_no_copies("noise", [("train", rir_dir, given_noises, sketches), *(
+    _require_no_copies([("train", rir_dir, given_noises, sketches), *(
         (split, other, own_noises[split], sketch_noises(other, own_noises[split])) for split, other in others.items())])
     of_rirs = {split: size for split, size in size_of.items() if split not in others}
-    group_of = _room_groups(rir_dir, rows, split_by, same_rooms)
-    split_of = _by_room(rows, group_of, of_rirs, seed) if split_by == "room" else _by_rir(rows, of_rirs, seed)
+    group_of = _room_groups(rir_dir, rows, split_by, same_rooms, copies)
+    split_of = _by_room(rows, group_of, of_rirs, seed) if split_by == "room" else _by_rir(rows, of_rirs, seed, copies)
     counts = Counter(split_of.values())
     for split in of_rirs:
         if not counts[split]:
@@ -96,7 +100,7 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
                         *["split by 'rir'"] * (split_by == "room")]
             raise ValueError(f"{rir_dir}: {len(rows)} RIRs of {len(set(group_of.values()))} rooms leave {split} empty "
                              f"when split by {split_by}: {', or '.join(remedies)}")
-    homes = _homes(given_noises, rows, group_of, split_of, same_rooms)
+    homes = _homes(given_noises, rows, split_of, same_rooms)
     noises = _split_noises(_copies(rir_dir, given_noises, sketches), homes, size_of, seed, split_by, own_noises)
     # every output is checked before one of them is written
     builds = {split: Build(
@@ -119,16 +123,14 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
     return {split: counts[split] for split in SPLITS}
 
 
-def _require_apart(given: Sequence[tuple[str, Path, Sequence[RirRow]]]) -> None:
+def _require_apart(given: Sequence[tuple[str, Path, Sequence[RirRow], RirSketches]]) -> None:
     """Refuse directories that share recordings, also as copies, or ids; warn of rooms of the same name.
 
-    Each directory has the role of its RIRs and its rows.
+    Each directory has the role of its RIRs, its rows and their sketches.
     """
-    if len(given) < 2:
-        return
-    _require_no_copies("RIR", [(role, directory, rows, sketch_rirs(directory, rows))
-                               for role, directory, rows in given])
-    for (_, directory, rows), (_, other, other_rows) in combinations(given, 2):
+    for (role, directory, rows, sketches), (other_role, other, other_rows, other_sketches) in combinations(given, 2):
+        for m, n in find_rir_copies(other_sketches, sketches):
+            raise _shared("RIR", directory, rows[n], role, other, other_rows[m], other_role)
         if ids := {row["id"] for row in rows} & {row["id"] for row in other_rows}:
             raise ValueError(f"{other}: RIR {min(ids)} has the id of an RIR of {directory}: word error rates are "
                              "sorted by room by these ids, rename one")
@@ -137,14 +139,30 @@ def _require_apart(given: Sequence[tuple[str, Path, Sequence[RirRow]]]) -> None:
                            "one if they are not", directory, other, ", ".join(sorted(names)))
 
 
-def _require_no_copies(kind: str,
-                       given: Sequence[tuple[str, Path, Sequence[RirRow] | Sequence[NoiseRow], FloatArray]]) -> None:
-    """Refuse RIRs or noises of which another directory has a copy, given the role, rows and sketches of each."""
+def _log_copies(rir_dir: Path, pairs: Sequence[tuple[str, str]]) -> None:
+    """Say which RIRs of a directory are copies of one recording, given the ids of pairs."""
+    joined = _Groups()
+    for first, second in pairs:
+        joined.join(first, second)
+    of_recording: dict[str, list[str]] = defaultdict(list)
+    for rir_id in sorted({rir_id for pair in pairs for rir_id in pair}):
+        of_recording[joined.root(rir_id)].append(rir_id)
+    for rir_ids in of_recording.values():
+        logger.info("%s: RIRs %s are one recording and stay together", rir_dir, ", ".join(rir_ids))
+
+
+def _require_no_copies(given: Sequence[tuple[str, Path, Sequence[NoiseRow], FloatArray]]) -> None:
+    """Refuse noises of which another directory has a copy, given the role, rows and sketches of each."""
     for (role, directory, rows, sketches), (other_role, other, other_rows, other_sketches) in combinations(given, 2):
         for row, sketch in zip(other_rows, other_sketches, strict=True):
             if (n := first_copy(sketch, sketches)) is not None:
-                raise ValueError(f"{other}: {kind} {row['id']} is the recording of {kind} {rows[n]['id']} of "
-                                 f"{directory}: give recordings for {other_role} that {role} does not have")
+                raise _shared("noise", directory, rows[n], role, other, row, other_role)
+
+
+def _shared(kind: str, directory: Path, row: RirRow | NoiseRow, role: str, other: Path, other_row: RirRow | NoiseRow,
+            other_role: str) -> ValueError:
+    return ValueError(f"{other}: {kind} {other_row['id']} is the recording of {kind} {row['id']} of {directory}: give "
+                      f"recordings for {other_role} that {role} does not have")
 
 
 def _require_other_ids(rir_dir: Path, noises: Sequence[NoiseRow], other: Path, own: Sequence[NoiseRow]) -> None:
@@ -153,8 +171,12 @@ def _require_other_ids(rir_dir: Path, noises: Sequence[NoiseRow], other: Path, o
                          "rename one")
 
 
-def _room_groups(rir_dir: Path, rows: Sequence[RirRow], split_by: str, same_rooms: Sequence[str]) -> dict[str, str]:
-    """Return the group of each room: the pattern that it shares with other rooms, or its own id."""
+def _room_groups(rir_dir: Path, rows: Sequence[RirRow], split_by: str, same_rooms: Sequence[str],
+                 copies: Sequence[tuple[str, str]]) -> dict[str, str]:
+    """Return the group of each room: the pattern that it shares with other rooms, or its own id.
+
+    Groups that have copies of one recording, given as pairs of ids of RIRs, are one.
+    """
     if same_rooms and split_by != "room":
         raise ValueError(f"same_rooms={','.join(same_rooms)} keeps rooms together that split_by={split_by!r} "
                          "splits: split by 'room'")
@@ -164,7 +186,11 @@ def _room_groups(rir_dir: Path, rows: Sequence[RirRow], split_by: str, same_room
         if pattern not in group_of.values():
             raise ValueError(f"{rir_dir}: same_rooms: {pattern!r} matches no room that is not matched before: they are "
                              f"{', '.join(rooms)}")
-    return group_of
+    room_of = {row["id"]: row["room_id"] for row in rows}
+    joined = _Groups()
+    for first, second in copies:
+        joined.join(group_of[room_of[first]], group_of[room_of[second]])
+    return {room: joined.root(group) for room, group in group_of.items()}
 
 
 def _group(room: str, same_rooms: Sequence[str]) -> str:
@@ -206,30 +232,44 @@ def _measurement_keys(row: RirRow) -> list[str]:
     return keys
 
 
-def _measurements(rows: Sequence[RirRow]) -> list[list[str]]:
-    """Return the ids of each measurement: of rows that share a key, directly or through other rows."""
-    parent: dict[str, str] = {}
+class _Groups:
+    """Groups of names that share something, directly or through other names."""
 
-    def root(key: str) -> str:
-        while parent.setdefault(key, key) != key:
-            key = parent[key]
-        return key
+    def __init__(self) -> None:
+        self._parent: dict[str, str] = {}
 
+    def root(self, name: str) -> str:
+        """Return the name that stands for a name's group."""
+        while self._parent.setdefault(name, name) != name:
+            name = self._parent[name]
+        return name
+
+    def join(self, first: str, second: str) -> None:
+        """Make the groups of two names one, for which the name of the first stands."""
+        self._parent[self.root(second)] = self.root(first)
+
+
+def _measurements(rows: Sequence[RirRow], copies: Sequence[tuple[str, str]]) -> list[list[str]]:
+    """Return the ids of each measurement: of rows that share a key or a recording, directly or through other rows."""
+    joined = _Groups()
     keys_of = {row["id"]: _measurement_keys(row) for row in rows}
     for first, *others in keys_of.values():
         for other in others:
-            parent[root(other)] = root(first)
+            joined.join(first, other)
+    for one, other in copies:
+        joined.join(keys_of[one][0], keys_of[other][0])
     groups: dict[str, list[str]] = defaultdict(list)
     for rir_id, keys in keys_of.items():
-        groups[root(keys[0])].append(rir_id)
+        groups[joined.root(keys[0])].append(rir_id)
     return list(groups.values())
 
 
-def _by_rir(rows: Sequence[RirRow], size_of: Mapping[str, int], seed: int) -> dict[str, str]:
+def _by_rir(rows: Sequence[RirRow], size_of: Mapping[str, int], seed: int,
+            copies: Sequence[tuple[str, str]]) -> dict[str, str]:
     """Return the split of each id; the RIRs of one measurement go to the first split with space for all of them."""
     free = dict(zip(size_of, _shares(list(size_of.values()), len(rows)), strict=True))
     split_of: dict[str, str] = {}
-    for ids in sorted(_measurements(rows), key=lambda ids: _random_rank(seed, ids[0])):
+    for ids in sorted(_measurements(rows, copies), key=lambda ids: _random_rank(seed, ids[0])):
         split = next((name for name in size_of if free[name] >= len(ids)), None)
         if split is None and len(rows) <= sum(size_of.values()):
             split = max(size_of, key=lambda name: free[name])
@@ -265,13 +305,13 @@ def _by_room(rows: Sequence[RirRow], group_of: Mapping[str, str], size_of: Mappi
     return best
 
 
-def _homes(noises: Sequence[NoiseRow], rows: Sequence[RirRow], group_of: Mapping[str, str],
-           split_of: Mapping[str, str], same_rooms: Sequence[str]) -> dict[str, set[str]]:
+def _homes(noises: Sequence[NoiseRow], rows: Sequence[RirRow], split_of: Mapping[str, str],
+           same_rooms: Sequence[str]) -> dict[str, set[str]]:
     """Return the splits of the RIRs of each noise's room; a room without RIRs may be in a group that has some."""
     splits_of: dict[str, set[str]] = defaultdict(set)
     for row in rows:
         if row["id"] in split_of:
-            splits_of[group_of[row["room_id"]]].add(split_of[row["id"]])
+            splits_of[_group(row["room_id"], same_rooms)].add(split_of[row["id"]])
     return {noise["id"]: splits_of.get(_group(room, same_rooms), set())
             for noise in noises if (room := noise.get("room_id"))}
 

@@ -7,10 +7,10 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
+from roomeq.acoustics.same_recordings import SAME, find_same
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.loop.doubtful_geometry import Doubt
-from roomeq.loop.same_recordings import SAME, find_same
 from roomeq.records.geometry import place_key
 
 FALSE_ALARM = 1e-6
@@ -153,7 +153,7 @@ def find_copies(rows: Sequence[Mapping[str, Any]], parts: FloatArray) -> list[Do
     ----------
     rows : sequence of mapping
     parts : ndarray, shape (n_rirs, n_samples)
-        See `roomeq.loop.same_recordings.cut_parts`.
+        See `roomeq.acoustics.same_recordings.cut_parts`.
     """
     doubts: list[Doubt | None] = [None] * len(rows)
     for first, second, correlation in find_same(parts):

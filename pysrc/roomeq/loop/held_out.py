@@ -6,11 +6,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from roomeq.acoustics.direct import find_direct
+from roomeq.acoustics.same_recordings import cut_parts, find_same
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import FS_HZ
 from roomeq.core.workers import share_out
 from roomeq.corpora.repeats import find_further_takes
-from roomeq.loop.same_recordings import cut_parts, find_same
 from roomeq.loop.usable import Located, UsableRirs, leave_out
 from roomeq.records.rir_dir import load_rir, rir_path
 
@@ -25,8 +25,8 @@ def held_out_rirs(test: UsableRirs, rirs: Sequence[Located], nj: int = 1) -> Usa
     """Return the RIRs of a test set that are held out, and refuse a test set that shares recordings with the loop.
 
     Shared is an RIR of the same id and room, or the same audio between 2.5 and 200 ms after its direct sound, whatever
-    its level, polarity, format or time of flight (`roomeq.loop.same_recordings`). Further takes of an RIR that the loop
-    is closed on have its room, devices, positions and reflections: they are left out and counted.
+    its level, polarity, format or time of flight (`roomeq.acoustics.same_recordings`). Further takes of an RIR that the
+    loop is closed on have its room, devices, positions and reflections: they are left out and counted.
 
     Parameters
     ----------

@@ -12,6 +12,7 @@ import numpy as np
 
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.iso3382 import all_metrics
+from roomeq.acoustics.same_recordings import cut_parts
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import FS_HZ
 from roomeq.core.workers import share_out
@@ -19,7 +20,6 @@ from roomeq.loop.arrivals import Arrivals, measure_arrivals
 from roomeq.loop.doubtful_geometry import Doubt, find_other_unit, find_wrong_distance
 from roomeq.loop.doubtful_recordings import find_copies, find_other_decays
 from roomeq.loop.misnamed_devices import find_misnamed_devices, reverberation_levels
-from roomeq.loop.same_recordings import cut_parts
 from roomeq.records.rir_dir import load_rir, rir_path
 from roomeq.records.schema import RirRow
 

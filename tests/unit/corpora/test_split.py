@@ -13,10 +13,17 @@ from roomeq.records.rir_dir import read_noises, read_rirs, validate_rirs
 RIR = np.eye(1, 600, 10).ravel() + 1e-3
 
 
+def recordings(name):
+    """Yield RIRs, each of which is a recording of its own."""
+    rng = np.random.default_rng(list(name.encode()))
+    while True:
+        yield RIR + 0.01 * rng.normal(size=len(RIR))
+
+
 def make(directory, rooms, noises=()):
     """Write an RIR directory of {room: number of RIRs}, whose recordings are in no directory of another name."""
-    rng = np.random.default_rng(list(directory.name.encode()))
-    return write_rir_dir(directory, [(row(f"{room}-{n}", room), RIR + 0.01 * rng.normal(size=len(RIR)))
+    rirs = recordings(directory.name)
+    return write_rir_dir(directory, [(row(f"{room}-{n}", room), next(rirs))
                                      for room, count in rooms.items() for n in range(count)], noises)
 
 
@@ -49,13 +56,12 @@ def test_splits_are_disjoint_and_complete(tmp_path):
 
 @pytest.mark.parametrize("ending", ["_ch{}", "_ch{}_e0", "_ch0_e{}"])
 def test_channels_of_a_measurement_stay_together_wherever_they_are(tmp_path, ending):
-    rng = np.random.default_rng(0)
-    rows = []
+    rirs, rows = recordings("channels"), []
     for measurement in range(6):
         for n in range(4):
             rir_id = f"lab-{measurement}" + ending.format(n)
             rows.append((row(rir_id, "lab", mic_id=f"array-ch{n}", source_pos_m=[1.0 + measurement, 1.0, 1.0],
-                             mic_pos_m=[2.0, 3.0 + 0.05 * n, 1.0]), RIR + 0.01 * rng.normal(size=len(RIR))))
+                             mic_pos_m=[2.0, 3.0 + 0.05 * n, 1.0]), next(rirs)))
     ids, _ = split(tmp_path, write_rir_dir(tmp_path / "in", rows), sizes=(12, 4, 8))
     part_of = {rir_id: part for part in SPLITS for rir_id in ids[part]}
     assert len({(rir_id.split("_")[0], part) for rir_id, part in part_of.items()}) == 6
@@ -97,7 +103,8 @@ def test_noises_go_with_the_rooms_of_their_pattern(tmp_path, seed):
 
 @pytest.mark.parametrize("height_m", [1.0, None])
 def test_takes_of_one_position_stay_together(tmp_path, height_m):
-    items = [(row(f"p{n}-{take}", source_pos_m=[1.0, 0.1 * n, 1.5], mic_pos_m=[2.0, 2.0, height_m]), RIR)
+    rirs = recordings("takes")
+    items = [(row(f"p{n}-{take}", source_pos_m=[1.0, 0.1 * n, 1.5], mic_pos_m=[2.0, 2.0, height_m]), next(rirs))
              for n in range(12) for take in range(2)]
     ids, _ = split(tmp_path, write_rir_dir(tmp_path / "in", items))
     assert sum(sizes_of(ids)) == 24
@@ -107,8 +114,9 @@ def test_takes_of_one_position_stay_together(tmp_path, height_m):
 
 @pytest.mark.parametrize("position_m", [None, [2.0, 2.0, None]])
 def test_channels_of_one_measurement_stay_together(tmp_path, position_m):
+    rirs = recordings("channels")
     items = [(row(f"p{n}_ch{take}", mic_id=f"m{take}", source_pos_m=position_m and [1.0, 0.1 * n, 1.5],
-                  mic_pos_m=position_m), RIR) for n in range(12) for take in range(2)]
+                  mic_pos_m=position_m), next(rirs)) for n in range(12) for take in range(2)]
     ids, _ = split(tmp_path, write_rir_dir(tmp_path / "in", items))
     assert sum(sizes_of(ids)) == 24
     for part in SPLITS:

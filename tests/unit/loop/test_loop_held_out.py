@@ -7,8 +7,8 @@ import pytest
 from rirmaker import coloured_rir, row, write_rir_dir
 from scipy.signal import butter, resample_poly, sosfilt
 
+from roomeq.acoustics.same_recordings import SAME, cut_parts, find_same
 from roomeq.loop.held_out import FURTHER_TAKE, held_out_rirs
-from roomeq.loop.same_recordings import SAME, cut_parts, find_same
 from roomeq.loop.step import close_loop
 from roomeq.loop.usable import LeftOut, usable_rirs
 

@@ -7,6 +7,7 @@ import pytest
 from echoes import echo_room
 from rirmaker import coloured_rir, row, write_rir_dir
 
+from roomeq.acoustics.same_recordings import cut_parts
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.loop.arrivals import measure_arrivals
 from roomeq.loop.doubtful_geometry import OTHER_UNIT, TOO_EARLY, TOO_LATE, find_other_unit, find_wrong_distance
@@ -19,7 +20,6 @@ from roomeq.loop.misnamed_devices import (
     find_misnamed_devices,
     reverberation_levels,
 )
-from roomeq.loop.same_recordings import cut_parts
 from roomeq.loop.usable import LeftOut, usable_rirs
 from roomeq.records.geometry import OUTSIDE
 

@@ -38,6 +38,7 @@ _N_CUT = int(_EDGES[-1]) + 2 * _MARGIN
 _N_FFT = 4096
 _COARSE_HZ, _COARSE_STEP, _COARSE_SAME = 1500.0, 2, 0.8
 """Upper limit of the frequencies, step of the lags [samples] and correlation by which pairs are chosen."""
+_BLOCK = 1000  # recordings whose correlations with all others are in memory at a time
 _FINE_LAGS = np.arange(-_COARSE_STEP, _COARSE_STEP + 0.1, 0.25)  # [samples]
 
 
@@ -75,13 +76,14 @@ def find_same(one: FloatArray, other: FloatArray | None = None) -> Iterator[Same
         If not given, recordings of `one` are compared with later ones of it.
     """
     others = one if other is None else other
-    if not len(one) or not len(others):
-        return
-    best, lag = _coarse_correlation(one, others)
-    likely = best > _COARSE_SAME
-    for n, m in np.argwhere(likely if other is not None else np.triu(likely, 1)).tolist():
-        if (correlation := _least_correlation(one[n], others[m], int(lag[n, m]))) > SAME:
-            yield SamePair(n, m, correlation)
+    for begin in range(0, len(one), _BLOCK):
+        block = one[begin:begin + _BLOCK]
+        best, lag = _coarse_correlation(block, others)
+        for n, m in np.argwhere(best > _COARSE_SAME).tolist():
+            if other is None and m <= begin + n:
+                continue
+            if (correlation := _least_correlation(block[n], others[m], int(lag[n, m]))) > SAME:
+                yield SamePair(begin + n, m, correlation)
 
 
 def _in_band(spectrum: Array, high_hz: float) -> Array:
