@@ -241,12 +241,13 @@ def vector_of(sofa: Any, name: str, n: int, m: int) -> FloatArray | None:
     relative = name.startswith(("Emitter", "Receiver"))
     row: FloatArray = array[min(n if relative else m, len(array) - 1)]
     vector: FloatArray = row if row.ndim == 1 else row[:, min(m, row.shape[1] - 1)]
-    kind = str(getattr(sofa, f"{name.replace('Up', 'View')}_Type", "cartesian"))
-    if not (np.abs(vector) <= LARGEST).all() or "harmonics" in kind:
+    kind, units = (str(getattr(sofa, f"{name.replace('Up', 'View')}_{key}", "")).lower() for key in ("Type", "Units"))
+    if not (np.abs(vector) <= LARGEST).all() or kind not in ("", "cartesian", "spherical"):
         return None
-    if kind.startswith("cart"):
+    if kind != "spherical":
         return vector
-    azimuth, elevation = np.deg2rad(vector[:2])
+    # degrees by AES69; some files state radians
+    azimuth, elevation = vector[:2] if units.startswith("rad") else np.deg2rad(vector[:2])
     cartesian: FloatArray = vector[2] * np.array([np.cos(elevation) * np.cos(azimuth),
                                                   np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     return cartesian

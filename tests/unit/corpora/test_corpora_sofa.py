@@ -50,9 +50,12 @@ def test_receivers_turn_with_the_listener(tmp_path):
     assert signals(path)[0][0]["mic_pos_m"] == [2.9, 2.0, 1.5]
 
 
-def test_spherical_source_positions(tmp_path):
-    path = put_sofa(tmp_path / "a.sofa", SourcePosition=[[90, 30, 2]], SourcePosition_Type="spherical",
-                    SourcePosition_Units="degree, degree, metre")
+@pytest.mark.parametrize("unit, right_angle", [("degree", 90.0), ("radian", 0.5 * np.pi)])
+def test_spherical_source_positions(tmp_path, unit, right_angle):
+    path = put_sofa(tmp_path / "a.sofa", SourcePosition=[[right_angle, right_angle / 3, 2]],
+                    SourcePosition_Type="spherical", SourcePosition_Units="degree, degree, metre")
+    with Dataset(path, "a") as file:
+        file["SourcePosition"].Units = f"{unit}, {unit}, metre"
     assert signals(path)[0][0]["source_pos_m"] == pytest.approx([0, np.sqrt(3), 1], abs=1e-4)
 
 
