@@ -24,6 +24,7 @@ from roomeq.sim.paths import (
     scatter,
     segment_counts,
 )
+from roomeq.sim.ray_limits import ray_limits
 from roomeq.sim.room import Room
 from roomeq.sim.trace import Paths
 
@@ -87,37 +88,40 @@ def compute_echograms(paths: Paths, room: Room, absorption: FloatArray, mics_m: 
     for first, band in product(range(0, len(mics_m), MICS_PER_PASS), range(0, n_bands, BANDS_PER_PASS)):
         batch, bands = slice(first, first + MICS_PER_PASS), slice(band, min(band + BANDS_PER_PASS, n_bands))
         parts = np.zeros((N_CHUNKS, len(mics_m[batch]), n_frames, BANDS_PER_PASS), dtype=np.float32)
+        reflected, frames_per_m = eight_bands(reflection, band), np.float32(1.0 / (speed_m_s * FRAME_S))
+        gain = _NO_GAIN if ray_gain is None else eight_bands(ray_gain, band)
         constant = (Rules(ism_order, np.float32(paths.late_m)), paths.hits, paths.codes, paths.first,
-                    paths.counts, single(paths.normals), eight_bands(reflection, band), scattering,
+                    paths.counts, single(paths.normals), reflected, scattering,
                     single(mics_m[batch].T, order="C"), visible[batch], single(spheres.radius_m[batch] ** 2),
-                    single(1.0 / spheres.volume_m3[batch]), np.float32(1.0 / (speed_m_s * FRAME_S)),
-                    _NO_GAIN if ray_gain is None else eight_bands(ray_gain, band))
+                    single(1.0 / spheres.volume_m3[batch]), frames_per_m, gain,
+                    ray_limits(paths, reflected, gain, n_frames=n_frames, frames_per_m=float(frames_per_m)))
         for_chunks(n_rays, lambda chunk, low, high: _accumulate(*constant, low, high, parts[chunk]))  # noqa: B023
         result[batch, :, bands] = parts[..., :bands.stop - band].sum(axis=0, dtype=np.float64)
     return result / (4.0 * np.pi * n_rays)
 
 
 @compiled
-def _add(row: Array, weight: Number, g0: Number, g1: Number, g2: Number, g3: Number, g4: Number, g5: Number, g6: Number,
-         g7: Number) -> None:
-    row[0] += weight * g0
-    row[1] += weight * g1
-    row[2] += weight * g2
-    row[3] += weight * g3
-    row[4] += weight * g4
-    row[5] += weight * g5
-    row[6] += weight * g6
-    row[7] += weight * g7
+def _add(row: Array, limit: Array, weight: Number, g0: Number, g1: Number, g2: Number, g3: Number, g4: Number,
+         g5: Number, g6: Number, g7: Number) -> None:
+    row[0] += weight * min(g0, limit[0])
+    row[1] += weight * min(g1, limit[1])
+    row[2] += weight * min(g2, limit[2])
+    row[3] += weight * min(g3, limit[3])
+    row[4] += weight * min(g4, limit[4])
+    row[5] += weight * min(g5, limit[5])
+    row[6] += weight * min(g6, limit[6])
+    row[7] += weight * min(g7, limit[7])
 
 
 @compiled
 def _accumulate(rules: Rules, hits: Array, codes: Array, first: Array, counts: Array, normals: Array, reflection: Array,
                 scattering: Array, mics: Array, visible: Array, radius2: Array, per_volume: Array, frames_per_m: Number,
-                ray_gain: Array, low: Number, high: Number, echo: Array) -> None:
+                ray_gain: Array, limits: Array, low: Number, high: Number, echo: Array) -> None:
     """Add what rays `low` to `high` contribute to `echo`, shape (n_mics, n_frames, 8), in single precision.
 
     The contribution of a reflection to every microphone comes first, in loops that are vectorised over microphones,
-    then its accumulation. The eight bands are eight variables, so that they are added at once.
+    then its accumulation. The eight bands are eight variables, so that they are added at once. `limits`, shape
+    (n_frames, 8), are those of the energy of a ray (`roomeq.sim.ray_limits`).
     """
     n_mics, n_frames, _ = echo.shape
     all_visible = len(visible) == 0
@@ -139,7 +143,8 @@ def _accumulate(rules: Rules, hits: Array, codes: Array, first: Array, counts: A
                         enter, leave = chord(along[m], weight[m], length)
                         middle = (previous[3] + np.float32(0.5) * (enter + leave)) * frames_per_m
                         if leave > enter and middle < n_frames and (all_visible or visible[m, at] & BEHIND == 0):
-                            _add(echo[m, np.uint32(middle)], (leave - enter) * per_volume[m],
+                            k = np.uint32(middle)
+                            _add(echo[m, k], limits[k], (leave - enter) * per_volume[m],
                                  g0, g1, g2, g3, g4, g5, g6, g7)
             if n + 1 == counts[ray]:
                 break
@@ -151,10 +156,10 @@ def _accumulate(rules: Rules, hits: Array, codes: Array, first: Array, counts: A
                 break
             step = follow(step, rules, codes[at], hit[3], scattering[face])
             if step.represents_two:
-                k = np.float32(2.0)
-                g0, g1, g2, g3, g4, g5, g6, g7 = g0 * k, g1 * k, g2 * k, g3 * k, g4 * k, g5 * k, g6 * k, g7 * k
+                g0, g1, g2, g3, g4, g5, g6, g7 = g0 + g0, g1 + g1, g2 + g2, g3 + g3, g4 + g4, g5 + g5, g6 + g6, g7 + g7
             if step.scattered > zero:
                 scatter(hit, normals, face, step.scattered, mics, frames_per_m, n_mics, weight, frame)
                 for m in range(n_mics):
                     if weight[m] > zero and frame[m] < n_frames and (all_visible or visible[m, at] & SEEN):
-                        _add(echo[m, np.uint32(frame[m])], weight[m], g0, g1, g2, g3, g4, g5, g6, g7)
+                        k = np.uint32(frame[m])
+                        _add(echo[m, k], limits[k], weight[m], g0, g1, g2, g3, g4, g5, g6, g7)

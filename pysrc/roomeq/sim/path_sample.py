@@ -40,6 +40,7 @@ from roomeq.sim.paths import (
     scatter,
     segment_counts,
 )
+from roomeq.sim.ray_limits import ray_limits
 from roomeq.sim.room import Room
 from roomeq.sim.scene import Scene
 from roomeq.sim.trace import Paths
@@ -57,6 +58,7 @@ SHARING_M = 0.1
 _ROUNDING_M = 1e-6  # of the coordinates of arrays that are turned
 _NO_GAIN = np.zeros((0, 0, 0), np.float32)
 _NO_WEIGHT = np.zeros(0, np.float32)
+_NO_EMITTED = np.zeros((0, 2), np.float32)
 _NO_RAYS = np.zeros((0, 0), np.uint32)
 _NEGLIGIBLE = np.float32(1e-25)  # share of a ray's energy at a reference that counts as none
 _EMPTY = np.float32(1e-20)  # energy of a frame at a reference that counts as none: what was neglected may show
@@ -302,11 +304,15 @@ def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatAr
     sums = np.zeros((*shape, 2 * _PER_CHUNK), dtype=np.float32)
     kept = np.zeros((*shape, _PER_CHUNK), dtype=np.uint32)
     weight = _NO_WEIGHT if ray_weight is None else single(ray_weight)
+    frames_per_m = np.float32(1.0 / (speed_m_s * FRAME_S))
+    emitted = _NO_EMITTED if ray_weight is None else np.stack([np.ones_like(weight), weight], axis=1)
+    limits = ray_limits(paths, single((1.0 - references).T[paths.face_surface]), emitted, n_frames=n_frames,
+                        frames_per_m=float(frames_per_m))
     constant = (Rules(ism_order, np.float32(paths.late_m)), paths.hits, paths.codes, paths.first,
                 paths.counts, single(paths.normals), paths.face_surface,
                 single(1.0 - references), single(paths.scattering),
                 single(mics_m.T, order="C"), visible, single(spheres.radius_m ** 2), single(1.0 / spheres.volume_m3),
-                np.float32(1.0 / (speed_m_s * FRAME_S)), seeds, weight)
+                frames_per_m, seeds, weight, limits)
     for_chunks(n_rays, lambda chunk, low, high: _sample(*constant, low, high, sums[chunk], kept[chunk]))
     power = (1.0 - references[..., None]) ** np.arange(1.0 + paths.counts.max())
     scale = 1.0 / (4.0 * np.pi * n_rays)
@@ -420,8 +426,8 @@ def _replace(sums: Array, kept: Array, m: Number, frame: Number, stream: Number,
 @compiled
 def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: Array, normals: Array,
             face_surface: Array, reflection: Array, scattering: Array, mics: Array, visible: Array, radius2: Array,
-            per_volume: Array, frames_per_m: Number, seeds: Array, ray_weight: Array, low: Number, high: Number,
-            sums: Array, kept: Array) -> None:
+            per_volume: Array, frames_per_m: Number, seeds: Array, ray_weight: Array, limits: Array, low: Number,
+            high: Number, sums: Array, kept: Array) -> None:
     """Sample the paths of rays `low` to `high`.
 
     Parameters
@@ -430,6 +436,8 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
         Share of energy that is reflected at each reference.
     ray_weight : ndarray of float32, shape (n_rays,)
         Energy of each ray at the second reference; empty if that is 1.
+    limits : ndarray of float32, shape (n_frames, 2)
+        Of the energy of a ray at each reference (`roomeq.sim.ray_limits`).
     sums : ndarray of float32, shape (n_mics, n_frames, 2 * _PER_CHUNK)
         Energy so far at each reference, and the sums that must be exceeded to take the place that goes with it.
     kept : ndarray of uint32, shape (n_mics, n_frames, _PER_CHUNK)
@@ -453,7 +461,8 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
                         middle = (previous[3] + np.float32(0.5) * (enter + leave)) * frames_per_m
                         if leave > enter and middle < n_frames and (all_visible or visible[m, at] & BEHIND == 0):
                             k = np.uint32(middle)
-                            if _add(sums[m, k], (leave - enter) * per_volume[m], share0, share1):
+                            if _add(sums[m, k], (leave - enter) * per_volume[m], min(share0, limits[k, 0]),
+                                    min(share1, limits[k, 1])):
                                 _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 2, at - 1)
             if n + 1 == face_counts[ray]:
                 break
@@ -470,5 +479,5 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
                 for m in range(n_mics):
                     if weight[m] > zero and frame[m] < n_frames and (all_visible or visible[m, at] & SEEN):
                         k = np.uint32(frame[m])
-                        if _add(sums[m, k], weight[m], share0, share1):
+                        if _add(sums[m, k], weight[m], min(share0, limits[k, 0]), min(share1, limits[k, 1])):
                             _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 1, at)

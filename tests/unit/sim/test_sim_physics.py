@@ -295,7 +295,7 @@ def test_t30_target_is_met_on_rendered_response(target_s, dims_m):
 def test_sparse_tail_of_a_corridor_is_no_noise_floor():
     """Few reflections arrive late in a corridor. Once taken for noise, they were subtracted, and T30 jumped."""
     responses = [simulate_responses(uniform_scene((50.0, 2.0, 2.5), 0.1, 0.3), (10.0, 1.1, 1.25), (38.5, 0.62, 1.05),
-                                    num_rays=4000, target_t60_s=1.0, seed=seed)[0] for seed in range(3)]
+                                    num_rays=8000, target_t60_s=1.0, seed=seed)[0] for seed in range(3)]
     for response in responses:
         octave = octave_bands(response.rir, FS_HZ, [EXACT_BANDS_HZ[BAND_1KHZ]])[0]
         decay = np.cumsum(octave[:round(response.direct_sample):-1] ** 2)[::-1]

@@ -1,0 +1,97 @@
+"""No single ray is heard as an echo in late sound that is left to a few rays."""
+
+import numpy as np
+import pytest
+
+from roomeq.core.rng import rng_for
+from roomeq.sim.echogram import compute_echograms
+from roomeq.sim.path_sample import sample_paths
+from roomeq.sim.ray_limits import FEWEST_RAYS, ray_limits
+from roomeq.sim.response import trace_source
+from roomeq.sim.scene import Air, Material, Scene, Shoebox
+
+C = Air().speed_m_s
+FRAMES_PER_M = 1000.0 / C
+N_FRAMES = 1500
+HALL_M, SOURCE, MIC = (14.7, 7.8, 3.8), (3.0, 2.5, 1.5), (11.0, 5.5, 1.2)
+
+
+def traced(walls, floor_and_ceiling, scattering=0.1, seed=0, num_rays=10000):
+    absorption = (walls, walls, walls, walls, floor_and_ceiling, floor_and_ceiling)
+    scene = Scene(Shoebox(HALL_M), [Material(f"s{n}", value, scattering) for n, value in enumerate(absorption)])
+    return trace_source(scene, SOURCE, num_rays=num_rays, max_length_s=1.4, rng=np.random.default_rng(seed))
+
+
+def energies(paths, absorption, at_m):
+    """Return the energy of each ray at a length of path, ray by ray."""
+    found = []
+    for first, count in zip(paths.first, paths.counts, strict=True):
+        ray = slice(first, first + count)
+        passed = paths.hits[ray, 3] < at_m
+        codes = paths.codes[ray][passed]
+        alive = not passed.all()
+        found.append(alive * np.prod((1.0 - absorption[paths.face_surface[codes >> 2]]) * (1.0 + (codes & 2) // 2)))
+    return np.array(found)
+
+
+def limits(one, **how):
+    (paths,) = one.paths
+    reflected = (1.0 - one.scene.absorption[:, :1])[paths.face_surface].astype(np.float32)
+    how = dict(emitted=np.zeros((0, 1), np.float32), n_frames=N_FRAMES, frames_per_m=FRAMES_PER_M) | how
+    return ray_limits(paths, reflected, **how)[:, 0]
+
+
+def test_energies_are_winsorized_where_few_rays_have_them():
+    one = traced(0.05, 0.7)
+    (paths,), limit = one.paths, limits(one)
+    for frame in (64, 320, 960):  # times at which energies are compared
+        energy = energies(paths, one.scene.absorption[:, 0], frame / FRAMES_PER_M)
+        assert np.minimum(energy, limit[frame]).sum() == pytest.approx(FEWEST_RAYS * limit[frame], rel=1e-3)
+    assert energy.max() > 2.0 * limit[960]
+
+
+def test_no_ray_is_limited_in_a_diffuse_field():
+    one = traced(0.2, 0.2, scattering=0.5)
+    (paths,), limit = one.paths, limits(one)
+    for frame in (64, 320, 640):
+        assert energies(paths, one.scene.absorption[:, 0], frame / FRAMES_PER_M).max() < limit[frame]
+
+
+def test_energy_at_the_source_counts():
+    one = traced(0.05, 0.7)
+    emitted = np.full((10000, 1), 4.0, np.float32)
+    np.testing.assert_allclose(limits(one, emitted=emitted)[:960], 4.0 * limits(one)[:960], rtol=1e-4)
+
+
+def test_few_rays_are_not_limited():
+    assert np.isinf(limits(traced(0.05, 0.7, num_rays=500))).all()
+
+
+def largest_rise_db(echogram):
+    """Return the largest rise of the energy in 20 ms above that of the 60 ms before, down to -50 dB of the decay."""
+    energy = echogram[:N_FRAMES // 20 * 20].reshape(-1, 20).sum(axis=1)
+    left = np.cumsum(energy[::-1])[::-1]
+    before = np.convolve(energy, np.ones(3) / 3.0, "valid")[:-1]
+    return max(10.0 * np.log10(energy[n + 3] / before[n]) for n in range(1, len(before))
+               if left[n + 3] > 1e-5 * left[0])
+
+
+def test_late_sound_of_a_hall_with_absorbing_ceiling_has_no_echoes(monkeypatch):
+    """Without limits, single rays that stay horizontal rise above the decay by tens of decibels."""
+    def rises_db():
+        found = []
+        for seed in range(6):
+            one = traced(0.04, 0.8, scattering=0.2, seed=seed)
+            absorption = one.scene.absorption
+            how = dict(ism_order=6, n_frames=N_FRAMES)
+            (sample,) = sample_paths(one, [MIC], absorption, [rng_for(seed, "echoes", "m")], **how)
+            exact = compute_echograms(one.paths[0], one.scene.room, absorption, [MIC], speed_m_s=C, **how)
+            found.append([largest_rise_db(echogram[:, 4]) for echogram in (sample.echogram(absorption), exact[0])])
+        return np.max(found, axis=0)
+
+    limited = rises_db()
+    for module in ("path_sample", "echogram"):
+        monkeypatch.setattr(f"roomeq.sim.{module}.ray_limits", lambda paths, reflected, emitted, n_frames, frames_per_m:
+                            np.full((n_frames, reflected.shape[1]), np.inf, np.float32))
+    unlimited = rises_db()
+    assert (limited < 12.0).all() and (unlimited > 15.0).all()
