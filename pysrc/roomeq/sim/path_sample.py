@@ -306,8 +306,8 @@ def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatAr
     weight = _NO_WEIGHT if ray_weight is None else single(ray_weight)
     frames_per_m = np.float32(1.0 / (speed_m_s * FRAME_S))
     emitted = _NO_EMITTED if ray_weight is None else np.stack([np.ones_like(weight), weight], axis=1)
-    limits = ray_limits(paths, single((1.0 - references).T[paths.face_surface]), emitted, n_frames=n_frames,
-                        frames_per_m=float(frames_per_m))
+    limits = ray_limits(paths, eight_bands((1.0 - references).T[paths.face_surface], 0), eight_bands(emitted, 0),
+                        n_frames=n_frames, frames_per_m=float(frames_per_m))
     constant = (Rules(ism_order, np.float32(paths.late_m)), paths.hits, paths.codes, paths.first,
                 paths.counts, single(paths.normals), paths.face_surface,
                 single(1.0 - references), single(paths.scattering),
@@ -436,8 +436,8 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
         Share of energy that is reflected at each reference.
     ray_weight : ndarray of float32, shape (n_rays,)
         Energy of each ray at the second reference; empty if that is 1.
-    limits : ndarray of float32, shape (n_frames, 2)
-        Of the energy of a ray at each reference (`roomeq.sim.ray_limits`).
+    limits : ndarray of float32, shape (n_frames, 8)
+        Of the energy of a ray at each reference (`roomeq.sim.ray_limits`); those after the second mean nothing.
     sums : ndarray of float32, shape (n_mics, n_frames, 2 * _PER_CHUNK)
         Energy so far at each reference, and the sums that must be exceeded to take the place that goes with it.
     kept : ndarray of uint32, shape (n_mics, n_frames, _PER_CHUNK)

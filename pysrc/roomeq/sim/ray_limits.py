@@ -10,13 +10,14 @@ that of the others; with more rays, more of it is kept.
 import numpy as np
 
 from roomeq.core.arrays import Array, FloatArray, Number
-from roomeq.core.jit import compiled, for_chunks
+from roomeq.core.jit import N_CHUNKS, compiled, for_chunks
 from roomeq.sim.trace import Paths
 
 FEWEST_RAYS = 25
 """Rays that must carry the energy in a room, or one in `_RAYS_PER_LIMIT` rays where those are fewer."""
 _RAYS_PER_LIMIT = 400
 _STEP = 64  # frames between the times at which energies are compared
+_NEGLIGIBLE = 1e-6  # share of the energy at the beginning
 _LEAST = 1e-30
 
 
@@ -27,29 +28,65 @@ def ray_limits(paths: Paths, reflected: Array, emitted: Array, *, n_frames: int,
     ----------
     paths
     reflected
-        Share of the energy that each face reflects, shape (n_faces, n_bands), float32.
+        Share of the energy that each face reflects, shape (n_faces, 8), float32.
     emitted
-        Energy of each ray as it leaves the source, shape (n_rays, n_bands), float32; of no rays if all have 1.
+        Energy of each ray as it leaves the source, shape (n_rays, 8), float32; of no rays if all have 1.
     n_frames
     frames_per_m
         Of length of path.
 
     Returns
     -------
-    ndarray of float32, shape (n_frames, n_bands)
+    ndarray of float32, shape (n_frames, 8)
         Infinite if there are too few rays to tell.
     """
-    n_rays, n_bands = len(paths.counts), reflected.shape[1]
+    n_rays = len(paths.counts)
     fewest = min(FEWEST_RAYS, n_rays // _RAYS_PER_LIMIT)
     if fewest < 2:
-        return np.full((n_frames, n_bands), np.inf, np.float32)
+        return np.full((n_frames, 8), np.inf, np.float32)
     at_m = np.minimum(np.arange(0, n_frames + _STEP, _STEP) / frames_per_m, paths.max_length_m).astype(np.float32)
-    energy = np.zeros((len(at_m), n_bands, n_rays), np.float32)
-    for_chunks(n_rays, lambda chunk, low, high: _find_energies(paths.hits, paths.codes, paths.first, paths.counts,
-                                                              reflected, emitted, at_m, low, high, energy))
-    log_limit = np.log(np.maximum(_winsorized(energy, fewest), _LEAST))
-    place = np.arange(n_frames) / _STEP
+    walk = paths.hits, paths.codes, paths.first, paths.counts, reflected, emitted
+    total, largest = np.zeros((2, N_CHUNKS, len(at_m), 8), np.float32)
+    for_chunks(n_rays, lambda chunk, low, high: _add_up(*walk, at_m, low, high, total[chunk], largest[chunk]))
+    energy = total.sum(axis=0, dtype=np.float64)
+    limit = energy / fewest
+    concentrated = np.flatnonzero(((largest.max(axis=0) > limit) & (energy > _NEGLIGIBLE * energy[0])).any(axis=1))
+    if len(concentrated):
+        of_rays = np.zeros((len(concentrated), 8, n_rays), np.float32)
+        for_chunks(n_rays, lambda chunk, low, high: _find_energies(*walk, at_m[concentrated], low, high, of_rays))
+        limit[concentrated] = _winsorized(of_rays, fewest)
+    log_limit, place = np.log(np.maximum(limit, _LEAST)), np.arange(n_frames) / _STEP
     return np.exp([np.interp(place, np.arange(len(at_m)), of_band) for of_band in log_limit.T]).T.astype(np.float32)
+
+
+@compiled
+def _add_up(hits: Array, codes: Array, first: Array, counts: Array, reflected: Array, emitted: Array, at_m: Array,
+            low: Number, high: Number, total: Array, largest: Array) -> None:
+    """Find the total and the largest energy of rays `low` to `high` at some lengths of path, shape (n_lengths, 8)."""
+    for ray in range(low, high):
+        e0 = e1 = e2 = e3 = e4 = e5 = e6 = e7 = np.float32(1.0)
+        if len(emitted):
+            e = emitted[ray]
+            e0, e1, e2, e3, e4, e5, e6, e7 = e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7]
+        at, end, place = first[ray], first[ray] + counts[ray], 0
+        while at < end and place < len(at_m):
+            if at_m[place] <= hits[at, 3]:
+                row, most = total[place], largest[place]
+                row[0], row[1], row[2], row[3] = row[0] + e0, row[1] + e1, row[2] + e2, row[3] + e3
+                row[4], row[5], row[6], row[7] = row[4] + e4, row[5] + e5, row[6] + e6, row[7] + e7
+                most[0], most[1] = max(most[0], e0), max(most[1], e1)
+                most[2], most[3] = max(most[2], e2), max(most[3], e3)
+                most[4], most[5] = max(most[4], e4), max(most[5], e5)
+                most[6], most[7] = max(most[6], e6), max(most[7], e7)
+                place += 1
+            else:
+                rho = reflected[codes[at] >> 2]
+                e0, e1, e2, e3 = e0 * rho[0], e1 * rho[1], e2 * rho[2], e3 * rho[3]
+                e4, e5, e6, e7 = e4 * rho[4], e5 * rho[5], e6 * rho[6], e7 * rho[7]
+                if codes[at] & 2 == 2:
+                    e0, e1, e2, e3 = e0 + e0, e1 + e1, e2 + e2, e3 + e3
+                    e4, e5, e6, e7 = e4 + e4, e5 + e5, e6 + e6, e7 + e7
+                at += 1
 
 
 @compiled

@@ -36,8 +36,8 @@ def energies(paths, absorption, at_m):
 
 def limits(one, **how):
     (paths,) = one.paths
-    reflected = (1.0 - one.scene.absorption[:, :1])[paths.face_surface].astype(np.float32)
-    how = dict(emitted=np.zeros((0, 1), np.float32), n_frames=N_FRAMES, frames_per_m=FRAMES_PER_M) | how
+    reflected = (1.0 - one.scene.absorption)[paths.face_surface].astype(np.float32)
+    how = dict(emitted=np.zeros((0, 8), np.float32), n_frames=N_FRAMES, frames_per_m=FRAMES_PER_M) | how
     return ray_limits(paths, reflected, **how)[:, 0]
 
 
@@ -59,7 +59,7 @@ def test_no_ray_is_limited_in_a_diffuse_field():
 
 def test_energy_at_the_source_counts():
     one = traced(0.05, 0.7)
-    emitted = np.full((10000, 1), 4.0, np.float32)
+    emitted = np.full((10000, 8), 4.0, np.float32)
     np.testing.assert_allclose(limits(one, emitted=emitted)[:960], 4.0 * limits(one)[:960], rtol=1e-4)
 
 
