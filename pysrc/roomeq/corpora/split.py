@@ -78,6 +78,11 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
     rows = read_rirs(rir_dir)
     own_rows = {split: read_rirs(other) for split, other in others.items()}
     own_noises = {split: read_noises(other) for split, other in others.items()}
+    # every output is checked before one of them is written, and recordings are as they were, before they are read
+    builds = {split: Build(
+        Path(f"{out_prefix}.{split}"), step="split", inputs=[rir_dir, *others.values()], refers=True, options=dict(
+            split=split, split_by=split_by, same_rooms=list(same_rooms), sizes=list(sizes), seed=seed,
+            others=sorted(others))) for split in SPLITS}
     rir_sketches = sketch_rirs(rir_dir, rows)
     _require_apart([("train", rir_dir, rows, rir_sketches), *(
         (split, other, own_rows[split], sketch_rirs(other, own_rows[split])) for split, other in others.items())])
@@ -102,11 +107,6 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
                              f"when split by {split_by}: {', or '.join(remedies)}")
     homes = _homes(given_noises, rows, split_of, same_rooms)
     noises = _split_noises(_copies(rir_dir, given_noises, sketches), homes, size_of, seed, split_by, own_noises)
-    # every output is checked before one of them is written
-    builds = {split: Build(
-        Path(f"{out_prefix}.{split}"), step="split", inputs=[rir_dir, *others.values()], refers=True, options=dict(
-            split=split, split_by=split_by, same_rooms=list(same_rooms), sizes=list(sizes), seed=seed,
-            others=sorted(others))) for split in SPLITS}
     stale = [split for split, build in builds.items() if not build.done]
     for split in stale:
         builds[split].withdraw()  # no set of an earlier split beside those of this one

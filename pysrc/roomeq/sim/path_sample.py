@@ -10,7 +10,8 @@ A path that is improbable at the reference would represent others with a weight 
 therefore drawn at the least absorption that a surface has in any band, half at the greatest, and all are weighted by
 the mixture of both densities (defensive importance sampling, Hesterberg, Technometrics 37 (1995) 185; the balance
 heuristic of Veach and Guibas, SIGGRAPH 1995, 419). No path then represents more than all paths together carry at the
-least absorption, in any band. The estimate is unbiased, and exact where all bands absorb alike.
+least absorption, in any band. The estimate is unbiased, and exact where all bands absorb alike,
+but for the energy of single rays that is limited at both references (`roomeq.sim.ray_limits`).
 
 Every chunk of rays keeps its own share of the paths: the chunks are strata, and no two threads write to the same one.
 """
