@@ -5,7 +5,8 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 import soundfile
-from rirmaker import row, write_rir_dir
+import soxr
+from rirmaker import coloured_rir, row, write_rir_dir
 
 from roomeq.corpora.split import SPLITS, split_rirs
 from roomeq.records.rir_dir import read_noises, read_rirs, validate_rirs
@@ -214,6 +215,32 @@ def test_copies_in_other_formats_and_at_other_levels_are_no_test(tmp_path, kind,
     with pytest.raises(ValueError, match=f"other: {kind} new is the recording of {kind} {old} of .*in: give "
                                          "recordings for test that train does not have"):
         split_rirs(rir_dir, tmp_path / "out", seed=0, sizes=(4, 1, 1), test_rirs=other)
+
+
+def resampled(rir):
+    """Return an RIR as a recorder of another sampling rate, on another clock, would hold it."""
+    return soxr.resample(soxr.resample(rir, 16000, 44100), 44100, 16000)[3:]
+
+
+def test_resampled_copies_are_no_test(tmp_path):
+    rir_dir = write_rir_dir(tmp_path / "in", [(row(f"a-{n}", "a"), coloured_rir(n)) for n in range(6)])
+    other = write_rir_dir(tmp_path / "other", [(row("other", "b"), coloured_rir(8)),
+                                               (row("copy", "b"), 0.1 * resampled(coloured_rir(4)))])
+    with pytest.raises(ValueError, match="other: RIR copy is the recording of RIR a-4 of .*in: give recordings for "):
+        split_rirs(rir_dir, tmp_path / "out", seed=0, sizes=(4, 1, 1), test_rirs=other)
+
+
+@pytest.mark.parametrize("split_by", ["rir", "room"])
+@pytest.mark.parametrize("seed", range(3))
+def test_copies_of_an_rir_stay_together(tmp_path, caplog, split_by, seed):
+    caplog.set_level("INFO")
+    rir_dir = write_rir_dir(tmp_path / "in", [
+        *((row(f"{room}-{n}", room), coloured_rir(10 * k + n)) for k, room in enumerate("abcdef") for n in range(2)),
+        (row("x-0", "x"), resampled(coloured_rir(20))), (row("x-1", "x"), coloured_rir(99))])
+    ids, _ = split(tmp_path, rir_dir, split_by=split_by, seed=seed, sizes=(8, 3, 3))
+    part_of = {rir_id: part for part in SPLITS for rir_id in ids[part]}
+    assert part_of["c-0"] == part_of["x-0"] and len(part_of) == 14
+    assert f"{rir_dir}: RIRs c-0, x-0 are one recording and stay together" in caplog.text
 
 
 @pytest.mark.parametrize("seed", range(3))
