@@ -5,7 +5,6 @@ of `roomeq.sim.paths`. Where absorption changes again and again, `roomeq.sim.pat
 """
 
 from functools import partial
-from itertools import product
 
 import numpy as np
 
@@ -85,18 +84,20 @@ def compute_echograms(paths: Paths, room: Room, absorption: FloatArray, mics_m: 
     n_rays, spheres = len(paths.counts), receiver_spheres(room, mics_m)
     n_bands = absorption.shape[1]
     result = np.empty((len(mics_m), n_frames, n_bands))
-    for first, band in product(range(0, len(mics_m), MICS_PER_PASS), range(0, n_bands, BANDS_PER_PASS)):
-        batch, bands = slice(first, first + MICS_PER_PASS), slice(band, min(band + BANDS_PER_PASS, n_bands))
-        parts = np.zeros((N_CHUNKS, len(mics_m[batch]), n_frames, BANDS_PER_PASS), dtype=np.float32)
-        reflected, frames_per_m = eight_bands(reflection, band), np.float32(1.0 / (speed_m_s * FRAME_S))
+    frames_per_m = np.float32(1.0 / (speed_m_s * FRAME_S))
+    for band in range(0, n_bands, BANDS_PER_PASS):
+        bands, reflected = slice(band, min(band + BANDS_PER_PASS, n_bands)), eight_bands(reflection, band)
         gain = _NO_GAIN if ray_gain is None else eight_bands(ray_gain, band)
-        constant = (Rules(ism_order, np.float32(paths.late_m)), paths.hits, paths.codes, paths.first,
-                    paths.counts, single(paths.normals), reflected, scattering,
-                    single(mics_m[batch].T, order="C"), visible[batch], single(spheres.radius_m[batch] ** 2),
-                    single(1.0 / spheres.volume_m3[batch]), frames_per_m, gain,
-                    ray_limits(paths, reflected, gain, n_frames=n_frames, frames_per_m=float(frames_per_m)))
-        for_chunks(n_rays, lambda chunk, low, high: _accumulate(*constant, low, high, parts[chunk]))  # noqa: B023
-        result[batch, :, bands] = parts[..., :bands.stop - band].sum(axis=0, dtype=np.float64)
+        limits = ray_limits(paths, reflected, gain, n_frames=n_frames, frames_per_m=float(frames_per_m))
+        for first in range(0, len(mics_m), MICS_PER_PASS):
+            batch = slice(first, first + MICS_PER_PASS)
+            parts = np.zeros((N_CHUNKS, len(mics_m[batch]), n_frames, BANDS_PER_PASS), dtype=np.float32)
+            constant = (Rules(ism_order, np.float32(paths.late_m)), paths.hits, paths.codes, paths.first,
+                        paths.counts, single(paths.normals), reflected, scattering,
+                        single(mics_m[batch].T, order="C"), visible[batch], single(spheres.radius_m[batch] ** 2),
+                        single(1.0 / spheres.volume_m3[batch]), frames_per_m, gain, limits)
+            for_chunks(n_rays, lambda chunk, low, high: _accumulate(*constant, low, high, parts[chunk]))  # noqa: B023
+            result[batch, :, bands] = parts[..., :bands.stop - band].sum(axis=0, dtype=np.float64)
     return result / (4.0 * np.pi * n_rays)
 
 

@@ -59,7 +59,7 @@ SHARING_M = 0.1
 _ROUNDING_M = 1e-6  # of the coordinates of arrays that are turned
 _NO_GAIN = np.zeros((0, 0, 0), np.float32)
 _NO_WEIGHT = np.zeros(0, np.float32)
-_NO_EMITTED = np.zeros((0, 2), np.float32)
+_NO_EMITTED = np.zeros((0, 8), np.float32)
 _NO_RAYS = np.zeros((0, 0), np.uint32)
 _NEGLIGIBLE = np.float32(1e-25)  # share of a ray's energy at a reference that counts as none
 _EMPTY = np.float32(1e-20)  # energy of a frame at a reference that counts as none: what was neglected may show
@@ -217,9 +217,11 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
     for trace, paths in enumerate(traced.paths):
         tallies = _tally_reflections(paths, len(absorption))
         references = _references(absorption[:, np.equal(traced.trace_of_band, trace)])
+        limits = ray_limits(paths, eight_bands((1.0 - references).T[paths.face_surface], 0),
+                            _emitted(ray_weight), n_frames=n_frames, frames_per_m=float(np.float32(1.0 / frame_m)))
         for start in range(0, len(mics_m), MICS_PER_PASS):
             batch = slice(start, start + MICS_PER_PASS)
-            _sample_trace(paths, tallies, traced.scene, mics_m[batch], references, seeds[batch],
+            _sample_trace(paths, tallies, traced.scene, mics_m[batch], references, limits, seeds[batch],
                           Spheres(spheres.radius_m[batch], spheres.volume_m3[batch]), ism_order, n_frames, ray_weight,
                           None if visible is None or not len(visible[trace]) else visible[trace][leaders[batch]],
                           [(sample.weight[trace], sample.reflection_counts[trace], sample.last_reflection[trace],
@@ -249,6 +251,12 @@ def _references(absorption: FloatArray) -> FloatArray:
     Each band lies between them, so a path never has more energy in a band than at the first reference.
     """
     return np.minimum([absorption.min(axis=1), absorption.max(axis=1)], MAX_ABSORPTION)
+
+
+def _emitted(ray_weight: Array | None) -> Array:
+    """Return the energy of each ray at the source for both references, in eight bands; of no rays if all have 1."""
+    return _NO_EMITTED if ray_weight is None else eight_bands(np.stack([np.ones_like(ray_weight), ray_weight], axis=1),
+                                                              0)
 
 
 def _empty_sample(traces: Sequence[Paths], n_frames: int, n_surfaces: int, first: tuple[IntArray, ...],
@@ -294,8 +302,9 @@ def _tally_reflections(paths: Paths, n_surfaces: int) -> _Tallies:
 
 
 def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatArray, references: FloatArray,
-                  seeds: Array, spheres: Spheres, ism_order: int, n_frames: int, ray_weight: Array | None,
-                  visible: Array | None, results: list[tuple[Array, Array, Array, Array]]) -> None:
+                  limits: Array, seeds: Array, spheres: Spheres, ism_order: int, n_frames: int,
+                  ray_weight: Array | None, visible: Array | None,
+                  results: list[tuple[Array, Array, Array, Array]]) -> None:
     """Sample one trace into the (weight, counts, last, rays) of each microphone."""
     single = partial(np.asarray, dtype=np.float32)
     n_rays, speed_m_s = len(paths.counts), scene.air.speed_m_s
@@ -305,15 +314,11 @@ def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatAr
     sums = np.zeros((*shape, 2 * _PER_CHUNK), dtype=np.float32)
     kept = np.zeros((*shape, _PER_CHUNK), dtype=np.uint32)
     weight = _NO_WEIGHT if ray_weight is None else single(ray_weight)
-    frames_per_m = np.float32(1.0 / (speed_m_s * FRAME_S))
-    emitted = _NO_EMITTED if ray_weight is None else np.stack([np.ones_like(weight), weight], axis=1)
-    limits = ray_limits(paths, eight_bands((1.0 - references).T[paths.face_surface], 0), eight_bands(emitted, 0),
-                        n_frames=n_frames, frames_per_m=float(frames_per_m))
     constant = (Rules(ism_order, np.float32(paths.late_m)), paths.hits, paths.codes, paths.first,
                 paths.counts, single(paths.normals), paths.face_surface,
                 single(1.0 - references), single(paths.scattering),
                 single(mics_m.T, order="C"), visible, single(spheres.radius_m ** 2), single(1.0 / spheres.volume_m3),
-                frames_per_m, seeds, weight, limits)
+                np.float32(1.0 / (speed_m_s * FRAME_S)), seeds, weight, limits)
     for_chunks(n_rays, lambda chunk, low, high: _sample(*constant, low, high, sums[chunk], kept[chunk]))
     power = (1.0 - references[..., None]) ** np.arange(1.0 + paths.counts.max())
     scale = 1.0 / (4.0 * np.pi * n_rays)
