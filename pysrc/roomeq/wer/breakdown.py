@@ -1,6 +1,6 @@
 """Word error rates of parts of the test set: by room, by SNR and by the acoustics of the RIR."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 import msgspec
@@ -54,10 +54,14 @@ class Breakdown:
         Measured RIRs that the recognisers were trained with. The EQ distance of an RIR is the distance of its EQ to
         all of theirs (`roomeq.eq.distance.wasserstein_db`); it is unknown if there are none. It is not 0 for an RIR
         like those of training, since these differ among themselves.
+    ambiguous : collection of str
+        Ids that stand for several RIRs with different acoustics, as those of drawn rooms of different seeds.
     """
 
-    def __init__(self, rirs: dict[str, RirRow], train_rirs: Iterable[RirRow] = ()) -> None:
+    def __init__(self, rirs: dict[str, RirRow], train_rirs: Iterable[RirRow] = (),
+                 ambiguous: Collection[str] = ()) -> None:
         self._rirs, self._train = rirs, _eq_set([row for row in train_rirs if not row.get("screen")])
+        self._ambiguous = set(ambiguous)
         self._of_rir: dict[str, dict[str, float]] = {}
 
     def room_of_rir(self, seed: int) -> dict[str, str]:
@@ -70,7 +74,15 @@ class Breakdown:
         """Return `acoustics` and `strata` of `roomeq.wer.counts.SeedCounts`.
 
         Strata without words are left out. An utterance of which a property is unknown is in none of its strata.
+
+        Raises
+        ------
+        ValueError
+            An RIR of the test set is ambiguous.
         """
+        if ambiguous := sorted(self._ambiguous.intersection(scores.sources)):
+            raise ValueError(f"{workspace.path}/data/{TEST}: its RIR {ambiguous[0]} has other acoustics in another "
+                             f"directory of --rirs ({len(ambiguous)} such RIRs): give each RIR an id of its own")
         snr_of = _read_snr_db(workspace.path / "data" / TEST / "utt2snr")
         values = {what: np.array([self._acoustics(rir_id)[what] for rir_id in scores.sources]) for what in ACOUSTICS}
         acoustics = {name: {what: _sum_of_known(values[what][scores.room == n]) for what in ACOUSTICS}

@@ -61,12 +61,15 @@ def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path]
     """
     counted = paths(counted)
     rows: dict[str, RirRow] = {}
+    ambiguous = set()
     rirs = paths(rirs)
     for directory in rirs:
         for row in read_rirs(directory):
             if rows.setdefault(row["id"], row)["room_id"] != row["room_id"]:
                 raise ValueError(f"{directory}: RIR {row['id']} is of room {row['room_id']} here and of room "
                                  f"{rows[row['id']]['room_id']} in a directory before it: rename one")
+            if rows[row["id"]].get("acoustic_parameters") != row.get("acoustic_parameters"):
+                ambiguous.add(row["id"])
     found = find_workspaces(paths(workspaces))
     earlier = {f"{path}:{n}": seed for path in counted for n, seed in enumerate(read_counts(path), start=1)}
     directories = [*rirs, *([train_rirs] if train_rirs else ())]
@@ -76,7 +79,7 @@ def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path]
                   inputs=[*(Path(directory) / ROWS_FILE for directory in directories), *counted,
                           *(path for workspace in found for path in workspace.inputs())])
     if not build.done and build.run({}, lambda name, item: None):
-        breakdown = Breakdown(rows, read_rirs(train_rirs) if train_rirs else [])
+        breakdown = Breakdown(rows, read_rirs(train_rirs) if train_rirs else [], ambiguous)
         trained = {str(workspace.path): count_seed(workspace, breakdown) for workspace in found}
         require_comparable(earlier | trained)
         seeds = sorted([*earlier.values(), *trained.values()], key=lambda counts: counts.seed)

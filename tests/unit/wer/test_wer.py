@@ -601,6 +601,17 @@ def test_drawn_rooms_of_two_seeds_are_not_the_same_rooms(tmp_path):
         assert measured(tmp_path, workspaces)["sets"]["dev.real.rvb"]["rooms"] == rooms
 
 
+def test_test_rirs_with_other_acoustics_in_another_directory_are_refused(tmp_path):
+    workspaces, rows = put_example(tmp_path), read_jsonl(tmp_path / "rirs/rirs.jsonl")
+    other = [row | dict(acoustic_parameters=row["acoustic_parameters"] | dict(drr_db=9.0)) for row in rows]
+    write_jsonl(tmp_path / "drawn/rirs.jsonl", [row for row in other if row["room_id"] in DEV_ROOMS])
+    rirs = [tmp_path / "rirs", tmp_path / "drawn"]
+    measure_wer(workspaces, tmp_path / "wer", rirs=rirs)  # acoustics of dev are not stated
+    write_jsonl(tmp_path / "drawn/rirs.jsonl", other)
+    with pytest.raises(ValueError, match="its RIR attic-0 has other acoustics in another directory of --rirs"):
+        measure_wer(workspaces, tmp_path / "wer", rirs=rirs)
+
+
 def test_seeds_of_several_machines_are_put_together(tmp_path, capsys):
     workspaces, rirs = put_seeds(tmp_path, 3), [tmp_path / "rirs"]
     together = measure_wer(workspaces, tmp_path / "together", rirs=rirs)
