@@ -158,6 +158,8 @@ def _read_obj(path: Path) -> Triangles:
                 raise ValueError("a face refers to vertex 0; OBJ counts from 1")
             corners = np.array([vertices[n - 1 if n > 0 else n] for n in index])
             cut = triangulate(corners)
+            if _overlap(corners, cut):
+                raise ValueError(f"face {' '.join(words)} crosses itself")
             triangles += [corners[list(three)] for three in cut]
             names += [material] * len(cut)
     return Triangles(np.array(triangles).reshape(-1, 3, 3), names)
@@ -190,10 +192,19 @@ def triangulate(corners: FloatArray) -> list[tuple[int, ...]]:
     return [*triangles, tuple(rest)] if len(rest) == 3 else triangles
 
 
+def _overlap(corners: FloatArray, triangles: list[tuple[int, ...]]) -> bool:
+    """Tell whether a triangle of a polygon is turned around, so that others lie over it."""
+    normal = np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
+    a, b, c = (corners[[three[n] for three in triangles]] for n in range(3))
+    return bool((np.cross(b - a, c - a) @ normal < -1e-6 * np.dot(normal, normal)).any())
+
+
 def _is_ear(corners: FloatArray, ear: tuple[int, ...], rest: list[int], normal: FloatArray) -> bool:
     a, b, c = corners[list(ear)]
     if np.dot(np.cross(b - a, c - b), normal) <= 0.0:
         return False
     others = corners[[n for n in rest if n not in ear]]
-    inside = [(np.cross(q - p, others - p) * normal).sum(axis=1) > 0.0 for p, q in ((a, b), (b, c), (c, a))]
-    return not bool(np.logical_and.reduce(inside).any())
+    first, second, cut = ((np.cross(q - p, others - p) * normal).sum(axis=1) for p, q in ((a, b), (b, c), (c, a)))
+    rounding = 1e-12 * np.dot(normal, normal)
+    # a corner on the cut is inside: beyond it, the triangle would leave the polygon
+    return not bool(((first > rounding) & (second > rounding) & (cut > -rounding)).any())

@@ -324,11 +324,15 @@ def test_curved_surfaces_of_many_faces_are_said(subdivisions, said, caplog):
     assert ("curved surfaces of many small faces" in caplog.text) is said
 
 
-def test_polygons_are_triangulated():
-    corners = np.array([(x, y, 1.0) for x, y in L_PLAN])
+@pytest.mark.parametrize("first", range(6))
+@pytest.mark.parametrize("plan, area", [
+    (L_PLAN, 20.0), ([(0, 0), (8, 0), (8, 3), (4, 3), (4, 6), (0, 6)], 36.0),  # a corner on the diagonal of two others
+    ([(0, 0), (0.3, 0), (0.3, 0.1), (0.1, 0.1), (0.1, 0.2), (0, 0.2)], 0.04)])
+def test_polygons_are_triangulated(plan, area, first):
+    corners = np.array([(x, y, 1.0) for x, y in [*plan[first:], *plan[:first]]])
     cut = triangulate(corners)
     areas = [0.5 * np.cross(corners[b] - corners[a], corners[c] - corners[a])[2] for a, b, c in cut]
-    assert len(cut) == 4 and min(areas) > 0.0 and sum(areas) == pytest.approx(20.0)
+    assert len(cut) == 4 and min(areas) > 0.0 and sum(areas) == pytest.approx(area)
 
 
 def test_invalid_room_meshes_are_rejected(write_obj, tmp_path, box):
@@ -337,6 +341,8 @@ def test_invalid_room_meshes_are_rejected(write_obj, tmp_path, box):
         load_mesh(write_obj(whole.rsplit("f", 1)[0], "hole.obj"))
     with pytest.raises(ValueError, match=r"the normals of the mesh point into the room \(its volume is -30 m3\)"):
         make_room(box.triangles[:, ::-1] * [4 / 6, 3 / 4, 2.5 / 3], ["a"] * 12)
+    with pytest.raises(ValueError, match=r"crossing.obj: .*face 1 2 3 4 5 crosses itself"):
+        load_mesh(write_obj("v 0 0 0\nv 4 0 0\nv 4 3 0\nv 1 -1 0\nv 0 3 0\nf 1 2 3 4 5\n", "crossing.obj"))
     turned = box.triangles.copy()
     turned[0] = turned[0, ::-1]
     with pytest.raises(ValueError, match=r"neighbouring faces of the mesh have opposite normals"):
