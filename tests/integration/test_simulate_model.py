@@ -1,6 +1,7 @@
 """`roomeq simulate --model`: each effect changes the RIRs that it concerns, by its physics, and no others."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -58,6 +59,16 @@ def extension(name, vector=None, units=()):
 def model_file(path, *extensions):
     write_model(path, Model(extensions))
     return path
+
+
+def test_drawn_rooms_have_loudspeakers_and_microphones_of_their_own(tmp_path):
+    simulate(None, tmp_path / "drawn", rooms=2, room_types="lecture_hall", num_rays=500, noise_rirs=0, fs_hz=8000)
+    rows = read_rirs(tmp_path / "drawn")
+    for name in ("source_response", "mic_response"):
+        known = extension(name, units=("s1", "m1"))  # measured devices are others than the drawn ones
+        for spread, alike in ((known.spread, True), (known.spread + 1.0, False)):
+            first, second = (replace(known, spread=spread).for_row(row, 0) for row in rows)
+            assert (first == second) is alike
 
 
 @pytest.mark.parametrize("name", CATALOGUE)

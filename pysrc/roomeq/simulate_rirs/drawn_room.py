@@ -114,8 +114,10 @@ def render_drawn_room(drawn: DrawnRoom, table: MaterialTable, model: Model,
 
 def _row(drawn: DrawnRoom, source: DrawnSource, mic: DrawnMic) -> RirRow:
     membrane = DIRECTIVITIES[source.directivity]
-    row: RirRow = {"id": f"{drawn.id}-{source.id}-{mic.id}", "wav": "", "room_id": drawn.id, "source_id": source.id,
-                   "mic_id": mic.id, "room_type": drawn.room_type.name,
+    # a loudspeaker or microphone of its own for each room: a model draws their responses by these ids
+    row: RirRow = {"id": f"{drawn.id}-{source.id}-{mic.id}", "wav": "", "room_id": drawn.id,
+                   "source_id": f"{drawn.id}-{source.id}", "mic_id": f"{drawn.id}-{mic.id}",
+                   "room_type": drawn.room_type.name,
                    "source_dir": None if source.facing is None else list(source.facing),
                    "source_directivity": None if membrane is None else Membrane(
                        radius_m=membrane.radius_m, membrane_radius_m=membrane.membrane_radius_m)}
