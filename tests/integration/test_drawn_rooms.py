@@ -133,7 +133,9 @@ def test_a_row_simulated_again_as_if_measured_is_in_the_same_room(four, tmp_path
     (dict(source_directivity=dict(radius_m=0.1)), "source_directivity: key 'membrane_radius_m' is missing"),
     (dict(source_directivity=dict(radius_m=0.1, membrane_radius_m=0.2), source_dir=[1, 0, 0]),
      r"RIR hall: membrane_radius_m=0.2 must lie in \(0, radius_m=0.1\]"),
-    (dict(source_directivity=dict(radius_m=0.1, membrane_radius_m=0.05)), "RIR hall: direction .* must be three"),
+    (dict(source_directivity=dict(radius_m=0.1, membrane_radius_m=0.05)), "RIR hall: source_directivity needs .* add source_dir"),
+    (dict(source_directivity=dict(radius_m=0.1, membrane_radius_m=0.05), source_dir=[1, 0, None]),
+     "RIR hall: source_directivity needs .* add source_dir"),
     (dict(channel_pos_m=[[1, 2]]), "channel_pos_m=.* must be a list of two or more positions"),
 ])
 def test_a_wrong_directivity_or_array_in_a_row_is_refused(tmp_path, known, message):

@@ -139,7 +139,7 @@ def test_second_run_does_nothing(measured, tmp_path):
 @pytest.mark.parametrize("known, message", [
     (dict(mic_pos_m=[7.0, 3.0, 1.2]), r"RIR a1: mic_pos_m\[0\]=7 must lie in \[0.01, 5.99\] m"),
     (dict(mic_pos_m=[1.0, 2.0, 1.51]), r"RIR a1: source and microphone are 0.01 m apart"),
-    (dict(temperature_c=90.0), r"temperature_c=90 must lie in"),
+    (dict(temperature_c=90.0), r"RIR a1: temperature_c=90 must lie in"),
     (dict(mesh="room.obj"), r"RIR a1: .*room.obj: no such mesh file"),
 ])
 def test_wrong_geometry_is_refused_with_the_id_of_the_rir(tmp_path, caplog, known, message):

@@ -23,6 +23,7 @@ from roomeq.core.rng import rng_for
 from roomeq.draw_rooms.draw import draw_room, room_id
 from roomeq.draw_rooms.room_types import RoomType, types_file
 from roomeq.effects.model import Model, apply_to_rir, direct_gain, names_of, path_gain, read_model
+from roomeq.effects.source_directivity import unit_facing
 from roomeq.records.rir_dir import read_rirs, validate_rirs, with_meshes_relocated, write_rirs
 from roomeq.records.schema import RirRow
 from roomeq.sim.context import Response
@@ -122,6 +123,9 @@ def _group_by_source(rows: list[RirRow], directory: Path, seed: int) -> dict[str
             require_apart(place.source_pos_m, place.mic_pos_m)
         except ValueError as error:  # here, since no other target or material could mend it
             raise ValueError(f"RIR {row['id']}: {error}") from None
+        if row.get("source_directivity") and unit_facing(row.get("source_dir")) is None:
+            raise ValueError(f"RIR {row['id']}: source_directivity needs to know where the source faces: add source_dir, "
+                             "or remove it")
         if place.drawn:
             n_drawn += 1
             logger.debug("%s: drawn or moved: %s", row["id"], ", ".join(place.drawn))
@@ -138,7 +142,10 @@ def _group_by_source(rows: list[RirRow], directory: Path, seed: int) -> dict[str
 def _declared_air(row: RirRow) -> Air:
     """Return the air of a row: its temperature and humidity where they are known, else the defaults."""
     values: Mapping[str, Any] = row
-    return Air(**{key: values[key] for key in ("temperature_c", "humidity_pct") if values.get(key) is not None})
+    try:
+        return Air(**{key: values[key] for key in ("temperature_c", "humidity_pct") if values.get(key) is not None})
+    except ValueError as error:
+        raise ValueError(f"RIR {row['id']}: {error}") from None
 
 
 def _write_rir(work: Path, rendered: RenderedRir, air: Air, options: RenderOptions, measured: bool) -> dict:
