@@ -343,6 +343,10 @@ def test_invalid_room_meshes_are_rejected(write_obj, tmp_path, box):
         make_room(box.triangles[:, ::-1] * [4 / 6, 3 / 4, 2.5 / 3], ["a"] * 12)
     with pytest.raises(ValueError, match=r"crossing.obj: .*face 1 2 3 4 5 crosses itself"):
         load_mesh(write_obj("v 0 0 0\nv 4 0 0\nv 4 3 0\nv 1 -1 0\nv 0 3 0\nf 1 2 3 4 5\n", "crossing.obj"))
+    cupboards = [trimesh.creation.box(bounds=bounds).triangles[:, ::-1] for bounds in (
+        [(1, 1, 0.03), (2, 1.5, 1)], [(2, 1, 0.03), (3, 1.5, 1)])]
+    with pytest.raises(ValueError, match=r"bodies of the mesh touch in 4 edges, the first near .* 1 mm apart, or join"):
+        make_room(np.concatenate([box.triangles, *cupboards]), ["a"] * 36)
     turned = box.triangles.copy()
     turned[0] = turned[0, ::-1]
     with pytest.raises(ValueError, match=r"neighbouring faces of the mesh have opposite normals"):
