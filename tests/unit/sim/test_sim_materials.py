@@ -98,6 +98,7 @@ def test_user_table_may_have_fewer_bands_and_scattering(tmp_path, caplog):
     assert find_surface(table, "felt").scattering == (.1, .1, .2, .3, .4, .5, .6, .7)
     assert find_surface(table, "foam").scattering == (0.3,) * 8
     assert "own.toml: coarse, felt: fewer than 8 bands; 62.5 Hz takes the value at 125 Hz" in caplog.text
+    assert "own.toml: felt, foam: their scattering counts where a row or room type names the material" in caplog.text
     path.write_text("[materials.felt]\nabsorption = [0.1, 0.2, 0.3]\n")
     with pytest.raises(ValueError, match=r"own.toml: absorption of material 'felt': 3 coefficients must be 9"):
         read_materials(path)
