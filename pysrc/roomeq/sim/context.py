@@ -197,9 +197,11 @@ def make_render_context(traced: "TracedSource", mics_m: ArrayLike, rngs: Sequenc
     diffracted: list[Diffracted | None] = [None] * len(mics_m)
     if diffraction:
         diffracted = on_threads(
-            lambda mic_m, paths: diffract(room, traced.source_pos_m, mic_m, speed_m_s=speed_m_s, fs_hz=fs_hz,
-                                          n_samples=n_samples, direct_visible=paths.has_direct),
-            list(zip(mics_m, images, strict=True)))
+            lambda mic_m, paths, mic_directivity: diffract(
+                room, traced.source_pos_m, mic_m, speed_m_s=speed_m_s, fs_hz=fs_hz, n_samples=n_samples,
+                direct_visible=paths.has_direct,
+                directions=source_directivity is not None or mic_directivity is not None),
+            list(zip(mics_m, images, mic_directivities, strict=True)))
     noises = [tail_noise(n_samples, room.volume_m3, speed_m_s, rng, fs_hz) for rng in rngs]
     for array in set(arrays or ()):
         members = [mic for mic, of_array in enumerate(arrays or ()) if of_array == array]
@@ -308,7 +310,8 @@ def _render_microphone(context: RenderContext, absorption: FloatArray, mic: int,
                  n_samples=round(length_s * fs_hz), fs_hz=fs_hz,
                  hidden_m=None if images.has_direct else distance_m)
     if (diffracted := context.diffracted[mic]) is not None:
-        rir = rir + diffracted.response(absorption, scene, len(rir))
+        rir = rir + diffracted.response(absorption, scene, len(rir), context.source_directivity,
+                                        context.mic_directivities[mic])
     if not np.all(np.isfinite(rir)):
         raise NotFiniteError(_not_finite(mic_m, absorption, total_energy, fs_hz))
     return Response(rir, direct_sample, images.has_direct, diffracted is not None, fs_hz, absorption,

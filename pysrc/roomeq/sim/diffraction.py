@@ -18,7 +18,7 @@ Not included: paths that diffract at edges of different faces or more than twice
 
 import logging
 from dataclasses import dataclass
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import scipy  # its submodules are slow to import and load themselves when first used
@@ -29,11 +29,20 @@ from roomeq.acoustics.filterbank import SPREAD_S, octave_filterbank
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled
-from roomeq.sim.double_diffraction import Pieces, arc, deposit_double_diffraction, find_double_paths
+from roomeq.sim.double_diffraction import (
+    Pieces,
+    arc,
+    departures_and_arrivals,
+    deposit_double_diffraction,
+    find_double_paths,
+)
 from roomeq.sim.mesh import KEPT_POINTS, MeshRoom
 from roomeq.sim.room import Room
 from roomeq.sim.scene import Scene
 from roomeq.sim.tree import EDGE_M
+
+if TYPE_CHECKING:
+    from roomeq.sim.context import Directivity
 
 logger = logging.getLogger(__name__)
 
@@ -46,6 +55,8 @@ _ON_LINE_M = 2e-5  # corners are rounded
 _OVERSAMPLING = 16
 _BINS_PER_SAMPLE = 8
 _SINC_HALF = 32
+_WAY_HALF = 8  # samples over which the directions of sound are averaged, if there is any
+_ELSEWHERE = 1e-3  # weight of the sound that is further away
 _ON_BOUNDARY = 1e-6
 
 
@@ -107,13 +118,20 @@ class Diffracted:
     signals
         The continuation of the direct sound, and that of the reflection at faces of each surface, shape
         (1 + n_surfaces, n).
+    departure, arrival
+        Unit vectors from the source, and from the microphone, to where the sound of each sample is diffracted, in the
+        mean, shape (n, 3); None if they were not asked for.
     """
 
     first_sample: int
     signals: FloatArray
+    departure: FloatArray | None = None
+    arrival: FloatArray | None = None
 
-    def response(self, absorption: FloatArray, scene: Scene, n_samples: int) -> FloatArray:
-        """Apply the losses of materials and air, and add up.
+    def response(self, absorption: FloatArray, scene: Scene, n_samples: int,
+                 source_directivity: "Directivity | None" = None, mic_directivity: "Directivity | None" = None
+                 ) -> FloatArray:
+        """Apply directivities and the losses of materials and air, and add up.
 
         Parameters
         ----------
@@ -122,6 +140,8 @@ class Diffracted:
         scene
             As the sound was diffracted in.
         n_samples
+        source_directivity, mic_directivity
+            None is omnidirectional. The others need `departure` and `arrival`.
 
         Returns
         -------
@@ -132,6 +152,10 @@ class Diffracted:
         kept = np.sqrt((1.0 - absorption) * (1.0 - scene.scattering))
         time_s = (self.first_sample + np.arange(self.signals.shape[1])) / fs_hz
         loss = np.exp(-0.5 * scene.air.speed_m_s * np.maximum(time_s, 0.0) * scene.attenuation_per_m[:, None])
+        for directivity, ways in ((source_directivity, self.departure), (mic_directivity, self.arrival)):
+            if directivity is not None:
+                assert ways is not None
+                loss *= directivity(ways).T
         bands = loss * np.einsum("sb,sn->bn", np.vstack([np.ones(kept.shape[1]), kept]), self.signals)
         guard = int(SPREAD_S * fs_hz)
         n_fft = next_fast_len(bands.shape[1] + 2 * guard, real=True)
@@ -287,7 +311,7 @@ def _seen(room: MeshRoom, edges: Edges, most: int, point_m: ArrayLike) -> BoolAr
 
 
 def diffract(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, *, speed_m_s: float, n_samples: int,
-             direct_visible: bool, fs_hz: float = FS_HZ) -> Diffracted | None:
+             direct_visible: bool, fs_hz: float = FS_HZ, directions: bool = False) -> Diffracted | None:
     """Compute the sound that reaches a microphone over one edge, or over two edges of one face.
 
     Parameters
@@ -301,6 +325,8 @@ def diffract(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, *, speed
     direct_visible
         Whether the direct sound is included elsewhere; it decides the sign exactly on its shadow boundary.
     fs_hz
+    directions
+        Whether to find where the sound comes from and goes to, for directive sources and microphones.
 
     Returns
     -------
@@ -321,30 +347,43 @@ def diffract(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, *, speed
     closes = np.append(opens[1:], True)[:len(both)]
     size_m = np.linalg.norm(np.subtract(*mesh.bounds_m))
     distance_m = np.linalg.norm(np.subtract(source_pos_m, mic_pos_m))
-    grid = Grid.between(distance_m, 3.0 * size_m, len(room.surfaces), speed_m_s / fs_hz, n_samples)
+    grid = Grid.between(distance_m, 3.0 * size_m, len(room.surfaces), speed_m_s / fs_hz, n_samples, directions)
     deposit(grid, edges, edge[both[opens]], low[both[opens]], high[both[closes]], source_pos_m, mic_pos_m,
             direct_visible=direct_visible)
-    deposit_double_diffraction(grid.fine, grid.first_sample, double_paths, edges, coarse, source_pos_m, mic_pos_m,
-                               sample_m=speed_m_s / fs_hz, oversampling=_OVERSAMPLING)
+    deposit_double_diffraction(grid.fine, grid.ways, grid.first_sample, double_paths, edges, coarse, source_pos_m,
+                               mic_pos_m, sample_m=speed_m_s / fs_hz, oversampling=_OVERSAMPLING)
     return grid.sampled()
 
 
 @dataclass(frozen=True)
 class Grid:
-    """A fine grid of time that contributions are added to."""
+    """A fine grid of time that contributions are added to.
+
+    Attributes
+    ----------
+    fine
+        Pressure, see `Diffracted.signals`.
+    ways
+        Sum of the `departure` and `arrival` of contributions, by their magnitude, shape (6, n); (0, n) if they are not
+        asked for.
+    first_sample
+    sample_m
+        Way of sound in one sample.
+    """
 
     fine: FloatArray
+    ways: FloatArray
     first_sample: int
     sample_m: float
-    """Way of sound in one sample."""
 
     @classmethod
     def between(cls, distance_m: Number, longest_m: Number, n_surfaces: int, sample_m: float,
-                n_samples: int) -> "Grid":
+                n_samples: int, directions: bool = False) -> "Grid":
         """Return a grid for paths of `distance_m` to `longest_m`, up to sample `n_samples`."""
         first = int(np.floor(distance_m / sample_m)) - 1
         last = min(int(np.ceil(longest_m / sample_m)) + 1, n_samples)
-        return cls(np.zeros((1 + n_surfaces, max(0, last - first) * _OVERSAMPLING + 1)), first, sample_m)
+        n_points = max(0, last - first) * _OVERSAMPLING + 1
+        return cls(np.zeros((1 + n_surfaces, n_points)), np.zeros((6 * directions, n_points)), first, sample_m)
 
     def sampled(self) -> Diffracted | None:
         """Resample the contributions to the sample rate; None if there are none."""
@@ -352,7 +391,12 @@ class Grid:
         if not len(used):
             return None
         signals = scipy.signal.upfirdn(_lowpass(), self.fine[:, :used[-1] + 1], down=_OVERSAMPLING, axis=1)
-        return Diffracted(self.first_sample - _SINC_HALF, signals)
+        if not len(self.ways):
+            return Diffracted(self.first_sample - _SINC_HALF, signals)
+        ways = scipy.signal.upfirdn(_average(), self.ways[:, :used[-1] + 1], down=_OVERSAMPLING, axis=1)
+        departure, arrival = (way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), np.finfo(float).tiny)
+                              for way in (ways[:3].T, ways[3:].T))
+        return Diffracted(self.first_sample - _SINC_HALF, signals, departure, arrival)
 
 
 def deposit(grid: Grid, edges: Edges, edge: IntArray, low_m: FloatArray, high_m: FloatArray, source_pos_m: ArrayLike,
@@ -377,8 +421,11 @@ def deposit(grid: Grid, edges: Edges, edge: IntArray, low_m: FloatArray, high_m:
     on = (source[1] <= wedge) & (mic[1] <= wedge) & (source[0] > 1e-6) & (mic[0] > 1e-6)
     source, mic = source[:, on], mic[:, on]
     bounds = np.stack([_eta(low_m[on], source, mic), _eta(high_m[on], source, mic)])
-    _deposit(grid.fine, float(grid.first_sample), bounds, source, mic, wedge[on], edges.surfaces[edge[on]],
-             1.0 / grid.sample_m, direct_visible)
+    # of a stretch, most sound takes the shortest way
+    shortest_m = np.clip((source[0] * mic[2] + mic[0] * source[2]) / (source[0] + mic[0]), low_m[on], high_m[on])
+    point_m = edges.start_m[edge[on]] + shortest_m[:, None] * edges.along[edge[on]]
+    _deposit(grid.fine, grid.ways, float(grid.first_sample), bounds, source, mic, wedge[on], edges.surfaces[edge[on]],
+             departures_and_arrivals(point_m, point_m, source_pos_m, mic_pos_m), 1.0 / grid.sample_m, direct_visible)
 
 
 def _eta(z: FloatArray, source: FloatArray, mic: FloatArray) -> FloatArray:
@@ -392,9 +439,16 @@ def _lowpass() -> FloatArray:
     return np.sinc(position) * np.cos(0.5 * np.pi * position / _SINC_HALF) ** 2
 
 
+def _average() -> FloatArray:
+    """Return the window in which the directions of sound are averaged, on the fine grid."""
+    position = np.arange(-_SINC_HALF * _OVERSAMPLING, _SINC_HALF * _OVERSAMPLING + 1) / _OVERSAMPLING
+    near, far = (np.cos(0.5 * np.pi * np.clip(position / half, -1.0, 1.0)) ** 2 for half in (_WAY_HALF, _SINC_HALF))
+    return near + _ELSEWHERE * far
+
+
 @compiled
-def _deposit(fine: Array, first: Number, bounds: Array, source: Array, mic: Array, wedge: Array, surfaces: Array,
-             to_samples: Number, direct_visible: bool) -> None:
+def _deposit(fine: Array, ways: Array, first: Number, bounds: Array, source: Array, mic: Array, wedge: Array,
+             surfaces: Array, way: Array, to_samples: Number, direct_visible: bool) -> None:
     """Add all stretches to a fine grid of time: one branch on either side of the shortest path."""
     sine, cosine, rows = np.empty(4), np.empty(4), np.zeros(4, dtype=np.int64)
     for n in range(len(wedge)):
@@ -413,9 +467,11 @@ def _deposit(fine: Array, first: Number, bounds: Array, source: Array, mic: Arra
         product = source[0, n] * mic[0, n]
         low, high = bounds[0, n], bounds[1, n]
         if low < 0.0:
-            _branch(fine, rows, first, max(0.0, -high), -low, nu, sine, cosine, squared, product, to_samples)
+            _branch(fine, ways, rows, way[n], first, max(0.0, -high), -low, nu, sine, cosine, squared, product,
+                    to_samples)
         if high > 0.0:
-            _branch(fine, rows, first, max(0.0, low), high, nu, sine, cosine, squared, product, to_samples)
+            _branch(fine, ways, rows, way[n], first, max(0.0, low), high, nu, sine, cosine, squared, product,
+                    to_samples)
 
 
 @compiled
@@ -427,8 +483,8 @@ def _meets_face(source: Array, mic: Array, n: Number, wedge: Number, far: Number
 
 
 @compiled
-def _branch(fine: Array, rows: Array, first: Number, low: Number, high: Number, nu: Number, sine: Array, cosine: Array,
-            squared: Number, product: Number, to_samples: Number) -> None:
+def _branch(fine: Array, ways: Array, rows: Array, way: Array, first: Number, low: Number, high: Number, nu: Number,
+            sine: Array, cosine: Array, squared: Number, product: Number, to_samples: Number) -> None:
     """Integrate beta from eta = low to high by bins of time, the first ones short: beta may be steep there."""
     apex_m = np.sqrt(squared + 4.0 * product)
     here = np.sqrt(squared + 4.0 * product * np.cosh(0.5 * low) ** 2)
@@ -447,10 +503,13 @@ def _branch(fine: Array, rows: Array, first: Number, low: Number, high: Number, 
         index = int(place)
         if index + 1 >= fine.shape[1]:
             return
-        share = place - index
+        share, magnitude = place - index, 0.0
         for k in range(4):
             turn = arc(rise * sine[k] * cosine[k], sums * sine[k] * sine[k] + differences * cosine[k] * cosine[k])
             weight = turn / (8.0 * np.pi * np.pi * middle)
             fine[rows[k], index] += weight * (1.0 - share)
             fine[rows[k], index + 1] += weight * share
+            magnitude += abs(weight)
+        for k in range(len(ways)):
+            ways[k, index] += magnitude * way[k]
         here, before, step = there, after, min(2.0 * step, width)

@@ -140,8 +140,8 @@ def _pairs(first: Array, first_of_edge: Array, second: Array, second_of_edge: Ar
     return paths, weight
 
 
-def deposit_double_diffraction(fine: FloatArray, first_sample: int, paths: IntArray, edges: "Edges", pieces: Pieces,
-                               source_pos_m: ArrayLike, mic_pos_m: ArrayLike, *, sample_m: float,
+def deposit_double_diffraction(fine: FloatArray, ways: FloatArray, first_sample: int, paths: IntArray, edges: "Edges",
+                               pieces: Pieces, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, *, sample_m: float,
                                oversampling: int) -> None:
     """Add the second-order diffraction of some paths to a fine time grid, in place.
 
@@ -152,6 +152,8 @@ def deposit_double_diffraction(fine: FloatArray, first_sample: int, paths: IntAr
     ----------
     fine
         Grid of `oversampling` points per sample, shape (1 + n_surfaces, n_points).
+    ways
+        See `roomeq.sim.diffraction.Grid`.
     first_sample
         Sample of the grid's first point.
     paths
@@ -167,9 +169,30 @@ def deposit_double_diffraction(fine: FloatArray, first_sample: int, paths: IntAr
     edge, low, high, _ = pieces
     geometry = np.stack([edges.start_m, edges.along], axis=1)
     source, mic = edges.coordinates(source_pos_m), edges.coordinates(mic_pos_m)
-    _deposit(fine, float(first_sample), paths, edge, low, high, geometry, np.pi / edges.wedge_rad,
+    way = departures_and_arrivals(pieces.point_m[paths[:, 0]], pieces.point_m[paths[:, 1]], source_pos_m, mic_pos_m)
+    _deposit(fine, ways, float(first_sample), paths, way, edge, low, high, geometry, np.pi / edges.wedge_rad,
              _ends(source, edges.wedge_rad), _ends(mic, edges.wedge_rad), edges.surfaces,
              float(np.linalg.norm(np.subtract(source_pos_m, mic_pos_m))), 1.0 / sample_m, float(oversampling))
+
+
+def departures_and_arrivals(first_m: FloatArray, last_m: FloatArray, source_pos_m: ArrayLike,
+                            mic_pos_m: ArrayLike) -> FloatArray:
+    """Return unit vectors from the source to the first points of paths, and from the microphone to the last ones.
+
+    Parameters
+    ----------
+    first_m, last_m
+        Shape (n_paths, 3).
+    source_pos_m, mic_pos_m
+        Shape (3,).
+
+    Returns
+    -------
+    ndarray, shape (n_paths, 6)
+        Both side by side.
+    """
+    ways = first_m - np.asarray(source_pos_m), last_m - np.asarray(mic_pos_m)
+    return np.hstack([way / np.linalg.norm(way, axis=1, keepdims=True) for way in ways])
 
 
 def _ends(coordinates: FloatArray, wedge_rad: FloatArray) -> FloatArray:
@@ -259,9 +282,9 @@ def _n_steps(low: Number, high: Number, end: Array, other_edge: Numbers, other_h
 
 
 @compiled
-def _deposit(fine: Array, first: Number, paths: Array, edge: Array, low: Array, high: Array, geometry: Array,
-             nu: Array, source: Array, mic: Array, surfaces: Array, direct_m: Number, to_samples: Number,
-             oversampling: Number) -> None:
+def _deposit(fine: Array, ways: Array, first: Number, paths: Array, way: Array, edge: Array, low: Array, high: Array,
+             geometry: Array, nu: Array, source: Array, mic: Array, surfaces: Array, direct_m: Number,
+             to_samples: Number, oversampling: Number) -> None:
     """See `deposit_double_diffraction`; `to_samples` is the number of samples per metre of path."""
     for n in range(len(paths)):
         p, q, side_1, side_2 = paths[n, 0], paths[n, 1], paths[n, 2], paths[n, 3]
@@ -294,6 +317,8 @@ def _deposit(fine: Array, first: Number, paths: Array, edge: Array, low: Array, 
                     fine[0, index + 1] += after
                     fine[row, index] += before
                     fine[row, index + 1] += after
+                    for k in range(len(ways)):
+                        ways[k, index] += abs(pressure) * way[n, k]
 
 
 @compiled

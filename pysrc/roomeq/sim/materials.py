@@ -135,8 +135,8 @@ def read_materials(path: str | Path | None = None) -> MaterialTable:
         logger.info("%s: %s: fewer than 8 bands; 62.5 Hz takes the value at 125 Hz, high bands that of the highest",
                     path, ", ".join(sorted(set(short))))
     if drawn := sorted(name for name in own if uses[name]):
-        logger.info("%s: %s: their scattering counts where a row or room type names the material for a surface; surfaces "
-                    "whose material is drawn take a class of scattering", path, ", ".join(drawn))
+        logger.info("%s: %s: their scattering counts where a row or room type names the material for a surface; "
+                    "surfaces whose material is drawn take a class of scattering", path, ", ".join(drawn))
     result = MaterialTable(absorption, uses, scattering, own)
     for use in USES:
         if not result.names(use):

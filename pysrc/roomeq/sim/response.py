@@ -184,8 +184,7 @@ def render_responses(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
     diffraction
         Whether edges of a mesh diffract (`roomeq.sim.diffraction`).
     source_directivity, mic_directivities
-        Of the source, and of each microphone; None is omnidirectional. They do not apply to diffracted sound. Those of
-        microphones need `path_samples`.
+        Of the source, and of each microphone; None is omnidirectional. Those of microphones need `path_samples`.
     path_samples
         Of the microphones, from `sample_paths` with the same `ism_order`. They replace following all stored paths and
         take a fraction of its time.
@@ -348,8 +347,7 @@ def simulate_responses(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike,
     diffraction
         Whether edges of a mesh diffract (`roomeq.sim.diffraction`); convex rooms have no such edges.
     source_directivity, mic_directivities
-        Of the source, and of each microphone (`roomeq.sim.directivity`); None is omnidirectional. They do not apply to
-        diffracted sound.
+        Of the source, and of each microphone (`roomeq.sim.directivity`); None is omnidirectional.
     arrays
         Number of the array that each microphone belongs to; see `render_responses`.
     seed

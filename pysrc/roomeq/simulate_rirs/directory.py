@@ -124,8 +124,8 @@ def _group_by_source(rows: list[RirRow], directory: Path, seed: int) -> dict[str
         except ValueError as error:  # here, since no other target or material could mend it
             raise ValueError(f"RIR {row['id']}: {error}") from None
         if row.get("source_directivity") and unit_facing(row.get("source_dir")) is None:
-            raise ValueError(f"RIR {row['id']}: source_directivity needs to know where the source faces: add source_dir, "
-                             "or remove it")
+            raise ValueError(f"RIR {row['id']}: source_directivity needs to know where the source faces: add "
+                             "source_dir, or remove it")
         if place.drawn:
             n_drawn += 1
             logger.debug("%s: drawn or moved: %s", row["id"], ", ".join(place.drawn))

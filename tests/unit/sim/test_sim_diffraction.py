@@ -1,6 +1,7 @@
 """Edge diffraction: against the exact half-plane, across the shadow boundary, and in rooms."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,7 +9,10 @@ from plans import L_PLAN, box_plan, prism_obj
 
 from bench.fidelity import halfplane
 from bench.fidelity.halfplane import at
+from roomeq.acoustics.decibels import power_db
 from roomeq.core.constants import FS_HZ
+from roomeq.effects.base import octave_energies
+from roomeq.rooms import Loudspeaker
 from roomeq.sim.diffraction import Edges, Grid, deposit, diffract, find_edges
 from roomeq.sim.mesh import load_mesh, make_room
 from roomeq.sim.response import simulate_responses
@@ -25,9 +29,9 @@ def wedge(open_deg, length_m=400.0):
                  np.radians([open_deg]), np.zeros((1, 2), dtype=int), np.array([[0, 1]]))
 
 
-def diffracted(edges, low_m, high_m, source, mic, visible=True):
+def diffracted(edges, low_m, high_m, source, mic, visible=True, directions=False):
     """Diffraction at stretches of the one edge."""
-    grid = Grid.between(np.linalg.norm(source - mic), 1.1 * edges.length_m[0] + 20.0, 1, C / FS_HZ, 10 ** 6)
+    grid = Grid.between(np.linalg.norm(source - mic), 1.1 * edges.length_m[0] + 20.0, 1, C / FS_HZ, 10 ** 6, directions)
     deposit(grid, edges, np.zeros(len(low_m), dtype=int), low_m, high_m, source, mic, direct_visible=visible)
     return grid.sampled()
 
@@ -243,6 +247,54 @@ def test_absorbing_faces_keep_only_the_shadow_terms(room_with_box):
     rir = found.response(absorption, scene, 1600)
     black = found.first_sample + np.argmax(np.abs(found.signals[0]))
     assert rir[black] == pytest.approx(found.signals[0][black - found.first_sample], rel=0.1)
+
+
+def turned_away(place_m, turned_deg):
+    """A cardioid that is turned away from the origin about z."""
+    angle = np.arctan2(-place_m[1], -place_m[0]) + np.radians(turned_deg)
+    return lambda ways: 0.5 + 0.5 * (ways @ np.array([np.cos(angle), np.sin(angle), 0.0]))
+
+
+@pytest.mark.parametrize("turned_deg", [0.0, 60.0, 120.0])
+def test_directive_source_and_microphone_act_on_diffracted_sound(turned_deg):
+    """Against the edge in pieces of 2 cm, each with the gain of its own direction."""
+    edges, source, mic = wedge(270.0, 3.0), at(1.2, 40.0, -0.3), at(1.9, 250.0, 0.6)
+    directive = [turned_away(end, turned_deg) for end in (source, mic)]
+    ends_m = np.linspace(0.0, 3.0, 151)
+    exact = np.zeros(4096)
+    for low_m, high_m in zip(ends_m[:-1], ends_m[1:], strict=True):
+        piece = diffracted(edges, np.array([low_m]), np.array([high_m]), source, mic)
+        middle = edges.start_m[0] + 0.5 * (low_m + high_m) * edges.along[0]
+        gains = [gain((middle - end)[None] / np.linalg.norm(middle - end))[0]
+                 for gain, end in zip(directive, (source, mic), strict=True)]
+        signal = piece.signals.sum(axis=0)
+        exact[piece.first_sample:piece.first_sample + len(signal)] += gains[0] * gains[1] * signal
+    found = diffracted(edges, np.zeros(1), edges.length_m, source, mic, directions=True)
+    rendered = np.zeros(4096)
+    rendered[found.first_sample:found.first_sample + found.signals.shape[1]] = (
+        found.signals.sum(axis=0) * directive[0](found.departure) * directive[1](found.arrival))
+    spectrum = [np.abs(np.fft.rfft(signal))[16:1800] for signal in (exact, rendered)]
+    np.testing.assert_allclose(20.0 * np.log10(spectrum[1] / spectrum[0]), 0.0, atol=1.0)
+
+
+def test_talker_radiates_less_over_edges_behind_it(room_with_box):
+    scene = Scene(room_with_box, [Material("all", 0.99, 0.0)] * len(room_with_box.surfaces))
+
+    def octaves_db(facing):
+        on, off = (simulate_responses(scene, (1.0, 2.0, 1.0), (5.0, 2.6, 1.2), num_rays=500, ism_order=0,
+                                      source_directivity=facing, diffraction=which)[0].rir for which in (True, False))
+        return power_db(octave_energies(on - np.pad(off, (0, max(0, len(on) - len(off))))[:len(on)]))
+
+    forwards, backwards = (partial(Loudspeaker(facing, 0.1, 0.04).pressure, fs_hz=FS_HZ)
+                           for facing in ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)))
+    omni, towards, away = map(octaves_db, (None, forwards, backwards))
+    angle = np.radians(np.arange(10.0, 36.0))  # at which the source sees the edges
+    ways = np.stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))], axis=1)
+    for rendered, gain in ((towards, forwards), (away, backwards)):
+        gain_db = power_db(gain(ways) ** 2)
+        assert np.all(rendered - omni > gain_db.min(axis=0) - 1.0)
+        assert np.all(rendered - omni < gain_db.max(axis=0) + 1.0)
+    assert away[-1] < omni[-1] - 6.0
 
 
 def test_diffraction_switch_changes_the_response(room_with_box):
