@@ -12,6 +12,8 @@ from scipy.signal import butter, sosfilt
 
 from roomeq.core.constants import BANDS_HZ
 from roomeq.core.files import write_json, write_jsonl
+from roomeq.effects.coupled_volume import CoupledVolume
+from roomeq.effects.model import Extension, Model, write_model
 from roomeq.eq.steps import compensate
 from roomeq.records.rir_dir import load_channels, load_rir, read_rirs, validate_rirs
 from roomeq.simulate_rirs import simulate
@@ -176,6 +178,40 @@ def test_arrays_have_a_row_each_with_all_positions(tmp_path):
             assert np.argmax(np.abs(samples[:round(direct) + 4, channel])) == pytest.approx(direct, abs=2.0)
         tails = sosfilt(butter(4, 500.0, fs=fs_hz, output="sos"), samples[round(0.08 * fs_hz):], axis=0)
         assert np.corrcoef(tails.T)[0, 1] > 0.9  # 5 cm apart, up to 500 Hz
+
+
+def test_second_decay_is_coherent_at_the_microphones_of_an_array(tmp_path):
+    (tmp_path / "studio.toml").write_text(ARRAYS)
+    effect = CoupledVolume(level_db=-5.0, time_s=2.0, slope=0.0)
+    write_model(tmp_path / "model.json", Model((Extension(CoupledVolume, {}, effect.vector(), np.zeros(3)),)))
+    rows = draw(tmp_path / "studio.toml", tmp_path / "rirs", rooms=1, noise_rirs=0, model=tmp_path / "model.json")
+    for row in rows.values():
+        samples, fs_hz = soundfile.read(tmp_path / "rirs" / row["wav"])
+        late = sosfilt(butter(4, 500.0, fs=fs_hz, output="sos"), samples[round(0.8 * fs_hz):], axis=0)
+        assert np.corrcoef(late.T)[0, 1] > 0.9  # 5 cm apart, up to 500 Hz
+
+
+def test_rows_of_arrays_are_simulated_with_all_microphones(tmp_path, caplog):
+    array = [[3.0, 2.0, 1.0], [3.05, 2.0, 1.0], [3.0, 2.05, 1.0]]
+    row = dict(wav="hall.wav", room_id="hall", source_id="s", mic_id="m", fs_hz=16000, n_samples=9,
+               room_dims_m=[5, 4, 3], source_pos_m=[1, 1, 1], mic_pos_m=array[0])
+    write_jsonl(tmp_path / "rirs.jsonl", [
+        row | dict(id="a", channel_pos_m=array), row | dict(id="b"),
+        row | dict(id="c", channel_pos_m=[[None, 2.0, 1.0], *array[1:]]),
+        row | dict(id="d", channel_pos_m=array, mic_pos_m=None)])  # drawn, with the whole array
+    with caplog.at_level("INFO"):
+        simulate(tmp_path, tmp_path / "out", num_rays=500)
+    assert "1 RIRs are of arrays with unknown coordinates in channel_pos_m" in caplog.text
+    rows = {row["id"]: row for row in read_rirs(tmp_path / "out")}
+    assert validate_rirs(tmp_path / "out") == 8
+    assert rows["a"]["channel_pos_m"] == rows["a-noise1"]["channel_pos_m"] == array
+    np.testing.assert_allclose(np.diff(rows["d"]["channel_pos_m"], axis=0), np.diff(array, axis=0), atol=1e-6)
+    assert rows["d"]["channel_pos_m"][0] == rows["d"]["mic_pos_m"] != array[0]
+    for name, n_channels in (("a", 3), ("a-noise1", 3), ("b", 1), ("c", 1), ("d", 3)):
+        assert soundfile.info(tmp_path / "out" / rows[name]["wav"]).channels == n_channels
+    write_jsonl(tmp_path / "rirs.jsonl", [row | dict(id="a", channel_pos_m=[array[0], [5.5, 2.0, 1.0]])])
+    with pytest.raises(ValueError, match=r"RIR a: channel_pos_m\[1\]\[0\]=5.5 must lie in"):
+        simulate(tmp_path, tmp_path / "outside", num_rays=500)
 
 
 def test_compensation_filters_all_microphones_of_an_array(tmp_path):

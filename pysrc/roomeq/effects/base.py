@@ -21,7 +21,7 @@ refer to this vector. `tests/integration/test_effects_contract.py` checks that t
 change.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self, cast
 
@@ -33,7 +33,7 @@ from roomeq.acoustics.octaves import octave_fft_size
 from roomeq.core.arrays import Array, FloatArray, IntArray
 from roomeq.core.constants import FS_HZ
 from roomeq.effects.prediction import PredictedRirs, PredictionState
-from roomeq.sim.render import render
+from roomeq.sim.render import render, tail_noise
 from roomeq.sim.scene import Air, Scene
 
 
@@ -70,6 +70,8 @@ class Rendering:
     white : ndarray, shape (8,)
         White noise of the recording that the RIR is compared with: energy of 100 ms relative to the response; 0 if
         there is none.
+    diffuse_noise : callable, optional
+        From a number of samples to noise with the coherence of a diffuse field; for a microphone of an array.
     """
 
     scene: Scene
@@ -80,10 +82,17 @@ class Rendering:
     rng: np.random.Generator
     rendered: FloatArray
     white: FloatArray
+    diffuse_noise: Callable[[int], Array] | None = None
 
     @property
     def distance_m(self) -> float:
         return float(np.linalg.norm(np.subtract(self.mic_pos_m, self.source_pos_m)))
+
+    def tail_noise(self, n_samples: int) -> Array:
+        """Return noise of late reverberation, of unit mean power (`roomeq.sim.render.tail_noise`)."""
+        if self.diffuse_noise is not None:
+            return self.diffuse_noise(n_samples)
+        return tail_noise(n_samples, self.scene.room.volume_m3, self.scene.air.speed_m_s, self.rng)
 
     def direct(self, n_samples: int) -> FloatArray:
         """Return the direct sound as the simulator rendered it."""

@@ -18,7 +18,7 @@ from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.effects.base import Effect, Rendering, octave_energies
 from roomeq.effects.prediction import PredictedRirs, PredictionState
 from roomeq.sim.echogram import FRAME_S
-from roomeq.sim.render import render, tail_noise
+from roomeq.sim.render import render
 
 _LEVELS_DB = (-60.0, 0.0)
 _TIMES_S = (0.2, 6.0)
@@ -96,7 +96,7 @@ class CoupledVolume(Effect):
         # an echogram holds energies of pulses of the whole band, of which each octave filter passes a part
         ratio = self.energy_ratio(rendering.t60_s, air.speed_m_s, air.attenuation_per_m)
         energy = ratio * reflected / _pulse_energies() * rate * FRAME_S * shape
-        noise = tail_noise(len(rir), rendering.scene.room.volume_m3, air.speed_m_s, rendering.rng)
+        noise = rendering.tail_noise(len(rir))
         return rir + render(np.zeros(0), np.zeros((0, 8)), energy, noise, speed_m_s=air.speed_m_s, n_samples=len(rir))
 
     def _n_samples(self, start_s: float) -> int:

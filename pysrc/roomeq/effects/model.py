@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomeq.core.arrays import FloatArray
+from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import is_number
 from roomeq.core.files import read_json, write_json
 from roomeq.core.rng import rng_for
@@ -150,7 +150,7 @@ def direct_gain(scene: Scene, source_pos_m: ArrayLike, mic_pos_m: ArrayLike,
 
 def apply_to_rir(effects: Sequence[Effect], rir: FloatArray, scene: Scene, source_pos_m: Sequence[float],
                  mic_pos_m: Sequence[float], direct: FloatArray, rng: np.random.Generator,
-                 white: ArrayLike = (0.0,) * 8) -> FloatArray:
+                 white: ArrayLike = (0.0,) * 8, diffuse_noise: Callable[[int], Array] | None = None) -> FloatArray:
     """Return a rendered RIR with the effects that act on it as a whole.
 
     Parameters
@@ -165,13 +165,17 @@ def apply_to_rir(effects: Sequence[Effect], rir: FloatArray, scene: Scene, sourc
     rng : numpy.random.Generator
     white : array_like, shape (8,)
         White noise of the recording that the RIR is compared with (`Rendering`).
+    diffuse_noise : callable, optional
+        From a number of samples to noise with the coherence of a diffuse field (`Rendering`); for a microphone of an
+        array.
 
     Returns
     -------
     ndarray
         Longer than `rir` where an effect prolongs the decay.
     """
-    rendering = Rendering(scene, source_pos_m, mic_pos_m, direct, eyring_time_s(scene), rng, rir, np.asarray(white))
+    rendering = Rendering(scene, source_pos_m, mic_pos_m, direct, eyring_time_s(scene), rng, rir, np.asarray(white),
+                          diffuse_noise)
     for effect in effects:
         rir = effect.on_rir(rir, rendering)
     return rir

@@ -9,6 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from roomeq.core.arrays import Array, FloatArray, IntArray
 from roomeq.core.constants import exact_bands_hz
+from roomeq.sim.render import tail_noise
 from roomeq.sim.trace import sphere_directions
 
 _LOADING = 1e-6  # of the diagonal, for microphones in one place
@@ -17,6 +18,7 @@ _STEP_SHARE = 0.02  # or relative change of the frequency, if that is more, in a
 _COMPACT_M = 0.5  # larger than this
 _ELEMENTS = 2 ** 22  # of the coherence matrices that are in memory at once
 _DIRECTIONS = 2000  # of plane waves that are a diffuse field to directive microphones
+_LONGER_S = 1.0
 _MARGIN_S = 0.02  # zeros behind the noise: the filters that mix it are short, and must not wrap around
 
 
@@ -69,6 +71,40 @@ def make_coherent(noises: Sequence[Array], mics_m: ArrayLike, speed_m_s: float, 
                 group = slice(edges[n], edges[n + 1])
                 padded[:, group] = factor @ padded[:, group]
     return list(irfft(padded[:, :n_bins], n_fft)[:, :n_samples])
+
+
+class ArrayNoise:
+    """Noise of the late reverberation at each microphone of an array, made when it is first asked for.
+
+    Parameters
+    ----------
+    mics_m
+        Shape (n_mics, 3).
+    volume_m3, speed_m_s, fs_hz
+        Of room and air, and the sample rate.
+    rngs
+        One per microphone.
+    """
+
+    def __init__(self, mics_m: ArrayLike, volume_m3: float, speed_m_s: float, fs_hz: float,
+                 rngs: Sequence[np.random.Generator]) -> None:
+        self._mics_m, self._rngs = np.asarray(mics_m, dtype=float), rngs
+        self._air = speed_m_s, fs_hz
+        self._volume_m3 = volume_m3
+        self._noises: list[Array] = []
+
+    def at_microphone(self, n: int, n_samples: int) -> Array:
+        """Return the noise at microphone `n`, shape (n_samples,).
+
+        No microphone may need more than `_LONGER_S` more than the first that asks.
+        """
+        speed_m_s, fs_hz = self._air
+        if not self._noises:
+            longest = n_samples + round(_LONGER_S * fs_hz)
+            self._noises = make_coherent([tail_noise(longest, self._volume_m3, speed_m_s, rng, fs_hz)
+                                          for rng in self._rngs], self._mics_m, speed_m_s, fs_hz)
+        assert n_samples <= len(self._noises[n])
+        return self._noises[n][:n_samples]
 
 
 def _group_edges(n_fft: int, fs_hz: float, largest_m: float, speed_m_s: float) -> IntArray:

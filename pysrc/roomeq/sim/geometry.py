@@ -87,9 +87,21 @@ def find_place(row: Mapping[str, Any], rows_of_room: Iterable[Mapping[str, Any]]
         for key, place in (("source_pos_m", source), ("mic_pos_m", mic)):
             drawn += _clear_walls(room, place, key)
             room.require_inside(key, place)
+        channels = _channels(row.get("channel_pos_m") or [], mic)
+        for n, position in enumerate(channels):
+            room.require_inside(f"channel_pos_m[{n}]", position)
     except ValueError as error:
         raise ValueError(f"RIR {row['id']}: {error}") from None
-    return Place(room, tuple(map(float, source)), tuple(map(float, mic)), tuple(drawn))
+    return Place(room, tuple(map(float, source)), tuple(map(float, mic)), tuple(drawn), channels)
+
+
+def _channels(stated_m: Sequence[Position], mic_m: Sequence[float]) -> tuple[tuple[float, ...], ...]:
+    """Return the positions of an array's microphones, which move with the first one; empty if they are unknown."""
+    if len(stated_m) < 2 or any(None in position for position in stated_m):
+        return ()
+    positions_m = np.array(stated_m, dtype=float)
+    moved_m = positions_m - positions_m[0] + mic_m
+    return tuple(tuple(round(float(value), 6) for value in position) for position in moved_m)
 
 
 def _usable_position(row: Mapping[str, Any], key: str) -> Position:

@@ -8,6 +8,7 @@ import json
 import logging
 from collections import Counter, defaultdict
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from roomeq.effects.model import Model, apply_to_rir, direct_gain, names_of, pat
 from roomeq.effects.source_directivity import unit_facing
 from roomeq.records.rir_dir import read_rirs, validate_rirs, with_meshes_relocated, write_rirs
 from roomeq.records.schema import RirRow
-from roomeq.sim.context import Response
+from roomeq.sim.array_noise import ArrayNoise
 from roomeq.sim.geometry import find_place
 from roomeq.sim.materials import read_materials
 from roomeq.sim.scene import Air, Shoebox, require_apart, with_absorption
@@ -116,7 +117,7 @@ def _group_by_source(rows: list[RirRow], directory: Path, seed: int) -> dict[str
     for row in rows:
         rows_of_room[row["room_id"]].append(row)
     groups = defaultdict(list)
-    n_drawn = 0
+    n_drawn = n_unknown_arrays = 0
     for row in rows:
         place = find_place(row, rows_of_room[row["room_id"]], directory, seed)
         try:
@@ -129,12 +130,16 @@ def _group_by_source(rows: list[RirRow], directory: Path, seed: int) -> dict[str
         if place.drawn:
             n_drawn += 1
             logger.debug("%s: drawn or moved: %s", row["id"], ", ".join(place.drawn))
+        n_unknown_arrays += bool(row.get("channel_pos_m") and not place.channels_m)
         materials = json.dumps(row.get("materials"), sort_keys=True)  # a trace serves one set of scattering
         key = row["room_id"], place.room, place.source_pos_m, _declared_air(row), materials
         groups[key].append(Member(row, place))
     if n_drawn:
         logger.info("%s: %d of %d RIRs have unknown or unreliable coordinates, which are drawn (key 'drawn')",
                     directory, n_drawn, len(rows))
+    if n_unknown_arrays:
+        logger.info("%s: %d RIRs are of arrays with unknown coordinates in channel_pos_m: only their first microphone "
+                    "is simulated", directory, n_unknown_arrays)
     return {members[first].row["id"]: members[first:first + ROWS_PER_ITEM]
             for members in groups.values() for first in range(0, len(members), ROWS_PER_ITEM)}
 
@@ -155,12 +160,10 @@ def _write_rir(work: Path, rendered: RenderedRir, air: Air, options: RenderOptio
     """
     row, place, scene, response = rendered.row, rendered.place, rendered.scene, rendered.response
     gain = path_gain(rendered.effects, row.get("source_dir"))
-    channels = [_apply_effects(rendered, of_channel, mic_pos_m, rng_for(options.seed, "effects", name))
-                for of_channel, (name, mic_pos_m) in zip((response, *rendered.others), channels_of(row, place),
-                                                         strict=True)]
+    channels = _apply_effects(rendered, options.seed)
     rir = channels[0]
     wav = f"wav/{row['id']}.wav"
-    write_wav(work / wav, _side_by_side(channels), options.fs_hz)
+    write_wav(work / wav, rir if len(channels) == 1 else np.stack(channels, axis=1), options.fs_hz)
     changed: dict[str, object] = {}
     if place.channels_m:
         changed["channel_pos_m"] = [list(position) for position in place.channels_m]
@@ -170,7 +173,7 @@ def _write_rir(work: Path, rendered: RenderedRir, air: Air, options: RenderOptio
                                else dict(mesh=row["mesh"]))
     surfaces = zip(scene.room.surfaces, scene.materials, response.absorption, strict=True)
     return {key: row.get(key) for key in _KEPT_KEYS if key in row} | room | changed | dict(
-        id=row["id"], wav=wav, fs_hz=options.fs_hz, n_samples=max(map(len, channels)),
+        id=row["id"], wav=wav, fs_hz=options.fs_hz, n_samples=len(rir),
         source_pos_m=list(place.source_pos_m), mic_pos_m=list(place.mic_pos_m), drawn=list(place.drawn),
         temperature_c=air.temperature_c, humidity_pct=air.humidity_pct, seed=options.seed,
         model=["diffraction"] * response.diffracted + names_of(rendered.effects, gain),
@@ -183,26 +186,31 @@ def _write_rir(work: Path, rendered: RenderedRir, air: Air, options: RenderOptio
                    for surface, material, absorption in surfaces})
 
 
-def _apply_effects(rendered: RenderedRir, response: Response, mic_pos_m: tuple[float, ...],
-                   rng: np.random.Generator) -> FloatArray:
-    """Return the response at one microphone with the effects that act on the whole RIR."""
+def _apply_effects(rendered: RenderedRir, seed: int) -> list[FloatArray]:
+    """Return the response at each microphone with the effects that act on the whole RIR."""
+    responses = [rendered.response, *rendered.others]
+    channels = _of_one_length([response.rir for response in responses])
     if not rendered.effects:
-        return response.rir
+        return channels
     scene, source_pos_m = rendered.scene, rendered.place.source_pos_m
+    named = channels_of(rendered.row, rendered.place)
+    array = None if len(named) == 1 else ArrayNoise(
+        [position for _, position in named], scene.room.volume_m3, scene.air.speed_m_s, scene.fs_hz,
+        [rng_for(seed, "noise of effects", name) for name, _ in named])
     gain = source_directivity(rendered.row, rendered.effects, scene.fs_hz)
-    direct = direct_gain(scene, source_pos_m, mic_pos_m, gain) * response.direct_visible
-    return apply_to_rir(rendered.effects, response.rir, with_absorption(scene, response.absorption), source_pos_m,
-                        mic_pos_m, direct, rng)
+    changed = []
+    for n, (response, rir, (name, mic_pos_m)) in enumerate(zip(responses, channels, named, strict=True)):
+        direct = direct_gain(scene, source_pos_m, mic_pos_m, gain) * response.direct_visible
+        changed.append(apply_to_rir(
+            rendered.effects, rir, with_absorption(scene, response.absorption), source_pos_m, mic_pos_m, direct,
+            rng_for(seed, "effects", name), diffuse_noise=None if array is None else partial(array.at_microphone, n)))
+    return _of_one_length(changed)
 
 
-def _side_by_side(channels: list[FloatArray]) -> FloatArray:
-    """Return one response as it is, several as the columns of an array, continued with zeros."""
-    if len(channels) == 1:
-        return channels[0]
-    samples = np.zeros((max(map(len, channels)), len(channels)))
-    for n, channel in enumerate(channels):
-        samples[:len(channel), n] = channel
-    return samples
+def _of_one_length(channels: list[FloatArray]) -> list[FloatArray]:
+    """Return responses continued with zeros to the longest."""
+    longest = max(map(len, channels))
+    return [np.pad(channel, (0, longest - len(channel))) for channel in channels]
 
 
 def _to_8_khz(absorption: FloatArray) -> list[float]:

@@ -218,16 +218,17 @@ class TracedRoom:
 def _render_row(room: TracedRoom, member: Member, effects: list[Effect]) -> RenderedRir:
     """Render one row with the first draw of materials and target that can be met."""
     row, place = member
+    names, mics_m = map(list, zip(*channels_of(row, place), strict=True))
     problem, target_number = None, 0
     for draw in room.draw_scenes(row):
         if draw.target_number > target_number:  # this room, at this distance, cannot sound like that
             target_number = draw.target_number
             logger.info("%s: %s; drawing another target", row["id"], problem)
         try:
-            (response,) = room.render(place.source_pos_m, [place.mic_pos_m], [row["id"]], draw.target_s,
-                                      draw.expected_absorption, absorption=draw.scene.absorption,
-                                      length_s=draw.length_s,
-                                      source_directivity=source_directivity(row, effects, room.options.fs_hz))
+            responses = room.render(place.source_pos_m, mics_m, names, draw.target_s, draw.expected_absorption,
+                                    absorption=draw.scene.absorption, length_s=draw.length_s,
+                                    arrays=[0] * len(names),
+                                    source_directivity=source_directivity(row, effects, room.options.fs_hz))
         except NotFiniteError:
             raise
         except ValueError as error:
@@ -235,7 +236,8 @@ def _render_row(room: TracedRoom, member: Member, effects: list[Effect]) -> Rend
             continue
         if target_number:
             place = replace(place, drawn=(*place.drawn, "target_t60_s again"))
-        return RenderedRir(row, place, draw.scene, response, effects, draw.target_s, draw.length_s)
+        return RenderedRir(row, place, draw.scene, responses[0], effects, draw.target_s, draw.length_s,
+                           others=tuple(responses[1:]))
     raise ValueError(f"RIR {row['id']}: {problem}")
 
 
