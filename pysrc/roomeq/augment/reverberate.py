@@ -29,6 +29,8 @@ from roomeq.core.rng import rng_for
 
 PathLike = str | os.PathLike[str]
 
+_MIN_SAMPLES = 100
+"""More are the samples of an array of several recordings, and not the channels of one."""
 _INSTANCES = count()
 _CALLS: dict[tuple[int, str], Iterator[int]] = {}
 """Numbers of the calls to come, by instance and worker. They belong to the process: a pool may copy an instance to it
@@ -96,6 +98,7 @@ class Reverberate:
             rows: dict[str, Any] = {name: dict(id=name, room_id="room", fs_hz=self.fs) for name in self._rirs}
             pool = Pool(rows, list(rows), {name: [] for name in rows})
         if noises is not None and not isinstance(noises, str | os.PathLike):
+            _require_several(noises, "noises")
             pool.ambient.extend(Noise(f"noise {n}", Path(), None, "ambient", _audible(noise, f"noise {n}"), self.fs)
                                 for n, noise in enumerate(noises))
         return pool
@@ -171,8 +174,7 @@ class _ArrayCache(AudioCache):
 
 def _with_direct_sound(rirs: Sequence[ArrayLike], fs_hz: int) -> dict[str, ShiftedRir]:
     """Return RIRs by name, each with the delay of its direct sound."""
-    if isinstance(rirs, np.ndarray) and rirs.ndim == 1:
-        raise ValueError(f"rirs: shape {rirs.shape} is that of one RIR, and a list is expected: give [rir]")
+    _require_several(rirs, "rirs")
     found = {}
     for n, rir in enumerate(rirs):
         samples = _audible(rir, f"RIR {n}")
@@ -183,6 +185,16 @@ def _with_direct_sound(rirs: Sequence[ArrayLike], fs_hz: int) -> dict[str, Shift
     if not found:
         raise ValueError("rirs is empty: give at least one RIR")
     return found
+
+
+def _require_several(recordings: Sequence[ArrayLike], name: str) -> None:
+    """Raise ValueError for an array that is one recording, of one channel or of several side by side."""
+    shape = tuple(getattr(recordings, "shape", ()))
+    if len(shape) == 1:
+        raise ValueError(f"{name}: shape {shape} is that of one recording, and a list is expected: give [samples]")
+    if len(shape) == 2 and shape[1] < min(shape[0], _MIN_SAMPLES):
+        raise ValueError(f"{name}: shape {shape} is that of one recording of {shape[1]} channels, and a list is "
+                         "expected: give the channels one after the other, as in samples.T")
 
 
 def _one_channel(values: ArrayLike, name: str) -> Array:

@@ -161,6 +161,10 @@ def test_silence_is_returned_as_it_is():
 @pytest.mark.parametrize(("wrong", "message"), [
     (lambda: roomeq.Reverberate([]), "rirs is empty"),
     (lambda: roomeq.Reverberate("hall.wav"), r"hall\.wav/rirs\.jsonl: no such file: .*roomeq read-measured"),
+    (lambda: roomeq.Reverberate(rirs()[0]), r"rirs: shape \(8000,\) is that of one recording, .* give \[samples\]"),
+    (lambda: roomeq.Reverberate(np.stack(rirs(2), axis=1)), r"rirs: .* one recording of 2 channels, .* in samples.T"),
+    (lambda: roomeq.Reverberate(rirs(), noises=np.ones((800, 4))), r"noises: .* one recording of 4 channels"),
+    (lambda: roomeq.Reverberate(rirs(), noises=np.ones(800)), r"noises: shape \(800,\) is that of one recording"),
     (lambda: roomeq.Reverberate([np.zeros(100)]), "RIR 0: silent"),
     (lambda: roomeq.Reverberate([np.full(100, np.nan)]), "RIR 0: holds NaN"),
     (lambda: roomeq.Reverberate(rirs(), snr="loud"), "snr='loud' must be"),
