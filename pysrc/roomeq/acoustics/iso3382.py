@@ -214,6 +214,8 @@ class _Spectra:
 
     def __init__(self, rir: FloatArray, fs_hz: float) -> None:
         self.rir, self.fs_hz, self.n_fft = rir, fs_hz, octave_fft_size(len(rir), fs_hz)
+        self.begins = int(np.argmax(rir != 0.0))
+        """The first sample that is not 0: what is ahead of it is no recording, and holds no noise."""
         self._computed: dict[tuple[int, int], FloatArray] = {}
 
     def energy(self, first: int, last: int, band: int) -> float:
@@ -259,7 +261,7 @@ def _c50_db(spectra: _Spectra, band: int, direct_sample: float, intersection: No
         return None
     early, late = (spectra.energy(*part, band) for part in ((0, boundary), (boundary, end)))
     late += intersection.rest_energy - (end - boundary) * intersection.noise_power
-    early -= boundary * intersection.noise_power
+    early -= (boundary - min(spectra.begins, boundary)) * intersection.noise_power
     return float(power_db(early) - power_db(late)) if early > 0.0 and late > 0.0 else None
 
 

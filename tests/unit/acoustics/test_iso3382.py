@@ -165,6 +165,12 @@ def test_c50_of_exponential_decay(time_s):
     assert found[3:] == pytest.approx(expected_db, abs=0.7)
 
 
+def test_c50_does_not_depend_on_zeros_ahead_of_a_noisy_recording():
+    noisy = np.concatenate([np.zeros(100), room(0.4, snr_db=45.0)[DIRECT:]])
+    found = [all_metrics(np.concatenate([np.zeros(ahead), noisy]), FS_HZ)["c50_db"] for ahead in (0, 4 * FS_HZ)]
+    assert found[1][3:] == pytest.approx(found[0][3:], abs=0.1)
+
+
 @pytest.mark.parametrize("time_s, snr_db", [(1.0, 42.0), (1.0, 40.0), (2.0, 42.0), (2.0, 40.0)])
 def test_drr_is_left_out_where_the_noise_hides_the_decay(time_s, snr_db):
     """Direct sound and decay of equal energy; the noise is 8 to 11 dB below the beginning of the decay."""
