@@ -44,6 +44,9 @@ def made(tmp_path_factory):
     make_loop(root / "loop")
     write_wav(root / "speech.wav", coloured_rir(0, time_s=5.0, length_s=1.0))
     write_wav(root / "rir<48k>.wav", np.repeat(coloured_rir(9), 3), 48000)
+    suspicious = [(one | dict(suspicious="no decay") if n else one, rir)
+                  for n, (one, rir) in enumerate(rows_of("measured")[:3])]
+    write_rir_dir(root / "marked", suspicious)
     write_wav(root / "silent.wav", np.zeros(8000))
     write_wav(root / "reversed.wav", coloured_rir(1)[::-1])
     soundfile.write(root / "stereo.wav", np.column_stack([coloured_rir(2), coloured_rir(3)]), FS_HZ, subtype="FLOAT")
@@ -105,6 +108,12 @@ def test_page_of_a_suspicious_recording_begins_with_the_reason(pages):
     assert "No RIR by its acoustics: time-reversed" in Page(pages["suspicious"].read_text()).text
 
 
+def test_page_of_the_one_rir_of_a_set_says_what_was_left_out(made, monkeypatch):
+    monkeypatch.chdir(made)
+    assert main(["show", "marked", "--out", "marked.html"]) == 0
+    assert "left out" in Page((made / "marked.html").read_text()).text
+
+
 def test_page_of_a_loop_says_what_was_found_and_what_to_do(pages):
     page = Page(pages["loop"].read_text())
     assert "Frequency response of the loudspeakers" in page.text and "Reflecting surface near source" in page.text
@@ -146,6 +155,11 @@ def test_picture_is_a_png(made, monkeypatch, name):
     (["compare", "measured/audio/hall-0.wav", "measured/audio/office-0.wav"], ["B - A (JND)", "→"]),
     (["compare", "stereo.wav", "stereo.wav", "--channel", "1"], ["B - A (JND)", "→"]),
     (["compare", "stereo.wav", "rir<48k>.wav", "--channel", "1"], ["B - A (JND)", "→"]),
+    (["compare", "reversed.wav", "reversed.wav", "--keep-suspicious"], ["A: no RIR by its acoustics: time-reversed"]),
+    (["show", "marked"], ["1 RIRs of 1 rooms", "2 recordings that are no RIR are left out"]),
+    (["show", "marked", "--keep-suspicious"], ["3 RIRs of 1 rooms"]),
+    (["compare", "marked", "simulated"], ["marked, 1 RIRs.", "2 recordings that are no RIR are left out", "1 pairs"]),
+    (["compare", "marked", "simulated", "--keep-suspicious"], ["marked, 3 RIRs.", "3 pairs"]),
     (["compare", "measured", "simulated"], ["8 pairs", "Medians A → B", "DRR:"])])
 def test_without_out_the_parameters_are_printed(made, monkeypatch, capsys, words, parts):
     monkeypatch.chdir(made)

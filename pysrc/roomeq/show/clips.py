@@ -44,7 +44,7 @@ class Clip:
 
 
 def dry_signal(speech: Path | None, fs_hz: int) -> tuple[str, FloatArray]:
-    """Return the name and the samples of the dry signal: the beginning of a recording, or bursts of pink noise.
+    """Return the name and the samples of the dry signal: a recording from its first sound on, or bursts of pink noise.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def dry_signal(speech: Path | None, fs_hz: int) -> tuple[str, FloatArray]:
     if speech is None:
         return "noise bursts", _noise_bursts(fs_hz)
     rate_hz = audio_info(speech).samplerate
-    samples = read_audio(speech, fs_hz=rate_hz)[:round(MAX_SPEECH_S * rate_hz)]
+    samples = np.trim_zeros(read_audio(speech, fs_hz=rate_hz), "f")[:round(MAX_SPEECH_S * rate_hz)]
     if not samples.any():
         raise ValueError(f"{speech}: silent (all samples 0): give another recording of dry speech")
     if rate_hz != fs_hz:

@@ -145,8 +145,11 @@ def read_samples(directory: Path, row: RirRow) -> FloatArray:
     return samples
 
 
-def read_set(directory: Path) -> RirSet:
+def read_set(directory: Path, keep_suspicious: bool = False) -> RirSet:
     """Read the RIRs of a directory with their acoustic parameters, which are measured where the rows lack them.
+
+    Recordings that are no RIR are left out: those that are marked so, unless they are kept, and those without a direct
+    sound.
 
     Raises
     ------
@@ -156,7 +159,7 @@ def read_set(directory: Path) -> RirSet:
     given = [row for row in read_rirs(directory) if not row.get("noise_for")]
     rows, parameters, left_out = [], [], []
     for row in progress(given, len(given), "measure"):
-        measured = None if row.get("suspicious") else _parameters(directory, row)
+        measured = None if row.get("suspicious") and not keep_suspicious else _parameters(directory, row)
         if measured is None:
             left_out.append(row["id"])
         else:

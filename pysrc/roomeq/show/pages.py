@@ -55,7 +55,7 @@ def rir_set(directory: Path, suffix: str | None, ident: str | None, speech: Path
     if ident is not None and suffix != ".html":
         return _one_rir(read_rir_of(directory, ident, keep_suspicious), suffix, speech)
     chosen = read_rir_of(directory, ident, keep_suspicious) if ident is not None else None
-    of_set = read_set(directory)
+    of_set = read_set(directory, keep_suspicious)
     if suffix is None:
         return _set_text(of_set)
     if suffix == PICTURE:
@@ -64,7 +64,7 @@ def rir_set(directory: Path, suffix: str | None, ident: str | None, speech: Path
                     over_frequency([of_set], "t60", "Reverberation time (s)"),
                     over_frequency([of_set], "eq", "EQ (dB, 1 kHz = 0)")], f"RIRs of {of_set.label}")
     chosen = chosen or read_rir_of(directory, middle_of(of_set), keep_suspicious=True)
-    if len(of_set.rows) == 1:
+    if len(of_set.rows) == 1 and not of_set.left_out:
         return _one_rir(chosen, suffix, speech)
     context = set_context(of_set)
     lead = ("Reverberation, clarity and colour of the room impulse responses (RIRs) of a directory, room by room. One "
@@ -88,7 +88,7 @@ def two_files(first: Path, second: Path, suffix: str | None, channel: int | None
 def two_sets(first: Path, second: Path, suffix: str | None, ident: str | None, speech: Path | None,
              keep_suspicious: bool) -> bytes | str:
     """Return the page or text that compares two RIR directories."""
-    a, b = read_set(first), read_set(second)
+    a, b = read_set(first, keep_suspicious), read_set(second, keep_suspicious)
     pairs = pair_rirs(a, b)
     chosen = None
     if ident is not None:
@@ -123,7 +123,8 @@ def _one_rir(shown: ShownRir, suffix: str | None, speech: Path | None) -> bytes 
         return f"{warning}{summary}\n\n{bands}\n\n{dash} {SEE}"
     if suffix == PICTURE:
         room = map_room(shown.row, [shown.row], shown.directory) if shown.row and shown.directory else None
-        return png(rir_draws(shown.rir, room), shown.rir.name)
+        reason = f"; no RIR by its acoustics: {shown.problem}" if shown.problem else ""
+        return png(rir_draws(shown.rir, room), f"{shown.rir.name}{reason}")
     warnings = [f"No RIR by its acoustics: {shown.problem}"] if shown.problem else []
     lead = "A room impulse response (RIR): what is heard, measured and seen of it."
     return make_page(shown.rir.name, lead, facts(shown), warnings,
@@ -148,15 +149,21 @@ def _with_heading(rows: list[list[str]], heading: str) -> tuple[list[str], list[
 
 
 def _set_text(of_set: RirSet) -> str:
-    left_out = f"\n{len(of_set.left_out)} recordings that are no RIR are left out." if of_set.left_out else ""
-    return (f"{of_set.directory}: {len(of_set.rows)} RIRs of {len(of_set.rooms)} rooms; medians by room.{left_out}\n\n"
+    return (f"{of_set.directory}: {len(of_set.rows)} RIRs of {len(of_set.rooms)} rooms; medians by room."
+            f"{_left_out_text(of_set)}\n\n"
             f"{as_text(tables.ROOM_COLUMNS, tables.room_rows(of_set))}\n\n"
             f"One RIR: --id ID, such as {middle_of(of_set)}. {SEE}")
 
 
+def _left_out_text(of_set: RirSet) -> str:
+    return f"\n{len(of_set.left_out)} recordings that are no RIR are left out." if of_set.left_out else ""
+
+
 def _pair_text(a: ShownRir, b: ShownRir) -> str:
     columns = ["Octave", *(tables.HEADINGS[metric] for metric in METRICS)]
-    return (f"{as_text(['', 'A', 'B', 'B - A (JND)'], compared_summary(a, b))}\n\n"
+    warnings = "".join(f"{letter}: no RIR by its acoustics: {shown.problem}\n"
+                       for letter, shown in (("A", a), ("B", b)) if shown.problem)
+    return (f"{warnings}{as_text(['', 'A', 'B', 'B - A (JND)'], compared_summary(a, b))}\n\n"
             f"{as_text(columns, compared_bands(a, b))}\n\nA → B (difference in JND). Overlaid: --out FILE.html.")
 
 
@@ -166,7 +173,8 @@ def _sets_text(a: RirSet, b: RirSet, context: Context) -> str:
     if context["n_pairs"]:
         paired = (f"\n\n{context['n_pairs']} pairs: mean absolute difference in JND (mean difference B - A)\n\n"
                   f"{as_text(columns, context['paired'])}")
-    return (f"A: {a.directory}, {len(a.rows)} RIRs; B: {b.directory}, {len(b.rows)} RIRs\n\n"
+    return (f"A: {a.directory}, {len(a.rows)} RIRs.{_left_out_text(a)}\n"
+            f"B: {b.directory}, {len(b.rows)} RIRs.{_left_out_text(b)}\n\n"
             f"Medians A → B (difference in JND)\n\n{as_text(columns, context['medians'])}\n\n"
             f"DRR: {context['median_drr']}{paired}\n\n"
             "Overlaid: --out FILE.html.")

@@ -33,6 +33,8 @@ def test_speech_is_resampled_and_heard_through_the_rir(tmp_path):
     write_wav(tmp_path / "speech.wav", speech, 48000)
     name, dry = dry_signal(tmp_path / "speech.wav", 16000)
     assert name == "speech" and len(dry) == 16000
+    write_wav(tmp_path / "late.wav", np.concatenate([np.zeros(9 * 48000), speech]), 48000)
+    assert len(dry_signal(tmp_path / "late.wav", 16000)[1]) == 16000  # from the first sound on
     made = clips([("A", "measured", np.eye(1, 800)[0], 16000)], tmp_path / "speech.wav", with_responses=False)
     dry_sound, heard = (sound(clip)[0] for clip in made)
     assert np.allclose(heard[:16000], dry_sound, atol=1e-4) and len(made) == 2
