@@ -32,7 +32,7 @@ from roomeq.report.kinds import MEASURED, SIMULATED
 from roomeq.report.load import Run
 from roomeq.report.render import environment
 from roomeq.report.rir_sets import LIKE_T60, column_percentiles, measured_example, t60_mismatch
-from roomeq.report.section_data import facts, measured
+from roomeq.report.section_data import facts, limitations, measured
 from roomeq.report.section_loop import REGIONS, facings, residual_sizes
 from roomeq.wer import measure_wer
 
@@ -457,6 +457,29 @@ def test_examples_of_drawn_rooms_are_of_another_place(drawn, tmp_path):
     for ident, place in (("responses", "uses its room and positions"), ("spectrograms", "RIRs of one place")):
         text = section_text(ident, run)
         assert (place in text, "of another place" in text) == (not drawn, drawn)
+
+
+@pytest.mark.parametrize("drawn", [False, True])
+def test_targets_and_drawn_coordinates_are_said_as_they_are(drawn, tmp_path):
+    make_measured(tmp_path / "measured")
+    characterise(tmp_path / "measured", tmp_path / "rirs.real.train")
+    make_simulated(read_rirs(tmp_path / "rirs.real.train"), tmp_path / "rirs.sim.train")
+    rows = read_rirs(tmp_path / "rirs.sim.train")
+    write_rirs(tmp_path / "rirs.sim.train", [
+        row | dict(drawn=["target_t60_s again"]) | (dict(room_type="office") if drawn else {}) for row in rows])
+    run = Run(tmp_path, tmp_path / "exp")
+    text = section_text("reverberation", run)
+    assert ("distributions of the room types" in text, "a uniform distribution" in text) == (drawn, not drawn)
+    assert limitations(run)["n_drawn"] == 0
+    write_rirs(tmp_path / "rirs.sim.train", [row | dict(drawn=["target_t60_s again", "mic_pos_m.2"]) for row in rows])
+    assert limitations(Run(tmp_path, tmp_path / "exp"))["n_drawn"] == len(rows)
+
+
+def test_share_of_an_uncertain_gap_is_no_headline():
+    unsure = dict(gap=dict(closed=1.16, closed_interval=None))
+    shown = [Page(environment().get_template("facts.html.j2").render(facts=of_gap)).text for of_gap in (
+        unsure, dict(gap=unsure["gap"] | dict(closed_interval=[0.5, 1.4])))]
+    assert ["closed by compensation" in text for text in shown] == [False, True]
 
 
 @pytest.mark.parametrize("label", ["W" * 90, "measured, simulated, simulated + EQ, simulated + loop (n = 132,123)"])

@@ -113,6 +113,10 @@ class Membrane(TypedDict):
     membrane_radius_m: Annotated[float, Meta(ge=0, le=LARGEST, description="a length, not negative")]
 
 
+TARGET_AGAIN = "target_t60_s again"
+"""Entry of a row's `drawn` where a target that could not be met was replaced by another."""
+
+
 class RirRow(TypedDict):
     """A line of `rirs.jsonl`: one RIR. Every optional key but `fs_hz` and `n_samples` may be null."""
 

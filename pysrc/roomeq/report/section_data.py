@@ -12,7 +12,7 @@ from roomeq.core.files import read_json
 from roomeq.core.stamps import read_stamp
 from roomeq.corpora.characterise import SCREENING_FILE
 from roomeq.records.geometry import is_known
-from roomeq.records.schema import RirRow
+from roomeq.records.schema import TARGET_AGAIN, RirRow
 from roomeq.report import figures
 from roomeq.report.figures_room import room_view
 from roomeq.report.formats import DASH, number
@@ -195,7 +195,8 @@ def limitations(run: Run) -> Context:
     simulated = run.rirs("rirs.sim.train") if run.has("rirs.sim.train") else []
     return {"synthetic": synthetic_corpora(run), "n_measured": len(real),
             "n_rooms": len({row["room_id"] for row in real}), "shares_rooms": not rooms[0].isdisjoint(rooms[1]),
-            "n_simulated": len(simulated), "n_drawn": sum(bool(row.get("drawn")) for row in simulated),
+            "n_simulated": len(simulated),
+            "n_drawn": sum(any(what != TARGET_AGAIN for what in row.get("drawn") or ()) for row in simulated),
             "has_wer": run.has("wer"), "other_wer": run.other_wer}
 
 

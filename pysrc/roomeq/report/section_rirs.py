@@ -151,7 +151,8 @@ def reverberation(run: Run) -> Context:
                                     f"Median T30 relative to that at 1 kHz: {alt}"))
     leaked = [decay.leaked_share for decay in decays if decay.leaked_share is not None]
     return {"panels": panels, "median_error": float(np.median([decay.error for decay in decays])), "worst": worst,
-            "leaked_share": max(leaked, default=None)}
+            "leaked_share": max(leaked, default=None),
+            "drawn_rooms": run.has(SIMULATED.train) and any(row.get("room_type") for row in run.rirs(SIMULATED.train))}
 
 
 def decay_series(run: Run) -> list[figures_rirs.BandSeries]:

@@ -13,7 +13,7 @@ from roomeq.core.constants import BANDS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.effects.base import Effect
 from roomeq.effects.model import Model, extend_scene, path_gain
-from roomeq.records.schema import RirRow
+from roomeq.records.schema import TARGET_AGAIN, RirRow
 from roomeq.rooms import Loudspeaker
 from roomeq.sim.context import Directivity, NotFiniteError, Response
 from roomeq.sim.echogram import FRAME_S
@@ -235,7 +235,7 @@ def _render_row(room: TracedRoom, member: Member, effects: list[Effect]) -> Rend
             problem = error
             continue
         if target_number:
-            place = replace(place, drawn=(*place.drawn, "target_t60_s again"))
+            place = replace(place, drawn=(*place.drawn, TARGET_AGAIN))
         return RenderedRir(row, place, draw.scene, responses[0], effects, draw.target_s, draw.length_s,
                            others=tuple(responses[1:]))
     raise ValueError(f"RIR {row['id']}: {problem}")
