@@ -17,7 +17,8 @@ PAGES = {
     "effects": "Effects: predicted and rendered",
     "augmentation": "Augmentation", "wer": "Word error rates: generated rooms",
     "wer_real_rooms": "Word error rates: generated speech in real rooms",
-    "wer_digits": "Word error rates: real digits in real rooms", "faults": "Faults and bad inputs",
+    "wer_digits": "Word error rates: real digits in real rooms",
+    "wer_by_reverberation": "Word error rates: reverberation of the training RIRs", "faults": "Faults and bad inputs",
     "labels": "Labelling errors",
 }
 

@@ -5,9 +5,10 @@ Usage: tests/bench/publish.py [--commit HASH] [--date YYYY-MM-DD] PAGE FILE
 e.g.:  tests/bench/publish.py simulator exp/bench/fidelity.json
        tests/bench/publish.py loop tests/bench/loop/results/results.jsonl
 PAGE is one of simulator, measured_room, drawn_rooms, many_rooms, speed, waiting, compensation, loop, loop_scale,
-laboratories, effects, augmentation, wer, wer_real_rooms, wer_digits, faults, labels; of the word error rates, FILE is
-the directory that `tests/bench/wer.sh` made, and the errors of each seed are written to docs/results/counts/PAGE. The
-commit is that of the working tree, unless the results are of an earlier one.
+laboratories, effects, augmentation, wer, wer_real_rooms, wer_digits, wer_by_reverberation, faults, labels; of the word
+error rates, FILE is the directory that `tests/bench/wer.sh` or `tests/bench/wer_by_reverberation.sh` made, and the
+errors of each seed are written to docs/results/counts/PAGE. The commit is that of the working tree, unless the results
+are of an earlier one.
 """
 
 import argparse
@@ -112,6 +113,11 @@ def word_errors(results: dict[str, dict[str, Any]]) -> list[Table]:
     for addition, wer in results.items():
         tables += [table | dict(title=f"{table['title']}{addition}") for table in _word_error_tables(wer)]
     return tables
+
+
+def without_rooms(results: dict[str, dict[str, Any]]) -> list[Table]:
+    """Return what `word_errors` returns, without the table of hundreds of rooms."""
+    return [table for table in word_errors(results) if not table["title"].startswith("Rooms")]
 
 
 def _word_error_tables(wer: dict[str, Any]) -> list[Table]:
@@ -241,6 +247,10 @@ SUMMARY = {
     "wer_digits": "Word error rates of real digits in real rooms, with intervals over rooms and seeds "
                   "(`conf/digits.conf`). The measured RIRs for training are of three laboratories, the EQ "
                   "mixture is of two of them; every test room is elsewhere.",
+    "wer_by_reverberation": "How recognisers of real digits depend on the reverberation of their training RIRs, without "
+                            "the rooms of the test set: those of `conf/digits.conf`, and one that is trained on RIRs "
+                            "simulated with the T20 of the measured ones (sim.t60), are tested in drawn rooms with T60 "
+                            "from 0.2 to 2.0 s.",
     "faults": "Attacks on the recipe and its steps: files that change between two steps, losses of power, bad inputs, "
               "hostile names, kills, several runs at once, full disks. Handled: the bytes of an undisturbed run, or a "
               "refusal in one line that names the cause.",
@@ -257,7 +267,8 @@ READERS: dict[str, Callable[[Any], list[Table]]] = {
     "simulator": sections, "measured_room": sections, "speed": sections, "waiting": sections,
     "drawn_rooms": drawn_rooms, "many_rooms": many_rooms, "compensation": lambda result: result["tables"], "loop": loop,
     "loop_scale": loop_scale, "laboratories": sections, "augmentation": augmentation, "effects": effects,
-    "wer": word_errors, "wer_real_rooms": word_errors, "wer_digits": word_errors, "faults": faults, "labels": labels,
+    "wer": word_errors, "wer_real_rooms": word_errors, "wer_digits": word_errors,
+    "wer_by_reverberation": without_rooms, "faults": faults, "labels": labels,
 }
 COMMAND = {
     "simulator": "tests/bench/fidelity/run.py", "measured_room": "tests/bench/real/bras_cr2.py",
@@ -268,7 +279,7 @@ COMMAND = {
     "laboratories": "tests/bench/real/laboratories.py",
     "effects": "tests/bench/effects.py", "augmentation": "tests/bench/augment.py",
     **dict.fromkeys(("wer", "wer_real_rooms", "wer_digits"), "tests/bench/wer.sh"),
-    "faults": "tests/nightly/faults/attacks.sh",
+    "wer_by_reverberation": "tests/bench/wer_by_reverberation.sh", "faults": "tests/nightly/faults/attacks.sh",
     "many_rooms": "tests/bench/many_rooms.py", "labels": "tests/nightly/labels/label_errors.py",
 }
 
@@ -301,10 +312,11 @@ def main() -> None:
     commit = given.commit or subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=PROJECT, check=True, text=True,
                                             capture_output=True).stdout.strip()
     result = read(given.file)
-    if READERS[given.page] is word_errors and not (given.file / "wer").is_dir():
-        sys.exit(f"{given.file}: has no wer: give the directory that tests/bench/wer.sh made")
+    of_words = given.page.startswith("wer")
+    if of_words and not (given.file / "wer").is_dir():
+        sys.exit(f"{given.file}: has no wer: give the directory that {COMMAND[given.page]} made")
     machine = result.get("machine", kit.machine()) if isinstance(result, dict) else kit.machine()
-    if READERS[given.page] is word_errors:
+    if of_words:
         machine = {}  # seeds may be of several machines, and this may be another one
     machine = {key: value for key, value in machine.items() if key in ("cpu", "cores", "python")}
     content = dict(summary=f"{SUMMARY[given.page]} {given.note}".strip(), command=COMMAND[given.page], commit=commit,
@@ -312,7 +324,7 @@ def main() -> None:
     out = PROJECT / "docs/results" / f"{given.page}.json"
     out.write_text(json.dumps(kit.plain(content), indent=1, ensure_ascii=False) + "\n")
     print(f"{out.relative_to(PROJECT)} written")
-    if READERS[given.page] is word_errors:
+    if of_words:
         for name in WER_TABLES:
             if (counts := given.file / name / COUNTS_FILE).is_file():
                 write_text(out.parent / "counts" / given.page / f"{name}.jsonl", counts.read_text())
