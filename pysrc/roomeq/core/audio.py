@@ -6,6 +6,7 @@ Conventions: mono, float in [-1, 1), `FS_HZ` unless a caller says otherwise.
 import io
 import logging
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import soundfile
@@ -17,8 +18,11 @@ from roomeq.core.limits import AUDIO_HOURS, max_audio_samples
 
 logger = logging.getLogger(__name__)
 
+HEAD_BYTES = 28
+"""Of a file, in which every format that is known states its length."""
 MAX_RATE_HZ = 768000
 """Highest sample rate that a header may state [Hz]."""
+_UNKNOWN_FRAMES = 2 ** 62
 LARGEST_SAMPLE = 1e10
 """Largest sample, full scale being 1: above that of 32-bit integers, and its square is a number in single precision."""
 
@@ -42,11 +46,13 @@ def _opened(path: Path) -> soundfile.SoundFile:
         raise ValueError(f"{path}: no such audio file: check the path")
     if path.stat().st_size == 0:
         raise ValueError(f"{path}: audio file is empty (0 bytes): copy or record it again")
-    _check_riff_length(path)
+    _require_whole_file(path)
     try:
         file = soundfile.SoundFile(str(path))
     except (soundfile.LibsndfileError, RuntimeError, TypeError) as error:  # TypeError: a name that ends in .raw
         raise ValueError(f"{path}: cannot be read as audio ({error}): convert it to WAV or FLAC") from None
+    if file.frames > _UNKNOWN_FRAMES:
+        raise ValueError(f"{path}: its header does not state its length, as after encoding to a pipe: encode it again")
     if file.frames == 0:
         raise ValueError(f"{path}: holds 0 samples: copy or record it again")
     if file.samplerate > MAX_RATE_HZ:
@@ -182,18 +188,36 @@ def _float_wav(samples: Array, fs_hz: int) -> bytes:
     return buffer.getvalue()
 
 
-def _check_riff_length(path: Path) -> None:
+def _require_whole_file(path: Path) -> None:
+    n_bytes = path.stat().st_size
     with open(path, "rb") as stream:
-        require_whole_riff(stream.read(8), path.stat().st_size, path)
+        head = stream.read(HEAD_BYTES)
+        if head[:4] == b"RIFF" and n_bytes == int.from_bytes(head[4:8], "little") and _has_all_data(stream, n_bytes):
+            return  # some programs state the length of the file where that of the rest belongs
+    require_whole(head, n_bytes, path)
 
 
-def require_whole_riff(head: bytes, n_bytes: int, name: Path | str) -> None:
-    """Refuse a WAV file that is shorter than its header says; libsndfile would read the part that is left.
+def _has_all_data(stream: BinaryIO, n_bytes: int) -> bool:
+    """Tell whether a WAV file of `n_bytes` holds the whole of its chunk of samples."""
+    at = 12
+    while at + 8 <= n_bytes:
+        stream.seek(at)
+        head = stream.read(8)
+        at += 8 + int.from_bytes(head[4:], "little")
+        if head[:4] == b"data":
+            return at <= n_bytes
+        at += at % 2
+    return False
+
+
+def require_whole(head: bytes, n_bytes: int, name: Path | str) -> None:
+    """Refuse an audio file that is shorter than its header says; libsndfile would read the part that is left.
 
     Parameters
     ----------
     head : bytes
-        The first eight; of any other format, nothing is checked.
+        The first `HEAD_BYTES`, or as many as there are; of formats that `stated_length` does not know, nothing is
+        checked.
     n_bytes : int
         Length of the file.
     name : Path or str
@@ -204,17 +228,26 @@ def require_whole_riff(head: bytes, n_bytes: int, name: Path | str) -> None:
     ValueError
         Bytes are missing.
     """
-    stated = stated_riff_length(head)
+    stated = stated_length(head)
     if stated is not None and n_bytes < stated - 1:  # the last chunk may lack its padding byte
         raise ValueError(f"{name}: truncated: {n_bytes} bytes of {stated}: copy it again")
 
 
-def stated_riff_length(head: bytes) -> int | None:
-    """Return the length of a WAV file that its first eight bytes state; None if they state none, or of other formats.
+def stated_length(head: bytes) -> int | None:
+    """Return the length that the first bytes of a WAV, RF64, W64, AIFF or AU file state; None if they state none.
 
     A program that cannot seek back states a length that no file has: sox 0x7ffff024, others 0 or the largest number.
     """
-    if head[:4] != b"RIFF" or len(head) < 8:
+    kind = head[:4]
+    if kind == b"RF64" and head[12:16] == b"ds64":
+        stated, more = int.from_bytes(head[20:28], "little"), 8
+    elif kind == b"riff":  # W64
+        stated, more = int.from_bytes(head[16:24], "little"), 0
+    elif kind == b".snd":
+        stated, more = int.from_bytes(head[8:12], "big"), int.from_bytes(head[4:8], "big")
+    elif kind in (b"RIFF", b"FORM"):
+        stated, more = int.from_bytes(head[4:8], "little" if kind == b"RIFF" else "big"), 8
+    else:
         return None
-    stated = int.from_bytes(head[4:8], "little")
-    return None if stated == 0 or 0x7FFFF000 <= stated <= 0x7FFFFFFF or stated > 0xFFFFFFE8 else stated + 8
+    unknown = stated == 0 or 0x7FFFF000 <= stated <= 0x7FFFFFFF or 0xFFFFFFE8 < stated <= 0xFFFFFFFF
+    return None if unknown or stated >= _UNKNOWN_FRAMES else stated + more

@@ -17,7 +17,7 @@ import numpy as np
 import soundfile
 
 from roomeq.core.arrays import Array
-from roomeq.core.audio import audio_info, read_audio, require_plausible, require_whole_riff, stated_riff_length
+from roomeq.core.audio import HEAD_BYTES, audio_info, read_audio, require_plausible, require_whole, stated_length
 from roomeq.core.constants import FS_HZ
 from roomeq.core.digests import names_in_entry
 from roomeq.core.kept_hashes import Look, quick_look
@@ -270,8 +270,8 @@ def _read_ark(entry: Entry) -> Decoded:
                              "arrays and pickles are not supported: write the archive again with wav-copy or kaldiio")
         n_bytes = Path(entry.text).stat().st_size - entry.offset
         if tag.startswith(b"RIFF"):
-            require_whole_riff(head, n_bytes, position)  # of one that is cut off, the part that is left would be read
-            stated = stated_riff_length(head)
+            require_whole(head, n_bytes, position)  # of one that is cut off, the part that is left would be read
+            stated = stated_length(head)
             if stated is None:
                 raise ValueError(f"{position}: a WAV file in an archive must state its length: write the archive again "
                                  "with wav-copy or kaldiio")
@@ -343,7 +343,7 @@ def _run_pipe(command: str, pipes: bool) -> Decoded:
         last_line = (result.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]
         raise ValueError(f"{command!r}: command failed with status {result.returncode} ({last_line[:200]}): "
                          "run it by hand")
-    require_whole_riff(result.stdout[:8], len(result.stdout), repr(command))
+    require_whole(result.stdout[:HEAD_BYTES], len(result.stdout), repr(command))
     try:
         samples, rate = soundfile.read(io.BytesIO(result.stdout), dtype="float32", frames=_decoding_limit())
     except (soundfile.LibsndfileError, RuntimeError, TypeError) as error:
