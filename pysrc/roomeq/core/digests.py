@@ -197,7 +197,8 @@ def _audio_in_rows(directory: Path, tables: Iterable[str]) -> dict[str, Path]:
     found = {}
     for table in tables:
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-            for line in read_text(directory / table).splitlines():
+            # a row may hold characters at which str.splitlines would break it
+            for line in filter(None, read_text(directory / table).split("\n")):
                 wav = json.loads(line)["wav"]
                 found[wav] = physical(directory / wav)
     return found
@@ -225,7 +226,7 @@ def places_of(out: Path) -> tuple[str, str]:
 
 
 def _entries(directory: Path) -> list[str]:
-    return [line.split(maxsplit=1)[-1] for line in read_text(directory / "wav.scp").splitlines()]
+    return [line.split(maxsplit=1)[-1] for line in filter(None, read_text(directory / "wav.scp").split("\n"))]
 
 
 def names_in_entry(entry: str) -> set[str]:
