@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from roomeq.core.digests import files_below
 from roomeq.corpora.folder import list_folder, list_noise_folder
 from roomeq.corpora.record import Corpus, Recording, audio_files, folder_name, id_of_path, is_sofa
 from roomeq.corpora.reverbdb import find_rooms, list_reverbdb
@@ -32,7 +33,8 @@ def list_sofa(source: Path) -> Corpus:
 
 
 def _sofa_files(source: Path) -> list[Path]:
-    return sorted(path for path in source.rglob("*") if is_sofa(path))
+    paths = [path for path in source.rglob("*") if is_sofa(path)]  # also what is no file, which is refused by name
+    return sorted({*paths, *filter(is_sofa, files_below(source))})
 
 
 READERS = {"reverbdb": list_reverbdb, "slr28": list_slr28, "table": list_table, "sofa": list_sofa,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from roomeq.core.digests import files_below
 from roomeq.core.stamps import DONE_FILE
 from roomeq.records.geometry import find_contradiction
 from roomeq.records.schema import LARGEST, UNKNOWN, make_id
@@ -180,10 +181,8 @@ def noise_kind_of(name: str) -> str:
 
 
 def audio_files(directory: Path) -> list[Path]:
-    """Return the audio files below a directory in a fixed order, without hidden ones."""
-    return sorted(path for path in directory.rglob("*")
-                  if path.suffix.lower() in AUDIO_SUFFIXES and path.is_file()
-                  and not any(part.startswith(".") for part in path.relative_to(directory).parts))
+    """Return the audio files below a directory in a fixed order, also those in linked folders, without hidden ones."""
+    return sorted(path for path in files_below(directory) if path.suffix.lower() in AUDIO_SUFFIXES)
 
 
 def is_sofa(path: Path) -> bool:

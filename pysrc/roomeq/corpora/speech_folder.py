@@ -1,5 +1,6 @@
 """Speech as plain audio files in folders, without transcripts, as speech enhancement needs it."""
 
+import re
 from pathlib import Path
 
 from roomeq.corpora.record import DistinctIds, audio_files
@@ -37,9 +38,11 @@ def _utterance(path: Path, parts: tuple[str, ...], ids: DistinctIds, name: str) 
     """Return the utterance of a file by its path below a set."""
     words = [*parts[:-1], Path(parts[-1]).stem]
     ident = make_id("-".join([*([name] if name else []), *words]))
-    speaker = make_id("-".join([*([name] if name else []), words[0]])) if len(words) > 1 else ident
+    # Kaldi requires one order of speakers and of utterances: no character of a speaker may sort before '-'
+    folder = re.sub("[+-]", "_", make_id(words[0]))
+    speaker = make_id("-".join([*([name] if name else []), folder])) if len(words) > 1 else ident
     ids.add(f"utterance of set {name}", ident, str(path))
-    if not ident.startswith(speaker):  # a long or foreign name was hashed
+    if not ident.startswith(f"{speaker}-") and ident != speaker:  # of other characters, or a long name was hashed
         ident = make_id(f"{speaker}-{ident}")
     return Utterance(ident, speaker, voice=words[0] if len(words) > 1 else ident, gender=None, text=None, path=path,
                      where=str(path))

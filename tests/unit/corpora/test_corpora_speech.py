@@ -44,6 +44,19 @@ def rows_of_voices(counts):
             for n in range(count)]
 
 
+def test_folders_of_speakers_may_be_links_and_their_names_may_begin_alike(tmp_path):
+    for n, speaker in enumerate(("Anna", "Anna Maria", "Bob", "Carl")):
+        put(tmp_path / "disk" / speaker / "a.flac", rir(f"{n}", 1600))
+        put(tmp_path / "disk" / speaker / "Z.flac", rir(f"{n}z", 1600))
+    (tmp_path / "speech").mkdir()
+    for speaker in ("Anna", "Anna Maria", "Bob", "Carl"):
+        os.symlink(tmp_path / "disk" / speaker, tmp_path / "speech" / speaker)
+    prepare_speech(tmp_path / "speech", tmp_path / "data")
+    speakers = [value for name in ("train", "dev", "test")
+                for value in table(tmp_path / "data" / f"{name}.clean" / "utt2spk").values()]
+    assert sorted(set(speakers)) == ["Anna", "Anna_Maria", "Bob", "Carl"] and len(speakers) == 8
+
+
 @pytest.mark.parametrize("below", [".", "LibriSpeech"])
 def test_librispeech_matches_the_stock_recipe(tmp_path, below):
     source = tmp_path / "corpus"
