@@ -75,7 +75,8 @@ def _signals(sofa: Any, recording: Recording) -> Iterator[tuple[dict[str, Any], 
                                   f"_ch{r}" * (n_receivers > 1), f"_e{e}" * (n_emitters > 1)))
                 # what a CSV states of the file comes before what the file itself states
                 named = dict(binaural=binaural, source_id=_named(sofa, "Source"), mic_id=_named(sofa, "Listener"))
-                known = room | _positions(sofa, m, r, e) | named | recording.row
+                facings = dict(source_dir=_facing(sofa, "Source", m), mic_dir=_facing(sofa, "Listener", m))
+                known = room | _positions(sofa, m, r, e) | facings | named | recording.row
                 known["source_id"] += str(e or "")
                 known["mic_id"] += f"-ch{r}" * (n_receivers > 1)
                 row = rir_row(**known)
@@ -196,6 +197,18 @@ def _positions(sofa: Any, m: int, r: int, e: int) -> dict[str, Any]:
         return dict(distance_m=round(float(np.linalg.norm(source - mic)), 4))
     corner = np.minimum(*corners)
     return dict(source_pos_m=np.round(source - corner, 4).tolist(), mic_pos_m=np.round(mic - corner, 4).tolist())
+
+
+def _facing(sofa: Any, who: str, m: int) -> list[float] | None:
+    """Return the unit vector of a view that changes from measurement to measurement.
+
+    One view for all may be that of the convention's example, which nobody has replaced.
+    """
+    views = _array(sofa, f"{who}View")
+    if views is None or views.ndim != 2 or np.all(views == views[0]):
+        return None
+    view = vector_of(sofa, f"{who}View", 0, m)
+    return None if view is None or not view.any() else np.round(view / np.linalg.norm(view), 6).tolist()
 
 
 def _position(sofa: Any, whole: str, part: str, m: int, n: int) -> FloatArray | None:

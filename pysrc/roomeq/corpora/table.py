@@ -26,7 +26,7 @@ Other columns are ignored; the log lists them.
 import csv
 import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Set
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -60,11 +60,12 @@ _NAMES = ("corpus", "room_id", "room_type", "source_id", "mic_id", "session")
 _VECTORS = ("room_dims_m", "source_pos_m", "mic_pos_m", "source_dir", "mic_dir")
 _NUMBERS = ("distance_m", "temperature_c", "humidity_pct", "documented_t60_s")
 _FLAGS = ("binaural", "tof_removed", "unreliable_geometry", "uncommon")
-_OF_ONE_RIR = ("source_pos_m", "mic_pos_m", "source_dir", "mic_dir", "distance_m")
+_OF_ONE_RIR = ("source_pos_m", "mic_pos_m", "distance_m")
 _LENIENT = ("documented_t60_s",)
 _AMOUNTS = ("distance_m", "documented_t60_s")
 _MAY_BE_UNKNOWN = {*_NAMES, "rir_id", "utt_id", "speaker", "set"}
 _KNOWN = {"file", "rir_id", "excitation", *_NAMES, *_VECTORS, *_NUMBERS, *_FLAGS}
+_KNOWN_OF_NOISES = {"file", "rir_id", "room_id", "kind"}
 _TRUE, _FALSE = {"1", "true", "yes"}, {"0", "false", "no"}
 
 
@@ -145,8 +146,7 @@ def list_table(path: Path) -> Corpus:
         raise ValueError(f"{path}: column 'transcript' says that this is speech, but RIRs are expected here: pass it "
                          "as the speech corpus")
     corpus = Corpus(name=folder_name(path.parent), kind="table")
-    if ignored := sorted(set(columns) - _KNOWN):
-        logger.info("%s: columns not used: %s", path, ", ".join(ignored))
+    log_unused(path, columns, _KNOWN)
     ids = DistinctIds()
     for where, cells in rows:
         try:
@@ -163,6 +163,12 @@ def list_table(path: Path) -> Corpus:
         except ValueError as error:
             raise ValueError(f"{where}: {error}: correct the cell") from None
     return corpus
+
+
+def log_unused(path: Path, columns: Iterable[str], known: Set[str]) -> None:
+    """Log the columns of a CSV that have no meaning."""
+    if unused := sorted(set(columns) - known - {""}):
+        logger.info("%s: columns not used: %s", path, ", ".join(unused))
 
 
 def _stated(row: dict[str, Any], cells: dict[str, str]) -> dict[str, Any]:
@@ -184,7 +190,9 @@ def list_noise_table(path: Path) -> list[Recording]:
         See `read_table`.
     """
     noises = []
-    for where, cells in read_table(path)[1]:
+    columns, rows = read_table(path)
+    log_unused(path, columns, _KNOWN_OF_NOISES)
+    for where, cells in rows:
         file = resolve_file(path, cells)
         kind = cells.get("kind") or noise_kind_of(cells["file"])
         if kind not in ("ambient", "point"):

@@ -5,10 +5,11 @@ import re
 from pathlib import Path
 
 from roomeq.corpora.record import DistinctIds
-from roomeq.corpora.table import read_table, resolve_file
+from roomeq.corpora.table import log_unused, read_table, resolve_file
 from roomeq.corpora.utterance import Utterance
 from roomeq.records.schema import make_id
 
+_COLUMNS = ("file", "utt_id", "speaker", "gender", "set")
 _TEXT_COLUMNS = ("transcript", "text", "sentence")
 _GENDERS = {"m": "m", "male": "m", "f": "f", "female": "f"}
 
@@ -27,6 +28,7 @@ def list_transcripts(path: Path) -> dict[str, list[Utterance]]:
     text_column = next((name for name in _TEXT_COLUMNS if name in columns), None)
     if text_column is None:
         raise ValueError(f"{path}: columns {','.join(columns)} must hold 'transcript': add what is spoken")
+    log_unused(path, columns, {*_COLUMNS, text_column})
     sets: dict[str, list[Utterance]] = {}
     ids = DistinctIds()
     of_file: dict[str, Utterance] = {}

@@ -50,6 +50,17 @@ def test_receivers_turn_with_the_listener(tmp_path):
     assert signals(path)[0][0]["mic_pos_m"] == [2.9, 2.0, 1.5]
 
 
+def test_a_view_that_changes_is_where_the_source_faces(tmp_path):
+    path = put_sofa(tmp_path / "a.sofa", 2, SourceView=[[1, 0, 0], [0, 2, 0]], ListenerView=[[1, 0, 0]])
+    first, second = (row for row, _, _ in signals(path))
+    assert (first["source_dir"], second["source_dir"]) == ([1, 0, 0], [0, 1, 0])
+    assert first["mic_dir"] is None  # one view for all may be that of the convention's example
+    put_text(tmp_path / "t.csv", "file,mic_dir\na.sofa,0 1 0\n")
+    out = read_measured(tmp_path / "t.csv", tmp_path / "out")
+    assert [(row["source_dir"], row["mic_dir"]) for row in read_rirs(out)] == [
+        ([1, 0, 0], [0, 1, 0]), ([0, 1, 0], [0, 1, 0])]
+
+
 @pytest.mark.parametrize("unit, right_angle", [("degree", 90.0), ("radian", 0.5 * np.pi)])
 def test_spherical_source_positions(tmp_path, unit, right_angle):
     path = put_sofa(tmp_path / "a.sofa", SourcePosition=[[right_angle, right_angle / 3, 2]],

@@ -9,6 +9,7 @@ from corpora_examples import make_table, put, put_text
 from roomeq.corpora.folder import list_folder
 from roomeq.corpora.record import UNKNOWN, noise_kind_of, parse_number, parse_vector, rir_row
 from roomeq.corpora.table import list_noise_table, list_table
+from roomeq.corpora.transcripts import list_transcripts
 from roomeq.records.geometry import find_contradiction
 
 
@@ -78,6 +79,15 @@ def test_unused_columns_are_logged(tmp_path, caplog):
     caplog.set_level(logging.INFO)
     list_row(tmp_path, "licence,gain", "CC0,2")
     assert "columns not used: gain, licence" in caplog.text
+
+
+@pytest.mark.parametrize("read, columns, unused", [
+    (list_noise_table, "file,type\na.wav,ambient\n", "type"),
+    (list_transcripts, "file,transcript,speaker_id\na.wav,HELLO,spk1\n", "speaker_id")])
+def test_unused_columns_of_noises_and_speech_are_logged(tmp_path, caplog, read, columns, unused):
+    caplog.set_level(logging.INFO)
+    read(put_text(tmp_path / "t.csv", columns))
+    assert f"columns not used: {unused}" in caplog.text
 
 
 def test_excitation_column_overrides_the_file_name(tmp_path):
