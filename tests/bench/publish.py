@@ -247,8 +247,9 @@ SUMMARY = {
     "wer_digits": "Word error rates of real digits in real rooms, with intervals over rooms and seeds "
                   "(`conf/digits.conf`). The measured RIRs for training are of three laboratories, the EQ "
                   "mixture is of two of them; every test room is elsewhere.",
-    "wer_by_reverberation": "How recognisers of real digits depend on the reverberation of their training RIRs, without "
-                            "the rooms of the test set: those of `conf/digits.conf`, and one that is trained on RIRs "
+    "wer_by_reverberation": "How recognisers of real digits depend on the reverberation of their training RIRs, "
+                            "without the rooms of the test set: those of `conf/digits.conf`, and one that is trained "
+                            "on RIRs "
                             "simulated with the T20 of the measured ones (sim.t60), are tested in drawn rooms with T60 "
                             "from 0.2 to 2.0 s.",
     "faults": "Attacks on the recipe and its steps: files that change between two steps, losses of power, bad inputs, "

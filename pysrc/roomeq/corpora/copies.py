@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray
 from roomeq.core.constants import FS_HZ
-from roomeq.records.rir_dir import load_rir
+from roomeq.records.rir_dir import load_rir, rir_path
 from roomeq.records.schema import NoiseRow, RirRow
 
 SKETCH_SIZE = 256
@@ -48,7 +48,12 @@ def sketch_rirs(directory: Path, rows: Sequence[RirRow]) -> RirSketches:
         samples = load_rir(directory, row, row["fs_hz"])
         wholes.append(sketch(samples))
         samples = soxr.resample(samples, row["fs_hz"], FS_HZ, quality="VHQ")
-        parts.append(cut_parts(samples, find_direct(samples, FS_HZ).sample))
+        try:
+            direct = find_direct(samples, FS_HZ)
+        except ValueError as error:
+            raise ValueError(f"{rir_path(directory, row)}: {error}; or run roomeq characterise first, which leaves "
+                             "such recordings out") from None
+        parts.append(cut_parts(samples, direct.sample))
     return RirSketches(np.array(wholes).reshape(-1, SKETCH_SIZE), np.array(parts))
 
 

@@ -152,6 +152,8 @@ def _write(build: Build, corpus: Corpus, skip_bad: bool, nj: int, keep_suspiciou
                     if keep_suspicious and table == "rirs":
                         row["suspicious"] = None
                     if samples is not None:
+                        if table == "rirs" and not is_sofa(recording.path):
+                            row["recording"] = row["wav"]
                         row["wav"] = f"wav/{row['id']}.wav" if table == "rirs" else f"wav/noise/{row['id']}.wav"
                         write_wav(build.work / row["wav"], samples)
                         change = "converted" if converted else "copied"

@@ -221,7 +221,7 @@ def _measurement_keys(row: RirRow) -> list[str]:
 
     Where positions are not wholly known, files of one name in different folders of a room count as channels too.
     """
-    path = Path(row["wav"]).with_suffix("")
+    path = Path(row.get("recording") or row["wav"]).with_suffix("")
     name = re.sub(r"[._-](ch\d+(_e\d+)?|e\d+|[LR])$", "", path.name)
     keys = [repr((row["room_id"], str(path.parent), name))]
     position = position_key(row)

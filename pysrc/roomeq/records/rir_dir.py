@@ -23,7 +23,7 @@ from typing import Any, NamedTuple, cast
 from urllib.parse import unquote
 
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import BAND_1KHZ, FS_HZ
+from roomeq.core.constants import BAND_1KHZ, FS_HZ, require_air, require_fs
 from roomeq.core.files import path_from, read_jsonl, write_jsonl, write_text
 from roomeq.core.stamps import read_stamp
 from roomeq.records.schema import NoiseRow, RirRow, noise_problem, row_problem
@@ -274,6 +274,13 @@ def validate_rirs(directory: Path) -> int:
 
     rows = read_rirs(directory)
     for row in rows:
+        try:
+            require_fs(row["fs_hz"])
+            values: Mapping[str, Any] = row
+            require_air(**{key: values[key] for key in ("temperature_c", "humidity_pct")
+                           if values.get(key) is not None})
+        except ValueError as error:
+            raise ValueError(f"{Path(directory) / ROWS_FILE}: RIR {row['id']}: {error}") from None
         info = audio_info(rir_path(directory, row))
         if (info.samplerate, info.frames, info.channels) != (row["fs_hz"], row["n_samples"], n_channels(row)):
             raise ValueError(f"{rir_path(directory, row)}: {info.channels} channels of {info.frames} samples at "
@@ -306,6 +313,6 @@ def validate_noises(directory: Path) -> int:
         if info.samplerate != rate_hz or (stated_s is not None and abs(info.frames / rate_hz - stated_s) > 1e-3):
             raise ValueError(f"{path}: {info.frames / info.samplerate:g} s at {info.samplerate} Hz do not fit row "
                              f"{noise['id']} ({stated_s} s at {rate_hz} Hz): make it again")
-        if not read_audio(path, dtype="float32").any():
+        if not read_audio(path, fs_hz=info.samplerate, dtype="float32").any():
             raise ValueError(f"{path}: noise {noise['id']} is silent (all samples 0): leave it out")
     return len(noises)

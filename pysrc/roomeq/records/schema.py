@@ -142,6 +142,7 @@ class RirRow(TypedDict):
     source_directivity: NotRequired[Annotated[Membrane, Meta(description="an object")] | None]
     drawn: NotRequired[Annotated[list[str], Meta(description="a list of texts")] | None]
     # the measurement
+    recording: NotRequired[Text | None]
     corpus: NotRequired[Text | None]
     room_type: NotRequired[Text | None]
     excitation: NotRequired[Text | None]

@@ -8,6 +8,7 @@ import soundfile
 import soxr
 from rirmaker import coloured_rir, row, write_rir_dir
 
+from roomeq.corpora import read_measured
 from roomeq.corpora.split import SPLITS, split_rirs
 from roomeq.records.rir_dir import read_noises, read_rirs, validate_rirs
 
@@ -39,6 +40,27 @@ def split(tmp_path, rir_dir, name="out", **options):
 
 def sizes_of(ids):
     return [len(ids[part]) for part in SPLITS]
+
+
+@pytest.mark.parametrize("fs_hz", [16000, 48000])
+def test_files_of_one_name_are_channels_also_where_they_were_converted(tmp_path, fs_hz):
+    rirs = recordings("takes")
+    for mic in range(3):
+        for take in range(6):
+            path = tmp_path / "corpus" / "lab" / f"mic{mic}" / f"take{take}.wav"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            soundfile.write(path, np.repeat(next(rirs), fs_hz // 16000), fs_hz, subtype="FLOAT")
+    read_measured(tmp_path / "corpus", tmp_path / "in", keep_suspicious=True)
+    ids, _ = split(tmp_path, tmp_path / "in", sizes=(9, 6, 3))
+    takes = [{name.rpartition("-")[2] for name in of_part} for of_part in ids.values()]
+    assert sum(map(len, takes)) == 6 and sizes_of(ids) == [9, 6, 3]
+
+
+def test_recording_without_a_direct_sound_is_named(tmp_path):
+    rir_dir = write_rir_dir(tmp_path / "in", [(row(f"a-{n}"), np.full(16000, 0.3) if n == 2 else coloured_rir(n))
+                                              for n in range(4)])
+    with pytest.raises(ValueError, match=r"a-2.wav: impulse response has no direct sound: .* roomeq characterise"):
+        split(tmp_path, rir_dir, sizes=(2, 1, 1))
 
 
 @pytest.mark.parametrize("count, sizes, expected", [

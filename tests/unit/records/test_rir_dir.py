@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rirmaker import coloured_rir, row, write_rir_dir
 
 from roomeq.core.audio import write_wav
 from roomeq.records.rir_dir import (
@@ -100,6 +101,22 @@ def test_noise_of_several_channels_is_refused_as_by_augment(tmp_path):
     write_noises(tmp_path, [dict(id="n", wav="n.wav", kind="ambient")])
     with pytest.raises(ValueError, match=r"n\.wav: 2 channels where one is expected: choose one, or split the file"):
         validate_noises(tmp_path)
+
+
+@pytest.mark.parametrize("known, message", [
+    (dict(temperature_c=400.0), r"rirs.jsonl: RIR a: temperature_c=400 must lie in"),
+    (dict(fs_hz=4000), r"rirs.jsonl: RIR a: fs=4000 must be a whole number of hertz from 8000")])
+def test_values_out_of_range_are_refused(tmp_path, known, message):
+    write_rir_dir(tmp_path, [(row("a"), coloured_rir(0))])
+    write_rirs(tmp_path, [read_rirs(tmp_path)[0] | known])
+    with pytest.raises(ValueError, match=message):
+        validate_rirs(tmp_path)
+
+
+def test_noises_at_8_khz_are_valid(tmp_path):
+    write_wav(tmp_path / "n.wav", coloured_rir(0), 8000)
+    write_noises(tmp_path, [dict(id="n", wav="n.wav", room_id=None, kind="ambient", fs_hz=8000)])
+    assert validate_noises(tmp_path) == 1
 
 
 def test_numpy_numbers_are_written_as_plain_ones(tmp_path):
