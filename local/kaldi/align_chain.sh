@@ -15,13 +15,14 @@ workspace=$1 set=$2 data=$2 gmm=$2/gmm/final
 [ "$speed_perturb" = false ] || data=$set.sp
 
 after "$set/gmm/final" "$set/features/$data.fix" lang/const_arpa_fglarge
+jobs=$(jobs_for "data/$data")
 # the inner bash expands the variables
 # shellcheck disable=SC2016
 once "$set/align/lang" bash -c \
   'rm -rf "$1" && mkdir -p "${1%/*}" && cp -r data/lang "$1" && steps/nnet3/chain/gen_topo.py \
   "$(cat "$1/phones/nonsilence.csl")" "$(cat "$1/phones/silence.csl")" >"$1/topo"' topo "$set/align/lang"
-once "$set/align/ali" steps/align_fmllr.sh --nj "$nj" --cmd "$runner" "data/$data" data/lang "$gmm" "$set/align/ali"
-once "$set/align/lats" steps/align_fmllr_lats.sh --nj "$nj" --cmd "$runner" "data/$data" data/lang "$gmm" \
+once "$set/align/ali" steps/align_fmllr.sh --nj "$jobs" --cmd "$runner" "data/$data" data/lang "$gmm" "$set/align/ali"
+once "$set/align/lats" steps/align_fmllr_lats.sh --nj "$jobs" --cmd "$runner" "data/$data" data/lang "$gmm" \
   "$set/align/lats"
 once "$set/align/tree" steps/nnet3/chain/build_tree.sh --frame-subsampling-factor 3 \
   --context-opts "--context-width=2 --central-position=1" --cmd "$runner" \

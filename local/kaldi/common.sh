@@ -2,6 +2,8 @@
 # Functions shared by the scripts of this folder. Source it after parse_options.sh. The scripts set `nj`, `dry_run` and
 # `workspace`, a directory with links to the steps/ and utils/ of stock Kaldi.
 
+outputs='' key='' earlier='' # of `once`; none of the environment
+
 # the command that runs Kaldi's jobs: run.pl, or queue.pl or slurm.pl with their options
 runner=${kaldi_cmd:-run.pl --max-jobs-run $nj}
 
@@ -15,6 +17,14 @@ kaldi_root() {
     [ -d "$root/$folder" ] || die "KALDI_ROOT '$root' has no $folder: is it Kaldi's top directory?"
   done
   realpath "$root"
+}
+
+# jobs_for DATA: print the number of jobs for a data directory of the workspace: stock scripts refuse more than it has
+# speakers.
+jobs_for() {
+  local speakers=$nj
+  [ "$dry_run" = true ] || speakers=$(wc -l <"$workspace/$1/spk2utt")
+  echo $((speakers < nj ? speakers : nj))
 }
 
 # lasting WORD...: print the words of a command on which its result depends, each ended by a null byte: all but the

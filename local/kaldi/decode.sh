@@ -42,8 +42,9 @@ score() { # COLUMN
 }
 
 after "$set/nnet/train" "$ali/align/graph" "$test/features/$test.hires.fix" "${ivectors_made[@]}"
+jobs=$(jobs_for "$data")
 outputs="${out}_tgsmall/lat.*.gz" once "$out/tgsmall" steps/nnet3/decode.sh "${search[@]}" \
-  --skip-scoring true --nj "$nj" --cmd "$runner" "${with_ivectors[@]}" "$graph" "$data" "${out}_tgsmall"
+  --skip-scoring true --nj "$jobs" --cmd "$runner" "${with_ivectors[@]}" "$graph" "$data" "${out}_tgsmall"
 score tgsmall
 outputs="${out}_tgmed/lat.*.gz" once "$out/tgmed" steps/lmrescore.sh --skip-scoring true --cmd "$runner" \
   --self-loop-scale 1.0 $small data/lang_test_tgmed "$data" "${out}"_{tgsmall,tgmed}
@@ -56,7 +57,7 @@ done
 once "$out/online_config" steps/online/nnet3/prepare_online_decoding.sh --mfcc-config conf/mfcc_hires.conf \
   "$ali/align/lang" "${extractor[@]}" "$set" "$set/online"
 outputs="$set/online/decode_$test/lat.*.gz" once "$out/online" steps/online/nnet3/decode.sh \
-  "${search[@]}" --skip-scoring true --nj "$nj" --cmd "$runner" "$graph" "$data" "$set/online/decode_$test"
+  "${search[@]}" --skip-scoring true --nj "$jobs" --cmd "$runner" "$graph" "$data" "$set/online/decode_$test"
 once "$out/link" ln -sfn "online/decode_$test" "${out}_online"
 score online
 for column in tgsmall tgmed tglarge fglarge online; do # what roomeq wer compares with the set's present state

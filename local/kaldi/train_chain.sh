@@ -70,7 +70,7 @@ train=(steps/nnet3/chain/train.py --cmd "$runner" --use-gpu "$([ "$use_gpu" = tr
   --chain.xent-regularize 0.1 --chain.leaky-hmm-coefficient 0.1 --chain.l2-regularize 0.0
   --chain.apply-deriv-weights false --chain.lm-opts="--num-extra-lm-states=2000"
   --egs.opts "--frames-overlap-per-eg 0 --constrained false --online-cmvn $online_cmvn --num-utts-subset $held_out"
-  --egs.nj "$nj"
+  --egs.nj "$(jobs_for "data/$set.hires")"
   --egs.chunk-width "$chunk_width"
   --trainer.dropout-schedule "0,0@0.20,0.5@0.50,0" --trainer.add-option="--optimization.memory-compression-level=2"
   --trainer.srand "$seed" --trainer.num-chunk-per-minibatch "$minibatch" --trainer.frames-per-iter "$frames_per_iter"

@@ -31,11 +31,13 @@ for pass in "${pass_list[@]}"; do
   fi
   if [ -n "$previous" ]; then
     align=$([[ $previous == *.sat ]] && echo align_fmllr || echo align_si)
-    once "$set/gmm/$number.align" "steps/$align.sh" --nj "$nj" --cmd "$runner" "$data" "$lang" "$previous" "$dir.ali"
+    once "$set/gmm/$number.align" "steps/$align.sh" --nj "$(jobs_for "$data")" --cmd "$runner" "$data" "$lang" \
+      "$previous" "$dir.ali"
   fi
   case $kind in
     mono)
-      once "$set/gmm/$number.mono" steps/train_mono.sh "${boost[@]}" --nj "$nj" --cmd "$runner" "$data" "$lang" "$dir"
+      once "$set/gmm/$number.mono" steps/train_mono.sh "${boost[@]}" --nj "$(jobs_for "$data")" --cmd "$runner" "$data" \
+        "$lang" "$dir"
       ;;
     deltas) train=(steps/train_deltas.sh "${boost[@]}") ;;
     lda_mllt) train=(steps/train_lda_mllt.sh --splice-opts "--left-context=3 --right-context=3") ;;

@@ -22,15 +22,16 @@ once "$set/ivectors/ubm_data" utils/subset_data_dir.sh "$data" "$(part 100)" "$d
 once "$set/ivectors/data" utils/subset_data_dir.sh "$data" "$(part 5)" "$data.ivectors"
 once "$set/ivectors/pca" steps/online/nnet2/get_pca_transform.sh --cmd "$runner" \
   --splice-opts "--left-context=3 --right-context=3" --max-utts 10000 --subsample 2 "$data.ubm" "$dir/pca"
-once "$set/ivectors/ubm" steps/online/nnet2/train_diag_ubm.sh --cmd "$runner" --nj "$nj" --num-frames 700000 \
+once "$set/ivectors/ubm" steps/online/nnet2/train_diag_ubm.sh --cmd "$runner" --nj "$(jobs_for "$data.ubm")" --num-frames 700000 \
   --num-threads 2 "$data.ubm" 512 "$dir/pca" "$dir/ubm"
-once "$set/ivectors/extractor" steps/online/nnet2/train_ivector_extractor.sh --cmd "$runner" --nj "$nj" \
+once "$set/ivectors/extractor" steps/online/nnet2/train_ivector_extractor.sh --cmd "$runner" --nj "$(jobs_for "$data.ivectors")" \
   --num-threads 1 --num-processes 1 --online-cmvn-iextractor "$online_cmvn" "$data.ivectors" "$dir/ubm" "$dir/extractor"
 once "$set/ivectors/max2" utils/data/modify_speaker_info.sh --utts-per-spk-max 2 "$data" "$data.max2"
-once "$set/ivectors/train" steps/online/nnet2/extract_ivectors_online.sh --cmd "$runner" --nj "$nj" \
+once "$set/ivectors/train" steps/online/nnet2/extract_ivectors_online.sh --cmd "$runner" --nj "$(jobs_for "$data.max2")" \
   "$data.max2" "$dir/extractor" "$dir/$set"
 for test; do
   after "$set/ivectors/extractor" "$test/features/$test.hires.fix"
-  once "$set/ivectors/$test" steps/online/nnet2/extract_ivectors_online.sh --cmd "$runner" --nj "$nj" \
+  once "$set/ivectors/$test" steps/online/nnet2/extract_ivectors_online.sh --cmd "$runner" \
+    --nj "$(jobs_for "data/$test.hires")" \
     "data/$test.hires" "$dir/extractor" "$dir/$test"
 done
