@@ -12,6 +12,7 @@ source that a step made; it goes to wer.json, which then says what it is of.
 import argparse
 import hashlib
 import os
+import shlex
 import shutil
 import sys
 from pathlib import Path
@@ -52,7 +53,11 @@ def copy_data(source: Path, copy: Path, seed: int | None = None) -> None:
         path = Path(entry.text).absolute()
         if entry.kind != "file" or path.suffix.lower() not in (".flac", ".wav"):
             raise ValueError(f"{source}/wav.scp: recording {recording} must be a FLAC or WAV file, not {entry.text!r}")
-        lines.append(f"{recording} {flac_entry(str(path)) if path.suffix.lower() == '.flac' else path}\n")
+        if path.suffix.lower() == ".flac":
+            read = flac_entry(str(path))
+        else:  # stock scripts paste names of files into commands, but take commands as they are
+            read = str(path) if shlex.quote(str(path)) == str(path) else f"cat {shlex.quote(str(path))} |"
+        lines.append(f"{recording} {read}\n")
     shutil.rmtree(copy.parent.parent / "done" / copy.name / "features", ignore_errors=True)
     shutil.rmtree(copy, ignore_errors=True)
     copy.mkdir(parents=True)

@@ -5,10 +5,12 @@ import re
 import shutil
 import subprocess
 
+import numpy as np
 import pytest
 import recipe_run
 from datadirs import speech_dir
 
+from roomeq.core.audio import write_wav
 from roomeq.core.digests import digest
 from roomeq.core.files import write_json, write_text
 from roomeq.core.stamps import FORMAT, stamp_content
@@ -212,6 +214,20 @@ def test_copied_directory_names_audio_by_absolute_paths(copy_data, tmp_path, pro
     for line in (tmp_path / "copy/wav.scp").read_text().splitlines():
         assert f"'{tmp_path}/a dir/" in line
     assert (tmp_path / "copy/text").read_bytes() == (source / "text").read_bytes()
+
+
+def test_names_of_wav_files_are_quoted_for_scripts_that_paste_them_into_commands(copy_data, tmp_path):
+    names = ["plain.wav", "a;touch evil;.wav"]
+    for name in names:
+        write_wav(tmp_path / name, np.full(1600, 0.1))
+    (tmp_path / "source").mkdir()
+    for table, line in (("wav.scp", "u{n} {path}"), ("text", "u{n} YES"), ("utt2spk", "u{n} u{n}")):
+        (tmp_path / "source" / table).write_text("".join(
+            line.format(n=n, path=tmp_path / name) + "\n" for n, name in enumerate(names)))
+    done = copy_data(tmp_path / "source", tmp_path / "copy")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "copy/wav.scp").read_text() == (
+        f"u0 {tmp_path}/plain.wav\nu1 cat '{tmp_path}/a;touch evil;.wav' |\n")
 
 
 def test_copy_keeps_features_until_the_source_changes(copy_data, tmp_path):
