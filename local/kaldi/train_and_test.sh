@@ -49,15 +49,26 @@ settings() { # NAME...
   for name; do
     local -n value=$name
     for word in "${value[@]}"; do
+      word=${word#--config=}
       if [ -f "$word" ]; then word="${word##*/} $(sha256sum <"$word" | cut -c1-16)"; fi
       echo "$name $word"
     done
   done
 }
 
+texts=("$data/train.clean/text" ${lm_text:+"$lm_text"})
+[ -z "$librispeech" ] || [ -n "$lm_text" ] || texts=()
+of_training=(align_on num_leaves speed_perturb online_cmvn ivectors chain_opts)
+# Refuse a later stage with other options than the earlier ones had.
+require_same() { # FILE STAGE NAME...
+  [ "$dry_run" = false ] || return 0
+  require "$1" "stage $2"
+  [ "$(settings "${@:3}")" = "$(cat "$1")" ] || die "$1 is of other texts or options ($(
+    diff <(settings "${@:3}") "$1" | sed -n 's/^[<>] \([^ ]*\).*/\1/p' | sort -u | paste -sd' ')): start with --stage $2"
+}
+
 if at_stage 8 "Kaldi: language, features, GMM"; then
-  texts=("$data/train.clean/text" ${lm_text:+"$lm_text"})
-  [ -z "$librispeech" ] || [ -n "$lm_text" ] || texts=()
+  [ "$dry_run" = true ] || rm -f "$workspace/settings"
   log "language models are trained on: ${texts[*]:-nothing, those of LibriSpeech are used}"
   local/kaldi/make_workspace.sh "${common[@]}" --seed "$seed" "$workspace" "${copied[@]}"
   [ "$dry_run" = true ] || roomeq validate "${copied[@]}" # Kaldi would train on a damaged directory
@@ -74,8 +85,8 @@ if at_stage 8 "Kaldi: language, features, GMM"; then
 fi
 
 if at_stage 9 "Kaldi: TDNN with LF-MMI"; then
+  require_same "$workspace/settings" 8 texts gmm_passes
   if [ "$dry_run" = false ]; then
-    require "$workspace/settings" "stage 8"
     [ "$(cat "$workspace/seed")" = "$seed" ] || die "--seed $seed: $workspace is of seed $(cat "$workspace/seed"): run" \
       "stages 6 to 8 with this seed first, or train with that one"
   fi
@@ -97,15 +108,15 @@ if at_stage 9 "Kaldi: TDNN with LF-MMI"; then
     local/kaldi/train_chain.sh "${common[@]}" --use-gpu "$use_gpu" --ivectors "$ivectors" \
       --online-cmvn "$online_cmvn" --seed "$seed" "${chain_opts[@]}" "$workspace" "train.$x" "$(alignments_of "$x")"
     [ "$dry_run" = true ] || cp "$workspace/seed" "$workspace/train.$x/seed"
-    [ "$dry_run" = true ] || { cat "$workspace/settings" &&
-      settings align_on num_leaves speed_perturb online_cmvn ivectors chain_opts; } >"$workspace/train.$x/trained_with"
+    [ "$dry_run" = true ] || settings texts gmm_passes "${of_training[@]}" >"$workspace/train.$x/trained_with"
   done
 fi
 
 if at_stage 10 "Kaldi: decode; word error rates"; then
+  require_same "$workspace/settings" 8 texts gmm_passes
   decode=(local/kaldi/decode.sh "${common[@]}" --ivectors "$ivectors" "${decode_opts[@]}")
   for x in "${sets[@]}"; do
-    [ "$dry_run" = true ] || require "$workspace/train.$x/trained_with" "stage 9"
+    require_same "$workspace/train.$x/trained_with" 9 texts gmm_passes "${of_training[@]}"
     "${decode[@]}" "$workspace" "train.$x" "$(alignments_of "$x")" "dev.$x"
     "${decode[@]}" --tuned-on "dev.$x" "$workspace" "train.$x" "$(alignments_of "$x")" test.real.rvb
     [ "$dry_run" = true ] || { cat "$workspace/train.$x/trained_with" &&

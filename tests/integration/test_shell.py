@@ -202,6 +202,69 @@ def test_recipe_refuses_another_current_directory(tmp_path, project_dir):
     assert done.returncode != 0 and "directory that holds run.sh" in done.stderr
 
 
+@pytest.mark.parametrize("options, message", [
+    (["--lm-text", "absent.txt"], "run.sh: --lm-text 'absent.txt': no such file"),
+    (["--decode-opts", "--beem 11"], "decode.sh: unknown option 'beem'"),
+    (["--chain-opts", "--layerz 3"], "train_chain.sh: unknown option 'layerz'"),
+    (["--exp", "a b"], "run.sh: --exp 'a b': Kaldi's scripts take no blanks")])
+def test_recipe_refuses_options_of_kaldi_before_any_work(project_dir, options, message):
+    done = call(project_dir, "./run.sh", "--stop-stage", "8", *options, "--data", "/dev/null/data")
+    assert (done.returncode, done.stdout) == (1, "") and message in done.stderr
+
+
+def in_workspace(project_dir, workspace, script, **environment):
+    """Run a script with the functions of `local/kaldi/common.sh`, with three jobs."""
+    file = workspace.with_name("script.sh")
+    file.write_text(f"set -euo pipefail\nnj=3\ndry_run=false\n. ./path.sh\n. utils/parse_options.sh\n"
+                    f". local/kaldi/common.sh\nworkspace={workspace}\n{script}\n")
+    return subprocess.run(["bash", str(file)], cwd=project_dir, capture_output=True, text=True, timeout=60,
+                          env={"PATH": os.environ["PATH"]} | environment)
+
+
+def test_functions_of_kaldi_scripts_ignore_the_environment(project_dir, tmp_path):
+    (tmp_path / "ws").mkdir()
+    (tmp_path / "ws/path.sh").write_text("")
+    (tmp_path / "precious").write_text("kept")
+    done = in_workspace(project_dir, tmp_path / "ws", "once a/b true", outputs=str(tmp_path / "precious"))
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "precious").is_file() and (tmp_path / "ws/done/a/b").is_file()
+
+
+@pytest.mark.parametrize("speakers, jobs", [(2, 2), (40, 3)])
+def test_kaldi_gets_no_more_jobs_than_there_are_speakers(project_dir, tmp_path, speakers, jobs):
+    (tmp_path / "ws/data/dev").mkdir(parents=True)
+    (tmp_path / "ws/data/dev/spk2utt").write_text("s u\n" * speakers)
+    assert in_workspace(project_dir, tmp_path / "ws", "jobs_for data/dev").stdout == f"{jobs}\n"
+
+
+@pytest.mark.parametrize("stage, options, message", [
+    ("9", ["--gmm-passes", "mono all"], "kaldi/settings is of other texts or options (gmm_passes): start with --stage 8"),
+    ("9", ["--lm-text", "README.md"], "kaldi/settings is of other texts or options (texts): start with --stage 8"),
+    ("10", ["--align-on", "self", "--rows", "sim.rvb"],
+     "trained_with is of other texts or options (align_on): start with --stage 9"),
+    ("10", ["--chain-opts", "--config=CONF", "--rows", "sim.rvb"],
+     "trained_with is of other texts or options (chain_opts): start with --stage 9")])
+def test_later_stages_refuse_a_workspace_of_other_options(project_dir, tmp_path, stage, options, message):
+    (tmp_path / "data/train.clean").mkdir(parents=True)
+    (tmp_path / "data/train.clean/text").write_text("u HELLO\n")
+    (tmp_path / "conf").write_text("layers=9\n")
+    workspace = tmp_path / "exp/kaldi"
+    (workspace / "train.sim.rvb").mkdir(parents=True)
+    script = (project_dir / "local/kaldi/train_and_test.sh").read_text()
+    head = script[:script.index("# Refuse a later stage")]
+    for target, names in (("settings", "texts gmm_passes"),
+                          ("train.sim.rvb/trained_with", 'texts gmm_passes "${of_training[@]}"')):
+        (tmp_path / "settings.sh").write_text(f"{head}\nsettings {names}\n")
+        done = call(project_dir, "bash", str(tmp_path / "settings.sh"), str(tmp_path / "data"), str(tmp_path / "exp"))
+        assert done.returncode == 0, done.stderr
+        (workspace / target).write_text(done.stdout)
+    (workspace / "seed").write_text("0\n")
+    options = [word.replace("CONF", str(tmp_path / "conf")) for word in options]
+    done = call(project_dir, "local/kaldi/train_and_test.sh", "--stage", stage, *options, str(tmp_path / "data"),
+                str(tmp_path / "exp"))
+    assert done.returncode == 1 and message in done.stderr, done.stderr
+
+
 STAND_IN = """#!/usr/bin/env bash
 # stands in for Kaldi's train.py: makes examples and models, removes examples and the first models, then writes reports
 set -euo pipefail
@@ -232,7 +295,7 @@ def test_training_goes_on_where_it_was_killed(project_dir, tmp_path, killed_at, 
         (workspace / name).write_text("key\n")
     for folder in ("train.sim", "data/train.sim", "data/train.sim.hires", "bin"):
         (workspace / folder).mkdir(parents=True, exist_ok=True)
-    for name in ("data/train.sim/source", "data/train.sim.hires/text"):
+    for name in ("data/train.sim/source", "data/train.sim.hires/text", "data/train.sim.hires/spk2utt"):
         (workspace / name).write_text("a\n")
     for name, script in (("steps/nnet3/chain/train.py", STAND_IN), ("bin/tree-info", "#!/bin/sh\necho num-pdfs 9\n"),
                          ("steps/nnet3/xconfig_to_configs.py", "#!/bin/sh\n")):
