@@ -11,7 +11,7 @@ set -euo pipefail
 
 stage=0           # first stage to run
 stop_stage=       # last stage to run; default: 7, or 10 if --stage is 8 or more
-nj=$(env -u OMP_NUM_THREADS nproc)   # parallel jobs; results do not depend on it
+nj=$(env -u OMP_NUM_THREADS nproc)   # parallel jobs; results of stages 0 to 7 do not depend on it
 seed=0            # seed of all random numbers, except those of the synthetic corpus
 data=data         # where data directories go
 exp=exp           # where models, logs and the report go
@@ -181,8 +181,10 @@ if at_stage 7 "make the report"; then
 fi
 
 if [ "$stop_stage" -ge 8 ]; then
+  of_corpus=$(realpath -m "$corpora")/speech/
+  of_corpus=${of_corpus//\'/\'\"\'\"\'} # as wav.scp quotes it
   if [ -z "$lm_text$librispeech$speech" ] && { [ "$dry_run" = true ] ||
-    grep -qF "$(realpath "$corpora")/speech/" "$data/train.clean/wav.scp"; }; then
+    grep -qF -- "$of_corpus" "$data/train.clean/wav.scp"; }; then
     lm_text=$corpora/speech/LibriSpeech-LM/lm.txt
   fi
   local/kaldi/train_and_test.sh --stage "$stage" --stop-stage "$stop_stage" --nj "$nj" --seed "$seed" \

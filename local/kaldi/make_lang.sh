@@ -23,7 +23,7 @@ else
   if [ "$dry_run" = false ]; then
     mkdir -p "$workspace/$lm"
     for text; do
-      if [ "${text##*/}" = text ]; then cut -d' ' -f2- "$text"; else cat "$text"; fi
+      if [ "${text##*/}" = text ]; then sed 's/^[[:space:]]*[^[:space:]]*[[:space:]]*//' "$text"; else cat "$text"; fi
     done >"$workspace/$lm/text"
   fi
   once lang/dict python "$PWD/local/make_dict.py" --no-ids $lm/text $dict
