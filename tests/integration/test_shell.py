@@ -238,7 +238,8 @@ def test_kaldi_gets_no_more_jobs_than_there_are_speakers(project_dir, tmp_path, 
 
 
 @pytest.mark.parametrize("stage, options, message", [
-    ("9", ["--gmm-passes", "mono all"], "kaldi/settings is of other texts or options (gmm_passes): start with --stage 8"),
+    ("9", ["--gmm-passes", "mono all"],
+     "kaldi/settings is of other texts or options (gmm_passes): start with --stage 8"),
     ("9", ["--lm-text", "README.md"], "kaldi/settings is of other texts or options (texts): start with --stage 8"),
     ("10", ["--align-on", "self", "--rows", "sim.rvb"],
      "trained_with is of other texts or options (align_on): start with --stage 9"),
