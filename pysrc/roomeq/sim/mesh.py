@@ -253,8 +253,8 @@ def make_room(triangles: ArrayLike, names: Sequence[str], name: str = "mesh") ->
         bad = edges[counts != 2]
         where = np.round(mesh.vertices[bad[0]].mean(axis=0), 3).tolist() if len(bad) else "?"
         if len(bad) and np.all(counts % 2 == 0):
-            raise ValueError(f"{name}: bodies of the mesh touch in {len(bad)} edges, the first near {where} m: move "
-                             "them 1 mm apart, or join them to one body")
+            raise ValueError(f"{name}: more than two faces of the mesh meet in {len(bad)} edges, the first near "
+                             f"{where} m: move bodies that touch 1 mm apart or join them, and give walls a thickness")
         raise ValueError(f"{name}: the mesh has holes: {len(bad)} edges don't join exactly two faces, the first near "
                          f"{where} m: close the holes")
     if not mesh.is_winding_consistent:

@@ -101,8 +101,9 @@ CASES = [
     mesh("vertex a text", "RIR m1: mesh/room.obj: cannot be read as a mesh (...): export it again",
          "v a b c\n" + BOX),
     mesh("flat",
-         "RIR m1: mesh/room.obj: the mesh has holes: 1 edges don't join exactly two faces, the first near [2.5, "
-         "2.0, 0.0] m: close the holes", BOX.replace(" 3\nv", " 0\nv").replace("v 0 4 3", "v 0 4 0")),
+         "RIR m1: mesh/room.obj: more than two faces of the mesh meet in 1 edges, the first near [2.5, 2.0, 0.0] m: "
+         "move bodies that touch 1 mm apart or join them, and give walls a thickness",
+         BOX.replace(" 3\nv", " 0\nv").replace("v 0 4 3", "v 0 4 0")),
     mesh("face of many corners",
          "RIR m1: mesh/room.obj: cannot be read as a mesh (a face of 501 corners; at most 500 are cut into "
          "triangles): export it again", BOX + "f" + " 1" * 501 + "\n"),
