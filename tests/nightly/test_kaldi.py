@@ -238,8 +238,8 @@ def test_copy_keeps_features_until_the_source_changes(copy_data, tmp_path):
         write_text(path, "x")
     copy_data(source, copy)
     assert features.exists() and mark.exists()
-    (source / ".done").write_text("another state")
-    copy_data(source, copy)
+    write_json(source / ".done", stamp_content(step="augment", key="k", options={}, files={}, format=FORMAT))
+    assert copy_data(source, copy).returncode == 0
     assert not features.exists() and not mark.exists()
 
 
@@ -390,7 +390,7 @@ def test_features_are_those_of_the_set_and_the_options(tmp_path, project_dir):
     def copied(state):
         shutil.rmtree(source, ignore_errors=True)
         speech_dir(source, {f"{speaker}-{n}": 16000 for speaker in "ab" for n in range(3)}, seed=state)
-        (source / ".done").write_text(str(state))
+        write_json(source / ".done", stamp_content(step="augment", key=str(state), options={}, files={}, format=FORMAT))
         done = run(project_dir, "local/kaldi/make_workspace.sh", str(ws), str(source),
                    KALDI_ROOT=os.environ["KALDI_ROOT"])
         assert done.returncode == 0, done.stderr
