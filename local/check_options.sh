@@ -43,8 +43,7 @@ if [ "$stop_stage" -ge 8 ]; then
     [[ " $sets " == *" $x "* ]] || die "--rows: '$x' must be one of: $sets"
   done
   [ -z "$lm_text" ] || [ -f "$lm_text" ] || die "--lm-text '$lm_text': no such file"
-  [[ $dry_run = true || $(realpath -m "$exp") != *[[:space:]\*\?\[]* ]] ||
-    die "--exp '$exp': Kaldi's scripts take no blanks and no *, ? or [ in its path ($(realpath -m "$exp"))"
+  [ "$dry_run" = true ] || (. local/kaldi/common.sh && require_plain --exp "$exp")
   # wrong ones would stop after hours; the scripts say what is wrong
   read -ra x <<<"$chain_opts"
   local/kaldi/train_chain.sh --dry-run true "${x[@]}" exp/kaldi train train >/dev/null || die "--chain-opts: see above"

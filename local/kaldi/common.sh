@@ -19,6 +19,14 @@ kaldi_root() {
   realpath "$root"
 }
 
+# require_plain NAME PATH: stop if stock scripts cannot work below a path.
+require_plain() {
+  local path
+  path=$(realpath -m "$2")
+  [[ $path != *[[:space:]\*\?\[]* ]] ||
+    die "$1 '$2': Kaldi's scripts take no blanks and no *, ? or [ in its path ($path): choose another"
+}
+
 # jobs_for DATA: print the number of jobs for a data directory of the workspace: stock scripts refuse more than it has
 # speakers.
 jobs_for() {

@@ -13,8 +13,7 @@ seed=           # seed that far-field speech must have been made with; default: 
 [ $# -ge 2 ] || usage
 workspace=$1
 shift
-[[ $(realpath -m "$workspace") != *[[:space:]\*\?\[]* ]] ||
-  die "$workspace: Kaldi's scripts take no blanks and no *, ? or [ in its path: use another --exp"
+require_plain workspace "$workspace"
 
 if [ "$dry_run" = true ]; then
   root=${KALDI_ROOT:-KALDI_ROOT}
