@@ -29,6 +29,7 @@ from roomeq.acoustics.filterbank import SPREAD_S, octave_filterbank
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled
+from roomeq.sim.adjacency import joined_faces
 from roomeq.sim.double_diffraction import (
     Pieces,
     arc,
@@ -51,7 +52,6 @@ MIN_EXCESS_RAD = np.radians(10.0)  # blunter edges belong to curved surfaces, cu
 PIECE_M = 0.05  # visibility is tested once per piece of this length
 MAX_PIECES, MAX_PIECES_TWICE = 1000, 20  # largest number of pieces of an edge, for first and second order
 _OFF_EDGE_M = 1e-3
-_ON_LINE_M = 2e-5  # corners are rounded
 _OVERSAMPLING = 16
 _BINS_PER_SAMPLE = 8
 _SINC_HALF = 32
@@ -81,7 +81,7 @@ class Edges:
     surfaces
         Materials of the first face and the second, shape (n_edges, 2).
     faces
-        Numbers of these faces, shape (n_edges, 2); adjacent triangles in one plane are one face.
+        Numbers of these faces, shape (n_edges, 2); triangles in one plane that meet are one face.
     n_left_out
         Number of edges beyond `MAX_EDGES`, the shortest.
     """
@@ -183,72 +183,21 @@ def find_edges(room: Room) -> Edges | None:
 
 
 def _find_edges(room: MeshRoom) -> Edges | None:
-    corners = room.triangles.reshape(-1, 3)
-    _, index = np.unique(np.round(corners, 5), axis=0, return_inverse=True)
-    index = np.ravel(index).reshape(-1, 3)
-    face = np.repeat(np.arange(len(index)), 3)
-    ends = np.sort(np.stack([index, np.roll(index, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
-    points = corners.reshape(-1, 3, 3)
-    start, end, opposite = (np.roll(points, -n, axis=1).reshape(-1, 3) for n in range(3))
-    first, second, left_over = _equal_edges(ends)
-    also_first, also_second, its_start, its_end = _overlapping_edges(start[left_over], end[left_over])
-    start, end = np.concatenate([start[first], its_start]), np.concatenate([end[first], its_end])
-    first = np.concatenate([first, left_over[also_first]])
-    second = np.concatenate([second, left_over[also_second]])
+    (first, second), start, end, opposite = room.meetings.faces.T, *room.meetings[1:]
     along = _unit(end - start)
 
-    def away(which: IntArray) -> FloatArray:
-        way = opposite[which] - start
+    def away(which: int) -> FloatArray:
+        way = opposite[:, which] - start
         return _unit(way - np.einsum("ij,ij->i", way, along)[:, None] * along)
 
-    across, other, normal = away(first), away(second), room.normals[face[first]]
+    across, other, normal = away(0), away(1), room.normals[first]
     wedge = np.mod(np.arctan2(np.einsum("ij,ij->i", other, normal), np.einsum("ij,ij->i", other, across)), 2 * np.pi)
     chosen = np.flatnonzero(wedge > np.pi + MIN_EXCESS_RAD)
     if not len(chosen):
         return None
-    plane = room._cache["plane"]
-    flat = plane[face[first]] == plane[face[second]]
-    joined = scipy.sparse.coo_array((np.ones(flat.sum()), (face[first][flat], face[second][flat])),
-                                    shape=(len(index), len(index)))
-    _, whole = scipy.sparse.csgraph.connected_components(joined, directed=False)
-    faces = np.stack([face[first], face[second]], axis=1)[chosen]
+    faces = np.stack([first, second], axis=1)[chosen]
     return _merged(start[chosen], end[chosen], along[chosen], across[chosen], normal[chosen], wedge[chosen],
-                   room.face_surface[faces], whole[faces])
-
-
-def _equal_edges(ends: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Return pairs of edges of faces with the same ends, and those that are left over.
-
-    A closed mesh has two faces at every edge, or four where two bodies touch. Edges are left over where a triangle
-    without an area was left out: one side of it is as long as the two others.
-
-    Parameters
-    ----------
-    ends
-        Numbers of the corners, the smaller first, shape (n_edges, 2).
-    """
-    order = np.lexsort(ends.T)
-    begins = np.flatnonzero(np.append(True, np.any(ends[order[1:]] != ends[order[:-1]], axis=1)))
-    count = np.diff(np.append(begins, len(order)))
-    paired = np.repeat(count % 2 == 0, count)
-    return order[paired][0::2], order[paired][1::2], order[~paired]
-
-
-def _overlapping_edges(start: FloatArray, end: FloatArray) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """Return pairs of edges that run along one line in opposite directions, and the ends of what they share."""
-    first, second, shared = [], [], []
-    length_m = np.linalg.norm(end - start, axis=1)
-    for n, (begin, way) in enumerate(zip(start, _unit(end - start), strict=True)):
-        low, high = (end[n + 1:] - begin) @ way, (start[n + 1:] - begin) @ way  # of those in the opposite direction
-        off_m = [np.linalg.norm(points[n + 1:] - begin - place[:, None] * way, axis=1)
-                 for points, place in ((end, low), (start, high))]
-        low, high = np.maximum(low, 0.0), np.minimum(high, length_m[n])
-        for other in np.flatnonzero((np.maximum(*off_m) < _ON_LINE_M) & (high - low > _ON_LINE_M)):
-            first.append(n)
-            second.append(n + 1 + other)
-            shared.append([begin + low[other] * way, begin + high[other] * way])
-    ends = np.reshape(shared, (-1, 2, 3))
-    return np.array(first, dtype=np.int64), np.array(second, dtype=np.int64), ends[:, 0], ends[:, 1]
+                   room.face_surface[faces], joined_faces(room.planes, room.meetings)[faces])
 
 
 def _merged(start: FloatArray, end: FloatArray, along: FloatArray, across: FloatArray, normal: FloatArray,

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
+from roomeq.sim.adjacency import Meetings, Planes, find_meetings, find_planes
 from roomeq.sim.images import SpecularPaths
 from roomeq.sim.meshfile import read_triangles
 from roomeq.sim.mirrors import find_sequences, visible_paths
@@ -71,13 +72,11 @@ class MeshRoom:
         cross = np.cross(b - a, c - a)
         area = np.linalg.norm(cross, axis=1)
         normals = -cross / area[:, None]
-        offset = np.einsum("ij,ij->i", normals, a)
-        rounded = np.round(np.column_stack([normals, offset]) * [1e5, 1e5, 1e5, 1e4]).astype(np.int64)
-        _, first, plane = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+        meetings = find_meetings(self.triangles)
         self._cache.update(
-            normals=normals, offset=offset, area=0.5 * area, plane=np.ravel(plane),
-            mirrors=np.column_stack([normals, offset])[first])
-        self._cache["tree"] = make_tree(self.triangles, normals, self.face_surface)
+            normals=normals, offset=np.einsum("ij,ij->i", normals, a), area=0.5 * area, meetings=meetings,
+            planes=find_planes(self.triangles, normals, 0.5 * area, meetings),
+            tree=make_tree(self.triangles, normals, self.face_surface))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the geometry only; unpickling computes the rest again."""
@@ -93,10 +92,19 @@ class MeshRoom:
         """Offset [m] of each face's plane along its normal, shape (n_faces,)."""
         return self._cache["offset"]
 
+    @property
+    def meetings(self) -> Meetings:
+        """The pairs of faces that meet in an edge."""
+        return self._cache["meetings"]
+
+    @property
+    def planes(self) -> Planes:
+        return self._cache["planes"]
+
     @cached_property
     def walls(self) -> Walls | None:
         """The planes of a convex room of at most `_MAX_WALLS`, each of one surface; None for other rooms."""
-        plane, mirrors = self._cache["plane"], self._cache["mirrors"]
+        plane, mirrors = self.planes
         wall = np.unique(np.column_stack([plane, self.face_surface]), axis=0)
         if not self.convex or len(wall) > len(mirrors) or len(wall) > _MAX_WALLS:
             return None
@@ -182,7 +190,7 @@ class MeshRoom:
 
     def specular_paths(self, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, order: int) -> SpecularPaths:
         """Find the purely specular paths up to an order; see `roomeq.sim.images.specular_paths`."""
-        plane, mirrors, source_m = self._cache["plane"], self._cache["mirrors"], np.asarray(source_pos_m, dtype=float)
+        (plane, mirrors), source_m = self.planes, np.asarray(source_pos_m, dtype=float)
         sequences = self.remember("sequences", (tuple(source_m), order), KEPT_SOURCES, lambda: find_sequences(
             self.tree, plane, mirrors, self.normals, source_m, order))
         return visible_paths(sequences, self.tree, plane, mirrors, self.face_surface, len(self.surfaces),
