@@ -119,8 +119,8 @@ def find_planes(triangles: FloatArray, normals: FloatArray, area_m2: FloatArray,
     """
     wall = _joined(len(triangles), meetings.faces[_are_flush(triangles, normals, meetings)])
     n_walls = int(wall.max()) + 1
-    of_wall = np.stack([np.bincount(wall, area_m2 * axis, n_walls) for axis in normals.T], axis=1)
-    of_wall /= np.maximum(np.linalg.norm(of_wall, axis=1, keepdims=True), np.finfo(float).tiny)
+    summed = np.stack([np.bincount(wall, area_m2 * axis, n_walls) for axis in normals.T], axis=1)
+    of_wall = summed / np.maximum(np.linalg.norm(summed, axis=1, keepdims=True), np.finfo(float).tiny)
     height = np.einsum("ijk,ik->ij", triangles, of_wall[wall])  # of the corners, along the normal of their wall
     offset = np.bincount(wall, area_m2 * height.mean(axis=1), n_walls) / np.bincount(wall, area_m2, n_walls)
     off_m = np.zeros(n_walls)

@@ -10,6 +10,12 @@ point of the second edge, and from there to the microphone:
 
 ``dz_1 dz_2 / (m l n)`` equals ``l / ((m + l) (l + n)) d eta_1 d eta_2``. The edges are divided into short steps. In
 each step, beta is integrated exactly and the distances are those of the step's middle.
+
+Near a shadow boundary, beta has a steep peak where the way over its edge is straight. Between edges that are close to
+each other, the peaks of beta_1 and beta_2 lie along nearly the same line of (z_1, z_2), so that an integral over z_1 at
+one z_2 times one over z_2 at one z_1 is not that of their product. There the second edge is divided more finely where
+both peaks meet, and for each of its steps the first edge, more finely towards the peaks. The integral over z_1 of
+beta_1 is exact in each step, and beta_2 is that of its middle.
 """
 
 import logging
@@ -33,6 +39,9 @@ _STEP_SAMPLES = 1.0  # largest change of the arrival time within a step
 _MIN_PRESSURE = 1e-4  # relative to the free-field direct sound; a weaker pair of pieces is integrated in one step
 _MIN_RADIUS_M = 1e-6  # points closer to the line of an edge are skipped
 _MIN_SEPARATION_M = 0.005  # closer edges are divided into steps as if they were this far apart
+_FINENESS = 0.5  # length of the steps near a peak of beta, relative to its distance, or within it to its width
+_SHORTEST = 1e-4  # length of the steps at a peak, relative to the longest ones
+_MIN_SINE = 5e-4  # of half the angle to a shadow boundary: closer to it, the peak is no higher and no narrower
 
 
 class Pieces(NamedTuple):
@@ -209,7 +218,8 @@ def _ends(coordinates: FloatArray, wedge_rad: FloatArray) -> FloatArray:
         for sign, place in ((-1.0, 2), (1.0, 4)):
             half = 0.5 * np.pi / wedge_rad * (np.pi + sign * (angle - face))
             above = np.where(np.sin(half) < 0.0, -1.0, 1.0)
-            result[:, side, place], result[:, side, place + 1] = above * np.sin(half), above * np.cos(half)
+            result[:, side, place] = np.maximum(above * np.sin(half), _MIN_SINE)
+            result[:, side, place + 1] = above * np.cos(half)
     return result
 
 
@@ -265,6 +275,41 @@ def _beta_integral(z: Number, half: Number, end: Array, other_edge: Numbers, nu:
 
 
 @inlined
+def _beta(z: Number, end: Array, other_edge: Numbers, nu: Number) -> Number:
+    """Return nu times half of beta at the position z [m]; see `_beta_integral`."""
+    q = (_exp_arcsinh((z - end[1]) / end[0]) * _exp_arcsinh((z - other_edge[1]) / other_edge[0])) ** nu
+    rise = (q - 1.0) ** 2 / (2.0 * q)  # cosh(nu eta) - 1
+    return nu * (2.0 * end[2] * end[3] / (rise + 2.0 * end[2] * end[2])
+                 + 2.0 * end[4] * end[5] / (rise + 2.0 * end[4] * end[4]))
+
+
+@inlined
+def _peak(end: Array, other_edge: Numbers, nu: Number) -> Numbers:
+    """Return where on an edge beta has its peak, on the straight way to the point on the other edge, and its width [m].
+    """
+    place = (end[1] * other_edge[0] + other_edge[1] * end[0]) / (end[0] + other_edge[0])
+    here, there = np.hypot(end[0], place - end[1]), np.hypot(other_edge[0], place - other_edge[1])
+    return place, 2.0 * min(end[2], end[4]) / nu * here * there / (here + there)
+
+
+@inlined
+def _peak_from_beyond(z2: Number, frame_1: Array, frame_2: Array, end: Array, nu: Number, z1: Number) -> Numbers:
+    """Return for which position on the first edge the beta of the second has its peak at z2, and its width there [m].
+
+    Along the first edge, distance from the second and position about it change linearly: so does how far the way is
+    from straight, from which the place follows. Not a number if it is straight nowhere or everywhere.
+    """
+    distance, position = _about(_point_on_edge(frame_1, z1), frame_2)
+    distance_1, position_1 = _about(_point_on_edge(frame_1, z1 + 0.01 * distance), frame_2)
+    bend = (z2 - end[1]) * distance - end[0] * (position - z2)
+    slope = ((z2 - end[1]) * (distance_1 - distance) - end[0] * (position_1 - position)) / (0.01 * distance)
+    if slope == 0.0:
+        return np.nan, np.nan
+    width = 2.0 * min(end[2], end[4]) / nu * distance * np.hypot(end[0], z2 - end[1]) / abs(slope)
+    return z1 - bend / slope, width
+
+
+@inlined
 def _n_steps(low: Number, high: Number, end: Array, other_edge: Numbers, other_half_m: Number,
              to_samples: Number) -> Number:
     """Return the number of steps into which a piece is divided.
@@ -301,6 +346,12 @@ def _deposit(fine: Array, ways: Array, first: Number, paths: Array, way: Array, 
             point_1, point_2 = _point_on_edge(frame_1, z1), _point_on_edge(frame_2, z2)
             n_steps_1 = _n_steps(low[p], high[p], source_1, _about(point_2, frame_1), half_2, to_samples)
             n_steps_2 = _n_steps(low[q], high[q], mic_2, _about(point_1, frame_2), half_1, to_samples)
+            if _is_steep(low[p], high[p], z2, low[q], high[q], (high[p] - low[p]) / n_steps_1, frame_1, frame_2, mic_2,
+                         nu_2):
+                _deposit_steep(fine, ways, first, low[p], high[p], low[q], high[q], n_steps_1, source_1, mic_2,
+                               frame_1, frame_2, nu_1, nu_2, 1 + surfaces[edge_1, side_1], way[n], to_samples,
+                               oversampling)
+                continue
         half_1, half_2 = half_1 / n_steps_1, half_2 / n_steps_2
         row = 1 + surfaces[edge_1, side_1]
         for i in range(n_steps_1):
@@ -309,16 +360,99 @@ def _deposit(fine: Array, ways: Array, first: Number, paths: Array, way: Array, 
                     z1, z2 = low[p] + (2 * i + 1) * half_1, low[q] + (2 * j + 1) * half_2
                     pressure, length_m = _step_contribution(z1, half_1, z2, half_2, source_1, mic_2, frame_1, frame_2,
                                                             nu_1, nu_2)
-                position = (length_m * to_samples - first) * oversampling
-                index = int(position)
-                if 0 <= index and index + 1 < fine.shape[1]:
-                    before, after = 0.5 * pressure * (1.0 - position + index), 0.5 * pressure * (position - index)
-                    fine[0, index] += before
-                    fine[0, index + 1] += after
-                    fine[row, index] += before
-                    fine[row, index + 1] += after
-                    for k in range(len(ways)):
-                        ways[k, index] += abs(pressure) * way[n, k]
+                _add(fine, ways, row, way[n], pressure, (length_m * to_samples - first) * oversampling)
+
+
+@inlined
+def _add(fine: Array, ways: Array, row: Number, way: Array, pressure: Number, position: Number) -> None:
+    """Add a contribution to the grid, shared by the two points next to its position."""
+    index = int(position)
+    if 0 <= index and index + 1 < fine.shape[1]:
+        before, after = 0.5 * pressure * (1.0 - position + index), 0.5 * pressure * (position - index)
+        fine[0, index] += before
+        fine[0, index + 1] += after
+        fine[row, index] += before
+        fine[row, index + 1] += after
+        for k in range(len(ways)):
+            ways[k, index] += abs(pressure) * way[k]
+
+
+@compiled
+def _is_steep(low_1: Number, high_1: Number, z2: Number, low_2: Number, high_2: Number, step_1: Number, frame_1: Array,
+              frame_2: Array, mic_2: Array, nu_2: Number) -> bool:
+    """Tell whether the beta of the second edge changes much within a step of the first one."""
+    middle = 0.5 * (low_1 + high_1)
+    place, width = _peak_from_beyond(z2, frame_1, frame_2, mic_2, nu_2, middle)
+    from_low, _ = _peak_from_beyond(low_2, frame_1, frame_2, mic_2, nu_2, middle)
+    from_high, _ = _peak_from_beyond(high_2, frame_1, frame_2, mic_2, nu_2, middle)
+    apart = max(low_1 - max(from_low, from_high), min(from_low, from_high) - high_1)
+    return np.isfinite(apart + place) and _FINENESS * max(apart, width) < 2.0 * step_1
+
+
+@compiled
+def _deposit_steep(fine: Array, ways: Array, first: Number, low_1: Number, high_1: Number, low_2: Number,
+                   high_2: Number, n_steps_1: Number, source_1: Array, mic_2: Array, frame_1: Array, frame_2: Array,
+                   nu_1: Number, nu_2: Number, row: Number, way: Array, to_samples: Number,
+                   oversampling: Number) -> None:
+    """Add a pair of pieces where the beta of the second edge is steep along the first one; see `_deposit`.
+
+    The steps of the second edge do not depend on the piece of the first one: the peaks pass from one to the next.
+    """
+    middle = 0.5 * (low_1 + high_1)
+    from_low, apart_low = _straight_way(low_2, source_1, mic_2, frame_1, frame_2)
+    from_high, apart_high = _straight_way(high_2, source_1, mic_2, frame_1, frame_2)
+    longest_1 = (high_1 - low_1) / n_steps_1
+    longest_2 = (high_2 - low_2) / (1 + int(max(abs(from_high - from_low) * to_samples / _STEP_SAMPLES, (high_2 - low_2)
+                                                / max(min(apart_low, apart_high), _MIN_SEPARATION_M))))
+    here_2 = low_2
+    while here_2 < high_2:
+        apart, width = _peaks_apart(here_2, middle, source_1, mic_2, frame_1, frame_2, nu_1, nu_2)
+        ahead, _ = _peaks_apart(here_2 + 0.1 * longest_2, middle, source_1, mic_2, frame_1, frame_2, nu_1, nu_2)
+        per_metre = max(abs(ahead - apart) / (0.1 * longest_2), 1e-9)
+        step_2 = min(longest_2, max(_FINENESS * max(abs(apart), width) / per_metre, _SHORTEST * longest_2))
+        next_2 = high_2 if here_2 + 1.01 * step_2 > high_2 else here_2 + step_2
+        z2, half_2 = 0.5 * (here_2 + next_2), 0.5 * (next_2 - here_2)
+        here_2 = next_2
+        point_2_about_1 = _about(_point_on_edge(frame_2, z2), frame_1)
+        if point_2_about_1[0] < _MIN_RADIUS_M:
+            continue
+        last = np.sqrt(mic_2[0] ** 2 + (z2 - mic_2[1]) ** 2)
+        peak_1, width_1 = _peak(source_1, point_2_about_1, nu_1)
+        peak_2, width_2 = _peak_from_beyond(z2, frame_1, frame_2, mic_2, nu_2, middle)
+        here_1 = low_1
+        while here_1 < high_1:
+            to_peak = min(max(abs(here_1 - peak_1), width_1, width_2), max(abs(here_1 - peak_2), width_2))
+            step_1 = min(longest_1, max(_FINENESS * to_peak, _SHORTEST * longest_1))
+            next_1 = high_1 if here_1 + 1.01 * step_1 > high_1 else here_1 + step_1
+            z1, half_1 = 0.5 * (here_1 + next_1), 0.5 * (next_1 - here_1)
+            here_1 = next_1
+            point_1_about_2 = _about(_point_on_edge(frame_1, z1), frame_2)
+            if point_1_about_2[0] < _MIN_RADIUS_M:
+                continue
+            before = np.sqrt(source_1[0] ** 2 + (z1 - source_1[1]) ** 2)
+            between = np.sqrt(point_1_about_2[0] ** 2 + (z2 - point_1_about_2[1]) ** 2)
+            integrals = (_beta_integral(z1, half_1, source_1, point_2_about_1, nu_1) * 2.0 * half_2
+                         * _beta(z2, mic_2, point_1_about_2, nu_2) * (1.0 / between + 1.0 / last))
+            pressure = integrals * between / (32.0 * np.pi ** 3 * (before + between) * (between + last))
+            _add(fine, ways, row, way, pressure, ((before + between + last) * to_samples - first) * oversampling)
+
+
+@inlined
+def _straight_way(z2: Number, source_1: Array, mic_2: Array, frame_1: Array, frame_2: Array) -> Numbers:
+    """Return the length of the path that is straight over the first edge, and how far z2 is from that edge [m]."""
+    apart, place = _about(_point_on_edge(frame_2, z2), frame_1)
+    return np.hypot(source_1[0] + apart, place - source_1[1]) + np.hypot(mic_2[0], z2 - mic_2[1]), apart
+
+
+@inlined
+def _peaks_apart(z2: Number, z1: Number, source_1: Array, mic_2: Array, frame_1: Array, frame_2: Array, nu_1: Number,
+                 nu_2: Number) -> Numbers:
+    """Return how far the peak of the second beta is from that of the first, along the first edge, and the sum of their
+    widths [m].
+    """
+    peak_1, width_1 = _peak(source_1, _about(_point_on_edge(frame_2, z2), frame_1), nu_1)
+    peak_2, width_2 = _peak_from_beyond(z2, frame_1, frame_2, mic_2, nu_2, z1)
+    return peak_2 - peak_1, width_1 + width_2
 
 
 @compiled

@@ -340,6 +340,40 @@ def test_second_order_diffraction_is_continuous_and_reciprocal(room_with_box):
         np.testing.assert_allclose(levels[0], levels[1], atol=2.5)
 
 
+def barrier_integral(thickness_m, below_m, length_m):
+    """The integral over both upper edges of a barrier (1999, sec. III) on a grid that is fine at the peaks of beta."""
+    nu, to_edge_m = 2.0 / 3.0, np.hypot(3.0 - 0.5 * thickness_m, below_m)
+    halves = [0.5 * nu * (np.pi + sign * (np.arctan2(3.0 - 0.5 * thickness_m, below_m) - 1.5 * np.pi))
+              for sign in (1.0, -1.0)]
+
+    def beta(eta):
+        return 2.0 * sum(np.sin(2.0 * half) / (np.cosh(nu * eta) - np.cos(2.0 * half)) for half in halves)
+
+    second = (np.arange(600) + 0.5) / 600.0 * length_m - 0.5 * length_m
+    steps = np.sinh(np.linspace(-12.0, 12.0, 1201)) * 1e-4
+    first, width = second[:, None] + 0.5 * (steps[1:] + steps[:-1]), np.diff(steps)
+    between, m, n = (np.hypot(*pair) for pair in ((thickness_m, first - second[:, None]), (to_edge_m, first),
+                                                  (to_edge_m, second[:, None])))
+    eta_1 = np.arcsinh(first / to_edge_m) + np.arcsinh((first - second[:, None]) / thickness_m)
+    eta_2 = np.arcsinh(second[:, None] / to_edge_m) + np.arcsinh((second[:, None] - first) / thickness_m)
+    share = nu ** 2 / (2.0 * (4.0 * np.pi) ** 3) * beta(eta_1) * beta(eta_2) / (m * between * n) * width
+    share *= (np.abs(first) < 0.5 * length_m) * length_m / 600.0
+    return np.array([np.sum(share * np.exp(-2j * np.pi * f_hz / C * (m + between + n))) for f_hz in SHADOW_HZ])
+
+
+@pytest.mark.parametrize("below_m", [0.05, 0.2, 1.0])
+@pytest.mark.parametrize("thickness_m", [0.002, 0.04, 0.3])
+def test_second_order_matches_its_integral_close_to_the_shadow_boundary(tmp_path, thickness_m, below_m):
+    """There both betas are steep along the same line of the two edges, the more so the closer the edges are."""
+    path = tmp_path / "barrier.obj"
+    path.write_text(prism_obj(box_plan(12.0, 1.5), 9.0)
+                    + lifted_box_obj((thickness_m, 1.5, 4.0), (6.0 - 0.5 * thickness_m, 0.0, 0.0), 8))
+    height_m = 4.0 - below_m
+    found = shadow_spectrum(load_mesh(path), np.array([3.0, 0.75, height_m]), np.array([9.0, 0.75, height_m]))
+    np.testing.assert_allclose(20.0 * np.log10(np.abs(found / barrier_integral(thickness_m, below_m, 1.5))), 0.0,
+                               atol=0.4)
+
+
 def test_thin_screen_matches_half_plane(tmp_path):
     """First and second order at a screen of 1 cm, whose other edges are far: what they leave out is below 2 dB."""
     path = tmp_path / "screen.obj"
