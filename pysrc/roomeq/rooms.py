@@ -173,7 +173,7 @@ def simulate_rir(room: Room, source: ArrayLike, mics: ArrayLike, fs: int = FS_HZ
     source_directivity
         `FirstOrder`, `Loudspeaker`, `DirectivityTable`, or whatever has their method; by default omnidirectional.
     mic_directivity
-        Likewise, of all microphones or of each. Directivities do not act on sound that edges diffract.
+        Likewise, of all microphones or of each.
     num_rays
         For each distinct column of scattering coefficients.
     seed

@@ -13,7 +13,8 @@ its exact share, even at shadow boundaries, where beta is unbounded. Of the four
 direct sound across its shadow boundary; the other two continue the reflection at either face and are weighted with
 the ``sqrt((1 - alpha) (1 - s))`` that the face reflects (as Luebbers, IEEE Trans. Antennas Propag. 32 (1984) 70).
 
-Not included: paths that diffract at edges of different faces or more than twice, and paths that diffract and reflect.
+Not included: paths that diffract at edges of different faces or more than twice, paths that diffract and reflect, and
+edges that are close to another surface.
 """
 
 import logging
@@ -52,6 +53,8 @@ MIN_EXCESS_RAD = np.radians(10.0)  # blunter edges belong to curved surfaces, cu
 PIECE_M = 0.05  # visibility is tested once per piece of this length
 MAX_PIECES, MAX_PIECES_TWICE = 1000, 20  # largest number of pieces of an edge, for first and second order
 _OFF_EDGE_M = 1e-3
+_CLEAR_M = 0.05
+"""Of air before an edge: sound passes the slit below furniture, or behind it, less well than an edge in the free."""
 _OVERSAMPLING = 16
 _BINS_PER_SAMPLE = 8
 _SINC_HALF = 32
@@ -245,18 +248,19 @@ def _pieces(room: MeshRoom, edges: Edges, most: int) -> Pieces:
         half = 0.5 * edges.wedge_rad[:, None]
         outward = np.cos(half) * edges.across + np.sin(half) * edges.normal
         middle = edges.start_m[edge] + ((number + 0.5) * step)[:, None] * edges.along[edge]
-        known[most] = Pieces(edge, number * step, (number + 1) * step, middle + _OFF_EDGE_M * outward[edge])
+        near, far = (middle + off_m * outward[edge] for off_m in (_OFF_EDGE_M, _CLEAR_M))
+        known[most] = Pieces(edge, number * step, (number + 1) * step, near, room.sees(near, far))
     return cast(Pieces, known[most])
 
 
 def _seen(room: MeshRoom, edges: Edges, most: int, point_m: ArrayLike) -> BoolArray:
-    """Tell which pieces are seen from a point; computed once per point.
+    """Tell which pieces with air before them are seen from a point; computed once per point.
 
     The line of sight starts in the air: a piece may lie behind the floor that furniture stands on.
     """
-    key = (most, *(float(value) for value in np.asarray(point_m)))
+    key, pieces = (most, *(float(value) for value in np.asarray(point_m))), _pieces(room, edges, most)
     return room.remember("edges_seen", key, KEPT_POINTS,
-                         lambda: room.sees(np.asarray(key[1:]), _pieces(room, edges, most).point_m))
+                         lambda: pieces.clear & room.sees(np.asarray(key[1:]), pieces.point_m))
 
 
 def diffract(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, *, speed_m_s: float, n_samples: int,
@@ -285,7 +289,7 @@ def diffract(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, *, speed
     edges, mesh = find_edges(room), cast(MeshRoom, room)
     if edges is None:
         return None
-    coarse, (edge, low, high, _) = (_pieces(mesh, edges, most) for most in (MAX_PIECES_TWICE, MAX_PIECES))
+    coarse, (edge, low, high, _, _) = (_pieces(mesh, edges, most) for most in (MAX_PIECES_TWICE, MAX_PIECES))
     double_paths = find_double_paths(
         mesh, edges, coarse, source_pos_m, _seen(mesh, edges, MAX_PIECES_TWICE, source_pos_m), mic_pos_m,
         _seen(mesh, edges, MAX_PIECES_TWICE, mic_pos_m))

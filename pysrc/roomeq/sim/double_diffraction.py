@@ -55,12 +55,15 @@ class Pieces(NamedTuple):
         Positions of both ends along the edge.
     point_m
         A point in the air next to the middle, for visibility tests, shape (n_pieces, 3).
+    clear
+        Whether there is enough air before the piece for it to diffract.
     """
 
     edge: IntArray
     low_m: FloatArray
     high_m: FloatArray
     point_m: FloatArray
+    clear: BoolArray
 
 
 def find_double_paths(room: "MeshRoom", edges: "Edges", pieces: Pieces, source_pos_m: ArrayLike,
@@ -175,7 +178,7 @@ def deposit_double_diffraction(fine: FloatArray, ways: FloatArray, first_sample:
         Way of sound in one sample.
     oversampling
     """
-    edge, low, high, _ = pieces
+    edge, low, high, _, _ = pieces
     geometry = np.stack([edges.start_m, edges.along], axis=1)
     source, mic = edges.coordinates(source_pos_m), edges.coordinates(mic_pos_m)
     way = departures_and_arrivals(pieces.point_m[paths[:, 0]], pieces.point_m[paths[:, 1]], source_pos_m, mic_pos_m)

@@ -225,15 +225,15 @@ def test_early_level_is_continuous_at_shadow_in_room(room_with_box):
 
 
 def test_no_sound_runs_below_furniture_on_the_floor(tmp_path):
-    """How deep a body stands in the floor does not matter."""
+    """How deep a body stands in the floor, or how close above it, does not matter."""
     spectra = []
-    for depth_m in (0.0, 0.1, 0.3):
+    for depth_m in (0.0, 0.1, 0.3, -0.001, -0.01):
         path = tmp_path / f"{depth_m}.obj"
         body = lifted_box_obj((2.0, 1.0, 1.5 + depth_m), (2.0, 2.0, -depth_m), 8)
         path.write_text(prism_obj(box_plan(8.0, 6.0), 3.0) + body)
         spectra.append(np.abs(shadow_spectrum(load_mesh(path), (1.0, 2.5, 0.7), (5.5, 2.6, 0.9))))
     levels = 20.0 * np.log10(spectra / spectra[0])[:, SHADOW_HZ != 1000.0]  # there is a notch
-    np.testing.assert_allclose(levels, 0.0, atol=0.2)
+    np.testing.assert_allclose(levels, 0.0, atol=0.4)
 
 
 def test_absorbing_faces_keep_only_the_shadow_terms(room_with_box):
