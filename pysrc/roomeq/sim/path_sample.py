@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomeq.core.arrays import Array, FloatArray, IntArray, Number
+from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
 from roomeq.core.jit import N_CHUNKS, compiled, for_chunks, inlined, mix, on_threads
 from roomeq.sim.echogram import BANDS_PER_PASS, FRAME_S, MICS_PER_PASS, eight_bands
 from roomeq.sim.paths import (
@@ -62,6 +62,7 @@ _NO_WEIGHT = np.zeros(0, np.float32)
 _NO_EMITTED = np.zeros((0, 8), np.float32)
 _NO_RAYS = np.zeros((0, 0), np.uint32)
 _NEGLIGIBLE = np.float32(1e-25)  # share of a ray's energy at a reference that counts as none
+_SPECULAR = np.uint32(1 << 31)  # added to the last reflection of a path that ends specularly
 _EMPTY = np.float32(1e-20)  # energy of a frame at a reference that counts as none: what was neglected may show
 
 
@@ -79,6 +80,8 @@ class PathSample:
     last_reflection
         Index of its last reflection among those that the trace's `Paths` stores, shape (n_traces, n_frames,
         PATHS_PER_FRAME), uint32.
+    specular
+        Whether it ends specularly, on the way to the next reflection, shape (n_traces, n_frames, PATHS_PER_FRAME).
     first_reflection
         `Paths.first` of each trace.
     rays
@@ -93,6 +96,7 @@ class PathSample:
     weight: Array
     reflection_counts: Array
     last_reflection: Array
+    specular: BoolArray
     first_reflection: tuple[IntArray, ...]
     rays: Array | None
     trace_of_band: tuple[int, ...]
@@ -106,7 +110,10 @@ class PathSample:
 
     def gain_of_arrivals(self, paths: Sequence[Paths], mic_m: FloatArray,
                          directivity: Callable[[FloatArray], FloatArray]) -> list[Array]:
-        """Return the energy gain of each path at a directive microphone: sound comes from its last reflection.
+        """Return the energy gain of each path at a directive microphone.
+
+        Scattered sound comes from its last reflection. Specular sound comes along the ray, which passes within the
+        receiver sphere: where that reflection is close, it lies in another direction.
 
         Parameters
         ----------
@@ -123,8 +130,9 @@ class PathSample:
             One per trace.
         """
         gains = []
-        for trace, last in zip(paths, self.last_reflection, strict=True):
-            way_m = trace.hits[last.ravel(), :3] - mic_m
+        for trace, last, specular in zip(paths, self.last_reflection, self.specular, strict=True):
+            at, along_ray = last.ravel(), specular.ravel()
+            way_m = trace.hits[at, :3] - np.where(along_ray[:, None], trace.hits[at + along_ray, :3], mic_m)
             gain = np.square(directivity(way_m / np.maximum(np.linalg.norm(way_m, axis=1, keepdims=True), 1e-9)))
             gains.append(gain.reshape(*last.shape, -1).astype(np.float32))
         return gains
@@ -225,7 +233,8 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
                           Spheres(spheres.radius_m[batch], spheres.volume_m3[batch]), ism_order, n_frames, ray_weight,
                           None if visible is None or not len(visible[trace]) else visible[trace][leaders[batch]],
                           [(sample.weight[trace], sample.reflection_counts[trace], sample.last_reflection[trace],
-                            _NO_RAYS if sample.rays is None else sample.rays[trace]) for sample in result[batch]])
+                            sample.specular[trace], _NO_RAYS if sample.rays is None else sample.rays[trace])
+                           for sample in result[batch]])
     return [result[n] for n in sample_of_mic]
 
 
@@ -264,8 +273,8 @@ def _empty_sample(traces: Sequence[Paths], n_frames: int, n_surfaces: int, first
     """Allocate the sample of one microphone; nothing is filled in yet."""
     shape = (len(traces), n_frames, PATHS_PER_FRAME)
     return PathSample(np.empty(shape, np.float32), np.empty((*shape, n_surfaces), _count_type(traces)),
-                      np.empty(shape, np.uint32), first, np.empty(shape, np.uint32) if with_rays else None,
-                      trace_of_band, frame_m)
+                      np.empty(shape, np.uint32), np.empty(shape, np.bool_), first,
+                      np.empty(shape, np.uint32) if with_rays else None, trace_of_band, frame_m)
 
 
 def _count_type(traces: Sequence[Paths]) -> type:
@@ -304,8 +313,8 @@ def _tally_reflections(paths: Paths, n_surfaces: int) -> _Tallies:
 def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatArray, references: FloatArray,
                   limits: Array, seeds: Array, spheres: Spheres, ism_order: int, n_frames: int,
                   ray_weight: Array | None, visible: Array | None,
-                  results: list[tuple[Array, Array, Array, Array]]) -> None:
-    """Sample one trace into the (weight, counts, last, rays) of each microphone."""
+                  results: list[tuple[Array, Array, Array, Array, Array]]) -> None:
+    """Sample one trace into the (weight, counts, last, specular, rays) of each microphone."""
     single = partial(np.asarray, dtype=np.float32)
     n_rays, speed_m_s = len(paths.counts), scene.air.speed_m_s
     if visible is None:
@@ -343,17 +352,18 @@ def _tally(codes: Array, face_surface: Array, first: Array, counts: Array, talli
 
 @compiled
 def _unpack(sums: Array, kept: Array, tallies: _Tallies, power: Array, scale: Number, first: Array, ray_weight: Array,
-            weight: Array, counts: Array, last: Array, rays: Array) -> None:
+            weight: Array, counts: Array, last: Array, specular: Array, rays: Array) -> None:
     """Join the strata of one microphone: the weight is 1 over the sum of the densities at both references."""
     n_frames, n_surfaces = len(weight), power.shape[1]
     for frame in range(n_frames):
         for place in range(weight.shape[1]):
             chunk, n = place // kept.shape[2], place % kept.shape[2]
-            at, share0, share1 = kept[chunk, frame, n], 1.0, 1.0
+            at, share0, share1 = kept[chunk, frame, n] & ~_SPECULAR, 1.0, 1.0
             if len(ray_weight):
                 rays[frame, place] = np.searchsorted(first, at, side="right") - 1
                 share1 = np.float64(ray_weight[rays[frame, place]])
             last[frame, place] = at
+            specular[frame, place] = kept[chunk, frame, n] & _SPECULAR != 0
             for surface in range(n_surfaces):
                 hits = (tallies.words[at, tallies.word[surface]] >> tallies.shift[surface]) & tallies.mask
                 counts[frame, place, surface] = hits
@@ -447,7 +457,7 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
     sums : ndarray of float32, shape (n_mics, n_frames, 2 * _PER_CHUNK)
         Energy so far at each reference, and the sums that must be exceeded to take the place that goes with it.
     kept : ndarray of uint32, shape (n_mics, n_frames, _PER_CHUNK)
-        Last reflection of the path in each place.
+        Last reflection of the path in each place, `_SPECULAR` added if it ends specularly.
     """
     n_mics, n_frames, _ = sums.shape
     all_visible = len(visible) == 0
@@ -469,7 +479,8 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
                             k = np.uint32(middle)
                             if _add(sums[m, k], (leave - enter) * per_volume[m], min(share0, limits[k, 0]),
                                     min(share1, limits[k, 1])):
-                                _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 2, at - 1)
+                                _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 2,
+                                         np.uint32(at - 1) | _SPECULAR)
             if n + 1 == face_counts[ray]:
                 break
             face = codes[at] >> 2
@@ -486,4 +497,5 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
                     if weight[m] > zero and frame[m] < n_frames and (all_visible or visible[m, at] & SEEN):
                         k = np.uint32(frame[m])
                         if _add(sums[m, k], weight[m], min(share0, limits[k, 0]), min(share1, limits[k, 1])):
-                            _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 1, at)
+                            _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 1,
+                                     np.uint32(at))

@@ -4,12 +4,14 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from roomeq.core.rng import rng_for
 from roomeq.sim.context import make_render_context, ray_echograms
+from roomeq.sim.directivity import FirstOrder
 from roomeq.sim.echogram import compute_echograms
 from roomeq.sim.images import specular_paths
 from roomeq.sim.mesh import make_room
@@ -129,6 +131,24 @@ def test_ray_gains_apply_to_their_own_paths():
     np.testing.assert_allclose(parts[0] + parts[1], sample.echogram(one.scene.absorption), rtol=1e-5)
     late = parts[0][100:, 4].sum() / (parts[0] + parts[1])[100:, 4].sum()
     assert late == pytest.approx(0.5, abs=0.05)
+
+
+@pytest.mark.parametrize("height_m", [0.03, 1.2])
+@pytest.mark.parametrize("facing", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0)])
+@pytest.mark.parametrize("pattern", ["cardioid", "figure_eight"])
+def test_specular_sound_reaches_directive_microphones_as_from_image_sources(pattern, facing, height_m):
+    """Near a surface, a ray may be reflected within the receiver sphere: its sound doesn't come from that place."""
+    scene, mic_m, n_frames = box_scene(0.1, 0.0), np.array([4.0, 3.0, height_m]), 130
+    directivity = partial(FirstOrder(pattern, facing).pressure, fs_hz=scene.fs_hz)
+    images = specular_paths(scene.room, SOURCE, mic_m, 25)
+    late = (images.surface_counts.sum(axis=1) > 1) & (images.distance_m < n_frames * 1e-3 * scene.air.speed_m_s)
+    power = images.gains(scene.absorption, scene.scattering, scene.attenuation_per_m)[late, 4] ** 2
+    expected = np.sum(power * directivity(images.arrival[late])[:, 4] ** 2) / np.sum(power)
+    source = traced(scene, num_rays=40_000)
+    one, = sample_paths(source, [mic_m], scene.absorption, [np.random.default_rng(0)], ism_order=1, n_frames=n_frames)
+    arrival = one.gain_of_arrivals(source.paths, mic_m, directivity)
+    directive, plain = (one.echogram(scene.absorption, arrival_gain=gain)[:, 4].sum() for gain in (arrival, None))
+    assert 10.0 * np.log10(directive / plain / expected) == pytest.approx(0.0, abs=0.4)
 
 
 def test_frames_follow_the_speed_of_sound():
