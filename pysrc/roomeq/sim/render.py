@@ -158,9 +158,22 @@ def _padded(echogram: FloatArray, n_samples: int, fs_hz: float) -> FloatArray:
 
 @compiled
 def _shape_noise(bands: Array, noise: Array, energy: Array, first: Number, frame_samples: Number) -> None:
-    """Give noise the power per sample of frames, linear between their middles, from sample `first` on."""
+    """Give noise the power per sample of frames, linear between their middles, from sample `first` on.
+
+    What lies before it, as the frame of the first sound begins earlier, is added to the following length of a frame.
+    """
     n_bands, n_samples = bands.shape
+    soon = min(first + int(np.ceil(frame_samples)), n_samples)
     for band in range(n_bands):
+        lost, kept = np.float32(0.0), np.float32(1e-30)
+        for n in range(soon):
+            place = max((n + 0.5) / frame_samples - 0.5, 0.0)
+            before = energy[band, int(place)]
+            power = before + (energy[band, int(place) + 1] - before) * np.float32(place - int(place))
+            if n < first:
+                lost += power
+            else:
+                kept += power
         n, frame = first, max(int((first + 0.5) / frame_samples - 0.5), 0)
         while n < n_samples:
             # within half a frame from the middle of one to the middle of the next
@@ -171,6 +184,8 @@ def _shape_noise(bands: Array, noise: Array, energy: Array, first: Number, frame
                 fraction = max(start + np.float32(k) * step, np.float32(0.0))
                 bands[band, n + k] = noise[n + k] * np.sqrt(max(before + rise * fraction, np.float32(0.0)))
             n, frame = end, frame + 1
+        for n in range(first, soon):
+            bands[band, n] *= np.sqrt(np.float32(1.0) + lost / kept)
 
 
 @lru_cache(maxsize=1)

@@ -243,6 +243,21 @@ def test_air_absorption_shortens_high_band_decay():
     assert expected_s[7] < found_s[8000.0] < 0.8 * expected_s[6]
 
 
+@pytest.mark.parametrize("late", [0.05, 0.5, 0.95])
+def test_scattered_sound_that_comes_with_the_first_sound_keeps_its_energy(late):
+    """The first sound arrives anywhere in the frame of 1 ms that holds scattered sound; none of it may come before."""
+    echogram, direct_m = np.zeros((40, 8), np.float32), (5.0 + late) * FRAME_S * C
+    echogram[5], echogram[6:20] = 1.0, 0.3
+    noise = np.random.default_rng(0).standard_normal(1600)
+    levels = []
+    for arrival_m in (direct_m, 0.5 * direct_m):  # the other first sound is early enough to cut nothing off
+        quiet = np.full((1, 8), 1e-9)
+        levels.append([np.mean([np.sum(render(np.array([arrival_m]), quiet, echogram, np.roll(noise, shift),
+                                              speed_m_s=C, n_samples=640)[:n] ** 2) for shift in range(0, 1600, 40)])
+                       for n in (128, 640)])
+    np.testing.assert_allclose(10.0 * np.log10(np.divide(*levels)), 0.0, atol=0.35)
+
+
 def test_tail_noise_density_grows_to_gaussian():
     noise = tail_noise(48000, 200.0, C, np.random.default_rng(0))
     late = noise[16000:]
