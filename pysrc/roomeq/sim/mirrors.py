@@ -4,6 +4,7 @@ import logging
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # its submodules are slow to import and load themselves when first used
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
 from roomeq.core.jit import compiled, for_chunks
@@ -13,6 +14,9 @@ from roomeq.sim.tree import FRONTS, Tree, crosses, first_hit, memory
 
 logger = logging.getLogger(__name__)
 
+_ON_PLANE_M = 1e-4
+"""A path that meets a face this close to another plane meets both: corners are rounded."""
+_SAME_M = 1e-3  # between image sources of different sequences that are one
 _RAYS = 20000  # that search for sequences
 _CURVED = 0.25  # share of them that find different sequences of second order: far fewer do where surfaces are flat
 
@@ -91,12 +95,18 @@ def _images(mirrors: FloatArray, planes: IntArray, source_m: FloatArray) -> Floa
 
 def visible_paths(sequences: Sequences, tree: Tree, plane: IntArray, mirrors: FloatArray, face_surface: IntArray,
                   n_surfaces: int, mic_m: FloatArray) -> SpecularPaths:
-    """Return the paths to a microphone, shape (3,), that no surface obstructs; see `find_sequences`."""
+    """Return the paths to a microphone, shape (3,), that no surface obstructs; see `find_sequences`.
+
+    Where a path meets the edge between two planes, both orders of them lead to the same image source: one is returned.
+    """
     n_sequences = len(sequences.planes)
     visible, counts = np.empty(n_sequences, np.bool_), np.zeros((n_sequences, n_surfaces), np.int64)
-    for_chunks(n_sequences, lambda chunk, low, high: _walk_back(tree, plane, face_surface, *sequences, mic_m, low, high,
-                                                                visible, counts))
+    for_chunks(n_sequences, lambda chunk, low, high: _walk_back(tree, plane, mirrors, face_surface, *sequences, mic_m,
+                                                                low, high, visible, counts))
     valid = np.flatnonzero(visible)
+    images = sequences.images[valid, sequences.n_reflections[valid]]
+    again = scipy.spatial.cKDTree(images).query_pairs(_SAME_M, output_type="ndarray")[:, 1]
+    valid = np.delete(valid, again)
     offset = mic_m - sequences.images[valid, sequences.n_reflections[valid]]
     distance_m = np.linalg.norm(offset, axis=1)
     by_length = np.argsort(distance_m, kind="stable")
@@ -132,21 +142,33 @@ def _reflect(tree: Tree, plane: Array, normals: Array, source_m: Array, directio
 
 
 @compiled
-def _walk_back(tree: Tree, plane: Array, face_surface: Array, planes: Array, n_reflections: Array, images: Array,
-               mic_m: Array, low: Number, high: Number, visible: BoolArray, counts: Array) -> None:
-    """Tell for sequences `low` to `high` whether their path exists, and count its reflections at each surface."""
+def _walk_back(tree: Tree, plane: Array, mirrors: Array, face_surface: Array, planes: Array, n_reflections: Array,
+               images: Array, mic_m: Array, low: Number, high: Number, visible: BoolArray, counts: Array) -> None:
+    """Tell for sequences `low` to `high` whether their path exists, and count its reflections at each surface.
+
+    A path that meets the edge between two planes hits both at once, but for rounding: either face counts for both, and
+    the second reflection may be missed, as its plane lies behind.
+    """
     search = memory(tree)
     for n in range(low, high):
-        x, y, z, exists = mic_m[0], mic_m[1], mic_m[2], True
+        x, y, z, exists, met = mic_m[0], mic_m[1], mic_m[2], True, 0
         for k in range(n_reflections[n] - 1, -1, -1):
             u, v, w = images[n, k + 1, 0] - x, images[n, k + 1, 1] - y, images[n, k + 1, 2] - z
             length = np.sqrt(u * u + v * v + w * w)
             u, v, w = u / length, v / length, w / length
             face, distance = first_hit(tree, search, (x, y, z), (u, v, w), FRONTS)
-            exists = face >= 0 and plane[face] == planes[n, k] and distance < length
-            if not exists:
+            mirror = mirrors[planes[n, k]]
+            to_plane = (mirror[3] - x * mirror[0] - y * mirror[1] - z * mirror[2]) / min(
+                u * mirror[0] + v * mirror[1] + w * mirror[2], -1e-9)
+            if face >= 0 and distance < length and (plane[face] == planes[n, k]
+                                                    or abs(distance - to_plane) <= _ON_PLANE_M):
+                met = face
+            elif k + 1 < n_reflections[n] and abs(to_plane) <= _ON_PLANE_M:
+                distance = to_plane
+            else:
+                exists = False
                 break
-            counts[n, face_surface[face]] += 1
+            counts[n, face_surface[met]] += 1
             x, y, z = x + distance * u, y + distance * v, z + distance * w
         visible[n] = exists and not crosses(tree, search, (x, y, z), (images[n, 0, 0] - x, images[n, 0, 1] - y,
                                                                       images[n, 0, 2] - z))

@@ -7,7 +7,9 @@ from plans import prism_obj
 from scipy.spatial.transform import Rotation
 
 from roomeq.sim.diffraction import diffract, find_edges
+from roomeq.sim.images import specular_paths
 from roomeq.sim.mesh import load_mesh, make_room
+from roomeq.sim.scene import Shoebox
 from roomeq.sim.trace import trace
 
 C = 343.0
@@ -60,6 +62,17 @@ def test_subdivided_walls_lie_in_one_plane_each():
     assert len(room.planes.mirrors) == 6
     np.testing.assert_allclose(np.sort(np.abs(rotation.inv().apply(room.planes.mirrors[:, :3])), axis=1),
                                [[0.0, 0.0, 1.0]] * 6, atol=1e-6)
+
+
+@pytest.mark.parametrize("source", [(2.0, 1.5, 1.5), (1.0, 1.0, 1.0), (3.0, 2.0, 1.2)])
+@pytest.mark.parametrize("rotation", [(0.0, 0.0, 0.0), (0.0, 0.0, 0.5), (0.2, 0.4, 0.6)])
+def test_paths_through_the_edges_of_a_turned_room_count_once(source, rotation):
+    """In symmetric places, paths meet two walls at once: in both orders, or in none, if rounding decides."""
+    walls, turn, mic = box((0.0, 0.0, 0.0), (6.0, 4.0, 3.0)), Rotation.from_rotvec(rotation), (3.0, 2.0, 1.8)
+    turned_room = make_room(apply(turn, walls.triangles), ["wall"] * len(walls.faces))
+    energies = [np.sum(1.0 / specular_paths(room, turn.apply(source), turn.apply(mic), 6).distance_m ** 2)
+                for room, turn in ((Shoebox((6.0, 4.0, 3.0)), Rotation.identity()), (turned_room, turn))]
+    assert 10.0 * np.log10(energies[1] / energies[0]) == pytest.approx(0.0, abs=0.01)
 
 
 def test_faces_of_curved_surfaces_lie_in_planes_of_their_own():
