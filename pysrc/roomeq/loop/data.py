@@ -29,7 +29,7 @@ from roomeq.loop.traces import StoredTrace, TraceFolder, without_paths
 from roomeq.loop.usable import LeftOut, UsableRirs
 from roomeq.records.geometry import place_key
 from roomeq.records.rir_dir import load_rir
-from roomeq.records.schema import RirRow, unit_name
+from roomeq.records.schema import RirRow, session_name, unit_name
 from roomeq.sim.geometry import Place, find_place
 from roomeq.sim.path_sample import PathSample
 from roomeq.sim.render import MAX_LENGTH_S
@@ -75,7 +75,7 @@ class Data:
     comparable : ndarray of bool, shape (n_rirs,)
         Whether the level of a recording can be compared with others (`roomeq.loop.measurability`).
     room, chain : ndarray of int, shape (n_rirs,)
-        Number of the room, and of the combination of room, source and microphone.
+        Number of the room, and of the combination of room, source, microphone and recording session.
     place_number : ndarray of int, shape (n_rirs,)
         Number of the combination of room, source position and microphone position, as the rows state them
         (`roomeq.records.geometry.place_key`).
@@ -333,7 +333,7 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
     """Trace each source of each room once, and return the data."""
     rows, places = [recording.row for recording in recordings], [recording.place for recording in recordings]
     room_names = sorted({row["room_id"] for row in rows})
-    by_chain = [(row["room_id"], row["source_id"], row["mic_id"]) for row in rows]
+    by_chain = [(row["room_id"], row["source_id"], row["mic_id"], session_name(row)) for row in rows]
     chains = sorted(set(by_chain))
     by_source: dict[tuple, list[int]] = {}
     for n, (row, place) in enumerate(zip(rows, places, strict=True)):

@@ -10,7 +10,7 @@ import numpy as np
 from roomeq.acoustics.excitation import NO_END_HZ
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.loop.features import JND, Features, excited, feature_slice
-from roomeq.records.schema import RirRow, unit_name
+from roomeq.records.schema import RirRow, session_name, unit_name
 
 logger = logging.getLogger(__name__)
 
@@ -50,26 +50,50 @@ def comparable_levels(rows: Sequence[RirRow], features: Sequence[Features], dist
     The peaks of RIRs vary with distance (20 dB per decade), and late reverberation is equally loud everywhere in a
     room. If the peaks vary by less than half as much, and by less than the late levels, the RIRs were normalised one by
     one. Peaks alone do not tell: an obstacle may weaken those of near sources.
+
+    The sessions of a room that have too few RIRs for that are tested together, by the deviations from the means of
+    their sessions. The only RIR of a session has none to be compared with, unless its room has no other.
     """
     comparable = np.ones(len(rows), dtype=bool)
     for room_id, members in _groups([row["room_id"] for row in rows]).items():
-        of_distance = np.std(20.0 * np.log10(distance_m[members]))
-        of_peaks = np.std([features[n].peak_db for n in members])
-        if (len(members) >= _MIN_RIRS and of_distance > _MIN_SPREAD_DB
-                and of_peaks < min(_NORMALISED_SHARE * of_distance, _late_spread_db([features[n] for n in members]))):
-            comparable[members] = False
-            logger.info("room %s: the peaks of its %d RIRs vary by %.1f dB, less than their late levels, and their "
-                        "distances demand %.1f dB: each was normalised, so that levels are compared within an RIR only",
-                        room_id, len(members), of_peaks, of_distance)
+        sessions = [members[of_session] for of_session in _groups([session_name(rows[n]) for n in members]).values()]
+        for tested in _tested_together(sessions):
+            rirs, session = np.concatenate(tested), np.repeat(np.arange(len(tested)), [len(part) for part in tested])
+            of_distance = _deviation(20.0 * np.log10(distance_m[rirs]), session)
+            of_peaks = _deviation(np.array([features[n].peak_db for n in rirs]), session)
+            late = _late_spread_db([features[n] for n in rirs], session)
+            if (len(rirs) - len(tested) + 1 >= _MIN_RIRS and of_distance > _MIN_SPREAD_DB
+                    and of_peaks < min(_NORMALISED_SHARE * of_distance, late)):
+                comparable[rirs] = False
+                logger.info("room %s: the peaks of %d RIRs vary by %.1f dB%s, less than their late levels, and their "
+                            "distances demand %.1f dB: each was normalised, so that levels are compared within an RIR "
+                            "only", room_id, len(rirs), of_peaks, " within sessions" if len(sessions) > 1 else "",
+                            of_distance)
+        if len(sessions) > 1:
+            comparable[[rirs[0] for rirs in sessions if len(rirs) == 1]] = False
     return comparable
 
 
-def _late_spread_db(features: Sequence[Features]) -> float:
-    """Return the standard deviation over RIRs of their late levels, the median over octaves; infinite if unknown."""
+def _tested_together(sessions: list[IntArray]) -> list[list[IntArray]]:
+    """Return each session of a room that has enough RIRs by itself, and all others together."""
+    small = [rirs for rirs in sessions if len(rirs) < _MIN_RIRS]
+    return [[rirs] for rirs in sessions if len(rirs) >= _MIN_RIRS] + ([small] if small else [])
+
+
+def _deviation(values: FloatArray, session: IntArray) -> float:
+    """Return the standard deviation of values, shape (n_rirs,), from the means of their sessions; NaN are left out."""
+    known = np.isfinite(values)
+    _, of_value = np.unique(session[known], return_inverse=True)
+    means = np.bincount(of_value, values[known]) / np.bincount(of_value)
+    return float(np.std(values[known] - means[of_value]))
+
+
+def _late_spread_db(features: Sequence[Features], session: IntArray) -> float:
+    """Return the standard deviation within sessions of late levels, the median over octaves; infinite if unknown."""
     at = feature_slice("late")
     levels = np.array([np.where(of_rir.valid[at], of_rir.values[at], np.nan) for of_rir in features]) * JND["late"]
-    known = np.isfinite(levels).sum(axis=0) >= _MIN_RIRS
-    return float(np.median(np.nanstd(levels[:, known], axis=0))) if known.any() else np.inf
+    spread = [_deviation(of_octave, session) for of_octave in levels.T if np.isfinite(of_octave).sum() >= _MIN_RIRS]
+    return float(np.median(spread)) if spread else np.inf
 
 
 def _groups(keys: Sequence[Hashable]) -> dict[Hashable, IntArray]:

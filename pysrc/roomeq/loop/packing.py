@@ -10,10 +10,10 @@ or the RIR.
 Surface parameters of a room are its absorption per band, ``x = ln(-ln(1 - alpha))``, and the contrast of floor and
 ceiling to the walls.
 
-A chain of room, source and microphone that several RIRs share has its own gain. A chain of one RIR, as in corpora that
-number positions instead of devices, would leave the gain of a held-out RIR undetermined: its gain is the sum of a gain
-of the room, one of the source in that room and one of the microphone in that room. An RIR whose level cannot be
-compared (`roomeq.loop.measurability`) has a gain of its own.
+A chain of room, source, microphone and recording session that several RIRs share has its own gain. A chain of one RIR,
+as in corpora that number positions instead of devices, would leave the gain of a held-out RIR undetermined: its gain is
+the sum of a gain of the room and session, one of the source in that room and one of the microphone in that room. An RIR
+whose level cannot be compared (`roomeq.loop.measurability`) has a gain of its own.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -40,14 +40,15 @@ from roomeq.loop.predict import (
     predict,
     predict_by_band,
 )
+from roomeq.records.schema import session_name
 
 OWN_SCOPES = ("room", "rir")
 """Scopes of effects whose vectors belong to one room alone."""
 N_SURFACE = 2 * N_BANDS
 """Number of surface parameters of a room."""
 GAIN_KINDS = ("chain", "source", "mic", "rir")
-"""Kinds of gains: of a chain or a room, the deviations of a source and of a microphone from it, and that of a single
-RIR whose level says nothing."""
+"""Kinds of gains: of a chain or of a room and session, the deviations of a source and of a microphone from it, and that
+of a single RIR whose level says nothing."""
 LEVEL_KINDS = (GAIN_KINDS.index("chain"), GAIN_KINDS.index("rir"))
 """Kinds of gains of which each RIR has one, to which those of source and microphone may be added."""
 _STEP = 0.003  # of numerical derivatives, in units of a vector's spread; with ten times as much steps went uphill
@@ -390,8 +391,8 @@ def _gains(data: Data, members: IntArray) -> tuple[FloatArray, IntArray]:
     columns: list[tuple[BoolArray, int]] = [(comparable & (chain == number), 0)
                                             for number in np.unique(chain[comparable & (count > 1)])]
     alone = comparable & (count == 1)
-    if alone.any():
-        columns.append((alone, 0))
+    session: Any = np.array([session_name(data.rows[n]) for n in members])
+    columns += [(alone & (session == name), 0) for name in sorted(set(session[alone]))]
     for kind in (1, 2):
         names: Any = np.array([data.rows[n][f"{GAIN_KINDS[kind]}_id"] for n in members])
         several = sorted(set(names[alone]))

@@ -41,6 +41,7 @@ from roomeq.loop.likelihood import NormalEquations, all_normal_equations, huber_
 from roomeq.loop.packing import GAIN_KINDS, LEVEL_KINDS, N_SURFACE, OWN_SCOPES, Linearization, ParameterIndex
 from roomeq.loop.predict import N_BANDS, ReflectedEnergy
 from roomeq.loop.session import Session
+from roomeq.records.schema import session_name
 
 logger = logging.getLogger(__name__)
 
@@ -217,9 +218,10 @@ def split_positions(data: Data) -> tuple[list[IntArray], list[IntArray]]:
 
     All RIRs of one place, such as the channels of an array, join the same half: one calibrated by another would be no
     held-out position. It is the half with fewer RIRs of their chains, then the half with fewer of their sources and
-    microphones. The second half of a room with a single place is empty.
+    microphones, then of their sessions. The second half of a room with a single place is empty.
     """
     (_, source), (_, mic) = data.units("source"), data.units("mic")
+    session: Any = np.array([session_name(row) for row in data.rows])
     first, second = [], []
     for r in range(len(data.room_names)):
         members = np.flatnonzero(data.room == r)
@@ -229,7 +231,8 @@ def split_positions(data: Data) -> tuple[list[IntArray], list[IntArray]]:
         for place in dict.fromkeys(data.place_number[by_chain]):
             here = by_chain[data.place_number[by_chain] == place]
             load = [(np.isin(data.chain[half], data.chain[here]).sum(),
-                     np.isin(source[half], source[here]).sum() + np.isin(mic[half], mic[here]).sum(), len(half))
+                     np.isin(source[half], source[here]).sum() + np.isin(mic[half], mic[here]).sum(),
+                     np.isin(session[half], session[here]).sum(), len(half))
                     for half in (np.array(rirs, dtype=int) for rirs in halves)]
             fewer = chains.index(data.chain[here[0]]) % 2 if load[0] == load[1] else int(load[1] < load[0])
             halves[fewer].extend(here)

@@ -73,6 +73,14 @@ def unit_name(row: Mapping[str, Any], scope: str) -> str:
     return f"{UNKNOWN} of {row['corpus']}" if unnamed else name
 
 
+def session_name(row: Mapping[str, Any]) -> str:
+    """Return the name of the recording session of a row, empty where the row states none.
+
+    Within a session, no gain of the recording chain changes; between sessions it may.
+    """
+    return row.get("session") or ""
+
+
 class AcousticParameters(TypedDict, total=False):
     """What `roomeq.acoustics.parameters.measure` returns.
 

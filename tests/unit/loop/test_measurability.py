@@ -170,6 +170,25 @@ def test_obstacle_before_near_microphones_is_no_normalisation():
     assert comparable_levels([dict(room_id="room")] * 5, [measure_features(rir) for rir in rirs], distance_m).all()
 
 
+@pytest.mark.parametrize("sizes, normalised, expected", [
+    ((5, 5), (False, False), [True] * 10),
+    ((5, 5), (True, False), [False] * 5 + [True] * 5),
+    ((3, 3), (True, True), [False] * 6),  # too few in each, and together enough
+    ((3, 3), (False, False), [True] * 6),
+    ((5, 1), (False, False), [True] * 5 + [False])])  # the last has none to be compared with
+def test_levels_are_compared_within_sessions(sizes, normalised, expected):
+    """The gain differs by 20 dB between sessions; some are of RIRs that were normalised one by one."""
+    rows, rirs, distances_m = [], [], []
+    for n, (size, of_session) in enumerate(zip(sizes, normalised, strict=True)):
+        for distance_m in (1.0, 1.5, 2.0, 3.0, 4.0)[:size]:
+            rir = response(len(rirs), amplitude=1.0 / distance_m)
+            rirs.append(0.1 ** n * (rir / np.abs(rir).max() if of_session else rir))
+            rows.append(dict(room_id="room", session=f"day {n}"))
+            distances_m.append(distance_m)
+    comparable = comparable_levels(rows, [measure_features(rir) for rir in rirs], np.array(distances_m))
+    assert comparable.tolist() == expected
+
+
 def test_direct_sound_below_the_noise_is_an_upper_limit():
     rng = np.random.default_rng(0)
     t = np.arange(FS_HZ) / FS_HZ
