@@ -121,7 +121,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     """Run the loop, write its files below `work` and return the ledger."""
     start = time.monotonic()
     unknown = unknown_facings(data)
-    first = with_estimated_facings(fit_base_model(data, seed=seed, nj=nj))
+    first = _faced_base_model(data, unknown, seed=seed, nj=nj)
     _log_facings(first.data)
     session = first
     first_errors = errors = heldout_errors(session)
@@ -183,6 +183,26 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     return ledger
 
 
+def _faced_base_model(data: Data, unknown: IntArray, *, seed: int, nj: int) -> Session:
+    """Return the fitted base model with estimated facings of the RIRs `unknown`.
+
+    A directivity of the base model acts only where a facing is known: the model is fitted again with the estimated
+    facings, which it then tells better, and with those.
+    """
+    session = with_estimated_facings(fit_base_model(data, seed=seed, nj=nj))
+    if not len(unknown) or SourceDirectivity not in data.given_kinds:
+        return session
+    session = refit_rendered(session.data, session.fit, seed=seed, nj=nj)
+    again = with_estimated_facings(session, unknown)
+    if _same_facings(again.data, session.data, unknown):
+        return session
+    return refit_rendered(again.data, session.fit, seed=seed, nj=nj)
+
+
+def _same_facings(one: Data, other: Data, rirs: IntArray) -> bool:
+    return all(one.rows[n]["source_dir"] == other.rows[n]["source_dir"] for n in rirs)
+
+
 def _faced_as_fitted(session: Session, unknown: IntArray, newest: type[Effect]) -> Session:
     """Return a session whose sources face as its model says, fitted again.
 
@@ -190,7 +210,7 @@ def _faced_as_fitted(session: Session, unknown: IntArray, newest: type[Effect]) 
     effect, their axes are refined. Where nothing turns, the session remains as it is.
     """
     data = refined_facings(with_estimated_facings(session, unknown) if newest is SourceDirectivity else session)
-    if all(data.rows[n]["source_dir"] == session.data.rows[n]["source_dir"] for n in unknown):
+    if _same_facings(data, session.data, unknown):
         return session
     _log_facings(data)
     return refit_rendered(data, session.fit, seed=session.seed, nj=session.nj, known_changes=session.effects)

@@ -65,7 +65,7 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
     """Return data with an estimate of each unknown facing.
 
     The directivity of a source is unknown as well: it is one of cabinets of several sizes, that of the model if it has
-    one, or none.
+    one, fitted or given, or none.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
 
     Reflections leave in all directions, so that their gain is the mean over the sphere. The response of the source
     colours both, and its estimate from the reflections is taken from the residual of the direct sound. The model's own
-    directivity is taken out first.
+    directivity, fitted or given, is taken out first.
 
     Returns
     -------
@@ -154,6 +154,9 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
     rest = [k for k, effect in enumerate(index.effects) if effect is not SourceDirectivity]
     absorption, vectors = index.absorption(mean, local), index.vectors(mean, local)
     others, vectors_of_others = [index.effects[k] for k in rest], [vectors[k] for k in rest]
+    possible = _directivities(data, index, vectors)
+    data = replace(data, given=[[effect for effect in of_rir if not isinstance(effect, SourceDirectivity)]
+                                for of_rir in data.given])
     no_gains = np.zeros(len(data.rows))
     plain = ParameterIndex(data, others).predict(absorption, vectors_of_others, no_gains, 0.0)
     residual = residual + index.predict(absorption, vectors, no_gains, 0.0) - plain
@@ -172,7 +175,6 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
 
     of_angles: list[FloatArray] = []
     source_of = np.array([unit_name(row, "source") for row in data.rows])
-    possible = _directivities(index, vectors)
     for angle in _TEST_ANGLES:
         turned = replace(data, tables=[replace(table, direct_angle=float(angle)) for table in diffuse])
         with_others = ParameterIndex(turned, others)
@@ -186,15 +188,21 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
     return np.stack(of_angles, axis=2), log_likelihood(np.zeros_like(plain))
 
 
-def _directivities(index: ParameterIndex, vectors: list[FloatArray]) -> list[dict[str, SourceDirectivity]]:
-    """Return directivities that sources may have: of cabinets of several sizes, and as fitted if the model has them."""
+def _directivities(data: Data, index: ParameterIndex, vectors: list[FloatArray]) -> list[dict[str, SourceDirectivity]]:
+    """Return directivities that sources may have: of cabinets of several sizes, and those of the model if it has them.
+
+    The model's are fitted, or the base model has them.
+    """
     names = index.data.units("source")[0]
-    typical = [dict.fromkeys(names, SourceDirectivity.from_vector(start)) for start in SourceDirectivity.STARTS]
-    if SourceDirectivity not in index.effects:
-        return typical
-    of_sources = vectors[index.effects.index(SourceDirectivity)]
-    return [*typical, {name: SourceDirectivity.from_vector(vector)
-                       for name, vector in zip(names, of_sources, strict=True)}]
+    possible = [dict.fromkeys(names, SourceDirectivity.from_vector(start)) for start in SourceDirectivity.STARTS]
+    if SourceDirectivity in index.effects:
+        of_sources = vectors[index.effects.index(SourceDirectivity)]
+        possible.append({name: SourceDirectivity.from_vector(vector)
+                         for name, vector in zip(names, of_sources, strict=True)})
+    if given := {unit_name(row, "source"): effect for row, effects in zip(data.rows, data.given, strict=True)
+                 for effect in effects if isinstance(effect, SourceDirectivity)}:
+        possible.append(given)
+    return possible
 
 
 def _position(data: Data, n: int) -> tuple:

@@ -282,10 +282,10 @@ def _with_facings(data: Data, session: Session) -> Data:
     """Return data of a test set with estimated facings.
 
     They are first those with the mean directivity of the session's sources, and then those with the directivities that
-    are calibrated with these facings.
+    are calibrated with these facings; or, both times, those with the directivities of the base model.
     """
     unknown = unknown_facings(data)
-    if SourceDirectivity not in session.effects or not len(unknown):
+    if SourceDirectivity not in {*session.effects, *data.given_kinds} or not len(unknown):
         return data
     correction = _transferred_correction(session, len(data.rows))
     for _ in range(_FACING_ROUNDS):

@@ -1,13 +1,21 @@
 """The facing of loudspeakers: which hypothesis the direct sounds support, and the axes that follow."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rirmaker import coloured_rir, write_rir_dir
 
+from roomeq.effects.model import Extension, Model
+from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.loop import facing
-from roomeq.loop.facing import estimate_facings
+from roomeq.loop.close import _faced_base_model
+from roomeq.loop.data import load_data
+from roomeq.loop.facing import _log_likelihood, estimate_facings, unknown_facings
+from roomeq.loop.packing import N_SURFACE, ParameterIndex
+from roomeq.loop.selection import transferred
+from roomeq.loop.usable import usable_rirs
 
 SOURCES_M = [(2.0, 2.0, 1.2), (6.0, 4.0, 1.2), (2.0, 5.0, 1.2)]
 MICS_M = [(4.0, 3.0, 1.2), (5.0, 2.0, 1.2), (3.0, 4.5, 1.2)]
@@ -122,3 +130,45 @@ def test_directivity_is_assumed_that_fits_the_direct_sounds(monkeypatch):
     estimated, axes = estimate_from(rirs, np.stack(of_angles), -np.inf, monkeypatch)
     assert estimated.hypothesis == "fixed"
     assert degrees(axes, OF_POSITIONS).max() < 12.0
+
+
+DIRECTIVITY = SourceDirectivity.from_vector([np.log(0.12), np.log(0.4), *[0.5] * 24])
+
+
+def loaded(where, source_dir, model=None):
+    """Load three rooms of four RIRs with one loudspeaker."""
+    rows = [dict(id=f"{room}{n}", wav=f"{room}{n}.wav", room_id=room, source_id="ls", mic_id="m",
+                 room_dims_m=[6.0, 5.0, 3.0], source_pos_m=[1.0 + 2.0 * (n % 2), 1.0, 1.5],
+                 mic_pos_m=[2.0 + 0.6 * n, 3.0, 1.3], source_dir=source_dir) for room in "abc" for n in range(4)]
+    rirs = [(row, coloured_rir(n, time_s=0.3 + 0.05 * (n // 4))) for n, row in enumerate(rows)]
+    return load_data(usable_rirs([write_rir_dir(where, rirs)]), scattering=0.3, seed=0, model=model)
+
+
+def test_given_directivity_is_compared_like_a_fitted_one(tmp_path):
+    fitted = loaded(tmp_path / "rirs", [0.0, 1.0, 0.0])
+    given = replace(fitted, given=[[DIRECTIVITY]] * len(fitted.rows))
+    spread = np.ones(fitted.features.shape[1])
+    found = []
+    for data, effects in ((fitted, (SourceDirectivity,)), (given, ())):
+        index = ParameterIndex(data, effects)
+        mean, local = np.full(index.n_shared, -1.0), [np.zeros(part.size) for part in index.local]
+        mean[N_SURFACE:] = DIRECTIVITY.vector() if effects else []
+        residual = data.features - index.predict(index.absorption(mean, local), index.vectors(mean, local),
+                                                 index.gains(local), 0.0)
+        found.append(_log_likelihood(data, index, mean, local, residual, spread))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-6)
+
+
+def test_base_model_with_a_directivity_is_fitted_with_its_facings(tmp_path):
+    vector = DIRECTIVITY.vector()
+    model = Model((Extension(SourceDirectivity, {"ls": DIRECTIVITY}, vector, np.zeros(len(vector))),))
+    data = loaded(tmp_path / "rirs", None, model)
+    session = _faced_base_model(data, unknown_facings(data), seed=0, nj=1)
+    index, fitted = session.index, session.fit
+    assert not len(unknown_facings(session.data))
+    np.testing.assert_allclose(fitted.predicted, index.predict(
+        index.absorption(fitted.mean, fitted.local), index.vectors(fitted.mean, fitted.local),
+        index.gains(fitted.local), session.correction), atol=1e-6)
+    test_data, _ = transferred(loaded(tmp_path / "test", None, model), session)
+    assert not len(unknown_facings(test_data)) and [found.rirs for found in test_data.facings] == [12]
