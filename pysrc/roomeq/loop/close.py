@@ -20,7 +20,7 @@ from roomeq.loop.acceptance import RISES, Trial, describe_rejection, judge
 from roomeq.loop.ceiling import ceiling_errors, ceiling_of_test_set, describe_explained, explained
 from roomeq.loop.data import Data, load_data
 from roomeq.loop.descriptions import describe_facing, describe_residual, describe_scored, effect_names
-from roomeq.loop.examples import EXAMPLES_FILE, write_examples
+from roomeq.loop.examples import EXAMPLES_FILE, read_recordings, write_examples
 from roomeq.loop.facing import unknown_facings, with_estimated_facings
 from roomeq.loop.fit import fit
 from roomeq.loop.held_out import held_out_rirs
@@ -46,6 +46,7 @@ from roomeq.loop.selection import (
     choose,
     heldout_errors,
     helps_beside,
+    measurable_rooms,
     one_sided_p,
     p_lower,
     rank,
@@ -59,6 +60,9 @@ from roomeq.loop.unexplained import find_unexplained
 from roomeq.loop.usable import UsableRirs, require_enough_rooms, usable_rirs
 
 logger = logging.getLogger(__name__)
+_FEWEST_ROOMS = 2
+"""Rooms with an error from which on a mean has an interval."""
+_REMEDY = "record until the decay ends in the noise"
 SCATTERING = 0.3
 """Scattering coefficient of all surfaces: measured RIRs do not state it."""
 
@@ -90,7 +94,9 @@ def make(build: Build, directories: list[Path], test: list[Path], model: Path | 
     usable_test = _usable_test_set(test, usable, nj) if test else None
     warn_of_shared_devices(rir.row for of_set in (usable, usable_test) if of_set for rir in of_set.rirs)
     data = load_data(usable, scattering=SCATTERING, seed=seed, model=base, nj=nj)
+    _require_errors(data, directories[0])
     test_data = load_data(usable_test, scattering=SCATTERING, seed=seed, model=base, nj=nj) if usable_test else None
+    test_data = _with_errors(test_data, test[0]) if test_data else None
     ledger: dict = {}
     if build.run({"loop": None}, lambda _, __: {}):
         build.finish(lambda directory, _: ledger.update(_run(data, directories, directory, test_data, base,
@@ -116,10 +122,31 @@ def _usable_test_set(directories: Sequence[Path], rirs: UsableRirs, nj: int) -> 
     return usable
 
 
+def _require_errors(data: Data, directory: Path) -> None:
+    """Refuse data of which the loop could state no error with an interval."""
+    n_rooms, n_scored = len(measurable_rooms(data)), int(data.is_scored.sum())
+    if n_rooms < _FEWEST_ROOMS:
+        raise ValueError(f"{directory}: a feature that is scored is valid in {n_rooms} of {n_scored} rooms, and must "
+                         f"be in {_FEWEST_ROOMS}: recordings are too short or too noisy; {_REMEDY}")
+
+
+def _with_errors(test_data: Data, directory: Path) -> Data | None:
+    """Return the data of a test set, or None where nothing of it can be scored."""
+    if len(measurable_rooms(test_data)):
+        return test_data
+    logger.warning("%s: no feature that is scored is valid in any of %d RIRs, as recordings are too short or too "
+                   "noisy: the test set is not scored; %s", directory, len(test_data.rows), _REMEDY)
+    return None
+
+
 def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None, base: Model, max_effects: int,
          seed: int, nj: int) -> dict:
-    """Run the loop, write its files below `work` and return the ledger."""
+    """Run the loop, write its files below `work` and return the ledger.
+
+    What the loop has found is written before anything else is computed.
+    """
     start = time.monotonic()
+    recordings = read_recordings(directories, data)  # which may be elsewhere when the loop ends
     unknown = unknown_facings(data)
     first = _faced_base_model(data, unknown, seed=seed, nj=nj)
     _log_facings(first.data)
@@ -152,6 +179,9 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
                     entry["scored_on"].replace("_", "-"))
         if superfluous:
             logger.info("took out %s, which no longer lowers the held-out error", ", ".join(entry["eliminated"]))
+    write_model(work / MODEL_FILE, _model_of(session, base))
+    np.savez_compressed(work / RESIDUALS_FILE, before=first.residual, after=session.residual)
+    write_examples(work / EXAMPLES_FILE, recordings, first, session)
     update_parameters(iterations, session)
     unexplained = find_unexplained(session)
     for residual in unexplained[:1]:
@@ -173,13 +203,15 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
         unexplained=unexplained[0].as_dict() if unexplained else None,
         unexplained_all=[residual.as_dict() for residual in unexplained], final=error_entry(errors),
         ceiling=error_entry(ceiling), explained=shares)
-    if test_data:
-        ledger["test"] = _test_entry(test_data, first, session)
-    logger.info("closed the loop on %d RIRs in %.0f s%s", len(data.rows), time.monotonic() - start, _of_scored(counts))
     write_json(work / LEDGER_FILE, ledger)
-    write_model(work / MODEL_FILE, _model_of(session, base))
-    np.savez_compressed(work / RESIDUALS_FILE, before=first.residual, after=session.residual)
-    write_examples(work / EXAMPLES_FILE, directories, first, session)
+    if test_data:
+        try:
+            ledger["test"] = _test_entry(test_data, first, session)
+            write_json(work / LEDGER_FILE, ledger)
+        except Exception:
+            logger.error("the test set could not be scored; what the loop found is in %s", work)
+            raise
+    logger.info("closed the loop on %d RIRs in %.0f s%s", len(data.rows), time.monotonic() - start, _of_scored(counts))
     return ledger
 
 
@@ -305,8 +337,12 @@ def _of_scored(counts: dict[str, int]) -> str:
 
 def _log_explained(name: str, ceiling: HeldOutErrors, shares: dict) -> None:
     for split in SPLITS:
+        if np.isnan(level_jnd := ceiling.mean(split)):
+            logger.info("%s: the explainable error is unknown (%s): in no simulated recording is a feature valid", name,
+                        split.replace("_", "-"))
+            continue
         logger.info("%s: %s (%s, ceiling %.2f JND); no further fall possible: %s", name,
-                    describe_explained(shares[split]), split.replace("_", "-"), ceiling.mean(split),
+                    describe_explained(shares[split]), split.replace("_", "-"), level_jnd,
                     ", ".join(shares[split]["at_ceiling"]) or "none")
 
 

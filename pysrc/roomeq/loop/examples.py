@@ -5,7 +5,7 @@ Figures show what errors in JND do not: where a decay bends, how wide a resonanc
 
 import io
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,9 +56,9 @@ class Examples:
     rirs: FloatArray
 
 
-def write_examples(path: Path, directories: Sequence[Path], first: Session, last: Session) -> None:
+def write_examples(path: Path, recordings: Mapping[int, FloatArray], first: Session, last: Session) -> None:
     """Write the examples of a loop; see `make_examples`."""
-    examples = make_examples(directories, first, last)
+    examples = make_examples(recordings, first, last)
     np.savez_compressed(path, ids=np.array(examples.ids, dtype=str), rooms=np.array(examples.rooms, dtype=str),
                         decay_db=examples.decay_db, spectrum_db=examples.spectrum_db,
                         rirs=examples.rirs.astype(np.float32))
@@ -100,24 +100,31 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, Array]:
         raise ValueError(f"{path}: cannot be read ({type(error).__name__}): run roomeq close-loop again") from None
 
 
-def make_examples(directories: Sequence[Path], first: Session, last: Session) -> Examples:
+def read_recordings(directories: Sequence[Path], data: Data) -> dict[int, FloatArray]:
+    """Read the recordings that become examples from the RIR directories of the data, by the number of the RIR."""
+    chosen = {data.rows[n]["id"]: n for n in _chosen(data)}
+    recordings = {row["id"]: load_rir(directory, row) for directory in map(Path, directories)
+                  for row in read_rirs(directory) if row["id"] in chosen}
+    return {n: recordings[name] for name, n in chosen.items()}
+
+
+def make_examples(recordings: Mapping[int, FloatArray], first: Session, last: Session) -> Examples:
     """Render a few RIRs with the base model and with the final model.
 
     Parameters
     ----------
-    directories : sequence of Path
-        RIR directories that hold the sessions' RIRs.
+    recordings : mapping
+        Recordings by the number of the RIR (`read_recordings`).
     first, last : Session
         Of the base model and of the final model.
     """
     data = first.data
-    chosen = _chosen(data)
-    recorded = _recorded(directories, {data.rows[n]["id"] for n in chosen})
+    chosen = list(recordings)
     decay_db = np.full((len(chosen), len(KINDS), len(DECAY_BANDS), round(LENGTH_S / STEP_S)), np.nan)
     spectrum_db = np.full((len(chosen), len(KINDS), len(SPECTRUM_HZ)), np.nan)
     rirs = np.zeros((len(chosen), len(KINDS), N_SAMPLES))
     for k, n in enumerate(chosen):
-        measured = recorded[data.rows[n]["id"]]
+        measured = recordings[n]
         direct, _ = find_direct(measured, FS_HZ)
         decay_db[k, 0] = _decays(measured, direct)
         rirs[k, 0] = _from_direct(measured, direct)
@@ -151,12 +158,6 @@ def _chosen(data: Data) -> list[int]:
         rows = np.flatnonzero(data.room == r)
         chosen.append(int(rows[np.argsort(data.distance_m[rows], kind="stable")[len(rows) // 2]]))
     return chosen
-
-
-def _recorded(directories: Sequence[Path], ids: set[str]) -> dict[str, FloatArray]:
-    """Read the RIRs of some ids."""
-    return {row["id"]: load_rir(directory, row) for directory in map(Path, directories)
-            for row in read_rirs(directory) if row["id"] in ids}
 
 
 def _rendered(session: Session, n: int) -> tuple[FloatArray, float, float]:

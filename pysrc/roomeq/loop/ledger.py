@@ -33,9 +33,10 @@ _REMEDY = "run roomeq close-loop again"
 
 
 def error_entry(errors: HeldOutErrors) -> dict:
-    """Return the entry of held-out errors, by split."""
-    return {split: dict(error=errors.mean(split), ci=errors.interval(split), by_metric=errors.by_metric(split),
-                        by_band=errors.by_band(split)) for split in SPLITS}
+    """Return the entry of held-out errors, by split; an error is null where no feature is valid."""
+    means = {split: errors.mean(split) for split in SPLITS}
+    return {split: dict(error=means[split] if np.isfinite(means[split]) else None, ci=errors.interval(split),
+                        by_metric=errors.by_metric(split), by_band=errors.by_band(split)) for split in SPLITS}
 
 
 def count_entries(data: Data) -> dict[str, int]:

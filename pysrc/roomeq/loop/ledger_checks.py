@@ -84,7 +84,8 @@ def _errors(value: Any, where: str) -> None:
     for split in SPLITS:
         entry, at = value[split], f"{where}.{split}"
         _keys(entry, at, ("error", "ci", "by_metric", "by_band"))
-        _number(entry["error"], f"{at}.error", 0.0, LARGEST)
+        if entry["error"] is not None or not where.endswith("ceiling"):  # in which no feature may be valid
+            _number(entry["error"], f"{at}.error", 0.0, LARGEST)
         if entry["ci"] is not None:  # of a single room
             _interval(entry["ci"], f"{at}.ci", entry["error"])
         _breakdown(entry["by_metric"], entry["by_band"], at)

@@ -345,7 +345,7 @@ class Linearization:
         if self._linearized is not None:
             predicted, (origin, derivatives) = self.predicted(mean, local), self._linearized
             change = (predicted - origin)[self.index.data.valid]
-            if np.sqrt(np.mean(change ** 2)) <= same_jnd:
+            if not len(change) or np.sqrt(np.mean(change ** 2)) <= same_jnd:
                 return predicted, derivatives
         self._linearized = self.index.linearize(mean, local, self._correction, self._known, self._threads)
         self._newest = mean, local, self._linearized[0]

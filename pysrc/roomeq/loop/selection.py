@@ -114,7 +114,9 @@ class HeldOutErrors:
         return np.unique(self.room[np.isfinite(self.by_split[split]).any(axis=1)])
 
     def mean(self, split: str) -> float:
-        return float(self.of_rooms(split).mean())
+        """Mean error over rooms, NaN where no feature is valid."""
+        of_rooms = self.of_rooms(split)
+        return float(of_rooms.mean()) if len(of_rooms) else np.nan
 
     def interval(self, split: str) -> list[float] | None:
         """Confidence interval of 95 % of the mean over rooms (t); None for a single room."""
@@ -218,6 +220,11 @@ def share_of_fall(before: HeldOutErrors, after: HeldOutErrors, split: str, weigh
 
 def _known(values: FloatArray) -> FloatArray:
     return values[np.isfinite(values)]
+
+
+def measurable_rooms(data: Data) -> IntArray:
+    """Return the numbers of the rooms that have an error: they are scored, and a feature that is scored is valid."""
+    return np.unique(data.room[np.any(data.valid & SCORED, axis=1) & data.is_scored[data.room]])
 
 
 def heldout_errors(session: Session, splits: Sequence[str] = SPLITS, groups: IntArray | None = None) -> HeldOutErrors:
