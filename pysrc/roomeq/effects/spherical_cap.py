@@ -35,35 +35,6 @@ _STEP = 32  # polynomials are cached for multiples of this number of terms
 _ANGLES_PER_TERM = 16  # of a table: the finest fringe of the energy spans as many of its angles
 
 
-def cap_spectrum(cos_angle: ArrayLike, radius_m: float, cap_rad: float, frequencies_hz: ArrayLike) -> Array:
-    """Return the pressure relative to the axis, at single frequencies.
-
-    Parameters
-    ----------
-    cos_angle : array_like
-        Cosine of the angle between the axis and a direction.
-    radius_m : float
-        Of the sphere, up to `MAX_RADIUS_M`.
-    cap_rad : float
-        Half-angle of the cap, up to pi / 2.
-    frequencies_hz : array_like, shape (n_frequencies,)
-
-    Returns
-    -------
-    pressure : ndarray of complex, shape (..., n_frequencies)
-        1 on the axis. Phases are those of numpy's FFT; the delay is that from the centre of the sphere less that
-        on the axis.
-
-    Raises
-    ------
-    ValueError
-        A parameter is out of range.
-    """
-    coefficients = cap_series(radius_m, cap_rad, frequencies_hz)
-    legendre = eval_legendre(np.arange(coefficients.shape[1]), np.asarray(cos_angle, dtype=float)[..., None])
-    return (legendre @ coefficients.T / coefficients.sum(axis=1)).conj()
-
-
 def cap_gain(cos_angle: ArrayLike, radius_m: float, cap_rad: float,
              bands_hz: Sequence[float] = EXACT_BANDS_HZ, fs_hz: float = FS_HZ) -> FloatArray:
     """Return the energy relative to the axis, averaged over octave bands, up to half the sample rate.

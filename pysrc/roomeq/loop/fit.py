@@ -10,7 +10,7 @@ those means and the vectors of all other effects.
 Features scatter by `sigma` from RIR to RIR and by `omega` from room to room; both are estimated from the residual.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -126,7 +126,7 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
         Number of threads; the result does not depend on it.
     """
     index = ParameterIndex(data, effects)
-    measured = [effect.measured_vectors(data) if start is None else None for effect in index.effects]
+    measured = [effect.measured_vectors(data) for effect in index.effects]
     start = [effect.STARTS[0] if vectors is None else vectors.mean(axis=0)
              for effect, vectors in zip(index.effects, measured, strict=True)] if start is None else start
     # a continued fit centres the prior of the mean absorption at x = 0 (alpha = 0.63), 1.1 of its spreads higher
@@ -141,7 +141,8 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
         gain_db = initial.gain_db
         sigma, omega = initial.sigma.copy(), initial.omega.copy()
         _continue(index, initial, mean, local)
-    start_from_measured(index, mean, local, () if initial is None else initial.effects)
+    start_from_measured(index, mean, local, [None if initial is not None and effect in initial.effects else vectors
+                                             for effect, vectors in zip(index.effects, measured, strict=True)])
     linearization = Linearization(index, correction, known, threads)
     for iteration in progress(range(iterations), iterations, "fit: iterations"):
         precision = [inverted(of_room) for of_room in covariances(index, shape, own_scale, gain_db)]
@@ -207,10 +208,9 @@ def estimate_gains(index: ParameterIndex, correction: FloatArray, mean: FloatArr
 
 
 def start_from_measured(index: ParameterIndex, mean: FloatArray, local: list[FloatArray],
-                        fitted: Collection[type[Effect]] = ()) -> None:
-    """Set what can be read off the recordings (`Effect.measured_vectors`) in `local`, but for `fitted` effects."""
-    for k, effect in enumerate(index.effects):
-        vectors = None if effect in fitted else effect.measured_vectors(index.data)
+                        measured: Sequence[FloatArray | None]) -> None:
+    """Set what was read off the recordings, of each effect (`Effect.measured_vectors`) or None, in `local`."""
+    for k, vectors in enumerate(measured):
         if vectors is not None:
             for own, part, vector in zip(local, index.local, vectors, strict=True):
                 own[part.slices[k]] = vector - mean[index.shared[k].part]

@@ -34,6 +34,7 @@ from roomeq.loop.features import (
     feature_slice,
 )
 from roomeq.loop.tables import FRAME_EDGES_S, LEVEL_SHARES
+from roomeq.sim.scene import eyring_area_of_mean, time_of_area_s
 
 N_BANDS = len(EXACT_BANDS_HZ)
 _db = partial(power_db, floor=FLOOR_POWER)
@@ -110,11 +111,11 @@ def reflected_energy(data: Data, state: PredictionState) -> FloatArray:
 
 
 def _eyring_times_s(data: Data, state: PredictionState) -> FloatArray:
-    """Return the decay time of each RIR's room by Eyring, shape (n_rirs, 8) (`roomeq.sim.scene.eyring_time_s`)."""
+    """Return the decay time of each RIR's room by Eyring, shape (n_rirs, 8)."""
     of_room = data.surface_per_m.sum(axis=1, keepdims=True)
-    mean = np.minimum(np.einsum("ns,nsb->nb", data.surface_per_m / of_room, -np.expm1(-state.absorption)), 1.0 - 1e-6)
-    rate_per_m = -0.25 * np.log1p(-mean) * of_room + state.air_per_m
-    return 6.0 * np.log(10.0) / (rate_per_m * state.speed_m_s[:, None])
+    mean = np.einsum("ns,nsb->nb", data.surface_per_m / of_room, -np.expm1(-state.absorption))
+    area_per_m3 = eyring_area_of_mean(mean, of_room, state.air_per_m, 1.0)
+    return time_of_area_s(area_per_m3, 1.0, state.speed_m_s[:, None])
 
 
 class ReflectedEnergy:

@@ -423,7 +423,7 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
     estimate_gains(index, correction, mean, local)
     visible = _visible(index, known, usable.features)
     usable_data = replace(index.data, valid=index.data.valid & visible)
-    start_from_measured(ParameterIndex(usable_data, index.effects), mean, local)
+    start_from_measured(index, mean, local, [effect.measured_vectors(usable_data) for effect in index.effects])
     for features in usable.stages:
         mean, local = _converged(index, fitted, prior, precision, correction, mean, local,
                                  _visible(index, known, features), usable.of_surfaces, threads)

@@ -256,8 +256,17 @@ def eyring_absorption_area_m2(scene: Scene, absorption: FloatArray | None = None
     `absorption`, shape (n_surfaces, n_bands), replaces that of the scene.
     """
     area_m2 = scene.room.surface_area_m2
-    mean = np.minimum(area_m2 @ (scene.absorption if absorption is None else absorption) / area_m2.sum(), 1.0 - 1e-6)
-    return -np.log(1.0 - mean) * area_m2.sum() + 4.0 * scene.attenuation_per_m * scene.room.volume_m3
+    mean = area_m2 @ (scene.absorption if absorption is None else absorption) / area_m2.sum()
+    return eyring_area_of_mean(mean, area_m2.sum(), scene.attenuation_per_m, scene.room.volume_m3)
+
+
+def eyring_area_of_mean(mean: FloatArray, surface_m2: float | FloatArray, attenuation_per_m: FloatArray,
+                        volume_m3: float) -> FloatArray:
+    """Return the absorption area of mean absorption coefficients, ``-S ln(1 - alpha) + 4 m V`` [m2].
+
+    For a volume of 1 and the surface per volume, it is the area per volume.
+    """
+    return -np.log(1.0 - np.minimum(mean, 1.0 - 1e-6)) * surface_m2 + 4.0 * attenuation_per_m * volume_m3
 
 
 def needed_area_m2(volume_m3: float, time_s: float, speed_m_s: float) -> float:
@@ -272,5 +281,9 @@ def uniform_absorption(room: Room, time_s: float, speed_m_s: float) -> float:
 
 def eyring_time_s(scene: Scene, absorption: FloatArray | None = None) -> FloatArray:
     """Return the reverberation time per band by Eyring, ``24 ln(10) V / (c A)`` with `eyring_absorption_area_m2`."""
-    area_m2 = np.maximum(eyring_absorption_area_m2(scene, absorption), 1e-9)
-    return 24.0 * np.log(10.0) * scene.room.volume_m3 / (scene.air.speed_m_s * area_m2)
+    return time_of_area_s(eyring_absorption_area_m2(scene, absorption), scene.room.volume_m3, scene.air.speed_m_s)
+
+
+def time_of_area_s(area_m2: FloatArray, volume_m3: float, speed_m_s: float | FloatArray) -> FloatArray:
+    """Return the reverberation time that an absorption area gives, ``24 ln(10) V / (c A)``."""
+    return 24.0 * np.log(10.0) * volume_m3 / (speed_m_s * np.maximum(area_m2, 1e-9))

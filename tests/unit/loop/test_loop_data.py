@@ -10,10 +10,11 @@ from rirmaker import coloured_rir, write_rir_dir
 
 from roomeq.loop.data import SAME_PLACE_M, Data, _merge_sources, _Recording, _share_facings, _traced_length_s, load_data
 from roomeq.loop.features import BAND_OF_FEATURE, METRIC
+from roomeq.loop.predict import _eyring_times_s
 from roomeq.loop.session import fit_base_model
 from roomeq.loop.usable import usable_rirs
 from roomeq.sim.geometry import Place
-from roomeq.sim.scene import Shoebox
+from roomeq.sim.scene import Air, Material, Scene, Shoebox, eyring_time_s
 
 
 def test_merged_places_of_a_source_depend_on_no_order():
@@ -94,3 +95,12 @@ def test_decay_longer_than_any_trace_is_named(tmp_path, caplog):
     data = load_data(usable_rirs([where]), scattering=0.3, seed=0)
     assert data.traced[0].small.max_length_s == pytest.approx(13.1)
     assert "room dome decays for 1" in caplog.text and "13.1 s at most" in caplog.text
+
+
+def test_predicted_decay_time_is_that_of_the_scene():
+    scene = Scene(Shoebox((6.0, 5.0, 3.0)), (Material("m", (0.2,) * 8, (0.3,) * 8),) * 6, Air())
+    surface_m2 = np.array([2.0 * 3.0 * (6.0 + 5.0), 2.0 * 6.0 * 5.0])
+    data = SimpleNamespace(surface_per_m=surface_m2[None] / 90.0)
+    state = SimpleNamespace(absorption=np.full((1, 2, 8), -np.log(0.8)), speed_m_s=np.array([scene.air.speed_m_s]),
+                            air_per_m=scene.air.attenuation_per_m[None])
+    np.testing.assert_allclose(_eyring_times_s(data, state)[0], eyring_time_s(scene), rtol=1e-9)

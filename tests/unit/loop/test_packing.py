@@ -1,4 +1,4 @@
-"""Gains of recordings: those of a chain, and of a session."""
+"""Gains of recordings, those of a chain and of a session; and what a fit reads off the recordings."""
 
 from types import SimpleNamespace
 
@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from rirmaker import coloured_rir, write_rir_dir
 
+from roomeq.effects.noise_floor import NoiseFloor
 from roomeq.loop.data import load_data
+from roomeq.loop.fit import fit
 from roomeq.loop.packing import _gains
 from roomeq.loop.selection import heldout_errors
 from roomeq.loop.session import fit_base_model
@@ -54,3 +56,10 @@ def test_single_rirs_of_devices_share_a_gain_within_their_session():
     np.testing.assert_array_equal(design[:, :2], np.repeat(np.eye(2), 4, axis=0))
     data.rows = [row | {"session": None} for row in rows]
     assert _gains(data, np.arange(8))[1].tolist() == [0, 1, 1, 2, 2]
+
+
+def test_fit_reads_what_is_measured_once(two_sessions, monkeypatch):
+    read, calls = NoiseFloor.measured_vectors, []
+    monkeypatch.setattr(NoiseFloor, "measured_vectors", lambda data: calls.append(data) or read(data))
+    fit(two_sessions, np.zeros(two_sessions.features.shape), (NoiseFloor,), iterations=1)
+    assert len(calls) == 1
