@@ -5,7 +5,7 @@ Both checks state the largest probability of a false alarm, or follow from physi
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from roomeq.acoustics.direct import NOISE_FACTOR, quietest_rms
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import FS_HZ
 from roomeq.loop.arrivals import Arrivals, early_images, heard_probability, log_likelihood
-from roomeq.loop.unknown_geometry import HEIGHT_M, INDEPENDENT, LATENCY_SD_MS, declared_speed_m_s
+from roomeq.loop.unknown_geometry import INDEPENDENT, LATENCY_SD_MS, assumed_position, declared_speed_m_s
 from roomeq.records.geometry import distance_between
 from roomeq.records.schema import RirRow
 
@@ -67,7 +67,7 @@ def find_other_unit(rows: Sequence[RirRow], arrivals: Sequence[Arrivals]) -> Dou
     gain, limit = INDEPENDENT * (best - max(stated, 0.0)), math.log(len(tried) / FALSE_ALARM)
     if gain < limit:
         return None
-    dims_m = ", ".join(f"{size_m:g}" for size_m in _known(rows[0]["room_dims_m"], 1.0))
+    dims_m = ", ".join(f"{size_m:g}" for size_m in rows[0]["room_dims_m"] or ())
     return Doubt(OTHER_UNIT, f"room {rows[0]['room_id']}: room_dims_m=[{dims_m}]: the reflections of its "
                  f"{len(rows)} RIRs fit {which} in {unit} better, by a likelihood ratio of {_power_of_ten(gain)}, and "
                  f"{_power_of_ten(limit)} may be chance: state lengths in metres")
@@ -83,7 +83,8 @@ def _evidence(rows: Sequence[RirRow], arrivals: Sequence[Arrivals], factors: dic
     heard = heard_probability(np.full((1, 6), 0.5))
     total = 0.0
     for row, of_rir in zip(rows, arrivals, strict=True):
-        dims_m, source_m, mic_m = (_known(dict(row)[key], factors.get(key, 1.0)) for key in _STATED + _POSITIONS)
+        dims_m, source_m, mic_m = (assumed_position(dict(row)[key], factors.get(key, 1.0))
+                                   for key in _STATED + _POSITIONS)
         if np.any(np.maximum(source_m, mic_m) > dims_m):
             return -math.inf
         total += log_likelihood(of_rir.ratio, dims_m[None], np.array([declared_speed_m_s(row)]), source_m[None],
@@ -91,18 +92,41 @@ def _evidence(rows: Sequence[RirRow], arrivals: Sequence[Arrivals], factors: dic
     return total
 
 
-def _known(lengths: Any, factor: float) -> FloatArray:
-    """Return lengths times a factor; an unknown height is the prior's mean."""
-    return np.array([HEIGHT_M[0] if length is None else factor * length for length in lengths])
+class DirectLimits(NamedTuple):
+    """Between which times of a recording the direct sound arrives.
+
+    Attributes
+    ----------
+    first_s : float
+        The first sound that an obstacle could leave of it; 0 in a recording whose noise hides such a sound.
+    strongest_s : float
+        The strongest arrival, which is the direct sound or a later one; what precedes it may be distortion of a sweep.
+    """
+
+    first_s: float
+    strongest_s: float
 
 
-def find_wrong_distance(row: RirRow, rir: FloatArray) -> Doubt | None:
+def direct_limits(rir: FloatArray) -> DirectLimits:
+    """Measure the limits of the direct sound's arrival."""
+    magnitude = np.abs(rir)
+    threshold = magnitude.max() * 10.0 ** (-MOST_HIDDEN_DB / 20.0)
+    noisy = NOISE_FACTOR * quietest_rms(rir, FS_HZ) > threshold
+    return DirectLimits(0.0 if noisy else int(np.argmax(magnitude >= threshold)) / FS_HZ,
+                        int(np.argmax(magnitude)) / FS_HZ)
+
+
+def find_wrong_distance(row: RirRow, limits: DirectLimits, latency_s: float = 0.0) -> Doubt | None:
     """Find a direct sound that cannot come from the stated position; only where sample 0 is the emission.
 
-    Coordinates, latency and declared speed of sound have the errors that the loop reckons with elsewhere. The sound is
-    too early if the strongest arrival is, which is the direct sound or a later one; what precedes it may be distortion
-    of a sweep. It is too late if even the first sound that an obstacle could leave of it is, which needs a recording
-    whose noise lies below that.
+    Coordinates, latency and declared speed of sound have the errors that the loop reckons with elsewhere.
+
+    Parameters
+    ----------
+    row : RirRow
+    limits : DirectLimits
+    latency_s : float
+        Known latency of the recording (`roomeq.loop.latency`).
     """
     distance_m = distance_between(row["source_pos_m"], row["mic_pos_m"])
     if row.get("tof_removed") is not False or distance_m is None:
@@ -110,14 +134,9 @@ def find_wrong_distance(row: RirRow, rir: FloatArray) -> Doubt | None:
     speed_m_s = declared_speed_m_s(row)
     sd_m = math.hypot(math.sqrt(2.0) * COORDINATE_SD_M, 1e-3 * LATENCY_SD_MS * speed_m_s)
     slack_m = DEVIATIONS * sd_m + SPEED_RANGE * distance_m
-    magnitude = np.abs(rir)
-    strongest_m = int(np.argmax(magnitude)) / FS_HZ * speed_m_s
+    first_m, strongest_m = ((at_s - latency_s) * speed_m_s for at_s in limits)
     if strongest_m < distance_m - slack_m:
         return Doubt(TOO_EARLY, _wrong_distance(row, distance_m, strongest_m, slack_m))
-    threshold = magnitude.max() * 10.0 ** (-MOST_HIDDEN_DB / 20.0)
-    if NOISE_FACTOR * quietest_rms(rir, FS_HZ) > threshold:
-        return None
-    first_m = int(np.argmax(magnitude >= threshold)) / FS_HZ * speed_m_s
     if first_m > distance_m + slack_m:
         return Doubt(TOO_LATE, _wrong_distance(row, distance_m, first_m, slack_m))
     return None

@@ -17,8 +17,15 @@ from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import FS_HZ
 from roomeq.core.workers import share_out
 from roomeq.loop.arrivals import Arrivals, measure_arrivals
-from roomeq.loop.doubtful_geometry import Doubt, find_other_unit, find_wrong_distance
+from roomeq.loop.doubtful_geometry import (
+    DirectLimits,
+    Doubt,
+    direct_limits,
+    find_other_unit,
+    find_wrong_distance,
+)
 from roomeq.loop.doubtful_recordings import find_copies, find_other_decays
+from roomeq.loop.latency import find_latencies
 from roomeq.loop.misnamed_devices import find_misnamed_devices, reverberation_levels
 from roomeq.records.rir_dir import load_rir, rir_path
 from roomeq.records.schema import RirRow
@@ -27,17 +34,33 @@ logger = logging.getLogger(__name__)
 
 
 class _Heard(NamedTuple):
-    """What one recording says: its direct sound against the positions, arrivals, log of T20 per octave, and so on."""
+    """What one recording says: limits of its direct sound, arrivals, log of T20 per octave, and so on."""
 
-    distance: Doubt | None
+    direct: DirectLimits
     arrivals: Arrivals
     log_t20: FloatArray
     parts: FloatArray
     levels_db: FloatArray
 
 
-def find_mislabelled(rirs: Sequence[tuple[Path, RirRow]], nj: int = 1) -> list[Doubt | None]:
-    """Return for each RIR what does not fit, or None; the log has the details.
+class Checked(NamedTuple):
+    """What recordings say of their rows.
+
+    Attributes
+    ----------
+    doubts : list of (Doubt or None)
+        What does not fit about each RIR.
+    latencies_s : ndarray, shape (n_rirs,)
+        Latency that it has in common with others, although its row says that sample 0 is the emission; 0 for none
+        (`roomeq.loop.latency`).
+    """
+
+    doubts: list[Doubt | None]
+    latencies_s: FloatArray
+
+
+def find_mislabelled(rirs: Sequence[tuple[Path, RirRow]], nj: int = 1) -> Checked:
+    """Return what does not fit about each RIR; the log has the details.
 
     Parameters
     ----------
@@ -54,7 +77,10 @@ def find_mislabelled(rirs: Sequence[tuple[Path, RirRow]], nj: int = 1) -> list[D
     rows = [row for _, row in rirs]
     heard = share_out(lambda rir: _listen(*rir), rirs, nj, label="check RIRs")
     doubts = _other_units(rows, heard)
-    for found in ([of_rir.distance for of_rir in heard],
+    latencies_s = find_latencies(rows, np.array([of_rir.arrivals.direct_s for of_rir in heard]))
+    distances = [find_wrong_distance(row, of_rir.direct, latency_s)
+                 for row, of_rir, latency_s in zip(rows, heard, latencies_s, strict=True)]
+    for found in (distances,
                   find_other_decays(rows, np.array([of_rir.log_t20 for of_rir in heard]).reshape(-1, 8))):
         doubts = [doubt or other for doubt, other in zip(doubts, found, strict=True)]
     for find, said in ((find_copies, [of_rir.parts for of_rir in heard]),
@@ -65,7 +91,7 @@ def find_mislabelled(rirs: Sequence[tuple[Path, RirRow]], nj: int = 1) -> list[D
             doubts[n] = doubt
     for detail in dict.fromkeys(doubt.detail for doubt in doubts if doubt):
         logger.warning("left out: %s", detail)
-    return doubts
+    return Checked(doubts, latencies_s)
 
 
 def _listen(directory: Path, row: RirRow) -> _Heard:
@@ -78,7 +104,7 @@ def _listen(directory: Path, row: RirRow) -> _Heard:
     metrics = all_metrics(rir, FS_HZ, direct.sample, direct.polarity)
     t20_s = [time_s if valid and time_s else np.nan
              for time_s, valid in zip(metrics["t20_s"], metrics["t20_valid"], strict=True)]
-    return _Heard(find_wrong_distance(row, rir), arrivals, np.log(t20_s), cut_parts(rir, direct.sample),
+    return _Heard(direct_limits(rir), arrivals, np.log(t20_s), cut_parts(rir, direct.sample),
                   reverberation_levels(rir, direct.sample))
 
 

@@ -215,3 +215,8 @@ def declared_speed_m_s(row: Mapping[str, Any]) -> float:
     """Return the speed of sound at the temperature that a row declares, or at 20 degrees."""
     declared_c = row.get("temperature_c")
     return speed_of_sound_m_s(20.0 if declared_c is None else float(declared_c))
+
+
+def assumed_position(lengths_m: Any, factor: float = 1.0) -> FloatArray:
+    """Return lengths, such as a position, times a factor; an unknown height is the prior's mean."""
+    return np.array([HEIGHT_M[0] if length_m is None else factor * length_m for length_m in lengths_m])

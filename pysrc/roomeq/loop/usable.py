@@ -6,9 +6,9 @@ contradict. The verb `close-loop` and the recipe's stage 5 both decide here.
 
 import logging
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import NamedTuple, cast
 
 from roomeq.core.constants import require_air
 from roomeq.corpora.repeats import find_repeats
@@ -16,9 +16,6 @@ from roomeq.corpora.suspicious import suspicion
 from roomeq.records.geometry import OUTSIDE, UNKNOWN, find_contradiction, geometry_usability, place_key
 from roomeq.records.rir_dir import ROWS_FILE, read_rirs, require_16_khz
 from roomeq.records.schema import RirRow
-
-if TYPE_CHECKING:
-    from roomeq.loop.doubtful_geometry import Doubt
 
 logger = logging.getLogger(__name__)
 
@@ -79,7 +76,8 @@ class UsableRirs(NamedTuple):
 def usable_rirs(directories: Iterable[Path], nj: int = 1) -> UsableRirs:
     """Return the RIRs of some directories that the closed loop can use; RIRs of simulated noise sources are ignored.
 
-    The log names what contradicts what in rows that are left out. Recordings are read by `nj` processes.
+    The log names what contradicts what in rows that are left out, and recordings with a latency, of which the returned
+    rows do not say that sample 0 is the emission. Recordings are read by `nj` processes.
 
     Raises
     ------
@@ -96,9 +94,7 @@ def usable_rirs(directories: Iterable[Path], nj: int = 1) -> UsableRirs:
     _check_air([rir for rir, reason in zip(found, reasons, strict=True) if reason is None])
     contradictions = _log_contradictions(found, reasons) | _leave_out_unlike_rooms(found, reasons)
     _leave_out_repeats(found, reasons)
-    for n, doubt in _mislabelled(found, reasons, nj):
-        reasons[n] = doubt.phrase
-        contradictions.setdefault(doubt.phrase, doubt.detail)
+    contradictions |= _compare_with_recordings(found, reasons, nj)
     usable = leave_out(UsableRirs(found, []), reasons)
     return usable._replace(contradictions=tuple(contradictions[entry.reason] for entry in usable.left_out
                                                 if entry.reason in contradictions))
@@ -239,14 +235,22 @@ def _difference(one: Located, other: Located) -> str | None:
     return f"room_dims_m={sizes_m[0]}, not {sizes_m[1]}" if unlike else None
 
 
-def _mislabelled(rirs: Sequence[Located], reasons: Sequence[str | None], nj: int) -> Iterator[tuple[int, "Doubt"]]:
-    """Yield number and doubt of those RIRs without a reason whose rows are contradicted by their recordings."""
+def _compare_with_recordings(rirs: list[Located], reasons: list[str | None], nj: int) -> dict[str, str]:
+    """Leave out RIRs whose rows are contradicted by their recordings, in `reasons`; return the first of each reason.
+
+    In `rirs`, rows of recordings with a latency no longer say that sample 0 is the emission.
+    """
     from roomeq.loop.mislabelled import find_mislabelled  # only where there are recordings to listen to
 
-    left = [n for n, reason in enumerate(reasons) if reason is None]
-    for n, doubt in zip(left, find_mislabelled([rirs[n] for n in left], nj), strict=True):
+    left, first = [n for n, reason in enumerate(reasons) if reason is None], dict[str, str]()
+    for n, doubt, latency_s in zip(left, *find_mislabelled([rirs[n] for n in left], nj), strict=True):
         if doubt:
-            yield n, doubt
+            reasons[n] = doubt.phrase
+            first.setdefault(doubt.phrase, doubt.detail)
+        elif latency_s:
+            row: RirRow = {**rirs[n].row, "tof_removed": None}
+            rirs[n] = rirs[n]._replace(row=row)
+    return first
 
 
 def _outside_mesh(rir: Located) -> bool:

@@ -10,7 +10,14 @@ from rirmaker import coloured_rir, row, write_rir_dir
 from roomeq.acoustics.same_recordings import cut_parts
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
 from roomeq.loop.arrivals import measure_arrivals
-from roomeq.loop.doubtful_geometry import OTHER_UNIT, TOO_EARLY, TOO_LATE, find_other_unit, find_wrong_distance
+from roomeq.loop.doubtful_geometry import (
+    OTHER_UNIT,
+    TOO_EARLY,
+    TOO_LATE,
+    direct_limits,
+    find_other_unit,
+    find_wrong_distance,
+)
 from roomeq.loop.doubtful_recordings import COPY, COPY_IN_ROOM, OTHER_DECAY, find_copies, find_other_decays
 from roomeq.loop.misnamed_devices import (
     BANDS_HZ,
@@ -65,7 +72,7 @@ def impulse(sample, *, noise=1e-4, hidden=0.0, at=0):
     (3.0, 7.0, dict(tof_removed=True), None), (3.0, 7.0, dict(tof_removed=None), None), (20.0, 21.8, {}, None)])
 def test_direct_sound_that_contradicts_the_positions(apart_m, found_m, more, phrase):
     item = row("r", source_pos_m=[0.0, 0.0, 1.0], mic_pos_m=[apart_m, 0.0, 1.0], tof_removed=False) | more
-    doubt = find_wrong_distance(item, impulse(round(found_m / 343.2 * FS_HZ)))
+    doubt = find_wrong_distance(item, direct_limits(impulse(round(found_m / 343.2 * FS_HZ))))
     assert (doubt and doubt.phrase) == phrase
     if doubt:
         assert "RIR r of room hall" in doubt.detail and f"{apart_m:.2f} m apart" in doubt.detail
@@ -74,12 +81,12 @@ def test_direct_sound_that_contradicts_the_positions(apart_m, found_m, more, phr
 @pytest.mark.parametrize("options", [dict(hidden=0.008, at=140), dict(noise=0.01)])
 def test_late_sound_may_be_a_reflection_behind_an_obstacle_or_noise(options):
     item = row("r", source_pos_m=[0.0, 0.0, 1.0], mic_pos_m=[3.0, 0.0, 1.0], tof_removed=False)
-    assert find_wrong_distance(item, impulse(326, **options)) is None
+    assert find_wrong_distance(item, direct_limits(impulse(326, **options))) is None
 
 
 def test_distortion_ahead_of_the_direct_sound_is_not_the_direct_sound():
     item = row("r", source_pos_m=[0.0, 0.0, 1.0], mic_pos_m=[6.0, 0.0, 1.0], tof_removed=False)
-    assert find_wrong_distance(item, impulse(round(6.0 / 343.2 * FS_HZ), hidden=0.1, at=60)) is None
+    assert find_wrong_distance(item, direct_limits(impulse(round(6.0 / 343.2 * FS_HZ), hidden=0.1, at=60))) is None
 
 
 def test_recordings_without_reflections_tell_no_unit(rooms):
