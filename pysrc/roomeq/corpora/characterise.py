@@ -10,7 +10,7 @@ import logging
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from statistics import median
+from statistics import median_high
 from typing import Any, NamedTuple
 
 from roomeq.core.build import Build
@@ -128,21 +128,23 @@ def _characterise_rir(rir_dir: Path, row: RirRow, skip_bad: bool) -> dict[str, A
 def _limit_to_excitation(rows: Sequence[RirRow], records: Sequence[dict[str, Any]]) -> None:
     """Make EQ points outside the band of the excitation invalid.
 
-    Its lower end is the same for all RIRs of a source in a corpus, its upper end that of each recording.
+    Its lower end is the same for all RIRs of a source in a room, its upper end that of each recording. Of two values in
+    the middle, the median is the higher: their mean is no end if one of the recordings shows none.
     """
     of_source = defaultdict(list)
     for row, record in zip(rows, records, strict=True):
         if "acoustic_parameters" in record:
-            of_source[row.get("corpus"), row["source_id"]].append(record)
-    for (_, source_id), measured in of_source.items():
-        from_hz = median(record["excited_from_hz"] for record in measured)
+            of_source[row.get("corpus"), row["source_id"], row["room_id"]].append(record)
+    for (_, source_id, room_id), measured in of_source.items():
+        from_hz = median_high(record["excited_from_hz"] for record in measured)
         if from_hz > BANDS_HZ[0]:
-            logger.info("source %s, %d RIRs: the excitation begins at %.0f Hz; the EQ below is not measured", source_id,
-                        len(measured), from_hz)
+            logger.info("source %s in room %s, %d RIRs: the excitation begins at %.0f Hz; the EQ below is not measured",
+                        source_id, room_id, len(measured), from_hz)
         ends_hz = [_highest_hz(record["excited_to_hz"]) for record in measured]
         if n_ended := sum(end_hz < BANDS_HZ[-1] for end_hz in ends_hz):
-            logger.info("source %s: %d of %d RIRs hold nothing above %.0f Hz, like recordings of a lower sample rate; "
-                        "the EQ above is not measured", source_id, n_ended, len(measured), min(ends_hz))
+            logger.info("source %s in room %s: %d of %d RIRs hold nothing above %.0f Hz, like recordings of a lower "
+                        "sample rate; the EQ above is not measured", source_id, room_id, n_ended, len(measured),
+                        min(ends_hz))
         for record, end_hz in zip(measured, ends_hz, strict=True):
             parameters = record["acoustic_parameters"]
             parameters["eq_valid"] = [valid and from_hz <= hz <= end_hz

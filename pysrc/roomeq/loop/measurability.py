@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Hashable, Sequence
 from dataclasses import replace
-from statistics import median_low
+from statistics import median_high, median_low
 
 import numpy as np
 
@@ -22,26 +22,34 @@ _NORMALISED_SHARE = 0.5
 def limit_to_excitation(rows: Sequence[RirRow], features: Sequence[Features]) -> list[Features]:
     """Return features that are valid only within the band of the excitation.
 
-    Its lower end is the same for all RIRs of a source. Its upper end is that of their recordings, which may have
-    another sample rate in another room.
+    Its ends are those of the recordings of a source in a room: another room may have another sweep, or another sample
+    rate. Of an even number of recordings, the median is one of the two in the middle, for their mean is no end if one
+    of them shows none: that which shows the end of the sweep, and that which shows the whole upper band.
     """
     limited = list(features)
     for name, members in _groups([unit_name(row, "source") for row in rows]).items():
-        from_hz = float(np.median([features[n].excited_from_hz for n in members]))
-        if from_hz:
-            logger.info("source %s: the excitation begins at %.0f Hz; features below it are left out", name,
-                        from_hz)
-        to_hz = np.full(len(members), NO_END_HZ)
+        ends_hz = np.tile([0.0, NO_END_HZ], (len(members), 1))
         for of_room in _groups([rows[n]["room_id"] for n in members]).values():
-            to_hz[of_room] = median_low([features[n].excited_to_hz for n in members[of_room]])
+            recordings = [features[n] for n in members[of_room]]
+            ends_hz[of_room] = (median_high(recording.excited_from_hz for recording in recordings),
+                                median_low(recording.excited_to_hz for recording in recordings))
+        from_hz, to_hz = ends_hz.T
+        if np.any(from_hz > 0.0):
+            logger.info("source %s: the excitation of %d of %d RIRs begins at %s Hz; features below it are left out",
+                        name, np.sum(from_hz > 0.0), len(members), _range_text(from_hz[from_hz > 0.0]))
         if np.any(to_hz < NO_END_HZ):
             logger.info("source %s: %d of %d RIRs hold nothing above %.0f Hz, like recordings of a lower sample rate; "
                         "features above it are left out", name, np.sum(to_hz < NO_END_HZ), len(members), to_hz.min())
-        for n, end_hz in zip(members, to_hz, strict=True):
-            measurable = excited(from_hz, end_hz)
+        for n, of_rir_hz in zip(members, ends_hz, strict=True):
+            measurable = excited(*of_rir_hz)
             limited[n] = replace(features[n], valid=features[n].valid & measurable,
                                  bounded=features[n].bounded & measurable)
     return limited
+
+
+def _range_text(values: FloatArray) -> str:
+    low, high = (f"{value:.0f}" for value in (values.min(), values.max()))
+    return low if low == high else f"{low} to {high}"
 
 
 def comparable_levels(rows: Sequence[RirRow], features: Sequence[Features], distance_m: FloatArray) -> BoolArray:

@@ -86,6 +86,15 @@ def test_eq_points_below_a_sweep_are_not_measured_for_all_rirs_of_a_source(tmp_p
     assert all(kept["screen"] is None for kept in rows.values())
 
 
+def test_sweep_that_one_of_two_recordings_shows_concerns_both_but_no_other_room(tmp_path):
+    sweep = butter(20, 90.0, "high", fs=16000, output="sos")
+    items = [(row("a0"), sosfilt(sweep, coloured_rir(0))), (row("a1"), coloured_rir(1))]
+    items += [(row(f"b{n}", "other"), coloured_rir(2 + n)) for n in range(4)]
+    rows, _ = run(tmp_path, items)
+    lowest = {name: kept["acoustic_parameters"]["eq_valid"][0] for name, kept in rows.items()}
+    assert lowest == dict(a0=False, a1=False, b0=True, b1=True, b2=True, b3=True)
+
+
 def test_slope_of_24_db_per_octave_is_no_roll_off():
     parameters = measure(coloured_rir(0, eq_db=(0, 0, 0, 0, 0, 0, -2, -26)))
     assert parameters["eq_edge_db"] is None and parameters["eq_valid"][7]

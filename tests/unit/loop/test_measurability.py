@@ -1,5 +1,6 @@
 """The band of an excitation and comparable levels, read off recordings."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -139,6 +140,28 @@ def test_features_below_the_excitation_are_invalid_for_all_rirs_of_a_source():
     kept = (METRIC == "spectrum") & (BAND_HZ > 130.0)
     assert all((of_rir.valid == of_measured.valid)[kept].all() for of_rir, of_measured in zip(limited, features,
                                                                                            strict=True))
+
+
+def ends(*from_hz, room_ids=None):
+    """Return the lowest excited third octave [Hz] of RIRs whose recordings show some lower ends."""
+    whole = measure_features(response(0))
+    whole = replace(whole, valid=np.ones_like(whole.valid))
+    rows = [dict(source_id="s", room_id=room_id) for room_id in room_ids or ["room"] * len(from_hz)]
+    limited = limit_to_excitation(rows, [replace(whole, excited_from_hz=hz) for hz in from_hz])
+    spectrum = METRIC == "spectrum"
+    return [round(float(BAND_HZ[spectrum & of_rir.valid].min())) for of_rir in limited]
+
+
+def test_end_of_a_sweep_that_every_other_recording_shows_is_the_end():
+    assert ends(0.0, 101.0) == ends(101.0, 101.0) == [126, 126]
+    assert ends(0.0, 0.0, 101.0, 113.0) == [126] * 4
+    assert ends(0.0, 0.0, 101.0) == [25] * 3
+
+
+def test_end_of_a_sweep_concerns_its_room_alone(caplog):
+    with caplog.at_level("INFO"):
+        assert ends(0.0, 202.0, 0.0, 202.0, 0.0, room_ids=["a", "b", "a", "b", "a"]) == [25, 251, 25, 251, 25]
+    assert "source s: the excitation of 2 of 5 RIRs begins at 202 Hz" in caplog.text
 
 
 def test_octave_counts_as_excited_if_four_fifths_of_it_are():
