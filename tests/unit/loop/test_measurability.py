@@ -185,6 +185,24 @@ def test_levels_are_comparable_unless_each_rir_was_normalised(normalised):
     assert comparable.tolist() == [not normalised] * len(rirs)
 
 
+@pytest.mark.parametrize("distance_m", [[1.0, 1.2], [1.0, 3.0], [1.0, 1.5, 2.0]])
+@pytest.mark.parametrize("normalised", [False, True])
+def test_normalised_rirs_are_recognised_in_rooms_of_two_or_three(distance_m, normalised, caplog):
+    rirs = [response(seed, amplitude=1.0 / metres) for seed, metres in enumerate(distance_m)]
+    if normalised:
+        rirs = [np.round(0.1 * 32768.0 * rir / np.abs(rir).max()) / 32768.0 for rir in rirs]  # in 16 bits
+    with caplog.at_level("INFO"):
+        comparable = comparable_levels([dict(room_id="room")] * len(rirs), [measure_features(rir) for rir in rirs],
+                                       np.array(distance_m))
+    assert comparable.tolist() == [not normalised] * len(rirs)
+    assert (f"the peaks of its {len(rirs)} RIRs are equal" in caplog.text) == normalised
+
+
+def test_equal_peaks_at_distances_that_demand_less_than_1_db_tell_nothing():
+    features = [measure_features(response(seed) / np.abs(response(seed)).max()) for seed in range(3)]
+    assert comparable_levels([dict(room_id="room")] * 3, features, np.array([2.0, 2.1, 2.2])).all()
+
+
 def test_obstacle_before_near_microphones_is_no_normalisation():
     distance_m = np.array([1.0, 1.5, 2.0, 3.0, 4.0])
     rirs = [response(seed) for seed in range(len(distance_m))]
