@@ -29,6 +29,7 @@ from roomeq.loop.rendering import RawRir, finished_rir, map_rendered, on_recordi
 from roomeq.loop.selection import SPLITS, HeldOutErrors, heldout_errors, score_test_set, transferred
 from roomeq.loop.session import Session
 from roomeq.loop.splitters import EVERY_FEATURE
+from roomeq.sim.scene import check_positions
 
 POSITION_SPREAD_M = 0.02
 """Standard deviation of each coordinate of a source and of a microphone about the stated one."""
@@ -92,7 +93,7 @@ def _moved(data: Data, n: int, seed: int) -> tuple[float, ...]:
     for _ in range(_TRIES):
         position_m = np.add(place.mic_pos_m, np.sqrt(2.0) * POSITION_SPREAD_M * rng.standard_normal(3))
         try:
-            place.room.require_inside("mic_pos_m", position_m)
+            check_positions(place.room, place.source_pos_m, position_m)
         except ValueError:
             continue
         return tuple(float(x) for x in position_m)

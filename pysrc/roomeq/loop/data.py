@@ -1,6 +1,7 @@
 """The measured RIRs of some rooms: their features, their geometry, and the ray contributions at their positions."""
 
 import logging
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -27,15 +28,15 @@ from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, decay_range_s, draw_path_
 from roomeq.loop.tables import ANGLES, Table, collect, frame_edges_s, level_surfaces
 from roomeq.loop.traces import StoredTrace, TraceFolder, without_paths
 from roomeq.loop.usable import LeftOut, UsableRirs
-from roomeq.records.geometry import place_key
-from roomeq.records.rir_dir import load_rir
+from roomeq.records.geometry import is_too_close, place_key
+from roomeq.records.rir_dir import load_rir, rir_path
 from roomeq.records.schema import RirRow, session_name, unit_name
 from roomeq.sim.geometry import Place, find_place
 from roomeq.sim.path_sample import PathSample
 from roomeq.sim.render import MAX_LENGTH_S
 from roomeq.sim.response import trace_source
 from roomeq.sim.room import Room
-from roomeq.sim.scene import Air, Material, Scene, uniform_absorption
+from roomeq.sim.scene import Air, Material, Scene, check_positions, uniform_absorption
 
 logger = logging.getLogger(__name__)
 
@@ -229,11 +230,16 @@ def load_data(usable: UsableRirs, *, scattering: float, seed: int, model: Model 
     Raises
     ------
     ValueError
-        An RIR cannot be measured.
+        An RIR cannot be measured or simulated; the message names its file.
     """
     located, estimates = complete_geometry(usable.rirs, seed, nj)
     recordings = _share_facings(_merge_sources([
         _Recording(*rir, find_place(rir.row, [rir.row], rir.directory, seed)) for rir in located]))
+    for directory, row, place in recordings:
+        try:
+            check_positions(place.room, place.source_pos_m, place.mic_pos_m)  # here, where the RIR has a name
+        except ValueError as error:
+            raise ValueError(f"{rir_path(directory, row)}: {error}") from None
     features = limit_to_excitation([recording.row for recording in recordings],
                                    share_out(_measure, recordings, nj, label="measure RIRs"))
     data = _trace(recordings, features, scattering, seed, Model() if model is None else model, nj)
@@ -244,7 +250,10 @@ def load_data(usable: UsableRirs, *, scattering: float, seed: int, model: Model 
 
 
 def _merge_sources(recordings: list[_Recording]) -> list[_Recording]:
-    """Move the positions of a source that are closer than `SAME_PLACE_M` to their mean: one trace serves them all."""
+    """Move the positions of a source that are closer than `SAME_PLACE_M` to their mean: one trace serves them all.
+
+    A position stays where the mean is closer to its microphone than the simulator allows.
+    """
     of_source: dict[tuple[str, str], list[int]] = {}
     for n, (_, row, _) in enumerate(recordings):
         of_source.setdefault((row["room_id"], row["source_id"]), []).append(n)
@@ -257,7 +266,8 @@ def _merge_sources(recordings: list[_Recording]) -> list[_Recording]:
                  else np.ones(1))[place.ravel()]
         for n, number in zip(members, group, strict=True):
             mean_m = tuple(float(x) for x in positions_m[group == number].mean(axis=0))
-            merged[n] = recordings[n]._replace(place=replace(recordings[n].place, source_pos_m=mean_m))
+            if not is_too_close(math.dist(mean_m, recordings[n].place.mic_pos_m)):
+                merged[n] = recordings[n]._replace(place=replace(recordings[n].place, source_pos_m=mean_m))
     moved_m = [float(np.linalg.norm(np.subtract(after.place.source_pos_m, before.place.source_pos_m)))
                for before, after in zip(recordings, merged, strict=True)]
     if max(moved_m) > _MOVED_M:

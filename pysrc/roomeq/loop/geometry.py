@@ -8,6 +8,7 @@ Nothing is estimated of rooms that are meshes.
 """
 
 import logging
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
@@ -21,7 +22,7 @@ from roomeq.core.workers import share_out
 from roomeq.loop.arrivals import Arrivals, measure_arrivals
 from roomeq.loop.unknown_geometry import DIMS, N_SHARED, Unknown, UnknownGeometry, declared_speed_m_s
 from roomeq.loop.usable import Located
-from roomeq.records.geometry import distance_between
+from roomeq.records.geometry import distance_between, is_too_close
 from roomeq.records.rir_dir import load_rir, rir_path
 from roomeq.records.schema import RirRow
 from roomeq.sim.scene import MIN_WALL_DISTANCE_M
@@ -162,28 +163,35 @@ def complete_room(rows: Sequence[RirRow], arrivals: Sequence[Arrivals], seed: in
         # what is more likely as documented than not helps to find the rest
         rest = _estimates(geometry.with_known(kept), seed)
         estimates = [rest[at] if estimate.used else estimate for at, estimate in enumerate(free)]
-    estimates = _without_dims_that_positions_exceed(geometry, estimates)
-    completed = [geometry.completed(n, _used(estimates)) for n in range(len(rows))]
-    return Completed(completed, [estimate for estimate in estimates if estimate.unit])
+    estimates = _possible(geometry, estimates)
+    return Completed(_completed(geometry, estimates), [estimate for estimate in estimates if estimate.unit])
 
 
 def _used(estimates: Sequence[Estimate]) -> dict[int, float]:
     return {at: estimate.posterior[0] for at, estimate in enumerate(estimates) if estimate.used}
 
 
-def _without_dims_that_positions_exceed(geometry: UnknownGeometry, estimates: list[Estimate]) -> list[Estimate]:
-    """Keep the documented dimensions of a room if a position that is kept lies outside of those estimated.
+def _possible(geometry: UnknownGeometry, estimates: list[Estimate]) -> list[Estimate]:
+    """Keep what is documented of a room if the simulator cannot take the estimates.
 
-    Such as a microphone at the ceiling, above a suspended one that nobody wrote down.
+    Heights, if they would bring a source and a microphone too close. Dimensions, if a position that is kept lies
+    outside of them, such as a microphone at the ceiling, above a suspended one that nobody wrote down.
     """
-    rows: list[Any] = [geometry.completed(n, _used(estimates)) for n in range(len(geometry.rows))]
-    fits = all(MIN_WALL_DISTANCE_M <= at_m <= size_m - MIN_WALL_DISTANCE_M for row in rows
+    if any(is_too_close(math.dist(row["source_pos_m"], row["mic_pos_m"])) for row in _completed(geometry, estimates)):
+        estimates = _as_documented(estimates, range(N_SHARED, len(estimates)))
+    fits = all(MIN_WALL_DISTANCE_M <= at_m <= size_m - MIN_WALL_DISTANCE_M for row in _completed(geometry, estimates)
                for position_m in (row["source_pos_m"], row["mic_pos_m"])
                for at_m, size_m in zip(position_m, row["room_dims_m"], strict=True))
-    if fits:
-        return estimates
-    return [replace(estimate, used=False) if at in range(*DIMS.indices(len(estimates)))
-            and estimate.documented is not None else estimate for at, estimate in enumerate(estimates)]
+    return estimates if fits else _as_documented(estimates, range(*DIMS.indices(len(estimates))))
+
+
+def _completed(geometry: UnknownGeometry, estimates: Sequence[Estimate]) -> list[Any]:
+    return [geometry.completed(n, _used(estimates)) for n in range(len(geometry.rows))]
+
+
+def _as_documented(estimates: Sequence[Estimate], which: range) -> list[Estimate]:
+    return [replace(estimate, used=False) if at in which and estimate.documented is not None else estimate
+            for at, estimate in enumerate(estimates)]
 
 
 def _estimates(geometry: UnknownGeometry, seed: int) -> list[Estimate]:

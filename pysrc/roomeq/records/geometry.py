@@ -8,8 +8,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
-SAME_POINT_M = 0.01
-"""A source and a microphone closer than this are in one place, which cannot be [m]."""
+MIN_DISTANCE_M = 0.05
+"""Least distance of source and microphone that the simulator allows [m]."""
 _PLACE_DIGITS = 3  # of a coordinate in metres: channels of an array are some millimetres apart
 DISTANCE_SLACK_M, DISTANCE_SLACK = 0.15, 0.05
 """Tolerance of a stated distance, taken by tape measure: the larger of these [m, share of the distance]."""
@@ -30,6 +30,8 @@ BINAURAL = "binaural, where an omnidirectional microphone is needed"
 MARKED = "the positions are marked unreliable"
 CONTRADICTORY = "the positions are marked as contradictory"
 OUTSIDE = "a position lies outside the room"
+TOO_CLOSE = "source and microphone are closer than the simulator allows"
+ONE_ABOVE_THE_OTHER = "source and microphone are one above the other, and their heights are not known"
 UNKNOWN = " are unknown"
 """Fixed reasons why the closed loop cannot use an RIR; `find_contradiction` gives others, and those of `_unknown_of`
 end in `UNKNOWN`."""
@@ -105,7 +107,14 @@ def _refused_by_loop(row: Mapping[str, Any]) -> str | None:
         return MARKED
     if row.get("geometry_problem"):
         return CONTRADICTORY
-    return _unknown_of(row)
+    return _unknown_of(row) or (ONE_ABOVE_THE_OTHER if _is_one_above_the_other(row) else None)
+
+
+def _is_one_above_the_other(row: Mapping[str, Any]) -> bool:
+    """Tell whether heights that are not known decide if source and microphone are too close."""
+    source_m, mic_m = row["source_pos_m"], row["mic_pos_m"]
+    plan_m = distance_between(source_m[:2], mic_m[:2])
+    return distance_between(source_m, mic_m) is None and plan_m is not None and is_too_close(plan_m)
 
 
 def _unknown_of(row: Mapping[str, Any]) -> str | None:
@@ -154,8 +163,13 @@ def distance_between(a_m: Coordinates, b_m: Coordinates) -> float | None:
     return math.dist(a_m, b_m)  # type: ignore[arg-type]
 
 
+def is_too_close(distance_m: float) -> bool:
+    """Tell whether source and microphone are closer than `MIN_DISTANCE_M`; coordinates are rounded."""
+    return distance_m < MIN_DISTANCE_M - 1e-9
+
+
 def find_contradiction(row: Mapping[str, Any]) -> Contradiction | None:
-    """Return what cannot be right about the geometry of a row, or None; unknown coordinates are allowed."""
+    """Return what cannot be right about the geometry of a row, or simulated, or None; coordinates may be unknown."""
     for axis, size_m in enumerate(row.get("room_dims_m") or ()):
         if size_m is not None and size_m <= 0:
             return Contradiction("the room has a dimension of 0 or less",
@@ -165,13 +179,13 @@ def find_contradiction(row: Mapping[str, Any]) -> Contradiction | None:
 
 def _wrong_distance(row: Mapping[str, Any]) -> Contradiction | None:
     """Return a distance of source and microphone that cannot be."""
-    distance_m = distance_between(row.get("source_pos_m"), row.get("mic_pos_m"))
+    distance_m, stated_m = distance_between(row.get("source_pos_m"), row.get("mic_pos_m")), row.get("distance_m")
+    for apart_m in (distance_m, stated_m):
+        if apart_m is not None and is_too_close(apart_m):
+            return Contradiction(TOO_CLOSE, f"source and microphone are {apart_m:.3g} m apart and must be at least "
+                                            f"{MIN_DISTANCE_M:g} m, which the simulator needs")
     if distance_m is None:
         return None
-    if distance_m < SAME_POINT_M:
-        return Contradiction("source and microphone are in one place",
-                             f"source and microphone are {distance_m:.3g} m apart: on top of each other")
-    stated_m = row.get("distance_m")
     if stated_m is not None and abs(stated_m - distance_m) > max(DISTANCE_SLACK_M, DISTANCE_SLACK * distance_m):
         return Contradiction("the stated distance is not that of the positions",
                              f"distance_m={stated_m:g} but the positions are {distance_m:.3g} m apart")

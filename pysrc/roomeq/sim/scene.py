@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from roomeq.acoustics.air import band_attenuation_per_m, speed_of_sound_m_s
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BANDS_HZ, FS_HZ, MAX_ROOM_M, MIN_ROOM_M, bands_hz, is_number, require_fs
+from roomeq.records.geometry import MIN_DISTANCE_M, is_too_close
 from roomeq.sim.room import Room
 from roomeq.sim.walls import Walls
 
@@ -23,7 +24,6 @@ WALLS = ("west", "east", "south", "north", "floor", "ceiling")
 """Surfaces of a shoebox: x = 0, x = length, y = 0, y = width, z = 0, z = height."""
 
 MIN_WALL_DISTANCE_M = 0.01
-MIN_DISTANCE_M = 0.05
 
 
 @dataclass(frozen=True)
@@ -245,9 +245,9 @@ def check_positions(room: Room, source_pos_m: ArrayLike, mic_pos_m: ArrayLike) -
 def require_apart(source_pos_m: ArrayLike, mic_pos_m: ArrayLike) -> None:
     """Raise ValueError unless source and microphone, shape (3,) each, keep a minimum distance from each other."""
     distance_m = float(np.linalg.norm(np.subtract(source_pos_m, mic_pos_m)))
-    if distance_m < MIN_DISTANCE_M - 1e-9:  # coordinates are rounded
+    if is_too_close(distance_m):
         raise ValueError(f"source and microphone are {distance_m:g} m apart and must be at least "
-                         f"{MIN_DISTANCE_M:g} m: correct the positions")
+                         f"{MIN_DISTANCE_M:g} m: correct the positions, or leave them out")
 
 
 def eyring_absorption_area_m2(scene: Scene, absorption: FloatArray | None = None) -> FloatArray:

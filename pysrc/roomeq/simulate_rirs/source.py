@@ -13,6 +13,7 @@ from roomeq.core.constants import BANDS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.effects.base import Effect
 from roomeq.effects.model import Model, extend_scene, path_gain
+from roomeq.records.geometry import MIN_DISTANCE_M
 from roomeq.records.schema import TARGET_AGAIN, RirRow
 from roomeq.rooms import Loudspeaker
 from roomeq.sim.context import Directivity, NotFiniteError, Response
@@ -30,7 +31,7 @@ from roomeq.sim.response import (
     trace_source,
 )
 from roomeq.sim.room import Room
-from roomeq.sim.scene import MIN_DISTANCE_M, Air, Material, Scene
+from roomeq.sim.scene import Air, Material, Scene
 from roomeq.sim.target import scaled_absorption
 from roomeq.simulate_rirs.options import NOISE_CANDIDATES, RenderOptions
 

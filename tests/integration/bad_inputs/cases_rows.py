@@ -129,7 +129,8 @@ CASES = [
          "RIR r1: mic_pos_m[1]=-0.5 must lie in [0.01, 4.99] m of a room of [6.0, 5.0, 3.0] m: correct it",
          mic_pos_m=[1.0, -0.5, 1.5]),
     rows("on top of each other", SIMULATE,
-         "RIR r1: source and microphone are 0 m apart and must be at least 0.05 m: correct the positions",
+         "RIR r1: source and microphone are 0 m apart and must be at least 0.05 m: correct the positions, or leave "
+         "them out",
          mic_pos_m=[1.0, 1.0, 1.5]),
     rows("distance a text", SIMULATE,
          "measured/rirs.jsonl:2: distance_m='near' must be a number, not negative: correct the line or make "

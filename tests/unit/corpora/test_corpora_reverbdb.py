@@ -84,7 +84,7 @@ def test_position_outside_the_room_is_marked(tmp_path):
     put_reverbdb_mic(session, 3, EnvMic3RelDistance=4.2)
     problems = [row["geometry_problem"] for row in rows_of(tmp_path).values()]
     assert problems[0] == "mic_pos_m[1]=-0.02 lies outside the room (0 to 6.94 m)"
-    assert "on top of each other" in problems[1] and "distance_m=4.2" in problems[2]
+    assert "0 m apart and must be at least 0.05 m" in problems[1] and "distance_m=4.2" in problems[2]
     assert all(row["unreliable_geometry"] for row in rows_of(tmp_path).values())
 
 

@@ -1,11 +1,16 @@
 """The explained share of the explainable error: its value, its interval, and where nothing is left to explain."""
 
+import math
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from roomeq.loop.ceiling import MIN_EXPLAINABLE_JND, describe_explained, explained
+from roomeq.loop.ceiling import MIN_EXPLAINABLE_JND, _moved, describe_explained, explained
 from roomeq.loop.features import METRIC, N_FEATURES
 from roomeq.loop.selection import SPLITS, HeldOutErrors
+from roomeq.sim.geometry import Place
+from roomeq.sim.scene import Shoebox
 
 
 def errors(of_rooms, scored=None):
@@ -69,3 +74,10 @@ def test_features_without_a_ceiling_take_no_part():
         of_split[:, ~scored] = 20.0
     entry = explained(errors([4.0, 4.0, 4.0]), after, errors([1.0, 1.0, 1.0], scored))[SPLITS[0]]
     assert entry["share"] == pytest.approx(2.0 / 3.0) and "ahead" not in entry["by_metric"]
+
+
+def test_twin_of_a_near_microphone_is_no_nearer_than_the_simulator_allows():
+    place = Place(Shoebox((6.0, 5.0, 3.0)), (2.0, 2.0, 1.5), (2.05, 2.0, 1.5), ())
+    data = SimpleNamespace(places=[place], rows=[dict(id="r")])
+    moved = {_moved(data, 0, seed) for seed in range(50)}
+    assert len(moved) == 50 and min(math.dist(position, place.source_pos_m) for position in moved) >= 0.05

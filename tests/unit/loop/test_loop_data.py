@@ -31,6 +31,15 @@ def test_merged_places_of_a_source_depend_on_no_order():
     assert len(found) == 1
 
 
+def test_source_is_not_moved_into_its_microphone():
+    """The mean of two positions, 14 cm apart, is 1 cm from a microphone that is 6 cm from one of them."""
+    room = Shoebox((6.0, 5.0, 3.0))
+    recordings = [_Recording(None, dict(room_id="r", source_id="s"), Place(room, (x, 1.0, 1.0), mic_m, ()))
+                  for x, mic_m in ((2.0, (2.06, 1.0, 1.0)), (2.0, (5.0, 4.0, 1.0)), (2.14, (5.0, 4.0, 1.0)))]
+    merged = _merge_sources(recordings)
+    assert [recording.place.source_pos_m[0] for recording in merged] == pytest.approx([2.0, 6.14 / 3.0, 6.14 / 3.0])
+
+
 @pytest.mark.parametrize("stated, taken", [
     ([(0.0, 1.0, 0.0), (0.0, 1.0, 0.0)], [0.0, 1.0, 0.0]),  # one direction, whatever the microphone
     ([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], None),  # turned to each microphone

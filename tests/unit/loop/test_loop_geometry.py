@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 from echoes import echo_room
+from rirmaker import row
 
 from roomeq.loop.annealing import Block, anneal
-from roomeq.loop.arrivals import early_images, heard_probability, log_likelihood, measure_arrivals
-from roomeq.loop.geometry import complete_room
-from roomeq.loop.unknown_geometry import HEIGHT_M
+from roomeq.loop.arrivals import Arrivals, early_images, heard_probability, log_likelihood, measure_arrivals
+from roomeq.loop.geometry import Estimate, _possible, complete_room
+from roomeq.loop.unknown_geometry import HEIGHT_M, UnknownGeometry
 
 POSITIONS = ("source_pos_m", "mic_pos_m")
 
@@ -62,6 +63,16 @@ def test_latency_of_recordings_with_time_of_flight_is_found():
     estimates = complete_room(rows, [measure_arrivals(rir) for rir in late], seed=0).estimates
     latency = next(estimate for estimate in estimates if estimate.quantity == "latency")
     assert latency.posterior[0] == pytest.approx(0.5, abs=0.1) and not latency.used
+
+
+def test_documented_height_is_kept_where_the_estimate_is_too_close_to_the_microphone():
+    geometry = UnknownGeometry([row("r", source_pos_m=[1.0, 1.0, 1.0], mic_pos_m=[1.0, 1.02, 1.1])],
+                               [Arrivals(0.0, np.ones(720))])
+    estimates = [Estimate("hall", unknown.quantity, unknown.unit, (unknown.mean, unknown.sd),
+                          (1.08 if "source" in unknown.quantity else unknown.mean, 0.01), unknown.documented, 2.0,
+                          unknown.unit == "m") for unknown in geometry.unknowns]
+    used = {estimate.quantity for estimate in _possible(geometry, estimates) if estimate.used}
+    assert used == {"length of the room", "width of the room", "height of the room"}
 
 
 def test_estimates_do_not_change_between_runs():

@@ -15,7 +15,7 @@ from roomeq.loop.close import SCATTERING
 from roomeq.loop.data import load_data
 from roomeq.loop.doubtful_recordings import COPY_IN_ROOM
 from roomeq.loop.usable import REPEAT, UNLIKE, LeftOut, require_enough_rooms, usable_rirs
-from roomeq.records.geometry import BINAURAL, MARKED, OUTSIDE
+from roomeq.records.geometry import BINAURAL, MARKED, OUTSIDE, TOO_CLOSE
 from roomeq.records.rir_dir import read_rirs
 
 ENOUGH_ROOMS = Path(__file__).parents[3] / "local/enough_rooms.py"
@@ -241,3 +241,10 @@ def test_refusal_because_of_labels_names_them_and_says_to_correct_them(tmp_path)
         refused.value)
     assert str(refused.value).endswith("state lengths in metres), or give further rooms")
     assert "measure what is unknown" not in str(refused.value)
+
+
+def test_reference_microphone_before_a_loudspeaker_is_left_out_and_named(tmp_path, caplog):
+    rows = [row("near", **KNOWN | dict(mic_pos_m=[1.03, 1.0, 1.5])), row("far", **KNOWN)]
+    usable = usable_rirs([directory(tmp_path / "rirs", rows)])
+    assert [rir.row["id"] for rir in usable.rirs] == ["far"] and usable.left_out == [LeftOut(TOO_CLOSE, 1, 1)]
+    assert "RIR near of room hall: source and microphone are 0.03 m apart and must be at least 0.05 m" in caplog.text
