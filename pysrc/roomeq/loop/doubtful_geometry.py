@@ -14,7 +14,7 @@ from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import FS_HZ
 from roomeq.loop.arrivals import Arrivals, early_images, heard_probability, log_likelihood
 from roomeq.loop.unknown_geometry import INDEPENDENT, LATENCY_SD_MS, assumed_position, declared_speed_m_s
-from roomeq.records.geometry import distance_between
+from roomeq.records.geometry import distance_between, least_distance_between
 from roomeq.records.schema import RirRow
 
 UNITS_M = {"feet": 0.3048, "inches": 0.0254, "centimetres": 0.01, "millimetres": 0.001}
@@ -119,7 +119,8 @@ def direct_limits(rir: FloatArray) -> DirectLimits:
 def find_wrong_distance(row: RirRow, limits: DirectLimits, latency_s: float = 0.0) -> Doubt | None:
     """Find a direct sound that cannot come from the stated position; only where sample 0 is the emission.
 
-    Coordinates, latency and declared speed of sound have the errors that the loop reckons with elsewhere.
+    Coordinates, latency and declared speed of sound have the errors that the loop reckons with elsewhere. Where a
+    height is unknown, the distance in plan is the least that there can be, so that the sound can only be too early.
 
     Parameters
     ----------
@@ -128,22 +129,24 @@ def find_wrong_distance(row: RirRow, limits: DirectLimits, latency_s: float = 0.
     latency_s : float
         Known latency of the recording (`roomeq.loop.latency`).
     """
-    distance_m = distance_between(row["source_pos_m"], row["mic_pos_m"])
-    if row.get("tof_removed") is not False or distance_m is None:
+    if row.get("tof_removed") is not False:
         return None
+    distance_m = least_distance_between(row["source_pos_m"], row["mic_pos_m"])
     speed_m_s = declared_speed_m_s(row)
     sd_m = math.hypot(math.sqrt(2.0) * COORDINATE_SD_M, 1e-3 * LATENCY_SD_MS * speed_m_s)
     slack_m = DEVIATIONS * sd_m + SPEED_RANGE * distance_m
     first_m, strongest_m = ((at_s - latency_s) * speed_m_s for at_s in limits)
     if strongest_m < distance_m - slack_m:
         return Doubt(TOO_EARLY, _wrong_distance(row, distance_m, strongest_m, slack_m))
-    if first_m > distance_m + slack_m:
+    is_known = distance_between(row["source_pos_m"], row["mic_pos_m"]) is not None
+    if is_known and first_m > distance_m + slack_m:
         return Doubt(TOO_LATE, _wrong_distance(row, distance_m, first_m, slack_m))
     return None
 
 
 def _wrong_distance(row: RirRow, distance_m: float, found_m: float, slack_m: float) -> str:
+    at_least = "" if distance_between(row["source_pos_m"], row["mic_pos_m"]) is not None else "at least "
     return (f"RIR {row['id']} of room {row['room_id']}: source_pos_m={row['source_pos_m']} and mic_pos_m="
-            f"{row['mic_pos_m']} are {distance_m:.2f} m apart, but the direct sound arrives after {found_m:.2f} m, and "
-            f"they may differ by {slack_m:.2f} m: correct room_id, the positions or wav, or set tof_removed to null if "
-            "sample 0 is not the emission")
+            f"{row['mic_pos_m']} are {at_least}{distance_m:.2f} m apart, but the direct sound arrives after "
+            f"{found_m:.2f} m, and they may differ by {slack_m:.2f} m: correct room_id, the positions or wav, or set "
+            "tof_removed to null if sample 0 is not the emission")

@@ -163,6 +163,15 @@ def distance_between(a_m: Coordinates, b_m: Coordinates) -> float | None:
     return math.dist(a_m, b_m)  # type: ignore[arg-type]
 
 
+def least_distance_between(a_m: Coordinates, b_m: Coordinates) -> float:
+    """Return the distance of two points by the coordinates that are known of both, such as that in plan [m].
+
+    Where a coordinate is unknown, it is the least that the distance can be.
+    """
+    known = [(a, b) for a, b in zip(a_m or (), b_m or (), strict=False) if a is not None and b is not None]
+    return math.hypot(*(a - b for a, b in known))
+
+
 def is_too_close(distance_m: float) -> bool:
     """Tell whether source and microphone are closer than `MIN_DISTANCE_M`; coordinates are rounded."""
     return distance_m < MIN_DISTANCE_M - 1e-9
@@ -184,11 +193,13 @@ def _wrong_distance(row: Mapping[str, Any]) -> Contradiction | None:
         if apart_m is not None and is_too_close(apart_m):
             return Contradiction(TOO_CLOSE, f"source and microphone are {apart_m:.3g} m apart and must be at least "
                                             f"{MIN_DISTANCE_M:g} m, which the simulator needs")
-    if distance_m is None:
-        return None
-    if stated_m is not None and abs(stated_m - distance_m) > max(DISTANCE_SLACK_M, DISTANCE_SLACK * distance_m):
+    least_m = least_distance_between(row.get("source_pos_m"), row.get("mic_pos_m"))
+    slack_m = max(DISTANCE_SLACK_M, DISTANCE_SLACK * least_m)
+    if stated_m is not None and (stated_m < least_m - slack_m or (distance_m is not None
+                                                                  and stated_m > distance_m + slack_m)):
+        at_least = "" if distance_m is not None else "at least "
         return Contradiction("the stated distance is not that of the positions",
-                             f"distance_m={stated_m:g} but the positions are {distance_m:.3g} m apart")
+                             f"distance_m={stated_m:g} but the positions are {at_least}{least_m:.3g} m apart")
     return None
 
 

@@ -78,6 +78,14 @@ def test_direct_sound_that_contradicts_the_positions(apart_m, found_m, more, phr
         assert "RIR r of room hall" in doubt.detail and f"{apart_m:.2f} m apart" in doubt.detail
 
 
+@pytest.mark.parametrize("apart_m, found_m, phrase", [(9.8, 3.0, TOO_EARLY), (3.0, 7.0, None), (3.0, 3.2, None)])
+def test_sound_that_is_too_early_for_the_plan_contradicts_positions_without_heights(apart_m, found_m, phrase):
+    item = row("r", source_pos_m=[0.0, 0.0, None], mic_pos_m=[apart_m, 0.0, 1.0], tof_removed=False)
+    doubt = find_wrong_distance(item, direct_limits(impulse(round(found_m / 343.2 * FS_HZ))))
+    assert (doubt and doubt.phrase) == phrase
+    assert not doubt or "are at least 9.80 m apart" in doubt.detail
+
+
 @pytest.mark.parametrize("options", [dict(hidden=0.008, at=140), dict(noise=0.01)])
 def test_late_sound_may_be_a_reflection_behind_an_obstacle_or_noise(options):
     item = row("r", source_pos_m=[0.0, 0.0, 1.0], mic_pos_m=[3.0, 0.0, 1.0], tof_removed=False)

@@ -25,6 +25,11 @@ POSITIONS = dict(source_pos_m=[1.0, 1.0, 1.0], mic_pos_m=[4.0, 3.0, 1.5])
      "source and microphone are 0.03 m apart and must be at least 0.05 m, which the simulator needs"),
     ("consistency", POSITIONS | dict(mic_pos_m=[1.03, 1.0, None]), None),
     ("consistency", POSITIONS | dict(distance_m=9.9), "distance_m=9.9 but the positions are 3.64 m apart"),
+    ("consistency", POSITIONS | dict(mic_pos_m=[4.0, 3.0, None], distance_m=1.0),
+     "distance_m=1 but the positions are at least 3.61 m apart"),
+    ("consistency", POSITIONS | dict(mic_pos_m=[4.0, 3.0, None], distance_m=3.5), None),
+    ("consistency", POSITIONS | dict(mic_pos_m=[4.0, 3.0, None], distance_m=3.9), None),
+    ("consistency", dict(source_pos_m=[1.0, 1.0, 1.0], distance_m=1.0), None),
     ("consistency", dict(room_dims_m=[6.0, -5.0, 3.0]), "room_dims_m[1]=-5 must be positive"),
     ("simulation", {}, None),
     ("simulation", dict(mic_pos_m=[99.0, 1.0, 1.0]), None),
@@ -66,6 +71,8 @@ POSITIONS = dict(source_pos_m=[1.0, 1.0, 1.0], mic_pos_m=[4.0, 3.0, 1.5])
      "source and microphone are one above the other, and their heights are not known"),
     ("loop", POSITIONS | dict(mic_pos_m=[1.0, 1.05, None]), None),
     ("loop", POSITIONS | dict(distance_m=9.9), "the stated distance is not that of the positions"),
+    ("loop", POSITIONS | dict(mic_pos_m=[4.0, 3.0, None], distance_m=1.0),
+     "the stated distance is not that of the positions"),
 ])
 def test_usability_and_reason_follow_the_need(needs, keys, reason):
     usability = geometry_usability(row("a", **keys), needs=needs)
