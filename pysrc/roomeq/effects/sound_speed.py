@@ -10,6 +10,7 @@ from roomeq.acoustics.air import speed_of_sound_m_s
 from roomeq.core.arrays import FloatArray
 from roomeq.effects.base import Effect, ModelAir
 from roomeq.effects.prediction import PredictedRirs
+from roomeq.records.schema import is_timed
 from roomeq.sim.scene import Air
 
 
@@ -33,7 +34,7 @@ class SoundSpeed(Effect):
 
     @classmethod
     def applies(cls, data: PredictedRirs) -> bool:
-        return any(row.get("tof_removed") is False for row in data.rows)
+        return any(is_timed(row) for row in data.rows)
 
     def vector(self) -> FloatArray:
         return np.array([self.temperature_c / 10.0])

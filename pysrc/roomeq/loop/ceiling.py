@@ -22,13 +22,14 @@ from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.effects.base import Effect, octave_energies
 from roomeq.effects.noise_floor import NOISE_S
-from roomeq.loop.data import Data, is_timed
+from roomeq.loop.data import Data
 from roomeq.loop.features import BAND_OF_FEATURE, HAS_GAIN, METRIC, Features, measure_features
 from roomeq.loop.fit import fit
 from roomeq.loop.rendering import RawRir, finished_rir, map_rendered, on_recording_time, row_models
 from roomeq.loop.selection import SPLITS, HeldOutErrors, heldout_errors, score_test_set, transferred
 from roomeq.loop.session import Session
 from roomeq.loop.splitters import EVERY_FEATURE
+from roomeq.records.schema import is_timed
 from roomeq.sim.scene import check_positions
 
 POSITION_SPREAD_M = 0.02

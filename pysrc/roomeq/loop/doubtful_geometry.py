@@ -15,7 +15,7 @@ from roomeq.core.constants import FS_HZ
 from roomeq.loop.arrivals import Arrivals, early_images, heard_probability, log_likelihood
 from roomeq.loop.unknown_geometry import INDEPENDENT, LATENCY_SD_MS, assumed_position, declared_speed_m_s
 from roomeq.records.geometry import distance_between, least_distance_between
-from roomeq.records.schema import RirRow
+from roomeq.records.schema import RirRow, is_timed
 
 UNITS_M = {"feet": 0.3048, "inches": 0.0254, "centimetres": 0.01, "millimetres": 0.001}
 FALSE_ALARM = 1e-4
@@ -129,7 +129,7 @@ def find_wrong_distance(row: RirRow, limits: DirectLimits, latency_s: float = 0.
     latency_s : float
         Known latency of the recording (`roomeq.loop.latency`).
     """
-    if row.get("tof_removed") is not False:
+    if not is_timed(row):
         return None
     distance_m = least_distance_between(row["source_pos_m"], row["mic_pos_m"])
     speed_m_s = declared_speed_m_s(row)

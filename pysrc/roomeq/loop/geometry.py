@@ -24,7 +24,7 @@ from roomeq.loop.unknown_geometry import DIMS, N_SHARED, Unknown, UnknownGeometr
 from roomeq.loop.usable import Located
 from roomeq.records.geometry import distance_between, is_too_close
 from roomeq.records.rir_dir import load_rir, rir_path
-from roomeq.records.schema import RirRow
+from roomeq.records.schema import RirRow, is_timed
 from roomeq.sim.scene import MIN_WALL_DISTANCE_M
 
 logger = logging.getLogger(__name__)
@@ -107,10 +107,10 @@ def complete_geometry(rirs: Sequence[Located], seed: int, nj: int) -> tuple[list
     ValueError
         An RIR cannot be read or has no direct sound; the message names the file.
     """
-    completed, rooms = list(rirs), dict[tuple, list[int]]()
+    completed, rooms = list(rirs), dict[str, list[int]]()
     for n, (_, row) in enumerate(rirs):
         if not row.get("mesh"):
-            rooms.setdefault((row["room_id"], repr(row["room_dims_m"])), []).append(n)
+            rooms.setdefault(row["room_id"], []).append(n)
 
     def of_room(members: list[int]) -> Completed:
         return complete_room([rirs[n].row for n in members], [_arrivals(rirs[n]) for n in members], seed)
@@ -128,7 +128,7 @@ def complete_geometry(rirs: Sequence[Located], seed: int, nj: int) -> tuple[list
 
 def _arrivals(rir: Located) -> Arrivals:
     row = rir.row
-    distance_m = distance_between(row["source_pos_m"], row["mic_pos_m"]) if row.get("tof_removed") is False else None
+    distance_m = distance_between(row["source_pos_m"], row["mic_pos_m"]) if is_timed(row) else None
     expected = None if distance_m is None else distance_m / declared_speed_m_s(row) * FS_HZ
     samples = load_rir(rir.directory, row)
     try:

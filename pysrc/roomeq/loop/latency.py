@@ -15,7 +15,7 @@ from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import FS_HZ
 from roomeq.loop.features import NEAR_S, NEAR_SHARE
 from roomeq.loop.unknown_geometry import assumed_position, declared_speed_m_s
-from roomeq.records.schema import RirRow, unit_name
+from roomeq.records.schema import RirRow, is_timed, unit_name
 
 logger = logging.getLogger(__name__)
 
@@ -46,7 +46,7 @@ def find_latencies(rows: Sequence[RirRow], direct_s: FloatArray) -> FloatArray:
     ndarray, shape (n_rirs,)
         [s]; 0 where there is none, and where rows do not say that sample 0 is the emission.
     """
-    timed = [n for n, row in enumerate(rows) if row.get("tof_removed") is False]
+    timed = [n for n, row in enumerate(rows) if is_timed(row)]
     n_of_room = Counter(rows[n]["room_id"] for n in timed)
     groups: dict[str, list[int]] = {}
     for n in timed:

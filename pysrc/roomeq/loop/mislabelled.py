@@ -111,10 +111,10 @@ def _listen(directory: Path, row: RirRow) -> _Heard:
 def _other_units(rows: Sequence[RirRow], heard: Sequence[_Heard]) -> list[Doubt | None]:
     """Return the doubts about the units of rooms, for each RIR."""
     doubts: list[Doubt | None] = [None] * len(rows)
-    rooms: dict[tuple, list[int]] = {}
+    rooms: dict[str, list[int]] = {}
     for n, row in enumerate(rows):
         if not row.get("mesh"):
-            rooms.setdefault((row["room_id"], repr(row["room_dims_m"])), []).append(n)
+            rooms.setdefault(row["room_id"], []).append(n)
     for members in rooms.values():
         doubt = find_other_unit([rows[n] for n in members], [heard[n].arrivals for n in members])
         for n in members:

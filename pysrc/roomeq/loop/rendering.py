@@ -12,9 +12,10 @@ from roomeq.core.rng import rng_for
 from roomeq.core.workers import share_out
 from roomeq.effects.base import Effect
 from roomeq.effects.model import apply_to_rir, direct_gain, extend_scene, path_gain
-from roomeq.loop.data import Data, is_timed
+from roomeq.loop.data import Data
 from roomeq.loop.features import N_FEATURES, Features, feature_slice, measure_features
 from roomeq.loop.tables import level_surfaces
+from roomeq.records.schema import is_timed
 from roomeq.sim.response import render_responses
 from roomeq.sim.scene import Scene, with_absorption
 

@@ -23,7 +23,7 @@ from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.rng import rng_for
 from roomeq.loop.annealing import Block, anneal
 from roomeq.loop.arrivals import Arrivals, early_images, heard_probability, log_likelihood
-from roomeq.records.schema import RirRow
+from roomeq.records.schema import RirRow, is_timed
 from roomeq.sim.scene import MIN_WALL_DISTANCE_M, WALLS
 
 N_PARTICLES = 400
@@ -86,7 +86,7 @@ class UnknownGeometry:
 
     def __init__(self, rows: Sequence[RirRow], arrivals: Sequence[Arrivals]) -> None:
         self.rows, self._arrivals = list(rows), list(arrivals)
-        self._timed = [row.get("tof_removed") is False for row in rows]
+        self._timed = [is_timed(row) for row in rows]
         self._speed_m_s = [declared_speed_m_s(row) for row in rows]
         dims_m = [float(size_m) for size_m in cast(list[float], rows[0]["room_dims_m"])]
         self.unknowns = _shared_unknowns(dims_m, float(np.mean(self._speed_m_s)), any(self._timed))

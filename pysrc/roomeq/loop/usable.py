@@ -93,6 +93,7 @@ def usable_rirs(directories: Iterable[Path], nj: int = 1) -> UsableRirs:
     reasons = [_refused(rir) for rir in found]
     _check_air([rir for rir, reason in zip(found, reasons, strict=True) if reason is None])
     contradictions = _log_contradictions(found, reasons) | _leave_out_unlike_rooms(found, reasons)
+    _share_dimensions(found, reasons)
     _leave_out_repeats(found, reasons)
     contradictions |= _compare_with_recordings(found, reasons, nj)
     usable = leave_out(UsableRirs(found, []), reasons)
@@ -212,6 +213,24 @@ def _leave_out_unlike_rooms(rirs: Sequence[Located], reasons: list[str | None]) 
                 reasons[n] = UNLIKE
             break
     return first
+
+
+def _share_dimensions(rirs: list[Located], reasons: Sequence[str | None]) -> None:
+    """Let usable rows of a room have the same dimensions, the largest that they state: these hold all positions.
+
+    They differ by `_SAME_SIZE_M` at most, and are of one room, which is estimated and traced once.
+    """
+    of_room: dict[str, list[int]] = {}
+    for n, (rir, reason) in enumerate(zip(rirs, reasons, strict=True)):
+        if reason is None and not rir.row.get("mesh"):
+            of_room.setdefault(rir.row["room_id"], []).append(n)
+    for members in of_room.values():
+        stated_m = [cast(list[float], rirs[n].row["room_dims_m"]) for n in members]
+        largest_m = [max(sizes_m) for sizes_m in zip(*stated_m, strict=True)]
+        for n, dims_m in zip(members, stated_m, strict=True):
+            if dims_m != largest_m:
+                row: RirRow = {**rirs[n].row, "room_dims_m": [*largest_m]}
+                rirs[n] = rirs[n]._replace(row=row)
 
 
 def _leave_out_repeats(rirs: Sequence[Located], reasons: list[str | None]) -> None:

@@ -81,6 +81,11 @@ def session_name(row: Mapping[str, Any]) -> str:
     return row.get("session") or ""
 
 
+def is_timed(row: Mapping[str, Any]) -> bool:
+    """Tell whether sample 0 of an RIR is the emission: only if its row says so."""
+    return row.get("tof_removed") is False
+
+
 class AcousticParameters(TypedDict, total=False):
     """What `roomeq.acoustics.parameters.measure` returns.
 

@@ -248,3 +248,15 @@ def test_reference_microphone_before_a_loudspeaker_is_left_out_and_named(tmp_pat
     usable = usable_rirs([directory(tmp_path / "rirs", rows)])
     assert [rir.row["id"] for rir in usable.rirs] == ["far"] and usable.left_out == [LeftOut(TOO_CLOSE, 1, 1)]
     assert "RIR near of room hall: source and microphone are 0.03 m apart and must be at least 0.05 m" in caplog.text
+
+
+def test_room_whose_rows_state_dimensions_within_a_centimetre_is_one_room(tmp_path):
+    """The position at 6.004 m lies in the dimensions of its own row, and not in those of the others."""
+    rows = [row(f"r{n}", **apart(KNOWN, n) | dict(room_dims_m=[dims_m, 5.0, 3.0]))
+            for n, dims_m in enumerate([6.0, 6.005])]
+    rows[1]["mic_pos_m"] = [6.004, 3.0, 1.2]
+    usable = usable_rirs([directory(tmp_path / "rirs", rows)])
+    assert [rir.row["room_dims_m"] for rir in usable.rirs] == [[6.005, 5.0, 3.0]] * 2
+    data = load_data(usable, scattering=SCATTERING, seed=0)
+    assert len({place.room for place in data.places}) == len(set(data.documented_dims_m)) == 1
+    assert [estimate.quantity for estimate in data.estimates].count("height of the room") == 1
