@@ -12,7 +12,7 @@ from roomeq.core.digests import audio_digest
 from roomeq.core.files import path_from, write_json
 from roomeq.core.limits import AUDIO_HOURS
 from roomeq.corpora.listing import list_corpus, list_noises, require_existing
-from roomeq.corpora.record import Corpus, Recording, is_generated, is_sofa
+from roomeq.corpora.record import Corpus, Recording, by_stamp, is_sofa
 from roomeq.records.rir_dir import rir_path, write_noises, write_rirs
 
 logger = logging.getLogger(__name__)
@@ -116,13 +116,11 @@ def _build(out: Path, step: str, listed: dict[Path, list[Recording]], *, skip_ba
     # rows refer to audio by its path relative to `out`: they are out of date when the corpus has moved
     ways = [path_from(source, out) for source in listed]
     inputs, audio = [], []
-    for source, recordings in listed.items():
-        if source.is_dir() and is_generated(source):
-            inputs.append(source)
-        else:  # the files that are listed, which may stand among many that do not matter
-            said = repr([(recording.id, recording.row) for recording in recordings])
-            audio += [sha256(said.encode(errors="surrogateescape")).hexdigest(),
-                      audio_digest((recording.path for recording in recordings), root=source)]
+    for source, recordings in listed.items():  # the files that are listed, which may stand among many others
+        stamped = by_stamp(source, (recording.path for recording in recordings))
+        inputs += stamped.inputs
+        said = repr([(recording.id, recording.row) for recording in recordings])
+        audio += [sha256(said.encode(errors="surrogateescape")).hexdigest(), audio_digest(stamped.others, root=source)]
     return Build(out, step=step, options=dict(options, ways=ways, audio=audio), inputs=inputs, refers=True)
 
 

@@ -3,12 +3,13 @@
 import os
 import re
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from roomeq.core.digests import files_below
-from roomeq.core.stamps import DONE_FILE
+from roomeq.core.stamps import read_stamp
 from roomeq.records.geometry import find_contradiction
 from roomeq.records.schema import LARGEST, UNKNOWN, make_id
 
@@ -195,9 +196,33 @@ def folder_name(directory: Path) -> str:
     return Path(os.path.abspath(directory)).name
 
 
-def is_generated(source: Path) -> bool:
-    """Tell whether a `roomeq.core.build.Build` made a corpus and stamped it with hashes of its files."""
-    return (source / DONE_FILE).is_file()
+class Stamped(NamedTuple):
+    """Files of a corpus, by what makes an output depend on them.
+
+    Attributes
+    ----------
+    inputs : list of Path
+        The corpus, if a `roomeq.core.build.Build` made it: its stamp holds the hashes of its own files. Else empty.
+    others : list of Path
+        Files that no stamp covers, such as those that somebody put beside a step's: their own content counts.
+    """
+
+    inputs: list[Path]
+    others: list[Path]
+
+
+def by_stamp(source: Path, files: Iterable[Path]) -> Stamped:
+    """Return which files of a corpus its stamp, if it has one, covers.
+
+    Raises
+    ------
+    ValueError
+        The stamp is damaged or of another version of roomeq.
+    """
+    stamp = read_stamp(source)
+    if stamp is None:
+        return Stamped([], list(files))
+    return Stamped([source], [path for path in files if os.path.relpath(path, source) not in stamp.files])
 
 
 def id_of_path(path: Path, root: Path) -> str:

@@ -13,7 +13,7 @@ from roomeq.core.build import Build
 from roomeq.core.digests import audio_digest, names_in_entry
 from roomeq.corpora.kaldi_dir import find_kaldi_dirs, read_kaldi_dir
 from roomeq.corpora.librispeech import find_sets, list_librispeech
-from roomeq.corpora.record import AUDIO_SUFFIXES, is_generated
+from roomeq.corpora.record import AUDIO_SUFFIXES, by_stamp
 from roomeq.corpora.speech_folder import list_audio_folder
 from roomeq.corpora.speech_plan import KaldiPart, Plan, plan_kaldi, plan_utterances
 from roomeq.corpora.table import MANIFEST
@@ -85,7 +85,7 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
     _warn_of_shared({role: _voices(corpus[role]) for role in ROLES}, source)
     options = dict(sets=wanted, limit=limit, channel=channel, source=os.path.realpath(source))
     builds = {role: Build(out / f"{role}.clean", step="prepare-speech", options=dict(
-        options, role=role, listed=_listing(source, corpus[role])), inputs=[source] * is_generated(source), refers=True)
+        options, role=role, listed=_listing(source, corpus[role])), inputs=by_stamp(source, ()).inputs, refers=True)
         for role in ROLES}
     plans = [(build, _plan(build, corpus[role], limit, channel)) for role, build in builds.items() if not build.done]
     for build, plan in plans:  # all directories are made before one is put in place
@@ -118,7 +118,7 @@ def _listing(source: Path, listed: Listed) -> str:
         audio = audio_digest(Path(name) for name in sorted(names))
         return sha256((said + audio).encode()).hexdigest()
     said = repr([(utterance.id, utterance.speaker, utterance.gender, utterance.text) for utterance in utterances])
-    audio = "" if is_generated(source) else audio_digest(utterance.path for utterance in utterances)
+    audio = audio_digest(by_stamp(source, (utterance.path for utterance in utterances)).others)
     return sha256((said + audio).encode()).hexdigest()
 
 

@@ -11,6 +11,7 @@ from roomeq.core.files import read_json
 from roomeq.corpora import read_measured
 from roomeq.corpora.listing import detect_kind
 from roomeq.corpora.record import rir_row
+from roomeq.export import export
 from roomeq.records.rir_dir import load_rir, read_noises, read_rirs, validate_rirs
 from roomeq.records.schema import is_id
 
@@ -55,6 +56,17 @@ def test_output_is_remade_only_for_a_changed_corpus(tmp_path):
     assert len(read_rirs(read_measured(source, out))) == 5
     with pytest.raises(ValueError, match="out: is an RIR directory already"):
         read_measured(out, tmp_path / "again")
+
+
+def test_audio_beside_the_files_of_a_step_counts(tmp_path):
+    measured = read_measured(make_folder(tmp_path / "rooms"), tmp_path / "measured")
+    export("huggingface", measured, tmp_path / "set")
+    n_rirs = len(read_rirs(read_measured(tmp_path / "set", tmp_path / "out")))
+    for n_samples in (800, 900):  # added, then replaced
+        put(tmp_path / "set/rirs/added.wav", rir("added", n_samples))
+        rows = read_rirs(read_measured(tmp_path / "set", tmp_path / "out"))
+        assert {row["id"]: row["n_samples"] for row in rows}["rirs-added"] == n_samples
+        assert len(rows) == n_rirs + 1
 
 
 def test_changed_audio_of_a_table_remakes_the_output(tmp_path):

@@ -17,6 +17,7 @@ from roomeq.corpora.characterise import characterise
 from roomeq.corpora.kaldi_dir import KaldiDir
 from roomeq.corpora.librispeech import read_genders
 from roomeq.corpora.utterance import split_voices
+from roomeq.export import export
 from roomeq.kaldi.validate import validate_data_dir
 
 SETS = {"train-clean-100": {"19": {"198": 2, "227": 1}}, "train-clean-360": {"100": {"1": 1}},
@@ -258,6 +259,22 @@ def test_unchanged_speech_is_not_remade(tmp_path):
     train, dev, test = made()
     assert (train, test) == (first[0], first[2]) and dev != first[1]
     assert table(tmp_path / "data" / "dev.clean" / "utt2dur")["1272-128104-0001"] == "0.10625"
+
+
+def test_speech_beside_the_files_of_a_step_counts(tmp_path):
+    put_manifest(tmp_path / "speech", rows_of_voices({"a": 3, "b": 1, "c": 1}))
+    train, _, _ = prepare_speech(tmp_path / "speech", tmp_path / "data")
+    export("nemo", train, tmp_path / "set")
+
+    def durations():
+        made = prepare_speech(tmp_path / "set", tmp_path / "again")
+        return [duration for path in made for name, duration in table(path / "utt2dur").items() if name == "b-added"]
+
+    for n, voice in enumerate("bcd"):
+        put(tmp_path / "set" / voice / "added.wav", rir(f"{n}", 1600))
+    assert durations() == ["0.1"]
+    put(tmp_path / "set/b/added.wav", rir("other", 3200))
+    assert durations() == ["0.2"]
 
 
 def test_jobs_do_not_change_the_bytes(tmp_path):
