@@ -127,10 +127,9 @@ def prepare_digits(digits: Path, out_dir: Path, passes: dict[str, int], seed: in
     ValueError
         `digits` lacks recordings, or `out_dir` exists and was not made by this function.
     """
-    by_speaker = find_recordings(digits)
     build = Build(out_dir, step="digits", options=dict(passes=passes, seed=seed), inputs=[
         digits, Path(__file__), Path(make_synthetic_speech.__file__)])
-    items = {" ".join(key): (key, recordings) for key, recordings in sorted(by_speaker.items())}
+    items = {" ".join(key): (key, recordings) for key, recordings in sorted(find_recordings(digits).items())}
 
     def assemble(directory: Path, records: list[list[str]]) -> None:
         rows = [row for record in records for row in record]

@@ -324,3 +324,14 @@ def test_other_rates_have_their_own_bands_and_fit_no_16_khz_step(measured, tmp_p
 def test_a_model_needs_16_khz(measured, tmp_path):
     with pytest.raises(ValueError, match=r"fs=48000 must be 16000 with model=m.json"):
         simulate(measured, tmp_path / "sim", model="m.json", fs_hz=48000)
+
+
+def test_row_that_is_edited_before_it_is_hashed_counts_as_edited(measured, tmp_path, monkeypatch):
+    def read_and_edit(directory):
+        rows, table = read_rirs(directory), directory / "rirs.jsonl"
+        if "flagged" in (text := table.read_text()):
+            table.write_text(text.replace("flagged", "kitchen"))
+        return rows
+
+    monkeypatch.setattr("roomeq.simulate_rirs.step.read_rirs", read_and_edit)
+    assert run(measured, tmp_path / "sim", noise_rirs=0)["c1"]["room_id"] == "kitchen"

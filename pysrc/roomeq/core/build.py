@@ -26,7 +26,7 @@ import logging
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import starmap
 from pathlib import Path
 from typing import Any
@@ -34,13 +34,15 @@ from typing import Any
 from roomeq.core.asking import NotUpToDate, only_asked
 from roomeq.core.constants import is_whole
 from roomeq.core.digests import (
+    Listed,
     audio_elsewhere,
     code_digest,
     code_digest_now,
-    digest,
+    content_of,
     files_below,
     place_in_entries,
     places_of,
+    require_unchanged,
 )
 from roomeq.core.files import hash_file, listing_written, path_from, sync, to_json, write_json
 from roomeq.core.item_records import ItemRecord, is_as_recorded, is_complete, read_item_record, write_item_record
@@ -68,8 +70,9 @@ class Build:
         Name of the step, e.g. ``"simulate"``.
     options : dict
         Everything that changes the result, JSON-able: neither paths nor the number of jobs.
-    inputs : list of Path
-        Files and directories that the result depends on.
+    inputs : list of Path or Listed
+        Files and directories that the result depends on. What is not in the key must be read of them once the build is
+        made: files that are written to later are refused.
     refers : bool
         The output names audio elsewhere. A later step that takes it as input then depends on its key and not only on
         its files.
@@ -88,12 +91,13 @@ class Build:
         `out` holds something else, or an input is missing or has the formats of another version of roomeq.
     """
 
-    def __init__(self, out: Path, *, step: str, options: dict[str, Any], inputs: list[Path],
+    def __init__(self, out: Path, *, step: str, options: dict[str, Any], inputs: Sequence[Path | Listed],
                  refers: bool = False) -> None:
         self.out = Path(os.path.normpath(out))
         self.step, self.options, self.refers, self._inputs = step, options, refers, inputs
         self._check_output()
-        digests = [digest(path) for path in inputs]
+        self._contents = [content_of(given) for given in inputs]
+        digests = [content.digest for content in self._contents]
         described = dict(step=step, options=options, inputs=digests, code=code_digest())
         self.key = hashlib.sha256(to_json(described).encode(errors="surrogateescape")).hexdigest()
         self.work = self.out.with_name(f".{self.out.name}.part-{self.key[:16]}")
@@ -101,7 +105,15 @@ class Build:
         self._names: list[str] = []
         self._hashes = KeptHashes()
         self._made_of = {name: content for path, content in zip(inputs, digests, strict=True)
-                         if was_made(path) and (name := path_from(path, self.out)).isprintable()}
+                         if not isinstance(path, Listed) and was_made(path)
+                         and (name := path_from(path, self.out)).isprintable()}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what only the process needs that puts the directory in place: workers get a build with each item.
+
+        There may be a hundred thousand files.
+        """
+        return self.__dict__ | dict(_inputs=[], _contents=[])
 
     @property
     def done(self) -> bool:
@@ -137,7 +149,8 @@ class Build:
         Raises
         ------
         ValueError
-            `part` or `nj` is out of range, or the code of roomeq has changed since this process started.
+            `part` or `nj` is out of range, the code of roomeq has changed since this process started, or, after a
+            `part`, an input.
         """
         self._names = list(items)
         names = share(self._names, part)
@@ -152,6 +165,13 @@ class Build:
             logger.info("%s: %d of %d items were done before", self.out, len(names) - len(todo), len(names))
         for _ in progress(self._make_items(todo, items, make, nj), len(todo), f"{self.step} {self.out.name}"):
             pass
+        if part is not None:
+            try:
+                self._require_same_inputs()
+            except (ValueError, OSError):
+                for name in todo:  # they may be of another content than the key says
+                    self._record_path(name).unlink(missing_ok=True)
+                raise
         return part is None
 
     def _make_items(self, todo: list[str], items: Mapping[str, Any], make: Callable[[str, Any], Any],
@@ -178,8 +198,8 @@ class Build:
         Raises
         ------
         ValueError
-            Another run with other options put the directory in place meanwhile, or the code of roomeq has changed
-            since this process started.
+            Another run with other options put the directory in place meanwhile, or an input or the code of roomeq has
+            changed since this process started.
         """
         assembled = False
         with self._lock(fcntl.LOCK_EX):
@@ -247,8 +267,9 @@ class Build:
         audio = audio_elsewhere(self.work, self.out) if self.refers else {}
         try:
             self._require_same_code()
-        except ValueError:
-            shutil.rmtree(self.work, ignore_errors=True)  # a part of it may be of the other code
+            self._require_same_inputs()
+        except (ValueError, OSError):
+            shutil.rmtree(self.work, ignore_errors=True)  # a part of it may be of the other code or input
             raise
         write_json(self.work / DONE_FILE, stamp_content(
             format=FORMAT, step=self.step, options=self.options, key=self.key, refers=self.refers, files=files,
@@ -261,6 +282,17 @@ class Build:
         """Refuse to go on where the code on the disk is not that of the key: modules loaded later would be of it."""
         if code_digest_now() != code_digest():
             raise ValueError(f"{self.out}: the code of roomeq changed while it ran: start again")
+
+    def _require_same_inputs(self) -> None:
+        """Refuse to go on where an input has changed: items may be of its earlier and of its present content.
+
+        Only files that seem to have changed are read again.
+        """
+        try:
+            for given, content in zip(self._inputs, self._contents, strict=True):
+                require_unchanged(given, content)
+        except ValueError as error:
+            raise ValueError(f"{self.out}: an input changed while it was made: {error}; run this again") from None
 
     def _is_done(self, directory: Path) -> bool:
         try:
@@ -278,7 +310,7 @@ class Build:
         return self.work / _RECORDS / f"{safe}.json"
 
     def _check_output(self) -> None:
-        check_output(self.out, self.step, self._inputs)
+        check_output(self.out, self.step, [path for path in self._inputs if not isinstance(path, Listed)])
 
     @property
     def _lock_path(self) -> Path:

@@ -8,9 +8,10 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from msgspec.structs import replace
 
@@ -32,8 +33,43 @@ _SHELL_SYNTAX = re.compile(r"[\s|&;<>()`'\"]+")
 _INDIRECT = re.compile(r"[$`*?]|\bcd\b")  # in a command: it may read files whose names are not among its words
 
 
-def digest(path: Path) -> str:
-    """Return a hash of a file's content or of a directory's, and of the audio that the directory's tables name.
+class Listed(NamedTuple):
+    """Files that a reader lists, which may stand among many that do not matter.
+
+    Attributes
+    ----------
+    files : tuple of Path
+        A file that is absent is hashed as absent: reading it raises the error.
+    root : Path, optional
+        Names count from this directory on, so that the hash is the same wherever it lies.
+    """
+
+    files: tuple[Path, ...]
+    root: Path | None = None
+
+
+class Content(NamedTuple):
+    """What an input holds.
+
+    Attributes
+    ----------
+    digest : str
+        Hash of it.
+    files : dict
+        Hash and time of modification [ns] of each file that counts, by path; None: there is no such file.
+    """
+
+    digest: str
+    files: dict[str, tuple[str | None, int | None]]
+
+
+def digest(given: Path | Listed) -> str:
+    """Return the hash of an input; see `content_of`."""
+    return content_of(given).digest
+
+
+def content_of(given: Path | Listed, *, warn: bool = True) -> Content:
+    """Return what a file, a directory or listed files hold, and the audio that a directory's tables name.
 
     A directory that a `Build` made is hashed by the content hashes in its stamp, once its files are found to be as the
     stamp says, and by `READ_IF_PRESENT` and audio named there; where it refers to audio elsewhere, by the stamp's key
@@ -43,14 +79,22 @@ def digest(path: Path) -> str:
     Raises
     ------
     ValueError
+    Parameters
+    ----------
+    given
+    warn
+        Warn where commands may read files that they do not name.
+
         There is no such path, the directory has the formats of another version, or something in it has been lost or
         has changed since a step made it.
     """
-    path = Path(path)
+    if isinstance(given, Listed):
+        return _content_of_listed(given)
+    path = Path(given)
     if path.is_file():
         of_file = hash_file(path)
         _require_as_stamped_above([(str(path), of_file)])
-        return of_file
+        return Content(of_file, _with_times({str(path): of_file}))
     if not path.is_dir():
         raise ValueError(f"{path}: no such file or directory: check the path, or run the step that makes it")
     stamp = read_stamp(path)
@@ -70,14 +114,50 @@ def digest(path: Path) -> str:
     for name, content_hash in content.items():
         total.update(f"{name}\0{content_hash}\n".encode(errors="surrogateescape"))
     if not stamp or stamp.refers:
-        audio = audio_elsewhere(path)
+        audio = audio_elsewhere(path, warn=warn)
         if stamp:
+    hashes = {str(path / name): content_hash for name, content_hash in content.items()}
             require_audio_as_stamped(path, stamp, audio)
         else:
             _require_as_stamped_above((str(file), content_hash) for file, content_hash in audio.values())
         for name, (_, content_hash) in audio.items():
             total.update(f"{name}\0{content_hash}\n".encode(errors="surrogateescape"))
-    return total.hexdigest()
+        hashes |= {str(file): content_hash for file, content_hash in audio.values()}
+    return Content(total.hexdigest(), _with_times(hashes))
+
+
+def _content_of_listed(listed: Listed) -> Content:
+    names = [str(path) for path in listed.files]
+    list_hash = hashlib.sha256("\n".join(names).encode(errors="surrogateescape")).hexdigest()
+    hashes = dict(zip(names, hashes_of_input(list_hash, listed.files), strict=True))
+    _require_as_stamped_above(hashes.items())
+    total = hashlib.sha256()
+    for name in names:
+        known_as = os.path.relpath(name, listed.root) if listed.root is not None else name
+        total.update(f"{known_as} {hashes[name]}\n".encode(errors="surrogateescape"))
+    return Content(total.hexdigest(), _with_times(hashes))
+
+
+def _with_times(hashes: Mapping[str, str | None]) -> dict[str, tuple[str | None, int | None]]:
+    timed: dict[str, tuple[str | None, int | None]] = {}
+    for name, content_hash in hashes.items():
+        look = quick_look(Path(name))
+        timed[name] = content_hash, look.mtime_ns if look else None
+    return timed
+
+
+def require_unchanged(given: Path | Listed, before: Content) -> None:
+    """Refuse an input that has been written to since it was read, also one that has the same content again.
+
+    Raises
+    ------
+    ValueError
+        A file has changed, has gone or has come; the message names it.
+    """
+    now = content_of(given, warn=False)
+    if now != before:
+        changed = (name for name in {**before.files, **now.files} if before.files.get(name) != now.files.get(name))
+        raise ValueError(f"{next(changed, given)}: was written to meanwhile")
 
 
 def _audio_of_added_rows(directory: Path, stamp: Stamp) -> dict[str, str | None]:
@@ -131,34 +211,8 @@ def _stamp_above(folder: str, known: dict[str, tuple[Path, Stamp] | None]) -> tu
     return known[folder]
 
 
-def audio_digest(paths: Iterable[Path], root: Path | None = None) -> str:
-    """Return a hash of files by name and content, for an output that is made of a list of files.
-
-    A file that is absent is hashed as absent: reading it raises the error.
-
-    Parameters
-    ----------
-    paths
-    root
-        Names count from this directory on, so that the hash is the same wherever it lies.
-
-    Raises
-    ------
-    ValueError
-        A file has been lost or has changed since a step made it.
-    """
-    names = [str(path) for path in paths]
-    listed = hashlib.sha256("\n".join(names).encode(errors="surrogateescape")).hexdigest()
-    hashes = dict(zip(names, hashes_of_input(listed, map(Path, names)), strict=True))
-    _require_as_stamped_above(hashes.items())
-    total = hashlib.sha256()
-    for name in names:
-        known_as = os.path.relpath(name, root) if root is not None else name
-        total.update(f"{known_as} {hashes[name]}\n".encode(errors="surrogateescape"))
-    return total.hexdigest()
-
-
-def audio_elsewhere(directory: Path, out: Path | None = None) -> dict[str, tuple[Path, str | None]]:
+def audio_elsewhere(directory: Path, out: Path | None = None, *,
+                    warn: bool = True) -> dict[str, tuple[Path, str | None]]:
     """Return path and content hash of the audio files that a directory's tables name and that lie elsewhere, by name.
 
     Hidden files, which `files_below` leaves out, count as elsewhere.
@@ -173,8 +227,11 @@ def audio_elsewhere(directory: Path, out: Path | None = None) -> dict[str, tuple
     """
     found = _audio_in_rows(directory, _TABLES_OF_ROWS)
     with contextlib.suppress(OSError, ValueError):
+    warn : bool
+        Warn where commands may read files that they do not name.
         entries = _entries(directory)
-        _warn_of_indirect(directory, entries)
+        if warn:
+            _warn_of_indirect(directory, entries)
         names = {name for entry in entries for name in names_in_entry(entry)}
         found |= {name: Path(name) for name in sorted(names) if quick_look(Path(name))}
     own = [os.path.realpath(folder) for folder in (directory, out or directory)]

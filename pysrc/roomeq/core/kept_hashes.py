@@ -76,7 +76,7 @@ class KeptHashes:
 
 
 _in_memory = KeptHashes()
-"""Of small inputs that this process has read."""
+"""Of small inputs that this process has read, and of others where no file holds their hashes."""
 
 
 def hashes_of_input(name: str, paths: Iterable[Path]) -> list[str | None]:
@@ -117,10 +117,10 @@ def _read_in_threads(known: KeptHashes, paths: list[Path]) -> list[str | None]:
 
 
 def _read_store(store: Path) -> KeptHashes:
-    """Return what is kept in a file; nothing where it is absent or damaged."""
+    """Return what is kept in a file; where it is absent or damaged, what is in memory: perhaps none can be written."""
     body = read_sealed(store)
     if body is None:
-        return KeptHashes()
+        return _in_memory
     return KeptHashes({path: (Look(*look), content_hash) for path, (look, content_hash) in json.loads(body).items()})
 
 

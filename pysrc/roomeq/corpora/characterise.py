@@ -71,12 +71,12 @@ def characterise(rir_dir: Path, out: Path, *, skip_bad: bool = False, keep_suspi
         A recording cannot be read or measured; the message names the file.
     """
     rir_dir, out = Path(rir_dir), Path(out)
-    rows = read_rirs(rir_dir)
-    require_16_khz(rir_dir, rows)
     build = Build(out, step="characterise", inputs=[rir_dir], refers=True,
                   options=dict(skip_bad=bool(skip_bad), keep_suspicious=bool(keep_suspicious)))
     if build.done:
         return None
+    rows = read_rirs(rir_dir)
+    require_16_khz(rir_dir, rows)
 
     def make(_: str, row: RirRow) -> dict[str, Any]:
         reason = None if keep_suspicious else suspicion(rir_dir, row)

@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 
 from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
-from roomeq.core.digests import audio_digest
+from roomeq.core.digests import Listed
 from roomeq.core.files import path_from, write_json
 from roomeq.core.limits import AUDIO_HOURS
 from roomeq.corpora.listing import list_corpus, list_noises, require_existing
@@ -115,16 +115,17 @@ def _build(out: Path, step: str, listed: dict[Path, list[Recording]], *, skip_ba
         options["max_audio_hours"] = AUDIO_HOURS.value()
     # rows refer to audio by its path relative to `out`: they are out of date when the corpus has moved
     ways = [path_from(source, out) for source in listed]
-    inputs, audio = [], []
+    inputs: list[Path | Listed] = []
+    said = []
     for source, recordings in listed.items():  # the files that are listed, which may stand among many others
         stamped = by_stamp(source, (recording.path for recording in recordings))
-        inputs += stamped.inputs
-        said = repr([(recording.id, recording.row) for recording in recordings])
-        audio += [sha256(said.encode(errors="surrogateescape")).hexdigest(), audio_digest(stamped.others, root=source)]
-    return Build(out, step=step, options=dict(options, ways=ways, audio=audio), inputs=inputs, refers=True)
+        inputs += [*stamped.inputs, Listed(tuple(stamped.others), root=source)]
+        rows = repr([(recording.id, recording.row) for recording in recordings])
+        said.append(sha256(rows.encode(errors="surrogateescape")).hexdigest())
+    return Build(out, step=step, options=dict(options, ways=ways, said=said), inputs=inputs, refers=True)
 
 
-class _Listed(NamedTuple):
+class _InTable(NamedTuple):
     """A recording and the table that it goes to."""
 
     table: Literal["rirs", "noises"]
@@ -137,11 +138,11 @@ def _write(build: Build, corpus: Corpus, skip_bad: bool, nj: int, keep_suspiciou
 
     for recordings in (corpus.rirs, corpus.noises):
         _check_ids(recordings)
-    todo = [_Listed("rirs", recording) for recording in corpus.rirs]
-    todo += [_Listed("noises", recording) for recording in corpus.noises]
+    todo = [_InTable("rirs", recording) for recording in corpus.rirs]
+    todo += [_InTable("noises", recording) for recording in corpus.noises]
     items = {f"{n:06d}": todo[n:n + _CHUNK] for n in range(0, len(todo), _CHUNK)}
 
-    def make(name: str, chunk: list[_Listed]) -> dict[str, Any]:
+    def make(name: str, chunk: list[_InTable]) -> dict[str, Any]:
         record: dict[str, Any] = dict(rirs=[], noises=[], skipped=[], converted=0, copied=0, multichannel=0)
         for table, recording in chunk:
             try:

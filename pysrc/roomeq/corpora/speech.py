@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from roomeq.core.build import Build
-from roomeq.core.digests import audio_digest, names_in_entry
+from roomeq.core.digests import Listed, names_in_entry
 from roomeq.corpora.kaldi_dir import find_kaldi_dirs, read_kaldi_dir
 from roomeq.corpora.librispeech import find_sets, list_librispeech
 from roomeq.corpora.record import AUDIO_SUFFIXES, by_stamp
@@ -22,7 +22,7 @@ from roomeq.corpora.utterance import ROLES, Utterance, split_voices
 
 logger = logging.getLogger(__name__)
 
-Listed = list[Utterance] | list[KaldiPart]
+Listing = list[Utterance] | list[KaldiPart]
 """What belongs to a role: utterances, or parts of Kaldi data directories."""
 SetNames = Mapping[str, tuple[str, ...]]
 """Names of the corpus' sets by role."""
@@ -84,9 +84,8 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
                          "touched: choose the channel in wav.scp")
     _warn_of_shared({role: _voices(corpus[role]) for role in ROLES}, source)
     options = dict(sets=wanted, limit=limit, channel=channel, source=os.path.realpath(source))
-    builds = {role: Build(out / f"{role}.clean", step="prepare-speech", options=dict(
-        options, role=role, listed=_listing(source, corpus[role])), inputs=by_stamp(source, ()).inputs, refers=True)
-        for role in ROLES}
+    builds = {role: Build(out / f"{role}.clean", step="prepare-speech", inputs=_inputs(source, corpus[role]),
+                          options=dict(options, role=role, said=_said(corpus[role])), refers=True) for role in ROLES}
     plans = [(build, _plan(build, corpus[role], limit, channel)) for role, build in builds.items() if not build.done]
     for build, plan in plans:  # all directories are made before one is put in place
         build.run(plan.items, plan.make, nj=nj)
@@ -97,32 +96,37 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
     return [build.out for build in builds.values()]
 
 
-def _plan(build: Build, listed: Listed, limit: int | None, channel: int) -> Plan:
+def _plan(build: Build, listed: Listing, limit: int | None, channel: int) -> Plan:
     parts, utterances = _sorted_out(listed)
     return plan_kaldi(parts, limit) if parts else plan_utterances(build, utterances, limit, channel)
 
 
-def _sorted_out(listed: Listed) -> tuple[list[KaldiPart], list[Utterance]]:
+def _sorted_out(listed: Listing) -> tuple[list[KaldiPart], list[Utterance]]:
     return ([part for part in listed if isinstance(part, KaldiPart)],
             [utterance for utterance in listed if isinstance(utterance, Utterance)])
 
 
-def _listing(source: Path, listed: Listed) -> str:
-    """Return a hash of the content of a role: its words, and its audio unless a stamp of the corpus covers it."""
+def _said(listed: Listing) -> str:
+    """Return a hash of what a corpus says of the utterances of a role."""
+    parts, utterances = _sorted_out(listed)
+    said = repr(sorted((str(part.directory.path), part.directory.files, sorted(part.utterances)) for part in parts)
+                if parts else
+                [(utterance.id, utterance.speaker, utterance.gender, utterance.text) for utterance in utterances])
+    return sha256(said.encode()).hexdigest()
+
+
+def _inputs(source: Path, listed: Listing) -> list[Path | Listed]:
+    """Return the audio of a role, and the corpus where its stamp covers some of it."""
     parts, utterances = _sorted_out(listed)
     if parts:
-        said = repr(sorted((str(part.directory.path), part.directory.files, sorted(part.utterances))
-                           for part in parts))
         names = {name for part in parts for entry in part.directory.files["wav.scp"].values()
                  for name in names_in_entry(entry)}
-        audio = audio_digest(Path(name) for name in sorted(names))
-        return sha256((said + audio).encode()).hexdigest()
-    said = repr([(utterance.id, utterance.speaker, utterance.gender, utterance.text) for utterance in utterances])
-    audio = audio_digest(by_stamp(source, (utterance.path for utterance in utterances)).others)
-    return sha256((said + audio).encode()).hexdigest()
+        return [*by_stamp(source, ()).inputs, Listed(tuple(map(Path, sorted(names))))]
+    stamped = by_stamp(source, (utterance.path for utterance in utterances))
+    return [*stamped.inputs, Listed(tuple(stamped.others))]
 
 
-def list_speech(source: Path, wanted: SetNames) -> Mapping[str, Listed]:
+def list_speech(source: Path, wanted: SetNames) -> Mapping[str, Listing]:
     """List the utterances, or the parts of Kaldi data directories, of every role.
 
     Raises
@@ -152,7 +156,7 @@ def list_speech(source: Path, wanted: SetNames) -> Mapping[str, Listed]:
                      f"{MANIFEST} with transcripts, wav.scp of a Kaldi data directory, or audio files")
 
 
-def _list_without_text(folders: dict[str, list[Utterance]], wanted: SetNames, source: Path) -> Mapping[str, Listed]:
+def _list_without_text(folders: dict[str, list[Utterance]], wanted: SetNames, source: Path) -> Mapping[str, Listing]:
     """Return the utterances of every role of a folder of audio files; its first folders are sets or speakers."""
     utterances = folders.pop("")
     logger.warning("%s: no transcripts: each of %d audio files is an utterance, and no text is written", source,
@@ -206,7 +210,7 @@ def _split(utterances: list[Utterance], source: Path) -> dict[str, list[Utteranc
     return {role: [utterance for utterance in utterances if roles[utterance.voice] == role] for role in ROLES}
 
 
-def _voices(listed: Listed) -> set[str]:
+def _voices(listed: Listing) -> set[str]:
     parts, utterances = _sorted_out(listed)
     return {utterance.voice for utterance in utterances} | {
         voice for part in parts for utterance, voice in part.directory.voices().items()

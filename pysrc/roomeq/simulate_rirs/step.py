@@ -10,6 +10,7 @@ from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
 from roomeq.draw_rooms.room_types import read_room_types
 from roomeq.records.rir_dir import decay_range_s, mesh_files, read_rirs
+from roomeq.records.schema import RirRow
 from roomeq.sim.defaults import DEFAULT_TABLE, ISM_ORDER, NUM_RAYS, ORDER, TARGET_RANGE_S
 from roomeq.sim.published import published_file
 from roomeq.simulate_rirs.options import RenderOptions, check_options
@@ -103,21 +104,29 @@ def simulate(measured_dir: Path | str | None, out: Path | str, *, rooms: int | s
         if not build.done:
             from roomeq.simulate_rirs.directory import make_drawn
 
-            make_drawn(build, numbers, room_types, types, materials, model, options, part, nj)
+            # the types again, as they are in the key now
+            make_drawn(build, numbers, room_types, read_room_types(room_types), materials, model, options, part, nj)
         return
-    rows = read_rirs(measured_dir)
-    for row in rows:
-        target_s = row.get("target_t60_s")
-        if target_s is not None and not TARGET_RANGE_S[0] <= target_s <= TARGET_RANGE_S[1]:
-            raise ValueError(f"{measured_dir}: RIR {row['id']}: target_t60_s={target_s:g} must lie in [0.05, 10] s, or "
-                             "be null to keep the materials: correct the row")
+    rows = _rows_with_targets(measured_dir)
     files += [*(_published_table() if any(row.get("materials") for row in rows) else []),
               *mesh_files(measured_dir)]
     build = _build(out, asdict(options), files, measured_dir)
     if not build.done:
         from roomeq.simulate_rirs.directory import make
 
-        make(build, measured_dir, rows, materials, model, options, part, nj)
+        # the rows again, as they are in the key now
+        make(build, measured_dir, _rows_with_targets(measured_dir), materials, model, options, part, nj)
+
+
+def _rows_with_targets(measured_dir: Path) -> list[RirRow]:
+    """Return the rows of a directory, whose target times can be met."""
+    rows = read_rirs(measured_dir)
+    for row in rows:
+        target_s = row.get("target_t60_s")
+        if target_s is not None and not TARGET_RANGE_S[0] <= target_s <= TARGET_RANGE_S[1]:
+            raise ValueError(f"{measured_dir}: RIR {row['id']}: target_t60_s={target_s:g} must lie in [0.05, 10] s, or "
+                             "be null to keep the materials: correct the row")
+    return rows
 
 
 def _build(out: Path | str, options: dict[str, Any], files: list[Path], *directories: Path) -> Build:

@@ -60,26 +60,17 @@ def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path]
         unknown, or the seeds are not of one experiment.
     """
     counted = paths(counted)
-    rows: dict[str, RirRow] = {}
-    ambiguous = set()
     rirs = paths(rirs)
-    for directory in rirs:
-        for row in read_rirs(directory):
-            if rows.setdefault(row["id"], row)["room_id"] != row["room_id"]:
-                raise ValueError(f"{directory}: RIR {row['id']} is of room {row['room_id']} here and of room "
-                                 f"{rows[row['id']]['room_id']} in a directory before it: rename one")
-            if rows[row["id"]].get("acoustic_parameters") != row.get("acoustic_parameters"):
-                ambiguous.add(row["id"])
     found = find_workspaces(paths(workspaces))
-    earlier = {f"{path}:{n}": seed for path in counted for n, seed in enumerate(read_counts(path), start=1)}
     directories = [*rirs, *([train_rirs] if train_rirs else ())]
     build = Build(Path(out), step="wer",
                   options=dict(rows=found[0].rows, columns=found[0].columns, dev_of=found[0].dev_of,
-                               seeds=len(earlier) + len(found), train_rirs=train_rirs is not None),
+                               seeds=len(_earlier(counted)) + len(found), train_rirs=train_rirs is not None),
                   inputs=[*(Path(directory) / ROWS_FILE for directory in directories), *counted,
                           *(path for workspace in found for path in workspace.inputs())])
     if not build.done and build.run({}, lambda name, item: None):
-        breakdown = Breakdown(rows, read_rirs(train_rirs) if train_rirs else [], ambiguous)
+        earlier = _earlier(counted)
+        breakdown = _breakdown(rirs, train_rirs)
         trained = {str(workspace.path): count_seed(workspace, breakdown) for workspace in found}
         require_comparable(earlier | trained)
         seeds = sorted([*earlier.values(), *trained.values()], key=lambda counts: counts.seed)
@@ -91,6 +82,24 @@ def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path]
         build.finish(write)
     print(table_text(read_json(build.out / WER_FILE)), end="")
     return build.out / WER_FILE
+
+
+def _earlier(counted: Sequence[Path]) -> dict[str, SeedCounts]:
+    """Return seeds that were counted earlier, by their place."""
+    return {f"{path}:{n}": seed for path in counted for n, seed in enumerate(read_counts(path), start=1)}
+
+
+def _breakdown(rirs: Sequence[Path], train_rirs: Path | None) -> Breakdown:
+    rows: dict[str, RirRow] = {}
+    ambiguous = set()
+    for directory in rirs:
+        for row in read_rirs(directory):
+            if rows.setdefault(row["id"], row)["room_id"] != row["room_id"]:
+                raise ValueError(f"{directory}: RIR {row['id']} is of room {row['room_id']} here and of room "
+                                 f"{rows[row['id']]['room_id']} in a directory before it: rename one")
+            if rows[row["id"]].get("acoustic_parameters") != row.get("acoustic_parameters"):
+                ambiguous.add(row["id"])
+    return Breakdown(rows, read_rirs(train_rirs) if train_rirs else [], ambiguous)
 
 
 def _contents(workspaces: Sequence[Workspace]) -> dict[str, list[str]]:

@@ -1,9 +1,11 @@
 """Output directories are complete or absent, and remade only when something changed."""
 
 import os
+import pickle
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ import pytest
 from roomeq.core import asking, build
 from roomeq.core.audio import write_wav
 from roomeq.core.build import DONE_FILE, Build, check_jobs, share
-from roomeq.core.digests import audio_digest, code_digest, digest, names_in_entry
+from roomeq.core.digests import Listed, code_digest, digest, names_in_entry
 from roomeq.core.files import read_json, write_json, write_text
 
 
@@ -129,6 +131,59 @@ def test_changed_input_remakes_the_output(tmp_path):
     assert make_squares(tmp_path / "out", inputs=[tmp_path / "in"]) == "made"
 
 
+def overwrite(path):
+    path.write_text("7")
+
+
+def overwrite_and_restore(path):
+    before = path.read_bytes()
+    path.write_text("7")
+    path.write_bytes(before)
+
+
+@pytest.mark.parametrize("given", ["of a step", "of nobody", "listed", "file"])
+@pytest.mark.parametrize("write", [overwrite, overwrite_and_restore, Path.unlink])
+def test_input_that_is_written_to_meanwhile_is_refused(tmp_path, given, write):
+    make_squares(tmp_path / "in")
+    path = tmp_path / "in/n1.txt"
+    if given != "of a step":
+        (tmp_path / "in" / DONE_FILE).unlink()
+    paths = {"listed": Listed((path,)), "file": path}
+    inputs = [paths.get(given, tmp_path / "in")]
+    make_squares(tmp_path / "out", inputs=inputs, v=1)
+    build = Build(tmp_path / "out", step="square", options=dict(v=2), inputs=inputs)
+    build.run({"n1": 1}, lambda name, number: write(path))
+    with pytest.raises(ValueError, match=r"out: an input changed while it was made: .*in/n1\.txt: .*; run this again"):
+        build.finish(lambda directory, records: None)
+    assert not build.work.exists()
+    path.write_text("1")
+    assert make_squares(tmp_path / "out", inputs=inputs, v=1) == "up to date"
+
+
+def test_items_of_a_part_of_an_input_that_changed_are_made_again(tmp_path):
+    path = tmp_path / "in.txt"
+    path.write_text("1")
+    build = Build(tmp_path / "out", step="copy", options={}, inputs=[path])
+
+    def make_late(name, number):
+        path.write_text("2")
+        return path.read_text()
+
+    with pytest.raises(ValueError, match=r"in\.txt: was written to meanwhile; run this again"):
+        build.run({"a": 1}, make_late, part="1/1")
+    path.write_text("1")
+    build = Build(tmp_path / "out", step="copy", options={}, inputs=[path])
+    assert build.run({"a": 1}, lambda name, number: path.read_text())
+    build.finish(lambda directory, records: write_json(directory / "all.json", records))
+    assert read_json(tmp_path / "out/all.json") == ["1"]
+
+
+def test_worker_gets_no_list_of_input_files(tmp_path):
+    paths = [tmp_path / f"{n}.txt" for n in range(2000)]
+    build = Build(tmp_path / "out", step="square", options={}, inputs=[Listed(tuple(paths))])
+    assert len(pickle.dumps(build)) < 2000
+
+
 @pytest.mark.parametrize("what, happened", [("in", "changed"), ("in", "missing"), ("in/n1.txt", "changed")])
 def test_input_that_is_not_as_it_was_made_is_refused(what, happened, tmp_path):
     make_squares(tmp_path / "in")
@@ -170,14 +225,14 @@ def test_changed_file_behind_a_link_is_noticed(tmp_path):
 def test_listed_audio_that_is_not_as_it_was_made_is_refused(tmp_path):
     make_squares(tmp_path / "corpus/folder")
     (tmp_path / "corpus/.done").write_text("of another program")
-    listed = [tmp_path / f"corpus/folder/n{n}.txt" for n in (1, 2)]
-    before = audio_digest(listed)
-    assert audio_digest(listed) == before
-    listed[1].write_text("7")
+    listed = Listed(tuple(tmp_path / f"corpus/folder/n{n}.txt" for n in (1, 2)))
+    before = digest(listed)
+    assert digest(listed) == before
+    listed.files[1].write_text("7")
     with pytest.raises(ValueError, match="folder/n2.txt: changed since it was made: run roomeq square again"):
-        audio_digest(listed)
+        digest(listed)
     (tmp_path / "corpus/folder" / DONE_FILE).unlink()
-    assert audio_digest(listed) != before
+    assert digest(listed) != before
 
 
 def test_listed_audio_is_hashed_alike_wherever_its_folder_lies(tmp_path):
@@ -185,8 +240,8 @@ def test_listed_audio_is_hashed_alike_wherever_its_folder_lies(tmp_path):
         (tmp_path / place / "folder").mkdir(parents=True)
         (tmp_path / place / "folder/x.wav").write_text("1")
     listed = [tmp_path / place / "folder/x.wav" for place in ("a", "b")]
-    here, there = (audio_digest([path], root=tmp_path / place) for path, place in zip(listed, "ab", strict=True))
-    assert here == there and audio_digest(listed[:1]) != audio_digest(listed[1:])
+    here, there = (digest(Listed((path,), root=tmp_path / place)) for path, place in zip(listed, "ab", strict=True))
+    assert here == there and digest(Listed((listed[0],))) != digest(Listed((listed[1],)))
 
 
 @pytest.mark.parametrize("name", [".audio/u1.wav", "audio/.u1.wav", "audio/u1.wav"])

@@ -167,3 +167,20 @@ def test_parts_and_jobs_give_the_same_bytes(tmp_path):
     assert (tmp_path / "jobs" / "rirs.jsonl").read_bytes() == whole
     assert (tmp_path / "parts" / "rirs.jsonl").read_bytes() == whole
     assert read_jsonl(tmp_path / "out" / "rirs.jsonl")
+
+
+def test_row_that_is_edited_while_it_is_read_is_refused(tmp_path, monkeypatch):
+    write_rir_dir(tmp_path / "in", [(row("a"), coloured_rir(0))])
+    table = tmp_path / "in/rirs.jsonl"
+
+    def read_and_edit(directory):
+        rows = read_rirs(directory)
+        table.write_text(table.read_text().replace('"hall"', '"kitchen"'))
+        return rows
+
+    monkeypatch.setattr("roomeq.corpora.characterise.read_rirs", read_and_edit)
+    with pytest.raises(ValueError, match=r"in/rirs\.jsonl: was written to meanwhile; run this again"):
+        characterise(tmp_path / "in", tmp_path / "out")
+    monkeypatch.undo()
+    characterise(tmp_path / "in", tmp_path / "out")
+    assert read_rirs(tmp_path / "out")[0]["room_id"] == "kitchen"

@@ -300,3 +300,20 @@ def test_ids_in_both_directories_are_refused(tmp_path):
     rir_dir, other = make(tmp_path / "in", {"a": 6}), make(tmp_path / "other", {"a": 2})
     with pytest.raises(ValueError, match="other: RIR a-0 has the id of an RIR of .*in: .* rename one"):
         split_rirs(rir_dir, tmp_path / "out", seed=0, sizes=(4, 1, 1), test_rirs=other)
+
+
+def test_row_that_is_edited_while_it_is_read_is_refused(tmp_path, monkeypatch):
+    make(tmp_path / "in", dict(a=3, b=3))
+    table = tmp_path / "in/rirs.jsonl"
+
+    def read_and_edit(directory):
+        rows = read_rirs(directory)
+        table.write_text(table.read_text().replace('"room_id": "a"', '"room_id": "kitchen"'))
+        return rows
+
+    monkeypatch.setattr("roomeq.corpora.split.read_rirs", read_and_edit)
+    with pytest.raises(ValueError, match=r"in/rirs\.jsonl: was written to meanwhile; run this again"):
+        split(tmp_path, tmp_path / "in", sizes=(2, 2, 2))
+    monkeypatch.undo()
+    split(tmp_path, tmp_path / "in", sizes=(2, 2, 2))
+    assert {row["room_id"] for part in SPLITS for row in read_rirs(tmp_path / f"out.{part}")} == {"b", "kitchen"}
