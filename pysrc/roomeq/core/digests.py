@@ -30,7 +30,10 @@ _NUMERICS = ("espeakng-loader", "llvmlite", "numba", "numpy", "scikit-learn", "s
 """Packages whose version decides results: numerical libraries, the compiler of the kernels, and eSpeak NG."""
 _OFFSET = re.compile(r":\d+$")
 _SHELL_SYNTAX = re.compile(r"[\s|&;<>()`'\"]+")
-_INDIRECT = re.compile(r"[$`*?]|\bcd\b")  # in a command: it may read files whose names are not among its words
+_LIST = re.compile(r"[,\s]+")  # between the names of several files in an option
+_SPECIFIER = re.compile(r"(?:ark|scp)(?:,\w+)*:")  # before the name in an rspecifier of Kaldi
+# in a command: it may read files whose names are not among its words
+_INDIRECT = re.compile(r"[$`*?]|\bcd\b|(?<![\w./-])scp(?:,\w+)*:")
 
 
 class Listed(NamedTuple):
@@ -76,15 +79,15 @@ def content_of(given: Path | Listed, *, warn: bool = True) -> Content:
     and the content of that audio too. Any other directory is hashed by the content of all its files, and of the audio
     that its tables name.
 
-    Raises
-    ------
-    ValueError
     Parameters
     ----------
     given
     warn
         Warn where commands may read files that they do not name.
 
+    Raises
+    ------
+    ValueError
         There is no such path, the directory has the formats of another version, or something in it has been lost or
         has changed since a step made it.
     """
@@ -113,10 +116,10 @@ def content_of(given: Path | Listed, *, warn: bool = True) -> Content:
                            hashes_of_input(os.path.realpath(path), files), strict=True))
     for name, content_hash in content.items():
         total.update(f"{name}\0{content_hash}\n".encode(errors="surrogateescape"))
+    hashes = {str(path / name): content_hash for name, content_hash in content.items()}
     if not stamp or stamp.refers:
         audio = audio_elsewhere(path, warn=warn)
         if stamp:
-    hashes = {str(path / name): content_hash for name, content_hash in content.items()}
             require_audio_as_stamped(path, stamp, audio)
         else:
             _require_as_stamped_above((str(file), content_hash) for file, content_hash in audio.values())
@@ -224,11 +227,11 @@ def audio_elsewhere(directory: Path, out: Path | None = None, *,
     directory : Path
     out : Path, optional
         Where the directory will lie.
+    warn : bool
+        Warn where commands may read files that they do not name.
     """
     found = _audio_in_rows(directory, _TABLES_OF_ROWS)
     with contextlib.suppress(OSError, ValueError):
-    warn : bool
-        Warn where commands may read files that they do not name.
         entries = _entries(directory)
         if warn:
             _warn_of_indirect(directory, entries)
@@ -244,8 +247,8 @@ def _warn_of_indirect(directory: Path, entries: list[str]) -> None:
     """Log a warning where commands may read files that they do not name."""
     indirect = [entry for entry in entries if entry.endswith("|") and _INDIRECT.search(entry)]
     if indirect:
-        logger.warning("%s: %d commands may read files that they name with cd, $, ` or a pattern: changes of these go "
-                       "unnoticed, and outputs stay as they are: name the files (the first: %s)",
+        logger.warning("%s: %d commands may read files that they name with cd, $, `, a pattern or a list (scp:): "
+                       "changes of these go unnoticed, and outputs stay as they are: name the files (the first: %s)",
                        directory / "wav.scp", len(indirect), indirect[0])
 
 
@@ -291,13 +294,16 @@ def names_in_entry(entry: str) -> set[str]:
 
     They are the whole entry and its words, each also without a colon and a number at its end: they are the offset in an
     archive, or part of the name. The entry is split at blanks, and again at quotes, brackets and the shell's operators
-    too, since a name may hold brackets. What follows the first ``=`` of a word is a word as well.
+    too, since a name may hold brackets. What follows the first ``=`` of a word is a word as well; so are the parts of a
+    list with commas, and what follows ``ark:`` or ``scp:``.
     """
     words = [entry.strip(), *(word.rstrip("|") for word in entry.split()), *_SHELL_SYNTAX.split(entry)]
     if {"'", '"', "\\"} & set(entry):
         words += _unquoted(entry)
     if "=" in entry:
         words += [word.partition("=")[2] for word in words]
+    words += [part for word in words if "," in word for part in _LIST.split(word)]
+    words += [_SPECIFIER.sub("", word, count=1) for word in words if _SPECIFIER.match(word)]
     return {name for word in words if word for name in (word, _OFFSET.sub("", word))}
 
 

@@ -258,7 +258,9 @@ def test_hidden_audio_of_an_input_is_in_its_digest(tmp_path, name, table, line):
 @pytest.mark.parametrize("entry", [
     "{}", "flac -c -d -s {}|", "cat {}|", "cat '{}'|", "bash -c 'flac -cds {}' |", "(flac -cds {}) |", "(cat '{}')|",
     "{{ cat {};}}|", "cat <{}|", "cat $(ls {})|", "cat {}|sox -t wav - -t wav -|", "cat {}&&true|", "dd if={}|",
-    """bash -c "cat '{}'"|""", "{}:12", "wav-copy {}:12 -|"])
+    """bash -c "cat '{}'"|""", "{}:12", "wav-copy ark,t:{} - |", "wav-copy scp:{} - |", "wav-copy 'scp,s,cs:{}' - |",
+    "wav-reverberate --additive-signals='/x/b.wav,{}' a - |", "wav-reverberate --additive-signals={},b.wav a - |",
+    "wav-reverberate --additive-signals='cat /x/b.wav |, {}' a - |", "wav-copy {}:12 -|"])
 @pytest.mark.parametrize("name", ["a.flac", "a=b{1}.flac"])
 def test_audio_that_a_command_reads_is_in_the_digest(tmp_path, entry, name):
     path = tmp_path / "elsewhere" / name
@@ -270,11 +272,12 @@ def test_audio_that_a_command_reads_is_in_the_digest(tmp_path, entry, name):
     assert digest(tmp_path / "in") != before
 
 
-@pytest.mark.parametrize("entry", ["cd wav && cat a.wav |", "cat wav/a.w* |", "F=a.wav; cat wav/$F |", "cat `ls` |"])
+@pytest.mark.parametrize("entry", ["cd wav && cat a.wav |", "cat wav/a.w* |", "F=a.wav; cat wav/$F |", "cat `ls` |",
+                                   "wav-copy scp:list.scp - |", "wav-copy 'scp,p:list.scp' - |"])
 def test_command_whose_files_cannot_be_told_is_warned_of(tmp_path, entry, caplog):
-    write_text(tmp_path / "in/wav.scp", f"u1 {entry}\nu2 flac -cds cd/$a*.flac\nu3 sox a.wav -t wav - |\n")
+    write_text(tmp_path / "in/wav.scp", f"u1 {entry}\nu2 flac -cds cd/$a*.flac\nu3 sox a/scp:a.wav -t wav - |\n")
     digest(tmp_path / "in")
-    assert "in/wav.scp: 1 commands may read files that they name with cd, $, ` or a pattern" in caplog.text
+    assert "in/wav.scp: 1 commands may read files that they name with cd, $, `, a pattern or a list (" in caplog.text
     assert entry in caplog.text
 
 
