@@ -1,16 +1,18 @@
-"""Worker processes: how many, how they end with their parent, and forked ones that inherit its memory."""
+"""Worker processes: how many, on how many threads they compute, how they end with their parent, and forked ones."""
 
 import os
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterable
-from typing import Any, TypeVar
+from functools import wraps
+from typing import Any, TypeVar, cast
 
 from roomeq.core.progress import Meter, silence, tick
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Work = TypeVar("Work", bound=Callable[..., Any])
 
 SHOWN_EVERY_S = 1.0
 """How often the progress is shown while workers are waited for [s]."""
@@ -51,11 +53,28 @@ def end_with(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
+def on_one_thread(function: Work) -> Work:
+    """Let the linear algebra within a function, and within processes that it forks, compute on one thread.
+
+    Sums over several threads differ in their last bits, and results must not depend on how many a machine has, or on
+    variables such as ``OPENBLAS_NUM_THREADS``. Libraries that are loaded within the function are not limited.
+    """
+    @wraps(function)
+    def limited(*args: Any, **kwargs: Any) -> Any:
+        from threadpoolctl import threadpool_limits
+
+        with threadpool_limits(1):
+            return function(*args, **kwargs)
+
+    return cast(Work, limited)
+
+
+@on_one_thread
 def share_out(work: Callable[[Item], Result], items: Iterable[Item], nj: int, *,
               first_here: bool = True, label: str) -> list[Result]:
     """Return ``[work(item) for item in items]``, computed by up to `nj` forked processes, which inherit the memory.
 
-    Only the results are pickled.
+    They compute on one thread each (`on_one_thread`). Only the results are pickled.
 
     Parameters
     ----------

@@ -12,6 +12,7 @@ import numpy as np
 from roomeq.core.arrays import IntArray
 from roomeq.core.build import Build
 from roomeq.core.files import write_json
+from roomeq.core.workers import on_one_thread
 from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, read_model, write_model
@@ -75,6 +76,7 @@ class Accepted(NamedTuple):
     errors: HeldOutErrors
 
 
+@on_one_thread
 def make(build: Build, directories: list[Path], test: list[Path], model: Path | None, max_effects: int, seed: int,
          nj: int) -> dict:
     """Make the loop directory of a build and return the ledger.
