@@ -110,8 +110,10 @@ def read_audio(path: Path, *, fs_hz: int = FS_HZ, start: int = 0, stop: int | No
             raise ValueError(f"{path}: samples {start} to {stop} must lie within its {file.frames}: correct the "
                              "segment")
         try:
-            file.seek(start)
-            samples = file.read(stop - start, dtype=dtype, always_2d=True)
+            skipped = 0 if _seeks_exactly(file) else start  # in one read: soundfile seeks after each
+            if start > skipped:
+                file.seek(start)
+            samples = file.read(stop - start + skipped, dtype=dtype, always_2d=True)[skipped:]
         except (soundfile.LibsndfileError, RuntimeError) as error:
             raise ValueError(f"{path}: broken audio ({error}): copy or record it again") from None
     if len(samples) != stop - start:
@@ -124,6 +126,15 @@ def read_audio(path: Path, *, fs_hz: int = FS_HZ, start: int = 0, stop: int | No
         logger.info("%s: resampled from %d to %d Hz", path, file.samplerate, fs_hz)
         samples = soxr.resample(samples, file.samplerate, fs_hz, quality="VHQ")
     return samples
+
+
+def _seeks_exactly(file: soundfile.SoundFile) -> bool:
+    """Tell whether the samples after a seek are those of the file.
+
+    A frame of MP3 may need data of those before it, which libsndfile does not read when it seeks: silence or wrong
+    samples follow. In Ogg Vorbis, other samples follow. Some telephone codecs cannot seek at all.
+    """
+    return file.seekable() and not file.subtype.startswith(("MPEG", "VORBIS"))
 
 
 def require_plausible(samples: Array, name: Path | str) -> None:

@@ -40,3 +40,15 @@ def test_flac_file_without_a_length_is_refused_with_the_reason(tmp_path):
     path.write_bytes(data)
     with pytest.raises(ValueError, match="its header does not state its length, .* encode it again"):
         read_audio(path)
+
+
+@pytest.mark.parametrize("fmt, subtype", [("MP3", "MPEG_LAYER_III"), ("OGG", "VORBIS"), ("OGG", "OPUS"),
+                                          ("FLAC", "PCM_16"), ("WAV", "IMA_ADPCM"), ("WAV", "GSM610")])
+def test_segment_holds_the_samples_of_the_whole_file(tmp_path, fmt, subtype):
+    time_s = np.arange(10 * 16000) / 16000
+    chirp = 0.3 * np.sin(2 * np.pi * (200 + 100 * time_s) * time_s) * (np.sin(8 * time_s) > 0)
+    soundfile.write(tmp_path / "a", chirp, 16000, format=fmt, subtype=subtype)
+    whole = read_audio(tmp_path / "a")
+    for start in range(0, 150000, 13131):
+        np.testing.assert_allclose(read_audio(tmp_path / "a", start=start, stop=start + 4000),
+                                   whole[start:start + 4000], atol=1e-6)
