@@ -96,7 +96,8 @@ take_lock() {
   [ "$status" -eq 0 ] || printf '%s: no locks here: let one run at a time work there\n' "$workspace" >&2
 }
 
-# inputs FILE...: declare files that the following commands depend on.
+# inputs FILE...: declare files that the following commands depend on, instead of those declared before; <(echo "$key")
+# stands for these and for the commands so far.
 inputs() {
   [ "$dry_run" = false ] || return 0
   local file

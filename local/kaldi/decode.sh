@@ -54,6 +54,7 @@ for model in tglarge fglarge; do
     --cmd "$runner" $small data/lang_test_$model "$data" "${out}_tgsmall" "${out}_$model"
   score $model
 done
+inputs "$workspace"/conf/{mfcc_hires,online_cmvn}.conf <(echo "$key")
 once "$out/online_config" steps/online/nnet3/prepare_online_decoding.sh --mfcc-config conf/mfcc_hires.conf \
   "$ali/align/lang" "${extractor[@]}" "$set" "$set/online"
 outputs="$set/online/decode_$test/lat.*.gz" once "$out/online" steps/online/nnet3/decode.sh \

@@ -30,6 +30,7 @@ if [ "$hires" = true ]; then
   made=$set.hires config=conf/mfcc_hires.conf
   [ "$train" = false ] || once "$set/features/volume" utils/data/perturb_data_dir_volume.sh "data/$made"
 fi
+inputs "$workspace/$config" <(echo "$key") # not before: commands above are shared by both kinds of features
 once "$set/features/$made" steps/make_mfcc.sh --nj "$(jobs_for "data/$made")" --cmd "$runner" --mfcc-config $config "data/$made"
 once "$set/features/$made.cmvn" steps/compute_cmvn_stats.sh "data/$made"
 once "$set/features/$made.fix" utils/fix_data_dir.sh "data/$made"

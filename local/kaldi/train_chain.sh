@@ -58,7 +58,9 @@ if [ "$dry_run" = false ]; then
   targets=$(cd "$workspace" && . ./path.sh &&
     tree-info "$ali/align/tree/tree" 2>/dev/null | awk '/num-pdfs/ {print $2}')
   xconfig "$targets" >"$workspace/$set/configs/network.xconfig"
-  inputs "$workspace/$set/configs/network.xconfig" <(echo "$key")
+  options=()
+  [ "$online_cmvn" = false ] || options=("$workspace/conf/online_cmvn.conf")
+  inputs "$workspace/$set/configs/network.xconfig" "${options[@]}" <(echo "$key")
 fi
 once "$set/nnet/configs" steps/nnet3/xconfig_to_configs.py --xconfig-file "$set/configs/network.xconfig" \
   --config-dir "$set/configs"

@@ -16,6 +16,7 @@ shift 2
 data=data/$set.hires dir=$set/ivectors
 
 after "$set/features/$set.hires.fix"
+inputs "$workspace/conf/online_cmvn.conf" <(echo "$key") # which the UBM takes over
 if [ "$dry_run" = true ]; then n=132553; else n=$(wc -l <"$workspace/$data/text"); fi # that of LibriSpeech-460
 part() { echo $((n < min_utterances ? n : n / $1 < min_utterances ? min_utterances : n / $1)); }
 once "$set/ivectors/ubm_data" utils/subset_data_dir.sh "$data" "$(part 100)" "$data.ubm"

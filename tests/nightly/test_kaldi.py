@@ -149,6 +149,34 @@ def test_once_repeats_only_after_a_change(recipe):
     assert len(counted(recipe, "--input", "in", "ws", "b")[0]) == 8
 
 
+@pytest.fixture
+def stubs(recipe):
+    """A function that runs a script of local/kaldi with Kaldi's scripts replaced by ones that do nothing."""
+    for name in ("steps/make_mfcc.sh", "steps/compute_cmvn_stats.sh", "utils/fix_data_dir.sh", "utils/copy_data_dir.sh"):
+        write_text(recipe / "ws" / name, "#!/bin/sh\n")
+        (recipe / "ws" / name).chmod(0o755)
+    (recipe / "path.sh").write_text("")
+    for name in ("conf/mfcc.conf", "conf/mfcc_hires.conf", "data/a/source", "data/a/spk2utt", "data/a.hires/spk2utt"):
+        write_text(recipe / "ws" / name, "")
+
+    def started(script, *args):
+        done = run(recipe, f"local/kaldi/{script}.sh", *args)
+        assert done.returncode == 0, done.stderr
+        return re.findall(r"kaldi: (.*)", done.stdout)
+
+    return started
+
+
+@pytest.mark.parametrize("hires, config", [("false", "mfcc.conf"), ("true", "mfcc_hires.conf")])
+def test_features_are_made_again_after_a_change_of_their_configuration(recipe, stubs, hires, config):
+    made = "a.hires" if hires == "true" else "a"
+    again = [f"a/features/{made}", f"a/features/{made}.cmvn", f"a/features/{made}.fix"]
+    assert stubs("make_features", "--hires", hires, "ws", "a")[-3:] == again
+    assert stubs("make_features", "--hires", hires, "ws", "a") == []
+    (recipe / "ws/conf" / config).write_text("--num-ceps=20\n")
+    assert stubs("make_features", "--hires", hires, "ws", "a") == again
+
+
 def test_commands_after_one_that_has_run_since_are_repeated(recipe):
     """What a later command made lay in the directory that the earlier one has made again."""
     counted(recipe, "ws", "a")
