@@ -47,7 +47,7 @@ lasting() {
 
 # once NAME COMMAND...: run a command in the workspace unless it has run before; log to <workspace>/log/NAME.log. It
 # runs again when its `lasting` words, its `inputs`, or the words of an earlier command of the same script have changed,
-# or when an earlier one has run since. With --dry-run it is printed. If two runs share a workspace, one waits for the
+# when an earlier one has run since, or when a file or directory of the workspace that its words name is gone. With --dry-run it is printed. If two runs share a workspace, one waits for the
 # other. If `outputs` holds files or a directory of the workspace, they are removed before: Kaldi leaves those of an
 # earlier run with more jobs and reads them, or refuses a directory that is there.
 once() {
@@ -69,16 +69,27 @@ once() {
   printf '%s kaldi: %s\n' "$(date +%H:%M:%S)" "$name"
   (cd "$workspace" && . ./path.sh && "$@") >"$log" 2>&1 </dev/null ||
     die "$name failed after $((SECONDS - started)) s: $(grep -v '^ *$' "$log" | tail -n 1) (log: $log)"
-  printf '%s\n' "$key" "$(date +%s%N).$$" "${earlier:-}" >"$mark.new" && mv "$mark.new" "$mark"
+  { printf '%s\n' "$key" "$(date +%s%N).$$" "${earlier:-}" && named "${@:2}"; } >"$mark.new" && mv "$mark.new" "$mark"
   is_done "$mark"
 }
 
+# named WORD...: print those words of a command that are paths of the workspace.
+named() {
+  local word
+  for word; do
+    [[ -z $word || $word == /* || ! -e $workspace/$word ]] || printf '%s\n' "$word"
+  done
+}
+
 # is_done MARK: tell whether a command's mark is that of its key, and of the earlier command as that ran last. If so, this
-# command is the earlier one of the next.
+# command is the earlier one of the next. What it named must still be there, as it may have been deleted to save space.
 is_done() {
-  local lines=()
+  local lines=() path
   [ ! -f "$1" ] || mapfile -t lines <"$1"
   [ "${lines[0]:-}" = "$key" ] && [ "${lines[2]:-}" = "${earlier:-}" ] || return 1
+  for path in "${lines[@]:3}"; do
+    [ -e "$workspace/$path" ] || return 1
+  done
   earlier=${lines[1]:-}
 }
 

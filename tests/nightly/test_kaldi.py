@@ -189,6 +189,19 @@ def test_commands_after_one_that_has_run_since_are_repeated(recipe):
     assert len(counted(recipe, "ws", "a")[0]) == 10
 
 
+def test_command_whose_output_was_deleted_is_repeated(recipe):
+    command = """once first sh -c 'mkdir -p "$1" && echo a >>count' make "out/it's one\""""
+    (recipe / "make.sh").write_text(ONCE.replace("once first", f"{command}\nonce third"))
+    (recipe / "make.sh").chmod(0o755)
+    for _ in range(2):
+        assert run(recipe, "./make.sh", "ws", "b").returncode == 0
+        assert (recipe / "ws/count").read_text().split() == ["a", "b", "b"]
+    shutil.rmtree(recipe / "ws/out")
+    assert run(recipe, "./make.sh", "ws", "b").returncode == 0
+    assert (recipe / "ws/out/it's one").is_dir()
+    assert (recipe / "ws/count").read_text().split() == ["a", "b", "b"] * 2
+
+
 def test_outputs_of_an_earlier_run_with_more_jobs_are_removed(recipe):
     (recipe / "ws/out").mkdir()
     for name in ("lat.1.gz", "lat.9.gz", "kept"):
