@@ -152,7 +152,8 @@ def test_once_repeats_only_after_a_change(recipe):
 @pytest.fixture
 def stubs(recipe):
     """A function that runs a script of local/kaldi with Kaldi's scripts replaced by ones that do nothing."""
-    for name in ("steps/make_mfcc.sh", "steps/compute_cmvn_stats.sh", "utils/fix_data_dir.sh", "utils/copy_data_dir.sh"):
+    for name in ("steps/make_mfcc.sh", "steps/compute_cmvn_stats.sh", "utils/fix_data_dir.sh",
+                 "utils/copy_data_dir.sh"):
         write_text(recipe / "ws" / name, "#!/bin/sh\n")
         (recipe / "ws" / name).chmod(0o755)
     (recipe / "path.sh").write_text("")

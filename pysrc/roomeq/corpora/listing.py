@@ -65,7 +65,7 @@ def detect_kind(source: Path) -> str:
         return "slr28"
     if find_manifest(source):
         return "table"
-    sofa, audio = _sofa_files(source), audio_files(source)
+    sofa, audio = _sofa_files(source), audio_files(source, warn=False)
     if sofa and audio:
         raise ValueError(f"{source}: holds SOFA files ({sofa[0].relative_to(source)}) and audio files "
                          f"({audio[0].relative_to(source)}): name the kind to read, sofa or folder, or list both in "

@@ -1,5 +1,6 @@
 """What every reader of measured RIRs returns, and the parsing that readers share."""
 
+import logging
 import os
 import re
 from collections import Counter
@@ -13,7 +14,13 @@ from roomeq.core.stamps import read_stamp
 from roomeq.records.geometry import find_contradiction
 from roomeq.records.schema import LARGEST, UNKNOWN, make_id
 
-AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".aiff", ".aif", ".au", ".caf", ".w64", ".mp3")
+logger = logging.getLogger(__name__)
+
+AUDIO_SUFFIXES = (".wav", ".wave", ".flac", ".ogg", ".oga", ".opus", ".aiff", ".aif", ".aifc", ".au", ".caf", ".w64",
+                  ".rf64", ".sph", ".nist", ".mp3")
+_OTHER_AUDIO_SUFFIXES = (".3gp", ".aac", ".ac3", ".amr", ".ape", ".m4a", ".m4b", ".mka", ".mp2", ".mp4", ".pcm", ".raw",
+                         ".shn", ".snd", ".voc", ".webm", ".wma", ".wv", ".wv1", ".wv2")
+"""Of files that are left out of folders: libsndfile does not read them, or not without being told how."""
 
 _UNKNOWN_CELLS = {"", "?", "-", "na", "n/a", "nan", "none", "null", "unknown"}
 _AMBIENT_WORDS = {"ambient", "ambience", "background", "isotropic", "silence", "roomtone"}
@@ -181,9 +188,17 @@ def noise_kind_of(name: str) -> str:
     return "ambient" if words & _AMBIENT_WORDS or {"room", "tone"} <= words else "point"
 
 
-def audio_files(directory: Path) -> list[Path]:
-    """Return the audio files below a directory in a fixed order, also those in linked folders, without hidden ones."""
-    return sorted(path for path in files_below(directory) if path.suffix.lower() in AUDIO_SUFFIXES)
+def audio_files(directory: Path, *, warn: bool = True) -> list[Path]:
+    """Return the audio files below a directory in a fixed order, also those in linked folders, without hidden ones.
+
+    Where files have the suffix of audio that is not read, a warning counts them, unless `warn` is false.
+    """
+    files = files_below(directory)
+    others = sorted(path for path in files if path.suffix.lower() in _OTHER_AUDIO_SUFFIXES)
+    if others and warn:
+        logger.warning("%s: %d files are left out, as audio of their format is not read (the first: %s): convert them "
+                       "to WAV or FLAC", directory, len(others), others[0].relative_to(directory))
+    return sorted(path for path in files if path.suffix.lower() in AUDIO_SUFFIXES)
 
 
 def is_sofa(path: Path) -> bool:

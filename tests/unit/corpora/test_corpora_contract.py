@@ -4,6 +4,7 @@ import json
 from itertools import product
 
 import pytest
+import soundfile
 from corpora_examples import MEASURED, make_folder, make_table, put, put_text, rir
 
 from roomeq.core.audio import read_audio
@@ -77,6 +78,20 @@ def test_changed_audio_of_a_table_remakes_the_output(tmp_path):
     assert (read_measured(table, out) / "rirs.jsonl").stat().st_mtime_ns == made
     put(tmp_path / "home" / "corpus" / "rirs" / "lab" / "one.flac", rir("longer", 900))
     assert read_rirs(read_measured(table, out))[0]["n_samples"] == 900
+
+
+def test_audio_of_every_suffix_is_read_and_other_audio_is_counted(tmp_path, caplog):
+    formats = dict(ogg="OGG", oga="OGG", opus="OGG", aifc="AIFF", rf64="RF64", sph="NIST", nist="NIST", mp3="MP3",
+                   wave="WAV", flac="FLAC", w64="W64", caf="CAF", au="AU")
+    for suffix, fmt in formats.items():
+        path = put_text(tmp_path / f"rooms/kitchen/{suffix}.{suffix}", "")
+        soundfile.write(path, rir(suffix, 8000), 16000, format=fmt, subtype="OPUS" if suffix == "opus" else None)
+    for name in ("a.m4a", "b.WMA", "notes.txt"):
+        put_text(tmp_path / "rooms/kitchen" / name, "")
+    out = read_measured(tmp_path / "rooms", tmp_path / "out", keep_suspicious=True)
+    assert {row["id"] for row in read_rirs(out)} == {f"kitchen-{suffix}" for suffix in formats}
+    assert "rooms: 2 files are left out, as audio of their format is not read (the first: kitchen/a.m4a)" in caplog.text
+    assert caplog.text.count("left out") == 1
 
 
 def test_folders_below_that_of_a_room_are_no_rooms(tmp_path):
