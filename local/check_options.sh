@@ -7,7 +7,7 @@ distribution_rule="'uniform LOW HIGH', 'normal MEAN SD', 'list A,B,...', a numbe
 in_range() { # NAME LOW HIGH: stop unless a whole number lies in this range
   [[ ${!1} -ge $2 && ${!1} -le $3 ]] || die "--${1//_/-} '${!1}' must lie in [$2, $3]"
 }
-check_option nj '[1-9][0-9]*' "at least 1"
+in_range nj 1 1024
 check_option stop_stage '[0-9]|10' "a whole number up to 10"
 check_option split_by 'rir|room' "rir or room"
 check_option split_sizes '0*[1-9][0-9]*,0*[1-9][0-9]*,0*[1-9][0-9]*' "three counts from 1, as 773,194,242"

@@ -7,6 +7,7 @@ import pytest
 from scripts import call
 
 from roomeq.augment.distribution import parse_distribution
+from roomeq.core.build import MAX_JOBS
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.eq.steps import MAX_TAPS
 
@@ -142,7 +143,7 @@ def test_recipe_accepts_the_same_snr_as_the_tools(project_dir, value):
 
 @pytest.mark.parametrize("option, low, high, step", [
     ("--num-rays", 100, 10**7, 1), ("--order", 1, 10**4, 1), ("--taps", 3, MAX_TAPS, 2),
-    ("--max-effects", 0, len(CATALOGUE), 1)])
+    ("--max-effects", 0, len(CATALOGUE), 1), ("--nj", 1, MAX_JOBS, 1)])
 def test_recipe_has_the_ranges_of_the_tools(project_dir, option, low, high, step):
     for value in (low - step, high + step):
         done = call(project_dir, "./run.sh", option, str(value), "--data", "/dev/null/data")
