@@ -44,7 +44,7 @@ from roomeq.core.digests import (
     places_of,
     require_unchanged,
 )
-from roomeq.core.files import hash_file, listing_written, path_from, sync, to_json, write_json
+from roomeq.core.files import hash_file, listing_written, output_path, path_from, sync, to_json, write_json
 from roomeq.core.item_records import ItemRecord, is_as_recorded, is_complete, read_item_record, write_item_record
 from roomeq.core.kept_hashes import KeptHashes
 from roomeq.core.progress import progress
@@ -93,7 +93,7 @@ class Build:
 
     def __init__(self, out: Path, *, step: str, options: dict[str, Any], inputs: Sequence[Path | Listed],
                  refers: bool = False) -> None:
-        self.out = Path(os.path.normpath(out))
+        self.out = output_path(out)
         self.step, self.options, self.refers, self._inputs = step, options, refers, inputs
         self._check_output()
         self._contents = [content_of(given) for given in inputs]

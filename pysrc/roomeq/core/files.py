@@ -241,9 +241,18 @@ def physical(path: Path | str) -> Path:
     return Path(os.path.realpath(path.parent)) / path.name
 
 
+def output_path(out: Path | str) -> Path:
+    """Return the path of a directory to make without ``..`` after names, and as it was given otherwise.
+
+    Where ``..`` follows a link, it leaves the directory that the link leads to: the result has links resolved.
+    """
+    shortened = Path(os.path.normpath(out))
+    return shortened if os.path.realpath(shortened) == os.path.realpath(out) else physical(out)
+
+
 def path_from(path: Path, out: Path) -> str:
     """Return the path of a file relative to the directory `out`, with links above both resolved."""
-    return os.path.relpath(physical(path), physical(os.path.normpath(out)))
+    return os.path.relpath(physical(path), physical(output_path(out)))
 
 
 def hash_file(path: Path) -> str:

@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 from roomeq.core.build import Build
+from roomeq.core.files import output_path
 from roomeq.records.rir_dir import mesh_files
 
 KINDS = ("lhotse", "espnet", "nemo", "huggingface", "roomeq")
@@ -55,7 +56,7 @@ def export(kind: str, directory: Path | str, out: Path | str, *, link: bool = Fa
         raise ValueError(f"kind={kind!r} must be one of {', '.join(KINDS)}")
     options = dict(kind=kind, link=link)
     if kind in WITH_PLACE:
-        options["place"] = os.path.abspath(out)
+        options["place"] = os.path.abspath(output_path(out))
     inputs = [Path(directory), *(mesh_files(Path(directory)) if kind == "roomeq" else [])]
     build = Build(Path(out), step="export", options=options, inputs=inputs)
     if not build.done:

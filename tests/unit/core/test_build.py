@@ -14,7 +14,7 @@ from roomeq.core import asking, build
 from roomeq.core.audio import write_wav
 from roomeq.core.build import DONE_FILE, Build, check_jobs, share
 from roomeq.core.digests import Listed, code_digest, digest, names_in_entry
-from roomeq.core.files import read_json, write_json, write_text
+from roomeq.core.files import output_path, path_from, read_json, write_json, write_text
 
 
 def make_squares(out, inputs=(), numbers=(1, 2, 3), part=None, fail_on=None, **options):
@@ -438,6 +438,16 @@ def test_output_of_an_older_format_is_made_anew(tmp_path):
     as_of_format(tmp_path / "a", 1)
     assert make_squares(tmp_path / "a", power=3) == "made"
     assert make_squares(tmp_path / "b", inputs=[tmp_path / "a"]) == "made"
+
+
+def test_output_behind_a_link_and_dots_is_made_where_the_system_finds_it(tmp_path):
+    (tmp_path / "disk/sub").mkdir(parents=True)
+    (tmp_path / "link").symlink_to("disk/sub")
+    for _ in range(2):
+        make_squares(f"{tmp_path}/link/../out")
+    assert (tmp_path / "disk/out/n1.txt").is_file() and not (tmp_path / "out").exists()
+    assert path_from(tmp_path / "disk/x.wav", Path(f"{tmp_path}/link/../out")) == "../x.wav"
+    assert output_path("a/../b") == Path("b") and output_path("../b") == Path("../b")
 
 
 def test_directory_without_a_stamp_is_not_replaced(tmp_path):
