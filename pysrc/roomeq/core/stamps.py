@@ -225,14 +225,16 @@ def check_output(out: Path, step: str, inputs: list[Path]) -> None:
     Raises
     ------
     ValueError
-        `out` cannot name a directory, is a link or a file, was made by somebody else or by another step, or an input
-        lies in it.
+        `out` cannot name a directory, is a link, a mount point or a file, was made by somebody else or by another step,
+        or an input lies in it.
     """
     if not out.name or out.name == ".." or any(c in str(out) for c in "\n\r\0"):
         raise ValueError(f"output {str(out)!r} must name a directory to make, without line breaks: choose another")
     if out.is_symlink():
         raise ValueError(f"{out}: is a link, and would be replaced: give the directory that it leads to "
                          "(directories above may be links)")
+    if os.path.ismount(out):
+        raise ValueError(f"{out}: is a mount point, which cannot be replaced: give a directory in it")
     for path in inputs:
         if _lies_in(path, out):
             raise ValueError(f"{out}: input {path} lies in it and would be lost: choose another output")

@@ -450,6 +450,12 @@ def test_output_behind_a_link_and_dots_is_made_where_the_system_finds_it(tmp_pat
     assert output_path("a/../b") == Path("b") and output_path("../b") == Path("../b")
 
 
+@pytest.mark.skipif("not os.path.ismount('/proc')", reason="needs a mount point")
+def test_mount_point_is_refused_as_output():
+    with pytest.raises(ValueError, match="/proc: is a mount point, which cannot be replaced: give a directory in it"):
+        make_squares(Path("/proc"))
+
+
 def test_directory_without_a_stamp_is_not_replaced(tmp_path):
     (tmp_path / "thesis.txt").write_text("ten years")
     with pytest.raises(ValueError, match="was not made by roomeq"):
