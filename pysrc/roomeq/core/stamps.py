@@ -11,6 +11,7 @@ refers to audio which is not as it was: whoever changes a file on purpose remove
 import hashlib
 import os
 import stat
+import time
 from pathlib import Path
 from typing import Any
 
@@ -143,8 +144,11 @@ def _is_older(directory: Path, name: str, stamped_ns: int) -> bool:
 
     It is the inode's time that tells: what is moved to here keeps its time of modification. Of a link, both its own and
     that of what it leads to must tell: a link that was set later may lead to an older file, and a file behind an older
-    link may have changed since. Within a tick of the clock, times tell nothing.
+    link may have changed since. Within a tick of the clock, times tell nothing; nor does a stamp of the future, as the
+    clock has been set back since: what was written later may seem older.
     """
+    if stamped_ns > time.time_ns():
+        return False
     return all(look(directory / part).st_ctime_ns < stamped_ns for part in (Path(name), *Path(name).parents)
                if part.name for look in (os.lstat, os.stat))
 

@@ -5,6 +5,7 @@ import pickle
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -105,6 +106,19 @@ def test_changed_content_remakes_the_directory(tmp_path):
     (tmp_path / "a" / "n2.txt").write_text("5")
     assert make_squares(tmp_path / "a") == "made"
     assert (tmp_path / "a" / "n2.txt").read_text() == "4"
+
+
+def test_file_is_read_where_the_stamp_is_of_the_future(tmp_path, monkeypatch):
+    make_squares(tmp_path / "a")
+    stamp = tmp_path / "a" / DONE_FILE
+    (tmp_path / "a/n2.txt").write_text("5")
+    time.sleep(0.02)
+    stamp.write_bytes(stamp.read_bytes())  # the edit seems older, as after the clock was set back
+    monkeypatch.setattr("roomeq.core.stamps.time.time_ns", lambda: stamp.stat().st_ctime_ns - 10 ** 9)
+    with pytest.raises(ValueError, match=r"a/n2\.txt: changed since it was made"):
+        digest(tmp_path / "a")
+    assert make_squares(tmp_path / "a") == "made"
+    assert (tmp_path / "a/n2.txt").read_text() == "4"
 
 
 def test_asking_makes_nothing_and_says_whether_the_output_is_up_to_date(tmp_path, monkeypatch):
