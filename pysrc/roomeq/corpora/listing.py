@@ -65,8 +65,8 @@ def detect_kind(source: Path) -> str:
         return "slr28"
     if find_manifest(source):
         return "table"
-    sofa, audio = _sofa_files(source), audio_files(source, warn=False)
-    if sofa and audio:
+    sofa = _sofa_files(source)
+    if sofa and (audio := audio_files(source, warn=False)):
         raise ValueError(f"{source}: holds SOFA files ({sofa[0].relative_to(source)}) and audio files "
                          f"({audio[0].relative_to(source)}): name the kind to read, sofa or folder, or list both in "
                          f"{MANIFEST}")

@@ -1,5 +1,6 @@
 """What every reader of measured RIRs returns, and the parsing that readers share."""
 
+import contextlib
 import logging
 import os
 import re
@@ -10,7 +11,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from roomeq.core.digests import files_below
-from roomeq.core.stamps import read_stamp
+from roomeq.core.files import read_json
+from roomeq.core.stamps import DONE_FILE, read_stamp
 from roomeq.records.geometry import find_contradiction
 from roomeq.records.schema import LARGEST, UNKNOWN, make_id
 
@@ -191,14 +193,33 @@ def noise_kind_of(name: str) -> str:
 def audio_files(directory: Path, *, warn: bool = True) -> list[Path]:
     """Return the audio files below a directory in a fixed order, also those in linked folders, without hidden ones.
 
-    Where files have the suffix of audio that is not read, a warning counts them, unless `warn` is false.
+    Files in a folder below it that a step of roomeq made are left out: an output that lies in the folder of its source
+    would otherwise be read as a part of the source when the step runs again. Warnings count them, and files with the
+    suffix of audio that is not read, unless `warn` is false.
     """
     files = files_below(directory)
-    others = sorted(path for path in files if path.suffix.lower() in _OTHER_AUDIO_SUFFIXES)
-    if others and warn:
+    folders = {path.parent for path in files}
+    below = {above for folder in folders for above in (folder, *folder.parents)
+             if above != directory and above.is_relative_to(directory)}
+    outputs = {folder for folder in below if _is_output(folder)}
+    of_others = [path for path in files if outputs.isdisjoint(path.parents)]
+    kept, made = (sorted(path for path in some if path.suffix.lower() in AUDIO_SUFFIXES) for some in (of_others, files))
+    unread = sorted(path for path in of_others if path.suffix.lower() in _OTHER_AUDIO_SUFFIXES)
+    if warn and len(kept) < len(made):
+        logger.warning("%s: %d audio files in folders below it that roomeq made (%s) are left out", directory,
+                       len(made) - len(kept), ", ".join(map(str, sorted(outputs))))
+    if warn and unread:
         logger.warning("%s: %d files are left out, as audio of their format is not read (the first: %s): convert them "
-                       "to WAV or FLAC", directory, len(others), others[0].relative_to(directory))
-    return sorted(path for path in files if path.suffix.lower() in AUDIO_SUFFIXES)
+                       "to WAV or FLAC", directory, len(unread), unread[0].relative_to(directory))
+    return kept
+
+
+def _is_output(folder: Path) -> bool:
+    """Tell whether a step of roomeq made a folder; other programs write files called `.done` too."""
+    with contextlib.suppress(ValueError, OSError):
+        stamp = read_json(folder / DONE_FILE)
+        return isinstance(stamp, dict) and "step" in stamp
+    return False
 
 
 def is_sofa(path: Path) -> bool:

@@ -68,7 +68,8 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
     ------
     ValueError
         The path is not a speech corpus, a set is missing, transcripts and audio do not match, two utterances share an
-        id, an audio file is broken or sampled below 16 kHz, or the channel of a Kaldi data directory is to be chosen.
+        id, an audio file is broken or sampled below 16 kHz, the channel of a Kaldi data directory is to be chosen, or
+        `out` is the corpus itself.
     """
     source, out = Path(source), Path(out)
     wanted = {"train": tuple(train_sets), "dev": tuple(dev_sets), "test": tuple(test_sets)}
@@ -78,6 +79,9 @@ def prepare_speech(source: Path, out: Path, *, train_sets: Iterable[str] = (), d
         raise ValueError(f"channel={channel} must be 0 or more: channels are counted from 0")
     if not source.exists():
         raise ValueError(f"{source}: no such file or directory: check the path of the speech corpus")
+    if os.path.realpath(out) == os.path.realpath(source):
+        raise ValueError(f"{out}: is the folder of the speech corpus, which would be read together with the data "
+                         "directories when this step runs again: choose another output")
     corpus = list_speech(source, wanted)
     if channel and any(_sorted_out(listed)[0] for listed in corpus.values()):
         raise ValueError(f"{source}: channel={channel} must be 0, as the audio of a Kaldi data directory is not "

@@ -10,8 +10,9 @@ from corpora_examples import MEASURED, make_folder, make_table, put, put_text, r
 from roomeq.core.audio import read_audio
 from roomeq.core.files import read_json
 from roomeq.corpora import read_measured
+from roomeq.corpora import read_noises as read_noise_folder
 from roomeq.corpora.listing import detect_kind
-from roomeq.corpora.record import rir_row
+from roomeq.corpora.record import audio_files, rir_row
 from roomeq.export import export
 from roomeq.records.rir_dir import load_rir, read_noises, read_rirs, validate_rirs
 from roomeq.records.schema import is_id
@@ -224,3 +225,21 @@ def test_shared_recordings(shared_data, tmp_path):
     assert q301["room_dims_m"] == [10.78, 6.94, 2.60] and q301["mic_pos_m"] == [1.75, 4.12, 1.23]
     noises = read_noises(out)
     assert len(noises) == 19 and sum(noise["kind"] == "point" for noise in noises) == 2
+
+
+def test_outputs_below_a_source_are_not_read_again(tmp_path, caplog):
+    source = make_folder(tmp_path / "rooms")
+    first = read_rirs(read_measured(source, source / "out"))
+    caplog.set_level("INFO")
+    assert read_rirs(read_measured(source, source / "out")) == first and "up to date" in caplog.text
+    assert f"({source / 'out'}) are left out" in caplog.text
+    put(source / "foreign" / "a.wav", rir("another"))
+    put_text(source / "foreign" / ".done", "")
+    assert len(read_rirs(read_measured(source, source / "out"))) == len(first) + 1
+    noises = put(tmp_path / "noises" / "hum.wav").parent
+    assert [len(read_noises(read_noise_folder(noises, noises / "out"))) for _ in range(2)] == [1, 1]
+
+
+def test_a_stamped_source_is_read_itself(tmp_path):
+    made = read_measured(make_folder(tmp_path / "rooms"), tmp_path / "out")
+    assert len(audio_files(made)) == len(list(made.rglob("*.wav"))) > 0

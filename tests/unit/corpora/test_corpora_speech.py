@@ -58,6 +58,17 @@ def test_folders_of_speakers_may_be_links_and_their_names_may_begin_alike(tmp_pa
     assert sorted(set(speakers)) == ["Anna", "Anna_Maria", "Bob", "Carl"] and len(speakers) == 8
 
 
+def test_data_directories_below_the_speech_are_not_read_again(tmp_path, monkeypatch):
+    for n in range(12):
+        put(tmp_path / f"speaker{n}" / "a.wav", rir(f"{n}", 1600), fs_hz=48000)  # converted audio is written to data
+    monkeypatch.chdir(tmp_path)
+    first, again = ([(path / "wav.scp").read_text() for path in prepare_speech(Path(), Path("data"))]
+                    for _ in range(2))
+    assert again == first and sum(text.count("\n") for text in first) == 12
+    with pytest.raises(ValueError, match="is the folder of the speech corpus"):
+        prepare_speech(tmp_path, Path())
+
+
 @pytest.mark.parametrize("below", [".", "LibriSpeech"])
 def test_librispeech_matches_the_stock_recipe(tmp_path, below):
     source = tmp_path / "corpus"
