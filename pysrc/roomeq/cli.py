@@ -15,6 +15,7 @@ import click
 
 from roomeq import __version__
 from roomeq.core.asking import NotUpToDate, only_ask
+from roomeq.core.extras import absent
 from roomeq.core.limits import LIMITS
 from roomeq.core.progress import LineHandler
 
@@ -22,9 +23,6 @@ NOT_UP_TO_DATE = 3
 """Exit status where ``--ask`` is answered with no."""
 MAX_MESSAGE = 1500
 """Longest message printed; of a longer one, only beginning and end are printed."""
-
-_EXTRA_OF = {"jinja2": "report", "matplotlib": "report", "rapidfuzz": "wer", "sofar": "sofa", "trimesh": "mesh"}
-"""Extra of the package that installs each optional module."""
 
 _REMEDIES = {errno.ENAMETOOLONG: "shorten the name"} | dict.fromkeys(
     (errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "free some space, or choose another output") | dict.fromkeys(
@@ -91,10 +89,7 @@ class Verb(click.Command):
         except (ValueError, OSError) as error:
             return failed(one_line(error))
         except ModuleNotFoundError as error:
-            package = (error.name or "").split(".")[0]
-            extra = _EXTRA_OF.get(package)
-            return failed(f"the package {package} is not installed: "
-                          + (f"pip install 'roomeq[{extra}]'" if extra else "install roomeq again"))
+            return failed(absent((error.name or "").split(".")[0]))
         except NotUpToDate:
             return NOT_UP_TO_DATE
         except (MemoryError, BrokenExecutor) as error:

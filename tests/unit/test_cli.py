@@ -9,10 +9,13 @@ import sys
 import click
 import numpy as np
 import pytest
+from plans import box_plan, prism_obj
+from rirmaker import coloured_rir, row, write_rir_dir
 
 from roomeq import __version__
 from roomeq.cli import NOT_UP_TO_DATE, Verb, cli, main
 from roomeq.core.audio import write_wav
+from roomeq.core.extras import absent
 
 VERBS = cli.commands
 
@@ -153,6 +156,47 @@ def test_a_missing_optional_package_names_its_extra(monkeypatch, capsys):
     monkeypatch.setattr(Verb, "load", load)
     assert main(["wer", "--rirs", "rirs", "workspace", "out"]) == 1
     assert capsys.readouterr().err == "roomeq: the package rapidfuzz is not installed: pip install 'roomeq[wer]'\n"
+
+
+@pytest.mark.parametrize("package, extra", [("markupsafe", "report"), ("click", None)])
+def test_the_remedy_for_an_absent_package_is_its_extra(package, extra):
+    assert absent(package).endswith(f"'roomeq[{extra}]'" if extra else "install roomeq again")
+
+
+def run_without(packages, code, *arguments):
+    """Run code in a process in which some packages are not installed."""
+    absent_ones = f"import sys; sys.modules |= dict.fromkeys({packages})\n"
+    return subprocess.run([sys.executable, "-c", absent_ones + code, *map(str, arguments)], capture_output=True,
+                          text=True, timeout=300, check=False)
+
+
+def test_numbers_are_shown_without_packages_for_pages(tmp_path):
+    for name, time_s in (("a", 0.3), ("b", 0.5)):
+        write_wav(tmp_path / f"{name}.wav", coloured_rir(1, time_s=time_s))
+        write_rir_dir(tmp_path / name, [(row("r1"), coloured_rir(1, time_s=time_s))])
+    (tmp_path / "room.obj").write_text(prism_obj(box_plan(6.0, 4.0), 3.0))
+    code = """
+import os
+from roomeq.cli import main
+os.chdir(sys.argv[1])
+for words in ("show a.wav", "compare a.wav b.wav", "show a", "compare a b", "show room.obj"):
+    assert main(words.split()) == 0, words
+for suffix in ("html", "png"):
+    assert main(["show", "a.wav", "--out", f"a.{suffix}"]) == 1
+"""
+    done = run_without(["jinja2", "markupsafe", "matplotlib", "sofar"], code, tmp_path)
+    assert done.stderr == 2 * "roomeq: the package matplotlib is not installed: pip install 'roomeq[report]'\n"
+
+
+@pytest.mark.parametrize("package, extra, call", [
+    ("matplotlib", "report", "plot_rir([1.0, 0.1] + 4000 * [0.0], 16000)"),
+    ("trimesh", "mesh", "Room(sys.argv[1], t60_s=0.5)"),
+    ("sofar", "sofa", "read_directivity(sys.argv[1], (1, 0, 0))")])
+def test_python_functions_name_the_extra_they_need(tmp_path, package, extra, call):
+    (tmp_path / "room.obj").write_text(prism_obj(box_plan(6.0, 4.0), 3.0))
+    done = run_without([package], f"from roomeq import *; import roomeq; roomeq.{call}", tmp_path / "room.obj")
+    assert done.stderr.splitlines()[-1] == (
+        f"ModuleNotFoundError: the package {package} is not installed: pip install 'roomeq[{extra}]'")
 
 
 @pytest.fixture(scope="module")

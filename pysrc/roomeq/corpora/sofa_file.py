@@ -16,6 +16,7 @@ import numpy as np
 
 from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import MAX_RATE_HZ
+from roomeq.core.extras import require_packages
 from roomeq.core.limits import AUDIO_HOURS, max_audio_samples
 from roomeq.corpora.record import Recording, is_binaural_name, rir_row
 from roomeq.records.schema import LARGEST
@@ -92,6 +93,7 @@ def open_sofa(path: Path) -> Any:
     ValueError
         The file cannot be read as SOFA, or is too large.
     """
+    require_packages("sofar")
     import sofar
 
     if path.suffix != ".sofa":  # which `sofar` would put in place of another one

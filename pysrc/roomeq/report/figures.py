@@ -10,23 +10,18 @@ import re
 import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
-from matplotlib.font_manager import FontProperties
-from matplotlib.textpath import TextPath
-from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter
 
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.report.formats import data_uri
 from roomeq.report.rir_sets import column_percentiles
 from roomeq.report.style import COLOUR_VARIABLES, LIGHT
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SIZE_IN, SMALL_IN = (4.4, 3.1), (3.5, 2.8)
 CSS_PIXELS_PER_INCH = 96
@@ -49,7 +44,7 @@ LEGEND_KEY_IN = 0.56
 LEGEND_MARGIN_IN = 0.15
 POINTS_PER_INCH = 72.0
 
-Draw = Callable[[Axes, dict[str, str]], None]
+Draw = Callable[["Axes", dict[str, str]], None]
 
 
 @dataclass(frozen=True)
@@ -83,6 +78,10 @@ def panel(ident: str, draw: Draw, alt: str, size_in: tuple[float, float] = SIZE_
 
 def render_svg(draw: Draw, size_in: tuple[float, float] = SIZE_IN) -> bytes:
     """Render an SVG document that follows the colour scheme of the reader; equal drawings give equal bytes."""
+    import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
     light: Any = settings(LIGHT)  # matplotlib types each key of its settings
     with matplotlib.rc_context(light):
         figure = Figure(figsize=size_in, layout="constrained")
@@ -111,7 +110,7 @@ def settings(colours: dict[str, str]) -> dict[str, Any]:
     }
 
 
-def legend(axes: Axes) -> None:
+def legend(axes: "Axes") -> None:
     """Put the legend above the axes, in as many columns as fit; a label that is too long is wrapped."""
     handles, labels = axes.get_legend_handles_labels()
     if not labels:
@@ -134,6 +133,9 @@ def _legend_width_in(labels: list[str], columns: int) -> float:
 
 def _text_width_in(text: str) -> float:
     """Return the width of a label of the legend [inch]."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import TextPath
+
     size_pt = FontProperties(size=LEGEND_SIZE_PT)
     return float(TextPath((0, 0), text, prop=size_pt).get_extents().width) / POINTS_PER_INCH if text.strip() else 0.0
 
@@ -147,8 +149,10 @@ def _wrapped(text: str, width_in: float) -> str:
     return text
 
 
-def log_frequency(axes: Axes, low_hz: float = 50.0, high_hz: float = 8600.0, along: str = "x") -> None:
+def log_frequency(axes: "Axes", low_hz: float = 50.0, high_hz: float = 8600.0, along: str = "x") -> None:
     """Make an axis logarithmic in frequency, with the octave bands as ticks."""
+    from matplotlib.ticker import FixedLocator, NullFormatter
+
     axis = axes.xaxis if along == "x" else axes.yaxis
     (axes.set_xscale if along == "x" else axes.set_yscale)("log")
     (axes.set_xlim if along == "x" else axes.set_ylim)(low_hz, high_hz)
@@ -168,7 +172,7 @@ def frequency_responses(curves: list[tuple[str, str, FloatArray]], limits_db: tu
     curves : list of (label, colour name, level_db)
         `level_db` has shape (257,): bins of 31.25 Hz, relative to 1 kHz.
     """
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         for label, colour, level_db in curves:
             frequency_hz = np.arange(len(level_db)) * FS_HZ / (2 * (len(level_db) - 1))
             points = [round(f * 2 * (len(level_db) - 1) / FS_HZ) for f in BANDS_HZ]
@@ -192,7 +196,9 @@ def eq_curves(title: str, eq_db: FloatArray, colour: str, limits_db: tuple[float
     limits_db : tuple of 2 floats
         Limits of the vertical axis.
     """
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
+        from matplotlib.collections import LineCollection
+
         every = max(1, -(-len(eq_db) // MAX_CURVES))
         lines = [np.column_stack([BANDS_HZ, row])[np.isfinite(row)] for row in eq_db[::every]]
         axes.add_collection(LineCollection(lines, colors=colours[colour], linewidths=0.5,
@@ -238,7 +244,7 @@ def spectrogram(title: str, rir: FloatArray, duration_s: float, fs_hz: int = FS_
     power = np.abs(np.fft.rfft(frames * np.hanning(n_fft), axis=1).T[1:]) ** 2
     level_db = 10 * np.log10(np.maximum(power, 1e-30) / max(power.max(), 1e-30))
 
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         edges_hz = (np.arange(len(level_db) + 1) + 0.5) * fs_hz / n_fft
         edges_s = np.arange(level_db.shape[1] + 1) * hop / fs_hz
         mesh = axes.pcolormesh(edges_s, edges_hz, level_db, vmin=-60, vmax=0, cmap="magma", rasterized=True)
@@ -266,7 +272,9 @@ def histogram(title: str, groups: list[tuple[str, str, FloatArray]], edges: Floa
     unit : str
         The counted items.
     """
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
+        from matplotlib.ticker import MaxNLocator
+
         styles = itertools.cycle(["-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1))])
         for n, ((name, colour, values), style) in enumerate(zip(groups, styles, strict=False)):
             if n == 0:
@@ -285,7 +293,7 @@ def histogram(title: str, groups: list[tuple[str, str, FloatArray]], edges: Floa
 
 def target_and_achieved(target_s: FloatArray, achieved_s: FloatArray) -> Draw:
     """Draw achieved against target reverberation times [s], with the 5 % band."""
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         top = 1.05 * max(target_s.max(), achieved_s.max())
         line = np.array([0.0, top])
         axes.fill_between(line, 0.95 * line, 1.05 * line, color=colours["extra"], alpha=0.25, lw=0, label="±5 %")
@@ -327,7 +335,7 @@ def per_point(groups: list[PointSeries], label: str, limits: dict[str, float]) -
     limits : dict
         Horizontal lines by legend entry.
     """
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         for n, group in enumerate(groups):
             x = np.arange(len(BANDS_HZ)) + 0.16 * (n - (len(groups) - 1) / 2)
             axes.vlines(x, group.value, group.top, color=colours[group.colour], lw=1.4, alpha=0.7)

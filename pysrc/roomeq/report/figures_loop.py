@@ -2,13 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from roomeq.core.arrays import FloatArray
 from roomeq.report.figures import TICK_LABELS, Draw, legend, log_frequency
 from roomeq.report.formats import with_minus
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 # the text stands on the colours of the map, which do not follow the page's colour scheme
 _ON_DARK, _ON_BRIGHT = "#fefefe", "#101010"
@@ -89,7 +92,7 @@ def residual_map(title: str, size_jnd: FloatArray, regions: Sequence[str], large
     largest_jnd : float
         End of the colour scale, the same in panels to be compared.
     """
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         top = max(largest_jnd, _MIN_SCALE_JND)
         axes.imshow(np.ma.masked_invalid(size_jnd), vmin=0, vmax=top, cmap="magma", aspect="auto")
         for (y, x), value in np.ndenumerate(size_jnd):
@@ -116,7 +119,7 @@ def ranking(title: str, candidates: list[Candidate], chosen: str | None) -> Draw
     chosen : str, optional
         Name of the effect that was added.
     """
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         y = np.arange(len(candidates))
         low, high = (np.array([getattr(candidate, end) for candidate in candidates]) for end in ("low", "high"))
         shades = [colours["compensated" if candidate.name == chosen else "extra"] for candidate in candidates]
@@ -138,7 +141,7 @@ def ranking(title: str, candidates: list[Candidate], chosen: str | None) -> Draw
 
 def before_and_after(names: list[str], before: list[float], after: list[float], ceiling: list[float]) -> Draw:
     """Draw errors before and after and their ceiling by name [JND]; NaN omits an error."""
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         y = np.arange(len(names))
         axes.hlines(y, before, after, color=colours["line"], lw=3)
         axes.plot(before, y, "s", color=colours["simulated"], ms=5, label="before")
@@ -154,7 +157,7 @@ def before_and_after(names: list[str], before: list[float], after: list[float], 
 
 def response_curves(title: str, frequencies_hz: Sequence[float], responses: list[ResponseBand]) -> Draw:
     """Draw frequency responses with their intervals."""
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         names = ("measured", "simulated", "compensated", "drawn", "extra")
         for n, response in enumerate(responses):
             colour = colours[names[n % len(names)]]
@@ -172,7 +175,7 @@ def response_curves(title: str, frequencies_hz: Sequence[float], responses: list
 
 def draw_curves(curves: Curves) -> Draw:
     """Draw curves of a measured RIR and of its simulations."""
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         for (name, colour, values), style, width in zip(curves.lines, ("-", "--", "-"), (2.4, 1.2, 1.2), strict=True):
             axes.plot(curves.x, values, style, color=colours[colour], lw=width, label=name,
                       alpha=0.55 if colour == "measured" else 1.0)

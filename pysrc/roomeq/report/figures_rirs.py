@@ -1,14 +1,17 @@
 """Figure panels of RIRs and of sets of RIRs: differences from measured ones, decay times and echograms."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from roomeq.acoustics.jnd import LEVEL_JND_DB
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BANDS_HZ
 from roomeq.report.figures import MARKERS, Draw, legend, log_frequency
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 LOWEST_DB = -60.0
 
@@ -40,7 +43,7 @@ def eq_differences(groups: list[tuple[str, str, FloatArray]]) -> Draw:
     groups : list of (label, colour name, difference_db)
         `difference_db` has shape (8,); NaN omits a point.
     """
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         axes.axhspan(-LEVEL_JND_DB, LEVEL_JND_DB, color=colours["extra"], alpha=0.2, lw=0, label="just noticeable")
         axes.axhline(0.0, color=colours["measured"], lw=1.4, label="measured")
         for label, colour, difference_db in groups:
@@ -54,7 +57,7 @@ def eq_differences(groups: list[tuple[str, str, FloatArray]]) -> Draw:
 
 def decay_over_frequency(groups: list[BandSeries]) -> Draw:
     """Draw reverberation times over frequency relative to that at 1 kHz, with the range of the middle 90 %."""
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         for n, group in enumerate(groups):
             x = np.array(BANDS_HZ) * 2 ** (0.1 * (n - (len(groups) - 1) / 2))
             axes.vlines(x, group.low, group.high, color=colours[group.colour], lw=1.3, alpha=0.6)
@@ -77,7 +80,7 @@ def echogram(title: str, curves: list[tuple[str, str, FloatArray]], step_s: floa
     step_s : float
         Duration of a frame [s].
     """
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         for label, colour, level_db in curves:
             axes.plot(1000.0 * step_s * (np.arange(len(level_db)) + 0.5), level_db, color=colours[colour], lw=1.1,
                       alpha=0.85, label=label)

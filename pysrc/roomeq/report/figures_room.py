@@ -1,12 +1,15 @@
 """Figure panels of a room: plan and section with source, microphones and first reflections."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 
 from roomeq.core.arrays import FloatArray
 from roomeq.report.figures import Draw, legend
 from roomeq.report.room_map import RoomMap
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 VIEWS = {"plan": (0, 1), "section": (0, 2)}
 """Axes of each view: the plan from above, and the section seen from the south."""
@@ -19,7 +22,9 @@ def room_view(room: RoomMap, view: str, title: str | None = None) -> Draw:
     """Draw the plan or the section of a room, with the name of the view or another title."""
     across, up = VIEWS[view]
 
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
+        from matplotlib.collections import LineCollection
+
         axes.add_collection(LineCollection(list(room.edges_m[:, :, (across, up)]), colors=colours["ink"],
                                            linewidths=1.4 if len(room.edges_m) < 40 else 0.6))
         for number, reflection in enumerate(room.reflections):
@@ -49,13 +54,13 @@ def room_view(room: RoomMap, view: str, title: str | None = None) -> Draw:
     return draw
 
 
-def _mark(axes: Axes, position_m: FloatArray, marker: str, colour: str, label: str) -> None:
+def _mark(axes: "Axes", position_m: FloatArray, marker: str, colour: str, label: str) -> None:
     """Mark a position whose coordinates are known."""
     if np.isfinite(position_m).all():
         axes.plot(*position_m, marker, color=colour, ms=7, label=label, lw=0)
 
 
-def _set_limits(axes: Axes, points: FloatArray) -> None:
+def _set_limits(axes: "Axes", points: FloatArray) -> None:
     low, high = points.min(axis=0), points.max(axis=0)
     margin = _MARGIN * float((high - low).max())
     axes.set_xlim(low[0] - margin, high[0] + margin)

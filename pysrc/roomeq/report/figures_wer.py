@@ -1,12 +1,15 @@
 """Figure panels of the section on word error rates."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from roomeq.core.arrays import FloatArray
 from roomeq.report.figures import Draw, legend
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class Rates:
 
 def rates(rows: list[str], sets: list[Rates]) -> Draw:
     """Draw word error rates with their intervals."""
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         for n, group in enumerate(sets):
             y = np.arange(len(rows)) + 0.22 * (n - (len(sets) - 1) / 2)
             for position, interval in zip(y, group.intervals, strict=True):
@@ -59,7 +62,7 @@ def rooms(title: str, points: FloatArray, mean: float, interval: tuple[float, fl
     limit : float
         The vertical axis extends from ``-limit`` to `limit`, the same in panels to be compared.
     """
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         if interval is not None:
             axes.axhspan(*interval, color=colours["compensated"], alpha=0.18, lw=0)
         axes.axhline(mean, color=colours["compensated"], lw=1.3, label="all rooms, 95 %")

@@ -5,9 +5,9 @@ draws both in the same panels.
 """
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.core.arrays import FloatArray
@@ -16,6 +16,9 @@ from roomeq.report.figures import TICKS, Draw, legend, log_frequency
 from roomeq.report.formats import hertz, with_minus
 from roomeq.report.room_map import Reflection
 from roomeq.show.analysis import FRAME_S, LOWEST_DB, AnalysedRir
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 COLOURS = ("measured", "simulated")
 """Colours of the first and of the second RIR."""
@@ -30,7 +33,7 @@ _HALF_FRAME_S = 0.016  # of the spectrogram
 
 def waveform(rirs: Sequence[AnalysedRir]) -> Draw:
     """Draw the samples relative to their maximum; long responses as the range of values in each column."""
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         for rir, colour in zip(rirs, COLOURS, strict=False):
             samples = rir.samples / np.abs(rir.samples).max()
             n_each = -(-len(samples) // _N_COLUMNS)
@@ -50,7 +53,7 @@ def waveform(rirs: Sequence[AnalysedRir]) -> Draw:
 
 def early_reflections(rirs: Sequence[AnalysedRir], reflections: Sequence[Reflection] = ()) -> Draw:
     """Draw the level of the first 60 ms, with the arrivals that the geometry predicts for the first reflections."""
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         for rir, colour in zip(rirs, COLOURS, strict=False):
             level_db = _smoothed_level_db(rir)
             time_ms = 1e3 * ((np.arange(len(level_db))) / rir.fs_hz - rir.direct_s)
@@ -85,7 +88,7 @@ def label_lines(times_ms: Sequence[float]) -> list[int]:
 
 def echogram(rir: AnalysedRir, title: str = "Echogram by octave band") -> Draw:
     """Draw the energy of each octave band in frames of 5 ms."""
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         levels_db = rir.band_levels_db[:, :max(2, round(rir.shown_s() / FRAME_S))]
         end_s = levels_db.shape[1] * FRAME_S
         mesh = axes.pcolormesh(np.linspace(0.0, end_s, levels_db.shape[1] + 1), np.arange(len(levels_db) + 1) - 0.5,
@@ -110,7 +113,7 @@ def spectrogram(rir: AnalysedRir, title: str = "Spectrogram") -> Draw:
 
 def decay(rirs: Sequence[AnalysedRir], number: int) -> Draw:
     """Draw the decay curve of one octave band with the fitted slope and the noise intersection."""
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         for rir, colour in zip(rirs, COLOURS, strict=False):
             band = rir.decays[number]
             if len(rirs) == 1:
@@ -138,7 +141,7 @@ def decay(rirs: Sequence[AnalysedRir], number: int) -> Draw:
 
 def response(rirs: Sequence[AnalysedRir]) -> Draw:
     """Draw the frequency response with the octave bands of the EQ marked."""
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         marked = [np.interp(rir.bands_hz, *rir.response) for rir in rirs]
         limits = figures.common_limits(*(_audible(rir) for rir in rirs), marked=marked)
         for rir, points_db, colour in zip(rirs, marked, COLOURS, strict=False):
@@ -157,7 +160,7 @@ def response(rirs: Sequence[AnalysedRir]) -> Draw:
 
 def decay_times(rirs: Sequence[AnalysedRir]) -> Draw:
     """Draw EDT, T20 and T30 over frequency; hollow markers are values that are not valid."""
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         styles = {"t30": ("o", "-"), "t20": ("s", "--"), "edt": ("^", ":")}
         for rir, colour in zip(rirs, COLOURS, strict=False):
             for metric, (marker, line) in styles.items() if len(rirs) == 1 else [("t30", ("o", "-"))]:

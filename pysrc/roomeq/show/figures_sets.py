@@ -1,10 +1,9 @@
 """Figure panels of one or two sets of RIRs: distributions, values by room, and parameters over frequency."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from roomeq.core.arrays import FloatArray
 from roomeq.report import figures
@@ -14,6 +13,9 @@ from roomeq.show.analysis import reverberation_time_s, value_of
 from roomeq.show.inputs import RirSet
 from roomeq.show.sheet import plot_text
 from roomeq.show.tables import c50_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 COLOURS = ("measured", "simulated")
 MAX_ROOMS = 24
@@ -47,7 +49,7 @@ def by_room(of_set: RirSet, quantity: Quantity) -> Draw:
     values = {room: known(value(of_set.parameters[n]) for n in numbers) for room, numbers in largest}
     ordered = sorted((room for room in values if len(values[room])), key=lambda room: float(np.median(values[room])))
 
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         for y, room in enumerate(ordered):
             axes.plot(values[room], np.full(len(values[room]), y), "o", color=colours["measured"], ms=3.5, mew=0,
                       alpha=0.45, label="RIR" if y == 0 else None)
@@ -76,7 +78,7 @@ def over_frequency(sets: Sequence[RirSet], metric: str, label: str) -> Draw:
     label : str
         Label of the vertical axis, with its unit.
     """
-    def draw(axes: Axes, colours: dict[str, str]) -> None:
+    def draw(axes: "Axes", colours: dict[str, str]) -> None:
         every = [band_values(of_set, metric) for of_set in sets]
         for name, values, colour in zip(labels_of(sets), every, COLOURS, strict=False):
             bands_hz = list(figures.TICKS)[:values.shape[1]]

@@ -109,11 +109,17 @@ def compared_sets(first: RirSet, second: RirSet, pairs: Pairs) -> Context:
     """Return what the template of two sets shows."""
     sets = [first, second]
     return {"labels": labels_of(sets), "counts": [len(of_set.rows) for of_set in sets],
-            "left_out": sum(len(of_set.left_out) for of_set in sets), "n_pairs": len(pairs.numbers),
-            "distributions": distribution_panels(sets), "frequency_panels": set_frequency_panels(sets),
+            "left_out": sum(len(of_set.left_out) for of_set in sets), "distributions": distribution_panels(sets),
+            "frequency_panels": set_frequency_panels(sets),
             "columns": [("Octave", "text"), *((tables.HEADINGS[metric], "interval") for metric in METRICS)],
-            "medians": median_rows(first, second), "median_drr": median_drr(first, second),
-            "paired": paired_rows(pairs), "drr": paired_text(pairs.differences["drr"][:, 0]) if pairs.numbers else None}
+            "drr": paired_text(pairs.differences["drr"][:, 0]) if pairs.numbers else None,
+            **compared_values(first, second, pairs)}
+
+
+def compared_values(first: RirSet, second: RirSet, pairs: Pairs) -> Context:
+    """Return the numbers of two sets, without figures."""
+    return {"n_pairs": len(pairs.numbers), "medians": median_rows(first, second),
+            "median_drr": median_drr(first, second), "paired": paired_rows(pairs)}
 
 
 def median_rows(first: RirSet, second: RirSet) -> list[list[str]]:

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-
-from markupsafe import Markup
+from typing import TYPE_CHECKING
 
 from roomeq.core.audio import audio_info
 from roomeq.records.schema import RirRow
@@ -19,6 +18,7 @@ from roomeq.show.page_compare import (
     compared_rirs,
     compared_sets,
     compared_summary,
+    compared_values,
     pair_rirs,
     typical_pair,
 )
@@ -27,6 +27,9 @@ from roomeq.show.page_set import set_context, set_facts
 from roomeq.show.sheet import png
 from roomeq.show.step import PICTURE
 from roomeq.show.tables import METRICS, as_text
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 Part = tuple[str, str, Context]
 """Template of a section, its title, and what it shows."""
@@ -99,7 +102,7 @@ def two_sets(first: Path, second: Path, suffix: str | None, ident: str | None, s
     elif pairs.numbers:
         chosen = typical_pair(pairs)
     if suffix is None:
-        return _sets_text(a, b, compared_sets(a, b, pairs))
+        return _sets_text(a, b, compared_values(a, b, pairs))
     parts: list[Part] = [("sets", "Both sets", compared_sets(a, b, pairs))]
     if chosen is not None:
         number_a, number_b = pairs.numbers[chosen]

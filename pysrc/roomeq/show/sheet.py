@@ -1,17 +1,17 @@
 """Figures of several panels: for PNG files, and for notebooks."""
 
+import functools
 import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import matplotlib
-from matplotlib.figure import Figure
-
+from roomeq.core.extras import require_packages
 from roomeq.report import figures
 from roomeq.report.figures import Draw
 from roomeq.report.style import LIGHT
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from numpy.typing import ArrayLike
 
 _PANEL_IN = (4.4, 3.2)
@@ -23,16 +23,25 @@ def plot_text(text: str) -> str:
     return (" " if text.startswith("_") else "") + text.replace("$", r"\$")
 
 
-class Sheet(Figure):
-    """A figure that notebooks show, whether or not pyplot is in use."""
+@functools.cache
+def _sheet_class() -> "type[Figure]":
+    """Return the class of figures that notebooks show, whether or not pyplot is in use."""
+    require_packages("matplotlib")
+    from matplotlib.figure import Figure
 
-    def _repr_png_(self) -> bytes:
-        stream = io.BytesIO()
-        self.savefig(stream, format="png", dpi=_DPI, metadata=dict(Software=None))
-        return stream.getvalue()
+    class Sheet(Figure):
+        def _repr_png_(self) -> bytes:
+            return _as_png(self)
+    return Sheet
 
 
-def sheet(draws: Sequence[Draw], title: str, columns: int = 3) -> Sheet:
+def _as_png(figure: "Figure") -> bytes:
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=_DPI, metadata=dict(Software=None))
+    return stream.getvalue()
+
+
+def sheet(draws: Sequence[Draw], title: str, columns: int = 3) -> "Figure":
     """Return a figure with panels in rows.
 
     Parameters
@@ -45,13 +54,16 @@ def sheet(draws: Sequence[Draw], title: str, columns: int = 3) -> Sheet:
 
     Returns
     -------
-    Sheet
+    matplotlib.figure.Figure
     """
+    figure_class = _sheet_class()
+    import matplotlib
+
     settings: Any = figures.settings(LIGHT)
     columns = min(columns, len(draws))
     rows = -(-len(draws) // columns)
     with matplotlib.rc_context(settings):
-        figure = Sheet(figsize=(columns * _PANEL_IN[0], rows * _PANEL_IN[1] + 0.4), layout="constrained")
+        figure = figure_class(figsize=(columns * _PANEL_IN[0], rows * _PANEL_IN[1] + 0.4), layout="constrained")
         figure.suptitle(plot_text(title), fontweight="bold", fontsize=11, x=0.01, ha="left")
         parts = figure.subfigures(rows, columns, squeeze=False).ravel()
         for part, draw in zip(parts, draws, strict=False):
@@ -61,12 +73,15 @@ def sheet(draws: Sequence[Draw], title: str, columns: int = 3) -> Sheet:
 
 def png(draws: Sequence[Draw], title: str) -> bytes:
     """Return a figure as PNG; equal drawings give equal bytes."""
+    figure = sheet(draws, title)
+    import matplotlib
+
     settings: Any = figures.settings(LIGHT)
     with matplotlib.rc_context(settings):
-        return sheet(draws, title)._repr_png_()
+        return _as_png(figure)
 
 
-def plot_rir(rir: "ArrayLike", fs: int, name: str = "RIR") -> Figure:
+def plot_rir(rir: "ArrayLike", fs: int, name: str = "RIR") -> "Figure":
     """Draw an RIR: waveform, early reflections, echogram, spectrogram, response and decay times, decays per octave.
 
     In a notebook, a cell that ends in ``roomeq.plot_rir(rir, fs)`` shows the figure.

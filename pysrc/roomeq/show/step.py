@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 from roomeq.core.asking import NotUpToDate, only_asked
+from roomeq.core.extras import require_packages
 from roomeq.core.files import write_bytes
 
 logger = logging.getLogger(__name__)
@@ -127,6 +128,7 @@ def _suffix(out: Path | None, pictures: bool = True) -> str | None:
         raise ValueError(f"--out {out}: must end in {' or '.join(allowed)}: choose another name")
     if not Path(out).absolute().parent.is_dir():
         raise ValueError(f"--out {out}: its directory does not exist: make it, or check the path")
+    require_packages("matplotlib", *(["jinja2"] if suffix == PAGE else []))
     return suffix
 
 

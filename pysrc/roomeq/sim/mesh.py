@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
+from roomeq.core.extras import require_packages
 from roomeq.sim.adjacency import Meetings, Planes, find_meetings, find_planes
 from roomeq.sim.images import SpecularPaths
 from roomeq.sim.meshfile import read_triangles
@@ -246,6 +247,7 @@ def make_room(triangles: ArrayLike, names: Sequence[str], name: str = "mesh") ->
     ValueError
         The mesh is not closed, the corner order of neighbouring faces is inconsistent, or normals point into the room.
     """
+    require_packages("trimesh")
     import trimesh
 
     triangles = np.asarray(triangles, dtype=np.float64)

@@ -10,6 +10,7 @@ import numpy as np
 
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import MAX_ROOM_M, MIN_ROOM_M
+from roomeq.core.extras import require_packages
 from roomeq.core.limits import MESH_MB
 from roomeq.sim.gltf import load_gltf
 
@@ -62,6 +63,7 @@ def read_triangles(path: str | Path) -> Triangles:
     if path.suffix.lower() not in FORMATS:
         raise ValueError(f"{path}: a mesh must be one of {', '.join(FORMATS)}: export it as such")
     _check_size(path, path.stat().st_size)
+    require_packages("trimesh")
     try:
         triangles, names = _read_obj(path) if path.suffix.lower() == ".obj" else _read_other(path)
     except (_TooLarge, OSError, MemoryError):
