@@ -6,7 +6,14 @@ from pathlib import Path
 from roomeq.core.digests import audio_elsewhere
 from roomeq.core.stamps import read_stamp, require_as_stamped, require_audio_as_stamped, require_in_place
 from roomeq.kaldi import validate_data_dir
-from roomeq.records.rir_dir import NOISES_FILE, ROWS_FILE, validate_noises, validate_rirs
+from roomeq.records.rir_dir import (
+    NOISES_FILE,
+    ROWS_FILE,
+    read_rirs,
+    validate_noises,
+    validate_rirs,
+    warn_of_unused_keys,
+)
 from roomeq.wer.check import WER_FILE, validate_wer
 
 CONTRACTS = ((ROWS_FILE, validate_rirs, "RIRs"), ("wav.scp", validate_data_dir, "utterances"),
@@ -32,6 +39,8 @@ def validate(directories: Iterable[Path]) -> None:
         for name, check, items in CONTRACTS:
             if (directory / name).is_file():
                 found = f"{check(directory)} {items}"
+                if name == ROWS_FILE:
+                    warn_of_unused_keys(directory, read_rirs(directory))
                 break
         else:
             found = f"{_validate_loop(directory)} effects"

@@ -54,6 +54,30 @@ def run(measured, out, **options):
     return {row["id"]: row for row in read_rirs(out)}
 
 
+def test_log_names_drawn_coordinates_and_unused_keys(measured, tmp_path, caplog):
+    caplog.set_level("INFO")
+    rows = [measured_row("a1", mic_pos_m=None, mic_pos=[4.0, 3.0, 1.2]),
+            measured_row("a2", room_dims_m=[6.0, 4.2, None])]
+    write_jsonl(measured / "rirs.jsonl", rows)
+    run(measured, tmp_path / "sim", num_rays=100, noise_rirs=0)
+    assert "keys not used: mic_pos (did you mean mic_pos_m?)" in caplog.text
+    assert "2 of 2 RIRs have unknown or unreliable coordinates, which are drawn (key 'drawn'): mic_pos_m of 1, " \
+           "room_dims_m of 1" in caplog.text
+
+
+@pytest.mark.parametrize("noise_rirs", [0, 1])
+def test_rirs_of_noise_sources_are_not_simulated_after(measured, tmp_path, caplog, noise_rirs):
+    caplog.set_level("INFO")
+    rows = [measured_row("a1"), measured_row("a1-noise1", source_id="a1-noise1", noise_for="a1")]
+    write_jsonl(measured / "rirs.jsonl", rows)
+    made = run(measured, tmp_path / "sim", num_rays=100, noise_rirs=noise_rirs)
+    assert list(made) == ["a1", "a1-noise1"][:1 + noise_rirs]
+    assert "1 RIRs of noise sources (key 'noise_for') are left out" in caplog.text
+    write_jsonl(measured / "rirs.jsonl", rows[1:])
+    with pytest.raises(ValueError, match="all 1 RIRs are of noise sources"):
+        run(measured, tmp_path / "sim")
+
+
 def hashes(directory):
     return {str(path.relative_to(directory)): hashlib.sha256(path.read_bytes()).hexdigest()
             for path in sorted(directory.rglob("*")) if path.is_file() and path.name not in (".done", "rir_list")}

@@ -26,6 +26,7 @@ from roomeq.records.rir_dir import (
     relocated,
     require_16_khz,
     rir_path,
+    warn_of_unused_keys,
     write_noises,
     write_rirs,
 )
@@ -76,6 +77,7 @@ def characterise(rir_dir: Path, out: Path, *, skip_bad: bool = False, keep_suspi
     if build.done:
         return None
     rows = read_rirs(rir_dir)
+    warn_of_unused_keys(rir_dir, rows)
     require_16_khz(rir_dir, rows)
 
     def make(_: str, row: RirRow) -> dict[str, Any]:

@@ -14,7 +14,9 @@ parameters
 """
 
 import contextlib
+import difflib
 import json
+import logging
 import os
 import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -28,8 +30,11 @@ from roomeq.core.files import path_from, read_jsonl, write_jsonl, write_text
 from roomeq.core.stamps import read_stamp
 from roomeq.records.schema import NoiseRow, RirRow, noise_problem, row_problem
 
+logger = logging.getLogger(__name__)
+
 ROWS_FILE = "rirs.jsonl"
 NOISES_FILE = "noises.jsonl"
+_LIKENESS = 0.7  # of a key to a known one, above which it may be misspelt
 
 
 def read_rirs(directory: Path) -> list[RirRow]:
@@ -61,6 +66,19 @@ def read_rirs(directory: Path) -> list[RirRow]:
             row.setdefault("fs_hz", header.samplerate)
             row.setdefault("n_samples", header.frames)
     return rows
+
+
+def warn_of_unused_keys(directory: Path, rows: Iterable[Mapping[str, Any]]) -> None:
+    """Log the keys of a hand-written `rirs.jsonl` that have no meaning, each with the known key most like it."""
+    if read_stamp(directory) is not None:
+        return
+    known = sorted(RirRow.__annotations__)
+    texts = []
+    for key in sorted({key for row in rows for key in row} - set(known)):
+        close = difflib.get_close_matches(key, known, n=1, cutoff=_LIKENESS)
+        texts.append(f"{key} (did you mean {close[0]}?)" if close else key)
+    if texts:
+        logger.warning("%s: keys not used: %s", Path(directory) / ROWS_FILE, ", ".join(texts))
 
 
 def _read_checked(path: Path, problem_of: Callable[[dict], str | None]) -> list[dict]:

@@ -118,6 +118,7 @@ def _group_by_source(rows: list[RirRow], directory: Path, seed: int) -> dict[str
         rows_of_room[row["room_id"]].append(row)
     groups = defaultdict(list)
     n_drawn = n_unknown_arrays = 0
+    drawn_keys: Counter[str] = Counter()
     for row in rows:
         place = find_place(row, rows_of_room[row["room_id"]], directory, seed)
         try:
@@ -129,14 +130,16 @@ def _group_by_source(rows: list[RirRow], directory: Path, seed: int) -> dict[str
                              "source_dir, or remove it")
         if place.drawn:
             n_drawn += 1
+            drawn_keys.update({name.partition(".")[0] for name in place.drawn})
             logger.debug("%s: drawn or moved: %s", row["id"], ", ".join(place.drawn))
         n_unknown_arrays += bool(row.get("channel_pos_m") and not place.channels_m)
         materials = json.dumps(row.get("materials"), sort_keys=True)  # a trace serves one set of scattering
         key = row["room_id"], place.room, place.source_pos_m, _declared_air(row), materials
         groups[key].append(Member(row, place))
     if n_drawn:
-        logger.info("%s: %d of %d RIRs have unknown or unreliable coordinates, which are drawn (key 'drawn')",
-                    directory, n_drawn, len(rows))
+        logger.info("%s: %d of %d RIRs have unknown or unreliable coordinates, which are drawn (key 'drawn'): %s",
+                    directory, n_drawn, len(rows),
+                    ", ".join(f"{key} of {count}" for key, count in sorted(drawn_keys.items())))
     if n_unknown_arrays:
         logger.info("%s: %d RIRs are of arrays with unknown coordinates in channel_pos_m: only their first microphone "
                     "is simulated", directory, n_unknown_arrays)

@@ -9,7 +9,7 @@ from typing import Any
 from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
 from roomeq.draw_rooms.room_types import read_room_types
-from roomeq.records.rir_dir import decay_range_s, mesh_files, read_rirs
+from roomeq.records.rir_dir import decay_range_s, mesh_files, read_rirs, warn_of_unused_keys
 from roomeq.records.schema import RirRow
 from roomeq.sim.defaults import DEFAULT_TABLE, ISM_ORDER, NUM_RAYS, ORDER, TARGET_RANGE_S
 from roomeq.sim.published import published_file
@@ -107,7 +107,11 @@ def simulate(measured_dir: Path | str | None, out: Path | str, *, rooms: int | s
             # the types again, as they are in the key now
             make_drawn(build, numbers, room_types, read_room_types(room_types), materials, model, options, part, nj)
         return
-    rows = _rows_with_targets(measured_dir)
+    given, rows = read_rirs(measured_dir), _rows_of_talkers(measured_dir)
+    warn_of_unused_keys(measured_dir, given)
+    if len(rows) < len(given):
+        logger.info("%s: %d RIRs of noise sources (key 'noise_for') are left out: those of the simulated RIRs are made "
+                    "anew (--noise-rirs)", measured_dir, len(given) - len(rows))
     files += [*(_published_table() if any(row.get("materials") for row in rows) else []),
               *mesh_files(measured_dir)]
     build = _build(out, asdict(options), files, measured_dir)
@@ -115,12 +119,16 @@ def simulate(measured_dir: Path | str | None, out: Path | str, *, rooms: int | s
         from roomeq.simulate_rirs.directory import make
 
         # the rows again, as they are in the key now
-        make(build, measured_dir, _rows_with_targets(measured_dir), materials, model, options, part, nj)
+        make(build, measured_dir, _rows_of_talkers(measured_dir), materials, model, options, part, nj)
 
 
-def _rows_with_targets(measured_dir: Path) -> list[RirRow]:
-    """Return the rows of a directory, whose target times can be met."""
-    rows = read_rirs(measured_dir)
+def _rows_of_talkers(measured_dir: Path) -> list[RirRow]:
+    """Return the rows of a directory that are not of noise sources; their target times can be met."""
+    given = read_rirs(measured_dir)
+    rows = [row for row in given if not row.get("noise_for")]
+    if not rows:
+        raise ValueError(f"{measured_dir}: all {len(given)} RIRs are of noise sources (key 'noise_for'): give RIRs of "
+                         "talkers as well")
     for row in rows:
         target_s = row.get("target_t60_s")
         if target_s is not None and not TARGET_RANGE_S[0] <= target_s <= TARGET_RANGE_S[1]:

@@ -13,12 +13,15 @@ import pytest
 from rirmaker import coloured_rir, row, write_rir_dir
 
 from roomeq.core.audio import write_wav
+from roomeq.core.files import write_json
+from roomeq.core.stamps import FORMAT
 from roomeq.records.rir_dir import (
     load_rir,
     read_rirs,
     relocated,
     validate_noises,
     validate_rirs,
+    warn_of_unused_keys,
     write_noises,
     write_rirs,
 )
@@ -130,3 +133,16 @@ def test_relocated_rows_name_the_same_audio_and_mesh(tmp_path):
     there = relocated(rows, tmp_path / "x" / "in", tmp_path / "out")
     assert [row["wav"] for row in there] == ["../x/in/wav/a.wav", "../x/b.wav"]
     assert [row["mesh"] for row in there] == ["../x/rooms/a.obj", None]
+
+
+def test_unused_keys_of_a_hand_written_table_are_logged(tmp_path, caplog):
+    rows = [row("r1", target_t60=0.3, material={}, mic_pos=[1, 2, 1], note="x", wav="r1.wav"),
+            row("r2", target_t60_s=0.3, wav="r2.wav")]
+    warn_of_unused_keys(tmp_path, rows)
+    assert caplog.messages == [f"{tmp_path}/rirs.jsonl: keys not used: material (did you mean materials?), mic_pos "
+                               "(did you mean mic_pos_m?), note, target_t60 (did you mean target_t60_s?)"]
+    caplog.clear()
+    warn_of_unused_keys(tmp_path, rows[1:])
+    write_json(tmp_path / ".done", dict(step="characterise", key="", files={}, format=FORMAT))
+    warn_of_unused_keys(tmp_path, rows)
+    assert not caplog.messages
