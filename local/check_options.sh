@@ -11,7 +11,10 @@ in_range nj 1 1024
 check_option stop_stage '[0-9]|10' "a whole number up to 10"
 check_option split_by 'rir|room' "rir or room"
 check_option split_sizes '0*[1-9][0-9]*,0*[1-9][0-9]*,0*[1-9][0-9]*' "three counts from 1, as 773,194,242"
-check_option t60_range '[0-9.]+,[0-9.]+|measured' "two times, as 0.2,2.0, or measured"
+time='([0-9]+\.?[0-9]*|\.[0-9]+)'
+check_option t60_range "$time,$time|measured" "two times, as 0.2,2.0, or measured"
+[ "$t60_range" = measured ] || awk -F, '{ exit !(0.05 <= $1 && $1 <= $2 && $2 <= 10) }' <<<"$t60_range" ||
+  die "--t60-range '$t60_range' must be two times in [0.05, 10] s, the smaller first"
 check_option rooms '([1-9][0-9]{0,5})?' "a number of rooms, or empty"
 check_option free_rooms '0|[1-9][0-9]{0,5}' "a number of rooms, or 0"
 in_range num_rays 100 10000000
@@ -32,6 +35,19 @@ check_option gmm_passes "$pass(,$pass)*" "passes as 'mono 300, deltas all 300 30
 [ "$dry_run" = false ] || [ "$stage" -ge 8 ] || die "--dry-run prints the Kaldi commands: add --stage 8"
 [ -z "$room_types" ] || [ -n "$rooms" ] || [ "$free_rooms" != 0 ] ||
   die "--room-types '$room_types' is of drawn rooms: give --rooms or --free-rooms"
+if [[ $room_types == *.toml ]]; then
+  [ -f "$room_types" ] || die "--room-types '$room_types': no such file: check the path"
+elif [ ! -f "$room_types" ]; then
+  for x in ${room_types//,/ }; do
+    grep -qxF "[$x]" conf/room_types.toml ||
+      die "--room-types '$room_types': '$x' must be a TOML file or a type in conf/room_types.toml: correct the name"
+  done
+fi
+if [ "$stage" -eq 0 ]; then
+  for x in librispeech reverbdb speech measured dev_rirs test_rirs noises; do
+    [ -z "${!x}" ] || [ -e "${!x}" ] || die "--${x//_/-} '${!x}': no such file or directory: check the path"
+  done
+fi
 if [ -n "$rooms" ] && [ "$free_rooms" != 0 ]; then
   log "--rooms draws all rooms: no set sim.free is made beside"
   free_rooms=0
@@ -50,7 +66,7 @@ if [ "$stop_stage" -ge 8 ]; then
   read -ra x <<<"$decode_opts"
   local/kaldi/decode.sh --dry-run true "${x[@]}" exp/kaldi train train test >/dev/null || die "--decode-opts: see above"
   [ "$dry_run" = true ] || [ "$stage" -gt 8 ] || (. local/kaldi/common.sh && kaldi_root >/dev/null)
-  unset sets x
+  unset sets
 fi
 unset -f in_range
-unset number distribution distribution_rule pass
+unset number distribution distribution_rule time pass x

@@ -126,12 +126,16 @@ def test_unwritable_log_is_named_and_nothing_starts(recipe, runner):
     ("--split-sizes", "9,00,1", "must be three counts from 1"),
     ("--packing", "files", "must be recording or utterance"),
     ("--t60-range", "0.5", "must be two times"),
-    ("--t60-range", "match", "must be two times"),
+    ("--t60-range", "match", "must be two times"), ("--t60-range", "1.2.3,2", "must be two times, as"),
+    *(("--t60-range", times, "must be two times in [0.05, 10] s") for times in ("2.0,0.2", "0.01,1", "0.2,11")),
+    *((option, "absent", "no such file or directory") for option in (
+        "--librispeech", "--reverbdb", "--speech", "--measured", "--dev-rirs", "--test-rirs", "--noises")),
     ("--room-types", "absent.toml", "is of drawn rooms: give --rooms or --free-rooms")])
 def test_recipe_refuses_values_before_any_work(project_dir, option, value, message):
     done = call(project_dir, "./run.sh", option, value)
     assert done.returncode == 1 and done.stdout == ""
-    assert done.stderr.startswith(f"run.sh: {option} '{value}' {message}") and done.stderr.count("\n") == 1
+    colon = ":" * message.startswith("no such")
+    assert done.stderr.startswith(f"run.sh: {option} '{value}'{colon} {message}") and done.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize("value", ["none", "7", "-2.5", "normal 15 5", "uniform 5, 25", "list 20,15,10"])
@@ -158,6 +162,18 @@ def options_checked(project_dir, *options):
     done = call(project_dir, "./run.sh", *options, "--data", "/dev/null/data")
     assert done.returncode == 1 and done.stderr.startswith("run.sh: /dev/null/data/.run.lock cannot be written")
     return done.stdout
+
+
+@pytest.mark.parametrize("value, message", [
+    ("absent.toml", "no such file: check the path"),
+    ("meeting_room,car", "'car' must be a TOML file or a type in conf/room_types.toml")])
+def test_recipe_refuses_unknown_room_types_before_any_work(project_dir, value, message):
+    done = call(project_dir, "./run.sh", "--free-rooms", "3", "--room-types", value)
+    assert done.returncode == 1 and done.stderr.startswith(f"run.sh: --room-types '{value}': {message}")
+
+
+def test_recipe_needs_no_corpora_after_stage_0(project_dir):
+    options_checked(project_dir, "--stage", "1", "--measured", "absent", "--t60-range", "1,1.")
 
 
 @pytest.mark.parametrize("option", ["--rooms", "--free-rooms"])
