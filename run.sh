@@ -123,6 +123,10 @@ simulate() { # NAME ROOMS [OPTION...]: make data/rirs.NAME.train and data/rirs.N
   fi
 }
 if at_stage 2 "simulate RIRs"; then
+  if [ "$stop_stage" -ge 3 ]; then # of which stage 3 makes the mixture
+    require "$data/rirs.real.train/rirs.jsonl" steps/split_rirs.sh
+    local/enough_rirs.py "$data/rirs.real.train" "$num_components"
+  fi
   simulate sim "$rooms"
   [ "$free_rooms" = 0 ] || simulate sim.free "$free_rooms"
 fi

@@ -4,6 +4,7 @@ import os
 import subprocess
 
 import pytest
+from rirmaker import coloured_rir, row, write_rir_dir
 from scripts import call
 
 from roomeq.augment.distribution import parse_distribution
@@ -174,6 +175,14 @@ def test_recipe_refuses_unknown_room_types_before_any_work(project_dir, value, m
 
 def test_recipe_needs_no_corpora_after_stage_0(project_dir):
     options_checked(project_dir, "--stage", "1", "--measured", "absent", "--t60-range", "1,1.")
+
+
+def test_recipe_finds_too_few_rirs_before_it_simulates(project_dir, tmp_path):
+    write_rir_dir(tmp_path / "rirs.real.train", [(row(f"r{n}"), coloured_rir(n)) for n in range(3)])
+    done = call(project_dir, "./run.sh", "--stage", "2", "--data", str(tmp_path), "--exp", str(tmp_path / "exp"))
+    assert done.returncode == 1 and not (tmp_path / "rirs.sim.train").exists()
+    assert done.stderr.startswith(f"enough_rirs.py: {tmp_path}/rirs.real.train: 3 measured RIRs are left after "
+                                  "screening of 3: must be at least 7, the mixture's components")
 
 
 @pytest.mark.parametrize("option", ["--rooms", "--free-rooms"])

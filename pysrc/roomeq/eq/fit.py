@@ -68,12 +68,7 @@ def make(build: Build, directories: dict[str, Path], n_components: int, weight_r
     def assemble(directory: Path, records: list[EqRecord]) -> None:
         measured, simulated = ([record for name, record in zip(items, records, strict=True)
                                 if name.startswith("real+") == is_measured] for is_measured in (True, False))
-        screen_outliers(measured)
-        used = [record for record in measured if not record["screen"]]
-        if len(used) < n_components:
-            raise ValueError(f"{directories['real']}: {len(used)} measured RIRs are left after screening of "
-                             f"{len(measured)}: must be at least {n_components}, the mixture's components: give "
-                             "more, or fewer --num-components")
+        used = _screened(measured, directories["real"], n_components)
         vectors_db = fill_missing(used, seed)
         gmm = fit_gmm(vectors_db, [record["room_id"] for record in used], n_components=n_components,
                       weight_rooms=weight_rooms, seed=seed)
@@ -93,6 +88,29 @@ def make(build: Build, directories: dict[str, Path], n_components: int, weight_r
     assembled = build.finish(assemble)
     _log_screening(build.out)
     return read_gmm(build.out) if assembled else None
+
+
+def require_enough_rirs(real_dir: Path, n_components: int) -> None:
+    """Refuse measured RIRs of which screening leaves fewer than the mixture has components, as the fit does.
+
+    Raises
+    ------
+    ValueError
+        They are too few, or the directory is invalid.
+    """
+    rows = [row for row in read_rirs(real_dir) if not row.get("noise_for")]
+    require_16_khz(real_dir, rows)
+    _screened([eq_row(real_dir, row) for row in without_suspicious(real_dir, rows)], real_dir, n_components)
+
+
+def _screened(measured: list[EqRecord], real_dir: Path, n_components: int) -> list[EqRecord]:
+    """Screen outliers, and return the records to fit the mixture to, as many as it has components or more."""
+    screen_outliers(measured)
+    used = [record for record in measured if not record["screen"]]
+    if len(used) < n_components:
+        raise ValueError(f"{real_dir}: {len(used)} measured RIRs are left after screening of {len(measured)}: must be "
+                         f"at least {n_components}, the mixture's components: give more, or fewer --num-components")
+    return used
 
 
 def eq_row(directory: Path, row: RirRow) -> EqRecord:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from rirmaker import DIRECT, coloured_rir, row, write_rir_dir
 
+from enough_rirs import main as enough_rirs
 from roomeq.acoustics.subband_eq import N_FRAME, N_LEAD, POINT_BINS, analyse, energy_spectrum
 from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.core.files import read_json, read_jsonl, write_json
@@ -290,6 +291,13 @@ def test_fewer_rirs_than_components_leave_no_output(rir_dirs, tmp_path):
     with pytest.raises(ValueError, match="12 measured RIRs are left after screening of 12: must be at least 13"):
         fit_eq(rir_dirs[0], [], tmp_path / "eq", n_components=13, seed=0)
     assert not (tmp_path / "eq").exists()
+
+
+def test_rirs_are_counted_as_the_fit_counts_them(rir_dirs, capsys):
+    message = f"{rir_dirs[0]}: 12 measured RIRs are left after screening of 12: must be at least 13, the mixture's"
+    assert enough_rirs([str(rir_dirs[0]), "12"]) == 0
+    assert enough_rirs([str(rir_dirs[0]), "13"]) == 1
+    assert capsys.readouterr().err.startswith(f"enough_rirs.py: {message}")
 
 
 def test_zero_components_are_refused(rir_dirs, tmp_path):
