@@ -227,15 +227,18 @@ def _row_id(path: Path, file: Path, cells: dict[str, str]) -> str:
 
 
 def _check_values(known: dict[str, Any]) -> None:
-    """Refuse dimensions of a room, a temperature or a humidity that no room can have; unknown ones are right.
+    """Refuse lengths, a temperature or a humidity that no room can have; unknown ones are right.
 
     They are mistakes or in another unit.
     """
     for axis, size_m in enumerate(known["room_dims_m"] or ()):
         if size_m is not None and size_m <= 0:
             raise ValueError(f"room_dims_m[{axis}]={size_m:g} must be positive: give metres, or ? where it is unknown")
-        if size_m is not None and size_m > MAX_ROOM_M:
-            raise ValueError(f"room_dims_m[{axis}]={size_m:g} must be at most {MAX_ROOM_M:g}: give metres")
+    lengths_m = {f"{key}[{axis}]": value for key in ("room_dims_m", "source_pos_m", "mic_pos_m")
+                 for axis, value in enumerate(known[key] or ())} | {"distance_m": known["distance_m"]}
+    for name, length_m in lengths_m.items():
+        if length_m is not None and abs(length_m) > MAX_ROOM_M:
+            raise ValueError(f"{name}={length_m:g} must be at most {MAX_ROOM_M:g}: give metres")
     require_air(**{key: known[key] for key in ("temperature_c", "humidity_pct") if known[key] is not None})
 
 

@@ -150,6 +150,15 @@ def test_impossible_room_dimensions_are_refused(tmp_path, dims_m, message):
         list_row(tmp_path, "room_dims_m", dims_m)
 
 
+@pytest.mark.parametrize("column, cell, name", [
+    ("source_pos_m", "1 4710 ?", r"source_pos_m\[1\]=4710"), ("mic_pos_m", "-1500 2 1", r"mic_pos_m\[0\]=-1500"),
+    ("distance_m", "1500", "distance_m=1500")])
+def test_positions_in_millimetres_are_refused(tmp_path, column, cell, name):
+    with pytest.raises(ValueError, match=rf"t\.csv:2: {name} must be at most 200: give metres: correct the cell"):
+        list_row(tmp_path, column, cell)
+    assert list_row(tmp_path, column, cell.replace("00", "").replace("10", "")).row[column] is not None
+
+
 HEADER = "file,rir_id,binaural,distance_m,mic_pos_m,kind\n"
 
 
