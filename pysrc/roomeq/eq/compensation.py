@@ -75,6 +75,9 @@ def make(build: Build, sim_dir: Path, eq_dir: Path, taps: int, match_rooms: bool
     """
     rows = read_rirs(sim_dir)
     require_16_khz(sim_dir, rows)
+    if done := next((row for row in rows if row.get("eq_gain_db") is not None), None):
+        raise ValueError(f"{sim_dir}: RIR {done['id']} was compensated already (key 'eq_gain_db'), and would be "
+                         "filtered twice: give the simulated RIRs that it was made of")
     out, gmm = build.out, read_gmm(eq_dir)
     groups = _group_by_filter(sim_dir, rows)
     summary: dict[str, Any] = {}

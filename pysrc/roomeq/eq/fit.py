@@ -28,6 +28,8 @@ SCREENING_FILE = "screening.json"
 MEASURED_FILE, SIMULATED_FILE, RESAMPLED_FILE = "measured.jsonl", "simulated.jsonl", "resampled.jsonl"
 OUTLIER_Z = 4.0  # robust standard deviations from the median of the rooms
 MIN_SPREAD_DB = 4.0  # a single bin of one RIR scatters that much within a room (Schroeder's 5.6 dB, averaged)
+_OF_SIMULATED = ("seed", "model", "measured_id")
+"""Keys that rows of simulated RIRs have."""
 _EM_STEPS = 50
 _ROUNDING_DB2 = 1e-6  # keeps a covariance positive definite
 _DECIMALS = 4
@@ -62,7 +64,7 @@ def make(build: Build, directories: dict[str, Path], n_components: int, weight_r
             for name, directory in directories.items()}
     for name, directory in directories.items():
         require_16_khz(directory, rows[name])
-    rows["real"] = without_suspicious(directories["real"], rows["real"])
+    rows["real"] = _measured(directories["real"], rows["real"])
     items = {f"{name}+{row['id']}": (directories[name], row) for name in rows for row in rows[name]}
 
     def assemble(directory: Path, records: list[EqRecord]) -> None:
@@ -100,7 +102,16 @@ def require_enough_rirs(real_dir: Path, n_components: int) -> None:
     """
     rows = [row for row in read_rirs(real_dir) if not row.get("noise_for")]
     require_16_khz(real_dir, rows)
-    _screened([eq_row(real_dir, row) for row in without_suspicious(real_dir, rows)], real_dir, n_components)
+    _screened([eq_row(real_dir, row) for row in _measured(real_dir, rows)], real_dir, n_components)
+
+
+def _measured(real_dir: Path, rows: list[RirRow]) -> list[RirRow]:
+    """Return the measured rows to analyse; refuse simulated ones, as where directories are given in another order."""
+    for row in rows:
+        if stated := next((key for key in _OF_SIMULATED if row.get(key) is not None), None):
+            raise ValueError(f"{real_dir}: RIR {row['id']} is simulated (key {stated!r}), but measured RIRs are "
+                             "expected here: give REAL_DIR first, then SIM_DIRS")
+    return without_suspicious(real_dir, rows)
 
 
 def _screened(measured: list[EqRecord], real_dir: Path, n_components: int) -> list[EqRecord]:

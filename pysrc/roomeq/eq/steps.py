@@ -49,7 +49,7 @@ def fit_eq(real_dir: Path | str, sim_dirs: Sequence[Path | str], out: Path | str
     Raises
     ------
     ValueError
-        There are fewer measured RIRs than components, or an option is out of range.
+        There are fewer measured RIRs than components, one of them is simulated, or an option is out of range.
     """
     if n_components < 1:
         raise ValueError(f"n_components={n_components} must be at least 1")
@@ -105,7 +105,7 @@ def compensate(sim_dir: Path | str, eq_dir: Path | str, out: Path | str, *, taps
     Raises
     ------
     ValueError
-        An option is out of range, or an RIR has no direct sound.
+        An option is out of range, an RIR has no direct sound, or was compensated already.
     """
     check_taps(taps)
     sim_dir, eq_dir, out = Path(sim_dir), Path(eq_dir), Path(out)

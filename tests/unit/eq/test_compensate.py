@@ -198,6 +198,12 @@ def test_noise_rir_without_its_rir_is_refused(dirs, tmp_path):
         compensate(tmp_path / "orphan", dirs[1], tmp_path / "out", seed=0)
 
 
+def test_compensated_rirs_are_not_compensated_again(dirs, tmp_path):
+    compensate(*dirs, tmp_path / "once", seed=0)
+    with pytest.raises(ValueError, match=r"once: RIR \S+ was compensated already \(key 'eq_gain_db'\)"):
+        compensate(tmp_path / "once", dirs[1], tmp_path / "twice", seed=0)
+
+
 def test_rir_without_direct_sound_is_named(dirs, tmp_path):
     cut = coloured_rir(0)[:DIRECT + 300]
     write_rir_dir(tmp_path / "cut", [(row("a", direct_sample=900.0, direct_polarity=1), cut)])

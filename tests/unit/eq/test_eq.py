@@ -300,6 +300,13 @@ def test_rirs_are_counted_as_the_fit_counts_them(rir_dirs, capsys):
     assert capsys.readouterr().err.startswith(f"enough_rirs.py: {message}")
 
 
+def test_simulated_rirs_are_not_taken_for_measured_ones(rir_dirs, tmp_path):
+    for key, value in (("seed", 0), ("model", []), ("measured_id", "r1")):
+        simulated = write_rir_dir(tmp_path / key, [(row("r1", **{key: value}), coloured_rir(1))])
+        with pytest.raises(ValueError, match=rf"{key}: RIR r1 is simulated \(key '{key}'\), but measured RIRs are"):
+            fit_eq(simulated, [rir_dirs[0]], tmp_path / "eq", n_components=1, seed=0)
+
+
 def test_zero_components_are_refused(rir_dirs, tmp_path):
     with pytest.raises(ValueError, match="n_components=0 must be"):
         fit_eq(rir_dirs[0], [], tmp_path / "eq", n_components=0, seed=0)
