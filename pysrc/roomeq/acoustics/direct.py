@@ -92,9 +92,7 @@ def find_direct(rir: ArrayLike, fs_hz: float, expected_sample: float | None = No
 
 def checked_response(rir: ArrayLike, direct_sample: float = 0.0) -> FloatArray:
     """Return a response as float64; raise ValueError if it cannot hold a direct sound at that sample."""
-    if isinstance(rir, str | os.PathLike):
-        raise ValueError(f"impulse response {os.fspath(rir)!r} is a path: must be samples: read the file, for example "
-                         "with soundfile.read")
+    require_samples(rir, "impulse response")
     h = np.asarray(rir, dtype=np.float64)
     if h.ndim != 1:
         raise ValueError(f"impulse response has shape {h.shape}: must be mono, one axis: choose one channel")
@@ -108,6 +106,13 @@ def checked_response(rir: ArrayLike, direct_sample: float = 0.0) -> FloatArray:
     if not direct_sample < len(h):
         raise ValueError(f"direct_sample={direct_sample:g} must lie before the response's end, {len(h)}: find it again")
     return h
+
+
+def require_samples(values: ArrayLike, name: str) -> None:
+    """Raise a `ValueError` for a path where samples are expected."""
+    if isinstance(values, str | os.PathLike):
+        raise ValueError(f"{name} {os.fspath(values)!r} is a path: must be samples: read the file, for example with "
+                         "soundfile.read")
 
 
 def _rms_before(h: FloatArray, samples: IntArray, fs_hz: float) -> FloatArray:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomeq.acoustics.direct import find_direct
+from roomeq.acoustics.direct import find_direct, require_samples
 from roomeq.augment.audio_cache import AudioCache, ShiftedRir, at_rate
 from roomeq.augment.distribution import parse_distribution
 from roomeq.augment.draw import DrawRules, Noise, Pool, read_pool
@@ -128,6 +128,7 @@ class Reverberate:
             The samples are not finite or of several channels, or the sample rate is higher than that of the RIRs
             or the noises.
         """
+        require_samples(samples, "samples")
         given = np.asarray(samples)
         clean = _one_channel(given[0] if given.ndim == 2 and len(given) == 1 else given, "samples")
         name = self._next_call() if key is None else key
@@ -198,6 +199,7 @@ def _require_several(recordings: Sequence[ArrayLike], name: str) -> None:
 
 
 def _one_channel(values: ArrayLike, name: str) -> Array:
+    require_samples(values, name)
     samples = np.asarray(values, dtype=np.float32)
     if not samples.size:
         raise ValueError(f"{name}: holds no samples: leave it out")

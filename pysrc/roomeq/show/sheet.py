@@ -106,7 +106,9 @@ def plot_rir(rir: "ArrayLike", fs: int, name: str = "RIR") -> "Figure":
     """
     import numpy as np
 
+    from roomeq.acoustics.direct import require_samples
     from roomeq.show.analysis import analyse
     from roomeq.show.page_rir import rir_draws
 
+    require_samples(rir, "impulse response")
     return sheet(rir_draws(analyse(np.asarray(rir, dtype=np.float64), fs, name)), name)

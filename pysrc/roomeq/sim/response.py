@@ -312,7 +312,7 @@ def _remedy(close: BoolArray) -> str:
     if close.all():
         return ("the direct sound hides the decay at all microphones: add one further away, which may be dropped, or "
                 "choose another target")
-    return "choose other materials or another target"
+    return "choose other materials, another target or more rays (--num-rays)"
 
 
 def _mean_t30_s(responses: Sequence[Response]) -> float | None:

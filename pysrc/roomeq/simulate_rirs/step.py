@@ -2,12 +2,13 @@
 
 import logging
 import re
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from roomeq.core.build import Build
-from roomeq.core.constants import FS_HZ
+from roomeq.core.constants import FS_HZ, is_number
 from roomeq.draw_rooms.room_types import read_room_types
 from roomeq.records.rir_dir import decay_range_s, mesh_files, read_rirs, warn_of_unused_keys
 from roomeq.records.schema import RirRow
@@ -167,11 +168,12 @@ def _t60_range_s(t60_range_s: tuple[float, float] | str | None,
         except ValueError as error:
             raise ValueError(f"{measured_dir}: t60_range=measured: {error}") from None
         logger.info("%s: T60 of the rooms lies between %.2f and %.2f s at 1 kHz", measured_dir, *t60_range_s)
-    if len(t60_range_s) != 2 or not (
-            TARGET_RANGE_S[0] <= t60_range_s[0] <= t60_range_s[1] <= TARGET_RANGE_S[1]):
+    times_s = tuple(t60_range_s) if isinstance(t60_range_s, Iterable) else (t60_range_s,)
+    if len(times_s) != 2 or not all(map(is_number, times_s)) or not (
+            TARGET_RANGE_S[0] <= times_s[0] <= times_s[1] <= TARGET_RANGE_S[1]):
         raise ValueError(f"t60_range={t60_range_s} must be two times in [0.05, 10] s, the smaller first: give "
                          "two such as 0.2,2.0")
-    return float(t60_range_s[0]), float(t60_range_s[1])
+    return float(times_s[0]), float(times_s[1])
 
 
 def _published_table() -> list[Path]:

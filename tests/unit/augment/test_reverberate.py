@@ -2,6 +2,7 @@
 
 import multiprocessing
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -167,6 +168,10 @@ def test_silence_is_returned_as_it_is():
     (lambda: roomeq.Reverberate(rirs(), noises=np.ones(800)), r"noises: shape \(800,\) is that of one recording"),
     (lambda: roomeq.Reverberate([np.zeros(100)]), "RIR 0: silent"),
     (lambda: roomeq.Reverberate([np.full(100, np.nan)]), "RIR 0: holds NaN"),
+    (lambda: roomeq.Reverberate(["a.wav", "b.wav"]), "RIR 0 'a.wav' is a path: must be samples: read the file"),
+    (lambda: roomeq.Reverberate(rirs(), noises=[Path("hum.wav")]), "noise 0 'hum.wav' is a path: must be samples"),
+    (lambda: roomeq.Reverberate(rirs())("speech.wav", FS), "samples 'speech.wav' is a path: must be samples"),
+    (lambda: roomeq.plot_rir("hall.wav", FS), "impulse response 'hall.wav' is a path: must be samples"),
     (lambda: roomeq.Reverberate(rirs(), snr="loud"), "snr='loud' must be"),
     (lambda: roomeq.Reverberate(rirs(), p=2.0), r"p=2.0 must lie in \[0, 1\]"),
     (lambda: roomeq.Reverberate(rirs(), p=None), r"p=None must lie in \[0, 1\]"),

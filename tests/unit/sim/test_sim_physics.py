@@ -320,6 +320,13 @@ def test_sparse_tail_of_a_corridor_is_no_noise_floor():
         assert response.t30_s == pytest.approx(plain_s, rel=0.02) and plain_s == pytest.approx(1.0, rel=0.06)
 
 
+def test_more_rays_are_a_remedy_for_a_target_out_of_reach():
+    scene = Scene(Shoebox((6.0, 4.0, 3.0)), [Material("all", (0.3,) * 8, (0.02,) * 8)] * 6)
+    with pytest.raises(ValueError, match=r"is out of reach: .*: choose .*, another target or more rays \(--num-rays\)"):
+        simulate_responses(scene, (1, 1, 1), [(4, 3, 1.5)], num_rays=20, target_t60_s=0.3)
+    simulate_responses(scene, (1, 1, 1), [(4, 3, 1.5)], num_rays=2000, target_t60_s=0.3)
+
+
 def test_headset_beside_a_far_microphone_leaves_the_target_to_it():
     scene, source = uniform_scene((12.0, 8.0, 4.0), 0.1, 0.1), (4.8, 3.6, 1.6)
     headset, far = (4.86, 3.6, 1.6), (9.0, 6.0, 1.2)
