@@ -5,7 +5,9 @@ every random number is a hash of seed, ray and purpose: results do not depend on
 """
 
 import contextlib
+import logging
 import os
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -17,6 +19,8 @@ from numba import config, njit, uint64
 
 from roomeq.core.digests import code_digest
 from roomeq.core.files import user_cache
+
+logger = logging.getLogger(__name__)
 
 N_CHUNKS = 8
 config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]  # off by default; adds the eight bands of an echogram at once
@@ -40,6 +44,9 @@ def _cache_directory() -> Path | None:
         with contextlib.suppress(OSError):
             (parent / name).mkdir(parents=True, exist_ok=True)
             if os.access(parent / name, os.W_OK):
+                if sys.stderr.isatty() and not any((parent / name).iterdir()):
+                    logger.info("kernels are compiled at the first use of this version, for some 15 s, and kept in %s",
+                                parent / name)
                 return parent / name
     return None
 

@@ -67,3 +67,20 @@ def test_damaged_machine_code_is_compiled_again(package, share):
 def test_a_cache_that_cannot_be_written_is_done_without(package):
     assert run_kernel(package, NUMBA_CACHE_DIR="/proc/nothing") == 21.0
     assert not cached_files(package)
+
+
+def test_a_terminal_is_told_once_that_kernels_are_compiled(package):
+    program = ("import logging; logging.basicConfig(level='INFO', format='%(message)s')\n"
+               "from roomeq.core.probe import kernel; kernel(10.0)")
+    shown = []
+    for _ in range(2):
+        reader, writer = os.openpty()
+        subprocess.run([sys.executable, "-c", program], cwd=package, check=True, stderr=writer,
+                       env=os.environ | {"PYTHONPATH": str(package)})
+        os.close(writer)
+        try:
+            shown.append(os.read(reader, 4096))
+        except OSError:  # nothing was written
+            shown.append(b"")
+        os.close(reader)
+    assert b"kernels are compiled at the first use" in shown[0] and shown[1] == b""
