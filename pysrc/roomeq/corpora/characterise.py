@@ -27,6 +27,7 @@ from roomeq.records.rir_dir import (
     require_16_khz,
     rir_path,
     warn_of_unused_keys,
+    without_detour,
     write_noises,
     write_rirs,
 )
@@ -91,8 +92,8 @@ def characterise(rir_dir: Path, out: Path, *, skip_bad: bool = False, keep_suspi
         kept, dropped = _drop(rir_dir, rows, records)
         for row, record in zip(rows, records, strict=True):
             if "suspicious" in record:
-                logger.warning("no RIR: %s: %s (--keep-suspicious keeps it)", rir_path(rir_dir, row),
-                               record["suspicious"])
+                logger.warning("no RIR: %s: %s (--keep-suspicious keeps it)",
+                               without_detour(rir_path(rir_dir, row)), record["suspicious"])
         if not kept:
             raise ValueError(f"{rir_dir}: all {len(rows)} RIRs are dropped ({_counts_text(dropped)}): "
                              "measure others")

@@ -13,7 +13,7 @@ from roomeq.core.files import path_from, write_json
 from roomeq.core.limits import AUDIO_HOURS
 from roomeq.corpora.listing import list_corpus, list_noises, require_existing
 from roomeq.corpora.record import Corpus, Recording, by_stamp, is_sofa
-from roomeq.records.rir_dir import rir_path, write_noises, write_rirs
+from roomeq.records.rir_dir import without_detour, write_noises, write_rirs
 
 logger = logging.getLogger(__name__)
 
@@ -245,7 +245,8 @@ def _report(corpus: Corpus, merged: dict[str, list[Any]], files: dict[str, int],
         logger.warning("left out: %s", line)
     for row in rirs:
         if row["suspicious"]:
-            logger.warning("no RIR: %s (%s): %s", rir_path(out, row), row["id"], row["suspicious"])
+            recorded = without_detour(out / (row.get("recording") or row["wav"]))
+            logger.warning("no RIR: %s (%s): %s", recorded, row["id"], row["suspicious"])
     if suspicious:
         logger.warning("%s: %d of %d recordings are no RIR; later steps leave them out (--keep-suspicious keeps them)",
                        corpus.name, len(suspicious), len(rirs))

@@ -135,10 +135,16 @@ def _as_16_bit(path: Path, channels: int) -> str:
     `wav-reverberate` takes 16-bit PCM only, and its output does not depend on the RIR's level: sox scales the RIR to
     full scale.
     """
-    first, short = "remix 1 " if channels > 1 else "", os.path.normpath(path)
+    first = "remix 1 " if channels > 1 else ""
+    return f"sox -D {shlex.quote(without_detour(path))} -b 16 -e signed-integer -t wav - {first}gain -n -1 |"
+
+
+def without_detour(path: Path) -> str:
+    """Return a path such as ``out/../folder/a.wav`` as ``folder/a.wav``, if that is the same file."""
+    short = os.path.normpath(path)
     if os.path.realpath(short) != os.path.realpath(path):  # `..` leads out of a linked directory
-        short = str(path)
-    return f"sox -D {shlex.quote(short)} -b 16 -e signed-integer -t wav - {first}gain -n -1 |"
+        return str(path)
+    return short
 
 
 def require_16_khz(directory: Path, rows: Iterable[Mapping[str, Any]]) -> None:
