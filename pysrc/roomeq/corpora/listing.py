@@ -7,7 +7,7 @@ from roomeq.corpora.folder import list_folder, list_noise_folder
 from roomeq.corpora.record import Corpus, Recording, audio_files, folder_name, id_of_path, is_sofa
 from roomeq.corpora.reverbdb import find_rooms, list_reverbdb
 from roomeq.corpora.slr28 import find_measured_part, list_slr28
-from roomeq.corpora.table import MANIFEST, list_noise_table, list_table
+from roomeq.corpora.table import MANIFEST, list_noise_table, list_table, refuse_spreadsheet
 from roomeq.records.rir_dir import ROWS_FILE
 
 
@@ -48,8 +48,10 @@ def detect_kind(source: Path) -> str:
     Raises
     ------
     ValueError
-        The folder is an RIR directory already, or holds speech, or both SOFA and audio files.
+        The folder is an RIR directory already, or holds speech, a spreadsheet as its manifest, or both SOFA and audio
+        files.
     """
+    refuse_spreadsheet(source)
     if source.is_file():
         by_suffix = {".csv": "table", ".tsv": "table", ".sofa": "sofa"}
         return by_suffix.get(source.suffix.lower(), "folder")
@@ -94,6 +96,7 @@ def list_corpus(source: Path, kind: str | None = None) -> Corpus:
 
 def list_noises(source: Path) -> list[Recording]:
     """List noise recordings; see `roomeq.corpora.measured.read_noises`."""
+    refuse_spreadsheet(source)
     table = source if source.suffix.lower() in (".csv", ".tsv") else find_manifest(source)
     return list_noise_table(table) if table else list_noise_folder(source)
 

@@ -54,6 +54,7 @@ from roomeq.records.schema import make_id
 logger = logging.getLogger(__name__)
 
 MANIFEST = "manifest.csv"
+_SPREADSHEETS = (".xlsx", ".xls", ".ods")
 _ALIASES = {"path": "file", "wav": "file", "audio": "file", "filename": "file", "id": "rir_id",
             "noise_id": "rir_id", "room": "room_id", "dataset": "corpus"}
 _NAMES = ("corpus", "room_id", "room_type", "source_id", "mic_id", "session")
@@ -86,6 +87,20 @@ class Table(NamedTuple):
 Value = TypeVar("Value")
 
 
+def refuse_spreadsheet(source: Path) -> None:
+    """Refuse a spreadsheet, or a folder with one where its `manifest.csv` should be.
+
+    Raises
+    ------
+    ValueError
+    """
+    folder, stem = source.is_dir() and not (source / MANIFEST).is_file(), Path(MANIFEST).stem
+    for path in [source / f"{stem}{suffix}" for suffix in _SPREADSHEETS] if folder else [source]:
+        if path.suffix.lower() in _SPREADSHEETS and path.is_file():
+            raise ValueError(f"{path}: is a spreadsheet, and a table must be a CSV file: export it as CSV"
+                             + (f", called {MANIFEST}" if folder else ""))
+
+
 def read_table(path: Path) -> Table:
     """Read a CSV.
 
@@ -96,6 +111,7 @@ def read_table(path: Path) -> Table:
     """
     if not path.is_file():
         raise ValueError(f"{path}: no such CSV file: check the path")
+    refuse_spreadsheet(path)
     try:
         with open(path, encoding="utf-8-sig", newline="") as stream:
             head = stream.readline()

@@ -9,7 +9,7 @@ from corpora_examples import MEASURED, make_folder, make_table, put, put_text, r
 
 from roomeq.core.audio import read_audio
 from roomeq.core.files import read_json
-from roomeq.corpora import read_measured
+from roomeq.corpora import prepare_speech, read_measured
 from roomeq.corpora import read_noises as read_noise_folder
 from roomeq.corpora.listing import detect_kind
 from roomeq.corpora.record import audio_files, rir_row
@@ -238,6 +238,17 @@ def test_outputs_below_a_source_are_not_read_again(tmp_path, caplog):
     assert len(read_rirs(read_measured(source, source / "out"))) == len(first) + 1
     noises = put(tmp_path / "noises" / "hum.wav").parent
     assert [len(read_noises(read_noise_folder(noises, noises / "out"))) for _ in range(2)] == [1, 1]
+
+
+@pytest.mark.parametrize("suffix", ["xlsx", "XLS", "ods"])
+@pytest.mark.parametrize("read", [read_measured, read_noise_folder, prepare_speech])
+def test_spreadsheets_are_refused(tmp_path, suffix, read):
+    sheet = put_text(put(tmp_path / "corpus" / "a.wav").parent / f"rirs.{suffix}", "PK")
+    with pytest.raises(ValueError, match=rf"rirs\.{suffix}: is a spreadsheet, .*: export it as CSV$"):
+        read(sheet, tmp_path / "out")
+    sheet.rename(sheet.with_name(f"manifest.{suffix.lower()}"))
+    with pytest.raises(ValueError, match=r"manifest\.\w+: is a spreadsheet, .* as CSV, called manifest\.csv"):
+        read(sheet.parent, tmp_path / "out")
 
 
 def test_a_stamped_source_is_read_itself(tmp_path):
