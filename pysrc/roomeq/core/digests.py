@@ -256,7 +256,7 @@ def _audio_in_rows(directory: Path, tables: Iterable[str]) -> dict[str, Path]:
     """Return paths of the audio that rows of some of a directory's tables name, by that name."""
     found = {}
     for table in tables:
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
             # a row may hold characters at which str.splitlines would break it
             for line in filter(None, read_text(directory / table).split("\n")):
                 wav = json.loads(line)["wav"]

@@ -247,6 +247,8 @@ def output_path(out: Path | str) -> Path:
     Where ``..`` follows a link, it leaves the directory that the link leads to: the result has links resolved.
     """
     shortened = Path(os.path.normpath(out))
+    if "\0" in str(out):  # which no path holds; `Build` refuses it
+        return shortened
     return shortened if os.path.realpath(shortened) == os.path.realpath(out) else physical(out)
 
 

@@ -73,11 +73,12 @@ def characterise(rir_dir: Path, out: Path, *, skip_bad: bool = False, keep_suspi
         A recording cannot be read or measured; the message names the file.
     """
     rir_dir, out = Path(rir_dir), Path(out)
+    read_rirs(rir_dir)  # refuses another directory before all of it is hashed
     build = Build(out, step="characterise", inputs=[rir_dir], refers=True,
                   options=dict(skip_bad=bool(skip_bad), keep_suspicious=bool(keep_suspicious)))
     if build.done:
         return None
-    rows = read_rirs(rir_dir)
+    rows = read_rirs(rir_dir)  # as they are in the key
     warn_of_unused_keys(rir_dir, rows)
     require_16_khz(rir_dir, rows)
 

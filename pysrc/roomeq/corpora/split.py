@@ -75,12 +75,14 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
         raise ValueError(f"sizes={tuple(sizes)} must be three positive numbers: training, development, test")
     others = {split: Path(given) for split, given in (("dev", dev_rirs), ("test", test_rirs)) if given is not None}
     size_of = dict(zip(SPLITS, sizes, strict=True))
+    for directory in (rir_dir, *others.values()):
+        read_rirs(directory)  # refuses another directory before all of it is hashed
     # every output is checked before one of them is written, and recordings are as they were, before they are read
     builds = {split: Build(
         Path(f"{out_prefix}.{split}"), step="split", inputs=[rir_dir, *others.values()], refers=True, options=dict(
             split=split, split_by=split_by, same_rooms=list(same_rooms), sizes=list(sizes), seed=seed,
             others=sorted(others))) for split in SPLITS}
-    rows = read_rirs(rir_dir)
+    rows = read_rirs(rir_dir)  # as they are in the key
     own_rows = {split: read_rirs(other) for split, other in others.items()}
     own_noises = {split: read_noises(other) for split, other in others.items()}
     rir_sketches = sketch_rirs(rir_dir, rows)

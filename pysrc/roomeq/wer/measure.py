@@ -61,6 +61,7 @@ def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path]
     """
     counted = paths(counted)
     rirs = paths(rirs)
+    _breakdown(rirs, train_rirs)  # refuses wrong rows before all is hashed
     found = find_workspaces(paths(workspaces))
     directories = [*rirs, *([train_rirs] if train_rirs else ())]
     build = Build(Path(out), step="wer",
@@ -69,7 +70,7 @@ def measure_wer(workspaces: list[Path], out: Path | str, *, rirs: Sequence[Path]
                   inputs=[*(Path(directory) / ROWS_FILE for directory in directories), *counted,
                           *(path for workspace in found for path in workspace.inputs())])
     if not build.done and build.run({}, lambda name, item: None):
-        earlier = _earlier(counted)
+        earlier = _earlier(counted)  # as it is in the key, like the rows
         breakdown = _breakdown(rirs, train_rirs)
         trained = {str(workspace.path): count_seed(workspace, breakdown) for workspace in found}
         require_comparable(earlier | trained)

@@ -333,6 +333,11 @@ def test_files_beside_those_of_an_input_may_come_and_go(tmp_path):
     assert digest(tmp_path / "in") != first
 
 
+def test_row_that_nests_too_deep_is_left_to_the_reader_of_the_table(tmp_path):
+    write_text(tmp_path / "in/rirs.jsonl", "[" * 100000 + "\n")
+    assert len(digest(tmp_path / "in")) == 64
+
+
 @pytest.mark.parametrize("wav", ["noise/hum.flac", "noise/../noise/hum.flac", "../elsewhere/hum.flac", ".hum.flac"])
 def test_audio_of_a_table_beside_the_files_of_an_input_is_in_its_digest(tmp_path, wav):
     make_squares(tmp_path / "in")
