@@ -49,8 +49,8 @@ lasting() {
 # runs again when its `lasting` words, its `inputs`, or the words of an earlier command of the same script have changed,
 # when an earlier one has run since, or when a file or directory of the workspace that its words name is gone. With
 # --dry-run it is printed. If two runs share a workspace, one waits for the other. If `outputs` holds files or a directory
-# of the workspace, they are removed before: Kaldi leaves those of an earlier run with more jobs and reads them, or refuses
-# a directory that is there.
+# of the workspace, they are removed before: Kaldi leaves those of an earlier run with more jobs and reads them, or
+# refuses a directory that is there.
 once() {
   local name=$1 started=$SECONDS
   shift
