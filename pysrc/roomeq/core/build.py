@@ -286,7 +286,7 @@ class Build:
     def _require_same_inputs(self) -> None:
         """Refuse to go on where an input has changed: items may be of its earlier and of its present content.
 
-        Only files that seem to have changed are read again.
+        Of the files of a directory, only those that seem to have changed are read again.
         """
         try:
             for given, content in zip(self._inputs, self._contents, strict=True):

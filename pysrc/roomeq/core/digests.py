@@ -150,17 +150,19 @@ def _with_times(hashes: Mapping[str, str | None]) -> dict[str, tuple[str | None,
 
 
 def require_unchanged(given: Path | Listed, before: Content) -> None:
-    """Refuse an input that has been written to since it was read, also one that has the same content again.
+    """Refuse an input of which a file has been written to since it was read, also one that has the same content again.
+
+    Files that have come since, such as a log or another output in the folder, were not read.
 
     Raises
     ------
     ValueError
-        A file has changed, has gone or has come; the message names it.
+        A file has changed or has gone; the message names it.
     """
     now = content_of(given, warn=False)
-    if now != before:
-        changed = (name for name in {**before.files, **now.files} if before.files.get(name) != now.files.get(name))
-        raise ValueError(f"{next(changed, given)}: was written to meanwhile")
+    changed = [name for name, was in before.files.items() if now.files.get(name) != was]
+    if changed:
+        raise ValueError(f"{changed[0]}: was written to meanwhile")
 
 
 def _audio_of_added_rows(directory: Path, stamp: Stamp) -> dict[str, str | None]:

@@ -174,6 +174,16 @@ def test_input_that_is_written_to_meanwhile_is_refused(tmp_path, given, write):
     assert make_squares(tmp_path / "out", inputs=inputs, v=1) == "up to date"
 
 
+def test_file_that_comes_into_an_input_meanwhile_is_not_of_it(tmp_path):
+    """As a log, or the first of several outputs in a folder that no step made."""
+    make_squares(tmp_path / "in")
+    (tmp_path / "in" / DONE_FILE).unlink()
+    build = Build(tmp_path / "out", step="square", options={}, inputs=[tmp_path / "in"])
+    build.run({"n1": 1}, lambda name, number: (tmp_path / "in/step.log").write_text("."))
+    build.finish(lambda directory, records: None)
+    assert build.out.is_dir()
+
+
 def test_items_of_a_part_of_an_input_that_changed_are_made_again(tmp_path):
     path = tmp_path / "in.txt"
     path.write_text("1")
