@@ -110,9 +110,10 @@ def read_audio(path: Path, *, fs_hz: int = FS_HZ, start: int = 0, stop: int | No
             raise ValueError(f"{path}: samples {start} to {stop} must lie within its {file.frames}: correct the "
                              "segment")
         try:
-            skipped = 0 if _seeks_exactly(file) else start  # in one read: soundfile seeks after each
+            # in one read: soundfile seeks after each
+            skipped = 0 if _seeks_exactly(file) else min(start, file.samplerate if file.seekable() else start)
             if start > skipped:
-                file.seek(start)
+                file.seek(start - skipped)
             samples = file.read(stop - start + skipped, dtype=dtype, always_2d=True)[skipped:]
         except (soundfile.LibsndfileError, RuntimeError) as error:
             raise ValueError(f"{path}: broken audio ({error}): copy or record it again") from None
@@ -132,7 +133,8 @@ def _seeks_exactly(file: soundfile.SoundFile) -> bool:
     """Tell whether the samples after a seek are those of the file.
 
     A frame of MP3 may need data of those before it, which libsndfile does not read when it seeks: silence or wrong
-    samples follow. In Ogg Vorbis, other samples follow. Some telephone codecs cannot seek at all.
+    samples follow. In Ogg Vorbis, other samples follow. After a second, they are right again, in MP3 but for rounding.
+    Some telephone codecs cannot seek at all.
     """
     return file.seekable() and not file.subtype.startswith(("MPEG", "VORBIS"))
 
