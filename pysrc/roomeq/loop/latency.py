@@ -32,7 +32,7 @@ def find_latencies(rows: Sequence[RirRow], direct_s: FloatArray) -> FloatArray:
     The difference of the direct sound's arrival, found without geometry, and the expected one is a latency if its
     median over the RIRs exceeds the tolerance of geometry and most of them agree with the median. It may be negative:
     the start of the recordings was cut off. The RIRs are those of a room; rooms with fewer than `MIN_RIRS` are taken
-    together by source.
+    together by source. A wrong position of the only source of a room can have the same effect.
 
     Parameters
     ----------
@@ -64,10 +64,12 @@ def find_latencies(rows: Sequence[RirRow], direct_s: FloatArray) -> FloatArray:
         if len(members) >= MIN_RIRS and abs(latency_s) > tolerance_s and agree.mean() >= AGREEING_SHARE:
             latencies_s[members] = latency_s
             logger.warning("%s: the direct sounds of %d of %d RIRs are %s than positions and tof_removed=false say, by "
-                           "%.2f ms within %.1f ms, and may be by %.2f ms: times of arrival are not used: take the "
-                           "latency of %.0f samples out of the recordings, or set tof_removed to null", name,
+                           "%.2f ms within %.1f ms, and may be by %.2f ms: times of arrival are not used: check "
+                           "source_pos_m and mic_pos_m (one may be wrong by %.2g m); if they are right, it is a "
+                           "latency of %.0f samples: take it out of the recordings, or set tof_removed to null", name,
                            agree.sum(), len(members), "later" if latency_s > 0.0 else "earlier", 1e3 * abs(latency_s),
-                           1e3 * NEAR_S, 1e3 * tolerance_s, latency_s * FS_HZ)
+                           1e3 * NEAR_S, 1e3 * tolerance_s, abs(latency_s) * declared_speed_m_s(rows[members[0]]),
+                           latency_s * FS_HZ)
     return latencies_s
 
 
