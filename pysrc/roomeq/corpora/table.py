@@ -250,11 +250,14 @@ def _check_values(known: dict[str, Any]) -> None:
     for axis, size_m in enumerate(known["room_dims_m"] or ()):
         if size_m is not None and size_m <= 0:
             raise ValueError(f"room_dims_m[{axis}]={size_m:g} must be positive: give metres, or ? where it is unknown")
-    lengths_m = {f"{key}[{axis}]": value for key in ("room_dims_m", "source_pos_m", "mic_pos_m")
-                 for axis, value in enumerate(known[key] or ())} | {"distance_m": known["distance_m"]}
+    # coordinates may count from anywhere: what they are apart tells the unit
+    apart_m = {f"mic_pos_m[{axis}] - source_pos_m[{axis}]": None if None in pair else pair[0] - pair[1]
+               for axis, pair in enumerate(zip(known["mic_pos_m"] or (), known["source_pos_m"] or (), strict=False))}
+    lengths_m = {f"room_dims_m[{axis}]": value for axis, value in enumerate(known["room_dims_m"] or ())} | apart_m | {
+        "distance_m": known["distance_m"]}
     for name, length_m in lengths_m.items():
         if length_m is not None and abs(length_m) > MAX_ROOM_M:
-            raise ValueError(f"{name}={length_m:g} must be at most {MAX_ROOM_M:g}: give metres")
+            raise ValueError(f"{name}={length_m:g} must lie in [{-MAX_ROOM_M:g}, {MAX_ROOM_M:g}] m: give metres")
     require_air(**{key: known[key] for key in ("temperature_c", "humidity_pct") if known[key] is not None})
 
 
