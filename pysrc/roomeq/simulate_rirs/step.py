@@ -108,25 +108,29 @@ def simulate(measured_dir: Path | str | None, out: Path | str, *, rooms: int | s
             # the types again, as they are in the key now
             make_drawn(build, numbers, room_types, read_room_types(room_types), materials, model, options, part, nj)
         return
-    given, rows = read_rirs(measured_dir), _rows_of_talkers(measured_dir)
-    warn_of_unused_keys(measured_dir, given)
-    if len(rows) < len(given):
-        logger.info("%s: %d RIRs of noise sources (key 'noise_for') are left out: those of the simulated RIRs are made "
-                    "anew (--noise-rirs)", measured_dir, len(given) - len(rows))
+    rows = _rows_of_talkers(measured_dir)
     files += [*(_published_table() if any(row.get("materials") for row in rows) else []),
               *mesh_files(measured_dir)]
     build = _build(out, asdict(options), files, measured_dir)
     if not build.done:
         from roomeq.simulate_rirs.directory import make
 
-        # the rows again, as they are in the key now
-        make(build, measured_dir, _rows_of_talkers(measured_dir), materials, model, options, part, nj)
+        rows = _rows_of_talkers(measured_dir, say=True)  # again, as they are in the key now
+        make(build, measured_dir, rows, materials, model, options, part, nj)
 
 
-def _rows_of_talkers(measured_dir: Path) -> list[RirRow]:
-    """Return the rows of a directory that are not of noise sources; their target times can be met."""
+def _rows_of_talkers(measured_dir: Path, say: bool = False) -> list[RirRow]:
+    """Return the rows of a directory that are not of noise sources; their target times can be met.
+
+    With `say`, the log has what is not used.
+    """
     given = read_rirs(measured_dir)
     rows = [row for row in given if not row.get("noise_for")]
+    if say:
+        warn_of_unused_keys(measured_dir, given)
+        if len(rows) < len(given):
+            logger.info("%s: %d RIRs of noise sources (key 'noise_for') are left out: those of the simulated RIRs are "
+                        "made anew (--noise-rirs)", measured_dir, len(given) - len(rows))
     if not rows:
         raise ValueError(f"{measured_dir}: all {len(given)} RIRs are of noise sources (key 'noise_for'): give RIRs of "
                          "talkers as well")
