@@ -300,14 +300,14 @@ def _peak_from_beyond(z2: Number, frame_1: Array, frame_2: Array, end: Array, nu
     """Return for which position on the first edge the beta of the second has its peak at z2, and its width there [m].
 
     Along the first edge, distance from the second and position about it change linearly: so does how far the way is
-    from straight, from which the place follows. Not a number if it is straight nowhere or everywhere.
+    from straight, from which the place follows. Where that does not change, the peak has no end.
     """
     distance, position = _about(_point_on_edge(frame_1, z1), frame_2)
     distance_1, position_1 = _about(_point_on_edge(frame_1, z1 + 0.01 * distance), frame_2)
     bend = (z2 - end[1]) * distance - end[0] * (position - z2)
     slope = ((z2 - end[1]) * (distance_1 - distance) - end[0] * (position_1 - position)) / (0.01 * distance)
     if slope == 0.0:
-        return np.nan, np.nan
+        return z1, np.inf
     width = 2.0 * min(end[2], end[4]) / nu * distance * np.hypot(end[0], z2 - end[1]) / abs(slope)
     return z1 - bend / slope, width
 

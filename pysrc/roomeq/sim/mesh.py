@@ -73,15 +73,16 @@ class MeshRoom:
         cross = np.cross(b - a, c - a)
         area = np.linalg.norm(cross, axis=1)
         normals = -cross / area[:, None]
-        meetings = find_meetings(self.triangles)
-        self._cache.update(
-            normals=normals, offset=np.einsum("ij,ij->i", normals, a), area=0.5 * area, meetings=meetings,
-            planes=find_planes(self.triangles, normals, 0.5 * area, meetings),
-            tree=make_tree(self.triangles, normals, self.face_surface))
+        self._cache.update(normals=normals, offset=np.einsum("ij,ij->i", normals, a), area=0.5 * area,
+                           tree=make_tree(self.triangles, normals, self.face_surface))
+        if "planes" not in self._cache:
+            self._cache["meetings"] = find_meetings(self.triangles)
+            self._cache["planes"] = find_planes(self.triangles, normals, 0.5 * area, self.meetings)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the geometry only; unpickling computes the rest again."""
-        return MeshRoom, (self.triangles, self.surfaces, self.face_surface, self.volume_m3, self.convex)
+        """Pickle the geometry and its planes; unpickling computes the rest again."""
+        return MeshRoom, (self.triangles, self.surfaces, self.face_surface, self.volume_m3, self.convex,
+                          dict(meetings=self.meetings, planes=self.planes))
 
     @property
     def normals(self) -> FloatArray:
