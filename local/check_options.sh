@@ -5,7 +5,7 @@ distribution="none|$number|(uniform|normal) +${number}[ ,]+$number|list +(${numb
 distribution_rule="'uniform LOW HIGH', 'normal MEAN SD', 'list A,B,...', a number or none"
 
 in_range() { # NAME LOW HIGH: stop unless a whole number lies in this range
-  [[ ${!1} -ge $2 && ${!1} -le $3 ]] || die "--${1//_/-} '${!1}' must lie in [$2, $3]"
+  [[ ${!1} =~ ^(0|-?[1-9][0-9]*)$ && ${!1} -ge $2 && ${!1} -le $3 ]] || die "--${1//_/-} '${!1}' must lie in [$2, $3]"
 }
 in_range nj 1 1024
 check_option stop_stage '[0-9]|10' "a whole number up to 10"
