@@ -257,7 +257,8 @@ def _check_values(known: dict[str, Any]) -> None:
         "distance_m": known["distance_m"]}
     for name, length_m in lengths_m.items():
         if length_m is not None and abs(length_m) > MAX_ROOM_M:
-            raise ValueError(f"{name}={length_m:g} must lie in [{-MAX_ROOM_M:g}, {MAX_ROOM_M:g}] m: give metres")
+            rule = f"lie in [{-MAX_ROOM_M:g}, {MAX_ROOM_M:g}]" if name in apart_m else f"be at most {MAX_ROOM_M:g}"
+            raise ValueError(f"{name}={length_m:g} must {rule}: give metres")
     require_air(**{key: known[key] for key in ("temperature_c", "humidity_pct") if known[key] is not None})
 
 
