@@ -413,9 +413,7 @@ def _deposit_steep(fine: Array, ways: Array, first: Number, low_1: Number, high_
         ahead, _ = _peaks_apart(here_2 + 0.1 * longest_2, middle, source_1, mic_2, frame_1, frame_2, nu_1, nu_2)
         per_metre = max(abs(ahead - apart) / (0.1 * longest_2), 1e-9)
         step_2 = min(longest_2, max(_FINENESS * max(abs(apart), width) / per_metre, _SHORTEST * longest_2))
-        next_2 = high_2 if here_2 + 1.01 * step_2 > high_2 else here_2 + step_2
-        z2, half_2 = 0.5 * (here_2 + next_2), 0.5 * (next_2 - here_2)
-        here_2 = next_2
+        z2, half_2, here_2 = _step(here_2, step_2, high_2)
         point_2_about_1 = _about(_point_on_edge(frame_2, z2), frame_1)
         if point_2_about_1[0] < _MIN_RADIUS_M:
             continue
@@ -426,9 +424,7 @@ def _deposit_steep(fine: Array, ways: Array, first: Number, low_1: Number, high_
         while here_1 < high_1:
             to_peak = min(max(abs(here_1 - peak_1), width_1, width_2), max(abs(here_1 - peak_2), width_2))
             step_1 = min(longest_1, max(_FINENESS * to_peak, _SHORTEST * longest_1))
-            next_1 = high_1 if here_1 + 1.01 * step_1 > high_1 else here_1 + step_1
-            z1, half_1 = 0.5 * (here_1 + next_1), 0.5 * (next_1 - here_1)
-            here_1 = next_1
+            z1, half_1, here_1 = _step(here_1, step_1, high_1)
             point_1_about_2 = _about(_point_on_edge(frame_1, z1), frame_2)
             if point_1_about_2[0] < _MIN_RADIUS_M:
                 continue
@@ -436,8 +432,21 @@ def _deposit_steep(fine: Array, ways: Array, first: Number, low_1: Number, high_
             between = np.sqrt(point_1_about_2[0] ** 2 + (z2 - point_1_about_2[1]) ** 2)
             integrals = (_beta_integral(z1, half_1, source_1, point_2_about_1, nu_1) * 2.0 * half_2
                          * _beta(z2, mic_2, point_1_about_2, nu_2) * (1.0 / between + 1.0 / last))
-            pressure = integrals * between / (32.0 * np.pi ** 3 * (before + between) * (between + last))
+            pressure = _pressure(integrals, before, between, last)
             _add(fine, ways, row, way, pressure, ((before + between + last) * to_samples - first) * oversampling)
+
+
+@inlined
+def _step(low: Number, length: Number, high: Number) -> Numbers:
+    """Return the middle, half the length and the end of a step along an edge [m]; what would be left joins the last."""
+    end = high if low + 1.01 * length > high else low + length
+    return 0.5 * (low + end), 0.5 * (end - low), end
+
+
+@inlined
+def _pressure(integrals: Number, before: Number, between: Number, after: Number) -> Number:
+    """Return the pressure of a pair of steps [1/m], from the integrals over both and the parts of the path [m]."""
+    return integrals * between / (32.0 * np.pi ** 3 * (before + between) * (between + after))
 
 
 @inlined
@@ -474,4 +483,4 @@ def _step_contribution(z1: Number, half_1: Number, z2: Number, half_2: Number, s
     last = np.sqrt(mic_2[0] ** 2 + (z2 - mic_2[1]) ** 2)
     integrals = (_beta_integral(z1, half_1, source_1, point_2_about_1, nu_1)
                  * _beta_integral(z2, half_2, mic_2, point_1_about_2, nu_2))
-    return integrals * between / (32.0 * np.pi ** 3 * (first + between) * (between + last)), first + between + last
+    return _pressure(integrals, first, between, last), first + between + last
