@@ -75,13 +75,26 @@ def test_drawn_rooms_have_loudspeakers_and_microphones_of_their_own(tmp_path):
 def test_every_effect_changes_exactly_the_rirs_it_concerns(name, measured, plain, tmp_path):
     simulated_rirs = simulated(measured, tmp_path / "out", model_file(tmp_path / "model.json", extension(name)))
     for row_id, (row, rir) in simulated_rirs.items():
-        acts = not (name in SOURCE_ONLY and row["noise_for"]) and not (name == "source_directivity" and row_id == "b")
+        acts = not (name in SOURCE_ONLY and row["noise_for"])
         assert row["model"] == [name] * acts
         before = plain[row_id][1]
         same = len(rir) == len(before) and np.array_equal(rir, before)
         # a directivity changes the absorption that meets the target, and noise sources are in the same room
         assert same != acts or (name == "source_directivity" and row["noise_for"]), f"{name} on {row_id}"
         assert np.all(np.isfinite(rir)) and row["temperature_c"] == plain[row_id][0]["temperature_c"]
+
+
+def test_source_without_stated_facing_faces_as_in_the_model_or_the_microphone(measured, tmp_path):
+    effect = extension("source_directivity")
+    facing = {}
+    for name, model in (("model", Model((effect,), {"b": [0.0, 1.0, 0.0], "a": [0.0, 0.0, 1.0]})),
+                        ("microphone", Model((effect,)))):
+        write_model(tmp_path / f"{name}.json", model)
+        rows = simulated(measured, tmp_path / name, tmp_path / f"{name}.json")
+        assert rows["a"][0]["source_dir"] == measured_row("a")["source_dir"]
+        facing[name], facing[f"{name}, noise"] = rows["b"][0]["source_dir"], rows["b-noise1"][0]["source_dir"]
+    assert facing["model"] == [0.0, 1.0, 0.0] and facing["model, noise"] is None
+    np.testing.assert_allclose(facing["microphone"], np.array([3.5, -1.0, -0.3]) / np.linalg.norm([3.5, 1.0, 0.3]))
 
 
 def test_target_is_met_before_effects_on_the_whole_rir(measured, plain, tmp_path):
@@ -155,6 +168,9 @@ def test_changed_model_rebuilds_the_directory(measured, tmp_path):
      r"effects\[0\]: effect='gnomes' must be one of air_absorption, "),
     ('{"format": 3, "effects": [{"effect": "occlusion", "of": {"office": {"detour_m": "far"}}}]}',
      r"effects\[0\]: of\['office'\]: detour_m='far' must be a number"),
+    ('{"format": 3, "effects": [], "facings": {"a": [0, 0, 0]}}',
+     r"facings\['a'\]=\[0, 0, 0\] must be a direction, three numbers that are not all 0"),
+    ('{"format": 3, "effects": [], "facings": ["a"]}', r"facings=\['a'\] must map RIRs to directions"),
 ])
 def test_broken_model_error_names_the_place(text, message, measured, tmp_path):
     (tmp_path / "model.json").write_text(text)

@@ -4,12 +4,16 @@
      "effects": [{"effect": "source_response", "of": {"spk1": {"gains_db": [...]}}, "typical": [...], "spread": [...]}]}
 
 `of` holds the parameters of each unit (loudspeaker, microphone, room or all) that was measured. Other units get
-parameters drawn from the spread of those.
+parameters drawn from the spread of those. A model with a directivity may also have
+
+     "facings": {"rir1": [1.0, 0.0, 0.0]}
+
+the directions in which sources face, by RIR, where neither its row states one nor it is that of the microphone.
 """
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import reduce
 from pathlib import Path
 from typing import Any
@@ -32,7 +36,7 @@ MODEL_FORMAT = 3
 MAX_COMPONENT = 100.0
 """Largest component of a vector: spreads are about 1, or some dB."""
 _ROUNDING = 1e-9
-_KEYS, _ENTRY_KEYS = ("format", "effects"), ("effect", "of", "typical", "spread")
+_KEYS, _ENTRY_KEYS = ("format", "effects", "facings"), ("effect", "of", "typical", "spread")
 
 Directivity = Callable[[FloatArray], FloatArray]
 
@@ -76,13 +80,21 @@ class Model:
     Attributes
     ----------
     extensions : tuple of Extension
+    facings : dict
+        {id of an RIR: direction that its source faces}, of RIRs whose rows may not state it.
     """
 
     extensions: tuple[Extension, ...] = ()
+    facings: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:
         return [extension.effect.NAME for extension in self.extensions]
+
+    @property
+    def is_directive(self) -> bool:
+        """Whether an effect acts on paths over their angle of departure."""
+        return any(is_directive(extension.effect) for extension in self.extensions)
 
     def for_row(self, row: Mapping[str, Any], seed: int) -> list[Effect]:
         """Return the effects of a row."""
@@ -110,7 +122,7 @@ def path_gain(effects: Sequence[Effect], source_dir: Sequence[float | None] | No
     callable or None
         Takes unit vectors, shape (n, 3), and returns pressure gains, shape (n, 8); None where all are 1.
     """
-    directive, facing = [effect for effect in effects if is_directive(effect)], unit_facing(source_dir)
+    directive, facing = [effect for effect in effects if is_directive(type(effect))], unit_facing(source_dir)
     if not directive or facing is None:
         return None
 
@@ -121,14 +133,14 @@ def path_gain(effects: Sequence[Effect], source_dir: Sequence[float | None] | No
     return gain
 
 
-def is_directive(effect: Effect) -> bool:
+def is_directive(effect: type[Effect]) -> bool:
     """Tell whether an effect acts on paths over their angle of departure."""
-    return type(effect).on_paths is not Effect.on_paths
+    return effect.on_paths is not Effect.on_paths
 
 
 def names_of(effects: Sequence[Effect], gain: Directivity | None) -> list[str]:
     """Return the names of the effects that act; those on paths do not where `path_gain` returned None."""
-    return [effect.NAME for effect in effects if gain is not None or not is_directive(effect)]
+    return [effect.NAME for effect in effects if gain is not None or not is_directive(type(effect))]
 
 
 def direct_gain(scene: Scene, source_pos_m: ArrayLike, mic_pos_m: ArrayLike,
@@ -183,11 +195,12 @@ def apply_to_rir(effects: Sequence[Effect], rir: FloatArray, scene: Scene, sourc
 
 def write_model(path: Path, model: Model) -> None:
     """Write a model file."""
+    facings = dict(facings=dict(sorted(model.facings.items()))) if model.facings else {}
     write_json(path, dict(format=MODEL_FORMAT, effects=[dict(
         effect=extension.effect.NAME,
         of={unit: asdict(effect) for unit, effect in sorted(extension.of.items())},  # type: ignore[call-overload]
         typical=[float(value) for value in extension.typical], spread=[float(value) for value in extension.spread])
-        for extension in model.extensions]))
+        for extension in model.extensions], **facings))
 
 
 def read_model(path: str | Path) -> Model:
@@ -211,7 +224,17 @@ def read_model(path: str | Path) -> Model:
     for n, name in enumerate(names):
         if name in names[:n]:
             raise ValueError(f"{path}: effects[{n}]: effect={name!r} is there already: leave one out")
-    return Model(extensions)
+    return Model(extensions, _read_facings(path, content.get("facings", {})))
+
+
+def _read_facings(path: Path, facings: Any) -> dict[str, list[float]]:
+    if not isinstance(facings, dict):
+        raise ValueError(f"{path}: facings={facings!r:.60} must map RIRs to directions: correct or remove it")
+    for rir_id, facing in facings.items():
+        if not (isinstance(facing, list) and len(facing) == 3 and all(map(_is_number, facing)) and any(facing)):
+            raise ValueError(f"{path}: facings[{rir_id!r}]={facing!r:.60} must be a direction, three numbers that are "
+                             "not all 0: correct or remove it")
+    return facings
 
 
 def _read_extension(place: str, entry: Any) -> Extension:

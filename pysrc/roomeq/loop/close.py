@@ -16,7 +16,7 @@ from roomeq.core.workers import on_one_thread
 from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, read_model, write_model
-from roomeq.effects.source_directivity import SourceDirectivity
+from roomeq.effects.source_directivity import SourceDirectivity, unit_facing
 from roomeq.loop.acceptance import RISES, Trial, describe_rejection, judge
 from roomeq.loop.ceiling import ceiling_errors, ceiling_of_test_set, describe_explained, explained
 from roomeq.loop.data import Data, load_data
@@ -59,6 +59,7 @@ from roomeq.loop.session import Session, fit_base_model, refit_rendered, with_me
 from roomeq.loop.shared_devices import warn_of_shared_devices
 from roomeq.loop.unexplained import find_unexplained
 from roomeq.loop.usable import UsableRirs, require_enough_rooms, usable_rirs
+from roomeq.sim.geometry import towards_microphone
 
 logger = logging.getLogger(__name__)
 _FEWEST_ROOMS = 2
@@ -357,4 +358,15 @@ def _model_of(session: Session, base: Model) -> Model:
         spread = of_units.std(axis=0, ddof=1) if len(of_units) > 1 else np.zeros(of_units.shape[1])
         extensions.append(Extension(effect, {name: effect.from_vector(vector) for name, vector
                                              in zip(names, of_units, strict=True)}, of_units.mean(axis=0), spread))
-    return Model(tuple(sorted(extensions, key=lambda extension: list(CATALOGUE).index(extension.effect.NAME))))
+    model = Model(tuple(sorted(extensions, key=lambda extension: list(CATALOGUE).index(extension.effect.NAME))))
+    return replace(model, facings=_facings(session.data)) if model.is_directive else model
+
+
+def _facings(data: Data) -> dict[str, list[float]]:
+    """Return the facings of sources that do not face their microphone, by RIR."""
+    facings = {}
+    for row, place in zip(data.rows, data.places, strict=True):
+        facing = unit_facing(row.get("source_dir"))
+        if facing is not None and not np.allclose(facing, towards_microphone(place), atol=1e-6):
+            facings[row["id"]] = facing.tolist()
+    return facings

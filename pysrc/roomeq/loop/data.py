@@ -31,7 +31,7 @@ from roomeq.loop.usable import LeftOut, UsableRirs
 from roomeq.records.geometry import is_too_close, place_key
 from roomeq.records.rir_dir import load_rir, rir_path
 from roomeq.records.schema import RirRow, is_timed, session_name, unit_name
-from roomeq.sim.geometry import Place, find_place
+from roomeq.sim.geometry import Place, find_place, towards_microphone
 from roomeq.sim.path_sample import PathSample
 from roomeq.sim.render import MAX_LENGTH_S
 from roomeq.sim.response import trace_source
@@ -302,12 +302,6 @@ def _share_facings(recordings: list[_Recording]) -> list[_Recording]:
         logger.info("%d RIRs do not state where their source faces, and take the direction that others of its position "
                     "state", n_shared)
     return shared
-
-
-def towards_microphone(place: Place) -> FloatArray:
-    """Return the unit vector from a source to its microphone, shape (3,)."""
-    towards = np.subtract(place.mic_pos_m, place.source_pos_m)
-    return np.asarray(towards / np.linalg.norm(towards))
 
 
 def _angles_deg(axes: FloatArray, others: FloatArray) -> FloatArray:

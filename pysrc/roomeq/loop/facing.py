@@ -16,7 +16,7 @@ from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.jit import on_threads
 from roomeq.core.rng import rng_for
 from roomeq.effects.source_directivity import SourceDirectivity, unit_facing
-from roomeq.loop.data import LENGTHS_S, Data, towards_microphone
+from roomeq.loop.data import LENGTHS_S, Data
 from roomeq.loop.facing_estimate import FacingEstimate, Hypothesis
 from roomeq.loop.features import BAND_OF_FEATURE, CALIBRATION_FEATURES, METRIC
 from roomeq.loop.packing import ParameterIndex
@@ -25,6 +25,7 @@ from roomeq.loop.predict import predict
 from roomeq.loop.session import Session
 from roomeq.loop.tables import ANGLES, collect
 from roomeq.records.schema import unit_name
+from roomeq.sim.geometry import towards_microphone
 
 _AXES = np.array([(np.cos(azimuth), np.sin(azimuth), 0.0) for azimuth in np.radians(np.arange(0.0, 360.0, 5.0))])
 """Horizontal directions that are compared."""

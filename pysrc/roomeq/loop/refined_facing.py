@@ -19,13 +19,14 @@ from numpy.typing import ArrayLike
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.effects.base import Effect
 from roomeq.effects.prediction import PredictedRirs, PredictionState
-from roomeq.loop.data import Data, towards_microphone
+from roomeq.loop.data import Data
 from roomeq.loop.facing import mean_angle_deg, with_facings
 from roomeq.loop.features import CALIBRATION_FEATURES, METRIC
 from roomeq.loop.fit import fit
 from roomeq.loop.packing import ParameterIndex
 from roomeq.loop.session import Session
 from roomeq.records.schema import unit_name
+from roomeq.sim.geometry import towards_microphone
 
 _SD_RAD = 0.15
 """Standard deviation of the error of an axis."""

@@ -95,6 +95,12 @@ def find_place(row: Mapping[str, Any], rows_of_room: Iterable[Mapping[str, Any]]
     return Place(room, tuple(map(float, source)), tuple(map(float, mic)), tuple(drawn), channels)
 
 
+def towards_microphone(place: Place) -> FloatArray:
+    """Return the unit vector from a source to its microphone, shape (3,)."""
+    towards = np.subtract(place.mic_pos_m, place.source_pos_m)
+    return np.asarray(towards / np.linalg.norm(towards))
+
+
 def _channels(stated_m: Sequence[Position], mic_m: Sequence[float]) -> tuple[tuple[float, ...], ...]:
     """Return the positions of an array's microphones, which move with the first one; empty if they are unknown."""
     if len(stated_m) < 2 or any(None in position for position in stated_m):

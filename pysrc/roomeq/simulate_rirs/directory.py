@@ -28,7 +28,7 @@ from roomeq.effects.source_directivity import unit_facing
 from roomeq.records.rir_dir import read_rirs, validate_rirs, with_meshes_relocated, write_rirs
 from roomeq.records.schema import RirRow
 from roomeq.sim.array_noise import ArrayNoise
-from roomeq.sim.geometry import find_place
+from roomeq.sim.geometry import find_place, towards_microphone
 from roomeq.sim.materials import read_materials
 from roomeq.sim.scene import Air, Shoebox, require_apart, with_absorption
 from roomeq.simulate_rirs.drawn_room import MESHES, render_drawn_room, table_of_type
@@ -53,7 +53,7 @@ def make(build: Build, measured_dir: Path, rows: list[RirRow], materials: Path |
     """
     table = read_materials(materials)
     effects = Model() if model is None else read_model(model)
-    groups = _group_by_source(rows, measured_dir, options.seed)
+    groups = _group_by_source(rows, measured_dir, effects, options.seed)
 
     def simulate_group(_: str, members: list[Member]) -> list[dict]:
         air = _declared_air(members[0].row)
@@ -111,13 +111,17 @@ def _rooms_by_type(rows: list[RirRow]) -> Counter[str]:
     return Counter(dict((row["room_id"], row.get("room_type") or "") for row in rows).values())
 
 
-def _group_by_source(rows: list[RirRow], directory: Path, seed: int) -> dict[str, list[Member]]:
-    """Return at most `ROWS_PER_ITEM` rows of one source each, by the id of the first row."""
+def _group_by_source(rows: list[RirRow], directory: Path, model: Model, seed: int) -> dict[str, list[Member]]:
+    """Return at most `ROWS_PER_ITEM` rows of one source each, by the id of the first row.
+
+    A directivity of the model needs to know where sources face. Where a row does not state it, that is the direction
+    in which the loop has found the source to face, or that of the microphone, which the loop assumes otherwise.
+    """
     rows_of_room = defaultdict(list)
     for row in rows:
         rows_of_room[row["room_id"]].append(row)
     groups = defaultdict(list)
-    n_drawn = n_unknown_arrays = 0
+    n_drawn = n_unknown_arrays = n_faced = 0
     drawn_keys: Counter[str] = Counter()
     for row in rows:
         place = find_place(row, rows_of_room[row["room_id"]], directory, seed)
@@ -128,6 +132,10 @@ def _group_by_source(rows: list[RirRow], directory: Path, seed: int) -> dict[str
         if row.get("source_directivity") and unit_facing(row.get("source_dir")) is None:
             raise ValueError(f"RIR {row['id']}: source_directivity needs to know where the source faces: add "
                              "source_dir, or remove it")
+        if model.is_directive and unit_facing(row.get("source_dir")) is None:
+            n_faced += 1
+            facing = model.facings.get(row["id"], towards_microphone(place))
+            row = {**row, "source_dir": [float(x) for x in facing]}
         if place.drawn:
             n_drawn += 1
             drawn_keys.update({name.partition(".")[0] for name in place.drawn})
@@ -140,6 +148,9 @@ def _group_by_source(rows: list[RirRow], directory: Path, seed: int) -> dict[str
         logger.info("%s: %d of %d RIRs have unknown or unreliable coordinates, which are drawn (key 'drawn'): %s",
                     directory, n_drawn, len(rows),
                     ", ".join(f"{key} of {count}" for key, count in sorted(drawn_keys.items())))
+    if n_faced:
+        logger.info("%s: %d of %d RIRs do not state where their source faces (source_dir): it faces as the closed loop "
+                    "has found, or the microphone", directory, n_faced, len(rows))
     if n_unknown_arrays:
         logger.info("%s: %d RIRs are of arrays with unknown coordinates in channel_pos_m: only their first microphone "
                     "is simulated", directory, n_unknown_arrays)

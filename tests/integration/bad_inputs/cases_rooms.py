@@ -165,7 +165,8 @@ CASES = [
     model("of a misspelt key", "sound_speed", "key 'spred' must be one of effect, of, typical, spread: correct or "
           "remove it", spred=[1]),
     Case("model of a misspelt list", "simulate --model m.json measured out", "m.json: key 'efects' must be one of "
-         "format, effects: correct or remove it", (write("m.json", '{"format": 3, "effects": [], "efects": []}'),)),
+         "format, effects, facings: correct or remove it",
+         (write("m.json", '{"format": 3, "effects": [], "efects": []}'),)),
     Case("model of a parameter twice", "simulate --model m.json measured out", "m.json: not a JSON file (key "
          "'temperature_c' occurs twice: leave one out): make it again", (write("m.json", '{"format": 3, "effects": [{'
          '"effect": "sound_speed", "of": {"all": {"temperature_c": 20, "temperature_c": 30}}}]}'),)),

@@ -10,7 +10,7 @@ from rirmaker import coloured_rir, write_rir_dir
 from roomeq.effects.model import Extension, Model
 from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.loop import facing
-from roomeq.loop.close import _faced_base_model
+from roomeq.loop.close import _faced_base_model, _facings
 from roomeq.loop.data import load_data
 from roomeq.loop.facing import _log_likelihood, estimate_facings, unknown_facings
 from roomeq.loop.packing import N_SURFACE, ParameterIndex
@@ -172,3 +172,9 @@ def test_base_model_with_a_directivity_is_fitted_with_its_facings(tmp_path):
         index.gains(fitted.local), session.correction), atol=1e-6)
     test_data, _ = transferred(loaded(tmp_path / "test", None, model), session)
     assert not len(unknown_facings(test_data)) and [found.rirs for found in test_data.facings] == [12]
+
+
+def test_model_holds_the_facings_of_sources_that_face_no_microphone():
+    rirs = Rirs()
+    rows = [dict(id="away", source_dir=[0.0, 2.0, 0.0]), dict(id="towards", source_dir=rirs.towards[1].tolist())]
+    assert _facings(SimpleNamespace(rows=rows, places=rirs.places[:2])) == {"away": [0.0, 1.0, 0.0]}
