@@ -27,9 +27,10 @@ N_LEAD = 256  # samples before the direct sound that are included: its onset is 
 POINT_BINS = tuple(round(f * N_FRAME / FS_HZ) for f in BANDS_HZ)
 MIN_SNR_DB = 10.0  # at a point: noise adds at most 0.4 dB
 MIN_NOISE = 2 * N_FRAME  # samples after the noise intersection from which the noise spectrum is estimated
+BELOW_HZ = (5000.0, 6000.0)
 PASS_HZ = (6500.0, 7250.0)  # pass band of anti-alias filters
-ROLL_OFF_HZ = 7900.0  # their stop band begins here
-ROLL_OFF_DB = 20.0  # 100 dB per octave between the two: steeper than loudspeakers, and than the scatter of a few bins
+STOP_HZ = (7900.0, 8000.0)
+ROLL_OFF_DB = 20.0  # at least 60 dB per octave between two of these: steeper than loudspeakers, and than their scatter
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,8 @@ class EqAnalysis:
     snr_db
         Signal-to-noise ratio; infinite if the response ends above its noise.
     edge_db
-        EQ just below an anti-alias roll-off at 8 kHz (6.5 to 7.25 kHz); None if there is no roll-off.
+        EQ just below an anti-alias roll-off at 8 kHz (6.5 to 7.25 kHz); None if there is no roll-off, or if it begins
+        below, as in recordings of a lower sample rate.
     """
 
     level_db: FloatArray
@@ -159,16 +161,16 @@ def analyse(rir: FloatArray, direct_sample: float) -> EqAnalysis:
         snr_db = power_db(power[points]) - power_db(noise[points])
     valid = (snr_db >= MIN_SNR_DB) & (power[points] > 0.0) & (snr_db[BAND_1KHZ] >= MIN_SNR_DB)
     level_db = power_db(power[points])
-    edge_db = _edge_db(power)
-    if edge_db is not None:
+    below_db, passed_db, stopped_db = (_mean_db(power, band_hz) for band_hz in (BELOW_HZ, PASS_HZ, STOP_HZ))
+    edge_db = None
+    if passed_db - stopped_db > ROLL_OFF_DB:
         valid[-1] = False
-        edge_db -= level_db[BAND_1KHZ]
+        if below_db - passed_db <= ROLL_OFF_DB:
+            edge_db = passed_db - float(level_db[BAND_1KHZ])
     return EqAnalysis(level_db, level_db - level_db[BAND_1KHZ], valid, snr_db, edge_db)
 
 
-def _edge_db(power: FloatArray) -> float | None:
-    """Return the level just below an anti-alias roll-off, or None if there is none."""
-    bin_hz = FS_HZ / N_FRAME
-    passed = float(np.mean(power[round(PASS_HZ[0] / bin_hz):round(PASS_HZ[1] / bin_hz) + 1]))
-    stopped = float(np.mean(power[round(ROLL_OFF_HZ / bin_hz):]))
-    return float(power_db(passed)) if power_db(passed) - power_db(stopped) > ROLL_OFF_DB else None
+def _mean_db(power: FloatArray, band_hz: tuple[float, float]) -> float:
+    """Return the level of an energy spectrum at 16 kHz between two frequencies."""
+    low, high = (round(hz * N_FRAME / FS_HZ) for hz in band_hz)
+    return float(power_db(np.mean(power[low:high + 1])))

@@ -44,7 +44,7 @@ class EqRecord(TypedDict):
     eq_db: list[float]
     valid: list[bool]
     edge_db: float | None
-    """Level just below a roll-off at 8 kHz; None if there is no roll-off."""
+    """Level just below a roll-off at 8 kHz; None if there is none, or if it begins below."""
     screen: str | None
     """Why the RIR is left out of the fit, or None."""
     fitted_db: NotRequired[list[float]]

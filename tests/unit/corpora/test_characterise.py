@@ -75,6 +75,14 @@ def test_eq_points_above_a_lower_sample_rate_are_not_measured(tmp_path):
     assert rows["b"]["screen"].startswith("dead bands: ")
 
 
+def test_recording_of_12_khz_has_no_level_below_a_roll_off_at_8_khz(tmp_path):
+    narrow = resample_poly(resample_poly(coloured_rir(1), 3, 4), 4, 3)
+    rows, report = run(tmp_path, [(row("a"), narrow)])
+    parameters = rows["a"]["acoustic_parameters"]
+    assert parameters["eq_valid"] == [True] * 7 + [False] and parameters["eq_edge_db"] is None
+    assert rows["a"]["screen"] is None and report["n_roll_off_at_8khz"] == 0
+
+
 def test_eq_points_below_a_sweep_are_not_measured_for_all_rirs_of_a_source(tmp_path):
     sweep = butter(20, 90.0, "high", fs=16000, output="sos")
     items = [(row(f"a{n}"), sosfilt(sweep, coloured_rir(n))) for n in range(2)]
