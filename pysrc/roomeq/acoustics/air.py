@@ -72,7 +72,10 @@ def air_absorption_db_m(frequencies_hz: ArrayLike, temperature_c: float = 20.0, 
 @cache
 def band_attenuation_per_m(temperature_c: float = 20.0, humidity_pct: float = 50.0,
                            fs_hz: float = FS_HZ) -> tuple[float, ...]:
-    """Return the energy attenuation of the octave bands below half a sample rate, at their exact mid-band frequencies.
+    """Return the energy attenuation of the octave bands below half a sample rate, in the middle of what is recorded.
+
+    That is the exact mid-band frequency, but for an octave that reaches beyond half the sample rate: of the octave at
+    8 kHz, only 5.6 to 8 kHz are recorded at 16 kHz.
 
     Returns
     -------
@@ -84,5 +87,7 @@ def band_attenuation_per_m(temperature_c: float = 20.0, humidity_pct: float = 50
     ValueError
         See `air_absorption_db_m`.
     """
-    attenuation = air_absorption_db_m(exact_bands_hz(fs_hz), temperature_c, humidity_pct) / _DB_PER_NEPER
+    bands_hz = np.array(exact_bands_hz(fs_hz))
+    middle_hz = bands_hz * np.sqrt(np.minimum(1.0, 0.5 * fs_hz / (bands_hz * np.sqrt(2.0))))
+    attenuation = air_absorption_db_m(middle_hz, temperature_c, humidity_pct) / _DB_PER_NEPER
     return tuple(float(value) for value in attenuation)

@@ -93,7 +93,7 @@ class Air:
 
     @property
     def attenuation_per_m(self) -> FloatArray:
-        """Energy attenuation of the eight bands to 8 kHz, shape (8,)."""
+        """Energy attenuation of the eight bands to 8 kHz at the sample rate of 16 kHz, shape (8,)."""
         return np.array(band_attenuation_per_m(self.temperature_c, self.humidity_pct))
 
 
@@ -218,7 +218,7 @@ class Scene:
     @property
     def attenuation_per_m(self) -> FloatArray:
         """Energy attenuation of the air, shape (n_bands,)."""
-        if self.n_bands == N_BANDS:
+        if self.fs_hz == FS_HZ:  # the air of a model has no temperature
             return self.air.attenuation_per_m
         return np.array(band_attenuation_per_m(self.air.temperature_c, self.air.humidity_pct, self.fs_hz))
 

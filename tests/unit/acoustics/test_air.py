@@ -5,7 +5,8 @@ import pytest
 
 from roomeq.acoustics.air import air_absorption_db_m, band_attenuation_per_m, speed_of_sound_m_s
 from roomeq.acoustics.filterbank import octave_filterbank
-from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ
+from roomeq.acoustics.octaves import octave_power_gains
+from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ, exact_bands_hz
 
 # ISO 9613-2:1996, table 2 (computed by ISO 9613-1 at the exact mid-band frequencies 63 Hz to 8 kHz) [dB/km]
 TABLE_DB_KM = {
@@ -36,8 +37,23 @@ def test_air_absorption_agrees_with_pyfar():
 
 
 def test_band_attenuation_applies_to_energy():
-    per_m = np.array(band_attenuation_per_m(20.0, 50.0))
+    per_m = np.array(band_attenuation_per_m(20.0, 50.0, 48000))[:8]
     np.testing.assert_allclose(10.0 * np.log10(np.exp(per_m)), air_absorption_db_m(EXACT_BANDS_HZ), rtol=1e-9)
+
+
+@pytest.mark.parametrize("fs_hz", [8000, 16000])
+@pytest.mark.parametrize("humidity_pct", [20.0, 50.0, 80.0])
+def test_octave_at_half_the_sample_rate_decays_as_what_is_recorded_of_it(fs_hz, humidity_pct):
+    band_hz, speed_m_s, of_room_per_s = exact_bands_hz(fs_hz)[-1], speed_of_sound_m_s(20.0), 6.0 * np.log(10.0) / 0.5
+    frequency_hz = np.fft.rfftfreq(4096, 1.0 / fs_hz)
+    per_s = of_room_per_s + speed_m_s * air_absorption_db_m(frequency_hz, 20.0, humidity_pct) * np.log(10.0) / 10.0
+    time_s = np.linspace(0.0, 0.5, 1000)
+    curve = octave_power_gains(4096, fs_hz, band_hz) / per_s @ np.exp(-np.outer(per_s, time_s))
+    level_db = 10.0 * np.log10(curve / curve[0])
+    in_t30 = (level_db < -5.0) & (level_db > -35.0)
+    t30_s = -60.0 / np.polyfit(time_s[in_t30], level_db[in_t30], 1)[0]
+    of_band_per_s = of_room_per_s + speed_m_s * band_attenuation_per_m(20.0, humidity_pct, fs_hz)[-1]
+    assert 6.0 * np.log(10.0) / of_band_per_s == pytest.approx(t30_s, rel=0.015)
 
 
 def test_speed_of_sound_at_reference_temperatures():
