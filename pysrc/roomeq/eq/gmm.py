@@ -69,7 +69,7 @@ def fit_gmm(vectors_db: FloatArray, rooms: Sequence[str], *, n_components: int =
     from sklearn.mixture import GaussianMixture
     from threadpoolctl import threadpool_limits
 
-    rows = vectors_db
+    rows = np.repeat(vectors_db, 2, axis=0) if len(vectors_db) == 1 else vectors_db  # scikit-learn refuses a single row
     if weight_rooms:
         n_rows = REPLICAS * len(vectors_db)
         edges = np.floor(np.concatenate([[0.0], np.cumsum(room_weights(rooms))]) * n_rows + 0.5)

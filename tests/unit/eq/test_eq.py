@@ -11,7 +11,7 @@ from roomeq.core.files import read_json, read_jsonl, write_json
 from roomeq.core.rng import rng_for
 from roomeq.eq.compensation import compensate_rir
 from roomeq.eq.fit import fill_missing, screen_outliers, usable_eq
-from roomeq.eq.gmm import FREE, draw_target, fit_gmm, read_gmm, room_weights, sample_eq, with_reference
+from roomeq.eq.gmm import FREE, JND_DB, draw_target, fit_gmm, read_gmm, room_weights, sample_eq, with_reference
 from roomeq.eq.steps import fit_eq
 
 SHAPE_DB = np.array([6.0, 4.0, 3.0, -2.0, 0.0, -3.0, -6.0, -9.0])
@@ -248,6 +248,15 @@ def test_component_is_as_wide_as_its_rirs():
 
 
 @pytest.mark.filterwarnings("ignore:Number of distinct clusters")
+@pytest.mark.parametrize("weight_rooms", [False, True])
+def test_one_rir_makes_a_component_of_min_width(weight_rooms):
+    vector_db = np.arange(7.0)
+    gmm = fit_gmm(vector_db[None], ["hall"], n_components=1, weight_rooms=weight_rooms, seed=0)
+    np.testing.assert_allclose(gmm["means_db"], vector_db[None])
+    np.testing.assert_allclose(gmm["covariances_db2"][0], JND_DB ** 2 * np.eye(7), atol=1e-9)
+    assert gmm["weights"] == [1.0] and gmm["n_rirs"] == 1
+
+
 def test_nearly_as_many_components_as_rirs_keep_min_width():
     rng = np.random.default_rng(0)
     vectors = np.concatenate([np.repeat(rng.normal(0, 3, (1, 7)), 7, axis=0), rng.normal(0, 3, (2, 7))])
