@@ -46,6 +46,14 @@ def excited_to_hz(rir: FloatArray) -> float:
     return float(np.sqrt(edges_hz[cliffs[0] + 1] * edges_hz[cliffs[0] + 2])) if len(cliffs) else NO_END_HZ
 
 
+def eq_to_hz(to_hz: float) -> float:
+    """Return the frequency up to which a recording that ends at `to_hz` holds a whole EQ.
+
+    It ends in the middle of a third octave.
+    """
+    return to_hz * 2.0 ** (-1.0 / 6.0) if to_hz < NO_END_HZ else to_hz
+
+
 def _levels_db(rir: FloatArray, edges_hz: FloatArray) -> FloatArray:
     """Return the level of a response in the bands between some frequencies [dB per bin]."""
     power = energy_per_bin(rir, next_fast_len(max(len(rir), FS_HZ), real=True))

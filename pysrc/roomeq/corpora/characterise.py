@@ -14,7 +14,7 @@ from statistics import median_high
 from typing import Any, NamedTuple
 
 from roomeq.core.build import Build
-from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
+from roomeq.core.constants import BAND_1KHZ, BANDS_HZ
 from roomeq.core.files import write_json
 from roomeq.corpora.repeats import find_repeats, keeping_order
 from roomeq.corpora.suspicious import suspicion
@@ -135,6 +135,8 @@ def _limit_to_excitation(rows: Sequence[RirRow], records: Sequence[dict[str, Any
     Its lower end is the same for all RIRs of a source in a room, its upper end that of each recording. Of two values in
     the middle, the median is the higher: their mean is no end if one of the recordings shows none.
     """
+    from roomeq.acoustics.excitation import eq_to_hz
+
     of_source = defaultdict(list)
     for row, record in zip(rows, records, strict=True):
         if "acoustic_parameters" in record:
@@ -144,7 +146,7 @@ def _limit_to_excitation(rows: Sequence[RirRow], records: Sequence[dict[str, Any
         if from_hz > BANDS_HZ[0]:
             logger.info("source %s in room %s, %d RIRs: the excitation begins at %.0f Hz; the EQ below is not measured",
                         source_id, room_id, len(measured), from_hz)
-        ends_hz = [_highest_hz(record["excited_to_hz"]) for record in measured]
+        ends_hz = [eq_to_hz(record["excited_to_hz"]) for record in measured]
         if n_ended := sum(end_hz < BANDS_HZ[-1] for end_hz in ends_hz):
             logger.info("source %s in room %s: %d of %d RIRs hold nothing above %.0f Hz, like recordings of a lower "
                         "sample rate; the EQ above is not measured", source_id, room_id, n_ended, len(measured),
@@ -153,11 +155,6 @@ def _limit_to_excitation(rows: Sequence[RirRow], records: Sequence[dict[str, Any
             parameters = record["acoustic_parameters"]
             parameters["eq_valid"] = [valid and from_hz <= hz <= end_hz
                                       for valid, hz in zip(parameters["eq_valid"], BANDS_HZ, strict=True)]
-
-
-def _highest_hz(to_hz: float) -> float:
-    """Return the frequency up to which a recording holds a whole EQ: it ends in the middle of a third octave."""
-    return to_hz * 2.0 ** (-1.0 / 6.0) if to_hz < 0.5 * FS_HZ else to_hz
 
 
 def screen_reason(row: Mapping[str, Any], parameters: Mapping[str, Any]) -> str | None:

@@ -11,6 +11,7 @@ from typing import NotRequired, TypedDict
 import numpy as np
 
 from roomeq.acoustics.direct import find_direct
+from roomeq.acoustics.excitation import eq_to_hz, excited_from_hz, excited_to_hz
 from roomeq.acoustics.subband_eq import analyse
 from roomeq.core.arrays import BoolArray, FloatArray
 from roomeq.core.build import Build
@@ -127,6 +128,8 @@ def _screened(measured: list[EqRecord], real_dir: Path, n_components: int) -> li
 def eq_row(directory: Path, row: RirRow) -> EqRecord:
     """Return the EQ of one row: from its acoustic parameters if it has them, else measured.
 
+    Points outside the band of the recording's own excitation are then invalid.
+
     Raises
     ------
     ValueError
@@ -142,7 +145,9 @@ def eq_row(directory: Path, row: RirRow) -> EqRecord:
             eq = analyse(rir, find_direct(rir, FS_HZ)[0] if sample is None else sample)
         except ValueError as error:
             raise ValueError(f"{rir_path(directory, row)}: {error}") from None
-        eq_db, valid, edge_db = eq.eq_db.round(_DECIMALS).tolist(), eq.valid.tolist(), eq.edge_db
+        from_hz, to_hz = excited_from_hz(rir), eq_to_hz(excited_to_hz(rir))
+        eq_db, edge_db = eq.eq_db.round(_DECIMALS).tolist(), eq.edge_db
+        valid = [bool(is_valid) and from_hz <= hz <= to_hz for is_valid, hz in zip(eq.valid, BANDS_HZ, strict=True)]
     return EqRecord(id=row["id"], room_id=row["room_id"], corpus=row.get("corpus"), eq_db=eq_db, valid=valid,
                     edge_db=edge_db, screen=row.get("screen"))
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from rirmaker import DIRECT, coloured_rir, row, write_rir_dir
+from scipy.signal import butter, resample_poly, sosfilt
 
 from enough_rirs import main as enough_rirs
 from roomeq.acoustics.subband_eq import N_FRAME, N_LEAD, POINT_BINS, analyse, energy_spectrum
@@ -10,9 +11,10 @@ from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.core.files import read_json, read_jsonl, write_json
 from roomeq.core.rng import rng_for
 from roomeq.eq.compensation import compensate_rir
-from roomeq.eq.fit import fill_missing, screen_outliers, usable_eq
+from roomeq.eq.fit import eq_row, fill_missing, screen_outliers, usable_eq
 from roomeq.eq.gmm import FREE, JND_DB, draw_target, fit_gmm, read_gmm, room_weights, sample_eq, with_reference
 from roomeq.eq.steps import fit_eq
+from roomeq.records.rir_dir import read_rirs
 
 SHAPE_DB = np.array([6.0, 4.0, 3.0, -2.0, 0.0, -3.0, -6.0, -9.0])
 
@@ -294,6 +296,14 @@ def test_fit_eq_gives_the_same_bytes_with_more_jobs(rir_dirs, tmp_path):
         fit_eq(rir_dirs[0], [rir_dirs[1]], tmp_path / name, n_components=2, seed=0, nj=nj)
     for name in ("gmm.json", "measured.jsonl", "simulated.jsonl", "resampled.jsonl", "screening.json"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+
+
+def test_eq_outside_the_excitation_is_not_measured_without_acoustic_parameters_either(tmp_path):
+    narrow = resample_poly(resample_poly(coloured_rir(0), 441, 640), 640, 441)
+    sweep = sosfilt(butter(20, 90.0, "high", fs=16000, output="sos"), coloured_rir(1))
+    directory = write_rir_dir(tmp_path / "real", [(row("narrow"), narrow), (row("sweep"), sweep)])
+    assert [eq_row(directory, given)["valid"] for given in read_rirs(directory)] == [[True] * 7 + [False],
+                                                                                    [False] + [True] * 7]
 
 
 def test_fewer_rirs_than_components_leave_no_output(rir_dirs, tmp_path):
