@@ -1,7 +1,9 @@
-"""Find a fade-out at the end of a response, whose falling noise is neither noise nor decay.
+"""Find the end of a response ahead of a fade-out, whose falling noise is neither noise nor decay, and of silence.
 
 The level of a decay that meets noise falls ever more slowly: noise, a second decay and air absorption all bend it that
-way. That of a fade falls ever faster, by 12 or 24 dB each time the rest of it halves (a linear or a Hann window).
+way. That of a fade falls ever faster, by 12 or 24 dB each time the rest of it halves (a linear or a Hann window). That
+of a response that was cut off falls at once, to digital silence or to what a later conversion adds to it: dither, the
+ringing and the rounding of a resampler, or a codec's noise.
 """
 
 import numpy as np
@@ -20,23 +22,66 @@ _DECAYED_DB = 80.0
 tenth is simulated, and a fade there cannot change T30."""
 _STEP = 0.95  # by which a response is shortened until no bend is left
 _LEAST = 0.4  # of a response is kept
+_BLOCKS_S = (0.005, 0.01, 0.02, 0.04)  # a cut may be softened by a short fade
+_N_BEFORE, _N_AFTER = 8, 4  # least number of blocks ahead of a cut and behind it
+_CUT_DB = 8.0
+"""Fall within two blocks, beyond what the level falls before and afterwards, from which on a response is cut off. That
+of 600 measured responses is at most 4.5 dB; noise that falls by less than the 10 dB between an evaluated range and the
+noise is harmless."""
+
+
+def length_before_silence(rir: FloatArray, fs_hz: float) -> int:
+    """Return the number of samples ahead of the silence at the end of a response.
+
+    Silence is digital silence, and what the level of a response that was cut off falls to at once.
+
+    Parameters
+    ----------
+    rir
+        Shape (n_samples,).
+    fs_hz
+        Sample rate.
+    """
+    n_samples = len(np.trim_zeros(rir, "b"))
+    power = np.square(np.diff(rir[:n_samples]))  # the difference takes out rumble, whose level scatters
+    for block_s in _BLOCKS_S:
+        n_block = round(block_s * fs_hz)
+        n_blocks = min(n_samples, len(power)) // n_block
+        if n_blocks > _N_BEFORE + _N_AFTER:
+            cut_db = _fall_at_once_db(power_db(power[:n_blocks * n_block].reshape(n_blocks, n_block).mean(axis=1)))
+            if cut_db.max() > _CUT_DB:
+                n_samples = (int(np.argmax(cut_db)) + _N_BEFORE) * n_block
+    return n_samples
+
+
+def _fall_at_once_db(level_db: FloatArray) -> FloatArray:
+    """Return by how much more the level falls at a block than as it falls before, and afterwards to the end.
+
+    It falls from the least of `_N_BEFORE` blocks to the largest of all behind the block, of which there are `_N_AFTER`
+    at least.
+    """
+    before = np.lib.stride_tricks.sliding_window_view(level_db, _N_BEFORE)[:-1 - _N_AFTER]
+    after_db = np.maximum.accumulate(level_db[::-1])[::-1][_N_BEFORE + 1:len(before) + _N_BEFORE + 1]
+    falls_before_db = np.maximum(before[:, 0] - before[:, -1], 0.0) * 2.0 / (_N_BEFORE - 1)  # within two blocks
+    falls_after_db = after_db - np.median(level_db[-_N_AFTER:])
+    return np.asarray(before.min(axis=1) - after_db - falls_before_db - falls_after_db)
 
 
 def length_before_fade(rir: FloatArray, fs_hz: float, direct_sample: float) -> int:
-    """Return the number of samples ahead of a fade-out, or of the whole response if it does not end in one.
+    """Return the number of samples ahead of a fade-out, or of silence if the response does not end in one.
 
     A fade over less than about the last tenth of the response is left: it hardly changes the noise of that tenth.
 
     Parameters
     ----------
     rir
-        Without zeros at its end, shape (n_samples,).
+        Shape (n_samples,).
     fs_hz
         Sample rate.
     direct_sample
         Arrival time of the direct sound in samples.
     """
-    start = max(0, round(direct_sample))
+    rir, start = rir[:length_before_silence(rir, fs_hz)], max(0, round(direct_sample))
     power = np.square(np.diff(rir[start:]))  # the difference takes out rumble, whose level scatters
     n_samples = len(power)
     if n_samples < 10.0 * _SHORTEST_PART_S * fs_hz or _bend_db(power) < _FADED_DB:

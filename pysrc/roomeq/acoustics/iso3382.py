@@ -164,7 +164,7 @@ def decay_time(edc_db: FloatArray, fs_hz: float, decay: str) -> float | None:
 
 def all_metrics(rir: FloatArray, fs_hz: float, direct_sample: float | None = None,
                 polarity: int | None = None) -> dict[str, Any]:
-    """Measure the decay times, level ratios and noise of a response; a fade-out at its end does not count.
+    """Measure the decay times, level ratios and noise of a response; silence or a fade-out at its end do not count.
 
     Parameters
     ----------
@@ -192,11 +192,10 @@ def all_metrics(rir: FloatArray, fs_hz: float, direct_sample: float | None = Non
     rir = np.asarray(rir, dtype=np.float64)
     if direct_sample is None or polarity is None:
         direct_sample, polarity = find_direct(rir, fs_hz, direct_sample)
-    rir = np.trim_zeros(rir, "b")  # digital silence after the response is not a noise floor
+    rir = rir[:length_before_fade(rir, fs_hz, direct_sample)]
     if round(direct_sample) >= len(rir):
         raise ValueError(f"direct_sample={direct_sample:g} must lie before the end of the response, {len(rir)} samples "
-                         "without the zeros that follow: measure it again")
-    rir = rir[:length_before_fade(rir, fs_hz, direct_sample)]
+                         "without the silence that follows: measure it again")
     broadband = energy_decay(rir, fs_hz, direct_sample)
     result: dict[str, Any] = dict(
         direct_sample=float(direct_sample), direct_polarity=int(polarity),

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roomeq.acoustics.decibels import power_db
+from roomeq.acoustics.fade import length_before_silence
 from roomeq.acoustics.noise_intersection import find_noise_intersection
 from roomeq.core.arrays import BoolArray, FloatArray
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
@@ -101,7 +102,7 @@ def energy_spectrum(part: FloatArray, n_frame: int = N_FRAME) -> FloatArray:
 def eq_part(rir: FloatArray, direct_sample: float, fs_hz: float = FS_HZ) -> EqPart:
     """Return the range of samples that the EQ of a response is measured on.
 
-    It extends from 16 ms before the direct sound to the noise intersection point, or to the last non-zero sample, and
+    It extends from 16 ms before the direct sound to the noise intersection point, or to the silence at the end, and
     holds at least one frame if the response does.
 
     Raises
@@ -110,8 +111,7 @@ def eq_part(rir: FloatArray, direct_sample: float, fs_hz: float = FS_HZ) -> EqPa
         The direct sound lies after the end of the response.
     """
     direct = max(0, round(direct_sample))
-    occupied = np.flatnonzero(rir)
-    last = int(occupied[-1]) + 1 if len(occupied) else 0
+    last = length_before_silence(rir, fs_hz)
     if last <= direct:
         raise ValueError(f"direct_sample={direct_sample:g} must lie before the response's end, {last}: "
                          "find it again")
@@ -124,10 +124,10 @@ def response_and_noise(rir: FloatArray, direct_sample: float, fs_hz: float = FS_
                        ) -> tuple[FloatArray, FloatArray | None]:
     """Return the energy spectrum of `eq_part`, and that of as much noise; None where hardly anything is behind it.
 
-    Digital silence after the response is no noise.
+    Silence after the response is no noise; see `roomeq.acoustics.fade.length_before_silence`.
     """
     start, stop = eq_part(rir, direct_sample, fs_hz)
-    n_frame, noise = frame_length(fs_hz), rir[stop:int(np.flatnonzero(rir)[-1]) + 1]
+    n_frame, noise = frame_length(fs_hz), rir[stop:length_before_silence(rir, fs_hz)]
     power = energy_spectrum(rir[start:stop], n_frame)
     if len(noise) < MIN_NOISE * fs_hz / FS_HZ:
         return power, None

@@ -182,8 +182,8 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
     """
     rir = np.asarray(rir, dtype=np.float64)
     direct, polarity, timed = _direct(rir, expected_sample, timed)
-    if white is None and (n_samples := length_before_fade(rir[:_length(rir)], FS_HZ, direct)) < _length(rir):
-        rir = rir[:n_samples]  # what fades out is not the noise of the recording
+    if white is None and (n_samples := length_before_fade(rir, FS_HZ, direct)) < _length(rir):
+        rir = rir[:n_samples]  # what fades out, or is silent, is not the noise of the recording
     metrics = all_metrics(rir, FS_HZ, direct, polarity)
     values, valid = np.full(N_FEATURES, np.nan), np.zeros(N_FEATURES, dtype=bool)
     for metric in ("edt", "t20", "t30"):

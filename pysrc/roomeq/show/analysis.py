@@ -95,8 +95,7 @@ class AnalysedRir:
     @cached_property
     def decays(self) -> list[BandDecay]:
         """The decay of each octave band."""
-        samples = self.samples[:int(np.flatnonzero(self.samples)[-1]) + 1]
-        samples = samples[:length_before_fade(samples, self.fs_hz, self.direct.sample)]
+        samples = self.samples[:length_before_fade(self.samples, self.fs_hz, self.direct.sample)]
         lead = round(LEAD_S * self.fs_hz)
         widths_hz = [octave_width_hz(band_hz, self.fs_hz) for band_hz in exact_bands_hz(self.fs_hz)]
         return [_band_decay(self, number, band[lead:], energy_decay(band, self.fs_hz, lead + self.direct.sample,

@@ -1,4 +1,4 @@
-"""A fade-out at the end of a response against the same response without it."""
+"""A fade-out or silence at the end of a response against the same response without it."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,7 @@ from test_iso3382 import DIRECT, room
 
 from roomeq.acoustics.fade import length_before_fade
 from roomeq.acoustics.iso3382 import all_metrics
+from roomeq.acoustics.parameters import measure
 from roomeq.core.constants import FS_HZ
 from roomeq.loop.features import feature_slice, measure_features
 
@@ -47,4 +48,31 @@ def test_noise_of_a_faded_recording_is_that_ahead_of_the_fade():
     room(0.2) + 0.02 * room(1.5),
     faded(room(0.5, snr_db=50.0), 0.05, "hann")])
 def test_responses_without_a_long_fade_are_whole(rir):
-    assert length_before_fade(rir, FS_HZ, DIRECT) == len(rir)
+    assert length_before_fade(rir, FS_HZ, DIRECT) == len(np.trim_zeros(rir, "b"))
+
+
+def dithered(rir, silence_s=0.5):
+    """Append silence to a response and round it to 16 bits with dither, as sound editors and sox do."""
+    step = np.abs(rir).max() * 2.0 ** -14
+    padded = np.append(rir, np.zeros(round(silence_s * FS_HZ))) / step
+    rng = np.random.default_rng(1)
+    return step * np.round(padded + rng.uniform(-0.5, 0.5, len(padded)) + rng.uniform(-0.5, 0.5, len(padded)))
+
+
+@pytest.mark.parametrize("time_s, snr_db, length_s", [(0.3, 40.0, 0.8), (0.4, 50.0, 0.5), (1.0, 60.0, 0.4)])
+def test_dither_behind_a_cut_changes_no_parameter(time_s, snr_db, length_s):
+    rir = room(time_s, snr_db=snr_db, length_s=length_s)
+    cut, padded = (measure(of_file) for of_file in (rir, dithered(rir)))
+    for metric in ("edt", "t20", "t30", "c50"):
+        assert padded[f"{metric}_valid"][3:] == cut[f"{metric}_valid"][3:]
+    np.testing.assert_array_equal(padded["eq_valid"], cut["eq_valid"])
+    np.testing.assert_allclose(padded["eq_db"], cut["eq_db"], atol=0.1)
+    for padded_s, cut_s, valid in zip(padded["t20_s"], cut["t20_s"], cut["t20_valid"], strict=True):
+        assert not valid or padded_s == pytest.approx(cut_s, rel=0.02)
+
+
+def test_dither_behind_a_short_fade_changes_no_decay_time():
+    rir = faded(room(0.3, snr_db=40.0, length_s=0.8), 0.06, "hann")
+    cut, padded = (all_metrics(of_file, FS_HZ) for of_file in (rir, dithered(rir)))
+    assert padded["t30_valid"][3:] == cut["t30_valid"][3:]
+    np.testing.assert_allclose(padded["t20_s"][3:], cut["t20_s"][3:], rtol=0.02)
