@@ -5,7 +5,7 @@ from scipy.fft import next_fast_len
 
 from roomeq.acoustics.band_energy import energy_per_bin
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
-from roomeq.core.arrays import FloatArray
+from roomeq.core.arrays import BoolArray, FloatArray
 from roomeq.core.constants import FS_HZ
 
 CLIFF_DB = 15.0
@@ -52,6 +52,17 @@ def eq_to_hz(to_hz: float) -> float:
     It ends in the middle of a third octave.
     """
     return to_hz * 2.0 ** (-1.0 / 6.0) if to_hz < NO_END_HZ else to_hz
+
+
+def is_excited(mid_hz: FloatArray, width_octaves: FloatArray | float, from_hz: float, to_hz: float) -> BoolArray:
+    """Tell which bands an excitation between two frequencies reaches, shape of `mid_hz`.
+
+    Four fifths of a band, in octaves, must be excited; at the upper end, of what lies below half the sample rate.
+    """
+    low, high = np.log2(mid_hz) - 0.5 * width_octaves, np.log2(mid_hz) + 0.5 * width_octaves
+    above_lower_end = high - np.log2(max(from_hz, 1e-3)) > 0.8 * width_octaves
+    below_upper_end = np.log2(to_hz) - low > 0.8 * (np.minimum(high, np.log2(NO_END_HZ)) - low)
+    return np.asarray(above_lower_end & below_upper_end)
 
 
 def _levels_db(rir: FloatArray, edges_hz: FloatArray) -> FloatArray:

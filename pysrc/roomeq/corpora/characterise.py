@@ -130,12 +130,14 @@ def _characterise_rir(rir_dir: Path, row: RirRow, skip_bad: bool) -> dict[str, A
 
 
 def _limit_to_excitation(rows: Sequence[RirRow], records: Sequence[dict[str, Any]]) -> None:
-    """Make EQ points outside the band of the excitation invalid.
+    """Make EQ points, decay times and C50 outside the band of the excitation invalid.
 
     Its lower end is the same for all RIRs of a source in a room, its upper end that of each recording. Of two values in
     the middle, the median is the higher: their mean is no end if one of the recordings shows none.
     """
-    from roomeq.acoustics.excitation import eq_to_hz
+    import numpy as np
+
+    from roomeq.acoustics.excitation import eq_to_hz, is_excited
 
     of_source = defaultdict(list)
     for row, record in zip(rows, records, strict=True):
@@ -144,17 +146,21 @@ def _limit_to_excitation(rows: Sequence[RirRow], records: Sequence[dict[str, Any
     for (_, source_id, room_id), measured in of_source.items():
         from_hz = median_high(record["excited_from_hz"] for record in measured)
         if from_hz > BANDS_HZ[0]:
-            logger.info("source %s in room %s, %d RIRs: the excitation begins at %.0f Hz; the EQ below is not measured",
-                        source_id, room_id, len(measured), from_hz)
+            logger.info("source %s in room %s, %d RIRs: the excitation begins at %.0f Hz; what lies below is not "
+                        "measured", source_id, room_id, len(measured), from_hz)
         ends_hz = [eq_to_hz(record["excited_to_hz"]) for record in measured]
         if n_ended := sum(end_hz < BANDS_HZ[-1] for end_hz in ends_hz):
             logger.info("source %s in room %s: %d of %d RIRs hold nothing above %.0f Hz, like recordings of a lower "
-                        "sample rate; the EQ above is not measured", source_id, room_id, n_ended, len(measured),
+                        "sample rate; what lies above is not measured", source_id, room_id, n_ended, len(measured),
                         min(ends_hz))
         for record, end_hz in zip(measured, ends_hz, strict=True):
             parameters = record["acoustic_parameters"]
             parameters["eq_valid"] = [valid and from_hz <= hz <= end_hz
                                       for valid, hz in zip(parameters["eq_valid"], BANDS_HZ, strict=True)]
+            octaves = is_excited(np.array(BANDS_HZ), 1.0, from_hz, record["excited_to_hz"])
+            for key in ("edt_valid", "t20_valid", "t30_valid", "c50_valid"):
+                parameters[key] = [bool(valid and excited)
+                                   for valid, excited in zip(parameters[key], octaves, strict=True)]
 
 
 def screen_reason(row: Mapping[str, Any], parameters: Mapping[str, Any]) -> str | None:

@@ -21,7 +21,7 @@ from scipy.special import gammaincinv
 from roomeq.acoustics.band_energy import OCTAVES, THIRDS, Bands, energy_in_bands, energy_per_bin, faded_part
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.direct import find_direct
-from roomeq.acoustics.excitation import NO_END_HZ, excited_from_hz, excited_to_hz
+from roomeq.acoustics.excitation import NO_END_HZ, excited_from_hz, excited_to_hz, is_excited
 from roomeq.acoustics.fade import length_before_fade
 from roomeq.acoustics.iso3382 import DIRECT_S, EARLY_S, all_metrics
 from roomeq.acoustics.jnd import C50_JND_DB, DECAY_JND, DRR_JND_DB, LEVEL_JND_DB
@@ -220,15 +220,8 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
 
 
 def excited(from_hz: float, to_hz: float = NO_END_HZ) -> BoolArray:
-    """Tell which features are measurable with an excitation between two frequencies, shape (n_features,).
-
-    Four fifths of a band, in octaves, must be excited; at the upper end, of what lies below half the sample rate.
-    """
-    middle = np.log2(np.maximum(BAND_HZ, 1.0))
-    low, high = middle - 0.5 * _WIDTH, np.minimum(middle + 0.5 * _WIDTH, np.log2(NO_END_HZ))
-    above_lower_end = middle + 0.5 * _WIDTH - np.log2(max(from_hz, 1e-3)) > 0.8 * _WIDTH
-    below_upper_end = np.log2(to_hz) - low > 0.8 * (high - low)
-    return (BAND_HZ == 0.0) | (above_lower_end & below_upper_end)
+    """Tell which features are measurable with an excitation between two frequencies, shape (n_features,)."""
+    return (BAND_HZ == 0.0) | is_excited(np.maximum(BAND_HZ, 1.0), _WIDTH, from_hz, to_hz)
 
 
 def _direct(rir: FloatArray, expected_sample: float | None, timed: bool) -> tuple[float, int, bool]:

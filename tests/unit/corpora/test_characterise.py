@@ -73,6 +73,9 @@ def test_eq_points_above_a_lower_sample_rate_are_not_measured(tmp_path):
     valid = {name: kept["acoustic_parameters"]["eq_valid"] for name, kept in rows.items()}
     assert valid == dict(a=[True] * 8, b=[True] * 6 + [False] * 2)
     assert rows["b"]["screen"].startswith("dead bands: ")
+    for key in ("edt_valid", "t20_valid", "t30_valid", "c50_valid"):
+        flags = {name: kept["acoustic_parameters"][key] for name, kept in rows.items()}
+        assert flags["b"][6:] == [False] * 2 and all(flags["a"][5:]) and flags["b"][5], key
 
 
 def test_recording_of_12_khz_has_no_level_below_a_roll_off_at_8_khz(tmp_path):
@@ -91,6 +94,8 @@ def test_eq_points_below_a_sweep_are_not_measured_for_all_rirs_of_a_source(tmp_p
     valid = {name: kept["acoustic_parameters"]["eq_valid"] for name, kept in rows.items()}
     assert {name: points[0] for name, points in valid.items()} == dict(a0=False, a1=False, a2=False, b=True)
     assert all(all(points[1:]) for points in valid.values())
+    lowest_c50 = {name: kept["acoustic_parameters"]["c50_valid"][0] for name, kept in rows.items()}
+    assert lowest_c50 == dict(a0=False, a1=False, a2=False, b=True)
     assert all(kept["screen"] is None for kept in rows.values())
 
 
