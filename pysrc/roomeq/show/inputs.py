@@ -1,7 +1,7 @@
 """What `roomeq show` and `roomeq compare` are given: an RIR file, an RIR directory, output of the loop, or a mesh."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -210,10 +210,17 @@ def _shown(samples: FloatArray, fs_hz: int, name: str, path: Path, keep_suspicio
         raise ValueError(f"{path}: no RIR by its acoustics: {problem}; {KEEP}")
     try:
         direct = direct_of(row, samples) if row is not None else None
-        rir = analyse(samples, fs_hz, name, direct)
+        rir = _with_stored_validity(analyse(samples, fs_hz, name, direct), row)
     except ValueError as error:
         raise ValueError(f"{path}: {str(error).removeprefix(f'{name}: ')}") from None
     return ShownRir(rir, row, directory, problem)
+
+
+def _with_stored_validity(rir: AnalysedRir, row: RirRow | None) -> AnalysedRir:
+    """Return an RIR with the validity that its row states: it knows the excitation of other RIRs of the source."""
+    stored = (row.get("acoustic_parameters") if row is not None else None) or {}
+    flags = {key: value for key, value in stored.items() if key.endswith("_valid") and value is not None}
+    return replace(rir, parameters=rir.parameters | flags)
 
 
 def _row_of_channel(row: RirRow, channel: int) -> RirRow:

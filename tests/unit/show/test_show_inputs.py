@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 from rirmaker import DIRECT, coloured_rir, row
 
+from roomeq.acoustics.parameters import measure
 from roomeq.core.audio import write_wav
 from roomeq.core.constants import FS_HZ
 from roomeq.records.rir_dir import write_rirs
-from roomeq.show.inputs import read_rir_file
-from roomeq.show.tables import distance_of
+from roomeq.report.formats import DASH
+from roomeq.show.inputs import read_rir_file, read_rir_of
+from roomeq.show.tables import BAND_COLUMNS, band_rows, distance_of
 
 LATER = 94
 """Samples by which the second microphone of the array hears the source later."""
@@ -39,3 +41,16 @@ def test_channel_without_a_stated_position_has_none(tmp_path):
                               mic_pos_m=[2.0, 1.0, 1.0])])
     assert distance_of(read_rir_file(tmp_path / "b.wav", 0).row) == 1.0
     assert distance_of(read_rir_file(tmp_path / "b.wav", 1).row) is None
+
+
+def test_values_that_the_row_calls_invalid_are_not_shown(tmp_path):
+    """The row knows the excitation of all RIRs of the source."""
+    rir = coloured_rir(0)
+    write_wav(tmp_path / "c.wav", rir, FS_HZ)
+    parameters = measure(rir)
+    parameters["eq_valid"][0] = parameters["c50_valid"][0] = False
+    write_rirs(tmp_path, [row("c", wav="c.wav", fs_hz=FS_HZ, n_samples=len(rir), acoustic_parameters=parameters)])
+    columns = {name: BAND_COLUMNS.index(name) for name in ("C50 (dB)", "EQ (dB)")}
+    cells = band_rows(read_rir_of(tmp_path, "c").rir)
+    for at in columns.values():
+        assert cells[0][at] == DASH and cells[1][at] != DASH
