@@ -71,6 +71,8 @@ def by_room_height_in(of_set: RirSet) -> float:
 def over_frequency(sets: Sequence[RirSet], metric: str, label: str) -> Draw:
     """Draw median and range of the middle 90 % of a parameter per octave band; T60 is T30, or T20 where it is invalid.
 
+    A band in which less than half of the RIRs have a valid value is left out: those that have one are no fair sample.
+
     Parameters
     ----------
     metric : str
@@ -82,7 +84,8 @@ def over_frequency(sets: Sequence[RirSet], metric: str, label: str) -> Draw:
         every = [band_values(of_set, metric) for of_set in sets]
         for name, values, colour in zip(labels_of(sets), every, COLOURS, strict=False):
             bands_hz = list(figures.TICKS)[:values.shape[1]]
-            low, middle, high = column_percentiles(values, (5, 50, 95))
+            fair = 2 * np.isfinite(values).sum(axis=0) >= len(values)
+            low, middle, high = column_percentiles(np.where(fair, values, np.nan), (5, 50, 95))
             axes.fill_between(bands_hz, low, high, color=colours[colour], alpha=0.2, lw=0)
             axes.plot(bands_hz, middle, f"{figures.MARKERS[colour]}-", color=colours[colour], ms=4.5,
                       label=plot_text(name))

@@ -83,5 +83,15 @@ def test_figure_over_frequency_shows_all_bands_of_both_sets():
         assert axes.get_xlim()[1] > 16000.0
 
 
+def test_figure_over_frequency_omits_bands_of_which_few_are_valid():
+    """At low frequencies, a decay time is valid if it is long."""
+    invalid = PARAMETERS | dict(t20_valid=[False, *PARAMETERS["t20_valid"][1:]], t30_valid=[False] * 8)
+    few = RirSet(Path("set"), [row(name) for name in "abc"], [PARAMETERS, invalid, invalid], [])
+    axes = Figure().subplots()
+    over_frequency([few], "t60", "Reverberation time (s)")(axes, dict.fromkeys(COLOURS, "k"))
+    drawn = np.isfinite(axes.lines[0].get_ydata())
+    assert not drawn[0] and drawn[3:].all()
+
+
 def test_labels_of_reflections_do_not_overlap():
     assert label_lines([3.0, 4.0, 5.0, 20.0, 20.5, 40.0]) == [0, 1, 2, 0, 1, 0]
