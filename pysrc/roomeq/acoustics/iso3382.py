@@ -213,8 +213,6 @@ class _Spectra:
 
     def __init__(self, rir: FloatArray, fs_hz: float) -> None:
         self.rir, self.fs_hz, self.n_fft = rir, fs_hz, octave_fft_size(len(rir), fs_hz)
-        self.begins = int(np.argmax(rir != 0.0))
-        """The first sample that is not 0: what is ahead of it is no recording, and holds no noise."""
         self._computed: dict[tuple[int, int], FloatArray] = {}
 
     def energy(self, first: int, last: int, band: int) -> float:
@@ -252,15 +250,17 @@ def _band_metrics(spectra: _Spectra, band: int, curve: Decay, direct_sample: flo
 def _c50_db(spectra: _Spectra, band: int, direct_sample: float, intersection: NoiseIntersection) -> float | None:
     """Return the early-to-late energy ratio of one octave band; None if a part has no energy.
 
-    The response is divided before it is filtered, because the filter would spread energy over the boundary.
+    The response is divided before it is filtered, because the filter would spread energy over the boundary. What comes
+    before the direct sound by more than `LEAD_S` is another sound, or noise.
     """
     boundary = round(direct_sample + EARLY_S * spectra.fs_hz)
+    first = max(0, round(direct_sample - LEAD_S * spectra.fs_hz))
     end = round(direct_sample) + intersection.sample
     if end <= boundary:
         return None
-    early, late = (spectra.energy(*part, band) for part in ((0, boundary), (boundary, end)))
+    early, late = (spectra.energy(*part, band) for part in ((first, boundary), (boundary, end)))
     late += intersection.rest_energy - (end - boundary) * intersection.noise_power
-    early -= (boundary - min(spectra.begins, boundary)) * intersection.noise_power
+    early -= (boundary - first) * intersection.noise_power
     return float(power_db(early) - power_db(late)) if early > 0.0 and late > 0.0 else None
 
 

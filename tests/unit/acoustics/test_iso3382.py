@@ -171,6 +171,15 @@ def test_c50_does_not_depend_on_zeros_ahead_of_a_noisy_recording():
     assert found[1][3:] == pytest.approx(found[0][3:], abs=0.1)
 
 
+@pytest.mark.parametrize("times_noise", [0.1, 2.0])
+def test_c50_does_not_depend_on_noise_long_ahead_of_the_response(times_noise):
+    """As of a recording that starts seconds ahead, in which people still move."""
+    rir = room(0.3, snr_db=35.0)
+    ahead = times_noise * 10.0 ** (-35.0 / 20.0) * np.random.default_rng(1).standard_normal(5 * FS_HZ)
+    found = [all_metrics(h, FS_HZ, len(h) - 1.5 * FS_HZ, 1)["c50_db"] for h in (rir, np.concatenate([ahead, rir]))]
+    assert found[1] == pytest.approx(found[0], abs=0.2)
+
+
 @pytest.mark.parametrize("time_s, snr_db", [(1.0, 42.0), (1.0, 40.0), (2.0, 42.0), (2.0, 40.0)])
 def test_drr_is_left_out_where_the_noise_hides_the_decay(time_s, snr_db):
     """Direct sound and decay of equal energy; the noise is 8 to 11 dB below the beginning of the decay."""
