@@ -50,6 +50,7 @@ DECAYS_DB = {"edt": (0.0, -10.0), "t20": (-5.0, -25.0), "t30": (-5.0, -35.0)}
 """Evaluation range of each decay time: levels of the decay curve relative to its start."""
 _LARGEST_DRR_ERROR_DB = 1.0
 _NOISE_DEVIATIONS = 4.0  # of the energy of white noise, within which it explains what is there
+_BLOCK_S = 0.01
 _FEWEST_SAMPLES = 1000  # of noise, to tell how much it is
 LOWEST_DB = min(bottom_db for _, bottom_db in DECAYS_DB.values()) - 1.0  # rounding must not cut a range
 
@@ -63,8 +64,8 @@ class Decay:
     edc
         Decay curve from the direct sound to the intersection with the noise, relative to the total energy, shape (n,).
     range_db
-        Dynamic range: level of the total energy over that of the decay's energy after the intersection. Infinite for a
-        decay to digital silence; 0 if no decay can be fitted.
+        Dynamic range: level of the total energy over that of the decay's energy after the intersection, or over what
+        is there beyond noise if that is more. Infinite for a decay to digital silence; 0 if no decay can be fitted.
     noise_floor_db
         Power of the noise relative to the mean power of the strongest 5 ms; None if the response does not reach its
         noise floor.
@@ -119,13 +120,29 @@ def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float, *, bandwi
     energy = net_energy(after[:intersection.sample], intersection.noise_power) + intersection.rest_energy
     total = energy[0] + before.sum()
     energy[0] = total
-    range_db = float(power_db(total) - power_db(intersection.rest_energy)) if intersection.rest_energy > 0.0 else np.inf
+    rest = max(intersection.rest_energy, _unexplained_energy(after, intersection, fs_hz, bandwidth_hz or 0.5 * fs_hz))
+    range_db = float(power_db(total) - power_db(rest)) if rest > 0.0 else np.inf
     if intersection.noise_power > 0.0 and intersection.rest_energy == 0.0:
         range_db = 0.0
     n_block = max(1, round(0.005 * fs_hz))
     floor_db = float(power_db(intersection.noise_power)
                      - power_db(strongest_power(after[:20 * n_block], n_block))) if intersection.is_flat else None
     return Decay(energy / max(total, TINY_POWER), range_db, floor_db, intersection)
+
+
+def _unexplained_energy(power: FloatArray, intersection: NoiseIntersection, fs_hz: float, bandwidth_hz: float) -> float:
+    """Return the largest energy within any time after the intersection that the noise does not explain.
+
+    Noise may exceed its mean by `_NOISE_DEVIATIONS`, both there and in the last tenth, where it is measured. More is
+    there where it ends the fitted decay too early: where its level fluctuates, as that of a fan or of traffic.
+    """
+    n_block = round(_BLOCK_S * fs_hz)
+    beyond = power[intersection.sample:]
+    blocks = beyond[:len(beyond) // n_block * n_block].reshape(-1, n_block).sum(axis=1)
+    length = n_block * np.arange(1.0, len(blocks) + 1.0)
+    deviation = np.sqrt(fs_hz / bandwidth_hz * (1.0 / length + 10.0 / len(power)))
+    excess = np.cumsum(blocks) - intersection.noise_power * length * (1.0 + _NOISE_DEVIATIONS * deviation)
+    return float(np.max(excess, initial=0.0))
 
 
 def octave_decays(rir: FloatArray, fs_hz: float, direct_sample: float,

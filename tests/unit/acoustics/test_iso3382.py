@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfilt
 
 from roomeq.acoustics.iso3382 import all_metrics, decay_time, energy_decay
 from roomeq.acoustics.noise_intersection import find_noise_intersection
@@ -202,6 +203,21 @@ def test_drr_is_recovered_for_both_polarities():
         metrics = all_metrics(room(0.5, snr_db=70.0, direct=30.0, inverted=inverted), FS_HZ)
         assert metrics["drr_db"] == pytest.approx(expected_db, abs=0.1)
         assert metrics["direct_polarity"] == (-1 if inverted else 1)
+
+
+@pytest.mark.parametrize("level_db, is_valid", [(-15.0, False), (-30.0, True)])
+def test_narrow_noise_that_hides_the_decay_makes_its_octave_invalid(level_db, is_valid):
+    """The level of a fan at 114 to 135 Hz rises and falls by as much as a decay within 50 ms."""
+    fan_band = butter(2, [114.0, 135.0], "band", fs=FS_HZ, output="sos")
+    for seed in range(1, 4):
+        rir = room(2.0, seed, length_s=2.0)
+        fan = sosfilt(fan_band, np.random.default_rng(100 + seed).standard_normal(len(rir)))
+        start = octave_bands(rir, FS_HZ)[1][DIRECT:DIRECT + FS_HZ // 10]
+        fan *= 10.0 ** (0.05 * level_db) * np.sqrt(np.mean(start ** 2) / np.mean(fan ** 2))
+        clean, noisy = (all_metrics(h, FS_HZ, DIRECT, 1) for h in (rir, rir + fan))
+        assert noisy["edt_valid"][1] == noisy["c50_valid"][1] == is_valid
+        if is_valid:
+            assert noisy["c50_db"][1] == pytest.approx(clean["c50_db"][1], abs=1.1)
 
 
 def test_trailing_zeros_are_not_a_noise_floor():
