@@ -9,6 +9,7 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ from roomeq.corpora.split import split_rirs
 from roomeq.eq.distance import EqSet
 from roomeq.loop.features import N_FEATURES, feature_slice
 from roomeq.records.rir_dir import read_rirs, write_rirs
-from roomeq.report import figures, make_report, section_eq, section_summary
+from roomeq.report import figures, make_report, section_eq, section_rirs, section_summary
 from roomeq.report.build_page import SECTIONS, render_page, render_section
 from roomeq.report.formats import number, with_minus
 from roomeq.report.kinds import MEASURED, SIMULATED
@@ -435,6 +436,19 @@ def test_summary_names_points_without_a_valid_eq(low_db, text, monkeypatch, tmp_
         (tmp_path / f"rirs.{name}.train").mkdir()
     monkeypatch.setattr(section_summary, "eq_vectors", lambda run, name: np.array([[low_db, *[0.0] * 7]]))
     assert text in section_text("summary", Run(tmp_path, tmp_path / "exp"))
+
+
+def test_decay_over_frequency_omits_octaves_of_which_few_are_valid():
+    """At 62.5 Hz, only the RIR with the longest decay is valid; one has no T30 at 1 kHz."""
+    def rir(lowest_s, valid, valid_1khz=True):
+        flags = [valid, True, True, True, valid_1khz, True, True, True]
+        return dict(acoustic_parameters=dict(t30_s=[lowest_s] + [0.4] * 7, t30_valid=flags))
+
+    rows = [rir(0.8, True), rir(0.3, False), rir(0.3, False), rir(0.8, True, valid_1khz=False)]
+    run = SimpleNamespace(has=lambda name: name == "rirs.real.train", rirs=lambda name: rows)
+    (measured,) = section_rirs.decay_series(run)
+    assert np.isnan(measured.middle[0])
+    np.testing.assert_allclose(measured.middle[1:], 1.0)
 
 
 def test_examples_have_similar_reverberation_times(made):

@@ -168,17 +168,31 @@ def t60_mismatch(measured: RirRow, simulated: RirRow) -> float:
 
 
 def decay_shapes(rows: Iterable[RirRow]) -> FloatArray:
-    """Return the T30 of each octave relative to that at 1 kHz, shape (n_rirs, 8); NaN where invalid."""
+    """Return the T30 of each octave relative to that at 1 kHz, of the RIRs that have one there; NaN where invalid.
+
+    Returns
+    -------
+    ndarray, shape (n_rirs, 8)
+    """
     shapes = [np.where(np.array(p["t30_valid"], dtype=bool), np.array(p["t30_s"], dtype=np.float64), np.nan)
               for p in acoustic_parameters(rows)]
     times_s = np.array(shapes, dtype=np.float64).reshape(-1, len(BANDS_HZ))
-    return times_s / times_s[:, [BAND_1KHZ]]
+    known = times_s[np.isfinite(times_s[:, BAND_1KHZ])]
+    return known / known[:, [BAND_1KHZ]]
 
 
 def column_percentiles(values: FloatArray, percents: Iterable[float]) -> list[FloatArray]:
     """Return percentiles of each column without its NaNs; NaN for a column of NaNs."""
     columns = [column[np.isfinite(column)] for column in values.T]
     return [np.array([np.percentile(column, p) if len(column) else np.nan for column in columns]) for p in percents]
+
+
+def without_rare(values: FloatArray) -> FloatArray:
+    """Return values with NaN in the columns of which less than half are known: those that are would be no fair sample.
+
+    At low frequencies, for example, a decay time is valid if it is long.
+    """
+    return np.where(2 * np.isfinite(values).sum(axis=0) >= len(values), values, np.nan)
 
 
 def describe_eq(name: str, eq_db: FloatArray) -> str:

@@ -25,6 +25,7 @@ from roomeq.report.rir_sets import (
     t60_at_1khz,
     t60_mismatch,
     unscreened,
+    without_rare,
 )
 
 SPECTROGRAM_S = 0.6
@@ -159,7 +160,8 @@ def decay_series(run: Run) -> list[figures_rirs.BandSeries]:
     """Return the T30 over frequency, relative to 1 kHz, of the measured, simulated and extended training RIRs."""
     series = []
     for kind in (MEASURED, SIMULATED, EXTENDED):
-        shapes = decay_shapes(unscreened(run, kind.train)) if run.has(kind.train) else np.empty((0, len(BANDS_HZ)))
+        shapes = (without_rare(decay_shapes(unscreened(run, kind.train))) if run.has(kind.train)
+                  else np.empty((0, len(BANDS_HZ))))
         if np.isfinite(shapes).any():
             low, middle, high = column_percentiles(shapes, (5, 50, 95))
             series.append(figures_rirs.BandSeries(kind.label, kind.colour, middle, low, high))

@@ -8,7 +8,7 @@ import numpy as np
 from roomeq.core.arrays import FloatArray
 from roomeq.report import figures
 from roomeq.report.figures import Draw, legend, log_frequency
-from roomeq.report.rir_sets import column_percentiles
+from roomeq.report.rir_sets import column_percentiles, without_rare
 from roomeq.show.analysis import reverberation_time_s, value_of
 from roomeq.show.inputs import RirSet
 from roomeq.show.sheet import plot_text
@@ -84,8 +84,7 @@ def over_frequency(sets: Sequence[RirSet], metric: str, label: str) -> Draw:
         every = [band_values(of_set, metric) for of_set in sets]
         for name, values, colour in zip(labels_of(sets), every, COLOURS, strict=False):
             bands_hz = list(figures.TICKS)[:values.shape[1]]
-            fair = 2 * np.isfinite(values).sum(axis=0) >= len(values)
-            low, middle, high = column_percentiles(np.where(fair, values, np.nan), (5, 50, 95))
+            low, middle, high = column_percentiles(without_rare(values), (5, 50, 95))
             axes.fill_between(bands_hz, low, high, color=colours[colour], alpha=0.2, lw=0)
             axes.plot(bands_hz, middle, f"{figures.MARKERS[colour]}-", color=colours[colour], ms=4.5,
                       label=plot_text(name))
