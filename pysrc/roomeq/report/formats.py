@@ -13,10 +13,10 @@ DASH = "–"
 
 
 def number(value: float | None, decimals: int = 1) -> str:
-    """Format a number with a typographic minus sign; None and non-finite values give a dash."""
+    """Format a number with a typographic minus sign, zero without one; None and non-finite values give a dash."""
     if value is None or not math.isfinite(value):
         return DASH
-    return with_minus(f"{value:.{decimals}f}")
+    return with_minus(f"{round(value, decimals) + 0.0:.{decimals}f}")
 
 
 def with_interval(value: float | None, interval: Sequence[float] | None, decimals: int = 2, unit: str = "") -> str:

@@ -134,8 +134,7 @@ def signed(value: float | None, decimals: int = 1) -> str:
     """Return a number with its sign, or a dash."""
     if value is None or not np.isfinite(value):
         return DASH
-    rounded = round(value, decimals) + 0.0  # no sign of zero
-    return f"{'+' if rounded > 0.0 else ''}{number(rounded, decimals)}"
+    return f"{'+' if round(value, decimals) > 0.0 else ''}{number(value, decimals)}"
 
 
 def as_text(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
