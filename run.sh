@@ -100,6 +100,15 @@ if at_stage 0 "read speech and measured RIRs"; then
   [ -z "$test_rirs" ] || steps/read_measured.sh --keep-suspicious "$keep_suspicious" "$test_rirs" "$data/measured.test"
 fi
 
+if [[ $stage -le 6 && ( $stage -eq 0 || $stop_stage -ge 6 ) ]]; then # before hours of simulation
+  unchecked=() # clean speech of which no far-field speech was made yet
+  for x in train dev test; do
+    [[ ! -f $data/$x.clean/wav.scp || -f $data/$x.clean/.done && $data/$x.real.rvb/.done -nt $data/$x.clean/.done ]] ||
+      unchecked+=("$data/$x.clean")
+  done
+  [ ${#unchecked[@]} -eq 0 ] || local/check_speech.py "${unchecked[@]}"
+fi
+
 if at_stage 1 "characterise and split the measured RIRs"; then
   steps/characterise_rirs.sh --nj "$nj" "$data/measured" "$data/rirs.real"
   for x in ${dev_rirs:+dev} ${test_rirs:+test}; do
@@ -166,12 +175,6 @@ if [ "$dry_run" = false ] && [ "$stage" -ge 2 ]; then # what skipped stages made
 fi
 
 if at_stage 6 "make far-field speech"; then
-  unchecked=() # clean speech of which no far-field speech was made yet; it is checked as Kaldi does, with its audio
-  for x in train dev test; do
-    require "$data/$x.clean/wav.scp" steps/prepare_speech.sh
-    [[ -f $data/$x.clean/.done && $data/$x.real.rvb/.done -nt $data/$x.clean/.done ]] || unchecked+=("$data/$x.clean")
-  done
-  [ ${#unchecked[@]} -eq 0 ] || roomeq validate "${unchecked[@]}"
   for rirs in "${kinds[@]/%/.train}" "${kinds[@]/%/.dev}" real.test; do
     x=${rirs##*.}
     steps/augment_data.sh --nj "$nj" --snr "$snr" --point-snr "$point_snr" --packing "$packing" \

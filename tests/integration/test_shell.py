@@ -185,6 +185,20 @@ def test_recipe_finds_too_few_rirs_before_it_simulates(project_dir, tmp_path):
                                   "screening of 3: must be at least 7, the mixture's components")
 
 
+@pytest.mark.parametrize("entry, message", [
+    ("absent.wav", "/wav.scp:1: absent.wav: no such audio file"),
+    ("sox a.wav -t wav - |", "/wav.scp: audio of s-u is a command, 'sox a.wav -t wav - |', and the recipe runs none")])
+def test_recipe_finds_wrong_speech_before_it_simulates(project_dir, tmp_path, entry, message):
+    speech = tmp_path / "train.clean"
+    speech.mkdir()
+    for name, value in {"wav.scp": entry, "utt2spk": "s", "text": "HELLO"}.items():
+        (speech / name).write_text(f"s-u {value}\n")
+    (speech / "spk2utt").write_text("s s-u\n")
+    done = call(project_dir, "./run.sh", "--stage", "1", "--data", str(tmp_path), "--exp", str(tmp_path / "exp"))
+    assert done.returncode == 1 and "stage 1" not in done.stdout
+    assert done.stderr.startswith(f"check_speech.py: {speech}{message}")
+
+
 @pytest.mark.parametrize("option", ["--rooms", "--free-rooms"])
 def test_recipe_takes_room_types_where_rooms_are_drawn(project_dir, option):
     options_checked(project_dir, "--room-types", "meeting_room", option, "3")
