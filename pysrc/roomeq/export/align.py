@@ -15,8 +15,9 @@ import numpy as np
 
 from roomeq.core.arrays import Array
 
-LEAD_S = 1e-3
-"""Time from the start of an aligned RIR to its direct sound [s]: room for the rise of a band-limited pulse."""
+LEAD_S = 5e-3
+"""Time from the start of an aligned RIR to its direct sound [s]: half a frame shift of common features. A compensation
+filter of linear phase rings ahead of the direct sound, and without that part the EQ is another one."""
 MAX_LATE_S = 0.01
 """Delay of the largest sample after the direct sound [s] up to which lhotse is taken to keep labels aligned: the frame
 shift of common features."""

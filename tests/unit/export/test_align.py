@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from datadirs import FS, decay
 
+from roomeq.acoustics.subband_eq import analyse
+from roomeq.eq.compensation import compensate_rir
 from roomeq.export.align import LEAD_S, align
 
 LEAD = round(LEAD_S * FS)
@@ -22,6 +24,16 @@ def test_direct_sound_comes_after_the_lead(direct):
 def test_lead_is_a_time_not_a_number_of_samples(rate_hz):
     h = decay(np.random.default_rng(0), direct=500)
     assert align(h, 500, rate_hz, positive=False).samples[round(LEAD_S * rate_hz)] == h[500]
+
+
+@pytest.mark.parametrize("direct", [100, 300, 600])
+@pytest.mark.parametrize("target_db", [[9, 6, 3, 0, 0, -2, -4, -8], [-12, -8, -4, 0, 0, 0, 0, 0],
+                                       [6, -6, 6, -3, 0, -3, -6, -10]])
+def test_compensated_rir_keeps_its_eq(direct, target_db):
+    """Half of a filter of linear phase lies ahead of the direct sound."""
+    compensated = compensate_rir(decay(np.random.default_rng(0), direct=direct), direct, target_db).samples
+    aligned = align(compensated, direct, FS, positive=False).samples
+    np.testing.assert_allclose(analyse(aligned, LEAD).eq_db, target_db, atol=1.0)  # the just noticeable difference
 
 
 def test_negative_direct_sound_is_inverted_only_on_request():
