@@ -320,6 +320,16 @@ def test_archive_is_decoded(tmp_path):
         np.testing.assert_array_equal(soundfile.read(path, dtype="int16")[0], audio[key])
 
 
+@pytest.mark.parametrize("format_, suffix", [("NIST", ".nist"), ("WAVEX", ".wav"), ("AIFF", ".aiff")])
+def test_suffix_is_one_by_which_toolkits_choose_libsndfile(tmp_path, format_, suffix):
+    """lhotse passes .sph to sph2pipe, NeMo to FFmpeg."""
+    data = segmented(tmp_path / "data", ["s-1 0 8"])
+    soundfile.write(data / "r1.wav", np.full(FS, 0.1), FS, format=format_, subtype="PCM_16")
+    (data / "segments").write_text("s-1 r1 0 1\n")
+    export("lhotse", data, tmp_path / "out")
+    assert [path.suffix for path in (tmp_path / "out/recordings").rglob("r1*")] == [suffix]
+
+
 @pytest.mark.parametrize("kind", ["nemo", "lhotse"])
 def test_utterance_with_the_id_of_another_recording_keeps_its_own_audio(tmp_path, kind):
     data = speech_dir(tmp_path / "data")

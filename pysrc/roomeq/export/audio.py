@@ -18,7 +18,7 @@ from roomeq.kaldi.wavscp import AudioLength, decode_entry, segment_samples
 from roomeq.records.rir_dir import load_rir
 from roomeq.records.schema import RirRow
 
-_SUFFIXES = {"WAVEX": ".wav", "NIST": ".sph"}
+_SUFFIXES = {"WAVEX": ".wav"}
 
 
 class AudioRules(NamedTuple):
