@@ -68,7 +68,7 @@ class AudioCache:
         return Excerpt(convolve(spectra_of(samples), rir, len(rir) - 1, length), start)
 
     def excerpt(self, noise: Noise, u: float, length: int, lead: int = 0) -> Excerpt:
-        """Return `length` samples of a noise; if all after the first `lead` are 0, an excerpt around one that is not.
+        """Return `length` samples of a noise; if all after the first `lead` are equal, one around a change.
 
         A sound that ends in the lead would reach the utterance as reverberation alone, which the SNR would amplify.
 
@@ -85,19 +85,19 @@ class AudioCache:
             if rate == self.fs_hz and frames >= length and not self._keep_noises:
                 start = excerpt_start(u, frames, length)
                 samples = read_audio(noise.path, fs_hz=rate, start=start, stop=start + length, dtype="float32")
-                if np.any(samples[lead:]):
+                if _sounds(samples[lead:]):
                     return Excerpt(samples, start)
             whole = self._get(f"noise {noise.id}", lambda: _read_whole(noise.path, self.fs_hz))
         start = excerpt_start(u, len(whole), length)
-        samples = whole[start:start + length] if len(whole) >= length else loop(whole, start, length)
-        if np.any(samples[lead:]):
+        samples = whole[start:start + length] if len(whole) >= length else _repeated(whole, start, length)
+        if _sounds(samples[lead:]):
             return Excerpt(samples, start)
         wanted = _audible_sample(whole, noise, u) - (length + lead) // 2  # in the middle of what follows the lead
         start = min(max(0, wanted), len(whole) - length)
-        if start >= 0 and np.any(whole[start + lead:start + length]):
+        if start >= 0 and _sounds(whole[start + lead:start + length]):
             return Excerpt(whole[start:start + length], start)
         start = wanted % ring_length(len(whole))
-        return Excerpt(loop(whole, start, length), start)
+        return Excerpt(_repeated(whole, start, length), start)
 
     def _get(self, key: str, read: Callable[[], tuple[Any, int]]) -> Any:
         """Return what `read` returned for a key (a value and its bytes), and drop what was not used for longest."""
@@ -112,11 +112,21 @@ class AudioCache:
             return self._cached[key][0]
 
 
+def _repeated(samples: Array, start: int, length: int) -> Array:
+    """Return a repeated noise without its constant offset, of which the cross-fades would make pulses."""
+    return loop(samples - np.float32(samples.mean(dtype=np.float64)), start, length)
+
+
+def _sounds(samples: Array) -> bool:
+    """Tell whether samples differ; a constant is no sound."""
+    return bool(np.any(samples != samples[0]))
+
+
 def _audible_sample(samples: Array, noise: Noise, u: float) -> int:
-    """Return the position of one of the samples that are not 0."""
-    positions = np.flatnonzero(samples)
+    """Return the position of one of the samples that differ from the one before."""
+    positions = np.flatnonzero(np.diff(samples)) + 1
     if not len(positions):
-        raise ValueError(f"{noise.path}: noise {noise.id} is silent (all samples 0): leave it out")
+        raise ValueError(f"{noise.path}: noise {noise.id} is silent (all samples the same): leave it out")
     return int(positions[int(u * len(positions))])
 
 

@@ -6,7 +6,8 @@ Conventions
 - The reverberated speech is advanced by the delay of the direct sound, rounded to a sample, and cut to the length of
   the clean utterance: labels and alignments of the clean speech stay valid.
 - Every SNR is a ratio of mean powers over the whole utterance: reverberated speech to that one noise as it arrives
-  at the microphone. There is no activity detection: pauses count, as in Kaldi's `wav-reverberate`.
+  at the microphone. There is no activity detection: pauses count, as in Kaldi's `wav-reverberate`. A constant offset
+  of the noise is removed first: it is no sound.
 - The result has the RMS of the clean utterance. If its peak would exceed `PEAK_LIMIT`, the level is reduced further.
 """
 
@@ -192,10 +193,11 @@ def mix(clean: Array, reverberated: Array, noises: list[tuple[Array, float]]) ->
     if not speech_power > 0:
         raise ValueError("reverberated utterance is silent: the RIR must hold its direct sound: drop the RIR")
     for noise, snr_db in noises:
-        power = mean_power(noise)
+        sound = noise - np.float32(noise.mean(dtype=np.float64))  # a constant is of the sound card
+        power = mean_power(sound)
         if not power > 0:
-            raise ValueError("noise is silent (all samples 0): leave it out")
-        total_noise = total_noise + noise * np.float32(np.sqrt(speech_power / power * 10 ** (-snr_db / 10)))
+            raise ValueError("noise is silent (all samples the same): leave it out")
+        total_noise = total_noise + sound * np.float32(np.sqrt(speech_power / power * 10 ** (-snr_db / 10)))
     if noises:
         samples = reverberated + total_noise
     gain = np.sqrt(clean_power / mean_power(samples))

@@ -109,7 +109,7 @@ CASES = [
          "speech: utterance b-1-0001: speech/wav/b-1-0001.flac: broken audio (...): copy or record it again",
          (patch("speech/wav/b-1-0001.flac", -9000, b"garbage" * 200),)),
     Case("noise silent", "augment --point-snr none speech rirs out",
-         "rirs/wav/hum-room0.flac: noise hum-room0 is silent (all samples 0): leave it out",
+         "rirs/wav/hum-room0.flac: noise hum-room0 is silent (all samples the same): leave it out",
          tuple(audio(f"rirs/wav/hum-room{n}.flac", np.zeros(32000)) for n in (0, 1))),
     Case("noise at 8 kHz", "augment --point-snr none speech rirs out",
          "rirs/wav/hum-room0.flac: sample rate 8000 Hz must be at least 16000 Hz: the missing band cannot be restored: "

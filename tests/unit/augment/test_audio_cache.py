@@ -24,13 +24,14 @@ def noise_of(samples):
 
 
 @pytest.mark.parametrize("before_s, after_s", [(0.0, 4.0), (2.0, 2.0), (4.0, 0.0), (0.0, 1.0), (0.0, 0.0)])
-def test_excerpt_sounds_after_its_lead(before_s, after_s):
+@pytest.mark.parametrize("offset", [0.0, -2.0 ** -15])
+def test_excerpt_sounds_after_its_lead(before_s, after_s, offset):
     sound = 0.05 * np.random.default_rng(0).standard_normal(FS_HZ // 2)
-    noise = noise_of(np.concatenate([np.zeros(int(before_s * FS_HZ)), sound, np.zeros(int(after_s * FS_HZ))]))
+    noise = noise_of(offset + np.concatenate([np.zeros(int(before_s * FS_HZ)), sound, np.zeros(int(after_s * FS_HZ))]))
     cache = cache_of(noise)
     for u in np.linspace(0.0, 0.999, 50):
         samples, start = cache.excerpt(noise, u, LENGTH, lead=LEAD)
-        assert len(samples) == LENGTH and np.any(samples[LEAD:]) and 0 <= start < len(noise.samples)
+        assert len(samples) == LENGTH and np.ptp(samples[LEAD:]) > 0 and 0 <= start < len(noise.samples)
 
 
 def test_excerpt_that_sounds_is_the_drawn_one():
@@ -39,8 +40,16 @@ def test_excerpt_that_sounds_is_the_drawn_one():
     np.testing.assert_array_equal(samples, noise.samples[start:start + LENGTH])
 
 
-def test_silent_noise_is_refused():
-    noise = noise_of(np.zeros(10 * FS_HZ))
+def test_repeated_noise_has_no_pulses_of_its_offset():
+    sound = 0.01 * np.random.default_rng(0).standard_normal(FS_HZ)
+    noise = noise_of(0.1 + sound)
+    samples, _ = cache_of(noise).excerpt(noise, 0.5, LENGTH)
+    assert np.abs(samples - samples.mean()).max() < 1.5 * np.abs(sound).max()
+
+
+@pytest.mark.parametrize("offset", [0.0, -2.0 ** -15])
+def test_silent_noise_is_refused(offset):
+    noise = noise_of(np.full(10 * FS_HZ, offset))
     with pytest.raises(ValueError, match="bark.wav: noise bark is silent"):
         cache_of(noise).excerpt(noise, 0.5, LENGTH, lead=LEAD)
 

@@ -83,6 +83,7 @@ def test_mix_matches_equation_1():
     x, h, h_i = burst(rng, 30000, 0.02), decay(rng), decay(rng, direct=150)
     n, d = rng.standard_normal(30000 + len(h_i) - 1), rng.standard_normal(30000)
     speech, point = np.convolve(x, h)[100:100 + 30000], np.convolve(n, h_i)[len(h_i) - 1:len(h_i) - 1 + 30000]
+    point, d = point - point.mean(), d - d.mean()
     a = np.sqrt(np.mean(speech**2) / np.mean(point**2) / 10**1.2)
     b = np.sqrt(np.mean(speech**2) / np.mean(d**2) / 10**0.5)
     raw = speech + a * point + b * d
@@ -106,6 +107,17 @@ def test_mix_meets_the_snr(snr_db):
     added = mixed.samples / gain - x
     assert db(mean_power(x) / mean_power(added)) == pytest.approx(snr_db, abs=0.02)
     assert mixed.snr_db == pytest.approx(snr_db, abs=0.01)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.01, 10.0])
+def test_snr_is_that_of_the_sound_whatever_the_offset_of_the_noise(offset):
+    """Sound cards add a constant, which nobody hears and which features leave out."""
+    rng = np.random.default_rng(8)
+    x, noise = burst(rng, 50000).astype(np.float32), rng.standard_normal(50000)
+    mixed = mix(x, x, [((noise + offset).astype(np.float32), 10.0)])
+    added = mixed.samples / 10 ** (mixed.gain_db / 20) - x
+    assert db(mean_power(x) / np.var(added)) == pytest.approx(10.0, abs=0.02)
+    assert mixed.snr_db == pytest.approx(10.0, abs=0.01)
 
 
 def test_mix_has_the_level_of_the_clean_utterance():
