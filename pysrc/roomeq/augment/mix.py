@@ -6,8 +6,8 @@ Conventions
 - The reverberated speech is advanced by the delay of the direct sound, rounded to a sample, and cut to the length of
   the clean utterance: labels and alignments of the clean speech stay valid.
 - Every SNR is a ratio of mean powers over the whole utterance: reverberated speech to that one noise as it arrives
-  at the microphone. There is no activity detection: pauses count, as in Kaldi's `wav-reverberate`. A constant offset
-  of the noise is removed first: it is no sound.
+  at the microphone. There is no activity detection: pauses count. A constant offset of the noise is removed first: it
+  is no sound. Kaldi's `wav-reverberate` counts of the speech what arrives within 50 ms of the RIR's largest sample.
 - The result has the RMS of the clean utterance. If its peak would exceed `PEAK_LIMIT`, the level is reduced further.
 """
 
