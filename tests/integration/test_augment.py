@@ -52,6 +52,7 @@ def test_utterances_match_equation_1_in_float64(tmp_path, inputs):
     noises = {key: soundfile.read(rirs / f"wav/{key}.flac")[0] for key in ("hum-room0", "hum-room1", "tap")}
     for key, row in rows_of(tmp_path / "out").items():
         x, n = audio_of(source, key), LENGTHS[key]
+        x = x - x.mean()
         speech = np.convolve(x, responses[row["rir"]])[row["shift"]:row["shift"] + n]
         expected = speech.copy()
         for noise in row["noises"]:
@@ -77,6 +78,18 @@ def test_utterances_match_equation_1_in_float64(tmp_path, inputs):
         assert kinds == ["ambient", "point"]
         assert row["noises"][0]["id"] == f"hum-{row['room']}"
         assert row["noises"][1]["rir"] != row["rir"] and row["noises"][1]["rir"].startswith(row["room"])
+
+
+def test_offset_of_the_speech_is_not_reverberated(tmp_path, inputs):
+    clean, rirs = inputs
+    augment(clean, rirs, tmp_path / "without")
+    for key in LENGTHS:
+        samples, _ = soundfile.read(clean / f"wav/{key}.flac")
+        write_flac(clean / f"wav/{key}.flac", samples + 0.1)
+    augment(clean, rirs, tmp_path / "with")
+    without, with_offset = (read_data_dir(tmp_path / name) for name in ("without", "with"))
+    for key in LENGTHS:
+        np.testing.assert_allclose(audio_of(with_offset, key), audio_of(without, key), atol=5 * SAMPLE)
 
 
 def test_languages_are_those_of_clean_speech(tmp_path, inputs):

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from roomeq.augment.draw import Noise, NoiseDraw, Pool, excerpt_start
-from roomeq.augment.mix import convolve, direct_shift, loop, ring_length, spectra_of
+from roomeq.augment.mix import convolve, direct_shift, loop, ring_length, spectra_of, without_offset
 from roomeq.core.arrays import Array
 from roomeq.core.audio import read_audio
 from roomeq.core.constants import FS_HZ
@@ -114,7 +114,7 @@ class AudioCache:
 
 def _repeated(samples: Array, start: int, length: int) -> Array:
     """Return a repeated noise without its constant offset, of which the cross-fades would make pulses."""
-    return loop(samples - np.float32(samples.mean(dtype=np.float64)), start, length)
+    return loop(without_offset(samples), start, length)
 
 
 def _sounds(samples: Array) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 from roomeq.augment.audio_cache import AudioCache
 from roomeq.augment.distribution import parse_distribution
 from roomeq.augment.draw import DrawRules, read_pool
-from roomeq.augment.mix import MixedUtterance, convolve, mix, spectra_of
+from roomeq.augment.mix import MixedUtterance, convolve, mix, spectra_of, without_offset
 from roomeq.augment.pack import PlannedUtterance, RecordingFile, file_name, plan_recordings
 from roomeq.augment.step import ROWS_FOLDER, SUMMARY_FILE, AugmentConfig
 from roomeq.augment.summary import Summary, log_summary
@@ -94,12 +94,13 @@ class _Augmenter:
             gain_db=round(mixed.gain_db, 4), peak_gain_db=round(mixed.peak_gain_db, 4))
 
     def _read(self, planned: PlannedUtterance, where: str) -> tuple[Array, Array]:
-        """Return the samples of a clean utterance and their spectra, which are kept for its next copy."""
+        """Return a clean utterance without its offset, and its spectra, which are kept for its next copy."""
         utterance = planned.clean
         if self._clean is None or self._clean[0] != utterance:
             self._clean = None  # an utterance may last for hours: not two at a time
             try:
-                clean = read_entry(planned.entry, utterance.start_s, utterance.end_s, pipes=self.config.pipes)
+                clean = without_offset(
+                    read_entry(planned.entry, utterance.start_s, utterance.end_s, pipes=self.config.pipes))
             except ValueError as error:
                 raise ValueError(f"{where}: {error}") from None
             length_s = len(clean) / FS_HZ

@@ -6,8 +6,10 @@ Conventions
 - The reverberated speech is advanced by the delay of the direct sound, rounded to a sample, and cut to the length of
   the clean utterance: labels and alignments of the clean speech stay valid.
 - Every SNR is a ratio of mean powers over the whole utterance: reverberated speech to that one noise as it arrives
-  at the microphone. There is no activity detection: pauses count. A constant offset of the noise is removed first: it
-  is no sound. Kaldi's `wav-reverberate` counts of the speech what arrives within 50 ms of the RIR's largest sample.
+  at the microphone. There is no activity detection: pauses count. Kaldi's `wav-reverberate` counts of the speech what
+  arrives within 50 ms of the RIR's largest sample.
+- The constant offset of speech and of noises is removed first: it is of the sound card. In geometrical acoustics all
+  reflections of a constant add up, and simulated RIRs would raise it by 20 dB.
 - The result has the RMS of the clean utterance. If its peak would exceed `PEAK_LIMIT`, the level is reduced further.
 """
 
@@ -146,6 +148,11 @@ def mean_power(x: Array) -> float:
     return float(total) / max(1, len(x))
 
 
+def without_offset(x: Array) -> Array:
+    """Return a signal of float32 less its mean."""
+    return x - np.float32(x.mean(dtype=np.float64))
+
+
 def ring_length(n_samples: int) -> int:
     """Return the number of samples after which a noise of `n_samples` repeats in `loop`."""
     return n_samples - min(FADE_SAMPLES, n_samples // 4)
@@ -189,11 +196,11 @@ def mix(clean: Array, reverberated: Array, noises: list[tuple[Array, float]]) ->
     total_noise: Array = np.zeros(1, dtype=np.float32)
     clean_power, speech_power = mean_power(clean), mean_power(reverberated)
     if not clean_power > 0:
-        raise ValueError("utterance is silent (all samples 0): leave it out of the data directory")
+        raise ValueError("utterance is silent (all samples the same): leave it out of the data directory")
     if not speech_power > 0:
         raise ValueError("reverberated utterance is silent: the RIR must hold its direct sound: drop the RIR")
     for noise, snr_db in noises:
-        sound = noise - np.float32(noise.mean(dtype=np.float64))  # a constant is of the sound card
+        sound = without_offset(noise)
         power = mean_power(sound)
         if not power > 0:
             raise ValueError("noise is silent (all samples the same): leave it out")

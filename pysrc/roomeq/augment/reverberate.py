@@ -22,7 +22,7 @@ from roomeq.acoustics.direct import find_direct, require_samples
 from roomeq.augment.audio_cache import AudioCache, ShiftedRir, at_rate
 from roomeq.augment.distribution import parse_distribution
 from roomeq.augment.draw import DrawRules, Noise, Pool, read_pool
-from roomeq.augment.mix import convolve, mix, spectra_of
+from roomeq.augment.mix import convolve, mix, spectra_of, without_offset
 from roomeq.core.arrays import Array
 from roomeq.core.constants import FS_HZ, is_number, is_whole, require_fs
 from roomeq.core.rng import rng_for
@@ -134,6 +134,7 @@ class Reverberate:
         name = self._next_call() if key is None else key
         if not clean.any() or rng_for(self.seed, "reverberate", name).random() >= self.p:
             return clean.reshape(given.shape)
+        clean = without_offset(clean)
         cache = self._cache(sample_rate)
         rules = DrawRules(self.seed, False, parse_distribution(self.snr, "snr"),
                           parse_distribution(self.point_snr, "point_snr"), self.point_noise_prob, 1)

@@ -104,7 +104,8 @@ CASES = [
          (audio("speech/wav/b-1-0001.flac", 20011, 8000),)),
     Case("speech silent", AUGMENT,
          "speech: utterance b-1-0001 with RIR room1-2, noise hum-room1, noise tap: utterance is silent (all "
-         "samples 0): leave it out of the data directory", (audio("speech/wav/b-1-0001.flac", np.zeros(20011)),)),
+         "samples the same): leave it out of the data directory",
+         (audio("speech/wav/b-1-0001.flac", np.zeros(20011)),)),
     Case("a frame overwritten", AUGMENT,
          "speech: utterance b-1-0001: speech/wav/b-1-0001.flac: broken audio (...): copy or record it again",
          (patch("speech/wav/b-1-0001.flac", -9000, b"garbage" * 200),)),
