@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from roomeq.augment.draw import Noise, NoiseDraw, Pool, excerpt_start
-from roomeq.augment.mix import convolve, direct_shift, loop, ring_length, spectra_of, without_offset
+from roomeq.augment.mix import convolve, direct_shift, loop, ring_length, spectra_of, without_offset, without_rumble
 from roomeq.core.arrays import Array
 from roomeq.core.audio import read_audio
 from roomeq.core.constants import FS_HZ
@@ -44,7 +44,7 @@ class AudioCache:
         self._keep_noises = total * 4 < CACHE_BYTES // 2
 
     def rir(self, rir_id: str) -> ShiftedRir:
-        """Return an RIR."""
+        """Return an RIR without rumble."""
         def read() -> tuple[ShiftedRir, int]:
             row = self.pool.rows[rir_id]
             fs_hz = row.get("fs_hz", FS_HZ)
@@ -52,7 +52,7 @@ class AudioCache:
             shifted = ShiftedRir(rir.astype(np.float32), direct_shift(row, rir))
             if fs_hz != self.fs_hz:
                 shifted = at_rate(shifted, fs_hz, self.fs_hz)
-            return shifted, 4 * len(shifted.samples)
+            return shifted._replace(samples=without_rumble(shifted.samples, self.fs_hz)), 4 * len(shifted.samples)
 
         return self._get(f"rir {rir_id}", read)
 

@@ -22,7 +22,7 @@ from roomeq.acoustics.direct import find_direct, require_samples
 from roomeq.augment.audio_cache import AudioCache, ShiftedRir, at_rate
 from roomeq.augment.distribution import parse_distribution
 from roomeq.augment.draw import DrawRules, Noise, Pool, read_pool
-from roomeq.augment.mix import convolve, mix, spectra_of, without_offset
+from roomeq.augment.mix import convolve, mix, spectra_of, without_offset, without_rumble
 from roomeq.core.arrays import Array
 from roomeq.core.constants import FS_HZ, is_number, is_whole, require_fs
 from roomeq.core.rng import rng_for
@@ -167,8 +167,9 @@ class _ArrayCache(AudioCache):
 
     def __init__(self, rirs: dict[str, ShiftedRir], pool: Pool, fs_hz: int, wanted_hz: int) -> None:
         super().__init__(Path(), pool, wanted_hz)
-        self._rirs = {name: rir if wanted_hz == fs_hz else at_rate(rir, fs_hz, wanted_hz)
-                      for name, rir in rirs.items()}
+        of_rate = {name: rir if wanted_hz == fs_hz else at_rate(rir, fs_hz, wanted_hz) for name, rir in rirs.items()}
+        self._rirs = {name: rir._replace(samples=without_rumble(rir.samples, wanted_hz))
+                      for name, rir in of_rate.items()}
 
     def rir(self, rir_id: str) -> ShiftedRir:
         return self._rirs[rir_id]

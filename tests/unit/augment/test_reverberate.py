@@ -65,6 +65,15 @@ def test_offset_of_the_speech_is_not_reverberated():
     assert reverberate(speech() + 0.02, FS, key="a") == pytest.approx(reverberate(speech(), FS, key="a"), abs=1e-3)
 
 
+def test_rumble_below_hearing_is_not_reverberated():
+    rir = np.zeros(FS // 2, np.float32)
+    rir[100], rir[101:] = 1.0, 0.01 * np.exp(-np.arange(FS // 2 - 101) / 1000)
+    reverberate = roomeq.Reverberate([rir], [speech(seed=1)], snr="10")
+    rumble = (0.02 * np.sin(2 * np.pi * 3 * np.arange(FS) / FS)).astype(np.float32)
+    result, without = reverberate(speech() + rumble, FS, key="a"), reverberate(speech(), FS, key="a")
+    assert result / np.std(result) == pytest.approx(without / np.std(without), abs=0.1)
+
+
 def test_snr_of_ambient_noise_is_met():
     clean = speech(4.0)
     noises = [np.random.default_rng(5).standard_normal(3 * FS).astype(np.float32)]
