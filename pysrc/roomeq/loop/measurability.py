@@ -48,7 +48,8 @@ def limit_to_excitation(rows: Sequence[RirRow], features: Sequence[Features]) ->
         for n, of_rir_hz in zip(members, ends_hz, strict=True):
             measurable = excited(*of_rir_hz)
             limited[n] = replace(features[n], valid=features[n].valid & measurable,
-                                 bounded=features[n].bounded & measurable)
+                                 bounded=features[n].bounded & measurable,
+                                 white=np.where(measurable[feature_slice("early")], features[n].white, 0.0))
     return limited
 
 

@@ -70,6 +70,17 @@ def test_features_above_a_recording_are_invalid_in_its_room_alone(caplog):
     assert "source s: 3 of 6 RIRs hold nothing above" in caplog.text
 
 
+def test_octaves_outside_the_excitation_have_no_white_noise():
+    """A noisy recording hides the lower end of its sweep, which other recordings of the source show."""
+    rirs = [response(seed, from_hz=150.0) for seed in range(4)]
+    rirs[0] += 0.05 * np.random.default_rng(0).standard_normal(len(rirs[0]))
+    features = [measure_features(rir) for rir in rirs]
+    assert features[0].excited_from_hz == 0.0 and 10.0 * np.log10(features[0].white[0]) > -30.0
+    limited = limit_to_excitation([dict(source_id="s", room_id="r")] * 4, features)
+    assert [of_rir.white[0] for of_rir in limited] == [0.0] * 4
+    assert np.array_equal(limited[0].white[2:], features[0].white[2:]) and limited[0].white[2:].all()
+
+
 @pytest.mark.parametrize("t60_s, end_s, valid", [(0.6, 0.1, False), (0.6, 0.3, True), (0.08, 0.15, True)])
 def test_level_of_which_the_recording_holds_a_part_is_not_valid(t60_s, end_s, valid):
     """The late level needs 200 ms, or a decay that is over before."""
