@@ -105,7 +105,7 @@ class Features:
         Whether decay range, bandwidth and distance to the noise suffice.
     bounded : ndarray of bool, shape (n_features,)
         Whether the value is no measurement but an upper limit: of a direct sound that is lost in the noise, in the
-        features of `CALIBRATION_FEATURES`.
+        features of `CALIBRATION_FEATURES`, and of noise where the decay goes on at the end of the recording.
     direct_sample : float
     white : ndarray, shape (8,)
         White noise of the recording: energy of 100 ms relative to the response, per octave.
@@ -180,7 +180,7 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
     ValueError
         There is no direct sound.
     """
-    rir = np.asarray(rir, dtype=np.float64)
+    rir, is_recording = np.asarray(rir, dtype=np.float64), white is None
     direct, polarity, timed = _direct(rir, expected_sample, timed)
     if white is None and (n_samples := length_before_fade(rir, FS_HZ, direct)) < _length(rir):
         rir = rir[:n_samples]  # what fades out, or is silent, is not the noise of the recording
@@ -215,6 +215,9 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
         end_level, _ = _noise_levels(rir, direct, _noise_density(rir[:end], metrics, band_hz), white)[0]["floor"]
     for metric, (level_db, is_valid) in noise_levels.items():
         _put(values, valid, metric, level_db, is_valid)
+    if is_recording:
+        at = feature_slice("floor")
+        bounded[at] = noise.has_response[OCTAVE_OF_THIRD] & ~valid[at]
     return Features(values, valid & np.isfinite(values), bounded, direct, white, *band_hz,
                     float(20.0 * np.log10(np.max(np.abs(rir)))), _length(rir), end_level / JND["floor"])
 
@@ -351,16 +354,18 @@ def _noise_levels(rir: FloatArray, direct: float, noise: _Noise, white: FloatArr
     energy = energy_in_bands(OCTAVES, energy_per_bin(rir, n_fft), n_fft)
     per_energy = NOISE_S * FS_HZ / np.maximum(energy, 1e-30)
     end, end_of_thirds = noise.octave * per_energy, noise.third * per_energy[OCTAVE_OF_THIRD]
+    # without visible noise, the level is known only if even the end of the response is quiet
+    known = noise.seen | (_db(end / QUIET + 1.0) < JND["floor"])
     if white is None:
         added, white = np.zeros(len(BANDS_HZ)), _white(noise) * per_energy
         white_of_thirds = white[OCTAVE_OF_THIRD] * SHARE_OF_THIRD
         behind = np.where(noise.seen, end, white)
-        behind_of_thirds = np.where(noise.seen[OCTAVE_OF_THIRD], end_of_thirds, white_of_thirds)
+        # an unknown level is at most that of the end, where the decay goes on
+        is_end = (noise.seen | ~known)[OCTAVE_OF_THIRD]
+        behind_of_thirds = np.where(is_end, end_of_thirds, white_of_thirds)
     else:  # a rendering has no noise of its own, and ends when its decay is over
         white_of_thirds = white[OCTAVE_OF_THIRD] * SHARE_OF_THIRD
         added, behind, behind_of_thirds = white, end + white, end_of_thirds + white_of_thirds
-    # without visible noise, the level is known only if even the end of the response is quiet
-    known = noise.seen | (_db(end / QUIET + 1.0) < JND["floor"])
     quiet_of_thirds = QUIET * SHARE_OF_THIRD
     levels = {"floor": (_db((behind_of_thirds + quiet_of_thirds) / (white_of_thirds + quiet_of_thirds)),
                         known[OCTAVE_OF_THIRD])}

@@ -255,6 +255,17 @@ def test_direct_sound_below_the_noise_is_an_upper_limit():
     assert np.all(limit.values[limit.bounded] < measured.values[limit.bounded] - 20.0)
 
 
+def test_end_of_a_decay_that_is_cut_short_is_an_upper_limit_of_noise():
+    rir = response(0)[:200 + round(0.3 * FS_HZ)]
+    noise = 3e-3 * np.random.default_rng(1).standard_normal(FS_HZ)
+    features, noisy = measure_features(rir), measure_features(response(0)[:FS_HZ] + noise)
+    floor = METRIC == "floor"
+    assert features.bounded[floor].all() and not features.valid[floor].any()
+    assert not (noisy.bounded & floor).any() and noisy.valid[floor].all()
+    rendered = measure_features(rir, 200.0, white=features.white)  # which has the same decay at its end
+    assert np.allclose(features.values[floor], rendered.values[floor], atol=0.1)
+
+
 def test_upper_limit_counts_where_the_prediction_exceeds_it():
     values, valid, bounded = np.zeros((1, 3)), np.array([[True, False, False]]), np.array([[False, True, True]])
     data = SimpleNamespace(features=values, valid=valid, bounded=bounded)
