@@ -38,6 +38,7 @@ _BELOW = Bands(THIRDS.mid_hz[:_N_BELOW], THIRDS.quality)
 NEAR_S, NEAR_SHARE = 4e-4, 0.05
 """Tolerance of the arrival of the direct sound: positions (14 cm) plus a speed of sound that is wrong by 5 %."""
 MIN_SNR_DB = 10.0
+_HANN_SHARE = 18.0 / 35.0  # of the degrees of freedom of noise that a Hann window leaves
 _LOW_NOISE_S = 0.5  # at the end of a recording, of which the noise below 45 Hz is measured
 _UNDERESTIMATED = 0.05  # how often it may be larger than is assumed
 _CONTRADICTED = 0.5  # the level of white noise is found too high as often as too low
@@ -146,8 +147,8 @@ class _Noise(NamedTuple):
         Whether it may be noise: more than the decay explains, also where its end is too short to tell.
     has_response : ndarray of bool, shape (8,)
         Whether the excitation reaches the octave.
-    n_samples : int
-        Length of the part that was measured.
+    n_samples : float
+        Length of the part that was measured, as its window leaves it.
     """
 
     octave: FloatArray
@@ -155,7 +156,7 @@ class _Noise(NamedTuple):
     seen: BoolArray
     possible: BoolArray
     has_response: BoolArray
-    n_samples: int
+    n_samples: float
 
 
 def measure_features(rir: Array, expected_sample: float | None = None, *, timed: bool = True,
@@ -267,10 +268,11 @@ def _noise_density(rir: FloatArray, metrics: dict, band_hz: tuple[float, float])
     seen = has_response & [floor_db is not None for floor_db in metrics["band_noise_floor_db"]]
     possible = has_response & (intersections < last - 1)
     part = rir[start:last]
+    window = np.hanning(len(part) + 2)[1:-1]  # hum at a low frequency would leak into all bands
     n_fft = next_fast_len(max(len(part), 2048), real=True)
-    power = energy_per_bin(part, n_fft) / max(len(part), 1)
+    power = energy_per_bin(part * window, n_fft) / max(np.sum(window ** 2), 1e-30)
     return _Noise(energy_in_bands(OCTAVES, power, n_fft), energy_in_bands(THIRDS, power, n_fft)[_N_BELOW:], seen,
-                  possible, has_response, len(part))
+                  possible, has_response, _HANN_SHARE * len(part))
 
 
 def _most_noise_below(rir: FloatArray) -> FloatArray:
@@ -286,7 +288,7 @@ def _most_noise_below(rir: FloatArray) -> FloatArray:
     return energy / len(end) / np.maximum(_quantile(_BELOW.mid_hz / _BELOW.quality, len(end), _UNDERESTIMATED), 1e-30)
 
 
-def _quantile(bandwidth_hz: FloatArray, n_samples: int, probability: float) -> FloatArray:
+def _quantile(bandwidth_hz: FloatArray, n_samples: float, probability: float) -> FloatArray:
     """Return the quantile of the energy of white noise in some bands, relative to its expectation.
 
     In a time T and a bandwidth B, it is distributed as chi-squared with 2 B T degrees of freedom.

@@ -266,6 +266,17 @@ def test_end_of_a_decay_that_is_cut_short_is_an_upper_limit_of_noise():
     assert np.allclose(features.values[floor], rendered.values[floor], atol=0.1)
 
 
+def test_hum_at_a_low_frequency_is_no_noise_at_others():
+    rir = response(0)
+    hum = 0.05 * np.sin(2.0 * np.pi * 58.0 * np.arange(len(rir)) / FS_HZ + 0.5)
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(len(rir))
+    change = measure_features(rir + noise + hum).values - measure_features(rir + noise).values
+    floor = METRIC == "floor"
+    assert change[floor & (np.abs(BAND_HZ - 63.0) < 5.0)] > 20.0
+    assert np.abs(change[floor & (BAND_HZ > 110.0)]).max() < 4.0
+    assert np.abs(change[floor & (BAND_HZ > 180.0)]).max() < 0.5
+
+
 def test_upper_limit_counts_where_the_prediction_exceeds_it():
     values, valid, bounded = np.zeros((1, 3)), np.array([[True, False, False]]), np.array([[False, True, True]])
     data = SimpleNamespace(features=values, valid=valid, bounded=bounded)
