@@ -15,6 +15,7 @@ from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import bands_hz
 from roomeq.core.jit import on_threads
 from roomeq.sim.array_noise import make_coherent
+from roomeq.sim.boundary import NearImages, near_images
 from roomeq.sim.diffraction import Diffracted, diffract
 from roomeq.sim.echogram import FRAME_S, compute_echograms
 from roomeq.sim.images import SpecularPaths, specular_paths
@@ -115,6 +116,8 @@ class RenderContext:
         None if the source is omnidirectional.
     mic_directivities
         One per microphone, None for an omnidirectional one. They need path samples, which know where sound comes from.
+    near_source, near_mics
+        Images of source and microphones in the surfaces next to them.
     """
 
     traced: "TracedSource"
@@ -128,6 +131,8 @@ class RenderContext:
     ism_order: int
     source_directivity: Directivity | None
     mic_directivities: Sequence[Directivity | None]
+    near_source: NearImages
+    near_mics: list[NearImages]
 
     @property
     def n_frames(self) -> int:
@@ -168,7 +173,8 @@ class RenderContext:
             diffracted=[self.diffracted[mic] for mic in mics], noises=[self.noises[mic] for mic in mics],
             path_samples=None if self.path_samples is None else [self.path_samples[mic] for mic in mics],
             visible=[visible[list(mics)] if len(visible) else visible for visible in self.visible],
-            mic_directivities=[self.mic_directivities[mic] for mic in mics])
+            mic_directivities=[self.mic_directivities[mic] for mic in mics],
+            near_mics=[self.near_mics[mic] for mic in mics])
 
     def sample_paths(self, absorption: FloatArray, rngs: Sequence[np.random.Generator]) -> list[PathSample]:
         """Draw a sample of the paths to each microphone, for absorption of shape (n_surfaces,) in all bands."""
@@ -210,15 +216,18 @@ def make_render_context(traced: "TracedSource", mics_m: ArrayLike, rngs: Sequenc
                                   [mic_directivities[mic] for mic in members])
             for mic, noise in zip(members, mixed, strict=True):
                 noises[mic] = noise
+    near_source, *near_mics = (
+        near_images(traced.scene, point_m, directivity) for point_m, directivity in zip(
+            [traced.source_pos_m, *mics_m], [source_directivity, *mic_directivities], strict=True))
     context = RenderContext(traced, mics_m, images, diffracted, noises, path_samples, [], length_s, ism_order,
-                            source_directivity, mic_directivities)
+                            source_directivity, mic_directivities, near_source, near_mics)
     return context if path_samples is not None else context.with_all_paths()
 
 
 def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequence[int]) -> FloatArray:
-    """Return the energy per frame of the traced rays, with air absorption, shape (n_mics, n_frames, n_bands).
+    """Return the energy per frame of the traced rays, shape (n_mics, n_frames, n_bands).
 
-    Image sources are not included.
+    Air absorption and the gain at surfaces (`roomeq.sim.boundary`) are included, image sources are not.
     """
     scene, paths, bands = context.traced.scene, context.traced.paths, list(bands)
     if not context.traced.serves(absorption):
@@ -251,7 +260,9 @@ def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequenc
             result[:, :, trace_of_band == trace] = energy[:, :, trace_of_band == trace]
     result = _smooth_late(result, late_after_s(scene.room.volume_m3, scene.air.speed_m_s))
     length_m = (np.arange(context.n_frames) + 0.5) * FRAME_S * scene.air.speed_m_s
-    return result * np.exp(-length_m[:, None] * scene.attenuation_per_m[bands])
+    of_source, *of_mics = (near.gain(scene, absorption)[bands] for near in (context.near_source, *context.near_mics))
+    return (result * np.exp(-length_m[:, None] * scene.attenuation_per_m[bands])
+            * of_source * np.array(of_mics)[:, None, :])
 
 
 def _in_frames_of(energy: Array, length: float) -> Array:

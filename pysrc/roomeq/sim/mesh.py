@@ -193,7 +193,7 @@ class MeshRoom:
     def specular_paths(self, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, order: int) -> SpecularPaths:
         """Find the purely specular paths up to an order; see `roomeq.sim.images.specular_paths`."""
         (plane, mirrors), source_m = self.planes, np.asarray(source_pos_m, dtype=float)
-        sequences = self.remember("sequences", (tuple(source_m), order), KEPT_SOURCES, lambda: find_sequences(
+        sequences = self.remember(f"sequences of order {order}", tuple(source_m), KEPT_SOURCES, lambda: find_sequences(
             self.tree, plane, mirrors, self.normals, source_m, order))
         return visible_paths(sequences, self.tree, plane, mirrors, self.face_surface, len(self.surfaces),
                              np.asarray(mic_pos_m, dtype=float))

@@ -86,10 +86,13 @@ def test_reflection_is_continuous_at_its_boundary(axis, tmp_path):
     def echo(shift_m, diffraction):
         positions = [np.roll([distance_m, 2.0 + shift_m], axis) for distance_m in (1.0, 0.5)]
         source, mic = [*positions[0], 1.5], [*positions[1], 1.7]
-        response, = simulate_responses(scene, source, mic, num_rays=1, ism_order=1, diffraction=diffraction)
+        responses = [response for seed in range(3) for response in simulate_responses(
+            scene, source, mic, num_rays=1, ism_order=1, diffraction=diffraction, seed=seed)]
         image = [*np.roll([3.0, 2.0 + shift_m], axis), 1.5]
-        at = response.direct_sample + FS_HZ / scene.air.speed_m_s * (math.dist(image, mic) - math.dist(source, mic))
-        return response.rir[round(at) - 12:round(at) + 13].sum()
+        at = responses[0].direct_sample + FS_HZ / scene.air.speed_m_s * (
+            math.dist(image, mic) - math.dist(source, mic))
+        # the median, as a single ray may pass the microphone close to the echo
+        return np.median([response.rir[round(at) - 12:round(at) + 13].sum() for response in responses])
 
     shifts_m = (-1e-3, -1e-5, -1e-7, -1e-12, 0.0, 1e-12, 1e-7, 1e-3)
     np.testing.assert_allclose([echo(shift_m, True) for shift_m in shifts_m], echo(1e-3, True), rtol=0.01)

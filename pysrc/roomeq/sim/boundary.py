@@ -1,0 +1,120 @@
+"""Gain of late sound at microphones and sources near surfaces.
+
+Direct and reflected sound are in phase within a small part of a wavelength from a wall. In a diffuse field, the mean
+squared pressure there is twice that in the middle of a room, at an edge four times, in a corner eight times
+(Waterhouse, J. Acoust. Soc. Am. 27 (1955) 247). By reciprocity, a source radiates that much more power. Pressures of
+image sources add in phase, but rays add energies, so that theirs is multiplied by
+
+    1 + sum a_n sin(k d_n) / (k d_n)
+
+over the images of the microphone or source at distances d_n from itself, with the reflected pressure a_n. A surface
+that is small against the wavelength, as a table at low frequencies, reflects little: its images do not count there.
+Directivities weight each term with how alike they are ahead and in the mirror, ``<D(u) D(R u)> / <D(u)^2>`` over all
+directions u and with the mirror image R u.
+"""
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import sici
+
+from roomeq.core.arrays import FloatArray, IntArray
+from roomeq.core.constants import exact_bands_hz
+from roomeq.sim.adjacency import joined_faces
+from roomeq.sim.images import specular_paths
+from roomeq.sim.room import Room
+from roomeq.sim.scene import Scene, Shoebox
+from roomeq.sim.trace import sphere_directions
+
+if TYPE_CHECKING:
+    from roomeq.sim.context import Directivity
+    from roomeq.sim.mesh import MeshRoom
+
+_BESIDE_M = 1e-6  # a path from a point to itself would have no direction
+_DIRECTIONS = 200
+_ACROSS = 0.7  # largest cosine between the normals of surfaces that form an edge or a corner
+
+
+@dataclass(frozen=True)
+class NearImages:
+    """Images of a point in the nearest surfaces: the nearest one, and up to two that stand across it.
+
+    Attributes
+    ----------
+    distance_m
+        From the point, shape (n_images,).
+    surface_counts
+        Number of reflections at each surface, shape (n_images, n_surfaces).
+    extent_m
+        Root of the area of the smallest flat region that reflects, shape (n_images,).
+    likeness
+        Of the directivity and its mirror image, in [-1, 1], shape (n_images, n_bands).
+    """
+
+    distance_m: FloatArray
+    surface_counts: IntArray
+    extent_m: FloatArray
+    likeness: FloatArray
+
+    def gain(self, scene: Scene, absorption: FloatArray) -> FloatArray:
+        """Return the gain of energy in each band, for absorption of shape (n_surfaces, n_bands), shape (n_bands,).
+
+        An image counts where half a wavelength is less than its extent. Negative means over an octave, from about a
+        quarter of a wavelength from the surface on, count as 0: further away, other surfaces are as near. At
+        wavelengths above ``8 V / S``, where the room has more modes by its surface than by its volume (Kuttruff, Room
+        Acoustics, ch. 3), there is no diffuse field, and the gain is 1.
+        """
+        reflected = np.maximum((1.0 - absorption) * (1.0 - scene.scattering), 1e-200)
+        pressure = np.exp(0.5 * self.surface_counts @ np.log(reflected))
+        wavelength_m = scene.air.speed_m_s / np.array(exact_bands_hz(scene.fs_hz))
+        low, high = (2.0 * np.pi * edge * self.distance_m[:, None] / wavelength_m for edge in (0.5 ** 0.5, 2.0 ** 0.5))
+        in_phase = np.maximum((sici(high)[0] - sici(low)[0]) / (high - low), 0.0)
+        reflects = 0.5 * wavelength_m < self.extent_m[:, None]
+        diffuse = scene.room.surface_area_m2.sum() * wavelength_m < 8.0 * scene.room.volume_m3
+        gain = 1.0 + np.sum(pressure * in_phase * reflects * self.likeness, axis=0)
+        return np.where(diffuse, np.maximum(gain, 0.0), 1.0)
+
+
+def near_images(scene: Scene, point_m: ArrayLike, directivity: "Directivity | None" = None) -> NearImages:
+    """Find the images of a source or microphone at a point, shape (3,), in the surfaces next to it."""
+    point_m = np.asarray(point_m, dtype=float)
+    paths = specular_paths(scene.room, point_m, point_m + _BESIDE_M, 1)
+    nearest: list[int] = []
+    for n in np.flatnonzero(paths.surface_counts.any(axis=1)):
+        if len(nearest) < 3 and np.all(np.abs(paths.departure[nearest] @ paths.departure[n]) < _ACROSS):
+            nearest.append(int(n))
+    groups = [list(group) for size in (1, 2, 3) for group in combinations(range(len(nearest)), size)]
+    towards_m = (paths.distance_m[:, None] * paths.departure)[nearest]
+    counts, extent_m = paths.surface_counts[nearest], _extents_m(scene.room, point_m, paths.departure[nearest])
+    return NearImages(
+        np.array([np.linalg.norm(towards_m[group].sum(axis=0)) for group in groups]),
+        np.array([counts[group].sum(axis=0) for group in groups]).reshape(len(groups), counts.shape[1]),
+        np.array([extent_m[group].min() for group in groups]),
+        np.array([_likeness(directivity, paths.departure[nearest][group], scene.n_bands) for group in groups]).reshape(
+            len(groups), scene.n_bands))
+
+
+def _likeness(directivity: "Directivity | None", normals: FloatArray, n_bands: int) -> FloatArray:
+    """Return how alike a directivity and its image in some mirrors are, for normals of shape (n, 3)."""
+    if directivity is None:
+        return np.ones(n_bands)
+    directions = mirrored = sphere_directions(_DIRECTIONS, np.random.default_rng(0))
+    for normal in normals:
+        mirrored = mirrored - 2.0 * (mirrored @ normal)[:, None] * normal
+    ahead, behind = directivity(directions), directivity(mirrored)
+    power = np.sqrt(np.sum(ahead ** 2, axis=0) * np.sum(behind ** 2, axis=0))
+    return np.sum(ahead * behind, axis=0) / np.maximum(power, np.finfo(float).tiny)
+
+
+def _extents_m(room: Room, point_m: FloatArray, directions: FloatArray) -> FloatArray:
+    """Return the root of the area of the flat region in each direction, shape (n,); of a shoebox that of its walls."""
+    if isinstance(room, Shoebox):
+        walls = 2 * np.abs(directions).argmax(axis=1)
+        return np.sqrt(room.surface_area_m2[walls])
+    mesh = cast("MeshRoom", room)
+    region = mesh.remember("regions", None, 1, lambda: joined_faces(mesh.planes, mesh.meetings))
+    face, _ = mesh.first_hits(np.tile(point_m, (len(directions), 1)), directions)
+    return np.sqrt(np.bincount(region, mesh.face_area_m2)[region[face]])
