@@ -142,6 +142,8 @@ def test_a_row_simulated_again_as_if_measured_is_in_the_same_room(four, tmp_path
     (dict(source_directivity=dict(radius_m=0.1, membrane_radius_m=0.05), source_dir=[1, 0, None]),
      "RIR hall: source_directivity needs .* add source_dir"),
     (dict(channel_pos_m=[[1, 2]]), "channel_pos_m=.* must be a list of two or more positions"),
+    (dict(channel_pos_m=[[2.9, 2, 1], [3.1, 2, 1]]),  # mic_pos_m is their centre
+     r"channel_pos_m\[0\]=\[2.9, 2, 1\] and mic_pos_m=\[3, 2, 1\] must be the same place"),
 ])
 def test_a_wrong_directivity_or_array_in_a_row_is_refused(tmp_path, known, message):
     row = dict(id="hall", wav="hall.wav", room_id="hall", source_id="s", mic_id="m", fs_hz=16000, n_samples=9,

@@ -126,6 +126,8 @@ class Membrane(TypedDict):
     membrane_radius_m: Annotated[float, Meta(ge=0, le=LARGEST, description="a length, not negative")]
 
 
+_ROUNDED_M = 1e-3
+
 TARGET_AGAIN = "target_t60_s again"
 """Entry of a row's `drawn` where a target that could not be met was replaced by another."""
 
@@ -233,6 +235,10 @@ def row_problem(row: Mapping[str, Any]) -> str | None:
         if isinstance(values, list) and not key.startswith("eq_") and len(values) != n_bands:
             return (f"acoustic_parameters: {key} holds {len(values)} values and must hold {n_bands}, one per octave "
                     f"band at {fs_hz} Hz")
+    first_m, mic_m = (row.get("channel_pos_m") or [[]])[0], row.get("mic_pos_m") or []
+    if any(None not in pair and abs(pair[0] - pair[1]) > _ROUNDED_M for pair in zip(first_m, mic_m, strict=False)):
+        return (f"channel_pos_m[0]={first_m} and mic_pos_m={mic_m} must be the same place, that of an array's first "
+                "microphone")
     return None
 
 
