@@ -143,7 +143,9 @@ def _read_obj(path: Path) -> Triangles:
     triangles: list[FloatArray] = []
     names: list[str] = []
     material = UNNAMED
-    for line in path.read_text(encoding="utf-8-sig", errors="replace").splitlines():
+    text = path.read_text(encoding="utf-8-sig", errors="replace")
+    # a line that ends in a backslash goes on in the next one
+    for line in re.sub(r"^(?!\s*#)(.*)\\\n", r"\1 ", text, flags=re.MULTILINE).splitlines():
         # a name may hold the sign of comments
         key, *words = re.split(r"(?:^|\s)#" if "usemtl" in line else "#", line)[0].split() or [""]
         if key == "v":

@@ -58,7 +58,8 @@ def test_all_mesh_formats_give_the_same_room(box, tmp_path, suffix):
     np.testing.assert_allclose(room.triangles.reshape(-1, 3).max(axis=0), DIMS_M, atol=1e-5)
 
 
-@pytest.mark.parametrize("how", ["with a byte order mark", "with denormals", "in glTF with percent-encoded names"])
+@pytest.mark.parametrize("how", ["with a byte order mark", "with denormals", "with lines that go on",
+                                 "in glTF with percent-encoded names"])
 def test_odd_but_right_files_give_the_same_room(box, write_obj, how, tmp_path):
     text = prism_obj(box_plan(*DIMS_M[:2]), DIMS_M[2])
     if "mark" in how:
@@ -66,6 +67,10 @@ def test_odd_but_right_files_give_the_same_room(box, write_obj, how, tmp_path):
     elif "denormals" in how:
         path = write_obj(text.replace("v 0.0 0.0 0.0", "v 1e-310 -4e-324 0.0"))
         assert "1e-310" in path.read_text()
+    elif "go on" in how:
+        lines = re.sub(r"(?m)^(f|v)((?: \S+)+) (\S+) (\S+)$", r"\1\2\\\n \3 \\\n\4", text)
+        path = write_obj("# made in C:\\rooms\\\n" + lines)
+        assert path.read_text().count("\\\n") > 10
     else:
         mesh = trimesh.Trimesh(box.triangles.reshape(-1, 3), np.arange(36).reshape(-1, 3), process=False)
         mesh.vertices = mesh.vertices @ Y_UP.T
