@@ -203,7 +203,8 @@ def simulate_rir(room: Room, source: ArrayLike, mics: ArrayLike, fs: int = FS_HZ
         raise ValueError(f"mics of shape {positions_m.shape} must have the shape (3,) or (n_mics, 3): give x, y, z of "
                          "each microphone")
     n_mics = len(np.atleast_2d(positions_m))
-    of_mics = (list(mic_directivity) if isinstance(mic_directivity, Sequence | np.ndarray)
+    of_mics = (list(mic_directivity)
+               if isinstance(mic_directivity, Sequence | np.ndarray) and not isinstance(mic_directivity, str)
                else [mic_directivity] * n_mics)
     if len(of_mics) != n_mics:
         raise ValueError(f"{len(of_mics)} directivities of microphones must be one, or one for each of {n_mics}: give "
