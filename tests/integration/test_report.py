@@ -132,7 +132,8 @@ def test_table_cells_are_escaped_and_aligned():
     assert "&lt;caption&gt;" in made
 
 
-@pytest.mark.parametrize(("value", "text"), [(1.25, "1.2"), (-0.5, "−0.5"), (-0.04, "0.0"), (None, "–"), (float("nan"), "–")])
+@pytest.mark.parametrize(("value", "text"), [(1.25, "1.2"), (-0.5, "−0.5"), (-0.04, "0.0"), (None, "–"),
+                                             (float("nan"), "–")])
 def test_number_formats_signs_and_gaps(value, text):
     assert number(value) == text
 

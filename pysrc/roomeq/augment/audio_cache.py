@@ -9,20 +9,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from roomeq.augment.draw import Noise, NoiseDraw, Pool, excerpt_start
-from roomeq.augment.mix import convolve, direct_shift, loop, ring_length, spectra_of, without_offset, without_rumble
+from roomeq.augment.mix import convolve, direct_shift, loop, ring_length, spectra_of, without_offset
 from roomeq.core.arrays import Array
 from roomeq.core.audio import read_audio
 from roomeq.core.constants import FS_HZ
 from roomeq.records.rir_dir import load_rir
 
 CACHE_BYTES = 128 << 20
+LOWEST_HZ = 20.0
 
 
 class ShiftedRir(NamedTuple):
-    """An RIR (float32), and the delay of its direct sound in samples."""
+    """An RIR (float32), the delay of its direct sound in samples, and how many samples a filter put ahead of it."""
 
     samples: Array
     shift: int
+    lead: int = 0
 
 
 class Excerpt(NamedTuple):
@@ -52,7 +54,8 @@ class AudioCache:
             shifted = ShiftedRir(rir.astype(np.float32), direct_shift(row, rir))
             if fs_hz != self.fs_hz:
                 shifted = at_rate(shifted, fs_hz, self.fs_hz)
-            return shifted._replace(samples=without_rumble(shifted.samples, self.fs_hz)), 4 * len(shifted.samples)
+            shifted = without_rumble(shifted, self.fs_hz)
+            return shifted, 4 * len(shifted.samples)
 
         return self._get(f"rir {rir_id}", read)
 
@@ -128,6 +131,21 @@ def _audible_sample(samples: Array, noise: Noise, u: float) -> int:
     if not len(positions):
         raise ValueError(f"{noise.path}: noise {noise.id} is silent (all samples the same): leave it out")
     return int(positions[int(u * len(positions))])
+
+
+def without_rumble(rir: ShiftedRir, fs_hz: int) -> ShiftedRir:
+    """Return an RIR less its part below `LOWEST_HZ`, the lower end of hearing and of common features.
+
+    In geometrical acoustics reflections add up there: simulated RIRs would raise the rumble of clean recordings by 14
+    to 19 dB. The filter, of 100 ms, has no phase, so that the waveform above is that of a convolution with the RIR.
+    """
+    from scipy.signal import fftconvolve
+
+    half = round(0.05 * fs_hz)
+    n = np.arange(-half, half + 1)
+    low_pass = np.sinc(2.0 * LOWEST_HZ / fs_hz * n) * np.hanning(len(n) + 2)[1:-1]
+    samples = np.pad(rir.samples, half) - fftconvolve(rir.samples, low_pass / low_pass.sum())
+    return ShiftedRir(samples.astype(np.float32), rir.shift + half, half)
 
 
 def at_rate(rir: ShiftedRir, fs_hz: int, wanted_hz: int) -> ShiftedRir:

@@ -76,7 +76,7 @@ class _Augmenter:
         utterance, where = planned.clean, f"{self.config.data_dir}: utterance {planned.clean.id}"
         clean, spectra = self._read(planned, where)
         rir_id, draws = self.rules.draw(planned.id, self.pool)
-        rir, shift = self.cache.rir(rir_id)
+        rir, shift, lead = self.cache.rir(rir_id)
         reverberated = convolve(spectra, rir, shift, len(clean))
         excerpts = [self.cache.noise(draw, len(clean)) for draw in draws]
         try:
@@ -87,7 +87,7 @@ class _Augmenter:
             raise ValueError(f"{where} with {drawn}: {error}") from None
         return mixed, dict(
             id=planned.id, clean=utterance.id, speaker=utterance.speaker, n_samples=len(clean), rir=rir_id,
-            room=self.pool.rows[rir_id]["room_id"], shift=shift,
+            room=self.pool.rows[rir_id]["room_id"], shift=shift - lead,
             noises=[dict(id=draw.noise.id, kind=draw.noise.kind, rir=draw.rir_id, start=excerpt.start,
                          snr_db=round(draw.snr_db, 4)) for excerpt, draw in zip(excerpts, draws, strict=True)],
             snr_db=None if mixed.snr_db is None else round(mixed.snr_db, 4),

@@ -8,9 +8,8 @@ Conventions
 - Every SNR is a ratio of mean powers over the whole utterance: reverberated speech to that one noise as it arrives
   at the microphone. There is no activity detection: pauses count. Kaldi's `wav-reverberate` counts of the speech what
   arrives within 50 ms of the RIR's largest sample.
-- The constant offset of speech and of noises is removed first: it is of the sound card. RIRs pass a high-pass at
-  `LOWEST_HZ`: what lies below is rumble of the recording and not of the talker. In geometrical acoustics reflections
-  add up there, and simulated RIRs would raise it by 14 to 19 dB.
+- The constant offset of speech and of noises is removed first: it is of the sound card. What lies below 20 Hz is rumble
+  of the recording and not of the talker, and is not reverberated (`roomeq.augment.audio_cache.without_rumble`).
 - The result has the RMS of the clean utterance. If its peak would exceed `PEAK_LIMIT`, the level is reduced further.
 """
 
@@ -24,8 +23,6 @@ from roomeq.core.arrays import Array
 from roomeq.core.constants import FS_HZ
 from roomeq.records.schema import RirRow
 
-LOWEST_HZ = 20.0
-"""Lower end of hearing, and of common features [Hz]."""
 PEAK_LIMIT = 0.99
 FADE_SAMPLES = FS_HZ // 20
 """Cross-fade at the repetition of a noise that is shorter than the utterance: 50 ms at 16 kHz."""
@@ -149,13 +146,6 @@ def mean_power(x: Array) -> float:
     rows, rest = x[:whole].reshape(-1, _N_SUMMED), x[whole:]
     total = np.einsum("ij,ij->i", rows, rows).sum(dtype=np.float64) + np.einsum("i,i->", rest, rest)
     return float(total) / max(1, len(x))
-
-
-def without_rumble(rir: Array, fs_hz: int) -> Array:
-    """Return an RIR as float32, with a Butterworth high-pass of order 4 at `LOWEST_HZ`, which is causal."""
-    from scipy.signal import butter, sosfilt
-
-    return np.asarray(sosfilt(butter(4, LOWEST_HZ, "highpass", fs=fs_hz, output="sos"), rir), dtype=np.float32)
 
 
 def without_offset(x: Array) -> Array:

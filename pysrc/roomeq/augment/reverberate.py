@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.acoustics.direct import find_direct, require_samples
-from roomeq.augment.audio_cache import AudioCache, ShiftedRir, at_rate
+from roomeq.augment.audio_cache import AudioCache, ShiftedRir, at_rate, without_rumble
 from roomeq.augment.distribution import parse_distribution
 from roomeq.augment.draw import DrawRules, Noise, Pool, read_pool
-from roomeq.augment.mix import convolve, mix, spectra_of, without_offset, without_rumble
+from roomeq.augment.mix import convolve, mix, spectra_of, without_offset
 from roomeq.core.arrays import Array
 from roomeq.core.constants import FS_HZ, is_number, is_whole, require_fs
 from roomeq.core.rng import rng_for
@@ -139,7 +139,7 @@ class Reverberate:
         rules = DrawRules(self.seed, False, parse_distribution(self.snr, "snr"),
                           parse_distribution(self.point_snr, "point_snr"), self.point_noise_prob, 1)
         rir_id, draws = rules.draw(name, self._pool)
-        rir, shift = cache.rir(rir_id)
+        rir, shift, _ = cache.rir(rir_id)
         reverberated = convolve(spectra_of(clean), rir, shift, len(clean))
         noises = [(cache.noise(draw, len(clean)).samples, draw.snr_db) for draw in draws]
         scale = max(np.float32(1.0), np.abs(clean).max())  # samples may be those of 16-bit audio
@@ -168,8 +168,7 @@ class _ArrayCache(AudioCache):
     def __init__(self, rirs: dict[str, ShiftedRir], pool: Pool, fs_hz: int, wanted_hz: int) -> None:
         super().__init__(Path(), pool, wanted_hz)
         of_rate = {name: rir if wanted_hz == fs_hz else at_rate(rir, fs_hz, wanted_hz) for name, rir in rirs.items()}
-        self._rirs = {name: rir._replace(samples=without_rumble(rir.samples, wanted_hz))
-                      for name, rir in of_rate.items()}
+        self._rirs = {name: without_rumble(rir, wanted_hz) for name, rir in of_rate.items()}
 
     def rir(self, rir_id: str) -> ShiftedRir:
         return self._rirs[rir_id]
