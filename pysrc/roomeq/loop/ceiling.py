@@ -22,7 +22,7 @@ from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.core.rng import rng_for
 from roomeq.effects.base import Effect, octave_energies
 from roomeq.effects.noise_floor import NOISE_S
-from roomeq.loop.data import Data
+from roomeq.loop.data import Data, measured_fields
 from roomeq.loop.features import BAND_OF_FEATURE, HAS_GAIN, METRIC, Features, measure_features
 from roomeq.loop.fit import fit
 from roomeq.loop.rendering import RawRir, finished_rir, map_rendered, on_recording_time, row_models
@@ -80,12 +80,8 @@ def twin_recordings(data: Data, absorption: FloatArray, effects: list[list[Effec
     twin_seed = int(rng_for(seed, "loop twins", "seed").integers(2 ** 31))
     measured = map_rendered(lambda model, raw: _recorded(moved, model.n, raw, model.effects, twin_seed), moved,
                             row_models(moved, absorption, effects), seed=twin_seed, nj=nj)
-    return replace(data, features=np.array([of_rir.values for of_rir in measured]) + np.outer(gains, HAS_GAIN),
-                   valid=data.valid & np.array([of_rir.valid for of_rir in measured]),
-                   bounded=np.array([of_rir.bounded for of_rir in measured]),
-                   white=np.array([of_rir.white for of_rir in measured]),
-                   direct_sample=np.array([of_rir.direct_sample for of_rir in measured]),
-                   n_samples=np.array([of_rir.n_samples for of_rir in measured]))
+    twins = replace(data, **measured_fields(measured))
+    return replace(twins, features=twins.features + np.outer(gains, HAS_GAIN), valid=data.valid & twins.valid)
 
 
 def _moved(data: Data, n: int, seed: int) -> tuple[float, ...]:

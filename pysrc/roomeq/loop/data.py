@@ -2,11 +2,11 @@
 
 import logging
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -200,9 +200,7 @@ class Data:
         if scope == "axis":
             axes, axis_of_row = np.unique(self.axis, return_inverse=True)
             return [str(axis) for axis in axes], axis_of_row
-        unit_of_row = [unit_name(row, scope) for row in self.rows]
-        names = sorted(set(unit_of_row))
-        return names, np.array([names.index(name) for name in unit_of_row])
+        return _numbered([unit_name(row, scope) for row in self.rows])
 
 
 class _Recording(NamedTuple):
@@ -240,13 +238,30 @@ def load_data(usable: UsableRirs, *, scattering: float, seed: int, model: Model 
             check_positions(place.room, place.source_pos_m, place.mic_pos_m)  # here, where the RIR has a name
         except ValueError as error:
             raise ValueError(f"{rir_path(directory, row)}: {error}") from None
-    features = limit_to_excitation([recording.row for recording in recordings],
-                                   share_out(_measure, recordings, nj, label="measure RIRs"))
-    data = _trace(recordings, features, scattering, seed, Model() if model is None else model, nj)
-    places: IntArray = np.unique([place_key(rir.row) for rir in usable.rirs], return_inverse=True)[1]
-    return replace(data, documented_dims_m=[tuple(rir.row.get("room_dims_m") or ()) for rir in usable.rirs],
-                   place_number=places,
-                   left_out=usable.left_out, estimates=estimates)
+    rows, places = [recording.row for recording in recordings], [recording.place for recording in recordings]
+    features = limit_to_excitation(rows, share_out(_measure, recordings, nj, label="measure RIRs"))
+    traced, path_samples, tables = _trace_sources(rows, places, features, scattering, seed, nj)
+    measured = measured_fields(features)
+    hidden = ~np.array([table.visible for table in tables])
+    if hidden.any():
+        logger.info("the source is hidden from the microphone in %d of %d RIRs: their direct sound is not scored",
+                    hidden.sum(), len(rows))
+        measured["valid"][np.ix_(hidden, np.isin(METRIC, ("direct", "drr", "arrival")))] = False
+    room_names, room = _numbered([row["room_id"] for row in rows])
+    _, chain = _numbered([(row["room_id"], row["source_id"], row["mic_id"], session_name(row)) for row in rows])
+    _, place_number = _numbered([place_key(rir.row) for rir in usable.rirs])
+    airs, distance_m = [air_of(row) for row in rows], np.array([table.distance_m for table in tables])
+    base = Model() if model is None else model
+    return Data(
+        rows=rows, places=places, **measured, comparable=comparable_levels(rows, features, distance_m), room=room,
+        chain=chain, place_number=place_number, room_names=room_names, traced=traced, path_samples=path_samples,
+        tables=tables,
+        surface_per_m=np.array([_surface_per_m(place.room) for place in places]),
+        air_per_m=np.array([air.attenuation_per_m for air in airs]),
+        speed_m_s=np.array([air.speed_m_s for air in airs]), distance_m=distance_m, rendered_changes={},
+        given=[base.for_row(row, seed) for row in rows],
+        documented_dims_m=[tuple(rir.row.get("room_dims_m") or ()) for rir in usable.rirs],
+        estimates=estimates, left_out=usable.left_out, seed=seed)
 
 
 def _merge_sources(recordings: list[_Recording]) -> list[_Recording]:
@@ -327,30 +342,33 @@ def _measure(recording: _Recording) -> Features:
         raise ValueError(f"{recording.directory / row['wav']}: {error}") from None
 
 
-def _trace(recordings: list[_Recording], features: list[Features], scattering: float, seed: int, model: Model,
-           nj: int) -> Data:
-    """Trace each source of each room once, and return the data."""
-    rows, places = [recording.row for recording in recordings], [recording.place for recording in recordings]
-    room_names = sorted({row["room_id"] for row in rows})
-    by_chain = [(row["room_id"], row["source_id"], row["mic_id"], session_name(row)) for row in rows]
-    chains = sorted(set(by_chain))
+def measured_fields(features: Sequence[Features]) -> dict[str, Any]:
+    """Return the fields of `Data` that hold the features of all RIRs."""
+    names = ("valid", "bounded", "white", "direct_sample", "n_samples")
+    return dict(features=np.array([of_rir.values for of_rir in features]),
+                **{name: np.array([getattr(of_rir, name) for of_rir in features]) for name in names})
+
+
+def _numbered(names: Sequence[Any]) -> tuple[list[Any], IntArray]:
+    """Return the different names in their order, and the number of each name among them."""
+    different = sorted(set(names))
+    number = {name: n for n, name in enumerate(different)}
+    return different, np.array([number[name] for name in names])
+
+
+def _trace_sources(rows: list[RirRow], places: list[Place], features: list[Features], scattering: float, seed: int,
+                   nj: int) -> tuple[list[StoredTrace], list[PathSample], list[Table]]:
+    """Trace each source of each room once; return what RIRs are rendered and predicted from, of each RIR."""
     by_source: dict[tuple, list[int]] = {}
     for n, (row, place) in enumerate(zip(rows, places, strict=True)):
         by_source.setdefault((row["room_id"], place.source_pos_m, air_of(row)), []).append(n)
-
     folder = TraceFolder()
 
-    def decays_of(members: Iterable[int]) -> tuple[float, float] | None:
-        of_rirs = [features[n] for n in members]
-        return decay_range_s(np.array([of_rir.values for of_rir in of_rirs]),
-                             np.array([of_rir.valid for of_rir in of_rirs]), LENGTHS_S[0])
-
     def trace(room_id: str, source_pos_m: tuple, air: Air, members: list[int]
-              ) -> tuple[StoredTrace, list[PathSample], list[Table]]:
-        place, mics_m = places[members[0]], np.array([places[n].mic_pos_m for n in members])
-        material = Material("surface", (0.0,) * len(BANDS_HZ), (float(scattering),) * len(BANDS_HZ))
-        scene = Scene(place.room, (material,) * len(place.room.surfaces), air)
-        decays_s = decays_of(members) or decays_of(n for n, row in enumerate(rows) if row["room_id"] == room_id)
+              ) -> tuple[list[StoredTrace], list[PathSample], list[Table]]:
+        room, mics_m = places[members[0]].room, np.array([places[n].mic_pos_m for n in members])
+        decays_s = _decays_s([features[n] for n in members]) or _decays_s(
+            [of_rir for of_rir, row in zip(features, rows, strict=True) if row["room_id"] == room_id])
         if decays_s is None:
             logger.warning("no decay time of room %s is valid, as recordings are too short or too noisy: rays are "
                            "traced for one of up to %g s", room_id, UNKNOWN_DECAYS_S[1])
@@ -358,10 +376,11 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
         if decays_s[1] > LENGTHS_S[1]:
             logger.warning("room %s decays for %.1f s, and rays are traced for %g s at most: its late decay is that of "
                            "a shorter one", room_id, decays_s[1], LENGTHS_S[1])
-        length_s = _traced_length_s(decays_s[1])
+        material = Material("surface", (0.0,) * len(BANDS_HZ), (float(scattering),) * len(BANDS_HZ))
         # twice as long, for octaves without a valid decay time
-        expected = uniform_absorption(place.room, 2.0 * decays_s[1], scene.air.speed_m_s)
-        source = trace_source(scene, source_pos_m, num_rays=NUM_RAYS, max_length_s=length_s,
+        expected = uniform_absorption(room, 2.0 * decays_s[1], air.speed_m_s)
+        source = trace_source(Scene(room, (material,) * len(room.surfaces), air), source_pos_m, num_rays=NUM_RAYS,
+                              max_length_s=_traced_length_s(decays_s[1]),
                               rng=rng_for(seed, "loop trace", repr((room_id, source_pos_m))), absorption=expected)
         facings = [unit_facing(rows[n].get("source_dir")) for n in members]
         samples = draw_path_samples(source, mics_m, facings, decays_s,
@@ -369,43 +388,22 @@ def _trace(recordings: list[_Recording], features: list[Features], scattering: f
         # whole paths are needed once more where a facing is to be estimated
         stored = (folder.store(source, str(members[0])) if any(facing is None for facing in facings)
                   else StoredTrace(without_paths(source)))
-        return stored, samples, collect(source, mics_m, facings)
+        return [stored] * len(members), samples, collect(source, mics_m, facings)
 
     # threads: paths are large, and their kernels release the interpreter's lock
     workers = Parallel(n_jobs=nj, prefer="threads", return_as="generator")
     traces = progress(workers(delayed(trace)(*at, members) for at, members in by_source.items()), len(by_source),
                       "trace sources")
-    traced: dict[int, StoredTrace] = {}
-    path_samples: dict[int, PathSample] = {}
-    tables: dict[int, Table] = {}
-    for members, (source, *of_members) in zip(by_source.values(), traces, strict=True):
-        for n, path_sample, table in zip(members, *of_members, strict=True):
-            traced[n], path_samples[n], tables[n] = source, path_sample, table
-    valid = np.array([of_rir.valid for of_rir in features])
-    hidden = ~np.array([tables[n].visible for n in range(len(rows))])
-    if hidden.any():
-        logger.info("the source is hidden from the microphone in %d of %d RIRs: their direct sound is not scored",
-                    hidden.sum(), len(rows))
-        valid[np.ix_(hidden, np.isin(METRIC, ("direct", "drr", "arrival")))] = False
-    airs = [air_of(row) for row in rows]
-    distance_m = np.array([tables[n].distance_m for n in range(len(rows))])
-    return Data(rows=rows, places=places, features=np.array([of_rir.values for of_rir in features]),
-                valid=valid,
-                bounded=np.array([of_rir.bounded for of_rir in features]),
-                white=np.array([of_rir.white for of_rir in features]),
-                direct_sample=np.array([of_rir.direct_sample for of_rir in features]),
-                n_samples=np.array([of_rir.n_samples for of_rir in features]),
-                comparable=comparable_levels(rows, features, distance_m),
-                room=np.array([room_names.index(row["room_id"]) for row in rows]),
-                chain=np.array([chains.index(chain) for chain in by_chain]), place_number=np.empty(0, dtype=int),
-                room_names=room_names, traced=[traced[n] for n in range(len(rows))],
-                path_samples=[path_samples[n] for n in range(len(rows))], tables=[tables[n] for n in range(len(rows))],
-                surface_per_m=np.array([_surface_per_m(place.room) for place in places]),
-                air_per_m=np.array([air.attenuation_per_m for air in airs]),
-                speed_m_s=np.array([air.speed_m_s for air in airs]),
-                distance_m=distance_m, rendered_changes={},
-                given=[model.for_row(row, seed) for row in rows], documented_dims_m=[],
-                estimates=[], left_out=[], seed=seed)
+    of_rir = {n: of_member for members, of_source in zip(by_source.values(), traces, strict=True)
+              for n, of_member in zip(members, zip(*of_source, strict=True), strict=True)}
+    traced, path_samples, tables = zip(*(of_rir[n] for n in range(len(rows))), strict=True)
+    return list(traced), list(path_samples), list(tables)
+
+
+def _decays_s(features: list[Features]) -> tuple[float, float] | None:
+    """Return the range of the decay times of some RIRs (`decay_range_s`)."""
+    return decay_range_s(np.array([of_rir.values for of_rir in features]),
+                         np.array([of_rir.valid for of_rir in features]), LENGTHS_S[0])
 
 
 def _traced_length_s(decay_s: float) -> float:
