@@ -158,9 +158,8 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
     possible = _directivities(data, index, vectors)
     data = replace(data, given=[[effect for effect in of_rir if not isinstance(effect, SourceDirectivity)]
                                 for of_rir in data.given])
-    no_gains = np.zeros(len(data.rows))
-    plain = ParameterIndex(data, others).predict(absorption, vectors_of_others, no_gains, 0.0)
-    residual = residual + index.predict(absorption, vectors, no_gains, 0.0) - plain
+    plain = ParameterIndex(data, others).predict(absorption, vectors_of_others)
+    residual = residual + index.predict(absorption, vectors) - plain
     used = (METRIC == "direct") & CALIBRATION_FEATURES
     direct = residual[:, used] - _colour(data, residual, BAND_OF_FEATURE[used])
     sphere = (np.gradient(-np.cos(ANGLES)) / 2.0).astype(np.float32)

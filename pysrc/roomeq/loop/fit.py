@@ -152,17 +152,12 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
             sigma, omega = scatter(data, residual, valid)
         normal = all_normal_equations(index, residual, valid, derivatives, sigma, omega, threads)
         cost_at = partial(cost, linearization, sigma, omega, precision, prior)
-        limit, old = cost_at(mean, local), (mean, local)
-        *new, posterior = solve_step(normal, precision, mean, local, prior)
-        mean, local, reached = shortened_step(cost_at, limit, old, new, fractions=STEP_FRACTIONS[:2])
-        if mean is old[0]:
-            *new, _ = solve_step(normal, precision, mean, local, prior, damping=DAMPING)
-            mean, local, reached = shortened_step(cost_at, limit, old, new)
+        mean, local, posterior, fall = take_step(cost_at, normal, precision, mean, local, prior, STEP_FRACTIONS[:2])
         shape = _best_shape(local, posterior)
         own_scale = [_own_scale(index, k, local, posterior) for k in range(len(index.effects))]
         gain_db = (_CHAIN_GAIN_DB, _gain_spread_db(index, 1, local, posterior),
                    _gain_spread_db(index, 2, local, posterior), _CHAIN_GAIN_DB)
-        if iteration and limit - reached < CONVERGED:  # the scatter is known from the second iteration on
+        if iteration and fall < CONVERGED:  # the scatter is known from the second iteration on
             break
     covariance = covariances(index, shape, own_scale, gain_db)
     predicted, derivatives = linearization.at(mean, local, same_jnd=0.0)  # densities of rooms need the right ones
@@ -172,8 +167,12 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
     return Fit(index.effects, mean, local, covariance, sigma, omega, predicted, normal, derivatives, gain_db)
 
 
-def shared_prior(index: ParameterIndex, start: Sequence[Any], x: float) -> SharedPrior:
-    """Return the prior of the shared parameters: its mean is an absorption `x` in all bands, and `start`."""
+def shared_prior(index: ParameterIndex, start: Sequence[Any] | None = None, x: float = START_X) -> SharedPrior:
+    """Return the prior of the shared parameters: its mean is an absorption `x` in all bands, and `start`.
+
+    By default, that is the first of each effect's `STARTS`.
+    """
+    start = [effect.STARTS[0] for effect in index.effects] if start is None else start
     mean = np.zeros(index.n_shared)
     mean[:N_BANDS] = x
     precision = np.zeros((index.n_shared, index.n_shared))
@@ -197,8 +196,7 @@ def estimate_gains(index: ParameterIndex, correction: FloatArray, mean: FloatArr
     left as it is.
     """
     valid = index.data.valid if valid is None else valid
-    predicted = index.predict(index.absorption(mean, local), index.vectors(mean, local),
-                              np.zeros(len(index.data.rows)), correction)
+    predicted = index.predict(index.absorption(mean, local), index.vectors(mean, local), correction=correction)
     residual = np.where(valid & HAS_GAIN, index.data.features - predicted, np.nan)
     for r, (members, design) in enumerate(zip(index.members, index.gain_design, strict=True)):
         for n in np.flatnonzero(np.isin(index.gain_kind[r], LEVEL_KINDS)):
@@ -290,6 +288,22 @@ def solve_step(normal: list[NormalEquations], precision: list[FloatArray], mean:
     new = [own + posterior @ (own_right - room.own_shared @ step[room.columns])
            for own, (posterior, room, own_right) in zip(local, rooms, strict=True)]
     return mean + step, new, [posterior for posterior, _, _ in rooms]
+
+
+def take_step(cost_at: Callable, normal: list[NormalEquations], precision: list[FloatArray], mean: FloatArray,
+              local: list[FloatArray], prior: SharedPrior, fractions: Sequence[float] = STEP_FRACTIONS
+              ) -> tuple[FloatArray, list[FloatArray], list[FloatArray], float]:
+    """Take a step or one of its `fractions` that lowers the cost, else a damped one, else none.
+
+    Returns the parameters, the posterior covariances of `solve_step` without damping, and by how much the cost falls.
+    """
+    limit, old = cost_at(mean, local), (mean, local)
+    *new, posterior = solve_step(normal, precision, mean, local, prior)
+    mean, local, reached = shortened_step(cost_at, limit, old, new, fractions)
+    if mean is old[0]:
+        *new, _ = solve_step(normal, precision, mean, local, prior, damping=DAMPING)
+        mean, local, reached = shortened_step(cost_at, limit, old, new)
+    return mean, local, posterior, limit - reached
 
 
 def shortened_step(cost: Callable, limit: float, old: Sequence[Any], new: Sequence[Any],

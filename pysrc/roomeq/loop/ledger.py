@@ -53,7 +53,7 @@ def left_out_entries(left_out: Sequence[LeftOut]) -> list[dict]:
 
 def ranking_entry(candidate: Candidate, rejected: Trial | None) -> dict:
     """Return the entry of a candidate in a ranking, with its trial if it was rendered and rejected."""
-    entry = dict(effect=candidate.effect.NAME, gain=candidate.total, ci=list(candidate.interval), p=candidate.p,
+    entry = dict(effect=candidate.effect.NAME, gain=candidate.total, ci=candidate.interval, p=candidate.p,
                  size_jnd=candidate.size_jnd)
     return entry if rejected is None else entry | dict(rejected=dict(reason=rejected.reason, **_trial_entry(rejected)))
 

@@ -219,8 +219,8 @@ class ParameterIndex:
         return [[np.flatnonzero(part.unit == u) for u in range(count)]
                 for part, count in zip(self.shared, n_units, strict=True)]
 
-    def predict(self, absorption: FloatArray, vectors: list[FloatArray], gains: FloatArray,
-                correction: FloatArray | float, reflected: ReflectedEnergy | None = None) -> FloatArray:
+    def predict(self, absorption: FloatArray, vectors: list[FloatArray], gains: FloatArray | float = 0.0,
+                correction: FloatArray | float = 0.0, reflected: ReflectedEnergy | None = None) -> FloatArray:
         """Return predicted features, shape (n_rirs, n_features); `reflected` as for `roomeq.loop.predict.predict`."""
         return predict(self.data, self.state(absorption, vectors), reflected) + correction + np.outer(gains, HAS_GAIN)
 

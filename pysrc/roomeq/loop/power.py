@@ -18,7 +18,7 @@ from scipy import stats
 from roomeq.core.arrays import FloatArray
 from roomeq.core.rng import rng_for
 from roomeq.effects.base import Effect
-from roomeq.loop.fit import START_X, shared_prior
+from roomeq.loop.fit import shared_prior
 from roomeq.loop.likelihood import normal_equations
 from roomeq.loop.packing import ParameterIndex
 from roomeq.loop.rendered_model import in_order
@@ -67,8 +67,7 @@ def _changes(session: Session, effect: type[Effect]) -> list[FloatArray]:
     """Return changes of the features by an effect with parameters drawn from its prior, (n_rirs, n_features) each."""
     data, fitted, index = session.data, session.fit, session.index
     absorption, vectors = index.absorption(fitted.mean, fitted.local), index.vectors(fitted.mean, fitted.local)
-    no_gains = np.zeros(len(data.rows))
-    without = index.predict(absorption, vectors, no_gains, 0.0)
+    without = index.predict(absorption, vectors)
     effects = in_order([*index.effects, effect])
     with_effect, k = ParameterIndex(data, effects), effects.index(effect)
     rng, n_units = rng_for(session.seed, "loop power", effect.NAME), len(data.units(effect.SCOPE)[0])
@@ -76,7 +75,7 @@ def _changes(session: Session, effect: type[Effect]) -> list[FloatArray]:
     for n in range(_DRAWS):
         start = np.asarray(effect.STARTS[n % len(effect.STARTS)], dtype=float)
         drawn = start + rng.multivariate_normal(np.zeros(len(start)), effect.prior_covariance(), size=n_units)
-        change = with_effect.predict(absorption, [*vectors[:k], drawn, *vectors[k:]], no_gains, 0.0) - without
+        change = with_effect.predict(absorption, [*vectors[:k], drawn, *vectors[k:]]) - without
         changes.append(np.where(data.valid & np.isfinite(change), change, 0.0))
     return [change for change in changes if change.any()]
 
@@ -88,7 +87,7 @@ def _information(session: Session, change: FloatArray) -> FloatArray:
                               fitted.omega)
              for r in range(len(fitted.local))]
     inverses = [np.linalg.inv(room.own_own + of_prior) for room, of_prior in zip(rooms, fitted.precision, strict=True)]
-    total = shared_prior(index, [effect.STARTS[0] for effect in index.effects], START_X).precision
+    total = shared_prior(index).precision
     right = np.zeros(len(total))
     for room, inverse in zip(rooms, inverses, strict=True):
         total[room.block] += room.shared_shared - room.own_shared.T @ inverse @ room.own_shared

@@ -55,25 +55,10 @@ class RenderedModel:
         """Measure the same of several variants, shape (n_variants, n_rirs, n_features)."""
         return features_with_effects(self.data, self.raw_rirs, variants, seed=self.seed, nj=self.nj)
 
-    def predicted_without(self, effects: Sequence[type[Effect]] = ()) -> "Prediction":
-        """Predict the features from tables, without some of the model's effects."""
-        packing, fitted = ParameterIndex(self.data, self.fit.effects), self.fit
-        absorption = packing.absorption(fitted.mean, fitted.local)
-        vectors = packing.vectors(fitted.mean, fitted.local)
-        kept = [(effect, vector) for effect, vector in zip(packing.effects, vectors, strict=True)
-                if effect not in effects]
-        rendered = ParameterIndex(self.data, [effect for effect, _ in kept]).predict(
-            absorption, [vector for _, vector in kept], np.zeros(len(self.data.rows)), 0.0)
-        return Prediction(rendered, rendered + np.outer(packing.gains(fitted.local), HAS_GAIN))
-
-
-class Prediction(NamedTuple):
-    """Predicted features, shape (n_rirs, n_features) each."""
-
-    rendered: FloatArray
-    """Of the rendered RIRs."""
-    recorded: FloatArray
-    """Of the recordings, which have gains."""
+    @property
+    def recorded_gains(self) -> FloatArray:
+        """Gains that features of the recordings have and those of the rendered RIRs have not, (n_rirs, n_features)."""
+        return np.outer(ParameterIndex(self.data, self.fit.effects).gains(self.fit.local), HAS_GAIN)
 
 
 class _Difference(NamedTuple):
@@ -110,6 +95,15 @@ def render_model(data: Data, fitted: Fit, *, seed: int, nj: int) -> RenderedMode
     return RenderedModel(data, fitted, by_row, raw_rirs, features, seed, nj)
 
 
+def predicted_without(data: Data, fitted: Fit, effects: Sequence[type[Effect]] = ()) -> FloatArray:
+    """Predict the features of a fitted model without some of its effects and without gains, (n_rirs, n_features)."""
+    index = ParameterIndex(data, fitted.effects)
+    vectors = index.vectors(fitted.mean, fitted.local)
+    kept = [k for k, effect in enumerate(index.effects) if effect not in effects]
+    return ParameterIndex(data, [index.effects[k] for k in kept]).predict(
+        index.absorption(fitted.mean, fitted.local), [vectors[k] for k in kept])
+
+
 def in_order(effects: Iterable[type[Effect]]) -> tuple[type[Effect], ...]:
     """Return types of effects in the catalogue's order."""
     return tuple(sorted(effects, key=_ORDER.index))
@@ -141,9 +135,9 @@ def rendering_correction(rendered: RenderedModel) -> FloatArray:
 
     It is the mean difference of rendered and predicted features, and of each RIR's own difference as much as helps.
     """
-    predicted = rendered.predicted_without()
-    return _split(rendered.data, rendered.features - predicted.rendered,
-                  rendered.data.features - predicted.recorded).helpful
+    predicted = predicted_without(rendered.data, rendered.fit)
+    return _split(rendered.data, rendered.features - predicted,
+                  rendered.data.features - (predicted + rendered.recorded_gains)).helpful
 
 
 def clear_rendered_changes(data: Data, effects: Iterable[type[Effect]]) -> Data:
@@ -168,9 +162,9 @@ def _ray_field(rendered: RenderedModel) -> _RayField:
     on_waves = tuple(effect for effect in rendered.fit.effects if effect.INTERPOLATION_GRID)
     features = rendered.features_with([[effect for effect in effects if not isinstance(effect, on_waves)]
                                        for effects in rendered.by_row])
-    predicted = rendered.predicted_without(on_waves)
-    error = rendered.data.features - predicted.recorded
-    difference = _split(rendered.data, features - predicted.rendered, error)
+    predicted = predicted_without(rendered.data, rendered.fit, on_waves)
+    error = rendered.data.features - (predicted + rendered.recorded_gains)
+    difference = _split(rendered.data, features - predicted, error)
     return _RayField((1.0 - difference.share) * difference.own, error)
 
 

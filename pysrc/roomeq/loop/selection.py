@@ -39,7 +39,7 @@ from roomeq.loop.features import (
 )
 from roomeq.loop.fit import Fit, fit
 from roomeq.loop.packing import OWN_SCOPES, ParameterIndex
-from roomeq.loop.rendered_model import clear_rendered_changes, effects_of_rows, in_order
+from roomeq.loop.rendered_model import clear_rendered_changes, effects_of_rows, in_order, predicted_without
 from roomeq.loop.rendering import RowModel, rendered_features, row_models
 from roomeq.loop.session import Session, with_rendered_changes
 from roomeq.loop.splitters import (
@@ -373,10 +373,9 @@ class Candidate:
         return float(self.gain.sum())
 
     @property
-    def interval(self) -> tuple[float, float]:
-        """Confidence interval of 95 % of the mean gain over rooms."""
-        half = stats.t.ppf(0.975, len(self.gain) - 1) * self.gain.std(ddof=1) / np.sqrt(len(self.gain))
-        return float(self.gain.mean() - half), float(self.gain.mean() + half)
+    def interval(self) -> list[float] | None:
+        """Confidence interval of 95 % of the mean gain over rooms (t); None for a single room."""
+        return _interval_of_mean(self.gain)
 
     @property
     def p(self) -> float:
@@ -482,13 +481,7 @@ def weights_of(effect: type[Effect], session: Session) -> FloatArray:
 
 def _change_by(data: Data, effect: type[Effect], fitted: Fit) -> FloatArray:
     """Return the predicted change of the features by an effect of a fitted model, (n_rirs, n_features) [JND]."""
-    index = ParameterIndex(data, fitted.effects)
-    without = ParameterIndex(data, [kind for kind in fitted.effects if kind is not effect])
-    absorption, vectors = index.absorption(fitted.mean, fitted.local), index.vectors(fitted.mean, fitted.local)
-    no_gains = np.zeros(len(data.rows))
-    change = index.predict(absorption, vectors, no_gains, 0.0) - without.predict(
-        absorption, [vector for vector, kind in zip(vectors, fitted.effects, strict=True) if kind is not effect],
-        no_gains, 0.0)
+    change = predicted_without(data, fitted) - predicted_without(data, fitted, [effect])
     return np.where(data.valid, change, 0.0)
 
 

@@ -24,8 +24,6 @@ from roomeq.loop.data import Data
 from roomeq.loop.features import CALIBRATION_FEATURES, HAS_GAIN, N_FEATURES
 from roomeq.loop.fit import (
     CONVERGED,
-    DAMPING,
-    START_X,
     Fit,
     SharedPrior,
     cost,
@@ -33,9 +31,8 @@ from roomeq.loop.fit import (
     estimate_gains,
     inverted,
     shared_prior,
-    shortened_step,
-    solve_step,
     start_from_measured,
+    take_step,
 )
 from roomeq.loop.likelihood import NormalEquations, all_normal_equations, huber_root, normal_equations
 from roomeq.loop.packing import GAIN_KINDS, LEVEL_KINDS, N_SURFACE, OWN_SCOPES, Linearization, ParameterIndex
@@ -132,7 +129,7 @@ def leave_rooms_out(data: Data, fitted: Fit, groups: IntArray | None = None) -> 
     Groups are numbers of rooms, shape (n_rooms,).
     """
     index = ParameterIndex(data, fitted.effects)
-    prior = shared_prior(index, [effect.STARTS[0] for effect in index.effects], START_X)
+    prior = shared_prior(index)
     alone = [_without_own(*of_room) for of_room in zip(fitted.normal, fitted.precision, fitted.local, strict=True)]
     total, right = prior.precision.copy(), prior.precision @ (prior.mean - fitted.mean)
     for room, (of_room, right_of_room) in zip(fitted.normal, alone, strict=True):
@@ -367,7 +364,7 @@ def transfer_shared(session: Session, index: ParameterIndex) -> SharedPrior:
     about the next.
     """
     fitted, before = session.fit, session.index
-    prior = shared_prior(before, [effect.STARTS[0] for effect in before.effects], START_X)
+    prior = shared_prior(before)
     precision: FloatArray = prior.precision.copy()
     for room, of_own, own in zip(fitted.normal, fitted.precision, fitted.local, strict=True):
         precision[room.block] += _without_own(room, of_own, own)[0]
@@ -449,13 +446,8 @@ def _converged(index: ParameterIndex, fitted: Fit, prior: SharedPrior, precision
         normal = all_normal_equations(index, residual, valid & visible, derivatives, fitted.sigma, fitted.omega,
                                       threads)
         cost_at = partial(cost, linearization, fitted.sigma, fitted.omega, precision, prior, visible=visible)
-        old, limit = (mean, local), cost_at(mean, local)
-        *new, _ = solve_step(normal, precision, mean, local, prior)
-        mean, local, reached = shortened_step(cost_at, limit, old, new)
-        if mean is old[0]:
-            *new, _ = solve_step(normal, precision, mean, local, prior, damping=DAMPING)
-            mean, local, reached = shortened_step(cost_at, limit, old, new)
-        if limit - reached < CONVERGED:
+        mean, local, _, fall = take_step(cost_at, normal, precision, mean, local, prior)
+        if fall < CONVERGED:
             break
     else:
         logger.warning("the parameters of rooms that the fit has not seen did not converge in %d iterations",
