@@ -263,18 +263,23 @@ def rankings(ledger: dict[str, Any]) -> list[figures.Panel]:
 
 def splits(ledger: dict[str, Any]) -> list[figures.Panel]:
     """Draw the held-out errors by metric and by band."""
-    entries = [ledger[when]["leave_positions_out"] for when in ("baseline", "final", "ceiling")]
-    metrics = list(entries[0]["by_metric"])
-    by_metric = [[entry["by_metric"].get(metric, np.nan) for metric in metrics] for entry in entries]
-    by_band = [np.array(entry["by_band"], dtype=float).tolist() for entry in entries]
-
     def panel(ident: str, names: list[str], errors: list[list[float]]) -> figures.Panel:
         alt = "; ".join(f"{name} {number(b)} to {number(a)} JND, ceiling {number(c)} JND"
                         for name, b, a, c in zip(names, *errors, strict=True))
         return figures.panel(ident, figures_loop.before_and_after(names, *errors), alt)
 
-    return [panel("figure-loop-metrics", [METRIC_LABELS[metric] for metric in metrics], by_metric),
+    metrics, by_metric, by_band = split_errors(ledger)
+    return [panel("figure-loop-metrics", metrics, by_metric),
             panel("figure-loop-bands", [hertz(band_hz) for band_hz in BANDS_HZ], by_band)]
+
+
+def split_errors(ledger: dict[str, Any]) -> tuple[list[str], list[list[float]], list[list[float]]]:
+    """Return labels of metrics, and the held-out errors before, after and at the ceiling: by metric, and by band."""
+    entries = [ledger[when]["leave_positions_out"] for when in ("baseline", "final", "ceiling")]
+    metrics = list(entries[0]["by_metric"])
+    return ([METRIC_LABELS[metric] for metric in metrics],
+            [[entry["by_metric"].get(metric, np.nan) for metric in metrics] for entry in entries],
+            [np.array(entry["by_band"], dtype=float).tolist() for entry in entries])
 
 
 def responses(ledger: dict[str, Any]) -> list[figures.Panel]:
@@ -282,13 +287,19 @@ def responses(ledger: dict[str, Any]) -> list[figures.Panel]:
     panels = []
     for entry in ledger["iterations"]:
         if issubclass(CATALOGUE[entry["effect"]], Response):
-            bands = [figures_loop.ResponseBand(unit, *(np.array(estimate.get(key, estimate["best"])["gains_db"])
-                                                       for key in ("best", "low", "high")))
-                     for unit, estimate in entry["parameters"].items()]
-            alt = "; ".join(f"{band.name}: {number(band.best.min())} to {number(band.best.max())} dB" for band in bands)
+            bands, alt = response_bands(entry["parameters"], "gains_db")
             draw = figures_loop.response_curves(entry["effect"], RESPONSE_HZ, bands)
             panels.append(figures.panel(f"figure-loop-{entry['effect']}", draw, alt))
     return panels
+
+
+def response_bands(parameters: dict[str, Any], key: str) -> tuple[list[figures_loop.ResponseBand], str]:
+    """Return the gains or levels of each unit with their intervals, and their ranges in words."""
+    bands = [figures_loop.ResponseBand(unit, *(np.array(estimate.get(bound, estimate["best"])[key])
+                                               for bound in ("best", "low", "high")))
+             for unit, estimate in parameters.items()]
+    return bands, "; ".join(f"{band.name}: {number(band.best.min())} to {number(band.best.max())} dB"
+                            for band in bands)
 
 
 def example_figures(examples: Examples) -> list[Context]:

@@ -97,11 +97,9 @@ def gain_panels(ledger: dict[str, Any]) -> list[Panel]:
         if issubclass(effect, (Response, NoiseFloor)):
             is_gain = issubclass(effect, Response)
             key, frequencies_hz = ("gains_db", RESPONSE_HZ) if is_gain else ("levels_db", THIRDS_HZ)
-            bands = [figures_loop.ResponseBand(unit, *(np.array(estimate.get(bound, estimate["best"])[key])
-                                                       for bound in ("best", "low", "high")))
-                     for unit, estimate in list(entry["parameters"].items())[:_MAX_UNITS]]
+            shown = dict(list(entry["parameters"].items())[:_MAX_UNITS])
+            bands, alt = section_loop.response_bands(shown, key)
             label = effect_label(entry["effect"])
-            alt = "; ".join(f"{band.name}: {number(band.best.min())} to {number(band.best.max())} dB" for band in bands)
             panels.append(panel(f"figure-gains-{entry['effect']}",
                                 gain_curves(f"{label[0].upper()}{label[1:]}", frequencies_hz, bands,
                                             "Gain (dB)" if is_gain else "Noise re response (dB)"), alt))
@@ -144,11 +142,8 @@ def residuals(ledger: dict[str, Any]) -> list[Context]:
 def loop_draws(directory: Path) -> list[Draw]:
     """Return the functions that draw the panels of a loop, for a sheet."""
     ledger = read_ledger(directory / LEDGER_FILE)
-    entries = [ledger[when][SPLITS[0]] for when in ("baseline", "final", "ceiling")]
-    metrics = list(entries[0]["by_metric"])
-    by_metric = [[entry["by_metric"].get(metric, np.nan) for metric in metrics] for entry in entries]
-    by_band = [np.array(entry["by_band"], dtype=float).tolist() for entry in entries]
-    return [figures_loop.before_and_after([section_loop.METRIC_LABELS[metric] for metric in metrics], *by_metric),
+    metrics, by_metric, by_band = section_loop.split_errors(ledger)
+    return [figures_loop.before_and_after(metrics, *by_metric),
             figures_loop.before_and_after(list(figures.TICK_LABELS), *by_band)]
 
 

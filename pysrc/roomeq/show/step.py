@@ -44,12 +44,7 @@ def show(path: Path, *, out: Path | None = None, ident: str | None = None, chann
 
     path, suffix = Path(path), _suffix(out)
     kind = kind_of(path)
-    if ident is not None and kind != "set":
-        raise ValueError(f"--id {ident}: {path} is no RIR directory: leave --id out")
-    if channel is not None and kind != "rir":
-        raise ValueError(f"--channel {channel}: {path} is no audio file: leave --channel out")
-    if speech is not None and suffix != PAGE:
-        raise ValueError(f"--speech {speech}: is played on a page: give --out FILE{PAGE}")
+    _require_fitting_options(path, kind, suffix, ident, channel, speech)
     if kind == "room":
         if speech is not None:
             raise ValueError(f"--speech {speech}: {path} is a mesh, which has no sound: leave --speech out")
@@ -104,12 +99,7 @@ def compare(first: Path, second: Path, *, out: Path | None = None, ident: str | 
     kinds = kind_of(first), kind_of(second)
     if kinds not in (("rir", "rir"), ("set", "set")):
         raise ValueError(f"{first} and {second} must be two RIR files or two RIR directories: give two of one kind")
-    if ident is not None and kinds[0] != "set":
-        raise ValueError(f"--id {ident}: {first} is no RIR directory: leave --id out")
-    if channel is not None and kinds[0] != "rir":
-        raise ValueError(f"--channel {channel}: {first} is no audio file: leave --channel out")
-    if speech is not None and suffix != PAGE:
-        raise ValueError(f"--speech {speech}: is played on a page: give --out FILE{PAGE}")
+    _require_fitting_options(first, kinds[0], suffix, ident, channel, speech)
     from roomeq.show import pages
 
     if kinds[0] == "rir":
@@ -117,6 +107,16 @@ def compare(first: Path, second: Path, *, out: Path | None = None, ident: str | 
     else:
         content = pages.two_sets(first, second, suffix, ident, speech, keep_suspicious)
     _deliver(content, out)
+
+
+def _require_fitting_options(path: Path, kind: str, suffix: str | None, ident: str | None, channel: int | None,
+                             speech: Path | None) -> None:
+    if ident is not None and kind != "set":
+        raise ValueError(f"--id {ident}: {path} is no RIR directory: leave --id out")
+    if channel is not None and kind != "rir":
+        raise ValueError(f"--channel {channel}: {path} is no audio file: leave --channel out")
+    if speech is not None and suffix != PAGE:
+        raise ValueError(f"--speech {speech}: is played on a page: give --out FILE{PAGE}")
 
 
 def _suffix(out: Path | None, pictures: bool = True) -> str | None:
