@@ -5,7 +5,9 @@ import logging
 import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import cached_property
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -82,63 +84,71 @@ def split_rirs(rir_dir: Path, out_prefix: str | Path, *, split_by: str = "rir", 
         Path(f"{out_prefix}.{split}"), step="split", inputs=[rir_dir, *others.values()], refers=True, options=dict(
             split=split, split_by=split_by, same_rooms=list(same_rooms), sizes=list(sizes), seed=seed,
             others=sorted(others))) for split in SPLITS}
-    rows = read_rirs(rir_dir)  # as they are in the key
-    own_rows = {split: read_rirs(other) for split, other in others.items()}
-    own_noises = {split: read_noises(other) for split, other in others.items()}
-    rir_sketches = sketch_rirs(rir_dir, rows)
-    _require_apart([("train", rir_dir, rows, rir_sketches), *(
-        (split, other, own_rows[split], sketch_rirs(other, own_rows[split])) for split, other in others.items())])
-    copies = [(rows[n]["id"], rows[m]["id"]) for n, m in find_rir_copies(rir_sketches)]
+    given = [_Given(split, directory, read_rirs(directory), read_noises(directory))  # as they are in the key
+             for split, directory in (("train", rir_dir), *others.items())]
+    rows, own = given[0].rows, {other.split: other for other in given[1:]}
+    _require_apart(given)
+    copies = [(rows[n]["id"], rows[m]["id"]) for n, m in find_rir_copies(given[0].rir_sketches)]
     _log_copies(rir_dir, copies)
-    given_noises = read_noises(rir_dir)
-    sketches = sketch_noises(rir_dir, given_noises)
-    for split, other in others.items():
-        _require_other_ids(rir_dir, given_noises, other, own_noises[split])
-    _require_no_copies([("train", rir_dir, given_noises, sketches), *(
-        (split, other, own_noises[split], sketch_noises(other, own_noises[split])) for split, other in others.items())])
-    of_rirs = {split: size for split, size in size_of.items() if split not in others}
+    _require_other_noises(given)
+    of_rirs = {split: size for split, size in size_of.items() if split not in own}
     group_of = _room_groups(rir_dir, rows, split_by, same_rooms, copies)
     split_of = _by_room(rows, group_of, of_rirs, seed) if split_by == "room" else _by_rir(rows, of_rirs, seed, copies)
-    counts = Counter(split_of.values())
-    for split in of_rirs:
-        if not counts[split]:
-            more = [f"--{other}-rirs" for other in ("dev", "test") if other not in others]
-            remedies = ["give more RIRs", *[f"others with {' and '.join(more)}"] * bool(more),
-                        *["split by 'rir'"] * (split_by == "room")]
-            raise ValueError(f"{rir_dir}: {len(rows)} RIRs of {len(set(group_of.values()))} rooms leave {split} empty "
-                             f"when split by {split_by}: {', or '.join(remedies)}")
-    homes = _homes(given_noises, rows, split_of, same_rooms)
-    noises = _split_noises(_copies(rir_dir, given_noises, sketches), homes, size_of, seed, split_by, own_noises)
-    stale = [split for split, build in builds.items() if not build.done]
-    for split in stale:
-        builds[split].withdraw()  # no set of an earlier split beside those of this one
+    if empty := [split for split in of_rirs if split not in split_of.values()]:
+        more = [f"--{other}-rirs" for other in ("dev", "test") if other not in own]
+        remedies = ["give more RIRs", *[f"others with {' and '.join(more)}"] * bool(more),
+                    *["split by 'rir'"] * (split_by == "room")]
+        raise ValueError(f"{rir_dir}: {len(rows)} RIRs of {len(set(group_of.values()))} rooms leave {empty[0]} empty "
+                         f"when split by {split_by}: {', or '.join(remedies)}")
+    homes = _homes(given[0].noises, rows, split_of, same_rooms)
+    noises = _split_noises(_copies(given[0]), homes, size_of, seed, split_by,
+                           {split: other.noises for split, other in own.items()})
+    stale = [build for build in builds.values() if not build.done]
+    for build in stale:
+        build.withdraw()  # no set of an earlier split beside those of this one
+    counts = {}
     for split, build in builds.items():
-        source = others.get(split, rir_dir)
-        own = own_rows[split] if split in others else [row for row in rows if split_of.get(row["id"]) == split]
-        counts[split] = len(own)
-        if split in stale:
-            _write(build, relocated(own, source, build.out), [*relocated(own_noises.get(split, []), source, build.out),
-                                                              *relocated(noises[split], rir_dir, build.out)])
+        whole = own.get(split) or _Given(split, rir_dir, [row for row in rows if split_of.get(row["id"]) == split], [])
+        counts[split] = len(whole.rows)
+        if build in stale:
+            _write(build, relocated(whole.rows, whole.directory, build.out),
+                   [*relocated(whole.noises, whole.directory, build.out),
+                    *relocated(noises[split], rir_dir, build.out)])
     _log_table(rows, split_of, noises)
-    for split, other in others.items():
-        logger.info("%s: %d RIRs of %s", split, counts[split], other)
-    return {split: counts[split] for split in SPLITS}
+    for split, other in own.items():
+        logger.info("%s: %d RIRs of %s", split, counts[split], other.directory)
+    return counts
 
 
-def _require_apart(given: Sequence[tuple[str, Path, Sequence[RirRow], RirSketches]]) -> None:
-    """Refuse directories that share recordings, also as copies, or ids; warn of rooms of the same name.
+@dataclass(frozen=True)
+class _Given:
+    """An RIR directory, and the split that its RIRs are for; ``"train"`` is the one whose RIRs are split."""
 
-    Each directory has the role of its RIRs, its rows and their sketches.
-    """
-    for (role, directory, rows, sketches), (other_role, other, other_rows, other_sketches) in combinations(given, 2):
-        for m, n in find_rir_copies(other_sketches, sketches):
-            raise _shared("RIR", directory, rows[n], role, other, other_rows[m], other_role)
-        if ids := {row["id"] for row in rows} & {row["id"] for row in other_rows}:
-            raise ValueError(f"{other}: RIR {min(ids)} has the id of an RIR of {directory}: word error rates are "
-                             "sorted by room by these ids, rename one")
-        if names := {row["room_id"] for row in rows} & {row["room_id"] for row in other_rows}:
+    split: str
+    directory: Path
+    rows: list[RirRow]
+    noises: list[NoiseRow]
+
+    @cached_property
+    def rir_sketches(self) -> RirSketches:
+        return sketch_rirs(self.directory, self.rows)
+
+    @cached_property
+    def noise_sketches(self) -> FloatArray:
+        return sketch_noises(self.directory, self.noises)
+
+
+def _require_apart(given: Sequence[_Given]) -> None:
+    """Refuse directories that share recordings, also as copies, or ids; warn of rooms of the same name."""
+    for first, other in combinations(given, 2):
+        for m, n in find_rir_copies(other.rir_sketches, first.rir_sketches):
+            raise _shared("RIR", first, first.rows[n], other, other.rows[m])
+        if ids := {row["id"] for row in first.rows} & {row["id"] for row in other.rows}:
+            raise ValueError(f"{other.directory}: RIR {min(ids)} has the id of an RIR of {first.directory}: word error "
+                             "rates are sorted by room by these ids, rename one")
+        if names := {row["room_id"] for row in first.rows} & {row["room_id"] for row in other.rows}:
             logger.warning("%s and %s both have rooms named %s: word error rates take them for the same rooms; rename "
-                           "one if they are not", directory, other, ", ".join(sorted(names)))
+                           "one if they are not", first.directory, other.directory, ", ".join(sorted(names)))
 
 
 def _log_copies(rir_dir: Path, pairs: Sequence[tuple[str, str]]) -> None:
@@ -153,24 +163,22 @@ def _log_copies(rir_dir: Path, pairs: Sequence[tuple[str, str]]) -> None:
         logger.info("%s: RIRs %s are one recording and stay together", rir_dir, ", ".join(rir_ids))
 
 
-def _require_no_copies(given: Sequence[tuple[str, Path, Sequence[NoiseRow], FloatArray]]) -> None:
-    """Refuse noises of which another directory has a copy, given the role, rows and sketches of each."""
-    for (role, directory, rows, sketches), (other_role, other, other_rows, other_sketches) in combinations(given, 2):
-        for row, sketch in zip(other_rows, other_sketches, strict=True):
-            if (n := first_copy(sketch, sketches)) is not None:
-                raise _shared("noise", directory, rows[n], role, other, row, other_role)
+def _require_other_noises(given: Sequence[_Given]) -> None:
+    """Refuse noises whose id the directory that is split has as well, or of which another directory has a copy."""
+    for other in given[1:]:
+        if ids := {noise["id"] for noise in given[0].noises} & {noise["id"] for noise in other.noises}:
+            raise ValueError(f"{other.directory}: noise {min(ids)} has the id of a noise of {given[0].directory}, and "
+                             "may come to the same set: rename one")
+    for first, other in combinations(given, 2):
+        for noise, sketch in zip(other.noises, other.noise_sketches, strict=True):
+            if (n := first_copy(sketch, first.noise_sketches)) is not None:
+                raise _shared("noise", first, first.noises[n], other, noise)
 
 
-def _shared(kind: str, directory: Path, row: RirRow | NoiseRow, role: str, other: Path, other_row: RirRow | NoiseRow,
-            other_role: str) -> ValueError:
-    return ValueError(f"{other}: {kind} {other_row['id']} is the recording of {kind} {row['id']} of {directory}: give "
-                      f"recordings for {other_role} that {role} does not have")
-
-
-def _require_other_ids(rir_dir: Path, noises: Sequence[NoiseRow], other: Path, own: Sequence[NoiseRow]) -> None:
-    if ids := {noise["id"] for noise in noises} & {noise["id"] for noise in own}:
-        raise ValueError(f"{other}: noise {min(ids)} has the id of a noise of {rir_dir}, and may come to the same set: "
-                         "rename one")
+def _shared(kind: str, first: _Given, row: RirRow | NoiseRow, other: _Given, other_row: RirRow | NoiseRow
+            ) -> ValueError:
+    return ValueError(f"{other.directory}: {kind} {other_row['id']} is the recording of {kind} {row['id']} of "
+                      f"{first.directory}: give recordings for {other.split} that {first.split} does not have")
 
 
 def _room_groups(rir_dir: Path, rows: Sequence[RirRow], split_by: str, same_rooms: Sequence[str],
@@ -318,14 +326,14 @@ def _homes(noises: Sequence[NoiseRow], rows: Sequence[RirRow], split_of: Mapping
             for noise in noises if (room := noise.get("room_id"))}
 
 
-def _copies(rir_dir: Path, noises: Sequence[NoiseRow], sketches: FloatArray) -> list[Copies]:
+def _copies(given: _Given) -> list[Copies]:
     """Return the noises, those together that are copies of each other."""
     groups: dict[int | None, Copies] = defaultdict(list)
-    for noise, sketch in zip(noises, sketches, strict=True):
-        groups[first_copy(sketch, sketches)].append(noise)
+    for noise, sketch in zip(given.noises, given.noise_sketches, strict=True):
+        groups[first_copy(sketch, given.noise_sketches)].append(noise)
     for copies in groups.values():
         if len(copies) > 1:
-            logger.info("%s: noises %s are one recording and stay together", rir_dir,
+            logger.info("%s: noises %s are one recording and stay together", given.directory,
                         ", ".join(noise["id"] for noise in copies))
     return list(groups.values())
 
