@@ -20,19 +20,19 @@ def main() -> None:
     for target_t60_s in (None, 0.3):
         (response,) = simulate_responses(scene, source_m, mics_m, num_rays=100, target_t60_s=target_t60_s)
         measure(response.rir)
-    concave = MeshRoom(_box_triangles(3.0), ("all",), np.zeros(12, int), 27.0, False)
+    concave = MeshRoom(3.0 * _cube(), ("all",), np.zeros(12, int), 27.0, False)
     simulate_responses(Scene(concave, scene.materials[:1]), source_m, mics_m, num_rays=100)
 
 
-def _box_triangles(size_m: float) -> FloatArray:
-    """Return the triangles of a cube, shape (12, 3, 3), whose normals point out of it."""
+def _cube() -> FloatArray:
+    """Return the triangles of a unit cube, shape (12, 3, 3), whose normals point out of it."""
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
     sides = []
     for axis in range(3):
         for end in (0.0, 1.0):
             corners = np.insert(square if end else square[::-1], 0, end, axis=1)
             sides += [np.roll(corners, axis, axis=1)[list(three)] for three in ((0, 1, 2), (0, 2, 3))]
-    return size_m * np.array(sides)
+    return np.array(sides)
 
 
 if __name__ == "__main__":

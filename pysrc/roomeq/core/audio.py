@@ -154,16 +154,12 @@ def write_wav(path: Path, samples: Array, fs_hz: int = FS_HZ) -> None:
 
     The samples of several channels have the shape (n_samples, n_channels).
     """
-    _write(Path(path), samples, fs_hz, "WAV", "FLOAT")
+    # not by libsndfile, whose PEAK chunk holds the time of writing: equal samples, other bytes
+    write_bytes(Path(path), _float_wav(np.asarray(samples, dtype="<f4"), fs_hz))
 
 
-def write_flac(path: Path, samples: Array, fs_hz: int = FS_HZ, subtype: str = "PCM_16") -> None:
-    """Write speech or noise as a FLAC file, atomically.
-
-    Parameters
-    ----------
-    samples : ndarray, shape (n_samples,)
-        In [-1, 1]; larger values would clip and are refused.
+def write_flac(path: Path, samples: Array) -> None:
+    """Write speech or noise at `FS_HZ` as a FLAC file of 16 bits, atomically; samples lie in [-1, 1].
 
     Raises
     ------
@@ -171,7 +167,9 @@ def write_flac(path: Path, samples: Array, fs_hz: int = FS_HZ, subtype: str = "P
         A sample is not finite or is out of range.
     """
     require_full_scale(samples, path)
-    _write(Path(path), samples, fs_hz, "FLAC", subtype)
+    buffer = io.BytesIO()  # in memory first: on a full disk libsndfile leaves a shorter FLAC file without an error
+    soundfile.write(buffer, samples, FS_HZ, format="FLAC", subtype="PCM_16")
+    write_bytes(Path(path), buffer.getbuffer())
 
 
 def require_full_scale(samples: Array, name: Path | str) -> None:
@@ -179,17 +177,6 @@ def require_full_scale(samples: Array, name: Path | str) -> None:
     peak = np.abs(samples).max(initial=0.0)
     if not peak <= 1.0:
         raise ValueError(f"{name}: peak {peak:.3g} must be at most 1 in a FLAC file: scale the signal down")
-
-
-def _write(path: Path, samples: Array, fs_hz: int, fmt: str, subtype: str) -> None:
-    data: bytes | memoryview
-    if fmt == "WAV":  # not by libsndfile, whose PEAK chunk holds the time of writing: equal samples, other bytes
-        data = _float_wav(np.asarray(samples, dtype="<f4"), fs_hz)
-    else:  # in memory first: on a full disk libsndfile leaves a shorter FLAC file without an error
-        buffer = io.BytesIO()
-        soundfile.write(buffer, samples, fs_hz, format=fmt, subtype=subtype)
-        data = buffer.getbuffer()
-    write_bytes(path, data)
 
 
 def _float_wav(samples: Array, fs_hz: int) -> bytes:

@@ -357,18 +357,18 @@ def code_digest() -> str:
 def code_digest_now() -> str:
     """Return a hash of the package's source and of the versions of Python and of the packages in `_NUMERICS`."""
     total = hashlib.sha256(f"Python {sys.version_info[:2]}".encode())
-    total.update(" ".join(_installed(_NUMERICS)).encode())
+    total.update(" ".join(_installed_numerics()).encode())
     total.update(source_digest(Path(__file__).parents[1]).encode())
     return total.hexdigest()
 
 
-def _installed(packages: Iterable[str]) -> list[str]:
-    """Return names and versions of those packages that are installed: the names of their ``.dist-info`` folders.
+def _installed_numerics() -> list[str]:
+    """Return names and versions of those of `_NUMERICS` that are installed: the names of their ``.dist-info`` folders.
 
     They are what `importlib.metadata.version` looks for. Its import takes longer than all the rest that tells whether
     an output is up to date.
     """
-    wanted = {name.replace("-", "_") for name in packages}
+    wanted = {name.replace("-", "_") for name in _NUMERICS}
     found: dict[str, str] = {}
     for folder in sys.path:
         with contextlib.suppress(OSError):

@@ -59,11 +59,10 @@ def list_noise_folder(source: Path) -> list[Recording]:
     return noises_of(files, root)
 
 
-def noises_of(files: Iterable[Path], root: Path, room_id: str | None = None, kind: str | None = None,
-              ) -> list[Recording]:
-    """Return noises with ids made from their paths below `root`."""
+def noises_of(files: Iterable[Path], root: Path, kind: str | None = None) -> list[Recording]:
+    """Return noises of unknown rooms with ids made from their paths below `root`; their names tell the kind if None."""
     return [Recording(path, id_of_path(path, root),
-                      dict(room_id=room_id, kind=kind or noise_kind_of(str(path.relative_to(root)))))
+                      dict(room_id=None, kind=kind or noise_kind_of(str(path.relative_to(root)))))
             for path in files]
 
 

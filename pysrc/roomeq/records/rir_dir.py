@@ -215,7 +215,7 @@ def load_rir(directory: Path, row: Mapping[str, Any], fs_hz: int = FS_HZ) -> Flo
     return rir
 
 
-def load_channels(directory: Path, row: Mapping[str, Any], fs_hz: int = FS_HZ) -> FloatArray:
+def load_channels(directory: Path, row: Mapping[str, Any]) -> FloatArray:
     """Read the RIRs of all microphones of a row, shape (n_samples, n_channels), or (n_samples,) of a single one.
 
     Raises
@@ -225,12 +225,12 @@ def load_channels(directory: Path, row: Mapping[str, Any], fs_hz: int = FS_HZ) -
     """
     from roomeq.core.audio import read_audio
 
-    first = load_rir(directory, row, fs_hz)
+    first = load_rir(directory, row)
     if n_channels(row) == 1:
         return first
     import numpy as np
 
-    return np.column_stack([first, *(read_audio(rir_path(directory, row), fs_hz=fs_hz, resample=False, channel=channel)
+    return np.column_stack([first, *(read_audio(rir_path(directory, row), fs_hz=FS_HZ, resample=False, channel=channel)
                                      for channel in range(1, n_channels(row)))])
 
 

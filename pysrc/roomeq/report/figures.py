@@ -82,7 +82,7 @@ def render_svg(draw: Draw, size_in: tuple[float, float] = SIZE_IN) -> bytes:
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    light: Any = settings(LIGHT)  # matplotlib types each key of its settings
+    light: Any = settings()  # matplotlib types each key of its settings
     with matplotlib.rc_context(light):
         figure = Figure(figsize=size_in, layout="constrained")
         FigureCanvasSVG(figure)
@@ -95,9 +95,9 @@ def render_svg(draw: Draw, size_in: tuple[float, float] = SIZE_IN) -> bytes:
     return svg.replace("<defs>", f"<style>{COLOUR_VARIABLES}</style>\n<defs>", 1).encode()
 
 
-def settings(colours: dict[str, str]) -> dict[str, Any]:
-    """Return matplotlib's settings for a palette."""
-    ink, soft, line, paper = (colours[key] for key in ("ink", "soft", "line", "paper"))
+def settings() -> dict[str, Any]:
+    """Return matplotlib's settings, with the colours of a light page."""
+    ink, soft, line, paper = (LIGHT[key] for key in ("ink", "soft", "line", "paper"))
     return {
         "svg.hashsalt": "roomeq", "svg.fonttype": "path", "font.family": "DejaVu Sans", "font.size": 8.5,
         "figure.facecolor": paper, "axes.facecolor": paper, "savefig.facecolor": paper, "text.color": ink,

@@ -114,10 +114,10 @@ class AnalysedRir:
         """Frequencies [Hz] and level relative to 1 kHz [dB] as the EQ analysis computes them; see `response_db`."""
         return response_db(self.samples, self.fs_hz, self.direct.sample)
 
-    def shown_s(self, margin: float = 1.15) -> float:
-        """Return the time after the direct sound at which the last band has decayed into its noise or by 70 dB."""
+    def shown_s(self) -> float:
+        """Return the time after the direct sound to show: a margin beyond that at which the last band has decayed."""
         left_s = (len(self.samples) - self.direct.sample) / self.fs_hz
-        return float(min(left_s, margin * max(decay.visible_s for decay in self.decays)))
+        return float(min(left_s, 1.15 * max(decay.visible_s for decay in self.decays)))
 
 
 def analyse(samples: FloatArray, fs_hz: int, name: str = "RIR", direct: DirectSound | None = None) -> AnalysedRir:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 _PANEL_IN = (4.4, 3.2)
 _DPI = 110
+_COLUMNS = 3
 
 
 def plot_text(text: str) -> str:
@@ -41,26 +42,13 @@ def _as_png(figure: "Figure") -> bytes:
     return stream.getvalue()
 
 
-def sheet(draws: Sequence[Draw], title: str, columns: int = 3) -> "Figure":
-    """Return a figure with panels in rows.
-
-    Parameters
-    ----------
-    draws : sequence of callable
-        Functions that draw one panel each (`roomeq.report.figures`).
-    title : str
-    columns : int
-        Panels in a row.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
+def sheet(draws: Sequence[Draw], title: str) -> "Figure":
+    """Return a figure with panels in rows, from functions that draw one panel each (`roomeq.report.figures`)."""
     figure_class = _sheet_class()
     import matplotlib
 
-    settings: Any = figures.settings(LIGHT)
-    columns = min(columns, len(draws))
+    settings: Any = figures.settings()
+    columns = min(_COLUMNS, len(draws))
     rows = -(-len(draws) // columns)
     with matplotlib.rc_context(settings):
         figure = figure_class(figsize=(columns * _PANEL_IN[0], rows * _PANEL_IN[1] + 0.4), layout="constrained")
@@ -76,7 +64,7 @@ def png(draws: Sequence[Draw], title: str) -> bytes:
     figure = sheet(draws, title)
     import matplotlib
 
-    settings: Any = figures.settings(LIGHT)
+    settings: Any = figures.settings()
     with matplotlib.rc_context(settings):
         return _as_png(figure)
 

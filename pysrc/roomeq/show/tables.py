@@ -130,11 +130,11 @@ def difference_jnd(metric: str, first: float | None, second: float | None) -> fl
     return float((second - first) / UNITS_JND[metric])
 
 
-def signed(value: float | None, decimals: int = 1) -> str:
-    """Return a number with its sign, or a dash."""
+def signed(value: float | None) -> str:
+    """Return a number with its sign and one decimal, or a dash."""
     if value is None or not np.isfinite(value):
         return DASH
-    return f"{'+' if round(value, decimals) > 0.0 else ''}{number(value, decimals)}"
+    return f"{'+' if round(value, 1) > 0.0 else ''}{number(value)}"
 
 
 def as_text(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
