@@ -59,10 +59,6 @@ def find_direct(rir: ArrayLike, fs_hz: float, expected_sample: float | None = No
     search_s
         Half width of that range [s].
 
-    Returns
-    -------
-    DirectSound
-
     Raises
     ------
     ValueError

@@ -106,10 +106,6 @@ def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float, *, bandwi
     noiseless
         The response is known to have no noise, and to be over at its end: a tail that bends or consists of few
         reflections is no noise floor.
-
-    Returns
-    -------
-    Decay
     """
     start = max(0, round(direct_sample))
     power = np.square(band)

@@ -67,10 +67,6 @@ def find_noise_intersection(power: FloatArray, fs_hz: float, bandwidth_hz: float
         Sample rate.
     bandwidth_hz
         Bandwidth of the response, which tells how much its level scatters; by default half the sample rate.
-
-    Returns
-    -------
-    NoiseIntersection
     """
     return NoiseIntersection(*_meet_noise(_remaining_energy(power), float(fs_hz), float(bandwidth_hz or 0.5 * fs_hz)))
 

@@ -39,10 +39,6 @@ def lowest_eigenpairs(laplacian: "scipy.sparse.csr_matrix", expected: float, k_m
         Number of eigenvalues that is expected up to ``(CUT k_max)^2``; more are found where there are more.
     k_max : float
         Highest wave number [1/m].
-
-    Returns
-    -------
-    Eigenpairs
     """
     n = laplacian.shape[0]
     highest, cut = float(abs(laplacian).sum(axis=1).max()), CUT * k_max

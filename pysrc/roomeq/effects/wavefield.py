@@ -74,10 +74,6 @@ def modes(room: Room, f_max_hz: float, speed_m_s: float) -> Modes:
         the mesh is a plan with a height (`roomeq.effects.prism`).
     f_max_hz, speed_m_s : float
 
-    Returns
-    -------
-    Modes
-
     Raises
     ------
     ValueError

@@ -64,10 +64,6 @@ def find_place(row: Mapping[str, Any], rows_of_room: Iterable[Mapping[str, Any]]
         Directory that the path of a `mesh` is relative to.
     seed
 
-    Returns
-    -------
-    Place
-
     Raises
     ------
     ValueError

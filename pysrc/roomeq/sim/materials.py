@@ -101,10 +101,6 @@ def read_materials(path: str | Path | None = None) -> MaterialTable:
         coefficients or as the name of a class. Seven, six or five coefficients are those from 125 Hz on; missing
         outer bands take the value of their neighbour, which is logged.
 
-    Returns
-    -------
-    MaterialTable
-
     Raises
     ------
     ValueError
@@ -183,10 +179,6 @@ def find_surface(table: MaterialTable, given: str | Mapping[str, Any]) -> Surfac
     given
         A name from the table or else from pyroomacoustics' published one (`roomeq.sim.published`); or
         ``{"absorption": name or coefficients, "scattering": name, coefficients or nothing}``.
-
-    Returns
-    -------
-    Surface
 
     Raises
     ------
@@ -306,10 +298,6 @@ def draw_materials(table: MaterialTable, room: Room, scattering: FloatArray, air
     rng
     given
         Surfaces that are not drawn; by default those with the name of a material.
-
-    Returns
-    -------
-    Scene
     """
     given = given_surfaces(table, room, None) if given is None else given
     best: Scene | None = None

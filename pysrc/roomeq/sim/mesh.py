@@ -239,10 +239,6 @@ def make_room(triangles: ArrayLike, names: Sequence[str], name: str = "mesh") ->
     name
         Name of the mesh in error messages.
 
-    Returns
-    -------
-    MeshRoom
-
     Raises
     ------
     ValueError

@@ -48,10 +48,6 @@ def read_triangles(path: str | Path) -> Triangles:
         OBJ (materials by ``usemtl``, no MTL file needed), GLB (materials by name), STL (of several solids: by the
         name of the solid), PLY or OFF; metres.
 
-    Returns
-    -------
-    Triangles
-
     Raises
     ------
     ValueError

@@ -189,10 +189,6 @@ def follow(step: Step, rules: Rules, code: Number, path_m: Number, scattering: N
         Length of the path up to the reflection.
     scattering : float
         Scattering coefficient of the surface.
-
-    Returns
-    -------
-    Step
     """
     diffuse, late = (code & 1) == 1, path_m > rules.late_m
     scattered = np.float32(code & 1) if late else np.float32(scattering)

@@ -133,10 +133,6 @@ def trace_source(scene: Scene, source_pos_m: ArrayLike, *, num_rays: int = NUM_R
         About that for which responses will be rendered, shape (n_surfaces, n_bands) or one for all; by default that of
         the scene. The traced energy is right for any absorption, and least noisy for this one.
 
-    Returns
-    -------
-    TracedSource
-
     Raises
     ------
     ValueError
@@ -191,10 +187,6 @@ def render_responses(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
     arrays
         Number of the array that each microphone belongs to: the late reverberation of its microphones is coherent as in
         a diffuse field (`roomeq.sim.array_noise`). By default that of all microphones is independent.
-
-    Returns
-    -------
-    list of Response
 
     Raises
     ------

@@ -166,10 +166,6 @@ def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_ray
     like
         Of the same rays with the same random numbers, but other scattering and absorption. Until their paths part, rays
         need not search what they hit. The result does not depend on it.
-
-    Returns
-    -------
-    Paths
     """
     source_pos_m = np.asarray(source_pos_m, dtype=np.float64)
     scattering = np.asarray(scattering, dtype=np.float64)
