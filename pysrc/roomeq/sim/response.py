@@ -7,7 +7,7 @@
 
 import logging
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomeq.core.arrays import BoolArray, FloatArray
+from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.core.constants import BAND_1KHZ
 from roomeq.core.rng import rng_for
 from roomeq.sim.context import (
@@ -231,15 +231,7 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
     guess = eyring_exponent(traced.scene, target_s, base)
     close = hides_decay(traced.scene, np.linalg.norm(context.mics_m - traced.source_pos_m, axis=1), target_s)
     used = np.arange(len(rngs)) if close.all() else np.flatnonzero(~close)
-    # of microphones that hear alike, one is enough
-    hears_like = used if any(context.mic_directivities) else used[sharing(traced.scene.room, context.mics_m[used])]
-    chosen, n_alike = np.unique(hears_like, return_counts=True)
-    search = context.of_mics(chosen.tolist())
-    if search.path_samples is None:
-        search = replace(search, path_samples=search.sample_paths(
-            scaled_absorption(base, guess)[:, BAND_1KHZ], [rngs[mic] for mic in chosen]))
-    of_noises = np.array([noise_per_frame(context.noises[mic], context.n_frames, traced.scene.fs_hz) for mic in used])
-    of_noise = np.array([of_noises[hears_like == mic].mean(axis=0) for mic in chosen])
+    predict = _t30_prediction(context, used, rngs, base, guess)
 
     @cache
     def follow_all() -> RenderContext:
@@ -249,14 +241,6 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
         served = (context.path_samples is None or any(context.mic_directivities)
                   or SERVED[0] <= exponent / guess <= SERVED[1])
         return render_microphones(context if served else follow_all(), scaled_absorption(base, exponent))
-
-    def predict(exponent: float) -> float | None:
-        absorption = scaled_absorption(base, exponent)
-        if not traced.serves(absorption):
-            return None
-        ray_energy = ray_echograms(search, absorption, [BAND_1KHZ]) * of_noise[:, :, None]
-        energy = add_image_sources(search, ray_energy, search.image_gains(absorption, [BAND_1KHZ]))
-        return t30_of_echogram(n_alike @ energy[:, :, 0])
 
     exponent, aim_s = guess, target_s
     rendered: list[Trial] = []
@@ -288,6 +272,35 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
         raise ValueError(f"target_t60_s={target_s:.3g} was met by a decay that is no straight line: T20 and T30 at "
                          f"1 kHz differ by more than {STRAIGHT:.0%}: {_remedy(close)}")
     return responses
+
+
+def _t30_prediction(context: RenderContext, mics: IntArray, rngs: Sequence[np.random.Generator], base: FloatArray,
+                    guess: float) -> Callable[[float], float | None]:
+    """Return a function that predicts the T30 at 1 kHz of some microphones, rendered with `base` to an exponent [s].
+
+    The path samples are drawn for the exponent `guess`. The prediction is None where too few rays are left, or where
+    the decay is too long to measure.
+    """
+    traced = context.traced
+    # of microphones that hear alike, one is enough
+    hears_like = mics if any(context.mic_directivities) else mics[sharing(traced.scene.room, context.mics_m[mics])]
+    chosen, n_alike = np.unique(hears_like, return_counts=True)
+    search = context.of_mics(chosen.tolist())
+    if search.path_samples is None:
+        search = replace(search, path_samples=search.sample_paths(
+            scaled_absorption(base, guess)[:, BAND_1KHZ], [rngs[mic] for mic in chosen]))
+    of_noises = np.array([noise_per_frame(context.noises[mic], context.n_frames, traced.scene.fs_hz) for mic in mics])
+    of_noise = np.array([of_noises[hears_like == mic].mean(axis=0) for mic in chosen])
+
+    def predict(exponent: float) -> float | None:
+        absorption = scaled_absorption(base, exponent)
+        if not traced.serves(absorption):
+            return None
+        ray_energy = ray_echograms(search, absorption, [BAND_1KHZ]) * of_noise[:, :, None]
+        energy = add_image_sources(search, ray_energy, search.image_gains(absorption, [BAND_1KHZ]))
+        return t30_of_echogram(n_alike @ energy[:, :, 0])
+
+    return predict
 
 
 def hides_decay(scene: Scene, distance_m: FloatArray, t60_s: float) -> BoolArray:
