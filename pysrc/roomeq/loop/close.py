@@ -153,35 +153,10 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     unknown = unknown_facings(data)
     first = _faced_base_model(data, unknown, seed=seed, nj=nj)
     _log_facings(first.data)
-    session = first
-    first_errors = errors = heldout_errors(session)
-    counts = count_entries(data)
+    first_errors, counts = heldout_errors(first), count_entries(data)
     logger.info("base model: held-out error %.2f JND (leave-positions-out), %.2f JND (leave-room-out)%s",
-                *(errors.mean(split) for split in SPLITS), _of_scored(counts))
-    iterations: list[dict] = []
-    eliminated: set[type[Effect]] = set()
-    while True:
-        extended, ranking = rank(session, eliminated)
-        accepted, rejected = _accept(extended, errors, ranking) if len(iterations) < max_effects else (None, {})
-        if accepted is None:
-            break
-        before = errors
-        entry, session, errors = accepted
-        newest = CATALOGUE[entry["effect"]]
-        if SourceDirectivity in session.effects and len(unknown):
-            faced = _faced_as_fitted(session, unknown, newest)
-            session, errors = faced, errors if faced is session else heldout_errors(faced)
-        session, errors, superfluous = _eliminate(session, errors, newest)
-        eliminated.update(superfluous)
-        if errors is not accepted.errors:
-            update_errors(entry, before, errors, [effect.NAME for effect in superfluous])
-        iterations.append(entry)
-        logger.info("added %s: held-out error %.2f -> %.2f JND, a fall of %.2f to %.2f; of what it touches, by %.0f %% "
-                    "(%s)", effect_names(entry), entry["heldout_error_before"], entry["heldout_error_after"],
-                    *entry["fall_ci"], 100.0 * entry["touched_fall"][entry["scored_on"]],
-                    entry["scored_on"].replace("_", "-"))
-        if superfluous:
-            logger.info("took out %s, which no longer lowers the held-out error", ", ".join(entry["eliminated"]))
+                *(first_errors.mean(split) for split in SPLITS), _of_scored(counts))
+    session, errors, iterations, ranked, ranking, rejected = _add_effects(first, first_errors, unknown, max_effects)
     write_model(work / MODEL_FILE, _model_of(session, base))
     np.savez_compressed(work / RESIDUALS_FILE, before=first.residual, after=session.residual)
     write_examples(work / EXAMPLES_FILE, recordings, first, session)
@@ -189,7 +164,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     unexplained = find_unexplained(session)
     for residual in unexplained[:1]:
         logger.info("unexplained: %s", describe_residual(residual))
-    sizes = detectable_sizes(extended, ranking, rejected)
+    sizes = detectable_sizes(ranked, ranking, rejected)
     logger.info("effects that were not found would have been from a size of: %s", "; ".join(
         f"{candidate.effect.NAME} {'unknown' if size_jnd is None else f'{size_jnd:.1f} JND'}"
         for candidate, size_jnd in zip(ranking, sizes, strict=True)))
@@ -216,6 +191,52 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
             raise
     logger.info("closed the loop on %d RIRs in %.0f s%s", len(data.rows), time.monotonic() - start, _of_scored(counts))
     return ledger
+
+
+class _Extended(NamedTuple):
+    """A base model with all effects that were accepted: its held-out errors, and the ledger's entries of the effects.
+
+    The last ranking is of the effects that it lacks, with the session that has their rendered changes, and the trials
+    of those that were rejected.
+    """
+
+    session: Session
+    errors: HeldOutErrors
+    iterations: list[dict]
+    ranked: Session
+    ranking: list[Candidate]
+    rejected: dict[type[Effect], Trial]
+
+
+def _add_effects(session: Session, errors: HeldOutErrors, unknown: IntArray, max_effects: int) -> _Extended:
+    """Add one effect after the other to a model until none is accepted, or there are `max_effects`.
+
+    With each, facings of the RIRs `unknown` are refined, and effects that it makes superfluous are taken out.
+    """
+    iterations: list[dict] = []
+    eliminated: set[type[Effect]] = set()
+    while True:
+        ranked, ranking = rank(session, eliminated)
+        accepted, rejected = _accept(ranked, errors, ranking) if len(iterations) < max_effects else (None, {})
+        if accepted is None:
+            return _Extended(session, errors, iterations, ranked, ranking, rejected)
+        before = errors
+        entry, session, errors = accepted
+        newest = CATALOGUE[entry["effect"]]
+        if SourceDirectivity in session.effects and len(unknown):
+            faced = _faced_as_fitted(session, unknown, newest)
+            session, errors = faced, errors if faced is session else heldout_errors(faced)
+        session, errors, superfluous = _eliminate(session, errors, newest)
+        eliminated.update(superfluous)
+        if errors is not accepted.errors:
+            update_errors(entry, before, errors, [effect.NAME for effect in superfluous])
+        iterations.append(entry)
+        logger.info("added %s: held-out error %.2f -> %.2f JND, a fall of %.2f to %.2f; of what it touches, by %.0f %% "
+                    "(%s)", effect_names(entry), entry["heldout_error_before"], entry["heldout_error_after"],
+                    *entry["fall_ci"], 100.0 * entry["touched_fall"][entry["scored_on"]],
+                    entry["scored_on"].replace("_", "-"))
+        if superfluous:
+            logger.info("took out %s, which no longer lowers the held-out error", ", ".join(entry["eliminated"]))
 
 
 def _faced_base_model(data: Data, unknown: IntArray, *, seed: int, nj: int) -> Session:
