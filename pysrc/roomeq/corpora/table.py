@@ -49,7 +49,7 @@ from roomeq.corpora.record import (
     rir_row,
 )
 from roomeq.corpora.reverbdb import is_uncommon, is_unreliable
-from roomeq.records.schema import make_id
+from roomeq.records.schema import make_id, stated_air
 
 logger = logging.getLogger(__name__)
 
@@ -259,7 +259,7 @@ def _check_values(known: dict[str, Any]) -> None:
         if length_m is not None and abs(length_m) > MAX_ROOM_M:
             rule = f"lie in [{-MAX_ROOM_M:g}, {MAX_ROOM_M:g}]" if name in apart_m else f"be at most {MAX_ROOM_M:g}"
             raise ValueError(f"{name}={length_m:g} must {rule}: give metres")
-    require_air(**{key: known[key] for key in ("temperature_c", "humidity_pct") if known[key] is not None})
+    require_air(**stated_air(known))
 
 
 def _row(path: Path, file: Path, cells: dict[str, str], corpus: Corpus) -> dict[str, Any]:

@@ -30,7 +30,7 @@ from roomeq.loop.traces import StoredTrace, TraceFolder, without_paths
 from roomeq.loop.usable import LeftOut, UsableRirs
 from roomeq.records.geometry import is_too_close, place_key
 from roomeq.records.rir_dir import load_rir, rir_path
-from roomeq.records.schema import RirRow, is_timed, session_name, unit_name
+from roomeq.records.schema import RirRow, is_timed, session_name, stated_air, unit_name
 from roomeq.sim.geometry import Place, find_place, towards_microphone
 from roomeq.sim.path_sample import PathSample
 from roomeq.sim.render import MAX_LENGTH_S
@@ -326,8 +326,7 @@ def _angles_deg(axes: FloatArray, others: FloatArray) -> FloatArray:
 
 def air_of(row: RirRow) -> Air:
     """Return the declared air of a row."""
-    declared = {key: row.get(key) for key in ("temperature_c", "humidity_pct")}
-    return Air(**{key: float(value) for key, value in declared.items() if isinstance(value, (int, float))})
+    return Air(**stated_air(row))
 
 
 def _measure(recording: _Recording) -> Features:

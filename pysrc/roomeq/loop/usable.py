@@ -15,7 +15,7 @@ from roomeq.corpora.repeats import find_repeats
 from roomeq.corpora.suspicious import suspicion
 from roomeq.records.geometry import OUTSIDE, UNKNOWN, find_contradiction, geometry_usability, place_key
 from roomeq.records.rir_dir import ROWS_FILE, read_rirs, require_16_khz
-from roomeq.records.schema import RirRow
+from roomeq.records.schema import RirRow, stated_air
 
 logger = logging.getLogger(__name__)
 
@@ -161,13 +161,13 @@ def _check_air(rirs: Iterable[Located]) -> None:
     """Refuse air that no room can have, and warn of each directory with drier air than that of rooms."""
     dry: dict[Path, list[Located]] = {}
     for rir in rirs:
-        declared = {key: value for key in ("temperature_c", "humidity_pct") if (value := rir.row.get(key)) is not None}
+        stated = stated_air(rir.row)
         try:
-            require_air(**cast(dict[str, float], declared))
+            require_air(**stated)
         except ValueError as error:
             raise ValueError(f"{rir.directory / ROWS_FILE}: RIR {rir.row['id']} of room {rir.row['room_id']}: {error}"
                              ) from None
-        if cast(float, declared.get("humidity_pct", DRY_PCT)) < DRY_PCT:
+        if stated.get("humidity_pct", DRY_PCT) < DRY_PCT:
             dry.setdefault(rir.directory, []).append(rir)
     for directory, (first, *others) in dry.items():
         more = f" and {len(others)} more" if others else ""

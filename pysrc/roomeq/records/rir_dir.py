@@ -25,10 +25,11 @@ from typing import Any, NamedTuple, cast
 from urllib.parse import unquote
 
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import BAND_1KHZ, FS_HZ, require_air, require_fs
+from roomeq.core.constants import FS_HZ, require_air, require_fs
 from roomeq.core.files import path_from, read_jsonl, write_jsonl, write_text
 from roomeq.core.stamps import read_stamp
-from roomeq.records.schema import NoiseRow, RirRow, noise_problem, row_problem
+from roomeq.records.parameters import value_of
+from roomeq.records.schema import NoiseRow, RirRow, noise_problem, row_problem, stated_air
 
 logger = logging.getLogger(__name__)
 
@@ -253,11 +254,8 @@ def decay_range_s(rows: Sequence[RirRow]) -> DecayRange:
     """
     times_of_room: dict[str, list[float]] = {}
     for row in rows:
-        parameters = row.get("acoustic_parameters") or {}
-        if "t20_valid" in parameters and parameters["t20_valid"][BAND_1KHZ]:
-            t20_s = parameters["t20_s"][BAND_1KHZ]
-            if t20_s is not None:
-                times_of_room.setdefault(row["room_id"], []).append(t20_s)
+        if (t20_s := value_of(row.get("acoustic_parameters") or {}, "t20")) is not None:
+            times_of_room.setdefault(row["room_id"], []).append(t20_s)
     if not times_of_room:
         raise ValueError("no RIR has a valid T20 at 1 kHz among its acoustic parameters: run roomeq characterise "
                          "first, or give two times [s]")
@@ -300,9 +298,7 @@ def validate_rirs(directory: Path) -> int:
     for row in rows:
         try:
             require_fs(row["fs_hz"])
-            values: Mapping[str, Any] = row
-            require_air(**{key: values[key] for key in ("temperature_c", "humidity_pct")
-                           if values.get(key) is not None})
+            require_air(**stated_air(row))
         except ValueError as error:
             raise ValueError(f"{Path(directory) / ROWS_FILE}: RIR {row['id']}: {error}") from None
         info = audio_info(rir_path(directory, row))

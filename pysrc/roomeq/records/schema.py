@@ -81,6 +81,11 @@ def session_name(row: Mapping[str, Any]) -> str:
     return row.get("session") or ""
 
 
+def stated_air(row: Mapping[str, Any]) -> dict[str, float]:
+    """Return temperature and humidity of a row, as far as it states them: arguments of `require_air` and `Air`."""
+    return {key: row[key] for key in ("temperature_c", "humidity_pct") if row.get(key) is not None}
+
+
 def is_timed(row: Mapping[str, Any]) -> bool:
     """Tell whether sample 0 of an RIR is the emission: only if its row says so."""
     return row.get("tof_removed") is False

@@ -1,6 +1,6 @@
 """Values of RIR directories that several sections use."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 from roomeq.eq.fit import eq_row, usable_eq
 from roomeq.eq.gmm import with_reference
+from roomeq.records.parameters import reverberation_time_s
 from roomeq.records.schema import AcousticParameters, RirRow
 from roomeq.report.kinds import Kind
 from roomeq.report.load import Missing, Run
@@ -104,18 +105,9 @@ def acoustic_parameters(rows: Iterable[RirRow]) -> list[AcousticParameters]:
     return [parameters for row in rows if (parameters := row.get("acoustic_parameters"))]
 
 
-def at_1khz(values: Sequence[float | None] | None, valid: Sequence[bool] | None) -> float | None:
-    """Return the 1 kHz value of a parameter per octave, or None if it is invalid."""
-    return values[BAND_1KHZ] if values and valid and valid[BAND_1KHZ] else None
-
-
 def reverberation_times(parameters: Iterable[AcousticParameters]) -> FloatArray:
     """Return T30 at 1 kHz, or T20 where T30 is invalid [s]; RIRs without either are left out."""
-    times = []
-    for measured in parameters:
-        t30_s = at_1khz(measured["t30_s"], measured["t30_valid"])
-        times.append(at_1khz(measured["t20_s"], measured["t20_valid"]) if t30_s is None else t30_s)
-    return np.array([time_s for time_s in times if time_s is not None])
+    return np.array([time_s for time_s in map(reverberation_time_s, parameters) if time_s is not None])
 
 
 def measured_example(run: Run, kinds: Iterable[Kind]) -> dict[Kind, RirRow]:

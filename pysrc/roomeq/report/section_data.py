@@ -12,6 +12,7 @@ from roomeq.core.files import read_json
 from roomeq.core.stamps import read_stamp
 from roomeq.corpora.characterise import SCREENING_FILE
 from roomeq.records.geometry import is_known
+from roomeq.records.parameters import value_of
 from roomeq.records.schema import TARGET_AGAIN, RirRow
 from roomeq.report import figures
 from roomeq.report.figures_room import room_view
@@ -26,7 +27,7 @@ from roomeq.report.load import (
     read_pairs,
     synthetic_corpora,
 )
-from roomeq.report.rir_sets import acoustic_parameters, at_1khz, reverberation_times
+from roomeq.report.rir_sets import acoustic_parameters, reverberation_times
 from roomeq.report.room_map import RoomMap, map_room
 
 OMITTED_OPTIONS = ("seed", "ways", "listed")
@@ -157,7 +158,7 @@ def median_parameters(members: list[RirRow]) -> list[str | int]:
     eq_db = np.array([np.where(p["eq_valid"], np.array(p["eq_db"], dtype=float), np.nan) for p in parameters])
     spread = np.array([np.nanstd(column) for column in eq_db.T if np.isfinite(column).any()])
     return [len(members), median(reverberation_times(parameters), 2),
-            median([at_1khz(p["c50_db"], p["c50_valid"]) for p in parameters], 1),
+            median([value_of(p, "c50") for p in parameters], 1),
             median([p["drr_db"] for p in parameters], 1),
             number(float(np.sqrt(np.mean(spread ** 2))) if len(members) > 1 and len(spread) else None),
             *(median(column, 1) for column in eq_db[:, TABLE_BANDS].T)]

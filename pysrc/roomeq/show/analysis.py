@@ -192,21 +192,6 @@ def why_no_rir(samples: FloatArray, fs_hz: int) -> str | None:
     return find_implausibility(samples, fs_hz)
 
 
-def value_of(parameters: dict[str, Any], metric: str, band: int) -> float | None:
-    """Return the valid value of a metric ("edt", "t20", "t30", "c50" or "eq") in a band, or None."""
-    key = f"{metric}_{'s' if metric[0] in 'et' and metric != 'eq' else 'db'}"
-    values, valid = parameters.get(key), parameters.get(f"{metric}_valid")
-    if not values or not valid or band >= len(values) or not valid[band]:
-        return None
-    return values[band]
-
-
-def reverberation_time_s(parameters: dict[str, Any], band: int = BAND_1KHZ) -> float | None:
-    """Return T30 of a band, or T20 where T30 is invalid."""
-    t30_s = value_of(parameters, "t30", band)
-    return value_of(parameters, "t20", band) if t30_s is None else t30_s
-
-
 def _band_decay(rir: AnalysedRir, number: int, band: FloatArray, decay: Decay) -> BandDecay:
     frames = power_db(_frames(band, rir), FLOOR_POWER)
     step = max(1, round(1e-3 * rir.fs_hz))

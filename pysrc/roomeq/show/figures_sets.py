@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from roomeq.core.arrays import FloatArray
+from roomeq.records.parameters import reverberation_time_s, value_of
 from roomeq.report import figures
 from roomeq.report.figures import Draw, legend, log_frequency
 from roomeq.report.rir_sets import column_percentiles, without_rare
-from roomeq.show.analysis import reverberation_time_s, value_of
 from roomeq.show.inputs import RirSet
 from roomeq.show.sheet import plot_text
 from roomeq.show.tables import c50_of

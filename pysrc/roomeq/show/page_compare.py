@@ -7,11 +7,11 @@ import numpy as np
 
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import MAX_FS_HZ, bands_hz
+from roomeq.records.parameters import value_of
 from roomeq.report.figures import panel
 from roomeq.report.formats import DASH, hertz, number
 from roomeq.report.load import Context
 from roomeq.show import figures_rir, tables
-from roomeq.show.analysis import value_of
 from roomeq.show.clips import clips
 from roomeq.show.figures_sets import labels_of
 from roomeq.show.inputs import RirSet, ShownRir

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from roomeq.records.parameters import reverberation_time_s
 from roomeq.records.schema import RirRow
 from roomeq.report import figures
 from roomeq.report.figures import SMALL_IN, TICKS, Draw, Panel, panel
@@ -10,7 +11,7 @@ from roomeq.report.formats import number
 from roomeq.report.load import Context
 from roomeq.report.room_map import Reflection, RoomMap, map_room
 from roomeq.show import figures_rir, tables
-from roomeq.show.analysis import AnalysedRir, reverberation_time_s
+from roomeq.show.analysis import AnalysedRir
 from roomeq.show.clips import clips
 from roomeq.show.inputs import ShownRir
 

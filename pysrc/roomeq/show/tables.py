@@ -8,8 +8,9 @@ import numpy as np
 from roomeq.acoustics.jnd import C50_JND_DB, DECAY_JND, DRR_JND_DB, LEVEL_JND_DB
 from roomeq.core.arrays import FloatArray
 from roomeq.records.geometry import distance_between
+from roomeq.records.parameters import reverberation_time_s, value_of
 from roomeq.report.formats import DASH, hertz, number
-from roomeq.show.analysis import AnalysedRir, reverberation_time_s, value_of
+from roomeq.show.analysis import AnalysedRir
 from roomeq.show.inputs import RirSet, ShownRir
 
 METRICS = ("edt", "t20", "t30", "c50", "eq")

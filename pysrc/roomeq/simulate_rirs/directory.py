@@ -7,10 +7,8 @@ One group, the rows that share a room, a source position, the air and the stated
 import json
 import logging
 from collections import Counter, defaultdict
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +24,7 @@ from roomeq.draw_rooms.room_types import RoomType, types_file
 from roomeq.effects.model import Model, apply_to_rir, direct_gain, names_of, path_gain, read_model
 from roomeq.effects.source_directivity import unit_facing
 from roomeq.records.rir_dir import read_rirs, validate_rirs, with_meshes_relocated, write_rirs
-from roomeq.records.schema import RirRow
+from roomeq.records.schema import RirRow, stated_air
 from roomeq.sim.array_noise import ArrayNoise
 from roomeq.sim.geometry import find_place, towards_microphone
 from roomeq.sim.materials import read_materials
@@ -160,9 +158,8 @@ def _group_by_source(rows: list[RirRow], directory: Path, model: Model, seed: in
 
 def _declared_air(row: RirRow) -> Air:
     """Return the air of a row: its temperature and humidity where they are known, else the defaults."""
-    values: Mapping[str, Any] = row
     try:
-        return Air(**{key: values[key] for key in ("temperature_c", "humidity_pct") if values.get(key) is not None})
+        return Air(**stated_air(row))
     except ValueError as error:
         raise ValueError(f"RIR {row['id']}: {error}") from None
 

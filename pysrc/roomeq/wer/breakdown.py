@@ -8,9 +8,9 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from roomeq.core.arrays import FloatArray
-from roomeq.core.constants import BAND_1KHZ
 from roomeq.eq.distance import EqSet, wasserstein_db
 from roomeq.eq.fit import eq_row, usable_eq
+from roomeq.records.parameters import value_of
 from roomeq.records.schema import RirRow
 from roomeq.wer.scores import Scores
 from roomeq.wer.scoring import read_texts
@@ -140,10 +140,8 @@ def _acoustics(row: RirRow, train: EqSet | None) -> dict[str, float]:
     """Return the acoustic parameters of an RIR by name; NaN where they are unknown or not valid."""
     parameters = row.get("acoustic_parameters") or {}
     own_eq = _eq_set([row])
-    found = {DRR: parameters.get("drr_db"), EQ_DISTANCE: wasserstein_db(own_eq, train) if own_eq and train else None}
-    for what, values, valid in ((T20, parameters.get("t20_s"), parameters.get("t20_valid")),
-                                (C50, parameters.get("c50_db"), parameters.get("c50_valid"))):
-        found[what] = values[BAND_1KHZ] if values and valid and valid[BAND_1KHZ] else None
+    found = {DRR: parameters.get("drr_db"), EQ_DISTANCE: wasserstein_db(own_eq, train) if own_eq and train else None,
+             T20: value_of(parameters, "t20"), C50: value_of(parameters, "c50")}
     return {what: np.nan if value is None else float(value) for what, value in found.items()}
 
 

@@ -7,7 +7,8 @@ from rirmaker import coloured_rir
 from roomeq.acoustics.iso3382 import all_metrics
 from roomeq.acoustics.parameters import measure
 from roomeq.core.constants import bands_hz
-from roomeq.show.analysis import FRAME_S, analyse, reverberation_time_s, value_of
+from roomeq.records.parameters import reverberation_time_s, value_of
+from roomeq.show.analysis import FRAME_S, analyse
 
 T60_S = 0.5
 
