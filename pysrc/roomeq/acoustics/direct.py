@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import FloatArray, IntArray
+from roomeq.records.schema import RirRow
 
 ONSET_FRACTION = 0.1  # of the peak: ISO 3382-1 starts where the level comes within 20 dB of the maximum
 NOISE_FACTOR = 6.0  # stationary noise of any length here stays below 5.5 times its standard deviation
@@ -84,6 +85,14 @@ def find_direct(rir: ArrayLike, fs_hz: float, expected_sample: float | None = No
     peak = first + _climb(window, int(reaches[0]), max(1, round(CLIMB_S * fs_hz)))
     polarity = 1 if h[peak] > 0 else -1
     return DirectSound(_refine(polarity * h, peak), polarity)
+
+
+def direct_of(row: RirRow, rir: FloatArray) -> DirectSound:
+    """Return the direct sound that a row states, as that of a simulated RIR does, or that is found."""
+    sample, polarity = row.get("direct_sample"), row.get("direct_polarity")
+    if sample is not None and polarity is not None:
+        return DirectSound(sample, polarity)
+    return find_direct(rir, row["fs_hz"])
 
 
 def checked_response(rir: ArrayLike, direct_sample: float = 0.0) -> FloatArray:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import fftconvolve, firwin2
 
-from roomeq.acoustics.direct import checked_response, find_direct
+from roomeq.acoustics.direct import checked_response, direct_of
 from roomeq.acoustics.minimum_phase import minimum_phase
 from roomeq.acoustics.parameters import measure
 from roomeq.acoustics.subband_eq import analyse
@@ -198,7 +198,7 @@ def _compensate_group(sim_dir: Path, rows: list[RirRow], target_db: FloatArray, 
         rir = channels if channels.ndim == 1 else channels[:, 0]
         eq_keys: dict[str, list[float]] = {}
         try:
-            sample, polarity = _direct_sound(row, rir)
+            sample, polarity = direct_of(row, rir)
             if fir is None:
                 samples, achieved_db, gain_db, fir = compensate_rir(rir, sample, target_db, taps=taps)
                 eq_keys = dict(eq_target_db=_rounded(target_db), eq_achieved_db=_rounded(achieved_db),
@@ -216,12 +216,6 @@ def _compensate_group(sim_dir: Path, rows: list[RirRow], target_db: FloatArray, 
             wav=wav, model=[*(row.get("model") or []), "room_eq"], direct_sample=sample, direct_polarity=polarity,
             acoustic_parameters=parameters, t30_s=parameters["t30_s"][BAND_1KHZ]) | eq_keys)
     return compensated_rows
-
-
-def _direct_sound(row: RirRow, rir: FloatArray) -> tuple[float, int]:
-    """Return sample and polarity of the direct sound: those of the row if it has them, else measured."""
-    sample, polarity = row.get("direct_sample"), row.get("direct_polarity")
-    return find_direct(rir, FS_HZ) if sample is None or polarity is None else (sample, polarity)
 
 
 def _rounded(values: FloatArray) -> list[float]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from roomeq.acoustics.direct import DirectSound, find_direct
+from roomeq.acoustics.direct import direct_of
 from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import audio_info, read_audio
 from roomeq.core.progress import progress
@@ -181,14 +181,6 @@ def middle_of(of_set: RirSet) -> str:
     known = [(parameters["drr_db"], row["id"]) for row, parameters in zip(of_set.rows, of_set.parameters, strict=True)
              if parameters.get("drr_db") is not None]
     return sorted(known)[len(known) // 2][1] if known else of_set.rows[0]["id"]
-
-
-def direct_of(row: RirRow, samples: FloatArray) -> DirectSound:
-    """Return the direct sound that a simulated row states, or that is found."""
-    sample, polarity = row.get("direct_sample"), row.get("direct_polarity")
-    if sample is not None and polarity is not None:
-        return DirectSound(sample, polarity)
-    return find_direct(samples, row["fs_hz"])
 
 
 def _parameters(directory: Path, row: RirRow) -> dict[str, Any] | None:
