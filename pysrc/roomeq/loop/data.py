@@ -14,6 +14,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.core.constants import BANDS_HZ, FS_HZ
+from roomeq.core.groups import numbers_by
 from roomeq.core.progress import progress
 from roomeq.core.rng import rng_for
 from roomeq.core.workers import share_out
@@ -269,9 +270,7 @@ def _merge_sources(recordings: list[_Recording]) -> list[_Recording]:
 
     A position stays where the mean is closer to its microphone than the simulator allows.
     """
-    of_source: dict[tuple[str, str], list[int]] = {}
-    for n, (_, row, _) in enumerate(recordings):
-        of_source.setdefault((row["room_id"], row["source_id"]), []).append(n)
+    of_source = numbers_by((row["room_id"], row["source_id"]) for _, row, _ in recordings)
     merged = list(recordings)
     for members in of_source.values():
         positions_m = np.array([recordings[n].place.source_pos_m for n in members])
@@ -298,9 +297,7 @@ def _share_facings(recordings: list[_Recording]) -> list[_Recording]:
     They must state one direction, and not only that of their own microphones: a source that is turned to each
     microphone faces another way in the other RIRs.
     """
-    of_position: dict[tuple, list[int]] = {}
-    for n, (_, row, place) in enumerate(recordings):
-        of_position.setdefault((row["room_id"], row["source_id"], place.source_pos_m), []).append(n)
+    of_position = numbers_by((row["room_id"], row["source_id"], place.source_pos_m) for _, row, place in recordings)
     shared = list(recordings)
     for members in of_position.values():
         known = {n: unit_facing(recordings[n].row.get("source_dir")) for n in members}
@@ -358,9 +355,8 @@ def _numbered(names: Sequence[Any]) -> tuple[list[Any], IntArray]:
 def _trace_sources(rows: list[RirRow], places: list[Place], features: list[Features], scattering: float, seed: int,
                    nj: int) -> tuple[list[StoredTrace], list[PathSample], list[Table]]:
     """Trace each source of each room once; return what RIRs are rendered and predicted from, of each RIR."""
-    by_source: dict[tuple, list[int]] = {}
-    for n, (row, place) in enumerate(zip(rows, places, strict=True)):
-        by_source.setdefault((row["room_id"], place.source_pos_m, air_of(row)), []).append(n)
+    by_source = numbers_by((row["room_id"], place.source_pos_m, air_of(row))
+                           for row, place in zip(rows, places, strict=True))
     folder = TraceFolder()
 
     def trace(room_id: str, source_pos_m: tuple, air: Air, members: list[int]

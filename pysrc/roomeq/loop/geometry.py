@@ -18,6 +18,7 @@ from scipy.special import logsumexp
 
 from roomeq.core.arrays import BoolArray, FloatArray
 from roomeq.core.constants import FS_HZ
+from roomeq.core.groups import numbers_by
 from roomeq.core.workers import share_out
 from roomeq.loop.arrivals import Arrivals, measure_arrivals
 from roomeq.loop.unknown_geometry import DIMS, N_SHARED, Unknown, UnknownGeometry, declared_speed_m_s
@@ -107,10 +108,7 @@ def complete_geometry(rirs: Sequence[Located], seed: int, nj: int) -> tuple[list
     ValueError
         An RIR cannot be read or has no direct sound; the message names the file.
     """
-    completed, rooms = list(rirs), dict[str, list[int]]()
-    for n, (_, row) in enumerate(rirs):
-        if not row.get("mesh"):
-            rooms.setdefault(row["room_id"], []).append(n)
+    completed, rooms = list(rirs), numbers_by(None if row.get("mesh") else row["room_id"] for _, row in rirs)
 
     def of_room(members: list[int]) -> Completed:
         return complete_room([rirs[n].row for n in members], [_arrivals(rirs[n]) for n in members], seed)

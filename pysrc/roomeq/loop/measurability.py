@@ -9,6 +9,7 @@ import numpy as np
 
 from roomeq.acoustics.excitation import NO_END_HZ
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
+from roomeq.core.groups import numbers_by
 from roomeq.loop.features import JND, Features, excited, feature_slice
 from roomeq.records.schema import RirRow, session_name, unit_name
 
@@ -118,4 +119,4 @@ def _late_spread_db(features: Sequence[Features], session: IntArray) -> float:
 
 
 def _groups(keys: Sequence[Hashable]) -> dict[Hashable, IntArray]:
-    return {key: np.flatnonzero([other == key for other in keys]) for key in dict.fromkeys(keys)}
+    return {key: np.array(members) for key, members in numbers_by(keys).items()}

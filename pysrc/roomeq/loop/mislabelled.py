@@ -15,6 +15,7 @@ from roomeq.acoustics.iso3382 import all_metrics
 from roomeq.acoustics.same_recordings import cut_parts
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import FS_HZ
+from roomeq.core.groups import numbers_by
 from roomeq.core.workers import share_out
 from roomeq.loop.arrivals import Arrivals, measure_arrivals
 from roomeq.loop.doubtful_geometry import (
@@ -111,11 +112,7 @@ def _listen(directory: Path, row: RirRow) -> _Heard:
 def _other_units(rows: Sequence[RirRow], heard: Sequence[_Heard]) -> list[Doubt | None]:
     """Return the doubts about the units of rooms, for each RIR."""
     doubts: list[Doubt | None] = [None] * len(rows)
-    rooms: dict[str, list[int]] = {}
-    for n, row in enumerate(rows):
-        if not row.get("mesh"):
-            rooms.setdefault(row["room_id"], []).append(n)
-    for members in rooms.values():
+    for members in numbers_by(None if row.get("mesh") else row["room_id"] for row in rows).values():
         doubt = find_other_unit([rows[n] for n in members], [heard[n].arrivals for n in members])
         for n in members:
             doubts[n] = doubt

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple, cast
 
 from roomeq.core.constants import require_air
+from roomeq.core.groups import numbers_by
 from roomeq.corpora.repeats import find_repeats
 from roomeq.corpora.suspicious import suspicion
 from roomeq.records.geometry import OUTSIDE, UNKNOWN, find_contradiction, geometry_usability, place_key
@@ -196,10 +197,7 @@ def _log_contradictions(rirs: Iterable[Located], reasons: Iterable[str | None]) 
 def _leave_out_unlike_rooms(rirs: Sequence[Located], reasons: list[str | None]) -> dict[str, str]:
     """Leave out rooms whose rows state different dimensions or meshes, in `reasons`; return what the first states."""
     first = dict[str, str]()
-    of_room: dict[str, list[int]] = {}
-    for n, (rir, reason) in enumerate(zip(rirs, reasons, strict=True)):
-        if reason is None:
-            of_room.setdefault(rir.row["room_id"], []).append(n)
+    of_room = numbers_by(None if reason else rir.row["room_id"] for rir, reason in zip(rirs, reasons, strict=True))
     for room_id, members in of_room.items():
         begin = rirs[members[0]]
         for other in (rirs[n] for n in members[1:]):
@@ -220,10 +218,8 @@ def _share_dimensions(rirs: list[Located], reasons: Sequence[str | None]) -> Non
 
     They differ by `_SAME_SIZE_M` at most, and are of one room, which is estimated and traced once.
     """
-    of_room: dict[str, list[int]] = {}
-    for n, (rir, reason) in enumerate(zip(rirs, reasons, strict=True)):
-        if reason is None and not rir.row.get("mesh"):
-            of_room.setdefault(rir.row["room_id"], []).append(n)
+    of_room = numbers_by(None if reason or rir.row.get("mesh") else rir.row["room_id"]
+                         for rir, reason in zip(rirs, reasons, strict=True))
     for members in of_room.values():
         stated_m = [cast(list[float], rirs[n].row["room_dims_m"]) for n in members]
         largest_m = [max(sizes_m) for sizes_m in zip(*stated_m, strict=True)]

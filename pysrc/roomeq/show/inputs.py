@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 from roomeq.acoustics.direct import direct_of
+from roomeq.acoustics.plausibility import find_implausibility
 from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import audio_info, read_audio
+from roomeq.core.groups import numbers_by
 from roomeq.core.progress import progress
 from roomeq.records.rir_dir import ROWS_FILE, read_rirs, rir_path
 from roomeq.records.schema import RirRow
-from roomeq.show.analysis import AnalysedRir, analyse, measure_parameters, why_no_rir
+from roomeq.show.analysis import AnalysedRir, analyse, measure_parameters
 from roomeq.sim.meshfile import FORMATS
 
 Kind = Literal["rir", "set", "loop", "room"]
@@ -67,10 +69,7 @@ class RirSet:
     @property
     def rooms(self) -> dict[str, list[int]]:
         """Numbers of the RIRs of each room."""
-        rooms: dict[str, list[int]] = {}
-        for number, row in enumerate(self.rows):
-            rooms.setdefault(row["room_id"], []).append(number)
-        return rooms
+        return numbers_by(row["room_id"] for row in self.rows)
 
 
 def kind_of(path: Path) -> Kind:
@@ -197,7 +196,7 @@ def _parameters(directory: Path, row: RirRow) -> dict[str, Any] | None:
 
 def _shown(samples: FloatArray, fs_hz: int, name: str, path: Path, keep_suspicious: bool, row: RirRow | None,
            directory: Path | None) -> ShownRir:
-    problem = None if row is not None and row.get("seed") is not None else why_no_rir(samples, fs_hz)
+    problem = None if row is not None and row.get("seed") is not None else find_implausibility(samples, fs_hz)
     if problem and not keep_suspicious:
         raise ValueError(f"{path}: no RIR by its acoustics: {problem}; {KEEP}")
     try:
