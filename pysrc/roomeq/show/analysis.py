@@ -12,7 +12,6 @@ from roomeq.acoustics.fade import length_before_fade
 from roomeq.acoustics.iso3382 import DECAYS_DB, Decay, energy_decay
 from roomeq.acoustics.octaves import LEAD_S, octave_bands, octave_width_hz
 from roomeq.acoustics.parameters import measure
-from roomeq.acoustics.plausibility import find_implausibility
 from roomeq.acoustics.subband_eq import MIN_SNR_DB, energy_spectrum, eq_part, frame_length, response_and_noise
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, bands_hz, exact_bands_hz, require_fs
@@ -185,11 +184,6 @@ def response_db(samples: FloatArray, fs_hz: int, direct_sample: float) -> tuple[
     level_db = power_db(energy_spectrum(samples[start:stop], n_frame), FLOOR_POWER)
     frequencies_hz = np.arange(len(level_db)) * fs_hz / n_frame
     return frequencies_hz, level_db - np.interp(BANDS_HZ[BAND_1KHZ], frequencies_hz, level_db)
-
-
-def why_no_rir(samples: FloatArray, fs_hz: int) -> str | None:
-    """Return why a recording cannot be an RIR, or None; see `roomeq.acoustics.plausibility`."""
-    return find_implausibility(samples, fs_hz)
 
 
 def _band_decay(rir: AnalysedRir, number: int, band: FloatArray, decay: Decay) -> BandDecay:

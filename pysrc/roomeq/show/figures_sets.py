@@ -12,7 +12,6 @@ from roomeq.report.figures import Draw, legend, log_frequency
 from roomeq.report.rir_sets import column_percentiles, without_rare
 from roomeq.show.inputs import RirSet
 from roomeq.show.sheet import plot_text
-from roomeq.show.tables import c50_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,7 +26,7 @@ Quantity = tuple[str, str, Callable[[dict[str, Any]], float | None]]
 QUANTITIES: tuple[Quantity, ...] = (
     ("t60", "Reverberation time at 1 kHz (s)", reverberation_time_s),
     ("drr", "DRR (dB)", lambda parameters: parameters.get("drr_db")),
-    ("c50", "C50 at 1 kHz (dB)", c50_of))
+    ("c50", "C50 at 1 kHz (dB)", lambda parameters: value_of(parameters, "c50")))
 """Id, label and function of each quantity of a distribution."""
 
 

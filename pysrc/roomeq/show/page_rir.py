@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from roomeq.records.parameters import reverberation_time_s
+from roomeq.records.parameters import reverberation_time_s, value_of
 from roomeq.records.schema import RirRow
 from roomeq.report import figures
 from roomeq.report.figures import SMALL_IN, TICKS, Draw, Panel, panel
@@ -31,7 +31,7 @@ def facts(shown: ShownRir) -> list[tuple[str, str]]:
     parameters = shown.rir.parameters
     cards = [(tables.with_unit(reverberation_time_s(parameters), 2, "s"), "reverberation time (T30 or T20) at 1 kHz"),
              (tables.with_unit(parameters.get("drr_db"), 1, "dB"), "direct-to-reverberant ratio (DRR)"),
-             (tables.with_unit(tables.c50_of(parameters), 1, "dB"), "clarity (C50) at 1 kHz")]
+             (tables.with_unit(value_of(parameters, "c50"), 1, "dB"), "clarity (C50) at 1 kHz")]
     distance_m = tables.distance_of(shown.row or {})
     if distance_m is not None:
         cards.append((tables.with_unit(distance_m, 2, "m"), "from source to microphone"))

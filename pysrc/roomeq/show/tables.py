@@ -66,7 +66,7 @@ def room_rows(of_set: RirSet) -> list[list[str]]:
         values = [of_set.parameters[n] for n in numbers]
         row = of_set.rows[numbers[0]]
         rows.append([room, size_text(row), str(len(numbers)), number(middle(map(reverberation_time_s, values)), 2),
-                     number(middle(c50_of(parameters) for parameters in values)),
+                     number(middle(value_of(parameters, "c50") for parameters in values)),
                      number(middle(parameters.get("drr_db") for parameters in values)),
                      number(middle(distance_of(of_set.rows[n]) for n in numbers), 2)])
     return rows
@@ -75,7 +75,7 @@ def room_rows(of_set: RirSet) -> list[list[str]]:
 def rir_rows(of_set: RirSet, limit: int) -> list[list[str]]:
     """Return a row for each of the first RIRs of a set: id, room, distance, T60, C50 and DRR."""
     return [[row["id"], row["room_id"], number(distance_of(row), 2), number(reverberation_time_s(parameters), 2),
-             number(c50_of(parameters)), number(parameters.get("drr_db"))]
+             number(value_of(parameters, "c50")), number(parameters.get("drr_db"))]
             for row, parameters in list(zip(of_set.rows, of_set.parameters, strict=True))[:limit]]
 
 
@@ -91,11 +91,6 @@ def size_text(row: Any) -> str:
         return "mesh"
     dims_m = row.get("room_dims_m")
     return " × ".join(number(size_m) for size_m in dims_m) if dims_m else DASH
-
-
-def c50_of(parameters: dict[str, Any]) -> float | None:
-    """Return C50 at 1 kHz [dB], or None where it is not valid."""
-    return value_of(parameters, "c50", 4)
 
 
 def middle(values: Any) -> float | None:
