@@ -180,9 +180,7 @@ def find_edges(room: Room) -> Edges | None:
     if room.convex:
         return None
     mesh = cast(MeshRoom, room)
-    if "edges" not in mesh._cache:
-        mesh._cache["edges"] = _find_edges(mesh)
-    return cast(Edges | None, mesh._cache["edges"])
+    return mesh.remember("edges", (), 1, lambda: _find_edges(mesh))
 
 
 def _find_edges(room: MeshRoom) -> Edges | None:

@@ -7,7 +7,7 @@ All triangles of the same material form one surface. Triangles in the same plane
 import contextlib
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
@@ -68,40 +68,44 @@ class MeshRoom:
     convex: bool
     _cache: dict[str, Any] = field(default_factory=dict, repr=False)
 
-    def __post_init__(self) -> None:
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the geometry and its planes for a pickle; the rest is computed again where it is needed."""
+        state = {field.name: getattr(self, field.name) for field in fields(self)}
+        return state | dict(_cache={}, meetings=self.meetings, planes=self.planes)
+
+    @cached_property
+    def _cross(self) -> FloatArray:
+        """Product of two sides of each face, twice its area long, out of the air, shape (n_faces, 3)."""
         a, b, c = self.triangles.transpose(1, 0, 2)
-        cross = np.cross(b - a, c - a)
-        area = np.linalg.norm(cross, axis=1)
-        normals = -cross / area[:, None]
-        self._cache.update(normals=normals, offset=np.einsum("ij,ij->i", normals, a), area=0.5 * area,
-                           tree=make_tree(self.triangles, normals, self.face_surface))
-        if "planes" not in self._cache:
-            self._cache["meetings"] = find_meetings(self.triangles)
-            self._cache["planes"] = find_planes(self.triangles, normals, 0.5 * area, self.meetings)
+        return np.cross(b - a, c - a)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the geometry and its planes; unpickling computes the rest again."""
-        return MeshRoom, (self.triangles, self.surfaces, self.face_surface, self.volume_m3, self.convex,
-                          dict(meetings=self.meetings, planes=self.planes))
-
-    @property
+    @cached_property
     def normals(self) -> FloatArray:
         """Unit normals into the air, shape (n_faces, 3)."""
-        return self._cache["normals"]
+        return -self._cross / np.linalg.norm(self._cross, axis=1)[:, None]
 
-    @property
+    @cached_property
     def offsets(self) -> FloatArray:
         """Offset [m] of each face's plane along its normal, shape (n_faces,)."""
-        return self._cache["offset"]
+        return np.einsum("ij,ij->i", self.normals, self.triangles[:, 0])
 
-    @property
+    @cached_property
+    def face_area_m2(self) -> FloatArray:
+        return 0.5 * np.linalg.norm(self._cross, axis=1)
+
+    @cached_property
+    def tree(self) -> Tree:
+        """The tree that rays search."""
+        return make_tree(self.triangles, self.normals, self.face_surface)
+
+    @cached_property
     def meetings(self) -> Meetings:
         """The pairs of faces that meet in an edge."""
-        return self._cache["meetings"]
+        return find_meetings(self.triangles)
 
-    @property
+    @cached_property
     def planes(self) -> Planes:
-        return self._cache["planes"]
+        return find_planes(self.triangles, self.normals, self.face_area_m2, self.meetings)
 
     @cached_property
     def walls(self) -> Walls | None:
@@ -114,10 +118,6 @@ class MeshRoom:
         return Walls(mirrors[:, :3].copy(), mirrors[:, 3].copy(), wall[:, 1], high - low)
 
     @property
-    def face_area_m2(self) -> FloatArray:
-        return self._cache["area"]
-
-    @property
     def surface_area_m2(self) -> FloatArray:
         return np.asarray(np.bincount(self.face_surface, self.face_area_m2, minlength=len(self.surfaces)), dtype=float)
 
@@ -125,11 +125,6 @@ class MeshRoom:
     def bounds_m(self) -> tuple[FloatArray, FloatArray]:
         corners = self.triangles.reshape(-1, 3)
         return corners.min(axis=0), corners.max(axis=0)
-
-    @property
-    def tree(self) -> Tree:
-        """The tree that rays search."""
-        return self._cache["tree"]
 
     def first_hits(self, origins: FloatArray, directions: FloatArray) -> tuple[IntArray, FloatArray]:
         """Return the first face that each ray hits, -1 for none, and the distance [m] to it.
