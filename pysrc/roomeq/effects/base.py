@@ -208,6 +208,12 @@ class Effect:
         return rir
 
 
+def correlation_of_bands(n_bands: int, length: float) -> FloatArray:
+    """Return correlations that fall with the distance of two bands, ``exp(-(distance / length)^2 / 2)``, (n, n)."""
+    distance = np.subtract.outer(np.arange(n_bands), np.arange(n_bands))
+    return np.exp(-0.5 * (distance / length) ** 2)
+
+
 def octave_energies(rir: Array) -> FloatArray:
     """Return the energy of a response in each octave band, shape (8,)."""
     n_fft = octave_fft_size(len(rir), FS_HZ)

@@ -18,7 +18,7 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from roomeq.acoustics.octaves import OCTAVE_OF_THIRD, OCTAVE_WIDTH_HZ, THIRD_WIDTH_HZ, THIRDS_HZ
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import FS_HZ
-from roomeq.effects.base import Effect, Rendering, octave_energies
+from roomeq.effects.base import Effect, Rendering, correlation_of_bands, octave_energies
 from roomeq.effects.prediction import PredictedRirs, PredictionState
 
 NOISE_S = 0.1
@@ -60,9 +60,8 @@ class NoiseFloor(Effect):
 
     @classmethod
     def prior_covariance(cls) -> FloatArray:
-        lag = np.subtract.outer(np.arange(len(cls.SPREAD)), np.arange(len(cls.SPREAD)))
-        return (_SMOOTH_SHARE * np.exp(-0.5 * (lag / _CORRELATION_THIRDS) ** 2)
-                + (1.0 - _SMOOTH_SHARE) * np.eye(len(cls.SPREAD)))
+        n = len(cls.SPREAD)
+        return _SMOOTH_SHARE * correlation_of_bands(n, _CORRELATION_THIRDS) + (1.0 - _SMOOTH_SHARE) * np.eye(n)
 
     def vector(self) -> FloatArray:
         added = 2.0 * np.log10(1.0 + 10.0 ** ((np.array(self.levels_db) - _QUIET_THIRDS_DB) / 10.0))

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from roomeq.acoustics.minimum_phase import minimum_phase
 from roomeq.acoustics.octaves import SPECTRUM_HZ
 from roomeq.core.arrays import FloatArray, IntArray
-from roomeq.effects.base import Effect, Rendering
+from roomeq.effects.base import Effect, Rendering, correlation_of_bands
 from roomeq.effects.prediction import PredictedRirs, PredictionState
 
 RESPONSE_HZ = (*SPECTRUM_HZ, 1000.0 * 10.0 ** (0.1 * 9))
@@ -39,9 +39,8 @@ class Response(Effect):
 
     @classmethod
     def prior_covariance(cls) -> FloatArray:
-        lag = np.subtract.outer(np.arange(len(RESPONSE_HZ)), np.arange(len(RESPONSE_HZ)))
-        smooth = cls.SPREAD[0] ** 2 * np.exp(-0.5 * (lag / _CORRELATION_THIRDS) ** 2)
-        return smooth + _ROUGHNESS_DB ** 2 * np.eye(len(RESPONSE_HZ))
+        n = len(RESPONSE_HZ)
+        return cls.SPREAD[0] ** 2 * correlation_of_bands(n, _CORRELATION_THIRDS) + _ROUGHNESS_DB ** 2 * np.eye(n)
 
     def vector(self) -> FloatArray:
         return np.array(self.gains_db)

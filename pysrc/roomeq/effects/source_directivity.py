@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import BANDS_HZ
-from roomeq.effects.base import Effect
+from roomeq.effects.base import Effect, correlation_of_bands
 from roomeq.effects.prediction import PredictedRirs, PredictionState
 from roomeq.effects.spherical_cap import cap_table, look_up, table_angles
 
@@ -57,8 +57,7 @@ class SourceDirectivity(Effect):
     @classmethod
     def prior_covariance(cls) -> FloatArray:
         covariance = np.diag(np.square(np.asarray(cls.SPREAD)))
-        lag = np.subtract.outer(np.arange(_N_BANDS), np.arange(_N_BANDS))
-        smooth = (1.0 - _ROUGH) * np.exp(-0.5 * (lag / _CORRELATION_BANDS) ** 2) + _ROUGH * np.eye(_N_BANDS)
+        smooth = (1.0 - _ROUGH) * correlation_of_bands(_N_BANDS, _CORRELATION_BANDS) + _ROUGH * np.eye(_N_BANDS)
         for n, of_order in enumerate(_DEVIATION_DB):
             at = slice(2 + n * _N_BANDS, 2 + (n + 1) * _N_BANDS)
             covariance[at, at] = np.outer(of_order, of_order) * smooth

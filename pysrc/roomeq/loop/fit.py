@@ -19,7 +19,7 @@ import numpy as np
 
 from roomeq.core.arrays import BoolArray, FloatArray
 from roomeq.core.progress import progress
-from roomeq.effects.base import Effect
+from roomeq.effects.base import Effect, correlation_of_bands
 from roomeq.loop.data import Data
 from roomeq.loop.features import HAS_GAIN, N_FEATURES
 from roomeq.loop.likelihood import NormalEquations, all_normal_equations, misfit, scatter
@@ -232,8 +232,7 @@ def _continue(index: ParameterIndex, initial: Fit, mean: FloatArray, local: list
 
 def absorption_covariance(level: float, bend: float, rough: float) -> FloatArray:
     """Return the covariance of `x` over rooms, shape (8, 8): common level, smooth bends over bands, and roughness."""
-    lag = np.subtract.outer(np.arange(N_BANDS), np.arange(N_BANDS))
-    return level ** 2 + bend ** 2 * np.exp(-0.5 * (lag / _CORRELATED) ** 2) + rough ** 2 * np.eye(N_BANDS)
+    return level ** 2 + bend ** 2 * correlation_of_bands(N_BANDS, _CORRELATED) + rough ** 2 * np.eye(N_BANDS)
 
 
 def covariances(index: ParameterIndex, shape: tuple[float, float, float], own_scale: list[float],
