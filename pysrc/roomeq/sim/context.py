@@ -16,6 +16,7 @@ from roomeq.core.constants import bands_hz
 from roomeq.core.jit import on_threads
 from roomeq.sim.array_noise import make_coherent
 from roomeq.sim.boundary import NearImages, near_images
+from roomeq.sim.defaults import ISM_ORDER
 from roomeq.sim.diffraction import Diffracted, diffract
 from roomeq.sim.echogram import FRAME_S, compute_echograms
 from roomeq.sim.images import SpecularPaths, specular_paths
@@ -184,7 +185,7 @@ class RenderContext:
 
 
 def make_render_context(traced: "TracedSource", mics_m: ArrayLike, rngs: Sequence[np.random.Generator], *,
-                        length_s: float | None, ism_order: int, diffraction: bool,
+                        length_s: float | None = None, ism_order: int = ISM_ORDER, diffraction: bool = True,
                         source_directivity: Directivity | None = None,
                         mic_directivities: Sequence[Directivity | None] | None = None,
                         path_samples: list[PathSample] | None = None,

@@ -49,7 +49,6 @@ from roomeq.sim.trace import Paths, trace
 
 logger = logging.getLogger(__name__)
 
-_DEFAULTS: dict[str, Any] = dict(length_s=None, ism_order=ISM_ORDER, diffraction=True)
 _CLOSE_ENOUGH = 0.025  # relative error of the target at which nothing is rendered again
 _MAX_RENDERINGS = 5
 SLOW_BANDS_S = 3.0
@@ -226,7 +225,7 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
         No scaling brings T30 within 5 % of the target with T20 about the same, because of the room, its air or the
         direct sound.
     """
-    context = make_render_context(traced, mics_m, rngs, **(_DEFAULTS | options))
+    context = make_render_context(traced, mics_m, rngs, **options)
     base = traced.scene.absorption if absorption is None else absorption
     guess = eyring_exponent(traced.scene, target_s, base)
     close = hides_decay(traced.scene, np.linalg.norm(context.mics_m - traced.source_pos_m, axis=1), target_s)
