@@ -13,9 +13,9 @@ from roomeq.effects.response import RESPONSE_HZ
 from roomeq.loop.acceptance import OTHER_DEVICES
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, LENGTH_S, N_SAMPLES, STEP_S
 from roomeq.loop.features import METRIC, N_FEATURES, REGION
+from roomeq.loop.heldout_errors import SPLITS
 from roomeq.loop.ledger import LEDGER_FILE, RESIDUALS_FILE
 from roomeq.loop.ledger_checks import LEDGER_FORMAT
-from roomeq.loop.selection import SPLITS
 from roomeq.records.geometry import MARKED
 
 LEFT_OUT = [dict(reason="the room's dimensions are unknown", rirs=7, rooms=2), dict(reason=MARKED, rirs=3, rooms=3)]

@@ -38,6 +38,7 @@ from roomeq.loop.features import (
     with_noise_in_octaves,
 )
 from roomeq.loop.fit import fit
+from roomeq.loop.heldout_errors import _USABLE, SPLITS, heldout_errors, p_with_other_devices, transferred
 from roomeq.loop.ledger import _parameter_intervals
 from roomeq.loop.likelihood import misfit, normal_equations
 from roomeq.loop.packing import N_SURFACE, Linearization, ParameterIndex
@@ -45,17 +46,7 @@ from roomeq.loop.power import _changes, detectable_sizes
 from roomeq.loop.predict import ReflectedEnergy, predict
 from roomeq.loop.refined_facing import _turned, refined_facings
 from roomeq.loop.rendering import render_rows, rendered_features, row_models
-from roomeq.loop.selection import (
-    _USABLE,
-    SPLITS,
-    _candidate,
-    choose,
-    heldout_errors,
-    p_with_other_devices,
-    rank,
-    size_of_change_jnd,
-    transferred,
-)
+from roomeq.loop.selection import _candidate, choose, rank, size_of_change_jnd
 from roomeq.loop.session import Session, fit_base_model, with_rendered_changes
 from roomeq.loop.splitters import (
     COMMON_SPECTRUM,

@@ -18,15 +18,8 @@ import numpy as np
 from scipy import stats
 
 from roomeq.effects.base import Effect
-from roomeq.loop.selection import (
-    LEVEL,
-    SPLITS,
-    HeldOutErrors,
-    p_lower,
-    p_with_other_devices,
-    share_of_fall,
-    weights_of,
-)
+from roomeq.loop.heldout_errors import SPLITS, HeldOutErrors, p_lower, p_with_other_devices, share_of_fall
+from roomeq.loop.selection import LEVEL, weights_of
 from roomeq.loop.session import Session
 
 RISES, OTHER_DEVICES, NO_CLEAR_FALL = "error rises", "not in rooms with other devices", "no clear fall"
@@ -50,7 +43,7 @@ class Trial(NamedTuple):
     Attributes
     ----------
     p, falls : dict
-        By split: p value of a lower error (`roomeq.loop.selection.p_lower`), and the fall as a share of the error.
+        By split: p value of a lower error (`roomeq.loop.heldout_errors.p_lower`), and the fall as a share of the error.
     joint_p : float
         p value of both splits, by Fisher's method.
     other_devices_p : float or None

@@ -25,8 +25,8 @@ from roomeq.effects.noise_floor import NOISE_S
 from roomeq.loop.data import Data, measured_fields
 from roomeq.loop.features import BAND_OF_FEATURE, HAS_GAIN, METRIC, Features, measure_features
 from roomeq.loop.fit import fit
+from roomeq.loop.heldout_errors import SPLITS, HeldOutErrors, heldout_errors, score_test_set, transferred
 from roomeq.loop.rendering import RawRir, finished_rir, map_rendered, on_recording_time, row_models
-from roomeq.loop.selection import SPLITS, HeldOutErrors, heldout_errors, score_test_set, transferred
 from roomeq.loop.session import Session
 from roomeq.loop.splitters import EVERY_FEATURE
 from roomeq.records.schema import is_timed

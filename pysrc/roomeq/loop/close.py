@@ -25,6 +25,16 @@ from roomeq.loop.examples import EXAMPLES_FILE, read_recordings, write_examples
 from roomeq.loop.facing import unknown_facings, with_estimated_facings
 from roomeq.loop.fit import fit
 from roomeq.loop.held_out import held_out_rirs
+from roomeq.loop.heldout_errors import (
+    SPLITS,
+    HeldOutErrors,
+    heldout_errors,
+    measurable_rooms,
+    one_sided_p,
+    p_lower,
+    score_test_set,
+    transferred,
+)
 from roomeq.loop.ledger import (
     LEDGER_FILE,
     RESIDUALS_FILE,
@@ -39,22 +49,7 @@ from roomeq.loop.ledger import (
 from roomeq.loop.ledger_checks import LEDGER_FORMAT
 from roomeq.loop.power import detectable_sizes
 from roomeq.loop.refined_facing import refined_facings
-from roomeq.loop.selection import (
-    LEVEL,
-    SPLITS,
-    Candidate,
-    HeldOutErrors,
-    choose,
-    heldout_errors,
-    helps_beside,
-    measurable_rooms,
-    one_sided_p,
-    p_lower,
-    rank,
-    score_test_set,
-    transferred,
-    weights_of,
-)
+from roomeq.loop.selection import LEVEL, Candidate, choose, helps_beside, rank, weights_of
 from roomeq.loop.session import Session, fit_base_model, refit_rendered, with_measured_effects
 from roomeq.loop.shared_devices import warn_of_shared_devices
 from roomeq.loop.unexplained import find_unexplained

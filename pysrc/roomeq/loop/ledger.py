@@ -21,9 +21,10 @@ from roomeq.loop.acceptance import Trial
 from roomeq.loop.data import Data
 from roomeq.loop.examples import EXAMPLES_FILE, read_arrays, read_examples
 from roomeq.loop.features import N_FEATURES
+from roomeq.loop.heldout_errors import SPLITS, HeldOutErrors
 from roomeq.loop.ledger_checks import InvalidEntryError, check_ledger
 from roomeq.loop.packing import OWN_SCOPES
-from roomeq.loop.selection import SPLITS, Candidate, HeldOutErrors
+from roomeq.loop.selection import Candidate
 from roomeq.loop.session import Session
 from roomeq.loop.splitters import leave_rooms_out
 from roomeq.loop.usable import LeftOut

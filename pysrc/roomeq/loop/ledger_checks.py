@@ -12,7 +12,7 @@ from roomeq.effects.model import read_parameters
 from roomeq.loop.acceptance import REASONS
 from roomeq.loop.facing_estimate import HYPOTHESES
 from roomeq.loop.features import LARGEST, METRIC, REGION
-from roomeq.loop.selection import SPLITS
+from roomeq.loop.heldout_errors import SPLITS
 from roomeq.loop.usable import LeftOut
 
 LEDGER_FORMAT = 8

@@ -104,6 +104,12 @@ def predicted_without(data: Data, fitted: Fit, effects: Sequence[type[Effect]] =
         index.absorption(fitted.mean, fitted.local), [vectors[k] for k in kept])
 
 
+def change_by(data: Data, effect: type[Effect], fitted: Fit) -> FloatArray:
+    """Return the predicted change of the features by an effect of a fitted model, (n_rirs, n_features) [JND]."""
+    change = predicted_without(data, fitted) - predicted_without(data, fitted, [effect])
+    return np.where(data.valid, change, 0.0)
+
+
 def in_order(effects: Iterable[type[Effect]]) -> tuple[type[Effect], ...]:
     """Return types of effects in the catalogue's order."""
     return tuple(sorted(effects, key=_ORDER.index))

@@ -22,8 +22,8 @@ from roomeq.loop.descriptions import (
 from roomeq.loop.examples import DECAY_BANDS, EXAMPLES_FILE, KINDS, STEP_S, Examples, read_examples
 from roomeq.loop.facing_estimate import FacingEstimate
 from roomeq.loop.features import BAND_OF_FEATURE, METRIC, REGION
+from roomeq.loop.heldout_errors import SPLITS
 from roomeq.loop.ledger import LEDGER_FILE, RESIDUALS_FILE, added_effects, read_ledger, read_residuals
-from roomeq.loop.selection import SPLITS
 from roomeq.loop.unexplained import Unexplained
 from roomeq.report import figures, figures_loop
 from roomeq.report.formats import hertz, number, percent, with_interval, with_minus

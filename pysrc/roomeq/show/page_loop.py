@@ -12,8 +12,8 @@ from roomeq.effects.noise_floor import NoiseFloor
 from roomeq.effects.response import RESPONSE_HZ, Response
 from roomeq.loop.descriptions import advise_on_residual, describe_effect, describe_residual, effect_label
 from roomeq.loop.examples import EXAMPLES_FILE, Examples, read_examples
+from roomeq.loop.heldout_errors import SPLITS
 from roomeq.loop.ledger import LEDGER_FILE, added_effects, read_ledger
-from roomeq.loop.selection import SPLITS
 from roomeq.loop.unexplained import Unexplained
 from roomeq.report import figures, figures_loop, section_loop
 from roomeq.report.figures import Draw, Panel, panel

@@ -8,7 +8,7 @@ import pytest
 
 from roomeq.loop.ceiling import MIN_EXPLAINABLE_JND, _moved, describe_explained, explained
 from roomeq.loop.features import METRIC, N_FEATURES
-from roomeq.loop.selection import SPLITS, HeldOutErrors
+from roomeq.loop.heldout_errors import SPLITS, HeldOutErrors
 from roomeq.sim.geometry import Place
 from roomeq.sim.scene import Shoebox
 

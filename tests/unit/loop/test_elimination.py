@@ -11,8 +11,8 @@ from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.effects.source_response import SourceResponse
 from roomeq.loop import close
 from roomeq.loop.features import N_FEATURES
+from roomeq.loop.heldout_errors import SPLITS, HeldOutErrors
 from roomeq.loop.ledger import added_effects, update_errors
-from roomeq.loop.selection import SPLITS, HeldOutErrors
 from roomeq.loop.session import Session
 
 ROOMS = 8

@@ -13,8 +13,8 @@ from roomeq.loop import facing
 from roomeq.loop.close import _faced_base_model, _facings
 from roomeq.loop.data import load_data
 from roomeq.loop.facing import _log_likelihood, estimate_facings, unknown_facings
+from roomeq.loop.heldout_errors import transferred
 from roomeq.loop.packing import N_SURFACE, ParameterIndex
-from roomeq.loop.selection import transferred
 from roomeq.loop.usable import usable_rirs
 
 SOURCES_M = [(2.0, 2.0, 1.2), (6.0, 4.0, 1.2), (2.0, 5.0, 1.2)]

@@ -12,12 +12,13 @@ from roomeq.effects.noise_floor import NoiseFloor
 from roomeq.effects.room_eq import RoomEq
 from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.effects.source_response import SourceResponse
-from roomeq.loop import acceptance, close, selection
+from roomeq.loop import acceptance, close, heldout_errors, selection
 from roomeq.loop.features import JND, LATE_S, METRIC, N_FEATURES, feature_slice
 from roomeq.loop.fit import SharedPrior, _best_shape, shortened_step, solve_step
+from roomeq.loop.heldout_errors import SPLITS, HeldOutErrors, p_lower, share_of_fall
 from roomeq.loop.likelihood import NormalEquations, scatter
 from roomeq.loop.predict import base_state, predict
-from roomeq.loop.selection import SPLITS, Candidate, HeldOutErrors, p_lower, share_of_fall, weights_of
+from roomeq.loop.selection import Candidate, weights_of
 from roomeq.loop.splitters import rooms_by_devices
 from roomeq.loop.tables import FRAME_EDGES_S, Table
 from roomeq.loop.unexplained import find_unexplained
@@ -218,7 +219,7 @@ def test_features_weigh_by_their_predicted_change_over_their_variance(monkeypatc
     """The arrival changes by 2 JND and scatters by 0.5; a level changes by 0.5 and scatters by 2; another hardly."""
     change = np.zeros((3, N_FEATURES))
     change[:, :3] = [2.0, -0.5, 0.2]
-    monkeypatch.setattr(selection, "_change_by", lambda *_: change)
+    monkeypatch.setattr(selection, "change_by", lambda *_: change)
     sigma, omega = np.ones(N_FEATURES), np.zeros(N_FEATURES)
     sigma[:2], omega[:2] = [0.4, 2.0], [0.3, 0.0]
     weights = weights_of(None, SimpleNamespace(data=None, fit=SimpleNamespace(sigma=sigma, omega=omega)))
@@ -246,7 +247,7 @@ def test_mid_p_value_is_the_share_of_signs_with_a_larger_mean(n_halves):
     signs = 1 - 2 * (np.arange(2 ** n_halves)[:, None] >> np.arange(n_halves) & 1)
     above = np.round(signs @ change - change.sum(), 6)
     expected = np.mean(above > 0.0) + 0.5 * np.mean(above == 0.0)
-    assert selection._mid_p_of_signs(change) == pytest.approx(expected, abs=1e-12 if n_halves < 19 else 0.01)
+    assert heldout_errors._mid_p_of_signs(change) == pytest.approx(expected, abs=1e-12 if n_halves < 19 else 0.01)
 
 
 def test_rooms_without_what_an_effect_touches_count_as_rooms_without_a_fall():

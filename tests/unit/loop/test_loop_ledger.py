@@ -10,8 +10,8 @@ from roomeq.core.files import read_json, write_json
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.source_response import SourceResponse
 from roomeq.loop import ledger as ledger_module
+from roomeq.loop.heldout_errors import SPLITS
 from roomeq.loop.ledger import LEDGER_FILE, count_entries, read_ledger, update_parameters, validate_loop
-from roomeq.loop.selection import SPLITS
 from roomeq.report import section_loop
 from roomeq.show.page_loop import show_loop
 

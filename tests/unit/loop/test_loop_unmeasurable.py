@@ -9,8 +9,8 @@ from loop_run import make_loop
 from roomeq.core.files import read_json, write_json
 from roomeq.loop.close import _require_errors, _with_errors
 from roomeq.loop.features import N_FEATURES, SCORED
+from roomeq.loop.heldout_errors import SPLITS, HeldOutErrors, measurable_rooms
 from roomeq.loop.ledger import LEDGER_FILE, error_entry, read_ledger
-from roomeq.loop.selection import SPLITS, HeldOutErrors, measurable_rooms
 from roomeq.report.section_loop import error_rows
 
 

@@ -9,8 +9,8 @@ from rirmaker import coloured_rir, write_rir_dir
 from roomeq.effects.noise_floor import NoiseFloor
 from roomeq.loop.data import load_data
 from roomeq.loop.fit import fit
+from roomeq.loop.heldout_errors import heldout_errors
 from roomeq.loop.packing import _gains
-from roomeq.loop.selection import heldout_errors
 from roomeq.loop.session import fit_base_model
 from roomeq.loop.splitters import split_positions
 from roomeq.loop.usable import usable_rirs

@@ -9,7 +9,7 @@ from rirmaker import coloured_rir, write_rir_dir
 
 from roomeq.loop.data import load_data
 from roomeq.loop.features import HAS_GAIN, METRIC
-from roomeq.loop.selection import _USABLE, heldout_errors, transferred
+from roomeq.loop.heldout_errors import _USABLE, heldout_errors, transferred
 from roomeq.loop.session import fit_base_model
 from roomeq.loop.splitters import split_positions
 from roomeq.loop.usable import usable_rirs
