@@ -15,27 +15,36 @@ directions u and with the mirror image R u.
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import sici
 
 from roomeq.core.arrays import FloatArray, IntArray
-from roomeq.core.constants import exact_bands_hz
+from roomeq.core.constants import BANDS_HZ, exact_bands_hz
 from roomeq.sim.adjacency import joined_faces
-from roomeq.sim.images import specular_paths
 from roomeq.sim.room import Room
 from roomeq.sim.scene import Scene, Shoebox
 from roomeq.sim.trace import sphere_directions
+from roomeq.sim.walls import Walls
 
 if TYPE_CHECKING:
     from roomeq.sim.context import Directivity
     from roomeq.sim.mesh import MeshRoom
 
-_BESIDE_M = 1e-6  # a path from a point to itself would have no direction
+_REACH = 0.3  # of the largest wavelength: the mean of sin(kd) / (kd) over an octave is negative from here on
 _DIRECTIONS = 200
 _ACROSS = 0.7  # largest cosine between the normals of surfaces that form an edge or a corner
+
+
+class _Surfaces(NamedTuple):
+    """Surfaces next to a point: its height [m] above each, their normals into the air, numbers, and roots of areas."""
+
+    height_m: FloatArray
+    normals: FloatArray
+    surface: IntArray
+    extent_m: FloatArray
 
 
 @dataclass(frozen=True)
@@ -80,20 +89,19 @@ class NearImages:
 
 def near_images(scene: Scene, point_m: ArrayLike, directivity: "Directivity | None" = None) -> NearImages:
     """Find the images of a source or microphone at a point, shape (3,), in the surfaces next to it."""
-    point_m = np.asarray(point_m, dtype=float)
-    paths = specular_paths(scene.room, point_m, point_m + _BESIDE_M, 1)
+    beside = _beside(scene.room, np.asarray(point_m, dtype=float), _REACH * scene.air.speed_m_s / BANDS_HZ[0])
     nearest: list[int] = []
-    for n in np.flatnonzero(paths.surface_counts.any(axis=1)):
-        if len(nearest) < 3 and np.all(np.abs(paths.departure[nearest] @ paths.departure[n]) < _ACROSS):
+    for n in np.argsort(beside.height_m, kind="stable"):
+        if len(nearest) < 3 and np.all(np.abs(beside.normals[nearest] @ beside.normals[n]) < _ACROSS):
             nearest.append(int(n))
-    groups = [list(group) for size in (1, 2, 3) for group in combinations(range(len(nearest)), size)]
-    towards_m = (paths.distance_m[:, None] * paths.departure)[nearest]
-    counts, extent_m = paths.surface_counts[nearest], _extents_m(scene.room, point_m, paths.departure[nearest])
+    groups = [list(group) for size in (1, 2, 3) for group in combinations(nearest, size)]
+    to_image_m = 2.0 * beside.height_m[:, None] * beside.normals
+    one_reflection = np.eye(len(scene.room.surfaces), dtype=int)[beside.surface]
     return NearImages(
-        np.array([np.linalg.norm(towards_m[group].sum(axis=0)) for group in groups]),
-        np.array([counts[group].sum(axis=0) for group in groups]).reshape(len(groups), counts.shape[1]),
-        np.array([extent_m[group].min() for group in groups]),
-        np.array([_likeness(directivity, paths.departure[nearest][group], scene.n_bands) for group in groups]).reshape(
+        np.array([np.linalg.norm(to_image_m[group].sum(axis=0)) for group in groups]),
+        np.array([one_reflection[group].sum(axis=0) for group in groups]).reshape(len(groups), one_reflection.shape[1]),
+        np.array([beside.extent_m[group].min() for group in groups]),
+        np.array([_likeness(directivity, beside.normals[group], scene.n_bands) for group in groups]).reshape(
             len(groups), scene.n_bands))
 
 
@@ -109,12 +117,19 @@ def _likeness(directivity: "Directivity | None", normals: FloatArray, n_bands: i
     return np.sum(ahead * behind, axis=0) / np.maximum(power, np.finfo(float).tiny)
 
 
-def _extents_m(room: Room, point_m: FloatArray, directions: FloatArray) -> FloatArray:
-    """Return the root of the area of the flat region in each direction, shape (n,); of a shoebox that of its walls."""
+def _beside(room: Room, point_m: FloatArray, reach_m: float) -> _Surfaces:
+    """Find the surfaces whose mirrors show a point to itself, up to a distance."""
     if isinstance(room, Shoebox):
-        walls = 2 * np.abs(directions).argmax(axis=1)
-        return np.sqrt(room.surface_area_m2[walls])
+        walls = cast(Walls, room.walls)
+        height_m = walls.normals @ point_m - walls.offsets
+        at = np.flatnonzero(height_m < reach_m)
+        return _Surfaces(height_m[at], walls.normals[at], walls.face_surface[at], np.sqrt(room.surface_area_m2[at]))
     mesh = cast("MeshRoom", room)
     region = mesh.remember("regions", None, 1, lambda: joined_faces(mesh.planes, mesh.meetings))
-    face, _ = mesh.first_hits(np.tile(point_m, (len(directions), 1)), directions)
-    return np.sqrt(np.bincount(region, mesh.face_area_m2)[region[face]])
+    height_m = mesh.planes.mirrors[:, :3] @ point_m - mesh.planes.mirrors[:, 3]
+    plane = np.flatnonzero((height_m > 0.0) & (height_m < reach_m))
+    face, _ = mesh.first_hits(np.tile(point_m, (len(plane), 1)), -mesh.planes.mirrors[plane, :3])
+    shown = (face >= 0) & (mesh.planes.of_face[face] == plane)
+    plane, face = plane[shown], face[shown]
+    return _Surfaces(height_m[plane], mesh.planes.mirrors[plane, :3], mesh.face_surface[face],
+                     np.sqrt(np.bincount(region, mesh.face_area_m2)[region[face]]))
