@@ -115,14 +115,14 @@ def _read_other(path: Path) -> Triangles:
                                             for node in scene.graph.nodes_geometry))
     triangles: list[FloatArray] = [np.empty((0, 3, 3))]
     names: list[str] = []
+    several = suffix == ".stl" and len(scene.geometry) > 1
+    solids = dict(zip(scene.geometry, _solid_names(path), strict=True)) if several else {}
     for node in sorted(scene.graph.nodes_geometry):
         transform, geometry = scene.graph[node]
         mesh = scene.geometry[geometry]
         if not isinstance(mesh, trimesh.Trimesh):
             continue
-        material = getattr(getattr(mesh.visual, "material", None), "name", None)
-        if suffix == ".stl" and len(scene.geometry) > 1:
-            material = geometry  # of an STL file of several solids, the name of the solid
+        material = solids.get(geometry) or getattr(getattr(mesh.visual, "material", None), "name", None)
         placed, faces = trimesh.transform_points(mesh.vertices, transform), np.asarray(mesh.faces)
         if suffix in (".glb", ".gltf"):
             placed = placed[:, [0, 2, 1]] * [1.0, -1.0, 1.0]  # there y is up (glTF 2.0, 3.4); here z is
@@ -131,6 +131,13 @@ def _read_other(path: Path) -> Triangles:
         triangles.append(placed[faces])
         names += [material or UNNAMED] * len(mesh.faces)
     return Triangles(np.concatenate(triangles), names)
+
+
+def _solid_names(path: Path) -> list[str]:
+    """Return the name of each solid of an STL file that has triangles; trimesh numbers those of one name."""
+    solids = re.findall(r"^\s*solid\b[ \t]*(.*?)[ \t]*$(.*?)^\s*endsolid", path.read_text(errors="replace"),
+                        flags=re.DOTALL | re.IGNORECASE | re.MULTILINE)
+    return [name for name, facets in solids if "vertex" in facets.lower()]
 
 
 def _read_obj(path: Path) -> Triangles:

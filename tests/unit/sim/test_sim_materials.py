@@ -136,12 +136,13 @@ def test_docstring_example_runs(tmp_path, published_table):
     np.testing.assert_allclose(response.absorption, scene.absorption)
 
 
-def test_stl_solids_become_materials(tmp_path):
+@pytest.mark.parametrize("solids", [["a", "b"], ["b 1", "a", "a", "b 1"], ["a_1", "a", "a"]])
+def test_stl_solids_become_materials(solids, tmp_path):
     facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 {0}\nvertex 1 0 {0}\nvertex 0 1 {0}\nendloop\nendfacet\n"
     path = tmp_path / "two.stl"
-    path.write_text("".join(f"solid {name}\n{facet.format(n)}endsolid {name}\n" for n, name in enumerate("ab")))
+    path.write_text("".join(f"solid {name}\n{facet.format(n)}endsolid {name}\n" for n, name in enumerate(solids)))
     triangles, names = read_triangles(path)
-    assert names == ["a", "b"] and len(triangles) == 2
+    assert [names[n] for n in np.argsort(triangles[:, 0, 2])] == solids
 
 
 @pytest.fixture
