@@ -58,6 +58,7 @@ from roomeq.sim.geometry import towards_microphone
 
 logger = logging.getLogger(__name__)
 _FEWEST_ROOMS = 2
+_NOTABLE_JND = 0.1
 """Rooms with an error from which on a mean has an interval."""
 _REMEDY = "record until the decay ends in the noise"
 SCATTERING = 0.3
@@ -165,6 +166,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
         for candidate, size_jnd in zip(ranking, sizes, strict=True)))
     ceiling = ceiling_errors(session)
     shares = explained(first_errors, errors, ceiling)
+    _log_rises("final model", first_errors, errors)
     _log_explained("final model", ceiling, shares)
     ledger = dict(
         format=LEDGER_FORMAT, **counts, left_out=left_out_entries(data.left_out),
@@ -342,6 +344,7 @@ def _test_entry(data: Data, first: Session, last: Session) -> dict:
                 *(errors.mean(split) for split in SPLITS for errors in (before, after)), _of_scored(counts))
     ceiling = ceiling_of_test_set(data, last)
     shares = explained(before, after, ceiling)
+    _log_rises("test set", before, after)
     _log_explained("test set", ceiling, shares)
     return dict(**counts, left_out=left_out_entries(data.left_out),
                 geometry=[estimate.as_dict() for estimate in data.estimates],
@@ -352,6 +355,17 @@ def _test_entry(data: Data, first: Session, last: Session) -> dict:
 
 def _of_scored(counts: dict[str, int]) -> str:
     return f", scored on {scored}" if (scored := describe_scored(counts)) else ""
+
+
+def _log_rises(name: str, before: HeldOutErrors, after: HeldOutErrors) -> None:
+    """Log the metrics whose error rises, which the mean hides."""
+    for split in SPLITS:
+        earlier, later = before.by_metric(split), after.by_metric(split)
+        rises = [f"{metric} {earlier[metric]:.2f} -> {later[metric]:.2f} JND" for metric in earlier
+                 if metric in later and later[metric] - earlier[metric] > _NOTABLE_JND]
+        if rises:
+            logger.info("%s: the held-out error of some metrics rises: %s (%s)", name, "; ".join(rises),
+                        split.replace("_", "-"))
 
 
 def _log_explained(name: str, ceiling: HeldOutErrors, shares: dict) -> None:

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from roomeq.loop import close
 from roomeq.loop.ceiling import MIN_EXPLAINABLE_JND, _moved, describe_explained, explained
 from roomeq.loop.features import METRIC, N_FEATURES
 from roomeq.loop.heldout_errors import SPLITS, HeldOutErrors
@@ -30,6 +31,17 @@ def test_share_is_the_fall_relative_to_what_can_fall():
     assert entry["by_metric"] == dict.fromkeys(METRIC, alike) and entry["by_band"] == [alike] * 8
     assert entry["at_ceiling"] == []
     assert describe_explained(entry).startswith("67 % [")
+
+
+def test_metrics_whose_error_rises_are_logged(caplog):
+    before, after = errors([4.0, 4.2, 3.8]), errors([2.0, 2.1, 1.9])
+    for values in after.by_split.values():
+        values[:, METRIC == "t20"] = 4.5
+    with caplog.at_level("INFO", "roomeq"):
+        close._log_rises("final model", before, after)
+    assert [record.getMessage() for record in caplog.records] == [
+        f"final model: the held-out error of some metrics rises: t20 4.00 -> 4.50 JND ({split.replace('_', '-')})"
+        for split in SPLITS]
 
 
 def test_interval_covers_the_share_of_the_population():
