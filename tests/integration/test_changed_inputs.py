@@ -23,7 +23,7 @@ def change(path):
     """Attenuate a recording after its loudest sample; its length stays, so that no table of the corpus changes."""
     samples, fs_hz = soundfile.read(path)
     samples[abs(samples).argmax() + 1:] *= 0.7
-    (write_flac if path.suffix == ".flac" else write_wav)(path, samples, fs_hz)
+    write_flac(path, samples) if path.suffix == ".flac" else write_wav(path, samples, fs_hz)
 
 
 @pytest.fixture
