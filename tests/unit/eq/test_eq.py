@@ -249,7 +249,6 @@ def test_component_is_as_wide_as_its_rirs():
     assert np.array(gmm["covariances_db2"][0]) == pytest.approx(np.cov(vectors.T, bias=True), abs=1e-6)
 
 
-@pytest.mark.filterwarnings("ignore:Number of distinct clusters")
 @pytest.mark.parametrize("weight_rooms", [False, True])
 def test_one_rir_makes_a_component_of_min_width(weight_rooms):
     vector_db = np.arange(7.0)
@@ -259,6 +258,7 @@ def test_one_rir_makes_a_component_of_min_width(weight_rooms):
     assert gmm["weights"] == [1.0] and gmm["n_rirs"] == 1
 
 
+@pytest.mark.filterwarnings("ignore:Number of distinct clusters")
 def test_nearly_as_many_components_as_rirs_keep_min_width():
     rng = np.random.default_rng(0)
     vectors = np.concatenate([np.repeat(rng.normal(0, 3, (1, 7)), 7, axis=0), rng.normal(0, 3, (2, 7))])
