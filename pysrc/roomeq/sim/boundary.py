@@ -53,56 +53,47 @@ class NearImages:
 
     Attributes
     ----------
-    distance_m
-        From the point, shape (n_images,).
     surface_counts
         Number of reflections at each surface, shape (n_images, n_surfaces).
-    extent_m
-        Root of the area of the smallest flat region that reflects, shape (n_images,).
-    likeness
-        Of the directivity and its mirror image, in [-1, 1], shape (n_images, n_bands).
+    in_phase
+        Share of each image's pressure that is in phase with the point's own, shape (n_images, n_bands).
     """
 
-    distance_m: FloatArray
     surface_counts: IntArray
-    extent_m: FloatArray
-    likeness: FloatArray
+    in_phase: FloatArray
 
     def gain(self, scene: Scene, absorption: FloatArray) -> FloatArray:
-        """Return the gain of energy in each band, for absorption of shape (n_surfaces, n_bands), shape (n_bands,).
-
-        An image counts where half a wavelength is less than its extent. Negative means over an octave, from about a
-        quarter of a wavelength from the surface on, count as 0: further away, other surfaces are as near. At
-        wavelengths above ``8 V / S``, where the room has more modes by its surface than by its volume (Kuttruff, Room
-        Acoustics, ch. 3), there is no diffuse field, and the gain is 1.
-        """
+        """Return the gain of energy in each band, for absorption of shape (n_surfaces, n_bands), shape (n_bands,)."""
         reflected = np.maximum((1.0 - absorption) * (1.0 - scene.scattering), 1e-200)
         pressure = np.exp(0.5 * self.surface_counts @ np.log(reflected))
-        wavelength_m = scene.air.speed_m_s / np.array(exact_bands_hz(scene.fs_hz))
-        low, high = (2.0 * np.pi * edge * self.distance_m[:, None] / wavelength_m for edge in (0.5 ** 0.5, 2.0 ** 0.5))
-        in_phase = np.maximum((sici(high)[0] - sici(low)[0]) / (high - low), 0.0)
-        reflects = 0.5 * wavelength_m < self.extent_m[:, None]
-        diffuse = scene.room.surface_area_m2.sum() * wavelength_m < 8.0 * scene.room.volume_m3
-        gain = 1.0 + np.sum(pressure * in_phase * reflects * self.likeness, axis=0)
-        return np.where(diffuse, np.maximum(gain, 0.0), 1.0)
+        return np.maximum(1.0 + np.sum(pressure * self.in_phase, axis=0), 0.0)
 
 
 def near_images(scene: Scene, point_m: ArrayLike, directivity: "Directivity | None" = None) -> NearImages:
-    """Find the images of a source or microphone at a point, shape (3,), in the surfaces next to it."""
+    """Find the images of a source or microphone at a point, shape (3,), in the surfaces next to it.
+
+    An image counts where half a wavelength is less than the extent of its surfaces. Negative means over an octave, from
+    about a quarter of a wavelength from the surface on, count as 0: further away, other surfaces are as near. At
+    wavelengths above ``8 V / S``, where the room has more modes by its surface than by its volume (Kuttruff, Room
+    Acoustics, ch. 3), there is no diffuse field, and no image counts.
+    """
     beside = _beside(scene.room, np.asarray(point_m, dtype=float), _REACH * scene.air.speed_m_s / BANDS_HZ[0])
     nearest: list[int] = []
     for n in np.argsort(beside.height_m, kind="stable"):
         if len(nearest) < 3 and np.all(np.abs(beside.normals[nearest] @ beside.normals[n]) < _ACROSS):
             nearest.append(int(n))
-    groups = [list(group) for size in (1, 2, 3) for group in combinations(nearest, size)]
-    to_image_m = 2.0 * beside.height_m[:, None] * beside.normals
-    one_reflection = np.eye(len(scene.room.surfaces), dtype=int)[beside.surface]
-    return NearImages(
-        np.array([np.linalg.norm(to_image_m[group].sum(axis=0)) for group in groups]),
-        np.array([one_reflection[group].sum(axis=0) for group in groups]).reshape(len(groups), one_reflection.shape[1]),
-        np.array([beside.extent_m[group].min() for group in groups]),
-        np.array([_likeness(directivity, beside.normals[group], scene.n_bands) for group in groups]).reshape(
-            len(groups), scene.n_bands))
+    wavelength_m = scene.air.speed_m_s / np.array(exact_bands_hz(scene.fs_hz))
+    diffuse = scene.room.surface_area_m2.sum() * wavelength_m < 8.0 * scene.room.volume_m3
+    counts = [np.zeros((0, len(scene.room.surfaces)), dtype=int)]
+    in_phase = [np.zeros((0, scene.n_bands))]
+    for group in (list(group) for size in (1, 2, 3) for group in combinations(nearest, size)):
+        to_image_m = np.linalg.norm(2.0 * beside.height_m[group] @ beside.normals[group])
+        low, high = (2.0 * np.pi * edge * to_image_m / wavelength_m for edge in (0.5 ** 0.5, 2.0 ** 0.5))
+        reflects = diffuse & (0.5 * wavelength_m < beside.extent_m[group].min())
+        mean = np.maximum((sici(high)[0] - sici(low)[0]) / (high - low), 0.0)
+        counts.append(np.bincount(beside.surface[group], minlength=len(scene.room.surfaces))[None])
+        in_phase.append((mean * reflects * _likeness(directivity, beside.normals[group], scene.n_bands))[None])
+    return NearImages(np.concatenate(counts), np.concatenate(in_phase))
 
 
 def _likeness(directivity: "Directivity | None", normals: FloatArray, n_bands: int) -> FloatArray:
