@@ -110,8 +110,11 @@ def eq_part(rir: FloatArray, direct_sample: float, fs_hz: float = FS_HZ) -> EqPa
     ValueError
         The direct sound lies after the end of the response.
     """
+    return _eq_part(rir, direct_sample, fs_hz, length_before_silence(rir, fs_hz))
+
+
+def _eq_part(rir: FloatArray, direct_sample: float, fs_hz: float, last: int) -> EqPart:
     direct = max(0, round(direct_sample))
-    last = length_before_silence(rir, fs_hz)
     if last <= direct:
         raise ValueError(f"direct_sample={direct_sample:g} must lie before the response's end, {last}: "
                          "find it again")
@@ -126,8 +129,9 @@ def response_and_noise(rir: FloatArray, direct_sample: float, fs_hz: float = FS_
 
     Silence after the response is no noise; see `roomeq.acoustics.fade.length_before_silence`.
     """
-    start, stop = eq_part(rir, direct_sample, fs_hz)
-    n_frame, noise = frame_length(fs_hz), rir[stop:length_before_silence(rir, fs_hz)]
+    last = length_before_silence(rir, fs_hz)
+    start, stop = _eq_part(rir, direct_sample, fs_hz, last)
+    n_frame, noise = frame_length(fs_hz), rir[stop:last]
     power = energy_spectrum(rir[start:stop], n_frame)
     if len(noise) < MIN_NOISE * fs_hz / FS_HZ:
         return power, None
