@@ -84,28 +84,34 @@ def near_images(scene: Scene, point_m: ArrayLike, directivity: "Directivity | No
             nearest.append(int(n))
     wavelength_m = scene.air.speed_m_s / np.array(exact_bands_hz(scene.fs_hz))
     diffuse = scene.room.surface_area_m2.sum() * wavelength_m < 8.0 * scene.room.volume_m3
-    counts = [np.zeros((0, len(scene.room.surfaces)), dtype=int)]
-    in_phase = [np.zeros((0, scene.n_bands))]
-    for group in (list(group) for size in (1, 2, 3) for group in combinations(nearest, size)):
-        to_image_m = np.linalg.norm(2.0 * beside.height_m[group] @ beside.normals[group])
-        low, high = (2.0 * np.pi * edge * to_image_m / wavelength_m for edge in (0.5 ** 0.5, 2.0 ** 0.5))
-        reflects = diffuse & (0.5 * wavelength_m < beside.extent_m[group].min())
-        mean = np.maximum((sici(high)[0] - sici(low)[0]) / (high - low), 0.0)
-        counts.append(np.bincount(beside.surface[group], minlength=len(scene.room.surfaces))[None])
-        in_phase.append((mean * reflects * _likeness(directivity, beside.normals[group], scene.n_bands))[None])
-    return NearImages(np.concatenate(counts), np.concatenate(in_phase))
+    groups = [list(group) for size in (1, 2, 3) for group in combinations(nearest, size)]
+    to_image_m = np.array([np.linalg.norm(2.0 * beside.height_m[group] @ beside.normals[group]) for group in groups])
+    extent_m = np.array([beside.extent_m[group].min() for group in groups])
+    low, high = (2.0 * np.pi * edge * to_image_m[:, None] / wavelength_m for edge in (0.5 ** 0.5, 2.0 ** 0.5))
+    mean = np.maximum((sici(high)[0] - sici(low)[0]) / (high - low), 0.0)
+    in_phase = mean * (diffuse & (0.5 * wavelength_m < extent_m[:, None]))
+    heard = np.flatnonzero(in_phase.any(axis=1))
+    groups, in_phase = [groups[n] for n in heard], in_phase[heard]
+    if directivity is not None and groups:
+        in_phase = in_phase * _likeness(directivity, [beside.normals[group] for group in groups])
+    counts = [np.bincount(beside.surface[group], minlength=len(scene.room.surfaces)) for group in groups]
+    return NearImages(np.reshape(counts, (len(groups), len(scene.room.surfaces))).astype(int), in_phase)
 
 
-def _likeness(directivity: "Directivity | None", normals: FloatArray, n_bands: int) -> FloatArray:
-    """Return how alike a directivity and its image in some mirrors are, for normals of shape (n, 3)."""
-    if directivity is None:
-        return np.ones(n_bands)
-    directions = mirrored = sphere_directions(_DIRECTIONS, np.random.default_rng(0))
-    for normal in normals:
-        mirrored = mirrored - 2.0 * (mirrored @ normal)[:, None] * normal
-    ahead, behind = directivity(directions), directivity(mirrored)
-    power = np.sqrt(np.sum(ahead ** 2, axis=0) * np.sum(behind ** 2, axis=0))
-    return np.sum(ahead * behind, axis=0) / np.maximum(power, np.finfo(float).tiny)
+def _likeness(directivity: "Directivity", mirrors: list[FloatArray]) -> FloatArray:
+    """Return how alike a directivity and its images are, shape (n_images, n_bands).
+
+    Each image is of some mirrors, which have normals of shape (n, 3).
+    """
+    directions = [sphere_directions(_DIRECTIONS, np.random.default_rng(0))]
+    for normals in mirrors:
+        mirrored = directions[0]
+        for normal in normals:
+            mirrored = mirrored - 2.0 * (mirrored @ normal)[:, None] * normal
+        directions.append(mirrored)
+    ahead, *behind = np.split(directivity(np.concatenate(directions)), len(directions))
+    power = np.sqrt(np.sum(ahead ** 2, axis=0) * np.sum(np.square(behind), axis=1))
+    return np.sum(ahead * behind, axis=1) / np.maximum(power, np.finfo(float).tiny)
 
 
 def _beside(room: Room, point_m: FloatArray, reach_m: float) -> _Surfaces:
