@@ -7,10 +7,12 @@ image sources add in phase, but rays add energies, so that theirs is multiplied 
 
     1 + sum a_n sin(k d_n) / (k d_n)
 
-over the images of the microphone or source at distances d_n from itself, with the reflected pressure a_n. A surface
-that is small against the wavelength, as a table at low frequencies, reflects little: its images do not count there.
-Directivities weight each term with how alike they are ahead and in the mirror, ``<D(u) D(R u)> / <D(u)^2>`` over all
-directions u and with the mirror image R u.
+over the images of the microphone or source at distances d_n from itself. Rays bring the energy of incident and of
+reflected sound, 1 + R where a surface reflects the share R; of that, 2 sqrt(R (1 - s)) is in phase if it scatters the
+share s. The ratio of both is a_n; for an image in several surfaces, the product of theirs. A surface that is small
+against the wavelength, as a table at low frequencies, reflects little: its images do not count there. Directivities
+weight each term with how alike they are ahead and in the mirror, ``<D(u) D(R u)> / <D(u)^2>`` over all directions u and
+with the mirror image R u.
 """
 
 from dataclasses import dataclass
@@ -56,7 +58,8 @@ class NearImages:
     surface_counts
         Number of reflections at each surface, shape (n_images, n_surfaces).
     in_phase
-        Share of each image's pressure that is in phase with the point's own, shape (n_images, n_bands).
+        Share of the pressure of each image in rigid surfaces that is in phase with the point's own, shape
+        (n_images, n_bands).
     """
 
     surface_counts: IntArray
@@ -64,9 +67,10 @@ class NearImages:
 
     def gain(self, scene: Scene, absorption: FloatArray) -> FloatArray:
         """Return the gain of energy in each band, for absorption of shape (n_surfaces, n_bands), shape (n_bands,)."""
-        reflected = np.maximum((1.0 - absorption) * (1.0 - scene.scattering), 1e-200)
-        pressure = np.exp(0.5 * self.surface_counts @ np.log(reflected))
-        return np.maximum(1.0 + np.sum(pressure * self.in_phase, axis=0), 0.0)
+        reflected = 1.0 - absorption
+        share = 2.0 * np.sqrt(reflected * (1.0 - scene.scattering)) / (1.0 + reflected)
+        of_images = np.exp(self.surface_counts @ np.log(np.maximum(share, 1e-100)))
+        return np.maximum(1.0 + np.sum(of_images * self.in_phase, axis=0), 0.0)
 
 
 def near_images(scene: Scene, point_m: ArrayLike, directivity: "Directivity | None" = None) -> NearImages:
