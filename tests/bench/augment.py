@@ -31,7 +31,7 @@ sys.path[:0] = [str(PROJECT / "pysrc"), str(PROJECT / "tests")]
 
 from bench.augment_peers import Task, convolve_as_kaldi, present  # noqa: E402
 from roomeq.augment import augment  # noqa: E402
-from roomeq.augment.audio_cache import ShiftedRir, without_rumble  # noqa: E402
+from roomeq.augment.mix import without_rumble  # noqa: E402
 from roomeq.corpora import read_measured, read_noises  # noqa: E402
 from roomeq.kaldi.datadir import read_data_dir, read_utterance  # noqa: E402
 from roomeq.kaldi.wavscp import flac_entry  # noqa: E402
@@ -151,7 +151,7 @@ def rate_of(peer, tasks):
 def compare(speech, rirs, work):
     """Return how far each is from a convolution in float64, and ours from each [dB], aligned and at equal levels.
 
-    Ours is compared with a convolution from 20 Hz on.
+    Ours is compared with a convolution of the speech from 20 Hz on.
 
     Others advance by the largest sample, or not at all, so RIRs are taken whose direct sound that is, at the 16 bits
     that Kaldi reads. Results that clip are left out.
@@ -176,8 +176,7 @@ def compare(speech, rirs, work):
         dry, h = soundfile.read(task.clean)[0], load_rir(some, by_id[row["rir"]])
         exact = fftconvolve(dry, h)[row["shift"]:row["shift"] + task.n_samples]
         ours = read_utterance(result, result.utterances[row["id"]]).astype(float)
-        rir = without_rumble(ShiftedRir(h, row["shift"]), FS)
-        from_20_hz = fftconvolve(dry - dry.mean(), rir.samples)[rir.shift:rir.shift + task.n_samples]
+        from_20_hz = fftconvolve(without_rumble(dry, FS), h)[row["shift"]:row["shift"] + task.n_samples]
         found.setdefault("ours_to_float64", []).append(difference_db(ours, from_20_hz))
         for name, peer in peers.items():
             peer.make(task)

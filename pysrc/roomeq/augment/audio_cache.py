@@ -9,22 +9,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from roomeq.augment.draw import Noise, NoiseDraw, Pool, excerpt_start
-from roomeq.augment.mix import convolve, direct_shift, loop, ring_length, spectra_of, without_offset
+from roomeq.augment.mix import convolve, direct_shift, loop, ring_length, sounds, spectra_of, without_rumble
 from roomeq.core.arrays import Array
 from roomeq.core.audio import read_audio
 from roomeq.core.constants import FS_HZ
 from roomeq.records.rir_dir import load_rir
 
 CACHE_BYTES = 128 << 20
-LOWEST_HZ = 20.0
 
 
 class ShiftedRir(NamedTuple):
-    """An RIR (float32), the delay of its direct sound in samples, and how many samples a filter put ahead of it."""
+    """An RIR (float32), and the delay of its direct sound in samples."""
 
     samples: Array
     shift: int
-    lead: int = 0
 
 
 class Excerpt(NamedTuple):
@@ -46,7 +44,7 @@ class AudioCache:
         self._keep_noises = total * 4 < CACHE_BYTES // 2
 
     def rir(self, rir_id: str) -> ShiftedRir:
-        """Return an RIR without rumble."""
+        """Return an RIR."""
         def read() -> tuple[ShiftedRir, int]:
             row = self.pool.rows[rir_id]
             fs_hz = row.get("fs_hz", FS_HZ)
@@ -54,21 +52,20 @@ class AudioCache:
             shifted = ShiftedRir(rir.astype(np.float32), direct_shift(row, rir))
             if fs_hz != self.fs_hz:
                 shifted = at_rate(shifted, fs_hz, self.fs_hz)
-            shifted = without_rumble(shifted, self.fs_hz)
             return shifted, 4 * len(shifted.samples)
 
         return self._get(f"rir {rir_id}", read)
 
     def noise(self, draw: NoiseDraw, length: int) -> Excerpt:
-        """Return `length` samples of a noise as it arrives at the microphone.
+        """Return `length` samples of a noise as it arrives at the microphone, without rumble.
 
         A point noise starts early enough to fill the whole response of the room.
         """
-        if draw.rir_id is None:
-            return self.excerpt(draw.noise, draw.offset_u, length)
-        rir = self.rir(draw.rir_id).samples
-        samples, start = self.excerpt(draw.noise, draw.offset_u, length + len(rir) - 1, lead=len(rir) - 1)
-        return Excerpt(convolve(spectra_of(samples), rir, len(rir) - 1, length), start)
+        rir = None if draw.rir_id is None else self.rir(draw.rir_id).samples
+        lead = 0 if rir is None else len(rir) - 1
+        samples, start = self.excerpt(draw.noise, draw.offset_u, length + lead, lead)
+        samples = without_rumble(samples, self.fs_hz)
+        return Excerpt(samples if rir is None else convolve(spectra_of(samples), rir, lead, length), start)
 
     def excerpt(self, noise: Noise, u: float, length: int, lead: int = 0) -> Excerpt:
         """Return `length` samples of a noise; if all after the first `lead` are equal, one around a change.
@@ -88,19 +85,19 @@ class AudioCache:
             if rate == self.fs_hz and frames >= length and not self._keep_noises:
                 start = excerpt_start(u, frames, length)
                 samples = read_audio(noise.path, fs_hz=rate, start=start, stop=start + length, dtype="float32")
-                if _sounds(samples[lead:]):
+                if sounds(samples[lead:]):
                     return Excerpt(samples, start)
             whole = self._get(f"noise {noise.id}", lambda: _read_whole(noise.path, self.fs_hz))
         start = excerpt_start(u, len(whole), length)
-        samples = whole[start:start + length] if len(whole) >= length else _repeated(whole, start, length)
-        if _sounds(samples[lead:]):
+        samples = whole[start:start + length] if len(whole) >= length else _repeated(whole, start, length, self.fs_hz)
+        if sounds(samples[lead:]):
             return Excerpt(samples, start)
         wanted = _audible_sample(whole, noise, u) - (length + lead) // 2  # in the middle of what follows the lead
         start = min(max(0, wanted), len(whole) - length)
-        if start >= 0 and _sounds(whole[start + lead:start + length]):
+        if start >= 0 and sounds(whole[start + lead:start + length]):
             return Excerpt(whole[start:start + length], start)
         start = wanted % ring_length(len(whole))
-        return Excerpt(_repeated(whole, start, length), start)
+        return Excerpt(_repeated(whole, start, length, self.fs_hz), start)
 
     def _get(self, key: str, read: Callable[[], tuple[Any, int]]) -> Any:
         """Return what `read` returned for a key (a value and its bytes), and drop what was not used for longest."""
@@ -115,14 +112,9 @@ class AudioCache:
             return self._cached[key][0]
 
 
-def _repeated(samples: Array, start: int, length: int) -> Array:
-    """Return a repeated noise without its constant offset, of which the cross-fades would make pulses."""
-    return loop(without_offset(samples), start, length)
-
-
-def _sounds(samples: Array) -> bool:
-    """Tell whether samples differ; a constant is no sound."""
-    return bool(np.any(samples != samples[0]))
+def _repeated(samples: Array, start: int, length: int, fs_hz: int) -> Array:
+    """Return a repeated noise without its constant offset and rumble, of which the cross-fades would make pulses."""
+    return loop(without_rumble(samples, fs_hz), start, length)
 
 
 def _audible_sample(samples: Array, noise: Noise, u: float) -> int:
@@ -131,21 +123,6 @@ def _audible_sample(samples: Array, noise: Noise, u: float) -> int:
     if not len(positions):
         raise ValueError(f"{noise.path}: noise {noise.id} is silent (all samples the same): leave it out")
     return int(positions[int(u * len(positions))])
-
-
-def without_rumble(rir: ShiftedRir, fs_hz: int) -> ShiftedRir:
-    """Return an RIR less its part below `LOWEST_HZ`, the lower end of hearing and of common features.
-
-    In geometrical acoustics reflections add up there: simulated RIRs would raise the rumble of clean recordings by 14
-    to 19 dB. The filter, of 100 ms, has no phase, so that the waveform above is that of a convolution with the RIR.
-    """
-    from scipy.signal import fftconvolve
-
-    half = round(0.05 * fs_hz)
-    n = np.arange(-half, half + 1)
-    low_pass = np.sinc(2.0 * LOWEST_HZ / fs_hz * n) * np.hanning(len(n) + 2)[1:-1]
-    samples = np.pad(rir.samples, half) - fftconvolve(rir.samples, low_pass / low_pass.sum())
-    return ShiftedRir(samples.astype(np.float32), rir.shift + half, half)
 
 
 def at_rate(rir: ShiftedRir, fs_hz: int, wanted_hz: int) -> ShiftedRir:

@@ -15,7 +15,7 @@ import numpy as np
 from roomeq.augment.audio_cache import AudioCache
 from roomeq.augment.distribution import parse_distribution
 from roomeq.augment.draw import DrawRules, read_pool
-from roomeq.augment.mix import MixedUtterance, convolve, mix, spectra_of, without_offset
+from roomeq.augment.mix import MixedUtterance, convolve, mix, spectra_of, without_rumble
 from roomeq.augment.pack import PlannedUtterance, RecordingFile, file_name, plan_recordings
 from roomeq.augment.step import ROWS_FOLDER, SUMMARY_FILE, AugmentConfig
 from roomeq.augment.summary import Summary, log_summary
@@ -76,7 +76,7 @@ class _Augmenter:
         utterance, where = planned.clean, f"{self.config.data_dir}: utterance {planned.clean.id}"
         clean, spectra = self._read(planned, where)
         rir_id, draws = self.rules.draw(planned.id, self.pool)
-        rir, shift, lead = self.cache.rir(rir_id)
+        rir, shift = self.cache.rir(rir_id)
         reverberated = convolve(spectra, rir, shift, len(clean))
         excerpts = [self.cache.noise(draw, len(clean)) for draw in draws]
         try:
@@ -87,20 +87,20 @@ class _Augmenter:
             raise ValueError(f"{where} with {drawn}: {error}") from None
         return mixed, dict(
             id=planned.id, clean=utterance.id, speaker=utterance.speaker, n_samples=len(clean), rir=rir_id,
-            room=self.pool.rows[rir_id]["room_id"], shift=shift - lead,
+            room=self.pool.rows[rir_id]["room_id"], shift=shift,
             noises=[dict(id=draw.noise.id, kind=draw.noise.kind, rir=draw.rir_id, start=excerpt.start,
                          snr_db=round(draw.snr_db, 4)) for excerpt, draw in zip(excerpts, draws, strict=True)],
             snr_db=None if mixed.snr_db is None else round(mixed.snr_db, 4),
             gain_db=round(mixed.gain_db, 4), peak_gain_db=round(mixed.peak_gain_db, 4))
 
     def _read(self, planned: PlannedUtterance, where: str) -> tuple[Array, Array]:
-        """Return a clean utterance without its offset, and its spectra, which are kept for its next copy."""
+        """Return a clean utterance without rumble, and its spectra, which are kept for its next copy."""
         utterance = planned.clean
         if self._clean is None or self._clean[0] != utterance:
             self._clean = None  # an utterance may last for hours: not two at a time
             try:
-                clean = without_offset(
-                    read_entry(planned.entry, utterance.start_s, utterance.end_s, pipes=self.config.pipes))
+                clean = without_rumble(
+                    read_entry(planned.entry, utterance.start_s, utterance.end_s, pipes=self.config.pipes), FS_HZ)
             except ValueError as error:
                 raise ValueError(f"{where}: {error}") from None
             length_s = len(clean) / FS_HZ

@@ -8,8 +8,8 @@ Conventions
 - Every SNR is a ratio of mean powers over the whole utterance: reverberated speech to that one noise as it arrives
   at the microphone. There is no activity detection: pauses count. Kaldi's `wav-reverberate` counts of the speech what
   arrives within 50 ms of the RIR's largest sample.
-- The constant offset of speech and of noises is removed first: it is of the sound card. What lies below 20 Hz is rumble
-  of the recording and not of the talker, and is not reverberated (`roomeq.augment.audio_cache.without_rumble`).
+- What lies below `LOWEST_HZ` is rumble of the recording, and the constant offset is of the sound card: both are removed
+  from speech and noises first (`without_rumble`).
 - The result has the RMS of the clean utterance. If its peak would exceed `PEAK_LIMIT`, the level is reduced further.
 """
 
@@ -24,6 +24,9 @@ from roomeq.core.constants import FS_HZ
 from roomeq.records.schema import RirRow
 
 PEAK_LIMIT = 0.99
+LOWEST_HZ = 20.0
+"""Lower end of hearing and of common features."""
+_RUMBLE_RATE_HZ = 800
 FADE_SAMPLES = FS_HZ // 20
 """Cross-fade at the repetition of a noise that is shorter than the utterance: 50 ms at 16 kHz."""
 BLOCK = 4096
@@ -148,9 +151,30 @@ def mean_power(x: Array) -> float:
     return float(total) / max(1, len(x))
 
 
-def without_offset(x: Array) -> Array:
-    """Return a signal of float32 less its mean."""
-    return x - np.float32(x.mean(dtype=np.float64))
+def sounds(x: Array) -> bool:
+    """Tell whether samples differ; a constant is no sound."""
+    return bool(np.any(x != x[0]))
+
+
+def without_rumble(x: Array, fs_hz: int) -> Array:
+    """Return a signal of float32 less its part below `LOWEST_HZ`.
+
+    In geometrical acoustics reflections add up there: simulated RIRs would raise the rumble of clean recordings by 14
+    to 19 dB. The filter, of 100 ms, has no phase. What it takes away is computed at a low rate, from means of blocks,
+    and interpolated. The signal goes on as its mirror image at both ends.
+    """
+    x = x - np.float32(x.mean(dtype=np.float64))
+    n_block = round(fs_hz / _RUMBLE_RATE_HZ)
+    n_blocks, half = -(-len(x) // n_block), round(0.05 * fs_hz / n_block)
+    blocks = np.pad(x, (0, n_blocks * n_block - len(x)), mode="symmetric").reshape(n_blocks, n_block)
+    means = np.einsum("ij->i", blocks) / np.float32(n_block)
+    n = np.arange(-half, half) + 0.5  # from the middle of blocks to their edges
+    low_pass = np.sinc(2.0 * LOWEST_HZ * n_block / fs_hz * n) * np.cos(0.5 * np.pi * n / half) ** 2
+    low_pass = (low_pass / low_pass.sum()).astype(np.float32)
+    at_edges = np.convolve(np.pad(means, half, mode="symmetric"), low_pass, "valid")
+    rise = (np.arange(n_block, dtype=np.float32) + np.float32(0.5)) / np.float32(n_block)
+    rumble = at_edges[:-1, None] + np.diff(at_edges)[:, None] * rise
+    return np.asarray(x - rumble.reshape(-1)[:len(x)])
 
 
 def ring_length(n_samples: int) -> int:
@@ -200,11 +224,10 @@ def mix(clean: Array, reverberated: Array, noises: list[tuple[Array, float]]) ->
     if not speech_power > 0:
         raise ValueError("reverberated utterance is silent: the RIR must hold its direct sound: drop the RIR")
     for noise, snr_db in noises:
-        sound = without_offset(noise)
-        power = mean_power(sound)
+        power = mean_power(noise)
         if not power > 0:
             raise ValueError("noise is silent (all samples the same): leave it out")
-        total_noise = total_noise + sound * np.float32(np.sqrt(speech_power / power * 10 ** (-snr_db / 10)))
+        total_noise = total_noise + noise * np.float32(np.sqrt(speech_power / power * 10 ** (-snr_db / 10)))
     if noises:
         samples = reverberated + total_noise
     gain = np.sqrt(clean_power / mean_power(samples))

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.acoustics.direct import find_direct, require_samples
-from roomeq.augment.audio_cache import AudioCache, ShiftedRir, at_rate, without_rumble
+from roomeq.augment.audio_cache import AudioCache, ShiftedRir, at_rate
 from roomeq.augment.distribution import parse_distribution
 from roomeq.augment.draw import DrawRules, Noise, Pool, read_pool
-from roomeq.augment.mix import convolve, mix, spectra_of, without_offset
+from roomeq.augment.mix import convolve, mix, sounds, spectra_of, without_rumble
 from roomeq.core.arrays import Array
 from roomeq.core.constants import FS_HZ, is_number, is_whole, require_fs
 from roomeq.core.rng import rng_for
@@ -118,9 +118,9 @@ class Reverberate:
         Returns
         -------
         ndarray of float32
-            Shape of `samples`. The direct sound is where the clean speech was, the RMS is the same; only where the
-            peak would exceed 0.99, or that of the clean speech where it is larger, is the level reduced. Silence is
-            returned as it is.
+            Shape of `samples`. The direct sound is where the clean speech was, the RMS is that of the clean speech from
+            20 Hz on; only where the peak would exceed 0.99, or that of the clean speech where it is larger, is it
+            reduced. Silence is returned as it is.
 
         Raises
         ------
@@ -132,14 +132,14 @@ class Reverberate:
         given = np.asarray(samples)
         clean = _one_channel(given[0] if given.ndim == 2 and len(given) == 1 else given, "samples")
         name = self._next_call() if key is None else key
-        if not clean.any() or rng_for(self.seed, "reverberate", name).random() >= self.p:
+        if not sounds(clean) or rng_for(self.seed, "reverberate", name).random() >= self.p:
             return clean.reshape(given.shape)
-        clean = without_offset(clean)
+        clean = without_rumble(clean, sample_rate)
         cache = self._cache(sample_rate)
         rules = DrawRules(self.seed, False, parse_distribution(self.snr, "snr"),
                           parse_distribution(self.point_snr, "point_snr"), self.point_noise_prob, 1)
         rir_id, draws = rules.draw(name, self._pool)
-        rir, shift, _ = cache.rir(rir_id)
+        rir, shift = cache.rir(rir_id)
         reverberated = convolve(spectra_of(clean), rir, shift, len(clean))
         noises = [(cache.noise(draw, len(clean)).samples, draw.snr_db) for draw in draws]
         scale = max(np.float32(1.0), np.abs(clean).max())  # samples may be those of 16-bit audio
@@ -167,8 +167,8 @@ class _ArrayCache(AudioCache):
 
     def __init__(self, rirs: dict[str, ShiftedRir], pool: Pool, fs_hz: int, wanted_hz: int) -> None:
         super().__init__(Path(), pool, wanted_hz)
-        of_rate = {name: rir if wanted_hz == fs_hz else at_rate(rir, fs_hz, wanted_hz) for name, rir in rirs.items()}
-        self._rirs = {name: without_rumble(rir, wanted_hz) for name, rir in of_rate.items()}
+        self._rirs = {name: rir if wanted_hz == fs_hz else at_rate(rir, fs_hz, wanted_hz)
+                      for name, rir in rirs.items()}
 
     def rir(self, rir_id: str) -> ShiftedRir:
         return self._rirs[rir_id]

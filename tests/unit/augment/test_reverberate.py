@@ -48,7 +48,7 @@ def test_length_level_and_alignment_are_kept():
         assert result.shape == click.shape and result.dtype == np.float32
         assert np.argmax(np.abs(result)) == 5000
         assert not np.any(np.abs(result[:4990]) > 3e-3)  # what lies below 20 Hz is removed
-        assert np.sqrt(np.mean(result ** 2)) == pytest.approx(np.sqrt(np.mean(click ** 2)), rel=1e-4)
+        assert np.sqrt(np.mean(result ** 2)) == pytest.approx(np.sqrt(np.mean(click ** 2)), rel=2e-3)
 
 
 def test_samples_beyond_full_scale_keep_their_level():
@@ -74,13 +74,16 @@ def test_rumble_below_hearing_is_not_reverberated():
     assert result / np.std(result) == pytest.approx(without / np.std(without), abs=0.1)
 
 
-def test_snr_of_ambient_noise_is_met():
-    clean = speech(4.0)
-    noises = [np.random.default_rng(5).standard_normal(3 * FS).astype(np.float32)]
+@pytest.mark.parametrize("rumble, offset", [(0.0, 0.0), (10.0, 0.0), (0.0, 10.0)])
+def test_snr_of_ambient_noise_is_that_of_what_is_heard(rumble, offset):
+    clean, time_s = speech(4.0), np.arange(5 * FS) / FS
+    noises = [(np.random.default_rng(5).standard_normal(5 * FS) + rumble * np.cos(2 * np.pi * 3 * time_s) + offset
+               ).astype(np.float32)]
     with_noise, without = (roomeq.Reverberate(rirs(1), noises, snr=snr)(clean, FS, key="x") for snr in (10, "none"))
-    scale = np.dot(with_noise, without) / np.dot(without, without)
-    noise_power = np.mean((with_noise - scale * without) ** 2)
-    assert 10 * np.log10(np.mean((scale * without) ** 2) / noise_power) == pytest.approx(10.0, abs=0.3)
+    with_noise, without = (np.fft.rfft(samples)[20 * 4:] for samples in (with_noise, without))  # from 20 Hz on
+    scale = np.vdot(without, with_noise).real / np.vdot(without, without).real
+    noise_power = np.sum(np.abs(with_noise - scale * without) ** 2)
+    assert 10 * np.log10(np.sum(np.abs(scale * without) ** 2) / noise_power) == pytest.approx(10.0, abs=0.3)
 
 
 def test_calls_differ_from_each_other_and_are_the_same_in_another_run():
@@ -173,7 +176,9 @@ def test_one_channel_keeps_its_shape_and_several_are_refused():
 
 
 def test_silence_is_returned_as_it_is():
-    assert not roomeq.Reverberate(rirs())(np.zeros(800, np.float32), FS).any()
+    for offset in (0.0, -2.0 ** -15):  # sound cards add a constant
+        silence = np.full(800, offset, np.float32)
+        np.testing.assert_array_equal(roomeq.Reverberate(rirs())(silence, FS), silence)
 
 
 @pytest.mark.parametrize(("wrong", "message"), [
