@@ -97,6 +97,20 @@ def test_source_without_stated_facing_faces_as_in_the_model_or_the_microphone(me
     np.testing.assert_allclose(facing["microphone"], np.array([3.5, -1.0, -0.3]) / np.linalg.norm([3.5, 1.0, 0.3]))
 
 
+def test_unknown_heights_are_as_in_the_model_unless_they_contradict_the_row(tmp_path):
+    write_jsonl(tmp_path / "rirs.jsonl", [
+        measured_row("a", source_pos_m=[1.0, 2.0, None], mic_pos_m=[4.0, 3.0, None]),
+        measured_row("b", source_pos_m=[1.0, 2.0, None]),
+        measured_row("c", source_pos_m=[1.0, 2.0, None], mic_pos_m=[1.0, 2.02, 1.41]),
+        measured_row("d", source_pos_m=[1.0, 2.0, None], room_id="other")])
+    write_model(tmp_path / "model.json", Model(heights_m={"office": {"source spk1": 1.42, "microphone a": 0.72,
+                                                                     "microphone b": 0.9}}))
+    rows = {row_id: row for row_id, (row, _) in simulated(tmp_path, tmp_path / "out", tmp_path / "model.json").items()}
+    assert (rows["a"]["source_pos_m"], rows["a"]["mic_pos_m"]) == ([1.0, 2.0, 1.42], [4.0, 3.0, 0.72])
+    assert (rows["b"]["source_pos_m"], rows["b"]["mic_pos_m"]) == ([1.0, 2.0, 1.42], [4.0, 3.0, 1.2])
+    assert [rows[row_id]["drawn"] for row_id in "abcd"] == [[], [], ["source_pos_m.2"], ["source_pos_m.2"]]
+
+
 def test_target_is_met_before_effects_on_the_whole_rir(measured, plain, tmp_path):
     path = model_file(tmp_path / "model.json", extension("coupled_volume", (-0.5, np.log(3.0), 0.0)),
                       extension("source_response"))
@@ -171,6 +185,9 @@ def test_changed_model_rebuilds_the_directory(measured, tmp_path):
     ('{"format": 3, "effects": [], "facings": {"a": [0, 0, 0]}}',
      r"facings\['a'\]=\[0, 0, 0\] must be a direction, three numbers that are not all 0"),
     ('{"format": 3, "effects": [], "facings": ["a"]}', r"facings=\['a'\] must map RIRs to directions"),
+    ('{"format": 3, "effects": [], "heights_m": [1.4]}', r"heights_m=\[1.4\] must map rooms to heights of devices"),
+    ('{"format": 3, "effects": [], "heights_m": {"office": {"source a": "1.4 m"}}}',
+     r"heights_m=\{'office': \{'source a': '1.4 m'\}\} must map rooms to heights of devices, such as \{'office': "),
 ])
 def test_broken_model_error_names_the_place(text, message, measured, tmp_path):
     (tmp_path / "model.json").write_text(text)

@@ -8,7 +8,11 @@ parameters drawn from the spread of those. A model with a directivity may also h
 
      "facings": {"rir1": [1.0, 0.0, 0.0]}
 
-the directions in which sources face, by RIR, where neither its row states one nor it is that of the microphone.
+the directions in which sources face, by RIR, where neither its row states one nor it is that of the microphone. And
+
+     "heights_m": {"office": {"source spk1": 1.42, "microphone m1": 1.1}}
+
+the heights of devices that no row states, by room.
 """
 
 import sys
@@ -16,7 +20,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from functools import reduce
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,7 +32,8 @@ from roomeq.core.rng import rng_for
 from roomeq.effects.base import Effect, Rendering
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.source_directivity import unit_facing
-from roomeq.records.schema import unit_name
+from roomeq.records.geometry import DEVICES, find_contradiction, is_known
+from roomeq.records.schema import RirRow, unit_name
 from roomeq.sim.scene import Scene, eyring_time_s
 
 MODEL_FILE = "model.json"
@@ -36,7 +41,7 @@ MODEL_FORMAT = 3
 MAX_COMPONENT = 100.0
 """Largest component of a vector: spreads are about 1, or some dB."""
 _ROUNDING = 1e-9
-_KEYS, _ENTRY_KEYS = ("format", "effects", "facings"), ("effect", "of", "typical", "spread")
+_KEYS, _ENTRY_KEYS = ("format", "effects", "facings", "heights_m"), ("effect", "of", "typical", "spread")
 
 Directivity = Callable[[FloatArray], FloatArray]
 
@@ -82,10 +87,13 @@ class Model:
     extensions : tuple of Extension
     facings : dict
         {id of an RIR: direction that its source faces}, of RIRs whose rows may not state it.
+    heights_m : dict
+        {room: {source or microphone, as in "source spk1": its height}}, of devices whose rows may not state it.
     """
 
     extensions: tuple[Extension, ...] = ()
     facings: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    heights_m: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:
@@ -99,6 +107,15 @@ class Model:
     def for_row(self, row: Mapping[str, Any], seed: int) -> list[Effect]:
         """Return the effects of a row."""
         return [extension.for_row(row, seed) for extension in self.extensions]
+
+    def with_heights(self, row: RirRow) -> RirRow:
+        """Return a row with the model's heights where it states x and y alone, if they do not contradict it."""
+        of_room, known = self.heights_m.get(row["room_id"], {}), cast(dict[str, Any], dict(row))
+        for key, (kind, id_key) in DEVICES.items():
+            position_m, device = known.get(key), f"{kind} {known[id_key]}"
+            if device in of_room and position_m and position_m[2] is None and is_known(position_m[:2]):
+                known[key] = [*position_m[:2], of_room[device]]
+        return row if known == row or find_contradiction(known) else cast(RirRow, known)
 
 
 def extend_scene(effects: Sequence[Effect], scene: Scene) -> Scene:
@@ -195,12 +212,13 @@ def apply_to_rir(effects: Sequence[Effect], rir: FloatArray, scene: Scene, sourc
 
 def write_model(path: Path, model: Model) -> None:
     """Write a model file."""
-    facings = dict(facings=dict(sorted(model.facings.items()))) if model.facings else {}
+    of_rows = {name: dict(sorted(values.items())) for name, values in
+               (("facings", model.facings), ("heights_m", model.heights_m)) if values}
     write_json(path, dict(format=MODEL_FORMAT, effects=[dict(
         effect=extension.effect.NAME,
         of={unit: asdict(effect) for unit, effect in sorted(extension.of.items())},  # type: ignore[call-overload]
         typical=[float(value) for value in extension.typical], spread=[float(value) for value in extension.spread])
-        for extension in model.extensions], **facings))
+        for extension in model.extensions], **of_rows))
 
 
 def read_model(path: str | Path) -> Model:
@@ -224,7 +242,8 @@ def read_model(path: str | Path) -> Model:
     for n, name in enumerate(names):
         if name in names[:n]:
             raise ValueError(f"{path}: effects[{n}]: effect={name!r} is there already: leave one out")
-    return Model(extensions, _read_facings(path, content.get("facings", {})))
+    return Model(extensions, _read_facings(path, content.get("facings", {})),
+                 _read_heights(path, content.get("heights_m", {})))
 
 
 def _read_facings(path: Path, facings: Any) -> dict[str, list[float]]:
@@ -235,6 +254,15 @@ def _read_facings(path: Path, facings: Any) -> dict[str, list[float]]:
             raise ValueError(f"{path}: facings[{rir_id!r}]={facing!r:.60} must be a direction, three numbers that are "
                              "not all 0: correct or remove it")
     return facings
+
+
+def _read_heights(path: Path, heights_m: Any) -> dict[str, dict[str, float]]:
+    of_rooms = heights_m.items() if isinstance(heights_m, dict) else [("", None)]
+    for room, of_room in of_rooms:
+        if not (isinstance(of_room, dict) and all(map(_is_number, of_room.values()))):
+            raise ValueError(f"{path}: heights_m={heights_m!r:.60} must map rooms to heights of devices, such as "
+                             f"{{'{room or 'office'}': {{'source spk1': 1.4}}}}: correct or remove it")
+    return cast(dict[str, dict[str, float]], heights_m)
 
 
 def _read_extension(place: str, entry: Any) -> Extension:

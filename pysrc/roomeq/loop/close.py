@@ -24,6 +24,7 @@ from roomeq.loop.descriptions import describe_facing, describe_residual, describ
 from roomeq.loop.examples import EXAMPLES_FILE, read_recordings, write_examples
 from roomeq.loop.facing import unknown_facings, with_estimated_facings
 from roomeq.loop.fit import fit
+from roomeq.loop.geometry import unknown_heights_m
 from roomeq.loop.held_out import held_out_rirs
 from roomeq.loop.heldout_errors import (
     SPLITS,
@@ -388,7 +389,8 @@ def _model_of(session: Session, base: Model) -> Model:
         spread = of_units.std(axis=0, ddof=1) if len(of_units) > 1 else np.zeros(of_units.shape[1])
         extensions.append(Extension(effect, {name: effect.from_vector(vector) for name, vector
                                              in zip(names, of_units, strict=True)}, of_units.mean(axis=0), spread))
-    model = Model(tuple(sorted(extensions, key=lambda extension: list(CATALOGUE).index(extension.effect.NAME))))
+    model = Model(tuple(sorted(extensions, key=lambda extension: list(CATALOGUE).index(extension.effect.NAME))),
+                  heights_m=unknown_heights_m(session.data.estimates))
     return replace(model, facings=_facings(session.data)) if model.is_directive else model
 
 

@@ -21,7 +21,7 @@ from roomeq.core.constants import FS_HZ
 from roomeq.core.groups import numbers_by
 from roomeq.core.workers import share_out
 from roomeq.loop.arrivals import Arrivals, measure_arrivals
-from roomeq.loop.unknown_geometry import DIMS, N_SHARED, Unknown, UnknownGeometry, declared_speed_m_s
+from roomeq.loop.unknown_geometry import DIMS, HEIGHT_OF, N_SHARED, Unknown, UnknownGeometry, declared_speed_m_s
 from roomeq.loop.usable import Located
 from roomeq.records.geometry import distance_between, is_too_close
 from roomeq.records.rir_dir import load_rir, rir_path
@@ -70,8 +70,13 @@ class Estimate:
     evidence: float
     used: bool
 
+    @property
+    def is_told(self) -> bool:
+        """Whether the recordings tell the quantity."""
+        return self.posterior[1] < HARDLY_TOLD * self.prior[1]
+
     def __str__(self) -> str:
-        told = "" if self.posterior[1] < HARDLY_TOLD * self.prior[1] else " (the recordings hardly tell)"
+        told = "" if self.is_told else " (the recordings hardly tell)"
         documented = "" if self.documented is None else f", documented {self.documented:.2f}"
         return f"{self.quantity} {self.posterior[0]:.2f} +- {self.posterior[1]:.2f} {self.unit}{documented}{told}"
 
@@ -85,6 +90,16 @@ class Completed(NamedTuple):
 
     rows: list[RirRow]
     estimates: list[Estimate]
+
+
+def unknown_heights_m(estimates: Sequence[Estimate]) -> dict[str, dict[str, float]]:
+    """Return the heights that no row states and the recordings tell, by room and device (`Model.heights_m`)."""
+    heights_m: dict[str, dict[str, float]] = {}
+    for estimate in estimates:
+        if estimate.unit == "m" and estimate.documented is None and estimate.is_told:
+            device = estimate.quantity.removeprefix(HEIGHT_OF)
+            heights_m.setdefault(estimate.room, {})[device] = round(estimate.posterior[0], 4)
+    return heights_m
 
 
 def complete_geometry(rirs: Sequence[Located], seed: int, nj: int) -> tuple[list[Located], list[Estimate]]:

@@ -23,6 +23,7 @@ from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.rng import rng_for
 from roomeq.loop.annealing import Block, anneal
 from roomeq.loop.arrivals import Arrivals, early_images, heard_probability, log_likelihood
+from roomeq.records.geometry import DEVICES
 from roomeq.records.schema import RirRow, is_timed
 from roomeq.sim.scene import MIN_WALL_DISTANCE_M, WALLS
 
@@ -48,10 +49,11 @@ CLEARANCE_M = 0.05
 HEARD = (0.02, 0.98)
 """Limits of the probability that a reflection at a wall is heard, evenly distributed between them."""
 
+HEIGHT_OF = "height of "
+"""Begins the name of the height of a device."""
 SPEED, LATENCY, N_SHARED = 3, 4, 11
 DIMS, _HEARD = slice(0, 3), slice(5, N_SHARED)
 _FLOOR, _CEILING = 5 + WALLS.index("floor"), 5 + WALLS.index("ceiling")
-_POSITIONS = {"source_pos_m": ("source", "source_id"), "mic_pos_m": ("microphone", "mic_id")}
 
 
 @dataclass(frozen=True)
@@ -90,17 +92,17 @@ class UnknownGeometry:
         self._speed_m_s = [declared_speed_m_s(row) for row in rows]
         dims_m = [float(size_m) for size_m in cast(list[float], rows[0]["room_dims_m"])]
         self.unknowns = _shared_unknowns(dims_m, float(np.mean(self._speed_m_s)), any(self._timed))
-        positions: dict[str, list] = {key: [row.get(key) for row in rows] for key in _POSITIONS}
+        positions: dict[str, list] = {key: [row.get(key) for row in rows] for key in DEVICES}
         self._positions_m = {key: np.array(of_rirs, dtype=float) for key, of_rirs in positions.items()}
-        self._height_of = {key: np.zeros(len(rows), dtype=int) for key in _POSITIONS}
-        for key, (kind, id_key) in _POSITIONS.items():
+        self._height_of = {key: np.zeros(len(rows), dtype=int) for key in DEVICES}
+        for key, (kind, id_key) in DEVICES.items():
             documented = [(str(dict(row)[id_key]), of_rir[2]) for row, of_rir in zip(rows, positions[key], strict=True)]
             for name, height_m in dict.fromkeys(documented):
                 several = sum(name == other for other, _ in dict.fromkeys(documented)) > 1
-                where = f", documented at {height_m} m" if several else ""
+                where = f", documented at {height_m} m" if several and height_m is not None else ""
                 prior = HEIGHT_M if height_m is None else (float(height_m), DOCUMENTED_HEIGHT_SD_M)
                 self._height_of[key][[at == (name, height_m) for at in documented]] = len(self.unknowns)
-                self.unknowns.append(Unknown(f"height of {kind} {name}{where}", "m", *prior, height_m))
+                self.unknowns.append(Unknown(f"{HEIGHT_OF}{kind} {name}{where}", "m", *prior, height_m))
         self._least_dims_m = MIN_WALL_DISTANCE_M + np.max(
             [np.nan_to_num(positions_m).max(axis=0) for positions_m in self._positions_m.values()], axis=0)
         self._least_dims_m[2] = 2.0 * CLEARANCE_M
@@ -185,7 +187,7 @@ class UnknownGeometry:
         dims_m, probability = np.ascontiguousarray(values[:, DIMS]), heard_probability(values[:, _HEARD])
         result = np.empty((len(values), len(rirs)))
         for column, n in enumerate(rirs):
-            source_m, mic_m = (self._position(key, n, values) for key in _POSITIONS)
+            source_m, mic_m = (self._position(key, n, values) for key in DEVICES)
             speed_m_s = values[:, SPEED] * self._speed_m_s[n] / self.unknowns[SPEED].mean
             result[:, column] = INDEPENDENT * log_likelihood(self._arrivals[n].ratio, dims_m, speed_m_s, source_m,
                                                              mic_m, cells, probability)

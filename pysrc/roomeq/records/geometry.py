@@ -14,6 +14,9 @@ _PLACE_DIGITS = 3  # of a coordinate in metres: channels of an array are some mi
 DISTANCE_SLACK_M, DISTANCE_SLACK = 0.15, 0.05
 """Tolerance of a stated distance, taken by tape measure: the larger of these [m, share of the distance]."""
 
+DEVICES = {"source_pos_m": ("source", "source_id"), "mic_pos_m": ("microphone", "mic_id")}
+"""Of the position of each end: what stands there, and the key of its name."""
+
 Need = Literal["consistency", "simulation", "stated distance", "same position", "loop"]
 Coordinates = Sequence[float | None] | None
 

@@ -113,8 +113,10 @@ def _group_by_source(rows: list[RirRow], directory: Path, model: Model, seed: in
     """Return at most `ROWS_PER_ITEM` rows of one source each, by the id of the first row.
 
     A directivity of the model needs to know where sources face. Where a row does not state it, that is the direction
-    in which the loop has found the source to face, or that of the microphone, which the loop assumes otherwise.
+    in which the loop has found the source to face, or that of the microphone, which the loop assumes otherwise. Heights
+    that rows do not state are those that the loop has found.
     """
+    given, rows = rows, [model.with_heights(row) for row in rows]
     rows_of_room = defaultdict(list)
     for row in rows:
         rows_of_room[row["room_id"]].append(row)
@@ -142,6 +144,9 @@ def _group_by_source(rows: list[RirRow], directory: Path, model: Model, seed: in
         materials = json.dumps(row.get("materials"), sort_keys=True)  # a trace serves one set of scattering
         key = row["room_id"], place.room, place.source_pos_m, _declared_air(row), materials
         groups[key].append(Member(row, place))
+    if n_with_heights := sum(one is not other for one, other in zip(given, rows, strict=True)):
+        logger.info("%s: %d of %d RIRs do not state the height of their source or microphone: it is as the closed loop "
+                    "has found", directory, n_with_heights, len(rows))
     if n_drawn:
         logger.info("%s: %d of %d RIRs have unknown or unreliable coordinates, which are drawn (key 'drawn'): %s",
                     directory, n_drawn, len(rows),

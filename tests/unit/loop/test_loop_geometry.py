@@ -7,7 +7,7 @@ from rirmaker import row
 
 from roomeq.loop.annealing import Block, anneal
 from roomeq.loop.arrivals import Arrivals, early_images, heard_probability, log_likelihood, measure_arrivals
-from roomeq.loop.geometry import Estimate, _possible, complete_room
+from roomeq.loop.geometry import Estimate, _possible, complete_room, unknown_heights_m
 from roomeq.loop.unknown_geometry import HEIGHT_M, UnknownGeometry
 
 POSITIONS = ("source_pos_m", "mic_pos_m")
@@ -29,6 +29,22 @@ def test_heights_of_sources_are_found_where_those_of_microphones_are_known():
         assert estimate.posterior[0] == pytest.approx(true_m, abs=0.06)
         assert {row["source_pos_m"][2] for row in rows if row["source_id"] == f"s{n}"} == {
             round(estimate.posterior[0], 4)}
+
+
+def test_heights_that_recordings_tell_and_no_row_states_are_for_the_simulator():
+    estimates, truth = complete(3, known=["mic_pos_m"])[1::2]
+    heights_m = unknown_heights_m([*estimates.values()])
+    assert heights_m == {"room3": {f"source s{n}": pytest.approx(truth[f"height of source s{n}"], abs=0.06)
+                                  for n in range(2)}}
+    assert unknown_heights_m([Estimate("hall", "height of source s", "m", HEIGHT_M, HEIGHT_M, None, 0.0, True)]) == {}
+
+
+def test_height_that_some_rows_of_a_device_lack_has_its_plain_name():
+    known = row("a", source_pos_m=[1.0, 1.0, 1.5], mic_pos_m=[3.0, 1.0, 1.1])
+    rows = [known, known | dict(id="b", source_pos_m=[1.0, 2.0, None])]
+    unknowns = UnknownGeometry(rows, [Arrivals(0.0, np.ones(720))] * 2).unknowns
+    assert {unknown.quantity for unknown in unknowns if "source" in unknown.quantity} == {
+        f"height of source {known['source_id']}, documented at 1.5 m", f"height of source {known['source_id']}"}
 
 
 def test_documents_that_are_right_to_a_centimetre_are_kept():
