@@ -23,11 +23,12 @@ sys.path.insert(0, str(PROJECT / "pysrc"))
 
 from roomeq.core.files import write_json  # noqa: E402
 from roomeq.core.rng import rng_for  # noqa: E402
-from roomeq.wer.statistics import Resampling, Statistic  # noqa: E402
+from roomeq.wer.statistics import Statistic  # noqa: E402
 
 TRUTH = 20.0  # per cent
 WORDS, UTTERANCE = 200, 10  # in a room, in an utterance
 LARGE = 20  # times as many words
+REPLICATES = 2000
 
 
 class Scenario(NamedTuple):
@@ -46,7 +47,8 @@ class Scenario(NamedTuple):
 
 
 SCENARIOS = [
-    Scenario(1, 10, 0, 4, 0), Scenario(1, 40, 0, 4, 0), Scenario(2, 40, 1, 4, 2), Scenario(2, 40, 2, 0, 0),
+    Scenario(1, 2, 0, 4, 0), Scenario(1, 10, 0, 4, 0), Scenario(1, 40, 0, 4, 0), Scenario(2, 40, 1, 4, 2),
+    Scenario(2, 40, 2, 0, 0),
     Scenario(2, 27, 0.5, 0.5, 1.4), Scenario(3, 27, 0.5, 0.5, 1.4), Scenario(5, 27, 0.5, 0.5, 1.4),
     Scenario(3, 40, 1, 4, 2), Scenario(3, 40, 2, 0, 0), Scenario(5, 10, 1, 4, 2), Scenario(5, 40, 1, 4, 2),
     Scenario(5, 40, 2, 0, 0), Scenario(5, 40, 0, 0, 0), Scenario(5, 40, 1, 6, 2, skewed=True),
@@ -66,10 +68,12 @@ def draw(scenario: Scenario, rng: np.random.Generator) -> tuple[np.ndarray, np.n
     return rng.binomial(words, np.clip(rate / 100, 0.0, 1.0)), words
 
 
-def intervals(errors: np.ndarray, words: np.ndarray, resampling: Resampling) -> dict[str, tuple[float, float]]:
-    """Return the interval of each method."""
-    rate = Statistic.of(errors, words, resampling)
-    bootstrap = rate.value + np.quantile(rate.deviations, (0.025, 0.975))
+def intervals(errors: np.ndarray, words: np.ndarray, weights: tuple[np.ndarray, np.ndarray]
+              ) -> dict[str, tuple[float, float]]:
+    """Return the interval of each method; `weights` are those of seeds and rooms in the replicates of the bootstrap."""
+    rate = Statistic.of(errors, words)
+    deviations = np.einsum("bs,bs->b", weights[0], weights[1] @ rate.z.T)
+    bootstrap = rate.value + np.quantile(deviations, (0.025, 0.975))
     share = errors / words  # of a resampling of utterances, the variance is known: within rooms and between rooms
     variance = (words * (share * (1 - share) + UTTERANCE * (share - rate.value / 100) ** 2)).sum()
     half = 196 * np.sqrt(variance) / words.sum()
@@ -77,12 +81,18 @@ def intervals(errors: np.ndarray, words: np.ndarray, resampling: Resampling) -> 
                 utterances=(rate.value - half, rate.value + half))
 
 
+def resampled(n: int, rng: np.random.Generator) -> np.ndarray:
+    """Return the weights of so many seeds or rooms in each replicate."""
+    return rng.multinomial(n, [1 / n] * n, size=REPLICATES) / n
+
+
 def measure(scenario: Scenario, times: int) -> dict:
     """Return the share of intervals that contain the truth, and their mean width [points], by method."""
-    resampling, held, width = Resampling(scenario.n_seeds, scenario.n_rooms, "bench"), {}, {}
+    rng, held, width = rng_for(0, "bench", "weights"), {}, {}
+    weights = resampled(scenario.n_seeds, rng), resampled(scenario.n_rooms, rng)
     for n in range(times):
         errors, words = draw(scenario, rng_for(n, "bench", str(tuple(scenario))))
-        for method, (low, high) in intervals(errors, words, resampling).items():
+        for method, (low, high) in intervals(errors, words, weights).items():
             held[method] = held.get(method, 0) + bool(low <= TRUTH <= high)
             width[method] = width.get(method, 0.0) + (high - low)
     return scenario._asdict() | dict(held={method: count / times for method, count in held.items()},

@@ -21,7 +21,7 @@ from roomeq.wer.counts import (
     read_counts,
     require_comparable,
 )
-from roomeq.wer.statistics import Resampling, Statistic, detectable, ratio_interval
+from roomeq.wer.statistics import Statistic, detectable, ratio_interval
 from roomeq.wer.table import table_text
 from roomeq.wer.workspace import BASE, ORACLE, TEST, System, Workspace, compared, find_workspaces
 
@@ -125,22 +125,18 @@ def _measure(seeds: Sequence[SeedCounts]) -> dict:
 
 
 class _Rates:
-    """Word error rates as statistics; those of the same sets share their resampled rooms and seeds."""
+    """Word error rates as statistics."""
 
     def __init__(self, seeds: Sequence[SeedCounts]) -> None:
         self.seeds = seeds
-        self._resamplings: dict[tuple[str, ...], tuple[list[str], Resampling]] = {}
 
     def rate(self, system: System, set_name: str, compared_with: tuple[str, ...] = ()) -> Statistic:
         """Return the rate of a system on a set, comparable with rates on the sets `compared_with`."""
-        set_names = tuple(sorted({set_name, *compared_with}))
-        if set_names not in self._resamplings:
-            rooms = sorted(set().union(*(seed.sets[name].rooms for seed in self.seeds for name in set_names)))
-            self._resamplings[set_names] = rooms, Resampling(len(self.seeds), len(rooms), " ".join(set_names))
-        rooms, resampling = self._resamplings[set_names]
+        rooms = sorted(set().union(*(seed.sets[name].rooms for seed in self.seeds
+                                     for name in {set_name, *compared_with})))
         of_seeds = [seed.sets[set_name] for seed in self.seeds]
         return Statistic.of(np.array([of_set.of_system(system, rooms).sum(axis=1) for of_set in of_seeds], dtype=float),
-                            np.array([of_set.words_of(rooms) for of_set in of_seeds], dtype=float), resampling)
+                            np.array([of_set.words_of(rooms) for of_set in of_seeds], dtype=float))
 
 
 def _set_size(of_seeds: Sequence[SetCounts]) -> dict:

@@ -46,7 +46,7 @@ def caption(wer: dict) -> list[str]:
     test, seeds = wer["sets"][wer["test"]], len(wer["seeds"])
     own = sorted(set(wer["dev_of"].values()) - {DEV})
     other = f"; else {DEV}" if own and DEV in wer["dev_of"].values() else ""
-    resampled = "rooms and seeds, crossed" if seeds > 1 else "rooms"
+    drawn = "rooms and seeds, crossed" if seeds > 1 else "rooms"
     lines = [f"{test['utterances']} test utterances ({test['words']} words) in {test['rooms']} rooms, "
              f"{seeds} seed{'s' * (seeds > 1)}.",
              "LM weight and word insertion penalty were chosen on dev for each row, column and seed, and applied to "
@@ -54,7 +54,7 @@ def caption(wer: dict) -> list[str]:
              *_size_lines(wer), *_edge_lines(wer),
              f"dev is of each row's own kind, as in the paper: {', '.join(own)}{other}." if own else
              f"dev is {DEV} for every row.",
-             f"Intervals are of 95 %, from a bootstrap over {resampled}; speakers and sentences stay the same."]
+             f"Intervals are of 95 %, over {drawn} (Student's t); speakers and sentences stay the same."]
     if wer["kaldi"]:
         lines.append(f"Kaldi {', '.join(wer['kaldi'])}.")
     if seeds == 1:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import binom
+from scipy.stats import binom, ttest_1samp
 from scipy.stats import t as student_t
 from wer_run import (
     DEV_ROOMS,
@@ -25,14 +25,13 @@ from roomeq.core.files import read_json, read_jsonl, write_json, write_jsonl
 from roomeq.core.rng import rng_for
 from roomeq.core.stamps import read_stamp
 from roomeq.validate import validate
-from roomeq.wer import measure_wer, statistics
+from roomeq.wer import measure_wer
 from roomeq.wer.breakdown import ACOUSTICS, DRR, EQ_DISTANCE, gains_by_acoustics
 from roomeq.wer.check import read_wer, validate_wer
 from roomeq.wer.scoring import Weights, choose_weights, count_errors, read_bootci, read_reference
 from roomeq.wer.statistics import (
     Components,
     Levels,
-    Resampling,
     RoomComponents,
     Statistic,
     detectable,
@@ -348,19 +347,10 @@ def table(seed, row, room, residual, shape):
             + residual * rng.standard_normal(shape))
 
 
-def rate(percent, draws, words=200):
+def rate(percent, words=200):
     """A rate from the rates [%] of its cells, all of so many words; errors need not be whole."""
     words = np.full(percent.shape, float(words))
-    return Statistic.of(percent / 100 * words, words, draws)
-
-
-@pytest.fixture(scope="module")
-def draws():
-    """Resampling by shape, each made once, with a fifth of the replicates."""
-    kept = {}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(statistics, "REPLICATES", 2000)
-        yield lambda *shape: kept.get(shape) or kept.setdefault(shape, Resampling(*shape, "test"))
+    return Statistic.of(percent / 100 * words, words)
 
 
 def equal(shape):
@@ -400,8 +390,8 @@ def test_components_of_unequal_rooms_are_unbiased_and_their_df_are_those_of_thei
 @pytest.mark.parametrize(("shape", "seed", "room", "residual"), [
     ((1, 10), 0, 4, 0), ((5, 40), 1, 4, 2), ((5, 40), 2, 0, 0.5), ((3, 40), 2, 3, 1), ((5, 40), 0, 0, 3),
     ((2, 27), 0.5, 0.5, 1.4), ((3, 27), 0.5, 0.5, 1.4), ((2, 27), 0.4, 1.2, 1.4)])
-def test_intervals_cover_the_truth_at_their_level(draws, shape, seed, room, residual):
-    found = [rate(20 + table(n, seed, room, residual, shape), draws(*shape)).interval() for n in range(TIMES)]
+def test_intervals_cover_the_truth_at_their_level(shape, seed, room, residual):
+    found = [rate(20 + table(n, seed, room, residual, shape)).interval() for n in range(TIMES)]
     held = sum(low <= 20 <= high for low, high in found)
     assert held >= binom.ppf(0.001, TIMES, 0.93)
     ideal = 2 * 1.96 * np.sqrt(seed ** 2 / shape[0] + room ** 2 / shape[1] + residual ** 2 / np.prod(shape))
@@ -409,11 +399,19 @@ def test_intervals_cover_the_truth_at_their_level(draws, shape, seed, room, resi
         assert np.mean([high - low for low, high in found]) < 2.0 * ideal
 
 
-def test_intervals_of_equal_rows_cover_zero_at_their_level(draws):
+@pytest.mark.parametrize("n_rooms", [2, 3, 10])
+def test_interval_over_rooms_of_equal_size_is_that_of_students_t(n_rooms):
+    percent = 2.0 + table("t", 0, 3, 0, (1, n_rooms))
+    one, expected = rate(percent), ttest_1samp(percent[0], 0.0)
+    assert one.interval() == pytest.approx([*expected.confidence_interval()])
+    assert one.p_value() == pytest.approx(expected.pvalue)
+
+
+def test_intervals_of_equal_rows_cover_zero_at_their_level():
     shape = (5, 40)
     common = [20 + table(f"common{n}", 1, 5, 1, shape) for n in range(TIMES)]
-    pairs = [(rate(both + table(f"a{n}", 0.5, 1, 2, shape), draws(*shape)),
-              rate(both + table(f"b{n}", 0.5, 1, 2, shape), draws(*shape))) for n, both in enumerate(common)]
+    pairs = [(rate(both + table(f"a{n}", 0.5, 1, 2, shape)),
+              rate(both + table(f"b{n}", 0.5, 1, 2, shape))) for n, both in enumerate(common)]
     differences = [a.minus(b) for a, b in pairs]
     held = sum(low <= 0 <= high for low, high in (one.interval() for one in differences))
     assert binom.ppf(0.001, TIMES, 0.93) <= held < TIMES
@@ -423,11 +421,11 @@ def test_intervals_of_equal_rows_cover_zero_at_their_level(draws):
 
 @pytest.mark.parametrize(("n_seeds", "sizes"), [
     (5, [2000] + 9 * [200]), (5, [10000] + 39 * [200]), (5, 2 * [3000] + 25 * [100]), (1, 5 * [2000] + 22 * [100])])
-def test_intervals_cover_the_truth_where_few_rooms_have_most_words(draws, n_seeds, sizes):
+def test_intervals_cover_the_truth_where_few_rooms_have_most_words(n_seeds, sizes):
     words, rates, differences = np.tile(sizes, (n_seeds, 1)).astype(float), 0, 0
     for n in range(TIMES):
         first, second = (Statistic.of(words * (20 + table(f"rooms{n}", 0, 3, 0, words.shape) + table(
-            f"{name}{n}", 0.3, 1, 1, words.shape)) / 100, words, draws(*words.shape)) for name in "ab")
+            f"{name}{n}", 0.3, 1, 1, words.shape)) / 100, words) for name in "ab")
         low, high = first.interval()
         rates += low <= 20 <= high
         difference = first.minus(second)
@@ -437,66 +435,66 @@ def test_intervals_cover_the_truth_where_few_rooms_have_most_words(draws, n_seed
     assert min(rates, differences) >= binom.ppf(0.001, TIMES, 0.93)
 
 
-def test_difference_of_sets_has_the_uncertainty_of_the_set_with_few_rooms(draws):
+def test_difference_of_sets_has_the_uncertainty_of_the_set_with_few_rooms():
     """Of 40 rooms of test and 3 of dev, all as variable."""
     shape, held = (4, 43), 0
     for n in range(TIMES):
         errors = (20 + table(f"sets{n}", 0.3, 3, 1, shape)) / 100 * 200
         of_test = np.arange(43) < 40
-        test, dev = (Statistic.of(np.where(rooms, errors, 0.0), np.where(rooms, 200.0, 0.0) + np.zeros(shape),
-                                  draws(*shape)) for rooms in (of_test, ~of_test))
+        test, dev = (Statistic.of(np.where(rooms, errors, 0.0), np.where(rooms, 200.0, 0.0) + np.zeros(shape))
+                     for rooms in (of_test, ~of_test))
         low, high = test.minus(dev).interval()
         held += low <= 0 <= high
     assert test.minus(dev).components.df < 4 and test.components.df > 30
     assert held >= binom.ppf(0.001, TIMES, 0.93)
 
 
-def test_set_of_a_single_room_leaves_no_interval_of_a_difference(draws):
+def test_set_of_a_single_room_leaves_no_interval_of_a_difference():
     words = np.array([[200.0, 200.0, 0.0], [200.0, 200.0, 0.0]])
-    test = Statistic.of(0.2 * words + [[1, 3, 0], [2, 4, 0]], words, draws(2, 3))
-    dev = Statistic.of(np.array([[0.0, 0.0, 30.0], [0.0, 0.0, 50.0]]), 200.0 - words, draws(2, 3))
+    test = Statistic.of(0.2 * words + [[1, 3, 0], [2, 4, 0]], words)
+    dev = Statistic.of(np.array([[0.0, 0.0, 30.0], [0.0, 0.0, 50.0]]), 200.0 - words)
     assert test.interval() and dev.interval() is None
     assert test.minus(dev).interval() is None and test.minus(dev).p_value() is None
 
 
-def test_sets_with_a_common_room_are_paired_over_their_rooms(draws):
+def test_sets_with_a_common_room_are_paired_over_their_rooms():
     """Two sets of the same rooms, in which the rooms have other numbers of words."""
     first, second = np.tile([200.0, 300.0, 200.0, 250.0], (3, 1)), np.tile([300.0, 200.0, 250.0, 200.0], (3, 1))
     percent = 20 + table("common", 0.3, 8, 0.1, (3, 4))
-    one, other = (Statistic.of(percent / 100 * words, words, draws(3, 4)) for words in (first, second))
+    one, other = (Statistic.of(percent / 100 * words, words) for words in (first, second))
     assert len(one.minus(other).shares) == 1
     assert one.minus(other).components.variance < 0.2 * one.components.variance
 
 
-def test_row_does_not_differ_from_itself(draws):
-    one = rate(20 + table(0, 1, 5, 1, (3, 8)), draws(3, 8))
+def test_row_does_not_differ_from_itself():
+    one = rate(20 + table(0, 1, 5, 1, (3, 8)))
     assert one.minus(one).interval() == [0.0, 0.0] and one.minus(one).p_value() == 1.0
     assert detectable(one.minus(one)) is None
 
 
-def test_pairing_over_rooms_and_seeds_narrows_the_interval(draws):
+def test_pairing_over_rooms_and_seeds_narrows_the_interval():
     shape = (5, 40)
     both = 20 + table("both", 2, 5, 0, shape)
-    a, b = (rate(both + table(name, 0, 0, 2, shape), draws(*shape)) for name in "ab")
+    a, b = (rate(both + table(name, 0, 0, 2, shape)) for name in "ab")
     low, high = a.minus(b).interval()
     unpaired = np.hypot(*(np.diff(one.interval())[0] for one in (a, b)))
     assert high - low < 0.5 * unpaired
 
 
-def test_rooms_with_more_words_weigh_more(draws):
+def test_rooms_with_more_words_weigh_more():
     errors, words = np.array([[10.0, 0.0]]), np.array([[10.0, 90.0]])
-    assert Statistic.of(errors, words, draws(1, 2)).value == 10.0
+    assert Statistic.of(errors, words).value == 10.0
 
 
-def test_single_room_has_no_interval(draws):
-    one = rate(np.array([[20.0], [22.0]]), draws(2, 1))
+def test_single_room_has_no_interval():
+    one = rate(np.array([[20.0], [22.0]]))
     assert one.interval() is None and one.p_value() is None and detectable(one) is None
     assert ratio_interval(one, one) is None
 
 
-def test_contrast_is_zero_at_the_ends_of_a_ratio_interval(draws):
+def test_contrast_is_zero_at_the_ends_of_a_ratio_interval():
     shape = (5, 40)
-    base, row, oracle = (rate(mean + table(mean, 0.3, 2, 1, shape), draws(*shape)) for mean in (20, 17, 14))
+    base, row, oracle = (rate(mean + table(mean, 0.3, 2, 1, shape)) for mean in (20, 17, 14))
     gained, gap = base.minus(row), base.minus(oracle)
     low, high = ratio_interval(gained, gap)
     assert low < gained.value / gap.value < high
@@ -504,10 +502,10 @@ def test_contrast_is_zero_at_the_ends_of_a_ratio_interval(draws):
     assert gained.minus(gap, high).interval()[1] == pytest.approx(0, abs=1e-3)
 
 
-def test_intervals_of_gap_shares_cover_the_truth(draws):
+def test_intervals_of_gap_shares_cover_the_truth():
     shape, held, unknown, times = (5, 40), 0, 0, TIMES // 2
     for n in range(times):
-        base, row, oracle = (rate(mean + table(f"{mean} {n}", 0.3, 4, 1, shape), draws(*shape))
+        base, row, oracle = (rate(mean + table(f"{mean} {n}", 0.3, 4, 1, shape))
                              for mean in (20, 17.75, 17))
         found = ratio_interval(base.minus(row), base.minus(oracle))
         unknown += found is None
@@ -523,20 +521,20 @@ def test_uncertain_gap_has_no_share(tmp_path, capsys):
     assert "is not certain: no share of it is stated" in capsys.readouterr().out
 
 
-def test_detectable_difference_is_detected_in_80_percent(draws):
+def test_detectable_difference_is_detected_in_80_percent():
     shape, parts = (5, 40), (0.5, 2.0, 1.5)
     seed, room, residual = (one ** 2 for one in parts)
     true = Components(Levels.of(np.full(5, 1 / 5)), seed,
                       (RoomComponents(Levels.of(np.full(40, 1 / 40)), room, residual),))
-    found = detectable(rate(20 + table(0, *parts, shape), draws(*shape)))
+    found = detectable(rate(20 + table(0, *parts, shape)))
     size = found["standard_errors"] * np.sqrt(true.variance)
-    times = sum(rate(size + table(n, *parts, shape), draws(*shape)).p_value() < 0.05 for n in range(TIMES))
+    times = sum(rate(size + table(n, *parts, shape)).p_value() < 0.05 for n in range(TIMES))
     assert binom.ppf(0.001, TIMES, 0.74) <= times <= binom.ppf(0.999, TIMES, 0.88)
 
 
-def test_half_of_the_detectable_difference_needs_for_half(draws):
+def test_half_of_the_detectable_difference_needs_for_half():
     shape = (4, 20)
-    one = rate(20 + table(3, 1, 3, 2, shape), draws(*shape))
+    one = rate(20 + table(3, 1, 3, 2, shape))
     fitted, found = one.components, detectable(one)
 
     def difference(n_seeds, n_rooms):
@@ -551,10 +549,10 @@ def test_half_of_the_detectable_difference_needs_for_half(draws):
         if half[kind] is not None:
             assert difference(n_seeds, n_rooms) <= found["difference"] / 2
             assert difference(n_seeds - (kind == "seeds"), n_rooms - (kind == "rooms")) > found["difference"] / 2
-    only_rooms = rate(20 + table(3, 0, 3, 0, shape), draws(*shape))
+    only_rooms = rate(20 + table(3, 0, 3, 0, shape))
     assert detectable(only_rooms)["for_half"]["seeds"] is None
     assert 70 <= detectable(only_rooms)["for_half"]["rooms"] <= 80
-    assert detectable(rate(20 + table(3, 0, 3, 0, (1, 20)), draws(1, 20)))["seed"] is None
+    assert detectable(rate(20 + table(3, 0, 3, 0, (1, 20))))["seed"] is None
 
 
 def test_two_seeds_do_not_show_that_seeds_do_not_matter():
@@ -571,8 +569,8 @@ def test_two_seeds_do_not_show_that_seeds_do_not_matter():
     assert just_below.df == pytest.approx(just_above.df, rel=0.1) and just_below.df < 10
 
 
-def test_p_value_is_the_level_of_the_interval_that_ends_at_zero(draws):
-    one = rate(20 + table(3, 1, 3, 2, (3, 20)), draws(3, 20))
+def test_p_value_is_the_level_of_the_interval_that_ends_at_zero():
+    one = rate(20 + table(3, 1, 3, 2, (3, 20)))
     for end in one.interval():
         shifted = replace(one, value=one.value - end)
         assert shifted.p_value() == pytest.approx(0.05, abs=1e-3)
@@ -634,8 +632,7 @@ def test_room_that_a_seed_did_not_draw_counts_with_the_others(tmp_path):
 
 def test_rates_that_are_the_same_in_all_rooms_have_no_detectable_difference():
     words, one, three = np.full((1, 2), 11.0), np.full((1, 2), 1.0), np.full((1, 2), 3.0)
-    resampling = Resampling(1, 2, "test")
-    difference = Statistic.of(one, words, resampling).minus(Statistic.of(three, words, resampling))
+    difference = Statistic.of(one, words).minus(Statistic.of(three, words))
     assert detectable(difference) is None
 
 
