@@ -1,11 +1,14 @@
 """A plain Kaldi data directory as a speech corpus: its lines are copied, its audio is not touched."""
 
+import logging
 import re
 from dataclasses import dataclass
 from pathlib import Path
 
 from roomeq.core.files import read_text
 from roomeq.records.transcripts import words_problem
+
+logger = logging.getLogger(__name__)
 
 BY_UTTERANCE = ("segments", "text", "utt2spk", "utt2dur", "utt2lang", "utt2uniq")
 BY_RECORDING = ("wav.scp", "reco2dur")
@@ -60,7 +63,7 @@ def find_kaldi_dirs(source: Path) -> dict[str, Path]:
 
 
 def read_kaldi_dir(path: Path) -> KaldiDir:
-    """Read those tables of a data directory that are copied.
+    """Read those tables of a data directory that are copied; there may be no `text`.
 
     Raises
     ------
@@ -70,14 +73,16 @@ def read_kaldi_dir(path: Path) -> KaldiDir:
     files = {name: _read_lines(path / name) for name in (*BY_UTTERANCE, *BY_RECORDING, *BY_SPEAKER)
              if (path / name).is_file()}
     for name in ("wav.scp", "utt2spk", "text"):
-        if not files.get(name):
+        if not files.get(name) and (name != "text" or name in files):
             raise ValueError(f"{path / name}: missing or empty: {_REMEDY}")
-    for utt, words in files["text"].items():
+    if "text" not in files:
+        logger.warning("%s: no text: no transcripts are written", path)
+    for utt, words in files.get("text", {}).items():
         if problem := words_problem(words.replace("\t", " ")):
             raise ValueError(f"{path / 'text'}: transcript of {utt}: {problem}")
     audio_of = files.get("segments", files["wav.scp"])
     for utt in files["utt2spk"]:
-        if utt not in audio_of or utt not in files["text"]:
+        if utt not in audio_of or utt not in files.get("text", audio_of):
             lacking = "text" if utt in audio_of else "segments" if "segments" in files else "wav.scp"
             raise ValueError(f"{path / lacking}: utterance {utt} of utt2spk is not in it: {_REMEDY}")
         if "segments" in files and (recording := audio_of[utt].split()[0]) not in files["wav.scp"]:

@@ -321,6 +321,13 @@ def test_kaldi_directory_is_split_by_voice(tmp_path, segments):
         assert (path / "segments").exists() == segments and not (path / "spk2gender").exists()
 
 
+def test_kaldi_directory_without_transcripts_is_read_without(tmp_path, caplog):
+    (put_kaldi_dir(tmp_path / "kaldi", ["a", "b", "c"]) / "text").unlink()
+    for directory in prepare_speech(tmp_path / "kaldi", tmp_path / "data"):
+        assert len(lines(directory / "wav.scp")) == 2 and not (directory / "text").exists()
+    assert "kaldi: no text: no transcripts are written" in caplog.text
+
+
 def test_several_kaldi_directories_are_sets(tmp_path):
     for name, speakers in (("train_a", ["a"]), ("train_b", ["b"]), ("dev", ["c"]), ("test", ["d"])):
         put_kaldi_dir(tmp_path / "data" / name, speakers)
