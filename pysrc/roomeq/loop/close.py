@@ -59,8 +59,8 @@ from roomeq.sim.geometry import towards_microphone
 
 logger = logging.getLogger(__name__)
 _FEWEST_ROOMS = 2
-_NOTABLE_JND = 0.1
 """Rooms with an error from which on a mean has an interval."""
+_NOTABLE_JND = 0.1
 _REMEDY = "record until the decay ends in the noise"
 SCATTERING = 0.3
 """Scattering coefficient of all surfaces: measured RIRs do not state it."""
@@ -154,7 +154,8 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     logger.info("base model: held-out error %.2f JND (leave-positions-out), %.2f JND (leave-room-out)%s",
                 *(first_errors.mean(split) for split in SPLITS), _of_scored(counts))
     session, errors, iterations, ranked, ranking, rejected = _add_effects(first, first_errors, unknown, max_effects)
-    write_model(work / MODEL_FILE, _model_of(session, base))
+    model = _model_of(session, base)
+    write_model(work / MODEL_FILE, model)
     np.savez_compressed(work / RESIDUALS_FILE, before=first.residual, after=session.residual)
     write_examples(work / EXAMPLES_FILE, recordings, first, session)
     update_parameters(iterations, session)
@@ -182,8 +183,10 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     write_json(work / LEDGER_FILE, ledger)
     if test_data:
         try:
-            ledger["test"] = _test_entry(test_data, first, session)
+            ledger["test"], faced = _test_entry(test_data, first, session)
             write_json(work / LEDGER_FILE, ledger)
+            if model.is_directive:
+                write_model(work / MODEL_FILE, replace(model, facings={**model.facings, **_facings(faced)}))
         except Exception:
             logger.error("the test set could not be scored; what the loop found is in %s", work)
             raise
@@ -331,10 +334,11 @@ def _eliminate(session: Session, errors: HeldOutErrors, newest: type[Effect]
     return left, errors_left, superfluous
 
 
-def _test_entry(data: Data, first: Session, last: Session) -> dict:
-    """Return the ledger's entry of the test set: errors with the base and the final model, and the ceiling.
+def _test_entry(data: Data, first: Session, last: Session) -> tuple[dict, Data]:
+    """Return the ledger's entry of the test set, with errors of the base and the final model and ceiling, and the set.
 
-    What is read off the recordings of a room is part of the final model there, whether the other rooms have it or not.
+    In the set that is returned, facings are estimated. What is read off the recordings of a room is part of the final
+    model there, whether the other rooms have it or not.
     """
     found, last = last.effects, with_measured_effects(last)
     data, _ = transferred(data, last)  # whose facings are estimated once
@@ -351,7 +355,8 @@ def _test_entry(data: Data, first: Session, last: Session) -> dict:
                 geometry=[estimate.as_dict() for estimate in data.estimates],
                 facings=[facing.as_dict() for facing in data.facings],
                 measured=[effect.NAME for effect in last.effects if effect not in found],
-                before=error_entry(before), after=error_entry(after), ceiling=error_entry(ceiling), explained=shares)
+                before=error_entry(before), after=error_entry(after), ceiling=error_entry(ceiling),
+                explained=shares), data
 
 
 def _of_scored(counts: dict[str, int]) -> str:

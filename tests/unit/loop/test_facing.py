@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rirmaker import coloured_rir, write_rir_dir
 
-from roomeq.effects.model import Extension, Model
+from roomeq.effects.model import Extension, Model, read_model, write_model
 from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.loop import facing
 from roomeq.loop.close import _faced_base_model, _facings
@@ -15,6 +15,7 @@ from roomeq.loop.data import load_data
 from roomeq.loop.facing import _log_likelihood, estimate_facings, unknown_facings
 from roomeq.loop.heldout_errors import transferred
 from roomeq.loop.packing import N_SURFACE, ParameterIndex
+from roomeq.loop.step import close_loop
 from roomeq.loop.usable import usable_rirs
 
 SOURCES_M = [(2.0, 2.0, 1.2), (6.0, 4.0, 1.2), (2.0, 5.0, 1.2)]
@@ -135,13 +136,17 @@ def test_directivity_is_assumed_that_fits_the_direct_sounds(monkeypatch):
 DIRECTIVITY = SourceDirectivity.from_vector([np.log(0.12), np.log(0.4), *[0.5] * 24])
 
 
-def loaded(where, source_dir, model=None):
-    """Load three rooms of four RIRs with one loudspeaker."""
+def three_rooms(where, source_dir, rooms="abc"):
+    """Write an RIR directory of three rooms with four RIRs each of one loudspeaker."""
     rows = [dict(id=f"{room}{n}", wav=f"{room}{n}.wav", room_id=room, source_id="ls", mic_id="m",
                  room_dims_m=[6.0, 5.0, 3.0], source_pos_m=[1.0 + 2.0 * (n % 2), 1.0, 1.5],
-                 mic_pos_m=[2.0 + 0.6 * n, 3.0, 1.3], source_dir=source_dir) for room in "abc" for n in range(4)]
-    rirs = [(row, coloured_rir(n, time_s=0.3 + 0.05 * (n // 4))) for n, row in enumerate(rows)]
-    return load_data(usable_rirs([write_rir_dir(where, rirs)]), scattering=0.3, seed=0, model=model)
+                 mic_pos_m=[2.0 + 0.6 * n, 3.0, 1.3], source_dir=source_dir) for room in rooms for n in range(4)]
+    rirs = [(row, coloured_rir(n + 4 * ord(rooms[0]), time_s=0.3 + 0.05 * (n // 4))) for n, row in enumerate(rows)]
+    return write_rir_dir(where, rirs)
+
+
+def loaded(where, source_dir, model=None):
+    return load_data(usable_rirs([three_rooms(where, source_dir)]), scattering=0.3, seed=0, model=model)
 
 
 def test_given_directivity_is_compared_like_a_fitted_one(tmp_path):
@@ -172,6 +177,16 @@ def test_base_model_with_a_directivity_is_fitted_with_its_facings(tmp_path):
         index.gains(fitted.local), session.correction), atol=1e-6)
     test_data, _ = transferred(loaded(tmp_path / "test", None, model), session)
     assert not len(unknown_facings(test_data)) and [found.rirs for found in test_data.facings] == [12]
+
+
+def test_model_holds_the_facings_of_the_test_set(tmp_path):
+    vector = DIRECTIVITY.vector()
+    base = Model((Extension(SourceDirectivity, {"ls": DIRECTIVITY}, vector, np.zeros(len(vector))),))
+    write_model(tmp_path / "base.json", base)
+    fit, test = (three_rooms(tmp_path / rooms, [0.0, -1.0, 0.0], rooms) for rooms in ("abc", "def"))
+    close_loop([fit], tmp_path / "loop", test=[test], model=tmp_path / "base.json", max_effects=0)
+    facings = read_model(tmp_path / "loop/model.json").facings
+    assert facings == {f"{room}{n}": [0.0, -1.0, 0.0] for room in "abcdef" for n in range(4)}
 
 
 def test_model_holds_the_facings_of_sources_that_face_no_microphone():
