@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 sys.path[:0] = [str(Path(__file__).resolve().parents[1] / name) for name in ("", "data")]
 
@@ -52,7 +53,7 @@ MIN_RMS_JND = 0.7  # predicted change of a metric from which its slope says some
 
 _TILT_DB = np.linspace(-6.0, 6.0, len(RESPONSE_HZ))
 _RIPPLE_DB = 6.0 * np.sin(np.linspace(0.0, 5.0, len(RESPONSE_HZ)))
-VECTORS = {
+VECTORS: dict[str, ArrayLike] = {
     "air_absorption": (1.0, np.log(20.0)),  # 10 degrees, 20 % humidity; declared are 20 degrees and 50 %
     "sound_speed": (3.2,),  # 32 degrees
     "source_directivity": (*np.log([0.12, 0.6]), *[0.0] * 24),  # a cabinet of 12 cm radius, a membrane of 7 cm
@@ -120,17 +121,17 @@ def make_data(directory: Path, seed: int) -> Data:
     return load_data(UsableRirs([Located(directory, row) for row in rows], []), scattering=SCATTERING, seed=seed)
 
 
-def measure_changes() -> dict[str, Change]:
-    """Measure the predicted and the rendered change of the features by every effect, of the RIRs of all seeds."""
+def measure_changes(vectors: dict[str, ArrayLike] = VECTORS) -> dict[str, Change]:
+    """Measure the predicted and the rendered change of the features by each effect, of the RIRs of all seeds."""
     of_seeds = []
     for seed in SEEDS:
         with tempfile.TemporaryDirectory() as directory:
-            of_seeds.append(_measure_changes(make_data(Path(directory), seed)))
+            of_seeds.append(_measure_changes(make_data(Path(directory), seed), vectors))
     return {name: Change(*(np.concatenate([getattr(changes[name], part) for changes in of_seeds])
-                           for part in ("predicted", "rendered"))) for name in CATALOGUE}
+                           for part in ("predicted", "rendered"))) for name in vectors}
 
 
-def _measure_changes(data: Data) -> dict[str, Change]:
+def _measure_changes(data: Data, vectors: dict[str, ArrayLike]) -> dict[str, Change]:
     absorption = np.tile([ABSORPTION, np.multiply(ABSORPTION, FLOOR_FACTOR)], (len(data.room_names), 1, 1))
     rows = np.arange(len(data.rows))
 
@@ -149,15 +150,15 @@ def _measure_changes(data: Data) -> dict[str, Change]:
         return predict(data, state)
 
     raw_rirs, plain_features = render([])
-    for effect in CATALOGUE.values():
+    for effect in (CATALOGUE[name] for name in vectors):
         # the prediction of an effect that acts on waves interpolates between renderings
         on_grid = [measure(raw_rirs, [effect.from_vector(point)]) for point in effect.INTERPOLATION_GRID]
         if on_grid:
             change = np.nan_to_num(np.array(on_grid) - plain_features)
             data = replace(data, rendered_changes={**data.rendered_changes, effect.NAME: change})
     changes = {}
-    for name, effect in CATALOGUE.items():
-        effects = [effect.from_vector(VECTORS[name])]
+    for name, vector in vectors.items():
+        effects = [CATALOGUE[name].from_vector(vector)]
         changes[name] = Change(predict_with(effects) - predict_with([]), render(effects)[1] - plain_features)
     return changes
 

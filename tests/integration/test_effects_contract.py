@@ -13,6 +13,7 @@ import pytest
 
 from bench.effects import METRICS, VECTORS, Change, deviation, measure_changes, print_table
 from roomeq.effects.catalogue import CATALOGUE
+from roomeq.loop.features import METRIC
 
 LIMIT_JND = 0.5
 SLOPE = (0.85, 1.2)
@@ -98,6 +99,12 @@ def test_every_effect_of_the_catalogue_is_measured():
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_predicted_change_equals_rendered_change(name, changes):
     assert not violations(name, changes[name])
+
+
+def test_detour_longer_than_the_gate_of_the_direct_sound_leaves_what_is_rendered():
+    change = measure_changes({"occlusion": (np.log(1.5),)})["occlusion"]
+    for metric, limit in (("direct", 6.0), ("drr", 3.0)):
+        assert abs(np.nanmedian((change.predicted - change.rendered)[:, METRIC == metric])) < limit
 
 
 @pytest.mark.parametrize("factor", [-1.0, 0.0, 0.5, 2.0])

@@ -41,6 +41,9 @@ _db = partial(power_db, floor=FLOOR_POWER)
 _N_DIRECT = len(DIRECT_THIRDS_HZ)
 _GATE_FADE_S = 5e-4
 """Time in which the gate of the direct sound closes."""
+_GATE_LEAK = 10.0 ** -2.5
+"""Share of a direct sound after the end of its gate that is measured in it: filters spread it and what is about it. So
+the predicted level is within 3 dB (median) of that of 36 renderings of three rooms, at detours from 1 to 3 m."""
 _PULSE_S = np.minimum(1.0 / OCTAVE_WIDTH_HZ, 0.9 * FRAME_EDGES_S[1])
 """Time in which the direct sound passes an octave filter, shape (8,); at low frequencies limited to the first frame."""
 
@@ -217,7 +220,7 @@ def predict_by_band(data: Data, state: PredictionState, reflected: ReflectedEner
     direct = direct * (state.direct_thirds @ _THIRDS_TO_OCTAVES.T)
     near_thirds_db, whole_thirds_db = _db(near) @ TO_THIRDS.T, _db(whole) @ TO_THIRDS.T
     # direct sound that comes around an obstacle after the end of its gate is early sound
-    in_gate = np.clip((DIRECT_S - state.delay_s) / _GATE_FADE_S + 0.5, 0.0, 1.0)[:, None]
+    in_gate = np.clip((DIRECT_S - state.delay_s) / _GATE_FADE_S + 0.5, _GATE_LEAK, 1.0)[:, None]
     response_octaves_db = state.response_db @ RESPONSE_TO_OCTAVES.T
     response_thirds_db = state.response_db[:, :len(SPECTRUM_HZ)]
     features = np.zeros((len(direct), N_FEATURES))
