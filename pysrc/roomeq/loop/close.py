@@ -185,8 +185,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
         try:
             ledger["test"], faced = _test_entry(test_data, first, session)
             write_json(work / LEDGER_FILE, ledger)
-            if model.is_directive:
-                write_model(work / MODEL_FILE, replace(model, facings={**model.facings, **_facings(faced)}))
+            write_model(work / MODEL_FILE, _with_places_of(faced, model))
         except Exception:
             logger.error("the test set could not be scored; what the loop found is in %s", work)
             raise
@@ -397,6 +396,15 @@ def _model_of(session: Session, base: Model) -> Model:
     model = Model(tuple(sorted(extensions, key=lambda extension: list(CATALOGUE).index(extension.effect.NAME))),
                   heights_m=unknown_heights_m(session.data.estimates))
     return replace(model, facings=_facings(session.data)) if model.is_directive else model
+
+
+def _with_places_of(data: Data, model: Model) -> Model:
+    """Return a model with the heights and facings of the test set, too, with which its RIRs can be simulated."""
+    heights_m = unknown_heights_m(data.estimates)
+    for room, of_room in model.heights_m.items():
+        heights_m[room] = {**heights_m.get(room, {}), **of_room}
+    return replace(model, heights_m=heights_m,
+                   facings={**model.facings, **_facings(data)} if model.is_directive else model.facings)
 
 
 def _facings(data: Data) -> dict[str, list[float]]:

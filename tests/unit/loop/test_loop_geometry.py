@@ -1,12 +1,16 @@
 """Estimated geometry: hidden heights are found, right documents are kept, wrong ones are replaced."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from echoes import echo_room
 from rirmaker import row
 
+from roomeq.effects.model import Model
 from roomeq.loop.annealing import Block, anneal
 from roomeq.loop.arrivals import Arrivals, early_images, heard_probability, log_likelihood, measure_arrivals
+from roomeq.loop.close import _with_places_of
 from roomeq.loop.geometry import Estimate, _possible, complete_room, unknown_heights_m
 from roomeq.loop.unknown_geometry import HEIGHT_M, UnknownGeometry
 
@@ -37,6 +41,16 @@ def test_heights_that_recordings_tell_and_no_row_states_are_for_the_simulator():
     assert heights_m == {"room3": {f"source s{n}": pytest.approx(truth[f"height of source s{n}"], abs=0.06)
                                   for n in range(2)}}
     assert unknown_heights_m([Estimate("hall", "height of source s", "m", HEIGHT_M, HEIGHT_M, None, 0.0, True)]) == {}
+
+
+def test_model_holds_heights_of_the_test_set_where_the_training_set_tells_none():
+    def of_test_set(room, device):
+        return Estimate(room, f"height of {device}", "m", HEIGHT_M, (1.2, 0.02), None, 0.0, True)
+
+    data = SimpleNamespace(estimates=[of_test_set("office", "source s"), of_test_set("office", "microphone m"),
+                                      of_test_set("hall", "source s")])
+    model = _with_places_of(data, Model(heights_m={"office": {"source s": 1.5}}))
+    assert model.heights_m == {"office": {"source s": 1.5, "microphone m": 1.2}, "hall": {"source s": 1.2}}
 
 
 def test_height_that_some_rows_of_a_device_lack_has_its_plain_name():
