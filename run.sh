@@ -108,6 +108,11 @@ if [[ $stage -le 6 && ( $stage -eq 0 || $stop_stage -ge 6 ) ]]; then # before ho
   done
   [ ${#unchecked[@]} -eq 0 ] || local/check_speech.py "${unchecked[@]}"
 fi
+if [[ $stage -le 8 && $stop_stage -ge 8 && $dry_run = false ]]; then
+  for x in train dev; do
+    [ ! -f "$data/$x.clean/wav.scp" ] || local/check_speech.py --for-kaldi "$data/$x.clean"
+  done
+fi
 
 if at_stage 1 "characterise and split the measured RIRs"; then
   steps/characterise_rirs.sh --nj "$nj" "$data/measured" "$data/rirs.real"

@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 """Check data directories of clean speech as Kaldi does, with their audio, which must be files.
 
-Usage: check_speech.py DATA_DIR...
+Usage: check_speech.py [--for-kaldi] DATA_DIR...
 e.g.:  python local/check_speech.py data/train.clean data/dev.clean
 
-The steps that use them say the same, but only after all RIRs were simulated.
+With --for-kaldi, only what recognisers need beyond that: transcripts, and 16-bit mono audio at 16 kHz. What uses the
+directories says the same, but only after all RIRs were simulated.
 """
 
 import sys
@@ -13,13 +14,17 @@ from pathlib import Path
 
 def main(argv: list[str]) -> int:
     """Check the directories; return the exit status."""
-    if not argv or argv[0].startswith("-"):
+    if not argv or argv[0].startswith("-") and argv[0] != "--for-kaldi":
         print(__doc__)
         return 0 if argv[:1] in (["--help"], ["-h"]) else 1
     from roomeq.kaldi.datadir import read_data_dir
     from roomeq.kaldi.validate import validate_data_dir
 
     try:
+        if argv[0] == "--for-kaldi":
+            for directory in map(Path, argv[1:]):
+                _check_for_kaldi(directory)
+            return 0
         for directory in map(Path, argv):
             for recording, entry in read_data_dir(directory, pipes=True).recordings.items():
                 if entry.kind == "pipe":
@@ -30,6 +35,23 @@ def main(argv: list[str]) -> int:
         print(f"check_speech.py: {error}", file=sys.stderr)
         return 1
     return 0
+
+
+def _check_for_kaldi(directory: Path) -> None:
+    from roomeq.core.audio import audio_info
+    from roomeq.core.constants import FS_HZ
+    from roomeq.kaldi.datadir import read_data_dir
+
+    data = read_data_dir(directory)
+    if data.text is None:
+        raise ValueError(f"{directory}: no text: recognisers need transcripts: give speech with transcripts, or stop "
+                         "with --stop-stage 7")
+    for entry in data.recordings.values():
+        info = audio_info(Path(entry.text))
+        if (info.samplerate, info.channels, info.subtype) != (FS_HZ, 1, "PCM_16"):
+            raise ValueError(f"{directory}/wav.scp: {entry.text}: {info.samplerate} Hz, {info.channels} channels, "
+                             f"{info.subtype}: Kaldi's features need 16-bit mono at {FS_HZ} Hz: convert the audio, or "
+                             "stop with --stop-stage 7")
 
 
 if __name__ == "__main__":

@@ -3,7 +3,9 @@
 import os
 import subprocess
 
+import numpy as np
 import pytest
+import soundfile
 from rirmaker import coloured_rir, row, write_rir_dir
 from scripts import call
 
@@ -197,6 +199,26 @@ def test_recipe_finds_wrong_speech_before_it_simulates(project_dir, tmp_path, en
     done = call(project_dir, "./run.sh", "--stage", "1", "--data", str(tmp_path), "--exp", str(tmp_path / "exp"))
     assert done.returncode == 1 and "stage 1" not in done.stdout
     assert done.stderr.startswith(f"check_speech.py: {speech}{message}")
+
+
+@pytest.mark.parametrize("text, fs_hz, message", [
+    (None, 16000, ": no text: recognisers need transcripts"),
+    ("s-u HI\n", 48000, "/wav.scp: {}/a.wav: 48000 Hz, 1 channels, PCM_16: Kaldi's features need 16-bit mono at 16")])
+def test_recipe_finds_speech_that_kaldi_cannot_use_before_it_simulates(project_dir, tmp_path, text, fs_hz, message):
+    for folder in ("egs/wsj/s5/steps", "egs/wsj/s5/utils", "egs/librispeech/s5/local", "egs/librispeech/s5/conf",
+                   "src"):
+        (tmp_path / "kaldi" / folder).mkdir(parents=True)
+    speech = tmp_path / "train.clean"
+    speech.mkdir()
+    soundfile.write(speech / "a.wav", np.ones(160) / 2, fs_hz)
+    for name, line in {"wav.scp": f"s-u {speech}/a.wav", "utt2spk": "s-u s", "spk2utt": "s s-u"}.items():
+        (speech / name).write_text(f"{line}\n")
+    if text:
+        (speech / "text").write_text(text)
+    done = call(project_dir, "env", f"KALDI_ROOT={tmp_path}/kaldi", "./run.sh", "--stage", "1", "--stop-stage", "8",
+                "--data", str(tmp_path), "--exp", str(tmp_path / "exp"))
+    assert done.returncode == 1 and "stage 1" not in done.stdout
+    assert f"check_speech.py: {speech}{message.format(speech)}" in done.stderr
 
 
 @pytest.mark.parametrize("option", ["--rooms", "--free-rooms"])
