@@ -75,13 +75,20 @@ def test_drawn_rooms_have_loudspeakers_and_microphones_of_their_own(tmp_path):
 def test_every_effect_changes_exactly_the_rirs_it_concerns(name, measured, plain, tmp_path):
     simulated_rirs = simulated(measured, tmp_path / "out", model_file(tmp_path / "model.json", extension(name)))
     for row_id, (row, rir) in simulated_rirs.items():
-        acts = not (name in SOURCE_ONLY and row["noise_for"])
+        acts = CATALOGUE[name].IN_RESPONSE and not (name in SOURCE_ONLY and row["noise_for"])
         assert row["model"] == [name] * acts
         before = plain[row_id][1]
         same = len(rir) == len(before) and np.array_equal(rir, before)
         # a directivity changes the absorption that meets the target, and noise sources are in the same room
         assert same != acts or (name == "source_directivity" and row["noise_for"]), f"{name} on {row_id}"
         assert np.all(np.isfinite(rir)) and row["temperature_c"] == plain[row_id][0]["temperature_c"]
+
+
+def test_noise_of_recordings_is_said_to_be_left_out(measured, plain, tmp_path, caplog):
+    caplog.set_level("INFO")
+    path = model_file(tmp_path / "model.json", extension("noise_floor", units=["office"]))
+    assert simulated(measured, tmp_path / "out", path)["a"][0]["model"] == plain["a"][0]["model"]
+    assert f"{path}: noise_floor is of the recordings and no part of a room impulse response" in caplog.text
 
 
 def test_source_without_stated_facing_faces_as_in_the_model_or_the_microphone(measured, tmp_path):

@@ -129,6 +129,9 @@ class Effect:
         Whether `apply_to_prediction` changes the energy of reflections; if not, a fit reuses the sum over them.
     MEASURED : bool
         Whether the vector can be read off the recordings (`measured_vectors`), whatever their rows say of the room.
+    IN_RESPONSE : bool
+        Whether it is a part of the room impulse response. Noise of a recording is none: `roomeq simulate` leaves it
+        out.
     NAMES_CAUSE : bool
         Whether it is a physical cause. An equaliser is none: whatever explains as much comes first.
     """
@@ -142,6 +145,7 @@ class Effect:
     INTERPOLATION_GRID: ClassVar[tuple[tuple[float, ...], ...]] = ()
     REFLECTIONS: ClassVar[bool] = True
     MEASURED: ClassVar[bool] = False
+    IN_RESPONSE: ClassVar[bool] = True
     NAMES_CAUSE: ClassVar[bool] = True
 
     @classmethod

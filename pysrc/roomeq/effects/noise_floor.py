@@ -51,6 +51,7 @@ class NoiseFloor(Effect):
 
     REFLECTIONS = False
     MEASURED = True
+    IN_RESPONSE = False
     NAME = "noise_floor"
     SCOPE = "room"
     STARTS = ((0.5,) * len(THIRDS_HZ),)  # tens of dB that the noise adds to white noise of `QUIET_DB`

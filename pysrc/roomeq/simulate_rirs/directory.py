@@ -7,6 +7,7 @@ One group, the rows that share a room, a source position, the air and the stated
 import json
 import logging
 from collections import Counter, defaultdict
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -50,7 +51,7 @@ def make(build: Build, measured_dir: Path, rows: list[RirRow], materials: Path |
         See `roomeq.simulate_rirs.simulate`.
     """
     table = read_materials(materials)
-    effects = Model() if model is None else read_model(model)
+    effects = _model_of_responses(model)
     groups = _group_by_source(rows, measured_dir, effects, options.seed)
 
     def simulate_group(_: str, members: list[Member]) -> list[dict]:
@@ -83,7 +84,7 @@ def make_drawn(build: Build, numbers: range, room_types: Path | str | None, type
     """
     table = read_materials(materials)
     tables = {room_type.name: table_of_type(table, room_type, str(types_file(room_types))) for room_type in types}
-    effects = Model() if model is None else read_model(model)
+    effects = _model_of_responses(model)
 
     def simulate_room(_: str, number: int) -> list[dict]:
         drawn = draw_room(number, types, options.seed)
@@ -103,6 +104,19 @@ def make_drawn(build: Build, numbers: range, room_types: Path | str | None, type
         types_text = ", ".join(f"{count} of type {name}" for name, count in sorted(_rooms_by_type(rows).items()))
         logger.info("%s: %d RIRs, and %d of noise sources, of %d rooms (%s)", build.out, len(rows),
                     len(everything) - len(rows), len(numbers), types_text)
+
+
+def _model_of_responses(path: Path | str | None) -> Model:
+    """Return a model without effects that are no part of a response: speech would keep sounding in such noise."""
+    if path is None:
+        return Model()
+    model = read_model(path)
+    kept = tuple(extension for extension in model.extensions if extension.effect.IN_RESPONSE)
+    for extension in model.extensions:
+        if extension not in kept:
+            logger.info("%s: %s is of the recordings and no part of a room impulse response: it is not simulated", path,
+                        extension.effect.NAME)
+    return replace(model, extensions=kept)
 
 
 def _rooms_by_type(rows: list[RirRow]) -> Counter[str]:
