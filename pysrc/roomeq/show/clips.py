@@ -8,6 +8,7 @@ import numpy as np
 import scipy  # its submodules load themselves when first used
 
 from roomeq.acoustics.direct import find_direct
+from roomeq.augment.mix import sounds, without_rumble
 from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import audio_info, read_audio
 from roomeq.core.rng import rng_for
@@ -46,6 +47,8 @@ class Clip:
 def dry_signal(speech: Path | None, fs_hz: int) -> tuple[str, FloatArray]:
     """Return the name and the samples of the dry signal: a recording from its first sound on, or bursts of pink noise.
 
+    The recording has no rumble, which counts as energy and which simulated RIRs would raise.
+
     Raises
     ------
     ValueError
@@ -55,8 +58,9 @@ def dry_signal(speech: Path | None, fs_hz: int) -> tuple[str, FloatArray]:
         return "noise bursts", _noise_bursts(fs_hz)
     rate_hz = audio_info(speech).samplerate
     samples = np.trim_zeros(read_audio(speech, fs_hz=rate_hz), "f")[:round(MAX_SPEECH_S * rate_hz)]
-    if not samples.any():
-        raise ValueError(f"{speech}: silent (all samples 0): give another recording of dry speech")
+    if not len(samples) or not sounds(samples):
+        raise ValueError(f"{speech}: silent (all samples the same): give another recording of dry speech")
+    samples = without_rumble(samples, rate_hz)
     if rate_hz != fs_hz:
         import soxr
 

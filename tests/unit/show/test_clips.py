@@ -40,6 +40,18 @@ def test_speech_is_resampled_and_heard_through_the_rir(tmp_path):
     assert np.allclose(heard[:16000], dry_sound, atol=1e-4) and len(made) == 2
 
 
+def test_rumble_and_offset_of_speech_do_not_count_as_sound(tmp_path):
+    """All reflections of a constant or of a low frequency add up in simulated RIRs."""
+    time_s, rir = np.arange(32000) / 16000, np.abs(coloured_rir(0))
+    levels_db = []
+    for rumble in (0.0, 0.05):
+        speech = 0.05 * np.random.default_rng(0).standard_normal(32000) + rumble * (1.0 + np.cos(20.0 * time_s))
+        write_wav(tmp_path / "speech.wav", speech)
+        for clip in clips([("A", "simulated", rir, 16000)], tmp_path / "speech.wav", with_responses=False):
+            levels_db.append(10 * np.log10(np.sum(np.abs(np.fft.rfft(sound(clip)[0], 64000)[80:]) ** 2)))
+    assert levels_db[2] - levels_db[3] == pytest.approx(levels_db[0] - levels_db[1], abs=0.3)
+
+
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
 def test_rir_is_heard_from_its_direct_sound_on(noise):
     """However long the file is before it, and without a click where it is cut off."""
