@@ -29,7 +29,7 @@ POINT_BINS = tuple(round(f * N_FRAME / FS_HZ) for f in BANDS_HZ)
 MIN_SNR_DB = 10.0  # at a point: noise adds at most 0.4 dB
 MIN_NOISE = 2 * N_FRAME  # samples after the noise intersection from which the noise spectrum is estimated
 BELOW_HZ = (5000.0, 6000.0)
-PASS_HZ = (6500.0, 7250.0)  # pass band of anti-alias filters
+PASS_HZ, PASS_END_HZ = (6500.0, 7250.0), (7000.0, 7250.0)  # pass band of anti-alias filters, and its end
 STOP_HZ = (7900.0, 8000.0)
 ROLL_OFF_DB = 20.0  # at least 60 dB per octave between two of these: steeper than loudspeakers, and than their scatter
 
@@ -165,11 +165,12 @@ def analyse(rir: FloatArray, direct_sample: float) -> EqAnalysis:
         snr_db = power_db(power[points]) - power_db(noise[points])
     valid = (snr_db >= MIN_SNR_DB) & (power[points] > 0.0) & (snr_db[BAND_1KHZ] >= MIN_SNR_DB)
     level_db = power_db(power[points])
-    below_db, passed_db, stopped_db = (_mean_db(power, band_hz) for band_hz in (BELOW_HZ, PASS_HZ, STOP_HZ))
+    below_db, passed_db, end_db, stopped_db = (
+        _mean_db(power, band_hz) for band_hz in (BELOW_HZ, PASS_HZ, PASS_END_HZ, STOP_HZ))
     edge_db = None
     if passed_db - stopped_db > ROLL_OFF_DB:
         valid[-1] = False
-        if below_db - passed_db <= ROLL_OFF_DB:
+        if below_db - end_db <= ROLL_OFF_DB:
             edge_db = passed_db - float(level_db[BAND_1KHZ])
     return EqAnalysis(level_db, level_db - level_db[BAND_1KHZ], valid, snr_db, edge_db)
 
