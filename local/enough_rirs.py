@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Stop where measured RIRs are fewer than the components of the mixture that roomeq fit-eq is to fit to them.
+"""Stop where roomeq fit-eq cannot fit its mixture to measured RIRs: they are fewer than its components, or lack a band.
 
 Usage: enough_rirs.py RIR_DIR NUM_COMPONENTS
 e.g.:  python local/enough_rirs.py data/rirs.real.train 7

@@ -94,12 +94,12 @@ def make(build: Build, directories: dict[str, Path], n_components: int, weight_r
 
 
 def require_enough_rirs(real_dir: Path, n_components: int) -> None:
-    """Refuse measured RIRs of which screening leaves fewer than the mixture has components, as the fit does.
+    """Refuse measured RIRs to which no mixture of so many components can be fitted, as the fit does.
 
     Raises
     ------
     ValueError
-        They are too few, or the directory is invalid.
+        Screening leaves too few, none has a value at some point, or the directory is invalid.
     """
     rows = [row for row in read_rirs(real_dir) if not row.get("noise_for")]
     require_16_khz(real_dir, rows)
@@ -116,12 +116,19 @@ def _measured(real_dir: Path, rows: list[RirRow]) -> list[RirRow]:
 
 
 def _screened(measured: list[EqRecord], real_dir: Path, n_components: int) -> list[EqRecord]:
-    """Screen outliers, and return the records to fit the mixture to, as many as it has components or more."""
+    """Screen outliers, and return the records to fit the mixture to.
+
+    They are as many as it has components or more, and every point is known of some.
+    """
     screen_outliers(measured)
     used = [record for record in measured if not record["screen"]]
     if len(used) < n_components:
         raise ValueError(f"{real_dir}: {len(used)} measured RIRs are left after screening of {len(measured)}: must be "
                          f"at least {n_components}, the mixture's components: give more, or fewer --num-components")
+    lacking = np.isnan([usable_eq(record) for record in used]).all(axis=0)
+    if lacking.any():
+        raise ValueError(f"{real_dir}: none of {len(used)} measured RIRs has a valid EQ at "
+                         f"{BANDS_HZ[FREE[int(np.argmax(lacking))]]:g} Hz: give recordings that reach it")
     return used
 
 
@@ -205,21 +212,12 @@ def fill_missing(records: list[EqRecord], seed: int) -> FloatArray:
     Mean and covariance come from expectation-maximisation over the incomplete vectors (Little & Rubin, Statistical
     Analysis with Missing Data, 11.2.2). A missing point is *drawn* from the Gaussian given the known points of its
     RIR, which are taken as measured to `JND_DB` (ridge regression), so that a few RIRs determine it too. The
-    conditional mean would make the mixture too narrow.
-
-    Raises
-    ------
-    ValueError
-        No record has a value at some point.
+    conditional mean would make the mixture too narrow. Every point must be known of some record.
     """
     vectors = np.array([usable_eq(record) for record in records])
     missing = np.isnan(vectors)
     if not missing.any():
         return vectors
-    if missing.all(axis=0).any():
-        k = FREE[int(np.argmax(missing.all(axis=0)))]
-        raise ValueError(f"none of {len(records)} measured RIRs has a valid EQ at {BANDS_HZ[k]:g} Hz: "
-                         "give recordings that reach it")
     incomplete = np.flatnonzero(missing.any(axis=1))
     mean = np.nanmean(vectors, axis=0)
     covariance = np.diag(np.nanvar(vectors, axis=0))

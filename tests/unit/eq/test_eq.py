@@ -188,10 +188,12 @@ def test_drawn_points_scatter_as_the_measured_ones(share):
     assert filled[lacks_62_hz, 0].std() == pytest.approx(vectors_db[~lacks_62_hz, 0].std(), rel=0.1)
 
 
-def test_point_that_no_record_has_is_an_error():
-    records = [record(f"r{n}", np.zeros(7), valid=[False] + [True] * 7) for n in range(9)]
-    with pytest.raises(ValueError, match="none of 9 measured RIRs has a valid EQ at 62.5 Hz"):
-        fill_missing(records, seed=0)
+def test_point_that_no_rir_has_is_found_before_the_fit(tmp_path, capsys):
+    """As in recordings of sweeps that begin at 100 Hz."""
+    known = dict(eq_db=[0.0] * 8, eq_valid=[False] + [True] * 7, eq_edge_db=None)
+    write_rir_dir(tmp_path, [(row(f"r{n}", acoustic_parameters=known), coloured_rir(n)) for n in range(9)])
+    assert enough_rirs([str(tmp_path), "7"]) == 1
+    assert "none of 9 measured RIRs has a valid EQ at 62.5 Hz" in capsys.readouterr().err
 
 
 @pytest.fixture(scope="module")
