@@ -294,7 +294,7 @@ def test_effect_is_found_above_its_stated_size_and_not_far_below(effect, session
     def candidate_with(added):
         data = replace(clean_data, features=clean_data.features + added)
         fitted = fit(data, session.correction, (), initial=session.fit)
-        return _candidate(replace(session, data=data, fit=fitted), effect, leave_rooms_out(data, fitted))
+        return _candidate(replace(session, data=data, fit=fitted), effect, fitted)
 
     clean = candidate_with(0.0)
     change = _changes(session, effect)[0]
@@ -308,6 +308,18 @@ def test_effect_is_found_above_its_stated_size_and_not_far_below(effect, session
         scale = brentq(lambda x: size_of_change_jnd(clean_data, x * change) - factor * stated_jnd, 0.0, 1e3)  # noqa: B023
         assert candidate_with(scale * change).helps(1) == (factor > 1.0)
     assert not clean.helps(1)
+
+
+def test_effect_that_fits_one_room_says_nothing_for_the_others(session):
+    """One room, whose rows may be wrong, makes the features scatter in the base model, which all rooms share."""
+    index, fitted, of_first = ParameterIndex(session.data, [Occlusion]), session.fit, session.data.room == 0
+    absorption = session.index.absorption(fitted.mean, fitted.local)
+    free, obstructed = (index.predict(absorption, [np.log(np.where(of_first, metres, 1e-4))[:, None]])
+                        for metres in (1e-4, 0.3))
+    data = replace(session.data, features=session.data.features + obstructed - free)
+    base = fit(data, session.correction, (), initial=fitted)
+    gain = _candidate(replace(session, data=data, fit=base), Occlusion, base).gain
+    assert gain[0] > 10.0 and np.all(gain[1:] < 3.0)
 
 
 def test_leaving_a_room_out_changes_the_shared_parameters_a_little(session):

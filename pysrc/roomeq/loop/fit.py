@@ -167,6 +167,14 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
     return Fit(index.effects, mean, local, covariance, sigma, omega, predicted, normal, derivatives, gain_db)
 
 
+def with_scatter(data: Data, fitted: Fit, sigma: FloatArray, omega: FloatArray) -> Fit:
+    """Return a fit with its parameters and another scatter of the features, shape (n_features,) each."""
+    residual, valid = data.residual(fitted.predicted)
+    normal = all_normal_equations(ParameterIndex(data, fitted.effects), residual, valid, fitted.derivatives, sigma,
+                                  omega)
+    return replace(fitted, sigma=sigma, omega=omega, normal=normal)
+
+
 def shared_prior(index: ParameterIndex, start: Sequence[Any] | None = None, x: float = START_X) -> SharedPrior:
     """Return the prior of the shared parameters: its mean is an absorption `x` in all bands, and `start`.
 

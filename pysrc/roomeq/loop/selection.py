@@ -17,12 +17,12 @@ from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.loop.data import Data
 from roomeq.loop.features import METRIC
-from roomeq.loop.fit import Fit, fit
+from roomeq.loop.fit import Fit, fit, with_scatter
 from roomeq.loop.heldout_errors import interval_of_mean, one_sided_p
 from roomeq.loop.packing import OWN_SCOPES, ParameterIndex
 from roomeq.loop.rendered_model import change_by, in_order
 from roomeq.loop.session import Session, with_rendered_changes
-from roomeq.loop.splitters import HeldOutRoom, leave_rooms_out
+from roomeq.loop.splitters import leave_rooms_out
 
 LEVEL = 0.05
 MIN_SIZE_JND = 0.5
@@ -99,18 +99,24 @@ class Choice(NamedTuple):
 def rank(session: Session, eliminated: Collection[type[Effect]] = ()) -> Ranking:
     """Fit each effect that the model lacks and did not lose, and rank them by the densities of held-out rooms."""
     data = session.data
-    before = leave_rooms_out(data, fit(data, session.correction, session.effects, initial=session.fit,
-                                       known=session.fit.derivatives, threads=session.nj))
+    base = fit(data, session.correction, session.effects, initial=session.fit, known=session.fit.derivatives,
+               threads=session.nj)
     known = {*session.effects, *data.given_kinds, *eliminated}
     lacking: list[type[Effect]] = [effect for effect in CATALOGUE.values()
                                    if effect not in known and effect.applies(data)]
     session = with_rendered_changes(session, lacking)
-    candidates = share_out(lambda effect: _candidate(session, effect, before), lacking, session.nj,
+    candidates = share_out(lambda effect: _candidate(session, effect, base), lacking, session.nj,
                            first_here=False, label=f"effect {len(session.effects) + 1}: fit candidates")
     return Ranking(session, sorted(candidates, key=lambda candidate: -candidate.total))
 
 
-def _candidate(session: Session, effect: type[Effect], before: list[HeldOutRoom]) -> Candidate:
+def _candidate(session: Session, effect: type[Effect], base: Fit) -> Candidate:
+    """Fit a model with one more effect than that of the fit `base`, and compare the densities of held-out rooms.
+
+    The density of `base` is that with its own scatter or with that of the larger model, whichever gives more to the
+    room. All rooms share the scatter: where an effect fits one room alone, whose rows may be wrong, the larger scatter
+    of `base` would speak for the effect in all other rooms.
+    """
     data, effects = session.data, in_order([*session.effects, effect])
     initial = session.fit
     if len(effect.STARTS) > 1:
@@ -122,8 +128,9 @@ def _candidate(session: Session, effect: type[Effect], before: list[HeldOutRoom]
             probes.append((probe, np.array([room.log_density for room in leave_rooms_out(data, probe)])))
         initial = _best_start(ParameterIndex(data, effects), effect, probes)
     fitted = fit(data, session.correction, effects, initial=initial, known=session.fit.derivatives)
-    after = leave_rooms_out(data, fitted)
-    gain = np.array([b.log_density - a.log_density for a, b in zip(before, after, strict=True)])[data.is_scored]
+    before, alike, after = (np.array([room.log_density for room in leave_rooms_out(data, model)]) for model in (
+        base, with_scatter(data, base, fitted.sigma, fitted.omega), fitted))
+    gain = (after - np.maximum(before, alike))[data.is_scored]
     return Candidate(effect, fitted.parameters(), gain, size_of_change_jnd(data, change_by(data, effect, fitted)))
 
 
@@ -132,7 +139,7 @@ def helps_beside(session: Session, other: Candidate, candidate: Candidate, n_can
     fitted = fit(session.data, session.correction, other.fit.effects, initial=other.fit, known=session.fit.derivatives,
                  threads=session.nj)
     model = replace(session, effects=fitted.effects, fit=fitted)
-    return _candidate(model, candidate.effect, leave_rooms_out(session.data, fitted)).helps(n_candidates)
+    return _candidate(model, candidate.effect, fitted).helps(n_candidates)
 
 
 def _best_start(index: ParameterIndex, effect: type[Effect], probes: list[tuple[Fit, FloatArray]]) -> Fit:
