@@ -134,9 +134,9 @@ CASES = [
     Case("kaldi two speakers", "prepare-speech speech out",
          "speech: 2 speakers (a, b) cannot be split into train, dev, test: name at least 3 speakers, or give "
          "the corpus sets"),
-    Case("kaldi without text", "prepare-speech speech out",
+    Case("kaldi with an empty text", "prepare-speech speech out",
          "speech/text: missing or empty: complete the data directory (utils/fix_data_dir.sh)",
-         (remove("speech/text"),)),
+         (write("speech/text", ""),)),
     Case("validate cut audio", "validate speech",
          "speech/wav.scp:4: speech/wav/b-1-0001.flac: broken audio (...): copy or record it again",
          (cut("speech/wav/b-1-0001.flac", 0.9),)),

@@ -165,7 +165,7 @@ CASES = [
     model("of a misspelt key", "sound_speed", "key 'spred' must be one of effect, of, typical, spread: correct or "
           "remove it", spred=[1]),
     Case("model of a misspelt list", "simulate --model m.json measured out", "m.json: key 'efects' must be one of "
-         "format, effects, facings: correct or remove it",
+         "format, effects, facings, heights_m: correct or remove it",
          (write("m.json", '{"format": 3, "effects": [], "efects": []}'),)),
     Case("model of a parameter twice", "simulate --model m.json measured out", "m.json: not a JSON file (key "
          "'temperature_c' occurs twice: leave one out): make it again", (write("m.json", '{"format": 3, "effects": [{'
