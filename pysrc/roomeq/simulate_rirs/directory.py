@@ -113,7 +113,7 @@ def _model_of_responses(path: Path | str | None) -> Model:
     model = read_model(path)
     kept = tuple(extension for extension in model.extensions if extension.effect.IN_RESPONSE)
     for extension in model.extensions:
-        if extension not in kept:
+        if not extension.effect.IN_RESPONSE:
             logger.info("%s: %s is of the recordings and no part of a room impulse response: it is not simulated", path,
                         extension.effect.NAME)
     return replace(model, extensions=kept)
