@@ -46,7 +46,7 @@ from roomeq.loop.power import _changes, detectable_sizes
 from roomeq.loop.predict import ReflectedEnergy, predict
 from roomeq.loop.refined_facing import _turned, refined_facings
 from roomeq.loop.rendering import render_rows, rendered_features, row_models
-from roomeq.loop.selection import _candidate, choose, rank, size_of_change_jnd
+from roomeq.loop.selection import _candidate, _densities, choose, rank, size_of_change_jnd
 from roomeq.loop.session import Session, fit_base_model, with_rendered_changes
 from roomeq.loop.splitters import (
     COMMON_SPECTRUM,
@@ -294,7 +294,7 @@ def test_effect_is_found_above_its_stated_size_and_not_far_below(effect, session
     def candidate_with(added):
         data = replace(clean_data, features=clean_data.features + added)
         fitted = fit(data, session.correction, (), initial=session.fit)
-        return _candidate(replace(session, data=data, fit=fitted), effect, fitted)
+        return _candidate(replace(session, data=data, fit=fitted), effect, fitted, _densities(data, fitted))
 
     clean = candidate_with(0.0)
     change = _changes(session, effect)[0]
@@ -318,7 +318,7 @@ def test_effect_that_fits_one_room_says_nothing_for_the_others(session):
                         for metres in (1e-4, 0.3))
     data = replace(session.data, features=session.data.features + obstructed - free)
     base = fit(data, session.correction, (), initial=fitted)
-    gain = _candidate(replace(session, data=data, fit=base), Occlusion, base).gain
+    gain = _candidate(replace(session, data=data, fit=base), Occlusion, base, _densities(data, base)).gain
     assert gain[0] > 10.0 and np.all(gain[1:] < 3.0)
 
 

@@ -101,21 +101,27 @@ def rank(session: Session, eliminated: Collection[type[Effect]] = ()) -> Ranking
     data = session.data
     base = fit(data, session.correction, session.effects, initial=session.fit, known=session.fit.derivatives,
                threads=session.nj)
+    before = _densities(data, base)
     known = {*session.effects, *data.given_kinds, *eliminated}
     lacking: list[type[Effect]] = [effect for effect in CATALOGUE.values()
                                    if effect not in known and effect.applies(data)]
     session = with_rendered_changes(session, lacking)
-    candidates = share_out(lambda effect: _candidate(session, effect, base), lacking, session.nj,
+    candidates = share_out(lambda effect: _candidate(session, effect, base, before), lacking, session.nj,
                            first_here=False, label=f"effect {len(session.effects) + 1}: fit candidates")
     return Ranking(session, sorted(candidates, key=lambda candidate: -candidate.total))
 
 
-def _candidate(session: Session, effect: type[Effect], base: Fit) -> Candidate:
+def _densities(data: Data, fitted: Fit) -> FloatArray:
+    """Return the log density that a fit gives to each room when it is held out, shape (n_rooms,)."""
+    return np.array([room.log_density for room in leave_rooms_out(data, fitted)])
+
+
+def _candidate(session: Session, effect: type[Effect], base: Fit, before: FloatArray) -> Candidate:
     """Fit a model with one more effect than that of the fit `base`, and compare the densities of held-out rooms.
 
-    The density of `base` is that with its own scatter or with that of the larger model, whichever gives more to the
-    room. All rooms share the scatter: where an effect fits one room alone, whose rows may be wrong, the larger scatter
-    of `base` would speak for the effect in all other rooms.
+    The density of `base` is that with its own scatter, `before`, or with that of the larger model, whichever gives more
+    to the room. All rooms share the scatter: where an effect fits one room alone, whose rows may be wrong, the larger
+    scatter of `base` would speak for the effect in all other rooms.
     """
     data, effects = session.data, in_order([*session.effects, effect])
     initial = session.fit
@@ -125,12 +131,11 @@ def _candidate(session: Session, effect: type[Effect], base: Fit) -> Candidate:
             starts = [start if kind is effect else kind.STARTS[0] for kind in effects]
             probe = fit(data, session.correction, effects, start=starts, initial=session.fit,
                         known=session.fit.derivatives, iterations=_PROBE_ITERATIONS)
-            probes.append((probe, np.array([room.log_density for room in leave_rooms_out(data, probe)])))
+            probes.append((probe, _densities(data, probe)))
         initial = _best_start(ParameterIndex(data, effects), effect, probes)
     fitted = fit(data, session.correction, effects, initial=initial, known=session.fit.derivatives)
-    before, alike, after = (np.array([room.log_density for room in leave_rooms_out(data, model)]) for model in (
-        base, with_scatter(data, base, fitted.sigma, fitted.omega), fitted))
-    gain = (after - np.maximum(before, alike))[data.is_scored]
+    alike = _densities(data, with_scatter(data, base, fitted.sigma, fitted.omega))
+    gain = (_densities(data, fitted) - np.maximum(before, alike))[data.is_scored]
     return Candidate(effect, fitted.parameters(), gain, size_of_change_jnd(data, change_by(data, effect, fitted)))
 
 
@@ -139,7 +144,7 @@ def helps_beside(session: Session, other: Candidate, candidate: Candidate, n_can
     fitted = fit(session.data, session.correction, other.fit.effects, initial=other.fit, known=session.fit.derivatives,
                  threads=session.nj)
     model = replace(session, effects=fitted.effects, fit=fitted)
-    return _candidate(model, candidate.effect, fitted).helps(n_candidates)
+    return _candidate(model, candidate.effect, fitted, _densities(session.data, fitted)).helps(n_candidates)
 
 
 def _best_start(index: ParameterIndex, effect: type[Effect], probes: list[tuple[Fit, FloatArray]]) -> Fit:
