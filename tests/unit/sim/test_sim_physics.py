@@ -409,3 +409,20 @@ def test_decay_longer_than_the_longest_response_is_said_once(caplog):
     (record,) = caplog.records
     decay_s = 1.3 * eyring_time_s(scene, scene.absorption)[BAND_1KHZ] + 0.1
     assert f"which takes {decay_s:.1f} s at 1 kHz" in record.message
+
+
+@pytest.mark.parametrize("fs_hz", [8000, 16000, 48000])
+@pytest.mark.parametrize("dims_m", [(3.0, 2.6, 2.4), (6.0, 5.0, 3.0)])
+def test_reflections_do_not_add_up_below_the_lowest_frequencies(dims_m, fs_hz):
+    """All pulses of geometrical acoustics are positive: without a high-pass, they would raise rumble by 20 dB."""
+    scene = Scene(Shoebox(dims_m), [Material("all", 0.1, 0.2)] * 6, fs_hz=fs_hz)
+    spectra = []
+    for seed in range(3):
+        (response,) = simulate_responses(scene, *places(scene.room, 2, seed), num_rays=500, seed=seed)
+        spectra.append(np.abs(np.fft.rfft(response.rir, 2 * fs_hz)) ** 2)
+
+    def level_db(low_hz, high_hz):
+        return 10.0 * np.log10(np.mean([spectrum[2 * low_hz:2 * high_hz].mean() for spectrum in spectra]))
+
+    assert level_db(0, 10) < level_db(710, 1420)
+    assert level_db(25, 50) > level_db(710, 1420) - 6.0
