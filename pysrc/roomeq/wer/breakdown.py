@@ -16,11 +16,14 @@ from roomeq.wer.scores import Scores
 from roomeq.wer.scoring import read_texts
 from roomeq.wer.workspace import BASE, TEST, System, Workspace
 
-SNR, T20, DRR, C50, EQ_DISTANCE = "SNR [dB]", "T20 at 1 kHz [s]", "DRR [dB]", "C50 at 1 kHz [dB]", "EQ distance [dB]"
+SNR, T20, DRR, C50 = "SNR [dB]", "T20 at 1 kHz [s]", "DRR [dB]", "C50 at 1 kHz [dB]"
+HIGH_EQ = "EQ at 4 and 8 kHz [dB]"
+"""Mean of the two points: the level relative to 1 kHz."""
+EQ_DISTANCE = "EQ distance [dB]"
 EDGES = {SNR: (10.0, 15.0, 20.0), T20: (0.3, 0.5, 0.8), DRR: (-5.0, 0.0, 5.0), C50: (0.0, 5.0, 10.0),
-         EQ_DISTANCE: (4.0, 6.0, 8.0)}
+         HIGH_EQ: (-6.0, -3.0, 0.0), EQ_DISTANCE: (4.0, 6.0, 8.0)}
 """Edges of the strata; the same for every test set."""
-ACOUSTICS = (T20, DRR, C50, EQ_DISTANCE)
+ACOUSTICS = (T20, DRR, C50, HIGH_EQ, EQ_DISTANCE)
 """The properties that are of the RIR."""
 MIN_ROOMS = 8
 """Rooms of which a rank correlation is stated."""
@@ -141,6 +144,7 @@ def _acoustics(row: RirRow, train: EqSet | None) -> dict[str, float]:
     parameters = row.get("acoustic_parameters") or {}
     own_eq = _eq_set([row])
     found = {DRR: parameters.get("drr_db"), EQ_DISTANCE: wasserstein_db(own_eq, train) if own_eq and train else None,
+             HIGH_EQ: own_eq.vectors_db[0, -2:].mean() if own_eq else None,
              T20: value_of(parameters, "t20"), C50: value_of(parameters, "c50")}
     return {what: np.nan if value is None else float(value) for what, value in found.items()}
 

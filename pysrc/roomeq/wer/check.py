@@ -85,8 +85,8 @@ def _check(wer: dict) -> None:
         _number(room["words"], f"words of {name}", 1)
         _check_rates(wer, room["wer"], f"in {name}")
         for what in ACOUSTICS:
-            if room["acoustics"][what] is not None:
-                _number(room["acoustics"][what], f"{what} of {name}")
+            if (value := room["acoustics"].setdefault(what)) is not None:  # earlier versions had fewer
+                _number(value, f"{what} of {name}")
     for stratum in wer["strata"]:
         name = f"{stratum['what']} from {stratum['low']} to {stratum['high']}"
         _number(stratum["words"], name, 1)

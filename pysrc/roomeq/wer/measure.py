@@ -193,7 +193,8 @@ def _rooms(seeds: Sequence[SeedCounts]) -> list[dict]:
            for column in first.columns}
     stated = []
     for n, name in enumerate(names):
-        known = {what: [seed.acoustics[name][what] for seed in seeds if name in seed.acoustics] for what in ACOUSTICS}
+        of_seeds = [seed.acoustics.get(name, {}) for seed in seeds]
+        known = {what: [acoustics[what] for acoustics in of_seeds if what in acoustics] for what in ACOUSTICS}
         stated.append(dict(
             room=name, words=int(words[n]),
             wer={column: {row: float(rates[n]) for row, rates in of_rows.items()} for column, of_rows in wer.items()},

@@ -1,6 +1,6 @@
 """The paper's Table 2 as plain text, and a line for each comparison; `wer` is the content of `wer.json`."""
 
-from roomeq.wer.breakdown import C50, DRR, EQ_DISTANCE, T20
+from roomeq.wer.breakdown import C50, DRR, EQ_DISTANCE, HIGH_EQ, T20
 from roomeq.wer.workspace import BASE, CLEAN, DEV, ORACLE
 
 _NOTES = {CLEAN: "baseline", ORACLE: "oracle"}
@@ -140,10 +140,11 @@ def _detectable_text(detectable: dict, seeds: int) -> str:
             f"({detectable['standard_errors']:.1f} standard errors{known}); half of it with {' or '.join(ways)}")
 
 
-ROOM_ACOUSTICS = {T20: ("T20 [s]", 2), DRR: ("DRR [dB]", 1), C50: ("C50 [dB]", 1), EQ_DISTANCE: ("EQ [dB]", 1)}
+ROOM_ACOUSTICS = {T20: ("T20 [s]", 2), DRR: ("DRR [dB]", 1), C50: ("C50 [dB]", 1), HIGH_EQ: ("4, 8 kHz [dB]", 1),
+                  EQ_DISTANCE: ("EQ [dB]", 1)}
 """Properties in the table of rooms: heading and digits."""
-EQ_NOTE = ("EQ: mean distance of the room's EQs to those of the measured training RIRs; also a room like those of "
-           "training has one.")
+EQ_NOTE = ("4, 8 kHz: mean of the EQ there, the level relative to 1 kHz. EQ: mean distance of the room's EQs to those "
+           "of the measured training RIRs; also a room like those of training has one.")
 
 
 def room_cells(room: dict) -> list[str]:
