@@ -27,7 +27,7 @@ from roomeq.loop.geometry import Estimate, complete_geometry
 from roomeq.loop.measurability import comparable_levels, limit_to_excitation
 from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, decay_range_s, draw_path_samples
 from roomeq.loop.tables import ANGLES, Table, collect, frame_edges_s, level_surfaces
-from roomeq.loop.traces import StoredTrace, TraceFolder, without_paths
+from roomeq.loop.traces import StoredTrace, TraceFolder
 from roomeq.loop.usable import LeftOut, UsableRirs
 from roomeq.records.geometry import is_too_close, place_key
 from roomeq.records.rir_dir import load_rir, rir_path
@@ -381,8 +381,7 @@ def _trace_sources(rows: list[RirRow], places: list[Place], features: list[Featu
         samples = draw_path_samples(source, mics_m, facings, decays_s,
                                     [rng_for(seed, "loop paths", rows[n]["id"]) for n in members])
         # whole paths are needed once more where a facing is to be estimated
-        stored = (folder.store(source, str(members[0])) if any(facing is None for facing in facings)
-                  else StoredTrace(without_paths(source)))
+        stored = folder.store(source, str(members[0]), paths=any(facing is None for facing in facings))
         return [stored] * len(members), samples, collect(source, mics_m, facings)
 
     # threads: paths are large, and their kernels release the interpreter's lock

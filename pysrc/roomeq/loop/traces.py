@@ -1,8 +1,9 @@
-"""Traced sources whose paths lie in a file until they are needed: they are most of what a loop has to remember."""
+"""Traced sources whose rays and paths lie in files until they are needed: they are most of what a loop remembers."""
 
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,14 +11,8 @@ from roomeq.core.arrays import Array
 from roomeq.sim.response import TracedSource
 from roomeq.sim.scene import Scene
 
-_LARGE = ("hits", "codes")
-"""Arrays of `roomeq.sim.trace.Paths` that are kept in files."""
-
-
-def without_paths(traced: TracedSource) -> TracedSource:
-    """Return a traced source without the large arrays of its paths."""
-    return replace(traced, paths=tuple(replace(paths, **{array: getattr(paths, array)[:0].copy() for array in _LARGE})
-                                       for paths in traced.paths))
+_RAYS, _PATHS = ("directions",), ("hits", "codes", "first", "counts")
+"""Arrays of `roomeq.sim.trace.Paths` that are kept in files: for every rendering, and for whole paths alone."""
 
 
 class TraceFolder:
@@ -26,50 +21,63 @@ class TraceFolder:
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="roomeq-traces-")
 
-    def store(self, traced: TracedSource, name: str) -> "StoredTrace":
-        """Move the paths of a traced source to files that begin with a name."""
+    def store(self, traced: TracedSource, name: str, *, paths: bool = True) -> "StoredTrace":
+        """Move a traced source to files that begin with a name; without its `paths`, if nobody needs them any more."""
         first = Path(self._folder.name) / name
-        for n, paths in enumerate(traced.paths):
-            for array in _LARGE:
-                np.save(f"{first}-{n}-{array}.npy", getattr(paths, array))
-        return StoredTrace(without_paths(traced), first, self)
+        for n, of_trace in enumerate(traced.paths):
+            for array in _RAYS + _PATHS * paths:
+                np.save(f"{first}-{n}-{array}.npy", getattr(of_trace, array))
+        bare = replace(traced, paths=tuple(
+            replace(of_trace, **{array: getattr(of_trace, array)[:0].copy() for array in _RAYS + _PATHS})
+            for of_trace in traced.paths))
+        return StoredTrace(bare, first, paths, self)
 
 
 @dataclass(frozen=True, eq=False)
 class StoredTrace:
-    """A traced source in a `TraceFolder`, or one whose paths nobody needs any more.
+    """A traced source in a `TraceFolder`.
 
     Attributes
     ----------
-    small : TracedSource
-        Without the large arrays of its paths.
-    first : Path or None
+    bare : TracedSource
+        Without its rays and paths.
+    first : Path
         Beginning of the names of their files.
-    folder : TraceFolder or None
+    has_paths : bool
+    folder : TraceFolder
     """
 
-    small: TracedSource
-    first: Path | None = None
-    folder: TraceFolder | None = None
+    bare: TracedSource
+    first: Path
+    has_paths: bool
+    folder: TraceFolder
 
     @property
     def scene(self) -> Scene:
         """Scene as traced."""
-        return self.small.scene
+        return self.bare.scene
+
+    def with_rays(self) -> TracedSource:
+        """Return the traced source without paths, for rendering from samples of them."""
+        return self._with(_RAYS)
 
     def load(self) -> TracedSource:
-        """Return the traced source; its paths are mapped from the file, and leave memory with it.
+        """Return the traced source; its arrays are mapped from the files, and leave memory with it.
 
         Raises
         ------
         ValueError
             The paths were not stored.
         """
-        if self.first is None:
+        if not self.has_paths:
             raise ValueError("the paths of this source were not stored")
-        return replace(self.small, paths=tuple(
-            replace(paths, hits=self._array(n, "hits"), codes=self._array(n, "codes"))
-            for n, paths in enumerate(self.small.paths)))
+        return self._with(_RAYS + _PATHS)
+
+    def _with(self, names: tuple[str, ...]) -> TracedSource:
+        arrays: list[dict[str, Any]] = [{name: self._array(n, name) for name in names}
+                                        for n in range(len(self.bare.paths))]
+        return replace(self.bare, paths=tuple(
+            replace(paths, **of_trace) for paths, of_trace in zip(self.bare.paths, arrays, strict=True)))
 
     def _array(self, n: int, name: str) -> Array:
         # copy on write: kernels are compiled for writable arrays

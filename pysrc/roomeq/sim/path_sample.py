@@ -60,7 +60,6 @@ _ROUNDING_M = 1e-6  # of the coordinates of arrays that are turned
 _NO_GAIN = np.zeros((0, 0, 0), np.float32)
 _NO_WEIGHT = np.zeros(0, np.float32)
 _NO_EMITTED = np.zeros((0, 8), np.float32)
-_NO_RAYS = np.zeros((0, 0), np.uint32)
 _NEGLIGIBLE = np.float32(1e-25)  # share of a ray's energy at a reference that counts as none
 _SPECULAR = np.uint32(1 << 31)  # added to the last reflection of a path that ends specularly
 _EMPTY = np.float32(1e-20)  # energy of a frame at a reference that counts as none: what was neglected may show
@@ -82,11 +81,8 @@ class PathSample:
         PATHS_PER_FRAME), uint32.
     specular
         Whether it ends specularly, on the way to the next reflection, shape (n_traces, n_frames, PATHS_PER_FRAME).
-    first_reflection
-        `Paths.first` of each trace.
     rays
-        What `ray` returns, shape (n_traces, n_frames, PATHS_PER_FRAME), unsigned; None where it is to be searched for,
-        as no ray had a weight.
+        Index of its ray among `Paths.directions` of the trace, shape (n_traces, n_frames, PATHS_PER_FRAME), uint32.
     trace_of_band
         Which trace serves each band.
     frame_m
@@ -97,16 +93,9 @@ class PathSample:
     reflection_counts: Array
     last_reflection: Array
     specular: BoolArray
-    first_reflection: tuple[IntArray, ...]
-    rays: Array | None
+    rays: Array
     trace_of_band: tuple[int, ...]
     frame_m: float
-
-    def ray(self, trace: int) -> IntArray:
-        """Return the index of each path's ray among `Paths.directions` of a trace."""
-        if self.rays is not None:
-            return self.rays[trace]
-        return np.searchsorted(self.first_reflection[trace], self.last_reflection[trace], side="right") - 1
 
     def gain_of_arrivals(self, paths: Sequence[Paths], mic_m: FloatArray,
                          directivity: Callable[[FloatArray], FloatArray]) -> list[Array]:
@@ -162,7 +151,7 @@ class PathSample:
         result = np.zeros((self.weight.shape[1], len(trace_of_band)), dtype=np.float32)
         energy = np.empty((len(result), BANDS_PER_PASS), np.float32)
         for trace, first in sorted({(int(trace_of_band[n]), int(n) // BANDS_PER_PASS * BANDS_PER_PASS) for n in bands}):
-            gain = _NO_GAIN if ray_gain is None else eight_bands(ray_gain, first)[self.ray(trace)]
+            gain = _NO_GAIN if ray_gain is None else eight_bands(ray_gain, first)[self.rays[trace]]
             if arrival_gain is not None:
                 of_arrivals = eight_bands(arrival_gain[trace], first)
                 gain = gain * of_arrivals if len(gain) else of_arrivals
@@ -218,10 +207,8 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
     mics_m = mics_m[leaders]
     seeds = np.array([rngs[mic].integers(2 ** 63) for mic in leaders], dtype=np.uint64)
     spheres = receiver_spheres(traced.scene.room, mics_m)
-    first = tuple(paths.first for paths in traced.paths)
     frame_m = FRAME_S * traced.scene.air.speed_m_s
-    result = [_empty_sample(traced.paths, n_frames, len(absorption), first, ray_weight is not None,
-                            traced.trace_of_band, frame_m) for _ in mics_m]
+    result = [_empty_sample(traced.paths, n_frames, len(absorption), traced.trace_of_band, frame_m) for _ in mics_m]
     for trace, paths in enumerate(traced.paths):
         tallies = _tally_reflections(paths, len(absorption))
         references = _references(absorption[:, np.equal(traced.trace_of_band, trace)])
@@ -233,8 +220,7 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
                           Spheres(spheres.radius_m[batch], spheres.volume_m3[batch]), ism_order, n_frames, ray_weight,
                           None if visible is None or not len(visible[trace]) else visible[trace][leaders[batch]],
                           [(sample.weight[trace], sample.reflection_counts[trace], sample.last_reflection[trace],
-                            sample.specular[trace], _NO_RAYS if sample.rays is None else sample.rays[trace])
-                           for sample in result[batch]])
+                            sample.specular[trace], sample.rays[trace]) for sample in result[batch]])
     return [result[n] for n in sample_of_mic]
 
 
@@ -268,13 +254,13 @@ def _emitted(ray_weight: Array | None) -> Array:
                                                               0)
 
 
-def _empty_sample(traces: Sequence[Paths], n_frames: int, n_surfaces: int, first: tuple[IntArray, ...],
-                  with_rays: bool, trace_of_band: tuple[int, ...], frame_m: float) -> PathSample:
+def _empty_sample(traces: Sequence[Paths], n_frames: int, n_surfaces: int, trace_of_band: tuple[int, ...],
+                  frame_m: float) -> PathSample:
     """Allocate the sample of one microphone; nothing is filled in yet."""
     shape = (len(traces), n_frames, PATHS_PER_FRAME)
     return PathSample(np.empty(shape, np.float32), np.empty((*shape, n_surfaces), _count_type(traces)),
-                      np.empty(shape, np.uint32), np.empty(shape, np.bool_), first,
-                      np.empty(shape, np.uint32) if with_rays else None, trace_of_band, frame_m)
+                      np.empty(shape, np.uint32), np.empty(shape, np.bool_), np.empty(shape, np.uint32), trace_of_band,
+                      frame_m)
 
 
 def _count_type(traces: Sequence[Paths]) -> type:
@@ -359,8 +345,8 @@ def _unpack(sums: Array, kept: Array, tallies: _Tallies, power: Array, scale: Nu
         for place in range(weight.shape[1]):
             chunk, n = place // kept.shape[2], place % kept.shape[2]
             at, share0, share1 = kept[chunk, frame, n] & ~_SPECULAR, 1.0, 1.0
+            rays[frame, place] = np.searchsorted(first, at, side="right") - 1
             if len(ray_weight):
-                rays[frame, place] = np.searchsorted(first, at, side="right") - 1
                 share1 = np.float64(ray_weight[rays[frame, place]])
             last[frame, place] = at
             specular[frame, place] = kept[chunk, frame, n] & _SPECULAR != 0

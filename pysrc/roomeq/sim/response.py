@@ -105,7 +105,7 @@ class TracedSource:
     @property
     def leaked_share(self) -> float:
         """Share of the rays that left the room through a gap between faces."""
-        return sum(path.n_leaked for path in self.paths) / sum(len(path.counts) for path in self.paths)
+        return sum(path.n_leaked for path in self.paths) / sum(len(path.directions) for path in self.paths)
 
     @property
     def max_length_s(self) -> float:

@@ -102,7 +102,7 @@ def test_decay_longer_than_any_trace_is_named(tmp_path, caplog):
                source_pos_m=[2.0, 1.5, 1.5], mic_pos_m=[5.0, 4.0, 1.3], source_dir=[1.0, 0.0, 0.0])
     where = write_rir_dir(tmp_path / "rirs", [(row, coloured_rir(0, time_s=16.0, length_s=15.0))])
     data = load_data(usable_rirs([where]), scattering=0.3, seed=0)
-    assert data.traced[0].small.max_length_s == pytest.approx(13.1)
+    assert data.traced[0].bare.max_length_s == pytest.approx(13.1)
     assert "room dome decays for 1" in caplog.text and "13.1 s at most" in caplog.text
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roomeq.loop.traces import StoredTrace, TraceFolder, without_paths
+from roomeq.loop.traces import TraceFolder
 from roomeq.sim.response import trace_source
 from roomeq.sim.scene import Material, Scene, Shoebox
 
@@ -20,7 +20,7 @@ def test_stored_trace_loads_the_same_paths():
     traced = trace()
     loaded = TraceFolder().store(traced, "room").load()
     (before,), (after,) = traced.paths, loaded.paths
-    for name in ("hits", "codes", "first", "counts"):
+    for name in ("directions", "hits", "codes", "first", "counts"):
         np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
         assert getattr(after, name).dtype == getattr(before, name).dtype
     assert type(after.hits) is np.ndarray and after.hits.flags.writeable  # kernels are compiled for these
@@ -33,8 +33,11 @@ def test_change_of_a_loaded_path_is_not_stored():
 
 
 def test_paths_that_were_not_stored_cannot_be_loaded():
-    stored = StoredTrace(without_paths(trace()))
-    assert not len(stored.small.paths[0].hits) and len(stored.small.paths[0].counts)
+    traced = trace()
+    stored = TraceFolder().store(traced, "room", paths=False)
+    (bare,), (rays,) = stored.bare.paths, stored.with_rays().paths
+    assert not any(len(getattr(bare, name)) for name in ("directions", "hits", "codes", "first", "counts"))
+    np.testing.assert_array_equal(rays.directions, traced.paths[0].directions)
     with pytest.raises(ValueError, match="were not stored"):
         stored.load()
 
@@ -42,7 +45,7 @@ def test_paths_that_were_not_stored_cannot_be_loaded():
 def test_folder_disappears_with_its_last_trace():
     stored = TraceFolder().store(trace(), "room")
     folder = Path(stored.first).parent
-    assert len(list(folder.iterdir())) == 2
+    assert len(list(folder.iterdir())) == 5
     del stored
     gc.collect()
     assert not folder.exists()
