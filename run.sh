@@ -109,8 +109,11 @@ if [[ $stage -le 6 && ( $stage -eq 0 || $stop_stage -ge 6 ) ]]; then # before ho
   [ ${#unchecked[@]} -eq 0 ] || local/check_speech.py "${unchecked[@]}"
 fi
 if [[ $stage -le 8 && $stop_stage -ge 8 && $dry_run = false ]]; then
-  for x in train dev; do
-    [ ! -f "$data/$x.clean/wav.scp" ] || local/check_speech.py --for-kaldi "$data/$x.clean"
+  for x in train dev test; do
+    [ -f "$data/$x.clean/wav.scp" ] || continue
+    [ -f "$data/$x.clean/text" ] || die "$data/$x.clean: no text: recognisers need transcripts: give speech with" \
+      "transcripts, or stop with --stop-stage 7"
+    [ "$x" = test ] || local/check_speech.py --for-kaldi "$data/$x.clean" # the test set is far-field speech
   done
 fi
 

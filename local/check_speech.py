@@ -4,7 +4,7 @@
 Usage: check_speech.py [--for-kaldi] DATA_DIR...
 e.g.:  python local/check_speech.py data/train.clean data/dev.clean
 
-With --for-kaldi, only what recognisers need beyond that: transcripts, and 16-bit mono audio at 16 kHz. What uses the
+With --for-kaldi, only what Kaldi needs beyond that: WAV or FLAC files of 16 bits, mono, at 16 kHz. What uses the
 directories says the same, but only after all RIRs were simulated.
 """
 
@@ -41,13 +41,18 @@ def _check_for_kaldi(directory: Path) -> None:
     from roomeq.core.audio import audio_info
     from roomeq.core.constants import FS_HZ
     from roomeq.kaldi.datadir import read_data_dir
+    from roomeq.kaldi.wavscp import entry_for_kaldi
 
-    data = read_data_dir(directory)
-    if data.text is None:
-        raise ValueError(f"{directory}: no text: recognisers need transcripts: give speech with transcripts, or stop "
-                         "with --stop-stage 7")
-    for entry in data.recordings.values():
-        info = audio_info(Path(entry.text))
+    for recording, entry in read_data_dir(directory).recordings.items():
+        try:
+            entry_for_kaldi(entry)
+        except ValueError as error:
+            raise ValueError(f"{directory}/wav.scp: recording {recording}: {error}, or stop with --stop-stage 7"
+                             ) from None
+        info, is_flac = audio_info(Path(entry.text)), Path(entry.text).suffix.lower() == ".flac"
+        if info.format not in (("FLAC",) if is_flac else ("WAV", "WAVEX")):  # corpora have SPHERE files named .wav
+            raise ValueError(f"{directory}/wav.scp: {entry.text}: format {info.format} is not that of its name, which "
+                             "Kaldi goes by: convert the audio, or stop with --stop-stage 7")
         if (info.samplerate, info.channels, info.subtype) != (FS_HZ, 1, "PCM_16"):
             raise ValueError(f"{directory}/wav.scp: {entry.text}: {info.samplerate} Hz, {info.channels} channels, "
                              f"{info.subtype}: Kaldi's features need 16-bit mono at {FS_HZ} Hz: convert the audio, or "

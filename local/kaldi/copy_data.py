@@ -12,7 +12,6 @@ source that a step made; it goes to wer.json, which then says what it is of.
 import argparse
 import hashlib
 import os
-import shlex
 import shutil
 import sys
 from pathlib import Path
@@ -21,7 +20,7 @@ from roomeq.core.digests import digest
 from roomeq.core.files import sync, write_bytes, write_text
 from roomeq.core.stamps import read_stamp
 from roomeq.kaldi.datadir import read_data_dir
-from roomeq.kaldi.wavscp import flac_entry
+from roomeq.kaldi.wavscp import entry_for_kaldi
 from roomeq.wer.workspace import CONTENT_FILE
 
 COPIED = ("segments", "text", "utt2spk", "spk2utt", "spk2gender", "utt2dur", "reco2dur", "utt2lang", "utt2uniq",
@@ -50,14 +49,10 @@ def copy_data(source: Path, copy: Path, seed: int | None = None) -> None:
     recordings = read_data_dir(source, pipes=True).recordings
     lines = []
     for recording, entry in recordings.items():
-        path = Path(entry.text).absolute()
-        if entry.kind != "file" or path.suffix.lower() not in (".flac", ".wav"):
-            raise ValueError(f"{source}/wav.scp: recording {recording} must be a FLAC or WAV file, not {entry.text!r}")
-        if path.suffix.lower() == ".flac":
-            read = flac_entry(str(path))
-        else:  # stock scripts paste names of files into commands, but take commands as they are
-            read = str(path) if shlex.quote(str(path)) == str(path) else f"cat {shlex.quote(str(path))} |"
-        lines.append(f"{recording} {read}\n")
+        try:
+            lines.append(f"{recording} {entry_for_kaldi(entry)}\n")
+        except ValueError as error:
+            raise ValueError(f"{source}/wav.scp: recording {recording}: {error}") from None
     shutil.rmtree(copy.parent.parent / "done" / copy.name / "features", ignore_errors=True)
     shutil.rmtree(copy, ignore_errors=True)
     copy.mkdir(parents=True)

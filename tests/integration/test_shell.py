@@ -201,24 +201,31 @@ def test_recipe_finds_wrong_speech_before_it_simulates(project_dir, tmp_path, en
     assert done.stderr.startswith(f"check_speech.py: {speech}{message}")
 
 
-@pytest.mark.parametrize("text, fs_hz, message", [
-    (None, 16000, ": no text: recognisers need transcripts"),
-    ("s-u HI\n", 48000, "/wav.scp: {}/a.wav: 48000 Hz, 1 channels, PCM_16: Kaldi's features need 16-bit mono at 16")])
-def test_recipe_finds_speech_that_kaldi_cannot_use_before_it_simulates(project_dir, tmp_path, text, fs_hz, message):
+@pytest.mark.parametrize("part, audio, message", [
+    ("train", "a.wav", ": no text: recognisers need transcripts"),
+    ("test", "a.wav", ": no text: recognisers need transcripts"),
+    ("train", "48k.wav", "/wav.scp: {}/48k.wav: 48000 Hz, 1 channels, PCM_16: Kaldi's features need 16-bit mono at 16"),
+    ("dev", "a.ark:4", "/wav.scp: recording s-u: '{}/a.ark' must be a FLAC or WAV file"),
+    ("train", "a.aiff", "/wav.scp: recording s-u: '{}/a.aiff' must be a FLAC or WAV file"),
+    ("train", "sphere.wav", "/wav.scp: {}/sphere.wav: format NIST is not that of its name")])
+def test_recipe_finds_speech_that_kaldi_cannot_use_before_it_simulates(project_dir, tmp_path, part, audio, message):
     for folder in ("egs/wsj/s5/steps", "egs/wsj/s5/utils", "egs/librispeech/s5/local", "egs/librispeech/s5/conf",
                    "src"):
         (tmp_path / "kaldi" / folder).mkdir(parents=True)
-    speech = tmp_path / "train.clean"
+    speech = tmp_path / f"{part}.clean"
     speech.mkdir()
-    soundfile.write(speech / "a.wav", np.ones(160) / 2, fs_hz)
-    for name, line in {"wav.scp": f"s-u {speech}/a.wav", "utt2spk": "s-u s", "spk2utt": "s s-u"}.items():
+    for name, fs_hz in (("a.wav", 16000), ("48k.wav", 48000), ("a.aiff", 16000)):
+        soundfile.write(speech / name, np.linspace(-0.5, 0.5, 160), fs_hz)
+    soundfile.write(speech / "sphere.wav", np.linspace(-0.5, 0.5, 160), 16000, "PCM_16", format="NIST")
+    (speech / "a.ark").write_bytes(b"s-u " + (speech / "a.wav").read_bytes())
+    for name, line in {"wav.scp": f"s-u {speech}/{audio}", "utt2spk": "s-u s", "spk2utt": "s s-u"}.items():
         (speech / name).write_text(f"{line}\n")
-    if text:
-        (speech / "text").write_text(text)
+    if "no text" not in message:
+        (speech / "text").write_text("s-u HI\n")
     done = call(project_dir, "env", f"KALDI_ROOT={tmp_path}/kaldi", "./run.sh", "--stage", "1", "--stop-stage", "8",
                 "--data", str(tmp_path), "--exp", str(tmp_path / "exp"))
     assert done.returncode == 1 and "stage 1" not in done.stdout
-    assert f"check_speech.py: {speech}{message.format(speech)}" in done.stderr
+    assert f"{speech}{message.format(speech)}" in done.stderr
 
 
 @pytest.mark.parametrize("option", ["--rooms", "--free-rooms"])

@@ -103,6 +103,24 @@ def flac_entry(path: Path | str) -> str:
     return f"flac -c -d -s {shlex.quote('./' + path if path.startswith('-') else path)} |"
 
 
+def entry_for_kaldi(entry: Entry) -> str:
+    """Return the entry with which Kaldi's stock scripts read a WAV or FLAC file from any folder.
+
+    Raises
+    ------
+    ValueError
+        It is another file, an archive or a command.
+    """
+    path = Path(entry.text).absolute()
+    if entry.kind != "file" or path.suffix.lower() not in (".flac", ".wav"):
+        raise ValueError(f"{entry.text!r} must be a FLAC or WAV file: convert the audio")
+    if path.suffix.lower() == ".flac":
+        return flac_entry(path)
+    # stock scripts paste names of files into commands, but take commands as they are
+    quoted = shlex.quote(str(path))
+    return str(path) if quoted == str(path) else f"cat {quoted} |"
+
+
 def _flac_file(command: str) -> str | None:
     """Return the file that a plain `flac` decoding command reads, or None for any other command."""
     words, position = [], 0
