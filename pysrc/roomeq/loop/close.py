@@ -155,7 +155,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
                 *(first_errors.mean(split) for split in SPLITS), _of_scored(counts))
     session, errors, iterations, ranked, ranking, rejected = _add_effects(first, first_errors, unknown, max_effects)
     model = _model_of(session, base)
-    write_model(work / MODEL_FILE, model)
+    write_model(work / MODEL_FILE, _with_places_of(session.data, model))
     np.savez_compressed(work / RESIDUALS_FILE, before=first.residual, after=session.residual)
     write_examples(work / EXAMPLES_FILE, recordings, first, session)
     update_parameters(iterations, session)
@@ -185,7 +185,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
         try:
             ledger["test"], faced = _test_entry(test_data, first, session)
             write_json(work / LEDGER_FILE, ledger)
-            write_model(work / MODEL_FILE, _with_places_of(faced, model))
+            write_model(work / MODEL_FILE, _with_places_of(session.data, _with_places_of(faced, model)))
         except Exception:
             logger.error("the test set could not be scored; what the loop found is in %s", work)
             raise
@@ -385,7 +385,7 @@ def _log_explained(name: str, ceiling: HeldOutErrors, shares: dict) -> None:
 
 
 def _model_of(session: Session, base: Model) -> Model:
-    """Return the model for the simulator: the base model and the effects that a session has added."""
+    """Return the model for the simulator: the base model, with its places, and the effects that a session has added."""
     extensions = list(base.extensions)
     vectors = session.index.vectors(session.fit.mean, session.fit.local)
     for effect, of_units in zip(session.effects, vectors, strict=True):
@@ -393,18 +393,20 @@ def _model_of(session: Session, base: Model) -> Model:
         spread = of_units.std(axis=0, ddof=1) if len(of_units) > 1 else np.zeros(of_units.shape[1])
         extensions.append(Extension(effect, {name: effect.from_vector(vector) for name, vector
                                              in zip(names, of_units, strict=True)}, of_units.mean(axis=0), spread))
-    model = Model(tuple(sorted(extensions, key=lambda extension: list(CATALOGUE).index(extension.effect.NAME))),
-                  heights_m=unknown_heights_m(session.data.estimates))
-    return replace(model, facings=_facings(session.data)) if model.is_directive else model
+    return replace(base, extensions=tuple(
+        sorted(extensions, key=lambda extension: list(CATALOGUE).index(extension.effect.NAME))))
 
 
 def _with_places_of(data: Data, model: Model) -> Model:
-    """Return a model with the heights and facings of the test set, too, with which its RIRs can be simulated."""
-    heights_m = unknown_heights_m(data.estimates)
-    for room, of_room in model.heights_m.items():
+    """Return a model that has the heights and facings of some RIRs, with which they can be simulated."""
+    heights_m = dict(model.heights_m)
+    for room, of_room in unknown_heights_m(data.estimates).items():
         heights_m[room] = {**heights_m.get(room, {}), **of_room}
-    return replace(model, heights_m=heights_m,
-                   facings={**model.facings, **_facings(data)} if model.is_directive else model.facings)
+    if not model.is_directive:
+        return replace(model, heights_m=heights_m)
+    rirs = {row["id"] for row in data.rows}
+    of_others = {rir: facing for rir, facing in model.facings.items() if rir not in rirs}
+    return replace(model, heights_m=heights_m, facings=of_others | _facings(data))
 
 
 def _facings(data: Data) -> dict[str, list[float]]:

@@ -33,11 +33,12 @@ def simulate(measured_dir: Path | str | None, out: Path | str, *, rooms: int | s
     uniformly from a range. All RIRs of a drawn room have the same materials. RIRs of noise sources elsewhere in the
     room share the microphone and the materials.
 
-    The effects of a model act on all RIRs, except that those of loudspeakers do not act on noise sources. Where a row
-    does not state where its source faces, a source with a directivity of the model faces as the closed loop has found,
-    or the microphone. Where it does not state a height, the model's is used, if it has one. The key
-    `t30_s` of a row holds T30 before effects that act on the whole RIR (filters, a second decay, noise); it is what
-    meets the target. The acoustic parameters are those of the RIR as written, with all effects.
+    The effects of a model act on all RIRs, except that those of loudspeakers do not act on noise sources, and that the
+    noise of recordings, `noise_floor`, is left out. Where a row does not state where its source faces, a source with a
+    directivity of the model faces as the closed loop has found, or the microphone. Where it does not state a height,
+    the model's is used, if it has one. The key `t30_s` of a row holds T30 before effects that act on the whole RIR
+    (filters, a second decay); it is what meets the target. The acoustic parameters are those of the RIR as written,
+    with all effects.
 
     Parameters
     ----------

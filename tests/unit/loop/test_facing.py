@@ -179,14 +179,18 @@ def test_base_model_with_a_directivity_is_fitted_with_its_facings(tmp_path):
     assert not len(unknown_facings(test_data)) and [found.rirs for found in test_data.facings] == [12]
 
 
-def test_model_holds_the_facings_of_the_test_set(tmp_path):
+def test_model_holds_the_facings_of_the_test_set_and_of_other_rirs_of_the_base_model(tmp_path):
     vector = DIRECTIVITY.vector()
-    base = Model((Extension(SourceDirectivity, {"ls": DIRECTIVITY}, vector, np.zeros(len(vector))),))
+    base = Model((Extension(SourceDirectivity, {"ls": DIRECTIVITY}, vector, np.zeros(len(vector))),),
+                 {"other": [1.0, 0.0, 0.0], "a0": [1.0, 0.0, 0.0], "d0": [1.0, 0.0, 0.0]},
+                 {"elsewhere": {"source ls": 1.4}})
     write_model(tmp_path / "base.json", base)
     fit, test = (three_rooms(tmp_path / rooms, [0.0, -1.0, 0.0], rooms) for rooms in ("abc", "def"))
     close_loop([fit], tmp_path / "loop", test=[test], model=tmp_path / "base.json", max_effects=0)
-    facings = read_model(tmp_path / "loop/model.json").facings
-    assert facings == {f"{room}{n}": [0.0, -1.0, 0.0] for room in "abcdef" for n in range(4)}
+    model = read_model(tmp_path / "loop/model.json")
+    assert model.facings == {f"{room}{n}": [0.0, -1.0, 0.0] for room in "abcdef" for n in range(4)} | {
+        "other": [1.0, 0.0, 0.0]}
+    assert model.heights_m == base.heights_m
 
 
 def test_model_holds_the_facings_of_sources_that_face_no_microphone():

@@ -43,14 +43,16 @@ def test_heights_that_recordings_tell_and_no_row_states_are_for_the_simulator():
     assert unknown_heights_m([Estimate("hall", "height of source s", "m", HEIGHT_M, HEIGHT_M, None, 0.0, True)]) == {}
 
 
-def test_model_holds_heights_of_the_test_set_where_the_training_set_tells_none():
-    def of_test_set(room, device):
-        return Estimate(room, f"height of {device}", "m", HEIGHT_M, (1.2, 0.02), None, 0.0, True)
+def test_model_holds_heights_of_other_sets_where_the_training_set_tells_none():
+    def told(height_m, *devices):
+        return SimpleNamespace(estimates=[Estimate(room, f"height of {device}", "m", HEIGHT_M, (height_m, 0.02), None,
+                                                   0.0, True) for room, device in devices])
 
-    data = SimpleNamespace(estimates=[of_test_set("office", "source s"), of_test_set("office", "microphone m"),
-                                      of_test_set("hall", "source s")])
-    model = _with_places_of(data, Model(heights_m={"office": {"source s": 1.5}}))
-    assert model.heights_m == {"office": {"source s": 1.5, "microphone m": 1.2}, "hall": {"source s": 1.2}}
+    test_set = told(1.2, ("office", "source s"), ("office", "microphone m"), ("hall", "source s"))
+    base = Model(heights_m={"office": {"source s": 1.0}, "hall": {"source s": 1.0}, "home": {"source s": 1.0}})
+    model = _with_places_of(told(1.5, ("office", "source s")), _with_places_of(test_set, base))
+    assert model.heights_m == {"office": {"source s": 1.5, "microphone m": 1.2}, "hall": {"source s": 1.2},
+                               "home": {"source s": 1.0}}
 
 
 def test_height_that_some_rows_of_a_device_lack_has_its_plain_name():
