@@ -44,7 +44,7 @@ def only_here():
 
 @pytest.fixture
 def noises(tmp_path):
-    write_wav(tmp_path / "a b/hum.wav", np.ones(1600))
+    write_wav(tmp_path / "a b/hum.wav", np.linspace(-0.5, 0.5, 1600))
     return tmp_path / "a b"
 
 

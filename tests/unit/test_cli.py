@@ -83,7 +83,7 @@ def test_step_that_is_only_asked_imports_no_numerics(verb):
 
 def test_asking_for_an_absent_output_is_answered_by_the_status_alone(tmp_path, capsys):
     (tmp_path / "corpus").mkdir()
-    write_wav(tmp_path / "corpus/hum.wav", np.ones(1600))
+    write_wav(tmp_path / "corpus/hum.wav", np.linspace(-0.5, 0.5, 1600))
     arguments = ["read-noises", str(tmp_path / "corpus"), str(tmp_path / "noises")]
     assert main(["--ask", *arguments]) == NOT_UP_TO_DATE
     assert capsys.readouterr() == ("", "") and not (tmp_path / "noises").exists()
@@ -138,7 +138,7 @@ def test_empty_path_is_not_the_current_folder(argv, name, tmp_path, monkeypatch,
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_output_that_is_closed_ends_the_verb_without_a_message(tmp_path, unbuffered):
     (tmp_path / "noises").mkdir()
-    write_wav(tmp_path / "noises/hum.wav", np.ones(1600))
+    write_wav(tmp_path / "noises/hum.wav", np.linspace(-0.5, 0.5, 1600))
     assert main(["read-noises", str(tmp_path / "noises"), str(tmp_path / "out")]) == 0
     reader, writer = os.pipe()
     os.close(reader)

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from roomeq.augment.draw import Noise, NoiseDraw, Pool, excerpt_start
-from roomeq.augment.mix import convolve, direct_shift, loop, ring_length, sounds, spectra_of, without_rumble
+from roomeq.augment.mix import convolve, direct_shift, loop, ring_length, spectra_of, without_rumble
 from roomeq.core.arrays import Array
-from roomeq.core.audio import read_audio
+from roomeq.core.audio import read_audio, sounds
 from roomeq.core.constants import FS_HZ
 from roomeq.records.rir_dir import load_rir
 

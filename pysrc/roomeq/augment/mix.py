@@ -151,11 +151,6 @@ def mean_power(x: Array) -> float:
     return float(total) / max(1, len(x))
 
 
-def sounds(x: Array) -> bool:
-    """Tell whether samples differ; a constant is no sound."""
-    return bool(np.any(x != x[0]))
-
-
 def without_rumble(x: Array, fs_hz: int) -> Array:
     """Return a signal of float32 less its part below `LOWEST_HZ`.
 

@@ -22,8 +22,9 @@ from roomeq.acoustics.direct import find_direct, require_samples
 from roomeq.augment.audio_cache import AudioCache, ShiftedRir, at_rate
 from roomeq.augment.distribution import parse_distribution
 from roomeq.augment.draw import DrawRules, Noise, Pool, read_pool
-from roomeq.augment.mix import convolve, mix, sounds, spectra_of, without_rumble
+from roomeq.augment.mix import convolve, mix, spectra_of, without_rumble
 from roomeq.core.arrays import Array
+from roomeq.core.audio import sounds
 from roomeq.core.constants import FS_HZ, is_number, is_whole, require_fs
 from roomeq.core.rng import rng_for
 
@@ -99,7 +100,7 @@ class Reverberate:
             pool = Pool(rows, list(rows), {name: [] for name in rows})
         if noises is not None and not isinstance(noises, str | os.PathLike):
             _require_several(noises, "noises")
-            pool.ambient.extend(Noise(f"noise {n}", Path(), None, "ambient", _audible(noise, f"noise {n}"), self.fs)
+            pool.ambient.extend(Noise(f"noise {n}", Path(), None, "ambient", _sounding(noise, f"noise {n}"), self.fs)
                                 for n, noise in enumerate(noises))
         return pool
 
@@ -215,6 +216,13 @@ def _audible(values: ArrayLike, name: str) -> Array:
     samples = _one_channel(values, name)
     if not samples.any():
         raise ValueError(f"{name}: silent (all samples 0): leave it out")
+    return samples
+
+
+def _sounding(values: ArrayLike, name: str) -> Array:
+    samples = _one_channel(values, name)
+    if not sounds(samples):
+        raise ValueError(f"{name}: silent (all samples the same): leave it out")
     return samples
 
 

@@ -139,6 +139,11 @@ def _seeks_exactly(file: soundfile.SoundFile) -> bool:
     return file.seekable() and not file.subtype.startswith(("MPEG", "VORBIS"))
 
 
+def sounds(x: Array) -> bool:
+    """Tell whether samples differ; a constant is no sound."""
+    return bool(np.any(x != x[0]))
+
+
 def require_plausible(samples: Array, name: Path | str) -> None:
     """Raise a `ValueError` if a sample is NaN, infinite or beyond `LARGEST_SAMPLE`; the name begins the message."""
     if not np.isfinite(samples).all():

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from roomeq.acoustics.plausibility import find_implausibility
 from roomeq.core.arrays import FloatArray
-from roomeq.core.audio import audio_info, read_audio, require_plausible
+from roomeq.core.audio import audio_info, read_audio, require_plausible, sounds
 from roomeq.core.constants import FS_HZ
 from roomeq.core.files import path_from
 from roomeq.corpora.record import UNKNOWN, Recording, is_sofa
@@ -39,7 +39,11 @@ def rows_of(recording: Recording, table: str, out: Path) -> Iterator[Read]:
     as_it_is = not converted and _SAFE_PATH.fullmatch(relative_path)
     if table == "noises":
         # noises are long, and channels of an array are alike: the first is taken
-        noise = _usable(read_audio(recording.path, channel=0), recording.path, "noise")
+        noise = read_audio(recording.path, channel=0)
+        require_plausible(noise, recording.path)
+        if not sounds(noise):
+            raise ValueError(f"{recording.path}: noise is silent (all samples the same): leave it out or record it "
+                             "again")
         yield Read(recording.row | dict(id=recording.id, wav=relative_path, fs_hz=FS_HZ,
                                         duration_s=len(noise) / FS_HZ), None if as_it_is else noise, converted)
         return
@@ -53,10 +57,10 @@ def rows_of(recording: Recording, table: str, out: Path) -> Iterator[Read]:
         yield Read(row, None if as_it_is else samples, converted)
 
 
-def _usable(samples: FloatArray, name: Path | str, kind: str = "RIR") -> FloatArray:
+def _usable(samples: FloatArray, name: Path | str) -> FloatArray:
     require_plausible(samples, name)
     if not samples.any():
-        raise ValueError(f"{name}: {kind} is silent (all samples 0): leave it out or record it again")
+        raise ValueError(f"{name}: RIR is silent (all samples 0): leave it out or record it again")
     return samples
 
 

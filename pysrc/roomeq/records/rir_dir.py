@@ -323,7 +323,7 @@ def validate_noises(directory: Path) -> int:
     ValueError
         The first line that breaks the contract, or the first audio file that does not fit its row.
     """
-    from roomeq.core.audio import audio_info, read_audio
+    from roomeq.core.audio import audio_info, read_audio, sounds
 
     noises = read_noises(directory)
     for noise in noises:
@@ -333,6 +333,6 @@ def validate_noises(directory: Path) -> int:
         if info.samplerate != rate_hz or (stated_s is not None and abs(info.frames / rate_hz - stated_s) > 1e-3):
             raise ValueError(f"{path}: {info.frames / info.samplerate:g} s at {info.samplerate} Hz do not fit row "
                              f"{noise['id']} ({stated_s} s at {rate_hz} Hz): make it again")
-        if not read_audio(path, fs_hz=info.samplerate, dtype="float32").any():
-            raise ValueError(f"{path}: noise {noise['id']} is silent (all samples 0): leave it out")
+        if not sounds(read_audio(path, fs_hz=info.samplerate, dtype="float32")):
+            raise ValueError(f"{path}: noise {noise['id']} is silent (all samples the same): leave it out")
     return len(noises)

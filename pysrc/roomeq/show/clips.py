@@ -8,9 +8,9 @@ import numpy as np
 import scipy  # its submodules load themselves when first used
 
 from roomeq.acoustics.direct import find_direct
-from roomeq.augment.mix import sounds, without_rumble
+from roomeq.augment.mix import without_rumble
 from roomeq.core.arrays import FloatArray
-from roomeq.core.audio import audio_info, read_audio
+from roomeq.core.audio import audio_info, read_audio, sounds
 from roomeq.core.rng import rng_for
 from roomeq.report.formats import flac_uri
 

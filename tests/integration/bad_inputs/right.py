@@ -67,7 +67,7 @@ def _segmented(path: Path) -> None:
 
 def _noises(path: Path) -> None:
     for name in ("roomtone", "click"):
-        put(path / f"{name}.wav", np.full(1600, 0.1))
+        put(path / f"{name}.wav", np.linspace(-0.1, 0.1, 1600))
     write_text(path / "manifest.csv", "file,id,room,kind\nroomtone.wav,tone,hall0,ambient\nclick.wav,click,,point\n")
 
 

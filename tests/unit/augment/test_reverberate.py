@@ -165,7 +165,7 @@ def test_noises_in_memory_at_a_lower_rate_are_refused(tmp_path):
 
 def test_noise_of_which_resampling_leaves_nothing_is_refused():
     with pytest.raises(ValueError, match="noise 0: nothing of it is left at 8000 Hz"):
-        roomeq.Reverberate(rirs(fs=48000), [np.ones(1)], fs=48000)(speech(1.0, 8000), 8000)
+        roomeq.Reverberate(rirs(fs=48000), [np.array([1.0, -1.0])], fs=48000)(speech(1.0, 8000), 8000)
 
 
 def test_one_channel_keeps_its_shape_and_several_are_refused():
@@ -189,6 +189,7 @@ def test_silence_is_returned_as_it_is():
     (lambda: roomeq.Reverberate(rirs(), noises=np.ones((800, 4))), r"noises: .* one recording of 4 channels"),
     (lambda: roomeq.Reverberate(rirs(), noises=np.ones(800)), r"noises: shape \(800,\) is that of one recording"),
     (lambda: roomeq.Reverberate([np.zeros(100)]), "RIR 0: silent"),
+    (lambda: roomeq.Reverberate(rirs(), noises=[np.full(800, 0.5)]), "noise 0: silent"),
     (lambda: roomeq.Reverberate([np.full(100, np.nan)]), "RIR 0: holds NaN"),
     (lambda: roomeq.Reverberate(["a.wav", "b.wav"]), "RIR 0 'a.wav' is a path: must be samples: read the file"),
     (lambda: roomeq.Reverberate(rirs(), noises=[Path("hum.wav")]), "noise 0 'hum.wav' is a path: must be samples"),

@@ -416,7 +416,7 @@ def test_verb_takes_the_hash_of_the_code_before_it_loads_it(tmp_path, project_di
     package = shutil.copytree(project_dir / "pysrc/roomeq", tmp_path / "pysrc/roomeq")
     change = f"open({str(package / 'update.txt')!r}, 'w').close()\n"
     (package / "corpora/__init__.py").write_text(change + (package / "corpora/__init__.py").read_text())
-    write_wav(tmp_path / "noises/hum.wav", np.ones(1600))
+    write_wav(tmp_path / "noises/hum.wav", np.linspace(-0.5, 0.5, 1600))
 
     def read_noises():
         return subprocess.run([sys.executable, "-m", "roomeq", "read-noises", tmp_path / "noises", tmp_path / "out"],

@@ -72,8 +72,9 @@ def test_bad_audio_keeps_the_earlier_result(tmp_path):
 @pytest.mark.parametrize("make, message", [
     (put_empty, "is empty"), (put_cut_wav, "truncated"), (put_cut_flac, "broken audio"),
     (lambda path: put(path, fs_hz=8000), "sample rate 8000 Hz"), (put_nan, "holds NaN or infinite samples"),
-    (lambda path: put(path, np.zeros(800)), r"noise is silent \(all samples 0\)"),
-    (lambda path: put(path, np.zeros(800), fs_hz=44100), r"noise is silent \(all samples 0\)")])
+    (lambda path: put(path, np.zeros(800)), r"noise is silent \(all samples the same\)"),
+    (lambda path: put(path, np.full(800, 0.25)), r"noise is silent \(all samples the same\)"),
+    (lambda path: put(path, np.zeros(800), fs_hz=44100), r"noise is silent \(all samples the same\)")])
 def test_bad_noise_is_an_error_or_skipped(tmp_path, make, message):
     put(tmp_path / "noise" / "good.wav")
     make(tmp_path / "noise" / "bad.wav")
