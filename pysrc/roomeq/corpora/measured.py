@@ -44,8 +44,8 @@ def read_measured(source: Path, out: Path, *, kind: str | None = None, noises: P
     noises : Path, optional
         Folder or CSV of noise recordings to add to those of the corpus; see `read_noises`.
     skip_bad : bool
-        Leave out and report recordings that cannot be used (broken, silent, sampled below 16 kHz) instead of stopping
-        at the first.
+        Leave out and report recordings, or single channels and measurements of a file, that cannot be used (broken,
+        silent, sampled below 16 kHz) instead of stopping at the first.
     keep_suspicious : bool
         Do not mark recordings that are no RIR by their acoustics (`roomeq.acoustics.plausibility`). Marked ones have
         the reason in their row's `suspicious`, and later steps leave them out.
@@ -134,7 +134,7 @@ class _InTable(NamedTuple):
 
 def _write(build: Build, corpus: Corpus, skip_bad: bool, nj: int, keep_suspicious: bool = False) -> Path:
     from roomeq.core.audio import write_wav
-    from roomeq.corpora.recordings import rows_of
+    from roomeq.corpora.recordings import Unusable, rows_of
 
     for recordings in (corpus.rirs, corpus.noises):
         _check_ids(recordings)
@@ -147,7 +147,14 @@ def _write(build: Build, corpus: Corpus, skip_bad: bool, nj: int, keep_suspiciou
         for table, recording in chunk:
             try:
                 change, n_rows = "", 0
-                for row, samples, converted in rows_of(recording, table, build.out):
+                for read in rows_of(recording, table, build.out):
+                    if isinstance(read, Unusable):
+                        if not skip_bad:
+                            raise ValueError(read.reason)
+                        if read.reason not in record["skipped"]:  # a reason may be that of the whole file
+                            record["skipped"].append(read.reason)
+                        continue
+                    row, samples, converted = read
                     if keep_suspicious and table == "rirs":
                         row["suspicious"] = None
                     if samples is not None:

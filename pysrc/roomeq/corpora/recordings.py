@@ -25,11 +25,21 @@ class Read(NamedTuple):
     """Whether the samples are not those of the file: resampled, one of several channels, or from SOFA."""
 
 
-def rows_of(recording: Recording, table: str, out: Path) -> Iterator[Read]:
-    """Yield what a file holds."""
+class Unusable(NamedTuple):
+    """Why a channel or measurement of a file cannot be used; others may be good."""
+
+    reason: str
+
+
+def rows_of(recording: Recording, table: str, out: Path) -> Iterator[Read | Unusable]:
+    """Yield what a file holds, channel by channel or measurement by measurement."""
     if is_sofa(recording.path) and table == "rirs":
         for row, samples, fs_hz in sofa_signals(recording):
-            samples = _at_16k(_usable(samples, f"{recording.path} ({row['id']})"), fs_hz, recording.path)
+            try:
+                samples = _at_16k(_usable(samples, f"{recording.path} ({row['id']})"), fs_hz, recording.path)
+            except ValueError as error:
+                yield Unusable(str(error))
+                continue
             yield Read(row | dict(fs_hz=FS_HZ, n_samples=len(samples),
                                   suspicious=find_implausibility(samples, FS_HZ)), samples, True)
         return
@@ -48,7 +58,12 @@ def rows_of(recording: Recording, table: str, out: Path) -> Iterator[Read]:
                                         duration_s=len(noise) / FS_HZ), None if as_it_is else noise, converted)
         return
     for channel in range(info.channels):
-        samples = _usable(read_audio(recording.path, channel=channel), recording.path)
+        name = f"{recording.path} (channel {channel})" if info.channels > 1 else recording.path
+        try:
+            samples = _usable(read_audio(recording.path, channel=channel), name)
+        except ValueError as error:
+            yield Unusable(str(error))
+            continue
         row = dict(recording.row, id=recording.id, wav=relative_path, fs_hz=FS_HZ, n_samples=len(samples),
                    suspicious=find_implausibility(samples, FS_HZ))
         if info.channels > 1:

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from corpora_examples import make_folder, make_table, put, put_text, rir
+from corpora_examples import make_folder, make_table, put, put_sofa, put_text, rir
 
 from roomeq.corpora import read_measured, read_noises
 from roomeq.records.rir_dir import read_rirs
@@ -58,6 +58,19 @@ def test_bad_audio_is_an_error_or_skipped(bad, tmp_path):
     out = read_measured(source, tmp_path / "out", skip_bad=True)
     assert len(read_rirs(out)) == 4
     assert len(json.loads((out / "corpus.json").read_text())["skipped"]) == 1
+
+
+def test_other_channels_and_measurements_of_a_file_are_kept(tmp_path):
+    irs = np.stack([rir(name, 800) for name in "abcd"])
+    irs[1] = 0
+    put(tmp_path / "wav" / "array.wav", irs.T)
+    put_sofa(tmp_path / "sofa" / "lab.sofa", 4, Data_IR=irs[:, None])
+    for source, ids, bad in ((tmp_path / "wav", ["array_ch0", "array_ch2", "array_ch3"], r"array\.wav \(channel 1\)"),
+                             (tmp_path / "sofa", ["lab_m0", "lab_m2", "lab_m3"], r"lab\.sofa \(lab_m1\)")):
+        with pytest.raises(ValueError, match=f"{bad}: RIR is silent"):
+            read_measured(source, tmp_path / "out")
+        out = read_measured(source, tmp_path / "out", skip_bad=True)
+        assert [row["id"] for row in read_rirs(out)] == ids
 
 
 def test_bad_audio_keeps_the_earlier_result(tmp_path):
