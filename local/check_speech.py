@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Check data directories of clean speech as Kaldi does, with their audio, which must be files.
+"""Check data directories of clean speech as Kaldi does, with their audio: files at 16 kHz or more.
 
 Usage: check_speech.py [--for-kaldi] DATA_DIR...
 e.g.:  python local/check_speech.py data/train.clean data/dev.clean
@@ -17,8 +17,10 @@ def main(argv: list[str]) -> int:
     if not argv or argv[0].startswith("-") and argv[0] != "--for-kaldi":
         print(__doc__)
         return 0 if argv[:1] in (["--help"], ["-h"]) else 1
+    from roomeq.core.constants import FS_HZ
     from roomeq.kaldi.datadir import read_data_dir
     from roomeq.kaldi.validate import validate_data_dir
+    from roomeq.kaldi.wavscp import read_length
 
     try:
         if argv[0] == "--for-kaldi":
@@ -26,11 +28,17 @@ def main(argv: list[str]) -> int:
                 _check_for_kaldi(directory)
             return 0
         for directory in map(Path, argv):
-            for recording, entry in read_data_dir(directory, pipes=True).recordings.items():
+            recordings = read_data_dir(directory, pipes=True).recordings
+            for recording, entry in recordings.items():
                 if entry.kind == "pipe":
                     raise ValueError(f"{directory}/wav.scp: audio of {recording} is a command, '{entry.text} |', and "
                                      "the recipe runs none: write the audio to WAV or FLAC files")
-            print(f"{directory}: {validate_data_dir(directory)} utterances, OK")
+            n_utterances = validate_data_dir(directory)
+            for recording, entry in recordings.items():
+                if (rate_hz := read_length(entry).rate_hz) < FS_HZ:
+                    raise ValueError(f"{directory}/wav.scp: audio of {recording}, {entry.text}: sample rate {rate_hz} "
+                                     f"Hz must be at least {FS_HZ} Hz: use other recordings")
+            print(f"{directory}: {n_utterances} utterances, OK")
     except (ValueError, OSError) as error:
         print(f"check_speech.py: {error}", file=sys.stderr)
         return 1

@@ -189,16 +189,18 @@ def test_recipe_finds_too_few_rirs_before_it_simulates(project_dir, tmp_path):
 
 @pytest.mark.parametrize("entry, message", [
     ("absent.wav", "/wav.scp:1: absent.wav: no such audio file"),
-    ("sox a.wav -t wav - |", "/wav.scp: audio of s-u is a command, 'sox a.wav -t wav - |', and the recipe runs none")])
+    ("sox a.wav -t wav - |", "/wav.scp: audio of s-u is a command, 'sox a.wav -t wav - |', and the recipe runs none"),
+    ("{}/8k.wav", "/wav.scp: audio of s-u, {}/8k.wav: sample rate 8000 Hz must be at least 16000 Hz")])
 def test_recipe_finds_wrong_speech_before_it_simulates(project_dir, tmp_path, entry, message):
+    soundfile.write(tmp_path / "8k.wav", np.ones(8000) / 2, 8000)
     speech = tmp_path / "train.clean"
     speech.mkdir()
-    for name, value in {"wav.scp": entry, "utt2spk": "s", "text": "HELLO"}.items():
+    for name, value in {"wav.scp": entry.format(tmp_path), "utt2spk": "s", "text": "HELLO"}.items():
         (speech / name).write_text(f"s-u {value}\n")
     (speech / "spk2utt").write_text("s s-u\n")
     done = call(project_dir, "./run.sh", "--stage", "1", "--data", str(tmp_path), "--exp", str(tmp_path / "exp"))
     assert done.returncode == 1 and "stage 1" not in done.stdout
-    assert done.stderr.startswith(f"check_speech.py: {speech}{message}")
+    assert done.stderr.startswith(f"check_speech.py: {speech}{message.format(tmp_path)}")
 
 
 @pytest.mark.parametrize("part, audio, message", [
