@@ -226,20 +226,36 @@ def _shares(sizes: Sequence[int], n: int) -> list[int]:
     return shares
 
 
-def _measurement_keys(row: RirRow) -> list[str]:
-    """Return what recordings of one measurement share: the file without its channel, positions, or what else is known.
-
-    Where positions are not wholly known, files of one name in different folders of a room count as channels too.
-    """
+def _folder_and_name(row: RirRow) -> tuple[str, str]:
+    """Return the folder of a recording, and its name without the channel."""
     path = Path(row.get("recording") or row["wav"]).with_suffix("")
-    name = re.sub(r"[._-](ch\d+(_e\d+)?|e\d+|[LR])$", "", path.name)
-    keys = [repr((row["room_id"], str(path.parent), name))]
-    position = position_key(row)
-    if position is not None:
-        keys.append(position)
-    if position is None or not is_known(row.get("source_pos_m")) or not is_known(row.get("mic_pos_m")):
-        keys.append(repr((row["room_id"], row["source_id"], row.get("source_pos_m"), row.get("mic_pos_m"), name)))
-    return keys
+    return str(path.parent), re.sub(r"[._-](ch\d+(_e\d+)?|e\d+|[LR])$", "", path.name)
+
+
+def _measurement_keys(rows: Sequence[RirRow]) -> dict[str, list[str]]:
+    """Return by id what recordings of one measurement share: the file without its channel, positions, what is known.
+
+    Where positions are not wholly known, files of one name in different folders of a room count as channels too. If
+    there are more folders than names and x or y is not known, a folder is a measurement.
+    """
+    known_of = {row["id"]: repr((row["room_id"], row["source_id"], row.get("source_pos_m"), row.get("mic_pos_m")))
+                for row in rows}
+    folders, names = defaultdict(set), defaultdict(set)
+    for row in rows:
+        folder, name = _folder_and_name(row)
+        folders[known_of[row["id"]]].add(folder)
+        names[known_of[row["id"]]].add(name)
+    keys_of = {}
+    for row in rows:
+        (folder, name), known, position = _folder_and_name(row), known_of[row["id"]], position_key(row)
+        keys = [repr((row["room_id"], folder, name))]
+        if position is not None:
+            keys.append(position)
+        if position is None or not is_known(row.get("source_pos_m")) or not is_known(row.get("mic_pos_m")):
+            by_folder = position is None and len(folders[known]) > len(names[known])
+            keys.append(repr((known, folder if by_folder else name)))
+        keys_of[row["id"]] = keys
+    return keys_of
 
 
 class _Groups:
@@ -262,7 +278,7 @@ class _Groups:
 def _measurements(rows: Sequence[RirRow], copies: Sequence[tuple[str, str]]) -> list[list[str]]:
     """Return the ids of each measurement: of rows that share a key or a recording, directly or through other rows."""
     joined = _Groups()
-    keys_of = {row["id"]: _measurement_keys(row) for row in rows}
+    keys_of = _measurement_keys(rows)
     for first, *others in keys_of.values():
         for other in others:
             joined.join(first, other)

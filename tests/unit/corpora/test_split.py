@@ -56,6 +56,15 @@ def test_files_of_one_name_are_channels_also_where_they_were_converted(tmp_path,
     assert sum(map(len, takes)) == 6 and sizes_of(ids) == [9, 6, 3]
 
 
+def test_folders_are_measurements_where_there_are_more_of_them_than_names(tmp_path):
+    rirs = recordings("positions")
+    items = [(row(f"lab-{n}-mic{mic}", "lab", recording=f"lab/position{n}/mic{mic}.wav"), next(rirs))
+             for n in range(12) for mic in range(2)]
+    ids, _ = split(tmp_path, write_rir_dir(tmp_path / "in", items), sizes=(12, 8, 4))
+    positions = [{name.split("-")[1] for name in of_part} for of_part in ids.values()]
+    assert sum(map(len, positions)) == 12 and sizes_of(ids) == [12, 8, 4]
+
+
 def test_recording_without_a_direct_sound_is_named(tmp_path):
     rir_dir = write_rir_dir(tmp_path / "in", [(row(f"a-{n}"), np.full(16000, 0.3) if n == 2 else coloured_rir(n))
                                               for n in range(4)])
