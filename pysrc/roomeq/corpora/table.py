@@ -9,7 +9,7 @@ Columns (any order, upper or lower case, separated by comma, semicolon or tab); 
 `room_dims_m`, `source_pos_m`, `mic_pos_m`
     Three numbers [m] from one lower corner of the room, e.g. ``4.71 2.75 ?``; ``?`` or empty is unknown.
 `source_dir`, `mic_dir`
-    Unit vectors that they face.
+    Unit vectors that they face, no angles.
 `distance_m`, `temperature_c`, `humidity_pct`, `documented_t60_s`
     Numbers, each may be unknown.
 `binaural`, `tof_removed`, `unreliable_geometry`, `uncommon`
@@ -49,7 +49,7 @@ from roomeq.corpora.record import (
     rir_row,
 )
 from roomeq.corpora.reverbdb import is_uncommon, is_unreliable
-from roomeq.records.schema import make_id, stated_air
+from roomeq.records.schema import LARGEST_COMPONENT, make_id, stated_air
 
 logger = logging.getLogger(__name__)
 
@@ -243,10 +243,14 @@ def _row_id(path: Path, file: Path, cells: dict[str, str]) -> str:
 
 
 def _check_values(known: dict[str, Any]) -> None:
-    """Refuse lengths, a temperature or a humidity that no room can have; unknown ones are right.
+    """Refuse lengths, directions, a temperature or a humidity that cannot be; unknown ones are right.
 
     They are mistakes or in another unit.
     """
+    for key in ("source_dir", "mic_dir"):
+        for axis, component in enumerate(known[key] or ()):
+            if component is not None and abs(component) > LARGEST_COMPONENT:
+                raise ValueError(f"{key}[{axis}]={component:g} must lie in [-1, 1]: give a unit vector, no angles")
     for axis, size_m in enumerate(known["room_dims_m"] or ()):
         if size_m is not None and size_m <= 0:
             raise ValueError(f"room_dims_m[{axis}]={size_m:g} must be positive: give metres, or ? where it is unknown")

@@ -44,6 +44,11 @@ DirectSample = Annotated[float, Meta(gt=-1, le=LARGEST, description="a number of
 Polarity = Annotated[Literal[1, -1], Meta(description="1 or -1")]
 Vector = Annotated[list[Number | None], Meta(min_length=3, max_length=3, description=(
     "three numbers (each may be null)"))]
+LARGEST_COMPONENT = 1.001
+"""Of a unit vector, whose components may be rounded."""
+Component = Annotated[float, Meta(ge=-LARGEST_COMPONENT, le=LARGEST_COMPONENT)]
+Direction = Annotated[list[Component | None], Meta(min_length=3, max_length=3, description=(
+    "a unit vector: three numbers in [-1, 1] (each may be null)"))]
 Vectors = Annotated[list[Vector], Meta(min_length=2, description="a list of two or more positions")]
 Numbers = Annotated[list[Number], Meta(description="a list of numbers")]
 EqLevels = Annotated[list[Number], Meta(min_length=_N_POINTS, max_length=_N_POINTS, description=f"{_N_POINTS} numbers")]
@@ -152,8 +157,8 @@ class RirRow(TypedDict):
     mesh: NotRequired[FileName | None]
     source_pos_m: NotRequired[Vector | None]
     mic_pos_m: NotRequired[Vector | None]
-    source_dir: NotRequired[Vector | None]
-    mic_dir: NotRequired[Vector | None]
+    source_dir: NotRequired[Direction | None]
+    mic_dir: NotRequired[Direction | None]
     distance_m: NotRequired[Amount | None]
     unreliable_geometry: NotRequired[Flag | None]
     geometry_problem: NotRequired[Text | None]

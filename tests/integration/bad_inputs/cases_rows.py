@@ -156,8 +156,8 @@ CASES = [
          "measured/rirs.jsonl:2: mesh=['a'] must be a file name: correct the line or make the file again",
          mesh=["a"]),
     rows("source direction of two", SIMULATE,
-         "measured/rirs.jsonl:2: source_dir=[1, 0] must be three numbers (each may be null): correct the line "
-         "or make the file again", source_dir=[1, 0]),
+         "measured/rirs.jsonl:2: source_dir=[1, 0] must be a unit vector: three numbers in [-1, 1] (each "
+         "may be null): correct the line or make the file again", source_dir=[1, 0]),
     rows("acoustic parameters a number", FIT,
          "measured/rirs.jsonl:2: acoustic_parameters=5 must be an object: correct the line or make the file "
          "again", acoustic_parameters=5),

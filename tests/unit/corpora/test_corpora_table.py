@@ -161,6 +161,13 @@ def test_positions_in_millimetres_are_refused(tmp_path, cells, name):
         list_row(tmp_path, ",".join(cells), ",".join(cells.values()))
 
 
+@pytest.mark.parametrize("key", ["source_dir", "mic_dir"])
+def test_facings_in_degrees_are_refused(tmp_path, key):
+    with pytest.raises(ValueError, match=rf"t\.csv:2: {key}\[0\]=90 must lie in \[-1, 1\]: give a unit vector, no ang"):
+        list_row(tmp_path, key, "90 0 0")
+    assert list_row(tmp_path, key, "0.7072 0.7072 ?").row[key] == [0.7072, 0.7072, None]
+
+
 def test_positions_may_count_from_anywhere(tmp_path):
     row = list_row(tmp_path, "source_pos_m,mic_pos_m", "412.3 1088.1 ?,415.0 1090.5 ?").row
     assert row["source_pos_m"] == [412.3, 1088.1, None]

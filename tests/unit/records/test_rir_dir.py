@@ -13,7 +13,7 @@ import pytest
 from rirmaker import coloured_rir, row, write_rir_dir
 
 from roomeq.core.audio import write_wav
-from roomeq.core.files import write_json
+from roomeq.core.files import write_json, write_jsonl
 from roomeq.core.stamps import FORMAT
 from roomeq.records.rir_dir import (
     load_rir,
@@ -114,6 +114,13 @@ def test_values_out_of_range_are_refused(tmp_path, known, message):
     write_rirs(tmp_path, [read_rirs(tmp_path)[0] | known])
     with pytest.raises(ValueError, match=message):
         validate_rirs(tmp_path)
+
+
+def test_facings_in_degrees_are_refused(tmp_path):
+    write_rir_dir(tmp_path, [(row("a"), coloured_rir(0))])
+    write_jsonl(tmp_path / "rirs.jsonl", [read_rirs(tmp_path)[0] | dict(source_dir=[90.0, 0.0, 0.0])])
+    with pytest.raises(ValueError, match=r"source_dir=\[90\.0, 0\.0, 0\.0\] must be a unit vector: three"):
+        read_rirs(tmp_path)
 
 
 def test_noises_at_8_khz_are_valid(tmp_path):
