@@ -236,7 +236,8 @@ def _measurement_keys(rows: Sequence[RirRow]) -> dict[str, list[str]]:
     """Return by id what recordings of one measurement share: the file without its channel, positions, what is known.
 
     Where positions are not wholly known, files of one name in different folders of a room count as channels too. If
-    there are more folders than names and x or y is not known, a folder is a measurement.
+    there are more folders than names and x or y is not known, a folder is a measurement; or the one around it, if
+    folders share their name, as those of channels do.
     """
     known_of = {row["id"]: repr((row["room_id"], row["source_id"], row.get("source_pos_m"), row.get("mic_pos_m")))
                 for row in rows}
@@ -252,8 +253,10 @@ def _measurement_keys(rows: Sequence[RirRow]) -> dict[str, list[str]]:
         if position is not None:
             keys.append(position)
         if position is None or not is_known(row.get("source_pos_m")) or not is_known(row.get("mic_pos_m")):
-            by_folder = position is None and len(folders[known]) > len(names[known])
-            keys.append(repr((known, folder if by_folder else name)))
+            if position is None and len(folders[known]) > len(names[known]):
+                last = {Path(one).name for one in folders[known]}
+                name = folder if len(last) == len(folders[known]) else str(Path(folder).parent)
+            keys.append(repr((known, name)))
         keys_of[row["id"]] = keys
     return keys_of
 

@@ -56,9 +56,10 @@ def test_files_of_one_name_are_channels_also_where_they_were_converted(tmp_path,
     assert sum(map(len, takes)) == 6 and sizes_of(ids) == [9, 6, 3]
 
 
-def test_folders_are_measurements_where_there_are_more_of_them_than_names(tmp_path):
+@pytest.mark.parametrize("file", ["lab/position{}/mic{}.wav", "lab/position{}/mic{}/rir.wav"])
+def test_folders_are_measurements_where_there_are_more_of_them_than_names(tmp_path, file):
     rirs = recordings("positions")
-    items = [(row(f"lab-{n}-mic{mic}", "lab", recording=f"lab/position{n}/mic{mic}.wav"), next(rirs))
+    items = [(row(f"lab-{n}-mic{mic}", "lab", recording=file.format(n, mic)), next(rirs))
              for n in range(12) for mic in range(2)]
     ids, _ = split(tmp_path, write_rir_dir(tmp_path / "in", items), sizes=(12, 8, 4))
     positions = [{name.split("-")[1] for name in of_part} for of_part in ids.values()]
