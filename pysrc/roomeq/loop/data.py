@@ -27,13 +27,12 @@ from roomeq.loop.geometry import Estimate, complete_geometry
 from roomeq.loop.measurability import comparable_levels, limit_to_excitation
 from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, decay_range_s, draw_path_samples
 from roomeq.loop.tables import ANGLES, Table, collect, frame_edges_s, level_surfaces
-from roomeq.loop.traces import StoredTrace, TraceFolder
+from roomeq.loop.traces import StoredSample, StoredTrace, TraceFolder
 from roomeq.loop.usable import LeftOut, UsableRirs
 from roomeq.records.geometry import is_too_close, place_key
 from roomeq.records.rir_dir import load_rir, rir_path
 from roomeq.records.schema import RirRow, is_timed, session_name, stated_air, unit_name
 from roomeq.sim.geometry import Place, find_place, towards_microphone
-from roomeq.sim.path_sample import PathSample
 from roomeq.sim.render import MAX_LENGTH_S
 from roomeq.sim.response import trace_source
 from roomeq.sim.room import Room
@@ -84,7 +83,7 @@ class Data:
     room_names : list of str
     traced : list of StoredTrace
         Of each RIR; shared by the RIRs of one source.
-    path_samples : list of PathSample
+    path_samples : list of StoredSample
         Of each RIR: the paths from which it is rendered with any absorption.
     tables : list of Table
     surface_per_m : ndarray, shape (n_rirs, 2)
@@ -124,7 +123,7 @@ class Data:
     place_number: IntArray
     room_names: list[str]
     traced: list[StoredTrace]
-    path_samples: list[PathSample]
+    path_samples: list[StoredSample]
     tables: list[Table]
     surface_per_m: FloatArray
     air_per_m: FloatArray
@@ -353,14 +352,14 @@ def _numbered(names: Sequence[Any]) -> tuple[list[Any], IntArray]:
 
 
 def _trace_sources(rows: list[RirRow], places: list[Place], features: list[Features], scattering: float, seed: int,
-                   nj: int) -> tuple[list[StoredTrace], list[PathSample], list[Table]]:
+                   nj: int) -> tuple[list[StoredTrace], list[StoredSample], list[Table]]:
     """Trace each source of each room once; return what RIRs are rendered and predicted from, of each RIR."""
     by_source = numbers_by((row["room_id"], place.source_pos_m, air_of(row))
                            for row, place in zip(rows, places, strict=True))
     folder = TraceFolder()
 
     def trace(room_id: str, source_pos_m: tuple, air: Air, members: list[int]
-              ) -> tuple[list[StoredTrace], list[PathSample], list[Table]]:
+              ) -> tuple[list[StoredTrace], list[StoredSample], list[Table]]:
         room, mics_m = places[members[0]].room, np.array([places[n].mic_pos_m for n in members])
         decays_s = _decays_s([features[n] for n in members]) or _decays_s(
             [of_rir for of_rir, row in zip(features, rows, strict=True) if row["room_id"] == room_id])
@@ -382,7 +381,7 @@ def _trace_sources(rows: list[RirRow], places: list[Place], features: list[Featu
                                     [rng_for(seed, "loop paths", rows[n]["id"]) for n in members])
         # whole paths are needed once more where a facing is to be estimated
         stored = folder.store(source, str(members[0]), paths=any(facing is None for facing in facings))
-        return [stored] * len(members), samples, collect(source, mics_m, facings)
+        return [stored] * len(members), folder.store_samples(samples), collect(source, mics_m, facings)
 
     # threads: paths are large, and their kernels release the interpreter's lock
     workers = Parallel(n_jobs=nj, prefer="threads", return_as="generator")

@@ -172,6 +172,6 @@ def _render(data: Data, model: RowModel, seed: int) -> RawRir:
     gain = path_gain(model.effects, data.rows[n].get("source_dir"))
     (response,) = render_responses(replace(data.traced[n].with_rays(), scene=scene), [place.mic_pos_m],
                                    [rng_for(seed, "loop tail", data.rows[n]["id"])], source_directivity=gain,
-                                   path_samples=[data.path_samples[n]])
+                                   path_samples=[data.path_samples[n].load()])
     return RawRir(response.rir, scene, response.direct_visible * direct_gain(
         scene, place.source_pos_m, place.mic_pos_m, gain))

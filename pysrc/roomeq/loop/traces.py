@@ -1,25 +1,31 @@
-"""Traced sources whose rays and paths lie in files until they are needed: they are most of what a loop remembers."""
+"""Rays, paths and samples of paths in files until they are needed: they are most of what a loop remembers."""
 
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from roomeq.core.arrays import Array
+from roomeq.sim.path_sample import PathSample
 from roomeq.sim.response import TracedSource
 from roomeq.sim.scene import Scene
 
 _RAYS, _PATHS = ("directions",), ("hits", "codes", "first", "counts")
 """Arrays of `roomeq.sim.trace.Paths` that are kept in files: for every rendering, and for whole paths alone."""
+_SAMPLE = ("weight", "reflection_counts", "last_reflection", "specular", "rays")
+"""Arrays of a `PathSample` that are kept in files."""
 
 
 class TraceFolder:
-    """A temporary folder of traces; it disappears with the last trace that it holds."""
+    """A temporary folder of traces and samples; it disappears with the last one that it holds."""
 
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="roomeq-traces-")
+        self._samples = count()
 
     def store(self, traced: TracedSource, name: str, *, paths: bool = True) -> "StoredTrace":
         """Move a traced source to files that begin with a name; without its `paths`, if nobody needs them any more."""
@@ -31,6 +37,33 @@ class TraceFolder:
             replace(of_trace, **{array: getattr(of_trace, array)[:0].copy() for array in _RAYS + _PATHS})
             for of_trace in traced.paths))
         return StoredTrace(bare, first, paths, self)
+
+    def store_samples(self, samples: Sequence[PathSample]) -> list["StoredSample"]:
+        """Move samples to files; those that several microphones share, once."""
+        stored: dict[int, StoredSample] = {}
+        for sample in samples:
+            if id(sample) not in stored:
+                first = Path(self._folder.name) / f"sample{next(self._samples)}"
+                for array in _SAMPLE:
+                    np.save(f"{first}-{array}.npy", getattr(sample, array))
+                bare = replace(sample, **{array: getattr(sample, array)[:0].copy() for array in _SAMPLE})
+                stored[id(sample)] = StoredSample(bare, first, self)
+        return [stored[id(sample)] for sample in samples]
+
+
+@dataclass(frozen=True, eq=False)
+class StoredSample:
+    """A `PathSample` in a `TraceFolder`: `bare` is without its arrays, whose files have names that begin with `first`.
+    """
+
+    bare: PathSample
+    first: Path
+    folder: TraceFolder
+
+    def load(self) -> PathSample:
+        """Return the sample; its arrays are mapped from the files, and leave memory with it."""
+        arrays: dict[str, Any] = {name: _mapped(f"{self.first}-{name}.npy") for name in _SAMPLE}
+        return replace(self.bare, **arrays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +107,12 @@ class StoredTrace:
         return self._with(_RAYS + _PATHS)
 
     def _with(self, names: tuple[str, ...]) -> TracedSource:
-        arrays: list[dict[str, Any]] = [{name: self._array(n, name) for name in names}
+        arrays: list[dict[str, Any]] = [{name: _mapped(f"{self.first}-{n}-{name}.npy") for name in names}
                                         for n in range(len(self.bare.paths))]
         return replace(self.bare, paths=tuple(
             replace(paths, **of_trace) for paths, of_trace in zip(self.bare.paths, arrays, strict=True)))
 
-    def _array(self, n: int, name: str) -> Array:
-        # copy on write: kernels are compiled for writable arrays
-        return np.asarray(np.lib.format.open_memmap(f"{self.first}-{n}-{name}.npy", mode="c"))
+
+def _mapped(file: str) -> Array:
+    # copy on write: kernels are compiled for writable arrays
+    return np.asarray(np.lib.format.open_memmap(file, mode="c"))

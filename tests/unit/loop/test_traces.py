@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from roomeq.loop.traces import TraceFolder
+from roomeq.sim.path_sample import sample_paths
 from roomeq.sim.response import trace_source
 from roomeq.sim.scene import Material, Scene, Shoebox
 
@@ -40,6 +41,17 @@ def test_paths_that_were_not_stored_cannot_be_loaded():
     np.testing.assert_array_equal(rays.directions, traced.paths[0].directions)
     with pytest.raises(ValueError, match="were not stored"):
         stored.load()
+
+
+def test_stored_sample_loads_the_same_paths():
+    traced, mics_m = trace(), np.array([[3.0, 2.0, 1.2], [3.0, 2.01, 1.2], [4.0, 3.0, 1.2]])
+    samples = sample_paths(traced, mics_m, np.full((6, 8), 0.2), [np.random.default_rng(n) for n in range(3)],
+                           ism_order=2, n_frames=200)
+    stored = TraceFolder().store_samples(samples)
+    assert stored[0] is stored[1] and stored[1] is not stored[2]  # as the samples of close microphones
+    for sample, of_mic in zip(samples, stored, strict=True):
+        for name, value in vars(of_mic.load()).items():
+            np.testing.assert_array_equal(value, getattr(sample, name))
 
 
 def test_folder_disappears_with_its_last_trace():
