@@ -1,5 +1,6 @@
 """Worker processes: how many, on how many threads they compute, how they end with their parent, and forked ones."""
 
+import ctypes
 import os
 import signal
 import threading
@@ -22,6 +23,8 @@ PARENT_CHECKED_S = 0.5
 
 PER_CORE = 4
 """Largest number of processes per core."""
+
+_M_MMAP_THRESHOLD = -3
 
 _watcher = 0  # process that watches its parent
 _task: tuple[Callable[[Any], Any], list[Any]] | None = None  # in a worker: its work and all items
@@ -51,6 +54,18 @@ def end_with(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+def return_large_arrays() -> None:
+    """Let the C library return arrays of 4 MB or more to the system when they are freed.
+
+    By itself, glibc raises this limit to the size of the largest array that was freed so far (``M_MMAP_THRESHOLD`` in
+    mallopt(3)). Those of several threads then leave holes between small arrays that stay. Other C libraries have no
+    such limit.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_M_MMAP_THRESHOLD, 4 << 20)
 
 
 def on_one_thread(function: Work) -> Work:

@@ -12,7 +12,7 @@ import numpy as np
 from roomeq.core.arrays import IntArray
 from roomeq.core.build import Build
 from roomeq.core.files import write_json
-from roomeq.core.workers import on_one_thread
+from roomeq.core.workers import on_one_thread, return_large_arrays
 from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, read_model, write_model
@@ -86,6 +86,7 @@ def make(build: Build, directories: list[Path], test: list[Path], model: Path | 
     """
     if not 0 <= max_effects <= len(CATALOGUE):
         raise ValueError(f"max_effects={max_effects} must lie in [0, {len(CATALOGUE)}]")
+    return_large_arrays()
     base = Model() if model is None else read_model(model)
     usable = require_enough_rooms(directories, nj)
     for entry in usable.left_out:
