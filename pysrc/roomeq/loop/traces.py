@@ -5,14 +5,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from roomeq.core.arrays import Array
 from roomeq.sim.path_sample import PathSample
 from roomeq.sim.response import TracedSource
 from roomeq.sim.scene import Scene
+from roomeq.sim.trace import Paths
+
+Holder = TypeVar("Holder", Paths, PathSample)
 
 _RAYS, _PATHS = ("directions",), ("hits", "codes", "first", "counts")
 """Arrays of `roomeq.sim.trace.Paths` that are kept in files: for every rendering, and for whole paths alone."""
@@ -31,11 +33,8 @@ class TraceFolder:
         """Move a traced source to files that begin with a name; without its `paths`, if nobody needs them any more."""
         first = Path(self._folder.name) / name
         for n, of_trace in enumerate(traced.paths):
-            for array in _RAYS + _PATHS * paths:
-                np.save(f"{first}-{n}-{array}.npy", getattr(of_trace, array))
-        bare = replace(traced, paths=tuple(
-            replace(of_trace, **{array: getattr(of_trace, array)[:0].copy() for array in _RAYS + _PATHS})
-            for of_trace in traced.paths))
+            _save(of_trace, _RAYS + _PATHS * paths, f"{first}-{n}")
+        bare = replace(traced, paths=tuple(_emptied(of_trace, _RAYS + _PATHS) for of_trace in traced.paths))
         return StoredTrace(bare, first, paths, self)
 
     def store_samples(self, samples: Sequence[PathSample]) -> list["StoredSample"]:
@@ -44,10 +43,8 @@ class TraceFolder:
         for sample in samples:
             if id(sample) not in stored:
                 first = Path(self._folder.name) / f"sample{next(self._samples)}"
-                for array in _SAMPLE:
-                    np.save(f"{first}-{array}.npy", getattr(sample, array))
-                bare = replace(sample, **{array: getattr(sample, array)[:0].copy() for array in _SAMPLE})
-                stored[id(sample)] = StoredSample(bare, first, self)
+                _save(sample, _SAMPLE, str(first))
+                stored[id(sample)] = StoredSample(_emptied(sample, _SAMPLE), first, self)
         return [stored[id(sample)] for sample in samples]
 
 
@@ -62,8 +59,7 @@ class StoredSample:
 
     def load(self) -> PathSample:
         """Return the sample; its arrays are mapped from the files, and leave memory with it."""
-        arrays: dict[str, Any] = {name: _mapped(f"{self.first}-{name}.npy") for name in _SAMPLE}
-        return replace(self.bare, **arrays)
+        return _mapped(self.bare, _SAMPLE, str(self.first))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,12 +103,22 @@ class StoredTrace:
         return self._with(_RAYS + _PATHS)
 
     def _with(self, names: tuple[str, ...]) -> TracedSource:
-        arrays: list[dict[str, Any]] = [{name: _mapped(f"{self.first}-{n}-{name}.npy") for name in names}
-                                        for n in range(len(self.bare.paths))]
-        return replace(self.bare, paths=tuple(
-            replace(paths, **of_trace) for paths, of_trace in zip(self.bare.paths, arrays, strict=True)))
+        return replace(self.bare, paths=tuple(_mapped(paths, names, f"{self.first}-{n}")
+                                              for n, paths in enumerate(self.bare.paths)))
 
 
-def _mapped(file: str) -> Array:
+def _save(holder: Holder, names: tuple[str, ...], first: str) -> None:
+    for name in names:
+        np.save(f"{first}-{name}.npy", getattr(holder, name))
+
+
+def _emptied(holder: Holder, names: tuple[str, ...]) -> Holder:
+    empty: dict[str, Any] = {name: getattr(holder, name)[:0].copy() for name in names}
+    return replace(holder, **empty)
+
+
+def _mapped(holder: Holder, names: tuple[str, ...], first: str) -> Holder:
     # copy on write: kernels are compiled for writable arrays
-    return np.asarray(np.lib.format.open_memmap(file, mode="c"))
+    arrays: dict[str, Any] = {name: np.asarray(np.lib.format.open_memmap(f"{first}-{name}.npy", mode="c"))
+                              for name in names}
+    return replace(holder, **arrays)
