@@ -246,6 +246,7 @@ def _measurement_keys(rows: Sequence[RirRow]) -> dict[str, list[str]]:
         folder, name = _folder_and_name(row)
         folders[known_of[row["id"]]].add(folder)
         names[known_of[row["id"]]].add(name)
+    shared = {known for known, paths in folders.items() if len({Path(path).name for path in paths}) < len(paths)}
     keys_of = {}
     for row in rows:
         (folder, name), known, position = _folder_and_name(row), known_of[row["id"]], position_key(row)
@@ -254,8 +255,7 @@ def _measurement_keys(rows: Sequence[RirRow]) -> dict[str, list[str]]:
             keys.append(position)
         if position is None or not is_known(row.get("source_pos_m")) or not is_known(row.get("mic_pos_m")):
             if position is None and len(folders[known]) > len(names[known]):
-                last = {Path(one).name for one in folders[known]}
-                name = folder if len(last) == len(folders[known]) else str(Path(folder).parent)
+                name = str(Path(folder).parent) if known in shared else folder
             keys.append(repr((known, name)))
         keys_of[row["id"]] = keys
     return keys_of
