@@ -8,6 +8,8 @@ nj=2                      # jobs that make the examples
 use_gpu=true              # train on GPUs; false: on processors
 ivectors=true             # add i-vectors to the features
 online_cmvn=false         # subtract the mean of the features so far, as mini_librispeech's run_tdnn_1k.sh does
+spec_augment=false        # mask bands and spans of time in training (SpecAugment), as run_tdnn_1k.sh does
+dropout=0.5               # proportion in the middle of the training; it is 0 at the start and the end
 layers=16                 # TDNN-F layers
 dim=1536                  # of a layer
 bottleneck=160            # of a layer
@@ -34,6 +36,12 @@ xconfig() { # TARGETS
   local prefinal="input=prefinal-l l2-regularize=0.008 big-dim=$dim small-dim=$((dim / 6))"
   [ "$ivectors" = false ] || echo "input dim=100 name=ivector"
   echo "input dim=40 name=input"
+  if [ "$spec_augment" = true ]; then # of logarithmic filterbank energies; the statistics of the LDA need them as well
+    echo "idct-layer name=idct dim=40 cepstral-lifter=22 affine-transform-file=$set/configs/idct.mat include-in-init=true"
+    echo "batchnorm-component name=energies include-in-init=true"
+    echo "spec-augment-layer name=masked freq-max-proportion=0.5 time-zeroed-proportion=0.2 time-mask-max-frames=20" \
+      "include-in-init=true"
+  fi
   echo "fixed-affine-layer name=lda affine-transform-file=$set/configs/lda.mat" \
     "input=Append(-1,0,1$([ "$ivectors" = false ] || echo ",ReplaceIndex(ivector, t, 0)"))"
   echo "relu-batchnorm-dropout-layer name=tdnn1 $affine dropout-per-dim-continuous=true dim=$dim"
@@ -74,7 +82,8 @@ train=(steps/nnet3/chain/train.py --cmd "$runner" --use-gpu "$([ "$use_gpu" = tr
   --egs.opts "--frames-overlap-per-eg 0 --constrained false --online-cmvn $online_cmvn --num-utts-subset $held_out"
   --egs.nj "$(jobs_for "data/$set.hires")"
   --egs.chunk-width "$chunk_width"
-  --trainer.dropout-schedule "0,0@0.20,0.5@0.50,0" --trainer.add-option="--optimization.memory-compression-level=2"
+  --trainer.dropout-schedule "0,0@0.20,$dropout@0.50,0"
+  --trainer.add-option="--optimization.memory-compression-level=2"
   --trainer.srand "$seed" --trainer.num-chunk-per-minibatch "$minibatch" --trainer.frames-per-iter "$frames_per_iter"
   --trainer.num-epochs "$epochs" --trainer.max-param-change 2.0
   --trainer.optimization.num-jobs-initial "$jobs_initial" --trainer.optimization.num-jobs-final "$jobs_final"
