@@ -122,6 +122,11 @@ def _check_system(result: dict, name: str) -> None:
             _number(detectable["difference"], f"{name} detectable", 0.0)
             _number(detectable["for_half"]["factor"], f"{name} detectable", 0.0)
             _require({"seeds", "rooms"} <= set(detectable["for_half"]), f"{name} detectable", "state seeds and rooms")
+        if influential := change["influential"]:
+            differences["change without a room"] = influential
+            _require(isinstance(influential["room"], str), f"{name} influential", "state its room")
+            if influential["detectable"] is not None:
+                _number(influential["detectable"], f"{name} influential", 0.0)
     if "closed" in result:
         closed = result["closed"]
         differences |= dict(gap=closed["gap"], gained=closed["gained"])

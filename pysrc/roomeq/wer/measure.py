@@ -130,10 +130,13 @@ class _Rates:
     def __init__(self, seeds: Sequence[SeedCounts]) -> None:
         self.seeds = seeds
 
-    def rate(self, system: System, set_name: str, compared_with: tuple[str, ...] = ()) -> Statistic:
-        """Return the rate of a system on a set, comparable with rates on the sets `compared_with`."""
-        rooms = sorted(set().union(*(seed.sets[name].rooms for seed in self.seeds
-                                     for name in {set_name, *compared_with})))
+    def rooms(self, *names: str) -> set[str]:
+        """Return the rooms of sets."""
+        return set().union(*(seed.sets[name].rooms for seed in self.seeds for name in names))
+
+    def rate(self, system: System, set_name: str, compared_with: tuple[str, ...] = (), without: str = "") -> Statistic:
+        """Return the rate of a system on a set, `without` a room, comparable with rates on the sets `compared_with`."""
+        rooms = sorted(self.rooms(set_name, *compared_with) - {without})
         of_seeds = [seed.sets[set_name] for seed in self.seeds]
         return Statistic.of(np.array([of_set.of_system(system, rooms).sum(axis=1) for of_set in of_seeds], dtype=float),
                             np.array([of_set.words_of(rooms) for of_set in of_seeds], dtype=float))
@@ -157,7 +160,7 @@ def _result(rates: _Rates, system: System) -> dict:
     result["dev_test_gap"] = _difference(test_rate.minus(dev_rate))
     if BASE in rows and system.row != BASE:
         row_rate, base_rate = (rates.rate(System(row, system.column), TEST) for row in (system.row, BASE))
-        result["change"] = _change(row_rate, base_rate)
+        result["change"] = _change(row_rate, base_rate) | dict(influential=_most_influential(rates, system))
         if ORACLE in rows and system.row in compared(rows):
             result["closed"] = _closed(row_rate, base_rate, rates.rate(System(ORACLE, system.column), TEST))
     return result
@@ -228,6 +231,24 @@ def _change(row: Statistic, base: Statistic) -> dict:
     return _difference(difference) | dict(
         relative=relative, relative_interval=ratio and [100 * (end - 1) for end in ratio],
         detectable=detectable(difference))
+
+
+def _most_influential(rates: _Rates, system: System) -> dict | None:
+    """Return the room without which the difference from the base changes most, and the difference without it.
+
+    None of fewer than three rooms.
+    """
+    def difference(without: str = "") -> Statistic:
+        row, base = (rates.rate(System(name, system.column), TEST, without=without) for name in (system.row, BASE))
+        return row.minus(base)
+
+    rooms, points = sorted(rates.rooms(TEST)), difference().value
+    if len(rooms) < 3:
+        return None
+    of_each = {room: difference(without=room) for room in rooms}
+    room = max(rooms, key=lambda name: abs(of_each[name].value - points))
+    found = detectable(of_each[room])
+    return _difference(of_each[room]) | dict(room=room, detectable=found and found["difference"])
 
 
 def _closed(row: Statistic, base: Statistic, oracle: Statistic) -> dict:

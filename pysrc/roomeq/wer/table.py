@@ -89,6 +89,9 @@ def _row_lines(wer: dict, row: str, column: str) -> list[str]:
         lines.append(f"  {_closed_text(result['closed'])}")
     if result.get("change", {}).get("detectable"):
         lines.append(f"  {_detectable_text(result['change']['detectable'], len(wer['seeds']))}")
+    if influential := result.get("change", {}).get("influential"):
+        lines.append(f"  without {influential['room']}, which changes it most: {_points_text(influential)}"
+                     + (f"; detectable {influential['detectable']:.2f} points" if influential["detectable"] else ""))
     return lines
 
 

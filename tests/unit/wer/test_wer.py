@@ -170,6 +170,21 @@ def test_change_and_share_of_the_gap(example):
     assert "closed" not in example["results"]["train.real.rvb"]["fglarge"]
 
 
+def test_difference_is_stated_without_the_room_that_changes_it_most(example):
+    change = example["results"]["train.clean"]["fglarge"]["change"]
+    assert change["points"] == pytest.approx(27.5)  # 20 in the hall, 30 elsewhere
+    assert change["influential"]["room"] == "hall" and change["influential"]["points"] == pytest.approx(30)
+    assert "without hall, which changes it most: +30.00 [30.00, 30.00]" in table_text(example)
+
+
+def test_two_rooms_have_no_influential_one(tmp_path):
+    put_rirs(tmp_path / "rirs", (*ROOMS, *DEV_ROOMS))
+    sets = {"dev.real.rvb": utterances_of("dev", DEV_ROOMS), "test.real.rvb": utterances_of("test", ROOMS[:2])}
+    put_workspace(tmp_path / "ws", {"train.sim.rvb": lambda *_: 5, "train.clean": lambda *_: 8}, sets=sets)
+    change = measured(tmp_path, [tmp_path / "ws"])["results"]["train.clean"]["tgsmall"]["change"]
+    assert change["interval"] and change["influential"] is None
+
+
 def test_weights_are_chosen_on_dev_not_on_test(tmp_path):
     workspace, = put_example(tmp_path)
     decode = workspace / "train.sim.rvb/decode_test.real.rvb_tgsmall"
@@ -318,6 +333,7 @@ def test_written_file_is_valid(example, tmp_path, capsys):
     (("results", "train.sim.EQ.rvb", "online", "change", "points"), None, "train.sim.EQ.rvb online change=None must"),
     (("results", "train.sim.EQ.rvb", "online", "closed", "interval"), None, "online share must have an interval"),
     (("results", "train.sim.EQ.rvb", "online", "dev_test_gap", "p"), -1, "dev_test_gap p=-1 must be"),
+    (("results", "train.sim.EQ.rvb", "online", "change", "influential", "room"), 3, "influential must state its room"),
     (("rooms",), [dict(room="hall", words=9, wer={})], "KeyError: 'fglarge'"), (("rooms",), [], "rooms must not be"),
     (("rooms", 0, "words"), 0, "words of room 'attic'=0 must be a number of 1"),
     (("rooms", 0, "acoustics", "DRR [dB]"), True, "DRR .dB. of room 'attic'=True must be a number"),
