@@ -243,7 +243,7 @@ def test_recipe_says_that_drawn_rooms_take_no_t60_range(project_dir):
 
 def test_recipe_takes_its_configurations(project_dir):
     for config in ("digits", "librispeech", "mini", "real_rooms", "smallest"):
-        options_checked(project_dir, "--config", f"conf/{config}.conf")
+        options_checked(project_dir, "--config", f"conf/{config}.conf", "--stage", "9")
 
 
 def test_recipe_refuses_before_any_work_what_stage_8_would(project_dir):
