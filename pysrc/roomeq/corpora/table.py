@@ -26,6 +26,7 @@ Other columns are ignored; the log lists them.
 import csv
 import logging
 import os
+import re
 from collections.abc import Callable, Iterable, Set
 from itertools import zip_longest
 from pathlib import Path
@@ -55,6 +56,8 @@ logger = logging.getLogger(__name__)
 
 MANIFEST = "manifest.csv"
 _SPREADSHEETS = (".xlsx", ".xls", ".ods")
+_NO_ROW = re.compile(r'("?sep=)?[\s,;]*"?[\s,;]*', re.IGNORECASE)
+"""An empty line, or the ``sep=;`` by which a spreadsheet states the separator."""
 _ALIASES = {"path": "file", "wav": "file", "audio": "file", "filename": "file", "id": "rir_id",
             "noise_id": "rir_id", "room": "room_id", "dataset": "corpus"}
 _NAMES = ("corpus", "room_id", "room_type", "source_id", "mic_id", "session")
@@ -114,15 +117,15 @@ def read_table(path: Path) -> Table:
     refuse_spreadsheet(path)
     try:
         with open(path, encoding="utf-8-sig", newline="") as stream:
-            head = stream.readline()
+            head = next((line for line in stream if not _NO_ROW.fullmatch(line)), "")
             stream.seek(0)
             delimiter = max(",;\t", key=head.count)
             reader = csv.reader(stream, delimiter=delimiter)
-            names = [cell.strip().lower() for cell in next(reader, [])]
-            rows = [(f"{path}:{reader.line_num}", [cell.strip() for cell in cells]) for cells in reader
-                    if any(map(str.strip, cells))]
+            filled = [(f"{path}:{reader.line_num}", [cell.strip() for cell in cells]) for cells in reader
+                      if not _NO_ROW.fullmatch(delimiter.join(cells))]
     except (UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"{path}: not a CSV file in UTF-8 ({error}): export it again") from None
+    names, rows = [cell.lower() for cell in filled[0][1]] if filled else [], filled[1:]
     columns = [_ALIASES.get(name, name) for name in names]
     while columns and not columns[-1] and not any(any(cells[len(columns) - 1:]) for _, cells in rows):
         columns.pop()  # spreadsheets write empty columns where cells were in use once

@@ -54,6 +54,17 @@ def test_separators_case_and_byte_order_mark_are_free(tmp_path):
     assert row["room_id"] == "lab-1" and row["source_pos_m"] == [1.5, 2.5, 1]
 
 
+@pytest.mark.parametrize("before", ["sep=;\r\n", '"sep=;"\n', ";;\n\n"])
+def test_lines_that_spreadsheets_write_before_the_header_are_ignored(tmp_path, before):
+    put(tmp_path / "a.wav")
+    put_text(tmp_path / "t.csv", f"\ufeff{before}file;room_dims_m;distance_m\na.wav;5,2 4,1 2,8;near\n")
+    with pytest.raises(ValueError, match=rf"t\.csv:{before.count(chr(10)) + 2}: distance_m='near'"):
+        list_table(tmp_path / "t.csv")
+    put_text(tmp_path / "t.csv", f"\ufeff{before}file;room_dims_m;distance_m\na.wav;5,2 4,1 2,8;1,5\n")
+    row = list_table(tmp_path / "t.csv").rirs[0].row
+    assert row["room_dims_m"] == [5.2, 4.1, 2.8] and row["distance_m"] == 1.5
+
+
 def test_empty_columns_without_a_name_are_ignored(tmp_path):
     assert list_row(tmp_path, "room,,", "lab,,").row["room_id"] == "lab"
     with pytest.raises(ValueError, match="column '' occurs twice"):
