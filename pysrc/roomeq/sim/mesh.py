@@ -242,14 +242,11 @@ def make_room(triangles: ArrayLike, names: Sequence[str], name: str = "mesh") ->
     require_packages("trimesh")
     import trimesh
 
-    triangles = np.asarray(triangles, dtype=np.float64)
-    corners, index = np.unique(np.round(triangles.reshape(-1, 3) / _WELD_M).astype(np.int64), axis=0,
-                               return_inverse=True)
-    faces = np.ravel(index).reshape(-1, 3)
+    corners_m, faces = _weld(np.asarray(triangles, dtype=np.float64))
     nondegenerate = ((faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2])
                      & (faces[:, 2] != faces[:, 0]))
     faces, materials = faces[nondegenerate], np.asarray(names)[nondegenerate]
-    mesh = trimesh.Trimesh(corners * _WELD_M, faces, process=False)
+    mesh = trimesh.Trimesh(corners_m, faces, process=False)
     if not mesh.is_watertight:
         edges, counts = np.unique(np.sort(mesh.edges, axis=1), axis=0, return_counts=True)
         bad = edges[counts != 2]
@@ -258,7 +255,7 @@ def make_room(triangles: ArrayLike, names: Sequence[str], name: str = "mesh") ->
             raise ValueError(f"{name}: more than two faces of the mesh meet in {len(bad)} edges, the first near "
                              f"{where} m: move bodies that touch 1 mm apart or join them, and give walls a thickness")
         raise ValueError(f"{name}: the mesh has holes: {len(bad)} edges don't join exactly two faces, the first near "
-                         f"{where} m: close the holes")
+                         f"{where} m: close the holes, and give faces that meet along an edge the same corners on it")
     if not mesh.is_winding_consistent:
         raise ValueError(f"{name}: neighbouring faces of the mesh have opposite normals: make all normals point out of "
                          "the room")
@@ -269,6 +266,24 @@ def make_room(triangles: ArrayLike, names: Sequence[str], name: str = "mesh") ->
     solid = mesh.area_faces > 1e-12  # a polygon with a corner on one of its edges has a triangle without an area
     return MeshRoom(mesh.vertices[faces[solid]], tuple(str(surface) for surface in surfaces), face_surface[solid],
                     orientation.volume_m3, convex)
+
+
+def _weld(triangles: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return the distinct corners [m], on the grid of `_WELD_M`, and each face's indices of them, shape (n_faces, 3).
+
+    Corners in the same or in adjacent cells of the grid are one: roundings of one corner may lie on both sides of the
+    border of a cell.
+    """
+    from scipy.spatial import cKDTree
+    from trimesh.graph import connected_component_labels
+
+    cells, index = np.unique(np.round(triangles.reshape(-1, 3) / _WELD_M).astype(np.int64), axis=0,
+                             return_inverse=True)
+    adjacent = cKDTree(cells).query_pairs(1.0, p=np.inf, output_type="ndarray")
+    corner = connected_component_labels(adjacent, node_count=len(cells))
+    _, first = np.unique(corner, return_index=True)
+    corners_m: FloatArray = np.multiply(cells[first], _WELD_M, dtype=np.float64)
+    return corners_m, corner[np.ravel(index)].reshape(-1, 3)
 
 
 class _Orientation(NamedTuple):

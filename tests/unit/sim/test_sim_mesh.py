@@ -107,6 +107,15 @@ def test_bodies_that_reach_out_of_the_room_are_said(write_obj, caplog, corner_x_
     assert ("by 0.2 m" in caplog.text) == said
 
 
+def test_corners_that_differ_by_rounding_are_one(box):
+    """Walls that are objects of their own state their corners with a rounding of their own."""
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        turned = box.triangles @ trimesh.transformations.rotation_matrix(rng.uniform(0, 3), (0, 0, 1))[:3, :3].T
+        room = make_room(turned + rng.uniform(-1e-6, 1e-6, turned.shape), ["all"] * len(turned))
+        assert room.volume_m3 == pytest.approx(72.0, rel=1e-4) and len(room.triangles) == 12
+
+
 def test_memory_of_a_room_does_not_grow_with_the_positions(write_obj):
     room = load_mesh(write_obj(prism_obj(L_PLAN, 3.0)))
     calls = []
