@@ -33,7 +33,7 @@ logger = logging.getLogger(__name__)
 
 _MAX_WALLS = 32  # of a convex room that are intersected one by one, without a tree
 _SPHERE_RAYS = 2000  # directions in which the distance to the surfaces is sampled
-_WELD_M = 1e-5  # grid to which corners are rounded before they are merged
+_WELD_M = 1e-5  # grid to which corners are rounded before they are merged; thinner bodies are refused
 _INSIDE_POINTS = 5  # of a body, of which most must lie in the room
 _BELOW_FACE_M = 1e-4
 _REACHES_OUT_M = 1e-3
@@ -307,6 +307,10 @@ def _orient(mesh: "trimesh.Trimesh", name: str) -> _Orientation:
         raise ValueError(f"{name}: the normals of the mesh point into the room (its volume is {volumes[shell]:.3g} "
                          "m3): turn its faces so that normals point out of the room")
     for n, body in enumerate(bodies):
+        if abs(volumes[n]) < 0.5 * mesh.area_faces[body].sum() * _WELD_M:
+            where = np.round(mesh.triangles[body].mean(axis=(0, 1)), 3).tolist()
+            raise ValueError(f"{name}: the body around {where} m has no thickness, and rays would pass through it: "
+                             "give it one, such as 1 mm")
         flip[body] = n != shell and volumes[n] > 0.0
         if n != shell and not _is_inside(mesh.triangles[bodies[shell]], mesh.triangles[body], volumes[n] > 0.0):
             where = np.round(mesh.triangles[body].mean(axis=(0, 1)), 3).tolist()

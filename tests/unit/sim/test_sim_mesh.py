@@ -368,6 +368,9 @@ def test_invalid_room_meshes_are_rejected(write_obj, tmp_path, box):
     beside = box.triangles + [20.0, 0.0, 0.0]
     with pytest.raises(ValueError, match=r"body around \[23.0, 2.0, 1.5\] m lies outside of the largest one"):
         make_room(np.concatenate([1.1 * box.triangles, beside]), ["a"] * 24)
+    a, b, c, d = np.array([(2, 1, 0.7), (4, 1, 0.7), (4, 2, 0.7), (2, 2, 0.7)])  # a desk with two faces in one place
+    with pytest.raises(ValueError, match=r"body around \[3.0, 1.5, 0.7\] m has no thickness"):
+        make_room(np.concatenate([box.triangles, [[a, b, c], [a, c, d], [d, c, b], [d, b, a]]]), ["a"] * 16)
     with pytest.raises(ValueError, match=r"no such mesh file"):
         load_mesh(tmp_path / "absent.obj")
     with pytest.raises(ValueError, match=r"must be one of \.obj"):
