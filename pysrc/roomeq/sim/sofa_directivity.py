@@ -87,13 +87,11 @@ def _directions(sofa: Any, path: Path, measurement: int) -> FloatArray:
 
     What is ahead and up, the file states as SourceView and SourceUp.
     """
-    positions = np.asarray(sofa.ReceiverPosition, dtype=float)
-    if positions.ndim == 3:
-        positions = positions[..., min(measurement, positions.shape[2] - 1)]
-    if str(sofa.ReceiverPosition_Type).lower() == "spherical":
-        azimuth, elevation = np.deg2rad(positions[:, 0]), np.deg2rad(positions[:, 1])
-        positions = np.stack([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation),
-                              np.sin(elevation)], axis=1)
+    receivers = [vector_of(sofa, "ReceiverPosition", n, measurement) for n in range(len(sofa.ReceiverPosition))]
+    if any(position is None for position in receivers):
+        raise ValueError(f"{path}: ReceiverPosition must hold finite vectors in Cartesian or spherical coordinates: "
+                         "correct it, or its Type")
+    positions = np.array(receivers, dtype=float)
     distance = np.linalg.norm(positions, axis=1, keepdims=True)
     if not np.all(distance > 0.0):
         raise ValueError(f"{path}: a receiver lies at the source, in no direction: correct ReceiverPosition")

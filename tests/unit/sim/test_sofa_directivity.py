@@ -6,6 +6,7 @@ import pytest
 import roomeq
 
 sofar = pytest.importorskip("sofar")
+netCDF4 = pytest.importorskip("netCDF4")
 
 AZIMUTH, ELEVATION = (grid.ravel() for grid in np.meshgrid(np.arange(0, 360, 10), np.arange(-90, 91, 10)))
 FREQUENCIES_HZ = np.arange(50.0, 20000.0, 50.0)
@@ -55,6 +56,20 @@ def test_main_axis_is_what_the_file_states(tmp_path):
     assert [ahead, left, up] == pytest.approx([1.0, 1.4 / 1.5, 1.0 / 1.5], abs=0.02)
     with pytest.raises(ValueError, match="must point in two different directions"):
         roomeq.read_directivity(write_tf(tmp_path / "flat.sofa", gain, view=(0, 0, 1)), facing=(1, 0, 0))
+
+
+def test_directions_in_radians_or_without_coordinates_are_recognised(tmp_path):
+    path = write_tf(tmp_path / "radians.sofa", 0.5 + 0.5 * cosine())
+    with netCDF4.Dataset(path, "a") as file:
+        file["ReceiverPosition"][:, :2] = np.deg2rad(file["ReceiverPosition"][:, :2])
+        file["ReceiverPosition"].Units = "radian, radian, metre"
+    ahead, left, behind = roomeq.read_directivity(path, (1, 0, 0)).pressure(
+        np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0]]), 16000)[:, 4]
+    assert [ahead, left, behind] == pytest.approx([1.0, 0.5, 0.0], abs=0.02)
+    with netCDF4.Dataset(path, "a") as file:
+        file["ReceiverPosition"].Type = "spherical harmonics"
+    with pytest.raises(ValueError, match="must hold finite vectors in Cartesian or spherical coordinates"):
+        roomeq.read_directivity(path, (1, 0, 0))
 
 
 def test_files_that_hold_no_directivity_are_refused(tmp_path):
