@@ -33,6 +33,7 @@ _OF_SIMULATED = ("seed", "model", "measured_id")
 """Keys that rows of simulated RIRs have."""
 _EM_STEPS = 50
 _ROUNDING_DB2 = 1e-6  # keeps a covariance positive definite
+_ROUNDING = 1e-12  # of sums of weights
 _DECIMALS = 4
 
 
@@ -200,10 +201,11 @@ def screen_outliers(records: list[EqRecord]) -> None:
 
 
 def weighted_median(values: FloatArray, weights: FloatArray) -> float:
-    """Return the smallest value up to which lies at least half of the weight."""
+    """Return the value with half of the weight on either side: of two middle values, the mean."""
     order = np.argsort(values, kind="stable")
     cumulative = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(cumulative, 0.5 * cumulative[-1] - 1e-12)])
+    middle = np.searchsorted(cumulative, 0.5 * cumulative[-1] + np.array([-_ROUNDING, _ROUNDING]))
+    return float(values[order][middle].mean())
 
 
 def fill_missing(records: list[EqRecord], seed: int) -> FloatArray:

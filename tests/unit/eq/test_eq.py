@@ -154,6 +154,16 @@ def test_outliers_are_judged_by_rooms_not_by_the_majority():
     assert "62.5 Hz" in odd[0]["screen"]
 
 
+@pytest.mark.parametrize("n_each", [1, 4])
+def test_two_rooms_do_not_make_each_other_outliers(n_each):
+    """Of two rooms, none is the odd one."""
+    rng = np.random.default_rng(0)
+    records = [record(f"{room}{n}", rng.normal(0.0, 0.5, 7) + levels_db, room) for n in range(n_each)
+               for room, levels_db in (("a", np.zeros(7)), ("b", np.array([-22.0, 0, 0, 0, 0, 20.0, 0])))]
+    screen_outliers(records)
+    assert not any(record["screen"] for record in records)
+
+
 def test_roll_off_is_replaced_by_the_level_at_its_edge():
     rolled_off = record("a", np.arange(7.0), edge_db=-4.0)
     rolled_off["valid"][7] = False
