@@ -5,6 +5,7 @@ Tang, Meng, Manocha, sections 3.1 and 3.2.
 
 import logging
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NotRequired, TypedDict
 
@@ -124,8 +125,10 @@ def _screened(measured: list[EqRecord], real_dir: Path, n_components: int) -> li
     screen_outliers(measured)
     used = [record for record in measured if not record["screen"]]
     if len(used) < n_components:
-        raise ValueError(f"{real_dir}: {len(used)} measured RIRs are left after screening of {len(measured)}: must be "
-                         f"at least {n_components}, the mixture's components: give more, or fewer --num-components")
+        reasons = _reasons(record["screen"] for record in measured if record["screen"])
+        raise ValueError(f"{real_dir}: {len(used)} measured RIRs are left after screening of {len(measured)}"
+                         f"{reasons and f' ({reasons})'}: must be at least {n_components}, the mixture's components: "
+                         "give more, or fewer --num-components")
     lacking = np.isnan([usable_eq(record) for record in used]).all(axis=0)
     if lacking.any():
         raise ValueError(f"{real_dir}: none of {len(used)} measured RIRs has a valid EQ at "
@@ -267,7 +270,12 @@ def _screening(measured: list[EqRecord]) -> dict:
 
 def _log_screening(out: Path) -> None:
     screening = read_json(out / SCREENING_FILE)
-    reasons = Counter(reason.split(":")[0] for reason in screening["screened"].values())
     logger.info("%s: the mixture is fitted to %d of %d measured RIRs; left out (see %s): %s", out,
                 screening["n_used"], screening["n_given"], SCREENING_FILE,
-                ", ".join(f"{count} {reason}" for reason, count in sorted(reasons.items())) or "none")
+                _reasons(screening["screened"].values()) or "none")
+
+
+def _reasons(screens: Iterable[str]) -> str:
+    """Return how many RIRs were left out for each reason; nothing if none was."""
+    counts = Counter(screen.split(":")[0] for screen in screens)
+    return ", ".join(f"{count} {reason}" for reason, count in sorted(counts.items()))

@@ -206,6 +206,14 @@ def test_point_that_no_rir_has_is_found_before_the_fit(tmp_path, capsys):
     assert "none of 9 measured RIRs has a valid EQ at 62.5 Hz" in capsys.readouterr().err
 
 
+def test_refusal_says_why_rirs_are_left_out(tmp_path, capsys):
+    """As of a small loudspeaker: the two lowest points lie in the noise of every RIR."""
+    known = dict(eq_db=[0.0] * 8, eq_valid=[False] * 2 + [True] * 6, eq_edge_db=None)
+    write_rir_dir(tmp_path, [(row(f"r{n}", acoustic_parameters=known), coloured_rir(n)) for n in range(9)])
+    assert enough_rirs([str(tmp_path), "7"]) == 1
+    assert "left after screening of 9 (9 dead bands)" in capsys.readouterr().err
+
+
 @pytest.fixture(scope="module")
 def two_clusters():
     """Vectors of two well separated clusters, 3 to 1, each a room."""
