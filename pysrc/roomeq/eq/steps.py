@@ -91,7 +91,8 @@ def compensate(sim_dir: Path | str, eq_dir: Path | str, out: Path | str, *, taps
     match_rooms
         Weight the components of the mixture as in the measured RIRs of the simulated RIR's room. False: draw all
         targets from the whole mixture. With one simulated RIR per measured one, as in the paper, the targets of all
-        rooms together have the same distribution either way.
+        rooms together have the same distribution either way, unless the fit gave rooms the same weight: then they have
+        it where rooms are drawn equally, too (`roomeq.augment.augment`).
     part
         ``"2/5"``: do the second of five shares only.
     nj
