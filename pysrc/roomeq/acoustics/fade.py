@@ -3,7 +3,8 @@
 The level of a decay that meets noise falls ever more slowly: noise, a second decay and air absorption all bend it that
 way. That of a fade falls ever faster, by 12 or 24 dB each time the rest of it halves (a linear or a Hann window). That
 of a response that was cut off falls at once, to digital silence or to what a later conversion adds to it: dither, the
-ringing and the rounding of a resampler, or a codec's noise.
+ringing and the rounding of a resampler, or a codec's noise. What a response falls to in the last bit of its samples is
+no noise either: it follows the sign of the response, and so decays in one band while another holds it up.
 """
 
 import numpy as np
@@ -28,12 +29,19 @@ _CUT_DB = 8.0
 """Fall within two blocks, beyond what the level falls before and afterwards, from which on a response is cut off. That
 of 600 measured responses is at most 4.5 dB; noise that falls by less than the 10 dB between an evaluated range and the
 noise is harmless."""
+_BIT_BLOCK_S = 0.02
+_LAST_BIT = 0.5
+"""RMS of the last bit's noise, in steps: of samples that take two neighbouring values, and of triangular dither with
+the rounding that follows."""
+_OVER_LAST_BIT = 2.0 ** 0.5  # 3 dB
+_FEWEST_STEPS, _MOST_STEPS = 2.0 ** 4, 2.0 ** 32
+"""From the lowest to the highest sample: a few pulses of equal height are not quantised, nor are floats."""
 
 
 def length_before_silence(rir: FloatArray, fs_hz: float) -> int:
     """Return the number of samples ahead of the silence at the end of a response.
 
-    Silence is digital silence, and what the level of a response that was cut off falls to at once.
+    Silence is digital silence, what the level of a response that was cut off falls to at once, and the last bit.
 
     Parameters
     ----------
@@ -42,7 +50,7 @@ def length_before_silence(rir: FloatArray, fs_hz: float) -> int:
     fs_hz
         Sample rate.
     """
-    n_samples = len(np.trim_zeros(rir, "b"))
+    n_samples = length_before_last_bit(np.trim_zeros(rir, "b"), fs_hz)
     power = np.square(np.diff(rir[:n_samples]))  # the difference takes out rumble, whose level scatters
     for block_s in _BLOCKS_S:
         n_block = round(block_s * fs_hz)
@@ -52,6 +60,32 @@ def length_before_silence(rir: FloatArray, fs_hz: float) -> int:
             if cut_db.max() > _CUT_DB:
                 n_samples = (int(np.argmax(cut_db)) + _N_BEFORE) * n_block
     return n_samples
+
+
+def length_before_last_bit(rir: FloatArray, fs_hz: float) -> int:
+    """Return the number of samples ahead of those in which only the last bit is left of a response.
+
+    Above that, rounding errors are noise that does not depend on the response (Widrow and Kollar, Quantization Noise,
+    2008). The step is that of the samples as they are: a resampled response shows none.
+
+    Parameters
+    ----------
+    rir
+        Shape (n_samples,).
+    fs_hz
+        Sample rate.
+    """
+    differences = np.abs(np.diff(rir))
+    step = np.min(differences, where=differences > 0.0, initial=np.inf)
+    if len(rir) < 2 or not _FEWEST_STEPS * step <= np.ptp(rir) <= _MOST_STEPS * step:
+        return len(rir)
+    values = (rir - rir[0]) / step
+    if np.abs(values - np.rint(values)).max() > 0.01:
+        return len(rir)
+    blocks = np.array_split(values, max(1, len(rir) // round(_BIT_BLOCK_S * fs_hz)))
+    ends = np.cumsum([len(block) for block in blocks])
+    above = ends[[block.std() > _OVER_LAST_BIT * _LAST_BIT for block in blocks]]
+    return int(above[-1]) if len(above) else len(rir)
 
 
 def _fall_at_once_db(level_db: FloatArray) -> FloatArray:

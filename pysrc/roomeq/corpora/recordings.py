@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from roomeq.acoustics.fade import length_before_last_bit
 from roomeq.acoustics.plausibility import find_implausibility
 from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import audio_info, read_audio, require_plausible, sounds
@@ -60,7 +61,8 @@ def rows_of(recording: Recording, table: str, out: Path) -> Iterator[Read | Unus
     for channel in range(info.channels):
         name = f"{recording.path} (channel {channel})" if info.channels > 1 else recording.path
         try:
-            samples = _usable(read_audio(recording.path, channel=channel), name)
+            samples = read_audio(recording.path, fs_hz=info.samplerate, channel=channel)
+            samples = _at_16k(_usable(samples, name), info.samplerate, recording.path)
         except ValueError as error:
             yield Unusable(str(error))
             continue
@@ -87,5 +89,6 @@ def _at_16k(samples: FloatArray, fs_hz: int, path: Path) -> FloatArray:
         return samples
     import soxr
 
+    samples = samples[:length_before_last_bit(samples, fs_hz)]  # while it can be told from noise
     resampled: FloatArray = soxr.resample(samples, fs_hz, FS_HZ, quality="VHQ")
     return resampled

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfilt
 from test_iso3382 import DIRECT, room
 
-from roomeq.acoustics.fade import length_before_fade
+from roomeq.acoustics.fade import length_before_fade, length_before_last_bit
 from roomeq.acoustics.iso3382 import all_metrics
 from roomeq.acoustics.parameters import measure
 from roomeq.core.constants import FS_HZ
@@ -44,11 +45,37 @@ def test_noise_of_a_faded_recording_is_that_ahead_of_the_fade():
     *(room(time_s, seed, length_s=length_s, snr_db=snr_db) for seed, (time_s, length_s, snr_db) in enumerate(
         (time_s, length_s, snr_db) for time_s in (0.2, 0.5, 2.0) for length_s in (0.3, 1.0, 3.0)
         for snr_db in (30.0, 60.0, None))),
-    np.trim_zeros(np.round(3000.0 * room(0.5, length_s=2.0)), "b"),
+    np.round(3000.0 * room(0.5, length_s=1.0, snr_db=60.0)),
     room(0.2) + 0.02 * room(1.5),
     faded(room(0.5, snr_db=50.0), 0.05, "hann")])
 def test_responses_without_a_long_fade_are_whole(rir):
     assert length_before_fade(rir, FS_HZ, DIRECT) == len(np.trim_zeros(rir, "b"))
+
+
+@pytest.mark.parametrize("quantise", [np.round, np.floor, np.trunc])
+def test_the_last_bit_is_neither_decay_nor_noise(quantise):
+    """Slow decay at low frequencies, as in most rooms: the last bit follows its sign, not that of the other bands."""
+    below_400 = butter(4, 400.0, fs=FS_HZ, output="sos")
+    for seed in range(6):
+        rir = 3.0 * sosfilt(below_400, room(1.0, seed)) + room(0.4, 50 + seed, direct=10.0)
+        exact, quiet = (all_metrics(h, FS_HZ, DIRECT, 1) for h in (rir, quantise(300.0 * rir / np.abs(rir).max())))
+        for decay in ("t20", "t30"):
+            valid = np.array(quiet[f"{decay}_valid"][1:])
+            exact_s, quiet_s = (np.array(of_file[f"{decay}_s"][1:])[valid] for of_file in (exact, quiet))
+            np.testing.assert_allclose(quiet_s.astype(float), exact_s.astype(float), rtol=0.15)
+
+
+def test_last_bit_of_a_response_with_an_offset_is_found():
+    step = 2.0 ** -15
+    rir = step * np.floor(1000.0 * room(0.3) / 2.0 + 40.0)
+    assert 0.25 < (length_before_last_bit(rir, FS_HZ) - DIRECT) / FS_HZ < 0.35
+    assert length_before_last_bit(rir + 1e-3 * step * room(1.0), FS_HZ) == len(rir)
+
+
+def test_a_decay_to_the_smallest_numbers_has_no_last_bit():
+    rir = room(0.2, length_s=1.0) * np.append(np.ones(DIRECT), np.geomspace(1.0, 1e-320, FS_HZ))
+    with np.errstate(all="raise", under="ignore"):
+        assert length_before_last_bit(rir, FS_HZ) == len(rir)
 
 
 def dithered(rir, silence_s=0.5):

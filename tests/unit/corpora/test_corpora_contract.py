@@ -3,6 +3,7 @@
 import json
 from itertools import product
 
+import numpy as np
 import pytest
 import soundfile
 from corpora_examples import MEASURED, make_folder, make_table, put, put_text, rir
@@ -103,6 +104,16 @@ def test_folders_below_that_of_a_room_are_no_rooms(tmp_path):
         f"{room}-{place}-one": room for room in ("attic", "kitchen") for place in ("near", "far")}
     assert read_json(out / "corpus.json")["notes"] == {"RIR in a folder of a folder of rooms, which is taken for the "
                                                        "room": 4}
+
+
+def test_last_bit_of_a_response_is_not_resampled(tmp_path):
+    decay = 2.0 ** -8 * np.random.default_rng(0).standard_normal(48000) * 10.0 ** (-3.0 * np.arange(48000) / 9600.0)
+    for name, subtype in (("quiet", "PCM_16"), ("exact", "PCM_24")):
+        put(tmp_path / "rooms" / "kitchen" / f"{name}.wav", np.floor(2.0 ** 15 * decay) / 2.0 ** 15 if name == "quiet"
+            else decay, 48000, subtype)
+    rows = {row["id"]: row for row in read_rirs(read_measured(tmp_path / "rooms", tmp_path / "out"))}
+    assert 0.1 < rows["kitchen-quiet"]["n_samples"] / 16000 < 0.2
+    assert rows["kitchen-exact"]["n_samples"] > 0.2 * 16000
 
 
 def test_16_khz_mono_is_referenced_other_audio_converted(tmp_path):
