@@ -135,9 +135,7 @@ def _limit_to_excitation(rows: Sequence[RirRow], records: Sequence[dict[str, Any
     Its lower end is the same for all RIRs of a source in a room, its upper end that of each recording. Of two values in
     the middle, the median is the higher: their mean is no end if one of the recordings shows none.
     """
-    import numpy as np
-
-    from roomeq.acoustics.excitation import eq_to_hz, is_excited
+    from roomeq.acoustics.excitation import eq_to_hz, limit_to_excitation
 
     of_source = defaultdict(list)
     for row, record in zip(rows, records, strict=True):
@@ -153,14 +151,8 @@ def _limit_to_excitation(rows: Sequence[RirRow], records: Sequence[dict[str, Any
             logger.info("source %s in room %s: %d of %d RIRs hold nothing above %.0f Hz, like recordings of a lower "
                         "sample rate; what lies above is not measured", source_id, room_id, n_ended, len(measured),
                         min(ends_hz))
-        for record, end_hz in zip(measured, ends_hz, strict=True):
-            parameters = record["acoustic_parameters"]
-            parameters["eq_valid"] = [valid and from_hz <= hz <= end_hz
-                                      for valid, hz in zip(parameters["eq_valid"], BANDS_HZ, strict=True)]
-            octaves = is_excited(np.array(BANDS_HZ), 1.0, from_hz, record["excited_to_hz"])
-            for key in ("edt_valid", "t20_valid", "t30_valid", "c50_valid"):
-                parameters[key] = [bool(valid and excited)
-                                   for valid, excited in zip(parameters[key], octaves, strict=True)]
+        for record in measured:
+            limit_to_excitation(record["acoustic_parameters"], from_hz, record["excited_to_hz"])
 
 
 def screen_reason(row: Mapping[str, Any], parameters: Mapping[str, Any]) -> str | None:

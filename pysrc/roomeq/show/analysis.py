@@ -8,6 +8,7 @@ import numpy as np
 
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.direct import DirectSound, find_direct
+from roomeq.acoustics.excitation import excited_from_hz, excited_to_hz, limit_to_excitation
 from roomeq.acoustics.fade import length_before_fade
 from roomeq.acoustics.iso3382 import DECAYS_DB, Decay, energy_decay
 from roomeq.acoustics.octaves import LEAD_S, octave_bands, octave_width_hz
@@ -148,12 +149,16 @@ def analyse(samples: FloatArray, fs_hz: int, name: str = "RIR", direct: DirectSo
 
 
 def measure_parameters(samples: FloatArray, fs_hz: int, direct: DirectSound) -> dict[str, Any]:
-    """Return the acoustic parameters of an RIR as `roomeq.acoustics.parameters.measure`, with the EQ at any rate."""
+    """Return the acoustic parameters of an RIR as `roomeq.acoustics.parameters.measure`, with the EQ at any rate.
+
+    What lies outside the band of its own excitation is not valid (`roomeq.acoustics.excitation`).
+    """
     parameters = measure(samples, fs_hz, direct=direct)
     if "eq_db" not in parameters:
         frequencies_hz, level_db = response_db(samples, fs_hz, direct.sample)
         eq_db = np.interp(bands_hz(fs_hz), frequencies_hz, level_db)
         parameters |= dict(eq_db=eq_db.tolist(), eq_valid=_eq_valid(samples, fs_hz, direct.sample))
+    limit_to_excitation(parameters, excited_from_hz(samples, fs_hz), excited_to_hz(samples, fs_hz), fs_hz)
     return parameters
 
 

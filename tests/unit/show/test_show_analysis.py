@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from rirmaker import coloured_rir
+from scipy.signal import butter, sosfilt
 
 from roomeq.acoustics.iso3382 import all_metrics
 from roomeq.acoustics.parameters import measure
@@ -65,6 +66,17 @@ def test_points_of_the_eq_below_the_noise_are_not_valid_at_any_rate(fs_hz):
     hum = np.sin(2.0 * np.pi * hum_hz[:, None] * np.arange(len(rir)) / fs_hz).sum(axis=0)
     valid = analyse(rir + 0.03 * hum, fs_hz, "a").parameters["eq_valid"]
     assert valid[:2] == [False, False] and all(valid[3:7])
+
+
+@pytest.mark.parametrize("fs_hz", [16000, 44100, 48000])
+def test_what_a_sweep_does_not_reach_is_not_valid_at_any_rate(fs_hz):
+    """A sweep from 100 Hz to 6 kHz."""
+    band = butter(24, (100.0, 6000.0), "bandpass", fs=fs_hz, output="sos")
+    rng = np.random.default_rng(2)
+    rir = sosfilt(band, decaying_noise(fs_hz)) + 1e-5 * rng.standard_normal(round(1.02 * fs_hz))
+    parameters = analyse(rir, fs_hz).parameters
+    for key in ("t20_valid", "c50_valid", "eq_valid"):
+        assert parameters[key] == [False, *[True] * 6, *[False] * (len(parameters[key]) - 7)], key
 
 
 def test_point_of_the_eq_at_half_the_rate_is_not_valid():
