@@ -27,6 +27,7 @@ import csv
 import logging
 import os
 import re
+import unicodedata
 from collections.abc import Callable, Iterable, Set
 from itertools import zip_longest
 from pathlib import Path
@@ -147,8 +148,9 @@ def read_table(path: Path) -> Table:
 
 
 def _named(cells: dict[str, str]) -> dict[str, str]:
-    """Return the cells of a row, in which unknown names (``?``, ``NA``) are empty."""
-    return {key: "" if key in _MAY_BE_UNKNOWN and is_unknown(cell) else cell for key, cell in cells.items()}
+    """Return the cells of a row, in which unknown names (``?``, ``NA``) are empty, and alike ones are the same."""
+    return {key: "" if key in _MAY_BE_UNKNOWN and is_unknown(cell) else
+            unicodedata.normalize("NFKC", cell) if key in _MAY_BE_UNKNOWN else cell for key, cell in cells.items()}
 
 
 def list_table(path: Path) -> Corpus:
@@ -225,14 +227,15 @@ def list_noise_table(path: Path) -> list[Recording]:
 def resolve_file(path: Path, cells: dict[str, str]) -> Path:
     """Return the audio file of a row.
 
-    It is relative to the CSV's folder, or to the folder above if it starts with the name of the CSV's folder.
+    It is relative to the CSV's folder, or to the folder above if it starts with the name of the CSV's folder. Letters
+    with an accent may be composed or decomposed, as systems and archives change them.
     """
-    name = cells["file"]
-    if not name:
+    if not cells["file"]:
         raise ValueError("file='' must be the path of an audio file")
-    file = path.parent / name
-    if not file.exists() and Path(name).parts[0] == path.parent.resolve().name:
-        return path.parent.parent / name
+    names = [cells["file"], *(unicodedata.normalize(form, cells["file"]) for form in ("NFC", "NFD"))]
+    file = next((path.parent / name for name in names if (path.parent / name).exists()), path.parent / names[0])
+    if not file.exists() and Path(names[0]).parts[0] == path.parent.resolve().name:
+        return path.parent.parent / names[0]
     return file
 
 

@@ -1,6 +1,7 @@
 """A CSV of measured RIRs."""
 
 import logging
+import unicodedata
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from roomeq.corpora.record import UNKNOWN, noise_kind_of, parse_number, parse_ve
 from roomeq.corpora.table import list_noise_table, list_table
 from roomeq.corpora.transcripts import list_transcripts
 from roomeq.records.geometry import find_contradiction
+from roomeq.records.schema import make_id
 
 
 def list_row(tmp_path, header, cells, file="a.wav"):
@@ -120,6 +122,19 @@ def test_paths_may_start_with_the_folder_of_the_csv(tmp_path):
     path = put_text(tmp_path / "noise" / "manifest.csv", "file,description\nnoise/room_tone.wav,quiet\n")
     noise = list_noise_table(path)[0]
     assert noise.path.is_file() and noise.id == "room_tone" and noise.row["kind"] == "ambient"
+
+
+def test_umlauts_in_either_spelling_are_one_name_and_one_file(tmp_path):
+    """macOS decomposes the letters of file names, and spreadsheets write composed ones."""
+    composed, decomposed = (unicodedata.normalize(form, "Büro") for form in ("NFC", "NFD"))
+    put(tmp_path / decomposed / "a.wav")
+    put(tmp_path / composed / "b.wav")
+    put_text(tmp_path / "t.csv", f"file,room\n{composed}/a.wav,{composed}\n{decomposed}/b.wav,{decomposed}\n"
+                                 f"{decomposed}/a.wav,Raum 1\n{composed}/b.wav,Raum\u00a01\n")
+    recordings = list_table(tmp_path / "t.csv").rirs
+    assert [recording.path.parent.name for recording in recordings] == [decomposed, composed, decomposed, composed]
+    assert [recording.path.is_file() for recording in recordings] == [True] * 4
+    assert [recording.row["room_id"] for recording in recordings] == [make_id(composed)] * 2 + ["Raum-1"] * 2
 
 
 def test_rooms_named_by_folders_of_one_name_are_refused(tmp_path):
