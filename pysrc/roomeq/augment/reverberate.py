@@ -32,6 +32,8 @@ PathLike = str | os.PathLike[str]
 
 _MIN_SAMPLES = 100
 """More are the samples of an array of several recordings, and not the channels of one."""
+_RANKS = ("RANK", "SLURM_PROCID", "NODE_RANK", "LOCAL_RANK")
+"""Environment variables by which launchers of distributed training number its processes."""
 _INSTANCES = count()
 _CALLS: dict[tuple[int, str], Iterator[int]] = {}
 """Numbers of the calls to come, by instance and worker. They belong to the process: a pool may copy an instance to it
@@ -60,9 +62,10 @@ class Reverberate:
         Sample rate of the arrays [Hz]. The rows of an RIR directory state their own. Speech may have a lower rate, to
         which RIRs and noises are resampled, but no higher one.
     seed
-        Worker processes draw independently of each other. Within a process, call number n gives the same draws in
-        every run. A process pool deals out its calls differently from run to run: give the `key` of a call for the
-        same draws. In the workers of a torch `DataLoader`, which begin anew in each epoch, draws follow torch's seed.
+        Worker processes, and the ranks of distributed training, draw independently of each other. Within a process,
+        call number n gives the same draws in every run. A process pool deals out its calls differently from run to run:
+        give the `key` of a call for the same draws. In the workers of a torch `DataLoader`, which begin anew in each
+        epoch, draws follow torch's seed.
 
     Raises
     ------
@@ -227,9 +230,16 @@ def _sounding(values: ArrayLike, name: str) -> Array:
 
 
 def _worker() -> str:
-    """Return what tells this process from others: torch's seed of a worker, or the place among started processes."""
+    """Return what tells this process from others: its rank, and its place among started processes.
+
+    In place of the latter, torch's workers have a seed: each epoch starts others. All ranks may have the same seed.
+    """
+    ranks = [os.environ.get(name, "0") for name in _RANKS]
+    rank = f"rank {' '.join(ranks)} " if set(ranks) != {"0"} else ""
+    place = multiprocessing.current_process()._identity
     data = sys.modules.get("torch.utils.data")
     worker = data.get_worker_info() if data is not None else None
     if worker is not None:
-        return f"torch worker {worker.seed}"
-    return f"process {'.'.join(map(str, multiprocessing.current_process()._identity))}"
+        started_by = f"{'.'.join(map(str, place[:-1]))} " if place[:-1] else ""
+        return f"{rank}{started_by}torch worker {worker.seed}"
+    return f"{rank}process {'.'.join(map(str, place))}"

@@ -2,7 +2,9 @@
 
 import multiprocessing
 import pickle
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -109,6 +111,19 @@ def test_worker_processes_draw_independently(method):
     assert len({tuple(ours), *map(tuple, drawn)}) >= 2
     with multiprocessing.get_context(method).Pool(1) as pool:
         assert pool.map(_three_calls, [reverberate])[0] != ours
+
+
+@pytest.mark.parametrize("worker", [None, 7])
+@pytest.mark.parametrize("variable", ["RANK", "SLURM_PROCID", "LOCAL_RANK"])
+def test_ranks_of_distributed_training_draw_independently(monkeypatch, variable, worker):
+    """Ranks are processes of their own, and `torch.manual_seed` gives their workers the same seed."""
+    loader = SimpleNamespace(get_worker_info=lambda: worker and SimpleNamespace(seed=worker))
+    monkeypatch.setitem(sys.modules, "torch.utils.data", loader)
+    drawn = []
+    for rank in (None, "0", "1", "2"):
+        monkeypatch.delenv(variable, raising=False) if rank is None else monkeypatch.setenv(variable, rank)
+        drawn.append(tuple(_three_calls(roomeq.Reverberate(rirs(200), seed=1))))
+    assert drawn[0] == drawn[1] and len(set(drawn)) == 3
 
 
 def test_copies_of_a_process_draw_one_after_the_other():
