@@ -164,7 +164,9 @@ def simulate_rir(room: Room, source: ArrayLike, mics: ArrayLike, fs: int = FS_HZ
     ----------
     room
     source
-        Position of the source [m], shape (3,).
+        Position of the source [m], shape (3,). The late reverberation of separate calls is independent, even a
+        centimetre apart. For a source that moves past a microphone, exchange the two: the places of the source are
+        `mics` of one call, and its directivity is theirs.
     mics
         Positions of the microphones [m], shape (3,) or (n_mics, 3). The source is traced once for all. Their late
         reverberation is coherent as in a diffuse field, with their directivities (`roomeq.sim.array_noise`).
