@@ -7,7 +7,7 @@ from roomeq.corpora.folder import list_folder, list_noise_folder
 from roomeq.corpora.record import Corpus, Recording, audio_files, folder_name, id_of_path, is_sofa
 from roomeq.corpora.reverbdb import find_rooms, list_reverbdb
 from roomeq.corpora.slr28 import find_measured_part, list_slr28
-from roomeq.corpora.table import MANIFEST, list_noise_table, list_table, refuse_spreadsheet
+from roomeq.corpora.table import MANIFEST, find_manifest, list_noise_table, list_table, refuse_spreadsheet
 from roomeq.records.rir_dir import ROWS_FILE
 
 
@@ -99,12 +99,6 @@ def list_noises(source: Path) -> list[Recording]:
     refuse_spreadsheet(source)
     table = source if source.suffix.lower() in (".csv", ".tsv") else find_manifest(source)
     return list_noise_table(table) if table else list_noise_folder(source)
-
-
-def find_manifest(source: Path) -> Path | None:
-    """Return the `manifest.csv` of a folder, or None."""
-    path = source / MANIFEST
-    return path if source.is_dir() and path.is_file() else None
 
 
 def require_existing(path: Path) -> Path:

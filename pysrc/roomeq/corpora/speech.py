@@ -16,7 +16,7 @@ from roomeq.corpora.librispeech import find_sets, list_librispeech
 from roomeq.corpora.record import AUDIO_SUFFIXES, by_stamp
 from roomeq.corpora.speech_folder import list_audio_folder
 from roomeq.corpora.speech_plan import KaldiPart, Plan, plan_kaldi, plan_utterances
-from roomeq.corpora.table import MANIFEST, refuse_spreadsheet
+from roomeq.corpora.table import MANIFEST, find_manifest, refuse_spreadsheet
 from roomeq.corpora.transcripts import list_transcripts
 from roomeq.corpora.utterance import ROLES, Utterance, split_voices
 
@@ -141,8 +141,7 @@ def list_speech(source: Path, wanted: SetNames) -> Mapping[str, Listing]:
     if source.is_file() and source.suffix.lower() in AUDIO_SUFFIXES:
         raise ValueError(f"{source}: is one audio file, but a corpus is expected: give its folder, or a CSV")
     refuse_spreadsheet(source)
-    manifest = source if source.is_file() else source / MANIFEST
-    if manifest.is_file():
+    if manifest := source if source.is_file() else find_manifest(source):
         sets = list_transcripts(manifest)
         if set(sets) == {""} and not _are_chosen(wanted):
             return _split(sets[""], source)

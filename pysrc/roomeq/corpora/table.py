@@ -91,6 +91,14 @@ class Table(NamedTuple):
 Value = TypeVar("Value")
 
 
+def find_manifest(source: Path) -> Path | None:
+    """Return the `manifest.csv` of a folder, in upper or lower case, or None."""
+    if not source.is_dir():
+        return None
+    names = sorted(name for name in os.listdir(source) if name.lower() == MANIFEST)
+    return next((path for name in (MANIFEST, *names) if (path := source / name).is_file()), None)
+
+
 def refuse_spreadsheet(source: Path) -> None:
     """Refuse a spreadsheet, or a folder with one where its `manifest.csv` should be.
 
@@ -98,7 +106,7 @@ def refuse_spreadsheet(source: Path) -> None:
     ------
     ValueError
     """
-    folder, stem = source.is_dir() and not (source / MANIFEST).is_file(), Path(MANIFEST).stem
+    folder, stem = source.is_dir() and not find_manifest(source), Path(MANIFEST).stem
     for path in [source / f"{stem}{suffix}" for suffix in _SPREADSHEETS] if folder else [source]:
         if path.suffix.lower() in _SPREADSHEETS and path.is_file():
             raise ValueError(f"{path}: is a spreadsheet, and a table must be a CSV file: export it as CSV"

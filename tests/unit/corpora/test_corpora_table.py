@@ -8,7 +8,9 @@ import pytest
 from corpora_examples import make_table, put, put_text
 
 from roomeq.corpora.folder import list_folder
+from roomeq.corpora.listing import detect_kind, list_corpus
 from roomeq.corpora.record import UNKNOWN, noise_kind_of, parse_number, parse_vector, rir_row
+from roomeq.corpora.speech import DEFAULT_SETS, list_speech
 from roomeq.corpora.table import list_noise_table, list_table
 from roomeq.corpora.transcripts import list_transcripts
 from roomeq.records.geometry import find_contradiction
@@ -54,6 +56,16 @@ def test_separators_case_and_byte_order_mark_are_free(tmp_path):
     (tmp_path / "t.csv").write_text("\ufeffFile;Room;source_pos_m\r\na.wav;lab 1;1.5 2,5 1\r\n", encoding="utf-8")
     row = list_table(tmp_path / "t.csv").rirs[0].row
     assert row["room_id"] == "lab-1" and row["source_pos_m"] == [1.5, 2.5, 1]
+
+
+def test_manifest_may_be_in_upper_case(tmp_path):
+    put(tmp_path / "A.WAV")
+    put_text(tmp_path / "MANIFEST.CSV", "file,room_dims_m,transcript\nA.WAV,5 4 3,\n")
+    assert detect_kind(tmp_path) == "table"
+    with pytest.raises(ValueError, match="MANIFEST.CSV:2: transcript=''"):
+        list_speech(tmp_path, DEFAULT_SETS)
+    put_text(tmp_path / "MANIFEST.CSV", "file,room_dims_m\nA.WAV,5 4 3\n")
+    assert list_corpus(tmp_path).rirs[0].row["room_dims_m"] == [5, 4, 3]
 
 
 @pytest.mark.parametrize("before", ["sep=;\r\n", '"sep=;"\n', ";;\n\n"])
