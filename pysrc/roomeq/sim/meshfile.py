@@ -80,7 +80,8 @@ def _check_lengths(path: Path, triangles: FloatArray) -> None:
         raise ValueError(f"{path}: every vertex must be a finite number of metres: export it again")
     length_m = float(np.ptp(corners, axis=0).max())
     if not MIN_ROOM_M <= length_m <= MAX_ROOM_M:
-        unit = "kilometres" if length_m < MIN_ROOM_M else "centimetres" if length_m <= 1000 else "millimetres"
+        larger = "inches or centimetres" if length_m <= 1000 else "millimetres"
+        unit = "kilometres" if length_m < MIN_ROOM_M else larger
         raise ValueError(f"{path}: the room is {length_m:,.4g} m long and must be {MIN_ROOM_M:g} m to "
                          f"{MAX_ROOM_M:g} m: is it in {unit}? Export it in metres")
     if not np.all(np.abs(corners) <= MAX_FROM_ORIGIN_M):

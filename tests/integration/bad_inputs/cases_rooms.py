@@ -91,7 +91,9 @@ CASES = [
     mesh("in millimetres", "RIR m1: mesh/room.obj: the room is 6,000 m long and must be 0.1 m to 200 m: is it in "
          "millimetres? Export it in metres", scaled(1200)),
     mesh("in centimetres", "RIR m1: mesh/room.obj: the room is 500 m long and must be 0.1 m to 200 m: is it in "
-         "centimetres? Export it in metres", scaled(100)),
+         "inches or centimetres? Export it in metres", scaled(100)),
+    mesh("in inches", "RIR m1: mesh/room.obj: the room is 200.2 m long and must be 0.1 m to 200 m: is it in "
+         "inches or centimetres? Export it in metres", scaled(40.04)),
     mesh("in kilometres", "RIR m1: mesh/room.obj: the room is 0.005 m long and must be 0.1 m to 200 m: is it in "
          "kilometres? Export it in metres", scaled(1e-3)),
     mesh("of denormals", "RIR m1: mesh/room.obj: the room is 5e-310 m long and must be 0.1 m to 200 m: is it in "
