@@ -70,7 +70,8 @@ def many_times(n_nodes: int, n_faces: int) -> dict:
 CASES = [
     mesh("with a hole",
          "RIR m1: mesh/room.obj: the mesh has holes: 4 edges don't join exactly two faces, the first near [0.0, "
-         "0.0, 1.5] m: close the holes", BOX.removesuffix("f 4 1 5 8\n")),
+         "0.0, 1.5] m: close the holes, and give faces that meet along an edge the same corners on it",
+         BOX.removesuffix("f 4 1 5 8\n")),
     mesh("normals into the room",
          "RIR m1: mesh/room.obj: the normals of the mesh point into the room (its volume is -60 m3): turn its faces so "
          "that normals point out of the room", re.sub(r"f (.) (.) (.) (.)", r"f \4 \3 \2 \1", BOX)),
