@@ -6,6 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from roomeq.core.arrays import FloatArray
 from roomeq.core.build import Build
 from roomeq.core.files import paths, read_json, write_json, write_text
 from roomeq.records.rir_dir import ROWS_FILE, read_rirs
@@ -130,16 +131,19 @@ class _Rates:
     def __init__(self, seeds: Sequence[SeedCounts]) -> None:
         self.seeds = seeds
 
-    def rooms(self, *names: str) -> set[str]:
-        """Return the rooms of sets."""
-        return set().union(*(seed.sets[name].rooms for seed in self.seeds for name in names))
+    def rooms(self, *names: str) -> list[str]:
+        """Return the rooms of sets, sorted."""
+        return sorted(set().union(*(seed.sets[name].rooms for seed in self.seeds for name in names)))
 
-    def rate(self, system: System, set_name: str, compared_with: tuple[str, ...] = (), without: str = "") -> Statistic:
-        """Return the rate of a system on a set, `without` a room, comparable with rates on the sets `compared_with`."""
-        rooms = sorted(self.rooms(set_name, *compared_with) - {without})
+    def counts(self, system: System, set_name: str, rooms: list[str]) -> tuple[FloatArray, FloatArray]:
+        """Return the errors of a system on a set, and the words, shape (n_seeds, n_rooms) each."""
         of_seeds = [seed.sets[set_name] for seed in self.seeds]
-        return Statistic.of(np.array([of_set.of_system(system, rooms).sum(axis=1) for of_set in of_seeds], dtype=float),
-                            np.array([of_set.words_of(rooms) for of_set in of_seeds], dtype=float))
+        return (np.array([of_set.of_system(system, rooms).sum(axis=1) for of_set in of_seeds], dtype=float),
+                np.array([of_set.words_of(rooms) for of_set in of_seeds], dtype=float))
+
+    def rate(self, system: System, set_name: str, compared_with: tuple[str, ...] = ()) -> Statistic:
+        """Return the rate of a system on a set, comparable with rates on the sets `compared_with`."""
+        return Statistic.of(*self.counts(system, set_name, self.rooms(set_name, *compared_with)))
 
 
 def _set_size(of_seeds: Sequence[SetCounts]) -> dict:
@@ -238,17 +242,20 @@ def _most_influential(rates: _Rates, system: System) -> dict | None:
 
     None of fewer than three rooms.
     """
-    def difference(without: str = "") -> Statistic:
-        row, base = (rates.rate(System(name, system.column), TEST, without=without) for name in (system.row, BASE))
-        return row.minus(base)
-
-    rooms, points = sorted(rates.rooms(TEST)), difference().value
+    rooms = rates.rooms(TEST)
     if len(rooms) < 3:
         return None
-    of_each = {room: difference(without=room) for room in rooms}
-    room = max(rooms, key=lambda name: abs(of_each[name].value - points))
-    found = detectable(of_each[room])
-    return _difference(of_each[room]) | dict(room=room, detectable=found and found["difference"])
+    of_row, of_base = (rates.counts(System(row, system.column), TEST, rooms) for row in (system.row, BASE))
+
+    def difference(*without: int) -> Statistic:
+        row, base = (Statistic.of(*(np.delete(table, without, axis=1) for table in tables))
+                     for tables in (of_row, of_base))
+        return row.minus(base)
+
+    points, of_each = difference().value, [difference(n) for n in range(len(rooms))]
+    most = max(range(len(rooms)), key=lambda n: abs(of_each[n].value - points))
+    found = detectable(of_each[most])
+    return _difference(of_each[most]) | dict(room=rooms[most], detectable=found and found["difference"])
 
 
 def _closed(row: Statistic, base: Statistic, oracle: Statistic) -> dict:
