@@ -116,8 +116,9 @@ def word_errors(results: dict[str, dict[str, Any]]) -> list[Table]:
 
 
 def without_rooms(results: dict[str, dict[str, Any]]) -> list[Table]:
-    """Return what `word_errors` returns, without the table of hundreds of rooms."""
-    return [table for table in word_errors(results) if not table["title"].startswith("Rooms")]
+    """Return what `word_errors` returns, without what it tells of single rooms, of which there are hundreds."""
+    return [table for table in word_errors(results)
+            if not table["title"].startswith("Rooms") and "without the room" not in table["title"]]
 
 
 def _word_error_tables(wer: dict[str, Any]) -> list[Table]:
@@ -134,13 +135,9 @@ def _word_error_tables(wer: dict[str, Any]) -> list[Table]:
         return [row, column, f"{found['points']:.2f}{brackets(found['interval'])}", relative,
                 found["detectable"] and found["detectable"]["difference"]]
 
-    def without_a_room(row: str, column: str) -> list[Any]:
-        found = results[row][column]["change"]["influential"]
-        return [row, column, found["room"], f"{found['points']:.2f}{brackets(found['interval'])}", found["detectable"]]
-
     changes = [change(row, column) for row in wer["rows"] for column in columns if "change" in results[row][column]]
-    influential = [without_a_room(row, column) for row in wer["rows"] for column in columns
-                   if results[row][column].get("change", {}).get("influential")]
+    influential = [[row, found["room"], f"{found['points']:.2f}{brackets(found['interval'])}", found["detectable"]]
+                   for row in wer["rows"] if (found := results[row][first].get("change", {}).get("influential"))]
     by_seed = [[row, *results[row][first]["test"]["by_seed"]] for row in wer["rows"]]
     rooms = [[room["room"], room["words"], *room_cells(room), *(room["wer"][first][row] for row in wer["rows"])]
              for room in wer["rooms"]]
@@ -153,8 +150,8 @@ def _word_error_tables(wer: dict[str, Any]) -> list[Table]:
                  notes=caption(wer)),
             dict(title=f"Difference to {BASE}, paired over rooms and seeds", rows=changes,
                  columns=["trained on", "decoding", "points", "relative [%]", "detectable [points]"]),
-            *([dict(title=f"Difference to {BASE} without the room that changes it most", rows=influential,
-                    columns=["trained on", "decoding", "without", "points", "detectable [points]"],
+            *([dict(title=f"Difference to {BASE} without the room that changes it most, {first}", rows=influential,
+                    columns=["trained on", "without", "points", "detectable [points]"],
                     notes=["A room chosen after its result: how much rests on a single room, not a test."])]
               if influential else []),
             dict(title=f"Test error by seed [%], {first}",
