@@ -193,7 +193,7 @@ def _late_decay(remaining: FloatArray, noise: float, n_block: int, span_db: floa
                 ) -> tuple[float, float, int, int]:
     """Fit the line ``slope_db n + offset_db`` to the decay from `span_db` above the noise margin down to it.
 
-    The loudest block, which holds the direct sound as a rule, is no part of the decay.
+    The loudest block, which holds the direct sound as a rule, is no part of the first line, from any level down.
 
     Returns
     -------
@@ -213,7 +213,7 @@ def _late_decay(remaining: FloatArray, noise: float, n_block: int, span_db: floa
     for block in range(stop):
         if level_db[block] > _db(noise) + 7.0 + span_db:
             last_above = block
-    start = max(int(np.argmax(level_db[:stop])) + 1, min(last_above, stop - 4))
+    start = max(int(np.argmax(level_db[:stop])) + (1 if np.isinf(span_db) else 0), min(last_above, stop - 4))
     if stop - start < 2:
         return 0.0, 0.0, 0, 0
     slope_db, offset_db, _ = _line(level_db[start:stop], start, n_block, 0.0)
