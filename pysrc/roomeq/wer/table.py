@@ -90,8 +90,9 @@ def _row_lines(wer: dict, row: str, column: str) -> list[str]:
     if result.get("change", {}).get("detectable"):
         lines.append(f"  {_detectable_text(result['change']['detectable'], len(wer['seeds']))}")
     if influential := result.get("change", {}).get("influential"):
-        lines.append(f"  without {influential['room']}, which changes it most: {_points_text(influential)}"
-                     + (f"; detectable {influential['detectable']:.2f} points" if influential["detectable"] else ""))
+        detected = influential["detectable"]
+        lines.append(f"  without {influential['room']}, which changes it most: {influential['points']:+.2f}"
+                     f"{brackets(influential['interval'])}{f'; detectable {detected:.2f} points' if detected else ''}")
     return lines
 
 

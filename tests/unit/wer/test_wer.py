@@ -174,7 +174,7 @@ def test_difference_is_stated_without_the_room_that_changes_it_most(example):
     change = example["results"]["train.clean"]["fglarge"]["change"]
     assert change["points"] == pytest.approx(27.5)  # 20 in the hall, 30 elsewhere
     assert change["influential"]["room"] == "hall" and change["influential"]["points"] == pytest.approx(30)
-    assert "without hall, which changes it most: +30.00 [30.00, 30.00]" in table_text(example)
+    assert "without hall, which changes it most: +30.00 [30.00, 30.00]\n" in table_text(example)
 
 
 def test_two_rooms_have_no_influential_one(tmp_path):
