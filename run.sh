@@ -58,6 +58,7 @@ snr="uniform 5 25"        # SNR of the ambient noise [dB]
 point_snr="uniform 5 25"  # SNR of point-source noises [dB]
 draw_rooms_equally=false  # draw the room first, then one of its RIRs
 packing=recording         # one FLAC per recording, with segments; or: utterance
+test_copies=1             # far-field versions of each test utterance, each with its own draw of RIR and noise
 
 # stages 8-10: Kaldi, from KALDI_ROOT or from the Kaldi tree that holds this directory
 dry_run=false             # print the Kaldi commands, do not run them
@@ -185,7 +186,8 @@ fi
 if at_stage 6 "make far-field speech"; then
   for rirs in "${kinds[@]/%/.train}" "${kinds[@]/%/.dev}" real.test; do
     x=${rirs##*.}
-    steps/augment_data.sh --nj "$nj" --snr "$snr" --point-snr "$point_snr" --packing "$packing" \
+    [ "$x" = test ] && copies=$test_copies || copies=1
+    steps/augment_data.sh --nj "$nj" --snr "$snr" --point-snr "$point_snr" --packing "$packing" --copies "$copies" \
       --draw-rooms-equally "$draw_rooms_equally" --seed "$seed" --noises "$data/rirs.real.$x" \
       "$data/$x.clean" "$data/rirs.$rirs" "$data/$x.${rirs%.*}.rvb"
   done

@@ -26,6 +26,7 @@ in_range max_effects 0 11
 check_option snr "$distribution" "$distribution_rule"
 check_option point_snr "$distribution" "$distribution_rule"
 check_option packing 'recording|utterance' "recording or utterance"
+in_range test_copies 1 1000
 check_option align_on 'clean|self' "clean or self"
 pass=' *(mono +(all|[0-9]+)|(deltas|lda_mllt|sat) +(all|[0-9]+) +[0-9]+ +[0-9]+) *'
 check_option gmm_passes "$pass(,$pass)*" "passes as 'mono 300, deltas all 300 3000': kind, utterances, leaves, Gaussians"

@@ -10,6 +10,7 @@ snr="uniform 5 25"         # SNR of the ambient noise [dB]; also "normal 15 5", 
 point_snr="uniform 5 25"   # SNR of point-source noises [dB]
 draw_rooms_equally=false   # draw the room first, then one of its RIRs; false: every RIR is equally likely
 packing=recording          # one FLAC per recording, with segments; or: utterance
+copies=1                   # far-field versions of each utterance
 seed=0                     # seed of all random numbers
 . ./path.sh
 . utils/parse_options.sh
@@ -19,4 +20,5 @@ require "$2/rirs.jsonl" "the step that makes $2"
 flags=()
 [ "$draw_rooms_equally" = false ] || flags=(--draw-rooms-equally)
 utils/run_parts.sh "$nj" "$(dirname "$3")/log/$(basename "$3")" augment ${noises:+--noises "$noises"} \
-  --snr "$snr" --point-snr "$point_snr" --packing "$packing" --seed "$seed" "${flags[@]}" "$1" "$2" "$3"
+  --snr "$snr" --point-snr "$point_snr" --packing "$packing" --copies "$copies" --seed "$seed" \
+  "${flags[@]}" "$1" "$2" "$3"

@@ -100,3 +100,15 @@ def test_drawn_rooms_take_the_place_of_the_measured_ones(undisturbed, corpora, p
     for kind in ("sim", "sim.EQ"):
         rooms = {x: {row["room_id"] for row in read_rirs(where / f"data/rirs.{kind}.{x}")} for x in ("train", "dev")}
         assert rooms == {"train": {"room00001", "room00002", "room00003"}, "dev": {"room00004"}}
+
+
+def test_versions_of_test_utterances_leave_the_other_sets_alone(undisturbed, corpora, project_dir):
+    where = corpora / "run-copies"
+    shutil.copytree(corpora / "run-a", where)
+    before = hashes(where)
+    finish(start(project_dir, where, corpora / "corpora", 2, "--test-copies", "2", "--stage", "6", "--stop-stage", "6"))
+    after, spoken = hashes(where), (where / "data/test.clean/text").read_text().splitlines()
+    changed = {name for name in after | before if after.get(name) != before.get(name)}
+    assert changed and all(name.startswith("data/test.real.rvb/") for name in changed)
+    ids = [line.split()[0] for line in (where / "data/test.real.rvb/text").read_text().splitlines()]
+    assert ids == sorted(f"{line.split()[0]}-rvb{copy}" for line in spoken for copy in (1, 2))

@@ -127,7 +127,7 @@ def test_unwritable_log_is_named_and_nothing_starts(recipe, runner):
     ("--point-snr", "$(touch evil)", "must be 'uniform LOW HIGH'"), ("--taps", "512", "must be odd"),
     ("--num-components", "0", "must be at least 1"), ("--split-sizes", "0,0,0", "must be three counts from 1"),
     ("--split-sizes", "9,00,1", "must be three counts from 1"),
-    ("--packing", "files", "must be recording or utterance"),
+    ("--packing", "files", "must be recording or utterance"), ("--test-copies", "0", "must lie in [1, 1000]"),
     ("--t60-range", "0.5", "must be two times"),
     ("--t60-range", "match", "must be two times"), ("--t60-range", "1.2.3,2", "must be two times, as"),
     *(("--t60-range", times, "must be two times in [0.05, 10] s") for times in ("2.0,0.2", "0.01,1", "0.2,11")),
