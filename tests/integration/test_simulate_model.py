@@ -189,6 +189,8 @@ def test_changed_model_rebuilds_the_directory(measured, tmp_path):
      r"effects\[0\]: effect='gnomes' must be one of air_absorption, "),
     ('{"format": 3, "effects": [{"effect": "occlusion", "of": {"office": {"detour_m": "far"}}}]}',
      r"effects\[0\]: of\['office'\]: detour_m='far' must be a number"),
+    ('{"format": 3, "effects": [{"effect": "occlusion", "of": {"a": {"detour_m": 0.1}}}]}',
+     r"effects\[0\]: typical must be 1 numbers, for what 'of' does not name: add them"),
     ('{"format": 3, "effects": [], "facings": {"a": [0, 0, 0]}}',
      r"facings\['a'\]=\[0, 0, 0\] must be a direction, three numbers that are not all 0"),
     ('{"format": 3, "effects": [], "facings": ["a"]}', r"facings=\['a'\] must map RIRs to directions"),

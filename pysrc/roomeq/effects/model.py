@@ -288,6 +288,8 @@ def _read_extension(place: str, entry: Any) -> Extension:
         vectors[key] = np.array(vector, float)
     units = {unit: read_parameters(f"{place}: of[{unit!r}]", effect, parameters)
              for unit, parameters in entry["of"].items()}
+    if "typical" not in entry and not (effect.SCOPE == "all" and units):
+        raise ValueError(f"{place}: typical must be {size} numbers, for what 'of' does not name: add them")
     return Extension(effect, units, **vectors)
 
 

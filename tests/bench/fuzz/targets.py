@@ -31,7 +31,8 @@ _WORDS = (  # what random bytes would not hit upon
     "tof_removed", "documented_t60_s", "#0", "<s>", '"effect": "room_modes"', '"up_to_hz": ', '"gains_db": [',
     '"levels_db": [', '"cannot_tell": ["', '"test": {')
 _MODEL = (b'{"format": 3, "effects": [{"effect": "near_reflector", "of": {"r": {"depth_m": 0.7, "reflection": 0.6}}, '
-          b'"typical": [-0.4, 0.6], "spread": [0.1, 0.1]}, {"effect": "sound_speed", "of": {}}]}')
+          b'"typical": [-0.4, 0.6], "spread": [0.1, 0.1]}, {"effect": "sound_speed", "of": {"all": '
+          b'{"temperature_c": 20}}}]}')
 _ERRORS = (b'{"leave_positions_out": {"error": 1.5, "ci": [1, 2], "by_metric": {"t30": 1.5}, "by_band": '
            b'[null, 1, 1, 1, 1, 1, 1, 1]}, "leave_room_out": {"error": 1.5, "ci": null, "by_metric": {}, "by_band": '
            b'[1, 1, 1, 1, 1, 1, 1, 1]}}')

@@ -28,7 +28,8 @@ CASES = [
          "absent.json: No such file or directory: check the path"),
     Case("loop of a model with an effect twice", "close-loop --model m.json measured --out out",
          "m.json: effects[1]: effect='sound_speed' is there already: leave one out",
-         (write("m.json", json.dumps(dict(format=3, effects=2 * [dict(effect="sound_speed", of={})]))),)),
+         (write("m.json", json.dumps(dict(format=3, effects=2 * [
+             dict(effect="sound_speed", of=dict(all=dict(temperature_c=20)))]))),)),
     Case("loop of a model of another version", "close-loop --model m.json measured --out out",
          "m.json: format=None must be 3: run roomeq close-loop again", (write("m.json", '{"effects": []}'),)),
     Case("loop of rirs given twice", "close-loop measured measured --out out",
