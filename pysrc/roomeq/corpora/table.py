@@ -14,7 +14,8 @@ Columns (any order, upper or lower case, separated by comma, semicolon or tab); 
     Numbers, each may be unknown.
 `binaural`, `tof_removed`, `unreliable_geometry`, `uncommon`
     0 or 1 (also true/false, yes/no): recorded with a dummy head; time of flight cut off; positions are unreliable; a
-    space that should not be simulated (stairs).
+    space that should not be simulated (stairs). Without the column, recordings with a dummy head are recognised by
+    words such as *BRIR* in id or path, and stairs by the words of `room_type`.
 `excitation`
     ``sweep``, ``clap``, ...; without the column, recognised by the words *clap* and *sweep* in id or file name.
 `kind`
@@ -42,6 +43,7 @@ from roomeq.corpora.record import (
     excitation_of,
     folder_name,
     id_of_path,
+    is_binaural_name,
     is_sofa,
     is_unknown,
     noise_kind_of,
@@ -300,6 +302,8 @@ def _row(path: Path, file: Path, cells: dict[str, str], corpus: Corpus) -> dict[
     room = known.setdefault("room_id", folder_name(file.parent))
     known["excitation"] = (cells["excitation"].lower() or None) if "excitation" in cells else \
         excitation_of(f"{cells.get('rir_id', '')} {file.stem}")
+    if "binaural" not in cells and is_binaural_name(f"{cells.get('rir_id', '')} {cells['file']}"):
+        known["binaural"] = True
     if "unreliable_geometry" not in known and is_unreliable(room):
         known["unreliable_geometry"] = True
     if "uncommon" not in known and is_uncommon(room, known.get("room_type")):

@@ -115,6 +115,12 @@ def test_unused_columns_of_noises_and_speech_are_logged(tmp_path, caplog, read, 
     assert f"columns not used: {unused}" in caplog.text
 
 
+def test_dummy_heads_are_recognised_by_name_as_in_folders(tmp_path):
+    assert list_row(tmp_path, "room", "office", "office_brir_1.wav").row["binaural"] is True
+    assert list_folder(tmp_path).rirs[0].row["binaural"] is True
+    assert list_row(tmp_path, "binaural", "0", "office_brir_1.wav").row["binaural"] is False
+
+
 def test_excitation_column_overrides_the_file_name(tmp_path):
     assert list_row(tmp_path, "excitation", "mls", "clap.wav").row["excitation"] == "mls"
     assert list_row(tmp_path, "excitation", "", "clap.wav").row["excitation"] is None
