@@ -1,7 +1,7 @@
 """Just noticeable differences (JND) of room-acoustic parameters.
 
-ISO 3382-1:2009, table A.1; Bradley et al., J. Acoust. Soc. Am. 105 (1999) 3446 (C50); Larsen et al., J. Acoust. Soc.
-Am. 124 (2008) 450 (DRR).
+ISO 3382-1:2009, table A.1; Bradley et al., Applied Acoustics 58 (1999) 99 (C50); Larsen et al., J. Acoust. Soc. Am. 124
+(2008) 450 (DRR).
 """
 
 import math
