@@ -282,7 +282,7 @@ COMMAND = {
     "simulator": "tests/bench/fidelity/run.py", "measured_room": "tests/bench/real/bras_cr2.py",
     "speed": "tests/bench/speed/run.py", "waiting": "tests/bench/waiting.py",
     "drawn_rooms": "tests/bench/real/drawn_rooms.py",
-    "compensation": "./run.sh --measured RIRS --stop-stage 4 && tests/bench/compensation.py data",
+    "compensation": "./run.sh --measured RIRS --stop-stage 4 && tests/bench/compensation.py --out exp/bench data",
     "loop": "tests/bench/loop/run.py", "loop_scale": "tests/bench/loop/scale.py",
     "laboratories": "tests/bench/real/laboratories.py",
     "effects": "tests/bench/effects.py", "augmentation": "tests/bench/augment.py",
