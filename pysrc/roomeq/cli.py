@@ -154,9 +154,10 @@ keep_suspicious = click.option("--keep-suspicious", is_flag=True,
 @argument("source", "LibriSpeech tree, Kaldi data directory, folder with manifest.csv, or folder of audio files "
           "without transcripts.")
 @argument("out", "Directory in which to make train.clean, dev.clean and test.clean.")
-@click.option("--train-sets", type=NAMES, default="train-clean-100", help="Sets of a LibriSpeech tree.")
-@click.option("--dev-sets", type=NAMES, default="dev-clean", help="Sets of a LibriSpeech tree.")
-@click.option("--test-sets", type=NAMES, default="test-clean", help="Sets of a LibriSpeech tree.")
+@click.option("--train-sets", type=NAMES, default="train-clean-100",
+              help="Sets for training: of LibriSpeech, of the column set of a CSV, or folders.")
+@click.option("--dev-sets", type=NAMES, default="dev-clean", help="Sets for development.")
+@click.option("--test-sets", type=NAMES, default="test-clean", help="Sets for test.")
 @click.option("--limit", type=int, help="Largest number of utterances in each set.")
 @click.option("--channel", default=0, help="Channel of files with several that is used, counted from 0.")
 @nj
@@ -194,7 +195,10 @@ def read_noises() -> None:
 @part
 @nj
 def characterise() -> None:
-    """Measure acoustic parameters of RIRs. Repeats are dropped; RIRs unfit for the EQ fit are marked."""
+    """Measure acoustic parameters of RIRs.
+
+    Repeats, uncommon spaces and recordings that are no RIR are dropped; RIRs unfit for the EQ fit are marked.
+    """
 
 
 @verb("corpora.split:split_rirs", "--split-by room data/rirs.real data/rirs.real")
