@@ -105,6 +105,17 @@ def test_rooms_that_datasets_would_read_as_times_are_warned_of(tmp_path, room, w
     assert ("datasets will read room_id of rirs as times" in caplog.text) == warned
 
 
+def test_huggingface_leaves_out_acoustic_parameters_that_are_not_valid(tmp_path):
+    h = decay(np.random.default_rng(0))
+    write_wav(tmp_path / "rirs/wav/a.wav", h)
+    parameters = dict(t20_s=[2.0] + [0.5] * 7, t20_valid=[False] + [True] * 7, c50_db=[3.0] * 8, drr_db=-2.0)
+    write_rirs(tmp_path / "rirs", [rir_row("a", "hall", h) | dict(acoustic_parameters=parameters)])
+    export("huggingface", tmp_path / "rirs", tmp_path / "out")
+    (row,) = lines_of(tmp_path / "out/rirs/metadata.jsonl")
+    assert row["t20_s"] == [None] + [0.5] * 7 and row["c50_db"] == [None] * 8
+    assert row["t30_s"] is None and row["drr_db"] == -2.0
+
+
 def test_directory_of_noises_is_exported(tmp_path, rirs):
     write_noises(tmp_path / "noises", relocated(read_noises(rirs), rirs, tmp_path / "noises"))
     for kind in (*KINDS, "roomeq"):

@@ -7,20 +7,22 @@ otherwise `datasets` takes words such as "test" in the names of files for splits
 import logging
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from roomeq.core.files import write_jsonl, write_text
 from roomeq.export.audio import MadeAudio
 from roomeq.export.content import Content, ExportedUtterance
+from roomeq.records.parameters import value_of
 
 logger = logging.getLogger(__name__)
 
 _TIME = re.compile(r"\d{4}-\d\d-\d\d([ T]\d\d(:\d\d){0,2}(Z|[+-]\d\d(:?\d\d)?)?)?")  # in JSON, for pyarrow
 _OF_ROW = ("room_id", "source_id", "mic_id", "noise_for", "room_dims_m", "source_pos_m", "mic_pos_m", "channel_pos_m",
            "distance_m", "target_t60_s")
-_OF_PARAMETERS = ("t20_s", "t30_s", "edt_s", "c50_db", "drr_db")
-"""Keys of `rirs.jsonl` and of its acoustic parameters that become columns."""
+"""Keys of `rirs.jsonl` that become columns."""
+_METRICS = {"t20_s": "t20", "t30_s": "t30", "edt_s": "edt", "c50_db": "c50"}
+"""Keys of acoustic parameters that become columns, and the metric of each."""
 
 
 def write_manifests(content: Content) -> None:
@@ -57,7 +59,13 @@ def _of_rir(made: MadeAudio) -> dict[str, Any]:
     row = made.planned.row or {}
     parameters = row.get("acoustic_parameters") or {}
     return dict(direct_sample=made.direct_sample, **{key: row.get(key) for key in _OF_ROW},
-                **{key: parameters.get(key) for key in _OF_PARAMETERS})
+                **{key: _valid_values(parameters, key) for key in _METRICS}, drr_db=parameters.get("drr_db"))
+
+
+def _valid_values(parameters: Mapping[str, Any], key: str) -> list[float | None] | None:
+    """Return a value per octave band, None where it is not valid; None if nothing was measured."""
+    values = parameters.get(key)
+    return values and [value_of(parameters, _METRICS[key], band) for band in range(len(values))]
 
 
 def _of_noise(made: MadeAudio) -> dict[str, Any]:
