@@ -16,6 +16,7 @@ SPECTRUM_HZ = tuple(1000.0 * 10.0 ** (0.1 * k) for k in range(-16, 9))
 """Exact mid-band frequencies of third octaves, 25 Hz to 6.3 kHz: below the octaves, modes of rooms are far apart."""
 THIRDS_HZ = SPECTRUM_HZ[3:]
 """Those that make up the octaves, from 50 Hz on."""
+_PREFERRED = (1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0)  # ISO 266
 THIRD_WIDTH_HZ = np.array(THIRDS_HZ) * (10.0 ** 0.05 - 10.0 ** -0.05)
 """Width of the third octaves [Hz], shape (22,)."""
 OCTAVE_OF_THIRD: IntArray = np.argmin(np.abs(np.log(np.array(THIRDS_HZ)[:, None] / np.array(EXACT_BANDS_HZ))), axis=1)
@@ -24,6 +25,12 @@ FILTER_ORDER = 4  # of the Butterworth prototype; IEC 61260-1 class 1 needs 3, s
 LEAD_S = 0.05
 """Time by which an octave filter spreads energy, before and after [s]."""
 _FFT_GRID = 4096  # few sizes of transform, so that their filters stay cached
+
+
+def nominal_hz(third_hz: float) -> float:
+    """Return the nominal mid-band frequency of a third octave, such as 1250 Hz for 1259 Hz (IEC 61260-1)."""
+    decade, n = divmod(round(10.0 * np.log10(third_hz)), 10)
+    return _PREFERRED[n] * 10.0 ** decade
 
 
 def octave_width_hz(band_hz: float, fs_hz: float) -> float:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from roomeq.acoustics.octaves import THIRDS_HZ
+from roomeq.acoustics.octaves import THIRDS_HZ, nominal_hz
 from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import BANDS_HZ
 from roomeq.effects.response import RESPONSE_HZ
@@ -138,13 +138,8 @@ def _response(best: _Best, values: _Values) -> str:
     widest = int(np.argmax(np.ptp(gains_db, axis=1)))
     low, high = int(np.argmin(gains_db[widest])), int(np.argmax(gains_db[widest]))
     name = f"the least flat response, that of {list(best)[widest]}," if len(best) > 1 else "the response"
-    return (f"{name} ranges from {gains_db[widest, low]:+.1f} dB at {_round(RESPONSE_HZ[low])} Hz to "
-            f"{gains_db[widest, high]:+.1f} dB at {_round(RESPONSE_HZ[high])} Hz")
-
-
-def _round(value: float) -> str:
-    """Return a value with two significant digits."""
-    return f"{float(f'{value:.2g}'):g}"
+    return (f"{name} ranges from {gains_db[widest, low]:+.1f} dB at {nominal_hz(RESPONSE_HZ[low]):g} Hz to "
+            f"{gains_db[widest, high]:+.1f} dB at {nominal_hz(RESPONSE_HZ[high]):g} Hz")
 
 
 def _coupled_volume(best: _Best, values: _Values) -> str:
@@ -158,7 +153,7 @@ def _coupled_volume(best: _Best, values: _Values) -> str:
 
 def _noise_floor(best: _Best, values: _Values) -> str:
     levels_db = np.median(values["levels_db"], axis=0)
-    return f"noise is strongest at {THIRDS_HZ[int(np.argmax(levels_db))]:.0f} Hz"
+    return f"noise is strongest at {nominal_hz(THIRDS_HZ[int(np.argmax(levels_db))]):g} Hz"
 
 
 def _occlusion(best: _Best, values: _Values) -> str:

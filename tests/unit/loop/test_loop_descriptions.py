@@ -5,6 +5,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
+from roomeq.acoustics.octaves import nominal_hz
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.loop.descriptions import advise_on_residual, describe_effect, describe_residual, effect_label
@@ -41,6 +42,12 @@ def test_every_effect_is_described_at_its_starts(name):
         assert text and not {"nan", "None", "["} & set(text.split()) and "\n" not in text
 
 
+def test_third_octaves_have_their_nominal_frequencies():
+    assert [nominal_hz(third_hz) for third_hz in RESPONSE_HZ] == pytest.approx([
+        25, 31.5, 40, 50, 63, 80, 100, 125, 160, 200, 250, 315, 400, 500, 630, 800, 1000, 1250, 1600, 2000, 2500, 3150,
+        4000, 5000, 6300, 8000])
+
+
 def test_effects_are_described_by_their_parameters():
     def description(name, *vectors):
         return describe_effect(name, parameters(*(CATALOGUE[name].from_vector(np.array(vector)) for vector in vectors)))
@@ -48,7 +55,7 @@ def test_effects_are_described_by_their_parameters():
     flat, bass_light = np.zeros(len(RESPONSE_HZ)), np.zeros(len(RESPONSE_HZ))
     bass_light[0], bass_light[17] = -9.7, 6.2
     assert description("source_response", flat, bass_light) == (
-        "the least flat response, that of u2, ranges from -9.7 dB at 25 Hz to +6.2 dB at 1300 Hz")
+        "the least flat response, that of u2, ranges from -9.7 dB at 25 Hz to +6.2 dB at 1250 Hz")
     assert description("coupled_volume", [-1.5, np.log(2.0), 0.0], [-6.0, 0.0, 0.0], [-2.0, np.log(3.0), 0.2]) == (
         "2 of 3 rooms have a second decay of 2.5 s (2.0 to 3.0), 18 dB (15 to 20) below the energy of all reflections "
         "in octaves that decay in 0.5 s, as of a volume that is coupled through an opening")
