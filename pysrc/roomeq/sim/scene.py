@@ -110,6 +110,8 @@ class Shoebox:
     ----------
     dims_m
         Length, width, height (x, y, z).
+    surfaces
+        Their names: west at x = 0, east, south at y = 0, north, floor at z = 0, ceiling.
 
     Raises
     ------
