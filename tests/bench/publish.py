@@ -286,7 +286,9 @@ COMMAND = {
     "loop": "tests/bench/loop/run.py", "loop_scale": "tests/bench/loop/scale.py",
     "laboratories": "tests/bench/real/laboratories.py",
     "effects": "tests/bench/effects.py", "augmentation": "tests/bench/augment.py",
-    **dict.fromkeys(("wer", "wer_real_rooms", "wer_digits"), "tests/bench/wer.sh"),
+    "wer": "tests/bench/wer.sh exp/bench_wer -- --config conf/mini.conf",
+    "wer_real_rooms": "tests/bench/wer.sh exp/bench_wer -- --config conf/real_rooms.conf",
+    "wer_digits": "tests/bench/wer.sh exp/bench_wer -- --config conf/digits.conf",
     "wer_by_reverberation": "tests/bench/wer_by_reverberation.sh", "faults": "tests/nightly/faults/attacks.sh",
     "many_rooms": "tests/bench/many_rooms.py", "labels": "tests/nightly/labels/label_errors.py",
 }
