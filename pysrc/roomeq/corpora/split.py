@@ -227,9 +227,10 @@ def _shares(sizes: Sequence[int], n: int) -> list[int]:
 
 
 def _folder_and_name(row: RirRow) -> tuple[str, str]:
-    """Return the folder of a recording, and its name without the channel."""
+    """Return the folder of a recording, and its name, both without the channel, which either may state."""
     path = Path(row.get("recording") or row["wav"]).with_suffix("")
-    return str(path.parent), re.sub(r"[._-](ch\d+(_e\d+)?|e\d+|[LR])$", "", path.name)
+    folder = Path(*(part for part in path.parent.parts if not re.fullmatch(r"(?i:ch)\d+", part)))
+    return str(folder), re.sub(r"(^|[._-])((?i:ch)\d+(_e\d+)?|[LR])$|[._-]e\d+$", "", path.name)
 
 
 def _measurement_keys(rows: Sequence[RirRow]) -> dict[str, list[str]]:

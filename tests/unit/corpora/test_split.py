@@ -66,6 +66,17 @@ def test_folders_are_measurements_where_there_are_more_of_them_than_names(tmp_pa
     assert sum(map(len, positions)) == 12 and sizes_of(ids) == [12, 8, 4]
 
 
+@pytest.mark.parametrize("file", ["lab/position{}/ch{}.wav", "lab/position{}/CH{:02d}.wav",
+                                  "lab/ch{1}/position{0}.wav", "lab/ch{1}/position{0}/rir.wav"])
+def test_channels_are_known_by_their_names_where_there_are_many(tmp_path, file):
+    rirs = recordings("arrays")
+    items = [(row(f"lab-{n}-{mic}", "lab", recording=file.format(n, mic)), next(rirs))
+             for n in range(3) for mic in range(8)]
+    ids, _ = split(tmp_path, write_rir_dir(tmp_path / "in", items), sizes=(8, 8, 8))
+    assert sizes_of(ids) == [8, 8, 8]
+    assert all(len({name.split("-")[1] for name in of_part}) == 1 for of_part in ids.values())
+
+
 def test_recording_without_a_direct_sound_is_named(tmp_path):
     rir_dir = write_rir_dir(tmp_path / "in", [(row(f"a-{n}"), np.full(16000, 0.3) if n == 2 else coloured_rir(n))
                                               for n in range(4)])
