@@ -4,6 +4,7 @@ import contextlib
 import logging
 import os
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -103,7 +104,7 @@ class DistinctIds:
             Another text under the same key has this id.
         """
         first = self._texts.setdefault((key, made), text)
-        if text != first:
+        if unicodedata.normalize("NFC", text) != unicodedata.normalize("NFC", first):
             raise ValueError(f"{key}={text!r} and {first!r} would both have the id {made!r}: rename one")
 
 

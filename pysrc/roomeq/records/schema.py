@@ -7,6 +7,7 @@ declaration does not name are allowed and kept.
 
 import hashlib
 import re
+import unicodedata
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, NotRequired, TypedDict, get_args, get_type_hints, is_typeddict
 
@@ -222,7 +223,9 @@ def make_id(text: str) -> str:
     """Return the text with everything that an id may not hold turned into ``-``.
 
     A hash is appended where the result would not tell two texts apart: to a long one, and to one in another script.
+    Letters with an accent may be composed or decomposed, as systems and archives change the names of files.
     """
+    text = unicodedata.normalize("NFC", text)
     cleaned = re.sub(r"[^A-Za-z0-9._+-]+", "-", text).lstrip(".-") or "x"
     if len(cleaned) <= MAX_ID - _SUFFIX and text.isascii():
         return cleaned

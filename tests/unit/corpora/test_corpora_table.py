@@ -155,6 +155,18 @@ def test_umlauts_in_either_spelling_are_one_name_and_one_file(tmp_path):
     assert [recording.row["room_id"] for recording in recordings] == [make_id(composed)] * 2 + ["Raum-1"] * 2
 
 
+def test_umlauts_of_a_folder_and_of_a_cell_are_one_name(tmp_path):
+    """A folder names the room or the speaker where no cell does."""
+    composed, decomposed = (unicodedata.normalize(form, "Büro") for form in ("NFC", "NFD"))
+    put(tmp_path / decomposed / "a.wav")
+    put_text(tmp_path / "t.csv", f"file,room\n{decomposed}/a.wav,\nb.wav,{composed}\n")
+    put_text(tmp_path / "n.csv", f"file,room\nn.wav,{composed}\n")
+    put_text(tmp_path / "s.csv", f"file,transcript,speaker\n{decomposed}/a.wav,HELLO,\nb.wav,HELLO,{composed}\n")
+    rirs = [*list_table(tmp_path / "t.csv").rirs, *list_folder(tmp_path).rirs, *list_noise_table(tmp_path / "n.csv")]
+    assert {recording.row["room_id"] for recording in rirs} == {make_id(composed)}
+    assert len({utterance.speaker for utterance in list_transcripts(tmp_path / "s.csv")[""]}) == 1
+
+
 def test_rooms_named_by_folders_of_one_name_are_refused(tmp_path):
     path = put_text(tmp_path / "t.csv", "file,room\nattic/RIR/a.wav,attic\nkitchen/RIR/a.wav,\ncellar/RIR/a.wav,\n")
     with pytest.raises(ValueError, match="t.csv:4: folder of a room without a name in column 'room'='.*cellar/RIR' and "
