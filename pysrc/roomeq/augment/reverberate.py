@@ -32,7 +32,7 @@ PathLike = str | os.PathLike[str]
 
 _MIN_SAMPLES = 100
 """More are the samples of an array of several recordings, and not the channels of one."""
-_RANKS = ("RANK", "SLURM_PROCID", "NODE_RANK", "LOCAL_RANK")
+_RANKS = ("RANK", "SLURM_PROCID", "OMPI_COMM_WORLD_RANK", "PMI_RANK", "NODE_RANK", "LOCAL_RANK")
 """Environment variables by which launchers of distributed training number its processes."""
 _INSTANCES = count()
 _CALLS: dict[tuple[int, str], Iterator[int]] = {}

@@ -114,7 +114,7 @@ def test_worker_processes_draw_independently(method):
 
 
 @pytest.mark.parametrize("worker", [None, 7])
-@pytest.mark.parametrize("variable", ["RANK", "SLURM_PROCID", "LOCAL_RANK"])
+@pytest.mark.parametrize("variable", ["RANK", "SLURM_PROCID", "OMPI_COMM_WORLD_RANK", "PMI_RANK", "LOCAL_RANK"])
 def test_ranks_of_distributed_training_draw_independently(monkeypatch, variable, worker):
     """Ranks are processes of their own, and `torch.manual_seed` gives their workers the same seed."""
     loader = SimpleNamespace(get_worker_info=lambda: worker and SimpleNamespace(seed=worker))
