@@ -53,7 +53,7 @@ from roomeq.corpora.record import (
     rir_row,
 )
 from roomeq.corpora.reverbdb import is_uncommon, is_unreliable
-from roomeq.records.schema import LARGEST_COMPONENT, make_id, stated_air
+from roomeq.records.schema import make_id, may_be_unit_vector, stated_air
 
 logger = logging.getLogger(__name__)
 
@@ -264,9 +264,8 @@ def _check_values(known: dict[str, Any]) -> None:
     They are mistakes or in another unit.
     """
     for key in ("source_dir", "mic_dir"):
-        for axis, component in enumerate(known[key] or ()):
-            if component is not None and abs(component) > LARGEST_COMPONENT:
-                raise ValueError(f"{key}[{axis}]={component:g} must lie in [-1, 1]: give a unit vector, no angles")
+        if not may_be_unit_vector(known[key]):
+            raise ValueError(f"{key}={known[key]} must be a unit vector, no angles")
     for axis, size_m in enumerate(known["room_dims_m"] or ()):
         if size_m is not None and size_m <= 0:
             raise ValueError(f"room_dims_m[{axis}]={size_m:g} must be positive: give metres, or ? where it is unknown")

@@ -6,9 +6,10 @@ declaration does not name are allowed and kept.
 """
 
 import hashlib
+import math
 import re
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, NotRequired, TypedDict, get_args, get_type_hints, is_typeddict
 
 import msgspec
@@ -28,6 +29,7 @@ _SUFFIX = 50  # room for what follows an id: a channel, "-noise1"
 _HASH = 12
 _ID_PATTERN = rf"^[A-Za-z0-9_+][A-Za-z0-9._+-]{{0,{MAX_ID - 1}}}\Z"
 _ID = re.compile(_ID_PATTERN)
+_ROUNDED = 0.1  # length of a unit vector whose components are rounded to one decimal
 _N_POINTS = len(BANDS_HZ)
 _FEWEST_BANDS, _MOST_BANDS = 7, 9  # at 8 and 48 kHz
 
@@ -45,10 +47,7 @@ DirectSample = Annotated[float, Meta(gt=-1, le=LARGEST, description="a number of
 Polarity = Annotated[Literal[1, -1], Meta(description="1 or -1")]
 Vector = Annotated[list[Number | None], Meta(min_length=3, max_length=3, description=(
     "three numbers (each may be null)"))]
-LARGEST_COMPONENT = 1.001
-"""Of a unit vector, whose components may be rounded."""
-Component = Annotated[float, Meta(ge=-LARGEST_COMPONENT, le=LARGEST_COMPONENT)]
-Direction = Annotated[list[Component | None], Meta(min_length=3, max_length=3, description=(
+Direction = Annotated[list[Number | None], Meta(min_length=3, max_length=3, description=(
     "a unit vector: three numbers in [-1, 1] (each may be null)"))]
 Vectors = Annotated[list[Vector], Meta(min_length=2, description="a list of two or more positions")]
 Numbers = Annotated[list[Number], Meta(description="a list of numbers")]
@@ -237,6 +236,9 @@ def row_problem(row: Mapping[str, Any]) -> str | None:
     """Return what is wrong with a row of `rirs.jsonl` (key, value and rule), or None."""
     if problem := _problem(row, RirRow):
         return problem
+    for key in ("source_dir", "mic_dir"):
+        if not may_be_unit_vector(row.get(key)):
+            return f"{key}={_brief(row[key])} must be {_rule(Direction)}, no angles"
     parameters = row.get("acoustic_parameters") or {}
     for first, keys in _COMPLETE.items():
         for key in keys if first in parameters else ():
@@ -253,6 +255,13 @@ def row_problem(row: Mapping[str, Any]) -> str | None:
         return (f"channel_pos_m[0]={first_m} and mic_pos_m={mic_m} must be the same place, that of an array's first "
                 "microphone")
     return None
+
+
+def may_be_unit_vector(vector: Sequence[float | None] | None) -> bool:
+    """Tell whether a vector has the length 1, or may have it with what is unknown of it; 0 is an unknown direction."""
+    known = [component for component in vector or () if component is not None]
+    length = math.hypot(*known)
+    return length <= 1.0 + _ROUNDED and (length >= 1.0 - _ROUNDED or len(known) < 3 or length == 0.0)
 
 
 def noise_problem(row: Mapping[str, Any]) -> str | None:

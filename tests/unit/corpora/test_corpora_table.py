@@ -218,10 +218,12 @@ def test_positions_in_millimetres_are_refused(tmp_path, cells, name):
 
 
 @pytest.mark.parametrize("key", ["source_dir", "mic_dir"])
-def test_facings_in_degrees_are_refused(tmp_path, key):
-    with pytest.raises(ValueError, match=rf"t\.csv:2: {key}\[0\]=90 must lie in \[-1, 1\]: give a unit vector, no ang"):
-        list_row(tmp_path, key, "90 0 0")
-    assert list_row(tmp_path, key, "0.7072 0.7072 ?").row[key] == [0.7072, 0.7072, None]
+def test_facings_in_degrees_or_radians_are_refused(tmp_path, key):
+    for angles in ("90 0 0", "0.5 0.1 0", "1.5708 0 ?"):
+        with pytest.raises(ValueError, match=rf"t\.csv:2: {key}=\[.*\] must be a unit vector, no angles: correct"):
+            list_row(tmp_path, key, angles)
+    for cells, known in {"0.7072 0.7072 ?": [0.7072, 0.7072, None], "0.6 0.6 0.6": [0.6] * 3}.items():
+        assert list_row(tmp_path, key, cells).row[key] == known
 
 
 def test_positions_may_count_from_anywhere(tmp_path):

@@ -116,10 +116,11 @@ def test_values_out_of_range_are_refused(tmp_path, known, message):
         validate_rirs(tmp_path)
 
 
-def test_facings_in_degrees_are_refused(tmp_path):
+@pytest.mark.parametrize("angles", ["90.0, 0.0, 0.0", "0.5, 0.1, 0.0"])
+def test_facings_in_degrees_or_radians_are_refused(tmp_path, angles):
     write_rir_dir(tmp_path, [(row("a"), coloured_rir(0))])
-    write_jsonl(tmp_path / "rirs.jsonl", [read_rirs(tmp_path)[0] | dict(source_dir=[90.0, 0.0, 0.0])])
-    with pytest.raises(ValueError, match=r"source_dir=\[90\.0, 0\.0, 0\.0\] must be a unit vector: three"):
+    write_jsonl(tmp_path / "rirs.jsonl", [read_rirs(tmp_path)[0] | dict(source_dir=[*map(float, angles.split(","))])])
+    with pytest.raises(ValueError, match=rf"source_dir=\[{angles}\] must be a unit vector: three .* no angles"):
         read_rirs(tmp_path)
 
 
