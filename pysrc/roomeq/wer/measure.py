@@ -240,10 +240,12 @@ def _change(row: Statistic, base: Statistic) -> dict:
 def _most_influential(rates: _Rates, system: System) -> dict | None:
     """Return the room without which the difference from the base changes most, and the difference without it.
 
-    None of fewer than three rooms.
+    None of fewer than three rooms. A room that is the only one of a seed is not left out.
     """
     rooms = rates.rooms(TEST)
-    if len(rooms) < 3:
+    of_seeds = [seed.sets[TEST].rooms for seed in rates.seeds]
+    candidates = [n for n, room in enumerate(rooms) if [room] not in of_seeds]
+    if len(rooms) < 3 or not candidates:
         return None
     of_row, of_base = (rates.counts(System(row, system.column), TEST, rooms) for row in (system.row, BASE))
 
@@ -252,8 +254,8 @@ def _most_influential(rates: _Rates, system: System) -> dict | None:
                      for tables in (of_row, of_base))
         return row.minus(base)
 
-    points, of_each = difference().value, [difference(n) for n in range(len(rooms))]
-    most = max(range(len(rooms)), key=lambda n: abs(of_each[n].value - points))
+    points, of_each = difference().value, {n: difference(n) for n in candidates}
+    most = max(candidates, key=lambda n: abs(of_each[n].value - points))
     found = detectable(of_each[most])
     return _difference(of_each[most]) | dict(room=rooms[most], detectable=found and found["difference"])
 

@@ -646,6 +646,14 @@ def test_room_that_a_seed_did_not_draw_counts_with_the_others(tmp_path):
     assert both["hall"]["words"] == 3 * alone["hall"]["words"]
 
 
+def test_the_only_room_of_a_seed_is_not_left_out(tmp_path):
+    workspaces = put_seeds(tmp_path, 2)
+    path = workspaces[1] / "data/test.real.rvb/utt2rir"
+    path.write_text(re.sub(r" \w+-", " hall-", path.read_text()))
+    influential = measured(tmp_path, workspaces)["results"]["train.clean"]["tgsmall"]["change"]["influential"]
+    assert influential["room"] != "hall" and np.isfinite(influential["points"])
+
+
 def test_rates_that_are_the_same_in_all_rooms_have_no_detectable_difference():
     words, one, three = np.full((1, 2), 11.0), np.full((1, 2), 1.0), np.full((1, 2), 3.0)
     difference = Statistic.of(one, words).minus(Statistic.of(three, words))
