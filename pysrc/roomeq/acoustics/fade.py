@@ -50,7 +50,7 @@ def length_before_silence(rir: FloatArray, fs_hz: float) -> int:
     fs_hz
         Sample rate.
     """
-    n_samples = length_before_last_bit(np.trim_zeros(rir, "b"), fs_hz)
+    n_samples = len(np.trim_zeros(rir, "b"))
     power = np.square(np.diff(rir[:n_samples]))  # the difference takes out rumble, whose level scatters
     for block_s in _BLOCKS_S:
         n_block = round(block_s * fs_hz)
@@ -59,7 +59,7 @@ def length_before_silence(rir: FloatArray, fs_hz: float) -> int:
             cut_db = _fall_at_once_db(power_db(power[:n_blocks * n_block].reshape(n_blocks, n_block).mean(axis=1)))
             if cut_db.max() > _CUT_DB:
                 n_samples = (int(np.argmax(cut_db)) + _N_BEFORE) * n_block
-    return n_samples
+    return length_before_last_bit(rir[:n_samples], fs_hz)  # which tells the end of a cut less closely
 
 
 def length_before_last_bit(rir: FloatArray, fs_hz: float) -> int:

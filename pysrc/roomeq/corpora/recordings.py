@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from roomeq.acoustics.fade import length_before_last_bit
+from roomeq.acoustics.fade import length_before_last_bit, length_before_silence
 from roomeq.acoustics.plausibility import find_implausibility
 from roomeq.core.arrays import FloatArray
 from roomeq.core.audio import audio_info, read_audio, require_plausible, sounds
@@ -89,6 +89,7 @@ def _at_16k(samples: FloatArray, fs_hz: int, path: Path) -> FloatArray:
         return samples
     import soxr
 
-    samples = samples[:length_before_last_bit(samples, fs_hz)]  # while it can be told from noise
+    if length_before_last_bit(samples, fs_hz) < len(samples):  # which cannot be told from noise afterwards
+        samples = samples[:length_before_silence(samples, fs_hz)]
     resampled: FloatArray = soxr.resample(samples, fs_hz, FS_HZ, quality="VHQ")
     return resampled

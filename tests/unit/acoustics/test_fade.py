@@ -92,6 +92,8 @@ def test_dither_behind_a_cut_changes_no_parameter(time_s, snr_db, length_s):
     cut, padded = (measure(of_file) for of_file in (rir, dithered(rir)))
     for metric in ("edt", "t20", "t30", "c50"):
         assert padded[f"{metric}_valid"][3:] == cut[f"{metric}_valid"][3:]
+    for padded_db, cut_db in zip(padded["band_noise_floor_db"][3:], cut["band_noise_floor_db"][3:], strict=True):
+        assert padded_db == (None if cut_db is None else pytest.approx(cut_db, abs=0.5))
     np.testing.assert_array_equal(padded["eq_valid"], cut["eq_valid"])
     np.testing.assert_allclose(padded["eq_db"], cut["eq_db"], atol=0.1)
     for padded_s, cut_s, valid in zip(padded["t20_s"], cut["t20_s"], cut["t20_valid"], strict=True):

@@ -116,6 +116,16 @@ def test_last_bit_of_a_response_is_not_resampled(tmp_path):
     assert rows["kitchen-exact"]["n_samples"] > 0.2 * 16000
 
 
+def test_dithered_silence_behind_a_cut_is_not_resampled(tmp_path):
+    rng, n_samples = np.random.default_rng(0), round(0.41 * 48000)
+    noisy = rng.standard_normal(n_samples) * (10.0 ** (-3.0 * np.arange(n_samples) / 9600.0) + 0.005)
+    dither = rng.uniform(-0.5, 0.5, (2, 48000)).sum(axis=0)
+    steps = np.round(2.0 ** 13 * np.pad(noisy, (0, 48000 - n_samples)) / np.abs(noisy).max() + dither)
+    put(tmp_path / "rooms" / "kitchen" / "cut.wav", steps / 2.0 ** 15, 48000, "PCM_16")
+    row, = read_rirs(read_measured(tmp_path / "rooms", tmp_path / "out"))
+    assert 0.4 < row["n_samples"] / 16000 <= 0.41
+
+
 def test_16_khz_mono_is_referenced_other_audio_converted(tmp_path):
     out = read_measured(make_folder(tmp_path / "rooms"), tmp_path / "out")
     rows = {row["id"]: row for row in read_rirs(out)}
