@@ -280,24 +280,32 @@ def _c50_db(spectra: _Spectra, band: int, direct_sample: float, intersection: No
 def _drr_db(rir: FloatArray, fs_hz: float, direct_sample: float, intersection: NoiseIntersection) -> float | None:
     """Return the broadband direct-to-reverberant energy ratio.
 
-    None if either part has no energy, or if there is more energy beyond the intersection than the noise at the end and
-    the fitted decay explain, and enough to change the ratio by `_LARGEST_DRR_ERROR_DB`: the noise is too high for the
-    intersection to be found.
+    None if either part has no energy, or if what is not known of the decay may change the ratio by
+    `_LARGEST_DRR_ERROR_DB`. Where no noise is seen, that is all beyond the intersection, or what is extrapolated. Where
+    it is seen, it is what neither the noise at the end nor the fitted decay explains: the noise is then too high for
+    the intersection to be found.
     """
     boundary = round(direct_sample + DIRECT_S * fs_hz)
     first = max(0, round(direct_sample - DIRECT_S * fs_hz))
     end = round(direct_sample) + intersection.sample
-    noise_power = intersection.noise_power
+    noise_power = intersection.noise_power if intersection.is_flat else 0.0
+    largest_share = 10.0 ** (0.1 * _LARGEST_DRR_ERROR_DB) - 1.0
     direct = np.sum(rir[first:boundary] ** 2) - (boundary - first) * noise_power
-    reverberant = (np.sum(rir[boundary:end] ** 2) - max(0, end - boundary) * noise_power
-                   + intersection.rest_energy)
+    reverberant = np.sum(rir[boundary:end] ** 2) - max(0, end - boundary) * noise_power
+    beyond = rir[max(end, boundary):] ** 2
+    if intersection.is_flat:
+        reverberant += intersection.rest_energy
+    else:
+        rest = max(intersection.rest_energy, beyond.sum())
+        if rest > largest_share * reverberant:
+            return None
+        reverberant += rest
     if not (direct > 0.0 and reverberant > 0.0):
         return None
-    beyond = rir[max(end, boundary):] ** 2
     if noise_power > 0.0 and len(beyond) >= _FEWEST_SAMPLES:
         at_end = beyond[int(0.9 * len(beyond)):]
         scatter = _NOISE_DEVIATIONS * np.mean(at_end) * np.sqrt(2.0 / len(beyond) + 2.0 / len(at_end))
         missed = len(beyond) * (np.mean(beyond) - np.mean(at_end)) - intersection.rest_energy
-        if missed > max(len(beyond) * scatter, (10.0 ** (0.1 * _LARGEST_DRR_ERROR_DB) - 1.0) * reverberant):
+        if missed > max(len(beyond) * scatter, largest_share * reverberant):
             return None
     return float(power_db(direct) - power_db(reverberant))

@@ -133,6 +133,16 @@ def test_direct_sound_is_no_part_of_a_decay_that_is_cut_off(time_s, length_s):
     assert min(errors, default=0.0) > -0.3
 
 
+@pytest.mark.parametrize("time_s, length_s, direct", [(1.0, 0.05, 2.0), (2.0, 0.1, 20.0), (2.0, 0.25, 20.0)])
+def test_drr_of_a_response_that_is_cut_off_is_right_or_unknown(time_s, length_s, direct):
+    errors_db = []
+    for seed in range(10):
+        rir = room(time_s, seed, direct=direct)
+        cut, whole = (all_metrics(h, FS_HZ, DIRECT, 1)["drr_db"] for h in (rir[:DIRECT + round(length_s * FS_HZ)], rir))
+        errors_db += [] if cut is None else [cut - whole]
+    assert np.max(np.abs(errors_db), initial=0.0) < 1.5
+
+
 @pytest.mark.parametrize("snr_db", [30.0, 40.0, 50.0])
 @pytest.mark.parametrize("time_s, length_s", [(0.3, 0.8), (0.5, 1.0), (1.0, 2.0)])
 def test_noise_floor_is_seen_where_it_lasts(time_s, length_s, snr_db):
