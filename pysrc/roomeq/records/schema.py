@@ -29,7 +29,8 @@ _SUFFIX = 50  # room for what follows an id: a channel, "-noise1"
 _HASH = 12
 _ID_PATTERN = rf"^[A-Za-z0-9_+][A-Za-z0-9._+-]{{0,{MAX_ID - 1}}}\Z"
 _ID = re.compile(_ID_PATTERN)
-_ROUNDED = 0.1  # length of a unit vector whose components are rounded to one decimal
+_LARGEST_COMPONENT = 1.001  # of a unit vector, whose components may be rounded
+_ROUNDED = 0.1  # deviation of its length where they are rounded to one decimal
 _N_POINTS = len(BANDS_HZ)
 _FEWEST_BANDS, _MOST_BANDS = 7, 9  # at 8 and 48 kHz
 
@@ -261,6 +262,8 @@ def may_be_unit_vector(vector: Sequence[float | None] | None) -> bool:
     """Tell whether a vector has the length 1, or may have it with what is unknown of it; 0 is an unknown direction."""
     known = [component for component in vector or () if component is not None]
     length = math.hypot(*known)
+    if any(abs(component) > _LARGEST_COMPONENT for component in known):
+        return False
     return length <= 1.0 + _ROUNDED and (length >= 1.0 - _ROUNDED or len(known) < 3 or length == 0.0)
 
 

@@ -219,7 +219,7 @@ def test_positions_in_millimetres_are_refused(tmp_path, cells, name):
 
 @pytest.mark.parametrize("key", ["source_dir", "mic_dir"])
 def test_facings_in_degrees_or_radians_are_refused(tmp_path, key):
-    for angles in ("90 0 0", "0.5 0.1 0", "1.5708 0 ?"):
+    for angles in ("90 0 0", "0.5 0.1 0", "1.5708 0 ?", "1.05 0 0", "? 1.05 ?"):
         with pytest.raises(ValueError, match=rf"t\.csv:2: {key}=\[.*\] must be a unit vector, no angles: correct"):
             list_row(tmp_path, key, angles)
     for cells, known in {"0.7072 0.7072 ?": [0.7072, 0.7072, None], "0.6 0.6 0.6": [0.6] * 3}.items():
