@@ -132,8 +132,10 @@ def _word_error_tables(wer: dict[str, Any]) -> list[Table]:
         found = results[row][column]["change"]
         relative = None if found["relative"] is None else (
             f"{found['relative']:.1f}{brackets(found['relative_interval'], 1)}")
+        mean = found["geometric_mean"]
         return [row, column, f"{found['points']:.2f}{brackets(found['interval'])}", relative,
-                found["detectable"] and found["detectable"]["difference"]]
+                found["detectable"] and found["detectable"]["difference"],
+                f"{mean['relative']:.1f}{brackets(mean['interval'], 1)}", mean["detectable"]]
 
     changes = [change(row, column) for row in wer["rows"] for column in columns if "change" in results[row][column]]
     influential = [[row, found["room"], f"{found['points']:.2f}{brackets(found['interval'])}", found["detectable"]]
@@ -149,7 +151,10 @@ def _word_error_tables(wer: dict[str, Any]) -> list[Table]:
                  rows=[[row, *(rate(results[row][column]) for column in columns)] for row in wer["rows"]],
                  notes=caption(wer)),
             dict(title=f"Difference to {BASE}, paired over rooms and seeds", rows=changes,
-                 columns=["trained on", "decoding", "points", "relative [%]", "detectable [points]"]),
+                 columns=["trained on", "decoding", "points", "relative [%]", "detectable [points]",
+                          "geometric mean over rooms [%]", "detectable [%]"],
+                 notes=["Relative: of the rates over all rooms. Geometric mean over rooms: of the ratios of a room's "
+                        "two rates; a room with many errors counts as much as one with few."]),
             *([dict(title=f"Difference to {BASE} without the room that changes it most, {first}", rows=influential,
                     columns=["trained on", "without", "points", "detectable [points]"],
                     notes=["A room chosen after its result: how much rests on a single room, not a test."])]

@@ -77,7 +77,9 @@ def change_rows(wer: dict[str, Any]) -> list[list[str]]:
             change, gap = result.get("change"), result["dev_test_gap"]
             changed = [with_interval(change["points"], change["interval"]),
                        with_interval(change["relative"], change["relative_interval"], 1),
-                       DASH if change["p"] is None else p_text(change["p"])] if change else [DASH] * 3
+                       DASH if change["p"] is None else p_text(change["p"]),
+                       with_interval(change["geometric_mean"]["relative"], change["geometric_mean"]["interval"], 1)
+                       ] if change else [DASH] * 4
             rows.append([row, column, *changed, closed_text(result), with_interval(gap["points"], gap["interval"])])
     return rows
 

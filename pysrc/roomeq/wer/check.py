@@ -122,6 +122,12 @@ def _check_system(result: dict, name: str) -> None:
             _number(detectable["difference"], f"{name} detectable", 0.0)
             _number(detectable["for_half"]["factor"], f"{name} detectable", 0.0)
             _require({"seeds", "rooms"} <= set(detectable["for_half"]), f"{name} detectable", "state seeds and rooms")
+        mean = change["geometric_mean"]
+        _number(mean["relative"], f"{name} geometric mean", -100.0)
+        _interval(mean["interval"], f"{name} geometric mean", mean["relative"])
+        for key in ("p", "detectable"):
+            if mean[key] is not None:
+                _number(mean[key], f"{name} geometric mean {key}", 0.0)
         if influential := change["influential"]:
             differences["change without a room"] = influential
             _require(isinstance(influential["room"], str), f"{name} influential", "state its room")

@@ -1,5 +1,6 @@
 """Measure the word error rates of a recipe's systems and their differences, with confidence intervals."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -145,6 +146,12 @@ class _Rates:
         """Return the rate of a system on a set, comparable with rates on the sets `compared_with`."""
         return Statistic.of(*self.counts(system, set_name, self.rooms(set_name, *compared_with)))
 
+    def log_ratio(self, system: System, base: System) -> Statistic:
+        """Return the mean over the test rooms of the logarithm of the ratio of two rates."""
+        rooms = self.rooms(TEST)
+        errors, words = self.counts(system, TEST, rooms)
+        return Statistic.of_log_ratio(errors, self.counts(base, TEST, rooms)[0], words)
+
 
 def _set_size(of_seeds: Sequence[SetCounts]) -> dict:
     rooms = set().union(*(of_set.rooms for of_set in of_seeds))
@@ -164,7 +171,9 @@ def _result(rates: _Rates, system: System) -> dict:
     result["dev_test_gap"] = _difference(test_rate.minus(dev_rate))
     if BASE in rows and system.row != BASE:
         row_rate, base_rate = (rates.rate(System(row, system.column), TEST) for row in (system.row, BASE))
-        result["change"] = _change(row_rate, base_rate) | dict(influential=_most_influential(rates, system))
+        result["change"] = _change(row_rate, base_rate) | dict(
+            geometric_mean=_geometric_mean(rates.log_ratio(system, System(BASE, system.column))),
+            influential=_most_influential(rates, system))
         if ORACLE in rows and system.row in compared(rows):
             result["closed"] = _closed(row_rate, base_rate, rates.rate(System(ORACLE, system.column), TEST))
     return result
@@ -235,6 +244,17 @@ def _change(row: Statistic, base: Statistic) -> dict:
     return _difference(difference) | dict(
         relative=relative, relative_interval=ratio and [100 * (end - 1) for end in ratio],
         detectable=detectable(difference))
+
+
+def _geometric_mean(log_ratio: Statistic) -> dict:
+    """Return the geometric mean over rooms of the ratio to the base, as a relative change [%].
+
+    `detectable` is the smallest decrease that is detected.
+    """
+    interval, found = log_ratio.interval(), detectable(log_ratio)
+    return dict(relative=100 * math.expm1(log_ratio.value),
+                interval=interval and [100 * math.expm1(end) for end in interval], p=log_ratio.p_value(),
+                detectable=found and -100 * math.expm1(-found["difference"]))
 
 
 def _most_influential(rates: _Rates, system: System) -> dict | None:

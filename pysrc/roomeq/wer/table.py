@@ -85,6 +85,7 @@ def _row_lines(wer: dict, row: str, column: str) -> list[str]:
              + f", test less dev {_points_text(result['dev_test_gap'])}"]
     if "change" in result:
         lines.append(f"  against {BASE}: {_change_text(result['change'])}")
+        lines.append(f"  geometric mean over rooms: {_geometric_mean_text(result['change']['geometric_mean'])}")
     if "closed" in result:
         lines.append(f"  {_closed_text(result['closed'])}")
     if result.get("change", {}).get("detectable"):
@@ -122,6 +123,12 @@ def _change_text(change: dict) -> str:
         return _points_text(change)
     return (f"{_points_text(change)}; relative {change['relative']:+.1f} %"
             f"{brackets(change['relative_interval'], 1)}")
+
+
+def _geometric_mean_text(mean: dict) -> str:
+    chance = "" if mean["p"] is None else f", p {p_text(mean['p'])}"
+    detected = "" if mean["detectable"] is None else f"; detectable {mean['detectable']:.1f} %"
+    return f"relative {mean['relative']:+.1f} %{brackets(mean['interval'], 1)}{chance}{detected}"
 
 
 def _closed_text(closed: dict) -> str:
