@@ -18,6 +18,7 @@ from roomeq.sim.images import specular_paths
 from roomeq.sim.materials import draw_materials, draw_scattering, read_materials
 from roomeq.sim.mesh import make_room
 from roomeq.sim.path_sample import sample_paths
+from roomeq.sim.render import LOWEST_HZ
 from roomeq.sim.response import (
     ISM_ORDER,
     SERVED,
@@ -34,6 +35,7 @@ from roomeq.sim.target import scaled_absorption
 from roomeq.sim.tree import first_hits
 
 N_RAYS = 20_000
+REFLECTIONS_FROM_HZ = LOWEST_HZ
 
 
 @dataclass(frozen=True)

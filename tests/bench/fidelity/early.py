@@ -29,8 +29,8 @@ def run(quick):
             if who == "roomeq list":
                 worst["arrival"].append(arrival)
                 worst["level"].append(level)
-        for who, rir, lag in _rendered(dims_m, absorption, source, mic):
-            arrival, level, count = _fitted(rir, length_m, lag, gain, dims_m)
+        for who, rir, lag, cut_hz in _rendered(dims_m, absorption, source, mic):
+            arrival, level, count = _fitted(rir, length_m, lag, gain, dims_m, cut_hz)
             rows.append([_name(dims_m), who, count, count, arrival, level])
             if who == "roomeq rendered":
                 worst["rendered arrival"].append(arrival)
@@ -38,7 +38,8 @@ def run(quick):
     checks = [Check(f"{what}, worst path", float(np.max(values)), high=0.2 if "level" in what else 0.1,
                     unit="dB" if "level" in what else "samples") for what, values in worst.items()]
     notes = ["against Allen and Berkley's image sources, computed here; rendered: all paths before the first of "
-             f"order {ORDER + 1} that stand 2.5 samples apart, fitted below 6.4 kHz"]
+             f"order {ORDER + 1} that stand 2.5 samples apart, fitted below 6.4 kHz; ours cut reflections off below "
+             f"{ours.REFLECTIONS_FROM_HZ:g} Hz, which is expected of them"]
     if not peer.load():
         notes.append(peer.ABSENT)
     return Section("early", f"Specular paths up to order {ORDER}, scattering 0",
@@ -79,22 +80,22 @@ def _differences(length_m, gain, other_m, other_gain):
 
 
 def _rendered(dims_m, absorption, source, mic):
-    """Responses, with the lag of each [samples]."""
+    """Responses, with the lag of each [samples], and the frequency below which its reflections are cut off."""
     one = ours.simulate(ours.box_scene(dims_m, absorption, 0.0), source, [mic], ism_order=ORDER)[0]
-    yield "roomeq rendered", one.rir, 0.0
+    yield "roomeq rendered", one.rir, 0.0, (ours.REFLECTIONS_FROM_HZ, ours.FS_HZ)
     pra = peer.load()
     if pra:
         pra.constants.set("rir_hpf_enable", False)
         responses, _ = peer.hybrid(dims_m, absorption, 0.0, source, [mic], n_rays=0, order=ORDER)
         pra.constants.set("rir_hpf_enable", True)
-        yield "pyroomacoustics rendered", responses[0].rir, pra.constants.get("frac_delay_length") // 2
+        yield "pyroomacoustics rendered", responses[0].rir, pra.constants.get("frac_delay_length") // 2, None
 
 
-def _fitted(rir, length_m, lag, gain, dims_m):
+def _fitted(rir, length_m, lag, gain, dims_m, cut_hz):
     """Worst arrival and level of the isolated paths that come before any of the next order."""
     limit_m = ORDER * min(dims_m) - 2.5  # ORDER + 1 reflections are longer by more than any filter
     early = length_m < limit_m
-    level_db, shift = fit_pulses(rir, length_m[early] / SPEED_M_S * ours.FS_HZ + lag, gain[early])
+    level_db, shift = fit_pulses(rir, length_m[early] / SPEED_M_S * ours.FS_HZ + lag, gain[early], cut_hz)
     return float(np.max(np.abs(shift))), float(np.max(np.abs(level_db))), len(shift)
 
 

@@ -1,12 +1,13 @@
 """Read arrival and level of known pulses out of a rendered response, whatever kernel they were rendered with."""
 
 import numpy as np
+from scipy.signal import butter, sosfilt
 
 CUTOFF = 0.8  # of the Nyquist frequency: above it, windowed-sinc kernels differ
 HALF_WIDTH = 48  # samples
 
 
-def fit_pulses(rir, delays, gains):
+def fit_pulses(rir, delays, gains, cut_hz=None):
     """Fit amplitude and shift of those pulses that stand alone, all others being taken as they should be.
 
     The response is low-passed, which turns any band-limited pulse into the low-pass filter itself, and what is
@@ -18,6 +19,9 @@ def fit_pulses(rir, delays, gains):
     rir : ndarray, shape (n_samples,)
     delays, gains : ndarray, shape (n_pulses,)
         As they should be [samples; pressure].
+    cut_hz : tuple of float, optional
+        Frequency below which a Butterworth high-pass of fourth order should cut off all pulses but the first, and the
+        sample rate.
 
     Returns
     -------
@@ -28,7 +32,14 @@ def fit_pulses(rir, delays, gains):
     taps = kernel(np.arange(-HALF_WIDTH, HALF_WIDTH + 1.0))
     smooth = np.convolve(np.asarray(rir, dtype=float)[:n_samples + HALF_WIDTH], taps)
     offset = np.arange(n_samples)[:, None] - np.asarray(delays)[None, :]
-    rest = smooth[HALF_WIDTH:HALF_WIDTH + n_samples] - kernel(offset) @ gains
+    expected = kernel(offset) * gains
+    if cut_hz is not None:
+        frequency_hz, fs_hz = cut_hz
+        first = np.argmin(delays)
+        later = np.delete(expected, first, axis=1).sum(axis=1)
+        filtered = sosfilt(butter(4, frequency_hz, "highpass", fs=fs_hz, output="sos"), later)
+        expected = np.stack([expected[:, first], filtered], axis=1)
+    rest = smooth[HALF_WIDTH:HALF_WIDTH + n_samples] - expected.sum(axis=1)
     alone = isolated(delays)
     slope = (kernel(offset[:, alone] + 1e-3) - kernel(offset[:, alone] - 1e-3)) / 2e-3
     solution, *_ = np.linalg.lstsq(np.hstack([kernel(offset[:, alone]), slope]), rest, rcond=None)
