@@ -1,15 +1,19 @@
 """Directories that are copied, moved, linked or completed after a step made them."""
 
 import json
+import shlex
 import shutil
+from pathlib import Path
 
 import pytest
 from datadirs import rir_dir, speech_dir
 
 from roomeq.augment import augment
+from roomeq.core.build import Build
 from roomeq.core.digests import digest
+from roomeq.corpora.characterise import characterise
 from roomeq.export import export
-from roomeq.records.rir_dir import mesh_files
+from roomeq.records.rir_dir import mesh_files, read_rirs, write_rirs
 from roomeq.validate import check_stamp, validate
 
 
@@ -93,3 +97,32 @@ def test_buffers_of_a_mesh_are_files_of_it(tmp_path):
     (rirs / "hall.gltf").write_text(json.dumps(dict(buffers=[dict(uri="my%20hall.bin"), dict(uri="data:,")])))
     (rirs / "my hall.bin").write_bytes(b"0")
     assert [path.name for path in mesh_files(rirs)] == ["hall.gltf", "my hall.bin"]
+
+
+def audio_in_rir_list(directory):
+    """Return the paths of the audio as Kaldi's reverberate_data_dir.py reads them."""
+    return [Path(shlex.split(shlex.split(line)[4])[2]) for line in (directory / "rir_list").read_text().splitlines()]
+
+
+def test_rirs_may_be_moved_and_kaldi_finds_them_after_the_step(tmp_path):
+    def make(out):
+        build = Build(out, step="simulate", options={}, inputs=[])
+        if not build.done and build.run({}, lambda *_: None):
+            build.finish(lambda directory, _: write_rirs(rir_dir(directory), read_rirs(directory), out))
+
+    make(tmp_path / "a")
+    (tmp_path / "a").rename(tmp_path / "b")
+    check_stamp(tmp_path / "b")
+    make(tmp_path / "b")
+    assert all(path.is_file() and path.is_relative_to(tmp_path / "b") for path in audio_in_rir_list(tmp_path / "b"))
+
+
+def test_rows_of_moved_rirs_name_their_audio_after_the_step(tmp_path):
+    rirs, moved = rir_dir(tmp_path / "rirs"), tmp_path / "b/c/real"
+    characterise(rirs, tmp_path / "a/real")
+    moved.parent.mkdir(parents=True)
+    (tmp_path / "a/real").rename(moved)
+    with pytest.raises(ValueError, match="run all steps that lead to .*/real again"):
+        check_stamp(moved)
+    characterise(rirs, moved)
+    check_stamp(moved)

@@ -274,8 +274,10 @@ def _hashes_of_audio(paths: Collection[Path]) -> list[str | None]:
 def place_in_entries(directory: Path, out: Path) -> str:
     """Return the path of `out`, one of `places_of`, by which the `wav.scp` of a directory names files below it.
 
-    Empty: it names no file there.
+    Kaldi's `rir_list` names audio from the folder from which `out` is given. Empty: no table names files that way.
     """
+    if (directory / "rir_list").is_file():
+        return str(out)
     with contextlib.suppress(OSError, ValueError):
         names = {name for entry in _entries(directory) for name in names_in_entry(entry)}
         return next((place for place in places_of(out) if any(name.startswith(f"{place}/") for name in names)), "")

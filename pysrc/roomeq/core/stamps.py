@@ -51,8 +51,9 @@ class Stamp(msgspec.Struct, frozen=True):
     audio : dict
         Hash of each audio file elsewhere, by the name that it has in the directory's tables.
     place : str
-        Path of the directory where its `wav.scp` names its own audio by it, as Kaldi requires, else empty: the physical
-        one, or as it was given, which may be relative to the folder where the step ran.
+        Path of the directory where its `wav.scp` or `rir_list` names audio by it, as Kaldi requires, else empty: the
+        physical one, or as it was given, which may be relative to the folder where the step ran. The step makes the
+        directory anew in another place.
     made_of : dict
         Hash (`roomeq.core.digests.digest`) of each input that a step had made, by its path from the directory.
     """
@@ -187,7 +188,7 @@ def require_in_place(directory: Path, stamp: Stamp) -> None:
     ValueError
         Seen from the current folder, the place that the stamp states is not the directory.
     """
-    if stamp.place and os.path.realpath(stamp.place) != os.path.realpath(directory):
+    if stamp.place and "wav.scp" in stamp.files and os.path.realpath(stamp.place) != os.path.realpath(directory):
         raise ValueError(f"{directory}: its wav.scp names audio in {stamp.place}, where the directory was made, and "
                          "from the current folder that is not this directory: go to the folder where it was made, or "
                          f"run {stamp.command} again for {directory}")
