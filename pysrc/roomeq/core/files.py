@@ -10,6 +10,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from roomeq.core.constants import is_number, is_whole
+
 Paths = Path | str | Sequence[Path | str]
 """One path or several."""
 
@@ -148,8 +150,16 @@ def read_text(path: Path) -> str:
 
 
 def to_json(value: Any, indent: int | None = None) -> str:
-    """Serialise to JSON with sorted keys; NaN and infinity, which are not JSON, are refused."""
-    return json.dumps(value, sort_keys=True, ensure_ascii=False, allow_nan=False, indent=indent)
+    """Serialise to JSON with sorted keys, NumPy's numbers as plain ones; NaN and infinity, not in JSON, are refused."""
+    return json.dumps(value, sort_keys=True, ensure_ascii=False, allow_nan=False, indent=indent, default=_plain)
+
+
+def _plain(value: Any) -> int | float:
+    if is_whole(value):
+        return int(value)
+    if is_number(value):
+        return float(value)
+    raise TypeError(f"{value!r} of type {type(value).__name__} is not JSON")
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -44,6 +44,11 @@ def test_changed_option_remakes_the_directory(tmp_path):
     assert make_squares(tmp_path / "a", power=3) == "made"
 
 
+def test_numbers_of_numpy_are_options_like_others(tmp_path):
+    assert make_squares(tmp_path / "a", power=np.int64(2), scale=np.float32(0.5)) == "made"
+    assert make_squares(tmp_path / "a", power=2, scale=0.5) == "up to date"
+
+
 def test_parts_give_the_same_bytes_as_one_run(tmp_path):
     make_squares(tmp_path / "whole")
     for job in (2, 1):
