@@ -5,7 +5,9 @@ Usage: check_origin.py [--seed N] [--kinds real,sim,...] [--speech] DATA_DIR EXP
 e.g.:  python local/check_origin.py --seed 1 data exp
 
 Each must have been made of the others as they are now, and with the seed. Several seeds may share the split of the
-measured RIRs. A directory without a stamp, which somebody has made himself, is taken as it is.
+measured RIRs. RIRs with the effects of the closed loop must have been simulated with the options of those without, and
+the far-field speech of all kinds of RIRs made with the same. A directory without a stamp, which somebody has made
+himself, is taken as it is.
 """
 
 import argparse
@@ -43,7 +45,21 @@ def problem(directory: Path, stamp: Stamp, seed: int | None) -> str | None:
                 return f"was made of another {path.name} than the present one"
         except (ValueError, OSError):  # some of it is not there any more; a step that needs it says so
             continue
-    return None
+    return other_options(directory, stamp)
+
+
+def other_options(directory: Path, stamp: Stamp) -> str | None:
+    """Return with which other options a directory was made than the one that it is compared with, or None."""
+    name = directory.name
+    compared = directory.with_name({"simulate": name.replace(".sim.loop.", ".sim."),
+                                    "augment": f"{name.split('.')[0]}.real.rvb"}.get(stamp.step, name))
+    base = read_stamp(compared)
+    if not base or base.step != stamp.step:
+        return None
+    differing = [f"{name} {stamp.options.get(name)}, not {base.options.get(name)}"
+                 for name in sorted(stamp.options.keys() | base.options.keys())
+                 if stamp.options.get(name) != base.options.get(name)]
+    return f"was made with other options than {compared.name} ({'; '.join(differing)})" if differing else None
 
 
 def check(made: list[Path], seed: int | None) -> None:

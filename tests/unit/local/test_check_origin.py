@@ -25,7 +25,8 @@ def run(tmp_path):
                  3: [(exp / "eq", "fit-eq", real, sim)],
                  4: [(data / "rirs.sim.EQ.train", "compensate", sim, exp / "eq")],
                  5: [(loop, "close-loop", real), (data / "rirs.sim.loop.train", "simulate", real, loop / "model.json")],
-                 6: [(data / "train.sim.rvb", "augment", data / "train.clean", sim, real)]}
+                 6: [(data / f"train.{kind}.rvb", "augment", data / "train.clean", data / f"rirs.{kind}.train", real)
+                     for kind in ("real", "sim")]}
         for made in calls[number]:
             make(*made, seed=seed, **options)
 
@@ -56,7 +57,7 @@ def test_stage_repeated_alone_is_followed_by_the_next(run, tmp_path, capsys, cha
     said = refused(tmp_path, capsys, "--seed", "0")
     assert f"{name}: was made of another {made_of} than the present one: start with --stage {first}, or " in said
     for number in range(first, 6):
-        run(number)
+        run(number, **dict(order=1) if changed == 2 else {})
     assert refused(tmp_path, capsys, "--seed", "0") == ""
 
 
@@ -72,6 +73,26 @@ def test_far_field_speech_is_of_the_present_rirs(run, tmp_path, capsys):
     assert refused(tmp_path, capsys) == ""
     assert "train.sim.rvb: was made of another rirs.sim.train than the present one: start with --stage 6" in \
         refused(tmp_path, capsys, "--speech")
+
+
+def test_effects_are_compared_with_rirs_of_the_same_options(run, tmp_path, capsys):
+    """As where a run is resumed at stage 5 without its configuration."""
+    run(5, num_rays=500)
+    assert ("rirs.sim.loop.train: was made with other options than rirs.sim.train (num_rays 500, not None): start "
+            "with --stage 5, or ") in refused(tmp_path, capsys, "--seed", "0")
+    for number in range(2, 6):
+        run(number, num_rays=500)
+    assert refused(tmp_path, capsys, "--seed", "0") == ""
+
+
+def test_far_field_speech_of_all_kinds_is_of_the_same_options(run, tmp_path, capsys):
+    """As where stage 6 was stopped after the first kind."""
+    make(tmp_path / "data/train.real.rvb", "augment", tmp_path / "data/train.clean",
+         *[tmp_path / "data/rirs.real.train"] * 2, seed=0, snr_db="none")
+    assert ("train.sim.rvb: was made with other options than train.real.rvb (snr_db None, not none): start with "
+            "--stage 6, or ") in refused(tmp_path, capsys, "--speech")
+    run(6, snr_db="none")
+    assert refused(tmp_path, capsys, "--speech") == ""
 
 
 def test_seeds_may_share_a_split(run, tmp_path, capsys):
