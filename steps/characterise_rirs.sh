@@ -12,4 +12,4 @@ keep_suspicious=false   # keep recordings that are no RIR by their acoustics
 require "$1/rirs.jsonl" steps/read_measured.sh
 flags=()
 [ "$keep_suspicious" = false ] || flags=(--keep-suspicious)
-utils/run_parts.sh "$nj" "$(dirname "$2")/log" characterise "${flags[@]}" "$1" "$2"
+utils/run_parts.sh "$nj" "$(dirname "$2")/log/$(basename "$2")" characterise "${flags[@]}" "$1" "$2"

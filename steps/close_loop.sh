@@ -17,7 +17,7 @@ seed=0          # seed of all random numbers
 [ $# -eq 3 ] || usage
 require "$1/rirs.jsonl" steps/split_rirs.sh
 require "$2/rirs.jsonl" steps/split_rirs.sh
-log=$(dirname "$3")/log/close-loop.log
+log=$(dirname "$3")/log/$(basename "$3")/close-loop.log
 check_words "$log" "$@"
 cores=()
 [[ $cmd == utils/local.sh* ]] || cores=(--num-threads "$nj")

@@ -14,5 +14,5 @@ require "$1/rirs.jsonl" steps/split_rirs.sh
 require "$2/rirs.jsonl" steps/simulate_rirs.sh
 flags=()
 [ "$weight_rooms" = false ] || flags=(--weight-rooms)
-utils/run_parts.sh "$nj" "$(dirname "$3")/log" fit-eq --num-components "$num_components" "${flags[@]}" \
-  --seed "$seed" "$1" "$2" "$3"
+utils/run_parts.sh "$nj" "$(dirname "$3")/log/$(basename "$3")" fit-eq --num-components "$num_components" \
+  "${flags[@]}" --seed "$seed" "$1" "$2" "$3"

@@ -381,3 +381,17 @@ def test_training_goes_on_where_it_was_killed(project_dir, tmp_path, killed_at, 
                     "train.sim", "train.clean")
         assert done.returncode == (moment == killed_at), done.stderr
     assert (workspace / "stages").read_text().split() == ["-10", stage]
+
+
+@pytest.mark.parametrize("step, n_inputs", [("characterise_rirs.sh", 1), ("fit_eq.sh", 2), ("close_loop.sh", 2)])
+def test_logs_of_two_outputs_are_apart(step, n_inputs, project_dir, tmp_path):
+    """Both may be made at a time; close_loop.sh prints what its log says."""
+    write_rir_dir(tmp_path / "rirs", [(row("a"), coloured_rir(1))])
+    (tmp_path / "runner").write_text(f'#!/bin/sh\nfor word; do case $word in *.log) echo "$word" >>{tmp_path}/logs; '
+                                     "esac; done\nexit 1\n")
+    (tmp_path / "runner").chmod(0o755)
+    for name in ("a", "b"):
+        subprocess.run([f"steps/{step}", *[f"{tmp_path}/rirs"] * n_inputs, f"{tmp_path}/{name}"], cwd=project_dir,
+                       env={"PATH": os.environ["PATH"], "cmd": f"{tmp_path}/runner"}, timeout=60)
+    logs = (tmp_path / "logs").read_text().split()
+    assert len(logs) == len(set(logs)) == 2
