@@ -19,12 +19,10 @@ require "$1/rirs.jsonl" steps/split_rirs.sh
 require "$2/rirs.jsonl" steps/split_rirs.sh
 log=$(dirname "$3")/log/$(basename "$3")/close-loop.log
 check_words "$log" "$@"
-cores=()
-[[ $cmd == utils/local.sh* ]] || cores=(--num-threads "$nj")
 verb=(close-loop --nj "$nj" --max-effects "$max_effects" --seed "$seed" --test "$2" --out "$3" "$1")
 status=0
 up_to_date "${verb[@]}" || status=$?
 [ "$status" -eq 3 ] || exit "$status"
-run_jobs "$(dirname "$log")" "${cores[@]}" "$log" roomeq "${verb[@]}"
+run_jobs "$(dirname "$log")" --num-threads "$nj" "$log" roomeq "${verb[@]}"
 # no line is there if an earlier call was killed when all was done
 grep -E '^(base model|final model|test set|unexplained): |^(added|rejected|left out) |: the test set is not scored$' "$log" || true

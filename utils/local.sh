@@ -2,7 +2,8 @@
 # Run jobs as local processes, as many at once as there are cores. The calling convention is that of Kaldi's run.pl.
 # Usage: utils/local.sh [--max-jobs-run N] [JOB=1:N] LOG COMMAND [ARGUMENT...]
 # e.g.:  utils/local.sh JOB=1:4 exp/log/count.JOB.log wc -l data/part.JOB
-# Each JOB in LOG and in the arguments is replaced by the job's number. Every job that fails is named.
+# Each JOB in LOG and in the arguments is replaced by the job's number. Every job that fails is named. Options of
+# schedulers, such as --mem 4G, are ignored, as run.pl does.
 set -euo pipefail
 if [ $# -lt 2 ] || [ "$1" = --help ]; then
   sed -n '2,/^[^#]/{/^#/!q;s/^# \{0,1\}//;p}' "$0"
@@ -11,13 +12,16 @@ if [ $# -lt 2 ] || [ "$1" = --help ]; then
 fi
 first=1 last=1
 max_jobs_run=$(env -u OMP_NUM_THREADS nproc)
-if [ "$1" = --max-jobs-run ]; then
-  max_jobs_run=$2
-  shift 2
-  [[ $max_jobs_run =~ ^[1-9][0-9]{0,3}$ ]] || {
-    echo "${0##*/}: --max-jobs-run '$max_jobs_run' must be a number of jobs from 1" >&2 && exit 1
-  }
-fi
+while [[ ${1:-} == --* ]]; do
+  option=${1%%=*} value=${1#*=}
+  [[ $1 == *=* ]] || { value=${2:-} && shift; }
+  shift || true
+  [ "$option" != --max-jobs-run ] || max_jobs_run=$value
+done
+[[ $max_jobs_run =~ ^[1-9][0-9]{0,3}$ ]] || {
+  echo "${0##*/}: --max-jobs-run '$max_jobs_run' must be a number of jobs from 1" >&2 && exit 1
+}
+[ $# -ge 2 ] || { echo "${0##*/}: LOG and COMMAND are missing; see --help" >&2 && exit 1; }
 if [[ $1 =~ ^JOB=([0-9]+):([0-9]+)$ ]]; then
   first=${BASH_REMATCH[1]} last=${BASH_REMATCH[2]}
   shift

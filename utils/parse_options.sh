@@ -63,14 +63,18 @@ set_option() { # NAME VALUE WHERE
 }
 
 read_config() { # FILE
-  local line number=0
+  local line name number=0 names=' '
   [ -f "$1" ] || die "--config $1: no such file"
   while IFS= read -r line || [ -n "$line" ]; do
     number=$((number + 1))
+    [ "$number" -gt 1 ] || line=${line#$'\xef\xbb\xbf'} # a byte order mark
     line=" $line" && line=${line%%[[:space:]]#*} && line=${line# } # a comment starts the line or follows a blank
     line=${line%"${line##*[![:space:]]}"}
     [ -n "$line" ] || continue
     [[ $line == *=* ]] || die "$1:$number: '$line' must be name=value"
+    name=${line%%=*} && name=${name//-/_}
+    [[ $names != *" $name "* ]] || die "$1:$number: $name is set twice: leave one line out"
+    names+="$name "
     set_option "${line%%=*}" "${line#*=}" "$1:$number"
   done <"$1"
 }

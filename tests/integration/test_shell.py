@@ -51,6 +51,18 @@ def test_comment_of_a_config_follows_a_blank(recipe, line, value):
     assert (done.returncode, done.stdout) == (0, f"2|{value}|false|say.sh|")
 
 
+def test_config_of_windows_is_read(recipe):
+    (recipe / "size.conf").write_bytes(b"\xef\xbb\xbfnj=3 # three\r\n\r\nsome_name=a b\r\n")
+    done = call(recipe, "./say.sh", "--config", "size.conf", "say.sh")
+    assert (done.returncode, done.stdout) == (0, "3|a b|false|say.sh|")
+
+
+def test_config_that_sets_an_option_twice_is_refused(recipe):
+    (recipe / "size.conf").write_text("some_name=a\nnj=3\nsome-name=b\n")
+    done = call(recipe, "./say.sh", "--config", "size.conf", "say.sh")
+    assert (done.returncode, done.stderr) == (1, "say.sh: size.conf:3: some_name is set twice: leave one line out\n")
+
+
 def test_rule_for_values_is_that_of_the_default_not_of_the_config(recipe):
     (recipe / "size.conf").write_text("some_name=10\n")
     for name in ("uniform 0 15", ""):
@@ -110,6 +122,13 @@ def test_local_runner_names_the_failing_job(recipe):
     assert done.returncode == 1
     assert "job 2 failed" in done.stderr and "job 1" not in done.stderr
     assert [(recipe / f"log/x.{n}.log").read_text() for n in (1, 2, 3)] == ["1\n", "2\n", "3\n"]
+
+
+def test_local_runner_ignores_options_of_schedulers(recipe):
+    """As run.pl does: they stay in `cmd` where somebody changes the runner."""
+    done = call(recipe, "utils/local.sh", "--mem", "4G", "--num-threads=2", "JOB=1:2", "log/x.JOB.log", "echo", "JOB")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert [(recipe / f"log/x.{n}.log").read_text() for n in (1, 2)] == ["1\n", "2\n"]
 
 
 @pytest.mark.parametrize("runner", ["local.sh", "slurm.sh"])
