@@ -48,7 +48,15 @@ from roomeq.core.files import hash_file, listing_written, output_path, path_from
 from roomeq.core.item_records import ItemRecord, is_as_recorded, is_complete, read_item_record, write_item_record
 from roomeq.core.kept_hashes import KeptHashes
 from roomeq.core.progress import progress
-from roomeq.core.stamps import DONE_FILE, FORMAT, check_output, is_as_stamped, stamp_content, was_made
+from roomeq.core.stamps import (
+    DONE_FILE,
+    FORMAT,
+    check_output,
+    is_as_stamped,
+    stamp_content,
+    was_made,
+    when_stamped_ns,
+)
 from roomeq.core.workers import end_with, n_processes
 
 logger = logging.getLogger(__name__)
@@ -297,7 +305,7 @@ class Build:
     def _is_done(self, directory: Path) -> bool:
         try:
             stamp = json.loads((directory / DONE_FILE).read_text())
-            stamped_ns = (directory / DONE_FILE).stat().st_ctime_ns
+            stamped_ns = when_stamped_ns(directory)
             return (stamp["key"] == self.key and stamp.get("place", "") in ("", *places_of(self.out))
                     and all(is_as_stamped(directory, name, size, content_hash, stamped_ns)
                             for name, (size, content_hash) in stamp["files"].items()))

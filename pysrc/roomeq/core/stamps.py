@@ -123,6 +123,16 @@ def _read_any_format(directory: Path) -> Stamp | None:
                          "again") from None
 
 
+def when_stamped_ns(directory: Path) -> int:
+    """Return when the stamp of a directory was written [ns].
+
+    The time of its inode is later where the directory was copied, moved to another disk, or given other permissions: a
+    file that had changed before may then seem older than the stamp, whose time of modification as a rule stays.
+    """
+    status = (directory / DONE_FILE).stat()
+    return min(status.st_ctime_ns, status.st_mtime_ns)
+
+
 def is_as_stamped(directory: Path, name: str, size: int, content_hash: str, stamped_ns: int) -> bool:
     """Tell whether a file is as its directory's stamp says; it is only read if it has changed since then.
 
@@ -132,7 +142,7 @@ def is_as_stamped(directory: Path, name: str, size: int, content_hash: str, stam
     name, size, content_hash
         The file's entry in the stamp.
     stamped_ns : int
-        When the stamp was written: its `st_ctime_ns`.
+        When the stamp was written: see `when_stamped_ns`.
     """
     path = directory / name
     status = path.stat()
@@ -170,7 +180,7 @@ def require_as_stamped(directory: Path, stamp: Stamp, *, quick: bool = True) -> 
     ValueError
         A file is missing or has changed.
     """
-    stamped_ns = (directory / DONE_FILE).stat().st_ctime_ns if quick else 0
+    stamped_ns = when_stamped_ns(directory) if quick else 0
     for name, (size, content_hash) in stamp.files.items():
         try:
             unchanged = is_as_stamped(directory, name, size, content_hash, stamped_ns)

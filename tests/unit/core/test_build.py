@@ -113,6 +113,17 @@ def test_changed_content_remakes_the_directory(tmp_path):
     assert (tmp_path / "a" / "n2.txt").read_text() == "4"
 
 
+def test_edit_before_a_change_of_permissions_or_a_move_to_another_disk_is_noticed(tmp_path):
+    make_squares(tmp_path / "a")
+    (tmp_path / "a/n2.txt").write_text("5")
+    time.sleep(0.02)
+    (tmp_path / "a" / DONE_FILE).chmod(0o600)  # as chmod -R, and as what copies files with their times
+    with pytest.raises(ValueError, match=r"a/n2\.txt: changed since it was made"):
+        digest(tmp_path / "a")
+    assert make_squares(tmp_path / "a") == "made"
+    assert (tmp_path / "a/n2.txt").read_text() == "4"
+
+
 def test_file_is_read_where_the_stamp_is_of_the_future(tmp_path, monkeypatch):
     make_squares(tmp_path / "a")
     stamp = tmp_path / "a" / DONE_FILE
