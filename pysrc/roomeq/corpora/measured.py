@@ -1,6 +1,7 @@
 """Write a measured corpus of any kind as an RIR directory."""
 
 import logging
+import os
 from collections import Counter
 from hashlib import sha256
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 from roomeq.core.build import Build
 from roomeq.core.constants import FS_HZ
 from roomeq.core.digests import Listed
-from roomeq.core.files import path_from, write_json
+from roomeq.core.files import path_from, physical, write_json
 from roomeq.core.limits import AUDIO_HOURS
 from roomeq.corpora.listing import list_corpus, list_noises, require_existing
 from roomeq.corpora.record import Corpus, Recording, by_stamp, is_sofa
@@ -113,13 +114,15 @@ def _build(out: Path, step: str, listed: dict[Path, list[Recording]], *, skip_ba
     options["skip_bad"] = skip_bad
     if skip_bad:  # recordings that are too long are left out
         options["max_audio_hours"] = AUDIO_HOURS.value()
-    # rows refer to audio by its path relative to `out`: they are out of date when the corpus has moved
-    ways = [path_from(source, out) for source in listed]
+    # rows refer to audio by its path relative to `out`, with links resolved: they are out of date when the corpus has
+    # moved, or a link leads elsewhere
+    root_of = {source: Path(os.path.realpath(source)) for source in listed}
+    ways = [path_from(root, out) for root in root_of.values()]
     inputs: list[Path | Listed] = []
     said = []
     for source, recordings in listed.items():  # the files that are listed, which may stand among many others
         stamped = by_stamp(source, (recording.path for recording in recordings))
-        inputs += [*stamped.inputs, Listed(tuple(stamped.others), root=source)]
+        inputs += [*stamped.inputs, Listed(tuple(map(physical, stamped.others)), root=root_of[source])]
         rows = repr([(recording.id, recording.row) for recording in recordings])
         said.append(sha256(rows.encode(errors="surrogateescape")).hexdigest())
     return Build(out, step=step, options=dict(options, ways=ways, said=said), inputs=inputs, refers=True)

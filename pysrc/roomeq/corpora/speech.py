@@ -11,6 +11,7 @@ from typing import Any
 
 from roomeq.core.build import Build
 from roomeq.core.digests import Listed, names_in_entry
+from roomeq.core.files import physical
 from roomeq.corpora.kaldi_dir import find_kaldi_dirs, read_kaldi_dir
 from roomeq.corpora.librispeech import find_sets, list_librispeech
 from roomeq.corpora.record import AUDIO_SUFFIXES, by_stamp
@@ -113,8 +114,8 @@ def _sorted_out(listed: Listing) -> tuple[list[KaldiPart], list[Utterance]]:
 def _said(listed: Listing) -> str:
     """Return a hash of what a corpus says of the utterances of a role."""
     parts, utterances = _sorted_out(listed)
-    said = repr(sorted((str(part.directory.path), part.directory.files, sorted(part.utterances)) for part in parts)
-                if parts else
+    said = repr(sorted((os.path.realpath(part.directory.path), part.directory.files, sorted(part.utterances))
+                       for part in parts) if parts else
                 [(utterance.id, utterance.speaker, utterance.gender, utterance.text) for utterance in utterances])
     return sha256(said.encode()).hexdigest()
 
@@ -127,7 +128,8 @@ def _inputs(source: Path, listed: Listing) -> list[Path | Listed]:
                  for name in names_in_entry(entry)}
         return [*by_stamp(source, ()).inputs, Listed(tuple(map(Path, sorted(names))))]
     stamped = by_stamp(source, (utterance.path for utterance in utterances))
-    return [*stamped.inputs, Listed(tuple(stamped.others))]
+    # as `wav.scp` names them, whatever the path of the corpus
+    return [*stamped.inputs, Listed(tuple(map(physical, stamped.others)))]
 
 
 def list_speech(source: Path, wanted: SetNames) -> Mapping[str, Listing]:

@@ -9,6 +9,7 @@ import soundfile
 from corpora_examples import MEASURED, make_folder, make_table, put, put_text, rir
 
 from roomeq.core.audio import read_audio
+from roomeq.core.digests import digest
 from roomeq.core.files import read_json
 from roomeq.corpora import prepare_speech, read_measured
 from roomeq.corpora import read_noises as read_noise_folder
@@ -70,6 +71,19 @@ def test_audio_beside_the_files_of_a_step_counts(tmp_path):
         rows = read_rirs(read_measured(tmp_path / "set", tmp_path / "out"))
         assert {row["id"]: row["n_samples"] for row in rows}["rirs-added"] == n_samples
         assert len(rows) == n_rirs + 1
+
+
+@pytest.mark.parametrize("linked", [".", "kitchen"])
+def test_rirs_are_found_where_a_link_leads_now(linked, tmp_path):
+    put(tmp_path / "disk1/kitchen/one.wav", rir("one", 800))
+    link = tmp_path / "rooms" / linked
+    link.parent.mkdir(exist_ok=True)
+    for disk in ("disk1", "disk2"):
+        if disk == "disk2":
+            link.unlink()
+            (tmp_path / "disk1").rename(tmp_path / "disk2")
+        link.symlink_to(tmp_path / disk / linked)
+        digest(read_measured(tmp_path / "rooms", tmp_path / "out", keep_suspicious=True))
 
 
 def test_changed_audio_of_a_table_remakes_the_output(tmp_path):

@@ -272,6 +272,33 @@ def test_unchanged_speech_is_not_remade(tmp_path):
     assert table(tmp_path / "data" / "dev.clean" / "utt2dur")["1272-128104-0001"] == "0.10625"
 
 
+def test_speech_by_another_path_is_not_remade(tmp_path, monkeypatch):
+    put_manifest(tmp_path / "speech", rows_of_voices({"a": 1, "b": 1, "c": 1}))
+    for voice in "def":
+        put_kaldi_dir(tmp_path / "kaldi" / f"{dict(d='train', e='dev', f='test')[voice]}", [voice])
+    monkeypatch.chdir(tmp_path)
+    for corpus in ("speech", "kaldi"):
+        made = set()
+        for path in (corpus, f"../{tmp_path.name}/{corpus}", tmp_path / corpus):
+            train, _, _ = prepare_speech(path, tmp_path / f"data.{corpus}")
+            made.add((train / "wav.scp").stat().st_mtime_ns)
+        assert len(made) == 1
+
+
+def test_speech_is_found_where_a_link_leads_now(tmp_path):
+    put_manifest(tmp_path / "disk1", rows_of_voices({"a": 1, "b": 1, "c": 1}))
+    put_text(tmp_path / "speech/manifest.csv", (tmp_path / "disk1/manifest.csv").read_text())
+    for disk in ("disk1", "disk2"):
+        if disk == "disk2":
+            (tmp_path / "disk1").rename(tmp_path / "disk2")
+        for voice in "abc":
+            link = tmp_path / "speech" / voice
+            link.unlink(missing_ok=True)
+            link.symlink_to(tmp_path / disk / voice)
+        for made in prepare_speech(tmp_path / "speech", tmp_path / "data"):
+            digest(made)
+
+
 def test_speech_beside_the_files_of_a_step_counts(tmp_path):
     put_manifest(tmp_path / "speech", rows_of_voices({"a": 3, "b": 1, "c": 1}))
     train, _, _ = prepare_speech(tmp_path / "speech", tmp_path / "data")
