@@ -11,6 +11,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
 
+import matplotlib
 import numpy as np
 import pytest
 import webdriver
@@ -324,6 +325,18 @@ def test_page_is_reproducible_across_processes(made):
     other = subprocess.run([sys.executable, "-c", code, data, exp], capture_output=True, check=True,
                            env={**os.environ, "PYTHONHASHSEED": "7", "PYTHONPATH": os.pathsep.join(sys.path)})
     assert other.stdout == path.read_bytes()
+
+
+def test_settings_of_the_user_do_not_change_figures():
+    """As a matplotlibrc in the home directory has them: with usetex, the report ended where LaTeX is absent."""
+    def draw(axes, colours):
+        axes.plot([1, 2], [3, 4])
+        axes.set_xlabel("share of rooms_x [%]")
+
+    before = figures.render_svg(draw)
+    with matplotlib.rc_context({"text.usetex": True, "lines.marker": "o"}):
+        assert figures.render_svg(draw) == before
+        assert matplotlib.rcParams["lines.marker"] == "o"
 
 
 def test_report_is_rebuilt_only_when_needed(made, caplog):

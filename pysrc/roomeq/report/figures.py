@@ -96,9 +96,13 @@ def render_svg(draw: Draw, size_in: tuple[float, float] = SIZE_IN) -> bytes:
 
 
 def settings() -> dict[str, Any]:
-    """Return matplotlib's settings, with the colours of a light page."""
+    """Return all of matplotlib's settings, with the colours of a light page; those of the user have no effect."""
+    import matplotlib
+
+    defaults = {str(name): value for name, value in matplotlib.rcParamsDefault.items()
+                if not name.startswith("backend")}
     ink, soft, line, paper = (LIGHT[key] for key in ("ink", "soft", "line", "paper"))
-    return {
+    return defaults | {
         "svg.hashsalt": "roomeq", "svg.fonttype": "path", "font.family": "DejaVu Sans", "font.size": 8.5,
         "figure.facecolor": paper, "axes.facecolor": paper, "savefig.facecolor": paper, "text.color": ink,
         "axes.edgecolor": soft, "axes.labelcolor": ink, "xtick.color": soft, "ytick.color": soft,
