@@ -24,6 +24,8 @@ logger = logging.getLogger(__name__)
 READ_IF_PRESENT = ("noises.jsonl", "rirs.jsonl", "segments", "spk2gender", "text", "utt2dur", "utt2lang", "utt2rir",
                    "utt2snr", "utt2uniq")
 """Tables that readers use where they are, also if somebody has put them beside the files of a step."""
+LIST_FOR_KALDI = "rir_list"
+"""Table of RIRs for Kaldi, which names audio by the path of the directory."""
 _TABLES_OF_ROWS = ("rirs.jsonl", "noises.jsonl")
 """Tables whose rows name audio."""
 _NUMERICS = ("espeakng-loader", "llvmlite", "numba", "numpy", "scikit-learn", "scipy", "soundfile", "soxr", "trimesh")
@@ -114,6 +116,7 @@ def content_of(given: Path | Listed, *, warn: bool = True) -> Content:
         files = files_below(path)
         content = dict(zip((str(file.relative_to(path)) for file in files),
                            hashes_of_input(os.path.realpath(path), files), strict=True))
+    content.pop(LIST_FOR_KALDI, None)  # no step reads it, and it depends on the place of the directory
     for name, content_hash in content.items():
         total.update(f"{name}\0{content_hash}\n".encode(errors="surrogateescape"))
     hashes = {str(path / name): content_hash for name, content_hash in content.items()}
@@ -276,7 +279,7 @@ def place_in_entries(directory: Path, out: Path) -> str:
 
     Kaldi's `rir_list` names audio from the folder from which `out` is given. Empty: no table names files that way.
     """
-    if (directory / "rir_list").is_file():
+    if (directory / LIST_FOR_KALDI).is_file():
         return str(out)
     with contextlib.suppress(OSError, ValueError):
         names = {name for entry in _entries(directory) for name in names_in_entry(entry)}
