@@ -28,7 +28,7 @@ if [[ $1 =~ ^JOB=([0-9]+):([0-9]+)$ ]]; then
 fi
 log=$1
 shift
-last_line() { { tail -n 1 -- "$1" 2>/dev/null || true; } | grep . || echo "the log is empty: is the disk full?"; }
+last_line() { { tail -n 1 -- "$1" 2>/dev/null || true; } | grep . || echo "the log is empty$2"; }
 pids=()
 trap 'kill "${pids[@]}" 2>/dev/null || true' EXIT
 for ((job = first; job <= last; job++)); do
@@ -43,11 +43,14 @@ for ((job = first; job <= last; job++)); do
 done
 failed=0
 for ((job = first; job <= last; job++)); do
-  if ! wait "${pids[job - first]}"; then
-    joblog=${log//JOB/$job}
-    printf '%s: job %d failed: %s (log: %s)\n' "${0##*/}" "$job" "$(last_line "$joblog")" "$joblog" >&2
-    failed=1
-  fi
+  status=0 how=failed ask=': is the disk full?'
+  wait "${pids[job - first]}" || status=$?
+  [ "$status" -ne 0 ] || continue
+  if [ "$status" -gt 128 ] && signal=$(kill -l "$status" 2>/dev/null); then how="failed by SIG$signal" ask=; fi
+  [ "$status" -ne 137 ] || how+=' (memory may be short: use a smaller --nj)'
+  joblog=${log//JOB/$job}
+  printf '%s: job %d %s: %s (log: %s)\n' "${0##*/}" "$job" "$how" "$(last_line "$joblog" "$ask")" "$joblog" >&2
+  failed=1
 done
 trap - EXIT
 exit "$failed"

@@ -124,6 +124,15 @@ def test_local_runner_names_the_failing_job(recipe):
     assert [(recipe / f"log/x.{n}.log").read_text() for n in (1, 2, 3)] == ["1\n", "2\n", "3\n"]
 
 
+@pytest.mark.parametrize("script, said", [
+    ("kill -KILL $$", "failed by SIGKILL (memory may be short: use a smaller --nj): the log is empty"),
+    ("echo begun; kill -TERM $$", "failed by SIGTERM: begun"),
+    ("exit 255", "failed: the log is empty: is the disk full?")])
+def test_local_runner_names_the_signal_that_ended_a_job(recipe, script, said):
+    done = call(recipe, "utils/local.sh", "JOB=1:2", "log/x.JOB.log", "bash", "-c", script)
+    assert done.returncode == 1 and f"local.sh: job 1 {said} (log: log/x.1.log)\n" in done.stderr
+
+
 def test_local_runner_ignores_options_of_schedulers(recipe):
     """As run.pl does: they stay in `cmd` where somebody changes the runner."""
     done = call(recipe, "utils/local.sh", "--mem", "4G", "--num-threads=2", "JOB=1:2", "log/x.JOB.log", "echo", "JOB")
