@@ -61,6 +61,8 @@ once() {
   key=$({ printf '%s\0' "${key:-}" "$name" && lasting "$@"; } | sha256sum | cut -c1-16)
   local mark=$workspace/done/$name log=$workspace/log/$name.log
   ! is_done "$mark" || return 0
+  ! was_moved ||
+    die "$workspace was made as $(cat "$workspace/place"), by which Kaldi names its features: start with --stage 8"
   take_lock
   ! is_done "$mark" || return 0 # another run has done it
   rm -f "$mark"
@@ -72,6 +74,12 @@ once() {
     die "$name failed after $((SECONDS - started)) s: $(grep -v '^ *$' "$log" | tail -n 1) (log: $log)"
   { printf '%s\n' "$key" "$(date +%s%N).$$" "${earlier:-}" && named "${@:2}"; } >"$mark.new" && mv "$mark.new" "$mark"
   is_done "$mark"
+}
+
+# was_moved: tell whether the workspace has been moved or copied. Features, and configurations of online decoding, hold its
+# path: commands would read those of the workspace that is there now.
+was_moved() {
+  [ -f "$workspace/place" ] && [ "$(cat "$workspace/place")" != "$(realpath "$workspace")" ]
 }
 
 # named WORD...: print those words of a command that are paths of the workspace.

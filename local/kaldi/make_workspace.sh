@@ -23,6 +23,11 @@ if [ "$dry_run" = true ]; then
 fi
 root=$(kaldi_root)
 mkdir -p "$workspace/data"
+if was_moved; then
+  log "$workspace was made as $(cat "$workspace/place"), by which Kaldi names its features: commands run again"
+  rm -rf "$workspace"/done "$workspace"/data/*/split[0-9]*
+fi
+realpath "$workspace" >"$workspace/place"
 for link in wsj/s5/steps wsj/s5/utils librispeech/s5/local librispeech/s5/conf; do
   ln -sfn "$root/egs/$link" "$workspace/${link##*/}"
 done

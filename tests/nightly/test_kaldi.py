@@ -190,6 +190,26 @@ def test_commands_after_one_that_has_run_since_are_repeated(recipe):
     assert len(counted(recipe, "ws", "a")[0]) == 10
 
 
+def test_workspace_that_was_moved_is_begun_anew(recipe, project_dir):
+    """Kaldi names features by absolute paths, where another workspace may be now."""
+    (recipe / "path.sh").write_text("")
+    kaldi = fake_kaldi(recipe / "kaldi")
+
+    def made():
+        done = run(recipe, "local/kaldi/make_workspace.sh", "ws", "data", KALDI_ROOT=str(kaldi))
+        assert "not found:" in done.stderr  # Kaldi's programs, after the rest
+        (recipe / "ws/path.sh").write_text("")
+        return done.stdout
+
+    assert "was made as" not in made() + made()
+    counted(recipe, "ws", "a")
+    write_text(recipe / "ws/place", f"{recipe}/elsewhere\n")
+    assert f"ws was made as {recipe}/elsewhere, by which Kaldi names its features: start with --stage 8" in \
+        counted(recipe, "ws", "b", fails=True)[1]
+    assert "commands run again" in made()
+    assert counted(recipe, "ws", "b")[0] == ["a", "a", "b", "b"]
+
+
 def test_command_whose_output_was_deleted_is_repeated(recipe):
     command = """once first sh -c 'mkdir -p "$1" && echo a >>count' make "out/it's one\""""
     (recipe / "make.sh").write_text(ONCE.replace("once first", f"{command}\nonce third"))
