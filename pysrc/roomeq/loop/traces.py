@@ -109,7 +109,14 @@ class StoredTrace:
 
 def _save(holder: Holder, names: tuple[str, ...], first: str) -> None:
     for name in names:
-        np.save(f"{first}-{name}.npy", getattr(holder, name))
+        path, array = f"{first}-{name}.npy", np.ascontiguousarray(getattr(holder, name))
+        try:
+            with open(path, "wb") as stream:
+                np.lib.format.write_array_header_1_0(stream, np.lib.format.header_data_from_array_1_0(array))
+                stream.write(array.data)  # the error of `numpy.save` on a full disk says neither where nor why
+        except OSError as error:
+            raise ValueError(f"{path}: {error.strerror}: free some space there, or name another folder for temporary "
+                             "files in TMPDIR") from None
 
 
 def _emptied(holder: Holder, names: tuple[str, ...]) -> Holder:

@@ -1,6 +1,7 @@
 """Traces in files: the same paths, and a folder that disappears with them."""
 
 import gc
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,17 @@ def test_stored_sample_loads_the_same_paths():
     for sample, of_mic in zip(samples, stored, strict=True):
         for name, value in vars(of_mic.load()).items():
             np.testing.assert_array_equal(value, getattr(sample, name))
+
+
+def test_full_disk_of_temporary_files_is_named():
+    traced, before = trace(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3000, before[1]))
+    try:
+        with pytest.raises(ValueError, match=r"roomeq-traces-\S+/room-0-directions.npy: File too large: free some "
+                                             "space there, or name another folder for temporary files in TMPDIR"):
+            TraceFolder().store(traced, "room")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_folder_disappears_with_its_last_trace():
