@@ -83,7 +83,7 @@ def test_table_is_interpolated_on_grids_that_are_finer_in_one_angle(azimuth_deg,
     assert np.abs(table.pressure(grid, 16000) / speaker.pressure(grid, 16000) - 1.0).max() < 1e-6
 
 
-def test_table_of_one_plane_takes_the_nearest_directions():
+def test_table_of_one_plane_has_gains_in_all_directions():
     angle = np.radians(np.arange(0, 360, 10))
     plane = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
     table = roomeq.DirectivityTable(plane, [1000.0], np.zeros((36, 1)), (1.0, 0.0, 0.0))

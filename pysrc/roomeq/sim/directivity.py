@@ -22,6 +22,7 @@ PATTERNS = {"omnidirectional": 1.0, "subcardioid": 0.75, "cardioid": 0.5, "super
             "hypercardioid": 0.25, "figure_eight": 0.0}
 """Share a of the omnidirectional part in the pattern ``a + (1 - a) cos(theta)``."""
 _N_NEIGHBOURS = 4  # measured directions that a gain is interpolated from where they do not surround the device
+_SAME_RAD = 0.005  # between directions in one half-plane, about the axis, and between the axis and what lies on it
 _LEAST_SURROUND = 0.05  # distance of the planes through them from the device, on the unit sphere
 _CANDIDATES = (2, 8, 32, 128, 512)  # triangles that a direction is tested against: several may share a plane
 _ROUNDING = 1e-12  # of the weights of a triangle's corners
@@ -68,9 +69,11 @@ class DirectivityTable:
     """A measured directivity: gains at some directions and frequencies, without phase.
 
     Gains are interpolated in dB over log frequency, and as pressure over the triangle of measured directions that a
-    direction lies in, linearly. Where the measured directions do not lie all around the device, it is the four nearest
-    ones, weighted by the inverse of their distance. Beyond the lowest and highest frequency the gain is that of the
-    outermost one.
+    direction lies in, linearly. Polar diagrams, which are measured in one plane through the main axis or a few, are
+    interpolated over the angle from the axis, in the half-planes on either side of a direction. The weights of both are
+    the squares of a cosine and a sine, so that a single plane is turned about the axis. Other directions that do not
+    lie all around the device count by the four nearest ones, weighted by the inverse of their distance. Beyond the
+    lowest and highest frequency the gain is that of the outermost one.
 
     Attributes
     ----------
@@ -121,8 +124,29 @@ class DirectivityTable:
         front = np.asarray(self.facing)
         left = unit(np.cross(np.asarray(self.up), front))
         local = directions @ np.stack([front, left, np.cross(front, left)], axis=1)
-        near, weight = self._nearest(local) if self._triangles is None else self._triangles.around(local)
+        measured = self._half_planes or self._triangles
+        near, weight = self._nearest(local) if measured is None else measured.around(local)
         return np.einsum("nk,nkb->nb", weight, self._in_bands(fs_hz)[near])
+
+    @cached_property
+    def _half_planes(self) -> "_HalfPlanes | None":
+        """The half-planes of polar diagrams: there are no more of them than directions in each."""
+        from_axis, about = _polar(self.directions)
+        on_axis = np.flatnonzero(np.sin(from_axis) < _SAME_RAD)
+        rows = np.setdiff1d(np.argsort(about, kind="stable"), on_axis, assume_unique=True)
+        begins = np.mod(about[rows] - np.roll(about[rows], 1), 2.0 * np.pi) > _SAME_RAD
+        begins[:1] |= not begins.any()
+        n_planes = np.count_nonzero(begins)
+        if not len(rows) or n_planes ** 2 > len(self.directions):
+            return None
+        plane = (np.cumsum(begins) - 1) % n_planes  # the last one may reach beyond a full turn
+        angles, measured = [], []
+        for n in range(n_planes):
+            of_plane = np.concatenate([rows[plane == n], on_axis])
+            of_plane = of_plane[np.unique(from_axis[of_plane], return_index=True)[1]]
+            angles.append(from_axis[of_plane])
+            measured.append(of_plane)
+        return _HalfPlanes(about[rows[begins]], angles, measured)
 
     @cached_property
     def _triangles(self) -> "_Triangles | None":
@@ -159,6 +183,42 @@ class DirectivityTable:
             self._bands[fs_hz] = 10.0 ** (0.05 * np.array([
                 np.interp(np.log(exact_bands_hz(fs_hz)), np.log(self.frequencies_hz), row) for row in self.gains_db]))
         return self._bands[fs_hz]
+
+
+class _HalfPlanes(NamedTuple):
+    """Half-planes from the main axis in which directions were measured.
+
+    Attributes
+    ----------
+    about
+        Angle of each about the axis, ascending [rad].
+    from_axis
+        Angles of the directions in each from the axis, ascending [rad].
+    rows
+        Indices of these directions.
+    """
+
+    about: FloatArray
+    from_axis: list[FloatArray]
+    rows: list[IntArray]
+
+    def around(self, directions: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Return two measured directions in the half-plane on either side, and their weights, shape (n, 4) each."""
+        from_axis, about = _polar(directions)
+        after = np.searchsorted(self.about, about, side="right")
+        sides = (after - 1) % len(self.about), after % len(self.about)
+        apart, since = (np.mod(angle - self.about[sides[0]], 2.0 * np.pi) for angle in (self.about[sides[1]], about))
+        turned = np.sin(0.5 * np.pi * since / np.where(apart > 0.0, apart, 2.0 * np.pi)) ** 2
+        near, weight = np.empty((len(directions), 4), int), np.empty((len(directions), 4))
+        for side, (of_side, share) in enumerate(zip(sides, (1.0 - turned, turned), strict=True)):
+            for plane in np.unique(of_side):
+                at, rows = np.flatnonzero(of_side == plane), self.rows[plane]
+                place = np.interp(from_axis[at], self.from_axis[plane], np.arange(len(rows)))
+                low = place.astype(int)
+                near[at, 2 * side], near[at, 2 * side + 1] = rows[low], rows[np.minimum(low + 1, len(rows) - 1)]
+                weight[at, 2 * side] = share[at] * (1.0 - place + low)
+                weight[at, 2 * side + 1] = share[at] * (place - low)
+        return near, weight
 
 
 class _Triangles(NamedTuple):
@@ -200,6 +260,12 @@ class _Triangles(NamedTuple):
         best = weights.min(axis=2).argmax(axis=1)
         each = np.arange(len(directions))
         return self.corners[near[each, best]], weights[each, best]
+
+
+def _polar(directions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return angles from the main axis, and about it from 0 to 2 pi, of directions of shape (n, 3) [rad]."""
+    x, y, z = directions.T
+    return np.arctan2(np.hypot(y, z), x), np.mod(np.arctan2(z, y), 2.0 * np.pi)
 
 
 def unit(vector: ArrayLike) -> FloatArray:

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from roomeq.core.constants import EXACT_BANDS_HZ
+from roomeq.rooms import Loudspeaker
 from roomeq.sim.directivity import DirectivityTable
 
 FS_HZ = 16000
@@ -50,6 +52,32 @@ def test_gains_are_those_of_the_best_of_all_triangles(grid):
     found = table.pressure(asked, FS_HZ)
     assert found.shape == (len(asked), 8)
     assert np.abs(found - of_all_triangles(table, asked)[:, None]).max() < 1e-9
+
+
+def arc(first_deg, last_deg, about_deg=0):
+    """Return directions every 10 degrees from the axis, in a plane through it."""
+    angle, about = np.radians(np.arange(first_deg, last_deg + 1, 10)), np.radians(about_deg)
+    return np.stack([np.cos(angle), np.sin(angle) * np.cos(about), np.sin(angle) * np.sin(about)], axis=-1)
+
+
+@pytest.mark.parametrize("polar", [arc(-180, 170), arc(0, 180), arc(-180, 170, 90), arc(0, 180, -30),
+                                   np.concatenate([arc(-180, 170), arc(-180, 170, 90)])],
+                         ids=["horizontal", "half", "vertical", "oblique", "both"])
+def test_polar_diagrams_of_a_loudspeaker_are_turned_about_its_axis(polar):
+    speaker, asked = Loudspeaker((1.0, 0.0, 0.0)), random(5000)
+    table = DirectivityTable(polar, EXACT_BANDS_HZ, 20.0 * np.log10(speaker.pressure(polar, FS_HZ)), (1.0, 0.0, 0.0))
+    found, expected = table.pressure(asked, FS_HZ), speaker.pressure(asked, FS_HZ)
+    assert 10.0 * np.log10(np.mean(found ** 2, axis=0) / np.mean(expected ** 2, axis=0)) == pytest.approx(0.0, abs=0.05)
+    assert np.sqrt(np.mean((20.0 * np.log10(found / expected)) ** 2)) < 0.4
+    assert table.pressure(polar, FS_HZ) == pytest.approx(speaker.pressure(polar, FS_HZ))
+
+
+def test_sides_of_a_polar_diagram_may_differ():
+    """As of a first-order pattern that faces 40 degrees to the left of the axis; straight up is 90 degrees from it."""
+    polar, facing = arc(-180, 170), np.array([np.cos(np.radians(40)), np.sin(np.radians(40)), 0.0])
+    table = DirectivityTable(polar, [1000.0], 20.0 * np.log10(0.55 + 0.45 * polar @ facing)[:, None], (1.0, 0.0, 0.0))
+    asked = np.concatenate([random(500), np.eye(3), -np.eye(3)])
+    assert table.pressure(asked, FS_HZ)[:, 0] == pytest.approx(0.55 + 0.45 * asked @ facing, abs=0.01)
 
 
 def test_no_directions_have_no_gains():
