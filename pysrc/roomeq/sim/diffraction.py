@@ -32,6 +32,7 @@ from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled
 from roomeq.sim.adjacency import joined_faces
 from roomeq.sim.double_diffraction import (
+    IN_PLANE_RAD,
     Pieces,
     arc,
     departures_and_arrivals,
@@ -103,11 +104,15 @@ class Edges:
         return len(self.length_m)
 
     def coordinates(self, point_m: ArrayLike) -> FloatArray:
-        """Return cylinder coordinates about each edge, distance [m], angle [rad], position [m], shape (3, n_edges)."""
+        """Return cylinder coordinates about each edge, distance [m], angle [rad], position [m], shape (3, n_edges).
+
+        A point in the plane of a face is in front of it, whatever the rounding (`IN_PLANE_RAD`).
+        """
         offset = np.asarray(point_m, dtype=float) - self.start_m
         x, y, z = (np.einsum("ij,ij->i", offset, axis) for axis in (self.across, self.normal, self.along))
         angle = np.mod(np.arctan2(y, x), 2.0 * np.pi)
-        return np.stack([np.hypot(x, y), np.where(angle > 2.0 * np.pi - 1e-9, 0.0, angle), z])
+        angle = np.where(np.abs(angle - self.wedge_rad) < IN_PLANE_RAD, self.wedge_rad, angle)
+        return np.stack([np.hypot(x, y), np.where(angle > 2.0 * np.pi - IN_PLANE_RAD, 0.0, angle), z])
 
 
 @dataclass(frozen=True)

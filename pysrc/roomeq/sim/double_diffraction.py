@@ -41,6 +41,9 @@ _MIN_RADIUS_M = 1e-6  # points closer to the line of an edge are skipped
 _MIN_SEPARATION_M = 0.005  # closer edges are divided into steps as if they were this far apart
 _FINENESS = 0.5  # length of the steps near a peak of beta, relative to its distance, or within it to its width
 _SHORTEST = 1e-4  # length of the steps at a peak, relative to the longest ones
+IN_PLANE_RAD = 1e-9
+"""Angle from a face within which a point lies in its plane. The other edge of the face lights it then, in first order,
+and second order is that of a point that is lit."""
 _MIN_SINE = 5e-4  # of half the angle to a shadow boundary: closer to it, the peak is no higher and no narrower
 
 
@@ -220,7 +223,7 @@ def _ends(coordinates: FloatArray, wedge_rad: FloatArray) -> FloatArray:
     for side, face in enumerate((0.0, wedge_rad)):
         for sign, place in ((-1.0, 2), (1.0, 4)):
             half = 0.5 * np.pi / wedge_rad * (np.pi + sign * (angle - face))
-            above = np.where(np.sin(half) < 0.0, -1.0, 1.0)
+            above = np.where(np.sin(half) < -IN_PLANE_RAD, -1.0, 1.0)
             result[:, side, place] = np.maximum(above * np.sin(half), _MIN_SINE)
             result[:, side, place + 1] = above * np.cos(half)
     return result

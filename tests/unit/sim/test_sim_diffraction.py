@@ -345,6 +345,19 @@ def test_second_order_diffraction_is_continuous_and_reciprocal(room_with_box):
         np.testing.assert_allclose(levels[0], levels[1], atol=2.5)
 
 
+@pytest.mark.parametrize("y", [1.5, 2.5])
+@pytest.mark.parametrize("moved", [0, 1], ids=["source", "mic"])
+def test_sound_in_the_plane_of_a_face_does_not_depend_on_rounding(room_with_box, moved, y):
+    """Whether a face lights a point or not, both orders have to agree on it."""
+    levels = []
+    for off_m in (-1e-4, -1e-11, -1e-13, -1e-15, 0.0, 1e-15, 1e-13, 1e-11, 1e-4):
+        ends = np.array([[1.0, 2.0, 1.0], [5.0, 2.1, 1.2]])
+        ends[moved, 1] = y + off_m
+        levels.append(20.0 * np.log10(np.abs(shadow_spectrum(room_with_box, *ends))))
+    lowest, highest = np.minimum(levels[0], levels[-1]), np.maximum(levels[0], levels[-1])
+    assert np.all(levels > lowest - 0.1) and np.all(levels < highest + 0.1)
+
+
 def barrier_integral(thickness_m, below_m, length_m):
     """The integral over both upper edges of a barrier (1999, sec. III) on a grid that is fine at the peaks of beta."""
     nu, to_edge_m = 2.0 / 3.0, np.hypot(3.0 - 0.5 * thickness_m, below_m)
