@@ -7,7 +7,7 @@ import numpy as np
 import scipy  # its submodules are slow to import and load themselves when first used
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
-from roomeq.core.jit import compiled, for_chunks
+from roomeq.core.jit import compiled, for_chunks, inlined
 from roomeq.sim.images import SpecularPaths
 from roomeq.sim.trace import sphere_directions
 from roomeq.sim.tree import FRONTS, Tree, crosses, first_hit, memory
@@ -16,6 +16,7 @@ logger = logging.getLogger(__name__)
 
 _ON_PLANE_M = 1e-4
 """A path that meets a face this close to another plane meets both: corners are rounded."""
+_EDGE_COSINE = np.cos(np.radians(10.0))  # of the angle between planes that are close to each other at an edge alone
 _SAME_M = 1e-3  # between image sources of different sequences that are one
 _RAYS = 20000  # that search for sequences
 _CURVED = 0.25  # share of them that find different sequences of second order: far fewer do where surfaces are flat
@@ -141,6 +142,12 @@ def _reflect(tree: Tree, plane: Array, normals: Array, source_m: Array, directio
             u, v, w = u - twice * normal[0], v - twice * normal[1], w - twice * normal[2]
 
 
+@inlined
+def _form_an_edge(one: Array, other: Array) -> bool:
+    """Tell whether two planes form an edge; those of an uneven wall are close to each other far beyond their faces."""
+    return abs(one[0] * other[0] + one[1] * other[1] + one[2] * other[2]) < _EDGE_COSINE
+
+
 @compiled
 def _walk_back(tree: Tree, plane: Array, mirrors: Array, face_surface: Array, planes: Array, n_reflections: Array,
                images: Array, mic_m: Array, low: Number, high: Number, visible: BoolArray, counts: Array) -> None:
@@ -160,10 +167,11 @@ def _walk_back(tree: Tree, plane: Array, mirrors: Array, face_surface: Array, pl
             mirror = mirrors[planes[n, k]]
             to_plane = (mirror[3] - x * mirror[0] - y * mirror[1] - z * mirror[2]) / min(
                 u * mirror[0] + v * mirror[1] + w * mirror[2], -1e-9)
-            if face >= 0 and distance < length and (plane[face] == planes[n, k]
-                                                    or abs(distance - to_plane) <= _ON_PLANE_M):
+            if face >= 0 and distance < length and (plane[face] == planes[n, k] or (
+                    abs(distance - to_plane) <= _ON_PLANE_M and _form_an_edge(mirror, mirrors[plane[face]]))):
                 met = face
-            elif k + 1 < n_reflections[n] and abs(to_plane) <= _ON_PLANE_M:
+            elif (k + 1 < n_reflections[n] and abs(to_plane) <= _ON_PLANE_M
+                  and _form_an_edge(mirror, mirrors[planes[n, k + 1]])):
                 distance = to_plane
             else:
                 exists = False

@@ -75,6 +75,17 @@ def test_paths_through_the_edges_of_a_turned_room_count_once(source, rotation):
     assert 10.0 * np.log10(energies[1] / energies[0]) == pytest.approx(0.0, abs=0.01)
 
 
+def test_uneven_walls_reflect_once_each():
+    """Corners are off by 1 mm, as in a scan: near most points of a wall, several of its planes are within 0.1 mm."""
+    mesh = box((0.0, 0.0, 0.0), (6.0, 4.0, 3.0)).subdivide().subdivide().subdivide()
+    rng = np.random.default_rng(0)
+    room = make_room((mesh.vertices + rng.normal(0.0, 1e-3, mesh.vertices.shape))[mesh.faces], ["a"] * len(mesh.faces))
+    source_m = np.array([1.6, 1.5, 1.4])
+    for mic_m in rng.uniform([1.0, 1.0, 1.0], [5.0, 3.0, 2.0], (6, 3)):
+        expected = specular_paths(Shoebox((6.0, 4.0, 3.0)), source_m, mic_m, 1).distance_m
+        assert specular_paths(room, source_m, mic_m, 1).distance_m == pytest.approx(expected, abs=0.01)
+
+
 def test_faces_of_curved_surfaces_lie_in_planes_of_their_own():
     sphere = trimesh.creation.icosphere(subdivisions=5, radius=3.0)
     assert len(make_room(sphere.triangles, ["a"] * len(sphere.faces)).planes.mirrors) == len(sphere.faces)
