@@ -132,7 +132,7 @@ def collect(traced: TracedSource, mics_m: ArrayLike, facings: Sequence[FloatArra
     radii_m, volumes_m3 = receiver_spheres(room, mics_m)
     rays = _Rays(paths.hits, paths.codes, paths.first, paths.counts, paths.normals,
                  level_surfaces(room)[paths.face_surface], float(paths.scattering[0]))
-    rules = Rules(-1, paths.late_m)
+    rules = Rules(-1, paths.late_m, paths.curved)
     tables = []
     for m, (mic_m, facing) in enumerate(zip(mics_m, facings, strict=True)):
         distance_m = float(np.linalg.norm(mic_m - source_pos_m))

@@ -12,6 +12,8 @@ _FLAT_RAD = np.radians(0.5)
 _FLAT_M = 2e-3
 """Corners of one wall lie this close to its plane: files state them to a millimetre, or to less after a rotation."""
 _FLUSH_M = 1e-4  # a corner this close to the plane of the adjacent face, however narrow the faces are
+FACET_RAD = np.radians(10.0)
+"""Angle up to which two faces in different planes may be facets of a curved surface."""
 _PLANE_DIGITS = np.array([1e5, 1e5, 1e5, 1e4])  # of unit normals, and of offsets [m]
 
 
@@ -147,6 +149,32 @@ def _joined(count: int, pairs: IntArray) -> IntArray:
     """Return the number of the connected component of each of `count` nodes, for pairs of shape (n, 2)."""
     graph = scipy.sparse.coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count))
     return np.asarray(scipy.sparse.csgraph.connected_components(graph, directed=False)[1])
+
+
+def curved_faces(planes: Planes, meetings: Meetings, area_m2: FloatArray, size_m: float) -> BoolArray:
+    """Tell which faces are facets of curved surfaces, shape (n_faces,).
+
+    A facet meets its neighbour at a small angle, and its width over this angle, the radius of the curvature, is less
+    than the size of the room: sound is focused there.
+
+    Parameters
+    ----------
+    planes, meetings
+        Of the faces.
+    area_m2
+        Shape (n_faces,).
+    size_m
+        Of the room.
+    """
+    region = joined_faces(planes, meetings)
+    normals = planes.mirrors[planes.of_face[meetings.faces], :3]
+    sine, cosine = np.linalg.norm(np.cross(*normals.transpose(1, 0, 2)), axis=1), np.prod(normals, axis=1).sum(axis=1)
+    bent = (region[meetings.faces[:, 0]] != region[meetings.faces[:, 1]]) & (cosine > np.cos(FACET_RAD))
+    sides, number = np.unique(np.sort(region[meetings.faces[bent]], axis=1), axis=0, return_inverse=True)
+    length_m = np.linalg.norm(meetings.end_m - meetings.start_m, axis=1)[bent]
+    turned_m = np.bincount(np.ravel(number), length_m * sine[bent], len(sides))
+    radius_m = np.bincount(region, area_m2)[sides] / np.maximum(turned_m, np.finfo(float).tiny)[:, None]
+    return np.isin(region, sides[radius_m < size_m])
 
 
 def joined_faces(planes: Planes, meetings: Meetings) -> IntArray:

@@ -30,7 +30,7 @@ from roomeq.acoustics.filterbank import SPREAD_S, octave_filterbank
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled
-from roomeq.sim.adjacency import joined_faces
+from roomeq.sim.adjacency import FACET_RAD, joined_faces
 from roomeq.sim.double_diffraction import (
     IN_PLANE_RAD,
     Pieces,
@@ -50,7 +50,6 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 MAX_EDGES = 2000
-MIN_EXCESS_RAD = np.radians(10.0)  # blunter edges belong to curved surfaces, cut into triangles
 PIECE_M = 0.05  # visibility is tested once per piece of this length
 MAX_PIECES, MAX_PIECES_TWICE = 1000, 20  # largest number of pieces of an edge, for first and second order
 _OFF_EDGE_M = 1e-3
@@ -198,7 +197,7 @@ def _find_edges(room: MeshRoom) -> Edges | None:
 
     across, other, normal = away(0), away(1), room.normals[first]
     wedge = np.mod(np.arctan2(np.einsum("ij,ij->i", other, normal), np.einsum("ij,ij->i", other, across)), 2 * np.pi)
-    chosen = np.flatnonzero(wedge > np.pi + MIN_EXCESS_RAD)
+    chosen = np.flatnonzero(wedge > np.pi + FACET_RAD)
     if not len(chosen):
         return None
     faces = np.stack([first, second], axis=1)[chosen]

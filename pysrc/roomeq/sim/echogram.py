@@ -92,7 +92,7 @@ def compute_echograms(paths: Paths, room: Room, absorption: FloatArray, mics_m: 
         for first in range(0, len(mics_m), MICS_PER_PASS):
             batch = slice(first, first + MICS_PER_PASS)
             parts = np.zeros((N_CHUNKS, len(mics_m[batch]), n_frames, BANDS_PER_PASS), dtype=np.float32)
-            constant = (Rules(ism_order, np.float32(paths.late_m)), paths.hits, paths.codes, paths.first,
+            constant = (Rules(ism_order, np.float32(paths.late_m), paths.curved), paths.hits, paths.codes, paths.first,
                         paths.counts, single(paths.normals), reflected, scattering,
                         single(mics_m[batch].T, order="C"), visible[batch], single(spheres.radius_m[batch] ** 2),
                         single(1.0 / spheres.volume_m3[batch]), frames_per_m, gain, limits)

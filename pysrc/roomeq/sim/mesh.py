@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.core.extras import require_packages
-from roomeq.sim.adjacency import Meetings, Planes, find_meetings, find_planes
+from roomeq.sim.adjacency import Meetings, Planes, curved_faces, find_meetings, find_planes
 from roomeq.sim.images import SpecularPaths
 from roomeq.sim.meshfile import read_triangles
 from roomeq.sim.mirrors import find_sequences, visible_paths
@@ -108,6 +108,12 @@ class MeshRoom:
         return find_planes(self.triangles, self.normals, self.face_area_m2, self.meetings)
 
     @cached_property
+    def curved(self) -> BoolArray:
+        """Whether each face is a facet of a curved surface, which has no image sources, shape (n_faces,)."""
+        low, high = self.bounds_m
+        return curved_faces(self.planes, self.meetings, self.face_area_m2, float(np.linalg.norm(high - low)))
+
+    @cached_property
     def walls(self) -> Walls | None:
         """The planes of a convex room of at most `_MAX_WALLS`, each of one surface; None for other rooms."""
         plane, mirrors = self.planes
@@ -115,7 +121,8 @@ class MeshRoom:
         if not self.convex or len(wall) > len(mirrors) or len(wall) > _MAX_WALLS:
             return None
         low, high = self.bounds_m
-        return Walls(mirrors[:, :3].copy(), mirrors[:, 3].copy(), wall[:, 1], high - low)
+        curved = np.bincount(plane, self.curved) > 0
+        return Walls(mirrors[:, :3].copy(), mirrors[:, 3].copy(), wall[:, 1], curved, high - low)
 
     @property
     def surface_area_m2(self) -> FloatArray:
@@ -189,7 +196,7 @@ class MeshRoom:
         """Find the purely specular paths up to an order; see `roomeq.sim.images.specular_paths`."""
         (plane, mirrors), source_m = self.planes, np.asarray(source_pos_m, dtype=float)
         sequences = self.remember(f"sequences of order {order}", tuple(source_m), KEPT_SOURCES, lambda: find_sequences(
-            self.tree, plane, mirrors, self.normals, source_m, order))
+            self.tree, plane, mirrors, self.normals, self.curved, source_m, order))
         return visible_paths(sequences, self.tree, plane, mirrors, self.face_surface, len(self.surfaces),
                              np.asarray(mic_pos_m, dtype=float))
 

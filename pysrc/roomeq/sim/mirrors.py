@@ -8,6 +8,7 @@ import scipy  # its submodules are slow to import and load themselves when first
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
 from roomeq.core.jit import compiled, for_chunks, inlined
+from roomeq.sim.adjacency import FACET_RAD
 from roomeq.sim.images import SpecularPaths
 from roomeq.sim.trace import sphere_directions
 from roomeq.sim.tree import FRONTS, Tree, crosses, first_hit, memory
@@ -16,10 +17,10 @@ logger = logging.getLogger(__name__)
 
 _ON_PLANE_M = 1e-4
 """A path that meets a face this close to another plane meets both: corners are rounded."""
-_EDGE_COSINE = np.cos(np.radians(10.0))  # of the angle between planes that are close to each other at an edge alone
+_EDGE_COSINE = np.cos(FACET_RAD)  # of the angle between planes that are close to each other at an edge alone
 _SAME_M = 1e-3  # between image sources of different sequences that are one
 _RAYS = 20000  # that search for sequences
-_CURVED = 0.25  # share of them that find different sequences of second order: far fewer do where surfaces are flat
+_UNEVEN = 0.25  # share of them that find different sequences of second order: far fewer do where surfaces are flat
 
 
 class Sequences(NamedTuple):
@@ -40,9 +41,12 @@ class Sequences(NamedTuple):
     images: FloatArray
 
 
-def find_sequences(tree: Tree, plane: IntArray, mirrors: FloatArray, normals: FloatArray, source_m: FloatArray,
-                   order: int) -> Sequences:
+def find_sequences(tree: Tree, plane: IntArray, mirrors: FloatArray, normals: FloatArray, curved: BoolArray,
+                   source_m: FloatArray, order: int) -> Sequences:
     """Find the sequences of planes that reflect rays of a source.
+
+    Facets of curved surfaces are no mirrors: several of them show the same reflection, or its parts, and image sources
+    of full strength, in phase, would be far too loud.
 
     Parameters
     ----------
@@ -54,6 +58,8 @@ def find_sequences(tree: Tree, plane: IntArray, mirrors: FloatArray, normals: Fl
         Unit normal and offset [m] of each plane, shape (n_planes, 4).
     normals
         Of the faces, shape (n_faces, 3).
+    curved
+        Whether each face is a facet of a curved surface, shape (n_faces,).
     source_m
         Shape (3,).
     order
@@ -66,8 +72,8 @@ def find_sequences(tree: Tree, plane: IntArray, mirrors: FloatArray, normals: Fl
     """
     directions = sphere_directions(_RAYS, np.random.default_rng(1))
     hit = np.full((len(directions), order), -1, dtype=np.int64)
-    for_chunks(len(directions), lambda chunk, low, high: _reflect(tree, plane, normals, source_m, directions[low:high],
-                                                                  hit[low:high]))
+    for_chunks(len(directions), lambda chunk, low, high: _reflect(tree, plane, normals, curved, source_m,
+                                                                  directions[low:high], hit[low:high]))
     planes, lengths = [np.full((1, order), -1)], [np.zeros(1, dtype=np.int64)]
     same = np.zeros(len(hit), dtype=np.int64)  # number of the sequence so far
     for k in range(order):
@@ -76,8 +82,8 @@ def find_sequences(tree: Tree, plane: IntArray, mirrors: FloatArray, normals: Fl
         _, first, same = np.unique(same * len(mirrors) + hit[:, k], return_index=True, return_inverse=True)
         planes.append(np.where(np.arange(order) <= k, hit[first], -1))
         lengths.append(np.full(len(first), k + 1))
-        if k == 1 and len(first) > _CURVED * _RAYS:
-            logger.warning("the mesh has curved surfaces of many small faces: %d rays find only a part of the image "
+        if k == 1 and len(first) > _UNEVEN * _RAYS:
+            logger.warning("the mesh has uneven surfaces of many small faces: %d rays find only a part of the image "
                            "sources, and specular sound is too weak; make the faces larger, or use ism_order 0 or 1",
                            _RAYS)
     joined = np.concatenate(planes)
@@ -125,15 +131,16 @@ def _departures(mirrors: FloatArray, planes: IntArray, direction: FloatArray) ->
 
 
 @compiled
-def _reflect(tree: Tree, plane: Array, normals: Array, source_m: Array, directions: Array, hit: Array) -> None:
-    """Write the planes that reflect rays, one after the other, to `hit`, shape (n_rays, order)."""
+def _reflect(tree: Tree, plane: Array, normals: Array, curved: Array, source_m: Array, directions: Array,
+             hit: Array) -> None:
+    """Write the planes that reflect rays up to a curved surface, one after the other, to `hit`, (n_rays, order)."""
     search = memory(tree)
     for ray in range(len(directions)):
         x, y, z = source_m[0], source_m[1], source_m[2]
         u, v, w = directions[ray, 0], directions[ray, 1], directions[ray, 2]
         for k in range(hit.shape[1]):
             face, distance = first_hit(tree, search, (x, y, z), (u, v, w), FRONTS)
-            if face < 0:
+            if face < 0 or curved[face]:
                 break
             hit[ray, k] = plane[face]
             x, y, z = x + distance * u, y + distance * v, z + distance * w

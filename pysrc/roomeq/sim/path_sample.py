@@ -309,7 +309,7 @@ def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatAr
     sums = np.zeros((*shape, 2 * _PER_CHUNK), dtype=np.float32)
     kept = np.zeros((*shape, _PER_CHUNK), dtype=np.uint32)
     weight = _NO_WEIGHT if ray_weight is None else single(ray_weight)
-    constant = (Rules(ism_order, np.float32(paths.late_m)), paths.hits, paths.codes, paths.first,
+    constant = (Rules(ism_order, np.float32(paths.late_m), paths.curved), paths.hits, paths.codes, paths.first,
                 paths.counts, single(paths.normals), paths.face_surface,
                 single(1.0 - references), single(paths.scattering),
                 single(mics_m.T, order="C"), visible, single(spheres.radius_m ** 2), single(1.0 / spheres.volume_m3),

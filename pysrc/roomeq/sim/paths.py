@@ -7,7 +7,7 @@ Every path counts once. There are two kinds of contribution:
   whichever way the ray itself continues.
 - A path whose last reflection is specular counts by the length of its last segment inside a sphere around the
   receiver that the receiver sees: energy density is ``power * length / volume``. Purely specular paths up to the
-  image-source order are left to `roomeq.sim.images`.
+  image-source order are left to `roomeq.sim.images`, except those that a curved surface reflects.
 
 Once reflections are denser than samples (`roomeq.sim.trace.dense_after_s`), rays play Russian roulette, and next-event
 estimation uses only the reflections at which the ray did continue diffusely, weighted by 1 / s: the expected value is
@@ -47,10 +47,13 @@ class Rules(NamedTuple):
         Purely specular paths with at most this many reflections don't count; -1 counts all of them.
     late_m
         Path length [m] beyond which reflections are dense.
+    curved
+        Whether each face is a facet of a curved surface, which has no image sources, shape (n_faces,).
     """
 
     ism_order: int
     late_m: Number
+    curved: Array
 
 
 class Step(NamedTuple):
@@ -65,7 +68,7 @@ class Step(NamedTuple):
     diffuse
         Whether the ray continues diffusely.
     purely_specular
-        Whether all reflections so far are specular.
+        Whether all reflections so far are specular, and at flat surfaces.
     """
 
     represents_two: bool
@@ -192,7 +195,7 @@ def follow(step: Step, rules: Rules, code: Number, path_m: Number, scattering: N
     """
     diffuse, late = (code & 1) == 1, path_m > rules.late_m
     scattered = np.float32(code & 1) if late else np.float32(scattering)
-    return Step((code & 2) == 2, scattered, diffuse, step.purely_specular and not diffuse)
+    return Step((code & 2) == 2, scattered, diffuse, step.purely_specular and not (diffuse or rules.curved[code >> 2]))
 
 
 @inlined

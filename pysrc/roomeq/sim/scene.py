@@ -143,7 +143,7 @@ class Shoebox:
     def walls(self) -> Walls | None:
         normals = np.repeat(np.eye(3), 2, axis=0) * np.array([1.0, -1.0] * 3)[:, None]
         offsets = np.where(np.arange(6) % 2 == 0, 0.0, -np.repeat(self.dims_m, 2))
-        return Walls(normals, offsets, np.arange(6), np.array(self.dims_m))
+        return Walls(normals, offsets, np.arange(6), np.zeros(6, np.bool_), np.array(self.dims_m))
 
     def sphere_radius_m(self, center_m: ArrayLike, radius_m: float) -> float:
         """Radius of a receiver sphere: as wanted, since walls only cut it."""

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomeq.core.arrays import Array, FloatArray, IntArray, Number, Numbers
+from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number, Numbers
 from roomeq.core.jit import compiled, for_chunks, inlined, mix, uniform
 from roomeq.sim.room import Room
 from roomeq.sim.tree import BEHIND_M, FRONTS, Tree, first_hit, memory
@@ -59,6 +59,8 @@ class Paths:
         Unit normals of the faces into the air, shape (n_faces, 3).
     face_surface
         Surface of each face, shape (n_faces,).
+    curved
+        Whether each face is a facet of a curved surface, shape (n_faces,).
     counts
         Reflections stored of each ray, shape (n_rays,), int32.
     scattering
@@ -78,6 +80,7 @@ class Paths:
     first: IntArray
     normals: FloatArray
     face_surface: IntArray
+    curved: BoolArray
     counts: Array
     scattering: FloatArray
     late_m: float
@@ -184,7 +187,7 @@ def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_ray
                     np.zeros(num_rays, np.int32)))
     traced = _trace_rays(room, 4.0 * room.volume_m3 / float(area_m2.sum()), known, *how)
     return Paths(source_pos_m, directions, traced.hits, traced.codes, traced.first, faces.normals, faces.face_surface,
-                 traced.counts, scattering, late_m, max_length_m, traced.n_leaked)
+                 faces.curved, traced.counts, scattering, late_m, max_length_m, traced.n_leaked)
 
 
 def late_after_s(volume_m3: float, speed_m_s: float) -> float:

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from roomeq.core.arrays import FloatArray, IntArray
+from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -20,6 +20,8 @@ class Walls:
         Shape (n_walls,).
     face_surface
         Surface of each wall, shape (n_walls,).
+    curved
+        Whether each wall is a facet of a curved surface, shape (n_walls,).
     size_m
         Of the box around the room, shape (3,).
     """
@@ -27,6 +29,7 @@ class Walls:
     normals: FloatArray
     offsets: FloatArray
     face_surface: IntArray
+    curved: BoolArray
     size_m: FloatArray
 
     @cached_property

@@ -34,6 +34,11 @@ def box(low_m, high_m):
     return trimesh.creation.box(bounds=(low_m, high_m))
 
 
+def circle(n_corners, radius_m):
+    angle = 2.0 * np.pi * np.arange(n_corners) / n_corners
+    return np.round(radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=1), 6)
+
+
 def apply(rotation, triangles):
     return rotation.apply(np.array(triangles).reshape(-1, 3)).reshape(-1, 3, 3)
 
@@ -84,6 +89,17 @@ def test_uneven_walls_reflect_once_each():
     for mic_m in rng.uniform([1.0, 1.0, 1.0], [5.0, 3.0, 2.0], (6, 3)):
         expected = specular_paths(Shoebox((6.0, 4.0, 3.0)), source_m, mic_m, 1).distance_m
         assert specular_paths(room, source_m, mic_m, 1).distance_m == pytest.approx(expected, abs=0.01)
+
+
+@pytest.mark.parametrize("plan, n_facets", [
+    (circle(64, 3.0), 64), (circle(8, 3.0), 0),
+    ([(0.0, 0.0), (4.0, 0.0), (8.0, 0.35), (8.0, 5.0), (0.0, 5.0)], 0),
+    ([*(circle(64, 4.0)[:33] + [0.0, 5.0]), (-4.0, 0.0), (4.0, 0.0)], 32),
+], ids=["cylinder", "octagon", "wall with a bend of 5 degrees", "hall with a round end"])
+def test_facets_of_curved_walls_are_told_from_flat_ones(plan, n_facets, tmp_path):
+    (tmp_path / "room.obj").write_text(prism_obj(plan, 3.0))
+    room = load_mesh(tmp_path / "room.obj")
+    assert len(np.unique(room.planes.of_face[room.curved])) == n_facets
 
 
 def test_faces_of_curved_surfaces_lie_in_planes_of_their_own():
