@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 MAX_PATHS = 15_000  # largest number of pairs of pieces
-MIN_EXCESS_RAD = np.radians(40.0)  # of the open angle over pi; blunter edges diffract too little in second order
 _STEP_SAMPLES = 1.0  # largest change of the arrival time within a step
 _MIN_PRESSURE = 1e-4  # relative to the free-field direct sound; a weaker pair of pieces is integrated in one step
 _MIN_RADIUS_M = 1e-6  # points closer to the line of an edge are skipped
@@ -92,8 +91,7 @@ def find_double_paths(room: "MeshRoom", edges: "Edges", pieces: Pieces, source_p
         Index of the first piece, which the source sees, and of the second, which the microphone sees; then which face
         (0 or 1) of the first edge, and which of the second edge, is the common face.
     """
-    sharp = (edges.wedge_rad > np.pi + MIN_EXCESS_RAD)[pieces.edge]
-    first, second = (np.flatnonzero(seen & sharp) for seen in (seen_by_source, seen_by_mic))
+    first, second = np.flatnonzero(seen_by_source), np.flatnonzero(seen_by_mic)
     point_m, length_m = pieces.point_m, pieces.high_m - pieces.low_m
     weights = (length_m / np.linalg.norm(point_m - np.asarray(end_m), axis=1) for end_m in (source_pos_m, mic_pos_m))
     paths, weight = _pairs(first, _ranges(pieces.edge[first], len(edges)), second,
