@@ -27,7 +27,7 @@ from roomeq.loop.geometry import Estimate, complete_geometry
 from roomeq.loop.measurability import comparable_levels, limit_to_excitation
 from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, decay_range_s, draw_path_samples
 from roomeq.loop.tables import ANGLES, Table, collect, frame_edges_s, level_surfaces
-from roomeq.loop.traces import StoredSample, StoredTrace, TraceFolder
+from roomeq.loop.traces import StoredSample, StoredTrace, TraceFile
 from roomeq.loop.usable import LeftOut, UsableRirs
 from roomeq.records.geometry import is_too_close, place_key
 from roomeq.records.rir_dir import load_rir, rir_path
@@ -356,7 +356,7 @@ def _trace_sources(rows: list[RirRow], places: list[Place], features: list[Featu
     """Trace each source of each room once; return what RIRs are rendered and predicted from, of each RIR."""
     by_source = numbers_by((row["room_id"], place.source_pos_m, air_of(row))
                            for row, place in zip(rows, places, strict=True))
-    folder = TraceFolder()
+    file = TraceFile()
 
     def trace(room_id: str, source_pos_m: tuple, air: Air, members: list[int]
               ) -> tuple[list[StoredTrace], list[StoredSample], list[Table]]:
@@ -380,8 +380,8 @@ def _trace_sources(rows: list[RirRow], places: list[Place], features: list[Featu
         samples = draw_path_samples(source, mics_m, facings, decays_s,
                                     [rng_for(seed, "loop paths", rows[n]["id"]) for n in members])
         # whole paths are needed once more where a facing is to be estimated
-        stored = folder.store(source, str(members[0]), paths=any(facing is None for facing in facings))
-        return [stored] * len(members), folder.store_samples(samples), collect(source, mics_m, facings)
+        stored = file.store(source, paths=any(facing is None for facing in facings))
+        return [stored] * len(members), file.store_samples(samples), collect(source, mics_m, facings)
 
     # threads: paths are large, and their kernels release the interpreter's lock
     workers = Parallel(n_jobs=nj, prefer="threads", return_as="generator")

@@ -257,7 +257,7 @@ def with_facings(data: Data, facings: Mapping[int, FloatArray], *, resample: boo
         decays_s = decay_range_s(data.features[members], data.valid[members], LENGTHS_S[0]) or UNKNOWN_DECAYS_S
         drawn = draw_path_samples(traced, mics_m, of_members, decays_s,
                                   [rng_for(data.seed, "loop paths", data.rows[n]["id"]) for n in members])
-        for n, sample in zip(members, data.traced[members[0]].folder.store_samples(drawn), strict=True):
+        for n, sample in zip(members, data.traced[members[0]].file.store_samples(drawn), strict=True):
             path_samples[n] = sample
 
     on_threads(turn, [(members,) for members in by_trace.values()], threads)

@@ -1,14 +1,17 @@
-"""Rays, paths and samples of paths in files until they are needed: they are most of what a loop remembers."""
+"""Rays, paths and samples of paths in a file until they are needed: they are most of what a loop remembers."""
 
+import math
+import mmap
+import os
 import tempfile
-from collections.abc import Sequence
+import threading
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import count
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from roomeq.core.arrays import Array
 from roomeq.sim.path_sample import PathSample
 from roomeq.sim.response import TracedSource
 from roomeq.sim.scene import Scene
@@ -17,69 +20,106 @@ from roomeq.sim.trace import Paths
 Holder = TypeVar("Holder", Paths, PathSample)
 
 _RAYS, _PATHS = ("directions",), ("hits", "codes", "first", "counts")
-"""Arrays of `roomeq.sim.trace.Paths` that are kept in files: for every rendering, and for whole paths alone."""
+"""Arrays of `roomeq.sim.trace.Paths` that are kept in the file: for every rendering, and for whole paths alone."""
 _SAMPLE = ("weight", "reflection_counts", "last_reflection", "specular", "rays")
-"""Arrays of a `PathSample` that are kept in files."""
+"""Arrays of a `PathSample` that are kept in the file."""
 
 
-class TraceFolder:
-    """A temporary folder of traces and samples; it disappears with the last one that it holds."""
+class _StoredArray(NamedTuple):
+    """Where an array lies in the file, and what it is."""
+
+    offset: int
+    dtype: np.dtype
+    shape: tuple[int, ...]
+
+
+class TraceFile:
+    """A temporary file of traces and samples.
+
+    It has no name: its space is free again when the process and those that it has forked have ended, also by a signal.
+    """
 
     def __init__(self) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="roomeq-traces-")
-        self._samples = count()
+        self._file = tempfile.TemporaryFile(prefix="roomeq-traces-", buffering=0)
+        self._lock = threading.Lock()
+        self._end = 0
 
-    def store(self, traced: TracedSource, name: str, *, paths: bool = True) -> "StoredTrace":
-        """Move a traced source to files that begin with a name; without its `paths`, if nobody needs them any more."""
-        first = Path(self._folder.name) / name
-        for n, of_trace in enumerate(traced.paths):
-            _save(of_trace, _RAYS + _PATHS * paths, f"{first}-{n}")
+    def store(self, traced: TracedSource, *, paths: bool = True) -> "StoredTrace":
+        """Move a traced source to the file; without its `paths`, if nobody needs them any more."""
+        stored = tuple(self._save(of_trace, _RAYS + _PATHS * paths) for of_trace in traced.paths)
         bare = replace(traced, paths=tuple(_emptied(of_trace, _RAYS + _PATHS) for of_trace in traced.paths))
-        return StoredTrace(bare, first, paths, self)
+        return StoredTrace(bare, stored, paths, self)
 
     def store_samples(self, samples: Sequence[PathSample]) -> list["StoredSample"]:
-        """Move samples to files; those that several microphones share, once."""
+        """Move samples to the file; those that several microphones share, once."""
         stored: dict[int, StoredSample] = {}
         for sample in samples:
             if id(sample) not in stored:
-                first = Path(self._folder.name) / f"sample{next(self._samples)}"
-                _save(sample, _SAMPLE, str(first))
-                stored[id(sample)] = StoredSample(_emptied(sample, _SAMPLE), first, self)
+                stored[id(sample)] = StoredSample(_emptied(sample, _SAMPLE), self._save(sample, _SAMPLE), self)
         return [stored[id(sample)] for sample in samples]
+
+    def load(self, holder: Holder, arrays: Mapping[str, _StoredArray], names: Sequence[str]) -> Holder:
+        """Return a holder with some of its arrays, which are mapped from the file, and leave memory with it."""
+        loaded: dict[str, Any] = {name: self._map(arrays[name]) for name in names}
+        return replace(holder, **loaded)
+
+    def _save(self, holder: Paths | PathSample, names: Sequence[str]) -> dict[str, _StoredArray]:
+        return {name: self._append(np.ascontiguousarray(getattr(holder, name))) for name in names}
+
+    def _append(self, array: Array) -> _StoredArray:
+        with self._lock:  # mappings begin at whole pages
+            offset = self._end
+            self._end += math.ceil(array.nbytes / mmap.ALLOCATIONGRANULARITY) * mmap.ALLOCATIONGRANULARITY
+        rest, at = array.reshape(-1).view(np.uint8).data, offset
+        try:
+            while len(rest):
+                n_written = os.pwrite(self._file.fileno(), rest, at)
+                rest, at = rest[n_written:], at + n_written
+        except OSError as error:
+            raise ValueError(f"{tempfile.gettempdir()}: {error.strerror}: free some space there, or name another "
+                             "folder for temporary files in TMPDIR") from None
+        return _StoredArray(offset, array.dtype, array.shape)
+
+    def _map(self, stored: _StoredArray) -> Array:
+        n_bytes = math.prod(stored.shape) * stored.dtype.itemsize
+        if n_bytes == 0:
+            return np.empty(stored.shape, stored.dtype)
+        # copy on write: kernels are compiled for writable arrays
+        mapped = mmap.mmap(self._file.fileno(), n_bytes, access=mmap.ACCESS_COPY, offset=stored.offset)
+        return np.frombuffer(mapped, stored.dtype).reshape(stored.shape)
 
 
 @dataclass(frozen=True, eq=False)
 class StoredSample:
-    """A `PathSample` in a `TraceFolder`: `bare` is without its arrays, whose files have names that begin with `first`.
-    """
+    """A `PathSample` in a `TraceFile`: `bare` is without its arrays."""
 
     bare: PathSample
-    first: Path
-    folder: TraceFolder
+    arrays: Mapping[str, _StoredArray]
+    file: TraceFile
 
     def load(self) -> PathSample:
-        """Return the sample; its arrays are mapped from the files, and leave memory with it."""
-        return _mapped(self.bare, _SAMPLE, str(self.first))
+        """Return the sample; its arrays are mapped from the file, and leave memory with it."""
+        return self.file.load(self.bare, self.arrays, _SAMPLE)
 
 
 @dataclass(frozen=True, eq=False)
 class StoredTrace:
-    """A traced source in a `TraceFolder`.
+    """A traced source in a `TraceFile`.
 
     Attributes
     ----------
     bare : TracedSource
         Without its rays and paths.
-    first : Path
-        Beginning of the names of their files.
+    arrays : tuple of dict
+        Where the rays and paths of each trace are.
     has_paths : bool
-    folder : TraceFolder
+    file : TraceFile
     """
 
     bare: TracedSource
-    first: Path
+    arrays: tuple[Mapping[str, _StoredArray], ...]
     has_paths: bool
-    folder: TraceFolder
+    file: TraceFile
 
     @property
     def scene(self) -> Scene:
@@ -91,7 +131,7 @@ class StoredTrace:
         return self._with(_RAYS)
 
     def load(self) -> TracedSource:
-        """Return the traced source; its arrays are mapped from the files, and leave memory with it.
+        """Return the traced source; its arrays are mapped from the file, and leave memory with it.
 
         Raises
         ------
@@ -103,29 +143,10 @@ class StoredTrace:
         return self._with(_RAYS + _PATHS)
 
     def _with(self, names: tuple[str, ...]) -> TracedSource:
-        return replace(self.bare, paths=tuple(_mapped(paths, names, f"{self.first}-{n}")
-                                              for n, paths in enumerate(self.bare.paths)))
-
-
-def _save(holder: Holder, names: tuple[str, ...], first: str) -> None:
-    for name in names:
-        path, array = f"{first}-{name}.npy", np.ascontiguousarray(getattr(holder, name))
-        try:
-            with open(path, "wb") as stream:
-                np.lib.format.write_array_header_1_0(stream, np.lib.format.header_data_from_array_1_0(array))
-                stream.write(array.data)  # the error of `numpy.save` on a full disk says neither where nor why
-        except OSError as error:
-            raise ValueError(f"{path}: {error.strerror}: free some space there, or name another folder for temporary "
-                             "files in TMPDIR") from None
+        return replace(self.bare, paths=tuple(self.file.load(paths, arrays, names)
+                                              for paths, arrays in zip(self.bare.paths, self.arrays, strict=True)))
 
 
 def _emptied(holder: Holder, names: tuple[str, ...]) -> Holder:
     empty: dict[str, Any] = {name: getattr(holder, name)[:0].copy() for name in names}
     return replace(holder, **empty)
-
-
-def _mapped(holder: Holder, names: tuple[str, ...], first: str) -> Holder:
-    # copy on write: kernels are compiled for writable arrays
-    arrays: dict[str, Any] = {name: np.asarray(np.lib.format.open_memmap(f"{first}-{name}.npy", mode="c"))
-                              for name in names}
-    return replace(holder, **arrays)

@@ -1,13 +1,17 @@
-"""Traces in files: the same paths, and a folder that disappears with them."""
+"""Traces in a file: the same paths, and nothing is left of it."""
 
-import gc
+import os
 import resource
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from roomeq.loop.traces import TraceFolder
+import roomeq
+from roomeq.loop.traces import TraceFile
 from roomeq.sim.path_sample import sample_paths
 from roomeq.sim.response import trace_source
 from roomeq.sim.scene import Material, Scene, Shoebox
@@ -20,7 +24,7 @@ def trace():
 
 def test_stored_trace_loads_the_same_paths():
     traced = trace()
-    loaded = TraceFolder().store(traced, "room").load()
+    loaded = TraceFile().store(traced).load()
     (before,), (after,) = traced.paths, loaded.paths
     for name in ("directions", "hits", "codes", "first", "counts"):
         np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
@@ -29,14 +33,14 @@ def test_stored_trace_loads_the_same_paths():
 
 
 def test_change_of_a_loaded_path_is_not_stored():
-    stored = TraceFolder().store(trace(), "room")
+    stored = TraceFile().store(trace())
     stored.load().paths[0].hits[:] = 0.0
     assert stored.load().paths[0].hits.any()
 
 
 def test_paths_that_were_not_stored_cannot_be_loaded():
     traced = trace()
-    stored = TraceFolder().store(traced, "room", paths=False)
+    stored = TraceFile().store(traced, paths=False)
     (bare,), (rays,) = stored.bare.paths, stored.with_rays().paths
     assert not any(len(getattr(bare, name)) for name in ("directions", "hits", "codes", "first", "counts"))
     np.testing.assert_array_equal(rays.directions, traced.paths[0].directions)
@@ -48,7 +52,7 @@ def test_stored_sample_loads_the_same_paths():
     traced, mics_m = trace(), np.array([[3.0, 2.0, 1.2], [3.0, 2.01, 1.2], [4.0, 3.0, 1.2]])
     samples = sample_paths(traced, mics_m, np.full((6, 8), 0.2), [np.random.default_rng(n) for n in range(3)],
                            ism_order=2, n_frames=200)
-    stored = TraceFolder().store_samples(samples)
+    stored = TraceFile().store_samples(samples)
     assert stored[0] is stored[1] and stored[1] is not stored[2]  # as the samples of close microphones
     for sample, of_mic in zip(samples, stored, strict=True):
         for name, value in vars(of_mic.load()).items():
@@ -59,17 +63,17 @@ def test_full_disk_of_temporary_files_is_named():
     traced, before = trace(), resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (3000, before[1]))
     try:
-        with pytest.raises(ValueError, match=r"roomeq-traces-\S+/room-0-directions.npy: File too large: free some "
-                                             "space there, or name another folder for temporary files in TMPDIR"):
-            TraceFolder().store(traced, "room")
+        with pytest.raises(ValueError, match="/.*: File too large: free some space there, or name another folder for "
+                                             "temporary files in TMPDIR"):
+            TraceFile().store(traced)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_folder_disappears_with_its_last_trace():
-    stored = TraceFolder().store(trace(), "room")
-    folder = Path(stored.first).parent
-    assert len(list(folder.iterdir())) == 5
-    del stored
-    gc.collect()
-    assert not folder.exists()
+def test_nothing_is_left_where_the_process_is_killed(tmp_path):
+    script = ("import os, signal; from test_traces import trace; from roomeq.loop.traces import TraceFile; "
+              "stored = TraceFile().store(trace()); assert stored.load().paths[0].hits.any(); "
+              "os.kill(os.getpid(), signal.SIGKILL)")
+    paths = os.pathsep.join(map(str, (Path(__file__).parent, Path(roomeq.__file__).parents[1])))
+    done = subprocess.run([sys.executable, "-c", script], env=os.environ | dict(TMPDIR=str(tmp_path), PYTHONPATH=paths))
+    assert done.returncode == -signal.SIGKILL and not list(tmp_path.iterdir())
