@@ -22,6 +22,7 @@ PATTERNS = {"omnidirectional": 1.0, "subcardioid": 0.75, "cardioid": 0.5, "super
             "hypercardioid": 0.25, "figure_eight": 0.0}
 """Share a of the omnidirectional part in the pattern ``a + (1 - a) cos(theta)``."""
 _N_NEIGHBOURS = 4  # measured directions that a gain is interpolated from where they do not surround the device
+_PER_BAND = 24  # frequencies over which an octave is averaged
 _SAME_RAD = 0.005  # between directions in one half-plane, about the axis, and between the axis and what lies on it
 _LEAST_SURROUND = 0.05  # distance of the planes through them from the device, on the unit sphere
 _CANDIDATES = (2, 8, 32, 128, 512)  # triangles that a direction is tested against: several may share a plane
@@ -68,12 +69,15 @@ class FirstOrder:
 class DirectivityTable:
     """A measured directivity: gains at some directions and frequencies, without phase.
 
-    Gains are interpolated in dB over log frequency, and as pressure over the triangle of measured directions that a
-    direction lies in, linearly. Polar diagrams, which are measured in one plane through the main axis or a few, are
-    interpolated over the angle from the axis, in the half-planes on either side of a direction. The weights of both are
-    the squares of a cosine and a sine, so that a single plane is turned about the axis. Other directions that do not
-    lie all around the device count by the four nearest ones, weighted by the inverse of their distance. Beyond the
-    lowest and highest frequency the gain is that of the outermost one.
+    Gains are interpolated in dB over log frequency. An octave in which several frequencies were measured has their mean
+    energy, up to half the sample rate: notches are narrower than octaves. Beyond the lowest and highest frequency the
+    gain is that of the outermost one.
+
+    Between directions, pressure is interpolated linearly over the triangle of measured directions that a direction lies
+    in. Polar diagrams, which are measured in one plane through the main axis or a few, are interpolated over the angle
+    from the axis, in the half-planes on either side of a direction. The weights of both are the squares of a cosine and
+    a sine, so that a single plane is turned about the axis. Other directions that do not lie all around the device
+    count by the four nearest ones, weighted by the inverse of their distance.
 
     Attributes
     ----------
@@ -180,9 +184,21 @@ class DirectivityTable:
 
     def _in_bands(self, fs_hz: float) -> FloatArray:
         if fs_hz not in self._bands:
-            self._bands[fs_hz] = 10.0 ** (0.05 * np.array([
-                np.interp(np.log(exact_bands_hz(fs_hz)), np.log(self.frequencies_hz), row) for row in self.gains_db]))
+            at_hz = [self._frequencies_in(band_hz, 0.5 * fs_hz) for band_hz in exact_bands_hz(fs_hz)]
+            counts = np.array([len(of_band) for of_band in at_hz])
+            place, known = np.log(np.concatenate(at_hz)), np.log(self.frequencies_hz)
+            energy = 10.0 ** (0.1 * np.array([np.interp(place, known, row) for row in self.gains_db]))
+            first = np.cumsum(counts) - counts
+            self._bands[fs_hz] = np.sqrt(np.add.reduceat(energy, first, axis=1) / counts)
         return self._bands[fs_hz]
+
+    def _frequencies_in(self, band_hz: float, highest_hz: float) -> FloatArray:
+        """Return frequencies over which the energy in an octave is averaged, its middle where at most one was measured.
+        """
+        low_hz, high_hz = band_hz / np.sqrt(2.0), min(band_hz * np.sqrt(2.0), highest_hz)
+        n_measured = np.count_nonzero((self.frequencies_hz >= low_hz) & (self.frequencies_hz <= high_hz))
+        share = (np.arange(_PER_BAND) + 0.5) / _PER_BAND
+        return low_hz * (high_hz / low_hz) ** share if n_measured > 1 else np.array([band_hz])
 
 
 class _HalfPlanes(NamedTuple):
