@@ -8,17 +8,20 @@ from typing import Any
 import numpy as np
 
 from roomeq.core.arrays import Array, FloatArray
-from roomeq.core.constants import MAX_FS_HZ, exact_bands_hz
 from roomeq.corpora.sofa_file import axes_of, open_sofa, vector_of
 from roomeq.sim.directivity import DirectivityTable
+
+_THIRDS_HZ = tuple(1000.0 * 10.0 ** (0.1 * k) for k in range(-13, 14))
+"""Exact mid-band frequencies of the third octaves that make up the octaves from 62.5 Hz to 16 kHz."""
 
 
 def read_directivity(path: str | PathLike[str], facing: Sequence[float], *, up: Sequence[float] = (0.0, 0.0, 1.0),
                      measurement: int = 0) -> DirectivityTable:
     """Read a directivity from a SOFA file: transfer functions or impulse responses at receivers around a source.
 
-    Energy is averaged over each octave. Gains are relative to the receiver that is nearest to the main axis, so that
-    the table holds the directivity alone, without the device's response.
+    Energy is averaged over each third octave: of the highest octave, not all may be recorded. Gains are relative to the
+    receiver that is nearest to the main axis, so that the table holds the directivity alone, without the device's
+    response.
 
     Parameters
     ----------
@@ -49,8 +52,8 @@ def read_directivity(path: str | PathLike[str], facing: Sequence[float], *, up: 
         raise ValueError(f"{path}: {len(energy)} receivers at {len(directions)} positions must be at least 4, with one "
                          "position each: export it as FreeFieldDirectivityTF")
     bands_hz, means = [], []
-    for band_hz in exact_bands_hz(MAX_FS_HZ):
-        inside = (frequencies_hz >= band_hz / np.sqrt(2.0)) & (frequencies_hz <= band_hz * np.sqrt(2.0))
+    for band_hz in _THIRDS_HZ:
+        inside = (frequencies_hz >= band_hz * 10.0 ** -0.05) & (frequencies_hz <= band_hz * 10.0 ** 0.05)
         if inside.any():
             bands_hz.append(band_hz)
             means.append(energy[:, inside].mean(axis=1))

@@ -18,7 +18,8 @@ def cosine():
 
 def write_tf(path, gain, frequencies_hz=FREQUENCIES_HZ, view=(1, 0, 0), up=(0, 0, 1)):
     sofa = sofar.Sofa("FreeFieldDirectivityTF")
-    response = gain[:, None] * np.exp(-1j * frequencies_hz / 300.0) * (1.0 + frequencies_hz / 1000.0)
+    on_axis = np.exp(-1j * frequencies_hz / 300.0) * (1.0 + frequencies_hz / 1000.0)
+    response = np.reshape(gain, (len(AZIMUTH), -1)) * on_axis
     sofa.Data_Real, sofa.Data_Imag = response.real[None], response.imag[None]
     sofa.N = frequencies_hz
     sofa.protected = False
@@ -36,6 +37,14 @@ def test_measured_cardioid_acts_as_one_relative_to_its_axis(tmp_path):
     directions = np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1], [0.6, -0.8, 0]], dtype=float)
     expected = roomeq.FirstOrder("cardioid", (0, 1, 0)).pressure(directions, 48000)
     assert table.pressure(directions, 48000) == pytest.approx(expected, abs=0.05)
+
+
+def test_gain_of_the_highest_octave_is_that_of_its_recorded_part(tmp_path):
+    """A device that radiates to all sides up to 8 kHz, and above only ahead."""
+    gain = np.where((FREQUENCIES_HZ < 8000.0) | (cosine()[:, None] > 0.5), 1.0, 0.01)
+    table = roomeq.read_directivity(write_tf(tmp_path / "high.sofa", gain), facing=(1, 0, 0))
+    behind = np.array([[-1.0, 0.0, 0.0]])
+    assert table.pressure(behind, 16000)[0, 7] > 0.85 and table.pressure(behind, 48000)[0, 7] < 0.65
 
 
 def test_up_turns_the_device_about_its_axis(tmp_path):
