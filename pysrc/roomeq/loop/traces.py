@@ -37,11 +37,13 @@ class TraceFile:
     """A temporary file of traces and samples.
 
     It has no name: its space is free again when the process and those that it has forked have ended, also by a signal.
+    Only the process that made it stores in it: forked ones would write to the same places.
     """
 
     def __init__(self) -> None:
         self._file = tempfile.TemporaryFile(prefix="roomeq-traces-", buffering=0)
         self._lock = threading.Lock()
+        self._maker = os.getpid()
         self._end = 0
 
     def store(self, traced: TracedSource, *, paths: bool = True) -> "StoredTrace":
@@ -67,6 +69,8 @@ class TraceFile:
         return {name: self._append(np.ascontiguousarray(getattr(holder, name))) for name in names}
 
     def _append(self, array: Array) -> _StoredArray:
+        if os.getpid() != self._maker:
+            raise RuntimeError("a forked process stores in the file of another")
         with self._lock:  # mappings begin at whole pages
             offset = self._end
             self._end += math.ceil(array.nbytes / mmap.ALLOCATIONGRANULARITY) * mmap.ALLOCATIONGRANULARITY

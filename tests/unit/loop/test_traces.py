@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import roomeq
+from roomeq.core.workers import share_out
 from roomeq.loop.traces import TraceFile
 from roomeq.sim.path_sample import sample_paths
 from roomeq.sim.response import trace_source
@@ -36,6 +37,12 @@ def test_change_of_a_loaded_path_is_not_stored():
     stored = TraceFile().store(trace())
     stored.load().paths[0].hits[:] = 0.0
     assert stored.load().paths[0].hits.any()
+
+
+def test_forked_process_cannot_store():
+    file, traced = TraceFile(), trace()
+    with pytest.raises(RuntimeError, match="stores in the file of another"):
+        share_out(lambda _: file.store(traced), range(2), 2, first_here=False, label="store")
 
 
 def test_paths_that_were_not_stored_cannot_be_loaded():
