@@ -1,5 +1,6 @@
 """Traces in a file: the same paths, and nothing is left of it."""
 
+import gc
 import os
 import resource
 import signal
@@ -37,6 +38,16 @@ def test_change_of_a_loaded_path_is_not_stored():
     stored = TraceFile().store(trace())
     stored.load().paths[0].hits[:] = 0.0
     assert stored.load().paths[0].hits.any()
+
+
+def test_file_is_closed_with_its_last_trace():
+    stored = TraceFile().store(trace())
+    descriptor = stored.file._file.fileno()
+    os.fstat(descriptor)
+    del stored
+    gc.collect()
+    with pytest.raises(OSError):
+        os.fstat(descriptor)
 
 
 def test_forked_process_cannot_store():
