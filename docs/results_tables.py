@@ -37,15 +37,21 @@ def write_pages(directory: Path) -> None:
 
 
 def page(title: str, result: dict[str, Any]) -> str:
-    """Return the page of one result: its tables, then where they come from."""
-    parts = [f"# {title}", result["summary"]]
+    """Return the page of one result: what was found, its tables, then where they come from."""
+    parts = [f"# {title}", result["summary"], *([bullets(result["findings"])] if result["findings"] else [])]
     for table in result["tables"]:
         parts += [f"## {table['title']}", markdown(table["columns"], table["rows"])]
         parts += table.get("notes", [])
     machine = ", ".join(f"{key} {value}" for key, value in result["machine"].items()) or "not recorded"
-    parts += ["## How this was measured", f"- command: `{result['command']}`\n- commit: `{result['commit']}`\n"
-              f"- date: {result['date']}\n- machine: {machine}"]
+    parts += ["## How this was measured",
+              bullets([f"command: `{result['command']}`", f"commit: `{result['commit']}`", f"date: {result['date']}",
+                       f"machine: {machine}", *result["notes"]])]
     return "\n\n".join(parts) + "\n"
+
+
+def bullets(texts: list[str]) -> str:
+    """Return a Markdown list."""
+    return "\n".join(f"- {text}" for text in texts)
 
 
 def markdown(columns: list[str], rows: list[list[Any]]) -> str:

@@ -322,7 +322,9 @@ def main() -> None:
     parser.add_argument("file", type=Path)
     parser.add_argument("--commit", help="that the results are of; without it that of the working tree")
     parser.add_argument("--date", default=datetime.date.today().isoformat())
-    parser.add_argument("--note", default="", help="a sentence to put behind the summary")
+    parser.add_argument("--finding", action="append", default=[], help="what the tables show; may be given repeatedly")
+    parser.add_argument("--note", action="append", default=[],
+                        help="how the tables came about, besides the command; may be given repeatedly")
     given = parser.parse_args()
     commit = given.commit or subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=PROJECT, check=True, text=True,
                                             capture_output=True).stdout.strip()
@@ -334,8 +336,8 @@ def main() -> None:
     if of_words:
         machine = {}  # seeds may be of several machines, and this may be another one
     machine = {key: value for key, value in machine.items() if key in ("cpu", "cores", "python")}
-    content = dict(summary=f"{SUMMARY[given.page]} {given.note}".strip(), command=COMMAND[given.page], commit=commit,
-                   date=given.date, machine=machine, tables=READERS[given.page](result))
+    content = dict(summary=SUMMARY[given.page], findings=given.finding, command=COMMAND[given.page], commit=commit,
+                   date=given.date, machine=machine, notes=given.note, tables=READERS[given.page](result))
     out = PROJECT / "docs/results" / f"{given.page}.json"
     out.write_text(json.dumps(kit.plain(content), indent=1, ensure_ascii=False) + "\n")
     print(f"{out.relative_to(PROJECT)} written")
