@@ -213,7 +213,8 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
         tallies = _tally_reflections(paths, len(absorption))
         references = _references(absorption[:, np.equal(traced.trace_of_band, trace)])
         limits = ray_limits(paths, eight_bands((1.0 - references).T[paths.face_surface], 0),
-                            _emitted(ray_weight), n_frames=n_frames, frames_per_m=float(np.float32(1.0 / frame_m)))
+                            _emitted(ray_weight), n_frames=n_frames, frames_per_m=float(np.float32(1.0 / frame_m)),
+                            n_bands=_PER_CHUNK)
         for start in range(0, len(mics_m), MICS_PER_PASS):
             batch = slice(start, start + MICS_PER_PASS)
             _sample_trace(paths, tallies, traced.scene, mics_m[batch], references, limits, seeds[batch],
@@ -307,17 +308,18 @@ def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatAr
         visible = reflection_visibility(paths, scene.room, mics_m, max_path_m=n_frames * FRAME_S * speed_m_s)
     shape = (N_CHUNKS, len(mics_m), n_frames)
     sums = np.zeros((*shape, 2 * _PER_CHUNK), dtype=np.float32)
-    kept = np.zeros((*shape, _PER_CHUNK), dtype=np.uint32)
+    kept, of_ray = np.zeros((2, *shape, _PER_CHUNK), dtype=np.uint32)
     weight = _NO_WEIGHT if ray_weight is None else single(ray_weight)
     constant = (Rules(ism_order, np.float32(paths.late_m), paths.curved), paths.hits, paths.codes, paths.first,
                 paths.counts, single(paths.normals), paths.face_surface,
                 single(1.0 - references), single(paths.scattering),
                 single(mics_m.T, order="C"), visible, single(spheres.radius_m ** 2), single(1.0 / spheres.volume_m3),
                 np.float32(1.0 / (speed_m_s * FRAME_S)), seeds, weight, limits)
-    for_chunks(n_rays, lambda chunk, low, high: _sample(*constant, low, high, sums[chunk], kept[chunk]))
+    for_chunks(n_rays, lambda chunk, low, high: _sample(*constant, low, high, sums[chunk], kept[chunk],
+                                                        of_ray[chunk]))
     power = (1.0 - references[..., None]) ** np.arange(1.0 + paths.counts.max())
     scale = 1.0 / (4.0 * np.pi * n_rays)
-    on_threads(lambda m, arrays: _unpack(sums[:, m], kept[:, m], tallies, power, scale, paths.first, weight, *arrays),
+    on_threads(lambda m, arrays: _unpack(sums[:, m], kept[:, m], of_ray[:, m], tallies, power, scale, weight, *arrays),
                list(enumerate(results)))
 
 
@@ -337,7 +339,7 @@ def _tally(codes: Array, face_surface: Array, first: Array, counts: Array, talli
 
 
 @compiled
-def _unpack(sums: Array, kept: Array, tallies: _Tallies, power: Array, scale: Number, first: Array, ray_weight: Array,
+def _unpack(sums: Array, kept: Array, of_ray: Array, tallies: _Tallies, power: Array, scale: Number, ray_weight: Array,
             weight: Array, counts: Array, last: Array, specular: Array, rays: Array) -> None:
     """Join the strata of one microphone: the weight is 1 over the sum of the densities at both references."""
     n_frames, n_surfaces = len(weight), power.shape[1]
@@ -345,7 +347,7 @@ def _unpack(sums: Array, kept: Array, tallies: _Tallies, power: Array, scale: Nu
         for place in range(weight.shape[1]):
             chunk, n = place // kept.shape[2], place % kept.shape[2]
             at, share0, share1 = kept[chunk, frame, n] & ~_SPECULAR, 1.0, 1.0
-            rays[frame, place] = np.searchsorted(first, at, side="right") - 1
+            rays[frame, place] = of_ray[chunk, frame, n]
             if len(ray_weight):
                 share1 = np.float64(ray_weight[rays[frame, place]])
             last[frame, place] = at
@@ -408,20 +410,21 @@ def _add(row: Array, energy: Number, share0: Number, share1: Number) -> bool:
 
 
 @compiled
-def _replace(sums: Array, kept: Array, m: Number, frame: Number, stream: Number, counter: Number, at: Number) -> None:
+def _replace(sums: Array, kept: Array, of_ray: Array, m: Number, frame: Number, seed: Number, ray: Number,
+             counter: Number, at: Number) -> None:
     """Put a path that has just been added to the sums of a frame into the places of the reservoir that it wins.
 
     A new path replaces the one in a place with probability ``energy / sum so far``. The sum at which that happens next
     is drawn in advance: it exceeds the present one by a factor of more than x with probability 1 / x. Each half of one
     random number serves one place.
     """
-    word = mix(stream + np.uint64(counter) * np.uint64(0x9E3779B97F4A7C15))
+    word = mix(mix(seed + np.uint64(ray)) + np.uint64(counter) * np.uint64(0x9E3779B97F4A7C15))
     for place in range(2):
         total = sums[m, frame, place]
         if total > sums[m, frame, 2 + place]:
             share = np.float32((word & np.uint64(0xFFFFFF)) + np.uint64(1)) * np.float32(2.0 ** -24)
             sums[m, frame, 2 + place] = total / share
-            kept[m, frame, place] = at
+            kept[m, frame, place], of_ray[m, frame, place] = at, ray
         word >>= np.uint64(32)
 
 
@@ -429,7 +432,7 @@ def _replace(sums: Array, kept: Array, m: Number, frame: Number, stream: Number,
 def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: Array, normals: Array,
             face_surface: Array, reflection: Array, scattering: Array, mics: Array, visible: Array, radius2: Array,
             per_volume: Array, frames_per_m: Number, seeds: Array, ray_weight: Array, limits: Array, low: Number,
-            high: Number, sums: Array, kept: Array) -> None:
+            high: Number, sums: Array, kept: Array, of_ray: Array) -> None:
     """Sample the paths of rays `low` to `high`.
 
     Parameters
@@ -438,12 +441,14 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
         Share of energy that is reflected at each reference.
     ray_weight : ndarray of float32, shape (n_rays,)
         Energy of each ray at the second reference; empty if that is 1.
-    limits : ndarray of float32, shape (n_frames, 8)
-        Of the energy of a ray at each reference (`roomeq.sim.ray_limits`); those after the second mean nothing.
+    limits : ndarray of float32, shape (n_frames, 2)
+        Of the energy of a ray at each reference (`roomeq.sim.ray_limits`).
     sums : ndarray of float32, shape (n_mics, n_frames, 2 * _PER_CHUNK)
         Energy so far at each reference, and the sums that must be exceeded to take the place that goes with it.
     kept : ndarray of uint32, shape (n_mics, n_frames, _PER_CHUNK)
         Last reflection of the path in each place, `_SPECULAR` added if it ends specularly.
+    of_ray : ndarray of uint32, of the same shape
+        Its ray.
     """
     n_mics, n_frames, _ = sums.shape
     all_visible = len(visible) == 0
@@ -465,7 +470,7 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
                             k = np.uint32(middle)
                             if _add(sums[m, k], (leave - enter) * per_volume[m], min(share0, limits[k, 0]),
                                     min(share1, limits[k, 1])):
-                                _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 2,
+                                _replace(sums, kept, of_ray, m, k, seeds[m], ray, 2 * n + 2,
                                          np.uint32(at - 1) | _SPECULAR)
             if n + 1 == face_counts[ray]:
                 break
@@ -483,5 +488,4 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
                     if weight[m] > zero and frame[m] < n_frames and (all_visible or visible[m, at] & SEEN):
                         k = np.uint32(frame[m])
                         if _add(sums[m, k], weight[m], min(share0, limits[k, 0]), min(share1, limits[k, 1])):
-                            _replace(sums, kept, m, k, mix(seeds[m] + np.uint64(ray)), 2 * n + 1,
-                                     np.uint32(at))
+                            _replace(sums, kept, of_ray, m, k, seeds[m], ray, 2 * n + 1, np.uint32(at))

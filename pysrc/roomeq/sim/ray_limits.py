@@ -10,7 +10,7 @@ that of the others; with more rays, more of it is kept.
 import numpy as np
 
 from roomeq.core.arrays import Array, FloatArray, Number
-from roomeq.core.jit import N_CHUNKS, compiled, for_chunks
+from roomeq.core.jit import N_CHUNKS, compiled, for_chunks, inlined
 from roomeq.sim.trace import Paths
 
 FEWEST_RAYS = 25
@@ -21,7 +21,8 @@ _NEGLIGIBLE = 1e-6  # share of the energy at the beginning
 _LEAST = 1e-30
 
 
-def ray_limits(paths: Paths, reflected: Array, emitted: Array, *, n_frames: int, frames_per_m: float) -> Array:
+def ray_limits(paths: Paths, reflected: Array, emitted: Array, *, n_frames: int, frames_per_m: float,
+               n_bands: int = 8) -> Array:
     """Return the largest energy that a ray may have in each frame, relative to that of a ray as it leaves the source.
 
     Parameters
@@ -34,27 +35,26 @@ def ray_limits(paths: Paths, reflected: Array, emitted: Array, *, n_frames: int,
     n_frames
     frames_per_m
         Of length of path.
+    n_bands
+        Of the eight bands, how many from the first on are needed.
 
     Returns
     -------
-    ndarray of float32, shape (n_frames, 8)
+    ndarray of float32, shape (n_frames, n_bands)
         Infinite if there are too few rays to tell.
     """
     n_rays = len(paths.counts)
     fewest = min(FEWEST_RAYS, n_rays // _RAYS_PER_LIMIT)
     if fewest < 2:
-        return np.full((n_frames, 8), np.inf, np.float32)
+        return np.full((n_frames, n_bands), np.inf, np.float32)
     at_m = np.minimum(np.arange(0, n_frames + _STEP, _STEP) / frames_per_m, paths.max_length_m).astype(np.float32)
-    walk = paths.hits, paths.codes, paths.first, paths.counts, reflected, emitted
-    total, largest = np.zeros((2, N_CHUNKS, len(at_m), 8), np.float32)
-    for_chunks(n_rays, lambda chunk, low, high: _add_up(*walk, at_m, low, high, total[chunk], largest[chunk]))
-    energy = total.sum(axis=0, dtype=np.float64)
-    limit = energy / fewest
-    concentrated = np.flatnonzero(((largest.max(axis=0) > limit) & (energy > _NEGLIGIBLE * energy[0])).any(axis=1))
-    if len(concentrated):
-        of_rays = np.zeros((len(concentrated), 8, n_rays), np.float32)
-        for_chunks(n_rays, lambda chunk, low, high: _find_energies(*walk, at_m[concentrated], low, high, of_rays))
-        limit[concentrated] = _winsorized(of_rays, fewest)
+    total = np.zeros((N_CHUNKS, len(at_m), 8))
+    largest = np.zeros((N_CHUNKS, len(at_m), n_bands, fewest), np.float32)
+    for_chunks(n_rays, lambda chunk, low, high: _add_up(paths.hits, paths.codes, paths.first, paths.counts, reflected,
+                                                        emitted, at_m, low, high, total[chunk], largest[chunk]))
+    energy = total.sum(axis=0)[:, :n_bands]
+    limit = np.where(energy > _NEGLIGIBLE * energy[0], _winsorized(energy, np.concatenate([*largest], axis=-1), fewest),
+                     energy / fewest)
     log_limit, place = np.log(np.maximum(limit, _LEAST)), np.arange(n_frames) / _STEP
     return np.exp([np.interp(place, np.arange(len(at_m)), of_band) for of_band in log_limit.T]).T.astype(np.float32)
 
@@ -62,22 +62,31 @@ def ray_limits(paths: Paths, reflected: Array, emitted: Array, *, n_frames: int,
 @compiled
 def _add_up(hits: Array, codes: Array, first: Array, counts: Array, reflected: Array, emitted: Array, at_m: Array,
             low: Number, high: Number, total: Array, largest: Array) -> None:
-    """Find the total and the largest energy of rays `low` to `high` at some lengths of path, shape (n_lengths, 8)."""
+    """Find the energy of rays `low` to `high` at some lengths of path: the total, and the largest of single rays.
+
+    Shapes are (n_lengths, 8) and (n_lengths, n_bands, n_largest); the largest come in falling order.
+    """
+    one, n_bands = np.float32(1.0), largest.shape[1]
+    least = np.full((len(at_m), 8), np.float32(np.inf))  # that an energy must exceed to be one of the largest
+    least[:, :n_bands] = np.float32(0.0)
     for ray in range(low, high):
-        e0 = e1 = e2 = e3 = e4 = e5 = e6 = e7 = np.float32(1.0)
+        e0, e1, e2, e3, e4, e5, e6, e7 = one, one, one, one, one, one, one, one
         if len(emitted):
             e = emitted[ray]
             e0, e1, e2, e3, e4, e5, e6, e7 = e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7]
         at, end, place = first[ray], first[ray] + counts[ray], 0
         while at < end and place < len(at_m):
             if at_m[place] <= hits[at, 3]:
-                row, most = total[place], largest[place]
+                row, most = total[place], least[place]
                 row[0], row[1], row[2], row[3] = row[0] + e0, row[1] + e1, row[2] + e2, row[3] + e3
                 row[4], row[5], row[6], row[7] = row[4] + e4, row[5] + e5, row[6] + e6, row[7] + e7
-                most[0], most[1] = max(most[0], e0), max(most[1], e1)
-                most[2], most[3] = max(most[2], e2), max(most[3], e3)
-                most[4], most[5] = max(most[4], e4), max(most[5], e5)
-                most[6], most[7] = max(most[6], e6), max(most[7], e7)
+                if (e0 > most[0]) | (e1 > most[1]) | (e2 > most[2]) | (e3 > most[3]) | (e4 > most[4]) | (
+                        e5 > most[5]) | (e6 > most[6]) | (e7 > most[7]):
+                    energies = (e0, e1, e2, e3, e4, e5, e6, e7)
+                    for band in range(n_bands):
+                        if energies[band] > most[band]:
+                            _insert(energies[band], largest[place, band])
+                            most[band] = largest[place, band, -1]
                 place += 1
             else:
                 rho = reflected[codes[at] >> 2]
@@ -89,47 +98,30 @@ def _add_up(hits: Array, codes: Array, first: Array, counts: Array, reflected: A
                 at += 1
 
 
-@compiled
-def _find_energies(hits: Array, codes: Array, first: Array, counts: Array, reflected: Array, emitted: Array,
-                   at_m: Array, low: Number, high: Number, energy: Array) -> None:
-    """Find the energy of rays `low` to `high` at some lengths of path [m], shape (n_lengths, n_bands, n_rays)."""
-    n_bands = reflected.shape[1]
-    left = np.empty(n_bands, np.float32)
-    for ray in range(low, high):
-        for band in range(n_bands):
-            left[band] = emitted[ray, band] if len(emitted) else np.float32(1.0)
-        place = 0
-        for at in range(first[ray], first[ray] + counts[ray]):
-            while place < len(at_m) and at_m[place] <= hits[at, 3]:
-                for band in range(n_bands):
-                    energy[place, band, ray] = left[band]
-                place += 1
-            face, twice = codes[at] >> 2, np.float32(2.0) if codes[at] & 2 == 2 else np.float32(1.0)
-            for band in range(n_bands):
-                left[band] *= twice * reflected[face, band]
+@inlined
+def _insert(energy: Number, largest: Array) -> None:
+    """Put an energy into a list in falling order, whose last one it exceeds and replaces."""
+    n = len(largest) - 1
+    while n > 0 and energy > largest[n - 1]:
+        largest[n] = largest[n - 1]
+        n -= 1
+    largest[n] = energy
 
 
-@compiled
-def _winsorized(energy: Array, fewest: Number) -> FloatArray:
-    """Return the largest limits c with which ``sum(min(energy, c)) >= fewest * c``, shape (n_lengths, n_bands)."""
-    n_lengths, n_bands, n_rays = energy.shape
-    limit = np.zeros((n_lengths, n_bands))
-    largest = np.empty(fewest, np.float32)  # in falling order
-    for place in range(n_lengths):
-        for band in range(n_bands):
-            largest[:] = np.float32(0.0)
-            of_rays, total = energy[place, band], 0.0
-            for ray in range(n_rays):
-                total += np.float64(of_rays[ray])
-                if of_rays[ray] > largest[fewest - 1]:
-                    n = fewest - 1
-                    while n > 0 and of_rays[ray] > largest[n - 1]:
-                        largest[n] = largest[n - 1]
-                        n -= 1
-                    largest[n] = of_rays[ray]
-            for n_limited in range(fewest):
-                if largest[n_limited] * (fewest - n_limited) <= total:
-                    limit[place, band] = total / (fewest - n_limited)
-                    break
-                total -= np.float64(largest[n_limited])
-    return limit
+def _winsorized(total: FloatArray, largest: Array, fewest: int) -> FloatArray:
+    """Return the largest limits c with which ``sum(min(energy, c)) >= fewest * c``, shape (n_lengths, n_bands).
+
+    Parameters
+    ----------
+    total
+        Energy of all rays, shape (n_lengths, n_bands).
+    largest
+        The `fewest` largest energies of rays, and others, shape (n_lengths, n_bands, n).
+    fewest
+    """
+    largest = np.sort(largest.astype(np.float64), axis=-1)[..., ::-1][..., :fewest]
+    n_left = fewest - np.arange(fewest)
+    rest = total[..., None] - np.cumsum(largest, axis=-1) + largest  # without those before each
+    holds = largest * n_left <= rest
+    return np.where(holds.any(axis=-1), np.take_along_axis(rest / n_left, holds.argmax(axis=-1)[..., None], -1)[..., 0],
+                    0.0)
