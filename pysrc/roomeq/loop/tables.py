@@ -81,6 +81,7 @@ class _Rays(NamedTuple):
     first: IntArray
     n_hits: IntArray
     normals: FloatArray
+    curved: BoolArray
     level: BoolArray
     """Whether each face belongs to floor or ceiling, shape (n_faces,)."""
     scattering: float
@@ -130,9 +131,9 @@ def collect(traced: TracedSource, mics_m: ArrayLike, facings: Sequence[FloatArra
     edges_s = _edges_up_to(traced.max_length_s)
     frame_of_tick = np.searchsorted(edges_s, (np.arange(int(edges_s[-1] / _TICK_S)) + 0.5) * _TICK_S) - 1
     radii_m, volumes_m3 = receiver_spheres(room, mics_m)
-    rays = _Rays(paths.hits, paths.codes, paths.first, paths.counts, paths.normals,
+    rays = _Rays(paths.hits, paths.codes, paths.first, paths.counts, paths.normals, paths.curved,
                  level_surfaces(room)[paths.face_surface], float(paths.scattering[0]))
-    rules = Rules(-1, paths.late_m, paths.curved)
+    rules = Rules(-1, paths.late_m)
     tables = []
     for m, (mic_m, facing) in enumerate(zip(mics_m, facings, strict=True)):
         distance_m = float(np.linalg.norm(mic_m - source_pos_m))
@@ -194,15 +195,17 @@ def _count(rules: Rules, rays: _Rays, receiver: _Receiver, angle_node: FloatArra
     counts : ndarray, shape (n_frames, n_reflections, 6)
     angular : ndarray, shape (n_frames, n_reflections, 9 or 0)
     """
-    hits, mic, frame_of_tick, distance_m = rays.hits, receiver.position_m, receiver.frame_of_tick, receiver.distance_m
-    all_visible, n_ticks, directive = len(receiver.visible) == 0, len(frame_of_tick), angular.shape[2] > 0
-    scattering, radius_m, ticks_per_m = rays.scattering, receiver.radius_m, receiver.ticks_per_m
+    hits, codes, first, n_hits, normals, curved, level, scattering = rays  # counting references takes time in the loop
+    mic, visible, frame_of_tick, distance_m = (receiver.position_m, receiver.visible, receiver.frame_of_tick,
+                                               receiver.distance_m)
+    all_visible, n_ticks, directive = len(visible) == 0, len(frame_of_tick), angular.shape[2] > 0
+    radius_m, per_volume, ticks_per_m = receiver.radius_m, receiver.per_volume, receiver.ticks_per_m
     n_shares = counts.shape[2] - 1.0
-    for ray in range(len(rays.n_hits)):
+    for ray in range(len(n_hits)):
         weight, n_level = 1.0, 0
         step, hit = at_source(), (0.0, 0.0, 0.0, 0.0)
-        for n in range(rays.n_hits[ray]):
-            at = rays.first[ray] + n
+        for n in range(n_hits[ray]):
+            at = first[ray] + n
             (px, py, pz, path), hit = hit, (np.float64(hits[at, 0]), np.float64(hits[at, 1]), np.float64(hits[at, 2]),
                                             np.float64(hits[at, 3]))
             hx, hy, hz, new_path = hit
@@ -215,25 +218,25 @@ def _count(rules: Rules, rays: _Rays, receiver: _Receiver, angle_node: FloatArra
                 if inside > 0.0:
                     enter, leave = chord(along, inside, length)
                     tick = int((path + 0.5 * (enter + leave) - distance_m) * ticks_per_m)
-                    if leave > enter and tick < n_ticks and (all_visible or receiver.visible[at] & BEHIND == 0):
-                        amount = weight * (leave - enter) * receiver.per_volume
+                    if leave > enter and tick < n_ticks and (all_visible or visible[at] & BEHIND == 0):
+                        amount = weight * (leave - enter) * per_volume
                         _put(counts, frame_of_tick[max(tick, 0)], n, n_shares * n_level / n, amount)
                         if directive:
                             _put(angular, frame_of_tick[max(tick, 0)], n, angle_node[ray], amount)
-            if n + 1 == rays.n_hits[ray]:
+            if n + 1 == n_hits[ray]:
                 break
-            face = rays.codes[at] >> 2
-            step = follow(step, rules, rays.codes[at], new_path, scattering)
+            face = codes[at] >> 2
+            step = follow(step, rules, codes[at], new_path, scattering, curved[face])
             if step.represents_two:
                 weight *= 2.0
-            n_level += 1 if rays.level[face] else 0
+            n_level += 1 if level[face] else 0
             if step.scattered > 0.0:
                 vx, vy, vz = mic[0] - hx, mic[1] - hy, mic[2] - hz
                 d2 = vx * vx + vy * vy + vz * vz
                 d = np.sqrt(d2)
-                cosine = (vx * rays.normals[face, 0] + vy * rays.normals[face, 1] + vz * rays.normals[face, 2]) / d
+                cosine = (vx * normals[face, 0] + vy * normals[face, 1] + vz * normals[face, 2]) / d
                 tick = int((new_path + d - distance_m) * ticks_per_m)
-                if cosine > 0.0 and tick < n_ticks and (all_visible or receiver.visible[at] & SEEN):
+                if cosine > 0.0 and tick < n_ticks and (all_visible or visible[at] & SEEN):
                     amount = weight * step.scattered * cosine / (np.pi * d2)
                     _put(counts, frame_of_tick[max(tick, 0)], n + 1, n_shares * n_level / (n + 1), amount)
                     if directive:

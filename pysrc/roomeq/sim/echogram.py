@@ -92,8 +92,8 @@ def compute_echograms(paths: Paths, room: Room, absorption: FloatArray, mics_m: 
         for first in range(0, len(mics_m), MICS_PER_PASS):
             batch = slice(first, first + MICS_PER_PASS)
             parts = np.zeros((N_CHUNKS, len(mics_m[batch]), n_frames, BANDS_PER_PASS), dtype=np.float32)
-            constant = (Rules(ism_order, np.float32(paths.late_m), paths.curved), paths.hits, paths.codes, paths.first,
-                        paths.counts, single(paths.normals), reflected, scattering,
+            constant = (Rules(ism_order, np.float32(paths.late_m)), paths.hits, paths.codes, paths.first, paths.counts,
+                        single(paths.normals), paths.curved, reflected, scattering,
                         single(mics_m[batch].T, order="C"), visible[batch], single(spheres.radius_m[batch] ** 2),
                         single(1.0 / spheres.volume_m3[batch]), frames_per_m, gain, limits)
             for_chunks(n_rays, lambda chunk, low, high: _accumulate(*constant, low, high, parts[chunk]))  # noqa: B023
@@ -115,8 +115,8 @@ def _add(row: Array, limit: Array, weight: Number, g0: Number, g1: Number, g2: N
 
 
 @compiled
-def _accumulate(rules: Rules, hits: Array, codes: Array, first: Array, counts: Array, normals: Array, reflection: Array,
-                scattering: Array, mics: Array, visible: Array, radius2: Array, per_volume: Array, frames_per_m: Number,
+def _accumulate(rules: Rules, hits: Array, codes: Array, first: Array, counts: Array, normals: Array, curved: Array,
+                reflection: Array, scattering: Array, mics: Array, visible: Array, radius2: Array, per_volume: Array, frames_per_m: Number,
                 ray_gain: Array, limits: Array, low: Number, high: Number, echo: Array) -> None:
     """Add what rays `low` to `high` contribute to `echo`, shape (n_mics, n_frames, 8), in single precision.
 
@@ -155,7 +155,7 @@ def _accumulate(rules: Rules, hits: Array, codes: Array, first: Array, counts: A
             g4, g5, g6, g7 = g4 * rho[4], g5 * rho[5], g6 * rho[6], g7 * rho[7]
             if max(max(max(g0, g1), max(g2, g3)), max(max(g4, g5), max(g6, g7))) < NEGLIGIBLE:
                 break
-            step = follow(step, rules, codes[at], hit[3], scattering[face])
+            step = follow(step, rules, codes[at], hit[3], scattering[face], curved[face])
             if step.represents_two:
                 g0, g1, g2, g3, g4, g5, g6, g7 = g0 + g0, g1 + g1, g2 + g2, g3 + g3, g4 + g4, g5 + g5, g6 + g6, g7 + g7
             if step.scattered > zero:

@@ -310,8 +310,8 @@ def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatAr
     sums = np.zeros((*shape, 2 * _PER_CHUNK), dtype=np.float32)
     kept, of_ray = np.zeros((2, *shape, _PER_CHUNK), dtype=np.uint32)
     weight = _NO_WEIGHT if ray_weight is None else single(ray_weight)
-    constant = (Rules(ism_order, np.float32(paths.late_m), paths.curved), paths.hits, paths.codes, paths.first,
-                paths.counts, single(paths.normals), paths.face_surface,
+    constant = (Rules(ism_order, np.float32(paths.late_m)), paths.hits, paths.codes, paths.first, paths.counts,
+                single(paths.normals), paths.curved, paths.face_surface,
                 single(1.0 - references), single(paths.scattering),
                 single(mics_m.T, order="C"), visible, single(spheres.radius_m ** 2), single(1.0 / spheres.volume_m3),
                 np.float32(1.0 / (speed_m_s * FRAME_S)), seeds, weight, limits)
@@ -430,7 +430,7 @@ def _replace(sums: Array, kept: Array, of_ray: Array, m: Number, frame: Number, 
 
 @compiled
 def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: Array, normals: Array,
-            face_surface: Array, reflection: Array, scattering: Array, mics: Array, visible: Array, radius2: Array,
+            curved: Array, face_surface: Array, reflection: Array, scattering: Array, mics: Array, visible: Array, radius2: Array,
             per_volume: Array, frames_per_m: Number, seeds: Array, ray_weight: Array, limits: Array, low: Number,
             high: Number, sums: Array, kept: Array, of_ray: Array) -> None:
     """Sample the paths of rays `low` to `high`.
@@ -479,7 +479,7 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
             share0, share1 = _reflected(share0, reflection[0, surface]), _reflected(share1, reflection[1, surface])
             if share0 == zero or hit[3] * frames_per_m >= n_frames:
                 break
-            step = follow(step, rules, codes[at], hit[3], scattering[surface])
+            step = follow(step, rules, codes[at], hit[3], scattering[surface], curved[face])
             if step.represents_two:
                 share0, share1 = share0 + share0, share1 + share1
             if step.scattered > zero:

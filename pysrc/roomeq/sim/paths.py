@@ -39,7 +39,7 @@ SEEN, BEHIND = 1, 2
 
 
 class Rules(NamedTuple):
-    """Which contributions count.
+    """Which contributions count. An array here would cost kernels an atomic operation at each reflection.
 
     Attributes
     ----------
@@ -47,13 +47,10 @@ class Rules(NamedTuple):
         Purely specular paths with at most this many reflections don't count; -1 counts all of them.
     late_m
         Path length [m] beyond which reflections are dense.
-    curved
-        Whether each face is a facet of a curved surface, which has no image sources, shape (n_faces,).
     """
 
     ism_order: int
     late_m: Number
-    curved: Array
 
 
 class Step(NamedTuple):
@@ -178,7 +175,7 @@ def segment_counts(step: Step, rules: Rules, n: Number) -> bool:
 
 
 @inlined
-def follow(step: Step, rules: Rules, code: Number, path_m: Number, scattering: Number) -> Step:
+def follow(step: Step, rules: Rules, code: Number, path_m: Number, scattering: Number, curved: Number) -> Step:
     """Advance the walk by a reflection.
 
     Parameters
@@ -192,10 +189,12 @@ def follow(step: Step, rules: Rules, code: Number, path_m: Number, scattering: N
         Length of the path up to the reflection.
     scattering : float
         Scattering coefficient of the surface.
+    curved : bool
+        Whether the face is a facet of a curved surface, which has no image sources.
     """
     diffuse, late = (code & 1) == 1, path_m > rules.late_m
     scattered = np.float32(code & 1) if late else np.float32(scattering)
-    return Step((code & 2) == 2, scattered, diffuse, step.purely_specular and not (diffuse or rules.curved[code >> 2]))
+    return Step((code & 2) == 2, scattered, diffuse, step.purely_specular and not (diffuse or curved))
 
 
 @inlined
