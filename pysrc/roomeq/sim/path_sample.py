@@ -327,13 +327,13 @@ def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatAr
 def _tally(codes: Array, face_surface: Array, first: Array, counts: Array, tallies: _Tallies, low: Number,
            high: Number) -> None:
     """Count hits per surface along rays `low` to `high`."""
-    words = tallies.words
+    words, words_of, shifts = tallies.words, tallies.word, tallies.shift
     so_far = np.empty(words.shape[1], np.uint64)
     for ray in range(low, high):
         so_far[:] = np.uint64(0)
         for at in range(first[ray], first[ray] + counts[ray]):
             surface = face_surface[codes[at] >> 2]
-            so_far[tallies.word[surface]] += np.uint64(1) << tallies.shift[surface]
+            so_far[words_of[surface]] += np.uint64(1) << shifts[surface]
             for word in range(len(so_far)):
                 words[at, word] = so_far[word]
 
@@ -402,11 +402,11 @@ def _reflected(share: Number, reflection: Number) -> Number:
 
 
 @inlined
-def _add(row: Array, energy: Number, share0: Number, share1: Number) -> bool:
+def _add(sums: Array, m: Number, frame: Number, energy: Number, share0: Number, share1: Number) -> bool:
     """Add a path to the two sums of a frame; tell whether it takes a place of the reservoir."""
-    row[0] += energy * share0
-    row[1] += energy * share1
-    return row[0] > row[2] or row[1] > row[3]
+    sums[m, frame, 0] += energy * share0
+    sums[m, frame, 1] += energy * share1
+    return sums[m, frame, 0] > sums[m, frame, 2] or sums[m, frame, 1] > sums[m, frame, 3]
 
 
 @compiled
@@ -468,7 +468,7 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
                         middle = (previous[3] + np.float32(0.5) * (enter + leave)) * frames_per_m
                         if leave > enter and middle < n_frames and (all_visible or visible[m, at] & BEHIND == 0):
                             k = np.uint32(middle)
-                            if _add(sums[m, k], (leave - enter) * per_volume[m], min(share0, limits[k, 0]),
+                            if _add(sums, m, k, (leave - enter) * per_volume[m], min(share0, limits[k, 0]),
                                     min(share1, limits[k, 1])):
                                 _replace(sums, kept, of_ray, m, k, seeds[m], ray, 2 * n + 2,
                                          np.uint32(at - 1) | _SPECULAR)
@@ -487,5 +487,5 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
                 for m in range(n_mics):
                     if weight[m] > zero and frame[m] < n_frames and (all_visible or visible[m, at] & SEEN):
                         k = np.uint32(frame[m])
-                        if _add(sums[m, k], weight[m], min(share0, limits[k, 0]), min(share1, limits[k, 1])):
+                        if _add(sums, m, k, weight[m], min(share0, limits[k, 0]), min(share1, limits[k, 1])):
                             _replace(sums, kept, of_ray, m, k, seeds[m], ray, 2 * n + 1, np.uint32(at))

@@ -226,9 +226,8 @@ def cross_spheres(start: Numbers, end: Numbers, mics: Array, radius2: Array, n_m
     length = new_path - path
     scale = np.float32(1.0) / max(length, np.float32(1e-9))
     ux, uy, uz = (hx - px) * scale, (hy - py) * scale, (hz - pz) * scale
-    mx, my, mz = mics[0], mics[1], mics[2]
     for m in range(n_mics):
-        vx, vy, vz = mx[m] - px, my[m] - py, mz[m] - pz
+        vx, vy, vz = mics[0, m] - px, mics[1, m] - py, mics[2, m] - pz
         along[m] = ux * vx + uy * vy + uz * vz
         inside[m] = radius2[m] - (vx * vx + vy * vy + vz * vz - along[m] * along[m])
     return length
@@ -265,9 +264,8 @@ def scatter(hit: Numbers, normals: Array, face: Number, scattered: Number, mics:
     """
     hx, hy, hz, path = hit
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
-    mx, my, mz = mics[0], mics[1], mics[2]
     for m in range(n_mics):
-        vx, vy, vz = mx[m] - hx, my[m] - hy, mz[m] - hz
+        vx, vy, vz = mics[0, m] - hx, mics[1, m] - hy, mics[2, m] - hz
         d2 = vx * vx + vy * vy + vz * vz
         d = np.sqrt(d2)
         weight[m] = scattered * (vx * nx + vy * ny + vz * nz) / (np.float32(np.pi) * d2 * d)

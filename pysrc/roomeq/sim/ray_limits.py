@@ -67,31 +67,27 @@ def _add_up(hits: Array, codes: Array, first: Array, counts: Array, reflected: A
     Shapes are (n_lengths, 8) and (n_lengths, n_bands, n_largest); the largest come in falling order.
     """
     one, n_bands = np.float32(1.0), largest.shape[1]
-    least = np.full((len(at_m), 8), np.float32(np.inf))  # that an energy must exceed to be one of the largest
-    least[:, :n_bands] = np.float32(0.0)
     for ray in range(low, high):
         e0, e1, e2, e3, e4, e5, e6, e7 = one, one, one, one, one, one, one, one
         if len(emitted):
-            e = emitted[ray]
-            e0, e1, e2, e3, e4, e5, e6, e7 = e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7]
+            e0, e1, e2, e3 = emitted[ray, 0], emitted[ray, 1], emitted[ray, 2], emitted[ray, 3]
+            e4, e5, e6, e7 = emitted[ray, 4], emitted[ray, 5], emitted[ray, 6], emitted[ray, 7]
         at, end, place = first[ray], first[ray] + counts[ray], 0
         while at < end and place < len(at_m):
             if at_m[place] <= hits[at, 3]:
-                row, most = total[place], least[place]
-                row[0], row[1], row[2], row[3] = row[0] + e0, row[1] + e1, row[2] + e2, row[3] + e3
-                row[4], row[5], row[6], row[7] = row[4] + e4, row[5] + e5, row[6] + e6, row[7] + e7
-                if (e0 > most[0]) | (e1 > most[1]) | (e2 > most[2]) | (e3 > most[3]) | (e4 > most[4]) | (
-                        e5 > most[5]) | (e6 > most[6]) | (e7 > most[7]):
-                    energies = (e0, e1, e2, e3, e4, e5, e6, e7)
-                    for band in range(n_bands):
-                        if energies[band] > most[band]:
-                            _insert(energies[band], largest[place, band])
-                            most[band] = largest[place, band, -1]
+                energies = (e0, e1, e2, e3, e4, e5, e6, e7)
+                for band in range(8):
+                    total[place, band] += energies[band]
+                for band in range(n_bands):
+                    if energies[band] > largest[place, band, -1]:
+                        _insert(energies[band], largest, place, band)
                 place += 1
             else:
-                rho = reflected[codes[at] >> 2]
-                e0, e1, e2, e3 = e0 * rho[0], e1 * rho[1], e2 * rho[2], e3 * rho[3]
-                e4, e5, e6, e7 = e4 * rho[4], e5 * rho[5], e6 * rho[6], e7 * rho[7]
+                face = codes[at] >> 2
+                e0, e1 = e0 * reflected[face, 0], e1 * reflected[face, 1]
+                e2, e3 = e2 * reflected[face, 2], e3 * reflected[face, 3]
+                e4, e5 = e4 * reflected[face, 4], e5 * reflected[face, 5]
+                e6, e7 = e6 * reflected[face, 6], e7 * reflected[face, 7]
                 if codes[at] & 2 == 2:
                     e0, e1, e2, e3 = e0 + e0, e1 + e1, e2 + e2, e3 + e3
                     e4, e5, e6, e7 = e4 + e4, e5 + e5, e6 + e6, e7 + e7
@@ -99,13 +95,13 @@ def _add_up(hits: Array, codes: Array, first: Array, counts: Array, reflected: A
 
 
 @inlined
-def _insert(energy: Number, largest: Array) -> None:
+def _insert(energy: Number, largest: Array, place: Number, band: Number) -> None:
     """Put an energy into a list in falling order, whose last one it exceeds and replaces."""
-    n = len(largest) - 1
-    while n > 0 and energy > largest[n - 1]:
-        largest[n] = largest[n - 1]
+    n = largest.shape[2] - 1
+    while n > 0 and energy > largest[place, band, n - 1]:
+        largest[place, band, n] = largest[place, band, n - 1]
         n -= 1
-    largest[n] = energy
+    largest[place, band, n] = energy
 
 
 def _winsorized(total: FloatArray, largest: Array, fewest: int) -> FloatArray:
