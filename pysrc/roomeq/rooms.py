@@ -196,7 +196,7 @@ def simulate_rir(room: Room, source: ArrayLike, mics: ArrayLike, fs: int = FS_HZ
     if not isinstance(room, Room):
         raise ValueError(f"room is a {type(room).__name__} and must be a Room: give Room(geometry, materials=...), "
                          "or call simulate_responses with a Scene")
-    require_fs(fs)
+    fs = require_fs(fs)
     for name, value, lowest in (("num_rays", num_rays, 1), ("seed", seed, 0)):
         if not (is_whole(value) and lowest <= value <= _LARGEST[name]):
             raise ValueError(f"{name}={value!r} must be a whole number from {lowest} to {_LARGEST[name]}: correct it")

@@ -84,6 +84,11 @@ def hashes(directory):
             for path in sorted(directory.rglob("*")) if path.is_file() and path.name not in (".done", "rir_list")}
 
 
+def test_whole_rate_may_be_a_float(types, tmp_path):
+    draw(types, tmp_path / "rirs", rooms=1, fs_hz=8000.0, noise_rirs=0)
+    assert validate_rirs(tmp_path / "rirs") == 1
+
+
 @pytest.fixture(scope="module")
 def four(types, tmp_path_factory):
     out = tmp_path_factory.mktemp("four") / "rirs"

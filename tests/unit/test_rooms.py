@@ -1,5 +1,7 @@
 """The public calls for rooms, responses and directivities."""
 
+import json
+
 import numpy as np
 import pytest
 from plans import L_PLAN, box_plan, prism_obj
@@ -112,6 +114,15 @@ def test_late_reverberation_is_coherent_at_near_microphones_as_in_a_diffuse_fiel
         np.sum(np.abs(first) ** 2, axis=0) * np.sum(np.abs(second) ** 2, axis=0))
     expected = np.sinc(2.0 * np.fft.rfftfreq(256, 1.0 / 16000) * distance_m / Air().speed_m_s)
     assert np.abs(found - expected)[2:-2].mean() < 0.1 and found[2] > 0.9
+
+
+@pytest.mark.parametrize("rate", [np.uint16, np.float16, np.float32])
+def test_sample_rates_of_numpy_act_like_those_of_python(rate):
+    mics_m = [MIC_M, (4.1, 3.0, 1.2)]
+    found, wanted = (roomeq.simulate_rir(ROOM, SOURCE_M, mics_m, kind(48000), num_rays=500) for kind in (rate, int))
+    assert np.array_equal(found, wanted)
+    parameters = json.dumps(roomeq.analyse(found[0], rate(48000)))
+    assert parameters == json.dumps(roomeq.analyse(found[0], 48000))
 
 
 def test_reverberation_time_is_met():

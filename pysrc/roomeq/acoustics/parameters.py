@@ -43,7 +43,7 @@ def measure(rir: FloatArray, fs_hz: float = FS_HZ, *,
         There is no direct sound, it lies after the end of the response, the response is not mono or not finite, or the
         sample rate is out of range.
     """
-    require_fs(fs_hz)
+    fs_hz = require_fs(fs_hz)
     sample, polarity = find_direct(rir, fs_hz) if direct is None else direct
     rir = checked_response(rir, sample)
     parameters = all_metrics(rir, fs_hz, sample, polarity)

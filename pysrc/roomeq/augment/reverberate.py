@@ -76,7 +76,7 @@ class Reverberate:
     def __init__(self, rirs: PathLike | Sequence[ArrayLike], noises: PathLike | Sequence[ArrayLike] | None = None, *,
                  snr: str | float = "uniform 5 25", point_snr: str | float = "uniform 5 25",
                  point_noise_prob: float = 0.5, p: float = 1.0, fs: int = FS_HZ, seed: int = 0) -> None:
-        require_fs(fs)
+        fs = require_fs(fs)
         for name, value in (("p", p), ("point_noise_prob", point_noise_prob)):
             if not (is_number(value) and 0.0 <= value <= 1.0):
                 raise ValueError(f"{name}={value!r} must lie in [0, 1]: correct it")
@@ -133,6 +133,7 @@ class Reverberate:
             or the noises.
         """
         require_samples(samples, "samples")
+        sample_rate = require_fs(sample_rate)
         given = np.asarray(samples)
         clean = _one_channel(given[0] if given.ndim == 2 and len(given) == 1 else given, "samples")
         name = self._next_call() if key is None else key
@@ -155,7 +156,6 @@ class Reverberate:
         return f"{worker} call {next(_CALLS.setdefault((self._number, worker), count()))}"
 
     def _cache(self, sample_rate: int) -> AudioCache:
-        require_fs(sample_rate)
         if sample_rate not in self._caches:
             self._caches[sample_rate] = (
                 AudioCache(self._rir_dir, self._pool, sample_rate) if self._rir_dir is not None

@@ -43,11 +43,18 @@ def is_whole(value: Any) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
-def require_fs(fs_hz: float) -> None:
-    """Raise ValueError unless a sample rate is a whole number of hertz from `MIN_FS_HZ` to `MAX_FS_HZ`."""
+def require_fs(fs_hz: float) -> int:
+    """Return a sample rate as an integer of Python: products of NumPy's small integers overflow.
+
+    Raises
+    ------
+    ValueError
+        It is no whole number of hertz from `MIN_FS_HZ` to `MAX_FS_HZ`.
+    """
     if not (is_number(fs_hz) and MIN_FS_HZ <= fs_hz <= MAX_FS_HZ and fs_hz == int(fs_hz)):
         raise ValueError(f"fs={fs_hz!r} must be a whole number of hertz from {MIN_FS_HZ} to {MAX_FS_HZ}: "
                          "choose another sample rate")
+    return int(fs_hz)
 
 
 TEMPERATURE_RANGE_C = (-20.0, 50.0)

@@ -140,12 +140,12 @@ def analyse(samples: FloatArray, fs_hz: int, name: str = "RIR", direct: DirectSo
     """
     samples = np.asarray(samples, dtype=np.float64)
     try:
-        require_fs(fs_hz)
+        fs_hz = require_fs(fs_hz)
         direct = find_direct(samples, fs_hz) if direct is None else direct
         parameters = measure_parameters(samples, fs_hz, direct)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
-    return AnalysedRir(name, samples, int(fs_hz), direct, parameters)
+    return AnalysedRir(name, samples, fs_hz, direct, parameters)
 
 
 def measure_parameters(samples: FloatArray, fs_hz: int, direct: DirectSound) -> dict[str, Any]:

@@ -196,7 +196,7 @@ class Scene:
     fs_hz: int = FS_HZ
 
     def __post_init__(self) -> None:
-        require_fs(self.fs_hz)
+        object.__setattr__(self, "fs_hz", require_fs(self.fs_hz))
         object.__setattr__(self, "materials", tuple(self.materials))
         if len(self.materials) != len(self.room.surfaces):
             raise ValueError(f"{len(self.materials)} materials must be one for each of the room's "

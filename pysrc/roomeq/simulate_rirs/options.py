@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from roomeq.core.constants import LARGEST_SEED, is_whole, require_fs
+from roomeq.core.constants import LARGEST_SEED, is_whole
 
 NOISE_CANDIDATES = 4
 """Largest number of noise sources of an RIR."""
@@ -25,7 +25,6 @@ class RenderOptions:
 
 def check_options(options: RenderOptions) -> None:
     """Raise a `ValueError` where an option is of the wrong type or out of range."""
-    require_fs(options.fs_hz)
     for name, low, high in (("num_rays", 100, 10 ** 7), ("ism_order", 0, 20), ("order", 1, 10 ** 4),
                             ("noise_rirs", 0, NOISE_CANDIDATES), ("seed", 0, LARGEST_SEED)):
         value = getattr(options, name)

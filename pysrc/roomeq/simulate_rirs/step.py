@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from roomeq.core.build import Build
-from roomeq.core.constants import FS_HZ, is_number
+from roomeq.core.constants import FS_HZ, is_number, require_fs
 from roomeq.draw_rooms.room_types import read_room_types
 from roomeq.records.rir_dir import decay_range_s, mesh_files, read_rirs, warn_of_unused_keys
 from roomeq.records.schema import RirRow
@@ -92,7 +92,8 @@ def simulate(measured_dir: Path | str | None, out: Path | str, *, rooms: int | s
     numbers = None if rooms is None else _room_numbers(rooms)
     measured_dir = None if measured_dir is None else Path(measured_dir)
     times_s = _t60_range_s(t60_range_s if t60_range_s or numbers else (0.2, 2.0), measured_dir)
-    options = RenderOptions(times_s, num_rays, ism_order, order, noise_rirs, bool(diffraction), fs_hz, seed)
+    options = RenderOptions(times_s, num_rays, ism_order, order, noise_rirs, bool(diffraction), require_fs(fs_hz),
+                            seed)
     check_options(options)
     if model and fs_hz != FS_HZ:
         raise ValueError(f"fs={fs_hz} must be {FS_HZ} with model={model}, whose effects are defined at that rate: "

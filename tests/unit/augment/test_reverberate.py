@@ -163,6 +163,14 @@ def test_directory_at_another_rate_is_used_at_its_own(rir_dir):
         reverberate(speech(1.0, 48000), 48000)
 
 
+@pytest.mark.parametrize("rate", [np.uint16, np.int32, np.float32])
+def test_sample_rates_of_numpy_act_like_those_of_python(rate):
+    """MAT files hold 48,000 as uint16, in which its product with the delay of an RIR overflows."""
+    found, wanted = (roomeq.Reverberate(rirs(fs=48000), [speech(fs=48000)], fs=kind(48000))(
+        speech(fs=8000), kind(8000), key="a") for kind in (rate, int))
+    assert np.array_equal(found, wanted)
+
+
 @pytest.mark.parametrize("of", ["arrays", "directory"])
 def test_noises_in_memory_are_resampled_to_the_rate_of_the_speech(rir_dir, of):
     tone = np.sin(2 * np.pi * 3000 * np.arange(2 * FS) / FS).astype(np.float32)
@@ -218,6 +226,8 @@ def test_silence_is_returned_as_it_is():
     (lambda: roomeq.Reverberate(rirs(), noises="data/noises"), "go with an RIR directory"),
     (lambda: roomeq.Reverberate(rirs())(np.array([np.inf]), FS), "samples: holds NaN"),
     (lambda: roomeq.Reverberate(rirs())(speech(), 96000), "fs=96000 must be"),
+    (lambda: roomeq.Reverberate(rirs(), p=0.0)(speech(), 0), "fs=0 must be"),
+    (lambda: roomeq.Reverberate(rirs())(speech(), None), "fs=None must be"),
 ])
 def test_wrong_arguments_are_refused(wrong, message):
     with pytest.raises(ValueError, match=message):
