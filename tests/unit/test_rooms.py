@@ -1,6 +1,7 @@
 """The public calls for rooms, responses and directivities."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -40,6 +41,27 @@ def test_coincident_pair_hears_different_reverberation():
         rirs = roomeq.simulate_rir(roomeq.Room((6.0, 4.0, 3.0), materials=0.1), SOURCE_M, [MIC_M] * 2, num_rays=500,
                                    mic_directivity=directivities)
         assert low <= np.corrcoef(rirs[:, 4000:12000])[0, 1] <= high
+
+
+@pytest.mark.parametrize("options, message", [
+    (dict(arrays=[0]), r"arrays=\[0\] must be a list with one for each of 2 microphones"),
+    (dict(arrays=[0, 0, 0]), "with one for each of 2 microphones"),
+    (dict(mic_directivities=[None]), r"mic_directivities=\[None\] must be a list with one for each of 2"),
+    (dict(mic_directivities=DIRECTIVITIES[0].pressure), "must be a list with one for each of 2"),
+    (dict(mic_directivities=DIRECTIVITIES[:2]), "directivity=FirstOrder.* must be a function of directions"),
+    (dict(source_directivity=DIRECTIVITIES[0]), "directivity=FirstOrder.* must be a function of directions")])
+def test_arrays_and_directivities_that_fit_no_microphones_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        roomeq.simulate_responses(ROOM.scene(), SOURCE_M, [MIC_M, (4.1, 3.0, 1.2)], num_rays=100, **options)
+
+
+def test_responses_take_arrays_and_functions_of_directions():
+    mics_m = [MIC_M, (4.1, 3.0, 1.2)]
+    rirs = roomeq.simulate_rir(ROOM, SOURCE_M, mics_m, num_rays=500, source_directivity=DIRECTIVITIES[0])
+    responses = roomeq.simulate_responses(ROOM.scene(), SOURCE_M, mics_m, num_rays=500, arrays=np.zeros(2),
+                                          source_directivity=partial(DIRECTIVITIES[0].pressure, fs_hz=16000))
+    for rir, response in zip(rirs, responses, strict=True):
+        assert np.array_equal(rir[:len(response.rir)], response.rir)
 
 
 class Odd:

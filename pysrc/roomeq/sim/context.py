@@ -210,8 +210,9 @@ def make_render_context(traced: "TracedSource", mics_m: ArrayLike, rngs: Sequenc
                 directions=source_directivity is not None or mic_directivity is not None),
             list(zip(mics_m, images, mic_directivities, strict=True)))
     noises = [tail_noise(n_samples, room.volume_m3, speed_m_s, rng, fs_hz) for rng in rngs]
-    for array in set(arrays or ()):
-        members = [mic for mic, of_array in enumerate(arrays or ()) if of_array == array]
+    of_arrays = [] if arrays is None else list(arrays)
+    for array in set(of_arrays):
+        members = [mic for mic, of_array in enumerate(of_arrays) if of_array == array]
         if len(members) > 1:
             mixed = make_coherent([noises[mic] for mic in members], mics_m[members], speed_m_s, fs_hz,
                                   [mic_directivities[mic] for mic in members])

@@ -351,7 +351,9 @@ def simulate_responses(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike,
     diffraction
         Whether edges of a mesh diffract (`roomeq.sim.diffraction`); convex rooms have no such edges.
     source_directivity, mic_directivities
-        Of the source, and of each microphone (`roomeq.sim.directivity`); None is omnidirectional.
+        Of the source, and of each microphone: a function from unit vectors away from it, shape (n, 3), to gains of
+        pressure, shape (n, n_bands), such as ``partial(FirstOrder("cardioid", (1, 0, 0)).pressure, fs_hz=16000)``. None
+        is omnidirectional.
     arrays
         Number of the array that each microphone belongs to; see `render_responses`.
     seed
@@ -364,11 +366,20 @@ def simulate_responses(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike,
     Raises
     ------
     ValueError
-        A position lies outside the room, source and microphone coincide, or the target cannot be met.
+        A position lies outside the room, source and microphone coincide, there is not one directivity or number of an
+        array for each microphone, a directivity is no function, or the target cannot be met.
     """
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
     for mic_m in mics_m:
         check_positions(scene.room, source_pos_m, mic_m)
+    for name, of_mics in (("mic_directivities", mic_directivities), ("arrays", arrays)):
+        if of_mics is not None and (not isinstance(of_mics, Sequence | np.ndarray) or len(of_mics) != len(mics_m)):
+            raise ValueError(f"{name}={of_mics!r:.80} must be a list with one for each of {len(mics_m)} microphones: "
+                             "give that many")
+    for directivity in (source_directivity, *(() if mic_directivities is None else mic_directivities)):
+        if directivity is not None and not callable(directivity):
+            raise ValueError(f"directivity={directivity!r:.80} must be a function of directions: give that of its "
+                             "method pressure at the sample rate")
     exponent = 1.0 if target_t60_s is None else eyring_exponent(scene, target_t60_s)
     expected = scaled_absorption(scene.absorption, exponent)
     # other rooms, sources and microphones have other rays and tails, also with the same seed; of microphones in one
