@@ -241,8 +241,9 @@ def test_compensation_filters_all_microphones_of_an_array(tmp_path):
     assert "remix 1 " in (tmp_path / "rirs" / "rir_list").read_text()
 
 
-def test_a_stated_range_replaces_the_times_of_the_types(types, tmp_path):
-    rows = draw(types, tmp_path / "rirs", rooms=2, t60_range_s=(0.6, 0.65), noise_rirs=0)
+@pytest.mark.parametrize("range_s", [(0.6, 0.65), np.array([0.6, 0.65])], ids=["tuple", "array"])
+def test_a_stated_range_replaces_the_times_of_the_types(types, tmp_path, range_s):
+    rows = draw(types, tmp_path / "rirs", rooms=2, t60_range_s=range_s, noise_rirs=0)
     assert all(0.6 <= row["target_t60_s"] <= 0.65 for row in rows.values())
 
 

@@ -180,6 +180,8 @@ def test_wrong_geometry_is_refused_with_the_id_of_the_rir(tmp_path, caplog, know
     (dict(t60_range_s=(2.0, 0.2)), r"t60_range=.* the smaller first"),
     (dict(t60_range_s=(0.2, "a")), r"t60_range=\(0.2, 'a'\) must be two times"),
     (dict(t60_range_s=0.5), r"t60_range=0.5 must be two times"),
+    (dict(t60_range_s=0), r"t60_range=0 must be two times"),
+    (dict(t60_range_s=()), r"t60_range=\(\) must be two times"),
     (dict(num_rays=3), r"num_rays=3 must lie in \[100, "),
     (dict(num_rays=300.0), r"num_rays=300.0 must be a whole number"),
     (dict(noise_rirs="1"), r"noise_rirs='1' must be a whole number"),

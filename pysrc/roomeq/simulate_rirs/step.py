@@ -91,7 +91,7 @@ def simulate(measured_dir: Path | str | None, out: Path | str, *, rooms: int | s
         raise ValueError(f"room_types={room_types} is of drawn rooms: give --rooms as well, or leave it out")
     numbers = None if rooms is None else _room_numbers(rooms)
     measured_dir = None if measured_dir is None else Path(measured_dir)
-    times_s = _t60_range_s(t60_range_s if t60_range_s or numbers else (0.2, 2.0), measured_dir)
+    times_s = _t60_range_s((0.2, 2.0) if t60_range_s is None and not numbers else t60_range_s, measured_dir)
     options = RenderOptions(times_s, num_rays, ism_order, order, noise_rirs, bool(diffraction), require_fs(fs_hz),
                             seed)
     check_options(options)
