@@ -38,7 +38,7 @@ class Directivity(Protocol):
     """What `simulate_rir` asks of a directivity; see `roomeq.sim.directivity` and `Loudspeaker`."""
 
     def pressure(self, directions: FloatArray, fs_hz: float) -> FloatArray:
-        """Return gains of pressure per octave band, shape (n, n_bands), for unit vectors, shape (n, 3)."""
+        """Return real gains of pressure per octave band, shape (n, n_bands), for unit vectors, shape (n, 3)."""
 
 
 @dataclass(frozen=True)
@@ -236,8 +236,8 @@ def _at_rate(directivity: Directivity | None, fs_hz: float) -> Callable[[FloatAr
         raise ValueError(f"directivity={directivity!r:.80} must be a FirstOrder, Loudspeaker or DirectivityTable, or "
                          "have their method pressure: correct it")
     gains = np.asarray(directivity.pressure(np.array([[1.0, 0.0, 0.0]]), fs_hz=fs_hz))
-    if gains.shape != (1, len(bands_hz(fs_hz))) or not np.all(np.isfinite(gains)):
-        raise ValueError(f"directivity={directivity!r:.80}: pressure returns gains of shape {gains.shape} for one "
-                         f"direction, and must return finite ones of shape {(1, len(bands_hz(fs_hz)))}, one for each "
-                         f"octave band at fs={fs_hz:g}: correct it")
+    if gains.shape != (1, len(bands_hz(fs_hz))) or not np.all(np.isfinite(gains)) or np.iscomplexobj(gains):
+        raise ValueError(f"directivity={directivity!r:.80}: pressure returns {gains.dtype} gains of shape "
+                         f"{gains.shape} for one direction, and must return finite real ones of shape "
+                         f"{(1, len(bands_hz(fs_hz)))}, one for each octave band at fs={fs_hz:g}: correct it")
     return partial(directivity.pressure, fs_hz=fs_hz)

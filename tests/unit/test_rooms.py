@@ -77,6 +77,7 @@ class Odd:
 @pytest.mark.parametrize("directivity, message", [
     (roomeq.FirstOrder, "must be a FirstOrder"), ("cardioid", "directivity='cardioid' must be a FirstOrder"),
     (Odd(np.ones(1)), r"shape \(1,\)"),
+    (Odd(np.full((1, 8), 1j)), r"complex128 gains of shape \(1, 8\) .* must return finite real ones"),
     (Odd(np.full((1, 8), np.nan)), "must return finite"), (Odd(np.ones((1, 7))), r"of shape \(1, 8\), one for each")])
 def test_odd_directivities_are_refused(directivity, message):
     with pytest.raises(ValueError, match=message):
