@@ -196,7 +196,7 @@ def mesh_files(directory: Path) -> list[Path]:
 
 
 def load_rir(directory: Path, row: Mapping[str, Any], fs_hz: int = FS_HZ) -> FloatArray:
-    """Read the RIR of a row, shape (n_samples,); its file must have the sample rate `fs_hz`.
+    """Read the RIR of a row, shape (n_samples,); row and file must have the sample rate `fs_hz`, such as row["fs_hz"].
 
     Of an array (`channel_pos_m`), the RIR is that of the first microphone.
 
@@ -208,6 +208,9 @@ def load_rir(directory: Path, row: Mapping[str, Any], fs_hz: int = FS_HZ) -> Flo
     from roomeq.core.audio import read_audio
 
     path = rir_path(directory, row)
+    if row.get("fs_hz", fs_hz) != fs_hz:
+        raise ValueError(f"{path}: RIR {row['id']} has fs_hz={row['fs_hz']} where {fs_hz} is expected: make the RIRs "
+                         f"at {fs_hz} Hz, or give load_rir their rate")
     rir = read_audio(path, fs_hz=fs_hz, resample=False, channel=0 if row.get("channel_pos_m") else None)
     if len(rir) != row["n_samples"]:
         raise ValueError(f"{path}: {len(rir)} samples where {ROWS_FILE} says {row['n_samples']}: make it again")

@@ -48,6 +48,15 @@ def stock_rir_list(directory):
     return [parser.parse_args(shlex.split(line)) for line in (directory / "rir_list").read_text().splitlines()]
 
 
+def test_rir_of_a_directory_at_another_rate_is_read_at_its_own(tmp_path):
+    write_wav(tmp_path / "a.wav", RIR, 48000)
+    write_rirs(tmp_path, [row("a", wav="a.wav", fs_hz=48000, n_samples=len(RIR))])
+    (high,) = read_rirs(tmp_path)
+    with pytest.raises(ValueError, match="RIR a has fs_hz=48000 where 16000 is expected: .* give load_rir their rate"):
+        load_rir(tmp_path, high)
+    np.testing.assert_allclose(load_rir(tmp_path, high, high["fs_hz"]), RIR, atol=1e-9)
+
+
 @pytest.mark.parametrize("folder", ["plain", "with blanks and 'quotes'"])
 def test_stock_scripts_parse_rir_list(tmp_path, folder):
     write_two(tmp_path / folder)
