@@ -220,8 +220,11 @@ def given_surfaces(table: MaterialTable, room: Room, materials: Mapping[str, Any
     Raises
     ------
     ValueError
-        A material is unknown, or the room has no such surface.
+        A material is unknown, the room has no such surface, or `materials` is no mapping.
     """
+    if not isinstance(materials, Mapping | None):
+        raise ValueError(f"materials={materials!r:.80} must be a mapping from surfaces to materials: give "
+                         f"{{{ANY_SURFACE!r}: ...}} for all surfaces")
     materials = dict(materials or {})
     rest = materials.pop(ANY_SURFACE, None)
     for surface in materials:

@@ -120,6 +120,8 @@ def test_stated_materials_are_assigned_to_surfaces(published_table):
         given_surfaces(table, room, {"flor": "carpet_thin"})
     with pytest.raises(ValueError, match=r"nothing is given for west, east, south, north, ceiling"):
         named_scene(room, {"floor": "carpet_thin"})
+    with pytest.raises(ValueError, match="materials='carpet_thin' must be a mapping .*: give {'default': ...} for all"):
+        named_scene(room, "carpet_thin")
     with pytest.raises(ValueError, match=r"material 3 must be a name or an object"):
         given_surfaces(table, room, {"floor": 3})
 
