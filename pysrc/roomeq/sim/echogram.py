@@ -95,9 +95,10 @@ def compute_echograms(paths: Paths, room: Room, absorption: FloatArray, mics_m: 
             constant = (Rules(ism_order, np.float32(paths.late_m)), paths.hits, paths.codes, paths.first, paths.counts,
                         single(paths.normals), paths.curved, reflected, scattering,
                         single(mics_m[batch].T, order="C"), visible[batch], single(spheres.radius_m[batch] ** 2),
-                        single(1.0 / spheres.volume_m3[batch]), frames_per_m, gain, limits)
+                        single(1.0 / spheres.volume_m3[batch]), frames_per_m, gain, limits.largest)
             for_chunks(n_rays, lambda chunk, low, high: _accumulate(*constant, low, high, parts[chunk]))  # noqa: B023
-            result[batch, :, bands] = parts[..., :bands.stop - band].sum(axis=0, dtype=np.float64)
+            energy = parts.sum(axis=0, dtype=np.float64) * limits.gain
+            result[batch, :, bands] = energy[..., :bands.stop - band]
     return result / (4.0 * np.pi * n_rays)
 
 
@@ -116,8 +117,8 @@ def _add(row: Array, limit: Array, weight: Number, g0: Number, g1: Number, g2: N
 
 @compiled
 def _accumulate(rules: Rules, hits: Array, codes: Array, first: Array, counts: Array, normals: Array, curved: Array,
-                reflection: Array, scattering: Array, mics: Array, visible: Array, radius2: Array, per_volume: Array, frames_per_m: Number,
-                ray_gain: Array, limits: Array, low: Number, high: Number, echo: Array) -> None:
+                reflection: Array, scattering: Array, mics: Array, visible: Array, radius2: Array, per_volume: Array,
+                frames_per_m: Number, ray_gain: Array, limits: Array, low: Number, high: Number, echo: Array) -> None:
     """Add what rays `low` to `high` contribute to `echo`, shape (n_mics, n_frames, 8), in single precision.
 
     The contribution of a reflection to every microphone comes first, in loops that are vectorised over microphones,

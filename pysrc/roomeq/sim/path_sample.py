@@ -41,7 +41,7 @@ from roomeq.sim.paths import (
     scatter,
     segment_counts,
 )
-from roomeq.sim.ray_limits import ray_limits
+from roomeq.sim.ray_limits import LARGEST_GAIN, ray_limits
 from roomeq.sim.room import Room
 from roomeq.sim.scene import Scene
 from roomeq.sim.trace import Paths
@@ -56,6 +56,7 @@ MAX_ABSORPTION = 0.999
 """Of a reference: a path without any energy there could not represent others elsewhere."""
 SHARING_M = 0.1
 """Microphones this close to one another share a sample: receiver spheres are larger, and sound goes further in 1 ms."""
+_FARTHEST = 1.5  # decay, relative to that of a reference, to which the gain of limited rays is extrapolated
 _ROUNDING_M = 1e-6  # of the coordinates of arrays that are turned
 _NO_GAIN = np.zeros((0, 0, 0), np.float32)
 _NO_WEIGHT = np.zeros(0, np.float32)
@@ -87,6 +88,13 @@ class PathSample:
         Which trace serves each band.
     frame_m
         Way of the sound in a frame [m]: where the speed of sound changes, so does the length of the frames.
+    log_gain
+        Logarithm of the gain of limited rays (`roomeq.sim.ray_limits.RayLimits`) at both references, shape (n_traces,
+        n_frames, 2), float32.
+    decay
+        ``-ln(1 - alpha)`` of the mean absorption at both references, shape (n_traces, 2).
+    surface_share
+        Of the area, shape (n_surfaces,).
     """
 
     weight: Array
@@ -96,6 +104,9 @@ class PathSample:
     rays: Array
     trace_of_band: tuple[int, ...]
     frame_m: float
+    log_gain: Array
+    decay: FloatArray
+    surface_share: FloatArray
 
     def gain_of_arrivals(self, paths: Sequence[Paths], mic_m: FloatArray,
                          directivity: Callable[[FloatArray], FloatArray]) -> list[Array]:
@@ -158,11 +169,25 @@ class PathSample:
             counts = self.reflection_counts[trace]
             reflected = eight_bands(1.0 - absorption, first)
             _absorb(self.weight[trace], counts, self._most_reflections[trace], reflected, gain, energy)
+            if self.log_gain[trace].any():
+                energy *= self._gain_of_limited_rays(trace, reflected)
             served = bands[(trace_of_band[bands] == trace) & (first <= bands) & (bands < first + BANDS_PER_PASS)]
             if len(served) == result.shape[1] == BANDS_PER_PASS:
                 return energy
             result[:, served] = energy[:, served - first]
         return result
+
+    def _gain_of_limited_rays(self, trace: int, reflected: Array) -> Array:
+        """Return the gain in each frame where surfaces reflect shares of shape (n_surfaces, 8), shape (n_frames, 8).
+
+        As the variance of the logarithm of the energies of rays does, its logarithm grows with the square of the decay:
+        over this it is interpolated between both references, and extrapolated up to `_FARTHEST` times the decay.
+        """
+        decay2, (low, high) = _mean_decay(self.surface_share, reflected) ** 2, self.decay[trace] ** 2
+        within = np.clip(decay2, low, high)
+        share = (within - low) / (high - low) if high > low else np.full_like(decay2, 0.5)
+        log_gain = (self.log_gain[trace] @ np.array([1.0 - share, share])) * np.minimum(decay2 / within, _FARTHEST ** 2)
+        return np.exp(np.minimum(log_gain, np.log(LARGEST_GAIN))).astype(np.float32)
 
     @cached_property
     def _most_reflections(self) -> list[int]:
@@ -208,16 +233,20 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
     seeds = np.array([rngs[mic].integers(2 ** 63) for mic in leaders], dtype=np.uint64)
     spheres = receiver_spheres(traced.scene.room, mics_m)
     frame_m = FRAME_S * traced.scene.air.speed_m_s
-    result = [_empty_sample(traced.paths, n_frames, len(absorption), traced.trace_of_band, frame_m) for _ in mics_m]
+    share = traced.scene.room.surface_area_m2 / traced.scene.room.surface_area_m2.sum()
+    log_gain, decay = np.zeros((len(traced.paths), n_frames, 2), np.float32), np.zeros((len(traced.paths), 2))
+    result = [_empty_sample(traced.paths, n_frames, len(absorption), traced.trace_of_band, frame_m, log_gain, decay,
+                            share) for _ in mics_m]
     for trace, paths in enumerate(traced.paths):
         tallies = _tally_reflections(paths, len(absorption))
         references = _references(absorption[:, np.equal(traced.trace_of_band, trace)])
         limits = ray_limits(paths, eight_bands((1.0 - references).T[paths.face_surface], 0),
                             _emitted(ray_weight), n_frames=n_frames, frames_per_m=float(np.float32(1.0 / frame_m)),
                             n_bands=_PER_CHUNK)
+        log_gain[trace], decay[trace] = np.log(limits.gain), _mean_decay(share, (1.0 - references).T)
         for start in range(0, len(mics_m), MICS_PER_PASS):
             batch = slice(start, start + MICS_PER_PASS)
-            _sample_trace(paths, tallies, traced.scene, mics_m[batch], references, limits, seeds[batch],
+            _sample_trace(paths, tallies, traced.scene, mics_m[batch], references, limits.largest, seeds[batch],
                           Spheres(spheres.radius_m[batch], spheres.volume_m3[batch]), ism_order, n_frames, ray_weight,
                           None if visible is None or not len(visible[trace]) else visible[trace][leaders[batch]],
                           [(sample.weight[trace], sample.reflection_counts[trace], sample.last_reflection[trace],
@@ -249,6 +278,11 @@ def _references(absorption: FloatArray) -> FloatArray:
     return np.minimum([absorption.min(axis=1), absorption.max(axis=1)], MAX_ABSORPTION)
 
 
+def _mean_decay(surface_share: FloatArray, reflected: Array) -> FloatArray:
+    """Return ``-ln(1 - alpha)`` of the mean absorption, for reflected shares of shape (n_surfaces, n), shape (n,)."""
+    return -np.log(np.clip(surface_share @ reflected, 1e-6, 1.0 - 1e-6))
+
+
 def _emitted(ray_weight: Array | None) -> Array:
     """Return the energy of each ray at the source for both references, in eight bands; of no rays if all have 1."""
     return _NO_EMITTED if ray_weight is None else eight_bands(np.stack([np.ones_like(ray_weight), ray_weight], axis=1),
@@ -256,12 +290,12 @@ def _emitted(ray_weight: Array | None) -> Array:
 
 
 def _empty_sample(traces: Sequence[Paths], n_frames: int, n_surfaces: int, trace_of_band: tuple[int, ...],
-                  frame_m: float) -> PathSample:
+                  frame_m: float, log_gain: Array, decay: FloatArray, surface_share: FloatArray) -> PathSample:
     """Allocate the sample of one microphone; nothing is filled in yet."""
     shape = (len(traces), n_frames, PATHS_PER_FRAME)
     return PathSample(np.empty(shape, np.float32), np.empty((*shape, n_surfaces), _count_type(traces)),
                       np.empty(shape, np.uint32), np.empty(shape, np.bool_), np.empty(shape, np.uint32), trace_of_band,
-                      frame_m)
+                      frame_m, log_gain, decay, surface_share)
 
 
 def _count_type(traces: Sequence[Paths]) -> type:
@@ -429,8 +463,8 @@ def _replace(sums: Array, kept: Array, of_ray: Array, m: Number, frame: Number, 
 
 
 @compiled
-def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: Array, normals: Array,
-            curved: Array, face_surface: Array, reflection: Array, scattering: Array, mics: Array, visible: Array, radius2: Array,
+def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: Array, normals: Array, curved: Array,
+            face_surface: Array, reflection: Array, scattering: Array, mics: Array, visible: Array, radius2: Array,
             per_volume: Array, frames_per_m: Number, seeds: Array, ray_weight: Array, limits: Array, low: Number,
             high: Number, sums: Array, kept: Array, of_ray: Array) -> None:
     """Sample the paths of rays `low` to `high`.

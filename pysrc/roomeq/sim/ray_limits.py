@@ -3,9 +3,14 @@
 Under an absorbing ceiling, sound that stays horizontal between hard walls decays most slowly. If few rays carry it, it
 is silent for most of the time, and where one of them crosses a receiver, it is a loud single echo. The energy of rays
 is therefore winsorized (Dixon, Ann. Math. Stat. 31 (1960) 385): no ray has more than the share of one in `FEWEST_RAYS`
-of the energy in the room. What more rays carry remains as it is. The slow decay that fewer rays carry is lost below
-that of the others; with more rays, more of it is kept.
+of the energy in the room. What more rays carry remains as it is.
+
+What the limit takes from rays is shared by all of them, so that the energy in the room decays as it was traced. Its
+decay is a sum over all rays, and needs fewer of them than the sound at a receiver does. But one or two rays do not tell
+it: of that energy, too, no ray has more than the share of one in `FEWEST_FOR_DECAY`.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,15 +20,35 @@ from roomeq.sim.trace import Paths
 
 FEWEST_RAYS = 25
 """Rays that must carry the energy in a room, or one in `_RAYS_PER_LIMIT` rays where those are fewer."""
+FEWEST_FOR_DECAY = 8
+"""Rays that must carry the energy in a room for its decay to be that of the response."""
+LARGEST_GAIN = 100.0
+"""Of all rays. Where they would need more, a few rays carry nearly all energy, and the others are no model of them."""
 _RAYS_PER_LIMIT = 400
 _STEP = 64  # frames between the times at which energies are compared
 _NEGLIGIBLE = 1e-6  # share of the energy at the beginning
 _LEAST = 1e-30
 
 
+class RayLimits(NamedTuple):
+    """Limits of the energy of single rays, shape (n_frames, n_bands) each, float32.
+
+    Attributes
+    ----------
+    largest
+        Energy that a ray may have, relative to that of a ray as it leaves the source. Infinite if there are too few
+        rays to tell.
+    gain
+        Of the energy of all rays, so that they carry together what the limits took from some.
+    """
+
+    largest: Array
+    gain: Array
+
+
 def ray_limits(paths: Paths, reflected: Array, emitted: Array, *, n_frames: int, frames_per_m: float,
-               n_bands: int = 8) -> Array:
-    """Return the largest energy that a ray may have in each frame, relative to that of a ray as it leaves the source.
+               n_bands: int = 8) -> RayLimits:
+    """Find the limits of the energy of rays in each frame.
 
     Parameters
     ----------
@@ -37,26 +62,28 @@ def ray_limits(paths: Paths, reflected: Array, emitted: Array, *, n_frames: int,
         Of length of path.
     n_bands
         Of the eight bands, how many from the first on are needed.
-
-    Returns
-    -------
-    ndarray of float32, shape (n_frames, n_bands)
-        Infinite if there are too few rays to tell.
     """
     n_rays = len(paths.counts)
     fewest = min(FEWEST_RAYS, n_rays // _RAYS_PER_LIMIT)
     if fewest < 2:
-        return np.full((n_frames, n_bands), np.inf, np.float32)
+        return RayLimits(np.full((n_frames, n_bands), np.inf, np.float32), np.ones((n_frames, n_bands), np.float32))
     at_m = np.minimum(np.arange(0, n_frames + _STEP, _STEP) / frames_per_m, paths.max_length_m).astype(np.float32)
     total = np.zeros((N_CHUNKS, len(at_m), 8))
     largest = np.zeros((N_CHUNKS, len(at_m), n_bands, fewest), np.float32)
     for_chunks(n_rays, lambda chunk, low, high: _add_up(paths.hits, paths.codes, paths.first, paths.counts, reflected,
                                                         emitted, at_m, low, high, total[chunk], largest[chunk]))
-    energy = total.sum(axis=0)[:, :n_bands]
-    limit = np.where(energy > _NEGLIGIBLE * energy[0], _winsorized(energy, np.concatenate([*largest], axis=-1), fewest),
-                     energy / fewest)
-    log_limit, place = np.log(np.maximum(limit, _LEAST)), np.arange(n_frames) / _STEP
-    return np.exp([np.interp(place, np.arange(len(at_m)), of_band) for of_band in log_limit.T]).T.astype(np.float32)
+    energy, of_rays = total.sum(axis=0)[:, :n_bands], np.concatenate([*largest], axis=-1)
+    counts, known = energy > _NEGLIGIBLE * energy[0], min(FEWEST_FOR_DECAY, fewest)
+    limit = np.where(counts, _winsorized(energy, of_rays, fewest), energy / fewest)
+    # winsorized for n rays, all of them together carry n times the limit
+    gain = np.where(counts, known * _winsorized(energy, of_rays, known) / np.maximum(fewest * limit, _LEAST), 1.0)
+    return RayLimits(_in_frames(limit, n_frames), _in_frames(np.clip(gain, 1.0, LARGEST_GAIN), n_frames))
+
+
+def _in_frames(values: FloatArray, n_frames: int) -> Array:
+    """Interpolate the logarithm of values, shape (n_lengths, n_bands), between the frames at which they are known."""
+    logarithm, place = np.log(np.maximum(values, _LEAST)), np.arange(n_frames) / _STEP
+    return np.exp([np.interp(place, np.arange(len(values)), band) for band in logarithm.T]).T.astype(np.float32)
 
 
 @compiled

@@ -85,6 +85,19 @@ def test_sampled_echogram_is_unbiased_off_reference(exponent):
     assert abs(np.mean(error_db)) < 0.1
 
 
+@pytest.mark.parametrize("exponent", [0.5, 1.0, 1.6])
+def test_sample_has_the_decay_of_all_paths_where_few_rays_carry_it(exponent):
+    """Under an absorbing ceiling, the energy of single rays is limited (`roomeq.sim.ray_limits`)."""
+    base, offset_db = np.tile(np.array([0.04, 0.06, 0.05, 0.08, 0.08, 0.8])[:, None], 8), []
+    absorption = scaled_absorption(base, exponent)
+    for seed in range(4):
+        one = trace_source(box_scene(base, 0.1), SOURCE, num_rays=10000, max_length_s=1.0,
+                           rng=np.random.default_rng(seed), absorption=scaled_absorption(base, 0.5))
+        (sample,) = kept(one, base, MICS[:1])
+        offset_db.append(np.mean(smooth_db(exact(one, absorption)[:, 4], sample.echogram(absorption)[:, 4])))
+    assert abs(np.mean(offset_db)) < (0.01 if exponent == 1.0 else 0.3)
+
+
 def test_sample_distinguishes_surfaces_and_bands():
     absorption = np.outer([0.02, 0.1, 0.05, 0.3, 0.15, 0.5], np.linspace(0.4, 1.2, 8))
     noise_db, offset_db = [], []
