@@ -275,6 +275,18 @@ def test_decays_slower_than_eyring_are_not_cut_off(tmp_path):
     assert np.sum(np.square(rir[-800:])) < 1e-5 * np.sum(np.square(rir))
 
 
+def test_decays_much_slower_than_eyring_are_followed_further(tmp_path):
+    """Rays are traced again where they were not followed to the end of the decay, which takes 5 s in this corridor."""
+    surfaces = dict(default=dict(absorption=0.05, scattering=0.02))
+    places = dict(room_dims_m=[40.0, 2.0, 2.6], source_pos_m=[2.0, 1.0, 1.5], mic_pos_m=[10.0, 0.7, 1.6])
+    (tmp_path / "in").mkdir()
+    write_jsonl(tmp_path / "in" / "rirs.jsonl", [
+        measured_row("corridor", materials=surfaces, target_t60_s=None, **places)])
+    rows = run(tmp_path / "in", tmp_path / "out", num_rays=10000)
+    assert rows["corridor"]["t30_s"] == pytest.approx(4.9, rel=0.15)
+    assert all(row["n_samples"] > 3 * FS_HZ for row in rows.values())
+
+
 def test_scattering_may_be_stated_up_to_16_khz(tmp_path):
     (tmp_path / "in").mkdir()
     stated = dict(floor=dict(absorption=[0.1] * 9, scattering=[0.1, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.6, 0.6]))

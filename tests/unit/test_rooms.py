@@ -234,6 +234,14 @@ def test_long_reverberation_is_not_cut_off():
     assert parameters["t30_valid"][4] and parameters["t30_s"][4] == pytest.approx(5.0, rel=0.05)
 
 
+def test_decay_much_slower_than_in_a_diffuse_field_is_not_cut_off():
+    """Along a corridor, sound decays for 5 s (an independent Monte Carlo simulation), not for 2 s as Eyring says."""
+    corridor = roomeq.Room((40, 2, 2.6), dict(absorption=0.05, scattering=0.02))
+    rir = roomeq.simulate_rir(corridor, (2, 1, 1.5), (10, 0.7, 1.6))
+    parameters = roomeq.analyse(rir, 16000)
+    assert parameters["t30_valid"][4] and parameters["t30_s"][4] == pytest.approx(4.9, rel=0.15)
+
+
 def test_rooms_and_sources_have_tails_of_their_own():
     tails = [roomeq.simulate_rir(roomeq.Room(dims_m, t60_s=0.6), source_m, (3.0, 2.5, 1.1))[2000:6000]
              for dims_m, source_m in (((6, 4, 3), (1, 1, 1.5)), ((6, 4, 3), (1.5, 1, 1.5)), ((6, 4.5, 3), (1, 1, 1.5)))]

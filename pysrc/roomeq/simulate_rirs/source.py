@@ -25,6 +25,7 @@ from roomeq.sim.response import (
     TracedSource,
     decay_length_s,
     eyring_exponent,
+    longer_length_s,
     needed_length_s,
     render_responses,
     render_to_target,
@@ -186,18 +187,26 @@ class TracedRoom:
                target_s: float | None, expected: FloatArray, **how: Any) -> list[Response]:
         """Render the responses at some microphones, scaled to a target or as they are.
 
-        They are as long as Eyring's decay, or longer where sound between reflecting surfaces decays more slowly: up to
-        the length for which the source was traced.
+        They are as long as Eyring's decay, or longer where sound between reflecting surfaces decays more slowly: with a
+        target up to `length_s`, without one as `longer_length_s` says.
 
         `expected` is about the absorption that they will have, shape (n_surfaces, n_bands).
         """
-        traced = self._trace(source_pos_m, how.pop("length_s"), expected)
+        followed_s: float = how.pop("length_s")
+        traced = self._trace(source_pos_m, followed_s, expected)
         length_s = min(decay_length_s(traced.scene, expected), traced.max_length_s)
         while True:
             responses = self._render(traced, mics_m, rir_ids, target_s, expected, length_s, how)
-            if length_s == traced.max_length_s or not any(response.is_cut for response in responses):
+            if not any(response.is_cut for response in responses):
                 return responses
-            length_s = min(2.0 * length_s, traced.max_length_s)
+            if length_s < traced.max_length_s:
+                length_s = min(2.0 * length_s, traced.max_length_s)
+                continue
+            longer_s = longer_length_s(responses, followed_s) if target_s is None else None
+            if longer_s is None:
+                return responses
+            followed_s, traced = longer_s, self._trace(source_pos_m, longer_s, expected)
+            length_s = traced.max_length_s
 
     def _render(self, traced: TracedSource, mics_m: list[tuple[float, ...]], rir_ids: list[str],
                 target_s: float | None, expected: FloatArray, length_s: float, how: dict[str, Any]) -> list[Response]:
