@@ -25,6 +25,7 @@ FEWEST_FOR_DECAY = 8
 LARGEST_GAIN = 100.0
 """Of all rays. Where they would need more, a few rays carry nearly all energy, and the others are no model of them."""
 _RAYS_PER_LIMIT = 400
+_FEW_BANDS = 2
 _STEP = 64  # frames between the times at which energies are compared
 _NEGLIGIBLE = 1e-6  # share of the energy at the beginning
 _LEAST = 1e-30
@@ -68,12 +69,22 @@ def ray_limits(paths: Paths, reflected: Array, emitted: Array, *, n_frames: int,
     if fewest < 2:
         return RayLimits(np.full((n_frames, n_bands), np.inf, np.float32), np.ones((n_frames, n_bands), np.float32))
     at_m = np.minimum(np.arange(0, n_frames + _STEP, _STEP) / frames_per_m, paths.max_length_m).astype(np.float32)
-    total = np.zeros((N_CHUNKS, len(at_m), 8))
-    largest = np.zeros((N_CHUNKS, len(at_m), n_bands, fewest), np.float32)
-    for_chunks(n_rays, lambda chunk, low, high: _add_up(paths.hits, paths.codes, paths.first, paths.counts, reflected,
-                                                        emitted, at_m, low, high, total[chunk], largest[chunk]))
-    energy, of_rays = total.sum(axis=0)[:, :n_bands], np.concatenate([*largest], axis=-1)
+
+    def add_up(at_m: Array, n_largest: int) -> tuple[FloatArray, Array]:
+        total = np.zeros((N_CHUNKS, len(at_m), 8), np.float32)
+        largest = np.zeros((N_CHUNKS, len(at_m), n_bands, n_largest), np.float32)
+        walk = paths.hits, paths.codes, paths.first, paths.counts, reflected, emitted, at_m
+        for_chunks(n_rays, lambda chunk, low, high: _add_up(*walk, low, high, total[chunk], largest[chunk]))
+        return total.sum(axis=0, dtype=np.float64)[:, :n_bands], np.concatenate([*largest], axis=-1)
+
+    # to sort energies in many bands takes as long as a second walk, which many rooms do not need
+    energy, of_rays = add_up(at_m, fewest if n_bands <= _FEW_BANDS else 1)
     counts, known = energy > _NEGLIGIBLE * energy[0], min(FEWEST_FOR_DECAY, fewest)
+    if n_bands > _FEW_BANDS:
+        concentrated = np.flatnonzero(np.any(counts & (of_rays.max(axis=-1) * fewest > energy), axis=-1))
+        of_rays = np.zeros((len(at_m), n_bands, N_CHUNKS * fewest), np.float32)
+        if len(concentrated):
+            of_rays[concentrated] = add_up(at_m[concentrated], fewest)[1]
     limit = np.where(counts, _winsorized(energy, of_rays, fewest), energy / fewest)
     # winsorized for n rays, all of them together carry n times the limit
     gain = np.where(counts, known * _winsorized(energy, of_rays, known) / np.maximum(fewest * limit, _LEAST), 1.0)
@@ -94,6 +105,8 @@ def _add_up(hits: Array, codes: Array, first: Array, counts: Array, reflected: A
     Shapes are (n_lengths, 8) and (n_lengths, n_bands, n_largest); the largest come in falling order.
     """
     one, n_bands = np.float32(1.0), largest.shape[1]
+    least = np.full((len(at_m), 8), np.float32(np.inf))  # of the largest, side by side, since most rays exceed none
+    least[:, :n_bands] = np.float32(0.0)
     for ray in range(low, high):
         e0, e1, e2, e3, e4, e5, e6, e7 = one, one, one, one, one, one, one, one
         if len(emitted):
@@ -102,12 +115,18 @@ def _add_up(hits: Array, codes: Array, first: Array, counts: Array, reflected: A
         at, end, place = first[ray], first[ray] + counts[ray], 0
         while at < end and place < len(at_m):
             if at_m[place] <= hits[at, 3]:
-                energies = (e0, e1, e2, e3, e4, e5, e6, e7)
-                for band in range(8):
-                    total[place, band] += energies[band]
-                for band in range(n_bands):
-                    if energies[band] > largest[place, band, -1]:
-                        _insert(energies[band], largest, place, band)
+                total[place, 0], total[place, 1] = total[place, 0] + e0, total[place, 1] + e1
+                total[place, 2], total[place, 3] = total[place, 2] + e2, total[place, 3] + e3
+                total[place, 4], total[place, 5] = total[place, 4] + e4, total[place, 5] + e5
+                total[place, 6], total[place, 7] = total[place, 6] + e6, total[place, 7] + e7
+                if ((e0 > least[place, 0]) | (e1 > least[place, 1]) | (e2 > least[place, 2]) | (e3 > least[place, 3])
+                        | (e4 > least[place, 4]) | (e5 > least[place, 5]) | (e6 > least[place, 6])
+                        | (e7 > least[place, 7])):
+                    energies = (e0, e1, e2, e3, e4, e5, e6, e7)
+                    for band in range(n_bands):
+                        if energies[band] > least[place, band]:
+                            _insert(energies[band], largest, place, band)
+                            least[place, band] = largest[place, band, -1]
                 place += 1
             else:
                 face = codes[at] >> 2
