@@ -57,6 +57,7 @@ MAX_ABSORPTION = 0.999
 SHARING_M = 0.1
 """Microphones this close to one another share a sample: receiver spheres are larger, and sound goes further in 1 ms."""
 _FARTHEST = 1.5  # decay, relative to that of a reference, to which the gain of limited rays is extrapolated
+_LOG_LARGEST_GAIN = np.float32(np.log(LARGEST_GAIN))
 _ROUNDING_M = 1e-6  # of the coordinates of arrays that are turned
 _NO_GAIN = np.zeros((0, 0, 0), np.float32)
 _NO_WEIGHT = np.zeros(0, np.float32)
@@ -186,8 +187,9 @@ class PathSample:
         decay2, (low, high) = _mean_decay(self.surface_share, reflected) ** 2, self.decay[trace] ** 2
         within = np.clip(decay2, low, high)
         share = (within - low) / (high - low) if high > low else np.full_like(decay2, 0.5)
-        log_gain = (self.log_gain[trace] @ np.array([1.0 - share, share])) * np.minimum(decay2 / within, _FARTHEST ** 2)
-        return np.exp(np.minimum(log_gain, np.log(LARGEST_GAIN))).astype(np.float32)
+        of_references = np.array([1.0 - share, share]) * np.minimum(decay2 / within, _FARTHEST ** 2)
+        # in single precision, whose exponential takes a fraction of the time
+        return np.exp(np.minimum(self.log_gain[trace] @ of_references.astype(np.float32), _LOG_LARGEST_GAIN))
 
     @cached_property
     def _most_reflections(self) -> list[int]:
