@@ -25,7 +25,7 @@ FEWEST_FOR_DECAY = 8
 LARGEST_GAIN = 100.0
 """Of all rays. Where they would need more, a few rays carry nearly all energy, and the others are no model of them."""
 _RAYS_PER_LIMIT = 400
-_FEW_BANDS = 2
+_FEW_BANDS = 2  # whose largest energies are sorted in the first walk along the rays
 _STEP = 64  # frames between the times at which energies are compared
 _NEGLIGIBLE = 1e-6  # share of the energy at the beginning
 _LEAST = 1e-30
@@ -77,7 +77,7 @@ def ray_limits(paths: Paths, reflected: Array, emitted: Array, *, n_frames: int,
         for_chunks(n_rays, lambda chunk, low, high: _add_up(*walk, low, high, total[chunk], largest[chunk]))
         return total.sum(axis=0, dtype=np.float64)[:, :n_bands], np.concatenate([*largest], axis=-1)
 
-    # to sort energies in many bands takes as long as a second walk, which many rooms do not need
+    # to sort those of more bands takes as long as a second walk, which many rooms do not need
     energy, of_rays = add_up(at_m, fewest if n_bands <= _FEW_BANDS else 1)
     counts, known = energy > _NEGLIGIBLE * energy[0], min(FEWEST_FOR_DECAY, fewest)
     if n_bands > _FEW_BANDS:

@@ -390,13 +390,13 @@ def simulate_responses(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike,
     for place_m in (tuple(map(float, mic_m)) for mic_m in mics_m):
         names.append(repr((of_source, *place_m, *[before[place_m]] * (place_m in before))))
         before[place_m] += 1
+    options: dict[str, Any] = dict(ism_order=ism_order, diffraction=diffraction, source_directivity=source_directivity,
+                                   arrays=arrays)
     length_s: float | None = needed_length_s(scene, target_t60_s, order)
     while length_s is not None:
         traced = trace_source(scene, source_pos_m, num_rays=num_rays, absorption=expected, max_length_s=length_s,
                               rng=rng_for(seed, "trace", repr(of_source)))
         rngs = [rng_for(seed, "tail", name) for name in names]
-        options: dict[str, Any] = dict(ism_order=ism_order, diffraction=diffraction,
-                                       source_directivity=source_directivity, arrays=arrays)
         if mic_directivities is not None and any(mic_directivities):
             options |= dict(mic_directivities=mic_directivities, path_samples=sample_paths(
                 traced, mics_m, expected,
@@ -410,10 +410,10 @@ def simulate_responses(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike,
 
 
 def longer_length_s(responses: Sequence[Response], length_s: float) -> float | None:
-    """Return how far rays should be followed, where responses are cut off because sound decays more slowly than in a
-    diffuse field; None where rays have been followed far enough, for `length_s`.
+    """Return how far rays have to be followed where they were followed for `length_s`; None if that is far enough.
 
-    The limits are those of `decay_length_s`, for T20 of the responses instead of Eyring's time.
+    It is not where responses are cut off, as sound decays more slowly than in a diffuse field. The limits are those of
+    `decay_length_s`, for T20 of the responses instead of Eyring's time.
     """
     decay_s = max((1.3 * response.t20_s + 0.1 for response in responses if response.t20_s is not None), default=0.0)
     longest_s = float(np.clip(decay_s, SLOW_BANDS_S, MAX_LENGTH_S))
