@@ -1,27 +1,75 @@
-"""Compile the simulator's kernels before they are needed: ``python -m roomeq.compile_kernels``.
+"""Compile the kernels before they are needed: ``python -m roomeq.compile_kernels``.
 
 The machine code is kept on disk for this version of the sources (`roomeq.core.jit`). Without it, the first response of
-each installation waits for the compiler.
+each installation waits for the compiler, and so does the first loop.
 """
+
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
 from roomeq.acoustics.parameters import measure
 from roomeq.core.arrays import FloatArray
+from roomeq.core.constants import FS_HZ
+from roomeq.effects.spherical_cap import cap_gain
+from roomeq.loop.arrivals import log_likelihood
+from roomeq.loop.features import measure_features
+from roomeq.loop.predict import add_up, decay_times
+from roomeq.loop.tables import collect
 from roomeq.sim.mesh import MeshRoom
-from roomeq.sim.response import simulate_responses
+from roomeq.sim.response import simulate_responses, trace_source
 from roomeq.sim.scene import Material, Scene, Shoebox
+
+_SCENE = Scene(Shoebox((3.0, 3.0, 3.0)), [Material("all", (0.3,) * 8, (0.2,) * 8)] * 6)
+_SOURCE_M, _MICS_M = (1.0, 1.0, 1.0), np.array([[2.0, 2.0, 2.0], [2.0, 2.0, 1.0]])
+_NUM_RAYS = 1000
+"""With fewer, the energy of single rays is not limited (`roomeq.sim.ray_limits`)."""
 
 
 def main() -> None:
-    """Simulate and analyse a response, with and without a target of the reverberation time, and one in a mesh."""
-    scene = Scene(Shoebox((3.0, 3.0, 3.0)), [Material("all", (0.3,) * 8, (0.2,) * 8)] * 6)
-    source_m, mics_m = (1.0, 1.0, 1.0), np.array([[2.0, 2.0, 2.0]])
-    for target_t60_s in (None, 0.3):
-        (response,) = simulate_responses(scene, source_m, mics_m, num_rays=100, target_t60_s=target_t60_s)
-        measure(response.rir)
-    concave = MeshRoom(3.0 * _cube(), ("all",), np.zeros(12, int), 27.0, False)
-    simulate_responses(Scene(concave, scene.materials[:1]), source_m, mics_m, num_rays=100)
+    """Compile the kernels, two parts at once: the compiler takes one core."""
+    with ProcessPoolExecutor(2, multiprocessing.get_context("fork")) as processes:
+        for part in [processes.submit(of_part) for of_part in (analyse, simulate, predict, simulate_mesh)]:
+            part.result()
+
+
+def simulate() -> None:
+    """Simulate responses in a shoebox, with and without a target, of one and of two microphones."""
+    for mics_m in (_MICS_M[:1], _MICS_M):
+        for target_t60_s in (None, 0.3):
+            simulate_responses(_SCENE, _SOURCE_M, mics_m, num_rays=_NUM_RAYS, target_t60_s=target_t60_s)
+    # paths of many reflections
+    small = Scene(Shoebox((1.0, 1.0, 1.0)), [Material("hard", (0.03,) * 8, (0.2,) * 8)] * 6)
+    simulate_responses(small, (0.2, 0.2, 0.2), (0.8, 0.8, 0.8), num_rays=_NUM_RAYS, target_t60_s=0.9)
+
+
+def simulate_mesh() -> None:
+    """Simulate a response in a mesh."""
+    room = MeshRoom(3.0 * _cube(), ("all",), np.zeros(12, int), 27.0, False)
+    simulate_responses(Scene(room, _SCENE.materials[:1]), _SOURCE_M, _MICS_M, num_rays=_NUM_RAYS)
+
+
+def analyse() -> None:
+    """Measure a decay into noise as that of an RIR, and as the loop does."""
+    time_s = np.arange(FS_HZ // 2) / FS_HZ
+    response = np.hypot(10.0 ** (-3.0 * time_s / 0.3), 1e-3) * np.random.default_rng(0).standard_normal(len(time_s))
+    measure(response)
+    measure_features(response, 0.0)
+
+
+def predict() -> None:
+    """Run the kernels of the loop's prediction on arrays of the types that they get there."""
+    traced = trace_source(_SCENE, _SOURCE_M, num_rays=_NUM_RAYS, max_length_s=0.1, rng=np.random.default_rng(0))
+    (table,) = collect(traced, _MICS_M[:1], [None])
+    kept, energy = np.ones((table.counts.shape[1], 8)), np.zeros((1, table.entries[:, 0].max() + 1, 8))
+    add_up(table.entries, table.counts, np.empty((0, 0)), np.empty((0, 0)), kept, energy[0])
+    angular = np.ones((len(table.entries), 1), table.counts.dtype)
+    add_up(table.entries, table.counts, angular, np.ones((1, 8)), kept, energy[0])
+    decay_times(np.ones((1, 8)), energy, np.arange(energy.shape[1] + 1.0), np.ones(8), np.empty((1, 3, 8)))
+    points = np.ones((1, 3))
+    log_likelihood(np.ones(10), points, np.ones(1), points, points, np.zeros((1, 3), int), np.ones((1, 1)))
+    cap_gain(1.0, 0.1, 0.5)
 
 
 def _cube() -> FloatArray:

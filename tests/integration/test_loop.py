@@ -1,5 +1,7 @@
 """The closed loop on small generated rooms: it adds nothing to clean rooms, and the effect where there is one."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -96,6 +98,30 @@ def closed(room_set, tmp_path_factory):
     return close
 
 
+COMPILES = """import gc, sys
+from pathlib import Path
+from numba.core.dispatcher import Dispatcher
+from roomeq import compile_kernels
+from roomeq.effects.source_directivity import SourceDirectivity
+from roomeq.loop.data import load_data
+from roomeq.loop.fit import fit
+from roomeq.loop.session import fit_base_model
+from roomeq.loop.usable import usable_rirs
+
+def compiled():
+    kernels = [kernel for kernel in gc.get_objects() if isinstance(kernel, Dispatcher)]
+    return {(kernel.py_func.__qualname__, str(types)) for kernel in kernels if kernel.__module__.startswith("roomeq")
+            for types in kernel.overloads}
+
+for part in (compile_kernels.analyse, compile_kernels.simulate, compile_kernels.predict):
+    part()
+before = compiled()
+session = fit_base_model(load_data(usable_rirs([Path(sys.argv[1])]), scattering=0.3, seed=0), seed=0, nj=1)
+fit(session.data, session.correction, [SourceDirectivity])
+sys.exit(str(compiled() - before) if before and compiled() - before else 0)
+"""
+
+
 def data_of(directory):
     return load_data(usable_rirs([directory]), scattering=SCATTERING, seed=0)
 
@@ -104,6 +130,12 @@ def data_of(directory):
 def session(room_set):
     """Fit the base model to clean rooms."""
     return fit_base_model(data_of(room_set("clean") / "fit"), seed=0, nj=2)
+
+
+def test_installation_has_compiled_what_the_loop_needs(room_set):
+    done = subprocess.run([sys.executable, "-c", COMPILES, room_set("source_directivity") / "fit"],
+                          check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 def test_parameters_of_unseen_rooms_converge(session, room_set, monkeypatch, caplog):

@@ -99,7 +99,7 @@ def reflected_energy(data: Data, state: PredictionState) -> FloatArray:
         angular, ray_gain = _OMNIDIRECTIONAL, _OMNIDIRECTIONAL
         if state.ray_gain is not None and table.angular is not None:
             angular, ray_gain = table.angular, state.ray_gain[i]
-        _add_up(table.entries, table.counts, angular, ray_gain, kept[i], energy[i])
+        add_up(table.entries, table.counts, angular, ray_gain, kept[i], energy[i])
     length_m = data.distance_m[:, None] + 0.5 * (edges_s[1:] + edges_s[:-1]) * data.speed_m_s[:, None]
     energy *= np.exp(-length_m[:, :, None] * state.air_per_m[:, None, :])
     if not state.decays:
@@ -159,7 +159,7 @@ class ReflectedEnergy:
         self.levels(gain)
         if not _same(direct, self._direct):
             self._direct, energy = direct, self._gained()
-            _decay_times(direct, energy, self._edges_s, _PULSE_S, self._times_s)
+            decay_times(direct, energy, self._edges_s, _PULSE_S, self._times_s)
         return self._times_s
 
 
@@ -258,11 +258,14 @@ def _sum_db(first_db: FloatArray, second_db: FloatArray) -> FloatArray:
 
 
 @compiled
-def _add_up(entries: IntArray, counts: FloatArray, angular: FloatArray, ray_gain: FloatArray, kept: FloatArray,
-            energy: FloatArray) -> None:
+def add_up(entries: IntArray, counts: FloatArray, angular: FloatArray, ray_gain: FloatArray, kept: FloatArray,
+           energy: FloatArray) -> None:
     """Add ray contributions to the energy per frame, with the loss of each reflection and the gain at departure."""
     n_angles, n_shares = angular.shape[1], kept.shape[0]
-    left = np.ones((entries[:, 1].max() + 1 if len(entries) else 1, n_shares, 8))  # after each number of reflections
+    most = 0
+    for k in range(len(entries)):
+        most = max(most, entries[k, 1])
+    left = np.ones((most + 1, n_shares, 8))  # after each number of reflections
     for n in range(1, len(left)):
         for node in range(n_shares):
             for band in range(8):
@@ -295,8 +298,8 @@ def _plus(total: _Octaves, weight: float, row: FloatArray) -> _Octaves:
 
 
 @compiled
-def _decay_times(direct: FloatArray, energy: FloatArray, edges_s: FloatArray, pulse_s: FloatArray,
-                 times_s: FloatArray) -> None:
+def decay_times(direct: FloatArray, energy: FloatArray, edges_s: FloatArray, pulse_s: FloatArray,
+                times_s: FloatArray) -> None:
     """Compute EDT, T20 and T30 from energies per frame into `times_s`, shape (n_rirs, 3, 8).
 
     The direct sound, shape (n_rirs, 8), arrives within `pulse_s`, shape (8,), at the beginning of the first frame.
@@ -305,7 +308,8 @@ def _decay_times(direct: FloatArray, energy: FloatArray, edges_s: FloatArray, pu
     curve, log_curve = np.empty(n_frames + 2), np.empty(n_frames + 2)
     time_s = np.empty(n_frames + 2)
     time_s[0] = 0.0
-    time_s[2:] = edges_s[1:]
+    for frame in range(1, n_frames + 1):  # an assignment of slices takes seconds to compile
+        time_s[frame + 1] = edges_s[frame]
     lowest = 10.0 ** -3.5  # of T30; what is below is not needed
     for i in range(n_rirs):
         for band in range(n_bands):

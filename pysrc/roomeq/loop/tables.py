@@ -148,7 +148,7 @@ def collect(traced: TracedSource, mics_m: ArrayLike, facings: Sequence[FloatArra
         angular /= np.maximum(angular.sum(axis=1, keepdims=True), 1e-300)
         direct_angle = float(_angles((mic_m - source_pos_m)[None] / distance_m, facing)[0])
         counts /= 4.0 * np.pi * len(paths.counts)
-        tables.append(Table(entries.astype(np.int32), counts.astype(np.float32),
+        tables.append(Table(np.ascontiguousarray(entries, np.int32), counts.astype(np.float32),
                             None if facing is None else angular.astype(np.float32), distance_m, bool(sees[m]),
                             direct_angle))
     return tables

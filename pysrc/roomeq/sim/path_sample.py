@@ -287,8 +287,9 @@ def _mean_decay(surface_share: FloatArray, reflected: Array) -> FloatArray:
 
 def _emitted(ray_weight: Array | None) -> Array:
     """Return the energy of each ray at the source for both references, in eight bands; of no rays if all have 1."""
-    return _NO_EMITTED if ray_weight is None else eight_bands(np.stack([np.ones_like(ray_weight), ray_weight], axis=1),
-                                                              0)
+    if ray_weight is None:
+        return _NO_EMITTED
+    return np.ascontiguousarray(eight_bands(np.stack([np.ones_like(ray_weight), ray_weight], axis=1), 0))
 
 
 def _empty_sample(traces: Sequence[Paths], n_frames: int, n_surfaces: int, trace_of_band: tuple[int, ...],

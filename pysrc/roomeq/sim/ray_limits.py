@@ -94,7 +94,8 @@ def ray_limits(paths: Paths, reflected: Array, emitted: Array, *, n_frames: int,
 def _in_frames(values: FloatArray, n_frames: int) -> Array:
     """Interpolate the logarithm of values, shape (n_lengths, n_bands), between the frames at which they are known."""
     logarithm, place = np.log(np.maximum(values, _LEAST)), np.arange(n_frames) / _STEP
-    return np.exp([np.interp(place, np.arange(len(values)), band) for band in logarithm.T]).T.astype(np.float32)
+    in_frames = np.exp([np.interp(place, np.arange(len(values)), band) for band in logarithm.T])
+    return np.ascontiguousarray(in_frames.T, np.float32)  # as kernels are compiled for
 
 
 @compiled
