@@ -58,7 +58,7 @@ def undetected(winner, gain):
     entries = [entry | dict(detectable_jnd=size_jnd,
                             would_show=CATALOGUE[entry["effect"]].DISCRIMINATING_MEASUREMENT)
                for entry, size_jnd in zip(ranking(winner, gain), (0.5, 0.7, None), strict=True)]
-    entries[0]["rejected"] = dict(reason=OTHER_DEVICES, p=0.01, p_by_split=dict.fromkeys(SPLITS, 0.02),
+    entries[0]["rejected"] = dict(reason=OTHER_DEVICES, rendered=True, p=0.01, p_by_split=dict.fromkeys(SPLITS, 0.02),
                                   touched_fall=dict.fromkeys(SPLITS, 0.1), p_other_devices=0.4)
     return entries
 

@@ -195,7 +195,7 @@ def test_loop_section_describes_effects_and_errors(page):
     assert "Limitations of the closed loop" in page.text and "3.4 \u2192 1.5" in page.text
     assert "depth_m 0.7 (0.7 to 0.7); reflection 0.6 (0.6 to 0.6)" in page.text
     assert "79\N{NO-BREAK SPACE}% (59\N{NO-BREAK SPACE}% to 99\N{NO-BREAK SPACE}%)" in page.text
-    assert re.search(r"noise_floor\s*not rendered\s*0\.7\s*a recording of the background noise before the sweep",
+    assert re.search(r"noise_floor\s*not tried\s*0\.7\s*a recording of the background noise before the sweep",
                      page.text)
     assert re.search(r"room_eq\s*no fall in rooms with other devices\s*0\.5", page.text)
     assert "2.73 ± 0.03 m" in page.text and "height of the room" in page.text and "width of the room" not in page.text

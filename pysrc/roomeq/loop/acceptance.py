@@ -5,7 +5,7 @@ significantly (Fisher's method, which combines both p values; at `_JOINT_LEVEL`)
 an effect that touches few. Features count as much as they tell of the effect (`roomeq.loop.selection.weights_of`): in a
 mean over metrics, the few decay times at low frequencies, which scatter most, would decide about room modes; in a mean
 over features, the many that hardly change would decide about the speed of sound. The error of all features must not
-rise significantly on any split.
+rise significantly on any split. An effect whose predicted error hardly falls is not rendered (`judge_predicted`).
 
 An equaliser, which names no cause and is the same in all rooms, needs significance on each split, and in rooms with
 other devices than those that it was fitted to, whose response it may be. What was read off the recordings has no other
@@ -18,13 +18,20 @@ import numpy as np
 from scipy import stats
 
 from roomeq.effects.base import Effect
-from roomeq.loop.heldout_errors import SPLITS, HeldOutErrors, p_lower, p_with_other_devices, share_of_fall
+from roomeq.loop.heldout_errors import (
+    SPLITS,
+    HeldOutErrors,
+    p_lower,
+    p_with_other_devices,
+    predicted_errors,
+    share_of_fall,
+)
 from roomeq.loop.selection import LEVEL, weights_of
 from roomeq.loop.session import Session
 
 RISES, OTHER_DEVICES, NO_CLEAR_FALL = "error rises", "not in rooms with other devices", "no clear fall"
 REASONS = (RISES, OTHER_DEVICES, NO_CLEAR_FALL)
-"""Why a rendered candidate is rejected."""
+"""Why a candidate is rejected."""
 _TOLERATED_JND = 0.05
 """Rise of the held-out error that is taken for chance: noise scatters, also in rooms that have hardly any."""
 _JOINT_LEVEL = 0.01
@@ -38,7 +45,7 @@ wrong scattering."""
 
 
 class Trial(NamedTuple):
-    """What a rendered candidate changes in the error of the features that it touches.
+    """What a candidate changes in the error of the features that it touches.
 
     Attributes
     ----------
@@ -50,6 +57,8 @@ class Trial(NamedTuple):
         p value in rooms with other devices; None where it is not asked.
     reason : str or None
         Of `REASONS`, why the candidate is rejected; None if it is accepted.
+    rendered : bool
+        Whether the errors are those of renderings, or predicted.
     """
 
     p: dict[str, float]
@@ -57,6 +66,21 @@ class Trial(NamedTuple):
     joint_p: float
     other_devices_p: float | None
     reason: str | None
+    rendered: bool
+
+
+def judge_predicted(effect: type[Effect], before: Session, after: Session) -> Trial:
+    """Return what an effect would change by its prediction, and whether it is rejected without being rendered.
+
+    It is if the predicted error falls by too little. In 22 trials, on generated rooms and in the default run, the
+    predicted fall was between -7 and 1 % where rendering rejected an effect, and above 11 % where it accepted it.
+    Whether a fall is significant is left to rendering, as is all that is read off the recordings.
+    """
+    errors, errors_after = predicted_errors(before), predicted_errors(after)
+    trial = _compare(effect, after, errors, errors_after)._replace(rendered=False)
+    if effect.MEASURED or np.mean([*trial.falls.values()]) > _MIN_FALL:
+        return trial
+    return trial._replace(reason=RISES if _rises(errors, errors_after) else NO_CLEAR_FALL)
 
 
 def judge(effect: type[Effect], before: Session, after: Session, errors: HeldOutErrors, errors_after: HeldOutErrors
@@ -71,29 +95,41 @@ def judge(effect: type[Effect], before: Session, after: Session, errors: HeldOut
     errors, errors_after : HeldOutErrors
         Of both.
     """
-    weights = weights_of(effect, after)
-    p = {split: p_lower(errors, errors_after, split, weights) for split in SPLITS}
-    falls = {split: share_of_fall(errors, errors_after, split, weights) for split in SPLITS}
-    trial = Trial(p, falls, float(stats.combine_pvalues([*p.values()], "fisher").pvalue), None, None)
+    trial = _compare(effect, after, errors, errors_after)
     if effect.MEASURED:
         stays = all(errors_after.mean(split) < errors.mean(split) + _TOLERATED_JND for split in SPLITS)
         return trial if stays else trial._replace(reason=RISES)
-    if any(p_lower(errors_after, errors, split) < LEVEL for split in SPLITS):
+    if _rises(errors, errors_after):
         return trial._replace(reason=RISES)
-    significant = trial.joint_p < _JOINT_LEVEL if effect.NAMES_CAUSE else max(p.values()) < LEVEL
-    if not significant or min(falls.values()) <= 0.0 or np.mean([*falls.values()]) <= _MIN_FALL:
+    significant = trial.joint_p < _JOINT_LEVEL if effect.NAMES_CAUSE else max(trial.p.values()) < LEVEL
+    falls = [*trial.falls.values()]
+    if not significant or min(falls) <= 0.0 or np.mean(falls) <= _MIN_FALL:
         return trial._replace(reason=NO_CLEAR_FALL)
     if effect.NAMES_CAUSE:
         return trial
-    other_devices_p = p_with_other_devices(before, after, weights)  # renders both again
+    other_devices_p = p_with_other_devices(before, after, weights_of(effect, after))  # renders both again
     return trial._replace(other_devices_p=other_devices_p, reason=OTHER_DEVICES if other_devices_p >= LEVEL else None)
 
 
+def _compare(effect: type[Effect], after: Session, errors: HeldOutErrors, errors_after: HeldOutErrors) -> Trial:
+    """Return the trial of a model `after` with an effect, from errors without and with it; nothing is decided."""
+    weights = weights_of(effect, after)
+    p = {split: p_lower(errors, errors_after, split, weights) for split in SPLITS}
+    falls = {split: share_of_fall(errors, errors_after, split, weights) for split in SPLITS}
+    return Trial(p, falls, float(stats.combine_pvalues([*p.values()], "fisher").pvalue), None, None, True)
+
+
+def _rises(errors: HeldOutErrors, errors_after: HeldOutErrors) -> bool:
+    """Tell whether the error of all features rises significantly on one of the splits."""
+    return any(p_lower(errors_after, errors, split) < LEVEL for split in SPLITS)
+
+
 def describe_rejection(trial: Trial) -> str:
-    """Say why a trial is rejected, after "rendered, the held-out error"."""
+    """Say why a trial is rejected."""
+    error = f"{'rendered' if trial.rendered else 'predicted'}, the held-out error"
     if trial.reason == RISES:
-        return "rises"
+        return f"{error} rises"
     if trial.reason == OTHER_DEVICES:
-        return f"does not fall significantly in rooms with other devices (p {trial.other_devices_p:.2g})"
-    return "of what it touches falls too little or not significantly: " + ", ".join(
+        return f"{error} does not fall significantly in rooms with other devices (p {trial.other_devices_p:.2g})"
+    return f"{error} of what it touches falls too little or not significantly: " + ", ".join(
         f"by {100 * trial.falls[split]:.0f} % (p {trial.p[split]:.2g}, {split.replace('_', '-')})" for split in SPLITS)

@@ -17,13 +17,12 @@ from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.model import MODEL_FILE, Extension, Model, read_model, write_model
 from roomeq.effects.source_directivity import SourceDirectivity, unit_facing
-from roomeq.loop.acceptance import RISES, Trial, describe_rejection, judge
+from roomeq.loop.acceptance import RISES, Trial, describe_rejection, judge, judge_predicted
 from roomeq.loop.ceiling import ceiling_errors, ceiling_of_test_set, describe_explained, explained
 from roomeq.loop.data import Data, load_data
 from roomeq.loop.descriptions import describe_facing, describe_residual, describe_scored, effect_names
 from roomeq.loop.examples import EXAMPLES_FILE, read_recordings, write_examples
 from roomeq.loop.facing import unknown_facings, with_estimated_facings
-from roomeq.loop.fit import fit
 from roomeq.loop.geometry import unknown_heights_m
 from roomeq.loop.held_out import held_out_rirs
 from roomeq.loop.heldout_errors import (
@@ -33,6 +32,7 @@ from roomeq.loop.heldout_errors import (
     measurable_rooms,
     one_sided_p,
     p_lower,
+    predicted_errors,
     score_test_set,
     transferred,
 )
@@ -51,7 +51,7 @@ from roomeq.loop.ledger_checks import LEDGER_FORMAT
 from roomeq.loop.power import detectable_sizes
 from roomeq.loop.refined_facing import refined_facings
 from roomeq.loop.selection import LEVEL, Candidate, choose, helps_beside, rank, weights_of
-from roomeq.loop.session import Session, fit_base_model, refit_rendered, with_measured_effects
+from roomeq.loop.session import Session, fit_base_model, refit, refit_rendered, with_measured_effects
 from roomeq.loop.shared_devices import warn_of_shared_devices
 from roomeq.loop.unexplained import find_unexplained
 from roomeq.loop.usable import UsableRirs, require_enough_rooms, usable_rirs
@@ -282,6 +282,8 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]
             ) -> tuple[Accepted | None, dict[type[Effect], Trial]]:
     """Return the best candidate that is accepted when it is rendered, or None, and the trials of rejected effects.
 
+    A candidate whose predicted held-out error hardly falls is rejected without being rendered.
+
     A worse-fitting candidate replaces a rejected one only if the rejected one raised the error, or if it explains
     something else. If the error merely did not fall, the rejected candidate may still be the cause, and a significantly
     worse one must not stand in for it.
@@ -292,15 +294,17 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]
         winner, rivals = choose(pool, len(ranking))
         if winner is None:
             return None, rejected
-        after = refit_rendered(session.data, winner.fit, seed=session.seed, nj=session.nj,
-                               known_changes=session.effects)
-        errors_after = heldout_errors(after)
-        trial = judge(winner.effect, session, after, errors, errors_after)
+        trial = judge_predicted(winner.effect, session, refit(session, winner.fit))
+        if trial.reason is None:
+            after = refit_rendered(session.data, winner.fit, seed=session.seed, nj=session.nj,
+                                   known_changes=session.effects)
+            errors_after = heldout_errors(after)
+            trial = judge(winner.effect, session, after, errors, errors_after)
         if trial.reason is None:
             entry = iteration_entry(winner, rivals, ranking, after, errors, errors_after, trial, rejected)
             return Accepted(entry, after, errors_after), rejected
         rejected[winner.effect] = trial
-        logger.info("rejected %s: rendered, the held-out error %s", winner.effect.NAME, describe_rejection(trial))
+        logger.info("rejected %s: %s", winner.effect.NAME, describe_rejection(trial))
         pool = [candidate for candidate in pool if candidate is not winner
                 and (trial.reason == RISES or one_sided_p(winner.gain - candidate.gain) > LEVEL
                      or (candidate.helps(len(ranking)) and helps_beside(session, winner, candidate, len(ranking))))]
@@ -316,17 +320,16 @@ def _eliminate(session: Session, errors: HeldOutErrors, newest: type[Effect]
     """
     superfluous: list[type[Effect]] = []
     left, errors_left = session, errors
-    for effect in session.effects:
-        if effect is newest or effect.MEASURED:
+    earlier = [effect for effect in session.effects if effect is not newest and not effect.MEASURED]
+    predicted = predicted_errors(session) if earlier else errors
+    for effect in earlier:
+        without = refit(session, session.fit, [other for other in left.effects if other is not effect])
+        weights, predicted_without = weights_of(effect, session), predicted_errors(without)
+        # most effects are known to be needed without rendering the model that lacks them
+        if any(p_lower(predicted_without, predicted, split, weights) < LEVEL for split in SPLITS):
             continue
-        kept = [other for other in left.effects if other is not effect]
-        fitted = fit(session.data, session.correction, kept, initial=session.fit, known=session.fit.derivatives,
-                     threads=session.nj)
-        without, weights = replace(session, effects=fitted.effects, fit=fitted), weights_of(effect, session)
-        # the first trial, of one split and with the correction of the whole model, takes a third of the time
-        if p_lower(heldout_errors(without, SPLITS[:1]), errors, SPLITS[0], weights) < LEVEL:
-            continue
-        without = refit_rendered(session.data, fitted, seed=session.seed, nj=session.nj, known_changes=session.effects)
+        without = refit_rendered(session.data, without.fit, seed=session.seed, nj=session.nj,
+                                 known_changes=session.effects)
         errors_without = heldout_errors(without)
         if all(p_lower(errors_without, errors, split, weights) >= LEVEL for split in SPLITS):
             superfluous.append(effect)

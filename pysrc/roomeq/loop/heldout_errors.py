@@ -14,6 +14,7 @@ leave_room_out
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -220,6 +221,25 @@ def heldout_errors(session: Session, splits: Sequence[str] = SPLITS, groups: Int
     return _rendered_errors(data, calibrated, splits, seed=session.seed, nj=session.nj)
 
 
+def predicted_errors(session: Session) -> HeldOutErrors:
+    """Return about the errors of `heldout_errors`, without rendering.
+
+    What half of a room, or the other rooms, calibrate differently changes the features as tables predict it. The
+    difference between rendered and predicted features (`Session.difference`) is taken to be that of the whole model.
+    """
+    data, index, held_out = session.data, session.index, leave_rooms_out(session.data, session.fit)
+    halves = _halves(data, SPLITS)
+
+    def predict(half: _Half) -> tuple[FloatArray, FloatArray]:
+        absorption, vectors, gains = calibrate(session, held_out, half.known, _USABLE[half.split])
+        features = index.predict_rooms(absorption, vectors) + session.difference
+        return gains[half.rows], features[half.rows]
+
+    predicted = share_out(predict, halves, session.nj, first_here=False, label="predict held-out RIRs")
+    gains, features = (np.concatenate(parts) for parts in zip(*predicted, strict=True))
+    return _errors(data, SPLITS, np.concatenate([half.rows for half in halves]), gains, features)
+
+
 def score_test_set(data: Data, session: Session) -> HeldOutErrors:
     """Return the errors of a session's model on rooms that were held out of every fit.
 
@@ -300,23 +320,62 @@ def _rendered_errors(data: Data, calibrated: Callable, splits: Sequence[str], *,
         Of `SPLITS`.
     seed, nj : int
     """
-    first, second = split_positions(data)
-    halves = list(product(splits, ((first, second), (second, first))))
-    calibrations = share_out(lambda half: calibrated(half[1][0], _USABLE[half[0]]), halves, nj, first_here=False,
+    halves = _halves(data, splits)
+    calibrations = share_out(lambda half: calibrated(half.known, _USABLE[half.split]), halves, nj, first_here=False,
                              label="calibrate rooms")
-    rows_of: list[IntArray] = []
-    gains_of: list[FloatArray] = []
+    gains: list[FloatArray] = []
     models: list[RowModel] = []
-    for (_, (known, scored)), (absorption, by_row, gains) in zip(halves, calibrations, strict=True):
-        # a room with RIRs of a single place has nothing that calibrates it, and is not scored
-        rows = np.concatenate([to_score if len(calibrating) else calibrating
-                               for calibrating, to_score in zip(known, scored, strict=True)])
-        rows_of.append(rows)
-        gains_of.append(gains[rows])
-        models += row_models(data, absorption, by_row, rows)
-    rows, gains = np.concatenate(rows_of), np.concatenate(gains_of)
+    for half, (absorption, by_row, of_rirs) in zip(halves, calibrations, strict=True):
+        gains.append(of_rirs[half.rows])
+        models += row_models(data, absorption, by_row, half.rows)
+    rows = np.concatenate([half.rows for half in halves])
+    return _errors(data, splits, rows, np.concatenate(gains), rendered_features(data, models, seed=seed, nj=nj))
+
+
+class _Half(NamedTuple):
+    """One half of the RIRs, which calibrates the rooms, and the other one, which is scored.
+
+    Attributes
+    ----------
+    split : str
+        Of `SPLITS`.
+    known : list of ndarray of int
+        RIRs of each room that calibrate it.
+    rows : ndarray of int
+        RIRs to score.
+    """
+
+    split: str
+    known: list[IntArray]
+    rows: IntArray
+
+
+def _halves(data: Data, splits: Sequence[str]) -> list[_Half]:
+    """Return the halves of the RIRs for each split: each of them calibrates once and is scored once.
+
+    A room with RIRs of a single place has nothing that calibrates it, and is not scored: its half is empty.
+    """
+    first, second = split_positions(data)
+    return [_Half(split, known, np.concatenate([to_score if len(calibrating) else calibrating
+                                                for calibrating, to_score in zip(known, scored, strict=True)]))
+            for split, (known, scored) in product(splits, ((first, second), (second, first)))]
+
+
+def _errors(data: Data, splits: Sequence[str], rows: IntArray, gains: FloatArray, features: FloatArray
+            ) -> HeldOutErrors:
+    """Return the errors of RIRs to score, those of `_halves` one after the other.
+
+    Parameters
+    ----------
+    data : Data
+    splits : sequence of str
+    rows : ndarray of int, shape (n,)
+    gains : ndarray, shape (n,)
+        Of the recordings [dB].
+    features : ndarray, shape (n, n_features)
+    """
     error = np.abs(with_noise_in_octaves(data.features[rows]) - np.outer(gains, HAS_GAIN)
-                   - with_noise_in_octaves(rendered_features(data, models, seed=seed, nj=nj)))
+                   - with_noise_in_octaves(features))
     error = np.where(np.isfinite(error), np.minimum(error, LARGEST), LARGEST)
     error = np.where(data.valid[rows] & SCORED, error, np.nan)
     by_split = {}
@@ -324,5 +383,5 @@ def _rendered_errors(data: Data, calibrated: Callable, splits: Sequence[str], *,
         by_split[split] = np.full(data.features.shape, np.nan)
         by_split[split][of_rows] = of_split
     half = np.zeros(len(data.rows), dtype=int)
-    half[np.concatenate(second)] = 1
+    half[np.concatenate(split_positions(data)[1])] = 1
     return HeldOutErrors(by_split, data.room, half)

@@ -53,10 +53,11 @@ def left_out_entries(left_out: Sequence[LeftOut]) -> list[dict]:
 
 
 def ranking_entry(candidate: Candidate, rejected: Trial | None) -> dict:
-    """Return the entry of a candidate in a ranking, with its trial if it was rendered and rejected."""
+    """Return the entry of a candidate in a ranking, with its trial if it was tried and rejected."""
     entry = dict(effect=candidate.effect.NAME, gain=candidate.total, ci=candidate.interval, p=candidate.p,
                  size_jnd=candidate.size_jnd)
-    return entry if rejected is None else entry | dict(rejected=dict(reason=rejected.reason, **_trial_entry(rejected)))
+    return entry if rejected is None else entry | dict(
+        rejected=dict(reason=rejected.reason, rendered=rejected.rendered, **_trial_entry(rejected)))
 
 
 def undetected_entry(candidate: Candidate, detectable_jnd: float | None, rejected: Trial | None) -> dict:
@@ -87,7 +88,7 @@ def iteration_entry(winner: Candidate, rivals: list[Candidate], ranking: list[Ca
     trial : Trial
         Of the winner.
     rejected : dict
-        Trials of effects that were rendered before it and rejected.
+        Trials of effects that were tried before it and rejected.
     """
     split = min(trial.p, key=lambda name: (trial.p[name], name))
     entry = dict(

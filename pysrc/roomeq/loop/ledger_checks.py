@@ -15,7 +15,7 @@ from roomeq.loop.features import LARGEST, METRIC, REGION
 from roomeq.loop.heldout_errors import SPLITS
 from roomeq.loop.usable import LeftOut
 
-LEDGER_FORMAT = 8
+LEDGER_FORMAT = 9
 _VARIES = ("nothing", "room", "source", "mic")
 
 
@@ -131,6 +131,8 @@ def _candidate(value: Any, where: str) -> None:
     _number(value["size_jnd"], f"{where}.size_jnd", 0.0)
     if "rejected" in value:
         _trial(value["rejected"], f"{where}.rejected")
+        rendered = value["rejected"].get("rendered")
+        _require(isinstance(rendered, bool), f"{where}.rejected.rendered={rendered!r:.60}", "be true or false")
         reason = value["rejected"].get("reason")
         _require(reason in REASONS, f"{where}.rejected.reason={reason!r:.60}", f"be one of {', '.join(REASONS)}")
 

@@ -206,9 +206,10 @@ class ParameterIndex:
             self._apply(k, vectors[k], state)
         return state
 
-    def _apply(self, k: int, vectors: FloatArray, state: PredictionState) -> None:
-        """Change a state by the effect number `k`, in place."""
-        for vector, rows in zip(vectors, self._rows_of_units[k], strict=True):
+    def _apply(self, k: int, vectors: FloatArray, state: PredictionState, room: int | None = None) -> None:
+        """Change a state by the effect number `k`, in place; in all rooms, or in one."""
+        for vector, of_unit in zip(vectors, self._rows_of_units[k], strict=True):
+            rows = of_unit if room is None else of_unit[self.data.room[of_unit] == room]
             if len(rows):
                 self.effects[k].from_vector(vector).apply_to_prediction(state, self.data, rows)
 
@@ -223,6 +224,14 @@ class ParameterIndex:
                 correction: FloatArray | float = 0.0, reflected: ReflectedEnergy | None = None) -> FloatArray:
         """Return predicted features, shape (n_rirs, n_features); `reflected` as for `roomeq.loop.predict.predict`."""
         return predict(self.data, self.state(absorption, vectors), reflected) + correction + np.outer(gains, HAS_GAIN)
+
+    def predict_rooms(self, absorption: FloatArray, vectors: list[list[FloatArray]]) -> FloatArray:
+        """Return predicted features, (n_rirs, n_features), where each room has its own vectors of all units."""
+        state = base_state(self.data, absorption)
+        for k in range(len(self.effects)):
+            for room, of_room in enumerate(vectors):
+                self._apply(k, of_room[k], state, room)
+        return predict(self.data, state)
 
     def linearize(self, mean: FloatArray, local: list[FloatArray], correction: FloatArray,
                   known: Derivatives | None = None, threads: int = 1) -> tuple[FloatArray, Derivatives]:

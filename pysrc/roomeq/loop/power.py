@@ -6,8 +6,8 @@ its squares. With a pattern of s times this size, the log densities of the held-
 with a standard deviation of s sqrt(I) (as a likelihood ratio: Kay, Fundamentals of Statistical Signal Processing II,
 1998, sec. 6.5), less what it costs to estimate the effect's parameters.
 
-A candidate that was rejected when it was rendered, or whose density helps and that was not added, such as beyond the
-largest number of effects, was not found at the size that was fitted, whatever its density.
+A candidate that was rejected, or whose density helps and that was not added, such as beyond the largest number of
+effects, was not found at the size that was fitted, whatever its density.
 """
 
 from collections.abc import Collection, Sequence

@@ -1,7 +1,7 @@
 """A rendered model, and what its renderings add to the prediction from tables.
 
 Renderings tell two things that tables of ray contributions cannot: the bias and the interference that windows, filters
-and early reflections bring into the features (`rendering_correction`), and the change of the features by effects that
+and early reflections bring into the features (`rendered_difference`), and the change of the features by effects that
 act on waves (`measure_rendered_changes`).
 """
 
@@ -136,14 +136,21 @@ def _sorted(effects: Iterable[Effect]) -> list[Effect]:
     return sorted(effects, key=lambda effect: _ORDER.index(type(effect)))
 
 
-def rendering_correction(rendered: RenderedModel) -> FloatArray:
-    """Return what is added to features predicted from tables, shape (n_rirs, n_features).
+class RenderedDifference(NamedTuple):
+    """Features measured on rendered RIRs less those predicted from tables, (n_rirs, n_features) each."""
 
-    It is the mean difference of rendered and predicted features, and of each RIR's own difference as much as helps.
-    """
+    whole: FloatArray
+    """NaN where there is nothing to measure."""
+    helpful: FloatArray
+    """The mean over RIRs, and of each RIR's own difference as much as helps to predict the recordings."""
+
+
+def rendered_difference(rendered: RenderedModel) -> RenderedDifference:
+    """Compare a rendered model with its prediction from tables."""
     predicted = predicted_without(rendered.data, rendered.fit)
-    return _split(rendered.data, rendered.features - predicted,
-                  rendered.data.features - (predicted + rendered.recorded_gains)).helpful
+    whole = rendered.features - predicted
+    return RenderedDifference(whole, _split(rendered.data, whole, rendered.data.features
+                                            - (predicted + rendered.recorded_gains)).helpful)
 
 
 def clear_rendered_changes(data: Data, effects: Iterable[type[Effect]]) -> Data:

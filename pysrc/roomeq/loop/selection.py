@@ -21,7 +21,7 @@ from roomeq.loop.fit import Fit, fit, with_scatter
 from roomeq.loop.heldout_errors import interval_of_mean, one_sided_p
 from roomeq.loop.packing import OWN_SCOPES, ParameterIndex
 from roomeq.loop.rendered_model import change_by, in_order
-from roomeq.loop.session import Session, with_rendered_changes
+from roomeq.loop.session import Session, refit, with_rendered_changes
 from roomeq.loop.splitters import leave_rooms_out
 
 LEVEL = 0.05
@@ -141,10 +141,8 @@ def _candidate(session: Session, effect: type[Effect], base: Fit, before: FloatA
 
 def helps_beside(session: Session, other: Candidate, candidate: Candidate, n_candidates: int) -> bool:
     """Tell whether a candidate helps a model that has another candidate: whether it explains something else."""
-    fitted = fit(session.data, session.correction, other.fit.effects, initial=other.fit, known=session.fit.derivatives,
-                 threads=session.nj)
-    model = replace(session, effects=fitted.effects, fit=fitted)
-    return _candidate(model, candidate.effect, fitted, _densities(session.data, fitted)).helps(n_candidates)
+    model = refit(session, other.fit)
+    return _candidate(model, candidate.effect, model.fit, _densities(model.data, model.fit)).helps(n_candidates)
 
 
 def _best_start(index: ParameterIndex, effect: type[Effect], probes: list[tuple[Fit, FloatArray]]) -> Fit:

@@ -18,7 +18,7 @@ from roomeq.loop.rendered_model import (
     in_order,
     measure_rendered_changes,
     render_model,
-    rendering_correction,
+    rendered_difference,
 )
 
 
@@ -32,7 +32,9 @@ class Session:
     effects : tuple of types
         Effects that the loop has added, in the catalogue's order; those of the base model are in `Data.given`.
     correction : ndarray, shape (n_rirs, n_features)
-        Features measured on rendered RIRs minus features predicted from tables.
+        What is added to features predicted from tables when the model is fitted: the helpful part of `difference`.
+    difference : ndarray, shape (n_rirs, n_features)
+        Features measured on rendered RIRs minus features predicted from tables, NaN where there was nothing to measure.
     fit : Fit
     seed, nj : int
     """
@@ -40,6 +42,7 @@ class Session:
     data: Data
     effects: tuple[type[Effect], ...]
     correction: FloatArray
+    difference: FloatArray
     fit: Fit
     seed: int
     nj: int
@@ -76,22 +79,28 @@ def refit_rendered(data: Data, fitted: Fit, *, seed: int, nj: int,
     """
     rendered = render_model(data, fitted, seed=seed, nj=nj)
     data = measure_rendered_changes(rendered, [effect for effect in fitted.effects if effect not in known_changes])
-    correction = rendering_correction(replace(rendered, data=data))
+    whole, correction = rendered_difference(replace(rendered, data=data))
     first = fit(data, correction, fitted.effects, initial=fitted, threads=nj)
     of_surfaces = first.derivatives._replace(by_effect={})  # which are smoother than those of effects
     final = fit(data, correction, fitted.effects, initial=first, known=of_surfaces, threads=nj)
-    return Session(data, fitted.effects, correction, final, seed, nj)
+    return Session(data, fitted.effects, correction, whole, final, seed, nj)
+
+
+def refit(session: Session, initial: Fit, effects: Sequence[type[Effect]] | None = None) -> Session:
+    """Return a session with another model, fitted from `initial` with the rendering correction of the session's model.
+
+    It has the `effects`, by default those of `initial`. Nothing is rendered.
+    """
+    fitted = fit(session.data, session.correction, in_order(initial.effects if effects is None else effects),
+                 initial=initial, known=session.fit.derivatives, threads=session.nj)
+    return replace(session, effects=fitted.effects, fit=fitted)
 
 
 def with_measured_effects(session: Session) -> Session:
     """Return a session whose model also has what is read off any recording, such as its noise (`Effect.MEASURED`)."""
     lacking = [effect for effect in CATALOGUE.values()
                if effect.MEASURED and effect not in {*session.effects, *session.data.given_kinds}]
-    if not lacking:
-        return session
-    fitted = fit(session.data, session.correction, in_order([*session.effects, *lacking]), initial=session.fit,
-                 known=session.fit.derivatives, threads=session.nj)
-    return replace(session, effects=fitted.effects, fit=fitted)
+    return refit(session, session.fit, [*session.effects, *lacking]) if lacking else session
 
 
 def with_rendered_changes(session: Session, candidates: list[type[Effect]]) -> Session:

@@ -179,8 +179,8 @@ def at_ceiling(ledger: dict[str, Any]) -> list[str]:
 
 
 def power_rows(ledger: dict[str, Any]) -> list[list[Any]]:
-    """Return the effects that were not added: if rendered, why, the size that would be found, what would show less."""
-    return [[entry["effect"], REJECTIONS[entry["rejected"]["reason"]] if "rejected" in entry else "not rendered",
+    """Return the effects that were not added: if tried, why, the size that would be found, what would show less."""
+    return [[entry["effect"], REJECTIONS[entry["rejected"]["reason"]] if "rejected" in entry else "not tried",
              number(entry["detectable_jnd"]), entry["would_show"]] for entry in ledger["ranking"]]
 
 

@@ -25,33 +25,43 @@ def errors(jnd, seed=0):
     return HeldOutErrors(dict.fromkeys(SPLITS, values), np.repeat(np.arange(ROOMS), 2), np.tile([0, 1], ROOMS))
 
 
+def session_with(effects):
+    return Session(None, tuple(effects), None, None, SimpleNamespace(effects=tuple(effects)), 0, 1)
+
+
 @pytest.mark.parametrize(("without", "superfluous"), [
     ({SourceResponse: 2.0, Occlusion: 2.4}, [SourceResponse]),
     ({SourceResponse: 2.4, Occlusion: 2.4}, []),
     ({SourceResponse: 1.9, Occlusion: 2.0}, [Occlusion, SourceResponse])])
 def test_effect_is_superfluous_if_the_error_does_not_rise_without_it(without, superfluous, monkeypatch):
     every = (Occlusion, SourceDirectivity, SourceResponse)
-    fitted = Session(None, every, None, SimpleNamespace(derivatives=None), 0, 1)
-    tried = []
+    fitted = session_with(every)
+    tried, rendered = [], []
 
-    def error_without(session, _=SPLITS):
+    def error_without(session):
         tried.append([effect for effect in every if effect not in session.effects])
-        return errors(without[tried[-1][-1]], seed=len(tried))
+        return errors(without[tried[-1][-1]] if tried[-1] else 2.0, seed=len(tried))
 
-    monkeypatch.setattr(close, "fit", lambda data, correction, kept, **_: SimpleNamespace(effects=tuple(kept)))
-    monkeypatch.setattr(close, "refit_rendered", lambda data, fit, **_: Session(data, fit.effects, None, fit, 0, 1))
-    monkeypatch.setattr(close, "heldout_errors", error_without)
+    def rendered_error_without(session):
+        rendered.append(session.effects)
+        return error_without(session)
+
+    monkeypatch.setattr(close, "refit", lambda session, _, effects: session_with(effects))
+    monkeypatch.setattr(close, "refit_rendered", lambda data, fit, **_: session_with(fit.effects))
+    monkeypatch.setattr(close, "predicted_errors", error_without)
+    monkeypatch.setattr(close, "heldout_errors", rendered_error_without)
     monkeypatch.setattr(close, "weights_of", lambda *_: np.ones((2 * ROOMS, N_FEATURES), dtype=bool))
     session, left, found = close._eliminate(fitted, errors(2.0, seed=9), SourceDirectivity)
     assert set(session.effects) == set(every) - set(superfluous)
     assert found == superfluous
     assert left.mean(SPLITS[0]) == pytest.approx(without[superfluous[-1]] if superfluous else 2.0, abs=0.1)
     assert not any(SourceDirectivity in effects for effects in tried)
+    assert len(rendered) == len(superfluous)  # the prediction tells that the others are needed
 
 
 def test_noise_of_the_recordings_is_not_superfluous(monkeypatch):
-    fitted = Session(None, (SourceDirectivity, NoiseFloor), None, SimpleNamespace(derivatives=None), 0, 1)
-    monkeypatch.setattr(close, "fit", lambda *_, **__: pytest.fail("a model without the noise was tried"))
+    fitted = session_with((SourceDirectivity, NoiseFloor))
+    monkeypatch.setattr(close, "refit", lambda *_, **__: pytest.fail("a model without the noise was tried"))
     session, _, found = close._eliminate(fitted, errors(2.0), SourceDirectivity)
     assert session is fitted and found == []
 

@@ -13,6 +13,7 @@ from roomeq.effects.room_eq import RoomEq
 from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.effects.source_response import SourceResponse
 from roomeq.loop import acceptance, close, heldout_errors, selection
+from roomeq.loop.acceptance import NO_CLEAR_FALL, RISES, describe_rejection
 from roomeq.loop.features import JND, LATE_S, METRIC, N_FEATURES, feature_slice
 from roomeq.loop.fit import SharedPrior, _best_shape, shortened_step, solve_step
 from roomeq.loop.heldout_errors import SPLITS, HeldOutErrors, p_lower, share_of_fall
@@ -308,6 +309,28 @@ def test_effect_is_judged_by_the_features_that_it_touches(monkeypatch, touched, 
     assert (found == "sound_speed") == added
 
 
+@pytest.mark.parametrize("effect, predicted, reason", [
+    (SoundSpeed, 0.01, NO_CLEAR_FALL), (SoundSpeed, -0.3, RISES), (SoundSpeed, 0.3, None), (NoiseFloor, -0.3, None)])
+def test_effect_whose_predicted_error_hardly_falls_is_not_rendered(monkeypatch, effect, predicted, reason):
+    scatter = np.repeat(np.tile([0.02, -0.02], 4), 2)[:, None]
+
+    def errors(model):
+        features = 2.0 - (predicted + scatter) * (model is effect) + np.zeros((16, N_FEATURES))
+        return HeldOutErrors(dict.fromkeys(SPLITS, features), *ROOMS_AND_HALVES)
+
+    monkeypatch.setattr(acceptance, "weights_of", lambda *_: np.ones((16, N_FEATURES), dtype=bool))
+    monkeypatch.setattr(acceptance, "predicted_errors", errors)
+    trial = acceptance.judge_predicted(effect, None, effect)
+    assert trial.reason == reason and not trial.rendered
+    monkeypatch.setattr(close, "refit", lambda *_: effect)
+    monkeypatch.setattr(close, "refit_rendered", lambda *_, **__: pytest.fail("was rendered"))
+    if reason:
+        _, rejected = close._accept(SimpleNamespace(data=None, effects=(), seed=0, nj=1), None,
+                                    [Candidate(effect, effect, 20.0 + np.arange(8), 2.0)])
+        assert rejected == {effect: trial}
+        assert describe_rejection(trial).startswith("predicted, the held-out error")
+
+
 def accepted(ranking, lower, monkeypatch):
     """Return the name of the effect that is added if each lowers the error by so much, or None."""
     def errors(model):
@@ -321,6 +344,8 @@ def accepted(ranking, lower, monkeypatch):
 def accept(ranking, errors, touched, monkeypatch):
     """Return the name of the effect that is added, or None; `errors` maps an effect or None to held-out errors."""
     monkeypatch.setattr(acceptance, "weights_of", lambda *_: touched)
+    monkeypatch.setattr(close, "refit", lambda session, fitted: fitted)
+    monkeypatch.setattr(close, "judge_predicted", lambda *_: SimpleNamespace(reason=None))
     monkeypatch.setattr(close, "refit_rendered", lambda data, fitted, **_: fitted)
     monkeypatch.setattr(close, "heldout_errors", errors)
     monkeypatch.setattr(close, "iteration_entry", lambda winner, *_: dict(effect=winner.effect.NAME))

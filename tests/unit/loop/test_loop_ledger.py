@@ -41,8 +41,8 @@ def replace(value, *keys):
 
 
 @pytest.mark.parametrize("change, message", [
-    (without("format"), "format=None must be 8"),  # of an older version
-    (replace(1, "format"), "format=1 must be 8"),
+    (without("format"), "format=None must be 9"),  # of an older version
+    (replace(1, "format"), "format=1 must be 9"),
     (without("given"), "ledger must hold 'given'"),
     (without("left_out"), "ledger must hold 'left_out'"),
     (replace("", "left_out", 0, "reason"), r"left_out\[0\].reason='' must be a text"),
@@ -64,6 +64,8 @@ def replace(value, *keys):
      r"ranking\[0\].rejected.reason='luck' must be one of error rises, not in rooms with other devices, no clear fall"),
     (replace(1.5, "ranking", 0, "rejected", "p_other_devices"),
      r"ranking\[0\].rejected.p_other_devices=1.5 must be a number in \[0, 1\]"),
+    (replace("no", "ranking", 0, "rejected", "rendered"),
+     r"ranking\[0\].rejected.rendered='no' must be true or false"),
     (replace({}, "ranking", 0, "rejected"), r"ranking\[0\].rejected must hold 'p'"),
     (without("ceiling"), "ledger must hold 'ceiling'"),
     (replace([0.8, 0.9], "explained", SPLITS[0], "ci"),
