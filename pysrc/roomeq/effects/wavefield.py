@@ -234,11 +234,16 @@ def cross_over(low: FloatArray, high: FloatArray, fs_hz: float, frequency_hz: fl
     """
     n_samples, guard = len(high), int(_RINGING_S * fs_hz)
     n_fft = next_fast_len(n_samples + 2 * guard, real=True)
-    octaves = np.log2(np.maximum(rfftfreq(n_fft, 1.0 / fs_hz), 1e-3) / frequency_hz) / CROSSOVER_OCTAVES
+    at_hz = rfftfreq(n_fft, 1.0 / fs_hz)
+    n_below = int(np.searchsorted(at_hz, frequency_hz * 2.0 ** (0.5 * CROSSOVER_OCTAVES)))  # the gain is 0 above
+    octaves = np.log2(np.maximum(at_hz[:n_below], 1e-3) / frequency_hz) / CROSSOVER_OCTAVES
     angle = 0.5 * np.pi * np.sin(0.5 * np.pi * np.clip(octaves + 0.5, 0.0, 1.0)) ** 2
-    below = np.cos(angle) * np.exp(-1j * angle)
     difference = -high
     difference[:len(low)] += low[:n_samples]
-    change = irfft(below * rfft(difference, n_fft), n_fft)[:n_samples]
-    since = (np.arange(n_samples) / fs_hz - arrival_s) * 4.0 * frequency_hz
-    return high + change * np.sin(0.5 * np.pi * np.clip(since, 0.0, 1.0)) ** 2
+    below = np.zeros(len(at_hz), complex)
+    below[:n_below] = np.cos(angle) * np.exp(-1j * angle) * rfft(difference, n_fft)[:n_below]
+    change = irfft(below, n_fft)[:n_samples]
+    n_rising = min(n_samples, int(np.ceil((arrival_s + 0.25 / frequency_hz) * fs_hz)))
+    since = (np.arange(n_rising) / fs_hz - arrival_s) * 4.0 * frequency_hz
+    change[:n_rising] *= np.sin(0.5 * np.pi * np.clip(since, 0.0, 1.0)) ** 2
+    return high + change

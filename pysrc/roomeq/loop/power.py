@@ -17,6 +17,7 @@ from scipy import stats
 
 from roomeq.core.arrays import FloatArray
 from roomeq.core.rng import rng_for
+from roomeq.core.workers import share_out
 from roomeq.effects.base import Effect
 from roomeq.loop.fit import shared_prior
 from roomeq.loop.likelihood import normal_equations
@@ -46,8 +47,8 @@ def detectable_sizes(session: Session, candidates: Sequence[Candidate], rejected
         Effects of those whose rendered error did not fall significantly.
     """
     quantile = float(stats.norm.ppf(POWER))
-    sizes: list[float | None] = []
-    for candidate in candidates:
+
+    def size_jnd(candidate: Candidate) -> float | None:
         cost = max(0.0, max(candidate.gain.max(), 0.0) - candidate.total)
         # a^2 / 2 less the quantile of its scatter, a times `quantile`, reaches the threshold of `Candidate.helps`
         amplitude = quantile + np.sqrt(quantile ** 2 + 2.0 * (np.log(len(candidates) / LEVEL) + cost))
@@ -59,8 +60,9 @@ def detectable_sizes(session: Session, candidates: Sequence[Candidate], rejected
                 found.append(size_of_change_jnd(session.data, amplitude / np.sqrt(left) * change))
         passed_over = candidate.effect in rejected or candidate.helps(len(candidates))
         least = max(MIN_SIZE_JND, candidate.size_jnd if passed_over else 0.0)
-        sizes.append(max(least, float(np.median(found))) if found else None)
-    return sizes
+        return max(least, float(np.median(found))) if found else None
+
+    return share_out(size_jnd, candidates, session.nj, first_here=False, label="effects that would be found")
 
 
 def _changes(session: Session, effect: type[Effect]) -> list[FloatArray]:

@@ -80,8 +80,10 @@ class _Difference(NamedTuple):
 class _RayField(NamedTuple):
     """The model's features without effects that act on waves, shape (n_rirs, n_features) each."""
 
+    features: FloatArray
+    """As rendered."""
     monte_carlo_noise: FloatArray
-    """The part of the rendered features that is due to random rays and tails."""
+    """Their part that is due to random rays and tails."""
     error: FloatArray
     """Measured less predicted features."""
 
@@ -178,7 +180,7 @@ def _ray_field(rendered: RenderedModel) -> _RayField:
     predicted = predicted_without(rendered.data, rendered.fit, on_waves)
     error = rendered.data.features - (predicted + rendered.recorded_gains)
     difference = _split(rendered.data, features - predicted, error)
-    return _RayField((1.0 - difference.share) * difference.own, error)
+    return _RayField(features, (1.0 - difference.share) * difference.own, error)
 
 
 def _rendered_changes(rendered: RenderedModel, ray_field: _RayField, effect: type[Effect]) -> FloatArray:
@@ -188,9 +190,10 @@ def _rendered_changes(rendered: RenderedModel, ray_field: _RayField, effect: typ
     with the effect is taken back. Of the changes that differ between RIRs, the helpful share is kept (`_split`): the
     level at a mode is predictable, the beating of two modes is not where positions are known to centimetres.
     """
-    noise, error = ray_field
+    noise, error = ray_field.monte_carlo_noise, ray_field.error
     without = [[existing for existing in effects if not isinstance(existing, effect)] for effects in rendered.by_row]
-    plain = rendered.features_with(without)
+    alone = not any(kind.INTERPOLATION_GRID for kind in rendered.fit.effects if kind is not effect)
+    plain = ray_field.features if alone else rendered.features_with(without)
     grid = [effect.from_vector(np.array(point)) for point in effect.INTERPOLATION_GRID]
     noise_power, changes = np.maximum(np.sum(noise ** 2, axis=0), 1e-9), []
     for features in rendered.features_of([[_sorted([*effects, new]) for effects in without] for new in grid]):

@@ -141,11 +141,21 @@ class RenderContext:
         return int(np.ceil(self.length_s / FRAME_S))
 
     @cached_property
-    def ray_gain(self) -> FloatArray | None:
-        """Energy gain of each ray at a directive source, shape (n_rays, n_bands); None for an omnidirectional one."""
+    def ray_gain(self) -> Array | None:
+        """Energy gain of each ray at a directive source, shape (n_rays, n_bands); None for an omnidirectional one.
+
+        That of rays of which no path is in the samples is not computed, and 0.
+        """
         if self.source_directivity is None:
             return None
-        return np.square(self.source_directivity(self.traced.paths[0].directions))  # those of all traces
+        directions = self.traced.paths[0].directions  # of all traces
+        used = np.full(len(directions), self.path_samples is None)
+        for sample in self.path_samples or ():
+            used[sample.rays.ravel()] = True
+        of_used = np.square(self.source_directivity(directions[used]))
+        gain = np.zeros((len(directions), of_used.shape[1]), np.float32)
+        gain[used] = of_used
+        return gain
 
     def image_gains(self, absorption: FloatArray, bands: list[int]) -> list[FloatArray]:
         """Return the pressure of the image sources at each microphone, with directivities, shape (n_paths, n_bands)."""

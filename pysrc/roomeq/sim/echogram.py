@@ -43,6 +43,8 @@ def eight_bands(values: Array, first: int) -> Array:
     -------
     ndarray of float32, shape (..., 8)
     """
+    if first == 0 and values.shape[-1] == BANDS_PER_PASS and values.dtype == np.float32:
+        return values
     return np.asarray(values[..., np.minimum(np.arange(first, first + BANDS_PER_PASS), values.shape[-1] - 1)],
                       dtype=np.float32)
 

@@ -4,7 +4,7 @@ Conventions: metres, seconds, degrees Celsius. A room has *surfaces*, named part
 material each: the six walls of a shoebox, the materials of a mesh.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import ClassVar
@@ -54,6 +54,9 @@ class Material:
             object.__setattr__(self, kind, self._checked(kind, getattr(self, kind)))
 
     def _checked(self, kind: str, values: ArrayLike) -> tuple[float, ...]:
+        if (type(values) is tuple and len(values) in (N_BANDS, N_BANDS + 1)
+                and all(type(value) is float and 0.0 <= value <= 1.0 for value in values)):
+            return values  # as those of another material are, whose copies are made by the thousand
         try:
             given = np.asarray(values)
             if given.dtype.kind not in "iuf":  # True and "0.1" would be converted
@@ -228,10 +231,11 @@ class Scene:
         return (*values, values[-1])[:self.n_bands]
 
 
-def with_absorption(scene: Scene, absorption: Iterable[Iterable[float]]) -> Scene:
+def with_absorption(scene: Scene, absorption: ArrayLike) -> Scene:
     """Return the scene with other absorption coefficients, shape (n_surfaces, n_bands)."""
-    materials = [replace(material, absorption=(*row, *row[-1:] * (N_BANDS - len(row))))  # seven bands at 8 kHz
-                 for material, row in zip(scene.materials, map(tuple, absorption), strict=True)]
+    rows = np.asarray(absorption, dtype=float).tolist()
+    materials = [Material(material.name, (*row, *row[-1:] * (N_BANDS - len(row))), material.scattering)  # 7 at 8 kHz
+                 for material, row in zip(scene.materials, rows, strict=True)]
     return replace(scene, materials=materials)
 
 
