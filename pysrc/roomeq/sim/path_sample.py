@@ -17,7 +17,7 @@ Every chunk of rays keeps its own share of the paths: the chunks are strata, and
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, NamedTuple, cast
 
@@ -67,6 +67,52 @@ _SPECULAR = np.uint32(1 << 31)  # added to the last reflection of a path that en
 _EMPTY = np.float32(1e-20)  # energy of a frame at a reference that counts as none: what was neglected may show
 
 
+@dataclass(frozen=True, eq=False)
+class LimitedGain:
+    """Gain of the energy in each frame where that of single rays is limited (`roomeq.sim.ray_limits.RayLimits`).
+
+    Attributes
+    ----------
+    log_gain
+        Its logarithm at both references, shape (n_traces, n_frames, 2), float32.
+    decay
+        ``-ln(1 - alpha)`` of the mean absorption at both references, shape (n_traces, 2).
+    surface_share
+        Of the area, shape (n_surfaces,).
+    """
+
+    log_gain: Array
+    decay: FloatArray
+    surface_share: FloatArray
+    _newest: dict[tuple[int, int], tuple[Array, Array]] = field(default_factory=dict, repr=False)
+
+    def apply(self, energy: Array, trace: int, first: int, reflected: Array) -> None:
+        """Multiply an echogram of eight bands from `first` on, (n_frames, 8), by the gain for some materials, in place.
+
+        Surfaces reflect shares of shape (n_surfaces, 8). All microphones get the same gain, and the newest is kept.
+        """
+        if not self.log_gain[trace].any():
+            return
+        known, gain = self._newest.get((trace, first), (None, None))
+        if known is None or not np.array_equal(known, reflected):
+            gain = self._of(trace, reflected)
+            self._newest[trace, first] = reflected, gain
+        energy *= gain
+
+    def _of(self, trace: int, reflected: Array) -> Array:
+        """Return the gain, shape (n_frames, 8).
+
+        As the variance of the logarithm of the energies of rays does, its logarithm grows with the square of the decay:
+        over this it is interpolated between both references, and extrapolated up to `_FARTHEST` times the decay.
+        """
+        decay2, (low, high) = _mean_decay(self.surface_share, reflected) ** 2, self.decay[trace] ** 2
+        within = np.clip(decay2, low, high)
+        share = (within - low) / (high - low) if high > low else np.full_like(decay2, 0.5)
+        of_references = np.array([1.0 - share, share]) * np.minimum(decay2 / within, _FARTHEST ** 2)
+        # in single precision, whose exponential takes a fraction of the time
+        return np.exp(np.minimum(self.log_gain[trace] @ of_references.astype(np.float32), _LOG_LARGEST_GAIN))
+
+
 @dataclass(frozen=True)
 class PathSample:
     """Sample of the paths that reach one microphone, without those of the image sources.
@@ -89,13 +135,8 @@ class PathSample:
         Which trace serves each band.
     frame_m
         Way of the sound in a frame [m]: where the speed of sound changes, so does the length of the frames.
-    log_gain
-        Logarithm of the gain of limited rays (`roomeq.sim.ray_limits.RayLimits`) at both references, shape (n_traces,
-        n_frames, 2), float32.
-    decay
-        ``-ln(1 - alpha)`` of the mean absorption at both references, shape (n_traces, 2).
-    surface_share
-        Of the area, shape (n_surfaces,).
+    limited
+        What all samples of a source share.
     """
 
     weight: Array
@@ -105,9 +146,7 @@ class PathSample:
     rays: Array
     trace_of_band: tuple[int, ...]
     frame_m: float
-    log_gain: Array
-    decay: FloatArray
-    surface_share: FloatArray
+    limited: LimitedGain
 
     def gain_of_arrivals(self, paths: Sequence[Paths], mic_m: FloatArray,
                          directivity: Callable[[FloatArray], FloatArray]) -> list[Array]:
@@ -170,26 +209,12 @@ class PathSample:
             counts = self.reflection_counts[trace]
             reflected = eight_bands(1.0 - absorption, first)
             _absorb(self.weight[trace], counts, self._most_reflections[trace], reflected, gain, energy)
-            if self.log_gain[trace].any():
-                energy *= self._gain_of_limited_rays(trace, reflected)
+            self.limited.apply(energy, trace, first, reflected)
             served = bands[(trace_of_band[bands] == trace) & (first <= bands) & (bands < first + BANDS_PER_PASS)]
             if len(served) == result.shape[1] == BANDS_PER_PASS:
                 return energy
             result[:, served] = energy[:, served - first]
         return result
-
-    def _gain_of_limited_rays(self, trace: int, reflected: Array) -> Array:
-        """Return the gain in each frame where surfaces reflect shares of shape (n_surfaces, 8), shape (n_frames, 8).
-
-        As the variance of the logarithm of the energies of rays does, its logarithm grows with the square of the decay:
-        over this it is interpolated between both references, and extrapolated up to `_FARTHEST` times the decay.
-        """
-        decay2, (low, high) = _mean_decay(self.surface_share, reflected) ** 2, self.decay[trace] ** 2
-        within = np.clip(decay2, low, high)
-        share = (within - low) / (high - low) if high > low else np.full_like(decay2, 0.5)
-        of_references = np.array([1.0 - share, share]) * np.minimum(decay2 / within, _FARTHEST ** 2)
-        # in single precision, whose exponential takes a fraction of the time
-        return np.exp(np.minimum(self.log_gain[trace] @ of_references.astype(np.float32), _LOG_LARGEST_GAIN))
 
     @cached_property
     def _most_reflections(self) -> list[int]:
@@ -236,16 +261,18 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
     spheres = receiver_spheres(traced.scene.room, mics_m)
     frame_m = FRAME_S * traced.scene.air.speed_m_s
     share = traced.scene.room.surface_area_m2 / traced.scene.room.surface_area_m2.sum()
-    log_gain, decay = np.zeros((len(traced.paths), n_frames, 2), np.float32), np.zeros((len(traced.paths), 2))
-    result = [_empty_sample(traced.paths, n_frames, len(absorption), traced.trace_of_band, frame_m, log_gain, decay,
-                            share) for _ in mics_m]
+    limited = LimitedGain(np.zeros((len(traced.paths), n_frames, 2), np.float32), np.zeros((len(traced.paths), 2)),
+                          share)
+    result = [_empty_sample(traced.paths, n_frames, len(absorption), traced.trace_of_band, frame_m, limited)
+              for _ in mics_m]
     for trace, paths in enumerate(traced.paths):
         tallies = _tally_reflections(paths, len(absorption))
         references = _references(absorption[:, np.equal(traced.trace_of_band, trace)])
         limits = ray_limits(paths, eight_bands((1.0 - references).T[paths.face_surface], 0),
                             _emitted(ray_weight), n_frames=n_frames, frames_per_m=float(np.float32(1.0 / frame_m)),
                             n_bands=_PER_CHUNK)
-        log_gain[trace], decay[trace] = np.log(limits.gain), _mean_decay(share, (1.0 - references).T)
+        limited.log_gain[trace] = np.log(limits.gain)
+        limited.decay[trace] = _mean_decay(share, (1.0 - references).T)
         for start in range(0, len(mics_m), MICS_PER_PASS):
             batch = slice(start, start + MICS_PER_PASS)
             _sample_trace(paths, tallies, traced.scene, mics_m[batch], references, limits.largest, seeds[batch],
@@ -293,12 +320,12 @@ def _emitted(ray_weight: Array | None) -> Array:
 
 
 def _empty_sample(traces: Sequence[Paths], n_frames: int, n_surfaces: int, trace_of_band: tuple[int, ...],
-                  frame_m: float, log_gain: Array, decay: FloatArray, surface_share: FloatArray) -> PathSample:
+                  frame_m: float, limited: LimitedGain) -> PathSample:
     """Allocate the sample of one microphone; nothing is filled in yet."""
     shape = (len(traces), n_frames, PATHS_PER_FRAME)
     return PathSample(np.empty(shape, np.float32), np.empty((*shape, n_surfaces), _count_type(traces)),
                       np.empty(shape, np.uint32), np.empty(shape, np.bool_), np.empty(shape, np.uint32), trace_of_band,
-                      frame_m, log_gain, decay, surface_share)
+                      frame_m, limited)
 
 
 def _count_type(traces: Sequence[Paths]) -> type:
