@@ -6,6 +6,7 @@
 What lies below, a scene and responses with all that is known about them, is `roomeq.sim.response.simulate_responses`.
 """
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -23,8 +24,11 @@ from roomeq.sim.defaults import NUM_RAYS, TARGET_RANGE_S
 from roomeq.sim.directivity import unit
 from roomeq.sim.materials import DEFAULT_SCATTERING, named_scene, read_materials
 from roomeq.sim.mesh import MeshRoom, load_mesh
+from roomeq.sim.ray_limits import FEW_RAYS_DB
 from roomeq.sim.response import simulate_responses
 from roomeq.sim.scene import Air, Scene, Shoebox
+
+logger = logging.getLogger(__name__)
 
 _NEUTRAL = 0.1
 """Absorption in all bands of a room of which only the reverberation time is known, before it is scaled."""
@@ -216,6 +220,9 @@ def simulate_rir(room: Room, source: ArrayLike, mics: ArrayLike, fs: int = FS_HZ
         room.scene(fs), source_m, positions_m, num_rays=num_rays, target_t60_s=room.t60_s,
         source_directivity=_at_rate(source_directivity, fs), mic_directivities=[at_rate[id(one)] for one in of_mics],
         arrays=[0] * n_mics, seed=seed)
+    if any(response.few_rays_db > FEW_RAYS_DB for response in responses):
+        logger.warning("few of %d rays tell the decay of an octave, whose T30 is uncertain by 10 %%: give more "
+                       "num_rays", num_rays)
     result = np.zeros((n_mics, max(len(response.rir) for response in responses)))
     for row, response in zip(result, responses, strict=True):
         row[:len(response.rir)] = response.rir

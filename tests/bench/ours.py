@@ -119,7 +119,7 @@ def echograms(scenes, source_pos_m, mics_m, *, duration_s, seed, n_rays=N_RAYS, 
     """
     (path,) = traced(scenes[0], source_pos_m, seed=seed, n_rays=n_rays, duration_s=duration_s).paths
     energies = np.array([compute_echograms(path, scene.room, scene.absorption, mics_m, ism_order=ism_order,
-                                n_frames=round(duration_s / FRAME_S), speed_m_s=scene.air.speed_m_s)[:, :, 4]
+                                n_frames=round(duration_s / FRAME_S), speed_m_s=scene.air.speed_m_s).energy[:, :, 4]
                          for scene in scenes])
     for m, mic in enumerate(mics_m):
         images = specular_paths(scenes[0].room, source_pos_m, mic, ism_order)
@@ -233,7 +233,7 @@ def sampled_and_full(dims_m, source_pos_m, noise_pos_m, mic_pos_m, target_s, *, 
         for chosen in (samples, None):
             context = make_render_context(source, mics_m, rngs, length_s=length_s, ism_order=ISM_ORDER,
                                           diffraction=False, path_samples=chosen)
-            rays = ray_echograms(context, absorption, range(8))
+            rays = ray_echograms(context, absorption, range(8)).energy
             energies.append(add_image_sources(context, rays, context.image_gains(absorption, list(range(8))))[0])
         pairs.append((*energies, _largest_path(samples[0], source, absorption, context)))
     return pairs
@@ -248,7 +248,7 @@ def _largest_path(sample, source, absorption, context):
     for trace in np.unique(trace_of_band):
         full = compute_echograms(source.paths[trace], source.scene.room, absorption, context.mics_m,
                                  ism_order=ISM_ORDER, n_frames=sample.weight.shape[1],
-                                 speed_m_s=source.scene.air.speed_m_s, visible=context.visible[trace])[0]
+                                 speed_m_s=source.scene.air.speed_m_s, visible=context.visible[trace]).energy[0]
         for band in np.flatnonzero(trace_of_band == trace):
             energy = np.log(np.maximum(1.0 - absorption[:, band], 1e-30)) @ sample.reflection_counts[trace, ..., None]
             energy = sample.weight[trace] * np.exp(energy[..., 0])

@@ -191,6 +191,7 @@ class RirRow(TypedDict):
     model: NotRequired[Annotated[list[Any], Meta(description="a list of effects")] | None]
     seed: NotRequired[Annotated[int, Meta(description="a whole number")] | None]
     leaked_share: NotRequired[Number | None]
+    few_rays_db: NotRequired[Number | None]
     direct_sample: NotRequired[DirectSample | None]
     direct_polarity: NotRequired[Polarity | None]
     direct_visible: NotRequired[Flag | None]

@@ -18,10 +18,11 @@ from roomeq.sim.array_noise import make_coherent
 from roomeq.sim.boundary import NearImages, near_images
 from roomeq.sim.defaults import ISM_ORDER
 from roomeq.sim.diffraction import Diffracted, diffract
-from roomeq.sim.echogram import FRAME_S, compute_echograms
+from roomeq.sim.echogram import FRAME_S, Echograms, compute_echograms
 from roomeq.sim.images import SpecularPaths, specular_paths
 from roomeq.sim.path_sample import PathSample, sample_paths
 from roomeq.sim.paths import reflection_visibility
+from roomeq.sim.ray_limits import few_rays_db
 from roomeq.sim.render import is_cut, render, response_length_s, tail_noise
 from roomeq.sim.scene import check_positions
 from roomeq.sim.target import decay_times_s
@@ -63,6 +64,9 @@ class Response:
     is_cut
         Whether the response ends, at the length that was asked for, less than `roomeq.sim.render.CUT_DB` below its
         whole energy in some octave.
+    few_rays_db
+        How much few rays tell of the decay (`roomeq.sim.ray_limits.few_rays_db`): above `FEW_RAYS_DB` there, T30 of an
+        octave is uncertain by 10 %, and more rays would tell it better.
     """
 
     rir: FloatArray
@@ -73,6 +77,7 @@ class Response:
     absorption: FloatArray
     leaked_share: float
     is_cut: bool
+    few_rays_db: float
 
     @property
     def t20_s(self) -> float | None:
@@ -236,8 +241,8 @@ def make_render_context(traced: "TracedSource", mics_m: ArrayLike, rngs: Sequenc
     return context if path_samples is not None else context.with_all_paths()
 
 
-def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequence[int]) -> FloatArray:
-    """Return the energy per frame of the traced rays, shape (n_mics, n_frames, n_bands).
+def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequence[int]) -> Echograms:
+    """Return the energy per frame of the traced rays.
 
     Air absorption and the gain at surfaces (`roomeq.sim.boundary`) are included, image sources are not.
     """
@@ -247,6 +252,7 @@ def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequenc
                          "with the absorption of now")
     ray_gain = context.ray_gain
     result = np.zeros((len(context.mics_m), context.n_frames, len(bands)))
+    gain = np.ones((context.n_frames, len(bands)), np.float32)
     if context.path_samples is not None:
         def from_sample(sample: PathSample, mic_m: FloatArray, directivity: Directivity | None) -> Array:
             arrival_gain = None if directivity is None else sample.gain_of_arrivals(paths, mic_m, directivity)
@@ -262,19 +268,22 @@ def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequenc
         echograms = dict(zip(jobs, on_threads(from_sample, list(jobs.values())), strict=True))
         for energy, key in zip(result, heard, strict=True):
             energy[:len(echograms[key])] = echograms[key]
+        limited = context.path_samples[0].limited_gain(absorption)[:context.n_frames, bands]
+        gain[:len(limited)] = limited
     else:
         trace_of_band = np.array(context.traced.trace_of_band)[bands]
         for trace in np.unique(trace_of_band):
-            energy = compute_echograms(paths[trace], scene.room, absorption, context.mics_m,
-                                       ism_order=context.ism_order, n_frames=context.n_frames,
-                                       speed_m_s=scene.air.speed_m_s, visible=context.visible[trace],
-                                       ray_gain=ray_gain)[:, :, bands]
-            result[:, :, trace_of_band == trace] = energy[:, :, trace_of_band == trace]
+            of_trace = compute_echograms(paths[trace], scene.room, absorption, context.mics_m,
+                                         ism_order=context.ism_order, n_frames=context.n_frames,
+                                         speed_m_s=scene.air.speed_m_s, visible=context.visible[trace],
+                                         ray_gain=ray_gain)
+            served = trace_of_band == trace
+            result[:, :, served], gain[:, served] = (values[..., bands][..., served] for values in of_trace)
     result = _smooth_late(result, late_after_s(scene.room.volume_m3, scene.air.speed_m_s))
     length_m = (np.arange(context.n_frames) + 0.5) * FRAME_S * scene.air.speed_m_s
     of_source, *of_mics = (near.gain(scene, absorption)[bands] for near in (context.near_source, *context.near_mics))
-    return (result * np.exp(-length_m[:, None] * scene.attenuation_per_m[bands])
-            * of_source * np.array(of_mics)[:, None, :])
+    return Echograms(result * np.exp(-length_m[:, None] * scene.attenuation_per_m[bands])
+                     * of_source * np.array(of_mics)[:, None, :], gain)
 
 
 def _in_frames_of(energy: Array, length: float) -> Array:
@@ -314,15 +323,18 @@ def add_image_sources(context: RenderContext, energy: FloatArray, gains: Sequenc
 def render_microphones(context: RenderContext, absorption: FloatArray) -> list[Response]:
     """Render the response at every microphone."""
     bands = list(range(context.traced.scene.n_bands))
-    gains, ray_energy = context.image_gains(absorption, bands), ray_echograms(context, absorption, bands)
-    total_energy = add_image_sources(context, ray_energy, gains)
-    return on_threads(partial(_render_microphone, context, absorption),
-                      list(enumerate(zip(gains, ray_energy, total_energy, strict=True))))
+    gains, rays = context.image_gains(absorption, bands), ray_echograms(context, absorption, bands)
+    total_energy = add_image_sources(context, rays.energy, gains)
+    return on_threads(partial(_render_microphone, context, absorption, rays.gain),
+                      list(enumerate(zip(gains, rays.energy, total_energy, strict=True))))
 
 
-def _render_microphone(context: RenderContext, absorption: FloatArray, mic: int,
+def _render_microphone(context: RenderContext, absorption: FloatArray, limited_gain: Array, mic: int,
                        parts: tuple[FloatArray, FloatArray, FloatArray]) -> Response:
-    """Render one microphone from the pressure of its image sources, and its energy per frame: of the rays, and all."""
+    """Render one microphone from the pressure of its image sources, and its energy per frame: of the rays, and all.
+
+    `limited_gain` is the gain of all rays in each frame (`Echograms`).
+    """
     traced, scene, mic_m, images = context.traced, context.traced.scene, context.mics_m[mic], context.images[mic]
     gains, ray_energy, total_energy = parts
     speed_m_s, fs_hz = scene.air.speed_m_s, scene.fs_hz
@@ -338,7 +350,7 @@ def _render_microphone(context: RenderContext, absorption: FloatArray, mic: int,
     if not np.all(np.isfinite(rir)):
         raise NotFiniteError(_not_finite(mic_m, absorption, total_energy, fs_hz))
     return Response(rir, direct_sample, images.has_direct, diffracted is not None, fs_hz, absorption,
-                    traced.leaked_share, is_cut(total_energy))
+                    traced.leaked_share, is_cut(total_energy), few_rays_db(total_energy, limited_gain))
 
 
 def _not_finite(mic_m: FloatArray, absorption: FloatArray, energy: FloatArray, fs_hz: float) -> str:

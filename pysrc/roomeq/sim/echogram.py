@@ -5,6 +5,7 @@ of `roomeq.sim.paths`. Where absorption changes again and again, `roomeq.sim.pat
 """
 
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,9 +50,25 @@ def eight_bands(values: Array, first: int) -> Array:
                       dtype=np.float32)
 
 
+class Echograms(NamedTuple):
+    """Energy of rays per frame.
+
+    Attributes
+    ----------
+    energy
+        Squared pressure, shape (n_mics, n_frames, n_bands).
+    gain
+        Of the energy of all rays, which makes up for the limits of single ones (`roomeq.sim.ray_limits.RayLimits`),
+        shape (n_frames, n_bands).
+    """
+
+    energy: FloatArray
+    gain: Array
+
+
 def compute_echograms(paths: Paths, room: Room, absorption: FloatArray, mics_m: Array, *, ism_order: int,
                       n_frames: int, speed_m_s: float, visible: Array | None = None,
-                      ray_gain: Array | None = None) -> FloatArray:
+                      ray_gain: Array | None = None) -> Echograms:
     """Compute the echograms of all rays at some microphones.
 
     Parameters
@@ -74,8 +91,8 @@ def compute_echograms(paths: Paths, room: Room, absorption: FloatArray, mics_m: 
 
     Returns
     -------
-    ndarray, shape (n_mics, n_frames, n_bands)
-        Squared pressure per frame, relative to a direct sound of ``1 / (4 pi r)^2``; without air absorption.
+    Echograms
+        Relative to a direct sound of ``1 / (4 pi r)^2``; without air absorption.
     """
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
     single = partial(np.asarray, dtype=np.float32)
@@ -85,7 +102,7 @@ def compute_echograms(paths: Paths, room: Room, absorption: FloatArray, mics_m: 
         visible = reflection_visibility(paths, room, mics_m, max_path_m=n_frames * FRAME_S * speed_m_s)
     n_rays, spheres = len(paths.counts), receiver_spheres(room, mics_m)
     n_bands = absorption.shape[1]
-    result = np.empty((len(mics_m), n_frames, n_bands))
+    result, gains = np.empty((len(mics_m), n_frames, n_bands)), np.empty((n_frames, n_bands), np.float32)
     frames_per_m = np.float32(1.0 / (speed_m_s * FRAME_S))
     for band in range(0, n_bands, BANDS_PER_PASS):
         bands, reflected = slice(band, min(band + BANDS_PER_PASS, n_bands)), eight_bands(reflection, band)
@@ -101,7 +118,8 @@ def compute_echograms(paths: Paths, room: Room, absorption: FloatArray, mics_m: 
             for_chunks(n_rays, lambda chunk, low, high: _accumulate(*constant, low, high, parts[chunk]))  # noqa: B023
             energy = parts.sum(axis=0, dtype=np.float64) * limits.gain
             result[batch, :, bands] = energy[..., :bands.stop - band]
-    return result / (4.0 * np.pi * n_rays)
+        gains[:, bands] = limits.gain[:, :bands.stop - band]
+    return Echograms(result / (4.0 * np.pi * n_rays), gains)
 
 
 @compiled

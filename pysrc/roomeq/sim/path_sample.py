@@ -86,20 +86,20 @@ class LimitedGain:
     surface_share: FloatArray
     _newest: dict[tuple[int, int], tuple[Array, Array]] = field(default_factory=dict, repr=False)
 
-    def apply(self, energy: Array, trace: int, first: int, reflected: Array) -> None:
-        """Multiply an echogram of eight bands from `first` on, (n_frames, 8), by the gain for some materials, in place.
+    def of(self, trace: int, first: int, reflected: Array) -> Array | None:
+        """Return the gain in eight bands from `first` on, shape (n_frames, 8); None if it is 1.
 
         Surfaces reflect shares of shape (n_surfaces, 8). All microphones get the same gain, and the newest is kept.
         """
         if not self.log_gain[trace].any():
-            return
-        known, gain = self._newest.get((trace, first), (None, None))
-        if known is None or not np.array_equal(known, reflected):
-            gain = self._of(trace, reflected)
+            return None
+        known, gain = self._newest.get((trace, first), (_NO_GAIN, _NO_GAIN))
+        if not np.array_equal(known, reflected):
+            gain = self._compute(trace, reflected)
             self._newest[trace, first] = reflected, gain
-        energy *= gain
+        return gain
 
-    def _of(self, trace: int, reflected: Array) -> Array:
+    def _compute(self, trace: int, reflected: Array) -> Array:
         """Return the gain, shape (n_frames, 8).
 
         As the variance of the logarithm of the energies of rays does, its logarithm grows with the square of the decay:
@@ -209,11 +209,22 @@ class PathSample:
             counts = self.reflection_counts[trace]
             reflected = eight_bands(1.0 - absorption, first)
             _absorb(self.weight[trace], counts, self._most_reflections[trace], reflected, gain, energy)
-            self.limited.apply(energy, trace, first, reflected)
+            if (limited := self.limited.of(trace, first, reflected)) is not None:
+                energy *= limited
             served = bands[(trace_of_band[bands] == trace) & (first <= bands) & (bands < first + BANDS_PER_PASS)]
             if len(served) == result.shape[1] == BANDS_PER_PASS:
                 return energy
             result[:, served] = energy[:, served - first]
+        return result
+
+    def limited_gain(self, absorption: FloatArray) -> Array:
+        """Return the gain of all rays (`roomeq.sim.ray_limits.RayLimits`) in `echogram`, shape (n_frames, n_bands)."""
+        result = np.ones((self.weight.shape[1], len(self.trace_of_band)), np.float32)
+        for first in range(0, result.shape[1], BANDS_PER_PASS):
+            reflected = eight_bands(1.0 - absorption, first)
+            for band in range(first, min(first + BANDS_PER_PASS, result.shape[1])):
+                if (gain := self.limited.of(self.trace_of_band[band], first, reflected)) is not None:
+                    result[:, band] = gain[:, band - first]
         return result
 
     @cached_property

@@ -22,11 +22,16 @@ FEWEST_RAYS = 25
 """Rays that must carry the energy in a room, or one in `_RAYS_PER_LIMIT` rays where those are fewer."""
 FEWEST_FOR_DECAY = 8
 """Rays that must carry the energy in a room for its decay to be that of the response."""
+FEW_RAYS_DB = 2.0
+"""Gain of all rays in a decay (`few_rays_db`) from which on a few of them tell it. In 60 rooms, of which most had an
+absorbing ceiling, T30 with 10,000 rays differed from that with 320,000 by 1 to 5 % (rms) in octaves with less, and by
+10 % with more."""
 LARGEST_GAIN = 100.0
 """Of all rays. Where they would need more, a few rays carry nearly all energy, and the others are no model of them."""
 _RAYS_PER_LIMIT = 400
 _FEW_BANDS = 2  # whose largest energies are sorted in the first walk along the rays
 _STEP = 64  # frames between the times at which energies are compared
+_T30_RANGE = 10.0 ** -3.5
 _NEGLIGIBLE = 1e-6  # share of the energy at the beginning
 _LEAST = 1e-30
 
@@ -89,6 +94,20 @@ def ray_limits(paths: Paths, reflected: Array, emitted: Array, *, n_frames: int,
     # winsorized for n rays, all of them together carry n times the limit
     gain = np.where(counts, known * _winsorized(energy, of_rays, known) / np.maximum(fewest * limit, _LEAST), 1.0)
     return RayLimits(_in_frames(limit, n_frames), _in_frames(np.clip(gain, 1.0, LARGEST_GAIN), n_frames))
+
+
+def few_rays_db(energy: FloatArray, gain: Array) -> float:
+    """Return the largest gain of all rays where a decay is not below -35 dB, in octaves from 125 Hz on [dB].
+
+    Parameters
+    ----------
+    energy
+        Echogram, shape (n_frames, n_bands).
+    gain
+        See `RayLimits`, of the same shape.
+    """
+    left = np.cumsum(energy[::-1], axis=0)[::-1]
+    return float(10.0 * np.log10(np.max(gain, where=left > _T30_RANGE * left[0], initial=1.0, axis=0)[1:].max()))
 
 
 def _in_frames(values: FloatArray, n_frames: int) -> Array:

@@ -295,7 +295,7 @@ def _t30_prediction(context: RenderContext, mics: IntArray, rngs: Sequence[np.ra
         absorption = scaled_absorption(base, exponent)
         if not traced.serves(absorption):
             return None
-        ray_energy = ray_echograms(search, absorption, [BAND_1KHZ]) * of_noise[:, :, None]
+        ray_energy = ray_echograms(search, absorption, [BAND_1KHZ]).energy * of_noise[:, :, None]
         energy = add_image_sources(search, ray_energy, search.image_gains(absorption, [BAND_1KHZ]))
         return t30_of_echogram(n_alike @ energy[:, :, 0])
 

@@ -7,6 +7,7 @@ One group, the rows that share a room, a source position, the air and the stated
 import json
 import logging
 from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -29,6 +30,7 @@ from roomeq.records.schema import RirRow, stated_air
 from roomeq.sim.array_noise import ArrayNoise
 from roomeq.sim.geometry import find_place, towards_microphone
 from roomeq.sim.materials import read_materials
+from roomeq.sim.ray_limits import FEW_RAYS_DB
 from roomeq.sim.scene import Air, Shoebox, require_apart, with_absorption
 from roomeq.simulate_rirs.drawn_room import MESHES, render_drawn_room, table_of_type
 from roomeq.simulate_rirs.options import RenderOptions
@@ -70,6 +72,7 @@ def make(build: Build, measured_dir: Path, rows: list[RirRow], materials: Path |
         times_s = [row["t30_s"] or 0.0 for row in everything if not row["noise_for"]]
         logger.info("%s: %d RIRs with T30 from %.2f to %.2f s at 1 kHz, and %d of noise sources", build.out,
                     len(times_s), min(times_s), max(times_s), len(everything) - len(times_s))
+        _warn_of_few_rays(everything, build.out, options)
 
 
 def make_drawn(build: Build, numbers: range, room_types: Path | str | None, types: list[RoomType],
@@ -104,6 +107,15 @@ def make_drawn(build: Build, numbers: range, room_types: Path | str | None, type
         types_text = ", ".join(f"{count} of type {name}" for name, count in sorted(_rooms_by_type(rows).items()))
         logger.info("%s: %d RIRs, and %d of noise sources, of %d rooms (%s)", build.out, len(rows),
                     len(everything) - len(rows), len(numbers), types_text)
+        _warn_of_few_rays(everything, build.out, options)
+
+
+def _warn_of_few_rays(rows: Sequence[RirRow], directory: Path, options: RenderOptions) -> None:
+    """Say in how many RIRs the decay of an octave is that of a few rays."""
+    if count := sum((row.get("few_rays_db") or 0.0) > FEW_RAYS_DB for row in rows):
+        logger.warning("%s: in %d of %d RIRs, few rays tell the decay of an octave (few_rays_db above %g), whose T30 "
+                       "is uncertain by 10 %%: trace more than %d rays (--num-rays)", directory, count, len(rows),
+                       FEW_RAYS_DB, options.num_rays)
 
 
 def _model_of_responses(path: Path | str | None) -> Model:
@@ -208,6 +220,7 @@ def _write_rir(work: Path, rendered: RenderedRir, air: Air, options: RenderOptio
         temperature_c=air.temperature_c, humidity_pct=air.humidity_pct, seed=options.seed,
         model=["diffraction"] * response.diffracted + names_of(rendered.effects, gain),
         target_t60_s=rendered.target_s, t30_s=response.t30_s, leaked_share=response.leaked_share,
+        few_rays_db=max(one.few_rays_db for one in (response, *rendered.others)),
         direct_sample=response.direct_sample, direct_polarity=1, direct_visible=response.direct_visible,
         noise_for=rendered.noise_for, measured_id=(rendered.noise_for or row["id"]) if measured else None,
         acoustic_parameters=measure(rir, options.fs_hz, direct=(response.direct_sample, 1)),

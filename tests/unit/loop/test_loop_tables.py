@@ -30,7 +30,7 @@ def test_energy_of_every_time_window_is_that_of_the_echogram(room):
     traced = trace_source(scene, SOURCE_M, num_rays=20000, max_length_s=LENGTH_S, rng=np.random.default_rng(0))
     speed_m_s = scene.air.speed_m_s
     echograms = compute_echograms(traced.paths[0], room, scene.absorption, MICS_M, ism_order=-1,
-                                  n_frames=int(LENGTH_S / FRAME_S), speed_m_s=speed_m_s)[:, :, 0]
+                                  n_frames=int(LENGTH_S / FRAME_S), speed_m_s=speed_m_s).energy[:, :, 0]
     for table, echogram in zip(collect(traced, MICS_M, [None, None]), echograms, strict=True):
         frames, reflections = table.entries.T
         # of a uniform absorption, every share of floor and ceiling leaves the same

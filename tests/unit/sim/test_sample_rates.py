@@ -96,7 +96,7 @@ def test_ninth_band_is_treated_like_the_first_eight():
     gain = np.random.default_rng(1).uniform(0.1, 1.0, (500, 9))
     gain[:, 8] = gain[:, 2]
     full = compute_echograms(traced.paths[0], ROOM, absorption, MICS_M[:2], ism_order=2, n_frames=300,
-                             speed_m_s=scene.air.speed_m_s, ray_gain=gain)
+                             speed_m_s=scene.air.speed_m_s, ray_gain=gain).energy
     assert full.shape == (2, 300, 9) and np.any(full[..., 8]) and np.array_equal(full[..., 8], full[..., 2])
     (sample,) = sample_paths(traced, MICS_M[:1], absorption, [np.random.default_rng(2)], ism_order=2,
                              n_frames=300)

@@ -152,7 +152,7 @@ def test_mesh_box_echogram_matches_shoebox(box, how):
                       rng=np.random.default_rng(0))
         assert paths.n_leaked == 0
         absorption = np.full((len(one.surfaces), 8), 0.15)
-        energy = compute_echograms(paths, one, absorption, mics, ism_order=3, n_frames=350, speed_m_s=C)
+        energy = compute_echograms(paths, one, absorption, mics, ism_order=3, n_frames=350, speed_m_s=C).energy
         levels.append(10.0 * np.log10(energy[:, :, 0].reshape(3, 7, 50).sum(axis=2)))
     np.testing.assert_allclose(levels[1], levels[0], atol=1.0)
     assert abs(np.mean(levels[1] - levels[0])) < 0.15
@@ -282,7 +282,7 @@ def test_sound_that_is_scattered_around_a_corner_comes_before_any_mirrored_one(w
     assert not response.direct_visible and speculars_m[0] > 1.6 * response.direct_sample * C / FS_HZ
     traced = trace_source(scene, source, num_rays=4000, rng=np.random.default_rng(0))
     energy = compute_echograms(traced.paths[0], scene.room, scene.absorption, np.array([mic]), ism_order=6,
-                               n_frames=800, speed_m_s=C)[0, :, 4]
+                               n_frames=800, speed_m_s=C).energy[0, :, 4]
     onset_s = speculars_m[0] / C
     early = np.sum(np.square(response.rir[:int(onset_s * FS_HZ) - 20])) / np.sum(np.square(response.rir))
     assert early > 0.02
@@ -296,7 +296,7 @@ def test_surface_hides_what_is_behind_it_from_a_microphone_close_to_it(write_obj
     mics = np.array([(4.97, 4.0, 1.2), (4.4, 4.0, 1.2)])
     traced = trace_source(scene, (8.0, 4.5, 1.5), num_rays=10000, rng=np.random.default_rng(0))
     energy = compute_echograms(traced.paths[0], scene.room, scene.absorption, mics, ism_order=-1, n_frames=500,
-                               speed_m_s=C)[:, :, 4].sum(axis=1)
+                               speed_m_s=C).energy[:, :, 4].sum(axis=1)
     assert 10.0 * np.log10(energy[0] / energy[1]) == pytest.approx(0.0, abs=1.5)
     sample, _ = sample_paths(traced, mics, scene.absorption, [np.random.default_rng(n) for n in (1, 2)], ism_order=-1,
                              n_frames=500)
@@ -325,7 +325,7 @@ def test_energy_is_conserved_in_room_with_table(write_obj):
     assert paths.n_leaked == 0
     mics = np.array([(5.0, 3.0, 1.2), (1.0, 3.2, 2.0), (4.8, 0.8, 0.7), (3.0, 2.0, 1.8)])
     rigid = np.zeros((len(room.surfaces), 8))
-    energy = compute_echograms(paths, room, rigid, mics, ism_order=0, n_frames=280, speed_m_s=C)
+    energy = compute_echograms(paths, room, rigid, mics, ism_order=0, n_frames=280, speed_m_s=C).energy
     uniform = C * 1e-3 / room.volume_m3 / (4.0 * np.pi)
     assert energy[:, 150:, 0].mean() / uniform == pytest.approx(1.0, abs=0.03)
 

@@ -39,7 +39,7 @@ def exact(one, absorption, n=0):
     result = np.empty((N_FRAMES, 8))
     for band, column in enumerate(one.trace_of_band):
         energy = compute_echograms(one.paths[column], one.scene.room, absorption, MICS[n:n + 1], ism_order=ISM_ORDER,
-                        n_frames=N_FRAMES, speed_m_s=C)
+                        n_frames=N_FRAMES, speed_m_s=C).energy
         result[:, band] = energy[0, :, band]
     return result
 
@@ -173,7 +173,7 @@ def test_frames_follow_the_speed_of_sound():
     options = dict(length_s=0.8, ism_order=ISM_ORDER, diffraction=False)
     contexts = [make_render_context(warm, MICS[:1], [rng_for(0, "tail", "a")], path_samples=given, **options)
                 for given in (samples, None)]
-    found, everything = (ray_echograms(context, scene.absorption, range(8))[0] for context in contexts)
+    found, everything = (ray_echograms(context, scene.absorption, range(8)).energy[0] for context in contexts)
     error_db = smooth_db(everything[:700, 4], found[:700, 4])
     assert abs(np.mean(error_db)) < 0.02 and np.std(error_db) < 0.35
 

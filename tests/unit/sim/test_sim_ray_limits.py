@@ -6,8 +6,8 @@ import pytest
 from roomeq.core.rng import rng_for
 from roomeq.sim.echogram import compute_echograms
 from roomeq.sim.path_sample import sample_paths
-from roomeq.sim.ray_limits import FEWEST_FOR_DECAY, FEWEST_RAYS, LARGEST_GAIN, RayLimits, ray_limits
-from roomeq.sim.response import trace_source
+from roomeq.sim.ray_limits import FEW_RAYS_DB, FEWEST_FOR_DECAY, FEWEST_RAYS, LARGEST_GAIN, RayLimits, ray_limits
+from roomeq.sim.response import render_responses, trace_source
 from roomeq.sim.scene import Air, Material, Scene, Shoebox
 
 C = Air().speed_m_s
@@ -97,12 +97,24 @@ def test_late_level_under_an_absorbing_ceiling_is_that_of_many_rays():
 
     def level_db(num_rays, seed):
         one = traced(0.05, 0.7, seed=seed, num_rays=num_rays)
-        energy = compute_echograms(one.paths[0], one.scene.room, one.scene.absorption, mics, speed_m_s=C, **how)
+        energy = compute_echograms(one.paths[0], one.scene.room, one.scene.absorption, mics, speed_m_s=C, **how).energy
         return 10.0 * np.log10(energy[:, 600:, 4].sum())
 
     few_db, many_db = (np.mean([level_db(num_rays, seed) for seed in range(n)])
                        for num_rays, n in ((10000, 10), (100000, 2)))
     assert few_db == pytest.approx(many_db, abs=1.2)
+
+
+@pytest.mark.parametrize(("alpha", "ceiling", "few"), [(0.05, 0.7, True), (0.1, 0.1, False)])
+def test_decay_of_few_rays_is_told(alpha, ceiling, few):
+    """From a sample of paths as from all of them; more rays tell the decay better."""
+    one = traced(alpha, ceiling)
+    sample = sample_paths(one, [MIC], one.scene.absorption, [rng_for(0, "echoes", "m")], ism_order=6, n_frames=N_FRAMES)
+    found = [render_responses(one, [MIC], [np.random.default_rng(0)], path_samples=samples)[0].few_rays_db
+             for samples in (sample, None)]
+    assert (np.array(found) > FEW_RAYS_DB).all() == few and found[0] == pytest.approx(found[1], abs=1.0)
+    many = traced(alpha, ceiling, num_rays=200000)
+    assert render_responses(many, [MIC], [np.random.default_rng(0)])[0].few_rays_db <= found[1]
 
 
 def largest_rise_db(echogram):
@@ -123,7 +135,7 @@ def test_late_sound_of_a_hall_with_absorbing_ceiling_has_no_echoes(monkeypatch):
             absorption = one.scene.absorption
             how = dict(ism_order=6, n_frames=N_FRAMES)
             (sample,) = sample_paths(one, [MIC], absorption, [rng_for(seed, "echoes", "m")], **how)
-            exact = compute_echograms(one.paths[0], one.scene.room, absorption, [MIC], speed_m_s=C, **how)
+            exact = compute_echograms(one.paths[0], one.scene.room, absorption, [MIC], speed_m_s=C, **how).energy
             found.append([largest_rise_db(echogram[:, 4]) for echogram in (sample.echogram(absorption), exact[0])])
         return np.max(found, axis=0)
 
