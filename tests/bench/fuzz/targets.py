@@ -36,10 +36,16 @@ _MODEL = (b'{"format": 3, "effects": [{"effect": "near_reflector", "of": {"r": {
 _ERRORS = (b'{"leave_positions_out": {"error": 1.5, "ci": [1, 2], "by_metric": {"t30": 1.5}, "by_band": '
            b'[null, 1, 1, 1, 1, 1, 1, 1]}, "leave_room_out": {"error": 1.5, "ci": null, "by_metric": {}, "by_band": '
            b'[1, 1, 1, 1, 1, 1, 1, 1]}}')
-_LEDGER = (b'{"format": 8, "given": [], "rirs": 8, "rooms": 4, "scored_rirs": 8, "scored_rooms": 4, "baseline": '
-           + _ERRORS + b', "iterations": [], "ranking": [{"effect": "room_eq", '
-           b'"gain": 1, "ci": [0, 2], "p": 0.5, "size_jnd": 1}], "unexplained": null, "unexplained_all": [], "final": '
-           + _ERRORS + b"}")
+_SHARES = (b'{"share": 0.5, "ci": null, "by_metric": {"t30": {"share": 1, "ci": [0, 2]}}, "by_band": ['
+           + b", ".join([b'{"share": null, "ci": null}'] * 8) + b'], "at_ceiling": []}')
+_LEDGER = (b'{"format": 9, "given": [], "rirs": 8, "rooms": 4, "scored_rirs": 8, "scored_rooms": 4, "left_out": [], '
+           b'"geometry": [], "facings": [], "baseline": ' + _ERRORS + b', "iterations": [], "ranking": [{"effect": '
+           b'"room_eq", "gain": 1, "ci": [0, 2], "p": 0.5, "size_jnd": 1, "rejected": {"reason": "no clear fall", '
+           b'"rendered": false, "p": 0.5, "p_by_split": {"leave_positions_out": 0.5, "leave_room_out": 0.5}, '
+           b'"touched_fall": {"leave_positions_out": 0, "leave_room_out": 0}, "p_other_devices": null}, '
+           b'"detectable_jnd": null, "would_show": ""}], "unexplained": null, "unexplained_all": [], "final": '
+           + _ERRORS + b', "ceiling": ' + _ERRORS + b', "explained": {"leave_positions_out": ' + _SHARES
+           + b', "leave_room_out": ' + _SHARES + b"}}")
 _WER = (b"a-1 one two\na-2 three\n", b"a-1 one\na-2\n", b"Set1: %WER 12.50 95% Conf Interval [ 10.1, 14.9 ]\n",
         b'{"rows": ["train.sim.rvb"], "columns": ["tg"], "seeds": [1], "test": "t", "sets": {"t": {"utterances": 2, '
         b'"words": 3, "rooms": 1}}, "dev_of": {"train.sim.rvb": "d"}, "rooms": [{"room": "r", "words": 3, "acoustics": '
