@@ -112,4 +112,4 @@ fi
 rm -rf .venv.old "$log"
 # otherwise the first simulation waits for the compiler
 .venv/bin/python -m roomeq.compile_kernels >/dev/null 2>&1 ||
-  echo "install.sh: the simulator's kernels are compiled when they are first used"
+  echo "install.sh: the kernels of simulator and loop are compiled when they are first used"

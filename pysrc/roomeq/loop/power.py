@@ -44,7 +44,7 @@ def detectable_sizes(session: Session, candidates: Sequence[Candidate], rejected
         Of the model that lacks the candidates, with their rendered changes (`roomeq.loop.selection.Ranking`).
     candidates : sequence of Candidate
     rejected : collection of types
-        Effects of those whose rendered error did not fall significantly.
+        Effects of those that were rejected, by their predicted or their rendered error.
     """
     quantile = float(stats.norm.ppf(POWER))
 
