@@ -66,7 +66,8 @@ class Response:
         whole energy in some octave.
     few_rays_db
         How much few rays tell of the decay (`roomeq.sim.ray_limits.few_rays_db`): above `FEW_RAYS_DB` there, T30 of an
-        octave is uncertain by 10 %, and more rays would tell it better.
+        octave is uncertain by 10 %, and more rays would tell it better. With fewer than 10,000 rays it is lower all the
+        same, and with fewer than 3600 it is 0.
     """
 
     rir: FloatArray

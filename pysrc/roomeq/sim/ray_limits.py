@@ -99,6 +99,9 @@ def ray_limits(paths: Paths, reflected: Array, emitted: Array, *, n_frames: int,
 def few_rays_db(energy: FloatArray, gain: Array) -> float:
     """Return the largest gain of all rays where a decay is not below -35 dB, in octaves from 125 Hz on [dB].
 
+    Fewer than 10,000 rays have wider limits, and a lower gain, although their decay is less certain. The gain of fewer
+    than 3600 is 1: their limits ask for no more than `FEWEST_FOR_DECAY` rays that carry the energy.
+
     Parameters
     ----------
     energy

@@ -112,9 +112,15 @@ def test_decay_of_few_rays_is_told(alpha, ceiling, few):
     sample = sample_paths(one, [MIC], one.scene.absorption, [rng_for(0, "echoes", "m")], ism_order=6, n_frames=N_FRAMES)
     found = [render_responses(one, [MIC], [np.random.default_rng(0)], path_samples=samples)[0].few_rays_db
              for samples in (sample, None)]
-    assert (np.array(found) > FEW_RAYS_DB).all() == few and found[0] == pytest.approx(found[1], abs=1.0)
+    assert [value > FEW_RAYS_DB for value in found] == [few, few] and found[0] == pytest.approx(found[1], abs=1.0)
     many = traced(alpha, ceiling, num_rays=200000)
-    assert render_responses(many, [MIC], [np.random.default_rng(0)])[0].few_rays_db <= found[1]
+    told = render_responses(many, [MIC], [np.random.default_rng(0)])[0].few_rays_db
+    assert told < min(found[1], FEW_RAYS_DB) if few else told <= found[1]
+
+
+def test_fewer_rays_than_limits_ask_for_tell_nothing_of_the_decay():
+    one = traced(0.05, 0.7, num_rays=3500)
+    assert render_responses(one, [MIC], [np.random.default_rng(0)])[0].few_rays_db == 0.0
 
 
 def largest_rise_db(echogram):
