@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from roomeq.sim import context
 from roomeq.sim.geometry import find_place
 from roomeq.sim.materials import read_materials
 from roomeq.sim.scene import Shoebox
-from roomeq.simulate_rirs import simulate
+from roomeq.simulate_rirs import directory, simulate
 
 BOX_M = [6.0, 4.2, 3.0]
 
@@ -247,7 +248,16 @@ def test_mesh_rows_use_materials_named_in_the_mesh(tmp_path):
     assert rows["m1"]["materials"]["brick_bare"]["material"] == "brick_bare"
     assert rows["m1"]["direct_visible"] is False
     assert rows["m1"]["t30_s"] == pytest.approx(rows["m1"]["target_t60_s"], rel=0.05)
-    assert json.loads((tmp_path / "sim" / "rirs.jsonl").read_text().splitlines()[0])["leaked_share"] == 0.0
+    written = json.loads((tmp_path / "sim" / "rirs.jsonl").read_text().splitlines()[0])
+    assert written["leaked_share"] == 0.0 and written["few_rays_db"] == 0.0  # of so few rays, whatever the room
+
+
+def test_rirs_with_the_decay_of_few_rays_are_counted(caplog):
+    rows = [dict(few_rays_db=2.5), dict(few_rays_db=1.0), dict(few_rays_db=None), {}]  # the last of an older version
+    directory._warn_of_few_rays(rows[1:], "sim", SimpleNamespace(num_rays=10000))
+    assert not caplog.text
+    directory._warn_of_few_rays(rows, "sim", SimpleNamespace(num_rays=10000))
+    assert "sim: in 1 of 4 RIRs, few rays tell the decay of an octave (few_rays_db above 2)" in caplog.text
 
 
 def test_mesh_rooms_give_the_same_bytes_with_two_processes(tmp_path):

@@ -34,6 +34,13 @@ def test_response_begins_with_the_direct_sound_of_a_unit_pulse():
         assert np.sum(rir[first - 2:first + 3]) == pytest.approx(1.0 / (4.0 * np.pi * DISTANCE_M), rel=0.1)
 
 
+@pytest.mark.parametrize(("absorption", "warned"), [([0.05] * 5 + [0.9], True), ([0.3] * 6, False)])
+def test_decay_of_few_rays_is_warned_of(absorption, warned, caplog):
+    walls = dict(zip(("west", "east", "south", "north", "floor", "ceiling"), absorption, strict=True))
+    roomeq.simulate_rir(roomeq.Room((8.0, 6.0, 3.0), materials=walls), SOURCE_M, MIC_M)
+    assert ("few of 10000 rays tell the decay of an octave" in caplog.text) == warned
+
+
 def test_coincident_pair_hears_different_reverberation():
     """Figure-eights at right angles have no coherence in a diffuse field; two omnidirectional ones are alike."""
     crossed = [roomeq.FirstOrder("figure_eight", axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))]
