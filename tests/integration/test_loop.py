@@ -40,7 +40,14 @@ from roomeq.loop.features import (
     with_noise_in_octaves,
 )
 from roomeq.loop.fit import fit
-from roomeq.loop.heldout_errors import _USABLE, SPLITS, heldout_errors, p_with_other_devices, transferred
+from roomeq.loop.heldout_errors import (
+    _USABLE,
+    SPLITS,
+    heldout_errors,
+    p_with_other_devices,
+    predicted_errors,
+    transferred,
+)
 from roomeq.loop.ledger import _parameter_intervals
 from roomeq.loop.likelihood import misfit, normal_equations
 from roomeq.loop.packing import N_SURFACE, Linearization, ParameterIndex
@@ -118,7 +125,8 @@ for part in (compile_kernels.analyse, compile_kernels.simulate, compile_kernels.
 before = compiled()
 session = fit_base_model(load_data(usable_rirs([Path(sys.argv[1])]), scattering=0.3, seed=0), seed=0, nj=1)
 fit(session.data, session.correction, [SourceDirectivity])
-sys.exit(str(compiled() - before) if before and compiled() - before else 0)
+missing = compiled() - before
+sys.exit(f"{len(before)} were compiled, and not {missing}" if missing or not before else 0)
 """
 
 
@@ -136,6 +144,29 @@ def test_installation_has_compiled_what_the_loop_needs(room_set):
     done = subprocess.run([sys.executable, "-c", COMPILES, room_set("source_directivity") / "fit"],
                           check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_predicted_errors_are_about_those_of_renderings_and_the_same_for_any_number_of_jobs(session):
+    predicted, rendered = predicted_errors(session), heldout_errors(session)
+    alone = predicted_errors(replace(session, nj=1))
+    for split in SPLITS:
+        values = predicted.by_split[split]
+        assert values.tobytes() == alone.by_split[split].tobytes()
+        assert np.array_equal(np.isfinite(values), np.isfinite(rendered.by_split[split]))
+        assert predicted.mean(split) == pytest.approx(rendered.mean(split), rel=0.1)
+
+
+def test_each_room_is_predicted_with_its_own_vectors(session):
+    effects = [effect for effect in CATALOGUE.values() if not effect.INTERPOLATION_GRID]
+    data, rng = session.data, np.random.default_rng(0)
+    index, absorption = ParameterIndex(data, effects), session.index.absorption(session.fit.mean, session.fit.local)
+    vectors = [[np.array(effect.STARTS[0]) + 0.1 * rng.standard_normal((len(data.units(effect.SCOPE)[0]),
+                                                                       len(effect.SPREAD))) for effect in effects]
+               for _ in data.room_names]
+    found = index.predict_rooms(absorption, vectors)
+    for room, of_room in enumerate(vectors):
+        members = data.room == room
+        assert np.array_equal(found[members], predict(data, index.state(absorption, of_room))[members])
 
 
 def test_parameters_of_unseen_rooms_converge(session, room_set, monkeypatch, caplog):

@@ -59,6 +59,16 @@ def test_effect_is_superfluous_if_the_error_does_not_rise_without_it(without, su
     assert len(rendered) == len(superfluous)  # the prediction tells that the others are needed
 
 
+def test_effect_stays_if_only_the_prediction_can_do_without_it(monkeypatch):
+    fitted, of_fitted = session_with((SourceResponse, SourceDirectivity)), errors(2.0, seed=9)
+    monkeypatch.setattr(close, "refit", lambda session, _, effects: session_with(effects))
+    monkeypatch.setattr(close, "refit_rendered", lambda data, fit, **_: session_with(fit.effects))
+    monkeypatch.setattr(close, "predicted_errors", lambda session: errors(2.0, seed=len(session.effects)))
+    monkeypatch.setattr(close, "heldout_errors", lambda session: errors(2.4))
+    monkeypatch.setattr(close, "weights_of", lambda *_: np.ones((2 * ROOMS, N_FEATURES), dtype=bool))
+    assert close._eliminate(fitted, of_fitted, SourceDirectivity) == (fitted, of_fitted, [])
+
+
 def test_noise_of_the_recordings_is_not_superfluous(monkeypatch):
     fitted = session_with((SourceDirectivity, NoiseFloor))
     monkeypatch.setattr(close, "refit", lambda *_, **__: pytest.fail("a model without the noise was tried"))
