@@ -6,6 +6,7 @@ each installation waits for the compiler, and so does the first loop.
 
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 
 import numpy as np
 
@@ -28,10 +29,18 @@ _NUM_RAYS = 1000
 
 
 def main() -> None:
-    """Compile the kernels, two parts at once: the compiler takes one core."""
-    with ProcessPoolExecutor(2, multiprocessing.get_context("fork")) as processes:
-        for part in [processes.submit(of_part) for of_part in (analyse, simulate, predict, simulate_mesh)]:
-            part.result()
+    """Compile the kernels, two parts at once: the compiler takes one core.
+
+    Where no processes can be started, or one was killed, which also happens for lack of memory, this one compiles all.
+    """
+    parts = analyse, simulate, predict, simulate_mesh
+    try:
+        with ProcessPoolExecutor(2, multiprocessing.get_context("fork")) as processes:
+            for compiled in [processes.submit(part) for part in parts]:
+                compiled.result()
+    except (OSError, NotImplementedError, BrokenProcessPool):
+        for part in parts:
+            part()
 
 
 def simulate() -> None:
