@@ -269,7 +269,7 @@ def ray_echograms(context: RenderContext, absorption: FloatArray, bands: Sequenc
         echograms = dict(zip(jobs, on_threads(from_sample, list(jobs.values())), strict=True))
         for energy, key in zip(result, heard, strict=True):
             energy[:len(echograms[key])] = echograms[key]
-        limited = context.path_samples[0].limited_gain(absorption)[:context.n_frames, bands]
+        limited = context.path_samples[0].limited_gain(absorption, bands)[:context.n_frames]
         gain[:len(limited)] = limited
     else:
         trace_of_band = np.array(context.traced.trace_of_band)[bands]

@@ -84,7 +84,7 @@ class LimitedGain:
     log_gain: Array
     decay: FloatArray
     surface_share: FloatArray
-    _newest: dict[tuple[int, int], tuple[Array, Array]] = field(default_factory=dict, repr=False)
+    _newest: dict[tuple[int, int], tuple[Array, Array]] = field(default_factory=dict, init=False, repr=False)
 
     def of(self, trace: int, first: int, reflected: Array) -> Array | None:
         """Return the gain in eight bands from `first` on, shape (n_frames, 8); None if it is 1.
@@ -217,14 +217,17 @@ class PathSample:
             result[:, served] = energy[:, served - first]
         return result
 
-    def limited_gain(self, absorption: FloatArray) -> Array:
-        """Return the gain of all rays (`roomeq.sim.ray_limits.RayLimits`) in `echogram`, shape (n_frames, n_bands)."""
-        result = np.ones((self.weight.shape[1], len(self.trace_of_band)), np.float32)
-        for first in range(0, result.shape[1], BANDS_PER_PASS):
-            reflected = eight_bands(1.0 - absorption, first)
-            for band in range(first, min(first + BANDS_PER_PASS, result.shape[1])):
-                if (gain := self.limited.of(self.trace_of_band[band], first, reflected)) is not None:
-                    result[:, band] = gain[:, band - first]
+    def limited_gain(self, absorption: FloatArray, bands: Sequence[int]) -> Array:
+        """Return the gain of all rays (`roomeq.sim.ray_limits.RayLimits`) in `echogram`, shape (n_frames, len(bands)).
+
+        `absorption` is of all bands, shape (n_surfaces, n_bands).
+        """
+        result = np.ones((self.weight.shape[1], len(bands)), np.float32)
+        for place, band in enumerate(bands):
+            first = band // BANDS_PER_PASS * BANDS_PER_PASS
+            gain = self.limited.of(self.trace_of_band[band], first, eight_bands(1.0 - absorption, first))
+            if gain is not None:
+                result[:, place] = gain[:, band - first]
         return result
 
     @cached_property

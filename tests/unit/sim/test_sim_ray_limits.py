@@ -1,5 +1,7 @@
 """No single ray is heard as an echo in late sound that is left to a few rays."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -121,6 +123,23 @@ def test_decay_of_few_rays_is_told(alpha, ceiling, few):
 def test_fewer_rays_than_limits_ask_for_tell_nothing_of_the_decay():
     one = traced(0.05, 0.7, num_rays=3500)
     assert render_responses(one, [MIC], [np.random.default_rng(0)])[0].few_rays_db == 0.0
+
+
+def test_gain_of_a_sample_is_that_of_its_echogram():
+    """For other absorption than before, and for bands of two traces."""
+    materials = [Material(f"s{n}", alpha, (0.1,) * 4 + (0.5,) * 4) for n, alpha in enumerate([0.05] * 5 + [0.7])]
+    one = trace_source(Scene(Shoebox(HALL_M), materials), SOURCE, num_rays=10000, max_length_s=1.4,
+                       rng=np.random.default_rng(0))
+    absorption = one.scene.absorption
+    (sample,) = sample_paths(one, [MIC], absorption, [rng_for(0, "echoes", "m")], ism_order=6, n_frames=N_FRAMES)
+    without = replace(sample, limited=replace(sample.limited, log_gain=np.zeros_like(sample.limited.log_gain)))
+    assert len(one.paths) == 2
+    for factor in (1.0, 1.2, 1.0):
+        gain = sample.limited_gain(factor * absorption, range(8))
+        np.testing.assert_allclose(sample.echogram(factor * absorption), gain * without.echogram(factor * absorption),
+                                   rtol=1e-6)
+        assert gain.max(axis=0).min() > 1.1
+        assert np.array_equal(sample.limited_gain(factor * absorption, [6, 2]), gain[:, [6, 2]])
 
 
 def largest_rise_db(echogram):
