@@ -295,7 +295,7 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]
         if winner is None:
             return None, rejected
         trial = judge_predicted(winner.effect, session, refit(session, winner.fit))
-        if trial.reason is None:
+        if trial is None:
             after = refit_rendered(session.data, winner.fit, seed=session.seed, nj=session.nj,
                                    known_changes=session.effects)
             errors_after = heldout_errors(after)
