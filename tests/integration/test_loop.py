@@ -56,7 +56,7 @@ from roomeq.loop.predict import ReflectedEnergy, predict
 from roomeq.loop.refined_facing import _turned, refined_facings
 from roomeq.loop.rendering import render_rows, rendered_features, row_models
 from roomeq.loop.selection import _candidate, _densities, choose, rank, size_of_change_jnd
-from roomeq.loop.session import Session, fit_base_model, with_rendered_changes
+from roomeq.loop.session import fit_base_model, with_rendered_changes
 from roomeq.loop.splitters import (
     COMMON_SPECTRUM,
     calibrate,
@@ -336,7 +336,7 @@ def test_interval_of_a_loudspeaker_of_one_room_comes_from_that_room(session):
     rows = [{**row, "source_id": f"of {row['room_id']}"} for row in data.rows]
     data = replace(data, rows=rows)
     fitted = fit(data, session.correction, (SourceResponse,), initial=session.fit)
-    intervals = _parameter_intervals(Session(data, fitted.effects, session.correction, fitted, 0, 1), SourceResponse)
+    intervals = _parameter_intervals(replace(session, data=data, effects=fitted.effects, fit=fitted), SourceResponse)
     assert len(intervals) == len(data.room_names)
     half, best = (np.array([f(unit) for unit in intervals.values()]) for f in (
         lambda unit: 0.5 * np.subtract(unit["high"]["gains_db"], unit["low"]["gains_db"]),
