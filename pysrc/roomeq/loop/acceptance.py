@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from roomeq.core.arrays import FloatArray
 from roomeq.effects.base import Effect
 from roomeq.loop.heldout_errors import (
     SPLITS,
@@ -79,11 +80,10 @@ def judge_predicted(effect: type[Effect], before: Session, after: Session) -> Tr
     if effect.MEASURED:
         return None
     errors, errors_after = predicted_errors(before), predicted_errors(after)
-    trial = _compare(effect, after, errors, errors_after)._replace(rendered=False)
+    trial = _compare(errors, errors_after, weights_of(effect, after))._replace(rendered=False)
     if np.mean([*trial.falls.values()]) > _MIN_FALL:
         return None
-    rises = _rises(errors, errors_after) and any(
-        errors_after.mean(split) > errors.mean(split) + _TOLERATED_JND for split in SPLITS)
+    rises = _rises(errors, errors_after) and not _is_tolerated(errors, errors_after)
     return trial._replace(reason=RISES if rises else NO_CLEAR_FALL)
 
 
@@ -99,10 +99,10 @@ def judge(effect: type[Effect], before: Session, after: Session, errors: HeldOut
     errors, errors_after : HeldOutErrors
         Of both.
     """
-    trial = _compare(effect, after, errors, errors_after)
+    weights = weights_of(effect, after)
+    trial = _compare(errors, errors_after, weights)
     if effect.MEASURED:
-        stays = all(errors_after.mean(split) < errors.mean(split) + _TOLERATED_JND for split in SPLITS)
-        return trial if stays else trial._replace(reason=RISES)
+        return trial if _is_tolerated(errors, errors_after) else trial._replace(reason=RISES)
     if _rises(errors, errors_after):
         return trial._replace(reason=RISES)
     significant = trial.joint_p < _JOINT_LEVEL if effect.NAMES_CAUSE else max(trial.p.values()) < LEVEL
@@ -111,13 +111,12 @@ def judge(effect: type[Effect], before: Session, after: Session, errors: HeldOut
         return trial._replace(reason=NO_CLEAR_FALL)
     if effect.NAMES_CAUSE:
         return trial
-    other_devices_p = p_with_other_devices(before, after, weights_of(effect, after))  # renders both again
+    other_devices_p = p_with_other_devices(before, after, weights)  # renders both again
     return trial._replace(other_devices_p=other_devices_p, reason=OTHER_DEVICES if other_devices_p >= LEVEL else None)
 
 
-def _compare(effect: type[Effect], after: Session, errors: HeldOutErrors, errors_after: HeldOutErrors) -> Trial:
-    """Return the trial of a model `after` with an effect, from errors without and with it; nothing is decided."""
-    weights = weights_of(effect, after)
+def _compare(errors: HeldOutErrors, errors_after: HeldOutErrors, weights: FloatArray) -> Trial:
+    """Return the trial of an effect from errors without and with it, and `weights_of` it; nothing is decided."""
     p = {split: p_lower(errors, errors_after, split, weights) for split in SPLITS}
     falls = {split: share_of_fall(errors, errors_after, split, weights) for split in SPLITS}
     return Trial(p, falls, float(stats.combine_pvalues([*p.values()], "fisher").pvalue), None, None, True)
@@ -126,6 +125,11 @@ def _compare(effect: type[Effect], after: Session, errors: HeldOutErrors, errors
 def _rises(errors: HeldOutErrors, errors_after: HeldOutErrors) -> bool:
     """Tell whether the error of all features rises significantly on one of the splits."""
     return any(p_lower(errors_after, errors, split) < LEVEL for split in SPLITS)
+
+
+def _is_tolerated(errors: HeldOutErrors, errors_after: HeldOutErrors) -> bool:
+    """Tell whether the error of all features rises by less than `_TOLERATED_JND` on both splits."""
+    return all(errors_after.mean(split) < errors.mean(split) + _TOLERATED_JND for split in SPLITS)
 
 
 def describe_rejection(trial: Trial) -> str:
