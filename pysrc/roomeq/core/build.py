@@ -57,7 +57,7 @@ from roomeq.core.stamps import (
     was_made,
     when_stamped_ns,
 )
-from roomeq.core.workers import end_with, n_processes
+from roomeq.core.workers import end_with, forked, may_fork, n_processes
 
 logger = logging.getLogger(__name__)
 
@@ -184,9 +184,13 @@ class Build:
 
     def _make_items(self, todo: list[str], items: Mapping[str, Any], make: Callable[[str, Any], Any],
                     nj: int) -> Iterator[None]:
-        calls = ((os.getcwd(), self._lock_path, self._record_path(name), make, name, items[name]) for name in todo)
+        calls = [(os.getcwd(), self._lock_path, self._record_path(name), make, name, items[name]) for name in todo]
         if nj == 1 or len(todo) < 2:
             yield from starmap(_make_item, calls)
+            return
+        if may_fork():  # such workers need not import anything
+            for _ in forked(lambda call: _make_item(*call), calls, nj):
+                yield
             return
         from joblib import Parallel, delayed
 

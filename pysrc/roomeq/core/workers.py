@@ -5,7 +5,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import wraps
 from typing import Any, TypeVar, cast
 
@@ -114,33 +114,55 @@ def share_out(work: Callable[[Item], Result], items: Iterable[Item], nj: int, *,
         for item in items[:n_here]:
             results.append(work(item))
             meter.advance()
-        items = items[n_here:]
-        if not items:
-            return results
-        import multiprocessing
-        from concurrent.futures import ProcessPoolExecutor, wait
-
-        with ProcessPoolExecutor(n_processes(nj, len(items)), multiprocessing.get_context("fork"),
-                                 initializer=_start_worker, initargs=(work, items)) as pool:
-            futures = [pool.submit(_work_on, n) for n in range(len(items))]
-            try:
-                for future in futures:
-                    while wait([future], SHOWN_EVERY_S).not_done:
-                        tick()
-                    results.append(future.result())
-                    meter.advance()
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
-        return results
+        of_rest: dict[int, Result] = {}
+        for n, result in forked(work, items[n_here:], nj):
+            of_rest[n] = result
+            meter.advance()
+        return results + [of_rest[n] for n in range(len(of_rest))]
 
 
-def _start_worker(work: Callable[[Any], Any], items: list[Any]) -> None:
+def may_fork() -> bool:
+    """Tell whether forked processes are safe: no other thread may hold a lock that they would wait for."""
     import multiprocessing
+
+    return threading.active_count() == 1 and not multiprocessing.current_process().daemon
+
+
+def forked(work: Callable[[Item], Result], items: list[Item], nj: int) -> Iterator[tuple[int, Result]]:
+    """Yield the number of each item and ``work(item)``, computed by up to `nj` forked processes, as they are done.
+
+    For the parameters and errors see `share_out`.
+    """
+    if not items:
+        return
+    import multiprocessing
+    from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+
+    with ProcessPoolExecutor(n_processes(nj, len(items)), multiprocessing.get_context("fork"),
+                             initializer=_start_worker, initargs=(work, items, nj)) as pool:
+        numbers = {pool.submit(_work_on, n): n for n in range(len(items))}
+        try:
+            while numbers:
+                done = wait(numbers, SHOWN_EVERY_S, FIRST_COMPLETED).done
+                if not done:
+                    tick()
+                for future in sorted(done, key=numbers.__getitem__):
+                    yield numbers.pop(future), future.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _start_worker(work: Callable[[Any], Any], items: list[Any], nj: int) -> None:
+    import multiprocessing
+
+    from threadpoolctl import threadpool_limits
 
     global _task
     _task = work, items
     silence()
+    threadpool_limits(1)
+    os.environ.setdefault("NUMBA_NUM_THREADS", str(max(1, len(os.sched_getaffinity(0)) // nj)))
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # which a job in the background ignores
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # ends the worker without a message; the parent prints one
     parent = multiprocessing.parent_process()

@@ -9,7 +9,8 @@ import time
 
 import pytest
 
-from roomeq.core.workers import n_processes, share_out
+from roomeq.core.build import Build
+from roomeq.core.workers import forked, may_fork, n_processes, share_out
 
 pytestmark = pytest.mark.usefixtures("default_hangup")
 
@@ -41,6 +42,48 @@ def test_errors_of_workers_keep_their_type_and_text():
 
     with pytest.raises(ValueError, match="room 3: no RIRs"):
         share_out(fail, [3, 4], 2, first_here=False, label='')
+
+
+@pytest.mark.parametrize("setting, expected", [(None, {"1"}), ("3", {"3"})])
+def test_workers_share_the_cores(setting, expected, monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
+    monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
+    if setting:
+        monkeypatch.setenv("NUMBA_NUM_THREADS", setting)
+    found = share_out(lambda _: os.environ["NUMBA_NUM_THREADS"], range(4), 2, first_here=False, label="")
+    assert set(found) == expected
+
+
+def test_results_are_yielded_as_they_are_done():
+    def sleep(seconds):
+        time.sleep(seconds)
+        return seconds
+
+    assert [result for _, result in forked(sleep, [0.8, 0.0, 0.1, 0.2], 2)] == [0.0, 0.1, 0.2, 0.8]
+
+
+def test_processes_are_not_forked_beside_other_threads():
+    assert may_fork()
+    done = threading.Event()
+    thread = threading.Thread(target=done.wait)
+    thread.start()
+    assert not may_fork()
+    done.set()
+    thread.join()
+
+
+@pytest.mark.parametrize("forks", [True, False])
+def test_builds_do_not_depend_on_how_their_processes_start(forks, tmp_path, monkeypatch):
+    monkeypatch.setattr("roomeq.core.build.may_fork", lambda: forks)
+    build, made = Build(tmp_path / "out", step="count", options={}, inputs=[]), []
+    build.run({f"n{n}": n for n in range(5)}, _square, nj=2)
+    build.finish(lambda directory, records: made.extend(records))
+    assert [square for square, _ in made] == [0, 1, 4, 9, 16]
+    assert os.getpid() not in {pid for _, pid in made}
+
+
+def _square(name, item):
+    return item ** 2, os.getpid()
 
 
 @pytest.mark.parametrize("nj, n_items, n_cores, expected", [
