@@ -29,7 +29,7 @@ absorbing ceiling, T30 with 10,000 rays differed from that with 320,000 by 1 to 
 LARGEST_GAIN = 100.0
 """Of all rays. Where they would need more, a few rays carry nearly all energy, and the others are no model of them."""
 _RAYS_PER_LIMIT = 400
-_FEW_BANDS = 2  # whose largest energies are sorted in the first walk along the rays
+_FIRST_SORTED = 6  # of the largest energies in a chunk of rays
 _STEP = 64  # frames between the times at which energies are compared
 _T30_RANGE = 10.0 ** -3.5
 _NEGLIGIBLE = 1e-6  # share of the energy at the beginning
@@ -82,14 +82,15 @@ def ray_limits(paths: Paths, reflected: Array, emitted: Array, *, n_frames: int,
         for_chunks(n_rays, lambda chunk, low, high: _add_up(*walk, low, high, total[chunk], largest[chunk]))
         return total.sum(axis=0, dtype=np.float64)[:, :n_bands], np.concatenate([*largest], axis=-1)
 
-    # to sort those of more bands takes as long as a second walk, which many rooms do not need
-    energy, of_rays = add_up(at_m, fewest if n_bands <= _FEW_BANDS else 1)
+    # to sort many takes longer than a second walk for the times at which some beyond the limit were left out
+    n_sorted = min(_FIRST_SORTED, fewest)
+    energy, of_rays = add_up(at_m, n_sorted)
     counts, known = energy > _NEGLIGIBLE * energy[0], min(FEWEST_FOR_DECAY, fewest)
-    if n_bands > _FEW_BANDS:
-        concentrated = np.flatnonzero(np.any(counts & (of_rays.max(axis=-1) * fewest > energy), axis=-1))
-        of_rays = np.zeros((len(at_m), n_bands, N_CHUNKS * fewest), np.float32)
-        if len(concentrated):
-            of_rays[concentrated] = add_up(at_m[concentrated], fewest)[1]
+    least = of_rays[..., n_sorted - 1::n_sorted].max(axis=-1)  # no ray that was left out has more
+    incomplete = np.flatnonzero(np.any(counts & (least > _winsorized(energy, of_rays, fewest)), axis=-1))
+    if n_sorted < fewest and len(incomplete):
+        of_rays = np.pad(of_rays, [(0, 0), (0, 0), (0, N_CHUNKS * (fewest - n_sorted))])
+        of_rays[incomplete] = add_up(at_m[incomplete], fewest)[1]
     limit = np.where(counts, _winsorized(energy, of_rays, fewest), energy / fewest)
     # winsorized for n rays, all of them together carry n times the limit
     gain = np.where(counts, known * _winsorized(energy, of_rays, known) / np.maximum(fewest * limit, _LEAST), 1.0)

@@ -56,6 +56,19 @@ def test_energies_are_winsorized_where_few_rays_have_them():
     assert energy.max() > 2.0 * limit[960]
 
 
+@pytest.mark.parametrize("n_bands", [2, 8])
+@pytest.mark.parametrize("ceiling", [0.05, 0.3, 0.7])
+@pytest.mark.parametrize("num_rays", [1000, 10000])
+def test_limits_do_not_depend_on_how_many_energies_are_sorted_first(num_rays, ceiling, n_bands, monkeypatch):
+    one, found = traced(0.05, ceiling, num_rays=num_rays), []
+    for n_sorted in (4, 6, FEWEST_RAYS):
+        monkeypatch.setattr("roomeq.sim.ray_limits._FIRST_SORTED", n_sorted)
+        found.append(found_limits(one, n_bands=n_bands))
+    for other in found[:2]:
+        np.testing.assert_array_equal(other.largest, found[2].largest)
+        np.testing.assert_array_equal(other.gain, found[2].gain)
+
+
 def test_limited_rays_carry_the_energy_of_all_if_enough_tell_it():
     """What the limit takes from single rays goes to all, but for what fewer than `FEWEST_FOR_DECAY` rays carry."""
     one = traced(0.05, 0.7)
