@@ -23,8 +23,9 @@ from roomeq.records.rir_dir import load_rir, read_rirs, validate_rirs
 from roomeq.sim import context
 from roomeq.sim.geometry import find_place
 from roomeq.sim.materials import read_materials
+from roomeq.sim.response import trace_every_ray
 from roomeq.sim.scene import Shoebox
-from roomeq.simulate_rirs import directory, simulate
+from roomeq.simulate_rirs import directory, simulate, source
 
 BOX_M = [6.0, 4.2, 3.0]
 
@@ -270,6 +271,26 @@ def test_mesh_rooms_give_the_same_bytes_with_two_processes(tmp_path):
     for nj in (1, 2):
         run(tmp_path / "measured", tmp_path / f"nj{nj}", num_rays=500, nj=nj)
     assert hashes(tmp_path / "nj1") == hashes(tmp_path / "nj2")
+
+
+@pytest.mark.parametrize("mesh", [False, True])
+def test_bytes_do_not_depend_on_whether_responses_share_a_trace(mesh, tmp_path, monkeypatch):
+    from plans import L_PLAN, prism_obj
+    (tmp_path / "measured").mkdir()
+    (tmp_path / "measured" / "room.obj").write_text(prism_obj(L_PLAN, 3.0, "brick_bare"))
+    known = dict(mesh="room.obj", room_dims_m=None) if mesh else {}
+    write_jsonl(tmp_path / "measured" / "rirs.jsonl", [
+        measured_row(f"m{n}", source_pos_m=[5.0, 1.5, 1.5], mic_pos_m=[1.0 + n / 3, 1.0, 1.5], **known)
+        for n in range(5)])
+    calls = []
+    monkeypatch.setattr(source, "trace_every_ray", lambda **how: calls.append(how) or trace_every_ray(**how))
+    run(tmp_path / "measured", tmp_path / "shared", noise_rirs=1)
+    n_shared = len(calls)
+    assert n_shared == 2  # for the source, and for the noise source that all five have in common
+    monkeypatch.setattr(source, "_SHARED_BYTES", 0)
+    run(tmp_path / "measured", tmp_path / "alone", noise_rirs=1)
+    assert len(calls) == n_shared
+    assert hashes(tmp_path / "shared") == hashes(tmp_path / "alone")
 
 
 def test_decays_slower_than_eyring_are_not_cut_off(tmp_path):

@@ -19,7 +19,7 @@ Every chunk of rays keeps its own share of the paths: the chunks are strata, and
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,6 +44,7 @@ from roomeq.sim.paths import (
 from roomeq.sim.ray_limits import LARGEST_GAIN, ray_limits
 from roomeq.sim.room import Room
 from roomeq.sim.scene import Scene
+from roomeq.sim.tallies import Tallies, count_type, tally_reflections
 from roomeq.sim.trace import Paths
 
 if TYPE_CHECKING:
@@ -280,7 +281,8 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
     result = [_empty_sample(traced.paths, n_frames, len(absorption), traced.trace_of_band, frame_m, limited)
               for _ in mics_m]
     for trace, paths in enumerate(traced.paths):
-        tallies = _tally_reflections(paths, len(absorption))
+        tallies = paths.tallies or tally_reflections(paths.codes, paths.face_surface, paths.first, paths.counts,
+                                                     len(absorption))
         references = _references(absorption[:, np.equal(traced.trace_of_band, trace)])
         limits = ray_limits(paths, eight_bands((1.0 - references).T[paths.face_surface], 0),
                             _emitted(ray_weight), n_frames=n_frames, frames_per_m=float(np.float32(1.0 / frame_m)),
@@ -337,45 +339,13 @@ def _empty_sample(traces: Sequence[Paths], n_frames: int, n_surfaces: int, trace
                   frame_m: float, limited: LimitedGain) -> PathSample:
     """Allocate the sample of one microphone; nothing is filled in yet."""
     shape = (len(traces), n_frames, PATHS_PER_FRAME)
-    return PathSample(np.empty(shape, np.float32), np.empty((*shape, n_surfaces), _count_type(traces)),
+    counts_type = count_type(np.array([paths.counts.max() for paths in traces]))
+    return PathSample(np.empty(shape, np.float32), np.empty((*shape, n_surfaces), counts_type),
                       np.empty(shape, np.uint32), np.empty(shape, np.bool_), np.empty(shape, np.uint32), trace_of_band,
                       frame_m, limited)
 
 
-def _count_type(traces: Sequence[Paths]) -> type:
-    return np.uint8 if max(paths.counts.max() for paths in traces) < 256 else np.uint16
-
-
-class _Tallies(NamedTuple):
-    """How often each surface was met up to each stored reflection, packed.
-
-    Attributes
-    ----------
-    words
-        Of uint64, shape (n_stored, n_words).
-    word, shift
-        Which word counts each surface, and from which bit on, shape (n_surfaces,).
-    mask
-        Bits of one count.
-    """
-
-    words: Array
-    word: IntArray
-    shift: Array
-    mask: np.uint64
-
-
-def _tally_reflections(paths: Paths, n_surfaces: int) -> _Tallies:
-    bits = 8 * np.dtype(_count_type([paths])).itemsize
-    word, place = np.divmod(np.arange(n_surfaces), 64 // bits)
-    tallies = _Tallies(np.empty((len(paths.hits), word[-1] + 1), np.uint64), word, (place * bits).astype(np.uint64),
-                       np.uint64(2 ** bits - 1))
-    for_chunks(len(paths.counts), lambda chunk, low, high: _tally(
-        paths.codes, paths.face_surface, paths.first, paths.counts, tallies, low, high))
-    return tallies
-
-
-def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatArray, references: FloatArray,
+def _sample_trace(paths: Paths, tallies: Tallies, scene: Scene, mics_m: FloatArray, references: FloatArray,
                   limits: Array, seeds: Array, spheres: Spheres, ism_order: int, n_frames: int,
                   ray_weight: Array | None, visible: Array | None,
                   results: list[tuple[Array, Array, Array, Array, Array]]) -> None:
@@ -402,22 +372,7 @@ def _sample_trace(paths: Paths, tallies: _Tallies, scene: Scene, mics_m: FloatAr
 
 
 @compiled
-def _tally(codes: Array, face_surface: Array, first: Array, counts: Array, tallies: _Tallies, low: Number,
-           high: Number) -> None:
-    """Count hits per surface along rays `low` to `high`."""
-    words, words_of, shifts = tallies.words, tallies.word, tallies.shift
-    so_far = np.empty(words.shape[1], np.uint64)
-    for ray in range(low, high):
-        so_far[:] = np.uint64(0)
-        for at in range(first[ray], first[ray] + counts[ray]):
-            surface = face_surface[codes[at] >> 2]
-            so_far[words_of[surface]] += np.uint64(1) << shifts[surface]
-            for word in range(len(so_far)):
-                words[at, word] = so_far[word]
-
-
-@compiled
-def _unpack(sums: Array, kept: Array, of_ray: Array, tallies: _Tallies, power: Array, scale: Number, ray_weight: Array,
+def _unpack(sums: Array, kept: Array, of_ray: Array, tallies: Tallies, power: Array, scale: Number, ray_weight: Array,
             weight: Array, counts: Array, last: Array, specular: Array, rays: Array) -> None:
     """Join the strata of one microphone: the weight is 1 over the sum of the densities at both references."""
     n_frames, n_surfaces = len(weight), power.shape[1]

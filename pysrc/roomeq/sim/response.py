@@ -30,6 +30,7 @@ from roomeq.sim.context import (
 from roomeq.sim.defaults import ISM_ORDER, NUM_RAYS, ORDER
 from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.path_sample import PathSample, sample_paths, sharing
+from roomeq.sim.pilot import PilotRays
 from roomeq.sim.render import MAX_LENGTH_S, MIN_LENGTH_S
 from roomeq.sim.scene import Scene, check_positions, eyring_time_s, needed_area_m2
 from roomeq.sim.target import (
@@ -45,7 +46,7 @@ from roomeq.sim.target import (
     solve_exponent,
     t30_of_echogram,
 )
-from roomeq.sim.trace import Paths, trace
+from roomeq.sim.trace import Paths, play_roulette, trace
 
 logger = logging.getLogger(__name__)
 
@@ -55,7 +56,7 @@ SLOW_BANDS_S = 3.0
 """Time up to which bands are followed that decay more slowly than 1 kHz [s]."""
 LEAST_DECAY = 0.45
 """Of the decay that was expected when a source was traced: slower ones would be left to too few rays."""
-SERVED = (0.7, 2.5)  # exponents that a path sample serves, relative to Eyring's, for which it is drawn
+SERVED = (0.7, 2.5)  # exponents that a path sample serves, relative to the one for which it is drawn
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,16 @@ class TracedSource:
         """Share of the rays that left the room through a gap between faces."""
         return sum(path.n_leaked for path in self.paths) / sum(len(path.directions) for path in self.paths)
 
+    def play_roulette(self, absorption: FloatArray, max_length_s: float) -> "TracedSource":
+        """Return what `trace_source` traces for some absorption and length, from a source of `trace_every_ray`.
+
+        `absorption` has shape (n_surfaces, n_bands), and `max_length_s` is at most that of this source.
+        """
+        max_length_m = max_length_s * self.scene.air.speed_m_s
+        paths = [play_roulette(paths, self.scene.room, column, max_length_m) for paths, column in zip(
+            self.paths, _expected_of_traces(absorption, self.trace_of_band), strict=True)]
+        return replace(self, paths=tuple(paths), expected_absorption=absorption)
+
     @property
     def max_length_s(self) -> float:
         """Time up to which the rays were followed [s]."""
@@ -140,18 +151,39 @@ def trace_source(scene: Scene, source_pos_m: ArrayLike, *, num_rays: int = NUM_R
     if num_rays < 1:
         raise ValueError(f"num_rays={num_rays} must be at least 1: ask for some rays")
     scene.room.require_inside("source_pos_m", np.asarray(source_pos_m))
-    columns, trace_of_band = np.unique(scene.scattering, axis=1, return_inverse=True)
-    trace_of_band, seed = np.ravel(trace_of_band), int(rng.integers(2 ** 63))
     expected = np.broadcast_to(scene.absorption if absorption is None else absorption, scene.absorption.shape)
-    max_length_m = max_length_s * scene.air.speed_m_s
+    return _trace_source(scene, source_pos_m, num_rays, max_length_s, rng, expected)
+
+
+def trace_every_ray(scene: Scene, source_pos_m: ArrayLike, *, num_rays: int = NUM_RAYS, max_length_s: float,
+                    rng: np.random.Generator) -> TracedSource:
+    """Trace a source as `trace_source` does, but let no ray end early, whatever the absorption.
+
+    `TracedSource.play_roulette` then finds the paths for one absorption after the other, and is faster than to trace
+    them again from the fourth one on.
+    """
+    return _trace_source(scene, source_pos_m, num_rays, max_length_s, rng, None)
+
+
+def _trace_source(scene: Scene, source_pos_m: ArrayLike, num_rays: int, max_length_s: float, rng: np.random.Generator,
+                  expected: FloatArray | None) -> TracedSource:
+    """Trace each distinct column of scattering coefficients, with roulette for expected absorption if it is given."""
+    columns, inverse = np.unique(scene.scattering, axis=1, return_inverse=True)
+    trace_of_band, seed = tuple(int(n) for n in np.ravel(inverse)), int(rng.integers(2 ** 63))
+    of_traces = [None] * columns.shape[1] if expected is None else _expected_of_traces(expected, trace_of_band)
     # the same random numbers for all columns: bands then differ by their scattering alone
     paths: list[Paths] = []
-    for n, column in enumerate(columns.T):
-        paths.append(trace(scene.room, source_pos_m, column, num_rays=num_rays, max_length_m=max_length_m,
-                           speed_m_s=scene.air.speed_m_s, rng=np.random.default_rng(seed),
-                           absorption=expected[:, trace_of_band == n].min(axis=1), like=paths[-1] if paths else None))
-    return TracedSource(scene, np.asarray(source_pos_m, dtype=np.float64), tuple(paths),
-                        tuple(int(n) for n in trace_of_band), expected)
+    for column, absorption in zip(columns.T, of_traces, strict=True):
+        paths.append(trace(scene.room, source_pos_m, column, num_rays=num_rays,
+                           max_length_m=max_length_s * scene.air.speed_m_s, speed_m_s=scene.air.speed_m_s,
+                           rng=np.random.default_rng(seed), absorption=absorption, like=paths[-1] if paths else None))
+    return TracedSource(scene, np.asarray(source_pos_m, dtype=np.float64), tuple(paths), trace_of_band,
+                        np.zeros_like(scene.absorption) if expected is None else expected)
+
+
+def _expected_of_traces(absorption: FloatArray, trace_of_band: Sequence[int]) -> list[FloatArray]:
+    """Return the least absorption of each surface in the bands of each trace, shape (n_surfaces,) each."""
+    return [absorption[:, np.equal(trace_of_band, trace)].min(axis=1) for trace in range(max(trace_of_band) + 1)]
 
 
 def render_responses(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.random.Generator], *,
@@ -199,7 +231,8 @@ def render_responses(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
 
 
 def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.random.Generator], target_s: float, *,
-                     absorption: FloatArray | None = None, **options: Any) -> list[Response]:
+                     absorption: FloatArray | None = None, exponent: float | None = None,
+                     **options: Any) -> list[Response]:
     """Render responses whose mean T30 at 1 kHz is the target, by scaling the absorption of all surfaces.
 
     Echograms of a path sample and the noise of the tail predict how T30 changes with absorption. Where T30 of the
@@ -213,6 +246,8 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
         As for `render_responses`.
     target_s
         T30 at 1 kHz.
+    exponent
+        About the one that meets the target, for which path samples were drawn. By default that of Eyring's formula.
 
     Returns
     -------
@@ -227,7 +262,7 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
     """
     context = make_render_context(traced, mics_m, rngs, **options)
     base = traced.scene.absorption if absorption is None else absorption
-    guess = eyring_exponent(traced.scene, target_s, base)
+    guess = eyring_exponent(traced.scene, target_s, base) if exponent is None else exponent
     close = hides_decay(traced.scene, np.linalg.norm(context.mics_m - traced.source_pos_m, axis=1), target_s)
     used = np.arange(len(rngs)) if close.all() else np.flatnonzero(~close)
     predict = _t30_prediction(context, used, rngs, base, guess)
@@ -241,22 +276,22 @@ def render_to_target(traced: TracedSource, mics_m: ArrayLike, rngs: Sequence[np.
                   or SERVED[0] <= exponent / guess <= SERVED[1])
         return render_microphones(context if served else follow_all(), scaled_absorption(base, exponent))
 
-    exponent, aim_s = guess, target_s
+    tried, aim_s = guess, target_s
     rendered: list[Trial] = []
     best: Trial | None = None
     for _ in range(_MAX_RENDERINGS):
         if bracketed(rendered, target_s):  # the prediction is not smooth there, or it would have met the target
-            exponent = next_exponent(rendered, target_s)
+            tried = next_exponent(rendered, target_s)
         else:
-            predicted = solve_exponent(predict, aim_s, exponent)
+            predicted = solve_exponent(predict, aim_s, tried)
             if predicted is None:
                 break
-            exponent = predicted.exponent
-        made = render(exponent)
+            tried = predicted.exponent
+        made = render(tried)
         time_s = _mean_t30_s([made[mic] for mic in used])
         if time_s is None:
             break
-        rendered.append(Trial(exponent, time_s))
+        rendered.append(Trial(tried, time_s))
         best = closest(rendered, target_s)
         if best is rendered[-1]:
             responses = made
@@ -380,8 +415,6 @@ def simulate_responses(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike,
         if directivity is not None and not callable(directivity):
             raise ValueError(f"directivity={directivity!r:.80} must be a function of directions: give that of its "
                              "method pressure at the sample rate")
-    exponent = 1.0 if target_t60_s is None else eyring_exponent(scene, target_t60_s)
-    expected = scaled_absorption(scene.absorption, exponent)
     # other rooms, sources and microphones have other rays and tails, also with the same seed; of microphones in one
     # place, which may be directive, the tails before mixing have to be independent too
     of_source = (scene.room.volume_m3, *map(float, scene.room.surface_area_m2), *map(float, np.ravel(source_pos_m)))
@@ -393,6 +426,13 @@ def simulate_responses(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike,
     options: dict[str, Any] = dict(ism_order=ism_order, diffraction=diffraction, source_directivity=source_directivity,
                                    arrays=arrays)
     length_s: float | None = needed_length_s(scene, target_t60_s, order)
+    expected = scene.absorption
+    if target_t60_s is not None:
+        pilot = PilotRays(scene, source_pos_m, target_t60_s, rng_for(seed, "pilot", repr(of_source)))
+        by_eyring = eyring_exponent(scene, target_t60_s)
+        options["exponent"] = pilot.exponent(expected, target_t60_s, by_eyring)
+        # the least that may be needed: rays that more would weaken are then followed, too
+        expected = scaled_absorption(expected, min(by_eyring, options["exponent"]))
     while length_s is not None:
         traced = trace_source(scene, source_pos_m, num_rays=num_rays, absorption=expected, max_length_s=length_s,
                               rng=rng_for(seed, "trace", repr(of_source)))

@@ -123,10 +123,14 @@ def noise_per_frame(noise: Array, n_frames: int, fs_hz: float) -> FloatArray:
 
 def t30_of_echogram(energy: FloatArray) -> float | None:
     """Return T30 of an echogram of one band, shape (n_frames,), or None if it does not decay by 35 dB."""
-    decay = np.cumsum(energy[::-1])[::-1]
-    decay_db = power_db(decay / max(decay[0], TINY_POWER), FLOOR_POWER)
-    chosen = np.flatnonzero((decay_db <= -5.0) & (decay_db >= -35.0))
-    if decay_db[-1] > -35.0 or len(chosen) < 3:
+    return fitted_time_s(np.cumsum(energy[::-1])[::-1], np.arange(len(energy)) * FRAME_S)
+
+
+def fitted_time_s(left: Array, time_s: Array) -> float | None:
+    """Return T30 of the energy that is left after some times, shape (n,) both, or None if it does not fall by 35 dB."""
+    left_db = power_db(left / max(left[0], TINY_POWER), FLOOR_POWER)
+    chosen = np.flatnonzero((left_db <= -5.0) & (left_db >= -35.0))
+    if left_db[-1] > -35.0 or len(chosen) < 3:
         return None
-    slope_db = np.polyfit(chosen * FRAME_S, decay_db[chosen], 1)[0]
+    slope_db = np.polyfit(time_s[chosen], left_db[chosen], 1)[0]
     return float(-60.0 / slope_db) if slope_db < 0.0 else None

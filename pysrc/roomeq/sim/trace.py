@@ -8,9 +8,12 @@ Once reflections are denser than samples, far more paths arrive than a smooth de
 carry little energy with materials like the expected ones play Russian roulette (Arvo and Kirk, SIGGRAPH 1990, 63): half
 of them end, and the others represent two. The rays that remain carry about equal energies, so that few of them describe
 the late decay. The result is unbiased for any absorption, and least noisy near the expected one.
+
+Roulette ends rays, and changes the way of none. Where a source is needed for several expected absorptions, its rays are
+traced once without it, and play it for each: the paths are the same as of a trace for this absorption.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple, cast
 
@@ -20,6 +23,7 @@ from numpy.typing import ArrayLike
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number, Numbers
 from roomeq.core.jit import compiled, for_chunks, inlined, mix, uniform
 from roomeq.sim.room import Room
+from roomeq.sim.tallies import Tallies, tally_reflections
 from roomeq.sim.tree import BEHIND_M, FRONTS, Tree, first_hit, memory
 
 if TYPE_CHECKING:
@@ -52,7 +56,7 @@ class Paths:
     codes
         ``4 * face + 2 * represents_two + continues_diffusely`` of each reflection, shape (n_stored,), unsigned. From
         a reflection that represents two on, the ray's energy counts twice as much as before. A ray's last reflection
-        only ends the way to it: nothing is reflected there.
+        only ends the way to it: nothing is reflected there. 0 for reflections after a ray's last one.
     first
         Index of each ray's first reflection, shape (n_rays,).
     normals
@@ -71,6 +75,10 @@ class Paths:
         Rays end with the first reflection beyond this length of path.
     n_leaked
         Rays that left the room through a gap between faces.
+    seed
+        Of the random numbers of the rays.
+    tallies
+        How often each surface was met up to each reflection; None where that has not been counted.
     """
 
     source_pos_m: FloatArray
@@ -86,6 +94,8 @@ class Paths:
     late_m: float
     max_length_m: float
     n_leaked: int
+    seed: np.uint64
+    tallies: Tallies | None = None
 
 
 class _Traced(NamedTuple):
@@ -147,7 +157,7 @@ def _lattice(n_points: int) -> FloatArray:
 
 
 def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_rays: int, max_length_m: float,
-          speed_m_s: float, rng: np.random.Generator, absorption: ArrayLike = 0.0,
+          speed_m_s: float, rng: np.random.Generator, absorption: ArrayLike | None = 0.0,
           like: Paths | None = None) -> Paths:
     """Trace rays from a source.
 
@@ -165,7 +175,8 @@ def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_ray
         Speed of sound.
     rng
     absorption
-        That is expected of each surface, shape (n_surfaces,) or one for all.
+        That is expected of each surface, shape (n_surfaces,) or one for all. With None, rays don't play roulette, and
+        reflections are tallied: several calls of `play_roulette` will need it.
     like
         Of the same rays with the same random numbers, but other scattering and absorption. Until their paths part, rays
         need not search what they hit. The result does not depend on it.
@@ -176,18 +187,54 @@ def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_ray
     seed = np.uint64(rng.integers(2 ** 63))
     late_m = late_after_s(room.volume_m3, speed_m_s) * speed_m_s
     faces = room.walls or cast("MeshRoom", room)
-    area_m2 = room.surface_area_m2
-    reflected = np.maximum(1.0 - np.broadcast_to(absorption, area_m2.shape), _LEAST_ENERGY)
-    decay_per_m = -np.log(area_m2 @ reflected / area_m2.sum()) * area_m2.sum() / (4.0 * room.volume_m3)
-    roulette = Roulette(late_m, np.log(reflected)[faces.face_surface], float(decay_per_m),
-                        float(np.log(np.clip(num_rays / LATE_RAYS, 1.0, MAX_SHARE))))
+    roulette = _roulette(room, 0.0 if absorption is None else absorption, num_rays, faces.face_surface,
+                         np.inf if absorption is None else late_m)
     how = source_pos_m, directions, scattering[faces.face_surface], max_length_m, roulette, seed
     known = (_Known(like.codes, like.first, like.counts) if like is not None else
              _Known(np.empty(0, _code_type(len(faces.normals))), np.zeros(num_rays, np.int64),
                     np.zeros(num_rays, np.int32)))
-    traced = _trace_rays(room, 4.0 * room.volume_m3 / float(area_m2.sum()), known, *how)
+    traced = _trace_rays(room, 4.0 * room.volume_m3 / float(room.surface_area_m2.sum()), known, *how)
+    tallies = None if absorption is not None else tally_reflections(traced.codes, faces.face_surface, traced.first,
+                                                                    traced.counts, len(scattering))
     return Paths(source_pos_m, directions, traced.hits, traced.codes, traced.first, faces.normals, faces.face_surface,
-                 faces.curved, traced.counts, scattering, late_m, max_length_m, traced.n_leaked)
+                 faces.curved, traced.counts, scattering, late_m, max_length_m, traced.n_leaked, seed, tallies)
+
+
+def play_roulette(paths: Paths, room: Room, absorption: ArrayLike, max_length_m: float) -> Paths:
+    """Let rays that were traced without roulette play it.
+
+    Parameters
+    ----------
+    paths
+        Traced with the absorption None.
+    room
+    absorption
+        That is expected of each surface, shape (n_surfaces,).
+    max_length_m
+        Length of path up to which rays are followed, at most that of `paths`.
+
+    Returns
+    -------
+    Paths
+        Those of `trace` with this absorption and length, among the reflections of `paths`.
+    """
+    if max_length_m > paths.max_length_m:
+        raise ValueError(f"max_length_m={max_length_m} must be at most that of the paths, {paths.max_length_m}: trace "
+                         "them further")
+    roulette = _roulette(room, absorption, len(paths.counts), paths.face_surface, paths.late_m)
+    codes, counts = np.zeros_like(paths.codes), np.empty_like(paths.counts)
+    n_leaked = for_chunks(len(counts), lambda chunk, low, high: _end_rays(
+        paths.hits, paths.codes, paths.first, paths.counts, roulette, paths.seed, max_length_m, low, high, codes,
+        counts))
+    return replace(paths, codes=codes, counts=counts, max_length_m=max_length_m, n_leaked=sum(n_leaked))
+
+
+def _roulette(room: Room, absorption: ArrayLike, num_rays: int, face_surface: IntArray, late_m: float) -> Roulette:
+    area_m2 = room.surface_area_m2
+    reflected = np.maximum(1.0 - np.broadcast_to(absorption, area_m2.shape), _LEAST_ENERGY)
+    decay_per_m = -np.log(area_m2 @ reflected / area_m2.sum()) * area_m2.sum() / (4.0 * room.volume_m3)
+    return Roulette(late_m, np.log(reflected)[face_surface], float(decay_per_m),
+                    float(np.log(np.clip(num_rays / LATE_RAYS, 1.0, MAX_SHARE))))
 
 
 def late_after_s(volume_m3: float, speed_m_s: float) -> float:
@@ -301,9 +348,30 @@ def _store(hits: Array, codes: Array, stored: Number, position: Numbers, length:
     hit = hits[stored]
     hit[0], hit[1], hit[2], hit[3] = position[0], position[1], position[2], length
     represents_two, ends, log_energy, plays = _play_roulette(
-        roulette, ray, stream, n, length, log_energy + roulette.log_reflected[face], plays)
+        roulette, ray, stream, n, np.float64(hit[3]), log_energy + roulette.log_reflected[face], plays)
     codes[stored] = 4 * face + 2 * represents_two + diffuse
-    return ends or length > end_m, log_energy, plays
+    return ends or hit[3] > end_m, log_energy, plays
+
+
+@compiled
+def _end_rays(hits: Array, codes: Array, first: Array, counts: Array, roulette: Roulette, seed: Number, end_m: Number,
+              low: Number, high: Number, new_codes: Array, new_counts: Array) -> int:
+    """Let rays `low` to `high` play roulette along their stored reflections; return how many have leaked."""
+    n_leaked = 0
+    for ray in range(low, high):
+        stream = mix(seed + np.uint64(ray))
+        log_energy, plays, at, end, ends = 0.0, 0, first[ray], first[ray] + counts[ray], False
+        while at < end and not ends:
+            length = np.float64(hits[at, 3])
+            represents_two, ends, log_energy, plays = _play_roulette(
+                roulette, ray, stream, at - first[ray], length, log_energy + roulette.log_reflected[codes[at] >> 2],
+                plays)
+            new_codes[at] = codes[at] + 2 * represents_two
+            ends = ends or length > end_m
+            at += 1
+        new_counts[ray] = at - first[ray]
+        n_leaked += not ends
+    return n_leaked
 
 
 @inlined

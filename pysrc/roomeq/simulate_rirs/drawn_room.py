@@ -160,10 +160,9 @@ def _render_source(room: TracedRoom, members: list[Member], effects: list[list[E
     source_pos_m = members[0].place.source_pos_m
     channels = [channel for member in members for channel in channels_of(member.row, member.place)]
     names, mics_m = [name for name, _ in channels], [position for _, position in channels]
-    expected = draw.expected_absorption if absorption is None else absorption
     responses = iter(room.render(
-        source_pos_m, mics_m, names, target_s, expected,
-        absorption=draw.scene.absorption if absorption is None else absorption, length_s=draw.length_s,
+        source_pos_m, mics_m, names, target_s, draw.scene.absorption if absorption is None else absorption,
+        length_s=draw.length_s,
         arrays=[n for n, member in enumerate(members) for _ in member.place.channels_m or (None,)],
         source_directivity=source_directivity(members[0].row, effects[0], room.options.fs_hz)))
     rendered = []

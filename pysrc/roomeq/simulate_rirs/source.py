@@ -1,9 +1,10 @@
 """Render the responses of one source: draw materials, trace once, meet the targets, render the noise sources."""
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.geometry import Place, noise_positions
 from roomeq.sim.materials import MaterialTable, Surface, draw_materials, draw_scattering, given_surfaces
 from roomeq.sim.path_sample import sample_paths
+from roomeq.sim.pilot import PilotRays
 from roomeq.sim.response import (
     TracedSource,
     decay_length_s,
@@ -29,6 +31,7 @@ from roomeq.sim.response import (
     needed_length_s,
     render_responses,
     render_to_target,
+    trace_every_ray,
     trace_source,
 )
 from roomeq.sim.room import Room
@@ -40,6 +43,8 @@ logger = logging.getLogger(__name__)
 
 MATERIAL_DRAWS = 4  # per target
 TARGET_DRAWS = 8
+_SHARED_FROM = 4  # responses of a source
+_SHARED_BYTES, _BYTES_PER_REFLECTION = 2 ** 28, 26
 _NOISE_DISTANCE_M = 0.3  # preferred distance of a noise source from the microphone and from the source
 
 
@@ -94,14 +99,6 @@ class SceneDraw:
     target_number: int
     """How many targets were given up before."""
 
-    @property
-    def expected_absorption(self) -> FloatArray:
-        """Absorption that is expected to meet the target, by Eyring's formula, shape (n_surfaces, 8)."""
-        absorption = self.scene.absorption
-        if self.target_s is None:
-            return absorption
-        return scaled_absorption(absorption, eyring_exponent(self.scene, self.target_s))
-
 
 def render_source(members: list[Member], air: Air, table: MaterialTable, model: Model,
                   options: RenderOptions) -> list[RenderedRir]:
@@ -121,8 +118,12 @@ def render_source(members: list[Member], air: Air, table: MaterialTable, model: 
     first = members[0]
     room = TracedRoom(first.place.room, first.row["room_id"], _stated_surfaces(first, table), air, table, effects[0],
                       options)
-    return with_noises(room, [_render_row(room, member, of_row)
-                              for member, of_row in zip(members, effects, strict=True)])
+    draws = [room.draw_scenes(member.row) for member in members]
+    first_draws = [next(of_row) for of_row in draws]
+    room.share_trace(first.place.source_pos_m, [draw.length_s for draw in first_draws])
+    return with_noises(room, [
+        _render_row(room, member, of_row, chain([draw], further))
+        for member, of_row, draw, further in zip(members, effects, first_draws, draws, strict=True)])
 
 
 def with_noises(room: "TracedRoom", rendered: list[RenderedRir]) -> list[RenderedRir]:
@@ -138,6 +139,14 @@ def _stated_surfaces(member: Member, table: MaterialTable) -> dict[str, Surface]
         raise ValueError(f"RIR {member.row['id']}: {error}") from None
 
 
+class _SharedTrace(NamedTuple):
+    """The rays of a source, none of which ends early, and how far they were followed."""
+
+    source_pos_m: tuple[float, ...]
+    length_s: float
+    traced: TracedSource
+
+
 class TracedRoom:
     """A room with its scattering, and the latest trace of one of its sources."""
 
@@ -148,6 +157,8 @@ class TracedRoom:
         self.effects = [effect for effect in effects if effect.SCOPE in ("all", "room")]
         self.scattering = draw_scattering(table, room, rng_for(options.seed, "scattering", room_id), stated)
         self._latest: tuple[Any, TracedSource | None] = None, None
+        self._shared: _SharedTrace | None = None
+        self._latest_pilot: tuple[tuple[float, ...], PilotRays | None] = (), None
 
     def draw_scenes(self, row: RirRow) -> Iterator[SceneDraw]:
         """Yield materials and targets to try for a row: several draws of materials for each of several targets.
@@ -170,31 +181,73 @@ class TracedRoom:
         scene = draw_materials(self.table, self.room, self.scattering, self.air, target_s, rng, self.stated)
         return extend_scene(self.effects, replace(scene, fs_hz=self.options.fs_hz))
 
+    def share_trace(self, source_pos_m: tuple[float, ...], lengths_s: list[float]) -> None:
+        """Trace a source once for responses of some lengths, whatever their absorption, if that takes less time.
+
+        The responses are the same. Where the trace would take much memory, each response gets one of its own.
+        """
+        self._shared = None
+        length_m = max(lengths_s) * self.air.speed_m_s
+        n_traces = np.unique(self.scattering, axis=1).shape[1]
+        per_m = self.room.surface_area_m2.sum() / (4.0 * self.room.volume_m3)
+        n_bytes = self.options.num_rays * n_traces * length_m * per_m * _BYTES_PER_REFLECTION
+        if len(lengths_s) >= _SHARED_FROM and n_bytes <= _SHARED_BYTES:
+            longest_s = max(lengths_s)
+            traced = trace_every_ray(**self._how_to_trace(source_pos_m, longest_s))
+            self._shared = _SharedTrace(source_pos_m, longest_s, traced)
+
     def _trace(self, source_pos_m: tuple[float, ...], length_s: float, expected: FloatArray) -> TracedSource:
         key = source_pos_m, length_s, expected.tobytes()
         known, traced = self._latest
         if traced is None or known != key:
-            reflecting = [Material(surface, (0.0,) * len(BANDS_HZ), tuple(scattering))
-                          for surface, scattering in zip(self.room.surfaces, self.scattering, strict=True)]
-            scene = extend_scene(self.effects, Scene(self.room, reflecting, self.air, self.options.fs_hz))
-            rng = rng_for(self.options.seed, "trace", repr((self.room_id, tuple(source_pos_m))))
-            traced = trace_source(scene, source_pos_m, num_rays=self.options.num_rays, max_length_s=length_s, rng=rng,
-                                  absorption=expected)
+            shared = self._shared
+            if shared is not None and shared.source_pos_m == source_pos_m and length_s <= shared.length_s:
+                traced = shared.traced.play_roulette(expected, length_s)
+            else:
+                traced = trace_source(absorption=expected, **self._how_to_trace(source_pos_m, length_s))
             self._latest = key, traced
         return traced
 
+    @cached_property
+    def _scene(self) -> Scene:
+        """The room without absorption."""
+        reflecting = [Material(surface, (0.0,) * len(BANDS_HZ), tuple(scattering))
+                      for surface, scattering in zip(self.room.surfaces, self.scattering, strict=True)]
+        return extend_scene(self.effects, Scene(self.room, reflecting, self.air, self.options.fs_hz))
+
+    def _pilot(self, source_pos_m: tuple[float, ...], length_s: float) -> PilotRays:
+        """Return pilot rays of a source for reverberation times up to a length."""
+        known, pilot = self._latest_pilot
+        if pilot is None or known != source_pos_m or pilot.max_length_s < length_s:
+            rng = rng_for(self.options.seed, "pilot", repr((self.room_id, tuple(source_pos_m))))
+            longest_s = max(length_s, *(self.options.t60_range_s or (0.0,)))
+            pilot = PilotRays(self._scene, source_pos_m, longest_s, rng)
+            self._latest_pilot = source_pos_m, pilot
+        return pilot
+
+    def _how_to_trace(self, source_pos_m: tuple[float, ...], length_s: float) -> dict[str, Any]:
+        return dict(scene=self._scene, source_pos_m=source_pos_m, num_rays=self.options.num_rays, max_length_s=length_s,
+                    rng=rng_for(self.options.seed, "trace", repr((self.room_id, tuple(source_pos_m)))))
+
     def render(self, source_pos_m: tuple[float, ...], mics_m: list[tuple[float, ...]], rir_ids: list[str],
-               target_s: float | None, expected: FloatArray, **how: Any) -> list[Response]:
-        """Render the responses at some microphones, scaled to a target or as they are.
+               target_s: float | None, absorption: FloatArray, **how: Any) -> list[Response]:
+        """Render the responses at some microphones with absorption of shape (n_surfaces, n_bands).
+
+        It is scaled to a target, or taken as it is.
 
         They are as long as Eyring's decay, or longer where sound between reflecting surfaces decays more slowly: with a
         target up to `length_s`, without one as `longer_length_s` says.
-
-        `expected` is about the absorption that they will have, shape (n_surfaces, n_bands).
         """
         followed_s: float = how.pop("length_s")
-        traced = self._trace(source_pos_m, followed_s, expected)
-        length_s = min(decay_length_s(traced.scene, expected), traced.max_length_s)
+        how["absorption"] = expected = least = by_eyring = absorption
+        if target_s is not None:
+            exponent = eyring_exponent(self._scene, target_s, absorption)
+            by_eyring = scaled_absorption(absorption, exponent)
+            how["exponent"] = self._pilot(source_pos_m, target_s).exponent(absorption, target_s, exponent)
+            expected = scaled_absorption(absorption, how["exponent"])
+            least = np.minimum(expected, by_eyring)  # more absorption than expected is served, too little is not
+        traced = self._trace(source_pos_m, followed_s, least)
+        length_s = min(decay_length_s(traced.scene, by_eyring), traced.max_length_s)
         while True:
             responses = self._render(traced, mics_m, rir_ids, target_s, expected, length_s, how)
             if not any(response.is_cut for response in responses):
@@ -205,7 +258,7 @@ class TracedRoom:
             longer_s = longer_length_s(responses, followed_s) if target_s is None else None
             if longer_s is None:
                 return responses
-            followed_s, traced = longer_s, self._trace(source_pos_m, longer_s, expected)
+            followed_s, traced = longer_s, self._trace(source_pos_m, longer_s, least)
             length_s = traced.max_length_s
 
     def _render(self, traced: TracedSource, mics_m: list[tuple[float, ...]], rir_ids: list[str],
@@ -225,19 +278,18 @@ class TracedRoom:
             raise NotFiniteError(f"RIR {rir_ids[0]} of room {self.room_id}: {error}") from None
 
 
-def _render_row(room: TracedRoom, member: Member, effects: list[Effect]) -> RenderedRir:
+def _render_row(room: TracedRoom, member: Member, effects: list[Effect], draws: Iterable[SceneDraw]) -> RenderedRir:
     """Render one row with the first draw of materials and target that can be met."""
     row, place = member
     names, mics_m = map(list, zip(*channels_of(row, place), strict=True))
     problem, target_number = None, 0
-    for draw in room.draw_scenes(row):
+    for draw in draws:
         if draw.target_number > target_number:  # this room, at this distance, cannot sound like that
             target_number = draw.target_number
             logger.info("%s: %s; drawing another target", row["id"], problem)
         try:
-            responses = room.render(place.source_pos_m, mics_m, names, draw.target_s, draw.expected_absorption,
-                                    absorption=draw.scene.absorption, length_s=draw.length_s,
-                                    arrays=[0] * len(names),
+            responses = room.render(place.source_pos_m, mics_m, names, draw.target_s, draw.scene.absorption,
+                                    length_s=draw.length_s, arrays=[0] * len(names),
                                     source_directivity=source_directivity(row, effects, room.options.fs_hz))
         except NotFiniteError:
             raise
@@ -258,12 +310,12 @@ def _render_noises(room: TracedRoom, rendered: list[RenderedRir]) -> list[list[R
     responses: dict[str, list[Response]] = {}
     for source_pos_m in sorted({noise.place.source_pos_m for of_row in noises for noise in of_row}):
         of_source = [noise for of_row in noises for noise in of_row if noise.place.source_pos_m == source_pos_m]
+        room.share_trace(source_pos_m, [noise.length_s for noise in of_source])
         for noise in of_source:
             of_row = channels_of(noise.row, noise.place)
             responses[noise.row["id"]] = room.render(
                 source_pos_m, [mic_m for _, mic_m in of_row], [name for name, _ in of_row], None,
-                noise.response.absorption, absorption=noise.response.absorption, length_s=noise.length_s,
-                arrays=[0] * len(of_row))
+                noise.response.absorption, length_s=noise.length_s, arrays=[0] * len(of_row))
     return [[replace(noise, response=responses[noise.row["id"]][0], others=tuple(responses[noise.row["id"]][1:]))
              for noise in of_row] for of_row in noises]
 

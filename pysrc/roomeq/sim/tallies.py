@@ -1,0 +1,57 @@
+"""How often each surface was met along a ray, packed: several counts in one word."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from roomeq.core.arrays import Array, IntArray, Number
+from roomeq.core.jit import compiled, for_chunks
+
+
+class Tallies(NamedTuple):
+    """How often each surface was met up to each stored reflection.
+
+    Attributes
+    ----------
+    words
+        Of uint64, shape (n_stored, n_words).
+    word, shift
+        Which word counts each surface, and from which bit on, shape (n_surfaces,).
+    mask
+        Bits of one count.
+    """
+
+    words: Array
+    word: IntArray
+    shift: Array
+    mask: np.uint64
+
+
+def count_type(counts: Array) -> type[np.uint8] | type[np.uint16]:
+    """Return the type that holds as many reflections as rays have at most, of numbers of shape (n_rays,)."""
+    return np.uint8 if counts.max() < 256 else np.uint16
+
+
+def tally_reflections(codes: Array, face_surface: IntArray, first: IntArray, counts: Array, n_surfaces: int) -> Tallies:
+    """Count the reflections of rays by surface; for the parameters see `roomeq.sim.trace.Paths`."""
+    bits = 8 * np.dtype(count_type(counts)).itemsize
+    word, place = np.divmod(np.arange(n_surfaces), 64 // bits)
+    tallies = Tallies(np.empty((len(codes), word[-1] + 1), np.uint64), word, (place * bits).astype(np.uint64),
+                      np.uint64(2 ** bits - 1))
+    for_chunks(len(counts), lambda chunk, low, high: _tally(codes, face_surface, first, counts, tallies, low, high))
+    return tallies
+
+
+@compiled
+def _tally(codes: Array, face_surface: Array, first: Array, counts: Array, tallies: Tallies, low: Number,
+           high: Number) -> None:
+    """Count hits per surface along rays `low` to `high`."""
+    words, words_of, shifts = tallies.words, tallies.word, tallies.shift
+    so_far = np.empty(words.shape[1], np.uint64)
+    for ray in range(low, high):
+        so_far[:] = np.uint64(0)
+        for at in range(first[ray], first[ray] + counts[ray]):
+            surface = face_surface[codes[at] >> 2]
+            so_far[words_of[surface]] += np.uint64(1) << shifts[surface]
+            for word in range(len(so_far)):
+                words[at, word] = so_far[word]
