@@ -12,6 +12,7 @@ other devices than those that it was fitted to, whose response it may be. What w
 cause: it is enough that the error does not rise by more than `_TOLERATED_JND`.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -70,20 +71,28 @@ class Trial(NamedTuple):
     rendered: bool
 
 
-def judge_predicted(effect: type[Effect], before: Session, after: Session) -> Trial | None:
+def judge_predicted(effect: type[Effect], errors: Callable[[], HeldOutErrors], after: Session) -> Trial | None:
     """Return the trial of an effect that its prediction rejects, or None if it is to be rendered.
 
     It is rejected if the predicted error of what it touches falls by too little. Whether a fall is significant is left
     to rendering, as is all that is read off the recordings. Predictions hardly scatter, so that tiny rises of the error
     of all features are significant: those up to `_TOLERATED_JND` do not count.
+
+    Parameters
+    ----------
+    effect : type
+    errors : callable
+        Returns the predicted errors without the effect.
+    after : Session
+        With the effect.
     """
     if effect.MEASURED:
         return None
-    errors, errors_after = predicted_errors(before), predicted_errors(after)
-    trial = _compare(errors, errors_after, weights_of(effect, after))._replace(rendered=False)
+    before, errors_after = errors(), predicted_errors(after)
+    trial = _compare(before, errors_after, weights_of(effect, after))._replace(rendered=False)
     if np.mean([*trial.falls.values()]) > _MIN_FALL:
         return None
-    rises = _rises(errors, errors_after) and not _is_tolerated(errors, errors_after)
+    rises = _rises(before, errors_after) and not _is_tolerated(before, errors_after)
     return trial._replace(reason=RISES if rises else NO_CLEAR_FALL)
 
 

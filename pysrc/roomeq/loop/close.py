@@ -4,6 +4,7 @@ import logging
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -290,11 +291,12 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]
     """
     pool = ranking
     rejected: dict[type[Effect], Trial] = {}
+    predicted = cache(partial(predicted_errors, session))  # for all candidates
     while True:
         winner, rivals = choose(pool, len(ranking))
         if winner is None:
             return None, rejected
-        trial = judge_predicted(winner.effect, session, refit(session, winner.fit))
+        trial = judge_predicted(winner.effect, predicted, refit(session, winner.fit))
         if trial is None:
             after = refit_rendered(session.data, winner.fit, seed=session.seed, nj=session.nj,
                                    known_changes=session.effects)

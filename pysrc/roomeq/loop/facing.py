@@ -84,7 +84,7 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
     unknown = unknown_facings(data)
     if not len(unknown):
         return data
-    log_likelihood, log_alike = _log_likelihood(data, index, mean, local, residual, spread)
+    log_likelihood, log_alike = _log_likelihood(data, index, mean, local, residual, spread, threads)
     facings: dict[int, FloatArray] = {}
     axis: IntArray = np.full(len(data.rows), -1)
     estimates = []
@@ -138,7 +138,7 @@ def _best_axes(groups: list[list[int]], towards: FloatArray, log_likelihood: Flo
 
 
 def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: list[FloatArray],
-                    residual: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
+                    residual: FloatArray, spread: FloatArray, threads: int = 1) -> tuple[FloatArray, FloatArray]:
     """Return the log likelihood of the direct sound of each RIR, with some directivities and without any.
 
     Reflections leave in all directions, so that their gain is the mean over the sphere. The response of the source
@@ -173,18 +173,20 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
         square = [np.nansum(np.minimum((error / scale) ** 2, 9.0), axis=1) for scale in _SCALES]
         return -0.5 * independent / np.maximum(measured, 1) * square - np.outer(np.log(_SCALES), independent)
 
-    of_angles: list[FloatArray] = []
     source_of = np.array([unit_name(row, "source") for row in data.rows])
-    for angle in _TEST_ANGLES:
-        turned = replace(data, tables=[replace(table, direct_angle=float(angle)) for table in diffuse])
+
+    def at_angle(angle: float) -> FloatArray:
+        turned = replace(data, tables=[replace(table, direct_angle=angle) for table in diffuse])
         with_others = ParameterIndex(turned, others)
-        at_angle = []
+        found = []
         for directivities in possible:
             state = with_others.state(absorption, vectors_of_others)
             for name, directivity in directivities.items():
                 directivity.apply_to_prediction(state, turned, np.flatnonzero(source_of == name))
-            at_angle.append(log_likelihood(predict(turned, state) - plain))
-        of_angles.append(np.concatenate(at_angle))
+            found.append(log_likelihood(predict(turned, state) - plain))
+        return np.concatenate(found)
+
+    of_angles = on_threads(at_angle, [(float(angle),) for angle in _TEST_ANGLES], threads)
     return np.stack(of_angles, axis=2), log_likelihood(np.zeros_like(plain))
 
 

@@ -106,7 +106,8 @@ def rank(session: Session, eliminated: Collection[type[Effect]] = ()) -> Ranking
     lacking: list[type[Effect]] = [effect for effect in CATALOGUE.values()
                                    if effect not in known and effect.applies(data)]
     session = with_rendered_changes(session, lacking)
-    candidates = share_out(lambda effect: _candidate(session, effect, base, before), lacking, session.nj,
+    longest_first = sorted(lacking, key=lambda effect: -len(effect.STARTS))  # so that no process waits for the last one
+    candidates = share_out(lambda effect: _candidate(session, effect, base, before), longest_first, session.nj,
                            first_here=False, label=f"effect {len(session.effects) + 1}: fit candidates")
     return Ranking(session, sorted(candidates, key=lambda candidate: -candidate.total))
 

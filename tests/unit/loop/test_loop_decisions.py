@@ -321,7 +321,8 @@ def test_effect_whose_predicted_error_hardly_falls_is_not_rendered(monkeypatch, 
 
     monkeypatch.setattr(acceptance, "weights_of", lambda *_: np.ones((16, N_FEATURES), dtype=bool))
     monkeypatch.setattr(acceptance, "predicted_errors", errors)
-    trial = acceptance.judge_predicted(effect, None, effect)
+    monkeypatch.setattr(close, "predicted_errors", errors)
+    trial = acceptance.judge_predicted(effect, lambda: errors(None), effect)
     assert (trial.reason, trial.rendered) == (reason, False) if reason else trial is None
     monkeypatch.setattr(close, "refit", lambda *_: effect)
     monkeypatch.setattr(close, "refit_rendered", lambda *_, **__: pytest.fail("was rendered"))
