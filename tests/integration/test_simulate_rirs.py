@@ -250,13 +250,17 @@ def test_mesh_rows_use_materials_named_in_the_mesh(tmp_path):
     assert rows["m1"]["direct_visible"] is False
     assert rows["m1"]["t30_s"] == pytest.approx(rows["m1"]["target_t60_s"], rel=0.05)
     written = json.loads((tmp_path / "sim" / "rirs.jsonl").read_text().splitlines()[0])
-    assert written["leaked_share"] == 0.0 and written["few_rays_db"] == 0.0  # of so few rays, whatever the room
+    assert written["leaked_share"] == 0.0 and written["few_rays_db"] is None  # so few rays do not tell
 
 
 def test_rirs_with_the_decay_of_few_rays_are_counted(caplog):
     rows = [dict(few_rays_db=2.5), dict(few_rays_db=1.0), dict(few_rays_db=None), {}]  # the last of an older version
     directory._warn_of_few_rays(rows[1:], "sim", SimpleNamespace(num_rays=10000))
     assert not caplog.text
+    with caplog.at_level(logging.INFO):
+        directory._warn_of_few_rays(rows, "sim", SimpleNamespace(num_rays=3599))
+    assert "sim: 3599 rays do not tell whether the decay of an octave is that of a few of them" in caplog.text
+    caplog.clear()
     directory._warn_of_few_rays(rows, "sim", SimpleNamespace(num_rays=10000))
     assert "sim: in 1 of 4 RIRs, few rays tell the decay of an octave (few_rays_db above 2)" in caplog.text
 
@@ -280,14 +284,14 @@ def test_bytes_do_not_depend_on_whether_responses_share_a_trace(mesh, tmp_path, 
     (tmp_path / "measured" / "room.obj").write_text(prism_obj(L_PLAN, 3.0, "brick_bare"))
     known = dict(mesh="room.obj", room_dims_m=None) if mesh else {}
     write_jsonl(tmp_path / "measured" / "rirs.jsonl", [
-        measured_row(f"m{n}", source_pos_m=[5.0, 1.5, 1.5], mic_pos_m=[1.0 + n / 3, 1.0, 1.5], **known)
-        for n in range(5)])
+        measured_row(f"m{n}", source_pos_m=[5.0, 1.5, 1.5], mic_pos_m=[1.0 + n / 4, 1.0, 1.5], **known)
+        for n in range(8)])
     calls = []
     monkeypatch.setattr(source, "trace_every_ray", lambda **how: calls.append(how) or trace_every_ray(**how))
     run(tmp_path / "measured", tmp_path / "shared", noise_rirs=1)
     n_shared = len(calls)
-    assert n_shared == 2  # for the source, and for the noise source that all five have in common
-    monkeypatch.setattr(source, "_SHARED_BYTES", 0)
+    assert n_shared == 2  # for the source, and for the noise source that all have in common
+    monkeypatch.setattr(source, "_SHARED_BYTES", 0)  # so that each has a trace of its own, which is followed further
     run(tmp_path / "measured", tmp_path / "alone", noise_rirs=1)
     assert len(calls) == n_shared
     assert hashes(tmp_path / "shared") == hashes(tmp_path / "alone")

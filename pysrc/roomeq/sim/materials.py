@@ -305,11 +305,12 @@ def draw_materials(table: MaterialTable, room: Room, scattering: FloatArray, air
     given = given_surfaces(table, room, None) if given is None else given
     best: Scene | None = None
     best_misfit = np.inf
+    rows = [tuple(row) for row in scattering.tolist()]
     for _ in range(_DRAWS):
         drawn = [given.get(surface) or Surface(name, table.absorption[name], None)
                  for surface, name in zip(room.surfaces, _draw_names(table, room, rng), strict=True)]
-        scene = Scene(room, [Material(surface.name, surface.absorption, tuple(row))
-                             for surface, row in zip(drawn, scattering, strict=True)], air)
+        scene = Scene(room, [Material(surface.name, surface.absorption, row)
+                             for surface, row in zip(drawn, rows, strict=True)], air)
         misfit = 0.0 if target_s is None else _misfit(scene, target_s)
         if best is None or misfit < best_misfit:
             best, best_misfit = scene, misfit

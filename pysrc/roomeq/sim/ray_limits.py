@@ -73,7 +73,8 @@ def ray_limits(paths: Paths, reflected: Array, emitted: Array, *, n_frames: int,
     fewest = min(FEWEST_RAYS, n_rays // _RAYS_PER_LIMIT)
     if fewest < 2:
         return RayLimits(np.full((n_frames, n_bands), np.inf, np.float32), np.ones((n_frames, n_bands), np.float32))
-    at_m = np.minimum(np.arange(0, n_frames + _STEP, _STEP) / frames_per_m, paths.max_length_m).astype(np.float32)
+    # in the frames alone: rays may have been followed further
+    at_m = (np.minimum(np.arange(0, n_frames + _STEP, _STEP), n_frames - 1) / frames_per_m).astype(np.float32)
 
     def add_up(at_m: Array, n_largest: int) -> tuple[FloatArray, Array]:
         total = np.zeros((N_CHUNKS, len(at_m), 8), np.float32)

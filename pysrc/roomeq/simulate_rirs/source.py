@@ -43,7 +43,7 @@ logger = logging.getLogger(__name__)
 
 MATERIAL_DRAWS = 4  # per target
 TARGET_DRAWS = 8
-_SHARED_FROM = 4  # responses of a source
+_SHARED_FROM = 3.0  # in which all rays of a source take as long to trace as those that its responses need
 _SHARED_BYTES, _BYTES_PER_REFLECTION = 2 ** 28, 26
 _NOISE_DISTANCE_M = 0.3  # preferred distance of a noise source from the microphone and from the source
 
@@ -120,7 +120,8 @@ def render_source(members: list[Member], air: Air, table: MaterialTable, model: 
                       options)
     draws = [room.draw_scenes(member.row) for member in members]
     first_draws = [next(of_row) for of_row in draws]
-    room.share_trace(first.place.source_pos_m, [draw.length_s for draw in first_draws])
+    room.share_trace(first.place.source_pos_m, [room.first_length_s(draw.scene.absorption, draw.target_s, draw.length_s)
+                                                for draw in first_draws])
     return with_noises(room, [
         _render_row(room, member, of_row, chain([draw], further))
         for member, of_row, draw, further in zip(members, effects, first_draws, draws, strict=True)])
@@ -130,6 +131,11 @@ def with_noises(room: "TracedRoom", rendered: list[RenderedRir]) -> list[Rendere
     """Return each response followed by those of its noise sources."""
     return [rir for group in zip(rendered, _render_noises(room, rendered), strict=True)
             for rir in (group[0], *group[1])]
+
+
+def _whole_frames_s(length_s: float) -> float:
+    """Return a length that holds all frames of a response of some length, and whatever is reflected in them."""
+    return float(np.ceil(length_s / FRAME_S) * FRAME_S)
 
 
 def _stated_surfaces(member: Member, table: MaterialTable) -> dict[str, Surface]:
@@ -181,30 +187,39 @@ class TracedRoom:
         scene = draw_materials(self.table, self.room, self.scattering, self.air, target_s, rng, self.stated)
         return extend_scene(self.effects, replace(scene, fs_hz=self.options.fs_hz))
 
+    def first_length_s(self, absorption: FloatArray, target_s: float | None, followed_s: float) -> float:
+        """Return the length to render first: that of Eyring's decay, if the rays are followed so far [s]."""
+        if target_s is not None:
+            absorption = scaled_absorption(absorption, eyring_exponent(self._scene, target_s, absorption))
+        return min(decay_length_s(self._scene, absorption), followed_s)
+
     def share_trace(self, source_pos_m: tuple[float, ...], lengths_s: list[float]) -> None:
         """Trace a source once for responses of some lengths, whatever their absorption, if that takes less time.
 
         The responses are the same. Where the trace would take much memory, each response gets one of its own.
         """
         self._shared = None
-        length_m = max(lengths_s) * self.air.speed_m_s
+        longest_s = _whole_frames_s(max(lengths_s))
         n_traces = np.unique(self.scattering, axis=1).shape[1]
-        per_m = self.room.surface_area_m2.sum() / (4.0 * self.room.volume_m3)
-        n_bytes = self.options.num_rays * n_traces * length_m * per_m * _BYTES_PER_REFLECTION
-        if len(lengths_s) >= _SHARED_FROM and n_bytes <= _SHARED_BYTES:
-            longest_s = max(lengths_s)
+        per_s = self.air.speed_m_s * self.room.surface_area_m2.sum() / (4.0 * self.room.volume_m3)
+        n_bytes = self.options.num_rays * n_traces * longest_s * per_s * _BYTES_PER_REFLECTION
+        if sum(lengths_s) >= _SHARED_FROM * longest_s and n_bytes <= _SHARED_BYTES:
             traced = trace_every_ray(**self._how_to_trace(source_pos_m, longest_s))
             self._shared = _SharedTrace(source_pos_m, longest_s, traced)
 
-    def _trace(self, source_pos_m: tuple[float, ...], length_s: float, expected: FloatArray) -> TracedSource:
-        key = source_pos_m, length_s, expected.tobytes()
+    def _trace(self, source_pos_m: tuple[float, ...], followed_s: float, expected: FloatArray, length_s: float
+               ) -> TracedSource:
+        """Return a trace for responses of a length: a shared one, or one that is followed further at once."""
+        shared, needed_s = self._shared, _whole_frames_s(length_s)
+        is_shared = shared is not None and shared.source_pos_m == source_pos_m and needed_s <= shared.length_s
+        key = source_pos_m, needed_s if is_shared else followed_s, expected.tobytes()
         known, traced = self._latest
         if traced is None or known != key:
-            shared = self._shared
-            if shared is not None and shared.source_pos_m == source_pos_m and length_s <= shared.length_s:
-                traced = shared.traced.play_roulette(expected, length_s)
+            if is_shared:
+                assert shared is not None
+                traced = shared.traced.play_roulette(expected, needed_s)
             else:
-                traced = trace_source(absorption=expected, **self._how_to_trace(source_pos_m, length_s))
+                traced = trace_source(absorption=expected, **self._how_to_trace(source_pos_m, followed_s))
             self._latest = key, traced
         return traced
 
@@ -239,27 +254,26 @@ class TracedRoom:
         target up to `length_s`, without one as `longer_length_s` says.
         """
         followed_s: float = how.pop("length_s")
-        how["absorption"] = expected = least = by_eyring = absorption
+        how["absorption"] = expected = least = absorption
         if target_s is not None:
             exponent = eyring_exponent(self._scene, target_s, absorption)
-            by_eyring = scaled_absorption(absorption, exponent)
             how["exponent"] = self._pilot(source_pos_m, target_s).exponent(absorption, target_s, exponent)
             expected = scaled_absorption(absorption, how["exponent"])
-            least = np.minimum(expected, by_eyring)  # more absorption than expected is served, too little is not
-        traced = self._trace(source_pos_m, followed_s, least)
-        length_s = min(decay_length_s(traced.scene, by_eyring), traced.max_length_s)
+            # more absorption than expected is served, too little is not
+            least = scaled_absorption(absorption, min(exponent, how["exponent"]))
+        length_s = self.first_length_s(absorption, target_s, followed_s)
         while True:
+            traced = self._trace(source_pos_m, followed_s, least, length_s)
             responses = self._render(traced, mics_m, rir_ids, target_s, expected, length_s, how)
             if not any(response.is_cut for response in responses):
                 return responses
-            if length_s < traced.max_length_s:
-                length_s = min(2.0 * length_s, traced.max_length_s)
+            if length_s < followed_s:
+                length_s = min(2.0 * length_s, followed_s)
                 continue
             longer_s = longer_length_s(responses, followed_s) if target_s is None else None
             if longer_s is None:
                 return responses
-            followed_s, traced = longer_s, self._trace(source_pos_m, longer_s, least)
-            length_s = traced.max_length_s
+            length_s = followed_s = longer_s
 
     def _render(self, traced: TracedSource, mics_m: list[tuple[float, ...]], rir_ids: list[str],
                 target_s: float | None, expected: FloatArray, length_s: float, how: dict[str, Any]) -> list[Response]:
@@ -310,7 +324,8 @@ def _render_noises(room: TracedRoom, rendered: list[RenderedRir]) -> list[list[R
     responses: dict[str, list[Response]] = {}
     for source_pos_m in sorted({noise.place.source_pos_m for of_row in noises for noise in of_row}):
         of_source = [noise for of_row in noises for noise in of_row if noise.place.source_pos_m == source_pos_m]
-        room.share_trace(source_pos_m, [noise.length_s for noise in of_source])
+        room.share_trace(source_pos_m, [room.first_length_s(noise.response.absorption, None, noise.length_s)
+                                        for noise in of_source])
         for noise in of_source:
             of_row = channels_of(noise.row, noise.place)
             responses[noise.row["id"]] = room.render(
