@@ -220,7 +220,7 @@ def simulate_rir(room: Room, source: ArrayLike, mics: ArrayLike, fs: int = FS_HZ
         room.scene(fs), source_m, positions_m, num_rays=num_rays, target_t60_s=room.t60_s,
         source_directivity=_at_rate(source_directivity, fs), mic_directivities=[at_rate[id(one)] for one in of_mics],
         arrays=[0] * n_mics, seed=seed)
-    if any(response.few_rays_db > FEW_RAYS_DB for response in responses):
+    if any((response.few_rays_db or 0.0) > FEW_RAYS_DB for response in responses):
         logger.warning("few of %d rays tell the decay of an octave, whose T30 is uncertain by 10 %%: give more "
                        "num_rays", num_rays)
     result = np.zeros((n_mics, max(len(response.rir) for response in responses)))

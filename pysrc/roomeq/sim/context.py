@@ -67,7 +67,7 @@ class Response:
     few_rays_db
         How much few rays tell of the decay (`roomeq.sim.ray_limits.few_rays_db`): above `FEW_RAYS_DB` there, T30 of an
         octave is uncertain by 10 %, and more rays would tell it better. With fewer than 10,000 rays it is lower all the
-        same, and with fewer than 3600 it is 0.
+        same; None with fewer than 3600, which do not tell.
     """
 
     rir: FloatArray
@@ -78,7 +78,7 @@ class Response:
     absorption: FloatArray
     leaked_share: float
     is_cut: bool
-    few_rays_db: float
+    few_rays_db: float | None
 
     @property
     def t20_s(self) -> float | None:
@@ -351,7 +351,8 @@ def _render_microphone(context: RenderContext, absorption: FloatArray, limited_g
     if not np.all(np.isfinite(rir)):
         raise NotFiniteError(_not_finite(mic_m, absorption, total_energy, fs_hz))
     return Response(rir, direct_sample, images.has_direct, diffracted is not None, fs_hz, absorption,
-                    traced.leaked_share, is_cut(total_energy), few_rays_db(total_energy, limited_gain))
+                    traced.leaked_share, is_cut(total_energy),
+                    few_rays_db(total_energy, limited_gain, len(traced.paths[0].counts)))
 
 
 def _not_finite(mic_m: FloatArray, absorption: FloatArray, energy: FloatArray, fs_hz: float) -> str:

@@ -29,6 +29,9 @@ absorbing ceiling, T30 with 10,000 rays differed from that with 320,000 by 1 to 
 LARGEST_GAIN = 100.0
 """Of all rays. Where they would need more, a few rays carry nearly all energy, and the others are no model of them."""
 _RAYS_PER_LIMIT = 400
+FEWEST_TO_TELL = (FEWEST_FOR_DECAY + 1) * _RAYS_PER_LIMIT
+"""Rays of a trace from which on `few_rays_db` is known: of fewer, the limits ask for no more than `FEWEST_FOR_DECAY`
+that carry the energy, and their gain is 1 whatever the room."""
 _FIRST_SORTED = 6  # of the largest energies in a chunk of rays
 _STEP = 64  # frames between the times at which energies are compared
 _T30_RANGE = 10.0 ** -3.5
@@ -98,11 +101,11 @@ def ray_limits(paths: Paths, reflected: Array, emitted: Array, *, n_frames: int,
     return RayLimits(_in_frames(limit, n_frames), _in_frames(np.clip(gain, 1.0, LARGEST_GAIN), n_frames))
 
 
-def few_rays_db(energy: FloatArray, gain: Array) -> float:
+def few_rays_db(energy: FloatArray, gain: Array, n_rays: int) -> float | None:
     """Return the largest gain of all rays where a decay is not below -35 dB, in octaves from 125 Hz on [dB].
 
-    Fewer than 10,000 rays have wider limits, and a lower gain, although their decay is less certain. The gain of fewer
-    than 3600 is 1: their limits ask for no more than `FEWEST_FOR_DECAY` rays that carry the energy.
+    Fewer than 10,000 rays have wider limits, and a lower gain, although their decay is less certain. With fewer than
+    `FEWEST_TO_TELL`, it is unknown: None.
 
     Parameters
     ----------
@@ -110,7 +113,11 @@ def few_rays_db(energy: FloatArray, gain: Array) -> float:
         Echogram, shape (n_frames, n_bands).
     gain
         See `RayLimits`, of the same shape.
+    n_rays
+        Of each trace.
     """
+    if n_rays < FEWEST_TO_TELL:
+        return None
     left = np.cumsum(energy[::-1], axis=0)[::-1]
     return float(10.0 * np.log10(np.max(gain, where=left > _T30_RANGE * left[0], initial=1.0, axis=0)[1:].max()))
 

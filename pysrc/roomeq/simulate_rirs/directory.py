@@ -30,7 +30,7 @@ from roomeq.records.schema import RirRow, stated_air
 from roomeq.sim.array_noise import ArrayNoise
 from roomeq.sim.geometry import find_place, towards_microphone
 from roomeq.sim.materials import read_materials
-from roomeq.sim.ray_limits import FEW_RAYS_DB
+from roomeq.sim.ray_limits import FEW_RAYS_DB, FEWEST_TO_TELL
 from roomeq.sim.scene import Air, Shoebox, require_apart, with_absorption
 from roomeq.simulate_rirs.drawn_room import MESHES, render_drawn_room, table_of_type
 from roomeq.simulate_rirs.options import RenderOptions
@@ -111,7 +111,10 @@ def make_drawn(build: Build, numbers: range, room_types: Path | str | None, type
 
 
 def _warn_of_few_rays(rows: Sequence[RirRow], directory: Path, options: RenderOptions) -> None:
-    """Say in how many RIRs the decay of an octave is that of a few rays."""
+    """Say in how many RIRs the decay of an octave is that of a few rays, or that nothing tells it."""
+    if options.num_rays < FEWEST_TO_TELL:
+        logger.info("%s: %d rays do not tell whether the decay of an octave is that of a few of them (few_rays_db): %d "
+                    "do (--num-rays)", directory, options.num_rays, FEWEST_TO_TELL)
     if count := sum((row.get("few_rays_db") or 0.0) > FEW_RAYS_DB for row in rows):
         logger.warning("%s: in %d of %d RIRs, few rays tell the decay of an octave (few_rays_db above %g), whose T30 "
                        "is uncertain by 10 %%: trace more than %d rays (--num-rays)", directory, count, len(rows),
@@ -220,7 +223,8 @@ def _write_rir(work: Path, rendered: RenderedRir, air: Air, options: RenderOptio
         temperature_c=air.temperature_c, humidity_pct=air.humidity_pct, seed=options.seed,
         model=["diffraction"] * response.diffracted + names_of(rendered.effects, gain),
         target_t60_s=rendered.target_s, t30_s=response.t30_s, leaked_share=response.leaked_share,
-        few_rays_db=max(one.few_rays_db for one in (response, *rendered.others)),
+        few_rays_db=None if response.few_rays_db is None else max(
+            one.few_rays_db or 0.0 for one in (response, *rendered.others)),
         direct_sample=response.direct_sample, direct_polarity=1, direct_visible=response.direct_visible,
         noise_for=rendered.noise_for, measured_id=(rendered.noise_for or row["id"]) if measured else None,
         acoustic_parameters=measure(rir, options.fs_hz, direct=(response.direct_sample, 1)),

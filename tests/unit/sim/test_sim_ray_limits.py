@@ -8,7 +8,15 @@ import pytest
 from roomeq.core.rng import rng_for
 from roomeq.sim.echogram import compute_echograms
 from roomeq.sim.path_sample import sample_paths
-from roomeq.sim.ray_limits import FEW_RAYS_DB, FEWEST_FOR_DECAY, FEWEST_RAYS, LARGEST_GAIN, RayLimits, ray_limits
+from roomeq.sim.ray_limits import (
+    FEW_RAYS_DB,
+    FEWEST_FOR_DECAY,
+    FEWEST_RAYS,
+    FEWEST_TO_TELL,
+    LARGEST_GAIN,
+    RayLimits,
+    ray_limits,
+)
 from roomeq.sim.response import render_responses, trace_source
 from roomeq.sim.scene import Air, Material, Scene, Shoebox
 
@@ -134,8 +142,9 @@ def test_decay_of_few_rays_is_told(alpha, ceiling, few):
 
 
 def test_fewer_rays_than_limits_ask_for_tell_nothing_of_the_decay():
-    one = traced(0.05, 0.7, num_rays=3500)
-    assert render_responses(one, [MIC], [np.random.default_rng(0)])[0].few_rays_db == 0.0
+    for num_rays, known in ((FEWEST_TO_TELL - 1, False), (FEWEST_TO_TELL, True)):
+        one = traced(0.05, 0.7, num_rays=num_rays)
+        assert (render_responses(one, [MIC], [np.random.default_rng(0)])[0].few_rays_db is not None) == known
 
 
 def test_gain_of_a_sample_is_that_of_its_echogram():
