@@ -23,7 +23,9 @@ from roomeq.core.files import user_cache
 logger = logging.getLogger(__name__)
 
 N_CHUNKS = 8
-config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]  # off by default; adds the eight bands of an echogram at once
+# off by default; adds the eight bands of an echogram at once. Numba reads its variables again when one has changed
+os.environ["NUMBA_SLP_VECTORIZE"] = "1"
+config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 

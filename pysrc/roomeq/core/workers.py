@@ -122,7 +122,10 @@ def share_out(work: Callable[[Item], Result], items: Iterable[Item], nj: int, *,
 
 
 def may_fork() -> bool:
-    """Tell whether forked processes are safe: no other thread may hold a lock that they would wait for."""
+    """Tell whether processes can be forked.
+
+    No other thread may run, whose locks they would wait for, and daemonic processes start none.
+    """
     import multiprocessing
 
     return threading.active_count() == 1 and not multiprocessing.current_process().daemon
@@ -131,29 +134,48 @@ def may_fork() -> bool:
 def forked(work: Callable[[Item], Result], items: list[Item], nj: int) -> Iterator[tuple[int, Result]]:
     """Yield the number of each item and ``work(item)``, computed by up to `nj` forked processes, as they are done.
 
-    For the parameters and errors see `share_out`.
+    For the parameters and errors see `share_out`. Where several items fail, the error is that of the first of them.
     """
     if not items:
         return
     import multiprocessing
-    from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+    from concurrent.futures import Future, ProcessPoolExecutor
+    from queue import Empty, SimpleQueue
 
-    with ProcessPoolExecutor(n_processes(nj, len(items)), multiprocessing.get_context("fork"),
-                             initializer=_start_worker, initargs=(work, items, nj)) as pool:
-        numbers = {pool.submit(_work_on, n): n for n in range(len(items))}
+    count, done = n_processes(nj, len(items)), SimpleQueue[Future[Result]]()
+    errors: dict[int, BaseException] = {}
+    with ProcessPoolExecutor(count, multiprocessing.get_context("fork"), initializer=_start_worker,
+                             initargs=(work, items, count)) as pool:
         try:
+            numbers = {}
+            for n in range(len(items)):
+                future = pool.submit(_work_on, n)
+                numbers[future] = n
+                future.add_done_callback(done.put)
             while numbers:
-                done = wait(numbers, SHOWN_EVERY_S, FIRST_COMPLETED).done
-                if not done:
+                try:
+                    future = done.get(timeout=SHOWN_EVERY_S)
+                except Empty:
                     tick()
-                for future in sorted(done, key=numbers.__getitem__):
-                    yield numbers.pop(future), future.result()
+                    continue
+                n = numbers.pop(future)
+                if future.cancelled():
+                    continue
+                if (error := future.exception()) is not None:
+                    errors[n] = error
+                    for other, number in numbers.items():
+                        if number > n:
+                            other.cancel()
+                elif not errors:
+                    yield n, future.result()
+            if errors:
+                raise errors[min(errors)]
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
 
 
-def _start_worker(work: Callable[[Any], Any], items: list[Any], nj: int) -> None:
+def _start_worker(work: Callable[[Any], Any], items: list[Any], n_workers: int) -> None:
     import multiprocessing
 
     from threadpoolctl import threadpool_limits
@@ -162,7 +184,7 @@ def _start_worker(work: Callable[[Any], Any], items: list[Any], nj: int) -> None
     _task = work, items
     silence()
     threadpool_limits(1)
-    os.environ.setdefault("NUMBA_NUM_THREADS", str(max(1, len(os.sched_getaffinity(0)) // nj)))
+    os.environ.setdefault("NUMBA_NUM_THREADS", str(max(1, len(os.sched_getaffinity(0)) // n_workers)))
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # which a job in the background ignores
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # ends the worker without a message; the parent prints one
     parent = multiprocessing.parent_process()

@@ -44,13 +44,14 @@ def test_errors_of_workers_keep_their_type_and_text():
         share_out(fail, [3, 4], 2, first_here=False, label='')
 
 
-@pytest.mark.parametrize("setting, expected", [(None, {"1"}), ("3", {"3"})])
-def test_workers_share_the_cores(setting, expected, monkeypatch):
-    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
+@pytest.mark.parametrize("setting, n_cores, n_items, expected", [
+    (None, 2, 4, {"1"}), (None, 8, 4, {"4"}), (None, 8, 1, {"8"}), ("3", 2, 4, {"3"})])
+def test_workers_share_the_cores(setting, n_cores, n_items, expected, monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(n_cores)))
     monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
     if setting:
         monkeypatch.setenv("NUMBA_NUM_THREADS", setting)
-    found = share_out(lambda _: os.environ["NUMBA_NUM_THREADS"], range(4), 2, first_here=False, label="")
+    found = share_out(lambda _: os.environ["NUMBA_NUM_THREADS"], range(n_items), 2, first_here=False, label="")
     assert set(found) == expected
 
 
@@ -62,14 +63,15 @@ def test_results_are_yielded_as_they_are_done():
     assert [result for _, result in forked(sleep, [0.8, 0.0, 0.1, 0.2], 2)] == [0.0, 0.1, 0.2, 0.8]
 
 
-def test_processes_are_not_forked_beside_other_threads():
-    assert may_fork()
+def test_processes_are_not_forked_beside_other_threads(monkeypatch):
     done = threading.Event()
     thread = threading.Thread(target=done.wait)
     thread.start()
     assert not may_fork()
     done.set()
     thread.join()
+    monkeypatch.setattr(threading, "active_count", lambda: 1)  # those of other tests may run
+    assert may_fork()
 
 
 @pytest.mark.parametrize("forks", [True, False])
