@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roomeq.core.arrays import Array, FloatArray, Number
+from roomeq.core.arrays import Array, FloatArray, IntArray, Number
 from roomeq.core.jit import N_CHUNKS, compiled, for_chunks, inlined
 from roomeq.sim.trace import Paths
 
@@ -77,7 +77,8 @@ def ray_limits(paths: Paths, reflected: Array, emitted: Array, *, n_frames: int,
     if fewest < 2:
         return RayLimits(np.full((n_frames, n_bands), np.inf, np.float32), np.ones((n_frames, n_bands), np.float32))
     # in the frames alone: rays may have been followed further
-    at_m = (np.minimum(np.arange(0, n_frames + _STEP, _STEP), n_frames - 1) / frames_per_m).astype(np.float32)
+    frames = np.unique(np.minimum(np.arange(0, n_frames + _STEP, _STEP), n_frames - 1))
+    at_m = (frames / frames_per_m).astype(np.float32)
 
     def add_up(at_m: Array, n_largest: int) -> tuple[FloatArray, Array]:
         total = np.zeros((N_CHUNKS, len(at_m), 8), np.float32)
@@ -98,7 +99,7 @@ def ray_limits(paths: Paths, reflected: Array, emitted: Array, *, n_frames: int,
     limit = np.where(counts, _winsorized(energy, of_rays, fewest), energy / fewest)
     # winsorized for n rays, all of them together carry n times the limit
     gain = np.where(counts, known * _winsorized(energy, of_rays, known) / np.maximum(fewest * limit, _LEAST), 1.0)
-    return RayLimits(_in_frames(limit, n_frames), _in_frames(np.clip(gain, 1.0, LARGEST_GAIN), n_frames))
+    return RayLimits(_in_frames(frames, limit), _in_frames(frames, np.clip(gain, 1.0, LARGEST_GAIN)))
 
 
 def few_rays_db(energy: FloatArray, gain: Array, n_rays: int) -> float | None:
@@ -122,10 +123,10 @@ def few_rays_db(energy: FloatArray, gain: Array, n_rays: int) -> float | None:
     return float(10.0 * np.log10(np.max(gain, where=left > _T30_RANGE * left[0], initial=1.0, axis=0)[1:].max()))
 
 
-def _in_frames(values: FloatArray, n_frames: int) -> Array:
+def _in_frames(frames: IntArray, values: FloatArray) -> Array:
     """Interpolate the logarithm of values, shape (n_lengths, n_bands), between the frames at which they are known."""
-    logarithm, place = np.log(np.maximum(values, _LEAST)), np.arange(n_frames) / _STEP
-    in_frames = np.exp([np.interp(place, np.arange(len(values)), band) for band in logarithm.T])
+    logarithm = np.log(np.maximum(values, _LEAST))
+    in_frames = np.exp([np.interp(np.arange(frames[-1] + 1), frames, band) for band in logarithm.T])
     return np.ascontiguousarray(in_frames.T, np.float32)  # as kernels are compiled for
 
 

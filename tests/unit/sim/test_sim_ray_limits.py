@@ -66,7 +66,7 @@ def test_energies_are_winsorized_where_few_rays_have_them():
 
 @pytest.mark.parametrize("n_bands", [2, 8])
 @pytest.mark.parametrize("ceiling", [0.05, 0.3, 0.7])
-@pytest.mark.parametrize("num_rays", [1000, 10000])
+@pytest.mark.parametrize("num_rays", [4000, 10000])
 def test_limits_do_not_depend_on_how_many_energies_are_sorted_first(num_rays, ceiling, n_bands, monkeypatch):
     one, found = traced(0.05, ceiling, num_rays=num_rays), []
     for n_sorted in (4, 6, FEWEST_RAYS):
