@@ -159,8 +159,7 @@ def trace_every_ray(scene: Scene, source_pos_m: ArrayLike, *, num_rays: int = NU
                     rng: np.random.Generator) -> TracedSource:
     """Trace a source as `trace_source` does, but let no ray end early, whatever the absorption.
 
-    `TracedSource.play_roulette` then finds the paths for one absorption after the other, and is faster than to trace
-    them again from the fourth one on.
+    `TracedSource.play_roulette` then finds the paths for one absorption after the other.
     """
     return _trace_source(scene, source_pos_m, num_rays, max_length_s, rng, None)
 
@@ -426,15 +425,16 @@ def simulate_responses(scene: Scene, source_pos_m: ArrayLike, mics_m: ArrayLike,
     options: dict[str, Any] = dict(ism_order=ism_order, diffraction=diffraction, source_directivity=source_directivity,
                                    arrays=arrays)
     length_s: float | None = needed_length_s(scene, target_t60_s, order)
-    expected = scene.absorption
+    expected = least = scene.absorption
     if target_t60_s is not None:
         pilot = PilotRays(scene, source_pos_m, target_t60_s, rng_for(seed, "pilot", repr(of_source)))
         by_eyring = eyring_exponent(scene, target_t60_s)
         options["exponent"] = pilot.exponent(expected, target_t60_s, by_eyring)
-        # the least that may be needed: rays that more would weaken are then followed, too
-        expected = scaled_absorption(expected, min(by_eyring, options["exponent"]))
+        # rays are traced for the least that may be needed: more is served, too little is not
+        least = scaled_absorption(expected, min(by_eyring, options["exponent"]))
+        expected = scaled_absorption(expected, options["exponent"])
     while length_s is not None:
-        traced = trace_source(scene, source_pos_m, num_rays=num_rays, absorption=expected, max_length_s=length_s,
+        traced = trace_source(scene, source_pos_m, num_rays=num_rays, absorption=least, max_length_s=length_s,
                               rng=rng_for(seed, "trace", repr(of_source)))
         rngs = [rng_for(seed, "tail", name) for name in names]
         if mic_directivities is not None and any(mic_directivities):

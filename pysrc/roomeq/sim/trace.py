@@ -229,6 +229,16 @@ def play_roulette(paths: Paths, room: Room, absorption: ArrayLike, max_length_m:
     return replace(paths, codes=codes, counts=counts, max_length_m=max_length_m, n_leaked=sum(n_leaked))
 
 
+def bytes_per_reflection(room: Room, n_reflections: float) -> int:
+    """Return the memory of a reflection that was traced without roulette, with its code after roulette.
+
+    `n_reflections` is the mean number of a ray's, and some have twice as many.
+    """
+    faces = room.walls or cast("MeshRoom", room)
+    of_code, of_count = np.dtype(_code_type(len(faces.normals))).itemsize, 1 if 2.0 * n_reflections < 256.0 else 2
+    return 16 + 2 * of_code + 8 * -(-len(room.surfaces) * of_count // 8)
+
+
 def _roulette(room: Room, absorption: ArrayLike, num_rays: int, face_surface: IntArray, late_m: float) -> Roulette:
     area_m2 = room.surface_area_m2
     reflected = np.maximum(1.0 - np.broadcast_to(absorption, area_m2.shape), _LEAST_ENERGY)

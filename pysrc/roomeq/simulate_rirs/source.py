@@ -37,14 +37,17 @@ from roomeq.sim.response import (
 from roomeq.sim.room import Room
 from roomeq.sim.scene import Air, Material, Scene
 from roomeq.sim.target import scaled_absorption
+from roomeq.sim.trace import bytes_per_reflection
 from roomeq.simulate_rirs.options import NOISE_CANDIDATES, RenderOptions
 
 logger = logging.getLogger(__name__)
 
 MATERIAL_DRAWS = 4  # per target
 TARGET_DRAWS = 8
-_SHARED_FROM = 3.0  # in which all rays of a source take as long to trace as those that its responses need
-_SHARED_BYTES, _BYTES_PER_REFLECTION = 2 ** 28, 26
+_SHARED_FROM = 3.0
+"""Sum of the lengths of the responses of a source, relative to the longest, from which on it takes less time to follow
+all its rays once than those that each response needs."""
+_SHARED_BYTES = 3 * 2 ** 27
 _NOISE_DISTANCE_M = 0.3  # preferred distance of a noise source from the microphone and from the source
 
 
@@ -120,7 +123,7 @@ def render_source(members: list[Member], air: Air, table: MaterialTable, model: 
                       options)
     draws = [room.draw_scenes(member.row) for member in members]
     first_draws = [next(of_row) for of_row in draws]
-    room.share_trace(first.place.source_pos_m, [room.first_length_s(draw.scene.absorption, draw.target_s, draw.length_s)
+    room.share_trace(first.place.source_pos_m, [(draw.scene.absorption, draw.target_s, draw.length_s)
                                                 for draw in first_draws])
     return with_noises(room, [
         _render_row(room, member, of_row, chain([draw], further))
@@ -134,8 +137,8 @@ def with_noises(room: "TracedRoom", rendered: list[RenderedRir]) -> list[Rendere
 
 
 def _whole_frames_s(length_s: float) -> float:
-    """Return a length that holds all frames of a response of some length, and whatever is reflected in them."""
-    return float(np.ceil(length_s / FRAME_S) * FRAME_S)
+    """Return how far rays are followed for a response of some length: beyond its last frame, for any rounding."""
+    return float((np.ceil(length_s / FRAME_S) + 0.5) * FRAME_S)
 
 
 def _stated_surfaces(member: Member, table: MaterialTable) -> dict[str, Surface]:
@@ -146,7 +149,7 @@ def _stated_surfaces(member: Member, table: MaterialTable) -> dict[str, Surface]
 
 
 class _SharedTrace(NamedTuple):
-    """The rays of a source, none of which ends early, and how far they were followed."""
+    """The rays of a source, none of which ends early, and how far they were followed [s]."""
 
     source_pos_m: tuple[float, ...]
     length_s: float
@@ -193,31 +196,32 @@ class TracedRoom:
             absorption = scaled_absorption(absorption, eyring_exponent(self._scene, target_s, absorption))
         return min(decay_length_s(self._scene, absorption), followed_s)
 
-    def share_trace(self, source_pos_m: tuple[float, ...], lengths_s: list[float]) -> None:
-        """Trace a source once for responses of some lengths, whatever their absorption, if that takes less time.
+    def share_trace(self, source_pos_m: tuple[float, ...],
+                    wanted: list[tuple[FloatArray, float | None, float]]) -> None:
+        """Trace a source once for some responses, whatever their absorption, if that takes less time.
 
-        The responses are the same. Where the trace would take much memory, each response gets one of its own.
+        The responses are the same. Where the trace would take much memory, each gets one of its own, which serves all
+        with that absorption. Arguments are those of `first_length_s` for each response.
         """
         self._shared = None
-        longest_s = _whole_frames_s(max(lengths_s))
+        lengths_s = {(absorption.tobytes(), target_s): self.first_length_s(absorption, target_s, followed_s)
+                     for absorption, target_s, followed_s in wanted}
+        longest_s = _whole_frames_s(max(lengths_s.values()))
         n_traces = np.unique(self.scattering, axis=1).shape[1]
-        per_s = self.air.speed_m_s * self.room.surface_area_m2.sum() / (4.0 * self.room.volume_m3)
-        n_bytes = self.options.num_rays * n_traces * longest_s * per_s * _BYTES_PER_REFLECTION
-        if sum(lengths_s) >= _SHARED_FROM * longest_s and n_bytes <= _SHARED_BYTES:
+        per_ray = longest_s * self.air.speed_m_s * self.room.surface_area_m2.sum() / (4.0 * self.room.volume_m3)
+        n_bytes = self.options.num_rays * n_traces * per_ray * bytes_per_reflection(self.room, per_ray)
+        if sum(lengths_s.values()) >= _SHARED_FROM * longest_s and n_bytes <= _SHARED_BYTES:
             traced = trace_every_ray(**self._how_to_trace(source_pos_m, longest_s))
             self._shared = _SharedTrace(source_pos_m, longest_s, traced)
 
-    def _trace(self, source_pos_m: tuple[float, ...], followed_s: float, expected: FloatArray, length_s: float
-               ) -> TracedSource:
-        """Return a trace for responses of a length: a shared one, or one that is followed further at once."""
-        shared, needed_s = self._shared, _whole_frames_s(length_s)
-        is_shared = shared is not None and shared.source_pos_m == source_pos_m and needed_s <= shared.length_s
-        key = source_pos_m, needed_s if is_shared else followed_s, expected.tobytes()
+    def _trace(self, source_pos_m: tuple[float, ...], length_s: float, expected: FloatArray) -> TracedSource:
+        """Return a trace for responses of a length."""
+        followed_s, shared = _whole_frames_s(length_s), self._shared
+        key = source_pos_m, followed_s, expected.tobytes()
         known, traced = self._latest
         if traced is None or known != key:
-            if is_shared:
-                assert shared is not None
-                traced = shared.traced.play_roulette(expected, needed_s)
+            if shared is not None and shared.source_pos_m == source_pos_m and followed_s <= shared.length_s:
+                traced = shared.traced.play_roulette(expected, followed_s)
             else:
                 traced = trace_source(absorption=expected, **self._how_to_trace(source_pos_m, followed_s))
             self._latest = key, traced
@@ -263,7 +267,7 @@ class TracedRoom:
             least = scaled_absorption(absorption, min(exponent, how["exponent"]))
         length_s = self.first_length_s(absorption, target_s, followed_s)
         while True:
-            traced = self._trace(source_pos_m, followed_s, least, length_s)
+            traced = self._trace(source_pos_m, length_s, least)
             responses = self._render(traced, mics_m, rir_ids, target_s, expected, length_s, how)
             if not any(response.is_cut for response in responses):
                 return responses
@@ -324,8 +328,7 @@ def _render_noises(room: TracedRoom, rendered: list[RenderedRir]) -> list[list[R
     responses: dict[str, list[Response]] = {}
     for source_pos_m in sorted({noise.place.source_pos_m for of_row in noises for noise in of_row}):
         of_source = [noise for of_row in noises for noise in of_row if noise.place.source_pos_m == source_pos_m]
-        room.share_trace(source_pos_m, [room.first_length_s(noise.response.absorption, None, noise.length_s)
-                                        for noise in of_source])
+        room.share_trace(source_pos_m, [(noise.response.absorption, None, noise.length_s) for noise in of_source])
         for noise in of_source:
             of_row = channels_of(noise.row, noise.place)
             responses[noise.row["id"]] = room.render(
