@@ -143,7 +143,7 @@ def forked(work: Callable[[Item], Result], items: list[Item], nj: int) -> Iterat
     from queue import Empty, SimpleQueue
 
     count, done = n_processes(nj, len(items)), SimpleQueue[Future[Result]]()
-    errors: dict[int, BaseException] = {}
+    failed: tuple[int, BaseException] | None = None  # the first item that failed, and its error
     with ProcessPoolExecutor(count, multiprocessing.get_context("fork"), initializer=_start_worker,
                              initargs=(work, items, count)) as pool:
         try:
@@ -161,15 +161,16 @@ def forked(work: Callable[[Item], Result], items: list[Item], nj: int) -> Iterat
                 n = numbers.pop(future)
                 if future.cancelled():
                     continue
-                if (error := future.exception()) is not None:
-                    errors[n] = error
+                error = future.exception()
+                if error is None and failed is None:
+                    yield n, future.result()
+                elif error is not None and (failed is None or n < failed[0]):
+                    failed = n, error
                     for other, number in numbers.items():
                         if number > n:
                             other.cancel()
-                elif not errors:
-                    yield n, future.result()
-            if errors:
-                raise errors[min(errors)]
+            if failed is not None:
+                raise failed[1]
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
