@@ -92,11 +92,13 @@ def ray_limits(paths: Paths, reflected: Array, emitted: Array, *, n_frames: int,
     energy, of_rays = add_up(at_m, n_sorted)
     counts, known = energy > _NEGLIGIBLE * energy[0], min(FEWEST_FOR_DECAY, fewest)
     least = of_rays[..., n_sorted - 1::n_sorted].max(axis=-1)  # no ray that was left out has more
-    incomplete = np.flatnonzero(np.any(counts & (least > _winsorized(energy, of_rays, fewest)), axis=-1))
+    limit = _winsorized(energy, of_rays, fewest)
+    incomplete = np.flatnonzero(np.any(counts & (least > limit), axis=-1))
     if n_sorted < fewest and len(incomplete):
         of_rays = np.pad(of_rays, [(0, 0), (0, 0), (0, N_CHUNKS * (fewest - n_sorted))])
         of_rays[incomplete] = add_up(at_m[incomplete], fewest)[1]
-    limit = np.where(counts, _winsorized(energy, of_rays, fewest), energy / fewest)
+        limit = _winsorized(energy, of_rays, fewest)
+    limit = np.where(counts, limit, energy / fewest)
     # winsorized for n rays, all of them together carry n times the limit
     gain = np.where(counts, known * _winsorized(energy, of_rays, known) / np.maximum(fewest * limit, _LEAST), 1.0)
     return RayLimits(_in_frames(frames, limit), _in_frames(frames, np.clip(gain, 1.0, LARGEST_GAIN)))
