@@ -291,7 +291,7 @@ def test_bytes_do_not_depend_on_whether_responses_share_a_trace(mesh, tmp_path, 
     run(tmp_path / "measured", tmp_path / "shared", noise_rirs=1)
     n_shared = len(calls)
     assert n_shared == 2  # for the source, and for the noise source that all have in common
-    monkeypatch.setattr(source, "_SHARED_BYTES", 0)  # so that each has a trace of its own, which is followed further
+    monkeypatch.setattr(source, "_SHARED_BYTES", 0)  # so that each has a trace of its own
     run(tmp_path / "measured", tmp_path / "alone", noise_rirs=1)
     assert len(calls) == n_shared
     assert hashes(tmp_path / "shared") == hashes(tmp_path / "alone")

@@ -281,8 +281,7 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
     result = [_empty_sample(traced.paths, n_frames, len(absorption), traced.trace_of_band, frame_m, limited)
               for _ in mics_m]
     for trace, paths in enumerate(traced.paths):
-        tallies = paths.tallies or tally_reflections(paths.codes, paths.face_surface, paths.first, paths.counts,
-                                                     len(absorption))
+        tallies = paths.tallies or tally_reflections(paths)
         references = _references(absorption[:, np.equal(traced.trace_of_band, trace)])
         limits = ray_limits(paths, eight_bands((1.0 - references).T[paths.face_surface], 0),
                             _emitted(ray_weight), n_frames=n_frames, frames_per_m=float(np.float32(1.0 / frame_m)),

@@ -1,11 +1,14 @@
 """How often each surface was met along a ray, packed: several counts in one word."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from roomeq.core.arrays import Array, IntArray, Number
 from roomeq.core.jit import compiled, for_chunks
+
+if TYPE_CHECKING:
+    from roomeq.sim.trace import Paths
 
 
 class Tallies(NamedTuple):
@@ -32,13 +35,14 @@ def count_type(counts: Array) -> type[np.uint8] | type[np.uint16]:
     return np.uint8 if counts.max() < 256 else np.uint16
 
 
-def tally_reflections(codes: Array, face_surface: IntArray, first: IntArray, counts: Array, n_surfaces: int) -> Tallies:
-    """Count the reflections of rays by surface; for the parameters see `roomeq.sim.trace.Paths`."""
-    bits = 8 * np.dtype(count_type(counts)).itemsize
-    word, place = np.divmod(np.arange(n_surfaces), 64 // bits)
-    tallies = Tallies(np.empty((len(codes), word[-1] + 1), np.uint64), word, (place * bits).astype(np.uint64),
+def tally_reflections(paths: "Paths") -> Tallies:
+    """Count the reflections of rays by surface."""
+    bits = 8 * np.dtype(count_type(paths.counts)).itemsize
+    word, place = np.divmod(np.arange(len(paths.scattering)), 64 // bits)
+    tallies = Tallies(np.empty((len(paths.codes), word[-1] + 1), np.uint64), word, (place * bits).astype(np.uint64),
                       np.uint64(2 ** bits - 1))
-    for_chunks(len(counts), lambda chunk, low, high: _tally(codes, face_surface, first, counts, tallies, low, high))
+    for_chunks(len(paths.counts), lambda chunk, low, high: _tally(
+        paths.codes, paths.face_surface, paths.first, paths.counts, tallies, low, high))
     return tallies
 
 

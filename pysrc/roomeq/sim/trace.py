@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number, Numbers
 from roomeq.core.jit import compiled, for_chunks, inlined, mix, uniform
 from roomeq.sim.room import Room
-from roomeq.sim.tallies import Tallies, tally_reflections
+from roomeq.sim.tallies import Tallies
 from roomeq.sim.tree import BEHIND_M, FRONTS, Tree, first_hit, memory
 
 if TYPE_CHECKING:
@@ -175,8 +175,7 @@ def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_ray
         Speed of sound.
     rng
     absorption
-        That is expected of each surface, shape (n_surfaces,) or one for all. With None, rays don't play roulette, and
-        reflections are tallied: several calls of `play_roulette` will need it.
+        That is expected of each surface, shape (n_surfaces,) or one for all. With None, rays don't play roulette.
     like
         Of the same rays with the same random numbers, but other scattering and absorption. Until their paths part, rays
         need not search what they hit. The result does not depend on it.
@@ -194,10 +193,8 @@ def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_ray
              _Known(np.empty(0, _code_type(len(faces.normals))), np.zeros(num_rays, np.int64),
                     np.zeros(num_rays, np.int32)))
     traced = _trace_rays(room, 4.0 * room.volume_m3 / float(room.surface_area_m2.sum()), known, *how)
-    tallies = None if absorption is not None else tally_reflections(traced.codes, faces.face_surface, traced.first,
-                                                                    traced.counts, len(scattering))
     return Paths(source_pos_m, directions, traced.hits, traced.codes, traced.first, faces.normals, faces.face_surface,
-                 faces.curved, traced.counts, scattering, late_m, max_length_m, traced.n_leaked, seed, tallies)
+                 faces.curved, traced.counts, scattering, late_m, max_length_m, traced.n_leaked, seed)
 
 
 def play_roulette(paths: Paths, room: Room, absorption: ArrayLike, max_length_m: float) -> Paths:

@@ -66,11 +66,11 @@ def test_reflections_that_no_ray_uses_continue_nowhere():
 
 
 def test_reflections_are_tallied_once_for_all_absorption():
-    room = ROOMS["box"]()
-    every = traced(room, None, 100.0)
-    found = play_roulette(every, room, np.full(6, 0.2), 100.0)
+    scene = Scene(Shoebox((6.0, 4.0, 3.0)), [Material("wall", 0.2, 0.3)] * 6)
+    source = trace_every_ray(scene, SOURCE_M, max_length_s=0.3, num_rays=10000, rng=np.random.default_rng(0))
+    (every,), (found,) = source.paths, source.play_roulette(scene.absorption, 0.3).paths
     assert found.tallies is every.tallies
-    alone = tally_reflections(found.codes, found.face_surface, found.first, found.counts, 6)
+    alone = tally_reflections(found)
     for first, count in zip(found.first[:200], found.counts[:200], strict=True):
         np.testing.assert_array_equal(every.tallies.words[first:first + count], alone.words[first:first + count])
 
