@@ -20,6 +20,8 @@ from roomeq.core.stamps import DONE_FILE, Stamp, read_stamp, was_made
 
 STAGES = {"characterise": 1, "split": 1, "simulate": 2, "fit-eq": 3, "compensate": 4, "close-loop": 5, "augment": 6}
 """The stage of run.sh that calls each step; for RIRs with the effects of the closed loop it is 5."""
+OF_MODELS = {"draw_facings"}
+"""Options that only RIRs with the effects of the closed loop have."""
 
 digest_of = cache(digest)
 
@@ -57,7 +59,7 @@ def other_options(directory: Path, stamp: Stamp) -> str | None:
     if not base or base.step != stamp.step:
         return None
     differing = [f"{name} {stamp.options.get(name)}, not {base.options.get(name)}"
-                 for name in sorted(stamp.options.keys() | base.options.keys())
+                 for name in sorted((stamp.options.keys() | base.options.keys()) - OF_MODELS)
                  if stamp.options.get(name) != base.options.get(name)]
     return f"was made with other options than {compared.name} ({'; '.join(differing)})" if differing else None
 

@@ -14,6 +14,7 @@ from roomeq.effects.model import Extension, Model, read_model, write_model
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.records.rir_dir import load_rir, read_rirs, validate_rirs
 from roomeq.simulate_rirs import simulate
+from roomeq.simulate_rirs.directory import _drawn_facing
 
 SOURCE_ONLY = {name for name, effect in CATALOGUE.items() if effect.SCOPE in ("source", "rir")}
 VECTORS = dict(air_absorption=(1.0, np.log(20.0)), sound_speed=(3.5,),
@@ -102,6 +103,21 @@ def test_source_without_stated_facing_faces_as_in_the_model_or_the_microphone(me
         facing[name], facing[f"{name}, noise"] = rows["b"][0]["source_dir"], rows["b-noise1"][0]["source_dir"]
     assert facing["model"] == [0.0, 1.0, 0.0] and facing["model, noise"] is None
     np.testing.assert_allclose(facing["microphone"], np.array([3.5, -1.0, -0.3]) / np.linalg.norm([3.5, 1.0, 0.3]))
+
+
+def test_facing_that_no_row_states_is_drawn_for_each_rir(measured, tmp_path):
+    write_model(tmp_path / "model.json", Model((extension("source_directivity"),), {"b": [0.0, 1.0, 0.0]}))
+    azimuths = []
+    for seed in (5, 6):
+        rows = simulated(measured, tmp_path / f"seed{seed}", tmp_path / "model.json", draw_facings=True, seed=seed)
+        assert rows["a"][0]["source_dir"] == measured_row("a")["source_dir"]
+        assert rows["b-noise1"][0]["source_dir"] is None
+        x, y, z = rows["b"][0]["source_dir"]
+        assert np.hypot(x, y) == pytest.approx(1.0) and z == 0.0
+        azimuths.append(np.arctan2(y, x))
+    assert azimuths[0] != pytest.approx(azimuths[1])
+    directions = np.array([_drawn_facing(f"rir{n}", 5) for n in range(2000)])
+    np.testing.assert_allclose(directions.mean(axis=0), 0.0, atol=0.05)
 
 
 def test_unknown_heights_are_as_in_the_model_unless_they_contradict_the_row(tmp_path):

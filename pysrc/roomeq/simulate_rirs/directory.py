@@ -44,7 +44,7 @@ _KEPT_KEYS = ("room_id", "source_id", "mic_id", "source_dir", "mic_dir", "room_t
 
 
 def make(build: Build, measured_dir: Path, rows: list[RirRow], materials: Path | str | None, model: Path | str | None,
-         options: RenderOptions, part: str | None, nj: int) -> None:
+         draw_facings: bool, options: RenderOptions, part: str | None, nj: int) -> None:
     """Make the RIR directory of a build from measured rows.
 
     Raises
@@ -54,7 +54,7 @@ def make(build: Build, measured_dir: Path, rows: list[RirRow], materials: Path |
     """
     table = read_materials(materials)
     effects = _model_of_responses(model)
-    groups = _group_by_source(rows, measured_dir, effects, options.seed)
+    groups = _group_by_source(rows, measured_dir, effects, draw_facings, options.seed)
 
     def simulate_group(_: str, members: list[Member]) -> list[dict]:
         air = _declared_air(members[0].row)
@@ -138,12 +138,13 @@ def _rooms_by_type(rows: list[RirRow]) -> Counter[str]:
     return Counter(dict((row["room_id"], row.get("room_type") or "") for row in rows).values())
 
 
-def _group_by_source(rows: list[RirRow], directory: Path, model: Model, seed: int) -> dict[str, list[Member]]:
+def _group_by_source(rows: list[RirRow], directory: Path, model: Model, draw_facings: bool, seed: int
+                     ) -> dict[str, list[Member]]:
     """Return at most `ROWS_PER_ITEM` rows of one source each, by the id of the first row.
 
     A directivity of the model needs to know where sources face. Where a row does not state it, that is the direction
-    in which the loop has found the source to face, or that of the microphone, which the loop assumes otherwise. Heights
-    that rows do not state are those that the loop has found.
+    in which the loop has found the source to face, or that of the microphone, which the loop assumes otherwise; with
+    `draw_facings`, it is drawn. Heights that rows do not state are those that the loop has found.
     """
     given, rows = rows, [model.with_heights(row) for row in rows]
     rows_of_room = defaultdict(list)
@@ -163,7 +164,8 @@ def _group_by_source(rows: list[RirRow], directory: Path, model: Model, seed: in
                              "source_dir, or remove it")
         if model.is_directive and unit_facing(row.get("source_dir")) is None:
             n_faced += 1
-            facing = model.facings.get(row["id"], towards_microphone(place))
+            facing = (_drawn_facing(row["id"], seed) if draw_facings
+                      else model.facings.get(row["id"], towards_microphone(place)))
             row = {**row, "source_dir": [float(x) for x in facing]}
         if place.drawn:
             n_drawn += 1
@@ -181,13 +183,20 @@ def _group_by_source(rows: list[RirRow], directory: Path, model: Model, seed: in
                     directory, n_drawn, len(rows),
                     ", ".join(f"{key} of {count}" for key, count in sorted(drawn_keys.items())))
     if n_faced:
-        logger.info("%s: %d of %d RIRs do not state where their source faces (source_dir): it faces as the closed loop "
-                    "has found, or the microphone", directory, n_faced, len(rows))
+        logger.info("%s: %d of %d RIRs do not state where their source faces (source_dir): %s", directory, n_faced,
+                    len(rows), "that is drawn" if draw_facings
+                    else "it faces as the closed loop has found, or the microphone")
     if n_unknown_arrays:
         logger.info("%s: %d RIRs are of arrays with unknown coordinates in channel_pos_m: only their first microphone "
                     "is simulated", directory, n_unknown_arrays)
     return {members[first].row["id"]: members[first:first + ROWS_PER_ITEM]
             for members in groups.values() for first in range(0, len(members), ROWS_PER_ITEM)}
+
+
+def _drawn_facing(rir_id: str, seed: int) -> list[float]:
+    """Return a horizontal direction, uniform in azimuth."""
+    azimuth_rad = rng_for(seed, "facing", rir_id).uniform(0.0, 2.0 * np.pi)
+    return [float(np.cos(azimuth_rad)), float(np.sin(azimuth_rad)), 0.0]
 
 
 def _declared_air(row: RirRow) -> Air:

@@ -70,6 +70,8 @@ CASES = [
          "t60_range=(2.0, 0.2) must be two times in [0.05, 10] s, the smaller first: give two such as 0.2,2.0"),
     Case("t60 nan", "simulate --t60-range nan,nan measured out",
          "t60_range=(nan, nan) must be two times in [0.05, 10] s, the smaller first: give two such as 0.2,2.0"),
+    Case("facings without model", "simulate --draw-facings measured out",
+         "draw_facings is of sources whose directivity a model has: give --model as well, or leave it out"),
     Case("noise rirs", "simulate --noise-rirs 99 measured out",
          "noise_rirs=99 must lie in [0, 4]: choose another number"),
     Case("seed a fraction", "simulate --seed 1.5 measured out",
