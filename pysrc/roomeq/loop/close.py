@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roomeq.core.arrays import IntArray
+from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.build import Build
 from roomeq.core.files import write_json
 from roomeq.core.workers import on_one_thread, return_large_arrays
@@ -54,6 +54,7 @@ from roomeq.loop.refined_facing import refined_facings
 from roomeq.loop.selection import LEVEL, Candidate, choose, helps_beside, rank, weights_of
 from roomeq.loop.session import Session, fit_base_model, refit, refit_rendered, with_measured_effects
 from roomeq.loop.shared_devices import warn_of_shared_devices
+from roomeq.loop.splitters import rooms_by_devices
 from roomeq.loop.unexplained import find_unexplained
 from roomeq.loop.usable import UsableRirs, require_enough_rooms, usable_rirs
 from roomeq.sim.geometry import towards_microphone
@@ -394,13 +395,29 @@ def _model_of(session: Session, base: Model) -> Model:
     """Return the model for the simulator: the base model, with its places, and the effects that a session has added."""
     extensions = list(base.extensions)
     vectors = session.index.vectors(session.fit.mean, session.fit.local)
+    group = rooms_by_devices(session.data)[session.data.room]
     for effect, of_units in zip(session.effects, vectors, strict=True):
-        names = session.data.units(effect.SCOPE)[0]
-        spread = of_units.std(axis=0, ddof=1) if len(of_units) > 1 else np.zeros(of_units.shape[1])
+        names, unit = session.data.units(effect.SCOPE)
+        _, first = np.unique(unit, return_index=True)
         extensions.append(Extension(effect, {name: effect.from_vector(vector) for name, vector
-                                             in zip(names, of_units, strict=True)}, of_units.mean(axis=0), spread))
+                                             in zip(names, of_units, strict=True)}, *_moments(of_units, group[first])))
     return replace(base, extensions=tuple(
         sorted(extensions, key=lambda extension: list(CATALOGUE).index(extension.effect.NAME))))
+
+
+def _moments(vectors: FloatArray, group: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean and standard deviation of vectors, shape (n_units, n), where each group of units counts alike.
+
+    Groups share no device, and are mostly laboratories: the microphones of an array would otherwise outweigh those of
+    all others.
+    """
+    _, number, size = np.unique(group, return_inverse=True, return_counts=True)
+    weight = 1.0 / (len(size) * size[number])
+    mean = weight @ vectors
+    if len(vectors) == 1:
+        return mean, np.zeros_like(mean)
+    # unbiased if units vary independently
+    return mean, np.sqrt(weight @ (vectors - mean) ** 2 / (1.0 - weight @ weight))
 
 
 def _with_places_of(data: Data, model: Model) -> Model:

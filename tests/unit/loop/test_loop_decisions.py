@@ -7,13 +7,16 @@ import numpy as np
 import pytest
 
 from roomeq.core.constants import BANDS_HZ
-from roomeq.effects.model import Extension
+from roomeq.effects.mic_response import MicResponse
+from roomeq.effects.model import Extension, Model
 from roomeq.effects.noise_floor import NoiseFloor
+from roomeq.effects.response import RESPONSE_HZ
 from roomeq.effects.room_eq import RoomEq
 from roomeq.effects.sound_speed import SoundSpeed
 from roomeq.effects.source_response import SourceResponse
 from roomeq.loop import acceptance, close, heldout_errors, selection
 from roomeq.loop.acceptance import NO_CLEAR_FALL, RISES, describe_rejection
+from roomeq.loop.close import _model_of, _moments
 from roomeq.loop.features import JND, LATE_S, METRIC, N_FEATURES, feature_slice
 from roomeq.loop.fit import SharedPrior, _best_shape, shortened_step, solve_step
 from roomeq.loop.heldout_errors import SPLITS, HeldOutErrors, p_lower, share_of_fall
@@ -376,14 +379,44 @@ def test_equaliser_must_hold_with_other_devices(monkeypatch, caplog, effect, p, 
     assert ("in rooms with other devices" in caplog.text) != added
 
 
+def data_of_devices(rows):
+    """Return what the loop's data tell about rooms and devices."""
+    names = {scope: sorted({row[f"{scope}_id"] for row in rows}) for scope in ("room", "source", "mic")}
+    units = {scope: (found, np.array([found.index(row[f"{scope}_id"]) for row in rows]))
+             for scope, found in names.items()}
+    return SimpleNamespace(room=units["room"][1], room_names=names["room"], units=units.get)
+
+
 def test_rooms_that_share_devices_are_a_group():
     rows = [dict(room_id=f"r{room}", source_id=source, mic_id=mic) for room, source, mic in (
         (0, "s0", "m0"), (1, "s1", "m1"), (2, "s2", "m0"), (3, "s1", "m3"), (4, "s4", "m4"))]
-    names = {"source": sorted({row["source_id"] for row in rows}), "mic": sorted({row["mic_id"] for row in rows})}
-    data = SimpleNamespace(room=np.arange(5), room_names=[row["room_id"] for row in rows], units=lambda scope: (
-        names[scope], np.array([names[scope].index(row[f"{scope}_id"]) for row in rows])))
-    group = rooms_by_devices(data)
+    group = rooms_by_devices(data_of_devices(rows))
     assert group[0] == group[2] and group[1] == group[3] and len(set(group)) == 3
+
+
+def test_laboratories_count_alike_in_a_typical_microphone():
+    """An array of nine is of one laboratory, and the microphone of another counts as much as all of them."""
+    rows = [*(dict(room_id="a", source_id="s0", mic_id=f"a{mic}") for mic in range(9)),
+            dict(room_id="b", source_id="s1", mic_id="b0"), dict(room_id="c", source_id="s1", mic_id="c0")]
+    gains_db = np.outer([-9.0] * 9 + [1.0, 5.0], np.ones(len(RESPONSE_HZ)))
+    session = SimpleNamespace(data=data_of_devices(rows), effects=(MicResponse,),
+                              fit=SimpleNamespace(mean=None, local=None),
+                              index=SimpleNamespace(vectors=lambda *_: [gains_db]))
+    (extension,) = _model_of(session, Model()).extensions
+    np.testing.assert_allclose(extension.typical, -3.0)  # (-9 + (1 + 5) / 2) / 2
+    shares = np.array([*[1 / 18] * 9, 1 / 4, 1 / 4])
+    variance = 0.5 * 6.0 ** 2 + 0.25 * 4.0 ** 2 + 0.25 * 8.0 ** 2
+    np.testing.assert_allclose(extension.spread, np.sqrt(variance / (1.0 - shares @ shares)))
+    assert list(extension.of) == session.data.units("mic")[0]
+
+
+@pytest.mark.parametrize("group", [[4, 4, 4, 4, 4], [3, 1, 0, 2, 4]])
+def test_devices_count_alike_in_groups_of_one_size(group):
+    vectors = np.random.default_rng(0).standard_normal((5, 3))
+    mean, spread = _moments(vectors, np.array(group))
+    np.testing.assert_allclose(mean, vectors.mean(axis=0))
+    np.testing.assert_allclose(spread, vectors.std(axis=0, ddof=1))
+    assert not np.any(_moments(vectors[:1], np.zeros(1, dtype=int))[1])
 
 
 def test_room_that_is_far_off_keeps_its_scatter():
