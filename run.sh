@@ -167,7 +167,7 @@ if at_stage 5 "close the loop: find the effects that the simulation lacks, and s
   if [ -f "$exp/rooms/enough" ]; then
     steps/close_loop.sh --nj "$nj" --max-effects "$max_effects" --seed "$seed" \
       "$data/rirs.real.train" "$data/rirs.real.dev" "$exp/loop"
-    simulate sim.loop "$rooms" --model "$exp/loop/model.json" --draw-facings true
+    simulate sim.loop "$rooms" --model "$exp/loop/model.json" --draw-devices true
   fi
 fi
 

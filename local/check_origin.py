@@ -20,7 +20,7 @@ from roomeq.core.stamps import DONE_FILE, Stamp, read_stamp, was_made
 
 STAGES = {"characterise": 1, "split": 1, "simulate": 2, "fit-eq": 3, "compensate": 4, "close-loop": 5, "augment": 6}
 """The stage of run.sh that calls each step; for RIRs with the effects of the closed loop it is 5."""
-OF_MODELS = {"draw_facings"}
+OF_MODELS = {"draw_devices"}
 """Options that act only with the effects of the closed loop."""
 
 digest_of = cache(digest)

@@ -13,7 +13,7 @@ t60_range=         # range of T60 [s]; measured: that of the measured rooms; def
 num_rays=10000     # rays per source, for each distinct set of scattering coefficients over the bands
 order=200          # reflections of a ray on average, up to 3 s; more where the decay needs it
 model=             # effects to add, from steps/close_loop.sh: exp/loop/model.json
-draw_facings=false # with --model: draw where a loudspeaker faces if its row does not state it
+draw_devices=false # with --model: draw loudspeakers and microphones anew, and where they face if no row states it
 seed=0             # seed of all random numbers
 . ./path.sh
 . utils/parse_options.sh
@@ -21,7 +21,7 @@ if [ -n "$rooms" ]; then [ $# -eq 1 ] || usage; else [ $# -eq 2 ] || usage; fi
 [ -n "$rooms" ] || require "$1/rirs.jsonl" steps/split_rirs.sh
 more=()
 [ -z "$model" ] || { require "$model" steps/close_loop.sh && more+=(--model "$model"); }
-[ "$draw_facings" = false ] || more+=(--draw-facings)
+[ "$draw_devices" = false ] || more+=(--draw-devices)
 [ -z "$rooms" ] || more+=(--rooms "$rooms")
 [ -z "$room_types" ] || more+=(--room-types "$room_types")
 [ -z "$t60_range" ] || more+=(--t60-range "$t60_range")

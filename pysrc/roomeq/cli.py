@@ -241,8 +241,8 @@ def at_most_one(paths: tuple[Path, ...]) -> Path | None:
 @click.option("--noise-rirs", default=1, help="RIRs of noise sources per RIR.")
 @click.option("--materials", type=AnyPath(), help="TOML file of materials, instead of conf/materials.toml.")
 @click.option("--model", type=AnyPath(), help="model.json of roomeq close-loop: effects to add to the simulation.")
-@click.option("--draw-facings", is_flag=True, help="With --model: draw where a loudspeaker faces if its row does not "
-              "state it, instead of what the closed loop has found.")
+@click.option("--draw-devices", is_flag=True, help="With --model: draw the loudspeaker and the microphone of each RIR, "
+              "and where it faces if its row does not state it, instead of those that the closed loop has measured.")
 @click.option("--diffraction/--no-diffraction", default=True, help="Whether sound bends around the edges of meshes.")
 @click.option("--fs", "fs_hz", default=16000, metavar="HZ", help="Sample rate, 8000 to 48000.")
 @seed

@@ -109,7 +109,7 @@ def test_facing_that_no_row_states_is_drawn_for_each_rir(measured, tmp_path):
     write_model(tmp_path / "model.json", Model((extension("source_directivity"),), {"b": [0.0, 1.0, 0.0]}))
     azimuths = []
     for seed in (5, 6):
-        rows = simulated(measured, tmp_path / f"seed{seed}", tmp_path / "model.json", draw_facings=True, seed=seed)
+        rows = simulated(measured, tmp_path / f"seed{seed}", tmp_path / "model.json", draw_devices=True, seed=seed)
         assert rows["a"][0]["source_dir"] == measured_row("a")["source_dir"]
         assert rows["b-noise1"][0]["source_dir"] is None
         x, y, z = rows["b"][0]["source_dir"]
@@ -118,6 +118,26 @@ def test_facing_that_no_row_states_is_drawn_for_each_rir(measured, tmp_path):
     assert azimuths[0] != pytest.approx(azimuths[1])
     directions = np.array([_drawn_facing(f"rir{n}", 5) for n in range(2000)])
     np.testing.assert_allclose(directions.mean(axis=0), 0.0, atol=0.05)
+
+
+def test_drawn_devices_are_none_of_those_that_a_model_names(measured, tmp_path, caplog):
+    caplog.set_level("INFO")
+    typical = [extension(name) for name in ("source_response", "mic_response")]
+    flat = np.zeros(len(RESPONSE_HZ))
+    named = [replace(one, of={unit: one.effect.from_vector(flat) for unit in units})
+             for one, units in zip(typical, (("spk1", "spk2"), ("a", "b")), strict=True)]
+    spread = [replace(one, spread=flat + 3.0) for one in named]
+    of_model, of_typical, drawn, varied = (
+        simulated(measured, tmp_path / out, model_file(tmp_path / f"{out}.json", *model), draw_devices=drawn)
+        for out, model, drawn in (("model", named, False), ("typical", typical, False), ("drawn", named, True),
+                                  ("varied", spread, True)))
+    for rir in of_model:
+        assert not np.array_equal(drawn[rir][1], of_model[rir][1])
+        np.testing.assert_array_equal(drawn[rir][1], of_typical[rir][1])
+        assert not np.array_equal(drawn[rir][1], varied[rir][1])
+    assert [drawn["a"][0][key] for key in ("source_id", "mic_id")] == ["drawn-a", "drawn-a"]
+    assert drawn["a-noise1"][0]["mic_id"] == "drawn-a" and drawn["a-noise1"][0]["source_id"].startswith("noise-")
+    assert "the loudspeaker and the microphone of each of 2 RIRs are drawn" in caplog.text
 
 
 def test_unknown_heights_are_as_in_the_model_unless_they_contradict_the_row(tmp_path):

@@ -26,7 +26,7 @@ from roomeq.draw_rooms.room_types import RoomType, types_file
 from roomeq.effects.model import Model, apply_to_rir, direct_gain, names_of, path_gain, read_model
 from roomeq.effects.source_directivity import unit_facing
 from roomeq.records.rir_dir import read_rirs, validate_rirs, with_meshes_relocated, write_rirs
-from roomeq.records.schema import RirRow, stated_air
+from roomeq.records.schema import RirRow, make_id, stated_air
 from roomeq.sim.array_noise import ArrayNoise
 from roomeq.sim.geometry import find_place, towards_microphone
 from roomeq.sim.materials import read_materials
@@ -44,7 +44,7 @@ _KEPT_KEYS = ("room_id", "source_id", "mic_id", "source_dir", "mic_dir", "room_t
 
 
 def make(build: Build, measured_dir: Path, rows: list[RirRow], materials: Path | str | None, model: Path | str | None,
-         draw_facings: bool, options: RenderOptions, part: str | None, nj: int) -> None:
+         draw_devices: bool, options: RenderOptions, part: str | None, nj: int) -> None:
     """Make the RIR directory of a build from measured rows.
 
     Raises
@@ -54,7 +54,7 @@ def make(build: Build, measured_dir: Path, rows: list[RirRow], materials: Path |
     """
     table = read_materials(materials)
     effects = _model_of_responses(model)
-    groups = _group_by_source(rows, measured_dir, effects, draw_facings, options.seed)
+    groups = _group_by_source(rows, measured_dir, effects, draw_devices, options.seed)
 
     def simulate_group(_: str, members: list[Member]) -> list[dict]:
         air = _declared_air(members[0].row)
@@ -138,13 +138,14 @@ def _rooms_by_type(rows: list[RirRow]) -> Counter[str]:
     return Counter(dict((row["room_id"], row.get("room_type") or "") for row in rows).values())
 
 
-def _group_by_source(rows: list[RirRow], directory: Path, model: Model, draw_facings: bool, seed: int
+def _group_by_source(rows: list[RirRow], directory: Path, model: Model, draw_devices: bool, seed: int
                      ) -> dict[str, list[Member]]:
     """Return at most `ROWS_PER_ITEM` rows of one source each, by the id of the first row.
 
     A directivity of the model needs to know where sources face. Where a row does not state it, that is the direction
-    in which the loop has found the source to face, or that of the microphone, which the loop assumes otherwise; with
-    `draw_facings`, it is drawn. Heights that rows do not state are those that the loop has found.
+    in which the loop has found the source to face, or that of the microphone, which the loop assumes otherwise. With
+    `draw_devices`, it is drawn, and each row has a loudspeaker and a microphone of its own, which the model does not
+    name. Heights that rows do not state are those that the loop has found.
     """
     given, rows = rows, [model.with_heights(row) for row in rows]
     rows_of_room = defaultdict(list)
@@ -164,13 +165,16 @@ def _group_by_source(rows: list[RirRow], directory: Path, model: Model, draw_fac
                              "source_dir, or remove it")
         if model.is_directive and unit_facing(row.get("source_dir")) is None:
             n_faced += 1
-            facing = (_drawn_facing(row["id"], seed) if draw_facings
+            facing = (_drawn_facing(row["id"], seed) if draw_devices
                       else model.facings.get(row["id"], towards_microphone(place)))
             row = {**row, "source_dir": [float(x) for x in facing]}
         if place.drawn:
             n_drawn += 1
             drawn_keys.update({name.partition(".")[0] for name in place.drawn})
             logger.debug("%s: drawn or moved: %s", row["id"], ", ".join(place.drawn))
+        if draw_devices:
+            device = make_id(f"drawn-{row['id']}")
+            row = {**row, "source_id": device, "mic_id": device}
         n_unknown_arrays += bool(row.get("channel_pos_m") and not place.channels_m)
         materials = json.dumps(row.get("materials"), sort_keys=True)  # a trace serves one set of scattering
         key = row["room_id"], place.room, place.source_pos_m, _declared_air(row), materials
@@ -184,8 +188,10 @@ def _group_by_source(rows: list[RirRow], directory: Path, model: Model, draw_fac
                     ", ".join(f"{key} of {count}" for key, count in sorted(drawn_keys.items())))
     if n_faced:
         logger.info("%s: %d of %d RIRs do not state where their source faces (source_dir): %s", directory, n_faced,
-                    len(rows), "that is drawn" if draw_facings
+                    len(rows), "that is drawn" if draw_devices
                     else "it faces as the closed loop has found, or the microphone")
+    if draw_devices:
+        logger.info("%s: the loudspeaker and the microphone of each of %d RIRs are drawn", directory, len(rows))
     if n_unknown_arrays:
         logger.info("%s: %d RIRs are of arrays with unknown coordinates in channel_pos_m: only their first microphone "
                     "is simulated", directory, n_unknown_arrays)

@@ -25,7 +25,7 @@ MAX_ROOMS = 10 ** 6
 def simulate(measured_dir: Path | str | None, out: Path | str, *, rooms: int | str | None = None,
              room_types: Path | str | None = None, t60_range_s: tuple[float, float] | str | None = None,
              num_rays: int = NUM_RAYS, ism_order: int = ISM_ORDER, order: int = ORDER, noise_rirs: int = 1,
-             materials: Path | str | None = None, model: Path | str | None = None, draw_facings: bool = False,
+             materials: Path | str | None = None, model: Path | str | None = None, draw_devices: bool = False,
              diffraction: bool = True, fs_hz: int = FS_HZ, seed: int = 0, part: str | None = None, nj: int = 1) -> None:
     """Simulate one RIR per measured RIR, in its room and from its source to its microphone; or RIRs of drawn rooms.
 
@@ -69,10 +69,11 @@ def simulate(measured_dir: Path | str | None, out: Path | str, *, rooms: int | s
         Table of materials; the one of the package by default.
     model
         File of effects to add to the simulation (`roomeq.effects.model`), as `roomeq close-loop` writes it.
-    draw_facings
-        Where a row does not state where its source faces, a source with a directivity of the model faces in a random
-        horizontal direction, another in each RIR, instead of that of the laboratory. In drawn rooms it always faces as
-        their types say.
+    draw_devices
+        Draw the loudspeaker and the microphone of each RIR from the model's `typical` and `spread`, whether the model
+        names those of the row or not; the row is written with the names of such devices. Where it does not state where
+        its source faces, a source with a directivity of the model faces in a random horizontal direction, instead of
+        that of the laboratory. The devices of drawn rooms are always drawn, and face as the types of rooms say.
     diffraction
         Render sound that comes around the edges of meshes.
     fs_hz
@@ -102,9 +103,9 @@ def simulate(measured_dir: Path | str | None, out: Path | str, *, rooms: int | s
     if model and fs_hz != FS_HZ:
         raise ValueError(f"fs={fs_hz} must be {FS_HZ} with model={model}, whose effects are defined at that rate: "
                          "leave one of them out")
-    if draw_facings and model is None:
-        raise ValueError("draw_facings is of sources whose directivity a model has: give --model as well, or leave it "
-                         "out")
+    if draw_devices and model is None:
+        raise ValueError("draw_devices is of loudspeakers and microphones of a model: give --model as well, or leave "
+                         "it out")
     files = [Path(materials or DEFAULT_TABLE), *([Path(model)] if model else [])]
     if measured_dir is None:
         assert numbers is not None
@@ -122,12 +123,12 @@ def simulate(measured_dir: Path | str | None, out: Path | str, *, rooms: int | s
     rows = _rows_of_talkers(measured_dir)
     files += [*(_published_table() if any(row.get("materials") for row in rows) else []),
               *mesh_files(measured_dir)]
-    build = _build(out, asdict(options) | dict(draw_facings=draw_facings), files, measured_dir)
+    build = _build(out, asdict(options) | dict(draw_devices=draw_devices), files, measured_dir)
     if not build.done:
         from roomeq.simulate_rirs.directory import make
 
         rows = _rows_of_talkers(measured_dir, say=True)  # again, as they are in the key now
-        make(build, measured_dir, rows, materials, model, draw_facings, options, part, nj)
+        make(build, measured_dir, rows, materials, model, draw_devices, options, part, nj)
 
 
 def _rows_of_talkers(measured_dir: Path, say: bool = False) -> list[RirRow]:
