@@ -168,13 +168,13 @@ def _group_by_source(rows: list[RirRow], directory: Path, model: Model, draw_dev
             facing = (_drawn_facing(row["id"], seed) if draw_devices
                       else model.facings.get(row["id"], towards_microphone(place)))
             row = {**row, "source_dir": [float(x) for x in facing]}
+        if draw_devices:
+            device = make_id(f"drawn-{row['id']}")
+            row = {**row, "source_id": device, "mic_id": device}
         if place.drawn:
             n_drawn += 1
             drawn_keys.update({name.partition(".")[0] for name in place.drawn})
             logger.debug("%s: drawn or moved: %s", row["id"], ", ".join(place.drawn))
-        if draw_devices:
-            device = make_id(f"drawn-{row['id']}")
-            row = {**row, "source_id": device, "mic_id": device}
         n_unknown_arrays += bool(row.get("channel_pos_m") and not place.channels_m)
         materials = json.dumps(row.get("materials"), sort_keys=True)  # a trace serves one set of scattering
         key = row["room_id"], place.room, place.source_pos_m, _declared_air(row), materials

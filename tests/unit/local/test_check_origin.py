@@ -83,7 +83,7 @@ def test_effects_are_compared_with_rirs_of_the_same_options(run, tmp_path, capsy
     for number in range(2, 6):
         run(number, num_rays=500)
     assert refused(tmp_path, capsys, "--seed", "0") == ""
-    run(5, num_rays=500, draw_devices=True)  # of directivities, which the other RIRs lack
+    run(5, num_rays=500, draw_devices=True)  # of a model, which the other RIRs lack
     assert refused(tmp_path, capsys, "--seed", "0") == ""
 
 
