@@ -1,8 +1,11 @@
 """Synthesis of a response from early pulses and a noise-like tail in octave bands.
 
-The tail is one random sequence for all bands, shaped per band by the echogram. Reflections in a room arrive at a rate
-of ``4 pi c^3 t^2 / V`` (Kuttruff, Room Acoustics, eq. 4.6). While that is less than one per sample, the sequence
-consists of single pulses, one at a random time in each interval between arrivals; later it is Gaussian.
+The tail is one random sequence for all bands, shaped per third of an octave by the echogram, which states the energy of
+each octave. Within an octave, its level follows those of the octaves beside it, as absorption is a continuous function
+of frequency (`_in_thirds`): if it were the same up to the edges, the filters there would mix the decays of two octaves,
+of which the longer one remains. Reflections in a room arrive at a rate of ``4 pi c^3 t^2 / V`` (Kuttruff, Room
+Acoustics, eq. 4.6). While that is less than one per sample, the sequence consists of single pulses, one at a random time
+in each interval between arrivals; later it is Gaussian.
 
 The direct sound is of minimum phase, as air and loudspeakers are, with gains interpolated in dB over log frequency:
 nothing precedes it. Later paths and the tail pass zero-phase octave filters, which cost the same for any number of
@@ -17,7 +20,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from roomeq.acoustics.filterbank import SPREAD_S, octave_filterbank
+from roomeq.acoustics.filterbank import SPREAD_S, octave_filterbank, third_octave_filterbank, thirds_of_octaves
 from roomeq.acoustics.minimum_phase import minimum_phase
 from roomeq.core.arrays import Array, FloatArray, Number
 from roomeq.core.constants import FS_HZ, exact_bands_hz
@@ -121,24 +124,42 @@ def render(distance_m: FloatArray, gains: FloatArray, echogram: FloatArray, nois
         Sample 0 is the emission.
     """
     guard = int(SPREAD_S * fs_hz)
-    # few sizes of transform for all lengths, so that their filters stay cached
-    n_fft = next_fast_len(-(-(n_samples + 2 * guard) // _FFT_GRID) * _FFT_GRID, real=True)
-    bank = octave_filterbank(n_fft, fs_hz)
-    # single precision: twice as fast, and its rounding lies 140 dB below the peak
-    signals, earliest = np.zeros((len(bank), n_fft), np.float32), np.zeros(n_fft)
+    n_fft = _fft_length(n_samples + 2 * guard)
+    bank = third_octave_filterbank(n_fft, fs_hz)
+    # single precision, whose rounding lies 140 dB below the peak: scipy's FFT transforms four rows in the time of one
+    tail, earliest = np.zeros((-(-len(bank) // 4) * 4, n_fft), np.float32), np.zeros(n_fft)
     delays, gains = guard + distance_m / speed_m_s * fs_hz, np.ascontiguousarray(gains)
     first = int(np.argmin(distance_m)) if len(distance_m) and hidden_m is None else None
     onset = int(np.ceil(delays[first] if first is not None else guard + (hidden_m or 0.0) / speed_m_s * fs_hz))
-    _shape_noise(signals[:, guard:guard + n_samples], noise.astype(np.float32, copy=False),
-                 _padded(echogram, n_samples, fs_hz) / np.float32(FRAME_S * fs_hz), onset - guard, FRAME_S * fs_hz)
+    power = _in_thirds(_padded(echogram, n_samples, fs_hz) / np.float32(FRAME_S * fs_hz), fs_hz)
+    _shape_noise(tail[:len(bank), guard:guard + n_samples], noise.astype(np.float32, copy=False), power, onset - guard,
+                 FRAME_S * fs_hz)
     later = np.arange(len(distance_m)) != first
-    _add_pulses(signals, delays[later], gains[later], _sinc_table())
+    pulses = _merged_pulses(delays[later], gains[later], n_fft, fs_hz)
     if first is not None:
         _add_first(earliest, delays[first], gains[first], fs_hz)
-    spectrum = np.einsum("bf,bf->f", rfft(signals, n_fft), bank.astype(np.float32))
+    spectrum = rfft(pulses, n_fft)
+    for third, passband in zip(rfft(tail, n_fft), bank, strict=False):
+        spectrum[passband.bins] += passband.gains * third[passband.bins]
     response = irfft(spectrum * _high_pass(n_fft, fs_hz), n_fft).astype(np.float64)
     response[:onset - SINC_HALF] = 0.0  # nothing precedes the first sound, though the filters of the others ring
     return (response + earliest)[guard:guard + n_samples]
+
+
+def _merged_pulses(delays: FloatArray, gains: FloatArray, longest: int, fs_hz: float) -> Array:
+    """Return the sum over the octaves of band-limited pulses at fractional delays, at most `longest` samples."""
+    if not len(delays):
+        return np.zeros(longest, np.float32)
+    n_fft = min(_fft_length(int(delays.max()) + int(SPREAD_S * fs_hz)), longest)
+    octaves = np.zeros((gains.shape[1], n_fft), np.float32)
+    _add_pulses(octaves, delays, gains, _sinc_table())
+    bank = octave_filterbank(n_fft, fs_hz)
+    return irfft(np.einsum("bf,bf->f", rfft(octaves, n_fft), bank.astype(np.float32)), n_fft)
+
+
+def _fft_length(n_samples: int) -> int:
+    """Return a length of transform: few for all lengths, so that their filters stay cached."""
+    return next_fast_len(-(-n_samples // _FFT_GRID) * _FFT_GRID, real=True)
 
 
 def _add_first(signal: FloatArray, delay: float, gains: FloatArray, fs_hz: float) -> None:
@@ -173,6 +194,21 @@ def _padded(echogram: FloatArray, n_samples: int, fs_hz: float) -> FloatArray:
     n_frames = int(np.ceil(n_samples / (FRAME_S * fs_hz))) + 1
     kept = echogram[:n_frames].T
     return np.pad(kept, ((0, 0), (0, n_frames - kept.shape[1]))).astype(np.float32, order="C")
+
+
+def _in_thirds(power: FloatArray, fs_hz: float) -> FloatArray:
+    """Return the power of the thirds of octaves below half the sample rate, from that of octaves, (n_bands, n).
+
+    The level of a third follows from those of its octave and of the one beside it by interpolation over log frequency.
+    Then those of an octave are changed alike, so that the power of the octave remains.
+    """
+    third_root = np.cbrt(power)
+    below, above = (np.concatenate(parts) for parts in ((third_root[:1], third_root[:-1]),
+                                                        (third_root[1:], third_root[-1:])))
+    level = np.stack([below, third_root, above], axis=1)
+    width_hz = np.diff(thirds_of_octaves(fs_hz), axis=1)
+    mean = np.einsum("bk,bkn->bn", width_hz / width_hz.sum(axis=1, keepdims=True), level)
+    return (level * (power / np.maximum(mean, 1e-30))[:, None])[width_hz > 0.0].astype(np.float32)
 
 
 @compiled

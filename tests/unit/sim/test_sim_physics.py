@@ -7,11 +7,13 @@ import pytest
 from decays import reverberation_time
 
 from roomeq.acoustics.direct import find_direct
+from roomeq.acoustics.filterbank import thirds_of_octaves
+from roomeq.acoustics.iso3382 import all_metrics
 from roomeq.acoustics.octaves import octave_bands
 from roomeq.core.constants import BAND_1KHZ, EXACT_BANDS_HZ, FS_HZ
 from roomeq.sim.echogram import FRAME_S, compute_echograms
 from roomeq.sim.images import specular_paths
-from roomeq.sim.render import MAX_LENGTH_S, render, tail_noise
+from roomeq.sim.render import MAX_LENGTH_S, _in_thirds, render, tail_noise
 from roomeq.sim.response import decay_length_s, needed_length_s, render_responses, simulate_responses, trace_source
 from roomeq.sim.room import Walls
 from roomeq.sim.scene import Air, Material, Scene, Shoebox, eyring_time_s
@@ -73,6 +75,25 @@ def test_first_sound_has_its_gain_in_the_middle_of_every_octave():
     spectrum = np.abs(np.fft.rfft(rendered_path(3.4, STEEP), 16000))
     at_centre = spectrum[np.round(np.array(EXACT_BANDS_HZ)).astype(int)]
     assert 20.0 * np.log10(at_centre[:7] / STEEP[:7]) == pytest.approx(np.zeros(7), abs=0.5)
+
+
+def test_decay_of_an_octave_is_its_own_beside_longer_ones():
+    t60_s = np.array([3.8, 2.3, 1.2, 0.5, 0.28, 0.23, 0.22, 0.21])  # of a porous absorber on all surfaces
+    echogram = np.exp(-13.8 * FRAME_S * np.arange(2500)[:, None] / t60_s)
+    rirs = [render(np.zeros(0), np.zeros((0, 8)), echogram, np.random.default_rng(seed).standard_normal(40000),
+                   speed_m_s=C, n_samples=40000, hidden_m=0.0) for seed in range(6)]
+    found_s = np.mean([all_metrics(rir, FS_HZ, 0.0, 1)["t30_s"][2:] for rir in rirs], axis=0)
+    assert np.all(found_s[:3] < [1.35, 0.65, 0.3])  # 1.5, 0.84 and 0.33 s with one level in the whole octave
+    assert found_s[3:] == pytest.approx(t60_s[5:], rel=0.05)
+
+
+def test_thirds_of_an_octave_share_its_power():
+    power = np.array([[1.0, 0.0, 0.0], [1.0, 2.0, 0.0], [1.0, 0.1, 0.0], *np.ones((5, 3))])
+    thirds = np.concatenate([_in_thirds(power, FS_HZ), np.zeros((1, 3))]).reshape(8, 3, 3)  # the last is above 8 kHz
+    width_hz = np.diff(thirds_of_octaves(FS_HZ), axis=1)
+    assert np.einsum("bk,bkn->bn", width_hz / width_hz.sum(axis=1, keepdims=True), thirds) == pytest.approx(power)
+    assert np.ptp(thirds[:, :, 0]) == pytest.approx(1.0) and thirds[1, 0, 1] == 0.0
+    assert thirds[4, :, 1] == pytest.approx(1.0) and thirds[1, 1, 1] > thirds[1, 2, 1] > thirds[2, 0, 1]
 
 
 def test_first_sound_with_equal_gains_is_a_band_limited_pulse():
