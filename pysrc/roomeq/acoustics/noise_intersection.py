@@ -193,7 +193,8 @@ def _late_decay(remaining: FloatArray, noise: float, n_block: int, span_db: floa
                 ) -> tuple[float, float, int, int]:
     """Fit the line ``slope_db n + offset_db`` to the decay from `span_db` above the noise margin down to it.
 
-    The loudest block, which holds the direct sound as a rule, is no part of the first line, from any level down.
+    The loudest block, which holds the direct sound as a rule, is no part of the first line, from any level down. No
+    line begins before a gap that separates the direct sound from the first reflections.
 
     Returns
     -------
@@ -201,10 +202,13 @@ def _late_decay(remaining: FloatArray, noise: float, n_block: int, span_db: floa
         The slope is not negative if there is no such decay. The line is fitted to samples `first` up to `last`.
     """
     level_db = _db(_block_power(remaining, n_block))
-    stop = 0
+    stop = begin = 0
     for block in range(min(len(level_db), int(_LONGEST_GAP_S * fs_hz / n_block))):
         if level_db[block] > _db(noise) + 7.0 + _AFTER_GAP_DB:
             stop = block  # what lies before is the direct sound and a gap, not the end of the decay
+    for block in range(stop):
+        if level_db[block] < _db(noise) + 7.0:
+            begin = block + 1
     while stop < len(level_db) and not level_db[stop] < _db(noise) + 7.0:
         stop += 1
     if stop < 2:
@@ -213,7 +217,8 @@ def _late_decay(remaining: FloatArray, noise: float, n_block: int, span_db: floa
     for block in range(stop):
         if level_db[block] > _db(noise) + 7.0 + span_db:
             last_above = block
-    start = max(int(np.argmax(level_db[:stop])) + (1 if np.isinf(span_db) else 0), min(last_above, stop - 4))
+    loudest = begin + int(np.argmax(level_db[begin:stop]))
+    start = max(loudest + (1 if np.isinf(span_db) and begin == 0 else 0), min(last_above, stop - 4))
     if stop - start < 2:
         return 0.0, 0.0, 0, 0
     slope_db, offset_db, _ = _line(level_db[start:stop], start, n_block, 0.0)

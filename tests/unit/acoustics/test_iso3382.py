@@ -76,6 +76,21 @@ def test_gap_behind_the_direct_sound_is_no_end_of_the_decay(gap_s):
     assert np.array(metrics["t20_s"][3:]) == pytest.approx(time_s, rel=0.15) and all(metrics["t20_valid"][3:])
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("gap_s", "noise_db"), [(0.02, -np.inf), (0.06, -np.inf), (0.03, -70.0), (0.06, -65.0)])
+def test_drr_of_a_response_with_a_gap_behind_the_direct_sound_is_known(gap_s, noise_db, seed):
+    """A source that is close to the microphone in a large room."""
+    rng, gap = np.random.default_rng(seed), round(gap_s * FS_HZ)
+    tail = room(0.8, seed + 10, length_s=1.5)[DIRECT + 1:]
+    tail[:gap] = 0.0
+    drr_db = 6.0
+    tail *= np.sqrt(10.0 ** (-0.1 * drr_db) / np.sum(tail ** 2))
+    rir = np.concatenate([np.zeros(DIRECT), [1.0], tail])
+    rir += 10.0 ** (0.05 * noise_db) * rng.standard_normal(len(rir))
+    metrics = all_metrics(rir, FS_HZ, DIRECT, 1)
+    assert metrics["drr_db"] == pytest.approx(drr_db, abs=1.0) and metrics["noise_intersection_s"] > 2.0 * gap_s
+
+
 @pytest.mark.parametrize("lead", [0, 47])
 def test_decay_times_do_not_depend_on_the_silence_before_the_direct_sound(lead):
     """Zero-phase filters spread the direct sound to both sides, also where nothing is recorded before it."""
