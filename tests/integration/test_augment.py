@@ -3,6 +3,7 @@
 import gzip
 import json
 import os
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -110,12 +111,15 @@ def test_tables_and_summary_match_the_rows(tmp_path, inputs):
     assert sorted(path.name for path in out.iterdir()) == sorted(
         "wav.scp segments text utt2spk spk2utt spk2gender reco2dur utt2dur utt2rir utt2snr utt2uniq "
         "augment.jsonl summary.json audio .done".split())
-    assert list(table(out / "wav.scp")) == ["a-1", "a-2", "b-1"]
-    assert table(out / "wav.scp")["a-1"] == f"flac -c -d -s {out}/audio/a/a-1.flac |"
+    recordings = list(table(out / "wav.scp"))
+    (mark,) = {name[len("a-1"):] for name in recordings}
+    assert recordings == [f"a-1{mark}", f"a-2{mark}", f"b-1{mark}"] and re.fullmatch("-[0-9a-f]{8}", mark)
+    assert table(out / "wav.scp")[f"a-1{mark}"] == f"flac -c -d -s {out}/audio/a/a-1{mark}.flac |"
     assert table(out / "segments") == {
-        "a-1-0001": "a-1 0.00 0.7715625", "a-1-0002": "a-1 0.78 1.3425625", "a-2-0001": "a-2 0.00 1.00",
-        "b-1-0001": "b-1 0.00 1.2506875", "b-1-0002": "b-1 1.26 1.76"}
-    assert table(out / "reco2dur") == {"a-1": "1.3425625", "a-2": "1.00", "b-1": "1.76"}
+        "a-1-0001": f"a-1{mark} 0.00 0.7715625", "a-1-0002": f"a-1{mark} 0.78 1.3425625",
+        "a-2-0001": f"a-2{mark} 0.00 1.00",
+        "b-1-0001": f"b-1{mark} 0.00 1.2506875", "b-1-0002": f"b-1{mark} 1.26 1.76"}
+    assert table(out / "reco2dur") == {f"a-1{mark}": "1.3425625", f"a-2{mark}": "1.00", f"b-1{mark}": "1.76"}
     for name in ("text", "utt2spk", "spk2utt", "spk2gender", "utt2dur"):
         assert (out / name).read_text() == (clean / name).read_text()
     assert set(table(out / "utt2snr").values()) <= {"10.00", "20.00"}
@@ -174,6 +178,14 @@ def test_copies_get_new_ids_and_draws(tmp_path, inputs):
     assert table(tmp_path / "out/utt2uniq") == {key: key.removesuffix(key[-5:]) for key in rows}
     assert len({(row["rir"], row["snr_db"]) for row in rows.values()}) > 10
     assert table(tmp_path / "out/text")["a-2-0001-rvb2"] == "WORDS OF A-2-0001"
+
+
+def test_recordings_of_two_sets_have_different_ids(tmp_path, inputs):
+    """Kaldi's `combine_data.sh` takes recordings with the same id for the same audio."""
+    for seed in (0, 1):
+        augment(*inputs, tmp_path / f"out{seed}", seed=seed)
+    one, other = (set(table(tmp_path / f"out{seed}/wav.scp")) for seed in (0, 1))
+    assert len(one) == len(other) and not one & other
 
 
 def test_utterance_is_read_once_for_all_its_copies(tmp_path, inputs, monkeypatch):
@@ -268,7 +280,7 @@ def test_long_chapters_are_split_into_recordings(tmp_path, inputs, monkeypatch):
     assert validate_data_dir(tmp_path / "out") == 10
     durations = {key: float(value) for key, value in table(tmp_path / "out/reco2dur").items()}
     assert max(durations.values()) <= 1.5 + 0.02
-    assert {"a-1", "a-1-2"} <= set(durations)
+    assert {"a-1", "a-1-2"} <= {name[:-len("-01234567")] for name in durations}
 
 
 def test_noises_of_another_directory_are_used(tmp_path, inputs):

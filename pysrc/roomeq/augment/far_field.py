@@ -32,6 +32,7 @@ from roomeq.records.rir_dir import n_channels, require_16_khz
 logger = logging.getLogger(__name__)
 
 ROWS_FILE = "augment.jsonl"
+_MARK = 8  # letters of the key of a build in the ids of its recordings
 
 
 def make(build: Build, config: AugmentConfig, part: str | None, nj: int) -> bool:
@@ -50,11 +51,10 @@ def make(build: Build, config: AugmentConfig, part: str | None, nj: int) -> bool
     if any(n_channels(row) > 1 for row in augmenter.pool.rows.values()):
         logger.info("%s: of arrays of microphones, the first one is used", config.rir_dir)
     plan = plan_recordings(data, config.copies, pipes=config.pipes)
-    if not build.run(plan, partial(_make_recording, config, build.work), part=part, nj=nj):
+    if not build.run(plan, partial(_make_recording, config, build.work, build.key[:_MARK]), part=part, nj=nj):
         return False
-    elapsed_s = time.monotonic() - start_s if from_scratch else None
-    build.finish(partial(_assemble, config, build.work, data, build.out))
-    log_summary(build.out, elapsed_s)
+    made_here = build.finish(partial(_assemble, config, build.work, data, build.out))
+    log_summary(build.out, time.monotonic() - start_s if from_scratch and made_here else None)
     return True
 
 
@@ -124,10 +124,16 @@ def _log_missing_noises(augmenter: _Augmenter) -> None:
             logger.info("%s: no %s noises given: none are added", augmenter.config.rir_dir, kind)
 
 
-def _make_recording(config: AugmentConfig, work: Path, name: str, utterances: list[PlannedUtterance]) -> dict:
-    """Augment the utterances of one recording; write its audio below `work`, and their rows for `_assemble`."""
+def _make_recording(config: AugmentConfig, work: Path, mark: str, name: str, utterances: list[PlannedUtterance]
+                    ) -> dict:
+    """Augment the utterances of one recording; write its audio below `work`, and their rows for `_assemble`.
+
+    The recording's id ends in `mark`, which no other set has: Kaldi's `combine_data.sh` takes recordings of the same id
+    for the same audio.
+    """
     augmenter = _augmenter(config, work)
-    packed = {name: utterances} if config.packing == "recording" else {planned.id: [planned] for planned in utterances}
+    packed = ({f"{name}-{mark}": utterances} if config.packing == "recording"
+              else {planned.id: [planned] for planned in utterances})
     rows, files = [], []
     for recording_id, members in packed.items():
         recording = RecordingFile(members[0].clean.speaker, recording_id)
