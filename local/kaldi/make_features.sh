@@ -20,6 +20,16 @@ inputs "$workspace/data/$set/source"
 if [ "$speed_perturb" = true ]; then
   outputs=data/$set.sp once "$set/features/speed" utils/data/perturb_data_dir_speed_3way.sh "data/$set" "data/$set.sp"
   made=$set.sp
+  # perturb_data_dir_speed.sh rounds the times of segments to 10 ms, and not the lengths of recordings without segments
+  # shellcheck disable=SC2016 # the fields are those of awk
+  exact='NR == FNR { start[$1] = $3; end[$1] = $4; next }
+    match($1, /^sp(0\.9|1\.1)-/) { speed = substr($1, 3, 3); id = substr($1, 7)
+      $3 = sprintf("%.5f", start[id] / speed); $4 = sprintf("%.5f", end[id] / speed) }
+    { print }'
+  # shellcheck disable=SC2016 # the arguments are those of bash
+  rewrite='awk "$0" "$1/segments" "$2/segments" >"$2/exact" && mv "$2/exact" "$2/segments"'
+  [ ! -f "$workspace/data/$set/segments" ] ||
+    once "$set/features/segments" bash -c "$rewrite" "$exact" "data/$set" "data/$set.sp"
 fi
 if [ "$hires" = true ]; then
   copy=(utils/copy_data_dir.sh)
