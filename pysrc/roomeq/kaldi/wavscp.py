@@ -350,14 +350,16 @@ def _to_float(samples: Array) -> Array:
     scale = -float(np.iinfo(samples.dtype).min) if samples.dtype.kind == "i" else 1.0
     return (samples / scale).astype(np.float32)
 
+_BROKEN_PIPE = 128 + 13  # status of a command whose reader has what it needs
+
 
 def _run_pipe(command: str, pipes: bool) -> Decoded:
     if not pipes:
         raise ValueError(f"{command!r} is a command, and commands run only with --pipes: allow it, or convert the "
                          "audio to files")
     # run the command in a shell, as Kaldi does and as the help of --pipes says
-    result = subprocess.run(command, shell=True, stdin=subprocess.DEVNULL, capture_output=True)
-    if result.returncode != 0:
+    result = subprocess.run(["bash", "-o", "pipefail", "-c", command], stdin=subprocess.DEVNULL, capture_output=True)
+    if result.returncode not in (0, _BROKEN_PIPE):
         last_line = (result.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]
         raise ValueError(f"{command!r}: command failed with status {result.returncode} ({last_line[:200]}): "
                          "run it by hand")

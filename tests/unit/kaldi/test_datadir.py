@@ -67,6 +67,14 @@ def test_entry_is_parsed_as_file_archive_or_pipe(text, entry):
     assert parse_entry(text) == entry
 
 
+def test_command_that_fails_ahead_of_another_is_refused(tmp_path):
+    write_wav(tmp_path / "a.wav", burst(np.random.default_rng(0), 8000))
+    path = tmp_path / "a.wav"
+    assert len(read_entry(parse_entry(f"yes | cat {path} |"), pipes=True)) == 8000  # which reads nothing of it
+    with pytest.raises(ValueError, match="failed with status 3"):
+        read_entry(parse_entry(f"(cat {path}; exit 3) | cat |"), pipes=True)
+
+
 @pytest.mark.parametrize("text", ["", "-", "|tee x", "a.ark:12[0:3]"])
 def test_entry_that_names_no_audio_is_refused(text):
     with pytest.raises(ValueError, match="names no audio|selects a range"):
