@@ -5,6 +5,7 @@
 one_run() {
   local dir lock handle
   for dir in "$@"; do
+    [ -n "$dir" ] || die "a directory has an empty name: give --data and --exp a path"
     lock=$dir/.run.lock
     { mkdir -p -- "$dir" && : >>"$lock"; } 2>/dev/null || die "$lock cannot be written: is the disk full or read-only?"
     [ ! "$lock" -ef "${ONE_RUN:-}" ] || continue # the same directory twice

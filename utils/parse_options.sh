@@ -1,7 +1,7 @@
 # shellcheck shell=bash
 # Turn --some-option VALUE into the variable some_option, which the script must have set before it sources this file.
-# It also reads --config FILE (lines `some_option=value  # comment`), answers --help, and defines the functions below.
-# Values are assigned and never evaluated. Sourced: the remaining arguments stay in "$@", and all of them in
+# It also reads --config FILE (lines `some_option=value  # comment`; a pair of quotes around a value is left out),
+# answers --help, and defines the functions below. Values are assigned and never evaluated. Sourced: the remaining arguments stay in "$@", and all of them in
 # options_given. The script ends with all that it starts (end_together.sh).
 
 . utils/end_together.sh
@@ -63,7 +63,7 @@ set_option() { # NAME VALUE WHERE
 }
 
 read_config() { # FILE
-  local line name number=0 names=' '
+  local line name value number=0 names=' '
   [ -f "$1" ] || die "--config $1: no such file"
   while IFS= read -r line || [ -n "$line" ]; do
     number=$((number + 1))
@@ -75,7 +75,9 @@ read_config() { # FILE
     name=${line%%=*} && name=${name//-/_}
     [[ $names != *" $name "* ]] || die "$1:$number: $name is set twice: leave one line out"
     names+="$name "
-    set_option "${line%%=*}" "${line#*=}" "$1:$number"
+    value=${line#*=}
+    [[ ! $value =~ ^\"([^\"]*)\"$ && ! $value =~ ^\'([^\']*)\'$ ]] || value=${BASH_REMATCH[1]} # as in a script
+    set_option "${line%%=*}" "$value" "$1:$number"
   done <"$1"
 }
 

@@ -27,7 +27,8 @@ def test_option_values_are_never_evaluated(recipe, value):
     done = call(recipe, "./say.sh", "--some-name", value, "say.sh")
     assert (done.returncode, done.stdout) == (0, f"2|{value}|false|say.sh|")
     done = call(recipe, "./say.sh", "--config", "size.conf", "say.sh")
-    assert (done.returncode, done.stdout) == (0, f"2|{value.splitlines()[0]}|false|say.sh|")
+    in_config = value.splitlines()[0].strip("'")  # a pair of quotes around a value is no part of it
+    assert (done.returncode, done.stdout) == (0, f"2|{in_config}|false|say.sh|")
     assert not (recipe / "evil").exists()
 
 
@@ -44,7 +45,8 @@ def test_command_line_wins_over_config(recipe):
 
 
 @pytest.mark.parametrize("line, value", [("/x/my#1/data", "/x/my#1/data"), ("#1", "#1"), ("a#b # c # d", "a#b"),
-                                         ("a\t# b", "a"), (" # b", "")])
+                                         ("a\t# b", "a"), (" # b", ""), ('"a b"  # c', "a b"),
+                                         ("'a'", "a"), ('a"b"', 'a"b"'), ('"a', '"a')])
 def test_comment_of_a_config_follows_a_blank(recipe, line, value):
     (recipe / "size.conf").write_text(f"#nj=3\n # of names\nsome_name={line}\n")
     done = call(recipe, "./say.sh", "--config", "size.conf", "say.sh")
