@@ -8,7 +8,7 @@ What lies below, a scene and responses with all that is known about them, is `ro
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -115,7 +115,7 @@ class Room:
     """
 
     geometry: Sequence[float] | str | PathLike[str] | Shoebox | MeshRoom
-    materials: MaterialLike | None = None
+    materials: MaterialLike | None = field(default=None, hash=False)  # a mapping has no hash
     t60_s: float | None = None
     temperature_c: float = Air.temperature_c
     humidity_pct: float = Air.humidity_pct
@@ -126,7 +126,10 @@ class Room:
         if self.t60_s is not None and not (
                 is_number(self.t60_s) and TARGET_RANGE_S[0] <= self.t60_s <= TARGET_RANGE_S[1]):
             raise ValueError(f"t60_s={self.t60_s!r} must be a number in [0.05, 10] s: correct it")
-        self.scene()
+        shape = self.scene().room
+        if isinstance(shape, Shoebox) and not isinstance(self.geometry, Shoebox):
+            object.__setattr__(self, "geometry", shape.dims_m)
+        object.__setattr__(self, "materials", _without_arrays(self.materials))
 
     def scene(self, fs_hz: int = FS_HZ) -> Scene:
         """Return the scene, before its absorption is scaled."""
@@ -145,6 +148,13 @@ class Room:
         scene = named_scene(shape, {surface: _entry(material) for surface, material in given.items()},
                             table=read_materials(), air=Air(self.temperature_c, self.humidity_pct))
         return Scene(scene.room, scene.materials, scene.air, fs_hz)
+
+
+def _without_arrays(value: Any) -> Any:
+    """Return a material, or a mapping to materials, in which sequences are tuples: rooms may be compared."""
+    if isinstance(value, Mapping):
+        return {key: _without_arrays(of_key) for key, of_key in value.items()}
+    return tuple(np.asarray(value, dtype=object).tolist()) if np.ndim(value) else value
 
 
 def _entry(material: MaterialLike) -> str | Mapping[str, Any]:

@@ -155,6 +155,19 @@ def test_sample_rates_of_numpy_act_like_those_of_python(rate):
     assert parameters == json.dumps(roomeq.analyse(found[0], 48000))
 
 
+@pytest.mark.parametrize("room", [
+    lambda: roomeq.Room(np.array([6.0, 4.0, 3.0]), 0.1), lambda: roomeq.Room([6, 4, 3], {"default": np.full(8, 0.1)})])
+def test_rooms_may_be_compared_and_hashed(room):
+    assert room() == room() and {room(): 1}[room()] == 1 and room() != roomeq.Room((6, 4, 3), 0.2)
+
+
+def test_room_does_not_change_with_what_it_was_given():
+    dims_m, materials = [6.0, 4.0, 3.0], {"default": [0.1] * 8}
+    room = roomeq.Room(dims_m, materials)
+    dims_m[0], materials["default"][0] = 60.0, 0.9
+    assert room == roomeq.Room((6, 4, 3), {"default": (0.1,) * 8})
+
+
 def test_reverberation_time_is_met():
     room = roomeq.Room((6.0, 4.0, 3.0), t60_s=0.4)
     assert parameters(roomeq.simulate_rir(room, SOURCE_M, MIC_M))["t30_s"][4] == pytest.approx(0.4, rel=0.05)

@@ -108,16 +108,18 @@ def checked_response(rir: ArrayLike, direct_sample: float = 0.0) -> FloatArray:
         raise ValueError(f"impulse response holds {h[bad]} at sample {bad}: must be finite: export it again")
     if not h.any():
         raise ValueError("impulse response is silent: must hold a direct sound: record it again or drop it")
-    if not direct_sample < len(h):
-        raise ValueError(f"direct_sample={direct_sample:g} must lie before the response's end, {len(h)}: find it again")
+    if not -1.0 < direct_sample < len(h):
+        raise ValueError(f"direct_sample={direct_sample:g} must lie in the response's {len(h)} samples: find it again")
     return h
 
 
 def require_samples(values: ArrayLike, name: str) -> None:
-    """Raise a `ValueError` for a path where samples are expected."""
+    """Raise a `ValueError` for a path or a spectrum where samples are expected."""
     if isinstance(values, str | os.PathLike):
         raise ValueError(f"{name} {os.fspath(values)!r} is a path: must be samples: read the file, for example with "
                          "soundfile.read")
+    if np.iscomplexobj(values):
+        raise ValueError(f"{name} holds complex numbers: must be samples: give the inverse Fourier transform")
 
 
 def _rms_before(h: FloatArray, samples: IntArray, fs_hz: float) -> FloatArray:

@@ -40,11 +40,13 @@ def measure(rir: FloatArray, fs_hz: float = FS_HZ, *,
     Raises
     ------
     ValueError
-        There is no direct sound, it lies after the end of the response, the response is not mono or not finite, or the
-        sample rate is out of range.
+        There is no direct sound, it lies outside the response, its polarity is neither 1 nor -1, the response is not
+        mono or not finite, or the sample rate is out of range.
     """
     fs_hz = require_fs(fs_hz)
     sample, polarity = find_direct(rir, fs_hz) if direct is None else direct
+    if polarity not in (1, -1):
+        raise ValueError(f"direct: polarity {polarity!r} must be 1 or -1: correct it")
     rir = checked_response(rir, sample)
     parameters = all_metrics(rir, fs_hz, sample, polarity)
     if fs_hz == FS_HZ:

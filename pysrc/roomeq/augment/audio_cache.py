@@ -121,7 +121,8 @@ def _audible_sample(samples: Array, noise: Noise, u: float) -> int:
     """Return the position of one of the samples that differ from the one before."""
     positions = np.flatnonzero(np.diff(samples)) + 1
     if not len(positions):
-        raise ValueError(f"{noise.path}: noise {noise.id} is silent (all samples the same): leave it out")
+        name = f"{noise.path}: noise {noise.id}" if noise.path.name else noise.id
+        raise ValueError(f"{name} is silent (all samples the same) or has one sample: leave it out")
     return int(positions[int(u * len(positions))])
 
 

@@ -22,7 +22,7 @@ from roomeq.acoustics.direct import find_direct, require_samples
 from roomeq.augment.audio_cache import AudioCache, ShiftedRir, at_rate
 from roomeq.augment.distribution import parse_distribution
 from roomeq.augment.draw import DrawRules, Noise, Pool, read_pool
-from roomeq.augment.mix import convolve, mix, spectra_of, without_rumble
+from roomeq.augment.mix import convolve, mean_power, mix, spectra_of, without_rumble
 from roomeq.core.arrays import Array
 from roomeq.core.audio import sounds
 from roomeq.core.constants import FS_HZ, is_number, is_whole, require_fs
@@ -124,7 +124,7 @@ class Reverberate:
         ndarray of float32
             Shape of `samples`. The direct sound is where the clean speech was, the RMS is that of the clean speech from
             20 Hz on; only where the peak would exceed 0.99, or that of the clean speech where it is larger, is it
-            reduced. Silence is returned as it is.
+            reduced. Silence is returned as it is. The result is never the array that was given.
 
         Raises
         ------
@@ -138,17 +138,19 @@ class Reverberate:
         clean = _one_channel(given[0] if given.ndim == 2 and len(given) == 1 else given, "samples")
         name = self._next_call() if key is None else key
         if not sounds(clean) or rng_for(self.seed, "reverberate", name).random() >= self.p:
-            return clean.reshape(given.shape)
-        clean = without_rumble(clean, sample_rate)
+            return clean.reshape(given.shape).copy()  # which the caller may change
+        speech = without_rumble(clean, sample_rate)
+        if not mean_power(speech) > 0.0:
+            return clean.reshape(given.shape).copy()
         cache = self._cache(sample_rate)
         rules = DrawRules(self.seed, False, parse_distribution(self.snr, "snr"),
                           parse_distribution(self.point_snr, "point_snr"), self.point_noise_prob, 1)
         rir_id, draws = rules.draw(name, self._pool)
         rir, shift = cache.rir(rir_id)
-        reverberated = convolve(spectra_of(clean), rir, shift, len(clean))
-        noises = [(cache.noise(draw, len(clean)).samples, draw.snr_db) for draw in draws]
-        scale = max(np.float32(1.0), np.abs(clean).max())  # samples may be those of 16-bit audio
-        return (scale * mix(clean / scale, reverberated / scale, noises).samples).reshape(given.shape)
+        reverberated = convolve(spectra_of(speech), rir, shift, len(speech))
+        noises = [(cache.noise(draw, len(speech)).samples, draw.snr_db) for draw in draws]
+        scale = max(np.float32(1.0), np.abs(speech).max())  # samples may be those of 16-bit audio
+        return (scale * mix(speech / scale, reverberated / scale, noises).samples).reshape(given.shape)
 
     def _next_call(self) -> str:
         """Return the name of this call, which no other process and no other call has."""

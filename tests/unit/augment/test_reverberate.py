@@ -198,7 +198,16 @@ def test_one_channel_keeps_its_shape_and_several_are_refused():
         reverberate(np.stack([speech(), speech()]), FS)
 
 
+def test_result_is_not_the_array_that_was_given():
+    clean = speech(0.2)
+    for reverberate, samples in ((roomeq.Reverberate(rirs(), p=0.0), clean), (roomeq.Reverberate(rirs()), 0.0 * clean)):
+        result = reverberate(samples, FS)
+        assert np.array_equal(result, samples) and not np.shares_memory(result, samples)
+
+
 def test_silence_is_returned_as_it_is():
+    faint = np.float32(1e-30) * speech()  # whose power is 0 in single precision
+    np.testing.assert_array_equal(roomeq.Reverberate(rirs())(faint, FS), faint)
     for offset in (0.0, -2.0 ** -15):  # sound cards add a constant
         silence = np.full(800, offset, np.float32)
         np.testing.assert_array_equal(roomeq.Reverberate(rirs())(silence, FS), silence)
@@ -225,6 +234,9 @@ def test_silence_is_returned_as_it_is():
     (lambda: roomeq.Reverberate(rirs(), seed="a"), "seed='a' must be a whole number"),
     (lambda: roomeq.Reverberate(rirs(), noises="data/noises"), "go with an RIR directory"),
     (lambda: roomeq.Reverberate(rirs())(np.array([np.inf]), FS), "samples: holds NaN"),
+    (lambda: roomeq.Reverberate(rirs())(np.ones(9, complex), FS), "samples holds complex numbers: must be samples"),
+    (lambda: roomeq.analyse(rirs()[0], FS, direct=(-500, 1)), "direct_sample=-500 must lie in"),
+    (lambda: roomeq.analyse(rirs()[0], FS, direct=(100, 7)), "polarity 7 must be 1 or -1"),
     (lambda: roomeq.Reverberate(rirs())(speech(), 96000), "fs=96000 must be"),
     (lambda: roomeq.Reverberate(rirs(), p=0.0)(speech(), 0), "fs=0 must be"),
     (lambda: roomeq.Reverberate(rirs())(speech(), None), "fs=None must be"),

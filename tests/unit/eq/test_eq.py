@@ -373,7 +373,7 @@ def test_seven_points_are_free():
     (dict(taps=510), r"taps=510 must be odd and lie in \[3, 4095\]"),
     (dict(rir=np.ones((2, 800))), r"has shape \(2, 800\): must be mono"),
     (dict(rir=np.r_[np.ones(10), np.nan]), "holds nan at sample 10"),
-    (dict(direct_sample=801), "direct_sample=801 must lie before the response's end, 800")])
+    (dict(direct_sample=801), "direct_sample=801 must lie in the response's 800 samples")])
 def test_compensation_of_what_is_no_response_or_no_target_is_refused(change, message):
     arguments = dict(rir=np.exp(-np.arange(800.0) / 80), direct_sample=0, target_db=np.zeros(8)) | change
     with pytest.raises(ValueError, match=message):
