@@ -1,14 +1,19 @@
 """Recognise the kind of a measured corpus by its files, and list its recordings."""
 
+import logging
+from collections.abc import Iterable
 from pathlib import Path
 
 from roomeq.core.digests import files_below
+from roomeq.core.files import physical
 from roomeq.corpora.folder import list_folder, list_noise_folder
 from roomeq.corpora.record import Corpus, Recording, audio_files, folder_name, id_of_path, is_sofa
 from roomeq.corpora.reverbdb import find_rooms, list_reverbdb
 from roomeq.corpora.slr28 import find_measured_part, list_slr28
 from roomeq.corpora.table import MANIFEST, find_manifest, list_noise_table, list_table, refuse_spreadsheet
 from roomeq.records.rir_dir import ROWS_FILE
+
+logger = logging.getLogger(__name__)
 
 
 def list_sofa(source: Path) -> Corpus:
@@ -90,7 +95,9 @@ def list_corpus(source: Path, kind: str | None = None) -> Corpus:
         manifest = find_manifest(source)
         if not manifest:
             raise ValueError(f"{source}: no {MANIFEST} in it: name the CSV file itself")
-        source = manifest
+        corpus = list_table(manifest)
+        _count_unlisted(manifest, corpus.rirs)
+        return corpus
     return READERS[kind](source)
 
 
@@ -98,7 +105,21 @@ def list_noises(source: Path) -> list[Recording]:
     """List noise recordings; see `roomeq.corpora.measured.read_noises`."""
     refuse_spreadsheet(source)
     table = source if source.suffix.lower() in (".csv", ".tsv") else find_manifest(source)
-    return list_noise_table(table) if table else list_noise_folder(source)
+    if table is None:
+        return list_noise_folder(source)
+    noises = list_noise_table(table)
+    if source.is_dir():
+        _count_unlisted(table, noises)
+    return noises
+
+
+def _count_unlisted(manifest: Path, listed: Iterable[Recording]) -> None:
+    """Log how many audio files below the folder of a manifest it does not list."""
+    known = {physical(recording.path) for recording in listed}
+    unlisted = [path for path in audio_files(manifest.parent, warn=False) if physical(path) not in known]
+    if unlisted:
+        logger.info("%s: %d audio files below its folder are not in it, and are not read (the first: %s)", manifest,
+                    len(unlisted), unlisted[0].relative_to(manifest.parent))
 
 
 def require_existing(path: Path) -> Path:

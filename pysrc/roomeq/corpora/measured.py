@@ -14,6 +14,7 @@ from roomeq.core.files import path_from, physical, write_json
 from roomeq.core.limits import AUDIO_HOURS
 from roomeq.corpora.listing import list_corpus, list_noises, require_existing
 from roomeq.corpora.record import Corpus, Recording, by_stamp, is_sofa
+from roomeq.records.geometry import are_unlike
 from roomeq.records.rir_dir import without_detour, write_noises, write_rirs
 
 logger = logging.getLogger(__name__)
@@ -249,6 +250,7 @@ def _report(corpus: Corpus, merged: dict[str, list[Any]], files: dict[str, int],
             logger.info("%s: %s: %s", corpus.name, label.replace("_", " "),
                         ", ".join(f"{key} {n}" for key, n in report[label].items()))
     _log_contradictions(corpus)
+    _warn_of_unlike_rooms(corpus.name, rirs)
     if any(is_sofa(recording.path) for recording in corpus.rirs):
         _log_unused_positions(corpus.name, rirs)
     for line in merged["skipped"]:
@@ -276,6 +278,20 @@ def _log_contradictions(corpus: Corpus) -> None:
     if more := len(contradictory) - len(logged):
         logger.warning("%s: positions of %d more recordings are not used: see geometry_problem in rirs.jsonl",
                        corpus.name, more)
+
+
+def _warn_of_unlike_rooms(name: str, rirs: list[dict[str, Any]]) -> None:
+    """Say of which rooms the RIRs state different dimensions."""
+    first: dict[str, dict[str, Any]] = {}
+    unlike: dict[str, str] = {}
+    for row in rirs:
+        begin = first.setdefault(row["room_id"], row)
+        if are_unlike(begin["room_dims_m"], row["room_dims_m"]):
+            unlike.setdefault(row["room_id"], f"room {row['room_id']}: RIR {begin['id']} states room_dims_m="
+                              f"{begin['room_dims_m']}, and RIR {row['id']} {row['room_dims_m']}")
+    for detail in list(unlike.values())[:_LOGGED_CONTRADICTIONS]:
+        logger.warning("%s: %s (%d such rooms): the closed loop leaves it out: correct the row, or give different "
+                       "rooms or states of a room different names", name, detail, len(unlike))
 
 
 def _log_unused_positions(name: str, rirs: list[dict[str, Any]]) -> None:

@@ -36,7 +36,7 @@ from roomeq.records.rir_dir import (
     write_noises,
     write_rirs,
 )
-from roomeq.records.schema import RirRow
+from roomeq.records.schema import OF_SIMULATED, RirRow
 
 logger = logging.getLogger(__name__)
 
@@ -78,6 +78,9 @@ def make(build: Build, sim_dir: Path, eq_dir: Path, taps: int, match_rooms: bool
     if done := next((row for row in rows if row.get("eq_gain_db") is not None), None):
         raise ValueError(f"{sim_dir}: RIR {done['id']} was compensated already (key 'eq_gain_db'), and would be "
                          "filtered twice: give the simulated RIRs that it was made of")
+    if n_others := sum(all(row.get(key) is None for key in OF_SIMULATED) for row in rows):
+        logger.warning("%s: rows of %d of %d RIRs do not say that they are simulated: measured ones have the EQ of "
+                       "their room already, and must not be compensated", sim_dir, n_others, len(rows))
     out, gmm = build.out, read_gmm(eq_dir)
     groups = _group_by_filter(sim_dir, rows)
     summary: dict[str, Any] = {}
@@ -116,7 +119,7 @@ def compensate_rir(rir: FloatArray, direct_sample: float, target_db: FloatArray,
     Raises
     ------
     ValueError
-        The direct sound lies behind the end of the response, the response or the target is not finite or has another
+        The direct sound lies outside the response, the response or the target is not finite or has another
         shape, the target is not 0 dB at 1 kHz, or the length of the filter is even.
     """
     rir, target_db = checked_response(rir, direct_sample), np.asarray(target_db, dtype=np.float64)

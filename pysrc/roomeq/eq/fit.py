@@ -22,7 +22,7 @@ from roomeq.core.rng import rng_for
 from roomeq.corpora.suspicious import without_suspicious
 from roomeq.eq.gmm import FREE, GMM_FILE, JND_DB, Gmm, draw_target, fit_gmm, read_gmm, room_weights, with_reference
 from roomeq.records.rir_dir import load_rir, read_rirs, require_16_khz, rir_path
-from roomeq.records.schema import RirRow
+from roomeq.records.schema import OF_SIMULATED, RirRow
 
 logger = logging.getLogger(__name__)
 
@@ -30,8 +30,6 @@ SCREENING_FILE = "screening.json"
 MEASURED_FILE, SIMULATED_FILE, RESAMPLED_FILE = "measured.jsonl", "simulated.jsonl", "resampled.jsonl"
 OUTLIER_Z = 4.0  # robust standard deviations from the median of the rooms
 MIN_SPREAD_DB = 4.0  # a single bin of one RIR scatters that much within a room (Schroeder's 5.6 dB, averaged)
-_OF_SIMULATED = ("seed", "model", "measured_id")
-"""Keys that rows of simulated RIRs have."""
 _EM_STEPS = 50
 _ROUNDING_DB2 = 1e-6  # keeps a covariance positive definite
 _ROUNDING = 1e-12  # of sums of weights
@@ -111,7 +109,7 @@ def require_enough_rirs(real_dir: Path, n_components: int) -> None:
 def _measured(real_dir: Path, rows: list[RirRow]) -> list[RirRow]:
     """Return the measured rows to analyse; refuse simulated ones, as where directories are given in another order."""
     for row in rows:
-        if stated := next((key for key in _OF_SIMULATED if row.get(key) is not None), None):
+        if stated := next((key for key in OF_SIMULATED if row.get(key) is not None), None):
             raise ValueError(f"{real_dir}: RIR {row['id']} is simulated (key {stated!r}), but measured RIRs are "
                              "expected here: give REAL_DIR first, then SIM_DIRS")
     return without_suspicious(real_dir, rows)

@@ -14,7 +14,7 @@ from roomeq.core.constants import require_air
 from roomeq.core.groups import numbers_by
 from roomeq.corpora.repeats import find_repeats
 from roomeq.corpora.suspicious import suspicion
-from roomeq.records.geometry import OUTSIDE, UNKNOWN, find_contradiction, geometry_usability, place_key
+from roomeq.records.geometry import OUTSIDE, UNKNOWN, are_unlike, find_contradiction, geometry_usability, place_key
 from roomeq.records.rir_dir import ROWS_FILE, read_rirs, require_16_khz
 from roomeq.records.schema import RirRow, stated_air
 
@@ -26,7 +26,6 @@ MIN_ROOMS = 3
 DRY_PCT = 10.0
 """Relative humidity from which on a room is not suspiciously dry [%]."""
 UNLIKE = "rows of the room state different dimensions or meshes"
-_SAME_SIZE_M = 0.01
 REPEAT = "the recording is a repeated take: another RIR has the same room, devices and positions"
 NO_RIR = "the recording is no RIR by its acoustics (roomeq characterise says why)"
 
@@ -216,7 +215,7 @@ def _leave_out_unlike_rooms(rirs: Sequence[Located], reasons: list[str | None]) 
 def _share_dimensions(rirs: list[Located], reasons: Sequence[str | None]) -> None:
     """Let usable rows of a room have the same dimensions, the largest that they state: these hold all positions.
 
-    They differ by `_SAME_SIZE_M` at most, and are of one room, which is estimated and traced once.
+    They differ little (`roomeq.records.geometry.are_unlike`), and are of one room, which is estimated and traced once.
     """
     of_room = numbers_by(None if reason or rir.row.get("mesh") else rir.row["room_id"]
                          for rir, reason in zip(rirs, reasons, strict=True))
@@ -246,8 +245,7 @@ def _difference(one: Located, other: Located) -> str | None:
         files = [(rir.directory / str(rir.row["mesh"])).resolve() for rir in (one, other)]
         return None if files[0] == files[1] else f"the mesh {files[0]}, not {files[1]}"
     sizes_m = [rir.row["room_dims_m"] or [None] * 3 for rir in (one, other)]
-    unlike = any(a is not None and b is not None and abs(a - b) > _SAME_SIZE_M for a, b in zip(*sizes_m, strict=True))
-    return f"room_dims_m={sizes_m[0]}, not {sizes_m[1]}" if unlike else None
+    return f"room_dims_m={sizes_m[0]}, not {sizes_m[1]}" if are_unlike(*sizes_m) else None
 
 
 def _compare_with_recordings(rirs: list[Located], reasons: list[str | None], nj: int) -> dict[str, str]:

@@ -10,6 +10,8 @@ from typing import Any, Literal, NamedTuple
 
 MIN_DISTANCE_M = 0.05
 """Least distance of source and microphone that the simulator allows [m]."""
+SAME_SIZE_M = 0.01
+"""By which the dimensions of one room may differ between its rows [m]."""
 _PLACE_DIGITS = 3  # of a coordinate in metres: channels of an array are some millimetres apart
 DISTANCE_SLACK_M, DISTANCE_SLACK = 0.15, 0.05
 """Tolerance of a stated distance, taken by tape measure: the larger of these [m, share of the distance]."""
@@ -187,6 +189,12 @@ def find_contradiction(row: Mapping[str, Any]) -> Contradiction | None:
             return Contradiction("the room has a dimension of 0 or less",
                                  f"room_dims_m[{axis}]={size_m:g} must be positive")
     return _outside(row) or _wrong_distance(row)
+
+
+def are_unlike(one_m: Coordinates, other_m: Coordinates) -> bool:
+    """Tell whether the dimensions of two rooms differ by more than `SAME_SIZE_M`, as far as both are known."""
+    return any(a_m is not None and b_m is not None and abs(a_m - b_m) > SAME_SIZE_M
+               for a_m, b_m in zip(one_m or (), other_m or (), strict=False))
 
 
 def _wrong_distance(row: Mapping[str, Any]) -> Contradiction | None:

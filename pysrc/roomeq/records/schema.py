@@ -141,6 +141,8 @@ _ROUNDED_M = 1e-3
 
 TARGET_AGAIN = "target_t60_s again"
 """Entry of a row's `drawn` where a target that could not be met was replaced by another."""
+OF_SIMULATED = ("seed", "model", "measured_id")
+"""Keys that rows of simulated RIRs have."""
 
 
 class RirRow(TypedDict):

@@ -4,8 +4,8 @@ The tail is one random sequence for all bands, shaped per third of an octave by 
 each octave. Within an octave, its level follows those of the octaves beside it, as absorption is a continuous function
 of frequency (`_in_thirds`): if it were the same up to the edges, the filters there would mix the decays of two octaves,
 of which the longer one remains. Reflections in a room arrive at a rate of ``4 pi c^3 t^2 / V`` (Kuttruff, Room
-Acoustics, eq. 4.6). While that is less than one per sample, the sequence consists of single pulses, one at a random time
-in each interval between arrivals; later it is Gaussian.
+Acoustics, eq. 4.6). While that is less than one per sample, the sequence consists of single pulses, one at a random
+time in each interval between arrivals; later it is Gaussian.
 
 The direct sound is of minimum phase, as air and loudspeakers are, with gains interpolated in dB over log frequency:
 nothing precedes it. Later paths and the tail pass zero-phase octave filters, which cost the same for any number of

@@ -183,7 +183,8 @@ def _group_by_source(rows: list[RirRow], directory: Path, model: Model, draw_dev
         logger.info("%s: %d of %d RIRs do not state the height of their source or microphone: it is as the closed loop "
                     "has found", directory, n_with_heights, len(rows))
     if n_drawn:
-        logger.info("%s: %d of %d RIRs have unknown or unreliable coordinates, which are drawn (key 'drawn'): %s",
+        logger.info("%s: %d of %d RIRs have coordinates that are unknown or unreliable, and are drawn, or that lie "
+                    "on a surface, and are moved off it (key 'drawn'): %s",
                     directory, n_drawn, len(rows),
                     ", ".join(f"{key} of {count}" for key, count in sorted(drawn_keys.items())))
     if n_faced:

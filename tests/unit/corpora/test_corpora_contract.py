@@ -1,6 +1,7 @@
 """Rules that every kind of measured corpus obeys."""
 
 import json
+import logging
 from itertools import product
 
 import numpy as np
@@ -199,6 +200,17 @@ def test_log_says_where_geometry_contradicts_itself(tmp_path, caplog):
                                 "not used: correct the geometry")
     assert "manifest.csv:3: distance_m=9 but the positions are 2.24 m apart" in problems[1]
     assert problems[5] == "corpus: positions of 3 more recordings are not used: see geometry_problem in rirs.jsonl"
+
+
+def test_rooms_of_different_sizes_under_one_name_are_said(tmp_path, caplog):
+    for name in ("a.wav", "b.wav", "c.wav"):
+        put(tmp_path / "mic" / name)
+    put_text(tmp_path / "mic/manifest.csv", "file,room,room_dims_m\na.wav,A,9.7 5.5 2.7\nb.wav,A,8 5.5 2.7\n")
+    caplog.set_level(logging.INFO)
+    read_measured(tmp_path / "mic", tmp_path / "out")
+    assert ("room A: RIR a states room_dims_m=[9.7, 5.5, 2.7], and RIR b [8.0, 5.5, 2.7] (1 such rooms)"
+            in caplog.text)
+    assert "1 audio files below its folder are not in it, and are not read (the first: c.wav)" in caplog.text
 
 
 def test_relative_paths_hold_through_links(tmp_path):
