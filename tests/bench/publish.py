@@ -37,6 +37,7 @@ from roomeq.wer.table import (  # noqa: E402
     gains_caption,
     p_text,
     room_cells,
+    strata_notes,
     stratum_label,
 )
 from roomeq.wer.workspace import BASE  # noqa: E402
@@ -164,7 +165,7 @@ def _word_error_tables(wer: dict[str, Any]) -> list[Table]:
             dict(title=f"Rooms, test error [%], {first}", columns=["room", "words", *headings, *wer["rows"]],
                  rows=rooms, notes=[EQ_NOTE]),
             dict(title=f"Parts of the test set, test error [%], {first}", columns=["part", "words", *wer["rows"]],
-                 rows=strata),
+                 rows=strata, notes=strata_notes(wer)),
             *([dict(title="Gains and acoustics", columns=["trained on", "acoustics", "rooms", "rank correlation", "p"],
                     rows=gains, notes=[gains_caption(wer)])] if gains else [])]
 

@@ -1,5 +1,7 @@
 """The paper's Table 2 as plain text, and a line for each comparison; `wer` is the content of `wer.json`."""
 
+from collections import Counter
+
 from roomeq.wer.breakdown import C50, DRR, EQ_DISTANCE, HIGH_EQ, T20
 from roomeq.wer.workspace import BASE, CLEAN, DEV, ORACLE
 
@@ -208,7 +210,16 @@ def _strata_lines(wer: dict) -> list[str]:
     for stratum in wer["strata"]:
         lines.append(stratum_label(stratum).ljust(width) + f"{stratum['words']:8d}" + "".join(
             f"  {stratum['wer'][column][row]:{len(row)}.2f}" for row in wer["rows"]))
-    return [*lines, ""]
+    return [*lines, *strata_notes(wer), ""]
+
+
+def strata_notes(wer: dict) -> list[str]:
+    """Return which properties only some seeds state, as seeds of earlier versions of roomeq do not state all."""
+    total, words = sum(room["words"] for room in wer["rooms"]), Counter[str]()
+    for stratum in wer["strata"]:
+        words[stratum["what"]] += stratum["words"]
+    return [f"{what.split(' [')[0]} is known of {count} of {total} words: not all seeds or rooms state it."
+            for what, count in words.items() if count < total]
 
 
 def stratum_label(stratum: dict) -> str:

@@ -38,7 +38,7 @@ from roomeq.wer.statistics import (
     ratio_interval,
     variance_components,
 )
-from roomeq.wer.table import caption, table_text
+from roomeq.wer.table import caption, strata_notes, table_text
 
 TIMES = 200
 
@@ -85,6 +85,7 @@ def test_strata_have_their_words_and_rates(example):
     assert found == {("SNR [dB]", None, 10.0): (80, 52.5), ("SNR [dB]", 10.0, 15.0): (80, 52.5),
                      ("T20 at 1 kHz [s]", 0.8, None): (40, 60.0),  # the hall; T20 of the other rooms is not valid
                      ("DRR [dB]", 0.0, 5.0): (160, 52.5)}
+    assert strata_notes(example) == ["T20 at 1 kHz is known of 40 of 160 words: not all seeds or rooms state it."]
 
 
 def test_rooms_state_their_acoustics_and_the_distance_of_their_eq(tmp_path):
