@@ -89,7 +89,7 @@ def test_one_room_through_ours():
     (one,) = ours.simulate(scene, (1.7, 1.3, 1.6), [(4.4, 2.9, 1.2)], n_rays=4000)
     found = estimate.rir_decay_time_s(one.rir, one.fs_hz, one.direct_sample)
     assert found == pytest.approx(0.316, rel=0.1)  # of the reference: tests/bench/fidelity says it to a percent
-    assert targets.t30_1khz_s(one) == pytest.approx(0.33, rel=0.2)
+    assert targets.octave_t30_s(one) == pytest.approx(0.33, rel=0.2)
     assert tail._echo_density(one.rir[2000:4000])[-1] == pytest.approx(1.0, abs=0.3)
 
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""How right the simulator is: 18 rooms against a reference, levels, paths, diffraction, air, balance, tail, targets.
+"""How right the simulator is: rooms and octaves against a reference, levels, paths, diffraction, air, tail, targets.
 
 Prints a table per section, with pyroomacoustics beside ours where it is installed, and writes fidelity.json and
 fidelity.png.
@@ -18,12 +18,24 @@ from bench.threads import use_threads  # noqa: E402
 use_threads()
 
 from bench import kit  # noqa: E402
-from bench.fidelity import air, balance, check, decay, diffraction, early, level, lshape, samples, tail, targets  # noqa: E402
+from bench.fidelity import (  # noqa: E402
+    air,
+    balance,
+    check,
+    decay,
+    diffraction,
+    early,
+    level,
+    lshape,
+    octaves,
+    samples,
+    tail,
+    targets,
+)
 
-SECTIONS = {"reference": check.run, "decay": decay.run, "unequal": decay.run_unequal, "early": early.run,
-            "lshape": lshape.run, "diffraction": diffraction.run, "level": level.run,
-            "air": air.run, "balance": balance.run, "tail": tail.run, "targets": targets.run,
-            "samples": samples.run}
+SECTIONS = {"reference": check.run, "decay": decay.run, "unequal": decay.run_unequal, "octaves": octaves.run,
+            "early": early.run, "lshape": lshape.run, "diffraction": diffraction.run, "level": level.run,
+            "air": air.run, "balance": balance.run, "tail": tail.run, "targets": targets.run, "samples": samples.run}
 FIGURES = {"decay": decay.draw, "unequal": decay.draw, "level": level.draw, "air": air.draw, "balance": balance.draw,
            "tail": tail.draw, "targets": targets.draw}
 
