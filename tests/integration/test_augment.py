@@ -114,7 +114,7 @@ def test_tables_and_summary_match_the_rows(tmp_path, inputs):
     recordings = list(table(out / "wav.scp"))
     (mark,) = {name[len("a-1"):] for name in recordings}
     assert recordings == [f"a-1{mark}", f"a-2{mark}", f"b-1{mark}"] and re.fullmatch("-[0-9a-f]{8}", mark)
-    assert table(out / "wav.scp")[f"a-1{mark}"] == f"flac -c -d -s {out}/audio/a/a-1{mark}.flac |"
+    assert table(out / "wav.scp")[f"a-1{mark}"] == f"flac -c -d -s {out}/audio/a/a-1.flac |"
     assert table(out / "segments") == {
         "a-1-0001": f"a-1{mark} 0.00 0.7715625", "a-1-0002": f"a-1{mark} 0.78 1.3425625",
         "a-2-0001": f"a-2{mark} 0.00 1.00",

@@ -122,7 +122,7 @@ def _audible_sample(samples: Array, noise: Noise, u: float) -> int:
     positions = np.flatnonzero(np.diff(samples)) + 1
     if not len(positions):
         name = f"{noise.path}: noise {noise.id}" if noise.path.name else noise.id
-        raise ValueError(f"{name} is silent (all samples the same) or has one sample: leave it out")
+        raise ValueError(f"{name} is silent (all samples the same): leave it out")
     return int(positions[int(u * len(positions))])
 
 

@@ -132,11 +132,11 @@ def _make_recording(config: AugmentConfig, work: Path, mark: str, name: str, utt
     for the same audio.
     """
     augmenter = _augmenter(config, work)
-    packed = ({f"{name}-{mark}": utterances} if config.packing == "recording"
-              else {planned.id: [planned] for planned in utterances})
+    packed = {name: utterances} if config.packing == "recording" else {planned.id: [planned] for planned in utterances}
     rows, files = [], []
-    for recording_id, members in packed.items():
-        recording = RecordingFile(members[0].clean.speaker, recording_id)
+    for file, members in packed.items():
+        recording_id = f"{file}-{mark}" if config.packing == "recording" else file
+        recording = RecordingFile(members[0].clean.speaker, file)
         for planned in members:
             mixed, row = augmenter.augment(planned)
             samples = np.rint(mixed.samples * 32768).astype(np.int16)
@@ -146,7 +146,7 @@ def _make_recording(config: AugmentConfig, work: Path, mark: str, name: str, utt
                                  "raise the level of its audio, or leave it out of the data directory")
             start = recording.append(samples)
             rows.append(row | dict(recording=recording_id, start=start))
-        files.append(recording.save(work))
+        files.append(recording.save(work) | dict(recording=recording_id))
     write_jsonl(work / ROWS_FOLDER / f"{file_name(name)}.jsonl", rows)
     return dict(files=files, rows=f"{file_name(name)}.jsonl")
 

@@ -125,13 +125,12 @@ class RecordingFile:
 
     Attributes
     ----------
-    name : str
     n_samples : int
         Length so far.
     """
 
     def __init__(self, speaker: str, name: str) -> None:
-        self.name, self.n_samples = name, 0
+        self.n_samples = 0
         self._file = f"audio/{file_name(speaker)}/{file_name(name)}.flac"
         self._buffer = io.BytesIO()
         self._flac = soundfile.SoundFile(self._buffer, "w", FS_HZ, 1, "PCM_16", format="FLAC",
@@ -149,7 +148,7 @@ class RecordingFile:
         """Write the file below `work`."""
         self._flac.close()
         write_bytes(work / self._file, self._buffer.getbuffer())
-        return dict(recording=self.name, file=self._file, n_samples=self.n_samples)
+        return dict(file=self._file, n_samples=self.n_samples)
 
 
 def file_name(name: str) -> str:
