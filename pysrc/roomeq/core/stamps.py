@@ -225,7 +225,8 @@ def require_audio_as_stamped(directory: Path, stamp: Stamp, found: dict[str, tup
         path, now = found.get(name, (Path(name), None))
         if now is None:
             raise ValueError(f"{path}: missing since {directory} was made of it: {remedy}; if it was moved without the "
-                             "audio that it refers to, move it back (roomeq export copies it with its audio)")
+                             "audio that it refers to, move it back and copy it with roomeq export roomeq, which takes "
+                             "RIRs and noises")
         if now != content_hash and hash_file(path) != content_hash:  # the hash may be a kept one, and wrong
             raise ValueError(f"{path}: changed since {directory} was made of it: {remedy}")
 

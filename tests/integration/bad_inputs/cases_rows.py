@@ -183,7 +183,7 @@ CASES = [
          "measured/rirs.jsonl:2: direct_sample='early' must be a number of samples, not negative: correct the "
          "line or make the file again", direct_sample="early"),
     rows("direct sound behind the end", FIT,
-         "measured/audio/r1.wav: direct_sample=1e+06 must lie in the response's 9920 samples: find it again",
+         "measured/audio/r1.wav: direct_sample=1e+06 must lie before the response's end, 9920: find it again",
          direct_sample=10**6),
     rows("direct sound negative", COMPENSATE,
          "measured/rirs.jsonl:2: direct_sample=-4.5 must be a number of samples, not negative: correct the "
