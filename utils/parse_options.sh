@@ -1,8 +1,8 @@
 # shellcheck shell=bash
 # Turn --some-option VALUE into the variable some_option, which the script must have set before it sources this file.
 # It also reads --config FILE (lines `some_option=value  # comment`; a pair of quotes around a value is left out),
-# answers --help, and defines the functions below. Values are assigned and never evaluated. Sourced: the remaining arguments stay in "$@", and all of them in
-# options_given. The script ends with all that it starts (end_together.sh).
+# answers --help, and defines the functions below. Values are assigned and never evaluated. Sourced: the remaining
+# arguments stay in "$@", and all of them in options_given. The script ends with all that it starts (end_together.sh).
 
 . utils/end_together.sh
 

@@ -285,7 +285,7 @@ def _warn_of_unlike_rooms(name: str, rirs: list[dict[str, Any]]) -> None:
     first: dict[str, dict[str, Any]] = {}
     unlike: dict[str, str] = {}
     for row in rirs:
-        begin = first.setdefault(row["room_id"], row)
+        begin = first.setdefault(row["room_id"], row) if row["room_dims_m"] else row
         if are_unlike(begin["room_dims_m"], row["room_dims_m"]):
             unlike.setdefault(row["room_id"], f"room {row['room_id']}: RIR {begin['id']} states room_dims_m="
                               f"{begin['room_dims_m']}, and RIR {row['id']} {row['room_dims_m']}")

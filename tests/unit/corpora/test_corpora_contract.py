@@ -203,9 +203,10 @@ def test_log_says_where_geometry_contradicts_itself(tmp_path, caplog):
 
 
 def test_rooms_of_different_sizes_under_one_name_are_said(tmp_path, caplog):
-    for name in ("a.wav", "b.wav", "c.wav"):
+    for name in ("0.wav", "a.wav", "b.wav", "c.wav"):
         put(tmp_path / "mic" / name)
-    put_text(tmp_path / "mic/manifest.csv", "file,room,room_dims_m\na.wav,A,9.7 5.5 2.7\nb.wav,A,8 5.5 2.7\n")
+    put_text(tmp_path / "mic/manifest.csv",
+             "file,room,room_dims_m\n0.wav,A,?\na.wav,A,9.7 5.5 2.7\nb.wav,A,8 5.5 2.7\n")
     caplog.set_level(logging.INFO)
     read_measured(tmp_path / "mic", tmp_path / "out")
     assert ("room A: RIR a states room_dims_m=[9.7, 5.5, 2.7], and RIR b [8.0, 5.5, 2.7] (1 such rooms)"
