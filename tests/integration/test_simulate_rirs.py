@@ -63,8 +63,8 @@ def test_log_names_drawn_coordinates_and_unused_keys(measured, tmp_path, caplog)
     write_jsonl(measured / "rirs.jsonl", rows)
     run(measured, tmp_path / "sim", num_rays=100, noise_rirs=0)
     assert "keys not used: mic_pos (did you mean mic_pos_m?)" in caplog.text
-    assert "2 of 2 RIRs have unknown or unreliable coordinates, which are drawn (key 'drawn'): mic_pos_m of 1, " \
-           "room_dims_m of 1" in caplog.text
+    assert ("2 of 2 RIRs have coordinates that are unknown or unreliable, and are drawn, or that lie on a surface, and "
+            "are moved off it (key 'drawn'): mic_pos_m of 1, room_dims_m of 1") in caplog.text
 
 
 @pytest.mark.parametrize("noise_rirs", [0, 1])
