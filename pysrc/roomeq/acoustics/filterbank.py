@@ -52,15 +52,7 @@ class Passband(NamedTuple):
 
 @lru_cache(maxsize=32)
 def third_octave_filterbank(n_fft: int, fs_hz: float) -> list[Passband]:
-    """Return the responses of the thirds of the bands of `octave_filterbank`, which cross half as widely.
-
-    Parameters
-    ----------
-    n_fft
-        Length of the transform.
-    fs_hz
-        Sample rate.
-    """
+    """Return the responses of the thirds of the bands of `octave_filterbank`, which cross half as widely."""
     edges = thirds_of_octaves(fs_hz)[:, :3].ravel()[1:]
     bands = []
     for response in _complementary(edges[edges < 0.5 * fs_hz], 0.5 * MIN_CROSSOVER_OCTAVES, n_fft, fs_hz):

@@ -8,7 +8,7 @@ Acoustics, eq. 4.6). While that is less than one per sample, the sequence consis
 time in each interval between arrivals; later it is Gaussian.
 
 The direct sound is of minimum phase, as air and loudspeakers are, with gains interpolated in dB over log frequency:
-nothing precedes it. Later paths and the tail pass zero-phase octave filters, which cost the same for any number of
+nothing precedes it. Later paths and the tail pass zero-phase filters, which cost the same for any number of
 paths; what rings ahead of the direct sound, or of where it would be, is cut off.
 
 All pulses are positive and add up in phase at the lowest frequencies, where geometrical acoustics does not hold: below

@@ -214,7 +214,7 @@ def _strata_lines(wer: dict) -> list[str]:
 
 
 def strata_notes(wer: dict) -> list[str]:
-    """Return which properties only some seeds state, as seeds of earlier versions of roomeq do not state all."""
+    """Return which properties are not known of all words, as seeds of earlier versions of roomeq do not state all."""
     total, words = sum(room["words"] for room in wer["rooms"]), Counter[str]()
     for stratum in wer["strata"]:
         words[stratum["what"]] += stratum["words"]
