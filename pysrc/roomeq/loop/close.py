@@ -220,15 +220,13 @@ def _add_effects(session: Session, errors: HeldOutErrors, unknown: IntArray, max
     eliminated: set[type[Effect]] = set()
     while True:
         ranked, ranking = rank(session, eliminated)
-        accepted, rejected = _accept(ranked, errors, ranking) if len(iterations) < max_effects else (None, {})
+        accepted, rejected = (_accept(ranked, errors, ranking, unknown) if len(iterations) < max_effects
+                              else (None, {}))
         if accepted is None:
             return _Extended(session, errors, iterations, ranked, ranking, rejected)
         before = errors
         entry, session, errors = accepted
         newest = CATALOGUE[entry["effect"]]
-        if SourceDirectivity in session.effects and len(unknown):
-            faced = _faced_as_fitted(session, unknown, newest)
-            session, errors = faced, errors if faced is session else heldout_errors(faced)
         session, errors, superfluous = _eliminate(session, errors, newest)
         eliminated.update(superfluous)
         if errors is not accepted.errors:
@@ -262,17 +260,15 @@ def _same_facings(one: Data, other: Data, rirs: IntArray) -> bool:
     return all(one.rows[n]["source_dir"] == other.rows[n]["source_dir"] for n in rirs)
 
 
-def _faced_as_fitted(session: Session, unknown: IntArray, newest: type[Effect]) -> Session:
-    """Return a session whose sources face as its model says, fitted again.
+def _faced_as_fitted(session: Session, unknown: IntArray, newest: type[Effect]) -> Data:
+    """Return a session's data whose sources face as its model, with a new effect, says.
 
-    Once the directivity is fitted, the facings of the RIRs `unknown` are estimated anew; with it and with each later
-    effect, their axes are refined. Where nothing turns, the session remains as it is.
+    With a new directivity, the facings of the RIRs `unknown` are estimated anew; with it and with each later effect,
+    their axes are refined.
     """
-    data = refined_facings(with_estimated_facings(session, unknown) if newest is SourceDirectivity else session)
-    if _same_facings(data, session.data, unknown):
-        return session
-    _log_facings(data)
-    return refit_rendered(data, session.fit, seed=session.seed, nj=session.nj, known_changes=session.effects)
+    if SourceDirectivity not in session.effects or not len(unknown):
+        return session.data
+    return refined_facings(with_estimated_facings(session, unknown) if newest is SourceDirectivity else session)
 
 
 def _log_facings(data: Data) -> None:
@@ -280,11 +276,12 @@ def _log_facings(data: Data) -> None:
         logger.info("%s", describe_facing(facing))
 
 
-def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]
+def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate], unknown: IntArray
             ) -> tuple[Accepted | None, dict[type[Effect], Trial]]:
     """Return the best candidate that is accepted when it is rendered, or None, and the trials of rejected effects.
 
-    A candidate whose predicted held-out error hardly falls is rejected without being rendered.
+    A candidate whose predicted held-out error hardly falls is rejected without being rendered. In a rendering, the
+    sources of the RIRs `unknown` face as the model with the candidate says (`_faced_as_fitted`).
 
     A worse-fitting candidate replaces a rejected one only if the rejected one raised the error, or if it explains
     something else. If the error merely did not fall, the rejected candidate may still be the cause, and a significantly
@@ -297,14 +294,17 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate]
         winner, rivals = choose(pool, len(ranking))
         if winner is None:
             return None, rejected
-        trial = judge_predicted(winner.effect, predicted, refit(session, winner.fit))
+        fitted = refit(session, winner.fit)
+        trial = judge_predicted(winner.effect, predicted, fitted)
         if trial is None:
-            after = refit_rendered(session.data, winner.fit, seed=session.seed, nj=session.nj,
-                                   known_changes=session.effects)
+            after = refit_rendered(_faced_as_fitted(fitted, unknown, winner.effect), fitted.fit, seed=session.seed,
+                                   nj=session.nj, known_changes=session.effects)
             errors_after = heldout_errors(after)
             trial = judge(winner.effect, session, after, errors, errors_after)
         if trial.reason is None:
             entry = iteration_entry(winner, rivals, ranking, after, errors, errors_after, trial, rejected)
+            if not _same_facings(after.data, session.data, unknown):
+                _log_facings(after.data)
             return Accepted(entry, after, errors_after), rejected
         rejected[winner.effect] = trial
         logger.info("rejected %s: %s", winner.effect.NAME, describe_rejection(trial))
