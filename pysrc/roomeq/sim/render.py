@@ -3,9 +3,11 @@
 The tail is one random sequence for all bands, shaped per third of an octave by the echogram, which states the energy of
 each octave. Within an octave, its level follows those of the octaves beside it, as absorption is a continuous function
 of frequency (`_in_thirds`): if it were the same up to the edges, the filters there would mix the decays of two octaves,
-of which the longer one remains. Reflections in a room arrive at a rate of ``4 pi c^3 t^2 / V`` (Kuttruff, Room
-Acoustics, eq. 4.6). While that is less than one per sample, the sequence consists of single pulses, one at a random
-time in each interval between arrivals; later it is Gaussian.
+of which the longer one remains. Most thirds lie in low octaves, and are shaped at a quarter of the sample rate.
+
+Reflections in a room arrive at a rate of ``4 pi c^3 t^2 / V`` (Kuttruff, Room Acoustics, eq. 4.6). While that is less
+than one per sample, the sequence consists of single pulses, one at a random time in each interval between arrivals;
+later it is Gaussian.
 
 The direct sound is of minimum phase, as air and loudspeakers are, with gains interpolated in dB over log frequency:
 nothing precedes it. Later paths and the tail pass zero-phase filters, which cost the same for any number of
@@ -43,6 +45,9 @@ _LOWEST_GAIN = 1e-3  # of an octave of the first sound, relative to the stronges
 _FIRST_FFT_S = 0.064  # length of the transform of its minimum phase: gains per octave resolve no more
 _OVERSAMPLING = 256
 _FFT_GRID = 4096
+_LOW_RATE = 4
+"""Sample rate over that at which the low thirds of octaves are shaped."""
+_LOW_SHARE = 0.8  # of half the low sample rate, up to which they reach
 
 
 def tail_noise(n_samples: int, volume_m3: float, speed_m_s: float, rng: np.random.Generator,
@@ -123,27 +128,42 @@ def render(distance_m: FloatArray, gains: FloatArray, echogram: FloatArray, nois
     ndarray, shape (n_samples,)
         Sample 0 is the emission.
     """
-    guard = int(SPREAD_S * fs_hz)
+    guard = int(SPREAD_S * fs_hz) // _LOW_RATE * _LOW_RATE
     n_fft = _fft_length(n_samples + 2 * guard)
-    bank = third_octave_filterbank(n_fft, fs_hz)
-    # single precision, whose rounding lies 140 dB below the peak: scipy's FFT transforms four rows in the time of one
-    tail, earliest = np.zeros((-(-len(bank) // 4) * 4, n_fft), np.float32), np.zeros(n_fft)
+    earliest = np.zeros(n_fft)
     delays, gains = guard + distance_m / speed_m_s * fs_hz, np.ascontiguousarray(gains)
     first = int(np.argmin(distance_m)) if len(distance_m) and hidden_m is None else None
     onset = int(np.ceil(delays[first] if first is not None else guard + (hidden_m or 0.0) / speed_m_s * fs_hz))
-    power = _in_thirds(_padded(echogram, n_samples, fs_hz) / np.float32(FRAME_S * fs_hz), fs_hz)
-    _shape_noise(tail[:len(bank), guard:guard + n_samples], noise.astype(np.float32, copy=False), power, onset - guard,
-                 FRAME_S * fs_hz)
     later = np.arange(len(distance_m)) != first
     pulses = _merged_pulses(delays[later], gains[later], n_fft, fs_hz)
     if first is not None:
         _add_first(earliest, delays[first], gains[first], fs_hz)
     spectrum = rfft(pulses, n_fft)
-    for third, passband in zip(rfft(tail, n_fft), bank, strict=False):
-        spectrum[passband.bins] += passband.gains * third[passband.bins]
+    _add_tail(spectrum, echogram, noise.astype(np.float32, copy=False), onset - guard, guard, n_samples, n_fft, fs_hz)
     response = irfft(spectrum * _high_pass(n_fft, fs_hz), n_fft).astype(np.float64)
     response[:onset - SINC_HALF] = 0.0  # nothing precedes the first sound, though the filters of the others ring
     return (response + earliest)[guard:guard + n_samples]
+
+
+def _add_tail(spectrum: Array, echogram: FloatArray, noise: Array, onset: int, guard: int, n_samples: int, n_fft: int,
+              fs_hz: float) -> None:
+    """Add noise, shaped per third of an octave by an echogram from sample `onset` on, to a spectrum in place.
+
+    The noise begins at sample `guard`. In the low thirds it is shaped at a lower sample rate. Single precision is
+    enough: its rounding lies 140 dB below the peak.
+    """
+    bank, frame_samples = third_octave_filterbank(n_fft, fs_hz), FRAME_S * fs_hz
+    power = _in_thirds(_padded(echogram, n_samples, fs_hz) / np.float32(frame_samples), fs_hz)
+    n_low = sum(passband.bins.stop <= _LOW_SHARE * n_fft / (2 * _LOW_RATE) for passband in bank)
+    low = irfft(rfft(noise[:n_samples], n_fft)[:n_fft // (2 * _LOW_RATE) + 1], n_fft // _LOW_RATE) / _LOW_RATE
+    for step, of_rate, thirds in ((_LOW_RATE, low, slice(n_low)), (1, noise, slice(n_low, None))):
+        passbands = bank[thirds]
+        # scipy's FFT transforms four rows of single precision in the time of one
+        shaped = np.zeros((-(-len(passbands) // 4) * 4, n_fft // step), np.float32)
+        _shape_noise(shaped[:len(passbands), guard // step:-(-(guard + n_samples) // step)], of_rate, power[thirds],
+                     -(-onset // step), frame_samples / step, 0.5 / step)
+        for third, (bins, passed) in zip(rfft(shaped, n_fft // step), passbands, strict=False):
+            spectrum[bins] += step * passed * third[bins]
 
 
 def _merged_pulses(delays: FloatArray, gains: FloatArray, longest: int, fs_hz: float) -> Array:
@@ -159,7 +179,7 @@ def _merged_pulses(delays: FloatArray, gains: FloatArray, longest: int, fs_hz: f
 
 def _fft_length(n_samples: int) -> int:
     """Return a length of transform: few for all lengths, so that their filters stay cached."""
-    return next_fast_len(-(-n_samples // _FFT_GRID) * _FFT_GRID, real=True)
+    return 2 * _LOW_RATE * next_fast_len(-(-n_samples // _FFT_GRID) * _FFT_GRID // (2 * _LOW_RATE), real=True)
 
 
 def _add_first(signal: FloatArray, delay: float, gains: FloatArray, fs_hz: float) -> None:
@@ -212,29 +232,31 @@ def _in_thirds(power: FloatArray, fs_hz: float) -> FloatArray:
 
 
 @compiled
-def _shape_noise(bands: Array, noise: Array, energy: Array, first: Number, frame_samples: Number) -> None:
+def _shape_noise(bands: Array, noise: Array, energy: Array, first: Number, frame_samples: Number, middle: Number
+                 ) -> None:
     """Give noise the power per sample of frames, linear between their middles, from sample `first` on.
 
     What lies before it, as the frame of the first sound begins earlier, is added to the following length of a frame.
+    `middle` is the time from the beginning of the first frame to the middle of the first sample.
     """
     n_bands, n_samples = bands.shape
     soon = min(first + int(np.ceil(frame_samples)), n_samples)
     for band in range(n_bands):
         lost, kept = np.float32(0.0), np.float32(1e-30)
         for n in range(soon):
-            place = max((n + 0.5) / frame_samples - 0.5, 0.0)
+            place = max((n + middle) / frame_samples - 0.5, 0.0)
             before = energy[band, int(place)]
             power = before + (energy[band, int(place) + 1] - before) * np.float32(place - int(place))
             if n < first:
                 lost += power
             else:
                 kept += power
-        n, frame = first, max(int((first + 0.5) / frame_samples - 0.5), 0)
+        n, frame = first, max(int((first + middle) / frame_samples - 0.5), 0)
         while n < n_samples:
             # within half a frame from the middle of one to the middle of the next
-            end = min(n_samples, int(np.ceil((frame + 1.5) * frame_samples - 0.5)))
+            end = min(n_samples, int(np.ceil((frame + 1.5) * frame_samples - middle)))
             before, rise = energy[band, frame], energy[band, frame + 1] - energy[band, frame]
-            step, start = np.float32(1.0 / frame_samples), np.float32((n + 0.5) / frame_samples - 0.5 - frame)
+            step, start = np.float32(1.0 / frame_samples), np.float32((n + middle) / frame_samples - 0.5 - frame)
             for k in range(end - n):
                 fraction = max(start + np.float32(k) * step, np.float32(0.0))
                 bands[band, n + k] = noise[n + k] * np.sqrt(max(before + rise * fraction, np.float32(0.0)))
