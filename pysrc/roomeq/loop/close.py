@@ -251,13 +251,13 @@ def _faced_base_model(data: Data, unknown: IntArray, *, seed: int, nj: int) -> S
         return session
     session = refit_rendered(session.data, session.fit, seed=seed, nj=nj)
     again = with_estimated_facings(session, unknown)
-    if _same_facings(again.data, session.data, unknown):
+    if _same_facings(again, session, unknown):
         return session
     return refit_rendered(again.data, session.fit, seed=seed, nj=nj)
 
 
-def _same_facings(one: Data, other: Data, rirs: IntArray) -> bool:
-    return all(one.rows[n]["source_dir"] == other.rows[n]["source_dir"] for n in rirs)
+def _same_facings(one: Session, other: Session, rirs: IntArray) -> bool:
+    return all(one.data.rows[n]["source_dir"] == other.data.rows[n]["source_dir"] for n in rirs)
 
 
 def _faced_as_fitted(session: Session, unknown: IntArray, newest: type[Effect]) -> Data:
@@ -266,7 +266,7 @@ def _faced_as_fitted(session: Session, unknown: IntArray, newest: type[Effect]) 
     With a new directivity, the facings of the RIRs `unknown` are estimated anew; with it and with each later effect,
     their axes are refined.
     """
-    if SourceDirectivity not in session.effects or not len(unknown):
+    if not len(unknown) or SourceDirectivity not in session.effects:
         return session.data
     return refined_facings(with_estimated_facings(session, unknown) if newest is SourceDirectivity else session)
 
@@ -297,13 +297,13 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate], u
         fitted = refit(session, winner.fit)
         trial = judge_predicted(winner.effect, predicted, fitted)
         if trial is None:
-            after = refit_rendered(_faced_as_fitted(fitted, unknown, winner.effect), fitted.fit, seed=session.seed,
+            after = refit_rendered(_faced_as_fitted(fitted, unknown, winner.effect), winner.fit, seed=session.seed,
                                    nj=session.nj, known_changes=session.effects)
             errors_after = heldout_errors(after)
             trial = judge(winner.effect, session, after, errors, errors_after)
         if trial.reason is None:
             entry = iteration_entry(winner, rivals, ranking, after, errors, errors_after, trial, rejected)
-            if not _same_facings(after.data, session.data, unknown):
+            if not _same_facings(after, session, unknown):
                 _log_facings(after.data)
             return Accepted(entry, after, errors_after), rejected
         rejected[winner.effect] = trial

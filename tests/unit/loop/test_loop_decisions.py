@@ -331,7 +331,7 @@ def test_effect_whose_predicted_error_hardly_falls_is_not_rendered(monkeypatch, 
     monkeypatch.setattr(close, "refit_rendered", lambda *_, **__: pytest.fail("was rendered"))
     if reason:
         _, rejected = close._accept(SimpleNamespace(data=None, effects=(), seed=0, nj=1), None,
-                                    [Candidate(effect, effect, 20.0 + np.arange(8), 2.0)])
+                                    [Candidate(effect, effect, 20.0 + np.arange(8), 2.0)], np.zeros(0, dtype=int))
         assert rejected == {effect: trial}
         assert describe_rejection(trial).startswith("predicted, the held-out error")
 
@@ -351,10 +351,13 @@ def accept(ranking, errors, touched, monkeypatch):
     monkeypatch.setattr(acceptance, "weights_of", lambda *_: touched)
     monkeypatch.setattr(close, "refit", lambda session, fitted: fitted)
     monkeypatch.setattr(close, "judge_predicted", lambda *_: None)
-    monkeypatch.setattr(close, "refit_rendered", lambda data, fitted, **_: fitted)
+    monkeypatch.setattr(close, "_faced_as_fitted", lambda fitted, unknown, effect: f"faced as with {effect.NAME}")
+    monkeypatch.setattr(close, "refit_rendered", lambda data, fitted, **_: (
+        fitted if data == f"faced as with {fitted.NAME}" else pytest.fail(data)))
     monkeypatch.setattr(close, "heldout_errors", errors)
     monkeypatch.setattr(close, "iteration_entry", lambda winner, *_: dict(effect=winner.effect.NAME))
-    found, _ = close._accept(SimpleNamespace(data=None, effects=(), seed=0, nj=1), errors(None), ranking)
+    found, _ = close._accept(SimpleNamespace(data=None, effects=(), seed=0, nj=1), errors(None), ranking,
+                             np.zeros(0, dtype=int))
     return found and found.entry["effect"]
 
 
