@@ -23,7 +23,7 @@ from roomeq.loop.packing import ParameterIndex
 from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, decay_range_s, draw_path_samples
 from roomeq.loop.predict import predict
 from roomeq.loop.session import Session
-from roomeq.loop.tables import OF_SPHERE, faced
+from roomeq.loop.tables import ANGLES, collect
 from roomeq.records.schema import unit_name
 from roomeq.sim.geometry import towards_microphone
 
@@ -162,8 +162,8 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
     residual = residual + index.predict(absorption, vectors) - plain
     used = (METRIC == "direct") & CALIBRATION_FEATURES
     direct = residual[:, used] - _colour(data, residual, BAND_OF_FEATURE[used])
-    diffuse = [replace(table, angular=np.tile(OF_SPHERE.astype(np.float32), (len(table.entries), 1)))
-               for table in data.tables]
+    sphere = (np.gradient(-np.cos(ANGLES)) / 2.0).astype(np.float32)
+    diffuse = [replace(table, angular=np.tile(sphere / sphere.sum(), (len(table.entries), 1))) for table in data.tables]
 
     def log_likelihood(change: FloatArray) -> FloatArray:
         # relative to the reflections, which the directivity changes as well
@@ -252,7 +252,7 @@ def with_facings(data: Data, facings: Mapping[int, FloatArray], *, resample: boo
     def turn(members: list[int]) -> None:
         traced, mics_m = data.traced[members[0]].load(), np.array([data.places[n].mic_pos_m for n in members])
         of_members = [facings[n] for n in members]
-        for n, table in zip(members, faced(traced, mics_m, of_members, [tables[n] for n in members]), strict=True):
+        for n, table in zip(members, collect(traced, mics_m, of_members), strict=True):
             tables[n] = table
         if not resample:
             return

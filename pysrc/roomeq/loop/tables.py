@@ -6,8 +6,8 @@ all others. A single material could not describe a room with carpets and acousti
 more slowly than the rest.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -30,7 +30,6 @@ from roomeq.sim.paths import (
 )
 from roomeq.sim.response import TracedSource
 from roomeq.sim.room import Room
-from roomeq.sim.trace import Paths
 
 FRAME_EDGES_S = np.concatenate([
     [0.0, 2.5e-3, 5e-3, 7.5e-3], np.arange(0.01, 0.05, 0.005), np.arange(0.05, 0.3, 0.01),
@@ -40,11 +39,6 @@ _USUAL_EDGES = int(np.searchsorted(FRAME_EDGES_S, 4.7))
 """Edges that are used where no response is longer, as in most sets: more would take time."""
 ANGLES = np.linspace(0.0, np.pi, 9)
 """Grid of the angle between a ray's departure and the direction that the source faces [rad]."""
-_STEP = ANGLES[1]
-OF_SPHERE = np.array([0.5 * (1.0 - np.sin(_STEP) / _STEP) if angle in (0.0, np.pi)
-                      else np.sin(angle) * (1.0 - np.cos(_STEP)) / _STEP for angle in ANGLES])
-"""Share of all directions at `ANGLES`, each distributed over the two angles next to it, shape (9,)."""
-_DIRECTED_SHARE = 0.25
 LEVEL_SHARES = np.linspace(0.0, 1.0, 6)
 """Grid of the share of floor and ceiling in a path's reflections."""
 _TICK_S = 1.25e-3
@@ -127,87 +121,42 @@ def collect(traced: TracedSource, mics_m: ArrayLike, facings: Sequence[FloatArra
     facings : sequence of ndarray or None
         Direction that the source faces in the recording with each microphone.
     """
-    (paths,), room, source_pos_m = traced.paths, traced.scene.room, traced.source_pos_m
+    (paths,) = traced.paths
+    room, source_pos_m, speed_m_s = traced.scene.room, traced.source_pos_m, traced.scene.air.speed_m_s
     mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
-    sees = np.ones(len(mics_m), dtype=bool) if room.convex else cast(MeshRoom, room).sees(
-        np.tile(source_pos_m, (len(mics_m), 1)), mics_m)
-    nodes, tables = np.zeros(len(paths.counts)), []
-    for distance_m, is_seen, (counts, _) in zip(np.linalg.norm(mics_m - source_pos_m, axis=1), sees,
-                                                _counted(traced, paths, mics_m, [nodes] * len(mics_m), 0), strict=True):
-        entries = np.argwhere(counts.any(axis=2))
-        counts = counts[entries[:, 0], entries[:, 1]] / (4.0 * np.pi * len(paths.counts))
-        tables.append(Table(np.ascontiguousarray(entries, np.int32), counts.astype(np.float32), None,
-                            float(distance_m), bool(is_seen), 0.0))
-    return faced(traced, mics_m, facings, tables)
-
-
-def faced(traced: TracedSource, mics_m: ArrayLike, facings: Sequence[FloatArray | None], tables: Sequence[Table]
-          ) -> list[Table]:
-    """Return tables of a traced source that faces in some directions; for the parameters see `collect`.
-
-    The first rays, as many as `_DIRECTED_SHARE` of all, tell in which directions sound leaves: the order of rays is
-    random. An entry without any of them is taken to leave in all directions.
-    """
-    (paths,), source_pos_m = traced.paths, traced.source_pos_m
-    mics_m = np.atleast_2d(np.asarray(mics_m, dtype=np.float64))
-    known = {m: facing for m, facing in enumerate(facings) if facing is not None}
-    few = _first_rays(paths, round(_DIRECTED_SHARE * len(paths.counts)))
-    nodes = [_angles(few.directions, facing) / _STEP for facing in known.values()]
-    turned = list(tables)
-    for m, (_, angular) in zip(known, _counted(traced, few, mics_m[list(known)], nodes, len(ANGLES)), strict=True):
-        frames, reflections = tables[m].entries.T
-        shares = np.zeros((len(frames), len(ANGLES)))
-        seen = reflections < angular.shape[1]
-        shares[seen] = angular[frames[seen], reflections[seen]]
-        total = shares.sum(axis=1, keepdims=True)
-        shares = np.where(total > 0.0, shares / np.maximum(total, 1e-300), OF_SPHERE)
-        towards = (mics_m[m] - source_pos_m)[None] / tables[m].distance_m
-        turned[m] = replace(tables[m], angular=shares.astype(np.float32),
-                            direct_angle=float(_angles(towards, known[m])[0]))
-    return turned
-
-
-def _first_rays(paths: Paths, n_rays: int) -> Paths:
-    """Return the first rays of a source."""
-    n_stored = int(paths.first[n_rays]) if n_rays < len(paths.first) else len(paths.hits)
-    return replace(paths, directions=paths.directions[:n_rays], hits=paths.hits[:n_stored],
-                   codes=paths.codes[:n_stored], first=paths.first[:n_rays], counts=paths.counts[:n_rays], tallies=None)
-
-
-def _counted(traced: TracedSource, paths: Paths, mics_m: FloatArray, nodes: Sequence[FloatArray], n_angles: int
-             ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield the contributions of rays to each microphone, by frame, number of reflections, and share or angle.
-
-    Parameters
-    ----------
-    traced : TracedSource
-    paths : Paths
-        Its rays, or some of them.
-    mics_m : ndarray, shape (n_mics, 3)
-    nodes : sequence of ndarray, shape (n_rays,)
-        For each microphone, the angle of departure of each ray, in steps of `ANGLES`.
-    n_angles : int
-        Number of `ANGLES`, or 0 if they are not asked for.
-    """
-    room, speed_m_s, edges_s = traced.scene.room, traced.scene.air.speed_m_s, _edges_up_to(traced.max_length_s)
     n_frames = int(np.ceil(traced.max_length_s / FRAME_S))
     visible = reflection_visibility(paths, room, mics_m, max_path_m=n_frames * FRAME_S * speed_m_s)
+    sees = np.ones(len(mics_m), dtype=bool) if room.convex else cast(MeshRoom, room).sees(
+        np.tile(source_pos_m, (len(mics_m), 1)), mics_m)
+    edges_s = _edges_up_to(traced.max_length_s)
     frame_of_tick = np.searchsorted(edges_s, (np.arange(int(edges_s[-1] / _TICK_S)) + 0.5) * _TICK_S) - 1
+    radii_m, volumes_m3 = receiver_spheres(room, mics_m)
     rays = _Rays(paths.hits, paths.codes, paths.first, paths.counts, paths.normals, paths.curved,
                  level_surfaces(room)[paths.face_surface], float(paths.scattering[0]))
-    for m, (mic_m, radius_m, volume_m3) in enumerate(zip(mics_m, *receiver_spheres(room, mics_m), strict=True)):
-        receiver = _Receiver(mic_m, visible[m] if len(visible) else np.zeros(0, dtype=np.uint8), radius_m,
-                             1.0 / volume_m3, float(np.linalg.norm(mic_m - traced.source_pos_m)),
-                             1.0 / (speed_m_s * _TICK_S), frame_of_tick)
+    rules = Rules(-1, paths.late_m)
+    tables = []
+    for m, (mic_m, facing) in enumerate(zip(mics_m, facings, strict=True)):
+        distance_m = float(np.linalg.norm(mic_m - source_pos_m))
+        receiver = _Receiver(mic_m, visible[m] if len(visible) else np.zeros(0, dtype=np.uint8), radii_m[m],
+                             1.0 / volumes_m3[m], distance_m, 1.0 / (speed_m_s * _TICK_S), frame_of_tick)
+        angle_node = _angles(paths.directions, facing) / (np.pi / (len(ANGLES) - 1))
         counts = np.zeros((len(edges_s) - 1, int(paths.counts.max()) + 1, len(LEVEL_SHARES)))
-        angular = np.zeros((*counts.shape[:2], n_angles))
-        _count(Rules(-1, paths.late_m), rays, receiver, nodes[m], counts, angular)
-        yield counts, angular
+        angular = np.zeros((*counts.shape[:2], 0 if facing is None else len(ANGLES)))
+        _count(rules, rays, receiver, angle_node, counts, angular)
+        entries = np.argwhere(counts.any(axis=2))
+        counts, angular = (whole[entries[:, 0], entries[:, 1]] for whole in (counts, angular))
+        angular /= np.maximum(angular.sum(axis=1, keepdims=True), 1e-300)
+        direct_angle = float(_angles((mic_m - source_pos_m)[None] / distance_m, facing)[0])
+        counts /= 4.0 * np.pi * len(paths.counts)
+        tables.append(Table(np.ascontiguousarray(entries, np.int32), counts.astype(np.float32),
+                            None if facing is None else angular.astype(np.float32), distance_m, bool(sees[m]),
+                            direct_angle))
+    return tables
 
 
-def _angles(directions: FloatArray, facing: FloatArray) -> FloatArray:
-    """Angles [rad] between unit vectors, shape (n, 3), and a facing."""
-    return np.asarray(np.arccos(np.clip(directions @ facing, -1.0, 1.0)))
+def _angles(directions: FloatArray, facing: FloatArray | None) -> FloatArray:
+    """Angles [rad] between unit vectors, shape (n, 3), and a facing; 0 where that is unknown."""
+    return np.zeros(len(directions)) if facing is None else np.arccos(np.clip(directions @ facing, -1.0, 1.0))
 
 
 def level_surfaces(room: Room) -> BoolArray:
