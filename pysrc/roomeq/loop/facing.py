@@ -8,7 +8,6 @@ the median over all RIRs of a source takes part, the scored ones among them: it 
 
 from collections.abc import Mapping
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 from scipy.special import logsumexp
@@ -24,7 +23,7 @@ from roomeq.loop.packing import ParameterIndex
 from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, decay_range_s, draw_path_samples
 from roomeq.loop.predict import predict
 from roomeq.loop.session import Session
-from roomeq.loop.tables import OF_SPHERE, collect
+from roomeq.loop.tables import ANGLES, collect
 from roomeq.records.schema import unit_name
 from roomeq.sim.geometry import towards_microphone
 
@@ -34,10 +33,6 @@ _TEST_ANGLES = np.linspace(0.0, np.pi, 25)
 _INDEPENDENT = 3.0  # of the third octaves of a direct sound, which err together
 _SCALES = (1.0, 0.5, 0.25)
 """Of the scatter of the direct sound: without its directivity, a model takes what the source lacks for scatter."""
-_OFFSETS_DB = (-1.5, 0.0, 1.5)
-"""Of all direct sounds of a source together, relative to its reflections. The cabinets that are compared differ by 3 dB
-and more in that level on their axis; a real one may lie between them. Tens of direct sounds, which all err by the same,
-would otherwise tell of an axis that is not there."""
 _DECISIVE = 1.0  # natural logarithm of the Bayes factor that other directions than the microphone's need
 
 
@@ -153,9 +148,9 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
     Returns
     -------
     of_angles : ndarray, shape (n_assumed, n_rirs, n_angles)
-        At `_TEST_ANGLES` from the axis, for each assumed directivity, offset of the level and scale of the scatter.
-    alike : ndarray, shape (n_offsets * n_scales, n_rirs)
-        Of a source that radiates alike in all directions, for each offset and scale.
+        At `_TEST_ANGLES` from the axis, for each assumed directivity and scale of the scatter.
+    alike : ndarray, shape (n_scales, n_rirs)
+        Of a source that radiates alike in all directions, for each scale.
     """
     rest = [k for k, effect in enumerate(index.effects) if effect is not SourceDirectivity]
     absorption, vectors = index.absorption(mean, local), index.vectors(mean, local)
@@ -167,19 +162,16 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
     residual = residual + index.predict(absorption, vectors) - plain
     used = (METRIC == "direct") & CALIBRATION_FEATURES
     direct = residual[:, used] - _colour(data, residual, BAND_OF_FEATURE[used])
-    diffuse = [replace(table, angular=np.tile(OF_SPHERE.astype(np.float32), (len(table.entries), 1)))
-               for table in data.tables]
+    sphere = (np.gradient(-np.cos(ANGLES)) / 2.0).astype(np.float32)
+    diffuse = [replace(table, angular=np.tile(sphere / sphere.sum(), (len(table.entries), 1))) for table in data.tables]
 
     def log_likelihood(change: FloatArray) -> FloatArray:
         # relative to the reflections, which the directivity changes as well
         error = (direct - (change[:, used] - _octaves(change, "late")[:, BAND_OF_FEATURE[used]])) / spread[used]
         measured = np.isfinite(error).sum(axis=1)
         independent = np.minimum(measured, _INDEPENDENT)
-        found = []
-        for offset_db, scale in product(_OFFSETS_DB, _SCALES):
-            square = np.nansum(np.minimum(((error - offset_db / spread[used]) / scale) ** 2, 9.0), axis=1)
-            found.append(-0.5 * independent / np.maximum(measured, 1) * square - np.log(scale) * independent)
-        return np.array(found)
+        square = [np.nansum(np.minimum((error / scale) ** 2, 9.0), axis=1) for scale in _SCALES]
+        return -0.5 * independent / np.maximum(measured, 1) * square - np.outer(np.log(_SCALES), independent)
 
     source_of = np.array([unit_name(row, "source") for row in data.rows])
 
