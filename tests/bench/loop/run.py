@@ -12,6 +12,7 @@ e.g.: python tests/bench/loop/run.py --out tests/bench/loop/results            #
       python tests/bench/loop/run.py --out exp/bench/loop --minutes 30         # as many as fit, then the table
       python tests/bench/loop/run.py --out tests/bench/loop/results --jobs 2   # two sets at once, in one process each
       python tests/bench/loop/run.py --out exp/bench/loop --base pyroomacoustics --clean 20
+      python tests/bench/loop/run.py --out exp/bench/loop --hide-facings --kinds clean,source_directivity
       python tests/bench/loop/run.py --out tests/bench/loop/results --any-code # print what is there, run nothing
 """
 
@@ -43,6 +44,7 @@ from roomeq.core.digests import source_digest  # noqa: E402
 from roomeq.core.workers import end_with  # noqa: E402
 from roomeq.loop.ledger import added_effects  # noqa: E402
 from roomeq.loop.step import close_loop  # noqa: E402
+from roomeq.records.rir_dir import read_rirs, write_rirs  # noqa: E402
 from testbed import BASES, KINDS, make_room_set  # noqa: E402
 from testbed.bases import base_named  # noqa: E402
 
@@ -57,15 +59,20 @@ FIRST_SEED = 101  # smaller seeds were used while the loop was developed
 
 
 class RoomSet(NamedTuple):
-    """A set of generated rooms; the strength is the requested change of the features [JND]."""
+    """A set of generated rooms; the strength is the requested change of the features [JND].
+
+    Its rows state where the loudspeakers face, or they do not.
+    """
 
     base: str
     kind: str
     strength: int
     seed: int
+    facings_stated: bool = True
 
 
-def planned_sets(base: str, kinds: list[str] | None, strengths: list[int], seeds: int, clean: int) -> Iterator[RoomSet]:
+def planned_sets(base: str, kinds: list[str] | None, strengths: list[int], seeds: int, clean: int,
+                 facings_stated: bool = True) -> Iterator[RoomSet]:
     """Yield the sets to run, in an order in which the first results already cover all kinds."""
     single = [kind for kind in KINDS if kind not in OUTSIDE]
     for n in range(max(clean, seeds)):
@@ -75,7 +82,7 @@ def planned_sets(base: str, kinds: list[str] | None, strengths: list[int], seeds
             of_seed += [(kind, 2) for kind in (*OUTSIDE, *PAIRS)]
         for kind, strength in of_seed:
             if not kinds or kind in kinds:
-                yield RoomSet(base, kind, strength, FIRST_SEED + n)
+                yield RoomSet(base, kind, strength, FIRST_SEED + n, facings_stated)
 
 
 def run_set(rooms: RoomSet, cache: Path, earlier: list[Result], nj: int) -> Result:
@@ -84,12 +91,16 @@ def run_set(rooms: RoomSet, cache: Path, earlier: list[Result], nj: int) -> Resu
     Where physics limits the effect, two strengths give the same rooms, and the earlier result of the same base, kind
     and seed is returned.
     """
-    base, kind, strength, seed = rooms
+    base, kind, strength, seed, facings_stated = rooms
     with tempfile.TemporaryDirectory() as directory:
         truth = make_room_set(kind, strength, seed, directory, cache=cache, base=base)
         for result in earlier:
             if result["achieved_jnd"] == truth["achieved_jnd"]:
                 return result | dict(strength=strength)
+        if not facings_stated:
+            for part in ("fit", "test"):
+                write_rirs(Path(directory, part), [{**row, "source_dir": None}
+                                                   for row in read_rirs(Path(directory, part))])
         start, cpu = time.perf_counter(), sum(os.times()[:4])
         ledger = close_loop([Path(directory, "fit")], Path(directory, "loop"), seed=seed,
                             test=[Path(directory, "test")], nj=nj)
@@ -97,7 +108,8 @@ def run_set(rooms: RoomSet, cache: Path, earlier: list[Result], nj: int) -> Resu
     iterations, test = added_effects(ledger), ledger["test"]
     before, after, test_before, test_after = (errors["leave_positions_out"]["error"] for errors in (
         ledger["baseline"], ledger["final"], test["before"], test["after"]))
-    return dict(base=base, kind=kind, strength=strength, seed=seed, achieved_jnd=truth["achieved_jnd"],
+    return dict(base=base, kind=kind, strength=strength, seed=seed, facings_stated=facings_stated,
+                facings=ledger["facings"], achieved_jnd=truth["achieved_jnd"],
                 rings_hz=_rings_hz(truth), added=[entry["effect"] for entry in iterations],
                 cannot_tell=[entry.get("cannot_tell", []) for entry in iterations],
                 p=[entry["p"] for entry in iterations],
@@ -106,6 +118,11 @@ def run_set(rooms: RoomSet, cache: Path, earlier: list[Result], nj: int) -> Resu
                 before=before, after=after, test_before=test_before, test_after=test_after,
                 unexplained=ledger["unexplained_all"][:3], ranking=(iterations or [ledger])[0]["ranking"][:3],
                 seconds=seconds, cpu_seconds=cpu, nj=nj)
+
+
+def key(result: Result) -> RoomSet:
+    """Return the set that a result is of."""
+    return RoomSet(*(result[name] for name in RoomSet._fields[:-1]), result.get("facings_stated", True))
 
 
 def run_sets(missing: Iterator[RoomSet], cache: Path, results: list[Result], jobs: int) -> Iterator[Result]:
@@ -118,8 +135,7 @@ def run_sets(missing: Iterator[RoomSet], cache: Path, results: list[Result], job
         running: set[Future[Result]] = set()
         while True:
             while len(running) < jobs and (rooms := next(missing, None)):
-                earlier = [result for result in results if (result["base"], result["kind"], result["seed"])
-                           == (rooms.base, rooms.kind, rooms.seed)]
+                earlier = [result for result in results if key(result)._replace(strength=rooms.strength) == rooms]
                 running.add(pool.submit(in_own_process, run_set, rooms, cache, earlier, nj))
             if not running:
                 return
@@ -150,6 +166,7 @@ def main() -> None:
                         default=[1, 2, 4])
     parser.add_argument("--seeds", type=int, default=5, help="of each effect")
     parser.add_argument("--clean", type=int, default=CLEAN_SEEDS, help="sets of rooms without an effect")
+    parser.add_argument("--hide-facings", action="store_true", help="rows do not state where the loudspeakers face")
     parser.add_argument("--base", choices=BASES, default=BASES[0], help="simulator of all but the effect")
     parser.add_argument("--jobs", type=int, default=1, help="sets at once")
     parser.add_argument("--minutes", type=float, default=1e9, help="start no set of rooms after this time")
@@ -174,9 +191,10 @@ def main() -> None:
     if len(results) < len(kept):
         print(f"{file}: {len(kept) - len(results)} of {len(kept)} results are of other code and are not counted "
               "(--any-code prints them)")
-    known = {(result["base"], result["kind"], result["strength"], result["seed"]) for result in results}
+    known = {key(result) for result in results}
     start, cache = time.monotonic(), args.out / "cache"
-    missing = (rooms for rooms in planned_sets(args.base, args.kinds, args.strengths, args.seeds, args.clean)
+    missing = (rooms for rooms in planned_sets(args.base, args.kinds, args.strengths, args.seeds, args.clean,
+                                               not args.hide_facings)
                if rooms not in known and time.monotonic() - start < 60.0 * args.minutes)
     for result in run_sets(missing, cache, results, args.jobs):
         results.append(result | dict(code=code))

@@ -96,8 +96,12 @@ def _distinct(results: list[Result]) -> list[Result]:
 
 
 def by_base(results: list[Result]) -> dict[str, list[Result]]:
-    """Return the results of each base; those of before there was a second one are of the testbed's own."""
-    bases = [result.get("base", OWN_BASE) for result in results]
+    """Return the results of each base; those of before there was a second one are of the testbed's own.
+
+    Results of rows that do not state facings are apart.
+    """
+    bases = [result.get("base", OWN_BASE) + ("" if result.get("facings_stated", True) else ", facings not stated")
+             for result in results]
     return {base: [result for result, its in zip(results, bases, strict=True) if its == base]
             for base in sorted(set(bases), key=lambda base: (base != OWN_BASE, base))}
 

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from bench.loop.run import RoomSet, in_own_process, planned_sets, run_set, run_sets
+from bench.loop.run import RoomSet, in_own_process, key, planned_sets, run_set, run_sets
 from bench.loop.table import by_base, rates, show
 
 
@@ -73,6 +73,13 @@ def test_bases_are_shown_apart_with_their_own_goals(capsys):
     assert f"{FIRST}: 0 of 1, 0 % [0, 79.35] (goal >= 85 %)" in second
 
 
+def test_sets_whose_rows_do_not_state_facings_are_apart():
+    unknown = result(base="pyroomacoustics", facings_stated=False)
+    assert list(by_base([result(), unknown])) == ["testbed", "pyroomacoustics, facings not stated"]
+    (rooms,) = planned_sets("pyroomacoustics", ["occlusion"], [2], seeds=1, clean=0, facings_stated=False)
+    assert not rooms.facings_stated and key(unknown) == rooms._replace(seed=1)
+
+
 def test_sets_run_alone_are_those_that_are_timed():
     name = "within 60 s of wall time, two jobs"
     assert found([result(), result(seed=2, nj=1), result(seed=3, nj=2, seconds=70.0)])[name] == (1, 2)
@@ -94,7 +101,7 @@ def test_a_set_sees_earlier_results_of_its_base_kind_and_seed(tmp_path, monkeypa
         function=function, strength=rooms.strength, earlier=len(earlier), nj=nj))
     sets = [RoomSet("testbed", "occlusion", strength, 101) for strength in (2, 1, 4)]
     results = [result(seed=101), result(seed=102), result("clean", seed=101, added=()),
-               result(seed=101, base="pyroomacoustics")]
+               result(seed=101, base="pyroomacoustics"), result(seed=101, facings_stated=False)]
     told = list(run_sets(iter(sets), tmp_path, results, jobs=2))
     assert sorted(one["strength"] for one in told) == [1, 2, 4]
     assert {(one["function"], one["nj"], one["earlier"]) for one in told} == {(run_set, 1, 1)}
