@@ -94,8 +94,8 @@ class Data:
         See `rendered_change_of`.
     given : list of list of Effect
         Effects of each RIR that the base model has, with their parameters.
-    documented_dims_m : list of tuple
-        Dimensions of the room as the row of each RIR states them, before any estimate; empty for a mesh.
+    documented : list of RirRow
+        Rows as the directories state them, before any estimate.
     estimates : list of Estimate
         Estimated geometry, which places and rows have where it is used.
     left_out : list of LeftOut
@@ -131,7 +131,7 @@ class Data:
     distance_m: FloatArray
     rendered_changes: Mapping[str, FloatArray]
     given: list[list[Effect]]
-    documented_dims_m: list[tuple[float | None, ...]]
+    documented: list[RirRow]
     estimates: list[Estimate]
     left_out: list[LeftOut]
     seed: int
@@ -260,8 +260,7 @@ def load_data(usable: UsableRirs, *, scattering: float, seed: int, model: Model 
         air_per_m=np.array([air.attenuation_per_m for air in airs]),
         speed_m_s=np.array([air.speed_m_s for air in airs]), distance_m=distance_m, rendered_changes={},
         given=[base.for_row(row, seed) for row in rows],
-        documented_dims_m=[tuple(rir.row.get("room_dims_m") or ()) for rir in usable.rirs],
-        estimates=estimates, left_out=usable.left_out, seed=seed)
+        documented=[rir.row for rir in usable.rirs], estimates=estimates, left_out=usable.left_out, seed=seed)
 
 
 def _merge_sources(recordings: list[_Recording]) -> list[_Recording]:

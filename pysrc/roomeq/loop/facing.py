@@ -6,7 +6,8 @@ only the features of `roomeq.loop.features.CALIBRATION_FEATURES` take part, whic
 the median over all RIRs of a source takes part, the scored ones among them: it takes out the source's response.
 """
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +24,7 @@ from roomeq.loop.packing import ParameterIndex
 from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, decay_range_s, draw_path_samples
 from roomeq.loop.predict import predict
 from roomeq.loop.session import Session
-from roomeq.loop.tables import ANGLES, collect
+from roomeq.loop.tables import OF_SPHERE, collect
 from roomeq.records.schema import unit_name
 from roomeq.sim.geometry import towards_microphone
 
@@ -65,8 +66,8 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
                      residual: FloatArray, spread: FloatArray, threads: int = 1) -> Data:
     """Return data with an estimate of each unknown facing.
 
-    The directivity of a source is unknown as well: it is one of cabinets of several sizes, that of the model if it has
-    one, fitted or given, or none.
+    The directivity of a source is unknown as well: it is one of cabinets of several sizes, that of the base model if it
+    has one, or none.
 
     Parameters
     ----------
@@ -85,6 +86,11 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
     if not len(unknown):
         return data
     log_likelihood, log_alike = _log_likelihood(data, index, mean, local, residual, spread, threads)
+    # RIRs that share a direct sound, which errs alike in all of them, tell as much as one
+    direct_sound = [_direct_sound(data, n) for n in range(len(data.rows))]
+    count = Counter(direct_sound)
+    share = np.array([1.0 / count[of_rir] for of_rir in direct_sound])
+    log_likelihood, log_alike = log_likelihood * share[:, None], log_alike * share
     facings: dict[int, FloatArray] = {}
     axis: IntArray = np.full(len(data.rows), -1)
     estimates = []
@@ -92,20 +98,19 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
     source_of = [unit_name(row, "source") for row in data.rows]
     for source in sorted({source_of[n] for n in unknown}):
         members = [int(n) for n in unknown if source_of[n] == source]
-        by_position: dict[tuple, list[int]] = {}
-        for n in members:
-            by_position.setdefault(_position(data, n), []).append(n)
+        by_position = _grouped(members, lambda n: _position(data, n))
+        by_direct_sound = _grouped(members, direct_sound.__getitem__)
         # one that radiates alike in all directions would seem to face half away from all microphones
         of_sources = np.concatenate([log_likelihood[:, members, 0], log_alike[:, members]]).sum(axis=1)
         log_towards = float(logsumexp(of_sources) - np.log(len(of_sources)))
-        fixed, log_fixed = _best_axes(list(by_position.values()), towards, log_likelihood)
-        free, log_free = _best_axes([[n] for n in members], towards, log_likelihood)
+        fixed, log_fixed = _best_axes(by_position, towards, log_likelihood)
+        free, log_free = _best_axes(by_direct_sound, towards, log_likelihood)
         evidence = {"fixed": float(log_fixed - log_towards), "free": float(log_free - log_towards)}
         hypothesis: Hypothesis = "towards the microphone"
         of_source = {n: towards[n] for n in members}
         if max(evidence.values()) > _DECISIVE:
             hypothesis, of_source = ("fixed", fixed) if log_fixed >= log_free else ("free", free)
-            for rirs in by_position.values() if hypothesis == "fixed" else [[n] for n in members]:
+            for rirs in by_position if hypothesis == "fixed" else by_direct_sound:
                 axis[rirs] = axis.max() + 1
         estimates.append(FacingEstimate(source, len(members), len(by_position), hypothesis, evidence,
                                         mean_angle_deg(data, of_source)))
@@ -155,15 +160,15 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
     rest = [k for k, effect in enumerate(index.effects) if effect is not SourceDirectivity]
     absorption, vectors = index.absorption(mean, local), index.vectors(mean, local)
     others, vectors_of_others = [index.effects[k] for k in rest], [vectors[k] for k in rest]
-    possible = _directivities(data, index, vectors)
+    possible = _directivities(data)
     data = replace(data, given=[[effect for effect in of_rir if not isinstance(effect, SourceDirectivity)]
                                 for of_rir in data.given])
     plain = ParameterIndex(data, others).predict(absorption, vectors_of_others)
     residual = residual + index.predict(absorption, vectors) - plain
     used = (METRIC == "direct") & CALIBRATION_FEATURES
     direct = residual[:, used] - _colour(data, residual, BAND_OF_FEATURE[used])
-    sphere = (np.gradient(-np.cos(ANGLES)) / 2.0).astype(np.float32)
-    diffuse = [replace(table, angular=np.tile(sphere / sphere.sum(), (len(table.entries), 1))) for table in data.tables]
+    diffuse = [replace(table, angular=np.tile(OF_SPHERE.astype(np.float32), (len(table.entries), 1)))
+               for table in data.tables]
 
     def log_likelihood(change: FloatArray) -> FloatArray:
         # relative to the reflections, which the directivity changes as well
@@ -190,28 +195,40 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
     return np.stack(of_angles, axis=2), log_likelihood(np.zeros_like(plain))
 
 
-def _directivities(data: Data, index: ParameterIndex, vectors: list[FloatArray]) -> list[dict[str, SourceDirectivity]]:
-    """Return directivities that sources may have: of cabinets of several sizes, and those of the model if it has them.
+def _directivities(data: Data) -> list[dict[str, SourceDirectivity]]:
+    """Return directivities that sources may have: of cabinets of several sizes, and those of the base model, if any.
 
-    The model's are fitted, or the base model has them.
+    One that was fitted with assumed facings would confirm them: with a lobe where the microphones were taken to be.
     """
-    names = index.data.units("source")[0]
+    names = data.units("source")[0]
     possible = [dict.fromkeys(names, SourceDirectivity.from_vector(start)) for start in SourceDirectivity.STARTS]
-    if SourceDirectivity in index.effects:
-        of_sources = vectors[index.effects.index(SourceDirectivity)]
-        possible.append({name: SourceDirectivity.from_vector(vector)
-                         for name, vector in zip(names, of_sources, strict=True)})
     if given := {unit_name(row, "source"): effect for row, effects in zip(data.rows, data.given, strict=True)
                  for effect in effects if isinstance(effect, SourceDirectivity)}:
         possible.append(given)
     return possible
 
 
+def _grouped(rirs: list[int], key: Callable[[int], tuple]) -> list[list[int]]:
+    groups: dict[tuple, list[int]] = {}
+    for n in rirs:
+        groups.setdefault(key(n), []).append(n)
+    return list(groups.values())
+
+
 def _position(data: Data, n: int) -> tuple:
     """Return what RIRs of one position of a source share; states of one room, such as open curtains, share it too."""
     row, (x_m, y_m, _) = data.rows[n], data.places[n].source_pos_m
-    room = row["room_id"] if row.get("mesh") else data.documented_dims_m[n]  # estimates differ between states
+    # as documented: estimates of dimensions and heights differ between states
+    room = row["room_id"] if row.get("mesh") else tuple(data.documented[n].get("room_dims_m") or ())
     return room, round(x_m, 1), round(y_m, 1)
+
+
+def _direct_sound(data: Data, n: int) -> tuple:
+    """Return what RIRs share that have one direct sound: those of a source and a microphone that stay, as states do."""
+    x_m, y_m, _ = data.places[n].mic_pos_m
+    height_m = (data.documented[n].get("mic_pos_m") or (None,))[-1]
+    return (unit_name(data.rows[n], "source"), *_position(data, n), round(x_m, 1), round(y_m, 1),
+            None if height_m is None else round(height_m, 1))
 
 
 def _octaves(features: FloatArray, metric: str) -> FloatArray:

@@ -51,7 +51,7 @@ about the absorption of unseen rooms, but so little that errors of their phases 
 _METRICS = tuple(dict.fromkeys(METRIC.tolist()))
 _EXACT, _SIGN_CHANGES = 18, 2 ** 16
 """Largest number of halves of which all changes of signs are tried, and the number of changes for more."""
-_FACING_ROUNDS = 2  # with the directivities of other loudspeakers, and with its own
+_FACING_ROUNDS = 2  # with the mean parameters of the fit's devices, and with those calibrated with the first facings
 
 
 @dataclass(frozen=True)
@@ -289,8 +289,8 @@ def _transferred_correction(session: Session, n_rirs: int) -> FloatArray:
 def _with_facings(data: Data, session: Session) -> Data:
     """Return data of a test set with estimated facings.
 
-    They are first those with the mean directivity of the session's sources, and then those with the directivities that
-    are calibrated with these facings; or, both times, those with the directivities of the base model.
+    They are first those with the mean parameters of the session's devices, and then those with what is calibrated with
+    these facings.
     """
     unknown = unknown_facings(data)
     if SourceDirectivity not in {*session.effects, *data.given_kinds} or not len(unknown):

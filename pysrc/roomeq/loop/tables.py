@@ -39,6 +39,10 @@ _USUAL_EDGES = int(np.searchsorted(FRAME_EDGES_S, 4.7))
 """Edges that are used where no response is longer, as in most sets: more would take time."""
 ANGLES = np.linspace(0.0, np.pi, 9)
 """Grid of the angle between a ray's departure and the direction that the source faces [rad]."""
+_STEP = ANGLES[1]
+OF_SPHERE = np.array([0.5 * (1.0 - np.sin(_STEP) / _STEP) if angle in (0.0, np.pi)
+                      else np.sin(angle) * (1.0 - np.cos(_STEP)) / _STEP for angle in ANGLES])
+"""Share of all directions at `ANGLES`, each distributed over the two angles next to it, shape (9,)."""
 LEVEL_SHARES = np.linspace(0.0, 1.0, 6)
 """Grid of the share of floor and ceiling in a path's reflections."""
 _TICK_S = 1.25e-3
@@ -139,7 +143,7 @@ def collect(traced: TracedSource, mics_m: ArrayLike, facings: Sequence[FloatArra
         distance_m = float(np.linalg.norm(mic_m - source_pos_m))
         receiver = _Receiver(mic_m, visible[m] if len(visible) else np.zeros(0, dtype=np.uint8), radii_m[m],
                              1.0 / volumes_m3[m], distance_m, 1.0 / (speed_m_s * _TICK_S), frame_of_tick)
-        angle_node = _angles(paths.directions, facing) / (np.pi / (len(ANGLES) - 1))
+        angle_node = _angles(paths.directions, facing) / _STEP
         counts = np.zeros((len(edges_s) - 1, int(paths.counts.max()) + 1, len(LEVEL_SHARES)))
         angular = np.zeros((*counts.shape[:2], 0 if facing is None else len(ANGLES)))
         _count(rules, rays, receiver, angle_node, counts, angular)

@@ -35,7 +35,8 @@ class Rirs:
     rows: list = field(default_factory=lambda: [dict(source_id="ls", room_id="room", room_dims_m=[8.0, 6.0, 3.0])
                                                 for _ in SOURCES_M for _ in MICS_M])
 
-    documented_dims_m: list = field(default_factory=lambda: [(8.0, 6.0, None)] * len(SOURCES_M) * len(MICS_M))
+    documented: list = field(default_factory=lambda: [dict(room_dims_m=[8.0, 6.0, None], mic_pos_m=mic_m)
+                                                      for _ in SOURCES_M for mic_m in MICS_M])
 
     @property
     def towards(self):
@@ -116,6 +117,21 @@ def test_states_of_a_room_share_the_axis_at_a_position(room_id, monkeypatch):
     assert estimated.positions == len(SOURCES_M)
 
 
+def test_states_of_a_room_tell_of_a_direct_sound_once(monkeypatch):
+    """Five states share each direct sound, and with it an error: they tell no more than one."""
+    away = np.tile([[0.0, 1.0, 0.0]], (len(Rirs().rows), 1))
+    once, _ = estimate(Rirs(), away, monkeypatch)
+    states = Rirs()
+    for name in ("places", "documented"):
+        setattr(states, name, 5 * getattr(states, name))
+    states.rows = [{**row, "room_id": f"state {state}", "room_dims_m": [8.0, 6.0, 3.0 + 0.1 * state]}  # as estimated
+                   for state in range(5) for row in states.rows]
+    estimated, axes = estimate(states, np.tile(away, (5, 1)), monkeypatch)
+    assert (estimated.positions, estimated.hypothesis) == (once.positions, once.hypothesis)
+    assert estimated.evidence == pytest.approx(once.evidence)
+    assert len(np.unique(axes.reshape(5, -1), axis=0)) == 1
+
+
 def test_loudspeaker_without_directivity_has_no_facing(monkeypatch):
     rirs = Rirs()
     half_away = np.cross(rirs.towards, [0.0, 0.0, 1.0])
@@ -149,7 +165,8 @@ def loaded(where, source_dir, model=None):
     return load_data(usable_rirs([three_rooms(where, source_dir)]), scattering=0.3, seed=0, model=model)
 
 
-def test_given_directivity_is_compared_like_a_fitted_one(tmp_path):
+def test_directivity_that_is_fitted_does_not_take_part_and_a_given_one_does(tmp_path):
+    """A fitted one would confirm the facings that it was fitted with."""
     fitted = loaded(tmp_path / "rirs", [0.0, 1.0, 0.0])
     given = replace(fitted, given=[[DIRECTIVITY]] * len(fitted.rows))
     spread = np.ones(fitted.features.shape[1])
@@ -161,8 +178,11 @@ def test_given_directivity_is_compared_like_a_fitted_one(tmp_path):
         residual = data.features - index.predict(index.absorption(mean, local), index.vectors(mean, local),
                                                  index.gains(local), 0.0)
         found.append(_log_likelihood(data, index, mean, local, residual, spread))
-    for one, other in zip(*found, strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-6)
+    (of_cabinets, alike), (of_all, alike_given) = found
+    assert len(of_cabinets) == len(facing._SCALES) * len(SourceDirectivity.STARTS)
+    assert len(of_all) == len(of_cabinets) + len(facing._SCALES)
+    np.testing.assert_allclose(of_all[:len(of_cabinets)], of_cabinets, atol=1e-6)
+    np.testing.assert_allclose(alike_given, alike, atol=1e-6)
 
 
 def test_base_model_with_a_directivity_is_fitted_with_its_facings(tmp_path):

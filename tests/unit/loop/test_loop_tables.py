@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from plans import L_PLAN, prism_obj
 
-from roomeq.loop.tables import FRAME_EDGES_S, collect, frame_edges_s
+from roomeq.loop.tables import ANGLES, FRAME_EDGES_S, OF_SPHERE, collect, frame_edges_s
 from roomeq.sim.echogram import FRAME_S, compute_echograms
 from roomeq.sim.mesh import load_mesh
 from roomeq.sim.response import trace_source
@@ -49,3 +49,9 @@ def test_frames_last_longer_where_rays_do(length_s, last_s):
     tables = collect(traced, MICS_M, [None, None])
     assert frame_edges_s(tables)[-1] == pytest.approx(last_s, abs=1e-3)
     assert FRAME_EDGES_S[max(table.entries[:, 0].max() for table in tables)] == pytest.approx(length_s, rel=0.1)
+
+
+def test_share_of_all_directions_at_each_angle():
+    angle = np.arccos(np.linspace(-1.0, 1.0, 200001))  # evenly distributed directions
+    shares = [np.interp(angle, ANGLES, of_angle).mean() for of_angle in np.eye(len(ANGLES))]
+    np.testing.assert_allclose(OF_SPHERE, shares, atol=1e-5)
