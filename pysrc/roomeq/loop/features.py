@@ -64,6 +64,8 @@ N_FEATURES = len(METRIC)
 _WIDTH = np.where(np.isin(METRIC, ["direct", "spectrum", "floor"]), 1.0 / 3.0, 1.0)  # of each feature's band [octaves]
 HAS_GAIN = np.isin(METRIC, ["direct", "early", "late", "spectrum"])
 """Whether a feature contains the gain of the recording, shape (n_features,)."""
+SHOW_DIRECT_SOUND = np.isin(METRIC, ("direct", "spectrum", "c50", "drr", "edt"))
+"""Features that depend on the level of the direct sound."""
 CALIBRATION_FEATURES = (METRIC == "direct") & (np.arange(N_FEATURES) % 2 == 0)
 """Features of scored RIRs that calibration may use, and that are not scored: they show an obstructed direct sound, and
 where a source faces."""

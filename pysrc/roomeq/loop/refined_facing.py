@@ -21,7 +21,7 @@ from roomeq.effects.base import Effect
 from roomeq.effects.prediction import PredictedRirs, PredictionState
 from roomeq.loop.data import Data
 from roomeq.loop.facing import mean_angle_deg, with_facings
-from roomeq.loop.features import CALIBRATION_FEATURES, METRIC
+from roomeq.loop.features import CALIBRATION_FEATURES, SHOW_DIRECT_SOUND
 from roomeq.loop.fit import fit
 from roomeq.loop.packing import ParameterIndex
 from roomeq.loop.session import Session
@@ -30,7 +30,6 @@ from roomeq.sim.geometry import towards_microphone
 
 _SD_RAD = 0.15
 """Standard deviation of the error of an axis."""
-_SHOW_DIRECT_SOUND = np.isin(METRIC, ("direct", "spectrum", "c50", "drr", "edt"))
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ def refined_facings(session: Session) -> Data:
     turning = np.flatnonzero(data.axis >= 0)
     if not len(turning):
         return data
-    shown = replace(data, valid=data.valid & ~(_SHOW_DIRECT_SOUND & ~CALIBRATION_FEATURES))
+    shown = replace(data, valid=data.valid & ~(SHOW_DIRECT_SOUND & ~CALIBRATION_FEATURES))
     # the azimuth error comes first, so that the directivity finds the turned axes
     fitted = fit(shown, session.correction, [_AzimuthError, *session.effects], initial=session.fit, threads=session.nj)
     index = ParameterIndex(shown, fitted.effects)

@@ -15,8 +15,9 @@ from roomeq.core.arrays import FloatArray
 from roomeq.core.workers import share_out
 from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
+from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.loop.data import Data
-from roomeq.loop.features import METRIC
+from roomeq.loop.features import METRIC, SHOW_DIRECT_SOUND
 from roomeq.loop.fit import Fit, fit, with_scatter
 from roomeq.loop.heldout_errors import interval_of_mean, one_sided_p
 from roomeq.loop.packing import OWN_SCOPES, ParameterIndex
@@ -169,9 +170,13 @@ def weights_of(effect: type[Effect], session: Session) -> FloatArray:
     """Return how much each feature tells of an effect of a session's model, shape (n_rirs, n_features).
 
     The weight is the predicted change over the variance of the feature, as in a matched filter; 0 for what the effect
-    does not touch.
+    does not touch. Where the direct sounds of RIRs told the axis of their source, a directivity matches them for that
+    alone: their weight is 0 for it, and what the axis makes of the reflections must tell.
     """
-    change, fitted = np.abs(change_by(session.data, effect, session.fit)), session.fit
+    data, fitted = session.data, session.fit
+    change = np.abs(change_by(data, effect, fitted))
+    if effect is SourceDirectivity:
+        change[np.ix_(np.flatnonzero(data.axis >= 0), np.flatnonzero(SHOW_DIRECT_SOUND))] = 0.0
     return np.where(change > TOUCHED_JND, change, 0.0) / (fitted.sigma ** 2 + fitted.omega ** 2)
 
 

@@ -13,11 +13,12 @@ from roomeq.effects.noise_floor import NoiseFloor
 from roomeq.effects.response import RESPONSE_HZ
 from roomeq.effects.room_eq import RoomEq
 from roomeq.effects.sound_speed import SoundSpeed
+from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.effects.source_response import SourceResponse
 from roomeq.loop import acceptance, close, heldout_errors, selection
 from roomeq.loop.acceptance import NO_CLEAR_FALL, RISES, describe_rejection
 from roomeq.loop.close import _model_of, _moments
-from roomeq.loop.features import JND, LATE_S, METRIC, N_FEATURES, feature_slice
+from roomeq.loop.features import JND, LATE_S, METRIC, N_FEATURES, SHOW_DIRECT_SOUND, feature_slice
 from roomeq.loop.fit import SharedPrior, _best_shape, shortened_step, solve_step
 from roomeq.loop.heldout_errors import SPLITS, HeldOutErrors, p_lower, share_of_fall
 from roomeq.loop.likelihood import NormalEquations, scatter
@@ -229,6 +230,18 @@ def test_features_weigh_by_their_predicted_change_over_their_variance(monkeypatc
     weights = weights_of(None, SimpleNamespace(data=None, fit=SimpleNamespace(sigma=sigma, omega=omega)))
     assert weights[0, 0] / weights[0, 1] == pytest.approx(2.0 / 0.25 / (0.5 / 4.0))
     assert not np.any(weights[:, 2:])
+
+
+def test_direct_sound_that_told_a_facing_says_nothing_of_a_directivity(monkeypatch):
+    """The axis of the first RIR follows from its direct sound; that of the second is stated."""
+    monkeypatch.setattr(selection, "change_by", lambda *_: np.ones((2, N_FEATURES)))
+    session = SimpleNamespace(data=SimpleNamespace(axis=np.array([0, -1])),
+                              fit=SimpleNamespace(sigma=np.ones(N_FEATURES), omega=np.zeros(N_FEATURES)))
+    of_directivity, of_response = (weights_of(effect, session) > 0.0 for effect in (SourceDirectivity, SourceResponse))
+    assert not of_directivity[0, SHOW_DIRECT_SOUND].any() and of_directivity[0, ~SHOW_DIRECT_SOUND].all()
+    assert of_directivity[1].all() and of_response.all()
+    session.data.axis = np.empty(0, dtype=int)  # no facing was estimated
+    assert weights_of(SourceDirectivity, session).all()
 
 
 def test_p_of_few_halves_is_the_mid_p_value():
