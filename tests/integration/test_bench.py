@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 import soundfile
-from rirmaker import coloured_rir
+from rirmaker import coloured_rir, write_rir_dir
 
 from bench import augment_peers, cpu_types, kit, ours, projection, rooms, wer_intervals
 from bench.fidelity import air, analytic, decay, early, estimate, lshape, pulses, tail, targets
@@ -201,6 +201,19 @@ def test_laboratories_need_their_recordings(tmp_path, monkeypatch):
     monkeypatch.setattr("sys.argv", ["laboratories.py", "--out", str(tmp_path), "--data", str(tmp_path / "nowhere")])
     with pytest.raises(SystemExit, match="holds no folder with a manifest.csv: give the recordings with --data"):
         laboratories.main()
+
+
+def test_hidden_facings_are_compared_by_their_angles_to_the_microphone(tmp_path):
+    rows = [dict(id=name, room_id="room", source_id=source, mic_id="m", room_dims_m=[5.0, 4.0, 3.0],
+                 source_pos_m=[1.0, 1.0, 1.0], mic_pos_m=[3.0, 1.0, 1.0], source_dir=facing)
+            for name, source, facing in (("a", "found", [0.0, 1.0, 0.0]), ("b", "missed", [0.6, 0.8, 0.0]),
+                                         ("c", "unknown", None))]
+    directory = write_rir_dir(tmp_path, [(row, np.ones(16)) for row in rows])
+    stated = laboratories.hide_facings([directory])
+    assert [row["source_dir"] for row in read_rirs(directory)] == [None] * 3
+    compared = laboratories.compared_facings(stated, dict(facings=dict(a=[1.0, 0.0, 2.0])))  # seen 63 degrees off
+    assert [found[:2] for found in compared] == [["found", 1], ["missed", 1]]
+    np.testing.assert_allclose([found[2:] for found in compared], [[90.0, 63.4, 26.6], [53.1, 0.0, 53.1]], atol=0.1)
 
 
 def test_laboratories_share_no_room_and_are_thinned_out_evenly(tmp_path):

@@ -2,13 +2,16 @@
 """Close the loop on real rooms, and judge it by laboratories that took no part in it.
 
 Usage: tests/bench/real/laboratories.py [--out DIR] [--data DIR] [--rirs-per-room N] [--only LABORATORY,...]
+                                        [--hide-facings]
 e.g.:  tests/bench/real/laboratories.py --out exp/bench
        tests/bench/real/laboratories.py --only c4dm --rirs-per-room 12
+       tests/bench/real/laboratories.py --only all --hide-facings --out exp/hidden
 
 All measured RIRs in the folders of DIR (default ../shared/data) whose geometry the loop can use take part; a room that
 two folders hold is taken from the first. Each laboratory with a room of two RIRs or more is left out once: the loop is
 closed on the others, and the laboratory is scored with the base model and with the final model. "all" closes the loop
-on all of them. A laboratory whose result the output folder holds is not run again.
+on all of them. A laboratory whose result the output folder holds is not run again. With --hide-facings, no row states
+where a loudspeaker faces, and "all" tells how the estimated angles to the microphones compare with the documented ones.
 """
 
 import argparse
@@ -37,7 +40,8 @@ from roomeq.loop.descriptions import effect_names  # noqa: E402
 from roomeq.loop.ledger import added_effects  # noqa: E402
 from roomeq.loop.step import close_loop  # noqa: E402
 from roomeq.loop.usable import usable_rirs  # noqa: E402
-from roomeq.records.rir_dir import write_rirs  # noqa: E402
+from roomeq.records.geometry import is_known  # noqa: E402
+from roomeq.records.rir_dir import read_rirs, write_rirs  # noqa: E402
 
 SPLITS = {"leave_positions_out": ("unseen positions", 2.3), "leave_room_out": ("unseen rooms", 3.0)}
 """Label of each split, and the error to reach in laboratories that took no part [JND]."""
@@ -79,17 +83,44 @@ def has_scored_room(directory):
     return max(count.values()) > 1
 
 
-def run(name, laboratories, work, nj):
+def hide_facings(directories):
+    """Take the facings of loudspeakers out of some RIR directories; return the rows that stated one."""
+    stated = []
+    for directory in directories:
+        rows = read_rirs(directory)
+        write_rirs(directory, [{**row, "source_dir": None} for row in rows])
+        stated += [row for row in rows if all(is_known(row.get(key))
+                                              for key in ("source_dir", "source_pos_m", "mic_pos_m"))]
+    return stated
+
+
+def compared_facings(stated, model):
+    """Compare documented facings with those of a model: RIRs, mean angles to the microphone and error, by source.
+
+    A source that the model does not name faces the microphone.
+    """
+    angles_deg = defaultdict(list)
+    for row in stated:
+        towards = np.subtract(row["mic_pos_m"], row["source_pos_m"]).astype(float)
+        facings = np.array([row["source_dir"], model["facings"].get(row["id"], towards)])
+        cosines = facings @ towards / np.linalg.norm(facings, axis=1) / np.linalg.norm(towards)
+        angles_deg[row["source_id"]].append(np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))))
+    return [[source, len(angles), *np.mean(angles, axis=0), np.abs(np.diff(angles)).mean()]
+            for source, angles in sorted(angles_deg.items())]
+
+
+def run(name, laboratories, work, nj, stated):
     """Close the loop on all laboratories but one, or on "all"; return what the ledger says of it."""
     test = [laboratories[name]] if name in laboratories else []
     start, cpu = time.perf_counter(), sum(os.times()[:4])
     with PeakMemory() as memory:
         ledger = close_loop([path for path in laboratories.values() if path not in test], work / "loop" / name,
                             test=test, nj=nj)
+    facings = compared_facings(stated, json.loads((work / "loop" / name / "model.json").read_text()))
     scored = ledger["test"] if test else dict(ledger, before=ledger["baseline"], after=ledger["final"])
     return dict(laboratory=name, rirs=scored["rirs"], rooms=scored["scored_rooms"],
                 added=[effect_names(entry) for entry in added_effects(ledger)],
-                facings=scored["facings"], unexplained=ledger["unexplained_all"][:5],
+                facings=scored["facings"], hidden_facings=facings, unexplained=ledger["unexplained_all"][:5],
                 **{key: scored[key] for key in ("before", "after", "ceiling", "explained")},
                 seconds=time.perf_counter() - start, cpu_seconds=sum(os.times()[:4]) - cpu,
                 gib=memory.gib)
@@ -124,6 +155,12 @@ def section(results, rirs_per_room):
     return table
 
 
+def facing_section(rows):
+    """Return the table of facings that were hidden from the loop on all laboratories."""
+    return kit.Section("facings", "Facings that were hidden from the loop", rows=rows, columns=[
+        "loudspeaker", "RIRs", "documented angle to the microphone [deg]", "estimated [deg]", "mean error [deg]"])
+
+
 def main():
     """Run the laboratories that are missing, print the table, and write laboratories.json."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -131,6 +168,7 @@ def main():
     parser.add_argument("--data", type=Path, default=PROJECT.parent / "shared" / "data")
     parser.add_argument("--rirs-per-room", type=int, default=34, help="more are thinned out evenly")
     parser.add_argument("--only", type=lambda text: text.split(","), help="laboratories to leave out, or all")
+    parser.add_argument("--hide-facings", action="store_true", help="no row states where a loudspeaker faces")
     parser.add_argument("--nj", type=int, default=2)
     args = parser.parse_args()
     folders = [args.data / "measured", *sorted((args.data / "rooms").glob("*"))]
@@ -139,27 +177,32 @@ def main():
     if not folders:
         sys.exit(f"{args.data}: holds no folder with a manifest.csv: give the recordings with --data")
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
-    code = source_digest(PROJECT / "pysrc/roomeq")[:12]
+    code = (f"{source_digest(PROJECT / 'pysrc/roomeq')[:12]}, {args.rirs_per_room} RIRs of a room"
+            + ", facings hidden" * args.hide_facings)
     results = []
     with tempfile.TemporaryDirectory() as work:
         laboratories = read_laboratories(folders, Path(work), args.rirs_per_room)
         known = [name for name, path in laboratories.items() if has_scored_room(path)] + ["all"]
         if unknown := set(args.only or ()) - set(known):
             sys.exit(f"--only {','.join(sorted(unknown))}: laboratories with rooms to score are {', '.join(known)}")
+        stated = hide_facings(laboratories.values()) if args.hide_facings else []
         names = args.only or known
         for name in names:
             file = args.out / "laboratories.parts" / f"{name}.json"
             if file.is_file() and json.loads(file.read_text())["code"] == code:
                 results.append(json.loads(file.read_text()))
                 continue
-            results.append(run(name, laboratories, Path(work), args.nj) | dict(code=code))
+            results.append(run(name, laboratories, Path(work), args.nj, stated) | dict(code=code))
             write_json(file, kit.plain(results[-1]))
-    table = section(results, args.rirs_per_room)
-    table.show()
+    tables = [section(results, args.rirs_per_room)]
+    tables += [facing_section(result["hidden_facings"]) for result in results
+               if result["laboratory"] == "all" and result["hidden_facings"]]
+    for table in tables:
+        table.show()
     write_json(args.out / "laboratories.json", kit.plain(dict(
         bench="laboratories", machine=kit.machine(), results=results,
-        sections={"laboratories": dict(vars(table), checks=[dict(vars(check), held=check.held)
-                                                            for check in table.checks])})))
+        sections={table.name: dict(vars(table), checks=[dict(vars(check), held=check.held) for check in table.checks])
+                  for table in tables})))
 
 
 if __name__ == "__main__":
