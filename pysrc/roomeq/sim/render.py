@@ -160,8 +160,9 @@ def _add_tail(spectrum: Array, echogram: FloatArray, noise: Array, onset: int, g
         passbands = bank[thirds]
         # scipy's FFT transforms four rows of single precision in the time of one
         shaped = np.zeros((-(-len(passbands) // 4) * 4, n_fft // step), np.float32)
-        _shape_noise(shaped[:len(passbands), guard // step:-(-(guard + n_samples) // step)], of_rate, power[thirds],
-                     -(-onset // step), frame_samples / step, 0.5 / step)
+        begin, end = guard // step, -(-(guard + n_samples) // step)
+        _shape_noise(shaped[:len(passbands)], begin, of_rate[:end - begin], power[thirds], -(-onset // step),
+                     frame_samples / step, 0.5 / step)
         for third, (bins, passed) in zip(rfft(shaped, n_fft // step), passbands, strict=False):
             spectrum[bins] += step * passed * third[bins]
 
@@ -232,16 +233,17 @@ def _in_thirds(power: FloatArray, fs_hz: float) -> FloatArray:
 
 
 @compiled
-def _shape_noise(bands: Array, noise: Array, energy: Array, first: Number, frame_samples: Number, middle: Number
-                 ) -> None:
-    """Give noise the power per sample of frames, linear between their middles, from sample `first` on.
+def _shape_noise(bands: Array, begin: Number, noise: Array, energy: Array, first: Number, frame_samples: Number,
+                 middle: Number) -> None:
+    """Give noise the power per sample of frames, linear between their middles, from its sample `first` on.
 
-    What lies before it, as the frame of the first sound begins earlier, is added to the following length of a frame.
-    `middle` is the time from the beginning of the first frame to the middle of the first sample.
+    In each of the `bands`, whole rows in memory, it begins at sample `begin`. What lies before the first sample, as the
+    frame of the first sound begins earlier, is added to the following length of a frame. `middle` is the time from the
+    beginning of the first frame to the middle of the noise's sample 0.
     """
-    n_bands, n_samples = bands.shape
+    n_samples = len(noise)
     soon = min(first + int(np.ceil(frame_samples)), n_samples)
-    for band in range(n_bands):
+    for band in range(len(bands)):
         lost, kept = np.float32(0.0), np.float32(1e-30)
         for n in range(soon):
             place = max((n + middle) / frame_samples - 0.5, 0.0)
@@ -251,18 +253,19 @@ def _shape_noise(bands: Array, noise: Array, energy: Array, first: Number, frame
                 lost += power
             else:
                 kept += power
-        n, frame = first, max(int((first + middle) / frame_samples - 0.5), 0)
+        n, frame = first, int(np.floor((first + middle) / frame_samples - 0.5))
         while n < n_samples:
-            # within half a frame from the middle of one to the middle of the next
+            # from the middle of a frame to that of the next; ahead of the first middle (frame -1), the first frame's
             end = min(n_samples, int(np.ceil((frame + 1.5) * frame_samples - middle)))
-            before, rise = energy[band, frame], energy[band, frame + 1] - energy[band, frame]
+            before = energy[band, max(frame, 0)]
+            rise = energy[band, frame + 1] - before if frame >= 0 else np.float32(0.0)
             step, start = np.float32(1.0 / frame_samples), np.float32((n + middle) / frame_samples - 0.5 - frame)
-            for k in range(end - n):
-                fraction = max(start + np.float32(k) * step, np.float32(0.0))
-                bands[band, n + k] = noise[n + k] * np.sqrt(max(before + rise * fraction, np.float32(0.0)))
+            part, own = bands[band, begin + n:begin + end], noise[n:end]
+            for k in range(len(part)):  # without branches, so that it is vectorised; below 0 by rounding only
+                part[k] = own[k] * np.sqrt(np.abs(before + rise * (start + np.float32(k) * step)))
             n, frame = end, frame + 1
         for n in range(first, soon):
-            bands[band, n] *= np.sqrt(np.float32(1.0) + lost / kept)
+            bands[band, begin + n] *= np.sqrt(np.float32(1.0) + lost / kept)
 
 
 @lru_cache(maxsize=1)
